@@ -1,0 +1,5 @@
+"""Where the arithmetic runs: NumPy, Warp and OpenCL behind one set of kernels with one set of arguments."""
+
+from .registry import BackendInfo, backends, select
+
+__all__ = ["BackendInfo", "backends", "select"]

@@ -1,0 +1,264 @@
+"""The protocol of a backend, and the sequences of kernels that are the same on all of them.
+
+A backend knows arrays and kernels, not scenes. A kernel has the same stem, name and arguments in warp_kernels/, in
+opencl/ and in numpy.py; what is here launches them by name.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import NamedTuple
+
+import numpy as np
+
+from ..errors import CapacityError
+from ..sources import SKY, Geometry
+from .tables import Group, lap_table, walk_groups
+
+ROOM = 32  # pixel arrays end with room for whole vectors
+SIDES = {"open": 0, "dark": 1, "periodic": 2}
+
+Progress = Callable[[int, int], None]
+
+
+class Problem(NamedTuple):
+    """What is asked of a backend: depth (rows, cols) float32, +inf where masked, in a unit in which the spacing is step."""
+
+    depth: np.ndarray
+    step: float
+    sides: str
+    steps: np.ndarray
+    geometry: Geometry
+    filled: bool = False
+
+    @property
+    def pixels(self) -> int:
+        return self.depth.size
+
+    @property
+    def relief(self) -> float:
+        finite = self.depth[np.isfinite(self.depth)]
+        return float(finite.max()) - float(finite.min())
+
+    @property
+    def clips(self) -> bool:
+        """Whether the source or the walls take away some of what the sky would give."""
+        return self.geometry.kind != SKY or self.sides == "dark"
+
+
+class Backend:
+    """One device. Subclasses give ``name``, ``device``, ``lanes``, ``memory`` and the methods that raise here."""
+
+    name: str
+    device: str
+    memory: int  # bytes that may be taken at once
+    lanes = 1  # adjacent lines or pixels per work-item
+    compile_seconds = 0.0
+
+    def upload(self, array: np.ndarray):
+        """A copy of ``array`` on the device."""
+        raise NotImplementedError
+
+    def empty(self, shape: tuple[int, ...], dtype, fill: int | float | None = None):
+        """A new device array; every element ``fill`` if given."""
+        raise NotImplementedError
+
+    def download(self, array) -> np.ndarray:
+        """A copy of a device array in NumPy, after all launches before it are done."""
+        raise NotImplementedError
+
+    def launch(self, stem: str, kernel: str, dim: tuple[int, ...], *args, bits: int = 0, lanes: int | None = None) -> None:
+        """Run ``kernel`` of module ``stem`` over ``dim`` work-items; Python ints are passed as int32, floats as float64.
+
+        ``bits``: elevations per walk, known when the kernel is compiled; 0 where the kernel has none. ``lanes``: pixels
+        per work-item, the backend's own number unless given.
+        """
+        raise NotImplementedError
+
+    def finish(self) -> None:
+        """Wait until all launches are done."""
+        raise NotImplementedError
+
+    def reserve(self, bytes_needed: int, what: str, fix: str) -> None:
+        """Raise a CapacityError if ``bytes_needed`` is more than the device may give."""
+        if bytes_needed > self.memory:
+            raise CapacityError(f"{what} needs {bytes_needed:,} bytes; {self.name} may take {self.memory:,}. {fix}")
+
+    def visibility(self, problem: Problem) -> np.ndarray:
+        """Packed surface visibility (rows, cols, words) uint32."""
+        words = -(-len(problem.steps) // 32)
+        self.reserve(4 * words * problem.pixels, "Packed visibility", "Use a smaller hemicube or map.")
+        surface = Surface(self, problem)
+        out = self.empty((*problem.depth.shape, words), np.uint32, 0)
+        for group in surface.groups:
+            planes = surface.scan(group)
+            self.launch("scan", "pack", (problem.pixels,), planes, group.directions, out, problem.pixels, words, group.count, bits=group.bits)
+        return self.download(out)
+
+    def irradiance(self, problem: Problem, moments: np.ndarray) -> np.ndarray:
+        """Irradiance (rows, cols) float32; ``moments`` (D, 3): brightness times the integral of L dOmega over each cell."""
+        surface = Surface(self, problem)
+        light = Light(surface, moments)
+        light.run()
+        return self.download(light.sum)[: problem.pixels].reshape(problem.depth.shape)
+
+    def carve(self, problem: Problem, low, high, weights, layers: int, by_sign: bool, progress: Progress | None = None) -> np.ndarray:
+        """Depth in layers (rows, cols) int32 by the inverse algorithm; arguments as for skylamp.oracle.carve."""
+        surface = Surface(self, problem._replace(depth=np.zeros(problem.depth.shape, np.float32)), relief=float(layers))
+        pixels = problem.pixels
+        light, side = (self.empty((pixels,), np.int32, 0) for _ in range(2))
+        low, high = (self.upload(a.astype(np.int32).ravel()) for a in (low, high))
+        tables = [self.upload(weights.astype(np.int32)[group.order]) for group in surface.groups]
+        for layer in range(layers):
+            active = self.empty((1,), np.int32, 0)
+            if layer and problem.sides == "periodic":
+                surface.renew_laps(self.download(surface.depth))
+            for number, (group, table) in enumerate(zip(surface.groups, tables)):
+                planes = surface.scan(group)
+                self.launch("carve", "carve", (pixels,), planes, table, light, low, high, side, surface.depth, active, pixels, group.count,
+                            int(number == 0), int(number == len(tables) - 1), layer, int(by_sign), bits=group.bits)
+            if progress:
+                progress(layer + 1, layers)
+            if not self.download(active)[0]:
+                break
+        return self.download(surface.depth).astype(np.int32)
+
+    def field(self, problem: Problem, layers: int, progress: Progress | None = None) -> np.ndarray:
+        """The visibility field (layers, words, rows, cols) uint32 for depths in layers (step 1), bits packed as everywhere."""
+        return _field_of_lamp(self, problem, layers, progress) if problem.geometry.is_lamp else _field_by_layers(self, problem, layers, progress)
+
+
+class _OnDevice(NamedTuple):
+    """A group's tables on the device."""
+
+    walks: object
+    directions: object
+    steps: object
+    rise: object
+    crossings: object
+    climbs: object
+    spans: object
+    order: np.ndarray
+    count: int
+    bits: int
+    dim: tuple[int, int]
+
+
+class Surface:
+    """A map on a device, ready to be scanned group by group of walks; one buffer of planes serves all groups."""
+
+    def __init__(self, backend: Backend, problem: Problem, relief: float | None = None):
+        self.backend, self.problem = backend, problem
+        rows, cols = problem.depth.shape
+        most = max(1, int(backend.memory // 2 // problem.pixels))
+        self.host_groups = walk_groups(problem.steps, (rows, cols), problem.relief if relief is None else relief, problem.step,
+                                       problem.sides == "periodic", problem.filled, most)
+        self.depth = backend.upload(problem.depth)
+        self.planes = backend.empty((max(g.count for g in self.host_groups), rows, cols), np.uint8)
+        self.numbers, self.flags = backend.upload(problem.geometry.numbers), backend.upload(problem.geometry.flags)
+        self.groups = [self._put(group) for group in self.host_groups]
+        self.renew_laps(problem.depth)
+
+    def _put(self, group: Group) -> _OnDevice:
+        rows, cols = self.problem.depth.shape
+        lanes = self.backend.lanes
+        lines = max(min(abs(j or i), rows if j else cols) * -(-(cols if j else rows) // lanes) for i, j in group.walks[:, :2].tolist())
+        return _OnDevice(*map(self.backend.upload, group), group.directions, group.count, group.bits, (lines, group.count))
+
+    def renew_laps(self, depth: np.ndarray) -> None:
+        """Where the map repeats: the first ceilings of the level rays, for the depths that the device now holds."""
+        self.laps = [lap_table(depth, g, self.problem.filled) if self.problem.sides == "periodic" else np.zeros((1, 1), np.float32) for g in self.host_groups]
+        self.device_laps = [self.backend.upload(lap) for lap in self.laps]
+
+    def scan(self, group: _OnDevice):
+        """The planes (walks, rows, cols) uint8 of a group; overwritten by the next scan."""
+        problem, number = self.problem, next(n for n, g in enumerate(self.groups) if g is group)
+        rows, cols = problem.depth.shape
+        tail = (self.planes, rows, cols, self.laps[number].shape[1], int(problem.sides == "periodic"))
+        if problem.filled:
+            self.backend.launch("filled", "scan_filled", group.dim, self.depth, group.walks, group.rise, self.device_laps[number],
+                                group.crossings, group.climbs, group.spans, *tail, bits=group.bits)
+        else:
+            self.backend.launch("scan", "scan", group.dim, self.depth, group.walks, group.rise, self.device_laps[number], *tail, bits=group.bits)
+        if problem.clips:
+            geometry = problem.geometry
+            self.backend.launch("source", "clip", (problem.pixels,), self.depth, group.steps, group.crossings, group.spans, self.numbers, self.flags,
+                                self.planes, rows, cols, len(geometry.flags), geometry.kind, SIDES[problem.sides], float(problem.step), group.count, bits=group.bits)
+        return self.planes
+
+
+class Light:
+    """The sum over the visible directions, with everything on the device; ``run`` may be repeated (and timed)."""
+
+    def __init__(self, surface: Surface, moments: np.ndarray):
+        backend, problem = surface.backend, surface.problem
+        self.surface = surface
+        self.room = -(-problem.pixels // ROOM) * ROOM
+        self.slopes = backend.empty((2, self.room), np.float32, 0)
+        self.sum = backend.empty((self.room,), np.float32, 0)
+        padded = np.concatenate([moments, np.zeros((len(moments), 1))], 1).astype(np.float32)
+        self.tables = [backend.upload(padded[group.order]) for group in surface.groups]
+
+    def run(self) -> None:
+        surface, backend, problem = self.surface, self.surface.backend, self.surface.problem
+        rows, cols = problem.depth.shape
+        backend.launch("luminance", "gradient", (cols, rows), surface.depth, self.slopes, rows, cols, self.room, 0.5 / problem.step, 1 / problem.step)
+        last = len(surface.groups) - 1
+        for number, (group, table) in enumerate(zip(surface.groups, self.tables)):
+            planes = surface.scan(group)
+            backend.launch("luminance", "luminance", (-(-problem.pixels // backend.lanes),), planes, self.slopes, table, self.sum,
+                           problem.pixels, self.room, group.count, int(number == 0), int(number == last), bits=group.bits)
+
+
+def _field_by_layers(backend, problem, layers, progress):
+    rows, cols = problem.depth.shape
+    geometry, periodic = problem.geometry, problem.sides == "periodic"
+    count, reach = len(problem.steps), int(np.abs(problem.steps).max())
+    words = -(-count // 32)
+    level = problem.steps[:, 2] == 0
+    n_level = int(level.sum())
+    width, height = cols + 2 * reach, rows + 2 * reach
+    backend.reserve(4 * words * (layers + reach) * width * height + 4 * n_level * rows * cols, "The visibility field", "Ask for fewer layers, a smaller hemicube or map.")
+    depth = backend.upload(problem.depth)
+    field = backend.empty((layers + reach, words, height, width), np.uint32, 0 if problem.clips else 0xFFFFFFFF)
+    steps = np.concatenate([problem.steps * [1, 1, -1], np.arange(count)[:, None]], 1).astype(np.int32)
+    if problem.clips:
+        backend.launch("source", "enter", (width, height, layers + reach), backend.upload(steps), backend.upload(geometry.numbers), backend.upload(geometry.flags),
+                       field, rows, cols, reach, words, count, geometry.kind, SIDES[problem.sides])
+    if problem.clips:
+        levels = backend.empty((n_level, rows, cols), np.float32, -1)
+    else:
+        levels = backend.empty((n_level, rows, cols), np.float32)
+        groups = walk_groups(problem.steps[level], (rows, cols), problem.relief, 1.0, False, False, n_level)
+        group, = groups
+        lap = lap_table(problem.depth, group, False) if periodic else np.zeros((1, 1), np.float32)
+        order = np.argsort(group.directions[:, 0])
+        group = group._replace(walks=group.walks[order])
+        lines = max(min(abs(j or i), rows if j else cols) * (cols if j else rows) for i, j in group.walks[:, :2].tolist())
+        backend.launch("propagate", "reaches", (lines, n_level), depth, backend.upload(group.walks), backend.upload(lap[order] if periodic else lap), levels,
+                       rows, cols, lap.shape[1], int(periodic))
+    offsets = backend.upload(np.stack([steps[:, 2], steps[:, 1] * width + steps[:, 0]], 1).astype(np.int32))
+    lanes = backend.lanes if cols >= backend.lanes else 1
+    for n in range(layers):
+        backend.launch("propagate", "propagate", (-(-cols // lanes), rows, words), depth, levels, offsets, field, rows, cols, reach, words, count, n_level, n, lanes=lanes)
+        if periodic:
+            backend.launch("propagate", "wrap", (width, height, words), field, rows, cols, reach, words, n)
+        if progress:
+            progress(n + 1, layers)
+    return backend.download(field)[reach:, :, reach : reach + rows, reach : reach + cols]
+
+
+def _field_of_lamp(backend, problem, layers, progress):
+    rows, cols = problem.depth.shape
+    geometry, count = problem.geometry, len(problem.steps)
+    words = -(-count // 32)
+    backend.reserve(4 * words * layers * rows * cols, "The visibility field", "Ask for fewer layers, a smaller hemicube or map.")
+    steps = np.concatenate([problem.steps * [1, 1, -1], np.arange(count)[:, None]], 1).astype(np.int32)
+    crossings = np.concatenate([[(i, j, 0, 0, 1, 0, 1, 1)] for i, j, _ in problem.steps.tolist()]).astype(np.int32)
+    spans = np.stack([np.arange(count), np.ones(count)], 1).astype(np.int32)
+    field = backend.empty((layers, words, rows, cols), np.uint32)
+    backend.launch("source", "beam", (rows * cols, layers), backend.upload(problem.depth), *map(backend.upload, (steps, crossings, spans, geometry.numbers, geometry.flags)), field,
+                   rows, cols, len(geometry.flags), geometry.kind, SIDES[problem.sides], words, count, layers)
+    if progress:
+        progress(layers, layers)
+    return backend.download(field)

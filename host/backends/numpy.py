@@ -1,0 +1,353 @@
+"""The kernels in NumPy: same stems, names, arguments and bits as in Warp and OpenCL, on whole rows at a time."""
+
+from __future__ import annotations
+
+import os
+
+import numpy as np
+
+from ..sources import APERTURE, BALL, RECTANGLE, SKY, VOLUME
+from .base import SIDES, Backend
+
+
+def available_memory() -> int:
+    """Bytes of main memory that could be taken now, where the system tells; else a cautious 2 GiB."""
+    try:
+        with open("/proc/meminfo") as lines:
+            return 1024 * next(int(line.split()[1]) for line in lines if line.startswith("MemAvailable"))
+    except (OSError, StopIteration):
+        return os.sysconf("SC_AVPHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") if hasattr(os, "sysconf") and "SC_AVPHYS_PAGES" in os.sysconf_names else 2**31
+
+
+class NumpyBackend(Backend):
+    """NumPy on one thread. Device arrays are NumPy arrays."""
+
+    name = "numpy"
+    device = "NumPy, 1 thread"
+
+    @property
+    def memory(self) -> int:
+        return available_memory() // 2
+
+    def upload(self, array):
+        return np.array(array, order="C")
+
+    def empty(self, shape, dtype, fill=None):
+        return np.empty(shape, dtype) if fill is None else np.full(shape, fill, dtype)
+
+    def download(self, array):
+        return array.copy()
+
+    def launch(self, stem, kernel, dim, *args, bits=0, lanes=None):
+        with np.errstate(invalid="ignore", divide="ignore", over="ignore"):  # masked nodes are +inf
+            globals()[kernel](*args)
+
+    def finish(self):
+        """NumPy is done when it returns."""
+
+
+# -- scan ----------------------------------------------------------------------------------------------------------------
+
+
+def _sweep(depth, walk, first_ceiling, periodic, lower, climb):
+    """Yields (index, depths, ceilings) of the nodes of one walk, row by row from the source's side.
+
+    index: what row of ``depth`` (or column, where j = 0) this is; ``lower(ceiling, index)`` lowers the ceilings first.
+    """
+    i, j, _, _, warm, _, _, parts = walk.tolist()
+    if j == 0:  # columns take the part of rows
+        depth, i, j = depth.T, 0, i
+    rows, cols = depth.shape
+    for residue in range(min(abs(j), rows)):
+        ceiling = first_ceiling(residue, cols)
+        for u in range(-warm, -(-(rows - residue) // abs(j))):
+            row = (residue + u * abs(j)) % rows
+            row = rows - 1 - row if j > 0 else row
+            lower(ceiling, row)
+            z = depth[row]
+            if u >= 0:
+                yield row, z, ceiling
+            ceiling = np.minimum(ceiling, z) + climb
+            # the next node of a line lies i columns back; what comes in from outside the map has open sky
+            ceiling = np.roll(ceiling, -i, 1)
+            if not periodic and i:
+                ceiling[:, slice(-i, None) if i > 0 else slice(0, -i)] = np.inf
+
+
+def _scan_walk(depth, walk, climb, lap, plane, periodic, lower):
+    bits = len(climb)
+
+    def first_ceiling(residue, across):
+        ceiling = np.full((bits, across), np.inf, np.float32)
+        if periodic and climb[0] == 0:
+            ceiling[0] = lap[residue * across : (residue + 1) * across]
+        return ceiling
+
+    plane = plane if walk[1] else plane.T
+    weights = (1 << np.arange(bits, dtype=np.uint8))[:, None]
+    for row, z, ceiling in _sweep(depth, walk, first_ceiling, periodic, lower, climb[:, None]):
+        plane[row] = np.where(z < np.inf, ((z <= ceiling) * weights).sum(0, dtype=np.uint8), 0)
+
+
+def scan(depth, walks, rise, lap, planes, rows, cols, lap_lines, periodic):
+    for w, walk in enumerate(walks):
+        _scan_walk(depth, walk, rise[w], lap[w] if periodic else None, planes[w], periodic, lambda ceiling, row: None)
+
+
+def scan_filled(depth, walks, rise, lap, crossings, climbs, spans, planes, rows, cols, lap_lines, periodic):
+    for w, walk in enumerate(walks):
+        begin, end = spans[w, 0], spans[w].sum() - 1
+
+        def lower(ceiling, row, walk=walk, begin=begin, end=end):
+            for c in range(begin, end):
+                np.minimum(ceiling, _ground(depth, crossings[c], row, walk[1] == 0, periodic) + climbs[c][:, None], out=ceiling)
+
+        _scan_walk(depth * np.float32(walk[7]), walk, rise[w], lap[w] if periodic else None, planes[w], periodic, lower)
+
+
+def _ground(depth, crossing, index, by_column, periodic):
+    """Depth x parts at a crossing next to every node of a row (or column); +inf where it is unknown."""
+    rows, cols = depth.shape
+    x = np.full(rows, index) if by_column else np.arange(cols)
+    y = np.arange(rows) if by_column else np.full(cols, index)
+    to_x, to_y, next_x, next_y, near_weight, far_weight = (int(v) for v in crossing[:6])
+    values = []
+    for px, py in ((x + to_x, y + to_y), (x + to_x + next_x, y + to_y + next_y)):
+        if periodic:
+            values.append(depth[py % rows, px % cols])
+        else:
+            inside = (px >= 0) & (px < cols) & (py >= 0) & (py < rows)
+            values.append(np.where(inside, depth[np.clip(py, 0, rows - 1), np.clip(px, 0, cols - 1)], np.float32(np.inf)))
+    near, far = values
+    ground = np.float32(near_weight) * near + np.float32(far_weight) * far
+    return np.where((near < np.inf) & (far < np.inf), ground, np.float32(np.inf))
+
+
+def pack(planes, order, words, pixels, n_words, n_walks):
+    words = words.reshape(pixels, n_words)
+    for w in range(n_walks):
+        lit = planes[w].reshape(pixels)
+        for b, d in enumerate(order[w]):
+            words[:, d // 32] |= (lit >> np.uint8(b) & np.uint8(1)).astype(np.uint32) << np.uint32(d % 32)
+
+
+# -- luminance -----------------------------------------------------------------------------------------------------------
+
+
+def gradient(depth, slopes, rows, cols, room, half, one):
+    half, one = np.float32(half), np.float32(one)
+    for out, z in ((slopes[0, : depth.size].reshape(depth.shape), depth), (slopes[1, : depth.size].reshape(depth.shape).T, depth.T)):
+        known = np.isfinite(z)
+        before, after = np.zeros_like(known), np.zeros_like(known)
+        before[:, 1:], after[:, :-1] = known[:, :-1], known[:, 1:]
+        low, high = z.copy(), z.copy()
+        low[:, 1:] = np.where(before[:, 1:], z[:, :-1], z[:, 1:])
+        high[:, :-1] = np.where(after[:, :-1], z[:, 1:], z[:, :-1])
+        scale = np.where(before & after, half, one)
+        out[...] = np.where(known & (before | after), (high - low) * scale, np.float32(0))
+
+
+def luminance(planes, slopes, moments, irradiance, pixels, room, n_walks, is_first, is_last):
+    gx, gy = slopes[0, :pixels], slopes[1, :pixels]
+    total = np.zeros(pixels, np.float32) if is_first else irradiance[:pixels]
+    for w in range(n_walks):
+        lit = planes[w].reshape(pixels)
+        for b, (mx, my, mz, _) in enumerate(moments[w]):
+            cosine = gx * mx + gy * my - mz
+            total += np.where((lit >> np.uint8(b) & np.uint8(1)).astype(bool) & (cosine > 0), cosine, np.float32(0))
+    irradiance[:pixels] = total / np.sqrt(gx * gx + gy * gy + np.float32(1)) if is_last else total
+
+
+# -- carve ---------------------------------------------------------------------------------------------------------------
+
+
+def carve(planes, weights, light, low, high, side, depth, active, pixels, n_walks, is_first, is_last, layer, by_sign):
+    depth = depth.reshape(pixels)
+    here = np.flatnonzero(depth == layer)
+    total = np.zeros(len(here), np.int32) if is_first else light[here]
+    for w in range(n_walks):
+        lit = planes[w].reshape(pixels)[here]
+        for b, weight in enumerate(weights[w]):
+            total += np.where(lit >> np.uint8(b) & np.uint8(1), weight, np.int32(0))
+    light[here] = total
+    if not is_last:
+        return
+    if layer == 0:
+        side[here] = total > high[here]
+    stops = (low[here] <= total) & (total <= high[here])
+    if by_sign:
+        stops |= (total > high[here]) != side[here]
+    depth[here[~stops]] = layer + 1
+    active[0] += np.count_nonzero(~stops)
+
+
+# -- source --------------------------------------------------------------------------------------------------------------
+
+
+def _within(w, k, low, high, period, sides):
+    if sides != SIDES["periodic"]:
+        return (k * low <= w) & (w < k * high)
+    v, lap = w - k * low, k * period
+    return v - np.floor(v / lap) * lap < k * (high - low)
+
+
+def _leaves_box(x, y, z, i, j, climb, rows, cols):
+    u, v = 2 * (x * climb + i * z), 2 * (y * climb + j * z)
+    return (-climb <= u) & (u < (2 * cols - 1) * climb) & (-climb <= v) & (v < (2 * rows - 1) * climb)
+
+
+def _meets_plane(x, y, z, i, j, k, numbers, flags, rows, cols, kind, sides, step):
+    if k == 0:
+        return np.full(z.shape, kind == SKY and sides != SIDES["dark"])
+    climb = k * step
+    on = _leaves_box(x, y, z, i, j, climb, rows, cols) if sides == SIDES["dark"] else np.ones(z.shape, bool)
+    u, v = x * climb + i * z, y * climb + j * z
+    if kind == RECTANGLE:
+        x0, x1, y0, y1 = numbers
+        on &= _within(u, k, x0, x1, cols * step, sides) & _within(v, k, y0, y1, rows * step, sides)
+    if kind == APERTURE:
+        col, row = np.floor((2 * u + climb) / (2 * climb)), np.floor((2 * v + climb) / (2 * climb))
+        if sides == SIDES["periodic"]:
+            col, row = col - np.floor(col / cols) * cols, row - np.floor(row / rows) * rows
+        on &= (col >= 0) & (col < cols) & (row >= 0) & (row < rows)
+        on[on] = flags[0][row[on].astype(int), col[on].astype(int)] != 0
+    return on
+
+
+def _meets_lamp(depth, x, y, z, i, j, k, crossings, numbers, flags, kind, sides, step):
+    """x, y, z: flat arrays of nodes. All rays go forward together; those that are decided fall out of ``going``."""
+    rows, cols = depth.shape
+    layers = len(flags)
+    climb = k * step
+    level = np.rint(z / step).astype(np.int64)
+    lit, going = np.zeros(z.shape, bool), np.ones(z.shape, bool)
+    hit = np.full(z.shape, np.inf)
+    if kind == BALL:
+        hit = _meets_ball(x, y, z, i, j, k, numbers, step)
+        going = hit >= 0
+        if sides == SIDES["dark"]:
+            px, py = x + hit * i, y + hit * j
+            inside = (px >= -0.5) & (px < cols - 0.5) & (py >= -0.5) & (py < rows - 0.5)
+            out_first = z <= hit * climb if k else np.zeros(z.shape, bool)
+            going &= np.where(out_first, _leaves_box(x, y, z, i, j, climb, rows, cols), inside)
+    else:
+        inside = level < layers
+        lit[inside] = flags[level[inside], y[inside], x[inside]] != 0
+        going &= ~lit
+    who = np.flatnonzero(going)
+    for t in range(rows * cols):
+        for c, (to_x, to_y, next_x, next_y, near_weight, far_weight, moment, parts) in enumerate(crossings.tolist()):
+            when = t * parts + moment
+            if kind == BALL:
+                arrived = when >= hit[who] * parts
+                lit[who[arrived]] = True
+                who = who[~arrived]
+            over = z[who] * parts - when * climb
+            gone = over < (0.0 if kind == BALL else -0.5 * step * parts)
+            cx, cy = x[who] + t * i + to_x, y[who] + t * j + to_y
+            ex, ey = cx + next_x, cy + next_y
+            if sides == SIDES["periodic"]:
+                cx, ex, cy, ey = cx % cols, ex % cols, cy % rows, ey % rows
+            near_in = (cx >= 0) & (cx < cols) & (cy >= 0) & (cy < rows)
+            far_in = (ex >= 0) & (ex < cols) & (ey >= 0) & (ey < rows)
+            if c == len(crossings) - 1:
+                gone |= ~near_in & ~far_in
+            lit[who[gone]] = kind == BALL
+            pick = lambda row, col: depth[np.clip(row, 0, rows - 1), np.clip(col, 0, cols - 1)].astype(float)
+            near = pick(cy, cx)
+            far = near if far_weight == 0 else pick(ey, ex)
+            known = near_in & (far_in | (far_weight == 0)) & np.isfinite(near) & np.isfinite(far)
+            blocked = known & ~gone & (near_weight * np.where(known, near, 0) + far_weight * np.where(known, far, 0) < over)
+            if kind == VOLUME:
+                nx, ny = (ex, ey) if 2 * far_weight >= parts else (cx, cy)
+                n = (2 * (level[who] * parts - when * k) + parts) // (2 * parts)
+                there = ~gone & ~blocked & (n >= 0) & (n < layers) & (nx >= 0) & (nx < cols) & (ny >= 0) & (ny < rows)
+                there[there] = flags[n[there], ny[there], nx[there]] != 0
+                lit[who[there]] = True
+                gone |= there
+            who = who[~gone & ~blocked]
+            if not len(who):
+                return lit
+    return lit
+
+
+def _meets_ball(x, y, z, i, j, k, numbers, step):
+    lx, ly, lz = i * step, j * step, -(k * step)
+    dx, dy, dz = numbers[0] - x * step, numbers[1] - y * step, numbers[2] - z
+    a, b = lx * lx + ly * ly + lz * lz, dx * lx + dy * ly + dz * lz
+    q = dx * dx + dy * dy + dz * dz - numbers[3] * numbers[3]
+    root = b * b - a * q
+    meets = (b > 0) & (root >= 0)
+    return np.where(q <= 0, 0.0, np.where(meets, (b - np.sqrt(np.where(meets, root, 0))) / a, -1.0))
+
+
+def clip(depth, steps, crossings, spans, numbers, flags, planes, rows, cols, layers, kind, sides, step, n_walks):
+    y, x = np.nonzero(np.isfinite(depth))
+    z = depth[y, x].astype(float)
+    for w in range(n_walks):
+        plane = planes[w]
+        lit = plane[y, x]
+        for b, (i, j, k, _) in enumerate(steps[w].tolist()):
+            bit = np.uint8(1 << b)
+            if kind in (BALL, VOLUME):
+                on = _meets_lamp(depth, x, y, z, i, j, k, crossings[spans[w, 0] : spans[w].sum()], numbers, flags, kind, sides, step)
+            else:
+                on = (lit & bit != 0) & _meets_plane(x, y, z, i, j, k, numbers, flags, rows, cols, kind, sides, step)
+            lit = np.where(on, lit | bit, lit & ~bit)
+        plane[y, x] = lit
+
+
+def enter(steps, numbers, flags, field, rows, cols, reach, n_words, n_directions, kind, sides):
+    y, x = (v - reach for v in np.mgrid[: rows + 2 * reach, : cols + 2 * reach])
+    rim = (x < 0) | (x >= cols) | (y < 0) | (y >= rows)
+    for layer in range(len(field)):
+        n = layer - reach
+        where = rim if n >= 0 else np.ones_like(rim)
+        z = np.full(x.shape, float(n))
+        words = np.zeros((n_words, *x.shape), np.uint32)
+        if not (n >= 0 and sides == SIDES["dark"]):
+            for d, (i, j, k, _) in enumerate(steps.tolist()):
+                words[d // 32] |= _meets_plane(x, y, z, i, j, k, numbers, flags, rows, cols, kind, sides, 1.0).astype(np.uint32) << np.uint32(d % 32)
+        field[layer][:, where] = words[:, where]
+
+
+def beam(depth, steps, crossings, spans, numbers, flags, field, rows, cols, layers, kind, sides, n_words, n_directions, field_layers):
+    for n in range(field_layers):
+        y, x = np.nonzero(n <= depth)
+        z = np.full(x.shape, float(n))
+        field[n] = 0
+        for d, (i, j, k, _) in enumerate(steps.tolist()):
+            on = _meets_lamp(depth, x, y, z, i, j, k, crossings[spans[d, 0] : spans[d].sum()], numbers, flags, kind, sides, 1.0)
+            field[n, d // 32, y, x] |= on.astype(np.uint32) << np.uint32(d % 32)
+
+
+# -- propagate -----------------------------------------------------------------------------------------------------------
+
+
+def reaches(depth, walks, lap, levels, rows, cols, lap_lines, periodic):
+    nothing = np.zeros((1, 1), np.float32)
+    for w, walk in enumerate(walks):
+        out = levels[w] if walk[1] else levels[w].T
+        first = lambda residue, across, w=w: lap[w, None, residue * across : (residue + 1) * across].copy() if periodic else np.full((1, across), np.inf, np.float32)
+        for row, _, ceiling in _sweep(depth, walk, first, periodic, lambda ceiling, row: None, nothing):
+            out[row] = ceiling[0]
+
+
+def propagate(depth, levels, offsets, field, rows, cols, reach, n_words, n_directions, n_level, layer):
+    here = field[layer + reach]
+    width = cols + 2 * reach
+    lit = np.zeros((n_words, rows, cols), np.uint32)
+    for d, (k, offset) in enumerate(offsets.tolist()):
+        word, bit = d // 32, np.uint32(1 << d % 32)
+        if d < n_level:
+            lit[word] |= np.where(levels[d] >= layer, bit, np.uint32(0))
+        else:
+            j = round(offset / width)
+            i = offset - j * width
+            lit[word] |= field[layer + reach - k, word, reach + j : reach + j + rows, reach + i : reach + i + cols] & bit
+    here[:, reach : reach + rows, reach : reach + cols] = np.where(depth >= layer, lit, np.uint32(0))
+
+
+def wrap(field, rows, cols, reach, n_words, layer):
+    y, x = (np.arange(n + 2 * reach) - reach for n in (rows, cols))
+    field[layer + reach] = field[layer + reach][:, (y % rows + reach)[:, None], (x % cols + reach)[None]]

@@ -1,0 +1,116 @@
+"""OpenCL through pyopencl: any device; on a CPU (PoCL) the kernels carry several lanes per work-item."""
+
+from __future__ import annotations
+
+import functools
+import time
+
+import numpy as np
+
+from ..errors import BackendError
+from .base import Backend
+
+OPTIONS = ("-cl-std=CL1.2",)
+CPU_LANES = 8
+
+
+def probe():
+    """A BackendInfo for every OpenCL device, or one that says why there is none."""
+    from .registry import BackendInfo
+
+    try:
+        import pyopencl as cl
+
+        platforms = cl.get_platforms()
+    except ImportError as error:
+        return [BackendInfo("opencl", "", False, f"pyopencl cannot be imported ({error})")]
+    except cl.Error as error:
+        return [BackendInfo("opencl", "", False, f"no OpenCL platform ({error}); pocl-binary-distribution brings one for the CPU")]
+    found = []
+    for p, platform in enumerate(platforms):
+        for d, device in enumerate(platform.get_devices()):
+            name = f"opencl:{p}:{d}"
+            described = f"{device.name.strip()} ({platform.version.strip()}, {device.max_compute_units} compute units)"
+            gpu = bool(device.type & cl.device_type.GPU)
+            if device.double_fp_config:
+                found.append(BackendInfo(name, described, True, gpu=gpu))
+            else:
+                found.append(BackendInfo(name, described, False, "the device has no double precision, which windows and lamps need", gpu))
+    return sorted(found, key=lambda info: not info.gpu) or [BackendInfo("opencl", "", False, "the OpenCL platforms have no device")]
+
+
+class OpenclBackend(Backend):
+    """One OpenCL device with one queue. Device arrays are pyopencl arrays."""
+
+    def __init__(self, platform: int, device: int):
+        import pyopencl as cl
+        import pyopencl.array
+
+        self.cl = cl
+        self.name = f"opencl:{platform}:{device}"
+        self._device = cl.get_platforms()[platform].get_devices()[device]
+        self.device = self._device.name.strip()
+        self.context = cl.Context([self._device])
+        self.queue = cl.CommandQueue(self.context)
+        self.on_cpu = bool(self._device.type & cl.device_type.CPU)
+        self.lanes = CPU_LANES if self.on_cpu else 1
+        self.memory = int(self._device.max_mem_alloc_size)
+        self._kernels = {}
+
+    def upload(self, array):
+        return self.cl.array.to_device(self.queue, np.ascontiguousarray(array))
+
+    def empty(self, shape, dtype, fill=None):
+        array = self.cl.array.empty(self.queue, shape, dtype)
+        if fill is not None:
+            array.fill(np.dtype(dtype).type(fill))
+        return array
+
+    def download(self, array):
+        return array.get()
+
+    def finish(self):
+        self.queue.finish()
+
+    def launch(self, stem, kernel, dim, *args, bits=0, lanes=None):
+        function, kinds = self._kernel(stem, kernel, bits, lanes or self.lanes)
+        values = [arg.data if hasattr(arg, "data") and not np.isscalar(arg) else kind(arg) for arg, kind in zip(args, kinds, strict=True)]
+        local = self._local(dim)
+        size = tuple(-(-n // l) * l for n, l in zip(dim, local))
+        function(self.queue, size, local, *values)
+
+    def _local(self, dim):
+        if self.on_cpu:
+            return (1,) * len(dim)
+        return (128,) + (1,) * (len(dim) - 1)
+
+    def _kernel(self, stem, kernel, bits, lanes):
+        key = stem, kernel, bits, lanes
+        if key not in self._kernels:
+            self._kernels[key] = self.cl.Kernel(self._program(stem, bits, lanes), kernel), _scalar_kinds(stem, kernel)
+        return self._kernels[key]
+
+    @functools.cache
+    def _program(self, stem, bits, lanes):
+        from skylamp.opencl import source
+
+        start = time.perf_counter()
+        defines = [f"-DLANES={lanes}", f"-DBITS={bits}", f"-DAHEAD={1 if self.on_cpu else 8}"]
+        try:
+            program = self.cl.Program(self.context, source(stem)).build([*OPTIONS, *defines])
+        except self.cl.Error as error:
+            raise BackendError(f"{self.name}: {stem}.cl does not build on {self.device}: {error}") from error
+        self.compile_seconds += time.perf_counter() - start
+        return program
+
+
+@functools.cache
+def _scalar_kinds(stem, kernel):
+    """The NumPy type of every scalar argument (None for buffers), read off the kernel's own signature."""
+    import re
+
+    from skylamp.opencl import source
+
+    signature = re.search(rf"__kernel void {kernel}\((.*?)\)", source(stem), re.S).group(1)
+    kinds = {"int": np.int32, "float": np.float32, "double": np.float64}
+    return [None if "*" in argument else kinds[argument.split()[0]] for argument in signature.split(",")]

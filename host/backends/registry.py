@@ -1,0 +1,76 @@
+"""Which backends are here, and the rule of choice: a named backend or an error; only "auto" falls back."""
+
+from __future__ import annotations
+
+import difflib
+import functools
+from dataclasses import dataclass
+
+from ..errors import BackendError
+from .base import Backend
+
+
+@dataclass(frozen=True)
+class BackendInfo:
+    """A backend that was looked for: its name, device, whether it is available, and if not, why not."""
+
+    name: str
+    device: str
+    available: bool
+    why: str = ""
+    gpu: bool = False
+
+
+def backends() -> list[BackendInfo]:
+    """Every backend that was looked for, in the order in which "auto" would take them."""
+    return sorted(_probe(), key=lambda info: (not info.available, not info.gpu, ["opencl", "warp", "numpy"].index(info.name.split(":")[0])))
+
+
+def select(name: str = "auto") -> Backend:
+    """The backend of this name, made once per process.
+
+    ``auto``: a GPU if there is one, else OpenCL on the CPU, else Warp, else NumPy. ``opencl``: the first device, GPU
+    before CPU. Raises BackendError, with the reason and the nearest name that is here, if a named one is not.
+    """
+    if not isinstance(name, str):
+        raise BackendError(f"backend: got {name!r}; allowed: a name, one of {', '.join(_names())}, auto.")
+    found = {info.name: info for info in backends()}
+    if name == "auto":
+        name = next(info.name for info in found.values() if info.available)
+    if name == "opencl":
+        devices = [n for n, info in found.items() if n.startswith("opencl:") and info.available]
+        name = devices[0] if devices else name
+    info = found.get(name)
+    if info is None or not info.available:
+        why = info.why if info else "there is no such backend"
+        here = _names()
+        nearest = difflib.get_close_matches(name, here, 1, 0.0)[0]
+        raise BackendError(f"backend {name!r} is not available: {why}. Nearest that is: {nearest!r} (here: {', '.join(here)}, auto).")
+    return _make(name)
+
+
+def _names() -> list[str]:
+    return [info.name for info in backends() if info.available]
+
+
+@functools.cache
+def _probe() -> tuple[BackendInfo, ...]:
+    from . import opencl, warp
+
+    return (BackendInfo("numpy", "NumPy, 1 thread", True), *warp.probe(), *opencl.probe())
+
+
+@functools.cache
+def _make(name: str) -> Backend:
+    kind, _, device = name.partition(":")
+    if kind == "numpy":
+        from .numpy import NumpyBackend
+
+        return NumpyBackend()
+    if kind == "warp":
+        from .warp import WarpBackend
+
+        return WarpBackend(device)
+    from .opencl import OpenclBackend
+
+    return OpenclBackend(*map(int, device.split(":")))

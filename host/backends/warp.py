@@ -1,0 +1,5 @@
+"""NVIDIA Warp: warp:cpu (one thread, one lane) and warp:cuda:N."""
+
+
+def probe():
+    return []

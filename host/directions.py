@@ -1,0 +1,118 @@
+"""Direction sets: the paper's hemicube with solid angles and moments in closed form."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+
+import numpy as np
+
+from .errors import bad
+from .radiometry import polygon_moment, rectangle_solid_angle
+
+LARGEST = 129  # 16,641 + 32,768 directions; a larger cube is a slip of the keyboard
+
+
+@dataclass(frozen=True)
+class Hemicube:
+    """The surface nodes with L_z <= 0 of an M x M x M cube (Langer and Zucker, section 5), ordered by (k, j, i).
+
+    Every direction owns the part of the cube's surface nearest to its node, clipped at edges and at the horizon.
+
+    Parameters
+    ----------
+    size : odd int >= 3
+        M. There are M^2 + 8 m^2 directions, m = (M - 1) / 2.
+
+    Attributes
+    ----------
+    steps : (D, 3) int32
+        (i, j, -k), pixels along columns, rows and depth; max(|i|, |j|, k) = m.
+    directions : (D, 3) float64, unit vectors from the surface towards the source.
+    solid_angles : (D,) float64 [sr], summing to 2 pi.
+    moments : (D, 3) float64 [sr]
+        Integral of L dOmega over each cell (Lambert's formula), summing to (0, 0, -pi).
+
+    Raises
+    ------
+    InputError
+        If ``size`` is not an odd whole number from 3 to 129.
+    """
+
+    size: int
+
+    def __post_init__(self):
+        size = self.size
+        if isinstance(size, (bool, np.bool_)) or not isinstance(size, (int, np.integer)) or size % 2 == 0 or not 3 <= size <= LARGEST:
+            raise bad("hemicube", repr(size), f"an odd whole number from 3 to {LARGEST}")
+        object.__setattr__(self, "size", int(size))
+
+    def __len__(self) -> int:
+        return len(self.steps)
+
+    @property
+    def reach(self) -> int:
+        """m = (M - 1) / 2, the longest step along an axis."""
+        return (self.size - 1) // 2
+
+    @property
+    def words(self) -> int:
+        """32-bit words that hold one bit per direction."""
+        return -(-len(self) // 32)
+
+    @cached_property
+    def steps(self) -> np.ndarray:
+        m = self.reach
+        k, j, i = np.meshgrid(np.arange(m + 1), np.arange(-m, m + 1), np.arange(-m, m + 1), indexing="ij")
+        steps = np.stack([i.ravel(), j.ravel(), -k.ravel()], 1)
+        return _frozen(steps[np.abs(steps).max(1) == m].astype(np.int32))
+
+    @cached_property
+    def directions(self) -> np.ndarray:
+        return _frozen(self.steps / np.linalg.norm(self.steps, axis=1, keepdims=True))
+
+    @cached_property
+    def solid_angles(self) -> np.ndarray:
+        return _cells(self.size)[0]
+
+    @cached_property
+    def moments(self) -> np.ndarray:
+        return _cells(self.size)[1]
+
+    def unpack(self, bits: np.ndarray) -> np.ndarray:
+        """Packed bits (..., words) uint32 -> (..., D) bool, in the order of ``steps``."""
+        bits = np.ascontiguousarray(bits, "<u4")
+        return np.unpackbits(bits.view(np.uint8), axis=-1, bitorder="little")[..., : len(self)].astype(bool)
+
+    def pack(self, visible: np.ndarray) -> np.ndarray:
+        """(..., D) bool -> packed bits (..., words) uint32: direction d is bit d % 32 of word d // 32."""
+        room = np.zeros((*visible.shape[:-1], 32 * self.words), bool)
+        room[..., : len(self)] = visible
+        return np.packbits(room, axis=-1, bitorder="little").view("<u4").astype(np.uint32)
+
+
+def _frozen(array):
+    array.flags.writeable = False
+    return array
+
+
+@lru_cache(maxsize=8)
+def _cells(size):
+    """Solid angle (D,) and moment (D, 3) of every cell: a union of one to three rectangles on the cube's faces."""
+    cube = Hemicube(size)
+    m = cube.reach
+    solid_angle, moment = np.zeros(len(cube)), np.zeros((len(cube), 3))
+    for axis, sign in ((0, 1), (0, -1), (1, 1), (1, -1), (2, -1)):
+        u_axis, v_axis = (a for a in range(3) if a != axis)
+        node = np.abs(cube.steps[:, axis] - sign * m) == 0
+        centre = cube.steps[node].astype(float)
+        low, high = np.maximum(centre - 0.5, -m), np.minimum(centre + 0.5, m)
+        high[:, 2] = np.minimum(high[:, 2], 0)  # the horizon
+        u0, u1, v0, v1 = low[:, u_axis], high[:, u_axis], low[:, v_axis], high[:, v_axis]
+        corners = np.empty((len(centre), 4, 3))
+        corners[:, :, axis] = sign * m
+        corners[:, :, u_axis] = np.stack([u0, u1, u1, u0], 1)
+        corners[:, :, v_axis] = np.stack([v0, v0, v1, v1], 1)
+        solid_angle[node] += rectangle_solid_angle(u0, u1, v0, v1, m)
+        moment[node] += polygon_moment(corners)
+    return _frozen(solid_angle), _frozen(moment)

@@ -1,0 +1,22 @@
+"""The errors that skylamp raises on purpose: one sentence each for what, where, got, allowed, fix."""
+
+
+class SkylampError(Exception):
+    """Base of every error that skylamp raises on purpose."""
+
+
+class InputError(SkylampError, ValueError):
+    """An argument or a file is not what it must be."""
+
+
+class BackendError(SkylampError, RuntimeError):
+    """A named backend is not here, or failed."""
+
+
+class CapacityError(SkylampError, MemoryError):
+    """The work does not fit into the memory that there is."""
+
+
+def bad(what: str, got: object, allowed: str, fix: str = "") -> InputError:
+    """An InputError in the house's form: what is wrong, what was got, what is allowed, how to mend it."""
+    return InputError(f"{what}: got {got}; allowed: {allowed}." + (f" {fix}" if fix else ""))

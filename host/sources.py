@@ -1,0 +1,235 @@
+"""Sources: sky (converging), lamp and window (diverging), and the brightness that their rays carry.
+
+Brightness (radiance [W m^-2 sr^-1], luminance [cd m^-2]) depends on the ray's direction alone: the unit vector
+L = (x, y, z) from a point towards the source, z <= 0 on the viewer's side (Langer and Zucker, section 4).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from .errors import InputError, bad
+from .scene import real_array
+
+Brightness = float | Callable[[np.ndarray], np.ndarray]
+
+
+def uniform(brightness: float = 1.0) -> Callable:
+    """The same brightness in every direction."""
+    value = _brightness_number(brightness)
+    return lambda L: np.full(np.shape(L)[:-1], value)
+
+
+def cosine_power(power: float, axis=(0.0, 0.0, 1.0), brightness: float = 1.0) -> Callable:
+    """A spotlight: brightness x max(0, -L . axis)^power, ``axis`` the direction in which it shines (need not be unit)."""
+    axis = np.asarray(axis, float)
+    if axis.shape != (3,) or not np.isfinite(axis).all() or not axis.any():
+        raise bad("cosine_power: axis", axis.tolist(), "three finite numbers, not all zero")
+    if not (np.isfinite(power) and power >= 0):
+        raise bad("cosine_power: power", power, "a finite number >= 0")
+    axis, value = axis / np.linalg.norm(axis), _brightness_number(brightness)
+    return lambda L: value * np.maximum(0.0, -(np.asarray(L) @ axis)) ** power
+
+
+def cie_overcast(zenith: float = 1.0) -> Callable:
+    """CIE standard overcast sky: zenith x (1 + 2 sin(elevation)) / 3 (ISO 15469, Moon and Spencer 1942)."""
+    value = _brightness_number(zenith)
+    return lambda L: value * (1.0 - 2.0 * np.asarray(L)[..., 2]) / 3.0
+
+
+def environment_map(array) -> Callable:
+    """Brightness from an equirectangular map (rows, cols), interpolated bilinearly between pixel centres.
+
+    Row 0 is the zenith, the last row the nadir; column 0 looks towards +x and azimuth grows towards +y.
+    """
+    image = real_array(array, "environment_map")
+    if not np.isfinite(image).all() or image.min() < 0:
+        raise bad("environment_map: values", f"{np.nanmin(image)} to {np.nanmax(image)}, finite: {np.isfinite(image).all()}", "finite, >= 0")
+    rows, cols = image.shape
+
+    def brightness(L):
+        x, y, z = np.moveaxis(np.asarray(L, float), -1, 0)
+        row = np.arccos(np.clip(-z, -1, 1)) / np.pi * rows - 0.5
+        col = np.arctan2(y, x) / (2 * np.pi) * cols - 0.5
+        r, c = np.floor(row), np.floor(col)
+        fr, fc = row - r, col - c
+        r0, r1 = (np.clip(r + s, 0, rows - 1).astype(int) for s in (0, 1))
+        c0, c1 = ((c + s).astype(int) % cols for s in (0, 1))
+        return (1 - fr) * ((1 - fc) * image[r0, c0] + fc * image[r0, c1]) + fr * ((1 - fc) * image[r1, c0] + fc * image[r1, c1])
+
+    return brightness
+
+
+@dataclass(frozen=True)
+class Sky:
+    """The sky: rays arrive from every direction of the hemisphere. ``brightness``: number or function of (..., 3)."""
+
+    brightness: Brightness = 1.0
+
+    def __post_init__(self):
+        _check_brightness(self.brightness)
+
+
+@dataclass(frozen=True, eq=False)
+class Lamp:
+    """A finite emitter near the surface.
+
+    Either a sphere, ``center`` = (x, y, z) and ``radius`` [unit of spacing], x along columns, y along rows, z depth
+    (z < 0: behind the viewer's plane); or any shape, ``volume`` (layers, rows, cols) bool on the lattice, True where
+    the node (layer, row, col) shines.
+    """
+
+    center: tuple[float, float, float] | None = None
+    radius: float | None = None
+    brightness: Brightness = 1.0
+    volume: np.ndarray | None = None
+
+    def __post_init__(self):
+        if (self.volume is None) == (self.center is None or self.radius is None) or (self.volume is not None and (self.center, self.radius) != (None, None)):
+            raise bad("lamp", f"center={self.center}, radius={self.radius}, volume {'given' if self.volume is not None else 'not given'}",
+                      "center and radius (a sphere), or volume alone")
+        if self.volume is not None:
+            object.__setattr__(self, "volume", _flags(self.volume, "lamp volume", 3, "(layers, rows, cols)"))
+        else:
+            center = _numbers(self.center, 3, "lamp center", "(x, y, z)")
+            radius = _numbers([self.radius], 1, "lamp radius", "> 0")[0]
+            if radius <= 0:
+                raise bad("lamp radius", radius, "a finite number > 0")
+            object.__setattr__(self, "center", center)
+            object.__setattr__(self, "radius", radius)
+        _check_brightness(self.brightness)
+
+
+@dataclass(frozen=True, eq=False)
+class Window:
+    """An aperture in the plane z = 0: rays through it inherit the brightness of the sky behind it.
+
+    Either a rectangle, ``x`` = (x0, x1) and ``y`` = (y0, y1) [unit of spacing], half-open; or ``aperture``
+    (rows, cols) bool, True where node's pixel is open.
+    """
+
+    x: tuple[float, float] | None = None
+    y: tuple[float, float] | None = None
+    brightness: Brightness = 1.0
+    aperture: np.ndarray | None = None
+
+    def __post_init__(self):
+        if (self.aperture is None) == (self.x is None or self.y is None) or (self.aperture is not None and (self.x, self.y) != (None, None)):
+            raise bad("window", f"x={self.x}, y={self.y}, aperture {'given' if self.aperture is not None else 'not given'}",
+                      "x and y (a rectangle), or aperture alone")
+        if self.aperture is not None:
+            object.__setattr__(self, "aperture", _flags(self.aperture, "window aperture", 2, "(rows, cols)"))
+        else:
+            for name in "xy":
+                low, high = _numbers(getattr(self, name), 2, f"window {name}", "(low, high)")
+                if not low < high:
+                    raise bad(f"window {name}", (low, high), "low < high")
+                object.__setattr__(self, name, (low, high))
+        _check_brightness(self.brightness)
+
+
+Source = Sky | Lamp | Window
+
+
+class Geometry(NamedTuple):
+    """Where a source shines from, as backends know it: plain numbers in the unit of the compared depths.
+
+    kind: SKY, RECTANGLE, APERTURE, BALL or VOLUME. numbers (4,) float64: x0, x1, y0, y1 of a rectangle or
+    x, y, z, radius of a ball. flags: uint8 aperture (1, rows, cols) or volume (layers, rows, cols).
+    """
+
+    kind: int
+    numbers: np.ndarray
+    flags: np.ndarray
+
+    @property
+    def is_lamp(self) -> bool:
+        return self.kind in (BALL, VOLUME)
+
+
+SKY, RECTANGLE, APERTURE, BALL, VOLUME = range(5)
+
+
+def geometry(source: Source, scene, step: float) -> Geometry:
+    """The geometry of ``source`` over ``scene``, lengths scaled so that the spacing is ``step``; checks that they fit."""
+    scale = step / scene.spacing if step != scene.spacing else 1.0
+    nothing, numbers = np.zeros((1, 1, 1), np.uint8), np.zeros(4)
+    if isinstance(source, Sky):
+        return Geometry(SKY, numbers, nothing)
+    if isinstance(source, Window):
+        if source.aperture is None:
+            return Geometry(RECTANGLE, np.array([*source.x, *source.y]) * scale, nothing)
+        if source.aperture.shape != scene.shape:
+            raise bad("window aperture: wrong shape", source.aperture.shape, f"the scene's {scene.shape}")
+        return Geometry(APERTURE, numbers, source.aperture[None].view(np.uint8))
+    if not isinstance(source, Lamp):
+        raise bad("source", type(source).__name__, "Sky, Lamp or Window")
+    if source.volume is not None:
+        if source.volume.shape[1:] != scene.shape:
+            raise bad("lamp volume: wrong shape", source.volume.shape, f"(layers, rows, cols) with the scene's rows and cols {scene.shape}")
+        free = np.arange(len(source.volume))[:, None, None] <= scene.layers()[0]
+        if not (source.volume & free).any():
+            raise bad("lamp volume: no node of it lies in free space", f"{source.volume.sum()} nodes", "at least one True node at or above the surface")
+        return Geometry(VOLUME, numbers, (source.volume & free).view(np.uint8))
+    if scene.sides == "periodic":
+        raise bad("lamp sphere with sides='periodic'", "a lamp that stands once over a map that repeats",
+                  "sides='open' or 'dark', or a lamp given as a volume, which repeats with the map")
+    x, y, z = source.center
+    col, row = (int(np.floor(v / scene.spacing + 0.5)) for v in (x, y))
+    if 0 <= row < scene.shape[0] and 0 <= col < scene.shape[1] and z > scene.depth[row, col]:
+        raise bad("lamp below the surface", f"center z = {z} at (row, col) = ({row}, {col})", f"z <= {scene.depth[row, col]}, the depth of the surface there")
+    return Geometry(BALL, np.array([x, y, z, source.radius]) * scale, nothing)
+
+
+def radiance(source: Source, directions: np.ndarray) -> np.ndarray:
+    """The source's brightness along unit vectors (..., 3) -> (...) float64; an InputError if it is not finite and >= 0."""
+    brightness = source.brightness
+    if not callable(brightness):
+        return np.full(directions.shape[:-1], float(brightness))
+    values = np.asarray(brightness(directions.copy()))
+    if values.dtype.kind not in "iuf" or values.shape not in ((), directions.shape[:-1]):
+        raise bad("brightness function: wrong result", f"dtype {values.dtype}, shape {values.shape} for directions {directions.shape}",
+                  f"real numbers of shape {directions.shape[:-1]}")
+    values = np.broadcast_to(values.astype(np.float64), directions.shape[:-1])
+    wrong = ~(np.isfinite(values) & (values >= 0))
+    if wrong.any():
+        raise bad("brightness function", f"{values[wrong].flat[0]} for L = {directions[wrong][0].round(3).tolist()}", "finite values >= 0")
+    return values
+
+
+def _brightness_number(value) -> float:
+    try:
+        number = float(value)
+    except (TypeError, ValueError):
+        raise bad("brightness", repr(value), "a number, or a function of unit vectors (..., 3) -> (...)") from None
+    if not (np.isfinite(number) and number >= 0):
+        raise bad("brightness", number, "finite, >= 0")
+    return number
+
+
+def _check_brightness(value):
+    if not callable(value):
+        _brightness_number(value)
+
+
+def _numbers(values, count, what, form) -> tuple[float, ...]:
+    try:
+        numbers = tuple(float(v) for v in values)
+    except (TypeError, ValueError):
+        raise bad(what, repr(values), f"{count} finite numbers {form}") from None
+    if len(numbers) != count or not np.isfinite(numbers).all():
+        raise bad(what, numbers, f"{count} finite numbers {form}")
+    return numbers
+
+
+def _flags(values, what, ndim, form) -> np.ndarray:
+    array = np.asarray(values)
+    if array.dtype != bool or array.ndim != ndim or array.size == 0:
+        raise bad(what, f"dtype {array.dtype}, shape {array.shape}", f"bool {form}, not empty")
+    if not array.any():
+        raise InputError(f"{what}: no element is True, so nothing shines.")
+    return np.ascontiguousarray(array).copy()
