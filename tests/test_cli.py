@@ -1,0 +1,274 @@
+"""The command line: exit codes, one-line errors, data and messages apart, outputs whole or absent."""
+
+import io as streams
+import json
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+import skylamp as sl
+from skylamp import cli, io
+
+BOWL = (np.hypot(*np.mgrid[-6:7, -7:8]) // 2).max() - np.hypot(*np.mgrid[-6:7, -7:8]) // 2 + 1
+
+
+@pytest.fixture
+def here(tmp_path, monkeypatch):
+    """A folder with a depth map, a height map and an image."""
+    monkeypatch.chdir(tmp_path)
+    np.save("depth.npy", BOWL.astype(np.float32))
+    np.save("height.npy", (BOWL.max() - BOWL).astype(np.float32))
+    np.save("image.npy", sl.render(sl.Scene(BOWL), sl.Sky(), backend="numpy").image)
+    return tmp_path
+
+
+def run(capsys, *arguments):
+    """(exit code, stdout, stderr) of one command line, run in this process."""
+    capsys.readouterr()
+    with pytest.raises(SystemExit) as ended:
+        cli.main([str(a) for a in arguments])
+    out, err = capsys.readouterr()
+    return ended.value.code or 0, out, err
+
+
+def fails(capsys, code, *arguments, says):
+    """The command exits with ``code``, says so in one line on stderr, leaves stdout empty and no new file."""
+    import os
+
+    before = sorted(os.listdir("."))
+    got, out, err = run(capsys, *arguments)
+    assert got == code, err
+    assert out == "" and "Traceback" not in err
+    for part in (says,) if isinstance(says, str) else says:
+        assert part in err, err
+    if code != 2:
+        assert err.startswith("skylamp: error: ") and err.count("\n") == 1, err
+    assert sorted(os.listdir(".")) == before
+
+
+def test_render_writes_what_the_library_renders(here, capsys):
+    """Same array as sl.render; nothing on stdout."""
+    code, out, err = run(capsys, "render", "depth.npy", "--out", "a.npy", "--spacing", "2", "--albedo", "0.5", "--sides", "dark",
+                         "--method", "lattice", "--hemicube", "5", "--filled", "--backend", "numpy", "--quantity", "irradiance", "--source", "overcast")
+    assert (code, out) == (0, ""), err
+    expected = sl.render(sl.Scene(BOWL, 2.0, 0.5, sides="dark"), sl.Sky(sl.cie_overcast()), method="lattice", hemicube=5, filled=True,
+                         quantity="irradiance", backend="numpy").image
+    np.testing.assert_array_equal(io.read("a.npy"), expected)
+    assert "a.npy: 13 x 15 by numpy" in err
+
+
+def test_stride_and_filled_differ(here, capsys):
+    """--stride and --filled reach the library as they are."""
+    np.save("walls.npy", np.where(np.arange(15) % 5 == 2, 0, 6.0)[None].repeat(13, 0))
+    for flag, filled in (("--stride", False), ("--filled", True)):
+        assert run(capsys, "render", "walls.npy", "--out", "a.npy", flag, "--method", "lattice", "--backend", "numpy")[0] == 0
+        np.testing.assert_array_equal(io.read("a.npy"), sl.render(sl.Scene(io.read("walls.npy")), sl.Sky(), method="lattice", filled=filled, backend="numpy").image)
+
+
+def test_height_is_depth_upside_down(here, capsys):
+    """--height gives the picture that the depth map gives."""
+    assert run(capsys, "render", "depth.npy", "--out", "a.npy", "--backend", "numpy")[0] == 0
+    assert run(capsys, "render", "height.npy", "--height", "--out", "b.npy", "--backend", "numpy")[0] == 0
+    np.testing.assert_array_equal(io.read("a.npy"), io.read("b.npy"))
+    np.savez("both.npz", depth=BOWL, height=BOWL.max() - BOWL)
+    for option, out in ((), "c.npy"), (("--height",), "d.npy"):
+        assert run(capsys, "render", "both.npz", *option, "--out", out, "--backend", "numpy")[0] == 0
+        np.testing.assert_array_equal(io.read(out), io.read("a.npy"))
+
+
+def test_sources(here, capsys):
+    """Lamp, window and environment map, and that --lamp alone means a lamp."""
+    environment = np.random.default_rng(3).random((6, 12), dtype=np.float32)
+    np.save("map.npy", environment)
+    cases = {
+        ("--lamp", "7,-3,-4.5,3"): sl.Lamp(center=(7, -3, -4.5), radius=3),
+        ("--source", "lamp", "--lamp", "-7,6,-4.5,3"): sl.Lamp(center=(-7, 6, -4.5), radius=3),
+        ("--window", "2,9,3,8"): sl.Window(x=(2, 9), y=(3, 8)),
+        ("--source", "sky"): sl.Sky(),
+        ("--source", "map.npy"): sl.Sky(sl.environment_map(environment)),
+    }
+    pictures = []
+    for options, source in cases.items():
+        code, _, err = run(capsys, "render", "depth.npy", "--out", "a.npy", "--method", "lattice", "--backend", "numpy", *options)
+        assert code == 0, err
+        pictures.append(io.read("a.npy"))
+        np.testing.assert_array_equal(pictures[-1], sl.render(sl.Scene(BOWL), source, method="lattice", backend="numpy").image)
+    assert len({p.tobytes() for p in pictures}) == len(pictures)
+
+
+def test_json_is_one_object_on_stdout(here, capsys):
+    """Machine-readable, alone on stdout, with the scale of a PNG."""
+    code, out, err = run(capsys, "render", "depth.npy", "--out", "a.png", "--json", "--backend", "numpy")
+    facts = json.loads(out)
+    image = sl.render(sl.Scene(BOWL), sl.Sky(), backend="numpy").image
+    assert code == 0 and facts["out"] == "a.png" and facts["backend"] == "numpy" and facts["shape"] == [13, 15]
+    assert facts["range"] == [0.0, float(image.max())] and io.read("a.png").max() == 255
+    assert run(capsys, "render", "depth.npy", "--out", "a.png", "--bits", "16", "--white", "2", "--backend", "numpy")[0] == 0
+    np.testing.assert_array_equal(io.read("a.png"), np.rint(image.astype(float) / 2.0 * 65535).astype(np.uint16))
+
+
+def test_nodata(here, capsys):
+    """NaN is an error until it is named as no data; so is any number."""
+    holes = BOWL.astype(np.float32)
+    holes[3, 4] = np.nan
+    np.save("nan.npy", holes)
+    fails(capsys, 3, "render", "nan.npy", "--out", "a.npy", says="NaN or infinite")
+    np.save("number.npy", np.where(np.isnan(holes), -9999, holes))
+    expected = sl.render(sl.Scene(BOWL, mask=~np.isnan(holes)), sl.Sky(), backend="numpy").image
+    for name, value in (("nan.npy", "nan"), ("number.npy", "-9999")):
+        assert run(capsys, "render", name, "--nodata", value, "--out", "a.npy", "--backend", "numpy")[0] == 0
+        np.testing.assert_array_equal(io.read("a.npy"), expected)
+    assert np.isnan(expected[3, 4])
+
+
+def test_recover(here, capsys):
+    """Depth and the mask of drilled columns, as sl.recover gives them; a PNG holds whole layers."""
+    expected = sl.recover(io.read("image.npy"), sl.Sky(), albedo=0.8, spacing=2.0, layers=9, hemicube=5, stop="sign", backend="numpy")
+    options = ("--spacing", 2, "--layers", 9, "--hemicube", 5, "--stop", "sign", "--backend", "numpy")
+    code, out, err = run(capsys, "recover", "image.npy", "--out", "a.npz", "--json", *options)
+    assert code == 0, err
+    assert json.loads(out)["drilled"] == int(expected.drilled.sum())
+    np.testing.assert_array_equal(io.read("a.npz", "depth"), expected.depth)
+    with np.load("a.npz") as arrays:
+        np.testing.assert_array_equal(arrays["drilled"], expected.drilled)
+    assert run(capsys, "recover", "image.npy", "--out", "a.png", *options)[0] == 0
+    np.testing.assert_array_equal(io.read("a.png") * 2.0, expected.depth)
+
+
+def test_counts_need_a_scale(here, capsys):
+    """A PNG of ours brings its scale; a foreign one needs --white; floating values take none."""
+    image = io.read("image.npy")
+    io.write("ours.png", image, bits=16)
+    io.write("foreign.png", io.read("ours.png"))
+    options = ("--layers", 6, "--hemicube", 3, "--backend", "numpy")
+    fails(capsys, 3, "recover", "foreign.png", "--out", "a.npy", *options, says=("foreign.png: counts without a scale", "--white"))
+    fails(capsys, 2, "recover", "image.npy", "--out", "a.npy", "--white", "1", *options, says="radiance as they are")
+    assert run(capsys, "recover", "ours.png", "--out", "a.npy", *options)[0] == 0
+    assert run(capsys, "recover", "foreign.png", "--white", float(image.max()), "--out", "b.npy", *options)[0] == 0
+    np.testing.assert_array_equal(io.read("a.npy"), io.read("b.npy"))
+    expected = sl.recover(io.read("ours.png") * (np.float64(image.max()) / 65535), sl.Sky(), layers=6, hemicube=3, backend="numpy")
+    np.testing.assert_array_equal(io.read("a.npy"), expected.depth)
+
+
+def test_field(here, capsys):
+    """Solid angles in every layer, or in one."""
+    expected = sl.visibility_field(sl.Scene(BOWL), sl.Sky(), hemicube=3, layers=4, backend="numpy").solid_angle()
+    options = ("--hemicube", 3, "--layers", 4, "--backend", "numpy")
+    assert run(capsys, "field", "depth.npy", "--out", "a.npy", *options)[0] == 0
+    np.testing.assert_array_equal(io.read("a.npy"), expected)
+    assert run(capsys, "field", "depth.npy", "--out", "a.png", "--layer", 2, *options)[0] == 0
+    np.testing.assert_array_equal(io.read("a.png"), np.rint(expected[2].astype(float) / (2 * np.pi) * 255).astype(np.uint8))
+    fails(capsys, 2, "field", "depth.npy", "--out", "b.png", *options, says="--layer")
+    fails(capsys, 3, "field", "depth.npy", "--out", "b.npy", "--layer", 4, *options, says=("--layer: got 4", "0 to 3"))
+
+
+def test_backends(capsys):
+    """The library's list, as a table or as JSON."""
+    code, out, _ = run(capsys, "backends", "--json")
+    listed = json.loads(out)["backends"]
+    assert code == 0 and [b["name"] for b in listed] == [b.name for b in sl.backends()]
+    assert next(b for b in listed if b["name"] == "numpy")["available"] is True
+    assert "numpy" in run(capsys, "backends")[1]
+
+
+@pytest.mark.parametrize("arguments, code, says", [
+    (["render", "no.npy", "--out", "a.npy"], 3, "no.npy: cannot read: got no such file"),
+    (["render", "depth.npy", "--out", "no/a.npy"], 3, ("no/a.npy", "no folder no")),
+    (["render", "depth.npy", "--out", "a.jpg"], 3, ("unknown extension", ".npy .npz .png .tif .tiff")),
+    (["render", "depth.npy", "--out", "a.npy", "--spacing", "0"], 3, "spacing"),
+    (["render", "depth.npy", "--out", "a.npy", "--albedo", "1.5"], 3, "albedo"),
+    (["render", "depth.npy", "--out", "a.npy", "--sides", "shut"], 3, ("'shut'", "open | dark | periodic")),
+    (["render", "depth.npy", "--out", "a.npy", "--method", "magic"], 3, "magic"),
+    (["render", "depth.npy", "--out", "a.npy", "--quantity", "joy"], 3, "joy"),
+    (["render", "depth.npy", "--out", "a.npy", "--hemicube", "8"], 3, ("hemicube", "8", "odd")),
+    (["render", "depth.npy", "--out", "a.npy", "--source", "moon"], 3, ("--source: got 'moon'", "sky, overcast, lamp, window")),
+    (["render", "depth.npy", "--out", "a.npy", "--lamp", "7,6,1000,3"], 3, "below the surface"),
+    (["render", "depth.npy", "--out", "a.png", "--white", "-1"], 3, "low < high"),
+    (["render", "depth.npy", "--out", "a.png", "--bits", "12"], 3, "8 or 16"),
+    (["render", "depth.npy", "--out", "a.npy", "--backend", "warp:cuda:99"], 4, "warp:cuda:99"),
+    (["recover", "image.npy", "--out", "a.npy", "--backend", "opencl:9:9"], 4, "opencl:9:9"),
+    (["recover", "image.npy", "--out", "a.npy", "--stop", "never"], 3, "never"),
+    (["render", "depth.npy"], 2, "--out"),
+    (["render", "depth.npy", "--out", "a.npy", "--spacing", "wide"], 2, "--spacing"),
+    (["render", "depth.npy", "--out", "a.npy", "--lamp", "1,2,3"], 2, ("'1,2,3'", "X,Y,Z,R")),
+    (["render", "depth.npy", "--out", "a.npy", "--window", "a,b,c,d"], 2, "X0,X1,Y0,Y1"),
+    (["render", "depth.npy", "--out", "a.npy", "--source", "lamp"], 2, "without --lamp"),
+    (["render", "depth.npy", "--out", "a.npy", "--source", "sky", "--lamp", "1,2,3,4"], 2, "goes with --source lamp"),
+    (["render", "depth.npy", "--out", "-", "--json"], 2, "stdout"),
+    (["dance"], 2, "dance"),
+    (["demo", "--out", "depth.npy"], 3, "not a folder"),
+])
+def test_errors(here, capsys, arguments, code, says):
+    """Each mistake has its exit code and its text, and leaves no file."""
+    fails(capsys, code, *arguments, says=says)
+
+
+def test_output_is_checked_before_the_work(here, capsys, monkeypatch):
+    """Nobody waits an hour to hear that the folder is missing."""
+    for name in ("render", "recover", "visibility_field"):
+        monkeypatch.setattr(sl, name, lambda *a, **k: pytest.fail("worked first"))
+    for command, file in (("render", "depth.npy"), ("recover", "image.npy"), ("field", "depth.npy")):
+        fails(capsys, 3, command, file, "--out", "no/a.npy", says="no folder")
+
+
+def test_unexpected_errors_are_one_line_and_exit_1(here, capsys, monkeypatch):
+    """A bug of ours is no traceback, unless asked for; too little memory and a full disk are exit 1 too."""
+    def broken(error):
+        def render(*a, **k):
+            raise error
+        monkeypatch.setattr(sl, "render", render)
+
+    broken(ZeroDivisionError("two\nlines"))
+    fails(capsys, 1, "render", "depth.npy", "--out", "a.npy", says="ZeroDivisionError: two lines (--debug shows where)")
+    code, _, err = run(capsys, "--debug", "render", "depth.npy", "--out", "a.npy")
+    assert code == 1 and "Traceback" in err
+    for error in (sl.errors.CapacityError("needs 9 bytes"), OSError(28, "No space left on device")):
+        broken(error)
+        fails(capsys, 1, "render", "depth.npy", "--out", "a.npy", says=str(error))
+
+
+def test_what_libraries_print_stays_off_stdout(here, capsys, monkeypatch):
+    """Warp prints a banner: it must not end up in the JSON."""
+    render = sl.render
+
+    def chatty(*a, **k):
+        print("Warp 9.9 initialized")
+        return render(*a, **k)
+
+    monkeypatch.setattr(sl, "render", chatty)
+    code, out, err = run(capsys, "render", "depth.npy", "--out", "a.npy", "--json", "--backend", "numpy")
+    assert code == 0 and json.loads(out) and "Warp 9.9" in err
+
+
+def test_as_a_process(here):
+    """Version, data on stdout through a pipe, exit codes as the shell sees them, no bar off a terminal."""
+    skylamp = lambda *arguments: subprocess.run([sys.executable, "-m", "skylamp.cli", *arguments], capture_output=True, timeout=300)
+    version = skylamp("--version")
+    assert (version.returncode, version.stdout.decode().split()) == (0, ["skylamp", sl.__version__])
+    piped = skylamp("render", "depth.npy", "--out", "-", "--backend", "numpy")
+    assert piped.returncode == 0 and b"\x1b" not in piped.stderr and b"%" not in piped.stderr
+    np.testing.assert_array_equal(np.load(streams.BytesIO(piped.stdout)), sl.render(sl.Scene(BOWL), sl.Sky(), backend="numpy").image)
+    (here / "cut.tif").write_bytes(b"II*\0\x08\0\0\0")
+    cut = skylamp("render", "cut.tif", "--out", "a.npy")
+    assert cut.returncode == 3 and cut.stdout == b"" and cut.stderr.count(b"\n") == 1 and b"cut.tif" in cut.stderr
+
+
+def test_import_is_light():
+    """The library does not bring the command line or image readers with it."""
+    code = "import sys, skylamp; print(*[m for m in ('typer', 'rich', 'imageio', 'PIL', 'tifffile', 'matplotlib', 'skylamp.cli') if m in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, timeout=300)
+    assert (done.returncode, done.stdout.split()) == (0, []), done
+
+
+def test_demo(tmp_path, capsys):
+    """Pictures, their tones and the comparison of backends."""
+    code, out, err = run(capsys, "demo", "--out", tmp_path / "new" / "demo", "--json")
+    assert code == 0, err
+    facts = json.loads(out)
+    assert sorted(p.name for p in (tmp_path / "new" / "demo").iterdir()) == sorted(p["file"] for p in facts["pictures"])
+    for picture in facts["pictures"]:
+        tones = io.read(tmp_path / "new" / "demo" / picture["file"])
+        assert tones.dtype == np.uint8 and tones.std() > 20, picture
+    assert all(b["bits_equal"] and b["difference"] < 1e-5 for b in facts["backends"] if b["available"])
