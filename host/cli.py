@@ -21,7 +21,7 @@ import typer
 from rich.console import Console
 from rich.markup import escape
 from rich.progress import Progress
-from rich.table import Table
+from rich.table import Column, Table
 
 import skylamp as sl
 
@@ -35,7 +35,6 @@ _debug = False
 # The demo. Real ground is gentle: heights are exaggerated so that valleys lose sky. The lamp is (x, y, z, radius) in nodes.
 EXAGGERATION = 4
 LAMP = (232, 168, -24, 32)
-RELIEF_SIDES, RELIEF_LAYERS = "dark", 32
 
 File = Annotated[Path, typer.Argument(help="Depth, or height with --height: .npy, .npz, grey .png or .tif", show_default=False)]
 Out = Annotated[str, typer.Option(help=".npy, .npz, .tif or .png; - writes .npy to stdout", show_default=False)]
@@ -147,8 +146,8 @@ def demo(out: Annotated[Path, typer.Option(help="Folder for the pictures; create
     """Real mountains under two skies and a lamp, depth recovered from a picture, and every backend beside the others."""
     folder = io.folder(out)
     with _working("demo") as progress:
-        stages = iter(range(1, 8))
-        step = lambda: progress(next(stages), 7)
+        stages = iter(range(1, 7))
+        step = lambda: progress and progress(next(stages), 6)
         pictures, panel = [], []
 
         def show(name, image, low, high, gamma, text):
@@ -165,34 +164,33 @@ def demo(out: Annotated[Path, typer.Option(help="Folder for the pictures; create
         for name, source, hemicube, shares, gamma, text in (
             ("uniform_sky", sl.Sky(), 9, (0.5, 99.5), 1.0, "uniform sky"),
             ("overcast_sky", sl.Sky(sl.cie_overcast()), 9, (0.5, 99.5), 1.0, "CIE overcast sky"),
-            ("low_lamp", lamp, 33, (0.0, 99.5), 2.2, f"spherical lamp, radius {LAMP[3]} nodes, {-LAMP[2]} nodes above the highest peak"),
+            ("low_lamp", lamp, 33, (0.0, 99.5), 2.2, f"lamp, a sphere of {LAMP[3]} nodes radius, centre {-LAMP[2]} nodes above the highest peak"),
         ):
             renderings.append(sl.render(mountains, source, method="lattice", hemicube=hemicube, filled=True, backend=backend))
             image = renderings[-1].image
-            show(f"jacksboro_x{EXAGGERATION}_{name}.png", image, *np.percentile(image, shares), gamma, f"Jacksboro fault, heights x {EXAGGERATION}, {text}")
+            show(f"jacksboro_x{EXAGGERATION}_{name}.png", image, *np.percentile(image, shares), gamma, f"Jacksboro fault, heights x {EXAGGERATION}: {text}")
             step()
 
         depth = _relief()
-        seen = sl.render(sl.Scene(depth, albedo=0.8, sides=RELIEF_SIDES), sl.Sky(), method="lattice", hemicube=9, filled=False, backend=backend)
+        seen = sl.render(sl.Scene(depth, sides="dark"), sl.Sky(), method="lattice", hemicube=33, filled=True, backend=backend)
         step()
-        found = sl.recover(seen.image, sl.Sky(), albedo=0.8, sides=RELIEF_SIDES, layers=RELIEF_LAYERS, hemicube=9, stop="sign", backend=backend)
+        found = sl.recover(seen.image, sl.Sky(), sides="dark", layers=48, hemicube=17, stop="sign", backend=backend)
         step()
         error = float(np.sqrt(np.mean((found.depth - depth) ** 2)))
-        show("relief_rendered.png", seen.image, 0.0, seen.image.max(), 1.0, "a relief under a uniform sky")
-        show("relief_recovered.png", -found.depth, -depth.max(), -depth.min(), 1.0,
-             f"depth recovered from relief_rendered, bright is near; {error:.1f} layers RMS off in a relief of {np.ptp(depth):.0f}")
-        show("relief_true.png", -depth, -depth.max(), -depth.min(), 1.0, "the relief's true depth, same scale")
+        show("relief_rendered.png", seen.image, 0.0, seen.image.max(), 1.0, "a relief in a black box under a uniform sky")
+        for name, z, text in (("relief_recovered.png", found.depth, f"depth recovered from that image, near is bright: {error:.1f} layers RMS off in a relief of {np.ptp(depth):.0f}"),
+                              ("relief_true.png", depth, "its true depth, same scale")):
+            show(name, -z, -depth.max(), -depth.min(), 1.0, text)
         io.write(folder / "panel.png", _panel(panel), range=(0.0, 1.0))
         pictures.append({"file": "panel.png", "shows": "all of them"})
         compared = _compare(sl.Scene.from_height(height[100:228, 130:258], spacing=spacing))
-        step()
         step()
     used = renderings[0].backend
     if as_json:
         print(json.dumps(_plain({"out": str(folder), "backend": used, "pictures": pictures, "seconds": [r.seconds for r in renderings], "backends": compared})))
         return
     console = Console(stderr=True)
-    table = Table("picture", "shows", "black", "white", "gamma", title=f"Pictures in {escape(str(folder))}, made by {used}")
+    table = Table(Column("picture", no_wrap=True), "shows", "black", "white", "gamma", title=f"Pictures in {escape(str(folder))}, made by {used}")
     for picture in pictures:
         table.add_row(picture["file"], picture["shows"], *(f"{picture[k]:.3g}" if k in picture else "" for k in ("black", "white", "gamma")))
     console.print(table)
@@ -286,10 +284,14 @@ def _deliver(out, array, **options):
 
 @contextlib.contextmanager
 def _working(title):
-    """Progress for the library, progress(done, total): a bar on stderr if that is a terminal. What libraries print goes to stderr too."""
-    with contextlib.redirect_stdout(sys.stderr), Progress(console=Console(stderr=True), transient=True, disable=not sys.stderr.isatty()) as bar:
-        task = bar.add_task(title, total=None)
-        yield lambda done, total: bar.update(task, completed=done, total=total)
+    """Progress for the library, progress(done, total), as a bar on stderr if that is a terminal, else None. What libraries print goes to stderr too."""
+    with contextlib.redirect_stdout(sys.stderr):
+        if not sys.stderr.isatty():
+            yield None
+            return
+        with Progress(console=Console(stderr=True), transient=True) as bar:
+            task = bar.add_task(title, total=None)
+            yield lambda done, total: bar.update(task, completed=done, total=total)
 
 
 def _report(done, out, as_json, **facts):
@@ -316,11 +318,10 @@ def _plain(value):
 
 
 def _relief():
-    """Smooth bumps, (100, 100) depth in whole layers."""
+    """Four smooth hills on the floor of a box, (100, 100) depth in nodes."""
     y, x = np.mgrid[:100, :100] / 99.0
-    bump = lambda cx, cy, width, height: height * np.exp(-((x - cx) ** 2 + (y - cy) ** 2) / (2 * width**2))
-    height = bump(0.33, 0.35, 0.13, 14) + bump(0.68, 0.62, 0.16, 16) + bump(0.72, 0.22, 0.07, 9) + bump(0.25, 0.75, 0.09, 10)
-    return np.rint(18 - height)
+    hill = lambda cx, cy, width, height: height * np.exp(-((x - cx) ** 2 + (y - cy) ** 2) / (2 * width**2))
+    return 30 - hill(0.30, 0.30, 0.11, 14) - hill(0.70, 0.70, 0.14, 16) - hill(0.72, 0.25, 0.08, 12) - hill(0.27, 0.74, 0.10, 12)
 
 
 def _panel(pictures):

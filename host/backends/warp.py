@@ -1,5 +1,81 @@
-"""NVIDIA Warp: warp:cpu (one thread, one lane) and warp:cuda:N."""
+"""NVIDIA Warp: warp:cuda:N, and warp:cpu, which runs a launch on one thread and one lane."""
+
+from __future__ import annotations
+
+import importlib
+import time
+
+import numpy as np
+
+from .base import Backend
+from .numpy import available_memory
 
 
 def probe():
-    return []
+    """A BackendInfo for Warp's CPU device and for every CUDA device."""
+    from .registry import BackendInfo
+
+    try:
+        import warp as wp
+
+        wp.init()
+        found = [BackendInfo("warp:cpu", "Warp on the CPU, 1 thread", True)]
+        found += [BackendInfo(f"warp:{d.alias}", d.name, True, gpu=True) for d in wp.get_cuda_devices()]
+    except (ImportError, OSError, RuntimeError) as error:
+        return [BackendInfo("warp:cpu", "", False, f"warp-lang cannot be started ({error})")]
+    if len(found) == 1:
+        found.append(BackendInfo("warp:cuda:0", "", False, "Warp finds no CUDA device or driver", gpu=True))
+    return found
+
+
+class WarpBackend(Backend):
+    """One Warp device. Device arrays are Warp arrays."""
+
+    def __init__(self, alias: str):
+        import warp as wp
+
+        self.wp = wp
+        self.name = f"warp:{alias}"
+        self._device = wp.get_device(alias)
+        self.device = self._device.name if self._device.is_cuda else "Warp on the CPU, 1 thread"
+        self._loaded = set()
+
+    @property
+    def memory(self) -> int:
+        return self._device.free_memory * 9 // 10 if self._device.is_cuda else available_memory() // 2
+
+    def upload(self, array):
+        return self.wp.array(np.ascontiguousarray(array), device=self._device)
+
+    def empty(self, shape, dtype, fill=None):
+        array = self.wp.empty(shape, dtype=self.wp.dtype_from_numpy(dtype), device=self._device)
+        if fill is not None:
+            array.fill_(np.dtype(dtype).type(fill))
+        return array
+
+    def download(self, array):
+        return np.array(array.numpy())
+
+    def finish(self):
+        self.wp.synchronize_device(self._device)
+
+    def launch(self, stem, kernel, dim, *args, bits=0, lanes=None):
+        function = getattr(importlib.import_module(f"skylamp.warp_kernels.{stem}"), kernel)
+        if bits and not isinstance(function, self.wp.Kernel):
+            function = function(bits)
+        if function not in self._loaded:
+            start = time.perf_counter()
+            self.wp.load_module(function.module, device=self._device)
+            self.compile_seconds += time.perf_counter() - start
+            self._loaded.add(function)
+        values = [self._as(arg, formal.type) for arg, formal in zip(args, function.adj.args, strict=True)]
+        # Warp's last index runs fastest, OpenCL's first
+        self.wp.launch(function, dim=tuple(reversed(dim)), inputs=values, device=self._device)
+
+    def _as(self, value, kind):
+        """A device array seen with the axes and element type that the kernel declares: trailing axes run together."""
+        if not isinstance(value, self.wp.array):
+            return value
+        if kind.dtype == self.wp.vec4:
+            return self.wp.array(ptr=value.ptr, dtype=kind.dtype, shape=value.shape[:-1], device=value.device)
+        return value if value.ndim == kind.ndim else value.reshape((*value.shape[: kind.ndim - 1], -1))
