@@ -2,6 +2,7 @@
 
 import io as streams
 import json
+import os
 import subprocess
 import sys
 
@@ -35,8 +36,6 @@ def run(capsys, *arguments):
 
 def fails(capsys, code, *arguments, says):
     """The command exits with ``code``, says so in one line on stderr, leaves stdout empty and no new file."""
-    import os
-
     before = sorted(os.listdir("."))
     got, out, err = run(capsys, *arguments)
     assert got == code, err
@@ -253,6 +252,18 @@ def test_as_a_process(here):
     (here / "cut.tif").write_bytes(b"II*\0\x08\0\0\0")
     cut = skylamp("render", "cut.tif", "--out", "a.npy")
     assert cut.returncode == 3 and cut.stdout == b"" and cut.stderr.count(b"\n") == 1 and b"cut.tif" in cut.stderr
+
+
+def test_bar_on_a_terminal(here):
+    """On a terminal stderr shows what is being done, and stdout stays clean."""
+    pty = pytest.importorskip("pty")  # not on Windows
+    terminal, stderr = pty.openpty()
+    done = subprocess.run([sys.executable, "-m", "skylamp.cli", "recover", "image.npy", "--out", "a.npy", "--json", "--layers", "4", "--hemicube", "3", "--backend", "numpy"],
+                          stdout=subprocess.PIPE, stderr=stderr, timeout=300, env={**os.environ, "TERM": "xterm"})
+    os.close(stderr)
+    shown = os.read(terminal, 1 << 16)
+    os.close(terminal)
+    assert done.returncode == 0 and json.loads(done.stdout) and b"carving" in shown
 
 
 def test_import_is_light():
