@@ -3,11 +3,15 @@
 from .backends import backends
 from .directions import Hemicube
 from .errors import BackendError, CapacityError, InputError, SkylampError
+from .recover import Recovery, recover
+from .render import Plan, Rendering, render
 from .scene import Scene
 from .sources import Lamp, Sky, Window, cie_overcast, cosine_power, environment_map, uniform
+from .visibility import View, VisibilityField, visibility, visibility_field
 
 __version__ = "0.1.0"
 __all__ = [
-    "BackendError", "CapacityError", "Hemicube", "InputError", "Lamp", "Scene", "Sky", "SkylampError", "Window",
-    "backends", "cie_overcast", "cosine_power", "environment_map", "uniform",
+    "BackendError", "CapacityError", "Hemicube", "InputError", "Lamp", "Plan", "Recovery", "Rendering", "Scene", "Sky",
+    "SkylampError", "View", "VisibilityField", "Window", "backends", "cie_overcast", "cosine_power", "environment_map",
+    "recover", "render", "uniform", "visibility", "visibility_field",
 ]

@@ -18,7 +18,11 @@ def probe():
     try:
         import warp as wp
 
-        wp.init()
+        level, wp.config.log_level = wp.config.log_level, wp.LOG_WARNING  # no banner for having looked
+        try:
+            wp.init()
+        finally:
+            wp.config.log_level = level
         found = [BackendInfo("warp:cpu", "Warp on the CPU, 1 thread", True)]
         found += [BackendInfo(f"warp:{d.alias}", d.name, True, gpu=True) for d in wp.get_cuda_devices()]
     except (ImportError, OSError, RuntimeError) as error:

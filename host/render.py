@@ -1,0 +1,149 @@
+"""render(): a scene and a source to an image (Eq. 3)."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from . import sources
+from .backends import select
+from .backends.base import Backend, Problem
+from .directions import Hemicube
+from .errors import bad
+from .scene import Scene, positive_number
+
+METHODS = ("auto", "lattice")
+QUANTITIES = ("radiance", "irradiance")
+# Measured RMS error of E / pi of the filled lattice under a uniform sky on rough ground (rms slope 1, 512 x 512).
+LATTICE_ERROR = {5: 0.027, 7: 0.014, 9: 0.0087, 17: 0.0030, 33: 0.0011}
+LEAK_SLOPE = 0.7  # rms slope from which the unfilled step gets worse, not better, from M = 9 on
+
+
+@dataclass(frozen=True)
+class Plan:
+    """The model that was used, and why."""
+
+    method: str
+    hemicube: int
+    filled: bool
+    reason: str
+
+    def __str__(self) -> str:
+        return f"{self.method}, hemicube {self.hemicube}, {'filled' if self.filled else 'stride'}: {self.reason}"
+
+
+@dataclass(frozen=True, eq=False)
+class Rendering:
+    """What render() gives.
+
+    image (rows, cols) float32, nan where masked; plan; backend (its name); seconds of the call without compiling,
+    compile_seconds; warnings (one sentence each).
+    """
+
+    image: np.ndarray
+    plan: Plan
+    backend: str
+    seconds: float
+    compile_seconds: float
+    warnings: list[str] = field(default_factory=list)
+
+
+def render(scene: Scene, source: sources.Source, method: str = "auto", tolerance: float = 0.01, backend: str = "auto",
+           quantity: str = "radiance", *, hemicube: int | Hemicube | None = None, filled: bool | None = None,
+           weights: str = "moment") -> Rendering:
+    """The image of ``scene`` under ``source``, seen orthographically along +z (Langer and Zucker, Eq. 3).
+
+    Parameters
+    ----------
+    scene, source : Scene; Sky, Lamp or Window
+    method : "auto" or "lattice"
+        ``lattice``: the paper's directions on a hemicube (9 unless given). ``auto``: the filled lattice with the smallest
+        hemicube whose measured error on rough ground is within ``tolerance``.
+    tolerance : float
+        RMS error of E / pi under a uniform sky of brightness 1 that ``auto`` may make. A lamp or a bright spot smaller
+        than the spacing of the directions is not covered by it; a warning says so.
+    backend : str
+        See :func:`skylamp.backends`.
+    quantity : "radiance" or "irradiance"
+        Radiance rho E / pi [unit of brightness], or irradiance E [unit of brightness x sr].
+    hemicube : odd int or Hemicube
+        M of the lattice.
+    filled : bool
+        Test every crossing of a ray with a grid line, not the lattice nodes alone (the paper's step).
+    weights : "moment" or "printed"
+        Each cell's integral of N.L dL (exact where the cell is wholly visible and above the tangent plane), or
+        N.L of its node times its solid angle, as Eq. 3 is printed.
+
+    Raises
+    ------
+    InputError, BackendError, CapacityError
+    """
+    if not isinstance(scene, Scene):
+        raise bad("scene", type(scene).__name__, "a skylamp.Scene")
+    if method not in METHODS:
+        raise bad("method", repr(method), " | ".join(METHODS))
+    if quantity not in QUANTITIES:
+        raise bad("quantity", repr(quantity), " | ".join(QUANTITIES))
+    if weights not in ("moment", "printed"):
+        raise bad("weights", repr(weights), "moment | printed")
+    plan = _plan(method, positive_number(tolerance, "tolerance"), hemicube, filled)
+    cube = hemicube if isinstance(hemicube, Hemicube) else Hemicube(plan.hemicube)
+    engine = select(backend)
+    problem = lattice_problem(scene, source, cube, plan.filled)
+    brightness = sources.radiance(source, cube.directions)
+    moments = cube.moments if weights == "moment" else cube.directions * cube.solid_angles[:, None]
+    (irradiance,), seconds, compiling = timed(engine, lambda: (engine.irradiance(problem, moments * brightness[:, None]),))
+    image = irradiance if quantity == "irradiance" else irradiance * np.float32(1 / np.pi) * np.asarray(scene.albedo, np.float32)
+    image = np.where(scene.valid, image, np.float32(np.nan)).astype(np.float32)
+    return Rendering(image, plan, engine.name, seconds, compiling, warnings_of(scene, source, cube, plan.filled))
+
+
+def lattice_problem(scene: Scene, source: sources.Source, cube: Hemicube, filled: bool) -> Problem:
+    """The arrays that a backend needs, from a scene and a source."""
+    values, step = scene.lattice()
+    return Problem(values, step, scene.sides, cube.steps, sources.geometry(source, scene, step), filled)
+
+
+def timed(engine: Backend, work: Callable[[], tuple]) -> tuple[tuple, float, float]:
+    """(result, seconds without compiling, seconds of compiling) of ``work``."""
+    compiled, start = engine.compile_seconds, time.perf_counter()
+    result = work()
+    compiling = engine.compile_seconds - compiled
+    return result, time.perf_counter() - start - compiling, compiling
+
+
+def _plan(method, tolerance, hemicube, filled) -> Plan:
+    given = hemicube.size if isinstance(hemicube, Hemicube) else hemicube
+    if method == "lattice":
+        return Plan(method, 9 if given is None else given, bool(filled), "as asked")
+    if given is not None:
+        return Plan("lattice", given, filled is not False, f"hemicube {given} was asked for")
+    fitting = [m for m, error in LATTICE_ERROR.items() if error <= tolerance]
+    size = fitting[0] if fitting else max(LATTICE_ERROR)
+    reason = f"RMS error {LATTICE_ERROR[size]} of E / pi on rough ground, {'within' if fitting else 'the best there is for'} tolerance {tolerance}"
+    return Plan("lattice", size, filled is not False, reason)
+
+
+def warnings_of(scene: Scene, source: sources.Source, cube: Hemicube, filled: bool) -> list[str]:
+    """What the lattice is known to get wrong for this scene and source, one sentence each."""
+    found = []
+    depth = scene.depth[scene.valid].astype(float)
+    if not filled and cube.size >= 9:
+        z = np.where(scene.valid, scene.depth, np.nan).astype(float)
+        slopes = [np.diff(z, axis=a) / scene.spacing for a in (0, 1) if z.shape[a] > 1]
+        square = sum(np.nanmean(s**2) if np.isfinite(s).any() else 0.0 for s in slopes)
+        if square > LEAK_SLOPE**2:
+            found.append(f"Leak: the rms slope is {np.sqrt(square):.2f}, and steps of {cube.reach} nodes jump over ridges, so light leaks through; use filled=True.")
+    if isinstance(source, sources.Lamp) and source.volume is None:
+        rows, cols = scene.shape
+        x, y, z = source.center
+        far = np.sqrt((max(abs(x), abs((cols - 1) * scene.spacing - x))) ** 2 + max(abs(y), abs((rows - 1) * scene.spacing - y)) ** 2 + (depth.max() - z) ** 2)
+        spacing = np.sqrt(2 * np.pi / len(cube))
+        apparent = 2 * np.arcsin(min(1.0, source.radius / far))
+        if apparent < 2 * spacing:
+            found.append(f"Small lamp: from the farthest ground it is {np.degrees(apparent):.1f} degrees wide and the directions stand {np.degrees(spacing):.1f} "
+                         "degrees apart, so some nodes see it in few directions or none; use a larger hemicube.")
+    return found

@@ -1,0 +1,201 @@
+"""Surface visibility as packed bits, and the visibility field over free space."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from . import sources
+from .backends import select
+from .backends.base import Problem, Progress
+from .directions import Hemicube
+from .errors import CapacityError, bad
+from .render import lattice_problem, render
+from .scene import Scene
+
+
+def visibility(scene: Scene, source: sources.Source, hemicube: int | Hemicube = 9, backend: str = "auto", *, filled: bool = False,
+               algorithm: str = "scan") -> np.ndarray:
+    """In which directions of the hemicube every surface node sees the source.
+
+    Returns packed bits (rows, cols, words) uint32: direction d, in the order of ``Hemicube.steps``, is bit d % 32 of
+    word d // 32; no bit is set where the scene is masked. ``filled``: test every crossing with a grid line, not the
+    lattice nodes alone. ``algorithm``: "scan", or "propagate" (the paper's own, layer by layer, for depths rounded to
+    layers; the same bits where depths are whole layers). ``Hemicube.unpack`` makes booleans of the bits.
+
+    Raises InputError, BackendError or CapacityError.
+    """
+    cube = hemicube if isinstance(hemicube, Hemicube) else Hemicube(hemicube)
+    if algorithm not in ("scan", "propagate"):
+        raise bad("algorithm", repr(algorithm), "scan | propagate")
+    if algorithm == "propagate":
+        if filled:
+            raise bad("algorithm 'propagate' with filled=True", "both", "filled=False: propagation goes from node to node")
+        return visibility_field(scene, source, cube, backend=backend).surface()
+    return select(backend).visibility(lattice_problem(scene, source, cube, filled))
+
+
+def visibility_field(scene: Scene, source: sources.Source, hemicube: int | Hemicube = 9, layers: int | None = None, backend: str = "auto",
+                     *, max_bytes: int | None = None, progress: Progress | None = None) -> VisibilityField:
+    """The visibility field over free space, by the paper's forward algorithm (section 6).
+
+    Depths are rounded to layers one spacing thick. ``layers``: how many, from z = 0 down; unless given, down to the
+    deepest node. ``max_bytes``: what the field may take (half of what is free unless given). ``progress``: called with
+    (layers done, layers).
+
+    Raises InputError, BackendError, and CapacityError before anything is allocated if the field is too large.
+    """
+    cube = hemicube if isinstance(hemicube, Hemicube) else Hemicube(hemicube)
+    depth, step = scene.layers()
+    if layers is None:
+        layers = int(depth[scene.valid].max()) + 1
+    if isinstance(layers, bool) or not isinstance(layers, (int, np.integer)) or layers < 1:
+        raise bad("layers", repr(layers), "a whole number >= 1")
+    needed = field_bytes(scene, cube, layers)
+    if max_bytes is not None and needed > max_bytes:
+        raise CapacityError(f"The visibility field of {layers} layers x {scene.shape[0]} rows x {scene.shape[1]} cols x {cube.words} words takes {needed:,} bytes; "
+                            f"max_bytes allows {max_bytes:,}. Ask for fewer layers, a smaller hemicube or a coarser map.")
+    engine = select(backend)
+    problem = Problem(depth, step, scene.sides, cube.steps, sources.geometry(source, scene, step))
+    return VisibilityField(engine.field(problem, int(layers), progress), cube, scene, source, depth, engine.name)
+
+
+def field_bytes(scene: Scene, hemicube: Hemicube, layers: int) -> int:
+    """Bytes that the bits of a visibility field take: 4 per word, node and layer, with the rim that propagation needs."""
+    rim = 2 * hemicube.reach
+    return 4 * hemicube.words * (layers + hemicube.reach) * (scene.shape[0] + rim) * (scene.shape[1] + rim)
+
+
+@dataclass(frozen=True, eq=False)
+class VisibilityField:
+    """The visibility field V(x) on the lattice: node (x, y, layer) stands at column x, row y and depth layer x spacing.
+
+    Attributes
+    ----------
+    words : (layers, words, rows, cols) uint32
+        Packed bits; none is set below the surface.
+    hemicube, scene, source, backend
+        What it was made from.
+    depth : (rows, cols) float32
+        Depth of the surface in layers, +inf where masked.
+    """
+
+    words: np.ndarray
+    hemicube: Hemicube
+    scene: Scene
+    source: sources.Source
+    depth: np.ndarray
+    backend: str
+
+    @property
+    def bits(self) -> np.ndarray:
+        """Packed bits (layers, rows, cols, words), laid out as those of :func:`visibility` (a view)."""
+        return np.moveaxis(self.words, 1, -1)
+
+    @property
+    def layers(self) -> int:
+        return len(self.words)
+
+    def at(self, x: int, y: int, layer: int) -> np.ndarray:
+        """Whether the source is visible from node (x, y, layer), per direction of the hemicube: (D,) bool.
+
+        Raises InputError if the node is not in the field.
+        """
+        layers, _, rows, cols = self.words.shape
+        for name, value, size in (("x", x, cols), ("y", y, rows), ("layer", layer, layers)):
+            if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or not 0 <= value < size:
+                raise bad(f"field: {name}", repr(value), f"a whole number from 0 to {size - 1}")
+        return self.hemicube.unpack(self.words[layer, :, y, x])
+
+    def surface(self) -> np.ndarray:
+        """Packed bits (rows, cols, words) at the surface's own nodes, as :func:`visibility` gives them.
+
+        Raises InputError if the field does not reach down to the surface everywhere.
+        """
+        deepest = int(self.depth[self.scene.valid].max())
+        if deepest >= self.layers:
+            raise bad("field: surface", f"{self.layers} layers", f"at least {deepest + 1}, the deepest node of the surface")
+        out = np.zeros((*self.scene.shape, self.hemicube.words), np.uint32)
+        y, x = np.nonzero(self.scene.valid)
+        out[y, x] = self.words[self.depth[y, x].astype(int), :, y, x]
+        return out
+
+    def solid_angle(self) -> np.ndarray:
+        """Solid angle [sr] in which the source is visible: (layers, rows, cols) float32, 0 below the surface."""
+        total = np.zeros((self.layers, *self.scene.shape), np.float32)
+        for d, angle in enumerate(self.hemicube.solid_angles):
+            total += (self.words[:, d // 32] >> np.uint32(d % 32) & np.uint32(1)) * np.float32(angle)
+        return total
+
+    @cached_property
+    def _images(self) -> dict[str, np.ndarray]:
+        return {}
+
+    def view(self, point: tuple[int, int, int], backend: str = "auto") -> View:
+        """What the point (x, y, layer) sees in every direction of the whole cube, up and down.
+
+        The source's brightness where it is visible, and elsewhere the radiance rho E / pi (Eq. 1, 3) of the surface
+        that the ray hits: the white and the grey sectors of the paper's Fig. 1. A ray goes from node to node, as in
+        propagation, and hits the column that it first stands below. Walls, and what lies beside an open map, are black.
+
+        Raises InputError if the point is not in the field or lies below the surface; BackendError.
+        """
+        x, y, layer = point
+        visible = self.at(x, y, layer)
+        if not layer <= self.depth[y, x]:
+            raise bad("field: view point", (x, y, layer), f"a node in free space, layer <= {self.depth[y, x]:g} at (row, col) = ({y}, {x})")
+        engine = select(backend)
+        if engine.name not in self._images:
+            self._images[engine.name] = render(self.scene, self.source, "lattice", backend=engine.name, hemicube=self.hemicube).image
+        image = self._images[engine.name]
+        cube = self.hemicube
+        down = cube.steps[:, 2] < 0
+        steps = np.concatenate([cube.steps, cube.steps[down] * [1, 1, -1]])
+        directions = np.concatenate([cube.directions, cube.directions[down] * [1, 1, -1]])
+        level = cube.steps[:, 2] == 0
+        above = np.where(level, 2, 1) * cube.solid_angles  # a whole cell again, where the horizon had cut it
+        visible = np.concatenate([visible, np.zeros(down.sum(), bool)])
+        brightness, hit = np.zeros(len(steps)), np.full((len(steps), 2), -1)
+        brightness[visible] = sources.radiance(self.source, directions[visible])
+        for d in np.flatnonzero(~visible):
+            where = self._first_hit(np.array([x, y, layer]), steps[d])
+            if where is not None:
+                hit[d] = where
+                brightness[d] = image[where]
+        return View(steps, directions, np.concatenate([above, cube.solid_angles[down]]), visible, brightness, hit)
+
+    def _first_hit(self, node, step):
+        """(row, col) of the first column that the ray from ``node`` stands below, or None."""
+        rows, cols = self.scene.shape
+        deepest = self.depth[self.scene.valid].max()
+        node = node.copy()
+        for _ in range(rows * cols + int(deepest) + 1):
+            node += step
+            if self.scene.sides == "periodic":
+                node[:2] %= (cols, rows)
+            elif not (0 <= node[0] < cols and 0 <= node[1] < rows):
+                return None
+            if node[2] < 0 or (node[2] > deepest and not np.isfinite(self.depth[node[1], node[0]])):
+                return None
+            if node[2] > self.depth[node[1], node[0]]:
+                return int(node[1]), int(node[0])
+        return None
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """What a point sees, per direction of the whole cube: first the hemicube's directions, then those that look down.
+
+    steps (n, 3) int; directions (n, 3) unit vectors from the point; solid_angles (n,) [sr], summing to 4 pi; visible (n,)
+    bool: the source is seen; brightness (n,) [unit of the source's]; hit (n, 2) int: (row, col) of the surface that is
+    seen, -1 where it is not the surface.
+    """
+
+    steps: np.ndarray
+    directions: np.ndarray
+    solid_angles: np.ndarray
+    visible: np.ndarray
+    brightness: np.ndarray
+    hit: np.ndarray
