@@ -13,7 +13,7 @@ import numpy as np
 
 from ..errors import CapacityError
 from ..sources import SKY, Geometry
-from .tables import Group, lap_table, walk_groups
+from .tables import Group, crossings_of, lap_table, walk_groups
 
 ROOM = 32  # pixel arrays end with room for whole vectors
 SIDES = {"open": 0, "dark": 1, "periodic": 2}
@@ -125,7 +125,9 @@ class Backend:
 
     def field(self, problem: Problem, layers: int, progress: Progress | None = None) -> np.ndarray:
         """The visibility field (layers, words, rows, cols) uint32 for depths in layers (step 1), bits packed as everywhere."""
-        return _field_of_lamp(self, problem, layers, progress) if problem.geometry.is_lamp else _field_by_layers(self, problem, layers, progress)
+        field = FieldOfLamp(self, problem, layers) if problem.geometry.is_lamp else FieldByLayers(self, problem, layers)
+        field.run(progress)
+        return field.download()
 
 
 class _OnDevice(NamedTuple):
@@ -210,55 +212,80 @@ class Light:
                            problem.pixels, self.room, group.count, int(number == 0), int(number == last), bits=group.bits)
 
 
-def _field_by_layers(backend, problem, layers, progress):
-    rows, cols = problem.depth.shape
-    geometry, periodic = problem.geometry, problem.sides == "periodic"
-    count, reach = len(problem.steps), int(np.abs(problem.steps).max())
-    words = -(-count // 32)
-    level = problem.steps[:, 2] == 0
-    n_level = int(level.sum())
-    width, height = cols + 2 * reach, rows + 2 * reach
-    backend.reserve(4 * words * (layers + reach) * width * height + 4 * n_level * rows * cols, "The visibility field", "Ask for fewer layers, a smaller hemicube or map.")
-    depth = backend.upload(problem.depth)
-    field = backend.empty((layers + reach, words, height, width), np.uint32, 0 if problem.clips else 0xFFFFFFFF)
-    steps = np.concatenate([problem.steps * [1, 1, -1], np.arange(count)[:, None]], 1).astype(np.int32)
-    if problem.clips:
-        backend.launch("source", "enter", (width, height, layers + reach), backend.upload(steps), backend.upload(geometry.numbers), backend.upload(geometry.flags),
-                       field, rows, cols, reach, words, count, geometry.kind, SIDES[problem.sides])
-    if problem.clips:
-        levels = backend.empty((n_level, rows, cols), np.float32, -1)
-    else:
-        levels = backend.empty((n_level, rows, cols), np.float32)
-        groups = walk_groups(problem.steps[level], (rows, cols), problem.relief, 1.0, False, False, n_level)
-        group, = groups
-        lap = lap_table(problem.depth, group, False) if periodic else np.zeros((1, 1), np.float32)
-        order = np.argsort(group.directions[:, 0])
-        group = group._replace(walks=group.walks[order])
-        lines = max(min(abs(j or i), rows if j else cols) * (cols if j else rows) for i, j in group.walks[:, :2].tolist())
-        backend.launch("propagate", "reaches", (lines, n_level), depth, backend.upload(group.walks), backend.upload(lap[order] if periodic else lap), levels,
-                       rows, cols, lap.shape[1], int(periodic))
-    offsets = backend.upload(np.stack([steps[:, 2], steps[:, 1] * width + steps[:, 0]], 1).astype(np.int32))
-    lanes = backend.lanes if cols >= backend.lanes else 1
-    for n in range(layers):
-        backend.launch("propagate", "propagate", (-(-cols // lanes), rows, words), depth, levels, offsets, field, rows, cols, reach, words, count, n_level, n, lanes=lanes)
-        if periodic:
-            backend.launch("propagate", "wrap", (width, height, words), field, rows, cols, reach, words, n)
+class FieldByLayers:
+    """The visibility field of a sky or window, layer by layer, on the device; ``run`` may be repeated (and timed)."""
+
+    def __init__(self, backend: Backend, problem: Problem, layers: int):
+        self.backend, self.problem, self.layers = backend, problem, layers
+        rows, cols = problem.depth.shape
+        self.count, self.reach = len(problem.steps), int(np.abs(problem.steps).max())
+        self.words = -(-self.count // 32)
+        self.width, self.height = cols + 2 * self.reach, rows + 2 * self.reach
+        level = problem.steps[:, 2] == 0
+        self.n_level = int(level.sum())
+        backend.reserve(4 * self.words * (layers + self.reach) * self.width * self.height + 4 * self.n_level * problem.pixels,
+                        "The visibility field", "Ask for fewer layers, a smaller hemicube or map.")
+        steps = _numbered(problem.steps)
+        self.steps, self.numbers, self.flags = map(backend.upload, (steps, problem.geometry.numbers, problem.geometry.flags))
+        self.offsets = backend.upload(np.stack([steps[:, 2], steps[:, 1] * self.width + steps[:, 0]], 1).astype(np.int32))
+        self.depth = backend.upload(problem.depth)
+        # A sky fills what lies outside the map; level rays get nowhere where walls or a window's plane end them.
+        self.field = backend.empty((layers + self.reach, self.words, self.height, self.width), np.uint32, 0 if problem.clips else 0xFFFFFFFF)
+        self.levels = backend.empty((self.n_level, rows, cols), np.float32, -1 if problem.clips else None)
+        group, = walk_groups(problem.steps[level], (rows, cols), 0.0, 1.0, False, False, self.n_level)
+        in_order = np.argsort(group.directions[:, 0])
+        lap = lap_table(problem.depth, group, False)[in_order] if problem.sides == "periodic" else np.zeros((1, 1), np.float32)
+        self.walks, self.lap, self.lap_lines = backend.upload(group.walks[in_order]), backend.upload(lap), lap.shape[1]
+        self.lines = max(min(abs(j or i), rows if j else cols) * (cols if j else rows) for i, j in group.walks[:, :2].tolist())
+
+    def run(self, progress: Progress | None = None) -> None:
+        launch, problem = self.backend.launch, self.problem
+        rows, cols = problem.depth.shape
+        periodic = problem.sides == "periodic"
+        if problem.clips:
+            launch("source", "enter", (self.width, self.height, self.layers + self.reach), self.steps, self.numbers, self.flags, self.field, rows, cols,
+                   self.reach, self.words, self.count, problem.geometry.kind, SIDES[problem.sides])
+        else:
+            launch("propagate", "reaches", (self.lines, self.n_level), self.depth, self.walks, self.lap, self.levels, rows, cols, self.lap_lines, int(periodic))
+        lanes = self.backend.lanes if cols >= self.backend.lanes else 1
+        for n in range(self.layers):
+            launch("propagate", "propagate", (-(-cols // lanes), rows, self.words), self.depth, self.levels, self.offsets, self.field, rows, cols,
+                   self.reach, self.words, self.count, self.n_level, n, lanes=lanes)
+            if periodic:
+                launch("propagate", "wrap", (self.width, self.height, self.words), self.field, rows, cols, self.reach, self.words, n)
+            if progress:
+                progress(n + 1, self.layers)
+
+    def download(self) -> np.ndarray:
+        rows, cols = self.problem.depth.shape
+        m = self.reach
+        return self.backend.download(self.field)[m:, :, m : m + rows, m : m + cols]
+
+
+class FieldOfLamp:
+    """The visibility field of a lamp, node by node: a lamp among the ground is no boundary that layers could hand down."""
+
+    def __init__(self, backend: Backend, problem: Problem, layers: int):
+        self.backend, self.problem, self.layers = backend, problem, layers
+        self.words = -(-len(problem.steps) // 32)
+        backend.reserve(4 * self.words * layers * problem.pixels, "The visibility field", "Ask for fewer layers, a smaller hemicube or map.")
+        steps = _numbered(problem.steps)
+        nodes = np.array([crossings_of(i, j, False)[0][0] for i, j, _ in problem.steps.tolist()], np.int32)
+        spans = np.stack([np.arange(len(steps)), np.ones(len(steps))], 1).astype(np.int32)
+        self.tables = [backend.upload(a) for a in (problem.depth, steps, nodes, spans, problem.geometry.numbers, problem.geometry.flags)]
+        self.field = backend.empty((layers, self.words, *problem.depth.shape), np.uint32)
+
+    def run(self, progress: Progress | None = None) -> None:
+        problem = self.problem
+        self.backend.launch("source", "beam", (problem.pixels, self.layers), *self.tables, self.field, *problem.depth.shape, len(problem.geometry.flags),
+                            problem.geometry.kind, SIDES[problem.sides], self.words, len(problem.steps), self.layers)
         if progress:
-            progress(n + 1, layers)
-    return backend.download(field)[reach:, :, reach : reach + rows, reach : reach + cols]
+            progress(self.layers, self.layers)
+
+    def download(self) -> np.ndarray:
+        return self.backend.download(self.field)
 
 
-def _field_of_lamp(backend, problem, layers, progress):
-    rows, cols = problem.depth.shape
-    geometry, count = problem.geometry, len(problem.steps)
-    words = -(-count // 32)
-    backend.reserve(4 * words * layers * rows * cols, "The visibility field", "Ask for fewer layers, a smaller hemicube or map.")
-    steps = np.concatenate([problem.steps * [1, 1, -1], np.arange(count)[:, None]], 1).astype(np.int32)
-    crossings = np.concatenate([[(i, j, 0, 0, 1, 0, 1, 1)] for i, j, _ in problem.steps.tolist()]).astype(np.int32)
-    spans = np.stack([np.arange(count), np.ones(count)], 1).astype(np.int32)
-    field = backend.empty((layers, words, rows, cols), np.uint32)
-    backend.launch("source", "beam", (rows * cols, layers), backend.upload(problem.depth), *map(backend.upload, (steps, crossings, spans, geometry.numbers, geometry.flags)), field,
-                   rows, cols, len(geometry.flags), geometry.kind, SIDES[problem.sides], words, count, layers)
-    if progress:
-        progress(layers, layers)
-    return backend.download(field)
+def _numbered(steps: np.ndarray) -> np.ndarray:
+    """(D, 4) int32: i, j, k and the direction's number."""
+    return np.concatenate([steps * [1, 1, -1], np.arange(len(steps))[:, None]], 1).astype(np.int32)
