@@ -291,7 +291,8 @@ def _working(title):
     """Progress for the library, progress(done, total), as a bar on stderr if that is a terminal, else None. What libraries print goes to stderr too."""
     import warp
 
-    warp.config.log_level = warp.LOG_WARNING  # no banner, no line per module: here, because a library must not decide that for its user
+    # No banner, no line per module: here, because a library must not decide that for its user. Older Warps have no levels.
+    warp.config.log_level = getattr(warp, "LOG_WARNING", None)
     with contextlib.redirect_stdout(sys.stderr):
         if not sys.stderr.isatty():
             yield None
