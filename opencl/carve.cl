@@ -3,7 +3,7 @@
 carve: light += sum over set bits of the weights; after the last group of walks a column that is still carved (its depth
 is `layer`) stops if its light agrees with the image, or else goes one layer down.
 
-  planes   (walks, rows, cols) uchar
+  planes   (walks, room)       uchar
   weights  (walks, BITS)       int    rho B dOmega / (2 pi), in the image's unit
   light    (rows, cols)        int    in, out
   low      (rows, cols)        int    image - eps
@@ -15,7 +15,7 @@ is `layer`) stops if its light agrees with the image, or else goes one layer dow
 Work-item p owns pixel p. Twin of warp_kernels/carve.py. */
 __kernel void carve(__global const uchar *planes, __global const int *weights, __global int *light,
                     __global const int *low, __global const int *high, __global int *side, __global float *depth,
-                    __global int *active, int pixels, int n_walks, int is_first, int is_last, int layer,
+                    __global int *active, int pixels, int room, int n_walks, int is_first, int is_last, int layer,
                     int by_sign)
 {
   const size_t p = get_global_id(0);
@@ -23,7 +23,7 @@ __kernel void carve(__global const uchar *planes, __global const int *weights, _
     return;
   int sum = is_first ? 0 : light[p];
   for (int w = 0; w < n_walks; ++w) {
-    const int lit = planes[(size_t)w * pixels + p];
+    const int lit = planes[(size_t)w * room + p];
     for (int b = 0; b < BITS; ++b)
       sum += lit >> b & 1 ? weights[BITS * w + b] : 0;
   }

@@ -33,7 +33,7 @@ __kernel void gradient(__global const float *depth, __global float *slopes, int 
 
 /* luminance: irradiance += sum over set bits of max(0, N . moment) x brightness; the moments come multiplied by it.
 
-  planes      (walks, rows, cols) uchar
+  planes      (walks, room)       uchar
   slopes      (2, room)           float
   moments     (walks, BITS, 4)    float  [sr x brightness]  x, y, z, 0
   irradiance  (room)              float  in, out: the sum x |(dz/dx, dz/dy, -1)|, and after the last group the sum itself
@@ -50,7 +50,7 @@ __kernel void luminance(__global const uchar *planes, __global const float *slop
   if (!is_first)
     sum = LOAD(p, irradiance);
   for (int w = 0; w < n_walks; ++w) {
-    const ints lit = TO_INTS(LOAD((size_t)w * pixels + p, planes));
+    const ints lit = TO_INTS(LOAD((size_t)w * room + p, planes));
     for (int b = 0; b < BITS; ++b) {
       const float4 moment = moments[BITS * w + b];
       const floats cosine = gx * moment.x + gy * moment.y - moment.z;

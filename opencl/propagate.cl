@@ -8,18 +8,19 @@
 reaches: k = 0 rays stay in their layer, so all layers share one walk in order from the source's side: a level ray from
 (x, y, n) gets out iff n <= level(x, y) = the least depth on its way.
 
-  walks   (walks, 8)          int    as in scan
-  lap     (walks, lap_lines)  float  periodic: the least depth of a line's cycle
-  levels  (walks, rows, cols) float  out
+  ways    (ways, 2)           int    i, j
+  lap     (ways, lap_lines)   float  periodic: the least depth of a line's cycle
+  levels  (ways, rows, cols)  float  out
 
 Work-item (line, w) owns one lattice line. Twin of warp_kernels/propagate.py. */
 #include "lanes.h"
 
-__kernel void reaches(__global const float *depth, __global const int *walks, __global const float *lap,
+__kernel void reaches(__global const float *depth, __global const int *ways, __global const float *lap,
                       __global float *levels, int rows, int cols, int lap_lines, int periodic)
 {
   const int line = get_global_id(0), w = get_global_id(1);
-  const int i = walks[8 * w], j = walks[8 * w + 1], right = walks[8 * w + 2], down = walks[8 * w + 3];
+  const int i = ways[2 * w], j = ways[2 * w + 1];
+  /* along rows where the stride has no part in columns */
   const int across = j ? cols : rows, along = j ? rows : cols, stride = abs(j ? j : i);
   const int residue = line / across, lane = line % across;
   if (residue >= min(stride, along))
@@ -33,10 +34,8 @@ __kernel void reaches(__global const float *depth, __global const int *walks, __
     levels[((size_t)w * rows + y) * cols + x] = level;
     const float z = depth[(size_t)y * cols + x];
     level = z < level ? z : level;
-    x += right;
-    x -= x >= cols ? cols : 0;
-    y += down;
-    y -= y >= rows ? rows : 0;
+    x = ((x - i) % cols + cols) % cols;
+    y = ((y - j) % rows + rows) % rows;
   }
 }
 

@@ -5,77 +5,77 @@ the depth that the ray there must not exceed: ceiling <- min(ceiling, depth) + k
 depth <= ceiling. A line that leaves the map goes on at its other side, as a new line (open, dark) or as itself (periodic).
 
   depth   (rows, cols)        float  [length]  +inf where masked: blocks nothing, never lit
-  walks   (walks, 8)          int    i, j, -i mod cols, -j mod rows, warm-up steps, their x and y offset, 0
+  walks   (walks, 8)          int    i, j (not 0), warm-up steps, their x and y offset, parts, 0, 0; |i| < cols
   rise    (walks, BITS)       float  [length]  k step, what the ray climbs per step
   lap     (walks, lap_lines)  float  [length]  periodic: first ceiling of the k = 0 ray, the least depth of its cycle
-  planes  (walks, rows, cols) uchar  out: bit b is set where the walk's b-th elevation is lit
-  rows, cols, lap_lines, periodic (0 or 1)
+  planes  (walks, room)       uchar  out: bit b is set where the walk's b-th elevation is lit; room: pixels, rounded up
+  rows, cols, room, lap_lines, periodic (0 or 1)
 
-Work-item (g, w) owns LANES adjacent lines of walk w; AHEAD depths are fetched before they are used.
+Work-item (g, w) owns LANES adjacent lines of walk w, side by side in x; AHEAD depths are fetched before they are used.
 No sums, only min and + in the order of the line: every bit is exact. Twin of warp_kernels/scan.py. */
 #include "lanes.h"
 
 __kernel void scan(__global const float *depth, __global const int *walks, __global const float *rise,
-                   __global const float *lap, __global uchar *planes, int rows, int cols, int lap_lines, int periodic)
+                   __global const float *lap, __global uchar *planes, int rows, int cols, int room, int lap_lines,
+                   int periodic)
 {
   const int w = get_global_id(1);
-  const int i = walks[8 * w], j = walks[8 * w + 1];
-  const int right = walks[8 * w + 2], down = walks[8 * w + 3], warm = walks[8 * w + 4];
-  __global uchar *plane = planes + (size_t)w * rows * cols;
+  const int i = walks[8 * w], j = walks[8 * w + 1], warm = walks[8 * w + 2], stride = abs(j);
+  __global uchar *plane = planes + (size_t)w * room;
 
   /* 1. which lines: side by side across the map, one set per residue of the stride */
-  const int across = j ? cols : rows, along = j ? rows : cols, stride = abs(j ? j : i);
-  const int groups = (across + LANES - 1) / LANES;
+  const int groups = (cols + LANES - 1) / LANES;
   const int residue = get_global_id(0) / groups, lane = (get_global_id(0) % groups) * LANES;
-  if (residue >= min(stride, along))
+  if (residue >= min(stride, rows))
     return;
-  const int count = (along - residue + stride - 1) / stride;
-  const int start = (j ? j : i) > 0 ? along - 1 - residue : residue;
-  int x = ((j ? lane : start) + walks[8 * w + 5]) % cols;
-  int y = ((j ? start : lane) + walks[8 * w + 6]) % rows;
+  const int count = (rows - residue + stride - 1) / stride;
+  int x = (lane + walks[8 * w + 3]) % cols;
+  int y = ((j > 0 ? rows - 1 - residue : residue) + walks[8 * w + 4]) % rows;
+  const int turn_x = i > 0 ? cols : -cols, down = j % rows, turn_y = j > 0 ? rows : -rows;
 
   /* 2. nothing above yet; where the map repeats, a level ray starts with its whole cycle above it */
   floats ceiling[BITS];
   float climb[BITS];
   for (int b = 0; b < BITS; ++b) {
-    ceiling[b] = INFINITY;
+    ceiling[b] = MAXFLOAT; /* finite, so that a masked node never passes */
     climb[b] = rise[BITS * w + b];
   }
   if (periodic && climb[0] == 0)
     for (int l = 0; l < LANES; ++l)
-      ((float *)ceiling)[l] = lap[(size_t)w * lap_lines + residue * across + min(lane + l, across - 1)];
+      ((float *)ceiling)[l] = lap[(size_t)w * lap_lines + residue * cols + min(lane + l, cols - 1)];
 
-  /* 3. from x_low to x_high all lanes are neighbours in one row and none has just entered the map */
+  /* 3. from x_low on, for x_span nodes, all lanes are neighbours in one row and none has just entered the map */
   const int x_low = periodic ? 0 : max(0, -i);
-  const int x_high = cols - LANES - (periodic ? 0 : max(0, i));
-  const int in_step = LANES == 1 || (j && lane + LANES <= across);
-  for (int u = 0; u < warm + count; u += AHEAD) {
+  const int x_span = cols - LANES + 1 - (periodic ? 0 : abs(i));
+  const int whole = lane + LANES <= cols;
+  for (int u = -warm; u < count; u += AHEAD) {
     floats z[AHEAD];
-    int xs[AHEAD], ys[AHEAD];
-    for (int a = 0; a < AHEAD; ++a) {
+    int xs[AHEAD], ats[AHEAD];
+    for (int a = 0; a < AHEAD; ++a) { /* past the end of the line this fetches in vain, but within the map */
       xs[a] = x;
-      ys[a] = y;
-      if (u + a < warm + count) {
-        if (in_step && x <= cols - LANES)
-          z[a] = LOAD((size_t)y * cols + x, depth);
-        else
-          for (int l = 0; l < LANES; ++l)
-            ((float *)&z[a])[l] = j ? depth[(size_t)y * cols + (x + l) % cols] : depth[(size_t)((y + l) % rows) * cols + x];
-      }
-      x += right;
-      x -= x >= cols ? cols : 0;
-      y += down;
-      y -= y >= rows ? rows : 0;
+      ats[a] = y * cols;
+#if LANES == 1
+      z[a] = depth[ats[a] + x];
+#else
+      if (whole && x <= cols - LANES)
+        z[a] = LOAD(ats[a] + x, depth);
+      else
+        for (int l = 0; l < LANES; ++l)
+          ((float *)&z[a])[l] = depth[ats[a] + (x + l) % cols];
+#endif
+      x -= i;
+      x += (uint)x >= (uint)cols ? turn_x : 0;
+      y -= down;
+      y += (uint)y >= (uint)rows ? turn_y : 0;
     }
-    for (int a = 0; a < AHEAD && u + a < warm + count; ++a) {
-      const int xa = xs[a], ya = ys[a];
+    for (int a = 0; a < AHEAD; ++a) {
       /* 4. a lane whose next node towards the source lies outside the map has open sky there */
-      if (xa < x_low || xa > x_high)
+      if (!periodic && (xs[a] < x_low || xs[a] - x_low >= x_span))
         for (int l = 0; l < LANES; ++l) {
-          const int from = (j ? (xa + l) % cols : xa) + i;
-          if (!periodic && (from < 0 || from >= cols))
+          const int from = (xs[a] + l) % cols + i;
+          if (from < 0 || from >= cols)
             for (int b = 0; b < BITS; ++b)
-              ((float *)&ceiling[b])[l] = INFINITY;
+              ((float *)&ceiling[b])[l] = MAXFLOAT;
         }
       /* 5. the bits of this node, and the ceiling of the next */
       ints lit = 0;
@@ -83,34 +83,56 @@ __kernel void scan(__global const float *depth, __global const int *walks, __glo
         lit |= WHERE(z[a] <= ceiling[b]) & (1 << b);
         ceiling[b] = (z[a] < ceiling[b] ? z[a] : ceiling[b]) + climb[b];
       }
-      lit &= WHERE(z[a] < INFINITY);
-      if (u + a < warm)
+      if ((uint)(u + a) >= (uint)count)
         continue;
       const uchars bytes = TO_UCHARS(lit);
-      if (in_step && xa <= cols - LANES)
-        STORE(bytes, (size_t)ya * cols + xa, plane);
+      if (LANES == 1 || (whole && xs[a] <= cols - LANES))
+        STORE(bytes, ats[a] + xs[a], plane);
       else
-        for (int l = 0; l < LANES && lane + l < across; ++l)
-          plane[j ? (size_t)ya * cols + (xa + l) % cols : (size_t)(ya + l) * cols + xa] = ((uchar *)&bytes)[l];
+        for (int l = 0; l < LANES && lane + l < cols; ++l)
+          plane[ats[a] + (xs[a] + l) % cols] = ((uchar *)&bytes)[l];
     }
   }
 }
 
+/* turn_depth: (rows, cols) -> (cols, rows), so that walks along rows become walks along columns.
+
+turn_planes: planes (walks, room) of the turned map, (cols, rows) -> of the map itself, (rows, cols).
+
+Work-item (gx, gy[, w]) owns SIDE x SIDE nodes. */
+#define SIDE 4
+__kernel void turn_depth(__global const float *depth, __global float *turned, int rows, int cols)
+{
+  const int x0 = get_global_id(0) * SIDE, y0 = get_global_id(1) * SIDE;
+  for (int y = y0; y < min(y0 + SIDE, rows); ++y)
+    for (int x = x0; x < min(x0 + SIDE, cols); ++x)
+      turned[(size_t)x * rows + y] = depth[(size_t)y * cols + x];
+}
+
+__kernel void turn_planes(__global const uchar *turned, __global uchar *planes, int rows, int cols, int room)
+{
+  const int x0 = get_global_id(0) * SIDE, y0 = get_global_id(1) * SIDE;
+  const size_t plane = get_global_id(2) * (size_t)room;
+  for (int x = x0; x < min(x0 + SIDE, cols); ++x)
+    for (int y = y0; y < min(y0 + SIDE, rows); ++y)
+      planes[plane + (size_t)y * cols + x] = turned[plane + (size_t)x * rows + y];
+}
+
 /* pack: planes of some walks -> packed visibility bits, direction d in bit d % 32 of word d // 32.
 
-  planes  (walks, rows, cols)   uchar
-  order   (walks, BITS)         int    the direction of each bit
-  words   (rows, cols, n_words) uint   in, out: bits are added, so walks may come in groups
+  planes  (walks, room)        uchar
+  order   (walks, BITS)        int    the direction of each bit
+  words   (pixels, n_words)    uint   in, out: bits are added, so walks may come in groups
 
 Work-item p owns pixel p. */
-__kernel void pack(__global const uchar *planes, __global const int *order, __global uint *words, int pixels, int n_words,
-                   int n_walks)
+__kernel void pack(__global const uchar *planes, __global const int *order, __global uint *words, int pixels, int room,
+                   int n_words, int n_walks)
 {
   const size_t p = get_global_id(0);
   if (p >= pixels)
     return;
   for (int w = 0; w < n_walks; ++w) {
-    const uint lit = planes[(size_t)w * pixels + p];
+    const uint lit = planes[(size_t)w * room + p];
     for (int b = 0; b < BITS; ++b) {
       const int d = order[BITS * w + b];
       words[p * n_words + d / 32] |= (lit >> b & 1u) << d % 32;

@@ -129,10 +129,10 @@ int meets_lamp(__global const float *depth, int x, int y, double z, int i, int j
 }
 
 /* clip: clears the bits of surface nodes whose unblocked rays do not come from the sky, window or lamp, and with a lamp
-sets those that only something beyond the lamp blocks. planes (walks, rows, cols) uchar, in, out. Work-item p owns pixel p. */
+sets those that only something beyond the lamp blocks. planes (walks, room) uchar, in, out. Work-item p owns pixel p. */
 __kernel void clip(__global const float *depth, __global const int *steps, __global const int *crossings,
                    __global const int *spans, __global const double *numbers, __global const uchar *flags,
-                   __global uchar *planes, int rows, int cols, int layers, int kind, int sides, double step,
+                   __global uchar *planes, int rows, int cols, int room, int layers, int kind, int sides, double step,
                    int n_walks)
 {
   const size_t p = get_global_id(0), pixels = (size_t)rows * cols;
@@ -140,7 +140,7 @@ __kernel void clip(__global const float *depth, __global const int *steps, __glo
     return;
   const int x = p % cols, y = p / cols;
   for (int w = 0; w < n_walks; ++w) {
-    int lit = planes[w * pixels + p];
+    int lit = planes[(size_t)w * room + p];
     for (int b = 0; b < BITS; ++b) {
       __global const int *l = steps + 4 * (BITS * w + b);
       int on;
@@ -152,7 +152,7 @@ __kernel void clip(__global const float *depth, __global const int *steps, __glo
         on = lit >> b & 1 && meets_plane(x, y, depth[p], l[0], l[1], l[2], numbers, flags, rows, cols, kind, sides, step);
       lit = on ? lit | 1 << b : lit & ~(1 << b);
     }
-    planes[w * pixels + p] = lit;
+    planes[(size_t)w * room + p] = lit;
   }
 }
 

@@ -56,7 +56,7 @@ def measure(name: str, scene: sl.Scene, field_size: int, budget: float) -> dict:
     tests = scene.depth.size * len(cube)
     row = {"backend": engine.name, "device": engine.device, "nodes": scene.depth.size}
     for label, work in (
-        ("scan", lambda: [surface.scan(group) for group in surface.groups]),
+        ("scan", lambda: [surface.scan(n) for n in range(len(surface.groups))]),
         ("scan + luminance", light.run),
         ("filled scan + luminance", None),
     ):

@@ -12,7 +12,7 @@ def carve(BITS: int):
     """light += sum over set bits of the weights; after the last group of walks a column that is still carved (its depth
     is `layer`) stops if its light agrees with the image, or else goes one layer down.
 
-      planes   (walks, rows, cols) uint8
+      planes   (walks, room)       uint8
       weights  (walks, BITS)       int32    rho B dOmega / (2 pi), in the image's unit
       light    (pixels)            int32    in, out
       low      (pixels)            int32    image - eps
@@ -26,7 +26,7 @@ def carve(BITS: int):
 
     @wp.kernel(module="unique", module_options=OPTIONS)
     def carve(
-        planes: wp.array3d[wp.uint8],
+        planes: wp.array2d[wp.uint8],
         weights: wp.array2d[wp.int32],
         light: wp.array[wp.int32],
         low: wp.array[wp.int32],
@@ -35,6 +35,7 @@ def carve(BITS: int):
         depth: wp.array2d[wp.float32],
         active: wp.array[wp.int32],
         pixels: wp.int32,
+        room: wp.int32,
         n_walks: wp.int32,
         is_first: wp.int32,
         is_last: wp.int32,
@@ -51,7 +52,7 @@ def carve(BITS: int):
         if is_first == 0:
             total = light[p]
         for w in range(n_walks):
-            lit = wp.int32(planes[w, y, x])
+            lit = wp.int32(planes[w, p])
             for b in range(BITS):
                 if (lit & (1 << b)) != 0:
                     total += weights[w, b]

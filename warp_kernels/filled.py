@@ -11,6 +11,8 @@ from . import OPTIONS
 
 wp.set_module_options(OPTIONS)
 
+NOTHING = wp.constant(wp.float32(3.4028234663852886e38))  # as in scan
+
 
 @wp.func
 def depth_at(depth: wp.array2d[wp.float32], x: wp.int32, y: wp.int32, rows: wp.int32, cols: wp.int32, periodic: wp.int32):
@@ -30,8 +32,8 @@ def scan_filled(BITS: int):
     """As scan, and between a node and the next one towards the source the depths of the crossings, linear between two
     nodes, lower the ceiling too. All depths are multiplied by the walk's `parts`, so that whole layers stay exact.
 
-      depth, lap, planes, rows, cols, lap_lines, periodic  as in scan
-      walks      (walks, 8)     int32    as in scan; the last entry is parts
+      depth, lap, planes, rows, cols, room, lap_lines, periodic  as in scan
+      walks      (walks, 8)     int32    as in scan
       rise       (walks, BITS)  float32  [length x parts] per step
       crossings  (n, 8)         int32    x, y of a node, x, y to the next node on that line, the weights of both, when, parts
       climbs     (n, BITS)      float32  [length x parts] what the ray climbs until the crossing
@@ -50,60 +52,56 @@ def scan_filled(BITS: int):
         crossings: wp.array2d[wp.int32],
         climbs: wp.array2d[wp.float32],
         spans: wp.array2d[wp.int32],
-        planes: wp.array3d[wp.uint8],
+        planes: wp.array2d[wp.uint8],
         rows: wp.int32,
         cols: wp.int32,
+        room: wp.int32,
         lap_lines: wp.int32,
         periodic: wp.int32,
     ):
         w, line = wp.tid()
         i = walks[w, 0]
         j = walks[w, 1]
-        warm = walks[w, 4]
-        parts = wp.float32(walks[w, 7])
+        warm = walks[w, 2]
+        stride = wp.abs(j)
+        parts = wp.float32(walks[w, 5])
 
         # 1. which line
-        across = rows
-        along = cols
-        stride = wp.abs(i)
-        if j != 0:
-            across = cols
-            along = rows
-            stride = wp.abs(j)
-        residue = line // across
-        lane = line - residue * across
-        if residue >= wp.min(stride, along):
+        residue = line // cols
+        lane = line - residue * cols
+        if residue >= wp.min(stride, rows):
             return
-        count = (along - residue + stride - 1) // stride
-        start = residue
-        if i > 0 and j == 0 or j > 0:
-            start = along - 1 - residue
-        x = start
-        y = lane
-        if j != 0:
-            x = lane
-            y = start
-        x = (x + walks[w, 5]) % cols
-        y = (y + walks[w, 6]) % rows
+        count = (rows - residue + stride - 1) // stride
+        turn_x = -cols
+        if i > 0:
+            turn_x = cols
+        y = residue
+        turn_y = -rows
+        if j > 0:
+            y = rows - 1 - residue
+            turn_y = rows
+        x = (lane + walks[w, 3]) % cols
+        y = (y + walks[w, 4]) % rows
+        down = j % rows
 
         # 2. nothing above yet, or the whole cycle
         ceiling = floats()
         for b in range(BITS):
-            ceiling[b] = wp.inf
+            ceiling[b] = NOTHING
         if periodic != 0 and rise[w, 0] == 0.0:
             ceiling[0] = lap[w, line]
 
-        for u in range(warm + count):
+        for u in range(-warm, count):
             # 3. a line that has just entered the map has open sky beyond it
             if periodic == 0 and (x + i < 0 or x + i >= cols):
                 for b in range(BITS):
-                    ceiling[b] = wp.inf
+                    ceiling[b] = NOTHING
             # 4. the crossings between this node and the next one towards the source
             for c in range(spans[w, 0], spans[w, 0] + spans[w, 1] - 1):
-                cx = x + crossings[c, 0]
-                cy = y + crossings[c, 1]
-                near = depth_at(depth, cx, cy, rows, cols, periodic)
-                far = depth_at(depth, cx + crossings[c, 2], cy + crossings[c, 3], rows, cols, periodic)
+                nx = x + crossings[c, 0]
+                ny = y + crossings[c, 1]
+                near = depth_at(depth, nx, ny, rows, cols, periodic)
+                far = depth_at(depth, nx + crossings[c, 2], ny + crossings[c, 3], rows, cols, periodic)
                 if near < wp.inf and far < wp.inf:
                     ground = wp.float32(crossings[c, 4]) * near + wp.float32(crossings[c, 5]) * far
                     for b in range(BITS):
@@ -115,15 +113,13 @@ def scan_filled(BITS: int):
                 if z <= ceiling[b]:
                     lit |= 1 << b
                 ceiling[b] = wp.min(z, ceiling[b]) + rise[w, b]
-            if z == wp.inf:
-                lit = 0
-            if u >= warm:
-                planes[w, y, x] = wp.uint8(lit)
-            x += walks[w, 2]
-            if x >= cols:
-                x -= cols
-            y += walks[w, 3]
-            if y >= rows:
-                y -= rows
+            if u >= 0:
+                planes[w, y * cols + x] = wp.uint8(lit)
+            x -= i
+            if wp.uint32(x) >= wp.uint32(cols):
+                x += turn_x
+            y -= down
+            if wp.uint32(y) >= wp.uint32(rows):
+                y += turn_y
 
     return scan_filled

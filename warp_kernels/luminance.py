@@ -4,9 +4,12 @@ import functools
 
 import warp as wp
 
-from . import OPTIONS
+from . import OPTIONS, PIXELS
 
 wp.set_module_options(OPTIONS)
+
+floats = wp.types.vector(PIXELS, wp.float32)
+bytes_ = wp.types.vector(PIXELS, wp.uint8)
 
 
 @wp.func
@@ -55,41 +58,43 @@ def gradient(
 def luminance(BITS: int):
     """irradiance += sum over set bits of max(0, N . moment) x brightness; the moments come multiplied by it.
 
-      planes      (walks, rows, cols) uint8
-      slopes      (2, room)           float32
-      moments     (walks, BITS)       vec4  [sr x brightness]  x, y, z, 0
-      irradiance  (room)              float32  in, out: the sum x |(dz/dx, dz/dy, -1)|, and after the last group the sum itself
+      planes      (walks, room)  uint8
+      slopes      (2, room)      float32
+      moments     (walks, BITS)  vec4     [sr x brightness]  x, y, z, 0
+      irradiance  (room)         float32  in, out: the sum x |(dz/dx, dz/dy, -1)|, and after the last group the sum itself
 
-    Thread p owns pixel p. Order of summation: walks, within a walk elevations.
+    Thread g owns pixels PIXELS g to PIXELS g + PIXELS - 1. Order of summation: walks, within a walk elevations.
     """
 
     @wp.kernel(module="unique", module_options=OPTIONS)
     def luminance(
-        planes: wp.array2d[wp.uint8],
-        slopes: wp.array2d[wp.float32],
+        planes: wp.array2d[bytes_],
+        slopes: wp.array2d[floats],
         moments: wp.array2d[wp.vec4],
-        irradiance: wp.array[wp.float32],
+        irradiance: wp.array[floats],
         pixels: wp.int32,
         room: wp.int32,
         n_walks: wp.int32,
         is_first: wp.int32,
         is_last: wp.int32,
     ):
-        p = wp.tid()
-        gx = slopes[0, p]
-        gy = slopes[1, p]
-        total = wp.float32(0.0)
+        g = wp.tid()
+        gx = slopes[0, g]
+        gy = slopes[1, g]
+        total = floats()
         if is_first == 0:
-            total = irradiance[p]
+            total = irradiance[g]
         for w in range(n_walks):
-            lit = wp.int32(planes[w, p])
+            lit = planes[w, g]
             for b in range(BITS):
                 moment = moments[w, b]
-                cosine = gx * moment[0] + gy * moment[1] - moment[2]
-                if (lit & (1 << b)) != 0 and cosine > 0.0:
-                    total += cosine
+                for l in range(PIXELS):
+                    cosine = gx[l] * moment[0] + gy[l] * moment[1] - moment[2]
+                    if (wp.int32(lit[l]) & (1 << b)) != 0 and cosine > 0.0:
+                        total[l] += cosine
         if is_last != 0:
-            total /= wp.sqrt(gx * gx + gy * gy + 1.0)
-        irradiance[p] = total
+            for l in range(PIXELS):
+                total[l] /= wp.sqrt(gx[l] * gx[l] + gy[l] * gy[l] + 1.0)
+        irradiance[g] = total
 
     return luminance

@@ -16,7 +16,7 @@ wp.set_module_options(OPTIONS)
 @wp.kernel
 def reaches(
     depth: wp.array2d[wp.float32],
-    walks: wp.array2d[wp.int32],
+    ways: wp.array2d[wp.int32],
     lap: wp.array2d[wp.float32],
     levels: wp.array3d[wp.float32],
     rows: wp.int32,
@@ -27,15 +27,16 @@ def reaches(
     """k = 0 rays stay in their layer, so all layers share one walk in order from the source's side: a level ray from
     (x, y, n) gets out iff n <= level(x, y) = the least depth on its way.
 
-      walks   (walks, 8)          int32    as in scan
-      lap     (walks, lap_lines)  float32  periodic: the least depth of a line's cycle
-      levels  (walks, rows, cols) float32  out
+      ways    (ways, 2)           int32    i, j
+      lap     (ways, lap_lines)   float32  periodic: the least depth of a line's cycle
+      levels  (ways, rows, cols)  float32  out
 
     Thread (w, line) owns one lattice line.
     """
     w, line = wp.tid()
-    i = walks[w, 0]
-    j = walks[w, 1]
+    i = ways[w, 0]
+    j = ways[w, 1]
+    # along rows where the stride has no part in columns
     across = rows
     along = cols
     stride = wp.abs(i)
@@ -63,12 +64,8 @@ def reaches(
             level = wp.inf
         levels[w, y, x] = level
         level = wp.min(depth[y, x], level)
-        x += walks[w, 2]
-        if x >= cols:
-            x -= cols
-        y += walks[w, 3]
-        if y >= rows:
-            y -= rows
+        x = ((x - i) % cols + cols) % cols
+        y = ((y - j) % rows + rows) % rows
 
 
 @wp.kernel

@@ -9,8 +9,12 @@ import warp as wp
 
 from . import AHEAD, OPTIONS
 
+wp.set_module_options(OPTIONS)
+
 ints = wp.types.vector(AHEAD, wp.int32)
 depths = wp.types.vector(AHEAD, wp.float32)
+NOTHING = wp.constant(wp.float32(3.4028234663852886e38))  # the largest float32: finite, so that a masked node never passes
+SIDE = wp.constant(4)
 
 
 @functools.cache
@@ -20,11 +24,11 @@ def scan(BITS: int):
     depth <= ceiling. A line that leaves the map goes on at its other side, as a new line (open, dark) or as itself (periodic).
 
       depth   (rows, cols)        float32  [length]  +inf where masked: blocks nothing, never lit
-      walks   (walks, 8)          int32    i, j, -i mod cols, -j mod rows, warm-up steps, their x and y offset, parts
+      walks   (walks, 8)          int32    i, j (not 0), warm-up steps, their x and y offset, parts, 0, 0; |i| < cols
       rise    (walks, BITS)       float32  [length]  k step, what the ray climbs per step
       lap     (walks, lap_lines)  float32  [length]  periodic: first ceiling of the k = 0 ray, the least depth of its cycle
-      planes  (walks, rows, cols) uint8    out: bit b is set where the walk's b-th elevation is lit
-      rows, cols, lap_lines, periodic (0 or 1)
+      planes  (walks, room)       uint8    out: bit b is set where the walk's b-th elevation is lit; room: pixels, rounded up
+      rows, cols, room, lap_lines, periodic (0 or 1)
 
     Thread (w, line) owns one line of walk w; AHEAD depths are fetched before they are used.
     No sums, only min and + in the order of the line: every bit is exact.
@@ -33,114 +37,123 @@ def scan(BITS: int):
 
     @wp.kernel(module="unique", module_options=OPTIONS)
     def scan(
-        depth: wp.array2d[wp.float32],
+        depth: wp.array[wp.float32],
         walks: wp.array2d[wp.int32],
         rise: wp.array2d[wp.float32],
         lap: wp.array2d[wp.float32],
-        planes: wp.array3d[wp.uint8],
+        planes: wp.array2d[wp.uint8],
         rows: wp.int32,
         cols: wp.int32,
+        room: wp.int32,
         lap_lines: wp.int32,
         periodic: wp.int32,
     ):
         w, line = wp.tid()
         i = walks[w, 0]
         j = walks[w, 1]
-        right = walks[w, 2]
-        down = walks[w, 3]
-        warm = walks[w, 4]
+        warm = walks[w, 2]
+        stride = wp.abs(j)
 
         # 1. which line: side by side across the map, one set per residue of the stride
-        across = rows
-        along = cols
-        stride = wp.abs(i)
-        if j != 0:
-            across = cols
-            along = rows
-            stride = wp.abs(j)
-        residue = line // across
-        lane = line - residue * across
-        if residue >= wp.min(stride, along):
+        residue = line // cols
+        lane = line - residue * cols
+        if residue >= wp.min(stride, rows):
             return
-        count = (along - residue + stride - 1) // stride
-        start = residue
-        if i > 0 and j == 0 or j > 0:
-            start = along - 1 - residue
-        x = start
-        y = lane
-        if j != 0:
-            x = lane
-            y = start
-        x = (x + walks[w, 5]) % cols
-        y = (y + walks[w, 6]) % rows
+        count = (rows - residue + stride - 1) // stride
+        turn_x = -cols
+        if i > 0:
+            turn_x = cols
+        y = residue
+        turn_y = -rows
+        if j > 0:
+            y = rows - 1 - residue
+            turn_y = rows
+        x = (lane + walks[w, 3]) % cols
+        y = (y + walks[w, 4]) % rows
+        down = j % rows
 
         # 2. nothing above yet; where the map repeats, a level ray starts with its whole cycle above it
         ceiling = floats()
         climb = floats()
         for b in range(BITS):
-            ceiling[b] = wp.inf
+            ceiling[b] = NOTHING
             climb[b] = rise[w, b]
         if periodic != 0 and climb[0] == 0.0:
             ceiling[0] = lap[w, line]
 
-        # 3. from x_low to x_high the line has not just entered the map
+        # 3. from x_low on, for x_span nodes, the line has not just entered the map
         x_low = wp.int32(0)
-        x_high = cols - 1
+        x_span = cols
         if periodic == 0:
             x_low = wp.max(0, -i)
-            x_high = cols - 1 - wp.max(0, i)
-        for u in range(0, warm + count, AHEAD):
+            x_span = cols - wp.abs(i)
+        for u in range(-warm, count, AHEAD):
             z = depths()
             xs = ints()
-            ys = ints()
-            for a in range(AHEAD):
+            ats = ints()
+            for a in range(AHEAD):  # past the end of the line this fetches in vain, but within the map
                 xs[a] = x
-                ys[a] = y
-                if u + a < warm + count:
-                    z[a] = depth[y, x]
-                x += right
-                if x >= cols:
-                    x -= cols
-                y += down
-                if y >= rows:
-                    y -= rows
+                ats[a] = y * cols
+                z[a] = depth[ats[a] + x]
+                x -= i
+                if wp.uint32(x) >= wp.uint32(cols):
+                    x += turn_x
+                y -= down
+                if wp.uint32(y) >= wp.uint32(rows):
+                    y += turn_y
             for a in range(AHEAD):
-                if u + a < warm + count:
-                    # 4. a line whose next node towards the source lies outside the map has open sky there
-                    if xs[a] < x_low or xs[a] > x_high:
-                        for b in range(BITS):
-                            ceiling[b] = wp.inf
-                    # 5. the bits of this node, and the ceiling of the next
-                    lit = wp.int32(0)
+                # 4. a line whose next node towards the source lies outside the map has open sky there
+                if wp.uint32(xs[a] - x_low) >= wp.uint32(x_span):
                     for b in range(BITS):
-                        if z[a] <= ceiling[b]:
-                            lit |= 1 << b
-                        ceiling[b] = wp.min(z[a], ceiling[b]) + climb[b]
-                    if z[a] == wp.inf:
-                        lit = 0
-                    if u + a >= warm:
-                        planes[w, ys[a], xs[a]] = wp.uint8(lit)
+                        ceiling[b] = NOTHING
+                # 5. the bits of this node, and the ceiling of the next
+                lit = wp.int32(0)
+                for b in range(BITS):
+                    if z[a] <= ceiling[b]:
+                        lit |= 1 << b
+                    ceiling[b] = wp.min(z[a], ceiling[b]) + climb[b]
+                if wp.uint32(u + a) < wp.uint32(count):
+                    planes[w, ats[a] + xs[a]] = wp.uint8(lit)
 
     return scan
+
+
+@wp.kernel
+def turn_depth(depth: wp.array2d[wp.float32], turned: wp.array2d[wp.float32], rows: wp.int32, cols: wp.int32):
+    """(rows, cols) -> (cols, rows), so that walks along rows become walks along columns. Thread (gy, gx) owns SIDE x SIDE nodes."""
+    gy, gx = wp.tid()
+    for y in range(gy * SIDE, wp.min(gy * SIDE + SIDE, rows)):
+        for x in range(gx * SIDE, wp.min(gx * SIDE + SIDE, cols)):
+            turned[x, y] = depth[y, x]
+
+
+@wp.kernel
+def turn_planes(turned: wp.array2d[wp.uint8], planes: wp.array2d[wp.uint8], rows: wp.int32, cols: wp.int32, room: wp.int32):
+    """Planes (walks, room) of the turned map, (cols, rows) -> of the map itself. Thread (w, gy, gx) owns SIDE x SIDE nodes."""
+    w, gy, gx = wp.tid()
+    for x in range(gx * SIDE, wp.min(gx * SIDE + SIDE, cols)):
+        for y in range(gy * SIDE, wp.min(gy * SIDE + SIDE, rows)):
+            planes[w, y * cols + x] = turned[w, x * rows + y]
 
 
 @functools.cache
 def pack(BITS: int):
     """Planes of some walks -> packed visibility bits, direction d in bit d % 32 of word d // 32.
 
-      planes  (walks, rows, cols)   uint8
-      order   (walks, BITS)         int32   the direction of each bit
-      words   (rows, cols, n_words) uint32  in, out: bits are added, so walks may come in groups
+      planes  (walks, room)      uint8
+      order   (walks, BITS)      int32   the direction of each bit
+      words   (pixels, n_words)  uint32  in, out: bits are added, so walks may come in groups
 
     Thread p owns pixel p.
     """
 
     @wp.kernel(module="unique", module_options=OPTIONS)
     def pack(
-        planes: wp.array3d[wp.uint8],
+        planes: wp.array2d[wp.uint8],
         order: wp.array2d[wp.int32],
         words: wp.array3d[wp.uint32],
         pixels: wp.int32,
+        room: wp.int32,
         n_words: wp.int32,
         n_walks: wp.int32,
     ):
@@ -149,7 +162,7 @@ def pack(BITS: int):
         y = p // cols
         x = p - y * cols
         for w in range(n_walks):
-            lit = wp.uint32(planes[w, y, x])
+            lit = wp.uint32(planes[w, p])
             for b in range(BITS):
                 d = order[w, b]
                 words[y, x, d // 32] = words[y, x, d // 32] | (((lit >> wp.uint32(b)) & wp.uint32(1)) << wp.uint32(d % 32))

@@ -195,7 +195,7 @@ def meets_lamp(depth: wp.array2d[wp.float32], x: wp.int32, y: wp.int32, z: wp.fl
 @functools.cache
 def clip(BITS: int):
     """Clears the bits of surface nodes whose unblocked rays do not come from the sky, window or lamp, and with a lamp
-    sets those that only something beyond the lamp blocks. planes (walks, rows, cols) uint8, in, out. Thread p owns pixel p.
+    sets those that only something beyond the lamp blocks. planes (walks, room) uint8, in, out. Thread p owns pixel p.
     """
 
     @wp.kernel(module="unique", module_options=OPTIONS)
@@ -206,9 +206,10 @@ def clip(BITS: int):
         spans: wp.array2d[wp.int32],
         numbers: wp.array[wp.float64],
         flags: wp.array3d[wp.uint8],
-        planes: wp.array3d[wp.uint8],
+        planes: wp.array2d[wp.uint8],
         rows: wp.int32,
         cols: wp.int32,
+        room: wp.int32,
         layers: wp.int32,
         kind: wp.int32,
         sides: wp.int32,
@@ -222,7 +223,7 @@ def clip(BITS: int):
             return
         z = wp.float64(depth[y, x])
         for w in range(n_walks):
-            lit = wp.int32(planes[w, y, x])
+            lit = wp.int32(planes[w, p])
             for b in range(wp.static(BITS)):
                 i = steps[w, b, 0]
                 j = steps[w, b, 1]
@@ -239,7 +240,7 @@ def clip(BITS: int):
                     lit |= 1 << b
                 else:
                     lit &= ~(1 << b)
-            planes[w, y, x] = wp.uint8(lit)
+            planes[w, p] = wp.uint8(lit)
 
     return clip
 

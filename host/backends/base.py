@@ -16,6 +16,7 @@ from ..sources import SKY, Geometry
 from .tables import Group, crossings_of, lap_table, walk_groups
 
 ROOM = 32  # pixel arrays end with room for whole vectors
+SIDE = 4  # nodes on a side of what a work-item transposes
 SIDES = {"open": 0, "dark": 1, "periodic": 2}
 
 Progress = Callable[[int, int], None]
@@ -46,13 +47,19 @@ class Problem(NamedTuple):
         return self.geometry.kind != SKY or self.sides == "dark"
 
 
+def rounded_up(pixels: int) -> int:
+    """Elements of a pixel array that kernels read in whole vectors."""
+    return -(-pixels // ROOM) * ROOM
+
+
 class Backend:
     """One device. Subclasses give ``name``, ``device``, ``lanes``, ``memory`` and the methods that raise here."""
 
     name: str
     device: str
     memory: int  # bytes that may be taken at once
-    lanes = 1  # adjacent lines or pixels per work-item
+    lanes = 1  # adjacent lines per work-item
+    pixel_lanes = 1  # adjacent pixels per work-item where there are no lines; divides ROOM
     compile_seconds = 0.0
 
     def upload(self, array: np.ndarray):
@@ -70,8 +77,8 @@ class Backend:
     def launch(self, stem: str, kernel: str, dim: tuple[int, ...], *args, bits: int = 0, lanes: int | None = None) -> None:
         """Run ``kernel`` of module ``stem`` over ``dim`` work-items; Python ints are passed as int32, floats as float64.
 
-        ``bits``: elevations per walk, known when the kernel is compiled; 0 where the kernel has none. ``lanes``: pixels
-        per work-item, the backend's own number unless given.
+        ``bits``: elevations per walk, known when the kernel is compiled; 0 where the kernel has none. ``lanes``: lines or
+        pixels per work-item, the backend's own number of lines unless given.
         """
         raise NotImplementedError
 
@@ -90,9 +97,8 @@ class Backend:
         self.reserve(4 * words * problem.pixels, "Packed visibility", "Use a smaller hemicube or map.")
         surface = Surface(self, problem)
         out = self.empty((*problem.depth.shape, words), np.uint32, 0)
-        for group in surface.groups:
-            planes = surface.scan(group)
-            self.launch("scan", "pack", (problem.pixels,), planes, group.directions, out, problem.pixels, words, group.count, bits=group.bits)
+        for number, group in enumerate(surface.groups):
+            self.launch("scan", "pack", (problem.pixels,), surface.scan(number), group.directions, out, problem.pixels, surface.room, words, group.count, bits=group.bits)
         return self.download(out)
 
     def irradiance(self, problem: Problem, moments: np.ndarray) -> np.ndarray:
@@ -111,11 +117,11 @@ class Backend:
         tables = [self.upload(weights.astype(np.int32)[group.order]) for group in surface.groups]
         for layer in range(layers):
             active = self.empty((1,), np.int32, 0)
-            if layer and problem.sides == "periodic":
-                surface.renew_laps(self.download(surface.depth))
+            if layer:
+                surface.renew(self.download(surface.depth) if surface.periodic else None)
             for number, (group, table) in enumerate(zip(surface.groups, tables)):
-                planes = surface.scan(group)
-                self.launch("carve", "carve", (pixels,), planes, table, light, low, high, side, surface.depth, active, pixels, group.count,
+                planes = surface.scan(number)
+                self.launch("carve", "carve", (pixels,), planes, table, light, low, high, side, surface.depth, active, pixels, surface.room, group.count,
                             int(number == 0), int(number == len(tables) - 1), layer, int(by_sign), bits=group.bits)
             if progress:
                 progress(layer + 1, layers)
@@ -130,62 +136,101 @@ class Backend:
         return field.download()
 
 
-class _OnDevice(NamedTuple):
-    """A group's tables on the device."""
+class OnDevice(NamedTuple):
+    """A group of walks with its tables on the device; names as in Group, and what clipping and launching need besides."""
 
+    host: Group
     walks: object
-    directions: object
-    steps: object
     rise: object
     crossings: object
     climbs: object
     spans: object
-    order: np.ndarray
-    count: int
-    bits: int
+    directions: object
+    steps: object  # (count, bits, 4) i, j, k, number
+    ways: object  # crossings and spans of the map as it lies, for rays that lamps send
+    way_spans: object
     dim: tuple[int, int]
+
+    @property
+    def order(self) -> np.ndarray:
+        return self.host.directions
+
+    @property
+    def count(self) -> int:
+        return self.host.count
+
+    @property
+    def bits(self) -> int:
+        return self.host.bits
 
 
 class Surface:
-    """A map on a device, ready to be scanned group by group of walks; one buffer of planes serves all groups."""
+    """A map on a device, ready to be scanned group by group of walks; one buffer of planes serves all groups.
+
+    Walks along rows (j = 0) are walks along columns of the turned map, so that neighbours in memory stay neighbours.
+    """
 
     def __init__(self, backend: Backend, problem: Problem, relief: float | None = None):
         self.backend, self.problem = backend, problem
-        rows, cols = problem.depth.shape
-        most = max(1, int(backend.memory // 2 // problem.pixels))
-        self.host_groups = walk_groups(problem.steps, (rows, cols), problem.relief if relief is None else relief, problem.step,
-                                       problem.sides == "periodic", problem.filled, most)
+        self.room = rounded_up(problem.pixels)
+        most = max(1, int(backend.memory // 3 // self.room))
+        relief = problem.relief if relief is None else relief
+        groups = walk_groups(problem.steps, problem.depth.shape, relief, problem.step, self.periodic, problem.filled, most)
         self.depth = backend.upload(problem.depth)
-        self.planes = backend.empty((max(g.count for g in self.host_groups), rows, cols), np.uint8)
+        self.turned = backend.empty(problem.depth.shape[::-1], np.float32)
+        self.planes = backend.empty((max(g.count for g in groups), self.room), np.uint8)
+        self.turned_planes = backend.empty((max((g.count for g in groups if g.turned), default=1), self.room), np.uint8)
         self.numbers, self.flags = backend.upload(problem.geometry.numbers), backend.upload(problem.geometry.flags)
-        self.groups = [self._put(group) for group in self.host_groups]
-        self.renew_laps(problem.depth)
+        self.groups = [self._put(group) for group in groups]
+        self.renew(problem.depth)
 
-    def _put(self, group: Group) -> _OnDevice:
+    @property
+    def periodic(self) -> bool:
+        return self.problem.sides == "periodic"
+
+    def _put(self, group: Group) -> OnDevice:
+        put, shape = self.backend.upload, self.problem.depth.shape
+        rows, cols = shape[::-1] if group.turned else shape
+        lines = max(min(abs(j), rows) for j in group.walks[:, 1].tolist()) * -(-cols // self.backend.lanes)
+        steps = np.concatenate([self.problem.steps[group.directions] * [1, 1, -1], group.directions[..., None]], -1).astype(np.int32)
+        points = [crossings_of(i, j, self.problem.filled)[0] for i, j in steps[:, 0, :2].tolist()]
+        counts = np.array([len(p) for p in points])
+        spans = np.stack([np.cumsum(counts) - counts, counts], 1).astype(np.int32)
+        return OnDevice(group, put(group.walks), put(group.rise), put(group.crossings), put(group.climbs), put(group.spans), put(group.directions),
+                        put(steps), put(np.array(sum(points, []), np.int32)), put(spans), (lines, group.count))
+
+    def renew(self, depth: np.ndarray | None = None) -> None:
+        """Follow a change of the depths on the device; ``depth``: the same in NumPy, needed where the map repeats."""
         rows, cols = self.problem.depth.shape
-        lanes = self.backend.lanes
-        lines = max(min(abs(j or i), rows if j else cols) * -(-(cols if j else rows) // lanes) for i, j in group.walks[:, :2].tolist())
-        return _OnDevice(*map(self.backend.upload, group), group.directions, group.count, group.bits, (lines, group.count))
+        if any(group.host.turned for group in self.groups):
+            self.backend.launch("scan", "turn_depth", (-(-cols // SIDE), -(-rows // SIDE)), self.depth, self.turned, rows, cols)
+        self.laps = [self._laps(group, depth) for group in self.groups]
 
-    def renew_laps(self, depth: np.ndarray) -> None:
-        """Where the map repeats: the first ceilings of the level rays, for the depths that the device now holds."""
-        self.laps = [lap_table(depth, g, self.problem.filled) if self.problem.sides == "periodic" else np.zeros((1, 1), np.float32) for g in self.host_groups]
-        self.device_laps = [self.backend.upload(lap) for lap in self.laps]
+    def _laps(self, group, depth):
+        lap = np.zeros((group.count, 1), np.float32)
+        if self.periodic and not group.host.rise[:, 0].all():
+            ways = [(j, i) if group.host.turned else (i, j) for i, j in self.problem.steps[group.order[:, 0], :2].tolist()]
+            lap = lap_table(depth.T if group.host.turned else depth, ways, self.problem.filled)
+        return self.backend.upload(lap), lap.shape[1]
 
-    def scan(self, group: _OnDevice):
-        """The planes (walks, rows, cols) uint8 of a group; overwritten by the next scan."""
-        problem, number = self.problem, next(n for n, g in enumerate(self.groups) if g is group)
+    def scan(self, number: int):
+        """The planes (walks, room) uint8 of a group; overwritten by the next scan."""
+        group, problem, launch = self.groups[number], self.problem, self.backend.launch
         rows, cols = problem.depth.shape
-        tail = (self.planes, rows, cols, self.laps[number].shape[1], int(problem.sides == "periodic"))
+        turned = group.host.turned
+        depth, planes, shape = (self.turned, self.turned_planes, (cols, rows)) if turned else (self.depth, self.planes, (rows, cols))
+        lap, lap_lines = self.laps[number]
+        tail = (planes, *shape, self.room, lap_lines, int(self.periodic))
         if problem.filled:
-            self.backend.launch("filled", "scan_filled", group.dim, self.depth, group.walks, group.rise, self.device_laps[number],
-                                group.crossings, group.climbs, group.spans, *tail, bits=group.bits)
+            launch("filled", "scan_filled", group.dim, depth, group.walks, group.rise, lap, group.crossings, group.climbs, group.spans, *tail, bits=group.bits)
         else:
-            self.backend.launch("scan", "scan", group.dim, self.depth, group.walks, group.rise, self.device_laps[number], *tail, bits=group.bits)
+            launch("scan", "scan", group.dim, depth, group.walks, group.rise, lap, *tail, bits=group.bits)
+        if turned:
+            launch("scan", "turn_planes", (-(-cols // SIDE), -(-rows // SIDE), group.count), planes, self.planes, rows, cols, self.room)
         if problem.clips:
             geometry = problem.geometry
-            self.backend.launch("source", "clip", (problem.pixels,), self.depth, group.steps, group.crossings, group.spans, self.numbers, self.flags,
-                                self.planes, rows, cols, len(geometry.flags), geometry.kind, SIDES[problem.sides], float(problem.step), group.count, bits=group.bits)
+            launch("source", "clip", (problem.pixels,), self.depth, group.steps, group.ways, group.way_spans, self.numbers, self.flags, self.planes, rows, cols,
+                   self.room, len(geometry.flags), geometry.kind, SIDES[problem.sides], float(problem.step), group.count, bits=group.bits)
         return self.planes
 
 
@@ -195,21 +240,19 @@ class Light:
     def __init__(self, surface: Surface, moments: np.ndarray):
         backend, problem = surface.backend, surface.problem
         self.surface = surface
-        self.room = -(-problem.pixels // ROOM) * ROOM
-        self.slopes = backend.empty((2, self.room), np.float32, 0)
-        self.sum = backend.empty((self.room,), np.float32, 0)
+        self.slopes = backend.empty((2, surface.room), np.float32, 0)
+        self.sum = backend.empty((surface.room,), np.float32, 0)
         padded = np.concatenate([moments, np.zeros((len(moments), 1))], 1).astype(np.float32)
         self.tables = [backend.upload(padded[group.order]) for group in surface.groups]
 
     def run(self) -> None:
         surface, backend, problem = self.surface, self.surface.backend, self.surface.problem
         rows, cols = problem.depth.shape
-        backend.launch("luminance", "gradient", (cols, rows), surface.depth, self.slopes, rows, cols, self.room, 0.5 / problem.step, 1 / problem.step)
+        backend.launch("luminance", "gradient", (cols, rows), surface.depth, self.slopes, rows, cols, surface.room, 0.5 / problem.step, 1 / problem.step)
         last = len(surface.groups) - 1
         for number, (group, table) in enumerate(zip(surface.groups, self.tables)):
-            planes = surface.scan(group)
-            backend.launch("luminance", "luminance", (-(-problem.pixels // backend.lanes),), planes, self.slopes, table, self.sum,
-                           problem.pixels, self.room, group.count, int(number == 0), int(number == last), bits=group.bits)
+            backend.launch("luminance", "luminance", (surface.room // backend.pixel_lanes,), surface.scan(number), self.slopes, table, self.sum,
+                           problem.pixels, surface.room, group.count, int(number == 0), int(number == last), bits=group.bits, lanes=backend.pixel_lanes)
 
 
 class FieldByLayers:
@@ -232,11 +275,10 @@ class FieldByLayers:
         # A sky fills what lies outside the map; level rays get nowhere where walls or a window's plane end them.
         self.field = backend.empty((layers + self.reach, self.words, self.height, self.width), np.uint32, 0 if problem.clips else 0xFFFFFFFF)
         self.levels = backend.empty((self.n_level, rows, cols), np.float32, -1 if problem.clips else None)
-        group, = walk_groups(problem.steps[level], (rows, cols), 0.0, 1.0, False, False, self.n_level)
-        in_order = np.argsort(group.directions[:, 0])
-        lap = lap_table(problem.depth, group, False)[in_order] if problem.sides == "periodic" else np.zeros((1, 1), np.float32)
-        self.walks, self.lap, self.lap_lines = backend.upload(group.walks[in_order]), backend.upload(lap), lap.shape[1]
-        self.lines = max(min(abs(j or i), rows if j else cols) * (cols if j else rows) for i, j in group.walks[:, :2].tolist())
+        ways = problem.steps[level, :2].tolist()
+        lap = lap_table(problem.depth, ways, False) if problem.sides == "periodic" else np.zeros((1, 1), np.float32)
+        self.ways, self.lap, self.lap_lines = backend.upload(problem.steps[level, :2].astype(np.int32)), backend.upload(lap), lap.shape[1]
+        self.lines = max(min(abs(j or i), rows if j else cols) * (cols if j else rows) for i, j in ways)
 
     def run(self, progress: Progress | None = None) -> None:
         launch, problem = self.backend.launch, self.problem
@@ -246,7 +288,7 @@ class FieldByLayers:
             launch("source", "enter", (self.width, self.height, self.layers + self.reach), self.steps, self.numbers, self.flags, self.field, rows, cols,
                    self.reach, self.words, self.count, problem.geometry.kind, SIDES[problem.sides])
         else:
-            launch("propagate", "reaches", (self.lines, self.n_level), self.depth, self.walks, self.lap, self.levels, rows, cols, self.lap_lines, int(periodic))
+            launch("propagate", "reaches", (self.lines, self.n_level), self.depth, self.ways, self.lap, self.levels, rows, cols, self.lap_lines, int(periodic))
         lanes = self.backend.lanes if cols >= self.backend.lanes else 1
         for n in range(self.layers):
             launch("propagate", "propagate", (-(-cols // lanes), rows, self.words), self.depth, self.levels, self.offsets, self.field, rows, cols,

@@ -9,6 +9,8 @@ import numpy as np
 from ..sources import APERTURE, BALL, RECTANGLE, SKY, VOLUME
 from .base import SIDES, Backend
 
+NOTHING = np.finfo(np.float32).max  # ceiling where nothing stands above; finite, so that a masked node never passes
+
 
 def available_memory() -> int:
     """Bytes of main memory that could be taken now, where the system tells; else a cautious 2 GiB."""
@@ -49,17 +51,14 @@ class NumpyBackend(Backend):
 # -- scan ----------------------------------------------------------------------------------------------------------------
 
 
-def _sweep(depth, walk, first_ceiling, periodic, lower, climb):
-    """Yields (index, depths, ceilings) of the nodes of one walk, row by row from the source's side.
+def _sweep(depth, i, j, warm, first_ceiling, periodic, lower, climb):
+    """Yields (row, depths, ceilings) of the nodes of one walk (i, j), j not 0, row by row from the source's side.
 
-    index: what row of ``depth`` (or column, where j = 0) this is; ``lower(ceiling, index)`` lowers the ceilings first.
+    ``lower(ceiling, row)`` lowers the ceilings first.
     """
-    i, j, _, _, warm, _, _, parts = walk.tolist()
-    if j == 0:  # columns take the part of rows
-        depth, i, j = depth.T, 0, i
     rows, cols = depth.shape
     for residue in range(min(abs(j), rows)):
-        ceiling = first_ceiling(residue, cols)
+        ceiling = first_ceiling(residue * cols)
         for u in range(-warm, -(-(rows - residue) // abs(j))):
             row = (residue + u * abs(j)) % rows
             row = rows - 1 - row if j > 0 else row
@@ -71,45 +70,54 @@ def _sweep(depth, walk, first_ceiling, periodic, lower, climb):
             # the next node of a line lies i columns back; what comes in from outside the map has open sky
             ceiling = np.roll(ceiling, -i, 1)
             if not periodic and i:
-                ceiling[:, slice(-i, None) if i > 0 else slice(0, -i)] = np.inf
+                ceiling[:, slice(-i, None) if i > 0 else slice(0, -i)] = NOTHING
 
 
 def _scan_walk(depth, walk, climb, lap, plane, periodic, lower):
+    rows, cols = depth.shape
     bits = len(climb)
 
-    def first_ceiling(residue, across):
-        ceiling = np.full((bits, across), np.inf, np.float32)
+    def first_ceiling(line):
+        ceiling = np.full((bits, cols), NOTHING)
         if periodic and climb[0] == 0:
-            ceiling[0] = lap[residue * across : (residue + 1) * across]
+            ceiling[0] = lap[line : line + cols]
         return ceiling
 
-    plane = plane if walk[1] else plane.T
+    plane = plane[: depth.size].reshape(depth.shape)
     weights = (1 << np.arange(bits, dtype=np.uint8))[:, None]
-    for row, z, ceiling in _sweep(depth, walk, first_ceiling, periodic, lower, climb[:, None]):
-        plane[row] = np.where(z < np.inf, ((z <= ceiling) * weights).sum(0, dtype=np.uint8), 0)
+    for row, z, ceiling in _sweep(depth, *walk[:3].tolist(), first_ceiling, periodic, lower, climb[:, None]):
+        plane[row] = ((z <= ceiling) * weights).sum(0, dtype=np.uint8)
 
 
-def scan(depth, walks, rise, lap, planes, rows, cols, lap_lines, periodic):
+def scan(depth, walks, rise, lap, planes, rows, cols, room, lap_lines, periodic):
     for w, walk in enumerate(walks):
-        _scan_walk(depth, walk, rise[w], lap[w] if periodic else None, planes[w], periodic, lambda ceiling, row: None)
+        _scan_walk(depth, walk, rise[w], lap[w], planes[w], periodic, lambda ceiling, row: None)
 
 
-def scan_filled(depth, walks, rise, lap, crossings, climbs, spans, planes, rows, cols, lap_lines, periodic):
+def scan_filled(depth, walks, rise, lap, crossings, climbs, spans, planes, rows, cols, room, lap_lines, periodic):
     for w, walk in enumerate(walks):
         begin, end = spans[w, 0], spans[w].sum() - 1
 
-        def lower(ceiling, row, walk=walk, begin=begin, end=end):
+        def lower(ceiling, row, begin=begin, end=end):
             for c in range(begin, end):
-                np.minimum(ceiling, _ground(depth, crossings[c], row, walk[1] == 0, periodic) + climbs[c][:, None], out=ceiling)
+                np.minimum(ceiling, _ground(depth, crossings[c], row, periodic) + climbs[c][:, None], out=ceiling)
 
-        _scan_walk(depth * np.float32(walk[7]), walk, rise[w], lap[w] if periodic else None, planes[w], periodic, lower)
+        _scan_walk(depth * np.float32(walk[5]), walk, rise[w], lap[w], planes[w], periodic, lower)
 
 
-def _ground(depth, crossing, index, by_column, periodic):
-    """Depth x parts at a crossing next to every node of a row (or column); +inf where it is unknown."""
+def turn_depth(depth, turned, rows, cols):
+    turned[...] = depth.T
+
+
+def turn_planes(turned, planes, rows, cols, room):
+    n = rows * cols
+    planes[: len(turned), :n] = turned[:, :n].reshape(-1, cols, rows).swapaxes(1, 2).reshape(-1, n)
+
+
+def _ground(depth, crossing, row, periodic):
+    """Depth x parts at a crossing next to every node of a row; +inf where it is unknown."""
     rows, cols = depth.shape
-    x = np.full(rows, index) if by_column else np.arange(cols)
-    y = np.arange(rows) if by_column else np.full(cols, index)
+    x, y = np.arange(cols), np.full(cols, row)
     to_x, to_y, next_x, next_y, near_weight, far_weight = (int(v) for v in crossing[:6])
     values = []
     for px, py in ((x + to_x, y + to_y), (x + to_x + next_x, y + to_y + next_y)):
@@ -123,10 +131,10 @@ def _ground(depth, crossing, index, by_column, periodic):
     return np.where((near < np.inf) & (far < np.inf), ground, np.float32(np.inf))
 
 
-def pack(planes, order, words, pixels, n_words, n_walks):
+def pack(planes, order, words, pixels, room, n_words, n_walks):
     words = words.reshape(pixels, n_words)
     for w in range(n_walks):
-        lit = planes[w].reshape(pixels)
+        lit = planes[w, :pixels]
         for b, d in enumerate(order[w]):
             words[:, d // 32] |= (lit >> np.uint8(b) & np.uint8(1)).astype(np.uint32) << np.uint32(d % 32)
 
@@ -151,7 +159,7 @@ def luminance(planes, slopes, moments, irradiance, pixels, room, n_walks, is_fir
     gx, gy = slopes[0, :pixels], slopes[1, :pixels]
     total = np.zeros(pixels, np.float32) if is_first else irradiance[:pixels]
     for w in range(n_walks):
-        lit = planes[w].reshape(pixels)
+        lit = planes[w, :pixels]
         for b, (mx, my, mz, _) in enumerate(moments[w]):
             cosine = gx * mx + gy * my - mz
             total += np.where((lit >> np.uint8(b) & np.uint8(1)).astype(bool) & (cosine > 0), cosine, np.float32(0))
@@ -161,12 +169,12 @@ def luminance(planes, slopes, moments, irradiance, pixels, room, n_walks, is_fir
 # -- carve ---------------------------------------------------------------------------------------------------------------
 
 
-def carve(planes, weights, light, low, high, side, depth, active, pixels, n_walks, is_first, is_last, layer, by_sign):
+def carve(planes, weights, light, low, high, side, depth, active, pixels, room, n_walks, is_first, is_last, layer, by_sign):
     depth = depth.reshape(pixels)
     here = np.flatnonzero(depth == layer)
     total = np.zeros(len(here), np.int32) if is_first else light[here]
     for w in range(n_walks):
-        lit = planes[w].reshape(pixels)[here]
+        lit = planes[w, here]
         for b, weight in enumerate(weights[w]):
             total += np.where(lit >> np.uint8(b) & np.uint8(1), weight, np.int32(0))
     light[here] = total
@@ -281,11 +289,11 @@ def _meets_ball(x, y, z, i, j, k, numbers, step):
     return np.where(q <= 0, 0.0, np.where(meets, (b - np.sqrt(np.where(meets, root, 0))) / a, -1.0))
 
 
-def clip(depth, steps, crossings, spans, numbers, flags, planes, rows, cols, layers, kind, sides, step, n_walks):
+def clip(depth, steps, crossings, spans, numbers, flags, planes, rows, cols, room, layers, kind, sides, step, n_walks):
     y, x = np.nonzero(np.isfinite(depth))
     z = depth[y, x].astype(float)
     for w in range(n_walks):
-        plane = planes[w]
+        plane = planes[w, : depth.size].reshape(depth.shape)
         lit = plane[y, x]
         for b, (i, j, k, _) in enumerate(steps[w].tolist()):
             bit = np.uint8(1 << b)
@@ -324,12 +332,16 @@ def beam(depth, steps, crossings, spans, numbers, flags, field, rows, cols, laye
 # -- propagate -----------------------------------------------------------------------------------------------------------
 
 
-def reaches(depth, walks, lap, levels, rows, cols, lap_lines, periodic):
+def reaches(depth, ways, lap, levels, rows, cols, lap_lines, periodic):
     nothing = np.zeros((1, 1), np.float32)
-    for w, walk in enumerate(walks):
-        out = levels[w] if walk[1] else levels[w].T
-        first = lambda residue, across, w=w: lap[w, None, residue * across : (residue + 1) * across].copy() if periodic else np.full((1, across), np.inf, np.float32)
-        for row, _, ceiling in _sweep(depth, walk, first, periodic, lambda ceiling, row: None, nothing):
+    for w, (i, j) in enumerate(ways.tolist()):
+        z, out = (depth, levels[w]) if j else (depth.T, levels[w].T)
+        i, j = (i, j) if j else (0, i)
+
+        def first_ceiling(line, w=w, cols=z.shape[1]):
+            return lap[w, None, line : line + cols].copy() if periodic else np.full((1, cols), np.inf, np.float32)
+
+        for row, _, ceiling in _sweep(z, i, j, 0, first_ceiling, periodic, lambda ceiling, row: None, nothing):
             out[row] = ceiling[0]
 
 

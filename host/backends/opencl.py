@@ -12,6 +12,7 @@ from .base import Backend
 
 OPTIONS = ("-cl-std=CL1.2",)
 CPU_LANES = 8
+GPU_PIXELS = 4
 
 
 def probe():
@@ -54,6 +55,7 @@ class OpenclBackend(Backend):
         self.queue = cl.CommandQueue(self.context)
         self.on_cpu = bool(self._device.type & cl.device_type.CPU)
         self.lanes = CPU_LANES if self.on_cpu else 1
+        self.pixel_lanes = CPU_LANES if self.on_cpu else GPU_PIXELS
         self.memory = int(self._device.max_mem_alloc_size)
         self._kernels = {}
 

@@ -13,18 +13,19 @@ BYTE = 8  # visibility bits of one walk and node that a plane holds
 class Group(NamedTuple):
     """Walks with equally many elevations. A walk is an azimuth (i, j) with up to 8 of its elevations.
 
-    walks (count, 8) int32, directions (count, bits) int32, steps (count, bits, 4) int32, rise (count, bits) float32,
-    crossings (n, 8) int32, climbs (n, bits) float32, spans (count, 2) int32: the kernels' arguments of these names,
-    see opencl/scan.cl, source.cl and filled.cl.
+    The kernels' arguments of these names, see opencl/scan.cl, source.cl and filled.cl: walks (count, 8) int32,
+    rise (count, bits) float32, crossings (n, 8) int32, climbs (n, bits) float32, spans (count, 2) int32, and
+    directions (count, bits) int32, the number of each direction. ``turned``: these walks go along rows, so walks,
+    crossings and spans are those of the transposed map.
     """
 
+    turned: bool
     walks: np.ndarray
-    directions: np.ndarray
-    steps: np.ndarray
     rise: np.ndarray
     crossings: np.ndarray
     climbs: np.ndarray
     spans: np.ndarray
+    directions: np.ndarray
 
     @property
     def count(self) -> int:
@@ -43,43 +44,48 @@ def walk_groups(steps: np.ndarray, shape: tuple[int, int], relief: float, step: 
     chunks = []
     for way, members in ways.items():
         chunks += [(way, part) for part in np.array_split(np.array(sorted(members)), -(-len(members) // BYTE))]
-    # Many elevations first; within a size the longest lines first, so that none is left to run alone at the end.
-    chunks.sort(key=lambda c: (-len(c[1]), abs(c[0][1]) or max(abs(c[0][0]), 1), c[0], c[1][0, 0]))
+
+    def kind(chunk):
+        (i, j), members = chunk
+        return -len(members), j == 0 and i != 0
+
+    # Within a kind the longest lines first, so that none is left to run alone at the end.
+    chunks.sort(key=lambda c: (*kind(c), abs(c[0][1]) or abs(c[0][0]), c[0], c[1][0, 0]))
     groups = []
     while chunks:
-        bits = len(chunks[0][1])
-        count = min(most, sum(len(c[1]) == bits for c in chunks))
-        groups.append(_group(chunks[:count], steps, shape, relief, step, periodic, filled))
+        count = min(most, sum(kind(c) == kind(chunks[0]) for c in chunks))
+        groups.append(_group(chunks[:count], kind(chunks[0])[1], shape, relief, step, periodic, filled))
         chunks = chunks[count:]
     return groups
 
 
-def _group(chunks, steps, shape, relief, step, periodic, filled):
-    rows, cols = shape
+def _group(chunks, turned, shape, relief, step, periodic, filled):
+    rows, cols = reversed(shape) if turned else shape
     walks, spans, crossings, climbs = [], [], [], []
     for (i, j), members in chunks:
         k = members[:, 0]
+        if turned:
+            i, j = j, i
         points, parts = crossings_of(i, j, filled)
         spans.append((len(crossings), len(points)))
         crossings += points
         climbs += [point[6] * k * step for point in points]
-        i, j = (i, j) if i or j else (0, rows)  # straight up: every node is a line of its own
-        warm = _warm_up(i, j, k, shape, relief, step) if periodic else 0
-        walks.append((i, j, -i % cols, -j % rows, warm, warm * i % cols, warm * j % rows, parts))
-    directions = np.array([members[:, 1] for _, members in chunks], np.int32)
-    k = np.array([members[:, 0] for _, members in chunks], float)
+        if periodic:
+            i %= cols
+        if (i == 0 and j == 0) or abs(i) >= cols:
+            i, j = 0, rows  # straight up, or off the map at once: every node is a line of its own
+        climbing = k[k > 0]  # a level ray starts from its whole cycle instead
+        warm = min(cycle_length(i, j, rows, cols), math.ceil(relief / (climbing.min() * step)) + 1) if periodic and len(climbing) else 0
+        walks.append((i, j, warm, warm * i % cols, warm * j % rows, parts, 0, 0))
     walks = np.array(walks, np.int32)
-    full_steps = np.concatenate([steps[directions] * [1, 1, -1], directions[..., None]], -1).astype(np.int32)
-    return Group(walks, directions, full_steps, (k * step * walks[:, 7:]).astype(np.float32), np.array(crossings, np.int32),
-                 np.array(climbs, np.float32), np.array(spans, np.int32))
+    k = np.array([members[:, 0] for _, members in chunks], float)
+    return Group(turned, walks, (k * step * walks[:, 5:6]).astype(np.float32), np.array(crossings, np.int32), np.array(climbs, np.float32),
+                 np.array(spans, np.int32), np.array([members[:, 1] for _, members in chunks], np.int32))
 
 
-def _warm_up(i, j, k, shape, relief, step):
-    """Steps after which a ray has come round or is above all ground; the level ray starts from its cycle instead."""
-    rows, cols = shape
-    cycle = math.lcm(cols // math.gcd(cols, i), rows // math.gcd(rows, j))
-    climbing = k[k > 0]
-    return min(cycle, math.ceil(relief / (climbing.min() * step)) + 1) if len(climbing) else 0
+def cycle_length(i: int, j: int, rows: int, cols: int) -> int:
+    """Steps (i, j) after which a walk over a map that repeats is back at its node."""
+    return math.lcm(cols // math.gcd(cols, i), rows // math.gcd(rows, j))
 
 
 def crossings_of(i: int, j: int, filled: bool) -> tuple[list[tuple[int, ...]], int]:
@@ -102,21 +108,20 @@ def crossings_of(i: int, j: int, filled: bool) -> tuple[list[tuple[int, ...]], i
     return [(*points[t], t, parts) for t in sorted(points)], parts
 
 
-def lap_table(depth: np.ndarray, group: Group, filled: bool) -> np.ndarray:
-    """(walks, lines) float32: the least depth x parts on the cycle of each line of a walk, on a map that repeats."""
+def lap_table(depth: np.ndarray, ways: list[tuple[int, int]], filled: bool) -> np.ndarray:
+    """(walks, lines) float32: the least depth x parts on the cycle of each line of the walks, on a map that repeats.
+
+    Line r * across + n of a walk is the n-th of residue r: side by side in x, or in y where j = 0.
+    """
     rows, cols = depth.shape
-    ways = group.walks[:, :2].tolist()
     lines = [cols * min(abs(j), rows) if j else rows * min(abs(i), cols) for i, j in ways]
-    table = np.full((group.count, max(lines)), np.inf, np.float32)
+    table = np.full((len(ways), max(lines)), np.inf, np.float32)
     least: dict[tuple[int, int], np.ndarray] = {}
     for w, (i, j) in enumerate(ways):
-        if group.rise[w, 0] > 0:
-            continue  # no level ray here
         opposite = least.get((-i, -j))  # the same cycle, walked the other way
         least[i, j] = _cycle_minimum(depth, i, j, filled) if opposite is None else opposite
         across, along, stride = (cols, rows, j) if j else (rows, cols, i)
-        line = np.arange(lines[w])
-        residue, lane = line // across, line % across
+        residue, lane = np.divmod(np.arange(lines[w]), across)
         start = along - 1 - residue if stride > 0 else residue
         table[w, : lines[w]] = least[i, j][start, lane] if j else least[i, j][lane, start]
     return table
@@ -132,8 +137,7 @@ def _cycle_minimum(depth, i, j, filled):
         with np.errstate(invalid="ignore"):  # inf x 0 where masked
             ground = np.float32(near) * a + np.float32(far) * b
         least = np.minimum(least, np.where(np.isfinite(a) & np.isfinite(b), ground, np.float32(np.inf)))
-    cycle = math.lcm(cols // math.gcd(cols, i), rows // math.gcd(rows, j))
-    length = 1
+    cycle, length = cycle_length(i, j, rows, cols), 1
     while length < cycle:  # the minimum over 1, 2, 4, ... nodes of the cycle
         least = np.minimum(least, moved(least, i * length, j * length))
         length *= 2

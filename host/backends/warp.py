@@ -23,7 +23,8 @@ def probe():
             wp.init()
         finally:
             wp.config.log_level = level
-        found = [BackendInfo("warp:cpu", "Warp on the CPU, 1 thread", True)]
+        here = wp.is_cpu_available()
+        found = [BackendInfo("warp:cpu", "Warp on the CPU, 1 thread", here, "" if here else "this Warp comes without its CPU compiler")]
         found += [BackendInfo(f"warp:{d.alias}", d.name, True, gpu=True) for d in wp.get_cuda_devices()]
     except (ImportError, OSError, RuntimeError) as error:
         return [BackendInfo("warp:cpu", "", False, f"warp-lang cannot be started ({error})")]
@@ -38,10 +39,13 @@ class WarpBackend(Backend):
     def __init__(self, alias: str):
         import warp as wp
 
+        from skylamp.warp_kernels import PIXELS
+
         self.wp = wp
         self.name = f"warp:{alias}"
         self._device = wp.get_device(alias)
         self.device = self._device.name if self._device.is_cuda else "Warp on the CPU, 1 thread"
+        self.pixel_lanes = PIXELS
         self._loaded = set()
 
     @property
@@ -77,9 +81,12 @@ class WarpBackend(Backend):
         self.wp.launch(function, dim=tuple(reversed(dim)), inputs=values, device=self._device)
 
     def _as(self, value, kind):
-        """A device array seen with the axes and element type that the kernel declares: trailing axes run together."""
+        """A device array seen with the axes and elements that the kernel declares: trailing axes run together, in vectors."""
         if not isinstance(value, self.wp.array):
             return value
-        if kind.dtype == self.wp.vec4:
-            return self.wp.array(ptr=value.ptr, dtype=kind.dtype, shape=value.shape[:-1], device=value.device)
-        return value if value.ndim == kind.ndim else value.reshape((*value.shape[: kind.ndim - 1], -1))
+        length = getattr(kind.dtype, "_length_", 1)
+        if length == 1 and value.ndim == kind.ndim:
+            return value
+        lead = value.shape[: kind.ndim - 1]
+        shape = (*lead, value.size // int(np.prod(lead)) // length)
+        return self.wp.array(ptr=value.ptr, dtype=kind.dtype, shape=shape, device=value.device)
