@@ -1,0 +1,44 @@
+"""The README does what it says: its Python runs, its pictures are there, its test command is the one that CI runs."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parent.parent
+README = (ROOT / "README.md").read_text(encoding="utf-8")
+BLOCKS = re.findall(r"^```python\n(.*?)^```", README, re.DOTALL | re.MULTILINE)
+
+
+@pytest.mark.parametrize("number", range(len(BLOCKS)))
+def test_python_blocks_run(number, tmp_path, monkeypatch, capsys):
+    """Every block runs by itself, as written, and prints something."""
+    monkeypatch.chdir(tmp_path)
+    exec(compile(BLOCKS[number], f"README.md, python block {number}", "exec"), {"__name__": "__main__"})
+    assert capsys.readouterr().out.strip()
+
+
+def test_there_is_a_start_of_about_twenty_lines():
+    """At least one block, and none longer than 25 lines."""
+    assert BLOCKS and all(block.count("\n") <= 25 for block in BLOCKS)
+
+
+def test_pictures_are_there_and_small():
+    """Every picture that the README shows is in the repository, under 400 KB."""
+    pictures = re.findall(r"!\[[^\]]*\]\(([^)]+)\)|<img src=\"([^\"]+)\"", README)
+    assert len(pictures) >= 4
+    for picture in (ROOT / (a or b) for a, b in pictures):
+        assert picture.is_file() and picture.stat().st_size < 400_000, picture
+
+
+def test_test_command_is_what_ci_runs():
+    """pip install '.[test]' && pytest, here and there."""
+    assert "pip install '.[test]' && pytest\n" in README
+    ci = (ROOT / ".ci" / "run").read_text(encoding="utf-8")
+    assert "'.[test]'\n" in ci and re.search(r"^timeout .* pytest$", ci, re.MULTILINE)
+
+
+def test_scripts_that_it_names_are_there():
+    """Every path under performance/ or host/ that the README names is a file."""
+    named = re.findall(r"`((?:performance|host)/[\w./]+)`", README)
+    assert named and all((ROOT / name).is_file() for name in named), named
