@@ -3,8 +3,7 @@
 scan_filled: as scan, and between a node and the next one towards the source the depths of the crossings, linear between
 two nodes, lower the ceiling too. All depths are multiplied by the walk's `parts`, so that whole layers stay exact.
 
-  depth, lap, planes, rows, cols, room, lap_lines, periodic  as in scan
-  walks      (walks, 8)     int    as in scan
+  maps, walks, lap, planes, map_rows, map_cols, room, lap_lines, periodic  as in scan
   rise       (walks, BITS)  float  [length x parts] per step
   crossings  (n, 8)         int    x, y of a node, x, y to the next node on that line, the weights of both, when, parts
   climbs     (n, BITS)      float  [length x parts] what the ray climbs until the crossing
@@ -24,15 +23,17 @@ float depth_at(__global const float *depth, int x, int y, int rows, int cols, in
   return x < 0 || x >= cols || y < 0 || y >= rows ? INFINITY : depth[(size_t)y * cols + x];
 }
 
-__kernel void scan_filled(__global const float *depth, __global const int *walks, __global const float *rise,
+__kernel void scan_filled(__global const float *maps, __global const int *walks, __global const float *rise,
                           __global const float *lap, __global const int *crossings, __global const float *climbs,
-                          __global const int *spans, __global uchar *planes, int rows, int cols, int room,
+                          __global const int *spans, __global uchar *planes, int map_rows, int map_cols, int room,
                           int lap_lines, int periodic)
 {
-  const int w = get_global_id(1);
+  const int w = get_global_id(1), turned = walks[8 * w + 6];
+  const int rows = turned ? map_cols : map_rows, cols = turned ? map_rows : map_cols;
+  __global const float *depth = maps + (turned ? room : 0);
   const int i = walks[8 * w], j = walks[8 * w + 1], warm = walks[8 * w + 2], stride = abs(j);
   const float parts = walks[8 * w + 5];
-  __global uchar *plane = planes + (size_t)w * room;
+  __global uchar *plane = planes + (size_t)walks[8 * w + 7] * room;
 
   /* 1. which lines */
   const int groups = (cols + LANES - 1) / LANES;

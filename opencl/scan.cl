@@ -4,24 +4,28 @@ scan: walks every lattice line of one azimuth (i, j) from the source's side and 
 the depth that the ray there must not exceed: ceiling <- min(ceiling, depth) + k step; a node is lit iff
 depth <= ceiling. A line that leaves the map goes on at its other side, as a new line (open, dark) or as itself (periodic).
 
-  depth   (rows, cols)        float  [length]  +inf where masked: blocks nothing, never lit
-  walks   (walks, 8)          int    i, j (not 0), warm-up steps, their x and y offset, parts, 0, 0; |i| < cols
+  maps    (2, room)           float  [length]  depth (rows, cols) and the same turned, (cols, rows); +inf where masked:
+                                               blocks nothing, never lit; room: pixels, rounded up for whole vectors
+  walks   (walks, 8)          int    i, j (not 0, and |i| less than the map is wide), warm-up steps, their x and y offset,
+                                     parts, which map, which plane; those of the turned map are the turned ones
   rise    (walks, BITS)       float  [length]  k step, what the ray climbs per step
   lap     (walks, lap_lines)  float  [length]  periodic: first ceiling of the k = 0 ray, the least depth of its cycle
-  planes  (walks, room)       uchar  out: bit b is set where the walk's b-th elevation is lit; room: pixels, rounded up
-  rows, cols, room, lap_lines, periodic (0 or 1)
+  planes  (planes, room)      uchar  out: bit b is set where the walk's b-th elevation is lit
+  map_rows, map_cols, room, lap_lines, periodic (0 or 1)
 
 Work-item (g, w) owns LANES adjacent lines of walk w, side by side in x; AHEAD depths are fetched before they are used.
 No sums, only min and + in the order of the line: every bit is exact. Twin of warp_kernels/scan.py. */
 #include "lanes.h"
 
-__kernel void scan(__global const float *depth, __global const int *walks, __global const float *rise,
-                   __global const float *lap, __global uchar *planes, int rows, int cols, int room, int lap_lines,
-                   int periodic)
+__kernel void scan(__global const float *maps, __global const int *walks, __global const float *rise,
+                   __global const float *lap, __global uchar *planes, int map_rows, int map_cols, int room,
+                   int lap_lines, int periodic)
 {
-  const int w = get_global_id(1);
+  const int w = get_global_id(1), turned = walks[8 * w + 6];
+  const int rows = turned ? map_cols : map_rows, cols = turned ? map_rows : map_cols;
+  __global const float *depth = maps + (turned ? room : 0);
   const int i = walks[8 * w], j = walks[8 * w + 1], warm = walks[8 * w + 2], stride = abs(j);
-  __global uchar *plane = planes + (size_t)w * room;
+  __global uchar *plane = planes + (size_t)walks[8 * w + 7] * room;
 
   /* 1. which lines: side by side across the map, one set per residue of the stride */
   const int groups = (cols + LANES - 1) / LANES;
@@ -95,27 +99,43 @@ __kernel void scan(__global const float *depth, __global const int *walks, __glo
   }
 }
 
-/* turn_depth: (rows, cols) -> (cols, rows), so that walks along rows become walks along columns.
+/* turn_map: the second of `maps`, (cols, rows), from the first, (rows, cols), so that walks along rows become walks along
+columns. turn_planes: planes of the turned map, (cols, rows), to planes of the map; the pairs (from, to) are given.
 
-turn_planes: planes (walks, room) of the turned map, (cols, rows) -> of the map itself, (rows, cols).
-
-Work-item (gx, gy[, w]) owns SIDE x SIDE nodes. */
+Work-item (g, w) owns SIDE x SIDE nodes; 32 neighbours own a patch of 8 x 4 such blocks, so that both sides of the copy
+stay within few cache lines. */
 #define SIDE 4
-__kernel void turn_depth(__global const float *depth, __global float *turned, int rows, int cols)
+#define PATCH_X 8
+#define PATCH_Y 4
+
+int block_x(int g, int cols)
 {
-  const int x0 = get_global_id(0) * SIDE, y0 = get_global_id(1) * SIDE;
-  for (int y = y0; y < min(y0 + SIDE, rows); ++y)
-    for (int x = x0; x < min(x0 + SIDE, cols); ++x)
-      turned[(size_t)x * rows + y] = depth[(size_t)y * cols + x];
+  const int patches = (cols + PATCH_X * SIDE - 1) / (PATCH_X * SIDE), patch = g / (PATCH_X * PATCH_Y);
+  return ((patch % patches) * PATCH_X + g % PATCH_X) * SIDE;
 }
 
-__kernel void turn_planes(__global const uchar *turned, __global uchar *planes, int rows, int cols, int room)
+int block_y(int g, int cols)
 {
-  const int x0 = get_global_id(0) * SIDE, y0 = get_global_id(1) * SIDE;
-  const size_t plane = get_global_id(2) * (size_t)room;
+  const int patches = (cols + PATCH_X * SIDE - 1) / (PATCH_X * SIDE), patch = g / (PATCH_X * PATCH_Y);
+  return ((patch / patches) * PATCH_Y + g / PATCH_X % PATCH_Y) * SIDE;
+}
+
+__kernel void turn_map(__global float *maps, int rows, int cols, int room)
+{
+  const int x0 = block_x(get_global_id(0), cols), y0 = block_y(get_global_id(0), cols);
+  for (int y = y0; y < min(y0 + SIDE, rows); ++y)
+    for (int x = x0; x < min(x0 + SIDE, cols); ++x)
+      maps[room + x * rows + y] = maps[y * cols + x];
+}
+
+__kernel void turn_planes(__global uchar *planes, __global const int *pairs, int rows, int cols, int room)
+{
+  const int x0 = block_x(get_global_id(0), cols), y0 = block_y(get_global_id(0), cols), w = get_global_id(1);
+  __global const uchar *turned = planes + (size_t)pairs[2 * w] * room;
+  __global uchar *plane = planes + (size_t)pairs[2 * w + 1] * room;
   for (int x = x0; x < min(x0 + SIDE, cols); ++x)
     for (int y = y0; y < min(y0 + SIDE, rows); ++y)
-      planes[plane + (size_t)y * cols + x] = turned[plane + (size_t)x * rows + y];
+      plane[y * cols + x] = turned[x * rows + y];
 }
 
 /* pack: planes of some walks -> packed visibility bits, direction d in bit d % 32 of word d // 32.

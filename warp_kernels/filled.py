@@ -15,7 +15,7 @@ NOTHING = wp.constant(wp.float32(3.4028234663852886e38))  # as in scan
 
 
 @wp.func
-def depth_at(depth: wp.array2d[wp.float32], x: wp.int32, y: wp.int32, rows: wp.int32, cols: wp.int32, periodic: wp.int32):
+def depth_at(maps: wp.array2d[wp.float32], turned: wp.int32, x: wp.int32, y: wp.int32, rows: wp.int32, cols: wp.int32, periodic: wp.int32):
     """Depth of a node; +inf off a map that does not repeat."""
     cx = x
     cy = y
@@ -24,7 +24,7 @@ def depth_at(depth: wp.array2d[wp.float32], x: wp.int32, y: wp.int32, rows: wp.i
         cy = (y % rows + rows) % rows
     if cx < 0 or cx >= cols or cy < 0 or cy >= rows:
         return wp.float32(wp.inf)
-    return depth[cy, cx]
+    return maps[turned, cy * cols + cx]
 
 
 @functools.cache
@@ -32,8 +32,7 @@ def scan_filled(BITS: int):
     """As scan, and between a node and the next one towards the source the depths of the crossings, linear between two
     nodes, lower the ceiling too. All depths are multiplied by the walk's `parts`, so that whole layers stay exact.
 
-      depth, lap, planes, rows, cols, room, lap_lines, periodic  as in scan
-      walks      (walks, 8)     int32    as in scan
+      maps, walks, lap, planes, map_rows, map_cols, room, lap_lines, periodic  as in scan
       rise       (walks, BITS)  float32  [length x parts] per step
       crossings  (n, 8)         int32    x, y of a node, x, y to the next node on that line, the weights of both, when, parts
       climbs     (n, BITS)      float32  [length x parts] what the ray climbs until the crossing
@@ -45,7 +44,7 @@ def scan_filled(BITS: int):
 
     @wp.kernel(module="unique", module_options=OPTIONS)
     def scan_filled(
-        depth: wp.array2d[wp.float32],
+        maps: wp.array2d[wp.float32],
         walks: wp.array2d[wp.int32],
         rise: wp.array2d[wp.float32],
         lap: wp.array2d[wp.float32],
@@ -53,8 +52,8 @@ def scan_filled(BITS: int):
         climbs: wp.array2d[wp.float32],
         spans: wp.array2d[wp.int32],
         planes: wp.array2d[wp.uint8],
-        rows: wp.int32,
-        cols: wp.int32,
+        map_rows: wp.int32,
+        map_cols: wp.int32,
         room: wp.int32,
         lap_lines: wp.int32,
         periodic: wp.int32,
@@ -63,6 +62,13 @@ def scan_filled(BITS: int):
         i = walks[w, 0]
         j = walks[w, 1]
         warm = walks[w, 2]
+        turned = walks[w, 6]
+        plane = walks[w, 7]
+        rows = map_rows
+        cols = map_cols
+        if turned != 0:
+            rows = map_cols
+            cols = map_rows
         stride = wp.abs(j)
         parts = wp.float32(walks[w, 5])
 
@@ -100,21 +106,21 @@ def scan_filled(BITS: int):
             for c in range(spans[w, 0], spans[w, 0] + spans[w, 1] - 1):
                 nx = x + crossings[c, 0]
                 ny = y + crossings[c, 1]
-                near = depth_at(depth, nx, ny, rows, cols, periodic)
-                far = depth_at(depth, nx + crossings[c, 2], ny + crossings[c, 3], rows, cols, periodic)
+                near = depth_at(maps, turned, nx, ny, rows, cols, periodic)
+                far = depth_at(maps, turned, nx + crossings[c, 2], ny + crossings[c, 3], rows, cols, periodic)
                 if near < wp.inf and far < wp.inf:
                     ground = wp.float32(crossings[c, 4]) * near + wp.float32(crossings[c, 5]) * far
                     for b in range(BITS):
                         ceiling[b] = wp.min(ground + climbs[c, b], ceiling[b])
             # 5. the bits of this node, and the ceiling of the next
-            z = depth[y, x] * parts
+            z = maps[turned, y * cols + x] * parts
             lit = wp.int32(0)
             for b in range(BITS):
                 if z <= ceiling[b]:
                     lit |= 1 << b
                 ceiling[b] = wp.min(z, ceiling[b]) + rise[w, b]
             if u >= 0:
-                planes[w, y * cols + x] = wp.uint8(lit)
+                planes[plane, y * cols + x] = wp.uint8(lit)
             x -= i
             if wp.uint32(x) >= wp.uint32(cols):
                 x += turn_x

@@ -15,6 +15,8 @@ ints = wp.types.vector(AHEAD, wp.int32)
 depths = wp.types.vector(AHEAD, wp.float32)
 NOTHING = wp.constant(wp.float32(3.4028234663852886e38))  # the largest float32: finite, so that a masked node never passes
 SIDE = wp.constant(4)
+PATCH_X = wp.constant(8)
+PATCH_Y = wp.constant(4)
 
 
 @functools.cache
@@ -23,12 +25,14 @@ def scan(BITS: int):
     the depth that the ray there must not exceed: ceiling <- min(ceiling, depth) + k step; a node is lit iff
     depth <= ceiling. A line that leaves the map goes on at its other side, as a new line (open, dark) or as itself (periodic).
 
-      depth   (rows, cols)        float32  [length]  +inf where masked: blocks nothing, never lit
-      walks   (walks, 8)          int32    i, j (not 0), warm-up steps, their x and y offset, parts, 0, 0; |i| < cols
+      maps    (2, room)           float32  [length]  depth (rows, cols) and the same turned, (cols, rows); +inf where masked:
+                                                     blocks nothing, never lit; room: pixels, rounded up for whole vectors
+      walks   (walks, 8)          int32    i, j (not 0, and |i| less than the map is wide), warm-up steps, their x and y
+                                           offset, parts, which map, which plane; those of the turned map are the turned ones
       rise    (walks, BITS)       float32  [length]  k step, what the ray climbs per step
       lap     (walks, lap_lines)  float32  [length]  periodic: first ceiling of the k = 0 ray, the least depth of its cycle
-      planes  (walks, room)       uint8    out: bit b is set where the walk's b-th elevation is lit; room: pixels, rounded up
-      rows, cols, room, lap_lines, periodic (0 or 1)
+      planes  (planes, room)      uint8    out: bit b is set where the walk's b-th elevation is lit
+      map_rows, map_cols, room, lap_lines, periodic (0 or 1)
 
     Thread (w, line) owns one line of walk w; AHEAD depths are fetched before they are used.
     No sums, only min and + in the order of the line: every bit is exact.
@@ -37,13 +41,13 @@ def scan(BITS: int):
 
     @wp.kernel(module="unique", module_options=OPTIONS)
     def scan(
-        depth: wp.array[wp.float32],
+        maps: wp.array2d[wp.float32],
         walks: wp.array2d[wp.int32],
         rise: wp.array2d[wp.float32],
         lap: wp.array2d[wp.float32],
         planes: wp.array2d[wp.uint8],
-        rows: wp.int32,
-        cols: wp.int32,
+        map_rows: wp.int32,
+        map_cols: wp.int32,
         room: wp.int32,
         lap_lines: wp.int32,
         periodic: wp.int32,
@@ -52,6 +56,13 @@ def scan(BITS: int):
         i = walks[w, 0]
         j = walks[w, 1]
         warm = walks[w, 2]
+        turned = walks[w, 6]
+        plane = walks[w, 7]
+        rows = map_rows
+        cols = map_cols
+        if turned != 0:
+            rows = map_cols
+            cols = map_rows
         stride = wp.abs(j)
 
         # 1. which line: side by side across the map, one set per residue of the stride
@@ -94,7 +105,7 @@ def scan(BITS: int):
             for a in range(AHEAD):  # past the end of the line this fetches in vain, but within the map
                 xs[a] = x
                 ats[a] = y * cols
-                z[a] = depth[ats[a] + x]
+                z[a] = maps[turned, ats[a] + x]
                 x -= i
                 if wp.uint32(x) >= wp.uint32(cols):
                     x += turn_x
@@ -113,27 +124,51 @@ def scan(BITS: int):
                         lit |= 1 << b
                     ceiling[b] = wp.min(z[a], ceiling[b]) + climb[b]
                 if wp.uint32(u + a) < wp.uint32(count):
-                    planes[w, ats[a] + xs[a]] = wp.uint8(lit)
+                    planes[plane, ats[a] + xs[a]] = wp.uint8(lit)
 
     return scan
 
 
-@wp.kernel
-def turn_depth(depth: wp.array2d[wp.float32], turned: wp.array2d[wp.float32], rows: wp.int32, cols: wp.int32):
-    """(rows, cols) -> (cols, rows), so that walks along rows become walks along columns. Thread (gy, gx) owns SIDE x SIDE nodes."""
-    gy, gx = wp.tid()
-    for y in range(gy * SIDE, wp.min(gy * SIDE + SIDE, rows)):
-        for x in range(gx * SIDE, wp.min(gx * SIDE + SIDE, cols)):
-            turned[x, y] = depth[y, x]
+@wp.func
+def block_x(g: wp.int32, cols: wp.int32):
+    patches = (cols + PATCH_X * SIDE - 1) // (PATCH_X * SIDE)
+    patch = g // (PATCH_X * PATCH_Y)
+    return ((patch % patches) * PATCH_X + g % PATCH_X) * SIDE
+
+
+@wp.func
+def block_y(g: wp.int32, cols: wp.int32):
+    patches = (cols + PATCH_X * SIDE - 1) // (PATCH_X * SIDE)
+    patch = g // (PATCH_X * PATCH_Y)
+    return ((patch // patches) * PATCH_Y + g // PATCH_X % PATCH_Y) * SIDE
 
 
 @wp.kernel
-def turn_planes(turned: wp.array2d[wp.uint8], planes: wp.array2d[wp.uint8], rows: wp.int32, cols: wp.int32, room: wp.int32):
-    """Planes (walks, room) of the turned map, (cols, rows) -> of the map itself. Thread (w, gy, gx) owns SIDE x SIDE nodes."""
-    w, gy, gx = wp.tid()
-    for x in range(gx * SIDE, wp.min(gx * SIDE + SIDE, cols)):
-        for y in range(gy * SIDE, wp.min(gy * SIDE + SIDE, rows)):
-            planes[w, y * cols + x] = turned[w, x * rows + y]
+def turn_map(maps: wp.array2d[wp.float32], rows: wp.int32, cols: wp.int32, room: wp.int32):
+    """The second of `maps`, (cols, rows), from the first, (rows, cols), so that walks along rows become walks along columns.
+
+    Thread g owns SIDE x SIDE nodes; 32 neighbours own a patch of 8 x 4 such blocks, so that both sides of the copy stay
+    within few cache lines.
+    """
+    g = wp.tid()
+    x0 = block_x(g, cols)
+    y0 = block_y(g, cols)
+    for y in range(y0, wp.min(y0 + SIDE, rows)):
+        for x in range(x0, wp.min(x0 + SIDE, cols)):
+            maps[1, x * rows + y] = maps[0, y * cols + x]
+
+
+@wp.kernel
+def turn_planes(planes: wp.array2d[wp.uint8], pairs: wp.array2d[wp.int32], rows: wp.int32, cols: wp.int32, room: wp.int32):
+    """Planes of the turned map, (cols, rows), to planes of the map; the pairs (from, to) are given. Thread (w, g) as in turn_map."""
+    w, g = wp.tid()
+    turned = pairs[w, 0]
+    plane = pairs[w, 1]
+    x0 = block_x(g, cols)
+    y0 = block_y(g, cols)
+    for x in range(x0, wp.min(x0 + SIDE, cols)):
+        for y in range(y0, wp.min(y0 + SIDE, rows)):
+            planes[plane, y * cols + x] = planes[turned, x * rows + y]
 
 
 @functools.cache

@@ -16,7 +16,7 @@ from ..sources import SKY, Geometry
 from .tables import Group, crossings_of, lap_table, walk_groups
 
 ROOM = 32  # pixel arrays end with room for whole vectors
-SIDE = 4  # nodes on a side of what a work-item transposes
+SIDE, PATCH = 4, (8, 4)  # nodes on a side of a block that a work-item turns, blocks (across, down) of a patch; as in opencl/scan.cl
 SIDES = {"open": 0, "dark": 1, "periodic": 2}
 
 Progress = Callable[[int, int], None]
@@ -74,6 +74,10 @@ class Backend:
         """A copy of a device array in NumPy, after all launches before it are done."""
         raise NotImplementedError
 
+    def view(self, array, shape: tuple[int, ...]):
+        """The first elements of a device array, seen in another shape; no copy."""
+        raise NotImplementedError
+
     def launch(self, stem: str, kernel: str, dim: tuple[int, ...], *args, bits: int = 0, lanes: int | None = None) -> None:
         """Run ``kernel`` of module ``stem`` over ``dim`` work-items; Python ints are passed as int32, floats as float64.
 
@@ -118,7 +122,9 @@ class Backend:
         for layer in range(layers):
             active = self.empty((1,), np.int32, 0)
             if layer:
-                surface.renew(self.download(surface.depth) if surface.periodic else None)
+                surface.turn()
+                if surface.periodic:
+                    surface.find_laps(surface.depths())
             for number, (group, table) in enumerate(zip(surface.groups, tables)):
                 planes = surface.scan(number)
                 self.launch("carve", "carve", (pixels,), planes, table, light, low, high, side, surface.depth, active, pixels, surface.room, group.count,
@@ -127,7 +133,7 @@ class Backend:
                 progress(layer + 1, layers)
             if not self.download(active)[0]:
                 break
-        return self.download(surface.depth).astype(np.int32)
+        return surface.depths().astype(np.int32)
 
     def field(self, problem: Problem, layers: int, progress: Progress | None = None) -> np.ndarray:
         """The visibility field (layers, words, rows, cols) uint32 for depths in layers (step 1), bits packed as everywhere."""
@@ -140,6 +146,7 @@ class OnDevice(NamedTuple):
     """A group of walks with its tables on the device; names as in Group, and what clipping and launching need besides."""
 
     host: Group
+    pairs: object
     walks: object
     rise: object
     crossings: object
@@ -147,9 +154,9 @@ class OnDevice(NamedTuple):
     spans: object
     directions: object
     steps: object  # (count, bits, 4) i, j, k, number
-    ways: object  # crossings and spans of the map as it lies, for rays that lamps send
+    ways: object  # crossings and spans of the map as it lies, for the rays of lamps
     way_spans: object
-    dim: tuple[int, int]
+    lines: int
 
     @property
     def order(self) -> np.ndarray:
@@ -165,10 +172,7 @@ class OnDevice(NamedTuple):
 
 
 class Surface:
-    """A map on a device, ready to be scanned group by group of walks; one buffer of planes serves all groups.
-
-    Walks along rows (j = 0) are walks along columns of the turned map, so that neighbours in memory stay neighbours.
-    """
+    """A map on a device, ready to be scanned group by group of walks; one buffer of planes serves all groups."""
 
     def __init__(self, backend: Backend, problem: Problem, relief: float | None = None):
         self.backend, self.problem = backend, problem
@@ -176,60 +180,73 @@ class Surface:
         most = max(1, int(backend.memory // 3 // self.room))
         relief = problem.relief if relief is None else relief
         groups = walk_groups(problem.steps, problem.depth.shape, relief, problem.step, self.periodic, problem.filled, most)
-        self.depth = backend.upload(problem.depth)
-        self.turned = backend.empty(problem.depth.shape[::-1], np.float32)
-        self.planes = backend.empty((max(g.count for g in groups), self.room), np.uint8)
-        self.turned_planes = backend.empty((max((g.count for g in groups if g.turned), default=1), self.room), np.uint8)
+        maps = np.zeros((2, self.room), np.float32)
+        maps[0, : problem.pixels] = problem.depth.ravel()
+        self.maps = backend.upload(maps)
+        self.depth = backend.view(self.maps, problem.depth.shape)
+        self.planes = backend.empty((max(g.count + len(g.pairs) for g in groups), self.room), np.uint8)
         self.numbers, self.flags = backend.upload(problem.geometry.numbers), backend.upload(problem.geometry.flags)
         self.groups = [self._put(group) for group in groups]
-        self.renew(problem.depth)
+        self.turn()
+        self.find_laps(problem.depth)
 
     @property
     def periodic(self) -> bool:
         return self.problem.sides == "periodic"
 
+    def depths(self) -> np.ndarray:
+        """The depths (rows, cols) that the device now holds."""
+        return self.backend.download(self.maps)[0, : self.problem.pixels].reshape(self.problem.depth.shape)
+
     def _put(self, group: Group) -> OnDevice:
-        put, shape = self.backend.upload, self.problem.depth.shape
-        rows, cols = shape[::-1] if group.turned else shape
-        lines = max(min(abs(j), rows) for j in group.walks[:, 1].tolist()) * -(-cols // self.backend.lanes)
+        put = self.backend.upload
+        lines = 0
+        for _, j, _, _, _, _, turned, _ in group.walks.tolist():
+            rows, cols = self.problem.depth.shape[:: -1 if turned else 1]
+            lines = max(lines, min(abs(j), rows) * -(-cols // self.backend.lanes))
         steps = np.concatenate([self.problem.steps[group.directions] * [1, 1, -1], group.directions[..., None]], -1).astype(np.int32)
         points = [crossings_of(i, j, self.problem.filled)[0] for i, j in steps[:, 0, :2].tolist()]
         counts = np.array([len(p) for p in points])
         spans = np.stack([np.cumsum(counts) - counts, counts], 1).astype(np.int32)
-        return OnDevice(group, put(group.walks), put(group.rise), put(group.crossings), put(group.climbs), put(group.spans), put(group.directions),
-                        put(steps), put(np.array(sum(points, []), np.int32)), put(spans), (lines, group.count))
+        return OnDevice(group, put(group.pairs) if len(group.pairs) else None, *map(put, group[1:]), put(steps), put(np.array(sum(points, []), np.int32)), put(spans), lines)
 
-    def renew(self, depth: np.ndarray | None = None) -> None:
-        """Follow a change of the depths on the device; ``depth``: the same in NumPy, needed where the map repeats."""
+    def turn(self) -> None:
+        """Make the turned map follow a change of the depths on the device."""
+        self.backend.launch("scan", "turn_map", (self._blocks(),), self.maps, *self.problem.depth.shape, self.room)
+
+    def _blocks(self) -> int:
         rows, cols = self.problem.depth.shape
-        if any(group.host.turned for group in self.groups):
-            self.backend.launch("scan", "turn_depth", (-(-cols // SIDE), -(-rows // SIDE)), self.depth, self.turned, rows, cols)
-        self.laps = [self._laps(group, depth) for group in self.groups]
+        return -(-rows // (SIDE * PATCH[1])) * -(-cols // (SIDE * PATCH[0])) * PATCH[0] * PATCH[1]
 
-    def _laps(self, group, depth):
-        lap = np.zeros((group.count, 1), np.float32)
-        if self.periodic and not group.host.rise[:, 0].all():
-            ways = [(j, i) if group.host.turned else (i, j) for i, j in self.problem.steps[group.order[:, 0], :2].tolist()]
-            lap = lap_table(depth.T if group.host.turned else depth, ways, self.problem.filled)
-        return self.backend.upload(lap), lap.shape[1]
+    def find_laps(self, depth: np.ndarray) -> None:
+        """Where the map repeats: the first ceilings of the level rays for these depths."""
+        self.laps = []
+        for group in self.groups:
+            lap = np.zeros((group.count, 1), np.float32)
+            if self.periodic and not group.host.rise[:, 0].all():
+                turned = group.host.walks[:, 6] != 0
+                ways = self.problem.steps[group.order[:, 0], :2].tolist()
+                tables = [lap_table(depth.T if t else depth, [way[::-1] if t else way], self.problem.filled)[0] for way, t in zip(ways, turned)]
+                lap = np.zeros((group.count, max(map(len, tables))), np.float32)
+                for row, table in zip(lap, tables):
+                    row[: len(table)] = table
+            self.laps.append((self.backend.upload(lap), lap.shape[1]))
 
     def scan(self, number: int):
-        """The planes (walks, room) uint8 of a group; overwritten by the next scan."""
+        """The planes of a group, its walks first: (walks and more, room) uint8; overwritten by the next scan."""
         group, problem, launch = self.groups[number], self.problem, self.backend.launch
-        rows, cols = problem.depth.shape
-        turned = group.host.turned
-        depth, planes, shape = (self.turned, self.turned_planes, (cols, rows)) if turned else (self.depth, self.planes, (rows, cols))
+        shape = problem.depth.shape
         lap, lap_lines = self.laps[number]
-        tail = (planes, *shape, self.room, lap_lines, int(self.periodic))
+        tail = (self.planes, *shape, self.room, lap_lines, int(self.periodic))
         if problem.filled:
-            launch("filled", "scan_filled", group.dim, depth, group.walks, group.rise, lap, group.crossings, group.climbs, group.spans, *tail, bits=group.bits)
+            launch("filled", "scan_filled", (group.lines, group.count), self.maps, group.walks, group.rise, lap, group.crossings, group.climbs, group.spans, *tail, bits=group.bits)
         else:
-            launch("scan", "scan", group.dim, depth, group.walks, group.rise, lap, *tail, bits=group.bits)
-        if turned:
-            launch("scan", "turn_planes", (-(-cols // SIDE), -(-rows // SIDE), group.count), planes, self.planes, rows, cols, self.room)
+            launch("scan", "scan", (group.lines, group.count), self.maps, group.walks, group.rise, lap, *tail, bits=group.bits)
+        if group.pairs is not None:
+            launch("scan", "turn_planes", (self._blocks(), len(group.host.pairs)), self.planes, group.pairs, *shape, self.room)
         if problem.clips:
             geometry = problem.geometry
-            launch("source", "clip", (problem.pixels,), self.depth, group.steps, group.ways, group.way_spans, self.numbers, self.flags, self.planes, rows, cols,
+            launch("source", "clip", (problem.pixels,), self.depth, group.steps, group.ways, group.way_spans, self.numbers, self.flags, self.planes, *shape,
                    self.room, len(geometry.flags), geometry.kind, SIDES[problem.sides], float(problem.step), group.count, bits=group.bits)
         return self.planes
 
@@ -248,6 +265,7 @@ class Light:
     def run(self) -> None:
         surface, backend, problem = self.surface, self.surface.backend, self.surface.problem
         rows, cols = problem.depth.shape
+        surface.turn()
         backend.launch("luminance", "gradient", (cols, rows), surface.depth, self.slopes, rows, cols, surface.room, 0.5 / problem.step, 1 / problem.step)
         last = len(surface.groups) - 1
         for number, (group, table) in enumerate(zip(surface.groups, self.tables)):

@@ -40,6 +40,9 @@ class NumpyBackend(Backend):
     def download(self, array):
         return array.copy()
 
+    def view(self, array, shape):
+        return array.reshape(-1)[: np.prod(shape)].reshape(shape)
+
     def launch(self, stem, kernel, dim, *args, bits=0, lanes=None):
         with np.errstate(invalid="ignore", divide="ignore", over="ignore"):  # masked nodes are +inf
             globals()[kernel](*args)
@@ -73,45 +76,54 @@ def _sweep(depth, i, j, warm, first_ceiling, periodic, lower, climb):
                 ceiling[:, slice(-i, None) if i > 0 else slice(0, -i)] = NOTHING
 
 
-def _scan_walk(depth, walk, climb, lap, plane, periodic, lower):
-    rows, cols = depth.shape
+def _scan_walk(maps, walk, climb, lap, planes, shape, periodic, lower=None):
+    i, j, warm, _, _, parts, turned, plane = walk.tolist()
+    depth = _map(maps, turned, shape)
     bits = len(climb)
 
     def first_ceiling(line):
-        ceiling = np.full((bits, cols), NOTHING)
+        ceiling = np.full((bits, depth.shape[1]), NOTHING)
         if periodic and climb[0] == 0:
-            ceiling[0] = lap[line : line + cols]
+            ceiling[0] = lap[line : line + depth.shape[1]]
         return ceiling
 
-    plane = plane[: depth.size].reshape(depth.shape)
+    out = planes[plane, : depth.size].reshape(depth.shape)
     weights = (1 << np.arange(bits, dtype=np.uint8))[:, None]
-    for row, z, ceiling in _sweep(depth, *walk[:3].tolist(), first_ceiling, periodic, lower, climb[:, None]):
-        plane[row] = ((z <= ceiling) * weights).sum(0, dtype=np.uint8)
+    scaled = depth * np.float32(parts) if lower else depth
+    for row, z, ceiling in _sweep(scaled, i, j, warm, first_ceiling, periodic, lower or (lambda ceiling, row: None), climb[:, None]):
+        out[row] = ((z <= ceiling) * weights).sum(0, dtype=np.uint8)
 
 
-def scan(depth, walks, rise, lap, planes, rows, cols, room, lap_lines, periodic):
+def _map(maps, turned, shape):
+    shape = shape[::-1] if turned else shape
+    return maps[turned, : shape[0] * shape[1]].reshape(shape)
+
+
+def scan(maps, walks, rise, lap, planes, map_rows, map_cols, room, lap_lines, periodic):
     for w, walk in enumerate(walks):
-        _scan_walk(depth, walk, rise[w], lap[w], planes[w], periodic, lambda ceiling, row: None)
+        _scan_walk(maps, walk, rise[w], lap[w], planes, (map_rows, map_cols), periodic)
 
 
-def scan_filled(depth, walks, rise, lap, crossings, climbs, spans, planes, rows, cols, room, lap_lines, periodic):
+def scan_filled(maps, walks, rise, lap, crossings, climbs, spans, planes, map_rows, map_cols, room, lap_lines, periodic):
     for w, walk in enumerate(walks):
         begin, end = spans[w, 0], spans[w].sum() - 1
+        depth = _map(maps, walk[6], (map_rows, map_cols))
 
-        def lower(ceiling, row, begin=begin, end=end):
+        def lower(ceiling, row, begin=begin, end=end, depth=depth):
             for c in range(begin, end):
                 np.minimum(ceiling, _ground(depth, crossings[c], row, periodic) + climbs[c][:, None], out=ceiling)
 
-        _scan_walk(depth * np.float32(walk[5]), walk, rise[w], lap[w], planes[w], periodic, lower)
+        _scan_walk(maps, walk, rise[w], lap[w], planes, (map_rows, map_cols), periodic, lower)
 
 
-def turn_depth(depth, turned, rows, cols):
-    turned[...] = depth.T
+def turn_map(maps, rows, cols, room):
+    _map(maps, 1, (rows, cols))[...] = _map(maps, 0, (rows, cols)).T
 
 
-def turn_planes(turned, planes, rows, cols, room):
+def turn_planes(planes, pairs, rows, cols, room):
     n = rows * cols
-    planes[: len(turned), :n] = turned[:, :n].reshape(-1, cols, rows).swapaxes(1, 2).reshape(-1, n)
+    for turned, plane in pairs:
+        planes[plane, :n].reshape(rows, cols)[...] = planes[turned, :n].reshape(cols, rows).T
 
 
 def _ground(depth, crossing, row, periodic):

@@ -13,6 +13,7 @@ from .base import Backend
 OPTIONS = ("-cl-std=CL1.2",)
 CPU_LANES = 8
 GPU_PIXELS = 4
+GPU_AHEAD = 8  # depths that a scan fetches before it uses them; a CPU sees ahead by itself
 
 
 def probe():
@@ -71,6 +72,9 @@ class OpenclBackend(Backend):
     def download(self, array):
         return array.get()
 
+    def view(self, array, shape):
+        return array  # a kernel is given a pointer
+
     def finish(self):
         self.queue.finish()
 
@@ -97,7 +101,7 @@ class OpenclBackend(Backend):
         from skylamp.opencl import source
 
         start = time.perf_counter()
-        defines = [f"-DLANES={lanes}", f"-DBITS={bits}", f"-DAHEAD={1 if self.on_cpu else 8}"]
+        defines = [f"-DLANES={lanes}", f"-DBITS={bits}", f"-DAHEAD={1 if self.on_cpu else GPU_AHEAD}"]
         try:
             program = self.cl.Program(self.context, source(stem)).build([*OPTIONS, *defines])
         except self.cl.Error as error:

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 BYTE = 8  # visibility bits of one walk and node that a plane holds
+FREE = 1e30  # a rise after which nothing blocks; so small beside the largest float32 that adding it changes nothing there
 
 
 class Group(NamedTuple):
@@ -15,11 +16,12 @@ class Group(NamedTuple):
 
     The kernels' arguments of these names, see opencl/scan.cl, source.cl and filled.cl: walks (count, 8) int32,
     rise (count, bits) float32, crossings (n, 8) int32, climbs (n, bits) float32, spans (count, 2) int32, and
-    directions (count, bits) int32, the number of each direction. ``turned``: these walks go along rows, so walks,
-    crossings and spans are those of the transposed map.
+    directions (count, bits) int32, the number of each direction. Walks along rows (j = 0) are walks along columns of the
+    turned map, so that neighbours in memory stay neighbours; what they write is turned back, plane by plane: pairs
+    (turned walks, 2) int32, (from, to).
     """
 
-    turned: bool
+    pairs: np.ndarray
     walks: np.ndarray
     rise: np.ndarray
     crossings: np.ndarray
@@ -45,42 +47,40 @@ def walk_groups(steps: np.ndarray, shape: tuple[int, int], relief: float, step: 
     for way, members in ways.items():
         chunks += [(way, part) for part in np.array_split(np.array(sorted(members)), -(-len(members) // BYTE))]
 
-    def kind(chunk):
-        (i, j), members = chunk
-        return -len(members), j == 0 and i != 0
-
-    # Within a kind the longest lines first, so that none is left to run alone at the end.
-    chunks.sort(key=lambda c: (*kind(c), abs(c[0][1]) or abs(c[0][0]), c[0], c[1][0, 0]))
+    # Many elevations first; within a size the longest lines first, so that none is left to run alone at the end.
+    chunks.sort(key=lambda c: (-len(c[1]), abs(c[0][1]) or abs(c[0][0]), c[0], c[1][0, 0]))
     groups = []
     while chunks:
-        count = min(most, sum(kind(c) == kind(chunks[0]) for c in chunks))
-        groups.append(_group(chunks[:count], kind(chunks[0])[1], shape, relief, step, periodic, filled))
+        count = min(most, sum(len(c[1]) == len(chunks[0][1]) for c in chunks))
+        groups.append(_group(chunks[:count], shape, relief, step, periodic, filled))
         chunks = chunks[count:]
     return groups
 
 
-def _group(chunks, turned, shape, relief, step, periodic, filled):
-    rows, cols = reversed(shape) if turned else shape
-    walks, spans, crossings, climbs = [], [], [], []
-    for (i, j), members in chunks:
+def _group(chunks, shape, relief, step, periodic, filled):
+    walks, spans, crossings, climbs, rise, pairs = [], [], [], [], [], []
+    for w, ((i, j), members) in enumerate(chunks):
         k = members[:, 0]
-        if turned:
-            i, j = j, i
+        turned = j == 0 and i != 0
+        i, j = (j, i) if turned else (i, j)
+        rows, cols = shape[::-1] if turned else shape
         points, parts = crossings_of(i, j, filled)
         spans.append((len(crossings), len(points)))
         crossings += points
         climbs += [point[6] * k * step for point in points]
-        if periodic:
-            i %= cols
-        if (i == 0 and j == 0) or abs(i) >= cols:
-            i, j = 0, rows  # straight up, or off the map at once: every node is a line of its own
-        climbing = k[k > 0]  # a level ray starts from its whole cycle instead
-        warm = min(cycle_length(i, j, rows, cols), math.ceil(relief / (climbing.min() * step)) + 1) if periodic and len(climbing) else 0
-        walks.append((i, j, warm, warm * i % cols, warm * j % rows, parts, 0, 0))
-    walks = np.array(walks, np.int32)
-    k = np.array([members[:, 0] for _, members in chunks], float)
-    return Group(turned, walks, (k * step * walks[:, 5:6]).astype(np.float32), np.array(crossings, np.int32), np.array(climbs, np.float32),
-                 np.array(spans, np.int32), np.array([members[:, 1] for _, members in chunks], np.int32))
+        i = i % cols if periodic else i
+        if (i == 0 and j == 0) or abs(i) >= cols:  # straight up, or off the map at once: no node stands in another's way
+            i, j, warm = 0, 1, 0
+            rise.append(np.full(len(k), FREE))
+        else:
+            climbing = k[k > 0]  # a level ray starts from its whole cycle instead
+            warm = min(cycle_length(i, j, rows, cols), math.ceil(relief / (climbing.min() * step)) + 1) if periodic and len(climbing) else 0
+            rise.append(k * step * parts)
+        if turned:
+            pairs.append((len(chunks) + len(pairs), w))
+        walks.append((i, j, warm, warm * i % cols, warm * j % rows, parts, turned, pairs[-1][0] if turned else w))
+    return Group(np.array(pairs, np.int32).reshape(-1, 2), np.array(walks, np.int32), np.array(rise, np.float32), np.array(crossings, np.int32),
+                 np.array(climbs, np.float32), np.array(spans, np.int32), np.array([members[:, 1] for _, members in chunks], np.int32))
 
 
 def cycle_length(i: int, j: int, rows: int, cols: int) -> int:

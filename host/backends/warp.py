@@ -64,6 +64,9 @@ class WarpBackend(Backend):
     def download(self, array):
         return np.array(array.numpy())
 
+    def view(self, array, shape):
+        return self.wp.array(ptr=array.ptr, dtype=array.dtype, shape=shape, device=array.device)
+
     def finish(self):
         self.wp.synchronize_device(self._device)
 
