@@ -55,7 +55,7 @@ def recover(image, source: sources.Source, albedo=0.8, sides: str = "open", spac
     eps : float
         With stop="eps": a column stops where |B - I| <= eps x max(image).
     stop : "eps" or "sign"
-        ``sign``: a column stops at the first layer where B equals I or has passed it; this drills far fewer columns.
+        ``sign``: a column stops at the first layer where B equals I or has passed it; on most scenes this drills fewer columns.
     progress : callable, optional
         Called with (layers done, layers).
 
@@ -91,7 +91,7 @@ def recover(image, source: sources.Source, albedo=0.8, sides: str = "open", spac
     warnings = []
     if drilled.any():
         warnings.append(f"Drilled: {drilled.mean():.1%} of the columns never matched the image and were carved through to the back"
-                        + ("; one that stops early shadows the rest. stop='sign' drills far fewer." if stop == "eps" else "; the image is darker there than any depth explains."))
+                        + ("; one that stops early shadows the rest. stop='sign' often drills fewer." if stop == "eps" else "; the image is darker there than any depth explains."))
     if sides == "open" and isinstance(source, sources.Sky):
         warnings.append("Open sides under a sky are ill-posed: a flat surface explains a plane's image at any depth.")
     return Recovery((depth * spacing).astype(np.float32), drilled, engine.name, seconds, compiling, warnings)

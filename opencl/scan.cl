@@ -17,6 +17,17 @@ Work-item (g, w) owns LANES adjacent lines of walk w, side by side in x; AHEAD d
 No sums, only min and + in the order of the line: every bit is exact. Twin of warp_kernels/scan.py. */
 #include "lanes.h"
 
+/* The bits of a node of depth z; lowers the ceilings to it and raises them by one step. */
+ints look(floats z, floats *ceiling, const float *climb)
+{
+  ints lit = 0;
+  for (int b = 0; b < BITS; ++b) {
+    lit |= WHERE(z <= ceiling[b]) & (1 << b);
+    ceiling[b] = (z < ceiling[b] ? z : ceiling[b]) + climb[b];
+  }
+  return lit;
+}
+
 __kernel void scan(__global const float *maps, __global const int *walks, __global const float *rise,
                    __global const float *lap, __global uchar *planes, int map_rows, int map_cols, int room,
                    int lap_lines, int periodic)
@@ -50,52 +61,44 @@ __kernel void scan(__global const float *maps, __global const int *walks, __glob
 
   /* 3. from x_low on, for x_span nodes, all lanes are neighbours in one row and none has just entered the map */
   const int x_low = periodic ? 0 : max(0, -i);
-  const int x_span = cols - LANES + 1 - (periodic ? 0 : abs(i));
-  const int whole = lane + LANES <= cols;
+  const int x_span = max(0, cols - LANES + 1 - (periodic ? 0 : abs(i)));
+  const int whole = lane + LANES <= cols, next = -(i + down * cols);
   for (int u = -warm; u < count; u += AHEAD) {
-    floats z[AHEAD];
-    int xs[AHEAD], ats[AHEAD];
-    for (int a = 0; a < AHEAD; ++a) { /* past the end of the line this fetches in vain, but within the map */
-      xs[a] = x;
-      ats[a] = y * cols;
-#if LANES == 1
-      z[a] = depth[ats[a] + x];
-#else
-      if (whole && x <= cols - LANES)
-        z[a] = LOAD(ats[a] + x, depth);
-      else
-        for (int l = 0; l < LANES; ++l)
-          ((float *)&z[a])[l] = depth[ats[a] + (x + l) % cols];
-#endif
-      x -= i;
+    const int at = y * cols + x, last_x = x - (AHEAD - 1) * i, last_y = y - (AHEAD - 1) * down;
+    if (whole && (uint)(x - x_low) < (uint)x_span && (uint)(last_x - x_low) < (uint)x_span && (uint)last_y < (uint)rows &&
+        u + AHEAD <= count && (u >= 0 || u + AHEAD <= 0)) {
+      /* 4. a stretch of AHEAD nodes inside the map */
+      floats z[AHEAD];
+      for (int a = 0; a < AHEAD; ++a)
+        z[a] = LOAD(at + a * next, depth);
+      for (int a = 0; a < AHEAD; ++a) {
+        const uchars lit = TO_UCHARS(look(z[a], ceiling, climb));
+        if (u >= 0)
+          STORE(lit, at + a * next, plane);
+      }
+      x = last_x - i;
       x += (uint)x >= (uint)cols ? turn_x : 0;
-      y -= down;
+      y = last_y - down;
       y += (uint)y >= (uint)rows ? turn_y : 0;
-    }
-    for (int a = 0; a < AHEAD; ++a) {
-      /* 4. a lane whose next node towards the source lies outside the map has open sky there */
-      if (!periodic && (xs[a] < x_low || xs[a] - x_low >= x_span))
+    } else
+      for (int a = u; a < min(u + AHEAD, count); ++a) {
+        /* 5. near a side: a lane whose next node towards the source lies outside the map has open sky there */
+        floats z;
         for (int l = 0; l < LANES; ++l) {
-          const int from = (xs[a] + l) % cols + i;
-          if (from < 0 || from >= cols)
+          const int xl = (x + l) % cols;
+          ((float *)&z)[l] = depth[y * cols + xl];
+          if (!periodic && (uint)(xl + i) >= (uint)cols)
             for (int b = 0; b < BITS; ++b)
               ((float *)&ceiling[b])[l] = MAXFLOAT;
         }
-      /* 5. the bits of this node, and the ceiling of the next */
-      ints lit = 0;
-      for (int b = 0; b < BITS; ++b) {
-        lit |= WHERE(z[a] <= ceiling[b]) & (1 << b);
-        ceiling[b] = (z[a] < ceiling[b] ? z[a] : ceiling[b]) + climb[b];
+        const uchars lit = TO_UCHARS(look(z, ceiling, climb));
+        for (int l = 0; l < LANES && lane + l < cols && a >= 0; ++l)
+          plane[y * cols + (x + l) % cols] = ((uchar *)&lit)[l];
+        x -= i;
+        x += (uint)x >= (uint)cols ? turn_x : 0;
+        y -= down;
+        y += (uint)y >= (uint)rows ? turn_y : 0;
       }
-      if ((uint)(u + a) >= (uint)count)
-        continue;
-      const uchars bytes = TO_UCHARS(lit);
-      if (LANES == 1 || (whole && xs[a] <= cols - LANES))
-        STORE(bytes, ats[a] + xs[a], plane);
-      else
-        for (int l = 0; l < LANES && lane + l < cols; ++l)
-          plane[ats[a] + (xs[a] + l) % cols] = ((uchar *)&bytes)[l];
-    }
   }
 }
 

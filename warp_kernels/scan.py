@@ -11,7 +11,6 @@ from . import AHEAD, OPTIONS
 
 wp.set_module_options(OPTIONS)
 
-ints = wp.types.vector(AHEAD, wp.int32)
 depths = wp.types.vector(AHEAD, wp.float32)
 NOTHING = wp.constant(wp.float32(3.4028234663852886e38))  # the largest float32: finite, so that a masked node never passes
 SIDE = wp.constant(4)
@@ -98,33 +97,51 @@ def scan(BITS: int):
         if periodic == 0:
             x_low = wp.max(0, -i)
             x_span = cols - wp.abs(i)
+        next = -(i + down * cols)
         for u in range(-warm, count, AHEAD):
-            z = depths()
-            xs = ints()
-            ats = ints()
-            for a in range(AHEAD):  # past the end of the line this fetches in vain, but within the map
-                xs[a] = x
-                ats[a] = y * cols
-                z[a] = maps[turned, ats[a] + x]
-                x -= i
+            at = y * cols + x
+            last_x = x - (AHEAD - 1) * i
+            last_y = y - (AHEAD - 1) * down
+            inside = wp.uint32(x - x_low) < wp.uint32(x_span) and wp.uint32(last_x - x_low) < wp.uint32(x_span) and wp.uint32(last_y) < wp.uint32(rows)
+            if inside and u + AHEAD <= count and (u >= 0 or u + AHEAD <= 0):
+                # 4. a stretch of AHEAD nodes inside the map
+                z = depths()
+                for a in range(AHEAD):
+                    z[a] = maps[turned, at + a * next]
+                for a in range(AHEAD):
+                    lit = wp.int32(0)
+                    for b in range(BITS):
+                        if z[a] <= ceiling[b]:
+                            lit |= 1 << b
+                        ceiling[b] = wp.min(z[a], ceiling[b]) + climb[b]
+                    if u >= 0:
+                        planes[plane, at + a * next] = wp.uint8(lit)
+                x = last_x - i
                 if wp.uint32(x) >= wp.uint32(cols):
                     x += turn_x
-                y -= down
+                y = last_y - down
                 if wp.uint32(y) >= wp.uint32(rows):
                     y += turn_y
-            for a in range(AHEAD):
-                # 4. a line whose next node towards the source lies outside the map has open sky there
-                if wp.uint32(xs[a] - x_low) >= wp.uint32(x_span):
+            else:
+                for a in range(u, wp.min(u + AHEAD, count)):
+                    # 5. near a side: a line whose next node towards the source lies outside the map has open sky there
+                    if periodic == 0 and wp.uint32(x + i) >= wp.uint32(cols):
+                        for b in range(BITS):
+                            ceiling[b] = NOTHING
+                    here = maps[turned, y * cols + x]
+                    bits = wp.int32(0)
                     for b in range(BITS):
-                        ceiling[b] = NOTHING
-                # 5. the bits of this node, and the ceiling of the next
-                lit = wp.int32(0)
-                for b in range(BITS):
-                    if z[a] <= ceiling[b]:
-                        lit |= 1 << b
-                    ceiling[b] = wp.min(z[a], ceiling[b]) + climb[b]
-                if wp.uint32(u + a) < wp.uint32(count):
-                    planes[plane, ats[a] + xs[a]] = wp.uint8(lit)
+                        if here <= ceiling[b]:
+                            bits |= 1 << b
+                        ceiling[b] = wp.min(here, ceiling[b]) + climb[b]
+                    if a >= 0:
+                        planes[plane, y * cols + x] = wp.uint8(bits)
+                    x -= i
+                    if wp.uint32(x) >= wp.uint32(cols):
+                        x += turn_x
+                    y -= down
+                    if wp.uint32(y) >= wp.uint32(rows):
+                        y += turn_y
 
     return scan
 

@@ -76,7 +76,11 @@ class WarpBackend(Backend):
             function = function(bits)
         if function not in self._loaded:
             start = time.perf_counter()
-            self.wp.load_module(function.module, device=self._device)
+            level, self.wp.config.log_level = self.wp.config.log_level, self.wp.LOG_WARNING  # Warp would tell stdout
+            try:
+                self.wp.load_module(function.module, device=self._device)
+            finally:
+                self.wp.config.log_level = level
             self.compile_seconds += time.perf_counter() - start
             self._loaded.add(function)
         values = [self._as(arg, formal.type) for arg, formal in zip(args, function.adj.args, strict=True)]
