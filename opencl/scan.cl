@@ -61,7 +61,7 @@ __kernel void scan(__global const float *maps, __global const int *walks, __glob
 
   /* 3. from x_low on, for x_span nodes, all lanes are neighbours in one row and none has just entered the map */
   const int x_low = periodic ? 0 : max(0, -i);
-  const int x_span = max(0, cols - LANES + 1 - (periodic ? 0 : abs(i)));
+  const int x_span = max(0, cols - LANES + 1 - (periodic ? 0 : (int)abs(i)));
   const int whole = lane + LANES <= cols, next = -(i + down * cols);
   for (int u = -warm; u < count; u += AHEAD) {
     const int at = y * cols + x, last_x = x - (AHEAD - 1) * i, last_y = y - (AHEAD - 1) * down;
