@@ -1,0 +1,118 @@
+"""Warp and OpenCL kernels are twins, and a broken kernel makes the suite red."""
+
+import importlib
+import re
+from importlib.resources import files
+
+import numpy as np
+import pytest
+import scenes
+from compare import assert_bits_equal
+
+import skylamp as sl
+import skylamp.opencl
+import skylamp.warp_kernels
+
+STEMS = sorted(f.name[:-3] for f in files(skylamp.opencl).iterdir() if f.name.endswith(".cl"))
+C_TYPES = {"float": "float32", "double": "float64", "int": "int32", "uint": "uint32", "uchar": "uint8", "float4": "float32"}  # vectors by their elements
+C_NAMES = {"half_": "half"}  # half is a type in OpenCL
+
+
+def _signatures(stem):
+    """{kernel: [(name, element type, is a buffer)]} of a .cl file."""
+    text = re.sub(r"/\*.*?\*/", "", skylamp.opencl.source(stem), flags=re.S)
+    kernels = {}
+    for name, arguments in re.findall(r"__kernel\s+(?:__attribute__\(\(.*?\)\)\)\s*)?void\s+(\w+)\s*\((.*?)\)\s*\{", text, re.S):
+        parsed = []
+        for argument in arguments.split(","):
+            words = re.sub(r"\b(__global|const|restrict)\b", " ", argument).replace("*", " * ").split()
+            parsed.append((C_NAMES.get(words[-1], words[-1]), C_TYPES[words[0]], "*" in words))
+        kernels[name] = parsed
+    return kernels
+
+
+def _warp_kernel(stem, name):
+    import warp as wp
+
+    found = getattr(importlib.import_module(f"skylamp.warp_kernels.{stem}"), name, None)
+    return found if found is None or isinstance(found, wp.Kernel) else found(3)
+
+
+def _type(kind):
+    """(element type's name, is an array) of a Warp argument."""
+    is_array = hasattr(kind, "ndim")
+    kind = kind.dtype if is_array else kind
+    return getattr(kind, "_wp_scalar_type_", kind).__name__, is_array
+
+
+def test_every_opencl_file_has_a_warp_twin():
+    """The same stems in both rooms."""
+    warp = sorted(f.name[:-3] for f in files(skylamp.warp_kernels).iterdir() if f.name.endswith(".py") and not f.name.startswith("_"))
+    assert STEMS == warp and {"scan", "propagate", "luminance", "carve"} <= set(STEMS)
+
+
+@pytest.mark.parametrize("stem", STEMS)
+def test_kernels_have_the_same_names_and_arguments(stem):
+    """Names, order, element types, and which are arrays."""
+    import warp as wp
+
+    signatures = _signatures(stem)
+    assert signatures, f"no kernel found in {stem}.cl"
+    module = importlib.import_module(f"skylamp.warp_kernels.{stem}")
+    public = {n for n, v in vars(module).items() if isinstance(v, wp.Kernel) or (callable(v) and hasattr(v, "cache_info") and getattr(v, "__module__", "") == module.__name__)}
+    assert public == set(signatures)
+    for name, arguments in signatures.items():
+        kernel = _warp_kernel(stem, name)
+        assert [(a.label, *_type(a.type)) for a in kernel.adj.args] == arguments, f"{stem}.{name}"
+
+
+@pytest.mark.parametrize("stem", STEMS)
+def test_a_kernel_with_elevations_is_a_factory_in_warp(stem):
+    """Where the OpenCL kernel uses BITS, the Warp twin is asked for with that number, and gives the same kernel again."""
+    import warp as wp
+
+    text = re.sub(r"/\*.*?\*/", "", skylamp.opencl.source(stem), flags=re.S)
+    bodies = re.split(r"__kernel", text)[1:]
+    for body in bodies:
+        name = re.search(r"void\s+(\w+)\s*\(", body).group(1)
+        twin = getattr(importlib.import_module(f"skylamp.warp_kernels.{stem}"), name)
+        assert isinstance(twin, wp.Kernel) == ("BITS" not in body), f"{stem}.{name}"
+        if "BITS" in body:
+            assert twin(4) is twin(4) and twin(4) is not twin(5)
+
+
+@pytest.mark.parametrize("stem", STEMS)
+def test_contraction_of_floating_point_is_off_in_both(stem):
+    """One rounding per operation, or bits differ between devices."""
+    if stem != "carve":  # it only counts
+        assert "FP_CONTRACT OFF" in skylamp.opencl.source(stem)
+    for name in _signatures(stem):
+        options = _warp_kernel(stem, name).module.options
+        assert options["fuse_fp"] is False and not options.get("fast_math", False), f"{stem}.{name}"
+
+
+def _broken_bits(monkeypatch, old, new):
+    """Visibility by a fresh OpenCL backend whose scan.cl has ``old`` replaced."""
+    from skylamp.backends import opencl
+
+    original = skylamp.opencl.source
+    assert old in original("scan"), f"scan.cl has no {old!r}: mend this test"
+    monkeypatch.setattr(skylamp.opencl, "source", lambda stem: original(stem).replace(old, new) if stem == "scan" else original(stem))
+    name = next((info.name for info in sl.backends() if info.name.startswith("opencl:") and info.available), None)
+    if name is None:
+        pytest.skip("no OpenCL device")
+    broken = opencl.OpenclBackend(*map(int, name.split(":")[1:]))
+    monkeypatch.setattr(importlib.import_module("skylamp.visibility"), "select", lambda name: broken)  # the registry itself is left alone
+    return sl.visibility(scenes.scene("plateaus"), sl.Sky(), 5)
+
+
+@pytest.mark.parametrize(("old", "new"), [("<= ceiling", "< ceiling"), ("1 << b", "1 << (b ^ 1)")], ids=["touching blocks", "elevations swapped"])
+def test_a_broken_scan_is_seen(monkeypatch, old, new):
+    """The comparison with the oracle turns red when one sign of the kernel is changed, and is green without the change."""
+    with monkeypatch.context() as patch:
+        assert_bits_equal(_broken_bits(patch, "<= ceiling", "<= ceiling"), scenes.truth("plateaus", 5, "open"))
+    with monkeypatch.context() as patch:
+        got = _broken_bits(patch, old, new)
+        with pytest.raises(AssertionError, match="elements differ"):
+            assert_bits_equal(got, scenes.truth("plateaus", 5, "open"))
+    assert np.any(got)
