@@ -62,6 +62,7 @@ def scan_filled(BITS: int):
         i = walks[w, 0]
         j = walks[w, 1]
         warm = walks[w, 2]
+        span = walks[w, 3]
         turned = walks[w, 6]
         plane = walks[w, 7]
         rows = map_rows
@@ -73,11 +74,16 @@ def scan_filled(BITS: int):
         parts = wp.float32(walks[w, 5])
 
         # 1. which line
-        residue = line // cols
-        lane = line - residue * cols
-        if residue >= wp.min(stride, rows):
+        lane = line % cols
+        residue = line // cols % stride
+        stretch = line // cols // stride
+        if residue >= rows or stretch >= walks[w, 4]:
             return
-        count = (rows - residue + stride - 1) // stride
+        begin = stretch * span
+        end = wp.min(begin + span, (rows - residue + stride - 1) // stride)
+        start = begin - warm
+        if periodic == 0:
+            start = wp.max(start, 0)
         turn_x = -cols
         if i > 0:
             turn_x = cols
@@ -86,8 +92,8 @@ def scan_filled(BITS: int):
         if j > 0:
             y = rows - 1 - residue
             turn_y = rows
-        x = (lane + walks[w, 3]) % cols
-        y = (y + walks[w, 4]) % rows
+        x = wp.int32((wp.int64(lane) - wp.int64(start) * wp.int64(i)) % wp.int64(cols) + wp.int64(cols)) % cols
+        y = wp.int32((wp.int64(y) - wp.int64(start) * wp.int64(j)) % wp.int64(rows) + wp.int64(rows)) % rows
         down = j % rows
 
         # 2. nothing above yet, or the whole cycle
@@ -95,9 +101,9 @@ def scan_filled(BITS: int):
         for b in range(BITS):
             ceiling[b] = NOTHING
         if periodic != 0 and rise[w, 0] == 0.0:
-            ceiling[0] = lap[w, line]
+            ceiling[0] = lap[w, residue * cols + lane]
 
-        for u in range(-warm, count):
+        for u in range(start, end):
             # 3. a line that has just entered the map has open sky beyond it
             if periodic == 0 and (x + i < 0 or x + i >= cols):
                 for b in range(BITS):
@@ -119,7 +125,7 @@ def scan_filled(BITS: int):
                 if z <= ceiling[b]:
                     lit |= 1 << b
                 ceiling[b] = wp.min(z, ceiling[b]) + rise[w, b]
-            if u >= 0:
+            if u >= begin:
                 planes[plane, y * cols + x] = wp.uint8(lit)
             x -= i
             if wp.uint32(x) >= wp.uint32(cols):
