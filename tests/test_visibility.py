@@ -213,7 +213,7 @@ def test_whole_metres_between_layers_are_compared_in_metres(backend):
     assert_bits_equal(sl.visibility(sl.Scene(depth, 30.0), SKY, cube, backend), cube.pack(expected))
 
 
-@pytest.mark.parametrize("spacing", [49.0, 75.0, 0.1])
+@pytest.mark.parametrize("spacing", [30.0, 49.0, 75.0])
 def test_window_edges_on_nodes_do_not_depend_on_the_unit(backend, spacing):
     """Half-open edges at whole numbers of nodes: the same bits in metres as in layers, low edge in, high edge out."""
     depth = np.random.default_rng(3).integers(0, 4, (12, 40))
