@@ -31,20 +31,18 @@ __kernel void scan_filled(__global const float *maps, __global const int *walks,
   const int w = get_global_id(1), turned = walks[8 * w + 6];
   const int rows = turned ? map_cols : map_rows, cols = turned ? map_rows : map_cols;
   __global const float *depth = maps + (turned ? room : 0);
-  const int i = walks[8 * w], j = walks[8 * w + 1], warm = walks[8 * w + 2], span = walks[8 * w + 3], stride = abs(j);
+  const int i = walks[8 * w], j = walks[8 * w + 1], warm = walks[8 * w + 2], stride = abs(j);
   const float parts = walks[8 * w + 5];
   __global uchar *plane = planes + (size_t)walks[8 * w + 7] * room;
 
   /* 1. which lines */
   const int groups = (cols + LANES - 1) / LANES;
-  const int residue = get_global_id(0) / groups % stride, lane = (get_global_id(0) % groups) * LANES;
-  const int stretch = get_global_id(0) / groups / stride;
-  if (residue >= rows || stretch >= walks[8 * w + 4])
+  const int residue = get_global_id(0) / groups, lane = (get_global_id(0) % groups) * LANES;
+  if (residue >= min(stride, rows))
     return;
-  const int begin = stretch * span, end = min(begin + span, (rows - residue + stride - 1) / stride);
-  const int start = periodic ? begin - warm : max(begin - warm, 0);
-  int x = ((lane - (long)start * i) % cols + cols) % cols;
-  int y = (((j > 0 ? rows - 1 - residue : residue) - (long)start * j) % rows + rows) % rows;
+  const int count = (rows - residue + stride - 1) / stride;
+  int x = (lane + walks[8 * w + 3]) % cols;
+  int y = ((j > 0 ? rows - 1 - residue : residue) + walks[8 * w + 4]) % rows;
   const int turn_x = i > 0 ? cols : -cols, down = j % rows, turn_y = j > 0 ? rows : -rows;
 
   /* 2. nothing above yet, or the whole cycle */
@@ -55,7 +53,7 @@ __kernel void scan_filled(__global const float *maps, __global const int *walks,
     for (int l = 0; l < LANES; ++l)
       ((float *)ceiling)[l] = lap[(size_t)w * lap_lines + residue * cols + min(lane + l, cols - 1)];
 
-  for (int u = start; u < end; ++u) {
+  for (int u = -warm; u < count; ++u) {
     /* 3. lanes that have just entered the map have open sky beyond it */
     const int in_step = lane + LANES <= cols && x <= cols - LANES;
     if (!periodic && (!in_step || x + i < 0 || x + LANES - 1 + i >= cols))
@@ -99,7 +97,7 @@ __kernel void scan_filled(__global const float *maps, __global const int *walks,
       lit |= WHERE(z <= ceiling[b]) & (1 << b);
       ceiling[b] = (z < ceiling[b] ? z : ceiling[b]) + rise[BITS * w + b];
     }
-    if (u >= begin) {
+    if (u >= 0) {
       const uchars bytes = TO_UCHARS(lit);
       if (in_step)
         STORE(bytes, at + x, plane);

@@ -6,23 +6,16 @@ depth <= ceiling. A line that leaves the map goes on at its other side, as a new
 
   maps    (2, room)           float  [length]  depth (rows, cols) and the same turned, (cols, rows); +inf where masked:
                                                blocks nothing, never lit; room: pixels, rounded up for whole vectors
-  walks   (walks, 8)          int    i, j (not 0, and |i| less than the map is wide), warm-up steps, steps of a stretch,
-                                     stretches, parts, which map, which plane; i and j of the turned map are turned
+  walks   (walks, 8)          int    i, j (not 0, and |i| less than the map is wide), warm-up steps, their x and y offset,
+                                     parts, which map, which plane; those of the turned map are the turned ones
   rise    (walks, BITS)       float  [length]  k step, what the ray climbs per step
   lap     (walks, lap_lines)  float  [length]  periodic: first ceiling of the k = 0 ray, the least depth of its cycle
   planes  (planes, room)      uchar  out: bit b is set where the walk's b-th elevation is lit
   map_rows, map_cols, room, lap_lines, periodic (0 or 1)
 
-Work-item (g, w) owns a stretch of LANES adjacent lines of walk w, side by side in x; AHEAD depths are fetched before they
-are used. It begins warm-up steps before its stretch: farther up, no ground reaches the rays, or the line has come round.
+Work-item (g, w) owns LANES adjacent lines of walk w, side by side in x; AHEAD depths are fetched before they are used.
 No sums, only min and + in the order of the line: every bit is exact. Twin of warp_kernels/scan.py. */
 #include "lanes.h"
-
-#if LANES == 1
-#define COLUMN(x, l) (x)
-#else
-#define COLUMN(x, l) (((x) + (l)) % cols)
-#endif
 
 /* The bits of a node of depth z; lowers the ceilings to it and raises them by one step. */
 ints look(floats z, floats *ceiling, const float *climb)
@@ -42,19 +35,17 @@ __kernel void scan(__global const float *maps, __global const int *walks, __glob
   const int w = get_global_id(1), turned = walks[8 * w + 6];
   const int rows = turned ? map_cols : map_rows, cols = turned ? map_rows : map_cols;
   __global const float *depth = maps + (turned ? room : 0);
-  const int i = walks[8 * w], j = walks[8 * w + 1], warm = walks[8 * w + 2], span = walks[8 * w + 3], stride = abs(j);
+  const int i = walks[8 * w], j = walks[8 * w + 1], warm = walks[8 * w + 2], stride = abs(j);
   __global uchar *plane = planes + (size_t)walks[8 * w + 7] * room;
 
   /* 1. which lines: side by side across the map, one set per residue of the stride */
   const int groups = (cols + LANES - 1) / LANES;
-  const int residue = get_global_id(0) / groups % stride, lane = (get_global_id(0) % groups) * LANES;
-  const int stretch = get_global_id(0) / groups / stride;
-  if (residue >= rows || stretch >= walks[8 * w + 4])
+  const int residue = get_global_id(0) / groups, lane = (get_global_id(0) % groups) * LANES;
+  if (residue >= min(stride, rows))
     return;
-  const int begin = stretch * span, end = min(begin + span, (rows - residue + stride - 1) / stride);
-  const int start = periodic ? begin - warm : max(begin - warm, 0);
-  int x = ((lane - (long)start * i) % cols + cols) % cols;
-  int y = (((j > 0 ? rows - 1 - residue : residue) - (long)start * j) % rows + rows) % rows;
+  const int count = (rows - residue + stride - 1) / stride;
+  int x = (lane + walks[8 * w + 3]) % cols;
+  int y = ((j > 0 ? rows - 1 - residue : residue) + walks[8 * w + 4]) % rows;
   const int turn_x = i > 0 ? cols : -cols, down = j % rows, turn_y = j > 0 ? rows : -rows;
 
   /* 2. nothing above yet; where the map repeats, a level ray starts with its whole cycle above it */
@@ -72,17 +63,17 @@ __kernel void scan(__global const float *maps, __global const int *walks, __glob
   const int x_low = periodic ? 0 : max(0, -i);
   const int x_span = max(0, cols - LANES + 1 - (periodic ? 0 : (int)abs(i)));
   const int whole = lane + LANES <= cols, next = -(i + down * cols);
-  for (int u = start; u < end; u += AHEAD) {
+  for (int u = -warm; u < count; u += AHEAD) {
     const int at = y * cols + x, last_x = x - (AHEAD - 1) * i, last_y = y - (AHEAD - 1) * down;
     if (whole && (uint)(x - x_low) < (uint)x_span && (uint)(last_x - x_low) < (uint)x_span && (uint)last_y < (uint)rows &&
-        u + AHEAD <= end && (u >= begin || u + AHEAD <= begin)) {
+        u + AHEAD <= count && (u >= 0 || u + AHEAD <= 0)) {
       /* 4. a stretch of AHEAD nodes inside the map */
       floats z[AHEAD];
       for (int a = 0; a < AHEAD; ++a)
         z[a] = LOAD(at + a * next, depth);
       for (int a = 0; a < AHEAD; ++a) {
         const uchars lit = TO_UCHARS(look(z[a], ceiling, climb));
-        if (u >= begin)
+        if (u >= 0)
           STORE(lit, at + a * next, plane);
       }
       x = last_x - i;
@@ -90,19 +81,19 @@ __kernel void scan(__global const float *maps, __global const int *walks, __glob
       y = last_y - down;
       y += (uint)y >= (uint)rows ? turn_y : 0;
     } else
-      for (int a = u; a < min(u + AHEAD, end); ++a) {
+      for (int a = u; a < min(u + AHEAD, count); ++a) {
         /* 5. near a side: a lane whose next node towards the source lies outside the map has open sky there */
         floats z;
         for (int l = 0; l < LANES; ++l) {
-          const int xl = COLUMN(x, l);
+          const int xl = (x + l) % cols;
           ((float *)&z)[l] = depth[y * cols + xl];
           if (!periodic && (uint)(xl + i) >= (uint)cols)
             for (int b = 0; b < BITS; ++b)
               ((float *)&ceiling[b])[l] = MAXFLOAT;
         }
         const uchars lit = TO_UCHARS(look(z, ceiling, climb));
-        for (int l = 0; l < LANES && lane + l < cols && a >= begin; ++l)
-          plane[y * cols + COLUMN(x, l)] = ((uchar *)&lit)[l];
+        for (int l = 0; l < LANES && lane + l < cols && a >= 0; ++l)
+          plane[y * cols + (x + l) % cols] = ((uchar *)&lit)[l];
         x -= i;
         x += (uint)x >= (uint)cols ? turn_x : 0;
         y -= down;

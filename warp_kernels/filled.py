@@ -62,7 +62,6 @@ def scan_filled(BITS: int):
         i = walks[w, 0]
         j = walks[w, 1]
         warm = walks[w, 2]
-        span = walks[w, 3]
         turned = walks[w, 6]
         plane = walks[w, 7]
         rows = map_rows
@@ -74,16 +73,11 @@ def scan_filled(BITS: int):
         parts = wp.float32(walks[w, 5])
 
         # 1. which line
-        lane = line % cols
-        residue = line // cols % stride
-        stretch = line // cols // stride
-        if residue >= rows or stretch >= walks[w, 4]:
+        residue = line // cols
+        lane = line - residue * cols
+        if residue >= wp.min(stride, rows):
             return
-        begin = stretch * span
-        end = wp.min(begin + span, (rows - residue + stride - 1) // stride)
-        start = begin - warm
-        if periodic == 0:
-            start = wp.max(start, 0)
+        count = (rows - residue + stride - 1) // stride
         turn_x = -cols
         if i > 0:
             turn_x = cols
@@ -92,8 +86,8 @@ def scan_filled(BITS: int):
         if j > 0:
             y = rows - 1 - residue
             turn_y = rows
-        x = wp.int32((wp.int64(lane) - wp.int64(start) * wp.int64(i)) % wp.int64(cols) + wp.int64(cols)) % cols
-        y = wp.int32((wp.int64(y) - wp.int64(start) * wp.int64(j)) % wp.int64(rows) + wp.int64(rows)) % rows
+        x = (lane + walks[w, 3]) % cols
+        y = (y + walks[w, 4]) % rows
         down = j % rows
 
         # 2. nothing above yet, or the whole cycle
@@ -101,9 +95,9 @@ def scan_filled(BITS: int):
         for b in range(BITS):
             ceiling[b] = NOTHING
         if periodic != 0 and rise[w, 0] == 0.0:
-            ceiling[0] = lap[w, residue * cols + lane]
+            ceiling[0] = lap[w, line]
 
-        for u in range(start, end):
+        for u in range(-warm, count):
             # 3. a line that has just entered the map has open sky beyond it
             if periodic == 0 and (x + i < 0 or x + i >= cols):
                 for b in range(BITS):
@@ -125,7 +119,7 @@ def scan_filled(BITS: int):
                 if z <= ceiling[b]:
                     lit |= 1 << b
                 ceiling[b] = wp.min(z, ceiling[b]) + rise[w, b]
-            if u >= begin:
+            if u >= 0:
                 planes[plane, y * cols + x] = wp.uint8(lit)
             x -= i
             if wp.uint32(x) >= wp.uint32(cols):

@@ -26,15 +26,14 @@ def scan(BITS: int):
 
       maps    (2, room)           float32  [length]  depth (rows, cols) and the same turned, (cols, rows); +inf where masked:
                                                      blocks nothing, never lit; room: pixels, rounded up for whole vectors
-      walks   (walks, 8)          int32    i, j (not 0, and |i| less than the map is wide), warm-up steps, steps of a stretch,
-                                           stretches, parts, which map, which plane; i and j of the turned map are turned
+      walks   (walks, 8)          int32    i, j (not 0, and |i| less than the map is wide), warm-up steps, their x and y
+                                           offset, parts, which map, which plane; those of the turned map are the turned ones
       rise    (walks, BITS)       float32  [length]  k step, what the ray climbs per step
       lap     (walks, lap_lines)  float32  [length]  periodic: first ceiling of the k = 0 ray, the least depth of its cycle
       planes  (planes, room)      uint8    out: bit b is set where the walk's b-th elevation is lit
       map_rows, map_cols, room, lap_lines, periodic (0 or 1)
 
-    Thread (w, line) owns a stretch of one line of walk w; AHEAD depths are fetched before they are used. It begins warm-up
-    steps before its stretch: farther up, no ground reaches the rays, or the line has come round.
+    Thread (w, line) owns one line of walk w; AHEAD depths are fetched before they are used.
     No sums, only min and + in the order of the line: every bit is exact.
     """
     floats = wp.types.vector(BITS, wp.float32)
@@ -56,7 +55,6 @@ def scan(BITS: int):
         i = walks[w, 0]
         j = walks[w, 1]
         warm = walks[w, 2]
-        span = walks[w, 3]
         turned = walks[w, 6]
         plane = walks[w, 7]
         rows = map_rows
@@ -67,16 +65,11 @@ def scan(BITS: int):
         stride = wp.abs(j)
 
         # 1. which line: side by side across the map, one set per residue of the stride
-        lane = line % cols
-        residue = line // cols % stride
-        stretch = line // cols // stride
-        if residue >= rows or stretch >= walks[w, 4]:
+        residue = line // cols
+        lane = line - residue * cols
+        if residue >= wp.min(stride, rows):
             return
-        begin = stretch * span
-        end = wp.min(begin + span, (rows - residue + stride - 1) // stride)
-        start = begin - warm
-        if periodic == 0:
-            start = wp.max(start, 0)
+        count = (rows - residue + stride - 1) // stride
         turn_x = -cols
         if i > 0:
             turn_x = cols
@@ -85,8 +78,8 @@ def scan(BITS: int):
         if j > 0:
             y = rows - 1 - residue
             turn_y = rows
-        x = wp.int32((wp.int64(lane) - wp.int64(start) * wp.int64(i)) % wp.int64(cols) + wp.int64(cols)) % cols
-        y = wp.int32((wp.int64(y) - wp.int64(start) * wp.int64(j)) % wp.int64(rows) + wp.int64(rows)) % rows
+        x = (lane + walks[w, 3]) % cols
+        y = (y + walks[w, 4]) % rows
         down = j % rows
 
         # 2. nothing above yet; where the map repeats, a level ray starts with its whole cycle above it
@@ -96,7 +89,7 @@ def scan(BITS: int):
             ceiling[b] = NOTHING
             climb[b] = rise[w, b]
         if periodic != 0 and climb[0] == 0.0:
-            ceiling[0] = lap[w, residue * cols + lane]
+            ceiling[0] = lap[w, line]
 
         # 3. from x_low on, for x_span nodes, the line has not just entered the map
         x_low = wp.int32(0)
@@ -105,12 +98,12 @@ def scan(BITS: int):
             x_low = wp.max(0, -i)
             x_span = cols - wp.abs(i)
         next = -(i + down * cols)
-        for u in range(start, end, AHEAD):
+        for u in range(-warm, count, AHEAD):
             at = y * cols + x
             last_x = x - (AHEAD - 1) * i
             last_y = y - (AHEAD - 1) * down
             inside = wp.uint32(x - x_low) < wp.uint32(x_span) and wp.uint32(last_x - x_low) < wp.uint32(x_span) and wp.uint32(last_y) < wp.uint32(rows)
-            if inside and u + AHEAD <= end and (u >= begin or u + AHEAD <= begin):
+            if inside and u + AHEAD <= count and (u >= 0 or u + AHEAD <= 0):
                 # 4. a stretch of AHEAD nodes inside the map
                 z = depths()
                 for a in range(AHEAD):
@@ -121,7 +114,7 @@ def scan(BITS: int):
                         if z[a] <= ceiling[b]:
                             lit |= 1 << b
                         ceiling[b] = wp.min(z[a], ceiling[b]) + climb[b]
-                    if u >= begin:
+                    if u >= 0:
                         planes[plane, at + a * next] = wp.uint8(lit)
                 x = last_x - i
                 if wp.uint32(x) >= wp.uint32(cols):
@@ -130,7 +123,7 @@ def scan(BITS: int):
                 if wp.uint32(y) >= wp.uint32(rows):
                     y += turn_y
             else:
-                for a in range(u, wp.min(u + AHEAD, end)):
+                for a in range(u, wp.min(u + AHEAD, count)):
                     # 5. near a side: a line whose next node towards the source lies outside the map has open sky there
                     if periodic == 0 and wp.uint32(x + i) >= wp.uint32(cols):
                         for b in range(BITS):
@@ -141,7 +134,7 @@ def scan(BITS: int):
                         if here <= ceiling[b]:
                             bits |= 1 << b
                         ceiling[b] = wp.min(here, ceiling[b]) + climb[b]
-                    if a >= begin:
+                    if a >= 0:
                         planes[plane, y * cols + x] = wp.uint8(bits)
                     x -= i
                     if wp.uint32(x) >= wp.uint32(cols):

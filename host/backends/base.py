@@ -13,7 +13,7 @@ import numpy as np
 
 from ..errors import CapacityError
 from ..sources import SKY, Geometry
-from .tables import Group, Terms, crossings_of, lap_table, walk_groups
+from .tables import Group, crossings_of, lap_table, walk_groups
 
 ROOM = 32  # pixel arrays end with room for whole vectors
 SIDE, PATCH = 4, (8, 4)  # nodes on a side of a block that a work-item turns, blocks (across, down) of a patch; as in opencl/scan.cl
@@ -37,8 +37,9 @@ class Problem(NamedTuple):
         return self.depth.size
 
     @property
-    def deepest(self) -> float:
-        return float(self.depth.max(where=np.isfinite(self.depth), initial=0))
+    def relief(self) -> float:
+        finite = self.depth[np.isfinite(self.depth)]
+        return float(finite.max()) - float(finite.min())
 
     @property
     def clips(self) -> bool:
@@ -59,7 +60,6 @@ class Backend:
     memory: int  # bytes that may be taken at once
     lanes = 1  # adjacent lines per work-item
     pixel_lanes = 1  # adjacent pixels per work-item where there are no lines; divides ROOM
-    stretch = 0  # least steps of a stretch into which lines are cut, where many short ones run faster; 0: not cut
     compile_seconds = 0.0
 
     def upload(self, array: np.ndarray):
@@ -114,7 +114,7 @@ class Backend:
 
     def carve(self, problem: Problem, low, high, weights, layers: int, by_sign: bool, progress: Progress | None = None) -> np.ndarray:
         """Depth in layers (rows, cols) int32 by the inverse algorithm; arguments as for skylamp.oracle.carve."""
-        surface = Surface(self, problem._replace(depth=np.zeros(problem.depth.shape, np.float32)), deepest=float(layers))
+        surface = Surface(self, problem._replace(depth=np.zeros(problem.depth.shape, np.float32)), relief=float(layers))
         pixels = problem.pixels
         light, side = (self.empty((pixels,), np.int32, 0) for _ in range(2))
         low, high = (self.upload(a.astype(np.int32).ravel()) for a in (low, high))
@@ -174,12 +174,12 @@ class OnDevice(NamedTuple):
 class Surface:
     """A map on a device, ready to be scanned group by group of walks; one buffer of planes serves all groups."""
 
-    def __init__(self, backend: Backend, problem: Problem, deepest: float | None = None):
+    def __init__(self, backend: Backend, problem: Problem, relief: float | None = None):
         self.backend, self.problem = backend, problem
         self.room = rounded_up(problem.pixels)
         most = max(1, int(backend.memory // 3 // self.room))
-        terms = Terms(problem.depth.shape, problem.deepest if deepest is None else deepest, problem.step, self.periodic, problem.filled, backend.stretch)
-        groups = walk_groups(problem.steps, terms, most)
+        relief = problem.relief if relief is None else relief
+        groups = walk_groups(problem.steps, problem.depth.shape, relief, problem.step, self.periodic, problem.filled, most)
         maps = np.zeros((2, self.room), np.float32)
         maps[0, : problem.pixels] = problem.depth.ravel()
         self.maps = backend.upload(maps)
@@ -201,9 +201,9 @@ class Surface:
     def _put(self, group: Group) -> OnDevice:
         put = self.backend.upload
         lines = 0
-        for _, j, _, _, stretches, _, turned, _ in group.walks.tolist():
-            cols = self.problem.depth.shape[0 if turned else 1]
-            lines = max(lines, abs(j) * stretches * -(-cols // self.backend.lanes))
+        for _, j, _, _, _, _, turned, _ in group.walks.tolist():
+            rows, cols = self.problem.depth.shape[:: -1 if turned else 1]
+            lines = max(lines, min(abs(j), rows) * -(-cols // self.backend.lanes))
         steps = np.concatenate([self.problem.steps[group.directions] * [1, 1, -1], group.directions[..., None]], -1).astype(np.int32)
         points = [crossings_of(i, j, self.problem.filled)[0] for i, j in steps[:, 0, :2].tolist()]
         counts = np.array([len(p) for p in points])

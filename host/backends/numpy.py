@@ -78,7 +78,6 @@ def _sweep(depth, i, j, warm, first_ceiling, periodic, lower, climb):
 
 def _scan_walk(maps, walk, climb, lap, planes, shape, periodic, lower=None):
     i, j, warm, _, _, parts, turned, plane = walk.tolist()
-    warm = warm if periodic else 0  # whole lines here: there is nothing before their first node
     depth = _map(maps, turned, shape)
     bits = len(climb)
 

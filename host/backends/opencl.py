@@ -12,8 +12,7 @@ from .base import Backend
 
 OPTIONS = ("-cl-std=CL1.2",)
 CPU_LANES = 8
-GPU_PIXELS = 8
-GPU_STRETCH = 1024
+GPU_PIXELS = 4
 GPU_AHEAD = 8  # depths that a scan fetches before it uses them; a CPU sees ahead by itself
 
 
@@ -57,7 +56,6 @@ class OpenclBackend(Backend):
         self.queue = cl.CommandQueue(self.context)
         self.on_cpu = bool(self._device.type & cl.device_type.CPU)
         self.lanes = CPU_LANES if self.on_cpu else 1
-        self.stretch = 0 if self.on_cpu else GPU_STRETCH
         self.pixel_lanes = CPU_LANES if self.on_cpu else GPU_PIXELS
         self.memory = int(self._device.max_mem_alloc_size)
         self._kernels = {}

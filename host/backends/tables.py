@@ -38,20 +38,8 @@ class Group(NamedTuple):
         return self.directions.shape[1]
 
 
-class Terms(NamedTuple):
-    """What the tables depend on besides the directions: map (rows, cols), greatest depth and step in one unit, whether the
-    map repeats, whether crossings are tested, and the least steps of a stretch into which a line may be cut (0: not cut)."""
-
-    shape: tuple[int, int]
-    deepest: float
-    step: float
-    periodic: bool
-    filled: bool
-    stretch: int = 0
-
-
-def walk_groups(steps: np.ndarray, terms: Terms, most: int) -> list[Group]:
-    """The directions ``steps`` (D, 3) as walks, at most ``most`` a group."""
+def walk_groups(steps: np.ndarray, shape: tuple[int, int], relief: float, step: float, periodic: bool, filled: bool, most: int) -> list[Group]:
+    """The directions ``steps`` (D, 3) over a map of ``shape``, ``most`` walks a group; relief and step in the unit of depth."""
     ways: dict[tuple[int, int], list[tuple[int, int]]] = {}
     for d, (i, j, up) in enumerate(steps.tolist()):
         ways.setdefault((i, j), []).append((-up, d))
@@ -64,51 +52,35 @@ def walk_groups(steps: np.ndarray, terms: Terms, most: int) -> list[Group]:
     groups = []
     while chunks:
         count = min(most, sum(len(c[1]) == len(chunks[0][1]) for c in chunks))
-        groups.append(_group(chunks[:count], terms))
+        groups.append(_group(chunks[:count], shape, relief, step, periodic, filled))
         chunks = chunks[count:]
     return groups
 
 
-def _group(chunks, terms):
+def _group(chunks, shape, relief, step, periodic, filled):
     walks, spans, crossings, climbs, rise, pairs = [], [], [], [], [], []
     for w, ((i, j), members) in enumerate(chunks):
         k = members[:, 0]
         turned = j == 0 and i != 0
         i, j = (j, i) if turned else (i, j)
-        rows, cols = terms.shape[::-1] if turned else terms.shape
-        points, parts = crossings_of(i, j, terms.filled)
+        rows, cols = shape[::-1] if turned else shape
+        points, parts = crossings_of(i, j, filled)
         spans.append((len(crossings), len(points)))
         crossings += points
-        climbs += [point[6] * k * terms.step for point in points]
-        i = i % cols if terms.periodic else i
+        climbs += [point[6] * k * step for point in points]
+        i = i % cols if periodic else i
         if (i == 0 and j == 0) or abs(i) >= cols:  # straight up, or off the map at once: no node stands in another's way
-            i, j, warm, span = 0, 1, 0, rows
+            i, j, warm = 0, 1, 0
             rise.append(np.full(len(k), FREE))
         else:
-            warm, span = _warm_up(i, j, k, rows, cols, terms)
-            rise.append(k * terms.step * parts)
+            climbing = k[k > 0]  # a level ray starts from its whole cycle instead
+            warm = min(cycle_length(i, j, rows, cols), math.ceil(relief / (climbing.min() * step)) + 1) if periodic and len(climbing) else 0
+            rise.append(k * step * parts)
         if turned:
             pairs.append((len(chunks) + len(pairs), w))
-        stretches = -(-(-(-rows // abs(j))) // span)
-        walks.append((i, j, warm, span, stretches, parts, turned, pairs[-1][0] if turned else w))
+        walks.append((i, j, warm, warm * i % cols, warm * j % rows, parts, turned, pairs[-1][0] if turned else w))
     return Group(np.array(pairs, np.int32).reshape(-1, 2), np.array(walks, np.int32), np.array(rise, np.float32), np.array(crossings, np.int32),
                  np.array(climbs, np.float32), np.array(spans, np.int32), np.array([members[:, 1] for _, members in chunks], np.int32))
-
-
-def _warm_up(i, j, k, rows, cols, terms):
-    """(steps after which a ray is above all ground or has come round, steps of a stretch) of a walk.
-
-    Where the map repeats a level ray starts from its whole cycle instead, and lines are not cut; elsewhere they are cut
-    if that is worth it and if a step climbs more than all rounding along the line, so that no bit can change.
-    """
-    line = -(-rows // abs(j))
-    climb = k[k > 0].min(initial=np.iinfo(k.dtype).max) * terms.step
-    clear = math.ceil(1.001 * terms.deepest / climb) + 2
-    if terms.periodic:
-        return (min(cycle_length(i, j, rows, cols), clear) if (k > 0).any() else 0), line
-    span = max(terms.stretch, 3 * clear)
-    exact = climb > np.finfo(np.float32).eps * line * (terms.deepest + climb * line)
-    return (clear, span) if terms.stretch and (k > 0).all() and exact and line > span else (0, line)
 
 
 def cycle_length(i: int, j: int, rows: int, cols: int) -> int:

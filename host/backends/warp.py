@@ -10,8 +10,6 @@ import numpy as np
 from .base import Backend
 from .numpy import available_memory
 
-GPU_STRETCH = 1024
-
 
 def probe():
     """A BackendInfo for Warp's CPU device and for every CUDA device."""
@@ -48,7 +46,6 @@ class WarpBackend(Backend):
         self._device = wp.get_device(alias)
         self.device = self._device.name if self._device.is_cuda else "Warp on the CPU, 1 thread"
         self.pixel_lanes = PIXELS
-        self.stretch = GPU_STRETCH if self._device.is_cuda else 0
         self._loaded = set()
 
     @property
