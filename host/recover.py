@@ -12,7 +12,7 @@ from .backends.base import Problem, Progress
 from .directions import Hemicube
 from .errors import bad
 from .render import timed
-from .scene import SIDES, Scene, at, positive_number, real_array
+from .scene import Scene, at, one_of, positive_number, real_array
 
 METHODS = ("paper",)
 STOPS = ("eps", "sign")
@@ -67,14 +67,10 @@ def recover(image, source: sources.Source, albedo=0.8, sides: str = "open", spac
     wrong = ~(np.isfinite(image) & (image >= 0))
     if wrong.any():
         raise bad(f"image: {wrong.sum()} values are negative, NaN or infinite, first {at(wrong)}", image[wrong][0], "finite radiance >= 0")
-    if image.max() <= 0:
-        raise bad("image: black everywhere", "maximum 0", "at least one lit pixel")
-    if method not in METHODS:
-        raise bad("method", repr(method), " | ".join(METHODS))
-    if stop not in STOPS:
-        raise bad("stop", repr(stop), " | ".join(STOPS))
-    if sides not in SIDES:
-        raise bad("sides", repr(sides), " | ".join(SIDES))
+    if image.max() < np.finfo(np.float32).tiny:
+        raise bad("image: black everywhere", f"maximum {image.max()}", "at least one lit pixel")
+    one_of(method, METHODS, "method")
+    one_of(stop, STOPS, "stop")
     if isinstance(layers, bool) or not isinstance(layers, (int, np.integer)) or not 1 <= layers < 2**20:
         raise bad("layers", repr(layers), "a whole number from 1 to 1048575")
     eps = positive_number(eps, "eps")
@@ -84,8 +80,10 @@ def recover(image, source: sources.Source, albedo=0.8, sides: str = "open", spac
         raise bad("albedo", 0.0, "> 0: a black surface tells nothing of its depth")
     low, high, weights = carving_integers(image, start.albedo, sources.radiance(source, cube.directions), cube.solid_angles, eps if stop == "eps" else 0.0)
     engine = select(backend)
-    deep = Scene(np.full(image.shape, float(layers) * spacing), spacing, albedo, None, sides)  # all of the lattice is free for the source's checks
-    problem = Problem(np.zeros(image.shape, np.float32), 1.0, sides, cube.steps, sources.geometry(source, deep, 1.0))
+    # A ball must not lie below the surface that carving starts from; a volume may go down with it.
+    deep = Scene(np.full(image.shape, float(layers) * spacing), spacing, albedo, None, sides)
+    volume = isinstance(source, sources.Lamp) and source.volume is not None
+    problem = Problem(np.zeros(image.shape, np.float32), 1.0, sides, cube.steps, sources.geometry(source, deep if volume else start, 1.0))
     (depth,), seconds, compiling = timed(engine, lambda: (engine.carve(problem, low, high, weights, int(layers), stop == "sign", progress),))
     drilled = depth >= layers
     warnings = []

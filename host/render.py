@@ -13,7 +13,7 @@ from .backends import select
 from .backends.base import Backend, Problem
 from .directions import Hemicube
 from .errors import bad
-from .scene import Scene, positive_number
+from .scene import Scene, is_scene, one_of, positive_number
 
 METHODS = ("auto", "lattice")
 QUANTITIES = ("radiance", "irradiance")
@@ -81,14 +81,12 @@ def render(scene: Scene, source: sources.Source, method: str = "auto", tolerance
     ------
     InputError, BackendError, CapacityError
     """
-    if not isinstance(scene, Scene):
-        raise bad("scene", type(scene).__name__, "a skylamp.Scene")
-    if method not in METHODS:
-        raise bad("method", repr(method), " | ".join(METHODS))
-    if quantity not in QUANTITIES:
-        raise bad("quantity", repr(quantity), " | ".join(QUANTITIES))
-    if weights not in ("moment", "printed"):
-        raise bad("weights", repr(weights), "moment | printed")
+    is_scene(scene)
+    one_of(method, METHODS, "method")
+    one_of(quantity, QUANTITIES, "quantity")
+    one_of(weights, ("moment", "printed"), "weights")
+    if not isinstance(filled, (bool, type(None))):
+        raise bad("filled", repr(filled), "True, False or None")
     plan = _plan(method, positive_number(tolerance, "tolerance"), hemicube, filled)
     cube = hemicube if isinstance(hemicube, Hemicube) else Hemicube(plan.hemicube)
     engine = select(backend)
@@ -103,6 +101,7 @@ def render(scene: Scene, source: sources.Source, method: str = "auto", tolerance
 
 def lattice_problem(scene: Scene, source: sources.Source, cube: Hemicube, filled: bool) -> Problem:
     """The arrays that a backend needs, from a scene and a source."""
+    is_scene(scene)
     values, step = scene.lattice()
     return Problem(values, step, scene.sides, cube.steps, sources.geometry(source, scene, step), filled)
 

@@ -9,10 +9,13 @@ import numpy as np
 from .errors import InputError, bad
 
 SIDES = ("open", "dark", "periodic")
+STEEPEST = 1e15  # spacings of depth, so that squares of slopes stay in float32
 
 
 def real_array(values, what: str, ndim: int | None = 2) -> np.ndarray:
     """``values`` as a real float64 array of ``ndim`` axes, not empty; never a view that a caller could see change."""
+    if isinstance(values, np.ma.MaskedArray):
+        raise bad(f"{what}: a numpy masked array", "mask inside the array", "plain arrays", "Pass array.data and mask=~numpy.ma.getmaskarray(array).")
     try:
         array = np.asarray(values)
     except Exception as error:
@@ -24,6 +27,11 @@ def real_array(values, what: str, ndim: int | None = 2) -> np.ndarray:
     if array.size == 0:
         raise bad(f"{what}: empty array", f"shape {array.shape}", "at least one element")
     return array.astype(np.float64)
+
+
+def one_of(value, allowed: tuple[str, ...], what: str) -> None:
+    if not isinstance(value, str) or value not in allowed:
+        raise bad(what, repr(value), " | ".join(allowed))
 
 
 def positive_number(value, what: str) -> float:
@@ -80,8 +88,7 @@ class Scene:
         put = lambda name, value: object.__setattr__(self, name, value)
         depth = real_array(self.depth, "depth")
         put("spacing", positive_number(self.spacing, "spacing"))
-        if self.sides not in SIDES:
-            raise bad("sides", repr(self.sides), " | ".join(SIDES))
+        one_of(self.sides, SIDES, "sides")
         put("mask", _mask(self.mask, depth.shape))
         valid = np.ones(depth.shape, bool) if self.mask is None else self.mask
         if not valid.any():
@@ -99,6 +106,8 @@ class Scene:
             depth = depth.astype(np.float32)
         if np.isinf(depth).any():
             raise bad(f"depth: too large for float32 {at(np.isinf(depth))}", "more than 3.4e38", "a smaller unit")
+        if depth[valid].max() / self.spacing > STEEPEST:
+            raise bad("depth: too deep for its spacing", f"{depth[valid].max()} at spacing {self.spacing}", f"at most {STEEPEST:g} spacings", "Give both in one unit.")
         put("depth", depth)
         put("albedo", _albedo(self.albedo, depth.shape, valid))
         values, step = _lattice(np.where(valid, depth, np.float32(np.inf)), self.spacing)
@@ -146,10 +155,18 @@ class Scene:
         return np.rint(self._values.astype(np.float64) / self._step).astype(np.float32), 1.0
 
 
+def is_scene(scene) -> None:
+    if not isinstance(scene, Scene):
+        raise bad("scene", type(scene).__name__, "a skylamp.Scene")
+
+
 def _mask(mask, shape):
     if mask is None:
         return None
-    mask = np.asarray(mask)
+    try:
+        mask = np.asarray(mask)
+    except ValueError as error:
+        raise bad("mask: not an array", str(error), f"bool, shape {shape}") from None
     if mask.dtype != bool or mask.shape != shape:
         raise bad("mask: wrong type or shape", f"dtype {mask.dtype}, shape {mask.shape}", f"bool, shape {shape}")
     return mask.copy()

@@ -15,6 +15,8 @@ import numpy as np
 from .errors import InputError, bad
 from .scene import real_array
 
+BRIGHTEST = 1e30  # so that sums stay in float32
+
 Brightness = float | Callable[[np.ndarray], np.ndarray]
 
 
@@ -26,11 +28,11 @@ def uniform(brightness: float = 1.0) -> Callable:
 
 def cosine_power(power: float, axis=(0.0, 0.0, 1.0), brightness: float = 1.0) -> Callable:
     """A spotlight: brightness x max(0, -L . axis)^power, ``axis`` the direction in which it shines (need not be unit)."""
-    axis = np.asarray(axis, float)
-    if axis.shape != (3,) or not np.isfinite(axis).all() or not axis.any():
+    axis = np.array(_numbers(axis, 3, "cosine_power: axis", "(x, y, z)"))
+    if not axis.any():
         raise bad("cosine_power: axis", axis.tolist(), "three finite numbers, not all zero")
-    if not (np.isfinite(power) and power >= 0):
-        raise bad("cosine_power: power", power, "a finite number >= 0")
+    if isinstance(power, str) or not (np.isfinite(power) and power >= 0):
+        raise bad("cosine_power: power", repr(power), "a finite number >= 0")
     axis, value = axis / np.linalg.norm(axis), _brightness_number(brightness)
     return lambda L: value * np.maximum(0.0, -(np.asarray(L) @ axis)) ** power
 
@@ -156,13 +158,12 @@ SKY, RECTANGLE, APERTURE, BALL, VOLUME = range(5)
 
 def geometry(source: Source, scene, step: float) -> Geometry:
     """The geometry of ``source`` over ``scene``, lengths scaled so that the spacing is ``step``; checks that they fit."""
-    scale = step / scene.spacing if step != scene.spacing else 1.0
     nothing, numbers = np.zeros((1, 1, 1), np.uint8), np.zeros(4)
     if isinstance(source, Sky):
         return Geometry(SKY, numbers, nothing)
     if isinstance(source, Window):
         if source.aperture is None:
-            return Geometry(RECTANGLE, np.array([*source.x, *source.y]) * scale, nothing)
+            return Geometry(RECTANGLE, np.array([*source.x, *source.y]) * step / scene.spacing, nothing)
         if source.aperture.shape != scene.shape:
             raise bad("window aperture: wrong shape", source.aperture.shape, f"the scene's {scene.shape}")
         return Geometry(APERTURE, numbers, source.aperture[None].view(np.uint8))
@@ -182,11 +183,13 @@ def geometry(source: Source, scene, step: float) -> Geometry:
     col, row = (int(np.floor(v / scene.spacing + 0.5)) for v in (x, y))
     if 0 <= row < scene.shape[0] and 0 <= col < scene.shape[1] and z > scene.depth[row, col]:
         raise bad("lamp below the surface", f"center z = {z} at (row, col) = ({row}, {col})", f"z <= {scene.depth[row, col]}, the depth of the surface there")
-    return Geometry(BALL, np.array([x, y, z, source.radius]) * scale, nothing)
+    return Geometry(BALL, np.array([x, y, z, source.radius]) * step / scene.spacing, nothing)
 
 
 def radiance(source: Source, directions: np.ndarray) -> np.ndarray:
     """The source's brightness along unit vectors (..., 3) -> (...) float64; an InputError if it is not finite and >= 0."""
+    if not isinstance(source, Source):
+        raise bad("source", type(source).__name__, "Sky, Lamp or Window")
     brightness = source.brightness
     if not callable(brightness):
         return np.full(directions.shape[:-1], float(brightness))
@@ -195,9 +198,9 @@ def radiance(source: Source, directions: np.ndarray) -> np.ndarray:
         raise bad("brightness function: wrong result", f"dtype {values.dtype}, shape {values.shape} for directions {directions.shape}",
                   f"real numbers of shape {directions.shape[:-1]}")
     values = np.broadcast_to(values.astype(np.float64), directions.shape[:-1])
-    wrong = ~(np.isfinite(values) & (values >= 0))
+    wrong = ~((values >= 0) & (values <= BRIGHTEST))
     if wrong.any():
-        raise bad("brightness function", f"{values[wrong].flat[0]} for L = {directions[wrong][0].round(3).tolist()}", "finite values >= 0")
+        raise bad("brightness function", f"{values[wrong].flat[0]} for L = {directions[wrong][0].round(3).tolist()}", f"finite values >= 0, at most {BRIGHTEST:g}")
     return values
 
 
@@ -206,8 +209,8 @@ def _brightness_number(value) -> float:
         number = float(value)
     except (TypeError, ValueError):
         raise bad("brightness", repr(value), "a number, or a function of unit vectors (..., 3) -> (...)") from None
-    if not (np.isfinite(number) and number >= 0):
-        raise bad("brightness", number, "finite, >= 0")
+    if not 0 <= number <= BRIGHTEST:
+        raise bad("brightness", number, f"finite, >= 0, at most {BRIGHTEST:g}")
     return number
 
 
@@ -220,14 +223,17 @@ def _numbers(values, count, what, form) -> tuple[float, ...]:
     try:
         numbers = tuple(float(v) for v in values)
     except (TypeError, ValueError):
-        raise bad(what, repr(values), f"{count} finite numbers {form}") from None
+        raise bad(what, repr(values), f"{('one', 'two', 'three')[count - 1]} finite number{'s' * (count > 1)} {form}") from None
     if len(numbers) != count or not np.isfinite(numbers).all():
-        raise bad(what, numbers, f"{count} finite numbers {form}")
+        raise bad(what, numbers, f"{('one', 'two', 'three')[count - 1]} finite number{'s' * (count > 1)} {form}")
     return numbers
 
 
 def _flags(values, what, ndim, form) -> np.ndarray:
-    array = np.asarray(values)
+    try:
+        array = np.asarray(values)
+    except ValueError as error:
+        raise bad(what, str(error), f"bool {form}, not empty") from None
     if array.dtype != bool or array.ndim != ndim or array.size == 0:
         raise bad(what, f"dtype {array.dtype}, shape {array.shape}", f"bool {form}, not empty")
     if not array.any():

@@ -13,7 +13,7 @@ from .backends.base import Problem, Progress
 from .directions import Hemicube
 from .errors import CapacityError, bad
 from .render import lattice_problem, render
-from .scene import Scene
+from .scene import Scene, is_scene, one_of
 
 
 def visibility(scene: Scene, source: sources.Source, hemicube: int | Hemicube = 9, backend: str = "auto", *, filled: bool = False,
@@ -28,8 +28,7 @@ def visibility(scene: Scene, source: sources.Source, hemicube: int | Hemicube = 
     Raises InputError, BackendError or CapacityError.
     """
     cube = hemicube if isinstance(hemicube, Hemicube) else Hemicube(hemicube)
-    if algorithm not in ("scan", "propagate"):
-        raise bad("algorithm", repr(algorithm), "scan | propagate")
+    one_of(algorithm, ("scan", "propagate"), "algorithm")
     if algorithm == "propagate":
         if filled:
             raise bad("algorithm 'propagate' with filled=True", "both", "filled=False: propagation goes from node to node")
@@ -48,6 +47,7 @@ def visibility_field(scene: Scene, source: sources.Source, hemicube: int | Hemic
     Raises InputError, BackendError, and CapacityError before anything is allocated if the field is too large.
     """
     cube = hemicube if isinstance(hemicube, Hemicube) else Hemicube(hemicube)
+    is_scene(scene)
     depth, step = scene.layers()
     if layers is None:
         layers = int(depth[scene.valid].max()) + 1
@@ -142,7 +142,10 @@ class VisibilityField:
 
         Raises InputError if the point is not in the field or lies below the surface; BackendError.
         """
-        x, y, layer = point
+        try:
+            x, y, layer = point
+        except (TypeError, ValueError):
+            raise bad("field: view point", repr(point), "three whole numbers (x, y, layer)") from None
         visible = self.at(x, y, layer)
         if not layer <= self.depth[y, x]:
             raise bad("field: view point", (x, y, layer), f"a node in free space, layer <= {self.depth[y, x]:g} at (row, col) = ({y}, {x})")

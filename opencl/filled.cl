@@ -66,17 +66,17 @@ __kernel void scan_filled(__global const float *maps, __global const int *walks,
     /* 4. the crossings between this node and the next one towards the source */
     for (int c = spans[2 * w]; c < spans[2 * w] + spans[2 * w + 1] - 1; ++c) {
       __global const int *at = crossings + 8 * c;
-      const float w_near = at[4], w_far = at[5];
+      const float w_far = at[5];
       floats ground;
       const int nx = x + at[0], ny = y + at[1], fx = nx + at[2], fy = ny + at[3];
       if (in_step && min(nx, fx) >= 0 && max(nx, fx) <= cols - LANES && ny >= 0 && fy < rows) {
         const floats near = LOAD((size_t)ny * cols + nx, depth), far = LOAD((size_t)fy * cols + fx, depth);
-        ground = near < INFINITY && far < INFINITY ? w_near * near + w_far * far : (floats)INFINITY;
+        ground = near < INFINITY && far < INFINITY ? parts * near + w_far * (far - near) : (floats)INFINITY;
       } else
         for (int l = 0; l < LANES; ++l) {
           const float near = depth_at(depth, (x + l) % cols + at[0], ny, rows, cols, periodic);
           const float far = depth_at(depth, (x + l) % cols + at[0] + at[2], fy, rows, cols, periodic);
-          ((float *)&ground)[l] = near < INFINITY && far < INFINITY ? w_near * near + w_far * far : INFINITY;
+          ((float *)&ground)[l] = near < INFINITY && far < INFINITY ? parts * near + w_far * (far - near) : INFINITY;
         }
       for (int b = 0; b < BITS; ++b) {
         const floats limit = ground + climbs[BITS * c + b];

@@ -17,6 +17,12 @@ Work-item (g, w) owns LANES adjacent lines of walk w, side by side in x; AHEAD d
 No sums, only min and + in the order of the line: every bit is exact. Twin of warp_kernels/scan.py. */
 #include "lanes.h"
 
+#if LANES == 1
+#define COLUMN(x, l) (x)
+#else
+#define COLUMN(x, l) (((x) + (l)) % cols)
+#endif
+
 /* The bits of a node of depth z; lowers the ceilings to it and raises them by one step. */
 ints look(floats z, floats *ceiling, const float *climb)
 {
@@ -66,15 +72,14 @@ __kernel void scan(__global const float *maps, __global const int *walks, __glob
   for (int u = -warm; u < count; u += AHEAD) {
     const int at = y * cols + x, last_x = x - (AHEAD - 1) * i, last_y = y - (AHEAD - 1) * down;
     if (whole && (uint)(x - x_low) < (uint)x_span && (uint)(last_x - x_low) < (uint)x_span && (uint)last_y < (uint)rows &&
-        u + AHEAD <= count && (u >= 0 || u + AHEAD <= 0)) {
+        u >= 0 && u + AHEAD <= count) {
       /* 4. a stretch of AHEAD nodes inside the map */
       floats z[AHEAD];
       for (int a = 0; a < AHEAD; ++a)
         z[a] = LOAD(at + a * next, depth);
       for (int a = 0; a < AHEAD; ++a) {
         const uchars lit = TO_UCHARS(look(z[a], ceiling, climb));
-        if (u >= 0)
-          STORE(lit, at + a * next, plane);
+        STORE(lit, at + a * next, plane);
       }
       x = last_x - i;
       x += (uint)x >= (uint)cols ? turn_x : 0;
@@ -85,7 +90,7 @@ __kernel void scan(__global const float *maps, __global const int *walks, __glob
         /* 5. near a side: a lane whose next node towards the source lies outside the map has open sky there */
         floats z;
         for (int l = 0; l < LANES; ++l) {
-          const int xl = (x + l) % cols;
+          const int xl = COLUMN(x, l);
           ((float *)&z)[l] = depth[y * cols + xl];
           if (!periodic && (uint)(xl + i) >= (uint)cols)
             for (int b = 0; b < BITS; ++b)
@@ -93,7 +98,7 @@ __kernel void scan(__global const float *maps, __global const int *walks, __glob
         }
         const uchars lit = TO_UCHARS(look(z, ceiling, climb));
         for (int l = 0; l < LANES && lane + l < cols && a >= 0; ++l)
-          plane[y * cols + (x + l) % cols] = ((uchar *)&lit)[l];
+          plane[y * cols + COLUMN(x, l)] = ((uchar *)&lit)[l];
         x -= i;
         x += (uint)x >= (uint)cols ? turn_x : 0;
         y -= down;

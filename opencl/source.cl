@@ -93,7 +93,7 @@ int meets_lamp(__global const float *depth, int x, int y, double z, int i, int j
     }
   } else if (level < layers && flags[((size_t)level * rows + y) * cols + x])
     return 1;
-  for (long t = 0; t < (long)rows * cols; ++t)
+  for (long t = 0;; ++t)
     for (int c = 0; c < n_crossings; ++c) {
       __global const int *at = crossings + 8 * c;
       const double parts = at[7], when = t * parts + at[6];
@@ -124,8 +124,9 @@ int meets_lamp(__global const float *depth, int x, int y, double z, int i, int j
         if (n >= 0 && n < layers && nx >= 0 && nx < cols && ny >= 0 && ny < rows && flags[((size_t)n * rows + ny) * cols + nx])
           return 1;
       }
+      if (k == 0 && c == n_crossings - 1 && cx == x && cy == y)
+        return 0; /* a level ray on a map that repeats has come round */
     }
-  return 0;
 }
 
 /* clip: clears the bits of surface nodes whose unblocked rays do not come from the sky, window or lamp, and with a lamp

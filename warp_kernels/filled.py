@@ -109,7 +109,7 @@ def scan_filled(BITS: int):
                 near = depth_at(maps, turned, nx, ny, rows, cols, periodic)
                 far = depth_at(maps, turned, nx + crossings[c, 2], ny + crossings[c, 3], rows, cols, periodic)
                 if near < wp.inf and far < wp.inf:
-                    ground = wp.float32(crossings[c, 4]) * near + wp.float32(crossings[c, 5]) * far
+                    ground = parts * near + wp.float32(crossings[c, 5]) * (far - near)
                     for b in range(BITS):
                         ceiling[b] = wp.min(ground + climbs[c, b], ceiling[b])
             # 5. the bits of this node, and the ceiling of the next

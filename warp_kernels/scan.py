@@ -103,19 +103,18 @@ def scan(BITS: int):
             last_x = x - (AHEAD - 1) * i
             last_y = y - (AHEAD - 1) * down
             inside = wp.uint32(x - x_low) < wp.uint32(x_span) and wp.uint32(last_x - x_low) < wp.uint32(x_span) and wp.uint32(last_y) < wp.uint32(rows)
-            if inside and u + AHEAD <= count and (u >= 0 or u + AHEAD <= 0):
-                # 4. a stretch of AHEAD nodes inside the map
+            if inside and u >= 0 and u + AHEAD <= count:
+                # 4. a stretch of AHEAD nodes inside the map; an unsigned index spares Warp its test for negative ones
                 z = depths()
                 for a in range(AHEAD):
-                    z[a] = maps[turned, at + a * next]
+                    z[a] = maps[turned, wp.uint32(at + a * next)]
                 for a in range(AHEAD):
                     lit = wp.int32(0)
                     for b in range(BITS):
                         if z[a] <= ceiling[b]:
                             lit |= 1 << b
                         ceiling[b] = wp.min(z[a], ceiling[b]) + climb[b]
-                    if u >= 0:
-                        planes[plane, at + a * next] = wp.uint8(lit)
+                    planes[plane, wp.uint32(at + a * next)] = wp.uint8(lit)
                 x = last_x - i
                 if wp.uint32(x) >= wp.uint32(cols):
                     x += turn_x

@@ -141,9 +141,8 @@ def meets_lamp(depth: wp.array2d[wp.float32], x: wp.int32, y: wp.int32, z: wp.fl
         if level < wp.int64(layers):
             if flags[wp.int32(level), y, x] != wp.uint8(0):
                 return True
-    laps = wp.int64(rows) * wp.int64(cols)
     t = wp.int64(0)
-    while t < laps:
+    while True:
         for c in range(first, first + n_crossings):
             parts = wp.float64(crossings[c, 7])
             when = wp.float64(t) * parts + wp.float64(crossings[c, 6])
@@ -188,8 +187,9 @@ def meets_lamp(depth: wp.array2d[wp.float32], x: wp.int32, y: wp.int32, z: wp.fl
                 if n >= wp.int64(0) and n < wp.int64(layers) and on_map(nx, ny, rows, cols):
                     if flags[wp.int32(n), wp.int32(ny), wp.int32(nx)] != wp.uint8(0):
                         return True
+            if k == 0 and c == first + n_crossings - 1 and cx == wp.int64(x) and cy == wp.int64(y):
+                return False  # a level ray on a map that repeats has come round
         t += wp.int64(1)
-    return False
 
 
 @functools.cache

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 
 import numpy as np
@@ -84,7 +85,7 @@ def _scan_walk(maps, walk, climb, lap, planes, shape, periodic, lower=None):
     def first_ceiling(line):
         ceiling = np.full((bits, depth.shape[1]), NOTHING)
         if periodic and climb[0] == 0:
-            ceiling[0] = lap[line : line + depth.shape[1]]
+            ceiling[0] = np.roll(lap[line : line + depth.shape[1]], warm * i)  # the warm-up begins elsewhere on the cycle
         return ceiling
 
     out = planes[plane, : depth.size].reshape(depth.shape)
@@ -139,7 +140,7 @@ def _ground(depth, crossing, row, periodic):
             inside = (px >= 0) & (px < cols) & (py >= 0) & (py < rows)
             values.append(np.where(inside, depth[np.clip(py, 0, rows - 1), np.clip(px, 0, cols - 1)], np.float32(np.inf)))
     near, far = values
-    ground = np.float32(near_weight) * near + np.float32(far_weight) * far
+    ground = np.float32(near_weight + far_weight) * near + np.float32(far_weight) * (far - near)
     return np.where((near < np.inf) & (far < np.inf), ground, np.float32(np.inf))
 
 
@@ -255,7 +256,7 @@ def _meets_lamp(depth, x, y, z, i, j, k, crossings, numbers, flags, kind, sides,
         lit[inside] = flags[level[inside], y[inside], x[inside]] != 0
         going &= ~lit
     who = np.flatnonzero(going)
-    for t in range(rows * cols):
+    for t in itertools.count():
         for c, (to_x, to_y, next_x, next_y, near_weight, far_weight, moment, parts) in enumerate(crossings.tolist()):
             when = t * parts + moment
             if kind == BALL:
@@ -285,10 +286,11 @@ def _meets_lamp(depth, x, y, z, i, j, k, crossings, numbers, flags, kind, sides,
                 there[there] = flags[n[there], ny[there], nx[there]] != 0
                 lit[who[there]] = True
                 gone |= there
+            if k == 0 and c == len(crossings) - 1:
+                gone |= (cx == x[who]) & (cy == y[who])  # a level ray on a map that repeats has come round
             who = who[~gone & ~blocked]
             if not len(who):
                 return lit
-    return lit
 
 
 def _meets_ball(x, y, z, i, j, k, numbers, step):
@@ -310,7 +312,11 @@ def clip(depth, steps, crossings, spans, numbers, flags, planes, rows, cols, roo
         for b, (i, j, k, _) in enumerate(steps[w].tolist()):
             bit = np.uint8(1 << b)
             if kind in (BALL, VOLUME):
-                on = _meets_lamp(depth, x, y, z, i, j, k, crossings[spans[w, 0] : spans[w].sum()], numbers, flags, kind, sides, step)
+                clear = (lit & bit != 0) if kind == BALL and sides == SIDES["open"] else np.zeros(len(z), bool)  # nothing at all is in the way
+                on = np.empty(len(z), bool)
+                on[clear] = _meets_ball(x[clear], y[clear], z[clear], i, j, k, numbers, step) >= 0
+                rest = ~clear
+                on[rest] = _meets_lamp(depth, x[rest], y[rest], z[rest], i, j, k, crossings[spans[w, 0] : spans[w].sum()], numbers, flags, kind, sides, step)
             else:
                 on = (lit & bit != 0) & _meets_plane(x, y, z, i, j, k, numbers, flags, rows, cols, kind, sides, step)
             lit = np.where(on, lit | bit, lit & ~bit)

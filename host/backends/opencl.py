@@ -12,7 +12,7 @@ from .base import Backend
 
 OPTIONS = ("-cl-std=CL1.2",)
 CPU_LANES = 8
-GPU_PIXELS = 4
+GPU_PIXELS = 8
 GPU_AHEAD = 8  # depths that a scan fetches before it uses them; a CPU sees ahead by itself
 
 

@@ -124,7 +124,7 @@ def lap_table(depth: np.ndarray, ways: list[tuple[int, int]], filled: bool) -> n
         residue, lane = np.divmod(np.arange(lines[w]), across)
         start = along - 1 - residue if stride > 0 else residue
         table[w, : lines[w]] = least[i, j][start, lane] if j else least[i, j][lane, start]
-    return table
+    return np.minimum(table, np.finfo(np.float32).max)  # where a whole cycle is masked; see the first ceilings of scan
 
 
 def _cycle_minimum(depth, i, j, filled):
@@ -135,7 +135,7 @@ def _cycle_minimum(depth, i, j, filled):
     for x, y, to_x, to_y, near, far, _, _ in points[:-1]:
         a, b = moved(depth, x, y), moved(depth, x + to_x, y + to_y)
         with np.errstate(invalid="ignore"):  # inf x 0 where masked
-            ground = np.float32(near) * a + np.float32(far) * b
+            ground = np.float32(near + far) * a + np.float32(far) * (b - a)
         least = np.minimum(least, np.where(np.isfinite(a) & np.isfinite(b), ground, np.float32(np.inf)))
     cycle, length = cycle_length(i, j, rows, cols), 1
     while length < cycle:  # the minimum over 1, 2, 4, ... nodes of the cycle
