@@ -39,18 +39,18 @@ __kernel void gradient(__global const float *depth, __global float *slopes, int 
   irradiance  (room)              float  in, out: the sum x |(dz/dx, dz/dy, -1)|, and after the last group the sum itself
 
 Work-item g owns pixels LANES g to LANES g + LANES - 1. Order of summation: walks, within a walk elevations. */
-__kernel void luminance(__global const uchar *planes, __global const float *slopes, __global const float4 *moments,
-                        __global float *irradiance, int pixels, int room, int n_walks, int is_first, int is_last)
+__kernel void luminance(__global const uchars *planes, __global const floats *slopes, __global const float4 *moments,
+                        __global floats *irradiance, int pixels, int room, int n_walks, int is_first, int is_last)
 {
-  const size_t p = (size_t)get_global_id(0) * LANES;
-  if (p >= pixels)
+  const size_t g = get_global_id(0), groups = room / LANES;
+  if (g >= groups)
     return;
-  const floats gx = LOAD(p, slopes), gy = LOAD(p, slopes + room);
+  const floats gx = slopes[g], gy = slopes[groups + g];
   floats sum = 0;
   if (!is_first)
-    sum = LOAD(p, irradiance);
+    sum = irradiance[g];
   for (int w = 0; w < n_walks; ++w) {
-    const ints lit = TO_INTS(LOAD((size_t)w * room + p, planes));
+    const ints lit = TO_INTS(planes[w * groups + g]);
     for (int b = 0; b < BITS; ++b) {
       const float4 moment = moments[BITS * w + b];
       const floats cosine = gx * moment.x + gy * moment.y - moment.z;
@@ -59,5 +59,5 @@ __kernel void luminance(__global const uchar *planes, __global const float *slop
   }
   if (is_last)
     sum /= sqrt(gx * gx + gy * gy + 1);
-  STORE(sum, p, irradiance);
+  irradiance[g] = sum;
 }

@@ -146,6 +146,25 @@ __kernel void turn_planes(__global uchar *planes, __global const int *pairs, int
       plane[y * cols + x] = turned[x * rows + y];
 }
 
+/* turn_planes_by_fours: the same where rows and cols are multiples of 4, with four bytes to a uint. */
+__kernel void turn_planes_by_fours(__global uint *planes, __global const int *pairs, int rows, int cols, int room)
+{
+  const int x0 = block_x(get_global_id(0), cols), y0 = block_y(get_global_id(0), cols), w = get_global_id(1);
+  if (x0 >= cols || y0 >= rows)
+    return;
+  __global const uint *turned = planes + (size_t)pairs[2 * w] * (room / 4);
+  __global uint *plane = planes + (size_t)pairs[2 * w + 1] * (room / 4);
+  uint column[SIDE];
+  for (int x = 0; x < SIDE; ++x)
+    column[x] = turned[((x0 + x) * rows + y0) / 4];
+  for (int y = 0; y < SIDE; ++y) {
+    uint row = 0;
+    for (int x = 0; x < SIDE; ++x)
+      row |= (column[x] >> 8 * y & 255u) << 8 * x;
+    plane[((y0 + y) * cols + x0) / 4] = row;
+  }
+}
+
 /* pack: planes of some walks -> packed visibility bits, direction d in bit d % 32 of word d // 32.
 
   planes  (walks, room)        uchar

@@ -9,7 +9,7 @@ from . import OPTIONS, PIXELS
 wp.set_module_options(OPTIONS)
 
 floats = wp.types.vector(PIXELS, wp.float32)
-bytes_ = wp.types.vector(PIXELS, wp.uint8)
+words = wp.types.vector(PIXELS // 4, wp.uint32)  # four pixels' bytes each, for whole loads
 
 
 @wp.func
@@ -68,7 +68,7 @@ def luminance(BITS: int):
 
     @wp.kernel(module="unique", module_options=OPTIONS)
     def luminance(
-        planes: wp.array2d[bytes_],
+        planes: wp.array2d[words],
         slopes: wp.array2d[floats],
         moments: wp.array2d[wp.vec4],
         irradiance: wp.array[floats],
@@ -90,7 +90,7 @@ def luminance(BITS: int):
                 moment = moments[w, b]
                 for l in range(PIXELS):
                     cosine = gx[l] * moment[0] + gy[l] * moment[1] - moment[2]
-                    if (wp.int32(lit[l]) & (1 << b)) != 0 and cosine > 0.0:
+                    if (lit[l // 4] & wp.uint32(1 << (8 * (l % 4) + b))) != wp.uint32(0) and cosine > 0.0:
                         total[l] += cosine
         if is_last != 0:
             for l in range(PIXELS):

@@ -12,6 +12,7 @@ from . import AHEAD, OPTIONS
 wp.set_module_options(OPTIONS)
 
 depths = wp.types.vector(AHEAD, wp.float32)
+fours = wp.types.vector(4, wp.uint32)
 NOTHING = wp.constant(wp.float32(3.4028234663852886e38))  # the largest float32: finite, so that a masked node never passes
 SIDE = wp.constant(4)
 PATCH_X = wp.constant(8)
@@ -185,6 +186,26 @@ def turn_planes(planes: wp.array2d[wp.uint8], pairs: wp.array2d[wp.int32], rows:
     for x in range(x0, wp.min(x0 + SIDE, cols)):
         for y in range(y0, wp.min(y0 + SIDE, rows)):
             planes[plane, y * cols + x] = planes[turned, x * rows + y]
+
+
+@wp.kernel
+def turn_planes_by_fours(planes: wp.array2d[wp.uint32], pairs: wp.array2d[wp.int32], rows: wp.int32, cols: wp.int32, room: wp.int32):
+    """The same where rows and cols are multiples of 4, with four bytes to a uint32."""
+    w, g = wp.tid()
+    turned = pairs[w, 0]
+    plane = pairs[w, 1]
+    x0 = block_x(g, cols)
+    y0 = block_y(g, cols)
+    if x0 >= cols or y0 >= rows:
+        return
+    column = fours()
+    for x in range(4):
+        column[x] = planes[turned, ((x0 + x) * rows + y0) // 4]
+    for y in range(4):
+        row = wp.uint32(0)
+        for x in range(4):
+            row |= ((column[x] >> wp.uint32(8 * y)) & wp.uint32(255)) << wp.uint32(8 * x)
+        planes[plane, ((y0 + y) * cols + x0) // 4] = row
 
 
 @functools.cache

@@ -243,7 +243,8 @@ class Surface:
         else:
             launch("scan", "scan", (group.lines, group.count), self.maps, group.walks, group.rise, lap, *tail, bits=group.bits)
         if group.pairs is not None:
-            launch("scan", "turn_planes", (self._blocks(), len(group.host.pairs)), self.planes, group.pairs, *shape, self.room)
+            by_fours = all(n % 4 == 0 for n in shape)
+            launch("scan", "turn_planes_by_fours" if by_fours else "turn_planes", (self._blocks(), len(group.host.pairs)), self.planes, group.pairs, *shape, self.room)
         if problem.clips:
             geometry = problem.geometry
             launch("source", "clip", (problem.pixels,), self.depth, group.steps, group.ways, group.way_spans, self.numbers, self.flags, self.planes, *shape,

@@ -127,6 +127,9 @@ def turn_planes(planes, pairs, rows, cols, room):
         planes[plane, :n].reshape(rows, cols)[...] = planes[turned, :n].reshape(cols, rows).T
 
 
+turn_planes_by_fours = turn_planes
+
+
 def _ground(depth, crossing, row, periodic):
     """Depth x parts at a crossing next to every node of a row; +inf where it is unknown."""
     rows, cols = depth.shape

@@ -13,7 +13,8 @@ from .base import Backend
 OPTIONS = ("-cl-std=CL1.2",)
 CPU_LANES = 8
 GPU_PIXELS = 8
-GPU_AHEAD = 8  # depths that a scan fetches before it uses them; a CPU sees ahead by itself
+GPU_GROUPS = {"scan": 512}  # work-items of a group where 256 are not the fastest: long neighbouring lines share cache lines
+GPU_AHEAD = 6  # depths that a scan fetches before it uses them; a CPU sees ahead by itself
 
 
 def probe():
@@ -81,14 +82,14 @@ class OpenclBackend(Backend):
     def launch(self, stem, kernel, dim, *args, bits=0, lanes=None):
         function, kinds = self._kernel(stem, kernel, bits, lanes or self.lanes)
         values = [arg.data if hasattr(arg, "data") and not np.isscalar(arg) else kind(arg) for arg, kind in zip(args, kinds, strict=True)]
-        local = self._local(dim)
+        local = self._local(kernel, dim)
         size = tuple(-(-n // l) * l for n, l in zip(dim, local))
         function(self.queue, size, local, *values)
 
-    def _local(self, dim):
+    def _local(self, kernel, dim):
         if self.on_cpu:
             return (1,) * len(dim)
-        return (128,) + (1,) * (len(dim) - 1)
+        return (GPU_GROUPS.get(kernel, 256),) + (1,) * (len(dim) - 1)
 
     def _kernel(self, stem, kernel, bits, lanes):
         key = stem, kernel, bits, lanes

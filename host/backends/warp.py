@@ -10,6 +10,8 @@ import numpy as np
 from .base import Backend
 from .numpy import available_memory
 
+GPU_GROUPS = {"scan": 512}  # threads of a block where 256 are not the fastest: long neighbouring lines share cache lines
+
 
 def probe():
     """A BackendInfo for Warp's CPU device and for every CUDA device."""
@@ -85,15 +87,15 @@ class WarpBackend(Backend):
             self._loaded.add(function)
         values = [self._as(arg, formal.type) for arg, formal in zip(args, function.adj.args, strict=True)]
         # Warp's last index runs fastest, OpenCL's first
-        self.wp.launch(function, dim=tuple(reversed(dim)), inputs=values, device=self._device)
+        self.wp.launch(function, dim=tuple(reversed(dim)), inputs=values, device=self._device, block_dim=GPU_GROUPS.get(kernel, 256))
 
     def _as(self, value, kind):
         """A device array seen with the axes and elements that the kernel declares: trailing axes run together, in vectors."""
         if not isinstance(value, self.wp.array):
             return value
-        length = getattr(kind.dtype, "_length_", 1)
-        if length == 1 and value.ndim == kind.ndim:
+        if value.dtype == kind.dtype and value.ndim == kind.ndim:
             return value
+        size = lambda dtype: self.wp.types.type_size_in_bytes(dtype)
         lead = value.shape[: kind.ndim - 1]
-        shape = (*lead, value.size // int(np.prod(lead)) // length)
+        shape = (*lead, value.size * size(value.dtype) // size(kind.dtype) // int(np.prod(lead)))
         return self.wp.array(ptr=value.ptr, dtype=kind.dtype, shape=shape, device=value.device)
