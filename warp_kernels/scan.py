@@ -7,7 +7,7 @@ import functools
 
 import warp as wp
 
-from . import AHEAD, OPTIONS
+from . import AHEAD, GROUP, OPTIONS
 
 wp.set_module_options(OPTIONS)
 
@@ -39,7 +39,7 @@ def scan(BITS: int):
     """
     floats = wp.types.vector(BITS, wp.float32)
 
-    @wp.kernel(module="unique", module_options=OPTIONS)
+    @wp.kernel(module="unique", module_options=OPTIONS, launch_bounds=GROUP)
     def scan(
         maps: wp.array2d[wp.float32],
         walks: wp.array2d[wp.int32],

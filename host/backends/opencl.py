@@ -13,7 +13,7 @@ from .base import Backend
 OPTIONS = ("-cl-std=CL1.2",)
 CPU_LANES = 8
 GPU_PIXELS = 8
-GPU_GROUPS = {"scan": 512}  # work-items of a group where 256 are not the fastest: long neighbouring lines share cache lines
+GPU_GROUPS = {"scan": 1024}  # work-items of a group where 256 are not the fastest: long neighbouring lines share cache lines
 GPU_AHEAD = 6  # depths that a scan fetches before it uses them; a CPU sees ahead by itself
 
 
@@ -80,21 +80,18 @@ class OpenclBackend(Backend):
         self.queue.finish()
 
     def launch(self, stem, kernel, dim, *args, bits=0, lanes=None):
-        function, kinds = self._kernel(stem, kernel, bits, lanes or self.lanes)
+        function, kinds, most = self._kernel(stem, kernel, bits, lanes or self.lanes)
         values = [arg.data if hasattr(arg, "data") and not np.isscalar(arg) else kind(arg) for arg, kind in zip(args, kinds, strict=True)]
-        local = self._local(kernel, dim)
+        local = (1,) * len(dim) if self.on_cpu else (min(most, GPU_GROUPS.get(kernel, 256)),) + (1,) * (len(dim) - 1)
         size = tuple(-(-n // l) * l for n, l in zip(dim, local))
         function(self.queue, size, local, *values)
-
-    def _local(self, kernel, dim):
-        if self.on_cpu:
-            return (1,) * len(dim)
-        return (GPU_GROUPS.get(kernel, 256),) + (1,) * (len(dim) - 1)
 
     def _kernel(self, stem, kernel, bits, lanes):
         key = stem, kernel, bits, lanes
         if key not in self._kernels:
-            self._kernels[key] = self.cl.Kernel(self._program(stem, bits, lanes), kernel), _scalar_kinds(stem, kernel)
+            function = self.cl.Kernel(self._program(stem, bits, lanes), kernel)
+            most = function.get_work_group_info(self.cl.kernel_work_group_info.WORK_GROUP_SIZE, self._device)
+            self._kernels[key] = function, _scalar_kinds(stem, kernel), most
         return self._kernels[key]
 
     @functools.cache

@@ -7,10 +7,10 @@ import time
 
 import numpy as np
 
+from skylamp.warp_kernels import GROUP, PIXELS
+
 from .base import Backend
 from .numpy import available_memory
-
-GPU_GROUPS = {"scan": 512}  # threads of a block where 256 are not the fastest: long neighbouring lines share cache lines
 
 
 def probe():
@@ -40,8 +40,6 @@ class WarpBackend(Backend):
 
     def __init__(self, alias: str):
         import warp as wp
-
-        from skylamp.warp_kernels import PIXELS
 
         self.wp = wp
         self.name = f"warp:{alias}"
@@ -87,7 +85,7 @@ class WarpBackend(Backend):
             self._loaded.add(function)
         values = [self._as(arg, formal.type) for arg, formal in zip(args, function.adj.args, strict=True)]
         # Warp's last index runs fastest, OpenCL's first
-        self.wp.launch(function, dim=tuple(reversed(dim)), inputs=values, device=self._device, block_dim=GPU_GROUPS.get(kernel, 256))
+        self.wp.launch(function, dim=tuple(reversed(dim)), inputs=values, device=self._device, block_dim=GROUP if kernel == "scan" else 256)
 
     def _as(self, value, kind):
         """A device array seen with the axes and elements that the kernel declares: trailing axes run together, in vectors."""
