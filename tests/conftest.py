@@ -50,7 +50,9 @@ def backend(request):
 @pytest.fixture(scope="session")
 def fast():
     """One backend for tests of the model itself: OpenCL, or else the first that is named."""
-    return _resolved(next((name for name in NAMED or MUST if name.startswith("opencl")), (NAMED or MUST)[0]))
+    from skylamp.backends import select
+
+    return select(_resolved(next((name for name in NAMED or MUST if name.startswith("opencl")), (NAMED or MUST)[0]))).name
 
 
 def pytest_report_header(config):
