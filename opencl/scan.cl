@@ -34,6 +34,8 @@ ints look(floats z, floats *ceiling, const float *climb)
   return lit;
 }
 
+/* neighbouring lines share cache lines, so large groups are faster than many */
+__attribute__((reqd_work_group_size(GROUP, 1, 1)))
 __kernel void scan(__global const float *maps, __global const int *walks, __global const float *rise,
                    __global const float *lap, __global uchar *planes, int map_rows, int map_cols, int room,
                    int lap_lines, int periodic)

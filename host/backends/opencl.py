@@ -13,7 +13,7 @@ from .base import Backend
 OPTIONS = ("-cl-std=CL1.2",)
 CPU_LANES = 8
 GPU_PIXELS = 8
-GPU_GROUPS = {"scan": 1024}  # work-items of a group where 256 are not the fastest: long neighbouring lines share cache lines
+GPU_GROUP = 1024  # work-items of a group of scan
 GPU_AHEAD = 6  # depths that a scan fetches before it uses them; a CPU sees ahead by itself
 
 
@@ -80,9 +80,9 @@ class OpenclBackend(Backend):
         self.queue.finish()
 
     def launch(self, stem, kernel, dim, *args, bits=0, lanes=None):
-        function, kinds, most = self._kernel(stem, kernel, bits, lanes or self.lanes)
+        function, kinds, group = self._kernel(stem, kernel, bits, lanes or self.lanes)
         values = [arg.data if hasattr(arg, "data") and not np.isscalar(arg) else kind(arg) for arg, kind in zip(args, kinds, strict=True)]
-        local = (1,) * len(dim) if self.on_cpu else (min(most, GPU_GROUPS.get(kernel, 256)),) + (1,) * (len(dim) - 1)
+        local = (group,) + (1,) * (len(dim) - 1)
         size = tuple(-(-n // l) * l for n, l in zip(dim, local))
         function(self.queue, size, local, *values)
 
@@ -90,8 +90,10 @@ class OpenclBackend(Backend):
         key = stem, kernel, bits, lanes
         if key not in self._kernels:
             function = self.cl.Kernel(self._program(stem, bits, lanes), kernel)
-            most = function.get_work_group_info(self.cl.kernel_work_group_info.WORK_GROUP_SIZE, self._device)
-            self._kernels[key] = function, _scalar_kinds(stem, kernel), most
+            info = self.cl.kernel_work_group_info
+            demanded = function.get_work_group_info(info.COMPILE_WORK_GROUP_SIZE, self._device)[0]
+            most = min(256, function.get_work_group_info(info.WORK_GROUP_SIZE, self._device))
+            self._kernels[key] = function, _scalar_kinds(stem, kernel), demanded or (1 if self.on_cpu else most)
         return self._kernels[key]
 
     @functools.cache
@@ -99,7 +101,7 @@ class OpenclBackend(Backend):
         from skylamp.opencl import source
 
         start = time.perf_counter()
-        defines = [f"-DLANES={lanes}", f"-DBITS={bits}", f"-DAHEAD={1 if self.on_cpu else GPU_AHEAD}"]
+        defines = [f"-DLANES={lanes}", f"-DBITS={bits}", f"-DAHEAD={1 if self.on_cpu else GPU_AHEAD}", f"-DGROUP={1 if self.on_cpu else min(GPU_GROUP, self._device.max_work_group_size)}"]
         try:
             program = self.cl.Program(self.context, source(stem)).build([*OPTIONS, *defines])
         except self.cl.Error as error:
