@@ -25,6 +25,7 @@ from rich.table import Column, Table
 import skylamp as sl
 
 from . import io
+from .backends import select
 from .errors import BackendError, InputError, SkylampError, bad
 
 app = typer.Typer(name="skylamp", no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None,
@@ -143,6 +144,7 @@ def backends(as_json: Json = False):
 @app.command()
 def demo(out: Annotated[Path, typer.Option(help="Folder for the pictures; created if need be", show_default=False)], backend: Backend = "auto", as_json: Json = False):
     """Real mountains under two skies and a lamp, depth recovered from a picture, and every backend beside the others."""
+    select(backend)  # a name that is not there shall leave nothing behind
     folder = io.folder(out)
     with _working("demo") as progress:
         stages = iter(range(1, 7))

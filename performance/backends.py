@@ -124,11 +124,11 @@ def chart(rows: list[dict], path: Path, size: int) -> None:
         values = [row[key]["tests per second"] for row in rows]
         bars = axes.barh([n + offset for n in range(len(rows))], values, 0.38, label=key)
         axes.bar_label(bars, [f"{v:.1e}" for v in values], padding=3, fontsize=8)
-    axes.set(xscale="log", xlabel="direction tests per second", title=f"{size} x {size} nodes, all 209 directions of M = {HEMICUBE}")
+    every = [row[key]["tests per second"] for row in rows for key in ("scan", "scan + luminance")]
+    axes.set(xscale="log", xlim=(min(every) / 10, max(every) * 4), xlabel="direction tests per second", title=f"{size} x {size} nodes, all 209 directions of M = {HEMICUBE}")
     axes.set_yticks(range(len(rows)), labels, fontsize=8)
     axes.invert_yaxis()
-    axes.margins(x=0.2)
-    axes.legend(fontsize=8)
+    axes.legend(fontsize=8, loc="upper left", bbox_to_anchor=(0, -0.35 if len(rows) < 3 else -0.2), ncols=2, frameon=False)
     figure.savefig(path, dpi=120)
 
 

@@ -17,6 +17,7 @@ from .tables import Group, crossings_of, lap_table, walk_groups
 
 ROOM = 32  # pixel arrays end with room for whole vectors
 SIDE, PATCH = 4, (8, 4)  # nodes on a side of a block that a work-item turns, blocks (across, down) of a patch; as in opencl/scan.cl
+MOST_PIXELS = 2**30
 SIDES = {"open": 0, "dark": 1, "periodic": 2}
 
 Progress = Callable[[int, int], None]
@@ -176,7 +177,10 @@ class Surface:
 
     def __init__(self, backend: Backend, problem: Problem, relief: float | None = None):
         self.backend, self.problem = backend, problem
+        if problem.pixels > MOST_PIXELS:
+            raise CapacityError(f"A map of {problem.pixels:,} nodes; at most {MOST_PIXELS:,}, since kernels count nodes in 32 bits. Cut it into tiles.")
         self.room = rounded_up(problem.pixels)
+        backend.reserve(32 * self.room, f"A map of {problem.pixels:,} nodes", "Cut it into tiles.")
         most = max(1, int(backend.memory // 3 // self.room))
         relief = problem.relief if relief is None else relief
         groups = walk_groups(problem.steps, problem.depth.shape, relief, problem.step, self.periodic, problem.filled, most)
