@@ -19,7 +19,7 @@ METHODS = ("auto", "lattice")
 QUANTITIES = ("radiance", "irradiance")
 # RMS error of E / pi of the filled lattice under a uniform sky on rough ground (rms slope 1): performance/lattice_error.py
 LATTICE_ERROR = {5: 0.0376, 7: 0.0188, 9: 0.0119, 17: 0.0039, 33: 0.0012}
-LEAK_SLOPE = 0.7  # rms slope from which the unfilled step gets worse, not better, from M = 9 on
+LEAK_SLOPE = 0.7  # rms slope from which the unfilled step leaks from M = 7 on (README, Limits)
 
 
 @dataclass(frozen=True)
@@ -130,7 +130,7 @@ def warnings_of(scene: Scene, source: sources.Source, cube: Hemicube, filled: bo
     """What the lattice is known to get wrong for this scene and source, one sentence each."""
     found = []
     depth = scene.depth[scene.valid].astype(float)
-    if not filled and cube.size >= 9:
+    if not filled and cube.size >= 7:
         z = np.where(scene.valid, scene.depth, np.nan).astype(float)
         slopes = [np.diff(z, axis=a) / scene.spacing for a in (0, 1) if z.shape[a] > 1]
         square = sum(np.nanmean(s**2) if np.isfinite(s).any() else 0.0 for s in slopes)
