@@ -180,7 +180,8 @@ class Surface:
         if problem.pixels > MOST_PIXELS:
             raise CapacityError(f"A map of {problem.pixels:,} nodes; at most {MOST_PIXELS:,}, since kernels count nodes in 32 bits. Cut it into tiles.")
         self.room = rounded_up(problem.pixels)
-        backend.reserve(32 * self.room, f"A map of {problem.pixels:,} nodes", "Cut it into tiles.")
+        # two maps, two slopes, the sum, and a plane with its turned twin
+        backend.reserve(22 * self.room, f"A map of {problem.pixels:,} nodes", "Cut it into tiles.")
         most = max(1, int(backend.memory // 3 // self.room))
         relief = problem.relief if relief is None else relief
         groups = walk_groups(problem.steps, problem.depth.shape, relief, problem.step, self.periodic, problem.filled, most)
