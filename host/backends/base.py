@@ -6,7 +6,7 @@ opencl/ and in numpy.py; what is here launches them by name.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -261,7 +261,7 @@ class Light:
     """The sum over the visible directions, with everything on the device; ``run`` may be repeated (and timed)."""
 
     def __init__(self, surface: Surface, moments: np.ndarray):
-        backend, problem = surface.backend, surface.problem
+        backend = surface.backend
         self.surface = surface
         self.slopes = backend.empty((2, surface.room), np.float32, 0)
         self.sum = backend.empty((surface.room,), np.float32, 0)
