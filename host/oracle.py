@@ -1,7 +1,8 @@
 """The oracle: the paper's two algorithms, step by step, in NumPy and float64. Slow on purpose and never tuned.
 
 Nothing here shares code with the backends; it is tested against closed forms (tests/test_oracle.py), and the kernels
-are tested against it. Depth is in whole layers n (masked nodes: -1 in ``surface``, and free space all the way down).
+are tested against it. Depth is in whole layers n (masked nodes: -1 in ``surface``, and free space all the way down),
+but for horizons and shadow rays, where it is a length (tests/test_oracle_horizons.py).
 The step numbers (1) to (4) are those of the forward and inverse algorithms in Langer and Zucker, section 6.
 """
 
@@ -274,3 +275,251 @@ def carve(low: np.ndarray, high: np.ndarray, weights: np.ndarray, steps: np.ndar
         if not active.any():  # (4) until z* < n everywhere
             break
     return depth
+
+
+# -- horizons and shadow rays: one surface, given by its grid lines ------------------------------------------------------------
+
+AT_A_NODE = 1e-9  # nodes; a crossing this near to a node is at the node, so that rounding loses no neighbour
+LEVEL = 0.002  # tangent; on a map that repeats, ground that may rise less than this above a node is not looked for
+
+
+def _split(at):
+    """Positions on a grid line as (node at or below, weight of the next node), weight 0 where at a node."""
+    low = np.floor(at + AT_A_NODE)
+    weight = at - low
+    return low.astype(np.int64), np.where(weight < AT_A_NODE, 0.0, weight)
+
+
+def _between(surface, column, low, weight, sides):
+    """Depth on grid line ``column`` between rows ``low`` and ``low`` + 1; nan where a node of weight > 0 is masked or off the map."""
+    rows, cols = surface.shape
+    high = low + (weight > 0)
+    if sides == "periodic":
+        column, low, high = column % cols, low % rows, high % rows
+    inside = (0 <= column) & (column < cols) & (0 <= low) & (high < rows)
+    column, low, high = np.where(inside, column, 0), np.where(inside, low, 0), np.where(inside, high, 0)
+    near = surface[low, column]
+    return np.where(inside, near + weight * (surface[high, column] - near), np.nan)
+
+
+def horizons(depth: np.ndarray, spacing: float, azimuths, sides: str = "open", max_distance: float | None = None, nodes=None) -> np.ndarray:
+    """Raw tangent of the horizon's elevation by brute force: (azimuths, rows, cols), or (azimuths, n) at ``nodes``.
+
+    depth (rows, cols) [length], not finite where masked; ``azimuths`` [rad] from +x (columns) towards +y (rows);
+    ``nodes``: (row indices, column indices). Every crossing of the azimuth's vertical plane with a row or a column
+    counts, up to ``max_distance`` [length]; of a map that repeats, to where its relief is LEVEL high, or one lap.
+    Dark: at least depth / distance of the wall half a node outside. -inf: no ground that way; nan: masked node.
+    """
+    surface = np.where(np.isfinite(depth), depth, np.nan).astype(float)
+    row, col = (np.ravel(index) for index in (np.indices(surface.shape) if nodes is None else nodes))
+    z, top, bottom = surface[row, col], np.nanmin(surface), np.nanmax(surface)
+    reach = math.inf if max_distance is None else max_distance / spacing * (1 + 1e-12)  # in nodes; a crossing just there counts
+    if sides != "periodic":
+        reach = min(reach, math.hypot(*surface.shape))
+    elif math.isinf(reach):
+        reach = max(math.hypot(*surface.shape), (bottom - top) / (LEVEL * spacing))
+    out = np.full((len(azimuths), len(row)), -np.inf)
+    for found, azimuth in zip(out, azimuths):
+        x, y = (0.0 if abs(part) < 1e-12 else part for part in (math.cos(azimuth), math.sin(azimuth)))
+        wall = np.full(len(row), np.inf)
+        # crossings with columns, and of the transposed map, which are those with rows
+        for lines, own, across, a, b in ((surface, col, row, x, y), (surface.T, row, col, y, x)):
+            if a == 0:
+                continue
+            length, width = lines.shape
+            wall = np.minimum(wall, ((width - 0.5 - own) if a > 0 else (own + 0.5)) / abs(a))
+            step = np.arange(1, int(reach * abs(a)) + 1)
+            low, weight = _split(step * (b / abs(a)))
+            if sides != "periodic":
+                on_map = (step < width) & (abs(low) <= length)
+                step, low, weight = step[on_map], low[on_map], weight[on_map]
+            distance = step * (spacing / abs(a))
+            offset = step if a > 0 else -step
+            start = 0
+            while start < len(step):
+                # no ground stands higher than top, so from here on nothing can raise the other nodes' horizons
+                left = np.flatnonzero(z - top > found * distance[start])
+                stop = start + 1 + 2**16 // (len(left) + 1)
+                part = slice(start, stop)
+                ground = _between(lines, own[left, None] + offset[part], across[left, None] + low[part], weight[part], sides)
+                slope = (z[left, None] - ground) / distance[part]
+                found[left] = np.fmax(found[left], np.fmax.reduce(slope, axis=1))
+                start = stop
+        if sides == "dark":
+            found[:] = np.fmax(found, z / (wall * spacing))
+        found[np.isnan(z)] = np.nan
+    return out.reshape(-1, *surface.shape) if nodes is None else out
+
+
+def sky_irradiance(depth: np.ndarray, spacing: float, valid: np.ndarray, azimuths, widths, horizon: np.ndarray,
+                   brightness=None, nodes=None) -> np.ndarray:
+    """Irradiance of a sky above ``horizon``, as from :func:`horizons`: (rows, cols), or (n,) at ``nodes``.
+
+    ``widths`` [rad]: each azimuth's share of the circle. A uniform sky (None: 1, or a number) is integrated over elevation
+    in closed form, a function of unit vectors (..., 3) at 200 Gauss-Legendre nodes between horizon and zenith.
+    """
+    row, col = (np.ravel(index) for index in (np.indices(valid.shape) if nodes is None else nodes))
+    normal = normals(depth, spacing, valid)[row, col]
+    point, share = np.polynomial.legendre.leggauss(200)
+    out = np.zeros(len(row))
+    for azimuth, width, tangent in zip(azimuths, widths, np.reshape(horizon, (len(azimuths), -1))):
+        along = normal[:, 0] * math.cos(azimuth) + normal[:, 1] * math.sin(azimuth)
+        up = -normal[:, 2]
+        t = np.arctan(np.maximum(0.0, np.maximum(tangent, -along / up)))  # the horizon, the tangent plane, the level
+        if not callable(brightness):
+            ring = along * (np.pi / 2 - t - np.sin(t) * np.cos(t)) / 2 + up * np.cos(t) ** 2 / 2
+            out += width * (1.0 if brightness is None else brightness) * ring
+            continue
+        for some in np.array_split(np.arange(len(row)), len(row) // 1000 + 1):  # so that memory stays small
+            half = (np.pi / 2 - t[some, None]) / 2
+            e = t[some, None] + half * (1 + point)
+            L = np.stack([np.cos(e) * math.cos(azimuth), np.cos(e) * math.sin(azimuth), -np.sin(e)], -1)
+            cosine = along[some, None] * np.cos(e) + up[some, None] * np.sin(e)
+            out[some] += width * (half * share * brightness(L) * cosine * np.cos(e)).sum(1)
+    out[~valid[row, col]] = np.nan
+    return out.reshape(valid.shape) if nodes is None else out
+
+
+def unblocked(depth: np.ndarray, spacing: float, row: int, col: int, directions: np.ndarray, ends: np.ndarray, sides: str = "open") -> np.ndarray:
+    """Whether rays from node (row, col) along unit vectors (n, 3) meet no ground before ``ends`` (n,) [length]: (n,) bool.
+
+    Every crossing with a column and with a row is looked at; blocked where the ground is strictly higher than the ray.
+    """
+    surface = np.where(np.isfinite(depth), depth, np.nan).astype(float)
+    top = np.nanmin(surface)
+    flat = np.where(abs(directions) < 1e-12, 0.0, directions)
+    free = np.ones(len(directions), bool)
+    for lines, own, across, axis in ((surface, col, row, 0), (surface.T, row, col, 1)):
+        rays, step = np.flatnonzero(flat[:, axis]), 0
+        while len(rays):
+            step += 1
+            a, b = flat[rays, axis], flat[rays, 1 - axis]
+            t = step * spacing / abs(a)
+            z = surface[row, col] + t * directions[rays, 2]
+            line = own + np.where(a > 0, step, -step)
+            low, weight = _split(across + step * (b / abs(a)))
+            going = (t < ends[rays]) & (z > top) & free[rays]
+            if sides != "periodic":
+                going &= (0 <= line) & (line < lines.shape[1]) & (-1 <= low) & (low < lines.shape[0])
+            rays, z, line, low, weight = rays[going], z[going], line[going], low[going], weight[going]
+            free[rays] = ~(_between(lines, line, low, weight, sides) < z)  # nan: no ground
+    return free
+
+
+def lamp_irradiance(depth: np.ndarray, spacing: float, valid: np.ndarray, lamp, nodes, rays: int = 4096, seed: int = 0,
+                    sides: str = "open") -> np.ndarray:
+    """Irradiance of a lamp at ``nodes`` (row indices, column indices) by stratified shadow rays: (n,) float64.
+
+    ``lamp``: a sphere, anything with center, radius [length] and brightness, whose rays are uniform in the cone in which it
+    is seen; or a rectangle (corner, edge_u, edge_v, brightness), its edges at right angles, which shines from both faces.
+    """
+    if isinstance(lamp, tuple):
+        return _gather(depth, spacing, valid, nodes, rays, seed, sides, lamp[3], lambda origin, u, v: _to_rectangle(*lamp[:3], origin, u, v))
+    return _gather(depth, spacing, valid, nodes, rays, seed, sides, lamp.brightness, lambda origin, u, v: _to_ball(lamp.center, lamp.radius, origin, u, v))
+
+
+def window_irradiance(depth: np.ndarray, spacing: float, valid: np.ndarray, window, nodes, points: int = 4096, seed: int = 0,
+                      sides: str = "open") -> np.ndarray:
+    """Irradiance at ``nodes`` of the sky behind a rectangle in z = 0, by stratified shadow rays: (n,) float64.
+
+    ``window``: anything with x = (x0, x1), y = (y0, y1) [length] and brightness. Over a map that repeats so does the window.
+    """
+    (x0, x1), (y0, y1) = window.x, window.y
+    if sides == "dark":  # the box hides the rest: no ray need be spent on it
+        x0, x1 = np.clip(window.x, -0.5 * spacing, (valid.shape[1] - 0.5) * spacing)
+        y0, y1 = np.clip(window.y, -0.5 * spacing, (valid.shape[0] - 0.5) * spacing)
+        if x0 == x1 or y0 == y1:
+            return np.where(valid[tuple(nodes)], 0.0, np.nan)
+
+    def aim(origin, u, v):
+        if sides != "periodic" and origin[2] > 0:
+            return _to_rectangle((x0, y0, 0.0), (x1 - x0, 0.0, 0.0), (0.0, y1 - y0, 0.0), origin, u, v)
+        # every direction, and whether it passes: a node in the window's own plane sees all the sky or none of it
+        L = _upwards(u, v)
+        ends = origin[2] / -L[:, 2]
+        through = np.ones(len(L), bool)
+        for axis, low, high, count in ((0, x0, x1, valid.shape[1]), (1, y0, y1, valid.shape[0])):
+            past = origin[axis] + ends * L[:, axis] - low
+            if sides == "periodic":
+                past = np.mod(past, count * spacing)
+            through &= (0 <= past) & (past < high - low)
+        return L, ends, np.where(through, 2 * np.pi, 0.0)
+
+    return _gather(depth, spacing, valid, nodes, points, seed, sides, window.brightness, aim)
+
+
+def _gather(depth, spacing, valid, nodes, rays, seed, sides, brightness, aim):
+    """Mean of weight B max(0, N . L) over the rays that arrive: aim(origin, u, v) -> (L (n, 3), ends (n,), weights [sr])."""
+    rows, cols = valid.shape
+    normal = normals(depth, spacing, valid)
+    surface = np.where(valid, depth, np.nan).astype(float)
+    side = math.isqrt(rays)
+    out = np.full(len(nodes[0]), np.nan)
+    for node, (row, col) in enumerate(zip(*nodes)):
+        if not valid[row, col]:
+            continue
+        jitter = np.random.default_rng((seed, row, col)).random((2, side, side))  # a node's rays do not depend on the other nodes
+        u, v = ((np.indices((side, side)) + jitter) / side).reshape(2, -1)
+        origin = np.array([col * spacing, row * spacing, surface[row, col]])
+        L, ends, weight = aim(origin, u, v)
+        cosine = L @ normal[row, col]
+        lit = (L[:, 2] <= 0) & (cosine > 0) & (weight > 0)
+        if sides == "dark":  # where the ray leaves the box through z = 0, or meets the source inside it
+            reach = np.minimum(ends, origin[2] / np.maximum(-L[:, 2], 1e-300))
+            for axis, count in ((0, cols), (1, rows)):
+                at = (origin[axis] + reach * L[:, axis]) / spacing
+                lit &= (at >= -0.5) & (at < count - 0.5)
+        lit[lit] = unblocked(surface, spacing, row, col, L[lit], ends[lit], sides)
+        light = brightness(L) if callable(brightness) else brightness
+        out[node] = np.where(lit, weight * cosine * light, 0.0).mean()
+    return out
+
+
+def _upwards(u, v):
+    """Unit vectors uniform over the hemisphere L_z < 0, for u and v uniform over 0 to 1."""
+    cosine = 1 - u
+    sine = np.sqrt(1 - cosine**2)
+    return np.stack([sine * np.cos(2 * np.pi * v), sine * np.sin(2 * np.pi * v), -cosine], -1)
+
+
+def _to_ball(center, radius, origin, u, v):
+    """Rays uniform in the cone that touches the ball, and where they meet it; from inside every ray meets it at once."""
+    to = np.asarray(center, float) - origin
+    far = np.linalg.norm(to)
+    if far <= radius:
+        return _upwards(u, v), np.zeros(len(u)), np.full(len(u), 2 * np.pi)
+    axis = to / far
+    e = np.cross(axis, np.eye(3)[np.argmin(abs(axis))])
+    e /= np.linalg.norm(e)
+    f = np.cross(axis, e)
+    q = (radius / far) ** 2
+    cap = q / (1 + math.sqrt(1 - q))  # 1 - cos of the cone's half angle, without cancellation
+    lost = u * cap  # 1 - cos of the ray's angle from the axis
+    sine = np.sqrt(lost * (2 - lost))
+    L = (1 - lost)[:, None] * axis + (sine * np.cos(2 * np.pi * v))[:, None] * e + (sine * np.sin(2 * np.pi * v))[:, None] * f
+    ends = far * (1 - lost) - np.sqrt(np.maximum(0.0, radius**2 - (far * sine) ** 2))
+    return L, ends, np.full(len(u), 2 * np.pi * cap)
+
+
+def _to_rectangle(corner, edge_u, edge_v, origin, u, v):
+    """Rays to a rectangle, weighted by solid angle; nothing from its own plane.
+
+    With the foot of the perpendicular, d long, at (0, 0), dOmega = d dx dy / (d^2 + x^2 + y^2)^(3/2) = dphi dh for
+    x = d tan(phi) and h = y / sqrt(d^2 + x^2 + y^2): phi and h are uniform, and nothing is singular close by.
+    """
+    corner, ex, ey = (np.asarray(vector, float) for vector in (corner, edge_u, edge_v))
+    width, length = np.linalg.norm(ex), np.linalg.norm(ey)
+    ex, ey = ex / width, ey / length
+    ez = np.cross(ex, ey)
+    x0, y0, d = (corner - origin) @ ex, (corner - origin) @ ey, (corner - origin) @ ez
+    if d == 0:
+        return np.tile(ez, (len(u), 1)), np.zeros(len(u)), np.zeros(len(u))
+    first, last = np.arctan2(x0, abs(d)), np.arctan2(x0 + width, abs(d))
+    x = abs(d) * np.tan(first + u * (last - first))
+    away = np.hypot(d, x)
+    low, high = y0 / np.hypot(away, y0), (y0 + length) / np.hypot(away, y0 + length)
+    h = low + v * (high - low)
+    y = h * away / np.sqrt(1 - h * h)
+    ends = np.hypot(away, y)
+    L = (x[:, None] * ex + y[:, None] * ey + d * ez) / ends[:, None]
+    return L, ends, (last - first) * (high - low)

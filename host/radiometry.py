@@ -1,4 +1,4 @@
-"""Closed forms of radiometry: solid angle of a rectangle, Lambert's moment of a polygon."""
+"""Closed forms of radiometry: solid angle of a rectangle, Lambert's moment of a polygon, moment of a disc cut by a plane."""
 
 import numpy as np
 
@@ -31,3 +31,24 @@ def polygon_moment(corners):
     moment = 0.5 * (angle[..., None] * normal).sum(-2)
     towards = (moment * a.mean(-2)).sum(-1, keepdims=True)
     return np.where(towards < 0, -moment, moment)
+
+
+def disc_moment(axis, sine, above=None):
+    """Integral of L dOmega [sr] over a disc of directions, such as a sphere covers: the cone about the unit vector ``axis``.
+
+    ``sine`` of the cone's half angle, below 1: radius / distance of a sphere's centre. ``above``: unit normal of a plane
+    through the eye; only the part on its side counts (a half-set sphere, the penumbra of a straight edge). axis and above
+    (..., 3), sine (...); returns (..., 3). Half the integral of L x dL round the rim: the circle's arc, and the plane's.
+    """
+    axis, sine = np.asarray(axis, float), np.asarray(sine, float)[..., None]
+    if above is None:
+        return np.pi * sine**2 * axis
+    above = np.asarray(above, float)
+    cosine = np.sqrt(1 - sine**2)
+    height = (axis * above).sum(-1, keepdims=True)
+    towards = above - height * axis  # across the axis, to the side that counts
+    width = np.linalg.norm(towards, axis=-1, keepdims=True)
+    towards = towards / np.where(width > 0, width, 1)
+    arc = np.arccos(np.clip(-height * cosine / np.maximum(width * sine, 1e-300), -1, 1))  # half of what is left of the circle
+    chord = 2 * np.arcsin(np.clip(sine * np.sin(arc), -1, 1))  # the plane's arc between its two ends
+    return arc * sine**2 * axis - cosine * sine * np.sin(arc) * towards + chord / 2 * above
