@@ -79,11 +79,12 @@ class Backend:
         """The first elements of a device array, seen in another shape; no copy."""
         raise NotImplementedError
 
-    def launch(self, stem: str, kernel: str, dim: tuple[int, ...], *args, bits: int = 0, lanes: int | None = None) -> None:
-        """Run ``kernel`` of module ``stem`` over ``dim`` work-items; Python ints are passed as int32, floats as float64.
+    def launch(self, stem: str, kernel: str, dim: tuple[int, ...], *args, lanes: int | None = None, group: int | None = None, **constants: int) -> None:
+        """Run ``kernel`` of module ``stem`` over ``dim`` work-items; scalars and vectors are passed as the kernel declares them.
 
-        ``bits``: elevations per walk, known when the kernel is compiled; 0 where the kernel has none. ``lanes``: lines or
-        pixels per work-item, the backend's own number of lines unless given.
+        ``lanes``: lines or pixels per work-item, the backend's own number of lines unless given. ``group``: work-items of
+        a group, where it matters. ``constants``: what must be known when the kernel is compiled, such as BITS, elevations
+        per walk.
         """
         raise NotImplementedError
 
@@ -103,7 +104,7 @@ class Backend:
         surface = Surface(self, problem)
         out = self.empty((*problem.depth.shape, words), np.uint32, 0)
         for number, group in enumerate(surface.groups):
-            self.launch("scan", "pack", (problem.pixels,), surface.scan(number), group.directions, out, problem.pixels, surface.room, words, group.count, bits=group.bits)
+            self.launch("scan", "pack", (problem.pixels,), surface.scan(number), group.directions, out, problem.pixels, surface.room, words, group.count, BITS=group.bits)
         return self.download(out)
 
     def irradiance(self, problem: Problem, moments: np.ndarray) -> np.ndarray:
@@ -129,7 +130,7 @@ class Backend:
             for number, (group, table) in enumerate(zip(surface.groups, tables)):
                 planes = surface.scan(number)
                 self.launch("carve", "carve", (pixels,), planes, table, light, low, high, side, surface.depth, active, pixels, surface.room, group.count,
-                            int(number == 0), int(number == len(tables) - 1), layer, int(by_sign), bits=group.bits)
+                            int(number == 0), int(number == len(tables) - 1), layer, int(by_sign), BITS=group.bits)
             if progress:
                 progress(layer + 1, layers)
             if not self.download(active)[0]:
@@ -244,16 +245,16 @@ class Surface:
         lap, lap_lines = self.laps[number]
         tail = (self.planes, *shape, self.room, lap_lines, int(self.periodic))
         if problem.filled:
-            launch("filled", "scan_filled", (group.lines, group.count), self.maps, group.walks, group.rise, lap, group.crossings, group.climbs, group.spans, *tail, bits=group.bits)
+            launch("filled", "scan_filled", (group.lines, group.count), self.maps, group.walks, group.rise, lap, group.crossings, group.climbs, group.spans, *tail, BITS=group.bits)
         else:
-            launch("scan", "scan", (group.lines, group.count), self.maps, group.walks, group.rise, lap, *tail, bits=group.bits)
+            launch("scan", "scan", (group.lines, group.count), self.maps, group.walks, group.rise, lap, *tail, BITS=group.bits)
         if group.pairs is not None:
             by_fours = all(n % 4 == 0 for n in shape)
             launch("scan", "turn_planes_by_fours" if by_fours else "turn_planes", (self._blocks(), len(group.host.pairs)), self.planes, group.pairs, *shape, self.room)
         if problem.clips:
             geometry = problem.geometry
             launch("source", "clip", (problem.pixels,), self.depth, group.steps, group.ways, group.way_spans, self.numbers, self.flags, self.planes, *shape,
-                   self.room, len(geometry.flags), geometry.kind, SIDES[problem.sides], float(problem.step), group.count, bits=group.bits)
+                   self.room, len(geometry.flags), geometry.kind, SIDES[problem.sides], float(problem.step), group.count, BITS=group.bits)
         return self.planes
 
 
@@ -276,7 +277,7 @@ class Light:
         last = len(surface.groups) - 1
         for number, (group, table) in enumerate(zip(surface.groups, self.tables)):
             backend.launch("luminance", "luminance", (surface.room // backend.pixel_lanes,), surface.scan(number), self.slopes, table, self.sum,
-                           problem.pixels, surface.room, group.count, int(number == 0), int(number == last), bits=group.bits, lanes=backend.pixel_lanes)
+                           problem.pixels, surface.room, group.count, int(number == 0), int(number == last), BITS=group.bits, lanes=backend.pixel_lanes)
 
 
 class FieldByLayers:

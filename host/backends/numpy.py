@@ -44,7 +44,7 @@ class NumpyBackend(Backend):
     def view(self, array, shape):
         return array.reshape(-1)[: np.prod(shape)].reshape(shape)
 
-    def launch(self, stem, kernel, dim, *args, bits=0, lanes=None):
+    def launch(self, stem, kernel, dim, *args, lanes=None, group=None, **constants):
         with np.errstate(invalid="ignore", divide="ignore", over="ignore"):  # masked nodes are +inf
             globals()[kernel](*args)
 

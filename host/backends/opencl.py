@@ -79,17 +79,17 @@ class OpenclBackend(Backend):
     def finish(self):
         self.queue.finish()
 
-    def launch(self, stem, kernel, dim, *args, bits=0, lanes=None):
-        function, kinds, group = self._kernel(stem, kernel, bits, lanes or self.lanes)
+    def launch(self, stem, kernel, dim, *args, lanes=None, group=None, **constants):
+        function, kinds, usual = self._kernel(stem, kernel, lanes or self.lanes, tuple(sorted(constants.items())))
         values = [arg.data if hasattr(arg, "data") and not np.isscalar(arg) else kind(arg) for arg, kind in zip(args, kinds, strict=True)]
-        local = (group,) + (1,) * (len(dim) - 1)
+        local = (group or usual,) + (1,) * (len(dim) - 1)
         size = tuple(-(-n // l) * l for n, l in zip(dim, local))
         function(self.queue, size, local, *values)
 
-    def _kernel(self, stem, kernel, bits, lanes):
-        key = stem, kernel, bits, lanes
+    def _kernel(self, stem, kernel, lanes, constants):
+        key = stem, kernel, lanes, constants
         if key not in self._kernels:
-            function = self.cl.Kernel(self._program(stem, bits, lanes), kernel)
+            function = self.cl.Kernel(self._program(stem, lanes, constants), kernel)
             info = self.cl.kernel_work_group_info
             demanded = function.get_work_group_info(info.COMPILE_WORK_GROUP_SIZE, self._device)[0]
             most = min(256, function.get_work_group_info(info.WORK_GROUP_SIZE, self._device))
@@ -97,11 +97,13 @@ class OpenclBackend(Backend):
         return self._kernels[key]
 
     @functools.cache
-    def _program(self, stem, bits, lanes):
+    def _program(self, stem, lanes, constants):
         from skylamp.opencl import source
 
         start = time.perf_counter()
-        defines = [f"-DLANES={lanes}", f"-DBITS={bits}", f"-DAHEAD={1 if self.on_cpu else GPU_AHEAD}", f"-DGROUP={1 if self.on_cpu else min(GPU_GROUP, self._device.max_work_group_size)}"]
+        group = 1 if self.on_cpu else min(GPU_GROUP, self._device.max_work_group_size)
+        known = {"LANES": lanes, "BITS": 0, "AHEAD": 1 if self.on_cpu else GPU_AHEAD, "GROUP": group, "ON_CPU": int(self.on_cpu), **dict(constants)}
+        defines = [f"-D{name}={value}" for name, value in known.items()]
         try:
             program = self.cl.Program(self.context, source(stem)).build([*OPTIONS, *defines])
         except self.cl.Error as error:
@@ -118,5 +120,5 @@ def _scalar_kinds(stem, kernel):
     from skylamp.opencl import source
 
     signature = re.search(rf"__kernel void {kernel}\((.*?)\)", source(stem), re.S).group(1)
-    kinds = {"int": np.int32, "float": np.float32, "double": np.float64}
-    return [None if "*" in argument else kinds[argument.split()[0]] for argument in signature.split(",")]
+    kinds = {"int": np.int32, "float": np.float32, "double": np.float64, "int16": lambda values: np.array(values, np.int32)}
+    return [None if "*" in argument else kinds[argument.replace("const", "").split()[0]] for argument in signature.split(",")]

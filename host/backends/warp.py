@@ -70,10 +70,10 @@ class WarpBackend(Backend):
     def finish(self):
         self.wp.synchronize_device(self._device)
 
-    def launch(self, stem, kernel, dim, *args, bits=0, lanes=None):
+    def launch(self, stem, kernel, dim, *args, lanes=None, group=None, **constants):
         function = getattr(importlib.import_module(f"skylamp.warp_kernels.{stem}"), kernel)
-        if bits and not isinstance(function, self.wp.Kernel):
-            function = function(bits)
+        if not isinstance(function, self.wp.Kernel):
+            function = function(**constants)
         if function not in self._loaded:
             start = time.perf_counter()
             level, self.wp.config.log_level = self.wp.config.log_level, self.wp.LOG_WARNING  # Warp would tell stdout
@@ -85,12 +85,12 @@ class WarpBackend(Backend):
             self._loaded.add(function)
         values = [self._as(arg, formal.type) for arg, formal in zip(args, function.adj.args, strict=True)]
         # Warp's last index runs fastest, OpenCL's first
-        self.wp.launch(function, dim=tuple(reversed(dim)), inputs=values, device=self._device, block_dim=GROUP if kernel == "scan" else 256)
+        self.wp.launch(function, dim=tuple(reversed(dim)), inputs=values, device=self._device, block_dim=group or (GROUP if kernel == "scan" else 256))
 
     def _as(self, value, kind):
         """A device array seen with the axes and elements that the kernel declares: trailing axes run together, in vectors."""
         if not isinstance(value, self.wp.array):
-            return value
+            return kind(*value) if hasattr(kind, "_wp_scalar_type_") else value  # a vector by value
         if value.dtype == kind.dtype and value.ndim == kind.ndim:
             return value
         size = lambda dtype: self.wp.types.type_size_in_bytes(dtype)
