@@ -60,6 +60,7 @@ class Backend:
     device: str
     memory: int  # bytes that may be taken at once
     lanes = 1  # adjacent lines per work-item
+    lines = 1  # adjacent work-items that share cache lines, where work-items of a group run together
     pixel_lanes = 1  # adjacent pixels per work-item where there are no lines; divides ROOM
     compile_seconds = 0.0
 
@@ -69,6 +70,10 @@ class Backend:
 
     def empty(self, shape: tuple[int, ...], dtype, fill: int | float | None = None):
         """A new device array; every element ``fill`` if given."""
+        raise NotImplementedError
+
+    def fill(self, array, value) -> None:
+        """Set every element of a device array."""
         raise NotImplementedError
 
     def download(self, array) -> np.ndarray:

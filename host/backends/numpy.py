@@ -38,6 +38,9 @@ class NumpyBackend(Backend):
     def empty(self, shape, dtype, fill=None):
         return np.empty(shape, dtype) if fill is None else np.full(shape, fill, dtype)
 
+    def fill(self, array, value):
+        array[...] = value
+
     def download(self, array):
         return array.copy()
 

@@ -13,6 +13,7 @@ from .base import Backend
 OPTIONS = ("-cl-std=CL1.2",)
 CPU_LANES = 8
 GPU_PIXELS = 8
+GPU_LINES = 64
 GPU_GROUP = 1024  # work-items of a group of scan
 GPU_AHEAD = 6  # depths that a scan fetches before it uses them; a CPU sees ahead by itself
 
@@ -57,6 +58,7 @@ class OpenclBackend(Backend):
         self.queue = cl.CommandQueue(self.context)
         self.on_cpu = bool(self._device.type & cl.device_type.CPU)
         self.lanes = CPU_LANES if self.on_cpu else 1
+        self.lines = 1 if self.on_cpu else GPU_LINES
         self.pixel_lanes = CPU_LANES if self.on_cpu else GPU_PIXELS
         self.memory = int(self._device.max_mem_alloc_size)
         self._kernels = {}
@@ -69,6 +71,9 @@ class OpenclBackend(Backend):
         if fill is not None:
             array.fill(np.dtype(dtype).type(fill))
         return array
+
+    def fill(self, array, value):
+        array.fill(array.dtype.type(value))
 
     def download(self, array):
         return array.get()
@@ -120,5 +125,5 @@ def _scalar_kinds(stem, kernel):
     from skylamp.opencl import source
 
     signature = re.search(rf"__kernel void {kernel}\((.*?)\)", source(stem), re.S).group(1)
-    kinds = {"int": np.int32, "float": np.float32, "double": np.float64, "int16": lambda values: np.array(values, np.int32)}
+    kinds = {"int": np.int32, "float": np.float32, "double": np.float64, "Ladder": lambda values: np.array(values, np.int32)}
     return [None if "*" in argument else kinds[argument.replace("const", "").split()[0]] for argument in signature.split(",")]

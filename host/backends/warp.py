@@ -7,7 +7,7 @@ import time
 
 import numpy as np
 
-from skylamp.warp_kernels import GROUP, PIXELS
+from skylamp.warp_kernels import GROUP, LINES, PIXELS
 
 from .base import Backend
 from .numpy import available_memory
@@ -45,6 +45,7 @@ class WarpBackend(Backend):
         self.name = f"warp:{alias}"
         self._device = wp.get_device(alias)
         self.device = self._device.name if self._device.is_cuda else "Warp on the CPU, 1 thread"
+        self.lines = LINES if self._device.is_cuda else 1
         self.pixel_lanes = PIXELS
         self._loaded = set()
 
@@ -60,6 +61,9 @@ class WarpBackend(Backend):
         if fill is not None:
             array.fill_(np.dtype(dtype).type(fill))
         return array
+
+    def fill(self, array, value):
+        array.fill_(value)
 
     def download(self, array):
         return np.array(array.numpy())

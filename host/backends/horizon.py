@@ -1,0 +1,232 @@
+"""Sweeps for horizons, and for the light of a sky above them: the tables that kernels are handed, and their sequence."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from .base import MOST_PIXELS, SIDES, Backend
+from ..errors import CapacityError
+
+NEAR = 6  # rows within which every crossing is tested; with 12 from MANY azimuths on, where the sum is that exact
+FINE, MANY = 12, 128
+LADDER = 16  # slopes of the ladder, as in opencl/horizon.cl
+NO_GROUND = np.float32(-1e30)
+NEVER = 1 << 30  # a window that no line fills
+SLOPES, UNIFORM, TABLE = range(3)  # what a sweep does with the horizon
+FAINTEST = 0.002  # slope below which ground of a map that repeats is not looked for
+
+
+class Ground(NamedTuple):
+    """A map as sweeps see it: heights (rows, cols) float32 in spacings above z = 0, -inf where masked; reach in spacings."""
+
+    heights: np.ndarray
+    sides: str
+    reach: float = math.inf
+
+    @property
+    def relief(self) -> float:
+        known = self.heights[np.isfinite(self.heights)]
+        return float(known.max()) - float(known.min())
+
+
+class Rays(NamedTuple):
+    """Azimuths [rad] and their widths [rad], each (K,)."""
+
+    angles: np.ndarray
+    widths: np.ndarray
+
+
+class Half(NamedTuple):
+    """One of the two maps, as it lies or turned, with the azimuths that go from row to row in it; sorted by window."""
+
+    turned: bool
+    rows: int
+    cols: int
+    numbers: np.ndarray  # of its azimuths
+    windows: np.ndarray
+    warm: int
+    shears: np.ndarray
+    tables: list  # on the device: azimuths, ways, near_at, near_weight
+    heights: object
+    table: object
+
+
+class Sweeps:
+    """A map on a device, ready to be swept; ``light`` and ``slopes`` may be repeated (and timed)."""
+
+    def __init__(self, backend: Backend, ground: Ground, rays: Rays, table: np.ndarray | None = None):
+        """``table`` (K, knots, 4) float32: brightness, see opencl/horizon.cl; uniform, of brightness 1, unless given."""
+        self.backend, self.ground, self.rays = backend, ground, rays
+        rows, cols = ground.heights.shape
+        if ground.heights.size > MOST_PIXELS:
+            raise CapacityError(f"A map of {ground.heights.size:,} nodes; at most {MOST_PIXELS:,}, since kernels count nodes in 32 bits. Cut it into tiles.")
+        self.near = FINE if len(rays.angles) >= MANY else NEAR
+        self.margin = self.near + backend.lanes + 3
+        backend.reserve(24 * (rows + 2 * self.margin) * (cols + 2 * self.margin), f"A map of {rows} x {cols} nodes", "Cut it into tiles.")
+        self.room = (rows + 2 * self.margin) * (cols + 2 * self.margin)
+        self.lowest = float(ground.heights[np.isfinite(ground.heights)].min())
+        self.steepest = _steepest(ground.heights, self.near)
+        self.heights = backend.upload(self._padded())
+        self.turned = backend.empty((self.room,), np.float32)
+        self.tilts = backend.empty((2, self.room), np.float32, 0)
+        self.knots = 2 if table is None else table.shape[1]
+        self.unit = self._unit(table)
+        self.halves = [self._half(turned, table) for turned in (False, True)]
+        self.nothing = backend.empty((1,), np.float32)
+
+    # -- what is asked of it
+
+    def light(self, total, turned) -> None:
+        """Irradiance float32 [brightness x sr] into the device array ``total``; both (rows x cols) int32, for sums on the way."""
+        backend = self.backend
+        rows, cols = self.ground.heights.shape
+        self._turn()
+        what = UNIFORM if self.halves[0].table is None else TABLE
+        for half, sums in zip(self.halves, (total, turned)):
+            backend.fill(sums, 0)
+            backend.launch("ground", "tilt", (half.cols, half.rows), half.heights, self.tilts, half.rows, half.cols, self.margin, self.room)
+            for first, count in self._batches(half, 1 if backend.lines == 1 else NEVER):
+                scratch = self.nothing
+                if half.windows[first] < NEVER:
+                    scratch = backend.empty((count, half.rows * half.cols), np.float32)
+                    self._sweep(half, first, count, SLOPES, False, True, scratch, sums)
+                self._sweep(half, first, count, what, half.windows[first] < NEVER, False, scratch, sums)
+        backend.launch("ground", "gather", (cols, rows), total, turned, total, rows, cols, 1 / self.unit)
+
+    def irradiance(self) -> np.ndarray:
+        """Irradiance (rows, cols) float32 [brightness x sr]."""
+        total, turned = (self.backend.empty((self.ground.heights.size,), np.int32) for _ in range(2))
+        self.light(total, turned)
+        return self.backend.download(total).view(np.float32).reshape(self.ground.heights.shape)
+
+    def slopes(self) -> np.ndarray:
+        """Horizon slopes (K, rows, cols) float32."""
+        backend = self.backend
+        rows, cols = self.ground.heights.shape
+        out = np.empty((len(self.rays.angles), rows, cols), np.float32)
+        most = max(1, int(min(backend.memory // 4, 2**30) // (8 * rows * cols)))
+        self._turn()
+        for half in self.halves:
+            for first, count in self._batches(half, most):
+                planes = backend.empty((count, half.rows * half.cols), np.float32)
+                known = False
+                for falling in (False, True):
+                    for backward in ((True, False) if half.windows[first] < NEVER else (False,)):
+                        self._sweep(half, first, count, SLOPES, known, backward, planes, self.nothing, falling)
+                        known = True
+                found = backend.download(planes).reshape(count, half.rows, half.cols)
+                out[half.numbers[first : first + count]] = found.transpose(0, 2, 1) if half.turned else found
+        return out
+
+    # -- how
+
+    def _turn(self):
+        rows, cols = (n + 2 * self.margin for n in self.ground.heights.shape)
+        self.backend.launch("ground", "turn", (rows, cols), self.heights, self.turned, rows, cols)
+
+    def _batches(self, half: Half, most: int):
+        """(first, count) of azimuths that are swept together: those of one window, at most ``most``."""
+        first = 0
+        while first < len(half.numbers):
+            count = min(most, int((half.windows[first:] == half.windows[first]).sum()))
+            yield first, count
+            first += count
+
+    def _sweep(self, half: Half, first: int, count: int, what: int, known: bool, backward: bool, slopes, sums, falling=False):
+        backend = self.backend
+        comes_at = int(half.windows[first]) if backward else self.near + 1
+        span = half.rows + half.warm + self.near + 2
+        bits, unit, steps, rises = ladder(self.steepest[falling], self.ground.relief, span, comes_at)
+        overhang = 0 if self.ground.sides == "periodic" else math.ceil(np.abs(half.shears[first : first + count]).max() * half.rows) + 1
+        lines = backend.lanes * backend.lines
+        groups = -(-(half.cols + overhang) // lines)
+        backend.launch("horizon", "sweep", (backend.lines, count, groups), half.heights, self.tilts, *half.tables, half.table or self.nothing, slopes, sums,
+                       steps, rises, first, groups, backend.lines, half.rows, half.cols, self.margin, self.room, self.knots, bits, self.lowest, unit,
+                       SIDES[self.ground.sides], what, int(known), int(backward), group=backend.lines, NEAR=self.near)
+
+    def _padded(self) -> np.ndarray:
+        heights = np.where(np.isfinite(self.ground.heights), self.ground.heights, NO_GROUND)
+        if self.ground.sides == "periodic":
+            return np.pad(heights, self.margin, "wrap").ravel()
+        return np.pad(heights, self.margin, constant_values=NO_GROUND).ravel()
+
+    def _unit(self, table) -> float:
+        """What one of irradiance counts in fixed point: no sum passes 2^30."""
+        most = np.ones(len(self.rays.widths)) if table is None else np.hypot(table[:, 0, 0], table[:, 0, 1])
+        return 2.0**30 / max(float(most @ self.rays.widths), 1e-30)
+
+    def _half(self, turned: bool, table) -> Half:
+        ground, near, put = self.ground, self.near, self.backend.upload
+        rows, cols = ground.heights.shape[:: -1 if turned else 1]
+        cosine, sine = np.cos(self.rays.angles), np.sin(self.rays.angles)
+        numbers = np.flatnonzero((np.abs(cosine) > np.abs(sine)) == turned)
+        across, along = (sine, cosine) if turned else (cosine, sine)
+        reach = np.maximum(ground.reach * np.abs(along[numbers]), 1e-3)
+        windows = np.where(reach < rows + cols, np.maximum(reach, 1), NEVER).astype(np.int64)
+        order = np.argsort(windows, kind="stable")
+        numbers, windows, reach = numbers[order], windows[order], reach[order]
+        warm = 0
+        if ground.sides == "periodic":
+            warm = math.ceil(max(rows, cols, ground.relief / FAINTEST)) if math.isinf(ground.reach) else math.ceil(ground.reach) + 1
+        stride = cols + 2 * self.margin
+        azimuths, ways = np.zeros((len(numbers), 8)), np.zeros((len(numbers), 8), np.int32)
+        near_at, near_weight = np.zeros((len(numbers), 2, near), np.int32), np.zeros((len(numbers), 2, near))
+        shears = np.zeros(len(numbers))
+        for n, (k, far) in enumerate(zip(numbers, reach)):
+            a, b = across[k], along[k]
+            towards, shear = (1 if b < 0 else -1), a / abs(b)
+            shear = 0.0 if abs(shear) < 1e-8 else math.copysign(1.0, shear) if abs(abs(shear) - 1) < 1e-12 else shear
+            steepness, shears[n] = abs(shear), shear
+            near_columns = math.floor(min(near, far) * steepness + 1e-9)
+            ways[n, :5] = towards, math.floor(min(near, far) + 1e-9), near_columns, warm, windows[n]
+            azimuths[n, :7] = shear, a, b, abs(b), self.rays.widths[k] * self.unit, 1 / steepness if steepness else 1e9, min(far, 1e30)
+            for e in range(near):
+                x = math.floor((e + 1) * shear)
+                near_at[n, 0, e], near_weight[n, 0, e] = -towards * (e + 1) * stride + x, (e + 1) * shear - x
+                if e < near_columns:
+                    y = math.floor((e + 1) / steepness)
+                    near_at[n, 1, e], near_weight[n, 1, e] = -towards * y * stride + int(math.copysign(e + 1, shear)), (e + 1) / steepness - y
+        near_weight = near_weight.astype(np.float32)
+        tables = [put(azimuths.astype(np.float32)), put(ways), put(near_at.reshape(-1, 2 * near)), put(near_weight.reshape(-1, 2 * near))]
+        table = None if table is None or not len(numbers) else put(np.ascontiguousarray(table[numbers], np.float32))
+        return Half(turned, rows, cols, numbers, windows, warm, shears, tables, self.turned if turned else self.heights, table)
+
+
+def ladder(steepest: float, relief: float, span: int, comes_at: int) -> tuple[int, float, list[int], list[int]]:
+    """(bits, unit, steps, rises): slopes from level to ``steepest`` [per row], evenly in angle, in the kernels' integers.
+
+    An integer holds a height above a ray in units of 1 / unit, and below it in ``bits`` bits a distance up to ``span`` rows.
+    """
+    bits = max(1, math.ceil(math.log2(max(span, comes_at) + 2)))
+    slopes = np.tan(np.linspace(0, math.atan(steepest), LADDER))
+    slopes = slopes if steepest > 0 else slopes[::-1]
+    high = relief + (steepest * comes_at if steepest > 0 else -steepest * span)
+    unit = (2.0 ** (30 - bits) - 2 * LADDER) / max(high, 1e-6)
+    steps = (np.rint(slopes * unit).astype(np.int64) << bits) - 1
+    return bits, unit, steps.tolist(), ((steps + 1) * comes_at).tolist()
+
+
+def _steepest(heights: np.ndarray, near: int) -> tuple[float, float]:
+    """Slopes [per row] of the steepest rise and fall to ground farther than ``near`` rows, but for one node in a thousand."""
+    rows, cols = heights.shape
+    stride = max(1, math.isqrt(rows * cols // 4096))
+    here = np.mgrid[: rows : stride, : cols : stride].reshape(2, -1)
+    own = heights[tuple(here)]
+    known = np.isfinite(own)
+    best = np.full((8, len(own)), -np.inf)
+    distance = near + 1
+    while distance < max(rows, cols):
+        for n, (i, j) in enumerate(((1, 0), (1, 1), (0, 1), (-1, 1), (-1, 0), (-1, -1), (0, -1), (1, -1))):
+            y, x = here[0] + j * distance, here[1] + i * distance
+            inside = (y >= 0) & (y < rows) & (x >= 0) & (x < cols) & known
+            there = np.where(inside, heights[np.clip(y, 0, rows - 1), np.clip(x, 0, cols - 1)], -np.inf)
+            with np.errstate(invalid="ignore"):
+                best[n] = np.fmax(best[n], (there - own) / distance)
+        distance = distance * 5 // 4 + 1
+    best = best[np.isfinite(best)]
+    if not best.size:
+        return 0.1, -0.1
+    return max(0.1, 1.1 * float(np.quantile(best, 0.999))), min(-0.1, 1.1 * float(np.quantile(best, 0.001)))

@@ -1,0 +1,306 @@
+/* Horizons, and the light of a sky above them, by sweeps along lines that pass the map in one azimuth.
+
+The horizon's slope at a node is the largest (height - own height) / distance over every crossing of the azimuth's
+vertical plane with a row or column of the grid. Nearer than NEAR rows all crossings are tested, exactly. Farther away a
+line that passes within half a node carries, for each slope s of a ladder, the crossing that stands highest above a ray of
+that slope, max (height - s distance), as one integer: quantized height above the ray, and the distance in its lowest
+bits. The two steps of the ladder between which the node's own height lies give the two crossings between which the
+true one lies; both, and a column crossing beside each, are then looked up on the node's own ray, exactly.
+
+The map is seen so that rays go from row to row: azimuths nearer to the columns' direction belong to the turned map.
+
+  heights      (room)          float  [spacing]  the padded map, (rows + 2 margin, cols + 2 margin); -1e30: no ground
+  tilts        (2, room)       float  [1]        d depth/dx and d depth/dy, padded likewise
+  azimuths     (count, 8)      float  columns per row towards the source, cosine and sine of the azimuth in this map, the
+                                      slope's unit (rows per spacing), width [rad x unit of the sum], 1 / |columns per
+                                      row| or 1e9, reach [rows], 0
+  ways         (count, 8)      int    1 if the source lies towards row 0, else -1; near rows; near columns; rows before the
+                                      first from which a map that repeats is swept; window [rows]; 0, 0, 0
+  near_at      (count, 2 NEAR) int    where near row (column) crossings are, from the node, in elements of heights
+  near_weight  (count, 2 NEAR) float  weight of the farther node of each
+  table        (count, knots)  float4 brightness: integrals over elevation of B cos^2 and B sin cos from
+                                      sin(elevation) = i / (knots - 1) to the zenith, and what to add up to the next knot
+  slopes       (count, rows x cols) float  in, out: horizon slopes [1]
+  sum          (rows x cols)   int    in, out: irradiance in fixed point, so that no order of summation matters
+  steps, rises                        the ladder: (s << bits) - 1, and s times the distance at which a crossing comes in
+
+what: 0 writes slopes, 1 adds the light of a uniform sky, 2 that of `table`. known: slopes holds what is known already.
+backward: rows at the far end of the window come in, and blocks of one window are swept from the last row to the first;
+with a forward sweep by blocks it covers exactly one window before every node.
+Work-item (j, k, g) owns LANES adjacent lines of azimuth k; long lines start first. Twin of warp_kernels/horizon.py. */
+#include "lanes.h"
+#define NONE -1e30f
+#define UNSEEN (1 - (1 << 30)) /* far below all ground, one row away */
+#define LADDER 16
+#define DARK 1
+#define PERIODIC 2
+#define SLOPES 0
+#define UNIFORM 1
+
+#if LANES == 1
+#define TO_FLOATS convert_float
+#define COUNT 0
+#define PICK(pointer, at) (pointer)[at]
+#define LANE(type, v, l) (v)
+#else
+#define TO_FLOATS JOIN(convert_float, LANES)
+#define COUNT (ints)(0, 1, 2, 3, 4, 5, 6, 7)
+#define PICK(p, i) ((floats)((p)[(i).s0], (p)[(i).s1], (p)[(i).s2], (p)[(i).s3], (p)[(i).s4], (p)[(i).s5], (p)[(i).s6], (p)[(i).s7]))
+#define LANE(type, v, l) ((type *)&v)[l]
+#endif
+#if ON_CPU /* PoCL calls its vector builtins; these go inline */
+typedef struct __attribute__((packed)) { floats v; } loose_floats;
+typedef struct __attribute__((packed)) { ints v; } loose_ints;
+#define READ(offset, pointer) (((__global const loose_floats *)((pointer) + (offset)))->v)
+#define MORE(a, b) ((a) > (b) ? (a) : (b))
+#define FMA(a, b, c) ((a) * (b) + (c))
+#define RECIPROCAL(v) (1 / (v))
+#define ADD(to, value) *(to) += value /* azimuths come one by one, and no two lines share a node */
+#else
+#define READ(offset, pointer) LOAD(offset, pointer)
+#define MORE(a, b) fmax(a, b)
+#define FMA(a, b, c) fma(a, b, c)
+#define RECIPROCAL(v) native_recip(v)
+#define ADD(to, value) atomic_add(to, value)
+#endif
+
+typedef struct { int s[LADDER]; } Ladder;
+
+ints more(ints a, ints b) { return a > b ? a : b; }
+ints less(ints a, ints b) { return a < b ? a : b; }
+floats higher(floats a, floats b) { return MORE(a, b); }
+
+/* Where column x of row y lies; on a map that repeats both may be outside it. */
+ints place(ints x, ints y, int rows, int cols, int margin, int sides)
+{
+  if (sides == PERIODIC) {
+    x = x % cols;
+    y = y % rows;
+    x = x < 0 ? x + cols : x;
+    y = y < 0 ? y + rows : y;
+  }
+  return (y + margin) * (cols + 2 * margin) + margin + x;
+}
+
+/* Offset of lane l of a row's nodes from the row's first, or -1 where it is not on the map. */
+int column_of(int x, int line, int l, int cols, int sides)
+{
+  if (sides == PERIODIC)
+    return line + l >= cols ? -1 : x + l >= cols ? x + l - cols : x + l;
+  return x + l >= 0 && x + l < cols ? x + l : -1;
+}
+
+/* Heights of the line at a row, quantized, with the distance at which it comes in. */
+ints look(__global const float *heights, int at, float weight, float lowest, float unit, int bits, int distance)
+{
+  const floats a = READ(at, heights), b = READ(at + 1, heights);
+  floats ground = a + weight * (b - a);
+  ground = a <= NONE ? b : b <= NONE ? a : ground;
+  const ints seen = (TO_INTS(higher(ground - lowest, 0.0f) * unit) << bits) | distance;
+  return ground <= NONE ? (ints)UNSEEN : seen;
+}
+
+__kernel void sweep(__global const float *restrict heights, __global const float *restrict tilts, __constant float *azimuths,
+                    __constant int *ways, __constant int *near_at, __constant float *near_weight,
+                    __global const float4 *restrict table, __global float *restrict slopes, __global int *restrict sum,
+                    const Ladder steps, const Ladder rises, int first, int groups, int group, int rows, int cols, int margin,
+                    int room, int knots, int bits, float lowest, float unit, int sides, int what, int known, int backward)
+{
+  const int k = get_group_id(1) + first, g = get_global_id(2);
+  const float shear = azimuths[8 * k], cosine = azimuths[8 * k + 1], sine = azimuths[8 * k + 2];
+  const float tangent = azimuths[8 * k + 3], width = azimuths[8 * k + 4], reciprocal = azimuths[8 * k + 5];
+  const float reach = azimuths[8 * k + 6], steepness = fabs(shear);
+  const int towards = ways[8 * k], near_rows = ways[8 * k + 1], near_columns = ways[8 * k + 2], warm = ways[8 * k + 3];
+  const int window = ways[8 * k + 4];
+
+  /* 1. which lines, the longest first, and from which row to which they are on the map */
+  const int order = g & 1 ? groups / 2 - (g + 1) / 2 : groups / 2 + g / 2;
+  const int overhang = sides == PERIODIC ? 0 : (int)(steepness * rows) + 1;
+  const int line = (order * group + (int)get_global_id(0)) * LANES - (shear < 0 ? overhang : 0);
+  if (line >= cols + (shear > 0 ? overhang : 0))
+    return;
+  int start = -warm, stop = rows;
+  if (sides != PERIODIC && reciprocal < 1e8f) {
+    const float in = shear > 0 ? line - cols : -line - LANES, out = shear > 0 ? line + LANES : cols - line;
+    start = max((int)floor(in * reciprocal), 0);
+    stop = min((int)(out * reciprocal) + 2, rows);
+  }
+
+  int row_at[NEAR], column_at[NEAR];
+  float row_weight[NEAR], column_weight[NEAR];
+  for (int e = 0; e < NEAR; ++e) {
+    row_at[e] = near_at[2 * NEAR * k + e];
+    row_weight[e] = near_weight[2 * NEAR * k + e];
+    column_at[e] = near_at[2 * NEAR * k + NEAR + e];
+    column_weight[e] = near_weight[2 * NEAR * k + NEAR + e];
+  }
+
+  /* 2. the ladder: nothing seen yet */
+  ints above[LADDER];
+  for (int i = 0; i < LADDER; ++i)
+    above[i] = UNSEEN;
+  const int stride = cols + 2 * margin, back = -towards * stride, sideways = shear > 0 ? 1 : -1, mask = (1 << bits) - 1;
+  const int by_blocks = window < 1 << 30, turn = backward ? 1 : -1;
+  const int comes_at = backward ? window : NEAR + 1;
+  int from = start, to = stop;
+  if (backward) {
+    from -= (start + warm) % window;
+    to += window - 1 - (stop - 1 + warm) % window;
+  }
+
+  for (int i = from; i < to; ++i) {
+    /* 3. the row that comes in, quantized; then every ray climbs (or, backward, falls) by one row */
+    int u = i;
+    if (by_blocks) {
+      const int into = (i + warm) % window;
+      for (int s = 0; s < LADDER && into == 0; ++s)
+        above[s] = UNSEEN;
+      u = backward ? i - 2 * into + window - 1 : i;
+    }
+    const int comes = u - comes_at;
+    ints seen = UNSEEN;
+    if (comes >= start && comes < stop || sides == PERIODIC) {
+      const float across = -shear * comes;
+      const int column = (int)floor(across);
+      int x = line + column, row = comes;
+      if (sides == PERIODIC) {
+        x = (x % cols + cols) % cols;
+        row = (row % rows + rows) % rows;
+      }
+      const int y = towards > 0 ? row : rows - 1 - row;
+      seen = look(heights, (y + margin) * stride + margin + x, across - column, lowest, unit, bits, comes_at);
+    }
+    for (int s = 0; s < LADDER; ++s)
+      above[s] = more(above[s] + turn * steps.s[s], seen);
+    if (u < max(start, 0) || u >= stop)
+      continue;
+
+    /* 4. the nodes of this row: LANES neighbours from column x */
+    int x = line + (int)floor(0.5f - shear * u);
+    if (sides == PERIODIC)
+      x = (x % cols + cols) % cols;
+    const int y = towards > 0 ? u : rows - 1 - u, p = (y + margin) * stride + margin + x;
+    const floats own = READ(p, heights);
+    const ints level = TO_INTS(higher(own - lowest, 0.0f) * unit) << bits;
+
+    /* 5. near: every crossing with the next rows, and with the columns before them */
+    floats near = NONE;
+    for (int e = 0; e < NEAR; ++e)
+      if (e < near_rows) {
+        const floats a = READ(p + row_at[e], heights), b = READ(p + row_at[e] + 1, heights);
+        near = higher(near, FMA((floats)row_weight[e], b - a, a - own) * (1.0f / (e + 1)));
+      }
+    floats beside = NONE;
+    for (int e = 0; e < NEAR; ++e)
+      if (e < near_columns) {
+        const floats a = READ(p + column_at[e], heights), b = READ(p + column_at[e] + back, heights);
+        beside = higher(beside, FMA((floats)column_weight[e], b - a, a - own) * (1.0f / (e + 1)));
+      }
+    near = higher(near, beside * steepness);
+
+    /* 6. the two steps of the ladder between which the node lies, by bisection; above[s] is rise[s] too high */
+    ints low[8], test = above[8] >= level + rises.s[8], lower, upper = test ? above[15] : above[8];
+    for (int s = 0; s < 8; ++s)
+      low[s] = test ? above[8 + s] : above[s];
+    ints r1 = test ? (ints)rises.s[9] : (ints)rises.s[1], r2 = test ? (ints)rises.s[10] : (ints)rises.s[2], r3 = test ? (ints)rises.s[11] : (ints)rises.s[3];
+    ints r4 = test ? (ints)rises.s[12] : (ints)rises.s[4], r5 = test ? (ints)rises.s[13] : (ints)rises.s[5], r6 = test ? (ints)rises.s[14] : (ints)rises.s[6];
+    ints r7 = test ? (ints)rises.s[15] : (ints)rises.s[7];
+    test = low[4] >= level + r4;
+    upper = test ? upper : low[4];
+    for (int s = 0; s < 4; ++s)
+      low[s] = test ? low[4 + s] : low[s];
+    r1 = test ? r5 : r1;
+    r2 = test ? r6 : r2;
+    r3 = test ? r7 : r3;
+    test = low[2] >= level + r2;
+    upper = test ? upper : low[2];
+    low[0] = test ? low[2] : low[0];
+    low[1] = test ? low[3] : low[1];
+    test = low[1] >= level + (test ? r3 : r1);
+    upper = test ? upper : low[1];
+    lower = test ? low[1] : low[0];
+
+    /* 7. both distances on the node's own ray, no farther than the map or the window goes */
+    const ints xs = x + COUNT;
+    ints last = min(u + warm, window);
+    if (sides != PERIODIC) {
+      const floats room_beside = TO_FLOATS(shear > 0 ? cols - 1 - xs : xs) * reciprocal;
+      last = room_beside < (float)min(u, window) ? TO_INTS(room_beside) : last;
+    }
+    last = more(last, 1);
+    floats far = NONE, distance[2];
+    for (int c = 0; c < 2; ++c) {
+      const ints t = less((c ? upper : lower) & mask, last);
+      distance[c] = TO_FLOATS(t);
+      const floats across = shear * distance[c];
+      ints n = TO_INTS(across);
+      n -= across < TO_FLOATS(n) ? (ints)1 : (ints)0;
+      const ints at = sides == PERIODIC ? place(xs + n, y - towards * t, rows, cols, margin, sides) : p + COUNT + back * t + n;
+      const floats a = PICK(heights, at), b = PICK(heights + 1, at);
+      far = higher(far, FMA(across - TO_FLOATS(n), b - a, a - own) * RECIPROCAL(distance[c]));
+    }
+    /* 8. and the column crossings beside them: the nearer one's before, the farther one's behind */
+    if (reciprocal < 1e8f)
+      for (int c = 0; c < 2; ++c) {
+        const ints m = more(TO_INTS(steepness * distance[c]) + c, 1);
+        const floats t = TO_FLOATS(m) * reciprocal;
+        const ints n = TO_INTS(t), before = sides == PERIODIC ? n : less(n, u + 1);
+        const ints at = sides == PERIODIC ? place(xs + sideways * m, y - towards * before, rows, cols, margin, sides) : p + COUNT + back * before + sideways * m;
+        const floats a = PICK(heights, at), b = PICK(heights + back, at);
+        const floats found = FMA(t - TO_FLOATS(n), b - a, a - own) * RECIPROCAL(t);
+        far = t <= reach ? higher(far, found) : far;
+      }
+    floats slope = higher(near, far) * tangent;
+    if (sides == DARK) { /* a wall half a node outside, up to height 0 */
+      const floats wall = TO_FLOATS(shear > 0 ? 2 * (cols - xs) - 1 : 2 * xs + 1) * (0.5f * reciprocal), ahead = u + 0.5f;
+      slope = higher(slope, -own * tangent / (wall < ahead ? wall : ahead));
+    }
+    if (known)
+      for (int l = 0; l < LANES; ++l) {
+        const int c = column_of(x, line, l, cols, sides);
+        if (c >= 0)
+          LANE(float, slope, l) = max(LANE(float, slope, l), slopes[((size_t)get_group_id(1) * rows + y) * cols + c]);
+      }
+    if (what == SLOPES) {
+      for (int l = 0; l < LANES; ++l) {
+        const int c = column_of(x, line, l, cols, sides);
+        if (c >= 0)
+          slopes[((size_t)get_group_id(1) * rows + y) * cols + c] = LANE(float, slope, l) < -1e20f ? -INFINITY : LANE(float, slope, l);
+      }
+      continue;
+    }
+
+    /* 9. the light between the horizon, or the tangent plane, and the zenith */
+    const floats gx = READ(p, tilts), gy = READ(room + p, tilts), along = gx * cosine + gy * sine;
+    const floats limit = higher(higher(slope, -along), 0.0f);
+    floats c1, c2;
+    if (what == UNIFORM) {
+      c2 = RECIPROCAL(FMA(limit, limit, (floats)1.0f));
+      c1 = 0.5f * (1.57079633f - atan(limit) - limit * c2);
+      c2 *= 0.5f;
+    } else {
+      const floats at = limit / sqrt(FMA(limit, limit, (floats)1.0f)) * (float)(knots - 1);
+      const ints knot = less(TO_INTS(at), knots - 2);
+      const floats part = at - TO_FLOATS(knot);
+      for (int l = 0; l < LANES; ++l) {
+        const float4 entry = table[(size_t)k * knots + LANE(int, knot, l)];
+        LANE(float, c1, l) = FMA(LANE(float, part, l), entry.z, entry.x);
+        LANE(float, c2, l) = FMA(LANE(float, part, l), entry.w, entry.y);
+      }
+    }
+    const floats light = FMA(along, c1, c2) * (width / sqrt(FMA(gx, gx, FMA(gy, gy, (floats)1.0f))));
+    const ints share = TO_INTS(light + 0.5f);
+#if ON_CPU
+    if (x >= 0 && column_of(x, line, LANES - 1, cols, sides) == x + LANES - 1) {
+      __global loose_ints *total = (__global loose_ints *)(sum + y * cols + x);
+      total->v += share;
+      continue;
+    }
+#endif
+    for (int l = 0; l < LANES; ++l) {
+      const int c = column_of(x, line, l, cols, sides);
+      if (c >= 0)
+        ADD(sum + y * cols + c, LANE(int, share, l));
+    }
+  }
+}
