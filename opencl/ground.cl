@@ -8,7 +8,7 @@ nodes, 0 where alone or masked.
   heights  (room)     float  [spacing]  as for sweep
   tilts    (2, room)  float  [1]        out
 
-Work-item (x, y) owns one node. */
+Work-item (x, y) owns one element of the padded map; where the map repeats, so do the slopes. */
 float difference(__global const float *heights, int here, int low, int high)
 {
   low = heights[low] <= NONE ? here : low;
@@ -16,14 +16,20 @@ float difference(__global const float *heights, int here, int low, int high)
   return (heights[low] - heights[high]) * (low == here || high == here ? 1.0f : 0.5f);
 }
 
-__kernel void tilt(__global const float *heights, __global float *tilts, int rows, int cols, int margin, int room)
+__kernel void tilt(__global const float *heights, __global float *tilts, int rows, int cols, int margin, int room, int periodic)
 {
-  const int x = get_global_id(0), y = get_global_id(1), stride = cols + 2 * margin, p = (y + margin) * stride + margin + x;
-  if (x >= cols || y >= rows)
+  const int stride = cols + 2 * margin;
+  int x = (int)get_global_id(0) - margin, y = (int)get_global_id(1) - margin;
+  const int at = (y + margin) * stride + x + margin;
+  if (x >= cols + margin || y >= rows + margin)
     return;
-  const int known = heights[p] > NONE;
-  tilts[p] = known ? difference(heights, p, p - (x > 0), p + (x < cols - 1)) : 0.0f;
-  tilts[room + p] = known ? difference(heights, p, p - (y > 0 ? stride : 0), p + (y < rows - 1 ? stride : 0)) : 0.0f;
+  if (periodic) {
+    x = (x % cols + cols) % cols;
+    y = (y % rows + rows) % rows;
+  }
+  const int p = (y + margin) * stride + margin + x, known = x >= 0 && x < cols && y >= 0 && y < rows && heights[p] > NONE;
+  tilts[at] = known ? difference(heights, p, p - (x > 0), p + (x < cols - 1)) : 0.0f;
+  tilts[room + at] = known ? difference(heights, p, p - (y > 0 ? stride : 0), p + (y < rows - 1 ? stride : 0)) : 0.0f;
 }
 
 /* turn: a map (rows, cols) and the same turned, (cols, rows). Work-item (x, y) owns one node of the turned map. */

@@ -9,7 +9,7 @@ true one lies; both, and a column crossing beside each, are then looked up on th
 
 The map is seen so that rays go from row to row: azimuths nearer to the columns' direction belong to the turned map.
 
-  heights      (room)          float  [spacing]  the padded map, (rows + 2 margin, cols + 2 margin); -1e30: no ground
+  heights      (room)          float  [spacing]  the padded map, (rows + 2 margin, cols + 2 margin); -1e30 outside, -2e30 masked
   tilts        (2, room)       float  [1]        d depth/dx and d depth/dy, padded likewise
   azimuths     (count, 8)      float  columns per row towards the source, cosine and sine of the azimuth in this map, the
                                       slope's unit (rows per spacing), width [rad x unit of the sum], 1 / |columns per
@@ -95,9 +95,33 @@ ints look(__global const float *heights, int at, float weight, float lowest, flo
 {
   const floats a = READ(at, heights), b = READ(at + 1, heights);
   floats ground = a + weight * (b - a);
-  ground = a <= NONE ? b : b <= NONE ? a : ground;
+  ground = a == NONE ? b : b == NONE ? a : ground; /* beside the map the border goes on; a masked node is a gap */
   const ints seen = (TO_INTS(higher(ground - lowest, 0.0f) * unit) << bits) | distance;
-  return ground <= NONE ? (ints)UNSEEN : seen;
+  return ground < -1e20f ? (ints)UNSEEN : seen;
+}
+
+/* Slope from a node at column x, row y, to its ray's crossing with the row t rows on. */
+floats on_row(__global const float *heights, floats own, ints x, int y, ints t, float shear, int towards, int rows, int cols,
+              int margin, int sides)
+{
+  const floats distance = TO_FLOATS(t), across = shear * distance;
+  ints n = TO_INTS(across);
+  n -= across < TO_FLOATS(n) ? (ints)1 : (ints)0;
+  const ints at = place(x + n, y - towards * t, rows, cols, margin, sides);
+  const floats a = PICK(heights, at), b = PICK(heights + 1, at);
+  return FMA(across - TO_FLOATS(n), b - a, a - own) * RECIPROCAL(distance);
+}
+
+/* Slope to its ray's crossing with the column m columns on, if that is within reach. */
+floats on_column(__global const float *heights, floats own, ints x, int y, int u, ints m, float shear, float reciprocal,
+                 float reach, int towards, int rows, int cols, int margin, int sides)
+{
+  const floats distance = TO_FLOATS(m) * reciprocal;
+  const ints n = TO_INTS(distance), before = sides == PERIODIC ? n : less(n, u + 1);
+  const ints at = place(shear > 0 ? x + m : x - m, y - towards * before, rows, cols, margin, sides);
+  const floats a = PICK(heights, at), b = PICK(heights - towards * (cols + 2 * margin), at);
+  const floats slope = FMA(distance - TO_FLOATS(n), b - a, a - own) * RECIPROCAL(distance);
+  return distance <= reach ? slope : NONE;
 }
 
 __kernel void sweep(__global const float *restrict heights, __global const float *restrict tilts, __constant float *azimuths,
@@ -139,7 +163,7 @@ __kernel void sweep(__global const float *restrict heights, __global const float
   ints above[LADDER];
   for (int i = 0; i < LADDER; ++i)
     above[i] = UNSEEN;
-  const int stride = cols + 2 * margin, back = -towards * stride, sideways = shear > 0 ? 1 : -1, mask = (1 << bits) - 1;
+  const int stride = cols + 2 * margin, back = -towards * stride, mask = (1 << bits) - 1;
   const int by_blocks = window < 1 << 30, turn = backward ? 1 : -1;
   const int comes_at = backward ? window : NEAR + 1;
   int from = start, to = stop;
@@ -228,28 +252,20 @@ __kernel void sweep(__global const float *restrict heights, __global const float
       last = room_beside < (float)min(u, window) ? TO_INTS(room_beside) : last;
     }
     last = more(last, 1);
-    floats far = NONE, distance[2];
-    for (int c = 0; c < 2; ++c) {
-      const ints t = less((c ? upper : lower) & mask, last);
-      distance[c] = TO_FLOATS(t);
-      const floats across = shear * distance[c];
-      ints n = TO_INTS(across);
-      n -= across < TO_FLOATS(n) ? (ints)1 : (ints)0;
-      const ints at = sides == PERIODIC ? place(xs + n, y - towards * t, rows, cols, margin, sides) : p + COUNT + back * t + n;
-      const floats a = PICK(heights, at), b = PICK(heights + 1, at);
-      far = higher(far, FMA(across - TO_FLOATS(n), b - a, a - own) * RECIPROCAL(distance[c]));
-    }
+    const ints t1 = less(lower & mask, last), t2 = less(upper & mask, last);
+    const ints m1 = more(TO_INTS(steepness * TO_FLOATS(t1)), 1), m2 = TO_INTS(steepness * TO_FLOATS(t2)) + 1;
+    floats far = higher(on_row(heights, own, xs, y, t1, shear, towards, rows, cols, margin, sides),
+                        on_row(heights, own, xs, y, t2, shear, towards, rows, cols, margin, sides));
     /* 8. and the column crossings beside them: the nearer one's before, the farther one's behind */
-    if (reciprocal < 1e8f)
-      for (int c = 0; c < 2; ++c) {
-        const ints m = more(TO_INTS(steepness * distance[c]) + c, 1);
-        const floats t = TO_FLOATS(m) * reciprocal;
-        const ints n = TO_INTS(t), before = sides == PERIODIC ? n : less(n, u + 1);
-        const ints at = sides == PERIODIC ? place(xs + sideways * m, y - towards * before, rows, cols, margin, sides) : p + COUNT + back * before + sideways * m;
-        const floats a = PICK(heights, at), b = PICK(heights + back, at);
-        const floats found = FMA(t - TO_FLOATS(n), b - a, a - own) * RECIPROCAL(t);
-        far = t <= reach ? higher(far, found) : far;
-      }
+    if (reciprocal < 1e8f) {
+      far = higher(far, on_column(heights, own, xs, y, u, m1, shear, reciprocal, reach, towards, rows, cols, margin, sides));
+      far = higher(far, on_column(heights, own, xs, y, u, m2, shear, reciprocal, reach, towards, rows, cols, margin, sides));
+    }
+    if (by_blocks) { /* downhill the end of the window is the horizon */
+      far = higher(far, on_row(heights, own, xs, y, last, shear, towards, rows, cols, margin, sides));
+      if (reciprocal < 1e8f)
+        far = higher(far, on_column(heights, own, xs, y, u, more((ints)(int)(steepness * min(reach, (float)(u + warm))), 1), shear, reciprocal, reach, towards, rows, cols, margin, sides));
+    }
     floats slope = higher(near, far) * tangent;
     if (sides == DARK) { /* a wall half a node outside, up to height 0 */
       const floats wall = TO_FLOATS(shear > 0 ? 2 * (cols - xs) - 1 : 2 * xs + 1) * (0.5f * reciprocal), ahead = u + 0.5f;

@@ -13,7 +13,7 @@ from ..errors import CapacityError
 NEAR = 6  # rows within which every crossing is tested; with 12 from MANY azimuths on, where the sum is that exact
 FINE, MANY = 12, 128
 LADDER = 16  # slopes of the ladder, as in opencl/horizon.cl
-NO_GROUND = np.float32(-1e30)
+OUTSIDE, MASKED = np.float32(-1e30), np.float32(-2e30)  # heights where there is no ground
 NEVER = 1 << 30  # a window that no line fills
 SLOPES, UNIFORM, TABLE = range(3)  # what a sweep does with the horizon
 FAINTEST = 0.002  # slope below which ground of a map that repeats is not looked for
@@ -87,7 +87,9 @@ class Sweeps:
         what = UNIFORM if self.halves[0].table is None else TABLE
         for half, sums in zip(self.halves, (total, turned)):
             backend.fill(sums, 0)
-            backend.launch("ground", "tilt", (half.cols, half.rows), half.heights, self.tilts, half.rows, half.cols, self.margin, self.room)
+            around = 2 * self.margin
+            backend.launch("ground", "tilt", (half.cols + around, half.rows + around), half.heights, self.tilts, half.rows, half.cols, self.margin, self.room,
+                           int(self.ground.sides == "periodic"))
             for first, count in self._batches(half, 1 if backend.lines == 1 else NEVER):
                 scratch = self.nothing
                 if half.windows[first] < NEVER:
@@ -148,10 +150,10 @@ class Sweeps:
                        SIDES[self.ground.sides], what, int(known), int(backward), group=backend.lines, NEAR=self.near)
 
     def _padded(self) -> np.ndarray:
-        heights = np.where(np.isfinite(self.ground.heights), self.ground.heights, NO_GROUND)
+        heights = np.where(np.isfinite(self.ground.heights), self.ground.heights, MASKED)
         if self.ground.sides == "periodic":
             return np.pad(heights, self.margin, "wrap").ravel()
-        return np.pad(heights, self.margin, constant_values=NO_GROUND).ravel()
+        return np.pad(heights, self.margin, constant_values=OUTSIDE).ravel()
 
     def _unit(self, table) -> float:
         """What one of irradiance counts in fixed point: no sum passes 2^30."""

@@ -1,0 +1,344 @@
+"""Horizons, and the light of a sky above them, by sweeps along lines that pass the map in one azimuth.
+
+The method and the arguments are told in opencl/horizon.cl, whose steps have the same numbers. Twin of opencl/horizon.cl.
+"""
+
+import functools
+
+import warp as wp
+
+from . import LINES, OPTIONS
+
+LADDER = 16
+NONE = wp.constant(wp.float32(-1e30))
+UNSEEN = wp.constant(wp.int32(1 - (1 << 30)))  # far below all ground, one row away
+DARK = wp.constant(wp.int32(1))
+PERIODIC = wp.constant(wp.int32(2))
+SLOPES = wp.constant(wp.int32(0))
+UNIFORM = wp.constant(wp.int32(1))
+
+rungs = wp.types.vector(LADDER, wp.int32)
+eight = wp.types.vector(8, wp.int32)
+
+
+@wp.func
+def around(v: wp.int32, period: wp.int32):
+    w = v % period
+    if w < 0:
+        w += period
+    return w
+
+
+@wp.func
+def place(x: wp.int32, y: wp.int32, rows: wp.int32, cols: wp.int32, margin: wp.int32, sides: wp.int32):
+    """Where column x of row y lies; on a map that repeats both may be outside it."""
+    u = x
+    v = y
+    if sides == PERIODIC:
+        u = around(x, cols)
+        v = around(y, rows)
+    return (v + margin) * (cols + 2 * margin) + margin + u
+
+
+@wp.func
+def look(heights: wp.array[wp.float32], at: wp.int32, weight: wp.float32, lowest: wp.float32, unit: wp.float32, bits: wp.int32, distance: wp.int32):
+    """Height of the line at a row, quantized, with the distance at which it comes in."""
+    a = heights[at]
+    b = heights[at + 1]
+    ground = a + weight * (b - a)
+    if a == NONE:  # beside the map the border goes on; a masked node is a gap
+        ground = b
+    elif b == NONE:
+        ground = a
+    if ground < -1e20:
+        return UNSEEN
+    return (wp.int32(wp.max(ground - lowest, wp.float32(0.0)) * unit) << bits) | distance
+
+
+@wp.func
+def on_row(
+    heights: wp.array[wp.float32],
+    own: wp.float32,
+    x: wp.int32,
+    y: wp.int32,
+    t: wp.int32,
+    shear: wp.float32,
+    towards: wp.int32,
+    rows: wp.int32,
+    cols: wp.int32,
+    margin: wp.int32,
+    sides: wp.int32,
+):
+    """Slope from a node at column x, row y, to its ray's crossing with the row t rows on."""
+    distance = wp.float32(t)
+    across = shear * distance
+    n = wp.int32(across)
+    if across < wp.float32(n):
+        n -= 1
+    at = place(x + n, y - towards * t, rows, cols, margin, sides)
+    a = heights[at]
+    b = heights[at + 1]
+    return wp.div_approx(a - own + (across - wp.float32(n)) * (b - a), distance)
+
+
+@wp.func
+def on_column(
+    heights: wp.array[wp.float32],
+    own: wp.float32,
+    x: wp.int32,
+    y: wp.int32,
+    u: wp.int32,
+    m: wp.int32,
+    shear: wp.float32,
+    reciprocal: wp.float32,
+    reach: wp.float32,
+    towards: wp.int32,
+    rows: wp.int32,
+    cols: wp.int32,
+    margin: wp.int32,
+    sides: wp.int32,
+):
+    """Slope to its ray's crossing with the column m columns on, if that is within reach."""
+    distance = wp.float32(m) * reciprocal
+    n = wp.int32(distance)
+    before = n
+    if sides != PERIODIC:
+        before = wp.min(n, u + 1)
+    at = place(wp.where(shear > 0.0, x + m, x - m), y - towards * before, rows, cols, margin, sides)
+    a = heights[at]
+    b = heights[at - towards * (cols + 2 * margin)]
+    if distance <= reach:
+        return wp.div_approx(a - own + (distance - wp.float32(n)) * (b - a), distance)
+    return NONE
+
+
+@functools.cache
+def sweep(NEAR: int):
+    """``what`` 0 writes horizon slopes, 1 adds the light of a uniform sky, 2 that of ``table``; see opencl/horizon.cl.
+
+    Thread (g, k, j) owns one line of azimuth k; long lines start first.
+    """
+    nears = wp.types.vector(NEAR, wp.int32)
+    weights = wp.types.vector(NEAR, wp.float32)
+
+    @wp.kernel(module="unique", module_options=OPTIONS, launch_bounds=LINES)
+    def sweep(
+        heights: wp.array[wp.float32],
+        tilts: wp.array2d[wp.float32],
+        azimuths: wp.array2d[wp.float32],
+        ways: wp.array2d[wp.int32],
+        near_at: wp.array2d[wp.int32],
+        near_weight: wp.array2d[wp.float32],
+        table: wp.array2d[wp.vec4],
+        slopes: wp.array2d[wp.float32],
+        sum: wp.array[wp.int32],
+        steps: rungs,
+        rises: rungs,
+        first: wp.int32,
+        groups: wp.int32,
+        group: wp.int32,
+        rows: wp.int32,
+        cols: wp.int32,
+        margin: wp.int32,
+        room: wp.int32,
+        knots: wp.int32,
+        bits: wp.int32,
+        lowest: wp.float32,
+        unit: wp.float32,
+        sides: wp.int32,
+        what: wp.int32,
+        known: wp.int32,
+        backward: wp.int32,
+    ):
+        g, plane, j = wp.tid()
+        k = plane + first
+        shear = azimuths[k, 0]
+        cosine = azimuths[k, 1]
+        sine = azimuths[k, 2]
+        tangent = azimuths[k, 3]
+        width = azimuths[k, 4]
+        reciprocal = azimuths[k, 5]
+        reach = azimuths[k, 6]
+        steepness = wp.abs(shear)
+        towards = ways[k, 0]
+        near_rows = ways[k, 1]
+        near_columns = ways[k, 2]
+        warm = ways[k, 3]
+        window = ways[k, 4]
+
+        # 1. which lines, the longest first, and from which row to which they are on the map
+        order = groups // 2 + g // 2
+        if g % 2 == 1:
+            order = groups // 2 - (g + 1) // 2
+        overhang = wp.int32(steepness * wp.float32(rows)) + 1
+        if sides == PERIODIC:
+            overhang = wp.int32(0)
+        line = order * group + j
+        end = cols
+        if shear < 0.0:
+            line -= overhang
+        elif shear > 0.0:
+            end += overhang
+        if line >= end:
+            return
+        start = -warm
+        stop = rows
+        if sides != PERIODIC and reciprocal < 1e8:
+            enters = wp.where(shear > 0.0, line - cols, -line - 1)
+            leaves = wp.where(shear > 0.0, line + 1, cols - line)
+            start = wp.max(wp.int32(wp.floor(wp.float32(enters) * reciprocal)), 0)
+            stop = wp.min(wp.int32(wp.float32(leaves) * reciprocal) + 2, rows)
+
+        row_at = nears()
+        column_at = nears()
+        row_weight = weights()
+        column_weight = weights()
+        for e in range(NEAR):
+            row_at[e] = near_at[k, e]
+            row_weight[e] = near_weight[k, e]
+            column_at[e] = near_at[k, NEAR + e]
+            column_weight[e] = near_weight[k, NEAR + e]
+
+        # 2. the ladder: nothing seen yet
+        above = rungs()
+        for s in range(LADDER):
+            above[s] = UNSEEN
+        stride = cols + 2 * margin
+        back = -towards * stride
+        mask = (1 << bits) - 1
+        turn = wp.where(backward != 0, 1, -1)
+        comes_at = wp.where(backward != 0, window, NEAR + 1)
+        begin = start
+        finish = stop
+        if backward != 0:
+            begin -= (start + warm) % window
+            finish += window - 1 - (stop - 1 + warm) % window
+
+        for i in range(begin, finish):
+            # 3. the row that comes in, quantized; then every ray climbs (or, backward, falls) by one row
+            u = wp.int32(i)
+            if window < wp.static(1 << 30):
+                into = (i + warm) % window
+                if into == 0:
+                    for s in range(LADDER):
+                        above[s] = UNSEEN
+                if backward != 0:
+                    u = i - 2 * into + window - 1
+            comes = u - comes_at
+            seen = UNSEEN
+            if (comes >= start and comes < stop) or sides == PERIODIC:
+                across = -shear * wp.float32(comes)
+                column = wp.floor(across)
+                x = line + wp.int32(column)
+                y = comes
+                if sides == PERIODIC:
+                    x = around(x, cols)
+                    y = around(y, rows)
+                if towards < 0:
+                    y = rows - 1 - y
+                seen = look(heights, (y + margin) * stride + margin + x, across - column, lowest, unit, bits, comes_at)
+            for s in range(LADDER):
+                above[s] = wp.max(above[s] + turn * steps[s], seen)
+            if u >= wp.max(start, 0) and u < stop:
+                # 4. the node of this row
+                x = line + wp.int32(wp.floor(wp.float32(0.5) - shear * wp.float32(u)))
+                if sides == PERIODIC:
+                    x = around(x, cols)
+                y = wp.where(towards > 0, u, rows - 1 - u)
+                p = (y + margin) * stride + margin + x
+                own = heights[p]
+                level = wp.int32(wp.max(own - lowest, wp.float32(0.0)) * unit) << bits
+
+                # 5. near: every crossing with the next rows, and with the columns before them
+                near = NONE
+                for e in range(NEAR):
+                    if e < near_rows:
+                        a = heights[p + row_at[e]]
+                        b = heights[p + row_at[e] + 1]
+                        near = wp.max(near, (a - own + row_weight[e] * (b - a)) * wp.static(wp.float32(1.0 / (e + 1))))
+                beside = NONE
+                for e in range(NEAR):
+                    if e < near_columns:
+                        a = heights[p + column_at[e]]
+                        b = heights[p + column_at[e] + back]
+                        beside = wp.max(beside, (a - own + column_weight[e] * (b - a)) * wp.static(wp.float32(1.0 / (e + 1))))
+                near = wp.max(near, beside * steepness)
+
+                # 6. the two steps of the ladder between which the node lies, by bisection; above[s] is rises[s] too high
+                test = above[8] >= level + rises[8]
+                low = eight()
+                rise = eight()
+                for s in range(8):
+                    low[s] = wp.where(test, above[8 + s], above[s])
+                    rise[s] = wp.where(test, rises[8 + s], rises[s])
+                upper = wp.where(test, above[15], above[8])
+                test = low[4] >= level + rise[4]
+                upper = wp.where(test, upper, low[4])
+                for s in range(4):
+                    low[s] = wp.where(test, low[4 + s], low[s])
+                    rise[s] = wp.where(test, rise[4 + s], rise[s])
+                test = low[2] >= level + rise[2]
+                upper = wp.where(test, upper, low[2])
+                for s in range(2):
+                    low[s] = wp.where(test, low[2 + s], low[s])
+                    rise[s] = wp.where(test, rise[2 + s], rise[s])
+                test = low[1] >= level + rise[1]
+                upper = wp.where(test, upper, low[1])
+                lower = wp.where(test, low[1], low[0])
+
+                # 7. both distances on the node's own ray, no farther than the map or the window goes
+                last = wp.min(u + warm, window)
+                if sides != PERIODIC:
+                    room_beside = wp.float32(wp.where(shear > 0.0, cols - 1 - x, x)) * reciprocal
+                    if room_beside < wp.float32(wp.min(u, window)):
+                        last = wp.int32(room_beside)
+                last = wp.max(last, 1)
+                t1 = wp.min(lower & mask, last)
+                t2 = wp.min(upper & mask, last)
+                far = on_row(heights, own, x, y, t1, shear, towards, rows, cols, margin, sides)
+                far = wp.max(far, on_row(heights, own, x, y, t2, shear, towards, rows, cols, margin, sides))
+                # 8. and the column crossings beside them: the nearer one's before, the farther one's behind
+                if reciprocal < 1e8:
+                    m1 = wp.max(wp.int32(steepness * wp.float32(t1)), 1)
+                    m2 = wp.int32(steepness * wp.float32(t2)) + 1
+                    far = wp.max(far, on_column(heights, own, x, y, u, m1, shear, reciprocal, reach, towards, rows, cols, margin, sides))
+                    far = wp.max(far, on_column(heights, own, x, y, u, m2, shear, reciprocal, reach, towards, rows, cols, margin, sides))
+                if window < wp.static(1 << 30):  # downhill the end of the window is the horizon
+                    far = wp.max(far, on_row(heights, own, x, y, last, shear, towards, rows, cols, margin, sides))
+                    if reciprocal < 1e8:
+                        m3 = wp.max(wp.int32(steepness * wp.min(reach, wp.float32(u + warm))), 1)
+                        far = wp.max(far, on_column(heights, own, x, y, u, m3, shear, reciprocal, reach, towards, rows, cols, margin, sides))
+                slope = wp.max(near, far) * tangent
+                if sides == DARK:  # a wall half a node outside, up to height 0
+                    wall = wp.float32(wp.where(shear > 0.0, 2 * (cols - x) - 1, 2 * x + 1)) * (wp.float32(0.5) * reciprocal)
+                    slope = wp.max(slope, -own * tangent / wp.min(wall, wp.float32(u) + 0.5))
+                if x >= 0 and x < cols:
+                    if known != 0:
+                        slope = wp.max(slope, slopes[plane, y * cols + x])
+                    if what == SLOPES:
+                        if slope < -1e20:
+                            slope = -wp.inf
+                        slopes[plane, y * cols + x] = slope
+                    else:
+                        # 9. the light between the horizon, or the tangent plane, and the zenith
+                        gx = tilts[0, p]
+                        gy = tilts[1, p]
+                        along = gx * cosine + gy * sine
+                        limit = wp.max(wp.max(slope, -along), wp.float32(0.0))
+                        c1 = wp.float32(0.0)
+                        c2 = wp.float32(0.0)
+                        if what == UNIFORM:
+                            c2 = wp.div_approx(wp.float32(1.0), limit * limit + 1.0)
+                            c1 = 0.5 * (wp.float32(1.57079633) - wp.atan(limit) - limit * c2)
+                            c2 *= 0.5
+                        else:
+                            at_knot = limit / wp.sqrt(limit * limit + 1.0) * wp.float32(knots - 1)
+                            knot = wp.min(wp.int32(at_knot), knots - 2)
+                            entry = table[k, knot]
+                            part = at_knot - wp.float32(knot)
+                            c1 = entry[0] + part * entry[2]
+                            c2 = entry[1] + part * entry[3]
+                        light = (along * c1 + c2) * (width / wp.sqrt(gx * gx + (gy * gy + 1.0)))
+                        wp.atomic_add(sum, y * cols + x, wp.int32(light + 0.5))
+
+    return sweep
