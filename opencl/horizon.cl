@@ -24,18 +24,16 @@ The map is seen so that rays go from row to row: azimuths nearer to the columns'
   sum          (rows x cols)   int    in, out: irradiance in fixed point, so that no order of summation matters
   steps, rises                        the ladder: (s << bits) - 1, and s times the distance at which a crossing comes in
 
-what: 0 writes slopes, 1 adds the light of a uniform sky, 2 that of `table`. known: slopes holds what is known already.
-backward: rows at the far end of the window come in, and blocks of one window are swept from the last row to the first;
+WHAT: SLOPES writes slopes, UNIFORM adds the light of a uniform sky, TABLE that of `table`. SIDES: OPEN, DARK or PERIODIC.
+known: slopes holds what is known already. BLOCKS: the window is not endless. backward: rows at the far end of the window come in, and blocks of one window are swept from the last row to the first;
 with a forward sweep by blocks it covers exactly one window before every node.
 Work-item (j, k, g) owns LANES adjacent lines of azimuth k; long lines start first. Twin of warp_kernels/horizon.py. */
 #include "lanes.h"
 #define NONE -1e30f
 #define UNSEEN (1 - (1 << 30)) /* far below all ground, one row away */
 #define LADDER 16
-#define DARK 1
-#define PERIODIC 2
-#define SLOPES 0
-#define UNIFORM 1
+enum { OPEN, DARK, PERIODIC }; /* SIDES */
+enum { SLOPES, UNIFORM, TABLE }; /* WHAT */
 
 #if LANES == 1
 #define TO_FLOATS convert_float
@@ -71,9 +69,9 @@ ints less(ints a, ints b) { return a < b ? a : b; }
 floats higher(floats a, floats b) { return MORE(a, b); }
 
 /* Where column x of row y lies; on a map that repeats both may be outside it. */
-ints place(ints x, ints y, int rows, int cols, int margin, int sides)
+ints place(ints x, ints y, int rows, int cols, int margin)
 {
-  if (sides == PERIODIC) {
+  if (SIDES == PERIODIC) {
     x = x % cols;
     y = y % rows;
     x = x < 0 ? x + cols : x;
@@ -83,9 +81,9 @@ ints place(ints x, ints y, int rows, int cols, int margin, int sides)
 }
 
 /* Offset of lane l of a row's nodes from the row's first, or -1 where it is not on the map. */
-int column_of(int x, int line, int l, int cols, int sides)
+int column_of(int x, int line, int l, int cols)
 {
-  if (sides == PERIODIC)
+  if (SIDES == PERIODIC)
     return line + l >= cols ? -1 : x + l >= cols ? x + l - cols : x + l;
   return x + l >= 0 && x + l < cols ? x + l : -1;
 }
@@ -102,23 +100,23 @@ ints look(__global const float *heights, int at, float weight, float lowest, flo
 
 /* Slope from a node at column x, row y, to its ray's crossing with the row t rows on. */
 floats on_row(__global const float *heights, floats own, ints x, int y, ints t, float shear, int towards, int rows, int cols,
-              int margin, int sides)
+              int margin)
 {
   const floats distance = TO_FLOATS(t), across = shear * distance;
   ints n = TO_INTS(across);
   n -= across < TO_FLOATS(n) ? (ints)1 : (ints)0;
-  const ints at = place(x + n, y - towards * t, rows, cols, margin, sides);
+  const ints at = place(x + n, y - towards * t, rows, cols, margin);
   const floats a = PICK(heights, at), b = PICK(heights + 1, at);
   return FMA(across - TO_FLOATS(n), b - a, a - own) * RECIPROCAL(distance);
 }
 
 /* Slope to its ray's crossing with the column m columns on, if that is within reach. */
 floats on_column(__global const float *heights, floats own, ints x, int y, int u, ints m, float shear, float reciprocal,
-                 float reach, int towards, int rows, int cols, int margin, int sides)
+                 float reach, int towards, int rows, int cols, int margin)
 {
   const floats distance = TO_FLOATS(m) * reciprocal;
-  const ints n = TO_INTS(distance), before = sides == PERIODIC ? n : less(n, u + 1);
-  const ints at = place(shear > 0 ? x + m : x - m, y - towards * before, rows, cols, margin, sides);
+  const ints n = TO_INTS(distance), before = SIDES == PERIODIC ? n : less(n, u + 1);
+  const ints at = place(shear > 0 ? x + m : x - m, y - towards * before, rows, cols, margin);
   const floats a = PICK(heights, at), b = PICK(heights - towards * (cols + 2 * margin), at);
   const floats slope = FMA(distance - TO_FLOATS(n), b - a, a - own) * RECIPROCAL(distance);
   return distance <= reach ? slope : NONE;
@@ -128,7 +126,7 @@ __kernel void sweep(__global const float *restrict heights, __global const float
                     __constant int *ways, __constant int *near_at, __constant float *near_weight,
                     __global const float4 *restrict table, __global float *restrict slopes, __global int *restrict sum,
                     const Ladder steps, const Ladder rises, int first, int groups, int group, int rows, int cols, int margin,
-                    int room, int knots, int bits, float lowest, float unit, int sides, int what, int known, int backward)
+                    int room, int knots, int bits, float lowest, float unit, int known, int backward)
 {
   const int k = get_group_id(1) + first, g = get_global_id(2);
   const float shear = azimuths[8 * k], cosine = azimuths[8 * k + 1], sine = azimuths[8 * k + 2];
@@ -139,12 +137,12 @@ __kernel void sweep(__global const float *restrict heights, __global const float
 
   /* 1. which lines, the longest first, and from which row to which they are on the map */
   const int order = g & 1 ? groups / 2 - (g + 1) / 2 : groups / 2 + g / 2;
-  const int overhang = sides == PERIODIC ? 0 : (int)(steepness * rows) + 1;
+  const int overhang = SIDES == PERIODIC ? 0 : (int)(steepness * rows) + 1;
   const int line = (order * group + (int)get_global_id(0)) * LANES - (shear < 0 ? overhang : 0);
   if (line >= cols + (shear > 0 ? overhang : 0))
     return;
   int start = -warm, stop = rows;
-  if (sides != PERIODIC && reciprocal < 1e8f) {
+  if (SIDES != PERIODIC && reciprocal < 1e8f) {
     const float in = shear > 0 ? line - cols : -line - LANES, out = shear > 0 ? line + LANES : cols - line;
     start = max((int)floor(in * reciprocal), 0);
     stop = min((int)(out * reciprocal) + 2, rows);
@@ -164,10 +162,10 @@ __kernel void sweep(__global const float *restrict heights, __global const float
   for (int i = 0; i < LADDER; ++i)
     above[i] = UNSEEN;
   const int stride = cols + 2 * margin, back = -towards * stride, mask = (1 << bits) - 1;
-  const int by_blocks = window < 1 << 30, turn = backward ? 1 : -1;
-  const int comes_at = backward ? window : NEAR + 1;
+  const int turn = BLOCKS && backward ? 1 : -1;
+  const int comes_at = BLOCKS && backward ? window : NEAR + 1;
   int from = start, to = stop;
-  if (backward) {
+  if (BLOCKS && backward) {
     from -= (start + warm) % window;
     to += window - 1 - (stop - 1 + warm) % window;
   }
@@ -175,7 +173,7 @@ __kernel void sweep(__global const float *restrict heights, __global const float
   for (int i = from; i < to; ++i) {
     /* 3. the row that comes in, quantized; then every ray climbs (or, backward, falls) by one row */
     int u = i;
-    if (by_blocks) {
+    if (BLOCKS) {
       const int into = (i + warm) % window;
       for (int s = 0; s < LADDER && into == 0; ++s)
         above[s] = UNSEEN;
@@ -183,11 +181,11 @@ __kernel void sweep(__global const float *restrict heights, __global const float
     }
     const int comes = u - comes_at;
     ints seen = UNSEEN;
-    if (comes >= start && comes < stop || sides == PERIODIC) {
+    if (comes >= start && comes < stop || SIDES == PERIODIC) {
       const float across = -shear * comes;
       const int column = (int)floor(across);
       int x = line + column, row = comes;
-      if (sides == PERIODIC) {
+      if (SIDES == PERIODIC) {
         x = (x % cols + cols) % cols;
         row = (row % rows + rows) % rows;
       }
@@ -201,7 +199,7 @@ __kernel void sweep(__global const float *restrict heights, __global const float
 
     /* 4. the nodes of this row: LANES neighbours from column x */
     int x = line + (int)floor(0.5f - shear * u);
-    if (sides == PERIODIC)
+    if (SIDES == PERIODIC)
       x = (x % cols + cols) % cols;
     const int y = towards > 0 ? u : rows - 1 - u, p = (y + margin) * stride + margin + x;
     const floats own = READ(p, heights);
@@ -247,39 +245,39 @@ __kernel void sweep(__global const float *restrict heights, __global const float
     /* 7. both distances on the node's own ray, no farther than the map or the window goes */
     const ints xs = x + COUNT;
     ints last = min(u + warm, window);
-    if (sides != PERIODIC) {
+    if (SIDES != PERIODIC) {
       const floats room_beside = TO_FLOATS(shear > 0 ? cols - 1 - xs : xs) * reciprocal;
       last = room_beside < (float)min(u, window) ? TO_INTS(room_beside) : last;
     }
     last = more(last, 1);
     const ints t1 = less(lower & mask, last), t2 = less(upper & mask, last);
     const ints m1 = more(TO_INTS(steepness * TO_FLOATS(t1)), 1), m2 = TO_INTS(steepness * TO_FLOATS(t2)) + 1;
-    floats far = higher(on_row(heights, own, xs, y, t1, shear, towards, rows, cols, margin, sides),
-                        on_row(heights, own, xs, y, t2, shear, towards, rows, cols, margin, sides));
+    floats far = higher(on_row(heights, own, xs, y, t1, shear, towards, rows, cols, margin),
+                        on_row(heights, own, xs, y, t2, shear, towards, rows, cols, margin));
     /* 8. and the column crossings beside them: the nearer one's before, the farther one's behind */
     if (reciprocal < 1e8f) {
-      far = higher(far, on_column(heights, own, xs, y, u, m1, shear, reciprocal, reach, towards, rows, cols, margin, sides));
-      far = higher(far, on_column(heights, own, xs, y, u, m2, shear, reciprocal, reach, towards, rows, cols, margin, sides));
+      far = higher(far, on_column(heights, own, xs, y, u, m1, shear, reciprocal, reach, towards, rows, cols, margin));
+      far = higher(far, on_column(heights, own, xs, y, u, m2, shear, reciprocal, reach, towards, rows, cols, margin));
     }
-    if (by_blocks) { /* downhill the end of the window is the horizon */
-      far = higher(far, on_row(heights, own, xs, y, last, shear, towards, rows, cols, margin, sides));
+    if (BLOCKS) { /* downhill the end of the window is the horizon */
+      far = higher(far, on_row(heights, own, xs, y, last, shear, towards, rows, cols, margin));
       if (reciprocal < 1e8f)
-        far = higher(far, on_column(heights, own, xs, y, u, more((ints)(int)(steepness * min(reach, (float)(u + warm))), 1), shear, reciprocal, reach, towards, rows, cols, margin, sides));
+        far = higher(far, on_column(heights, own, xs, y, u, more((ints)(int)(steepness * min(reach, (float)(u + warm))), 1), shear, reciprocal, reach, towards, rows, cols, margin));
     }
     floats slope = higher(near, far) * tangent;
-    if (sides == DARK) { /* a wall half a node outside, up to height 0 */
+    if (SIDES == DARK) { /* a wall half a node outside, up to height 0 */
       const floats wall = TO_FLOATS(shear > 0 ? 2 * (cols - xs) - 1 : 2 * xs + 1) * (0.5f * reciprocal), ahead = u + 0.5f;
       slope = higher(slope, -own * tangent / (wall < ahead ? wall : ahead));
     }
-    if (known)
+    if (known && (BLOCKS || WHAT == SLOPES))
       for (int l = 0; l < LANES; ++l) {
-        const int c = column_of(x, line, l, cols, sides);
+        const int c = column_of(x, line, l, cols);
         if (c >= 0)
           LANE(float, slope, l) = max(LANE(float, slope, l), slopes[((size_t)get_group_id(1) * rows + y) * cols + c]);
       }
-    if (what == SLOPES) {
+    if (WHAT == SLOPES) {
       for (int l = 0; l < LANES; ++l) {
-        const int c = column_of(x, line, l, cols, sides);
+        const int c = column_of(x, line, l, cols);
         if (c >= 0)
           slopes[((size_t)get_group_id(1) * rows + y) * cols + c] = LANE(float, slope, l) < -1e20f ? -INFINITY : LANE(float, slope, l);
       }
@@ -290,7 +288,7 @@ __kernel void sweep(__global const float *restrict heights, __global const float
     const floats gx = READ(p, tilts), gy = READ(room + p, tilts), along = gx * cosine + gy * sine;
     const floats limit = higher(higher(slope, -along), 0.0f);
     floats c1, c2;
-    if (what == UNIFORM) {
+    if (WHAT == UNIFORM) {
       c2 = RECIPROCAL(FMA(limit, limit, (floats)1.0f));
       c1 = 0.5f * (1.57079633f - atan(limit) - limit * c2);
       c2 *= 0.5f;
@@ -307,14 +305,14 @@ __kernel void sweep(__global const float *restrict heights, __global const float
     const floats light = FMA(along, c1, c2) * (width / sqrt(FMA(gx, gx, FMA(gy, gy, (floats)1.0f))));
     const ints share = TO_INTS(light + 0.5f);
 #if ON_CPU
-    if (x >= 0 && column_of(x, line, LANES - 1, cols, sides) == x + LANES - 1) {
+    if (x >= 0 && column_of(x, line, LANES - 1, cols) == x + LANES - 1) {
       __global loose_ints *total = (__global loose_ints *)(sum + y * cols + x);
       total->v += share;
       continue;
     }
 #endif
     for (int l = 0; l < LANES; ++l) {
-      const int c = column_of(x, line, l, cols, sides);
+      const int c = column_of(x, line, l, cols);
       if (c >= 0)
         ADD(sum + y * cols + c, LANE(int, share, l));
     }

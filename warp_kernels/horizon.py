@@ -12,10 +12,8 @@ from . import LINES, OPTIONS
 LADDER = 16
 NONE = wp.constant(wp.float32(-1e30))
 UNSEEN = wp.constant(wp.int32(1 - (1 << 30)))  # far below all ground, one row away
-DARK = wp.constant(wp.int32(1))
-PERIODIC = wp.constant(wp.int32(2))
-SLOPES = wp.constant(wp.int32(0))
-UNIFORM = wp.constant(wp.int32(1))
+OPEN, DARK, PERIODIC = range(3)  # SIDES
+SLOPES, UNIFORM, TABLE = range(3)  # WHAT
 
 rungs = wp.types.vector(LADDER, wp.int32)
 eight = wp.types.vector(8, wp.int32)
@@ -27,17 +25,6 @@ def around(v: wp.int32, period: wp.int32):
     if w < 0:
         w += period
     return w
-
-
-@wp.func
-def place(x: wp.int32, y: wp.int32, rows: wp.int32, cols: wp.int32, margin: wp.int32, sides: wp.int32):
-    """Where column x of row y lies; on a map that repeats both may be outside it."""
-    u = x
-    v = y
-    if sides == PERIODIC:
-        u = around(x, cols)
-        v = around(y, rows)
-    return (v + margin) * (cols + 2 * margin) + margin + u
 
 
 @wp.func
@@ -55,71 +42,86 @@ def look(heights: wp.array[wp.float32], at: wp.int32, weight: wp.float32, lowest
     return (wp.int32(wp.max(ground - lowest, wp.float32(0.0)) * unit) << bits) | distance
 
 
-@wp.func
-def on_row(
-    heights: wp.array[wp.float32],
-    own: wp.float32,
-    x: wp.int32,
-    y: wp.int32,
-    t: wp.int32,
-    shear: wp.float32,
-    towards: wp.int32,
-    rows: wp.int32,
-    cols: wp.int32,
-    margin: wp.int32,
-    sides: wp.int32,
-):
-    """Slope from a node at column x, row y, to its ray's crossing with the row t rows on."""
-    distance = wp.float32(t)
-    across = shear * distance
-    n = wp.int32(across)
-    if across < wp.float32(n):
-        n -= 1
-    at = place(x + n, y - towards * t, rows, cols, margin, sides)
-    a = heights[at]
-    b = heights[at + 1]
-    return wp.div_approx(a - own + (across - wp.float32(n)) * (b - a), distance)
+@functools.cache
+def rays(SIDES: int):
+    """(on_row, on_column): slopes along a node's own ray."""
+
+    @wp.func
+    def place(x: wp.int32, y: wp.int32, rows: wp.int32, cols: wp.int32, margin: wp.int32):
+        """Where column x of row y lies; on a map that repeats both may be outside it."""
+        u = x
+        v = y
+        if wp.static(SIDES == PERIODIC):
+            u = around(x, cols)
+            v = around(y, rows)
+        return (v + margin) * (cols + 2 * margin) + margin + u
+
+    @wp.func
+    def on_row(
+        heights: wp.array[wp.float32],
+        own: wp.float32,
+        x: wp.int32,
+        y: wp.int32,
+        t: wp.int32,
+        shear: wp.float32,
+        towards: wp.int32,
+        rows: wp.int32,
+        cols: wp.int32,
+        margin: wp.int32,
+    ):
+        """Slope from a node at column x, row y, to its ray's crossing with the row t rows on."""
+        distance = wp.float32(t)
+        across = shear * distance
+        n = wp.int32(across)
+        if across < wp.float32(n):
+            n -= 1
+        at = place(x + n, y - towards * t, rows, cols, margin)
+        a = heights[at]
+        b = heights[at + 1]
+        return wp.div_approx(a - own + (across - wp.float32(n)) * (b - a), distance)
 
 
-@wp.func
-def on_column(
-    heights: wp.array[wp.float32],
-    own: wp.float32,
-    x: wp.int32,
-    y: wp.int32,
-    u: wp.int32,
-    m: wp.int32,
-    shear: wp.float32,
-    reciprocal: wp.float32,
-    reach: wp.float32,
-    towards: wp.int32,
-    rows: wp.int32,
-    cols: wp.int32,
-    margin: wp.int32,
-    sides: wp.int32,
-):
-    """Slope to its ray's crossing with the column m columns on, if that is within reach."""
-    distance = wp.float32(m) * reciprocal
-    n = wp.int32(distance)
-    before = n
-    if sides != PERIODIC:
-        before = wp.min(n, u + 1)
-    at = place(wp.where(shear > 0.0, x + m, x - m), y - towards * before, rows, cols, margin, sides)
-    a = heights[at]
-    b = heights[at - towards * (cols + 2 * margin)]
-    if distance <= reach:
-        return wp.div_approx(a - own + (distance - wp.float32(n)) * (b - a), distance)
-    return NONE
+    @wp.func
+    def on_column(
+        heights: wp.array[wp.float32],
+        own: wp.float32,
+        x: wp.int32,
+        y: wp.int32,
+        u: wp.int32,
+        m: wp.int32,
+        shear: wp.float32,
+        reciprocal: wp.float32,
+        reach: wp.float32,
+        towards: wp.int32,
+        rows: wp.int32,
+        cols: wp.int32,
+        margin: wp.int32,
+    ):
+        """Slope to its ray's crossing with the column m columns on, if that is within reach."""
+        distance = wp.float32(m) * reciprocal
+        n = wp.int32(distance)
+        before = n
+        if wp.static(SIDES != PERIODIC):
+            before = wp.min(n, u + 1)
+        at = place(wp.where(shear > 0.0, x + m, x - m), y - towards * before, rows, cols, margin)
+        a = heights[at]
+        b = heights[at - towards * (cols + 2 * margin)]
+        if distance <= reach:
+            return wp.div_approx(a - own + (distance - wp.float32(n)) * (b - a), distance)
+        return NONE
+
+    return on_row, on_column
 
 
 @functools.cache
-def sweep(NEAR: int):
-    """``what`` 0 writes horizon slopes, 1 adds the light of a uniform sky, 2 that of ``table``; see opencl/horizon.cl.
+def sweep(NEAR: int, SIDES: int, WHAT: int, BLOCKS: int):
+    """WHAT: SLOPES writes horizon slopes, UNIFORM adds the light of a uniform sky, TABLE that of ``table``; see opencl/horizon.cl.
 
     Thread (g, k, j) owns one line of azimuth k; long lines start first.
     """
     nears = wp.types.vector(NEAR, wp.int32)
     weights = wp.types.vector(NEAR, wp.float32)
+    on_row, on_column = rays(SIDES)
 
     @wp.kernel(module="unique", module_options=OPTIONS, launch_bounds=LINES)
     def sweep(
@@ -145,8 +147,6 @@ def sweep(NEAR: int):
         bits: wp.int32,
         lowest: wp.float32,
         unit: wp.float32,
-        sides: wp.int32,
-        what: wp.int32,
         known: wp.int32,
         backward: wp.int32,
     ):
@@ -171,7 +171,7 @@ def sweep(NEAR: int):
         if g % 2 == 1:
             order = groups // 2 - (g + 1) // 2
         overhang = wp.int32(steepness * wp.float32(rows)) + 1
-        if sides == PERIODIC:
+        if wp.static(SIDES == PERIODIC):
             overhang = wp.int32(0)
         line = order * group + j
         end = cols
@@ -183,7 +183,7 @@ def sweep(NEAR: int):
             return
         start = -warm
         stop = rows
-        if sides != PERIODIC and reciprocal < 1e8:
+        if wp.static(SIDES != PERIODIC) and reciprocal < 1e8:
             enters = wp.where(shear > 0.0, line - cols, -line - 1)
             leaves = wp.where(shear > 0.0, line + 1, cols - line)
             start = wp.max(wp.int32(wp.floor(wp.float32(enters) * reciprocal)), 0)
@@ -206,18 +206,20 @@ def sweep(NEAR: int):
         stride = cols + 2 * margin
         back = -towards * stride
         mask = (1 << bits) - 1
-        turn = wp.where(backward != 0, 1, -1)
-        comes_at = wp.where(backward != 0, window, NEAR + 1)
+        turn = wp.int32(-1)
+        comes_at = wp.int32(NEAR + 1)
         begin = start
         finish = stop
-        if backward != 0:
+        if wp.static(BLOCKS != 0) and backward != 0:
+            turn = wp.int32(1)
+            comes_at = window
             begin -= (start + warm) % window
             finish += window - 1 - (stop - 1 + warm) % window
 
         for i in range(begin, finish):
             # 3. the row that comes in, quantized; then every ray climbs (or, backward, falls) by one row
             u = wp.int32(i)
-            if window < wp.static(1 << 30):
+            if wp.static(BLOCKS != 0):
                 into = (i + warm) % window
                 if into == 0:
                     for s in range(LADDER):
@@ -226,12 +228,12 @@ def sweep(NEAR: int):
                     u = i - 2 * into + window - 1
             comes = u - comes_at
             seen = UNSEEN
-            if (comes >= start and comes < stop) or sides == PERIODIC:
+            if (comes >= start and comes < stop) or wp.static(SIDES == PERIODIC):
                 across = -shear * wp.float32(comes)
                 column = wp.floor(across)
                 x = line + wp.int32(column)
                 y = comes
-                if sides == PERIODIC:
+                if wp.static(SIDES == PERIODIC):
                     x = around(x, cols)
                     y = around(y, rows)
                 if towards < 0:
@@ -242,7 +244,7 @@ def sweep(NEAR: int):
             if u >= wp.max(start, 0) and u < stop:
                 # 4. the node of this row
                 x = line + wp.int32(wp.floor(wp.float32(0.5) - shear * wp.float32(u)))
-                if sides == PERIODIC:
+                if wp.static(SIDES == PERIODIC):
                     x = around(x, cols)
                 y = wp.where(towards > 0, u, rows - 1 - u)
                 p = (y + margin) * stride + margin + x
@@ -288,34 +290,34 @@ def sweep(NEAR: int):
 
                 # 7. both distances on the node's own ray, no farther than the map or the window goes
                 last = wp.min(u + warm, window)
-                if sides != PERIODIC:
+                if wp.static(SIDES != PERIODIC):
                     room_beside = wp.float32(wp.where(shear > 0.0, cols - 1 - x, x)) * reciprocal
                     if room_beside < wp.float32(wp.min(u, window)):
                         last = wp.int32(room_beside)
                 last = wp.max(last, 1)
                 t1 = wp.min(lower & mask, last)
                 t2 = wp.min(upper & mask, last)
-                far = on_row(heights, own, x, y, t1, shear, towards, rows, cols, margin, sides)
-                far = wp.max(far, on_row(heights, own, x, y, t2, shear, towards, rows, cols, margin, sides))
+                far = on_row(heights, own, x, y, t1, shear, towards, rows, cols, margin)
+                far = wp.max(far, on_row(heights, own, x, y, t2, shear, towards, rows, cols, margin))
                 # 8. and the column crossings beside them: the nearer one's before, the farther one's behind
                 if reciprocal < 1e8:
                     m1 = wp.max(wp.int32(steepness * wp.float32(t1)), 1)
                     m2 = wp.int32(steepness * wp.float32(t2)) + 1
-                    far = wp.max(far, on_column(heights, own, x, y, u, m1, shear, reciprocal, reach, towards, rows, cols, margin, sides))
-                    far = wp.max(far, on_column(heights, own, x, y, u, m2, shear, reciprocal, reach, towards, rows, cols, margin, sides))
-                if window < wp.static(1 << 30):  # downhill the end of the window is the horizon
-                    far = wp.max(far, on_row(heights, own, x, y, last, shear, towards, rows, cols, margin, sides))
+                    far = wp.max(far, on_column(heights, own, x, y, u, m1, shear, reciprocal, reach, towards, rows, cols, margin))
+                    far = wp.max(far, on_column(heights, own, x, y, u, m2, shear, reciprocal, reach, towards, rows, cols, margin))
+                if wp.static(BLOCKS != 0):  # downhill the end of the window is the horizon
+                    far = wp.max(far, on_row(heights, own, x, y, last, shear, towards, rows, cols, margin))
                     if reciprocal < 1e8:
                         m3 = wp.max(wp.int32(steepness * wp.min(reach, wp.float32(u + warm))), 1)
-                        far = wp.max(far, on_column(heights, own, x, y, u, m3, shear, reciprocal, reach, towards, rows, cols, margin, sides))
+                        far = wp.max(far, on_column(heights, own, x, y, u, m3, shear, reciprocal, reach, towards, rows, cols, margin))
                 slope = wp.max(near, far) * tangent
-                if sides == DARK:  # a wall half a node outside, up to height 0
+                if wp.static(SIDES == DARK):  # a wall half a node outside, up to height 0
                     wall = wp.float32(wp.where(shear > 0.0, 2 * (cols - x) - 1, 2 * x + 1)) * (wp.float32(0.5) * reciprocal)
                     slope = wp.max(slope, -own * tangent / wp.min(wall, wp.float32(u) + 0.5))
                 if x >= 0 and x < cols:
-                    if known != 0:
+                    if wp.static(BLOCKS != 0 or WHAT == SLOPES) and known != 0:
                         slope = wp.max(slope, slopes[plane, y * cols + x])
-                    if what == SLOPES:
+                    if wp.static(WHAT == SLOPES):
                         if slope < -1e20:
                             slope = -wp.inf
                         slopes[plane, y * cols + x] = slope
@@ -327,7 +329,7 @@ def sweep(NEAR: int):
                         limit = wp.max(wp.max(slope, -along), wp.float32(0.0))
                         c1 = wp.float32(0.0)
                         c2 = wp.float32(0.0)
-                        if what == UNIFORM:
+                        if wp.static(WHAT == UNIFORM):
                             c2 = wp.div_approx(wp.float32(1.0), limit * limit + 1.0)
                             c1 = 0.5 * (wp.float32(1.57079633) - wp.atan(limit) - limit * c2)
                             c2 *= 0.5

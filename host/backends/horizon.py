@@ -147,7 +147,7 @@ class Sweeps:
         groups = -(-(half.cols + overhang) // lines)
         backend.launch("horizon", "sweep", (backend.lines, count, groups), half.heights, self.tilts, *half.tables, half.table or self.nothing, slopes, sums,
                        steps, rises, first, groups, backend.lines, half.rows, half.cols, self.margin, self.room, self.knots, bits, self.lowest, unit,
-                       SIDES[self.ground.sides], what, int(known), int(backward), group=backend.lines, NEAR=self.near)
+                       int(known), int(backward), group=backend.lines, NEAR=self.near, SIDES=SIDES[self.ground.sides], WHAT=what, BLOCKS=int(half.windows[first] < NEVER))
 
     def _padded(self) -> np.ndarray:
         heights = np.where(np.isfinite(self.ground.heights), self.ground.heights, MASKED)
