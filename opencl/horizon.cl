@@ -208,7 +208,7 @@ __kernel void sweep(__global const float *restrict heights, __global const float
     /* 5. near: every crossing with the next rows, and with the columns before them */
     floats near = NONE;
     for (int e = 0; e < NEAR; ++e)
-      if (e < near_rows) {
+      if (!BLOCKS || e < near_rows) {
         const floats a = READ(p + row_at[e], heights), b = READ(p + row_at[e] + 1, heights);
         near = higher(near, FMA((floats)row_weight[e], b - a, a - own) * (1.0f / (e + 1)));
       }

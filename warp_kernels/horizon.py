@@ -27,11 +27,19 @@ def around(v: wp.int32, period: wp.int32):
     return w
 
 
+@wp.func_native("return map.data[i];")  # an index into an array costs ten instructions more
+def read(map: wp.array[wp.float32], i: wp.int32) -> wp.float32: ...
+
+
+@wp.func_native("return map.data[i];")
+def read2(map: wp.array2d[wp.float32], i: wp.int32) -> wp.float32: ...
+
+
 @wp.func
 def look(heights: wp.array[wp.float32], at: wp.int32, weight: wp.float32, lowest: wp.float32, unit: wp.float32, bits: wp.int32, distance: wp.int32):
     """Height of the line at a row, quantized, with the distance at which it comes in."""
-    a = heights[at]
-    b = heights[at + 1]
+    a = read(heights, at)
+    b = read(heights, at + 1)
     ground = a + weight * (b - a)
     if a == NONE:  # beside the map the border goes on; a masked node is a gap
         ground = b
@@ -76,8 +84,8 @@ def rays(SIDES: int):
         if across < wp.float32(n):
             n -= 1
         at = place(x + n, y - towards * t, rows, cols, margin)
-        a = heights[at]
-        b = heights[at + 1]
+        a = read(heights, at)
+        b = read(heights, at + 1)
         return wp.div_approx(a - own + (across - wp.float32(n)) * (b - a), distance)
 
 
@@ -104,8 +112,8 @@ def rays(SIDES: int):
         if wp.static(SIDES != PERIODIC):
             before = wp.min(n, u + 1)
         at = place(wp.where(shear > 0.0, x + m, x - m), y - towards * before, rows, cols, margin)
-        a = heights[at]
-        b = heights[at - towards * (cols + 2 * margin)]
+        a = read(heights, at)
+        b = read(heights, at - towards * (cols + 2 * margin))
         if distance <= reach:
             return wp.div_approx(a - own + (distance - wp.float32(n)) * (b - a), distance)
         return NONE
@@ -248,21 +256,21 @@ def sweep(NEAR: int, SIDES: int, WHAT: int, BLOCKS: int):
                     x = around(x, cols)
                 y = wp.where(towards > 0, u, rows - 1 - u)
                 p = (y + margin) * stride + margin + x
-                own = heights[p]
+                own = read(heights, p)
                 level = wp.int32(wp.max(own - lowest, wp.float32(0.0)) * unit) << bits
 
                 # 5. near: every crossing with the next rows, and with the columns before them
                 near = NONE
                 for e in range(NEAR):
-                    if e < near_rows:
-                        a = heights[p + row_at[e]]
-                        b = heights[p + row_at[e] + 1]
+                    if wp.static(BLOCKS == 0) or e < near_rows:
+                        a = read(heights, p + row_at[e])
+                        b = read(heights, p + row_at[e] + 1)
                         near = wp.max(near, (a - own + row_weight[e] * (b - a)) * wp.static(wp.float32(1.0 / (e + 1))))
                 beside = NONE
                 for e in range(NEAR):
                     if e < near_columns:
-                        a = heights[p + column_at[e]]
-                        b = heights[p + column_at[e] + back]
+                        a = read(heights, p + column_at[e])
+                        b = read(heights, p + column_at[e] + back)
                         beside = wp.max(beside, (a - own + column_weight[e] * (b - a)) * wp.static(wp.float32(1.0 / (e + 1))))
                 near = wp.max(near, beside * steepness)
 
@@ -323,8 +331,8 @@ def sweep(NEAR: int, SIDES: int, WHAT: int, BLOCKS: int):
                         slopes[plane, y * cols + x] = slope
                     else:
                         # 9. the light between the horizon, or the tangent plane, and the zenith
-                        gx = tilts[0, p]
-                        gy = tilts[1, p]
+                        gx = read2(tilts, p)
+                        gy = read2(tilts, room + p)
                         along = gx * cosine + gy * sine
                         limit = wp.max(wp.max(slope, -along), wp.float32(0.0))
                         c1 = wp.float32(0.0)
