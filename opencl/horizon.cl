@@ -53,12 +53,14 @@ typedef struct __attribute__((packed)) { ints v; } loose_ints;
 #define MORE(a, b) ((a) > (b) ? (a) : (b))
 #define FMA(a, b, c) ((a) * (b) + (c))
 #define RECIPROCAL(v) (1 / (v))
+#define RECIPROCAL_ROOT(v) (1 / sqrt(v))
 #define ADD(to, value) *(to) += value /* azimuths come one by one, and no two lines share a node */
 #else
 #define READ(offset, pointer) LOAD(offset, pointer)
 #define MORE(a, b) fmax(a, b)
 #define FMA(a, b, c) fma(a, b, c)
 #define RECIPROCAL(v) native_recip(v)
+#define RECIPROCAL_ROOT(v) native_rsqrt(v)
 #define ADD(to, value) atomic_add(to, value)
 #endif
 
@@ -205,22 +207,7 @@ __kernel void sweep(__global const float *restrict heights, __global const float
     const floats own = READ(p, heights);
     const ints level = TO_INTS(higher(own - lowest, 0.0f) * unit) << bits;
 
-    /* 5. near: every crossing with the next rows, and with the columns before them */
-    floats near = NONE;
-    for (int e = 0; e < NEAR; ++e)
-      if (!BLOCKS || e < near_rows) {
-        const floats a = READ(p + row_at[e], heights), b = READ(p + row_at[e] + 1, heights);
-        near = higher(near, FMA((floats)row_weight[e], b - a, a - own) * (1.0f / (e + 1)));
-      }
-    floats beside = NONE;
-    for (int e = 0; e < NEAR; ++e)
-      if (e < near_columns) {
-        const floats a = READ(p + column_at[e], heights), b = READ(p + column_at[e] + back, heights);
-        beside = higher(beside, FMA((floats)column_weight[e], b - a, a - own) * (1.0f / (e + 1)));
-      }
-    near = higher(near, beside * steepness);
-
-    /* 6. the two steps of the ladder between which the node lies, by bisection; above[s] is rise[s] too high */
+    /* 5. the two steps of the ladder between which the node lies, by bisection; above[s] is rise[s] too high */
     ints low[8], test = above[8] >= level + rises.s[8], lower, upper = test ? above[15] : above[8];
     for (int s = 0; s < 8; ++s)
       low[s] = test ? above[8 + s] : above[s];
@@ -242,7 +229,7 @@ __kernel void sweep(__global const float *restrict heights, __global const float
     upper = test ? upper : low[1];
     lower = test ? low[1] : low[0];
 
-    /* 7. both distances on the node's own ray, no farther than the map or the window goes */
+    /* 6. both distances on the node's own ray, no farther than the map or the window goes */
     const ints xs = x + COUNT;
     ints last = min(u + warm, window);
     if (SIDES != PERIODIC) {
@@ -254,7 +241,7 @@ __kernel void sweep(__global const float *restrict heights, __global const float
     const ints m1 = more(TO_INTS(steepness * TO_FLOATS(t1)), 1), m2 = TO_INTS(steepness * TO_FLOATS(t2)) + 1;
     floats far = higher(on_row(heights, own, xs, y, t1, shear, towards, rows, cols, margin),
                         on_row(heights, own, xs, y, t2, shear, towards, rows, cols, margin));
-    /* 8. and the column crossings beside them: the nearer one's before, the farther one's behind */
+    /* 7. and the column crossings beside them: the nearer one's before, the farther one's behind */
     if (reciprocal < 1e8f) {
       far = higher(far, on_column(heights, own, xs, y, u, m1, shear, reciprocal, reach, towards, rows, cols, margin));
       far = higher(far, on_column(heights, own, xs, y, u, m2, shear, reciprocal, reach, towards, rows, cols, margin));
@@ -264,6 +251,21 @@ __kernel void sweep(__global const float *restrict heights, __global const float
       if (reciprocal < 1e8f)
         far = higher(far, on_column(heights, own, xs, y, u, more((ints)(int)(steepness * min(reach, (float)(u + warm))), 1), shear, reciprocal, reach, towards, rows, cols, margin));
     }
+
+    /* 8. near: every crossing with the next rows, and with the columns before them */
+    floats near = NONE;
+    for (int e = 0; e < NEAR; ++e)
+      if (!BLOCKS || e < near_rows) {
+        const floats a = READ(p + row_at[e], heights), b = READ(p + row_at[e] + 1, heights);
+        near = higher(near, FMA((floats)row_weight[e], b - a, a - own) * (1.0f / (e + 1)));
+      }
+    floats beside = NONE;
+    for (int e = 0; e < NEAR; ++e)
+      if (e < near_columns) {
+        const floats a = READ(p + column_at[e], heights), b = READ(p + column_at[e] + back, heights);
+        beside = higher(beside, FMA((floats)column_weight[e], b - a, a - own) * (1.0f / (e + 1)));
+      }
+    near = higher(near, beside * steepness);
     floats slope = higher(near, far) * tangent;
     if (SIDES == DARK) { /* a wall half a node outside, up to height 0 */
       const floats wall = TO_FLOATS(shear > 0 ? 2 * (cols - xs) - 1 : 2 * xs + 1) * (0.5f * reciprocal), ahead = u + 0.5f;
@@ -289,11 +291,11 @@ __kernel void sweep(__global const float *restrict heights, __global const float
     const floats limit = higher(higher(slope, -along), 0.0f);
     floats c1, c2;
     if (WHAT == UNIFORM) {
-      c2 = RECIPROCAL(FMA(limit, limit, (floats)1.0f));
+      c2 = RECIPROCAL(limit * limit + 1.0f);
       c1 = 0.5f * (1.57079633f - atan(limit) - limit * c2);
       c2 *= 0.5f;
     } else {
-      const floats at = limit / sqrt(FMA(limit, limit, (floats)1.0f)) * (float)(knots - 1);
+      const floats at = limit * RECIPROCAL_ROOT(limit * limit + 1.0f) * (float)(knots - 1);
       const ints knot = less(TO_INTS(at), knots - 2);
       const floats part = at - TO_FLOATS(knot);
       for (int l = 0; l < LANES; ++l) {
@@ -302,7 +304,7 @@ __kernel void sweep(__global const float *restrict heights, __global const float
         LANE(float, c2, l) = FMA(LANE(float, part, l), entry.w, entry.y);
       }
     }
-    const floats light = FMA(along, c1, c2) * (width / sqrt(FMA(gx, gx, FMA(gy, gy, (floats)1.0f))));
+    const floats light = (along * c1 + c2) * (width * RECIPROCAL_ROOT(gx * gx + (gy * gy + 1.0f)));
     const ints share = TO_INTS(light + 0.5f);
 #if ON_CPU
     if (x >= 0 && column_of(x, line, LANES - 1, cols) == x + LANES - 1) {

@@ -98,12 +98,12 @@ inline floats horizon(const Pixel *pixel, floats c, floats s, floats slope, floa
   const int stride = pixel->cols + 1, x = pixel->x, y = pixel->y;
   const floats per_x = c != 0 ? 1 / c : 1e30f, per_y = s != 0 ? 1 / s : 1e30f;
   const ints on_x = WHERE(c >= 0) & 1, on_y = WHERE(s >= 0) & 1;
-  const floats end_x = c != 0 ? (on_x ? (floats)(pixel->cols - 1 - x) : (floats)x) * (c < 0 ? -per_x : per_x) : 1e30f;
-  const floats end_y = s != 0 ? (on_y ? (floats)(pixel->rows - 1 - y) : (floats)y) * (s < 0 ? -per_y : per_y) : 1e30f;
+  const floats end_x = c != 0 ? (c > 0 ? (floats)(pixel->cols - 1 - x) : (floats)x) * (c < 0 ? -per_x : per_x) : 1e30f;
+  const floats end_y = s != 0 ? (s > 0 ? (floats)(pixel->rows - 1 - y) : (floats)y) * (s < 0 ? -per_y : per_y) : 1e30f;
   const floats end = LESS(end_x, end_y);
   ints ix = x - 1 + on_x, iy = y - 1 + on_y, level = 0;
   floats t = 0;
-  ints going = WHERE(slope < high) & WHERE(end > 0) & WHERE(pixel->reach > 0);
+  ints going = WHERE(slope < high) & WHERE(end > 0) & WHERE((floats)pixel->reach > 0);
   while (ANY(going)) {
     const ints cell_x = ix >> level, cell_y = iy >> level;
     const ints edge_x = cell_x + on_x, edge_y = cell_y + on_y;

@@ -27,12 +27,58 @@ def around(v: wp.int32, period: wp.int32):
     return w
 
 
-@wp.func_native("return map.data[i];")  # an index into an array costs ten instructions more
+# What costs Warp many instructions: an index into an array, an exact reciprocal, a root.
+@wp.func_native("return map.data[i];")
 def read(map: wp.array[wp.float32], i: wp.int32) -> wp.float32: ...
 
 
 @wp.func_native("return map.data[i];")
 def read2(map: wp.array2d[wp.float32], i: wp.int32) -> wp.float32: ...
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+atomicAdd(map.data + i, value);
+#else
+map.data[i] += value;
+#endif
+""")
+def add(map: wp.array[wp.int32], i: wp.int32, value: wp.int32): ...
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+float r;
+asm("rcp.approx.ftz.f32 %0, %1;" : "=f"(r) : "f"(v));
+return r;
+#else
+return 1.0f / v;
+#endif
+""")
+def reciprocal_of(v: wp.float32) -> wp.float32: ...
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+return rsqrtf(v);
+#else
+return 1.0f / sqrtf(v);
+#endif
+""")
+def reciprocal_root(v: wp.float32) -> wp.float32: ...
+
+
+@wp.func_native("""
+const float *a = map.data + i;
+#if defined(__CUDA_ARCH__)
+return fmaf(weight, a[next] - a[0], a[0] - own);
+#else
+return a[0] - own + weight * (a[next] - a[0]);
+#endif
+""")
+def rise(map: wp.array[wp.float32], i: wp.int32, next: wp.int32, weight: wp.float32, own: wp.float32) -> wp.float32:
+    """How far the ground between element i and the next, ``next`` elements on, stands above ``own``."""
+    ...
 
 
 @wp.func
@@ -84,9 +130,7 @@ def rays(SIDES: int):
         if across < wp.float32(n):
             n -= 1
         at = place(x + n, y - towards * t, rows, cols, margin)
-        a = read(heights, at)
-        b = read(heights, at + 1)
-        return wp.div_approx(a - own + (across - wp.float32(n)) * (b - a), distance)
+        return rise(heights, at, 1, across - wp.float32(n), own) * reciprocal_of(distance)
 
 
     @wp.func
@@ -112,11 +156,8 @@ def rays(SIDES: int):
         if wp.static(SIDES != PERIODIC):
             before = wp.min(n, u + 1)
         at = place(wp.where(shear > 0.0, x + m, x - m), y - towards * before, rows, cols, margin)
-        a = read(heights, at)
-        b = read(heights, at - towards * (cols + 2 * margin))
-        if distance <= reach:
-            return wp.div_approx(a - own + (distance - wp.float32(n)) * (b - a), distance)
-        return NONE
+        slope = rise(heights, at, -towards * (cols + 2 * margin), distance - wp.float32(n), own) * reciprocal_of(distance)
+        return wp.where(distance <= reach, slope, NONE)
 
     return on_row, on_column
 
@@ -259,44 +300,29 @@ def sweep(NEAR: int, SIDES: int, WHAT: int, BLOCKS: int):
                 own = read(heights, p)
                 level = wp.int32(wp.max(own - lowest, wp.float32(0.0)) * unit) << bits
 
-                # 5. near: every crossing with the next rows, and with the columns before them
-                near = NONE
-                for e in range(NEAR):
-                    if wp.static(BLOCKS == 0) or e < near_rows:
-                        a = read(heights, p + row_at[e])
-                        b = read(heights, p + row_at[e] + 1)
-                        near = wp.max(near, (a - own + row_weight[e] * (b - a)) * wp.static(wp.float32(1.0 / (e + 1))))
-                beside = NONE
-                for e in range(NEAR):
-                    if e < near_columns:
-                        a = read(heights, p + column_at[e])
-                        b = read(heights, p + column_at[e] + back)
-                        beside = wp.max(beside, (a - own + column_weight[e] * (b - a)) * wp.static(wp.float32(1.0 / (e + 1))))
-                near = wp.max(near, beside * steepness)
-
-                # 6. the two steps of the ladder between which the node lies, by bisection; above[s] is rises[s] too high
+                # 5. the two steps of the ladder between which the node lies, by bisection; above[s] is rises[s] too high
                 test = above[8] >= level + rises[8]
                 low = eight()
-                rise = eight()
+                limits = eight()
                 for s in range(8):
                     low[s] = wp.where(test, above[8 + s], above[s])
-                    rise[s] = wp.where(test, rises[8 + s], rises[s])
+                    limits[s] = wp.where(test, rises[8 + s], rises[s])
                 upper = wp.where(test, above[15], above[8])
-                test = low[4] >= level + rise[4]
+                test = low[4] >= level + limits[4]
                 upper = wp.where(test, upper, low[4])
                 for s in range(4):
                     low[s] = wp.where(test, low[4 + s], low[s])
-                    rise[s] = wp.where(test, rise[4 + s], rise[s])
-                test = low[2] >= level + rise[2]
+                    limits[s] = wp.where(test, limits[4 + s], limits[s])
+                test = low[2] >= level + limits[2]
                 upper = wp.where(test, upper, low[2])
                 for s in range(2):
                     low[s] = wp.where(test, low[2 + s], low[s])
-                    rise[s] = wp.where(test, rise[2 + s], rise[s])
-                test = low[1] >= level + rise[1]
+                    limits[s] = wp.where(test, limits[2 + s], limits[s])
+                test = low[1] >= level + limits[1]
                 upper = wp.where(test, upper, low[1])
                 lower = wp.where(test, low[1], low[0])
 
-                # 7. both distances on the node's own ray, no farther than the map or the window goes
+                # 6. both distances on the node's own ray, no farther than the map or the window goes
                 last = wp.min(u + warm, window)
                 if wp.static(SIDES != PERIODIC):
                     room_beside = wp.float32(wp.where(shear > 0.0, cols - 1 - x, x)) * reciprocal
@@ -307,7 +333,7 @@ def sweep(NEAR: int, SIDES: int, WHAT: int, BLOCKS: int):
                 t2 = wp.min(upper & mask, last)
                 far = on_row(heights, own, x, y, t1, shear, towards, rows, cols, margin)
                 far = wp.max(far, on_row(heights, own, x, y, t2, shear, towards, rows, cols, margin))
-                # 8. and the column crossings beside them: the nearer one's before, the farther one's behind
+                # 7. and the column crossings beside them: the nearer one's before, the farther one's behind
                 if reciprocal < 1e8:
                     m1 = wp.max(wp.int32(steepness * wp.float32(t1)), 1)
                     m2 = wp.int32(steepness * wp.float32(t2)) + 1
@@ -318,6 +344,17 @@ def sweep(NEAR: int, SIDES: int, WHAT: int, BLOCKS: int):
                     if reciprocal < 1e8:
                         m3 = wp.max(wp.int32(steepness * wp.min(reach, wp.float32(u + warm))), 1)
                         far = wp.max(far, on_column(heights, own, x, y, u, m3, shear, reciprocal, reach, towards, rows, cols, margin))
+
+                # 8. near: every crossing with the next rows, and with the columns before them
+                near = NONE
+                for e in range(NEAR):
+                    if wp.static(BLOCKS == 0) or e < near_rows:
+                        near = wp.max(near, rise(heights, p + row_at[e], 1, row_weight[e], own) * wp.static(wp.float32(1.0 / (e + 1))))
+                beside = NONE
+                for e in range(NEAR):
+                    if e < near_columns:
+                        beside = wp.max(beside, rise(heights, p + column_at[e], back, column_weight[e], own) * wp.static(wp.float32(1.0 / (e + 1))))
+                near = wp.max(near, beside * steepness)
                 slope = wp.max(near, far) * tangent
                 if wp.static(SIDES == DARK):  # a wall half a node outside, up to height 0
                     wall = wp.float32(wp.where(shear > 0.0, 2 * (cols - x) - 1, 2 * x + 1)) * (wp.float32(0.5) * reciprocal)
@@ -338,17 +375,17 @@ def sweep(NEAR: int, SIDES: int, WHAT: int, BLOCKS: int):
                         c1 = wp.float32(0.0)
                         c2 = wp.float32(0.0)
                         if wp.static(WHAT == UNIFORM):
-                            c2 = wp.div_approx(wp.float32(1.0), limit * limit + 1.0)
+                            c2 = reciprocal_of(limit * limit + 1.0)
                             c1 = 0.5 * (wp.float32(1.57079633) - wp.atan(limit) - limit * c2)
                             c2 *= 0.5
                         else:
-                            at_knot = limit / wp.sqrt(limit * limit + 1.0) * wp.float32(knots - 1)
+                            at_knot = limit * reciprocal_root(limit * limit + 1.0) * wp.float32(knots - 1)
                             knot = wp.min(wp.int32(at_knot), knots - 2)
                             entry = table[k, knot]
                             part = at_knot - wp.float32(knot)
                             c1 = entry[0] + part * entry[2]
                             c2 = entry[1] + part * entry[3]
-                        light = (along * c1 + c2) * (width / wp.sqrt(gx * gx + (gy * gy + 1.0)))
-                        wp.atomic_add(sum, y * cols + x, wp.int32(light + 0.5))
+                        light = (along * c1 + c2) * (width * reciprocal_root(gx * gx + (gy * gy + 1.0)))
+                        add(sum, y * cols + x, wp.int32(light + 0.5))
 
     return sweep

@@ -26,10 +26,6 @@ class Ground(NamedTuple):
     sides: str
     reach: float = math.inf
 
-    @property
-    def relief(self) -> float:
-        known = self.heights[np.isfinite(self.heights)]
-        return float(known.max()) - float(known.min())
 
 
 class Rays(NamedTuple):
@@ -67,7 +63,8 @@ class Sweeps:
         self.margin = self.near + backend.lanes + 3
         backend.reserve(24 * (rows + 2 * self.margin) * (cols + 2 * self.margin), f"A map of {rows} x {cols} nodes", "Cut it into tiles.")
         self.room = (rows + 2 * self.margin) * (cols + 2 * self.margin)
-        self.lowest = float(ground.heights[np.isfinite(ground.heights)].min())
+        known = ground.heights[np.isfinite(ground.heights)]
+        self.lowest, self.relief = float(known.min()), float(known.max()) - float(known.min())
         self.steepest = _steepest(ground.heights, self.near)
         self.heights = backend.upload(self._padded())
         self.turned = backend.empty((self.room,), np.float32)
@@ -141,7 +138,7 @@ class Sweeps:
         backend = self.backend
         comes_at = int(half.windows[first]) if backward else self.near + 1
         span = half.rows + half.warm + self.near + 2
-        bits, unit, steps, rises = ladder(self.steepest[falling], self.ground.relief, span, comes_at)
+        bits, unit, steps, rises = ladder(self.steepest[falling], self.relief, span, comes_at)
         overhang = 0 if self.ground.sides == "periodic" else math.ceil(np.abs(half.shears[first : first + count]).max() * half.rows) + 1
         lines = backend.lanes * backend.lines
         groups = -(-(half.cols + overhang) // lines)
@@ -172,7 +169,7 @@ class Sweeps:
         numbers, windows, reach = numbers[order], windows[order], reach[order]
         warm = 0
         if ground.sides == "periodic":
-            warm = math.ceil(max(rows, cols, ground.relief / FAINTEST)) if math.isinf(ground.reach) else math.ceil(ground.reach) + 1
+            warm = math.ceil(max(rows, cols, self.relief / FAINTEST)) if math.isinf(ground.reach) else math.ceil(ground.reach) + 1
         stride = cols + 2 * self.margin
         azimuths, ways = np.zeros((len(numbers), 8)), np.zeros((len(numbers), 8), np.int32)
         near_at, near_weight = np.zeros((len(numbers), 2, near), np.int32), np.zeros((len(numbers), 2, near))
