@@ -54,6 +54,7 @@ typedef struct __attribute__((packed)) { ints v; } loose_ints;
 #define FMA(a, b, c) ((a) * (b) + (c))
 #define RECIPROCAL(v) (1 / (v))
 #define RECIPROCAL_ROOT(v) (1 / sqrt(v))
+#define ADD_ALL(to, values) ((__global loose_ints *)(to))->v += values
 #define ADD(to, value) *(to) += value /* azimuths come one by one, and no two lines share a node */
 #else
 #define READ(offset, pointer) LOAD(offset, pointer)
@@ -62,6 +63,7 @@ typedef struct __attribute__((packed)) { ints v; } loose_ints;
 #define RECIPROCAL(v) native_recip(v)
 #define RECIPROCAL_ROOT(v) native_rsqrt(v)
 #define ADD(to, value) atomic_add(to, value)
+#define ADD_ALL(to, values)
 #endif
 
 typedef struct { int s[LADDER]; } Ladder;
@@ -100,28 +102,32 @@ ints look(__global const float *heights, int at, float weight, float lowest, flo
   return ground < -1e20f ? (ints)UNSEEN : seen;
 }
 
-/* Slope from a node at column x, row y, to its ray's crossing with the row t rows on. */
-floats on_row(__global const float *heights, floats own, ints x, int y, ints t, float shear, int towards, int rows, int cols,
-              int margin)
+/* Where a ray crosses a grid line: heights of the two nodes, weight of the second, 1 / distance. */
+typedef struct { floats a, b, weight, closeness; } Crossing;
+
+floats rise(Crossing c, floats own) { return FMA(c.weight, c.b - c.a, c.a - own) * c.closeness; }
+
+/* The crossing with the row t rows on of the ray of the node at column x, row y. */
+Crossing on_row(__global const float *heights, ints x, int y, ints t, float shear, int towards, int rows, int cols, int margin)
 {
   const floats distance = TO_FLOATS(t), across = shear * distance;
   ints n = TO_INTS(across);
   n -= across < TO_FLOATS(n) ? (ints)1 : (ints)0;
   const ints at = place(x + n, y - towards * t, rows, cols, margin);
-  const floats a = PICK(heights, at), b = PICK(heights + 1, at);
-  return FMA(across - TO_FLOATS(n), b - a, a - own) * RECIPROCAL(distance);
+  const Crossing c = {PICK(heights, at), PICK(heights + 1, at), across - TO_FLOATS(n), RECIPROCAL(distance)};
+  return c;
 }
 
-/* Slope to its ray's crossing with the column m columns on, if that is within reach. */
-floats on_column(__global const float *heights, floats own, ints x, int y, int u, ints m, float shear, float reciprocal,
-                 float reach, int towards, int rows, int cols, int margin)
+/* The crossing with the column m columns on, which counts if it is within reach. */
+Crossing on_column(__global const float *heights, ints x, int y, int u, ints m, float shear, float reciprocal, float reach,
+                   int towards, int rows, int cols, int margin)
 {
   const floats distance = TO_FLOATS(m) * reciprocal;
   const ints n = TO_INTS(distance), before = SIDES == PERIODIC ? n : less(n, u + 1);
   const ints at = place(shear > 0 ? x + m : x - m, y - towards * before, rows, cols, margin);
   const floats a = PICK(heights, at), b = PICK(heights - towards * (cols + 2 * margin), at);
-  const floats slope = FMA(distance - TO_FLOATS(n), b - a, a - own) * RECIPROCAL(distance);
-  return distance <= reach ? slope : NONE;
+  const Crossing c = {BLOCKS ? distance <= reach ? a : NONE : a, BLOCKS ? distance <= reach ? b : NONE : b, distance - TO_FLOATS(n), RECIPROCAL(distance)};
+  return c;
 }
 
 __kernel void sweep(__global const float *restrict heights, __global const float *restrict tilts, __constant float *azimuths,
@@ -172,42 +178,124 @@ __kernel void sweep(__global const float *restrict heights, __global const float
     to += window - 1 - (stop - 1 + warm) % window;
   }
 
-  for (int i = from; i < to; ++i) {
-    /* 3. the row that comes in, quantized; then every ray climbs (or, backward, falls) by one row */
-    int u = i;
+  /* The far crossings of a node are looked up in one turn of the loop and used in the next, when they have arrived. */
+  Crossing far[4];
+  floats own_ = 0, near_ = NONE, beyond_ = NONE, gx_ = 0, gy_ = 0;
+  int waits = 0, x_ = 0, y_ = 0, u_ = 0;
+  for (int i = from; i <= to; ++i) {
+    int u = i, into = 1;
     if (BLOCKS) {
-      const int into = (i + warm) % window;
-      for (int s = 0; s < LADDER && into == 0; ++s)
-        above[s] = UNSEEN;
+      into = (i + warm) % window;
       u = backward ? i - 2 * into + window - 1 : i;
     }
+    const int here = i < to && u >= max(start, 0) && u < stop;
+
+    /* 3. the nodes of this row, LANES neighbours from column x: every near crossing */
+    int x = line + (int)floor(0.5f - shear * u);
+    if (SIDES == PERIODIC)
+      x = (x % cols + cols) % cols;
+    const int y = towards > 0 ? u : rows - 1 - u, p = (y + margin) * stride + margin + x;
+    floats own = 0, near = NONE, gx = 0, gy = 0;
+    if (here) {
+      own = READ(p, heights);
+      if (WHAT != SLOPES) {
+        gx = READ(p, tilts);
+        gy = READ(room + p, tilts);
+      }
+      for (int e = 0; e < NEAR; ++e)
+        if (!BLOCKS || e < near_rows) {
+          const floats a = READ(p + row_at[e], heights), b = READ(p + row_at[e] + 1, heights);
+          near = higher(near, FMA((floats)row_weight[e], b - a, a - own) * (1.0f / (e + 1)));
+        }
+      floats beside = NONE;
+      for (int e = 0; e < NEAR; ++e)
+        if (e < near_columns) {
+          const floats a = READ(p + column_at[e], heights), b = READ(p + column_at[e] + back, heights);
+          beside = higher(beside, FMA((floats)column_weight[e], b - a, a - own) * (1.0f / (e + 1)));
+        }
+      near = higher(near, beside * steepness);
+    }
+
+    /* 4. the nodes of the turn before: their horizon, and the light between it, or the tangent plane, and the zenith */
+    if (waits) {
+      floats slope = higher(higher(rise(far[0], own_), rise(far[1], own_)), near_);
+      if (reciprocal < 1e8f)
+        slope = higher(slope, higher(rise(far[2], own_), rise(far[3], own_)));
+      if (BLOCKS)
+        slope = higher(slope, beyond_);
+      slope *= tangent;
+      if (SIDES == DARK) { /* a wall half a node outside, up to height 0 */
+        const ints xs = x_ + COUNT;
+        const floats wall = TO_FLOATS(shear > 0 ? 2 * (cols - xs) - 1 : 2 * xs + 1) * (0.5f * reciprocal), ahead = u_ + 0.5f;
+        slope = higher(slope, -own_ * tangent / (wall < ahead ? wall : ahead));
+      }
+      if (known && (BLOCKS || WHAT == SLOPES))
+        for (int l = 0; l < LANES; ++l) {
+          const int c = column_of(x_, line, l, cols);
+          if (c >= 0)
+            LANE(float, slope, l) = max(LANE(float, slope, l), slopes[((size_t)get_group_id(1) * rows + y_) * cols + c]);
+        }
+      if (WHAT == SLOPES) {
+        for (int l = 0; l < LANES; ++l) {
+          const int c = column_of(x_, line, l, cols);
+          if (c >= 0)
+            slopes[((size_t)get_group_id(1) * rows + y_) * cols + c] = LANE(float, slope, l) < -1e20f ? -INFINITY : LANE(float, slope, l);
+        }
+      } else {
+        const floats along = gx_ * cosine + gy_ * sine;
+        const floats limit = higher(higher(slope, -along), 0.0f);
+        floats c1, c2;
+        if (WHAT == UNIFORM) {
+          c2 = RECIPROCAL(limit * limit + 1.0f);
+          c1 = 0.5f * (1.57079633f - atan(limit) - limit * c2);
+          c2 *= 0.5f;
+        } else {
+          const floats at = limit * RECIPROCAL_ROOT(limit * limit + 1.0f) * (float)(knots - 1);
+          const ints knot = less(TO_INTS(at), knots - 2);
+          const floats part = at - TO_FLOATS(knot);
+          for (int l = 0; l < LANES; ++l) {
+            const float4 entry = table[(size_t)k * knots + LANE(int, knot, l)];
+            LANE(float, c1, l) = FMA(LANE(float, part, l), entry.z, entry.x);
+            LANE(float, c2, l) = FMA(LANE(float, part, l), entry.w, entry.y);
+          }
+        }
+        const floats light = (along * c1 + c2) * (width * RECIPROCAL_ROOT(gx_ * gx_ + (gy_ * gy_ + 1.0f)));
+        const ints share = TO_INTS(light + 0.5f);
+        if (ON_CPU && x_ >= 0 && column_of(x_, line, LANES - 1, cols) == x_ + LANES - 1)
+          ADD_ALL(sum + y_ * cols + x_, share);
+        else
+          for (int l = 0; l < LANES; ++l) {
+            const int c = column_of(x_, line, l, cols);
+            if (c >= 0)
+              ADD(sum + y_ * cols + c, LANE(int, share, l));
+          }
+      }
+    }
+
+    /* 5. the row that comes in, quantized; then every ray climbs (or, backward, falls) by one row */
+    for (int s = 0; s < LADDER && into == 0; ++s)
+      above[s] = UNSEEN;
     const int comes = u - comes_at;
     ints seen = UNSEEN;
     if (comes >= start && comes < stop || SIDES == PERIODIC) {
       const float across = -shear * comes;
       const int column = (int)floor(across);
-      int x = line + column, row = comes;
+      int cx = line + column, row = comes;
       if (SIDES == PERIODIC) {
-        x = (x % cols + cols) % cols;
+        cx = (cx % cols + cols) % cols;
         row = (row % rows + rows) % rows;
       }
-      const int y = towards > 0 ? row : rows - 1 - row;
-      seen = look(heights, (y + margin) * stride + margin + x, across - column, lowest, unit, bits, comes_at);
+      const int cy = towards > 0 ? row : rows - 1 - row;
+      seen = look(heights, (cy + margin) * stride + margin + cx, across - column, lowest, unit, bits, comes_at);
     }
     for (int s = 0; s < LADDER; ++s)
       above[s] = more(above[s] + turn * steps.s[s], seen);
-    if (u < max(start, 0) || u >= stop)
+    waits = here;
+    if (!here)
       continue;
 
-    /* 4. the nodes of this row: LANES neighbours from column x */
-    int x = line + (int)floor(0.5f - shear * u);
-    if (SIDES == PERIODIC)
-      x = (x % cols + cols) % cols;
-    const int y = towards > 0 ? u : rows - 1 - u, p = (y + margin) * stride + margin + x;
-    const floats own = READ(p, heights);
+    /* 6. the two steps of the ladder between which the node lies, by bisection; above[s] is rise[s] too high */
     const ints level = TO_INTS(higher(own - lowest, 0.0f) * unit) << bits;
-
-    /* 5. the two steps of the ladder between which the node lies, by bisection; above[s] is rise[s] too high */
     ints low[8], test = above[8] >= level + rises.s[8], lower, upper = test ? above[15] : above[8];
     for (int s = 0; s < 8; ++s)
       low[s] = test ? above[8 + s] : above[s];
@@ -229,7 +317,7 @@ __kernel void sweep(__global const float *restrict heights, __global const float
     upper = test ? upper : low[1];
     lower = test ? low[1] : low[0];
 
-    /* 6. both distances on the node's own ray, no farther than the map or the window goes */
+    /* 7. both distances on the node's own ray, no farther than the map or the window goes */
     const ints xs = x + COUNT;
     ints last = min(u + warm, window);
     if (SIDES != PERIODIC) {
@@ -238,85 +326,26 @@ __kernel void sweep(__global const float *restrict heights, __global const float
     }
     last = more(last, 1);
     const ints t1 = less(lower & mask, last), t2 = less(upper & mask, last);
-    const ints m1 = more(TO_INTS(steepness * TO_FLOATS(t1)), 1), m2 = TO_INTS(steepness * TO_FLOATS(t2)) + 1;
-    floats far = higher(on_row(heights, own, xs, y, t1, shear, towards, rows, cols, margin),
-                        on_row(heights, own, xs, y, t2, shear, towards, rows, cols, margin));
-    /* 7. and the column crossings beside them: the nearer one's before, the farther one's behind */
+    far[0] = on_row(heights, xs, y, t1, shear, towards, rows, cols, margin);
+    far[1] = on_row(heights, xs, y, t2, shear, towards, rows, cols, margin);
+    /* 8. and the column crossings beside them: the nearer one's before, the farther one's behind */
     if (reciprocal < 1e8f) {
-      far = higher(far, on_column(heights, own, xs, y, u, m1, shear, reciprocal, reach, towards, rows, cols, margin));
-      far = higher(far, on_column(heights, own, xs, y, u, m2, shear, reciprocal, reach, towards, rows, cols, margin));
+      const ints m1 = more(TO_INTS(steepness * TO_FLOATS(t1)), 1), m2 = TO_INTS(steepness * TO_FLOATS(t2)) + 1;
+      far[2] = on_column(heights, xs, y, u, m1, shear, reciprocal, reach, towards, rows, cols, margin);
+      far[3] = on_column(heights, xs, y, u, m2, shear, reciprocal, reach, towards, rows, cols, margin);
     }
     if (BLOCKS) { /* downhill the end of the window is the horizon */
-      far = higher(far, on_row(heights, own, xs, y, last, shear, towards, rows, cols, margin));
+      beyond_ = rise(on_row(heights, xs, y, last, shear, towards, rows, cols, margin), own);
       if (reciprocal < 1e8f)
-        far = higher(far, on_column(heights, own, xs, y, u, more((ints)(int)(steepness * min(reach, (float)(u + warm))), 1), shear, reciprocal, reach, towards, rows, cols, margin));
+        beyond_ = higher(beyond_, rise(on_column(heights, xs, y, u, more((ints)(int)(steepness * min(reach, (float)(u + warm))), 1), shear, reciprocal, reach,
+                                                 towards, rows, cols, margin), own));
     }
-
-    /* 8. near: every crossing with the next rows, and with the columns before them */
-    floats near = NONE;
-    for (int e = 0; e < NEAR; ++e)
-      if (!BLOCKS || e < near_rows) {
-        const floats a = READ(p + row_at[e], heights), b = READ(p + row_at[e] + 1, heights);
-        near = higher(near, FMA((floats)row_weight[e], b - a, a - own) * (1.0f / (e + 1)));
-      }
-    floats beside = NONE;
-    for (int e = 0; e < NEAR; ++e)
-      if (e < near_columns) {
-        const floats a = READ(p + column_at[e], heights), b = READ(p + column_at[e] + back, heights);
-        beside = higher(beside, FMA((floats)column_weight[e], b - a, a - own) * (1.0f / (e + 1)));
-      }
-    near = higher(near, beside * steepness);
-    floats slope = higher(near, far) * tangent;
-    if (SIDES == DARK) { /* a wall half a node outside, up to height 0 */
-      const floats wall = TO_FLOATS(shear > 0 ? 2 * (cols - xs) - 1 : 2 * xs + 1) * (0.5f * reciprocal), ahead = u + 0.5f;
-      slope = higher(slope, -own * tangent / (wall < ahead ? wall : ahead));
-    }
-    if (known && (BLOCKS || WHAT == SLOPES))
-      for (int l = 0; l < LANES; ++l) {
-        const int c = column_of(x, line, l, cols);
-        if (c >= 0)
-          LANE(float, slope, l) = max(LANE(float, slope, l), slopes[((size_t)get_group_id(1) * rows + y) * cols + c]);
-      }
-    if (WHAT == SLOPES) {
-      for (int l = 0; l < LANES; ++l) {
-        const int c = column_of(x, line, l, cols);
-        if (c >= 0)
-          slopes[((size_t)get_group_id(1) * rows + y) * cols + c] = LANE(float, slope, l) < -1e20f ? -INFINITY : LANE(float, slope, l);
-      }
-      continue;
-    }
-
-    /* 9. the light between the horizon, or the tangent plane, and the zenith */
-    const floats gx = READ(p, tilts), gy = READ(room + p, tilts), along = gx * cosine + gy * sine;
-    const floats limit = higher(higher(slope, -along), 0.0f);
-    floats c1, c2;
-    if (WHAT == UNIFORM) {
-      c2 = RECIPROCAL(limit * limit + 1.0f);
-      c1 = 0.5f * (1.57079633f - atan(limit) - limit * c2);
-      c2 *= 0.5f;
-    } else {
-      const floats at = limit * RECIPROCAL_ROOT(limit * limit + 1.0f) * (float)(knots - 1);
-      const ints knot = less(TO_INTS(at), knots - 2);
-      const floats part = at - TO_FLOATS(knot);
-      for (int l = 0; l < LANES; ++l) {
-        const float4 entry = table[(size_t)k * knots + LANE(int, knot, l)];
-        LANE(float, c1, l) = FMA(LANE(float, part, l), entry.z, entry.x);
-        LANE(float, c2, l) = FMA(LANE(float, part, l), entry.w, entry.y);
-      }
-    }
-    const floats light = (along * c1 + c2) * (width * RECIPROCAL_ROOT(gx * gx + (gy * gy + 1.0f)));
-    const ints share = TO_INTS(light + 0.5f);
-#if ON_CPU
-    if (x >= 0 && column_of(x, line, LANES - 1, cols) == x + LANES - 1) {
-      __global loose_ints *total = (__global loose_ints *)(sum + y * cols + x);
-      total->v += share;
-      continue;
-    }
-#endif
-    for (int l = 0; l < LANES; ++l) {
-      const int c = column_of(x, line, l, cols);
-      if (c >= 0)
-        ADD(sum + y * cols + c, LANE(int, share, l));
-    }
+    own_ = own;
+    near_ = near;
+    gx_ = gx;
+    gy_ = gy;
+    x_ = x;
+    y_ = y;
+    u_ = u;
   }
 }

@@ -30,6 +30,7 @@ typedef float floats_at;
 #define AT(offset, pointer) (pointer)[offset]
 #else
 #define TO_FLOATS convert_float8
+#define LANE (ints)(0, 1, 2, 3, 4, 5, 6, 7)
 #define FEW(p, i) ((floats)((p)[(i).s0], (p)[(i).s1], (p)[(i).s2], (p)[(i).s3], (p)[(i).s4], (p)[(i).s5], (p)[(i).s6], (p)[(i).s7]))
 typedef struct __attribute__((packed)) {
   floats v;
@@ -276,6 +277,157 @@ __kernel void ball(__global const float *heights, __global const float *tops, __
       const ints whole = WHERE(low_c > 0) & WHERE(high < STEEP);
       const floats chord_width = whole ? 2 * cos_a * half_width * square / (low_c * high_c) : high - low;
       sum += share * slice(&pixel, c, s, flat * cos_d, low, high, chord_width);
+    }
+  irradiance[y * cols + x] = brightness * TOTAL(sum) / sqrt(1 + pixel.tilt_x * pixel.tilt_x + pixel.tilt_y * pixel.tilt_y);
+}
+
+/* Where slices of a sector of azimuths stand, in the frame whose first axis points below the middle of a quadrangle. */
+typedef struct {
+  float c, s, quarter; /* its bisector, and the tangent of a quarter of its angle */
+} Sector;
+
+inline Sector sector_between(float ax, float ay, float bx, float by)
+{
+  const float product = sqrt((ax * ax + ay * ay) * (bx * bx + by * by));
+  const float turn = ax * by - ay * bx, half_ = max(turn, 0.0f) / (product + ax * bx + ay * by + 1e-12f * product); /* tangent of half the angle */
+  const float r = sqrt(1 + half_ * half_), length = r * sqrt(ax * ax + ay * ay);
+  const Sector sector = {(ax - ay * half_) / length, (ay + ax * half_) / length, half_ / (1 + r)};
+  return sector;
+}
+
+#define IN_ORDER(i, j)                       \
+  if (px[i] * py[j] - py[i] * px[j] < 0) {   \
+    const float swap_x = px[i], swap_y = py[i]; \
+    px[i] = px[j], py[i] = py[j];            \
+    px[j] = swap_x, py[j] = swap_y;          \
+  }
+
+/* quad: a flat quadrangle, which shines from both faces.
+
+  corners  (6, 3)                 float  four corners round it, from their middle; the middle; the normal; heights third
+  nodes    (n_slices, n_slices, 2) float  row n - 1: Gauss-Legendre nodes, -1..1, and weights of n slices
+
+Between the azimuths of two neighbouring corners the chord's ends run along one edge each: every such sector gets its share
+of the slices, at least one. All is taken from the middle, so that small far sources lose no digits. Work-item (x, y) owns
+one node; order of summation: slices, then lanes. */
+__kernel void quad(__global const float *heights, __global const float *tops, __global const float *corners,
+                   __global const float *nodes, __global const float *sky, __global const float *points,
+                   __global float *irradiance, int rows, int cols, int width, int levels, int n_slices, int side,
+                   int n_points, int dark, float brightness)
+{
+  const int x = get_global_id(0), y = get_global_id(1);
+  if (x >= cols || y >= rows)
+    return;
+  const int stride = cols + 1, here = (y + 1) * stride + x + 1;
+  const float height = heights[here];
+  Pixel pixel = {heights, tops, sky, points, rows, cols, width, levels, side, n_points, dark, x, y, here, height};
+  pixel.tilt_x = slope_between(heights, here, here - 1, here + 1);
+  pixel.tilt_y = slope_between(heights, here, here - stride, here + stride);
+
+  /* 1. the corners, in the frame of the azimuth of their middle */
+  const float mx = corners[12] - x, my = corners[13] - y, mz = corners[14] - height;
+  const float flat = sqrt(mx * mx + my * my), ux = flat > 0 ? mx / flat : 1, uy = flat > 0 ? my / flat : 0;
+  float px[4], py[4], qx[4], qy[4], top = 0;
+  for (int i = 0; i < 4; ++i) {
+    qx[i] = corners[3 * i] * ux + corners[3 * i + 1] * uy;
+    qy[i] = corners[3 * i + 1] * ux - corners[3 * i] * uy;
+    px[i] = flat + qx[i];
+    py[i] = qy[i];
+    if (px[i] == 0 && py[i] == 0)
+      px[i] = 1e-6f;
+    top = max(top, mz + corners[3 * i + 2]);
+  }
+  const float q0x = px[0], q0y = py[0], q1x = px[1], q1y = py[1], q2x = px[2], q2y = py[2], q3x = px[3], q3y = py[3];
+  float t0 = q0x * (q1y - q0y) - q0y * (q1x - q0x), t1 = q1x * (q2y - q1y) - q1y * (q2x - q1x);
+  float t2 = q2x * (q3y - q2y) - q2y * (q3x - q2x), t3 = q3x * (q0y - q3y) - q3y * (q0x - q3x);
+  const int left = t0 >= 0 && t1 >= 0 && t2 >= 0 && t3 >= 0, right = t0 <= 0 && t1 <= 0 && t2 <= 0 && t3 <= 0;
+  const int below = left != right; /* the node stands below or above the quadrangle */
+  const float sense = right ? -1 : 1;
+  float normal_x = corners[15] * ux + corners[16] * uy, normal_y = corners[16] * ux - corners[15] * uy, normal_z = corners[17];
+  const float apart = flat * normal_x + mz * normal_z, facing = apart < 0 ? -1 : 1;
+  pixel.reach = fabs(apart);
+  pixel.up = facing * normal_z;
+  normal_x *= facing;
+  normal_y *= facing;
+
+  /* 2. sectors between neighbouring corners, and their slices */
+  Sector s0, s1, s2, s3;
+  if (below) {
+    s0 = right ? sector_between(q1x, q1y, q0x, q0y) : sector_between(q0x, q0y, q1x, q1y);
+    s1 = right ? sector_between(q2x, q2y, q1x, q1y) : sector_between(q1x, q1y, q2x, q2y);
+    s2 = right ? sector_between(q3x, q3y, q2x, q2y) : sector_between(q2x, q2y, q3x, q3y);
+    s3 = right ? sector_between(q0x, q0y, q3x, q3y) : sector_between(q3x, q3y, q0x, q0y);
+  } else {
+    IN_ORDER(0, 1)
+    IN_ORDER(2, 3)
+    IN_ORDER(0, 2)
+    IN_ORDER(1, 3)
+    IN_ORDER(1, 2)
+    s0 = sector_between(px[0], py[0], px[1], py[1]);
+    s1 = sector_between(px[1], py[1], px[2], py[2]);
+    s2 = sector_between(px[2], py[2], px[3], py[3]);
+    s3 = s2;
+    s3.quarter = 0;
+  }
+  const float all = s0.quarter + s1.quarter + s2.quarter + s3.quarter, least = 1e-4f * all;
+  const int used0 = s0.quarter > least, used1 = used0 + (s1.quarter > least), used2 = used1 + (s2.quarter > least), used = used2 + (s3.quarter > least);
+  const float more = all > 0 ? (n_slices - used) / all : 0;
+  const int end0 = used0 + (int)(s0.quarter * more + 0.5f), end1 = used1 + (int)((s0.quarter + s1.quarter) * more + 0.5f);
+  const int end2 = used2 + (int)((s0.quarter + s1.quarter + s2.quarter) * more + 0.5f);
+
+  /* 3. slices */
+  floats sum = 0;
+  if (height > NONE && all > 0 && top > 0)
+    for (int j = 0; j < n_slices; j += LANES) {
+      const ints number = j + LANE;
+      const ints in0 = WHERE(number < end0), in1 = WHERE(number < end1), in2 = WHERE(number < end2);
+      const floats axis_c = in0 ? (floats)s0.c : in1 ? (floats)s1.c : in2 ? (floats)s2.c : (floats)s3.c;
+      const floats axis_s = in0 ? (floats)s0.s : in1 ? (floats)s1.s : in2 ? (floats)s2.s : (floats)s3.s;
+      const floats quarter = in0 ? (floats)s0.quarter : in1 ? (floats)s1.quarter : in2 ? (floats)s2.quarter : (floats)s3.quarter;
+      const ints first = in0 ? (ints)0 : in1 ? (ints)end0 : in2 ? (ints)end1 : (ints)end2;
+      const ints count = (in0 ? (ints)end0 : in1 ? (ints)end1 : in2 ? (ints)end2 : (ints)n_slices) - first;
+      const ints at = 2 * ((count - 1) * n_slices + number - first);
+      const floats turn = quarter * FEW(nodes, at), scale = 1 / (1 + turn * turn);
+      const floats cos_t = (1 - turn * turn) * scale, sin_t = 2 * turn * scale;
+      const floats cd = axis_c * cos_t - axis_s * sin_t, sd = axis_s * cos_t + axis_c * sin_t;
+      const floats share = 2 * quarter * FEW(nodes, at + 1) * scale;
+      /* where the slice cuts the outline: distance and height from the middle, on an edge that runs to the left, and to the right */
+      floats left_r = 0, left_z = 0, right_r = 0, right_z = 0;
+      ints has_left = 0, has_right = 0;
+      floats side_a = cd * q3y - sd * q3x, r_a = cd * qx[3] + sd * qy[3], z_a = corners[11];
+      for (int i = 0; i < 4; ++i) {
+        const floats side_b = cd * (i == 0 ? q0y : i == 1 ? q1y : i == 2 ? q2y : q3y) - sd * (i == 0 ? q0x : i == 1 ? q1x : i == 2 ? q2x : q3x);
+        const floats r_b = cd * qx[i] + sd * qy[i], z_b = corners[3 * i + 2];
+        const floats turned_a = sense * side_a, turned_b = sense * side_b;
+        const ints to_left = WHERE(turned_a <= 0) & WHERE(turned_b > 0), to_right = WHERE(turned_b <= 0) & WHERE(turned_a > 0);
+        const floats f = side_a / (side_a - side_b), r = r_a + f * (r_b - r_a), z = z_a + f * (z_b - z_a);
+        left_r = to_left ? r : left_r;
+        left_z = to_left ? z : left_z;
+        right_r = to_right ? r : right_r;
+        right_z = to_right ? z : right_z;
+        has_left |= to_left;
+        has_right |= to_right;
+        side_a = side_b, r_a = r_b, z_a = z_b;
+      }
+      const floats middle = flat * cd;
+      const floats to_left = MORE(middle + left_r, (floats)1e-20f), to_right = MORE(middle + right_r, (floats)1e-20f);
+      const floats steep_left = (mz + left_z) / to_left, steep_right = (mz + right_z) / to_right;
+      const floats apart_s = mz * (right_r - left_r) + middle * (left_z - right_z) + left_z * right_r - right_z * left_r;
+      floats low, high, chord_width;
+      if (below) {
+        low = pixel.up > 0 ? steep_left : (floats)-STEEP;
+        high = pixel.up > 0 ? (floats)STEEP : steep_left;
+        low = LESS(low, (floats)STEEP);
+        chord_width = high - low;
+      } else {
+        low = apart_s > 0 ? steep_right : steep_left;
+        high = apart_s > 0 ? steep_left : steep_right;
+        chord_width = (apart_s > 0 ? apart_s : -apart_s) / (to_left * to_right);
+        has_left &= has_right;
+      }
+      high = has_left ? LESS(high, (floats)STEEP) : (floats)-STEEP;
+      const floats c = ux * cd - uy * sd, s = uy * cd + ux * sd;
+      sum += share * slice(&pixel, c, s, normal_x * cd + normal_y * sd, low, high, chord_width);
     }
   irradiance[y * cols + x] = brightness * TOTAL(sum) / sqrt(1 + pixel.tilt_x * pixel.tilt_x + pixel.tilt_y * pixel.tilt_y);
 }

@@ -50,6 +50,17 @@ class Slices:
             round_ = 2 * np.pi * (np.arange(slices) + 0.5) / slices
             self.table = backend.upload(np.stack([np.sin(theta), np.cos(theta), np.sin(round_), np.cos(round_)]).astype(np.float32))
 
+        else:
+            c = np.asarray(solid.corners, float) / self.step * [1, 1, -1]
+            middle = c.mean(0)
+            normal = np.cross(c[1] - c[0], c[3] - c[0])
+            normal /= np.linalg.norm(normal)
+            self.corners = backend.upload(np.concatenate([c - middle, [middle, normal]]).astype(np.float32))
+            table = np.zeros((slices, slices, 2))
+            for n in range(1, slices + 1):
+                table[n - 1, :n] = np.stack(np.polynomial.legendre.leggauss(n), 1)
+            self.table = backend.upload(table.astype(np.float32))
+
     def build(self):
         rows, cols = self.shape
         for level in range(1, self.levels + 1):
@@ -58,6 +69,10 @@ class Slices:
     def run(self):
         rows, cols = self.shape
         self.build()
+        if isinstance(self.solid, Quad):
+            self.backend.launch("slices", "quad", (cols, rows), self.heights, self.tops, self.corners, self.table, self.sky, self.points, self.image, rows, cols, self.width,
+                                self.levels, self.slices, len(self.sky) if self.n_points else 1, self.n_points, self.dark, self.scale)
+            return
         x, y, z = (v / self.step for v in self.solid.center)
         self.backend.launch("slices", "ball", (cols, rows), self.heights, self.tops, self.table, self.sky, self.points, self.image, rows, cols, self.width,
                             self.levels, self.slices, len(self.sky) if self.n_points else 1, self.n_points, self.dark, x, y, -z, self.solid.radius / self.step, self.scale)
