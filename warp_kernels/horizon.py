@@ -76,8 +76,20 @@ return fmaf(weight, a[next] - a[0], a[0] - own);
 return a[0] - own + weight * (a[next] - a[0]);
 #endif
 """)
-def rise(map: wp.array[wp.float32], i: wp.int32, next: wp.int32, weight: wp.float32, own: wp.float32) -> wp.float32:
-    """How far the ground between element i and the next, ``next`` elements on, stands above ``own``."""
+def stands(map: wp.array[wp.float32], i: wp.int32, next: wp.int32, weight: wp.float32, own: wp.float32) -> wp.float32:
+    """How far the ground between element i and the one ``next`` elements on stands above ``own``."""
+    ...
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+return fmaf(c[2], c[1] - c[0], c[0] - own) * c[3];
+#else
+return (c[0] - own + c[2] * (c[1] - c[0])) * c[3];
+#endif
+""")
+def rise(c: wp.vec4, own: wp.float32) -> wp.float32:
+    """Slope to a crossing: heights of its grid line's two nodes, weight of the second, 1 / distance."""
     ...
 
 
@@ -113,7 +125,6 @@ def rays(SIDES: int):
     @wp.func
     def on_row(
         heights: wp.array[wp.float32],
-        own: wp.float32,
         x: wp.int32,
         y: wp.int32,
         t: wp.int32,
@@ -123,20 +134,19 @@ def rays(SIDES: int):
         cols: wp.int32,
         margin: wp.int32,
     ):
-        """Slope from a node at column x, row y, to its ray's crossing with the row t rows on."""
+        """The crossing with the row t rows on of the ray of the node at column x, row y."""
         distance = wp.float32(t)
         across = shear * distance
         n = wp.int32(across)
         if across < wp.float32(n):
             n -= 1
         at = place(x + n, y - towards * t, rows, cols, margin)
-        return rise(heights, at, 1, across - wp.float32(n), own) * reciprocal_of(distance)
+        return wp.vec4(read(heights, at), read(heights, at + 1), across - wp.float32(n), reciprocal_of(distance))
 
 
     @wp.func
     def on_column(
         heights: wp.array[wp.float32],
-        own: wp.float32,
         x: wp.int32,
         y: wp.int32,
         u: wp.int32,
@@ -149,15 +159,19 @@ def rays(SIDES: int):
         cols: wp.int32,
         margin: wp.int32,
     ):
-        """Slope to its ray's crossing with the column m columns on, if that is within reach."""
+        """The crossing with the column m columns on, which counts if it is within reach."""
         distance = wp.float32(m) * reciprocal
         n = wp.int32(distance)
         before = n
         if wp.static(SIDES != PERIODIC):
             before = wp.min(n, u + 1)
         at = place(wp.where(shear > 0.0, x + m, x - m), y - towards * before, rows, cols, margin)
-        slope = rise(heights, at, -towards * (cols + 2 * margin), distance - wp.float32(n), own) * reciprocal_of(distance)
-        return wp.where(distance <= reach, slope, NONE)
+        a = read(heights, at)
+        b = read(heights, at - towards * (cols + 2 * margin))
+        if distance > reach:
+            a = NONE
+            b = NONE
+        return wp.vec4(a, b, distance - wp.float32(n), reciprocal_of(distance))
 
     return on_row, on_column
 
@@ -265,42 +279,113 @@ def sweep(NEAR: int, SIDES: int, WHAT: int, BLOCKS: int):
             begin -= (start + warm) % window
             finish += window - 1 - (stop - 1 + warm) % window
 
-        for i in range(begin, finish):
-            # 3. the row that comes in, quantized; then every ray climbs (or, backward, falls) by one row
+        # The far crossings of a node are looked up in one turn of the loop and used in the next, when they have arrived.
+        far1 = wp.vec4()
+        far2 = wp.vec4()
+        far3 = wp.vec4()
+        far4 = wp.vec4()
+        own_ = wp.float32(0.0)
+        near_ = wp.float32(0.0)
+        beyond_ = wp.float32(0.0)
+        gx_ = wp.float32(0.0)
+        gy_ = wp.float32(0.0)
+        waits = wp.bool(False)
+        x_ = wp.int32(0)
+        y_ = wp.int32(0)
+        u_ = wp.int32(0)
+        for i in range(begin, finish + 1):
             u = wp.int32(i)
+            into = wp.int32(1)
             if wp.static(BLOCKS != 0):
                 into = (i + warm) % window
-                if into == 0:
-                    for s in range(LADDER):
-                        above[s] = UNSEEN
                 if backward != 0:
                     u = i - 2 * into + window - 1
+            here = i < finish and u >= wp.max(start, 0) and u < stop
+
+            # 3. the node of this row: every near crossing
+            x = line + wp.int32(wp.floor(wp.float32(0.5) - shear * wp.float32(u)))
+            if wp.static(SIDES == PERIODIC):
+                x = around(x, cols)
+            y = wp.where(towards > 0, u, rows - 1 - u)
+            p = (y + margin) * stride + margin + x
+            own = wp.float32(0.0)
+            near = NONE
+            gx = wp.float32(0.0)
+            gy = wp.float32(0.0)
+            if here:
+                own = read(heights, p)
+                if wp.static(WHAT != SLOPES):
+                    gx = read2(tilts, p)
+                    gy = read2(tilts, room + p)
+                for e in range(NEAR):
+                    if wp.static(BLOCKS == 0) or e < near_rows:
+                        near = wp.max(near, stands(heights, p + row_at[e], 1, row_weight[e], own) * wp.static(wp.float32(1.0 / (e + 1))))
+                beside = NONE
+                for e in range(NEAR):
+                    if e < near_columns:
+                        beside = wp.max(beside, stands(heights, p + column_at[e], back, column_weight[e], own) * wp.static(wp.float32(1.0 / (e + 1))))
+                near = wp.max(near, beside * steepness)
+
+            # 4. the node of the turn before: its horizon, and the light between it, or the tangent plane, and the zenith
+            if waits:
+                slope = wp.max(wp.max(rise(far1, own_), rise(far2, own_)), near_)
+                if reciprocal < 1e8:
+                    slope = wp.max(slope, wp.max(rise(far3, own_), rise(far4, own_)))
+                if wp.static(BLOCKS != 0):
+                    slope = wp.max(slope, beyond_)
+                slope *= tangent
+                if wp.static(SIDES == DARK):  # a wall half a node outside, up to height 0
+                    wall = wp.float32(wp.where(shear > 0.0, 2 * (cols - x_) - 1, 2 * x_ + 1)) * (wp.float32(0.5) * reciprocal)
+                    slope = wp.max(slope, -own_ * tangent / wp.min(wall, wp.float32(u_) + 0.5))
+                if x_ >= 0 and x_ < cols:
+                    if wp.static(BLOCKS != 0 or WHAT == SLOPES) and known != 0:
+                        slope = wp.max(slope, slopes[plane, y_ * cols + x_])
+                    if wp.static(WHAT == SLOPES):
+                        if slope < -1e20:
+                            slope = -wp.inf
+                        slopes[plane, y_ * cols + x_] = slope
+                    else:
+                        along = gx_ * cosine + gy_ * sine
+                        limit = wp.max(wp.max(slope, -along), wp.float32(0.0))
+                        c1 = wp.float32(0.0)
+                        c2 = wp.float32(0.0)
+                        if wp.static(WHAT == UNIFORM):
+                            c2 = reciprocal_of(limit * limit + 1.0)
+                            c1 = 0.5 * (wp.float32(1.57079633) - wp.atan(limit) - limit * c2)
+                            c2 *= 0.5
+                        else:
+                            at_knot = limit * reciprocal_root(limit * limit + 1.0) * wp.float32(knots - 1)
+                            knot = wp.min(wp.int32(at_knot), knots - 2)
+                            entry = table[k, knot]
+                            part = at_knot - wp.float32(knot)
+                            c1 = entry[0] + part * entry[2]
+                            c2 = entry[1] + part * entry[3]
+                        light = (along * c1 + c2) * (width * reciprocal_root(gx_ * gx_ + (gy_ * gy_ + 1.0)))
+                        add(sum, y_ * cols + x_, wp.int32(light + 0.5))
+
+            # 5. the row that comes in, quantized; then every ray climbs (or, backward, falls) by one row
+            if into == 0:
+                for s in range(LADDER):
+                    above[s] = UNSEEN
             comes = u - comes_at
             seen = UNSEEN
             if (comes >= start and comes < stop) or wp.static(SIDES == PERIODIC):
                 across = -shear * wp.float32(comes)
                 column = wp.floor(across)
-                x = line + wp.int32(column)
-                y = comes
+                cx = line + wp.int32(column)
+                cy = comes
                 if wp.static(SIDES == PERIODIC):
-                    x = around(x, cols)
-                    y = around(y, rows)
+                    cx = around(cx, cols)
+                    cy = around(cy, rows)
                 if towards < 0:
-                    y = rows - 1 - y
-                seen = look(heights, (y + margin) * stride + margin + x, across - column, lowest, unit, bits, comes_at)
+                    cy = rows - 1 - cy
+                seen = look(heights, (cy + margin) * stride + margin + cx, across - column, lowest, unit, bits, comes_at)
             for s in range(LADDER):
                 above[s] = wp.max(above[s] + turn * steps[s], seen)
-            if u >= wp.max(start, 0) and u < stop:
-                # 4. the node of this row
-                x = line + wp.int32(wp.floor(wp.float32(0.5) - shear * wp.float32(u)))
-                if wp.static(SIDES == PERIODIC):
-                    x = around(x, cols)
-                y = wp.where(towards > 0, u, rows - 1 - u)
-                p = (y + margin) * stride + margin + x
-                own = read(heights, p)
+            waits = here
+            if here:
+                # 6. the two steps of the ladder between which the node lies, by bisection; above[s] is rises[s] too high
                 level = wp.int32(wp.max(own - lowest, wp.float32(0.0)) * unit) << bits
-
-                # 5. the two steps of the ladder between which the node lies, by bisection; above[s] is rises[s] too high
                 test = above[8] >= level + rises[8]
                 low = eight()
                 limits = eight()
@@ -322,7 +407,7 @@ def sweep(NEAR: int, SIDES: int, WHAT: int, BLOCKS: int):
                 upper = wp.where(test, upper, low[1])
                 lower = wp.where(test, low[1], low[0])
 
-                # 6. both distances on the node's own ray, no farther than the map or the window goes
+                # 7. both distances on the node's own ray, no farther than the map or the window goes
                 last = wp.min(u + warm, window)
                 if wp.static(SIDES != PERIODIC):
                     room_beside = wp.float32(wp.where(shear > 0.0, cols - 1 - x, x)) * reciprocal
@@ -331,61 +416,25 @@ def sweep(NEAR: int, SIDES: int, WHAT: int, BLOCKS: int):
                 last = wp.max(last, 1)
                 t1 = wp.min(lower & mask, last)
                 t2 = wp.min(upper & mask, last)
-                far = on_row(heights, own, x, y, t1, shear, towards, rows, cols, margin)
-                far = wp.max(far, on_row(heights, own, x, y, t2, shear, towards, rows, cols, margin))
-                # 7. and the column crossings beside them: the nearer one's before, the farther one's behind
+                far1 = on_row(heights, x, y, t1, shear, towards, rows, cols, margin)
+                far2 = on_row(heights, x, y, t2, shear, towards, rows, cols, margin)
+                # 8. and the column crossings beside them: the nearer one's before, the farther one's behind
                 if reciprocal < 1e8:
                     m1 = wp.max(wp.int32(steepness * wp.float32(t1)), 1)
                     m2 = wp.int32(steepness * wp.float32(t2)) + 1
-                    far = wp.max(far, on_column(heights, own, x, y, u, m1, shear, reciprocal, reach, towards, rows, cols, margin))
-                    far = wp.max(far, on_column(heights, own, x, y, u, m2, shear, reciprocal, reach, towards, rows, cols, margin))
+                    far3 = on_column(heights, x, y, u, m1, shear, reciprocal, reach, towards, rows, cols, margin)
+                    far4 = on_column(heights, x, y, u, m2, shear, reciprocal, reach, towards, rows, cols, margin)
                 if wp.static(BLOCKS != 0):  # downhill the end of the window is the horizon
-                    far = wp.max(far, on_row(heights, own, x, y, last, shear, towards, rows, cols, margin))
+                    beyond_ = rise(on_row(heights, x, y, last, shear, towards, rows, cols, margin), own)
                     if reciprocal < 1e8:
                         m3 = wp.max(wp.int32(steepness * wp.min(reach, wp.float32(u + warm))), 1)
-                        far = wp.max(far, on_column(heights, own, x, y, u, m3, shear, reciprocal, reach, towards, rows, cols, margin))
-
-                # 8. near: every crossing with the next rows, and with the columns before them
-                near = NONE
-                for e in range(NEAR):
-                    if wp.static(BLOCKS == 0) or e < near_rows:
-                        near = wp.max(near, rise(heights, p + row_at[e], 1, row_weight[e], own) * wp.static(wp.float32(1.0 / (e + 1))))
-                beside = NONE
-                for e in range(NEAR):
-                    if e < near_columns:
-                        beside = wp.max(beside, rise(heights, p + column_at[e], back, column_weight[e], own) * wp.static(wp.float32(1.0 / (e + 1))))
-                near = wp.max(near, beside * steepness)
-                slope = wp.max(near, far) * tangent
-                if wp.static(SIDES == DARK):  # a wall half a node outside, up to height 0
-                    wall = wp.float32(wp.where(shear > 0.0, 2 * (cols - x) - 1, 2 * x + 1)) * (wp.float32(0.5) * reciprocal)
-                    slope = wp.max(slope, -own * tangent / wp.min(wall, wp.float32(u) + 0.5))
-                if x >= 0 and x < cols:
-                    if wp.static(BLOCKS != 0 or WHAT == SLOPES) and known != 0:
-                        slope = wp.max(slope, slopes[plane, y * cols + x])
-                    if wp.static(WHAT == SLOPES):
-                        if slope < -1e20:
-                            slope = -wp.inf
-                        slopes[plane, y * cols + x] = slope
-                    else:
-                        # 9. the light between the horizon, or the tangent plane, and the zenith
-                        gx = read2(tilts, p)
-                        gy = read2(tilts, room + p)
-                        along = gx * cosine + gy * sine
-                        limit = wp.max(wp.max(slope, -along), wp.float32(0.0))
-                        c1 = wp.float32(0.0)
-                        c2 = wp.float32(0.0)
-                        if wp.static(WHAT == UNIFORM):
-                            c2 = reciprocal_of(limit * limit + 1.0)
-                            c1 = 0.5 * (wp.float32(1.57079633) - wp.atan(limit) - limit * c2)
-                            c2 *= 0.5
-                        else:
-                            at_knot = limit * reciprocal_root(limit * limit + 1.0) * wp.float32(knots - 1)
-                            knot = wp.min(wp.int32(at_knot), knots - 2)
-                            entry = table[k, knot]
-                            part = at_knot - wp.float32(knot)
-                            c1 = entry[0] + part * entry[2]
-                            c2 = entry[1] + part * entry[3]
-                        light = (along * c1 + c2) * (width * reciprocal_root(gx * gx + (gy * gy + 1.0)))
-                        add(sum, y * cols + x, wp.int32(light + 0.5))
+                        beyond_ = wp.max(beyond_, rise(on_column(heights, x, y, u, m3, shear, reciprocal, reach, towards, rows, cols, margin), own))
+                own_ = own
+                near_ = near
+                gx_ = gx
+                gy_ = gy
+                x_ = x
+                y_ = y
+                u_ = u
 
     return sweep
