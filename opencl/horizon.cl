@@ -72,16 +72,15 @@ ints more(ints a, ints b) { return a > b ? a : b; }
 ints less(ints a, ints b) { return a < b ? a : b; }
 floats higher(floats a, floats b) { return MORE(a, b); }
 
-/* Where column x of row y lies; on a map that repeats both may be outside it. */
-ints place(ints x, ints y, int rows, int cols, int margin)
+/* Where the node dx columns and dy rows beside the nodes at p, (x, y), lies: on a map that repeats, round its sides. */
+ints beside_of(int p, int x, int y, ints dx, ints dy, int rows, int cols, int margin)
 {
-  if (SIDES == PERIODIC) {
-    x = x % cols;
-    y = y % rows;
-    x = x < 0 ? x + cols : x;
-    y = y < 0 ? y + rows : y;
-  }
-  return (y + margin) * (cols + 2 * margin) + margin + x;
+  if (SIDES != PERIODIC)
+    return p + COUNT + (cols + 2 * margin) * dy + dx;
+  ints u = (x + COUNT + dx) % cols, v = (y + dy) % rows;
+  u = u < 0 ? u + cols : u;
+  v = v < 0 ? v + rows : v;
+  return (v + margin) * (cols + 2 * margin) + margin + u;
 }
 
 /* Offset of lane l of a row's nodes from the row's first, or -1 where it is not on the map. */
@@ -108,23 +107,24 @@ typedef struct { floats a, b, weight, closeness; } Crossing;
 floats rise(Crossing c, floats own) { return FMA(c.weight, c.b - c.a, c.a - own) * c.closeness; }
 
 /* The crossing with the row t rows on of the ray of the node at column x, row y. */
-Crossing on_row(__global const float *heights, ints x, int y, ints t, float shear, int towards, int rows, int cols, int margin)
+Crossing on_row(__global const float *heights, int p, int x, int y, ints t, float shear, int towards, int rows, int cols,
+                int margin)
 {
   const floats distance = TO_FLOATS(t), across = shear * distance;
   ints n = TO_INTS(across);
   n -= across < TO_FLOATS(n) ? (ints)1 : (ints)0;
-  const ints at = place(x + n, y - towards * t, rows, cols, margin);
+  const ints at = beside_of(p, x, y, n, -towards * t, rows, cols, margin);
   const Crossing c = {PICK(heights, at), PICK(heights + 1, at), across - TO_FLOATS(n), RECIPROCAL(distance)};
   return c;
 }
 
 /* The crossing with the column m columns on, which counts if it is within reach. */
-Crossing on_column(__global const float *heights, ints x, int y, int u, ints m, float shear, float reciprocal, float reach,
+Crossing on_column(__global const float *heights, int p, int x, int y, int u, ints m, float shear, float reciprocal, float reach,
                    int towards, int rows, int cols, int margin)
 {
   const floats distance = TO_FLOATS(m) * reciprocal;
   const ints n = TO_INTS(distance), before = SIDES == PERIODIC ? n : less(n, u + 1);
-  const ints at = place(shear > 0 ? x + m : x - m, y - towards * before, rows, cols, margin);
+  const ints at = beside_of(p, x, y, shear > 0 ? m : -m, -towards * before, rows, cols, margin);
   const floats a = PICK(heights, at), b = PICK(heights - towards * (cols + 2 * margin), at);
   const Crossing c = {BLOCKS ? distance <= reach ? a : NONE : a, BLOCKS ? distance <= reach ? b : NONE : b, distance - TO_FLOATS(n), RECIPROCAL(distance)};
   return c;
@@ -326,18 +326,18 @@ __kernel void sweep(__global const float *restrict heights, __global const float
     }
     last = more(last, 1);
     const ints t1 = less(lower & mask, last), t2 = less(upper & mask, last);
-    far[0] = on_row(heights, xs, y, t1, shear, towards, rows, cols, margin);
-    far[1] = on_row(heights, xs, y, t2, shear, towards, rows, cols, margin);
+    far[0] = on_row(heights, p, x, y, t1, shear, towards, rows, cols, margin);
+    far[1] = on_row(heights, p, x, y, t2, shear, towards, rows, cols, margin);
     /* 8. and the column crossings beside them: the nearer one's before, the farther one's behind */
     if (reciprocal < 1e8f) {
       const ints m1 = more(TO_INTS(steepness * TO_FLOATS(t1)), 1), m2 = TO_INTS(steepness * TO_FLOATS(t2)) + 1;
-      far[2] = on_column(heights, xs, y, u, m1, shear, reciprocal, reach, towards, rows, cols, margin);
-      far[3] = on_column(heights, xs, y, u, m2, shear, reciprocal, reach, towards, rows, cols, margin);
+      far[2] = on_column(heights, p, x, y, u, m1, shear, reciprocal, reach, towards, rows, cols, margin);
+      far[3] = on_column(heights, p, x, y, u, m2, shear, reciprocal, reach, towards, rows, cols, margin);
     }
     if (BLOCKS) { /* downhill the end of the window is the horizon */
-      beyond_ = rise(on_row(heights, xs, y, last, shear, towards, rows, cols, margin), own);
+      beyond_ = rise(on_row(heights, p, x, y, last, shear, towards, rows, cols, margin), own);
       if (reciprocal < 1e8f)
-        beyond_ = higher(beyond_, rise(on_column(heights, xs, y, u, more((ints)(int)(steepness * min(reach, (float)(u + warm))), 1), shear, reciprocal, reach,
+        beyond_ = higher(beyond_, rise(on_column(heights, p, x, y, u, more((ints)(int)(steepness * min(reach, (float)(u + warm))), 1), shear, reciprocal, reach,
                                                  towards, rows, cols, margin), own));
     }
     own_ = own;

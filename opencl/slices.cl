@@ -192,6 +192,11 @@ inline floats arctan(floats x)
 /* tilt x integral of B cos^2 + integral of B sin cos between the tangents low and high; rise = high - low. */
 inline floats chord(const Pixel *pixel, floats c, floats s, floats tilt, floats low, floats high, floats rise)
 {
+  const ints shows = WHERE(low < high);
+  if (!ANY(shows))
+    return 0;
+  high = MORE(high, low);
+  rise = MORE(rise, (floats)0);
   const floats r = sqrt((low * low + 1) * (high * high + 1)), product = low * high;
   const floats sine = rise / r; /* of the chord's angle */
   floats c1 = arctan(rise / (r + 1 + product)) + 0.5f * (1 - product) / r * sine, c2 = 0.5f * (low + high) / r * sine;
@@ -201,7 +206,7 @@ inline floats chord(const Pixel *pixel, floats c, floats s, floats tilt, floats 
     c1 *= of_c1;
     c2 *= of_c2;
   }
-  return WHERE(low < high) ? tilt * c1 + c2 : (floats)0;
+  return shows ? tilt * c1 + c2 : (floats)0;
 }
 
 /* Light through a slice along (c, s), times sqrt(1 + tilt^2): the source between the tangents low and high, `width` apart. */

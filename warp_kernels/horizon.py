@@ -113,18 +113,16 @@ def rays(SIDES: int):
     """(on_row, on_column): slopes along a node's own ray."""
 
     @wp.func
-    def place(x: wp.int32, y: wp.int32, rows: wp.int32, cols: wp.int32, margin: wp.int32):
-        """Where column x of row y lies; on a map that repeats both may be outside it."""
-        u = x
-        v = y
+    def beside_of(p: wp.int32, x: wp.int32, y: wp.int32, dx: wp.int32, dy: wp.int32, rows: wp.int32, cols: wp.int32, margin: wp.int32):
+        """Where the node dx columns and dy rows beside the node at p, (x, y), lies: on a map that repeats, round its sides."""
         if wp.static(SIDES == PERIODIC):
-            u = around(x, cols)
-            v = around(y, rows)
-        return (v + margin) * (cols + 2 * margin) + margin + u
+            return (around(y + dy, rows) + margin) * (cols + 2 * margin) + margin + around(x + dx, cols)
+        return p + (cols + 2 * margin) * dy + dx
 
     @wp.func
     def on_row(
         heights: wp.array[wp.float32],
+        p: wp.int32,
         x: wp.int32,
         y: wp.int32,
         t: wp.int32,
@@ -140,13 +138,14 @@ def rays(SIDES: int):
         n = wp.int32(across)
         if across < wp.float32(n):
             n -= 1
-        at = place(x + n, y - towards * t, rows, cols, margin)
+        at = beside_of(p, x, y, n, -towards * t, rows, cols, margin)
         return wp.vec4(read(heights, at), read(heights, at + 1), across - wp.float32(n), reciprocal_of(distance))
 
 
     @wp.func
     def on_column(
         heights: wp.array[wp.float32],
+        p: wp.int32,
         x: wp.int32,
         y: wp.int32,
         u: wp.int32,
@@ -165,7 +164,7 @@ def rays(SIDES: int):
         before = n
         if wp.static(SIDES != PERIODIC):
             before = wp.min(n, u + 1)
-        at = place(wp.where(shear > 0.0, x + m, x - m), y - towards * before, rows, cols, margin)
+        at = beside_of(p, x, y, wp.where(shear > 0.0, m, -m), -towards * before, rows, cols, margin)
         a = read(heights, at)
         b = read(heights, at - towards * (cols + 2 * margin))
         if distance > reach:
@@ -416,19 +415,19 @@ def sweep(NEAR: int, SIDES: int, WHAT: int, BLOCKS: int):
                 last = wp.max(last, 1)
                 t1 = wp.min(lower & mask, last)
                 t2 = wp.min(upper & mask, last)
-                far1 = on_row(heights, x, y, t1, shear, towards, rows, cols, margin)
-                far2 = on_row(heights, x, y, t2, shear, towards, rows, cols, margin)
+                far1 = on_row(heights, p, x, y, t1, shear, towards, rows, cols, margin)
+                far2 = on_row(heights, p, x, y, t2, shear, towards, rows, cols, margin)
                 # 8. and the column crossings beside them: the nearer one's before, the farther one's behind
                 if reciprocal < 1e8:
                     m1 = wp.max(wp.int32(steepness * wp.float32(t1)), 1)
                     m2 = wp.int32(steepness * wp.float32(t2)) + 1
-                    far3 = on_column(heights, x, y, u, m1, shear, reciprocal, reach, towards, rows, cols, margin)
-                    far4 = on_column(heights, x, y, u, m2, shear, reciprocal, reach, towards, rows, cols, margin)
+                    far3 = on_column(heights, p, x, y, u, m1, shear, reciprocal, reach, towards, rows, cols, margin)
+                    far4 = on_column(heights, p, x, y, u, m2, shear, reciprocal, reach, towards, rows, cols, margin)
                 if wp.static(BLOCKS != 0):  # downhill the end of the window is the horizon
-                    beyond_ = rise(on_row(heights, x, y, last, shear, towards, rows, cols, margin), own)
+                    beyond_ = rise(on_row(heights, p, x, y, last, shear, towards, rows, cols, margin), own)
                     if reciprocal < 1e8:
                         m3 = wp.max(wp.int32(steepness * wp.min(reach, wp.float32(u + warm))), 1)
-                        beyond_ = wp.max(beyond_, rise(on_column(heights, x, y, u, m3, shear, reciprocal, reach, towards, rows, cols, margin), own))
+                        beyond_ = wp.max(beyond_, rise(on_column(heights, p, x, y, u, m3, shear, reciprocal, reach, towards, rows, cols, margin), own))
                 own_ = own
                 near_ = near
                 gx_ = gx

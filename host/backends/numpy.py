@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import itertools
 import os
 
@@ -10,6 +11,7 @@ import numpy as np
 from ..sources import APERTURE, BALL, RECTANGLE, SKY, VOLUME
 from .base import SIDES, Backend
 
+ELSEWHERE = {"horizon": "numpy_horizon", "ground": "numpy_horizon", "slices": "numpy_slices"}  # modules of the kernels that are not here
 NOTHING = np.finfo(np.float32).max  # ceiling where nothing stands above; finite, so that a masked node never passes
 
 
@@ -49,7 +51,10 @@ class NumpyBackend(Backend):
 
     def launch(self, stem, kernel, dim, *args, lanes=None, group=None, **constants):
         with np.errstate(invalid="ignore", divide="ignore", over="ignore"):  # masked nodes are +inf
-            globals()[kernel](*args)
+            if stem in ELSEWHERE:
+                getattr(importlib.import_module(f".{ELSEWHERE[stem]}", __package__), kernel)(*args, **constants)
+            else:
+                globals()[kernel](*args)
 
     def finish(self):
         """NumPy is done when it returns."""
