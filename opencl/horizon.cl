@@ -16,8 +16,8 @@ The map is seen so that rays go from row to row: azimuths nearer to the columns'
                                       row| or 1e9, reach [rows], 0
   ways         (count, 8)      int    1 if the source lies towards row 0, else -1; near rows; near columns; rows before the
                                       first from which a map that repeats is swept; window [rows]; 0, 0, 0
-  near_at      (count, 2 NEAR) int    where near row (column) crossings are, from the node, in elements of heights
-  near_weight  (count, 2 NEAR) float  weight of the farther node of each
+  near_at      (count, NEAR + NEAR_COLUMNS) int  where near row (column) crossings are, from the node, in elements of heights
+  near_weight  likewise        float  weight of the farther node of each
   table        (count, knots)  float4 brightness: integrals over elevation of B cos^2 and B sin cos from
                                       sin(elevation) = i / (knots - 1) to the zenith, and what to add up to the next knot
   slopes       (count, rows x cols) float  in, out: horizon slopes [1]
@@ -32,6 +32,7 @@ Work-item (j, k, g) owns LANES adjacent lines of azimuth k; long lines start fir
 #define NONE -1e30f
 #define UNSEEN (1 - (1 << 30)) /* far below all ground, one row away */
 #define LADDER 16
+#define NEAR_COLUMNS (2 * NEAR / 3) /* where a ray is so steep that it meets more, they lie close to its crossings with rows */
 enum { OPEN, DARK, PERIODIC }; /* SIDES */
 enum { SLOPES, UNIFORM, TABLE }; /* WHAT */
 
@@ -156,13 +157,15 @@ __kernel void sweep(__global const float *restrict heights, __global const float
     stop = min((int)(out * reciprocal) + 2, rows);
   }
 
-  int row_at[NEAR], column_at[NEAR];
-  float row_weight[NEAR], column_weight[NEAR];
+  int row_at[NEAR], column_at[NEAR_COLUMNS];
+  float row_weight[NEAR], column_weight[NEAR_COLUMNS];
   for (int e = 0; e < NEAR; ++e) {
-    row_at[e] = near_at[2 * NEAR * k + e];
-    row_weight[e] = near_weight[2 * NEAR * k + e];
-    column_at[e] = near_at[2 * NEAR * k + NEAR + e];
-    column_weight[e] = near_weight[2 * NEAR * k + NEAR + e];
+    row_at[e] = near_at[(NEAR + NEAR_COLUMNS) * k + e];
+    row_weight[e] = near_weight[(NEAR + NEAR_COLUMNS) * k + e];
+  }
+  for (int e = 0; e < NEAR_COLUMNS; ++e) {
+    column_at[e] = near_at[(NEAR + NEAR_COLUMNS) * k + NEAR + e];
+    column_weight[e] = near_weight[(NEAR + NEAR_COLUMNS) * k + NEAR + e];
   }
 
   /* 2. the ladder: nothing seen yet */
@@ -191,30 +194,28 @@ __kernel void sweep(__global const float *restrict heights, __global const float
     const int here = i < to && u >= max(start, 0) && u < stop;
 
     /* 3. the nodes of this row, LANES neighbours from column x: every near crossing */
-    int x = line + (int)floor(0.5f - shear * u);
+    const int v = BLOCKS || SIDES == PERIODIC ? min(max(u, max(start, 0)), stop) : u; /* what is looked up must be there */
+    int x = line + (int)floor(0.5f - shear * v);
     if (SIDES == PERIODIC)
       x = (x % cols + cols) % cols;
-    const int y = towards > 0 ? u : rows - 1 - u, p = (y + margin) * stride + margin + x;
-    floats own = 0, near = NONE, gx = 0, gy = 0;
-    if (here) {
-      own = READ(p, heights);
-      if (WHAT != SLOPES) {
-        gx = READ(p, tilts);
-        gy = READ(room + p, tilts);
-      }
-      for (int e = 0; e < NEAR; ++e)
-        if (!BLOCKS || e < near_rows) {
-          const floats a = READ(p + row_at[e], heights), b = READ(p + row_at[e] + 1, heights);
-          near = higher(near, FMA((floats)row_weight[e], b - a, a - own) * (1.0f / (e + 1)));
-        }
-      floats beside = NONE;
-      for (int e = 0; e < NEAR; ++e)
-        if (e < near_columns) {
-          const floats a = READ(p + column_at[e], heights), b = READ(p + column_at[e] + back, heights);
-          beside = higher(beside, FMA((floats)column_weight[e], b - a, a - own) * (1.0f / (e + 1)));
-        }
-      near = higher(near, beside * steepness);
+    const int y = towards > 0 ? v : rows - 1 - v, p = (y + margin) * stride + margin + x;
+    const floats own = READ(p, heights);
+    floats near = NONE, beside = NONE, gx = 0, gy = 0;
+    if (WHAT != SLOPES) {
+      gx = READ(p, tilts);
+      gy = READ(room + p, tilts);
     }
+    for (int e = 0; e < NEAR; ++e) {
+      const floats a = READ(p + row_at[e], heights), b = READ(p + row_at[e] + 1, heights);
+      const floats found = higher(near, FMA((floats)row_weight[e], b - a, a - own) * (1.0f / (e + 1)));
+      near = !BLOCKS || e < near_rows ? found : near;
+    }
+    for (int e = 0; e < NEAR_COLUMNS; ++e) {
+      const floats a = READ(p + column_at[e], heights), b = READ(p + column_at[e] + back, heights);
+      const floats found = higher(beside, FMA((floats)column_weight[e], b - a, a - own) * (1.0f / (e + 1)));
+      beside = e < near_columns ? found : beside;
+    }
+    near = higher(near, beside * steepness);
 
     /* 4. the nodes of the turn before: their horizon, and the light between it, or the tangent plane, and the zenith */
     if (waits) {

@@ -166,6 +166,8 @@ inline void brightness_of(const Pixel *pixel, floats c, floats s, floats low, fl
     ints i = TO_INTS(u), j = TO_INTS(v);
     i = LESS(i, (ints)(pixel->side - 2));
     j = LESS(j, (ints)(pixel->side - 2));
+    i = MORE(i, (ints)0);
+    j = MORE(j, (ints)0);
     const ints at = j * pixel->side + i;
     const floats p = u - TO_FLOATS(i), q = v - TO_FLOATS(j);
     const floats near = FEW(pixel->sky, at) * (1 - p) + FEW(pixel->sky, at + 1) * p;
@@ -215,6 +217,7 @@ inline floats slice(const Pixel *pixel, floats c, floats s, floats along, floats
   const floats tilt = pixel->tilt_x * c + pixel->tilt_y * s;
   floats slope = MORE(low, -tilt);
   slope = MORE(slope, (floats)0);
+  slope = LESS(slope, (floats)STEEP);
   slope = horizon(pixel, c, s, slope, high, along);
   return chord(pixel, c, s, tilt, slope, high, slope > low ? high - slope : width);
 }
@@ -294,7 +297,8 @@ typedef struct {
 inline Sector sector_between(float ax, float ay, float bx, float by)
 {
   const float product = sqrt((ax * ax + ay * ay) * (bx * bx + by * by));
-  const float turn = ax * by - ay * bx, half_ = max(turn, 0.0f) / (product + ax * bx + ay * by + 1e-12f * product); /* tangent of half the angle */
+  const float turn = ax * by - ay * bx, along = ax * bx + ay * by;
+  const float half_ = along < 0 ? (product - along) / max(turn, 1e-7f * product) : max(turn, 0.0f) / (product + along); /* tangent of half the angle */
   const float r = sqrt(1 + half_ * half_), length = r * sqrt(ax * ax + ay * ay);
   const Sector sector = {(ax - ay * half_) / length, (ay + ax * half_) / length, half_ / (1 + r)};
   return sector;

@@ -181,8 +181,9 @@ def sweep(NEAR: int, SIDES: int, WHAT: int, BLOCKS: int):
 
     Thread (g, k, j) owns one line of azimuth k; long lines start first.
     """
-    nears = wp.types.vector(NEAR, wp.int32)
-    weights = wp.types.vector(NEAR, wp.float32)
+    NEAR_COLUMNS = 2 * NEAR // 3
+    nears, weights = wp.types.vector(NEAR, wp.int32), wp.types.vector(NEAR, wp.float32)
+    column_nears, column_weights = wp.types.vector(NEAR_COLUMNS, wp.int32), wp.types.vector(NEAR_COLUMNS, wp.float32)
     on_row, on_column = rays(SIDES)
 
     @wp.kernel(module="unique", module_options=OPTIONS, launch_bounds=LINES)
@@ -252,12 +253,13 @@ def sweep(NEAR: int, SIDES: int, WHAT: int, BLOCKS: int):
             stop = wp.min(wp.int32(wp.float32(leaves) * reciprocal) + 2, rows)
 
         row_at = nears()
-        column_at = nears()
         row_weight = weights()
-        column_weight = weights()
         for e in range(NEAR):
             row_at[e] = near_at[k, e]
             row_weight[e] = near_weight[k, e]
+        column_at = column_nears()
+        column_weight = column_weights()
+        for e in range(NEAR_COLUMNS):
             column_at[e] = near_at[k, NEAR + e]
             column_weight[e] = near_weight[k, NEAR + e]
 
@@ -302,28 +304,29 @@ def sweep(NEAR: int, SIDES: int, WHAT: int, BLOCKS: int):
             here = i < finish and u >= wp.max(start, 0) and u < stop
 
             # 3. the node of this row: every near crossing
-            x = line + wp.int32(wp.floor(wp.float32(0.5) - shear * wp.float32(u)))
+            v = u
+            if wp.static(BLOCKS != 0 or SIDES == PERIODIC):  # what is looked up must be there
+                v = wp.min(wp.max(u, wp.max(start, 0)), stop)
+            x = line + wp.int32(wp.floor(wp.float32(0.5) - shear * wp.float32(v)))
             if wp.static(SIDES == PERIODIC):
                 x = around(x, cols)
-            y = wp.where(towards > 0, u, rows - 1 - u)
+            y = wp.where(towards > 0, v, rows - 1 - v)
             p = (y + margin) * stride + margin + x
-            own = wp.float32(0.0)
+            own = read(heights, p)
             near = NONE
             gx = wp.float32(0.0)
             gy = wp.float32(0.0)
-            if here:
-                own = read(heights, p)
-                if wp.static(WHAT != SLOPES):
-                    gx = read2(tilts, p)
-                    gy = read2(tilts, room + p)
-                for e in range(NEAR):
-                    if wp.static(BLOCKS == 0) or e < near_rows:
-                        near = wp.max(near, stands(heights, p + row_at[e], 1, row_weight[e], own) * wp.static(wp.float32(1.0 / (e + 1))))
-                beside = NONE
-                for e in range(NEAR):
-                    if e < near_columns:
-                        beside = wp.max(beside, stands(heights, p + column_at[e], back, column_weight[e], own) * wp.static(wp.float32(1.0 / (e + 1))))
-                near = wp.max(near, beside * steepness)
+            if wp.static(WHAT != SLOPES):
+                gx = read2(tilts, p)
+                gy = read2(tilts, room + p)
+            for e in range(NEAR):
+                found = wp.max(near, stands(heights, p + row_at[e], 1, row_weight[e], own) * wp.static(wp.float32(1.0 / (e + 1))))
+                near = wp.where(wp.static(BLOCKS == 0) or e < near_rows, found, near)
+            beside = NONE
+            for e in range(NEAR_COLUMNS):
+                found = wp.max(beside, stands(heights, p + column_at[e], back, column_weight[e], own) * wp.static(wp.float32(1.0 / (e + 1))))
+                beside = wp.where(e < near_columns, found, beside)
+            near = wp.max(near, beside * steepness)
 
             # 4. the node of the turn before: its horizon, and the light between it, or the tangent plane, and the zenith
             if waits:

@@ -172,24 +172,25 @@ class Sweeps:
             warm = math.ceil(max(rows, cols, self.relief / FAINTEST)) if math.isinf(ground.reach) else math.ceil(ground.reach) + 1
         stride = cols + 2 * self.margin
         azimuths, ways = np.zeros((len(numbers), 8)), np.zeros((len(numbers), 8), np.int32)
-        near_at, near_weight = np.zeros((len(numbers), 2, near), np.int32), np.zeros((len(numbers), 2, near))
+        columns = 2 * near // 3  # as in opencl/horizon.cl
+        near_at, near_weight = np.zeros((len(numbers), near + columns), np.int32), np.zeros((len(numbers), near + columns))
         shears = np.zeros(len(numbers))
         for n, (k, far) in enumerate(zip(numbers, reach)):
             a, b = across[k], along[k]
             towards, shear = (1 if b < 0 else -1), a / abs(b)
             shear = 0.0 if abs(shear) < 1e-8 else math.copysign(1.0, shear) if abs(abs(shear) - 1) < 1e-12 else shear
             steepness, shears[n] = abs(shear), shear
-            near_columns = math.floor(min(near, far) * steepness + 1e-9)
+            near_columns = min(columns, math.floor(min(near, far) * steepness + 1e-9))
             ways[n, :5] = towards, math.floor(min(near, far) + 1e-9), near_columns, warm, windows[n]
             azimuths[n, :7] = shear, a, b, abs(b), self.rays.widths[k] * self.unit, 1 / steepness if steepness else 1e9, min(far, 1e30)
             for e in range(near):
                 x = math.floor((e + 1) * shear)
-                near_at[n, 0, e], near_weight[n, 0, e] = -towards * (e + 1) * stride + x, (e + 1) * shear - x
+                near_at[n, e], near_weight[n, e] = -towards * (e + 1) * stride + x, (e + 1) * shear - x
                 if e < near_columns:
                     y = math.floor((e + 1) / steepness)
-                    near_at[n, 1, e], near_weight[n, 1, e] = -towards * y * stride + int(math.copysign(e + 1, shear)), (e + 1) / steepness - y
+                    near_at[n, near + e], near_weight[n, near + e] = -towards * y * stride + int(math.copysign(e + 1, shear)), (e + 1) / steepness - y
         near_weight = near_weight.astype(np.float32)
-        tables = [put(azimuths.astype(np.float32)), put(ways), put(near_at.reshape(-1, 2 * near)), put(near_weight.reshape(-1, 2 * near))]
+        tables = [put(azimuths.astype(np.float32)), put(ways), put(near_at), put(near_weight)]
         table = None if table is None or not len(numbers) else put(np.ascontiguousarray(table[numbers], np.float32))
         return Half(turned, rows, cols, numbers, windows, warm, shears, tables, self.turned if turned else self.heights, table)
 
