@@ -1,8 +1,9 @@
 """skylamp: spatially varying illumination of depth maps, forward and inverse (Langer and Zucker)."""
 
 from .backends import backends
-from .directions import Hemicube
+from .directions import Azimuths, Hemicube
 from .errors import BackendError, CapacityError, InputError, SkylampError
+from .horizon import horizons, openness, sky_view_factor
 from .recover import Recovery, recover
 from .render import Plan, Rendering, render
 from .scene import Scene
@@ -11,7 +12,7 @@ from .visibility import View, VisibilityField, visibility, visibility_field
 
 __version__ = "0.1.0"
 __all__ = [
-    "BackendError", "CapacityError", "Hemicube", "InputError", "Lamp", "Plan", "Recovery", "Rendering", "Scene", "Sky",
-    "SkylampError", "View", "VisibilityField", "Window", "backends", "cie_overcast", "cosine_power", "environment_map",
-    "recover", "render", "uniform", "visibility", "visibility_field",
+    "Azimuths", "BackendError", "CapacityError", "Hemicube", "InputError", "Lamp", "Plan", "Recovery", "Rendering", "Scene", "Sky",
+    "SkylampError", "View", "VisibilityField", "Window", "backends", "cie_overcast", "cosine_power", "environment_map", "horizons", "openness",
+    "recover", "render", "sky_view_factor", "uniform", "visibility", "visibility_field",
 ]

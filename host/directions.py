@@ -10,6 +10,7 @@ import numpy as np
 from .errors import bad
 from .radiometry import polygon_moment, rectangle_solid_angle
 
+MOST_AZIMUTHS = 4096
 LARGEST = 129  # 16,641 + 32,768 directions; a larger cube is a slip of the keyboard
 
 
@@ -89,6 +90,61 @@ class Hemicube:
         room = np.zeros((*visible.shape[:-1], 32 * self.words), bool)
         room[..., : len(self)] = visible
         return np.packbits(room, axis=-1, bitorder="little").view("<u4").astype(np.uint32)
+
+
+@dataclass(frozen=True)
+class Azimuths:
+    """Sectors of azimuth, each seen along one azimuth in its middle; angles from +x (columns) towards +y (rows).
+
+    Parameters
+    ----------
+    count : int >= 1
+        Number of sectors.
+    edges : (count + 1,) increasing, spanning 2 pi [rad], optional
+        Borders of the sectors; evenly from 0 unless given, so that azimuth a looks along 2 pi (a + 1/2) / count.
+
+    Attributes
+    ----------
+    angles : (count,) float64 [rad]
+    widths : (count,) float64 [rad], summing to 2 pi.
+
+    Raises
+    ------
+    InputError
+        If ``count`` is not a whole number from 1 to 4096, or ``edges`` do not increase over 2 pi.
+    """
+
+    count: int
+    edges: tuple[float, ...] | None = None
+
+    def __post_init__(self):
+        count = self.count
+        if isinstance(count, (bool, np.bool_)) or not isinstance(count, (int, np.integer)) or not 1 <= count <= MOST_AZIMUTHS:
+            raise bad("azimuths", repr(count), f"a whole number from 1 to {MOST_AZIMUTHS}")
+        edges = np.linspace(0, 2 * np.pi, count + 1) if self.edges is None else np.asarray(self.edges, float)
+        if edges.shape != (count + 1,) or not (np.diff(edges) > 0).all() or abs(edges[-1] - edges[0] - 2 * np.pi) > 1e-9:
+            raise bad("azimuths: edges", f"shape {edges.shape}", f"{count + 1} increasing angles that span 2 pi")
+        object.__setattr__(self, "count", int(count))
+        object.__setattr__(self, "edges", tuple(edges.tolist()))
+
+    def __len__(self) -> int:
+        return self.count
+
+    @property
+    def angles(self) -> np.ndarray:
+        return (np.array(self.edges[1:]) + np.array(self.edges[:-1])) / 2
+
+    @property
+    def widths(self) -> np.ndarray:
+        return np.diff(self.edges)
+
+    @classmethod
+    def placed(cls, count: int, weights: np.ndarray) -> Azimuths:
+        """``count`` sectors, half of them spread by ``weights`` (n,), the light of n even sectors, half evenly."""
+        weights = np.asarray(weights, float)
+        share = np.concatenate([[0], np.cumsum(0.5 * weights / weights.sum() + 0.5 / len(weights))])
+        edges = np.interp(np.linspace(0, 1, count + 1), share / share[-1], np.linspace(0, 2 * np.pi, len(weights) + 1))
+        return cls(count, tuple(edges))
 
 
 def _frozen(array):

@@ -15,7 +15,7 @@ from .directions import Hemicube
 from .errors import bad
 from .scene import Scene, is_scene, one_of, positive_number
 
-METHODS = ("auto", "lattice")
+METHODS = ("auto", "lattice", "horizon")
 QUANTITIES = ("radiance", "irradiance")
 # RMS error of E / pi of the filled lattice under a uniform sky on rough ground (rms slope 1): performance/lattice_error.py
 LATTICE_ERROR = {5: 0.0376, 7: 0.0188, 9: 0.0119, 17: 0.0039, 33: 0.0012}

@@ -204,6 +204,50 @@ def radiance(source: Source, directions: np.ndarray) -> np.ndarray:
     return values
 
 
+PROFILE = 2048, 128  # azimuths, elevations at which the light of a sky is looked at first
+KNOTS = 1024  # of a table of brightness, evenly in the sine of the elevation
+UNEVEN = 2.0  # brightest azimuth over the mean from which azimuths are placed by brightness
+
+
+def directions_of(azimuth, sine) -> np.ndarray:
+    """Unit vectors (..., 3) of azimuths [rad] and sines of elevation, which broadcast."""
+    azimuth, sine = np.broadcast_arrays(azimuth, sine)
+    cosine = np.sqrt(np.maximum(0.0, 1 - sine**2))
+    return np.stack([cosine * np.cos(azimuth), cosine * np.sin(azimuth), -sine], -1)
+
+
+def azimuth_profile(source: Source) -> np.ndarray | None:
+    """Light that comes from each of many even sectors of azimuth, (2048,); None where it hardly varies."""
+    azimuths, elevations = PROFILE
+    azimuth = 2 * np.pi * (np.arange(azimuths) + 0.5) / azimuths
+    elevation = np.pi / 2 * (np.arange(elevations) + 0.5) / elevations
+    profile = radiance(source, directions_of(azimuth[:, None], np.sin(elevation))) @ np.cos(elevation)
+    return profile if profile.max() > UNEVEN * profile.mean() else None
+
+
+def elevation_table(source: Source, angles: np.ndarray, widths: np.ndarray, knots: int = KNOTS) -> np.ndarray:
+    """Brightness as sweeps take it, (K, knots, 4) float32: the integrals of B cos^2 and of B sin cos over elevation, from
+    sin(elevation) = i / (knots - 1) to the zenith, averaged over each sector, and what to add up to the next knot.
+
+    Four Gauss-Legendre points between knots, and as many azimuths within a sector as make some 256 in all.
+    """
+    within = max(1, -(-256 // len(angles)))
+    azimuth = angles[:, None] + widths[:, None] * ((np.arange(within) + 0.5) / within - 0.5)
+    points, weights = np.polynomial.legendre.leggauss(4)
+    low = np.arange(knots - 1)[:, None]
+    sine = ((low + (points + 1) / 2) / (knots - 1)).ravel()
+    total = np.zeros((len(angles), sine.size))
+    for a in azimuth.T:
+        total += radiance(source, directions_of(a[:, None], sine)) / within
+    total = total.reshape(len(angles), knots - 1, 4) * weights / 2 / (knots - 1)
+    sine = sine.reshape(knots - 1, 4)
+    parts = np.stack([(total * np.sqrt(1 - sine**2)).sum(-1), (total * sine).sum(-1)], -1)
+    table = np.zeros((len(angles), knots, 4))
+    table[:, :-1, :2] = np.cumsum(parts[:, ::-1], 1)[:, ::-1]
+    table[:, :-1, 2:] = table[:, 1:, :2] - table[:, :-1, :2]
+    return table.astype(np.float32)
+
+
 def _brightness_number(value) -> float:
     try:
         number = float(value)

@@ -53,13 +53,15 @@ class Half(NamedTuple):
 class Sweeps:
     """A map on a device, ready to be swept; ``light`` and ``slopes`` may be repeated (and timed)."""
 
-    def __init__(self, backend: Backend, ground: Ground, rays: Rays, table: np.ndarray | None = None):
-        """``table`` (K, knots, 4) float32: brightness, see opencl/horizon.cl; uniform, of brightness 1, unless given."""
+    def __init__(self, backend: Backend, ground: Ground, rays: Rays, table: np.ndarray | None = None, near: int | None = None, level: bool = False):
+        """``table`` (K, knots, 4) float32: brightness, see opencl/horizon.cl; uniform, of brightness 1, unless given.
+        ``level``: light falls on a level element at every node, not on the surface."""
+        self.level = level
         self.backend, self.ground, self.rays = backend, ground, rays
         rows, cols = ground.heights.shape
         if ground.heights.size > MOST_PIXELS:
             raise CapacityError(f"A map of {ground.heights.size:,} nodes; at most {MOST_PIXELS:,}, since kernels count nodes in 32 bits. Cut it into tiles.")
-        self.near = FINE if len(rays.angles) >= MANY else NEAR
+        self.near = near or (FINE if len(rays.angles) >= MANY else NEAR)
         self.margin = self.near + backend.lanes + 3
         backend.reserve(24 * (rows + 2 * self.margin) * (cols + 2 * self.margin), f"A map of {rows} x {cols} nodes", "Cut it into tiles.")
         self.room = (rows + 2 * self.margin) * (cols + 2 * self.margin)
@@ -71,8 +73,9 @@ class Sweeps:
         self.tilts = backend.empty((2, self.room), np.float32, 0)
         self.knots = 2 if table is None else table.shape[1]
         self.unit = self._unit(table)
+        self.nothing = backend.empty((4,), np.float32)
+        self.what = UNIFORM if table is None else TABLE
         self.halves = [self._half(turned, table) for turned in (False, True)]
-        self.nothing = backend.empty((1,), np.float32)
 
     # -- what is asked of it
 
@@ -81,18 +84,18 @@ class Sweeps:
         backend = self.backend
         rows, cols = self.ground.heights.shape
         self._turn()
-        what = UNIFORM if self.halves[0].table is None else TABLE
         for half, sums in zip(self.halves, (total, turned)):
             backend.fill(sums, 0)
             around = 2 * self.margin
-            backend.launch("ground", "tilt", (half.cols + around, half.rows + around), half.heights, self.tilts, half.rows, half.cols, self.margin, self.room,
-                           int(self.ground.sides == "periodic"))
+            if not self.level:
+                backend.launch("ground", "tilt", (half.cols + around, half.rows + around), half.heights, self.tilts, half.rows, half.cols, self.margin, self.room,
+                               int(self.ground.sides == "periodic"))
             for first, count in self._batches(half, 1 if backend.lines == 1 else NEVER):
                 scratch = self.nothing
                 if half.windows[first] < NEVER:
                     scratch = backend.empty((count, half.rows * half.cols), np.float32)
                     self._sweep(half, first, count, SLOPES, False, True, scratch, sums)
-                self._sweep(half, first, count, what, half.windows[first] < NEVER, False, scratch, sums)
+                self._sweep(half, first, count, self.what, half.windows[first] < NEVER, False, scratch, sums)
         backend.launch("ground", "gather", (cols, rows), total, turned, total, rows, cols, 1 / self.unit)
 
     def irradiance(self) -> np.ndarray:
@@ -103,9 +106,15 @@ class Sweeps:
 
     def slopes(self) -> np.ndarray:
         """Horizon slopes (K, rows, cols) float32."""
+        out = np.empty((len(self.rays.angles), *self.ground.heights.shape), np.float32)
+        for numbers, found in self.planes():
+            out[numbers] = found
+        return out
+
+    def planes(self):
+        """Yields (numbers of azimuths, their horizon slopes (n, rows, cols) float32), a few azimuths at a time."""
         backend = self.backend
         rows, cols = self.ground.heights.shape
-        out = np.empty((len(self.rays.angles), rows, cols), np.float32)
         most = max(1, int(min(backend.memory // 4, 2**30) // (8 * rows * cols)))
         self._turn()
         for half in self.halves:
@@ -117,8 +126,7 @@ class Sweeps:
                         self._sweep(half, first, count, SLOPES, known, backward, planes, self.nothing, falling)
                         known = True
                 found = backend.download(planes).reshape(count, half.rows, half.cols)
-                out[half.numbers[first : first + count]] = found.transpose(0, 2, 1) if half.turned else found
-        return out
+                yield half.numbers[first : first + count], found.transpose(0, 2, 1) if half.turned else found
 
     # -- how
 
@@ -142,7 +150,7 @@ class Sweeps:
         overhang = 0 if self.ground.sides == "periodic" else math.ceil(np.abs(half.shears[first : first + count]).max() * half.rows) + 1
         lines = backend.lanes * backend.lines
         groups = -(-(half.cols + overhang) // lines)
-        backend.launch("horizon", "sweep", (backend.lines, count, groups), half.heights, self.tilts, *half.tables, half.table or self.nothing, slopes, sums,
+        backend.launch("horizon", "sweep", (backend.lines, count, groups), half.heights, self.tilts, *half.tables, half.table, slopes, sums,
                        steps, rises, first, groups, backend.lines, half.rows, half.cols, self.margin, self.room, self.knots, bits, self.lowest, unit,
                        int(known), int(backward), group=backend.lines, NEAR=self.near, SIDES=SIDES[self.ground.sides], WHAT=what, BLOCKS=int(half.windows[first] < NEVER))
 
@@ -191,17 +199,17 @@ class Sweeps:
                     near_at[n, near + e], near_weight[n, near + e] = -towards * y * stride + int(math.copysign(e + 1, shear)), (e + 1) / steepness - y
         near_weight = near_weight.astype(np.float32)
         tables = [put(azimuths.astype(np.float32)), put(ways), put(near_at), put(near_weight)]
-        table = None if table is None or not len(numbers) else put(np.ascontiguousarray(table[numbers], np.float32))
+        table = self.nothing if table is None or not len(numbers) else put(np.ascontiguousarray(table[numbers], np.float32))
         return Half(turned, rows, cols, numbers, windows, warm, shears, tables, self.turned if turned else self.heights, table)
 
 
 def ladder(steepest: float, relief: float, span: int, comes_at: int) -> tuple[int, float, list[int], list[int]]:
-    """(bits, unit, steps, rises): slopes from level to ``steepest`` [per row], evenly in angle, in the kernels' integers.
+    """(bits, unit, steps, rises): slopes from level to ``steepest`` [per row], denser near level, in the kernels' integers.
 
     An integer holds a height above a ray in units of 1 / unit, and below it in ``bits`` bits a distance up to ``span`` rows.
     """
     bits = max(1, math.ceil(math.log2(max(span, comes_at) + 2)))
-    slopes = np.tan(np.linspace(0, math.atan(steepest), LADDER))
+    slopes = np.tan(np.linspace(0, 1, LADDER) ** 1.5 * math.atan(steepest))
     slopes = slopes if steepest > 0 else slopes[::-1]
     high = relief + (steepest * comes_at if steepest > 0 else -steepest * span)
     unit = (2.0 ** (30 - bits) - 2 * LADDER) / max(high, 1e-6)

@@ -1,0 +1,101 @@
+"""Horizons of a surface, and what terrain people make of them: sky-view factor and openness."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .backends import select
+from .backends.horizon import FINE, Ground, Rays, Sweeps
+from .directions import Azimuths
+from .errors import bad
+from .scene import Scene, is_scene, one_of, positive_number
+
+DEFINITIONS = ("tilted", "horizontal", "solid_angle")
+RUNGS = 1025  # of the tables that turn slopes into sums
+
+
+def horizons(scene: Scene, azimuths: int | Azimuths = 64, backend: str = "auto", *, max_distance: float | None = None) -> np.ndarray:
+    """The horizon's slope, tangent of its elevation, at every node and azimuth: (azimuths, rows, cols) float32.
+
+    Azimuth a looks along 2 pi (a + 1/2) / azimuths [rad] from +x (columns) towards +y (rows). Slopes may be negative;
+    -inf where no ground lies that way, nan where the scene is masked. The surface is linear between neighbouring nodes
+    along rows and along columns. ``max_distance`` [unit of spacing]: ground farther away does not count; the whole map
+    does unless given (on a map that repeats, as far as its relief makes a slope of 0.002). With dark sides the wall
+    counts as ground.
+
+    Raises InputError, BackendError or CapacityError.
+    """
+    azimuths = as_azimuths(azimuths)
+    sweeps = Sweeps(select(backend), ground_of(scene, max_distance), Rays(azimuths.angles, azimuths.widths), near=FINE)
+    slopes = sweeps.slopes()
+    slopes[:, ~scene.valid] = np.nan
+    return slopes
+
+
+def sky_view_factor(scene: Scene, definition: str = "tilted", azimuths: int | Azimuths = 64, backend: str = "auto", *, max_distance: float | None = None) -> np.ndarray:
+    """Share of the sky that every node sees: (rows, cols) float32, 0 to 1, nan where the scene is masked.
+
+    ``definition``, with h the horizon's elevation, not below 0:
+
+    - "tilted": the cosine-weighted share as the tilted surface has it, E / (pi B) under a uniform sky, which ends at the
+      tangent plane (Dozier and Frew 1990; topocalc, HORAYZON).
+    - "horizontal": the same for a horizontal element at the node, mean of cos^2 h over azimuth.
+    - "solid_angle": the share of the hemisphere's solid angle, 1 - mean of sin h (Zaksek, Ostir and Kokalj 2011; RVT, xarray-spatial).
+
+    Other arguments and errors as for :func:`horizons`.
+    """
+    one_of(definition, DEFINITIONS, "definition")
+    sine = np.linspace(0, 1, RUNGS)
+    share = {"tilted": None, "horizontal": (1 - sine**2) / 2, "solid_angle": 1 - sine}[definition]
+    scale = 1 / np.pi if definition != "solid_angle" else 1 / (2 * np.pi)
+    return _sum(scene, share, azimuths, backend, max_distance) * np.float32(scale)
+
+
+def openness(scene: Scene, azimuths: int | Azimuths = 64, backend: str = "auto", *, negative: bool = False, max_distance: float | None = None) -> np.ndarray:
+    """Topographic openness (Yokoyama, Shirasawa and Pike 2002) [rad]: mean over azimuth of the angle from the zenith to the horizon.
+
+    (rows, cols) float32; more than pi / 2 on peaks, nan where masked. ``negative``: of the surface turned upside down,
+    the mean angle from the nadir. Where no ground lies along an azimuth the horizon counts as level. Other arguments and
+    errors as for :func:`horizons`.
+    """
+    is_scene(scene)
+    if not isinstance(negative, (bool, np.bool_)):
+        raise bad("openness: negative", repr(negative), "True or False")
+    if negative:
+        depth = np.where(scene.valid, scene.depth, 0)
+        scene = Scene(np.where(scene.valid, depth.max() - depth, np.nan), scene.spacing, mask=scene.mask, sides=scene.sides)
+    azimuths = as_azimuths(azimuths)
+    sweeps = Sweeps(select(backend), ground_of(scene, max_distance), Rays(azimuths.angles, azimuths.widths), near=FINE)
+    total = np.zeros(scene.shape)
+    for numbers, slopes in sweeps.planes():
+        for width, slope in zip(azimuths.widths[numbers], slopes):
+            total += width * (np.pi / 2 - np.arctan(np.where(np.isfinite(slope), slope, 0)))
+    return np.where(scene.valid, total / (2 * np.pi), np.nan).astype(np.float32)
+
+
+def as_azimuths(azimuths: int | Azimuths) -> Azimuths:
+    return azimuths if isinstance(azimuths, Azimuths) else Azimuths(azimuths)
+
+
+def ground_of(scene: Scene, max_distance: float | None) -> Ground:
+    """The map that sweeps need, heights in spacings above the viewer's plane."""
+    is_scene(scene)
+    reach = np.inf if max_distance is None else positive_number(max_distance, "max_distance") / scene.spacing
+    if reach < 1:
+        raise bad("max_distance", max_distance, f"at least one spacing, {scene.spacing:g}")
+    values, step = scene.lattice()
+    return Ground(-values / np.float32(step), scene.sides, reach)
+
+
+def _sum(scene, share, azimuths, backend, max_distance):
+    """Sum over azimuths of ``share`` (of the horizon's sine, for a level element), or of a uniform sky's light."""
+    azimuths = as_azimuths(azimuths)
+    table = None
+    if share is not None:
+        table = np.zeros((len(azimuths), len(share), 4), np.float32)
+        table[:, :, 1] = share
+        table[:, :-1, 3] = np.diff(share)
+    sweeps = Sweeps(select(backend), ground_of(scene, max_distance), Rays(azimuths.angles, azimuths.widths), table, level=share is not None)
+    image = sweeps.irradiance()
+    image[~scene.valid] = np.nan
+    return image
