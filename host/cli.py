@@ -67,7 +67,7 @@ def _options(version: Annotated[bool, typer.Option("--version", is_eager=True, c
 @app.command()
 def render(file: File, out: Out, height: Height = False, spacing: Spacing = 1.0, albedo: Albedo = 0.8, nodata: Nodata = None,
            source: Source = None, lamp: Lamp = None, window: Window = None, sides: Sides = "open",
-           method: Annotated[str, typer.Option(help="auto | lattice")] = "auto",
+           method: Annotated[str, typer.Option(help="auto | lattice | horizon")] = "auto",
            tolerance: Annotated[float, typer.Option(help="Relative error that auto may make")] = 0.01,
            hemicube: Annotated[Optional[int], typer.Option(help="Lattice: nodes along an edge of the cube of directions, odd", show_default=False)] = None,
            filled: Annotated[Optional[bool], typer.Option("--filled/--stride", help="Lattice: test between the nodes, or step over them as the paper does", show_default=False)] = None,

@@ -11,14 +11,18 @@ import numpy as np
 from . import sources
 from .backends import select
 from .backends.base import Backend, Problem
-from .directions import Hemicube
+from .backends.horizon import Rays, Sweeps
+from .directions import Azimuths, Hemicube
 from .errors import bad
+from .horizon import ground_of
 from .scene import Scene, is_scene, one_of, positive_number
 
 METHODS = ("auto", "lattice", "horizon")
 QUANTITIES = ("radiance", "irradiance")
 # RMS error of E / pi of the filled lattice under a uniform sky on rough ground (rms slope 1): performance/lattice_error.py
 LATTICE_ERROR = {5: 0.0376, 7: 0.0188, 9: 0.0119, 17: 0.0039, 33: 0.0012}
+# the same for horizons, by number of azimuths: performance/horizon.py
+HORIZON_ERROR = {8: 0.0138, 12: 0.0080, 16: 0.0052, 24: 0.0029, 32: 0.0019, 48: 0.0012, 64: 0.0008, 96: 0.0006, 128: 0.0003}
 LEAK_SLOPE = 0.7  # rms slope from which the unfilled step leaks from M = 7 on (README, Limits)
 
 
@@ -27,11 +31,14 @@ class Plan:
     """The model that was used, and why."""
 
     method: str
-    hemicube: int
-    filled: bool
+    hemicube: int | None
+    filled: bool | None
     reason: str
+    azimuths: int | None = None
 
     def __str__(self) -> str:
+        if self.method == "horizon":
+            return f"horizon, {self.azimuths} azimuths: {self.reason}"
         return f"{self.method}, hemicube {self.hemicube}, {'filled' if self.filled else 'stride'}: {self.reason}"
 
 
@@ -53,15 +60,18 @@ class Rendering:
 
 def render(scene: Scene, source: sources.Source, method: str = "auto", tolerance: float = 0.01, backend: str = "auto",
            quantity: str = "radiance", *, hemicube: int | Hemicube | None = None, filled: bool | None = None,
-           weights: str = "moment") -> Rendering:
+           weights: str = "moment", azimuths: int | Azimuths | None = None, max_distance: float | None = None) -> Rendering:
     """The image of ``scene`` under ``source``, seen orthographically along +z (Langer and Zucker, Eq. 3).
 
     Parameters
     ----------
     scene, source : Scene; Sky, Lamp or Window
-    method : "auto" or "lattice"
-        ``lattice``: the paper's directions on a hemicube (9 unless given). ``auto``: the filled lattice with the smallest
-        hemicube whose measured error on rough ground is within ``tolerance``.
+    method : "auto", "lattice" or "horizon"
+        ``lattice``: the paper's directions on a hemicube (9 unless given). ``horizon``: the source above the horizon of
+        every node in a number of azimuths (64 unless given; for lamps and windows, slices through the source as every
+        node sees it). ``auto``: horizons, with the fewest azimuths whose measured error on rough ground is within
+        ``tolerance``; where they cannot be had (lamps given as volumes, windows given as apertures, lamps and windows
+        over a map that repeats), the filled lattice with the smallest hemicube of that kind.
     tolerance : float
         RMS error of E / pi under a uniform sky of brightness 1 that ``auto`` may make. A lamp or a bright spot smaller
         than the spacing of the directions is not covered by it; a warning says so.
@@ -76,6 +86,11 @@ def render(scene: Scene, source: sources.Source, method: str = "auto", tolerance
     weights : "moment" or "printed"
         Each cell's integral of N.L dL (exact where the cell is wholly visible and above the tangent plane), or
         N.L of its node times its solid angle, as Eq. 3 is printed.
+    azimuths : int or Azimuths
+        Of horizons. Under a sky whose brightness is very uneven in azimuth, such as one with a sun, a number of azimuths
+        is placed half evenly, half by brightness.
+    max_distance : float [unit of spacing]
+        Of horizons under a sky: ground farther away does not count; the whole map does unless given.
 
     Raises
     ------
@@ -87,16 +102,73 @@ def render(scene: Scene, source: sources.Source, method: str = "auto", tolerance
     one_of(weights, ("moment", "printed"), "weights")
     if not isinstance(filled, (bool, type(None))):
         raise bad("filled", repr(filled), "True, False or None")
-    plan = _plan(method, positive_number(tolerance, "tolerance"), hemicube, filled)
+    tolerance = positive_number(tolerance, "tolerance")
+    lattice = hemicube is not None or filled is not None or weights != "moment"
+    horizon = azimuths is not None or max_distance is not None
+    if horizon and (lattice or method == "lattice"):
+        raise bad("render: arguments of two methods", "azimuths or max_distance with the lattice's", "azimuths and max_distance with method='horizon'; hemicube, filled and weights with 'lattice'")
+    if method == "horizon" and lattice:
+        raise bad("method 'horizon' with hemicube, filled or weights", "both", "azimuths and max_distance")
+    lacking = _no_horizon(scene, source)
+    if lacking and (method == "horizon" or horizon):
+        raise bad("method 'horizon'", lacking, "a sky, a rectangular window, or a lamp given by its centre and radius, the last two with sides='open' or 'dark'", "Use method='lattice'.")
+    if method == "horizon" or (method == "auto" and not lattice and not lacking):
+        return _by_horizons(scene, source, method, tolerance, select(backend), quantity, azimuths, max_distance)
+    plan = _plan(method, tolerance, hemicube, filled)
     cube = hemicube if isinstance(hemicube, Hemicube) else Hemicube(plan.hemicube)
     engine = select(backend)
     problem = lattice_problem(scene, source, cube, plan.filled)
     brightness = sources.radiance(source, cube.directions)
     moments = cube.moments if weights == "moment" else cube.directions * cube.solid_angles[:, None]
     (irradiance,), seconds, compiling = timed(engine, lambda: (engine.irradiance(problem, moments * brightness[:, None]),))
-    image = irradiance if quantity == "irradiance" else irradiance * np.float32(1 / np.pi) * np.asarray(scene.albedo, np.float32)
-    image = np.where(scene.valid, image, np.float32(np.nan)).astype(np.float32)
-    return Rendering(image, plan, engine.name, seconds, compiling, warnings_of(scene, source, cube, plan.filled))
+    return Rendering(_image(scene, irradiance, quantity), plan, engine.name, seconds, compiling, warnings_of(scene, source, cube, plan.filled))
+
+
+def _image(scene: Scene, irradiance: np.ndarray, quantity: str) -> np.ndarray:
+    """What was asked for, made of irradiance in place."""
+    if quantity == "radiance":
+        irradiance *= np.asarray(scene.albedo, np.float32) * np.float32(1 / np.pi)
+    if scene.mask is not None:
+        irradiance[~scene.mask] = np.nan
+    return irradiance
+
+
+def _no_horizon(scene: Scene, source: sources.Source) -> str:
+    """Why horizons cannot render this, or nothing."""
+    if isinstance(source, sources.Lamp) and source.volume is not None:
+        return "a lamp given as a volume"
+    if isinstance(source, sources.Window) and source.aperture is not None:
+        return "a window given as an aperture"
+    if scene.sides == "periodic" and not isinstance(source, sources.Sky):
+        return "a lamp or window over a map that repeats"
+    return ""
+
+
+def _by_horizons(scene, source, method, tolerance, engine, quantity, azimuths, max_distance) -> Rendering:
+    sources.geometry(source, scene, 1.0)  # checks that they fit
+    fitting = [k for k, error in HORIZON_ERROR.items() if error <= tolerance] or [max(HORIZON_ERROR)]
+    reason = "as asked"
+    if azimuths is None:
+        azimuths = 64 if method == "horizon" else fitting[0]
+        if method == "auto":
+            reason = f"RMS error {HORIZON_ERROR[azimuths]} of E / pi on rough ground, {'within' if HORIZON_ERROR[azimuths] <= tolerance else 'the best there is for'} tolerance {tolerance}"
+    sectors = azimuths if isinstance(azimuths, Azimuths) else Azimuths(azimuths)
+    if not isinstance(source, sources.Sky):
+        raise NotImplementedError
+    table = None
+    scale = 1.0
+    if callable(source.brightness):
+        profile = sources.azimuth_profile(source)
+        if profile is not None and not isinstance(azimuths, Azimuths):
+            sectors = Azimuths.placed(len(sectors), profile)
+        table = sources.elevation_table(source, sectors.angles, sectors.widths)
+    else:
+        scale = float(source.brightness)
+    sweeps = Sweeps(engine, ground_of(scene, max_distance), Rays(sectors.angles, sectors.widths), table)
+    (irradiance,), seconds, compiling = timed(engine, lambda: (sweeps.irradiance(),))
+    if scale != 1.0:
+        irradiance *= np.float32(scale)
+    return Rendering(_image(scene, irradiance, quantity), Plan("horizon", None, None, reason, len(sectors)), engine.name, seconds, compiling)
 
 
 def lattice_problem(scene: Scene, source: sources.Source, cube: Hemicube, filled: bool) -> Problem:
