@@ -32,6 +32,7 @@ Work-item (j, k, g) owns LANES adjacent lines of azimuth k; long lines start fir
 #define NONE -1e30f
 #define UNSEEN (1 - (1 << 30)) /* far below all ground, one row away */
 #define LADDER 16
+#define ACROSS (LANES * STRIPS) /* strips of LANES lines side by side, for the sake of cache lines */
 #define NEAR_COLUMNS (2 * NEAR / 3) /* where a ray is so steep that it meets more, they lie close to its crossings with rows */
 enum { OPEN, DARK, PERIODIC }; /* SIDES */
 enum { SLOPES, UNIFORM, TABLE }; /* WHAT */
@@ -41,11 +42,13 @@ enum { SLOPES, UNIFORM, TABLE }; /* WHAT */
 #define COUNT 0
 #define PICK(pointer, at) (pointer)[at]
 #define LANE(type, v, l) (v)
+#define ALL(v) (v)
 #else
 #define TO_FLOATS JOIN(convert_float, LANES)
 #define COUNT (ints)(0, 1, 2, 3, 4, 5, 6, 7)
 #define PICK(p, i) ((floats)((p)[(i).s0], (p)[(i).s1], (p)[(i).s2], (p)[(i).s3], (p)[(i).s4], (p)[(i).s5], (p)[(i).s6], (p)[(i).s7]))
 #define LANE(type, v, l) ((type *)&v)[l]
+#define ALL(v) all(v)
 #endif
 #if ON_CPU /* PoCL calls its vector builtins; these go inline */
 typedef struct __attribute__((packed)) { floats v; } loose_floats;
@@ -53,6 +56,8 @@ typedef struct __attribute__((packed)) { ints v; } loose_ints;
 #define READ(offset, pointer) (((__global const loose_floats *)((pointer) + (offset)))->v)
 #define MORE(a, b) ((a) > (b) ? (a) : (b))
 #define FMA(a, b, c) ((a) * (b) + (c))
+#define ARCTAN(v) arctan_(v)
+#define ORDER(g, groups) (g) /* neighbours one after another find their lines in the cache */
 #define RECIPROCAL(v) (1 / (v))
 #define RECIPROCAL_ROOT(v) (1 / sqrt(v))
 #define ADD_ALL(to, values) ((__global loose_ints *)(to))->v += values
@@ -61,6 +66,8 @@ typedef struct __attribute__((packed)) { ints v; } loose_ints;
 #define READ(offset, pointer) LOAD(offset, pointer)
 #define MORE(a, b) fmax(a, b)
 #define FMA(a, b, c) fma(a, b, c)
+#define ARCTAN(v) atan(v)
+#define ORDER(g, groups) ((g) & 1 ? (groups) / 2 - ((g) + 1) / 2 : (groups) / 2 + (g) / 2) /* the longest first */
 #define RECIPROCAL(v) native_recip(v)
 #define RECIPROCAL_ROOT(v) native_rsqrt(v)
 #define ADD(to, value) atomic_add(to, value)
@@ -72,6 +79,23 @@ typedef struct { int s[LADDER]; } Ladder;
 ints more(ints a, ints b) { return a > b ? a : b; }
 ints less(ints a, ints b) { return a < b ? a : b; }
 floats higher(floats a, floats b) { return MORE(a, b); }
+
+#if ON_CPU
+/* Arc tangent of v >= 0 to 2e-7, by a polynomial fitted for least maximum error. */
+floats arctan_(floats v)
+{
+  const floats r = v > 1 ? 1 / v : v, q = r * r;
+  floats p = -0.0040545627f;
+  p = p * q + 0.021862943f;
+  p = p * q - 0.055912301f;
+  p = p * q + 0.096421957f;
+  p = p * q - 0.13908629f;
+  p = p * q + 0.19946566f;
+  p = p * q - 0.33329859f;
+  p = p * q + 0.99999934f;
+  return v > 1 ? 1.57079633f - p * r : p * r;
+}
+#endif
 
 /* Where the node dx columns and dy rows beside the nodes at p, (x, y), lies: on a map that repeats, round its sides. */
 ints beside_of(int p, int x, int y, ints dx, ints dy, int rows, int cols, int margin)
@@ -131,6 +155,14 @@ Crossing on_column(__global const float *heights, int p, int x, int y, int u, in
   return c;
 }
 
+/* Nodes whose far crossings have been asked for. */
+typedef struct {
+  Crossing far[4];
+  floats own, near, beyond, gx, gy;
+  ints hidden; /* lanes in which nothing far can rise above what is near */
+  int waits, x, y, u;
+} Waiting;
+
 __kernel void sweep(__global const float *restrict heights, __global const float *restrict tilts, __constant float *azimuths,
                     __constant int *ways, __constant int *near_at, __constant float *near_weight,
                     __global const float4 *restrict table, __global float *restrict slopes, __global int *restrict sum,
@@ -145,14 +177,13 @@ __kernel void sweep(__global const float *restrict heights, __global const float
   const int window = ways[8 * k + 4];
 
   /* 1. which lines, the longest first, and from which row to which they are on the map */
-  const int order = g & 1 ? groups / 2 - (g + 1) / 2 : groups / 2 + g / 2;
   const int overhang = SIDES == PERIODIC ? 0 : (int)(steepness * rows) + 1;
-  const int line = (order * group + (int)get_global_id(0)) * LANES - (shear < 0 ? overhang : 0);
+  const int line = (ORDER(g, groups) * group + (int)get_global_id(0)) * ACROSS - (shear < 0 ? overhang : 0);
   if (line >= cols + (shear > 0 ? overhang : 0))
     return;
   int start = -warm, stop = rows;
   if (SIDES != PERIODIC && reciprocal < 1e8f) {
-    const float in = shear > 0 ? line - cols : -line - LANES, out = shear > 0 ? line + LANES : cols - line;
+    const float in = shear > 0 ? line - cols : -line - ACROSS, out = shear > 0 ? line + ACROSS : cols - line;
     start = max((int)floor(in * reciprocal), 0);
     stop = min((int)(out * reciprocal) + 2, rows);
   }
@@ -169,12 +200,16 @@ __kernel void sweep(__global const float *restrict heights, __global const float
   }
 
   /* 2. the ladder: nothing seen yet */
-  ints above[LADDER];
-  for (int i = 0; i < LADDER; ++i)
-    above[i] = UNSEEN;
+  ints ladders[STRIPS][LADDER];
+  int step[LADDER];
+  for (int s = 0; s < LADDER; ++s) {
+    for (int q = 0; q < STRIPS; ++q)
+      ladders[q][s] = UNSEEN;
+    step[s] = BLOCKS && backward ? steps.s[s] : -steps.s[s];
+  }
   const int stride = cols + 2 * margin, back = -towards * stride, mask = (1 << bits) - 1;
-  const int turn = BLOCKS && backward ? 1 : -1;
   const int comes_at = BLOCKS && backward ? window : NEAR + 1;
+  const float per_rung = unit * (float)(1 << bits) * comes_at;
   int from = start, to = stop;
   if (BLOCKS && backward) {
     from -= (start + warm) % window;
@@ -182,9 +217,9 @@ __kernel void sweep(__global const float *restrict heights, __global const float
   }
 
   /* The far crossings of a node are looked up in one turn of the loop and used in the next, when they have arrived. */
-  Crossing far[4];
-  floats own_ = 0, near_ = NONE, beyond_ = NONE, gx_ = 0, gy_ = 0;
-  int waits = 0, x_ = 0, y_ = 0, u_ = 0;
+  Waiting nodes[STRIPS];
+  for (int q = 0; q < STRIPS; ++q)
+    nodes[q].waits = 0;
   for (int i = from; i <= to; ++i) {
     int u = i, into = 1;
     if (BLOCKS) {
@@ -193,160 +228,183 @@ __kernel void sweep(__global const float *restrict heights, __global const float
     }
     const int here = i < to && u >= max(start, 0) && u < stop;
 
-    /* 3. the nodes of this row, LANES neighbours from column x: every near crossing */
     const int v = BLOCKS || SIDES == PERIODIC ? min(max(u, max(start, 0)), stop) : u; /* what is looked up must be there */
-    int x = line + (int)floor(0.5f - shear * v);
-    if (SIDES == PERIODIC)
-      x = (x % cols + cols) % cols;
-    const int y = towards > 0 ? v : rows - 1 - v, p = (y + margin) * stride + margin + x;
-    const floats own = READ(p, heights);
-    floats near = NONE, beside = NONE, gx = 0, gy = 0;
-    if (WHAT != SLOPES) {
-      gx = READ(p, tilts);
-      gy = READ(room + p, tilts);
-    }
-    for (int e = 0; e < NEAR; ++e) {
-      const floats a = READ(p + row_at[e], heights), b = READ(p + row_at[e] + 1, heights);
-      const floats found = higher(near, FMA((floats)row_weight[e], b - a, a - own) * (1.0f / (e + 1)));
-      near = !BLOCKS || e < near_rows ? found : near;
-    }
-    for (int e = 0; e < NEAR_COLUMNS; ++e) {
-      const floats a = READ(p + column_at[e], heights), b = READ(p + column_at[e] + back, heights);
-      const floats found = higher(beside, FMA((floats)column_weight[e], b - a, a - own) * (1.0f / (e + 1)));
-      beside = e < near_columns ? found : beside;
-    }
-    near = higher(near, beside * steepness);
+    const int y = towards > 0 ? v : rows - 1 - v, shift = (int)floor(0.5f - shear * v);
+    const int comes = u - comes_at, arrives = SIDES == PERIODIC || comes >= start && comes < stop;
+    const float across = -shear * comes;
+    const int column = (int)floor(across), came = SIDES == PERIODIC ? (comes % rows + rows) % rows : comes;
+    const int from_row = ((towards > 0 ? came : rows - 1 - came) + margin) * stride + margin;
 
-    /* 4. the nodes of the turn before: their horizon, and the light between it, or the tangent plane, and the zenith */
-    if (waits) {
-      floats slope = higher(higher(rise(far[0], own_), rise(far[1], own_)), near_);
-      if (reciprocal < 1e8f)
-        slope = higher(slope, higher(rise(far[2], own_), rise(far[3], own_)));
-      if (BLOCKS)
-        slope = higher(slope, beyond_);
-      slope *= tangent;
-      if (SIDES == DARK) { /* a wall half a node outside, up to height 0 */
-        const ints xs = x_ + COUNT;
-        const floats wall = TO_FLOATS(shear > 0 ? 2 * (cols - xs) - 1 : 2 * xs + 1) * (0.5f * reciprocal), ahead = u_ + 0.5f;
-        slope = higher(slope, -own_ * tangent / (wall < ahead ? wall : ahead));
+    for (int q = 0; q < STRIPS; ++q) {
+      /* 3. LANES neighbours from column x: every near crossing */
+      const int first_line = line + LANES * q;
+      int x = first_line + shift;
+      if (SIDES == PERIODIC)
+        x = (x % cols + cols) % cols;
+      const int on_map = here && (SIDES == PERIODIC || STRIPS == 1 || x < cols && x > -LANES);
+      if (STRIPS > 1 && !on_map && !nodes[q].waits && !BLOCKS && SIDES != PERIODIC)
+        continue;
+      ints *above = ladders[q];
+      Waiting node = nodes[q];
+      const int p = (y + margin) * stride + margin + x;
+      const floats own = READ(p, heights);
+      floats near = NONE, beside = NONE, gx = 0, gy = 0;
+      if (WHAT != SLOPES) {
+        gx = READ(p, tilts);
+        gy = READ(room + p, tilts);
       }
-      if (known && (BLOCKS || WHAT == SLOPES))
-        for (int l = 0; l < LANES; ++l) {
-          const int c = column_of(x_, line, l, cols);
-          if (c >= 0)
-            LANE(float, slope, l) = max(LANE(float, slope, l), slopes[((size_t)get_group_id(1) * rows + y_) * cols + c]);
+      for (int e = 0; e < NEAR; ++e) {
+        const floats a = READ(p + row_at[e], heights), b = READ(p + row_at[e] + 1, heights);
+        const floats found = higher(near, FMA((floats)row_weight[e], b - a, a - own) * (1.0f / (e + 1)));
+        near = !BLOCKS || e < near_rows ? found : near;
+      }
+      for (int e = 0; e < NEAR_COLUMNS; ++e) {
+        const floats a = READ(p + column_at[e], heights), b = READ(p + column_at[e] + back, heights);
+        const floats found = higher(beside, FMA((floats)column_weight[e], b - a, a - own) * (1.0f / (e + 1)));
+        beside = e < near_columns ? found : beside;
+      }
+      near = higher(near, beside * steepness);
+
+      /* 4. the nodes of the turn before: their horizon, and the light between it, or the tangent plane, and the zenith */
+      if (node.waits) {
+        floats slope = node.near;
+        if (!ALL(node.hidden)) {
+          floats beyond = higher(rise(node.far[0], node.own), rise(node.far[1], node.own));
+          if (reciprocal < 1e8f)
+            beyond = higher(beyond, higher(rise(node.far[2], node.own), rise(node.far[3], node.own)));
+          slope = node.hidden ? node.near : higher(node.near, beyond);
         }
-      if (WHAT == SLOPES) {
-        for (int l = 0; l < LANES; ++l) {
-          const int c = column_of(x_, line, l, cols);
-          if (c >= 0)
-            slopes[((size_t)get_group_id(1) * rows + y_) * cols + c] = LANE(float, slope, l) < -1e20f ? -INFINITY : LANE(float, slope, l);
+        if (BLOCKS)
+          slope = higher(slope, node.beyond);
+        slope *= tangent;
+        if (SIDES == DARK) { /* a wall half a node outside, up to height 0 */
+          const ints xs = node.x + COUNT;
+          const floats wall = TO_FLOATS(shear > 0 ? 2 * (cols - xs) - 1 : 2 * xs + 1) * (0.5f * reciprocal), ahead = node.u + 0.5f;
+          slope = higher(slope, -node.own * tangent / (wall < ahead ? wall : ahead));
         }
-      } else {
-        const floats along = gx_ * cosine + gy_ * sine;
-        const floats limit = higher(higher(slope, -along), 0.0f);
-        floats c1, c2;
-        if (WHAT == UNIFORM) {
-          c2 = RECIPROCAL(limit * limit + 1.0f);
-          c1 = 0.5f * (1.57079633f - atan(limit) - limit * c2);
-          c2 *= 0.5f;
-        } else {
-          const floats at = limit * RECIPROCAL_ROOT(limit * limit + 1.0f) * (float)(knots - 1);
-          const ints knot = less(TO_INTS(at), knots - 2);
-          const floats part = at - TO_FLOATS(knot);
+        if (known && (BLOCKS || WHAT == SLOPES))
           for (int l = 0; l < LANES; ++l) {
-            const float4 entry = table[(size_t)k * knots + LANE(int, knot, l)];
-            LANE(float, c1, l) = FMA(LANE(float, part, l), entry.z, entry.x);
-            LANE(float, c2, l) = FMA(LANE(float, part, l), entry.w, entry.y);
-          }
-        }
-        const floats light = (along * c1 + c2) * (width * RECIPROCAL_ROOT(gx_ * gx_ + (gy_ * gy_ + 1.0f)));
-        const ints share = TO_INTS(light + 0.5f);
-        if (ON_CPU && x_ >= 0 && column_of(x_, line, LANES - 1, cols) == x_ + LANES - 1)
-          ADD_ALL(sum + y_ * cols + x_, share);
-        else
-          for (int l = 0; l < LANES; ++l) {
-            const int c = column_of(x_, line, l, cols);
+            const int c = column_of(node.x, first_line, l, cols);
             if (c >= 0)
-              ADD(sum + y_ * cols + c, LANE(int, share, l));
+              LANE(float, slope, l) = max(LANE(float, slope, l), slopes[((size_t)get_group_id(1) * rows + node.y) * cols + c]);
           }
+        if (WHAT == SLOPES) {
+          for (int l = 0; l < LANES; ++l) {
+            const int c = column_of(node.x, first_line, l, cols);
+            if (c >= 0)
+              slopes[((size_t)get_group_id(1) * rows + node.y) * cols + c] = LANE(float, slope, l) < -1e20f ? -INFINITY : LANE(float, slope, l);
+          }
+        } else {
+          const floats along = node.gx * cosine + node.gy * sine;
+          const floats limit = higher(higher(slope, -along), 0.0f);
+          floats c1, c2;
+          if (WHAT == UNIFORM) {
+            c2 = RECIPROCAL(limit * limit + 1.0f);
+            c1 = 0.5f * (1.57079633f - ARCTAN(limit) - limit * c2);
+            c2 *= 0.5f;
+          } else {
+            const floats at = limit * RECIPROCAL_ROOT(limit * limit + 1.0f) * (float)(knots - 1);
+            const ints knot = less(TO_INTS(at), knots - 2);
+            const floats part = at - TO_FLOATS(knot);
+            for (int l = 0; l < LANES; ++l) {
+              const float4 entry = table[(size_t)k * knots + LANE(int, knot, l)];
+              LANE(float, c1, l) = FMA(LANE(float, part, l), entry.z, entry.x);
+              LANE(float, c2, l) = FMA(LANE(float, part, l), entry.w, entry.y);
+            }
+          }
+          const floats light = (along * c1 + c2) * (width * RECIPROCAL_ROOT(node.gx * node.gx + (node.gy * node.gy + 1.0f)));
+          const ints share = TO_INTS(light + 0.5f);
+          if (ON_CPU && node.x >= 0 && column_of(node.x, first_line, LANES - 1, cols) == node.x + LANES - 1)
+            ADD_ALL(sum + node.y * cols + node.x, share);
+          else
+            for (int l = 0; l < LANES; ++l) {
+              const int c = column_of(node.x, first_line, l, cols);
+              if (c >= 0)
+                ADD(sum + node.y * cols + c, LANE(int, share, l));
+            }
+        }
       }
-    }
 
-    /* 5. the row that comes in, quantized; then every ray climbs (or, backward, falls) by one row */
-    for (int s = 0; s < LADDER && into == 0; ++s)
-      above[s] = UNSEEN;
-    const int comes = u - comes_at;
-    ints seen = UNSEEN;
-    if (comes >= start && comes < stop || SIDES == PERIODIC) {
-      const float across = -shear * comes;
-      const int column = (int)floor(across);
-      int cx = line + column, row = comes;
-      if (SIDES == PERIODIC) {
+      /* 5. the row that comes in, quantized; then every ray climbs (or, backward, falls) by one row */
+      for (int s = 0; s < LADDER && into == 0; ++s)
+        above[s] = UNSEEN;
+      int cx = first_line + column;
+      if (SIDES == PERIODIC)
         cx = (cx % cols + cols) % cols;
-        row = (row % rows + rows) % rows;
+      ints seen = UNSEEN;
+      if (arrives && (STRIPS == 1 || cx < cols && cx >= -LANES))
+        seen = look(heights, from_row + cx, across - column, lowest, unit, bits, comes_at);
+      for (int s = 0; s < LADDER; ++s)
+        above[s] = more(above[s] + step[s], seen);
+      nodes[q].waits = on_map;
+      if (!on_map)
+        continue;
+      node.own = own;
+      node.near = near;
+      node.gx = gx;
+      node.gy = gy;
+      node.x = x;
+      node.y = y;
+      node.u = u;
+
+      /* 6. the two steps of the ladder between which the node lies, by bisection; above[s] is rise[s] too high */
+      const ints level = TO_INTS(higher(own - lowest, 0.0f) * unit) << bits;
+      ints low[8], test = above[8] >= level + rises.s[8], lower, upper = test ? above[15] : above[8];
+      ints rung = test ? (ints)INT_MAX : (ints)rises.s[8]; /* of the upper step */
+      for (int s = 0; s < 8; ++s)
+        low[s] = test ? above[8 + s] : above[s];
+      ints r1 = test ? (ints)rises.s[9] : (ints)rises.s[1], r2 = test ? (ints)rises.s[10] : (ints)rises.s[2], r3 = test ? (ints)rises.s[11] : (ints)rises.s[3];
+      ints r4 = test ? (ints)rises.s[12] : (ints)rises.s[4], r5 = test ? (ints)rises.s[13] : (ints)rises.s[5], r6 = test ? (ints)rises.s[14] : (ints)rises.s[6];
+      ints r7 = test ? (ints)rises.s[15] : (ints)rises.s[7];
+      test = low[4] >= level + r4;
+      upper = test ? upper : low[4];
+      rung = test ? rung : r4;
+      for (int s = 0; s < 4; ++s)
+        low[s] = test ? low[4 + s] : low[s];
+      r1 = test ? r5 : r1;
+      r2 = test ? r6 : r2;
+      r3 = test ? r7 : r3;
+      test = low[2] >= level + r2;
+      upper = test ? upper : low[2];
+      rung = test ? rung : r2;
+      low[0] = test ? low[2] : low[0];
+      low[1] = test ? low[3] : low[1];
+      r1 = test ? r3 : r1;
+      test = low[1] >= level + r1;
+      upper = test ? upper : low[1];
+      rung = test ? rung : r1;
+      lower = test ? low[1] : low[0];
+
+      /* 7. both distances on the node's own ray, no farther than the map or the window goes */
+      const ints xs = x + COUNT;
+      ints last = min(u + warm, window);
+      if (SIDES != PERIODIC) {
+        const floats room_beside = TO_FLOATS(shear > 0 ? cols - 1 - xs : xs) * reciprocal;
+        last = room_beside < (float)min(u, window) ? TO_INTS(room_beside) : last;
       }
-      const int cy = towards > 0 ? row : rows - 1 - row;
-      seen = look(heights, (cy + margin) * stride + margin + cx, across - column, lowest, unit, bits, comes_at);
+      last = more(last, 1);
+      const ints t1 = less(lower & mask, last), t2 = less(upper & mask, last);
+      node.hidden = near * per_rung >= TO_FLOATS(rung);
+      node.waits = 1;
+      if (ALL(node.hidden) && !BLOCKS) {
+        nodes[q] = node;
+        continue;
+      }
+      node.far[0] = on_row(heights, p, x, y, t1, shear, towards, rows, cols, margin);
+      node.far[1] = on_row(heights, p, x, y, t2, shear, towards, rows, cols, margin);
+      /* 8. and the column crossings beside them: the nearer one's before, the farther one's behind */
+      if (reciprocal < 1e8f) {
+        const ints m1 = more(TO_INTS(steepness * TO_FLOATS(t1)), 1), m2 = TO_INTS(steepness * TO_FLOATS(t2)) + 1;
+        node.far[2] = on_column(heights, p, x, y, u, m1, shear, reciprocal, reach, towards, rows, cols, margin);
+        node.far[3] = on_column(heights, p, x, y, u, m2, shear, reciprocal, reach, towards, rows, cols, margin);
+      }
+      if (BLOCKS) { /* downhill the end of the window is the horizon */
+        node.beyond = rise(on_row(heights, p, x, y, last, shear, towards, rows, cols, margin), own);
+        if (reciprocal < 1e8f)
+          node.beyond = higher(node.beyond, rise(on_column(heights, p, x, y, u, more((ints)(int)(steepness * min(reach, (float)(u + warm))), 1), shear, reciprocal, reach,
+                                                   towards, rows, cols, margin), own));
+      }
+      nodes[q] = node;
     }
-    for (int s = 0; s < LADDER; ++s)
-      above[s] = more(above[s] + turn * steps.s[s], seen);
-    waits = here;
-    if (!here)
-      continue;
-
-    /* 6. the two steps of the ladder between which the node lies, by bisection; above[s] is rise[s] too high */
-    const ints level = TO_INTS(higher(own - lowest, 0.0f) * unit) << bits;
-    ints low[8], test = above[8] >= level + rises.s[8], lower, upper = test ? above[15] : above[8];
-    for (int s = 0; s < 8; ++s)
-      low[s] = test ? above[8 + s] : above[s];
-    ints r1 = test ? (ints)rises.s[9] : (ints)rises.s[1], r2 = test ? (ints)rises.s[10] : (ints)rises.s[2], r3 = test ? (ints)rises.s[11] : (ints)rises.s[3];
-    ints r4 = test ? (ints)rises.s[12] : (ints)rises.s[4], r5 = test ? (ints)rises.s[13] : (ints)rises.s[5], r6 = test ? (ints)rises.s[14] : (ints)rises.s[6];
-    ints r7 = test ? (ints)rises.s[15] : (ints)rises.s[7];
-    test = low[4] >= level + r4;
-    upper = test ? upper : low[4];
-    for (int s = 0; s < 4; ++s)
-      low[s] = test ? low[4 + s] : low[s];
-    r1 = test ? r5 : r1;
-    r2 = test ? r6 : r2;
-    r3 = test ? r7 : r3;
-    test = low[2] >= level + r2;
-    upper = test ? upper : low[2];
-    low[0] = test ? low[2] : low[0];
-    low[1] = test ? low[3] : low[1];
-    test = low[1] >= level + (test ? r3 : r1);
-    upper = test ? upper : low[1];
-    lower = test ? low[1] : low[0];
-
-    /* 7. both distances on the node's own ray, no farther than the map or the window goes */
-    const ints xs = x + COUNT;
-    ints last = min(u + warm, window);
-    if (SIDES != PERIODIC) {
-      const floats room_beside = TO_FLOATS(shear > 0 ? cols - 1 - xs : xs) * reciprocal;
-      last = room_beside < (float)min(u, window) ? TO_INTS(room_beside) : last;
-    }
-    last = more(last, 1);
-    const ints t1 = less(lower & mask, last), t2 = less(upper & mask, last);
-    far[0] = on_row(heights, p, x, y, t1, shear, towards, rows, cols, margin);
-    far[1] = on_row(heights, p, x, y, t2, shear, towards, rows, cols, margin);
-    /* 8. and the column crossings beside them: the nearer one's before, the farther one's behind */
-    if (reciprocal < 1e8f) {
-      const ints m1 = more(TO_INTS(steepness * TO_FLOATS(t1)), 1), m2 = TO_INTS(steepness * TO_FLOATS(t2)) + 1;
-      far[2] = on_column(heights, p, x, y, u, m1, shear, reciprocal, reach, towards, rows, cols, margin);
-      far[3] = on_column(heights, p, x, y, u, m2, shear, reciprocal, reach, towards, rows, cols, margin);
-    }
-    if (BLOCKS) { /* downhill the end of the window is the horizon */
-      beyond_ = rise(on_row(heights, p, x, y, last, shear, towards, rows, cols, margin), own);
-      if (reciprocal < 1e8f)
-        beyond_ = higher(beyond_, rise(on_column(heights, p, x, y, u, more((ints)(int)(steepness * min(reach, (float)(u + warm))), 1), shear, reciprocal, reach,
-                                                 towards, rows, cols, margin), own));
-    }
-    own_ = own;
-    near_ = near;
-    gx_ = gx;
-    gy_ = gy;
-    x_ = x;
-    y_ = y;
-    u_ = u;
   }
 }

@@ -60,6 +60,7 @@ class Backend:
     device: str
     memory: int  # bytes that may be taken at once
     lanes = 1  # adjacent lines per work-item
+    strips = 1  # strips of such lines that a sweep takes side by side
     lines = 1  # adjacent work-items that share cache lines, where work-items of a group run together
     pixel_lanes = 1  # adjacent pixels per work-item where there are no lines; divides ROOM
     compile_seconds = 0.0

@@ -148,7 +148,7 @@ class Sweeps:
         span = half.rows + half.warm + self.near + 2
         bits, unit, steps, rises = ladder(self.steepest[falling], self.relief, span, comes_at)
         overhang = 0 if self.ground.sides == "periodic" else math.ceil(np.abs(half.shears[first : first + count]).max() * half.rows) + 1
-        lines = backend.lanes * backend.lines
+        lines = backend.lanes * backend.strips * backend.lines
         groups = -(-(half.cols + overhang) // lines)
         backend.launch("horizon", "sweep", (backend.lines, count, groups), half.heights, self.tilts, *half.tables, half.table, slopes, sums,
                        steps, rises, first, groups, backend.lines, half.rows, half.cols, self.margin, self.room, self.knots, bits, self.lowest, unit,

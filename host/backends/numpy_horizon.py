@@ -24,7 +24,7 @@ ONE, HALF = np.float32(1), np.float32(0.5)
 def sweep(heights, tilts, azimuths, ways, near_at, near_weight, table, slopes, sum, steps, rises, first, groups, group, rows, cols,
           margin, room, knots, bits, lowest, unit, known, backward, *, NEAR, SIDES, WHAT, BLOCKS):
     """``groups`` and ``group`` are how devices share out the lines; here all lines go together, azimuth by azimuth."""
-    for plane in range(len(slopes)):  # one azimuth where ``slopes`` is nothing: light is summed one by one on a CPU
+    for plane in range(len(slopes) if slopes.ndim == 2 else 1):  # without slopes light is summed, azimuth by azimuth
         _sweep(heights, tilts, azimuths[first + plane], ways[first + plane], near_at[first + plane], near_weight[first + plane],
                None if WHAT != TABLE else table[first + plane], slopes[plane : plane + 1], sum, np.array(steps, np.int32), np.array(rises, np.int32),
                rows, cols, margin, room, knots, bits, np.float32(lowest), np.float32(unit), known, backward, NEAR, SIDES, WHAT, BLOCKS)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import mmap
 import time
 
 import numpy as np
@@ -11,7 +12,9 @@ from ..errors import BackendError
 from .base import Backend
 
 OPTIONS = ("-cl-std=CL1.2",)
+HUGE = 2**21  # bytes of a huge page
 CPU_LANES = 8
+CPU_STRIPS = 4  # strips of lines that a sweep takes side by side
 GPU_PIXELS = 8
 GPU_LINES = 64
 GPU_GROUP = 1024  # work-items of a group of scan
@@ -58,19 +61,34 @@ class OpenclBackend(Backend):
         self.queue = cl.CommandQueue(self.context)
         self.on_cpu = bool(self._device.type & cl.device_type.CPU)
         self.lanes = CPU_LANES if self.on_cpu else 1
+        self.strips = CPU_STRIPS if self.on_cpu else 1
         self.lines = 1 if self.on_cpu else GPU_LINES
         self.pixel_lanes = CPU_LANES if self.on_cpu else GPU_PIXELS
         self.memory = int(self._device.max_mem_alloc_size)
         self._kernels = {}
 
     def upload(self, array):
-        return self.cl.array.to_device(self.queue, np.ascontiguousarray(array))
+        device = self.empty(array.shape, array.dtype)
+        device.set(np.ascontiguousarray(array))
+        return device
 
     def empty(self, shape, dtype, fill=None):
-        array = self.cl.array.empty(self.queue, shape, dtype)
+        array = self.cl.array.Array(self.queue, shape, dtype, data=self._on_huge_pages(shape, dtype))
         if fill is not None:
             array.fill(np.dtype(dtype).type(fill))
         return array
+
+    def _on_huge_pages(self, shape, dtype):
+        """A buffer in main memory for a large array on a CPU, or None: kernels that step from row to row touch a page a row."""
+        size = int(np.prod(shape)) * np.dtype(dtype).itemsize
+        if not self.on_cpu or size < 2 * HUGE or not hasattr(mmap, "MADV_HUGEPAGE"):
+            return None
+        room = mmap.mmap(-1, size + HUGE, flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)
+        room.madvise(mmap.MADV_HUGEPAGE)
+        memory = np.frombuffer(room, np.uint8)
+        start = -memory.ctypes.data % HUGE
+        flags = self.cl.mem_flags
+        return self.cl.Buffer(self.context, flags.READ_WRITE | flags.USE_HOST_PTR, hostbuf=memory[start : start + size])
 
     def fill(self, array, value):
         array.fill(array.dtype.type(value))
@@ -107,7 +125,7 @@ class OpenclBackend(Backend):
 
         start = time.perf_counter()
         group = 1 if self.on_cpu else min(GPU_GROUP, self._device.max_work_group_size)
-        known = {"LANES": lanes, "BITS": 0, "AHEAD": 1 if self.on_cpu else GPU_AHEAD, "GROUP": group, "ON_CPU": int(self.on_cpu), **dict(constants)}
+        known = {"LANES": lanes, "BITS": 0, "AHEAD": 1 if self.on_cpu else GPU_AHEAD, "GROUP": group, "STRIPS": self.strips, "ON_CPU": int(self.on_cpu), **dict(constants)}
         defines = [f"-D{name}={value}" for name, value in known.items()]
         try:
             program = self.cl.Program(self.context, source(stem)).build([*OPTIONS, *defines])

@@ -24,7 +24,7 @@ class Quad(NamedTuple):
 
 
 class Slices:
-    def __init__(self, backend, depth, step, sides, solid, brightness=1.0, slices=8, n_points=2):
+    def __init__(self, backend, depth, step, sides, solid, brightness=1.0, slices=8, n_points=4):
         self.backend, self.solid = backend, solid
         rows, cols = self.shape = depth.shape
         heights = np.full((rows + 2) * (cols + 1) + 1, NONE, np.float32)
@@ -46,10 +46,13 @@ class Slices:
         self.points = backend.upload(np.stack([(f + 1) / 2, w / 2], 1).astype(np.float32))
         self.slices = slices
         if isinstance(solid, Ball):
-            theta = np.pi * ((np.arange(slices) + 0.5) / slices - 0.5)
-            round_ = 2 * np.pi * (np.arange(slices) + 0.5) / slices
-            self.table = backend.upload(np.stack([np.sin(theta), np.cos(theta), np.sin(round_), np.cos(round_)]).astype(np.float32))
-
+            table = np.zeros((slices // 8, 4, slices))
+            for b in range(slices // 8):
+                n = 8 * (b + 1)
+                share = (np.arange(n) + 0.5) / n
+                theta, azimuth = np.pi * (share - 0.5), 2 * np.pi * share
+                table[b, :, :n] = np.sin(theta), np.cos(theta), np.sin(azimuth), np.cos(azimuth)
+            self.table = backend.upload(table.astype(np.float32))
         else:
             c = np.asarray(solid.corners, float) / self.step * [1, 1, -1]
             middle = c.mean(0)
