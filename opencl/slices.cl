@@ -1,62 +1,65 @@
 /* Light of a finite source, a ball or a flat quadrangle, through a few azimuth slices per pixel.
 
-In the slice at azimuth phi the source covers the elevations low..high; what ground, tangent plane and level leave of them
-gives E = sum over slices of width x (n_c integral of B cos^2 + n_z integral of B sin cos), n_c the normal's part along phi.
-Elevations are carried as tangents; lengths are in units of the spacing, heights grow towards the viewer.
+In the slice at azimuth phi the source covers a chord of elevations; what ground, tangent plane and level leave of it gives
+E = sum over slices of share x (n_c integral of B cos^2 + n_z integral of B sin cos), n_c the normal's part along phi.
+Elevations go by their tangents. Lengths are in units of the spacing; heights grow towards the viewer.
 
 Shared arguments
-  heights     (rows + 2, cols + 1) float  -depth; NONE where masked, in column 0 and in the first and last row: node (x, y)
-                                          stands at (y + 1) stride + x + 1, and every neighbour of a node can be read
-  tops        (cells, width)       float  highest node of square cells, corners included: level l = 1.. has cells 2^l wide
-                                          from column width - (width >> l - 1) on; width is a multiple of 2^(levels - 1)
-  sky         (side, side)         float  brightness over the stereographic plane, u and v from -1 to 1
-  points      (n_points, 2)        float  where a chord's brightness is taken, 0..1, and weights; none: uniform
-  irradiance  (rows, cols)         float  out; brightness: a factor of the result
-  dark        walls half a node outside the map, up to height 0
+  heights     (rows + 2, cols + 1) and one more  float  -depth; NONE where masked, in column 0, in the first and the last row:
+                              node (x, y) stands at (y + 1) (cols + 1) + x + 1, and every neighbour of a node can be read
+  tops        (cells, width)  float  highest node of square cells, corners included: level l = 1, 2.. has cells 2^l wide,
+                              from column width - (width >> l - 1) on; width is a multiple of 2^levels
+  sky         (side, side)    float  brightness over the stereographic plane, x / (1 - z) and y / (1 - z) from -1 to 1
+  points      (n_points, 2)   float  where along a chord brightness is taken, 0..1, and weights; none: it is 1
+  irradiance  (rows, cols)    float  out; unit: its factor
+  most        slices of a source that stands all round; a multiple of SLICES, as is every pixel's number of slices
+  dark        whether walls stand half a node outside the map, up to height 0
 
+Work-item (x, y) owns one node and takes LANES of its slices at a time. Order of summation: slices of a lane, then lanes.
 Twin of warp_kernels/slices.py. */
 #include "lanes.h"
 #define NONE -1e30f
 #define STEEP 1e6f /* as good as the zenith */
-#define LESS(a, b) ((a) < (b) ? (a) : (b)) /* min and max of vectors are calls on PoCL */
+#define ENDLESS 1e30f
+#define SLICES 8
+#define LESS(a, b) ((a) < (b) ? (a) : (b)) /* min and max of vectors are calls on PoCL, as vload is */
 #define MORE(a, b) ((a) > (b) ? (a) : (b))
 #if LANES == 1
+#define ALL(v) (v)
+#define LANE 0
 #define TO_FLOATS convert_float
-#define FEW(pointer, i) (pointer)[i]
+#define AT(pointer, offset) (pointer)[offset]
+#define GATHER(pointer, offsets) (pointer)[offsets]
 #define ANY(test) (test)
 #define TOTAL(v) (v)
-#define LANE 0
-typedef float floats_at;
-#define AT(offset, pointer) (pointer)[offset]
 #else
-#define TO_FLOATS convert_float8
+#define ALL(v) ((floats)(v))
 #define LANE (ints)(0, 1, 2, 3, 4, 5, 6, 7)
-#define FEW(p, i) ((floats)((p)[(i).s0], (p)[(i).s1], (p)[(i).s2], (p)[(i).s3], (p)[(i).s4], (p)[(i).s5], (p)[(i).s6], (p)[(i).s7]))
+#define TO_FLOATS convert_float8
 typedef struct __attribute__((packed)) {
   floats v;
-} floats_at;
-#define AT(offset, pointer) ((__global const floats_at *)((pointer) + (offset)))->v
-inline int any_of(ints test)
+} Packed;
+#define AT(pointer, offset) ((__global const Packed *)((pointer) + (offset)))->v
+#define GATHER(p, o) (floats)((p)[(o).s0], (p)[(o).s1], (p)[(o).s2], (p)[(o).s3], (p)[(o).s4], (p)[(o).s5], (p)[(o).s6], (p)[(o).s7])
+inline int ANY(ints test)
 {
   const int4 four = test.lo | test.hi;
   const int2 two = four.lo | four.hi;
   return two.x | two.y;
 }
-#define ANY any_of
-inline float total_of(floats v)
+inline float TOTAL(floats v)
 {
   const float4 four = v.lo + v.hi;
   const float2 two = four.lo + four.hi;
   return two.x + two.y;
 }
-#define TOTAL total_of
 #endif
 
-/* coarser: one level of tops. Work-item (x, y) owns a cell. */
+/* coarser: one level of tops, from the heights (level 1) or from the level before. Work-item (x, y) owns a cell. */
 __kernel void coarser(__global const float *heights, __global float *tops, int rows, int cols, int width, int level)
 {
-  const int x = get_global_id(0), y = get_global_id(1), wide = width >> level, stride = cols + 1;
-  if (x >= wide)
+  const int x = get_global_id(0), y = get_global_id(1), stride = cols + 1;
+  if (x >= width >> level || y > (rows - 1) >> level)
     return;
   float top = NONE;
   if (level == 1) {
@@ -64,379 +67,433 @@ __kernel void coarser(__global const float *heights, __global float *tops, int r
       for (int i = 2 * x; i <= min(2 * x + 2, cols - 1); ++i)
         top = max(top, heights[(j + 1) * stride + i + 1]);
   } else {
-    const int finer = ((rows - 1) >> (level - 1)) + 1; /* cells down */
-    __global const float *from = tops + width - (width >> (level - 2));
-    for (int j = 2 * y; j <= min(2 * y + 1, finer - 1); ++j)
+    __global const float *finer = tops + width - (width >> (level - 2));
+    for (int j = 2 * y; j <= min(2 * y + 1, (rows - 1) >> (level - 1)); ++j)
       for (int i = 2 * x; i <= 2 * x + 1; ++i)
-        top = max(top, from[j * width + i]);
+        top = max(top, finer[j * width + i]);
   }
   tops[y * width + width - (width >> (level - 1)) + x] = top;
 }
 
-/* What a pixel's slices share. */
+/* What all slices of a pixel share. A point (c t, s t, v) from the pixel stands before the source iff along t + up v < reach,
+`along` the slice's own. */
 typedef struct {
   __global const float *heights, *tops, *sky, *points;
-  int rows, cols, width, levels, side, n_points, dark;
-  int x, y, here;
-  float height, tilt_x, tilt_y; /* slopes of depth */
-  float up, reach; /* a point (c t, s t, v) stands before the source iff along t + up v < reach */
+  int rows, cols, width, levels, side, n_points, dark, x, y;
+  float height, tilt_x, tilt_y, up, reach, radius; /* radius: of a ball, 0 for a quadrangle */
 } Pixel;
 
-inline float slope_between(__global const float *heights, int here, int low, int high)
+inline float slope_between(float low, float here, float high)
 {
-  const float before = heights[low], after = heights[high], own = heights[here];
-  if (before > NONE && after > NONE)
-    return (before - after) * 0.5f;
-  return before > NONE ? before - own : after > NONE ? own - after : 0.0f;
+  if (low > NONE && high > NONE)
+    return (low - high) * 0.5f;
+  return low > NONE ? low - here : high > NONE ? here - high : 0.0f;
 }
 
-/* The tangent of the horizon along (c, s), of the ground before the source, from `slope` on and as far as `high` matters.
-
-Cell by cell of the quadtree: a cell whose top stays below the line is skipped; where it does not, its quarters are
-looked at, down to single cells, whose way out is a crossing with a grid line. */
-inline floats horizon(const Pixel *pixel, floats c, floats s, floats slope, floats high, floats along)
+inline Pixel pixel_at(__global const float *heights, __global const float *tops, __global const float *sky,
+                      __global const float *points, int rows, int cols, int width, int levels, int side, int n_points,
+                      int dark)
 {
-  const int stride = pixel->cols + 1, x = pixel->x, y = pixel->y;
-  const floats per_x = c != 0 ? 1 / c : 1e30f, per_y = s != 0 ? 1 / s : 1e30f;
+  const int x = get_global_id(0), y = get_global_id(1), stride = cols + 1;
+  __global const float *here = heights + (y + 1) * stride + x + 1;
+  const Pixel pixel = {heights, tops, sky, points, rows, cols, width, levels, side, n_points, dark, x, y,
+                       here[0], slope_between(here[-1], here[0], here[1]), slope_between(here[-stride], here[0], here[stride])};
+  return pixel;
+}
+
+/* The tangent at which a column at distance t goes into the source: what stands in it there hides no more than what is below. */
+inline floats under_source(const Pixel *pixel, floats along, floats aside, floats t)
+{
+  if (pixel->radius > 0) {
+    const floats off = t - along, square = pixel->radius * pixel->radius - aside * aside - off * off;
+    return square > 0 ? (pixel->up - sqrt(MORE(square, 0))) / t : ENDLESS;
+  }
+  return pixel->up > 0 ? (pixel->reach / t - along) / pixel->up : ALL(ENDLESS);
+}
+
+/* The tangent of the horizon along (c, s), from `slope` on, over the ground before the source and as far as `high` matters.
+
+The slice goes from cell to cell of a quadtree. A large cell whose top stays below the line is left as a whole, else its
+quarters are looked at; the way out of a single cell is a crossing with a grid line. */
+inline floats horizon(const Pixel *pixel, floats c, floats s, floats slope, floats high, floats along, floats aside)
+{
+  const int x = pixel->x, y = pixel->y, stride = pixel->cols + 1;
+  const floats per_x = c != 0 ? 1 / c : ENDLESS, per_y = s != 0 ? 1 / s : ENDLESS;
   const ints on_x = WHERE(c >= 0) & 1, on_y = WHERE(s >= 0) & 1;
-  const floats end_x = c != 0 ? (c > 0 ? (floats)(pixel->cols - 1 - x) : (floats)x) * (c < 0 ? -per_x : per_x) : 1e30f;
-  const floats end_y = s != 0 ? (s > 0 ? (floats)(pixel->rows - 1 - y) : (floats)y) * (s < 0 ? -per_y : per_y) : 1e30f;
+  const floats end_x = c == 0 ? ALL(ENDLESS) : (c > 0 ? ALL(pixel->cols - 1 - x) : ALL(-x)) * per_x;
+  const floats end_y = s == 0 ? ALL(ENDLESS) : (s > 0 ? ALL(pixel->rows - 1 - y) : ALL(-y)) * per_y;
   const floats end = LESS(end_x, end_y);
-  ints ix = x - 1 + on_x, iy = y - 1 + on_y, level = 0;
+  ints cell_x = x - 1 + on_x, cell_y = y - 1 + on_y, level = 0;
   floats t = 0;
-  ints going = WHERE(slope < high) & WHERE(end > 0) & WHERE((floats)pixel->reach > 0);
+  ints going = WHERE(slope < high) & WHERE(end > 0) & WHERE(ALL(pixel->reach) > 0);
   while (ANY(going)) {
-    const ints cell_x = ix >> level, cell_y = iy >> level;
-    const ints edge_x = cell_x + on_x, edge_y = cell_y + on_y;
+    /* 1. the way out of the cell */
+    const ints large_x = cell_x >> level, large_y = cell_y >> level;
+    const ints edge_x = large_x + on_x, edge_y = large_y + on_y;
     const ints line_x = edge_x << level, line_y = edge_y << level;
     const floats out_x = TO_FLOATS(line_x - x) * per_x, out_y = TO_FLOATS(line_y - y) * per_y;
-    const ints by_x = WHERE(out_x <= out_y);
-    const floats out = by_x ? out_x : out_y;
-    const floats px = c * out, py = s * out;
-    ints skip;
-    const ints fine = WHERE(level == 0);
-    /* 1. the crossing at a single cell's way out */
-    {
-      const ints low = by_x ? iy * stride + line_x : line_y * stride + ix;
-      const ints at = (fine & going) ? low + stride + 1 : (ints)0;
-      const ints next = at + (by_x ? (ints)stride : (ints)1);
-      floats f = by_x ? py - TO_FLOATS(iy - y) : px - TO_FLOATS(ix - x);
-      f = f < 0 ? 0 : f > 1 ? 1 : f;
-      const floats rise = FEW(pixel->heights, at) * (1 - f) + FEW(pixel->heights, next) * f - pixel->height;
-      const ints over = fine & going & WHERE(rise > slope * out) & WHERE(out * (along + slope * pixel->up) < pixel->reach);
-      slope = over ? rise / out : slope;
+    const ints by_x = WHERE(out_x <= out_y), single = WHERE(level == 0);
+    const floats out = by_x ? out_x : out_y, across = (by_x ? s : c) * out;
+    ints passes = -1;
+    /* 2. the ground there */
+    if (ANY(single & going)) {
+      const ints at = by_x ? (cell_y + 1) * stride + line_x + 1 : (line_y + 1) * stride + cell_x + 1;
+      const ints low = single & going ? at : 0, next = low + (by_x ? stride : 1);
+      const floats f = across - TO_FLOATS(by_x ? cell_y - y : cell_x - x), part = f < 0 ? 0 : f > 1 ? 1 : f;
+      const floats rise = GATHER(pixel->heights, low) * (1 - part) + GATHER(pixel->heights, next) * part - pixel->height;
+      const ints higher = single & going & WHERE(rise > slope * out) & WHERE(out * (along + slope * pixel->up) < pixel->reach);
+      if (ANY(higher)) {
+        const floats tangent = LESS(rise / out, under_source(pixel, along, aside, out));
+        slope = higher && tangent > slope ? tangent : slope;
+      }
     }
-    /* 2. a larger cell's top against the line where it enters */
-    {
-      const ints at = cell_y * pixel->width + pixel->width - ((ints)pixel->width >> (level - 1)) + cell_x;
-      const floats top = FEW(pixel->tops, (fine | ~going) ? (ints)0 : at);
-      skip = fine | WHERE(top - pixel->height <= slope * t);
+    /* 3. or the top of a large cell against the line where it comes in */
+    if (ANY(~single & going)) {
+      const ints at = large_y * pixel->width + pixel->width - ((ints)pixel->width >> (level - 1)) + large_x;
+      const floats top = GATHER(pixel->tops, ~single & going ? at : 0);
+      passes = single | WHERE(top - pixel->height <= slope * t);
     }
-    /* 3. on, and up where a larger cell begins; or down */
-    skip &= going;
-    const ints side = ((ints)1 << level) - 1, low_x = cell_x << level, low_y = cell_y << level;
-    ints to_x = convert_int8(px), to_y = convert_int8(py);
-    to_x = x + to_x + WHERE(px < TO_FLOATS(to_x));
-    to_y = y + to_y + WHERE(py < TO_FLOATS(to_y));
-    to_x = LESS(MORE(to_x, low_x), low_x + side);
-    to_y = LESS(MORE(to_y, low_y), low_y + side);
-    ix = skip ? (by_x ? line_x - 1 + on_x : to_x) : ix;
-    iy = skip ? (by_x ? to_y : line_y - 1 + on_y) : iy;
-    t = skip ? out : t;
-    const ints rise = WHERE(((by_x ? edge_x : edge_y) & 1) == 0) & WHERE(level < pixel->levels);
-    level += skip ? -rise : going;
+    /* 4. on, and up where a larger cell begins; or down */
+    passes &= going;
+    const ints first = ((by_x ? large_y : large_x) << level) - (by_x ? y : x), last = first + ((ints)1 << level) - 1;
+    ints to = TO_INTS(across);
+    to += WHERE(across < TO_FLOATS(to));
+    to = to < first ? first : to > last ? last : to;
+    cell_x = passes ? (by_x ? line_x - 1 + on_x : x + to) : cell_x;
+    cell_y = passes ? (by_x ? y + to : line_y - 1 + on_y) : cell_y;
+    t = passes ? out : t;
+    const ints begins = WHERE(((by_x ? edge_x : edge_y) & 1) == 0) & WHERE(level < pixel->levels);
+    level += passes ? -begins : going;
     going &= WHERE(slope < high) & WHERE(t < end) & WHERE(t * (along + slope * pixel->up) < pixel->reach);
   }
   return slope;
 }
 
-/* Mean brightness of a chord between the tangents low and high, weighted by cos^2 and by sin cos of elevation. */
-inline void brightness_of(const Pixel *pixel, floats c, floats s, floats low, floats high, floats *of_c1, floats *of_c2)
+/* Mean brightness of the chord between two tangents, weighted by cos^2 and by sin cos of elevation. */
+inline void brightness_of(const Pixel *pixel, floats c, floats s, floats low, floats high, floats *by_cosine, floats *by_sine)
 {
+  const float half_ = 0.5f * (pixel->side - 1);
+  const int most = pixel->side - 2;
   const floats low_c = 1 / sqrt(low * low + 1), high_c = 1 / sqrt(high * high + 1);
   const floats low_s = low * low_c, high_s = high * high_c;
-  const float half_side = 0.5f * (pixel->side - 1);
-  floats b1 = 0, b2 = 0, g1 = 0, g2 = 0;
+  floats sum_c = 0, sum_s = 0, all_c = 0, all_s = 0;
   for (int k = 0; k < pixel->n_points; ++k) {
-    const float f = pixel->points[2 * k], w = pixel->points[2 * k + 1];
-    const floats out = low_c + f * (high_c - low_c), rise = low_s + f * (high_s - low_s);
-    const floats square = out * out + rise * rise;
-    const floats from_pole = half_side * out / (sqrt(square) + rise); /* stereographic */
-    const floats u = half_side + from_pole * c, v = half_side + from_pole * s;
+    const float f = pixel->points[2 * k], weight = pixel->points[2 * k + 1];
+    const floats cosine = low_c + f * (high_c - low_c), sine = low_s + f * (high_s - low_s), square = cosine * cosine + sine * sine;
+    const floats from_zenith = half_ * cosine / (sqrt(square) + sine);
+    const floats u = half_ + from_zenith * c, v = half_ + from_zenith * s;
     ints i = TO_INTS(u), j = TO_INTS(v);
-    i = LESS(i, (ints)(pixel->side - 2));
-    j = LESS(j, (ints)(pixel->side - 2));
-    i = MORE(i, (ints)0);
-    j = MORE(j, (ints)0);
+    i = i < 0 ? 0 : i > most ? most : i;
+    j = j < 0 ? 0 : j > most ? most : j;
     const ints at = j * pixel->side + i;
     const floats p = u - TO_FLOATS(i), q = v - TO_FLOATS(j);
-    const floats near = FEW(pixel->sky, at) * (1 - p) + FEW(pixel->sky, at + 1) * p;
-    const floats far = FEW(pixel->sky, at + pixel->side) * (1 - p) + FEW(pixel->sky, at + pixel->side + 1) * p;
-    const floats bright = near * (1 - q) + far * q;
-    const floats weight = w / (square * square);
-    const floats w1 = weight * out * out, w2 = weight * out * rise;
-    b1 += w1 * bright;
-    b2 += w2 * bright;
-    g1 += w1;
-    g2 += w2;
+    const floats near = GATHER(pixel->sky, at) * (1 - p) + GATHER(pixel->sky, at + 1) * p;
+    const floats far = GATHER(pixel->sky, at + pixel->side) * (1 - p) + GATHER(pixel->sky, at + pixel->side + 1) * p;
+    const floats bright = near * (1 - q) + far * q, share = weight / (square * square) * cosine;
+    sum_c += share * cosine * bright;
+    sum_s += share * sine * bright;
+    all_c += share * cosine;
+    all_s += share * sine;
   }
-  *of_c1 = b1 / MORE(g1, (floats)1e-30f);
-  *of_c2 = b2 / MORE(g2, (floats)1e-30f);
+  *by_cosine = sum_c / MORE(all_c, 1 / ENDLESS);
+  *by_sine = sum_s / MORE(all_s, 1 / ENDLESS);
 }
 
-/* atan(x), 0 <= x <= 1. */
+/* atan(x), 0 <= x <= 1, to 2e-7. */
 inline floats arctan(floats x)
 {
   const floats y = x * x;
-  return x * (((((((-0.004693274851888418f * y + 0.024252399802207947f) * y + -0.05948638916015625f) * y + 0.09914292395114899f) * y + -0.14019480347633362f) * y + 0.19969724118709564f) * y + -0.33331990242004395f) * y + 0.9999998807907104f);
+  floats sum = -0.0046932749f;
+  sum = sum * y + 0.0242524f;
+  sum = sum * y - 0.05948639f;
+  sum = sum * y + 0.09914292f;
+  sum = sum * y - 0.1401948f;
+  sum = sum * y + 0.19969724f;
+  sum = sum * y - 0.3333199f;
+  return x * (sum * y + 0.9999999f);
 }
 
-/* tilt x integral of B cos^2 + integral of B sin cos between the tangents low and high; rise = high - low. */
-inline floats chord(const Pixel *pixel, floats c, floats s, floats tilt, floats low, floats high, floats rise)
+/* tilt x integral of B cos^2 + integral of B sin cos between the tangents low and high, which are `rise` apart. */
+inline floats chord(const Pixel *pixel, floats c, floats s, floats low, floats high, floats rise)
 {
   const ints shows = WHERE(low < high);
   if (!ANY(shows))
     return 0;
-  high = MORE(high, low);
-  rise = MORE(rise, (floats)0);
-  const floats r = sqrt((low * low + 1) * (high * high + 1)), product = low * high;
-  const floats sine = rise / r; /* of the chord's angle */
-  floats c1 = arctan(rise / (r + 1 + product)) + 0.5f * (1 - product) / r * sine, c2 = 0.5f * (low + high) / r * sine;
+  high = MORE(low, high);
+  const floats tilt = pixel->tilt_x * c + pixel->tilt_y * s, product = low * high;
+  const floats r = sqrt((low * low + 1) * (high * high + 1)), sine = rise / r;
+  floats by_cosine = arctan(rise / (r + 1 + product)) + 0.5f * ((1 - product) / r * sine), by_sine = 0.5f * ((low + high) / r * sine);
   if (pixel->n_points) {
-    floats of_c1, of_c2;
-    brightness_of(pixel, c, s, low, high, &of_c1, &of_c2);
-    c1 *= of_c1;
-    c2 *= of_c2;
+    floats mean_c, mean_s;
+    brightness_of(pixel, c, s, low, high, &mean_c, &mean_s);
+    by_cosine *= mean_c;
+    by_sine *= mean_s;
   }
-  return shows ? tilt * c1 + c2 : (floats)0;
+  return shows ? tilt * by_cosine + by_sine : 0;
 }
 
-/* Light through a slice along (c, s), times sqrt(1 + tilt^2): the source between the tangents low and high, `width` apart. */
-inline floats slice(const Pixel *pixel, floats c, floats s, floats along, floats low, floats high, floats width)
+/* The light through a slice along (c, s) of a source between the tangents low and high, `rise` apart; aside: how far its
+middle stands from the slice. */
+inline floats slice(const Pixel *pixel, floats c, floats s, floats along, floats aside, floats low, floats high, floats rise)
 {
-  const floats tilt = pixel->tilt_x * c + pixel->tilt_y * s;
-  floats slope = MORE(low, -tilt);
-  slope = MORE(slope, (floats)0);
-  slope = LESS(slope, (floats)STEEP);
-  slope = horizon(pixel, c, s, slope, high, along);
-  return chord(pixel, c, s, tilt, slope, high, slope > low ? high - slope : width);
+  /* 1. the tangent plane and the level */
+  const floats plane = -(pixel->tilt_x * c + pixel->tilt_y * s);
+  floats slope = MORE(low, plane);
+  slope = slope < 0 ? 0 : slope > STEEP ? STEEP : slope;
+  if (!pixel->dark) {
+    slope = horizon(pixel, c, s, slope, high, along, aside);
+    return chord(pixel, c, s, slope, high, slope > low ? high - slope : rise);
+  }
+  /* 2. the wall hides what lies beyond it: tangents up to `under`, and from `over` on, but none from its top on */
+  const floats wall_x = c == 0 ? ALL(ENDLESS) : (c > 0 ? ALL(pixel->cols - 0.5f - pixel->x) : ALL(-0.5f - pixel->x)) / c;
+  const floats wall_y = s == 0 ? ALL(ENDLESS) : (s > 0 ? ALL(pixel->rows - 0.5f - pixel->y) : ALL(-0.5f - pixel->y)) / s;
+  const floats wall = LESS(wall_x, wall_y), top = -pixel->height / wall;
+  floats under, over;
+  if (pixel->radius > 0) {
+    const floats off = wall - along, square = pixel->radius * pixel->radius - aside * aside - off * off;
+    const floats half_ = sqrt(MORE(square, 0)); /* of where the wall cuts the ball */
+    under = square > 0 ? (pixel->up - half_) / wall : ENDLESS;
+    over = square > 0 ? (pixel->up + half_) / wall : ENDLESS;
+    under = ALL(pixel->reach) > 0 && wall * (along + slope * pixel->up) < pixel->reach ? under : -ENDLESS;
+    over = ALL(pixel->reach) > 0 && wall * (along + high * pixel->up) < pixel->reach ? over : ENDLESS;
+  } else {
+    const float up = pixel->up == 0 ? 1 / ENDLESS : pixel->up;
+    const floats meets = (pixel->reach / wall - along) / up;
+    under = up > 0 ? meets : -ENDLESS;
+    over = up > 0 ? ENDLESS : meets;
+  }
+  under = LESS(under, top);
+  slope = MORE(slope, under);
+  const ints split = WHERE(over < top);
+  const floats left = split ? LESS(high, over) : high;
+  slope = horizon(pixel, c, s, slope, (split & WHERE(high <= top)) ? left : high, along, aside);
+  floats sum = chord(pixel, c, s, slope, left, slope > low || left < high ? left - slope : rise);
+  if (ANY(split)) {
+    const floats above = MORE(slope, top);
+    sum += split ? chord(pixel, c, s, above, high, high - above) : 0;
+  }
+  return sum;
 }
 
-/* ball: x0, y0, z0 its centre (z0 a height), radius.
+/* ball: x0, y0, z0 its centre (z0 a height) and its radius.
 
-  slices  (4, n_slices)  float  sine and cosine of theta, -pi/2..pi/2, and of the azimuths all round; n_slices in whole lanes
+  nodes  (most / SLICES, 4, most)  float  for SLICES, 2 SLICES.. slices: sine and cosine of theta, midpoints of -pi/2..pi/2,
+                                          and of the azimuths of midpoints all round
 
-The slice at the azimuth offset d, sin d = (sin a / cos e) sin theta, a the ball's angular radius and e the elevation of its
-centre, has a chord of half width w, sin w = sin a cos theta / r, r = sqrt(1 - cos^2 e sin^2 d). Where the zenith lies within
-the disc, slices go all round. Work-item (x, y) owns one node; order of summation: slices, then lanes. */
-__kernel void ball(__global const float *heights, __global const float *tops, __global const float *slices,
+The slice at the azimuth offset d from the centre, sin d = (sin a / cos e) sin theta, a the ball's angular radius and e its
+centre's elevation, sees a chord of half width w, sin w = sin a cos theta / r, r^2 = 1 - cos^2 e sin^2 d. Where the zenith
+lies within the disc, slices go all round. */
+__kernel void ball(__global const float *heights, __global const float *tops, __global const float *nodes,
                    __global const float *sky, __global const float *points, __global float *irradiance, int rows,
-                   int cols, int width, int levels, int n_slices, int side, int n_points, int dark, float x0, float y0,
-                   float z0, float radius, float brightness)
+                   int cols, int width, int levels, int most, int side, int n_points, int dark, float x0, float y0,
+                   float z0, float radius, float unit)
 {
-  const int x = get_global_id(0), y = get_global_id(1);
-  if (x >= cols || y >= rows)
+  if (get_global_id(0) >= cols || get_global_id(1) >= rows)
     return;
-  const int stride = cols + 1, here = (y + 1) * stride + x + 1;
-  const float height = heights[here];
-  Pixel pixel = {heights, tops, sky, points, rows, cols, width, levels, side, n_points, dark, x, y, here, height};
-  pixel.tilt_x = slope_between(heights, here, here - 1, here + 1);
-  pixel.tilt_y = slope_between(heights, here, here - stride, here + stride);
+  Pixel pixel = pixel_at(heights, tops, sky, points, rows, cols, width, levels, side, n_points, dark);
 
-  /* 1. where the ball stands */
-  const float dx = x0 - x, dy = y0 - y, dz = z0 - height;
-  const float flat2 = dx * dx + dy * dy, flat = sqrt(flat2), far = sqrt(flat2 + dz * dz);
+  /* 1. where the ball stands, and how many slices it is worth */
+  const float dx = x0 - pixel.x, dy = y0 - pixel.y, dz = z0 - pixel.height;
+  const float flat = sqrt(dx * dx + dy * dy), far = sqrt(flat * flat + dz * dz);
   const int inside = far <= radius;
   const float ux = flat > 0 ? dx / flat : 1, uy = flat > 0 ? dy / flat : 0;
   const float sin_e = far > 0 ? dz / far : 1, cos_e = far > 0 ? flat / far : 0;
-  const float sin_a = inside ? 1 : radius / far, cos_a = inside ? 0 : sqrt((far - radius) * (far + radius)) / far;
-  const int all_round = inside || sin_a >= cos_e;
-  const float widest = all_round ? 1 : sin_a / cos_e; /* sine of the largest offset */
+  const float beyond = inside ? 0 : (far - radius) * (far + radius);
+  const float sin_a = inside ? 1 : radius / far, cos_a = inside ? 0 : sqrt(beyond) / far;
+  const int all_round = sin_a >= cos_e;
+  const float widest = all_round ? 1 : sin_a / cos_e;
+  const float turn = all_round ? 1 : widest * (0.318f + 0.182f * widest * widest); /* share of the circle, nearly */
+  const int blocks = min(1 + (int)(turn * (most / SLICES)), most / SLICES), n_slices = blocks * SLICES;
   const float step = M_PI_F / n_slices;
+  __global const float *own = nodes + (blocks - 1) * 4 * most;
   pixel.up = dz;
-  pixel.reach = inside ? 0 : (far - radius) * (far + radius);
+  pixel.reach = beyond;
+  pixel.radius = radius;
 
   /* 2. its slices */
   floats sum = 0;
-  if (height > NONE && (inside || dz + radius > 0))
+  if (pixel.height > NONE && (inside || dz + radius > 0))
     for (int j = 0; j < n_slices; j += LANES) {
-      floats sin_d, cos_d, half_width, share;
+      floats sin_d, cos_d, half_, share;
       if (all_round) {
-        sin_d = AT(2 * n_slices + j, slices);
-        cos_d = AT(3 * n_slices + j, slices);
-        const floats square = sin_a * sin_a - cos_e * cos_e * sin_d * sin_d;
-        half_width = sqrt(MORE(square, (floats)0));
+        sin_d = AT(own, 2 * most + j);
+        cos_d = AT(own, 3 * most + j);
+        const floats square = sin_a * sin_a - cos_e * cos_e * (sin_d * sin_d);
+        half_ = sqrt(MORE(square, 0));
         share = 2 * step;
       } else {
-        sin_d = widest * AT(j, slices);
+        sin_d = widest * AT(own, j);
         cos_d = sqrt((1 - sin_d) * (1 + sin_d));
-        half_width = sin_a * AT(n_slices + j, slices);
-        share = widest * step * AT(n_slices + j, slices) / cos_d;
+        half_ = sin_a * AT(own, most + j);
+        share = widest * step * AT(own, most + j) / cos_d;
       }
-      const floats c = ux * cos_d - uy * sin_d, s = uy * cos_d + ux * sin_d;
-      const floats p = cos_e * cos_d, square = p * p + sin_e * sin_e;
-      const floats low_c = p * cos_a + sin_e * half_width, low_s = sin_e * cos_a - p * half_width;
-      const floats high_c = p * cos_a - sin_e * half_width, high_s = sin_e * cos_a + p * half_width;
-      floats low = low_c > 0 ? low_s / low_c : low_s > 0 ? (floats)STEEP : (floats)-STEEP;
-      floats high = high_c > 0 ? high_s / high_c : sin_e > 0 ? (floats)STEEP : (floats)-STEEP;
-      high = LESS(high, (floats)STEEP);
-      low = inside ? (floats)-STEEP : low;
-      high = inside ? (floats)STEEP : high;
-      const ints whole = WHERE(low_c > 0) & WHERE(high < STEEP);
-      const floats chord_width = whole ? 2 * cos_a * half_width * square / (low_c * high_c) : high - low;
-      sum += share * slice(&pixel, c, s, flat * cos_d, low, high, chord_width);
+      const floats in_plane = cos_e * cos_d, square = in_plane * in_plane + sin_e * sin_e;
+      const floats low_c = in_plane * cos_a + sin_e * half_, low_s = sin_e * cos_a - in_plane * half_;
+      const floats high_c = in_plane * cos_a - sin_e * half_, high_s = sin_e * cos_a + in_plane * half_;
+      floats low = low_c > 0 ? low_s / low_c : low_s > 0 ? STEEP : -STEEP;
+      floats high = high_c > 0 ? high_s / high_c : sin_e > 0 ? STEEP : -STEEP;
+      low = inside ? -STEEP : low;
+      high = inside || high > STEEP ? STEEP : high;
+      const floats rise = low_c > 0 && high < STEEP ? 2 * cos_a * half_ * square / (low_c * high_c) : high - low;
+      sum += share * slice(&pixel, ux * cos_d - uy * sin_d, uy * cos_d + ux * sin_d, flat * cos_d, flat * sin_d, low, high, rise);
     }
-  irradiance[y * cols + x] = brightness * TOTAL(sum) / sqrt(1 + pixel.tilt_x * pixel.tilt_x + pixel.tilt_y * pixel.tilt_y);
+  irradiance[pixel.y * cols + pixel.x] = unit * TOTAL(sum) / sqrt(1 + pixel.tilt_x * pixel.tilt_x + pixel.tilt_y * pixel.tilt_y);
 }
 
-/* Where slices of a sector of azimuths stand, in the frame whose first axis points below the middle of a quadrangle. */
+/* Azimuths between two directions: the bisector, and the tangent of a quarter of the angle. */
 typedef struct {
-  float c, s, quarter; /* its bisector, and the tangent of a quarter of its angle */
+  float c, s, quarter;
 } Sector;
 
 inline Sector sector_between(float ax, float ay, float bx, float by)
 {
-  const float product = sqrt((ax * ax + ay * ay) * (bx * bx + by * by));
-  const float turn = ax * by - ay * bx, along = ax * bx + ay * by;
-  const float half_ = along < 0 ? (product - along) / max(turn, 1e-7f * product) : max(turn, 0.0f) / (product + along); /* tangent of half the angle */
-  const float r = sqrt(1 + half_ * half_), length = r * sqrt(ax * ax + ay * ay);
-  const Sector sector = {(ax - ay * half_) / length, (ay + ax * half_) / length, half_ / (1 + r)};
+  const float square = ax * ax + ay * ay, product = sqrt(square * (bx * bx + by * by));
+  const float cosine = ax * bx + ay * by, sine = ax * by - ay * bx; /* times product */
+  const float half_ = cosine < 0 ? (product - cosine) / max(sine, 1e-7f * product) : max(sine, 0.0f) / (product + cosine);
+  const float r = sqrt(1 + half_ * half_), scale = 1 / (r * sqrt(square));
+  const Sector sector = {(ax - ay * half_) * scale, (ay + ax * half_) * scale, half_ / (1 + r)};
   return sector;
 }
 
-#define IN_ORDER(i, j)                       \
-  if (px[i] * py[j] - py[i] * px[j] < 0) {   \
-    const float swap_x = px[i], swap_y = py[i]; \
-    px[i] = px[j], py[i] = py[j];            \
-    px[j] = swap_x, py[j] = swap_y;          \
-  }
+/* The angle by its quarter's tangent: share of the circle, nearly, up to half of it. */
+inline float share_of(float quarter)
+{
+  return quarter * (0.637f - 0.137f * quarter * quarter);
+}
 
-/* quad: a flat quadrangle, which shines from both faces.
+/* Swaps directions i and j of four where the second does not lie to the left. */
+inline void in_order(float *px, float *py, int i, int j)
+{
+  const float ax = px[i], ay = py[i], bx = px[j], by = py[j];
+  const int swap = ax * by - ay * bx < 0;
+  px[i] = swap ? bx : ax, py[i] = swap ? by : ay;
+  px[j] = swap ? ax : bx, py[j] = swap ? ay : by;
+}
 
-  corners  (6, 3)                 float  four corners round it, from their middle; the middle; the normal; heights third
-  nodes    (n_slices, n_slices, 2) float  row n - 1: Gauss-Legendre nodes, -1..1, and weights of n slices
+#define OF_SECTOR(a, b, c, d) (in_a ? (a) : in_b ? (b) : in_c ? (c) : (d))
 
-Between the azimuths of two neighbouring corners the chord's ends run along one edge each: every such sector gets its share
-of the slices, at least one. All is taken from the middle, so that small far sources lose no digits. Work-item (x, y) owns
-one node; order of summation: slices, then lanes. */
+/* quad: a flat, convex quadrangle, which shines from both faces.
+
+  corners  (6, 3)          float  four corners round it, from their middle; the middle; the unit normal. Third: heights
+  nodes    (most, most, 2) float  row n - 1: Gauss-Legendre nodes, -1..1, and weights of n slices
+
+Between the azimuths of neighbouring corners the chord's ends run along one edge each: every such sector gets its share of
+the slices, at least one. All is reckoned from the quadrangle's middle, so that small far sources lose no digits. */
 __kernel void quad(__global const float *heights, __global const float *tops, __global const float *corners,
                    __global const float *nodes, __global const float *sky, __global const float *points,
-                   __global float *irradiance, int rows, int cols, int width, int levels, int n_slices, int side,
-                   int n_points, int dark, float brightness)
+                   __global float *irradiance, int rows, int cols, int width, int levels, int most, int side,
+                   int n_points, int dark, float unit)
 {
-  const int x = get_global_id(0), y = get_global_id(1);
-  if (x >= cols || y >= rows)
+  if (get_global_id(0) >= cols || get_global_id(1) >= rows)
     return;
-  const int stride = cols + 1, here = (y + 1) * stride + x + 1;
-  const float height = heights[here];
-  Pixel pixel = {heights, tops, sky, points, rows, cols, width, levels, side, n_points, dark, x, y, here, height};
-  pixel.tilt_x = slope_between(heights, here, here - 1, here + 1);
-  pixel.tilt_y = slope_between(heights, here, here - stride, here + stride);
+  Pixel pixel = pixel_at(heights, tops, sky, points, rows, cols, width, levels, side, n_points, dark);
 
-  /* 1. the corners, in the frame of the azimuth of their middle */
-  const float mx = corners[12] - x, my = corners[13] - y, mz = corners[14] - height;
-  const float flat = sqrt(mx * mx + my * my), ux = flat > 0 ? mx / flat : 1, uy = flat > 0 ? my / flat : 0;
-  float px[4], py[4], qx[4], qy[4], top = 0;
+  /* 1. the corners, in the frame that points below the middle */
+  const float dx = corners[12] - pixel.x, dy = corners[13] - pixel.y, dz = corners[14] - pixel.height;
+  const float flat = sqrt(dx * dx + dy * dy), ux = flat > 0 ? dx / flat : 1, uy = flat > 0 ? dy / flat : 0;
+  float ax[4], ay[4], from[4], up[4], turn[4], px[4], py[4]; /* corners; `from` the middle; the same in order of azimuth */
+  float top = 0;
   for (int i = 0; i < 4; ++i) {
-    qx[i] = corners[3 * i] * ux + corners[3 * i + 1] * uy;
-    qy[i] = corners[3 * i + 1] * ux - corners[3 * i] * uy;
-    px[i] = flat + qx[i];
-    py[i] = qy[i];
-    if (px[i] == 0 && py[i] == 0)
-      px[i] = 1e-6f;
-    top = max(top, mz + corners[3 * i + 2]);
+    from[i] = corners[3 * i] * ux + corners[3 * i + 1] * uy;
+    ay[i] = corners[3 * i + 1] * ux - corners[3 * i] * uy;
+    up[i] = corners[3 * i + 2];
+    ax[i] = flat + from[i];
+    if (ax[i] == 0 && ay[i] == 0)
+      ax[i] = 1e-6f;
+    px[i] = ax[i];
+    py[i] = ay[i];
+    top = max(top, dz + up[i]);
   }
-  const float q0x = px[0], q0y = py[0], q1x = px[1], q1y = py[1], q2x = px[2], q2y = py[2], q3x = px[3], q3y = py[3];
-  float t0 = q0x * (q1y - q0y) - q0y * (q1x - q0x), t1 = q1x * (q2y - q1y) - q1y * (q2x - q1x);
-  float t2 = q2x * (q3y - q2y) - q2y * (q3x - q2x), t3 = q3x * (q0y - q3y) - q3y * (q0x - q3x);
-  const int left = t0 >= 0 && t1 >= 0 && t2 >= 0 && t3 >= 0, right = t0 <= 0 && t1 <= 0 && t2 <= 0 && t3 <= 0;
-  const int below = left != right; /* the node stands below or above the quadrangle */
-  const float sense = right ? -1 : 1;
-  float normal_x = corners[15] * ux + corners[16] * uy, normal_y = corners[16] * ux - corners[15] * uy, normal_z = corners[17];
-  const float apart = flat * normal_x + mz * normal_z, facing = apart < 0 ? -1 : 1;
-  pixel.reach = fabs(apart);
-  pixel.up = facing * normal_z;
-  normal_x *= facing;
-  normal_y *= facing;
+  for (int i = 0; i < 4; ++i) {
+    const int j = (i + 1) % 4;
+    turn[i] = ax[i] * (ay[j] - ay[i]) - ay[i] * (ax[j] - ax[i]);
+  }
+  const int left = turn[0] >= 0 && turn[1] >= 0 && turn[2] >= 0 && turn[3] >= 0;
+  const int right = turn[0] <= 0 && turn[1] <= 0 && turn[2] <= 0 && turn[3] <= 0;
+  const int within = left != right; /* the zenith or the nadir lies in the quadrangle */
+  const float normal_x = corners[15] * ux + corners[16] * uy, normal_y = corners[16] * ux - corners[15] * uy;
+  const float apart = flat * normal_x + dz * corners[17], sense = apart < 0 ? -1 : 1;
+  pixel.up = sense * corners[17];
+  pixel.reach = sense * apart;
+  pixel.radius = 0;
 
-  /* 2. sectors between neighbouring corners, and their slices */
-  Sector s0, s1, s2, s3;
-  if (below) {
-    s0 = right ? sector_between(q1x, q1y, q0x, q0y) : sector_between(q0x, q0y, q1x, q1y);
-    s1 = right ? sector_between(q2x, q2y, q1x, q1y) : sector_between(q1x, q1y, q2x, q2y);
-    s2 = right ? sector_between(q3x, q3y, q2x, q2y) : sector_between(q2x, q2y, q3x, q3y);
-    s3 = right ? sector_between(q0x, q0y, q3x, q3y) : sector_between(q3x, q3y, q0x, q0y);
-  } else {
-    IN_ORDER(0, 1)
-    IN_ORDER(2, 3)
-    IN_ORDER(0, 2)
-    IN_ORDER(1, 3)
-    IN_ORDER(1, 2)
-    s0 = sector_between(px[0], py[0], px[1], py[1]);
-    s1 = sector_between(px[1], py[1], px[2], py[2]);
-    s2 = sector_between(px[2], py[2], px[3], py[3]);
-    s3 = s2;
-    s3.quarter = 0;
+  /* 2. sectors, and how many slices they are worth */
+  Sector a, b, c, d;
+  if (right && within)
+    for (int i = 0; i < 4; ++i) {
+      px[i] = ax[3 - i];
+      py[i] = ay[3 - i];
+    }
+  if (!within) {
+    in_order(px, py, 0, 1);
+    in_order(px, py, 2, 3);
+    in_order(px, py, 0, 2);
+    in_order(px, py, 1, 3);
+    in_order(px, py, 1, 2);
   }
-  const float all = s0.quarter + s1.quarter + s2.quarter + s3.quarter, least = 1e-4f * all;
-  const int used0 = s0.quarter > least, used1 = used0 + (s1.quarter > least), used2 = used1 + (s2.quarter > least), used = used2 + (s3.quarter > least);
+  a = sector_between(px[0], py[0], px[1], py[1]);
+  b = sector_between(px[1], py[1], px[2], py[2]);
+  c = sector_between(px[2], py[2], px[3], py[3]);
+  d = sector_between(px[3], py[3], px[0], py[0]);
+  d.quarter = within ? d.quarter : 0;
+  const float to_a = share_of(a.quarter), to_b = to_a + share_of(b.quarter), to_c = to_b + share_of(c.quarter), all = to_c + share_of(d.quarter);
+  const int blocks = min(1 + (int)(all * (most / SLICES)), most / SLICES), n_slices = blocks * SLICES;
+  const float least = 1e-4f * all; /* a sector narrower than that is left out */
+  const int used_a = to_a > least, used_b = used_a + (to_b - to_a > least), used_c = used_b + (to_c - to_b > least), used = used_c + (all - to_c > least);
   const float more = all > 0 ? (n_slices - used) / all : 0;
-  const int end0 = used0 + (int)(s0.quarter * more + 0.5f), end1 = used1 + (int)((s0.quarter + s1.quarter) * more + 0.5f);
-  const int end2 = used2 + (int)((s0.quarter + s1.quarter + s2.quarter) * more + 0.5f);
+  const int end_a = used_a + (int)(to_a * more + 0.5f), end_b = used_b + (int)(to_b * more + 0.5f), end_c = used_c + (int)(to_c * more + 0.5f);
 
-  /* 3. slices */
+  /* 3. the slices */
   floats sum = 0;
-  if (height > NONE && all > 0 && top > 0)
-    for (int j = 0; j < n_slices; j += LANES) {
-      const ints number = j + LANE;
-      const ints in0 = WHERE(number < end0), in1 = WHERE(number < end1), in2 = WHERE(number < end2);
-      const floats axis_c = in0 ? (floats)s0.c : in1 ? (floats)s1.c : in2 ? (floats)s2.c : (floats)s3.c;
-      const floats axis_s = in0 ? (floats)s0.s : in1 ? (floats)s1.s : in2 ? (floats)s2.s : (floats)s3.s;
-      const floats quarter = in0 ? (floats)s0.quarter : in1 ? (floats)s1.quarter : in2 ? (floats)s2.quarter : (floats)s3.quarter;
-      const ints first = in0 ? (ints)0 : in1 ? (ints)end0 : in2 ? (ints)end1 : (ints)end2;
-      const ints count = (in0 ? (ints)end0 : in1 ? (ints)end1 : in2 ? (ints)end2 : (ints)n_slices) - first;
-      const ints at = 2 * ((count - 1) * n_slices + number - first);
-      const floats turn = quarter * FEW(nodes, at), scale = 1 / (1 + turn * turn);
-      const floats cos_t = (1 - turn * turn) * scale, sin_t = 2 * turn * scale;
-      const floats cd = axis_c * cos_t - axis_s * sin_t, sd = axis_s * cos_t + axis_c * sin_t;
-      const floats share = 2 * quarter * FEW(nodes, at + 1) * scale;
-      /* where the slice cuts the outline: distance and height from the middle, on an edge that runs to the left, and to the right */
+  if (pixel.height > NONE && all > 0 && top > 0)
+    for (int k = 0; k < n_slices; k += LANES) {
+      const ints number = k + LANE;
+      const ints in_a = WHERE(number < end_a), in_b = WHERE(number < end_b), in_c = WHERE(number < end_c);
+      const floats axis_c = OF_SECTOR(a.c, b.c, c.c, ALL(d.c)), axis_s = OF_SECTOR(a.s, b.s, c.s, ALL(d.s));
+      const floats quarter = OF_SECTOR(a.quarter, b.quarter, c.quarter, ALL(d.quarter));
+      const ints first = OF_SECTOR(0, end_a, end_b, (ints)end_c), count = OF_SECTOR(end_a, end_b, end_c, (ints)n_slices) - first;
+      const ints at = 2 * ((count - 1) * most + number - first);
+      const floats tangent = quarter * GATHER(nodes, at), scale = 1 / (1 + tangent * tangent); /* of half the angle from the bisector */
+      const floats cos_t = (1 - tangent * tangent) * scale, sin_t = 2 * tangent * scale;
+      const floats cos_d = axis_c * cos_t - axis_s * sin_t, sin_d = axis_s * cos_t + axis_c * sin_t;
+      const floats share = 2 * quarter * GATHER(nodes, at + 1) * scale;
+      /* where the outline goes through the slice to the left, and to the right: distance and height from the middle */
       floats left_r = 0, left_z = 0, right_r = 0, right_z = 0;
       ints has_left = 0, has_right = 0;
-      floats side_a = cd * q3y - sd * q3x, r_a = cd * qx[3] + sd * qy[3], z_a = corners[11];
       for (int i = 0; i < 4; ++i) {
-        const floats side_b = cd * (i == 0 ? q0y : i == 1 ? q1y : i == 2 ? q2y : q3y) - sd * (i == 0 ? q0x : i == 1 ? q1x : i == 2 ? q2x : q3x);
-        const floats r_b = cd * qx[i] + sd * qy[i], z_b = corners[3 * i + 2];
-        const floats turned_a = sense * side_a, turned_b = sense * side_b;
-        const ints to_left = WHERE(turned_a <= 0) & WHERE(turned_b > 0), to_right = WHERE(turned_b <= 0) & WHERE(turned_a > 0);
-        const floats f = side_a / (side_a - side_b), r = r_a + f * (r_b - r_a), z = z_a + f * (z_b - z_a);
+        const int j = (i + 1) % 4;
+        const floats side_i = cos_d * ay[i] - sin_d * ax[i], side_j = cos_d * ay[j] - sin_d * ax[j];
+        const floats r_i = cos_d * from[i] + sin_d * ay[i], r_j = cos_d * from[j] + sin_d * ay[j];
+        const floats f = side_i / (side_i - side_j), r = r_i + f * (r_j - r_i), z = up[i] + f * (up[j] - up[i]);
+        const ints to_left = WHERE(side_i <= 0) & WHERE(side_j > 0), to_right = WHERE(side_j <= 0) & WHERE(side_i > 0);
         left_r = to_left ? r : left_r;
         left_z = to_left ? z : left_z;
         right_r = to_right ? r : right_r;
         right_z = to_right ? z : right_z;
         has_left |= to_left;
         has_right |= to_right;
-        side_a = side_b, r_a = r_b, z_a = z_b;
       }
-      const floats middle = flat * cd;
-      const floats to_left = MORE(middle + left_r, (floats)1e-20f), to_right = MORE(middle + right_r, (floats)1e-20f);
-      const floats steep_left = (mz + left_z) / to_left, steep_right = (mz + right_z) / to_right;
-      const floats apart_s = mz * (right_r - left_r) + middle * (left_z - right_z) + left_z * right_r - right_z * left_r;
-      floats low, high, chord_width;
-      if (below) {
-        low = pixel.up > 0 ? steep_left : (floats)-STEEP;
-        high = pixel.up > 0 ? (floats)STEEP : steep_left;
-        low = LESS(low, (floats)STEEP);
-        chord_width = high - low;
+      const floats in_plane = flat * cos_d;
+      const floats to_left = MORE(in_plane + left_r, 1e-20f), to_right = MORE(in_plane + right_r, 1e-20f);
+      const floats steep_left = (dz + left_z) / to_left, steep_right = (dz + right_z) / to_right;
+      floats low, high, rise;
+      if (within) {
+        const floats edge = left ? steep_left : steep_right;
+        low = pixel.up > 0 ? LESS(edge, STEEP) : -STEEP;
+        high = pixel.up > 0 ? STEEP : edge;
+        high = (left ? has_left : has_right) ? high : -STEEP;
+        rise = high - low;
       } else {
-        low = apart_s > 0 ? steep_right : steep_left;
-        high = apart_s > 0 ? steep_left : steep_right;
-        chord_width = (apart_s > 0 ? apart_s : -apart_s) / (to_left * to_right);
-        has_left &= has_right;
+        const floats wide = dz * (right_r - left_r) + in_plane * (left_z - right_z) + left_z * right_r - right_z * left_r;
+        low = wide > 0 ? steep_right : steep_left;
+        high = wide > 0 ? steep_left : steep_right;
+        rise = (wide > 0 ? wide : -wide) / (to_left * to_right);
+        rise = high < STEEP ? rise : STEEP - low;
+        high = has_left & has_right ? high : -STEEP;
       }
-      high = has_left ? LESS(high, (floats)STEEP) : (floats)-STEEP;
-      const floats c = ux * cd - uy * sd, s = uy * cd + ux * sd;
-      sum += share * slice(&pixel, c, s, normal_x * cd + normal_y * sd, low, high, chord_width);
+      high = LESS(high, STEEP);
+      const floats along = normal_x * cos_d + normal_y * sin_d;
+      sum += share * slice(&pixel, ux * cos_d - uy * sin_d, uy * cos_d + ux * sin_d, sense * along, 0, low, high, rise);
     }
-  irradiance[y * cols + x] = brightness * TOTAL(sum) / sqrt(1 + pixel.tilt_x * pixel.tilt_x + pixel.tilt_y * pixel.tilt_y);
+  irradiance[pixel.y * cols + pixel.x] = unit * TOTAL(sum) / sqrt(1 + pixel.tilt_x * pixel.tilt_x + pixel.tilt_y * pixel.tilt_y);
 }

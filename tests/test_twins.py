@@ -1,6 +1,7 @@
 """Warp and OpenCL kernels are twins, and a broken kernel makes the suite red."""
 
 import importlib
+import inspect
 import re
 from importlib.resources import files
 
@@ -14,8 +15,10 @@ import skylamp.opencl
 import skylamp.warp_kernels
 
 STEMS = sorted(f.name[:-3] for f in files(skylamp.opencl).iterdir() if f.name.endswith(".cl"))
-C_TYPES = {"float": "float32", "double": "float64", "int": "int32", "uint": "uint32", "uchar": "uint8", "float4": "float32", "floats": "float32", "uchars": "uint8"}  # vectors by their elements
+C_TYPES = {"float": "float32", "double": "float64", "int": "int32", "uint": "uint32", "uchar": "uint8", "float4": "float32", "floats": "float32", "uchars": "uint8",
+           "Ladder": "int32"}  # vectors by their elements
 C_NAMES = {"half_": "half"}  # half is a type in OpenCL
+CONSTANTS = {"BITS": (3, 4), "NEAR": (6, 12), "SIDES": (0, 2), "WHAT": (0, 1), "BLOCKS": (0, 1)}  # known when compiling: two values of each
 WARP_WORDS = {("luminance", "planes")}  # bytes that Warp loads four to a uint32, since its byte vectors are loaded one by one
 
 
@@ -26,17 +29,23 @@ def _signatures(stem):
     for name, arguments in re.findall(r"__kernel\s+(?:__attribute__\(\(.*?\)\)\)\s*)?void\s+(\w+)\s*\((.*?)\)\s*\{", text, re.S):
         parsed = []
         for argument in arguments.split(","):
-            words = re.sub(r"\b(__global|const|restrict)\b", " ", argument).replace("*", " * ").split()
+            words = re.sub(r"\b(__global|__constant|const|restrict)\b", " ", argument).replace("*", " * ").split()
             parsed.append((C_NAMES.get(words[-1], words[-1]), C_TYPES[words[0]], "*" in words))
         kernels[name] = parsed
     return kernels
+
+
+def _made(factory, **other):
+    """What a function of compile-time constants gives."""
+    names = inspect.signature(factory).parameters
+    return factory(**{name: other.get(name, CONSTANTS[name][0]) for name in names})
 
 
 def _warp_kernel(stem, name):
     import warp as wp
 
     found = getattr(importlib.import_module(f"skylamp.warp_kernels.{stem}"), name, None)
-    return found if found is None or isinstance(found, wp.Kernel) else found(3)
+    return found if found is None or isinstance(found, wp.Kernel) else _made(found)
 
 
 def _type(kind):
@@ -60,7 +69,8 @@ def test_kernels_have_the_same_names_and_arguments(stem):
     signatures = _signatures(stem)
     assert signatures, f"no kernel found in {stem}.cl"
     module = importlib.import_module(f"skylamp.warp_kernels.{stem}")
-    public = {n for n, v in vars(module).items() if isinstance(v, wp.Kernel) or (callable(v) and hasattr(v, "cache_info") and getattr(v, "__module__", "") == module.__name__)}
+    factories = {n for n, v in vars(module).items() if callable(v) and hasattr(v, "cache_info") and v.__module__ == module.__name__ and isinstance(_made(v), wp.Kernel)}
+    public = factories | {n for n, v in vars(module).items() if isinstance(v, wp.Kernel)}
     assert public == set(signatures)
     for name, arguments in signatures.items():
         kernel = _warp_kernel(stem, name)
@@ -69,8 +79,8 @@ def test_kernels_have_the_same_names_and_arguments(stem):
 
 
 @pytest.mark.parametrize("stem", STEMS)
-def test_a_kernel_with_elevations_is_a_factory_in_warp(stem):
-    """Where the OpenCL kernel uses BITS, the Warp twin is asked for with that number, and gives the same kernel again."""
+def test_a_kernel_with_constants_is_a_factory_in_warp(stem):
+    """Where the OpenCL kernel uses such a constant, the Warp twin is asked for with it, and gives the same kernel again."""
     import warp as wp
 
     text = re.sub(r"/\*.*?\*/", "", skylamp.opencl.source(stem), flags=re.S)
@@ -78,9 +88,19 @@ def test_a_kernel_with_elevations_is_a_factory_in_warp(stem):
     for body in bodies:
         name = re.search(r"void\s+(\w+)\s*\(", body).group(1)
         twin = getattr(importlib.import_module(f"skylamp.warp_kernels.{stem}"), name)
-        assert isinstance(twin, wp.Kernel) == ("BITS" not in body), f"{stem}.{name}"
-        if "BITS" in body:
-            assert twin(4) is twin(4) and twin(4) is not twin(5)
+        used = {constant for constant in CONSTANTS if re.search(rf"\b{constant}\b", body)}
+        assert isinstance(twin, wp.Kernel) == (not used), f"{stem}.{name}"
+        if used:
+            assert set(inspect.signature(twin).parameters) == used, f"{stem}.{name}"
+            assert _made(twin) is _made(twin)
+            assert all(_made(twin) is not _made(twin, **{constant: CONSTANTS[constant][1]}) for constant in used)
+
+
+def test_vectors_by_value_are_as_long_in_both():
+    """A struct of so many integers there, a vector of so many here."""
+    length = int(re.search(r"#define LADDER (\d+)", skylamp.opencl.source("horizon")).group(1))
+    formal = {a.label: a.type for a in _warp_kernel("horizon", "sweep").adj.args}
+    assert formal["steps"]._shape_ == formal["rises"]._shape_ == (length,)
 
 
 @pytest.mark.parametrize("stem", STEMS)

@@ -14,7 +14,7 @@ from .base import Backend
 OPTIONS = ("-cl-std=CL1.2",)
 HUGE = 2**21  # bytes of a huge page
 CPU_LANES = 8
-CPU_STRIPS = 4  # strips of lines that a sweep takes side by side
+CPU_STRIPS = 8  # strips of lines that a sweep takes side by side
 GPU_PIXELS = 8
 GPU_LINES = 64
 GPU_GROUP = 1024  # work-items of a group of scan
