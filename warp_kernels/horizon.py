@@ -290,10 +290,12 @@ def sweep(NEAR: int, SIDES: int, WHAT: int, BLOCKS: int):
         beyond_ = wp.float32(0.0)
         gx_ = wp.float32(0.0)
         gy_ = wp.float32(0.0)
+        hidden_ = wp.bool(False)  # nothing far can rise above what is near
         waits = wp.bool(False)
         x_ = wp.int32(0)
         y_ = wp.int32(0)
         u_ = wp.int32(0)
+        per_rung = unit * wp.float32(1 << bits) * wp.float32(comes_at)
         for i in range(begin, finish + 1):
             u = wp.int32(i)
             into = wp.int32(1)
@@ -330,9 +332,11 @@ def sweep(NEAR: int, SIDES: int, WHAT: int, BLOCKS: int):
 
             # 4. the node of the turn before: its horizon, and the light between it, or the tangent plane, and the zenith
             if waits:
-                slope = wp.max(wp.max(rise(far1, own_), rise(far2, own_)), near_)
-                if reciprocal < 1e8:
-                    slope = wp.max(slope, wp.max(rise(far3, own_), rise(far4, own_)))
+                slope = near_
+                if not hidden_:
+                    slope = wp.max(wp.max(rise(far1, own_), rise(far2, own_)), near_)
+                    if reciprocal < 1e8:
+                        slope = wp.max(slope, wp.max(rise(far3, own_), rise(far4, own_)))
                 if wp.static(BLOCKS != 0):
                     slope = wp.max(slope, beyond_)
                 slope *= tangent
@@ -395,18 +399,22 @@ def sweep(NEAR: int, SIDES: int, WHAT: int, BLOCKS: int):
                     low[s] = wp.where(test, above[8 + s], above[s])
                     limits[s] = wp.where(test, rises[8 + s], rises[s])
                 upper = wp.where(test, above[15], above[8])
+                rung = wp.where(test, wp.static(2**31 - 1), rises[8])  # of the upper step
                 test = low[4] >= level + limits[4]
                 upper = wp.where(test, upper, low[4])
+                rung = wp.where(test, rung, limits[4])
                 for s in range(4):
                     low[s] = wp.where(test, low[4 + s], low[s])
                     limits[s] = wp.where(test, limits[4 + s], limits[s])
                 test = low[2] >= level + limits[2]
                 upper = wp.where(test, upper, low[2])
+                rung = wp.where(test, rung, limits[2])
                 for s in range(2):
                     low[s] = wp.where(test, low[2 + s], low[s])
                     limits[s] = wp.where(test, limits[2 + s], limits[s])
                 test = low[1] >= level + limits[1]
                 upper = wp.where(test, upper, low[1])
+                rung = wp.where(test, rung, limits[1])
                 lower = wp.where(test, low[1], low[0])
 
                 # 7. both distances on the node's own ray, no farther than the map or the window goes
@@ -416,16 +424,18 @@ def sweep(NEAR: int, SIDES: int, WHAT: int, BLOCKS: int):
                     if room_beside < wp.float32(wp.min(u, window)):
                         last = wp.int32(room_beside)
                 last = wp.max(last, 1)
-                t1 = wp.min(lower & mask, last)
-                t2 = wp.min(upper & mask, last)
-                far1 = on_row(heights, p, x, y, t1, shear, towards, rows, cols, margin)
-                far2 = on_row(heights, p, x, y, t2, shear, towards, rows, cols, margin)
-                # 8. and the column crossings beside them: the nearer one's before, the farther one's behind
-                if reciprocal < 1e8:
-                    m1 = wp.max(wp.int32(steepness * wp.float32(t1)), 1)
-                    m2 = wp.int32(steepness * wp.float32(t2)) + 1
-                    far3 = on_column(heights, p, x, y, u, m1, shear, reciprocal, reach, towards, rows, cols, margin)
-                    far4 = on_column(heights, p, x, y, u, m2, shear, reciprocal, reach, towards, rows, cols, margin)
+                hidden_ = near * per_rung >= wp.float32(rung)
+                if not hidden_:
+                    t1 = wp.min(lower & mask, last)
+                    t2 = wp.min(upper & mask, last)
+                    far1 = on_row(heights, p, x, y, t1, shear, towards, rows, cols, margin)
+                    far2 = on_row(heights, p, x, y, t2, shear, towards, rows, cols, margin)
+                    # 8. and the column crossings beside them: the nearer one's before, the farther one's behind
+                    if reciprocal < 1e8:
+                        m1 = wp.max(wp.int32(steepness * wp.float32(t1)), 1)
+                        m2 = wp.int32(steepness * wp.float32(t2)) + 1
+                        far3 = on_column(heights, p, x, y, u, m1, shear, reciprocal, reach, towards, rows, cols, margin)
+                        far4 = on_column(heights, p, x, y, u, m2, shear, reciprocal, reach, towards, rows, cols, margin)
                 if wp.static(BLOCKS != 0):  # downhill the end of the window is the horizon
                     beyond_ = rise(on_row(heights, p, x, y, last, shear, towards, rows, cols, margin), own)
                     if reciprocal < 1e8:
