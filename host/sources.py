@@ -80,21 +80,35 @@ class Sky:
 class Lamp:
     """A finite emitter near the surface.
 
-    Either a sphere, ``center`` = (x, y, z) and ``radius`` [unit of spacing], x along columns, y along rows, z depth
-    (z < 0: behind the viewer's plane); or any shape, ``volume`` (layers, rows, cols) bool on the lattice, True where
-    the node (layer, row, col) shines.
+    A sphere, ``center`` = (x, y, z) and ``radius`` [unit of spacing], x along columns, y along rows, z depth (z < 0:
+    behind the viewer's plane); or a rectangle that shines to both sides, ``corner`` = (x, y, z) and ``edges``, two vectors
+    at right angles from it (for method="horizon"); or any shape, ``volume`` (layers, rows, cols) bool on the lattice, True
+    where the node (layer, row, col) shines.
     """
 
     center: tuple[float, float, float] | None = None
     radius: float | None = None
     brightness: Brightness = 1.0
     volume: np.ndarray | None = None
+    corner: tuple[float, float, float] | None = None
+    edges: tuple[tuple[float, float, float], tuple[float, float, float]] | None = None
 
     def __post_init__(self):
-        if (self.volume is None) == (self.center is None or self.radius is None) or (self.volume is not None and (self.center, self.radius) != (None, None)):
-            raise bad("lamp", f"center={self.center}, radius={self.radius}, volume {'given' if self.volume is not None else 'not given'}",
-                      "center and radius (a sphere), or volume alone")
-        if self.volume is not None:
+        given = [name for name in ("center", "radius", "volume", "corner", "edges") if getattr(self, name) is not None]
+        if given not in (["center", "radius"], ["volume"], ["corner", "edges"]):
+            raise bad("lamp", " and ".join(given) or "no shape", "center and radius (a sphere), corner and edges (a rectangle), or volume alone")
+        if self.corner is not None:
+            object.__setattr__(self, "corner", _numbers(self.corner, 3, "lamp corner", "(x, y, z)"))
+            try:
+                one, other = self.edges
+            except (TypeError, ValueError):
+                raise bad("lamp edges", repr(self.edges), "two vectors (x, y, z)") from None
+            one, other = (_numbers(edge, 3, "lamp edge", "(x, y, z)") for edge in (one, other))
+            lengths = np.linalg.norm(one), np.linalg.norm(other)
+            if not min(lengths) > 0 or abs(np.dot(one, other)) > 1e-6 * lengths[0] * lengths[1]:
+                raise bad("lamp edges", (one, other), "two vectors that are not zero and at right angles")
+            object.__setattr__(self, "edges", (one, other))
+        elif self.volume is not None:
             object.__setattr__(self, "volume", _flags(self.volume, "lamp volume", 3, "(layers, rows, cols)"))
         else:
             center = _numbers(self.center, 3, "lamp center", "(x, y, z)")
@@ -176,6 +190,8 @@ def geometry(source: Source, scene, step: float) -> Geometry:
         if not (source.volume & free).any():
             raise bad("lamp volume: no node of it lies in free space", f"{source.volume.sum()} nodes", "at least one True node at or above the surface")
         return Geometry(VOLUME, numbers, (source.volume & free).view(np.uint8))
+    if source.corner is not None:
+        raise bad("method 'lattice' with a rectangular lamp", "a lamp given by corner and edges", "a sphere or a volume", "Use method='horizon'.")
     if scene.sides == "periodic":
         raise bad("lamp sphere with sides='periodic'", "a lamp that stands once over a map that repeats",
                   "sides='open' or 'dark', or a lamp given as a volume, which repeats with the map")

@@ -32,6 +32,7 @@ Work-item (j, k, g) owns LANES adjacent lines of azimuth k; long lines start fir
 #define NONE -1e30f
 #define UNSEEN (1 - (1 << 30)) /* far below all ground, one row away */
 #define LADDER 16
+#define FETCH (!ON_CPU && !BLOCKS && SIDES != PERIODIC)
 #define ACROSS (LANES * STRIPS) /* strips of LANES lines side by side, for the sake of cache lines */
 #define NEAR_COLUMNS (2 * NEAR / 3) /* where a ray is so steep that it meets more, they lie close to its crossings with rows */
 enum { OPEN, DARK, PERIODIC }; /* SIDES */
@@ -218,6 +219,9 @@ __kernel void sweep(__global const float *restrict heights, __global const float
 
   /* The far crossings of a node are looked up in one turn of the loop and used in the next, when they have arrived. */
   Waiting nodes[STRIPS];
+  floats ahead = 0; /* depth of the next row's node, asked for one row before */
+  if (FETCH)
+    ahead = READ(((towards > 0 ? from : rows - 1 - from) + margin) * stride + margin + line + (int)floor(0.5f - shear * from), heights);
   for (int q = 0; q < STRIPS; ++q)
     nodes[q].waits = 0;
   for (int i = from; i <= to; ++i) {
@@ -247,7 +251,9 @@ __kernel void sweep(__global const float *restrict heights, __global const float
       ints *above = ladders[q];
       Waiting node = nodes[q];
       const int p = (y + margin) * stride + margin + x;
-      const floats own = READ(p, heights);
+      const floats own = FETCH ? ahead : READ(p, heights);
+      if (FETCH)
+        ahead = READ(p + towards * stride + (int)floor(0.5f - shear * (v + 1)) - shift, heights);
       floats near = NONE, beside = NONE, gx = 0, gy = 0;
       if (WHAT != SLOPES) {
         gx = READ(p, tilts);

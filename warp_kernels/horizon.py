@@ -185,6 +185,7 @@ def sweep(NEAR: int, SIDES: int, WHAT: int, BLOCKS: int):
     nears, weights = wp.types.vector(NEAR, wp.int32), wp.types.vector(NEAR, wp.float32)
     column_nears, column_weights = wp.types.vector(NEAR_COLUMNS, wp.int32), wp.types.vector(NEAR_COLUMNS, wp.float32)
     on_row, on_column = rays(SIDES)
+    FETCH = not BLOCKS and SIDES != PERIODIC
 
     @wp.kernel(module="unique", module_options=OPTIONS, launch_bounds=LINES)
     def sweep(
@@ -296,6 +297,10 @@ def sweep(NEAR: int, SIDES: int, WHAT: int, BLOCKS: int):
         y_ = wp.int32(0)
         u_ = wp.int32(0)
         per_rung = unit * wp.float32(1 << bits) * wp.float32(comes_at)
+        ahead = wp.float32(0.0)  # height of the next row's node, asked for one row before
+        if wp.static(FETCH):
+            row = wp.where(towards > 0, begin, rows - 1 - begin)
+            ahead = read(heights, (row + margin) * stride + margin + line + wp.int32(wp.floor(wp.float32(0.5) - shear * wp.float32(begin))))
         for i in range(begin, finish + 1):
             u = wp.int32(i)
             into = wp.int32(1)
@@ -314,7 +319,11 @@ def sweep(NEAR: int, SIDES: int, WHAT: int, BLOCKS: int):
                 x = around(x, cols)
             y = wp.where(towards > 0, v, rows - 1 - v)
             p = (y + margin) * stride + margin + x
-            own = read(heights, p)
+            own = ahead
+            if wp.static(FETCH):
+                ahead = read(heights, p + towards * stride + line + wp.int32(wp.floor(wp.float32(0.5) - shear * wp.float32(v + 1))) - x)
+            else:
+                own = read(heights, p)
             near = NONE
             gx = wp.float32(0.0)
             gy = wp.float32(0.0)
