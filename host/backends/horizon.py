@@ -198,7 +198,7 @@ class Sweeps:
                     y = math.floor((e + 1) / steepness)
                     near_at[n, near + e], near_weight[n, near + e] = -towards * y * stride + int(math.copysign(e + 1, shear)), (e + 1) / steepness - y
         near_weight = near_weight.astype(np.float32)
-        tables = [put(azimuths.astype(np.float32)), put(ways), put(near_at), put(near_weight)]
+        tables = [put(array) for array in (azimuths.astype(np.float32), ways, near_at, near_weight)] if len(numbers) else []
         table = self.nothing if table is None or not len(numbers) else put(np.ascontiguousarray(table[numbers], np.float32))
         return Half(turned, rows, cols, numbers, windows, warm, shears, tables, self.turned if turned else self.heights, table)
 

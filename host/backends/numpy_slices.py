@@ -1,0 +1,373 @@
+"""The kernels of slices in NumPy: same names, arguments and steps as in Warp and OpenCL, on many slices at a time."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+F = np.float32
+NONE, STEEP, ENDLESS, SLICES = F(-1e30), F(1e6), F(1e30), 8
+AT_ONCE = 2**15  # slices
+
+
+def coarser(heights, tops, rows, cols, width, level):
+    wide, tall = width >> level, ((rows - 1) >> level) + 1
+    out = tops[:tall, width - (width >> (level - 1)) :][:, :wide]
+    out[...] = NONE
+    if level == 1:
+        fine = heights[: (rows + 2) * (cols + 1)].reshape(rows + 2, cols + 1)[1:-1, 1:]
+        reach = 3
+    else:
+        fine = tops[: ((rows - 1) >> (level - 1)) + 1, width - (width >> (level - 2)) :][:, : 2 * wide]
+        reach = 2
+    for j in range(reach):
+        for i in range(reach):
+            part = fine[j::2, i::2]
+            cells = out[: part.shape[0], : part.shape[1]]
+            np.maximum(cells, part[: cells.shape[0], : cells.shape[1]], out=cells)
+
+
+class Map(NamedTuple):
+    """What all pixels share."""
+
+    heights: np.ndarray
+    tops: np.ndarray
+    sky: np.ndarray
+    points: np.ndarray
+    rows: int
+    cols: int
+    levels: int
+    dark: int
+
+
+class Pixels(NamedTuple):
+    """What the slices of each pixel share, one column each; fields as in the other kernels."""
+
+    x: np.ndarray
+    y: np.ndarray
+    height: np.ndarray
+    tilt_x: np.ndarray
+    tilt_y: np.ndarray
+    up: np.ndarray
+    reach: np.ndarray
+    radius: np.float32
+
+    def of(self, which):
+        return Pixels(*(value[which] for value in self[:-1]), self.radius)
+
+
+def _slope_between(low, here, high):
+    one_side = np.where(low > NONE, low - here, np.where(high > NONE, here - high, F(0)))
+    return np.where((low > NONE) & (high > NONE), (low - high) * F(0.5), one_side)
+
+
+def _pixels(heights, rows, cols):
+    """x, y, height, tilt_x, tilt_y of every node with ground, flat."""
+    grid = heights[: (rows + 2) * (cols + 1)].reshape(rows + 2, cols + 1)
+    y, x = np.nonzero(grid[1:-1, 1:] > NONE)
+    here = (y + 1) * (cols + 1) + x + 1
+    pick = lambda step: heights[here + step]
+    return x.astype(np.int32), y.astype(np.int32), pick(0), _slope_between(pick(-1), pick(0), pick(1)), _slope_between(pick(-cols - 1), pick(0), pick(cols + 1))
+
+
+def _under_source(pixels, along, aside, t):
+    if pixels.radius > 0:
+        off = t - along
+        square = pixels.radius * pixels.radius - aside * aside - off * off
+        return np.where(square > 0, (pixels.up - np.sqrt(np.maximum(square, F(0)))) / t, ENDLESS)
+    return np.where(pixels.up > 0, (pixels.reach / t - along) / pixels.up, ENDLESS)
+
+
+def _horizon(ground, pixels, c, s, slope, high, along, aside):
+    """All arrays flat, one element per slice; pixels spread likewise."""
+    stride, width = ground.cols + 1, ground.tops.shape[1]
+    tops = ground.tops.ravel()
+    found = slope.copy()
+    per_x, per_y = np.where(c != 0, F(1) / c, ENDLESS), np.where(s != 0, F(1) / s, ENDLESS)
+    on_x, on_y = (c >= 0).astype(np.int32), (s >= 0).astype(np.int32)
+    end_x = np.where(c == 0, ENDLESS, np.where(c > 0, ground.cols - 1 - pixels.x, -pixels.x).astype(F) * per_x)
+    end_y = np.where(s == 0, ENDLESS, np.where(s > 0, ground.rows - 1 - pixels.y, -pixels.y).astype(F) * per_y)
+    end = np.minimum(end_x, end_y)
+    who = np.flatnonzero((slope < high) & (end > 0) & (pixels.reach > 0))
+    state = [value[who] for value in (c, s, slope, high, along, aside, per_x, per_y, on_x, on_y, end)]
+    here = pixels.of(who)
+    cell_x, cell_y = here.x - 1 + state[8], here.y - 1 + state[9]
+    level, t = np.zeros(len(who), np.int32), np.zeros(len(who), F)
+    while len(who):
+        c, s, slope, high, along, aside, per_x, per_y, on_x, on_y, end = state
+        # 1. the way out of the cell
+        large_x, large_y = cell_x >> level, cell_y >> level
+        edge_x, edge_y = large_x + on_x, large_y + on_y
+        line_x, line_y = edge_x << level, edge_y << level
+        out_x, out_y = (line_x - here.x).astype(F) * per_x, (line_y - here.y).astype(F) * per_y
+        by_x, single = out_x <= out_y, level == 0
+        out = np.where(by_x, out_x, out_y)
+        across = np.where(by_x, s, c) * out
+        # 2. the ground there
+        n = np.flatnonzero(single)
+        low = np.where(by_x[n], (cell_y[n] + 1) * stride + line_x[n] + 1, (line_y[n] + 1) * stride + cell_x[n] + 1)
+        part = np.clip(across[n] - np.where(by_x[n], cell_y[n] - here.y[n], cell_x[n] - here.x[n]).astype(F), F(0), F(1))
+        rise = ground.heights[low] * (F(1) - part) + ground.heights[low + np.where(by_x[n], stride, 1)] * part - here.height[n]
+        higher = (rise > slope[n] * out[n]) & (out[n] * (along[n] + slope[n] * here.up[n]) < here.reach[n])
+        n = n[higher]
+        slope[n] = np.maximum(slope[n], np.minimum(rise[higher] / out[n], _under_source(here.of(n), along[n], aside[n], out[n])))
+        # 3. or the top of a large cell against the line where it comes in
+        at = np.where(single, 0, large_y * width + width - (width >> np.maximum(level - 1, 0)) + large_x)
+        passes = single | (tops[at] - here.height <= slope * t)
+        # 4. on, and up where a larger cell begins; or down
+        first = (np.where(by_x, large_y, large_x) << level) - np.where(by_x, here.y, here.x)
+        to = np.clip(np.floor(across).astype(np.int32), first, first + (1 << level) - 1)
+        cell_x = np.where(passes, np.where(by_x, line_x - 1 + on_x, here.x + to), cell_x)
+        cell_y = np.where(passes, np.where(by_x, here.y + to, line_y - 1 + on_y), cell_y)
+        t = np.where(passes, out, t)
+        begins = (np.where(by_x, edge_x, edge_y) & 1 == 0) & (level < ground.levels)
+        level = level + np.where(passes, begins, -1).astype(np.int32)
+        going = (slope < high) & (t < end) & (t * (along + slope * here.up) < here.reach)
+        if not going.all():
+            found[who] = slope
+            who = who[going]
+            state, here = [value[going] for value in state], here.of(going)
+            cell_x, cell_y, level, t = cell_x[going], cell_y[going], level[going], t[going]
+    return found
+
+
+def _brightness_of(ground, c, s, low, high):
+    side = ground.sky.shape[1]
+    sky, half, most = ground.sky.ravel(), F(0.5) * F(side - 1), side - 2
+    low_c, high_c = F(1) / np.sqrt(low * low + F(1)), F(1) / np.sqrt(high * high + F(1))
+    low_s, high_s = low * low_c, high * high_c
+    sum_c, sum_s, all_c, all_s = (np.zeros_like(low) for _ in range(4))
+    for f, weight in ground.points:
+        cosine, sine = low_c + f * (high_c - low_c), low_s + f * (high_s - low_s)
+        square = cosine * cosine + sine * sine
+        from_zenith = half * cosine / (np.sqrt(square) + sine)
+        u, v = half + from_zenith * c, half + from_zenith * s
+        i, j = np.clip(u.astype(np.int32), 0, most), np.clip(v.astype(np.int32), 0, most)
+        at = j * side + i
+        p, q = u - i.astype(F), v - j.astype(F)
+        near = sky[at] * (F(1) - p) + sky[at + 1] * p
+        far = sky[at + side] * (F(1) - p) + sky[at + side + 1] * p
+        bright, share = near * (F(1) - q) + far * q, weight / (square * square) * cosine
+        sum_c += share * cosine * bright
+        sum_s += share * sine * bright
+        all_c += share * cosine
+        all_s += share * sine
+    return sum_c / np.maximum(all_c, F(1) / ENDLESS), sum_s / np.maximum(all_s, F(1) / ENDLESS)
+
+
+def _arctan(x):
+    y = x * x
+    total = np.full_like(x, -0.0046932749)
+    for factor in (0.0242524, -0.05948639, 0.09914292, -0.1401948, 0.19969724, -0.3333199, 0.9999999):
+        total = total * y + F(factor)
+    return x * total
+
+
+def _chord(ground, pixels, c, s, low, high, rise):
+    out = np.zeros_like(low)
+    n = np.flatnonzero(low < high)
+    pixels, c, s, low, high, rise = pixels.of(n), c[n], s[n], low[n], high[n], rise[n]
+    tilt, product = pixels.tilt_x * c + pixels.tilt_y * s, low * high
+    r = np.sqrt((low * low + F(1)) * (high * high + F(1)))
+    sine = rise / r
+    by_cosine = _arctan(rise / (r + F(1) + product)) + F(0.5) * ((F(1) - product) / r * sine)
+    by_sine = F(0.5) * ((low + high) / r * sine)
+    if len(ground.points):
+        mean_c, mean_s = _brightness_of(ground, c, s, low, high)
+        by_cosine *= mean_c
+        by_sine *= mean_s
+    out[n] = tilt * by_cosine + by_sine
+    return out
+
+
+def _to_wall(ends, at, along):
+    return np.where(along == 0, ENDLESS, np.where(along > 0, F(ends) - F(0.5) - at.astype(F), F(-0.5) - at.astype(F)) / along)
+
+
+def _light(ground, pixels, c, s, along, aside, low, high, rise):
+    # 1. the tangent plane and the level
+    slope = np.clip(np.maximum(low, -(pixels.tilt_x * c + pixels.tilt_y * s)), F(0), STEEP)
+    if not ground.dark:
+        slope = _horizon(ground, pixels, c, s, slope, high, along, aside)
+        return _chord(ground, pixels, c, s, slope, high, np.where(slope > low, high - slope, rise))
+    # 2. the wall hides what lies beyond it: tangents up to `under`, and from `over` on, but none from its top on
+    wall = np.minimum(_to_wall(ground.cols, pixels.x, c), _to_wall(ground.rows, pixels.y, s))
+    top = -pixels.height / wall
+    if pixels.radius > 0:
+        off = wall - along
+        square = pixels.radius * pixels.radius - aside * aside - off * off
+        half = np.sqrt(np.maximum(square, F(0)))  # of where the wall cuts the ball
+        before = lambda tangent: (pixels.reach > 0) & (wall * (along + tangent * pixels.up) < pixels.reach)
+        under = np.where(before(slope), np.where(square > 0, (pixels.up - half) / wall, ENDLESS), -ENDLESS)
+        over = np.where(before(high) & (square > 0), (pixels.up + half) / wall, ENDLESS)
+    else:
+        up = np.where(pixels.up == 0, F(1) / ENDLESS, pixels.up)
+        meets = (pixels.reach / wall - along) / up
+        under, over = np.where(up > 0, meets, -ENDLESS), np.where(up > 0, ENDLESS, meets)
+    slope = np.maximum(slope, np.minimum(under, top))
+    split = over < top
+    left = np.where(split, np.minimum(high, over), high)
+    slope = _horizon(ground, pixels, c, s, slope, np.where(split & (high <= top), left, high), along, aside)
+    total = _chord(ground, pixels, c, s, slope, left, np.where((slope > low) | (left < high), left - slope, rise))
+    above = np.maximum(slope, top)
+    return total + np.where(split, _chord(ground, pixels, c, s, above, high, high - above), F(0))
+
+
+def _sum(ground, pixels, blocks, most, unit, irradiance, slices_of):
+    """Fill irradiance: slices_of(indices of pixels, their number of slices) -> (share, along, aside, low, high, rise, c, s), 2-D."""
+    irradiance[...] = 0
+    for block in np.unique(blocks):
+        some = np.flatnonzero(blocks == block)
+        count = int(block) * SLICES
+        for part in np.array_split(some, -(-len(some) * count // AT_ONCE)):
+            here = pixels.of(part)
+            share, along, aside, low, high, rise, c, s = slices_of(part, count)
+            flat = lambda value: np.ascontiguousarray(np.broadcast_to(value, share.shape)).ravel()
+            light = _light(ground, here.of(np.repeat(np.arange(len(part)), count)), *map(flat, (c, s, along, aside, low, high, rise)))
+            scale = np.sqrt(F(1) + here.tilt_x * here.tilt_x + here.tilt_y * here.tilt_y)
+            irradiance[here.y, here.x] = F(unit) * (share * light.reshape(share.shape)).sum(1, dtype=F) / scale
+
+
+def ball(heights, tops, nodes, sky, points, irradiance, rows, cols, width, levels, most, side, n_points, dark, x0, y0, z0, radius, unit):
+    x0, y0, z0, radius = F(x0), F(y0), F(z0), F(radius)
+    x, y, height, tilt_x, tilt_y = _pixels(heights, rows, cols)
+    # 1. where the ball stands, and how many slices it is worth
+    dx, dy, dz = x0 - x.astype(F), y0 - y.astype(F), z0 - height
+    flat = np.sqrt(dx * dx + dy * dy)
+    far = np.sqrt(flat * flat + dz * dz)
+    inside = far <= radius
+    ux, uy = np.where(flat > 0, dx / flat, F(1)), np.where(flat > 0, dy / flat, F(0))
+    sin_e, cos_e = np.where(far > 0, dz / far, F(1)), np.where(far > 0, flat / far, F(0))
+    beyond = np.where(inside, F(0), (far - radius) * (far + radius))
+    sin_a, cos_a = np.where(inside, F(1), radius / far), np.where(inside, F(0), np.sqrt(beyond) / far)
+    all_round = sin_a >= cos_e
+    widest = np.where(all_round, F(1), sin_a / cos_e)
+    turn = np.where(all_round, F(1), widest * (F(0.318) + F(0.182) * widest * widest))  # share of the circle, nearly
+    blocks = np.minimum(1 + (turn * F(most // SLICES)).astype(np.int32), most // SLICES)
+    pixels = Pixels(x, y, height, tilt_x, tilt_y, dz, beyond, radius)
+    seen = inside | (dz + radius > 0)
+
+    def slices_of(part, count):
+        step = F(np.pi) / F(count)
+        row = nodes[count // SLICES - 1, :, :count]
+        column = lambda value: value[part, None]
+        all_round_, inside_ = column(all_round), column(inside)
+        sin_d = np.where(all_round_, row[2], column(widest) * row[0])
+        cos_d = np.where(all_round_, row[3], np.sqrt((F(1) - sin_d) * (F(1) + sin_d)))
+        square = column(sin_a) * column(sin_a) - column(cos_e) * column(cos_e) * (sin_d * sin_d)
+        half = np.where(all_round_, np.sqrt(np.maximum(square, F(0))), column(sin_a) * row[1])
+        share = np.where(all_round_, F(2) * step, column(widest) * step * row[1] / cos_d)
+        in_plane = column(cos_e) * cos_d
+        square = in_plane * in_plane + column(sin_e) * column(sin_e)
+        low_c, low_s = in_plane * column(cos_a) + column(sin_e) * half, column(sin_e) * column(cos_a) - in_plane * half
+        high_c, high_s = in_plane * column(cos_a) - column(sin_e) * half, column(sin_e) * column(cos_a) + in_plane * half
+        low = np.where(low_c > 0, low_s / low_c, np.where(low_s > 0, STEEP, -STEEP))
+        high = np.where(high_c > 0, high_s / high_c, np.where(column(sin_e) > 0, STEEP, -STEEP))
+        low = np.where(inside_, -STEEP, low)
+        high = np.where(inside_ | (high > STEEP), STEEP, high)
+        rise = np.where((low_c > 0) & (high < STEEP), F(2) * column(cos_a) * half * square / (low_c * high_c), high - low)
+        high = np.where(column(seen), high, -STEEP)
+        flat_ = column(flat)
+        return share, flat_ * cos_d, flat_ * sin_d, low, high, rise, column(ux) * cos_d - column(uy) * sin_d, column(uy) * cos_d + column(ux) * sin_d
+
+    _sum(Map(heights, tops, sky, points[:n_points], rows, cols, levels, dark), pixels, blocks, most, unit, irradiance, slices_of)
+
+
+def _sector_between(ax, ay, bx, by):
+    """Azimuths between two directions: the bisector c, s, and the tangent of a quarter of the angle."""
+    square = ax * ax + ay * ay
+    product = np.sqrt(square * (bx * bx + by * by))
+    cosine, sine = ax * bx + ay * by, ax * by - ay * bx  # times product
+    half = np.where(cosine < 0, (product - cosine) / np.maximum(sine, F(1e-7) * product), np.maximum(sine, F(0)) / (product + np.maximum(cosine, F(0))))
+    r = np.sqrt(F(1) + half * half)
+    scale = F(1) / (r * np.sqrt(square))
+    return np.stack([(ax - ay * half) * scale, (ay + ax * half) * scale, half / (F(1) + r)])
+
+
+def _share_of(quarter):
+    """The angle by its quarter's tangent: share of the circle, nearly, up to half of it."""
+    return quarter * (F(0.637) - F(0.137) * quarter * quarter)
+
+
+def quad(heights, tops, corners, nodes, sky, points, irradiance, rows, cols, width, levels, most, side, n_points, dark, unit):
+    x, y, height, tilt_x, tilt_y = _pixels(heights, rows, cols)
+    # 1. the corners, in the frame that points below the middle
+    dx, dy, dz = corners[4, 0] - x.astype(F), corners[4, 1] - y.astype(F), corners[4, 2] - height
+    flat = np.sqrt(dx * dx + dy * dy)
+    ux, uy = np.where(flat > 0, dx / flat, F(1)), np.where(flat > 0, dy / flat, F(0))
+    away = corners[:4, :1] * ux + corners[:4, 1:2] * uy  # from the middle
+    ay = corners[:4, 1:2] * ux - corners[:4, :1] * uy
+    up = corners[:4, 2]
+    ax = flat + away
+    ax[(ax == 0) & (ay == 0)] = 1e-6
+    top = (dz + up[:, None]).max(0)
+    turn = ax * (np.roll(ay, -1, 0) - ay) - ay * (np.roll(ax, -1, 0) - ax)
+    left, right = (turn >= 0).all(0), (turn <= 0).all(0)
+    within = left != right  # the zenith or the nadir lies in the quadrangle
+    normal_x, normal_y = corners[5, 0] * ux + corners[5, 1] * uy, corners[5, 1] * ux - corners[5, 0] * uy
+    apart = flat * normal_x + dz * corners[5, 2]
+    sense = np.where(apart < 0, F(-1), F(1))
+    pixels = Pixels(x, y, height, tilt_x, tilt_y, sense * corners[5, 2], sense * apart, F(0))
+
+    # 2. sectors, and how many slices they are worth
+    back = right & within
+    px, py = np.where(back, ax[::-1], ax), np.where(back, ay[::-1], ay)
+    for i, j in ((0, 1), (2, 3), (0, 2), (1, 3), (1, 2)):
+        swap = ~within & (px[i] * py[j] - py[i] * px[j] < 0)
+        for p in (px, py):
+            p[i], p[j] = np.where(swap, p[j], p[i]), np.where(swap, p[i], p[j])
+    sectors = np.stack([_sector_between(px[k], py[k], px[(k + 1) % 4], py[(k + 1) % 4]) for k in range(4)])
+    sectors[3, 2] = np.where(within, sectors[3, 2], F(0))
+    to = np.cumsum(_share_of(sectors[:, 2]), 0, dtype=F)
+    blocks = np.minimum(1 + (to[3] * F(most // SLICES)).astype(np.int32), most // SLICES)
+    least = F(1e-4) * to[3]  # a sector narrower than that is left out
+    used = np.cumsum(np.concatenate([to[:1], to[1:] - to[:-1]]) > least, 0)
+    more = np.where(to[3] > 0, (blocks * SLICES - used[3]).astype(F) / to[3], F(0))
+    ends = used[:3] + (to[:3] * more + F(0.5)).astype(np.int32)
+    seen = (to[3] > 0) & (top >= 0)
+
+    # 3. the slices
+    def slices_of(part, count):
+        number = np.arange(count)[None]
+        column = lambda value: value[part, None]
+        bounds = np.concatenate([np.zeros((1, len(part)), int), ends[:, part], np.full((1, len(part)), count)])
+        which = (number[None] >= bounds[1:4, :, None]).sum(0)
+        axis_c, axis_s, quarter = (np.take_along_axis(sectors[:, k, part].T, which, 1) for k in range(3))
+        first = np.take_along_axis(bounds[:4].T, which, 1)
+        many = np.take_along_axis(bounds[1:].T, which, 1) - first
+        node, weight = np.moveaxis(nodes[many - 1, number - first], -1, 0)
+        tangent = quarter * node  # of half the angle from the bisector
+        scale = F(1) / (F(1) + tangent * tangent)
+        cos_t, sin_t = (F(1) - tangent * tangent) * scale, F(2) * tangent * scale
+        cos_d, sin_d = axis_c * cos_t - axis_s * sin_t, axis_s * cos_t + axis_c * sin_t
+        share = F(2) * quarter * weight * scale
+        # where the outline goes through the slice to the left, and to the right: distance and height from the middle
+        left_r, left_z, right_r, right_z = (np.zeros_like(share) for _ in range(4))
+        has_left, has_right = np.zeros(share.shape, bool), np.zeros(share.shape, bool)
+        side_of = [cos_d * column(ay[i]) - sin_d * column(ax[i]) for i in range(4)]
+        r_of = [cos_d * column(away[i]) + sin_d * column(ay[i]) for i in range(4)]
+        for i in range(4):
+            j = (i + 1) % 4
+            f = side_of[i] / (side_of[i] - side_of[j])
+            r, z = r_of[i] + f * (r_of[j] - r_of[i]), up[i] + f * (up[j] - up[i])
+            to_left, to_right = (side_of[i] <= 0) & (side_of[j] > 0), (side_of[j] <= 0) & (side_of[i] > 0)
+            left_r, left_z = np.where(to_left, r, left_r), np.where(to_left, z, left_z)
+            right_r, right_z = np.where(to_right, r, right_r), np.where(to_right, z, right_z)
+            has_left |= to_left
+            has_right |= to_right
+        in_plane, dz_, over = column(flat) * cos_d, column(dz), column(pixels.up) > 0
+        to_left, to_right = np.maximum(in_plane + left_r, F(1e-20)), np.maximum(in_plane + right_r, F(1e-20))
+        steep_left, steep_right = (dz_ + left_z) / to_left, (dz_ + right_z) / to_right
+        edge = np.where(column(left), steep_left, steep_right)
+        wide = dz_ * (right_r - left_r) + in_plane * (left_z - right_z) + left_z * right_r - right_z * left_r
+        low = np.where(column(within), np.where(over, np.minimum(edge, STEEP), -STEEP), np.where(wide > 0, steep_right, steep_left))
+        high = np.where(column(within), np.where(over, STEEP, edge), np.where(wide > 0, steep_left, steep_right))
+        rise = np.where(column(within), high - low, np.where(high < STEEP, np.abs(wide) / (to_left * to_right), STEEP - low))
+        has = np.where(column(within), np.where(column(left), has_left, has_right), has_left & has_right)
+        high = np.where(has & column(seen), np.minimum(high, STEEP), -STEEP)
+        along = column(sense) * (column(normal_x) * cos_d + column(normal_y) * sin_d)
+        c, s = column(ux) * cos_d - column(uy) * sin_d, column(uy) * cos_d + column(ux) * sin_d
+        return np.where(column(seen), share, F(0)), along, F(0), low, high, rise, c, s
+
+    _sum(Map(heights, tops, sky, points[:n_points], rows, cols, levels, dark), pixels, blocks, most, unit, irradiance, slices_of)

@@ -1,0 +1,149 @@
+"""sl.horizons, sl.sky_view_factor, sl.openness and render(method="horizon"): what a user touches."""
+
+import numpy as np
+import pytest
+
+import skylamp as sl
+from skylamp import oracle
+
+import scenes
+
+
+def spike(rows=31, cols=31, height=5.0, spacing=1.0, **more):
+    """Level ground at depth 10 with one node that stands out."""
+    depth = np.full((rows, cols), 10.0)
+    depth[rows // 2, cols // 2] -= height
+    return sl.Scene(depth * spacing, spacing, **more)
+
+
+@pytest.mark.parametrize("spacing", [1.0, 30.0])
+def test_a_spike_is_seen_where_it_stands(backend, spacing):
+    """Along the axes, at its slope, from both sides, whatever the unit; azimuth grows from +x towards +y."""
+    slopes = sl.horizons(spike(spacing=spacing), sl.Azimuths(4, (-np.pi / 4, np.pi / 4, 3 * np.pi / 4, 5 * np.pi / 4, 7 * np.pi / 4)), backend)
+    assert slopes.shape == (4, 31, 31) and slopes.dtype == np.float32
+    for azimuth, (dx, dy) in enumerate(((1, 0), (0, 1), (-1, 0), (0, -1))):
+        for distance in (1, 4, 9, 14):
+            assert slopes[azimuth, 15 - dy * distance, 15 - dx * distance] == pytest.approx(5 / distance, rel=1e-6)
+            assert slopes[azimuth, 15 + dy * distance, 15 + dx * distance] <= 0
+
+
+def test_max_distance_ends_what_counts(backend):
+    east = sl.Azimuths(1, (-np.pi, np.pi))
+    for reach, seen in ((8.0, False), (8.99, False), (9.0, True), (30.0, True)):
+        slope = sl.horizons(spike(), east, backend, max_distance=reach)[0, 15, 6]
+        assert slope == pytest.approx(5 / 9 if seen else 0, abs=1e-6), reach
+
+
+def test_masked_nodes_have_no_horizon_and_make_none(backend):
+    mask = np.ones((31, 31), bool)
+    mask[15, 15] = False
+    slopes = sl.horizons(spike(mask=mask), 8, backend)
+    assert np.isnan(slopes[:, 15, 15]).all() and np.isfinite(slopes).sum() > 0
+    assert np.nanmax(slopes) <= 0
+
+
+def test_no_ground_is_minus_infinity(backend):
+    slopes = sl.horizons(sl.Scene(np.ones((5, 7))), 4, backend)
+    assert np.isneginf(slopes[0][:, -1]).all() and np.isneginf(slopes[1][-1]).all()  # azimuths pi/4 and 3 pi/4
+    assert (slopes[0][:-1, :-1] == 0).all()
+
+
+def test_sky_view_factor_by_its_definitions(backend):
+    """In a trench of known shape, in its middle: closed forms of all three."""
+    half, deep = 20, 15
+    depth = np.zeros((24, 24 * half + 1))
+    middle = depth.shape[1] // 2
+    depth[:, middle - half + 1 : middle + half] = deep
+    scene = sl.Scene(np.tile(depth, (1, 1)), sides="periodic")
+    azimuth = np.linspace(0, 2 * np.pi, 100001)[:-1]
+    elevation = np.arctan(deep / half * np.abs(np.cos(azimuth)))
+    row = 12
+    for definition, expected in (("tilted", half / np.hypot(half, deep)), ("horizontal", half / np.hypot(half, deep)), ("solid_angle", 1 - np.sin(elevation).mean())):
+        got = sl.sky_view_factor(scene, definition, 128, backend)[row, middle]
+        assert got == pytest.approx(expected, rel=2e-3), definition
+    assert sl.sky_view_factor(sl.Scene(np.zeros((6, 6))), "solid_angle", 16, backend) == pytest.approx(1)
+
+
+def test_tilted_and_horizontal_differ_on_a_slope(backend):
+    """45 degrees: at the upper border nothing stands above a level element, but the surface itself looks away."""
+    y, x = np.mgrid[:40, :40]
+    scene = sl.Scene(100 - x * 1.0)
+    tilted, level = (sl.sky_view_factor(scene, definition, 64, backend)[20] for definition in ("tilted", "horizontal"))
+    assert tilted == pytest.approx((1 + np.cos(np.pi / 4)) / 2, rel=2e-3)
+    assert level[-1] == pytest.approx(1) and level[2] == pytest.approx(tilted[2], rel=2e-3)
+
+
+def test_openness_of_planes_and_pits(backend):
+    """Level: pi / 2. In the middle of a pit: up to its rim; and negative is that of the surface upside down."""
+    assert sl.openness(sl.Scene(np.zeros((9, 9))), 16, backend) == pytest.approx(np.pi / 2)
+    y, x = np.mgrid[:81, :81] - 40.0
+    pit = np.maximum(0, 15 - 0.5 * np.maximum(0, np.hypot(x, y) - 6))
+    assert sl.openness(sl.Scene(pit), 32, backend)[40, 40] == pytest.approx(np.pi / 2 - np.arctan(15 / 36), abs=2e-3)
+    negative = sl.openness(sl.Scene(pit), 32, backend, negative=True)
+    assert np.array_equal(negative, sl.openness(sl.Scene(15 - pit), 32, backend))
+    assert negative[40, 40] > np.pi / 2
+
+
+def test_render_agrees_with_the_oracle_on_brightness(backend):
+    """A sky that varies with azimuth and elevation, over rough ground, against horizons and quadrature in float64."""
+    depth = scenes.rough(48, 56, 1.0)
+    brightness = lambda L: 1 + 0.8 * L[..., 0] + 0.5 * L[..., 2] ** 2
+    image = sl.render(sl.Scene(depth), sl.Sky(brightness), "horizon", azimuths=48, backend=backend, quantity="irradiance").image
+    sectors = sl.Azimuths(48)
+    nodes = tuple(np.random.default_rng(0).integers(0, n, 200) for n in depth.shape)
+    horizon = oracle.horizons(depth, 1.0, sectors.angles, nodes=nodes)
+    expected = oracle.sky_irradiance(depth, 1.0, np.ones(depth.shape, bool), sectors.angles, sectors.widths, horizon, brightness, nodes)
+    off = image[nodes] - expected
+    assert np.sqrt((off**2).mean()) < 2e-3 * expected.mean() and abs(off).max() < 0.03 * expected.mean()
+
+
+def test_every_brightness_on_level_ground(backend):
+    """Closed forms: uniform pi B, overcast 7/9 pi, sine of elevation 2/3 pi; a sun a few degrees wide by its solid angle."""
+    level = sl.Scene(np.full((9, 9), 3.0))
+    sun = np.array([0.48, -0.36, -0.8])
+    cap = np.cos(np.radians(3))
+    for brightness, expected in ((2.5, 2.5 * np.pi), (sl.cie_overcast(), 7 / 9 * np.pi), (lambda L: -L[..., 2], 2 / 3 * np.pi),
+                                 (lambda L: 1000.0 * (L @ sun > cap), 1000 * np.pi * (1 - cap**2) * 0.8)):
+        got = sl.render(level, sl.Sky(brightness), "horizon", backend=backend, quantity="irradiance").image
+        assert got == pytest.approx(expected, rel=6e-3)
+
+
+def test_azimuths_go_where_a_sun_is():
+    """Half of the sectors within the sun's few degrees, and a penumbra behind a wall that is finer than even sectors give."""
+    sun = np.array([0.6, 0.0, -0.8])
+    profile = sl.sources.azimuth_profile(sl.Sky(lambda L: 1e-3 + 1e4 * (L @ sun > np.cos(np.radians(1)))))
+    sectors = sl.Azimuths.placed(64, profile)
+    near = np.abs((sectors.angles + np.pi) % (2 * np.pi) - np.pi) < np.radians(3)
+    assert near.sum() >= 28 and sectors.widths.sum() == pytest.approx(2 * np.pi) and len(sectors) == 64
+    assert sl.sources.azimuth_profile(sl.Sky(sl.cie_overcast())) is None
+
+
+def test_auto_takes_horizons_where_it_can_and_says_so(backend):
+    scene = sl.Scene(scenes.rough(24, 24, 1.0))
+    plan = sl.render(scene, sl.Sky(), tolerance=0.01, backend=backend).plan
+    assert plan.method == "horizon" and plan.azimuths == 12 and "12 azimuths" in str(plan) and "0.008" in plan.reason
+    assert sl.render(scene, sl.Sky(), tolerance=0.001, backend=backend).plan.azimuths == 64
+    aperture = np.ones((24, 24), bool)
+    assert sl.render(scene, sl.Window(aperture=aperture), backend=backend).plan.method == "lattice"
+    assert sl.render(scene, sl.Sky(), hemicube=5, backend=backend).plan.method == "lattice"
+
+
+@pytest.mark.parametrize(
+    ("call", "says"),
+    [
+        (lambda s: sl.render(s, sl.Sky(), "horizon", hemicube=9), "azimuths and max_distance"),
+        (lambda s: sl.render(s, sl.Sky(), "lattice", azimuths=9), "two methods"),
+        (lambda s: sl.render(s, sl.Window(aperture=np.ones((31, 31), bool)), "horizon"), "aperture"),
+        (lambda s: sl.render(s, sl.Sky(), "horizon", azimuths=0), "1 to 4096"),
+        (lambda s: sl.horizons(s, 2.5), "1 to 4096"),
+        (lambda s: sl.horizons(s, max_distance=0.5), "at least one spacing"),
+        (lambda s: sl.horizons(s, max_distance=-1), "> 0"),
+        (lambda s: sl.sky_view_factor(s, "tilt"), "tilted | horizontal | solid_angle"),
+        (lambda s: sl.openness(s, negative=1), "True or False"),
+        (lambda s: sl.Azimuths(2, (0, 1, 2)), "span 2 pi"),
+        (lambda s: sl.horizons(np.zeros((3, 3))), "skylamp.Scene"),
+    ],
+)
+def test_bad_input_is_named(call, says):
+    with pytest.raises(sl.InputError, match=says.replace("|", r"\|")):
+        call(spike())
