@@ -41,13 +41,13 @@ typedef struct __attribute__((packed)) {
 } Packed;
 #define AT(pointer, offset) ((__global const Packed *)((pointer) + (offset)))->v
 #define GATHER(p, o) (floats)((p)[(o).s0], (p)[(o).s1], (p)[(o).s2], (p)[(o).s3], (p)[(o).s4], (p)[(o).s5], (p)[(o).s6], (p)[(o).s7])
-inline int ANY(ints test)
+int ANY(ints test)
 {
   const int4 four = test.lo | test.hi;
   const int2 two = four.lo | four.hi;
   return two.x | two.y;
 }
-inline float TOTAL(floats v)
+float TOTAL(floats v)
 {
   const float4 four = v.lo + v.hi;
   const float2 two = four.lo + four.hi;
@@ -83,14 +83,14 @@ typedef struct {
   float height, tilt_x, tilt_y, up, reach, radius; /* radius: of a ball, 0 for a quadrangle */
 } Pixel;
 
-inline float slope_between(float low, float here, float high)
+float slope_between(float low, float here, float high)
 {
   if (low > NONE && high > NONE)
     return (low - high) * 0.5f;
   return low > NONE ? low - here : high > NONE ? here - high : 0.0f;
 }
 
-inline Pixel pixel_at(__global const float *heights, __global const float *tops, __global const float *sky,
+Pixel pixel_at(__global const float *heights, __global const float *tops, __global const float *sky,
                       __global const float *points, int rows, int cols, int width, int levels, int side, int n_points,
                       int dark)
 {
@@ -102,7 +102,7 @@ inline Pixel pixel_at(__global const float *heights, __global const float *tops,
 }
 
 /* The tangent at which a column at distance t goes into the source: what stands in it there hides no more than what is below. */
-inline floats under_source(const Pixel *pixel, floats along, floats aside, floats t)
+floats under_source(const Pixel *pixel, floats along, floats aside, floats t)
 {
   if (pixel->radius > 0) {
     const floats off = t - along, square = pixel->radius * pixel->radius - aside * aside - off * off;
@@ -115,7 +115,7 @@ inline floats under_source(const Pixel *pixel, floats along, floats aside, float
 
 The slice goes from cell to cell of a quadtree. A large cell whose top stays below the line is left as a whole, else its
 quarters are looked at; the way out of a single cell is a crossing with a grid line. */
-inline floats horizon(const Pixel *pixel, floats c, floats s, floats slope, floats high, floats along, floats aside)
+floats horizon(const Pixel *pixel, floats c, floats s, floats slope, floats high, floats along, floats aside)
 {
   const int x = pixel->x, y = pixel->y, stride = pixel->cols + 1;
   const floats per_x = c != 0 ? 1 / c : ENDLESS, per_y = s != 0 ? 1 / s : ENDLESS;
@@ -170,7 +170,7 @@ inline floats horizon(const Pixel *pixel, floats c, floats s, floats slope, floa
 }
 
 /* Mean brightness of the chord between two tangents, weighted by cos^2 and by sin cos of elevation. */
-inline void brightness_of(const Pixel *pixel, floats c, floats s, floats low, floats high, floats *by_cosine, floats *by_sine)
+void brightness_of(const Pixel *pixel, floats c, floats s, floats low, floats high, floats *by_cosine, floats *by_sine)
 {
   const float half_ = 0.5f * (pixel->side - 1);
   const int most = pixel->side - 2;
@@ -200,7 +200,7 @@ inline void brightness_of(const Pixel *pixel, floats c, floats s, floats low, fl
 }
 
 /* atan(x), 0 <= x <= 1, to 2e-7. */
-inline floats arctan(floats x)
+floats arctan(floats x)
 {
   const floats y = x * x;
   floats sum = -0.0046932749f;
@@ -214,7 +214,7 @@ inline floats arctan(floats x)
 }
 
 /* tilt x integral of B cos^2 + integral of B sin cos between the tangents low and high, which are `rise` apart. */
-inline floats chord(const Pixel *pixel, floats c, floats s, floats low, floats high, floats rise)
+floats chord(const Pixel *pixel, floats c, floats s, floats low, floats high, floats rise)
 {
   const ints shows = WHERE(low < high);
   if (!ANY(shows))
@@ -234,7 +234,7 @@ inline floats chord(const Pixel *pixel, floats c, floats s, floats low, floats h
 
 /* The light through a slice along (c, s) of a source between the tangents low and high, `rise` apart; aside: how far its
 middle stands from the slice. */
-inline floats slice(const Pixel *pixel, floats c, floats s, floats along, floats aside, floats low, floats high, floats rise)
+floats slice(const Pixel *pixel, floats c, floats s, floats along, floats aside, floats low, floats high, floats rise)
 {
   /* 1. the tangent plane and the level */
   const floats plane = -(pixel->tilt_x * c + pixel->tilt_y * s);
@@ -345,7 +345,7 @@ typedef struct {
   float c, s, quarter;
 } Sector;
 
-inline Sector sector_between(float ax, float ay, float bx, float by)
+Sector sector_between(float ax, float ay, float bx, float by)
 {
   const float square = ax * ax + ay * ay, product = sqrt(square * (bx * bx + by * by));
   const float cosine = ax * bx + ay * by, sine = ax * by - ay * bx; /* times product */
@@ -356,13 +356,13 @@ inline Sector sector_between(float ax, float ay, float bx, float by)
 }
 
 /* The angle by its quarter's tangent: share of the circle, nearly, up to half of it. */
-inline float share_of(float quarter)
+float share_of(float quarter)
 {
   return quarter * (0.637f - 0.137f * quarter * quarter);
 }
 
 /* Swaps directions i and j of four where the second does not lie to the left. */
-inline void in_order(float *px, float *py, int i, int j)
+void in_order(float *px, float *py, int i, int j)
 {
   const float ax = px[i], ay = py[i], bx = px[j], by = py[j];
   const int swap = ax * by - ay * bx < 0;
@@ -392,7 +392,7 @@ __kernel void quad(__global const float *heights, __global const float *tops, __
   const float dx = corners[12] - pixel.x, dy = corners[13] - pixel.y, dz = corners[14] - pixel.height;
   const float flat = sqrt(dx * dx + dy * dy), ux = flat > 0 ? dx / flat : 1, uy = flat > 0 ? dy / flat : 0;
   float ax[4], ay[4], from[4], up[4], turn[4], px[4], py[4]; /* corners; `from` the middle; the same in order of azimuth */
-  float top = 0;
+  float top = -ENDLESS;
   for (int i = 0; i < 4; ++i) {
     from[i] = corners[3 * i] * ux + corners[3 * i + 1] * uy;
     ay[i] = corners[3 * i + 1] * ux - corners[3 * i] * uy;
@@ -445,7 +445,7 @@ __kernel void quad(__global const float *heights, __global const float *tops, __
 
   /* 3. the slices */
   floats sum = 0;
-  if (pixel.height > NONE && all > 0 && top > 0)
+  if (pixel.height > NONE && all > 0 && top >= 0)
     for (int k = 0; k < n_slices; k += LANES) {
       const ints number = k + LANE;
       const ints in_a = WHERE(number < end_a), in_b = WHERE(number < end_b), in_c = WHERE(number < end_c);

@@ -6,6 +6,7 @@ opencl/ and in numpy.py; what is here launches them by name.
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -93,6 +94,13 @@ class Backend:
         per walk.
         """
         raise NotImplementedError
+
+    def beside(self):
+        """A context in which launches may run beside those that come after it, until ``join``."""
+        return contextlib.nullcontext()
+
+    def join(self) -> None:
+        """Launches from here on come after those that were made ``beside``."""
 
     def finish(self) -> None:
         """Wait until all launches are done."""

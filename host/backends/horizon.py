@@ -47,6 +47,7 @@ class Half(NamedTuple):
     shears: np.ndarray
     tables: list  # on the device: azimuths, ways, near_at, near_weight
     heights: object
+    tilts: object
     table: object
 
 
@@ -63,14 +64,15 @@ class Sweeps:
             raise CapacityError(f"A map of {ground.heights.size:,} nodes; at most {MOST_PIXELS:,}, since kernels count nodes in 32 bits. Cut it into tiles.")
         self.near = near or (FINE if len(rays.angles) >= MANY else NEAR)
         self.margin = self.near + backend.lanes + 3
-        backend.reserve(24 * (rows + 2 * self.margin) * (cols + 2 * self.margin), f"A map of {rows} x {cols} nodes", "Cut it into tiles.")
+        backend.reserve(32 * (rows + 2 * self.margin) * (cols + 2 * self.margin), f"A map of {rows} x {cols} nodes", "Cut it into tiles.")
         self.room = (rows + 2 * self.margin) * (cols + 2 * self.margin)
         known = ground.heights[np.isfinite(ground.heights)]
         self.lowest, self.relief = float(known.min()), float(known.max()) - float(known.min())
         self.steepest = _steepest(ground.heights, self.near)
         self.heights = backend.upload(self._padded())
         self.turned = backend.empty((self.room,), np.float32)
-        self.tilts = backend.empty((2, self.room), np.float32, 0)
+        self.tilts = [backend.empty((2, self.room), np.float32, 0)]  # on a GPU both maps are swept at the same time
+        self.tilts.append(backend.empty((2, self.room), np.float32, 0) if backend.lines > 1 else self.tilts[0])
         self.knots = 2 if table is None else table.shape[1]
         self.unit = self._unit(table)
         self.nothing = backend.empty((4,), np.float32)
@@ -84,19 +86,25 @@ class Sweeps:
         backend = self.backend
         rows, cols = self.ground.heights.shape
         self._turn()
-        for half, sums in zip(self.halves, (total, turned)):
-            backend.fill(sums, 0)
-            around = 2 * self.margin
-            if not self.level:
-                backend.launch("ground", "tilt", (half.cols + around, half.rows + around), half.heights, self.tilts, half.rows, half.cols, self.margin, self.room,
-                               int(self.ground.sides == "periodic"))
-            for first, count in self._batches(half, 1 if backend.lines == 1 else NEVER):
-                scratch = self.nothing
-                if half.windows[first] < NEVER:
-                    scratch = backend.empty((count, half.rows * half.cols), np.float32)
-                    self._sweep(half, first, count, SLOPES, False, True, scratch, sums)
-                self._sweep(half, first, count, self.what, half.windows[first] < NEVER, False, scratch, sums)
+        backend.fill(total, 0)
+        backend.fill(turned, 0)
+        with backend.beside():
+            self._light_of(self.halves[1], turned)
+        self._light_of(self.halves[0], total)
+        backend.join()
         backend.launch("ground", "gather", (cols, rows), total, turned, total, rows, cols, 1 / self.unit)
+
+    def _light_of(self, half: Half, sums) -> None:
+        backend, around = self.backend, 2 * self.margin
+        if not self.level:
+            backend.launch("ground", "tilt", (half.cols + around, half.rows + around), half.heights, half.tilts, half.rows, half.cols, self.margin, self.room,
+                           int(self.ground.sides == "periodic"))
+        for first, count in self._batches(half, 1 if backend.lines == 1 else NEVER):
+            scratch = self.nothing
+            if half.windows[first] < NEVER:
+                scratch = backend.empty((count, half.rows * half.cols), np.float32)
+                self._sweep(half, first, count, SLOPES, False, True, scratch, sums)
+            self._sweep(half, first, count, self.what, half.windows[first] < NEVER, False, scratch, sums)
 
     def irradiance(self) -> np.ndarray:
         """Irradiance (rows, cols) float32 [brightness x sr]."""
@@ -150,7 +158,7 @@ class Sweeps:
         overhang = 0 if self.ground.sides == "periodic" else math.ceil(np.abs(half.shears[first : first + count]).max() * half.rows) + 1
         lines = backend.lanes * backend.strips * backend.lines
         groups = -(-(half.cols + overhang) // lines)
-        backend.launch("horizon", "sweep", (backend.lines, count, groups), half.heights, self.tilts, *half.tables, half.table, slopes, sums,
+        backend.launch("horizon", "sweep", (backend.lines, count, groups), half.heights, half.tilts, *half.tables, half.table, slopes, sums,
                        steps, rises, first, groups, backend.lines, half.rows, half.cols, self.margin, self.room, self.knots, bits, self.lowest, unit,
                        int(known), int(backward), group=backend.lines, NEAR=self.near, SIDES=SIDES[self.ground.sides], WHAT=what, BLOCKS=int(half.windows[first] < NEVER))
 
@@ -200,7 +208,7 @@ class Sweeps:
         near_weight = near_weight.astype(np.float32)
         tables = [put(array) for array in (azimuths.astype(np.float32), ways, near_at, near_weight)] if len(numbers) else []
         table = self.nothing if table is None or not len(numbers) else put(np.ascontiguousarray(table[numbers], np.float32))
-        return Half(turned, rows, cols, numbers, windows, warm, shears, tables, self.turned if turned else self.heights, table)
+        return Half(turned, rows, cols, numbers, windows, warm, shears, tables, self.turned if turned else self.heights, self.tilts[turned], table)
 
 
 def ladder(steepest: float, relief: float, span: int, comes_at: int) -> tuple[int, float, list[int], list[int]]:

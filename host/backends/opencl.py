@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import mmap
 import time
@@ -58,7 +59,7 @@ class OpenclBackend(Backend):
         self._device = cl.get_platforms()[platform].get_devices()[device]
         self.device = self._device.name.strip()
         self.context = cl.Context([self._device])
-        self.queue = cl.CommandQueue(self.context)
+        self.queue, self._side, self._pending = cl.CommandQueue(self.context), cl.CommandQueue(self.context), None
         self.on_cpu = bool(self._device.type & cl.device_type.CPU)
         self.lanes = CPU_LANES if self.on_cpu else 1
         self.strips = CPU_STRIPS if self.on_cpu else 1
@@ -98,6 +99,26 @@ class OpenclBackend(Backend):
 
     def view(self, array, shape):
         return array  # a kernel is given a pointer
+
+    @contextlib.contextmanager
+    def beside(self):
+        if self.on_cpu:
+            yield
+            return
+        main, before = self.queue, self.cl.enqueue_marker(self.queue)
+        self.queue = self._side
+        self.cl.enqueue_barrier(self.queue, wait_for=[before])
+        try:
+            yield
+        finally:
+            self._pending = self.cl.enqueue_marker(self.queue)
+            self.queue.flush()
+            self.queue = main
+
+    def join(self):
+        if self._pending is not None:
+            self.cl.enqueue_barrier(self.queue, wait_for=[self._pending])
+            self._pending = None
 
     def finish(self):
         self.queue.finish()

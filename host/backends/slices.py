@@ -14,7 +14,7 @@ from .base import MOST_PIXELS, Backend
 NONE = np.float32(-1e30)  # height where there is no ground
 SLICES = 8  # the fewest per pixel, and what a CPU takes at a time
 MOST = 32  # of a source that stands all round: RMS error of rough ground below 0.5 % of the mean lit irradiance
-WALLED = 4  # times as many where a wall cuts the source
+WALLED = 2  # times as many where a wall cuts the source
 LEVELS = 9  # cells of 2 to 512 nodes
 SIDE = 512  # samples of the brightness across the sky
 POINTS = ((0.1, 3), (0.35, 4), (math.inf, 8))  # apparent radius up to which so many samples of brightness do for a slice

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib
 import time
 
@@ -47,7 +48,7 @@ class WarpBackend(Backend):
         self.device = self._device.name if self._device.is_cuda else "Warp on the CPU, 1 thread"
         self.lines = LINES if self._device.is_cuda else 1
         self.pixel_lanes = PIXELS
-        self._loaded = set()
+        self._loaded, self._side = set(), None
 
     @property
     def memory(self) -> int:
@@ -70,6 +71,20 @@ class WarpBackend(Backend):
 
     def view(self, array, shape):
         return self.wp.array(ptr=array.ptr, dtype=array.dtype, shape=shape, device=array.device)
+
+    @contextlib.contextmanager
+    def beside(self):
+        if not self._device.is_cuda:
+            yield
+            return
+        self._side = self._side or self.wp.Stream(self._device)
+        self._side.wait_stream(self._device.stream)
+        with self.wp.ScopedStream(self._side, sync_enter=False):
+            yield
+
+    def join(self):
+        if self._side:
+            self._device.stream.wait_stream(self._side)
 
     def finish(self):
         self.wp.synchronize_device(self._device)
