@@ -12,6 +12,7 @@ from . import sources
 from .backends import select
 from .backends.base import Backend, Problem
 from .backends.horizon import Rays, Sweeps
+from .backends.slices import MOST, SLICES, Ball, Slices, aperture, brightness_of, rectangle
 from .directions import Azimuths, Hemicube
 from .errors import bad
 from .horizon import ground_of
@@ -145,16 +146,17 @@ def _no_horizon(scene: Scene, source: sources.Source) -> str:
 
 
 def _by_horizons(scene, source, method, tolerance, engine, quantity, azimuths, max_distance) -> Rendering:
-    sources.geometry(source, scene, 1.0)  # checks that they fit
+    if getattr(source, "corner", None) is None:
+        sources.geometry(source, scene, 1.0)  # checks that they fit
     fitting = [k for k, error in HORIZON_ERROR.items() if error <= tolerance] or [max(HORIZON_ERROR)]
-    reason = "as asked"
+    reason, given = "as asked", azimuths is not None
     if azimuths is None:
         azimuths = 64 if method == "horizon" else fitting[0]
         if method == "auto":
             reason = f"RMS error {HORIZON_ERROR[azimuths]} of E / pi on rough ground, {'within' if HORIZON_ERROR[azimuths] <= tolerance else 'the best there is for'} tolerance {tolerance}"
     sectors = azimuths if isinstance(azimuths, Azimuths) else Azimuths(azimuths)
     if not isinstance(source, sources.Sky):
-        raise NotImplementedError
+        return _by_slices(scene, source, engine, quantity, azimuths if given else None, max_distance)
     table = None
     scale = 1.0
     if callable(source.brightness):
@@ -169,6 +171,32 @@ def _by_horizons(scene, source, method, tolerance, engine, quantity, azimuths, m
     if scale != 1.0:
         irradiance *= np.float32(scale)
     return Rendering(_image(scene, irradiance, quantity), Plan("horizon", None, None, reason, len(sectors)), engine.name, seconds, compiling)
+
+
+def _by_slices(scene, source, engine, quantity, azimuths, max_distance) -> Rendering:
+    """A lamp or window, through azimuth slices placed within it as every node sees it."""
+    if max_distance is not None or isinstance(azimuths, Azimuths):
+        raise bad("method 'horizon' with a lamp or window", "max_distance, or azimuths of the caller's", "azimuths as a whole number: slices of a source that stands all round")
+    most = MOST if azimuths is None else -(-len(Azimuths(azimuths)) // SLICES) * SLICES
+    depth, step = scene.lattice()
+    unit = step / scene.spacing
+    if isinstance(source, sources.Window):
+        solid = aperture(np.array(source.x) * unit, np.array(source.y) * unit, scene.shape, step, scene.sides)
+    elif source.corner is not None:
+        solid = rectangle(*(np.array(v) * unit for v in (source.corner, *source.edges)))
+    else:
+        solid = Ball(tuple(np.array(source.center) * unit), source.radius * unit)
+    plan = Plan("horizon", None, None, "slices through the source as every node sees it, fewer where it looks small", most)
+    if solid is None:  # a window outside the box
+        return Rendering(_image(scene, np.zeros(scene.shape, np.float32), quantity), plan, engine.name, 0.0, 0.0)
+    slices = Slices(engine, depth, step, scene.sides, solid, brightness_of(source), most)
+
+    def work():
+        slices.run()
+        return (slices.download(),)
+
+    (irradiance,), seconds, compiling = timed(engine, work)
+    return Rendering(_image(scene, irradiance, quantity), plan, engine.name, seconds, compiling)
 
 
 def lattice_problem(scene: Scene, source: sources.Source, cube: Hemicube, filled: bool) -> Problem:

@@ -10,7 +10,7 @@ from compare import assert_bits_equal, assert_close
 import skylamp as sl
 from skylamp import oracle
 from skylamp.radiometry import polygon_moment
-from skylamp.render import LATTICE_ERROR
+from skylamp.render import HORIZON_ERROR, LATTICE_ERROR
 from skylamp.sources import BALL, RECTANGLE, Geometry
 
 NOTHING = np.zeros((1, 1, 1), np.uint8)
@@ -309,10 +309,13 @@ def test_a_second_run_gives_the_same_image(backend):
 def test_the_plan_follows_the_tolerance(fast):
     """A tighter tolerance asks for a larger hemicube, and the plan says why; what is asked for is taken."""
     scene = sl.Scene(np.ones((3, 3)))
-    sizes = [sl.render(scene, sl.Sky(), tolerance=1.001 * error, backend=fast).plan.hemicube for error in LATTICE_ERROR.values()]
+    sizes = [sl.render(scene, sl.Sky(), tolerance=1.001 * error, backend=fast, filled=True).plan.hemicube for error in LATTICE_ERROR.values()]
     assert sizes == list(LATTICE_ERROR) and sizes == sorted(sizes) and len(sizes) > 3
-    out = sl.render(scene, sl.Sky(), tolerance=0.01, backend=fast)
+    out = sl.render(scene, sl.Sky(), tolerance=0.01, backend=fast, filled=True)
     assert out.plan.filled and "tolerance 0.01" in out.plan.reason and str(out.plan.hemicube) in str(out.plan)
+    assert "best there is" in sl.render(scene, sl.Sky(), tolerance=1e-6, backend=fast, filled=True).plan.reason
+    counts = [sl.render(scene, sl.Sky(), tolerance=1.001 * error, backend=fast).plan.azimuths for error in HORIZON_ERROR.values()]
+    assert counts == list(HORIZON_ERROR) == sorted(counts)
     assert "best there is" in sl.render(scene, sl.Sky(), tolerance=1e-6, backend=fast).plan.reason
     asked = sl.render(scene, sl.Sky(), "lattice", hemicube=5, backend=fast).plan
     assert (asked.method, asked.hemicube, asked.filled) == ("lattice", 5, False)

@@ -1,0 +1,631 @@
+"""Light of a finite source, a ball or a flat quadrangle, through a few azimuth slices per pixel. Twin of opencl/slices.cl.
+
+In the slice at azimuth phi the source covers a chord of elevations; what ground, tangent plane and level leave of it gives
+E = sum over slices of share x (n_c integral of B cos^2 + n_z integral of B sin cos), n_c the normal's part along phi.
+Elevations go by their tangents. Lengths are in units of the spacing; heights grow towards the viewer.
+
+Shared arguments
+  heights     (rows + 2, cols + 1) and one more  float32  -depth; NONE where masked, in column 0, in the first and the last row:
+                              node (x, y) stands at (y + 1) (cols + 1) + x + 1, and every neighbour of a node can be read
+  tops        (cells, width)  float32  highest node of square cells, corners included: level l = 1, 2.. has cells 2^l wide,
+                              from column width - (width >> l - 1) on; width is a multiple of 2^levels
+  sky         (side, side)    float32  brightness over the stereographic plane, x / (1 - z) and y / (1 - z) from -1 to 1
+  points      (n_points, 2)   float32  where along a chord brightness is taken, 0..1, and weights; none: it is 1
+  irradiance  (rows, cols)    float32  out; unit: its factor
+  most        slices of a source that stands all round; a multiple of SLICES, as is every pixel's number of slices
+  dark        whether walls stand half a node outside the map, up to height 0
+
+Thread (y, x) owns one node. Order of summation: slices.
+"""
+
+import warp as wp
+
+from . import OPTIONS
+
+wp.set_module_options(OPTIONS)
+
+NONE = wp.constant(wp.float32(-1e30))
+STEEP = wp.constant(wp.float32(1e6))  # as good as the zenith
+ENDLESS = wp.constant(wp.float32(1e30))
+SLICES = wp.constant(wp.int32(8))
+
+
+@wp.kernel
+def coarser(heights: wp.array[wp.float32], tops: wp.array[wp.float32], rows: wp.int32, cols: wp.int32, width: wp.int32, level: wp.int32):
+    """One level of tops, from the heights (level 1) or from the level before. Thread (y, x) owns a cell."""
+    y, x = wp.tid()
+    top = wp.float32(NONE)
+    if level == 1:
+        for j in range(2 * y, wp.min(2 * y + 3, rows)):
+            for i in range(2 * x, wp.min(2 * x + 3, cols)):
+                top = wp.max(top, heights[(j + 1) * (cols + 1) + i + 1])
+    else:
+        finer = width - (width >> (level - 2))
+        for j in range(2 * y, wp.min(2 * y + 2, ((rows - 1) >> (level - 1)) + 1)):
+            for i in range(2 * x, 2 * x + 2):
+                top = wp.max(top, tops[j * width + finer + i])
+    tops[y * width + width - (width >> (level - 1)) + x] = top
+
+
+@wp.struct
+class Pixel:
+    """What all slices of a pixel share. A point (c t, s t, v) from the pixel stands before the source iff along t + up v < reach,
+    ``along`` the slice's own. radius: of a ball, 0 for a quadrangle."""
+
+    heights: wp.array[wp.float32]
+    tops: wp.array[wp.float32]
+    sky: wp.array[wp.float32]
+    points: wp.array[wp.float32]
+    rows: wp.int32
+    cols: wp.int32
+    width: wp.int32
+    levels: wp.int32
+    side: wp.int32
+    n_points: wp.int32
+    dark: wp.int32
+    x: wp.int32
+    y: wp.int32
+    height: wp.float32
+    tilt_x: wp.float32
+    tilt_y: wp.float32
+    up: wp.float32
+    reach: wp.float32
+    radius: wp.float32
+
+
+@wp.func
+def slope_between(low: wp.float32, here: wp.float32, high: wp.float32):
+    if low > NONE and high > NONE:
+        return (low - high) * 0.5
+    if low > NONE:
+        return low - here
+    if high > NONE:
+        return here - high
+    return wp.float32(0.0)
+
+
+@wp.func
+def under_source(pixel: Pixel, along: wp.float32, aside: wp.float32, t: wp.float32):
+    """The tangent at which a column at distance t goes into the source: what stands in it there hides no more than what is below."""
+    if pixel.radius > 0.0:
+        off = t - along
+        square = pixel.radius * pixel.radius - aside * aside - off * off
+        if square > 0.0:
+            return (pixel.up - wp.sqrt(square)) / t
+        return wp.float32(ENDLESS)
+    if pixel.up > 0.0:
+        return (pixel.reach / t - along) / pixel.up
+    return wp.float32(ENDLESS)
+
+
+@wp.func
+def horizon(pixel: Pixel, c: wp.float32, s: wp.float32, start: wp.float32, high: wp.float32, along: wp.float32, aside: wp.float32):
+    """The tangent of the horizon along (c, s), from ``start`` on, over the ground before the source and as far as ``high`` matters.
+
+    The slice goes from cell to cell of a quadtree. A large cell whose top stays below the line is left as a whole, else its
+    quarters are looked at; the way out of a single cell is a crossing with a grid line.
+    """
+    x = pixel.x
+    y = pixel.y
+    stride = pixel.cols + 1
+    per_x = wp.float32(ENDLESS)
+    per_y = wp.float32(ENDLESS)
+    end = wp.float32(ENDLESS)
+    on_x = wp.int32(1)
+    on_y = wp.int32(1)
+    if c != 0.0:
+        per_x = 1.0 / c
+        end = wp.float32(pixel.cols - 1 - x) * per_x
+    if c < 0.0:
+        on_x = 0
+        end = wp.float32(-x) * per_x
+    if s != 0.0:
+        per_y = 1.0 / s
+    if s > 0.0:
+        end = wp.min(end, wp.float32(pixel.rows - 1 - y) * per_y)
+    if s < 0.0:
+        on_y = 0
+        end = wp.min(end, wp.float32(-y) * per_y)
+    slope = wp.float32(start)
+    cell_x = x - 1 + on_x
+    cell_y = y - 1 + on_y
+    level = wp.int32(0)
+    t = wp.float32(0.0)
+    while slope < high and t < end and t * (along + slope * pixel.up) < pixel.reach:
+        # 1. the way out of the cell
+        large_x = cell_x >> level
+        large_y = cell_y >> level
+        edge_x = large_x + on_x
+        edge_y = large_y + on_y
+        line_x = edge_x << level
+        line_y = edge_y << level
+        out_x = wp.float32(line_x - x) * per_x
+        out_y = wp.float32(line_y - y) * per_y
+        by_x = out_x <= out_y
+        out = wp.where(by_x, out_x, out_y)
+        across = wp.where(by_x, s, c) * out
+        passes = wp.bool(True)
+        if level == 0:
+            # 2. the ground there
+            low = wp.where(by_x, (cell_y + 1) * stride + line_x + 1, (line_y + 1) * stride + cell_x + 1)
+            part = wp.clamp(across - wp.float32(wp.where(by_x, cell_y - y, cell_x - x)), 0.0, 1.0)
+            rise = pixel.heights[low] * (1.0 - part) + pixel.heights[low + wp.where(by_x, stride, 1)] * part - pixel.height
+            if rise > slope * out and out * (along + slope * pixel.up) < pixel.reach:
+                slope = wp.max(slope, wp.min(rise / out, under_source(pixel, along, aside, out)))
+        else:
+            # 3. or the top of a large cell against the line where it comes in
+            top = pixel.tops[large_y * pixel.width + pixel.width - (pixel.width >> (level - 1)) + large_x]
+            passes = top - pixel.height <= slope * t
+        # 4. on, and up where a larger cell begins; or down
+        if passes:
+            first = (wp.where(by_x, large_y, large_x) << level) - wp.where(by_x, y, x)
+            to = wp.int32(across)
+            if across < wp.float32(to):
+                to -= 1
+            to = wp.clamp(to, first, first + (1 << level) - 1)
+            cell_x = wp.where(by_x, line_x - 1 + on_x, x + to)
+            cell_y = wp.where(by_x, y + to, line_y - 1 + on_y)
+            t = out
+            if (wp.where(by_x, edge_x, edge_y) & 1) == 0 and level < pixel.levels:
+                level += 1
+        else:
+            level -= 1
+    return slope
+
+
+@wp.func
+def brightness_of(pixel: Pixel, c: wp.float32, s: wp.float32, low: wp.float32, high: wp.float32):
+    """Mean brightness of the chord between two tangents, weighted by cos^2 and by sin cos of elevation."""
+    half = 0.5 * wp.float32(pixel.side - 1)
+    most = pixel.side - 2
+    low_c = 1.0 / wp.sqrt(low * low + 1.0)
+    high_c = 1.0 / wp.sqrt(high * high + 1.0)
+    low_s = low * low_c
+    high_s = high * high_c
+    sum_c = wp.float32(0.0)
+    sum_s = wp.float32(0.0)
+    all_c = wp.float32(0.0)
+    all_s = wp.float32(0.0)
+    for k in range(pixel.n_points):
+        f = pixel.points[2 * k]
+        weight = pixel.points[2 * k + 1]
+        cosine = low_c + f * (high_c - low_c)
+        sine = low_s + f * (high_s - low_s)
+        square = cosine * cosine + sine * sine
+        from_zenith = half * cosine / (wp.sqrt(square) + sine)
+        u = half + from_zenith * c
+        v = half + from_zenith * s
+        i = wp.clamp(wp.int32(u), 0, most)
+        j = wp.clamp(wp.int32(v), 0, most)
+        at = j * pixel.side + i
+        p = u - wp.float32(i)
+        q = v - wp.float32(j)
+        near = pixel.sky[at] * (1.0 - p) + pixel.sky[at + 1] * p
+        far = pixel.sky[at + pixel.side] * (1.0 - p) + pixel.sky[at + pixel.side + 1] * p
+        bright = near * (1.0 - q) + far * q
+        share = weight / (square * square) * cosine
+        sum_c += share * cosine * bright
+        sum_s += share * sine * bright
+        all_c += share * cosine
+        all_s += share * sine
+    return sum_c / wp.max(all_c, 1.0 / ENDLESS), sum_s / wp.max(all_s, 1.0 / ENDLESS)
+
+
+@wp.func
+def arctan(x: wp.float32):
+    """atan(x), 0 <= x <= 1, to 2e-7."""
+    y = x * x
+    total = wp.float32(-0.0046932749)
+    total = total * y + 0.0242524
+    total = total * y - 0.05948639
+    total = total * y + 0.09914292
+    total = total * y - 0.1401948
+    total = total * y + 0.19969724
+    total = total * y - 0.3333199
+    return x * (total * y + 0.9999999)
+
+
+@wp.func
+def chord(pixel: Pixel, c: wp.float32, s: wp.float32, low: wp.float32, high: wp.float32, rise: wp.float32):
+    """tilt x integral of B cos^2 + integral of B sin cos between the tangents low and high, which are ``rise`` apart."""
+    if not low < high:
+        return wp.float32(0.0)
+    tilt = pixel.tilt_x * c + pixel.tilt_y * s
+    product = low * high
+    r = wp.sqrt((low * low + 1.0) * (high * high + 1.0))
+    sine = rise / r
+    by_cosine = arctan(rise / (r + 1.0 + product)) + 0.5 * ((1.0 - product) / r * sine)
+    by_sine = 0.5 * ((low + high) / r * sine)
+    if pixel.n_points > 0:
+        mean_c, mean_s = brightness_of(pixel, c, s, low, high)
+        by_cosine *= mean_c
+        by_sine *= mean_s
+    return tilt * by_cosine + by_sine
+
+
+@wp.func
+def to_wall(ends: wp.int32, at: wp.int32, along: wp.float32):
+    """How far the walls before the first of ``ends`` nodes and behind the last one are from node ``at``."""
+    if along > 0.0:
+        return (wp.float32(ends) - 0.5 - wp.float32(at)) / along
+    if along < 0.0:
+        return (-0.5 - wp.float32(at)) / along
+    return wp.float32(ENDLESS)
+
+
+@wp.func
+def light(pixel: Pixel, c: wp.float32, s: wp.float32, along: wp.float32, aside: wp.float32, low: wp.float32, high: wp.float32, rise: wp.float32):
+    """The light through a slice along (c, s) of a source between the tangents low and high, ``rise`` apart; aside: how far its
+    middle stands from the slice."""
+    # 1. the tangent plane and the level
+    plane = -(pixel.tilt_x * c + pixel.tilt_y * s)
+    slope = wp.clamp(wp.max(low, plane), 0.0, STEEP)
+    if pixel.dark == 0:
+        slope = horizon(pixel, c, s, slope, high, along, aside)
+        return chord(pixel, c, s, slope, high, wp.where(slope > low, high - slope, rise))
+    # 2. the wall hides what lies beyond it: tangents up to `under`, and from `over` on, but none from its top on
+    wall = wp.min(to_wall(pixel.cols, pixel.x, c), to_wall(pixel.rows, pixel.y, s))
+    top = -pixel.height / wall
+    under = -ENDLESS
+    over = wp.float32(ENDLESS)
+    if pixel.radius > 0.0:
+        off = wall - along
+        square = pixel.radius * pixel.radius - aside * aside - off * off
+        half = wp.sqrt(wp.max(square, 0.0))  # of where the wall cuts the ball
+        if pixel.reach > 0.0 and wall * (along + slope * pixel.up) < pixel.reach:
+            under = wp.where(square > 0.0, (pixel.up - half) / wall, ENDLESS)
+        if pixel.reach > 0.0 and wall * (along + high * pixel.up) < pixel.reach:
+            over = wp.where(square > 0.0, (pixel.up + half) / wall, ENDLESS)
+    else:
+        up = wp.where(pixel.up == 0.0, 1.0 / ENDLESS, pixel.up)
+        meets = (pixel.reach / wall - along) / up
+        if up > 0.0:
+            under = meets
+        else:
+            over = meets
+    slope = wp.max(slope, wp.min(under, top))
+    split = over < top
+    left = wp.where(split, wp.min(high, over), high)
+    slope = horizon(pixel, c, s, slope, wp.where(split and high <= top, left, high), along, aside)
+    total = chord(pixel, c, s, slope, left, wp.where(slope > low or left < high, left - slope, rise))
+    if split:
+        above = wp.max(slope, top)
+        total += chord(pixel, c, s, above, high, high - above)
+    return total
+
+
+@wp.func
+def tilt_of(heights: wp.array[wp.float32], here: wp.int32, stride: wp.int32):
+    own = heights[here]
+    return wp.vec2(slope_between(heights[here - 1], own, heights[here + 1]), slope_between(heights[here - stride], own, heights[here + stride]))
+
+
+@wp.kernel
+def ball(
+    heights: wp.array[wp.float32],
+    tops: wp.array[wp.float32],
+    nodes: wp.array[wp.float32],
+    sky: wp.array[wp.float32],
+    points: wp.array[wp.float32],
+    irradiance: wp.array[wp.float32],
+    rows: wp.int32,
+    cols: wp.int32,
+    width: wp.int32,
+    levels: wp.int32,
+    most: wp.int32,
+    side: wp.int32,
+    n_points: wp.int32,
+    dark: wp.int32,
+    x0: wp.float32,
+    y0: wp.float32,
+    z0: wp.float32,
+    radius: wp.float32,
+    unit: wp.float32,
+):
+    """x0, y0, z0: its centre (z0 a height), and its radius.
+
+      nodes  (most / SLICES, 4, most)  float32  for SLICES, 2 SLICES.. slices: sine and cosine of theta, midpoints of
+                                                -pi/2..pi/2, and of the azimuths of midpoints all round
+
+    The slice at the azimuth offset d from the centre, sin d = (sin a / cos e) sin theta, a the ball's angular radius and e its
+    centre's elevation, sees a chord of half width w, sin w = sin a cos theta / r, r^2 = 1 - cos^2 e sin^2 d. Where the zenith
+    lies within the disc, slices go all round.
+    """
+    y, x = wp.tid()
+    here = (y + 1) * (cols + 1) + x + 1
+    tilt = tilt_of(heights, here, cols + 1)
+    pixel = Pixel(heights, tops, sky, points, rows, cols, width, levels, side, n_points, dark, x, y, heights[here], tilt[0], tilt[1], 0.0, 0.0, radius)
+
+    # 1. where the ball stands, and how many slices it is worth
+    dx = x0 - wp.float32(x)
+    dy = y0 - wp.float32(y)
+    dz = z0 - pixel.height
+    flat = wp.sqrt(dx * dx + dy * dy)
+    far = wp.sqrt(flat * flat + dz * dz)
+    inside = far <= radius
+    ux = wp.float32(1.0)
+    uy = wp.float32(0.0)
+    sin_e = wp.float32(1.0)
+    cos_e = wp.float32(0.0)
+    sin_a = wp.float32(1.0)
+    cos_a = wp.float32(0.0)
+    beyond = wp.float32(0.0)
+    if flat > 0.0:
+        ux = dx / flat
+        uy = dy / flat
+    if far > 0.0:
+        sin_e = dz / far
+        cos_e = flat / far
+    if not inside:
+        beyond = (far - radius) * (far + radius)
+        sin_a = radius / far
+        cos_a = wp.sqrt(beyond) / far
+    all_round = sin_a >= cos_e
+    widest = wp.float32(1.0)
+    turn = wp.float32(1.0)
+    if not all_round:
+        widest = sin_a / cos_e
+        turn = widest * (0.318 + 0.182 * widest * widest)  # share of the circle, nearly
+    blocks = wp.min(1 + wp.int32(turn * wp.float32(most / SLICES)), most / SLICES)
+    n_slices = blocks * SLICES
+    step = wp.float32(wp.pi) / wp.float32(n_slices)
+    own = (blocks - 1) * 4 * most
+    pixel.up = dz
+    pixel.reach = beyond
+
+    # 2. its slices
+    total = wp.float32(0.0)
+    if pixel.height > NONE and (inside or dz + radius > 0.0):
+        for j in range(n_slices):
+            sin_d = widest * nodes[own + j]
+            half = sin_a * nodes[own + most + j]
+            cos_d = wp.sqrt((1.0 - sin_d) * (1.0 + sin_d))
+            share = widest * step * nodes[own + most + j] / cos_d
+            if all_round:
+                sin_d = nodes[own + 2 * most + j]
+                cos_d = nodes[own + 3 * most + j]
+                half = wp.sqrt(wp.max(sin_a * sin_a - cos_e * cos_e * (sin_d * sin_d), 0.0))
+                share = 2.0 * step
+            in_plane = cos_e * cos_d
+            square = in_plane * in_plane + sin_e * sin_e
+            low_c = in_plane * cos_a + sin_e * half
+            low_s = sin_e * cos_a - in_plane * half
+            high_c = in_plane * cos_a - sin_e * half
+            high_s = sin_e * cos_a + in_plane * half
+            low = wp.where(low_s > 0.0, STEEP, -STEEP)
+            high = wp.where(sin_e > 0.0, STEEP, -STEEP)
+            if low_c > 0.0:
+                low = low_s / low_c
+            if high_c > 0.0:
+                high = high_s / high_c
+            if inside:
+                low = -STEEP
+            if inside or high > STEEP:
+                high = wp.float32(STEEP)
+            rise = high - low
+            if low_c > 0.0 and high < STEEP:
+                rise = 2.0 * cos_a * half * square / (low_c * high_c)
+            total += share * light(pixel, ux * cos_d - uy * sin_d, uy * cos_d + ux * sin_d, flat * cos_d, flat * sin_d, low, high, rise)
+    irradiance[y * cols + x] = unit * total / wp.sqrt(1.0 + pixel.tilt_x * pixel.tilt_x + pixel.tilt_y * pixel.tilt_y)
+
+
+@wp.func
+def sector_between(ax: wp.float32, ay: wp.float32, bx: wp.float32, by: wp.float32):
+    """Azimuths between two directions: the bisector (c, s), and the tangent of a quarter of the angle."""
+    square = ax * ax + ay * ay
+    product = wp.sqrt(square * (bx * bx + by * by))
+    cosine = ax * bx + ay * by  # times product
+    sine = ax * by - ay * bx
+    half = wp.max(sine, 0.0) / (product + wp.max(cosine, 0.0))
+    if cosine < 0.0:
+        half = (product - cosine) / wp.max(sine, 1e-7 * product)
+    r = wp.sqrt(1.0 + half * half)
+    scale = 1.0 / (r * wp.sqrt(square))
+    return wp.vec3((ax - ay * half) * scale, (ay + ax * half) * scale, half / (1.0 + r))
+
+
+@wp.func
+def share_of(quarter: wp.float32):
+    """The angle by its quarter's tangent: share of the circle, nearly, up to half of it."""
+    return quarter * (0.637 - 0.137 * quarter * quarter)
+
+
+@wp.func
+def in_order(px: wp.vec4, py: wp.vec4, i: wp.int32, j: wp.int32):
+    """Directions i and j of four swapped where the second does not lie to the left."""
+    ax = px[i]
+    ay = py[i]
+    bx = px[j]
+    by = py[j]
+    if ax * by - ay * bx < 0.0:
+        px[i] = bx
+        py[i] = by
+        px[j] = ax
+        py[j] = ay
+    return px, py
+
+
+@wp.kernel
+def quad(
+    heights: wp.array[wp.float32],
+    tops: wp.array[wp.float32],
+    corners: wp.array[wp.float32],
+    nodes: wp.array[wp.float32],
+    sky: wp.array[wp.float32],
+    points: wp.array[wp.float32],
+    irradiance: wp.array[wp.float32],
+    rows: wp.int32,
+    cols: wp.int32,
+    width: wp.int32,
+    levels: wp.int32,
+    most: wp.int32,
+    side: wp.int32,
+    n_points: wp.int32,
+    dark: wp.int32,
+    unit: wp.float32,
+):
+    """A flat, convex quadrangle, which shines from both faces.
+
+      corners  (6, 3)           float32  four corners round it, from their middle; the middle; the unit normal. Third: heights
+      nodes    (most, most, 2)  float32  row n - 1: Gauss-Legendre nodes, -1..1, and weights of n slices
+
+    Between the azimuths of neighbouring corners the chord's ends run along one edge each: every such sector gets its share of
+    the slices, at least one. All is reckoned from the quadrangle's middle, so that small far sources lose no digits.
+    """
+    y, x = wp.tid()
+    here = (y + 1) * (cols + 1) + x + 1
+    tilt = tilt_of(heights, here, cols + 1)
+    pixel = Pixel(heights, tops, sky, points, rows, cols, width, levels, side, n_points, dark, x, y, heights[here], tilt[0], tilt[1], 0.0, 0.0, 0.0)
+
+    # 1. the corners, in the frame that points below the middle
+    dx = corners[12] - wp.float32(x)
+    dy = corners[13] - wp.float32(y)
+    dz = corners[14] - pixel.height
+    flat = wp.sqrt(dx * dx + dy * dy)
+    ux = wp.float32(1.0)
+    uy = wp.float32(0.0)
+    if flat > 0.0:
+        ux = dx / flat
+        uy = dy / flat
+    ax = wp.vec4()  # corners
+    ay = wp.vec4()
+    away = wp.vec4()  # from the middle
+    up = wp.vec4()
+    turn = wp.vec4()
+    top = -ENDLESS
+    for i in range(4):
+        away[i] = corners[3 * i] * ux + corners[3 * i + 1] * uy
+        ay[i] = corners[3 * i + 1] * ux - corners[3 * i] * uy
+        up[i] = corners[3 * i + 2]
+        ax[i] = flat + away[i]
+        if ax[i] == 0.0 and ay[i] == 0.0:
+            ax[i] = 1e-6
+        top = wp.max(top, dz + up[i])
+    for i in range(4):
+        j = (i + 1) % 4
+        turn[i] = ax[i] * (ay[j] - ay[i]) - ay[i] * (ax[j] - ax[i])
+    left = turn[0] >= 0.0 and turn[1] >= 0.0 and turn[2] >= 0.0 and turn[3] >= 0.0
+    right = turn[0] <= 0.0 and turn[1] <= 0.0 and turn[2] <= 0.0 and turn[3] <= 0.0
+    within = left != right  # the zenith or the nadir lies in the quadrangle
+    normal_x = corners[15] * ux + corners[16] * uy
+    normal_y = corners[16] * ux - corners[15] * uy
+    apart = flat * normal_x + dz * corners[17]
+    sense = wp.where(apart < 0.0, wp.float32(-1.0), wp.float32(1.0))
+    pixel.up = sense * corners[17]
+    pixel.reach = sense * apart
+
+    # 2. sectors, and how many slices they are worth
+    px = wp.vec4(ax[0], ax[1], ax[2], ax[3])
+    py = wp.vec4(ay[0], ay[1], ay[2], ay[3])
+    if right and within:
+        px = wp.vec4(ax[3], ax[2], ax[1], ax[0])
+        py = wp.vec4(ay[3], ay[2], ay[1], ay[0])
+    if not within:
+        px, py = in_order(px, py, 0, 1)
+        px, py = in_order(px, py, 2, 3)
+        px, py = in_order(px, py, 0, 2)
+        px, py = in_order(px, py, 1, 3)
+        px, py = in_order(px, py, 1, 2)
+    a = sector_between(px[0], py[0], px[1], py[1])
+    b = sector_between(px[1], py[1], px[2], py[2])
+    c = sector_between(px[2], py[2], px[3], py[3])
+    d = sector_between(px[3], py[3], px[0], py[0])
+    if not within:
+        d[2] = 0.0
+    to_a = share_of(a[2])
+    to_b = to_a + share_of(b[2])
+    to_c = to_b + share_of(c[2])
+    all = to_c + share_of(d[2])
+    blocks = wp.min(1 + wp.int32(all * wp.float32(most / SLICES)), most / SLICES)
+    n_slices = blocks * SLICES
+    least = 1e-4 * all  # a sector narrower than that is left out
+    used_a = wp.where(to_a > least, 1, 0)
+    used_b = used_a + wp.where(to_b - to_a > least, 1, 0)
+    used_c = used_b + wp.where(to_c - to_b > least, 1, 0)
+    used = used_c + wp.where(all - to_c > least, 1, 0)
+    more = wp.float32(0.0)
+    if all > 0.0:
+        more = wp.float32(n_slices - used) / all
+    end_a = used_a + wp.int32(to_a * more + 0.5)
+    end_b = used_b + wp.int32(to_b * more + 0.5)
+    end_c = used_c + wp.int32(to_c * more + 0.5)
+
+    # 3. the slices
+    total = wp.float32(0.0)
+    if pixel.height > NONE and all > 0.0 and top >= 0.0:
+        for k in range(n_slices):
+            sector = d
+            first = end_c
+            count = n_slices - end_c
+            if k < end_a:
+                sector = a
+                first = 0
+                count = end_a
+            elif k < end_b:
+                sector = b
+                first = end_a
+                count = end_b - end_a
+            elif k < end_c:
+                sector = c
+                first = end_b
+                count = end_c - end_b
+            at = 2 * ((count - 1) * most + k - first)
+            tangent = sector[2] * nodes[at]  # of half the angle from the bisector
+            scale = 1.0 / (1.0 + tangent * tangent)
+            cos_t = (1.0 - tangent * tangent) * scale
+            sin_t = 2.0 * tangent * scale
+            cos_d = sector[0] * cos_t - sector[1] * sin_t
+            sin_d = sector[1] * cos_t + sector[0] * sin_t
+            share = 2.0 * sector[2] * nodes[at + 1] * scale
+            # where the outline goes through the slice to the left, and to the right: distance and height from the middle
+            left_r = wp.float32(0.0)
+            left_z = wp.float32(0.0)
+            right_r = wp.float32(0.0)
+            right_z = wp.float32(0.0)
+            has_left = wp.bool(False)
+            has_right = wp.bool(False)
+            for i in range(4):
+                j = (i + 1) % 4
+                side_i = cos_d * ay[i] - sin_d * ax[i]
+                side_j = cos_d * ay[j] - sin_d * ax[j]
+                r_i = cos_d * away[i] + sin_d * ay[i]
+                r_j = cos_d * away[j] + sin_d * ay[j]
+                f = side_i / (side_i - side_j)
+                r = r_i + f * (r_j - r_i)
+                z = up[i] + f * (up[j] - up[i])
+                if side_i <= 0.0 and side_j > 0.0:
+                    left_r = r
+                    left_z = z
+                    has_left = True
+                if side_j <= 0.0 and side_i > 0.0:
+                    right_r = r
+                    right_z = z
+                    has_right = True
+            in_plane = flat * cos_d
+            to_left = wp.max(in_plane + left_r, 1e-20)
+            to_right = wp.max(in_plane + right_r, 1e-20)
+            steep_left = (dz + left_z) / to_left
+            steep_right = (dz + right_z) / to_right
+            low = -STEEP
+            high = wp.float32(STEEP)
+            rise = wp.float32(0.0)
+            if within:
+                edge = wp.where(left, steep_left, steep_right)
+                if pixel.up > 0.0:
+                    low = wp.min(edge, STEEP)
+                else:
+                    high = edge
+                if not wp.where(left, has_left, has_right):
+                    high = -STEEP
+                rise = high - low
+            else:
+                wide = dz * (right_r - left_r) + in_plane * (left_z - right_z) + left_z * right_r - right_z * left_r
+                low = wp.where(wide > 0.0, steep_right, steep_left)
+                high = wp.where(wide > 0.0, steep_left, steep_right)
+                rise = wp.where(high < STEEP, wp.abs(wide) / (to_left * to_right), STEEP - low)
+                if not (has_left and has_right):
+                    high = -STEEP
+            high = wp.min(high, STEEP)
+            along = sense * (normal_x * cos_d + normal_y * sin_d)
+            total += share * light(pixel, ux * cos_d - uy * sin_d, uy * cos_d + ux * sin_d, along, 0.0, low, high, rise)
+    irradiance[y * cols + x] = unit * total / wp.sqrt(1.0 + pixel.tilt_x * pixel.tilt_x + pixel.tilt_y * pixel.tilt_y)
