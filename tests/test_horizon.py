@@ -48,7 +48,7 @@ def test_no_ground_is_minus_infinity(backend):
     assert (slopes[0][:-1, :-1] == 0).all()
 
 
-def test_sky_view_factor_by_its_definitions(backend):
+def test_sky_view_factor_by_its_definitions(fast):
     """In a trench of known shape, in its middle: closed forms of all three."""
     half, deep = 20, 15
     depth = np.zeros((24, 24 * half + 1))
@@ -59,9 +59,9 @@ def test_sky_view_factor_by_its_definitions(backend):
     elevation = np.arctan(deep / half * np.abs(np.cos(azimuth)))
     row = 12
     for definition, expected in (("tilted", half / np.hypot(half, deep)), ("horizontal", half / np.hypot(half, deep)), ("solid_angle", 1 - np.sin(elevation).mean())):
-        got = sl.sky_view_factor(scene, definition, 128, backend)[row, middle]
+        got = sl.sky_view_factor(scene, definition, 128, fast)[row, middle]
         assert got == pytest.approx(expected, rel=2e-3), definition
-    assert sl.sky_view_factor(sl.Scene(np.zeros((6, 6))), "solid_angle", 16, backend) == pytest.approx(1)
+    assert sl.sky_view_factor(sl.Scene(np.zeros((6, 6))), "solid_angle", 16, fast) == pytest.approx(1)
 
 
 def test_tilted_and_horizontal_differ_on_a_slope(backend):
@@ -73,22 +73,22 @@ def test_tilted_and_horizontal_differ_on_a_slope(backend):
     assert level[-1] == pytest.approx(1) and level[2] == pytest.approx(tilted[2], rel=2e-3)
 
 
-def test_openness_of_planes_and_pits(backend):
+def test_openness_of_planes_and_pits(fast):
     """Level: pi / 2. In the middle of a pit: up to its rim; and negative is that of the surface upside down."""
-    assert sl.openness(sl.Scene(np.zeros((9, 9))), 16, backend) == pytest.approx(np.pi / 2)
+    assert sl.openness(sl.Scene(np.zeros((9, 9))), 16, fast) == pytest.approx(np.pi / 2)
     y, x = np.mgrid[:81, :81] - 40.0
     pit = np.maximum(0, 15 - 0.5 * np.maximum(0, np.hypot(x, y) - 6))
-    assert sl.openness(sl.Scene(pit), 32, backend)[40, 40] == pytest.approx(np.pi / 2 - np.arctan(15 / 36), abs=2e-3)
-    negative = sl.openness(sl.Scene(pit), 32, backend, negative=True)
-    assert negative == pytest.approx(sl.openness(sl.Scene(15 - pit), 32, backend), abs=1e-5)
-    assert abs(negative - sl.openness(sl.Scene(pit), 32, backend)).max() > 0.1
+    assert sl.openness(sl.Scene(pit), 32, fast)[40, 40] == pytest.approx(np.pi / 2 - np.arctan(15 / 36), abs=2e-3)
+    negative = sl.openness(sl.Scene(pit), 32, fast, negative=True)
+    assert negative == pytest.approx(sl.openness(sl.Scene(15 - pit), 32, fast), abs=1e-5)
+    assert abs(negative - sl.openness(sl.Scene(pit), 32, fast)).max() > 0.1
 
 
-def test_render_agrees_with_the_oracle_on_brightness(backend):
+def test_render_agrees_with_the_oracle_on_brightness(fast):
     """A sky that varies with azimuth and elevation, over rough ground, against horizons and quadrature in float64."""
     depth = scenes.rough(48, 56, 1.0)
     brightness = lambda L: 1 + 0.8 * L[..., 0] + 0.5 * L[..., 2] ** 2
-    image = sl.render(sl.Scene(depth), sl.Sky(brightness), "horizon", azimuths=48, backend=backend, quantity="irradiance").image
+    image = sl.render(sl.Scene(depth), sl.Sky(brightness), "horizon", azimuths=48, backend=fast, quantity="irradiance").image
     sectors = sl.Azimuths(48)
     nodes = tuple(np.random.default_rng(0).integers(0, n, 200) for n in depth.shape)
     horizon = oracle.horizons(depth, 1.0, sectors.angles, nodes=nodes)
