@@ -20,7 +20,7 @@ def horizons(scene: Scene, azimuths: int | Azimuths = 64, backend: str = "auto",
     Azimuth a looks along 2 pi (a + 1/2) / azimuths [rad] from +x (columns) towards +y (rows). Slopes may be negative;
     -inf where no ground lies that way, nan where the scene is masked. The surface is linear between neighbouring nodes
     along rows and along columns. ``max_distance`` [unit of spacing]: ground farther away does not count; the whole map
-    does unless given (on a map that repeats, as far as its relief makes a slope of 0.002). With dark sides the wall
+    does unless given (on a map that repeats, as far as its relief makes a slope of 0.01). With dark sides the wall
     counts as ground.
 
     Raises InputError, BackendError or CapacityError.

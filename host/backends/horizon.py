@@ -16,7 +16,7 @@ LADDER = 16  # slopes of the ladder, as in opencl/horizon.cl
 OUTSIDE, MASKED = np.float32(-1e30), np.float32(-2e30)  # heights where there is no ground
 NEVER = 1 << 30  # a window that no line fills
 SLOPES, UNIFORM, TABLE = range(3)  # what a sweep does with the horizon
-FAINTEST = 0.002  # slope below which ground of a map that repeats is not looked for
+FAINTEST = 0.01  # slope below which ground of a map that repeats is not looked for: at most 5e-5 of E / pi
 
 
 class Ground(NamedTuple):
