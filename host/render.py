@@ -163,7 +163,7 @@ def _by_horizons(scene, source, method, tolerance, engine, quantity, azimuths, m
         profile = sources.azimuth_profile(source)
         if profile is not None and not isinstance(azimuths, Azimuths):
             sectors = Azimuths.placed(len(sectors), profile)
-        table = sources.elevation_table(source, sectors.angles, sectors.widths)
+        table = sources.elevation_table(source, sectors.angles, sectors.widths, 256 if profile is None else 1024)
     else:
         scale = float(source.brightness)
     sweeps = Sweeps(engine, ground_of(scene, max_distance), Rays(sectors.angles, sectors.widths), table)

@@ -241,13 +241,13 @@ def azimuth_profile(source: Source) -> np.ndarray | None:
     return profile if profile.max() > UNEVEN * profile.mean() else None
 
 
-def elevation_table(source: Source, angles: np.ndarray, widths: np.ndarray, knots: int = KNOTS) -> np.ndarray:
+def elevation_table(source: Source, angles: np.ndarray, widths: np.ndarray, looks: int = 256, knots: int = KNOTS) -> np.ndarray:
     """Brightness as sweeps take it, (K, knots, 4) float32: the integrals of B cos^2 and of B sin cos over elevation, from
     sin(elevation) = i / (knots - 1) to the zenith, averaged over each sector, and what to add up to the next knot.
 
-    Four Gauss-Legendre points between knots, and as many azimuths within a sector as make some 256 in all.
+    Four Gauss-Legendre points between knots, and as many azimuths within a sector as make some ``looks`` in all.
     """
-    within = max(1, -(-256 // len(angles)))
+    within = max(1, -(-looks // len(angles)))
     azimuth = angles[:, None] + widths[:, None] * ((np.arange(within) + 0.5) / within - 0.5)
     points, weights = np.polynomial.legendre.leggauss(4)
     low = np.arange(knots - 1)[:, None]

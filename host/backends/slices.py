@@ -90,7 +90,8 @@ def cumulative(source: Source, azimuths: np.ndarray, knots: int) -> np.ndarray:
 class Slices:
     """The light of a ball or a quadrangle over a map, with everything on the device; ``run`` may be repeated (and timed)."""
 
-    def __init__(self, backend: Backend, depth: np.ndarray, step: float, sides: str, solid: Ball | Quad, brightness: float | np.ndarray = 1.0, most: int = MOST):
+    def __init__(self, backend: Backend, depth: np.ndarray, step: float, sides: str, solid: Ball | Quad, brightness: float | np.ndarray = 1.0, most: int = MOST, more=0):
+        self.more=more
         """depth (rows, cols) float32, +inf where masked, in a unit in which the spacing is ``step``; ``sides``: open or dark.
 
         ``brightness``: as from :func:`brightness_of`. ``most``: slices of a source that stands all round, a multiple of 8; one
@@ -145,7 +146,7 @@ class Slices:
         launch = self.backend.launch
         for level in range(1, self.levels + 1):
             launch("slices", "coarser", (self.width >> level, ((rows - 1) >> level) + 1), self.heights, self.tops, rows, cols, self.width, level)
-        shared = (self.sky, self.points, self.image, rows, cols, self.width, self.levels, self.most, self.side, self.n_points, int(self.walls))
+        shared = (self.sky, self.points, self.image, rows, cols, self.width, self.levels, self.most, self.side, self.n_points, int(self.walls), min(self.more, self.most))
         if isinstance(self.solid, Ball):
             launch("slices", "ball", (cols, rows), self.heights, self.tops, self.nodes, *shared, *map(float, self.center), float(self.radius), self.unit)
         else:
