@@ -133,14 +133,15 @@ typedef struct { floats a, b, weight, closeness; } Crossing;
 floats rise(Crossing c, floats own) { return FMA(c.weight, c.b - c.a, c.a - own) * c.closeness; }
 
 /* The crossing with the row t rows on of the ray of the node at column x, row y. */
-Crossing on_row(__global const float *heights, int p, int x, int y, ints t, float shear, int towards, int rows, int cols,
+Crossing on_row(__global const float *heights, int p, int x, int y, ints t, float shear, float reach, int towards, int rows, int cols,
                 int margin)
 {
   const floats distance = TO_FLOATS(t), across = shear * distance;
   ints n = TO_INTS(across);
   n -= across < TO_FLOATS(n) ? (ints)1 : (ints)0;
   const ints at = beside_of(p, x, y, n, -towards * t, rows, cols, margin);
-  const Crossing c = {PICK(heights, at), PICK(heights + 1, at), across - TO_FLOATS(n), RECIPROCAL(distance)};
+  const floats a = PICK(heights, at), b = PICK(heights + 1, at);
+  const Crossing c = {BLOCKS ? distance <= reach ? a : NONE : a, BLOCKS ? distance <= reach ? b : NONE : b, across - TO_FLOATS(n), RECIPROCAL(distance)};
   return c;
 }
 
@@ -234,7 +235,7 @@ __kernel void sweep(__global const float *restrict heights, __global const float
 
     const int v = BLOCKS || SIDES == PERIODIC ? min(max(u, max(start, 0)), stop) : u; /* what is looked up must be there */
     const int y = towards > 0 ? v : rows - 1 - v, shift = (int)floor(0.5f - shear * v);
-    const int comes = u - comes_at, arrives = SIDES == PERIODIC || comes >= start && comes < stop;
+    const int comes = u - comes_at, arrives = (SIDES == PERIODIC || comes >= start && comes < stop) && (!BLOCKS || backward || into > NEAR);
     const float across = -shear * comes;
     const int column = (int)floor(across), came = SIDES == PERIODIC ? (comes % rows + rows) % rows : comes;
     const int from_row = ((towards > 0 ? came : rows - 1 - came) + margin) * stride + margin;
@@ -269,7 +270,7 @@ __kernel void sweep(__global const float *restrict heights, __global const float
         const floats found = higher(beside, FMA((floats)column_weight[e], b - a, a - own) * (1.0f / (e + 1)));
         beside = e < near_columns ? found : beside;
       }
-      near = higher(near, beside * steepness);
+      near = higher(near, beside * max(steepness, 1e-6f));
 
       /* 4. the nodes of the turn before: their horizon, and the light between it, or the tangent plane, and the zenith */
       if (node.waits) {
@@ -384,31 +385,33 @@ __kernel void sweep(__global const float *restrict heights, __global const float
       /* 7. both distances on the node's own ray, no farther than the map or the window goes */
       const ints xs = x + COUNT;
       ints last = min(u + warm, window);
-      if (SIDES != PERIODIC) {
+      if (SIDES != PERIODIC && reciprocal < 1e8f) {
         const floats room_beside = TO_FLOATS(shear > 0 ? cols - 1 - xs : xs) * reciprocal;
         last = room_beside < (float)min(u, window) ? TO_INTS(room_beside) : last;
       }
       last = more(last, 1);
-      const ints t1 = less(lower & mask, last), t2 = less(upper & mask, last);
+      const ints t1 = more(less(lower & mask, last), 1), t2 = more(less(upper & mask, last), 1);
       node.hidden = near * per_rung >= TO_FLOATS(rung);
       node.waits = 1;
       if (ALL(node.hidden) && !BLOCKS) {
         nodes[q] = node;
         continue;
       }
-      node.far[0] = on_row(heights, p, x, y, t1, shear, towards, rows, cols, margin);
-      node.far[1] = on_row(heights, p, x, y, t2, shear, towards, rows, cols, margin);
+      node.far[0] = on_row(heights, p, x, y, t1, shear, reach, towards, rows, cols, margin);
+      node.far[1] = on_row(heights, p, x, y, t2, shear, reach, towards, rows, cols, margin);
       /* 8. and the column crossings beside them: the nearer one's before, the farther one's behind */
       if (reciprocal < 1e8f) {
-        const ints m1 = more(TO_INTS(steepness * TO_FLOATS(t1)), 1), m2 = TO_INTS(steepness * TO_FLOATS(t2)) + 1;
+        const ints before = TO_INTS(steepness * TO_FLOATS(t1)), m1 = more(before, 1), m2 = before + 1;
         node.far[2] = on_column(heights, p, x, y, u, m1, shear, reciprocal, reach, towards, rows, cols, margin);
         node.far[3] = on_column(heights, p, x, y, u, m2, shear, reciprocal, reach, towards, rows, cols, margin);
       }
       if (BLOCKS) { /* downhill the end of the window is the horizon */
-        node.beyond = rise(on_row(heights, p, x, y, last, shear, towards, rows, cols, margin), own);
-        if (reciprocal < 1e8f)
-          node.beyond = higher(node.beyond, rise(on_column(heights, p, x, y, u, more((ints)(int)(steepness * min(reach, (float)(u + warm))), 1), shear, reciprocal, reach,
-                                                   towards, rows, cols, margin), own));
+        node.beyond = rise(on_row(heights, p, x, y, last, shear, reach, towards, rows, cols, margin), own);
+        if (reciprocal < 1e8f) {
+          ints m = (int)(steepness * min(reach, (float)(u + warm)));
+          m = SIDES == PERIODIC ? m : less(m, shear > 0 ? cols - 1 - xs : xs);
+          node.beyond = higher(node.beyond, rise(on_column(heights, p, x, y, u, more(m, 1), shear, reciprocal, reach, towards, rows, cols, margin), own));
+        }
       }
       nodes[q] = node;
     }

@@ -109,7 +109,7 @@ def look(heights: wp.array[wp.float32], at: wp.int32, weight: wp.float32, lowest
 
 
 @functools.cache
-def rays(SIDES: int):
+def rays(SIDES: int, BLOCKS: int):
     """(on_row, on_column): slopes along a node's own ray."""
 
     @wp.func
@@ -127,6 +127,7 @@ def rays(SIDES: int):
         y: wp.int32,
         t: wp.int32,
         shear: wp.float32,
+        reach: wp.float32,
         towards: wp.int32,
         rows: wp.int32,
         cols: wp.int32,
@@ -139,7 +140,12 @@ def rays(SIDES: int):
         if across < wp.float32(n):
             n -= 1
         at = beside_of(p, x, y, n, -towards * t, rows, cols, margin)
-        return wp.vec4(read(heights, at), read(heights, at + 1), across - wp.float32(n), reciprocal_of(distance))
+        a = read(heights, at)
+        b = read(heights, at + 1)
+        if wp.static(BLOCKS != 0) and distance > reach:
+            a = NONE
+            b = NONE
+        return wp.vec4(a, b, across - wp.float32(n), reciprocal_of(distance))
 
 
     @wp.func
@@ -167,7 +173,7 @@ def rays(SIDES: int):
         at = beside_of(p, x, y, wp.where(shear > 0.0, m, -m), -towards * before, rows, cols, margin)
         a = read(heights, at)
         b = read(heights, at - towards * (cols + 2 * margin))
-        if distance > reach:
+        if wp.static(BLOCKS != 0) and distance > reach:
             a = NONE
             b = NONE
         return wp.vec4(a, b, distance - wp.float32(n), reciprocal_of(distance))
@@ -184,7 +190,7 @@ def sweep(NEAR: int, SIDES: int, WHAT: int, BLOCKS: int):
     NEAR_COLUMNS = 2 * NEAR // 3
     nears, weights = wp.types.vector(NEAR, wp.int32), wp.types.vector(NEAR, wp.float32)
     column_nears, column_weights = wp.types.vector(NEAR_COLUMNS, wp.int32), wp.types.vector(NEAR_COLUMNS, wp.float32)
-    on_row, on_column = rays(SIDES)
+    on_row, on_column = rays(SIDES, BLOCKS)
     FETCH = not BLOCKS and SIDES != PERIODIC
 
     @wp.kernel(module="unique", module_options=OPTIONS, launch_bounds=LINES)
@@ -337,7 +343,7 @@ def sweep(NEAR: int, SIDES: int, WHAT: int, BLOCKS: int):
             for e in range(NEAR_COLUMNS):
                 found = wp.max(beside, stands(heights, p + column_at[e], back, column_weight[e], own) * wp.static(wp.float32(1.0 / (e + 1))))
                 beside = wp.where(e < near_columns, found, beside)
-            near = wp.max(near, beside * steepness)
+            near = wp.max(near, beside * wp.max(steepness, wp.float32(1e-6)))
 
             # 4. the node of the turn before: its horizon, and the light between it, or the tangent plane, and the zenith
             if waits:
@@ -384,7 +390,10 @@ def sweep(NEAR: int, SIDES: int, WHAT: int, BLOCKS: int):
                     above[s] = UNSEEN
             comes = u - comes_at
             seen = UNSEEN
-            if (comes >= start and comes < stop) or wp.static(SIDES == PERIODIC):
+            arrives = (comes >= start and comes < stop) or wp.static(SIDES == PERIODIC)
+            if wp.static(BLOCKS != 0) and backward == 0 and into <= NEAR:
+                arrives = False
+            if arrives:
                 across = -shear * wp.float32(comes)
                 column = wp.floor(across)
                 cx = line + wp.int32(column)
@@ -428,27 +437,30 @@ def sweep(NEAR: int, SIDES: int, WHAT: int, BLOCKS: int):
 
                 # 7. both distances on the node's own ray, no farther than the map or the window goes
                 last = wp.min(u + warm, window)
-                if wp.static(SIDES != PERIODIC):
+                if wp.static(SIDES != PERIODIC) and reciprocal < 1e8:
                     room_beside = wp.float32(wp.where(shear > 0.0, cols - 1 - x, x)) * reciprocal
                     if room_beside < wp.float32(wp.min(u, window)):
                         last = wp.int32(room_beside)
                 last = wp.max(last, 1)
                 hidden_ = near * per_rung >= wp.float32(rung)
                 if not hidden_:
-                    t1 = wp.min(lower & mask, last)
-                    t2 = wp.min(upper & mask, last)
-                    far1 = on_row(heights, p, x, y, t1, shear, towards, rows, cols, margin)
-                    far2 = on_row(heights, p, x, y, t2, shear, towards, rows, cols, margin)
+                    t1 = wp.max(wp.min(lower & mask, last), 1)
+                    t2 = wp.max(wp.min(upper & mask, last), 1)
+                    far1 = on_row(heights, p, x, y, t1, shear, reach, towards, rows, cols, margin)
+                    far2 = on_row(heights, p, x, y, t2, shear, reach, towards, rows, cols, margin)
                     # 8. and the column crossings beside them: the nearer one's before, the farther one's behind
                     if reciprocal < 1e8:
                         m1 = wp.max(wp.int32(steepness * wp.float32(t1)), 1)
-                        m2 = wp.int32(steepness * wp.float32(t2)) + 1
+                        m2 = wp.int32(steepness * wp.float32(t1)) + 1
                         far3 = on_column(heights, p, x, y, u, m1, shear, reciprocal, reach, towards, rows, cols, margin)
                         far4 = on_column(heights, p, x, y, u, m2, shear, reciprocal, reach, towards, rows, cols, margin)
                 if wp.static(BLOCKS != 0):  # downhill the end of the window is the horizon
-                    beyond_ = rise(on_row(heights, p, x, y, last, shear, towards, rows, cols, margin), own)
+                    beyond_ = rise(on_row(heights, p, x, y, last, shear, reach, towards, rows, cols, margin), own)
                     if reciprocal < 1e8:
-                        m3 = wp.max(wp.int32(steepness * wp.min(reach, wp.float32(u + warm))), 1)
+                        m3 = wp.int32(steepness * wp.min(reach, wp.float32(u + warm)))
+                        if wp.static(SIDES != PERIODIC):
+                            m3 = wp.min(m3, wp.where(shear > 0.0, cols - 1 - x, x))
+                        m3 = wp.max(m3, 1)
                         beyond_ = wp.max(beyond_, rise(on_column(heights, p, x, y, u, m3, shear, reciprocal, reach, towards, rows, cols, margin), own))
                 own_ = own
                 near_ = near

@@ -180,7 +180,7 @@ class Sweeps:
         numbers = np.flatnonzero((np.abs(cosine) > np.abs(sine)) == turned)
         across, along = (sine, cosine) if turned else (cosine, sine)
         reach = np.maximum(ground.reach * np.abs(along[numbers]), 1e-3)
-        windows = np.where(reach < rows + cols, np.maximum(reach, 1), NEVER).astype(np.int64)
+        windows = np.where((reach < rows + cols) | ((ground.sides == "periodic") & np.isfinite(reach)), np.maximum(reach, 1), NEVER).astype(np.int64)
         order = np.argsort(windows, kind="stable")
         numbers, windows, reach = numbers[order], windows[order], reach[order]
         warm = 0

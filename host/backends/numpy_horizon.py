@@ -59,7 +59,8 @@ def _sweep(heights, tilts, azimuth, way, near_at, near_weight, table, slopes, su
         distance = t.astype(np.float32)
         across = shear * distance
         n = np.floor(across)
-        return rise(place(x + n.astype(np.int32), y - towards * t), 1, across - n, distance)
+        slope = rise(place(x + n.astype(np.int32), y - towards * t), 1, across - n, distance)
+        return np.where(distance <= reach, slope, NONE) if BLOCKS else slope
 
     def on_column(m):
         """The crossing with the column m columns on, if it is within reach."""
@@ -75,7 +76,7 @@ def _sweep(heights, tilts, azimuth, way, near_at, near_weight, table, slopes, su
         near = np.fmax(near, rise(p + near_at[e], 1, near_weight[e], np.float32(e + 1)))
     for e in range(near_columns):
         beside = np.fmax(beside, rise(p + near_at[NEAR + e], -towards * stride, near_weight[NEAR + e], np.float32(e + 1)))
-    near = np.fmax(near, beside * steepness)
+    near = np.fmax(near, beside * np.maximum(steepness, np.float32(1e-6)))
 
     # 5. and 6. distances of the two crossings that the ladder gives, and its step above them
     level = (np.maximum(own - lowest, np.float32(0)) * unit).astype(np.int32) << bits
@@ -83,22 +84,24 @@ def _sweep(heights, tilts, azimuth, way, near_at, near_weight, table, slopes, su
 
     # 7. both on the node's own ray, no farther than the map or the window goes; nothing if nothing far rises above what is near
     last = np.broadcast_to(np.minimum(u + warm, window), p.shape)
-    if not periodic:
+    if not periodic and oblique:
         room_beside = (cols - 1 - x if shear > 0 else x).astype(np.float32) * reciprocal
         last = np.where(room_beside < np.minimum(u, window).astype(np.float32), room_beside.astype(np.int32), last)
     last = np.maximum(last, 1)
-    t1, t2 = np.minimum(lower, last), np.minimum(upper, last)
+    t1, t2 = np.maximum(np.minimum(lower, last), 1), np.maximum(np.minimum(upper, last), 1)
     far = np.fmax(on_row(t1), on_row(t2))
     # 8. and the column crossings beside them: the nearer one's before, the farther one's behind
     if oblique:
-        m1, m2 = (steepness * t1.astype(np.float32)).astype(np.int32), (steepness * t2.astype(np.float32)).astype(np.int32)
-        far = np.fmax(far, np.fmax(on_column(np.maximum(m1, 1)), on_column(m2 + 1)))
+        m = (steepness * t1.astype(np.float32)).astype(np.int32)
+        far = np.fmax(far, np.fmax(on_column(np.maximum(m, 1)), on_column(m + 1)))
     comes_at = np.float32(window if BLOCKS and backward else NEAR + 1)
     far = np.where(near * (np.float32(unit) * np.float32(1 << bits) * comes_at) >= rung.astype(np.float32), NONE, far)
     if BLOCKS:  # downhill the end of the window is the horizon
         far = np.fmax(far, on_row(last))
         if oblique:
-            far = np.fmax(far, on_column(np.maximum((steepness * np.minimum(reach, (u + warm).astype(np.float32))).astype(np.int32), 1)))
+            m = (steepness * np.minimum(reach, (u + warm).astype(np.float32))).astype(np.int32)
+            m = m if periodic else np.minimum(m, cols - 1 - x if shear > 0 else x)
+            far = np.fmax(far, on_column(np.maximum(m, 1)))
 
     # 4. the horizon
     slope = np.fmax(far, near) * tangent
@@ -163,7 +166,7 @@ def _ladder(heights, level, steps, rises, shear, reciprocal, towards, warm, wind
             above[...] = UNSEEN
         comes = u - comes_at
         seen = np.full(len(line), UNSEEN, np.int32)
-        if periodic or 0 <= comes < rows:
+        if (periodic or 0 <= comes < rows) and (not BLOCKS or backward or into > NEAR):
             across = -shear * np.float32(comes)
             column = np.floor(across)
             at = line + int(column)
