@@ -34,7 +34,7 @@ Work-item (j, k, g) owns LANES adjacent lines of azimuth k; long lines start fir
 #define LADDER 16
 #define FETCH (!ON_CPU && !BLOCKS && SIDES != PERIODIC)
 #define ACROSS (LANES * STRIPS) /* strips of LANES lines side by side, for the sake of cache lines */
-#define NEAR_COLUMNS (2 * NEAR / 3) /* where a ray is so steep that it meets more, they lie close to its crossings with rows */
+#define NEAR_COLUMNS (NEAR - 1) /* the last one within NEAR rows lies on a row */
 enum { OPEN, DARK, PERIODIC }; /* SIDES */
 enum { SLOPES, UNIFORM, TABLE }; /* WHAT */
 

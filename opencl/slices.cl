@@ -12,7 +12,7 @@ Shared arguments
   sky         (side, side)    float  brightness over the stereographic plane, x / (1 - z) and y / (1 - z) from -1 to 1
   points      (n_points, 2)   float  where along a chord brightness is taken, 0..1, and weights; none: it is 1
   irradiance  (rows, cols)    float  out; unit: its factor
-  most        slices of a source that stands all round; a multiple of SLICES, as is every pixel's number of slices
+  least, most slices of a source that is a point, and of one that stands all round: multiples of SLICES, as what is between
   dark        whether walls stand half a node outside the map, up to height 0
 
 Work-item (x, y) owns one node and takes LANES of its slices at a time. Order of summation: slices of a lane, then lanes.
@@ -234,8 +234,7 @@ floats chord(const Pixel *pixel, floats c, floats s, floats low, floats high, fl
 
 /* The light through a slice along (c, s) of a source between the tangents low and high, `rise` apart; aside: how far its
 middle stands from the slice. */
-floats slice(const Pixel *pixel, floats c, floats s, floats along, floats aside, floats low, floats high, floats rise,
-             ints *states)
+floats slice(const Pixel *pixel, floats c, floats s, floats along, floats aside, floats low, floats high, floats rise)
 {
   /* 1. the tangent plane and the level */
   const floats plane = -(pixel->tilt_x * c + pixel->tilt_y * s);
@@ -243,7 +242,6 @@ floats slice(const Pixel *pixel, floats c, floats s, floats along, floats aside,
   slope = slope < 0 ? 0 : slope > STEEP ? STEEP : slope;
   if (!pixel->dark) {
     slope = horizon(pixel, c, s, slope, high, along, aside);
-    *states |= low < high && high > 0 ? (slope <= low ? (ints)1 : slope < high ? (ints)2 : (ints)4) : (ints)0;
     return chord(pixel, c, s, slope, high, slope > low ? high - slope : rise);
   }
   /* 2. the wall hides what lies beyond it: tangents up to `under`, and from `over` on, but none from its top on */
@@ -269,7 +267,6 @@ floats slice(const Pixel *pixel, floats c, floats s, floats along, floats aside,
   const ints split = WHERE(over < top);
   const floats left = split ? LESS(high, over) : high;
   slope = horizon(pixel, c, s, slope, (split & WHERE(high <= top)) ? left : high, along, aside);
-  *states |= low < high && high > 0 ? (slope <= low && left == high ? (ints)1 : slope < left ? (ints)2 : (ints)4) : (ints)0;
   floats sum = chord(pixel, c, s, slope, left, slope > low || left < high ? left - slope : rise);
   if (ANY(split)) {
     const floats above = MORE(slope, top);
@@ -288,7 +285,7 @@ centre's elevation, sees a chord of half width w, sin w = sin a cos theta / r, r
 lies within the disc, slices go all round. */
 __kernel void ball(__global const float *heights, __global const float *tops, __global const float *nodes,
                    __global const float *sky, __global const float *points, __global float *irradiance, int rows,
-                   int cols, int width, int levels, int most, int side, int n_points, int dark, int more, float x0, float y0,
+                   int cols, int width, int levels, int least, int most, int side, int n_points, int dark, float x0, float y0,
                    float z0, float radius, float unit)
 {
   if (get_global_id(0) >= cols || get_global_id(1) >= rows)
@@ -306,18 +303,15 @@ __kernel void ball(__global const float *heights, __global const float *tops, __
   const int all_round = sin_a >= cos_e;
   const float widest = all_round ? 1 : sin_a / cos_e;
   const float turn = all_round ? 1 : widest * (0.318f + 0.182f * widest * widest); /* share of the circle, nearly */
-  const int blocks = min(1 + (int)(turn * (most / SLICES)), most / SLICES);
+  const int blocks = min((least + (int)(turn * (most - least))) / SLICES, most / SLICES), n_slices = blocks * SLICES;
+  const float step = M_PI_F / n_slices;
+  __global const float *own = nodes + (blocks - 1) * 4 * most;
   pixel.up = dz;
   pixel.reach = beyond;
   pixel.radius = radius;
 
   /* 2. its slices */
   floats sum = 0;
-  ints states = 0;
-  for (int n_slices = blocks * SLICES;; n_slices = more) {
-  const float step = M_PI_F / n_slices;
-  __global const float *own = nodes + (n_slices / SLICES - 1) * 4 * most;
-  sum = 0;
   if (pixel.height > NONE && (inside || dz + radius > 0))
     for (int j = 0; j < n_slices; j += LANES) {
       floats sin_d, cos_d, half_, share;
@@ -341,11 +335,8 @@ __kernel void ball(__global const float *heights, __global const float *tops, __
       low = inside ? -STEEP : low;
       high = inside || high > STEEP ? STEEP : high;
       const floats rise = low_c > 0 && high < STEEP ? 2 * cos_a * half_ * square / (low_c * high_c) : high - low;
-      sum += share * slice(&pixel, ux * cos_d - uy * sin_d, uy * cos_d + ux * sin_d, flat * cos_d, flat * sin_d, low, high, rise, &states);
+      sum += share * slice(&pixel, ux * cos_d - uy * sin_d, uy * cos_d + ux * sin_d, flat * cos_d, flat * sin_d, low, high, rise);
     }
-    const int all_states = ANY(states);
-    if (!(all_states & (all_states - 1)) || n_slices >= more) break;
-  }
   irradiance[pixel.y * cols + pixel.x] = unit * TOTAL(sum) / sqrt(1 + pixel.tilt_x * pixel.tilt_x + pixel.tilt_y * pixel.tilt_y);
 }
 
@@ -390,8 +381,8 @@ Between the azimuths of neighbouring corners the chord's ends run along one edge
 the slices, at least one. All is reckoned from the quadrangle's middle, so that small far sources lose no digits. */
 __kernel void quad(__global const float *heights, __global const float *tops, __global const float *corners,
                    __global const float *nodes, __global const float *sky, __global const float *points,
-                   __global float *irradiance, int rows, int cols, int width, int levels, int most, int side,
-                   int n_points, int dark, int more, float unit)
+                   __global float *irradiance, int rows, int cols, int width, int levels, int least, int most, int side,
+                   int n_points, int dark, float unit)
 {
   if (get_global_id(0) >= cols || get_global_id(1) >= rows)
     return;
@@ -446,17 +437,14 @@ __kernel void quad(__global const float *heights, __global const float *tops, __
   d = sector_between(px[3], py[3], px[0], py[0]);
   d.quarter = within ? d.quarter : 0;
   const float to_a = share_of(a.quarter), to_b = to_a + share_of(b.quarter), to_c = to_b + share_of(c.quarter), all = to_c + share_of(d.quarter);
-  const int blocks = min(1 + (int)(all * (most / SLICES)), most / SLICES);
-  /* 3. the slices */
-  floats sum = 0;
-  ints states = 0;
-  for (int n_slices = blocks * SLICES;; n_slices = more) {
-  const float least = 1e-4f * all; /* a sector narrower than that is left out */
-  const int used_a = to_a > least, used_b = used_a + (to_b - to_a > least), used_c = used_b + (to_c - to_b > least), used = used_c + (all - to_c > least);
+  const int blocks = min((least + (int)(all * (most - least))) / SLICES, most / SLICES), n_slices = blocks * SLICES;
+  const float narrow = 1e-4f * all; /* a sector below that is left out */
+  const int used_a = to_a > narrow, used_b = used_a + (to_b - to_a > narrow), used_c = used_b + (to_c - to_b > narrow), used = used_c + (all - to_c > narrow);
   const float more = all > 0 ? (n_slices - used) / all : 0;
   const int end_a = used_a + (int)(to_a * more + 0.5f), end_b = used_b + (int)(to_b * more + 0.5f), end_c = used_c + (int)(to_c * more + 0.5f);
 
-  sum = 0;
+  /* 3. the slices */
+  floats sum = 0;
   if (pixel.height > NONE && all > 0 && top >= 0)
     for (int k = 0; k < n_slices; k += LANES) {
       const ints number = k + LANE;
@@ -505,10 +493,7 @@ __kernel void quad(__global const float *heights, __global const float *tops, __
       }
       high = LESS(high, STEEP);
       const floats along = normal_x * cos_d + normal_y * sin_d;
-      sum += share * slice(&pixel, ux * cos_d - uy * sin_d, uy * cos_d + ux * sin_d, sense * along, 0, low, high, rise, &states);
+      sum += share * slice(&pixel, ux * cos_d - uy * sin_d, uy * cos_d + ux * sin_d, sense * along, 0, low, high, rise);
     }
-    const int all_states = ANY(states);
-    if (!(all_states & (all_states - 1)) || n_slices >= more) break;
-  }
   irradiance[pixel.y * cols + pixel.x] = unit * TOTAL(sum) / sqrt(1 + pixel.tilt_x * pixel.tilt_x + pixel.tilt_y * pixel.tilt_y);
 }

@@ -187,7 +187,7 @@ def sweep(NEAR: int, SIDES: int, WHAT: int, BLOCKS: int):
 
     Thread (g, k, j) owns one line of azimuth k; long lines start first.
     """
-    NEAR_COLUMNS = 2 * NEAR // 3
+    NEAR_COLUMNS = NEAR - 1
     nears, weights = wp.types.vector(NEAR, wp.int32), wp.types.vector(NEAR, wp.float32)
     column_nears, column_weights = wp.types.vector(NEAR_COLUMNS, wp.int32), wp.types.vector(NEAR_COLUMNS, wp.float32)
     on_row, on_column = rays(SIDES, BLOCKS)

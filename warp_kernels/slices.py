@@ -12,7 +12,7 @@ Shared arguments
   sky         (side, side)    float32  brightness over the stereographic plane, x / (1 - z) and y / (1 - z) from -1 to 1
   points      (n_points, 2)   float32  where along a chord brightness is taken, 0..1, and weights; none: it is 1
   irradiance  (rows, cols)    float32  out; unit: its factor
-  most        slices of a source that stands all round; a multiple of SLICES, as is every pixel's number of slices
+  least, most slices of a source that is a point, and of one that stands all round: multiples of SLICES, as what is between
   dark        whether walls stand half a node outside the map, up to height 0
 
 Thread (y, x) owns one node. Order of summation: slices.
@@ -312,6 +312,7 @@ def ball(
     cols: wp.int32,
     width: wp.int32,
     levels: wp.int32,
+    least: wp.int32,
     most: wp.int32,
     side: wp.int32,
     n_points: wp.int32,
@@ -366,7 +367,7 @@ def ball(
     if not all_round:
         widest = sin_a / cos_e
         turn = widest * (0.318 + 0.182 * widest * widest)  # share of the circle, nearly
-    blocks = wp.min(1 + wp.int32(turn * wp.float32(most / SLICES)), most / SLICES)
+    blocks = wp.min((least + wp.int32(turn * wp.float32(most - least))) / SLICES, most / SLICES)
     n_slices = blocks * SLICES
     step = wp.float32(wp.pi) / wp.float32(n_slices)
     own = (blocks - 1) * 4 * most
@@ -458,6 +459,7 @@ def quad(
     cols: wp.int32,
     width: wp.int32,
     levels: wp.int32,
+    least: wp.int32,
     most: wp.int32,
     side: wp.int32,
     n_points: wp.int32,
@@ -536,13 +538,13 @@ def quad(
     to_b = to_a + share_of(b[2])
     to_c = to_b + share_of(c[2])
     all = to_c + share_of(d[2])
-    blocks = wp.min(1 + wp.int32(all * wp.float32(most / SLICES)), most / SLICES)
+    blocks = wp.min((least + wp.int32(all * wp.float32(most - least))) / SLICES, most / SLICES)
     n_slices = blocks * SLICES
-    least = 1e-4 * all  # a sector narrower than that is left out
-    used_a = wp.where(to_a > least, 1, 0)
-    used_b = used_a + wp.where(to_b - to_a > least, 1, 0)
-    used_c = used_b + wp.where(to_c - to_b > least, 1, 0)
-    used = used_c + wp.where(all - to_c > least, 1, 0)
+    narrow = 1e-4 * all  # a sector below that is left out
+    used_a = wp.where(to_a > narrow, 1, 0)
+    used_b = used_a + wp.where(to_b - to_a > narrow, 1, 0)
+    used_c = used_b + wp.where(to_c - to_b > narrow, 1, 0)
+    used = used_c + wp.where(all - to_c > narrow, 1, 0)
     more = wp.float32(0.0)
     if all > 0.0:
         more = wp.float32(n_slices - used) / all

@@ -188,7 +188,7 @@ class Sweeps:
             warm = math.ceil(max(rows, cols, self.relief / FAINTEST)) if math.isinf(ground.reach) else math.ceil(ground.reach) + 1
         stride = cols + 2 * self.margin
         azimuths, ways = np.zeros((len(numbers), 8)), np.zeros((len(numbers), 8), np.int32)
-        columns = 2 * near // 3  # as in opencl/horizon.cl
+        columns = near - 1  # as in opencl/horizon.cl
         near_at, near_weight = np.zeros((len(numbers), near + columns), np.int32), np.zeros((len(numbers), near + columns))
         shears = np.zeros(len(numbers))
         for n, (k, far) in enumerate(zip(numbers, reach)):

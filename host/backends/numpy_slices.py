@@ -229,7 +229,7 @@ def _sum(ground, pixels, blocks, most, unit, irradiance, slices_of):
             irradiance[here.y, here.x] = F(unit) * (share * light.reshape(share.shape)).sum(1, dtype=F) / scale
 
 
-def ball(heights, tops, nodes, sky, points, irradiance, rows, cols, width, levels, most, side, n_points, dark, x0, y0, z0, radius, unit):
+def ball(heights, tops, nodes, sky, points, irradiance, rows, cols, width, levels, least, most, side, n_points, dark, x0, y0, z0, radius, unit):
     x0, y0, z0, radius = F(x0), F(y0), F(z0), F(radius)
     x, y, height, tilt_x, tilt_y = _pixels(heights, rows, cols)
     # 1. where the ball stands, and how many slices it is worth
@@ -244,7 +244,7 @@ def ball(heights, tops, nodes, sky, points, irradiance, rows, cols, width, level
     all_round = sin_a >= cos_e
     widest = np.where(all_round, F(1), sin_a / cos_e)
     turn = np.where(all_round, F(1), widest * (F(0.318) + F(0.182) * widest * widest))  # share of the circle, nearly
-    blocks = np.minimum(1 + (turn * F(most // SLICES)).astype(np.int32), most // SLICES)
+    blocks = np.minimum((least + (turn * F(most - least)).astype(np.int32)) // SLICES, most // SLICES)
     pixels = Pixels(x, y, height, tilt_x, tilt_y, dz, beyond, radius)
     seen = inside | (dz + radius > 0)
 
@@ -290,7 +290,7 @@ def _share_of(quarter):
     return quarter * (F(0.637) - F(0.137) * quarter * quarter)
 
 
-def quad(heights, tops, corners, nodes, sky, points, irradiance, rows, cols, width, levels, most, side, n_points, dark, unit):
+def quad(heights, tops, corners, nodes, sky, points, irradiance, rows, cols, width, levels, least, most, side, n_points, dark, unit):
     x, y, height, tilt_x, tilt_y = _pixels(heights, rows, cols)
     # 1. the corners, in the frame that points below the middle
     dx, dy, dz = corners[4, 0] - x.astype(F), corners[4, 1] - y.astype(F), corners[4, 2] - height
@@ -320,9 +320,9 @@ def quad(heights, tops, corners, nodes, sky, points, irradiance, rows, cols, wid
     sectors = np.stack([_sector_between(px[k], py[k], px[(k + 1) % 4], py[(k + 1) % 4]) for k in range(4)])
     sectors[3, 2] = np.where(within, sectors[3, 2], F(0))
     to = np.cumsum(_share_of(sectors[:, 2]), 0, dtype=F)
-    blocks = np.minimum(1 + (to[3] * F(most // SLICES)).astype(np.int32), most // SLICES)
-    least = F(1e-4) * to[3]  # a sector narrower than that is left out
-    used = np.cumsum(np.concatenate([to[:1], to[1:] - to[:-1]]) > least, 0)
+    blocks = np.minimum((least + (to[3] * F(most - least)).astype(np.int32)) // SLICES, most // SLICES)
+    narrow = F(1e-4) * to[3]  # a sector below that is left out
+    used = np.cumsum(np.concatenate([to[:1], to[1:] - to[:-1]]) > narrow, 0)
     more = np.where(to[3] > 0, (blocks * SLICES - used[3]).astype(F) / to[3], F(0))
     ends = used[:3] + (to[:3] * more + F(0.5)).astype(np.int32)
     seen = (to[3] > 0) & (top >= 0)

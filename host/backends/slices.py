@@ -12,8 +12,9 @@ from ..sources import Source, radiance
 from .base import MOST_PIXELS, Backend
 
 NONE = np.float32(-1e30)  # height where there is no ground
-SLICES = 8  # the fewest per pixel, and what a CPU takes at a time
-MOST = 32  # of a source that stands all round: RMS error of rough ground below 0.5 % of the mean lit irradiance
+SLICES = 8  # that a CPU takes at a time
+MOST = 32  # of a source that stands all round, unless asked otherwise
+FINER = ((0.005, MOST), (0.002, 2 * MOST), (0.0, 4 * MOST))  # for tolerances from the first number on
 WALLED = 2  # times as many where a wall cuts the source
 LEVELS = 9  # cells of 2 to 512 nodes
 SIDE = 512  # samples of the brightness across the sky
@@ -87,15 +88,23 @@ def cumulative(source: Source, azimuths: np.ndarray, knots: int) -> np.ndarray:
     return out
 
 
+def slices_within(tolerance: float) -> int:
+    """How many slices a source that stands all round needs for this RMS error on rough ground, a share of the mean lit irradiance.
+
+    Measured (tests/test_slices.py): at most a third of it; in the penumbra of a straight edge a third of the tolerance at most, as
+    a share of the full light.
+    """
+    return next(most for limit, most in FINER if tolerance >= limit)
+
+
 class Slices:
     """The light of a ball or a quadrangle over a map, with everything on the device; ``run`` may be repeated (and timed)."""
 
-    def __init__(self, backend: Backend, depth: np.ndarray, step: float, sides: str, solid: Ball | Quad, brightness: float | np.ndarray = 1.0, most: int = MOST, more=0):
-        self.more=more
+    def __init__(self, backend: Backend, depth: np.ndarray, step: float, sides: str, solid: Ball | Quad, brightness: float | np.ndarray = 1.0, most: int = MOST):
         """depth (rows, cols) float32, +inf where masked, in a unit in which the spacing is ``step``; ``sides``: open or dark.
 
-        ``brightness``: as from :func:`brightness_of`. ``most``: slices of a source that stands all round, a multiple of 8; one
-        that covers less of the circle gets its share of them, at least 8.
+        ``brightness``: as from :func:`brightness_of`. ``most``: slices of a source that stands all round, a multiple of 8;
+        one that looks small has a quarter of them, half if it is a quadrangle, but at least 8, and others what is between.
         """
         if depth.size > MOST_PIXELS:
             raise CapacityError(f"A map of {depth.size:,} nodes; at most {MOST_PIXELS:,}, since kernels count nodes in 32 bits. Cut it into tiles.")
@@ -121,6 +130,7 @@ class Slices:
         beyond = (extent[0] < -0.5).any() or extent[1][0] > cols - 0.5 or extent[1][1] > rows - 0.5
         self.walls = sides == "dark" and beyond
         self.most = most * (WALLED if self.walls else 1)
+        self.least = max(self.most // (4 if isinstance(solid, Ball) else 2) // SLICES, 1) * SLICES
         varies = np.ndim(brightness) > 0
         self.unit = 1.0 if varies else float(brightness)
         self.sky = backend.upload(np.asarray(brightness if varies else [[0.0]], np.float32))
@@ -146,7 +156,7 @@ class Slices:
         launch = self.backend.launch
         for level in range(1, self.levels + 1):
             launch("slices", "coarser", (self.width >> level, ((rows - 1) >> level) + 1), self.heights, self.tops, rows, cols, self.width, level)
-        shared = (self.sky, self.points, self.image, rows, cols, self.width, self.levels, self.most, self.side, self.n_points, int(self.walls), min(self.more, self.most))
+        shared = (self.sky, self.points, self.image, rows, cols, self.width, self.levels, self.least, self.most, self.side, self.n_points, int(self.walls))
         if isinstance(self.solid, Ball):
             launch("slices", "ball", (cols, rows), self.heights, self.tops, self.nodes, *shared, *map(float, self.center), float(self.radius), self.unit)
         else:
