@@ -58,18 +58,19 @@ class Sweeps:
         """``table`` (K, knots, 4) float32: brightness, see opencl/horizon.cl; uniform, of brightness 1, unless given.
         ``level``: light falls on a level element at every node, not on the surface."""
         self.level = level
-        self.backend, self.ground, self.rays = backend, ground, rays
-        rows, cols = ground.heights.shape
+        self.backend, self.ground, self.rays = backend, ground._replace(heights=None), rays  # the device has the heights
+        rows, cols = self.shape = ground.heights.shape
         if ground.heights.size > MOST_PIXELS:
             raise CapacityError(f"A map of {ground.heights.size:,} nodes; at most {MOST_PIXELS:,}, since kernels count nodes in 32 bits. Cut it into tiles.")
         self.near = near or (FINE if len(rays.angles) >= MANY else NEAR)
         self.margin = self.near + backend.lanes + 3
         backend.reserve(32 * (rows + 2 * self.margin) * (cols + 2 * self.margin), f"A map of {rows} x {cols} nodes", "Cut it into tiles.")
         self.room = (rows + 2 * self.margin) * (cols + 2 * self.margin)
-        known = ground.heights[np.isfinite(ground.heights)]
-        self.lowest, self.relief = float(known.min()), float(known.max()) - float(known.min())
+        known = np.isfinite(ground.heights)
+        self.lowest, highest = float(ground.heights.min(where=known, initial=np.inf)), float(ground.heights.max(where=known, initial=-np.inf))
+        self.relief = highest - self.lowest
         self.steepest = _steepest(ground.heights, self.near)
-        self.heights = backend.upload(self._padded())
+        self.heights = backend.upload(_padded(ground, self.margin))
         self.turned = backend.empty((self.room,), np.float32)
         self.tilts = [backend.empty((2, self.room), np.float32, 0)]  # on a GPU both maps are swept at the same time
         self.tilts.append(backend.empty((2, self.room), np.float32, 0) if backend.lines > 1 else self.tilts[0])
@@ -84,7 +85,7 @@ class Sweeps:
     def light(self, total, turned) -> None:
         """Irradiance float32 [brightness x sr] into the device array ``total``; both (rows x cols) int32, for sums on the way."""
         backend = self.backend
-        rows, cols = self.ground.heights.shape
+        rows, cols = self.shape
         self._turn()
         backend.fill(total, 0)
         backend.fill(turned, 0)
@@ -108,13 +109,13 @@ class Sweeps:
 
     def irradiance(self) -> np.ndarray:
         """Irradiance (rows, cols) float32 [brightness x sr]."""
-        total, turned = (self.backend.empty((self.ground.heights.size,), np.int32) for _ in range(2))
+        total, turned = (self.backend.empty((math.prod(self.shape),), np.int32) for _ in range(2))
         self.light(total, turned)
-        return self.backend.download(total).view(np.float32).reshape(self.ground.heights.shape)
+        return self.backend.download(total).view(np.float32).reshape(self.shape)
 
     def slopes(self) -> np.ndarray:
         """Horizon slopes (K, rows, cols) float32."""
-        out = np.empty((len(self.rays.angles), *self.ground.heights.shape), np.float32)
+        out = np.empty((len(self.rays.angles), *self.shape), np.float32)
         for numbers, found in self.planes():
             out[numbers] = found
         return out
@@ -122,7 +123,7 @@ class Sweeps:
     def planes(self):
         """Yields (numbers of azimuths, their horizon slopes (n, rows, cols) float32), a few azimuths at a time."""
         backend = self.backend
-        rows, cols = self.ground.heights.shape
+        rows, cols = self.shape
         most = max(1, int(min(backend.memory // 4, 2**30) // (8 * rows * cols)))
         self._turn()
         for half in self.halves:
@@ -139,7 +140,7 @@ class Sweeps:
     # -- how
 
     def _turn(self):
-        rows, cols = (n + 2 * self.margin for n in self.ground.heights.shape)
+        rows, cols = (n + 2 * self.margin for n in self.shape)
         self.backend.launch("ground", "turn", (rows, cols), self.heights, self.turned, rows, cols)
 
     def _batches(self, half: Half, most: int):
@@ -162,12 +163,6 @@ class Sweeps:
                        steps, rises, first, groups, backend.lines, half.rows, half.cols, self.margin, self.room, self.knots, bits, self.lowest, unit,
                        int(known), int(backward), group=backend.lines, NEAR=self.near, SIDES=SIDES[self.ground.sides], WHAT=what, BLOCKS=int(half.windows[first] < NEVER))
 
-    def _padded(self) -> np.ndarray:
-        heights = np.where(np.isfinite(self.ground.heights), self.ground.heights, MASKED)
-        if self.ground.sides == "periodic":
-            return np.pad(heights, self.margin, "wrap").ravel()
-        return np.pad(heights, self.margin, constant_values=OUTSIDE).ravel()
-
     def _unit(self, table) -> float:
         """What one of irradiance counts in fixed point: no sum passes 2^30."""
         most = np.ones(len(self.rays.widths)) if table is None else np.hypot(table[:, 0, 0], table[:, 0, 1])
@@ -175,7 +170,7 @@ class Sweeps:
 
     def _half(self, turned: bool, table) -> Half:
         ground, near, put = self.ground, self.near, self.backend.upload
-        rows, cols = ground.heights.shape[:: -1 if turned else 1]
+        rows, cols = self.shape[:: -1 if turned else 1]
         cosine, sine = np.cos(self.rays.angles), np.sin(self.rays.angles)
         numbers = np.flatnonzero((np.abs(cosine) > np.abs(sine)) == turned)
         across, along = (sine, cosine) if turned else (cosine, sine)
@@ -223,6 +218,15 @@ def ladder(steepest: float, relief: float, span: int, comes_at: int) -> tuple[in
     unit = (2.0 ** (30 - bits) - 2 * LADDER) / max(high, 1e-6)
     steps = (np.rint(slopes * unit).astype(np.int64) << bits) - 1
     return bits, unit, steps.tolist(), ((steps + 1) * comes_at).tolist()
+
+
+def _padded(ground: Ground, margin: int) -> np.ndarray:
+    if ground.sides == "periodic":
+        heights = np.pad(ground.heights, margin, "wrap")
+    else:
+        heights = np.pad(ground.heights, margin, constant_values=OUTSIDE)
+    heights[np.isneginf(heights)] = MASKED
+    return heights.ravel()
 
 
 def _steepest(heights: np.ndarray, near: int) -> tuple[float, float]:

@@ -127,7 +127,7 @@ class Slices:
         center, radius, extent = self._place(step)
         away = np.maximum(0, np.maximum([0 - center[0], 0 - center[1], low - center[2]], [center[0] - (cols - 1), center[1] - (rows - 1), center[2] - high]))
         apparent = radius / max(float(np.linalg.norm(away)), radius)
-        beyond = (extent[0] < -0.5).any() or extent[1][0] > cols - 0.5 or extent[1][1] > rows - 0.5
+        beyond = (extent[0] < -0.5 - 1e-6).any() or (extent[1] > np.array([cols, rows]) - 0.5 + 1e-6).any()
         self.walls = sides == "dark" and beyond
         self.most = most * (WALLED if self.walls else 1)
         self.least = max(self.most // (4 if isinstance(solid, Ball) else 2) // SLICES, 1) * SLICES
