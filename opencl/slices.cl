@@ -169,14 +169,14 @@ floats horizon(const Pixel *pixel, floats c, floats s, floats slope, floats high
   return slope;
 }
 
-/* Mean brightness of the chord between two tangents, weighted by cos^2 and by sin cos of elevation. */
-void brightness_of(const Pixel *pixel, floats c, floats s, floats low, floats high, floats *by_cosine, floats *by_sine)
+/* Mean brightness of the chord between two tangents, weighted by the cosine to the normal. */
+floats brightness_of(const Pixel *pixel, floats c, floats s, floats tilt, floats low, floats high)
 {
   const float half_ = 0.5f * (pixel->side - 1);
   const int most = pixel->side - 2;
   const floats low_c = 1 / sqrt(low * low + 1), high_c = 1 / sqrt(high * high + 1);
   const floats low_s = low * low_c, high_s = high * high_c;
-  floats sum_c = 0, sum_s = 0, all_c = 0, all_s = 0;
+  floats sum = 0, all = 0;
   for (int k = 0; k < pixel->n_points; ++k) {
     const float f = pixel->points[2 * k], weight = pixel->points[2 * k + 1];
     const floats cosine = low_c + f * (high_c - low_c), sine = low_s + f * (high_s - low_s), square = cosine * cosine + sine * sine;
@@ -189,14 +189,11 @@ void brightness_of(const Pixel *pixel, floats c, floats s, floats low, floats hi
     const floats p = u - TO_FLOATS(i), q = v - TO_FLOATS(j);
     const floats near = GATHER(pixel->sky, at) * (1 - p) + GATHER(pixel->sky, at + 1) * p;
     const floats far = GATHER(pixel->sky, at + pixel->side) * (1 - p) + GATHER(pixel->sky, at + pixel->side + 1) * p;
-    const floats bright = near * (1 - q) + far * q, share = weight / (square * square) * cosine;
-    sum_c += share * cosine * bright;
-    sum_s += share * sine * bright;
-    all_c += share * cosine;
-    all_s += share * sine;
+    const floats facing = tilt * cosine + sine, share = weight / (square * square) * cosine * MORE(facing, 0);
+    sum += share * (near * (1 - q) + far * q);
+    all += share;
   }
-  *by_cosine = sum_c / MORE(all_c, 1 / ENDLESS);
-  *by_sine = sum_s / MORE(all_s, 1 / ENDLESS);
+  return sum / MORE(all, 1 / ENDLESS);
 }
 
 /* atan(x), 0 <= x <= 1, to 2e-7. */
@@ -213,7 +210,7 @@ floats arctan(floats x)
   return x * (sum * y + 0.9999999f);
 }
 
-/* tilt x integral of B cos^2 + integral of B sin cos between the tangents low and high, which are `rise` apart. */
+/* Integral of B (tilt cos^2 + sin cos) of elevation between the tangents low and high, which are `rise` apart. */
 floats chord(const Pixel *pixel, floats c, floats s, floats low, floats high, floats rise)
 {
   const ints shows = WHERE(low < high);
@@ -222,14 +219,9 @@ floats chord(const Pixel *pixel, floats c, floats s, floats low, floats high, fl
   high = MORE(low, high);
   const floats tilt = pixel->tilt_x * c + pixel->tilt_y * s, product = low * high;
   const floats r = sqrt((low * low + 1) * (high * high + 1)), sine = rise / r;
-  floats by_cosine = arctan(rise / (r + 1 + product)) + 0.5f * ((1 - product) / r * sine), by_sine = 0.5f * ((low + high) / r * sine);
-  if (pixel->n_points) {
-    floats mean_c, mean_s;
-    brightness_of(pixel, c, s, low, high, &mean_c, &mean_s);
-    by_cosine *= mean_c;
-    by_sine *= mean_s;
-  }
-  return shows ? tilt * by_cosine + by_sine : 0;
+  const floats by_cosine = arctan(rise / (r + 1 + product)) + 0.5f * ((1 - product) / r * sine), by_sine = 0.5f * ((low + high) / r * sine);
+  const floats light = pixel->n_points ? brightness_of(pixel, c, s, tilt, low, high) : 1;
+  return shows ? light * (tilt * by_cosine + by_sine) : 0;
 }
 
 /* The light through a slice along (c, s) of a source between the tangents low and high, `rise` apart; aside: how far its
@@ -445,7 +437,7 @@ __kernel void quad(__global const float *heights, __global const float *tops, __
 
   /* 3. the slices */
   floats sum = 0;
-  if (pixel.height > NONE && all > 0 && top >= 0)
+  if (pixel.height > NONE && all > 0 && top >= 0 && (within || apart != 0)) /* from its own plane it is a line */
     for (int k = 0; k < n_slices; k += LANES) {
       const ints number = k + LANE;
       const ints in_a = WHERE(number < end_a), in_b = WHERE(number < end_b), in_c = WHERE(number < end_c);

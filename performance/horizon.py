@@ -9,7 +9,8 @@ sl.render call on NumPy arrays beside them. Whole calls of the lattice and of ot
 against whole calls of skylamp, on one map and against one reference, each on the quantity that it claims; nodes near the
 border are left out there, since some packages mirror the map. Lamps (--lamps) against shadow rays. Memory (--memory): peak
 of the render call in a process of its own (Linux). The first backend does all but the speed, which is that of every one.
-"Cores": how many were busy with it, which tells a crowded machine from a slow program. Prints its tables, and writes horizon.json, horizon.md and, with matplotlib, horizon.png.
+Cores are those that were busy with the work: fewer than there are, on a crowded machine.
+Prints its tables, and writes horizon.json, horizon.md and, with matplotlib, horizon.png.
 """
 
 import argparse
@@ -263,14 +264,14 @@ def chart(path: Path, size: int, rows: list[dict], others: list[dict]) -> None:
         line = [row for row in rows if "hemicube" in row and row["filled"] == filled]
         axes.plot(*zip(*map(at, line)), "s-", color=colour, label=f"skylamp, {'filled lattice' if filled else 'the paper’s stride'}, tilted")
         for row in line:
-            axes.annotate(f"M = {row['hemicube']}", at(row), (6, 4), textcoords="offset points", fontsize=8, color=colour)
+            axes.annotate(f"M = {row['hemicube']}", at(row), (6, 4 if filled else -10), textcoords="offset points", fontsize=8, color=colour)
     for n, name in enumerate(dict.fromkeys(row["peer"] for row in others)):
         line = [row for row in others if row["peer"] == name]
         fill = f"C{n + 3}" if line[0]["quantity"] == "tilted" else "white"
         axes.plot(*zip(*map(at, line)), "D", color=f"C{n + 3}", markerfacecolor=fill, label=f"{name}, {line[0]['quantity'].replace('_', ' ')}")
         for row in line:
             text = f"{row['azimuths']}" + (f", radius {row['radius']}" if row["radius"] else " rays" if "embreex" in name else "")
-            axes.annotate(text, at(row), (6, 4), textcoords="offset points", fontsize=8, color=f"C{n + 3}")
+            axes.annotate(text, at(row), (0, -13 if "rays" in text else 6), textcoords="offset points", fontsize=8, color=f"C{n + 3}", ha="center")
     axes.set(xscale="log", yscale="log", xlabel="time per pixel of the whole call [ns]", ylabel="RMS error of the sky-view factor (tilted: E / pi)",
              title=f"Uniform sky, rough ground, {size} x {size} nodes; numbers are azimuths")
     axes.margins(x=0.12)

@@ -163,7 +163,8 @@ def test_a_rectangle_above_the_plane(backend, name):
 def test_a_rectangle_seen_on_edge(backend):
     """Nothing from its own plane, and only what rises above the level."""
     depth = np.full((13, 17), 10.0)
-    assert image(backend, depth, slices.rectangle((6, 7, 2), (8, 0, 0), (0, 0, 5)))[7].max() < 1e-6
+    assert not image(backend, depth, slices.rectangle((6, 7, 2), (8, 0, 0), (0, 0, 5)))[7].any()
+    assert not image(backend, depth, slices.rectangle((6, 7, 2), (8, 0, 0), (0, 0, 9)))[7].any()
     low = slices.rectangle((3, 4, 7), (9, 0, 0), (0, 0, 6))
     near(image(backend, depth, low)[NODES], of_polygon(low.corners, places(depth), UP), 2e-3)
 
@@ -234,6 +235,14 @@ def test_the_map_of_brightness():
     L = np.array([2 * u, 2 * v, -(1 - u * u - v * v)]) / (1 + u * u + v * v)
     assert values[6, 6] == pytest.approx(5 + L @ [1, 2, 3])
     assert slices.brightness_of(sl.Sky(brightness=lambda L: np.full(L.shape[:-1], 7.0))) == 7.0 == slices.brightness_of(sl.Sky(brightness=7))
+
+
+def test_the_rules_of_quadrature():
+    """Gauss-Legendre for every number of slices."""
+    table = slices._quad_nodes(40)
+    for count in (1, 2, 3, 7, 40):
+        np.testing.assert_allclose(table[count - 1, :count].T, np.polynomial.legendre.leggauss(count), atol=1e-7)
+        assert not table[count - 1, count:].any()
 
 
 def test_the_cumulative_table():

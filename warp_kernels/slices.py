@@ -174,18 +174,16 @@ def horizon(pixel: Pixel, c: wp.float32, s: wp.float32, start: wp.float32, high:
 
 
 @wp.func
-def brightness_of(pixel: Pixel, c: wp.float32, s: wp.float32, low: wp.float32, high: wp.float32):
-    """Mean brightness of the chord between two tangents, weighted by cos^2 and by sin cos of elevation."""
+def brightness_of(pixel: Pixel, c: wp.float32, s: wp.float32, tilt: wp.float32, low: wp.float32, high: wp.float32):
+    """Mean brightness of the chord between two tangents, weighted by the cosine to the normal."""
     half = 0.5 * wp.float32(pixel.side - 1)
     most = pixel.side - 2
     low_c = 1.0 / wp.sqrt(low * low + 1.0)
     high_c = 1.0 / wp.sqrt(high * high + 1.0)
     low_s = low * low_c
     high_s = high * high_c
-    sum_c = wp.float32(0.0)
-    sum_s = wp.float32(0.0)
-    all_c = wp.float32(0.0)
-    all_s = wp.float32(0.0)
+    total = wp.float32(0.0)
+    all = wp.float32(0.0)
     for k in range(pixel.n_points):
         f = pixel.points[2 * k]
         weight = pixel.points[2 * k + 1]
@@ -202,13 +200,10 @@ def brightness_of(pixel: Pixel, c: wp.float32, s: wp.float32, low: wp.float32, h
         q = v - wp.float32(j)
         near = pixel.sky[at] * (1.0 - p) + pixel.sky[at + 1] * p
         far = pixel.sky[at + pixel.side] * (1.0 - p) + pixel.sky[at + pixel.side + 1] * p
-        bright = near * (1.0 - q) + far * q
-        share = weight / (square * square) * cosine
-        sum_c += share * cosine * bright
-        sum_s += share * sine * bright
-        all_c += share * cosine
-        all_s += share * sine
-    return sum_c / wp.max(all_c, 1.0 / ENDLESS), sum_s / wp.max(all_s, 1.0 / ENDLESS)
+        share = weight / (square * square) * cosine * wp.max(tilt * cosine + sine, 0.0)
+        total += share * (near * (1.0 - q) + far * q)
+        all += share
+    return total / wp.max(all, 1.0 / ENDLESS)
 
 
 @wp.func
@@ -227,7 +222,7 @@ def arctan(x: wp.float32):
 
 @wp.func
 def chord(pixel: Pixel, c: wp.float32, s: wp.float32, low: wp.float32, high: wp.float32, rise: wp.float32):
-    """tilt x integral of B cos^2 + integral of B sin cos between the tangents low and high, which are ``rise`` apart."""
+    """Integral of B (tilt cos^2 + sin cos) of elevation between the tangents low and high, which are ``rise`` apart."""
     if not low < high:
         return wp.float32(0.0)
     tilt = pixel.tilt_x * c + pixel.tilt_y * s
@@ -236,11 +231,10 @@ def chord(pixel: Pixel, c: wp.float32, s: wp.float32, low: wp.float32, high: wp.
     sine = rise / r
     by_cosine = arctan(rise / (r + 1.0 + product)) + 0.5 * ((1.0 - product) / r * sine)
     by_sine = 0.5 * ((low + high) / r * sine)
+    light = wp.float32(1.0)
     if pixel.n_points > 0:
-        mean_c, mean_s = brightness_of(pixel, c, s, low, high)
-        by_cosine *= mean_c
-        by_sine *= mean_s
-    return tilt * by_cosine + by_sine
+        light = brightness_of(pixel, c, s, tilt, low, high)
+    return light * (tilt * by_cosine + by_sine)
 
 
 @wp.func
@@ -254,7 +248,7 @@ def to_wall(ends: wp.int32, at: wp.int32, along: wp.float32):
 
 
 @wp.func
-def light(pixel: Pixel, c: wp.float32, s: wp.float32, along: wp.float32, aside: wp.float32, low: wp.float32, high: wp.float32, rise: wp.float32):
+def slice_light(pixel: Pixel, c: wp.float32, s: wp.float32, along: wp.float32, aside: wp.float32, low: wp.float32, high: wp.float32, rise: wp.float32):
     """The light through a slice along (c, s) of a source between the tangents low and high, ``rise`` apart; aside: how far its
     middle stands from the slice."""
     # 1. the tangent plane and the level
@@ -367,7 +361,7 @@ def ball(
     if not all_round:
         widest = sin_a / cos_e
         turn = widest * (0.318 + 0.182 * widest * widest)  # share of the circle, nearly
-    blocks = wp.min((least + wp.int32(turn * wp.float32(most - least))) / SLICES, most / SLICES)
+    blocks = wp.min((least + wp.int32(turn * wp.float32(most - least))) // SLICES, most // SLICES)
     n_slices = blocks * SLICES
     step = wp.float32(wp.pi) / wp.float32(n_slices)
     own = (blocks - 1) * 4 * most
@@ -406,7 +400,7 @@ def ball(
             rise = high - low
             if low_c > 0.0 and high < STEEP:
                 rise = 2.0 * cos_a * half * square / (low_c * high_c)
-            total += share * light(pixel, ux * cos_d - uy * sin_d, uy * cos_d + ux * sin_d, flat * cos_d, flat * sin_d, low, high, rise)
+            total += share * slice_light(pixel, ux * cos_d - uy * sin_d, uy * cos_d + ux * sin_d, flat * cos_d, flat * sin_d, low, high, rise)
     irradiance[y * cols + x] = unit * total / wp.sqrt(1.0 + pixel.tilt_x * pixel.tilt_x + pixel.tilt_y * pixel.tilt_y)
 
 
@@ -538,7 +532,7 @@ def quad(
     to_b = to_a + share_of(b[2])
     to_c = to_b + share_of(c[2])
     all = to_c + share_of(d[2])
-    blocks = wp.min((least + wp.int32(all * wp.float32(most - least))) / SLICES, most / SLICES)
+    blocks = wp.min((least + wp.int32(all * wp.float32(most - least))) // SLICES, most // SLICES)
     n_slices = blocks * SLICES
     narrow = 1e-4 * all  # a sector below that is left out
     used_a = wp.where(to_a > narrow, 1, 0)
@@ -554,7 +548,7 @@ def quad(
 
     # 3. the slices
     total = wp.float32(0.0)
-    if pixel.height > NONE and all > 0.0 and top >= 0.0:
+    if pixel.height > NONE and all > 0.0 and top >= 0.0 and (within or apart != 0.0):  # from its own plane it is a line
         for k in range(n_slices):
             sector = d
             first = end_c
@@ -629,5 +623,5 @@ def quad(
                     high = -STEEP
             high = wp.min(high, STEEP)
             along = sense * (normal_x * cos_d + normal_y * sin_d)
-            total += share * light(pixel, ux * cos_d - uy * sin_d, uy * cos_d + ux * sin_d, along, 0.0, low, high, rise)
+            total += share * slice_light(pixel, ux * cos_d - uy * sin_d, uy * cos_d + ux * sin_d, along, 0.0, low, high, rise)
     irradiance[y * cols + x] = unit * total / wp.sqrt(1.0 + pixel.tilt_x * pixel.tilt_x + pixel.tilt_y * pixel.tilt_y)

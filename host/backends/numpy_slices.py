@@ -132,12 +132,12 @@ def _horizon(ground, pixels, c, s, slope, high, along, aside):
     return found
 
 
-def _brightness_of(ground, c, s, low, high):
+def _brightness_of(ground, c, s, tilt, low, high):
     side = ground.sky.shape[1]
     sky, half, most = ground.sky.ravel(), F(0.5) * F(side - 1), side - 2
     low_c, high_c = F(1) / np.sqrt(low * low + F(1)), F(1) / np.sqrt(high * high + F(1))
     low_s, high_s = low * low_c, high * high_c
-    sum_c, sum_s, all_c, all_s = (np.zeros_like(low) for _ in range(4))
+    total, everything = np.zeros_like(low), np.zeros_like(low)
     for f, weight in ground.points:
         cosine, sine = low_c + f * (high_c - low_c), low_s + f * (high_s - low_s)
         square = cosine * cosine + sine * sine
@@ -148,12 +148,10 @@ def _brightness_of(ground, c, s, low, high):
         p, q = u - i.astype(F), v - j.astype(F)
         near = sky[at] * (F(1) - p) + sky[at + 1] * p
         far = sky[at + side] * (F(1) - p) + sky[at + side + 1] * p
-        bright, share = near * (F(1) - q) + far * q, weight / (square * square) * cosine
-        sum_c += share * cosine * bright
-        sum_s += share * sine * bright
-        all_c += share * cosine
-        all_s += share * sine
-    return sum_c / np.maximum(all_c, F(1) / ENDLESS), sum_s / np.maximum(all_s, F(1) / ENDLESS)
+        share = weight / (square * square) * cosine * np.maximum(tilt * cosine + sine, F(0))
+        total += share * (near * (F(1) - q) + far * q)
+        everything += share
+    return total / np.maximum(everything, F(1) / ENDLESS)
 
 
 def _arctan(x):
@@ -173,11 +171,8 @@ def _chord(ground, pixels, c, s, low, high, rise):
     sine = rise / r
     by_cosine = _arctan(rise / (r + F(1) + product)) + F(0.5) * ((F(1) - product) / r * sine)
     by_sine = F(0.5) * ((low + high) / r * sine)
-    if len(ground.points):
-        mean_c, mean_s = _brightness_of(ground, c, s, low, high)
-        by_cosine *= mean_c
-        by_sine *= mean_s
-    out[n] = tilt * by_cosine + by_sine
+    light = _brightness_of(ground, c, s, tilt, low, high) if len(ground.points) else F(1)
+    out[n] = light * (tilt * by_cosine + by_sine)
     return out
 
 
@@ -325,7 +320,7 @@ def quad(heights, tops, corners, nodes, sky, points, irradiance, rows, cols, wid
     used = np.cumsum(np.concatenate([to[:1], to[1:] - to[:-1]]) > narrow, 0)
     more = np.where(to[3] > 0, (blocks * SLICES - used[3]).astype(F) / to[3], F(0))
     ends = used[:3] + (to[:3] * more + F(0.5)).astype(np.int32)
-    seen = (to[3] > 0) & (top >= 0)
+    seen = (to[3] > 0) & (top >= 0) & (within | (apart != 0))  # from its own plane it is a line
 
     # 3. the slices
     def slices_of(part, count):

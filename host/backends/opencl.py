@@ -69,15 +69,18 @@ class OpenclBackend(Backend):
         self._kernels = {}
 
     def upload(self, array):
-        device = self.empty(array.shape, array.dtype)
+        device = self._array(array.shape, array.dtype)
         device.set(np.ascontiguousarray(array))
         return device
 
     def empty(self, shape, dtype, fill=None):
-        array = self.cl.array.Array(self.queue, shape, dtype, data=self._on_huge_pages(shape, dtype))
+        array = self._array(shape, dtype)
         if fill is not None:
             array.fill(np.dtype(dtype).type(fill))
         return array
+
+    def _array(self, shape, dtype):
+        return self.cl.array.Array(self.queue, shape, dtype, data=self._on_huge_pages(shape, dtype))
 
     def _on_huge_pages(self, shape, dtype):
         """A buffer in main memory for a large array on a CPU, or None: kernels that step from row to row touch a page a row."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from typing import NamedTuple
 
@@ -184,9 +185,22 @@ def _ball_nodes(most: int) -> np.ndarray:
     return table
 
 
+@functools.cache
 def _quad_nodes(most: int) -> np.ndarray:
-    """(most, most, 2) float32, as the kernel ``quad`` reads it."""
-    table = np.zeros((most, most, 2), np.float32)
-    for count in range(1, most + 1):
-        table[count - 1, :count] = np.stack(np.polynomial.legendre.leggauss(count), 1)
+    """(most, most, 2) float32, as the kernel ``quad`` reads it: all rules at once by Newton's method on Legendre polynomials."""
+    n, k = np.arange(1, most + 1)[:, None], np.arange(most)
+    used = k < n
+    x = np.where(used, -np.cos(np.pi * (k + 0.75) / (n + 0.5)), 0.0)
+    for _ in range(5):
+        before, value, last = np.ones_like(x), x, np.ones_like(x)  # P_0, P_1; P_(n-1)
+        polynomial = np.where(n == 1, value, 0.0)
+        for degree in range(2, most + 1):
+            before, value = value, ((2 * degree - 1) * x * value - (degree - 1) * before) / degree
+            polynomial = np.where(n == degree, value, polynomial)
+            last = np.where(n == degree, before, last)
+        slope = np.where(used, n * (last - x * polynomial) / (1 - x * x), 1.0)
+        x = np.where(used, x - polynomial / slope, 0.0)
+    weight = np.where(used, 2 / ((1 - x * x) * slope**2), 0.0)
+    table = np.stack([x, weight], -1).astype(np.float32)
+    table.flags.writeable = False
     return table
