@@ -60,6 +60,8 @@ class OpenclBackend(Backend):
         self.device = self._device.name.strip()
         self.context = cl.Context([self._device])
         self.queue, self._side, self._pending = cl.CommandQueue(self.context), cl.CommandQueue(self.context), None
+        exact = self._device.single_fp_config & cl.device_fp_config.CORRECTLY_ROUNDED_DIVIDE_SQRT
+        self._exact = ("-cl-fp32-correctly-rounded-divide-sqrt",) if exact else ()  # where a GPU would else take 2.5 ulp
         self.on_cpu = bool(self._device.type & cl.device_type.CPU)
         self.lanes = CPU_LANES if self.on_cpu else 1
         self.strips = CPU_STRIPS if self.on_cpu else 1
@@ -152,7 +154,7 @@ class OpenclBackend(Backend):
         known = {"LANES": lanes, "BITS": 0, "AHEAD": 1 if self.on_cpu else GPU_AHEAD, "GROUP": group, "STRIPS": self.strips, "ON_CPU": int(self.on_cpu), **dict(constants)}
         defines = [f"-D{name}={value}" for name, value in known.items()]
         try:
-            program = self.cl.Program(self.context, source(stem)).build([*OPTIONS, *defines])
+            program = self.cl.Program(self.context, source(stem)).build([*OPTIONS, *self._exact, *defines])
         except self.cl.Error as error:
             raise BackendError(f"{self.name}: {stem}.cl does not build on {self.device}: {error}") from error
         self.compile_seconds += time.perf_counter() - start
