@@ -466,7 +466,7 @@ __kernel void quad(__global const float *heights, __global const float *tops, __
         has_right |= to_right;
       }
       const floats in_plane = flat * cos_d;
-      const floats to_left = MORE(in_plane + left_r, 1e-20f), to_right = MORE(in_plane + right_r, 1e-20f);
+      const floats to_left = MORE(in_plane + left_r, 1e-10f), to_right = MORE(in_plane + right_r, 1e-10f);
       const floats steep_left = (dz + left_z) / to_left, steep_right = (dz + right_z) / to_right;
       floats low, high, rise;
       if (within) {

@@ -165,6 +165,9 @@ def test_a_rectangle_seen_on_edge(backend):
     depth = np.full((13, 17), 10.0)
     assert not image(backend, depth, slices.rectangle((6, 7, 2), (8, 0, 0), (0, 0, 5)))[7].any()
     assert not image(backend, depth, slices.rectangle((6, 7, 2), (8, 0, 0), (0, 0, 9)))[7].any()
+    for most in (32, 128):  # from its corner, and with an edge overhead
+        got = image(backend, depth, slices.rectangle((6, 7, 10), (2, 3, 0), (0, 0, -4)), most=most)
+        assert np.isfinite(got).all() and got.max() < 4
     low = slices.rectangle((3, 4, 7), (9, 0, 0), (0, 0, 6))
     near(image(backend, depth, low)[NODES], of_polygon(low.corners, places(depth), UP), 2e-3)
 

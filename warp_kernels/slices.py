@@ -598,8 +598,8 @@ def quad(
                     right_z = z
                     has_right = True
             in_plane = flat * cos_d
-            to_left = wp.max(in_plane + left_r, 1e-20)
-            to_right = wp.max(in_plane + right_r, 1e-20)
+            to_left = wp.max(in_plane + left_r, 1e-10)
+            to_right = wp.max(in_plane + right_r, 1e-10)
             steep_left = (dz + left_z) / to_left
             steep_right = (dz + right_z) / to_right
             low = -STEEP

@@ -352,7 +352,7 @@ def quad(heights, tops, corners, nodes, sky, points, irradiance, rows, cols, wid
             has_left |= to_left
             has_right |= to_right
         in_plane, dz_, over = column(flat) * cos_d, column(dz), column(pixels.up) > 0
-        to_left, to_right = np.maximum(in_plane + left_r, F(1e-20)), np.maximum(in_plane + right_r, F(1e-20))
+        to_left, to_right = np.maximum(in_plane + left_r, F(1e-10)), np.maximum(in_plane + right_r, F(1e-10))
         steep_left, steep_right = (dz_ + left_z) / to_left, (dz_ + right_z) / to_right
         edge = np.where(column(left), steep_left, steep_right)
         wide = dz_ * (right_r - left_r) + in_plane * (left_z - right_z) + left_z * right_r - right_z * left_r
