@@ -16,7 +16,7 @@ The map is seen so that rays go from row to row: azimuths nearer to the columns'
                                       row| or 1e9, reach [rows], 0
   ways         (count, 8)      int    1 if the source lies towards row 0, else -1; near rows; near columns; rows before the
                                       first from which a map that repeats is swept; window [rows]; 0, 0, 0
-  near_at      (count, NEAR + NEAR_COLUMNS) int  where near row (column) crossings are, from the node, in elements of heights
+  near_at      (count, NEAR + NEAR_COLUMNS, 2) int  the first node of each near row (column) crossing: columns on, rows on
   near_weight  likewise        float  weight of the farther node of each
   table        (count, knots)  float4 brightness: integrals over elevation of B cos^2 and B sin cos from
                                       sin(elevation) = i / (knots - 1) to the zenith, and what to add up to the next knot
@@ -25,14 +25,18 @@ The map is seen so that rays go from row to row: azimuths nearer to the columns'
   steps, rises                        the ladder: (s << bits) - 1, and s times the distance at which a crossing comes in
 
 WHAT: SLOPES writes slopes, UNIFORM adds the light of a uniform sky, TABLE that of `table`. SIDES: OPEN, DARK or PERIODIC.
-known: slopes holds what is known already. BLOCKS: the window is not endless. backward: rows at the far end of the window come in, and blocks of one window are swept from the last row to the first;
-with a forward sweep by blocks it covers exactly one window before every node.
-Work-item (j, k, g) owns LANES adjacent lines of azimuth k; long lines start first. Twin of warp_kernels/horizon.py. */
+known: slopes holds what is known already. BLOCKS: the window is not endless. backward: rows at the far end of the window
+come in, and blocks of one window are swept from the last row to the first; with a forward sweep by blocks it covers exactly
+one window before every node.
+Work-item (j, k, g) owns LANES adjacent lines of azimuth k, or STRIPS times as many on a CPU; long lines start first. On a GPU
+the LINES work-items of a group keep the rows about them in local memory (TILED). Twin of warp_kernels/horizon.py. */
 #include "lanes.h"
 #define NONE -1e30f
 #define UNSEEN (1 - (1 << 30)) /* far below all ground, one row away */
 #define LADDER 16
-#define FETCH (!ON_CPU && !BLOCKS && SIDES != PERIODIC)
+#define TILED (!ON_CPU && !BLOCKS && SIDES != 2) /* the preprocessor knows no enum */
+#define TILE_ROWS 16
+#define PITCH (LINES + TILE_ROWS + NEAR + 8)
 #define ACROSS (LANES * STRIPS) /* strips of LANES lines side by side, for the sake of cache lines */
 #define NEAR_COLUMNS (NEAR - 1) /* the last one within NEAR rows lies on a row */
 enum { OPEN, DARK, PERIODIC }; /* SIDES */
@@ -57,7 +61,6 @@ typedef struct __attribute__((packed)) { ints v; } loose_ints;
 #define READ(offset, pointer) (((__global const loose_floats *)((pointer) + (offset)))->v)
 #define MORE(a, b) ((a) > (b) ? (a) : (b))
 #define FMA(a, b, c) ((a) * (b) + (c))
-#define ARCTAN(v) arctan_(v)
 #define ORDER(g, groups) (g) /* neighbours one after another find their lines in the cache */
 #define RECIPROCAL(v) (1 / (v))
 #define RECIPROCAL_ROOT(v) (1 / sqrt(v))
@@ -67,12 +70,19 @@ typedef struct __attribute__((packed)) { ints v; } loose_ints;
 #define READ(offset, pointer) LOAD(offset, pointer)
 #define MORE(a, b) fmax(a, b)
 #define FMA(a, b, c) fma(a, b, c)
-#define ARCTAN(v) atan(v)
 #define ORDER(g, groups) ((g) & 1 ? (groups) / 2 - ((g) + 1) / 2 : (groups) / 2 + (g) / 2) /* the longest first */
 #define RECIPROCAL(v) native_recip(v)
 #define RECIPROCAL_ROOT(v) native_rsqrt(v)
 #define ADD(to, value) atomic_add(to, value)
 #define ADD_ALL(to, values)
+#endif
+
+#if TILED
+#define NODE(i) here[u * PITCH + x + (i)]
+#define LINE(i) here[comes * PITCH + cx + (i)]
+#else
+#define NODE(i) READ(p + (i), heights)
+#define LINE(i) READ(from_row + cx + (i), heights)
 #endif
 
 typedef struct { int s[LADDER]; } Ladder;
@@ -81,22 +91,19 @@ ints more(ints a, ints b) { return a > b ? a : b; }
 ints less(ints a, ints b) { return a < b ? a : b; }
 floats higher(floats a, floats b) { return MORE(a, b); }
 
-#if ON_CPU
 /* Arc tangent of v >= 0 to 2e-7, by a polynomial fitted for least maximum error. */
-floats arctan_(floats v)
+floats arctan(floats v)
 {
-  const floats r = v > 1 ? 1 / v : v, q = r * r;
-  floats p = -0.0040545627f;
-  p = p * q + 0.021862943f;
-  p = p * q - 0.055912301f;
-  p = p * q + 0.096421957f;
-  p = p * q - 0.13908629f;
-  p = p * q + 0.19946566f;
-  p = p * q - 0.33329859f;
-  p = p * q + 0.99999934f;
+  const floats r = v > 1 ? RECIPROCAL(v) : v, q = r * r;
+  floats p = FMA((floats)-0.0040545627f, q, 0.021862943f);
+  p = FMA(p, q, -0.055912301f);
+  p = FMA(p, q, 0.096421957f);
+  p = FMA(p, q, -0.13908629f);
+  p = FMA(p, q, 0.19946566f);
+  p = FMA(p, q, -0.33329859f);
+  p = FMA(p, q, 0.99999934f);
   return v > 1 ? 1.57079633f - p * r : p * r;
 }
-#endif
 
 /* Where the node dx columns and dy rows beside the nodes at p, (x, y), lies: on a map that repeats, round its sides. */
 ints beside_of(int p, int x, int y, ints dx, ints dy, int rows, int cols, int margin)
@@ -117,58 +124,57 @@ int column_of(int x, int line, int l, int cols)
   return x + l >= 0 && x + l < cols ? x + l : -1;
 }
 
-/* Heights of the line at a row, quantized, with the distance at which it comes in. */
-ints look(__global const float *heights, int at, float weight, float lowest, float unit, int bits, int distance)
+/* Ground of the line between two nodes, quantized, with the distance at which it comes in. */
+ints look(floats a, floats b, float weight, float lowest, float unit, int bits, int distance)
 {
-  const floats a = READ(at, heights), b = READ(at + 1, heights);
   floats ground = a + weight * (b - a);
   ground = a == NONE ? b : b == NONE ? a : ground; /* beside the map the border goes on; a masked node is a gap */
   const ints seen = (TO_INTS(higher(ground - lowest, 0.0f) * unit) << bits) | distance;
   return ground < -1e20f ? (ints)UNSEEN : seen;
 }
 
-/* Where a ray crosses a grid line: heights of the two nodes, weight of the second, 1 / distance. */
-typedef struct { floats a, b, weight, closeness; } Crossing;
+/* From which row on, and up to which, one of `count` lines is on the map. */
+int enters(int line, int count, float shear, float reciprocal, int cols)
+{
+  return max((int)floor((float)(shear > 0 ? line - cols : -line - count) * reciprocal), 0);
+}
+int leaves(int line, int count, float shear, float reciprocal, int rows, int cols)
+{
+  return min((int)((float)(shear > 0 ? line + count : cols - line) * reciprocal) + 2, rows);
+}
 
-floats rise(Crossing c, floats own) { return FMA(c.weight, c.b - c.a, c.a - own) * c.closeness; }
+/* Slope to where a ray crosses the grid line between nodes i and j, at a distance. */
+floats rise(__global const float *heights, ints i, ints j, floats weight, floats distance, float reach, floats own)
+{
+  const floats a = PICK(heights, i), b = PICK(heights, j), slope = FMA(weight, b - a, a - own) * RECIPROCAL(distance);
+  return BLOCKS ? distance <= reach ? slope : NONE : slope;
+}
 
 /* The crossing with the row t rows on of the ray of the node at column x, row y. */
-Crossing on_row(__global const float *heights, int p, int x, int y, ints t, float shear, float reach, int towards, int rows, int cols,
-                int margin)
+floats on_row(__global const float *heights, floats own, int p, int x, int y, ints t, float shear, float reach, int towards, int rows,
+              int cols, int margin)
 {
   const floats distance = TO_FLOATS(t), across = shear * distance;
   ints n = TO_INTS(across);
   n -= across < TO_FLOATS(n) ? (ints)1 : (ints)0;
   const ints at = beside_of(p, x, y, n, -towards * t, rows, cols, margin);
-  const floats a = PICK(heights, at), b = PICK(heights + 1, at);
-  const Crossing c = {BLOCKS ? distance <= reach ? a : NONE : a, BLOCKS ? distance <= reach ? b : NONE : b, across - TO_FLOATS(n), RECIPROCAL(distance)};
-  return c;
+  return rise(heights, at, at + 1, across - TO_FLOATS(n), distance, reach, own);
 }
 
 /* The crossing with the column m columns on, which counts if it is within reach. */
-Crossing on_column(__global const float *heights, int p, int x, int y, int u, ints m, float shear, float reciprocal, float reach,
-                   int towards, int rows, int cols, int margin)
+floats on_column(__global const float *heights, floats own, int p, int x, int y, int u, ints m, float shear, float reciprocal, float reach,
+                 int towards, int rows, int cols, int margin)
 {
   const floats distance = TO_FLOATS(m) * reciprocal;
   const ints n = TO_INTS(distance), before = SIDES == PERIODIC ? n : less(n, u + 1);
   const ints at = beside_of(p, x, y, shear > 0 ? m : -m, -towards * before, rows, cols, margin);
-  const floats a = PICK(heights, at), b = PICK(heights - towards * (cols + 2 * margin), at);
-  const Crossing c = {BLOCKS ? distance <= reach ? a : NONE : a, BLOCKS ? distance <= reach ? b : NONE : b, distance - TO_FLOATS(n), RECIPROCAL(distance)};
-  return c;
+  return rise(heights, at, at - towards * (cols + 2 * margin), distance - TO_FLOATS(n), distance, reach, own);
 }
-
-/* Nodes whose far crossings have been asked for. */
-typedef struct {
-  Crossing far[4];
-  floats own, near, beyond, gx, gy;
-  ints hidden; /* lanes in which nothing far can rise above what is near */
-  int waits, x, y, u;
-} Waiting;
 
 __kernel void sweep(__global const float *restrict heights, __global const float *restrict tilts, __constant float *azimuths,
                     __constant int *ways, __constant int *near_at, __constant float *near_weight,
                     __global const float4 *restrict table, __global float *restrict slopes, __global int *restrict sum,
-                    const Ladder steps, const Ladder rises, int first, int groups, int group, int rows, int cols, int margin,
+                    const Ladder steps, const Ladder rises, int first, int group, int rows, int cols, int margin,
                     int room, int knots, int bits, float lowest, float unit, int known, int backward)
 {
   const int k = get_group_id(1) + first, g = get_global_id(2);
@@ -178,27 +184,48 @@ __kernel void sweep(__global const float *restrict heights, __global const float
   const int towards = ways[8 * k], near_rows = ways[8 * k + 1], near_columns = ways[8 * k + 2], warm = ways[8 * k + 3];
   const int window = ways[8 * k + 4];
 
+  const int stride = cols + 2 * margin, back = TILED ? -PITCH : -towards * stride, mask = (1 << bits) - 1;
+
   /* 1. which lines, the longest first, and from which row to which they are on the map */
-  const int overhang = SIDES == PERIODIC ? 0 : (int)(steepness * rows) + 1;
-  const int line = (ORDER(g, groups) * group + (int)get_global_id(0)) * ACROSS - (shear < 0 ? overhang : 0);
-  if (line >= cols + (shear > 0 ? overhang : 0))
+  const int overhang = SIDES == PERIODIC ? 0 : (int)(steepness * rows) + 1, beyond = cols + (shear > 0 ? overhang : 0);
+  const int groups = (cols + overhang + ACROSS * group - 1) / (ACROSS * group);
+  if (g >= groups)
+    return;
+  const int first_line = ORDER(g, groups) * group * ACROSS - (shear < 0 ? overhang : 0), line = first_line + (int)get_local_id(0) * ACROSS;
+  if (!TILED && line >= beyond)
     return;
   int start = -warm, stop = rows;
   if (SIDES != PERIODIC && reciprocal < 1e8f) {
-    const float in = shear > 0 ? line - cols : -line - ACROSS, out = shear > 0 ? line + ACROSS : cols - line;
-    start = max((int)floor(in * reciprocal), 0);
-    stop = min((int)(out * reciprocal) + 2, rows);
+    start = enters(line, ACROSS, shear, reciprocal, cols);
+    stop = leaves(line, ACROSS, shear, reciprocal, rows, cols);
   }
+  int from = start, to = stop;
+  if (BLOCKS && backward) {
+    from -= (start + warm) % window;
+    to += window - 1 - (stop - 1 + warm) % window;
+  }
+#if TILED /* the work-items of a group go together */
+  if (reciprocal < 1e8f) {
+    from = enters(first_line, LINES, shear, reciprocal, cols);
+    to = leaves(first_line, LINES, shear, reciprocal, rows, cols);
+  }
+  if (line >= beyond)
+    stop = start;
+  __local float tile[(TILE_ROWS + NEAR + 1) * PITCH];
+  __local const float *here = tile;
+#endif
 
   int row_at[NEAR], column_at[NEAR_COLUMNS];
   float row_weight[NEAR], column_weight[NEAR_COLUMNS];
   for (int e = 0; e < NEAR; ++e) {
-    row_at[e] = near_at[(NEAR + NEAR_COLUMNS) * k + e];
-    row_weight[e] = near_weight[(NEAR + NEAR_COLUMNS) * k + e];
+    const int n = (NEAR + NEAR_COLUMNS) * k + e;
+    row_at[e] = near_at[2 * n] + near_at[2 * n + 1] * back;
+    row_weight[e] = near_weight[n];
   }
   for (int e = 0; e < NEAR_COLUMNS; ++e) {
-    column_at[e] = near_at[(NEAR + NEAR_COLUMNS) * k + NEAR + e];
-    column_weight[e] = near_weight[(NEAR + NEAR_COLUMNS) * k + NEAR + e];
+    const int n = (NEAR + NEAR_COLUMNS) * k + NEAR + e;
+    column_at[e] = near_at[2 * n] + near_at[2 * n + 1] * back;
+    column_weight[e] = near_weight[n];
   }
 
   /* 2. the ladder: nothing seen yet */
@@ -209,152 +236,73 @@ __kernel void sweep(__global const float *restrict heights, __global const float
       ladders[q][s] = UNSEEN;
     step[s] = BLOCKS && backward ? steps.s[s] : -steps.s[s];
   }
-  const int stride = cols + 2 * margin, back = -towards * stride, mask = (1 << bits) - 1;
   const int comes_at = BLOCKS && backward ? window : NEAR + 1;
   const float per_rung = unit * (float)(1 << bits) * comes_at;
-  int from = start, to = stop;
-  if (BLOCKS && backward) {
-    from -= (start + warm) % window;
-    to += window - 1 - (stop - 1 + warm) % window;
-  }
 
-  /* The far crossings of a node are looked up in one turn of the loop and used in the next, when they have arrived. */
-  Waiting nodes[STRIPS];
-  floats ahead = 0; /* depth of the next row's node, asked for one row before */
-  if (FETCH)
-    ahead = READ(((towards > 0 ? from : rows - 1 - from) + margin) * stride + margin + line + (int)floor(0.5f - shear * from), heights);
-  for (int q = 0; q < STRIPS; ++q)
-    nodes[q].waits = 0;
-  for (int i = from; i <= to; ++i) {
+  for (int i = from; i < to; ++i) {
     int u = i, into = 1;
     if (BLOCKS) {
       into = (i + warm) % window;
       u = backward ? i - 2 * into + window - 1 : i;
     }
-    const int here = i < to && u >= max(start, 0) && u < stop;
-
-    const int v = BLOCKS || SIDES == PERIODIC ? min(max(u, max(start, 0)), stop) : u; /* what is looked up must be there */
-    const int y = towards > 0 ? v : rows - 1 - v, shift = (int)floor(0.5f - shear * v);
+    const int on_line = u >= max(start, 0) && u < stop;
+    const int y = towards > 0 ? u : rows - 1 - u, shift = (int)floor(0.5f - shear * u);
     const int comes = u - comes_at, arrives = (SIDES == PERIODIC || comes >= start && comes < stop) && (!BLOCKS || backward || into > NEAR);
     const float across = -shear * comes;
     const int column = (int)floor(across), came = SIDES == PERIODIC ? (comes % rows + rows) % rows : comes;
     const int from_row = ((towards > 0 ? came : rows - 1 - came) + margin) * stride + margin;
+#if TILED
+    if ((i - from) % TILE_ROWS == 0) { /* TILE_ROWS rows, and those before them that are near or come in */
+      const int first_row = i - NEAR - 1, left = first_line + (int)floor(0.5f - shear * (shear > 0 ? i + TILE_ROWS - 1 : first_row)) - 2;
+      barrier(CLK_LOCAL_MEM_FENCE);
+      for (int e = get_local_id(0); e < (TILE_ROWS + NEAR + 1) * PITCH; e += LINES) {
+        const int r = first_row + e / PITCH, c = min(max(left + e % PITCH, -margin), cols + margin - 1);
+        tile[e] = heights[(min(max(towards > 0 ? r : rows - 1 - r, -margin), rows + margin - 1) + margin) * stride + margin + c];
+      }
+      barrier(CLK_LOCAL_MEM_FENCE);
+      here = tile - (first_row * PITCH + left);
+    }
+#endif
 
     for (int q = 0; q < STRIPS; ++q) {
-      /* 3. LANES neighbours from column x: every near crossing */
-      const int first_line = line + LANES * q;
-      int x = first_line + shift;
-      if (SIDES == PERIODIC)
+      const int strip = line + LANES * q;
+      int x = strip + shift, cx = strip + column;
+      if (SIDES == PERIODIC) {
         x = (x % cols + cols) % cols;
-      const int on_map = here && (SIDES == PERIODIC || STRIPS == 1 || x < cols && x > -LANES);
-      if (STRIPS > 1 && !on_map && !nodes[q].waits && !BLOCKS && SIDES != PERIODIC)
-        continue;
-      ints *above = ladders[q];
-      Waiting node = nodes[q];
-      const int p = (y + margin) * stride + margin + x;
-      const floats own = FETCH ? ahead : READ(p, heights);
-      if (FETCH)
-        ahead = READ(p + towards * stride + (int)floor(0.5f - shear * (v + 1)) - shift, heights);
-      floats near = NONE, beside = NONE, gx = 0, gy = 0;
-      if (WHAT != SLOPES) {
-        gx = READ(p, tilts);
-        gy = READ(room + p, tilts);
+        cx = (cx % cols + cols) % cols;
       }
+      const int on_map = on_line && (SIDES == PERIODIC || STRIPS == 1 || x < cols && x > -LANES);
+      if (STRIPS > 1 && !on_map && !BLOCKS && SIDES != PERIODIC)
+        continue;
+
+      /* 3. the row that comes in, quantized; then every ray climbs (or, backward, falls) by one row */
+      ints *above = ladders[q], seen = UNSEEN;
+      for (int s = 0; s < LADDER && into == 0; ++s)
+        above[s] = UNSEEN;
+      if (arrives && (STRIPS == 1 || cx < cols && cx >= -LANES))
+        seen = look(LINE(0), LINE(1), across - column, lowest, unit, bits, comes_at);
+      for (int s = 0; s < LADDER; ++s)
+        above[s] = more(above[s] + step[s], seen);
+      if (!on_map)
+        continue;
+
+      /* 4. LANES neighbours from column x: every near crossing */
+      const int p = (y + margin) * stride + margin + x;
+      const floats own = NODE(0);
+      floats near = NONE, beside = NONE;
       for (int e = 0; e < NEAR; ++e) {
-        const floats a = READ(p + row_at[e], heights), b = READ(p + row_at[e] + 1, heights);
+        const floats a = NODE(row_at[e]), b = NODE(row_at[e] + 1);
         const floats found = higher(near, FMA((floats)row_weight[e], b - a, a - own) * (1.0f / (e + 1)));
         near = !BLOCKS || e < near_rows ? found : near;
       }
       for (int e = 0; e < NEAR_COLUMNS; ++e) {
-        const floats a = READ(p + column_at[e], heights), b = READ(p + column_at[e] + back, heights);
+        const floats a = NODE(column_at[e]), b = NODE(column_at[e] + back);
         const floats found = higher(beside, FMA((floats)column_weight[e], b - a, a - own) * (1.0f / (e + 1)));
         beside = e < near_columns ? found : beside;
       }
-      near = higher(near, beside * max(steepness, 1e-6f));
+      floats slope = higher(near, beside * max(steepness, 1e-6f));
 
-      /* 4. the nodes of the turn before: their horizon, and the light between it, or the tangent plane, and the zenith */
-      if (node.waits) {
-        floats slope = node.near;
-        if (!ALL(node.hidden)) {
-          floats beyond = higher(rise(node.far[0], node.own), rise(node.far[1], node.own));
-          if (reciprocal < 1e8f)
-            beyond = higher(beyond, higher(rise(node.far[2], node.own), rise(node.far[3], node.own)));
-          slope = node.hidden ? node.near : higher(node.near, beyond);
-        }
-        if (BLOCKS)
-          slope = higher(slope, node.beyond);
-        slope *= tangent;
-        if (SIDES == DARK) { /* a wall half a node outside, up to height 0 */
-          const ints xs = node.x + COUNT;
-          const floats wall = TO_FLOATS(shear > 0 ? 2 * (cols - xs) - 1 : 2 * xs + 1) * (0.5f * reciprocal), ahead = node.u + 0.5f;
-          slope = higher(slope, -node.own * tangent / (wall < ahead ? wall : ahead));
-        }
-        if (known && (BLOCKS || WHAT == SLOPES))
-          for (int l = 0; l < LANES; ++l) {
-            const int c = column_of(node.x, first_line, l, cols);
-            if (c >= 0)
-              LANE(float, slope, l) = max(LANE(float, slope, l), slopes[((size_t)get_group_id(1) * rows + node.y) * cols + c]);
-          }
-        if (WHAT == SLOPES) {
-          for (int l = 0; l < LANES; ++l) {
-            const int c = column_of(node.x, first_line, l, cols);
-            if (c >= 0)
-              slopes[((size_t)get_group_id(1) * rows + node.y) * cols + c] = LANE(float, slope, l) < -1e20f ? -INFINITY : LANE(float, slope, l);
-          }
-        } else {
-          const floats along = node.gx * cosine + node.gy * sine;
-          const floats limit = higher(higher(slope, -along), 0.0f);
-          floats c1, c2;
-          if (WHAT == UNIFORM) {
-            c2 = RECIPROCAL(limit * limit + 1.0f);
-            c1 = 0.5f * (1.57079633f - ARCTAN(limit) - limit * c2);
-            c2 *= 0.5f;
-          } else {
-            const floats at = limit * RECIPROCAL_ROOT(limit * limit + 1.0f) * (float)(knots - 1);
-            const ints knot = less(TO_INTS(at), knots - 2);
-            const floats part = at - TO_FLOATS(knot);
-            for (int l = 0; l < LANES; ++l) {
-              const float4 entry = table[(size_t)k * knots + LANE(int, knot, l)];
-              LANE(float, c1, l) = FMA(LANE(float, part, l), entry.z, entry.x);
-              LANE(float, c2, l) = FMA(LANE(float, part, l), entry.w, entry.y);
-            }
-          }
-          const floats light = (along * c1 + c2) * (width * RECIPROCAL_ROOT(node.gx * node.gx + (node.gy * node.gy + 1.0f)));
-          const ints share = TO_INTS(light + 0.5f);
-          if (ON_CPU && node.x >= 0 && column_of(node.x, first_line, LANES - 1, cols) == node.x + LANES - 1)
-            ADD_ALL(sum + node.y * cols + node.x, share);
-          else
-            for (int l = 0; l < LANES; ++l) {
-              const int c = column_of(node.x, first_line, l, cols);
-              if (c >= 0)
-                ADD(sum + node.y * cols + c, LANE(int, share, l));
-            }
-        }
-      }
-
-      /* 5. the row that comes in, quantized; then every ray climbs (or, backward, falls) by one row */
-      for (int s = 0; s < LADDER && into == 0; ++s)
-        above[s] = UNSEEN;
-      int cx = first_line + column;
-      if (SIDES == PERIODIC)
-        cx = (cx % cols + cols) % cols;
-      ints seen = UNSEEN;
-      if (arrives && (STRIPS == 1 || cx < cols && cx >= -LANES))
-        seen = look(heights, from_row + cx, across - column, lowest, unit, bits, comes_at);
-      for (int s = 0; s < LADDER; ++s)
-        above[s] = more(above[s] + step[s], seen);
-      nodes[q].waits = on_map;
-      if (!on_map)
-        continue;
-      node.own = own;
-      node.near = near;
-      node.gx = gx;
-      node.gy = gy;
-      node.x = x;
-      node.y = y;
-      node.u = u;
-
-      /* 6. the two steps of the ladder between which the node lies, by bisection; above[s] is rise[s] too high */
+      /* 5. the two steps of the ladder between which the node lies, by bisection; above[s] is rise[s] too high */
       const ints level = TO_INTS(higher(own - lowest, 0.0f) * unit) << bits;
       ints low[8], test = above[8] >= level + rises.s[8], lower, upper = test ? above[15] : above[8];
       ints rung = test ? (ints)INT_MAX : (ints)rises.s[8]; /* of the upper step */
@@ -382,7 +330,7 @@ __kernel void sweep(__global const float *restrict heights, __global const float
       rung = test ? rung : r1;
       lower = test ? low[1] : low[0];
 
-      /* 7. both distances on the node's own ray, no farther than the map or the window goes */
+      /* 6. both distances on the node's own ray, no farther than the map or the window goes */
       const ints xs = x + COUNT;
       ints last = min(u + warm, window);
       if (SIDES != PERIODIC && reciprocal < 1e8f) {
@@ -390,30 +338,76 @@ __kernel void sweep(__global const float *restrict heights, __global const float
         last = room_beside < (float)min(u, window) ? TO_INTS(room_beside) : last;
       }
       last = more(last, 1);
-      const ints t1 = more(less(lower & mask, last), 1), t2 = more(less(upper & mask, last), 1);
-      node.hidden = near * per_rung >= TO_FLOATS(rung);
-      node.waits = 1;
-      if (ALL(node.hidden) && !BLOCKS) {
-        nodes[q] = node;
-        continue;
-      }
-      node.far[0] = on_row(heights, p, x, y, t1, shear, reach, towards, rows, cols, margin);
-      node.far[1] = on_row(heights, p, x, y, t2, shear, reach, towards, rows, cols, margin);
-      /* 8. and the column crossings beside them: the nearer one's before, the farther one's behind */
-      if (reciprocal < 1e8f) {
-        const ints before = TO_INTS(steepness * TO_FLOATS(t1)), m1 = more(before, 1), m2 = before + 1;
-        node.far[2] = on_column(heights, p, x, y, u, m1, shear, reciprocal, reach, towards, rows, cols, margin);
-        node.far[3] = on_column(heights, p, x, y, u, m2, shear, reciprocal, reach, towards, rows, cols, margin);
+      const ints hidden = slope * per_rung >= TO_FLOATS(rung); /* nothing far can rise above what is near */
+      if (!ALL(hidden)) {
+        const ints t1 = more(less(lower & mask, last), 1), t2 = more(less(upper & mask, last), 1);
+        floats far = higher(on_row(heights, own, p, x, y, t1, shear, reach, towards, rows, cols, margin),
+                            on_row(heights, own, p, x, y, t2, shear, reach, towards, rows, cols, margin));
+        /* 7. and the column crossings beside them: the nearer one's before, the farther one's behind */
+        if (reciprocal < 1e8f) {
+          const ints before = TO_INTS(steepness * TO_FLOATS(t1)), m1 = more(before, 1), m2 = before + 1;
+          far = higher(far, higher(on_column(heights, own, p, x, y, u, m1, shear, reciprocal, reach, towards, rows, cols, margin),
+                                   on_column(heights, own, p, x, y, u, m2, shear, reciprocal, reach, towards, rows, cols, margin)));
+        }
+        slope = hidden ? slope : higher(slope, far);
       }
       if (BLOCKS) { /* downhill the end of the window is the horizon */
-        node.beyond = rise(on_row(heights, p, x, y, last, shear, reach, towards, rows, cols, margin), own);
+        slope = higher(slope, on_row(heights, own, p, x, y, last, shear, reach, towards, rows, cols, margin));
         if (reciprocal < 1e8f) {
           ints m = (int)(steepness * min(reach, (float)(u + warm)));
           m = SIDES == PERIODIC ? m : less(m, shear > 0 ? cols - 1 - xs : xs);
-          node.beyond = higher(node.beyond, rise(on_column(heights, p, x, y, u, more(m, 1), shear, reciprocal, reach, towards, rows, cols, margin), own));
+          slope = higher(slope, on_column(heights, own, p, x, y, u, more(m, 1), shear, reciprocal, reach, towards, rows, cols, margin));
         }
       }
-      nodes[q] = node;
+      slope *= tangent;
+      if (SIDES == DARK) { /* a wall half a node outside, up to height 0 */
+        const floats wall = TO_FLOATS(shear > 0 ? 2 * (cols - xs) - 1 : 2 * xs + 1) * (0.5f * reciprocal), ahead = u + 0.5f;
+        slope = higher(slope, -own * tangent / (wall < ahead ? wall : ahead));
+      }
+      __global float *plane = slopes + ((size_t)get_group_id(1) * rows + y) * cols;
+      if (known && (BLOCKS || WHAT == SLOPES))
+        for (int l = 0; l < LANES; ++l) {
+          const int c = column_of(x, strip, l, cols);
+          if (c >= 0)
+            LANE(float, slope, l) = max(LANE(float, slope, l), plane[c]);
+        }
+
+      /* 8. the light between the horizon, or the tangent plane, and the zenith */
+      if (WHAT == SLOPES) {
+        for (int l = 0; l < LANES; ++l) {
+          const int c = column_of(x, strip, l, cols);
+          if (c >= 0)
+            plane[c] = LANE(float, slope, l) < -1e20f ? -INFINITY : LANE(float, slope, l);
+        }
+        continue;
+      }
+      const floats gx = READ(p, tilts), gy = READ(room + p, tilts);
+      const floats along = gx * cosine + gy * sine, limit = higher(higher(slope, -along), 0.0f);
+      floats c1, c2;
+      if (WHAT == UNIFORM) {
+        c2 = RECIPROCAL(limit * limit + 1.0f);
+        c1 = 0.5f * (1.57079633f - arctan(limit) - limit * c2);
+        c2 *= 0.5f;
+      } else {
+        const floats at = limit * RECIPROCAL_ROOT(limit * limit + 1.0f) * (float)(knots - 1);
+        const ints knot = less(TO_INTS(at), knots - 2);
+        const floats part = at - TO_FLOATS(knot);
+        for (int l = 0; l < LANES; ++l) {
+          const float4 entry = table[(size_t)k * knots + LANE(int, knot, l)];
+          LANE(float, c1, l) = FMA(LANE(float, part, l), entry.z, entry.x);
+          LANE(float, c2, l) = FMA(LANE(float, part, l), entry.w, entry.y);
+        }
+      }
+      const floats light = (along * c1 + c2) * (width * RECIPROCAL_ROOT(gx * gx + (gy * gy + 1.0f)));
+      const ints share = TO_INTS(light + 0.5f);
+      if (ON_CPU && x >= 0 && column_of(x, strip, LANES - 1, cols) == x + LANES - 1)
+        ADD_ALL(sum + y * cols + x, share);
+      else
+        for (int l = 0; l < LANES; ++l) {
+          const int c = column_of(x, strip, l, cols);
+          if (c >= 0)
+            ADD(sum + y * cols + c, LANE(int, share, l));
+        }
     }
   }
 }

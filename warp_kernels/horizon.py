@@ -14,6 +14,7 @@ NONE = wp.constant(wp.float32(-1e30))
 UNSEEN = wp.constant(wp.int32(1 - (1 << 30)))  # far below all ground, one row away
 OPEN, DARK, PERIODIC = range(3)  # SIDES
 SLOPES, UNIFORM, TABLE = range(3)  # WHAT
+TILE_ROWS = 16
 
 rungs = wp.types.vector(LADDER, wp.int32)
 eight = wp.types.vector(8, wp.int32)
@@ -25,6 +26,47 @@ def around(v: wp.int32, period: wp.int32):
     if w < 0:
         w += period
     return w
+
+
+# What Warp lacks: shared memory, and a test for the device.
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+return 1;
+#else
+return 0;
+#endif
+""")
+def on_gpu() -> wp.int32: ...
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+__syncthreads();
+#endif
+""")
+def barrier(): ...
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+asm volatile("st.shared.f32 [%0], %1;" : : "r"(at), "f"(value));
+#endif
+""")
+def keep(at: wp.int32, value: wp.float32):
+    """Into shared memory, at a byte."""
+    ...
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+float value;
+asm volatile("ld.shared.f32 %0, [%1];" : "=f"(value) : "r"(at));
+return value;
+#else
+return 0.0f;
+#endif
+""")
+def kept(at: wp.int32) -> wp.float32: ...
 
 
 # What costs Warp many instructions: an index into an array, an exact reciprocal, a root.
@@ -69,35 +111,41 @@ def reciprocal_root(v: wp.float32) -> wp.float32: ...
 
 
 @wp.func_native("""
-const float *a = map.data + i;
 #if defined(__CUDA_ARCH__)
-return fmaf(weight, a[next] - a[0], a[0] - own);
+return fmaf(weight, b - a, a - own);
 #else
-return a[0] - own + weight * (a[next] - a[0]);
+return a - own + weight * (b - a);
 #endif
 """)
-def stands(map: wp.array[wp.float32], i: wp.int32, next: wp.int32, weight: wp.float32, own: wp.float32) -> wp.float32:
-    """How far the ground between element i and the one ``next`` elements on stands above ``own``."""
+def stands(a: wp.float32, b: wp.float32, weight: wp.float32, own: wp.float32) -> wp.float32:
+    """How far the ground between nodes of heights a and b stands above ``own``."""
     ...
 
 
 @wp.func_native("""
 #if defined(__CUDA_ARCH__)
-return fmaf(c[2], c[1] - c[0], c[0] - own) * c[3];
+#define TIMES(a, b, c) fmaf(a, b, c)
 #else
-return (c[0] - own + c[2] * (c[1] - c[0])) * c[3];
+#define TIMES(a, b, c) ((a) * (b) + (c))
 #endif
+float q = r * r, p = TIMES(-0.0040545627f, q, 0.021862943f);
+p = TIMES(p, q, -0.055912301f);
+p = TIMES(p, q, 0.096421957f);
+p = TIMES(p, q, -0.13908629f);
+p = TIMES(p, q, 0.19946566f);
+p = TIMES(p, q, -0.33329859f);
+p = TIMES(p, q, 0.99999934f);
+#undef TIMES
+return p * r;
 """)
-def rise(c: wp.vec4, own: wp.float32) -> wp.float32:
-    """Slope to a crossing: heights of its grid line's two nodes, weight of the second, 1 / distance."""
+def arctan(r: wp.float32) -> wp.float32:
+    """Of 0 <= r <= 1 to 2e-7, by a polynomial fitted for least maximum error."""
     ...
 
 
 @wp.func
-def look(heights: wp.array[wp.float32], at: wp.int32, weight: wp.float32, lowest: wp.float32, unit: wp.float32, bits: wp.int32, distance: wp.int32):
-    """Height of the line at a row, quantized, with the distance at which it comes in."""
-    a = read(heights, at)
-    b = read(heights, at + 1)
+def look(a: wp.float32, b: wp.float32, weight: wp.float32, lowest: wp.float32, unit: wp.float32, bits: wp.int32, distance: wp.int32):
+    """Ground of the line between two nodes, quantized, with the distance at which it comes in."""
     ground = a + weight * (b - a)
     if a == NONE:  # beside the map the border goes on; a masked node is a gap
         ground = b
@@ -106,6 +154,28 @@ def look(heights: wp.array[wp.float32], at: wp.int32, weight: wp.float32, lowest
     if ground < -1e20:
         return UNSEEN
     return (wp.int32(wp.max(ground - lowest, wp.float32(0.0)) * unit) << bits) | distance
+
+
+@wp.func
+def enters(line: wp.int32, count: wp.int32, shear: wp.float32, reciprocal: wp.float32, cols: wp.int32):
+    """From which row on one of ``count`` lines is on the map."""
+    return wp.max(wp.int32(wp.floor(wp.float32(wp.where(shear > 0.0, line - cols, -line - count)) * reciprocal)), 0)
+
+
+@wp.func
+def leaves(line: wp.int32, count: wp.int32, shear: wp.float32, reciprocal: wp.float32, rows: wp.int32, cols: wp.int32):
+    """Up to which row."""
+    return wp.min(wp.int32(wp.float32(wp.where(shear > 0.0, line + count, cols - line)) * reciprocal) + 2, rows)
+
+
+SHARED = """
+#if defined(__CUDA_ARCH__)
+__shared__ float tile[%d];
+return (int)__cvta_generic_to_shared(tile);
+#else
+return 0;
+#endif
+"""  # what a native function of sweep does: it tells the byte where a block's tile lies
 
 
 @functools.cache
@@ -120,8 +190,17 @@ def rays(SIDES: int, BLOCKS: int):
         return p + (cols + 2 * margin) * dy + dx
 
     @wp.func
+    def rise(heights: wp.array[wp.float32], i: wp.int32, j: wp.int32, weight: wp.float32, distance: wp.float32, reach: wp.float32, own: wp.float32):
+        """Slope to where a ray crosses the grid line between nodes i and j, at a distance."""
+        slope = stands(read(heights, i), read(heights, j), weight, own) * reciprocal_of(distance)
+        if wp.static(BLOCKS != 0) and distance > reach:
+            slope = NONE
+        return slope
+
+    @wp.func
     def on_row(
         heights: wp.array[wp.float32],
+        own: wp.float32,
         p: wp.int32,
         x: wp.int32,
         y: wp.int32,
@@ -140,17 +219,12 @@ def rays(SIDES: int, BLOCKS: int):
         if across < wp.float32(n):
             n -= 1
         at = beside_of(p, x, y, n, -towards * t, rows, cols, margin)
-        a = read(heights, at)
-        b = read(heights, at + 1)
-        if wp.static(BLOCKS != 0) and distance > reach:
-            a = NONE
-            b = NONE
-        return wp.vec4(a, b, across - wp.float32(n), reciprocal_of(distance))
-
+        return rise(heights, at, at + 1, across - wp.float32(n), distance, reach, own)
 
     @wp.func
     def on_column(
         heights: wp.array[wp.float32],
+        own: wp.float32,
         p: wp.int32,
         x: wp.int32,
         y: wp.int32,
@@ -171,12 +245,7 @@ def rays(SIDES: int, BLOCKS: int):
         if wp.static(SIDES != PERIODIC):
             before = wp.min(n, u + 1)
         at = beside_of(p, x, y, wp.where(shear > 0.0, m, -m), -towards * before, rows, cols, margin)
-        a = read(heights, at)
-        b = read(heights, at - towards * (cols + 2 * margin))
-        if wp.static(BLOCKS != 0) and distance > reach:
-            a = NONE
-            b = NONE
-        return wp.vec4(a, b, distance - wp.float32(n), reciprocal_of(distance))
+        return rise(heights, at, at - towards * (cols + 2 * margin), distance - wp.float32(n), distance, reach, own)
 
     return on_row, on_column
 
@@ -191,7 +260,19 @@ def sweep(NEAR: int, SIDES: int, WHAT: int, BLOCKS: int):
     nears, weights = wp.types.vector(NEAR, wp.int32), wp.types.vector(NEAR, wp.float32)
     column_nears, column_weights = wp.types.vector(NEAR_COLUMNS, wp.int32), wp.types.vector(NEAR_COLUMNS, wp.float32)
     on_row, on_column = rays(SIDES, BLOCKS)
-    FETCH = not BLOCKS and SIDES != PERIODIC
+    TILED = not BLOCKS and SIDES != PERIODIC  # on a GPU
+    PITCH = LINES + TILE_ROWS + NEAR + 8
+    TILE = (TILE_ROWS + NEAR + 1) * PITCH
+
+    @wp.func_native(SHARED % TILE)
+    def tile_of() -> wp.int32: ...
+
+    @wp.func
+    def node(heights: wp.array[wp.float32], at: wp.int32):
+        """Of the tile, at a byte, or of the map."""
+        if wp.static(TILED) and on_gpu() != 0:
+            return kept(at)
+        return read(heights, at)
 
     @wp.kernel(module="unique", module_options=OPTIONS, launch_bounds=LINES)
     def sweep(
@@ -199,7 +280,7 @@ def sweep(NEAR: int, SIDES: int, WHAT: int, BLOCKS: int):
         tilts: wp.array2d[wp.float32],
         azimuths: wp.array2d[wp.float32],
         ways: wp.array2d[wp.int32],
-        near_at: wp.array2d[wp.int32],
+        near_at: wp.array3d[wp.int32],
         near_weight: wp.array2d[wp.float32],
         table: wp.array2d[wp.vec4],
         slopes: wp.array2d[wp.float32],
@@ -207,7 +288,6 @@ def sweep(NEAR: int, SIDES: int, WHAT: int, BLOCKS: int):
         steps: rungs,
         rises: rungs,
         first: wp.int32,
-        groups: wp.int32,
         group: wp.int32,
         rows: wp.int32,
         cols: wp.int32,
@@ -236,159 +316,102 @@ def sweep(NEAR: int, SIDES: int, WHAT: int, BLOCKS: int):
         warm = ways[k, 3]
         window = ways[k, 4]
 
+        stride = cols + 2 * margin
+        mask = (1 << bits) - 1
+        back = -towards * stride
+        element = wp.int32(1)  # of an offset
+        tile = wp.int32(0)
+        if wp.static(TILED) and on_gpu() != 0:
+            tile = tile_of()
+            element = wp.int32(4)
+            back = wp.static(-4 * PITCH)
+
         # 1. which lines, the longest first, and from which row to which they are on the map
-        order = groups // 2 + g // 2
-        if g % 2 == 1:
-            order = groups // 2 - (g + 1) // 2
         overhang = wp.int32(steepness * wp.float32(rows)) + 1
         if wp.static(SIDES == PERIODIC):
             overhang = wp.int32(0)
-        line = order * group + j
-        end = cols
-        if shear < 0.0:
-            line -= overhang
-        elif shear > 0.0:
-            end += overhang
-        if line >= end:
+        groups = (cols + overhang + group - 1) // group
+        if g >= groups:
             return
+        order = groups // 2 + g // 2
+        if g % 2 == 1:
+            order = groups // 2 - (g + 1) // 2
+        first_line = order * group
+        beyond = cols
+        if shear < 0.0:
+            first_line -= overhang
+        elif shear > 0.0:
+            beyond += overhang
+        line = first_line + j
         start = -warm
         stop = rows
         if wp.static(SIDES != PERIODIC) and reciprocal < 1e8:
-            enters = wp.where(shear > 0.0, line - cols, -line - 1)
-            leaves = wp.where(shear > 0.0, line + 1, cols - line)
-            start = wp.max(wp.int32(wp.floor(wp.float32(enters) * reciprocal)), 0)
-            stop = wp.min(wp.int32(wp.float32(leaves) * reciprocal) + 2, rows)
+            start = enters(line, 1, shear, reciprocal, cols)
+            stop = leaves(line, 1, shear, reciprocal, rows, cols)
+        if line >= beyond:
+            stop = start
+        begin = start
+        finish = stop
+        if wp.static(BLOCKS != 0) and backward != 0:
+            begin -= (start + warm) % window
+            finish += window - 1 - (stop - 1 + warm) % window
+        if wp.static(TILED) and on_gpu() != 0:  # the threads of a block go together
+            begin = wp.int32(0)
+            finish = rows
+            if reciprocal < 1e8:
+                begin = enters(first_line, LINES, shear, reciprocal, cols)
+                finish = leaves(first_line, LINES, shear, reciprocal, rows, cols)
 
         row_at = nears()
         row_weight = weights()
         for e in range(NEAR):
-            row_at[e] = near_at[k, e]
+            row_at[e] = near_at[k, e, 0] * element + near_at[k, e, 1] * back
             row_weight[e] = near_weight[k, e]
         column_at = column_nears()
         column_weight = column_weights()
         for e in range(NEAR_COLUMNS):
-            column_at[e] = near_at[k, NEAR + e]
+            column_at[e] = near_at[k, NEAR + e, 0] * element + near_at[k, NEAR + e, 1] * back
             column_weight[e] = near_weight[k, NEAR + e]
 
         # 2. the ladder: nothing seen yet
         above = rungs()
         for s in range(LADDER):
             above[s] = UNSEEN
-        stride = cols + 2 * margin
-        back = -towards * stride
-        mask = (1 << bits) - 1
         turn = wp.int32(-1)
         comes_at = wp.int32(NEAR + 1)
-        begin = start
-        finish = stop
         if wp.static(BLOCKS != 0) and backward != 0:
             turn = wp.int32(1)
             comes_at = window
-            begin -= (start + warm) % window
-            finish += window - 1 - (stop - 1 + warm) % window
-
-        # The far crossings of a node are looked up in one turn of the loop and used in the next, when they have arrived.
-        far1 = wp.vec4()
-        far2 = wp.vec4()
-        far3 = wp.vec4()
-        far4 = wp.vec4()
-        own_ = wp.float32(0.0)
-        near_ = wp.float32(0.0)
-        beyond_ = wp.float32(0.0)
-        gx_ = wp.float32(0.0)
-        gy_ = wp.float32(0.0)
-        hidden_ = wp.bool(False)  # nothing far can rise above what is near
-        waits = wp.bool(False)
-        x_ = wp.int32(0)
-        y_ = wp.int32(0)
-        u_ = wp.int32(0)
         per_rung = unit * wp.float32(1 << bits) * wp.float32(comes_at)
-        ahead = wp.float32(0.0)  # height of the next row's node, asked for one row before
-        if wp.static(FETCH):
-            row = wp.where(towards > 0, begin, rows - 1 - begin)
-            ahead = read(heights, (row + margin) * stride + margin + line + wp.int32(wp.floor(wp.float32(0.5) - shear * wp.float32(begin))))
-        for i in range(begin, finish + 1):
+        here = wp.int32(0)
+
+        for i in range(begin, finish):
             u = wp.int32(i)
             into = wp.int32(1)
             if wp.static(BLOCKS != 0):
                 into = (i + warm) % window
                 if backward != 0:
                     u = i - 2 * into + window - 1
-            here = i < finish and u >= wp.max(start, 0) and u < stop
+            comes = u - comes_at
+            if wp.static(TILED) and on_gpu() != 0:
+                if (i - begin) % TILE_ROWS == 0:  # TILE_ROWS rows, and those before them that are near or come in
+                    first_row = i - wp.static(NEAR + 1)
+                    left = first_line + wp.int32(wp.floor(wp.float32(0.5) - shear * wp.float32(wp.where(shear > 0.0, i + wp.static(TILE_ROWS - 1), first_row)))) - 2
+                    barrier()
+                    e = wp.int32(j)
+                    while e < TILE:
+                        r = first_row + e // PITCH
+                        row = wp.min(wp.max(wp.where(towards > 0, r, rows - 1 - r), -margin), rows + margin - 1)
+                        c = wp.min(wp.max(left + e % PITCH, -margin), cols + margin - 1)
+                        keep(tile + 4 * e, read(heights, (row + margin) * stride + margin + c))
+                        e += LINES
+                    barrier()
+                    here = tile - 4 * (first_row * PITCH + left)
 
-            # 3. the node of this row: every near crossing
-            v = u
-            if wp.static(BLOCKS != 0 or SIDES == PERIODIC):  # what is looked up must be there
-                v = wp.min(wp.max(u, wp.max(start, 0)), stop)
-            x = line + wp.int32(wp.floor(wp.float32(0.5) - shear * wp.float32(v)))
-            if wp.static(SIDES == PERIODIC):
-                x = around(x, cols)
-            y = wp.where(towards > 0, v, rows - 1 - v)
-            p = (y + margin) * stride + margin + x
-            own = ahead
-            if wp.static(FETCH):
-                ahead = read(heights, p + towards * stride + line + wp.int32(wp.floor(wp.float32(0.5) - shear * wp.float32(v + 1))) - x)
-            else:
-                own = read(heights, p)
-            near = NONE
-            gx = wp.float32(0.0)
-            gy = wp.float32(0.0)
-            if wp.static(WHAT != SLOPES):
-                gx = read2(tilts, p)
-                gy = read2(tilts, room + p)
-            for e in range(NEAR):
-                found = wp.max(near, stands(heights, p + row_at[e], 1, row_weight[e], own) * wp.static(wp.float32(1.0 / (e + 1))))
-                near = wp.where(wp.static(BLOCKS == 0) or e < near_rows, found, near)
-            beside = NONE
-            for e in range(NEAR_COLUMNS):
-                found = wp.max(beside, stands(heights, p + column_at[e], back, column_weight[e], own) * wp.static(wp.float32(1.0 / (e + 1))))
-                beside = wp.where(e < near_columns, found, beside)
-            near = wp.max(near, beside * wp.max(steepness, wp.float32(1e-6)))
-
-            # 4. the node of the turn before: its horizon, and the light between it, or the tangent plane, and the zenith
-            if waits:
-                slope = near_
-                if not hidden_:
-                    slope = wp.max(wp.max(rise(far1, own_), rise(far2, own_)), near_)
-                    if reciprocal < 1e8:
-                        slope = wp.max(slope, wp.max(rise(far3, own_), rise(far4, own_)))
-                if wp.static(BLOCKS != 0):
-                    slope = wp.max(slope, beyond_)
-                slope *= tangent
-                if wp.static(SIDES == DARK):  # a wall half a node outside, up to height 0
-                    wall = wp.float32(wp.where(shear > 0.0, 2 * (cols - x_) - 1, 2 * x_ + 1)) * (wp.float32(0.5) * reciprocal)
-                    slope = wp.max(slope, -own_ * tangent / wp.min(wall, wp.float32(u_) + 0.5))
-                if x_ >= 0 and x_ < cols:
-                    if wp.static(BLOCKS != 0 or WHAT == SLOPES) and known != 0:
-                        slope = wp.max(slope, slopes[plane, y_ * cols + x_])
-                    if wp.static(WHAT == SLOPES):
-                        if slope < -1e20:
-                            slope = -wp.inf
-                        slopes[plane, y_ * cols + x_] = slope
-                    else:
-                        along = gx_ * cosine + gy_ * sine
-                        limit = wp.max(wp.max(slope, -along), wp.float32(0.0))
-                        c1 = wp.float32(0.0)
-                        c2 = wp.float32(0.0)
-                        if wp.static(WHAT == UNIFORM):
-                            c2 = reciprocal_of(limit * limit + 1.0)
-                            c1 = 0.5 * (wp.float32(1.57079633) - wp.atan(limit) - limit * c2)
-                            c2 *= 0.5
-                        else:
-                            at_knot = limit * reciprocal_root(limit * limit + 1.0) * wp.float32(knots - 1)
-                            knot = wp.min(wp.int32(at_knot), knots - 2)
-                            entry = table[k, knot]
-                            part = at_knot - wp.float32(knot)
-                            c1 = entry[0] + part * entry[2]
-                            c2 = entry[1] + part * entry[3]
-                        light = (along * c1 + c2) * (width * reciprocal_root(gx_ * gx_ + (gy_ * gy_ + 1.0)))
-                        add(sum, y_ * cols + x_, wp.int32(light + 0.5))
-
-            # 5. the row that comes in, quantized; then every ray climbs (or, backward, falls) by one row
+            # 3. the row that comes in, quantized; then every ray climbs (or, backward, falls) by one row
             if into == 0:
                 for s in range(LADDER):
                     above[s] = UNSEEN
-            comes = u - comes_at
             seen = UNSEEN
             arrives = (comes >= start and comes < stop) or wp.static(SIDES == PERIODIC)
             if wp.static(BLOCKS != 0) and backward == 0 and into <= NEAR:
@@ -403,12 +426,37 @@ def sweep(NEAR: int, SIDES: int, WHAT: int, BLOCKS: int):
                     cy = around(cy, rows)
                 if towards < 0:
                     cy = rows - 1 - cy
-                seen = look(heights, (cy + margin) * stride + margin + cx, across - column, lowest, unit, bits, comes_at)
+                at = (cy + margin) * stride + margin + cx
+                if wp.static(TILED) and on_gpu() != 0:
+                    at = here + 4 * (comes * PITCH + cx)
+                seen = look(node(heights, at), node(heights, at + element), across - column, lowest, unit, bits, comes_at)
             for s in range(LADDER):
                 above[s] = wp.max(above[s] + turn * steps[s], seen)
-            waits = here
-            if here:
-                # 6. the two steps of the ladder between which the node lies, by bisection; above[s] is rises[s] too high
+
+            if u >= wp.max(start, 0) and u < stop:
+                # 4. the node of this row: every near crossing
+                x = line + wp.int32(wp.floor(wp.float32(0.5) - shear * wp.float32(u)))
+                if wp.static(SIDES == PERIODIC):
+                    x = around(x, cols)
+                y = wp.where(towards > 0, u, rows - 1 - u)
+                p = (y + margin) * stride + margin + x
+                spot = p
+                if wp.static(TILED) and on_gpu() != 0:
+                    spot = here + 4 * (u * PITCH + x)
+                own = node(heights, spot)
+                near = NONE
+                for e in range(NEAR):
+                    at_row = spot + row_at[e]
+                    found = wp.max(near, stands(node(heights, at_row), node(heights, at_row + element), row_weight[e], own) * wp.static(wp.float32(1.0 / (e + 1))))
+                    near = wp.where(wp.static(BLOCKS == 0) or e < near_rows, found, near)
+                beside = NONE
+                for e in range(NEAR_COLUMNS):
+                    at_column = spot + column_at[e]
+                    found = wp.max(beside, stands(node(heights, at_column), node(heights, at_column + back), column_weight[e], own) * wp.static(wp.float32(1.0 / (e + 1))))
+                    beside = wp.where(e < near_columns, found, beside)
+                slope = wp.max(near, beside * wp.max(steepness, wp.float32(1e-6)))
+
+                # 5. the two steps of the ladder between which the node lies, by bisection; above[s] is rises[s] too high
                 level = wp.int32(wp.max(own - lowest, wp.float32(0.0)) * unit) << bits
                 test = above[8] >= level + rises[8]
                 low = eight()
@@ -435,39 +483,70 @@ def sweep(NEAR: int, SIDES: int, WHAT: int, BLOCKS: int):
                 rung = wp.where(test, rung, limits[1])
                 lower = wp.where(test, low[1], low[0])
 
-                # 7. both distances on the node's own ray, no farther than the map or the window goes
+                # 6. both distances on the node's own ray, no farther than the map or the window goes
                 last = wp.min(u + warm, window)
                 if wp.static(SIDES != PERIODIC) and reciprocal < 1e8:
                     room_beside = wp.float32(wp.where(shear > 0.0, cols - 1 - x, x)) * reciprocal
                     if room_beside < wp.float32(wp.min(u, window)):
                         last = wp.int32(room_beside)
                 last = wp.max(last, 1)
-                hidden_ = near * per_rung >= wp.float32(rung)
-                if not hidden_:
+                if slope * per_rung < wp.float32(rung):  # else nothing far can rise above what is near
                     t1 = wp.max(wp.min(lower & mask, last), 1)
                     t2 = wp.max(wp.min(upper & mask, last), 1)
-                    far1 = on_row(heights, p, x, y, t1, shear, reach, towards, rows, cols, margin)
-                    far2 = on_row(heights, p, x, y, t2, shear, reach, towards, rows, cols, margin)
-                    # 8. and the column crossings beside them: the nearer one's before, the farther one's behind
+                    far = wp.max(
+                        on_row(heights, own, p, x, y, t1, shear, reach, towards, rows, cols, margin),
+                        on_row(heights, own, p, x, y, t2, shear, reach, towards, rows, cols, margin),
+                    )
+                    # 7. and the column crossings beside them: the nearer one's before, the farther one's behind
                     if reciprocal < 1e8:
-                        m1 = wp.max(wp.int32(steepness * wp.float32(t1)), 1)
-                        m2 = wp.int32(steepness * wp.float32(t1)) + 1
-                        far3 = on_column(heights, p, x, y, u, m1, shear, reciprocal, reach, towards, rows, cols, margin)
-                        far4 = on_column(heights, p, x, y, u, m2, shear, reciprocal, reach, towards, rows, cols, margin)
+                        before = wp.int32(steepness * wp.float32(t1))
+                        far = wp.max(far, on_column(heights, own, p, x, y, u, wp.max(before, 1), shear, reciprocal, reach, towards, rows, cols, margin))
+                        far = wp.max(far, on_column(heights, own, p, x, y, u, before + 1, shear, reciprocal, reach, towards, rows, cols, margin))
+                    slope = wp.max(slope, far)
                 if wp.static(BLOCKS != 0):  # downhill the end of the window is the horizon
-                    beyond_ = rise(on_row(heights, p, x, y, last, shear, reach, towards, rows, cols, margin), own)
+                    slope = wp.max(slope, on_row(heights, own, p, x, y, last, shear, reach, towards, rows, cols, margin))
                     if reciprocal < 1e8:
-                        m3 = wp.int32(steepness * wp.min(reach, wp.float32(u + warm)))
+                        m = wp.int32(steepness * wp.min(reach, wp.float32(u + warm)))
                         if wp.static(SIDES != PERIODIC):
-                            m3 = wp.min(m3, wp.where(shear > 0.0, cols - 1 - x, x))
-                        m3 = wp.max(m3, 1)
-                        beyond_ = wp.max(beyond_, rise(on_column(heights, p, x, y, u, m3, shear, reciprocal, reach, towards, rows, cols, margin), own))
-                own_ = own
-                near_ = near
-                gx_ = gx
-                gy_ = gy
-                x_ = x
-                y_ = y
-                u_ = u
+                            m = wp.min(m, wp.where(shear > 0.0, cols - 1 - x, x))
+                        slope = wp.max(slope, on_column(heights, own, p, x, y, u, wp.max(m, 1), shear, reciprocal, reach, towards, rows, cols, margin))
+                slope *= tangent
+                if wp.static(SIDES == DARK):  # a wall half a node outside, up to height 0
+                    wall = wp.float32(wp.where(shear > 0.0, 2 * (cols - x) - 1, 2 * x + 1)) * (wp.float32(0.5) * reciprocal)
+                    slope = wp.max(slope, -own * tangent / wp.min(wall, wp.float32(u) + 0.5))
+
+                # 8. the light between the horizon, or the tangent plane, and the zenith
+                if x >= 0 and x < cols:
+                    if wp.static(BLOCKS != 0 or WHAT == SLOPES) and known != 0:
+                        slope = wp.max(slope, slopes[plane, y * cols + x])
+                    if wp.static(WHAT == SLOPES):
+                        if slope < -1e20:
+                            slope = -wp.inf
+                        slopes[plane, y * cols + x] = slope
+                    else:
+                        gx = read2(tilts, p)
+                        gy = read2(tilts, room + p)
+                        along = gx * cosine + gy * sine
+                        limit = wp.max(wp.max(slope, -along), wp.float32(0.0))
+                        c1 = wp.float32(0.0)
+                        c2 = wp.float32(0.0)
+                        if wp.static(WHAT == UNIFORM):
+                            angle = wp.float32(0.0)
+                            if limit > 1.0:
+                                angle = wp.float32(1.57079633) - arctan(reciprocal_of(limit))
+                            else:
+                                angle = arctan(limit)
+                            c2 = reciprocal_of(limit * limit + 1.0)
+                            c1 = 0.5 * (wp.float32(1.57079633) - angle - limit * c2)
+                            c2 *= 0.5
+                        else:
+                            at_knot = limit * reciprocal_root(limit * limit + 1.0) * wp.float32(knots - 1)
+                            knot = wp.min(wp.int32(at_knot), knots - 2)
+                            entry = table[k, knot]
+                            part = at_knot - wp.float32(knot)
+                            c1 = entry[0] + part * entry[2]
+                            c2 = entry[1] + part * entry[3]
+                        light = (along * c1 + c2) * (width * reciprocal_root(gx * gx + (gy * gy + 1.0)))
+                        add(sum, y * cols + x, wp.int32(light + 0.5))
 
     return sweep

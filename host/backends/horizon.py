@@ -160,7 +160,7 @@ class Sweeps:
         lines = backend.lanes * backend.strips * backend.lines
         groups = -(-(half.cols + overhang) // lines)
         backend.launch("horizon", "sweep", (backend.lines, count, groups), half.heights, half.tilts, *half.tables, half.table, slopes, sums,
-                       steps, rises, first, groups, backend.lines, half.rows, half.cols, self.margin, self.room, self.knots, bits, self.lowest, unit,
+                       steps, rises, first, backend.lines, half.rows, half.cols, self.margin, self.room, self.knots, bits, self.lowest, unit,
                        int(known), int(backward), group=backend.lines, NEAR=self.near, SIDES=SIDES[self.ground.sides], WHAT=what, BLOCKS=int(half.windows[first] < NEVER))
 
     def _unit(self, table) -> float:
@@ -181,10 +181,9 @@ class Sweeps:
         warm = 0
         if ground.sides == "periodic":
             warm = math.ceil(max(rows, cols, self.relief / FAINTEST)) if math.isinf(ground.reach) else math.ceil(ground.reach) + 1
-        stride = cols + 2 * self.margin
         azimuths, ways = np.zeros((len(numbers), 8)), np.zeros((len(numbers), 8), np.int32)
         columns = near - 1  # as in opencl/horizon.cl
-        near_at, near_weight = np.zeros((len(numbers), near + columns), np.int32), np.zeros((len(numbers), near + columns))
+        near_at, near_weight = np.zeros((len(numbers), near + columns, 2), np.int32), np.zeros((len(numbers), near + columns))
         shears = np.zeros(len(numbers))
         for n, (k, far) in enumerate(zip(numbers, reach)):
             a, b = across[k], along[k]
@@ -196,10 +195,10 @@ class Sweeps:
             azimuths[n, :7] = shear, a, b, abs(b), self.rays.widths[k] * self.unit, 1 / steepness if steepness else 1e9, min(far, 1e30)
             for e in range(near):
                 x = math.floor((e + 1) * shear)
-                near_at[n, e], near_weight[n, e] = -towards * (e + 1) * stride + x, (e + 1) * shear - x
+                near_at[n, e], near_weight[n, e] = (x, e + 1), (e + 1) * shear - x
                 if e < near_columns:
                     y = math.floor((e + 1) / steepness)
-                    near_at[n, near + e], near_weight[n, near + e] = -towards * y * stride + int(math.copysign(e + 1, shear)), (e + 1) / steepness - y
+                    near_at[n, near + e], near_weight[n, near + e] = (math.copysign(e + 1, shear), y), (e + 1) / steepness - y
         near_weight = near_weight.astype(np.float32)
         tables = [put(array) for array in (azimuths.astype(np.float32), ways, near_at, near_weight)] if len(numbers) else []
         table = self.nothing if table is None or not len(numbers) else put(np.ascontiguousarray(table[numbers], np.float32))

@@ -21,9 +21,9 @@ ONE, HALF = np.float32(1), np.float32(0.5)
 # -- horizon -------------------------------------------------------------------------------------------------------------
 
 
-def sweep(heights, tilts, azimuths, ways, near_at, near_weight, table, slopes, sum, steps, rises, first, groups, group, rows, cols,
+def sweep(heights, tilts, azimuths, ways, near_at, near_weight, table, slopes, sum, steps, rises, first, group, rows, cols,
           margin, room, knots, bits, lowest, unit, known, backward, *, NEAR, SIDES, WHAT, BLOCKS):
-    """``groups`` and ``group`` are how devices share out the lines; here all lines go together, azimuth by azimuth."""
+    """``group`` is how devices share out the lines; here all lines go together, azimuth by azimuth."""
     for plane in range(len(slopes) if slopes.ndim == 2 else 1):  # without slopes light is summed, azimuth by azimuth
         _sweep(heights, tilts, azimuths[first + plane], ways[first + plane], near_at[first + plane], near_weight[first + plane],
                None if WHAT != TABLE else table[first + plane], slopes[plane : plane + 1], sum, np.array(steps, np.int32), np.array(rises, np.int32),
@@ -70,7 +70,8 @@ def _sweep(heights, tilts, azimuth, way, near_at, near_weight, table, slopes, su
         slope = rise(place(x + m if shear > 0 else x - m, y - towards * before), -towards * stride, distance - n.astype(np.float32), distance)
         return np.where(distance <= reach, slope, NONE) if BLOCKS else slope
 
-    # 3. every near crossing
+    # 4. every near crossing
+    near_at = near_at[:, 0] - towards * stride * near_at[:, 1]
     near, beside = np.full((2, rows, cols), NONE)
     for e in range(near_rows if BLOCKS else NEAR):
         near = np.fmax(near, rise(p + near_at[e], 1, near_weight[e], np.float32(e + 1)))
@@ -78,11 +79,11 @@ def _sweep(heights, tilts, azimuth, way, near_at, near_weight, table, slopes, su
         beside = np.fmax(beside, rise(p + near_at[NEAR + e], -towards * stride, near_weight[NEAR + e], np.float32(e + 1)))
     near = np.fmax(near, beside * np.maximum(steepness, np.float32(1e-6)))
 
-    # 5. and 6. distances of the two crossings that the ladder gives, and its step above them
+    # 3. and 5. distances of the two crossings that the ladder gives, and its step above them
     level = (np.maximum(own - lowest, np.float32(0)) * unit).astype(np.int32) << bits
     lower, upper, rung = _ladder(heights, level, steps, rises, shear, reciprocal, towards, warm, window, rows, cols, margin, lowest, unit, bits, backward, NEAR, periodic, BLOCKS)
 
-    # 7. both on the node's own ray, no farther than the map or the window goes; nothing if nothing far rises above what is near
+    # 6. both on the node's own ray, no farther than the map or the window goes; nothing if nothing far rises above what is near
     last = np.broadcast_to(np.minimum(u + warm, window), p.shape)
     if not periodic and oblique:
         room_beside = (cols - 1 - x if shear > 0 else x).astype(np.float32) * reciprocal
@@ -90,7 +91,7 @@ def _sweep(heights, tilts, azimuth, way, near_at, near_weight, table, slopes, su
     last = np.maximum(last, 1)
     t1, t2 = np.maximum(np.minimum(lower, last), 1), np.maximum(np.minimum(upper, last), 1)
     far = np.fmax(on_row(t1), on_row(t2))
-    # 8. and the column crossings beside them: the nearer one's before, the farther one's behind
+    # 7. and the column crossings beside them: the nearer one's before, the farther one's behind
     if oblique:
         m = (steepness * t1.astype(np.float32)).astype(np.int32)
         far = np.fmax(far, np.fmax(on_column(np.maximum(m, 1)), on_column(m + 1)))
@@ -103,7 +104,6 @@ def _sweep(heights, tilts, azimuth, way, near_at, near_weight, table, slopes, su
             m = m if periodic else np.minimum(m, cols - 1 - x if shear > 0 else x)
             far = np.fmax(far, on_column(np.maximum(m, 1)))
 
-    # 4. the horizon
     slope = np.fmax(far, near) * tangent
     if SIDES == SIDE["dark"]:  # a wall half a node outside, up to height 0
         wall = (2 * (cols - x) - 1 if shear > 0 else 2 * x + 1).astype(np.float32) * (HALF * reciprocal)
@@ -115,7 +115,7 @@ def _sweep(heights, tilts, azimuth, way, near_at, near_weight, table, slopes, su
         out[...] = np.where(slope < np.float32(-1e20), -np.inf, slope)
         return
 
-    # and the light between it, or the tangent plane, and the zenith
+    # 8. the light between the horizon, or the tangent plane, and the zenith
     gx, gy = tilts[0][p], tilts[1][p]
     along = gx * cosine + gy * sine
     limit = np.maximum(np.maximum(slope, -along), np.float32(0))
@@ -161,7 +161,7 @@ def _ladder(heights, level, steps, rises, shear, reciprocal, towards, warm, wind
         if BLOCKS:
             into = (i + warm) % window
             u = i - 2 * into + window - 1 if backward else i
-        # 5. the row that comes in, quantized; then every ray climbs (or, backward, falls) by one row
+        # 3. the row that comes in, quantized; then every ray climbs (or, backward, falls) by one row
         if into == 0:
             above[...] = UNSEEN
         comes = u - comes_at
@@ -180,7 +180,7 @@ def _ladder(heights, level, steps, rises, shear, reciprocal, towards, warm, wind
         above = np.where(going, np.maximum(above + steps, seen), above)
         if not 0 <= u < rows:
             continue
-        # 6. the two steps of the ladder between which each node lies, by bisection; above[s] is rises[s] too high
+        # 5. the two steps of the ladder between which each node lies, by bisection; above[s] is rises[s] too high
         of = x - int(np.floor(HALF - shear * np.float32(u)))
         heard = above[:, of % cols if periodic else of - origin]
         test = heard >= level[u] + rises

@@ -151,7 +151,7 @@ class OpenclBackend(Backend):
 
         start = time.perf_counter()
         group = 1 if self.on_cpu else min(GPU_GROUP, self._device.max_work_group_size)
-        known = {"LANES": lanes, "BITS": 0, "AHEAD": 1 if self.on_cpu else GPU_AHEAD, "GROUP": group, "STRIPS": self.strips, "ON_CPU": int(self.on_cpu), **dict(constants)}
+        known = {"LANES": lanes, "BITS": 0, "AHEAD": 1 if self.on_cpu else GPU_AHEAD, "GROUP": group, "STRIPS": self.strips, "LINES": self.lines, "ON_CPU": int(self.on_cpu), **dict(constants)}
         defines = [f"-D{name}={value}" for name, value in known.items()]
         try:
             program = self.cl.Program(self.context, source(stem)).build([*OPTIONS, *self._exact, *defines])
