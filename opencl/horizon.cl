@@ -237,7 +237,6 @@ __kernel void sweep(__global const float *restrict heights, __global const float
     step[s] = BLOCKS && backward ? steps.s[s] : -steps.s[s];
   }
   const int comes_at = BLOCKS && backward ? window : NEAR + 1;
-  const float per_rung = unit * (float)(1 << bits) * comes_at;
 
   for (int i = from; i < to; ++i) {
     int u = i, into = 1;
@@ -289,6 +288,7 @@ __kernel void sweep(__global const float *restrict heights, __global const float
       /* 4. LANES neighbours from column x: every near crossing */
       const int p = (y + margin) * stride + margin + x;
       const floats own = NODE(0);
+      const floats gx = WHAT == SLOPES ? 0 : READ(p, tilts), gy = WHAT == SLOPES ? 0 : READ(room + p, tilts); /* asked for early */
       floats near = NONE, beside = NONE;
       for (int e = 0; e < NEAR; ++e) {
         const floats a = NODE(row_at[e]), b = NODE(row_at[e] + 1);
@@ -305,7 +305,6 @@ __kernel void sweep(__global const float *restrict heights, __global const float
       /* 5. the two steps of the ladder between which the node lies, by bisection; above[s] is rise[s] too high */
       const ints level = TO_INTS(higher(own - lowest, 0.0f) * unit) << bits;
       ints low[8], test = above[8] >= level + rises.s[8], lower, upper = test ? above[15] : above[8];
-      ints rung = test ? (ints)INT_MAX : (ints)rises.s[8]; /* of the upper step */
       for (int s = 0; s < 8; ++s)
         low[s] = test ? above[8 + s] : above[s];
       ints r1 = test ? (ints)rises.s[9] : (ints)rises.s[1], r2 = test ? (ints)rises.s[10] : (ints)rises.s[2], r3 = test ? (ints)rises.s[11] : (ints)rises.s[3];
@@ -313,7 +312,6 @@ __kernel void sweep(__global const float *restrict heights, __global const float
       ints r7 = test ? (ints)rises.s[15] : (ints)rises.s[7];
       test = low[4] >= level + r4;
       upper = test ? upper : low[4];
-      rung = test ? rung : r4;
       for (int s = 0; s < 4; ++s)
         low[s] = test ? low[4 + s] : low[s];
       r1 = test ? r5 : r1;
@@ -321,13 +319,11 @@ __kernel void sweep(__global const float *restrict heights, __global const float
       r3 = test ? r7 : r3;
       test = low[2] >= level + r2;
       upper = test ? upper : low[2];
-      rung = test ? rung : r2;
       low[0] = test ? low[2] : low[0];
       low[1] = test ? low[3] : low[1];
       r1 = test ? r3 : r1;
       test = low[1] >= level + r1;
       upper = test ? upper : low[1];
-      rung = test ? rung : r1;
       lower = test ? low[1] : low[0];
 
       /* 6. both distances on the node's own ray, no farther than the map or the window goes */
@@ -338,19 +334,16 @@ __kernel void sweep(__global const float *restrict heights, __global const float
         last = room_beside < (float)min(u, window) ? TO_INTS(room_beside) : last;
       }
       last = more(last, 1);
-      const ints hidden = slope * per_rung >= TO_FLOATS(rung); /* nothing far can rise above what is near */
-      if (!ALL(hidden)) {
-        const ints t1 = more(less(lower & mask, last), 1), t2 = more(less(upper & mask, last), 1);
-        floats far = higher(on_row(heights, own, p, x, y, t1, shear, reach, towards, rows, cols, margin),
-                            on_row(heights, own, p, x, y, t2, shear, reach, towards, rows, cols, margin));
-        /* 7. and the column crossings beside them: the nearer one's before, the farther one's behind */
-        if (reciprocal < 1e8f) {
-          const ints before = TO_INTS(steepness * TO_FLOATS(t1)), m1 = more(before, 1), m2 = before + 1;
-          far = higher(far, higher(on_column(heights, own, p, x, y, u, m1, shear, reciprocal, reach, towards, rows, cols, margin),
-                                   on_column(heights, own, p, x, y, u, m2, shear, reciprocal, reach, towards, rows, cols, margin)));
-        }
-        slope = hidden ? slope : higher(slope, far);
+      const ints t1 = more(less(lower & mask, last), 1), t2 = more(less(upper & mask, last), 1);
+      floats far = higher(on_row(heights, own, p, x, y, t1, shear, reach, towards, rows, cols, margin),
+                          on_row(heights, own, p, x, y, t2, shear, reach, towards, rows, cols, margin));
+      /* 7. and the column crossings beside them: the nearer one's before, the farther one's behind */
+      if (reciprocal < 1e8f) {
+        const ints before = TO_INTS(steepness * TO_FLOATS(t1)), m1 = more(before, 1), m2 = before + 1;
+        far = higher(far, higher(on_column(heights, own, p, x, y, u, m1, shear, reciprocal, reach, towards, rows, cols, margin),
+                                 on_column(heights, own, p, x, y, u, m2, shear, reciprocal, reach, towards, rows, cols, margin)));
       }
+      slope = higher(slope, far);
       if (BLOCKS) { /* downhill the end of the window is the horizon */
         slope = higher(slope, on_row(heights, own, p, x, y, last, shear, reach, towards, rows, cols, margin));
         if (reciprocal < 1e8f) {
@@ -381,7 +374,6 @@ __kernel void sweep(__global const float *restrict heights, __global const float
         }
         continue;
       }
-      const floats gx = READ(p, tilts), gy = READ(room + p, tilts);
       const floats along = gx * cosine + gy * sine, limit = higher(higher(slope, -along), 0.0f);
       floats c1, c2;
       if (WHAT == UNIFORM) {

@@ -382,7 +382,6 @@ def sweep(NEAR: int, SIDES: int, WHAT: int, BLOCKS: int):
         if wp.static(BLOCKS != 0) and backward != 0:
             turn = wp.int32(1)
             comes_at = window
-        per_rung = unit * wp.float32(1 << bits) * wp.float32(comes_at)
         here = wp.int32(0)
 
         for i in range(begin, finish):
@@ -444,6 +443,11 @@ def sweep(NEAR: int, SIDES: int, WHAT: int, BLOCKS: int):
                 if wp.static(TILED) and on_gpu() != 0:
                     spot = here + 4 * (u * PITCH + x)
                 own = node(heights, spot)
+                gx = wp.float32(0.0)
+                gy = wp.float32(0.0)
+                if wp.static(WHAT != SLOPES):  # asked for early
+                    gx = read2(tilts, p)
+                    gy = read2(tilts, room + p)
                 near = NONE
                 for e in range(NEAR):
                     at_row = spot + row_at[e]
@@ -465,22 +469,18 @@ def sweep(NEAR: int, SIDES: int, WHAT: int, BLOCKS: int):
                     low[s] = wp.where(test, above[8 + s], above[s])
                     limits[s] = wp.where(test, rises[8 + s], rises[s])
                 upper = wp.where(test, above[15], above[8])
-                rung = wp.where(test, wp.static(2**31 - 1), rises[8])  # of the upper step
                 test = low[4] >= level + limits[4]
                 upper = wp.where(test, upper, low[4])
-                rung = wp.where(test, rung, limits[4])
                 for s in range(4):
                     low[s] = wp.where(test, low[4 + s], low[s])
                     limits[s] = wp.where(test, limits[4 + s], limits[s])
                 test = low[2] >= level + limits[2]
                 upper = wp.where(test, upper, low[2])
-                rung = wp.where(test, rung, limits[2])
                 for s in range(2):
                     low[s] = wp.where(test, low[2 + s], low[s])
                     limits[s] = wp.where(test, limits[2 + s], limits[s])
                 test = low[1] >= level + limits[1]
                 upper = wp.where(test, upper, low[1])
-                rung = wp.where(test, rung, limits[1])
                 lower = wp.where(test, low[1], low[0])
 
                 # 6. both distances on the node's own ray, no farther than the map or the window goes
@@ -490,19 +490,18 @@ def sweep(NEAR: int, SIDES: int, WHAT: int, BLOCKS: int):
                     if room_beside < wp.float32(wp.min(u, window)):
                         last = wp.int32(room_beside)
                 last = wp.max(last, 1)
-                if slope * per_rung < wp.float32(rung):  # else nothing far can rise above what is near
-                    t1 = wp.max(wp.min(lower & mask, last), 1)
-                    t2 = wp.max(wp.min(upper & mask, last), 1)
-                    far = wp.max(
-                        on_row(heights, own, p, x, y, t1, shear, reach, towards, rows, cols, margin),
-                        on_row(heights, own, p, x, y, t2, shear, reach, towards, rows, cols, margin),
-                    )
-                    # 7. and the column crossings beside them: the nearer one's before, the farther one's behind
-                    if reciprocal < 1e8:
-                        before = wp.int32(steepness * wp.float32(t1))
-                        far = wp.max(far, on_column(heights, own, p, x, y, u, wp.max(before, 1), shear, reciprocal, reach, towards, rows, cols, margin))
-                        far = wp.max(far, on_column(heights, own, p, x, y, u, before + 1, shear, reciprocal, reach, towards, rows, cols, margin))
-                    slope = wp.max(slope, far)
+                t1 = wp.max(wp.min(lower & mask, last), 1)
+                t2 = wp.max(wp.min(upper & mask, last), 1)
+                far = wp.max(
+                    on_row(heights, own, p, x, y, t1, shear, reach, towards, rows, cols, margin),
+                    on_row(heights, own, p, x, y, t2, shear, reach, towards, rows, cols, margin),
+                )
+                # 7. and the column crossings beside them: the nearer one's before, the farther one's behind
+                if reciprocal < 1e8:
+                    before = wp.int32(steepness * wp.float32(t1))
+                    far = wp.max(far, on_column(heights, own, p, x, y, u, wp.max(before, 1), shear, reciprocal, reach, towards, rows, cols, margin))
+                    far = wp.max(far, on_column(heights, own, p, x, y, u, before + 1, shear, reciprocal, reach, towards, rows, cols, margin))
+                slope = wp.max(slope, far)
                 if wp.static(BLOCKS != 0):  # downhill the end of the window is the horizon
                     slope = wp.max(slope, on_row(heights, own, p, x, y, last, shear, reach, towards, rows, cols, margin))
                     if reciprocal < 1e8:
@@ -524,8 +523,6 @@ def sweep(NEAR: int, SIDES: int, WHAT: int, BLOCKS: int):
                             slope = -wp.inf
                         slopes[plane, y * cols + x] = slope
                     else:
-                        gx = read2(tilts, p)
-                        gy = read2(tilts, room + p)
                         along = gx * cosine + gy * sine
                         limit = wp.max(wp.max(slope, -along), wp.float32(0.0))
                         c1 = wp.float32(0.0)

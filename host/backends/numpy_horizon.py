@@ -79,11 +79,11 @@ def _sweep(heights, tilts, azimuth, way, near_at, near_weight, table, slopes, su
         beside = np.fmax(beside, rise(p + near_at[NEAR + e], -towards * stride, near_weight[NEAR + e], np.float32(e + 1)))
     near = np.fmax(near, beside * np.maximum(steepness, np.float32(1e-6)))
 
-    # 3. and 5. distances of the two crossings that the ladder gives, and its step above them
+    # 3. and 5. distances of the two crossings that the ladder gives
     level = (np.maximum(own - lowest, np.float32(0)) * unit).astype(np.int32) << bits
-    lower, upper, rung = _ladder(heights, level, steps, rises, shear, reciprocal, towards, warm, window, rows, cols, margin, lowest, unit, bits, backward, NEAR, periodic, BLOCKS)
+    lower, upper = _ladder(heights, level, steps, rises, shear, reciprocal, towards, warm, window, rows, cols, margin, lowest, unit, bits, backward, NEAR, periodic, BLOCKS)
 
-    # 6. both on the node's own ray, no farther than the map or the window goes; nothing if nothing far rises above what is near
+    # 6. both on the node's own ray, no farther than the map or the window goes
     last = np.broadcast_to(np.minimum(u + warm, window), p.shape)
     if not periodic and oblique:
         room_beside = (cols - 1 - x if shear > 0 else x).astype(np.float32) * reciprocal
@@ -95,8 +95,6 @@ def _sweep(heights, tilts, azimuth, way, near_at, near_weight, table, slopes, su
     if oblique:
         m = (steepness * t1.astype(np.float32)).astype(np.int32)
         far = np.fmax(far, np.fmax(on_column(np.maximum(m, 1)), on_column(m + 1)))
-    comes_at = np.float32(window if BLOCKS and backward else NEAR + 1)
-    far = np.where(near * (np.float32(unit) * np.float32(1 << bits) * comes_at) >= rung.astype(np.float32), NONE, far)
     if BLOCKS:  # downhill the end of the window is the horizon
         far = np.fmax(far, on_row(last))
         if oblique:
@@ -133,7 +131,7 @@ def _sweep(heights, tilts, azimuth, way, near_at, near_weight, table, slopes, su
 
 
 def _ladder(heights, level, steps, rises, shear, reciprocal, towards, warm, window, rows, cols, margin, lowest, unit, bits, backward, NEAR, periodic, BLOCKS):
-    """Distances [rows] of the crossings that the ladder's two steps give between which a node lies, and the upper one's rise; each (rows, cols)."""
+    """Distances [rows] of the crossings that the ladder's two steps give between which a node lies; each (rows, cols)."""
     grid = heights.reshape(rows + 2 * margin, cols + 2 * margin)
     x = np.arange(cols)
     backward = bool(BLOCKS and backward)
@@ -154,8 +152,7 @@ def _ladder(heights, level, steps, rises, shear, reciprocal, towards, warm, wind
     above = np.full((16, len(line)), UNSEEN, np.int32)
     steps, rises, mask = (steps if backward else -steps)[:, None], rises[:, None], (1 << bits) - 1
     comes_at = window if backward else NEAR + 1
-    upper_rises = np.append(rises[1:], 2**31 - 1).astype(np.int32)
-    lower, upper, rung = np.empty((3, rows, cols), np.int32)
+    lower, upper = np.empty((2, rows, cols), np.int32)
     for i in range(start.min(), stop.max()):
         u, into = i, 1
         if BLOCKS:
@@ -188,8 +185,7 @@ def _ladder(heights, level, steps, rises, shear, reciprocal, towards, warm, wind
         for half in (8, 4, 2, 1):
             s += half * test[s + half, x]
         lower[u], upper[u] = heard[s, x] & mask, heard[np.minimum(s + 1, 15), x] & mask
-        rung[u] = upper_rises[s]
-    return lower, upper, rung
+    return lower, upper
 
 
 # -- ground --------------------------------------------------------------------------------------------------------------
