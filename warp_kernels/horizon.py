@@ -70,11 +70,20 @@ def kept(at: wp.int32) -> wp.float32: ...
 
 
 # What costs Warp many instructions: an index into an array, an exact reciprocal, a root.
-@wp.func_native("return map.data[i];")
+READ = """
+#if defined(__CUDA_ARCH__)
+return __ldg(map.data + i);
+#else
+return map.data[i];
+#endif
+"""  # of what no kernel writes at the time
+
+
+@wp.func_native(READ)
 def read(map: wp.array[wp.float32], i: wp.int32) -> wp.float32: ...
 
 
-@wp.func_native("return map.data[i];")
+@wp.func_native(READ)
 def read2(map: wp.array2d[wp.float32], i: wp.int32) -> wp.float32: ...
 
 
@@ -102,7 +111,9 @@ def reciprocal_of(v: wp.float32) -> wp.float32: ...
 
 @wp.func_native("""
 #if defined(__CUDA_ARCH__)
-return rsqrtf(v);
+float r;
+asm("rsqrt.approx.ftz.f32 %0, %1;" : "=f"(r) : "f"(v));
+return r;
 #else
 return 1.0f / sqrtf(v);
 #endif
@@ -274,7 +285,7 @@ def sweep(NEAR: int, SIDES: int, WHAT: int, BLOCKS: int):
             return kept(at)
         return read(heights, at)
 
-    @wp.kernel(module="unique", module_options=OPTIONS, launch_bounds=LINES)
+    @wp.kernel(module="unique", module_options=OPTIONS, launch_bounds=(LINES, 6), grid_stride=False)
     def sweep(
         heights: wp.array[wp.float32],
         tilts: wp.array2d[wp.float32],
@@ -528,11 +539,8 @@ def sweep(NEAR: int, SIDES: int, WHAT: int, BLOCKS: int):
                         c1 = wp.float32(0.0)
                         c2 = wp.float32(0.0)
                         if wp.static(WHAT == UNIFORM):
-                            angle = wp.float32(0.0)
-                            if limit > 1.0:
-                                angle = wp.float32(1.57079633) - arctan(reciprocal_of(limit))
-                            else:
-                                angle = arctan(limit)
+                            angle = arctan(wp.where(limit > 1.0, reciprocal_of(limit), limit))
+                            angle = wp.where(limit > 1.0, wp.float32(1.57079633) - angle, angle)
                             c2 = reciprocal_of(limit * limit + 1.0)
                             c1 = 0.5 * (wp.float32(1.57079633) - angle - limit * c2)
                             c2 *= 0.5

@@ -20,7 +20,7 @@ Thread (y, x) owns one node. Order of summation: slices.
 
 import warp as wp
 
-from . import OPTIONS
+from . import LINES, OPTIONS
 
 wp.set_module_options(OPTIONS)
 
@@ -28,6 +28,7 @@ NONE = wp.constant(wp.float32(-1e30))
 STEEP = wp.constant(wp.float32(1e6))  # as good as the zenith
 ENDLESS = wp.constant(wp.float32(1e30))
 SLICES = wp.constant(wp.int32(8))
+BOUNDS = (LINES, 16)  # threads of a block, and blocks that a multiprocessor shall hold: 64 registers each
 
 
 @wp.kernel
@@ -294,7 +295,7 @@ def tilt_of(heights: wp.array[wp.float32], here: wp.int32, stride: wp.int32):
     return wp.vec2(slope_between(heights[here - 1], own, heights[here + 1]), slope_between(heights[here - stride], own, heights[here + stride]))
 
 
-@wp.kernel
+@wp.kernel(launch_bounds=BOUNDS, grid_stride=False)
 def ball(
     heights: wp.array[wp.float32],
     tops: wp.array[wp.float32],
@@ -440,7 +441,7 @@ def in_order(px: wp.vec4, py: wp.vec4, i: wp.int32, j: wp.int32):
     return px, py
 
 
-@wp.kernel
+@wp.kernel(launch_bounds=BOUNDS, grid_stride=False)
 def quad(
     heights: wp.array[wp.float32],
     tops: wp.array[wp.float32],

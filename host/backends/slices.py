@@ -158,10 +158,11 @@ class Slices:
         for level in range(1, self.levels + 1):
             launch("slices", "coarser", (self.width >> level, ((rows - 1) >> level) + 1), self.heights, self.tops, rows, cols, self.width, level)
         shared = (self.sky, self.points, self.image, rows, cols, self.width, self.levels, self.least, self.most, self.side, self.n_points, int(self.walls))
+        group = self.backend.lines if self.backend.lines > 1 else None
         if isinstance(self.solid, Ball):
-            launch("slices", "ball", (cols, rows), self.heights, self.tops, self.nodes, *shared, *map(float, self.center), float(self.radius), self.unit)
+            launch("slices", "ball", (cols, rows), self.heights, self.tops, self.nodes, *shared, *map(float, self.center), float(self.radius), self.unit, group=group)
         else:
-            launch("slices", "quad", (cols, rows), self.heights, self.tops, self.corners, self.nodes, *shared, self.unit)
+            launch("slices", "quad", (cols, rows), self.heights, self.tops, self.corners, self.nodes, *shared, self.unit, group=group)
 
     def download(self) -> np.ndarray:
         """The irradiance (rows, cols) float32, 0 where masked."""
