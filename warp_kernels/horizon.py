@@ -285,7 +285,7 @@ def sweep(NEAR: int, SIDES: int, WHAT: int, BLOCKS: int):
             return kept(at)
         return read(heights, at)
 
-    @wp.kernel(module="unique", module_options=OPTIONS, launch_bounds=(LINES, 6), grid_stride=False)
+    @wp.kernel(module="unique", module_options=OPTIONS, launch_bounds=(LINES, 6))
     def sweep(
         heights: wp.array[wp.float32],
         tilts: wp.array2d[wp.float32],

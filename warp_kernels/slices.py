@@ -295,7 +295,7 @@ def tilt_of(heights: wp.array[wp.float32], here: wp.int32, stride: wp.int32):
     return wp.vec2(slope_between(heights[here - 1], own, heights[here + 1]), slope_between(heights[here - stride], own, heights[here + stride]))
 
 
-@wp.kernel(launch_bounds=BOUNDS, grid_stride=False)
+@wp.kernel(launch_bounds=BOUNDS)
 def ball(
     heights: wp.array[wp.float32],
     tops: wp.array[wp.float32],
@@ -441,7 +441,7 @@ def in_order(px: wp.vec4, py: wp.vec4, i: wp.int32, j: wp.int32):
     return px, py
 
 
-@wp.kernel(launch_bounds=BOUNDS, grid_stride=False)
+@wp.kernel(launch_bounds=BOUNDS)
 def quad(
     heights: wp.array[wp.float32],
     tops: wp.array[wp.float32],
