@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -24,6 +24,7 @@ QUANTITIES = ("radiance", "irradiance")
 LATTICE_ERROR = {5: 0.0376, 7: 0.0188, 9: 0.0119, 17: 0.0039, 33: 0.0012}
 # the same for horizons, by number of azimuths: performance/horizon.py
 HORIZON_ERROR = {8: 0.0138, 12: 0.0080, 16: 0.0052, 24: 0.0029, 32: 0.0019, 48: 0.0012, 64: 0.0008, 96: 0.0006, 128: 0.0003}
+FAR = 1e5  # extents of the map at which the sun stands: a hundred-thousandth of a radian across it
 LEAK_SLOPE = 0.7  # rms slope from which the unfilled step leaks from M = 7 on (README, Limits)
 
 
@@ -159,6 +160,9 @@ def _by_horizons(scene, source, method, tolerance, engine, quantity, azimuths, m
         return _by_slices(scene, source, engine, quantity, azimuths if given else None, max_distance)
     table = None
     scale = 1.0
+    sun = _sun_of(scene, source, max_distance)
+    if sun is not None:
+        source = sources.Sky(replace(source.brightness, direct=0.0))
     if callable(source.brightness):
         profile = sources.azimuth_profile(source)
         if profile is not None and not isinstance(azimuths, Azimuths):
@@ -168,9 +172,23 @@ def _by_horizons(scene, source, method, tolerance, engine, quantity, azimuths, m
         scale = float(source.brightness)
     sweeps = Sweeps(engine, ground_of(scene, max_distance), Rays(sectors.angles, sectors.widths), table)
     (irradiance,), seconds, compiling = timed(engine, lambda: (sweeps.irradiance(),))
+    if sun is not None:
+        disc = _by_slices(scene, sun, engine, "irradiance", None, None)
+        irradiance += disc.image
+        seconds, compiling, reason = seconds + disc.seconds, compiling + disc.compile_seconds, f"{reason}; the sun's disc by slices"
     if scale != 1.0:
         irradiance *= np.float32(scale)
     return Rendering(_image(scene, irradiance, quantity), Plan("horizon", None, None, reason, len(sectors)), engine.name, seconds, compiling)
+
+
+def _sun_of(scene, source, max_distance) -> sources.Lamp | None:
+    """The disc of a sky's sun, as a lamp so far away that it stands in one direction for the whole map."""
+    if not getattr(source.brightness, "direct", 0):
+        return None
+    if scene.sides == "periodic" or max_distance is not None:
+        raise bad("a sky with the sun's disc (direct)", f"sides={scene.sides!r}, max_distance={max_distance}", "sides 'open' or 'dark' and the whole map")
+    extent = max(max(scene.shape) * scene.spacing, float(scene.depth[scene.valid].max()))
+    return source.brightness.disc(FAR * extent)
 
 
 def _by_slices(scene, source, engine, quantity, azimuths, max_distance) -> Rendering:

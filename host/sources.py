@@ -22,7 +22,7 @@ Brightness = float | Callable[[np.ndarray], np.ndarray]
 
 def uniform(brightness: float = 1.0) -> Callable:
     """The same brightness in every direction."""
-    value = _brightness_number(brightness)
+    value = brightness_number(brightness)
     return lambda L: np.full(np.shape(L)[:-1], value)
 
 
@@ -33,13 +33,13 @@ def cosine_power(power: float, axis=(0.0, 0.0, 1.0), brightness: float = 1.0) ->
         raise bad("cosine_power: axis", axis.tolist(), "three finite numbers, not all zero")
     if isinstance(power, str) or not (np.isfinite(power) and power >= 0):
         raise bad("cosine_power: power", repr(power), "a finite number >= 0")
-    axis, value = axis / np.linalg.norm(axis), _brightness_number(brightness)
+    axis, value = axis / np.linalg.norm(axis), brightness_number(brightness)
     return lambda L: value * np.maximum(0.0, -(np.asarray(L) @ axis)) ** power
 
 
 def cie_overcast(zenith: float = 1.0) -> Callable:
     """CIE standard overcast sky: zenith x (1 + 2 sin(elevation)) / 3 (ISO 15469, Moon and Spencer 1942)."""
-    value = _brightness_number(zenith)
+    value = brightness_number(zenith)
     return lambda L: value * (1.0 - 2.0 * np.asarray(L)[..., 2]) / 3.0
 
 
@@ -209,6 +209,9 @@ def radiance(source: Source, directions: np.ndarray) -> np.ndarray:
     brightness = source.brightness
     if not callable(brightness):
         return np.full(directions.shape[:-1], float(brightness))
+    if getattr(brightness, "direct", 0):  # half a degree wide: what looks in some directions would miss it, or overrate it
+        raise bad("brightness: a sky with the sun's disc (direct)", "a method, source or sides without it", "Sky with render's method 'horizon' and sides 'open' or 'dark'",
+                  "Leave direct out, or render with method='horizon'.")
     values = np.asarray(brightness(directions.copy()))
     if values.dtype.kind not in "iuf" or values.shape not in ((), directions.shape[:-1]):
         raise bad("brightness function: wrong result", f"dtype {values.dtype}, shape {values.shape} for directions {directions.shape}",
@@ -264,7 +267,7 @@ def elevation_table(source: Source, angles: np.ndarray, widths: np.ndarray, look
     return table.astype(np.float32)
 
 
-def _brightness_number(value) -> float:
+def brightness_number(value) -> float:
     try:
         number = float(value)
     except (TypeError, ValueError):
@@ -276,7 +279,7 @@ def _brightness_number(value) -> float:
 
 def _check_brightness(value):
     if not callable(value):
-        _brightness_number(value)
+        brightness_number(value)
 
 
 def _numbers(values, count, what, form) -> tuple[float, ...]:

@@ -166,7 +166,7 @@ class Sweeps:
     def _unit(self, table) -> float:
         """What one of irradiance counts in fixed point: no sum passes 2^30."""
         most = np.ones(len(self.rays.widths)) if table is None else np.hypot(table[:, 0, 0], table[:, 0, 1])
-        return 2.0**30 / max(float(most @ self.rays.widths), 1e-30)
+        return 2.0**30 / max(float(most @ self.rays.widths), 1e-20)  # what a float32 still holds under a black sky
 
     def _half(self, turned: bool, table) -> Half:
         ground, near, put = self.ground, self.near, self.backend.upload
