@@ -1,4 +1,4 @@
-"""The command line: `skylamp render | recover | field | backends | demo`.
+"""The command line: `skylamp render | recover | horizon | field | backends | selftest | demo`.
 
 Data go to files or to stdout; messages, progress and errors go to stderr. Exit codes: 0 ok, 2 usage, 3 bad input,
 4 backend unavailable, 1 the rest. An error is one line; --debug adds the traceback.
@@ -10,6 +10,8 @@ import contextlib
 import dataclasses
 import json
 import logging
+import os
+import re
 import sys
 import traceback
 from pathlib import Path
@@ -24,7 +26,7 @@ from rich.table import Column, Table
 
 import skylamp as sl
 
-from . import io
+from . import geo, io
 from .backends import select
 from .errors import BackendError, InputError, SkylampError, bad
 
@@ -36,15 +38,18 @@ _debug = False
 EXAGGERATION = 4
 LAMP = (215, 150, -45, 40)
 
-File = Annotated[Path, typer.Argument(help="Depth, or height with --height: .npy, .npz, grey .png or .tif", show_default=False)]
-Out = Annotated[str, typer.Option(help=".npy, .npz, .tif or .png; - writes .npy to stdout", show_default=False)]
-Height = Annotated[bool, typer.Option("--height", help="The file holds height (larger is nearer to the viewer), not depth")]
-Spacing = Annotated[float, typer.Option(help="Distance between neighbouring nodes, in the unit of depth")]
+File = Annotated[Path, typer.Argument(help="Depth, or height with --height: .npy, .npz, grey .png, .tif or .exr; a GeoTIFF holds height", show_default=False)]
+Out = Annotated[str, typer.Option(help=".npy, .npz, .tif, .png, .exr or .hdr; - writes .npy to stdout; a .tif from a GeoTIFF is one", show_default=False)]
+Height = Annotated[Optional[bool], typer.Option("--height/--depth", help="What the file holds: height (larger is nearer to the viewer) or depth  [default: depth, height in a GeoTIFF]", show_default=False)]
+Spacing = Annotated[Optional[float], typer.Option(help="Distance between neighbouring nodes, in the unit of depth  [default: 1, a GeoTIFF's own]", show_default=False)]
+Resample = Annotated[bool, typer.Option("--resample", help="GeoTIFF: make cells square that are not, such as cells of degrees")]
 Albedo = Annotated[float, typer.Option(help="Diffuse reflectance, 0 to 1")]
 Nodata = Annotated[Optional[float], typer.Option(help="Leave out nodes of this value (a number, or nan)", show_default=False)]
-Source = Annotated[Optional[str], typer.Option(help="sky | overcast | lamp | window | FILE, an environment map  [default: lamp with --lamp, window with --window, else sky]", show_default=False)]
+Source = Annotated[Optional[str], typer.Option(help="sky | overcast | clear | cie1 to cie15 | lamp | window | FILE, an environment map  [default: lamp with --lamp, window with --window, else sky]", show_default=False)]
 Lamp = Annotated[Optional[str], typer.Option(metavar="X,Y,Z,R", help="Centre and radius of a spherical lamp, in the unit of spacing", show_default=False)]
 Window = Annotated[Optional[str], typer.Option(metavar="X0,X1,Y0,Y1", help="Rectangle in the plane z = 0, in the unit of spacing", show_default=False)]
+Sun = Annotated[Optional[str], typer.Option(metavar="AZ,EL | TIME,LAT,LON", help="Where the sun stands, for clear and cie skies: degrees clockwise from north and above the horizon, or 2026-06-21T12:00Z and degrees north and east", show_default=False)]
+Direct = Annotated[float, typer.Option(help="Irradiance by the sun's disc of a surface that faces it, beside a zenith of brightness 1")]
 Sides = Annotated[str, typer.Option(help="open | dark | periodic")]
 Backend = Annotated[str, typer.Option(help="auto, or a name from `skylamp backends`")]
 Hemicube = Annotated[int, typer.Option(help="Nodes along an edge of the cube of directions, odd")]
@@ -65,8 +70,8 @@ def _options(version: Annotated[bool, typer.Option("--version", is_eager=True, c
 
 
 @app.command()
-def render(file: File, out: Out, height: Height = False, spacing: Spacing = 1.0, albedo: Albedo = 0.8, nodata: Nodata = None,
-           source: Source = None, lamp: Lamp = None, window: Window = None, sides: Sides = "open",
+def render(file: File, out: Out, height: Height = None, spacing: Spacing = None, albedo: Albedo = 0.8, nodata: Nodata = None,
+           resample: Resample = False, source: Source = None, lamp: Lamp = None, window: Window = None, sun: Sun = None, direct: Direct = 0.0, sides: Sides = "open",
            method: Annotated[str, typer.Option(help="auto | lattice | horizon")] = "auto",
            tolerance: Annotated[float, typer.Option(help="Relative error that auto may make")] = 0.01,
            hemicube: Annotated[Optional[int], typer.Option(help="Lattice: nodes along an edge of the cube of directions, odd", show_default=False)] = None,
@@ -74,20 +79,25 @@ def render(file: File, out: Out, height: Height = False, spacing: Spacing = 1.0,
            quantity: Annotated[str, typer.Option(help="radiance | irradiance")] = "radiance",
            white: Annotated[Optional[float], typer.Option(help="PNG: the value that becomes white  [default: the image's maximum]", show_default=False)] = None,
            bits: Annotated[int, typer.Option(help="PNG: 8 or 16")] = 8,
+           exposure: Annotated[Optional[float], typer.Option(help="PNG for the eye: 8 bits in sRGB's tones, image x 2^exposure, white at 1", show_default=False)] = None,
            backend: Backend = "auto", as_json: Json = False):
     """Render a depth map under a source."""
     _check_output(out, as_json)
-    scene = _scene(file, height, spacing, albedo, nodata, sides)
+    if exposure is not None and (not out.lower().endswith(".png") or white is not None or bits != 8):
+        raise typer.BadParameter("makes an 8-bit .png for the eye: it goes without --white and --bits 16, and with no other format", param_hint="--exposure")
+    scene, raster = _scene(file, height, spacing, albedo, nodata, sides, resample)
     with _working("rendering"):
-        done = sl.render(scene, _source(source, lamp, window), method=method, tolerance=tolerance, backend=backend,
+        done = sl.render(scene, _source(source, lamp, window, sun, direct), method=method, tolerance=tolerance, backend=backend,
                          quantity=quantity, hemicube=hemicube, filled=filled)
-    scale = _deliver(out, done.image, range=None if white is None else (0.0, white), bits=bits)
+    image = done.image if exposure is None else io.tone_mapped(done.image, exposure)
+    scale = _deliver(out, image, raster, range=None if white is None else (0.0, white), bits=bits)
     _report(done, out, as_json, shape=done.image.shape, range=scale)
 
 
 @app.command()
 def recover(file: Annotated[Path, typer.Argument(help="Image of radiance: .npy, .npz, grey .png or .tif", show_default=False)], out: Out,
-            albedo: Albedo = 0.8, spacing: Spacing = 1.0, source: Source = None, lamp: Lamp = None, window: Window = None, sides: Sides = "open",
+            albedo: Albedo = 0.8, spacing: Annotated[float, typer.Option(help="Distance between neighbouring nodes")] = 1.0,
+            source: Source = None, lamp: Lamp = None, window: Window = None, sun: Sun = None, sides: Sides = "open",
             layers: Annotated[int, typer.Option(help="Depth of the block that is carved, in layers of one spacing")] = 64,
             hemicube: Hemicube = 9,
             eps: Annotated[float, typer.Option(help="Stop a column when it is this close to the image, as a share of the image's maximum")] = 0.02,
@@ -98,7 +108,7 @@ def recover(file: Annotated[Path, typer.Argument(help="Image of radiance: .npy, 
     _check_output(out, as_json)
     image = _radiance(file, white)
     with _working("carving") as progress:
-        done = sl.recover(image, _source(source, lamp, window), albedo=albedo, sides=sides, spacing=spacing, layers=layers, hemicube=hemicube,
+        done = sl.recover(image, _source(source, lamp, window, sun), albedo=albedo, sides=sides, spacing=spacing, layers=layers, hemicube=hemicube,
                           eps=eps, stop=stop, backend=backend, progress=progress)
     more = {"drilled": done.drilled} if out.lower().endswith(".npz") else {}
     _deliver(out, done.depth, range=(0.0, 65535.0 * spacing), bits=16, name="depth", **more)
@@ -106,8 +116,8 @@ def recover(file: Annotated[Path, typer.Argument(help="Image of radiance: .npy, 
 
 
 @app.command()
-def field(file: File, out: Out, height: Height = False, spacing: Spacing = 1.0, nodata: Nodata = None,
-          source: Source = None, lamp: Lamp = None, window: Window = None, sides: Sides = "open", hemicube: Hemicube = 9,
+def field(file: File, out: Out, height: Height = None, spacing: Spacing = None, nodata: Nodata = None, resample: Resample = False,
+          source: Source = None, lamp: Lamp = None, window: Window = None, sun: Sun = None, sides: Sides = "open", hemicube: Hemicube = 9,
           layers: Annotated[Optional[int], typer.Option(help="Layers of free space, from z = 0  [default: down to the deepest node]", show_default=False)] = None,
           layer: Annotated[Optional[int], typer.Option(help="Write this layer alone, (rows, cols)", show_default=False)] = None,
           backend: Backend = "auto", as_json: Json = False):
@@ -115,15 +125,15 @@ def field(file: File, out: Out, height: Height = False, spacing: Spacing = 1.0, 
     _check_output(out, as_json)
     if layer is None and out.lower().endswith(".png"):
         raise typer.BadParameter("a .png holds one layer: give --layer, or write .npy, .npz or .tif", param_hint="--out")
-    scene = _scene(file, height, spacing, 0.8, nodata, sides)
+    scene, raster = _scene(file, height, spacing, 0.8, nodata, sides, resample)
     with _working("propagating") as progress:
-        done = sl.visibility_field(scene, _source(source, lamp, window), hemicube=hemicube, layers=layers, backend=backend, progress=progress)
+        done = sl.visibility_field(scene, _source(source, lamp, window, sun), hemicube=hemicube, layers=layers, backend=backend, progress=progress)
         angle = done.solid_angle()
     if layer is not None:
         if not 0 <= layer < len(angle):
             raise bad("--layer", layer, f"0 to {len(angle) - 1}")
         angle = angle[layer]
-    scale = _deliver(out, angle, range=(0.0, 2 * np.pi), name="solid_angle")
+    scale = _deliver(out, angle, raster, range=(0.0, 2 * np.pi), name="solid_angle")
     _report(done, out, as_json, shape=angle.shape, range=scale)
 
 
@@ -211,7 +221,8 @@ def demo(out: Annotated[Path, typer.Option(help="Folder for the pictures; create
 
 def main(arguments: list[str] | None = None) -> NoReturn:
     """Run the command line and exit; ``arguments`` default to the process's own."""
-    logging.getLogger("tifffile").setLevel(logging.ERROR)  # its warnings would stand beside our one line
+    for library, level in (("tifffile", logging.ERROR), ("rasterio", logging.CRITICAL)):  # what they log would stand beside our one line
+        logging.getLogger(library).setLevel(level)
     try:
         app(arguments, prog_name="skylamp")
     except Exception as error:
@@ -224,17 +235,32 @@ def main(arguments: list[str] | None = None) -> NoReturn:
     sys.exit(0)
 
 
-def _scene(file, height, spacing, albedo, nodata, sides):
-    values = io.read(file, "height" if height else "depth")
-    mask = None if nodata is None else ~np.isnan(values) if np.isnan(nodata) else values != nodata
-    return (sl.Scene.from_height if height else sl.Scene)(values, spacing=spacing, albedo=albedo, mask=mask, sides=sides)
+def _scene(file, height, spacing, albedo, nodata, sides, resample=False):
+    """(scene, the raster that the file is if it is a GeoTIFF)."""
+    raster = geo.read(file, resample=resample) if geo.is_geotiff(file) else None
+    if resample and raster is None:
+        raise typer.BadParameter(f"{file} is not a GeoTIFF", param_hint="--resample")
+    height = raster is not None if height is None else height
+    with _muted(file):
+        values = io.read(file, "height" if height else "depth") if raster is None else raster.values
+    mask = None if raster is None or raster.mask.all() else raster.mask
+    if nodata is not None:
+        known = ~np.isnan(values) if np.isnan(nodata) else values != nodata
+        mask = known if mask is None else mask & known
+    if raster is not None and not height:
+        values = np.where(raster.mask, values, 0)
+    spacing = spacing if spacing is not None else 1.0 if raster is None else raster.spacing
+    return (sl.Scene.from_height if height else sl.Scene)(values, spacing=spacing, albedo=albedo, mask=mask, sides=sides), raster
 
 
-def _source(kind, lamp, window):
+def _source(kind, lamp, window, sun=None, direct=0.0):
     kind = kind or ("lamp" if lamp else "window" if window else "sky")
     for name, given in (("lamp", lamp), ("window", window)):
         if bool(given) != (kind == name):
             raise typer.BadParameter(f"--{name} goes with --source {name}: got --source {kind}" + ("" if given else f" without --{name}"), param_hint=f"--{name}")
+    cie = re.fullmatch("clear|cie([0-9]+)", kind)
+    if (sun or direct) and not cie:
+        raise typer.BadParameter(f"goes with --source clear or cie1 to cie15: got --source {kind}", param_hint="--sun" if sun else "--direct")
     if kind == "lamp":
         x, y, z, radius = _numbers(lamp, "--lamp", "X,Y,Z,R")
         return sl.Lamp(center=(x, y, z), radius=radius)
@@ -245,9 +271,23 @@ def _source(kind, lamp, window):
         return sl.Sky()
     if kind == "overcast":
         return sl.Sky(sl.cie_overcast())
+    if cie:
+        return sl.Sky(sl.cie_sky(int(cie[1] or 12), None if sun is None else _sun(sun), direct=direct))
     if not Path(kind).exists():
-        raise bad("--source", repr(kind), "sky, overcast, lamp, window, or an existing file (an environment map)")
-    return sl.Sky(sl.environment_map(io.read_environment(kind)))
+        raise bad("--source", repr(kind), "sky, overcast, clear, cie1 to cie15, lamp, window, or an existing file (an environment map)")
+    with _muted(kind):
+        return sl.Sky(sl.environment_map(io.read_environment(kind)))
+
+
+def _sun(text):
+    """(azimuth, elevation) [degree] of --sun, given as such or by time and place."""
+    if text.count(",") == 2:
+        time, place = text.split(",", 1)
+        azimuth, elevation = sl.sun_position(time, *_numbers(place, "--sun", "LAT,LON"))
+        if elevation < 0:
+            raise bad(f"--sun {text}", f"a sun {-elevation:.1f} degrees below the horizon", "a time of day")
+        return azimuth, elevation
+    return tuple(_numbers(text, "--sun", "AZ,EL"))
 
 
 def _numbers(text, option, form):
@@ -262,7 +302,8 @@ def _numbers(text, option, form):
 
 def _radiance(file, white):
     """The image in ``file`` as radiance: counts need a scale, the file's own or --white; floating values are radiance already."""
-    image = io.read(file, "image")
+    with _muted(file):
+        image = io.read(file, "image")
     if image.dtype.kind == "f":
         if white is not None:
             raise typer.BadParameter(f"{file} holds floating values, which are radiance as they are", param_hint="--white")
@@ -281,11 +322,31 @@ def _check_output(out, as_json):
         raise typer.BadParameter("stdout holds either the data or the JSON object: give --out a file", param_hint="--out")
 
 
-def _deliver(out, array, **options):
+def _deliver(out, array, raster=None, **options):
+    if raster is not None and array.ndim == 2 and out.lower().endswith((".tif", ".tiff")):
+        return geo.write(out, array, raster)
     if out != "-":
         return io.write(out, array, **options)
     np.save(sys.stdout.buffer, array, allow_pickle=False)
     sys.stdout.flush()
+
+
+@contextlib.contextmanager
+def _muted(path):
+    """Off the process's own stderr while an .exr or .hdr is read: OpenEXR and OpenCV tell it about damage, and our one line does too."""
+    if not str(path).lower().endswith(io.HDR):
+        yield
+        return
+    sys.stderr.flush()
+    kept = os.dup(2)
+    nothing = os.open(os.devnull, os.O_WRONLY)
+    try:
+        os.dup2(nothing, 2)
+        yield
+    finally:
+        os.dup2(kept, 2)
+        os.close(kept)
+        os.close(nothing)
 
 
 @contextlib.contextmanager
