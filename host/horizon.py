@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from .arrays import labelled
 from .backends import select
 from .backends.horizon import FINE, Ground, Rays, Sweeps
 from .directions import Azimuths
@@ -18,7 +19,8 @@ def horizons(scene: Scene, azimuths: int | Azimuths = 64, backend: str = "auto",
     """The horizon's slope, tangent of its elevation, at every node and azimuth: (azimuths, rows, cols) float32.
 
     Azimuth a looks along 2 pi (a + 1/2) / azimuths [rad] from +x (columns) towards +y (rows). Slopes may be negative;
-    -inf where no ground lies that way, nan where the scene is masked. The surface is linear between neighbouring nodes
+    -inf where no ground lies that way, nan where the scene is masked; of a scene made from an xarray.DataArray, a DataArray
+    with the coordinate ``azimuth`` [rad] (this holds for sky_view_factor and openness too). The surface is linear between neighbouring nodes
     along rows and along columns. ``max_distance`` [unit of spacing]: ground farther away does not count; the whole map
     does unless given (on a map that repeats, as far as its relief makes a slope of 0.01). With dark sides the wall
     counts as ground.
@@ -29,7 +31,7 @@ def horizons(scene: Scene, azimuths: int | Azimuths = 64, backend: str = "auto",
     sweeps = Sweeps(select(backend), ground_of(scene, max_distance), Rays(azimuths.angles, azimuths.widths), near=FINE)
     slopes = sweeps.slopes()
     slopes[:, ~scene.valid] = np.nan
-    return slopes
+    return labelled(slopes, scene.labels, azimuth=azimuths.angles)
 
 
 def sky_view_factor(scene: Scene, definition: str = "tilted", azimuths: int | Azimuths = 64, backend: str = "auto", *, max_distance: float | None = None) -> np.ndarray:
@@ -48,7 +50,7 @@ def sky_view_factor(scene: Scene, definition: str = "tilted", azimuths: int | Az
     sine = np.linspace(0, 1, RUNGS)
     share = {"tilted": None, "horizontal": (1 - sine**2) / 2, "solid_angle": 1 - sine}[definition]
     scale = 1 / np.pi if definition != "solid_angle" else 1 / (2 * np.pi)
-    return _sum(scene, share, azimuths, backend, max_distance) * np.float32(scale)
+    return labelled(_sum(scene, share, azimuths, backend, max_distance) * np.float32(scale), scene.labels)
 
 
 def openness(scene: Scene, azimuths: int | Azimuths = 64, backend: str = "auto", *, negative: bool = False, max_distance: float | None = None) -> np.ndarray:
@@ -59,6 +61,7 @@ def openness(scene: Scene, azimuths: int | Azimuths = 64, backend: str = "auto",
     errors as for :func:`horizons`.
     """
     is_scene(scene)
+    labels = scene.labels
     if not isinstance(negative, (bool, np.bool_)):
         raise bad("openness: negative", repr(negative), "True or False")
     if negative:
@@ -70,7 +73,7 @@ def openness(scene: Scene, azimuths: int | Azimuths = 64, backend: str = "auto",
     for numbers, slopes in sweeps.planes():
         for width, slope in zip(azimuths.widths[numbers], slopes):
             total += width * (np.pi / 2 - np.arctan(np.where(np.isfinite(slope), slope, 0)))
-    return np.where(scene.valid, total / (2 * np.pi), np.nan).astype(np.float32)
+    return labelled(np.where(scene.valid, total / (2 * np.pi), np.nan).astype(np.float32), labels)
 
 
 def as_azimuths(azimuths: int | Azimuths) -> Azimuths:

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from . import sources
+from .arrays import labelled
 from .backends import select
 from .backends.base import Backend, Problem
 from .backends.horizon import Rays, Sweeps
@@ -48,7 +49,7 @@ class Plan:
 class Rendering:
     """What render() gives.
 
-    image (rows, cols) float32, nan where masked; plan; backend (its name); seconds of the call without compiling,
+    image (rows, cols) float32, nan where masked, an xarray.DataArray if the scene was made from one; plan; backend (its name); seconds of the call without compiling,
     compile_seconds; warnings (one sentence each).
     """
 
@@ -115,7 +116,7 @@ def render(scene: Scene, source: sources.Source, method: str = "auto", tolerance
     if lacking and (method == "horizon" or horizon):
         raise bad("method 'horizon'", lacking, "a sky, a rectangular window, or a lamp given by its centre and radius, the last two with sides='open' or 'dark'", "Use method='lattice'.")
     if method == "horizon" or (method == "auto" and not lattice and not lacking):
-        return _by_horizons(scene, source, method, tolerance, select(backend), quantity, azimuths, max_distance)
+        return _labelled(scene, _by_horizons(scene, source, method, tolerance, select(backend), quantity, azimuths, max_distance))
     plan = _plan(method, tolerance, hemicube, filled)
     cube = hemicube if isinstance(hemicube, Hemicube) else Hemicube(plan.hemicube)
     engine = select(backend)
@@ -123,7 +124,12 @@ def render(scene: Scene, source: sources.Source, method: str = "auto", tolerance
     brightness = sources.radiance(source, cube.directions)
     moments = cube.moments if weights == "moment" else cube.directions * cube.solid_angles[:, None]
     (irradiance,), seconds, compiling = timed(engine, lambda: (engine.irradiance(problem, moments * brightness[:, None]),))
-    return Rendering(_image(scene, irradiance, quantity), plan, engine.name, seconds, compiling, warnings_of(scene, source, cube, plan.filled))
+    return _labelled(scene, Rendering(_image(scene, irradiance, quantity), plan, engine.name, seconds, compiling, warnings_of(scene, source, cube, plan.filled)))
+
+
+def _labelled(scene: Scene, done: Rendering) -> Rendering:
+    """With an image that has the coordinates of the scene's DataArray, if it was made from one."""
+    return done if scene.labels is None else replace(done, image=labelled(done.image, scene.labels))
 
 
 def _image(scene: Scene, irradiance: np.ndarray, quantity: str) -> np.ndarray:

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from .arrays import Labels, host_array, labels_of
 from .errors import InputError, bad
 
 SIDES = ("open", "dark", "periodic")
@@ -17,7 +18,7 @@ def real_array(values, what: str, ndim: int | None = 2) -> np.ndarray:
     if isinstance(values, np.ma.MaskedArray):
         raise bad(f"{what}: a numpy masked array", "mask inside the array", "plain arrays", "Pass array.data and mask=~numpy.ma.getmaskarray(array).")
     try:
-        array = np.asarray(values)
+        array = host_array(values)
     except Exception as error:
         raise InputError(f"{what}: not an array ({error}); allowed: a real array.") from error
     if array.dtype.kind not in "iuf":
@@ -73,7 +74,9 @@ class Scene:
         For an array of wrong shape or type, an empty one, NaN or infinity where the mask says valid,
         negative depth, an albedo outside 0 to 1, a spacing that is not positive, or unknown sides.
 
-    The arrays given are copied; the caller's are never changed.
+    Arrays may be NumPy's, or have ``__array__``, ``__dlpack__`` or ``__cuda_array_interface__``. They are copied; the
+    caller's are never changed. A depth (or height) that is an xarray.DataArray is remembered as ``labels``, and what has the
+    scene's rows and columns comes back as one: with its dimensions, coordinates, name and attributes.
     """
 
     depth: np.ndarray
@@ -83,9 +86,11 @@ class Scene:
     sides: str = "open"
     _values: np.ndarray = field(init=False, repr=False)
     _step: float = field(init=False, repr=False)
+    labels: Labels | None = field(init=False, repr=False, default=None)
 
     def __post_init__(self):
         put = lambda name, value: object.__setattr__(self, name, value)
+        put("labels", labels_of(self.depth))
         depth = real_array(self.depth, "depth")
         put("spacing", positive_number(self.spacing, "spacing"))
         one_of(self.sides, SIDES, "sides")
@@ -123,6 +128,7 @@ class Scene:
 
         ``height``: (rows, cols); the other arguments and errors as for :class:`Scene`.
         """
+        labels = labels_of(height)
         height = real_array(height, "height")
         valid = np.ones(height.shape, bool) if mask is None else _mask(mask, height.shape)
         broken = valid & ~np.isfinite(height)
@@ -130,7 +136,9 @@ class Scene:
             raise bad(f"height: {broken.sum()} values are NaN or infinite, first {at(broken)}", height[broken][0],
                       "finite height wherever the mask is True", "Pass mask=numpy.isfinite(height) to leave them out.")
         top = height[valid].max() if valid.any() else 0.0
-        return cls(np.where(valid, top - height, np.nan), spacing, albedo, mask, sides)
+        scene = cls(np.where(valid, top - height, np.nan), spacing, albedo, mask, sides)
+        object.__setattr__(scene, "labels", labels)
+        return scene
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -164,8 +172,8 @@ def _mask(mask, shape):
     if mask is None:
         return None
     try:
-        mask = np.asarray(mask)
-    except ValueError as error:
+        mask = host_array(mask)
+    except Exception as error:
         raise bad("mask: not an array", str(error), f"bool, shape {shape}") from None
     if mask.dtype != bool or mask.shape != shape:
         raise bad("mask: wrong type or shape", f"dtype {mask.dtype}, shape {mask.shape}", f"bool, shape {shape}")

@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from .arrays import host_array
 from .errors import InputError, bad
 from .scene import real_array
 
@@ -294,8 +295,8 @@ def _numbers(values, count, what, form) -> tuple[float, ...]:
 
 def _flags(values, what, ndim, form) -> np.ndarray:
     try:
-        array = np.asarray(values)
-    except ValueError as error:
+        array = host_array(values)
+    except Exception as error:
         raise bad(what, str(error), f"bool {form}, not empty") from None
     if array.dtype != bool or array.ndim != ndim or array.size == 0:
         raise bad(what, f"dtype {array.dtype}, shape {array.shape}", f"bool {form}, not empty")
