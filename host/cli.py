@@ -26,9 +26,10 @@ from rich.table import Column, Table
 
 import skylamp as sl
 
-from . import geo, io
+from . import geo, io, plot
 from .backends import select
 from .errors import BackendError, InputError, SkylampError, bad
+from .selftest import selftest as run_selftest
 
 app = typer.Typer(name="skylamp", no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None,
                   help="Light from skies, lamps and windows on depth maps, forward and inverse.")
@@ -53,6 +54,8 @@ Direct = Annotated[float, typer.Option(help="Irradiance by the sun's disc of a s
 Sides = Annotated[str, typer.Option(help="open | dark | periodic")]
 Backend = Annotated[str, typer.Option(help="auto, or a name from `skylamp backends`")]
 Hemicube = Annotated[int, typer.Option(help="Nodes along an edge of the cube of directions, odd")]
+Picture = Annotated[Optional[Path], typer.Option("--plot", help="Draw a picture: .png, .svg or .pdf", show_default=False)]
+MaybeOut = Annotated[Optional[str], typer.Option("--out", help=".npy, .npz, .tif or .exr, or .png for one plane; - writes .npy to stdout", show_default=False)]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout")]
 
 
@@ -103,38 +106,79 @@ def recover(file: Annotated[Path, typer.Argument(help="Image of radiance: .npy, 
             eps: Annotated[float, typer.Option(help="Stop a column when it is this close to the image, as a share of the image's maximum")] = 0.02,
             stop: Annotated[str, typer.Option(help="eps: the paper's rule | sign: when the column becomes darker than the image")] = "eps",
             white: Annotated[Optional[float], typer.Option(help="Radiance of a full-scale count, for integer files that skylamp did not write", show_default=False)] = None,
-            backend: Backend = "auto", as_json: Json = False):
+            picture: Picture = None, backend: Backend = "auto", as_json: Json = False):
     """Recover depth from an image. An .npz also holds the mask of drilled columns; a .png holds depth in whole layers, 16 bit."""
-    _check_output(out, as_json)
+    _check_output(out, as_json, picture)
     image = _radiance(file, white)
     with _working("carving") as progress:
         done = sl.recover(image, _source(source, lamp, window, sun), albedo=albedo, sides=sides, spacing=spacing, layers=layers, hemicube=hemicube,
                           eps=eps, stop=stop, backend=backend, progress=progress)
     more = {"drilled": done.drilled} if out.lower().endswith(".npz") else {}
     _deliver(out, done.depth, range=(0.0, 65535.0 * spacing), bits=16, name="depth", **more)
+    if picture:
+        plot.save(plot.recovery(image, done), picture)
     _report(done, out, as_json, shape=done.depth.shape, drilled=int(np.count_nonzero(done.drilled)))
 
 
 @app.command()
-def field(file: File, out: Out, height: Height = None, spacing: Spacing = None, nodata: Nodata = None, resample: Resample = False,
-          source: Source = None, lamp: Lamp = None, window: Window = None, sun: Sun = None, sides: Sides = "open", hemicube: Hemicube = 9,
+def horizon(file: File, out: MaybeOut = None, height: Height = None, spacing: Spacing = None, nodata: Nodata = None, resample: Resample = False, sides: Sides = "open",
+            what: Annotated[str, typer.Option(help="sky-view-factor | openness | negative-openness | slopes, (azimuths, rows, cols)")] = "sky-view-factor",
+            definition: Annotated[str, typer.Option(help="Of the sky-view factor: tilted | horizontal | solid_angle")] = "tilted",
+            azimuths: Annotated[int, typer.Option(help="Directions along which horizons are looked for")] = 64,
+            max_distance: Annotated[Optional[float], typer.Option(help="Ground farther away does not count, in the unit of spacing  [default: the whole map]", show_default=False)] = None,
+            at: Annotated[Optional[str], typer.Option(metavar="ROW,COL", help="The node that --plot shows", show_default=False)] = None,
+            picture: Picture = None, source: Annotated[str, typer.Option(help="The sky that --plot shows: sky | overcast | clear | cie1 to cie15 | FILE")] = "sky", sun: Sun = None,
+            backend: Backend = "auto", as_json: Json = False):
+    """Horizons: sky-view factor, openness [rad] or slopes of the whole map, and the sky above one node as a picture."""
+    _check_outputs(out, picture, as_json)
+    if bool(at) != bool(picture):
+        raise typer.BadParameter("a node and its picture go together: --at ROW,COL --plot FILE", param_hint="--at")
+    kinds = {"sky-view-factor": lambda: sl.sky_view_factor(scene, definition, azimuths, engine.name, max_distance=max_distance),
+             "openness": lambda: sl.openness(scene, azimuths, engine.name, max_distance=max_distance),
+             "negative-openness": lambda: sl.openness(scene, azimuths, engine.name, negative=True, max_distance=max_distance),
+             "slopes": lambda: sl.horizons(scene, azimuths, engine.name, max_distance=max_distance)}
+    if what not in kinds:
+        raise bad("--what", repr(what), " | ".join(kinds))
+    node = at and _numbers(at, "--at", "ROW,COL")
+    scene, raster = _scene(file, height, spacing, 0.8, nodata, sides, resample)
+    engine, shape, scale = select(backend), None, None
+    with _working("looking for horizons"):
+        found = kinds[what]() if out else None
+        if picture:
+            if any(n != int(n) for n in node):
+                raise bad("--at", at, "two whole numbers")
+            plot.save(plot.horizon(scene, *map(int, node), _source(source, None, None, sun), backend=engine.name), picture)
+    if out:
+        shape = found.shape
+        scale = _deliver(out, found, raster, range=(0.0, 1.0) if what == "sky-view-factor" else None, name=what.replace("-", "_"))
+    _tell(out, picture, as_json, engine.name, shape=shape, range=scale, what=what if out else None)
+
+
+@app.command()
+def field(file: File, out: MaybeOut = None, height: Height = None, spacing: Spacing = None, nodata: Nodata = None, resample: Resample = False,
+          albedo: Albedo = 0.8, source: Source = None, lamp: Lamp = None, window: Window = None, sun: Sun = None, sides: Sides = "open", hemicube: Hemicube = 9,
           layers: Annotated[Optional[int], typer.Option(help="Layers of free space, from z = 0  [default: down to the deepest node]", show_default=False)] = None,
           layer: Annotated[Optional[int], typer.Option(help="Write this layer alone, (rows, cols)", show_default=False)] = None,
+          picture: Picture = None, row: Annotated[Optional[int], typer.Option(help="The row that --plot cuts along  [default: the middle one]", show_default=False)] = None,
           backend: Backend = "auto", as_json: Json = False):
-    """The visibility field: the solid angle [sr] of the source in sight, for every point of free space, (layers, rows, cols)."""
-    _check_output(out, as_json)
-    if layer is None and out.lower().endswith(".png"):
+    """The visibility field: the solid angle [sr] of the source in sight, for every point of free space, (layers, rows, cols); as a picture, the rays through points of one row."""
+    _check_outputs(out, picture, as_json)
+    if out and layer is None and out.lower().endswith(".png"):
         raise typer.BadParameter("a .png holds one layer: give --layer, or write .npy, .npz or .tif", param_hint="--out")
-    scene, raster = _scene(file, height, spacing, 0.8, nodata, sides, resample)
+    scene, raster = _scene(file, height, spacing, albedo, nodata, sides, resample)
+    shape = scale = None
     with _working("propagating") as progress:
         done = sl.visibility_field(scene, _source(source, lamp, window, sun), hemicube=hemicube, layers=layers, backend=backend, progress=progress)
-        angle = done.solid_angle()
-    if layer is not None:
-        if not 0 <= layer < len(angle):
-            raise bad("--layer", layer, f"0 to {len(angle) - 1}")
-        angle = angle[layer]
-    scale = _deliver(out, angle, raster, range=(0.0, 2 * np.pi), name="solid_angle")
-    _report(done, out, as_json, shape=angle.shape, range=scale)
+        angle = done.solid_angle() if out else None
+        if picture:
+            plot.save(plot.field(done, row, backend=done.backend), picture)
+    if out:
+        if layer is not None:
+            if not 0 <= layer < len(angle):
+                raise bad("--layer", layer, f"0 to {len(angle) - 1}")
+            angle = angle[layer]
+        shape, scale = angle.shape, _deliver(out, angle, raster, range=(0.0, 2 * np.pi), name="solid_angle")
+    _tell(out, picture, as_json, done.backend, shape=shape, range=scale)
 
 
 @app.command()
@@ -149,6 +193,29 @@ def backends(as_json: Json = False):
     for b in found:
         table.add_row(b.name, b.device, "yes" if b.available else "no", b.why)
     Console(width=None if sys.stdout.isatty() else 160).print(table)
+
+
+@app.command()
+def selftest(as_json: Json = False):
+    """Compare every available backend with every other on a built-in case; exit 1 if two differ."""
+    with _working("comparing") as progress:
+        compared = run_selftest(progress)
+    names = [b.name for b in sl.backends() if b.available]
+    wrong = [c for c in compared if not c.passed]
+    if as_json:
+        print(json.dumps({"backends": names, "passed": not wrong, "comparisons": [{**_plain(c), "passed": c.passed} for c in compared]}))
+    else:
+        pairs = list(dict.fromkeys((c.one, c.other) for c in compared))
+        table = Table("case", *(f"{one} / {other}" for one, other in pairs), "allowed", title="Largest difference, as a share of the largest value")
+        for case in dict.fromkeys(c.case for c in compared):
+            row = [c for c in compared if c.case == case]
+            shown = {(c.one, c.other): "failed" if c.difference is None else f"{c.difference:.1e}" if c.difference else "0" for c in row}
+            table.add_row(case, *(shown[p] + ("" if next(c for c in row if (c.one, c.other) == p).passed else "  DIFFERS") for p in pairs), f"{row[0].allowed:.0e}" if row[0].allowed else "0")
+        Console(width=None if sys.stdout.isatty() else 160).print(table if pairs else f"Only {', '.join(names)} is here: nothing to compare.")
+    for reason in dict.fromkeys(c.error for c in wrong if c.error):
+        print(f"skylamp: {reason}", file=sys.stderr)
+    if wrong:
+        raise typer.Exit(1)
 
 
 @app.command()
@@ -314,8 +381,16 @@ def _radiance(file, white):
     return low + image * ((high - low) / np.iinfo(image.dtype).max)
 
 
-def _check_output(out, as_json):
+def _check_outputs(out, picture, as_json):
+    if not out and not picture:
+        raise typer.BadParameter("nothing to do: give --out FILE, --plot FILE or both", param_hint="--out")
+    _check_output(out or "-", as_json and bool(out), picture)
+
+
+def _check_output(out, as_json, picture=None):
     """Before any work is done: can the result be put there?"""
+    if picture is not None:
+        plot.drawable(picture)
     if out != "-":
         io.writable(out)
     elif as_json:
@@ -377,6 +452,17 @@ def _report(done, out, as_json, **facts):
         scale = f", white is {facts['range'][1]:.6g}" if facts.get("range") else ""
         plan = f"; {done.plan}" if "plan" in facts else ""
         print(f"{out}: {' x '.join(map(str, facts['shape']))} by {done.backend}{scale}{plan}", file=sys.stderr)
+
+
+def _tell(out, picture, as_json, backend, shape=None, range=None, **facts):
+    """What was written where, for commands that may write an array, a picture or both."""
+    if as_json:
+        print(json.dumps(_plain({"out": out, "plot": picture and str(picture), "backend": backend, "shape": shape, "range": range, **facts})))
+        return
+    if out:
+        print(f"{out}: {' x '.join(map(str, shape))} by {backend}" + (f", white is {range[1]:.6g}" if range else ""), file=sys.stderr)
+    if picture:
+        print(f"{picture}: drawn, by {backend}", file=sys.stderr)
 
 
 def _plain(value):

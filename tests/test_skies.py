@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import skylamp as sl
-from skylamp import skies
+from skylamp import cli, skies
 
 FLAT = sl.Scene(np.full((5, 6), 3.0), albedo=1.0)
 # Zenith luminance over diffuse horizontal illuminance, (B sin^C g / cos^D g + E sin g) / (133.8 sin g) for a sun at
@@ -150,3 +150,25 @@ def test_without_pvlib(monkeypatch):
     monkeypatch.setitem(sys.modules, "pvlib", None)
     with pytest.raises(sl.InputError, match=r"sun_position needs pvlib, which is not installed: pip install 'skylamp\[sun\]'"):
         skies.sun_position("2026-06-21T12:00Z", 0, 0)
+
+
+def test_command_line(tmp_path, capsys, fast):
+    """--source clear and cie1 to cie15, the sun by angles or by time and place, the disc; what does not go together is refused."""
+    np.save(tmp_path / "d.npy", FLAT.depth)
+
+    def run(*options):
+        with pytest.raises(SystemExit) as ended:
+            cli.main(["render", str(tmp_path / "d.npy"), "--out", str(tmp_path / "a.npy"), "--backend", fast, "--albedo", "1", *options])
+        return ended.value.code or 0, capsys.readouterr().err
+
+    position = sl.sun_position("2026-06-21T12:00Z", 51.48, 0)
+    for options, sky in ((("--source", "clear", "--sun", "120,30"), sl.cie_clear((120, 30))), (("--source", "cie3"), sl.cie_sky(3)),
+                         (("--source", "cie13", "--sun", "120,30", "--direct", "2.5"), sl.cie_clear((120, 30), turbid=True, direct=2.5)),
+                         (("--source", "clear", "--sun", "2026-06-21T12:00Z,51.48,0"), sl.cie_clear(position))):
+        assert run(*options)[0] == 0
+        np.testing.assert_array_equal(np.load(tmp_path / "a.npy"), sl.render(FLAT, sl.Sky(sky), backend=fast).image)
+    for code, says, options in ((3, "got no sun", ("--source", "clear")), (3, "from 1 to 15", ("--source", "cie16", "--sun", "1,2")), (2, "AZ,EL", ("--source", "clear", "--sun", "1")),
+                                (2, "clear or cie1 to cie15", ("--source", "overcast", "--sun", "1,2")), (2, "--direct", ("--source", "sky", "--direct", "1")),
+                                (3, "below the horizon", ("--source", "clear", "--sun", "2026-06-21T00:00Z,51.48,0")), (3, "without a zone", ("--source", "clear", "--sun", "2026-06-21T00:00,51.48,0"))):
+        got, err = run(*options)
+        assert got == code and says in err, (options, err)
