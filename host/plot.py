@@ -98,7 +98,7 @@ def horizon(scene: Scene, row: int, col: int, source: sources.Sky | None = None,
 
     Raises InputError for a node that is outside or masked, a source that is no sky, or if matplotlib is not installed.
     """
-    matplotlib = _matplotlib()
+    _matplotlib()
     is_scene(scene)
     node = []
     for name, value, size in (("row", row, scene.shape[0]), ("col", col, scene.shape[1])):
