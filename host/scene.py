@@ -54,6 +54,10 @@ def at(index) -> str:
 class Scene:
     """A surface seen from above: depth map, spacing, albedo, mask and what stands at the sides.
 
+    Arrays may be NumPy's, or have ``__array__``, ``__dlpack__`` or ``__cuda_array_interface__``. They are copied; the
+    caller's are never changed. A depth (or height) that is an xarray.DataArray is remembered as ``labels``, and what has the
+    scene's rows and columns comes back as one: with its dimensions, coordinates, name and attributes.
+
     Parameters
     ----------
     depth : (rows, cols) real array [length]
@@ -73,10 +77,6 @@ class Scene:
     InputError
         For an array of wrong shape or type, an empty one, NaN or infinity where the mask says valid,
         negative depth, an albedo outside 0 to 1, a spacing that is not positive, or unknown sides.
-
-    Arrays may be NumPy's, or have ``__array__``, ``__dlpack__`` or ``__cuda_array_interface__``. They are copied; the
-    caller's are never changed. A depth (or height) that is an xarray.DataArray is remembered as ``labels``, and what has the
-    scene's rows and columns comes back as one: with its dimensions, coordinates, name and attributes.
     """
 
     depth: np.ndarray

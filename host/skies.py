@@ -86,7 +86,10 @@ def cie_sky(type: int, sun: tuple[float, float] | None = None, zenith: float | N
         degrees and is evenly bright, direct / (pi sin^2 radius). It needs ``render`` with method="horizon" and sides "open"
         or "dark"; everything else says that it has no direction as small.
 
-    Raises InputError for another type, a sun that is missing or not above the horizon, or brightness that is not finite.
+    Raises
+    ------
+    InputError
+        For another type, a sun that is missing or not above the horizon, or brightness that is not finite.
     """
     if isinstance(type, bool) or type not in PARAMETERS:
         raise bad("cie_sky: type", repr(type), "a whole number from 1 to 15")
