@@ -6,6 +6,7 @@ import numpy as np
 
 from .arrays import labelled
 from .backends import select
+from .backends.base import Backend
 from .backends.horizon import FINE, Ground, Rays, Sweeps
 from .directions import Azimuths
 from .errors import bad
@@ -28,7 +29,8 @@ def horizons(scene: Scene, azimuths: int | Azimuths = 64, backend: str = "auto",
     Raises InputError, BackendError or CapacityError.
     """
     azimuths = as_azimuths(azimuths)
-    sweeps = Sweeps(select(backend), ground_of(scene, max_distance), Rays(azimuths.angles, azimuths.widths), near=FINE)
+    engine = engine_of(scene, backend)
+    sweeps = Sweeps(engine, ground_of(scene, max_distance, engine), Rays(azimuths.angles, azimuths.widths), near=FINE)
     slopes = sweeps.slopes()
     slopes[:, ~scene.valid] = np.nan
     return labelled(slopes, scene.labels, azimuth=azimuths.angles)
@@ -68,7 +70,8 @@ def openness(scene: Scene, azimuths: int | Azimuths = 64, backend: str = "auto",
         depth = np.where(scene.valid, scene.depth, 0)
         scene = Scene(np.where(scene.valid, depth.max() - depth, np.nan), scene.spacing, mask=scene.mask, sides=scene.sides)
     azimuths = as_azimuths(azimuths)
-    sweeps = Sweeps(select(backend), ground_of(scene, max_distance), Rays(azimuths.angles, azimuths.widths), near=FINE)
+    engine = engine_of(scene, backend)
+    sweeps = Sweeps(engine, ground_of(scene, max_distance, engine), Rays(azimuths.angles, azimuths.widths), near=FINE)
     total = np.zeros(scene.shape)
     for numbers, slopes in sweeps.planes():
         for width, slope in zip(azimuths.widths[numbers], slopes):
@@ -80,12 +83,20 @@ def as_azimuths(azimuths: int | Azimuths) -> Azimuths:
     return azimuths if isinstance(azimuths, Azimuths) else Azimuths(azimuths)
 
 
-def ground_of(scene: Scene, max_distance: float | None) -> Ground:
-    """The map that sweeps need, heights in spacings above the viewer's plane."""
+def engine_of(scene: Scene, backend: str) -> Backend:
+    """The backend of this name; ``auto`` stays on the GPU on which the scene's depth lies."""
     is_scene(scene)
+    there = scene.resident.backend.name if scene.resident is not None else ""
+    return select(there if backend == "auto" and there.startswith("warp:cuda") else backend)
+
+
+def ground_of(scene: Scene, max_distance: float | None, engine: Backend) -> Ground:
+    """The map that sweeps on ``engine`` need, heights in spacings above the viewer's plane; where it lies there, it stays there."""
     reach = np.inf if max_distance is None else positive_number(max_distance, "max_distance") / scene.spacing
     if reach < 1:
         raise bad("max_distance", max_distance, f"at least one spacing, {scene.spacing:g}")
+    if scene.resident is not None and scene.resident.backend is engine:
+        return Ground(scene.resident, scene.sides, reach, scene.spacing)
     values, step = scene.lattice()
     return Ground(-values / np.float32(step), scene.sides, reach)
 
@@ -98,7 +109,8 @@ def _sum(scene, share, azimuths, backend, max_distance):
         table = np.zeros((len(azimuths), len(share), 4), np.float32)
         table[:, :, 1] = share
         table[:, :-1, 3] = np.diff(share)
-    sweeps = Sweeps(select(backend), ground_of(scene, max_distance), Rays(azimuths.angles, azimuths.widths), table, level=share is not None)
+    engine = engine_of(scene, backend)
+    sweeps = Sweeps(engine, ground_of(scene, max_distance, engine), Rays(azimuths.angles, azimuths.widths), table, level=share is not None)
     image = sweeps.irradiance()
     image[~scene.valid] = np.nan
     return image

@@ -16,7 +16,7 @@ from .backends.horizon import Rays, Sweeps
 from .backends.slices import MOST, SLICES, Ball, Slices, aperture, brightness_of, rectangle
 from .directions import Azimuths, Hemicube
 from .errors import bad
-from .horizon import ground_of
+from .horizon import engine_of, ground_of
 from .scene import Scene, is_scene, one_of, positive_number
 
 METHODS = ("auto", "lattice", "horizon")
@@ -116,7 +116,7 @@ def render(scene: Scene, source: sources.Source, method: str = "auto", tolerance
     if lacking and (method == "horizon" or horizon):
         raise bad("method 'horizon'", lacking, "a sky, a rectangular window, or a lamp given by its centre and radius, the last two with sides='open' or 'dark'", "Use method='lattice'.")
     if method == "horizon" or (method == "auto" and not lattice and not lacking):
-        return _labelled(scene, _by_horizons(scene, source, method, tolerance, select(backend), quantity, azimuths, max_distance))
+        return _labelled(scene, _by_horizons(scene, source, method, tolerance, engine_of(scene, backend), quantity, azimuths, max_distance))
     plan = _plan(method, tolerance, hemicube, filled)
     cube = hemicube if isinstance(hemicube, Hemicube) else Hemicube(plan.hemicube)
     engine = select(backend)
@@ -176,7 +176,7 @@ def _by_horizons(scene, source, method, tolerance, engine, quantity, azimuths, m
         table = sources.elevation_table(source, sectors.angles, sectors.widths, 256 if profile is None else 1024)
     else:
         scale = float(source.brightness)
-    sweeps = Sweeps(engine, ground_of(scene, max_distance), Rays(sectors.angles, sectors.widths), table)
+    sweeps = Sweeps(engine, ground_of(scene, max_distance, engine), Rays(sectors.angles, sectors.widths), table)
     (irradiance,), seconds, compiling = timed(engine, lambda: (sweeps.irradiance(),))
     if sun is not None:
         disc = _by_slices(scene, sun, engine, "irradiance", None, None)

@@ -56,7 +56,9 @@ class Scene:
 
     Arrays may be NumPy's, or have ``__array__``, ``__dlpack__`` or ``__cuda_array_interface__``. They are copied; the
     caller's are never changed. A depth (or height) that is an xarray.DataArray is remembered as ``labels``, and what has the
-    scene's rows and columns comes back as one: with its dimensions, coordinates, name and attributes.
+    scene's rows and columns comes back as one: with its dimensions, coordinates, name and attributes. A float32 depth or
+    height without a mask that lies on a GPU (or in a Warp array) stays there: skies by horizons, horizons, sky-view factor
+    and openness on that device's backend, which ``auto`` takes then, never bring it to the host.
 
     Parameters
     ----------
@@ -87,10 +89,14 @@ class Scene:
     _values: np.ndarray = field(init=False, repr=False)
     _step: float = field(init=False, repr=False)
     labels: Labels | None = field(init=False, repr=False, default=None)
+    resident: object = field(init=False, repr=False, default=None)  # the depth on a device of Warp's, if it was given there
 
     def __post_init__(self):
         put = lambda name, value: object.__setattr__(self, name, value)
         put("labels", labels_of(self.depth))
+        if self.mask is None and (found := resident_map(self.depth)) is not None:
+            self._keep(found)
+            return
         depth = real_array(self.depth, "depth")
         put("spacing", positive_number(self.spacing, "spacing"))
         one_of(self.sides, SIDES, "sides")
@@ -122,6 +128,33 @@ class Scene:
             if isinstance(array, np.ndarray):
                 array.flags.writeable = False
 
+    def _keep(self, found):
+        """Stay with a depth map on its device; the host's copies are made if something asks for them."""
+        put = lambda name, value: object.__setattr__(self, name, value)
+        put("spacing", positive_number(self.spacing, "spacing"))
+        one_of(self.sides, SIDES, "sides")
+        if found.broken:
+            raise bad(f"depth: {found.broken} values are NaN or infinite", f"a map on {found.backend.name}", "finite depth", "Bring it to the host and pass mask=numpy.isfinite(depth) to leave them out.")
+        if found.least < 0:
+            raise bad("depth: negative", found.least, "depth >= 0 (0 is the viewer's plane)", "For terrain heights use Scene.from_height.")
+        if found.most / self.spacing > STEEPEST:
+            raise bad("depth: too deep for its spacing", f"{found.most} at spacing {self.spacing}", f"at most {STEEPEST:g} spacings", "Give both in one unit.")
+        put("albedo", _albedo(self.albedo, found.shape, np.ones(found.shape, bool)))
+        if isinstance(self.albedo, np.ndarray):
+            self.albedo.flags.writeable = False
+        put("resident", found)
+        object.__delattr__(self, "depth")
+
+    def __getattr__(self, name):
+        if name not in ("depth", "_values", "_step") or self.__dict__.get("resident") is None:
+            raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
+        depth = self.resident.download()
+        values, step = _lattice(depth, self.spacing)
+        for what, value in (("depth", depth), ("_values", values), ("_step", step)):
+            object.__setattr__(self, what, value)
+        depth.flags.writeable = values.flags.writeable = False
+        return self.__dict__[name]
+
     @classmethod
     def from_height(cls, height, spacing=1.0, albedo=0.8, mask=None, sides="open") -> Scene:
         """A scene from terrain height [length]: depth = max(valid height) - height.
@@ -129,6 +162,8 @@ class Scene:
         ``height``: (rows, cols); the other arguments and errors as for :class:`Scene`.
         """
         labels = labels_of(height)
+        if mask is None and (found := resident_map(height, height=True)) is not None:
+            return cls(found, spacing, albedo, None, sides)
         height = real_array(height, "height")
         valid = np.ones(height.shape, bool) if mask is None else _mask(mask, height.shape)
         broken = valid & ~np.isfinite(height)
@@ -143,7 +178,7 @@ class Scene:
     @property
     def shape(self) -> tuple[int, int]:
         """(rows, cols)."""
-        return self.depth.shape
+        return self.depth.shape if self.resident is None else self.resident.shape
 
     @property
     def valid(self) -> np.ndarray:
@@ -161,6 +196,15 @@ class Scene:
     def layers(self) -> tuple[np.ndarray, float]:
         """Depth rounded to layers, rint(depth / spacing), and the step 1, as the field and carving use them."""
         return np.rint(self._values.astype(np.float64) / self._step).astype(np.float32), 1.0
+
+
+def resident_map(values, height: bool = False):
+    """``values`` as a :class:`skylamp.backends.resident.Resident` where they lie on a device of Warp's as float32, else None."""
+    if isinstance(values, (np.ndarray, list, int, float)):
+        return None
+    from .backends.resident import Resident, find
+
+    return values if isinstance(values, Resident) else find(values, height)
 
 
 def is_scene(scene) -> None:

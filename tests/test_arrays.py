@@ -155,3 +155,95 @@ def test_xarray_is_not_imported():
             "print(*[m for m in ('xarray', 'pandas', 'rasterio', 'OpenEXR', 'cv2', 'pvlib', 'torch', 'cupy') if m in sys.modules])")
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, timeout=300)
     assert (done.returncode, done.stdout.split()) == (0, []), done
+
+
+# -- maps that lie on a device already
+
+
+def never(*a, **k):
+    pytest.fail("the map came to the host")
+
+
+@pytest.fixture
+def stays(monkeypatch):
+    """Nothing may fetch the map: neither the scene's host copy nor a download of its size."""
+    from skylamp.backends.resident import Resident
+
+    monkeypatch.setattr(Resident, "download", never)
+
+
+@pytest.mark.parametrize("sides", scenes.SIDES)
+@pytest.mark.parametrize("other", [warp_array, OnGpu])
+def test_a_map_on_the_device_stays_there(other, sides, stays):
+    """Sky, horizons, sky-view factor, openness, and heights: the bytes of the host's way, without the host."""
+    kinds = [(sl.Scene, DEPTH), (sl.Scene.from_height, DEPTH.max() - DEPTH)]
+    for make, values in kinds:
+        plain, there = make(values, albedo=0.5, sides=sides), make(other(values), albedo=0.5, sides=sides)
+        assert there.resident is not None and there.resident.backend.name == "warp:cpu" and there.shape == DEPTH.shape
+        for work in (lambda s: sl.render(s, sl.Sky(sl.cie_clear((50, 40))), backend="warp:cpu").image, lambda s: sl.horizons(s, 8, "warp:cpu"),
+                     lambda s: sl.sky_view_factor(s, backend="warp:cpu"), lambda s: sl.openness(s, 8, "warp:cpu"), lambda s: sl.horizons(s, 8, "warp:cpu", max_distance=5)):
+            got, expected = work(there), work(plain)
+            np.testing.assert_array_equal(np.isneginf(got), np.isneginf(expected))
+            assert_bits_equal(np.nan_to_num(got, neginf=0), np.nan_to_num(expected, neginf=0))
+
+
+def test_what_must_have_it_on_the_host_gets_it(fast):
+    """Another backend, lamps, the lattice and scene.depth: downloaded once, same bytes; spacing divides."""
+    plain, there = sl.Scene(DEPTH, 2.5), sl.Scene(warp_array(DEPTH), 2.5)
+    assert "depth" not in vars(there)
+    lamp = sl.Lamp(center=(20, 20, -9), radius=5)
+    for work in (lambda s: sl.render(s, sl.Sky(), backend=fast).image, lambda s: sl.render(s, lamp, backend=fast).image, lambda s: sl.render(s, lamp, method="lattice", backend=fast).image):
+        assert_bits_equal(work(there), work(plain))
+    assert_bits_equal(there.depth, plain.depth)
+    got, expected = (sl.render(s, sl.Sky(), azimuths=16, backend="warp:cpu").image for s in (there, plain))
+    np.testing.assert_allclose(got, expected, rtol=1e-5)
+    with pytest.raises(AttributeError, match="no attribute 'height'"):
+        there.height
+
+
+def test_the_scene_keeps_its_own_copy():
+    """Writing into the device array afterwards changes nothing, as on the host."""
+    given = warp_array(DEPTH)
+    scene = sl.Scene(given)
+    before = sl.sky_view_factor(scene, backend="warp:cpu")
+    given.fill_(0.0)
+    assert_bits_equal(sl.sky_view_factor(scene, backend="warp:cpu"), before)
+
+
+def test_bad_maps_on_the_device(stays):
+    """The checks of the host, made where the map lies."""
+    broken, negative = DEPTH.copy(), DEPTH - 1
+    broken[3, 4] = np.nan
+    for values, says in ((broken, "1 values are NaN or infinite"), (negative, "negative"), (DEPTH * 1e20, "too deep")):
+        with pytest.raises(sl.InputError, match=says):
+            sl.Scene(warp_array(values.astype(np.float32)))
+
+
+def test_maps_that_the_host_must_straighten(fast):
+    """Masks, other types and strides take the host's way, with the same result."""
+    import warp as wp
+
+    mask = DEPTH > 0.2
+    for values, options in ((warp_array(DEPTH), {"mask": mask}), (warp_array(DEPTH.astype(np.float64)), {}), (wp.array(np.ascontiguousarray(DEPTH.T), device="cpu").transpose(), {})):
+        scene = sl.Scene(values, **options)
+        assert scene.resident is None
+        np.testing.assert_array_equal(scene.depth, np.where(options.get("mask", True), DEPTH, np.nan))
+
+
+@pytest.mark.parametrize("sides", scenes.SIDES)
+def test_kernels_of_resident_maps(backend, sides):
+    """On every backend: the checks, the padded map and the slopes are those of the host."""
+    from skylamp.backends import horizon, select
+    from skylamp.backends.resident import adopt
+
+    engine = select(backend)
+    heights = DEPTH.max() - DEPTH
+    for height, depth in ((False, DEPTH), (True, np.float32(heights.max()) - heights)):
+        here = adopt(engine, engine.upload((heights if height else DEPTH).ravel()), DEPTH.shape, height)
+        assert (here.least, here.most, here.broken) == (depth.min(), depth.max(), 0)
+        assert_bits_equal(here.download(), depth)
+        padded = here.padded(5, 2.0, sides, horizon.OUTSIDE)
+        zero = np.float32(0)  # -0.0 becomes 0.0: nothing that is made of heights tells them apart
+        assert_bits_equal(engine.download(padded) + zero, horizon._padded(horizon.Ground(-depth / np.float32(2), sides), 5) + zero)
+        got = here.probe(padded, 5, 2, 3)
+        np.testing.assert_allclose(got, horizon._probe(-depth / np.float32(2), 2, 3), rtol=1e-6)
