@@ -37,7 +37,7 @@ def shell(code: str, folder) -> None:
 
 def run(page: Path, folder) -> None:
     """Run every block of a page in order, in one namespace, in ``folder``."""
-    names = {"__name__": "__main__"}
+    names, folder = {"__name__": "__main__"}, Path(folder).resolve()
     with contextlib.chdir(folder):
         for number, (language, code) in enumerate(blocks(page.read_text(encoding="utf-8"))):
             if language == "python":

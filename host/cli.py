@@ -398,7 +398,7 @@ def _check_output(out, as_json, picture=None):
 
 
 def _deliver(out, array, raster=None, **options):
-    if raster is not None and array.ndim == 2 and out.lower().endswith((".tif", ".tiff")):
+    if raster is not None and out.lower().endswith((".tif", ".tiff")):
         return geo.write(out, array, raster)
     if out != "-":
         return io.write(out, array, **options)

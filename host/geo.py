@@ -96,7 +96,7 @@ def read(path, *, resample: bool = False) -> Raster:
 
 
 def write(path, array, like: Raster) -> None:
-    """Write ``array`` (rows, cols) as a GeoTIFF with the georeference of ``like``, whole or not at all, in the array's own type.
+    """Write ``array``, (rows, cols) or (bands, rows, cols), as a GeoTIFF with the georeference of ``like``, whole or not at all, in the array's own type.
 
     NaN stands as the nodata value of ``like``; where there is none, or a valid value equals it or it does not fit the type,
     NaN stays and is the nodata value itself. A whole-number array keeps the nodata value if it fits its type.
@@ -109,8 +109,8 @@ def write(path, array, like: Raster) -> None:
     rasterio = _rasterio(path)
     array = np.asarray(array)
     array = array.astype(np.uint8) if array.dtype == bool else array
-    if array.shape != like.values.shape or array.dtype.kind not in "iuf" or array.dtype == np.float16:
-        raise bad(f"{path}: cannot write the array", f"dtype {array.dtype}, shape {array.shape}", f"real numbers of shape {like.values.shape}")
+    if array.shape[-2:] != like.values.shape or array.ndim not in (2, 3) or not array.size or array.dtype.kind not in "iuf" or array.dtype == np.float16:
+        raise bad(f"{path}: cannot write the array", f"dtype {array.dtype}, shape {array.shape}", f"real numbers of shape {like.values.shape}, or bands of it")
     nodata = like.nodata
     if array.dtype.kind == "f":
         fits = nodata is not None and (np.isnan(nodata) or (array.dtype.type(nodata) == nodata and not (array == nodata).any()))
@@ -119,12 +119,12 @@ def write(path, array, like: Raster) -> None:
     elif nodata is not None:
         info = np.iinfo(array.dtype)
         nodata = nodata if np.isfinite(nodata) and nodata == int(nodata) and info.min <= nodata <= info.max else None
-    rows, cols = array.shape
+    bands = array.reshape(-1, *array.shape[-2:])
     with rasterio.MemoryFile() as memory:
-        with memory.open(driver="GTiff", width=cols, height=rows, count=1, dtype=array.dtype, crs=like.crs, transform=like.transform, nodata=nodata,
+        with memory.open(driver="GTiff", width=bands.shape[2], height=bands.shape[1], count=len(bands), dtype=array.dtype, crs=like.crs, transform=like.transform, nodata=nodata,
                          compress="deflate", bigtiff="if_safer") as file:
             file.update_tags(AREA_OR_POINT="Point" if like.point else "Area")
-            file.write(array, 1)
+            file.write(bands)
         with replacing(path) as out:
             out.write(memory.getbuffer())
 

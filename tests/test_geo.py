@@ -64,6 +64,16 @@ def test_same_georeference_out_as_in(tmp_path, tags, nodata, fast):
         assert np.isnan(file.nodata) if nodata is None else file.nodata == nodata
 
 
+def test_layers_are_bands(tmp_path, fast):
+    """Horizons and fields are several maps: one band each, with the georeference too."""
+    path = make(tmp_path / "dem.tif", np.maximum(HEIGHT, 0))
+    assert run("horizon", path, "--what", "slopes", "--azimuths", 4, "--out", tmp_path / "a.tif", "--backend", fast) == 0
+    expected = sl.horizons(geo.read(path).scene(), 4, fast)
+    with rasterio.open(tmp_path / "a.tif") as file:
+        assert (file.count, file.crs, file.transform) == (4, *facts(path)[:2])
+        np.testing.assert_array_equal(file.read(), expected)
+
+
 def test_nodata_that_is_a_value(tmp_path):
     """No data is 0 in the file, and shadows are 0 too: holes become NaN instead of swallowing the shadows."""
     raster = geo.read(make(tmp_path / "dem.tif", nodata=0))
