@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from .errors import bad, lacking
-from .sources import Lamp, brightness_number
+from .sources import Lamp, _brightness_number
 
 SUN_RADIUS = 0.2665  # [degree], the mean apparent radius of the sun
 # ISO 15469:2004 / CIE S 011:2003, table 1: gradation a, b; indicatrix c, d, e
@@ -99,10 +99,10 @@ def cie_sky(type: int, sun: tuple[float, float] | None = None, zenith: float | N
         sun = _angles(sun)
     if zenith is not None and horizontal is not None:
         raise bad("cie_sky: brightness", "zenith and horizontal", "one of the two")
-    direct = brightness_number(direct)
+    direct = _brightness_number(direct)
     if horizontal is not None:
-        zenith = brightness_number(horizontal) / _horizontal(int(type), sun)
-    return CieSky(int(type), sun, brightness_number(1.0 if zenith is None else zenith), direct)
+        zenith = _brightness_number(horizontal) / _horizontal(int(type), sun)
+    return CieSky(int(type), sun, _brightness_number(1.0 if zenith is None else zenith), direct)
 
 
 def cie_clear(sun: tuple[float, float], zenith: float | None = None, *, turbid: bool = False, horizontal: float | None = None, direct: float = 0.0) -> CieSky:

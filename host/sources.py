@@ -23,7 +23,7 @@ Brightness = float | Callable[[np.ndarray], np.ndarray]
 
 def uniform(brightness: float = 1.0) -> Callable:
     """The same brightness in every direction."""
-    value = brightness_number(brightness)
+    value = _brightness_number(brightness)
     return lambda L: np.full(np.shape(L)[:-1], value)
 
 
@@ -34,13 +34,13 @@ def cosine_power(power: float, axis=(0.0, 0.0, 1.0), brightness: float = 1.0) ->
         raise bad("cosine_power: axis", axis.tolist(), "three finite numbers, not all zero")
     if isinstance(power, str) or not (np.isfinite(power) and power >= 0):
         raise bad("cosine_power: power", repr(power), "a finite number >= 0")
-    axis, value = axis / np.linalg.norm(axis), brightness_number(brightness)
+    axis, value = axis / np.linalg.norm(axis), _brightness_number(brightness)
     return lambda L: value * np.maximum(0.0, -(np.asarray(L) @ axis)) ** power
 
 
 def cie_overcast(zenith: float = 1.0) -> Callable:
     """CIE standard overcast sky: zenith x (1 + 2 sin(elevation)) / 3 (ISO 15469, Moon and Spencer 1942)."""
-    value = brightness_number(zenith)
+    value = _brightness_number(zenith)
     return lambda L: value * (1.0 - 2.0 * np.asarray(L)[..., 2]) / 3.0
 
 
@@ -268,7 +268,7 @@ def elevation_table(source: Source, angles: np.ndarray, widths: np.ndarray, look
     return table.astype(np.float32)
 
 
-def brightness_number(value) -> float:
+def _brightness_number(value) -> float:
     try:
         number = float(value)
     except (TypeError, ValueError):
@@ -280,7 +280,7 @@ def brightness_number(value) -> float:
 
 def _check_brightness(value):
     if not callable(value):
-        brightness_number(value)
+        _brightness_number(value)
 
 
 def _numbers(values, count, what, form) -> tuple[float, ...]:

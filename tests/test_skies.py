@@ -90,6 +90,13 @@ def test_disc_has_its_size(fast):
     np.testing.assert_allclose(light, (np.arccos(t) - t * np.sqrt(1 - t * t)) / np.pi, atol=0.02)  # what a chord leaves of a disc
 
 
+def test_disc_over_walls(fast):
+    """In a dark box 10 deep the east wall, half a node outside, shadows 10 nodes under a sun at 45 degrees in the east."""
+    sky = sl.Sky(sl.cie_sky(5, (90, 45), zenith=0.0, direct=np.sqrt(2)))
+    light = sl.render(sl.Scene(np.full((9, 30), 10.0), sides="dark"), sky, quantity="irradiance", backend=fast).image[4]
+    np.testing.assert_allclose(light, np.where(np.arange(30) + 10 < 29.5, 1.0, 0.0), atol=2e-3)
+
+
 def test_disc_beside_a_mask(fast):
     """Masked nodes stay nan, radiance is rho E / pi of both parts."""
     mask = np.ones((5, 6), bool)
