@@ -17,18 +17,36 @@ class Labels(NamedTuple):
     attrs: dict
 
 
+ON_CUDA = 2, 13  # DLPack's kDLCUDA and kDLCUDAManaged
+
+
+def on_device(values):
+    """A Warp array on the memory of ``values`` where that is a Warp array or lies on a GPU (PyTorch, CuPy, JAX, Numba), else None."""
+    warp = sys.modules.get("warp")
+    if warp is not None and isinstance(values, warp.array):
+        return values
+    dlpack = hasattr(values, "__dlpack__") and hasattr(values, "__dlpack_device__")
+    if isinstance(values, np.ndarray) or not (hasattr(values, "__cuda_array_interface__") or (dlpack and values.__dlpack_device__()[0] in ON_CUDA)):
+        return None
+    import warp
+
+    if dlpack:
+        return warp.from_dlpack(values)
+    told = values.__cuda_array_interface__
+    warp.synchronize()  # whoever wrote it may have done so on a stream of its own
+    return warp.array(ptr=told["data"][0], dtype=warp.dtype_from_numpy(np.dtype(told["typestr"])), shape=told["shape"], strides=told.get("strides"), device="cuda")
+
+
 def host_array(values) -> np.ndarray:
     """``values`` as a NumPy array, without a copy where that can be; a GPU's are brought over by Warp.
 
-    Takes what numpy.asarray takes, and whatever has ``__dlpack__`` or ``__cuda_array_interface__`` (PyTorch, CuPy, JAX,
-    Warp). Raises what those raise.
+    Takes what numpy.asarray takes, and whatever has ``__dlpack__`` or ``__cuda_array_interface__``. Raises what those raise.
     """
     if isinstance(values, np.ndarray):
         return values
-    if hasattr(values, "__cuda_array_interface__"):
-        import warp
-
-        return (values if isinstance(values, warp.array) else warp.from_dlpack(values) if hasattr(values, "__dlpack__") else warp.array(values)).numpy()
+    found = on_device(values)
+    if found is not None:
+        return found.numpy()
     if hasattr(values, "__dlpack__") and not hasattr(values, "__array__"):
         return np.from_dlpack(values)
     return np.asarray(values)

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from .arrays import Labels, host_array, labels_of
+from .arrays import Labels, host_array, labels_of, on_device
 from .errors import InputError, bad
 
 SIDES = ("open", "dark", "periodic")
@@ -204,7 +204,13 @@ def resident_map(values, height: bool = False):
         return None
     from .backends.resident import Resident, find
 
-    return values if isinstance(values, Resident) else find(values, height)
+    if isinstance(values, Resident):
+        return values
+    try:
+        found = on_device(values)
+    except Exception:  # real_array meets the same, and says so
+        return None
+    return None if found is None else find(found, height)
 
 
 def is_scene(scene) -> None:

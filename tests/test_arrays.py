@@ -87,13 +87,31 @@ def test_dlpack_is_taken_without_a_copy():
     assert host_array(DEPTH) is DEPTH
 
 
+def test_cuda_array_interface_alone(monkeypatch):
+    """Numba has no DLPack: Warp is given pointer, type, shape and strides, on its CUDA device."""
+    import warp as wp
+
+    class Numba:
+        __cuda_array_interface__ = {"shape": (4, 3), "typestr": "<f8", "data": (DEPTH.ctypes.data, False), "strides": (24, 8), "version": 3}
+
+    made = []
+    monkeypatch.setattr(wp, "array", type("array", (), {"__init__": lambda self, **options: made.append(options), "numpy": lambda self: np.ones((4, 3))}))
+    monkeypatch.setattr(wp, "synchronize", lambda: made.append("waited"))
+    assert host_array(Numba()).shape == (4, 3)
+    assert made == ["waited", {"ptr": DEPTH.ctypes.data, "dtype": wp.float64, "shape": (4, 3), "strides": (24, 8), "device": "cuda"}]
+
+
 def test_what_is_no_array():
     """An object whose protocol fails is one InputError with its reason."""
     class Broken:
         def __array__(self, *a, **k):
             raise RuntimeError("lost")
 
-    for value in (Broken(), object(), {"a": 1}):
+    class Lost(WithDlpack):
+        def __dlpack_device__(self):
+            raise RuntimeError("lost")
+
+    for value in (Broken(), Lost(DEPTH), object(), {"a": 1}):
         with pytest.raises(sl.InputError, match="depth"):
             sl.Scene(value)
 

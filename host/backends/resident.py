@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from typing import NamedTuple
 
 import numpy as np
@@ -55,21 +54,12 @@ def adopt(backend: Backend, values, shape: tuple[int, int], height: bool = False
 
 
 def find(values, height: bool = False) -> Resident | None:
-    """``values`` as a Resident where they are a float32 map (rows, cols) on a device of Warp's, given as a Warp array or by
-    ``__cuda_array_interface__`` (PyTorch, CuPy, JAX); None of anything else, and of maps that a host must straighten first."""
-    warp = sys.modules.get("warp")
-    if warp is None or not isinstance(values, warp.array):
-        if isinstance(values, np.ndarray) or not hasattr(values, "__cuda_array_interface__"):
-            return None
-        import warp
-
-        values = warp.from_dlpack(values) if hasattr(values, "__dlpack__") else warp.array(values, copy=False)
-    if values.dtype is not warp.float32 or values.ndim != 2 or not values.size or not values.is_contiguous:
+    """A Warp array as a Resident of its device's backend if it is a float32 map (rows, cols); None of one that a host must straighten first."""
+    if values.dtype.__name__ != "float32" or values.ndim != 2 or not values.size or not values.is_contiguous:
         return None
     from .registry import select
 
-    backend = select(f"warp:{values.device.alias}")
-    return adopt(backend, values.flatten(), values.shape, height)
+    return adopt(select(f"warp:{values.device.alias}"), values.flatten(), values.shape, height)
 
 
 def _survey(backend, values, rows, cols):
