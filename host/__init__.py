@@ -7,12 +7,13 @@ from .horizon import horizons, openness, sky_view_factor
 from .recover import Recovery, recover
 from .render import Plan, Rendering, render
 from .scene import Scene
+from .skies import CieSky, cie_clear, cie_sky, sun_position
 from .sources import Lamp, Sky, Window, cie_overcast, cosine_power, environment_map, uniform
 from .visibility import View, VisibilityField, visibility, visibility_field
 
 __version__ = "0.1.0"
 __all__ = [
-    "Azimuths", "BackendError", "CapacityError", "Hemicube", "InputError", "Lamp", "Plan", "Recovery", "Rendering", "Scene", "Sky",
-    "SkylampError", "View", "VisibilityField", "Window", "backends", "cie_overcast", "cosine_power", "environment_map", "horizons", "openness",
-    "recover", "render", "sky_view_factor", "uniform", "visibility", "visibility_field",
+    "Azimuths", "BackendError", "CapacityError", "CieSky", "Hemicube", "InputError", "Lamp", "Plan", "Recovery", "Rendering", "Scene", "Sky",
+    "SkylampError", "View", "VisibilityField", "Window", "backends", "cie_clear", "cie_overcast", "cie_sky", "cosine_power", "environment_map", "horizons", "openness",
+    "recover", "render", "sky_view_factor", "sun_position", "uniform", "visibility", "visibility_field",
 ]

@@ -1,4 +1,4 @@
-"""The command line: `skylamp render | recover | field | backends | demo`.
+"""The command line: `skylamp render | recover | horizon | field | backends | selftest | demo`.
 
 Data go to files or to stdout; messages, progress and errors go to stderr. Exit codes: 0 ok, 2 usage, 3 bad input,
 4 backend unavailable, 1 the rest. An error is one line; --debug adds the traceback.
@@ -10,6 +10,8 @@ import contextlib
 import dataclasses
 import json
 import logging
+import os
+import re
 import sys
 import traceback
 from pathlib import Path
@@ -24,9 +26,10 @@ from rich.table import Column, Table
 
 import skylamp as sl
 
-from . import io
+from . import geo, io, plot
 from .backends import select
 from .errors import BackendError, InputError, SkylampError, bad
+from .selftest import selftest as run_selftest
 
 app = typer.Typer(name="skylamp", no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None,
                   help="Light from skies, lamps and windows on depth maps, forward and inverse.")
@@ -36,18 +39,23 @@ _debug = False
 EXAGGERATION = 4
 LAMP = (215, 150, -45, 40)
 
-File = Annotated[Path, typer.Argument(help="Depth, or height with --height: .npy, .npz, grey .png or .tif", show_default=False)]
-Out = Annotated[str, typer.Option(help=".npy, .npz, .tif or .png; - writes .npy to stdout", show_default=False)]
-Height = Annotated[bool, typer.Option("--height", help="The file holds height (larger is nearer to the viewer), not depth")]
-Spacing = Annotated[float, typer.Option(help="Distance between neighbouring nodes, in the unit of depth")]
+File = Annotated[Path, typer.Argument(help="Depth, or height with --height: .npy, .npz, grey .png, .tif or .exr; a GeoTIFF holds height", show_default=False)]
+Out = Annotated[str, typer.Option(help=".npy, .npz, .tif, .png, .exr or .hdr; - writes .npy to stdout; a .tif from a GeoTIFF is one", show_default=False)]
+Height = Annotated[Optional[bool], typer.Option("--height/--depth", help="What the file holds: height (larger is nearer to the viewer) or depth  [default: depth, height in a GeoTIFF]", show_default=False)]
+Spacing = Annotated[Optional[float], typer.Option(help="Distance between neighbouring nodes, in the unit of depth  [default: 1, a GeoTIFF's own]", show_default=False)]
+Resample = Annotated[bool, typer.Option("--resample", help="GeoTIFF: make cells square that are not, such as cells of degrees")]
 Albedo = Annotated[float, typer.Option(help="Diffuse reflectance, 0 to 1")]
 Nodata = Annotated[Optional[float], typer.Option(help="Leave out nodes of this value (a number, or nan)", show_default=False)]
-Source = Annotated[Optional[str], typer.Option(help="sky | overcast | lamp | window | FILE, an environment map  [default: lamp with --lamp, window with --window, else sky]", show_default=False)]
+Source = Annotated[Optional[str], typer.Option(help="sky | overcast | clear | cie1 to cie15 | lamp | window | FILE, an environment map  [default: lamp with --lamp, window with --window, else sky]", show_default=False)]
 Lamp = Annotated[Optional[str], typer.Option(metavar="X,Y,Z,R", help="Centre and radius of a spherical lamp, in the unit of spacing", show_default=False)]
 Window = Annotated[Optional[str], typer.Option(metavar="X0,X1,Y0,Y1", help="Rectangle in the plane z = 0, in the unit of spacing", show_default=False)]
+Sun = Annotated[Optional[str], typer.Option(metavar="AZ,EL | TIME,LAT,LON", help="Where the sun stands, for clear and cie skies: degrees clockwise from north and above the horizon, or 2026-06-21T12:00Z and degrees north and east", show_default=False)]
+Direct = Annotated[float, typer.Option(help="Irradiance by the sun's disc of a surface that faces it, beside a zenith of brightness 1")]
 Sides = Annotated[str, typer.Option(help="open | dark | periodic")]
 Backend = Annotated[str, typer.Option(help="auto, or a name from `skylamp backends`")]
 Hemicube = Annotated[int, typer.Option(help="Nodes along an edge of the cube of directions, odd")]
+Picture = Annotated[Optional[Path], typer.Option("--plot", help="Draw a picture: .png, .svg or .pdf", show_default=False)]
+MaybeOut = Annotated[Optional[str], typer.Option("--out", help=".npy, .npz, .tif or .exr, or .png for one plane; - writes .npy to stdout", show_default=False)]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout")]
 
 
@@ -65,8 +73,8 @@ def _options(version: Annotated[bool, typer.Option("--version", is_eager=True, c
 
 
 @app.command()
-def render(file: File, out: Out, height: Height = False, spacing: Spacing = 1.0, albedo: Albedo = 0.8, nodata: Nodata = None,
-           source: Source = None, lamp: Lamp = None, window: Window = None, sides: Sides = "open",
+def render(file: File, out: Out, height: Height = None, spacing: Spacing = None, albedo: Albedo = 0.8, nodata: Nodata = None,
+           resample: Resample = False, source: Source = None, lamp: Lamp = None, window: Window = None, sun: Sun = None, direct: Direct = 0.0, sides: Sides = "open",
            method: Annotated[str, typer.Option(help="auto | lattice | horizon")] = "auto",
            tolerance: Annotated[float, typer.Option(help="Relative error that auto may make")] = 0.01,
            hemicube: Annotated[Optional[int], typer.Option(help="Lattice: nodes along an edge of the cube of directions, odd", show_default=False)] = None,
@@ -74,57 +82,103 @@ def render(file: File, out: Out, height: Height = False, spacing: Spacing = 1.0,
            quantity: Annotated[str, typer.Option(help="radiance | irradiance")] = "radiance",
            white: Annotated[Optional[float], typer.Option(help="PNG: the value that becomes white  [default: the image's maximum]", show_default=False)] = None,
            bits: Annotated[int, typer.Option(help="PNG: 8 or 16")] = 8,
+           exposure: Annotated[Optional[float], typer.Option(help="PNG for the eye: 8 bits in sRGB's tones, image x 2^exposure, white at 1", show_default=False)] = None,
            backend: Backend = "auto", as_json: Json = False):
     """Render a depth map under a source."""
     _check_output(out, as_json)
-    scene = _scene(file, height, spacing, albedo, nodata, sides)
+    if exposure is not None and (not out.lower().endswith(".png") or white is not None or bits != 8):
+        raise typer.BadParameter("makes an 8-bit .png for the eye: it goes without --white and --bits 16, and with no other format", param_hint="--exposure")
+    scene, raster = _scene(file, height, spacing, albedo, nodata, sides, resample)
     with _working("rendering"):
-        done = sl.render(scene, _source(source, lamp, window), method=method, tolerance=tolerance, backend=backend,
+        done = sl.render(scene, _source(source, lamp, window, sun, direct), method=method, tolerance=tolerance, backend=backend,
                          quantity=quantity, hemicube=hemicube, filled=filled)
-    scale = _deliver(out, done.image, range=None if white is None else (0.0, white), bits=bits)
+    image = done.image if exposure is None else io.tone_mapped(done.image, exposure)
+    scale = _deliver(out, image, raster, range=None if white is None else (0.0, white), bits=bits)
     _report(done, out, as_json, shape=done.image.shape, range=scale)
 
 
 @app.command()
 def recover(file: Annotated[Path, typer.Argument(help="Image of radiance: .npy, .npz, grey .png or .tif", show_default=False)], out: Out,
-            albedo: Albedo = 0.8, spacing: Spacing = 1.0, source: Source = None, lamp: Lamp = None, window: Window = None, sides: Sides = "open",
+            albedo: Albedo = 0.8, spacing: Annotated[float, typer.Option(help="Distance between neighbouring nodes")] = 1.0,
+            source: Source = None, lamp: Lamp = None, window: Window = None, sun: Sun = None, sides: Sides = "open",
             layers: Annotated[int, typer.Option(help="Depth of the block that is carved, in layers of one spacing")] = 64,
             hemicube: Hemicube = 9,
             eps: Annotated[float, typer.Option(help="Stop a column when it is this close to the image, as a share of the image's maximum")] = 0.02,
             stop: Annotated[str, typer.Option(help="eps: the paper's rule | sign: when the column becomes darker than the image")] = "eps",
             white: Annotated[Optional[float], typer.Option(help="Radiance of a full-scale count, for integer files that skylamp did not write", show_default=False)] = None,
-            backend: Backend = "auto", as_json: Json = False):
+            picture: Picture = None, backend: Backend = "auto", as_json: Json = False):
     """Recover depth from an image. An .npz also holds the mask of drilled columns; a .png holds depth in whole layers, 16 bit."""
-    _check_output(out, as_json)
+    _check_output(out, as_json, picture)
     image = _radiance(file, white)
     with _working("carving") as progress:
-        done = sl.recover(image, _source(source, lamp, window), albedo=albedo, sides=sides, spacing=spacing, layers=layers, hemicube=hemicube,
+        done = sl.recover(image, _source(source, lamp, window, sun), albedo=albedo, sides=sides, spacing=spacing, layers=layers, hemicube=hemicube,
                           eps=eps, stop=stop, backend=backend, progress=progress)
     more = {"drilled": done.drilled} if out.lower().endswith(".npz") else {}
     _deliver(out, done.depth, range=(0.0, 65535.0 * spacing), bits=16, name="depth", **more)
+    if picture:
+        plot.save(plot.recovery(image, done), picture)
     _report(done, out, as_json, shape=done.depth.shape, drilled=int(np.count_nonzero(done.drilled)))
 
 
 @app.command()
-def field(file: File, out: Out, height: Height = False, spacing: Spacing = 1.0, nodata: Nodata = None,
-          source: Source = None, lamp: Lamp = None, window: Window = None, sides: Sides = "open", hemicube: Hemicube = 9,
+def horizon(file: File, out: MaybeOut = None, height: Height = None, spacing: Spacing = None, nodata: Nodata = None, resample: Resample = False, sides: Sides = "open",
+            what: Annotated[str, typer.Option(help="sky-view-factor | openness | negative-openness | slopes, (azimuths, rows, cols)")] = "sky-view-factor",
+            definition: Annotated[str, typer.Option(help="Of the sky-view factor: tilted | horizontal | solid_angle")] = "tilted",
+            azimuths: Annotated[int, typer.Option(help="Directions along which horizons are looked for")] = 64,
+            max_distance: Annotated[Optional[float], typer.Option(help="Ground farther away does not count, in the unit of spacing  [default: the whole map]", show_default=False)] = None,
+            at: Annotated[Optional[str], typer.Option(metavar="ROW,COL", help="The node that --plot shows", show_default=False)] = None,
+            picture: Picture = None, source: Annotated[str, typer.Option(help="The sky that --plot shows: sky | overcast | clear | cie1 to cie15 | FILE")] = "sky", sun: Sun = None,
+            backend: Backend = "auto", as_json: Json = False):
+    """Horizons: sky-view factor, openness [rad] or slopes of the whole map, and the sky above one node as a picture."""
+    _check_outputs(out, picture, as_json)
+    if bool(at) != bool(picture):
+        raise typer.BadParameter("a node and its picture go together: --at ROW,COL --plot FILE", param_hint="--at")
+    kinds = {"sky-view-factor": lambda: sl.sky_view_factor(scene, definition, azimuths, engine.name, max_distance=max_distance),
+             "openness": lambda: sl.openness(scene, azimuths, engine.name, max_distance=max_distance),
+             "negative-openness": lambda: sl.openness(scene, azimuths, engine.name, negative=True, max_distance=max_distance),
+             "slopes": lambda: sl.horizons(scene, azimuths, engine.name, max_distance=max_distance)}
+    if what not in kinds:
+        raise bad("--what", repr(what), " | ".join(kinds))
+    node = at and _numbers(at, "--at", "ROW,COL")
+    scene, raster = _scene(file, height, spacing, 0.8, nodata, sides, resample)
+    engine, shape, scale = select(backend), None, None
+    with _working("looking for horizons"):
+        found = kinds[what]() if out else None
+        if picture:
+            if any(n != int(n) for n in node):
+                raise bad("--at", at, "two whole numbers")
+            plot.save(plot.horizon(scene, *map(int, node), _source(source, None, None, sun), backend=engine.name), picture)
+    if out:
+        shape = found.shape
+        scale = _deliver(out, found, raster, range=(0.0, 1.0) if what == "sky-view-factor" else None, name=what.replace("-", "_"))
+    _tell(out, picture, as_json, engine.name, shape=shape, range=scale, what=what if out else None)
+
+
+@app.command()
+def field(file: File, out: MaybeOut = None, height: Height = None, spacing: Spacing = None, nodata: Nodata = None, resample: Resample = False,
+          albedo: Albedo = 0.8, source: Source = None, lamp: Lamp = None, window: Window = None, sun: Sun = None, sides: Sides = "open", hemicube: Hemicube = 9,
           layers: Annotated[Optional[int], typer.Option(help="Layers of free space, from z = 0  [default: down to the deepest node]", show_default=False)] = None,
           layer: Annotated[Optional[int], typer.Option(help="Write this layer alone, (rows, cols)", show_default=False)] = None,
+          picture: Picture = None, row: Annotated[Optional[int], typer.Option(help="The row that --plot cuts along  [default: the middle one]", show_default=False)] = None,
           backend: Backend = "auto", as_json: Json = False):
-    """The visibility field: the solid angle [sr] of the source in sight, for every point of free space, (layers, rows, cols)."""
-    _check_output(out, as_json)
-    if layer is None and out.lower().endswith(".png"):
+    """The visibility field: the solid angle [sr] of the source in sight, for every point of free space, (layers, rows, cols); as a picture, the rays through points of one row."""
+    _check_outputs(out, picture, as_json)
+    if out and layer is None and out.lower().endswith(".png"):
         raise typer.BadParameter("a .png holds one layer: give --layer, or write .npy, .npz or .tif", param_hint="--out")
-    scene = _scene(file, height, spacing, 0.8, nodata, sides)
+    scene, raster = _scene(file, height, spacing, albedo, nodata, sides, resample)
+    shape = scale = None
     with _working("propagating") as progress:
-        done = sl.visibility_field(scene, _source(source, lamp, window), hemicube=hemicube, layers=layers, backend=backend, progress=progress)
-        angle = done.solid_angle()
-    if layer is not None:
-        if not 0 <= layer < len(angle):
-            raise bad("--layer", layer, f"0 to {len(angle) - 1}")
-        angle = angle[layer]
-    scale = _deliver(out, angle, range=(0.0, 2 * np.pi), name="solid_angle")
-    _report(done, out, as_json, shape=angle.shape, range=scale)
+        done = sl.visibility_field(scene, _source(source, lamp, window, sun), hemicube=hemicube, layers=layers, backend=backend, progress=progress)
+        angle = done.solid_angle() if out else None
+        if picture:
+            plot.save(plot.field(done, row, backend=done.backend), picture)
+    if out:
+        if layer is not None:
+            if not 0 <= layer < len(angle):
+                raise bad("--layer", layer, f"0 to {len(angle) - 1}")
+            angle = angle[layer]
+        shape, scale = angle.shape, _deliver(out, angle, raster, range=(0.0, 2 * np.pi), name="solid_angle")
+    _tell(out, picture, as_json, done.backend, shape=shape, range=scale)
 
 
 @app.command()
@@ -139,6 +193,29 @@ def backends(as_json: Json = False):
     for b in found:
         table.add_row(b.name, b.device, "yes" if b.available else "no", b.why)
     Console(width=None if sys.stdout.isatty() else 160).print(table)
+
+
+@app.command()
+def selftest(as_json: Json = False):
+    """Compare every available backend with every other on a built-in case; exit 1 if two differ."""
+    with _working("comparing") as progress:
+        compared = run_selftest(progress)
+    names = [b.name for b in sl.backends() if b.available]
+    wrong = [c for c in compared if not c.passed]
+    if as_json:
+        print(json.dumps({"backends": names, "passed": not wrong, "comparisons": [{**_plain(c), "passed": c.passed} for c in compared]}))
+    else:
+        pairs = list(dict.fromkeys((c.one, c.other) for c in compared))
+        table = Table("case", *(f"{one} / {other}" for one, other in pairs), "allowed", title="Largest difference, as a share of the largest value")
+        for case in dict.fromkeys(c.case for c in compared):
+            row = [c for c in compared if c.case == case]
+            shown = {(c.one, c.other): "failed" if c.difference is None else f"{c.difference:.1e}" if c.difference else "0" for c in row}
+            table.add_row(case, *(shown[p] + ("" if next(c for c in row if (c.one, c.other) == p).passed else "  DIFFERS") for p in pairs), f"{row[0].allowed:.0e}" if row[0].allowed else "0")
+        Console(width=None if sys.stdout.isatty() else 160).print(table if pairs else f"Only {', '.join(names)} is here: nothing to compare.")
+    for reason in dict.fromkeys(c.error for c in wrong if c.error):
+        print(f"skylamp: {reason}", file=sys.stderr)
+    if wrong:
+        raise typer.Exit(1)
 
 
 @app.command()
@@ -211,7 +288,8 @@ def demo(out: Annotated[Path, typer.Option(help="Folder for the pictures; create
 
 def main(arguments: list[str] | None = None) -> NoReturn:
     """Run the command line and exit; ``arguments`` default to the process's own."""
-    logging.getLogger("tifffile").setLevel(logging.ERROR)  # its warnings would stand beside our one line
+    for library, level in (("tifffile", logging.ERROR), ("rasterio", logging.CRITICAL)):  # what they log would stand beside our one line
+        logging.getLogger(library).setLevel(level)
     try:
         app(arguments, prog_name="skylamp")
     except Exception as error:
@@ -224,17 +302,32 @@ def main(arguments: list[str] | None = None) -> NoReturn:
     sys.exit(0)
 
 
-def _scene(file, height, spacing, albedo, nodata, sides):
-    values = io.read(file, "height" if height else "depth")
-    mask = None if nodata is None else ~np.isnan(values) if np.isnan(nodata) else values != nodata
-    return (sl.Scene.from_height if height else sl.Scene)(values, spacing=spacing, albedo=albedo, mask=mask, sides=sides)
+def _scene(file, height, spacing, albedo, nodata, sides, resample=False):
+    """(scene, the raster that the file is if it is a GeoTIFF)."""
+    raster = geo.read(file, resample=resample) if geo.is_geotiff(file) else None
+    if resample and raster is None:
+        raise typer.BadParameter(f"{file} is not a GeoTIFF", param_hint="--resample")
+    height = raster is not None if height is None else height
+    with _muted(file):
+        values = io.read(file, "height" if height else "depth") if raster is None else raster.values
+    mask = None if raster is None or raster.mask.all() else raster.mask
+    if nodata is not None:
+        known = ~np.isnan(values) if np.isnan(nodata) else values != nodata
+        mask = known if mask is None else mask & known
+    if raster is not None and not height:
+        values = np.where(raster.mask, values, 0)
+    spacing = spacing if spacing is not None else 1.0 if raster is None else raster.spacing
+    return (sl.Scene.from_height if height else sl.Scene)(values, spacing=spacing, albedo=albedo, mask=mask, sides=sides), raster
 
 
-def _source(kind, lamp, window):
+def _source(kind, lamp, window, sun=None, direct=0.0):
     kind = kind or ("lamp" if lamp else "window" if window else "sky")
     for name, given in (("lamp", lamp), ("window", window)):
         if bool(given) != (kind == name):
             raise typer.BadParameter(f"--{name} goes with --source {name}: got --source {kind}" + ("" if given else f" without --{name}"), param_hint=f"--{name}")
+    cie = re.fullmatch("clear|cie([0-9]+)", kind)
+    if (sun or direct) and not cie:
+        raise typer.BadParameter(f"goes with --source clear or cie1 to cie15: got --source {kind}", param_hint="--sun" if sun else "--direct")
     if kind == "lamp":
         x, y, z, radius = _numbers(lamp, "--lamp", "X,Y,Z,R")
         return sl.Lamp(center=(x, y, z), radius=radius)
@@ -245,9 +338,23 @@ def _source(kind, lamp, window):
         return sl.Sky()
     if kind == "overcast":
         return sl.Sky(sl.cie_overcast())
+    if cie:
+        return sl.Sky(sl.cie_sky(int(cie[1] or 12), None if sun is None else _sun(sun), direct=direct))
     if not Path(kind).exists():
-        raise bad("--source", repr(kind), "sky, overcast, lamp, window, or an existing file (an environment map)")
-    return sl.Sky(sl.environment_map(io.read_environment(kind)))
+        raise bad("--source", repr(kind), "sky, overcast, clear, cie1 to cie15, lamp, window, or an existing file (an environment map)")
+    with _muted(kind):
+        return sl.Sky(sl.environment_map(io.read_environment(kind)))
+
+
+def _sun(text):
+    """(azimuth, elevation) [degree] of --sun, given as such or by time and place."""
+    if text.count(",") == 2:
+        time, place = text.split(",", 1)
+        azimuth, elevation = sl.sun_position(time, *_numbers(place, "--sun", "LAT,LON"))
+        if elevation < 0:
+            raise bad(f"--sun {text}", f"a sun {-elevation:.1f} degrees below the horizon", "a time of day")
+        return azimuth, elevation
+    return tuple(_numbers(text, "--sun", "AZ,EL"))
 
 
 def _numbers(text, option, form):
@@ -262,7 +369,8 @@ def _numbers(text, option, form):
 
 def _radiance(file, white):
     """The image in ``file`` as radiance: counts need a scale, the file's own or --white; floating values are radiance already."""
-    image = io.read(file, "image")
+    with _muted(file):
+        image = io.read(file, "image")
     if image.dtype.kind == "f":
         if white is not None:
             raise typer.BadParameter(f"{file} holds floating values, which are radiance as they are", param_hint="--white")
@@ -273,19 +381,47 @@ def _radiance(file, white):
     return low + image * ((high - low) / np.iinfo(image.dtype).max)
 
 
-def _check_output(out, as_json):
+def _check_outputs(out, picture, as_json):
+    if not out and not picture:
+        raise typer.BadParameter("nothing to do: give --out FILE, --plot FILE or both", param_hint="--out")
+    _check_output(out or "-", as_json and bool(out), picture)
+
+
+def _check_output(out, as_json, picture=None):
     """Before any work is done: can the result be put there?"""
+    if picture is not None:
+        plot.drawable(picture)
     if out != "-":
         io.writable(out)
     elif as_json:
         raise typer.BadParameter("stdout holds either the data or the JSON object: give --out a file", param_hint="--out")
 
 
-def _deliver(out, array, **options):
+def _deliver(out, array, raster=None, **options):
+    if raster is not None and out.lower().endswith((".tif", ".tiff")):
+        return geo.write(out, array, raster)
     if out != "-":
         return io.write(out, array, **options)
     np.save(sys.stdout.buffer, array, allow_pickle=False)
     sys.stdout.flush()
+
+
+@contextlib.contextmanager
+def _muted(path):
+    """Off the process's own stderr while an .exr or .hdr is read: OpenEXR and OpenCV tell it about damage, and our one line does too."""
+    if not str(path).lower().endswith(io.HDR):
+        yield
+        return
+    sys.stderr.flush()
+    kept = os.dup(2)
+    nothing = os.open(os.devnull, os.O_WRONLY)
+    try:
+        os.dup2(nothing, 2)
+        yield
+    finally:
+        os.dup2(kept, 2)
+        os.close(kept)
+        os.close(nothing)
 
 
 @contextlib.contextmanager
@@ -316,6 +452,17 @@ def _report(done, out, as_json, **facts):
         scale = f", white is {facts['range'][1]:.6g}" if facts.get("range") else ""
         plan = f"; {done.plan}" if "plan" in facts else ""
         print(f"{out}: {' x '.join(map(str, facts['shape']))} by {done.backend}{scale}{plan}", file=sys.stderr)
+
+
+def _tell(out, picture, as_json, backend, shape=None, range=None, **facts):
+    """What was written where, for commands that may write an array, a picture or both."""
+    if as_json:
+        print(json.dumps(_plain({"out": out, "plot": picture and str(picture), "backend": backend, "shape": shape, "range": range, **facts})))
+        return
+    if out:
+        print(f"{out}: {' x '.join(map(str, shape))} by {backend}" + (f", white is {range[1]:.6g}" if range else ""), file=sys.stderr)
+    if picture:
+        print(f"{picture}: drawn, by {backend}", file=sys.stderr)
 
 
 def _plain(value):

@@ -20,3 +20,8 @@ class CapacityError(SkylampError, MemoryError):
 def bad(what: str, got: object, allowed: str, fix: str = "") -> InputError:
     """An InputError in the house's form: what is wrong, what was got, what is allowed, how to mend it."""
     return InputError(f"{what}: got {got}; allowed: {allowed}." + (f" {fix}" if fix else ""))
+
+
+def lacking(what: str, package: str, extra: str) -> InputError:
+    """An InputError for what needs a package that is not installed: names the pip command."""
+    return InputError(f"{what} needs {package}, which is not installed: pip install 'skylamp[{extra}]'")

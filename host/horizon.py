@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from .arrays import labelled
 from .backends import select
+from .backends.base import Backend
 from .backends.horizon import FINE, Ground, Rays, Sweeps
 from .directions import Azimuths
 from .errors import bad
@@ -18,7 +20,8 @@ def horizons(scene: Scene, azimuths: int | Azimuths = 64, backend: str = "auto",
     """The horizon's slope, tangent of its elevation, at every node and azimuth: (azimuths, rows, cols) float32.
 
     Azimuth a looks along 2 pi (a + 1/2) / azimuths [rad] from +x (columns) towards +y (rows). Slopes may be negative;
-    -inf where no ground lies that way, nan where the scene is masked. The surface is linear between neighbouring nodes
+    -inf where no ground lies that way, nan where the scene is masked; of a scene made from an xarray.DataArray, a DataArray
+    with the coordinate ``azimuth`` [rad] (this holds for sky_view_factor and openness too). The surface is linear between neighbouring nodes
     along rows and along columns. ``max_distance`` [unit of spacing]: ground farther away does not count; the whole map
     does unless given (on a map that repeats, as far as its relief makes a slope of 0.01). With dark sides the wall
     counts as ground.
@@ -26,10 +29,11 @@ def horizons(scene: Scene, azimuths: int | Azimuths = 64, backend: str = "auto",
     Raises InputError, BackendError or CapacityError.
     """
     azimuths = as_azimuths(azimuths)
-    sweeps = Sweeps(select(backend), ground_of(scene, max_distance), Rays(azimuths.angles, azimuths.widths), near=FINE)
+    engine = engine_of(scene, backend)
+    sweeps = Sweeps(engine, ground_of(scene, max_distance, engine), Rays(azimuths.angles, azimuths.widths), near=FINE)
     slopes = sweeps.slopes()
     slopes[:, ~scene.valid] = np.nan
-    return slopes
+    return labelled(slopes, scene.labels, azimuth=azimuths.angles)
 
 
 def sky_view_factor(scene: Scene, definition: str = "tilted", azimuths: int | Azimuths = 64, backend: str = "auto", *, max_distance: float | None = None) -> np.ndarray:
@@ -48,7 +52,7 @@ def sky_view_factor(scene: Scene, definition: str = "tilted", azimuths: int | Az
     sine = np.linspace(0, 1, RUNGS)
     share = {"tilted": None, "horizontal": (1 - sine**2) / 2, "solid_angle": 1 - sine}[definition]
     scale = 1 / np.pi if definition != "solid_angle" else 1 / (2 * np.pi)
-    return _sum(scene, share, azimuths, backend, max_distance) * np.float32(scale)
+    return labelled(_sum(scene, share, azimuths, backend, max_distance) * np.float32(scale), scene.labels)
 
 
 def openness(scene: Scene, azimuths: int | Azimuths = 64, backend: str = "auto", *, negative: bool = False, max_distance: float | None = None) -> np.ndarray:
@@ -59,30 +63,40 @@ def openness(scene: Scene, azimuths: int | Azimuths = 64, backend: str = "auto",
     errors as for :func:`horizons`.
     """
     is_scene(scene)
+    labels = scene.labels
     if not isinstance(negative, (bool, np.bool_)):
         raise bad("openness: negative", repr(negative), "True or False")
     if negative:
         depth = np.where(scene.valid, scene.depth, 0)
         scene = Scene(np.where(scene.valid, depth.max() - depth, np.nan), scene.spacing, mask=scene.mask, sides=scene.sides)
     azimuths = as_azimuths(azimuths)
-    sweeps = Sweeps(select(backend), ground_of(scene, max_distance), Rays(azimuths.angles, azimuths.widths), near=FINE)
+    engine = engine_of(scene, backend)
+    sweeps = Sweeps(engine, ground_of(scene, max_distance, engine), Rays(azimuths.angles, azimuths.widths), near=FINE)
     total = np.zeros(scene.shape)
     for numbers, slopes in sweeps.planes():
         for width, slope in zip(azimuths.widths[numbers], slopes):
             total += width * (np.pi / 2 - np.arctan(np.where(np.isfinite(slope), slope, 0)))
-    return np.where(scene.valid, total / (2 * np.pi), np.nan).astype(np.float32)
+    return labelled(np.where(scene.valid, total / (2 * np.pi), np.nan).astype(np.float32), labels)
 
 
 def as_azimuths(azimuths: int | Azimuths) -> Azimuths:
     return azimuths if isinstance(azimuths, Azimuths) else Azimuths(azimuths)
 
 
-def ground_of(scene: Scene, max_distance: float | None) -> Ground:
-    """The map that sweeps need, heights in spacings above the viewer's plane."""
+def engine_of(scene: Scene, backend: str) -> Backend:
+    """The backend of this name; ``auto`` stays on the GPU on which the scene's depth lies."""
     is_scene(scene)
+    there = scene.resident.backend.name if scene.resident is not None else ""
+    return select(there if backend == "auto" and there.startswith("warp:cuda") else backend)
+
+
+def ground_of(scene: Scene, max_distance: float | None, engine: Backend) -> Ground:
+    """The map that sweeps on ``engine`` need, heights in spacings above the viewer's plane; where it lies there, it stays there."""
     reach = np.inf if max_distance is None else positive_number(max_distance, "max_distance") / scene.spacing
     if reach < 1:
         raise bad("max_distance", max_distance, f"at least one spacing, {scene.spacing:g}")
+    if scene.resident is not None and scene.resident.backend is engine:
+        return Ground(scene.resident, scene.sides, reach, scene.spacing)
     values, step = scene.lattice()
     return Ground(-values / np.float32(step), scene.sides, reach)
 
@@ -95,7 +109,8 @@ def _sum(scene, share, azimuths, backend, max_distance):
         table = np.zeros((len(azimuths), len(share), 4), np.float32)
         table[:, :, 1] = share
         table[:, :-1, 3] = np.diff(share)
-    sweeps = Sweeps(select(backend), ground_of(scene, max_distance), Rays(azimuths.angles, azimuths.widths), table, level=share is not None)
+    engine = engine_of(scene, backend)
+    sweeps = Sweeps(engine, ground_of(scene, max_distance, engine), Rays(azimuths.angles, azimuths.widths), table, level=share is not None)
     image = sweeps.irradiance()
     image[~scene.valid] = np.nan
     return image

@@ -1,4 +1,6 @@
-"""Files in and out: .npy, .npz, grey PNG (8 and 16 bit) and TIFF, by their extension and never by guess.
+"""Files in and out: .npy, .npz, PNG (8 and 16 bit), TIFF, OpenEXR and Radiance HDR, by their extension and never by guess.
+
+GeoTIFF with its georeference is read and written by :mod:`skylamp.geo`.
 
 What is read has exactly the values that the file holds; whatever a reader would have to change (colour, packed bits,
 palettes, pickles) is an error that names the fix. What is written is whole or not there.
@@ -10,6 +12,7 @@ import contextlib
 import json
 import logging
 import os
+import re
 import secrets
 import struct
 import zipfile
@@ -18,9 +21,11 @@ from pathlib import Path
 
 import numpy as np
 
-from .errors import InputError, bad
+from .errors import InputError, bad, lacking
 
 SUFFIXES = (".npy", ".npz", ".png", ".tif", ".tiff")
+HDR = (".exr", ".hdr")  # with the extra of that name
+MOST_PIXELS = 2**30  # a header that asks for more is damaged or hostile
 ROLES = ("depth", "height", "image")
 LUMINANCE = (0.2126, 0.7152, 0.0722)  # of linear red, green, blue: ITU-R BT.709
 _RANGE = "skylamp:range"
@@ -32,7 +37,7 @@ def read(path, name: str | None = None) -> np.ndarray:
     """The array in a file, its values untouched.
 
     ``path``: .npy; .npz; grey PNG of 8 or 16 bits (uint8, uint16); TIFF of one grey channel in the type that it has,
-    (rows, cols), or (layers, rows, cols) for equal pages. ``name``: which array of an .npz, "depth", "height" or
+    (rows, cols), or (layers, rows, cols) for equal pages; OpenEXR of one channel (float16, float32 or uint32). ``name``: which array of an .npz, "depth", "height" or
     "image"; without that name the only array is taken, unless it is named as another of the three.
 
     Raises InputError, naming the file, what was got and what is allowed: missing, a folder, empty, truncated or damaged
@@ -47,6 +52,10 @@ def read(path, name: str | None = None) -> np.ndarray:
             array = _read_npz(path, name)
         elif path.suffix.lower() == ".png":
             array = _read_png(path, colours=(0,))
+        elif path.suffix.lower() in HDR:
+            array = _read_exr(path) if path.suffix.lower() == ".exr" else _read_hdr(path)
+            if array.ndim == 3:
+                raise bad(f"{path}: not grey", "red, green and blue", "one channel", _GREY_FIX)
         else:
             array = _read_tiff(path)
     if getattr(array, "dtype", np.dtype(object)).kind not in "biuf":
@@ -59,14 +68,17 @@ def read(path, name: str | None = None) -> np.ndarray:
 def read_environment(path) -> np.ndarray:
     """An environment map (rows, cols) float64 for :func:`skylamp.environment_map`: brightness per pixel.
 
-    Reads what :func:`read` reads, and RGB: an 8-bit RGB PNG or a (rows, cols, 3) .npy or .npz, turned into luminance,
-    0.2126 R + 0.7152 G + 0.0722 B (ITU-R BT.709). Counts of integer files are taken as proportional to brightness,
+    Reads what :func:`read` reads, and RGB: OpenEXR, Radiance HDR (divided by its EXPOSURE), an 8-bit RGB PNG or a
+    (rows, cols, 3) .npy or .npz, turned into luminance, 0.2126 R + 0.7152 G + 0.0722 B (ITU-R BT.709). Counts of integer files are taken as proportional to brightness,
     full scale (255, 65535) as 1; floating values as they are. Errors as in :func:`read`.
     """
     path = _readable(path)
     if path.suffix.lower() == ".png":
         with _reading(path):
             array = _read_png(path, colours=(0, 2))
+    elif path.suffix.lower() in HDR:
+        with _reading(path):
+            array = _read_exr(path) if path.suffix.lower() == ".exr" else _read_hdr(path)
     else:
         array = read(path)
     if array.ndim != 2 and not (array.ndim == 3 and array.shape[2] == 3):
@@ -92,8 +104,10 @@ def read_range(path) -> tuple[float, float] | None:
 def writable(path) -> Path:
     """``path`` if a file can be put there; InputError for an unknown extension or a parent folder that is missing."""
     path = Path(path)
-    if path.suffix.lower() not in SUFFIXES:
-        raise bad(f"{path}: unknown extension", repr(path.suffix), " ".join(SUFFIXES))
+    if path.suffix.lower() not in SUFFIXES + HDR:
+        raise bad(f"{path}: unknown extension", repr(path.suffix), " ".join(SUFFIXES + HDR))
+    if path.suffix.lower() in HDR:
+        _module(path)
     _parent(path)
     return path
 
@@ -111,7 +125,9 @@ def folder(path) -> Path:
 def write(path, array, *, range: tuple[float, float] | None = None, bits: int = 8, name: str = "image", **more) -> tuple[float, float] | None:
     """Write ``array`` to ``path``, whole or not at all; an older file stays until the new one is complete.
 
-    .npy and .tif keep the values and their type (bool becomes 0 and 255 in .tif). .npz holds the array as ``name`` and
+    .npy and .tif keep the values and their type (bool becomes 0 and 255 in .tif). .exr keeps float16, float32 and uint32,
+    as channel Y, or R, G and B for (rows, cols, 3). .hdr holds (rows, cols) or (rows, cols, 3) of floats >= 0 with 8 bits
+    of mantissa, so it is off by up to 1 in 256 of a pixel's largest channel. .npz holds the array as ``name`` and
     the arrays in ``more``, which other formats do not take. .png holds (rows, cols): uint8, uint16 and bool as they
     are (True is 255), anything else as counts of ``bits`` (8 or 16): rint((value - low) / (high - low) * full scale),
     clipped, NaN as 0, with ``range`` = (low, high), by default (0, the largest finite value); the range is put
@@ -133,6 +149,9 @@ def write(path, array, *, range: tuple[float, float] | None = None, bits: int = 
     if suffix == ".npy":
         with replacing(path) as file:
             np.save(file, array, allow_pickle=False)
+        return None
+    if suffix in HDR:
+        (_write_exr if suffix == ".exr" else _write_hdr)(path, array)
         return None
     if array.dtype == bool:
         array = array * np.uint8(255)
@@ -158,6 +177,18 @@ def write(path, array, *, range: tuple[float, float] | None = None, bits: int = 
     with replacing(path) as file:
         imageio.imwrite(file, array, plugin="pillow", extension=".png", pnginfo=header)
     return range
+
+
+def tone_mapped(image, exposure: float = 0.0) -> np.ndarray:
+    """``image`` for a display, uint8 of the same shape: image x 2^exposure, clipped at 1, in sRGB's tones (IEC 61966-2-1).
+
+    ``exposure`` [stops]: 0 shows 1 as white, 1 shows 0.5 as white. NaN is black. Raises InputError for an exposure that is
+    not finite.
+    """
+    if isinstance(exposure, str) or not np.isfinite(exposure):
+        raise bad("exposure", repr(exposure), "a finite number of stops")
+    light = np.clip(np.nan_to_num(np.asarray(image, np.float64), nan=0.0) * 2.0**exposure, 0, 1)
+    return np.rint(255 * np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)).astype(np.uint8)
 
 
 @contextlib.contextmanager
@@ -194,8 +225,8 @@ def _readable(path) -> Path:
             raise bad(f"{path}: cannot read", "a folder", "a file")
         if not path.exists():
             raise bad(f"{path}: cannot read", "no such file", "an existing file")
-        if path.suffix.lower() not in SUFFIXES:
-            raise bad(f"{path}: unknown extension", repr(path.suffix), " ".join(SUFFIXES))
+        if path.suffix.lower() not in SUFFIXES + HDR:
+            raise bad(f"{path}: unknown extension", repr(path.suffix), " ".join(SUFFIXES + HDR))
         if path.stat().st_size == 0:
             raise bad(f"{path}: cannot read", "an empty file", "a file with data")
     return path
@@ -284,6 +315,85 @@ def _read_tiff(path) -> np.ndarray:
         if array.dtype.itemsize * 8 != page.bitspersample:
             raise bad(f"{path}: bit depth", f"{page.bitspersample} bits per sample", "8, 16, 32 or 64")
         return array
+
+
+def _module(path):
+    """OpenEXR or OpenCV, whichever reads and writes ``path``."""
+    try:
+        if path.suffix.lower() == ".exr":
+            import OpenEXR
+
+            return OpenEXR
+        import cv2
+
+        return cv2
+    except ImportError as error:
+        raise lacking(str(path), "OpenEXR" if path.suffix.lower() == ".exr" else "opencv-python-headless", "hdr") from error
+
+
+def _read_exr(path) -> np.ndarray:
+    """(rows, cols), or (rows, cols, 3) red, green, blue; alpha is left out, since colours are what shines."""
+    OpenEXR = _module(path)
+    file = OpenEXR.File(str(path), header_only=True)
+    if len(file.parts) != 1:
+        raise bad(f"{path}: parts", len(file.parts), "an OpenEXR file of one picture")
+    header = file.header()
+    low, high = (np.asarray(corner, np.int64) for corner in header["dataWindow"])
+    size = high - low + 1
+    if (size < 1).any() or size.prod() > MOST_PIXELS:
+        raise bad(f"{path}: size", " x ".join(map(str, size)), f"at least one pixel, at most {MOST_PIXELS:,}")
+    if not all(np.array_equal(a, b) for a, b in zip(header["dataWindow"], header["displayWindow"])):
+        raise bad(f"{path}: part of a picture", "a data window that is not the display window", "a whole picture")
+    file = OpenEXR.File(str(path), separate_channels=True)
+    if not file.parts:
+        raise ValueError("truncated or damaged")
+    channels = {name: channel.pixels for name, channel in file.channels().items() if name != "A"}
+    if set(channels) == set("RGB"):
+        array = np.stack([channels[c] for c in "RGB"], -1)
+    elif len(channels) == 1:
+        (array,) = channels.values()
+    else:
+        raise bad(f"{path}: channels", ", ".join(channels), "R, G and B, or one channel")
+    if array.shape[:2] != (size[1], size[0]):
+        raise ValueError(f"channels of {array.shape[:2]} in a picture of {size[1]} x {size[0]}")
+    return array
+
+
+def _write_exr(path, array):
+    if array.dtype not in (np.float16, np.float32, np.uint32) or array.shape[2:] not in ((), (3,)) or array.ndim < 2:
+        raise bad(f"{path}: an OpenEXR file holds one picture", f"dtype {array.dtype}, shape {array.shape}",
+                  "float16, float32 or uint32, (rows, cols) or (rows, cols, 3)")
+    OpenEXR = _module(path)
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    with replacing(path) as file:
+        OpenEXR.File(header, {"Y" if array.ndim == 2 else "RGB": np.ascontiguousarray(array)}).write(file.name)
+
+
+def _read_hdr(path) -> np.ndarray:
+    """(rows, cols, 3) float32 red, green, blue."""
+    cv2 = _module(path)
+    data = path.read_bytes()
+    header = data[: data.find(b"\n\n") + 1]
+    if not header.startswith(b"#?"):
+        raise ValueError("not a Radiance picture")
+    array = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+    if array is None or array.dtype != np.float32 or array.ndim != 3:
+        raise ValueError("truncated or damaged")
+    exposures = [float(value) for value in re.findall(rb"^EXPOSURE=\s*(\S+)", header, re.MULTILINE)]
+    return array[..., ::-1] / np.float32(np.prod(exposures))
+
+
+def _write_hdr(path, array):
+    if array.dtype.kind != "f" or array.shape[2:] not in ((), (3,)) or array.ndim < 2 or not (np.isfinite(array).all() and array.min() >= 0):
+        raise bad(f"{path}: a Radiance picture holds light", f"dtype {array.dtype}, shape {array.shape}, {np.nanmin(array)} to {np.nanmax(array)}",
+                  "finite floats >= 0, (rows, cols) or (rows, cols, 3)", "Write .exr or .tif to keep negative values and NaN.")
+    cv2 = _module(path)
+    colours = np.ascontiguousarray((array if array.ndim == 3 else np.stack([array] * 3, -1))[..., ::-1], np.float32)
+    done, data = cv2.imencode(".hdr", colours)
+    if not done:
+        raise OSError(f"{path}: OpenCV could not encode it")
+    with replacing(path) as file:
+        file.write(data.tobytes())
 
 
 @contextlib.contextmanager

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from . import sources
+from .arrays import labelled, labels_of
 from .backends import select
 from .backends.base import Problem, Progress
 from .directions import Hemicube
@@ -24,7 +25,7 @@ class Recovery:
     """What recover() gives.
 
     depth (rows, cols) float32 [unit of spacing]; drilled (rows, cols) bool: columns that were carved through to the back
-    without ever matching the image; backend (its name); seconds without compiling, compile_seconds; warnings.
+    without ever matching the image (both xarray.DataArrays if the image was one); backend (its name); seconds without compiling, compile_seconds; warnings.
     """
 
     depth: np.ndarray
@@ -63,6 +64,7 @@ def recover(image, source: sources.Source, albedo=0.8, sides: str = "open", spac
     ------
     InputError, BackendError, CapacityError
     """
+    labels = labels_of(image)
     image = real_array(image, "image")
     wrong = ~(np.isfinite(image) & (image >= 0))
     if wrong.any():
@@ -92,7 +94,7 @@ def recover(image, source: sources.Source, albedo=0.8, sides: str = "open", spac
                         + ("; one that stops early shadows the rest. stop='sign' often drills fewer." if stop == "eps" else "; the image is darker there than any depth explains."))
     if sides == "open" and isinstance(source, sources.Sky):
         warnings.append("Open sides under a sky are ill-posed: a flat surface explains a plane's image at any depth.")
-    return Recovery((depth * spacing).astype(np.float32), drilled, engine.name, seconds, compiling, warnings)
+    return Recovery(labelled((depth * spacing).astype(np.float32), labels), labelled(drilled, labels), engine.name, seconds, compiling, warnings)
 
 
 def carving_integers(image, albedo, brightness, solid_angles, eps: float):

@@ -4,18 +4,19 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from . import sources
+from .arrays import labelled
 from .backends import select
 from .backends.base import Backend, Problem
 from .backends.horizon import Rays, Sweeps
 from .backends.slices import MOST, SLICES, Ball, Slices, aperture, brightness_of, rectangle
 from .directions import Azimuths, Hemicube
 from .errors import bad
-from .horizon import ground_of
+from .horizon import engine_of, ground_of
 from .scene import Scene, is_scene, one_of, positive_number
 
 METHODS = ("auto", "lattice", "horizon")
@@ -24,6 +25,7 @@ QUANTITIES = ("radiance", "irradiance")
 LATTICE_ERROR = {5: 0.0376, 7: 0.0188, 9: 0.0119, 17: 0.0039, 33: 0.0012}
 # the same for horizons, by number of azimuths: performance/horizon.py
 HORIZON_ERROR = {8: 0.0138, 12: 0.0080, 16: 0.0052, 24: 0.0029, 32: 0.0019, 48: 0.0012, 64: 0.0008, 96: 0.0006, 128: 0.0003}
+FAR = 1e5  # extents of the map at which the sun stands: a hundred-thousandth of a radian across it
 LEAK_SLOPE = 0.7  # rms slope from which the unfilled step leaks from M = 7 on (README, Limits)
 
 
@@ -47,7 +49,7 @@ class Plan:
 class Rendering:
     """What render() gives.
 
-    image (rows, cols) float32, nan where masked; plan; backend (its name); seconds of the call without compiling,
+    image (rows, cols) float32, nan where masked, an xarray.DataArray if the scene was made from one; plan; backend (its name); seconds of the call without compiling,
     compile_seconds; warnings (one sentence each).
     """
 
@@ -114,7 +116,7 @@ def render(scene: Scene, source: sources.Source, method: str = "auto", tolerance
     if lacking and (method == "horizon" or horizon):
         raise bad("method 'horizon'", lacking, "a sky, a rectangular window, or a lamp given by its centre and radius, the last two with sides='open' or 'dark'", "Use method='lattice'.")
     if method == "horizon" or (method == "auto" and not lattice and not lacking):
-        return _by_horizons(scene, source, method, tolerance, select(backend), quantity, azimuths, max_distance)
+        return _labelled(scene, _by_horizons(scene, source, method, tolerance, engine_of(scene, backend), quantity, azimuths, max_distance))
     plan = _plan(method, tolerance, hemicube, filled)
     cube = hemicube if isinstance(hemicube, Hemicube) else Hemicube(plan.hemicube)
     engine = select(backend)
@@ -122,7 +124,12 @@ def render(scene: Scene, source: sources.Source, method: str = "auto", tolerance
     brightness = sources.radiance(source, cube.directions)
     moments = cube.moments if weights == "moment" else cube.directions * cube.solid_angles[:, None]
     (irradiance,), seconds, compiling = timed(engine, lambda: (engine.irradiance(problem, moments * brightness[:, None]),))
-    return Rendering(_image(scene, irradiance, quantity), plan, engine.name, seconds, compiling, warnings_of(scene, source, cube, plan.filled))
+    return _labelled(scene, Rendering(_image(scene, irradiance, quantity), plan, engine.name, seconds, compiling, warnings_of(scene, source, cube, plan.filled)))
+
+
+def _labelled(scene: Scene, done: Rendering) -> Rendering:
+    """With an image that has the coordinates of the scene's DataArray, if it was made from one."""
+    return done if scene.labels is None else replace(done, image=labelled(done.image, scene.labels))
 
 
 def _image(scene: Scene, irradiance: np.ndarray, quantity: str) -> np.ndarray:
@@ -159,6 +166,9 @@ def _by_horizons(scene, source, method, tolerance, engine, quantity, azimuths, m
         return _by_slices(scene, source, engine, quantity, azimuths if given else None, max_distance)
     table = None
     scale = 1.0
+    sun = _sun_of(scene, source, max_distance)
+    if sun is not None:
+        source = sources.Sky(replace(source.brightness, direct=0.0))
     if callable(source.brightness):
         profile = sources.azimuth_profile(source)
         if profile is not None and not isinstance(azimuths, Azimuths):
@@ -166,11 +176,25 @@ def _by_horizons(scene, source, method, tolerance, engine, quantity, azimuths, m
         table = sources.elevation_table(source, sectors.angles, sectors.widths, 256 if profile is None else 1024)
     else:
         scale = float(source.brightness)
-    sweeps = Sweeps(engine, ground_of(scene, max_distance), Rays(sectors.angles, sectors.widths), table)
+    sweeps = Sweeps(engine, ground_of(scene, max_distance, engine), Rays(sectors.angles, sectors.widths), table)
     (irradiance,), seconds, compiling = timed(engine, lambda: (sweeps.irradiance(),))
+    if sun is not None:
+        disc = _by_slices(scene, sun, engine, "irradiance", None, None)
+        irradiance += disc.image
+        seconds, compiling, reason = seconds + disc.seconds, compiling + disc.compile_seconds, f"{reason}; the sun's disc by slices"
     if scale != 1.0:
         irradiance *= np.float32(scale)
     return Rendering(_image(scene, irradiance, quantity), Plan("horizon", None, None, reason, len(sectors)), engine.name, seconds, compiling)
+
+
+def _sun_of(scene, source, max_distance) -> sources.Lamp | None:
+    """The disc of a sky's sun, as a lamp so far away that it stands in one direction for the whole map."""
+    if not getattr(source.brightness, "direct", 0):
+        return None
+    if scene.sides == "periodic" or max_distance is not None:
+        raise bad("a sky with the sun's disc (direct)", f"sides={scene.sides!r}, max_distance={max_distance}", "sides 'open' or 'dark' and the whole map")
+    extent = max(max(scene.shape) * scene.spacing, float(scene.depth[scene.valid].max()))
+    return source.brightness.disc(FAR * extent)
 
 
 def _by_slices(scene, source, engine, quantity, azimuths, max_distance) -> Rendering:

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from .arrays import Labels, host_array, labels_of, on_device
 from .errors import InputError, bad
 
 SIDES = ("open", "dark", "periodic")
@@ -17,7 +18,7 @@ def real_array(values, what: str, ndim: int | None = 2) -> np.ndarray:
     if isinstance(values, np.ma.MaskedArray):
         raise bad(f"{what}: a numpy masked array", "mask inside the array", "plain arrays", "Pass array.data and mask=~numpy.ma.getmaskarray(array).")
     try:
-        array = np.asarray(values)
+        array = host_array(values)
     except Exception as error:
         raise InputError(f"{what}: not an array ({error}); allowed: a real array.") from error
     if array.dtype.kind not in "iuf":
@@ -53,6 +54,12 @@ def at(index) -> str:
 class Scene:
     """A surface seen from above: depth map, spacing, albedo, mask and what stands at the sides.
 
+    Arrays may be NumPy's, or have ``__array__``, ``__dlpack__`` or ``__cuda_array_interface__``. They are copied; the
+    caller's are never changed. A depth (or height) that is an xarray.DataArray is remembered as ``labels``, and what has the
+    scene's rows and columns comes back as one: with its dimensions, coordinates, name and attributes. A float32 depth or
+    height without a mask that lies on a GPU (or in a Warp array) stays there: skies by horizons, horizons, sky-view factor
+    and openness on that device's backend, which ``auto`` takes then, never bring it to the host.
+
     Parameters
     ----------
     depth : (rows, cols) real array [length]
@@ -72,8 +79,6 @@ class Scene:
     InputError
         For an array of wrong shape or type, an empty one, NaN or infinity where the mask says valid,
         negative depth, an albedo outside 0 to 1, a spacing that is not positive, or unknown sides.
-
-    The arrays given are copied; the caller's are never changed.
     """
 
     depth: np.ndarray
@@ -83,9 +88,15 @@ class Scene:
     sides: str = "open"
     _values: np.ndarray = field(init=False, repr=False)
     _step: float = field(init=False, repr=False)
+    labels: Labels | None = field(init=False, repr=False, default=None)
+    resident: object = field(init=False, repr=False, default=None)  # the depth on a device of Warp's, if it was given there
 
     def __post_init__(self):
         put = lambda name, value: object.__setattr__(self, name, value)
+        put("labels", labels_of(self.depth))
+        if self.mask is None and (found := resident_map(self.depth)) is not None:
+            self._keep(found)
+            return
         depth = real_array(self.depth, "depth")
         put("spacing", positive_number(self.spacing, "spacing"))
         one_of(self.sides, SIDES, "sides")
@@ -117,12 +128,42 @@ class Scene:
             if isinstance(array, np.ndarray):
                 array.flags.writeable = False
 
+    def _keep(self, found):
+        """Stay with a depth map on its device; the host's copies are made if something asks for them."""
+        put = lambda name, value: object.__setattr__(self, name, value)
+        put("spacing", positive_number(self.spacing, "spacing"))
+        one_of(self.sides, SIDES, "sides")
+        if found.broken:
+            raise bad(f"depth: {found.broken} values are NaN or infinite", f"a map on {found.backend.name}", "finite depth", "Bring it to the host and pass mask=numpy.isfinite(depth) to leave them out.")
+        if found.least < 0:
+            raise bad("depth: negative", found.least, "depth >= 0 (0 is the viewer's plane)", "For terrain heights use Scene.from_height.")
+        if found.most / self.spacing > STEEPEST:
+            raise bad("depth: too deep for its spacing", f"{found.most} at spacing {self.spacing}", f"at most {STEEPEST:g} spacings", "Give both in one unit.")
+        put("albedo", _albedo(self.albedo, found.shape, np.ones(found.shape, bool)))
+        if isinstance(self.albedo, np.ndarray):
+            self.albedo.flags.writeable = False
+        put("resident", found)
+        object.__delattr__(self, "depth")
+
+    def __getattr__(self, name):
+        if name not in ("depth", "_values", "_step") or self.__dict__.get("resident") is None:
+            raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
+        depth = self.resident.download()
+        values, step = _lattice(depth, self.spacing)
+        for what, value in (("depth", depth), ("_values", values), ("_step", step)):
+            object.__setattr__(self, what, value)
+        depth.flags.writeable = values.flags.writeable = False
+        return self.__dict__[name]
+
     @classmethod
     def from_height(cls, height, spacing=1.0, albedo=0.8, mask=None, sides="open") -> Scene:
         """A scene from terrain height [length]: depth = max(valid height) - height.
 
         ``height``: (rows, cols); the other arguments and errors as for :class:`Scene`.
         """
+        labels = labels_of(height)
+        if mask is None and (found := resident_map(height, height=True)) is not None:
+            return cls(found, spacing, albedo, None, sides)
         height = real_array(height, "height")
         valid = np.ones(height.shape, bool) if mask is None else _mask(mask, height.shape)
         broken = valid & ~np.isfinite(height)
@@ -130,12 +171,14 @@ class Scene:
             raise bad(f"height: {broken.sum()} values are NaN or infinite, first {at(broken)}", height[broken][0],
                       "finite height wherever the mask is True", "Pass mask=numpy.isfinite(height) to leave them out.")
         top = height[valid].max() if valid.any() else 0.0
-        return cls(np.where(valid, top - height, np.nan), spacing, albedo, mask, sides)
+        scene = cls(np.where(valid, top - height, np.nan), spacing, albedo, mask, sides)
+        object.__setattr__(scene, "labels", labels)
+        return scene
 
     @property
     def shape(self) -> tuple[int, int]:
         """(rows, cols)."""
-        return self.depth.shape
+        return self.depth.shape if self.resident is None else self.resident.shape
 
     @property
     def valid(self) -> np.ndarray:
@@ -155,6 +198,21 @@ class Scene:
         return np.rint(self._values.astype(np.float64) / self._step).astype(np.float32), 1.0
 
 
+def resident_map(values, height: bool = False):
+    """``values`` as a :class:`skylamp.backends.resident.Resident` where they lie on a device of Warp's as float32, else None."""
+    if isinstance(values, (np.ndarray, list, int, float)):
+        return None
+    from .backends.resident import Resident, find
+
+    if isinstance(values, Resident):
+        return values
+    try:
+        found = on_device(values)
+    except Exception:  # real_array meets the same, and says so
+        return None
+    return None if found is None else find(found, height)
+
+
 def is_scene(scene) -> None:
     if not isinstance(scene, Scene):
         raise bad("scene", type(scene).__name__, "a skylamp.Scene")
@@ -164,8 +222,8 @@ def _mask(mask, shape):
     if mask is None:
         return None
     try:
-        mask = np.asarray(mask)
-    except ValueError as error:
+        mask = host_array(mask)
+    except Exception as error:
         raise bad("mask: not an array", str(error), f"bool, shape {shape}") from None
     if mask.dtype != bool or mask.shape != shape:
         raise bad("mask: wrong type or shape", f"dtype {mask.dtype}, shape {mask.shape}", f"bool, shape {shape}")

@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from .arrays import host_array
 from .errors import InputError, bad
 from .scene import real_array
 
@@ -209,6 +210,9 @@ def radiance(source: Source, directions: np.ndarray) -> np.ndarray:
     brightness = source.brightness
     if not callable(brightness):
         return np.full(directions.shape[:-1], float(brightness))
+    if getattr(brightness, "direct", 0):  # half a degree wide: what looks in some directions would miss it, or overrate it
+        raise bad("brightness: a sky with the sun's disc (direct)", "a method, source or sides without it", "Sky with render's method 'horizon' and sides 'open' or 'dark'",
+                  "Leave direct out, or render with method='horizon'.")
     values = np.asarray(brightness(directions.copy()))
     if values.dtype.kind not in "iuf" or values.shape not in ((), directions.shape[:-1]):
         raise bad("brightness function: wrong result", f"dtype {values.dtype}, shape {values.shape} for directions {directions.shape}",
@@ -291,8 +295,8 @@ def _numbers(values, count, what, form) -> tuple[float, ...]:
 
 def _flags(values, what, ndim, form) -> np.ndarray:
     try:
-        array = np.asarray(values)
-    except ValueError as error:
+        array = host_array(values)
+    except Exception as error:
         raise bad(what, str(error), f"bool {form}, not empty") from None
     if array.dtype != bool or array.ndim != ndim or array.size == 0:
         raise bad(what, f"dtype {array.dtype}, shape {array.shape}", f"bool {form}, not empty")

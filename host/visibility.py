@@ -151,7 +151,7 @@ class VisibilityField:
             raise bad("field: view point", (x, y, layer), f"a node in free space, layer <= {self.depth[y, x]:g} at (row, col) = ({y}, {x})")
         engine = select(backend)
         if engine.name not in self._images:
-            self._images[engine.name] = render(self.scene, self.source, "lattice", backend=engine.name, hemicube=self.hemicube).image
+            self._images[engine.name] = np.asarray(render(self.scene, self.source, "lattice", backend=engine.name, hemicube=self.hemicube).image)
         image = self._images[engine.name]
         cube = self.hemicube
         down = cube.steps[:, 2] < 0

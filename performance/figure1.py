@@ -19,6 +19,7 @@ from matplotlib.collections import PatchCollection
 from matplotlib.patches import Circle, Rectangle, Wedge
 
 import skylamp as sl
+from skylamp.plot import sectors
 from skylamp.radiometry import rectangle_solid_angle
 
 COLS, ROWS, FLOOR = 73, 25, 40  # the room, in nodes; its floor is layer 40
@@ -27,21 +28,6 @@ MIDDLE = ROWS // 2  # the row that is drawn
 WINDOW = sl.Window(x=(17.5, 35.5), y=(4.5, 20.5))
 EVERY, RADIUS = 6, 2.6  # discs, in nodes
 GREYS = 0.20, 0.72  # display: black walls, the floor at its brightest; the window is white
-
-
-def sectors(view):
-    """(angle [degree] at which each sector starts, ends; which directions) of the directions in the plane y = const.
-
-    Angles run from +x towards the viewer's side, -z. A sector reaches halfway to the neighbouring directions.
-    """
-    flat = np.flatnonzero(view.steps[:, 1] == 0)
-    angle = np.degrees(np.arctan2(-view.directions[flat, 2], view.directions[flat, 0])) % 360
-    order = np.argsort(angle)
-    angle = angle[order]
-    before, after = np.roll(angle, 1), np.roll(angle, -1)
-    before[0] -= 360
-    after[-1] += 360
-    return (angle + before) / 2, (angle + after) / 2, flat[order]
 
 
 def draw_room(axes):

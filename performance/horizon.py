@@ -105,7 +105,7 @@ def speed(backend: str, sizes: list[int], budget: float) -> list[dict]:
     rows = []
     for size in sizes:
         scene = sl.Scene(ground(size))
-        sweeps = Sweeps(engine, ground_of(scene, None), Rays(rays.angles, rays.widths))
+        sweeps = Sweeps(engine, ground_of(scene, None, engine), Rays(rays.angles, rays.widths))
         total, turned = (engine.empty((size * size,), np.int32, 0) for _ in range(2))
         whole = time_of(lambda: sl.render(scene, sl.Sky(), "horizon", backend=backend, azimuths=USUAL), budget)  # warms up, too
         light = time_of(lambda: sweeps.light(total, turned), budget, 3, engine.finish)

@@ -182,7 +182,7 @@ def test_backends(capsys):
     (["render", "depth.npy", "--out", "a.npy", "--method", "magic"], 3, "magic"),
     (["render", "depth.npy", "--out", "a.npy", "--quantity", "joy"], 3, "joy"),
     (["render", "depth.npy", "--out", "a.npy", "--hemicube", "8"], 3, ("hemicube", "8", "odd")),
-    (["render", "depth.npy", "--out", "a.npy", "--source", "moon"], 3, ("--source: got 'moon'", "sky, overcast, lamp, window")),
+    (["render", "depth.npy", "--out", "a.npy", "--source", "moon"], 3, ("--source: got 'moon'", "sky, overcast, clear, cie1 to cie15, lamp, window")),
     (["render", "depth.npy", "--out", "a.npy", "--lamp", "7,6,1000,3"], 3, "below the surface"),
     (["render", "depth.npy", "--out", "a.png", "--white", "-1"], 3, "low < high"),
     (["render", "depth.npy", "--out", "a.png", "--bits", "12"], 3, "8 or 16"),

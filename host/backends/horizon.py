@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from .base import MOST_PIXELS, SIDES, Backend
+from .resident import Resident
 from ..errors import CapacityError
 
 NEAR = 6  # rows within which every crossing is tested; with 12 from MANY azimuths on, where the sum is that exact
@@ -20,11 +21,15 @@ FAINTEST = 0.01  # slope below which ground of a map that repeats is not looked 
 
 
 class Ground(NamedTuple):
-    """A map as sweeps see it: heights (rows, cols) float32 in spacings above z = 0, -inf where masked; reach in spacings."""
+    """A map as sweeps see it: heights (rows, cols) float32 in spacings above z = 0, -inf where masked; reach in spacings.
 
-    heights: np.ndarray
+    Or a depth map that lies on the device, and ``step``, the spacing in its unit.
+    """
+
+    heights: np.ndarray | Resident
     sides: str
     reach: float = math.inf
+    step: float = 1.0
 
 
 
@@ -60,17 +65,24 @@ class Sweeps:
         self.level = level
         self.backend, self.ground, self.rays = backend, ground._replace(heights=None), rays  # the device has the heights
         rows, cols = self.shape = ground.heights.shape
-        if ground.heights.size > MOST_PIXELS:
-            raise CapacityError(f"A map of {ground.heights.size:,} nodes; at most {MOST_PIXELS:,}, since kernels count nodes in 32 bits. Cut it into tiles.")
+        if rows * cols > MOST_PIXELS:
+            raise CapacityError(f"A map of {rows * cols:,} nodes; at most {MOST_PIXELS:,}, since kernels count nodes in 32 bits. Cut it into tiles.")
         self.near = near or (FINE if len(rays.angles) >= MANY else NEAR)
         self.margin = self.near + backend.lanes + 3
         backend.reserve(32 * (rows + 2 * self.margin) * (cols + 2 * self.margin), f"A map of {rows} x {cols} nodes", "Cut it into tiles.")
         self.room = (rows + 2 * self.margin) * (cols + 2 * self.margin)
-        known = np.isfinite(ground.heights)
-        self.lowest, highest = float(ground.heights.min(where=known, initial=np.inf)), float(ground.heights.max(where=known, initial=-np.inf))
+        every, first = max(1, math.isqrt(rows * cols // 4096)), self.near + 1
+        if isinstance(ground.heights, Resident):
+            here, step = ground.heights, np.float32(ground.step)
+            self.lowest, highest = (float(-(np.float32(depth) / step)) for depth in (here.most, here.least))
+            self.heights = here.padded(self.margin, ground.step, ground.sides, OUTSIDE)
+            self.steepest = _steepest(here.probe(self.heights, self.margin, every, first))
+        else:
+            known = np.isfinite(ground.heights)
+            self.lowest, highest = float(ground.heights.min(where=known, initial=np.inf)), float(ground.heights.max(where=known, initial=-np.inf))
+            self.heights = backend.upload(_padded(ground, self.margin))
+            self.steepest = _steepest(_probe(ground.heights, every, first))
         self.relief = highest - self.lowest
-        self.steepest = _steepest(ground.heights, self.near)
-        self.heights = backend.upload(_padded(ground, self.margin))
         self.turned = backend.empty((self.room,), np.float32)
         self.tilts = [backend.empty((2, self.room), np.float32, 0)]  # on a GPU both maps are swept at the same time
         self.tilts.append(backend.empty((2, self.room), np.float32, 0) if backend.lines > 1 else self.tilts[0])
@@ -166,7 +178,7 @@ class Sweeps:
     def _unit(self, table) -> float:
         """What one of irradiance counts in fixed point: no sum passes 2^30."""
         most = np.ones(len(self.rays.widths)) if table is None else np.hypot(table[:, 0, 0], table[:, 0, 1])
-        return 2.0**30 / max(float(most @ self.rays.widths), 1e-30)
+        return 2.0**30 / max(float(most @ self.rays.widths), 1e-20)  # what a float32 still holds under a black sky
 
     def _half(self, turned: bool, table) -> Half:
         ground, near, put = self.ground, self.near, self.backend.upload
@@ -228,15 +240,13 @@ def _padded(ground: Ground, margin: int) -> np.ndarray:
     return heights.ravel()
 
 
-def _steepest(heights: np.ndarray, near: int) -> tuple[float, float]:
-    """Slopes [per row] of the steepest rise and fall to ground farther than ``near`` rows, but for one node in a thousand."""
+def _probe(heights: np.ndarray, every: int, distance: int) -> np.ndarray:
+    """Steepest slopes (8, samples) to ground at ``distance`` and farther, from every ``every``-th node; -inf where none lies."""
     rows, cols = heights.shape
-    stride = max(1, math.isqrt(rows * cols // 4096))
-    here = np.mgrid[: rows : stride, : cols : stride].reshape(2, -1)
+    here = np.mgrid[:rows:every, :cols:every].reshape(2, -1)
     own = heights[tuple(here)]
     known = np.isfinite(own)
     best = np.full((8, len(own)), -np.inf)
-    distance = near + 1
     while distance < max(rows, cols):
         for n, (i, j) in enumerate(((1, 0), (1, 1), (0, 1), (-1, 1), (-1, 0), (-1, -1), (0, -1), (1, -1))):
             y, x = here[0] + j * distance, here[1] + i * distance
@@ -245,7 +255,12 @@ def _steepest(heights: np.ndarray, near: int) -> tuple[float, float]:
             with np.errstate(invalid="ignore"):
                 best[n] = np.fmax(best[n], (there - own) / distance)
         distance = distance * 5 // 4 + 1
-    best = best[np.isfinite(best)]
+    return best
+
+
+def _steepest(best: np.ndarray) -> tuple[float, float]:
+    """Slopes [per row] of the steepest rise and fall to ground that is not near, but for one node in a thousand."""
+    best = best[np.isfinite(best)].astype(np.float64)
     if not best.size:
         return 0.1, -0.1
     return max(0.1, 1.1 * float(np.quantile(best, 0.999))), min(-0.1, 1.1 * float(np.quantile(best, 0.001)))

@@ -1,0 +1,223 @@
+"""Pictures (extra ``plot``, matplotlib): the visibility field's discs, the sky above a pixel, an image with what was found in it.
+
+Each function returns a matplotlib Figure, made without pyplot: no window opens, no global state changes. Save it with
+:func:`save`, or ``figure.savefig``.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from . import oracle, sources
+from .errors import bad, lacking
+from .horizon import horizons
+from .io import _parent, replacing
+from .recover import Recovery
+from .scene import Scene, is_scene
+from .visibility import View, VisibilityField
+
+SUFFIXES = (".png", ".svg", ".pdf")
+DISCS = 12  # along the longer side of a section, unless asked otherwise
+GREYS = "0.2", "0.72"  # black, and the brightest surface; the source is white
+GROUND = "#6b5b4b"
+
+
+def field(field: VisibilityField, row: int | None = None, every: int | None = None, backend: str = "auto"):
+    """The paper's Fig. 1: a section of the visibility field along ``row`` (the middle one unless given).
+
+    A disc stands for the rays through a point of free space that lie in the plane of the drawing. White sectors see the
+    source; grey ones a lit surface, as bright as it is; the rest is black. ``every``: nodes between discs. Only directions
+    (i, 0, k) lie in the plane: the field's hemicube of M makes 4 (M - 1) sectors.
+
+    Raises InputError for a row outside the map, or if matplotlib is not installed.
+    """
+    matplotlib = _matplotlib()
+    from matplotlib.collections import PatchCollection
+    from matplotlib.patches import Circle, Wedge
+
+    rows, cols = field.scene.shape
+    row = rows // 2 if row is None else row
+    if isinstance(row, bool) or not isinstance(row, (int, np.integer)) or not 0 <= row < rows:
+        raise bad("plot.field: row", repr(row), f"a whole number from 0 to {rows - 1}")
+    if every is None:
+        every = max(2, round(max(cols, field.layers) / DISCS))
+    if isinstance(every, bool) or not isinstance(every, (int, np.integer)) or every < 2:
+        raise bad("plot.field: every", repr(every), "a whole number of nodes, at least 2")
+    depth, radius = field.depth[row], 0.42 * every
+    rim = every // 2
+    start = rim + (cols - 1 - 2 * rim) % every // 2  # as much room on the left as on the right
+    points = [(x, row, z) for z in range(rim, field.layers, every) for x in range(start, cols - rim, every)
+              if z + radius < (depth[max(0, int(x - radius)) : int(x + radius) + 2]).min()]  # the disc keeps clear of the ground
+    if not points:
+        raise bad("plot.field: every", every, "a distance at which at least one disc fits above the ground", "Give a smaller one.")
+    views = [field.view(point, backend=backend) for point in points]
+    brightest = max(max((view.brightness[~view.visible].max() for view in views)), 1e-30)
+    floor = np.where(np.isfinite(depth), depth, field.layers)
+    bottom = max(field.layers, floor.max()) + 0.03 * cols
+    figure = _figure(9.5, float(np.clip(0.9 + 8.0 * (bottom + 0.02 * cols) / cols, 2.8, 9)))
+    axes = figure.add_subplot()
+    shades = matplotlib.colors.LinearSegmentedColormap.from_list("surface", list(GREYS))
+    axes.set_facecolor("#cdd8e3")
+    axes.fill_between(np.linspace(-0.5, cols - 0.5, 8 * cols), np.interp(np.linspace(-0.5, cols - 0.5, 8 * cols), np.arange(cols), floor), bottom, color=GROUND, lw=0)
+    for (x, _, z), view in zip(points, views):
+        low, high, which = sectors(view)
+        colours = np.where(view.visible[which, None], 1.0, shades(view.brightness[which] / brightest))
+        wedges = [Wedge((x, z), radius, -b, -a) for a, b in zip(low, high)]  # depth is drawn downwards, which turns angles round
+        axes.add_collection(PatchCollection(wedges, facecolors=colours, edgecolors=colours, linewidths=0.3))
+        axes.add_patch(Circle((x, z), radius, fill=False, ec="0.2", lw=0.6))
+    axes.set(xlim=(-0.5, cols - 0.5), ylim=(bottom, -0.02 * cols), aspect="equal", xlabel="x [nodes]", ylabel="depth [nodes]",
+             title=f"Rays through points of row {row}: white sees the {type(field.source).__name__.lower()}")
+    bar = figure.colorbar(matplotlib.cm.ScalarMappable(matplotlib.colors.Normalize(0, brightest), shades), ax=axes, shrink=0.8, pad=0.015)
+    bar.set_label("brightness of what else is seen")
+    return figure
+
+
+def sectors(view: View) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(angle [degree] at which each sector starts, ends; which directions) of the directions in the plane y = const.
+
+    Angles run from +x towards the viewer's side, -z. A sector reaches halfway to the neighbouring directions.
+    """
+    flat = np.flatnonzero(view.steps[:, 1] == 0)
+    angle = np.degrees(np.arctan2(-view.directions[flat, 2], view.directions[flat, 0])) % 360
+    order = np.argsort(angle)
+    angle = angle[order]
+    before, after = np.roll(angle, 1), np.roll(angle, -1)
+    before[0] -= 360
+    after[-1] += 360
+    return (angle + before) / 2, (angle + after) / 2, flat[order]
+
+
+def horizon(scene: Scene, row: int, col: int, source: sources.Sky | None = None, azimuths: int = 360, backend: str = "auto"):
+    """The sky above one node: the horizon and, above it, the brightness of what the node sees, as a polar plot.
+
+    The zenith is in the middle, the level horizon at the rim, north (-y) up and east (+x) to the right, as on the map (a
+    view from above, not one of somebody who looks up). The dashed line is where the surface's own tangent plane ends.
+    ``source``: a Sky, uniform unless given.
+
+    Raises InputError for a node that is outside or masked, a source that is no sky, or if matplotlib is not installed.
+    """
+    _matplotlib()
+    is_scene(scene)
+    node = []
+    for name, value, size in (("row", row, scene.shape[0]), ("col", col, scene.shape[1])):
+        if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or not 0 <= value < size:
+            raise bad(f"plot.horizon: {name}", repr(value), f"a whole number from 0 to {size - 1}")
+        node.append(int(value))
+    row, col = node
+    if not scene.valid[row, col]:
+        raise bad("plot.horizon: node", (row, col), "a node that is not masked")
+    source = sources.Sky() if source is None else source
+    if not isinstance(source, sources.Sky):
+        raise bad("plot.horizon: source", type(source).__name__, "a Sky")
+    sun = None
+    if getattr(source.brightness, "direct", 0):
+        from dataclasses import replace
+
+        sun, source = source.brightness.sun, sources.Sky(replace(source.brightness, direct=0.0))
+    turn = 2 * np.pi * (np.arange(azimuths) + 0.5) / azimuths
+    slopes = np.asarray(horizons(scene, azimuths, backend)[:, row, col], float)
+    elevation = np.degrees(np.arctan(np.maximum(slopes, 0)))
+    compass = turn + np.pi / 2  # from north, clockwise
+
+    edges = np.linspace(0, 2 * np.pi, azimuths + 1), np.linspace(0, 90, 181)
+    heights = 90 - (edges[1][:-1] + edges[1][1:]) / 2
+    light = sources.radiance(source, sources.directions_of(turn[None], np.sin(np.radians(heights))[:, None]))
+    light = np.where(heights[:, None] >= elevation, light, np.nan)
+    figure = _figure(6.4, 5.6)
+    axes = figure.add_subplot(projection="polar")
+    axes.set_theta_zero_location("N")
+    axes.set_theta_direction(-1)
+    axes.set_facecolor(GROUND)
+    top = np.nanmax(light) if np.isfinite(light).any() else 1.0
+    even = np.isfinite(light).any() and np.nanmin(light) >= 0.999 * top
+    mesh = axes.pcolormesh(edges[0] + np.pi / 2, edges[1], light, cmap="YlGnBu_r", vmin=0 if even else None, vmax=top or 1.0, rasterized=True)
+    ring = np.append(compass, compass[0] + 2 * np.pi)
+    axes.plot(ring, np.append(90 - elevation, 90 - elevation[0]), color="k", lw=1.5, label="horizon")
+    near = slice(max(0, row - 1), row + 2), slice(max(0, col - 1), col + 2)
+    gradient = [g[min(row, 1), min(col, 1)] for g in oracle.gradient(scene.depth[near], scene.spacing, scene.valid[near])]
+    plane = np.degrees(np.arctan(-(gradient[0] * np.cos(turn) + gradient[1] * np.sin(turn))))  # the ground rises where depth falls
+    plane = np.where(plane > 0, 90 - plane, np.nan)
+    if np.isfinite(plane).any():
+        axes.plot(ring, np.append(plane, plane[0]), color="w", lw=1.2, ls="--", label="tangent plane")
+    if sun is not None:
+        axes.plot(np.radians(sun[0]), 90 - sun[1], "o", ms=9, mfc="#ffd54a", mec="k", label="sun")
+    axes.set_xticks(np.radians(np.arange(0, 360, 45)), ["N", "NE", "E", "SE", "S", "SW", "W", "NW"])
+    axes.set_yticks([30, 60, 90], ["60°", "30°", ""], fontsize=9, bbox=dict(boxstyle="round,pad=0.1", fc="w", ec="none", alpha=0.7))
+    axes.set_rlabel_position(112)
+    axes.set_rlim(0, 90)
+    axes.grid(color="0.5", lw=0.5, alpha=0.6)
+    figure.colorbar(mesh, ax=axes, shrink=0.7, pad=0.1, label="brightness of the visible sky")
+    figure.legend(*axes.get_legend_handles_labels(), loc="lower right", ncols=3, fontsize=9, facecolor=GROUND, labelcolor="w")
+    seen = float((np.cos(np.radians(elevation)) ** 2).mean())
+    figure.suptitle(f"Row {row}, column {col}: horizon to {elevation.max():.0f}°, sky-view factor of level ground {seen:.2f}", fontsize=11)
+    return figure
+
+
+def recovery(image, found: Recovery, truth=None):
+    """The image, the depth recovered from it, and its confidence (or the drilled columns) side by side; ``truth``: the true depth, beside them.
+
+    Raises InputError where shapes differ, or if matplotlib is not installed.
+    """
+    _matplotlib()
+    panels = [("image", np.asarray(image), dict(cmap="gray", vmin=0), "radiance")]
+    depth = np.asarray(found.depth)
+    if truth is not None:
+        panels.append(("true depth", np.asarray(truth), dict(cmap="viridis_r"), "depth"))
+    low, high = np.nanmin([np.nanmin(depth)] + [np.nanmin(p[1]) for p in panels[1:]]), np.nanmax([np.nanmax(depth)] + [np.nanmax(p[1]) for p in panels[1:]])
+    panels.insert(1, ("recovered depth", depth, dict(cmap="viridis_r"), "depth, near is bright"))
+    for _, _, style, _ in panels[1:]:
+        style.update(vmin=low, vmax=high)
+    confidence = getattr(found, "confidence", None)
+    if confidence is not None:
+        panels.append(("confidence", np.asarray(confidence), dict(cmap="magma", vmin=0, vmax=1), "below 0.5: do not trust"))
+    else:
+        panels.append(("drilled columns (black)", np.asarray(found.drilled, float), dict(cmap="gray_r", vmin=0, vmax=1), None))
+    for name, values, _, _ in panels:
+        if values.shape != depth.shape:
+            raise bad(f"plot.recovery: {name}", values.shape, f"the depth's shape {depth.shape}")
+    rows, cols = depth.shape
+    figure = _figure(3.3 * len(panels), float(np.clip(0.9 + 2.6 * rows / cols, 1.8, 8)))
+    for axes, (name, values, style, label) in zip(figure.subplots(1, len(panels), squeeze=False)[0], panels):
+        shown = axes.imshow(values, interpolation="nearest", **style)
+        axes.set_title(name, fontsize=11)
+        axes.set_xticks([])
+        axes.set_yticks([])
+        if label:
+            figure.colorbar(shown, ax=axes, shrink=0.8, pad=0.03, label=label)
+    return figure
+
+
+def save(figure, path, dpi: int = 120) -> Path:
+    """Write a figure as .png, .svg or .pdf, whole or not at all. Raises InputError for another extension or no such folder."""
+    path = drawable(path)
+    with replacing(path) as file:
+        figure.savefig(file, format=path.suffix[1:].lower(), dpi=dpi, **({"pil_kwargs": {"optimize": True}} if path.suffix.lower() == ".png" else {}))
+    return path
+
+
+def drawable(path) -> Path:
+    """``path`` if a picture can be put there; InputError for another extension, no such folder, or without matplotlib."""
+    path = Path(path)
+    if path.suffix.lower() not in SUFFIXES:
+        raise bad(f"{path}: unknown extension of a picture", repr(path.suffix), " ".join(SUFFIXES))
+    _matplotlib()
+    return _parent(path)
+
+
+def _matplotlib():
+    try:
+        import matplotlib
+        import matplotlib.cm
+        import matplotlib.colors
+
+        return matplotlib
+    except ImportError as error:
+        raise lacking("a picture", "matplotlib", "plot") from error
+
+
+def _figure(width, height):
+    from matplotlib.figure import Figure
+
+    return Figure(figsize=(width, height), layout="constrained")

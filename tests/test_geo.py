@@ -1,0 +1,229 @@
+"""GeoTIFF: the same georeference out as in, cells in degrees, holes, damaged files, the command line."""
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+import skylamp as sl
+from skylamp import cli, geo, io
+from skylamp.errors import InputError
+
+rasterio = pytest.importorskip("rasterio")
+from rasterio.transform import Affine, from_origin  # noqa: E402
+
+HEIGHT = np.rint(40 * np.random.default_rng(5).random((13, 17))).astype(np.int16)
+HEIGHT[3, 4:6] = -32768
+METRES = dict(crs="EPSG:32616", transform=from_origin(730000, 4070000, 30, 30))
+
+
+def make(path, values=HEIGHT, *, crs="EPSG:32616", transform=METRES["transform"], nodata=-32768, tags=(), band=(), **options):
+    values = values if values.ndim == 3 else values[None]
+    with rasterio.open(path, "w", driver="GTiff", width=values.shape[2], height=values.shape[1], count=len(values), dtype=values.dtype,
+                       crs=crs, transform=transform, nodata=nodata, **options) as file:
+        file.write(values)
+        file.update_tags(**dict(tags))
+        for name, value in dict(band).items():
+            setattr(file, name, value)
+    return path
+
+
+def facts(path):
+    with rasterio.open(path) as file:
+        return file.crs, file.transform, file.nodata, file.tags()["AREA_OR_POINT"], file.shape, file.dtypes
+
+
+def refused(says, function, *arguments, **options):
+    with pytest.raises(InputError) as caught:
+        function(*arguments, **options)
+    text = str(caught.value)
+    assert all(part in text for part in ((says,) if isinstance(says, str) else says)) and "\n" not in text, text
+
+
+def run(*arguments):
+    with pytest.raises(SystemExit) as ended:
+        cli.main([str(a) for a in arguments])
+    return ended.value.code or 0
+
+
+@pytest.mark.parametrize("tags", [{}, {"AREA_OR_POINT": "Point"}], ids=["area", "point"])
+@pytest.mark.parametrize("nodata", [-32768, None, 0])
+def test_same_georeference_out_as_in(tmp_path, tags, nodata, fast):
+    """Rendered by the command line; reopened with rasterio; heights, spacing and holes are the file's own."""
+    path, out = make(tmp_path / "dem.tif", nodata=nodata, tags=tags), tmp_path / "lit.tif"
+    assert run("render", path, "--out", out, "--backend", fast) == 0
+    crs, transform, _, area, shape, _ = facts(path)
+    got = facts(out)
+    assert (got[0], got[1], got[3], got[4], got[5]) == (crs, transform, area, shape, ("float32",)) and crs.to_epsg() == 32616
+    mask = np.ones(HEIGHT.shape, bool) if nodata is None else HEIGHT != nodata
+    expected = sl.render(sl.Scene.from_height(HEIGHT, spacing=30.0, mask=mask), sl.Sky(), backend=fast).image
+    with rasterio.open(out) as file:
+        np.testing.assert_array_equal(file.read(1)[mask], expected[mask])
+        np.testing.assert_array_equal(file.read_masks(1) > 0, mask)
+        assert np.isnan(file.nodata) if nodata is None else file.nodata == nodata
+
+
+def test_layers_are_bands(tmp_path, fast):
+    """Horizons and fields are several maps: one band each, with the georeference too."""
+    path = make(tmp_path / "dem.tif", np.maximum(HEIGHT, 0))
+    assert run("horizon", path, "--what", "slopes", "--azimuths", 4, "--out", tmp_path / "a.tif", "--backend", fast) == 0
+    expected = sl.horizons(geo.read(path).scene(), 4, fast)
+    with rasterio.open(tmp_path / "a.tif") as file:
+        assert (file.count, file.crs, file.transform) == (4, *facts(path)[:2])
+        np.testing.assert_array_equal(file.read(), expected)
+
+
+def test_nodata_that_is_a_value(tmp_path):
+    """No data is 0 in the file, and shadows are 0 too: holes become NaN instead of swallowing the shadows."""
+    raster = geo.read(make(tmp_path / "dem.tif", nodata=0))
+    light = np.where(raster.mask, 1.0, np.nan).astype(np.float32)
+    light[0, 0] = 0
+    geo.write(tmp_path / "a.tif", light, raster)
+    with rasterio.open(tmp_path / "a.tif") as file:
+        assert np.isnan(file.nodata)
+        np.testing.assert_array_equal(file.read(1), light)
+    geo.write(tmp_path / "b.tif", raster.mask, geo.read(make(tmp_path / "dem.tif")))  # -32768 does not fit into a byte
+    assert facts(tmp_path / "b.tif")[2] is None and facts(tmp_path / "b.tif")[5] == ("uint8",)
+
+
+@pytest.mark.parametrize("latitude", [0, 46.0, -60.0])
+def test_degrees(tmp_path, latitude, fast):
+    """Refused with both lengths; resampled to squares, the light is that of the ground in metres."""
+    arc = 1 / 3600
+    y, x = np.mgrid[:40, :44]
+    dem = make(tmp_path / "dem.tif", (200 + 3.0 * x + 2.0 * y).astype(np.float32), crs="EPSG:4326", transform=from_origin(7.5, latitude + 20 * arc, arc, arc), nodata=None)
+    with rasterio.open(dem) as file:  # metres by PROJ, not by us
+        from rasterio.crs import CRS
+        from rasterio.warp import transform
+
+        centre = (7.5, latitude)
+        local = CRS.from_proj4(f"+proj=aeqd +lat_0={latitude} +lon_0=7.5 +datum=WGS84")
+        east = transform(file.crs, local, [centre[0] + arc], [centre[1]])[0][0]
+        north = transform(file.crs, local, [centre[0]], [centre[1] + arc])[1][0]
+    if abs(east / north - 1) > geo.SQUARE:
+        refused(("cells are not square", f"{east:.4g} m to the east by {north:.4g} m", "--resample", "rio warp"), geo.read, dem)
+    raster = geo.read(dem, resample=True)
+    assert raster.spacing == pytest.approx(min(east, north), rel=5e-3) and raster.crs.to_epsg() == 4326
+    rows, cols = raster.values.shape
+    assert (cols * raster.transform.a, rows * raster.transform.e) == pytest.approx((44 * arc, -40 * arc))  # the same ground
+    slope = np.hypot(3 / east, 2 / north)  # a plane's light says what its slope came out as
+    image = sl.render(raster.scene(albedo=1.0), sl.Sky(), quantity="irradiance", backend=fast).image
+    middle = image[rows // 2, cols // 2]
+    assert middle == pytest.approx(np.pi * (1 + 1 / np.sqrt(1 + slope**2)) / 2, rel=2e-3)
+    geo.write(tmp_path / "a.tif", image, raster)
+    assert facts(tmp_path / "a.tif")[:2] == (raster.crs, raster.transform)
+
+
+def test_holes_grow_no_heights(tmp_path):
+    """Resampling keeps what lies beside a hole out of it: no height is made of a nodata value."""
+    values = np.full((30, 30), 100, np.int16)
+    values[10:13, 10:13] = -32768
+    raster = geo.read(make(tmp_path / "dem.tif", values, crs="EPSG:4326", transform=from_origin(7, 50, 1 / 3600, 1 / 3600)), resample=True)
+    assert (raster.values[raster.mask] == 100).all() and 0.9 < raster.mask.mean() < 1
+
+
+def test_units(tmp_path):
+    """US survey feet of the system, feet of the band, and scaled counts."""
+    feet = dict(crs="EPSG:2274", transform=from_origin(1e6, 5e5, 10, 10))  # Tennessee, ftUS
+    assert geo.read(make(tmp_path / "a.tif", **feet)).spacing == pytest.approx(10 * 1200 / 3937)
+    assert geo.read(make(tmp_path / "a.tif", band={"units": ("us-ft",)}, **feet)).spacing == pytest.approx(10)
+    raster = geo.read(make(tmp_path / "a.tif", band={"scales": (0.1,), "offsets": (100.0,)}))
+    np.testing.assert_allclose(raster.values[0], 100 + 0.1 * HEIGHT[0])
+    assert not raster.mask[3, 4] and raster.mask.sum() == HEIGHT.size - 2
+
+
+def test_depth_and_spacing_can_be_told(tmp_path, fast):
+    """--depth and --spacing overrule what a GeoTIFF is taken for; --resample needs one; a plain TIFF stays plain."""
+    path = make(tmp_path / "dem.tif")
+    assert run("render", path, "--depth", "--spacing", "2", "--out", tmp_path / "a.npy", "--backend", fast) == 0
+    mask = HEIGHT != -32768
+    expected = sl.render(sl.Scene(np.where(mask, HEIGHT, 0), 2.0, mask=mask), sl.Sky(), backend=fast).image
+    np.testing.assert_array_equal(io.read(tmp_path / "a.npy"), expected)
+    io.write(tmp_path / "plain.tif", np.ones((4, 5), np.float32))
+    assert not geo.is_geotiff(tmp_path / "plain.tif") and geo.is_geotiff(path)
+    assert run("render", tmp_path / "plain.tif", "--out", tmp_path / "b.tif", "--backend", fast) == 0
+    assert not geo.is_geotiff(tmp_path / "b.tif")
+    assert run("render", tmp_path / "plain.tif", "--resample", "--out", tmp_path / "b.tif") == 2
+
+
+@pytest.mark.parametrize("options, says", [
+    (dict(values=np.stack([HEIGHT] * 3)), "bands: got 3"),
+    (dict(transform=Affine(28, -10, 730000, -10, -28, 4070000)), "turned grid"),
+    (dict(transform=Affine(30, 0, 0, 0, 30, 0)), "turned grid"),
+    (dict(transform=from_origin(0, 0, 30, 20)), ("not square", "30 m to the east by 20 m to the north")),
+    (dict(crs="EPSG:4326", transform=from_origin(0, 70, 1, 1)), ("change their width", "57 to 70")),
+    (dict(crs="EPSG:4326", transform=from_origin(0, 95, 1, 1)), "latitudes"),
+    (dict(values=(HEIGHT + 0j).astype(np.complex64), nodata=None), "real numbers"),
+])
+def test_rasters_that_do_not_fit(tmp_path, options, says):
+    """One clear error, with what to do where something can be done."""
+    refused(says, geo.read, make(tmp_path / "a.tif", **options))
+
+
+def test_not_a_geotiff(tmp_path):
+    """No georeference, another format under the name (a VRT could name any file), and what cannot be written."""
+    io.write(tmp_path / "plain.tif", np.ones((4, 5), np.float32))
+    refused("cannot read", geo.read, tmp_path / "plain.tif")
+    source = make(tmp_path / "dem.tif")
+    (tmp_path / "vrt.tif").write_text(f'<VRTDataset rasterXSize="17" rasterYSize="13"><VRTRasterBand dataType="Int16" band="1"><SimpleSource>'
+                                      f'<SourceFilename>{source}</SourceFilename><SourceBand>1</SourceBand></SimpleSource></VRTRasterBand></VRTDataset>')
+    refused("vrt.tif: cannot read", geo.read, tmp_path / "vrt.tif")
+    raster = geo.read(source)
+    for path, array in ((tmp_path / "a.png", raster.mask), (tmp_path / "a.tif", raster.mask[1:]), (tmp_path / "a.tif", raster.values * 1j), (tmp_path / "no" / "a.tif", raster.mask)):
+        before = sorted(tmp_path.iterdir())
+        refused(str(path), geo.write, path, array, raster)
+        assert sorted(tmp_path.iterdir()) == before
+
+
+@pytest.mark.parametrize("options", [{}, dict(compress="deflate"), dict(compress="lzw", blockysize=2), dict(tiled=True, blockxsize=16, blockysize=16)], ids=["plain", "deflate", "lzw", "tiles"])
+def test_truncated_and_damaged(tmp_path, options):
+    """Cut anywhere: an error, or all of the values; changed bytes: an InputError or a raster, never anything else."""
+    path = make(tmp_path / "a.tif", **options)
+    whole, data = geo.read(path).values, path.read_bytes()
+    for length in sorted({1, 8, 100, *np.linspace(10, len(data) - 1, 25).astype(int).tolist()}):
+        path.write_bytes(data[:length])
+        try:
+            np.testing.assert_array_equal(geo.read(path).values, whole)
+        except InputError as error:
+            assert "a.tif" in str(error) and "\n" not in str(error)
+    rng = np.random.default_rng(3)
+    for _ in range(40):
+        position = int(rng.integers(len(data)))
+        path.write_bytes(data[:position] + bytes([data[position] ^ int(rng.integers(1, 256))]) + data[position + 1 :])
+        try:
+            geo.read(path)
+        except InputError as error:
+            assert "a.tif" in str(error)
+
+
+def test_command_line_stays_one_line(tmp_path):
+    """GDAL and rasterio log by themselves; a process says one line."""
+    path = make(tmp_path / "a.tif")
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+    done = subprocess.run([sys.executable, "-m", "skylamp.cli", "render", str(path), "--out", str(tmp_path / "o.npy")], capture_output=True, timeout=300)
+    assert done.returncode == 3 and done.stdout == b"" and done.stderr.count(b"\n") == 1 and b"a.tif" in done.stderr, done
+
+
+def test_without_rasterio(tmp_path, monkeypatch):
+    """The error names the pip command; a plain TIFF does not need it."""
+    path = make(tmp_path / "a.tif")
+    monkeypatch.setitem(sys.modules, "rasterio", None)
+    refused("a GeoTIFF needs rasterio, which is not installed: pip install 'skylamp[geo]'", geo.read, path)
+    io.write(tmp_path / "plain.tif", np.ones((4, 5), np.float32))
+    assert run("render", path, "--out", tmp_path / "a.npy") == 3
+    assert run("render", tmp_path / "plain.tif", "--out", tmp_path / "a.npy", "--backend", "numpy") == 0
+
+
+def test_failing_write_leaves_no_trace(tmp_path, monkeypatch):
+    """A full disk at the last moment: the older file stays."""
+    raster = geo.read(make(tmp_path / "a.tif"))
+    before = (tmp_path / "a.tif").read_bytes()
+
+    def full(descriptor):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("os.fsync", full)
+    with pytest.raises(OSError, match="No space left"):
+        geo.write(tmp_path / "a.tif", raster.mask, raster)
+    assert [p.name for p in tmp_path.iterdir()] == ["a.tif"] and (tmp_path / "a.tif").read_bytes() == before
