@@ -5,6 +5,7 @@ from .directions import Azimuths, Hemicube
 from .errors import BackendError, CapacityError, InputError, SkylampError
 from .horizon import horizons, openness, sky_view_factor
 from .recover import Recovery, recover
+from .reflectance import BRDF, Lambertian, Mirror, Phong, grooves
 from .render import Plan, Rendering, render
 from .scene import Scene
 from .sources import Lamp, Sky, Window, cie_overcast, cosine_power, environment_map, uniform
@@ -12,7 +13,7 @@ from .visibility import View, VisibilityField, visibility, visibility_field
 
 __version__ = "0.1.0"
 __all__ = [
-    "Azimuths", "BackendError", "CapacityError", "Hemicube", "InputError", "Lamp", "Plan", "Recovery", "Rendering", "Scene", "Sky",
-    "SkylampError", "View", "VisibilityField", "Window", "backends", "cie_overcast", "cosine_power", "environment_map", "horizons", "openness",
+    "Azimuths", "BRDF", "BackendError", "CapacityError", "Hemicube", "InputError", "Lambertian", "Lamp", "Mirror", "Phong", "Plan", "Recovery", "Rendering", "Scene", "Sky",
+    "SkylampError", "View", "VisibilityField", "Window", "backends", "cie_overcast", "cosine_power", "environment_map", "grooves", "horizons", "openness",
     "recover", "render", "sky_view_factor", "uniform", "visibility", "visibility_field",
 ]

@@ -64,7 +64,7 @@ SOURCES = {
     "brightness negative": (lambda: sl.Sky(-1), ["brightness", "got -1.0", ">= 0"]),
     "brightness NaN": (lambda: sl.Sky(np.nan), ["brightness", "got nan"]),
     "brightness infinite": (lambda: sl.Window(x=(0, 1), y=(0, 1), brightness=np.inf), ["brightness", "got inf"]),
-    "brightness an array": (lambda: sl.Sky(np.ones(3)), ["brightness", "function of unit vectors"]),
+    "brightness an array": (lambda: sl.Sky(np.ones(4)), ["brightness", "function of unit vectors"]),
     "brightness complex": (lambda: sl.Sky(1j), ["brightness", "1j"]),
     "brightness text": (lambda: sl.Sky("bright"), ["brightness", "'bright'"]),
     "overcast negative": (lambda: sl.cie_overcast(-2), ["brightness", "-2.0"]),
