@@ -13,7 +13,7 @@ import numpy as np
 
 from ..errors import CapacityError
 from ..sources import Source, radiance
-from .base import MOST_PIXELS, Backend
+from .base import MOST_PIXELS, Backend, Lobe
 
 NONE = np.float32(-1e30)  # height where there is no ground
 SLICES = 8  # that a CPU takes at a time
@@ -24,8 +24,8 @@ LEVELS = 9  # cells of 2 to 512 nodes
 SIDE = 512  # samples of the brightness across the sky
 POINTS = ((0.1, 3), (0.35, 4), (math.inf, 8))  # apparent radius up to which so many samples of brightness do for a slice
 GAUSS = 8  # points between two knots of a cumulative table
-LOBE_POINTS = 12  # samples of brightness and lobe along a chord within the lobe's rim
-LOBE_LEAST, LOBE_ROUND, LOBE_MOST = 16, 48, 256  # slices of a lobe: least, where the zenith lies within it, and through a lamp
+LOBE_POINTS = 10  # samples of brightness and lobe along a chord within the lobe's rim
+LOBE_LEAST, LOBE_ROUND, LOBE_MOST = 16, 32, 256  # slices of a lobe: least, where the zenith lies within it, and through a lamp
 LOBE_APART = 1.25  # half widths of a lobe between two slices of a lamp
 FINEST = 2048  # samples across the sky that a lobe's means are made of
 
@@ -47,14 +47,6 @@ class Dome(NamedTuple):
     """The sky, seen in a mirror: ground farther away than reach [unit of depth] does not count."""
 
     reach: float = math.inf
-
-
-class Lobe(NamedTuple):
-    """A lobe about the mirror direction: its weight by even steps of 1 - cos up to rim, and its half width [rad]."""
-
-    table: np.ndarray
-    rim: float
-    spread: float
 
 
 def rectangle(corner, edge_u, edge_v) -> Quad:
@@ -228,13 +220,12 @@ class Slices:
     def rays(self, ways: np.ndarray) -> np.ndarray:
         """Whether the ground leaves rays free: (rows, cols, count) bool.
 
-        ``ways`` (rows, cols, 4, count) float32: azimuth's cosine and sine, tangent of the elevation, and how far [unit of
-        depth] ground counts. ``coarsen`` or ``run`` comes before it.
+        ``ways`` (rows, cols, 4, count) float32: azimuth's cosine and sine, tangent of the elevation, and how far
+        [spacing] ground counts. ``coarsen`` or ``run`` comes before it.
         """
         rows, cols = self.shape
         count = ways.shape[-1]
         lanes = self.backend.lanes if count % self.backend.lanes == 0 else 1
-        ways = ways * np.array([1, 1, 1, 1 / self.step], np.float32)[:, None]
         seen = self.backend.empty((rows, cols, count), np.float32)
         self.backend.launch("slices", "rays", (cols, rows), self.heights, self.tops, self.backend.upload(ways), seen, rows, cols, self.width, self.levels, count, lanes=lanes)
         return self.backend.download(seen) > 0
