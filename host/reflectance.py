@@ -19,8 +19,7 @@ from .scene import at, real_array
 
 BOUND = 1e-3  # by which a reflectance may seem to give more than it gets: the numeric integral's own error
 MOST_EXPONENT = 1e5  # a lobe half a degree wide; beyond it a mirror
-LOST = 1e-4  # share of a lobe's light that is left out at its rim
-KNOTS = 1024  # of a lobe's table
+KNOTS = 2048  # of a lobe's table
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,14 +77,13 @@ class Phong:
         """Half width of the lobe [rad], in which cos^n falls to about 1 / sqrt(e)."""
         return float(1 / np.sqrt(self.exponent + 1))
 
-    @property
-    def support(self) -> float:
-        """Cosine of the angle from the mirror direction beyond which all but 1e-4 of the lobe's light is left out."""
-        return float(LOST ** (1 / (self.exponent + 1)))
+    def rim(self, lost: float) -> float:
+        """1 - cosine of the angle from the mirror direction within which all but a share ``lost`` of the lobe's light lies."""
+        return float(1 - lost ** (1 / (self.exponent + 1)))
 
-    def table(self) -> np.ndarray:
-        """cos^n, (1024,) float32, by even steps of 1 - cos from 0 to 1 - ``support``, as kernels read it."""
-        return ((1 - np.linspace(0, 1 - self.support, KNOTS)) ** self.exponent).astype(np.float32)
+    def table(self, rim: float) -> np.ndarray:
+        """cos^n, (2048,) float32, by even steps of 1 - cos from 0 to ``rim``, as kernels read it."""
+        return ((1 - np.linspace(0, rim, KNOTS)) ** self.exponent).astype(np.float32)
 
     def brdf(self, incoming, outgoing):
         """f [sr^-1]: (..., 3), (..., 3) -> (...); the albedos must be numbers."""

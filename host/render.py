@@ -116,7 +116,7 @@ def render(scene: Scene, source: sources.Source, method: str = "auto", tolerance
         raise bad("render: arguments of two methods", "azimuths or max_distance with the lattice's", "azimuths and max_distance with method='horizon'; hemicube, filled and weights with 'lattice'")
     if method == "horizon" and lattice:
         raise bad("method 'horizon' with hemicube, filled or weights", "both", "azimuths and max_distance")
-    lacking = _no_horizon(scene, source)
+    lacking = _no_horizon(scene, source, quantity)
     if lacking and (method == "horizon" or horizon):
         raise bad("method 'horizon'", lacking, "a sky, a rectangular window, or a lamp given by its centre and radius, the last two with sides='open' or 'dark'", "Use method='lattice'.")
     if method == "horizon" or (method == "auto" and not lattice and not lacking):
@@ -128,7 +128,7 @@ def render(scene: Scene, source: sources.Source, method: str = "auto", tolerance
     problem = lattice_problem(scene, source, cube, plan.filled)
     brightness = np.stack([sources.radiance(grey, cube.directions) for grey in greys])
     moments = cube.moments if weights == "moment" else cube.directions * cube.solid_angles[:, None]
-    lobe, shares = shading.lobe_of(scene) if quantity == "radiance" else None, None
+    lobe, shares = shading.lobe_of(scene, 1e-6) if quantity == "radiance" else None, None
     if lobe:
         share = brightness * cube.solid_angles * scene.reflectance.norm
         shares = np.concatenate([np.broadcast_to(cube.directions, (*share.shape, 3)), share[..., None]], -1)
@@ -194,9 +194,9 @@ def _each(greys: list, work: Callable) -> list[np.ndarray]:
     return [one if grey.brightness == 1 else one * np.float32(grey.brightness) for grey in greys]
 
 
-def _no_horizon(scene: Scene, source: sources.Source) -> str:
+def _no_horizon(scene: Scene, source: sources.Source, quantity: str) -> str:
     """Why horizons cannot render this, or nothing."""
-    if scene.sides == "periodic" and (shading.lobe_of(scene) or shading.has_mirror(scene)):
+    if scene.sides == "periodic" and quantity == "radiance" and (shading.lobe_of(scene) or shading.has_mirror(scene)):
         return "a lobe or mirror over a map that repeats"
     if isinstance(source, sources.Lamp) and source.volume is not None:
         return "a lamp given as a volume"

@@ -18,10 +18,13 @@ STEEP = 1e6  # tangent of the zenith, as in slices
 AT_ONCE = 2**18  # directions that a BRDF function is given at a time
 
 
-def lobe_of(scene: Scene) -> Lobe | None:
-    """The lobe of a scene whose reflectance has one that shows."""
+def lobe_of(scene: Scene, lost: float = 1e-4) -> Lobe | None:
+    """The lobe of a scene whose reflectance has one that shows, but for a share ``lost`` of its light at its rim."""
     surface = scene.reflectance
-    return Lobe(surface.table(), 1 - surface.support, surface.spread) if isinstance(surface, Phong) and np.any(surface.specular) else None
+    if not (isinstance(surface, Phong) and np.any(surface.specular)):
+        return None
+    rim = surface.rim(lost)
+    return Lobe(surface.table(rim), rim, surface.spread)
 
 
 def has_mirror(scene: Scene) -> bool:
@@ -206,6 +209,9 @@ def _aim(scene: Scene, source, a: float, u: np.ndarray):
         return L, _meets(scene, source, L), np.broadcast_to((2 * np.pi * cap / len(u) ** 2)[..., None], L.shape[:-1])
     if isinstance(source, sources.Window):
         (x0, x1), (y0, y1) = source.x, source.y
+        if scene.sides == "dark":  # the walls hide the rest
+            x0, x1 = np.clip((x0, x1), *(np.array([-0.5, scene.shape[1] - 0.5]) * scene.spacing))
+            y0, y1 = np.clip((y0, y1), *(np.array([-0.5, scene.shape[0] - 0.5]) * scene.spacing))
         corner, edges = np.array([x0, y0, 0.0]), (np.array([x1 - x0, 0, 0]), np.array([0, y1 - y0, 0.0]))
     else:
         corner, edges = np.array(source.corner), tuple(map(np.array, source.edges))
