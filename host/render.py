@@ -181,6 +181,11 @@ def _mirrored(scene, greys, engine, quantity, max_distance) -> list[np.ndarray]:
     return shading.mirrored(scene, greys, engine, max_distance) if quantity == "radiance" and shading.has_mirror(scene) else []
 
 
+def _is_dull(scene: Scene, quantity: str) -> bool:
+    """Whether irradiance is asked for, or reflected: a surface that only shines needs none."""
+    return quantity == "irradiance" or np.any(scene.albedo) or not (shading.lobe_of(scene) or shading.has_mirror(scene))
+
+
 def _narrow(lobe, apart: float, fix: str) -> str:
     return (f"Narrow lobe: it is {np.degrees(lobe.spread):.1f} degrees wide and the directions stand up to {np.degrees(apart):.1f} degrees apart, "
             f"so highlights break up into dots; use {fix}.")
@@ -234,14 +239,19 @@ def _by_horizons(scene, source, method, tolerance, engine, quantity, azimuths, m
 
     def gloss(grey):
         reach = np.inf if max_distance is None else max_distance * (step / scene.spacing)
-        slices = Slices(engine, depth, step, scene.sides, Dome(reach), blurred(grey, lobe.spread), lobe=lobe)
+        table, suns, flux = blurred(grey, lobe.spread)
+        slices = Slices(engine, depth, step, scene.sides, Dome(reach), table, lobe=lobe)
         slices.run()
-        return slices.download() * np.float32(scene.reflectance.norm)
+        image = slices.download()
+        if len(suns):
+            image += shading.suns(scene, engine, lobe, suns, flux, max_distance)
+        return image * np.float32(scene.reflectance.norm)
 
     def work():
         if _is_brdf(scene, quantity):
             return [], shading.by_brdf_under_sky(scene, greys, Sweeps(engine, ground, Rays(sectors.angles, sectors.widths), near=FINE).planes(), sectors)
-        return _each(greys, irradiance), _each(greys, gloss) if lobe else _mirrored(scene, greys, engine, quantity, max_distance)
+        irradiances = _each(greys, irradiance) if _is_dull(scene, quantity) else []
+        return irradiances, _each(greys, gloss) if lobe else _mirrored(scene, greys, engine, quantity, max_distance)
 
     (irradiances, shown), seconds, compiling = timed(engine, work)
     return Rendering(_image(scene, irradiances, shown, quantity), Plan("horizon", None, None, reason, len(sectors)), engine.name, seconds, compiling, found)
@@ -275,10 +285,10 @@ def _by_slices(scene, source, greys, engine, quantity, azimuths, max_distance) -
     def work():
         if _is_brdf(scene, quantity):
             return [], shading.by_brdf(scene, greys, engine, max_distance)
-        irradiances = _each(greys, lambda grey: light(grey, brightness_of))
+        irradiances = _each(greys, lambda grey: light(grey, brightness_of)) if _is_dull(scene, quantity) else []
         if lobe:
             norm = np.float32(scene.reflectance.norm)
-            return irradiances, [image * norm for image in _each(greys, lambda grey: light(grey, lambda g: blurred(g, lobe.spread), lobe))]
+            return irradiances, [image * norm for image in _each(greys, lambda grey: light(grey, brightness_of, lobe))]
         return irradiances, _mirrored(scene, greys, engine, quantity, max_distance)
 
     (irradiances, shown), seconds, compiling = timed(engine, work)

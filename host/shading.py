@@ -40,6 +40,21 @@ def tilts(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
     return out.reshape(2, *scene.shape)
 
 
+def suns(scene: Scene, engine: Backend, lobe: Lobe, L: np.ndarray, flux: np.ndarray, max_distance: float | None) -> np.ndarray:
+    """What a lobe, not normalised, makes of light from a few directions L (K, 3) of a sky, ``flux`` (K,) each: (rows, cols) float32."""
+    rays, total = _Rays(scene, engine, max_distance), np.zeros(scene.shape)
+    gx, gy = tilts(scene).astype(float)
+    mirror, scale = mirror_directions(gx, gy), 1 / np.sqrt(gx**2 + gy**2 + 1)
+    for some in np.array_split(np.arange(len(L)), -(-len(L) // 8)):
+        directions = np.broadcast_to(L[some], (*scene.shape, len(some), 3))
+        lit = rays.free(directions, np.full(directions.shape[:-1], np.inf))
+        for n, k in enumerate(some):
+            away = ((mirror - L[k]) ** 2).sum(-1) / 2
+            weight = np.interp(away, np.linspace(0, lobe.rim, len(lobe.table)), lobe.table, right=0.0)
+            total += flux[k] * lit[..., n] * weight * np.maximum(0.0, (gx * L[k, 0] + gy * L[k, 1] - L[k, 2]) * scale)
+    return total.astype(np.float32)
+
+
 def mirrored(scene: Scene, greys: list, engine: Backend, max_distance: float | None) -> list[np.ndarray]:
     """Radiance along the mirror direction of every node, (rows, cols) float32 for each grey source of one place; 0 where ground is in the way."""
     L = mirror_directions(*tilts(scene).astype(float))

@@ -24,10 +24,11 @@ LEVELS = 9  # cells of 2 to 512 nodes
 SIDE = 512  # samples of the brightness across the sky
 POINTS = ((0.1, 3), (0.35, 4), (math.inf, 8))  # apparent radius up to which so many samples of brightness do for a slice
 GAUSS = 8  # points between two knots of a cumulative table
-LOBE_POINTS = 10  # samples of brightness and lobe along a chord within the lobe's rim
+LOBE_POINTS, LOBE_VARIES = 10, 14  # samples of a lobe along a chord within its rim; where brightness varies
 LOBE_LEAST, LOBE_ROUND, LOBE_MOST = 16, 32, 256  # slices of a lobe: least, where the zenith lies within it, and through a lamp
 LOBE_APART = 1.25  # half widths of a lobe between two slices of a lamp
 FINEST = 2048  # samples across the sky that a lobe's means are made of
+SUNNY, SUNS = 4.0, 64  # times the mean brightness from which on light is a sun's; rays to suns
 
 
 class Ball(NamedTuple):
@@ -82,23 +83,43 @@ def brightness_of(source: Source, side: int = SIDE) -> float | np.ndarray:
     return float(values.flat[0]) if np.ptp(values) == 0 else values
 
 
-def blurred(source: Source, spread: float) -> float | np.ndarray:
-    """As :func:`brightness_of`, for a lobe of this half width [rad]: means over what lies between its samples, so that no sun is missed."""
+def blurred(source: Source, spread: float) -> tuple[float | np.ndarray, np.ndarray, np.ndarray]:
+    """A source's brightness as a lobe of this half width [rad] takes it: (number or table, suns (K, 3), their flux (K,)).
+
+    The table holds means over half a half width, so that nothing falls between the lobe's samples. What is brighter than
+    SUNNY times the mean is taken out of it, as up to SUNS unit vectors with brightness x solid angle each.
+    """
+    none = np.zeros((0, 3)), np.zeros(0)
     if not callable(source.brightness):
-        return float(source.brightness)
-    side = min(max(1 << math.ceil(math.log2(6 / spread)), 64), FINEST // 2)
+        return float(source.brightness), *none
     fine = brightness_of(source, FINEST)
     if np.ndim(fine) == 0:
-        return fine
-    # cell i of the means covers the table's nodes from i - 1/2 to i + 1/2 of its own spacing
+        return fine, *none
+    u = np.linspace(-1, 1, FINEST)
+    square = u * u + u[:, None] ** 2
+    angle = np.where(square <= 1, (2 * (u[1] - u[0]) / (1 + square)) ** 2, 0.0)  # of the plane's cells
+    limit = SUNNY * float((fine * angle).sum() / angle.sum())
+    suns = none
+    y, x = np.nonzero((fine > limit) & (square <= 1))
+    if len(x):
+        flux = (fine[y, x] - limit) * angle[y, x]
+        L = np.stack([2 * u[x], 2 * u[y], square[y, x] - 1], -1) / (1 + square[y, x, None])
+        block, count = 0, SUNS + 1
+        while count > SUNS:  # neighbours go together until they are few
+            which = np.unique((y >> block) * FINEST + (x >> block), return_inverse=True)[1]
+            count, block = which.max() + 1, block + 1
+        total = np.bincount(which, flux)
+        middle = np.stack([np.bincount(which, flux * part) for part in L.T], -1)
+        suns = middle / np.linalg.norm(middle, axis=1, keepdims=True), total
+        fine = np.minimum(fine, limit)
+    side = min(max(math.ceil(8 / spread), 16), FINEST // 2)
     share = np.arange(FINEST) * ((side - 1) / (FINEST - 1))
-    first = np.floor(share).astype(int)
-    part = share - first
+    first = np.minimum(share.astype(int), side - 2)
     blend = np.zeros((side, FINEST))
-    blend[first, np.arange(FINEST)] = 1 - part
-    blend[np.minimum(first + 1, side - 1), np.arange(FINEST)] += part
+    blend[first, np.arange(FINEST)] = 1 - (share - first)
+    blend[first + 1, np.arange(FINEST)] = share - first
     blend /= blend.sum(1, keepdims=True)
-    return blend @ fine @ blend.T
+    return blend @ fine @ blend.T, *suns
 
 
 def cumulative(source: Source, azimuths: np.ndarray, knots: int) -> np.ndarray:
@@ -181,7 +202,7 @@ class Slices:
         nothing = [[1.0, 1.0]] * 2  # a lobe weights a brightness, if only 1
         self.sky = backend.upload(np.asarray(brightness if varies else nothing, np.float32))
         self.side = len(brightness) if varies else 2
-        self.n_points = LOBE_POINTS if lobe else next(count for limit, count in POINTS if apparent <= limit) if varies else 0
+        self.n_points = (LOBE_VARIES if varies else LOBE_POINTS) if lobe else next(count for limit, count in POINTS if apparent <= limit) if varies else 0
         self.points = backend.upload(_on_unit(max(self.n_points, 1)))
         self.nodes = backend.upload((_quad_nodes if isinstance(solid, Quad) else _ball_nodes)(self.most))
         self.table = backend.upload(lobe.table if lobe else np.zeros(2, np.float32))
