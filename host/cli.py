@@ -41,6 +41,9 @@ Out = Annotated[str, typer.Option(help=".npy, .npz, .tif or .png; - writes .npy 
 Height = Annotated[bool, typer.Option("--height", help="The file holds height (larger is nearer to the viewer), not depth")]
 Spacing = Annotated[float, typer.Option(help="Distance between neighbouring nodes, in the unit of depth")]
 Albedo = Annotated[float, typer.Option(help="Diffuse reflectance, 0 to 1")]
+Albedos = Annotated[str, typer.Option(metavar="A|R,G,B", help="Diffuse reflectance, 0 to 1; in colour with three numbers")]
+Specular = Annotated[Optional[str], typer.Option(metavar="S|R,G,B", help="Specular albedo of a lobe about the mirror direction, 0 to 1 - albedo", show_default=False)]
+Exponent = Annotated[Optional[float], typer.Option(help="Phong's exponent of that lobe; inf is an ideal mirror  [default: 20]", show_default=False)]
 Nodata = Annotated[Optional[float], typer.Option(help="Leave out nodes of this value (a number, or nan)", show_default=False)]
 Source = Annotated[Optional[str], typer.Option(help="sky | overcast | lamp | window | FILE, an environment map  [default: lamp with --lamp, window with --window, else sky]", show_default=False)]
 Lamp = Annotated[Optional[str], typer.Option(metavar="X,Y,Z,R", help="Centre and radius of a spherical lamp, in the unit of spacing", show_default=False)]
@@ -65,7 +68,8 @@ def _options(version: Annotated[bool, typer.Option("--version", is_eager=True, c
 
 
 @app.command()
-def render(file: File, out: Out, height: Height = False, spacing: Spacing = 1.0, albedo: Albedo = 0.8, nodata: Nodata = None,
+def render(file: File, out: Out, height: Height = False, spacing: Spacing = 1.0, albedo: Albedos = "0.8", specular: Specular = None,
+           exponent: Exponent = None, nodata: Nodata = None,
            source: Source = None, lamp: Lamp = None, window: Window = None, sides: Sides = "open",
            method: Annotated[str, typer.Option(help="auto | lattice | horizon")] = "auto",
            tolerance: Annotated[float, typer.Option(help="Relative error that auto may make")] = 0.01,
@@ -77,7 +81,7 @@ def render(file: File, out: Out, height: Height = False, spacing: Spacing = 1.0,
            backend: Backend = "auto", as_json: Json = False):
     """Render a depth map under a source."""
     _check_output(out, as_json)
-    scene = _scene(file, height, spacing, albedo, nodata, sides)
+    scene = _scene(file, height, spacing, _reflectance(albedo, specular, exponent), nodata, sides)
     with _working("rendering"):
         done = sl.render(scene, _source(source, lamp, window), method=method, tolerance=tolerance, backend=backend,
                          quantity=quantity, hemicube=hemicube, filled=filled)
@@ -115,7 +119,7 @@ def field(file: File, out: Out, height: Height = False, spacing: Spacing = 1.0, 
     _check_output(out, as_json)
     if layer is None and out.lower().endswith(".png"):
         raise typer.BadParameter("a .png holds one layer: give --layer, or write .npy, .npz or .tif", param_hint="--out")
-    scene = _scene(file, height, spacing, 0.8, nodata, sides)
+    scene = _scene(file, height, spacing, None, nodata, sides)
     with _working("propagating") as progress:
         done = sl.visibility_field(scene, _source(source, lamp, window), hemicube=hemicube, layers=layers, backend=backend, progress=progress)
         angle = done.solid_angle()
@@ -224,10 +228,23 @@ def main(arguments: list[str] | None = None) -> NoReturn:
     sys.exit(0)
 
 
-def _scene(file, height, spacing, albedo, nodata, sides):
+def _scene(file, height, spacing, reflectance, nodata, sides):
     values = io.read(file, "height" if height else "depth")
     mask = None if nodata is None else ~np.isnan(values) if np.isnan(nodata) else values != nodata
-    return (sl.Scene.from_height if height else sl.Scene)(values, spacing=spacing, albedo=albedo, mask=mask, sides=sides)
+    return (sl.Scene.from_height if height else sl.Scene)(values, spacing=spacing, mask=mask, sides=sides, reflectance=reflectance)
+
+
+def _reflectance(albedo, specular, exponent):
+    if specular is None:
+        if exponent is not None:
+            raise typer.BadParameter("goes with --specular", param_hint="--exponent")
+        return sl.Lambertian(_share(albedo, "--albedo"))
+    albedo, specular = _share(albedo, "--albedo"), _share(specular, "--specular")
+    return sl.Mirror(specular, albedo) if exponent == np.inf else sl.Phong(albedo, specular, 20.0 if exponent is None else exponent)
+
+
+def _share(text, option):
+    return _numbers(text, option, "R,G,B") if "," in text else _numbers(text, option, "A")[0]
 
 
 def _source(kind, lamp, window):
