@@ -25,7 +25,7 @@ QUANTITIES = ("radiance", "irradiance")
 LATTICE_ERROR = {5: 0.0376, 7: 0.0188, 9: 0.0119, 17: 0.0039, 33: 0.0012}
 # the same for horizons, by number of azimuths: performance/horizon.py
 HORIZON_ERROR = {8: 0.0138, 12: 0.0080, 16: 0.0052, 24: 0.0029, 32: 0.0019, 48: 0.0012, 64: 0.0008, 96: 0.0006, 128: 0.0003}
-COARSE = 1.5  # half widths of a lobe between directions, from which on its sum is off by more than 1 in a thousand
+COARSE = 1.2  # half widths of a lobe between directions, from which on its sum may be too large by 1 in a thousand
 LEAK_SLOPE = 0.7  # rms slope from which the unfilled step leaks from M = 7 on (README, Limits)
 
 
@@ -128,18 +128,20 @@ def render(scene: Scene, source: sources.Source, method: str = "auto", tolerance
     problem = lattice_problem(scene, source, cube, plan.filled)
     brightness = np.stack([sources.radiance(grey, cube.directions) for grey in greys])
     moments = cube.moments if weights == "moment" else cube.directions * cube.solid_angles[:, None]
-    lobe, shares = shading.lobe_of(scene, 1e-6) if quantity == "radiance" else None, None
+    lobe, shares, whole = shading.lobe_of(scene, 1e-6) if quantity == "radiance" else None, None, None
     if lobe:
-        share = brightness * cube.solid_angles * scene.reflectance.norm
-        shares = np.concatenate([np.broadcast_to(cube.directions, (*share.shape, 3)), share[..., None]], -1)
+        angles = cube.solid_angles * scene.reflectance.norm
+        shares, whole = (np.concatenate([np.broadcast_to(cube.directions, (*share.shape, 3)), share[..., None]], -1) for share in (brightness * angles, angles))
         spacing = np.sqrt(2 * np.pi / len(cube))
-        if spacing > COARSE * lobe.spread:
+        if spacing <= COARSE * lobe.spread:
+            whole = None  # the sum is exact enough
+        else:
             found.append(_narrow(lobe, spacing, "method='horizon' or a larger hemicube"))
 
     def work():
         if _is_brdf(scene, quantity):
             return [], shading.by_brdf_on_lattice(scene, greys, engine.visibility(problem), cube)
-        irradiances, shown = engine.light(problem, moments * brightness[..., None], lobe, shares)
+        irradiances, shown = engine.light(problem, moments * brightness[..., None], lobe, shares, whole)
         return irradiances, shown + _mirrored(scene, greys, engine, quantity, None)
 
     (irradiances, shown), seconds, compiling = timed(engine, work)
@@ -188,7 +190,7 @@ def _is_dull(scene: Scene, quantity: str) -> bool:
 
 def _narrow(lobe, apart: float, fix: str) -> str:
     return (f"Narrow lobe: it is {np.degrees(lobe.spread):.1f} degrees wide and the directions stand up to {np.degrees(apart):.1f} degrees apart, "
-            f"so highlights break up into dots; use {fix}.")
+            f"so highlights break up into dots or are lost; use {fix}.")
 
 
 def _each(greys: list, work: Callable) -> list[np.ndarray]:
@@ -273,23 +275,25 @@ def _by_slices(scene, source, greys, engine, quantity, azimuths, max_distance) -
     plan = Plan("horizon", None, None, "slices through the source as every node sees it, fewer where it looks small", most)
     lobe, found = shading.lobe_of(scene) if quantity == "radiance" else None, []
 
-    def light(grey, brightness, lobe=None):
+    def light(grey, lobe=None):
         if solid is None:  # a window outside the box
             return np.zeros(scene.shape, np.float32)
-        slices = Slices(engine, depth, step, scene.sides, solid, brightness(grey), most, lobe)
+        brightness = brightness_of(grey)
+        slices = Slices(engine, depth, step, scene.sides, solid, brightness, most, lobe)
         slices.run()
-        if lobe and slices.coarse > COARSE:
-            found[:] = [_narrow(lobe, slices.coarse * lobe.spread, "a smaller lamp, or Mirror")]
-        return slices.download()
+        image = slices.download()
+        if lobe:
+            image *= np.float32(scene.reflectance.norm)
+            if slices.coarse > COARSE:
+                found[:] = [_narrow(lobe, slices.coarse * lobe.spread, "a smaller lamp, or Mirror")]
+                np.minimum(image, np.float32(np.max(brightness)), out=image)  # no lobe shows more than there is
+        return image
 
     def work():
         if _is_brdf(scene, quantity):
             return [], shading.by_brdf(scene, greys, engine, max_distance)
-        irradiances = _each(greys, lambda grey: light(grey, brightness_of)) if _is_dull(scene, quantity) else []
-        if lobe:
-            norm = np.float32(scene.reflectance.norm)
-            return irradiances, [image * norm for image in _each(greys, lambda grey: light(grey, brightness_of, lobe))]
-        return irradiances, _mirrored(scene, greys, engine, quantity, max_distance)
+        irradiances = _each(greys, light) if _is_dull(scene, quantity) else []
+        return irradiances, _each(greys, lambda grey: light(grey, lobe)) if lobe else _mirrored(scene, greys, engine, quantity, max_distance)
 
     (irradiances, shown), seconds, compiling = timed(engine, work)
     return Rendering(_image(scene, irradiances, shown, quantity), plan, engine.name, seconds, compiling, found)

@@ -20,6 +20,17 @@ as |L - R|^2 / 2, which loses no digits where the lobe is narrow. Twin of warp_k
 #define TO_FLOATS convert_float8
 #endif
 
+/* What |(dz/dx, dz/dy, -1)| x max(0, N.L) x lobe is for one direction; where it shows. */
+floats gloss(floats gx, floats gy, floats twice, float4 L, __global const float *lobe, int n_lobe, float per_step, ints lit)
+{
+  const floats cosine = gx * L.x + gy * L.y - L.z;
+  const floats x = L.x - twice * gx, y = L.y - twice * gy, z = L.z - (1 - twice), at = (x * x + y * y + z * z) * per_step;
+  const ints shows = lit & WHERE(cosine > 0) & WHERE(at < n_lobe - 1);
+  const ints i = shows ? TO_INTS(at) : 0;
+  const floats first = GATHER(lobe, i);
+  return shows ? cosine * (first + (at - TO_FLOATS(i)) * (GATHER(lobe, i + 1) - first)) : (floats)0;
+}
+
 __kernel void specular(__global const uchars *planes, __global const floats *slopes, __global const float4 *directions,
                        __global const float *lobe, __global floats *radiance, int room, int n_walks, int n_lobe, int is_first,
                        int is_last, float rim)
@@ -28,7 +39,6 @@ __kernel void specular(__global const uchars *planes, __global const floats *slo
   if (g >= groups)
     return;
   const floats gx = slopes[g], gy = slopes[groups + g], square = gx * gx + gy * gy + 1, twice = 2 / square;
-  const floats mirror_x = twice * gx, mirror_y = twice * gy, mirror_z = 1 - twice;
   const float per_step = 0.5f * (n_lobe - 1) / rim;
   floats sum = 0;
   if (!is_first)
@@ -37,15 +47,32 @@ __kernel void specular(__global const uchars *planes, __global const floats *slo
     const ints lit = TO_INTS(planes[w * groups + g]);
     for (int b = 0; b < BITS; ++b) {
       const float4 L = directions[BITS * w + b];
-      const floats cosine = gx * L.x + gy * L.y - L.z;
-      const floats x = L.x - mirror_x, y = L.y - mirror_y, z = L.z - mirror_z, at = (x * x + y * y + z * z) * per_step;
-      const ints shows = WHERE((lit & (1 << b)) != 0) & WHERE(cosine > 0) & WHERE(at < n_lobe - 1);
-      const ints i = shows ? TO_INTS(at) : 0;
-      const floats first = GATHER(lobe, i), weight = first + (at - TO_FLOATS(i)) * (GATHER(lobe, i + 1) - first);
-      sum += shows ? L.w * cosine * weight : (floats)0;
+      sum += L.w * gloss(gx, gy, twice, L, lobe, n_lobe, per_step, WHERE((lit & (1 << b)) != 0));
     }
   }
   if (is_last)
     sum /= sqrt(square);
   radiance[g] = sum;
+}
+
+/* bound: radiance /= what the lobe would make of a sky of brightness 1, all of it visible, if that is more than 1: where a
+lobe is narrower than the directions stand apart, a direction may count for more than its share.
+
+  directions  (n, 4)  float  L, and its weight: solid angle x the lobe's norm
+  radiance    (room)  float  in, out
+
+Work-item g owns pixels LANES g to LANES g + LANES - 1. */
+__kernel void bound(__global const floats *slopes, __global const float4 *directions, __global const float *lobe,
+                    __global floats *radiance, int room, int n, int n_lobe, float rim)
+{
+  const size_t g = get_global_id(0), groups = room / LANES;
+  if (g >= groups)
+    return;
+  const floats gx = slopes[g], gy = slopes[groups + g], square = gx * gx + gy * gy + 1, twice = 2 / square;
+  const float per_step = 0.5f * (n_lobe - 1) / rim;
+  floats sum = 0;
+  for (int d = 0; d < n; ++d)
+    sum += directions[d].w * gloss(gx, gy, twice, directions[d], lobe, n_lobe, per_step, WHERE(square > 0));
+  sum /= sqrt(square);
+  radiance[g] /= sum > 1 ? sum : (floats)1;
 }

@@ -150,6 +150,15 @@ def test_white_furnace(backend, exponent):
     assert ground.max() <= 1 + 1e-3 and ground.min() < 0.8
 
 
+def test_the_lattice_gives_no_more_than_it_gets(backend):
+    """Where a lobe is far narrower than the directions stand apart, one direction would count up to 38 times its share."""
+    y, x = np.mgrid[:40, :40]
+    bowl = 30 - 0.012 * ((x - 20) ** 2 + (y - 20) ** 2)  # tilts up to 0.5 either way
+    for exponent, hemicube in ((1000, 5), (200, 9), (15, 5)):
+        image = sl.render(sl.Scene(bowl, reflectance=sl.Phong(0, 1, exponent)), sl.Sky(), method="lattice", hemicube=hemicube, backend=backend).image
+        assert 0.9 < image.max() <= 1 + 1e-3, (exponent, hemicube, image.max())
+
+
 def test_white_furnace_of_the_rest(fast):
     """Lobes on the lattice, sums of both parts, mirrors, and BRDFs."""
     for surface in (sl.Phong(0.4, 0.6, 8), sl.Mirror(0.9, 0.1), sl.Mirror(1.0), sl.BRDF(sl.Phong(0.4, 0.6, 8).brdf), sl.grooves(1.0, 1.0), sl.Lambertian(1.0)):
@@ -250,6 +259,7 @@ def test_a_narrow_lobe_is_warned_of(fast):
     assert warned(surface(500), sl.Sky(), method="lattice", hemicube=9) and not warned(surface(10), sl.Sky(), method="lattice", hemicube=9)
     assert not warned(surface(1e5), sl.Sky(), method="horizon")
     wide = sl.Lamp(center=(15, 15, -30), radius=29)
+    assert sl.render(sl.Scene(GROUND, reflectance=sl.Phong(0, 1, 1e5)), wide, method="horizon", backend=fast).image.max() <= 1 + 1e-3
     assert warned(surface(1e5), wide, method="horizon") and not warned(surface(500), wide, method="horizon")
 
 
@@ -319,7 +329,7 @@ def test_a_lambertian_scene_starts_no_specular_kernel(monkeypatch, fast):
     """Nor does a lobe of albedo 0; one that shows does."""
     def started(surface, source, **options):
         seen = launches(monkeypatch, fast, lambda: sl.render(sl.Scene(GROUND, reflectance=surface), source, backend=fast, **options))
-        return [name for name, args in seen if name in ("specular", "gloss", "rays")], [name for name, _ in seen]
+        return [name for name, args in seen if name in ("specular", "bound", "gloss", "rays")], [name for name, _ in seen]
 
     for source, options in ((sl.Sky(), {"method": "lattice", "hemicube": 5}), (sl.Sky(clear), {"method": "horizon"}), (LAMP, {"method": "horizon"}), (WINDOW, {"method": "horizon"})):
         plain, everything = started(sl.Lambertian(0.5), source, **options)

@@ -133,9 +133,9 @@ class Backend:
         """Irradiance (rows, cols) float32; ``moments`` (D, 3): brightness times the integral of L dOmega over each cell."""
         return self.light(problem, moments)[0][0]
 
-    def light(self, problem: Problem, moments: np.ndarray, lobe: Lobe | None = None, weights: np.ndarray | None = None) -> tuple[list, list]:
+    def light(self, problem: Problem, moments: np.ndarray, lobe: Lobe | None = None, weights: np.ndarray | None = None, whole: np.ndarray | None = None) -> tuple[list, list]:
         """Irradiance, and what a lobe reflects, (rows, cols) float32 per colour; arguments as for :class:`Light`."""
-        light = Light(Surface(self, problem), moments, lobe, weights)
+        light = Light(Surface(self, problem), moments, lobe, weights, whole)
         light.run()
         get = lambda arrays: [self.download(array)[: problem.pixels].reshape(problem.depth.shape) for array in arrays]
         return get(light.sums), get(light.glosses)
@@ -288,10 +288,11 @@ class Light:
     """The sum over the visible directions, with everything on the device; ``run`` may be repeated (and timed).
 
     ``moments`` (D, 3), or one for each colour (C, D, 3): all are summed in one pass over visibility. ``lobe``, with
-    ``weights`` (C, D, 4) unit vectors and weights, gives what is reflected about the mirror direction too.
+    ``weights`` (C, D, 4) unit vectors and weights, gives what is reflected about the mirror direction too; no more than it
+    gets if ``whole`` (D, 4) are given, the weights under a sky of brightness 1.
     """
 
-    def __init__(self, surface: Surface, moments: np.ndarray, lobe: Lobe | None = None, weights: np.ndarray | None = None):
+    def __init__(self, surface: Surface, moments: np.ndarray, lobe: Lobe | None = None, weights: np.ndarray | None = None, whole: np.ndarray | None = None):
         backend = surface.backend
         self.surface, self.lobe = surface, lobe
         self.slopes = backend.empty((2, surface.room), np.float32, 0)
@@ -302,6 +303,7 @@ class Light:
         put = lambda values: [[backend.upload(one.astype(np.float32)[group.order]) for one in values] for group in surface.groups]
         self.tables, self.weights = put(padded), put(weights)
         self.table = None if lobe is None else backend.upload(lobe.table)
+        self.whole = None if whole is None else backend.upload(whole.astype(np.float32))
 
     @property
     def sum(self):
@@ -313,13 +315,16 @@ class Light:
         surface.turn()
         backend.launch("luminance", "gradient", (cols, rows), surface.depth, self.slopes, rows, cols, surface.room, 0.5 / problem.step, 1 / problem.step)
         last = len(surface.groups) - 1
-        launch = lambda stem, *args: backend.launch(stem, stem, (surface.room // backend.pixel_lanes,), *args, BITS=group.bits, lanes=backend.pixel_lanes)
+        launch = lambda stem, kernel, *args, **constants: backend.launch(stem, kernel, (surface.room // backend.pixel_lanes,), *args, lanes=backend.pixel_lanes, **constants)
         for number, group in enumerate(surface.groups):
             planes, when = surface.scan(number), (int(number == 0), int(number == last))
             for table, total in zip(self.tables[number], self.sums):
-                launch("luminance", planes, self.slopes, table, total, problem.pixels, surface.room, group.count, *when)
+                launch("luminance", "luminance", planes, self.slopes, table, total, problem.pixels, surface.room, group.count, *when, BITS=group.bits)
             for table, total in zip(self.weights[number], self.glosses):
-                launch("specular", planes, self.slopes, table, self.table, total, surface.room, group.count, len(self.lobe.table), *when, self.lobe.rim)
+                launch("specular", "specular", planes, self.slopes, table, self.table, total, surface.room, group.count, len(self.lobe.table), *when, self.lobe.rim,
+                       BITS=group.bits)
+        for total in self.glosses if self.whole is not None else ():
+            launch("specular", "bound", self.slopes, self.whole, self.table, total, surface.room, len(problem.steps), len(self.lobe.table), self.lobe.rim)
 
 
 class FieldByLayers:

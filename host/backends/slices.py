@@ -26,7 +26,7 @@ POINTS = ((0.1, 3), (0.35, 4), (math.inf, 8))  # apparent radius up to which so 
 GAUSS = 8  # points between two knots of a cumulative table
 LOBE_POINTS, LOBE_VARIES = 10, 14  # samples of a lobe along a chord within its rim; where brightness varies
 LOBE_LEAST, LOBE_ROUND, LOBE_MOST = 16, 32, 256  # slices of a lobe: least, where the zenith lies within it, and through a lamp
-LOBE_APART = 1.25  # half widths of a lobe between two slices of a lamp
+LOBE_APART = 1.1  # half widths of a lobe between two slices of a lamp
 FINEST = 2048  # samples across the sky that a lobe's means are made of
 SUNNY, SUNS = 4.0, 64  # times the mean brightness from which on light is a sun's; rays to suns
 
