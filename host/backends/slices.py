@@ -247,8 +247,8 @@ class Slices:
         rows, cols = self.shape
         count = ways.shape[-1]
         lanes = self.backend.lanes if count % self.backend.lanes == 0 else 1
-        seen = self.backend.empty((rows, cols, count), np.float32)
-        self.backend.launch("slices", "rays", (cols, rows), self.heights, self.tops, self.backend.upload(ways), seen, rows, cols, self.width, self.levels, count, lanes=lanes)
+        ways, seen = self.backend.upload(ways), self.backend.empty((rows, cols, count), np.float32)  # named, so that they last until the download
+        self.backend.launch("slices", "rays", (cols, rows), self.heights, self.tops, ways, seen, rows, cols, self.width, self.levels, count, lanes=lanes)
         return self.backend.download(seen) > 0
 
     def download(self) -> np.ndarray:
