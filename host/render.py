@@ -203,8 +203,8 @@ def _each(greys: list, work: Callable) -> list[np.ndarray]:
 
 def _no_horizon(scene: Scene, source: sources.Source, quantity: str) -> str:
     """Why horizons cannot render this, or nothing."""
-    if scene.sides == "periodic" and quantity == "radiance" and (shading.lobe_of(scene) or shading.has_mirror(scene)):
-        return "a lobe or mirror over a map that repeats"
+    if scene.sides == "periodic" and quantity == "radiance" and shading.lobe_of(scene):
+        return "a lobe over a map that repeats"
     if isinstance(source, sources.Lamp) and source.volume is not None:
         return "a lamp given as a volume"
     if isinstance(source, sources.Window) and source.aperture is not None:

@@ -57,6 +57,8 @@ def suns(scene: Scene, engine: Backend, lobe: Lobe, L: np.ndarray, flux: np.ndar
 
 def mirrored(scene: Scene, greys: list, engine: Backend, max_distance: float | None) -> list[np.ndarray]:
     """Radiance along the mirror direction of every node, (rows, cols) float32 for each grey source of one place; 0 where ground is in the way."""
+    if scene.sides == "periodic":
+        raise bad("a mirror with sides='periodic'", "rays that would go on over a map that repeats", "sides='open' or 'dark', or Phong with a large exponent")
     L = mirror_directions(*tilts(scene).astype(float))
     ends = _meets(scene, greys[0], L[:, :, None])[..., 0]
     lit = _Rays(scene, engine, max_distance).free(L[:, :, None], ends[..., None])[..., 0]

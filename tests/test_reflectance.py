@@ -267,8 +267,11 @@ def test_a_lobe_over_a_map_that_repeats_is_the_lattices(fast):
     """auto takes the lattice there; horizons are an error that says why."""
     scene = sl.Scene(GROUND, sides="periodic", reflectance=GLOSSY)
     assert sl.render(scene, sl.Sky(), tolerance=0.05, backend=fast).plan.method == "lattice"
-    with pytest.raises(sl.InputError, match="a lobe or mirror over a map that repeats.*lattice"):
+    with pytest.raises(sl.InputError, match="a lobe over a map that repeats.*lattice"):
         sl.render(scene, sl.Sky(), method="horizon", backend=fast)
+    for options in ({"method": "horizon", "max_distance": 9}, {"method": "lattice"}):
+        with pytest.raises(sl.InputError, match="mirror with sides='periodic'"):
+            sl.render(sl.Scene(GROUND, sides="periodic", reflectance=sl.Mirror()), sl.Sky(), backend=fast, **options)
     assert sl.render(scene, sl.Sky(), method="horizon", quantity="irradiance", azimuths=4, max_distance=20, backend=fast).plan.method == "horizon"
 
 
