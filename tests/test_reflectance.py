@@ -426,6 +426,15 @@ def test_a_small_lamp_and_a_brdf_are_a_product(fast):
     np.testing.assert_allclose(image[1, 1], wanted, rtol=1e-3)
 
 
+def test_what_takes_one_channel_says_so():
+    """recover and the field know no colour."""
+    image = np.full((5, 6), 0.2)
+    with pytest.raises(sl.InputError, match="RGB.*one channel"):
+        sl.recover(image, sl.Sky(), albedo=(0.1, 0.2, 0.3), backend="numpy")
+    with pytest.raises(sl.InputError, match="brightness: got RGB.*Only render takes colour"):
+        sl.recover(image, sl.Sky((1, 2, 3)), backend="numpy")
+
+
 def test_the_callers_arrays_stay(fast):
     """Albedos are copied, neither changed nor watched."""
     albedo = np.full((*GROUND.shape, 3), 0.4)
