@@ -5,6 +5,7 @@ from .directions import Azimuths, Hemicube
 from .errors import BackendError, CapacityError, InputError, SkylampError
 from .horizon import horizons, openness, sky_view_factor
 from .recover import Recovery, recover
+from .reflectance import BRDF, Lambertian, Mirror, Phong, grooves
 from .render import Plan, Rendering, render
 from .scene import Scene
 from .skies import CieSky, cie_clear, cie_sky, sun_position
@@ -13,7 +14,8 @@ from .visibility import View, VisibilityField, visibility, visibility_field
 
 __version__ = "0.1.0"
 __all__ = [
-    "Azimuths", "BackendError", "CapacityError", "CieSky", "Hemicube", "InputError", "Lamp", "Plan", "Recovery", "Rendering", "Scene", "Sky",
-    "SkylampError", "View", "VisibilityField", "Window", "backends", "cie_clear", "cie_overcast", "cie_sky", "cosine_power", "environment_map", "horizons", "openness",
-    "recover", "render", "sky_view_factor", "sun_position", "uniform", "visibility", "visibility_field",
+    "Azimuths", "BRDF", "BackendError", "CapacityError", "CieSky", "Hemicube", "InputError", "Lambertian", "Lamp", "Mirror", "Phong", "Plan",
+    "Recovery", "Rendering", "Scene", "Sky", "SkylampError", "View", "VisibilityField", "Window", "backends", "cie_clear", "cie_overcast", "cie_sky",
+    "cosine_power", "environment_map", "grooves", "horizons", "openness", "recover", "render", "sky_view_factor", "sun_position", "uniform",
+    "visibility", "visibility_field",
 ]

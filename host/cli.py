@@ -45,6 +45,9 @@ Height = Annotated[Optional[bool], typer.Option("--height/--depth", help="What t
 Spacing = Annotated[Optional[float], typer.Option(help="Distance between neighbouring nodes, in the unit of depth  [default: 1, a GeoTIFF's own]", show_default=False)]
 Resample = Annotated[bool, typer.Option("--resample", help="GeoTIFF: make cells square that are not, such as cells of degrees")]
 Albedo = Annotated[float, typer.Option(help="Diffuse reflectance, 0 to 1")]
+Albedos = Annotated[str, typer.Option(metavar="A|R,G,B", help="Diffuse reflectance, 0 to 1; in colour with three numbers")]
+Specular = Annotated[Optional[str], typer.Option(metavar="S|R,G,B", help="Specular albedo of a lobe about the mirror direction, 0 to 1 - albedo", show_default=False)]
+Exponent = Annotated[Optional[float], typer.Option(help="Phong's exponent of that lobe; inf is an ideal mirror  [default: 20]", show_default=False)]
 Nodata = Annotated[Optional[float], typer.Option(help="Leave out nodes of this value (a number, or nan)", show_default=False)]
 Source = Annotated[Optional[str], typer.Option(help="sky | overcast | clear | cie1 to cie15 | lamp | window | FILE, an environment map  [default: lamp with --lamp, window with --window, else sky]", show_default=False)]
 Lamp = Annotated[Optional[str], typer.Option(metavar="X,Y,Z,R", help="Centre and radius of a spherical lamp, in the unit of spacing", show_default=False)]
@@ -73,8 +76,9 @@ def _options(version: Annotated[bool, typer.Option("--version", is_eager=True, c
 
 
 @app.command()
-def render(file: File, out: Out, height: Height = None, spacing: Spacing = None, albedo: Albedo = 0.8, nodata: Nodata = None,
-           resample: Resample = False, source: Source = None, lamp: Lamp = None, window: Window = None, sun: Sun = None, direct: Direct = 0.0, sides: Sides = "open",
+def render(file: File, out: Out, height: Height = None, spacing: Spacing = None, albedo: Albedos = "0.8", specular: Specular = None,
+           exponent: Exponent = None, nodata: Nodata = None, resample: Resample = False,
+           source: Source = None, lamp: Lamp = None, window: Window = None, sun: Sun = None, direct: Direct = 0.0, sides: Sides = "open",
            method: Annotated[str, typer.Option(help="auto | lattice | horizon")] = "auto",
            tolerance: Annotated[float, typer.Option(help="Relative error that auto may make")] = 0.01,
            hemicube: Annotated[Optional[int], typer.Option(help="Lattice: nodes along an edge of the cube of directions, odd", show_default=False)] = None,
@@ -88,7 +92,7 @@ def render(file: File, out: Out, height: Height = None, spacing: Spacing = None,
     _check_output(out, as_json)
     if exposure is not None and (not out.lower().endswith(".png") or white is not None or bits != 8):
         raise typer.BadParameter("makes an 8-bit .png for the eye: it goes without --white and --bits 16, and with no other format", param_hint="--exposure")
-    scene, raster = _scene(file, height, spacing, albedo, nodata, sides, resample)
+    scene, raster = _scene(file, height, spacing, _reflectance(albedo, specular, exponent), nodata, sides, resample)
     with _working("rendering"):
         done = sl.render(scene, _source(source, lamp, window, sun, direct), method=method, tolerance=tolerance, backend=backend,
                          quantity=quantity, hemicube=hemicube, filled=filled)
@@ -140,7 +144,7 @@ def horizon(file: File, out: MaybeOut = None, height: Height = None, spacing: Sp
     if what not in kinds:
         raise bad("--what", repr(what), " | ".join(kinds))
     node = at and _numbers(at, "--at", "ROW,COL")
-    scene, raster = _scene(file, height, spacing, 0.8, nodata, sides, resample)
+    scene, raster = _scene(file, height, spacing, None, nodata, sides, resample)
     engine, shape, scale = select(backend), None, None
     with _working("looking for horizons"):
         found = kinds[what]() if out else None
@@ -165,7 +169,7 @@ def field(file: File, out: MaybeOut = None, height: Height = None, spacing: Spac
     _check_outputs(out, picture, as_json)
     if out and layer is None and out.lower().endswith(".png"):
         raise typer.BadParameter("a .png holds one layer: give --layer, or write .npy, .npz or .tif", param_hint="--out")
-    scene, raster = _scene(file, height, spacing, albedo, nodata, sides, resample)
+    scene, raster = _scene(file, height, spacing, None if albedo is None else sl.Lambertian(albedo), nodata, sides, resample)
     shape = scale = None
     with _working("propagating") as progress:
         done = sl.visibility_field(scene, _source(source, lamp, window, sun), hemicube=hemicube, layers=layers, backend=backend, progress=progress)
@@ -302,7 +306,7 @@ def main(arguments: list[str] | None = None) -> NoReturn:
     sys.exit(0)
 
 
-def _scene(file, height, spacing, albedo, nodata, sides, resample=False):
+def _scene(file, height, spacing, reflectance, nodata, sides, resample=False):
     """(scene, the raster that the file is if it is a GeoTIFF)."""
     raster = geo.read(file, resample=resample) if geo.is_geotiff(file) else None
     if resample and raster is None:
@@ -317,7 +321,20 @@ def _scene(file, height, spacing, albedo, nodata, sides, resample=False):
     if raster is not None and not height:
         values = np.where(raster.mask, values, 0)
     spacing = spacing if spacing is not None else 1.0 if raster is None else raster.spacing
-    return (sl.Scene.from_height if height else sl.Scene)(values, spacing=spacing, albedo=albedo, mask=mask, sides=sides), raster
+    return (sl.Scene.from_height if height else sl.Scene)(values, spacing=spacing, mask=mask, sides=sides, reflectance=reflectance), raster
+
+
+def _reflectance(albedo, specular, exponent):
+    if specular is None:
+        if exponent is not None:
+            raise typer.BadParameter("goes with --specular", param_hint="--exponent")
+        return sl.Lambertian(_share(albedo, "--albedo"))
+    albedo, specular = _share(albedo, "--albedo"), _share(specular, "--specular")
+    return sl.Mirror(specular, albedo) if exponent == np.inf else sl.Phong(albedo, specular, 20.0 if exponent is None else exponent)
+
+
+def _share(text, option):
+    return _numbers(text, option, "R,G,B") if "," in text else _numbers(text, option, "A")[0]
 
 
 def _source(kind, lamp, window, sun=None, direct=0.0):

@@ -128,7 +128,8 @@ def write(path, array, *, range: tuple[float, float] | None = None, bits: int = 
     .npy and .tif keep the values and their type (bool becomes 0 and 255 in .tif). .exr keeps float16, float32 and uint32,
     as channel Y, or R, G and B for (rows, cols, 3). .hdr holds (rows, cols) or (rows, cols, 3) of floats >= 0 with 8 bits
     of mantissa, so it is off by up to 1 in 256 of a pixel's largest channel. .npz holds the array as ``name`` and
-    the arrays in ``more``, which other formats do not take. .png holds (rows, cols): uint8, uint16 and bool as they
+    the arrays in ``more``, which other formats do not take. An "image" (rows, cols, 3) is RGB in .tif and in .png, there with
+    8 bits. .png holds (rows, cols): uint8, uint16 and bool as they
     are (True is 255), anything else as counts of ``bits`` (8 or 16): rint((value - low) / (high - low) * full scale),
     clipped, NaN as 0, with ``range`` = (low, high), by default (0, the largest finite value); the range is put
     into the file and :func:`read_range` gives it back.
@@ -138,6 +139,7 @@ def write(path, array, *, range: tuple[float, float] | None = None, bits: int = 
     """
     path, array = writable(path), np.asarray(array)
     suffix = path.suffix.lower()
+    colour = name == "image" and array.ndim == 3 and array.shape[2] == 3
     if array.dtype.kind not in "biuf" or array.size == 0:
         raise bad(f"{path}: cannot write the array", f"dtype {array.dtype}, shape {array.shape}", "real numbers, at least one")
     if more and suffix != ".npz":
@@ -159,10 +161,12 @@ def write(path, array, *, range: tuple[float, float] | None = None, bits: int = 
         import tifffile
 
         with replacing(path) as file:
-            tifffile.imwrite(file, array, photometric="minisblack", metadata=None)
+            tifffile.imwrite(file, array, photometric="rgb" if colour else "minisblack", metadata=None)
         return None
-    if array.ndim != 2:
+    if array.ndim != 2 and not colour:
         raise bad(f"{path}: a PNG holds one picture", f"shape {array.shape}", "(rows, cols)", "Write .npy, .npz or .tif instead.")
+    if colour and (bits != 8 or array.dtype == np.uint16):
+        raise bad(f"{path}: a PNG in colour", "16 bits", "8 bits", "Write .npy, .npz or .tif instead.")
     header = None
     if array.dtype not in (np.uint8, np.uint16):
         array, range = _counts(array, range, bits, path)

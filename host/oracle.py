@@ -448,6 +448,58 @@ def window_irradiance(depth: np.ndarray, spacing: float, valid: np.ndarray, wind
     return _gather(depth, spacing, valid, nodes, points, seed, sides, window.brightness, aim)
 
 
+def specular(visible: np.ndarray, normal: np.ndarray, brightness: np.ndarray, directions: np.ndarray, solid_angles: np.ndarray, exponent: float) -> np.ndarray:
+    """What Phong's lobe (MODEL.md 6) makes of the visible directions: (n + 2) / (2 pi) x sum of B (R.L)^n N.L dL, in float64.
+
+    visible (rows, cols, D) bool; normal (rows, cols, 3); R = 2 (N.V) N - V for V = (0, 0, -1).
+    """
+    mirror = -2 * normal[..., 2:] * normal - [0.0, 0.0, -1.0]
+    lobe = np.maximum(0.0, mirror @ directions.T) ** exponent
+    return (exponent + 2) / (2 * np.pi) * (visible * lobe * np.maximum(0.0, normal @ directions.T) * brightness * solid_angles).sum(-1)
+
+
+def lobe_radiance(depth: np.ndarray, spacing: float, valid: np.ndarray, source, exponent: float, nodes, rays: int = 4096, seed: int = 0,
+                  sides: str = "open", kind: str = "sky") -> np.ndarray:
+    """The same by stratified shadow rays at ``nodes``: (n,) float64. ``kind``: "sky", "lamp" or "window".
+
+    Under a sky rays are as dense as the lobe, cos^n about the mirror direction; towards lamps and windows as for irradiance.
+    """
+    normal = normals(depth, spacing, valid)
+    out = np.full(len(nodes[0]), np.nan)
+    for node, (row, col) in enumerate(zip(*nodes)):
+        N = normal[row, col]
+        R = -2 * N[2] * N - [0.0, 0.0, -1.0]
+        sky = source.brightness if callable(source.brightness) else lambda L: source.brightness
+
+        def light(L, R=R, sky=sky):
+            return sky(L) * (exponent + 2) / (2 * np.pi) * np.maximum(0.0, L @ R) ** exponent
+
+        def about(origin, u, v, R=R):
+            cosine = (1 - u) ** (1 / (exponent + 1))
+            sine, e = np.sqrt(1 - cosine**2), np.cross(R, np.eye(3)[np.argmin(abs(R))])
+            e /= np.linalg.norm(e)
+            L = cosine[:, None] * R + (sine * np.cos(2 * np.pi * v))[:, None] * e + (sine * np.sin(2 * np.pi * v))[:, None] * np.cross(R, e)
+            return L, np.full(len(u), np.inf), 2 * np.pi / ((exponent + 1) * cosine**exponent)
+
+        here = ([row], [col])
+        if kind == "sky":
+            out[node] = _gather(depth, spacing, valid, here, rays, seed, sides, light, about)[0]
+        elif kind == "lamp":
+            aim = lambda origin, u, v: _to_ball(source.center, source.radius, origin, u, v)
+            out[node] = _gather(depth, spacing, valid, here, rays, seed, sides, light, aim)[0]
+        else:
+            aim = lambda origin, u, v: _to_rectangle((source.x[0], source.y[0], 0), (source.x[1] - source.x[0], 0, 0), (0, source.y[1] - source.y[0], 0), origin, u, v)
+            out[node] = _gather(depth, spacing, valid, here, rays, seed, sides, light, aim)[0]
+    return out
+
+
+def mirror_radiance(depth: np.ndarray, spacing: float, valid: np.ndarray, brightness, nodes, sides: str = "open") -> np.ndarray:
+    """The sky in an ideal mirror at ``nodes``: brightness(L) along the mirror direction, 0 where ground is in the way: (n,) float64."""
+    normal = normals(depth, spacing, valid)
+    R = -2 * normal[..., 2:] * normal - [0.0, 0.0, -1.0]
+    return np.array([brightness(R[node][None])[0] * (R[node][2] <= 0) * unblocked(depth, spacing, *node, R[node][None], np.array([np.inf]), sides)[0] for node in zip(*nodes)])
+
+
 def _gather(depth, spacing, valid, nodes, rays, seed, sides, brightness, aim):
     """Mean of weight B max(0, N . L) over the rays that arrive: aim(origin, u, v) -> (L (n, 3), ends (n,), weights [sr])."""
     rows, cols = valid.shape

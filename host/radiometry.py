@@ -1,6 +1,179 @@
-"""Closed forms of radiometry: solid angle of a rectangle, Lambert's moment of a polygon, moment of a disc cut by a plane."""
+"""Radiometry: what light is measured in, and the closed forms of how much of it goes from one patch to another.
+
+Equations without a number are those of the notes on radiometry. Lengths may be in any one unit; radiance L is in
+W m^-2 sr^-1, or cd m^-2 where light is weighted by the eye.
+"""
+
+from __future__ import annotations
 
 import numpy as np
+
+from .errors import bad
+
+EFFICACY = 683.0  # lm/W of monochromatic light of 540 THz, by the definition of the candela (SI)
+
+
+def foreshortening(normal, direction):
+    """cos(theta) between unit vectors ``normal`` and ``direction`` (..., 3), 0 from behind: the share of its area that a patch shows."""
+    return np.maximum(0.0, (np.asarray(normal, float) * direction).sum(-1))
+
+
+def planar_angle(length, cosine, distance):
+    """Angle [rad] that a short segment of a curve takes up in the plane: dphi = dl cos(theta) / r.
+
+    ``cosine``: of the angle between the segment's normal and the line of sight. Arguments broadcast.
+    """
+    return np.asarray(length) * cosine / np.asarray(distance, float)
+
+
+def curve_angle(points):
+    """Angle [rad] that an open curve through ``points`` (..., n, 2) sweeps as seen from the origin, its segments straight.
+
+    Signed by the sense of rotation; a closed curve round the origin gives 2 pi if its first point is repeated.
+    """
+    a = np.asarray(points, float)
+    a, b = a[..., :-1, :], a[..., 1:, :]
+    return np.arctan2(a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0], (a * b).sum(-1)).sum(-1)
+
+
+def patch_solid_angle(area, cosine, distance):
+    """Solid angle [sr] of a small patch, domega = dA cos(theta) / r^2; ``cosine`` of its normal to the line of sight."""
+    return np.asarray(area) * cosine / np.square(np.asarray(distance, float))
+
+
+def polygon_solid_angle(corners):
+    """Solid angle [sr] of convex flat polygons (..., n, 3) seen from the origin, not from within their plane.
+
+    The polygon is cut into triangles from its first corner; each by tan(omega / 2) = a.(b x c) / (abc + ...) (Van Oosterom
+    and Strackee 1983).
+    """
+    corners = np.asarray(corners, float)
+    unit = corners / np.linalg.norm(corners, axis=-1, keepdims=True)
+    a, b, c = unit[..., :1, :], unit[..., 1:-1, :], unit[..., 2:, :]
+    volume = (a * np.cross(b, c)).sum(-1)
+    half = np.arctan2(volume, 1 + (a * b).sum(-1) + (b * c).sum(-1) + (c * a).sum(-1))
+    return np.abs(2 * half.sum(-1))
+
+
+def transfer(radiance, cosine_1, area_1, cosine_2, area_2, distance):
+    """Power [W] from patch 1 to patch 2: d3E = L cos(theta_1) cos(theta_2) dA_1 dA_2 / r^2 per unit of time.
+
+    ``radiance``: of patch 1 towards patch 2. Radiance is constant along a ray, so patch 2 sees the same L, and what leaves
+    is what arrives: the formula is the same with the patches exchanged. Arguments broadcast; small patches.
+    """
+    return np.asarray(radiance) * cosine_1 * area_1 * patch_solid_angle(area_2, cosine_2, distance)
+
+
+def radiance_of_transfer(power, cosine_1, area_1, cosine_2, area_2, distance):
+    """The radiance [W m^-2 sr^-1] of a ray that carries ``power`` between two small patches; the inverse of :func:`transfer`.
+
+    Seen from either end it is the same: radiance is invariant along a ray through empty space.
+    """
+    return np.asarray(power) / (np.asarray(cosine_1) * area_1 * patch_solid_angle(area_2, cosine_2, distance))
+
+
+def hemisphere(azimuths: int = 64, elevations: int = 32):
+    """Unit vectors (n, 3) about the normal (0, 0, 1), and weights [sr] (n,) of cos(theta) domega, which sum to pi.
+
+    Even azimuths and Gauss-Legendre nodes in sin^2(theta): exact for polynomials in it of degree 2 ``elevations`` - 1.
+    """
+    node, weight = np.polynomial.legendre.leggauss(elevations)
+    sine = np.sqrt((1 + node) / 2)
+    azimuth = 2 * np.pi * (np.arange(azimuths) + 0.5) / azimuths
+    flat = sine[:, None, None] * np.stack([np.cos(azimuth), np.sin(azimuth)], -1)
+    up = np.broadcast_to(np.sqrt(1 - sine**2)[:, None, None], (elevations, azimuths, 1))
+    return np.concatenate([flat, up], -1).reshape(-1, 3), np.repeat(weight * np.pi / (2 * azimuths), azimuths)
+
+
+def irradiance(radiance, azimuths: int = 64, elevations: int = 32):
+    """Irradiance E [W m^-2]: the integral of L cos(theta) over the hemisphere about (0, 0, 1).
+
+    ``radiance``: a function of unit vectors (n, 3) to (n,) or (n, channels). For radiance that leaves, this is the
+    radiosity (:func:`radiosity`): the two integrals are one.
+    """
+    directions, weights = hemisphere(azimuths, elevations)
+    return np.tensordot(weights, radiance(directions), 1)
+
+
+def radiosity(radiance):
+    """Radiosity B [W m^-2], the power that leaves a surface per area: pi x radiance if that does not depend on direction.
+
+    ``radiance``: number or array; or a function of unit vectors, which is integrated over the exit hemisphere.
+    """
+    return irradiance(radiance) if callable(radiance) else np.pi * np.asarray(radiance)
+
+
+def radiance_of_radiosity(radiosity):
+    """Radiance [W m^-2 sr^-1] of a surface that looks the same from everywhere: B / pi."""
+    return np.asarray(radiosity) * np.float64(1 / np.pi)
+
+
+def directional_hemispheric(brdf, incoming, azimuths: int = 128, elevations: int = 64):
+    """Directional-hemispheric reflectance: the share of light from ``incoming`` that is reflected, whatever the direction.
+
+    rho_dh = integral of f(incoming, outgoing) cos(theta_o) domega_o over the exit hemisphere. ``brdf``: function [sr^-1] of
+    two arrays of unit vectors (..., 3) about (0, 0, 1) that broadcast, (...) out. ``incoming`` (..., 3); returns (...).
+    """
+    incoming = np.asarray(incoming, float)
+    directions, weights = hemisphere(azimuths, elevations)
+    flat = incoming.reshape(-1, 3)
+    return np.array([brdf(np.broadcast_to(one, directions.shape), directions) @ weights for one in flat]).reshape(incoming.shape[:-1])
+
+
+# -- photometric units -------------------------------------------------------------------------------------------------------
+
+
+def lumens(watts, efficiency=1.0):
+    """Luminous flux [lm] of a radiant flux [W]: 683 lm/W x ``efficiency``, the mean of the eye's V(lambda) over the spectrum.
+
+    By area the same turns W m^-2 into lux, by area and solid angle W m^-2 sr^-1 into cd m^-2. efficiency: 1 at 555 nm.
+    """
+    return EFFICACY * np.asarray(watts) * _efficiency(efficiency)
+
+
+def watts(lumens, efficiency=1.0):
+    """Radiant flux [W] of a luminous flux [lm]; also lux to W m^-2 and cd m^-2 to W m^-2 sr^-1. See :func:`lumens`."""
+    return np.asarray(lumens) / (EFFICACY * _efficiency(efficiency))
+
+
+def intensity(radiance, area, cosine=1.0):
+    """Intensity I [W sr^-1, cd] of a small flat source: radiance x foreshortened area. A sphere shows pi R^2 to every side."""
+    return np.asarray(radiance) * area * cosine
+
+
+def point_irradiance(intensity, cosine, distance):
+    """Irradiance E [W m^-2, lx] of a point source: I cos(theta) / r^2, r from its centre."""
+    return np.asarray(intensity) * patch_solid_angle(1.0, cosine, distance)
+
+
+def point_error(size, distance, shape: str = "disc"):
+    """Relative error of :func:`point_irradiance` for a source of radius ``size``, seen face on, wholly above the horizon.
+
+    shape "disc": (R / r)^2, since a Lambertian disc gives pi L R^2 / (r^2 + R^2). "sphere": 0, since pi L (R / r)^2 is
+    exact at any distance; what a sphere needs a size for is its penumbra, sin(half angle) = R / r. The rule of thumb
+    "five times its diameter" leaves a disc 1 %.
+    """
+    if shape not in ("disc", "sphere"):
+        raise bad("point_error: shape", repr(shape), "disc | sphere")
+    ratio = np.asarray(size) / np.asarray(distance, float)
+    if not (ratio >= 0).all():
+        raise bad("point_error: size / distance", ratio, ">= 0")
+    return ratio**2 if shape == "disc" else np.zeros_like(ratio)
+
+
+def point_distance(size, tolerance):
+    """How far away a disc of radius ``size`` may be taken for a point within a relative error of ``tolerance``: size / sqrt(tolerance)."""
+    return np.asarray(size) / np.sqrt(np.asarray(tolerance, float))
+
+
+def _efficiency(value):
+    value = np.asarray(value, float)
+    if not ((value > 0) & (value <= 1)).all():
+        raise bad("luminous efficiency", value, "0 to 1, 1 for monochromatic light of 555 nm")
+    return value
+
+
+# -- closed forms over finite sources ----------------------------------------------------------------------------------------
 
 
 def rectangle_solid_angle(u0, u1, v0, v1, distance):

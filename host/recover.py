@@ -78,6 +78,8 @@ def recover(image, source: sources.Source, albedo=0.8, sides: str = "open", spac
     eps = positive_number(eps, "eps")
     cube = hemicube if isinstance(hemicube, Hemicube) else Hemicube(hemicube)
     start = Scene(np.zeros(image.shape), spacing, albedo, None, sides)
+    if np.ndim(start.albedo) in (1, 3):
+        raise bad("albedo", f"RGB, shape {np.shape(start.albedo)}", "a number or (rows, cols): recover takes one channel")
     if np.any(np.asarray(start.albedo) <= 0):
         raise bad("albedo", 0.0, "> 0: a black surface tells nothing of its depth")
     low, high, weights = carving_integers(image, start.albedo, sources.radiance(source, cube.directions), cube.solid_angles, eps if stop == "eps" else 0.0)

@@ -1,4 +1,4 @@
-"""render(): a scene and a source to an image (Eq. 3)."""
+"""render(): a scene and a source to an image (Eq. 3), and what reflectances other than Lambertian add to it."""
 
 from __future__ import annotations
 
@@ -8,15 +8,16 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from . import sources
+from . import shading, skies, sources
 from .arrays import labelled
 from .backends import select
 from .backends.base import Backend, Problem
-from .backends.horizon import Rays, Sweeps
-from .backends.slices import MOST, SLICES, Ball, Slices, aperture, brightness_of, rectangle
+from .backends.horizon import FINE, Rays, Sweeps
+from .backends.slices import MOST, SLICES, Ball, Dome, Slices, aperture, blurred, brightness_of, rectangle
 from .directions import Azimuths, Hemicube
 from .errors import bad
 from .horizon import engine_of, ground_of
+from .reflectance import BRDF
 from .scene import Scene, is_scene, one_of, positive_number
 
 METHODS = ("auto", "lattice", "horizon")
@@ -26,6 +27,7 @@ LATTICE_ERROR = {5: 0.0376, 7: 0.0188, 9: 0.0119, 17: 0.0039, 33: 0.0012}
 # the same for horizons, by number of azimuths: performance/horizon.py
 HORIZON_ERROR = {8: 0.0138, 12: 0.0080, 16: 0.0052, 24: 0.0029, 32: 0.0019, 48: 0.0012, 64: 0.0008, 96: 0.0006, 128: 0.0003}
 FAR = 1e5  # extents of the map at which the sun stands: a hundred-thousandth of a radian across it
+COARSE = 1.2  # half widths of a lobe between directions, from which on its sum may be too large by 1 in a thousand
 LEAK_SLOPE = 0.7  # rms slope from which the unfilled step leaks from M = 7 on (README, Limits)
 
 
@@ -49,7 +51,8 @@ class Plan:
 class Rendering:
     """What render() gives.
 
-    image (rows, cols) float32, nan where masked, an xarray.DataArray if the scene was made from one; plan; backend (its name); seconds of the call without compiling,
+    image (rows, cols) float32, or (rows, cols, 3) in colour, nan where masked, an xarray.DataArray if the scene was made from one;
+    plan; backend (its name); seconds of the call without compiling,
     compile_seconds; warnings (one sentence each).
     """
 
@@ -66,6 +69,10 @@ def render(scene: Scene, source: sources.Source, method: str = "auto", tolerance
            weights: str = "moment", azimuths: int | Azimuths | None = None, max_distance: float | None = None) -> Rendering:
     """The image of ``scene`` under ``source``, seen orthographically along +z (Langer and Zucker, Eq. 3).
 
+    In colour, (rows, cols, 3), where the source's brightness or the scene's reflectance is; each channel is what a grey
+    render of it gives, bit for bit. To rho E / pi comes what the scene's reflectance adds: the integral of
+    f B cos(theta_i) over the visible directions, f a lobe or any BRDF, or what an ideal mirror shows.
+
     Parameters
     ----------
     scene, source : Scene; Sky, Lamp or Window
@@ -73,15 +80,15 @@ def render(scene: Scene, source: sources.Source, method: str = "auto", tolerance
         ``lattice``: the paper's directions on a hemicube (9 unless given). ``horizon``: the source above the horizon of
         every node in a number of azimuths (64 unless given; for lamps and windows, slices through the source as every
         node sees it). ``auto``: horizons, with the fewest azimuths whose measured error on rough ground is within
-        ``tolerance``; where they cannot be had (lamps given as volumes, windows given as apertures, lamps and windows
-        over a map that repeats), the filled lattice with the smallest hemicube of that kind.
+        ``tolerance``; where they cannot be had (lamps given as volumes, windows given as apertures, lamps, windows
+        and lobes over a map that repeats), the filled lattice with the smallest hemicube of that kind.
     tolerance : float
         RMS error of E / pi under a uniform sky of brightness 1 that ``auto`` may make. A lamp or a bright spot smaller
-        than the spacing of the directions is not covered by it; a warning says so.
+        than the spacing of the directions is not covered by it, nor is a lobe that is narrower; a warning says so.
     backend : str
         See :func:`skylamp.backends`.
     quantity : "radiance" or "irradiance"
-        Radiance rho E / pi [unit of brightness], or irradiance E [unit of brightness x sr].
+        Radiance [unit of brightness], or irradiance E [unit of brightness x sr], whatever the reflectance.
     hemicube : odd int or Hemicube
         M of the lattice.
     filled : bool
@@ -112,19 +119,36 @@ def render(scene: Scene, source: sources.Source, method: str = "auto", tolerance
         raise bad("render: arguments of two methods", "azimuths or max_distance with the lattice's", "azimuths and max_distance with method='horizon'; hemicube, filled and weights with 'lattice'")
     if method == "horizon" and lattice:
         raise bad("method 'horizon' with hemicube, filled or weights", "both", "azimuths and max_distance")
-    lacking = _no_horizon(scene, source)
+    lacking = _no_horizon(scene, source, quantity)
     if lacking and (method == "horizon" or horizon):
         raise bad("method 'horizon'", lacking, "a sky, a rectangular window, or a lamp given by its centre and radius, the last two with sides='open' or 'dark'", "Use method='lattice'.")
     if method == "horizon" or (method == "auto" and not lattice and not lacking):
         return _labelled(scene, _by_horizons(scene, source, method, tolerance, engine_of(scene, backend), quantity, azimuths, max_distance))
     plan = _plan(method, tolerance, hemicube, filled)
     cube = hemicube if isinstance(hemicube, Hemicube) else Hemicube(plan.hemicube)
-    engine = select(backend)
+    engine, greys = select(backend), sources.channels(source)
+    found = warnings_of(scene, source, cube, plan.filled)
     problem = lattice_problem(scene, source, cube, plan.filled)
-    brightness = sources.radiance(source, cube.directions)
+    brightness = np.stack([sources.radiance(grey, cube.directions) for grey in greys])
     moments = cube.moments if weights == "moment" else cube.directions * cube.solid_angles[:, None]
-    (irradiance,), seconds, compiling = timed(engine, lambda: (engine.irradiance(problem, moments * brightness[:, None]),))
-    return _labelled(scene, Rendering(_image(scene, irradiance, quantity), plan, engine.name, seconds, compiling, warnings_of(scene, source, cube, plan.filled)))
+    lobe, shares, whole = shading.lobe_of(scene, 1e-6) if quantity == "radiance" else None, None, None
+    if lobe:
+        angles = cube.solid_angles * scene.reflectance.norm
+        shares, whole = (np.concatenate([np.broadcast_to(cube.directions, (*share.shape, 3)), share[..., None]], -1) for share in (brightness * angles, angles))
+        spacing = np.sqrt(2 * np.pi / len(cube))
+        if spacing <= COARSE * lobe.spread:
+            whole = None  # the sum is exact enough
+        else:
+            found.append(_narrow(lobe, spacing, "method='horizon' or a larger hemicube"))
+
+    def work():
+        if _is_brdf(scene, quantity):
+            return [], shading.by_brdf_on_lattice(scene, greys, engine.visibility(problem), cube)
+        irradiances, shown = engine.light(problem, moments * brightness[..., None], lobe, shares, whole)
+        return irradiances, shown + _mirrored(scene, greys, engine, quantity, None)
+
+    (irradiances, shown), seconds, compiling = timed(engine, work)
+    return _labelled(scene, Rendering(_image(scene, irradiances, shown, quantity), plan, engine.name, seconds, compiling, found))
 
 
 def _labelled(scene: Scene, done: Rendering) -> Rendering:
@@ -132,17 +156,63 @@ def _labelled(scene: Scene, done: Rendering) -> Rendering:
     return done if scene.labels is None else replace(done, image=labelled(done.image, scene.labels))
 
 
-def _image(scene: Scene, irradiance: np.ndarray, quantity: str) -> np.ndarray:
-    """What was asked for, made of irradiance in place."""
+def _image(scene: Scene, irradiances: list[np.ndarray], shown: list[np.ndarray], quantity: str) -> np.ndarray:
+    """What was asked for, made in place of irradiance and, per unit of specular albedo, of what the surface shows besides; a list has one array per colour."""
     if quantity == "radiance":
-        irradiance *= np.asarray(scene.albedo, np.float32) * np.float32(1 / np.pi)
+        albedo, specular = (np.asarray(getattr(scene.reflectance, name, 1.0), np.float32) for name in ("albedo", "specular"))
+        count = max([len(irradiances), len(shown), *(3 for share in (albedo, specular) if _in_colour(share))])
+        of = lambda arrays, n: arrays[n % len(arrays)].copy() if count > len(arrays) else arrays[n]
+        channels = []
+        for n in range(count):
+            pick = lambda share: share[..., n] if _in_colour(share) else share
+            image = 0
+            if irradiances:
+                image = of(irradiances, n)
+                image *= pick(albedo) * np.float32(1 / np.pi)
+            if shown:
+                image = image + pick(specular) * of(shown, n)
+            channels.append(image)
+        irradiances = channels
+    image = irradiances[0] if len(irradiances) == 1 else np.stack(irradiances, -1)
     if scene.mask is not None:
-        irradiance[~scene.mask] = np.nan
-    return irradiance
+        image[~scene.mask] = np.nan
+    return image
 
 
-def _no_horizon(scene: Scene, source: sources.Source) -> str:
+def _in_colour(share: np.ndarray) -> bool:
+    return share.ndim in (1, 3)
+
+
+def _is_brdf(scene: Scene, quantity: str) -> bool:
+    return quantity == "radiance" and isinstance(scene.reflectance, BRDF)
+
+
+def _mirrored(scene, greys, engine, quantity, max_distance) -> list[np.ndarray]:
+    return shading.mirrored(scene, greys, engine, max_distance) if quantity == "radiance" and shading.has_mirror(scene) else []
+
+
+def _is_dull(scene: Scene, quantity: str) -> bool:
+    """Whether irradiance is asked for, or reflected: a surface that only shines needs none."""
+    return quantity == "irradiance" or np.any(scene.albedo) or not (shading.lobe_of(scene) or shading.has_mirror(scene))
+
+
+def _narrow(lobe, apart: float, fix: str) -> str:
+    return (f"Narrow lobe: it is {np.degrees(lobe.spread):.1f} degrees wide and the directions stand up to {np.degrees(apart):.1f} degrees apart, "
+            f"so highlights break up into dots or are lost; use {fix}.")
+
+
+def _each(greys: list, work: Callable) -> list[np.ndarray]:
+    """``work`` (source) for every colour; where colours differ by a factor alone, once, and times that factor."""
+    if any(callable(grey.brightness) for grey in greys):
+        return [work(grey) for grey in greys]
+    one = work(replace(greys[0], brightness=1.0))
+    return [one if grey.brightness == 1 else one * np.float32(grey.brightness) for grey in greys]
+
+
+def _no_horizon(scene: Scene, source: sources.Source, quantity: str) -> str:
     """Why horizons cannot render this, or nothing."""
+    if scene.sides == "periodic" and quantity == "radiance" and shading.lobe_of(scene):
+        return "a lobe over a map that repeats"
     if isinstance(source, sources.Lamp) and source.volume is not None:
         return "a lamp given as a volume"
     if isinstance(source, sources.Window) and source.aperture is not None:
@@ -162,29 +232,48 @@ def _by_horizons(scene, source, method, tolerance, engine, quantity, azimuths, m
         if method == "auto":
             reason = f"RMS error {HORIZON_ERROR[azimuths]} of E / pi on rough ground, {'within' if HORIZON_ERROR[azimuths] <= tolerance else 'the best there is for'} tolerance {tolerance}"
     sectors = azimuths if isinstance(azimuths, Azimuths) else Azimuths(azimuths)
+    greys, found = sources.channels(source), []
     if not isinstance(source, sources.Sky):
-        return _by_slices(scene, source, engine, quantity, azimuths if given else None, max_distance)
-    table = None
-    scale = 1.0
+        return _by_slices(scene, source, greys, engine, quantity, azimuths if given else None, max_distance)
+    ground, lobe = ground_of(scene, max_distance, engine), shading.lobe_of(scene) if quantity == "radiance" else None
     sun = _sun_of(scene, source, max_distance)
     if sun is not None:
-        source = sources.Sky(replace(source.brightness, direct=0.0))
-    if callable(source.brightness):
-        profile = sources.azimuth_profile(source)
-        if profile is not None and not isinstance(azimuths, Azimuths):
-            sectors = Azimuths.placed(len(sectors), profile)
-        table = sources.elevation_table(source, sectors.angles, sectors.widths, 256 if profile is None else 1024)
-    else:
-        scale = float(source.brightness)
-    sweeps = Sweeps(engine, ground_of(scene, max_distance, engine), Rays(sectors.angles, sectors.widths), table)
-    (irradiance,), seconds, compiling = timed(engine, lambda: (sweeps.irradiance(),))
-    if sun is not None:
-        disc = _by_slices(scene, sun, engine, "irradiance", None, None)
-        irradiance += disc.image
-        seconds, compiling, reason = seconds + disc.seconds, compiling + disc.compile_seconds, f"{reason}; the sun's disc by slices"
-    if scale != 1.0:
-        irradiance *= np.float32(scale)
-    return Rendering(_image(scene, irradiance, quantity), Plan("horizon", None, None, reason, len(sectors)), engine.name, seconds, compiling)
+        reason += "; the sun's disc by slices"
+
+    def irradiance(grey):
+        placed, table = sectors, None
+        if callable(grey.brightness):
+            grey = _without_disc(grey)
+            profile = sources.azimuth_profile(grey)
+            if profile is not None and not isinstance(azimuths, Azimuths):
+                placed = Azimuths.placed(len(sectors), profile)
+            table = sources.elevation_table(grey, placed.angles, placed.widths, 256 if profile is None else 1024)
+        image = Sweeps(engine, ground, Rays(placed.angles, placed.widths), table).irradiance()
+        if sun is not None:
+            image += _by_slices(scene, sun, [sun], engine, "irradiance", None, None).image
+        return image
+
+    def gloss(grey):
+        depth, step = scene.lattice()
+        reach = np.inf if max_distance is None else max_distance * (step / scene.spacing)
+        table, suns, flux = blurred(_without_disc(grey), lobe.spread)
+        if sun is not None:
+            suns, flux = np.concatenate([suns.reshape(-1, 3), [skies.towards(*source.brightness.sun)]]), np.append(flux, source.brightness.direct)
+        slices = Slices(engine, depth, step, scene.sides, Dome(reach), table, lobe=lobe)
+        slices.run()
+        image = slices.download()
+        if len(suns):
+            image += shading.suns(scene, engine, lobe, suns, flux, max_distance)
+        return image * np.float32(scene.reflectance.norm)
+
+    def work():
+        if _is_brdf(scene, quantity):
+            return [], shading.by_brdf_under_sky(scene, greys, Sweeps(engine, ground, Rays(sectors.angles, sectors.widths), near=FINE).planes(), sectors)
+        irradiances = _each(greys, irradiance) if _is_dull(scene, quantity) else []
+        return irradiances, _each(greys, gloss) if lobe else _mirrored(scene, greys, engine, quantity, max_distance)
+
+    (irradiances, shown), seconds, compiling = timed(engine, work)
+    return Rendering(_image(scene, irradiances, shown, quantity), Plan("horizon", None, None, reason, len(sectors)), engine.name, seconds, compiling, found)
 
 
 def _sun_of(scene, source, max_distance) -> sources.Lamp | None:
@@ -193,11 +282,17 @@ def _sun_of(scene, source, max_distance) -> sources.Lamp | None:
         return None
     if scene.sides == "periodic" or max_distance is not None:
         raise bad("a sky with the sun's disc (direct)", f"sides={scene.sides!r}, max_distance={max_distance}", "sides 'open' or 'dark' and the whole map")
+    if isinstance(scene.reflectance, BRDF) or shading.has_mirror(scene):
+        raise bad("a sky with the sun's disc (direct)", type(scene.reflectance).__name__, "Lambertian or Phong", "Give the sun as a Lamp of its own.")
     extent = max(max(scene.shape) * scene.spacing, float(scene.depth[scene.valid].max()))
     return source.brightness.disc(FAR * extent)
 
 
-def _by_slices(scene, source, engine, quantity, azimuths, max_distance) -> Rendering:
+def _without_disc(sky):
+    return sources.Sky(replace(sky.brightness, direct=0.0)) if getattr(sky.brightness, "direct", 0) else sky
+
+
+def _by_slices(scene, source, greys, engine, quantity, azimuths, max_distance) -> Rendering:
     """A lamp or window, through azimuth slices placed within it as every node sees it."""
     if max_distance is not None or isinstance(azimuths, Azimuths):
         raise bad("method 'horizon' with a lamp or window", "max_distance, or azimuths of the caller's", "azimuths as a whole number: slices of a source that stands all round")
@@ -211,16 +306,30 @@ def _by_slices(scene, source, engine, quantity, azimuths, max_distance) -> Rende
     else:
         solid = Ball(tuple(np.array(source.center) * unit), source.radius * unit)
     plan = Plan("horizon", None, None, "slices through the source as every node sees it, fewer where it looks small", most)
-    if solid is None:  # a window outside the box
-        return Rendering(_image(scene, np.zeros(scene.shape, np.float32), quantity), plan, engine.name, 0.0, 0.0)
-    slices = Slices(engine, depth, step, scene.sides, solid, brightness_of(source), most)
+    lobe, found = shading.lobe_of(scene) if quantity == "radiance" else None, []
+
+    def light(grey, lobe=None):
+        if solid is None:  # a window outside the box
+            return np.zeros(scene.shape, np.float32)
+        brightness = brightness_of(grey)
+        slices = Slices(engine, depth, step, scene.sides, solid, brightness, most, lobe)
+        slices.run()
+        image = slices.download()
+        if lobe:
+            image *= np.float32(scene.reflectance.norm)
+            if slices.coarse > COARSE:
+                found[:] = [_narrow(lobe, slices.coarse * lobe.spread, "a smaller lamp, or Mirror")]
+                np.minimum(image, np.float32(np.max(brightness)), out=image)  # no lobe shows more than there is
+        return image
 
     def work():
-        slices.run()
-        return (slices.download(),)
+        if _is_brdf(scene, quantity):
+            return [], shading.by_brdf(scene, greys, engine, max_distance)
+        irradiances = _each(greys, light) if _is_dull(scene, quantity) else []
+        return irradiances, _each(greys, lambda grey: light(grey, lobe)) if lobe else _mirrored(scene, greys, engine, quantity, max_distance)
 
-    (irradiance,), seconds, compiling = timed(engine, work)
-    return Rendering(_image(scene, irradiance, quantity), plan, engine.name, seconds, compiling)
+    (irradiances, shown), seconds, compiling = timed(engine, work)
+    return Rendering(_image(scene, irradiances, shown, quantity), plan, engine.name, seconds, compiling, found)
 
 
 def lattice_problem(scene: Scene, source: sources.Source, cube: Hemicube, filled: bool) -> Problem:

@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from .arrays import Labels, host_array, labels_of, on_device
 from .errors import InputError, bad
 
+if TYPE_CHECKING:
+    from .reflectance import Reflectance
+
 SIDES = ("open", "dark", "periodic")
+ALBEDO = 0.8
 STEEPEST = 1e15  # spacings of depth, so that squares of slopes stay in float32
 
 
@@ -66,26 +71,30 @@ class Scene:
         Distance of the surface from the viewer's plane z = 0; larger is farther. Not negative.
     spacing : float [length]
         Distance between neighbouring nodes along rows and columns, in the unit of ``depth``.
-    albedo : float or (rows, cols) array
+    albedo : float, (rows, cols) array, or RGB as (3,) or (rows, cols, 3)
         Diffuse (directional-hemispheric) reflectance, 0 to 1.
     mask : (rows, cols) bool array, optional
         True where data are valid. Nodes that are not valid neither block light nor are lit.
     sides : "open", "dark" or "periodic"
         ``open``: a ray that leaves sideways goes on unblocked. ``dark``: the map stands in a black box
         whose walls, half a node outside the outermost nodes, reach up to z = 0. ``periodic``: the map repeats.
+    reflectance : Lambertian, Phong, Mirror or BRDF, in place of ``albedo``
+        What the surface makes of its light; ``albedo`` is then its diffuse part.
 
     Raises
     ------
     InputError
         For an array of wrong shape or type, an empty one, NaN or infinity where the mask says valid,
-        negative depth, an albedo outside 0 to 1, a spacing that is not positive, or unknown sides.
+        negative depth, an albedo outside 0 to 1, a spacing that is not positive, unknown sides, or a reflectance that
+        gives more than it gets.
     """
 
     depth: np.ndarray
     spacing: float = 1.0
-    albedo: float | np.ndarray = 0.8
+    albedo: float | np.ndarray = ALBEDO
     mask: np.ndarray | None = None
     sides: str = "open"
+    reflectance: Reflectance | None = None
     _values: np.ndarray = field(init=False, repr=False)
     _step: float = field(init=False, repr=False)
     labels: Labels | None = field(init=False, repr=False, default=None)
@@ -120,11 +129,12 @@ class Scene:
         if depth[valid].max() / self.spacing > STEEPEST:
             raise bad("depth: too deep for its spacing", f"{depth[valid].max()} at spacing {self.spacing}", f"at most {STEEPEST:g} spacings", "Give both in one unit.")
         put("depth", depth)
-        put("albedo", _albedo(self.albedo, depth.shape, valid))
+        put("reflectance", _reflectance(self.albedo, self.reflectance, depth.shape, valid))
+        put("albedo", self.reflectance.albedo)
         values, step = _lattice(np.where(valid, depth, np.float32(np.inf)), self.spacing)
         put("_values", values)
         put("_step", step)
-        for array in (self.depth, self.mask, self.albedo, values):
+        for array in (self.depth, self.mask, values):
             if isinstance(array, np.ndarray):
                 array.flags.writeable = False
 
@@ -139,9 +149,8 @@ class Scene:
             raise bad("depth: negative", found.least, "depth >= 0 (0 is the viewer's plane)", "For terrain heights use Scene.from_height.")
         if found.most / self.spacing > STEEPEST:
             raise bad("depth: too deep for its spacing", f"{found.most} at spacing {self.spacing}", f"at most {STEEPEST:g} spacings", "Give both in one unit.")
-        put("albedo", _albedo(self.albedo, found.shape, np.ones(found.shape, bool)))
-        if isinstance(self.albedo, np.ndarray):
-            self.albedo.flags.writeable = False
+        put("reflectance", _reflectance(self.albedo, self.reflectance, found.shape, np.ones(found.shape, bool)))
+        put("albedo", self.reflectance.albedo)
         put("resident", found)
         object.__delattr__(self, "depth")
 
@@ -156,14 +165,14 @@ class Scene:
         return self.__dict__[name]
 
     @classmethod
-    def from_height(cls, height, spacing=1.0, albedo=0.8, mask=None, sides="open") -> Scene:
+    def from_height(cls, height, spacing=1.0, albedo=ALBEDO, mask=None, sides="open", reflectance=None) -> Scene:
         """A scene from terrain height [length]: depth = max(valid height) - height.
 
         ``height``: (rows, cols); the other arguments and errors as for :class:`Scene`.
         """
         labels = labels_of(height)
         if mask is None and (found := resident_map(height, height=True)) is not None:
-            return cls(found, spacing, albedo, None, sides)
+            return cls(found, spacing, albedo, None, sides, reflectance)
         height = real_array(height, "height")
         valid = np.ones(height.shape, bool) if mask is None else _mask(mask, height.shape)
         broken = valid & ~np.isfinite(height)
@@ -171,7 +180,7 @@ class Scene:
             raise bad(f"height: {broken.sum()} values are NaN or infinite, first {at(broken)}", height[broken][0],
                       "finite height wherever the mask is True", "Pass mask=numpy.isfinite(height) to leave them out.")
         top = height[valid].max() if valid.any() else 0.0
-        scene = cls(np.where(valid, top - height, np.nan), spacing, albedo, mask, sides)
+        scene = cls(np.where(valid, top - height, np.nan), spacing, albedo, mask, sides, reflectance)
         object.__setattr__(scene, "labels", labels)
         return scene
 
@@ -230,15 +239,17 @@ def _mask(mask, shape):
     return mask.copy()
 
 
-def _albedo(albedo, shape, valid):
-    values = real_array(albedo, "albedo", None)
-    if values.ndim and values.shape != shape:
-        raise bad("albedo: wrong shape", values.shape, f"a number or an array of shape {shape}")
-    wrong = ~((values >= 0) & (values <= 1)) & (valid if values.ndim else True)
-    if np.any(wrong):
-        where = f" {at(wrong)}" if values.ndim else ""
-        raise bad(f"albedo: out of range{where}", values[wrong].flat[0], "finite, 0 to 1")
-    return values.astype(np.float32) if values.ndim else float(values)
+def _reflectance(albedo, given, shape, valid):
+    from . import reflectance as materials  # which checks its arrays by real_array
+
+    if given is None:
+        given = materials.Lambertian(albedo)
+    elif not isinstance(given, materials.Reflectance):
+        raise bad("reflectance", type(given).__name__, "Lambertian, Phong, Mirror or BRDF")
+    elif not np.array_equal(albedo, ALBEDO):
+        raise bad("scene: albedo and reflectance", "both", "one of them", "The diffuse albedo is an argument of the reflectance.")
+    materials.fit(given, shape, valid)
+    return given
 
 
 def _lattice(depth, spacing):

@@ -7,7 +7,7 @@ L = (x, y, z) from a point towards the source, z <= 0 on the viewer's side (Lang
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -18,7 +18,7 @@ from .scene import real_array
 
 BRIGHTEST = 1e30  # so that sums stay in float32
 
-Brightness = float | Callable[[np.ndarray], np.ndarray]
+Brightness = float | tuple[float, float, float] | Callable[[np.ndarray], np.ndarray]
 
 
 def uniform(brightness: float = 1.0) -> Callable:
@@ -45,21 +45,23 @@ def cie_overcast(zenith: float = 1.0) -> Callable:
 
 
 def environment_map(array) -> Callable:
-    """Brightness from an equirectangular map (rows, cols), interpolated bilinearly between pixel centres.
+    """Brightness from an equirectangular map (rows, cols) or RGB (rows, cols, 3), interpolated bilinearly between pixel centres.
 
     Row 0 is the zenith, the last row the nadir; column 0 looks towards +x and azimuth grows towards +y.
     """
-    image = real_array(array, "environment_map")
+    image = real_array(array, "environment_map", None)
+    if image.ndim != 2 and (image.ndim != 3 or image.shape[2] != 3):
+        raise bad("environment_map: wrong shape", image.shape, "2 axes (rows, cols), or RGB (rows, cols, 3)")
     if not np.isfinite(image).all() or image.min() < 0:
         raise bad("environment_map: values", f"{np.nanmin(image)} to {np.nanmax(image)}, finite: {np.isfinite(image).all()}", "finite, >= 0")
-    rows, cols = image.shape
+    rows, cols = image.shape[:2]
 
     def brightness(L):
         x, y, z = np.moveaxis(np.asarray(L, float), -1, 0)
         row = np.arccos(np.clip(-z, -1, 1)) / np.pi * rows - 0.5
         col = np.arctan2(y, x) / (2 * np.pi) * cols - 0.5
         r, c = np.floor(row), np.floor(col)
-        fr, fc = row - r, col - c
+        fr, fc = (w.reshape(w.shape + (1,) * (image.ndim - 2)) for w in (row - r, col - c))
         r0, r1 = (np.clip(r + s, 0, rows - 1).astype(int) for s in (0, 1))
         c0, c1 = ((c + s).astype(int) % cols for s in (0, 1))
         return (1 - fr) * ((1 - fc) * image[r0, c0] + fc * image[r0, c1]) + fr * ((1 - fc) * image[r1, c0] + fc * image[r1, c1])
@@ -69,12 +71,15 @@ def environment_map(array) -> Callable:
 
 @dataclass(frozen=True)
 class Sky:
-    """The sky: rays arrive from every direction of the hemisphere. ``brightness``: number or function of (..., 3)."""
+    """The sky: rays arrive from every direction of the hemisphere.
+
+    ``brightness``: number; RGB as three; or a function of unit vectors (..., 3) to (...), or to RGB (..., 3).
+    """
 
     brightness: Brightness = 1.0
 
     def __post_init__(self):
-        _check_brightness(self.brightness)
+        object.__setattr__(self, "brightness", _brightness(self.brightness))
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,7 +123,7 @@ class Lamp:
                 raise bad("lamp radius", radius, "a finite number > 0")
             object.__setattr__(self, "center", center)
             object.__setattr__(self, "radius", radius)
-        _check_brightness(self.brightness)
+        object.__setattr__(self, "brightness", _brightness(self.brightness))
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,7 +151,7 @@ class Window:
                 if not low < high:
                     raise bad(f"window {name}", (low, high), "low < high")
                 object.__setattr__(self, name, (low, high))
-        _check_brightness(self.brightness)
+        object.__setattr__(self, "brightness", _brightness(self.brightness))
 
 
 Source = Sky | Lamp | Window
@@ -203,11 +208,40 @@ def geometry(source: Source, scene, step: float) -> Geometry:
     return Geometry(BALL, np.array([x, y, z, source.radius]) * step / scene.spacing, nothing)
 
 
+def channels(source: Source) -> list[Source]:
+    """The source itself if its brightness is grey, else three grey ones: red, green, blue."""
+    brightness = source.brightness
+    if isinstance(brightness, tuple):
+        return [replace(source, brightness=value) for value in brightness]
+    if not callable(brightness):
+        return [source]
+    probe = directions_of(np.array([0.3, 2.0]), np.array([0.2, 0.9]))
+    if np.shape(brightness(probe.copy())) != (2, 3):
+        return [source]
+    return [replace(source, brightness=_Channel(brightness, number)) for number in range(3)]
+
+
+@dataclass(frozen=True)
+class _Channel:
+    """One channel of an RGB brightness function."""
+
+    function: Callable
+    number: int
+
+    def __call__(self, directions):
+        values = np.asarray(self.function(directions))
+        if values.shape != directions.shape:
+            raise bad("brightness function: wrong result", f"shape {values.shape} for directions {directions.shape}", f"RGB of shape {directions.shape}, as before")
+        return values[..., self.number]
+
+
 def radiance(source: Source, directions: np.ndarray) -> np.ndarray:
-    """The source's brightness along unit vectors (..., 3) -> (...) float64; an InputError if it is not finite and >= 0."""
+    """The source's grey brightness along unit vectors (..., 3) -> (...) float64; an InputError if it is not finite and >= 0."""
     if not isinstance(source, Source):
         raise bad("source", type(source).__name__, "Sky, Lamp or Window")
     brightness = source.brightness
+    if isinstance(brightness, tuple):
+        raise bad("brightness", f"RGB {brightness}", "one number, or a function to one number per direction", "Only render takes colour.")
     if not callable(brightness):
         return np.full(directions.shape[:-1], float(brightness))
     if getattr(brightness, "direct", 0):  # half a degree wide: what looks in some directions would miss it, or overrate it
@@ -272,15 +306,20 @@ def _brightness_number(value) -> float:
     try:
         number = float(value)
     except (TypeError, ValueError):
-        raise bad("brightness", repr(value), "a number, or a function of unit vectors (..., 3) -> (...)") from None
+        raise bad("brightness", repr(value), "a number, RGB as three numbers, or a function of unit vectors (..., 3) -> (...)") from None
     if not 0 <= number <= BRIGHTEST:
         raise bad("brightness", number, f"finite, >= 0, at most {BRIGHTEST:g}")
     return number
 
 
-def _check_brightness(value):
-    if not callable(value):
-        _brightness_number(value)
+def _brightness(value):
+    """A number, three numbers or a function, checked."""
+    if callable(value):
+        return value
+    if np.ndim(value) == 1 and np.size(value) == 3:
+        return tuple(map(_brightness_number, value))
+    _brightness_number(value)
+    return value
 
 
 def _numbers(values, count, what, form) -> tuple[float, ...]:

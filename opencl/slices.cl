@@ -11,6 +11,8 @@ Shared arguments
                               from column width - (width >> l - 1) on; width is a multiple of 2^levels
   sky         (side, side)    float  brightness over the stereographic plane, x / (1 - z) and y / (1 - z) from -1 to 1
   points      (n_points, 2)   float  where along a chord brightness is taken, 0..1, and weights; none: it is 1
+  lobe        (n_lobe)        float  weight of light by 1 - cosine of its angle to the mirror direction, even steps from 0 to
+                              rim, beyond which there is none; n_lobe 0: all light counts alike
   irradiance  (rows, cols)    float  out; unit: its factor
   least, most slices of a source that is a point, and of one that stands all round: multiples of SLICES, as what is between
   dark        whether walls stand half a node outside the map, up to height 0
@@ -78,9 +80,10 @@ __kernel void coarser(__global const float *heights, __global float *tops, int r
 /* What all slices of a pixel share. A point (c t, s t, v) from the pixel stands before the source iff along t + up v < reach,
 `along` the slice's own. */
 typedef struct {
-  __global const float *heights, *tops, *sky, *points;
-  int rows, cols, width, levels, side, n_points, dark, x, y;
-  float height, tilt_x, tilt_y, up, reach, radius; /* radius: of a ball, 0 for a quadrangle */
+  __global const float *heights, *tops, *sky, *points, *lobe;
+  int rows, cols, width, levels, side, n_points, n_lobe, dark, x, y;
+  float height, tilt_x, tilt_y, rim, mirror_x, mirror_y, mirror_z;
+  float up, reach, radius; /* radius: of a ball, 0 for a quadrangle, below 0 for the sky */
 } Pixel;
 
 float slope_between(float low, float here, float high)
@@ -91,13 +94,15 @@ float slope_between(float low, float here, float high)
 }
 
 Pixel pixel_at(__global const float *heights, __global const float *tops, __global const float *sky,
-                      __global const float *points, int rows, int cols, int width, int levels, int side, int n_points,
-                      int dark)
+               __global const float *points, __global const float *lobe, int rows, int cols, int width, int levels,
+               int side, int n_points, int n_lobe, int dark, float rim)
 {
   const int x = get_global_id(0), y = get_global_id(1), stride = cols + 1;
   __global const float *here = heights + (y + 1) * stride + x + 1;
-  const Pixel pixel = {heights, tops, sky, points, rows, cols, width, levels, side, n_points, dark, x, y,
-                       here[0], slope_between(here[-1], here[0], here[1]), slope_between(here[-stride], here[0], here[stride])};
+  const float tilt_x = slope_between(here[-1], here[0], here[1]), tilt_y = slope_between(here[-stride], here[0], here[stride]);
+  const float twice = 2 / (1 + tilt_x * tilt_x + tilt_y * tilt_y);
+  const Pixel pixel = {heights, tops, sky, points, lobe, rows, cols, width, levels, side, n_points, n_lobe, dark, x, y,
+                       here[0], tilt_x, tilt_y, rim, twice * tilt_x, twice * tilt_y, twice - 1};
   return pixel;
 }
 
@@ -169,6 +174,18 @@ floats horizon(const Pixel *pixel, floats c, floats s, floats slope, floats high
   return slope;
 }
 
+/* The lobe's weight of the direction whose elevation has this cosine and sine. */
+floats in_lobe(const Pixel *pixel, floats c, floats s, floats cosine, floats sine)
+{
+  const floats x = cosine - (pixel->mirror_x * c + pixel->mirror_y * s), y = pixel->mirror_y * c - pixel->mirror_x * s, z = sine - pixel->mirror_z;
+  const float most = pixel->n_lobe - 1;
+  const floats all = (x * x + y * y + z * z) * (0.5f * most / pixel->rim), at = all < most ? all : most; /* 1 - cos is half of |L - R|^2 */
+  ints i = TO_INTS(at);
+  i = i > pixel->n_lobe - 2 ? pixel->n_lobe - 2 : i;
+  const floats first = GATHER(pixel->lobe, i);
+  return first + (at - TO_FLOATS(i)) * (GATHER(pixel->lobe, i + 1) - first);
+}
+
 /* Mean brightness of the chord between two tangents, weighted by the cosine to the normal. */
 floats brightness_of(const Pixel *pixel, floats c, floats s, floats tilt, floats low, floats high)
 {
@@ -190,7 +207,12 @@ floats brightness_of(const Pixel *pixel, floats c, floats s, floats tilt, floats
     const floats near = GATHER(pixel->sky, at) * (1 - p) + GATHER(pixel->sky, at + 1) * p;
     const floats far = GATHER(pixel->sky, at + pixel->side) * (1 - p) + GATHER(pixel->sky, at + pixel->side + 1) * p;
     const floats facing = tilt * cosine + sine, share = weight / (square * square) * cosine * MORE(facing, 0);
-    sum += share * (near * (1 - q) + far * q);
+    floats light = near * (1 - q) + far * q;
+    if (pixel->n_lobe) {
+      const floats length = sqrt(square);
+      light *= in_lobe(pixel, c, s, cosine / length, sine / length);
+    }
+    sum += share * light;
     all += share;
   }
   return sum / MORE(all, 1 / ENDLESS);
@@ -224,10 +246,26 @@ floats chord(const Pixel *pixel, floats c, floats s, floats low, floats high, fl
   return shows ? light * (tilt * by_cosine + by_sine) : 0;
 }
 
+/* What a slice along (c, s) leaves of the chord between two tangents within the lobe's rim; gives how far they are apart. */
+floats to_rim(const Pixel *pixel, floats c, floats s, floats *low, floats *high, floats rise)
+{
+  const float least = 1 - pixel->rim, up = pixel->mirror_z;
+  const floats in_plane = pixel->mirror_x * c + pixel->mirror_y * s, square = in_plane * in_plane + up * up - least * least;
+  const floats half_ = sqrt(MORE(square, 0)), before = *low, after = *high; /* of the chord: least is to it as cosine to sine */
+  const floats low_c = in_plane * least + up * half_, low_s = up * least - in_plane * half_;
+  const floats high_c = in_plane * least - up * half_, high_s = up * least + in_plane * half_;
+  const floats from = low_c > 0 ? low_s / low_c : up > 0 ? ALL(STEEP) : ALL(-STEEP), to = high_c > 0 ? high_s / high_c : up > 0 ? ALL(STEEP) : ALL(-STEEP);
+  *low = MORE(before, from);
+  *high = square > 0 ? LESS(after, to) : -STEEP;
+  return from > before || to < after ? *high - *low : rise;
+}
+
 /* The light through a slice along (c, s) of a source between the tangents low and high, `rise` apart; aside: how far its
 middle stands from the slice. */
 floats slice(const Pixel *pixel, floats c, floats s, floats along, floats aside, floats low, floats high, floats rise)
 {
+  if (pixel->n_lobe)
+    rise = to_rim(pixel, c, s, &low, &high, rise);
   /* 1. the tangent plane and the level */
   const floats plane = -(pixel->tilt_x * c + pixel->tilt_y * s);
   floats slope = MORE(low, plane);
@@ -251,7 +289,7 @@ floats slice(const Pixel *pixel, floats c, floats s, floats along, floats aside,
   } else {
     const float up = pixel->up == 0 ? 1 / ENDLESS : pixel->up;
     const floats meets = (pixel->reach / wall - along) / up;
-    under = up > 0 ? meets : -ENDLESS;
+    under = pixel->radius < 0 ? ENDLESS : up > 0 ? meets : -ENDLESS;
     over = up > 0 ? ENDLESS : meets;
   }
   under = LESS(under, top);
@@ -276,13 +314,13 @@ The slice at the azimuth offset d from the centre, sin d = (sin a / cos e) sin t
 centre's elevation, sees a chord of half width w, sin w = sin a cos theta / r, r^2 = 1 - cos^2 e sin^2 d. Where the zenith
 lies within the disc, slices go all round. */
 __kernel void ball(__global const float *heights, __global const float *tops, __global const float *nodes,
-                   __global const float *sky, __global const float *points, __global float *irradiance, int rows,
-                   int cols, int width, int levels, int least, int most, int side, int n_points, int dark, float x0, float y0,
-                   float z0, float radius, float unit)
+                   __global const float *sky, __global const float *points, __global const float *lobe,
+                   __global float *irradiance, int rows, int cols, int width, int levels, int least, int most, int side,
+                   int n_points, int n_lobe, int dark, float rim, float x0, float y0, float z0, float radius, float unit)
 {
   if (get_global_id(0) >= cols || get_global_id(1) >= rows)
     return;
-  Pixel pixel = pixel_at(heights, tops, sky, points, rows, cols, width, levels, side, n_points, dark);
+  Pixel pixel = pixel_at(heights, tops, sky, points, lobe, rows, cols, width, levels, side, n_points, n_lobe, dark, rim);
 
   /* 1. where the ball stands, and how many slices it is worth */
   const float dx = x0 - pixel.x, dy = y0 - pixel.y, dz = z0 - pixel.height;
@@ -373,12 +411,12 @@ Between the azimuths of neighbouring corners the chord's ends run along one edge
 the slices, at least one. All is reckoned from the quadrangle's middle, so that small far sources lose no digits. */
 __kernel void quad(__global const float *heights, __global const float *tops, __global const float *corners,
                    __global const float *nodes, __global const float *sky, __global const float *points,
-                   __global float *irradiance, int rows, int cols, int width, int levels, int least, int most, int side,
-                   int n_points, int dark, float unit)
+                   __global const float *lobe, __global float *irradiance, int rows, int cols, int width, int levels,
+                   int least, int most, int side, int n_points, int n_lobe, int dark, float rim, float unit)
 {
   if (get_global_id(0) >= cols || get_global_id(1) >= rows)
     return;
-  Pixel pixel = pixel_at(heights, tops, sky, points, rows, cols, width, levels, side, n_points, dark);
+  Pixel pixel = pixel_at(heights, tops, sky, points, lobe, rows, cols, width, levels, side, n_points, n_lobe, dark, rim);
 
   /* 1. the corners, in the frame that points below the middle */
   const float dx = corners[12] - pixel.x, dy = corners[13] - pixel.y, dz = corners[14] - pixel.height;
@@ -488,4 +526,73 @@ __kernel void quad(__global const float *heights, __global const float *tops, __
       sum += share * slice(&pixel, ux * cos_d - uy * sin_d, uy * cos_d + ux * sin_d, sense * along, 0, low, high, rise);
     }
   irradiance[pixel.y * cols + pixel.x] = unit * TOTAL(sum) / sqrt(1 + pixel.tilt_x * pixel.tilt_x + pixel.tilt_y * pixel.tilt_y);
+}
+
+/* gloss: the light of the sky within the lobe; nodes as for a ball.
+
+  reach  float [spacing]  ground farther away does not count
+
+Slices go through the disc within the rim about the mirror direction, or all round where the zenith lies within it. */
+__kernel void gloss(__global const float *heights, __global const float *tops, __global const float *nodes,
+                    __global const float *sky, __global const float *points, __global const float *lobe,
+                    __global float *irradiance, int rows, int cols, int width, int levels, int least, int most, int side,
+                    int n_points, int n_lobe, int dark, float rim, float reach, float unit)
+{
+  if (get_global_id(0) >= cols || get_global_id(1) >= rows)
+    return;
+  Pixel pixel = pixel_at(heights, tops, sky, points, lobe, rows, cols, width, levels, side, n_points, n_lobe, dark, rim);
+
+  /* 1. where the disc stands, and how many slices it is worth */
+  const float flat = sqrt(pixel.mirror_x * pixel.mirror_x + pixel.mirror_y * pixel.mirror_y);
+  const float ux = flat > 0 ? pixel.mirror_x / flat : 1, uy = flat > 0 ? pixel.mirror_y / flat : 0;
+  const float sin_a = sqrt(rim * (2 - rim));
+  const int all_round = sin_a >= flat;
+  const float widest = all_round ? 1 : sin_a / flat;
+  const float turn = all_round ? 1 : widest * (0.318f + 0.182f * widest * widest);
+  const int blocks = min((least + (int)(turn * (most - least))) / SLICES, most / SLICES), n_slices = blocks * SLICES;
+  const float step = M_PI_F / n_slices;
+  __global const float *own = nodes + (blocks - 1) * 4 * most;
+  pixel.up = 0;
+  pixel.reach = reach;
+  pixel.radius = -1;
+
+  /* 2. its slices */
+  floats sum = 0;
+  if (pixel.height > NONE)
+    for (int j = 0; j < n_slices; j += LANES) {
+      floats sin_d, cos_d, share;
+      if (all_round) {
+        sin_d = AT(own, 2 * most + j);
+        cos_d = AT(own, 3 * most + j);
+        share = 2 * step;
+      } else {
+        sin_d = widest * AT(own, j);
+        cos_d = sqrt((1 - sin_d) * (1 + sin_d));
+        share = widest * step * AT(own, most + j) / cos_d;
+      }
+      sum += share * slice(&pixel, ux * cos_d - uy * sin_d, uy * cos_d + ux * sin_d, 1, 0, -STEEP, STEEP, 2 * STEEP);
+    }
+  irradiance[pixel.y * cols + pixel.x] = unit * TOTAL(sum) / sqrt(1 + pixel.tilt_x * pixel.tilt_x + pixel.tilt_y * pixel.tilt_y);
+}
+
+/* rays: whether the ground leaves rays free.
+
+  ways  (rows, cols, 4, count)  float  azimuth's cosine and sine, tangent of the elevation, and how far [spacing] ground counts
+  seen  (rows, cols, count)     float  out: 1 where no ground stands higher than the ray, else 0; count: a multiple of LANES */
+__kernel void rays(__global const float *heights, __global const float *tops, __global const float *ways, __global float *seen,
+                   int rows, int cols, int width, int levels, int count)
+{
+  if (get_global_id(0) >= cols || get_global_id(1) >= rows)
+    return;
+  Pixel pixel = pixel_at(heights, tops, heights, heights, heights, rows, cols, width, levels, 0, 0, 0, 0, 0);
+  const size_t here = ((size_t)pixel.y * cols + pixel.x) * count;
+  pixel.up = 0;
+  pixel.radius = -1;
+  for (int j = 0; j < count; j += LANES) {
+    const floats c = AT(ways, 4 * here + j), s = AT(ways, 4 * here + count + j), tangent = AT(ways, 4 * here + 2 * count + j), reach = AT(ways, 4 * here + 3 * count + j);
+    const floats above = tangent + 1e-6f * (1 + (tangent < 0 ? -tangent : tangent)); /* so that one obstacle is enough */
+    pixel.reach = 1; /* along the ray ground counts up to t / reach = 1 */
+    const floats slope = horizon(&pixel, c, s, tangent, above, 1 / reach, 0);
+    STORE(slope > tangent ? 0 : ALL(1), here + j, seen);
+  }
 }

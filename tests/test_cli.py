@@ -283,3 +283,23 @@ def test_demo(tmp_path, capsys):
         tones = io.read(tmp_path / "new" / "demo" / picture["file"])
         assert tones.dtype == np.uint8 and tones.std() > 20, picture
     assert all(b["bits_equal"] and b["difference"] < 1e-5 for b in facts["backends"] if b["available"])
+
+
+def test_render_takes_colour_and_gloss(here, capsys):
+    """--albedo R,G,B, --specular and --exponent are the library's; three channels go into .npy, .tif and .png."""
+    import imageio.v3 as imageio
+
+    render = lambda out, *arguments: run(capsys, "render", "depth.npy", "--out", out, "--backend", "numpy", *arguments)
+    for arguments, surface in ((["--albedo", "0.2,0.4,0.6"], sl.Lambertian((0.2, 0.4, 0.6))),
+                               (["--albedo", "0.3", "--specular", "0.2,0.1,0.1", "--exponent", "9"], sl.Phong(0.3, (0.2, 0.1, 0.1), 9)),
+                               (["--albedo", "0.1", "--specular", "0.5", "--exponent", "inf"], sl.Mirror(0.5, 0.1))):
+        assert render("out.npy", *arguments)[0] == 0
+        np.testing.assert_array_equal(np.load("out.npy"), sl.render(sl.Scene(np.load("depth.npy"), reflectance=surface), sl.Sky(), backend="numpy").image)
+    for name in ("out.png", "out.tif"):
+        assert render(name, "--albedo", "0.2,0.4,0.6")[0] == 0
+        picture = imageio.imread(name).astype(float)
+        assert picture.shape == (*BOWL.shape, 3)
+        np.testing.assert_allclose(picture[..., 0] / picture[..., 2], 1 / 3, atol=0.01)
+    for arguments, code, says in ((["--exponent", "5"], 2, "--specular"), (["--albedo", "0.9", "--specular", "0.3"], 3, "0.2 too much"), (["--albedo", "1,2"], 2, "R,G,B")):
+        fails(capsys, code, "render", "depth.npy", "--out", "no.npy", *arguments, says=says)
+    fails(capsys, 3, "render", "depth.npy", "--out", "no.png", "--bits", "16", "--albedo", "0.2,0.4,0.6", "--backend", "numpy", says="8 bits")

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from scenes import rough
 
+import skylamp as sl
 import skylamp.opencl
 from skylamp import oracle
 from skylamp.backends import select
@@ -394,3 +395,12 @@ def test_a_shallow_bowl(backend):
 def test_a_bowl(fast, degrees):
     """The same, up to a rim of 60 degrees."""
     assert _bowl(fast, degrees, 64) <= 0.002
+
+
+def test_arrays_last_as_long_as_kernels_need_them(fast):
+    """A large map that repeats is swept through scratch arrays, which are let go while kernels may still run on them."""
+    depth = np.tile(rough(64, 64, 0.3), (17, 17))
+    options = dict(method="horizon", azimuths=4, max_distance=9, backend=fast)
+    image = sl.render(sl.Scene(depth, sides="periodic"), sl.Sky(), **options).image
+    small = sl.render(sl.Scene(depth[:64, :64], sides="periodic"), sl.Sky(), **options).image
+    np.testing.assert_allclose(image[512:576, 512:576], small, atol=0.02)

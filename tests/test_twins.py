@@ -19,7 +19,7 @@ C_TYPES = {"float": "float32", "double": "float64", "int": "int32", "uint": "uin
            "Ladder": "int32"}  # vectors by their elements
 C_NAMES = {"half_": "half"}  # half is a type in OpenCL
 CONSTANTS = {"BITS": (3, 4), "NEAR": (6, 12), "SIDES": (0, 2), "WHAT": (0, 1), "BLOCKS": (0, 1)}  # known when compiling: two values of each
-WARP_WORDS = {("luminance", "planes")}  # bytes that Warp loads four to a uint32, since its byte vectors are loaded one by one
+WARP_WORDS = {("luminance", "planes"), ("specular", "planes")}  # bytes that Warp loads four to a uint32, since its byte vectors are loaded one by one
 
 
 def _signatures(stem):

@@ -11,6 +11,8 @@ Shared arguments
                               from column width - (width >> l - 1) on; width is a multiple of 2^levels
   sky         (side, side)    float32  brightness over the stereographic plane, x / (1 - z) and y / (1 - z) from -1 to 1
   points      (n_points, 2)   float32  where along a chord brightness is taken, 0..1, and weights; none: it is 1
+  lobe        (n_lobe)        float32  weight of light by 1 - cosine of its angle to the mirror direction, even steps from 0 to
+                              rim, beyond which there is none; n_lobe 0: all light counts alike
   irradiance  (rows, cols)    float32  out; unit: its factor
   least, most slices of a source that is a point, and of one that stands all round: multiples of SLICES, as what is between
   dark        whether walls stand half a node outside the map, up to height 0
@@ -51,24 +53,30 @@ def coarser(heights: wp.array[wp.float32], tops: wp.array[wp.float32], rows: wp.
 @wp.struct
 class Pixel:
     """What all slices of a pixel share. A point (c t, s t, v) from the pixel stands before the source iff along t + up v < reach,
-    ``along`` the slice's own. radius: of a ball, 0 for a quadrangle."""
+    ``along`` the slice's own. radius: of a ball, 0 for a quadrangle, below 0 for the sky."""
 
     heights: wp.array[wp.float32]
     tops: wp.array[wp.float32]
     sky: wp.array[wp.float32]
     points: wp.array[wp.float32]
+    lobe: wp.array[wp.float32]
     rows: wp.int32
     cols: wp.int32
     width: wp.int32
     levels: wp.int32
     side: wp.int32
     n_points: wp.int32
+    n_lobe: wp.int32
     dark: wp.int32
     x: wp.int32
     y: wp.int32
     height: wp.float32
     tilt_x: wp.float32
     tilt_y: wp.float32
+    rim: wp.float32
+    mirror_x: wp.float32
+    mirror_y: wp.float32
+    mirror_z: wp.float32
     up: wp.float32
     reach: wp.float32
     radius: wp.float32
@@ -175,6 +183,19 @@ def horizon(pixel: Pixel, c: wp.float32, s: wp.float32, start: wp.float32, high:
 
 
 @wp.func
+def in_lobe(pixel: Pixel, c: wp.float32, s: wp.float32, cosine: wp.float32, sine: wp.float32):
+    """The lobe's weight of the direction whose elevation has this cosine and sine."""
+    x = cosine - (pixel.mirror_x * c + pixel.mirror_y * s)
+    y = pixel.mirror_y * c - pixel.mirror_x * s
+    z = sine - pixel.mirror_z
+    most = wp.float32(pixel.n_lobe - 1)
+    at = wp.min((x * x + y * y + z * z) * (0.5 * most / pixel.rim), most)  # 1 - cos is half of |L - R|^2
+    i = wp.min(wp.int32(at), pixel.n_lobe - 2)
+    first = pixel.lobe[i]
+    return first + (at - wp.float32(i)) * (pixel.lobe[i + 1] - first)
+
+
+@wp.func
 def brightness_of(pixel: Pixel, c: wp.float32, s: wp.float32, tilt: wp.float32, low: wp.float32, high: wp.float32):
     """Mean brightness of the chord between two tangents, weighted by the cosine to the normal."""
     half = 0.5 * wp.float32(pixel.side - 1)
@@ -202,7 +223,11 @@ def brightness_of(pixel: Pixel, c: wp.float32, s: wp.float32, tilt: wp.float32, 
         near = pixel.sky[at] * (1.0 - p) + pixel.sky[at + 1] * p
         far = pixel.sky[at + pixel.side] * (1.0 - p) + pixel.sky[at + pixel.side + 1] * p
         share = weight / (square * square) * cosine * wp.max(tilt * cosine + sine, 0.0)
-        total += share * (near * (1.0 - q) + far * q)
+        light = near * (1.0 - q) + far * q
+        if pixel.n_lobe > 0:
+            length = wp.sqrt(square)
+            light *= in_lobe(pixel, c, s, cosine / length, sine / length)
+        total += share * light
         all += share
     return total / wp.max(all, 1.0 / ENDLESS)
 
@@ -249,9 +274,40 @@ def to_wall(ends: wp.int32, at: wp.int32, along: wp.float32):
 
 
 @wp.func
-def slice_light(pixel: Pixel, c: wp.float32, s: wp.float32, along: wp.float32, aside: wp.float32, low: wp.float32, high: wp.float32, rise: wp.float32):
-    """The light through a slice along (c, s) of a source between the tangents low and high, ``rise`` apart; aside: how far its
-    middle stands from the slice."""
+def to_rim(pixel: Pixel, c: wp.float32, s: wp.float32, before: wp.float32, after: wp.float32, rise: wp.float32):
+    """What a slice along (c, s) leaves of the chord between two tangents within the lobe's rim, and how far they are apart."""
+    least = 1.0 - pixel.rim
+    up = pixel.mirror_z
+    in_plane = pixel.mirror_x * c + pixel.mirror_y * s
+    square = in_plane * in_plane + up * up - least * least
+    half = wp.sqrt(wp.max(square, 0.0))  # of the chord: least is to it as cosine to sine
+    low_c = in_plane * least + up * half
+    high_c = in_plane * least - up * half
+    start = wp.where(up > 0.0, STEEP, -STEEP)
+    stop = start
+    if low_c > 0.0:
+        start = (up * least - in_plane * half) / low_c
+    if high_c > 0.0:
+        stop = (up * least + in_plane * half) / high_c
+    low = wp.max(before, start)
+    high = wp.where(square > 0.0, wp.min(after, stop), -STEEP)
+    if start > before or stop < after:
+        return wp.vec3(low, high, high - low)
+    return wp.vec3(low, high, rise)
+
+
+@wp.func
+def slice_light(pixel: Pixel, c: wp.float32, s: wp.float32, along: wp.float32, aside: wp.float32, before: wp.float32, after: wp.float32, apart: wp.float32):
+    """The light through a slice along (c, s) of a source between the tangents before and after, ``apart`` apart; aside: how far
+    its middle stands from the slice."""
+    low = before
+    high = after
+    rise = apart
+    if pixel.n_lobe > 0:
+        chord_left = to_rim(pixel, c, s, before, after, apart)
+        low = chord_left[0]
+        high = chord_left[1]
+        rise = chord_left[2]
     # 1. the tangent plane and the level
     plane = -(pixel.tilt_x * c + pixel.tilt_y * s)
     slope = wp.clamp(wp.max(low, plane), 0.0, STEEP)
@@ -274,7 +330,9 @@ def slice_light(pixel: Pixel, c: wp.float32, s: wp.float32, along: wp.float32, a
     else:
         up = wp.where(pixel.up == 0.0, 1.0 / ENDLESS, pixel.up)
         meets = (pixel.reach / wall - along) / up
-        if up > 0.0:
+        if pixel.radius < 0.0:
+            under = wp.float32(ENDLESS)
+        elif up > 0.0:
             under = meets
         else:
             over = meets
@@ -295,6 +353,13 @@ def tilt_of(heights: wp.array[wp.float32], here: wp.int32, stride: wp.int32):
     return wp.vec2(slope_between(heights[here - 1], own, heights[here + 1]), slope_between(heights[here - stride], own, heights[here + stride]))
 
 
+@wp.func
+def mirror_of(tilt: wp.vec2):
+    """Where a viewer straight above looks by way of the surface."""
+    twice = 2.0 / (1.0 + tilt[0] * tilt[0] + tilt[1] * tilt[1])
+    return wp.vec3(twice * tilt[0], twice * tilt[1], twice - 1.0)
+
+
 @wp.kernel(launch_bounds=BOUNDS)
 def ball(
     heights: wp.array[wp.float32],
@@ -302,6 +367,7 @@ def ball(
     nodes: wp.array[wp.float32],
     sky: wp.array[wp.float32],
     points: wp.array[wp.float32],
+    lobe: wp.array[wp.float32],
     irradiance: wp.array[wp.float32],
     rows: wp.int32,
     cols: wp.int32,
@@ -311,7 +377,9 @@ def ball(
     most: wp.int32,
     side: wp.int32,
     n_points: wp.int32,
+    n_lobe: wp.int32,
     dark: wp.int32,
+    rim: wp.float32,
     x0: wp.float32,
     y0: wp.float32,
     z0: wp.float32,
@@ -330,7 +398,9 @@ def ball(
     y, x = wp.tid()
     here = (y + 1) * (cols + 1) + x + 1
     tilt = tilt_of(heights, here, cols + 1)
-    pixel = Pixel(heights, tops, sky, points, rows, cols, width, levels, side, n_points, dark, x, y, heights[here], tilt[0], tilt[1], 0.0, 0.0, radius)
+    mirror = mirror_of(tilt)
+    pixel = Pixel(heights, tops, sky, points, lobe, rows, cols, width, levels, side, n_points, n_lobe, dark, x, y, heights[here], tilt[0], tilt[1],
+                  rim, mirror[0], mirror[1], mirror[2], 0.0, 0.0, radius)
 
     # 1. where the ball stands, and how many slices it is worth
     dx = x0 - wp.float32(x)
@@ -449,6 +519,7 @@ def quad(
     nodes: wp.array[wp.float32],
     sky: wp.array[wp.float32],
     points: wp.array[wp.float32],
+    lobe: wp.array[wp.float32],
     irradiance: wp.array[wp.float32],
     rows: wp.int32,
     cols: wp.int32,
@@ -458,7 +529,9 @@ def quad(
     most: wp.int32,
     side: wp.int32,
     n_points: wp.int32,
+    n_lobe: wp.int32,
     dark: wp.int32,
+    rim: wp.float32,
     unit: wp.float32,
 ):
     """A flat, convex quadrangle, which shines from both faces.
@@ -472,7 +545,9 @@ def quad(
     y, x = wp.tid()
     here = (y + 1) * (cols + 1) + x + 1
     tilt = tilt_of(heights, here, cols + 1)
-    pixel = Pixel(heights, tops, sky, points, rows, cols, width, levels, side, n_points, dark, x, y, heights[here], tilt[0], tilt[1], 0.0, 0.0, 0.0)
+    mirror = mirror_of(tilt)
+    pixel = Pixel(heights, tops, sky, points, lobe, rows, cols, width, levels, side, n_points, n_lobe, dark, x, y, heights[here], tilt[0], tilt[1],
+                  rim, mirror[0], mirror[1], mirror[2], 0.0, 0.0, 0.0)
 
     # 1. the corners, in the frame that points below the middle
     dx = corners[12] - wp.float32(x)
@@ -626,3 +701,112 @@ def quad(
             along = sense * (normal_x * cos_d + normal_y * sin_d)
             total += share * slice_light(pixel, ux * cos_d - uy * sin_d, uy * cos_d + ux * sin_d, along, 0.0, low, high, rise)
     irradiance[y * cols + x] = unit * total / wp.sqrt(1.0 + pixel.tilt_x * pixel.tilt_x + pixel.tilt_y * pixel.tilt_y)
+
+
+@wp.kernel(launch_bounds=BOUNDS)
+def gloss(
+    heights: wp.array[wp.float32],
+    tops: wp.array[wp.float32],
+    nodes: wp.array[wp.float32],
+    sky: wp.array[wp.float32],
+    points: wp.array[wp.float32],
+    lobe: wp.array[wp.float32],
+    irradiance: wp.array[wp.float32],
+    rows: wp.int32,
+    cols: wp.int32,
+    width: wp.int32,
+    levels: wp.int32,
+    least: wp.int32,
+    most: wp.int32,
+    side: wp.int32,
+    n_points: wp.int32,
+    n_lobe: wp.int32,
+    dark: wp.int32,
+    rim: wp.float32,
+    reach: wp.float32,
+    unit: wp.float32,
+):
+    """The light of the sky within the lobe; nodes as for a ball.
+
+      reach  float32 [spacing]  ground farther away does not count
+
+    Slices go through the disc within the rim about the mirror direction, or all round where the zenith lies within it.
+    """
+    y, x = wp.tid()
+    here = (y + 1) * (cols + 1) + x + 1
+    tilt = tilt_of(heights, here, cols + 1)
+    mirror = mirror_of(tilt)
+    pixel = Pixel(heights, tops, sky, points, lobe, rows, cols, width, levels, side, n_points, n_lobe, dark, x, y, heights[here], tilt[0], tilt[1],
+                  rim, mirror[0], mirror[1], mirror[2], 0.0, reach, -1.0)
+
+    # 1. where the disc stands, and how many slices it is worth
+    flat = wp.sqrt(mirror[0] * mirror[0] + mirror[1] * mirror[1])
+    ux = wp.float32(1.0)
+    uy = wp.float32(0.0)
+    if flat > 0.0:
+        ux = mirror[0] / flat
+        uy = mirror[1] / flat
+    sin_a = wp.sqrt(rim * (2.0 - rim))
+    all_round = sin_a >= flat
+    widest = wp.float32(1.0)
+    turn = wp.float32(1.0)
+    if not all_round:
+        widest = sin_a / flat
+        turn = widest * (0.318 + 0.182 * widest * widest)
+    blocks = wp.min((least + wp.int32(turn * wp.float32(most - least))) // SLICES, most // SLICES)
+    n_slices = blocks * SLICES
+    step = wp.float32(wp.pi) / wp.float32(n_slices)
+    own = (blocks - 1) * 4 * most
+
+    # 2. its slices
+    total = wp.float32(0.0)
+    if pixel.height > NONE:
+        for j in range(n_slices):
+            sin_d = widest * nodes[own + j]
+            cos_d = wp.sqrt((1.0 - sin_d) * (1.0 + sin_d))
+            share = widest * step * nodes[own + most + j] / cos_d
+            if all_round:
+                sin_d = nodes[own + 2 * most + j]
+                cos_d = nodes[own + 3 * most + j]
+                share = 2.0 * step
+            total += share * slice_light(pixel, ux * cos_d - uy * sin_d, uy * cos_d + ux * sin_d, 1.0, 0.0, -STEEP, STEEP, 2.0 * STEEP)
+    irradiance[y * cols + x] = unit * total / wp.sqrt(1.0 + pixel.tilt_x * pixel.tilt_x + pixel.tilt_y * pixel.tilt_y)
+
+
+@wp.kernel
+def rays(
+    heights: wp.array[wp.float32],
+    tops: wp.array[wp.float32],
+    ways: wp.array[wp.float32],
+    seen: wp.array[wp.float32],
+    rows: wp.int32,
+    cols: wp.int32,
+    width: wp.int32,
+    levels: wp.int32,
+    count: wp.int32,
+):
+    """Whether the ground leaves rays free.
+
+      ways  (rows, cols, 4, count)  float32  azimuth's cosine and sine, tangent of the elevation, and how far [spacing] ground counts
+      seen  (rows, cols, count)     float32  out: 1 where no ground stands higher than the ray, else 0
+    """
+    y, x = wp.tid()
+    own = (y + 1) * (cols + 1) + x + 1
+    pixel = Pixel()
+    pixel.heights = heights
+    pixel.tops = tops
+    pixel.rows = rows
+    pixel.cols = cols
+    pixel.width = width
+    pixel.levels = levels
+    pixel.x = x
+    pixel.y = y
+    pixel.height = heights[own]
+    pixel.reach = 1.0  # along the ray ground counts up to t / reach = 1
+    pixel.radius = -1.0
+    here = (y * cols + x) * count
+    for j in range(count):
+        tangent = ways[4 * here + 2 * count + j]
+        above = tangent + 1e-6 * (1.0 + wp.abs(tangent))  # so that one obstacle is enough
+        slope = horizon(pixel, ways[4 * here + j], ways[4 * here + count + j], tangent, above, 1.0 / ways[4 * here + 3 * count + j], 0.0)
+        seen[here + j] = wp.where(slope > tangent, 0.0, 1.0)

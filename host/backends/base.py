@@ -24,6 +24,14 @@ SIDES = {"open": 0, "dark": 1, "periodic": 2}
 Progress = Callable[[int, int], None]
 
 
+class Lobe(NamedTuple):
+    """A lobe about the mirror direction: its weight by even steps of 1 - cosine from 0 to rim, and its half width [rad]."""
+
+    table: np.ndarray
+    rim: float
+    spread: float
+
+
 class Problem(NamedTuple):
     """What is asked of a backend: depth (rows, cols) float32, +inf where masked, in a unit in which the spacing is step."""
 
@@ -123,10 +131,14 @@ class Backend:
 
     def irradiance(self, problem: Problem, moments: np.ndarray) -> np.ndarray:
         """Irradiance (rows, cols) float32; ``moments`` (D, 3): brightness times the integral of L dOmega over each cell."""
-        surface = Surface(self, problem)
-        light = Light(surface, moments)
+        return self.light(problem, moments)[0][0]
+
+    def light(self, problem: Problem, moments: np.ndarray, lobe: Lobe | None = None, weights: np.ndarray | None = None, whole: np.ndarray | None = None) -> tuple[list, list]:
+        """Irradiance, and what a lobe reflects, (rows, cols) float32 per colour; arguments as for :class:`Light`."""
+        light = Light(Surface(self, problem), moments, lobe, weights, whole)
         light.run()
-        return self.download(light.sum)[: problem.pixels].reshape(problem.depth.shape)
+        get = lambda arrays: [self.download(array)[: problem.pixels].reshape(problem.depth.shape) for array in arrays]
+        return get(light.sums), get(light.glosses)
 
     def carve(self, problem: Problem, low, high, weights, layers: int, by_sign: bool, progress: Progress | None = None) -> np.ndarray:
         """Depth in layers (rows, cols) int32 by the inverse algorithm; arguments as for skylamp.oracle.carve."""
@@ -273,15 +285,29 @@ class Surface:
 
 
 class Light:
-    """The sum over the visible directions, with everything on the device; ``run`` may be repeated (and timed)."""
+    """The sum over the visible directions, with everything on the device; ``run`` may be repeated (and timed).
 
-    def __init__(self, surface: Surface, moments: np.ndarray):
+    ``moments`` (D, 3), or one for each colour (C, D, 3): all are summed in one pass over visibility. ``lobe``, with
+    ``weights`` (C, D, 4) unit vectors and weights, gives what is reflected about the mirror direction too; no more than it
+    gets if ``whole`` (D, 4) are given, the weights under a sky of brightness 1.
+    """
+
+    def __init__(self, surface: Surface, moments: np.ndarray, lobe: Lobe | None = None, weights: np.ndarray | None = None, whole: np.ndarray | None = None):
         backend = surface.backend
-        self.surface = surface
+        self.surface, self.lobe = surface, lobe
         self.slopes = backend.empty((2, surface.room), np.float32, 0)
-        self.sum = backend.empty((surface.room,), np.float32, 0)
-        padded = np.concatenate([moments, np.zeros((len(moments), 1))], 1).astype(np.float32)
-        self.tables = [backend.upload(padded[group.order]) for group in surface.groups]
+        moments = moments.reshape(-1, *moments.shape[-2:])
+        padded = np.concatenate([moments, np.zeros((*moments.shape[:2], 1))], 2)
+        weights = np.zeros((0, *padded.shape[1:])) if lobe is None else weights
+        self.sums, self.glosses = ([backend.empty((surface.room,), np.float32, 0) for _ in values] for values in (padded, weights))
+        put = lambda values: [[backend.upload(one.astype(np.float32)[group.order]) for one in values] for group in surface.groups]
+        self.tables, self.weights = put(padded), put(weights)
+        self.table = None if lobe is None else backend.upload(lobe.table)
+        self.whole = None if whole is None else backend.upload(whole.astype(np.float32))
+
+    @property
+    def sum(self):
+        return self.sums[0]
 
     def run(self) -> None:
         surface, backend, problem = self.surface, self.surface.backend, self.surface.problem
@@ -289,9 +315,16 @@ class Light:
         surface.turn()
         backend.launch("luminance", "gradient", (cols, rows), surface.depth, self.slopes, rows, cols, surface.room, 0.5 / problem.step, 1 / problem.step)
         last = len(surface.groups) - 1
-        for number, (group, table) in enumerate(zip(surface.groups, self.tables)):
-            backend.launch("luminance", "luminance", (surface.room // backend.pixel_lanes,), surface.scan(number), self.slopes, table, self.sum,
-                           problem.pixels, surface.room, group.count, int(number == 0), int(number == last), BITS=group.bits, lanes=backend.pixel_lanes)
+        launch = lambda stem, kernel, *args, **constants: backend.launch(stem, kernel, (surface.room // backend.pixel_lanes,), *args, lanes=backend.pixel_lanes, **constants)
+        for number, group in enumerate(surface.groups):
+            planes, when = surface.scan(number), (int(number == 0), int(number == last))
+            for table, total in zip(self.tables[number], self.sums):
+                launch("luminance", "luminance", planes, self.slopes, table, total, problem.pixels, surface.room, group.count, *when, BITS=group.bits)
+            for table, total in zip(self.weights[number], self.glosses):
+                launch("specular", "specular", planes, self.slopes, table, self.table, total, surface.room, group.count, len(self.lobe.table), *when, self.lobe.rim,
+                       BITS=group.bits)
+        for total in self.glosses if self.whole is not None else ():
+            launch("specular", "bound", self.slopes, self.whole, self.table, total, surface.room, len(problem.steps), len(self.lobe.table), self.lobe.rim)
 
 
 class FieldByLayers:

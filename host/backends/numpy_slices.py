@@ -35,6 +35,8 @@ class Map(NamedTuple):
     tops: np.ndarray
     sky: np.ndarray
     points: np.ndarray
+    lobe: np.ndarray
+    rim: np.float32
     rows: int
     cols: int
     levels: int
@@ -49,6 +51,9 @@ class Pixels(NamedTuple):
     height: np.ndarray
     tilt_x: np.ndarray
     tilt_y: np.ndarray
+    mirror_x: np.ndarray
+    mirror_y: np.ndarray
+    mirror_z: np.ndarray
     up: np.ndarray
     reach: np.ndarray
     radius: np.float32
@@ -63,12 +68,14 @@ def _slope_between(low, here, high):
 
 
 def _pixels(heights, rows, cols):
-    """x, y, height, tilt_x, tilt_y of every node with ground, flat."""
+    """x, y, height, tilt_x, tilt_y, mirror_x, mirror_y, mirror_z of every node with ground, flat."""
     grid = heights[: (rows + 2) * (cols + 1)].reshape(rows + 2, cols + 1)
     y, x = np.nonzero(grid[1:-1, 1:] > NONE)
     here = (y + 1) * (cols + 1) + x + 1
     pick = lambda step: heights[here + step]
-    return x.astype(np.int32), y.astype(np.int32), pick(0), _slope_between(pick(-1), pick(0), pick(1)), _slope_between(pick(-cols - 1), pick(0), pick(cols + 1))
+    tilt_x, tilt_y = _slope_between(pick(-1), pick(0), pick(1)), _slope_between(pick(-cols - 1), pick(0), pick(cols + 1))
+    twice = F(2) / (F(1) + tilt_x * tilt_x + tilt_y * tilt_y)
+    return x.astype(np.int32), y.astype(np.int32), pick(0), tilt_x, tilt_y, twice * tilt_x, twice * tilt_y, twice - F(1)
 
 
 def _under_source(pixels, along, aside, t):
@@ -132,7 +139,16 @@ def _horizon(ground, pixels, c, s, slope, high, along, aside):
     return found
 
 
-def _brightness_of(ground, c, s, tilt, low, high):
+def _in_lobe(ground, pixels, c, s, cosine, sine):
+    x, y, z = cosine - (pixels.mirror_x * c + pixels.mirror_y * s), pixels.mirror_y * c - pixels.mirror_x * s, sine - pixels.mirror_z
+    most = F(len(ground.lobe) - 1)
+    at = np.minimum((x * x + y * y + z * z) * (F(0.5) * most / ground.rim), most)  # 1 - cos is half of |L - R|^2
+    i = np.minimum(at.astype(np.int32), len(ground.lobe) - 2)
+    first = ground.lobe[i]
+    return first + (at - i.astype(F)) * (ground.lobe[i + 1] - first)
+
+
+def _brightness_of(ground, pixels, c, s, tilt, low, high):
     side = ground.sky.shape[1]
     sky, half, most = ground.sky.ravel(), F(0.5) * F(side - 1), side - 2
     low_c, high_c = F(1) / np.sqrt(low * low + F(1)), F(1) / np.sqrt(high * high + F(1))
@@ -149,7 +165,11 @@ def _brightness_of(ground, c, s, tilt, low, high):
         near = sky[at] * (F(1) - p) + sky[at + 1] * p
         far = sky[at + side] * (F(1) - p) + sky[at + side + 1] * p
         share = weight / (square * square) * cosine * np.maximum(tilt * cosine + sine, F(0))
-        total += share * (near * (F(1) - q) + far * q)
+        light = near * (F(1) - q) + far * q
+        if len(ground.lobe):
+            length = np.sqrt(square)
+            light = light * _in_lobe(ground, pixels, c, s, cosine / length, sine / length)
+        total += share * light
         everything += share
     return total / np.maximum(everything, F(1) / ENDLESS)
 
@@ -171,7 +191,7 @@ def _chord(ground, pixels, c, s, low, high, rise):
     sine = rise / r
     by_cosine = _arctan(rise / (r + F(1) + product)) + F(0.5) * ((F(1) - product) / r * sine)
     by_sine = F(0.5) * ((low + high) / r * sine)
-    light = _brightness_of(ground, c, s, tilt, low, high) if len(ground.points) else F(1)
+    light = _brightness_of(ground, pixels, c, s, tilt, low, high) if len(ground.points) else F(1)
     out[n] = light * (tilt * by_cosine + by_sine)
     return out
 
@@ -180,7 +200,22 @@ def _to_wall(ends, at, along):
     return np.where(along == 0, ENDLESS, np.where(along > 0, F(ends) - F(0.5) - at.astype(F), F(-0.5) - at.astype(F)) / along)
 
 
+def _to_rim(ground, pixels, c, s, before, after, rise):
+    least, up = F(1) - ground.rim, pixels.mirror_z
+    in_plane = pixels.mirror_x * c + pixels.mirror_y * s
+    square = in_plane * in_plane + up * up - least * least
+    half = np.sqrt(np.maximum(square, F(0)))  # of the chord: least is to it as cosine to sine
+    low_c, low_s = in_plane * least + up * half, up * least - in_plane * half
+    high_c, high_s = in_plane * least - up * half, up * least + in_plane * half
+    other = np.where(up > 0, STEEP, -STEEP)
+    start, stop = np.where(low_c > 0, low_s / low_c, other), np.where(high_c > 0, high_s / high_c, other)
+    low, high = np.maximum(before, start), np.where(square > 0, np.minimum(after, stop), -STEEP)
+    return low, high, np.where((start > before) | (stop < after), high - low, rise)
+
+
 def _light(ground, pixels, c, s, along, aside, low, high, rise):
+    if len(ground.lobe):
+        low, high, rise = _to_rim(ground, pixels, c, s, low, high, rise)
     # 1. the tangent plane and the level
     slope = np.clip(np.maximum(low, -(pixels.tilt_x * c + pixels.tilt_y * s)), F(0), STEEP)
     if not ground.dark:
@@ -199,7 +234,7 @@ def _light(ground, pixels, c, s, along, aside, low, high, rise):
     else:
         up = np.where(pixels.up == 0, F(1) / ENDLESS, pixels.up)
         meets = (pixels.reach / wall - along) / up
-        under, over = np.where(up > 0, meets, -ENDLESS), np.where(up > 0, ENDLESS, meets)
+        under, over = np.where(up > 0, ENDLESS if pixels.radius < 0 else meets, -ENDLESS), np.where(up > 0, ENDLESS, meets)
     slope = np.maximum(slope, np.minimum(under, top))
     split = over < top
     left = np.where(split, np.minimum(high, over), high)
@@ -224,9 +259,9 @@ def _sum(ground, pixels, blocks, most, unit, irradiance, slices_of):
             irradiance[here.y, here.x] = F(unit) * (share * light.reshape(share.shape)).sum(1, dtype=F) / scale
 
 
-def ball(heights, tops, nodes, sky, points, irradiance, rows, cols, width, levels, least, most, side, n_points, dark, x0, y0, z0, radius, unit):
+def ball(heights, tops, nodes, sky, points, lobe, irradiance, rows, cols, width, levels, least, most, side, n_points, n_lobe, dark, rim, x0, y0, z0, radius, unit):
     x0, y0, z0, radius = F(x0), F(y0), F(z0), F(radius)
-    x, y, height, tilt_x, tilt_y = _pixels(heights, rows, cols)
+    nodes_with_ground = x, y, height, *_ = _pixels(heights, rows, cols)
     # 1. where the ball stands, and how many slices it is worth
     dx, dy, dz = x0 - x.astype(F), y0 - y.astype(F), z0 - height
     flat = np.sqrt(dx * dx + dy * dy)
@@ -240,7 +275,7 @@ def ball(heights, tops, nodes, sky, points, irradiance, rows, cols, width, level
     widest = np.where(all_round, F(1), sin_a / cos_e)
     turn = np.where(all_round, F(1), widest * (F(0.318) + F(0.182) * widest * widest))  # share of the circle, nearly
     blocks = np.minimum((least + (turn * F(most - least)).astype(np.int32)) // SLICES, most // SLICES)
-    pixels = Pixels(x, y, height, tilt_x, tilt_y, dz, beyond, radius)
+    pixels = Pixels(*nodes_with_ground, dz, beyond, radius)
     seen = inside | (dz + radius > 0)
 
     def slices_of(part, count):
@@ -266,7 +301,7 @@ def ball(heights, tops, nodes, sky, points, irradiance, rows, cols, width, level
         flat_ = column(flat)
         return share, flat_ * cos_d, flat_ * sin_d, low, high, rise, column(ux) * cos_d - column(uy) * sin_d, column(uy) * cos_d + column(ux) * sin_d
 
-    _sum(Map(heights, tops, sky, points[:n_points], rows, cols, levels, dark), pixels, blocks, most, unit, irradiance, slices_of)
+    _sum(Map(heights, tops, sky, points[:n_points], lobe[:n_lobe], F(rim), rows, cols, levels, dark), pixels, blocks, most, unit, irradiance, slices_of)
 
 
 def _sector_between(ax, ay, bx, by):
@@ -285,8 +320,8 @@ def _share_of(quarter):
     return quarter * (F(0.637) - F(0.137) * quarter * quarter)
 
 
-def quad(heights, tops, corners, nodes, sky, points, irradiance, rows, cols, width, levels, least, most, side, n_points, dark, unit):
-    x, y, height, tilt_x, tilt_y = _pixels(heights, rows, cols)
+def quad(heights, tops, corners, nodes, sky, points, lobe, irradiance, rows, cols, width, levels, least, most, side, n_points, n_lobe, dark, rim, unit):
+    nodes_with_ground = x, y, height, *_ = _pixels(heights, rows, cols)
     # 1. the corners, in the frame that points below the middle
     dx, dy, dz = corners[4, 0] - x.astype(F), corners[4, 1] - y.astype(F), corners[4, 2] - height
     flat = np.sqrt(dx * dx + dy * dy)
@@ -303,7 +338,7 @@ def quad(heights, tops, corners, nodes, sky, points, irradiance, rows, cols, wid
     normal_x, normal_y = corners[5, 0] * ux + corners[5, 1] * uy, corners[5, 1] * ux - corners[5, 0] * uy
     apart = flat * normal_x + dz * corners[5, 2]
     sense = np.where(apart < 0, F(-1), F(1))
-    pixels = Pixels(x, y, height, tilt_x, tilt_y, sense * corners[5, 2], sense * apart, F(0))
+    pixels = Pixels(*nodes_with_ground, sense * corners[5, 2], sense * apart, F(0))
 
     # 2. sectors, and how many slices they are worth
     back = right & within
@@ -365,4 +400,43 @@ def quad(heights, tops, corners, nodes, sky, points, irradiance, rows, cols, wid
         c, s = column(ux) * cos_d - column(uy) * sin_d, column(uy) * cos_d + column(ux) * sin_d
         return np.where(column(seen), share, F(0)), along, F(0), low, high, rise, c, s
 
-    _sum(Map(heights, tops, sky, points[:n_points], rows, cols, levels, dark), pixels, blocks, most, unit, irradiance, slices_of)
+    _sum(Map(heights, tops, sky, points[:n_points], lobe[:n_lobe], F(rim), rows, cols, levels, dark), pixels, blocks, most, unit, irradiance, slices_of)
+
+
+def gloss(heights, tops, nodes, sky, points, lobe, irradiance, rows, cols, width, levels, least, most, side, n_points, n_lobe, dark, rim, reach, unit):
+    rim = F(rim)
+    ground = _pixels(heights, rows, cols)
+    mirror_x, mirror_y = ground[5:7]
+    # 1. where the disc stands, and how many slices it is worth
+    flat = np.sqrt(mirror_x * mirror_x + mirror_y * mirror_y)
+    ux, uy = np.where(flat > 0, mirror_x / flat, F(1)), np.where(flat > 0, mirror_y / flat, F(0))
+    sin_a = np.sqrt(rim * (F(2) - rim))
+    all_round = sin_a >= flat
+    widest = np.where(all_round, F(1), sin_a / flat)
+    turn = np.where(all_round, F(1), widest * (F(0.318) + F(0.182) * widest * widest))
+    blocks = np.minimum((least + (turn * F(most - least)).astype(np.int32)) // SLICES, most // SLICES)
+    pixels = Pixels(*ground, np.zeros_like(flat), np.full_like(flat, reach), F(-1))
+
+    # 2. its slices
+    def slices_of(part, count):
+        step = F(np.pi) / F(count)
+        row = nodes[count // SLICES - 1, :, :count]
+        column = lambda value: value[part, None]
+        sin_d = np.where(column(all_round), row[2], column(widest) * row[0])
+        cos_d = np.where(column(all_round), row[3], np.sqrt((F(1) - sin_d) * (F(1) + sin_d)))
+        share = np.where(column(all_round), F(2) * step, column(widest) * step * row[1] / cos_d)
+        return share, F(1), F(0), -STEEP, STEEP, F(2) * STEEP, column(ux) * cos_d - column(uy) * sin_d, column(uy) * cos_d + column(ux) * sin_d
+
+    _sum(Map(heights, tops, sky, points[:n_points], lobe[:n_lobe], rim, rows, cols, levels, dark), pixels, blocks, most, unit, irradiance, slices_of)
+
+
+def rays(heights, tops, ways, seen, rows, cols, width, levels, count):
+    ground = _pixels(heights, rows, cols)
+    y, x = ground[1], ground[0]
+    pixels = Pixels(*ground, np.zeros(len(x), F), np.ones(len(x), F), F(-1))  # along a ray ground counts up to t / reach = 1
+    nothing = np.zeros(0, F)
+    for j in range(count):
+        c, s, tangent, reach = (np.ascontiguousarray(ways[y, x, k, j]) for k in range(4))
+        above = tangent + F(1e-6) * (F(1) + np.abs(tangent))  # so that one obstacle is enough
+        slope = _horizon(Map(heights, tops, nothing, nothing, nothing, F(0), rows, cols, levels, 0), pixels, c, s, tangent, above, F(1) / reach, np.zeros_like(c))
+        seen[y, x, j] = np.where(slope > tangent, F(0), F(1))

@@ -6,6 +6,7 @@ import contextlib
 import functools
 import mmap
 import time
+import weakref
 
 import numpy as np
 
@@ -82,7 +83,11 @@ class OpenclBackend(Backend):
         return array
 
     def _array(self, shape, dtype):
-        return self.cl.array.Array(self.queue, shape, dtype, data=self._on_huge_pages(shape, dtype))
+        data = self._on_huge_pages(shape, dtype)
+        array = self.cl.array.Array(self.queue, shape, dtype, data=data)
+        if data is not None:  # its memory is ours, not the device's: kernels that were started must be done with it first
+            weakref.finalize(array, self.queue.finish).atexit = False
+        return array
 
     def _on_huge_pages(self, shape, dtype):
         """A buffer in main memory for a large array on a CPU, or None: kernels that step from row to row touch a page a row."""

@@ -1,4 +1,7 @@
-"""Light of finite sources, balls, rectangles and windows, through a few azimuth slices per pixel (MODEL.md, 3.4)."""
+"""Light of finite sources, balls, rectangles and windows, through a few azimuth slices per pixel (MODEL.md, 3.4).
+
+The same slices sum what a lobe about the mirror direction makes of such a source, or of the sky (MODEL.md, 6).
+"""
 
 from __future__ import annotations
 
@@ -10,7 +13,7 @@ import numpy as np
 
 from ..errors import CapacityError
 from ..sources import Source, radiance
-from .base import MOST_PIXELS, Backend
+from .base import MOST_PIXELS, Backend, Lobe
 
 NONE = np.float32(-1e30)  # height where there is no ground
 SLICES = 8  # that a CPU takes at a time
@@ -21,6 +24,11 @@ LEVELS = 9  # cells of 2 to 512 nodes
 SIDE = 512  # samples of the brightness across the sky
 POINTS = ((0.1, 3), (0.35, 4), (math.inf, 8))  # apparent radius up to which so many samples of brightness do for a slice
 GAUSS = 8  # points between two knots of a cumulative table
+LOBE_POINTS, LOBE_VARIES = 10, 14  # samples of a lobe along a chord within its rim; where brightness varies
+LOBE_LEAST, LOBE_ROUND, LOBE_MOST = 16, 32, 256  # slices of a lobe: least, where the zenith lies within it, and through a lamp
+LOBE_APART = 1.1  # half widths of a lobe between two slices of a lamp
+FINEST = 2048  # samples across the sky that a lobe's means are made of
+SUNNY, SUNS = 4.0, 64  # times the mean brightness from which on light is a sun's; rays to suns
 
 
 class Ball(NamedTuple):
@@ -34,6 +42,12 @@ class Quad(NamedTuple):
     """A flat, convex quadrangle that shines from both faces: its corners (4, 3) in turn, (x, y, z) [unit of depth]."""
 
     corners: np.ndarray
+
+
+class Dome(NamedTuple):
+    """The sky, seen in a mirror: ground farther away than reach [unit of depth] does not count."""
+
+    reach: float = math.inf
 
 
 def rectangle(corner, edge_u, edge_v) -> Quad:
@@ -64,8 +78,48 @@ def brightness_of(source: Source, side: int = SIDE) -> float | np.ndarray:
     over = np.maximum(1.0, np.hypot(u, v))
     u, v = u / over, v / over
     square = u * u + v * v
-    values = radiance(source, np.stack([2 * u, 2 * v, np.minimum(square - 1, 0)], -1) / (1 + square)[..., None])
+    some = lambda rows: np.stack([2 * u[rows], 2 * v[rows], np.minimum(square[rows] - 1, 0)], -1) / (1 + square[rows])[..., None]
+    values = np.concatenate([radiance(source, some(slice(first, first + SIDE))) for first in range(0, side, SIDE)])
     return float(values.flat[0]) if np.ptp(values) == 0 else values
+
+
+def blurred(source: Source, spread: float) -> tuple[float | np.ndarray, np.ndarray, np.ndarray]:
+    """A source's brightness as a lobe of this half width [rad] takes it: (number or table, suns (K, 3), their flux (K,)).
+
+    The table holds means over half a half width, so that nothing falls between the lobe's samples. What is brighter than
+    SUNNY times the mean is taken out of it, as up to SUNS unit vectors with brightness x solid angle each.
+    """
+    none = np.zeros((0, 3)), np.zeros(0)
+    if not callable(source.brightness):
+        return float(source.brightness), *none
+    fine = brightness_of(source, FINEST)
+    if np.ndim(fine) == 0:
+        return fine, *none
+    u = np.linspace(-1, 1, FINEST)
+    square = u * u + u[:, None] ** 2
+    angle = np.where(square <= 1, (2 * (u[1] - u[0]) / (1 + square)) ** 2, 0.0)  # of the plane's cells
+    limit = SUNNY * float((fine * angle).sum() / angle.sum())
+    suns = none
+    y, x = np.nonzero((fine > limit) & (square <= 1))
+    if len(x):
+        flux = (fine[y, x] - limit) * angle[y, x]
+        L = np.stack([2 * u[x], 2 * u[y], square[y, x] - 1], -1) / (1 + square[y, x, None])
+        block, count = 0, SUNS + 1
+        while count > SUNS:  # neighbours go together until they are few
+            which = np.unique((y >> block) * FINEST + (x >> block), return_inverse=True)[1]
+            count, block = which.max() + 1, block + 1
+        total = np.bincount(which, flux)
+        middle = np.stack([np.bincount(which, flux * part) for part in L.T], -1)
+        suns = middle / np.linalg.norm(middle, axis=1, keepdims=True), total
+        fine = np.minimum(fine, limit)
+    side = min(max(math.ceil(8 / spread), 16), FINEST // 2)
+    share = np.arange(FINEST) * ((side - 1) / (FINEST - 1))
+    first = np.minimum(share.astype(int), side - 2)
+    blend = np.zeros((side, FINEST))
+    blend[first, np.arange(FINEST)] = 1 - (share - first)
+    blend[first + 1, np.arange(FINEST)] = share - first
+    blend /= blend.sum(1, keepdims=True)
+    return blend @ fine @ blend.T, *suns
 
 
 def cumulative(source: Source, azimuths: np.ndarray, knots: int) -> np.ndarray:
@@ -101,16 +155,18 @@ def slices_within(tolerance: float) -> int:
 class Slices:
     """The light of a ball or a quadrangle over a map, with everything on the device; ``run`` may be repeated (and timed)."""
 
-    def __init__(self, backend: Backend, depth: np.ndarray, step: float, sides: str, solid: Ball | Quad, brightness: float | np.ndarray = 1.0, most: int = MOST):
+    def __init__(self, backend: Backend, depth: np.ndarray, step: float, sides: str, solid: Ball | Quad | Dome, brightness: float | np.ndarray = 1.0, most: int = MOST,
+                 lobe: Lobe | None = None):
         """depth (rows, cols) float32, +inf where masked, in a unit in which the spacing is ``step``; ``sides``: open or dark.
 
         ``brightness``: as from :func:`brightness_of`. ``most``: slices of a source that stands all round, a multiple of 8;
         one that looks small has a quarter of them, half if it is a quadrangle, but at least 8, and others what is between.
+        ``lobe``: light is weighted by it; then there are as many slices as it needs. A Dome has a lobe.
         """
         if depth.size > MOST_PIXELS:
             raise CapacityError(f"A map of {depth.size:,} nodes; at most {MOST_PIXELS:,}, since kernels count nodes in 32 bits. Cut it into tiles.")
         rows, cols = self.shape = depth.shape
-        self.backend, self.solid = backend, solid
+        self.backend, self.solid, self.step = backend, solid, step
         self.levels = min(max(round(math.log2(cols)) - 2, 1), LEVELS)
         self.width = -(-cols >> self.levels) << self.levels
         cells = (rows + 1) // 2
@@ -125,20 +181,31 @@ class Slices:
         self.tops = backend.empty((cells, self.width), np.float32)
         self.image = backend.empty((rows, cols), np.float32)
 
-        center, radius, extent = self._place(step)
-        away = np.maximum(0, np.maximum([0 - center[0], 0 - center[1], low - center[2]], [center[0] - (cols - 1), center[1] - (rows - 1), center[2] - high]))
-        apparent = radius / max(float(np.linalg.norm(away)), radius)
-        beyond = (extent[0] < -0.5 - 1e-6).any() or (extent[1] > np.array([cols, rows]) - 0.5 + 1e-6).any()
-        self.walls = sides == "dark" and beyond
-        self.most = most * (WALLED if self.walls else 1)
-        self.least = max(self.most // (4 if isinstance(solid, Ball) else 2) // SLICES, 1) * SLICES
+        self.lobe, self.walls, self.coarse = lobe, sides == "dark", 0.0
+        if isinstance(solid, Dome):
+            apparent, self.least, self.most = 1.0, LOBE_LEAST, LOBE_ROUND
+        else:
+            center, radius, extent = self._place(step)
+            away = np.maximum(0, np.maximum([0 - center[0], 0 - center[1], low - center[2]], [center[0] - (cols - 1), center[1] - (rows - 1), center[2] - high]))
+            apparent = radius / max(float(np.linalg.norm(away)), radius)
+            beyond = (extent[0] < -0.5 - 1e-6).any() or (extent[1] > np.array([cols, rows]) - 0.5 + 1e-6).any()
+            self.walls = self.walls and beyond
+            if lobe:
+                most = min(max(math.ceil(2 * math.pi / (LOBE_APART * lobe.spread * SLICES)) * SLICES, most), LOBE_MOST)
+            self.most = most * (WALLED if self.walls else 1)
+            self.least = LOBE_LEAST if lobe else max(self.most // (4 if isinstance(solid, Ball) else 2) // SLICES, 1) * SLICES
+            if lobe:
+                turn = apparent * (0.318 + 0.182 * apparent**2)
+                self.coarse = 2 * math.pi * turn / (self.least + turn * (self.most - self.least)) / lobe.spread
         varies = np.ndim(brightness) > 0
         self.unit = 1.0 if varies else float(brightness)
-        self.sky = backend.upload(np.asarray(brightness if varies else [[0.0]], np.float32))
-        self.side = len(brightness) if varies else 1
-        self.n_points = next(count for limit, count in POINTS if apparent <= limit) if varies else 0
+        nothing = [[1.0, 1.0]] * 2  # a lobe weights a brightness, if only 1
+        self.sky = backend.upload(np.asarray(brightness if varies else nothing, np.float32))
+        self.side = len(brightness) if varies else 2
+        self.n_points = (LOBE_VARIES if varies else LOBE_POINTS) if lobe else next(count for limit, count in POINTS if apparent <= limit) if varies else 0
         self.points = backend.upload(_on_unit(max(self.n_points, 1)))
-        self.nodes = backend.upload((_ball_nodes if isinstance(solid, Ball) else _quad_nodes)(self.most))
+        self.nodes = backend.upload((_quad_nodes if isinstance(solid, Quad) else _ball_nodes)(self.most))
+        self.table = backend.upload(lobe.table if lobe else np.zeros(2, np.float32))
 
     def _place(self, step):
         """Centre and radius round the source, and its extent over the map ((x, y) lowest, highest), in spacings; heights third."""
@@ -152,17 +219,38 @@ class Slices:
         self.corners = self.backend.upload(np.concatenate([corners - middle, [middle, normal]]).astype(np.float32))
         return middle, np.linalg.norm(corners - middle, axis=1).max(), (corners[:, :2].min(0), corners[:, :2].max(0))
 
+    def coarsen(self) -> None:
+        rows, cols = self.shape
+        for level in range(1, self.levels + 1):
+            self.backend.launch("slices", "coarser", (self.width >> level, ((rows - 1) >> level) + 1), self.heights, self.tops, rows, cols, self.width, level)
+
     def run(self) -> None:
         rows, cols = self.shape
         launch = self.backend.launch
-        for level in range(1, self.levels + 1):
-            launch("slices", "coarser", (self.width >> level, ((rows - 1) >> level) + 1), self.heights, self.tops, rows, cols, self.width, level)
-        shared = (self.sky, self.points, self.image, rows, cols, self.width, self.levels, self.least, self.most, self.side, self.n_points, int(self.walls))
+        self.coarsen()
+        n_lobe, rim = (len(self.lobe.table), self.lobe.rim) if self.lobe else (0, 1.0)
+        shared = (self.sky, self.points, self.table, self.image, rows, cols, self.width, self.levels, self.least, self.most, self.side, self.n_points, n_lobe,
+                  int(self.walls), rim)
         group = self.backend.lines if self.backend.lines > 1 else None
-        if isinstance(self.solid, Ball):
+        if isinstance(self.solid, Dome):
+            launch("slices", "gloss", (cols, rows), self.heights, self.tops, self.nodes, *shared, min(self.solid.reach / self.step, -float(NONE)), self.unit, group=group)
+        elif isinstance(self.solid, Ball):
             launch("slices", "ball", (cols, rows), self.heights, self.tops, self.nodes, *shared, *map(float, self.center), float(self.radius), self.unit, group=group)
         else:
             launch("slices", "quad", (cols, rows), self.heights, self.tops, self.corners, self.nodes, *shared, self.unit, group=group)
+
+    def rays(self, ways: np.ndarray) -> np.ndarray:
+        """Whether the ground leaves rays free: (rows, cols, count) bool.
+
+        ``ways`` (rows, cols, 4, count) float32: azimuth's cosine and sine, tangent of the elevation, and how far
+        [spacing] ground counts. ``coarsen`` or ``run`` comes before it.
+        """
+        rows, cols = self.shape
+        count = ways.shape[-1]
+        lanes = self.backend.lanes if count % self.backend.lanes == 0 else 1
+        ways, seen = self.backend.upload(ways), self.backend.empty((rows, cols, count), np.float32)  # named, so that they last until the download
+        self.backend.launch("slices", "rays", (cols, rows), self.heights, self.tops, ways, seen, rows, cols, self.width, self.levels, count, lanes=lanes)
+        return self.backend.download(seen) > 0
 
     def download(self) -> np.ndarray:
         """The irradiance (rows, cols) float32, 0 where masked."""
