@@ -105,23 +105,38 @@ def render(file: File, out: Out, height: Height = None, spacing: Spacing = None,
 def recover(file: Annotated[Path, typer.Argument(help="Image of radiance: .npy, .npz, grey .png or .tif", show_default=False)], out: Out,
             albedo: Albedo = 0.8, spacing: Annotated[float, typer.Option(help="Distance between neighbouring nodes")] = 1.0,
             source: Source = None, lamp: Lamp = None, window: Window = None, sun: Sun = None, sides: Sides = "open",
-            layers: Annotated[int, typer.Option(help="Depth of the block that is carved, in layers of one spacing")] = 64,
+            method: Annotated[str, typer.Option(help="robust: the surface whose image is nearest to this one | paper: carving")] = "robust",
+            near: Annotated[Optional[float], typer.Option(help="robust: the least depth  [default: 0]", show_default=False)] = None,
+            far: Annotated[Optional[float], typer.Option(help="robust: the greatest depth  [default: layers x spacing]", show_default=False)] = None,
+            max_seconds: Annotated[Optional[float], typer.Option(help="robust: stop with the best so far", show_default=False)] = None,
+            picture: Annotated[Optional[str], typer.Option(help="robust: PNG of image, relief, confidence and residual, without scales  [default: beside OUT]", show_default=False)] = None,
+            layers: Annotated[int, typer.Option(help="Greatest depth in spacings; paper: of the block that is carved")] = 64,
             hemicube: Hemicube = 9,
-            eps: Annotated[float, typer.Option(help="Stop a column when it is this close to the image, as a share of the image's maximum")] = 0.02,
-            stop: Annotated[str, typer.Option(help="eps: the paper's rule | sign: when the column becomes darker than the image")] = "eps",
+            eps: Annotated[float, typer.Option(help="paper: stop a column when it is this close to the image, as a share of the image's maximum")] = 0.02,
+            stop: Annotated[str, typer.Option(help="paper: eps | sign: when the column becomes darker than the image")] = "eps",
             white: Annotated[Optional[float], typer.Option(help="Radiance of a full-scale count, for integer files that skylamp did not write", show_default=False)] = None,
-            picture: Picture = None, backend: Backend = "auto", as_json: Json = False):
-    """Recover depth from an image. An .npz also holds the mask of drilled columns; a .png holds depth in whole layers, 16 bit."""
-    _check_output(out, as_json, picture)
+            figure: Picture = None, backend: Backend = "auto", as_json: Json = False):
+    """Recover depth from an image, with a picture of how far it is to be trusted. An .npz also holds confidence, candidates and the masks of
+    ambiguous pixels and drilled columns; a .png holds depth in whole layers, 16 bit."""
+    _check_output(out, as_json, figure)
+    if picture is None and out != "-" and method == "robust":
+        picture = str(Path(out).with_name(Path(out).stem + "_picture.png"))
+    if picture is not None:
+        io.writable(picture)
     image = _radiance(file, white)
-    with _working("carving") as progress:
-        done = sl.recover(image, _source(source, lamp, window, sun), albedo=albedo, sides=sides, spacing=spacing, layers=layers, hemicube=hemicube,
-                          eps=eps, stop=stop, backend=backend, progress=progress)
-    more = {"drilled": done.drilled} if out.lower().endswith(".npz") else {}
+    with _working("recovering" if method == "robust" else "carving") as progress:
+        done = sl.recover(image, _source(source, lamp, window, sun), albedo=albedo, sides=sides, spacing=spacing, layers=layers, hemicube=hemicube, method=method,
+                          eps=eps, stop=stop, near=near, far=far, max_seconds=max_seconds, backend=backend, progress=progress)
+    more = {}
+    if out.lower().endswith(".npz"):
+        more = {"drilled": done.drilled, "confidence": done.confidence, "candidates": done.candidates, "ambiguous": done.ambiguous}
     _deliver(out, done.depth, range=(0.0, 65535.0 * spacing), bits=16, name="depth", **more)
-    if picture:
-        plot.save(plot.recovery(image, done), picture)
-    _report(done, out, as_json, shape=done.depth.shape, drilled=int(np.count_nonzero(done.drilled)))
+    if picture is not None:
+        io.write(picture, _four(image, done, spacing), range=(0.0, 1.0))
+    if figure:
+        plot.save(plot.recovery(image, done), figure)
+    _report(done, out, as_json, shape=done.depth.shape, drilled=int(np.count_nonzero(done.drilled)), picture=picture,
+            confident=float(np.mean(done.confidence >= 0.5)), levels=[level._asdict() for level in done.levels])
 
 
 @app.command()
@@ -263,7 +278,7 @@ def demo(out: Annotated[Path, typer.Option(help="Folder for the pictures; create
         depth = _relief()
         seen = sl.render(sl.Scene(depth, sides="dark"), sl.Sky(), method="lattice", hemicube=33, filled=True, backend=backend)
         step()
-        found = sl.recover(seen.image, sl.Sky(), sides="dark", layers=64, hemicube=17, stop="sign", backend=backend)
+        found = sl.recover(seen.image, sl.Sky(), sides="dark", layers=64, hemicube=17, method="paper", stop="sign", backend=backend)
         step()
         error = float(np.sqrt(np.mean((found.depth - depth) ** 2)))
         show("relief_rendered.png", seen.image, 0.0, seen.image.max(), 1.0, "folds in a black box under a uniform sky")
@@ -509,6 +524,22 @@ def _panel(pictures):
         top = 10 + (rows + 10) * (number // 3) + (rows - picture.shape[0]) // 2
         left = 10 + (cols + 10) * (number % 3) + (cols - picture.shape[1]) // 2
         sheet[top: top + picture.shape[0], left: left + picture.shape[1]] = picture
+    return sheet
+
+
+def _four(image, done, spacing):
+    """Side by side, on grey: the image, the depth as a relief under a low lamp, the confidence, and |model - image| from 0 to a tenth of the image."""
+    rows, cols = done.depth.shape
+    size, depth = max(rows, cols) * spacing, done.depth - done.depth.min()
+    lamp = sl.Lamp(center=(-size, -size, -1.5 * size), radius=size / 4)
+    relief = sl.render(sl.Scene(depth, spacing), lamp, backend=done.backend).image
+    scaled = lambda values, white: np.clip(values / max(float(white), 1e-30), 0, 1)
+    pictures = [scaled(image, image.max()), scaled(relief, np.percentile(relief, 99)), done.confidence, scaled(np.abs(done.residual), 0.1 * image.max())]
+    times = max(1, 256 // max(rows, cols))
+    sheet = np.full((rows * times + 20, 4 * (cols * times + 10) + 10), 0.5)
+    for number, values in enumerate(pictures):
+        left = 10 + number * (cols * times + 10)
+        sheet[10 : 10 + rows * times, left : left + cols * times] = np.kron(values, np.ones((times, times)))
     return sheet
 
 

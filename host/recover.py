@@ -1,8 +1,10 @@
-"""recover(): depth from one image, by the paper's inverse algorithm (Eq. 4)."""
+"""recover(): depth from images, by analysis and synthesis or by the paper's inverse algorithm (Eq. 4)."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+import math
+import time
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -14,18 +16,30 @@ from .directions import Hemicube
 from .errors import bad
 from .render import timed
 from .scene import Scene, at, one_of, positive_number, real_array
+from .synthesis import BRIGHT, Level, Pyramid, blurred, doubled, halved
 
-METHODS = ("paper",)
+METHODS = ("robust", "paper")
 STOPS = ("eps", "sign")
 UNIT = 2**30  # the largest sum of weights, and so of light, in carving's whole numbers
+DOUBT = 0.025  # of the range of depths: two answers this far apart are worth half the confidence
+BETTER = 0.5  # share of the objective below which another start is believed instead of the first
+RIVAL = 4.0  # times the objective up to which another start counts as an answer
+WEIGHT = 4.0  # of the doubt that noise leaves, against that of another start
+POOR = 0.02  # share of the image's rms that model and image may differ by in a place that is to be believed
+BADLY = 0.03  # residual, as a share of the image, from which an image is called unexplained
 
 
 @dataclass(frozen=True, eq=False)
 class Recovery:
     """What recover() gives.
 
-    depth (rows, cols) float32 [unit of spacing]; drilled (rows, cols) bool: columns that were carved through to the back
-    without ever matching the image (both xarray.DataArrays if the image was one); backend (its name); seconds without compiling, compile_seconds; warnings.
+    depth (rows, cols) float32 [unit of spacing]; confidence (rows, cols) float32, 0 to 1, below 0.5: do not trust (1 where
+    the paper's method did not drill, else 0); candidates (n, rows, cols) float32: the depth itself, and other depths at
+    which a pixel has its value while the surface goes up or down as a whole, nan where there is none; ambiguous (rows,
+    cols) bool: there are such, and the confidence is below 0.5; drilled (rows, cols) bool: columns that carving went
+    through to the back; residual (rows, cols) float32: model - image of the first image (0 for the paper's method);
+    levels: shape, residual and seconds of every grid; albedo as used or estimated; backend (its name); seconds without
+    compiling, compile_seconds; warnings. Arrays of an image that is an xarray.DataArray are some too.
     """
 
     depth: np.ndarray
@@ -34,55 +48,98 @@ class Recovery:
     seconds: float
     compile_seconds: float
     warnings: list[str] = field(default_factory=list)
+    confidence: np.ndarray | None = None
+    candidates: np.ndarray | None = None
+    ambiguous: np.ndarray | None = None
+    residual: np.ndarray | None = None
+    levels: tuple[Level, ...] = ()
+    albedo: float | np.ndarray | None = None
 
 
-def recover(image, source: sources.Source, albedo=0.8, sides: str = "open", spacing: float = 1.0, layers: int = 64, hemicube: int | Hemicube = 9,
-            method: str = "paper", eps: float = 0.02, stop: str = "eps", backend: str = "auto", *, progress: Progress | None = None) -> Recovery:
-    """Depth from one image by carving (Langer and Zucker, section 6, inverse algorithm, Eq. 4).
-
-    All columns start at depth 0 and go down a layer at a time while their luminance, with N.L replaced by 1/2, does not
-    match the image. Luminance, image and eps are compared as whole numbers, so every backend decides alike.
+def recover(image, source, albedo=0.8, sides: str = "open", spacing: float = 1.0, layers: int = 64, hemicube: int | Hemicube = 9,
+            method: str = "robust", eps: float = 0.02, stop: str = "eps", near=None, far=None, max_seconds: float | None = None, backend: str = "auto",
+            *, progress: Progress | None = None) -> Recovery:
+    """Depth from one image, or from several of the same surface.
 
     Parameters
     ----------
-    image : (rows, cols) real array
-        Radiance, in the unit of the source's brightness. Finite, >= 0.
-    source, sides, spacing, albedo
-        As in the scene that the image shows; ``albedo`` a number or (rows, cols), > 0. A lamp must lie above z = 0 or be
-        given as a volume that starts at layer 0, since carving starts from a surface at z = 0.
+    image : (rows, cols) real array, or a list of such
+        Radiance, in the unit of the source's brightness. Finite, >= 0. Several images are for method="robust".
+    source : Sky, Lamp or Window, or a list, one per image
+    sides, spacing, albedo
+        As in the scene that the image shows; ``albedo`` a number or (rows, cols), > 0, or None: one number is estimated
+        (method="robust"; not under a sky with open sides, where nothing tells it from depth). For method="paper" a lamp
+        must lie above z = 0 or be given as a volume that starts at layer 0, since carving starts from a surface at z = 0.
     layers : int
-        The lattice's depth; a column that comes to ``layers`` was drilled through.
-    method : "paper"
-    eps : float
-        With stop="eps": a column stops where |B - I| <= eps x max(image).
-    stop : "eps" or "sign"
-        ``sign``: a column stops at the first layer where B equals I or has passed it; on most scenes this drills fewer columns.
+        The deepest depth in spacings, unless ``far`` says otherwise; the lattice's depth.
+    method : "robust" or "paper"
+        ``robust``: the surface whose image, by horizons and with normals, is nearest to the given one, coarse to fine
+        (skylamp.synthesis). ``paper``: carving (Langer and Zucker, section 6, inverse algorithm, Eq. 4): all columns start
+        at depth 0 and go down a layer at a time while their luminance, with N.L replaced by 1/2, does not match the image.
+    hemicube, eps, stop
+        Of method="paper". stop="eps": a column stops where |B - I| <= eps x max(image); "sign": at the first layer where B
+        equals I or has passed it; on most scenes this drills fewer columns.
+    near, far : number or (rows, cols) array [unit of spacing], optional
+        Of method="robust": between which depth lies; 0 and layers x spacing unless given.
+    max_seconds : float, optional
+        Of method="robust": the best surface found so far is given when they are over, or on KeyboardInterrupt, with a warning.
     progress : callable, optional
-        Called with (layers done, layers).
+        Called with (levels or layers done, their number). The residual of every level goes to the logger "skylamp".
 
     Raises
     ------
     InputError, BackendError, CapacityError
     """
-    labels = labels_of(image)
+    one_of(method, METHODS, "method")
+    one_of(stop, STOPS, "stop")
+    several = isinstance(image, (list, tuple)) and isinstance(source, (list, tuple))
+    images, lights = (list(image), list(source)) if several else ([image], [source])
+    if not images or len(images) != len(lights):
+        raise bad("image and source: lists of different length", f"{len(images)} and {len(lights)}", "as many sources as images, at least one")
+    labels = labels_of(images[0])
+    images = [_radiance(picture) for picture in images]
+    if len({picture.shape for picture in images}) > 1:
+        raise bad("images of different shape", [picture.shape for picture in images], "one shape")
+    if isinstance(layers, bool) or not isinstance(layers, (int, np.integer)) or not 1 <= layers < 2**20:
+        raise bad("layers", repr(layers), "a whole number from 1 to 1048575")
+    eps = positive_number(eps, "eps")
+    cube = hemicube if isinstance(hemicube, Hemicube) else Hemicube(hemicube)
+    start = Scene(np.zeros(images[0].shape), spacing, 0.5 if albedo is None else albedo, None, sides)
+    if np.ndim(start.albedo) in (1, 3):
+        raise bad("albedo", f"RGB, shape {np.shape(start.albedo)}", "a number or (rows, cols): recover takes one channel")
+    if np.any(np.asarray(start.albedo) <= 0):
+        raise bad("albedo", 0.0, "> 0: a black surface tells nothing of its depth")
+    for light in lights:
+        if not isinstance(light, sources.Source):
+            raise bad("source", type(light).__name__, "Sky, Lamp or Window")
+    if method == "robust":
+        return _labelled(_robust(images, lights, start, albedo is None, layers, near, far, max_seconds, backend, progress), labels)
+    if several or near is not None or far is not None or max_seconds is not None or albedo is None:
+        raise bad("method 'paper' with several images, near, far, max_seconds or albedo=None", "what it cannot use", "one image, one source, an albedo", "Use method='robust'.")
+    return _labelled(_carved(images[0], lights[0], start, layers, cube, eps, stop, backend, progress), labels)
+
+
+def _labelled(done: Recovery, labels) -> Recovery:
+    """With the coordinates of the image's DataArray, if it was one."""
+    if labels is None:
+        return done
+    maps = {name: labelled(getattr(done, name), labels) for name in ("depth", "confidence", "ambiguous", "drilled", "residual")}
+    return replace(done, **maps, candidates=labelled(done.candidates, labels, candidate=np.arange(len(done.candidates))))
+
+
+def _radiance(image) -> np.ndarray:
     image = real_array(image, "image")
     wrong = ~(np.isfinite(image) & (image >= 0))
     if wrong.any():
         raise bad(f"image: {wrong.sum()} values are negative, NaN or infinite, first {at(wrong)}", image[wrong][0], "finite radiance >= 0")
     if image.max() < np.finfo(np.float32).tiny:
         raise bad("image: black everywhere", f"maximum {image.max()}", "at least one lit pixel")
-    one_of(method, METHODS, "method")
-    one_of(stop, STOPS, "stop")
-    if isinstance(layers, bool) or not isinstance(layers, (int, np.integer)) or not 1 <= layers < 2**20:
-        raise bad("layers", repr(layers), "a whole number from 1 to 1048575")
-    eps = positive_number(eps, "eps")
-    cube = hemicube if isinstance(hemicube, Hemicube) else Hemicube(hemicube)
-    start = Scene(np.zeros(image.shape), spacing, albedo, None, sides)
-    if np.ndim(start.albedo) in (1, 3):
-        raise bad("albedo", f"RGB, shape {np.shape(start.albedo)}", "a number or (rows, cols): recover takes one channel")
-    if np.any(np.asarray(start.albedo) <= 0):
-        raise bad("albedo", 0.0, "> 0: a black surface tells nothing of its depth")
-    low, high, weights = carving_integers(image, start.albedo, sources.radiance(source, cube.directions), cube.solid_angles, eps if stop == "eps" else 0.0)
+    return image
+
+
+def _carved(image, source, start, layers, cube, eps, stop, backend, progress) -> Recovery:
+    spacing, albedo, sides = start.spacing, start.albedo, start.sides
+    low, high, weights = carving_integers(image, albedo, sources.radiance(source, cube.directions), cube.solid_angles, eps if stop == "eps" else 0.0)
     engine = select(backend)
     # A ball must not lie below the surface that carving starts from; a volume may go down with it.
     deep = Scene(np.full(image.shape, float(layers) * spacing), spacing, albedo, None, sides)
@@ -95,8 +152,180 @@ def recover(image, source: sources.Source, albedo=0.8, sides: str = "open", spac
         warnings.append(f"Drilled: {drilled.mean():.1%} of the columns never matched the image and were carved through to the back"
                         + ("; one that stops early shadows the rest. stop='sign' often drills fewer." if stop == "eps" else "; the image is darker there than any depth explains."))
     if sides == "open" and isinstance(source, sources.Sky):
-        warnings.append("Open sides under a sky are ill-posed: a flat surface explains a plane's image at any depth.")
-    return Recovery(labelled((depth * spacing).astype(np.float32), labels), labelled(drilled, labels), engine.name, seconds, compiling, warnings)
+        warnings.append(OPEN_SKY)
+    depth = (depth * spacing).astype(np.float32)
+    return Recovery(depth, drilled, engine.name, seconds, compiling, warnings, (~drilled).astype(np.float32), depth[None], np.zeros(depth.shape, bool),
+                    np.zeros(depth.shape, np.float32), (), albedo)
+
+
+OPEN_SKY = "Open sides under a sky are ill-posed: a flat surface explains a plane's image at any depth."
+
+
+def _robust(images, lights, start, estimates, layers, near, far, max_seconds, backend, progress) -> Recovery:
+    spacing, sides, shape = start.spacing, start.sides, start.shape
+    low, high = _bound(near, 0.0, "near", shape) / spacing, _bound(far, layers * spacing, "far", shape) / spacing
+    if not (low < high).all():
+        raise bad(f"near and far: {(low >= high).sum()} pixels {at(low >= high)}", "near >= far", "near < far everywhere")
+    for light in lights:
+        if getattr(light, "volume", None) is not None or getattr(light, "aperture", None) is not None:
+            raise bad("method 'robust' with a lamp given as a volume or a window given as an aperture", "a shape of nodes", "a sphere or a rectangle", "Use method='paper'.")
+        if sides == "periodic" and not isinstance(light, sources.Sky):
+            raise bad("method 'robust' with sides='periodic'", type(light).__name__, "a sky, or sides='open' or 'dark'")
+    if estimates and sides != "dark" and all(isinstance(light, sources.Sky) for light in lights):
+        raise bad("albedo", None, "a number: under a sky without walls nothing tells albedo from depth")
+    seconds_left = math.inf if max_seconds is None else positive_number(max_seconds, "max_seconds")
+    engine = select(backend)
+    lights = [_in_nodes(light, spacing) for light in lights]
+    levels: list[Level] = []
+    warnings = _before(images, lights, start, low, high)
+
+    def note(level):
+        levels.append(level)
+        if progress:
+            progress(len(levels), 2 * (pyramid.top + 1))
+
+    pyramid = Pyramid(engine, images, lights, None if estimates else start.albedo, sides, np.maximum(low, 1e-3), high, note=note)
+    compiled = engine.compile_seconds
+    spent = lambda: time.perf_counter() - pyramid.began - (engine.compile_seconds - compiled)
+    pyramid.stop = lambda: spent() > seconds_left
+    other, cut = None, None
+    try:
+        shares, misfits = pyramid.flat()
+        first = shares[np.argmin(misfits)]
+        top, half = pyramid.top, min(pyramid.top, max(1, pyramid.top - 2))
+        bottom, depth_range = pyramid.bounds[top][0], pyramid.bounds[top][1] - pyramid.bounds[top][0]
+        z, value = pyramid.climb(bottom + first * depth_range, top, half)
+        found = z
+        if not pyramid.stop():
+            other, rival = pyramid.climb(bottom + (0.1 if first > 0.35 else 0.75) * depth_range, top, half)
+            if rival < BETTER * value:
+                z, value, found, other = other, rival, other, found
+            elif rival > RIVAL * value:
+                other = None
+        pyramid.best = half, z
+        z, value = pyramid.climb(z, half, 0) if half else (z, value)
+        if pyramid.stop():
+            cut = f"Out of time after {seconds_left:g} s: this is the best so far."
+    except KeyboardInterrupt:
+        cut = "Interrupted: this is the best so far."
+    if cut:
+        warnings.append(cut)
+    level, z = pyramid.best if pyramid.best else (pyramid.top, np.broadcast_to((pyramid.bounds[-1][0] + pyramid.bounds[-1][1]) / 2, pyramid.images[-1][0].shape))
+    confidence, candidates = _trust(pyramid, level, z, None if other is None or cut else (half, other - found), depth_range=float((high - low).mean()))
+    while level:
+        level -= 1
+        z = 2 * doubled(z, pyramid.images[level][0].shape)
+    z = np.clip(z, low, high)
+    residual = pyramid.problem(0).irradiances(z)[0] - pyramid.images[0][0]
+    warnings += _after(pyramid, residual, lights, sides)
+    ambiguous = np.isfinite(candidates).any(0) & (confidence < 0.5)
+    depth = (z * spacing).astype(np.float32)
+    candidates = np.concatenate([depth[None], (candidates * spacing).astype(np.float32)])
+    if ambiguous.any():
+        warnings.append(f"Ambiguous: {ambiguous.mean():.0%} of the pixels have several depths that explain them; give near= and far=, or a second image.")
+    albedo = float(pyramid.albedo[0].flat[0]) if estimates else start.albedo
+    return Recovery(depth, np.zeros(shape, bool), engine.name, spent(), engine.compile_seconds - compiled, warnings, confidence.astype(np.float32),
+                    candidates, ambiguous, (residual * pyramid.units[0]).astype(np.float32), tuple(levels), albedo)
+
+
+def _trust(pyramid, level, z, rival, depth_range) -> tuple[np.ndarray, np.ndarray]:
+    """(confidence, other candidates (n, rows, cols) in nodes), on the finest grid.
+
+    Doubt is the distance to another start's surface, what noise could do to this one (Pyramid.doubt), and how badly
+    the image is met in the neighbourhood.
+    """
+    small, grid = z, level
+    while max(small.shape) > 64 and grid < pyramid.top:
+        small, grid = _halved(small), grid + 1
+    doubt = (WEIGHT * pyramid.doubt(grid, small)) ** 2
+    if rival:
+        at_level, apart = rival
+        while at_level > grid:
+            at_level -= 1
+            apart = 2 * doubled(apart, pyramid.images[at_level][0].shape)
+        while at_level < grid:
+            apart, at_level = _halved(apart), at_level + 1
+        doubt = doubt + blurred((apart * 2**grid) ** 2)
+    off = pyramid.problem(grid).irradiances(small)[0] - pyramid.images[grid][0]
+    poor = blurred(off**2) / (POOR * BRIGHT + 3 * pyramid.noise) ** 2
+    confidence = 1 / (1 + doubt / (DOUBT * depth_range) ** 2 + poor)
+    shifts, light = pyramid.column(grid, small)
+    crosses = (light[:-1] > 0) != (light[1:] > 0)
+    share = light[:-1] / np.where(crosses, light[:-1] - light[1:], 1)
+    where = shifts[:-1, None, None] + share * (shifts[1] - shifts[0])
+    own, low, high = small * 2**grid, *(bound * 2**grid for bound in pyramid.bounds[grid])
+    valid = crosses & (np.abs(where) > 2 * DOUBT * depth_range) & (own + where >= low) & (own + where <= high)
+    order = np.argsort(~valid, axis=0, kind="stable")[:2]
+    others = np.take_along_axis(np.where(valid, own + where, np.nan), order, 0)
+    while grid:
+        grid -= 1
+        shape = pyramid.images[grid][0].shape
+        confidence = np.clip(doubled(confidence, shape), 0, 1)
+        others = others.repeat(2, 1).repeat(2, 2)[:, : shape[0], : shape[1]]
+    return confidence, others
+
+
+def _halved(z):
+    return halved(z) / 2
+
+
+def _bound(value, usual, what, shape) -> np.ndarray:
+    bound = real_array(usual if value is None else value, what, None)
+    if bound.ndim and bound.shape != shape:
+        raise bad(f"{what}: wrong shape", bound.shape, f"a number or an array of shape {shape}")
+    if not np.isfinite(bound).all() or bound.min() < 0:
+        raise bad(what, f"{np.nanmin(bound)} to {np.nanmax(bound)}", "finite depth >= 0")
+    return np.broadcast_to(bound, shape)
+
+
+def _in_nodes(light: sources.Source, spacing: float) -> sources.Source:
+    """A source with its lengths in nodes."""
+    scaled = lambda vector: tuple(part / spacing for part in vector)
+    if isinstance(light, sources.Window):
+        return sources.Window(scaled(light.x), scaled(light.y), light.brightness)
+    if isinstance(light, sources.Lamp) and light.center is not None:
+        return sources.Lamp(scaled(light.center), light.radius / spacing, light.brightness)
+    if isinstance(light, sources.Lamp):
+        return sources.Lamp(corner=scaled(light.corner), edges=tuple(map(scaled, light.edges)), brightness=light.brightness)
+    return light
+
+
+def _before(images, lights, start, low, high) -> list[str]:
+    """What can be told from the images alone."""
+    found = []
+    if start.sides == "open" and all(isinstance(light, sources.Sky) for light in lights):
+        found.append(OPEN_SKY)
+    for image in images:
+        values = np.unique(image)
+        if 2 < len(values) <= 256 < image.size:
+            step = float(np.median(np.diff(values)))
+            along = np.concatenate([np.abs(np.diff(image, axis=a)).ravel() for a in (0, 1)])
+            if np.median(along) < step:
+                found.append(f"8-bit steps: the image has {len(values)} values, {step:.2g} apart, and most neighbours differ by less; fine relief is lost in them.")
+    for light in lights:
+        if isinstance(light, sources.Lamp) and light.center is not None:
+            away = float(high.max()) - light.center[2]
+            if light.radius / max(away, light.radius) < 0.5 / min(16, *start.shape):
+                found.append(f"Small lamp: its radius of {light.radius:.3g} nodes is below the resolution of the coarsest grid at depth {high.max():.3g}; its shadows are sharper than a grid shows.")
+    return found
+
+
+def _after(pyramid, residual, lights, sides) -> list[str]:
+    """What the residual tells."""
+    found = []
+    rms = math.sqrt(float(np.mean(residual**2))) / BRIGHT
+    target = pyramid.images[0][0]
+    too_bright = (residual < -0.1 * BRIGHT) & (residual < -5 * pyramid.noise)
+    if too_bright.mean() > 0.02:
+        found.append(f"Image brighter than the model can make it at {too_bright.mean():.0%} of the pixels: a larger albedo or brightness, or other sides, may be right.")
+    if rms > BADLY + 2 * pyramid.noise / BRIGHT:
+        rim = np.ones(target.shape, bool)
+        edge = max(1, min(target.shape) // 8)
+        rim[edge:-edge, edge:-edge] = False
+        worse = np.mean(residual[rim] ** 2) > 2 * np.mean(residual[~rim] ** 2) if (~rim).any() else False
+        found.append(f"Poorly explained: model and image differ by {rms:.0%} of the image (rms)"
+                     + (f", most of all near the border: wrong sides are suspected (sides={sides!r} was given)." if worse else "; wrong sides, albedo or source are suspected, or relief that this resolution does not show."))
+    return found
 
 
 def carving_integers(image, albedo, brightness, solid_angles, eps: float):

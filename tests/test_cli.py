@@ -124,8 +124,8 @@ def test_nodata(here, capsys):
 
 def test_recover(here, capsys):
     """Depth and the mask of drilled columns, as sl.recover gives them; a PNG holds whole layers."""
-    expected = sl.recover(io.read("image.npy"), sl.Sky(), albedo=0.8, spacing=2.0, layers=9, hemicube=5, stop="sign", backend="numpy")
-    options = ("--spacing", 2, "--layers", 9, "--hemicube", 5, "--stop", "sign", "--backend", "numpy")
+    expected = sl.recover(io.read("image.npy"), sl.Sky(), albedo=0.8, spacing=2.0, layers=9, hemicube=5, method="paper", stop="sign", backend="numpy")
+    options = ("--method", "paper", "--spacing", 2, "--layers", 9, "--hemicube", 5, "--stop", "sign", "--backend", "numpy")
     code, out, err = run(capsys, "recover", "image.npy", "--out", "a.npz", "--json", *options)
     assert code == 0, err
     assert json.loads(out)["drilled"] == int(expected.drilled.sum())
@@ -136,18 +136,34 @@ def test_recover(here, capsys):
     np.testing.assert_array_equal(io.read("a.png") * 2.0, expected.depth)
 
 
+def test_recover_writes_a_picture(here, capsys):
+    """By default: image, relief, confidence and residual beside the result, and what they were made of in an .npz; not to stdout."""
+    code, out, err = run(capsys, "recover", "image.npy", "--out", "a.npz", "--json", "--sides", "dark", "--layers", 9, "--backend", "numpy", "--max-seconds", 20)
+    assert code == 0, err
+    facts = json.loads(out)
+    image = io.read("image.npy")
+    picture = io.read("a_picture.png")
+    times = 256 // max(image.shape)
+    assert facts["picture"] == "a_picture.png" and picture.shape == (image.shape[0] * times + 20, 4 * (image.shape[1] * times + 10) + 10)
+    with np.load("a.npz") as arrays:
+        assert {"depth", "confidence", "candidates", "ambiguous", "drilled"} <= set(arrays)
+        confidence = np.rint(255 * arrays["confidence"])
+    left = 10 + 2 * (image.shape[1] * times + 10)
+    np.testing.assert_allclose(picture[10:10 + image.shape[0] * times:times, left:left + image.shape[1] * times:times], confidence, atol=1)
+
+
 def test_counts_need_a_scale(here, capsys):
     """A PNG of ours brings its scale; a foreign one needs --white; floating values take none."""
     image = io.read("image.npy")
     io.write("ours.png", image, bits=16)
     io.write("foreign.png", io.read("ours.png"))
-    options = ("--layers", 6, "--hemicube", 3, "--backend", "numpy")
+    options = ("--method", "paper", "--layers", 6, "--hemicube", 3, "--backend", "numpy")
     fails(capsys, 3, "recover", "foreign.png", "--out", "a.npy", *options, says=("foreign.png: counts without a scale", "--white"))
     fails(capsys, 2, "recover", "image.npy", "--out", "a.npy", "--white", "1", *options, says="radiance as they are")
     assert run(capsys, "recover", "ours.png", "--out", "a.npy", *options)[0] == 0
     assert run(capsys, "recover", "foreign.png", "--white", float(image.max()), "--out", "b.npy", *options)[0] == 0
     np.testing.assert_array_equal(io.read("a.npy"), io.read("b.npy"))
-    expected = sl.recover(io.read("ours.png") * (np.float64(image.max()) / 65535), sl.Sky(), layers=6, hemicube=3, backend="numpy")
+    expected = sl.recover(io.read("ours.png") * (np.float64(image.max()) / 65535), sl.Sky(), layers=6, hemicube=3, method="paper", backend="numpy")
     np.testing.assert_array_equal(io.read("a.npy"), expected.depth)
 
 
@@ -258,7 +274,7 @@ def test_bar_on_a_terminal(here):
     """On a terminal stderr shows what is being done, and stdout stays clean."""
     pty = pytest.importorskip("pty")  # not on Windows
     terminal, stderr = pty.openpty()
-    done = subprocess.run([sys.executable, "-m", "skylamp.cli", "recover", "image.npy", "--out", "a.npy", "--json", "--layers", "4", "--hemicube", "3", "--backend", "numpy"],
+    done = subprocess.run([sys.executable, "-m", "skylamp.cli", "recover", "image.npy", "--out", "a.npy", "--json", "--method", "paper", "--layers", "4", "--hemicube", "3", "--backend", "numpy"],
                           stdout=subprocess.PIPE, stderr=stderr, timeout=300, env={**os.environ, "TERM": "xterm"})
     os.close(stderr)
     shown = os.read(terminal, 1 << 16)

@@ -12,6 +12,7 @@ from skylamp import oracle
 from skylamp.recover import carving_integers
 from skylamp.sources import BALL, RECTANGLE, SKY, VOLUME, Geometry, radiance
 
+paper = functools.partial(sl.recover, method="paper")
 NOTHING = np.zeros((1, 1, 1), np.uint8)
 LAYERS = 14
 FEW = 6  # layers for the lamp of nodes, whose rays are long
@@ -60,7 +61,7 @@ def test_recovery_equals_the_oracle(backend, kind, sides, stop):
     """Every source and side, both stops: every column of the same depth, and drilled means carved to the back."""
     expected = _carved(kind, sides, stop, 0.05)
     layers = FEW if kind == "volume" else LAYERS
-    got = sl.recover(_image(kind, sides), SOURCES[kind][0], 0.6, sides, 1.0, layers, 5, eps=0.05, stop=stop, backend=backend)
+    got = paper(_image(kind, sides), SOURCES[kind][0], 0.6, sides, 1.0, layers, 5, eps=0.05, stop=stop, backend=backend)
     assert got.backend == backend
     assert_bits_equal(got.depth, expected.astype(np.float32))
     assert_bits_equal(got.drilled, expected == layers)
@@ -72,7 +73,7 @@ def test_recovery_equals_the_oracle(backend, kind, sides, stop):
 def test_recovery_with_an_albedo_map_and_spacing_equals_the_oracle(backend, eps):
     """The albedo divides the image, pixel by pixel; depth comes in the unit of the spacing; M = 9."""
     expected = _carved("sky", "dark", "eps", eps, 9, "map")
-    got = sl.recover(_image("sky", "dark", 9), sl.Sky(), ALBEDO["map"], "dark", 2.5, LAYERS, 9, eps=eps, backend=backend)
+    got = paper(_image("sky", "dark", 9), sl.Sky(), ALBEDO["map"], "dark", 2.5, LAYERS, 9, eps=eps, backend=backend)
     assert_bits_equal(got.depth, (expected * 2.5).astype(np.float32))
     assert got.drilled.any() == (eps < 0.1)
     assert any("Drilled" in w and "stop='sign'" in w for w in got.warnings) == (eps < 0.1)
@@ -81,7 +82,7 @@ def test_recovery_with_an_albedo_map_and_spacing_equals_the_oracle(backend, eps)
 def test_drilled_columns_are_named_and_the_sign_drills_fewer(backend):
     """MODEL.md 5.1: with a narrow eps most columns never match; the stop at the sign change is monotone."""
     image = _image("sky", "dark")
-    by_eps, by_sign = (sl.recover(image, sl.Sky(), 0.6, "dark", 1.0, LAYERS, 5, eps=0.002, stop=stop, backend=backend) for stop in ("eps", "sign"))
+    by_eps, by_sign = (paper(image, sl.Sky(), 0.6, "dark", 1.0, LAYERS, 5, eps=0.002, stop=stop, backend=backend) for stop in ("eps", "sign"))
     assert by_eps.drilled.mean() > 0.3 > by_sign.drilled.mean()
     assert any(f"{by_eps.drilled.mean():.1%}" in w for w in by_eps.warnings)
 
@@ -93,7 +94,7 @@ def test_an_image_of_equation_four_gives_its_depth_back(backend):
     depth = np.full((11, 14), 5)
     lit = oracle.surface_visibility(depth, cube.steps, "dark", scenes.SKY)
     image = 0.8 * (lit * cube.solid_angles).sum(-1) / (2 * np.pi)
-    got = sl.recover(image, sl.Sky(), 0.8, "dark", 1.0, 12, 7, eps=1e-6, backend=backend)
+    got = paper(image, sl.Sky(), 0.8, "dark", 1.0, 12, 7, eps=1e-6, backend=backend)
     assert got.depth.max() == 5 and got.depth.min() >= 3 and (got.depth == 5).mean() > 0.8
     assert not got.drilled.any() and got.warnings == []
 
@@ -101,16 +102,16 @@ def test_an_image_of_equation_four_gives_its_depth_back(backend):
 def test_open_sides_under_a_sky_are_called_ill_posed(backend):
     """A flat start explains a plane's image at any depth; a window does not need the warning."""
     image = _image("sky", "open")
-    assert any("ill-posed" in w for w in sl.recover(image, sl.Sky(), 0.6, layers=3, hemicube=3, backend=backend).warnings)
-    assert not any("ill-posed" in w for w in sl.recover(image, SOURCES["window"][0], 0.6, layers=3, hemicube=3, backend=backend).warnings)
-    assert not any("ill-posed" in w for w in sl.recover(image, sl.Sky(), 0.6, "dark", layers=3, hemicube=3, backend=backend).warnings)
+    assert any("ill-posed" in w for w in paper(image, sl.Sky(), 0.6, layers=3, hemicube=3, backend=backend).warnings)
+    assert not any("ill-posed" in w for w in paper(image, SOURCES["window"][0], 0.6, layers=3, hemicube=3, backend=backend).warnings)
+    assert not any("ill-posed" in w for w in paper(image, sl.Sky(), 0.6, "dark", layers=3, hemicube=3, backend=backend).warnings)
 
 
 def test_progress_counts_layers_and_a_second_run_is_the_same(backend):
     """Called once per layer with the total; the image is not changed."""
     image = _image("window", "dark").copy()
     before, calls = image.copy(), []
-    first = sl.recover(image, SOURCES["window"][0], 0.6, "dark", 1.0, LAYERS, 5, backend=backend, progress=lambda done, total: calls.append((done, total)))
+    first = paper(image, SOURCES["window"][0], 0.6, "dark", 1.0, LAYERS, 5, backend=backend, progress=lambda done, total: calls.append((done, total)))
     assert calls == [(n + 1, LAYERS) for n in range(len(calls))] and calls
-    assert_bits_equal(sl.recover(image, SOURCES["window"][0], 0.6, "dark", 1.0, LAYERS, 5, backend=backend).depth, first.depth)
+    assert_bits_equal(paper(image, SOURCES["window"][0], 0.6, "dark", 1.0, LAYERS, 5, backend=backend).depth, first.depth)
     assert_bits_equal(image, before)

@@ -15,7 +15,7 @@ import skylamp.opencl
 import skylamp.warp_kernels
 
 STEMS = sorted(f.name[:-3] for f in files(skylamp.opencl).iterdir() if f.name.endswith(".cl"))
-C_TYPES = {"float": "float32", "double": "float64", "int": "int32", "uint": "uint32", "uchar": "uint8", "float4": "float32", "floats": "float32", "uchars": "uint8",
+C_TYPES = {"float": "float32", "double": "float64", "int": "int32", "long": "int64", "uint": "uint32", "uchar": "uint8", "float4": "float32", "floats": "float32", "uchars": "uint8",
            "Ladder": "int32"}  # vectors by their elements
 C_NAMES = {"half_": "half"}  # half is a type in OpenCL
 CONSTANTS = {"BITS": (3, 4), "NEAR": (6, 12), "SIDES": (0, 2), "WHAT": (0, 1), "BLOCKS": (0, 1)}  # known when compiling: two values of each

@@ -1,0 +1,399 @@
+"""The kernels of adjoint.cl in NumPy: same names, arguments and bits, on all nodes at a time."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .adjoint import BLOCK
+
+NONE, STEEP, LEVEL = np.float32(-1e30), np.float32(1e6), np.float32(0.01)
+COLUMN = 1 << 30
+OPEN, DARK, PERIODIC = range(3)
+f32 = np.float32
+
+
+def _arc_tangent(v):
+    r = np.where(v > 1, 1 / v, v)
+    q = r * r
+    p = np.full_like(v, -0.0040545627)
+    for factor in (0.021862943, -0.055912301, 0.096421957, -0.13908629, 0.19946566, -0.33329859, 0.99999934):
+        p = p * q + f32(factor)
+    return np.where(v > 1, f32(1.57079633) - p * r, p * r)
+
+
+def _above(t, table, row, after, share, knots):
+    """c1, c2, d1, d2 as there; row, after, share: numbers or one per node."""
+    square = 1 + t * t
+    cosine = 1 / square
+    if knots == 0:
+        return f32(0.5) * cosine, f32(0.5) * (f32(1.57079633) - _arc_tangent(t) - t * cosine), -t * cosine * cosine, -cosine * cosine
+    root = np.sqrt(square)
+    place = t / root * f32(knots - 1)
+    per = f32(knots - 1) / (square * root)
+    knot = np.minimum(place.astype(np.int32), knots - 2)
+    part = place - knot.astype(f32)
+    v = table[row, knot]
+    if np.ndim(share):
+        v = np.where((share > 0)[:, None], v + share[:, None] * (table[after, knot] - v), v)
+    return v[:, 1] + part * v[:, 3], v[:, 0] + part * v[:, 2], v[:, 3] * per, v[:, 2] * per
+
+
+def _over(a, b):
+    """a / b in float32, 0 where b is 0."""
+    return np.where(b != 0, a / np.where(b != 0, b, f32(1)), f32(0)).astype(f32)
+
+
+def _horizon(heights, ways, x, y, own, best, top, reach, rows, cols, margin, sides):
+    """Slope and crossing number for nodes (n,); ``ways``: (c, s, columns, rise, rows, run), numbers or one per node."""
+    c, s, columns, rise, per_column, run = (np.broadcast_to(part, own.shape) for part in ways)
+    padded = heights.reshape(rows, cols + 2 * margin)
+    best, number = best.copy(), np.zeros(own.shape, np.int32)
+    for on_rows, length, shear in ((True, rise, columns), (False, run, per_column)):
+        ahead = (s if on_rows else c) > 0
+        place, size = (y, rows) if on_rows else (x, cols)
+        last = np.where(ahead, size - 1 - place, place)
+        if sides == PERIODIC:
+            last = np.full(own.shape, 1 << 20)
+        last = np.where((s if on_rows else c) == 0, 0, last)
+        left, n = np.flatnonzero(last > 0), 0
+        while len(left):
+            n += 1
+            closeness = length[left] / f32(n)
+            going = (n <= last[left]) & ~(reach[left] * closeness < 1) & ~((top - own[left]) * (f32(1.00001) * closeness) <= best[left])
+            left, closeness = left[going], closeness[going]
+            across = f32(n) * shear[left]
+            low = np.floor(across)
+            share, low = across - low, low.astype(np.int32)
+            step = np.where(ahead[left], n, -n)
+            column, row = (x[left] + low, y[left] + step) if on_rows else (x[left] + step, y[left] + low)
+            if sides == PERIODIC:
+                column, row = column % cols, row % rows
+            over = row if on_rows else row + 1
+            if sides == PERIODIC:
+                over = over % rows
+                there = np.ones(len(left), bool)
+            elif on_rows:
+                there = (column < cols) & (column + 1 >= 0)
+            else:
+                there = (row >= 0) & (row < rows) & ~((over >= rows) & (share > 0))
+                over = np.minimum(over, rows - 1)
+            left, closeness, share, column, row, over = (v[there] for v in (left, closeness, share, column, row, over))
+            a = padded[row, margin + column]
+            b = padded[over, margin + column + on_rows]
+            slope = (a + share * (b - a) - own[left]) * closeness
+            higher = slope > best[left]
+            best[left[higher]] = slope[higher]
+            number[left[higher]] = n if on_rows else -n
+    return best, number
+
+
+def _wall(ways, x, y, rows, cols):
+    c, s, _, rise, _, run = ways
+    half = f32(0.5)
+    to_x = np.where(c > 0, f32(cols) - half - x.astype(f32), x.astype(f32) + half)
+    to_y = np.where(s > 0, f32(rows) - half - y.astype(f32), y.astype(f32) + half)
+    return np.minimum(np.where(c != 0, to_x / run, f32(1e30)), np.where(s != 0, to_y / rise, f32(1e30))).astype(f32)
+
+
+def _ways(c, s):
+    across, along = np.abs(c), np.abs(s)
+    return c, s, _over(c, along), along, _over(s, across), across
+
+
+def _crossing(ways, number, x, y, rows, cols, sides):
+    """(at, share, 1 / distance) of crossing ``number``."""
+    c, s, columns, rise, per_column, run = ways
+    on_row, n = number > 0, np.abs(number)
+    count = n.astype(f32)
+    place = count * np.where(on_row, columns, per_column)
+    low = np.floor(place).astype(np.int32)
+    column = x + np.where(on_row, low, np.where(c > 0, n, -n))
+    row = y + np.where(on_row, np.where(s > 0, n, -n), low)
+    if sides == PERIODIC:
+        column, row = column % cols, row % rows
+    some = number != 0
+    found = np.where(some, row << 16 | column | np.where(on_row, 0, COLUMN), -1)
+    closeness = np.where(on_row, rise, run) / np.where(some, count, f32(1))
+    return found, np.where(some, place - low.astype(f32), f32(0)), np.where(some, closeness, f32(0)).astype(f32)
+
+
+def surface(z, heights, tilts, rows, cols, margin, sides):
+    z = z.reshape(rows, cols)
+    padded = heights.reshape(rows, cols + 2 * margin)
+    padded[:, margin : margin + cols] = -z
+    if sides == PERIODIC:
+        padded[:] = -z[:, np.arange(-margin, cols + margin) % cols]
+    for out, v in ((tilts[0].reshape(rows, cols), z), (tilts[1].reshape(rows, cols).T, z.T)):
+        i = np.arange(v.shape[1])
+        low, high = np.maximum(i - 1, 0), np.minimum(i + 1, v.shape[1] - 1)
+        out[...] = (v[:, high] - v[:, low]) / np.maximum(high - low, 1).astype(f32)
+
+
+def tiles(z, tiles, rows, cols):
+    tiles[:] = -z.min()  # the same in every tile: here nothing is skipped by them
+
+
+def highest(tiles, top, rows, cols, last):
+    top[:] = tiles.max()
+
+
+def _finish(light, pixels, gx, gy, total, by_own, by_x, by_y):
+    inverse = 1 / np.sqrt(1 + gx * gx + gy * gy)
+    drop = total * inverse * inverse * inverse
+    light[:] = total * inverse, by_own * inverse, by_x * inverse - drop * gx, by_y * inverse - drop * gy, inverse
+
+
+def sky(heights, tilts, tiles, top, azimuths, table, light, pulls, at, shares, rows, cols, margin, count, knots, sides):
+    y, x = (v.ravel() for v in np.indices((rows, cols)))
+    own = heights.reshape(rows, cols + 2 * margin)[:, margin : margin + cols].ravel()
+    gx, gy = tilts
+    reach = np.full(own.shape, 1e30, f32)
+    total, by_own, by_x, by_y = (np.zeros(own.shape, f32) for _ in range(4))
+    for k in range(count):
+        c, s, width, _ = azimuths[k]
+        ways = _ways(c, s)
+        tilt = gx * c + gy * s
+        slope, by_wall = np.maximum(-tilt, f32(0)), f32(0)
+        if sides == DARK:
+            closeness = 1 / _wall(ways, x, y, rows, cols)
+            wall = -own * closeness
+            by_wall = np.where(wall > slope, closeness, f32(0))
+            slope = np.maximum(wall, slope)
+        least = np.maximum(slope, LEVEL) if sides == PERIODIC else slope
+        found, number = _horizon(heights, ways, x, y, own, least, top[0], reach, rows, cols, margin, sides)
+        slope = np.where(number != 0, found, slope)
+        c1, c2, d1, d2 = _above(slope, table, k, k, 0, knots)
+        per_slope = width * (d1 + tilt * d2)
+        at[k], shares[k], near = _crossing(ways, number, x, y, rows, cols, sides)
+        pulls[k] = per_slope * near
+        total += width * (c1 + tilt * c2)
+        by_own += np.where(number == 0, per_slope * by_wall, pulls[k])
+        by_x += width * c * c2
+        by_y += width * s * c2
+    _finish(light, own.size, gx, gy, total, by_own, by_x, by_y)
+
+
+def lamp(heights, tilts, tiles, top, frames, nodes, solid, table, light, pulls, at, shares, rows, cols, margin, count, knots, n_rows, ball, sides):
+    y, x = (v.ravel() for v in np.indices((rows, cols)))
+    own = heights.reshape(rows, cols + 2 * margin)[:, margin : margin + cols].ravel()
+    gx, gy = tilts
+    ux, uy, extent, _ = frames.T
+    zero = np.zeros(own.shape, f32)
+    total, by_own, by_x, by_y = (zero.copy() for _ in range(4))
+    for k in range(count):
+        # 1. the slice, and the slopes between which the source stands in it, with their derivatives by the own depth
+        sine, cosine, c, s = nodes[k]
+        width = f32(6.28318531) / f32(count)
+        if ball:
+            radius, rise = solid[3], solid[2] - own
+            beyond = extent * extent + rise * rise - radius * radius
+            around = extent <= radius
+            off = extent * (s * ux - c * uy)
+            along, half = extent * (c * ux + s * uy), np.sqrt(np.maximum(radius * radius - off * off, f32(0)))
+            off = radius / extent * sine
+            on = np.sqrt((1 - off) * (1 + off))
+            c, s = np.where(around, c, ux * on - uy * off), np.where(around, s, uy * on + ux * off)
+            width = np.where(around, width, radius / extent * cosine * (f32(3.14159265) / f32(count)) / on)
+            along, half = np.where(around, along, extent * on), np.where(around, half, radius * cosine)
+            reach, end = np.maximum(along, half), along + half
+            inside = beyond <= 0
+            tangent, square = np.sqrt(beyond), along * along + rise * rise
+            low_c, low_s = along * tangent + rise * half, rise * tangent - along * half
+            high_c, high_s = along * tangent - rise * half, rise * tangent + along * half
+            low = np.where(inside, -STEEP, np.where(low_c > 0, low_s / low_c, np.where(low_s > 0, STEEP, -STEEP)))
+            high = np.where(inside, STEEP, np.where(high_c > 0, high_s / high_c, np.where(rise > 0, STEEP, -STEEP)))
+            low_by = np.where(~inside & (low_c > 0), square / (low_c * tangent), f32(0))
+            high_by = np.where(~inside & (high_c > 0), square / (high_c * tangent), f32(0))
+        else:
+            t = extent * (f32(2 * k + 1) / f32(count) - 1)
+            scale = 1 / (1 + t * t)
+            on, off, aside = (1 - t * t) * scale, 2 * t * scale, extent > 0
+            c, s = np.where(aside, ux * on - uy * off, c), np.where(aside, uy * on + ux * off, s)
+            width = np.where(aside, 4 * extent / f32(count) * scale, width)
+            least, most, least_by, most_by, reach = zero + STEEP, zero - STEEP, zero, zero, zero
+            met = np.zeros(own.shape, int)
+            for i in range(4):
+                j = (i + 1) % 4
+                (px, py, pz), (qx, qy, qz) = solid[3 * i : 3 * i + 3], solid[3 * j : 3 * j + 3]
+                ax, ay, bx, by = px - x.astype(f32), py - y.astype(f32), qx - x.astype(f32), qy - y.astype(f32)
+                start, stop = c * ay - s * ax, c * by - s * bx
+                share = start / (start - stop)
+                r = c * (ax + share * (bx - ax)) + s * (ay + share * (by - ay))
+                meets = ((start <= 0) != (stop <= 0)) & (r > 0)
+                slant = (pz + share * (qz - pz) - own) / r
+                under, over = meets & (slant < least), meets & (slant > most)
+                least, least_by = np.where(under, slant, least), np.where(under, 1 / r, least_by)
+                most, most_by = np.where(over, slant, most), np.where(over, 1 / r, most_by)
+                reach = np.where(meets, np.maximum(r, reach), reach)
+                met += meets
+            zenith = (met == 1) & (least > 0)
+            most, most_by, end = np.where(zenith, STEEP, most), np.where(zenith, f32(0), most_by), reach
+            some = met > 0
+            low, high = np.where(some, least, f32(1)), np.where(some, most, f32(0))
+            low_by, high_by = np.where(some, least_by, f32(0)), np.where(some, most_by, f32(0))
+
+        # 2. what limits it from below
+        ways = _ways(c, s)
+        tilt = gx * c + gy * s
+        slope, by_limit = np.maximum(-tilt, f32(0)), zero
+        if sides == DARK:
+            wall = _wall(ways, x, y, rows, cols)
+            closeness = 1 / wall
+            limits = (end > wall) & (-own * closeness > slope)
+            slope, by_limit = np.where(limits, -own * closeness, slope), np.where(limits, closeness, by_limit)
+        limits = low > slope
+        slope, by_limit = np.where(limits, low, slope), np.where(limits, low_by, by_limit)
+        on = np.flatnonzero(slope < high)
+        number = np.zeros(own.shape, np.int32)
+        slope[on], number[on] = _horizon(heights, tuple(np.broadcast_to(way, own.shape)[on] for way in ways), x[on], y[on], own[on], slope[on], top[0],
+                                         np.broadcast_to(reach, own.shape)[on], rows, cols, margin, OPEN)
+
+        # 3. the light between
+        lit = slope < high
+        number = np.where(lit, number, 0)
+        down, left = s < 0, c < 0
+        diamond = np.where(~down, np.where(~left, s / (c + s), 1 - c / (s - c)), np.where(left, 2 - s / (-c - s), 3 + c / (c - s)))
+        place = f32(0.25) * diamond * f32(n_rows)
+        row = np.minimum(place.astype(np.int32), n_rows - 1)
+        after = np.where(row + 1 < n_rows, row + 1, 0)
+        share = place - row.astype(f32)
+        c1, c2, d1, d2 = _above(np.where(lit, slope, f32(0)), table, row, after, share, knots)
+        per_slope = width * (d1 + tilt * d2)
+        cut = lit & (high < STEEP)
+        o1, o2, e1, e2 = _above(np.where(cut, high, f32(0)), table, row, after, share, knots)
+        c1, c2 = np.where(cut, c1 - o1, c1), np.where(cut, c2 - o2, c2)
+        by_own = np.where(cut, by_own - width * (e1 + tilt * e2) * high_by, by_own)
+        at[k], shares[k], near = _crossing(ways, number, x, y, rows, cols, OPEN)
+        pulls[k] = np.where(lit, per_slope * near, f32(0))
+        total = np.where(lit, total + width * (c1 + tilt * c2), total)
+        by_own = np.where(lit, by_own + np.where(number == 0, per_slope * by_limit, pulls[k]), by_own)
+        by_x = np.where(lit, by_x + width * c * c2, by_x)
+        by_y = np.where(lit, by_y + width * s * c2, by_y)
+    _finish(light, own.size, gx, gy, total, by_own, by_x, by_y)
+
+
+def _ends(at, rows, cols):
+    row, column = at >> 16 & 0x3FFF, at & 0xFFFF
+    on_row = at & COLUMN == 0
+    after_row = np.where(on_row, row, np.where(row + 1 < rows, row + 1, 0))
+    after_column = np.where(on_row, np.where(column + 1 < cols, column + 1, 0), column)
+    return row * cols + column, after_row * cols + after_column
+
+
+def _differences(rows, cols):
+    """For the derivative along x, then y: node after, node before, and how far apart they are (0: there is none)."""
+    y, x = (v.ravel() for v in np.indices((rows, cols)))
+    for i, size, step in ((x, cols, 1), (y, rows, cols)):
+        here = y * cols + x
+        after, before = here + step * (i < size - 1), here - step * (i > 0)
+        yield after, before, ((after - before) // step).astype(f32)
+
+
+def push(light, pulls, at, shares, gain, v, out, rows, cols, count):
+    total = np.zeros(rows * cols, f32)
+    for k in range(count):
+        some = np.flatnonzero(at[k] >= 0)
+        one, two = _ends(at[k, some], rows, cols)
+        total[some] += pulls[k, some] * (v[one] + shares[k, some] * (v[two] - v[one]))
+    dx, dy = (_over(v[after] - v[before], apart) for after, before, apart in _differences(rows, cols))
+    out[:] = gain * gain * (light[1] * v - light[4] * total + light[2] * dx + light[3] * dy)
+
+
+def pull(light, pulls, at, shares, u, sum, unit, rows, cols, count):
+    unit = f32(unit)
+    own = u * unit
+    sum += (own * light[1]).astype(np.int64)
+    for number, (after, before, apart) in enumerate(_differences(rows, cols)):
+        part = _over(own * light[2 + number], apart)
+        np.add.at(sum, after, part.astype(np.int64))
+        np.add.at(sum, before, (-part).astype(np.int64))
+    for k in range(count):
+        some = np.flatnonzero(at[k] >= 0)
+        one, two = _ends(at[k, some], rows, cols)
+        part = u[some] * unit * light[4, some] * pulls[k, some]
+        np.add.at(sum, one, (-(part - part * shares[k, some])).astype(np.int64))
+        np.add.at(sum, two, (-part * shares[k, some]).astype(np.int64))
+
+
+def _by_blocks(values):
+    """Sums of BLOCK values each, added one after another."""
+    padded = np.zeros(-(-len(values) // BLOCK) * BLOCK)
+    padded[: len(values)] = values
+    return np.cumsum(padded.reshape(-1, BLOCK), 1)[:, -1]
+
+
+def misfit(light, gain, target, u, part, pixels):
+    seen = gain * light[0]
+    r = seen - target
+    u[:] = gain * r
+    r, seen, target = (v.astype(np.float64) for v in (r, seen, target))
+    part[:] = np.stack([_by_blocks(r * r), _by_blocks(seen * seen), _by_blocks(seen * target)], 1)
+
+
+def _bend(v):
+    """Second differences along rows of v, 0 at the ends."""
+    out = np.zeros_like(v)
+    if v.shape[1] > 2:
+        out[:, 1:-1] = (v[:, :-2] - v[:, 1:-1]) - (v[:, 1:-1] - v[:, 2:])
+    return out
+
+
+def _unbend(v, rows, cols):
+    v, total = v.reshape(rows, cols), None
+    for z in (v, v.T):
+        bent = _bend(z)
+        out = f32(-2) * bent
+        out[:, 2:] += bent[:, 1:-1]
+        out[:, :-2] += bent[:, 1:-1]
+        total = out if total is None else total + out.T
+    return total.ravel()
+
+
+def bending(z, part, rows, cols):
+    z = z.reshape(rows, cols)
+    a, b = (v.ravel().astype(np.float64) for v in (_bend(z), _bend(z.T).T))
+    part[:] = _by_blocks(a * a + b * b).reshape(part.shape)
+
+
+def diagonal(light, gain, scale, rows, cols, least, is_first):
+    total = gain * light[1]
+    total = (total * total).reshape(rows, cols)
+    x, y = np.arange(cols), np.arange(rows)[:, None]
+    half = lambda i, size: np.where((i == 0) | (i == size - 1), f32(1), f32(0.5))
+    along, down = ((gain * light[2 + n]).reshape(rows, cols) * half(i, size) for n, i, size in ((0, x, cols), (1, y, rows)))
+    along, down = along * along, down * down
+    total[:, 1:] += along[:, :-1]
+    total[1:] += down[:-1]
+    total[:, :-1] += along[:, 1:]
+    total[:-1] += down[1:]
+    scale[:] = total.ravel() + (f32(least) if is_first else scale)
+
+
+def begin(z, low, high, scale, sum, r, v, x, p, s, is_free, part, unit, lambda_, rows, cols):
+    down = -(sum.astype(f32) * f32(unit) + f32(lambda_) * _unbend(z, rows, cols))
+    is_free[:] = ~(((z <= low) & (down < 0)) | ((z >= high) & (down > 0)))
+    r[:] = is_free * down
+    v[:] = r / scale
+    for array in (sum, x, p, s):
+        array[:] = 0
+    part[:] = _by_blocks(v.astype(np.float64) ** 2).reshape(part.shape)
+
+
+def curve(r, v, scale, is_free, sum, w, part, unit, lambda_, damping, rows, cols):
+    w[:] = is_free * (sum.astype(f32) * f32(unit) + f32(lambda_) * _unbend(v, rows, cols) + f32(damping) * scale * v)
+    sum[:] = 0
+    a, b, c = (array.astype(np.float64) for array in (r, v, w))
+    part[:] = np.stack([_by_blocks(a * b), _by_blocks(b * c), _by_blocks(b * b)], 1)
+
+
+def go(scale, w, r, v, x, p, s, alpha, beta, pixels):
+    alpha, beta = f32(alpha), f32(beta)
+    p[:] = v + beta * p
+    s[:] = w + beta * s
+    x += alpha * p
+    r -= alpha * s
+    v[:] = r / scale
+
+
+def move(z, x, low, high, to, pixels):
+    to[:] = np.minimum(np.maximum(z + x, low), high)

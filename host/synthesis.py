@@ -1,0 +1,273 @@
+"""Depth by analysis and synthesis, coarse to fine: what recover(method="robust") does between its checks and its answer.
+
+On a pyramid of box-downsampled images, from 16 x 16 up, Gauss-Newton (backends/adjoint.py) fits a surface to all images at
+once. On every level the smoothness is let down in steps: a stiff surface has few ways to be wrong. A coarse grid cannot
+see what a fine one can, so after the first way up the solution goes down again (full approximation scheme): the coarse
+target is put right by what the two grids say of the same surface, E_coarse(restricted z) - restricted E_fine(z), and
+the change found there is brought up and kept if the fine objective falls.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+import time
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from . import sources
+from .backends.adjoint import Descent, Light
+from .backends.base import Backend
+from .directions import Azimuths
+
+log = logging.getLogger("skylamp")
+COARSEST = 16  # nodes on the shorter side of the first grid
+BRIGHT = 0.4  # rms to which images are scaled, so that smoothness means the same for all
+AZIMUTHS = 24  # of a sky
+SLICES = 24  # of a lamp or window
+ROWS = 128  # of azimuths of a lamp's table of brightness
+LEAST = 1e-5  # smoothness for an image without noise
+STIFF = (1e-2, 1e-3, 1e-4)  # smoothness let down to it on the first grid
+SOFTER = (1e-3, 1e-4)  # and on all others
+STEPS, MOST, FIRST = 8, 30, 30  # Gauss-Newton steps at one smoothness, conjugate gradients of a step, steps on the first grid
+CYCLES, CYCLED, ENOUGH = 2, 128, 0.7  # ways down and up again, grids that are worth it, the fall of the objective that asks for one more
+BEND = 0.3  # variance of second differences of a surface, against which noise is weighed
+FAITH, PROBES = 0.01, 4  # share of the image's rms that the model may be wrong by, and noises tried, to tell what is uncertain
+
+
+class Level(NamedTuple):
+    """What was reached on one grid: its shape, rms of model - image as a share of the image's rms, seconds since the start."""
+
+    shape: tuple[int, int]
+    residual: float
+    seconds: float
+
+
+def halved(values: np.ndarray) -> np.ndarray:
+    """Means of 2 x 2; an odd side is first made even by its border."""
+    rows, cols = values.shape
+    values = np.pad(values, ((0, rows % 2), (0, cols % 2)), mode="edge")
+    return values.reshape(values.shape[0] // 2, 2, values.shape[1] // 2, 2).mean((1, 3))
+
+
+def doubled(values: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
+    """Linear interpolation to a grid twice as fine, of this shape."""
+    for size in shape:
+        at = (np.arange(size) + 0.5) / 2 - 0.5
+        low = np.clip(np.floor(at).astype(int), 0, max(len(values) - 2, 0))
+        share = (at - low)[:, None]
+        values = (values[low] * (1 - share) + values[np.minimum(low + 1, len(values) - 1)] * share).T
+    return values
+
+
+def light_of(source: sources.Source, shape: tuple[int, int], scale: float, azimuths: int) -> Light:
+    """A source for a grid whose node i stands at (i + 1/2) / scale - 1/2 nodes of the unit in which the source is given."""
+    table = None
+    if isinstance(source, sources.Sky):
+        sectors = Azimuths(azimuths)
+        if callable(source.brightness):
+            profile = sources.azimuth_profile(source)
+            sectors = sectors if profile is None else Azimuths.placed(azimuths, profile)
+            table = sources.elevation_table(source, sectors.angles, sectors.widths, 256 if profile is None else 1024)
+        angles = sectors.angles
+        # what ought to be 0 is, so that rays along the grid stay on it
+        ways = np.stack([np.cos(angles), np.sin(angles), sectors.widths, 0 * angles], 1)
+        ways[np.abs(ways) < 1e-12] = 0
+        return Light(table, azimuths=ways)
+    if callable(source.brightness):
+        place = 4 * np.arange(ROWS) / ROWS  # the diamond angle
+        cosine = np.where(place < 2, 1 - place, place - 3)
+        sine = np.where(place < 1, place, np.where(place < 3, 2 - place, place - 4))
+        table = sources.elevation_table(source, np.arctan2(sine, cosine), np.zeros(ROWS), ROWS)
+    share = (np.arange(SLICES) + 0.5) / SLICES
+    theta, azimuth = np.pi * (share - 0.5), 2 * np.pi * share
+    nodes = np.stack([np.sin(theta), np.cos(theta), np.cos(azimuth), np.sin(azimuth)], 1)
+    put = lambda point: np.array([(point[0] + 0.5) * scale - 0.5, (point[1] + 0.5) * scale - 0.5, -point[2] * scale])
+    y, x = np.indices(shape).astype(float)
+    if isinstance(source, sources.Lamp) and source.center is not None:
+        center = put(source.center)
+        dx, dy = center[0] - x, center[1] - y
+        flat = np.hypot(dx, dy)
+        safe = np.where(flat > 0, flat, 1)
+        frames = np.stack([np.where(flat > 0, dx / safe, 1), dy / safe, flat, 0 * flat], -1)
+        return Light(table, nodes=nodes, frames=frames.reshape(-1, 4), solid=np.array([*center, source.radius * scale]), ball=True)
+    if isinstance(source, sources.Window):
+        (x0, x1), (y0, y1) = source.x, source.y
+        corners = [(x0, y0, 0), (x1, y0, 0), (x1, y1, 0), (x0, y1, 0)]
+    else:
+        corner, u, v = (np.array(part) for part in (source.corner, *source.edges))
+        corners = [corner, corner + u, corner + u + v, corner + v]
+    corners = np.array([put(corner) for corner in corners])
+    to = corners[:, :2, None, None] - np.stack([x, y])
+    middle = np.arctan2(*to.mean(0)[::-1])
+    off = np.angle(np.exp(1j * (np.arctan2(to[:, 1], to[:, 0]) - middle)))
+    turn = np.stack([to[i, 0] * to[(i + 1) % 4, 1] - to[i, 1] * to[(i + 1) % 4, 0] for i in range(4)])
+    within = (turn >= 0).all(0) | (turn <= 0).all(0)
+    middle = middle + (off.min(0) + off.max(0)) / 2
+    frames = np.stack([np.cos(middle), np.sin(middle), np.where(within, 0, np.tan((off.max(0) - off.min(0)) / 4)), 0 * middle], -1)
+    return Light(table, nodes=nodes, frames=frames.reshape(-1, 4), solid=corners.ravel())
+
+
+def noise_of(image: np.ndarray) -> float:
+    """Standard deviation of white noise in an image (Immerkaer 1996, with a median): what a cross of second differences leaves."""
+    if min(image.shape) < 3:
+        return 0.0
+    second = lambda v: v[:-2] - 2 * v[1:-1] + v[2:]
+    return float(np.median(np.abs(second(second(image).T)))) / (0.6745 * 6)
+
+
+class Pyramid:
+    """The problem on all grids. Lengths in nodes of the finest grid outside, in each grid's own inside.
+
+    images (rows, cols) radiance; albedo (rows, cols), or None to estimate one number; near, far (rows, cols) bounds.
+    ``stop``: asked after every step whether to end; ``note``: told of every level that was reached.
+    """
+
+    def __init__(self, engine: Backend, images: list[np.ndarray], lights: list[sources.Source], albedo, sides: str, near: np.ndarray, far: np.ndarray,
+                 stop: Callable[[], bool] = lambda: False, note: Callable[[Level], None] = lambda level: None):
+        self.engine, self.sources, self.sides, self.stop, self.note = engine, lights, sides, stop, note
+        self.began = time.perf_counter()
+        self.units = [math.sqrt(float(np.mean(np.square(image)))) / BRIGHT for image in images]
+        self.images = [[image / unit for image, unit in zip(images, self.units)]]
+        self.bounds = [(near, far)]
+        self.estimates = albedo is None
+        self.albedo = [np.broadcast_to(np.asarray(0.5 if albedo is None else albedo, float), images[0].shape)]
+        while min(self.images[-1][0].shape) >= 2 * COARSEST:
+            self.images.append([halved(image) for image in self.images[-1]])
+            self.bounds.append(tuple(halved(bound) / 2 for bound in self.bounds[-1]))
+            self.albedo.append(halved(self.albedo[-1]))
+        self.top = len(self.images) - 1
+        self.noise = math.sqrt(float(np.mean([noise_of(image) ** 2 for image in self.images[0]])))
+        self.problems = {}
+        self.best = None  # (level, depth): the last surface that was accepted, whatever comes
+
+    def smoothness(self, level: int) -> float:
+        """Weight of squared second differences: the noise left on a grid against how much surfaces bend."""
+        return LEAST + (self.noise * 0.5**level) ** 2 / BEND
+
+    def problem(self, level: int) -> Descent:
+        if level not in self.problems:
+            images, shape = self.images[level], self.images[level][0].shape
+            self.problems[level] = Descent(self.engine, shape, self.sides, [
+                (light_of(source, shape, 0.5**level, AZIMUTHS), self.albedo[level] / (math.pi * unit), image)
+                for source, unit, image in zip(self.sources, self.units, images)], *self.bounds[level])
+        return self.problems[level]
+
+    def flat(self, count: int = 40) -> tuple[np.ndarray, np.ndarray]:
+        """Depths of flat surfaces between the bounds, and how badly each explains the images on the first grid."""
+        problem = self.problem(self.top)
+        share = (np.arange(count) + 0.5) / count
+        misfits = []
+        low, high = self.bounds[self.top]
+        for part in share:
+            value = problem.value(low + part * (high - low), 0)
+            if self.estimates:  # what the best albedo would leave
+                seen, both = (sum(m[i] for m in problem.misfits) for i in (1, 2))
+                value = 0.5 * (problem.pixels * len(problem.images) * BRIGHT**2 - both**2 / max(seen, 1e-30))
+            misfits.append(value)
+        return share, np.array(misfits)
+
+    def _ease(self, level: int, z: np.ndarray, stiff, steps: int = STEPS) -> tuple[np.ndarray, float]:
+        problem = self.problem(level)
+        z = np.clip(z, *self.bounds[level])
+        least = self.smoothness(level)
+        for smoothness in (*(s for s in stiff if s > least), least):
+            z, value = problem.run(z, smoothness, steps, MOST, stop=self.stop)
+            if self.estimates:
+                seen, both = (sum(m[i] for m in problem.misfits) for i in (1, 2))
+                self._brighten(both / max(seen, 1e-30))
+        return z, value
+
+    def _brighten(self, factor: float) -> None:
+        """Scales the albedo, in all problems that there are, to at most 1."""
+        factor = min(factor, 1 / float(self.albedo[0].max()))
+        self.albedo = [albedo * factor for albedo in self.albedo]
+        for level, problem in self.problems.items():
+            problem.shine([self.albedo[level] / (math.pi * unit) for unit in self.units])
+
+    def climb(self, z: np.ndarray, start: int, last: int) -> tuple[np.ndarray, float]:
+        """(depth, objective) on grid ``last`` from a surface on grid ``start``, which is worked over first if it is the coarsest."""
+        value = math.inf
+        if start == self.top:
+            z, value = self._ease(start, z, STIFF, FIRST)
+            self._keep(start, z)
+        for level in range(start - 1, last - 1, -1):
+            if self.stop():
+                break
+            z, value = self._ease(level, 2 * doubled(z, self.images[level][0].shape), SOFTER)
+            self._keep(level, z)
+            for _ in range(CYCLES if max(z.shape) <= CYCLED else 0):
+                before = value
+                for down in range(self.top, level, -1):
+                    if not self.stop():
+                        z, value = self.again(level, down, z, value)
+                if value > ENOUGH * before:
+                    break
+            self._keep(level, z)
+        return z, value
+
+    def _keep(self, level: int, z: np.ndarray) -> None:
+        if self.best is None or self.best[0] >= level:
+            self.best = level, z
+        self.problem(level).value(z, self.smoothness(level))
+        reached = Level(z.shape, self.residual(level), time.perf_counter() - self.began)
+        log.info("%d x %d: residual %.2g of the image, %.1f s", *reached.shape, reached.residual, reached.seconds)
+        self.note(reached)
+
+    def residual(self, level: int) -> float:
+        """rms of model - image, as a share of the image's, at the last surface that was evaluated there."""
+        problem = self.problem(level)
+        return math.sqrt(sum(m[0] for m in problem.misfits) / (problem.pixels * len(problem.images))) / BRIGHT
+
+    def again(self, level: int, down: int, z: np.ndarray, value: float) -> tuple[np.ndarray, float]:
+        """One way down to grid ``down`` and up again; the better of what was and what came of it."""
+        fine, coarse = self.problem(level), self.problem(down)
+        light, target, small = fine.irradiances(z), self.images[level], np.asarray(z, float)
+        for _ in range(down - level):
+            light, target, small = [halved(v) for v in light], [halved(v) for v in target], halved(small) / 2
+        seen = coarse.irradiances(small)
+        estimates, self.estimates = self.estimates, False
+        coarse.aim([t + s - l for t, s, l in zip(target, seen, light)])
+        change, _ = self._ease(down, small, SOFTER)
+        coarse.aim(self.images[down])
+        self.estimates = estimates
+        change = change - small
+        for up in range(down - 1, level - 1, -1):
+            change = 2 * doubled(change, self.images[up][0].shape)
+        tried, reached = self._ease(level, z + change, SOFTER)
+        if reached < value:
+            return tried, reached
+        fine.value(z, self.smoothness(level))
+        return z, value
+
+    def doubt(self, level: int, z: np.ndarray, seed: int = 0) -> np.ndarray:
+        """Standard deviation of depth at z by the linear model, in nodes of the finest grid: what noise as large as the image's
+        own and FAITH of the image's rms would make of it."""
+        problem, rng = self.problem(level), np.random.default_rng(seed)
+        sigma = math.hypot(self.noise * 0.5**level, FAITH * BRIGHT)
+        total = np.zeros(z.shape)
+        images = problem.irradiances(z)
+        for _ in range(PROBES):
+            problem.aim([image + sigma * rng.normal(size=z.shape) for image in images])
+            problem.value(z, 0.0)
+            total += problem.step(z, LEAST) ** 2
+        problem.aim(self.images[level])
+        return np.sqrt(blurred(total / PROBES)) * 2**level
+
+    def column(self, level: int, z: np.ndarray, count: int = 33) -> tuple[np.ndarray, np.ndarray]:
+        """Light of every pixel as its surface goes up and down as a whole: shifts (count,) [nodes of the finest grid] and
+        model - image of the first image (count, rows, cols)."""
+        low, high = self.bounds[level]
+        shifts = np.linspace(float((low - z).min()), float((high - z).max()), count)
+        target = self.images[level][0]
+        return shifts * 2**level, np.stack([self.problem(level).irradiances(np.maximum(z + shift, 1e-3))[0] - target for shift in shifts])
+
+
+def blurred(values: np.ndarray) -> np.ndarray:
+    """Means of 3 x 3, twice."""
+    for _ in range(2):
+        padded = np.pad(values, 1, mode="edge")
+        values = sum(padded[i : i + values.shape[0], j : j + values.shape[1]] for i in range(3) for j in range(3)) / 9
+    return values
