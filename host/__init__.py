@@ -4,8 +4,9 @@ from .backends import backends
 from .directions import Azimuths, Hemicube
 from .errors import BackendError, CapacityError, InputError, SkylampError
 from .horizon import horizons, openness, sky_view_factor
+from .plan import Plan, plan
 from .recover import Recovery, recover
-from .render import Plan, Rendering, render
+from .render import Rendering, render
 from .scene import Scene
 from .sources import Lamp, Sky, Window, cie_overcast, cosine_power, environment_map, uniform
 from .visibility import View, VisibilityField, visibility, visibility_field
@@ -14,5 +15,5 @@ __version__ = "0.1.0"
 __all__ = [
     "Azimuths", "BackendError", "CapacityError", "Hemicube", "InputError", "Lamp", "Plan", "Recovery", "Rendering", "Scene", "Sky",
     "SkylampError", "View", "VisibilityField", "Window", "backends", "cie_overcast", "cosine_power", "environment_map", "horizons", "openness",
-    "recover", "render", "sky_view_factor", "uniform", "visibility", "visibility_field",
+    "plan", "recover", "render", "sky_view_factor", "uniform", "visibility", "visibility_field",
 ]

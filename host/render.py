@@ -4,43 +4,25 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from . import sources
+from . import sources, unoccluded
 from .backends import select
 from .backends.base import Backend, Problem
 from .backends.horizon import Rays, Sweeps
-from .backends.slices import MOST, SLICES, Ball, Slices, aperture, brightness_of, rectangle
+from .backends.slices import MOST, SLICES, Slices, brightness_of
 from .directions import Azimuths, Hemicube
 from .errors import bad
 from .horizon import ground_of
+from .plan import MARGIN, PLACED_GRID, Plan, Setting, errors, lacking, solid_of, upright, work
 from .scene import Scene, is_scene, one_of, positive_number
 
-METHODS = ("auto", "lattice", "horizon")
+METHODS = ("auto", "lattice", "horizon", "unoccluded")
 QUANTITIES = ("radiance", "irradiance")
-# RMS error of E / pi of the filled lattice under a uniform sky on rough ground (rms slope 1): performance/lattice_error.py
-LATTICE_ERROR = {5: 0.0376, 7: 0.0188, 9: 0.0119, 17: 0.0039, 33: 0.0012}
-# the same for horizons, by number of azimuths: performance/horizon.py
-HORIZON_ERROR = {8: 0.0138, 12: 0.0080, 16: 0.0052, 24: 0.0029, 32: 0.0019, 48: 0.0012, 64: 0.0008, 96: 0.0006, 128: 0.0003}
 LEAK_SLOPE = 0.7  # rms slope from which the unfilled step leaks from M = 7 on (README, Limits)
-
-
-@dataclass(frozen=True)
-class Plan:
-    """The model that was used, and why."""
-
-    method: str
-    hemicube: int | None
-    filled: bool | None
-    reason: str
-    azimuths: int | None = None
-
-    def __str__(self) -> str:
-        if self.method == "horizon":
-            return f"horizon, {self.azimuths} azimuths: {self.reason}"
-        return f"{self.method}, hemicube {self.hemicube}, {'filled' if self.filled else 'stride'}: {self.reason}"
+SURE = 1.15  # tolerances that the image may be off at the pilots before the next finer setting is tried
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,21 +43,22 @@ class Rendering:
 
 def render(scene: Scene, source: sources.Source, method: str = "auto", tolerance: float = 0.01, backend: str = "auto",
            quantity: str = "radiance", *, hemicube: int | Hemicube | None = None, filled: bool | None = None,
-           weights: str = "moment", azimuths: int | Azimuths | None = None, max_distance: float | None = None) -> Rendering:
+           weights: str = "moment", azimuths: int | Azimuths | None = None, max_distance: float | None = None, tail: float | None = None) -> Rendering:
     """The image of ``scene`` under ``source``, seen orthographically along +z (Langer and Zucker, Eq. 3).
 
     Parameters
     ----------
     scene, source : Scene; Sky, Lamp or Window
-    method : "auto", "lattice" or "horizon"
-        ``lattice``: the paper's directions on a hemicube (9 unless given). ``horizon``: the source above the horizon of
-        every node in a number of azimuths (64 unless given; for lamps and windows, slices through the source as every
-        node sees it). ``auto``: horizons, with the fewest azimuths whose measured error on rough ground is within
-        ``tolerance``; where they cannot be had (lamps given as volumes, windows given as apertures, lamps and windows
-        over a map that repeats), the filled lattice with the smallest hemicube of that kind.
-    tolerance : float
-        RMS error of E / pi under a uniform sky of brightness 1 that ``auto`` may make. A lamp or a bright spot smaller
-        than the spacing of the directions is not covered by it; a warning says so.
+    method : "auto", "lattice", "horizon" or "unoccluded"
+        ``auto``: the cheapest that is within ``tolerance``, as :func:`skylamp.plan` finds it; the image is then compared with
+        exact rays at the plan's pilot nodes, and computed again, finer, where it is off by more. ``lattice``: the paper's
+        directions on a hemicube (9 unless given). ``horizon``: the source above the horizon of every node in a number of
+        azimuths (64 unless given; for lamps and windows, slices through the source as every node sees it).
+        ``unoccluded``: closed forms from the normals, as if ground hid nothing but what lies below each node's own tangent
+        plane; the brightness of a lamp or window is that towards its middle.
+    tolerance, tail : float
+        Of ``auto``: relative RMS error, that over all valid nodes divided by the mean over the lit ones, and a bound on the
+        99.9th percentile of the relative error, ten tolerances unless given.
     backend : str
         See :func:`skylamp.backends`.
     quantity : "radiance" or "irradiance"
@@ -110,19 +93,60 @@ def render(scene: Scene, source: sources.Source, method: str = "auto", tolerance
         raise bad("render: arguments of two methods", "azimuths or max_distance with the lattice's", "azimuths and max_distance with method='horizon'; hemicube, filled and weights with 'lattice'")
     if method == "horizon" and lattice:
         raise bad("method 'horizon' with hemicube, filled or weights", "both", "azimuths and max_distance")
-    lacking = _no_horizon(scene, source)
-    if lacking and (method == "horizon" or horizon):
-        raise bad("method 'horizon'", lacking, "a sky, a rectangular window, or a lamp given by its centre and radius, the last two with sides='open' or 'dark'", "Use method='lattice'.")
-    if method == "horizon" or (method == "auto" and not lattice and not lacking):
-        return _by_horizons(scene, source, method, tolerance, select(backend), quantity, azimuths, max_distance)
-    plan = _plan(method, tolerance, hemicube, filled)
-    cube = hemicube if isinstance(hemicube, Hemicube) else Hemicube(plan.hemicube)
+    if method == "unoccluded" and (lattice or horizon):
+        raise bad("method 'unoccluded' with arguments of another", "both", "neither azimuths and max_distance nor hemicube, filled and weights")
+    missing = lacking(scene, source)
+    if missing and (method in ("horizon", "unoccluded") or horizon):
+        raise bad(f"method '{'horizon' if horizon else method}'", missing, "a sky, a rectangular window, or a lamp given by its centre and radius, the last two with sides='open' or 'dark'", "Use method='lattice'.")
     engine = select(backend)
-    problem = lattice_problem(scene, source, cube, plan.filled)
-    brightness = sources.radiance(source, cube.directions)
-    moments = cube.moments if weights == "moment" else cube.directions * cube.solid_angles[:, None]
-    (irradiance,), seconds, compiling = timed(engine, lambda: (engine.irradiance(problem, moments * brightness[:, None]),))
+    if method == "auto" and not lattice and not horizon:
+        return _planned(scene, source, tolerance, tail, engine, quantity)
+    if tail is not None:
+        raise bad("tail", tail, "a bound for method='auto' without arguments of a method")
+    if not lattice and method != "lattice":
+        setting, plan = _asked(scene, source, method, azimuths, max_distance)
+        irradiance, seconds, compiling = _run(scene, source, engine, setting)
+        return Rendering(_image(scene, irradiance, quantity), plan, engine.name, seconds, compiling)
+    plan = _lattice_plan(hemicube, filled, method)
+    cube = hemicube if isinstance(hemicube, Hemicube) else Hemicube(plan.hemicube)
+    irradiance, seconds, compiling = _by_lattice(scene, source, engine, cube, plan.filled, weights)
     return Rendering(_image(scene, irradiance, quantity), plan, engine.name, seconds, compiling, warnings_of(scene, source, cube, plan.filled))
+
+
+def _planned(scene, source, tolerance, tail, engine, quantity) -> Rendering:
+    """As the plan has it, and finer where the image proves to be off at the pilots."""
+    (made,), planning_seconds, compiling = timed(engine, lambda: (work(scene, source, tolerance, engine, tail),))
+    plan, total, warnings = made.plan, planning_seconds, []
+    nodes = made.pilots.y, made.pilots.x
+    for tried, setting in enumerate(made.settings):
+        irradiance, seconds, compiled = _run(scene, source, engine, setting)
+        total, compiling = total + seconds, compiling + compiled
+        if made.exact is None:
+            break
+        found = irradiance[nodes].astype(float)
+        error, _ = errors(found, made.exact)
+        if error <= SURE * max(tolerance, 0 if setting.error <= MARGIN * tolerance else setting.error) or tried >= 2:
+            break
+    if made.exact is not None:
+        if setting.method == "lattice":
+            plan = replace(plan, hemicube=setting.units, measured=error)
+        else:
+            plan = replace(plan, azimuths=setting.units if setting.method != "unoccluded" else None, measured=error)
+        if error > SURE * tolerance:
+            warnings.append(f"Tolerance: the image is off by {100 * error:.2g} % (RMS over the mean) at {len(made.pilots)} pilot nodes, more than the {100 * tolerance:.2g} % asked for"
+                            + (f"; {plan.reason}." if not setting.error <= tolerance else "."))
+    if setting.method == "lattice":
+        warnings += warnings_of(scene, source, Hemicube(setting.units), True)
+    return Rendering(_image(scene, irradiance, quantity), plan, engine.name, total, compiling, warnings)
+
+
+def _run(scene, source, engine, setting: Setting) -> tuple[np.ndarray, float, float]:
+    """(irradiance (rows, cols) float32, seconds without compiling, seconds of compiling) by one setting."""
+    if setting.method == "lattice":
+        return _by_lattice(scene, source, engine, Hemicube(setting.units), True, "moment")
+    way = {"unoccluded": _unoccluded, "slices": _by_slices, "horizon": _by_horizons}[setting.method]
+    (irradiance,), seconds, compiling = timed(engine, lambda: (way(scene, source, engine, setting),))
+    return irradiance, seconds, compiling
 
 
 def _image(scene: Scene, irradiance: np.ndarray, quantity: str) -> np.ndarray:
@@ -134,69 +158,74 @@ def _image(scene: Scene, irradiance: np.ndarray, quantity: str) -> np.ndarray:
     return irradiance
 
 
-def _no_horizon(scene: Scene, source: sources.Source) -> str:
-    """Why horizons cannot render this, or nothing."""
-    if isinstance(source, sources.Lamp) and source.volume is not None:
-        return "a lamp given as a volume"
-    if isinstance(source, sources.Window) and source.aperture is not None:
-        return "a window given as an aperture"
-    if scene.sides == "periodic" and not isinstance(source, sources.Sky):
-        return "a lamp or window over a map that repeats"
-    return ""
-
-
-def _by_horizons(scene, source, method, tolerance, engine, quantity, azimuths, max_distance) -> Rendering:
+def _asked(scene, source, method, azimuths, max_distance) -> tuple[Setting, Plan]:
+    """What the caller asked for."""
     if getattr(source, "corner", None) is None:
         sources.geometry(source, scene, 1.0)  # checks that they fit
-    fitting = [k for k, error in HORIZON_ERROR.items() if error <= tolerance] or [max(HORIZON_ERROR)]
-    reason, given = "as asked", azimuths is not None
-    if azimuths is None:
-        azimuths = 64 if method == "horizon" else fitting[0]
-        if method == "auto":
-            reason = f"RMS error {HORIZON_ERROR[azimuths]} of E / pi on rough ground, {'within' if HORIZON_ERROR[azimuths] <= tolerance else 'the best there is for'} tolerance {tolerance}"
-    sectors = azimuths if isinstance(azimuths, Azimuths) else Azimuths(azimuths)
+    if method == "unoccluded":
+        return Setting("unoccluded", scale=source.brightness, table=_sky_table(source)), Plan("unoccluded", None, None, "as asked")
     if not isinstance(source, sources.Sky):
-        return _by_slices(scene, source, engine, quantity, azimuths if given else None, max_distance)
-    table = None
-    scale = 1.0
+        if max_distance is not None or isinstance(azimuths, Azimuths):
+            raise bad("method 'horizon' with a lamp or window", "max_distance, or azimuths of the caller's", "azimuths as a whole number: slices of a source that stands all round")
+        most = MOST if azimuths is None else -(-len(Azimuths(azimuths)) // SLICES) * SLICES
+        return Setting("slices", most), Plan("horizon", None, None, "slices through the source as every node sees it, fewer where it looks small", most)
+    sectors = azimuths if isinstance(azimuths, Azimuths) else Azimuths(64 if azimuths is None else azimuths)
+    table, scale = None, 1.0
     if callable(source.brightness):
         profile = sources.azimuth_profile(source)
         if profile is not None and not isinstance(azimuths, Azimuths):
             sectors = Azimuths.placed(len(sectors), profile)
-        table = sources.elevation_table(source, sectors.angles, sectors.widths, 256 if profile is None else 1024)
+        table = lambda: sources.elevation_table(source, sectors.angles, sectors.widths, 256 if profile is None else 1024)
     else:
         scale = float(source.brightness)
-    sweeps = Sweeps(engine, ground_of(scene, max_distance), Rays(sectors.angles, sectors.widths), table)
-    (irradiance,), seconds, compiling = timed(engine, lambda: (sweeps.irradiance(),))
-    if scale != 1.0:
-        irradiance *= np.float32(scale)
-    return Rendering(_image(scene, irradiance, quantity), Plan("horizon", None, None, reason, len(sectors)), engine.name, seconds, compiling)
+    return Setting("horizon", len(sectors), sectors=sectors, table=table, scale=scale, max_distance=max_distance), Plan("horizon", None, None, "as asked", len(sectors), max_distance)
 
 
-def _by_slices(scene, source, engine, quantity, azimuths, max_distance) -> Rendering:
+def _sky_table(source):
+    """What makes the table of a sky's brightness where nothing hides it; None for a number, and for what is no sky."""
+    if not isinstance(source, sources.Sky) or not callable(source.brightness):
+        return None
+    profile = sources.azimuth_profile(source)
+    sectors = Azimuths(unoccluded.AZIMUTHS) if profile is None else Azimuths.placed(PLACED_GRID, profile)
+    return lambda: (sources.fine_table(source, sectors.angles, sectors.widths), sectors)
+
+
+def _by_horizons(scene, source, engine, setting):
+    table = None if setting.table is None else setting.table()
+    sweeps = Sweeps(engine, ground_of(scene, setting.max_distance), Rays(setting.sectors.angles, setting.sectors.widths), table)
+    irradiance = sweeps.irradiance()
+    if setting.scale != 1.0:
+        irradiance *= np.float32(setting.scale)
+    return irradiance
+
+
+def _by_slices(scene, source, engine, setting):
     """A lamp or window, through azimuth slices placed within it as every node sees it."""
-    if max_distance is not None or isinstance(azimuths, Azimuths):
-        raise bad("method 'horizon' with a lamp or window", "max_distance, or azimuths of the caller's", "azimuths as a whole number: slices of a source that stands all round")
-    most = MOST if azimuths is None else -(-len(Azimuths(azimuths)) // SLICES) * SLICES
     depth, step = scene.lattice()
-    unit = step / scene.spacing
-    if isinstance(source, sources.Window):
-        solid = aperture(np.array(source.x) * unit, np.array(source.y) * unit, scene.shape, step, scene.sides)
-    elif source.corner is not None:
-        solid = rectangle(*(np.array(v) * unit for v in (source.corner, *source.edges)))
-    else:
-        solid = Ball(tuple(np.array(source.center) * unit), source.radius * unit)
-    plan = Plan("horizon", None, None, "slices through the source as every node sees it, fewer where it looks small", most)
+    solid = solid_of(scene, source, step / scene.spacing, step)
     if solid is None:  # a window outside the box
-        return Rendering(_image(scene, np.zeros(scene.shape, np.float32), quantity), plan, engine.name, 0.0, 0.0)
-    slices = Slices(engine, depth, step, scene.sides, solid, brightness_of(source), most)
+        return np.zeros(scene.shape, np.float32)
+    slices = Slices(engine, depth, step, scene.sides, solid, brightness_of(source), setting.units)
+    slices.run()
+    return slices.download()
 
-    def work():
-        slices.run()
-        return (slices.download(),)
 
-    (irradiance,), seconds, compiling = timed(engine, work)
-    return Rendering(_image(scene, irradiance, quantity), plan, engine.name, seconds, compiling)
+def _unoccluded(scene, source, engine, setting):
+    if isinstance(source, sources.Sky):
+        if setting.table is None:
+            return unoccluded.sky(scene, setting.scale)
+        table, sectors = setting.table()
+        return unoccluded.sky(scene, None, table, sectors.angles, sectors.widths)
+    solid = upright(solid_of(scene, source, 1 / scene.spacing, 1.0))
+    return np.zeros(scene.shape, np.float32) if solid is None else unoccluded.image(scene, solid, source.brightness)
+
+
+def _by_lattice(scene, source, engine, cube, filled, weights):
+    problem = lattice_problem(scene, source, cube, filled)
+    brightness = sources.radiance(source, cube.directions)
+    moments = cube.moments if weights == "moment" else cube.directions * cube.solid_angles[:, None]
+    (irradiance,), seconds, compiling = timed(engine, lambda: (engine.irradiance(problem, moments * brightness[:, None]),))
+    return irradiance, seconds, compiling
 
 
 def lattice_problem(scene: Scene, source: sources.Source, cube: Hemicube, filled: bool) -> Problem:
@@ -214,16 +243,10 @@ def timed(engine: Backend, work: Callable[[], tuple]) -> tuple[tuple, float, flo
     return result, time.perf_counter() - start - compiling, compiling
 
 
-def _plan(method, tolerance, hemicube, filled) -> Plan:
+def _lattice_plan(hemicube, filled, method) -> Plan:
     given = hemicube.size if isinstance(hemicube, Hemicube) else hemicube
-    if method == "lattice":
-        return Plan(method, 9 if given is None else given, bool(filled), "as asked")
-    if given is not None:
-        return Plan("lattice", given, filled is not False, f"hemicube {given} was asked for")
-    fitting = [m for m, error in LATTICE_ERROR.items() if error <= tolerance]
-    size = fitting[0] if fitting else max(LATTICE_ERROR)
-    reason = f"RMS error {LATTICE_ERROR[size]} of E / pi on rough ground, {'within' if fitting else 'the best there is for'} tolerance {tolerance}"
-    return Plan("lattice", size, filled is not False, reason)
+    filled = filled is not False if method == "auto" else bool(filled)
+    return Plan("lattice", 9 if given is None else given, filled, "as asked")
 
 
 def warnings_of(scene: Scene, source: sources.Source, cube: Hemicube, filled: bool) -> list[str]:

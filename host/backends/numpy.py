@@ -11,7 +11,7 @@ import numpy as np
 from ..sources import APERTURE, BALL, RECTANGLE, SKY, VOLUME
 from .base import SIDES, Backend
 
-ELSEWHERE = {"horizon": "numpy_horizon", "ground": "numpy_horizon", "slices": "numpy_slices"}  # modules of the kernels that are not here
+ELSEWHERE = {"pilot": "numpy_pilot", "horizon": "numpy_horizon", "ground": "numpy_horizon", "slices": "numpy_slices"}  # modules of the kernels that are not here
 NOTHING = np.finfo(np.float32).max  # ceiling where nothing stands above; finite, so that a masked node never passes
 
 
