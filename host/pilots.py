@@ -99,9 +99,9 @@ class Pilots:
         count = rays.size // 8
         if not count:
             return np.zeros(shape)
-        found = engine.empty((count,), np.float32)
+        given, found = engine.upload(rays.reshape(-1, 8)), engine.empty((count,), np.float32)  # both held until the kernel is done
         far = self.relief / FAINT if self.periodic else math.hypot(self.rows, self.cols)
-        engine.launch("pilot", "pilot", (count,), *self._on[engine.name], engine.upload(rays.reshape(-1, 8)), found, count, self.rows, self.cols, self.tops.shape[1],
+        engine.launch("pilot", "pilot", (count,), *self._on[engine.name], given, found, count, self.rows, self.cols, self.tops.shape[1],
                       self.shift, int(self.periodic), self.highest, float(min(reach, far) + 1e-3), lanes=1)
         return engine.download(found).reshape(shape).astype(float)
 
@@ -198,6 +198,15 @@ class Pilots:
         return not (towards & (slope > np.where(near, np.maximum(lowest[:, None], 1e-6), lowest[:, None])) & (slope > -(self.gx[some][:, None] * dx + self.gy[some][:, None] * dy) / distance + 1e-3 * plane[:, None])).any()
 
     # -- lamps and windows ---------------------------------------------------------------------------------------------------
+
+    def turn(self, solid: Ball | Quad) -> np.ndarray:
+        """Share of the circle of azimuths that a source takes up, as kernels reckon it: (nodes,)."""
+        if isinstance(solid, Ball):
+            to = np.array(solid.center)[:, None] - np.stack([self.x, self.y, self.own])
+            flat = np.maximum(np.hypot(to[0], to[1]), 1e-9)
+            widest = solid.radius / flat
+            return np.where(widest >= 1, 1.0, widest * (0.318 + 0.182 * np.minimum(1, widest) ** 2))
+        return _outline(self, solid)[-1].sum(0) / (2 * np.pi)
 
     def through_slices(self, engine: Backend, solid: Ball | Quad, brightness, count: int, occluded: bool = True) -> np.ndarray:
         """Irradiance through ``count`` azimuth slices of a source, (nodes,) float64; solid in spacings, heights third."""
@@ -302,23 +311,16 @@ def _ball(pilots, ball, count):
 
 def _quad(pilots, quad, count):
     """Slices through a quadrangle: Gauss-Legendre in each sector between the azimuths of neighbouring corners."""
+    to, within, base, edges, widths = _outline(pilots, quad)
     corners = np.asarray(quad.corners, float)
-    to = corners[:, :, None] - np.stack([pilots.x, pilots.y, pilots.own]).astype(float)  # (4, 3, nodes)
     normal = np.cross(corners[2] - corners[0], corners[3] - corners[1])
     normal /= np.linalg.norm(normal)
     apart = np.einsum("i,in->n", normal, to.mean(0))
     sense = np.where(apart < 0, -1.0, 1.0)
-    turn = [to[i, 0] * to[(i + 1) % 4, 1] - to[i, 1] * to[(i + 1) % 4, 0] for i in range(4)]
-    within = (np.min(turn, 0) > 0) | (np.max(turn, 0) < 0)
-    middle = to.mean(0)
-    azimuth = np.arctan2(to[:, 1], to[:, 0])
-    base = np.where(within, 0, np.arctan2(middle[1], middle[0]))
-    offset = np.sort((azimuth - base + np.pi) % (2 * np.pi) - np.pi, 0)
-    edges = np.concatenate([offset, np.where(within, offset[:1] + 2 * np.pi, offset[3:])])  # (5, nodes)
     per = -(-count // 4)
     point, weight = np.polynomial.legendre.leggauss(per)
-    half = np.diff(edges, axis=0)[:, None] / 2
-    phi = (base + edges[:-1, None] + half * (1 + point[:, None])).reshape(4 * per, -1)
+    half = widths[:, None] / 2
+    phi = (base + edges[:, None] + half * (1 + point[:, None])).reshape(4 * per, -1)
     share = (half * weight[:, None]).reshape(4 * per, -1)
     cosine, sine = np.cos(phi), np.sin(phi)
     found, hits = [], 0
@@ -329,7 +331,7 @@ def _quad(pilots, quad, count):
             f = side_a / (side_a - side_b)
             r = cosine * (a[0] + f * (b[0] - a[0])) + sine * (a[1] + f * (b[1] - a[1]))
             slope = (a[2] + f * (b[2] - a[2])) / np.maximum(r, 1e-10)
-        crosses = (np.sign(side_a) != np.sign(side_b)) & (r > 0)
+        crosses = (np.sign(side_a) != np.sign(side_b)) & (r > -1e-9)  # also an edge overhead
         found.append(np.where(crosses, slope, np.nan))
         hits = hits + crosses
     low, high = np.fmin.reduce(found), np.fmax.reduce(found)
@@ -337,3 +339,15 @@ def _quad(pilots, quad, count):
     low, high = np.where(within & ~above, -STEEP, low), np.where(within & above, STEEP, high)
     low, high = (np.where((hits > 0) & (apart != 0), np.clip(v, -STEEP, STEEP), -STEEP) for v in (low, high))
     return cosine, sine, share, low, high, sense * (normal[0] * cosine + normal[1] * sine), sense * normal[2], sense * apart
+
+
+def _outline(pilots, quad):
+    """Corners (4, 3, nodes) from every node, whether the zenith lies within, and the sectors between their azimuths: base (nodes,),
+    where they begin (4, nodes) and how wide they are."""
+    to = np.asarray(quad.corners, float)[:, :, None] - np.stack([pilots.x, pilots.y, pilots.own]).astype(float)
+    turn = [to[i, 0] * to[(i + 1) % 4, 1] - to[i, 1] * to[(i + 1) % 4, 0] for i in range(4)]
+    within = (np.min(turn, 0) > 0) | (np.max(turn, 0) < 0)
+    middle = to.mean(0)
+    base = np.where(within, 0, np.arctan2(middle[1], middle[0]))
+    offset = np.sort((np.arctan2(to[:, 1], to[:, 0]) - base + np.pi) % (2 * np.pi) - np.pi, 0)
+    return to, within, base, offset, np.diff(np.concatenate([offset, np.where(within, offset[:1] + 2 * np.pi, offset[3:])]), axis=0)

@@ -26,12 +26,13 @@ from .pilots import COUNT, Pilots
 from .scene import Scene, is_scene, positive_number
 
 TAIL = 10.0  # bound on the 99.9th percentile of the error, in tolerances, unless given
-MARGIN = 0.85  # share of the tolerance that pilots may show: they are a sample
+MARGIN = 0.95  # share of the tolerance that a setting may take: kernels add a little to the error of their azimuths
+SIGMAS = 1.5  # standard errors by which the RMS error of all nodes may pass that of the pilots
 EVEN = (4, 6, 8, 12, 16, 24, 32, 48, 64, 96, 128, 192, 256)  # azimuths
-GRID, FINER = 96, 192  # azimuths of the reference; EVEN's are among them where half of it is a multiple
-LEAST_FINE = 16  # azimuths from which the finer reference is asked for
-PLACED, PLACED_GRID = (16, 32, 64, 160), 320  # azimuths where brightness is uneven, and of their reference
-SLICES, FINEST = (8, 16, 32, 64, 128), 96  # slices of a source that stands all round; slices of the reference
+GRIDS = {48: 12, 96: 24, 192: 256}  # azimuths of the reference, and how many azimuths it can judge; EVEN's are among them where half of it is a multiple
+PLACED, PLACED_GRID = (8, 16, 32, 80), 160  # azimuths where brightness is uneven, and of their reference
+PLACED_COUNT = 128  # pilots there
+SLICES, FINEST = (8, 16, 32, 64, 128, 256), 96  # slices of a source that stands all round; slices of the reference
 LATTICES = (5, 7, 9, 17, 33)
 # RMS error of E / pi of the filled lattice under a uniform sky on rough ground (rms slope 1): performance/lattice_error.py
 LATTICE_ERROR = {5: 0.0376, 7: 0.0188, 9: 0.0119, 17: 0.0039, 33: 0.0012}
@@ -98,6 +99,7 @@ class Setting:
     method: str
     units: int = 0  # azimuths, slices, or the hemicube
     error: float = math.nan
+    bound: float = math.nan
     tail: float = math.nan
     seconds: float = 0.0
     sectors: Azimuths | None = None
@@ -147,7 +149,7 @@ def work(scene: Scene, source: sources.Source, tolerance: float, engine: Backend
     start = time.perf_counter()
     planner = (_Lattice if lacking(scene, source) else _Sky if isinstance(source, sources.Sky) else _Slices)(scene, source, tolerance, tail, engine, cost)
     settings = planner.settings()
-    fitting = [s for s in settings if s.error <= MARGIN * tolerance and s.tail <= tail]
+    fitting = [s for s in settings if planner.fits(s)]
     if fitting:
         best = min(fitting, key=lambda s: s.seconds)
     else:
@@ -192,19 +194,29 @@ def upright(solid: Ball | Quad | None) -> Ball | Quad | None:
     return Ball((*solid.center[:2], -solid.center[2]), solid.radius)
 
 
-def errors(found: np.ndarray, exact: np.ndarray) -> tuple[float, float]:
-    """(RMS error, 99.9th percentile of the absolute error), both over the mean of ``exact`` where it is lit.
+class Errors(NamedTuple):
+    """Relative errors of a sample of nodes: RMS, what the RMS over all nodes hardly passes, and 99.9th percentile."""
 
-    The percentile of a sample is extrapolated from its tenth of largest errors, whose excess is taken as exponential.
+    rms: float
+    bound: float
+    tail: float
+
+
+def errors(found: np.ndarray, exact: np.ndarray) -> Errors:
+    """Errors over the mean of ``exact`` where it is lit.
+
+    ``bound``: RMS and SIGMAS standard errors of it, from the sample's own spread. The percentile is extrapolated from the
+    tenth of largest errors, whose excess is taken as exponential.
     """
     lit = exact[exact > 0]
     if not lit.size:
-        return (0.0, 0.0) if not np.abs(found).max(initial=0) > 0 else (math.inf, math.inf)
+        return Errors(*(0.0 if not np.abs(found).max(initial=0) > 0 else math.inf,) * 3)
     off = np.sort(np.abs(found - exact)) / lit.mean()
+    square = float(np.mean(off**2))
+    bound = math.sqrt(square + SIGMAS * float(np.std(off**2)) / math.sqrt(len(off)))
     threshold = off[int(0.9 * (len(off) - 1))]
     excess = off[off > threshold] - threshold
-    tail = threshold + (excess.mean() * math.log(100) if excess.size else 0.0)
-    return float(np.sqrt(np.mean(off**2))), float(max(off[-1] if len(off) > 1000 else 0.0, tail))
+    return Errors(math.sqrt(square), bound, float(threshold + (excess.mean() * math.log(100) if excess.size else 0.0)))
 
 
 class _Planner:
@@ -221,8 +233,8 @@ class _Planner:
 
     count = COUNT
 
-    def fits(self, error, tail) -> bool:
-        return error <= MARGIN * self.tolerance and tail <= self.tail
+    def fits(self, found: Errors | Setting) -> bool:
+        return found.bound <= MARGIN * self.tolerance and found.tail <= self.tail
 
 
 class _Sky(_Planner):
@@ -244,7 +256,7 @@ class _Sky(_Planner):
         if lost <= 0.5 * self.tolerance:
             self.hidden, self.reach_why = lost, "there is nothing to look for"
             error = math.hypot(lost, self.flat)
-            return [Setting("unoccluded", 0, error, 10 * error, self._seconds("closed form", 1), table=self._unoccluded if self.knots else None, scale=self.scale)]
+            return [Setting("unoccluded", 0, error, error, 10 * error, self._seconds("closed form", 1), table=self._unoccluded if self.knots else None, scale=self.scale)]
         return self._placed() if self.profile is not None else self._even()
 
     contrast, flat = 1.0, 0.0
@@ -294,19 +306,20 @@ class _Sky(_Planner):
 
     def _even(self):
         pilots, engine = self.pilots, self.engine
-        azimuths = 2 * np.pi * np.arange(GRID) / GRID
-        slopes = pilots.horizons(engine, azimuths)
-        settings = self._evaluate(azimuths, slopes)
-        fine = self.scene.depth.size > 4096 and not any(self.fits(s.error, s.tail) and s.units <= LEAST_FINE for s in settings)
-        if fine:
-            more = azimuths + np.pi / GRID
-            slopes = np.stack([slopes, pilots.horizons(engine, more)], 1).reshape(FINER, -1)
-            azimuths = np.stack([azimuths, more], 1).ravel()
+        for number, judges in GRIDS.items():
+            azimuths = 2 * np.pi * np.arange(number) / number
+            if number == min(GRIDS):
+                slopes = pilots.horizons(engine, azimuths)
+            else:  # every other one is known
+                slopes = np.stack([slopes, pilots.horizons(engine, azimuths[1::2])], 1).reshape(number, -1)
             settings = self._evaluate(azimuths, slopes)
+            if any(self.fits(s) and s.units <= judges for s in settings):
+                break
         if pilots.periodic:
-            settings = self._shorter(settings, azimuths, slopes)
-        if self.tolerance >= WORTH and not pilots.periodic:
-            settings += _of_lattices(self, (5, 7), self.exact)
+            return self._shorter(settings, azimuths, slopes)
+        fitting = [s.seconds for s in settings if self.fits(s)]
+        if self.tolerance >= WORTH and _lattice_seconds(self, LATTICES[0]) < 0.8 * min(fitting, default=0):
+            settings += _of_lattices(self, LATTICES[:1], self.exact)
         return settings
 
     def _evaluate(self, azimuths, slopes):
@@ -325,12 +338,12 @@ class _Sky(_Planner):
         if varies:  # is a number near enough?
             best = float((exact * self.uniform).sum() / max((self.uniform**2).sum(), 1e-300))
             error = errors(best * self.uniform, exact)
-            if self.fits(2 * error[0], error[1]):
-                self.flat, self.scale, varies, self.knots = error[0], best, False, 0
-                self.looks, self.why_looks = "constant", f"taken as one number it costs {_percent(error[0])}"
+            if self.fits(Errors(error.rms, 2 * error.bound, error.tail)):
+                self.flat, self.scale, varies, self.knots = error.rms, best, False, 0
+                self.looks, self.why_looks = "constant", f"taken as one number it costs {_percent(error.rms)}"
                 rings = uniform
         lost = pilots.ring(azimuths, np.maximum(0, pilots.plane(np.cos(azimuths)[:, None], np.sin(azimuths)[:, None]))).sum(0) * width
-        self.hidden = errors(self.uniform, lost)[0]
+        self.hidden = errors(self.uniform, lost).rms
         measured = {}
         for count in EVEN:
             if number % (2 * count) == 0:
@@ -362,30 +375,31 @@ class _Sky(_Planner):
             if factor > 0.8 * whole:
                 break
             short = self.pilots.ring(azimuths[some], self.pilots.horizons(self.engine, azimuths[some], reach)).sum(0)
-            error, tail = errors(short, full)
-            if error <= 0.3 * self.tolerance and tail <= 0.5 * self.tail:
-                self.reach_why = f"what lies farther away costs {_percent(error)}"
-                settings += [replace(s, max_distance=reach * self.scene.spacing, seconds=s.seconds / whole * factor, error=math.hypot(s.error, error), tail=s.tail + tail) for s in settings]
+            cut = errors(short, full)
+            if cut.bound <= 0.3 * self.tolerance and cut.tail <= 0.5 * self.tail:
+                self.reach_why = f"what lies farther away costs {_percent(cut.rms)}"
+                settings += [replace(s, max_distance=reach * self.scene.spacing, seconds=s.seconds / whole * factor, error=math.hypot(s.error, cut.rms), bound=math.hypot(s.bound, cut.bound), tail=s.tail + cut.tail) for s in settings]
                 break
         return settings
 
     def _placed(self):
         """Azimuths placed by brightness: every candidate's sectors are unions of the reference's."""
-        pilots, engine, source = self.pilots, self.engine, self.source
+        pilots = self.pilots = Pilots(self.scene, PLACED_COUNT)
+        engine, source = self.engine, self.source
         grid = Azimuths.placed(PLACED_GRID, self.profile)
         table = sources.fine_table(source, grid.angles, grid.widths, self.knots)
         slopes = pilots.horizons(engine, grid.angles)
         self.uniform = grid.widths @ pilots.ring(grid.angles, slopes)
         self.exact = exact = grid.widths @ pilots.ring(grid.angles, slopes, table)
         lost = grid.widths @ pilots.ring(grid.angles, np.maximum(0, pilots.plane(np.cos(grid.angles)[:, None], np.sin(grid.angles)[:, None])), table)
-        self.hidden = errors(exact, lost)[0]
+        self.hidden = errors(exact, lost).rms
         measured, made = {}, {}
         for count in (*PLACED, PLACED_GRID):
             span = PLACED_GRID // count
             sectors = grid if span == 1 else Azimuths(count, grid.edges[::span])
             share = (grid.widths.reshape(count, span) / sectors.widths[:, None])[..., None, None]
             made[count] = sectors, (lambda share=share, count=count: (share * table.reshape(count, -1, *table.shape[1:])).sum(1).astype(np.float32))
-            if count <= 64 or (count < PLACED_GRID and not self.fits(*measured[64])):
+            if count <= PLACED[-2] or (count < PLACED_GRID and not self.fits(measured[PLACED[-2]])):
                 measured[count] = errors(sectors.widths @ pilots.ring(sectors.angles, pilots.horizons(engine, sectors.angles), made[count][1]()), exact)
         return [Setting("horizon", count, *_between(measured, count), self._seconds("horizon", count), *made[count]) for count in made]
 
@@ -410,7 +424,7 @@ class _Slices(_Planner):
         self.uniform = None
         if self.solid is None:
             self.exact = np.zeros(len(pilots))
-            return [Setting("unoccluded", 0, 0.0, 0.0, self._seconds("closed form", 0))]
+            return [Setting("unoccluded", 0, 0.0, 0.0, 0.0, self._seconds("closed form", 0))]
         if isinstance(self.solid, Ball):
             x, y, z = self.solid.center
             self.ball = np.array([x, y, -z]), self.solid.radius
@@ -425,20 +439,31 @@ class _Slices(_Planner):
         self.clear = self._clear()
         free = light(FINEST, False)
         self.exact = exact = free if self.clear else light(FINEST)
-        self.hidden = errors(exact, free)[0] if free.any() else 0.0
+        self.hidden = errors(exact, free).rms if free.any() else 0.0
         closed = unoccluded.lamp(pilots.gx, pilots.gy, pilots.x, pilots.y, pilots.own.astype(float), self.upright, source.brightness)
         settings = []
         found = errors(closed, exact)
-        inside = self.ball[0][2] - self.ball[1] >= pilots.highest or self.clear
-        if inside:
-            settings.append(Setting("unoccluded", 0, *found, self._seconds("closed form", 0)))
-        if not (inside and self.fits(*found)):
-            for count in SLICES:
-                error, tail = errors(light(count, not self.clear), exact) if count < FINEST else (settings[-1].error / 2, settings[-1].tail / 2)
-                settings.append(Setting("slices", count, error, tail, self._seconds("slices", self._mean(count))))
-                if count >= 16 and self.fits(2 * error, 2 * tail):
-                    break
+        if self.fits(found) and (self.clear or self._facing()):
+            return [Setting("unoccluded", 0, *found, self._seconds("closed form", 0))]
+        turn = pilots.turn(self.upright)
+        by_count = {}
+        for most in SLICES:
+            least = max(most // (4 if isinstance(self.solid, Ball) else 2) // 8, 1) * 8
+            taken = (least + turn * (most - least)).astype(int) // 8 * 8  # as many as the kernel would
+            through = np.zeros(len(pilots))
+            for count in (8, 16, 32, 64):
+                if (taken >= count).any():
+                    by_count[count] = by_count.get(count) if count in by_count else light(count, not self.clear)
+                    through = np.where(taken >= count, by_count[count], through)
+            found = errors(np.where(taken >= 128, exact, through), exact)
+            settings.append(Setting("slices", most, *found, self._seconds("slices", float(taken.mean()))))
+            if self.fits(Errors(found.rms, 2 * found.bound, 2 * found.tail)):
+                break
         return settings
+
+    def _facing(self):
+        """Whether every node looks at all of the source, so that none can stand in its way for another."""
+        return unoccluded.facing(self.scene, self.ball[0], self.ball[1])
 
     def _clear(self):
         x, y = self.ball[0][:2]
@@ -447,11 +472,6 @@ class _Slices(_Planner):
         if self.scene.sides == "dark" and not (r - 0.5 <= x <= cols - 0.5 - r and r - 0.5 <= y <= rows - 0.5 - r):
             return False
         return self.pilots.lamp_clear(self.ball[0], self.ball[1])
-
-    def _mean(self, count):
-        """Slices that a node takes of ``count``."""
-        least = max(count // (4 if isinstance(self.solid, Ball) else 2) // 8, 1) * 8
-        return least + min(1.0, self.apparent / np.pi) * (count - least)
 
     def _seconds(self, method, units):
         return self.cost[method].seconds(self.pixels, units)
@@ -484,7 +504,7 @@ class _Lattice(_Planner):
         self.exact = _through_window(self)
         settings = _of_lattices(self, LATTICES, self.exact)
         last = settings[-1]
-        return [*settings, *(replace(last, units=m, error=last.error * 33 / m, tail=last.tail * 33 / m, seconds=_lattice_seconds(self, m)) for m in (65, 129))]
+        return [*settings, *(replace(last, units=m, error=last.error * 33 / m, bound=last.bound * 33 / m, tail=last.tail * 33 / m, seconds=_lattice_seconds(self, m)) for m in (65, 129))]
 
     def choices(self, best, settings):
         yield Choice("occlusion", "by ground", self.why)
@@ -494,7 +514,8 @@ class _Lattice(_Planner):
 def _through_window(planner):
     """Irradiance at the pilots through a window of any kind, by directions: azimuths x elevations."""
     pilots, source, scene = planner.pilots, planner.source, planner.scene
-    azimuths = 2 * np.pi * (np.arange(GRID) + 0.5) / GRID
+    number = 96
+    azimuths = 2 * np.pi * (np.arange(number) + 0.5) / number
     slopes = pilots.horizons(planner.engine, azimuths)
     ups = 192
     total = np.zeros(len(pilots))
@@ -507,7 +528,7 @@ def _through_window(planner):
         light = sources.radiance(source, sources.directions_of(azimuth, np.sin(e)))
         along = (pilots.gx * c + pilots.gy * s) / pilots.length
         total += (np.where(seen, light, 0) * np.cos(e) * np.maximum(0, along * np.cos(e) + np.sin(e) / pilots.length)).sum(0)
-    return total * (np.pi / 2 / ups) * (2 * np.pi / GRID)
+    return total * (np.pi / 2 / ups) * (2 * np.pi / number)
 
 
 def _passes(scene, source, x, y):
@@ -555,18 +576,17 @@ def _lattice_seconds(planner, size):
     return planner.cost["lattice"].seconds(planner.pixels, size**2 + 2 * (size - 1) ** 2)
 
 
-def _between(measured: dict[int, tuple[float, float]], count: int) -> tuple[float, float]:
-    """Error and tail of a number of azimuths: measured, between two that were by a power law, or beyond them by K^-1.2."""
+def _between(measured: dict[int, Errors], count: int) -> Errors:
+    """Errors of a number of azimuths: measured, between two that were by a power law, or beyond them by K^-1.2."""
     if count in measured:
         return measured[count]
     low, high = max((k for k in measured if k < count), default=None), min((k for k in measured if k > count), default=None)
     if low is None:
-        return math.inf, math.inf
+        return Errors(math.inf, math.inf, math.inf)
     if high is None:
-        factor = (low / count) ** 1.2
-        return measured[low][0] * factor, measured[low][1] * factor
+        return Errors(*(value * (low / count) ** 1.2 for value in measured[low]))
     part = math.log(count / low) / math.log(high / low)
-    return tuple(a ** (1 - part) * b**part for a, b in zip(measured[low], measured[high]))
+    return Errors(*(a ** (1 - part) * b**part for a, b in zip(measured[low], measured[high])))
 
 
 def _percent(value) -> str:
@@ -585,20 +605,20 @@ def _among(best, settings, what="azimuths"):
 
 
 def _error_text(best, tolerance):
-    verdict = f"within tolerance {tolerance:g}" if best.error <= MARGIN * tolerance else f"the best there is for tolerance {tolerance:g}"
+    verdict = f"within tolerance {tolerance:g}" if best.bound <= MARGIN * tolerance else f"the best there is for tolerance {tolerance:g}"
     return f"relative RMS error {_percent(best.error)} at the pilots, {verdict}"
 
 
 def _common(planner, best, settings, tolerance, tail):
     """Lines that every plan has."""
     if best.method != "unoccluded":
-        others = [s for s in settings if s.method not in (best.method, "unoccluded") and s.error <= MARGIN * tolerance]
+        others = [s for s in settings if s.method not in (best.method, "unoccluded") and s.bound <= MARGIN * tolerance]
         why = f"the cheapest other way within tolerance takes {min(s.seconds for s in others) / best.seconds:.1f} times as long" if others else "no other way is within tolerance"
         yield Choice("method", "horizons" if best.method in ("horizon", "slices") else "lattice", lacking(planner.scene, planner.source) or why)
     yield Choice("specular lobe", "none", "the surface is Lambertian")
     yield Choice("precision", "float32", f"depths are rounded by {_rounding(planner.pilots):.1g} spacings at most")
     if math.isfinite(best.error):
-        yield Choice("error", _percent(best.error), f"RMS over the mean, at {len(planner.pilots)} pilot nodes; asked for {_percent(tolerance)}, with {_percent(1 - MARGIN)} in reserve")
+        yield Choice("error", _percent(best.error), f"RMS over the mean, at {len(planner.pilots)} pilot nodes; at most {_percent(best.bound)} over all nodes, asked for {_percent(tolerance)}")
         yield Choice("99.9th percentile", _percent(best.tail), f"asked for {_percent(tail)}")
     else:
         yield Choice("error", "not known", planner.unmeasured)

@@ -16,13 +16,13 @@ from .backends.slices import MOST, SLICES, Slices, brightness_of
 from .directions import Azimuths, Hemicube
 from .errors import bad
 from .horizon import ground_of
-from .plan import MARGIN, PLACED_GRID, Plan, Setting, errors, lacking, solid_of, upright, work
+from .plan import PLACED_GRID, Plan, Setting, errors, lacking, solid_of, upright, work
 from .scene import Scene, is_scene, one_of, positive_number
 
 METHODS = ("auto", "lattice", "horizon", "unoccluded")
 QUANTITIES = ("radiance", "irradiance")
 LEAK_SLOPE = 0.7  # rms slope from which the unfilled step leaks from M = 7 on (README, Limits)
-SURE = 1.15  # tolerances that the image may be off at the pilots before the next finer setting is tried
+RETRIES = 2  # finer settings that are tried where the image is off at the pilots
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,15 +124,15 @@ def _planned(scene, source, tolerance, tail, engine, quantity) -> Rendering:
         if made.exact is None:
             break
         found = irradiance[nodes].astype(float)
-        error, _ = errors(found, made.exact)
-        if error <= SURE * max(tolerance, 0 if setting.error <= MARGIN * tolerance else setting.error) or tried >= 2:
+        error = errors(found, made.exact).rms
+        if error <= max(tolerance, setting.bound) or tried >= RETRIES:
             break
     if made.exact is not None:
         if setting.method == "lattice":
             plan = replace(plan, hemicube=setting.units, measured=error)
         else:
             plan = replace(plan, azimuths=setting.units if setting.method != "unoccluded" else None, measured=error)
-        if error > SURE * tolerance:
+        if error > tolerance:
             warnings.append(f"Tolerance: the image is off by {100 * error:.2g} % (RMS over the mean) at {len(made.pilots)} pilot nodes, more than the {100 * tolerance:.2g} % asked for"
                             + (f"; {plan.reason}." if not setting.error <= tolerance else "."))
     if setting.method == "lattice":

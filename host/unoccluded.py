@@ -104,3 +104,17 @@ def image(scene: Scene, solid: Ball | Quad, brightness) -> np.ndarray:
     rows, cols = scene.shape
     x, y = np.arange(cols, dtype=np.float32), np.arange(rows, dtype=np.float32)[:, None]
     return np.nan_to_num(lamp(gx, gy, x, y, scene.depth / np.float32(-scene.spacing), solid, brightness))
+
+
+def facing(scene: Scene, center: np.ndarray, radius: float) -> bool:
+    """Whether the ball round ``center`` [spacings, height third] stands wholly above every node's tangent plane.
+
+    Then no ground hides any of it: along a vertical plane through the source, ground that looks at it all the way never
+    rises into a ray.
+    """
+    gx, gy = gradients(scene)
+    rows, cols = scene.shape
+    x, y = np.float32(center[0]) - np.arange(cols, dtype=np.float32), (np.float32(center[1]) - np.arange(rows, dtype=np.float32))[:, None]
+    up = np.float32(center[2]) + scene.depth / np.float32(scene.spacing)
+    above = x * gx + y * gy + up >= np.float32(radius) * np.sqrt(1 + gx * gx + gy * gy)
+    return bool(above[scene.valid].all())
