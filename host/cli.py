@@ -1,4 +1,4 @@
-"""The command line: `skylamp render | recover | field | backends | demo`.
+"""The command line: `skylamp render | plan | recover | field | chart | backends | demo`.
 
 Data go to files or to stdout; messages, progress and errors go to stderr. Exit codes: 0 ok, 2 usage, 3 bad input,
 4 backend unavailable, 1 the rest. An error is one line; --debug adds the traceback.
@@ -48,6 +48,7 @@ Window = Annotated[Optional[str], typer.Option(metavar="X0,X1,Y0,Y1", help="Rect
 Sides = Annotated[str, typer.Option(help="open | dark | periodic")]
 Backend = Annotated[str, typer.Option(help="auto, or a name from `skylamp backends`")]
 Hemicube = Annotated[int, typer.Option(help="Nodes along an edge of the cube of directions, odd")]
+Tolerance = Annotated[str, typer.Option(help="Relative RMS error that auto may make: 0.01 or 1%")]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout")]
 
 
@@ -67,8 +68,7 @@ def _options(version: Annotated[bool, typer.Option("--version", is_eager=True, c
 @app.command()
 def render(file: File, out: Out, height: Height = False, spacing: Spacing = 1.0, albedo: Albedo = 0.8, nodata: Nodata = None,
            source: Source = None, lamp: Lamp = None, window: Window = None, sides: Sides = "open",
-           method: Annotated[str, typer.Option(help="auto | lattice | horizon")] = "auto",
-           tolerance: Annotated[float, typer.Option(help="Relative error that auto may make")] = 0.01,
+           method: Annotated[str, typer.Option(help="auto | lattice | horizon | unoccluded")] = "auto", tolerance: Tolerance = "1%",
            hemicube: Annotated[Optional[int], typer.Option(help="Lattice: nodes along an edge of the cube of directions, odd", show_default=False)] = None,
            filled: Annotated[Optional[bool], typer.Option("--filled/--stride", help="Lattice: test between the nodes, or step over them as the paper does", show_default=False)] = None,
            quantity: Annotated[str, typer.Option(help="radiance | irradiance")] = "radiance",
@@ -79,10 +79,31 @@ def render(file: File, out: Out, height: Height = False, spacing: Spacing = 1.0,
     _check_output(out, as_json)
     scene = _scene(file, height, spacing, albedo, nodata, sides)
     with _working("rendering"):
-        done = sl.render(scene, _source(source, lamp, window), method=method, tolerance=tolerance, backend=backend,
+        done = sl.render(scene, _source(source, lamp, window), method=method, tolerance=_share(tolerance), backend=backend,
                          quantity=quantity, hemicube=hemicube, filled=filled)
     scale = _deliver(out, done.image, range=None if white is None else (0.0, white), bits=bits)
     _report(done, out, as_json, shape=done.image.shape, range=scale)
+
+
+@app.command()
+def plan(file: File, height: Height = False, spacing: Spacing = 1.0, albedo: Albedo = 0.8, nodata: Nodata = None,
+         source: Source = None, lamp: Lamp = None, window: Window = None, sides: Sides = "open", tolerance: Tolerance = "1%",
+         tail: Annotated[Optional[str], typer.Option(help="Bound on the 99.9th percentile of the error  [default: ten tolerances]", show_default=False)] = None,
+         backend: Backend = "auto", as_json: Json = False):
+    """Print the cheapest model of a scene within a tolerance, with a reason for every choice."""
+    scene = _scene(file, height, spacing, albedo, nodata, sides)
+    with _working("planning"):
+        made = sl.plan(scene, _source(source, lamp, window), _share(tolerance), backend, tail=None if tail is None else _share(tail, "--tail"))
+    if as_json:
+        print(json.dumps(_plain(made)))
+        return
+    table = Table(Column("choice", no_wrap=True), "taken", "why", title=f"{file}, within {tolerance}")
+    for choice in made.choices:
+        table.add_row(choice.what, choice.taken, escape(choice.why))
+    console = Console(width=None if sys.stdout.isatty() else 160)
+    console.print(table)
+    for text in made.beyond:
+        console.print(f"Beyond the model: {escape(text)}")
 
 
 @app.command()
@@ -250,6 +271,14 @@ def _source(kind, lamp, window):
     return sl.Sky(sl.environment_map(io.read_environment(kind)))
 
 
+def _share(text, option="--tolerance"):
+    """A share of one: 0.01 or 1%."""
+    try:
+        return float(text[:-1]) / 100 if text.endswith("%") else float(text)
+    except ValueError:
+        raise typer.BadParameter(f"got {text!r}; allowed: a number above 0, such as 0.01 or 1%", param_hint=option) from None
+
+
 def _numbers(text, option, form):
     try:
         numbers = [float(part) for part in text.split(",")]
@@ -314,7 +343,7 @@ def _report(done, out, as_json, **facts):
         print(json.dumps(_plain(facts)))
     else:
         scale = f", white is {facts['range'][1]:.6g}" if facts.get("range") else ""
-        plan = f"; {done.plan}" if "plan" in facts else ""
+        plan = f"; {done.plan.line}" if "plan" in facts else ""
         print(f"{out}: {' x '.join(map(str, facts['shape']))} by {done.backend}{scale}{plan}", file=sys.stderr)
 
 

@@ -36,6 +36,8 @@ SLICES, FINEST = (8, 16, 32, 64, 128, 256), 96  # slices of a source that stands
 LATTICES = (5, 7, 9, 17, 33)
 # RMS error of E / pi of the filled lattice under a uniform sky on rough ground (rms slope 1): performance/lattice_error.py
 LATTICE_ERROR = {5: 0.0376, 7: 0.0188, 9: 0.0119, 17: 0.0039, 33: 0.0012}
+LOOKS = 192  # azimuths at which a sky's brightness is looked at, at least
+NEAR = 24  # rows within which every crossing is tested where a small error of the horizon shows
 WORTH = 0.012  # tolerance from which the lattice may be cheaper than horizons under a sky
 CLIFF = 4.0  # spacings that neighbouring nodes may lie apart before the slope is more than the grid holds
 
@@ -106,6 +108,7 @@ class Setting:
     table: Callable[[], np.ndarray] | None = None  # makes the table of brightness
     scale: float = 1.0
     max_distance: float | None = None
+    near: int | None = None  # rows within which every crossing is tested; the backend's choice unless given
 
 
 class Work(NamedTuple):
@@ -146,7 +149,7 @@ def work(scene: Scene, source: sources.Source, tolerance: float, engine: Backend
     if getattr(source, "corner", None) is None or scene.sides == "periodic":
         sources.geometry(source, scene, 1.0)  # checks that they fit
     cost = costs(engine)
-    start = time.perf_counter()
+    start, compiled = time.perf_counter(), engine.compile_seconds
     planner = (_Lattice if lacking(scene, source) else _Sky if isinstance(source, sources.Sky) else _Slices)(scene, source, tolerance, tail, engine, cost)
     settings = planner.settings()
     fitting = [s for s in settings if planner.fits(s)]
@@ -157,8 +160,10 @@ def work(scene: Scene, source: sources.Source, tolerance: float, engine: Backend
     finer = sorted((s for s in settings if s.method == best.method and s.units > best.units and s.method != "unoccluded"), key=lambda s: s.units)
     if best.method == "unoccluded":
         finer = sorted((s for s in settings if s.method != "unoccluded" and s.error <= tolerance), key=lambda s: s.seconds)[:1]
+    if best.method == "horizon":
+        finer = [replace(s, near=NEAR) for s in ([best] if best.near is None else []) + finer]
     choices = [*planner.choices(best, settings), *_common(planner, best, settings, tolerance, tail)]
-    took = time.perf_counter() - start
+    took = time.perf_counter() - start - (engine.compile_seconds - compiled)
     choices.append(Choice("time", f"{1e3 * (best.seconds + took):.0f} ms", f"{1e3 * took:.0f} ms of it to plan; costs of {engine.name} were measured on this machine"))
     lattice = best.method == "lattice"
     reason = _error_text(best, tolerance) if math.isfinite(best.error) else planner.unmeasured
@@ -289,7 +294,7 @@ class _Sky(_Planner):
 
     def _table(self, angles, widths):
         if not self.one:
-            return sources.elevation_table(self.source, angles, widths, 2 * len(angles), self.knots)
+            return sources.elevation_table(self.source, angles, widths, max(2 * len(angles), LOOKS), self.knots)
         return np.repeat(sources.elevation_table(self.source, angles[:1], widths[:1], 1, self.knots), len(angles), 0)
 
     def _unoccluded(self):
@@ -401,7 +406,8 @@ class _Sky(_Planner):
             made[count] = sectors, (lambda share=share, count=count: (share * table.reshape(count, -1, *table.shape[1:])).sum(1).astype(np.float32))
             if count <= PLACED[-2] or (count < PLACED_GRID and not self.fits(measured[PLACED[-2]])):
                 measured[count] = errors(sectors.widths @ pilots.ring(sectors.angles, pilots.horizons(engine, sectors.angles), made[count][1]()), exact)
-        return [Setting("horizon", count, *_between(measured, count), self._seconds("horizon", count), *made[count]) for count in made]
+        near = NEAR if _steep(self.scene) > 0 else None  # behind a cliff a sun goes out from one node to the next
+        return [Setting("horizon", count, *_between(measured, count), self._seconds("horizon", count), *made[count], near=near) for count in made]
 
     def choices(self, best, settings):
         yield Choice("occlusion", "none" if best.method == "unoccluded" else "by ground", f"ground takes {_percent(self.hidden)} of the light (RMS)")
@@ -411,6 +417,8 @@ class _Sky(_Planner):
         elif best.method == "lattice":
             yield Choice("directions", f"{len(Hemicube(best.units))}, filled", _among(best, settings))
         yield Choice("search radius", "whole map" if best.max_distance is None else f"{best.max_distance:g}", self.reach_why)
+        if best.near:
+            yield Choice("near rows", f"{best.near}", "cliffs under uneven brightness: every crossing so near is tested")
 
 
 class _Slices(_Planner):
@@ -447,7 +455,7 @@ class _Slices(_Planner):
             return [Setting("unoccluded", 0, *found, self._seconds("closed form", 0))]
         turn = pilots.turn(self.upright)
         by_count = {}
-        for most in SLICES:
+        for most in SLICES[isinstance(self.solid, Quad):]:  # a quadrangle has four sectors to share them
             least = max(most // (4 if isinstance(self.solid, Ball) else 2) // 8, 1) * 8
             taken = (least + turn * (most - least)).astype(int) // 8 * 8  # as many as the kernel would
             through = np.zeros(len(pilots))

@@ -22,6 +22,7 @@ from .scene import Scene, is_scene, one_of, positive_number
 METHODS = ("auto", "lattice", "horizon", "unoccluded")
 QUANTITIES = ("radiance", "irradiance")
 LEAK_SLOPE = 0.7  # rms slope from which the unfilled step leaks from M = 7 on (README, Limits)
+SPREAD = 1.25  # tolerances that the bound from the pilots' spread may reach
 RETRIES = 2  # finer settings that are tried where the image is off at the pilots
 
 
@@ -124,8 +125,8 @@ def _planned(scene, source, tolerance, tail, engine, quantity) -> Rendering:
         if made.exact is None:
             break
         found = irradiance[nodes].astype(float)
-        error = errors(found, made.exact).rms
-        if error <= max(tolerance, setting.bound) or tried >= RETRIES:
+        error, bound, _ = errors(found, made.exact)
+        if (error <= max(tolerance, setting.bound) and bound <= SPREAD * max(tolerance, setting.bound)) or tried >= RETRIES:
             break
     if made.exact is not None:
         if setting.method == "lattice":
@@ -192,7 +193,7 @@ def _sky_table(source):
 
 def _by_horizons(scene, source, engine, setting):
     table = None if setting.table is None else setting.table()
-    sweeps = Sweeps(engine, ground_of(scene, setting.max_distance), Rays(setting.sectors.angles, setting.sectors.widths), table)
+    sweeps = Sweeps(engine, ground_of(scene, setting.max_distance), Rays(setting.sectors.angles, setting.sectors.widths), table, setting.near)
     irradiance = sweeps.irradiance()
     if setting.scale != 1.0:
         irradiance *= np.float32(setting.scale)
