@@ -19,8 +19,8 @@ from .scene import Scene
 
 VERSION = 1  # of the file and of what is measured
 RUNS = 3  # of which the fastest counts: others only disturb
-SMALL, SLOW = 48, 0.02  # rows and columns of the first map; seconds that it may take if the second is to be large
-LARGE, MODEST = 384, 128
+SMALL, SLOW = 24, 0.01  # rows and columns of the first map; seconds that it may take if the second is to be large
+LARGE, MODEST = 224, 40
 UNITS = {"horizon": (4, 16), "lattice": (3, 7), "slices": (8, 32), "closed form": (1, 1)}  # azimuths, hemicubes, slices
 known: dict[str, dict[str, "Cost"]] = {}
 
@@ -36,13 +36,22 @@ class Cost(NamedTuple):
         return self.fixed + pixels * (self.each + self.unit * units)
 
 
-def costs(engine: Backend) -> dict[str, Cost]:
-    """Costs by method on this backend: from this process, from the cache file, or measured now."""
-    key = f"{engine.name}, {engine.device}, {os.cpu_count()} processors"
-    if key not in known:
-        known[key] = _read().get(key) or _measure(engine)
-        _write({**_read(), key: known[key]})
-    return known[key]
+class Costs:
+    """Costs by method on a backend: from this process, from the cache file, or measured when they are first asked for."""
+
+    def __init__(self, engine: Backend):
+        self.engine = engine
+        self.key = f"{engine.name}, {engine.device}, {os.cpu_count()} processors"
+
+    def __getitem__(self, method: str) -> Cost:
+        here = known.setdefault(self.key, {})
+        if method not in here:
+            kept = _read()
+            here.update({m: cost for m, cost in kept.get(self.key, {}).items() if m not in here})
+            if method not in here:
+                here[method] = _cost(self.engine, method, *UNITS[method])
+                _write({**kept, self.key: here})
+        return here[method]
 
 
 def path() -> Path:
@@ -57,7 +66,7 @@ def _read() -> dict[str, dict[str, Cost]]:
         kept = {key: {method: Cost(*map(float, cost)) for method, cost in methods.items()} for key, methods in found.items()}
     except (OSError, ValueError, TypeError, AttributeError):
         return {}
-    fine = lambda methods: set(methods) == set(UNITS) and all(math.isfinite(v) and v >= 0 for cost in methods.values() for v in cost)
+    fine = lambda methods: set(methods) <= set(UNITS) and all(math.isfinite(v) and v >= 0 for cost in methods.values() for v in cost)
     return {key: methods for key, methods in kept.items() if fine(methods)}
 
 
@@ -71,10 +80,6 @@ def _write(all_of_them) -> None:
         os.replace(name, path())
     except OSError as error:
         logging.getLogger(__name__).info("costs are not kept: %s", error)
-
-
-def _measure(engine: Backend) -> dict[str, Cost]:
-    return {method: _cost(engine, method, *units) for method, units in UNITS.items()}
 
 
 def _cost(engine, method, few, many):

@@ -182,20 +182,33 @@ class Pilots:
         free, left = (ring(gx, gy, azimuths, s).mean(0) for s in (plane, hidden))
         return float(np.sqrt(np.mean((free - left) ** 2)) / free.mean())
 
-    def lamp_clear(self, center, radius) -> bool:
-        """Whether nothing stands between pilots and a ball round the source, and all of it rises above level and tangent plane or none does."""
+    def clear(self, solid: Ball | Quad) -> bool:
+        """Whether all of the source rises above the level, and nothing that could stand between it and a pilot rises above its lowest ray
+        and the pilot's tangent plane."""
         some, dx, dy, distance, slope, block = self._peaks
-        to = np.array(center)[:, None] - np.stack([self.x, self.y, self.own])[:, some]
-        flat, far = np.hypot(to[0], to[1]), np.sqrt((to**2).sum(0))
-        if (far <= radius).any() or (to[2] < radius).any():
-            return False
-        lowest = np.tan(np.arcsin(to[2] / far) - np.arcsin(radius / far))
-        turn = np.abs((np.arctan2(dy, dx) - np.arctan2(to[1], to[0])[:, None] + np.pi) % (2 * np.pi) - np.pi)
-        aside = np.where(flat > radius, np.arcsin(np.minimum(1, radius / np.maximum(flat, 1e-9))), np.pi)[:, None]
-        towards = (turn <= aside + np.minimum(np.pi, 1.5 * block / distance)) & (distance < (flat + radius)[:, None] + block)
-        plane = np.hypot(self.gx, self.gy)[some]
-        near = distance <= 2 * CLOSE  # a neighbour below the tangent plane hides nothing that shines above it
-        return not (towards & (slope > np.where(near, np.maximum(lowest[:, None], 1e-6), lowest[:, None])) & (slope > -(self.gx[some][:, None] * dx + self.gy[some][:, None] * dy) / distance + 1e-3 * plane[:, None])).any()
+        here = np.stack([self.x, self.y, self.own]).astype(float)[:, some]
+        if isinstance(solid, Ball):
+            to = np.array(solid.center)[:, None] - here
+            flat, far = np.hypot(to[0], to[1]), np.sqrt((to**2).sum(0))
+            if (far <= solid.radius).any() or (to[2] < solid.radius).any():
+                return False
+            lowest, end = np.tan(np.arcsin(to[2] / far) - np.arcsin(solid.radius / far)), flat + solid.radius
+            aside = np.where(flat > solid.radius, np.arcsin(np.minimum(1, solid.radius / np.maximum(flat, 1e-9))), np.pi)
+        else:
+            corners = np.asarray(solid.corners, float)[:, :, None] - here
+            to = corners.mean(0)
+            if (corners[:, 2] <= 0).any():
+                return False
+            end = np.hypot(corners[:, 0], corners[:, 1]).max(0)
+            lowest = corners[:, 2].min(0) / np.maximum(end, 1e-9)
+            size = np.hypot(*(corners - to)[:, :2].swapaxes(0, 1)).max(0)
+            flat = np.hypot(to[0], to[1])
+            aside = np.where(flat > size, np.arcsin(np.minimum(1, size / np.maximum(flat, 1e-9))), np.pi)
+        turned = np.abs((np.arctan2(dy, dx) - np.arctan2(to[1], to[0])[:, None] + np.pi) % (2 * np.pi) - np.pi)
+        towards = (turned <= aside[:, None] + np.minimum(np.pi, 1.5 * block / distance)) & (distance < end[:, None] + block)
+        gx, gy = self.gx[some][:, None], self.gy[some][:, None]
+        plane = -(gx * dx + gy * dy) / distance + 1e-3 * np.hypot(gx, gy)
+        return not (towards & (slope > lowest[:, None]) & (slope > plane)).any()
 
     # -- lamps and windows ---------------------------------------------------------------------------------------------------
 

@@ -19,7 +19,7 @@ from .backends import select
 from .backends.base import Backend
 from .backends.horizon import FAINTEST
 from .backends.slices import Ball, Quad, aperture, rectangle
-from .costs import Cost, costs
+from .costs import Costs
 from .directions import Azimuths, Hemicube
 from .errors import bad
 from .pilots import COUNT, Pilots
@@ -148,7 +148,7 @@ def work(scene: Scene, source: sources.Source, tolerance: float, engine: Backend
         raise bad("source", type(source).__name__, "Sky, Lamp or Window")
     if getattr(source, "corner", None) is None or scene.sides == "periodic":
         sources.geometry(source, scene, 1.0)  # checks that they fit
-    cost = costs(engine)
+    cost = Costs(engine)
     start, compiled = time.perf_counter(), engine.compile_seconds
     planner = (_Lattice if lacking(scene, source) else _Sky if isinstance(source, sources.Sky) else _Slices)(scene, source, tolerance, tail, engine, cost)
     settings = planner.settings()
@@ -231,7 +231,7 @@ class _Planner:
     exact: np.ndarray | None = None
     hidden = math.nan  # RMS share of the light that ground takes
 
-    def __init__(self, scene, source, tolerance, tail, engine, cost: dict[str, Cost]):
+    def __init__(self, scene, source, tolerance, tail, engine, cost: Costs):
         self.scene, self.source, self.tolerance, self.tail, self.engine, self.cost = scene, source, tolerance, tail, engine, cost
         self.pixels = scene.depth.size
         self.pilots = Pilots(scene, self.count)
@@ -448,11 +448,11 @@ class _Slices(_Planner):
         free = light(FINEST, False)
         self.exact = exact = free if self.clear else light(FINEST)
         self.hidden = errors(exact, free).rms if free.any() else 0.0
-        closed = unoccluded.lamp(pilots.gx, pilots.gy, pilots.x, pilots.y, pilots.own.astype(float), self.upright, source.brightness)
         settings = []
-        found = errors(closed, exact)
-        if self.fits(found) and (self.clear or self._facing()):
-            return [Setting("unoccluded", 0, *found, self._seconds("closed form", 0))]
+        for points in (1, 4) if callable(source.brightness) else (1,):
+            found = errors(unoccluded.lamp(pilots.gx, pilots.gy, pilots.x, pilots.y, pilots.own.astype(float), self.upright, source.brightness, points), exact)
+            if self.fits(found) and unoccluded.no_shadow(self.scene, *self.ball, self.clear):
+                return [Setting("unoccluded", points, *found, self._seconds("closed form", 1))]
         turn = pilots.turn(self.upright)
         by_count = {}
         for most in SLICES[isinstance(self.solid, Quad):]:  # a quadrangle has four sectors to share them
@@ -469,17 +469,14 @@ class _Slices(_Planner):
                 break
         return settings
 
-    def _facing(self):
-        """Whether every node looks at all of the source, so that none can stand in its way for another."""
-        return unoccluded.facing(self.scene, self.ball[0], self.ball[1])
-
     def _clear(self):
-        x, y = self.ball[0][:2]
-        rows, cols = self.scene.shape
-        r = self.ball[1]
-        if self.scene.sides == "dark" and not (r - 0.5 <= x <= cols - 0.5 - r and r - 0.5 <= y <= rows - 0.5 - r):
-            return False
-        return self.pilots.lamp_clear(self.ball[0], self.ball[1])
+        if self.scene.sides == "dark":
+            rows, cols = self.scene.shape
+            corners = [self.ball[0] - self.ball[1], self.ball[0] + self.ball[1]] if isinstance(self.solid, Ball) else self.upright.corners
+            low, high = np.min(corners, 0), np.max(corners, 0)
+            if low[0] < -0.5 or low[1] < -0.5 or high[0] > cols - 0.5 or high[1] > rows - 0.5:
+                return False
+        return self.pilots.clear(self.upright)
 
     def _seconds(self, method, units):
         return self.cost[method].seconds(self.pixels, units)
@@ -493,7 +490,7 @@ class _Slices(_Planner):
         else:
             yield Choice(kind, f"{best.units} slices", f"its radius seems {np.degrees(self.apparent):.2g} degrees on average; {_among(best, settings, 'slices')}")
         varies = callable(self.source.brightness)
-        yield Choice("brightness", "by direction" if varies and best.method != "unoccluded" else "of its middle" if varies else "constant", "it is a function" if varies else "it is a number")
+        yield Choice("brightness", "by direction" if varies and best.method != "unoccluded" else f"along {_count(best.units, 'ray')}" if varies else "constant", "it is a function" if varies else "it is a number")
         yield Choice("search radius", "up to the source", "what lies behind it hides nothing")
 
 
@@ -601,6 +598,10 @@ def _percent(value) -> str:
     return f"{100 * value:.2g} %"
 
 
+def _count(number, what):
+    return f"{number} {what}{'s' * (number != 1)}"
+
+
 def _known(value):
     return float(value) if math.isfinite(value) else None
 
@@ -614,7 +615,7 @@ def _among(best, settings, what="azimuths"):
 
 def _error_text(best, tolerance):
     verdict = f"within tolerance {tolerance:g}" if best.bound <= MARGIN * tolerance else f"the best there is for tolerance {tolerance:g}"
-    return f"relative RMS error {_percent(best.error)} at the pilots, {verdict}"
+    return f"relative RMS error {best.error:.2g} at the pilots, {verdict}"
 
 
 def _common(planner, best, settings, tolerance, tail):

@@ -218,7 +218,7 @@ def _unoccluded(scene, source, engine, setting):
         table, sectors = setting.table()
         return unoccluded.sky(scene, None, table, sectors.angles, sectors.widths)
     solid = upright(solid_of(scene, source, 1 / scene.spacing, 1.0))
-    return np.zeros(scene.shape, np.float32) if solid is None else unoccluded.image(scene, solid, source.brightness)
+    return np.zeros(scene.shape, np.float32) if solid is None else unoccluded.image(scene, solid, source.brightness, max(1, setting.units))
 
 
 def _by_lattice(scene, source, engine, cube, filled, weights):

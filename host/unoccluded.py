@@ -56,12 +56,13 @@ def sky(scene: Scene, brightness, table: np.ndarray | None = None, azimuths: np.
     return (1 - q) * ((1 - p) * light[j, i] + p * light[j, i + 1]) + q * ((1 - p) * light[j + 1, i] + p * light[j + 1, i + 1])
 
 
-def lamp(gx, gy, x, y, height, solid: Ball | Quad, brightness) -> np.ndarray:
+def lamp(gx, gy, x, y, height, solid: Ball | Quad, brightness, points: int = 1) -> np.ndarray:
     """Irradiance of elements of slope (gx, gy) at (x, y, height) [spacings] under a ball or a quadrangle that nothing hides but their tangent plane.
 
     A ball: pi B (R / d)^2 cos where it stands wholly above the plane, and the closed form of the part above it (Howell, Menguc,
     Daun and Siegel 2020, factor B-43). A quadrangle: Lambert's polygon, none where it turns negative. A brightness that
-    varies is taken along the ray to the source's middle. Arrays that broadcast; the level hides nothing.
+    varies is taken along the ray to the source's middle, or with ``points`` 4 along four rays to it, each weighed by the light that
+    it would bring (a rule of degree three). Arrays that broadcast; the level hides nothing.
     """
     middle = np.array(solid.center if isinstance(solid, Ball) else np.asarray(solid.corners).mean(0), np.float32)
     to = middle[0] - x, middle[1] - y, middle[2] - height
@@ -93,28 +94,63 @@ def lamp(gx, gy, x, y, height, solid: Ball | Quad, brightness) -> np.ndarray:
             light += angle / np.maximum(size, 1e-30) * (edge[0] * gx + edge[1] * gy + edge[2])
         light = np.abs(light) * (up / 2)
     if callable(brightness):
-        direction = np.stack(np.broadcast_arrays(to[0] / far, to[1] / far, np.minimum(-to[2] / far, 0)), -1)
-        return (light * sources.radiance(sources.Sky(brightness), direction)).astype(np.float32)
+        along = lambda way, size: sources.radiance(sources.Sky(brightness), np.stack(np.broadcast_arrays(way[0] / size, way[1] / size, np.minimum(-way[2] / size, 0)), -1))
+        if points == 1:
+            return (light * along(to, far)).astype(np.float32)
+        total, whole = 0.0, 1e-30
+        for way, weight in _four(solid, to, x, y, height):
+            size = np.sqrt(way[0] ** 2 + way[1] ** 2 + way[2] ** 2)
+            weight = weight * np.maximum(0, (way[0] * gx + way[1] * gy + way[2]) / size)
+            total, whole = total + weight * along(way, size), whole + weight
+        return (light * (total / whole)).astype(np.float32)
     return (light * float(brightness)).astype(np.float32)
 
 
-def image(scene: Scene, solid: Ball | Quad, brightness) -> np.ndarray:
+def _four(solid, to, x, y, height):
+    """Four vectors to a source from (x, y, height), ``to`` that to its middle, and a weight for each."""
+    if isinstance(solid, Quad):
+        corners = np.asarray(solid.corners, np.float32)
+        middle = corners.mean(0)
+        normal = np.cross(corners[2] - corners[0], corners[3] - corners[1])
+        for corner in middle + (corners - middle) / np.sqrt(np.float32(3)):
+            way = corner[0] - x, corner[1] - y, corner[2] - height
+            yield way, np.abs(way[0] * normal[0] + way[1] * normal[1] + way[2] * normal[2]) / (way[0] ** 2 + way[1] ** 2 + way[2] ** 2) ** 1.5
+        return
+    flat, far = np.sqrt(to[0] ** 2 + to[1] ** 2), np.sqrt(to[0] ** 2 + to[1] ** 2 + to[2] ** 2)
+    c, s = to[0] / np.maximum(flat, 1e-9), to[1] / np.maximum(flat, 1e-9)
+    out = np.minimum(np.float32(0.7071) * solid.radius / far, 0.99)  # sine of the angle from the middle, half of the disc's area within
+    secant = 1 / np.sqrt(1 - out * out)
+    for across, up in ((1, 0), (-1, 0), (0, 1), (0, -1)):
+        tangent = out * secant * far
+        rise = -to[2] / far
+        yield (to[0] + tangent * (-across * s + up * c * rise), to[1] + tangent * (across * c + up * s * rise), to[2] + tangent * up * flat / far), secant
+
+
+def image(scene: Scene, solid: Ball | Quad, brightness, points: int = 1) -> np.ndarray:
     """(rows, cols) float32, see :func:`lamp`; lengths of ``solid`` in spacings, heights third."""
     gx, gy = gradients(scene)
     rows, cols = scene.shape
     x, y = np.arange(cols, dtype=np.float32), np.arange(rows, dtype=np.float32)[:, None]
-    return np.nan_to_num(lamp(gx, gy, x, y, scene.depth / np.float32(-scene.spacing), solid, brightness))
+    return np.nan_to_num(lamp(gx, gy, x, y, scene.depth / np.float32(-scene.spacing), solid, brightness, points))
 
 
-def facing(scene: Scene, center: np.ndarray, radius: float) -> bool:
-    """Whether the ball round ``center`` [spacings, height third] stands wholly above every node's tangent plane.
+def no_shadow(scene: Scene, center: np.ndarray, radius: float, convex: bool) -> bool:
+    """Whether no ground throws a shadow under a ball round ``center`` [spacings, height third], by the normals of all nodes.
 
-    Then no ground hides any of it: along a vertical plane through the source, ground that looks at it all the way never
-    rises into a ray.
+    Ground that looks at all of the ball along a vertical plane through it never rises into a ray. Where some does not, it must
+    be ``convex`` as far as the caller knows, and nothing behind it, away from the source, may look at the ball again.
     """
     gx, gy = gradients(scene)
     rows, cols = scene.shape
     x, y = np.float32(center[0]) - np.arange(cols, dtype=np.float32), (np.float32(center[1]) - np.arange(rows, dtype=np.float32))[:, None]
     up = np.float32(center[2]) + scene.depth / np.float32(scene.spacing)
-    above = x * gx + y * gy + up >= np.float32(radius) * np.sqrt(1 + gx * gx + gy * gy)
-    return bool(above[scene.valid].all())
+    looks = x * gx + y * gy + up >= np.float32(radius) * np.sqrt(1 + gx * gx + gy * gy)
+    if scene.mask is not None:
+        looks |= ~scene.mask
+    if looks.all() or not convex:
+        return bool(looks.all())
+    row, col = np.nonzero(~looks)
+    flat = np.maximum(np.hypot(x[col], y[row, 0]), 1e-9)
+    behind = row - np.rint(y[row, 0] / flat).astype(int), col - np.rint(x[col] / flat).astype(int)
+    inside = (behind[0] >= 0) & (behind[0] < rows) & (behind[1] >= 0) & (behind[1] < cols)
+    return not looks[behind[0][inside], behind[1][inside]].any()
