@@ -149,6 +149,36 @@ def field(file: File, out: Out, height: Height = False, spacing: Spacing = 1.0, 
 
 
 @app.command()
+def chart(out: Annotated[Path, typer.Option(help="Folder for chart.png (needs matplotlib) and chart.csv; created if need be", show_default=False)],
+          backend: Annotated[str, typer.Option(help="Names with commas between  [default: all that are here]", show_default=False)] = "",
+          sizes: Annotated[str, typer.Option(help="Rows and columns of the maps")] = "128,512", as_json: Json = False):
+    """Speed against accuracy of every method and backend on this machine, and where plans stand."""
+    import csv
+
+    from . import chart as charts
+
+    try:
+        many = [int(part) for part in sizes.split(",")]
+    except ValueError:
+        raise typer.BadParameter(f"got {sizes!r}; allowed: whole numbers with commas between", param_hint="--sizes") from None
+    folder = io.folder(out)
+    with _working("measuring") as progress:
+        rows = charts.measure([name for name in backend.split(",") if name] or None, many, progress=progress)
+    with open(folder / "chart.csv", "w", newline="") as file:
+        writer = csv.DictWriter(file, rows[0], lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(rows)
+    try:
+        charts.draw(rows, folder / "chart.png")
+    except ImportError:
+        print("skylamp: warning: no chart.png without matplotlib: pip install 'skylamp[plot]'", file=sys.stderr)
+    if as_json:
+        print(json.dumps(_plain({"out": str(folder), "points": rows})))
+    else:
+        print(f"{folder / 'chart.png'}: {len(rows)} points", file=sys.stderr)
+
+
+@app.command()
 def backends(as_json: Json = False):
     """List the backends: name, device, and why one is not available."""
     with _working("looking for devices"):

@@ -14,6 +14,7 @@ import numpy as np
 from . import sources
 from .backends.base import Backend
 from .backends.slices import Ball, Quad
+from .directions import Azimuths
 from .scene import Scene
 
 COUNT = 256  # pilot nodes
@@ -26,9 +27,9 @@ CLOSE = 4  # nodes round a pilot that may
 
 
 class Pilots:
-    """Nodes spread over the valid part of a map by a low-discrepancy sequence, the same for the same scene."""
+    """Nodes spread over the valid part of a map by a low-discrepancy sequence, from its number ``first`` on; the same for the same scene."""
 
-    def __init__(self, scene: Scene, count: int = COUNT):
+    def __init__(self, scene: Scene, count: int = COUNT, first: int = 1):
         values, step = scene.lattice()
         self.scene, self.step, (self.rows, self.cols) = scene, step, scene.shape
         self.heights = np.negative(values)
@@ -36,7 +37,7 @@ class Pilots:
             self.heights /= np.float32(step)
         if scene.mask is not None:
             self.heights[~scene.mask] = NONE
-        self.x, self.y = _spread(scene, count)
+        self.x, self.y = _spread(scene, count, first)
         self.own = self.heights[self.y, self.x]
         self.deepest = float(self.own.min()) if scene.mask is not None else float(self.heights.min())
         self.highest = float(self.heights.max())
@@ -133,6 +134,20 @@ class Pilots:
     def ring(self, azimuths: np.ndarray, slopes: np.ndarray, table: np.ndarray | None = None) -> np.ndarray:
         """Irradiance per radian of azimuth above ``slopes``, of brightness 1 or by ``table`` (azimuths, knots, >= 2): (azimuths, nodes)."""
         return ring(self.gx, self.gy, azimuths, slopes, table)
+
+    def exact(self, engine: Backend, source: sources.Source, solid: Ball | Quad | None = None) -> np.ndarray:
+        """Irradiance by far more rays than any plan would take, to judge plans by: 720 azimuths or 1440 placed, or 256 slices through ``solid``."""
+        if solid is not None:
+            return self.through_slices(engine, solid, source.brightness, 256)
+        varies = callable(source.brightness)
+        profile = sources.azimuth_profile(source) if varies else None
+        sectors = Azimuths(720) if profile is None else Azimuths.placed(1440, profile)
+        total = np.zeros(len(self))
+        for some in np.array_split(np.arange(len(sectors)), 8):
+            angles, widths = sectors.angles[some], sectors.widths[some]
+            table = sources.fine_table(source, angles, widths, 2049) if varies else None
+            total += widths @ self.ring(angles, self.horizons(engine, angles), table)
+        return total if varies else total * float(source.brightness)
 
     # -- what hides anything at all, without a kernel ------------------------------------------------------------------------
 
@@ -274,14 +289,14 @@ def ring(gx, gy, azimuths, slopes, table=None):
     return along * value(0) + up * value(1)
 
 
-def _spread(scene, count):
+def _spread(scene, count, first):
     """(columns, rows) of nodes; all valid ones if they are few."""
     rows, cols = scene.shape
     if scene.mask is None and rows * cols > 2 * count:
-        n = np.arange(1, count + 1)
+        n = np.arange(first, first + count)
         return (np.floor((0.5 + 0.7548776662466927 * n) % 1 * cols).astype(int), np.floor((0.5 + 0.5698402909980532 * n) % 1 * rows).astype(int))
     if scene.mask is not None:
-        n = np.arange(1, 8 * count + 1)
+        n = np.arange(first, first + 8 * count)
         x, y = np.floor((0.5 + 0.7548776662466927 * n) % 1 * cols).astype(int), np.floor((0.5 + 0.5698402909980532 * n) % 1 * rows).astype(int)
         good = np.flatnonzero(scene.mask[y, x])[:count]
         if len(good) == count:

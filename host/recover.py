@@ -92,7 +92,21 @@ def recover(image, source: sources.Source, albedo=0.8, sides: str = "open", spac
                         + ("; one that stops early shadows the rest. stop='sign' often drills fewer." if stop == "eps" else "; the image is darker there than any depth explains."))
     if sides == "open" and isinstance(source, sources.Sky):
         warnings.append("Open sides under a sky are ill-posed: a flat surface explains a plane's image at any depth.")
+    if step := _count(image):
+        warnings.append(f"Few counts: the image's values are multiples of {step:.2g} of its maximum, so depth can be no finer than what changes it by that.")
     return Recovery((depth * spacing).astype(np.float32), drilled, engine.name, seconds, compiling, warnings)
+
+
+COARSE = 1 / 200  # of the maximum: an image of fewer counts is coarser than the paper's eps
+
+
+def _count(image) -> float:
+    """The count of a coarsely quantized image, over its maximum; 0 where its values are no multiples of one."""
+    steps = np.diff(np.unique(image))
+    if not steps.size or steps.min() < COARSE * image.max():
+        return 0.0
+    number = np.append(steps, image.max()) / steps.min()
+    return float(steps.min() / image.max()) if np.abs(number - np.rint(number)).max() < 1e-3 * number.max() else 0.0
 
 
 def carving_integers(image, albedo, brightness, solid_angles, eps: float):

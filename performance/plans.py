@@ -124,25 +124,12 @@ def pair(scene: str, light: str, size: int) -> tuple[sl.Scene, sources.Source]:
 
 
 def truth(scene, source, backend, nodes: int = NODES):
-    """Nodes (rows, cols), and their irradiance by many exact rays: 1024 azimuths of a sky, 256 slices of a lamp or window."""
-    engine = select(backend)
-    pilots = Pilots(scene, 1)
-    valid = np.argwhere(scene.valid)
-    pilots.y, pilots.x = valid[np.random.default_rng(11).permutation(len(valid))[:nodes]].T
-    pilots.own = pilots.heights[pilots.y, pilots.x]
-    pilots.gx, pilots.gy = (pilots._gradient(axis) for axis in (1, 0))
-    pilots.length = np.sqrt(1 + pilots.gx**2 + pilots.gy**2)
-    if isinstance(source, sl.Sky):
-        profile = sources.azimuth_profile(source) if callable(source.brightness) else None
-        sectors = sl.Azimuths(720) if profile is None else sl.Azimuths.placed(1440, profile)
-        total = np.zeros(len(pilots))
-        for some in np.array_split(np.arange(len(sectors)), 8):
-            angles, widths = sectors.angles[some], sectors.widths[some]
-            table = sources.fine_table(source, angles, widths, 2049) if callable(source.brightness) else None
-            total += widths @ pilots.ring(angles, pilots.horizons(engine, angles), table)
-        return (pilots.y, pilots.x), total * (1.0 if callable(source.brightness) else source.brightness)
-    solid = upright(solid_of(scene, source, 1 / scene.spacing, 1.0))
-    return (pilots.y, pilots.x), np.zeros(len(pilots)) if solid is None else pilots.through_slices(engine, solid, source.brightness, 256)
+    """Nodes (rows, cols), other than a plan's, and their irradiance by many exact rays."""
+    pilots = Pilots(scene, nodes, first=100_003)
+    solid = None if isinstance(source, sl.Sky) else upright(solid_of(scene, source, 1 / scene.spacing, 1.0))
+    if solid is None and not isinstance(source, sl.Sky):
+        return (pilots.y, pilots.x), np.zeros(len(pilots))
+    return (pilots.y, pilots.x), pilots.exact(select(backend), source, solid)
 
 
 def off(found, exact):

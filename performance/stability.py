@@ -324,7 +324,7 @@ FAILURES = {
     "noise": Failure("Noise", "noise, share of the image's maximum", (0.001, 0.003, 0.01, 0.03, 0.1), (0.001, 0.1), 1.5, lambda v, b: change(noisy(b, v), b), "paper, eps",
                      "One false stop shadows its neighbours, so small noise moves whole groups of columns; drilled ones are counted in a warning.", None, lambda v, b: first_says(noisy(b, v), b, eps=EPS), "Drilled", "RMS change of depth [layers]"),
     "bits": Failure("Images of few bits", "bits", (16, 8, 6, 4, 3, 2), (16, 2), 1.0, lambda v, b: change(counted(b, v), b), "paper, eps",
-                    "A step of the count is more than eps. Use 16-bit files, or a larger eps.", None, lambda v, b: first_says(counted(b, v), b, eps=EPS), "Drilled", "RMS change of depth [layers]"),
+                    "A step of the count is more than eps. A warning names the count. Use 16-bit files, or a larger eps.", None, lambda v, b: first_says(counted(b, v), b, eps=EPS), "Few counts", "RMS change of depth [layers]"),
     "albedo": Failure("Wrong albedo", "albedo given, over the true one", (1.0, 1.02, 1.05, 1.1, 1.2, 1.5), (1.0, 1.3), 1.5, lambda v, b: change(picture(b, 0.6), b, albedo=0.6 * v), "paper, eps",
                       "A surface thought brighter than it is must lie deeper; the bright parts fit at no depth and drill.", None, lambda v, b: first_says(picture(b, 0.6), b, albedo=0.6 * v, eps=EPS), "Drilled", "RMS change of depth [layers]"),
     "ill-posed": Failure("A plane under an open sky", "its depth [layers]", (1, 2, 5, 10, 20, 30), (1, 20), 5.0, flat_start, "paper, eps",
