@@ -4,9 +4,10 @@ from .backends import backends
 from .directions import Azimuths, Hemicube
 from .errors import BackendError, CapacityError, InputError, SkylampError
 from .horizon import horizons, openness, sky_view_factor
+from .plan import Plan, plan
 from .recover import Recovery, recover
 from .reflectance import BRDF, Lambertian, Mirror, Phong, grooves
-from .render import Plan, Rendering, render
+from .render import Rendering, render
 from .scene import Scene
 from .skies import CieSky, cie_clear, cie_sky, sun_position
 from .sources import Lamp, Sky, Window, cie_overcast, cosine_power, environment_map, uniform
@@ -16,6 +17,6 @@ __version__ = "0.1.0"
 __all__ = [
     "Azimuths", "BRDF", "BackendError", "CapacityError", "CieSky", "Hemicube", "InputError", "Lambertian", "Lamp", "Mirror", "Phong", "Plan",
     "Recovery", "Rendering", "Scene", "Sky", "SkylampError", "View", "VisibilityField", "Window", "backends", "cie_clear", "cie_overcast", "cie_sky",
-    "cosine_power", "environment_map", "grooves", "horizons", "openness", "recover", "render", "sky_view_factor", "sun_position", "uniform",
+    "cosine_power", "environment_map", "grooves", "horizons", "openness", "plan", "recover", "render", "sky_view_factor", "sun_position", "uniform",
     "visibility", "visibility_field",
 ]

@@ -1,4 +1,4 @@
-"""The command line: `skylamp render | recover | horizon | field | backends | selftest | demo`.
+"""The command line: `skylamp render | plan | recover | horizon | field | chart | backends | selftest | demo`.
 
 Data go to files or to stdout; messages, progress and errors go to stderr. Exit codes: 0 ok, 2 usage, 3 bad input,
 4 backend unavailable, 1 the rest. An error is one line; --debug adds the traceback.
@@ -59,6 +59,7 @@ Backend = Annotated[str, typer.Option(help="auto, or a name from `skylamp backen
 Hemicube = Annotated[int, typer.Option(help="Nodes along an edge of the cube of directions, odd")]
 Picture = Annotated[Optional[Path], typer.Option("--plot", help="Draw a picture: .png, .svg or .pdf", show_default=False)]
 MaybeOut = Annotated[Optional[str], typer.Option("--out", help=".npy, .npz, .tif or .exr, or .png for one plane; - writes .npy to stdout", show_default=False)]
+Tolerance = Annotated[str, typer.Option(help="Relative RMS error that auto may make: 0.01 or 1%")]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout")]
 
 
@@ -79,8 +80,7 @@ def _options(version: Annotated[bool, typer.Option("--version", is_eager=True, c
 def render(file: File, out: Out, height: Height = None, spacing: Spacing = None, albedo: Albedos = "0.8", specular: Specular = None,
            exponent: Exponent = None, nodata: Nodata = None, resample: Resample = False,
            source: Source = None, lamp: Lamp = None, window: Window = None, sun: Sun = None, direct: Direct = 0.0, sides: Sides = "open",
-           method: Annotated[str, typer.Option(help="auto | lattice | horizon")] = "auto",
-           tolerance: Annotated[float, typer.Option(help="Relative error that auto may make")] = 0.01,
+           method: Annotated[str, typer.Option(help="auto | lattice | horizon | unoccluded")] = "auto", tolerance: Tolerance = "1%",
            hemicube: Annotated[Optional[int], typer.Option(help="Lattice: nodes along an edge of the cube of directions, odd", show_default=False)] = None,
            filled: Annotated[Optional[bool], typer.Option("--filled/--stride", help="Lattice: test between the nodes, or step over them as the paper does", show_default=False)] = None,
            quantity: Annotated[str, typer.Option(help="radiance | irradiance")] = "radiance",
@@ -94,11 +94,33 @@ def render(file: File, out: Out, height: Height = None, spacing: Spacing = None,
         raise typer.BadParameter("makes an 8-bit .png for the eye: it goes without --white and --bits 16, and with no other format", param_hint="--exposure")
     scene, raster = _scene(file, height, spacing, _reflectance(albedo, specular, exponent), nodata, sides, resample)
     with _working("rendering"):
-        done = sl.render(scene, _source(source, lamp, window, sun, direct), method=method, tolerance=tolerance, backend=backend,
+        done = sl.render(scene, _source(source, lamp, window, sun, direct), method=method, tolerance=_tolerance(tolerance), backend=backend,
                          quantity=quantity, hemicube=hemicube, filled=filled)
     image = done.image if exposure is None else io.tone_mapped(done.image, exposure)
     scale = _deliver(out, image, raster, range=None if white is None else (0.0, white), bits=bits)
     _report(done, out, as_json, shape=done.image.shape, range=scale)
+
+
+@app.command()
+def plan(file: File, height: Height = None, spacing: Spacing = None, albedo: Albedos = "0.8", specular: Specular = None, exponent: Exponent = None,
+         nodata: Nodata = None, resample: Resample = False, source: Source = None, lamp: Lamp = None, window: Window = None, sun: Sun = None,
+         sides: Sides = "open", tolerance: Tolerance = "1%",
+         tail: Annotated[Optional[str], typer.Option(help="Bound on the 99.9th percentile of the error  [default: ten tolerances]", show_default=False)] = None,
+         backend: Backend = "auto", as_json: Json = False):
+    """Print the cheapest model of a scene within a tolerance, with a reason for every choice."""
+    scene, _ = _scene(file, height, spacing, _reflectance(albedo, specular, exponent), nodata, sides, resample)
+    with _working("planning"):
+        made = sl.plan(scene, _source(source, lamp, window, sun), _tolerance(tolerance), backend, tail=None if tail is None else _tolerance(tail, "--tail"))
+    if as_json:
+        print(json.dumps(_plain(made)))
+        return
+    table = Table(Column("choice", no_wrap=True), "taken", "why", title=f"{file}, within {tolerance}")
+    for choice in made.choices:
+        table.add_row(choice.what, choice.taken, escape(choice.why))
+    console = Console(width=None if sys.stdout.isatty() else 160)
+    console.print(table)
+    for text in made.beyond:
+        console.print(f"Beyond the model: {escape(text)}")
 
 
 @app.command()
@@ -198,6 +220,36 @@ def field(file: File, out: MaybeOut = None, height: Height = None, spacing: Spac
             angle = angle[layer]
         shape, scale = angle.shape, _deliver(out, angle, raster, range=(0.0, 2 * np.pi), name="solid_angle")
     _tell(out, picture, as_json, done.backend, shape=shape, range=scale)
+
+
+@app.command()
+def chart(out: Annotated[Path, typer.Option(help="Folder for chart.png (needs matplotlib) and chart.csv; created if need be", show_default=False)],
+          backend: Annotated[str, typer.Option(help="Names with commas between  [default: all that are here]", show_default=False)] = "",
+          sizes: Annotated[str, typer.Option(help="Rows and columns of the maps")] = "128,512", as_json: Json = False):
+    """Speed against accuracy of every method and backend on this machine, and where plans stand."""
+    import csv
+
+    from . import chart as charts
+
+    try:
+        many = [int(part) for part in sizes.split(",")]
+    except ValueError:
+        raise typer.BadParameter(f"got {sizes!r}; allowed: whole numbers with commas between", param_hint="--sizes") from None
+    folder = io.folder(out)
+    with _working("measuring") as progress:
+        rows = charts.measure([name for name in backend.split(",") if name] or None, many, progress=progress)
+    with open(folder / "chart.csv", "w", newline="") as file:
+        writer = csv.DictWriter(file, rows[0], lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(rows)
+    try:
+        charts.draw(rows, folder / "chart.png")
+    except ImportError:
+        print("skylamp: warning: no chart.png without matplotlib: pip install 'skylamp[plot]'", file=sys.stderr)
+    if as_json:
+        print(json.dumps(_plain({"out": str(folder), "points": rows})))
+    else:
+        print(f"{folder / 'chart.png'}: {len(rows)} points", file=sys.stderr)
 
 
 @app.command()
@@ -389,6 +441,14 @@ def _sun(text):
     return tuple(_numbers(text, "--sun", "AZ,EL"))
 
 
+def _tolerance(text, option="--tolerance"):
+    """A share of one: 0.01 or 1%."""
+    try:
+        return float(text[:-1]) / 100 if text.endswith("%") else float(text)
+    except ValueError:
+        raise typer.BadParameter(f"got {text!r}; allowed: a number above 0, such as 0.01 or 1%", param_hint=option) from None
+
+
 def _numbers(text, option, form):
     try:
         numbers = [float(part) for part in text.split(",")]
@@ -482,7 +542,7 @@ def _report(done, out, as_json, **facts):
         print(json.dumps(_plain(facts)))
     else:
         scale = f", white is {facts['range'][1]:.6g}" if facts.get("range") else ""
-        plan = f"; {done.plan}" if "plan" in facts else ""
+        plan = f"; {done.plan.line}" if "plan" in facts else ""
         print(f"{out}: {' x '.join(map(str, facts['shape']))} by {done.backend}{scale}{plan}", file=sys.stderr)
 
 

@@ -153,6 +153,8 @@ def _carved(image, source, start, layers, cube, eps, stop, backend, progress) ->
                         + ("; one that stops early shadows the rest. stop='sign' often drills fewer." if stop == "eps" else "; the image is darker there than any depth explains."))
     if sides == "open" and isinstance(source, sources.Sky):
         warnings.append(OPEN_SKY)
+    if step := _count(image):
+        warnings.append(f"Few counts: the image's values are multiples of {step:.2g} of its maximum, so depth can be no finer than what changes it by that.")
     depth = (depth * spacing).astype(np.float32)
     return Recovery(depth, drilled, engine.name, seconds, compiling, warnings, (~drilled).astype(np.float32), depth[None], np.zeros(depth.shape, bool),
                     np.zeros(depth.shape, np.float32), (), albedo)
@@ -326,6 +328,18 @@ def _after(pyramid, residual, lights, sides) -> list[str]:
         found.append(f"Poorly explained: model and image differ by {rms:.0%} of the image (rms)"
                      + (f", most of all near the border: wrong sides are suspected (sides={sides!r} was given)." if worse else "; wrong sides, albedo or source are suspected, or relief that this resolution does not show."))
     return found
+
+
+COARSE = 1 / 200  # of the maximum: an image of fewer counts is coarser than the paper's eps
+
+
+def _count(image) -> float:
+    """The count of a coarsely quantized image, over its maximum; 0 where its values are no multiples of one."""
+    steps = np.diff(np.unique(image))
+    if not steps.size or steps.min() < COARSE * image.max():
+        return 0.0
+    number = np.append(steps, image.max()) / steps.min()
+    return float(steps.min() / image.max()) if np.abs(number - np.rint(number)).max() < 1e-3 * number.max() else 0.0
 
 
 def carving_integers(image, albedo, brightness, solid_angles, eps: float):

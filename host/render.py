@@ -1,4 +1,4 @@
-"""render(): a scene and a source to an image (Eq. 3), and what reflectances other than Lambertian add to it."""
+"""render(): a scene and a source to an image (Eq. 3)."""
 
 from __future__ import annotations
 
@@ -8,43 +8,28 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from . import shading, skies, sources
+from . import shading, skies, sources, unoccluded
 from .arrays import labelled
-from .backends import select
 from .backends.base import Backend, Problem
 from .backends.horizon import FINE, Rays, Sweeps
-from .backends.slices import MOST, SLICES, Ball, Dome, Slices, aperture, blurred, brightness_of, rectangle
+from .backends.slices import MOST, SLICES, Dome, Slices, blurred, brightness_of
 from .directions import Azimuths, Hemicube
 from .errors import bad
 from .horizon import engine_of, ground_of
+from .plan import LATTICE_ERROR, PLACED_GRID, Plan, Setting, errors, lacking, solid_of, upright, work
 from .reflectance import BRDF
 from .scene import Scene, is_scene, one_of, positive_number
 
-METHODS = ("auto", "lattice", "horizon")
+METHODS = ("auto", "lattice", "horizon", "unoccluded")
 QUANTITIES = ("radiance", "irradiance")
-# RMS error of E / pi of the filled lattice under a uniform sky on rough ground (rms slope 1): performance/lattice_error.py
-LATTICE_ERROR = {5: 0.0376, 7: 0.0188, 9: 0.0119, 17: 0.0039, 33: 0.0012}
-# the same for horizons, by number of azimuths: performance/horizon.py
+# RMS error of E / pi by number of azimuths, uniform sky, rough ground (rms slope 1): performance/horizon.py
 HORIZON_ERROR = {8: 0.0138, 12: 0.0080, 16: 0.0052, 24: 0.0029, 32: 0.0019, 48: 0.0012, 64: 0.0008, 96: 0.0006, 128: 0.0003}
 FAR = 1e5  # extents of the map at which the sun stands: a hundred-thousandth of a radian across it
 COARSE = 1.2  # half widths of a lobe between directions, from which on its sum may be too large by 1 in a thousand
 LEAK_SLOPE = 0.7  # rms slope from which the unfilled step leaks from M = 7 on (README, Limits)
-
-
-@dataclass(frozen=True)
-class Plan:
-    """The model that was used, and why."""
-
-    method: str
-    hemicube: int | None
-    filled: bool | None
-    reason: str
-    azimuths: int | None = None
-
-    def __str__(self) -> str:
-        if self.method == "horizon":
-            return f"horizon, {self.azimuths} azimuths: {self.reason}"
-        return f"{self.method}, hemicube {self.hemicube}, {'filled' if self.filled else 'stride'}: {self.reason}"
+SPREAD = 1.25  # tolerances that the bound from the pilots' spread may reach
+RETRIES = 2  # finer settings that are tried where the image is off at the pilots
+REPEATED_LOBE = "a lobe over a map that repeats"
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +51,7 @@ class Rendering:
 
 def render(scene: Scene, source: sources.Source, method: str = "auto", tolerance: float = 0.01, backend: str = "auto",
            quantity: str = "radiance", *, hemicube: int | Hemicube | None = None, filled: bool | None = None,
-           weights: str = "moment", azimuths: int | Azimuths | None = None, max_distance: float | None = None) -> Rendering:
+           weights: str = "moment", azimuths: int | Azimuths | None = None, max_distance: float | None = None, tail: float | None = None) -> Rendering:
     """The image of ``scene`` under ``source``, seen orthographically along +z (Langer and Zucker, Eq. 3).
 
     In colour, (rows, cols, 3), where the source's brightness or the scene's reflectance is; each channel is what a grey
@@ -76,15 +61,16 @@ def render(scene: Scene, source: sources.Source, method: str = "auto", tolerance
     Parameters
     ----------
     scene, source : Scene; Sky, Lamp or Window
-    method : "auto", "lattice" or "horizon"
-        ``lattice``: the paper's directions on a hemicube (9 unless given). ``horizon``: the source above the horizon of
-        every node in a number of azimuths (64 unless given; for lamps and windows, slices through the source as every
-        node sees it). ``auto``: horizons, with the fewest azimuths whose measured error on rough ground is within
-        ``tolerance``; where they cannot be had (lamps given as volumes, windows given as apertures, lamps, windows
-        and lobes over a map that repeats), the filled lattice with the smallest hemicube of that kind.
-    tolerance : float
-        RMS error of E / pi under a uniform sky of brightness 1 that ``auto`` may make. A lamp or a bright spot smaller
-        than the spacing of the directions is not covered by it, nor is a lobe that is narrower; a warning says so.
+    method : "auto", "lattice", "horizon" or "unoccluded"
+        ``auto``: the cheapest that is within ``tolerance``, as :func:`skylamp.plan` finds it; the image is then compared with
+        exact rays at the plan's pilot nodes, and computed again, finer, where it is off by more. ``lattice``: the paper's
+        directions on a hemicube (9 unless given). ``horizon``: the source above the horizon of every node in a number of
+        azimuths (64 unless given; for lamps and windows, slices through the source as every node sees it).
+        ``unoccluded``: closed forms from the normals, as if ground hid nothing but what lies below each node's own tangent
+        plane; the brightness of a lamp or window is that towards its middle.
+    tolerance, tail : float
+        Of ``auto``: relative RMS error of the irradiance, that over all valid nodes divided by the mean over the lit ones, and a bound on the
+        99.9th percentile of the relative error, ten tolerances unless given.
     backend : str
         See :func:`skylamp.backends`.
     quantity : "radiance" or "irradiance"
@@ -112,6 +98,8 @@ def render(scene: Scene, source: sources.Source, method: str = "auto", tolerance
     one_of(weights, ("moment", "printed"), "weights")
     if not isinstance(filled, (bool, type(None))):
         raise bad("filled", repr(filled), "True, False or None")
+    if not isinstance(source, sources.Source):
+        raise bad("source", type(source).__name__, "Sky, Lamp or Window")
     tolerance = positive_number(tolerance, "tolerance")
     lattice = hemicube is not None or filled is not None or weights != "moment"
     horizon = azimuths is not None or max_distance is not None
@@ -119,16 +107,173 @@ def render(scene: Scene, source: sources.Source, method: str = "auto", tolerance
         raise bad("render: arguments of two methods", "azimuths or max_distance with the lattice's", "azimuths and max_distance with method='horizon'; hemicube, filled and weights with 'lattice'")
     if method == "horizon" and lattice:
         raise bad("method 'horizon' with hemicube, filled or weights", "both", "azimuths and max_distance")
-    lacking = _no_horizon(scene, source, quantity)
-    if lacking and (method == "horizon" or horizon):
-        raise bad("method 'horizon'", lacking, "a sky, a rectangular window, or a lamp given by its centre and radius, the last two with sides='open' or 'dark'", "Use method='lattice'.")
-    if method == "horizon" or (method == "auto" and not lattice and not lacking):
-        return _labelled(scene, _by_horizons(scene, source, method, tolerance, engine_of(scene, backend), quantity, azimuths, max_distance))
-    plan = _plan(method, tolerance, hemicube, filled)
-    cube = hemicube if isinstance(hemicube, Hemicube) else Hemicube(plan.hemicube)
-    engine, greys = select(backend), sources.channels(source)
-    found = warnings_of(scene, source, cube, plan.filled)
-    problem = lattice_problem(scene, source, cube, plan.filled)
+    if method == "unoccluded" and (lattice or horizon):
+        raise bad("method 'unoccluded' with arguments of another", "both", "neither azimuths and max_distance nor hemicube, filled and weights")
+    missing, lobe = lacking(scene, source), shading.lobe_of(scene) if quantity == "radiance" else None
+    if scene.sides == "periodic" and lobe:
+        missing = REPEATED_LOBE
+    if missing and (method in ("horizon", "unoccluded") or horizon):
+        raise bad(f"method '{'horizon' if horizon else method}'", missing, "a sky, a rectangular window, or a lamp given by its centre and radius, the last two with sides='open' or 'dark'", "Use method='lattice'.")
+    shines = lobe or _is_brdf(scene, quantity) or quantity == "radiance" and shading.has_mirror(scene)
+    if method == "unoccluded" and shines:
+        raise bad("method 'unoccluded'", type(scene.reflectance).__name__, "a Lambertian surface")
+    planned = method == "auto" and not lattice and not horizon and missing != REPEATED_LOBE
+    if tail is not None and not planned:
+        raise bad("tail", tail, "a bound for method='auto' without arguments of a method")
+    engine, greys = engine_of(scene, backend), sources.channels(source)
+    sun = None if lattice or missing else _sun_of(scene, source, max_distance)
+    plans, warnings = [], []
+
+    def irradiance(grey):
+        image, plan, found = _planned(scene, grey, tolerance, tail, engine) if planned else _asked(scene, grey, engine, method, azimuths, max_distance)
+        plans.append(plan)
+        warnings.extend(text for text in found if text not in warnings)
+        return image
+
+    def light():
+        if lattice or method == "lattice" or missing and (not planned or shines):
+            plans.append(_lattice_plan(hemicube, filled, method, tolerance if not lattice else None))
+            plan = plans[0]
+            cube = hemicube if isinstance(hemicube, Hemicube) else Hemicube(plan.hemicube)
+            return _by_lattice(scene, source, greys, engine, cube, plan.filled, weights, quantity, warnings)
+        if _is_brdf(scene, quantity):
+            plans.append(_plan_of(scene, source, azimuths, max_distance)[1])
+            if not isinstance(source, sources.Sky):
+                return [], shading.by_brdf(scene, greys, engine, max_distance)
+            sectors = azimuths if isinstance(azimuths, Azimuths) else Azimuths(azimuths or 64)
+            return [], shading.by_brdf_under_sky(scene, greys, Sweeps(engine, ground_of(scene, max_distance, engine), Rays(sectors.angles, sectors.widths), near=FINE).planes(), sectors)
+        irradiances = _each([_without_disc(grey) for grey in greys], irradiance) if _is_dull(scene, quantity) else []
+        if irradiances and sun is not None:
+            irradiances[0] += _by_slices(scene, sun, engine, Setting("slices", MOST))
+        if not plans:
+            plans.append(_plan_of(scene, source, azimuths, max_distance)[1])
+        if sun is not None:
+            plans[0] = replace(plans[0], reason=f"{plans[0].reason}; the sun's disc by slices")
+        if lobe and isinstance(source, sources.Sky):
+            return irradiances, _each(greys, lambda grey: _gloss(scene, grey, engine, lobe, sun is not None, max_distance))
+        if lobe:
+            return irradiances, _each(greys, lambda grey: _lamp_lobe(scene, grey, engine, lobe, azimuths, warnings))
+        return irradiances, _mirrored(scene, greys, engine, quantity, max_distance)
+
+    (irradiances, shown), seconds, compiling = timed(engine, light)
+    image = labelled(_image(scene, irradiances, shown, quantity), scene.labels)
+    return Rendering(image, plans[0], engine.name, seconds, compiling, warnings)
+
+
+def _planned(scene, source, tolerance, tail, engine) -> tuple[np.ndarray, Plan, list[str]]:
+    """(irradiance, plan, warnings) as the plan has it, and finer where the image proves to be off at the pilots."""
+    if scene.resident is not None and isinstance(source, sources.Sky) and scene.resident.backend is engine:
+        fitting = [k for k, error in HORIZON_ERROR.items() if error <= tolerance] or [max(HORIZON_ERROR)]
+        image, plan, found = _asked(scene, source, engine, "horizon", fitting[0], None)
+        return image, replace(plan, reason=f"RMS error {HORIZON_ERROR[fitting[0]]} of E / pi on rough ground; the map stays on its device"), found
+    made = work(scene, source, tolerance, engine, tail)
+    plan, warnings = made.plan, []
+    nodes = made.pilots.y, made.pilots.x
+    for tried, setting in enumerate(made.settings):
+        irradiance = _run(scene, source, engine, setting)
+        if made.exact is None:
+            break
+        found = irradiance[nodes].astype(float)
+        error, bound, _ = errors(found, made.exact)
+        if (error <= max(tolerance, setting.bound) and bound <= SPREAD * max(tolerance, setting.bound)) or tried >= RETRIES:
+            break
+    if made.exact is not None:
+        if setting.method == "lattice":
+            plan = replace(plan, hemicube=setting.units, measured=error)
+        else:
+            plan = replace(plan, azimuths=setting.units if setting.method != "unoccluded" else None, measured=error)
+        if error > tolerance:
+            warnings.append(f"Tolerance: the image is off by {100 * error:.2g} % (RMS over the mean) at {len(made.pilots)} pilot nodes, more than the {100 * tolerance:.2g} % asked for"
+                            + (f"; {plan.reason}." if not setting.error <= tolerance else "."))
+    if setting.method == "lattice":
+        warnings += warnings_of(scene, source, Hemicube(setting.units), True)
+    return irradiance, plan, warnings
+
+
+def _asked(scene, source, engine, method, azimuths, max_distance) -> tuple[np.ndarray, Plan, list[str]]:
+    """(irradiance, plan, warnings) as the caller asked for it."""
+    if method == "unoccluded":
+        setting, plan = Setting("unoccluded", scale=source.brightness, table=_sky_table(source)), Plan("unoccluded", None, None, "as asked")
+    else:
+        setting, plan = _plan_of(scene, source, azimuths, max_distance)
+    return _run(scene, source, engine, setting), plan, []
+
+
+def _run(scene, source, engine, setting: Setting) -> np.ndarray:
+    """Irradiance (rows, cols) float32 of a grey source by one setting."""
+    if setting.method == "lattice":
+        return _by_lattice(scene, source, [source], engine, Hemicube(setting.units), True, "moment", "irradiance", [])[0][0]
+    return {"unoccluded": _unoccluded, "slices": _by_slices, "horizon": _by_horizons}[setting.method](scene, source, engine, setting)
+
+
+def _plan_of(scene, source, azimuths, max_distance) -> tuple[Setting, Plan]:
+    """Horizons or slices, as many as the caller asked for."""
+    if getattr(source, "corner", None) is None:
+        sources.geometry(source, scene, 1.0)  # checks that they fit
+    if not isinstance(source, sources.Sky):
+        if max_distance is not None or isinstance(azimuths, Azimuths):
+            raise bad("method 'horizon' with a lamp or window", "max_distance, or azimuths of the caller's", "azimuths as a whole number: slices of a source that stands all round")
+        most = MOST if azimuths is None else -(-len(Azimuths(azimuths)) // SLICES) * SLICES
+        return Setting("slices", most), Plan("horizon", None, None, "slices through the source as every node sees it, fewer where it looks small", most)
+    sectors = azimuths if isinstance(azimuths, Azimuths) else Azimuths(64 if azimuths is None else azimuths)
+    table, scale = None, 1.0
+    if callable(source.brightness):
+        profile = sources.azimuth_profile(source)
+        if profile is not None and not isinstance(azimuths, Azimuths):
+            sectors = Azimuths.placed(len(sectors), profile)
+        table = lambda: sources.elevation_table(source, sectors.angles, sectors.widths, 256 if profile is None else 1024)
+    else:
+        scale = float(source.brightness)
+    return Setting("horizon", len(sectors), sectors=sectors, table=table, scale=scale, max_distance=max_distance), Plan("horizon", None, None, "as asked", len(sectors), max_distance)
+
+
+def _sky_table(source):
+    """What makes the table of a sky's brightness where nothing hides it; None for a number, and for what is no sky."""
+    if not isinstance(source, sources.Sky) or not callable(source.brightness):
+        return None
+    profile = sources.azimuth_profile(source)
+    sectors = Azimuths(unoccluded.AZIMUTHS) if profile is None else Azimuths.placed(PLACED_GRID, profile)
+    return lambda: (sources.fine_table(source, sectors.angles, sectors.widths), sectors)
+
+
+def _by_horizons(scene, source, engine, setting):
+    table = None if setting.table is None else setting.table()
+    sweeps = Sweeps(engine, ground_of(scene, setting.max_distance, engine), Rays(setting.sectors.angles, setting.sectors.widths), table, setting.near)
+    irradiance = sweeps.irradiance()
+    if setting.scale != 1.0:
+        irradiance *= np.float32(setting.scale)
+    return irradiance
+
+
+def _slices(scene, source, engine, most, brightness, lobe=None) -> Slices | None:
+    """Azimuth slices placed within a lamp or window as every node sees it; None for a window outside the box."""
+    depth, step = scene.lattice()
+    solid = solid_of(scene, source, step / scene.spacing, step)
+    return None if solid is None else Slices(engine, depth, step, scene.sides, solid, brightness, most, lobe)
+
+
+def _by_slices(scene, source, engine, setting):
+    slices = _slices(scene, source, engine, setting.units, brightness_of(source))
+    if slices is None:
+        return np.zeros(scene.shape, np.float32)
+    slices.run()
+    return slices.download()
+
+
+def _unoccluded(scene, source, engine, setting):
+    if isinstance(source, sources.Sky):
+        if setting.table is None:
+            return unoccluded.sky(scene, setting.scale)
+        table, sectors = setting.table()
+        return unoccluded.sky(scene, None, table, sectors.angles, sectors.widths)
+    solid = upright(solid_of(scene, source, 1 / scene.spacing, 1.0))
+    return np.zeros(scene.shape, np.float32) if solid is None else unoccluded.image(scene, solid, source.brightness, max(1, setting.units))
+
+
+def _by_lattice(scene, source, greys, engine, cube, filled, weights, quantity, found) -> tuple[list, list]:
+    """(irradiances, what the surface shows besides) over the directions of a hemicube; warnings go into ``found``."""
+    found += warnings_of(scene, source, cube, filled)
+    problem = lattice_problem(scene, source, cube, filled)
     brightness = np.stack([sources.radiance(grey, cube.directions) for grey in greys])
     moments = cube.moments if weights == "moment" else cube.directions * cube.solid_angles[:, None]
     lobe, shares, whole = shading.lobe_of(scene, 1e-6) if quantity == "radiance" else None, None, None
@@ -140,20 +285,40 @@ def render(scene: Scene, source: sources.Source, method: str = "auto", tolerance
             whole = None  # the sum is exact enough
         else:
             found.append(_narrow(lobe, spacing, "method='horizon' or a larger hemicube"))
-
-    def work():
-        if _is_brdf(scene, quantity):
-            return [], shading.by_brdf_on_lattice(scene, greys, engine.visibility(problem), cube)
-        irradiances, shown = engine.light(problem, moments * brightness[..., None], lobe, shares, whole)
-        return irradiances, shown + _mirrored(scene, greys, engine, quantity, None)
-
-    (irradiances, shown), seconds, compiling = timed(engine, work)
-    return _labelled(scene, Rendering(_image(scene, irradiances, shown, quantity), plan, engine.name, seconds, compiling, found))
+    if _is_brdf(scene, quantity):
+        return [], shading.by_brdf_on_lattice(scene, greys, engine.visibility(problem), cube)
+    irradiances, shown = engine.light(problem, moments * brightness[..., None], lobe, shares, whole)
+    return irradiances, shown + _mirrored(scene, greys, engine, quantity, None)
 
 
-def _labelled(scene: Scene, done: Rendering) -> Rendering:
-    """With an image that has the coordinates of the scene's DataArray, if it was made from one."""
-    return done if scene.labels is None else replace(done, image=labelled(done.image, scene.labels))
+def _gloss(scene, grey, engine, lobe, has_sun, max_distance):
+    """What a lobe makes of a sky: (rows, cols) float32."""
+    depth, step = scene.lattice()
+    reach = np.inf if max_distance is None else max_distance * (step / scene.spacing)
+    table, suns, flux = blurred(_without_disc(grey), lobe.spread)
+    if has_sun:
+        suns, flux = np.concatenate([suns.reshape(-1, 3), [skies.towards(*grey.brightness.sun)]]), np.append(flux, grey.brightness.direct)
+    slices = Slices(engine, depth, step, scene.sides, Dome(reach), table, lobe=lobe)
+    slices.run()
+    image = slices.download()
+    if len(suns):
+        image += shading.suns(scene, engine, lobe, suns, flux, max_distance)
+    return image * np.float32(scene.reflectance.norm)
+
+
+def _lamp_lobe(scene, grey, engine, lobe, azimuths, found):
+    """What a lobe makes of a lamp or window: (rows, cols) float32."""
+    brightness = brightness_of(grey)
+    slices = _slices(scene, grey, engine, _plan_of(scene, grey, azimuths, None)[0].units, brightness, lobe)
+    if slices is None:
+        return np.zeros(scene.shape, np.float32)
+    slices.run()
+    image = slices.download() * np.float32(scene.reflectance.norm)
+    if slices.coarse > COARSE:
+        text = _narrow(lobe, slices.coarse * lobe.spread, "a smaller lamp, or Mirror")
+        found.extend([text] if text not in found else [])
+        np.minimum(image, np.float32(np.max(brightness)), out=image)  # no lobe shows more than there is
+    return image
 
 
 def _image(scene: Scene, irradiances: list[np.ndarray], shown: list[np.ndarray], quantity: str) -> np.ndarray:
@@ -209,73 +374,6 @@ def _each(greys: list, work: Callable) -> list[np.ndarray]:
     return [one if grey.brightness == 1 else one * np.float32(grey.brightness) for grey in greys]
 
 
-def _no_horizon(scene: Scene, source: sources.Source, quantity: str) -> str:
-    """Why horizons cannot render this, or nothing."""
-    if scene.sides == "periodic" and quantity == "radiance" and shading.lobe_of(scene):
-        return "a lobe over a map that repeats"
-    if isinstance(source, sources.Lamp) and source.volume is not None:
-        return "a lamp given as a volume"
-    if isinstance(source, sources.Window) and source.aperture is not None:
-        return "a window given as an aperture"
-    if scene.sides == "periodic" and not isinstance(source, sources.Sky):
-        return "a lamp or window over a map that repeats"
-    return ""
-
-
-def _by_horizons(scene, source, method, tolerance, engine, quantity, azimuths, max_distance) -> Rendering:
-    if getattr(source, "corner", None) is None:
-        sources.geometry(source, scene, 1.0)  # checks that they fit
-    fitting = [k for k, error in HORIZON_ERROR.items() if error <= tolerance] or [max(HORIZON_ERROR)]
-    reason, given = "as asked", azimuths is not None
-    if azimuths is None:
-        azimuths = 64 if method == "horizon" else fitting[0]
-        if method == "auto":
-            reason = f"RMS error {HORIZON_ERROR[azimuths]} of E / pi on rough ground, {'within' if HORIZON_ERROR[azimuths] <= tolerance else 'the best there is for'} tolerance {tolerance}"
-    sectors = azimuths if isinstance(azimuths, Azimuths) else Azimuths(azimuths)
-    greys, found = sources.channels(source), []
-    if not isinstance(source, sources.Sky):
-        return _by_slices(scene, source, greys, engine, quantity, azimuths if given else None, max_distance)
-    ground, lobe = ground_of(scene, max_distance, engine), shading.lobe_of(scene) if quantity == "radiance" else None
-    sun = _sun_of(scene, source, max_distance)
-    if sun is not None:
-        reason += "; the sun's disc by slices"
-
-    def irradiance(grey):
-        placed, table = sectors, None
-        if callable(grey.brightness):
-            grey = _without_disc(grey)
-            profile = sources.azimuth_profile(grey)
-            if profile is not None and not isinstance(azimuths, Azimuths):
-                placed = Azimuths.placed(len(sectors), profile)
-            table = sources.elevation_table(grey, placed.angles, placed.widths, 256 if profile is None else 1024)
-        image = Sweeps(engine, ground, Rays(placed.angles, placed.widths), table).irradiance()
-        if sun is not None:
-            image += _by_slices(scene, sun, [sun], engine, "irradiance", None, None).image
-        return image
-
-    def gloss(grey):
-        depth, step = scene.lattice()
-        reach = np.inf if max_distance is None else max_distance * (step / scene.spacing)
-        table, suns, flux = blurred(_without_disc(grey), lobe.spread)
-        if sun is not None:
-            suns, flux = np.concatenate([suns.reshape(-1, 3), [skies.towards(*source.brightness.sun)]]), np.append(flux, source.brightness.direct)
-        slices = Slices(engine, depth, step, scene.sides, Dome(reach), table, lobe=lobe)
-        slices.run()
-        image = slices.download()
-        if len(suns):
-            image += shading.suns(scene, engine, lobe, suns, flux, max_distance)
-        return image * np.float32(scene.reflectance.norm)
-
-    def work():
-        if _is_brdf(scene, quantity):
-            return [], shading.by_brdf_under_sky(scene, greys, Sweeps(engine, ground, Rays(sectors.angles, sectors.widths), near=FINE).planes(), sectors)
-        irradiances = _each(greys, irradiance) if _is_dull(scene, quantity) else []
-        return irradiances, _each(greys, gloss) if lobe else _mirrored(scene, greys, engine, quantity, max_distance)
-
-    (irradiances, shown), seconds, compiling = timed(engine, work)
-    return Rendering(_image(scene, irradiances, shown, quantity), Plan("horizon", None, None, reason, len(sectors)), engine.name, seconds, compiling, found)
-
-
 def _sun_of(scene, source, max_distance) -> sources.Lamp | None:
     """The disc of a sky's sun, as a lamp so far away that it stands in one direction for the whole map."""
     if not getattr(source.brightness, "direct", 0):
@@ -290,46 +388,6 @@ def _sun_of(scene, source, max_distance) -> sources.Lamp | None:
 
 def _without_disc(sky):
     return sources.Sky(replace(sky.brightness, direct=0.0)) if getattr(sky.brightness, "direct", 0) else sky
-
-
-def _by_slices(scene, source, greys, engine, quantity, azimuths, max_distance) -> Rendering:
-    """A lamp or window, through azimuth slices placed within it as every node sees it."""
-    if max_distance is not None or isinstance(azimuths, Azimuths):
-        raise bad("method 'horizon' with a lamp or window", "max_distance, or azimuths of the caller's", "azimuths as a whole number: slices of a source that stands all round")
-    most = MOST if azimuths is None else -(-len(Azimuths(azimuths)) // SLICES) * SLICES
-    depth, step = scene.lattice()
-    unit = step / scene.spacing
-    if isinstance(source, sources.Window):
-        solid = aperture(np.array(source.x) * unit, np.array(source.y) * unit, scene.shape, step, scene.sides)
-    elif source.corner is not None:
-        solid = rectangle(*(np.array(v) * unit for v in (source.corner, *source.edges)))
-    else:
-        solid = Ball(tuple(np.array(source.center) * unit), source.radius * unit)
-    plan = Plan("horizon", None, None, "slices through the source as every node sees it, fewer where it looks small", most)
-    lobe, found = shading.lobe_of(scene) if quantity == "radiance" else None, []
-
-    def light(grey, lobe=None):
-        if solid is None:  # a window outside the box
-            return np.zeros(scene.shape, np.float32)
-        brightness = brightness_of(grey)
-        slices = Slices(engine, depth, step, scene.sides, solid, brightness, most, lobe)
-        slices.run()
-        image = slices.download()
-        if lobe:
-            image *= np.float32(scene.reflectance.norm)
-            if slices.coarse > COARSE:
-                found[:] = [_narrow(lobe, slices.coarse * lobe.spread, "a smaller lamp, or Mirror")]
-                np.minimum(image, np.float32(np.max(brightness)), out=image)  # no lobe shows more than there is
-        return image
-
-    def work():
-        if _is_brdf(scene, quantity):
-            return [], shading.by_brdf(scene, greys, engine, max_distance)
-        irradiances = _each(greys, light) if _is_dull(scene, quantity) else []
-        return irradiances, _each(greys, lambda grey: light(grey, lobe)) if lobe else _mirrored(scene, greys, engine, quantity, max_distance)
-
-    (irradiances, shown), seconds, compiling = timed(engine, work)
-    return Rendering(_image(scene, irradiances, shown, quantity), plan, engine.name, seconds, compiling, found)
 
 
 def lattice_problem(scene: Scene, source: sources.Source, cube: Hemicube, filled: bool) -> Problem:
@@ -347,16 +405,13 @@ def timed(engine: Backend, work: Callable[[], tuple]) -> tuple[tuple, float, flo
     return result, time.perf_counter() - start - compiling, compiling
 
 
-def _plan(method, tolerance, hemicube, filled) -> Plan:
+def _lattice_plan(hemicube, filled, method, tolerance) -> Plan:
     given = hemicube.size if isinstance(hemicube, Hemicube) else hemicube
-    if method == "lattice":
-        return Plan(method, 9 if given is None else given, bool(filled), "as asked")
-    if given is not None:
-        return Plan("lattice", given, filled is not False, f"hemicube {given} was asked for")
-    fitting = [m for m, error in LATTICE_ERROR.items() if error <= tolerance]
-    size = fitting[0] if fitting else max(LATTICE_ERROR)
-    reason = f"RMS error {LATTICE_ERROR[size]} of E / pi on rough ground, {'within' if fitting else 'the best there is for'} tolerance {tolerance}"
-    return Plan("lattice", size, filled is not False, reason)
+    filled = filled is not False if method == "auto" else bool(filled)
+    if method == "auto" and given is None and tolerance is not None:
+        given = next((m for m, error in LATTICE_ERROR.items() if error <= tolerance), max(LATTICE_ERROR))
+        return Plan("lattice", given, filled, f"RMS error {LATTICE_ERROR[given]} of E / pi on rough ground")
+    return Plan("lattice", 9 if given is None else given, filled, "as asked")
 
 
 def warnings_of(scene: Scene, source: sources.Source, cube: Hemicube, filled: bool) -> list[str]:

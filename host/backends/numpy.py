@@ -12,7 +12,8 @@ from ..sources import APERTURE, BALL, RECTANGLE, SKY, VOLUME
 from .base import SIDES, Backend
 
 # modules of the kernels that are not here
-ELSEWHERE = {"adjoint": "numpy_adjoint", "horizon": "numpy_horizon", "ground": "numpy_horizon", "slices": "numpy_slices", "resident": "numpy_resident"}
+ELSEWHERE = {"adjoint": "numpy_adjoint", "horizon": "numpy_horizon", "ground": "numpy_horizon", "slices": "numpy_slices",
+             "resident": "numpy_resident", "pilot": "numpy_pilot"}
 NOTHING = np.finfo(np.float32).max  # ceiling where nothing stands above; finite, so that a masked node never passes
 
 

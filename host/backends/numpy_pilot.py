@@ -1,0 +1,46 @@
+"""pilot in NumPy: all rays at once, each at its own step. Twin of opencl/pilot.cl."""
+
+import numpy as np
+
+
+def _steps_out(at, move, low, high):
+    with np.errstate(divide="ignore", invalid="ignore"):
+        out = np.where(move > 0, (high - at) / move, (at - low) / -move)
+    return np.where(move == 0, 2.0**30, np.minimum(out, 1e9)).astype(np.int64) + 1
+
+
+def pilot(heights, tops, rays, slopes, count, rows, cols, across, shift, periodic, highest, reach):
+    heights, tops = heights.reshape(-1), tops.reshape(-1)
+    x, y = rays[:, 0].astype(np.int64), rays[:, 1].astype(np.int64)
+    own, slope = heights[y * cols + x], rays[:, 4].copy()
+    for by_rows in (0, 1):
+        to, aside = (rays[:, 3], rays[:, 2]) if by_rows else (rays[:, 2], rays[:, 3])
+        start, length, start_aside, width = (y, rows, x, cols) if by_rows else (x, cols, y, rows)
+        left = np.flatnonzero(np.abs(to) >= 1e-6)
+        way, apart = np.where(to > 0, 1, -1), 1 / np.maximum(np.abs(to), np.float32(1e-6))
+        move, n = aside * apart, np.ones(len(rays), np.int64)
+        while len(left):
+            t = n[left] * apart[left]
+            at, v = start[left] + way[left] * n[left], (start_aside[left] + n[left] * move[left]).astype(np.float32)
+            going = (t <= reach) & (highest - own[left] > slope[left] * t) & (t * (rays[left, 5] + slope[left] * rays[left, 6]) < rays[left, 7])
+            if periodic:
+                at, v = at % length, np.mod(v, np.float32(width))
+                v = np.where(v < width, v, np.float32(0))
+            else:
+                going &= (at >= 0) & (at < length) & (v >= -1e-4) & (v <= width - 1 + 1e-4)
+            left, t, at, v = left[going], t[going], at[going], v[going]
+            low = np.minimum(np.maximum(v, 0).astype(np.int64), width - 1)
+            part = np.clip(v - low, 0, 1)
+            block_at, block_low = at >> shift, low >> shift
+            top = tops[block_at * across + block_low if by_rows else block_low * across + block_at]
+            past = top - own[left] <= slope[left] * t
+            inside = np.where(way[left] > 0, np.minimum(block_at + 1 << shift, length) - at, at - (block_at << shift) + 1)
+            jump = np.maximum(1, np.minimum(inside, _steps_out(v, move[left], block_low << shift, np.minimum(block_low + 1 << shift, width))))
+            n[left] += np.where(past, jump, 1)
+            here, at, low, t, part = left[~past], at[~past], low[~past], t[~past], part[~past]
+            after = np.where(low + 1 < width, low + 1, 0 if periodic else low)
+            near, far = (heights[at * cols + v if by_rows else v * cols + at] for v in (low, after))
+            tangent = (near + part * (far - near) - own[here]) / t
+            higher = (tangent > slope[here]) & (t * (rays[here, 5] + tangent * rays[here, 6]) < rays[here, 7])
+            slope[here[higher]] = tangent[higher]
+    slopes[...] = slope

@@ -1,0 +1,395 @@
+"""The stability atlas: for each known failure, error against the parameter that provokes it, for each method.
+
+    python performance/stability.py --out docs [--backend opencl] [--only leak,sun]
+
+Writes stability.md, stability.csv and stability-*.png (matplotlib). tests/test_stability.py measures the same failures at two values each.
+Errors of images are relative RMS against exact rays, unless a failure says otherwise; those of depth are RMS in layers.
+"""
+
+import argparse
+import csv
+import functools
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).parent))
+import plans
+
+import skylamp as sl
+
+SIZE = 80
+LAYERS = 32
+Y, X = np.mgrid[:SIZE, :SIZE].astype(float)
+EPS = 0.1  # at which the clean image drills nothing
+RECOVERIES = {"paper, eps": {"method": "paper", "stop": "eps"}, "paper, sign": {"method": "paper", "stop": "sign"}}
+if "robust" in sys.modules["skylamp.recover"].METHODS:  # another line in every figure on recovery, once it is there
+    RECOVERIES["robust"] = {"method": "robust"}
+
+
+class Failure(NamedTuple):
+    """``measure(value, backend)``: error by line. ``bad`` fails at ``quick[1]`` and not at ``quick[0]``, by ``limit``; ``good``
+    does not fail there, or ``warns(value, backend)`` gives warnings that begin with ``says`` there and not at quick[0]."""
+
+    title: str
+    parameter: str
+    values: tuple
+    quick: tuple
+    limit: float
+    measure: Callable
+    bad: str
+    does: str
+    good: str | None = None
+    warns: Callable | None = None
+    says: str = ""
+    unit: str = "relative RMS error"
+
+
+def error_of(scene, source, backend, **options):
+    nodes, exact = truth(scene, source, backend)
+    return plans.off(sl.render(scene, source, backend=backend, quantity="irradiance", **options).image[nodes].astype(float), exact)[0]
+
+
+def truth(scene, source, backend):
+    return plans.truth(scene, source, backend, 300)
+
+
+def lines(scene, source, backend, **ways):
+    return {name.replace("_", " "): error_of(scene, source, backend, **options) for name, options in ways.items()}
+
+
+@functools.cache
+def rough(slope=1.0, seed=1):
+    return plans.fractal(SIZE, slope, 1.9, seed)
+
+
+def leak(m, backend):
+    found = lines(sl.Scene(rough()), sl.Sky(), backend, stride={"method": "lattice", "hemicube": m}, filled={"method": "lattice", "hemicube": m, "filled": True}, default={})
+    return found
+
+
+def razor(width, backend):
+    depth = np.full((SIZE, SIZE), 25.0)
+    for at in range(5, SIZE, 20):
+        depth[:, at : at + width] = 0
+    return lines(sl.Scene(depth), sl.Sky(), backend, stride_M_17={"method": "lattice", "hemicube": 17}, filled_M_17={"method": "lattice", "hemicube": 17, "filled": True}, default={})
+
+
+def valley(deep, backend):
+    scene = sl.Scene(np.where(np.abs(X - 40) < 3, float(deep), 0.0)[:, 20:60])
+    inside = np.abs(np.arange(20, 60) - 40) < 3
+    nodes, exact = truth(scene, sl.Sky(), backend)
+    some = inside[nodes[1]]
+    exact = exact[some]
+
+    def off(**options):
+        image = sl.render(scene, sl.Sky(), backend=backend, quantity="irradiance", **options).image[nodes].astype(float)[some]
+        return float(np.sqrt(np.mean((image - exact) ** 2)) / exact.mean())
+
+    return {"lattice, M 9": off(method="lattice", hemicube=9, filled=True), "8 azimuths": off(method="horizon", azimuths=8), "64 azimuths": off(method="horizon", azimuths=64), "tolerance 0.3 %": off(tolerance=0.003)}
+
+
+def small_lamp(radius, backend):
+    scene, lamp = sl.Scene(np.full((40, 40), 24.0)), sl.Lamp((20.3, 19.6, 0), radius)
+    return lines(scene, lamp, backend, lattice_M_9={"method": "lattice", "hemicube": 9, "filled": True}, lattice_M_33={"method": "lattice", "hemicube": 33, "filled": True}, slices={"method": "horizon"}, default={})
+
+
+def small_lamp_says(radius, backend):
+    return sl.render(sl.Scene(np.full((40, 40), 24.0)), sl.Lamp((20.3, 19.6, 0), radius), "lattice", backend=backend).warnings
+
+
+def sunny(radius, elevation):
+    return sl.Sky(plans.sun(radius, elevation, 35, 0.6))
+
+
+def small_sun(radius, backend):
+    scene, sky = sl.Scene(rough(0.6)), sunny(radius, 35)
+    return lines(scene, sky, backend, lattice_M_17={"method": "lattice", "hemicube": 17, "filled": True}, even_azimuths={"method": "horizon", "azimuths": sl.Azimuths(64)}, placed_azimuths={"method": "horizon", "azimuths": 64}, default={})
+
+
+def grazing(elevation, backend):
+    scene, sky = sl.Scene(rough(0.6)), sunny(1.0, elevation)
+    return lines(scene, sky, backend, lattice_M_17={"method": "lattice", "hemicube": 17, "filled": True}, even_azimuths={"method": "horizon", "azimuths": sl.Azimuths(32)}, default={})
+
+
+def cliff(height, backend):
+    depth = plans.urban(2 * SIZE)
+    scene, sky = sl.Scene(40 - (40 - depth) * (height / 36)), sl.Sky(plans.sun(0.27, 35, 200, 0.7))
+    nodes, exact = plans.truth(scene, sky, backend, 600)
+    ways = {"six near rows": {"method": "horizon", "azimuths": 64}, "default": {}}
+    return {name: plans.off(sl.render(scene, sky, backend=backend, quantity="irradiance", **way).image[nodes].astype(float), exact)[0] for name, way in ways.items()}
+
+
+def between(albedo, backend):
+    """What the model leaves out in a spherical bowl, exactly, over the image; and the bound that the plan gives."""
+    scene, sky = bowl(albedo)
+    exact = albedo * (1 - sky) / (1 - albedo * (1 - sky))
+    said = [text for text in sl.plan(scene, sl.Sky(), 0.001, backend).beyond if text.startswith("Light")]
+    return {"light left out, over the image": float(exact), "the plan's bound": float(said[0].split("at most ")[1].split(" %")[0]) / 100 if said else 0.0}
+
+
+def bowl(albedo):
+    radius, rim = 60.0, np.radians(60)
+    half = int(radius * np.sin(rim)) + 1
+    y, x = np.mgrid[-half : half + 1, -half : half + 1]
+    depth = np.maximum(0, np.sqrt(np.maximum(0, radius**2 - x**2 - y**2)) - radius * np.cos(rim))
+    return sl.Scene(depth, albedo=albedo), (1 + np.cos(rim)) / 2
+
+
+def between_says(albedo, backend):
+    return sl.render(bowl(albedo)[0], sl.Sky(), backend=backend).plan.beyond
+
+
+def holes(share, backend):
+    scene, whole = holed(share), sl.Scene(rough())
+    nodes, exact = truth(whole, sl.Sky(), backend)
+    some = scene.valid[nodes]
+
+    def off(**options):
+        image = sl.render(scene, sl.Sky(), backend=backend, quantity="irradiance", **options).image[nodes].astype(float)
+        return float(np.sqrt(np.mean((image - exact)[some] ** 2)) / exact.mean())
+
+    return {"against the ground without holes": off(), "lattice, M 17": off(method="lattice", hemicube=17, filled=True)}
+
+
+def holed(share):
+    blocks = np.random.default_rng(3).random((SIZE // 8, SIZE // 8)) >= share
+    mask = np.kron(blocks, np.ones((8, 8))).astype(bool)
+    return sl.Scene(np.where(mask, rough(), np.nan), mask=mask)
+
+
+def holes_says(share, backend):
+    return sl.render(holed(share), sl.Sky(), backend=backend).plan.beyond
+
+
+def touching(gap):
+    return sl.Scene(np.full((41, 41), 20.0) - 4 * np.exp(-((X - 30) ** 2 + (Y - 20) ** 2) / 20)[:41, :41]), sl.Lamp((20, 20, 20 - gap - 2), 2)
+
+
+def touching_lamp(gap, backend):
+    """Irradiance summed over a plane below a ball, against the integral of pi (R / d)^2 cos: what the grid does not hold."""
+    scene = sl.Scene(np.full((41, 41), 20.0))
+    fine = sl.Scene(np.full((41 * 8 - 7,) * 2, 20.0 * 8), 1.0)
+    lamp, large = sl.Lamp((20, 20, 20 - gap - 2), 2), sl.Lamp((160, 160, 160 - 8 * gap - 16), 16)
+    coarse = sl.render(scene, lamp, "horizon", backend=backend, quantity="irradiance").image.astype(float)
+    sharp = sl.render(fine, large, "horizon", backend=backend, quantity="irradiance").image.astype(float)
+    blocks = np.pad(sharp, 4, "edge")[: 41 * 8, : 41 * 8].reshape(41, 8, 41, 8).mean((1, 3))
+    return {"nodes against the mean of their cells": float(np.sqrt(np.mean((coarse - blocks) ** 2)) / blocks.mean())}
+
+
+def touching_says(gap, backend):
+    return sl.plan(*touching(gap), backend=backend).beyond
+
+
+def offset(metres, backend):
+    """A relief of a few spacings far below the viewer's plane, against the same at it."""
+    low, near = (sl.render(sl.Scene(rough() + shift), sl.Sky(), "horizon", backend=backend, quantity="irradiance").image for shift in (metres, 0))
+    return {"float32 depth": float(np.sqrt(np.mean((low - near) ** 2)) / near.mean())}
+
+
+def offset_says(metres, backend):
+    return sl.plan(sl.Scene(rough() + metres), sl.Sky(), backend=backend).beyond
+
+
+def search(distance, backend):
+    scene = sl.Scene(20 * (1 + np.sin(2 * np.pi * X / SIZE * 4)), sides="periodic")
+    return lines(scene, sl.Sky(), backend, as_far_as_asked={"method": "horizon", "azimuths": 64, "max_distance": distance}, default={})
+
+
+def sides(depth, backend):
+    """A plane in a dark box, rendered as if its sides were open."""
+    box, free = (sl.Scene(np.full((SIZE, SIZE), float(depth)), sides=s) for s in ("dark", "open"))
+    nodes, exact = truth(box, sl.Sky(), backend)
+    return {name: plans.off(sl.render(scene, sl.Sky(), backend=backend, quantity="irradiance").image[nodes].astype(float), exact)[0] for name, scene in (("sides given as open", free), ("sides given as dark", box))}
+
+
+# -- recovery --------------------------------------------------------------------------------------------------------------------
+
+
+@functools.cache
+def relief(kind="egg crate"):
+    y, x = np.mgrid[:32, :32].astype(float)
+    return {"egg crate": 12 + 4 * np.sin(x / 5) * np.sin(y / 5), "plane": np.full((32, 32), 12.0), "slant": 8 + 0.3 * x}[kind]
+
+
+@functools.cache
+def picture(backend, albedo=0.8, kind="egg crate"):
+    return sl.render(sl.Scene(relief(kind), albedo=albedo, sides="dark"), sl.Sky(), tolerance=0.003, backend=backend).image.astype(float)
+
+
+def recovered(image, backend, source=sl.Sky(), kind="egg crate", **options):
+    options = {"sides": "dark", "layers": LAYERS, "backend": backend, **options}
+    return {name: sl.recover(image, source, **{**options, **way}) for name, way in RECOVERIES.items()}
+
+
+def depth_errors(image, backend, kind="egg crate", **options):
+    return {name: float(np.sqrt(np.mean((found.depth - relief(kind)) ** 2))) for name, found in recovered(image, backend, kind=kind, **options).items()}
+
+
+def first_says(image, backend, way="paper, eps", **options):
+    return recovered(image, backend, **options)[way].warnings
+
+
+def drilled(eps, backend):
+    return {name: float(found.drilled.mean()) if hasattr(found, "drilled") else 0.0 for name, found in recovered(picture(backend), backend, eps=eps).items()}
+
+
+def noisy(backend, share):
+    image = picture(backend)
+    return np.maximum(0, image + share * image.max() * np.random.default_rng(5).standard_normal(image.shape))
+
+
+def counted(backend, bits):
+    image = picture(backend)
+    return np.rint(image / image.max() * (2**bits - 1)) / (2**bits - 1) * image.max()
+
+
+def change(image, backend, **options):
+    """RMS change of depth [layers] from that recovered from the clean image."""
+    clean, other = recovered(picture(backend), backend, eps=EPS), recovered(image, backend, eps=EPS, **options)
+    return {name: float(np.sqrt(np.mean((other[name].depth - clean[name].depth) ** 2))) for name in clean}
+
+
+@functools.cache
+def spot_picture(power, backend):
+    """A slanting plane under a lamp at the viewer, shaded with N.L = 1/2, as Eq. 4 has it."""
+    lamp = spot(power)
+    scene = sl.Scene(relief("slant"), albedo=0.8)
+    cube = sl.Hemicube(17)
+    bits = cube.unpack(sl.visibility(scene, lamp, 17, backend))
+    return 0.8 / (2 * np.pi) * (bits * cube.solid_angles * sl.sources.radiance(lamp, cube.directions)).sum(-1), lamp
+
+
+def spot(power):
+    return sl.Lamp((15.5, 15.5, -10), 8, brightness=sl.cosine_power(power))
+
+
+def spot_errors(power, backend):
+    image, lamp = spot_picture(power, backend)
+    return {name: float(np.sqrt(np.mean((found.depth - relief("slant")) ** 2))) for name, found in recovered(image, backend, lamp, sides="open", hemicube=17, eps=0.01).items()}
+
+
+def spot_says(power, backend):
+    image, lamp = spot_picture(power, backend)
+    return first_says(image, backend, "paper, sign", source=lamp, sides="open", hemicube=17)
+
+
+def flat_start(depth, backend):
+    """A plane under an open sky: every depth explains it."""
+    image = np.full((24, 24), 0.8)
+    return {name: float(np.sqrt(np.mean((found.depth - depth) ** 2))) for name, found in recovered(image, backend, sides="open").items()}
+
+
+def open_says(sides, backend):
+    return first_says(picture(backend), backend, sides=sides, eps=0.05)
+
+
+FAILURES = {
+    "leak": Failure("The paper's step leaks at large M", "M", (5, 7, 9, 17, 33), (5, 33), 0.05, leak, "stride",
+                    "Steps go from node to node and jump over the ridges between. `filled=True` tests between the nodes, horizons every crossing; a warning names the leak where stride is asked for.", "default",
+                    lambda m, b: sl.render(sl.Scene(rough()), sl.Sky(), "lattice", hemicube=m, backend=b).warnings, "Leak"),
+    "razor": Failure("Razor ridges", "width of the ridges [nodes]", (8, 6, 4, 3, 2, 1), (8, 1), 0.1, razor, "stride M 17",
+                     "A ridge narrower than the step stands between its nodes. Filled lattice and horizons test every crossing.", "default"),
+    "valley": Failure("Deep narrow valleys", "depth of a trench 5 nodes wide", (2, 5, 10, 20, 40, 80), (2, 40), 0.05, valley, "lattice, M 9",
+                      "Little sky is left, and few directions meet it. The error is over the nodes at the bottom alone. A plan sees its share of the whole image: name a tighter tolerance for the bottom.", "64 azimuths"),
+    "small lamp": Failure("Small lamps vanish between lattice directions", "radius of the lamp [nodes], 24 above a plane", (11, 8, 4, 2, 1, 0.5), (11, 1), 0.3, small_lamp, "lattice M 9",
+                          "Rays of the lattice pass a small lamp by. Slices are laid through it as each node sees it; where nothing hides it the default is a closed form. Where the lattice is asked for, a warning says so.", "default",
+                          small_lamp_says, "Small lamp"),
+    "small sun": Failure("Small suns vanish between azimuths", "radius of the sun [degrees]", (10, 5, 2, 1, 0.5, 0.27), (10, 0.27), 0.1, small_sun, "even azimuths",
+                         "Half of the azimuths go where the light is, found by some 400,000 looks at the sky.", "default"),
+    "grazing": Failure("Grazing light", "elevation of the sun [degrees]", (60, 40, 20, 10, 5, 2), (60, 10), 0.1, grazing, "even azimuths",
+                       "A low sun lights few nodes, and a small error of a horizon puts them out. Azimuths are placed by brightness and their number follows the measured error.", "default"),
+    "cliff": Failure("Cliffs under a hard sun", "height of the tallest houses [spacings]", (1, 4, 9, 18, 36), (1, 36), 0.03, cliff, "six near rows",
+                     "Sweeps look up the two best crossings beyond 6 rows; behind a wall a wrong one puts out the sun for a node. Where neighbours lie more than 4 spacings apart and brightness is uneven, plans test every crossing within 24 rows.", "default"),
+    "between": Failure("Light between surfaces", "albedo of a spherical bowl", (0.05, 0.1, 0.2, 0.4, 0.6, 0.8, 0.95), (0.001, 0.8), 0.1, between, "light left out, over the image",
+                       "It is left out. Plans bound it (MODEL.md, 7.3), with a number.", None, between_says, "Light between surfaces"),
+    "holes": Failure("Holes in the data", "share of 8 x 8 blocks that are masked", (0.0, 0.01, 0.03, 0.1, 0.2, 0.4), (0.0, 0.3), 0.015, holes, "against the ground without holes",
+                     "Masked ground hides nothing, so light comes through. Plans give the share of nodes that are masked.", None, holes_says, "Nodata"),
+    "touching": Failure("A lamp that touches the surface", "gap below a ball of radius 2 [nodes]", (8, 4, 2, 1, 0.5, 0.25), (8, 0.25), 0.1, touching_lamp, "nodes against the mean of their cells",
+                        "Below it the light changes within one cell. Plans say how far the lamp is from the surface when that is less than a spacing.", None, touching_says, "The lamp touches"),
+    "rounding": Failure("Relief far below the viewer's plane", "depth added to it [spacings]", (1e2, 1e3, 1e4, 1e5, 1e6, 1e7), (1e2, 1e7), 0.01, offset, "float32 depth",
+                        "Depths are float32. Plans name the rounding when it is more than a tenth of the tolerance.", None, offset_says, "Depths are rounded"),
+    "search": Failure("Searching not far enough", "max_distance [spacings]", (160, 80, 40, 20, 10, 5), (80, 5), 0.05, search, "as far as asked",
+                      "`max_distance` drops the ground beyond. Plans measure what it costs before they use one.", "default"),
+    "sides": Failure("Wrong sides", "depth of a plane in a dark box of 80 nodes", (1, 2, 5, 10, 20, 40), (1, 40), 0.1, sides, "sides given as open",
+                     "Nothing in a map tells what stands at its sides: give the ones that are there.", "sides given as dark"),
+    "drilled": Failure("Columns drilled through", "eps, share of the image's maximum", (0.2, 0.1, 0.05, 0.02, 0.01, 0.002), (0.2, 0.002), 0.15, drilled, "paper, eps",
+                       "A column that steps past the image's value is carved through to the back, and one that stops early shadows the rest. `drilled` marks them and a warning gives their share.", None,
+                       lambda eps, b: first_says(picture(b), b, eps=eps), "Drilled", "share of columns drilled"),
+    "two values": Failure("Two depths explain one value", "k of a lamp cos^k", (0, 1, 2, 4, 8, 16), (0, 16), 4.0, spot_errors, "paper, sign",
+                          "Under a spotlight a column is dark near the viewer, bright below and dark again. The paper takes the first match, or drills, and the warning gives the share.", None, spot_says, "Drilled", "RMS error of depth [layers]"),
+    "noise": Failure("Noise", "noise, share of the image's maximum", (0.001, 0.003, 0.01, 0.03, 0.1), (0.001, 0.1), 1.5, lambda v, b: change(noisy(b, v), b), "paper, eps",
+                     "One false stop shadows its neighbours, so small noise moves whole groups of columns; drilled ones are counted in a warning.", None, lambda v, b: first_says(noisy(b, v), b, eps=EPS), "Drilled", "RMS change of depth [layers]"),
+    "bits": Failure("Images of few bits", "bits", (16, 8, 6, 4, 3, 2), (16, 2), 1.0, lambda v, b: change(counted(b, v), b), "paper, eps",
+                    "A step of the count is more than eps. A warning names the count. Use 16-bit files, or a larger eps.", None, lambda v, b: first_says(counted(b, v), b, eps=EPS), "Few counts", "RMS change of depth [layers]"),
+    "albedo": Failure("Wrong albedo", "albedo given, over the true one", (1.0, 1.02, 1.05, 1.1, 1.2, 1.5), (1.0, 1.3), 1.5, lambda v, b: change(picture(b, 0.6), b, albedo=0.6 * v), "paper, eps",
+                      "A surface thought brighter than it is must lie deeper; the bright parts fit at no depth and drill.", None, lambda v, b: first_says(picture(b, 0.6), b, albedo=0.6 * v, eps=EPS), "Drilled", "RMS change of depth [layers]"),
+    "ill-posed": Failure("A plane under an open sky", "its depth [layers]", (1, 2, 5, 10, 20, 30), (1, 20), 5.0, flat_start, "paper, eps",
+                         "Every depth gives the same image. A warning says so whenever sides are open under a sky.", None, lambda v, b: open_says("open" if v > 1 else "dark", b), "Open sides", "RMS error of depth [layers]"),
+}  # fmt: skip
+
+
+def sets_in(failure, found) -> str:
+    """The first value at which the bad line passes the limit, in words."""
+    for value, errors in zip(failure.values, found[failure.bad]):
+        if errors > failure.limit:
+            return f"from {value:g} on"
+    return "not in this range"
+
+
+def draw(path, failure, found):
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    figure, axes = plt.subplots(figsize=(5.2, 3.2), layout="constrained")
+    for number, (name, values) in enumerate(found.items()):
+        axes.plot(range(len(values)), values, "o-", color=f"C{number}", lw=2.2 if name == failure.bad else 1.5, label=name)
+    axes.axhline(failure.limit, color="0.6", lw=1, ls="--")
+    axes.set_xticks(range(len(failure.values)), [f"{v:g}" for v in failure.values])
+    smallest = min((v for values in found.values() for v in values if v > 0), default=1)
+    axes.set_yscale("symlog", linthresh=max(smallest, failure.limit / 300)) if smallest < failure.limit / 5 else None
+    axes.set_ylim(bottom=0)
+    axes.set_xlabel(failure.parameter)
+    axes.set_ylabel(failure.unit)
+    axes.set_title(failure.title, fontsize=10)
+    axes.grid(alpha=0.3)
+    axes.legend(fontsize=8, frameon=False)
+    figure.savefig(path, dpi=90)
+    plt.close(figure)
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--out", type=Path, default=Path("."))
+    parser.add_argument("--backend", default="auto")
+    parser.add_argument("--only", default="", help="names, comma-separated")
+    args = parser.parse_args()
+    args.out.mkdir(parents=True, exist_ok=True)
+    text, rows = ["# Where methods fail, and what skylamp does about it", "",
+                  "Made by `performance/stability.py`. Each figure shows error against the parameter that provokes a failure; the dashed line is where it counts as one. "
+                  "`tests/test_stability.py` holds that each failure is there in the method that has it, and gone, or warned about, in the default.", ""], []
+    for name, failure in FAILURES.items():
+        if args.only and name not in args.only.split(","):
+            continue
+        each = [failure.measure(value, args.backend) for value in failure.values]
+        found = {line: [errors[line] for errors in each] for line in each[0]}
+        picture_file = f"stability-{name.replace(' ', '-')}.png"
+        draw(args.out / picture_file, failure, found)
+        text += [f"## {failure.title}", "", failure.does, "", f"Sets in ({failure.bad}, above {failure.limit:g}): {sets_in(failure, found)}, {failure.parameter}.", "", f"![{failure.title}]({picture_file})", ""]
+        rows += [(name, failure.parameter, value, line, errors[line]) for value, errors in zip(failure.values, each) for line in errors]
+        print(name, {line: [round(v, 4) for v in values] for line, values in found.items()}, flush=True)
+    if not args.only:
+        (args.out / "stability.md").write_text("\n".join(text))
+    with open(args.out / "stability.csv", "w", newline="") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(("failure", "parameter", "value", "line", "error"))
+        writer.writerows(rows)
+
+
+if __name__ == "__main__":
+    main()
