@@ -240,6 +240,8 @@ Crossing crossing_of(Way way, ints number, int x, int y, int rows, int cols, int
 __kernel void surface(__global const float *z, __global float *heights, __global float *tilts, int rows, int cols, int margin, int sides)
 {
   const int x = get_global_id(0), y = get_global_id(1), stride = cols + 2 * margin, p = y * cols + x;
+  if (x >= cols) /* a group may reach beyond what is asked for; so below */
+    return;
   const float h = -z[p];
   const int q = y * stride + margin + x;
   heights[q] = h;
@@ -258,6 +260,8 @@ __kernel void surface(__global const float *z, __global float *heights, __global
 __kernel void tiles(__global const float *z, __global float *tiles, int rows, int cols)
 {
   const int i = get_global_id(0), j = get_global_id(1), across = (cols - 1) / TILE + 1;
+  if (i >= across)
+    return;
   float top = NONE;
   for (int y = j * TILE; y < min(j * TILE + TILE, rows); ++y)
     for (int x = i * TILE; x < min(i * TILE + TILE, cols); ++x)
@@ -269,6 +273,8 @@ __kernel void tiles(__global const float *z, __global float *tiles, int rows, in
 __kernel void highest(__global const float *tiles, __global float *top, int rows, int cols, int last)
 {
   const int down = (rows - 1) / TILE + 1, across = (cols - 1) / TILE + 1, j = get_global_id(0);
+  if (j >= (last ? 1 : down))
+    return;
   float high = NONE;
   if (last) {
     for (int i = 0; i < down; ++i)
@@ -315,6 +321,8 @@ __kernel void sky(__global const float *restrict heights, __global const float *
                   int margin, int count, int knots, int sides)
 {
   const int x = get_global_id(0) * LANES, y = get_global_id(1), pixels = rows * cols, p = y * cols + x, left = min(cols - x, LANES);
+  if (x >= cols)
+    return;
   floats own = READ(y * (cols + 2 * margin) + margin + x, heights), gx = 0, gy = 0;
   const float highest_ = top[0];
   const ints here = WHERE(x + COUNT < cols);
@@ -380,6 +388,8 @@ __kernel void lamp(__global const float *heights, __global const float *tilts, _
                    int knots, int n_rows, int ball, int sides)
 {
   const int x = get_global_id(0), y = get_global_id(1), pixels = rows * cols, p = y * cols + x;
+  if (x >= cols)
+    return;
   const float own = heights[y * (cols + 2 * margin) + margin + x], gx = tilts[p], gy = tilts[pixels + p];
   const float ux = frames[4 * p], uy = frames[4 * p + 1], extent = frames[4 * p + 2];
   float sum = 0, by_own = 0, by_x = 0, by_y = 0;
@@ -580,6 +590,8 @@ __kernel void misfit(__global const float *light, __global const float *gain, __
                      __global double *part, int pixels)
 {
   const int g = get_global_id(0);
+  if (g * BLOCK >= pixels)
+    return;
   double square = 0, bright = 0, both = 0;
   for (int p = g * BLOCK; p < min(pixels, g * BLOCK + BLOCK); ++p) {
     const float seen = gain[p] * light[p], r = seen - target[p];
@@ -614,6 +626,8 @@ float unbend(__global const float *v, int i, int n, int step)
 __kernel void bending(__global const float *z, __global double *part, int rows, int cols)
 {
   const int g = get_global_id(0), pixels = rows * cols;
+  if (g * BLOCK >= pixels)
+    return;
   double sum = 0;
   for (int p = g * BLOCK; p < min(pixels, g * BLOCK + BLOCK); ++p) {
     const float a = bend(z + p, p % cols, cols, 1), b = bend(z + p, p / cols, rows, cols);
@@ -627,6 +641,8 @@ __kernel void diagonal(__global const float *light, __global const float *gain, 
                        int is_first)
 {
   const int x = get_global_id(0), y = get_global_id(1), p = y * cols + x, pixels = rows * cols;
+  if (x >= cols)
+    return;
   const float own = gain[p] * light[pixels + p];
   float sum = own * own;
   for (int side = -1; side <= 1; side += 2) {
@@ -649,6 +665,8 @@ __kernel void begin(__global const float *z, __global const float *low, __global
                     __global float *is_free, __global double *part, float unit, float lambda_, int rows, int cols)
 {
   const int g = get_global_id(0), pixels = rows * cols;
+  if (g * BLOCK >= pixels)
+    return;
   double square = 0;
   for (int i = g * BLOCK; i < min(pixels, g * BLOCK + BLOCK); ++i) {
     const float smooth = unbend(z + i, i % cols, cols, 1) + unbend(z + i, i / cols, rows, cols);
@@ -672,6 +690,8 @@ __kernel void curve(__global const float *r, __global const float *v, __global c
                     __global float *w, __global double *part, float unit, float lambda_, float damping, int rows, int cols)
 {
   const int g = get_global_id(0), pixels = rows * cols;
+  if (g * BLOCK >= pixels)
+    return;
   double product = 0, curvature = 0, square = 0;
   for (int i = g * BLOCK; i < min(pixels, g * BLOCK + BLOCK); ++i) {
     const float smooth = unbend(v + i, i % cols, cols, 1) + unbend(v + i, i / cols, rows, cols);
