@@ -27,10 +27,13 @@ def glow(L):
     return 0.3 + L[..., 2] ** 2 + 0.5 * np.maximum(0, L[..., 0] - 0.4 * L[..., 1])
 
 
-SKIES = {"uniform": sl.Sky(), "glow": sl.Sky(brightness=glow)}
+SUN = np.array([0.6, 0.3, -0.74]) / np.linalg.norm([0.6, 0.3, 0.74])
+SKIES = {"uniform": sl.Sky(), "glow": sl.Sky(brightness=glow), "sun": sl.Sky(lambda L: 1 + 30 * np.exp(20 * (L @ SUN - 1)))}
 SOLIDS = {  # for a map of SHAPE, depths from 3 on
     "ball": sl.Lamp(center=(5.3, 12.5, -4.0), radius=1.5),
     "ball overhead": sl.Lamp(center=(4.2, 4.6, -5.0), radius=4.0),
+    "ball round a few nodes": sl.Lamp(center=(5.2, 4.3, 3.5), radius=2.5),
+    "ball in the box": sl.Lamp(center=(5.2, 3.6, 1.0), radius=0.8),  # below the walls' tops
     "window": sl.Window(x=(3.7, 8.9), y=(2.2, 11.4)),
     "upright": sl.Lamp(corner=(-3.0, 1.3, 2.0), edges=((0.0, 7.0, 0.0), (0.0, 0.0, -9.0))),
 }
@@ -136,6 +139,8 @@ def in_ball(lamp, x, y, own, k, count):
         off = 2 * math.pi * (k + 0.5) / count - to
         along, half = flat * math.cos(off), math.sqrt(lamp.radius**2 - (flat * math.sin(off)) ** 2)
         width = 2 * math.pi / count
+    if math.hypot(flat, rise) <= lamp.radius:  # inside
+        return to + off, width, -math.pi / 2, math.pi / 2, max(along, half), along + half
     middle, spread = math.atan2(rise, along), math.asin(half / math.hypot(along, rise))
     return to + off, width, middle - spread, middle + spread, max(along, half), along + half
 
@@ -200,7 +205,8 @@ def solid64(z, source, sides, count):
 def model64(source, sides, azimuths=8):
     """depths -> E, in float64, with the discretization of the kernels."""
     if isinstance(source, sl.Sky):
-        return lambda z: sky64(z, synthesis.light_of(source, z.shape, 1.0, azimuths), sides)
+        light = synthesis.light_of(source, SHAPE, 1.0, azimuths)  # of any shape
+        return lambda z: sky64(z, light, sides)
     return lambda z: solid64(z, source, sides, synthesis.SLICES)
 
 
@@ -219,11 +225,12 @@ def test_irradiance_and_its_derivative(fast, name, sides):
         np.testing.assert_allclose(push(made, v), change, rtol=0, atol=3e-4 * abs(change).max())
 
 
-@pytest.mark.parametrize("name", ["ball", "ball overhead", "spot", "window", "lit window", "upright"])
+@pytest.mark.parametrize("name", ["ball", "ball overhead", "ball in the box", "spot", "window", "lit window", "upright"])
 @pytest.mark.parametrize("sides", ["open", "dark"])
 def test_a_solid_is_the_oracles(fast, monkeypatch, name, sides):
     """With many slices, shadow rays within 1.5 % RMS of the mean that is lit."""
     monkeypatch.setattr(synthesis, "SLICES", 96)
+    monkeypatch.setattr(synthesis, "ROWS", 16)  # so that what is between rows of the table counts
     z, source = ground(), SOURCES[name]
     nodes = tuple(np.random.default_rng(0).permutation(np.indices(SHAPE).reshape(2, -1).T)[:30].T)
     if isinstance(source, sl.Window):
@@ -242,6 +249,26 @@ def test_maps_of_any_shape(fast, shape, sides):
     z = ground(shape)
     made = problem(fast, sl.Sky(), shape, sides)
     np.testing.assert_allclose(image(made, z), model64(sl.Sky(), sides)(z.astype(float)), rtol=0, atol=1e-5 * math.pi)
+
+
+@pytest.fixture(scope="module")
+def spikes():
+    """Single nodes that stand out beside every edge of the tiles, and their light under a sky and a low lamp."""
+    shape, rng = (34, 43), np.random.default_rng(2)
+    y, x = np.indices(shape)
+    z = 12 + ground(shape, 8, 0.05) - np.where(np.isin(y % 8, (0, 7)) & np.isin(x % 8, (0, 7)) & (rng.random(shape) < 0.3), 6 * rng.random(shape), 0)
+    z, lamp = z.astype(np.float32), sl.Lamp(center=(47.0, 38.0, 5.0), radius=3.0)
+    return z, lamp, sky64(z.astype(float), synthesis.light_of(sl.Sky(), shape, 1.0, 20), "open"), solid64(z.astype(float), lamp, "open", 6)
+
+
+def test_spikes_at_the_edges_of_tiles(backend, spikes, monkeypatch):
+    """What is left out by the highest ground of tiles never stands above."""
+    z, lamp, by_sky, by_lamp = spikes
+    monkeypatch.setattr(synthesis, "SLICES", 6)
+    np.testing.assert_allclose(image(problem(backend, sl.Sky(), z.shape, azimuths=20), z), by_sky, rtol=0, atol=1e-5 * math.pi)
+    got = image(problem(backend, lamp, z.shape), z)
+    assert (by_lamp < 0.5 * np.median(by_lamp)).mean() > 0.02, "the spikes shade nothing"
+    np.testing.assert_allclose(got, by_lamp, rtol=0, atol=2e-5 * by_lamp.max())
 
 
 def test_which_node_limits_a_slice(backend):
@@ -368,6 +395,18 @@ def test_descent_finds_the_surface(fast):
     found, value = made.run(start, 1e-6, 30, 60, tolerance=0.01, settled=1e-5)
     assert value < 1e-3 * before and value == made.value(found, 1e-6)
     assert np.sqrt(np.mean((found - z) ** 2)) < 0.1 * np.sqrt(np.mean((start - z) ** 2))
+
+
+def test_bounds_hold_and_the_objective_never_rises(fast):
+    """Whatever the image asks for, depth stays between its bounds, and more steps are no worse."""
+    shape, low = (17, 21), 6.0
+    high = np.where(np.arange(21) < 9, 9.0, 30.0) * np.ones((17, 1))
+    made, values = problem(fast, sl.Sky(), shape, "dark", 0.3, 0.1, low, high, 16), []
+    for steps in (1, 4, 12):
+        z, value = made.run(np.full(shape, 8.0), 1e-4, steps, 20, settled=0)
+        values.append(value)
+        assert z.min() >= low and (z <= high.astype(np.float32)).all()
+    assert values[0] > values[1] >= values[2] and (z[:, :9] == 9).any()
 
 
 # -- backends ----------------------------------------------------------------------------------------------------------------

@@ -1,0 +1,129 @@
+"""Depth from images: how accurate, how stable, how fast. Writes OUT.md and OUT.json.
+
+    python performance/recover.py [--backend NAME] [--what accuracy,stability,speed] [--sizes 64,256] [--out FOLDER]
+
+Surfaces and images are those of tests/surfaces.py: continuous surfaces, rendered five times as finely in a box with dark sides.
+RMSE in layers (nodes), of a range of 64. "paper" is method="paper" at the eps that is best for each surface with the truth in hand.
+"""
+
+import argparse
+import json
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).parent.parent / "tests"))
+import surfaces
+from surfaces import ALBEDO, LAYERS, SURFACES, pair, rms, source_of
+
+import skylamp as sl
+from skylamp import io
+
+EPS = (0.002, 0.01, 0.02, 0.05, 0.1)
+
+
+def robust(image, source, backend, **more):
+    return sl.recover(image, source, ALBEDO, "dark", layers=LAYERS, backend=backend, **more)
+
+
+def best_paper(image, source, depth, backend):
+    return min(rms(sl.recover(image, source, ALBEDO, "dark", layers=LAYERS, method="paper", eps=eps, backend=backend).depth - depth) for eps in EPS)
+
+
+def accuracy(backend):
+    """RMSE by source and surface, and whether the confidence tells."""
+    for kind in surfaces.SOURCES:
+        for name in SURFACES:
+            depth, image = pair(name, kind)
+            found = robust(image, source_of(kind), backend)
+            error, sure = np.abs(found.depth - depth), found.confidence >= np.median(found.confidence)
+            marked, wrong, right = (found.confidence < 0.5) | found.ambiguous, error > 5, error < 2
+            yield {"source": kind, "surface": name, "robust": rms(error), "paper": best_paper(image, source_of(kind), depth, backend), "confident half": rms(error[sure]),
+                   "the rest": rms(error[~sure]), "wrong by 5, marked": float(marked[wrong].mean()) if wrong.any() else None,
+                   "right within 2, marked": float(marked[right].mean()) if right.any() else None, "seconds": found.seconds}
+    for name in SURFACES:
+        (depth, spot), (_, sky) = pair(name, "spot"), pair(name, "sky")
+        two = robust([spot, sky], [source_of("spot"), source_of("sky")], backend)
+        prior = robust(spot, source_of("spot"), backend, near=np.maximum(depth - 6, 0), far=depth + 6)
+        yield {"source": "spot and sky", "surface": name, "robust": rms(two.depth - depth), "seconds": two.seconds}
+        yield {"source": "spot, depth known to 6", "surface": name, "robust": rms(prior.depth - depth), "seconds": prior.seconds}
+
+
+def disturbed(image, what, rng):
+    if what.startswith("noise"):
+        return np.maximum(image + float(what.split()[1]) / 100 * image.max() * rng.normal(size=image.shape), 0)
+    if what == "8 bits":
+        return np.rint(image / image.max() * 255) / 255 * image.max()
+    return image * 1.05  # an albedo 5 % too low
+
+
+def stability(backend):
+    """(rms change of depth / layers) / (rms change of image / maximum), under a uniform sky."""
+    for name in SURFACES:
+        depth, image = pair(name, "sky")
+        clean = robust(image, sl.Sky(), backend).depth
+        carved = sl.recover(image, sl.Sky(), ALBEDO, "dark", layers=LAYERS, method="paper", backend=backend).depth
+        for what in ("noise 1 %", "noise 3 %", "8 bits", "albedo 5 %"):
+            other = disturbed(image, what, np.random.default_rng(5))
+            change = rms(other - image) / image.max()
+            found = robust(other, sl.Sky(), backend).depth
+            again = sl.recover(other, sl.Sky(), ALBEDO, "dark", layers=LAYERS, method="paper", backend=backend).depth
+            yield {"surface": name, "disturbance": what, "robust": rms(found - clean) / LAYERS / change, "paper": rms(again - carved) / LAYERS / change,
+                   "RMSE / clean RMSE": rms(found - depth) / rms(clean - depth)}
+
+
+def terrain(size, row=40, col=60):
+    """(depth in nodes, image) of a crop of the Jacksboro fault, heights x 4, under a uniform sky in a dark box, rendered by 128 azimuths."""
+    height, spacing = io.terrain()
+    height = np.asarray(height, float)
+    while min(height.shape) < size + max(row, col):
+        height = np.kron(height, np.ones((2, 2))) if size > 512 else np.pad(height, ((0, size), (0, size)), mode="reflect")
+    crop = 4 * height[row : row + size, col : col + size] / spacing
+    depth = crop.max() - crop + 2
+    return depth, sl.render(sl.Scene(depth, albedo=ALBEDO, sides="dark"), sl.Sky(), method="horizon", azimuths=128).image.astype(float)
+
+
+def speed(backend, sizes):
+    for size in sizes:
+        depth, image = terrain(size)
+        layers = int(np.ceil(depth.max() * 1.2))
+        start = time.perf_counter()
+        found = sl.recover(image, sl.Sky(), ALBEDO, "dark", layers=layers, backend=backend)
+        whole = time.perf_counter() - start
+        normals = [np.stack([*np.gradient(z)[::-1], -np.ones_like(z)], -1) for z in (depth, found.depth.astype(float))]
+        cosine = np.prod([1 / np.linalg.norm(n, axis=-1) for n in normals], axis=0) * (normals[0] * normals[1]).sum(-1)
+        yield {"backend": found.backend, "size": size, "seconds": found.seconds, "compiling": found.compile_seconds, "whole call": whole,
+               "correlation": float(np.corrcoef(depth.ravel(), found.depth.ravel())[0, 1]), "median normal error, degrees": float(np.degrees(np.median(np.arccos(np.clip(cosine, -1, 1))))),
+               "RMSE": rms(found.depth - depth), "relief": float(np.ptp(depth)), "residual": found.levels[-1].residual}
+
+
+def table(rows):
+    names = list(dict.fromkeys(name for row in rows for name in row))
+    shown = lambda value: "" if value is None else f"{value:.3g}" if isinstance(value, float) else str(value)
+    return "\n".join(["| " + " | ".join(names) + " |", "|" + "---|" * len(names), *("| " + " | ".join(shown(row.get(name)) for name in names) + " |" for row in rows)])
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--backend", default="auto")
+    parser.add_argument("--what", default="accuracy,stability,speed")
+    parser.add_argument("--sizes", default="64,256")
+    parser.add_argument("--out", default="recover")
+    options = parser.parse_args()
+    out = Path(options.out)
+    out.mkdir(parents=True, exist_ok=True)
+    done = {}
+    for what in options.what.split(","):
+        work = {"accuracy": accuracy, "stability": stability, "speed": lambda backend: speed(backend, map(int, options.sizes.split(",")))}[what]
+        done[what] = []
+        for row in work(options.backend):
+            done[what].append(row)
+            print(what, row, flush=True)
+            (out / "recover.json").write_text(json.dumps(done, indent=1))
+            (out / "recover.md").write_text("\n\n".join(f"## {name}\n\n{table(rows)}" for name, rows in done.items() if rows) + "\n")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,78 @@
+"""Continuous surfaces for the inverse problem, and images of them that converge independently of the method under test.
+
+A surface is sampled FINER times as finely as the image, in the same box, rendered there with many azimuths, and every
+FINER-th node is kept: horizons, walls and normals are those of the continuous surface to well below what is tested.
+"""
+
+import functools
+
+import numpy as np
+
+import skylamp as sl
+
+SIZE, FINER, ALBEDO, LAYERS = 64, 5, 0.8, 64
+
+
+def _fractal(x, y):
+    rng, out = np.random.default_rng(3), 0
+    for wave in range(1, 28):
+        for _ in range(4):
+            angle, phase = rng.uniform(0, 2 * np.pi, 2)
+            out = out + wave**-1.6 * np.cos(2 * np.pi * wave * (x * np.cos(angle) + y * np.sin(angle)) / 100 + phase)
+    return 20 * (out - out.min()) / np.ptp(out)
+
+
+def _face(x, y):
+    r = np.hypot((x - 32) / 24, (y - 32) / 28)
+    z = 18 - 14 * np.exp(-((r / 0.8) ** 4))
+    z = z - 5 * np.exp(-(((x - 32) / 5) ** 2) - ((y - 35) / 8) ** 2)
+    for eye in (22, 42):
+        z = z + 3 * np.exp(-(((x - eye) / 5) ** 2) - ((y - 25) / 4) ** 2)
+    return z
+
+
+SURFACES = {
+    "plane": lambda x, y: 20 * (0.8 * x + 0.2 * y) / 64,
+    "bumps": lambda x, y: 20 - sum(h * np.exp(-((x - u) ** 2 + (y - v) ** 2) / (2 * w * w)) for u, v, w, h in ((18, 20, 7, 16), (44, 16, 6, 11), (30, 46, 9, 19), (52, 46, 5, 9))),
+    "egg-crate": lambda x, y: 9 - 9 * np.sin(2 * np.pi * x / 32) * np.sin(2 * np.pi * y / 32),
+    "fractal": _fractal,
+    "face": _face,
+}
+SUN = np.array([0.5, 0.3, -0.81]) / np.linalg.norm([0.5, 0.3, 0.81])
+MIDDLE = (SIZE - 1) / 2
+SOURCES = {
+    "sky": sl.Sky(),
+    "sun": sl.Sky(lambda L: 0.3 + 12 * np.exp(60 * (L @ SUN - 1))),
+    "lamp": sl.Lamp(center=(MIDDLE, MIDDLE, -6), radius=8),
+    "spot": sl.Lamp(center=(MIDDLE, MIDDLE, -6), radius=8, brightness=sl.cosine_power(10)),
+}
+
+
+@functools.cache
+def pair(name, kind, size=SIZE):
+    """(depth, image), (size, size) float64: the truth at the nodes and its radiance, in a box with dark sides."""
+    at = (np.arange(size * FINER) + 0.5) / FINER - 0.5
+    x, y = np.meshgrid(at * SIZE / size, at * SIZE / size)
+    depth = SURFACES[name](x, y) * size / SIZE
+    depth = depth - depth.min() + 20 * size / SIZE
+    source = SOURCES[kind]
+    if isinstance(source, sl.Lamp):  # seen from the fine grid's first node, which lies outside the image's
+        scale, off = size / SIZE, (FINER - 1) / 2 / FINER
+        middle = (size - 1) / 2 + off
+        source = sl.Lamp(center=(middle, middle, source.center[2] * scale), radius=source.radius * scale, brightness=source.brightness)
+    azimuths = 128 if isinstance(source, sl.Sky) else 64
+    image = sl.render(sl.Scene(depth, 1 / FINER, ALBEDO, sides="dark"), source, method="horizon", azimuths=azimuths, backend="auto").image
+    pick = slice(FINER // 2, None, FINER)
+    return depth[pick, pick], image[pick, pick].astype(float)
+
+
+def source_of(kind, size=SIZE):
+    """The source of :func:`pair`, in the image's own nodes."""
+    source, scale = SOURCES[kind], size / SIZE
+    if isinstance(source, sl.Sky):
+        return source
+    return sl.Lamp(center=((size - 1) / 2, (size - 1) / 2, source.center[2] * scale), radius=source.radius * scale, brightness=source.brightness)
+
+
+def rms(values):
+    return float(np.sqrt(np.mean(np.square(values))))
