@@ -38,7 +38,7 @@ class Recovery:
     which a pixel has its value while the surface goes up or down as a whole, nan where there is none; ambiguous (rows,
     cols) bool: there are such, and the confidence is below 0.5; drilled (rows, cols) bool: columns that carving went
     through to the back; residual (rows, cols) float32: model - image of the first image (0 for the paper's method);
-    levels: shape, residual and seconds of every grid; albedo as used or estimated; backend (its name); seconds without
+    levels: shape, residual and seconds of every grid; backend (its name); seconds without
     compiling, compile_seconds; warnings. Arrays of an image that is an xarray.DataArray are some too.
     """
 
@@ -53,7 +53,6 @@ class Recovery:
     ambiguous: np.ndarray | None = None
     residual: np.ndarray | None = None
     levels: tuple[Level, ...] = ()
-    albedo: float | np.ndarray | None = None
 
 
 def recover(image, source, albedo=0.8, sides: str = "open", spacing: float = 1.0, layers: int = 64, hemicube: int | Hemicube = 9,
@@ -67,8 +66,7 @@ def recover(image, source, albedo=0.8, sides: str = "open", spacing: float = 1.0
         Radiance, in the unit of the source's brightness. Finite, >= 0. Several images are for method="robust".
     source : Sky, Lamp or Window, or a list, one per image
     sides, spacing, albedo
-        As in the scene that the image shows; ``albedo`` a number or (rows, cols), > 0, or None: one number is estimated
-        (method="robust"; not under a sky with open sides, where nothing tells it from depth). For method="paper" a lamp
+        As in the scene that the image shows; ``albedo`` a number or (rows, cols), > 0. For method="paper" a lamp
         must lie above z = 0 or be given as a volume that starts at layer 0, since carving starts from a surface at z = 0.
     layers : int
         The deepest depth in spacings, unless ``far`` says otherwise; the lattice's depth.
@@ -104,7 +102,7 @@ def recover(image, source, albedo=0.8, sides: str = "open", spacing: float = 1.0
         raise bad("layers", repr(layers), "a whole number from 1 to 1048575")
     eps = positive_number(eps, "eps")
     cube = hemicube if isinstance(hemicube, Hemicube) else Hemicube(hemicube)
-    start = Scene(np.zeros(images[0].shape), spacing, 0.5 if albedo is None else albedo, None, sides)
+    start = Scene(np.zeros(images[0].shape), spacing, albedo, None, sides)
     if np.ndim(start.albedo) in (1, 3):
         raise bad("albedo", f"RGB, shape {np.shape(start.albedo)}", "a number or (rows, cols): recover takes one channel")
     if np.any(np.asarray(start.albedo) <= 0):
@@ -113,9 +111,9 @@ def recover(image, source, albedo=0.8, sides: str = "open", spacing: float = 1.0
         if not isinstance(light, sources.Source):
             raise bad("source", type(light).__name__, "Sky, Lamp or Window")
     if method == "robust":
-        return _labelled(_robust(images, lights, start, albedo is None, layers, near, far, max_seconds, backend, progress), labels)
-    if several or near is not None or far is not None or max_seconds is not None or albedo is None:
-        raise bad("method 'paper' with several images, near, far, max_seconds or albedo=None", "what it cannot use", "one image, one source, an albedo", "Use method='robust'.")
+        return _labelled(_robust(images, lights, start, layers, near, far, max_seconds, backend, progress), labels)
+    if several or near is not None or far is not None or max_seconds is not None:
+        raise bad("method 'paper' with several images, near, far or max_seconds", "what it cannot use", "one image and one source", "Use method='robust'.")
     return _labelled(_carved(images[0], lights[0], start, layers, cube, eps, stop, backend, progress), labels)
 
 
@@ -157,13 +155,13 @@ def _carved(image, source, start, layers, cube, eps, stop, backend, progress) ->
         warnings.append(f"Few counts: the image's values are multiples of {step:.2g} of its maximum, so depth can be no finer than what changes it by that.")
     depth = (depth * spacing).astype(np.float32)
     return Recovery(depth, drilled, engine.name, seconds, compiling, warnings, (~drilled).astype(np.float32), depth[None], np.zeros(depth.shape, bool),
-                    np.zeros(depth.shape, np.float32), (), albedo)
+                    np.zeros(depth.shape, np.float32))
 
 
 OPEN_SKY = "Open sides under a sky are ill-posed: a flat surface explains a plane's image at any depth."
 
 
-def _robust(images, lights, start, estimates, layers, near, far, max_seconds, backend, progress) -> Recovery:
+def _robust(images, lights, start, layers, near, far, max_seconds, backend, progress) -> Recovery:
     spacing, sides, shape = start.spacing, start.sides, start.shape
     low, high = _bound(near, 0.0, "near", shape) / spacing, _bound(far, layers * spacing, "far", shape) / spacing
     if not (low < high).all():
@@ -173,8 +171,6 @@ def _robust(images, lights, start, estimates, layers, near, far, max_seconds, ba
             raise bad("method 'robust' with a lamp given as a volume or a window given as an aperture", "a shape of nodes", "a sphere or a rectangle", "Use method='paper'.")
         if sides == "periodic" and not isinstance(light, sources.Sky):
             raise bad("method 'robust' with sides='periodic'", type(light).__name__, "a sky, or sides='open' or 'dark'")
-    if estimates and sides != "dark" and all(isinstance(light, sources.Sky) for light in lights):
-        raise bad("albedo", None, "a number: under a sky without walls nothing tells albedo from depth")
     seconds_left = math.inf if max_seconds is None else positive_number(max_seconds, "max_seconds")
     engine = select(backend)
     lights = [_in_nodes(light, spacing) for light in lights]
@@ -186,7 +182,7 @@ def _robust(images, lights, start, estimates, layers, near, far, max_seconds, ba
         if progress:
             progress(len(levels), 2 * (pyramid.top + 1))
 
-    pyramid = Pyramid(engine, images, lights, None if estimates else start.albedo, sides, np.maximum(low, 1e-3), high, note=note)
+    pyramid = Pyramid(engine, images, lights, start.albedo, sides, np.maximum(low, 1e-3), high, note=note)
     compiled = engine.compile_seconds
     spent = lambda: time.perf_counter() - pyramid.began - (engine.compile_seconds - compiled)
     pyramid.stop = lambda: spent() > seconds_left
@@ -225,9 +221,8 @@ def _robust(images, lights, start, estimates, layers, near, far, max_seconds, ba
     candidates = np.concatenate([depth[None], (candidates * spacing).astype(np.float32)])
     if ambiguous.any():
         warnings.append(f"Ambiguous: {ambiguous.mean():.0%} of the pixels have several depths that explain them; give near= and far=, or a second image.")
-    albedo = float(pyramid.albedo[0].flat[0]) if estimates else start.albedo
     return Recovery(depth, np.zeros(shape, bool), engine.name, spent(), engine.compile_seconds - compiled, warnings, confidence.astype(np.float32),
-                    candidates, ambiguous, (residual * pyramid.units[0]).astype(np.float32), tuple(levels), albedo)
+                    candidates, ambiguous, (residual * pyramid.units[0]).astype(np.float32), tuple(levels))
 
 
 def _trust(pyramid, level, z, rival, depth_range) -> tuple[np.ndarray, np.ndarray]:

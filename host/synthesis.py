@@ -121,7 +121,7 @@ def noise_of(image: np.ndarray) -> float:
 class Pyramid:
     """The problem on all grids. Lengths in nodes of the finest grid outside, in each grid's own inside.
 
-    images (rows, cols) radiance; albedo (rows, cols), or None to estimate one number; near, far (rows, cols) bounds.
+    images (rows, cols) radiance; albedo a number or (rows, cols); near, far (rows, cols) bounds.
     ``stop``: asked after every step whether to end; ``note``: told of every level that was reached.
     """
 
@@ -132,8 +132,7 @@ class Pyramid:
         self.units = [math.sqrt(float(np.mean(np.square(image)))) / BRIGHT for image in images]
         self.images = [[image / unit for image, unit in zip(images, self.units)]]
         self.bounds = [(near, far)]
-        self.estimates = albedo is None
-        self.albedo = [np.broadcast_to(np.asarray(0.5 if albedo is None else albedo, float), images[0].shape)]
+        self.albedo = [np.broadcast_to(np.asarray(albedo, float), images[0].shape)]
         while min(self.images[-1][0].shape) >= 2 * COARSEST:
             self.images.append([halved(image) for image in self.images[-1]])
             self.bounds.append(tuple(halved(bound) / 2 for bound in self.bounds[-1]))
@@ -163,9 +162,6 @@ class Pyramid:
         low, high = self.bounds[self.top]
         for part in share:
             value = problem.value(low + part * (high - low), 0)
-            if self.estimates:  # what the best albedo would leave
-                seen, both = (sum(m[i] for m in problem.misfits) for i in (1, 2))
-                value = 0.5 * (problem.pixels * len(problem.images) * BRIGHT**2 - both**2 / max(seen, 1e-30))
             misfits.append(value)
         return share, np.array(misfits)
 
@@ -175,17 +171,7 @@ class Pyramid:
         least = self.smoothness(level)
         for smoothness in (*(s for s in stiff if s > least), least):
             z, value = problem.run(z, smoothness, steps, MOST, stop=self.stop)
-            if self.estimates:
-                seen, both = (sum(m[i] for m in problem.misfits) for i in (1, 2))
-                self._brighten(both / max(seen, 1e-30))
         return z, value
-
-    def _brighten(self, factor: float) -> None:
-        """Scales the albedo, in all problems that there are, to at most 1."""
-        factor = min(factor, 1 / float(self.albedo[0].max()))
-        self.albedo = [albedo * factor for albedo in self.albedo]
-        for level, problem in self.problems.items():
-            problem.shine([self.albedo[level] / (math.pi * unit) for unit in self.units])
 
     def climb(self, z: np.ndarray, start: int, last: int) -> tuple[np.ndarray, float]:
         """(depth, objective) on grid ``last`` from a surface on grid ``start``, which is worked over first if it is the coarsest."""
@@ -228,11 +214,9 @@ class Pyramid:
         for _ in range(down - level):
             light, target, small = [halved(v) for v in light], [halved(v) for v in target], halved(small) / 2
         seen = coarse.irradiances(small)
-        estimates, self.estimates = self.estimates, False
         coarse.aim([t + s - l for t, s, l in zip(target, seen, light)])
         change, _ = self._ease(down, small, SOFTER)
         coarse.aim(self.images[down])
-        self.estimates = estimates
         change = change - small
         for up in range(down - 1, level - 1, -1):
             change = 2 * doubled(change, self.images[up][0].shape)

@@ -135,11 +135,6 @@ class Descent:
         for image, target in zip(self.images, targets):
             image.target = self.backend.upload(np.asarray(target, np.float32).ravel())
 
-    def shine(self, gains: list[np.ndarray]) -> None:
-        """Other gains from here on."""
-        for image, gain in zip(self.images, gains):
-            image.gain = self.backend.upload(np.ascontiguousarray(np.broadcast_to(gain, self.shape), np.float32).ravel())
-
     def step(self, z: np.ndarray, smoothness: float) -> np.ndarray:
         """The first Gauss-Newton step from depths (rows, cols), which were evaluated last, without a penalty on z itself."""
         self.solve(self.backend.upload(np.asarray(z, np.float32).ravel()), smoothness, 1e-6, 60, 1e-2)

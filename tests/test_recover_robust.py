@@ -1,0 +1,180 @@
+"""recover(method="robust"): accurate, stable where carving is not, and honest about what it cannot know."""
+
+import functools
+import logging
+
+import numpy as np
+import pytest
+import surfaces
+from surfaces import ALBEDO, SURFACES, rms
+
+import skylamp as sl
+
+SMALL = SIZE = 32  # half the size of performance/recover.py: a layer here is two there
+LAYERS = 32
+pair, source_of = (functools.partial(f, size=SMALL) for f in (surfaces.pair, surfaces.source_of))
+
+
+@functools.cache
+def found(name, kind, backend, size=SIZE, **more):
+    depth, image = surfaces.pair(name, kind, size)
+    return sl.recover(image, surfaces.source_of(kind, size), ALBEDO, "dark", layers=LAYERS * size // SIZE, backend=backend, **more)
+
+
+@functools.cache
+def carved(name, kind, eps, backend):
+    depth, image = pair(name, kind)
+    return sl.recover(image, source_of(kind), ALBEDO, "dark", layers=LAYERS, method="paper", eps=eps, backend=backend).depth
+
+
+def off(name, kind, backend, size=SIZE):
+    return rms(found(name, kind, backend, size).depth - surfaces.pair(name, kind, size)[0])
+
+
+@pytest.mark.parametrize("name", ["plane", "bumps", "fractal"])
+def test_uniform_sky(fast, name):
+    """At most one layer off, and five times nearer than carving at its best eps."""
+    best = min(rms(carved(name, "sky", eps, fast) - pair(name, "sky")[0]) for eps in (0.02, 0.05, 0.1))
+    assert off(name, "sky", fast) < min(1.0, best / 5)
+
+
+@pytest.mark.parametrize("name", ["bumps", "egg-crate", "fractal"])
+def test_isotropic_lamp(fast, name):
+    """At most half a layer off, forty times nearer than carving."""
+    assert off(name, "lamp", fast) < min(0.5, rms(carved(name, "lamp", 0.05, fast) - pair(name, "lamp")[0]) / 40)
+
+
+def test_sky_with_a_sun(fast):
+    """At most three layers off on a fractal, eight times nearer than carving."""
+    assert off("fractal", "sun", fast) < min(3.0, rms(carved("fractal", "sun", 0.05, fast) - pair("fractal", "sun")[0]) / 8)
+
+
+def _amplification(change, image, other, clean):
+    return (rms(change - clean) / 64) / (rms(other - image) / image.max())
+
+
+@pytest.mark.parametrize(("what", "most", "carving"), [("noise 1 %", 0.5, 5), ("noise 3 %", 0.5, 5), ("8 bits", 1.5, 20), ("albedo 5 %", 1.5, 5)])
+def test_stable_where_carving_is_not(fast, what, most, carving):
+    """Change of depth by change of image, both as shares of their range: small, where carving multiplies it."""
+    depth, image = surfaces.pair("bumps", "sky")
+    noise = np.random.default_rng(7).normal(size=image.shape)
+    other = {"noise 1 %": lambda: image + 0.01 * image.max() * noise, "noise 3 %": lambda: np.maximum(image + 0.03 * image.max() * noise, 0),
+             "8 bits": lambda: np.rint(image / image.max() * 255) / 255 * image.max(), "albedo 5 %": lambda: 1.05 * image}[what]()  # fmt: skip
+    robust = sl.recover(other, sl.Sky(), ALBEDO, "dark", backend=fast)
+    assert _amplification(robust.depth, image, other, found("bumps", "sky", fast, 64).depth) < most
+    clean, again = (sl.recover(picture, sl.Sky(), ALBEDO, "dark", method="paper", backend=fast).depth for picture in (image, other))
+    assert _amplification(again, image, other, clean) > carving
+
+
+def test_nothing_is_drilled(fast):
+    """No column comes near the far boundary, which carving reaches."""
+    assert found("bumps", "sky", fast).depth.max() < 24 and not found("bumps", "sky", fast).drilled.any()
+    assert (carved("bumps", "sky", 0.002, fast) >= LAYERS).mean() > 0.3
+
+
+def test_a_second_image_settles_a_spotlight(fast):
+    """Spotlight alone: wrong by many layers, and its wrong pixels are marked. With the sky's image beside it, right."""
+    depth, image = pair("egg-crate", "spot")
+    alone = found("egg-crate", "spot", fast, SMALL)
+    both = sl.recover([image, pair("egg-crate", "sky")[1]], [source_of("spot"), sl.Sky()], ALBEDO, "dark", layers=32, backend=fast)
+    assert rms(both.depth - depth) < min(1.0, rms(alone.depth - depth) + 0.1)
+
+
+def test_a_prior_is_kept_and_helps(fast):
+    """near and far, as maps: depth lies between them, and nearer to the truth."""
+    depth, image = pair("egg-crate", "spot")
+    got = sl.recover(image, source_of("spot"), ALBEDO, "dark", near=np.maximum(depth - 3, 0), far=depth + 3, layers=32, backend=fast)
+    assert (got.depth >= depth - 3.001).all() and (got.depth <= depth + 3.001).all() and rms(got.depth - depth) < 1.0
+
+
+def test_all_backends_find_the_same_depth(backend):
+    """To the last bit, over all levels and both starts."""
+    expected = found("bumps", "sky", "numpy", 16)
+    got = found("bumps", "sky", backend, 16)
+    np.testing.assert_array_equal(got.depth, expected.depth)
+    np.testing.assert_allclose(got.confidence, expected.confidence, atol=1e-6)
+    assert got.backend == backend and np.ptp(got.depth) > 1
+
+
+def test_spacing_is_a_unit(fast):
+    """Everything twice as long: the same image, twice the depth."""
+    depth, image = pair("bumps", "lamp")
+    lamp = source_of("lamp")
+    double = sl.Lamp(center=tuple(2 * c for c in lamp.center), radius=2 * lamp.radius)
+    got = sl.recover(image, double, ALBEDO, "dark", spacing=2.0, layers=32, backend=fast)
+    np.testing.assert_allclose(got.depth, 2 * found("bumps", "lamp", fast, SMALL).depth, atol=1e-3)
+
+
+def test_wrong_sides_are_suspected(fast):
+    """An image from a dark box, taken to be open: the walls' shade has no other cause, and a warning says so; with the right sides none does."""
+    image = pair("bumps", "sky")[1]
+    wrong = sl.recover(image, sl.Sky(), ALBEDO, "open", layers=32, backend=fast).warnings
+    assert any("ill-posed" in warning for warning in wrong)
+    bright = sl.recover(3 * image, sl.Sky(), ALBEDO, "dark", layers=32, backend=fast).warnings
+    assert any("brighter than the model" in warning for warning in bright)
+    assert found("bumps", "sky", fast, SMALL).warnings == []
+
+
+def test_a_small_lamp_is_named(fast):
+    """Smaller than a node of the coarsest grid at the deepest depth."""
+    image = pair("plane", "lamp")[1]
+    got = sl.recover(image, sl.Lamp(center=(15.5, 15.5, -3), radius=0.5), ALBEDO, "dark", layers=32, max_seconds=1.0, backend=fast)
+    assert any("Small lamp" in warning for warning in got.warnings)
+
+
+def test_time_is_kept_and_the_best_so_far_is_given(fast):
+    """A hundredth of a second: a whole map, a warning, no error."""
+    depth, image = pair("bumps", "sky")
+    found("bumps", "sky", fast, SMALL)  # compiled before
+    got = sl.recover(image, sl.Sky(), ALBEDO, "dark", layers=LAYERS, max_seconds=0.01, backend=fast)
+    assert got.depth.shape == depth.shape and np.isfinite(got.depth).all() and any("Out of time" in warning for warning in got.warnings)
+
+
+def test_an_interrupt_gives_the_best_so_far(fast):
+    """Ctrl-C after the second level: that level's surface, at full size."""
+    depth, image = pair("bumps", "sky")
+    calls = []
+
+    def progress(done, total):
+        calls.append((done, total))
+        if len(calls) == 2:
+            raise KeyboardInterrupt
+
+    got = sl.recover(image, sl.Sky(), ALBEDO, "dark", layers=LAYERS, backend=fast, progress=progress)
+    assert calls == [(1, 4), (2, 4)] and len(got.levels) == 2
+    assert got.depth.shape == depth.shape and rms(got.depth - depth) < 8 and any("Interrupted" in warning for warning in got.warnings)
+
+
+def test_levels_and_their_residuals(fast, caplog):
+    """Every grid is told of, coarse to fine, with its residual, in the result and to the log; what the residual says is true."""
+    with caplog.at_level(logging.INFO, "skylamp"):
+        depth, image = pair("fractal", "lamp")
+        got = sl.recover(image, source_of("lamp"), ALBEDO, "dark", layers=32, backend=fast)
+    shapes = [level.shape for level in got.levels]
+    assert shapes[0] == (16, 16) and shapes[-1] == (32, 32) and len(caplog.records) == len(shapes)
+    assert got.levels[-1].residual == pytest.approx(rms(got.residual) / rms(image), rel=0.05)
+    assert got.confidence.shape == got.ambiguous.shape == depth.shape and got.candidates.shape[1:] == depth.shape
+    np.testing.assert_array_equal(got.candidates[0], got.depth)
+    assert 0 <= got.confidence.min() and got.confidence.max() <= 1
+
+
+@pytest.mark.parametrize(("arguments", "says"), [
+    ({"image": [np.ones((8, 8))] * 2, "source": [sl.Sky()]}, "as many sources as images"),
+    ({"image": [np.ones((8, 8)), np.ones((8, 9))], "source": [sl.Sky()] * 2}, "one shape"),
+    ({"near": 5, "far": 4}, "near < far"), ({"near": np.ones((3, 3))}, "near: wrong shape"), ({"far": np.nan}, "far"),
+    ({"max_seconds": 0}, "max_seconds"), ({"source": sl.Lamp(volume=np.ones((1, 8, 8), bool))}, "method='paper'"),
+    ({"source": sl.Lamp(center=(4, 4, -4), radius=2), "sides": "periodic"}, "periodic"),
+    ({"method": "paper", "near": 1}, "method='robust'"),
+])  # fmt: skip
+def test_bad_arguments(arguments, says):
+    with pytest.raises(sl.InputError, match=says):
+        sl.recover(**{"image": np.ones((8, 8)), "source": sl.Sky(), "sides": "dark", "backend": "numpy", **arguments})
+
+
+def test_surfaces_are_what_they_are_said_to_be():
+    """Relief of 15 to 22 nodes, and an image that a grid's own model nearly makes too."""
+    for name in SURFACES:
+        depth, image = surfaces.pair(name, "sky")
+        assert 15 < np.ptp(depth) < 22 and image.min() > 0
+        own = sl.render(sl.Scene(depth, albedo=ALBEDO, sides="dark"), sl.Sky(), method="horizon", azimuths=64).image
+        assert rms(own - image) < 0.03 * rms(image)
