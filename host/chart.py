@@ -139,6 +139,7 @@ def draw(rows: list[dict], path, title: str = "") -> None:
             x, y = 1e9 * row["seconds"] / row["size"] ** 2, max(row["error"], floor)
             axes.scatter(x, y, s=190, marker="*", color="gold", edgecolor="k", lw=0.9, zorder=5)
             axes.annotate(f"{100 * row['units']:g} %", (x, y), (9, 10 - 13 * level.get(row["units"], 0)), textcoords="offset points", fontsize=8, zorder=6)
+        axes.margins(0.06, 0.08)
         axes.set_xscale("log")
         axes.set_yscale("log")
         axes.set_title({"lamp": "rough ground, spherical lamp"}.get(kind, f"{kind} ground, uniform sky" if kind != "urban" else "urban steps, uniform sky"), fontsize=11)

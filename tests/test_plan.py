@@ -313,3 +313,38 @@ def test_costs_grow_with_the_work(fast):
     """Measured on this machine: positive, and more for more."""
     cost = costs.Costs(select(fast))["horizon"]
     assert min(cost) >= 0 and cost.seconds(1e6, 64) > cost.seconds(1e5, 16) > 0
+
+
+# -- command line and chart --------------------------------------------------------------------------------------------------------
+
+
+def test_the_command_line_prints_plans(fast, tmp_path):
+    """A table with reasons, or one JSON object; the tolerance as a share or in percent; a bad one is a usage error."""
+    from typer.testing import CliRunner
+
+    from skylamp.cli import app
+
+    np.save(tmp_path / "depth.npy", ROUGH)
+    ask = lambda *more: CliRunner().invoke(app, ["plan", str(tmp_path / "depth.npy"), "--backend", fast, *more])
+    percent, share = (json.loads(ask("--json", "--tolerance", text).stdout) for text in ("0.4%", "0.004"))
+    assert percent["tolerance"] == share["tolerance"] == pytest.approx(0.004) and percent["azimuths"] == share["azimuths"] > 8
+    text = ask("--tolerance", "1%").stdout
+    assert "azimuths" in text and "within 1%" in text and "Beyond the model" in text
+    assert ask("--tolerance", "much").exit_code == 2
+
+
+def test_the_chart_has_a_point_for_every_setting(fast, tmp_path):
+    """All classes, the plan's three choices, a picture; the frontier is what nothing beats."""
+    from skylamp import chart
+
+    rows = chart.measure([fast], (24,), longest=0.5)
+    assert {row["class"] for row in rows} == set(chart.CLASSES) and all(row["seconds"] > 0 and row["error"] >= 0 for row in rows)
+    for kind in chart.CLASSES:
+        here = [row for row in rows if row["class"] == kind]
+        assert [row["units"] for row in here if row["method"] == "plan"] == list(chart.TOLERANCES)
+        assert {row["method"] for row in here} >= ({"slices", "unoccluded"} if kind == "lamp" else {"horizon", "filled", "stride", "unoccluded"})
+    chart.draw(rows, tmp_path / "chart.png")
+    assert (tmp_path / "chart.png").stat().st_size > 20_000
+    assert chart.frontier([(1, 5), (2, 6), (3, 1), (2.5, 2)]) == [(1, 5), (2.5, 2), (3, 1)]
+    with pytest.raises(sl.InputError, match="sizes"):
+        chart.measure([fast], (4,))

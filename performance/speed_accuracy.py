@@ -1,0 +1,93 @@
+"""Speed against accuracy on one chart: `skylamp chart`, and other packages as points of it.
+
+    python performance/speed_accuracy.py --out docs [--backends opencl,numpy] [--sizes 128,512] [--rows docs/speed_accuracy.csv]
+        [--peers /path/to/python]
+
+``--peers``: an interpreter that has the packages (see peers.py; this one unless given). They claim sky-view factors, which are
+compared at the same nodes with exact ones of their own definition. ``--rows``: points measured before, drawn again with peers.
+Writes speed_accuracy.csv and speed_accuracy.png.
+"""
+
+import argparse
+import csv
+import json
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import numpy as np
+
+import skylamp as sl
+from skylamp import chart
+from skylamp.backends import select
+
+HERE = Path(__file__).parent
+CHILD = """
+import json, sys
+import numpy as np
+sys.path.insert(0, sys.argv[1])
+import peers
+data = np.load(sys.argv[2])
+missing = peers.missing()
+print(json.dumps({"missing": missing}), flush=True)
+for name, azimuths, radius in peers.RUNS:
+    if name not in missing:
+        values, seconds, _ = peers.run(name, data["height"], (data["rows"], data["cols"]), azimuths, radius)
+        print(json.dumps({"peer": name, "azimuths": azimuths, "radius": radius, "quantity": peers.PEERS[name][3], "seconds": seconds, "values": np.asarray(values, float).tolist()}), flush=True)
+"""
+
+
+def peers_rows(python: str, size: int) -> list[dict]:
+    """Points of the peers that the interpreter has, on the classes under a uniform sky."""
+    rows, engine = [], select("auto")
+    for kind in ("smooth", "rough", "urban"):
+        scene, _, pilots, exact = chart.judged(kind, size, engine)
+        border = size // 8
+        inside = (pilots.x >= border) & (pilots.x < size - border) & (pilots.y >= border) & (pilots.y < size - border)  # some mirror the map at its border
+        azimuths = sl.Azimuths(720).angles
+        cosine, sine = np.cos(azimuths)[:, None], np.sin(azimuths)[:, None]
+        level = pilots.slopes(engine, cosine, sine, np.zeros((720, len(pilots))))
+        truth = {"tilted": exact / np.pi, "solid_angle": 1 - np.mean(level / np.sqrt(1 + level**2), 0)}
+        with tempfile.NamedTemporaryFile(suffix=".npz") as file:
+            np.savez(file, height=scene.depth.max() - scene.depth, rows=pilots.y[inside], cols=pilots.x[inside])
+            file.flush()
+            out = subprocess.run([python, "-W", "ignore", "-c", CHILD, str(HERE), file.name], capture_output=True, text=True, check=True).stdout
+        for line in map(json.loads, out.splitlines()):
+            for name, why in line.get("missing", {}).items():
+                print(f"not run: {name} ({why})", flush=True)
+            if "peer" in line:
+                wanted = truth[line["quantity"]][inside]
+                error = float(np.sqrt(np.mean((np.array(line["values"]) - wanted) ** 2)) / wanted.mean())
+                rows.append({"class": kind, "size": size, "backend": "peer", "method": f"peer {line['peer']}", "units": line["azimuths"], "error": error, "seconds": line["seconds"]})
+                print(rows[-1], flush=True)
+    return rows
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--out", type=Path, default=Path("."))
+    parser.add_argument("--backends", default="")
+    parser.add_argument("--sizes", default="128,512")
+    parser.add_argument("--rows", type=Path)
+    parser.add_argument("--peers", nargs="?", const=sys.executable)
+    args = parser.parse_args()
+    args.out.mkdir(parents=True, exist_ok=True)
+    sizes = [int(size) for size in args.sizes.split(",")]
+    if args.rows:
+        with open(args.rows, newline="") as file:
+            rows = [{**row, "size": int(row["size"]), "units": float(row["units"]), "error": float(row["error"]), "seconds": float(row["seconds"])} for row in csv.DictReader(file)]
+        rows = [row for row in rows if row["backend"] != "peer"]
+    else:
+        rows = chart.measure([name for name in args.backends.split(",") if name] or None, sizes)
+    if args.peers:
+        rows += peers_rows(args.peers, max(row["size"] for row in rows))
+    with open(args.out / "speed_accuracy.csv", "w", newline="") as file:
+        writer = csv.DictWriter(file, rows[0], lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(rows)
+    chart.draw(rows, args.out / "speed_accuracy.png")
+
+
+if __name__ == "__main__":
+    main()
