@@ -29,6 +29,7 @@ Twin of warp_kernels/adjoint.py. */
 #define STEEP 1e6f    /* as good as the zenith */
 #define TILE 8
 #define SLACK 1.00001f /* what is left out must be lower by more than roundings */
+#define ALONG 1e-6f   /* closer to the grid is along it: n times -1e-9 would be a crossing all but on a node, and one of its two off the map */
 #define LEVEL 0.01f   /* slope below which a map that repeats is not searched */
 #define COLUMN (1 << 30)
 #define BLOCK 64      /* nodes that a work-item of a sum owns */
@@ -112,6 +113,8 @@ typedef struct { float c, s, columns, rise, rows, run; } Way;
 
 Way way_of(float c, float s)
 {
+  c = fabs(c) > ALONG ? c : 0;
+  s = fabs(s) > ALONG ? s : 0;
   const float across = fabs(c), along = fabs(s);
   const Way way = {c, s, along > 0 ? c / along : 0, along, across > 0 ? s / across : 0, across};
   return way;

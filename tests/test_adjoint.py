@@ -301,6 +301,22 @@ def test_which_node_limits_a_slice(backend):
             assert (found[2][:, 3] >= 0).all()
 
 
+def test_an_azimuth_almost_along_the_grid(backend):
+    """Is along it: no node of the first column or row looks past the border there."""
+    z = ground()
+
+    def lit(c, s):
+        light = adjoint.Light(None, azimuths=np.array([(c, s, 2 * math.pi, 0)]))
+        made = adjoint.Descent(select(backend), SHAPE, "open", [(light, np.ones(SHAPE), np.zeros(SHAPE))], 0, 99)
+        return image(made, z)
+
+    for c, s in ((0, 1), (0, -1), (1, 0), (-1, 0)):
+        wanted = lit(c, s)
+        assert np.ptp(wanted) > 0.5
+        for off in (1e-9, -1e-9, -2e-8):
+            np.testing.assert_allclose(lit(c or off, s or off), wanted, rtol=1e-5)
+
+
 # -- the adjoint -------------------------------------------------------------------------------------------------------------
 
 

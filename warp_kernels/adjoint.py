@@ -28,6 +28,7 @@ wp.set_module_options(OPTIONS)
 
 NONE = wp.constant(wp.float32(-1e30))
 STEEP = wp.constant(wp.float32(1e6))  # as good as the zenith
+ALONG = wp.constant(wp.float32(1e-6))  # closer to the grid is along it: n times -1e-9 would be a crossing all but on a node, and one of its two off the map
 LEVEL = wp.constant(wp.float32(0.01))  # slope below which a map that repeats is not searched
 SLACK = wp.constant(wp.float32(1.00001))  # what is left out must be lower by more than roundings
 COLUMN = wp.constant(wp.int32(1 << 30))
@@ -91,17 +92,17 @@ class Way:
 
 @wp.func
 def way_of(c: wp.float32, s: wp.float32):
-    across = wp.abs(c)
-    along = wp.abs(s)
     way = Way()
-    way.c = c
-    way.s = s
+    way.c = wp.where(wp.abs(c) > ALONG, c, 0.0)
+    way.s = wp.where(wp.abs(s) > ALONG, s, 0.0)
+    across = wp.abs(way.c)
+    along = wp.abs(way.s)
     way.columns = wp.float32(0.0)
     way.rows = wp.float32(0.0)
     if along > 0.0:
-        way.columns = c / along
+        way.columns = way.c / along
     if across > 0.0:
-        way.rows = s / across
+        way.rows = way.s / across
     way.rise = along
     way.run = across
     return way

@@ -6,7 +6,7 @@ import numpy as np
 
 from .adjoint import BLOCK
 
-NONE, STEEP, LEVEL = np.float32(-1e30), np.float32(1e6), np.float32(0.01)
+NONE, STEEP, LEVEL, ALONG = np.float32(-1e30), np.float32(1e6), np.float32(0.01), np.float32(1e-6)
 COLUMN = 1 << 30
 OPEN, DARK, PERIODIC = range(3)
 f32 = np.float32
@@ -96,6 +96,7 @@ def _wall(ways, x, y, rows, cols):
 
 
 def _ways(c, s):
+    c, s = (np.where(np.abs(part) > ALONG, part, f32(0)) for part in (c, s))
     across, along = np.abs(c), np.abs(s)
     return c, s, _over(c, along), along, _over(s, across), across
 
