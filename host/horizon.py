@@ -111,6 +111,6 @@ def _sum(scene, share, azimuths, backend, max_distance):
         table[:, :-1, 3] = np.diff(share)
     engine = engine_of(scene, backend)
     sweeps = Sweeps(engine, ground_of(scene, max_distance, engine), Rays(azimuths.angles, azimuths.widths), table, level=share is not None)
-    image = sweeps.irradiance()
+    image = sweeps.irradiance(last=True)
     image[~scene.valid] = np.nan
     return image

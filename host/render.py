@@ -239,7 +239,7 @@ def _sky_table(source):
 def _by_horizons(scene, source, engine, setting):
     table = None if setting.table is None else setting.table()
     sweeps = Sweeps(engine, ground_of(scene, setting.max_distance, engine), Rays(setting.sectors.angles, setting.sectors.widths), table, setting.near)
-    irradiance = sweeps.irradiance()
+    irradiance = sweeps.irradiance(last=True)
     if setting.scale != 1.0:
         irradiance *= np.float32(setting.scale)
     return irradiance

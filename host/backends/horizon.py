@@ -17,6 +17,7 @@ LADDER = 16  # slopes of the ladder, as in opencl/horizon.cl
 OUTSIDE, MASKED = np.float32(-1e30), np.float32(-2e30)  # heights where there is no ground
 NEVER = 1 << 30  # a window that no line fills
 SLOPES, UNIFORM, TABLE = range(3)  # what a sweep does with the horizon
+PROBED = 1024  # nodes from which the steepest rise and fall are looked for
 FAINTEST = 0.01  # slope below which ground of a map that repeats is not looked for: at most 5e-5 of E / pi
 
 
@@ -71,7 +72,7 @@ class Sweeps:
         self.margin = self.near + backend.lanes + 3
         backend.reserve(32 * (rows + 2 * self.margin) * (cols + 2 * self.margin), f"A map of {rows} x {cols} nodes", "Cut it into tiles.")
         self.room = (rows + 2 * self.margin) * (cols + 2 * self.margin)
-        every, first = max(1, math.isqrt(rows * cols // 4096)), self.near + 1
+        every, first = max(1, math.isqrt(rows * cols // PROBED)), self.near + 1
         if isinstance(ground.heights, Resident):
             here, step = ground.heights, np.float32(ground.step)
             self.lowest, highest = (float(-(np.float32(depth) / step)) for depth in (here.most, here.least))
@@ -84,8 +85,9 @@ class Sweeps:
             self.steepest = _steepest(_probe(ground.heights, every, first))
         self.relief = highest - self.lowest
         self.turned = backend.empty((self.room,), np.float32)
-        self.tilts = [backend.empty((2, self.room), np.float32, 0)]  # on a GPU both maps are swept at the same time
-        self.tilts.append(backend.empty((2, self.room), np.float32, 0) if backend.lines > 1 else self.tilts[0])
+        level_ground = 0 if level else None  # else the kernel `tilt` writes them
+        self.tilts = [backend.empty((2, self.room), np.float32, level_ground)]  # on a GPU both maps are swept at the same time
+        self.tilts.append(backend.empty((2, self.room), np.float32, level_ground) if backend.lines > 1 else self.tilts[0])
         self.knots = 2 if table is None else table.shape[1]
         self.unit = self._unit(table)
         self.nothing = backend.empty((4,), np.float32)
@@ -97,7 +99,6 @@ class Sweeps:
     def light(self, total, turned) -> None:
         """Irradiance float32 [brightness x sr] into the device array ``total``; both (rows x cols) int32, for sums on the way."""
         backend = self.backend
-        rows, cols = self.shape
         self._turn()
         backend.fill(total, 0)
         backend.fill(turned, 0)
@@ -105,7 +106,11 @@ class Sweeps:
             self._light_of(self.halves[1], turned)
         self._light_of(self.halves[0], total)
         backend.join()
-        backend.launch("ground", "gather", (cols, rows), total, turned, total, rows, cols, 1 / self.unit)
+        self._gather(total, turned)
+
+    def _gather(self, total, turned):
+        rows, cols = self.shape
+        self.backend.launch("ground", "gather", (cols, rows), total, turned, total, rows, cols, 1 / self.unit)
 
     def _light_of(self, half: Half, sums) -> None:
         backend, around = self.backend, 2 * self.margin
@@ -119,11 +124,24 @@ class Sweeps:
                 self._sweep(half, first, count, SLOPES, False, True, scratch, sums)
             self._sweep(half, first, count, self.what, half.windows[first] < NEVER, False, scratch, sums)
 
-    def irradiance(self) -> np.ndarray:
-        """Irradiance (rows, cols) float32 [brightness x sr]."""
-        total, turned = (self.backend.empty((math.prod(self.shape),), np.int32) for _ in range(2))
-        self.light(total, turned)
-        return self.backend.download(total).view(np.float32).reshape(self.shape)
+    def irradiance(self, last: bool = False) -> np.ndarray:
+        """Irradiance (rows, cols) float32 [brightness x sr]. ``last``: nothing is asked afterwards, so what has been swept may go."""
+        backend, size = self.backend, (math.prod(self.shape),)
+        turned = backend.empty(size, np.int32, 0)
+        if backend.lines > 1 or not last:
+            total = backend.empty(size, np.int32, 0)
+            self.light(total, turned)
+            return backend.download(total).view(np.float32).reshape(self.shape)
+        self._turn()
+        self._light_of(self.halves.pop(), turned)
+        backend.finish()
+        self.turned = None
+        total = backend.empty(size, np.int32, 0)
+        self._light_of(self.halves.pop(), total)
+        self._gather(total, turned)
+        backend.finish()
+        del self.heights, self.tilts, turned
+        return backend.download(total).view(np.float32).reshape(self.shape)
 
     def slopes(self) -> np.ndarray:
         """Horizon slopes (K, rows, cols) float32."""
