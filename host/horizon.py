@@ -6,7 +6,7 @@ import numpy as np
 
 from .arrays import labelled
 from .backends import select
-from .backends.base import Backend
+from .backends.base import Backend, scratch
 from .backends.horizon import FINE, Ground, Rays, Sweeps
 from .directions import Azimuths
 from .errors import bad
@@ -98,7 +98,7 @@ def ground_of(scene: Scene, max_distance: float | None, engine: Backend) -> Grou
     if scene.resident is not None and scene.resident.backend is engine:
         return Ground(scene.resident, scene.sides, reach, scene.spacing)
     values, step = scene.lattice()
-    return Ground(-values / np.float32(step), scene.sides, reach)
+    return Ground(np.divide(values, np.float32(-step), out=scratch(values.shape)), scene.sides, reach)
 
 
 def _sum(scene, share, azimuths, backend, max_distance):

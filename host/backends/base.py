@@ -7,6 +7,8 @@ opencl/ and in numpy.py; what is here launches them by name.
 from __future__ import annotations
 
 import contextlib
+import math
+import mmap
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -55,6 +57,12 @@ class Problem(NamedTuple):
     def clips(self) -> bool:
         """Whether the source or the walls take away some of what the sky would give."""
         return self.geometry.kind != SKY or self.sides == "dark"
+
+
+def scratch(shape: tuple[int, ...]) -> np.ndarray:
+    """Zeros, float32, that go back to the system when they are dropped: malloc would keep some 30 MB of what is freed."""
+    count = math.prod(shape)
+    return np.frombuffer(mmap.mmap(-1, max(4, 4 * count)), np.float32, count).reshape(shape)
 
 
 def rounded_up(pixels: int) -> int:

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .base import MOST_PIXELS, SIDES, Backend
+from .base import MOST_PIXELS, SIDES, Backend, scratch
 from .resident import Resident
 from ..errors import CapacityError
 
@@ -253,8 +253,10 @@ def _padded(ground: Ground, margin: int) -> np.ndarray:
     if ground.sides == "periodic":
         heights = np.pad(ground.heights, margin, "wrap")
     else:
-        heights = np.pad(ground.heights, margin, constant_values=OUTSIDE)
-    heights[np.isneginf(heights)] = MASKED
+        heights = scratch(tuple(n + 2 * margin for n in ground.heights.shape))
+        heights.fill(OUTSIDE)
+        heights[margin:-margin, margin:-margin] = ground.heights
+    heights[heights == -np.inf] = MASKED
     return heights.ravel()
 
 

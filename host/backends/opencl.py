@@ -95,9 +95,9 @@ class OpenclBackend(Backend):
         if not self.on_cpu or size < 2 * HUGE or not hasattr(mmap, "MADV_HUGEPAGE"):
             return None
         room = mmap.mmap(-1, size + HUGE, flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)
-        room.madvise(mmap.MADV_HUGEPAGE)
         memory = np.frombuffer(room, np.uint8)
         start = -memory.ctypes.data % HUGE
+        room.madvise(mmap.MADV_HUGEPAGE, start, size // HUGE * HUGE)  # not the rest, which would take a whole one
         flags = self.cl.mem_flags
         return self.cl.Buffer(self.context, flags.READ_WRITE | flags.USE_HOST_PTR, hostbuf=memory[start : start + size])
 
