@@ -151,7 +151,7 @@ def work(scene: Scene, source: sources.Source, tolerance: float, engine: Backend
         sources.geometry(source, scene, 1.0)  # checks that they fit
     cost = Costs(engine)
     start, compiled = time.perf_counter(), engine.compile_seconds
-    source = sources.Sky(replace(source.brightness, direct=0.0)) if getattr(source.brightness, "direct", 0) else source  # render adds the disc by slices
+    source = sources.without_disc(source)  # which render adds by slices
     planner = (_Lattice if lacking(scene, source) else _Sky if isinstance(source, sources.Sky) else _Slices)(scene, source, tolerance, tail, engine, cost)
     settings = planner.settings()
     fitting = [s for s in settings if planner.fits(s)]
@@ -643,7 +643,7 @@ def _beyond(planner, tolerance):
     """What the scene needs and the model lacks, with numbers."""
     scene, source, pilots = planner.scene, planner.source, planner.pilots
     rho = np.asarray(scene.albedo, float)
-    rho = float(rho[scene.valid].max()) if rho.ndim else float(rho)
+    rho = float((rho[scene.valid] if rho.ndim > 1 else rho).max())
     if planner.exact is not None and planner.exact.any() and rho > 0:
         uniform = planner.uniform
         if uniform is None:

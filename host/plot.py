@@ -156,7 +156,7 @@ def horizon(scene: Scene, row: int, col: int, source: sources.Sky | None = None,
 
 
 def recovery(image, found: Recovery, truth=None):
-    """The image, the depth recovered from it, and its confidence (or the drilled columns) side by side; ``truth``: the true depth, beside them.
+    """The image, the depth recovered from it, and its confidence side by side; ``truth``: the true depth, beside them.
 
     Raises InputError where shapes differ, or if matplotlib is not installed.
     """
@@ -169,11 +169,7 @@ def recovery(image, found: Recovery, truth=None):
     panels.insert(1, ("recovered depth", depth, dict(cmap="viridis_r"), "depth, near is bright"))
     for _, _, style, _ in panels[1:]:
         style.update(vmin=low, vmax=high)
-    confidence = getattr(found, "confidence", None)
-    if confidence is not None:
-        panels.append(("confidence", np.asarray(confidence), dict(cmap="magma", vmin=0, vmax=1), "below 0.5: do not trust"))
-    else:
-        panels.append(("drilled columns (black)", np.asarray(found.drilled, float), dict(cmap="gray_r", vmin=0, vmax=1), None))
+    panels.append(("confidence", np.asarray(found.confidence), dict(cmap="magma", vmin=0, vmax=1), "below 0.5: do not trust"))
     for name, values, _, _ in panels:
         if values.shape != depth.shape:
             raise bad(f"plot.recovery: {name}", values.shape, f"the depth's shape {depth.shape}")

@@ -110,6 +110,7 @@ def recover(image, source, albedo=0.8, sides: str = "open", spacing: float = 1.0
     for light in lights:
         if not isinstance(light, sources.Source):
             raise bad("source", type(light).__name__, "Sky, Lamp or Window")
+        sources.radiance(light, np.array([[0.0, 0.0, -1.0]]))  # what has colour, or a sun's disc, is refused here
     if method == "robust":
         return _labelled(_robust(images, lights, start, layers, near, far, max_seconds, backend, progress), labels)
     if several or near is not None or far is not None or max_seconds is not None:

@@ -137,16 +137,16 @@ def render(scene: Scene, source: sources.Source, method: str = "auto", tolerance
             cube = hemicube if isinstance(hemicube, Hemicube) else Hemicube(plan.hemicube)
             return _by_lattice(scene, source, greys, engine, cube, plan.filled, weights, quantity, warnings)
         if _is_brdf(scene, quantity):
-            plans.append(_plan_of(scene, source, azimuths, max_distance)[1])
+            plans.append(_plan_of(scene, greys[0], azimuths, max_distance)[1])
             if not isinstance(source, sources.Sky):
                 return [], shading.by_brdf(scene, greys, engine, max_distance)
             sectors = azimuths if isinstance(azimuths, Azimuths) else Azimuths(azimuths or 64)
             return [], shading.by_brdf_under_sky(scene, greys, Sweeps(engine, ground_of(scene, max_distance, engine), Rays(sectors.angles, sectors.widths), near=FINE).planes(), sectors)
-        irradiances = _each([_without_disc(grey) for grey in greys], irradiance) if _is_dull(scene, quantity) else []
+        irradiances = _each([sources.without_disc(grey) for grey in greys], irradiance) if _is_dull(scene, quantity) else []
         if irradiances and sun is not None:
             irradiances[0] += _by_slices(scene, sun, engine, Setting("slices", MOST))
         if not plans:
-            plans.append(_plan_of(scene, source, azimuths, max_distance)[1])
+            plans.append(_plan_of(scene, greys[0], azimuths, max_distance)[1])
         if sun is not None:
             plans[0] = replace(plans[0], reason=f"{plans[0].reason}; the sun's disc by slices")
         if lobe and isinstance(source, sources.Sky):
@@ -203,7 +203,8 @@ def _run(scene, source, engine, setting: Setting) -> np.ndarray:
     """Irradiance (rows, cols) float32 of a grey source by one setting."""
     if setting.method == "lattice":
         return _by_lattice(scene, source, [source], engine, Hemicube(setting.units), True, "moment", "irradiance", [])[0][0]
-    return {"unoccluded": _unoccluded, "slices": _by_slices, "horizon": _by_horizons}[setting.method](scene, source, engine, setting)
+    way = {"unoccluded": _unoccluded, "slices": _by_slices, "horizon": _by_horizons}[setting.method]
+    return way(scene, source, engine, setting).astype(np.float32, copy=False)
 
 
 def _plan_of(scene, source, azimuths, max_distance) -> tuple[Setting, Plan]:
@@ -295,7 +296,7 @@ def _gloss(scene, grey, engine, lobe, has_sun, max_distance):
     """What a lobe makes of a sky: (rows, cols) float32."""
     depth, step = scene.lattice()
     reach = np.inf if max_distance is None else max_distance * (step / scene.spacing)
-    table, suns, flux = blurred(_without_disc(grey), lobe.spread)
+    table, suns, flux = blurred(sources.without_disc(grey), lobe.spread)
     if has_sun:
         suns, flux = np.concatenate([suns.reshape(-1, 3), [skies.towards(*grey.brightness.sun)]]), np.append(flux, grey.brightness.direct)
     slices = Slices(engine, depth, step, scene.sides, Dome(reach), table, lobe=lobe)
@@ -376,7 +377,7 @@ def _each(greys: list, work: Callable) -> list[np.ndarray]:
 
 def _sun_of(scene, source, max_distance) -> sources.Lamp | None:
     """The disc of a sky's sun, as a lamp so far away that it stands in one direction for the whole map."""
-    if not getattr(source.brightness, "direct", 0):
+    if not isinstance(source, sources.Sky) or not getattr(source.brightness, "direct", 0):
         return None
     if scene.sides == "periodic" or max_distance is not None:
         raise bad("a sky with the sun's disc (direct)", f"sides={scene.sides!r}, max_distance={max_distance}", "sides 'open' or 'dark' and the whole map")
@@ -384,10 +385,6 @@ def _sun_of(scene, source, max_distance) -> sources.Lamp | None:
         raise bad("a sky with the sun's disc (direct)", type(scene.reflectance).__name__, "Lambertian or Phong", "Give the sun as a Lamp of its own.")
     extent = max(max(scene.shape) * scene.spacing, float(scene.depth[scene.valid].max()))
     return source.brightness.disc(FAR * extent)
-
-
-def _without_disc(sky):
-    return sources.Sky(replace(sky.brightness, direct=0.0)) if getattr(sky.brightness, "direct", 0) else sky
 
 
 def lattice_problem(scene: Scene, source: sources.Source, cube: Hemicube, filled: bool) -> Problem:

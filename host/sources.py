@@ -235,6 +235,11 @@ class _Channel:
         return values[..., self.number]
 
 
+def without_disc(source: Source) -> Source:
+    """A sky without its sun's disc; anything else as it is."""
+    return Sky(replace(source.brightness, direct=0.0)) if isinstance(source, Sky) and getattr(source.brightness, "direct", 0) else source
+
+
 def radiance(source: Source, directions: np.ndarray) -> np.ndarray:
     """The source's grey brightness along unit vectors (..., 3) -> (...) float64; an InputError if it is not finite and >= 0."""
     if not isinstance(source, Source):

@@ -88,11 +88,11 @@ def test_tangent_plane(fast):
 
 
 def test_panels(fast):
-    """Image, depth, truth and drilled columns, each with its own values, both depths on one scale."""
+    """Image, depth, truth and confidence, each with its own values, both depths on one scale."""
     image = sl.render(sl.Scene(HILLS, sides="dark"), sl.Sky(), backend=fast).image
     found = sl.recover(image, sl.Sky(), sides="dark", layers=30, hemicube=5, backend=fast)
     shown = [axes.images[0] for axes in plot.recovery(image, found, HILLS).axes if axes.images]
-    for picture, values in zip(shown, (image, found.depth, HILLS, found.drilled), strict=True):
+    for picture, values in zip(shown, (image, found.depth, HILLS, found.confidence), strict=True):
         np.testing.assert_array_equal(picture.get_array(), values)
     assert shown[1].get_clim() == shown[2].get_clim()
     with pytest.raises(sl.InputError, match="plot.recovery: image"):
