@@ -33,6 +33,7 @@ STIFF = (1e-2, 1e-3, 1e-4)  # smoothness let down to it on the first grid
 SOFTER = (1e-3, 1e-4)  # and on all others
 STEPS, FIRST = 20, 30  # Gauss-Newton steps at one smoothness; of the first grid
 MOST, TOLERANCE = 300, 0.003  # conjugate gradients of a step: what is broad moves last, and what is wrong is mostly broad
+SMALL, HASTE = 64, (8, 60, 0.03)  # grids on which this is cheap; steps, conjugate gradients and tolerance of larger ones
 SETTLED = 1e-3  # share of the objective below which a step is the last
 KICKED, ROUNDS, ENOUGH = 32, 3, 0.8  # grids on which a surface is kicked out of its minimum, rounds of kicks, the fall of the objective that asks for one more
 CYCLED = 128  # grids that are worth a way down and up again
@@ -174,11 +175,13 @@ class Pyramid:
         z = np.clip(z, *self.bounds[level])
         least = self.smoothness(level)
         for smoothness in (*(s for s in stiff if s > least), least):
-            z, value = problem.run(z, smoothness, steps, MOST, TOLERANCE, SETTLED, self.stop)
+            z, value = problem.run(z, smoothness, *((steps, MOST, TOLERANCE) if max(z.shape) <= SMALL else HASTE), SETTLED, self.stop)
         return z, value
 
-    def climb(self, z: np.ndarray, start: int, last: int) -> tuple[np.ndarray, float]:
-        """(depth, objective) on grid ``last`` from a surface on grid ``start``, which is worked over first if it is the coarsest."""
+    def climb(self, z: np.ndarray, start: int, last: int, kick: bool = True) -> tuple[np.ndarray, float]:
+        """(depth, objective) on grid ``last`` from a surface on grid ``start``, which is worked over first if it is the coarsest.
+
+        ``kick``: whether to look for other minima near by."""
         value = math.inf
         if start == self.top:
             z, value = self._ease(start, z, STIFF, FIRST)
@@ -188,8 +191,9 @@ class Pyramid:
                 break
             z, value = self._ease(level, 2 * doubled(z, self.images[level][0].shape), SOFTER)
             self._keep(level, z)
-            z, value = self._kick(level, z, value)
-            self._keep(level, z)
+            if kick:
+                z, value = self._kick(level, z, value)
+                self._keep(level, z)
         return z, value
 
     def _kick(self, level: int, z: np.ndarray, value: float) -> tuple[np.ndarray, float]:
@@ -197,7 +201,7 @@ class Pyramid:
         small = max(z.shape) < 2 * KICKED
         for _ in range(ROUNDS if small else 1):
             before = value
-            for kick in KICKS if small else KICKS[:1]:
+            for kick in KICKS if small else KICKS[:1] if max(z.shape) <= SMALL else ():
                 if self.stop():
                     return z, value
                 tried, reached = self._ease(level, kick(z), SOFTER)
