@@ -35,7 +35,8 @@ STEPS, FIRST = 20, 30  # Gauss-Newton steps at one smoothness; of the first grid
 MOST, TOLERANCE = 300, 0.003  # conjugate gradients of a step: what is broad moves last, and what is wrong is mostly broad
 SMALL, HASTE = 64, (8, 60, 0.03)  # grids on which this is cheap; steps, conjugate gradients and tolerance of larger ones
 SETTLED = 1e-3  # share of the objective below which a step is the last
-KICKED, ROUNDS, ENOUGH = 32, 3, 0.8  # grids on which a surface is kicked out of its minimum, rounds of kicks, the fall of the objective that asks for one more
+KICKED, ROUNDS, ENOUGH = 32, 2, 0.8  # grids on which a surface is kicked out of its minimum, rounds of kicks, the fall of the objective that asks for one more
+GOOD = 0.001  # residual, as a share of the image, that is not worth disturbing
 CYCLED = 128  # grids that are worth a way down and up again
 BEND = 0.3  # variance of second differences of a surface, against which noise is weighed
 FAITH, PROBES = 0.01, 4  # share of the image's rms that the model may be wrong by, and noises tried, to tell what is uncertain
@@ -199,7 +200,10 @@ class Pyramid:
     def _kick(self, level: int, z: np.ndarray, value: float) -> tuple[np.ndarray, float]:
         """The best of the minima near this one: the surface is disturbed, eased again, and kept if the objective fell."""
         small = max(z.shape) < 2 * KICKED
+        good = 0.5 * z.size * len(self.sources) * ((GOOD * BRIGHT) ** 2 + (self.noise * 0.5**level) ** 2)
         for _ in range(ROUNDS if small else 1):
+            if value < good:
+                break
             before = value
             for kick in KICKS if small else KICKS[:1] if max(z.shape) <= SMALL else ():
                 if self.stop():
