@@ -200,7 +200,7 @@ class Pyramid:
     def _kick(self, level: int, z: np.ndarray, value: float) -> tuple[np.ndarray, float]:
         """The best of the minima near this one: the surface is disturbed, eased again, and kept if the objective fell."""
         small = max(z.shape) < 2 * KICKED
-        good = 0.5 * z.size * len(self.sources) * ((GOOD * BRIGHT) ** 2 + (self.noise * 0.5**level) ** 2)
+        good = 0.5 * z.size * len(self.sources) * (GOOD * BRIGHT) ** 2
         for _ in range(ROUNDS if small else 1):
             if value < good:
                 break
