@@ -38,7 +38,7 @@ SETTLED = 1e-3  # share of the objective below which a step is the last
 KICKED, ROUNDS, ENOUGH = 32, 2, 0.8  # grids on which a surface is kicked out of its minimum, rounds of kicks, the fall of the objective that asks for one more
 GOOD = 0.0015  # residual, as a share of the image, that is not worth disturbing
 CYCLED = 128  # grids that are worth a way down and up again
-BEND = 0.3  # variance of second differences of a surface, against which noise is weighed
+BEND = 0.6  # variance of second differences of a surface, against which noise is weighed
 FAITH, PROBES = 0.01, 4  # share of the image's rms that the model may be wrong by, and noises tried, to tell what is uncertain
 
 
