@@ -25,6 +25,7 @@ DOUBT = 0.025  # of the range of depths: two answers this far apart are worth ha
 BETTER = 0.5  # share of the objective below which another start is believed instead of the first
 RIVAL = 4.0  # times the objective up to which another start counts as an answer
 WEIGHT = 4.0  # of the doubt that noise leaves, against that of another start
+SPREAD = 4.0  # of the squared distance to surfaces that were found from this one when disturbed
 POOR = 0.02  # share of the image's rms that model and image may differ by in a place that is to be believed
 BADLY = 0.03  # residual, as a share of the image, from which an image is called unexplained
 
@@ -196,7 +197,7 @@ def _robust(images, lights, start, layers, near, far, max_seconds, backend, prog
         z, value = pyramid.climb(bottom + first * depth_range, top, half)
         found = z
         if not pyramid.stop():
-            other, rival = pyramid.climb(bottom + (0.1 if first > 0.35 else 0.75) * depth_range, top, half)
+            other, rival = pyramid.climb(bottom + (0.1 if first > 0.35 else 0.75) * depth_range, top, half, kick=False)
             if rival < BETTER * value:
                 z, value, found, other = other, rival, other, found
             elif rival > RIVAL * value:
@@ -229,7 +230,7 @@ def _robust(images, lights, start, layers, near, far, max_seconds, backend, prog
 def _trust(pyramid, level, z, rival, depth_range) -> tuple[np.ndarray, np.ndarray]:
     """(confidence, other candidates (n, rows, cols) in nodes), on the finest grid.
 
-    Doubt is the distance to another start's surface, what noise could do to this one (Pyramid.doubt), and how badly
+    Doubt is the distance to another start's surface and to those found from this one disturbed, what noise could do to this one (Pyramid.doubt), and how badly
     the image is met in the neighbourhood.
     """
     small, grid = z, level
@@ -244,6 +245,9 @@ def _trust(pyramid, level, z, rival, depth_range) -> tuple[np.ndarray, np.ndarra
         while at_level < grid:
             apart, at_level = _halved(apart), at_level + 1
         doubt = doubt + blurred((apart * 2**grid) ** 2)
+    if others := [(tried, value) for at_level, tried, value in pyramid.tried if at_level == grid]:
+        best = min(value for _, value in others)
+        doubt = doubt + SPREAD * blurred(sum(best / value * (tried - small) ** 2 for tried, value in others) / len(others)) * 4**grid
     off = pyramid.problem(grid).irradiances(small)[0] - pyramid.images[grid][0]
     poor = blurred(off**2) / (POOR * BRIGHT + 3 * pyramid.noise) ** 2
     confidence = 1 / (1 + doubt / (DOUBT * depth_range) ** 2 + poor)

@@ -31,9 +31,14 @@ ROWS = 128  # of azimuths of a lamp's table of brightness
 LEAST = 1e-5  # smoothness for an image without noise
 STIFF = (1e-2, 1e-3, 1e-4)  # smoothness let down to it on the first grid
 SOFTER = (1e-3, 1e-4)  # and on all others
-STEPS, MOST, FIRST = 8, 30, 30  # Gauss-Newton steps at one smoothness, conjugate gradients of a step, steps on the first grid
-CYCLES, CYCLED, ENOUGH = 2, 128, 0.7  # ways down and up again, grids that are worth it, the fall of the objective that asks for one more
-BEND = 0.3  # variance of second differences of a surface, against which noise is weighed
+STEPS, FIRST = 20, 30  # Gauss-Newton steps at one smoothness; of the first grid
+MOST, TOLERANCE = 300, 0.003  # conjugate gradients of a step: what is broad moves last, and what is wrong is mostly broad
+SMALL, HASTE = 64, (8, 60, 0.03)  # grids on which this is cheap; steps, conjugate gradients and tolerance of larger ones
+SETTLED = 1e-3  # share of the objective below which a step is the last
+KICKED, ROUNDS, ENOUGH = 32, 2, 0.8  # grids on which a surface is kicked out of its minimum, rounds of kicks, the fall of the objective that asks for one more
+GOOD = 0.0015  # residual, as a share of the image, that is not worth disturbing
+CYCLED = 128  # grids that are worth a way down and up again
+BEND = 0.6  # variance of second differences of a surface, against which noise is weighed
 FAITH, PROBES = 0.01, 4  # share of the image's rms that the model may be wrong by, and noises tried, to tell what is uncertain
 
 
@@ -140,6 +145,7 @@ class Pyramid:
         self.top = len(self.images) - 1
         self.noise = math.sqrt(float(np.mean([noise_of(image) ** 2 for image in self.images[0]])))
         self.problems = {}
+        self.tried = []  # (level, depth, objective) of all surfaces that were kicked and eased
         self.best = None  # (level, depth): the last surface that was accepted, whatever comes
 
     def smoothness(self, level: int) -> float:
@@ -170,11 +176,13 @@ class Pyramid:
         z = np.clip(z, *self.bounds[level])
         least = self.smoothness(level)
         for smoothness in (*(s for s in stiff if s > least), least):
-            z, value = problem.run(z, smoothness, steps, MOST, stop=self.stop)
+            z, value = problem.run(z, smoothness, *((steps, MOST, TOLERANCE) if max(z.shape) <= SMALL else HASTE), SETTLED, self.stop)
         return z, value
 
-    def climb(self, z: np.ndarray, start: int, last: int) -> tuple[np.ndarray, float]:
-        """(depth, objective) on grid ``last`` from a surface on grid ``start``, which is worked over first if it is the coarsest."""
+    def climb(self, z: np.ndarray, start: int, last: int, kick: bool = True) -> tuple[np.ndarray, float]:
+        """(depth, objective) on grid ``last`` from a surface on grid ``start``, which is worked over first if it is the coarsest.
+
+        ``kick``: whether to look for other minima near by."""
         value = math.inf
         if start == self.top:
             z, value = self._ease(start, z, STIFF, FIRST)
@@ -184,14 +192,31 @@ class Pyramid:
                 break
             z, value = self._ease(level, 2 * doubled(z, self.images[level][0].shape), SOFTER)
             self._keep(level, z)
-            for _ in range(CYCLES if max(z.shape) <= CYCLED else 0):
-                before = value
-                for down in range(self.top, level, -1):
-                    if not self.stop():
-                        z, value = self.again(level, down, z, value)
-                if value > ENOUGH * before:
-                    break
-            self._keep(level, z)
+            if kick:
+                z, value = self._kick(level, z, value)
+                self._keep(level, z)
+        return z, value
+
+    def _kick(self, level: int, z: np.ndarray, value: float) -> tuple[np.ndarray, float]:
+        """The best of the minima near this one: the surface is disturbed, eased again, and kept if the objective fell."""
+        small = max(z.shape) < 2 * KICKED
+        good = 0.5 * z.size * len(self.sources) * (GOOD * BRIGHT) ** 2
+        for _ in range(ROUNDS if small else 1):
+            if value < good:
+                break
+            before = value
+            for kick in KICKS if small else KICKS[:1] if max(z.shape) <= SMALL else ():
+                if self.stop():
+                    return z, value
+                tried, reached = self._ease(level, kick(z), SOFTER)
+                self.tried.append((level, tried, reached))
+                if reached < value:
+                    z, value = tried, reached
+            for down in range(self.top, level, -1) if max(z.shape) <= CYCLED else ():
+                if not self.stop():
+                    z, value = self.again(level, down, z, value)
+            if value > ENOUGH * before:
+                break
         return z, value
 
     def _keep(self, level: int, z: np.ndarray) -> None:
@@ -255,3 +280,6 @@ def blurred(values: np.ndarray) -> np.ndarray:
         padded = np.pad(values, 1, mode="edge")
         values = sum(padded[i : i + values.shape[0], j : j + values.shape[1]] for i in range(3) for j in range(3)) / 9
     return values
+
+
+KICKS = (blurred, lambda z: z.mean() + 0.7 * (z - z.mean()), lambda z: z - 2, lambda z: z + 2)

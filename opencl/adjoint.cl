@@ -517,11 +517,11 @@ __kernel void lamp(__global const float *heights, __global const float *tilts, _
 #endif
 
 /* push: out = gain^2 J v, J the derivative of E by z, v a change of z. Work-item g owns LANES nodes. */
-__kernel void push(__global const float *restrict light, __global const float *restrict pulls, __global const int *restrict at,
-                   __global const float *restrict shares, __global const float *restrict gain, __global const float *restrict v,
-                   __global float *restrict out, int rows, int cols, int count)
+void push_lanes(__global const float *restrict light, __global const float *restrict pulls, __global const int *restrict at,
+                __global const float *restrict shares, __global const float *restrict gain, __global const float *restrict v,
+                __global float *restrict out, int rows, int cols, int count, int first)
 {
-  const int pixels = rows * cols, first = get_global_id(0) * LANES, left = min(pixels - first, LANES);
+  const int pixels = rows * cols, left = min(pixels - first, LANES);
   float sums[LANES];
   for (int l = 0; l < left; ++l)
     sums[l] = 0;
@@ -545,33 +545,42 @@ __kernel void push(__global const float *restrict light, __global const float *r
   }
 }
 
-void add(__global long *sum, float value)
+__kernel void push(__global const float *restrict light, __global const float *restrict pulls, __global const int *restrict at,
+                   __global const float *restrict shares, __global const float *restrict gain, __global const float *restrict v,
+                   __global float *restrict out, int rows, int cols, int count)
+{
+  push_lanes(light, pulls, at, shares, gain, v, out, rows, cols, count, get_global_id(0) * LANES);
+}
+
+void add(__global long *sum, float value, int alone)
 {
   const long whole = convert_long_rtz(value);
-  if (whole != 0)
+  if (alone)
+    *sum += whole;
+  else if (whole != 0)
     atom_add(sum, whole);
 }
 
 /* pull: sum += unit transpose(J) u, in fixed point, so that no order of summation matters. Work-item g owns LANES nodes. */
-__kernel void pull(__global const float *restrict light, __global const float *restrict pulls, __global const int *restrict at,
-                   __global const float *restrict shares, __global const float *restrict u, __global long *sum, float unit, int rows,
-                   int cols, int count)
+void pull_lanes(__global const float *restrict light, __global const float *restrict pulls, __global const int *restrict at,
+                __global const float *restrict shares, __global const float *restrict u, __global long *sum, float unit, int rows,
+                int cols, int count, int first, int alone)
 {
-  const int pixels = rows * cols, first = get_global_id(0) * LANES, left = min(pixels - first, LANES);
+  const int pixels = rows * cols, left = min(pixels - first, LANES);
   for (int l = 0; l < left; ++l) {
     const int p = first + l, x = p % cols, y = p / cols;
     const float own = u[p] * unit;
     const int before = max(x - 1, 0), after = min(x + 1, cols - 1), over = max(y - 1, 0), under = min(y + 1, rows - 1);
-    add(sum + p, own * light[pixels + p]);
+    add(sum + p, own * light[pixels + p], alone);
     if (after > before) {
       const float part = own * light[2 * pixels + p] / (after - before);
-      add(sum + y * cols + after, part);
-      add(sum + y * cols + before, -part);
+      add(sum + y * cols + after, part, alone);
+      add(sum + y * cols + before, -part, alone);
     }
     if (under > over) {
       const float part = own * light[3 * pixels + p] / (under - over);
-      add(sum + under * cols + x, part);
-      add(sum + over * cols + x, -part);
+      add(sum + under * cols + x, part, alone);
+      add(sum + over * cols + x, -part, alone);
     }
   }
   for (int k = 0; k < count; ++k)
@@ -582,9 +591,16 @@ __kernel void pull(__global const float *restrict light, __global const float *r
       const int row = (where >> 16) & 0x3fff, column = where & 0xffff, on_row = (where & COLUMN) == 0;
       const int next_row = on_row ? row : row + 1 < rows ? row + 1 : 0, next_column = on_row ? (column + 1 < cols ? column + 1 : 0) : column;
       const float part = u[p] * unit * light[4 * pixels + p] * pulls[e];
-      add(sum + row * cols + column, -(part - part * shares[e]));
-      add(sum + next_row * cols + next_column, -part * shares[e]);
+      add(sum + row * cols + column, -(part - part * shares[e]), alone);
+      add(sum + next_row * cols + next_column, -part * shares[e], alone);
     }
+}
+
+__kernel void pull(__global const float *restrict light, __global const float *restrict pulls, __global const int *restrict at,
+                   __global const float *restrict shares, __global const float *restrict u, __global long *sum, float unit, int rows,
+                   int cols, int count)
+{
+  pull_lanes(light, pulls, at, shares, u, sum, unit, rows, cols, count, get_global_id(0) * LANES, 0);
 }
 
 /* misfit: residual r = gain E - target, u = gain r, and in part (blocks, 3) the sums of r^2, (gain E)^2 and gain E target.
@@ -689,10 +705,10 @@ __kernel void begin(__global const float *z, __global const float *low, __global
 
 /* curve: w = free (sum unit + lambda unbend v + damping scale v), the normal equations' matrix times v; sum = 0.
    In part (blocks, 3) r v, v w and v v. */
-__kernel void curve(__global const float *r, __global const float *v, __global const float *scale, __global const float *is_free, __global long *sum,
-                    __global float *w, __global double *part, float unit, float lambda_, float damping, int rows, int cols)
+void curve_block(__global const float *r, __global const float *v, __global const float *scale, __global const float *is_free, __global long *sum,
+                 __global float *w, __global double *part, float unit, float lambda_, float damping, int rows, int cols, int g)
 {
-  const int g = get_global_id(0), pixels = rows * cols;
+  const int pixels = rows * cols;
   if (g * BLOCK >= pixels)
     return;
   double product = 0, curvature = 0, square = 0;
@@ -709,12 +725,17 @@ __kernel void curve(__global const float *r, __global const float *v, __global c
   part[3 * g + 2] = square;
 }
 
+__kernel void curve(__global const float *r, __global const float *v, __global const float *scale, __global const float *is_free, __global long *sum,
+                    __global float *w, __global double *part, float unit, float lambda_, float damping, int rows, int cols)
+{
+  curve_block(r, v, scale, is_free, sum, w, part, unit, lambda_, damping, rows, cols, get_global_id(0));
+}
+
 /* go: a step of conjugate gradients with one sum (Chronopoulos and Gear 1989): p = v + beta p, s = w + beta s, x += alpha p,
    r -= alpha s, v = r / scale. */
-__kernel void go(__global const float *scale, __global const float *w, __global float *r, __global float *v, __global float *x, __global float *p,
-                 __global float *s, float alpha, float beta, int pixels)
+void go_block(__global const float *scale, __global const float *w, __global float *r, __global float *v, __global float *x, __global float *p,
+              __global float *s, float alpha, float beta, int pixels, int g)
 {
-  const int g = get_global_id(0);
   for (int i = g * BLOCK; i < min(pixels, g * BLOCK + BLOCK); ++i) {
     p[i] = v[i] + beta * p[i];
     s[i] = w[i] + beta * s[i];
@@ -722,6 +743,56 @@ __kernel void go(__global const float *scale, __global const float *w, __global 
     r[i] -= alpha * s[i];
     v[i] = r[i] / scale[i];
   }
+}
+
+__kernel void go(__global const float *scale, __global const float *w, __global float *r, __global float *v, __global float *x, __global float *p,
+                 __global float *s, float alpha, float beta, int pixels)
+{
+  go_block(scale, w, r, v, x, p, s, alpha, beta, pixels, get_global_id(0));
+}
+
+/* solve: all of conjugate gradients after begin, by one work-item: on a small grid a CPU takes longer to start a kernel than to
+   run it. The same operations in the same order as the kernels above, and as Descent.solve between them. gained[0]: what the
+   quadratic model gains. */
+__kernel void solve(__global const float *restrict light, __global const float *restrict pulls, __global const int *restrict at,
+                    __global const float *restrict shares, __global const float *restrict gain, __global const float *restrict scale,
+                    __global const float *restrict is_free, __global long *restrict sum, __global float *restrict r, __global float *restrict v,
+                    __global float *restrict w, __global float *restrict x, __global float *restrict p, __global float *restrict s,
+                    __global float *restrict u, __global double *restrict part, __global double *restrict gained, double length,
+                    double fixed_, float lambda_, float damping, double least, int most, int rows, int cols, int count)
+{
+  const int pixels = rows * cols, blocks = (pixels - 1) / BLOCK + 1;
+  double start = 0, before = 0, alpha = 0, total = 0;
+  if (get_global_id(0) > 0)
+    return;
+  for (int number = 0; number < most; ++number) {
+    const double unit = fixed_ / length;
+    for (int first = 0; first < pixels; first += LANES)
+      push_lanes(light, pulls, at, shares, gain, v, u, rows, cols, count, first);
+    for (int first = 0; first < pixels; first += LANES)
+      pull_lanes(light, pulls, at, shares, u, sum, (float)unit, rows, cols, count, first, 1);
+    double product = 0, curvature = 0, square = 0;
+    for (int g = 0; g < blocks; ++g) {
+      curve_block(r, v, scale, is_free, sum, w, part, (float)(1 / unit), lambda_, damping, rows, cols, g);
+      product += part[3 * g];
+      curvature += part[3 * g + 1];
+      square += part[3 * g + 2];
+    }
+    if (number == 0)
+      start = product;
+    const double beta = number == 0 ? 0 : product / before;
+    if (number > 0)
+      curvature -= beta * product / alpha;
+    if (!(product > least * start && curvature > 0))
+      break;
+    alpha = product / curvature;
+    before = product;
+    length = sqrt(square);
+    for (int g = 0; g < blocks; ++g)
+      go_block(scale, w, r, v, x, p, s, (float)alpha, (float)beta, pixels, g);
+    total += 0.5 * alpha * product;
+  }
+  gained[0] = total;
 }
 
 /* move: to = z + x, within its bounds. */

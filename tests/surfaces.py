@@ -1,7 +1,9 @@
-"""Continuous surfaces for the inverse problem, and images of them that converge independently of the method under test.
+"""Continuous surfaces for the inverse problem, and images of them on a finer grid than the one that is to be recovered.
 
 A surface is sampled FINER times as finely as the image, in the same box, rendered there with many azimuths, and every
-FINER-th node is kept: horizons, walls and normals are those of the continuous surface to well below what is tested.
+FINER-th node is kept: horizons, walls and normals are nearly those of the continuous surface. It is skylamp's own horizon
+method that renders (method="horizon", 64 or 128 azimuths): another grid and another sampling of azimuths than recover()
+uses, but not another model. What the two share by mistake these images cannot show; tests/test_oracle_horizons.py can.
 """
 
 import functools

@@ -31,11 +31,17 @@ def off(name, kind, backend, size=SIZE):
     return rms(found(name, kind, backend, size).depth - surfaces.pair(name, kind, size)[0])
 
 
-@pytest.mark.parametrize("name", ["plane", "bumps", "fractal"])
+@pytest.mark.parametrize("name", SURFACES)
 def test_uniform_sky(fast, name):
     """At most one layer off, and five times nearer than carving at its best eps."""
     best = min(rms(carved(name, "sky", eps, fast) - pair(name, "sky")[0]) for eps in (0.02, 0.05, 0.1))
     assert off(name, "sky", fast) < min(1.0, best / 5)
+
+
+@pytest.mark.parametrize(("name", "kind", "most"), [("egg-crate", "sky", 0.5), ("face", "sky", 0.2), ("egg-crate", "sun", 3.0), ("bumps", "sun", 2.0)])
+def test_hard_ones_at_full_size(fast, name, kind, most):
+    """64 x 64, where a coarse grid leads astray: layers of 64."""
+    assert off(name, kind, fast, 64) < most
 
 
 @pytest.mark.parametrize("name", ["bumps", "egg-crate", "fractal"])

@@ -608,11 +608,10 @@ def ends_of(where: wp.int32, rows: wp.int32, cols: wp.int32):
     return row * cols + column, next_row * cols + next_column
 
 
-@wp.kernel
-def push(light: wp.array[wp.float32], pulls: wp.array[wp.float32], at: wp.array[wp.int32], shares: wp.array[wp.float32],
-         gain: wp.array[wp.float32], v: wp.array[wp.float32], out: wp.array[wp.float32], rows: wp.int32, cols: wp.int32, count: wp.int32):
-    """out = gain^2 J v, J the derivative of E by z, v a change of z. Thread p owns a node."""
-    p = wp.tid()
+@wp.func
+def push_at(light: wp.array[wp.float32], pulls: wp.array[wp.float32], at: wp.array[wp.int32], shares: wp.array[wp.float32],
+            gain: wp.array[wp.float32], v: wp.array[wp.float32], out: wp.array[wp.float32], rows: wp.int32, cols: wp.int32, count: wp.int32, p: wp.int32):
+    """See push."""
     pixels = rows * cols
     sum = wp.float32(0.0)
     for k in range(count):
@@ -638,10 +637,16 @@ def push(light: wp.array[wp.float32], pulls: wp.array[wp.float32], at: wp.array[
 
 
 @wp.kernel
-def pull(light: wp.array[wp.float32], pulls: wp.array[wp.float32], at: wp.array[wp.int32], shares: wp.array[wp.float32],
-         u: wp.array[wp.float32], sum: wp.array[wp.int64], unit: wp.float32, rows: wp.int32, cols: wp.int32, count: wp.int32):
-    """sum += unit transpose(J) u, in fixed point, so that no order of summation matters. Thread p owns a node."""
-    p = wp.tid()
+def push(light: wp.array[wp.float32], pulls: wp.array[wp.float32], at: wp.array[wp.int32], shares: wp.array[wp.float32],
+         gain: wp.array[wp.float32], v: wp.array[wp.float32], out: wp.array[wp.float32], rows: wp.int32, cols: wp.int32, count: wp.int32):
+    """out = gain^2 J v, J the derivative of E by z, v a change of z. Thread p owns a node."""
+    push_at(light, pulls, at, shares, gain, v, out, rows, cols, count, wp.tid())
+
+
+@wp.func
+def pull_at(light: wp.array[wp.float32], pulls: wp.array[wp.float32], at: wp.array[wp.int32], shares: wp.array[wp.float32],
+            u: wp.array[wp.float32], sum: wp.array[wp.int64], unit: wp.float32, rows: wp.int32, cols: wp.int32, count: wp.int32, p: wp.int32):
+    """See pull."""
     pixels = rows * cols
     x = p % cols
     y = p / cols
@@ -666,6 +671,13 @@ def pull(light: wp.array[wp.float32], pulls: wp.array[wp.float32], at: wp.array[
             part = u[p] * unit * light[4 * pixels + p] * pulls[e]
             wp.atomic_add(sum, one, wp.int64(-(part - part * shares[e])))
             wp.atomic_add(sum, two, wp.int64(-part * shares[e]))
+
+
+@wp.kernel
+def pull(light: wp.array[wp.float32], pulls: wp.array[wp.float32], at: wp.array[wp.int32], shares: wp.array[wp.float32],
+         u: wp.array[wp.float32], sum: wp.array[wp.int64], unit: wp.float32, rows: wp.int32, cols: wp.int32, count: wp.int32):
+    """sum += unit transpose(J) u, in fixed point, so that no order of summation matters. Thread p owns a node."""
+    pull_at(light, pulls, at, shares, u, sum, unit, rows, cols, count, wp.tid())
 
 
 @wp.kernel
@@ -778,14 +790,11 @@ def begin(z: wp.array[wp.float32], low: wp.array[wp.float32], high: wp.array[wp.
     part[g] = square
 
 
-@wp.kernel
-def curve(r: wp.array[wp.float32], v: wp.array[wp.float32], scale: wp.array[wp.float32], is_free: wp.array[wp.float32],
-          sum: wp.array[wp.int64], w: wp.array[wp.float32], part: wp.array[wp.float64], unit: wp.float32, lambda_: wp.float32,
-          damping: wp.float32, rows: wp.int32, cols: wp.int32):
-    """w = free (sum unit + lambda unbend v + damping scale v), the normal equations' matrix times v; sum = 0.
-
-    In part (blocks, 3) r v, v w and v v."""
-    g = wp.tid()
+@wp.func
+def curve_at(r: wp.array[wp.float32], v: wp.array[wp.float32], scale: wp.array[wp.float32], is_free: wp.array[wp.float32],
+             sum: wp.array[wp.int64], w: wp.array[wp.float32], part: wp.array[wp.float64], unit: wp.float32, lambda_: wp.float32,
+             damping: wp.float32, rows: wp.int32, cols: wp.int32, g: wp.int32):
+    """See curve."""
     pixels = rows * cols
     product = wp.float64(0.0)
     curvature = wp.float64(0.0)
@@ -803,17 +812,86 @@ def curve(r: wp.array[wp.float32], v: wp.array[wp.float32], scale: wp.array[wp.f
 
 
 @wp.kernel
-def go(scale: wp.array[wp.float32], w: wp.array[wp.float32], r: wp.array[wp.float32], v: wp.array[wp.float32], x: wp.array[wp.float32],
-       p: wp.array[wp.float32], s: wp.array[wp.float32], alpha: wp.float32, beta: wp.float32, pixels: wp.int32):
-    """A step of conjugate gradients with one sum (Chronopoulos and Gear 1989): p = v + beta p, s = w + beta s, x += alpha p,
-    r -= alpha s, v = r / scale."""
-    g = wp.tid()
+def curve(r: wp.array[wp.float32], v: wp.array[wp.float32], scale: wp.array[wp.float32], is_free: wp.array[wp.float32],
+          sum: wp.array[wp.int64], w: wp.array[wp.float32], part: wp.array[wp.float64], unit: wp.float32, lambda_: wp.float32,
+          damping: wp.float32, rows: wp.int32, cols: wp.int32):
+    """w = free (sum unit + lambda unbend v + damping scale v), the normal equations' matrix times v; sum = 0.
+
+    In part (blocks, 3) r v, v w and v v."""
+    curve_at(r, v, scale, is_free, sum, w, part, unit, lambda_, damping, rows, cols, wp.tid())
+
+
+@wp.func
+def go_at(scale: wp.array[wp.float32], w: wp.array[wp.float32], r: wp.array[wp.float32], v: wp.array[wp.float32], x: wp.array[wp.float32],
+          p: wp.array[wp.float32], s: wp.array[wp.float32], alpha: wp.float32, beta: wp.float32, pixels: wp.int32, g: wp.int32):
+    """See go."""
     for i in range(g * BLOCK, wp.min(pixels, g * BLOCK + BLOCK)):
         p[i] = v[i] + beta * p[i]
         s[i] = w[i] + beta * s[i]
         x[i] = x[i] + alpha * p[i]
         r[i] = r[i] - alpha * s[i]
         v[i] = r[i] / scale[i]
+
+
+@wp.kernel
+def go(scale: wp.array[wp.float32], w: wp.array[wp.float32], r: wp.array[wp.float32], v: wp.array[wp.float32], x: wp.array[wp.float32],
+       p: wp.array[wp.float32], s: wp.array[wp.float32], alpha: wp.float32, beta: wp.float32, pixels: wp.int32):
+    """A step of conjugate gradients with one sum (Chronopoulos and Gear 1989): p = v + beta p, s = w + beta s, x += alpha p,
+    r -= alpha s, v = r / scale."""
+    go_at(scale, w, r, v, x, p, s, alpha, beta, pixels, wp.tid())
+
+
+@wp.kernel
+def solve(light: wp.array[wp.float32], pulls: wp.array[wp.float32], at: wp.array[wp.int32], shares: wp.array[wp.float32],
+          gain: wp.array[wp.float32], scale: wp.array[wp.float32], is_free: wp.array[wp.float32], sum: wp.array[wp.int64],
+          r: wp.array[wp.float32], v: wp.array[wp.float32], w: wp.array[wp.float32], x: wp.array[wp.float32], p: wp.array[wp.float32],
+          s: wp.array[wp.float32], u: wp.array[wp.float32], part: wp.array[wp.float64], gained: wp.array[wp.float64],
+          length: wp.float64, fixed_: wp.float64, lambda_: wp.float32, damping: wp.float32, least: wp.float64, most: wp.int32,
+          rows: wp.int32, cols: wp.int32, count: wp.int32):
+    """All of conjugate gradients after begin, by one thread: on a small grid a CPU takes longer to start a kernel than to run it.
+
+    The same operations in the same order as the kernels above, and as Descent.solve between them. gained[0]: what the
+    quadratic model gains."""
+    pixels = rows * cols
+    blocks = (pixels - 1) / BLOCK + 1
+    size = wp.float64(length)
+    start = wp.float64(0.0)
+    before = wp.float64(0.0)
+    alpha = wp.float64(0.0)
+    total = wp.float64(0.0)
+    done = wp.int32(0)
+    number = wp.int32(0)
+    while number < most and done == 0:
+        unit = fixed_ / size
+        for i in range(pixels):
+            push_at(light, pulls, at, shares, gain, v, u, rows, cols, count, i)
+        for i in range(pixels):
+            pull_at(light, pulls, at, shares, u, sum, wp.float32(unit), rows, cols, count, i)
+        product = wp.float64(0.0)
+        curvature = wp.float64(0.0)
+        square = wp.float64(0.0)
+        for g in range(blocks):
+            curve_at(r, v, scale, is_free, sum, w, part, wp.float32(wp.float64(1.0) / unit), lambda_, damping, rows, cols, g)
+            product += part[3 * g]
+            curvature += part[3 * g + 1]
+            square += part[3 * g + 2]
+        beta = wp.float64(0.0)
+        if number == 0:
+            start = product
+        else:
+            beta = product / before
+            curvature -= beta * product / alpha
+        if product > least * start and curvature > wp.float64(0.0):
+            alpha = product / curvature
+            before = product
+            size = wp.sqrt(square)
+            for g in range(blocks):
+                go_at(scale, w, r, v, x, p, s, wp.float32(alpha), wp.float32(beta), pixels, g)
+            total += wp.float64(0.5) * alpha * product
+        else:
+            done = wp.int32(1)
+        number += 1
+    gained[0] = total
 
 
 @wp.kernel

@@ -17,6 +17,7 @@ import numpy as np
 from ..errors import CapacityError
 from .base import SIDES, Backend
 
+DAMPING = 1e-4  # of the first step, in the diagonal's unit
 SETTLED = 3e-3  # share of the objective below which a step is the last
 BLOCK = 64  # nodes that a work-item of a sum owns; as in opencl/adjoint.cl
 TILE = 8  # nodes across the squares whose highest point is known; as there
@@ -96,6 +97,7 @@ class Descent:
         self.low, self.high = (backend.upload(np.broadcast_to(np.asarray(bound, np.float32), shape).ravel()) for bound in (low, high))
         self.sum = backend.empty((self.pixels,), np.int64, 0)
         self.blocks = -(-self.pixels // BLOCK)
+        self.gained = backend.empty((1,), np.float64, 0)
         self.parts = {n: backend.empty((self.blocks, n), np.float64) for n in (1, 3)}
 
     def _launch(self, kernel, *args, dim=None, **more):
@@ -159,6 +161,11 @@ class Descent:
         """Conjugate gradients for a step x from z; what the quadratic model gains by it."""
         rows, cols = self.shape
         length, gain, start, before, alpha = self.gradient(z, smoothness), 0.0, None, None, 0.0
+        if length > 0 and len(self.images) == 1 and self.pixels <= self.backend.alone:
+            image = self.images[0]
+            self._launch("solve", *image.products(), image.gain, self.scale, self.free, self.sum, self.r, self.v, self.w, self.x, self.p, self.s, self.u,
+                         self.parts[3], self.gained, length, FIXED, smoothness, damping, tolerance**2, most, rows, cols, image.count, dim=(1,))
+            return float(self.backend.download(self.gained)[0])
         for _ in range(most if length > 0 else 0):
             unit = FIXED / length
             for image in self.images:
@@ -180,7 +187,7 @@ class Descent:
             stop: Callable[[], bool] | None = None) -> tuple[np.ndarray, float]:
         """Depth (rows, cols) float32 after at most ``steps`` Gauss-Newton steps from ``start``, and the objective there."""
         self.z, value = self.backend.upload(np.asarray(start, np.float32).ravel()), None
-        damping, best = 1e-3, self.evaluate(self.z, smoothness)
+        damping, best = DAMPING, self.evaluate(self.z, smoothness)
         self.steps = 0
         for _ in range(steps):
             self.steps += 1

@@ -77,6 +77,7 @@ class Backend:
     device: str
     memory: int  # bytes that may be taken at once
     lanes = 1  # adjacent lines per work-item
+    alone = 0  # nodes up to which one work-item takes all steps of conjugate gradients, since starting kernels would take longer
     strips = 1  # strips of such lines that a sweep takes side by side
     lines = 1  # adjacent work-items that share cache lines, where work-items of a group run together
     pixel_lanes = 1  # adjacent pixels per work-item where there are no lines; divides ROOM

@@ -17,6 +17,7 @@ OPTIONS = ("-cl-std=CL1.2",)
 HUGE = 2**21  # bytes of a huge page
 CPU_LANES = 8
 CPU_STRIPS = 8  # strips of lines that a sweep takes side by side
+ALONE = 8192  # nodes up to which one work-item solves for a whole step
 GPU_PIXELS = 8
 GPU_LINES = 64
 GPU_GROUP = 1024  # work-items of a group of scan
@@ -65,6 +66,7 @@ class OpenclBackend(Backend):
         self._exact = ("-cl-fp32-correctly-rounded-divide-sqrt",) if exact else ()  # where a GPU would else take 2.5 ulp
         self.on_cpu = bool(self._device.type & cl.device_type.CPU)
         self.lanes = CPU_LANES if self.on_cpu else 1
+        self.alone = ALONE if self.on_cpu else 0
         self.strips = CPU_STRIPS if self.on_cpu else 1
         self.lines = 1 if self.on_cpu else GPU_LINES
         self.pixel_lanes = CPU_LANES if self.on_cpu else GPU_PIXELS

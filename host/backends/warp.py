@@ -13,6 +13,8 @@ from skylamp.warp_kernels import GROUP, LINES, PIXELS
 from .base import Backend
 from .numpy import available_memory
 
+ALONE = 8192  # nodes up to which one thread solves for a whole step
+
 
 def probe():
     """A BackendInfo for Warp's CPU device and for every CUDA device."""
@@ -48,6 +50,7 @@ class WarpBackend(Backend):
         self.device = self._device.name if self._device.is_cuda else "Warp on the CPU, 1 thread"
         self.lines = LINES if self._device.is_cuda else 1
         self.pixel_lanes = PIXELS
+        self.alone = 0 if self._device.is_cuda else ALONE
         self._loaded, self._side = set(), None
 
     @property
