@@ -124,6 +124,8 @@ class Work(NamedTuple):
 def plan(scene: Scene, source: sources.Source, tolerance: float = 0.01, backend: str = "auto", *, tail: float | None = None) -> Plan:
     """The cheapest model of ``scene`` under ``source`` whose relative error is within ``tolerance``, with reasons; print it.
 
+    The light left out between surfaces is no part of the error; ``Plan.beyond`` bounds it.
+
     Parameters
     ----------
     tolerance : float
@@ -133,9 +135,9 @@ def plan(scene: Scene, source: sources.Source, tolerance: float = 0.01, backend:
     backend : str
         Its costs are measured once on this machine and kept in the user's cache folder.
 
-    The light left out between surfaces is no part of the error; ``Plan.beyond`` bounds it.
-
-    Raises InputError, BackendError or CapacityError.
+    Raises
+    ------
+    InputError, BackendError, CapacityError
     """
     return work(scene, source, tolerance, select(backend), tail).plan
 

@@ -25,7 +25,7 @@ def test_python_blocks_run(number, tmp_path, monkeypatch, capsys):
 @pytest.mark.parametrize("number", range(len(SHELL)))
 def test_shell_blocks_run(number, tmp_path):
     """Every command as written; installing and the suite itself are what .ci/run does."""
-    command = re.sub(r"^(pip install [^&\n]*(&& )?)?(pytest$)?", "", SHELL[number], flags=re.MULTILINE)
+    command = re.sub(r"^(pip install [^&\n]*(&& )?)?(pytest -n 2$)?", "", SHELL[number], flags=re.MULTILINE)
     path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
     done = subprocess.run(["bash", "-euo", "pipefail", "-c", command], cwd=tmp_path, env={**os.environ, "PATH": path}, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
@@ -45,10 +45,10 @@ def test_pictures_are_there_and_small():
 
 
 def test_test_command_is_what_ci_runs():
-    """pip install '.[test]' && pytest, here and there."""
-    assert "pip install '.[test]' && pytest\n" in README
+    """pip install '.[test]' && pytest -n 2, here and there."""
+    assert "pip install '.[test]' && pytest -n 2\n" in README
     ci = (ROOT / ".ci" / "run").read_text(encoding="utf-8")
-    assert "'.[test]'\n" in ci and re.search(r"^timeout .* pytest$", ci, re.MULTILINE)
+    assert "'.[test]'\n" in ci and re.search(r"^timeout .* pytest -n 2$", ci, re.MULTILINE)
 
 
 def test_scripts_that_it_names_are_there():
