@@ -96,18 +96,19 @@ class WarpBackend(Backend):
         function = getattr(importlib.import_module(f"skylamp.warp_kernels.{stem}"), kernel)
         if not isinstance(function, self.wp.Kernel):
             function = function(**constants)
-        if function not in self._loaded:
+        group = group or (GROUP if kernel == "scan" else 256)
+        if (function, group) not in self._loaded:  # Warp compiles for every size of block
             start = time.perf_counter()
             level, self.wp.config.log_level = self.wp.config.log_level, self.wp.LOG_WARNING  # Warp would tell stdout
             try:
-                self.wp.load_module(function.module, device=self._device)
+                self.wp.load_module(function.module, device=self._device, block_dim=group)
             finally:
                 self.wp.config.log_level = level
             self.compile_seconds += time.perf_counter() - start
-            self._loaded.add(function)
+            self._loaded.add((function, group))
         values = [self._as(arg, formal.type) for arg, formal in zip(args, function.adj.args, strict=True)]
         # Warp's last index runs fastest, OpenCL's first
-        self.wp.launch(function, dim=tuple(reversed(dim)), inputs=values, device=self._device, block_dim=group or (GROUP if kernel == "scan" else 256))
+        self.wp.launch(function, dim=tuple(reversed(dim)), inputs=values, device=self._device, block_dim=group)
 
     def _as(self, value, kind):
         """A device array seen with the axes and elements that the kernel declares: trailing axes run together, in vectors."""
