@@ -23,6 +23,7 @@ from .costs import Costs
 from .directions import Azimuths, Hemicube
 from .errors import bad
 from .pilots import COUNT, Pilots
+from .radiometry import point_error
 from .reflectance import Lambertian
 from .scene import Scene, is_scene, positive_number
 
@@ -39,6 +40,7 @@ LATTICES = (5, 7, 9, 17, 33)
 LATTICE_ERROR = {5: 0.0376, 7: 0.0188, 9: 0.0119, 17: 0.0039, 33: 0.0012}
 LOOKS = 192  # azimuths at which a sky's brightness is looked at, at least
 NEAR = 24  # rows within which every crossing is tested where a small error of the horizon shows
+POINT = 0.1  # share of the tolerance by which a lamp that is called a point may be off as one
 WORTH = 0.012  # tolerance from which the lattice may be cheaper than horizons under a sky
 CLIFF = 4.0  # spacings that neighbouring nodes may lie apart before the slope is more than the grid holds
 
@@ -489,8 +491,9 @@ class _Slices(_Planner):
         yield Choice("occlusion", "none" if best.method == "unoccluded" else "by ground", "nothing stands between ground and source" if self.clear else f"ground takes {_percent(self.hidden)} of the light (RMS)")
         kind = "lamp" if isinstance(self.source, sources.Lamp) else "window"
         if best.method == "unoccluded":
-            taken = "nothing to see" if self.solid is None else "a point" if self.apparent < 0.01 else "a sphere, closed form" if isinstance(self.solid, Ball) else "a polygon, closed form"
-            yield Choice(kind, taken, "" if self.solid is None else f"its radius seems {np.degrees(self.apparent):.2g} degrees on average, and nothing cuts it")
+            off = 0.0 if self.solid is None else float(point_error(np.sin(self.apparent), 1.0))
+            taken = "nothing to see" if self.solid is None else "a point" if off <= POINT * self.tolerance else "a sphere, closed form" if isinstance(self.solid, Ball) else "a polygon, closed form"
+            yield Choice(kind, taken, "" if self.solid is None else f"its radius seems {np.degrees(self.apparent):.2g} degrees on average, and nothing cuts it; as a point, a disc of that size is off by {_percent(off)}")
         else:
             yield Choice(kind, f"{best.units} slices", f"its radius seems {np.degrees(self.apparent):.2g} degrees on average; {_among(best, settings, 'slices')}")
         varies = callable(self.source.brightness)
