@@ -47,13 +47,11 @@ enum { SLOPES, UNIFORM, TABLE }; /* WHAT */
 #define COUNT 0
 #define PICK(pointer, at) (pointer)[at]
 #define LANE(type, v, l) (v)
-#define ALL(v) (v)
 #else
 #define TO_FLOATS JOIN(convert_float, LANES)
 #define COUNT (ints)(0, 1, 2, 3, 4, 5, 6, 7)
 #define PICK(p, i) ((floats)((p)[(i).s0], (p)[(i).s1], (p)[(i).s2], (p)[(i).s3], (p)[(i).s4], (p)[(i).s5], (p)[(i).s6], (p)[(i).s7]))
 #define LANE(type, v, l) ((type *)&v)[l]
-#define ALL(v) all(v)
 #endif
 #if ON_CPU /* PoCL calls its vector builtins; these go inline */
 typedef struct __attribute__((packed)) { floats v; } loose_floats;
