@@ -124,7 +124,7 @@ def render(scene: Scene, source: sources.Source, method: str = "auto", tolerance
     sun = None if lattice or missing else _sun_of(scene, source, max_distance)
     plans, warnings = [], []
 
-    def irradiance(grey):
+    def irradiance(grey, azimuths=azimuths):
         image, plan, found = _planned(scene, grey, tolerance, tail, engine) if planned else _asked(scene, grey, engine, method, azimuths, max_distance)
         plans.append(plan)
         warnings.extend(text for text in found if text not in warnings)
@@ -144,11 +144,11 @@ def render(scene: Scene, source: sources.Source, method: str = "auto", tolerance
             return [], shading.by_brdf_under_sky(scene, greys, Sweeps(engine, ground_of(scene, max_distance, engine), Rays(sectors.angles, sectors.widths), near=FINE).planes(), sectors)
         irradiances = _each([sources.without_disc(grey) for grey in greys], irradiance) if _is_dull(scene, quantity) else []
         if irradiances and sun is not None:
-            irradiances[0] += _by_slices(scene, sun, engine, Setting("slices", MOST))
+            irradiances[0] += irradiance(sun, None)  # the azimuths that were asked for are the sky's
         if not plans:
             plans.append(_plan_of(scene, greys[0], azimuths, max_distance)[1])
         if sun is not None:
-            plans[0] = replace(plans[0], reason=f"{plans[0].reason}; the sun's disc by slices")
+            plans[0] = replace(plans[0], reason=f"{plans[0].reason}; the sun's disc by itself")
         if lobe and isinstance(source, sources.Sky):
             return irradiances, _each(greys, lambda grey: _gloss(scene, grey, engine, lobe, sun is not None, max_distance))
         if lobe:
@@ -167,10 +167,11 @@ def _planned(scene, source, tolerance, tail, engine) -> tuple[np.ndarray, Plan, 
         image, plan, found = _asked(scene, source, engine, "horizon", fitting[0], None)
         return image, replace(plan, reason=f"RMS error {HORIZON_ERROR[fitting[0]]} of E / pi on rough ground; the map stays on its device"), found
     made = work(scene, source, tolerance, engine, tail)
-    plan, warnings = made.plan, []
+    plan = made.plan
     nodes = made.pilots.y, made.pilots.x
     for tried, setting in enumerate(made.settings):
-        irradiance = _run(scene, source, engine, setting)
+        warnings = []
+        irradiance = _run(scene, source, engine, setting, warnings)
         if made.exact is None:
             break
         found = irradiance[nodes].astype(float)
@@ -185,8 +186,6 @@ def _planned(scene, source, tolerance, tail, engine) -> tuple[np.ndarray, Plan, 
         if error > tolerance:
             warnings.append(f"Tolerance: the image is off by {100 * error:.2g} % (RMS over the mean) at {len(made.pilots)} pilot nodes, more than the {100 * tolerance:.2g} % asked for"
                             + (f"; {plan.reason}." if not setting.error <= tolerance else "."))
-    if setting.method == "lattice":
-        warnings += warnings_of(scene, source, Hemicube(setting.units), True)
     return irradiance, plan, warnings
 
 
@@ -196,13 +195,14 @@ def _asked(scene, source, engine, method, azimuths, max_distance) -> tuple[np.nd
         setting, plan = Setting("unoccluded", scale=source.brightness, table=_sky_table(source)), Plan("unoccluded", None, None, "as asked")
     else:
         setting, plan = _plan_of(scene, source, azimuths, max_distance)
-    return _run(scene, source, engine, setting), plan, []
+    warnings = []
+    return _run(scene, source, engine, setting, warnings), plan, warnings
 
 
-def _run(scene, source, engine, setting: Setting) -> np.ndarray:
-    """Irradiance (rows, cols) float32 of a grey source by one setting."""
+def _run(scene, source, engine, setting: Setting, found: list[str]) -> np.ndarray:
+    """Irradiance (rows, cols) float32 of a grey source by one setting; warnings go into ``found``."""
     if setting.method == "lattice":
-        return _by_lattice(scene, source, [source], engine, Hemicube(setting.units), True, "moment", "irradiance", [])[0][0]
+        return _by_lattice(scene, source, [source], engine, Hemicube(setting.units), True, "moment", "irradiance", found)[0][0]
     way = {"unoccluded": _unoccluded, "slices": _by_slices, "horizon": _by_horizons}[setting.method]
     return way(scene, source, engine, setting).astype(np.float32, copy=False)
 

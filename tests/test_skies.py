@@ -107,6 +107,16 @@ def test_disc_beside_a_mask(fast):
     np.testing.assert_allclose(radiance[mask], irradiance[mask] * 0.5 / np.pi, rtol=1e-6)
 
 
+def test_disc_that_nothing_is_said_to_hide(fast):
+    """method="unoccluded": a wall across the sun's way hides neither sky nor disc; the floor has all of both."""
+    depth = np.full((24, 24), 40.0)
+    depth[:, 12] = 5.0
+    sky = sl.cie_clear((90, 30), direct=3.0)
+    free, hidden = (sl.render(sl.Scene(depth), sl.Sky(sky), method, backend=fast, quantity="irradiance").image[12, 4] for method in ("unoccluded", "horizon"))
+    assert free == pytest.approx(sky.horizontal() + 3.0 * np.sin(np.radians(30)), rel=2e-3)
+    assert hidden < 0.6 * free
+
+
 def test_disc_where_it_would_be_lost(fast):
     """The lattice, carving, windows and maps that repeat refuse the disc instead of dropping or overrating it."""
     sky = sl.cie_clear((10, 50), direct=3.0)
