@@ -33,7 +33,6 @@ class Ground(NamedTuple):
     step: float = 1.0
 
 
-
 class Rays(NamedTuple):
     """Azimuths [rad] and their widths [rad], each (K,)."""
 
