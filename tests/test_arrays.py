@@ -205,6 +205,22 @@ def test_a_map_on_the_device_stays_there(other, sides, stays):
             assert_bits_equal(np.nan_to_num(got, neginf=0), np.nan_to_num(expected, neginf=0))
 
 
+@pytest.mark.gpu
+@pytest.mark.parametrize("library", ["cupy", "torch", "warp"])
+def test_a_map_on_a_gpu_stays_there(library, stays):
+    """As the last, with a map that another library made on cuda:0: on its own stream, float32; another type comes by the host."""
+    name = "warp:cuda:0"
+    if missing := {info.name: info.why for info in sl.backends() if not info.available}.get(name):
+        pytest.skip(f"{name}: {missing}")
+    made = pytest.importorskip(library, reason=f"{library} is not installed")
+    there = {"cupy": lambda v: made.asarray(v), "torch": lambda v: made.as_tensor(v, device="cuda"), "warp": lambda v: made.array(v, device="cuda:0")}[library]
+    plain, scene = sl.Scene(DEPTH, albedo=0.5), sl.Scene(there(DEPTH), albedo=there(np.full(DEPTH.shape, 0.5, np.float32)))
+    assert scene.resident.backend.name == name
+    assert_bits_equal(sl.render(scene, sl.Sky(), azimuths=12, backend=name).image, sl.render(plain, sl.Sky(), azimuths=12, backend=name).image)
+    assert_bits_equal(sl.sky_view_factor(scene, backend=name), sl.sky_view_factor(plain, backend=name))
+    assert_bits_equal(host_array(there(DEPTH.astype(np.float64))), DEPTH.astype(np.float64))
+
+
 def test_what_must_have_it_on_the_host_gets_it(fast):
     """Another backend, lamps, the lattice and scene.depth: downloaded once, same bytes; spacing divides."""
     plain, there = sl.Scene(DEPTH, 2.5), sl.Scene(warp_array(DEPTH), 2.5)
