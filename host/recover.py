@@ -16,13 +16,12 @@ from .directions import Hemicube
 from .errors import bad
 from .render import timed
 from .scene import Scene, at, one_of, positive_number, real_array
-from .synthesis import BRIGHT, Level, Pyramid, blurred, doubled, halved
+from .synthesis import BETTER, BRIGHT, Level, Pyramid, blurred, doubled, halved
 
 METHODS = ("robust", "paper")
 STOPS = ("eps", "sign")
 UNIT = 2**30  # the largest sum of weights, and so of light, in carving's whole numbers
 DOUBT = 0.025  # of the range of depths: two answers this far apart are worth half the confidence
-BETTER = 0.5  # share of the objective below which another start is believed instead of the first
 RIVAL = 4.0  # times the objective up to which another start counts as an answer
 WEIGHT = 4.0  # of the doubt that noise leaves, against that of another start
 SPREAD = 4.0  # of the squared distance to surfaces that were found from this one when disturbed
@@ -194,6 +193,7 @@ def _robust(images, lights, start, layers, near, far, max_seconds, backend, prog
         first = shares[np.argmin(misfits)]
         top, half = pyramid.top, min(pyramid.top, max(1, pyramid.top - 2))
         bottom, depth_range = pyramid.bounds[top][0], pyramid.bounds[top][1] - pyramid.bounds[top][0]
+        pyramid.lighten(bottom + first * depth_range)
         z, value = pyramid.climb(bottom + first * depth_range, top, half)
         found = z
         if not pyramid.stop():

@@ -28,16 +28,21 @@ BRIGHT = 0.4  # rms to which images are scaled, so that smoothness means the sam
 AZIMUTHS = 24  # of a sky
 SLICES = 24  # of a lamp or window
 ROWS = 128  # of azimuths of a lamp's table of brightness
-LEAST = 1e-5  # smoothness for an image without noise
+LEAST, FINEST = 1e-5, 1e-6  # smoothness for an image without noise; on a large grid, where relief is rough
 STIFF = (1e-2, 1e-3, 1e-4)  # smoothness let down to it on the first grid
 SOFTER = (1e-3, 1e-4)  # and on all others
 STEPS, FIRST = 20, 30  # Gauss-Newton steps at one smoothness; of the first grid
 MOST, TOLERANCE = 300, 0.003  # conjugate gradients of a step: what is broad moves last, and what is wrong is mostly broad
-SMALL, HASTE = 64, (8, 60, 0.03)  # grids on which this is cheap; steps, conjugate gradients and tolerance of larger ones
+BETTER = 0.5  # share of the objective below which another start is believed instead of the first
+SMALL = 64  # grids on which this is cheap; larger ones are cycled
+SMOOTH, BOTTOM, CAREFUL = (4, 60, 0.03), (10, 100, 0.03), 1e-2  # steps, conjugate gradients, tolerance of a cycle's grids and of its coarsest; first damping
+CYCLES, SLOW = 14, 0.03  # of a large grid; the fall of the objective in one below which it is the last
+LIGHTER = (0.97, 0.94, 0.9, 0.85, 0.8, 0.75, 0.7, 0.65, 0.6)  # gains tried for what a coarse grid does not see
 SETTLED = 1e-3  # share of the objective below which a step is the last
 KICKED, ROUNDS, ENOUGH = 32, 2, 0.8  # grids on which a surface is kicked out of its minimum, rounds of kicks, the fall of the objective that asks for one more
 GOOD = 0.0015  # residual, as a share of the image, that is not worth disturbing
-CYCLED = 128  # grids that are worth a way down and up again
+SHADE = 0.35  # residual on a coarse grid, over what its gain lacks to 1: shade of fine relief is not the same everywhere
+TEXTURE = 16.0  # variance on half as fine a grid over that on a grid, of what relief leaves in second differences of the light
 BEND = 0.6  # variance of second differences of a surface, against which noise is weighed
 FAITH, PROBES = 0.01, 4  # share of the image's rms that the model may be wrong by, and noises tried, to tell what is uncertain
 
@@ -116,11 +121,15 @@ def light_of(source: sources.Source, shape: tuple[int, int], scale: float, azimu
 
 
 def noise_of(image: np.ndarray) -> float:
-    """Standard deviation of white noise in an image (Immerkaer 1996, with a median): what a cross of second differences leaves."""
-    if min(image.shape) < 3:
+    """Standard deviation of white noise in an image: what a cross of second differences leaves (Immerkaer 1996, with a median).
+
+    Fine relief leaves something too, but TEXTURE times as much (variance) on a grid half as fine, where noise leaves the same
+    for each of its means; so the two are told apart."""
+    if min(image.shape) < 6:
         return 0.0
     second = lambda v: v[:-2] - 2 * v[1:-1] + v[2:]
-    return float(np.median(np.abs(second(second(image).T)))) / (0.6745 * 6)
+    left = [float(np.median(np.abs(second(second(v).T)))) / (0.6745 * 6) for v in (image, 2 * halved(image))]
+    return math.sqrt(max(0.0, TEXTURE * left[0] ** 2 - left[1] ** 2) / (TEXTURE - 1))
 
 
 class Pyramid:
@@ -145,12 +154,17 @@ class Pyramid:
         self.top = len(self.images) - 1
         self.noise = math.sqrt(float(np.mean([noise_of(image) ** 2 for image in self.images[0]])))
         self.problems = {}
+        self.gains = [1.0] * (self.top + 1)
         self.tried = []  # (level, depth, objective) of all surfaces that were kicked and eased
         self.best = None  # (level, depth): the last surface that was accepted, whatever comes
 
     def smoothness(self, level: int) -> float:
-        """Weight of squared second differences: the noise left on a grid against how much surfaces bend."""
-        return LEAST + (self.noise * 0.5**level) ** 2 / BEND
+        """Weight of squared second differences: what noise and the shade of unseen relief leave on a grid against how much surfaces bend."""
+        return (LEAST if self._cheap(level) else FINEST) + ((self.noise * 0.5**level) ** 2 + self.shade(level) ** 2) / BEND
+
+    def shade(self, level: int) -> float:
+        """rms by which the model is off on a coarse grid for relief that it does not see."""
+        return SHADE * (1 - self.gains[level]) * BRIGHT
 
     def problem(self, level: int) -> Descent:
         if level not in self.problems:
@@ -176,8 +190,62 @@ class Pyramid:
         z = np.clip(z, *self.bounds[level])
         least = self.smoothness(level)
         for smoothness in (*(s for s in stiff if s > least), least):
-            z, value = problem.run(z, smoothness, *((steps, MOST, TOLERANCE) if max(z.shape) <= SMALL else HASTE), SETTLED, self.stop)
+            z, value = problem.run(z, smoothness, steps, MOST, TOLERANCE, SETTLED, self.stop)
         return z, value
+
+    def _cheap(self, level: int) -> bool:
+        return max(self.images[level][0].shape) <= SMALL
+
+    def lighten(self, z: np.ndarray) -> float:
+        """The gain that lets the first grid explain the images best, starting from z; the targets of all coarse grids are divided by theirs.
+
+        A box of nodes whose fine relief shades itself is darker than its mean surface; without a gain, coarse grids would go deeper for it.
+        A gain other than 1 is believed if the objective falls below BETTER of that without."""
+        gain, least = 1.0, BETTER * self._ease(self.top, z, STIFF, FIRST)[1]
+        problem = self.problem(self.top)
+        if self.top:
+            for tried in LIGHTER:
+                problem.aim([image / tried for image in self.images[self.top]])
+                value = self._ease(self.top, z, STIFF, FIRST)[1]
+                if value < least:
+                    gain, least = tried, value
+        for level in range(1, self.top + 1):
+            self.gains[level] = 1 - (1 - gain) * level / self.top
+            self.images[level] = [image / self.gains[level] for image in self.images[level]]
+            if level in self.problems:
+                self.problems[level].aim(self.images[level])
+        return gain
+
+    def _cycled(self, level: int, z: np.ndarray) -> tuple[np.ndarray, float]:
+        """(depth, objective) on a large grid after cycles over all coarser ones (full approximation scheme), stiff at first."""
+        least, value = self.smoothness(level), math.inf
+        self.damping = {}
+        for count in range(CYCLES):
+            smoothness = max(least, SOFTER[0] * (least / SOFTER[0]) ** (count / (CYCLES // 2)))
+            before = value
+            z, value = self._cycle(level, z, self.images[level], smoothness)
+            if self.stop() or (count > CYCLES // 2 and value > (1 - SLOW) * before):
+                break
+        return z, value
+
+    def _smooth(self, level: int, z: np.ndarray, target: list[np.ndarray], smoothness: float) -> tuple[np.ndarray, float]:
+        problem = self.problem(level)
+        problem.aim(target)
+        z, value = problem.run(np.clip(z, *self.bounds[level]), smoothness, *(SMOOTH if level < self.top else BOTTOM), 1e-4, self.stop, self.damping.get(level, CAREFUL))
+        self.damping[level] = problem.damping
+        problem.aim(self.images[level])
+        return z, value
+
+    def _cycle(self, level: int, z: np.ndarray, target: list[np.ndarray], smoothness: float) -> tuple[np.ndarray, float]:
+        """Smoothing, the same on the next coarser grid whose target is put right by what the two say of one surface, and smoothing again."""
+        z, value = self._smooth(level, z, target, smoothness)
+        if level == self.top or self.stop():
+            return z, value
+        light, small = self.problem(level).irradiances(z), halved(np.asarray(z, float)) / 2
+        seen = self.problem(level + 1).irradiances(small)
+        change = self._cycle(level + 1, small, [halved(t) + s - halved(l) for t, s, l in zip(target, seen, light)], smoothness)[0] - small
+        tried, reached = self._smooth(level, z + 2 * doubled(change, z.shape), target, smoothness)
+        return (tried, reached) if reached < value else (z, value)
 
     def climb(self, z: np.ndarray, start: int, last: int, kick: bool = True) -> tuple[np.ndarray, float]:
         """(depth, objective) on grid ``last`` from a surface on grid ``start``, which is worked over first if it is the coarsest.
@@ -190,9 +258,10 @@ class Pyramid:
         for level in range(start - 1, last - 1, -1):
             if self.stop():
                 break
-            z, value = self._ease(level, 2 * doubled(z, self.images[level][0].shape), SOFTER)
+            z = 2 * doubled(z, self.images[level][0].shape)
+            z, value = self._ease(level, z, SOFTER) if self._cheap(level) else self._cycled(level, z)
             self._keep(level, z)
-            if kick:
+            if kick and self._cheap(level):
                 z, value = self._kick(level, z, value)
                 self._keep(level, z)
         return z, value
@@ -200,19 +269,19 @@ class Pyramid:
     def _kick(self, level: int, z: np.ndarray, value: float) -> tuple[np.ndarray, float]:
         """The best of the minima near this one: the surface is disturbed, eased again, and kept if the objective fell."""
         small = max(z.shape) < 2 * KICKED
-        good = 0.5 * z.size * len(self.sources) * (GOOD * BRIGHT) ** 2
+        good = 0.5 * z.size * len(self.sources) * (GOOD * BRIGHT + self.shade(level)) ** 2
         for _ in range(ROUNDS if small else 1):
             if value < good:
                 break
             before = value
-            for kick in KICKS if small else KICKS[:1] if max(z.shape) <= SMALL else ():
+            for kick in KICKS if small else KICKS[:1]:
                 if self.stop():
                     return z, value
                 tried, reached = self._ease(level, kick(z), SOFTER)
                 self.tried.append((level, tried, reached))
                 if reached < value:
                     z, value = tried, reached
-            for down in range(self.top, level, -1) if max(z.shape) <= CYCLED else ():
+            for down in range(self.top, level, -1):
                 if not self.stop():
                     z, value = self.again(level, down, z, value)
             if value > ENOUGH * before:

@@ -184,10 +184,10 @@ class Descent:
         return gain
 
     def run(self, start: np.ndarray, smoothness: float, steps: int, most: int, tolerance: float = 0.1, settled: float = SETTLED,
-            stop: Callable[[], bool] | None = None) -> tuple[np.ndarray, float]:
+            stop: Callable[[], bool] | None = None, damping: float = DAMPING) -> tuple[np.ndarray, float]:
         """Depth (rows, cols) float32 after at most ``steps`` Gauss-Newton steps from ``start``, and the objective there."""
         self.z, value = self.backend.upload(np.asarray(start, np.float32).ravel()), None
-        damping, best = DAMPING, self.evaluate(self.z, smoothness)
+        best = self.evaluate(self.z, smoothness)
         self.steps = 0
         for _ in range(steps):
             self.steps += 1
@@ -208,4 +208,5 @@ class Descent:
                     break
             if stop and stop():
                 break
+        self.damping = damping
         return self.backend.download(self.z).reshape(self.shape), best
