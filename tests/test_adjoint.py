@@ -60,23 +60,24 @@ def problem(backend, source, shape=SHAPE, sides="open", gain=1.0, target=0.0, lo
 def image(made, z):
     """E (rows, cols) float32."""
     made.value(z, 0.0)
-    return made.backend.download(made.images[0].light)[0].reshape(made.shape)
+    return made.backend.download(made.images[0].links[made.here][0])[0].reshape(made.shape)
 
 
 def upload(made, v):
     return made.backend.upload(np.asarray(v, np.float32).ravel())
 
 
-def links(image):
-    """held (pixels,), and first, second, near, far (count, pixels)."""
-    held, *rest = (image.backend.download(array) for array in image.links()[1:])
+def links(made):
+    """Of the first image: held (pixels,), and first, second, near, far (count, pixels)."""
+    image = made.images[0]
+    held, *rest = (made.backend.download(array) for array in image.links[made.here][1:])
     return held, *(array.transpose(1, 0, 2).reshape(image.count, -1)[:, : len(held)] for array in rest)
 
 
 def push(made, v):
     """J v of the first image, in float64, at the depths of the last evaluation: by its tilts and links."""
-    _, own, by_x, by_y = made.backend.download(made.images[0].light).astype(float)
-    held, first, second, near, far = links(made.images[0])
+    _, own, by_x, by_y = made.backend.download(made.images[0].links[made.here][0]).astype(float)
+    held, first, second, near, far = links(made)
     v, total = np.asarray(v, float), own * np.ravel(v)
     for axis, by in ((1, by_x), (0, by_y)):
         if v.shape[axis] > 1:
@@ -99,7 +100,7 @@ def product(made, v):
     made._launch("ready", made.states[0], made.totals[0], length**2, 1.0, 0.0, 0.0, 0.0, adjoint.FIXED, adjoint.EXACT, 1, dim=(1,))
     v = upload(made, v)
     for each in made.images:
-        made._launch("product", *each.links(), each.gain, v, made.sum, made.states[0], *made.shape, each.count, made.of_team, made.teams, dim=made._teams())
+        made._launch("product", *each.links[made.here], each.gain, v, made.sum, made.states[0], *made.shape, each.count, made.of_team, made.teams, dim=made._teams())
     sum = made.backend.download(made.sum).sum(0).reshape(made.shape)
     made.backend.fill(made.sum, 0)
     return sum * length / adjoint.FIXED
@@ -303,7 +304,7 @@ def test_which_node_limits_a_slice(backend):
     for sides in ("open", "periodic"):
         made = adjoint.Descent(select(backend), z.shape, sides, [(light, np.ones(z.shape), np.zeros(z.shape))], 0, 99)
         made.value(z, 0.0)
-        held, first, second, near, far = links(made.images[0])
+        held, first, second, near, far = links(made)
         wanted = [[] for _ in range(rows * cols)]  # links of every node, where they can be told
         for y, x in np.ndindex(rows, cols):
             for toward, ahead in ((1, at - x), (-1, x - at)):
@@ -369,7 +370,7 @@ def test_the_gradient_is_that_of_the_objective(fast, name):
     made = problem(fast, [SOURCES[name], sl.Sky()], shape, "dark", gain, 0.4 + 0.1 * rng.normal(size=shape))
     smooth = synthesis.doubled(synthesis.doubled(rng.normal(size=(3, 4)), (6, 8)), shape)
     made.value(z, 0.02)
-    made.gradient(made.backend.upload(z.astype(np.float32).ravel()), 0.02)
+    made.gradient(0.02)
     downhill = made.backend.download(made.r).reshape(shape).astype(float)
     for v in (smooth, downhill / abs(downhill).max()):
         step = 2e-3
@@ -392,19 +393,19 @@ def test_a_step_is_that_of_the_dense_matrices(backend, name, sides):
     low, high = np.where(rng.random(shape) < 0.3, z, 0), np.where(rng.random(shape) < 0.3, z, 99)
     made = problem(backend, SOURCES[name], shape, sides, gain, target, low, high)
     value = made.value(z, weight)
-    E = made.backend.download(made.images[0].light)
+    E = made.backend.download(made.images[0].links[made.here][0])
     J = gain.ravel()[:, None] * derivative(made)
     D, misfit = second_differences(shape), (gain * E[0].reshape(shape) - target).ravel().astype(float)
     assert value == pytest.approx(0.5 * (misfit @ misfit + weight * ((D @ z.ravel()) ** 2).sum()), rel=1e-5)
 
-    gained = made.solve(made.backend.upload(z.ravel()), weight, damping, 400, 1e-7)
+    gained = made.solve(weight, damping, 400, 1e-7)
     get = lambda array: made.backend.download(array).astype(float)
     down = -(J.T @ misfit + weight * D.T @ (D @ z.ravel().astype(float)))
     held = ((z <= low).ravel() & (down < 0)) | ((z >= high).ravel() & (down > 0))
     free = ~held
     assert 3 < held.sum() < ((z <= low) | (z >= high)).sum() and (get(made.free) == free).all()
     # the diagonal of transpose(J) J, but for a node's links that lead to the same one
-    scale, (E, own, by_x, by_y), (held, first, second, near, far) = np.full(n, 12 * weight + 1e-7), E.astype(float), links(made.images[0])
+    scale, (E, own, by_x, by_y), (held, first, second, near, far) = np.full(n, 12 * weight + 1e-7), E.astype(float), links(made)
     y, x = np.indices(shape)
     for p, (i, j) in enumerate(zip(y.ravel(), x.ravel())):
         g = float(gain[i, j])
@@ -423,8 +424,8 @@ def test_a_step_is_that_of_the_dense_matrices(backend, name, sides):
     assert gained == pytest.approx(0.5 * down[free] @ wanted[free], rel=1e-3)
     assert abs(get(made.r)).max() < 1e-4 * abs(down).max()
 
-    made._launch("move", made.backend.upload(z.ravel()), made.x, made.low, made.high, made.trial, made.pixels, made.each)
-    np.testing.assert_allclose(get(made.trial), np.clip(z.ravel() + wanted, low.ravel(), high.ravel()), atol=3e-4 * abs(wanted).max())
+    made._launch("move", made.backend.upload(z.ravel()), made.x, made.low, made.high, made.z[1], made.pixels, made.each)
+    np.testing.assert_allclose(get(made.z[1]), np.clip(z.ravel() + wanted, low.ravel(), high.ravel()), atol=3e-4 * abs(wanted).max())
 
 
 def test_descent_finds_the_surface(fast):
@@ -462,9 +463,9 @@ def everything(made, z):
     """What an evaluation and a step leave on the device, only what is defined; adding 0 makes -0 a 0."""
     value = made.value(z, 1e-3)
     get = made.backend.download
-    held, *rest = links(made.images[0])
-    seen = [get(made.images[0].light) + 0, held, *(np.where(np.arange(len(array))[:, None] < held, array, 0) + 0 for array in rest)]
-    gained = made.solve(made.backend.upload(z.ravel()), 1e-3, 1e-3, 8, 1e-3)
+    held, *rest = links(made)
+    seen = [get(made.images[0].links[made.here][0]) + 0, held, *(np.where(np.arange(len(array))[:, None] < held, array, 0) + 0 for array in rest)]
+    gained = made.solve(1e-3, 1e-3, 8, 1e-3)
     return [*seen, *(get(array) + 0 for array in (made.scale, made.free, made.x, made.r)), np.array([value, gained])]
 
 

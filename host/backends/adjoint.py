@@ -59,7 +59,7 @@ class Image:
         pixels = shape[0] * shape[1]
         if pixels * self.count >= 2**31:
             raise CapacityError(f"An image of {pixels:,} pixels along {self.count} azimuths: more than 2^31 links. Cut it into tiles.")
-        backend.reserve(pixels * (16 * self.count + 80 + 16 * backend.teams), f"Recovering {pixels:,} nodes along {self.count} azimuths", "Recover a smaller image.")
+        backend.reserve(pixels * (32 * self.count + 80 + 16 * backend.teams), f"Recovering {pixels:,} nodes along {self.count} azimuths", "Recover a smaller image.")
         put = lambda array: backend.upload(np.ascontiguousarray(array, np.float32))
         self.is_sky, self.is_ball = light.azimuths is not None, int(light.ball)
         self.ways = put(light.azimuths if self.is_sky else light.nodes)
@@ -69,14 +69,15 @@ class Image:
             self.frames, self.solid = put(light.frames), put(light.solid)
         self.gain = put(np.broadcast_to(gain, shape).ravel())
         self.target = put(target.ravel())
-        self.light, self.held = backend.empty((4, pixels), np.float32), backend.empty((pixels,), np.int32)
         room = -(-pixels // BESIDE), self.count, BESIDE
-        self.first, self.second, self.near, self.far = (backend.empty(room, kind) for kind in (np.int32, np.int32, np.float32, np.float32))
+        # light, held, first, second, near, far: of the surface and of a trial
+        shapes = ((4, pixels), np.float32), ((pixels,), np.int32), (room, np.int32), (room, np.int32), (room, np.float32), (room, np.float32)
+        self.links = [tuple(backend.empty(*shape) for shape in shapes) for _ in range(2)]
 
-    def evaluate(self, *surface) -> None:
+    def evaluate(self, side: int, *surface) -> None:
         """Irradiance and its derivatives at a surface."""
         rows, cols = self.shape
-        out = (*self.links(), rows, cols, MARGIN, self.count)
+        out = (*self.links[side], rows, cols, MARGIN, self.count)
         if self.is_sky:
             lanes = self.backend.lanes
             self.backend.launch("adjoint", "sky", (-(-cols // lanes), rows), *surface, self.ways, self.table, *out, self.knots, self.sides)
@@ -84,12 +85,12 @@ class Image:
             self.backend.launch("adjoint", "lamp", (cols, rows), *surface, self.frames, self.ways, self.solid, self.table, *out,
                                 self.knots, self.rows_of_table, self.is_ball, self.sides, lanes=1)
 
-    def links(self) -> tuple:
-        return self.light, self.held, self.first, self.second, self.near, self.far
-
 
 class Descent:
-    """The least-squares problem of one grid: images of one surface, bounds of its depth, smoothness."""
+    """The least-squares problem of one grid: images of one surface, bounds of its depth, smoothness.
+
+    There are two sides, z[here] and a trial, each with what an evaluation found there: nothing is lost where a trial fails.
+    """
 
     def __init__(self, backend: Backend, shape: tuple[int, int], sides: str, images: list[tuple[Light, np.ndarray, np.ndarray]], low, high):
         rows, cols = shape
@@ -98,14 +99,14 @@ class Descent:
         self.heights = backend.empty((rows * (cols + 2 * MARGIN),), np.float32, NONE)
         self.tilts, self.top = backend.empty((2, self.pixels), np.float32), backend.empty((1,), np.int32)
         self.tiles = backend.empty((-(-rows // TILE) * -(-cols // TILE),), np.float32)
-        self.z, self.trial, self.r, self.v, self.w, self.p, self.s, self.x, self.free, self.scale = (backend.empty((self.pixels,), np.float32) for _ in range(10))
+        *self.z, self.r, self.v, self.w, self.p, self.s, self.x, self.free, self.scale = (backend.empty((self.pixels,), np.float32) for _ in range(10))
         self.low, self.high = (backend.upload(np.broadcast_to(np.asarray(bound, np.float32), shape).ravel()) for bound in (low, high))
         self.sum, self.squares = (backend.empty((backend.teams, self.pixels), np.int64, 0) for _ in range(2))
         self.blocks, self.each, self.teams = -(-self.pixels // BLOCK), backend.each, backend.teams
         self.of_team = self.each if self.teams == 1 else -(-self.pixels // self.teams)
         self.parts, self.lengths = (backend.empty((n, self.blocks), np.float64) for n in (len(images) + 1, 2))
         self.states, self.totals = [[backend.empty(shape, dtype) for _ in range(2)] for shape, dtype in (((STATE,), np.float64), ((3, SLOTS), np.int64))]
-        self._iterate = None
+        self.here, self._misfits, self._recorded = 0, [(), ()], {}
 
     def _launch(self, kernel, *args, dim=None, **more):
         self.backend.launch("adjoint", kernel, dim or (-(-self.pixels // self.each),), *args, **more)
@@ -113,73 +114,91 @@ class Descent:
     def _teams(self) -> tuple[int]:
         return (-(-self.pixels // self.of_team),)
 
-    def evaluate(self, z, smoothness: float) -> float:
-        """The objective at the depths z on the device; the derivatives there are kept."""
+    @property
+    def misfits(self) -> list[tuple[float]]:
+        """Of every image the sum of (gain E - target)^2, at z[here]."""
+        return self._misfits[self.here]
+
+    def _again(self, work: Callable[[int], None], side: int, times: int = 1) -> None:
+        """Does work(side), ``times`` times; from the second call on as the backend has recorded it."""
+        if (work.__name__, side) in self._recorded:
+            recorded = self._recorded[work.__name__, side] = self._recorded[work.__name__, side] or self.backend.record(lambda: work(side), times)
+            recorded()
+            return
+        for _ in range(times):
+            work(side)
+        self._recorded[work.__name__, side] = None
+
+    def _look(self, side: int) -> None:
         rows, cols = self.shape
+        z = self.z[side]
         self._launch("surface", z, self.heights, self.tilts, self.top, rows, cols, MARGIN, self.sides, dim=(cols, rows))
         self._launch("tiles", z, self.tiles, self.top, rows, cols, dim=(-(-cols // TILE), -(-rows // TILE)))
         for number, image in enumerate(self.images):
-            image.evaluate(self.heights, self.tilts, self.tiles, self.top)
-            self._launch("misfit", image.light, image.gain, image.target, self.parts, number * self.blocks, self.pixels, dim=(self.blocks,))
+            image.evaluate(side, self.heights, self.tilts, self.tiles, self.top)
+            self._launch("misfit", image.links[side][0], image.gain, image.target, self.parts, number * self.blocks, self.pixels, dim=(self.blocks,))
         self._launch("bending", z, self.parts, len(self.images) * self.blocks, rows, cols, dim=(self.blocks,))
+
+    def evaluate(self, side: int, smoothness: float) -> float:
+        """The objective at z[side]; the derivatives there are kept."""
+        self._again(self._look, side)
         *misfits, bending = self.backend.download(self.parts).sum(1).tolist()
-        self.misfits = [(misfit,) for misfit in misfits]
+        self._misfits[side] = [(misfit,) for misfit in misfits]
         return 0.5 * (sum(misfits) + smoothness * bending)
 
     def value(self, z: np.ndarray, smoothness: float) -> float:
         """The objective at depths (rows, cols)."""
-        return self.evaluate(self.backend.upload(np.asarray(z, np.float32).ravel()), smoothness)
+        self.backend.put(self.z[self.here], np.asarray(z, np.float32).ravel())
+        return self.evaluate(self.here, smoothness)
 
     def irradiances(self, z: np.ndarray) -> list[np.ndarray]:
         """gain E of every image at depths (rows, cols)."""
         self.value(z, 0.0)
         get = self.backend.download
-        return [(get(image.gain) * get(image.light)[0]).reshape(self.shape) for image in self.images]
+        return [(get(image.gain) * get(image.links[self.here][0])[0]).reshape(self.shape) for image in self.images]
 
     def aim(self, targets: list[np.ndarray]) -> None:
         """Other targets from here on."""
         for image, target in zip(self.images, targets):
-            image.target = self.backend.upload(np.asarray(target, np.float32).ravel())
+            self.backend.put(image.target, np.asarray(target, np.float32).ravel())
 
     def step(self, z: np.ndarray, smoothness: float) -> np.ndarray:
         """The first Gauss-Newton step from depths (rows, cols), which were evaluated last, without a penalty on z itself."""
-        self.solve(self.backend.upload(np.asarray(z, np.float32).ravel()), smoothness, 1e-6, 60, 1e-2)
+        self.solve(smoothness, 1e-6, 60, 1e-2)
         return self.backend.download(self.x).reshape(self.shape)
 
-    def gradient(self, z, smoothness: float) -> tuple[float, float]:
-        """Readies a step from z, which must have been evaluated last: r = -gradient, v = r / scale; gives v v and r v."""
+    def gradient(self, smoothness: float) -> tuple[float, float]:
+        """Readies a step from z[here], which must have been evaluated: r = -gradient, v = r / scale; gives v v and r v."""
         unit = FIXED / max(1e-12, math.sqrt(sum(m[0] for m in self.misfits)))
         for image in self.images:
-            self._launch("downhill", *image.links(), image.gain, image.target, self.sum, self.squares, unit, FINE, *self.shape, image.count, self.of_team, self.teams, dim=self._teams())
-        self._launch("begin", z, self.low, self.high, self.sum, self.squares, self.scale, self.r, self.v, self.x, self.p, self.s, self.free, self.lengths,
+            self._launch("downhill", *image.links[self.here], image.gain, image.target, self.sum, self.squares, unit, FINE, *self.shape, image.count, self.of_team, self.teams, dim=self._teams())
+        self._launch("begin", self.z[self.here], self.low, self.high, self.sum, self.squares, self.scale, self.r, self.v, self.x, self.p, self.s, self.free, self.lengths,
                      1 / unit, 1 / FINE, 12 * smoothness + 1e-7, smoothness, *self.shape, self.teams, dim=(self.blocks,))
         return tuple(self.backend.download(self.lengths).sum(1).tolist())
 
-    def solve(self, z, smoothness: float, damping: float, most: int, tolerance: float) -> float:
-        """Conjugate gradients for a step x from z; what the quadratic model gains by it."""
-        square, product = self.gradient(z, smoothness)
+    def solve(self, smoothness: float, damping: float, most: int, tolerance: float) -> float:
+        """Conjugate gradients for a step x from z[here]; what the quadratic model gains by it."""
+        square, product = self.gradient(smoothness)
         if not product > 0:
             return 0.0
         state = self.states[0]
         self._launch("ready", state, self.totals[0], square, product, smoothness, damping, tolerance**2, FIXED, EXACT, most, dim=(1,))
         if len(self.images) == 1 and self.pixels <= self.backend.alone:
             image = self.images[0]
-            self._launch("solve", *image.links(), image.gain, self.scale, self.free, self.sum, self.r, self.v, self.w, self.x, self.p, self.s, state,
+            self._launch("solve", *image.links[self.here], image.gain, self.scale, self.free, self.sum, self.r, self.v, self.w, self.x, self.p, self.s, state,
                          FIXED, EXACT, *self.shape, image.count, dim=(1,))
             return float(self.backend.download(state)[GAIN])
-        if self._iterate is None:
-            self._iterate = self.backend.record(self._two_iterations, self.backend.ahead)
         left = most
         while left > 0:
-            self._iterate()
+            self._again(self._two_iterations, self.here, self.backend.ahead)
             left, gain = self.backend.download(state)[[LEFT, GAIN]].tolist()
         return gain
 
-    def _two_iterations(self) -> None:
+    def _two_iterations(self, side: int) -> None:
         """Of conjugate gradients, from one state to the other and back."""
         for now, then in ((0, 1), (1, 0)):
             for image in self.images:
-                self._launch("product", *image.links(), image.gain, self.v, self.sum, self.states[now], *self.shape, image.count, self.of_team, self.teams, dim=self._teams())
+                self._launch("product", *image.links[side], image.gain, self.v, self.sum, self.states[now], *self.shape, image.count, self.of_team, self.teams, dim=self._teams())
             self._launch("curve", self.r, self.v, self.scale, self.free, self.sum, self.w, self.totals[now], self.states[now], *self.shape, self.each,
                          self.teams)
             self._launch("go", self.scale, self.w, self.r, self.v, self.x, self.p, self.s, self.totals[now], self.totals[then], self.states[now],
@@ -188,26 +207,25 @@ class Descent:
     def run(self, start: np.ndarray, smoothness: float, steps: int, most: int, tolerance: float = 0.1, settled: float = SETTLED,
             stop: Callable[[], bool] | None = None) -> tuple[np.ndarray, float]:
         """Depth (rows, cols) float32 after at most ``steps`` Gauss-Newton steps from ``start``, and the objective there."""
-        self.z, value = self.backend.upload(np.asarray(start, np.float32).ravel()), None
-        damping, best = DAMPING, self.evaluate(self.z, smoothness)
+        damping, best = DAMPING, self.value(start, smoothness)
         self.steps = 0
         for _ in range(steps):
             self.steps += 1
-            gain = self.solve(self.z, smoothness, damping, most, tolerance)
-            self._launch("move", self.z, self.x, self.low, self.high, self.trial, self.pixels, self.each)
-            value = self.evaluate(self.trial, smoothness)
+            gain = self.solve(smoothness, damping, most, tolerance)
+            trial = 1 - self.here
+            self._launch("move", self.z[self.here], self.x, self.low, self.high, self.z[trial], self.pixels, self.each)
+            value = self.evaluate(trial, smoothness)
             ratio = (best - value) / max(gain, 1e-300)
             if value < best:
                 small = best - value < settled * best
-                self.z, self.trial, best = self.trial, self.z, value
+                self.here, best = trial, value
                 damping = max(damping * (0.3 if ratio > 0.5 else 1 if ratio > 0.2 else 3), 1e-6)
                 if small:
                     break
             else:
                 damping *= 4
-                self.evaluate(self.z, smoothness)
                 if damping > 1e4:
                     break
             if stop and stop():
                 break
-        return self.backend.download(self.z).reshape(self.shape), best
+        return self.backend.download(self.z[self.here]).reshape(self.shape), best

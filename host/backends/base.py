@@ -90,6 +90,10 @@ class Backend:
         """A copy of ``array`` on the device."""
         raise NotImplementedError
 
+    def put(self, array, values: np.ndarray) -> None:
+        """Sets all of a device array."""
+        raise NotImplementedError
+
     def empty(self, shape: tuple[int, ...], dtype, fill: int | float | None = None):
         """A new device array; every element ``fill`` if given."""
         raise NotImplementedError

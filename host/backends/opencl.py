@@ -82,6 +82,9 @@ class OpenclBackend(Backend):
         device.set(np.ascontiguousarray(array))
         return device
 
+    def put(self, array, values):
+        array.set(np.ascontiguousarray(values))
+
     def empty(self, shape, dtype, fill=None):
         array = self._array(shape, dtype)
         if fill is not None:

@@ -62,6 +62,9 @@ class WarpBackend(Backend):
     def upload(self, array):
         return self.wp.array(np.ascontiguousarray(array), device=self._device)
 
+    def put(self, array, values):
+        array.assign(np.ascontiguousarray(values))
+
     def empty(self, shape, dtype, fill=None):
         array = self.wp.empty(shape, dtype=self.wp.dtype_from_numpy(dtype), device=self._device)
         if fill is not None:
