@@ -12,6 +12,7 @@ Lengths are in spacings. z is depth, heights are -z. `pixels` is rows x cols.
   tilts    (2, pixels)              float  dz/dx, dz/dy by central differences, one-sided at the border
   tiles    (down x across)          float  the greatest height of every TILE x TILE nodes
   top      (1)                      int    that of all, as ordered() gives it
+  numbers, slopes  (count, pixels + ROOM)  under a sky: what look finds
   light    (4, pixels)              float  out: E; dE by own depth, by dz/dx, by dz/dy
   held     (pixels)                 int    out: slices of a node that another node limits, or two: its links
   first, second                     int    out: these nodes; (pixels / BESIDE, count, BESIDE): node by node, their links
@@ -34,6 +35,7 @@ Twin of warp_kernels/adjoint.py. */
 #define BLOCK 16      /* nodes that a work-item of a sum owns */
 #define BESIDE 32     /* nodes whose links lie side by side: a GPU reads them at once, and a CPU's cache holds them */
 #define LINK(p, k) (((p) / BESIDE * count + (k)) * BESIDE + (p) % BESIDE)
+#define ROOM 32       /* with which an array ends that is read in whole vectors, and which keeps its rows off the same places in a cache */
 #define SLOTS 32      /* places that a sum of whole numbers is spread over */
 enum { OPEN, DARK, PERIODIC };
 
@@ -42,13 +44,16 @@ enum { OPEN, DARK, PERIODIC };
 #define COUNT 0
 #define ALL(v) (v)
 #define READ(offset, pointer) (pointer)[offset]
+#define READ_INTS READ
 #define LANE(v, l) (v)
 #else
 #define TO_FLOATS JOIN(convert_float, LANES)
 #define COUNT (ints)(0, 1, 2, 3, 4, 5, 6, 7)
 #define ALL(v) all(v)
 typedef struct __attribute__((packed)) { floats v; } loose_floats; /* PoCL calls its vector builtins; these go inline */
+typedef struct __attribute__((packed)) { ints v; } loose_ints;
 #define READ(offset, pointer) (((__global const loose_floats *)((pointer) + (offset)))->v)
+#define READ_INTS(offset, pointer) (((__global const loose_ints *)((pointer) + (offset)))->v)
 #define LANE(v, l) (v)[l]
 #endif
 #define MORE(a, b) ((a) > (b) ? (a) : (b))
@@ -303,27 +308,89 @@ void put_floats(__global float *to, floats v, int left)
 #endif
 }
 
-/* sky: E and its derivatives under a sky. azimuths (count, 4): cosine, sine, width, 0; table: one row per azimuth.
-   Work-item (g, y) owns LANES nodes of row y. Order of summation: azimuths. */
-__kernel void sky(__global const float *restrict heights, __global const float *restrict tilts, __global const float *restrict tiles, __global const int *restrict top,
-                  __global const float *restrict azimuths, __global const float *restrict table, __global float *restrict light,
-                  __global int *restrict held, __global int *restrict first, __global int *restrict second, __global float *restrict near,
+void put_ints(__global int *to, ints v, int left)
+{
+#if LANES == 1
+  *to = v;
+#else
+  if (left >= LANES)
+    ((__global loose_ints *)to)->v = v;
+  else
+    for (int l = 0; l < left; ++l)
+      to[l] = v[l];
+#endif
+}
+
+/* LANES nodes of row y from x on: height (none is above those that are not there), dz/dx, dz/dy. */
+typedef struct { floats own, gx, gy; } Nodes;
+
+Nodes nodes_at(__global const float *heights, __global const float *tilts, float highest, int x, int y, int rows, int cols, int margin)
+{
+  const int pixels = rows * cols, p = y * cols + x;
+  const floats own = READ(y * (cols + 2 * margin) + margin + x, heights);
+  const ints here = WHERE(x + COUNT < cols);
+  Nodes nodes;
+  nodes.own = here ? own : highest;
+#if LANES == 1
+  nodes.gx = tilts[p];
+  nodes.gy = tilts[pixels + p];
+#else
+  nodes.gx = nodes.gy = 0;
+  for (int l = 0; l < min(cols - x, LANES); ++l)
+    nodes.gx[l] = tilts[p + l], nodes.gy[l] = tilts[pixels + p + l];
+#endif
+  return nodes;
+}
+
+/* What limits a slice of a sky before the ground does: the level, the tangent plane or the wall, then with its derivative. */
+typedef struct { floats slope, by_wall; } Limit;
+
+Limit limit_of(Way way, Nodes nodes, int x, int y, int rows, int cols, int sides)
+{
+  const floats s = nodes.gx * way.c + nodes.gy * way.s;
+  Limit limit = {MORE(-s, 0), 0};
+  if (sides == DARK) {
+    const floats closeness = 1 / wall_of(way, x, y, rows, cols), wall = -nodes.own * closeness;
+    limit.by_wall = wall > limit.slope ? closeness : 0;
+    limit.slope = MORE(wall, limit.slope);
+  }
+  return limit;
+}
+
+/* look: the horizon of every slice under a sky: its crossing's number (as horizon gives it) and its slope.
+   azimuths (count, 4): cosine, sine, width, 0. Work-item (g, y, a) owns LANES nodes of row y, and `ways` azimuths. */
+__kernel void look(__global const float *restrict heights, __global const float *restrict tilts, __global const float *restrict tiles, __global const int *restrict top,
+                   __global const float *restrict azimuths, __global int *restrict numbers, __global float *restrict slopes, int rows, int cols,
+                   int margin, int count, int sides, int ways)
+{
+  const int x = get_global_id(0) * LANES, y = get_global_id(1), from = get_global_id(2) * ways;
+  if (x >= cols)
+    return;
+  const float highest = unordered(top[0]);
+  const Nodes nodes = nodes_at(heights, tilts, highest, x, y, rows, cols, margin);
+  for (int k = from; k < min(count, from + ways); ++k) {
+    const Way way = way_of(azimuths[4 * k], azimuths[4 * k + 1]);
+    const floats least = limit_of(way, nodes, x, y, rows, cols, sides).slope;
+    floats found = sides == PERIODIC ? MORE(least, LEVEL) : least;
+    const ints number = horizon(heights, tiles, way, x, y, nodes.own, &found, highest, 1e30f, rows, cols, margin, sides);
+    put_ints(numbers + k * (rows * cols + ROOM) + y * cols + x, number, cols - x);
+    put_floats(slopes + k * (rows * cols + ROOM) + y * cols + x, found, cols - x);
+  }
+}
+
+/* sky: E and its derivatives under a sky, after look. table: one row per azimuth. Work-item (g, y) owns LANES nodes of row y.
+   Order of summation: azimuths. */
+__kernel void sky(__global const float *restrict heights, __global const float *restrict tilts, __global const int *restrict top,
+                  __global const int *restrict numbers, __global const float *restrict slopes, __global const float *restrict azimuths,
+                  __global const float *restrict table, __global float *restrict light, __global int *restrict held, __global int *restrict first, __global int *restrict second, __global float *restrict near,
                   __global float *restrict far, int rows, int cols, int margin, int count, int knots, int sides)
 {
   const int x = get_global_id(0) * LANES, y = get_global_id(1), pixels = rows * cols, p = y * cols + x, left = min(cols - x, LANES);
   if (x >= cols)
     return;
-  floats own = READ(y * (cols + 2 * margin) + margin + x, heights), gx = 0, gy = 0;
-  const float highest = unordered(top[0]);
+  const Nodes nodes = nodes_at(heights, tilts, unordered(top[0]), x, y, rows, cols, margin);
   const ints here = WHERE(x + COUNT < cols);
-  own = here ? own : highest;
-#if LANES == 1
-  gx = tilts[p], gy = tilts[pixels + p];
-#else
-  for (int l = 0; l < left; ++l)
-    gx[l] = tilts[p + l], gy[l] = tilts[pixels + p + l];
-#endif
-  const floats inverse = 1 / sqrt(1 + gx * gx + gy * gy);
+  const floats gx = nodes.gx, gy = nodes.gy, inverse = 1 / sqrt(1 + gx * gx + gy * gy);
   floats sum = 0, by_own = 0, by_x = 0, by_y = 0;
   int links[LANES];
   for (int l = 0; l < LANES; ++l)
@@ -332,26 +399,20 @@ __kernel void sky(__global const float *restrict heights, __global const float *
     const Way way = way_of(azimuths[4 * k], azimuths[4 * k + 1]);
     const float width = azimuths[4 * k + 2];
     const floats s = gx * way.c + gy * way.s;
-    floats slope = MORE(-s, 0), by_wall = 0;
-    if (sides == DARK) {
-      const floats closeness = 1 / wall_of(way, x, y, rows, cols), wall = -own * closeness;
-      by_wall = wall > slope ? closeness : 0;
-      slope = MORE(wall, slope);
-    }
-    floats found = sides == PERIODIC ? MORE(slope, LEVEL) : slope;
-    const ints number = horizon(heights, tiles, way, x, y, own, &found, highest, 1e30f, rows, cols, margin, sides);
-    slope = number != 0 ? found : slope;
+    const Limit limit = limit_of(way, nodes, x, y, rows, cols, sides);
+    const ints number = here ? READ_INTS(k * (pixels + ROOM) + p, numbers) : 0;
+    const floats found = READ(k * (pixels + ROOM) + p, slopes), slope = number != 0 ? found : limit.slope;
     const Above sky = above(slope, table, k, k, 0, knots);
     const floats per_slope = width * (sky.d1 + s * sky.d2);
     sum += width * (sky.c1 + s * sky.c2);
     by_x += width * way.c * sky.c2;
     by_y += width * way.s * sky.c2;
     if (ALL(number == 0))
-      by_own += per_slope * by_wall;
+      by_own += per_slope * limit.by_wall;
     else {
       const Crossing crossing = crossing_of(way, number, x, y, rows, cols, sides);
       const floats pull = per_slope * crossing.closeness, all_ = -pull * inverse, other = all_ * crossing.share, one = all_ - other;
-      by_own += number == 0 ? per_slope * by_wall : pull;
+      by_own += number == 0 ? per_slope * limit.by_wall : pull;
       for (int l = 0; l < left; ++l)
         if (LANE(number, l) != 0) {
           const int e = LINK(p + l, links[l]++);

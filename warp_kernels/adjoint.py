@@ -9,6 +9,7 @@ Shared arguments, lengths in spacings
   tilts    (2, pixels)              float32  dz/dx, dz/dy by central differences, one-sided at the border
   tiles    (down x across)          float32  the greatest height of every TILE x TILE nodes
   top      (1)                      int32    that of all, as ordered() gives it
+  numbers, slopes  (count, pixels + ROOM)    under a sky: what look finds
   light    (4, pixels)              float32  out: E; dE by own depth, by dz/dx, by dz/dy
   held     (pixels)                 int32    out: slices of a node that another node limits, or two: its links
   first, second                     int32    out: these nodes; (pixels / BESIDE, count, BESIDE): node by node, their links
@@ -33,6 +34,7 @@ LEVEL = wp.constant(wp.float32(0.01))  # slope below which a map that repeats is
 SLACK = wp.constant(wp.float32(1.00001))  # what is left out must be lower by more than roundings
 BLOCK = wp.constant(wp.int32(16))  # nodes that a thread of a sum owns
 BESIDE = wp.constant(wp.int32(32))  # nodes whose links lie side by side: a GPU reads them at once, and a CPU's cache holds them
+ROOM = wp.constant(wp.int32(32))  # with which an array ends that is read in whole vectors
 SLOTS = wp.constant(wp.int32(32))  # places that a sum of whole numbers is spread over
 TILE = wp.constant(wp.int32(8))
 OPEN, DARK, PERIODIC = (wp.constant(wp.int32(side)) for side in range(3))
@@ -348,12 +350,46 @@ def tiles(z: wp.array[wp.float32], tiles: wp.array[wp.float32], top: wp.array[wp
     wp.atomic_max(top, 0, ordered(high))
 
 
+@wp.func
+def limit_of(way: Way, own: wp.float32, gx: wp.float32, gy: wp.float32, x: wp.int32, y: wp.int32, rows: wp.int32, cols: wp.int32, sides: wp.int32):
+    """What limits a slice of a sky before the ground does: the level, the tangent plane or the wall, then with its derivative."""
+    slope = wp.max(-(gx * way.c + gy * way.s), 0.0)
+    by_wall = wp.float32(0.0)
+    if sides == DARK:
+        closeness = 1.0 / wall_of(way, x, y, rows, cols)
+        wall = -own * closeness
+        if wall > slope:
+            slope = wall
+            by_wall = closeness
+    return slope, by_wall
+
+
 @wp.kernel
-def sky(heights: wp.array[wp.float32], tilts: wp.array[wp.float32], tiles: wp.array[wp.float32], top: wp.array[wp.int32],
-        azimuths: wp.array[wp.float32], table: wp.array[wp.float32], light: wp.array[wp.float32], held: wp.array[wp.int32],
-        first: wp.array[wp.int32], second: wp.array[wp.int32], near: wp.array[wp.float32], far: wp.array[wp.float32], rows: wp.int32, cols: wp.int32,
+def look(heights: wp.array[wp.float32], tilts: wp.array[wp.float32], tiles: wp.array[wp.float32], top: wp.array[wp.int32],
+         azimuths: wp.array[wp.float32], numbers: wp.array[wp.int32], slopes: wp.array[wp.float32], rows: wp.int32, cols: wp.int32,
+         margin: wp.int32, count: wp.int32, sides: wp.int32, ways: wp.int32):
+    """The horizon of every slice under a sky: its crossing's number (as horizon gives it) and its slope.
+
+    azimuths (count, 4): cosine, sine, width, 0. Thread (a, y, x) owns a node and ``ways`` azimuths."""
+    a, y, x = wp.tid()
+    p = y * cols + x
+    own = heights[y * (cols + 2 * margin) + margin + x]
+    for k in range(a * ways, wp.min(count, a * ways + ways)):
+        way = way_of(azimuths[4 * k], azimuths[4 * k + 1])
+        least, _by_wall = limit_of(way, own, tilts[p], tilts[rows * cols + p], x, y, rows, cols, sides)
+        if sides == PERIODIC:
+            least = wp.max(least, LEVEL)
+        found, number = horizon(heights, tiles, way, x, y, own, least, unordered(top[0]), 1e30, rows, cols, margin, sides)
+        numbers[k * (rows * cols + ROOM) + p] = number
+        slopes[k * (rows * cols + ROOM) + p] = found
+
+
+@wp.kernel
+def sky(heights: wp.array[wp.float32], tilts: wp.array[wp.float32], top: wp.array[wp.int32], numbers: wp.array[wp.int32], slopes: wp.array[wp.float32],
+        azimuths: wp.array[wp.float32], table: wp.array[wp.float32], light: wp.array[wp.float32], held: wp.array[wp.int32], first: wp.array[wp.int32],
+        second: wp.array[wp.int32], near: wp.array[wp.float32], far: wp.array[wp.float32], rows: wp.int32, cols: wp.int32,
         margin: wp.int32, count: wp.int32, knots: wp.int32, sides: wp.int32):
-    """E and its derivatives under a sky. azimuths (count, 4): cosine, sine, width, 0; table: one row per azimuth.
+    """E and its derivatives under a sky, after look. table: one row per azimuth.
 
     Thread (y, x) owns a node. Order of summation: azimuths."""
     y, x = wp.tid()
@@ -362,7 +398,6 @@ def sky(heights: wp.array[wp.float32], tilts: wp.array[wp.float32], tiles: wp.ar
     own = heights[y * (cols + 2 * margin) + margin + x]
     gx = tilts[p]
     gy = tilts[pixels + p]
-    peak = unordered(top[0])
     inverse = 1.0 / wp.sqrt(1.0 + gx * gx + gy * gy)
     links = wp.int32(0)
     sum = wp.float32(0.0)
@@ -373,20 +408,10 @@ def sky(heights: wp.array[wp.float32], tilts: wp.array[wp.float32], tiles: wp.ar
         way = way_of(azimuths[4 * k], azimuths[4 * k + 1])
         width = azimuths[4 * k + 2]
         s = gx * way.c + gy * way.s
-        slope = wp.max(-s, 0.0)
-        by_wall = wp.float32(0.0)
-        if sides == DARK:
-            closeness = 1.0 / wall_of(way, x, y, rows, cols)
-            wall = -own * closeness
-            if wall > slope:
-                slope = wall
-                by_wall = closeness
-        least = slope
-        if sides == PERIODIC:
-            least = wp.max(slope, LEVEL)
-        found, number = horizon(heights, tiles, way, x, y, own, least, peak, 1e30, rows, cols, margin, sides)
+        slope, by_wall = limit_of(way, own, gx, gy, x, y, rows, cols, sides)
+        number = numbers[k * (pixels + ROOM) + p]
         if number != 0:
-            slope = found
+            slope = slopes[k * (pixels + ROOM) + p]
         lit = above(slope, table, k, k, 0.0, knots)
         per_slope = width * (lit[2] + s * lit[3])
         sum += width * (lit[0] + s * lit[1])

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..errors import CapacityError
-from .base import SIDES, Backend
+from .base import ROOM, SIDES, Backend
 
 DAMPING = 1e-4  # of the first step, in the diagonal's unit
 SETTLED = 3e-3  # share of the objective below which a step is the last
@@ -57,15 +57,17 @@ class Image:
     def __init__(self, backend: Backend, light: Light, shape: tuple[int, int], sides: str, gain: np.ndarray, target: np.ndarray):
         self.backend, self.shape, self.sides, self.count = backend, shape, SIDES[sides], light.count
         pixels = shape[0] * shape[1]
-        if pixels * self.count >= 2**31:
+        if (pixels + ROOM) * self.count >= 2**31:
             raise CapacityError(f"An image of {pixels:,} pixels along {self.count} azimuths: more than 2^31 links. Cut it into tiles.")
-        backend.reserve(pixels * (32 * self.count + 80 + 16 * backend.teams), f"Recovering {pixels:,} nodes along {self.count} azimuths", "Recover a smaller image.")
+        backend.reserve(pixels * (40 * self.count + 80 + 16 * backend.teams), f"Recovering {pixels:,} nodes along {self.count} azimuths", "Recover a smaller image.")
         put = lambda array: backend.upload(np.ascontiguousarray(array, np.float32))
         self.is_sky, self.is_ball = light.azimuths is not None, int(light.ball)
         self.ways = put(light.azimuths if self.is_sky else light.nodes)
         self.table = put(np.zeros((1, 4)) if light.table is None else light.table)
         self.knots, self.rows_of_table = (0, 1) if light.table is None else light.table.shape[1::-1]
-        if not self.is_sky:
+        if self.is_sky:
+            self.numbers, self.slopes = (backend.empty((self.count, pixels + ROOM), kind) for kind in (np.int32, np.float32))
+        else:
             self.frames, self.solid = put(light.frames), put(light.solid)
         self.gain = put(np.broadcast_to(gain, shape).ravel())
         self.target = put(target.ravel())
@@ -79,8 +81,12 @@ class Image:
         rows, cols = self.shape
         out = (*self.links[side], rows, cols, MARGIN, self.count)
         if self.is_sky:
-            lanes = self.backend.lanes
-            self.backend.launch("adjoint", "sky", (-(-cols // lanes), rows), *surface, self.ways, self.table, *out, self.knots, self.sides)
+            heights, tilts, tiles, top = surface
+            each = self.count if self.backend.each > 1 else 1  # azimuths of a work-item
+            across = -(-cols // self.backend.lanes)
+            self.backend.launch("adjoint", "look", (across, rows, -(-self.count // each)), *surface, self.ways, self.numbers, self.slopes, rows, cols, MARGIN, self.count,
+                                self.sides, each)
+            self.backend.launch("adjoint", "sky", (across, rows), heights, tilts, top, self.numbers, self.slopes, self.ways, self.table, *out, self.knots, self.sides)
         else:
             self.backend.launch("adjoint", "lamp", (cols, rows), *surface, self.frames, self.ways, self.solid, self.table, *out,
                                 self.knots, self.rows_of_table, self.is_ball, self.sides, lanes=1)

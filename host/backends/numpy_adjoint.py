@@ -150,27 +150,42 @@ def _finish(light, gx, gy, inverse, total, by_own, by_x, by_y):
     light[:] = total * inverse, by_own * inverse, by_x * inverse - drop * gx, by_y * inverse - drop * gy
 
 
-def sky(heights, tilts, tiles, top, azimuths, table, light, held, first, second, near, far, rows, cols, margin, count, knots, sides):
+def _limits(azimuth, own, gx, gy, x, y, rows, cols, sides):
+    """(way, slope along it, what limits it before the ground does, derivative of that by the own depth if it is the wall)."""
+    c, s, _, _ = azimuth
+    ways = _ways(c, s)
+    tilt = gx * c + gy * s
+    slope, by_wall = np.maximum(-tilt, f32(0)), f32(0)
+    if sides == DARK:
+        closeness = 1 / _wall(ways, x, y, rows, cols)
+        wall = -own * closeness
+        by_wall = np.where(wall > slope, closeness, f32(0))
+        slope = np.maximum(wall, slope)
+    return ways, tilt, slope, by_wall
+
+
+def look(heights, tilts, tiles, top, azimuths, numbers, slopes, rows, cols, margin, count, sides, ways):
+    y, x = (v.ravel() for v in np.indices((rows, cols)))
+    own = heights.reshape(rows, cols + 2 * margin)[:, margin : margin + cols].ravel()
+    reach = np.full(own.shape, 1e30, f32)
+    for k in range(count):
+        way, _, slope, _ = _limits(azimuths[k], own, *tilts, x, y, rows, cols, sides)
+        least = np.maximum(slope, LEVEL) if sides == PERIODIC else slope
+        slopes[k, : own.size], numbers[k, : own.size] = _horizon(heights, way, x, y, own, least, _highest(top), reach, rows, cols, margin, sides)
+
+
+def sky(heights, tilts, top, numbers, slopes, azimuths, table, light, held, first, second, near, far, rows, cols, margin, count, knots, sides):
     y, x = (v.ravel() for v in np.indices((rows, cols)))
     own = heights.reshape(rows, cols + 2 * margin)[:, margin : margin + cols].ravel()
     gx, gy = tilts
-    reach = np.full(own.shape, 1e30, f32)
     total, by_own, by_x, by_y = (np.zeros(own.shape, f32) for _ in range(4))
     inverse = 1 / np.sqrt(1 + gx * gx + gy * gy)
     held[:] = 0
     for k in range(count):
         c, s, width, _ = azimuths[k]
-        ways = _ways(c, s)
-        tilt = gx * c + gy * s
-        slope, by_wall = np.maximum(-tilt, f32(0)), f32(0)
-        if sides == DARK:
-            closeness = 1 / _wall(ways, x, y, rows, cols)
-            wall = -own * closeness
-            by_wall = np.where(wall > slope, closeness, f32(0))
-            slope = np.maximum(wall, slope)
-        least = np.maximum(slope, LEVEL) if sides == PERIODIC else slope
-        found, number = _horizon(heights, ways, x, y, own, least, _highest(top), reach, rows, cols, margin, sides)
-        slope = np.where(number != 0, found, slope)
+        ways, tilt, slope, by_wall = _limits(azimuths[k], own, gx, gy, x, y, rows, cols, sides)
+        number = numbers[k, : own.size]
+        slope = np.where(number != 0, slopes[k, : own.size], slope)
         c1, c2, d1, d2 = _above(slope, table, k, k, 0, knots)
         per_slope = width * (d1 + tilt * d2)
         total += width * (c1 + tilt * c2)
