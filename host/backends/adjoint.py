@@ -145,9 +145,13 @@ class Descent:
             self._launch("misfit", image.links[side][0], image.gain, image.target, self.parts, number * self.blocks, self.pixels, dim=(self.blocks,))
         self._launch("bending", z, self.parts, len(self.images) * self.blocks, rows, cols, dim=(self.blocks,))
 
-    def evaluate(self, side: int, smoothness: float) -> float:
-        """The objective at z[side]; the derivatives there are kept."""
-        self._again(self._look, side)
+    def _try(self, side: int) -> None:
+        self._launch("move", self.z[1 - side], self.x, self.low, self.high, self.z[side], self.pixels, self.each)
+        self._look(side)
+
+    def evaluate(self, side: int, smoothness: float, work: Callable[[int], None] | None = None) -> float:
+        """The objective at z[side], or what ``work`` makes of it; the derivatives there are kept."""
+        self._again(work or self._look, side)
         *misfits, bending = self.backend.download(self.parts).sum(1).tolist()
         self._misfits[side] = [(misfit,) for misfit in misfits]
         return 0.5 * (sum(misfits) + smoothness * bending)
@@ -219,8 +223,7 @@ class Descent:
             self.steps += 1
             gain = self.solve(smoothness, damping, most, tolerance)
             trial = 1 - self.here
-            self._launch("move", self.z[self.here], self.x, self.low, self.high, self.z[trial], self.pixels, self.each)
-            value = self.evaluate(trial, smoothness)
+            value = self.evaluate(trial, smoothness, self._try)
             ratio = (best - value) / max(gain, 1e-300)
             if value < best:
                 small = best - value < settled * best
