@@ -10,12 +10,13 @@ Lengths are in spacings. z is depth, heights are -z. `pixels` is rows x cols.
 
   heights  (rows, cols + 2 margin)  float  -z; in the margins -1e30, or the other side of a map that repeats
   tilts    (2, pixels)              float  dz/dx, dz/dy by central differences, one-sided at the border
-  tiles, top                        float  the greatest height of every TILE x TILE nodes, and of all
-  light    (5, pixels)              float  out: E; dE by own depth, by dz/dx, by dz/dy; (1 + |grad z|^2)^(-1/2)
-  pulls    (count, pixels)          float  out: width x dF/dT / distance of the node that limits a slice, without the root
-  at       (count, pixels)          int    out: that crossing's first node, row << 16 | column, bit 30 set if the other is a
-                                           row on, else a column on; -1: no node limits this slice
-  shares   (count, pixels)          float  out: weight of the second node
+  tiles    (down x across)          float  the greatest height of every TILE x TILE nodes
+  top      (1)                      int    that of all, as ordered() gives it
+  numbers, slopes  (count, pixels + ROOM)  under a sky: what look finds
+  light    (4, pixels)              float  out: E; dE by own depth, by dz/dx, by dz/dy
+  held     (pixels)                 int    out: slices of a node that another node limits, or two: its links
+  first, second                     int    out: these nodes; (pixels / BESIDE, count, BESIDE): node by node, their links
+  near, far                         float  out: dE by the depth of the first, of the second; likewise
   table    (n, knots, 4)            float  integrals of B cos^2 and of B sin cos from sin(elevation) = i / (knots - 1) to the
                                            zenith, and what to add up to the next knot; knots 0: brightness 1, closed form
   sides                             0 open, 1 dark, 2 periodic
@@ -31,8 +32,11 @@ Twin of warp_kernels/adjoint.py. */
 #define SLACK 1.00001f /* what is left out must be lower by more than roundings */
 #define ALONG 1e-6f   /* closer to the grid is along it: n times -1e-9 would be a crossing all but on a node, and one of its two off the map */
 #define LEVEL 0.01f   /* slope below which a map that repeats is not searched */
-#define COLUMN (1 << 30)
-#define BLOCK 64      /* nodes that a work-item of a sum owns */
+#define BLOCK 16      /* nodes that a work-item of a sum owns */
+#define BESIDE 32     /* nodes whose links lie side by side: a GPU reads them at once, and a CPU's cache holds them */
+#define LINK(p, k) (((p) / BESIDE * count + (k)) * BESIDE + (p) % BESIDE)
+#define ROOM 32       /* with which an array ends that is read in whole vectors, and which keeps its rows off the same places in a cache */
+#define SLOTS 32      /* places that a sum of whole numbers is spread over */
 enum { OPEN, DARK, PERIODIC };
 
 #if LANES == 1
@@ -40,6 +44,7 @@ enum { OPEN, DARK, PERIODIC };
 #define COUNT 0
 #define ALL(v) (v)
 #define READ(offset, pointer) (pointer)[offset]
+#define READ_INTS READ
 #define LANE(v, l) (v)
 #else
 #define TO_FLOATS JOIN(convert_float, LANES)
@@ -48,6 +53,7 @@ enum { OPEN, DARK, PERIODIC };
 typedef struct __attribute__((packed)) { floats v; } loose_floats; /* PoCL calls its vector builtins; these go inline */
 typedef struct __attribute__((packed)) { ints v; } loose_ints;
 #define READ(offset, pointer) (((__global const loose_floats *)((pointer) + (offset)))->v)
+#define READ_INTS(offset, pointer) (((__global const loose_ints *)((pointer) + (offset)))->v)
 #define LANE(v, l) (v)[l]
 #endif
 #define MORE(a, b) ((a) > (b) ? (a) : (b))
@@ -217,8 +223,8 @@ floats wall_of(Way way, int x, int y, int rows, int cols)
   return wall;
 }
 
-/* Where crossing `number` of the nodes from (x, y) on lies: as in `at`, the second node's weight, 1 / distance. */
-typedef struct { ints at; floats share, closeness; } Crossing;
+/* The nodes beside crossing `number` of the nodes from (x, y) on, the second one's weight, 1 / distance. */
+typedef struct { ints first, second; floats share, closeness; } Crossing;
 
 Crossing crossing_of(Way way, ints number, int x, int y, int rows, int cols, int sides)
 {
@@ -232,20 +238,36 @@ Crossing crossing_of(Way way, ints number, int x, int y, int rows, int cols, int
     column = (column % cols + cols) % cols;
     row = (row % rows + rows) % rows;
   }
+  const ints next_column = column + 1 < cols ? column + 1 : 0, next_row = row + 1 < rows ? row + 1 : 0;
   Crossing found;
+  found.first = row * cols + column;
+  found.second = on_row ? row * cols + next_column : next_row * cols + column;
   found.share = place - TO_FLOATS(low);
   found.closeness = number == 0 ? (floats)0 : (on_row ? (floats)way.rise : (floats)way.run) / (number == 0 ? (floats)1 : count);
-  found.at = number == 0 ? (ints)-1 : (row << 16) | column | (on_row ? (ints)0 : (ints)COLUMN);
   return found;
 }
 
-/* surface: heights and tilts of the depths z (pixels). Work-item (x, y) owns a node. */
-__kernel void surface(__global const float *z, __global float *heights, __global float *tilts, int rows, int cols, int margin, int sides)
+/* A float as a whole number of the same order, and back. */
+int ordered(float v)
+{
+  const int bits = as_int(v);
+  return bits < 0 ? bits ^ 0x7fffffff : bits;
+}
+
+float unordered(int bits)
+{
+  return as_float(bits < 0 ? bits ^ 0x7fffffff : bits);
+}
+
+/* surface: heights and tilts of the depths z (pixels), and a top for tiles to raise. Work-item (x, y) owns a node. */
+__kernel void surface(__global const float *z, __global float *heights, __global float *tilts, __global int *top, int rows, int cols, int margin, int sides)
 {
   const int x = get_global_id(0), y = get_global_id(1), stride = cols + 2 * margin, p = y * cols + x;
   if (x >= cols) /* a group may reach beyond what is asked for; so below */
     return;
   const float h = -z[p];
+  if (p == 0)
+    top[0] = ordered(NONE);
   const int q = y * stride + margin + x;
   heights[q] = h;
   if (sides == PERIODIC) {
@@ -259,35 +281,18 @@ __kernel void surface(__global const float *z, __global float *heights, __global
   tilts[rows * cols + p] = under > over ? (z[under * cols + x] - z[over * cols + x]) / (under - over) : 0;
 }
 
-/* tiles: the greatest height of every TILE x TILE nodes. Work-item (i, j) owns a tile. */
-__kernel void tiles(__global const float *z, __global float *tiles, int rows, int cols)
+/* tiles: the greatest height of every TILE x TILE nodes, and of all. Work-item (i, j) owns a tile. */
+__kernel void tiles(__global const float *z, __global float *tiles, __global int *top, int rows, int cols)
 {
   const int i = get_global_id(0), j = get_global_id(1), across = (cols - 1) / TILE + 1;
   if (i >= across)
     return;
-  float top = NONE;
+  float high = NONE;
   for (int y = j * TILE; y < min(j * TILE + TILE, rows); ++y)
     for (int x = i * TILE; x < min(i * TILE + TILE, cols); ++x)
-      top = MORE(-z[y * cols + x], top);
-  tiles[j * across + i] = top;
-}
-
-/* highest: the greatest height, top[0], by way of those of the rows of tiles: one work-item per row of tiles, then one for all. */
-__kernel void highest(__global const float *tiles, __global float *top, int rows, int cols, int last)
-{
-  const int down = (rows - 1) / TILE + 1, across = (cols - 1) / TILE + 1, j = get_global_id(0);
-  if (j >= (last ? 1 : down))
-    return;
-  float high = NONE;
-  if (last) {
-    for (int i = 0; i < down; ++i)
-      high = MORE(top[1 + i], high);
-    top[0] = high;
-  } else {
-    for (int i = 0; i < across; ++i)
-      high = MORE(tiles[j * across + i], high);
-    top[1 + j] = high;
-  }
+      high = MORE(-z[y * cols + x], high);
+  tiles[j * across + i] = high;
+  atomic_max(top, ordered(high));
 }
 
 void put_floats(__global float *to, floats v, int left)
@@ -316,64 +321,115 @@ void put_ints(__global int *to, ints v, int left)
 #endif
 }
 
-/* sky: E and its derivatives under a sky. azimuths (count, 4): cosine, sine, width, 0; table: one row per azimuth.
-   Work-item (g, y) owns LANES nodes of row y. Order of summation: azimuths. */
-__kernel void sky(__global const float *restrict heights, __global const float *restrict tilts, __global const float *restrict tiles, __global const float *restrict top,
-                  __global const float *restrict azimuths, __global const float *restrict table, __global float *restrict light,
-                  __global float *restrict pulls, __global int *restrict at, __global float *restrict shares, int rows, int cols,
-                  int margin, int count, int knots, int sides)
+/* LANES nodes of row y from x on: height (none is above those that are not there), dz/dx, dz/dy. */
+typedef struct { floats own, gx, gy; } Nodes;
+
+Nodes nodes_at(__global const float *heights, __global const float *tilts, float highest, int x, int y, int rows, int cols, int margin)
+{
+  const int pixels = rows * cols, p = y * cols + x;
+  const floats own = READ(y * (cols + 2 * margin) + margin + x, heights);
+  const ints here = WHERE(x + COUNT < cols);
+  Nodes nodes;
+  nodes.own = here ? own : highest;
+#if LANES == 1
+  nodes.gx = tilts[p];
+  nodes.gy = tilts[pixels + p];
+#else
+  nodes.gx = nodes.gy = 0;
+  for (int l = 0; l < min(cols - x, LANES); ++l)
+    nodes.gx[l] = tilts[p + l], nodes.gy[l] = tilts[pixels + p + l];
+#endif
+  return nodes;
+}
+
+/* What limits a slice of a sky before the ground does: the level, the tangent plane or the wall, then with its derivative. */
+typedef struct { floats slope, by_wall; } Limit;
+
+Limit limit_of(Way way, Nodes nodes, int x, int y, int rows, int cols, int sides)
+{
+  const floats s = nodes.gx * way.c + nodes.gy * way.s;
+  Limit limit = {MORE(-s, 0), 0};
+  if (sides == DARK) {
+    const floats closeness = 1 / wall_of(way, x, y, rows, cols), wall = -nodes.own * closeness;
+    limit.by_wall = wall > limit.slope ? closeness : 0;
+    limit.slope = MORE(wall, limit.slope);
+  }
+  return limit;
+}
+
+/* look: the horizon of every slice under a sky: its crossing's number (as horizon gives it) and its slope.
+   azimuths (count, 4): cosine, sine, width, 0. Work-item (g, y, a) owns LANES nodes of row y, and `ways` azimuths. */
+__kernel void look(__global const float *restrict heights, __global const float *restrict tilts, __global const float *restrict tiles, __global const int *restrict top,
+                   __global const float *restrict azimuths, __global int *restrict numbers, __global float *restrict slopes, int rows, int cols,
+                   int margin, int count, int sides, int ways)
+{
+  const int x = get_global_id(0) * LANES, y = get_global_id(1), from = get_global_id(2) * ways;
+  if (x >= cols)
+    return;
+  const float highest = unordered(top[0]);
+  const Nodes nodes = nodes_at(heights, tilts, highest, x, y, rows, cols, margin);
+  for (int k = from; k < min(count, from + ways); ++k) {
+    const Way way = way_of(azimuths[4 * k], azimuths[4 * k + 1]);
+    const floats least = limit_of(way, nodes, x, y, rows, cols, sides).slope;
+    floats found = sides == PERIODIC ? MORE(least, LEVEL) : least;
+    const ints number = horizon(heights, tiles, way, x, y, nodes.own, &found, highest, 1e30f, rows, cols, margin, sides);
+    put_ints(numbers + k * (rows * cols + ROOM) + y * cols + x, number, cols - x);
+    put_floats(slopes + k * (rows * cols + ROOM) + y * cols + x, found, cols - x);
+  }
+}
+
+/* sky: E and its derivatives under a sky, after look. table: one row per azimuth. Work-item (g, y) owns LANES nodes of row y.
+   Order of summation: azimuths. */
+__kernel void sky(__global const float *restrict heights, __global const float *restrict tilts, __global const int *restrict top,
+                  __global const int *restrict numbers, __global const float *restrict slopes, __global const float *restrict azimuths,
+                  __global const float *restrict table, __global float *restrict light, __global int *restrict held, __global int *restrict first, __global int *restrict second, __global float *restrict near,
+                  __global float *restrict far, int rows, int cols, int margin, int count, int knots, int sides)
 {
   const int x = get_global_id(0) * LANES, y = get_global_id(1), pixels = rows * cols, p = y * cols + x, left = min(cols - x, LANES);
   if (x >= cols)
     return;
-  floats own = READ(y * (cols + 2 * margin) + margin + x, heights), gx = 0, gy = 0;
-  const float highest_ = top[0];
+  const Nodes nodes = nodes_at(heights, tilts, unordered(top[0]), x, y, rows, cols, margin);
   const ints here = WHERE(x + COUNT < cols);
-  own = here ? own : highest_;
-#if LANES == 1
-  gx = tilts[p], gy = tilts[pixels + p];
-#else
-  for (int l = 0; l < left; ++l)
-    gx[l] = tilts[p + l], gy[l] = tilts[pixels + p + l];
-#endif
+  const floats gx = nodes.gx, gy = nodes.gy, inverse = 1 / sqrt(1 + gx * gx + gy * gy);
   floats sum = 0, by_own = 0, by_x = 0, by_y = 0;
+  int links[LANES];
+  for (int l = 0; l < LANES; ++l)
+    links[l] = 0;
   for (int k = 0; k < count; ++k) {
     const Way way = way_of(azimuths[4 * k], azimuths[4 * k + 1]);
     const float width = azimuths[4 * k + 2];
     const floats s = gx * way.c + gy * way.s;
-    floats slope = MORE(-s, 0), by_wall = 0;
-    if (sides == DARK) {
-      const floats closeness = 1 / wall_of(way, x, y, rows, cols), wall = -own * closeness;
-      by_wall = wall > slope ? closeness : 0;
-      slope = MORE(wall, slope);
-    }
-    floats found = sides == PERIODIC ? MORE(slope, LEVEL) : slope;
-    const ints number = horizon(heights, tiles, way, x, y, own, &found, highest_, 1e30f, rows, cols, margin, sides);
-    slope = number != 0 ? found : slope;
+    const Limit limit = limit_of(way, nodes, x, y, rows, cols, sides);
+    const ints number = here ? READ_INTS(k * (pixels + ROOM) + p, numbers) : 0;
+    const floats found = READ(k * (pixels + ROOM) + p, slopes), slope = number != 0 ? found : limit.slope;
     const Above sky = above(slope, table, k, k, 0, knots);
-    const int e = k * pixels + p;
     const floats per_slope = width * (sky.d1 + s * sky.d2);
     sum += width * (sky.c1 + s * sky.c2);
     by_x += width * way.c * sky.c2;
     by_y += width * way.s * sky.c2;
-    if (ALL(number == 0)) {
-      by_own += per_slope * by_wall;
-      put_ints(at + e, -1, left);
-    } else {
+    if (ALL(number == 0))
+      by_own += per_slope * limit.by_wall;
+    else {
       const Crossing crossing = crossing_of(way, number, x, y, rows, cols, sides);
-      const floats pull = per_slope * crossing.closeness;
-      by_own += number == 0 ? per_slope * by_wall : pull;
-      put_floats(pulls + e, pull, left);
-      put_ints(at + e, crossing.at, left);
-      put_floats(shares + e, crossing.share, left);
+      const floats pull = per_slope * crossing.closeness, all_ = -pull * inverse, other = all_ * crossing.share, one = all_ - other;
+      by_own += number == 0 ? per_slope * limit.by_wall : pull;
+      for (int l = 0; l < left; ++l)
+        if (LANE(number, l) != 0) {
+          const int e = LINK(p + l, links[l]++);
+          first[e] = LANE(crossing.first, l);
+          second[e] = LANE(crossing.second, l);
+          near[e] = LANE(one, l);
+          far[e] = LANE(other, l);
+        }
     }
   }
-  const floats inverse = 1 / sqrt(1 + gx * gx + gy * gy), drop = sum * inverse * inverse * inverse;
+  const floats drop = sum * inverse * inverse * inverse;
   put_floats(light + p, sum * inverse, left);
   put_floats(light + pixels + p, by_own * inverse, left);
   put_floats(light + 2 * pixels + p, by_x * inverse - drop * gx, left);
   put_floats(light + 3 * pixels + p, by_y * inverse - drop * gy, left);
-  put_floats(light + 4 * pixels + p, inverse, left);
+  for (int l = 0; l < left; ++l)
+    held[p + l] = links[l];
 }
 
 #if LANES == 1
@@ -385,17 +441,18 @@ __kernel void sky(__global const float *restrict heights, __global const float *
    nodes   (count, 4)   float  sine and cosine of midpoints of -pi/2..pi/2, cosine and sine of midpoints all round
    n_rows  rows of table, evenly in the diamond angle (c, s) -> s / (|c| + |s|), -1..1 over the half c > 0 and on
    Work-item (x, y) owns a node. Order of summation: slices. */
-__kernel void lamp(__global const float *heights, __global const float *tilts, __global const float *tiles, __global const float *top, __global const float *frames,
+__kernel void lamp(__global const float *heights, __global const float *tilts, __global const float *tiles, __global const int *top, __global const float *frames,
                    __global const float *nodes, __global const float *solid, __global const float *table, __global float *light,
-                   __global float *pulls, __global int *at, __global float *shares, int rows, int cols, int margin, int count,
-                   int knots, int n_rows, int ball, int sides)
+                   __global int *held, __global int *first, __global int *second, __global float *near, __global float *far,
+                   int rows, int cols, int margin, int count, int knots, int n_rows, int ball, int sides)
 {
   const int x = get_global_id(0), y = get_global_id(1), pixels = rows * cols, p = y * cols + x;
   if (x >= cols)
     return;
   const float own = heights[y * (cols + 2 * margin) + margin + x], gx = tilts[p], gy = tilts[pixels + p];
-  const float ux = frames[4 * p], uy = frames[4 * p + 1], extent = frames[4 * p + 2];
+  const float ux = frames[4 * p], uy = frames[4 * p + 1], extent = frames[4 * p + 2], inverse = 1 / sqrt(1 + gx * gx + gy * gy);
   float sum = 0, by_own = 0, by_x = 0, by_y = 0;
+  int links = 0;
   for (int k = 0; k < count; ++k) {
     /* 1. the slice, and the slopes between which the source stands in it, with their derivatives by the own depth */
     float c = nodes[4 * k + 2], s = nodes[4 * k + 3], width = 6.28318531f / count;
@@ -478,11 +535,9 @@ __kernel void lamp(__global const float *heights, __global const float *tilts, _
     }
     int number = 0;
     if (slope < high)
-      number = horizon(heights, tiles, way, x, y, own, &slope, top[0], reach, rows, cols, margin, OPEN);
+      number = horizon(heights, tiles, way, x, y, own, &slope, unordered(top[0]), reach, rows, cols, margin, OPEN);
 
     /* 3. the light between */
-    Crossing found = {-1, 0, 0};
-    float pull = 0;
     if (slope < high) {
       const float diamond = s >= 0 ? (c >= 0 ? s / (c + s) : 1 - c / (s - c)) : (c < 0 ? 2 - s / (-c - s) : 3 + c / (c - s));
       const float place = 0.25f * diamond * n_rows;
@@ -495,133 +550,95 @@ __kernel void lamp(__global const float *heights, __global const float *tilts, _
         lit.c2 -= over.c2;
         by_own -= width * (over.d1 + tilt * over.d2) * high_by;
       }
-      if (number != 0)
-        found = crossing_of(way, number, x, y, rows, cols, OPEN);
-      pull = per_slope * found.closeness;
       sum += width * (lit.c1 + tilt * lit.c2);
-      by_own += number == 0 ? per_slope * by_limit : pull;
       by_x += width * c * lit.c2;
       by_y += width * s * lit.c2;
+      if (number == 0)
+        by_own += per_slope * by_limit;
+      else {
+        const Crossing crossing = crossing_of(way, number, x, y, rows, cols, OPEN);
+        const float pull = per_slope * crossing.closeness, all_ = -pull * inverse, other = all_ * crossing.share;
+        const int e = LINK(p, links++);
+        by_own += pull;
+        first[e] = crossing.first;
+        second[e] = crossing.second;
+        near[e] = all_ - other;
+        far[e] = other;
+      }
     }
-    pulls[k * pixels + p] = pull;
-    at[k * pixels + p] = found.at;
-    shares[k * pixels + p] = found.share;
   }
-  const float inverse = 1 / sqrt(1 + gx * gx + gy * gy), drop = sum * inverse * inverse * inverse;
+  const float drop = sum * inverse * inverse * inverse;
   light[p] = sum * inverse;
   light[pixels + p] = by_own * inverse;
   light[2 * pixels + p] = by_x * inverse - drop * gx;
   light[3 * pixels + p] = by_y * inverse - drop * gy;
-  light[4 * pixels + p] = inverse;
+  held[p] = links;
 }
 #endif
 
-/* push: out = gain^2 J v, J the derivative of E by z, v a change of z. Work-item g owns LANES nodes. */
-void push_lanes(__global const float *restrict light, __global const float *restrict pulls, __global const int *restrict at,
-                __global const float *restrict shares, __global const float *restrict gain, __global const float *restrict v,
-                __global float *restrict out, int rows, int cols, int count, int first)
+/* An image's derivative J by depth: rows of it are applied to a change of depths, and added up. */
+typedef struct { __global const float *light; __global const int *held, *first, *second; __global const float *near, *far; int count; } Links;
+
+/* Row p of J times v: by how much E changes there. */
+float change_at(Links links, __global const float *v, int rows, int cols, int p)
 {
-  const int pixels = rows * cols, left = min(pixels - first, LANES);
-  float sums[LANES];
-  for (int l = 0; l < left; ++l)
-    sums[l] = 0;
-  for (int k = 0; k < count; ++k)
-    for (int l = 0; l < left; ++l) {
-      const int e = k * pixels + first + l, where = at[e];
-      if (where < 0)
-        continue;
-      const int row = (where >> 16) & 0x3fff, column = where & 0xffff, on_row = (where & COLUMN) == 0;
-      const int next_row = on_row ? row : row + 1 < rows ? row + 1 : 0, next_column = on_row ? (column + 1 < cols ? column + 1 : 0) : column;
-      const float a = v[row * cols + column], b = v[next_row * cols + next_column];
-      sums[l] += pulls[e] * (a + shares[e] * (b - a));
-    }
-  for (int l = 0; l < left; ++l) {
-    const int p = first + l, x = p % cols, y = p / cols;
-    const int before = max(x - 1, 0), after = min(x + 1, cols - 1), over = max(y - 1, 0), under = min(y + 1, rows - 1);
-    const float dx = after > before ? (v[y * cols + after] - v[y * cols + before]) / (after - before) : 0;
-    const float dy = under > over ? (v[under * cols + x] - v[over * cols + x]) / (under - over) : 0;
-    const float change = light[pixels + p] * v[p] - light[4 * pixels + p] * sums[l] + light[2 * pixels + p] * dx + light[3 * pixels + p] * dy;
-    out[p] = gain[p] * gain[p] * change;
+  const int pixels = rows * cols, x = p % cols, y = p / cols, count = links.count;
+  float sum = links.light[pixels + p] * v[p];
+  if (cols > 1)
+    sum += links.light[2 * pixels + p] * ((v[p + (x < cols - 1)] - v[p - (x > 0)]) * (x > 0 && x < cols - 1 ? 0.5f : 1.0f));
+  if (rows > 1)
+    sum += links.light[3 * pixels + p] * ((v[p + (y < rows - 1 ? cols : 0)] - v[p - (y > 0 ? cols : 0)]) * (y > 0 && y < rows - 1 ? 0.5f : 1.0f));
+  for (int k = 0; k < links.held[p]; ++k) {
+    const int e = LINK(p, k);
+    sum += links.near[e] * v[links.first[e]] + links.far[e] * v[links.second[e]];
   }
+  return sum;
 }
 
-__kernel void push(__global const float *restrict light, __global const float *restrict pulls, __global const int *restrict at,
-                   __global const float *restrict shares, __global const float *restrict gain, __global const float *restrict v,
-                   __global float *restrict out, int rows, int cols, int count)
+void add(__global long *sum, long value, int alone)
 {
-  push_lanes(light, pulls, at, shares, gain, v, out, rows, cols, count, get_global_id(0) * LANES);
-}
-
-void add(__global long *sum, float value, int alone)
-{
-  const long whole = convert_long_rtz(value);
   if (alone)
-    *sum += whole;
-  else if (whole != 0)
-    atom_add(sum, whole);
+    *sum += value;
+  else if (value != 0)
+    atom_add(sum, value);
 }
 
-/* pull: sum += unit transpose(J) u, in fixed point, so that no order of summation matters. Work-item g owns LANES nodes. */
-void pull_lanes(__global const float *restrict light, __global const float *restrict pulls, __global const int *restrict at,
-                __global const float *restrict shares, __global const float *restrict u, __global long *sum, float unit, int rows,
-                int cols, int count, int first, int alone)
+/* sum += row p of J times u, in whole numbers, so that no order of summation matters; its elements squared if asked for. */
+void spread_at(Links links, __global long *sum, float u, int squared, int rows, int cols, int p, int alone)
 {
-  const int pixels = rows * cols, left = min(pixels - first, LANES);
-  for (int l = 0; l < left; ++l) {
-    const int p = first + l, x = p % cols, y = p / cols;
-    const float own = u[p] * unit;
-    const int before = max(x - 1, 0), after = min(x + 1, cols - 1), over = max(y - 1, 0), under = min(y + 1, rows - 1);
-    add(sum + p, own * light[pixels + p], alone);
-    if (after > before) {
-      const float part = own * light[2 * pixels + p] / (after - before);
-      add(sum + y * cols + after, part, alone);
-      add(sum + y * cols + before, -part, alone);
-    }
-    if (under > over) {
-      const float part = own * light[3 * pixels + p] / (under - over);
-      add(sum + under * cols + x, part, alone);
-      add(sum + over * cols + x, -part, alone);
-    }
+  const int pixels = rows * cols, x = p % cols, y = p / cols, count = links.count;
+#define SPREAD(to, part) { const float part_ = part; add(sum + (to), convert_long_rtz((squared ? part_ * part_ : part_) * u), alone); }
+  SPREAD(p, links.light[pixels + p])
+  if (cols > 1) {
+    const float part = links.light[2 * pixels + p] * (x > 0 && x < cols - 1 ? 0.5f : 1.0f);
+    SPREAD(p + (x < cols - 1), part)
+    SPREAD(p - (x > 0), -part)
   }
-  for (int k = 0; k < count; ++k)
-    for (int l = 0; l < left; ++l) {
-      const int p = first + l, e = k * pixels + p, where = at[e];
-      if (where < 0)
-        continue;
-      const int row = (where >> 16) & 0x3fff, column = where & 0xffff, on_row = (where & COLUMN) == 0;
-      const int next_row = on_row ? row : row + 1 < rows ? row + 1 : 0, next_column = on_row ? (column + 1 < cols ? column + 1 : 0) : column;
-      const float part = u[p] * unit * light[4 * pixels + p] * pulls[e];
-      add(sum + row * cols + column, -(part - part * shares[e]), alone);
-      add(sum + next_row * cols + next_column, -part * shares[e], alone);
-    }
+  if (rows > 1) {
+    const float part = links.light[3 * pixels + p] * (y > 0 && y < rows - 1 ? 0.5f : 1.0f);
+    SPREAD(p + (y < rows - 1 ? cols : 0), part)
+    SPREAD(p - (y > 0 ? cols : 0), -part)
+  }
+  for (int k = 0; k < links.held[p]; ++k) {
+    const int e = LINK(p, k);
+    SPREAD(links.first[e], links.near[e])
+    SPREAD(links.second[e], links.far[e])
+  }
 }
 
-__kernel void pull(__global const float *restrict light, __global const float *restrict pulls, __global const int *restrict at,
-                   __global const float *restrict shares, __global const float *restrict u, __global long *sum, float unit, int rows,
-                   int cols, int count)
-{
-  pull_lanes(light, pulls, at, shares, u, sum, unit, rows, cols, count, get_global_id(0) * LANES, 0);
-}
-
-/* misfit: residual r = gain E - target, u = gain r, and in part (blocks, 3) the sums of r^2, (gain E)^2 and gain E target.
-   Work-item g of this and of all below owns BLOCK nodes and adds them in order. */
-__kernel void misfit(__global const float *light, __global const float *gain, __global const float *target, __global float *u,
-                     __global double *part, int pixels)
+/* misfit: in part (blocks) the sums of (gain E - target)^2. Work-item g of this, of bending and of begin owns BLOCK nodes and
+   adds them in order. */
+__kernel void misfit(__global const float *light, __global const float *gain, __global const float *target, __global double *part, int block, int pixels)
 {
   const int g = get_global_id(0);
   if (g * BLOCK >= pixels)
     return;
-  double square = 0, bright = 0, both = 0;
+  double square = 0;
   for (int p = g * BLOCK; p < min(pixels, g * BLOCK + BLOCK); ++p) {
-    const float seen = gain[p] * light[p], r = seen - target[p];
-    u[p] = gain[p] * r;
+    const float r = gain[p] * light[p] - target[p];
     square += (double)r * (double)r;
-    bright += (double)seen * (double)seen;
-    both += (double)seen * (double)target[p];
   }
-  part[3 * g] = square;
-  part[3 * g + 1] = bright;
-  part[3 * g + 2] = both;
+  part[block + g] = square;
 }
 
 /* Second difference of v along a line of n nodes, `step` apart in memory, about node i of it; 0 at the ends. */
@@ -641,8 +658,8 @@ float unbend(__global const float *v, int i, int n, int step)
   return sum;
 }
 
-/* bending: in part (blocks) the sums of squared second differences along rows and columns. */
-__kernel void bending(__global const float *z, __global double *part, int rows, int cols)
+/* bending: in part (blocks), from `block` on as above, the sums of squared second differences along rows and columns. */
+__kernel void bending(__global const float *z, __global double *part, int block, int rows, int cols)
 {
   const int g = get_global_id(0), pixels = rows * cols;
   if (g * BLOCK >= pixels)
@@ -652,46 +669,51 @@ __kernel void bending(__global const float *z, __global double *part, int rows, 
     const float a = bend(z + p, p % cols, cols, 1), b = bend(z + p, p / cols, rows, cols);
     sum += (double)a * (double)a + (double)b * (double)b;
   }
-  part[g] = sum;
+  part[block + g] = sum;
 }
 
-/* diagonal: adds the diagonal of transpose(J) gain^2 J, without the far nodes' part; is_first: to 12 lambda + least instead. */
-__kernel void diagonal(__global const float *light, __global const float *gain, __global float *scale, int rows, int cols, float least,
-                       int is_first)
+/* downhill: sum += unit transpose(J) gain (gain E - target), and squares += fine x the diagonal of transpose(J) gain^2 J, or what
+   it is where no two links of a node lead to the same one. Work-item g of this and of all below owns `each` nodes; if there is
+   more than one team, it is one, and adds to sums of its own: sum and squares (teams, pixels). */
+__kernel void downhill(__global const float *restrict light, __global const int *restrict held, __global const int *restrict first, __global const int *restrict second,
+                       __global const float *restrict near, __global const float *restrict far, __global const float *restrict gain,
+                       __global const float *restrict target, __global long *sum, __global long *squares, float unit, float fine, int rows, int cols, int count, int each, int teams)
 {
-  const int x = get_global_id(0), y = get_global_id(1), p = y * cols + x, pixels = rows * cols;
-  if (x >= cols)
-    return;
-  const float own = gain[p] * light[pixels + p];
-  float sum = own * own;
-  for (int side = -1; side <= 1; side += 2) {
-    if (x + side >= 0 && x + side < cols) {
-      const float part = gain[p + side] * light[2 * pixels + p + side] * (x + side == 0 || x + side == cols - 1 ? 1.0f : 0.5f);
-      sum += part * part;
-    }
-    if (y + side >= 0 && y + side < rows) {
-      const float part = gain[p + side * cols] * light[3 * pixels + p + side * cols] * (y + side == 0 || y + side == rows - 1 ? 1.0f : 0.5f);
-      sum += part * part;
-    }
+  const Links links = {light, held, first, second, near, far, count};
+  const int g = get_global_id(0);
+  const size_t own = teams > 1 ? (size_t)g * rows * cols : 0;
+  for (int p = g * each; p < min(rows * cols, g * each + each); ++p) {
+    spread_at(links, sum + own, gain[p] * (gain[p] * light[p] - target[p]) * unit, 0, rows, cols, p, teams > 1);
+    spread_at(links, squares + own, gain[p] * gain[p] * fine, 1, rows, cols, p, teams > 1);
   }
-  scale[p] = sum + (is_first ? least : scale[p]);
 }
 
-/* begin: the downhill direction r = -(sum unit + lambda unbend z), 0 where a bound holds z (free 0); v = r / scale, and
-   x = p = s = sum = 0 for conjugate gradients. In part (blocks) v v. */
-__kernel void begin(__global const float *z, __global const float *low, __global const float *high, __global const float *scale,
-                    __global long *sum, __global float *r, __global float *v, __global float *x, __global float *p, __global float *s,
-                    __global float *is_free, __global double *part, float unit, float lambda_, int rows, int cols)
+/* What all teams have in a sum for node i; there is 0 then. */
+long taken(__global long *sum, int i, int pixels, int teams)
 {
-  const int g = get_global_id(0), pixels = rows * cols;
-  if (g * BLOCK >= pixels)
+  long all_ = 0;
+  for (int t = 0; t < teams; ++t) {
+    all_ += sum[(size_t)t * pixels + i];
+    sum[(size_t)t * pixels + i] = 0;
+  }
+  return all_;
+}
+
+/* begin: the downhill direction r = -(sum unit + lambda unbend z), 0 where a bound holds z (free 0); scale = squares fine + least;
+   v = r / scale, and x = p = s = sum = squares = 0 for conjugate gradients. In part (2, blocks) v v and r v. */
+__kernel void begin(__global const float *z, __global const float *low, __global const float *high, __global long *sum, __global long *squares,
+                    __global float *scale, __global float *r, __global float *v, __global float *x, __global float *p, __global float *s,
+                    __global float *is_free, __global double *part, float unit, float fine, float least, float lambda_, int rows, int cols, int teams)
+{
+  const int g = get_global_id(0), pixels = rows * cols, blocks = (pixels - 1) / BLOCK + 1;
+  if (g >= blocks)
     return;
-  double square = 0;
+  double square = 0, product = 0;
   for (int i = g * BLOCK; i < min(pixels, g * BLOCK + BLOCK); ++i) {
     const float smooth = unbend(z + i, i % cols, cols, 1) + unbend(z + i, i / cols, rows, cols);
-    const float down = -(convert_float(sum[i]) * unit + lambda_ * smooth);
+    const float down = -(convert_float(taken(sum, i, pixels, teams)) * unit + lambda_ * smooth);
     const float moves = (z[i] <= low[i] && down < 0) || (z[i] >= high[i] && down > 0) ? 0 : 1;
-    sum[i] = 0;
+    scale[i] = convert_float(taken(squares, i, pixels, teams)) * fine + least;
     is_free[i] = moves;
     r[i] = moves * down;
     v[i] = r[i] / scale[i];
@@ -699,107 +721,178 @@ __kernel void begin(__global const float *z, __global const float *low, __global
     p[i] = 0;
     s[i] = 0;
     square += (double)v[i] * (double)v[i];
+    product += (double)r[i] * (double)v[i];
   }
   part[g] = square;
+  part[blocks + g] = product;
 }
 
-/* curve: w = free (sum unit + lambda unbend v + damping scale v), the normal equations' matrix times v; sum = 0.
-   In part (blocks, 3) r v, v w and v v. */
-void curve_block(__global const float *r, __global const float *v, __global const float *scale, __global const float *is_free, __global long *sum,
-                 __global float *w, __global double *part, float unit, float lambda_, float damping, int rows, int cols, int g)
+/* The state of conjugate gradients (double): iterations left, 0 once it has stopped; units of the scattered sum and of r v, v w
+   and v v, from the last ones' size; alpha, 0 before the first step; the first r v; what the quadratic model has gained; and what was
+   asked for: lambda, damping, share of the first r v at which to stop. Two of them take turns, and so do the totals (3, SLOTS) of
+   r v, v w and v v. */
+enum { LEFT, SCATTERED, UNIT_RV, UNIT_VV, PRODUCT, ALPHA, START, GAIN, LAMBDA, DAMPING, LEAST, STATE };
+
+/* product: sum += unit transpose(J) gain^2 J v. */
+void product_at(Links links, __global const float *gain, __global const float *v, __global long *sum, float unit, int rows, int cols, int p, int alone)
 {
-  const int pixels = rows * cols;
-  if (g * BLOCK >= pixels)
-    return;
-  double product = 0, curvature = 0, square = 0;
-  for (int i = g * BLOCK; i < min(pixels, g * BLOCK + BLOCK); ++i) {
-    const float smooth = unbend(v + i, i % cols, cols, 1) + unbend(v + i, i / cols, rows, cols);
-    w[i] = is_free[i] * (convert_float(sum[i]) * unit + lambda_ * smooth + damping * scale[i] * v[i]);
-    sum[i] = 0;
-    product += (double)r[i] * (double)v[i];
-    curvature += (double)v[i] * (double)w[i];
-    square += (double)v[i] * (double)v[i];
-  }
-  part[3 * g] = product;
-  part[3 * g + 1] = curvature;
-  part[3 * g + 2] = square;
+  spread_at(links, sum, gain[p] * gain[p] * change_at(links, v, rows, cols, p) * unit, 0, rows, cols, p, alone);
+}
+
+__kernel void product(__global const float *restrict light, __global const int *restrict held, __global const int *restrict first, __global const int *restrict second,
+                      __global const float *restrict near, __global const float *restrict far, __global const float *restrict gain,
+                      __global const float *restrict v, __global long *sum, __global const double *state, int rows, int cols, int count, int each, int teams)
+{
+  const Links links = {light, held, first, second, near, far, count};
+  const int g = get_global_id(0);
+  const size_t own = teams > 1 ? (size_t)g * rows * cols : 0;
+  if (state[LEFT] > 0)
+    for (int p = g * each; p < min(rows * cols, g * each + each); ++p)
+      product_at(links, gain, v, sum + own, (float)state[SCATTERED], rows, cols, p, teams > 1);
+}
+
+/* curve: w = free (sum / unit + lambda unbend v + damping scale v), the normal equations' matrix times v; sum = 0; and what the
+   node adds to r v, v w and v v. */
+long3 curve_at(__global const float *r, __global const float *v, __global const float *scale, __global const float *is_free, __global long *sum,
+               __global float *w, float unit, float lambda_, float damping, double by_product, double by_square, int rows, int cols, int teams, int i)
+{
+  const float smooth = unbend(v + i, i % cols, cols, 1) + unbend(v + i, i / cols, rows, cols);
+  w[i] = is_free[i] * (convert_float(taken(sum, i, rows * cols, teams)) * unit + lambda_ * smooth + damping * scale[i] * v[i]);
+  const double product = (double)r[i] * (double)v[i], curvature = (double)v[i] * (double)w[i], square = (double)v[i] * (double)v[i];
+  return (long3)(convert_long_rtz(product * by_product), convert_long_rtz(curvature * by_product), convert_long_rtz(square * by_square));
 }
 
 __kernel void curve(__global const float *r, __global const float *v, __global const float *scale, __global const float *is_free, __global long *sum,
-                    __global float *w, __global double *part, float unit, float lambda_, float damping, int rows, int cols)
+                    __global float *w, __global long *totals, __global const double *state, int rows, int cols, int each, int teams)
 {
-  curve_block(r, v, scale, is_free, sum, w, part, unit, lambda_, damping, rows, cols, get_global_id(0));
+  const int g = get_global_id(0), pixels = rows * cols;
+  if (g * each >= pixels || state[LEFT] <= 0)
+    return;
+  const float unit = 1 / state[SCATTERED], lambda_ = state[LAMBDA], damping = state[DAMPING];
+  long3 part = 0;
+  for (int i = g * each; i < min(pixels, g * each + each); ++i)
+    part += curve_at(r, v, scale, is_free, sum, w, unit, lambda_, damping, state[UNIT_RV], state[UNIT_VV], rows, cols, teams, i);
+  atom_add(totals + g % SLOTS, part.x);
+  atom_add(totals + SLOTS + g % SLOTS, part.y);
+  atom_add(totals + 2 * SLOTS + g % SLOTS, part.z);
+}
+
+/* The state after an iteration that found these totals, whether it takes a step, and beta. */
+typedef struct { double next[STATE]; double beta; int goes; } Turn;
+
+Turn turn_of(__global const double *state, long3 total, double fixed_, double exact)
+{
+  Turn turn;
+  for (int i = 0; i < STATE; ++i)
+    turn.next[i] = state[i];
+  const double product = total.x / state[UNIT_RV], square = total.z / state[UNIT_VV];
+  double curvature = total.y / state[UNIT_RV];
+  turn.beta = 0;
+  if (state[ALPHA] != 0) {
+    turn.beta = product / state[PRODUCT];
+    curvature -= turn.beta * product / state[ALPHA];
+  } else
+    turn.next[START] = product;
+  turn.goes = product > state[LEAST] * turn.next[START] && curvature > 0;
+  if (turn.goes) {
+    turn.next[LEFT] = state[LEFT] - 1;
+    turn.next[SCATTERED] = fixed_ / sqrt(square);
+    turn.next[UNIT_RV] = exact / product;
+    turn.next[UNIT_VV] = exact / square;
+    turn.next[PRODUCT] = product;
+    turn.next[ALPHA] = product / curvature;
+    turn.next[GAIN] = state[GAIN] + 0.5 * turn.next[ALPHA] * product;
+  } else
+    turn.next[LEFT] = 0;
+  return turn;
 }
 
 /* go: a step of conjugate gradients with one sum (Chronopoulos and Gear 1989): p = v + beta p, s = w + beta s, x += alpha p,
    r -= alpha s, v = r / scale. */
-void go_block(__global const float *scale, __global const float *w, __global float *r, __global float *v, __global float *x, __global float *p,
-              __global float *s, float alpha, float beta, int pixels, int g)
+void go_at(__global const float *scale, __global const float *w, __global float *r, __global float *v, __global float *x, __global float *p,
+           __global float *s, float alpha, float beta, int i)
 {
-  for (int i = g * BLOCK; i < min(pixels, g * BLOCK + BLOCK); ++i) {
-    p[i] = v[i] + beta * p[i];
-    s[i] = w[i] + beta * s[i];
-    x[i] += alpha * p[i];
-    r[i] -= alpha * s[i];
-    v[i] = r[i] / scale[i];
-  }
+  p[i] = v[i] + beta * p[i];
+  s[i] = w[i] + beta * s[i];
+  x[i] += alpha * p[i];
+  r[i] -= alpha * s[i];
+  v[i] = r[i] / scale[i];
 }
 
 __kernel void go(__global const float *scale, __global const float *w, __global float *r, __global float *v, __global float *x, __global float *p,
-                 __global float *s, float alpha, float beta, int pixels)
+                 __global float *s, __global const long *totals, __global long *next_totals, __global const double *state, __global double *next,
+                 double fixed_, double exact, int pixels, int each)
 {
-  go_block(scale, w, r, v, x, p, s, alpha, beta, pixels, get_global_id(0));
+  const int g = get_global_id(0);
+  if (g * each >= pixels || (g > 0 && state[LEFT] <= 0))
+    return;
+  long3 total = 0;
+  for (int i = 0; i < SLOTS; ++i)
+    total += (long3)(totals[i], totals[SLOTS + i], totals[2 * SLOTS + i]);
+  const Turn turn = turn_of(state, total, fixed_, exact);
+  if (g == 0) {
+    for (int i = 0; i < STATE; ++i)
+      next[i] = state[LEFT] > 0 ? turn.next[i] : state[i];
+    for (int i = 0; i < 3 * SLOTS; ++i)
+      next_totals[i] = 0;
+  }
+  if (state[LEFT] > 0 && turn.goes)
+    for (int i = g * each; i < min(pixels, g * each + each); ++i)
+      go_at(scale, w, r, v, x, p, s, (float)turn.next[ALPHA], (float)turn.beta, i);
 }
 
-/* solve: all of conjugate gradients after begin, by one work-item: on a small grid a CPU takes longer to start a kernel than to
-   run it. The same operations in the same order as the kernels above, and as Descent.solve between them. gained[0]: what the
-   quadratic model gains. */
-__kernel void solve(__global const float *restrict light, __global const float *restrict pulls, __global const int *restrict at,
-                    __global const float *restrict shares, __global const float *restrict gain, __global const float *restrict scale,
-                    __global const float *restrict is_free, __global long *restrict sum, __global float *restrict r, __global float *restrict v,
-                    __global float *restrict w, __global float *restrict x, __global float *restrict p, __global float *restrict s,
-                    __global float *restrict u, __global double *restrict part, __global double *restrict gained, double length,
-                    double fixed_, float lambda_, float damping, double least, int most, int rows, int cols, int count)
+/* ready: the state and the totals before the first iteration; square and product: v v and r v. One work-item. */
+__kernel void ready(__global double *state, __global long *totals, double square, double product, double lambda_, double damping, double least, double fixed_,
+                    double exact, int most)
 {
-  const int pixels = rows * cols, blocks = (pixels - 1) / BLOCK + 1;
-  double start = 0, before = 0, alpha = 0, total = 0;
   if (get_global_id(0) > 0)
     return;
-  for (int number = 0; number < most; ++number) {
-    const double unit = fixed_ / length;
-    for (int first = 0; first < pixels; first += LANES)
-      push_lanes(light, pulls, at, shares, gain, v, u, rows, cols, count, first);
-    for (int first = 0; first < pixels; first += LANES)
-      pull_lanes(light, pulls, at, shares, u, sum, (float)unit, rows, cols, count, first, 1);
-    double product = 0, curvature = 0, square = 0;
-    for (int g = 0; g < blocks; ++g) {
-      curve_block(r, v, scale, is_free, sum, w, part, (float)(1 / unit), lambda_, damping, rows, cols, g);
-      product += part[3 * g];
-      curvature += part[3 * g + 1];
-      square += part[3 * g + 2];
-    }
-    if (number == 0)
-      start = product;
-    const double beta = number == 0 ? 0 : product / before;
-    if (number > 0)
-      curvature -= beta * product / alpha;
-    if (!(product > least * start && curvature > 0))
-      break;
-    alpha = product / curvature;
-    before = product;
-    length = sqrt(square);
-    for (int g = 0; g < blocks; ++g)
-      go_block(scale, w, r, v, x, p, s, (float)alpha, (float)beta, pixels, g);
-    total += 0.5 * alpha * product;
+  for (int i = 0; i < 3 * SLOTS; ++i)
+    totals[i] = 0;
+  for (int i = 0; i < STATE; ++i)
+    state[i] = 0;
+  state[LEFT] = most;
+  state[SCATTERED] = fixed_ / sqrt(square);
+  state[UNIT_RV] = exact / product;
+  state[UNIT_VV] = exact / square;
+  state[LAMBDA] = lambda_;
+  state[DAMPING] = damping;
+  state[LEAST] = least;
+}
+
+/* solve: product, curve and go until they stop, by one work-item: on a small grid a CPU takes longer to start a kernel than to
+   run it. */
+__kernel void solve(__global const float *restrict light, __global const int *restrict held, __global const int *restrict first, __global const int *restrict second,
+                    __global const float *restrict near, __global const float *restrict far, __global const float *restrict gain,
+                    __global const float *restrict scale, __global const float *restrict is_free, __global long *restrict sum, __global float *restrict r,
+                    __global float *restrict v, __global float *restrict w, __global float *restrict x, __global float *restrict p, __global float *restrict s,
+                    __global double *restrict state, double fixed_, double exact, int rows, int cols, int count)
+{
+  const Links links = {light, held, first, second, near, far, count};
+  const int pixels = rows * cols;
+  if (get_global_id(0) > 0)
+    return;
+  while (state[LEFT] > 0) {
+    const float to = state[SCATTERED], unit = 1 / state[SCATTERED], lambda_ = state[LAMBDA], damping = state[DAMPING];
+    const double by_product = state[UNIT_RV], by_square = state[UNIT_VV];
+    long3 total = 0;
+    for (int i = 0; i < pixels; ++i)
+      product_at(links, gain, v, sum, to, rows, cols, i, 1);
+    for (int i = 0; i < pixels; ++i)
+      total += curve_at(r, v, scale, is_free, sum, w, unit, lambda_, damping, by_product, by_square, rows, cols, 1, i);
+    const Turn turn = turn_of(state, total, fixed_, exact);
+    for (int i = 0; i < STATE; ++i)
+      state[i] = turn.next[i];
+    for (int i = 0; turn.goes && i < pixels; ++i)
+      go_at(scale, w, r, v, x, p, s, (float)turn.next[ALPHA], (float)turn.beta, i);
   }
-  gained[0] = total;
 }
 
 /* move: to = z + x, within its bounds. */
 __kernel void move(__global const float *z, __global const float *x, __global const float *low, __global const float *high, __global float *to,
-                   int pixels)
+                   int pixels, int each)
 {
   const int g = get_global_id(0);
-  for (int i = g * BLOCK; i < min(pixels, g * BLOCK + BLOCK); ++i)
+  for (int i = g * each; i < min(pixels, g * each + each); ++i)
     to[i] = LESS(MORE(z[i] + x[i], low[i]), high[i]);
 }

@@ -7,12 +7,13 @@ edge and the horizon. Where the horizon is the limit, dE/dT goes to the two node
 Shared arguments, lengths in spacings
   heights  (rows, cols + 2 margin)  float32  -z; in the margins -1e30, or the other side of a map that repeats
   tilts    (2, pixels)              float32  dz/dx, dz/dy by central differences, one-sided at the border
-  tiles, top                        float32  the greatest height of every TILE x TILE nodes, and of all
-  light    (5, pixels)              float32  out: E; dE by own depth, by dz/dx, by dz/dy; (1 + |grad z|^2)^(-1/2)
-  pulls    (count, pixels)          float32  out: width x dF/dT / distance of the node that limits a slice, without the root
-  at       (count, pixels)          int32    out: that crossing's first node, row << 16 | column, bit 30 set if the other is a
-                                             row on, else a column on; -1: no node limits this slice
-  shares   (count, pixels)          float32  out: weight of the second node
+  tiles    (down x across)          float32  the greatest height of every TILE x TILE nodes
+  top      (1)                      int32    that of all, as ordered() gives it
+  numbers, slopes  (count, pixels + ROOM)    under a sky: what look finds
+  light    (4, pixels)              float32  out: E; dE by own depth, by dz/dx, by dz/dy
+  held     (pixels)                 int32    out: slices of a node that another node limits, or two: its links
+  first, second                     int32    out: these nodes; (pixels / BESIDE, count, BESIDE): node by node, their links
+  near, far                         float32  out: dE by the depth of the first, of the second; likewise
   table    (n, knots, 4)            float32  integrals of B cos^2 and of B sin cos from sin(elevation) = i / (knots - 1) to the
                                              zenith, and what to add up to the next knot; knots 0: brightness 1, closed form
   sides                             0 open, 1 dark, 2 periodic
@@ -31,8 +32,10 @@ STEEP = wp.constant(wp.float32(1e6))  # as good as the zenith
 ALONG = wp.constant(wp.float32(1e-6))  # closer to the grid is along it: n times -1e-9 would be a crossing all but on a node, and one of its two off the map
 LEVEL = wp.constant(wp.float32(0.01))  # slope below which a map that repeats is not searched
 SLACK = wp.constant(wp.float32(1.00001))  # what is left out must be lower by more than roundings
-COLUMN = wp.constant(wp.int32(1 << 30))
-BLOCK = wp.constant(wp.int32(64))  # nodes that a thread of a sum owns
+BLOCK = wp.constant(wp.int32(16))  # nodes that a thread of a sum owns
+BESIDE = wp.constant(wp.int32(32))  # nodes whose links lie side by side: a GPU reads them at once, and a CPU's cache holds them
+ROOM = wp.constant(wp.int32(32))  # with which an array ends that is read in whole vectors
+SLOTS = wp.constant(wp.int32(32))  # places that a sum of whole numbers is spread over
 TILE = wp.constant(wp.int32(8))
 OPEN, DARK, PERIODIC = (wp.constant(wp.int32(side)) for side in range(3))
 
@@ -245,9 +248,7 @@ def wall_of(way: Way, x: wp.int32, y: wp.int32, rows: wp.int32, cols: wp.int32):
 
 @wp.func
 def crossing_of(way: Way, number: wp.int32, x: wp.int32, y: wp.int32, rows: wp.int32, cols: wp.int32, sides: wp.int32):
-    """Where crossing ``number`` of a node lies: as in ``at``, the second node's weight, 1 / distance."""
-    if number == 0:
-        return wp.int32(-1), wp.float32(0.0), wp.float32(0.0)
+    """The nodes beside crossing ``number`` of a node, the second one's weight, 1 / distance."""
     n = wp.abs(number)
     count = wp.float32(n)
     place = count * way.rows
@@ -269,19 +270,50 @@ def crossing_of(way: Way, number: wp.int32, x: wp.int32, y: wp.int32, rows: wp.i
     if sides == PERIODIC:
         column = within(column, cols)
         row = within(row, rows)
-    found = (row << 16) | column
-    if number < 0:
-        found = found | COLUMN
-    return found, place - wp.float32(low), closeness
+    next_column = column
+    next_row = row
+    if number > 0:
+        next_column = 0
+        if column + 1 < cols:
+            next_column = column + 1
+    else:
+        next_row = 0
+        if row + 1 < rows:
+            next_row = row + 1
+    return row * cols + column, next_row * cols + next_column, place - wp.float32(low), closeness
+
+
+@wp.func
+def link(p: wp.int32, k: wp.int32, count: wp.int32):
+    return (p / BESIDE * count + k) * BESIDE + p % BESIDE
+
+
+@wp.func
+def ordered(v: wp.float32):
+    """A float as a whole number of the same order; unordered: back."""
+    bits = wp.cast(v, wp.int32)
+    if bits < 0:
+        bits = bits ^ 2147483647
+    return bits
+
+
+@wp.func
+def unordered(bits: wp.int32):
+    if bits < 0:
+        return wp.cast(bits ^ 2147483647, wp.float32)
+    return wp.cast(bits, wp.float32)
 
 
 @wp.kernel
-def surface(z: wp.array[wp.float32], heights: wp.array[wp.float32], tilts: wp.array[wp.float32], rows: wp.int32, cols: wp.int32, margin: wp.int32, sides: wp.int32):
-    """Heights and tilts of the depths z (pixels). Thread (y, x) owns a node."""
+def surface(z: wp.array[wp.float32], heights: wp.array[wp.float32], tilts: wp.array[wp.float32], top: wp.array[wp.int32], rows: wp.int32, cols: wp.int32, margin: wp.int32,
+            sides: wp.int32):
+    """Heights and tilts of the depths z (pixels), and a top for tiles to raise. Thread (y, x) owns a node."""
     y, x = wp.tid()
     stride = cols + 2 * margin
     p = y * cols + x
     h = -z[p]
+    if p == 0:
+        top[0] = ordered(NONE)
     heights[y * stride + margin + x] = h
     if sides == PERIODIC:
         to = x + cols
@@ -307,39 +339,57 @@ def surface(z: wp.array[wp.float32], heights: wp.array[wp.float32], tilts: wp.ar
 
 
 @wp.kernel
-def tiles(z: wp.array[wp.float32], tiles: wp.array[wp.float32], rows: wp.int32, cols: wp.int32):
-    """The greatest height of every TILE x TILE nodes. Thread (j, i) owns a tile."""
+def tiles(z: wp.array[wp.float32], tiles: wp.array[wp.float32], top: wp.array[wp.int32], rows: wp.int32, cols: wp.int32):
+    """The greatest height of every TILE x TILE nodes, and of all. Thread (j, i) owns a tile."""
     j, i = wp.tid()
-    top = wp.float32(NONE)
+    high = wp.float32(NONE)
     for y in range(j * TILE, wp.min(j * TILE + TILE, rows)):
         for x in range(i * TILE, wp.min(i * TILE + TILE, cols)):
-            top = wp.max(-z[y * cols + x], top)
-    tiles[j * ((cols - 1) / TILE + 1) + i] = top
+            high = wp.max(-z[y * cols + x], high)
+    tiles[j * ((cols - 1) / TILE + 1) + i] = high
+    wp.atomic_max(top, 0, ordered(high))
+
+
+@wp.func
+def limit_of(way: Way, own: wp.float32, gx: wp.float32, gy: wp.float32, x: wp.int32, y: wp.int32, rows: wp.int32, cols: wp.int32, sides: wp.int32):
+    """What limits a slice of a sky before the ground does: the level, the tangent plane or the wall, then with its derivative."""
+    slope = wp.max(-(gx * way.c + gy * way.s), 0.0)
+    by_wall = wp.float32(0.0)
+    if sides == DARK:
+        closeness = 1.0 / wall_of(way, x, y, rows, cols)
+        wall = -own * closeness
+        if wall > slope:
+            slope = wall
+            by_wall = closeness
+    return slope, by_wall
 
 
 @wp.kernel
-def highest(tiles: wp.array[wp.float32], top: wp.array[wp.float32], rows: wp.int32, cols: wp.int32, last: wp.int32):
-    """The greatest height, top[0], by way of those of the rows of tiles: one thread per row of tiles, then one for all."""
-    j = wp.tid()
-    down = (rows - 1) / TILE + 1
-    across = (cols - 1) / TILE + 1
-    high = wp.float32(NONE)
-    if last != 0:
-        for i in range(down):
-            high = wp.max(top[1 + i], high)
-        top[0] = high
-    else:
-        for i in range(across):
-            high = wp.max(tiles[j * across + i], high)
-        top[1 + j] = high
+def look(heights: wp.array[wp.float32], tilts: wp.array[wp.float32], tiles: wp.array[wp.float32], top: wp.array[wp.int32],
+         azimuths: wp.array[wp.float32], numbers: wp.array[wp.int32], slopes: wp.array[wp.float32], rows: wp.int32, cols: wp.int32,
+         margin: wp.int32, count: wp.int32, sides: wp.int32, ways: wp.int32):
+    """The horizon of every slice under a sky: its crossing's number (as horizon gives it) and its slope.
+
+    azimuths (count, 4): cosine, sine, width, 0. Thread (a, y, x) owns a node and ``ways`` azimuths."""
+    a, y, x = wp.tid()
+    p = y * cols + x
+    own = heights[y * (cols + 2 * margin) + margin + x]
+    for k in range(a * ways, wp.min(count, a * ways + ways)):
+        way = way_of(azimuths[4 * k], azimuths[4 * k + 1])
+        least, _by_wall = limit_of(way, own, tilts[p], tilts[rows * cols + p], x, y, rows, cols, sides)
+        if sides == PERIODIC:
+            least = wp.max(least, LEVEL)
+        found, number = horizon(heights, tiles, way, x, y, own, least, unordered(top[0]), 1e30, rows, cols, margin, sides)
+        numbers[k * (rows * cols + ROOM) + p] = number
+        slopes[k * (rows * cols + ROOM) + p] = found
 
 
 @wp.kernel
-def sky(heights: wp.array[wp.float32], tilts: wp.array[wp.float32], tiles: wp.array[wp.float32], top: wp.array[wp.float32],
-        azimuths: wp.array[wp.float32], table: wp.array[wp.float32], light: wp.array[wp.float32], pulls: wp.array[wp.float32],
-        at: wp.array[wp.int32], shares: wp.array[wp.float32], rows: wp.int32, cols: wp.int32, margin: wp.int32, count: wp.int32,
-        knots: wp.int32, sides: wp.int32):
-    """E and its derivatives under a sky. azimuths (count, 4): cosine, sine, width, 0; table: one row per azimuth.
+def sky(heights: wp.array[wp.float32], tilts: wp.array[wp.float32], top: wp.array[wp.int32], numbers: wp.array[wp.int32], slopes: wp.array[wp.float32],
+        azimuths: wp.array[wp.float32], table: wp.array[wp.float32], light: wp.array[wp.float32], held: wp.array[wp.int32], first: wp.array[wp.int32],
+        second: wp.array[wp.int32], near: wp.array[wp.float32], far: wp.array[wp.float32], rows: wp.int32, cols: wp.int32,
+        margin: wp.int32, count: wp.int32, knots: wp.int32, sides: wp.int32):
+    """E and its derivatives under a sky, after look. table: one row per azimuth.
 
     Thread (y, x) owns a node. Order of summation: azimuths."""
     y, x = wp.tid()
@@ -348,7 +398,8 @@ def sky(heights: wp.array[wp.float32], tilts: wp.array[wp.float32], tiles: wp.ar
     own = heights[y * (cols + 2 * margin) + margin + x]
     gx = tilts[p]
     gy = tilts[pixels + p]
-    peak = top[0]
+    inverse = 1.0 / wp.sqrt(1.0 + gx * gx + gy * gy)
+    links = wp.int32(0)
     sum = wp.float32(0.0)
     by_own = wp.float32(0.0)
     by_x = wp.float32(0.0)
@@ -357,47 +408,41 @@ def sky(heights: wp.array[wp.float32], tilts: wp.array[wp.float32], tiles: wp.ar
         way = way_of(azimuths[4 * k], azimuths[4 * k + 1])
         width = azimuths[4 * k + 2]
         s = gx * way.c + gy * way.s
-        slope = wp.max(-s, 0.0)
-        by_wall = wp.float32(0.0)
-        if sides == DARK:
-            closeness = 1.0 / wall_of(way, x, y, rows, cols)
-            wall = -own * closeness
-            if wall > slope:
-                slope = wall
-                by_wall = closeness
-        least = slope
-        if sides == PERIODIC:
-            least = wp.max(slope, LEVEL)
-        found, number = horizon(heights, tiles, way, x, y, own, least, peak, 1e30, rows, cols, margin, sides)
+        slope, by_wall = limit_of(way, own, gx, gy, x, y, rows, cols, sides)
+        number = numbers[k * (pixels + ROOM) + p]
         if number != 0:
-            slope = found
+            slope = slopes[k * (pixels + ROOM) + p]
         lit = above(slope, table, k, k, 0.0, knots)
         per_slope = width * (lit[2] + s * lit[3])
         sum += width * (lit[0] + s * lit[1])
         by_x += width * way.c * lit[1]
         by_y += width * way.s * lit[1]
-        where, share, near = crossing_of(way, number, x, y, rows, cols, sides)
-        e = k * pixels + p
-        pulls[e] = per_slope * near
-        at[e] = where
-        shares[e] = share
         if number == 0:
             by_own += per_slope * by_wall
         else:
-            by_own += per_slope * near
-    inverse = 1.0 / wp.sqrt(1.0 + gx * gx + gy * gy)
+            one, two, share, closeness = crossing_of(way, number, x, y, rows, cols, sides)
+            pull = per_slope * closeness
+            whole = -pull * inverse
+            e = link(p, links, count)
+            by_own += pull
+            first[e] = one
+            second[e] = two
+            near[e] = whole - whole * share
+            far[e] = whole * share
+            links += 1
     drop = sum * inverse * inverse * inverse
     light[p] = sum * inverse
     light[pixels + p] = by_own * inverse
     light[2 * pixels + p] = by_x * inverse - drop * gx
     light[3 * pixels + p] = by_y * inverse - drop * gy
-    light[4 * pixels + p] = inverse
+    held[p] = links
 
 
 @wp.kernel
-def lamp(heights: wp.array[wp.float32], tilts: wp.array[wp.float32], tiles: wp.array[wp.float32], top: wp.array[wp.float32],
+def lamp(heights: wp.array[wp.float32], tilts: wp.array[wp.float32], tiles: wp.array[wp.float32], top: wp.array[wp.int32],
          frames: wp.array[wp.float32], nodes: wp.array[wp.float32], solid: wp.array[wp.float32], table: wp.array[wp.float32],
-         light: wp.array[wp.float32], pulls: wp.array[wp.float32], at: wp.array[wp.int32], shares: wp.array[wp.float32],
+         light: wp.array[wp.float32], held: wp.array[wp.int32], first: wp.array[wp.int32], second: wp.array[wp.int32],
+         near: wp.array[wp.float32], far: wp.array[wp.float32],
          rows: wp.int32, cols: wp.int32, margin: wp.int32, count: wp.int32, knots: wp.int32, n_rows: wp.int32, ball: wp.int32,
          sides: wp.int32):
     """The same for a finite source, through slices within it as every node sees it. A ball, ``solid`` its centre (x, y, height)
@@ -418,6 +463,8 @@ def lamp(heights: wp.array[wp.float32], tilts: wp.array[wp.float32], tiles: wp.a
     ux = frames[4 * p]
     uy = frames[4 * p + 1]
     extent = frames[4 * p + 2]
+    inverse = 1.0 / wp.sqrt(1.0 + gx * gx + gy * gy)
+    links = wp.int32(0)
     sum = wp.float32(0.0)
     by_own = wp.float32(0.0)
     by_x = wp.float32(0.0)
@@ -536,12 +583,9 @@ def lamp(heights: wp.array[wp.float32], tilts: wp.array[wp.float32], tiles: wp.a
             by_limit = low_by
         number = wp.int32(0)
         if slope < high:
-            slope, number = horizon(heights, tiles, way, x, y, own, slope, top[0], reach, rows, cols, margin, OPEN)
+            slope, number = horizon(heights, tiles, way, x, y, own, slope, unordered(top[0]), reach, rows, cols, margin, OPEN)
 
         # 3. the light between
-        where = wp.int32(-1)
-        share = wp.float32(0.0)
-        pull = wp.float32(0.0)
         if slope < high:
             diamond = wp.float32(0.0)
             if s >= 0.0:
@@ -567,139 +611,114 @@ def lamp(heights: wp.array[wp.float32], tilts: wp.array[wp.float32], tiles: wp.a
                 c1 -= over[0]
                 c2 -= over[1]
                 by_own -= width * (over[2] + tilt * over[3]) * high_by
-            near = wp.float32(0.0)
-            if number != 0:
-                where, share, near = crossing_of(way, number, x, y, rows, cols, OPEN)
-            pull = per_slope * near
             sum += width * (c1 + tilt * c2)
+            by_x += width * c * c2
+            by_y += width * s * c2
             if number == 0:
                 by_own += per_slope * by_limit
             else:
+                one, two, weight, nearness = crossing_of(way, number, x, y, rows, cols, OPEN)
+                pull = per_slope * nearness
+                whole = -pull * inverse
+                e = link(p, links, count)
                 by_own += pull
-            by_x += width * c * c2
-            by_y += width * s * c2
-        pulls[k * pixels + p] = pull
-        at[k * pixels + p] = where
-        shares[k * pixels + p] = share
-    inverse = 1.0 / wp.sqrt(1.0 + gx * gx + gy * gy)
+                first[e] = one
+                second[e] = two
+                near[e] = whole - whole * weight
+                far[e] = whole * weight
+                links += 1
     drop = sum * inverse * inverse * inverse
     light[p] = sum * inverse
     light[pixels + p] = by_own * inverse
     light[2 * pixels + p] = by_x * inverse - drop * gx
     light[3 * pixels + p] = by_y * inverse - drop * gy
-    light[4 * pixels + p] = inverse
+    held[p] = links
 
 
 @wp.func
-def ends_of(where: wp.int32, rows: wp.int32, cols: wp.int32):
-    """The two nodes beside a crossing."""
-    row = (where >> 16) & 16383
-    column = where & 65535
-    next_row = row
-    next_column = column
-    if (where & COLUMN) == 0:
-        next_column = 0
-        if column + 1 < cols:
-            next_column = column + 1
+def half_within(i: wp.int32, n: wp.int32):
+    """1 over the distance of the nodes on both sides of node i of n, or of it and its one neighbour."""
+    if i > 0 and i < n - 1:
+        return wp.float32(0.5)
+    return wp.float32(1.0)
+
+
+@wp.func
+def after(i: wp.int32, n: wp.int32, step: wp.int32):
+    if i < n - 1:
+        return step
+    return 0
+
+
+@wp.func
+def before(i: wp.int32, step: wp.int32):
+    if i > 0:
+        return step
+    return 0
+
+
+@wp.func
+def change_at(light: wp.array[wp.float32], held: wp.array[wp.int32], first: wp.array[wp.int32], second: wp.array[wp.int32],
+              near: wp.array[wp.float32], far: wp.array[wp.float32], v: wp.array[wp.float32], rows: wp.int32, cols: wp.int32, count: wp.int32,
+              p: wp.int32):
+    """Row p of J, the derivative of E by depth, times v: by how much E changes there."""
+    pixels = rows * cols
+    x = p % cols
+    y = p / cols
+    sum = light[pixels + p] * v[p]
+    if cols > 1:
+        sum += light[2 * pixels + p] * ((v[p + after(x, cols, 1)] - v[p - before(x, 1)]) * half_within(x, cols))
+    if rows > 1:
+        sum += light[3 * pixels + p] * ((v[p + after(y, rows, cols)] - v[p - before(y, cols)]) * half_within(y, rows))
+    for k in range(held[p]):
+        e = link(p, k, count)
+        sum += near[e] * v[first[e]] + far[e] * v[second[e]]
+    return sum
+
+
+@wp.func
+def add(sum: wp.array[wp.int64], to: wp.int32, part: wp.float32, u: wp.float32, squared: wp.int32):
+    if squared != 0:
+        wp.atomic_add(sum, to, wp.int64(part * part * u))
     else:
-        next_row = 0
-        if row + 1 < rows:
-            next_row = row + 1
-    return row * cols + column, next_row * cols + next_column
+        wp.atomic_add(sum, to, wp.int64(part * u))
 
 
 @wp.func
-def push_at(light: wp.array[wp.float32], pulls: wp.array[wp.float32], at: wp.array[wp.int32], shares: wp.array[wp.float32],
-            gain: wp.array[wp.float32], v: wp.array[wp.float32], out: wp.array[wp.float32], rows: wp.int32, cols: wp.int32, count: wp.int32, p: wp.int32):
-    """See push."""
-    pixels = rows * cols
-    sum = wp.float32(0.0)
-    for k in range(count):
-        e = k * pixels + p
-        if at[e] >= 0:
-            one, two = ends_of(at[e], rows, cols)
-            a = v[one]
-            sum += pulls[e] * (a + shares[e] * (v[two] - a))
-    x = p % cols
-    y = p / cols
-    before = wp.max(x - 1, 0)
-    after = wp.min(x + 1, cols - 1)
-    over = wp.max(y - 1, 0)
-    under = wp.min(y + 1, rows - 1)
-    dx = wp.float32(0.0)
-    dy = wp.float32(0.0)
-    if after > before:
-        dx = (v[y * cols + after] - v[y * cols + before]) / wp.float32(after - before)
-    if under > over:
-        dy = (v[under * cols + x] - v[over * cols + x]) / wp.float32(under - over)
-    change = light[pixels + p] * v[p] - light[4 * pixels + p] * sum + light[2 * pixels + p] * dx + light[3 * pixels + p] * dy
-    out[p] = gain[p] * gain[p] * change
-
-
-@wp.kernel
-def push(light: wp.array[wp.float32], pulls: wp.array[wp.float32], at: wp.array[wp.int32], shares: wp.array[wp.float32],
-         gain: wp.array[wp.float32], v: wp.array[wp.float32], out: wp.array[wp.float32], rows: wp.int32, cols: wp.int32, count: wp.int32):
-    """out = gain^2 J v, J the derivative of E by z, v a change of z. Thread p owns a node."""
-    push_at(light, pulls, at, shares, gain, v, out, rows, cols, count, wp.tid())
-
-
-@wp.func
-def pull_at(light: wp.array[wp.float32], pulls: wp.array[wp.float32], at: wp.array[wp.int32], shares: wp.array[wp.float32],
-            u: wp.array[wp.float32], sum: wp.array[wp.int64], unit: wp.float32, rows: wp.int32, cols: wp.int32, count: wp.int32, p: wp.int32):
-    """See pull."""
+def spread_at(light: wp.array[wp.float32], held: wp.array[wp.int32], first: wp.array[wp.int32], second: wp.array[wp.int32],
+              near: wp.array[wp.float32], far: wp.array[wp.float32], sum: wp.array[wp.int64], u: wp.float32, squared: wp.int32, rows: wp.int32, cols: wp.int32,
+              count: wp.int32, p: wp.int32):
+    """sum += row p of J times u, in whole numbers, so that no order of summation matters; its elements squared if asked for."""
     pixels = rows * cols
     x = p % cols
     y = p / cols
-    own = u[p] * unit
-    before = wp.max(x - 1, 0)
-    after = wp.min(x + 1, cols - 1)
-    over = wp.max(y - 1, 0)
-    under = wp.min(y + 1, rows - 1)
-    wp.atomic_add(sum, p, wp.int64(own * light[pixels + p]))
-    if after > before:
-        part = own * light[2 * pixels + p] / wp.float32(after - before)
-        wp.atomic_add(sum, y * cols + after, wp.int64(part))
-        wp.atomic_add(sum, y * cols + before, wp.int64(-part))
-    if under > over:
-        part = own * light[3 * pixels + p] / wp.float32(under - over)
-        wp.atomic_add(sum, under * cols + x, wp.int64(part))
-        wp.atomic_add(sum, over * cols + x, wp.int64(-part))
-    for k in range(count):
-        e = k * pixels + p
-        if at[e] >= 0:
-            one, two = ends_of(at[e], rows, cols)
-            part = u[p] * unit * light[4 * pixels + p] * pulls[e]
-            wp.atomic_add(sum, one, wp.int64(-(part - part * shares[e])))
-            wp.atomic_add(sum, two, wp.int64(-part * shares[e]))
+    add(sum, p, light[pixels + p], u, squared)
+    if cols > 1:
+        part = light[2 * pixels + p] * half_within(x, cols)
+        add(sum, p + after(x, cols, 1), part, u, squared)
+        add(sum, p - before(x, 1), -part, u, squared)
+    if rows > 1:
+        part = light[3 * pixels + p] * half_within(y, rows)
+        add(sum, p + after(y, rows, cols), part, u, squared)
+        add(sum, p - before(y, cols), -part, u, squared)
+    for k in range(held[p]):
+        e = link(p, k, count)
+        add(sum, first[e], near[e], u, squared)
+        add(sum, second[e], far[e], u, squared)
 
 
 @wp.kernel
-def pull(light: wp.array[wp.float32], pulls: wp.array[wp.float32], at: wp.array[wp.int32], shares: wp.array[wp.float32],
-         u: wp.array[wp.float32], sum: wp.array[wp.int64], unit: wp.float32, rows: wp.int32, cols: wp.int32, count: wp.int32):
-    """sum += unit transpose(J) u, in fixed point, so that no order of summation matters. Thread p owns a node."""
-    pull_at(light, pulls, at, shares, u, sum, unit, rows, cols, count, wp.tid())
+def misfit(light: wp.array[wp.float32], gain: wp.array[wp.float32], target: wp.array[wp.float32], part: wp.array[wp.float64], block: wp.int32,
+           pixels: wp.int32):
+    """In part (blocks), from ``block`` on, the sums of (gain E - target)^2.
 
-
-@wp.kernel
-def misfit(light: wp.array[wp.float32], gain: wp.array[wp.float32], target: wp.array[wp.float32], u: wp.array[wp.float32],
-           part: wp.array[wp.float64], pixels: wp.int32):
-    """Residual r = gain E - target, u = gain r, and in part (blocks, 3) the sums of r^2, (gain E)^2 and gain E target.
-
-    Thread g of this and of all below owns BLOCK nodes and adds them in order."""
+    Thread g of this, of bending and of begin owns BLOCK nodes and adds them in order."""
     g = wp.tid()
     square = wp.float64(0.0)
-    bright = wp.float64(0.0)
-    both = wp.float64(0.0)
     for p in range(g * BLOCK, wp.min(pixels, g * BLOCK + BLOCK)):
-        seen = gain[p] * light[p]
-        r = seen - target[p]
-        u[p] = gain[p] * r
+        r = gain[p] * light[p] - target[p]
         square += wp.float64(r) * wp.float64(r)
-        bright += wp.float64(seen) * wp.float64(seen)
-        both += wp.float64(seen) * wp.float64(target[p])
-    part[3 * g] = square
-    part[3 * g + 1] = bright
-    part[3 * g + 2] = both
+    part[block + g] = square
 
 
 @wp.func
@@ -722,8 +741,8 @@ def unbend(v: wp.array[wp.float32], p: wp.int32, i: wp.int32, n: wp.int32, step:
 
 
 @wp.kernel
-def bending(z: wp.array[wp.float32], part: wp.array[wp.float64], rows: wp.int32, cols: wp.int32):
-    """In part (blocks) the sums of squared second differences along rows and columns."""
+def bending(z: wp.array[wp.float32], part: wp.array[wp.float64], block: wp.int32, rows: wp.int32, cols: wp.int32):
+    """In part (blocks), from ``block`` on, the sums of squared second differences along rows and columns."""
     g = wp.tid()
     pixels = rows * cols
     sum = wp.float64(0.0)
@@ -731,55 +750,43 @@ def bending(z: wp.array[wp.float32], part: wp.array[wp.float64], rows: wp.int32,
         a = bend(z, p, p % cols, cols, 1)
         b = bend(z, p, p / cols, rows, cols)
         sum += wp.float64(a) * wp.float64(a) + wp.float64(b) * wp.float64(b)
-    part[g] = sum
+    part[block + g] = sum
 
 
 @wp.kernel
-def diagonal(light: wp.array[wp.float32], gain: wp.array[wp.float32], scale: wp.array[wp.float32], rows: wp.int32, cols: wp.int32,
-             least: wp.float32, is_first: wp.int32):
-    """Adds the diagonal of transpose(J) gain^2 J, without the far nodes' part, to scale; is_first: to ``least`` instead."""
-    y, x = wp.tid()
-    p = y * cols + x
-    pixels = rows * cols
-    own = gain[p] * light[pixels + p]
-    sum = own * own
-    for s in range(2):
-        side = 2 * s - 1
-        if x + side >= 0 and x + side < cols:
-            half = wp.float32(0.5)
-            if x + side == 0 or x + side == cols - 1:
-                half = 1.0
-            part = gain[p + side] * light[2 * pixels + p + side] * half
-            sum += part * part
-        if y + side >= 0 and y + side < rows:
-            half = wp.float32(0.5)
-            if y + side == 0 or y + side == rows - 1:
-                half = 1.0
-            part = gain[p + side * cols] * light[3 * pixels + p + side * cols] * half
-            sum += part * part
-    if is_first != 0:
-        scale[p] = sum + least
-    else:
-        scale[p] = sum + scale[p]
+def downhill(light: wp.array[wp.float32], held: wp.array[wp.int32], first: wp.array[wp.int32], second: wp.array[wp.int32],
+             near: wp.array[wp.float32], far: wp.array[wp.float32], gain: wp.array[wp.float32], target: wp.array[wp.float32], sum: wp.array[wp.int64],
+             squares: wp.array[wp.int64], unit: wp.float32, fine: wp.float32, rows: wp.int32, cols: wp.int32, count: wp.int32, each: wp.int32,
+             teams: wp.int32):
+    """sum += unit transpose(J) gain (gain E - target), and squares += fine x the diagonal of transpose(J) gain^2 J, or what it is
+    where no two links of a node lead to the same one. Thread g of this and of all below owns ``each`` nodes. Here there is one
+    team, whose sums are added to as one."""
+    g = wp.tid()
+    for p in range(g * each, wp.min(rows * cols, g * each + each)):
+        spread_at(light, held, first, second, near, far, sum, gain[p] * (gain[p] * light[p] - target[p]) * unit, 0, rows, cols, count, p)
+        spread_at(light, held, first, second, near, far, squares, gain[p] * gain[p] * fine, 1, rows, cols, count, p)
 
 
 @wp.kernel
-def begin(z: wp.array[wp.float32], low: wp.array[wp.float32], high: wp.array[wp.float32], scale: wp.array[wp.float32],
-          sum: wp.array[wp.int64], r: wp.array[wp.float32], v: wp.array[wp.float32], x: wp.array[wp.float32], p: wp.array[wp.float32],
-          s: wp.array[wp.float32], is_free: wp.array[wp.float32], part: wp.array[wp.float64], unit: wp.float32, lambda_: wp.float32,
-          rows: wp.int32, cols: wp.int32):
-    """The downhill direction r = -(sum unit + lambda unbend z), 0 where a bound holds z (free 0); v = r / scale, and
-    x = p = s = sum = 0 for conjugate gradients. In part (blocks) v v."""
+def begin(z: wp.array[wp.float32], low: wp.array[wp.float32], high: wp.array[wp.float32], sum: wp.array[wp.int64], squares: wp.array[wp.int64],
+          scale: wp.array[wp.float32], r: wp.array[wp.float32], v: wp.array[wp.float32], x: wp.array[wp.float32], p: wp.array[wp.float32],
+          s: wp.array[wp.float32], is_free: wp.array[wp.float32], part: wp.array[wp.float64], unit: wp.float32, fine: wp.float32,
+          least: wp.float32, lambda_: wp.float32, rows: wp.int32, cols: wp.int32, teams: wp.int32):
+    """The downhill direction r = -(sum unit + lambda unbend z), 0 where a bound holds z (free 0); scale = squares fine + least;
+    v = r / scale, and x = p = s = sum = squares = 0 for conjugate gradients. In part (2, blocks) v v and r v."""
     g = wp.tid()
     pixels = rows * cols
     square = wp.float64(0.0)
+    product = wp.float64(0.0)
     for i in range(g * BLOCK, wp.min(pixels, g * BLOCK + BLOCK)):
         smooth = unbend(z, i, i % cols, cols, 1) + unbend(z, i, i / cols, rows, cols)
         down = -(wp.float32(sum[i]) * unit + lambda_ * smooth)
         moves = wp.float32(1.0)
         if (z[i] <= low[i] and down < 0.0) or (z[i] >= high[i] and down > 0.0):
             moves = 0.0
+        scale[i] = wp.float32(squares[i]) * fine + least
         sum[i] = wp.int64(0)
+        squares[i] = wp.int64(0)
         is_free[i] = moves
         r[i] = moves * down
         v[i] = r[i] / scale[i]
@@ -787,117 +794,184 @@ def begin(z: wp.array[wp.float32], low: wp.array[wp.float32], high: wp.array[wp.
         p[i] = 0.0
         s[i] = 0.0
         square += wp.float64(v[i]) * wp.float64(v[i])
+        product += wp.float64(r[i]) * wp.float64(v[i])
     part[g] = square
+    part[(pixels - 1) / BLOCK + 1 + g] = product
+
+
+# The state of conjugate gradients (float64): iterations left, 0 once it has stopped; units of the scattered sum and of r v, v w
+# and v v, from the last ones' size; alpha, 0 before the first step; the first r v; what the quadratic model has gained; and what
+# was asked for: lambda, damping, share of the first r v at which to stop. Two of them take turns, and so do the totals (3, SLOTS)
+# of r v, v w and v v.
+LEFT, SCATTERED, UNIT_RV, UNIT_VV, PRODUCT, ALPHA, START, GAIN, LAMBDA, DAMPING, LEAST = (wp.constant(wp.int32(n)) for n in range(11))
+State = wp.types.vector(11, wp.float64)
+Sums = wp.types.vector(3, wp.int64)
+
+
+@wp.func
+def product_at(light: wp.array[wp.float32], held: wp.array[wp.int32], first: wp.array[wp.int32], second: wp.array[wp.int32],
+               near: wp.array[wp.float32], far: wp.array[wp.float32], gain: wp.array[wp.float32], v: wp.array[wp.float32], sum: wp.array[wp.int64],
+               unit: wp.float32, rows: wp.int32, cols: wp.int32, count: wp.int32, p: wp.int32):
+    """See product."""
+    change = change_at(light, held, first, second, near, far, v, rows, cols, count, p)
+    spread_at(light, held, first, second, near, far, sum, gain[p] * gain[p] * change * unit, 0, rows, cols, count, p)
+
+
+@wp.kernel
+def product(light: wp.array[wp.float32], held: wp.array[wp.int32], first: wp.array[wp.int32], second: wp.array[wp.int32],
+            near: wp.array[wp.float32], far: wp.array[wp.float32], gain: wp.array[wp.float32], v: wp.array[wp.float32], sum: wp.array[wp.int64],
+            state: wp.array[wp.float64], rows: wp.int32, cols: wp.int32, count: wp.int32, each: wp.int32,
+            teams: wp.int32):
+    """sum += unit transpose(J) gain^2 J v."""
+    g = wp.tid()
+    if state[LEFT] > wp.float64(0.0):
+        for p in range(g * each, wp.min(rows * cols, g * each + each)):
+            product_at(light, held, first, second, near, far, gain, v, sum, wp.float32(state[SCATTERED]), rows, cols, count, p)
 
 
 @wp.func
 def curve_at(r: wp.array[wp.float32], v: wp.array[wp.float32], scale: wp.array[wp.float32], is_free: wp.array[wp.float32],
-             sum: wp.array[wp.int64], w: wp.array[wp.float32], part: wp.array[wp.float64], unit: wp.float32, lambda_: wp.float32,
-             damping: wp.float32, rows: wp.int32, cols: wp.int32, g: wp.int32):
-    """See curve."""
-    pixels = rows * cols
-    product = wp.float64(0.0)
-    curvature = wp.float64(0.0)
-    square = wp.float64(0.0)
-    for i in range(g * BLOCK, wp.min(pixels, g * BLOCK + BLOCK)):
-        smooth = unbend(v, i, i % cols, cols, 1) + unbend(v, i, i / cols, rows, cols)
-        w[i] = is_free[i] * (wp.float32(sum[i]) * unit + lambda_ * smooth + damping * scale[i] * v[i])
-        sum[i] = wp.int64(0)
-        product += wp.float64(r[i]) * wp.float64(v[i])
-        curvature += wp.float64(v[i]) * wp.float64(w[i])
-        square += wp.float64(v[i]) * wp.float64(v[i])
-    part[3 * g] = product
-    part[3 * g + 1] = curvature
-    part[3 * g + 2] = square
+             sum: wp.array[wp.int64], w: wp.array[wp.float32], unit: wp.float32, lambda_: wp.float32, damping: wp.float32,
+             by_product: wp.float64, by_square: wp.float64, rows: wp.int32, cols: wp.int32, i: wp.int32):
+    """w = free (sum unit + lambda unbend v + damping scale v), the normal equations' matrix times v; sum = 0; and what the node
+    adds to r v, v w and v v."""
+    smooth = unbend(v, i, i % cols, cols, 1) + unbend(v, i, i / cols, rows, cols)
+    w[i] = is_free[i] * (wp.float32(sum[i]) * unit + lambda_ * smooth + damping * scale[i] * v[i])
+    sum[i] = wp.int64(0)
+    product = wp.float64(r[i]) * wp.float64(v[i])
+    curvature = wp.float64(v[i]) * wp.float64(w[i])
+    square = wp.float64(v[i]) * wp.float64(v[i])
+    return Sums(wp.int64(product * by_product), wp.int64(curvature * by_product), wp.int64(square * by_square))
 
 
 @wp.kernel
 def curve(r: wp.array[wp.float32], v: wp.array[wp.float32], scale: wp.array[wp.float32], is_free: wp.array[wp.float32],
-          sum: wp.array[wp.int64], w: wp.array[wp.float32], part: wp.array[wp.float64], unit: wp.float32, lambda_: wp.float32,
-          damping: wp.float32, rows: wp.int32, cols: wp.int32):
-    """w = free (sum unit + lambda unbend v + damping scale v), the normal equations' matrix times v; sum = 0.
+          sum: wp.array[wp.int64], w: wp.array[wp.float32], totals: wp.array[wp.int64], state: wp.array[wp.float64], rows: wp.int32,
+          cols: wp.int32, each: wp.int32, teams: wp.int32):
+    """See curve_at."""
+    g = wp.tid()
+    if state[LEFT] > wp.float64(0.0):
+        part = Sums()
+        unit = wp.float32(wp.float64(1.0) / state[SCATTERED])
+        for i in range(g * each, wp.min(rows * cols, g * each + each)):
+            part += curve_at(r, v, scale, is_free, sum, w, unit, wp.float32(state[LAMBDA]), wp.float32(state[DAMPING]), state[UNIT_RV],
+                             state[UNIT_VV], rows, cols, i)
+        wp.atomic_add(totals, g % SLOTS, part[0])
+        wp.atomic_add(totals, SLOTS + g % SLOTS, part[1])
+        wp.atomic_add(totals, 2 * SLOTS + g % SLOTS, part[2])
 
-    In part (blocks, 3) r v, v w and v v."""
-    curve_at(r, v, scale, is_free, sum, w, part, unit, lambda_, damping, rows, cols, wp.tid())
+
+@wp.func
+def turn_of(state: wp.array[wp.float64], total: Sums, fixed_: wp.float64, exact: wp.float64):
+    """The state after an iteration that found these totals, beta, and whether it takes a step."""
+    next = State()
+    for i in range(11):
+        next[i] = state[i]
+    product = wp.float64(total[0]) / state[UNIT_RV]
+    square = wp.float64(total[2]) / state[UNIT_VV]
+    curvature = wp.float64(total[1]) / state[UNIT_RV]
+    beta = wp.float64(0.0)
+    goes = wp.int32(0)
+    if state[ALPHA] != wp.float64(0.0):
+        beta = product / state[PRODUCT]
+        curvature -= beta * product / state[ALPHA]
+    else:
+        next[START] = product
+    if product > state[LEAST] * next[START] and curvature > wp.float64(0.0):
+        goes = 1
+        next[LEFT] = state[LEFT] - wp.float64(1.0)
+        next[SCATTERED] = fixed_ / wp.sqrt(square)
+        next[UNIT_RV] = exact / product
+        next[UNIT_VV] = exact / square
+        next[PRODUCT] = product
+        next[ALPHA] = product / curvature
+        next[GAIN] = state[GAIN] + wp.float64(0.5) * next[ALPHA] * product
+    else:
+        next[LEFT] = wp.float64(0.0)
+    return next, beta, goes
 
 
 @wp.func
 def go_at(scale: wp.array[wp.float32], w: wp.array[wp.float32], r: wp.array[wp.float32], v: wp.array[wp.float32], x: wp.array[wp.float32],
-          p: wp.array[wp.float32], s: wp.array[wp.float32], alpha: wp.float32, beta: wp.float32, pixels: wp.int32, g: wp.int32):
+          p: wp.array[wp.float32], s: wp.array[wp.float32], alpha: wp.float32, beta: wp.float32, i: wp.int32):
     """See go."""
-    for i in range(g * BLOCK, wp.min(pixels, g * BLOCK + BLOCK)):
-        p[i] = v[i] + beta * p[i]
-        s[i] = w[i] + beta * s[i]
-        x[i] = x[i] + alpha * p[i]
-        r[i] = r[i] - alpha * s[i]
-        v[i] = r[i] / scale[i]
+    p[i] = v[i] + beta * p[i]
+    s[i] = w[i] + beta * s[i]
+    x[i] = x[i] + alpha * p[i]
+    r[i] = r[i] - alpha * s[i]
+    v[i] = r[i] / scale[i]
 
 
 @wp.kernel
 def go(scale: wp.array[wp.float32], w: wp.array[wp.float32], r: wp.array[wp.float32], v: wp.array[wp.float32], x: wp.array[wp.float32],
-       p: wp.array[wp.float32], s: wp.array[wp.float32], alpha: wp.float32, beta: wp.float32, pixels: wp.int32):
+       p: wp.array[wp.float32], s: wp.array[wp.float32], totals: wp.array[wp.int64], next_totals: wp.array[wp.int64],
+       state: wp.array[wp.float64], next: wp.array[wp.float64], fixed_: wp.float64, exact: wp.float64, pixels: wp.int32, each: wp.int32):
     """A step of conjugate gradients with one sum (Chronopoulos and Gear 1989): p = v + beta p, s = w + beta s, x += alpha p,
     r -= alpha s, v = r / scale."""
-    go_at(scale, w, r, v, x, p, s, alpha, beta, pixels, wp.tid())
+    g = wp.tid()
+    if state[LEFT] > wp.float64(0.0):
+        total = Sums()
+        for i in range(SLOTS):
+            total += Sums(totals[i], totals[SLOTS + i], totals[2 * SLOTS + i])
+        after_, beta, goes = turn_of(state, total, fixed_, exact)
+        if g == 0:
+            for i in range(11):
+                next[i] = after_[i]
+            for i in range(3 * SLOTS):
+                next_totals[i] = wp.int64(0)
+        if goes != 0:
+            for i in range(g * each, wp.min(pixels, g * each + each)):
+                go_at(scale, w, r, v, x, p, s, wp.float32(after_[ALPHA]), wp.float32(beta), i)
+    elif g == 0:
+        for i in range(11):
+            next[i] = state[i]
 
 
 @wp.kernel
-def solve(light: wp.array[wp.float32], pulls: wp.array[wp.float32], at: wp.array[wp.int32], shares: wp.array[wp.float32],
-          gain: wp.array[wp.float32], scale: wp.array[wp.float32], is_free: wp.array[wp.float32], sum: wp.array[wp.int64],
-          r: wp.array[wp.float32], v: wp.array[wp.float32], w: wp.array[wp.float32], x: wp.array[wp.float32], p: wp.array[wp.float32],
-          s: wp.array[wp.float32], u: wp.array[wp.float32], part: wp.array[wp.float64], gained: wp.array[wp.float64],
-          length: wp.float64, fixed_: wp.float64, lambda_: wp.float32, damping: wp.float32, least: wp.float64, most: wp.int32,
-          rows: wp.int32, cols: wp.int32, count: wp.int32):
-    """All of conjugate gradients after begin, by one thread: on a small grid a CPU takes longer to start a kernel than to run it.
+def ready(state: wp.array[wp.float64], totals: wp.array[wp.int64], square: wp.float64, product: wp.float64, lambda_: wp.float64,
+          damping: wp.float64, least: wp.float64, fixed_: wp.float64, exact: wp.float64, most: wp.int32):
+    """The state and the totals before the first iteration; square and product: v v and r v. One thread."""
+    for i in range(3 * SLOTS):
+        totals[i] = wp.int64(0)
+    for i in range(11):
+        state[i] = wp.float64(0.0)
+    state[LEFT] = wp.float64(most)
+    state[SCATTERED] = fixed_ / wp.sqrt(square)
+    state[UNIT_RV] = exact / product
+    state[UNIT_VV] = exact / square
+    state[LAMBDA] = lambda_
+    state[DAMPING] = damping
+    state[LEAST] = least
 
-    The same operations in the same order as the kernels above, and as Descent.solve between them. gained[0]: what the
-    quadratic model gains."""
+
+@wp.kernel
+def solve(light: wp.array[wp.float32], held: wp.array[wp.int32], first: wp.array[wp.int32], second: wp.array[wp.int32],
+          near: wp.array[wp.float32], far: wp.array[wp.float32], gain: wp.array[wp.float32], scale: wp.array[wp.float32], is_free: wp.array[wp.float32],
+          sum: wp.array[wp.int64], r: wp.array[wp.float32], v: wp.array[wp.float32], w: wp.array[wp.float32], x: wp.array[wp.float32],
+          p: wp.array[wp.float32], s: wp.array[wp.float32], state: wp.array[wp.float64], fixed_: wp.float64, exact: wp.float64,
+          rows: wp.int32, cols: wp.int32, count: wp.int32):
+    """product, curve and go until they stop, by one thread: on a small grid a CPU takes longer to start a kernel than to run it."""
     pixels = rows * cols
-    blocks = (pixels - 1) / BLOCK + 1
-    size = wp.float64(length)
-    start = wp.float64(0.0)
-    before = wp.float64(0.0)
-    alpha = wp.float64(0.0)
-    total = wp.float64(0.0)
-    done = wp.int32(0)
-    number = wp.int32(0)
-    while number < most and done == 0:
-        unit = fixed_ / size
+    while state[LEFT] > wp.float64(0.0):
+        total = Sums()
+        unit = wp.float32(wp.float64(1.0) / state[SCATTERED])
         for i in range(pixels):
-            push_at(light, pulls, at, shares, gain, v, u, rows, cols, count, i)
+            product_at(light, held, first, second, near, far, gain, v, sum, wp.float32(state[SCATTERED]), rows, cols, count, i)
         for i in range(pixels):
-            pull_at(light, pulls, at, shares, u, sum, wp.float32(unit), rows, cols, count, i)
-        product = wp.float64(0.0)
-        curvature = wp.float64(0.0)
-        square = wp.float64(0.0)
-        for g in range(blocks):
-            curve_at(r, v, scale, is_free, sum, w, part, wp.float32(wp.float64(1.0) / unit), lambda_, damping, rows, cols, g)
-            product += part[3 * g]
-            curvature += part[3 * g + 1]
-            square += part[3 * g + 2]
-        beta = wp.float64(0.0)
-        if number == 0:
-            start = product
-        else:
-            beta = product / before
-            curvature -= beta * product / alpha
-        if product > least * start and curvature > wp.float64(0.0):
-            alpha = product / curvature
-            before = product
-            size = wp.sqrt(square)
-            for g in range(blocks):
-                go_at(scale, w, r, v, x, p, s, wp.float32(alpha), wp.float32(beta), pixels, g)
-            total += wp.float64(0.5) * alpha * product
-        else:
-            done = wp.int32(1)
-        number += 1
-    gained[0] = total
+            total += curve_at(r, v, scale, is_free, sum, w, unit, wp.float32(state[LAMBDA]), wp.float32(state[DAMPING]), state[UNIT_RV],
+                              state[UNIT_VV], rows, cols, i)
+        after_, beta, goes = turn_of(state, total, fixed_, exact)
+        for i in range(11):
+            state[i] = after_[i]
+        if goes != 0:
+            for i in range(pixels):
+                go_at(scale, w, r, v, x, p, s, wp.float32(after_[ALPHA]), wp.float32(beta), i)
 
 
 @wp.kernel
 def move(z: wp.array[wp.float32], x: wp.array[wp.float32], low: wp.array[wp.float32], high: wp.array[wp.float32], to: wp.array[wp.float32],
-         pixels: wp.int32):
+         pixels: wp.int32, each: wp.int32):
     """to = z + x, within its bounds."""
     g = wp.tid()
-    for i in range(g * BLOCK, wp.min(pixels, g * BLOCK + BLOCK)):
+    for i in range(g * each, wp.min(pixels, g * each + each)):
         to[i] = wp.min(wp.max(z[i] + x[i], low[i]), high[i])

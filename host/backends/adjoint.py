@@ -2,8 +2,9 @@
 
 The normal equations of a step, (J^T J + lambda D^T D + damping) step = -gradient, are solved by conjugate gradients, whose
 products J v and J^T u are gathers and scatters along the horizons that the last evaluation found: no ray is followed
-twice. What is scattered is added in fixed point, sums are taken block by block in one order, and kernels use correctly
-rounded arithmetic alone, so every backend takes the same steps.
+twice. What is scattered, and what decides the length of an iteration's step, is added in fixed point; other sums are taken
+block by block in one order, and kernels use correctly rounded arithmetic alone, so every backend takes the same steps. The
+state of conjugate gradients stays on the device: iterations are started some at a time, and do nothing once it says stop.
 """
 
 from __future__ import annotations
@@ -15,16 +16,20 @@ from typing import NamedTuple
 import numpy as np
 
 from ..errors import CapacityError
-from .base import SIDES, Backend
+from .base import ROOM, SIDES, Backend
 
 DAMPING = 1e-4  # of the first step, in the diagonal's unit
 SETTLED = 3e-3  # share of the objective below which a step is the last
-BLOCK = 64  # nodes that a work-item of a sum owns; as in opencl/adjoint.cl
+BLOCK = 16  # nodes that a work-item of a sum owns; as in opencl/adjoint.cl
+BESIDE = 32  # nodes whose links lie side by side; as there
+SLOTS = 32  # places that a sum of whole numbers is spread over; as there
+LEFT, GAIN, STATE = 0, 7, 11  # in the state of conjugate gradients: iterations left, what was gained; its length; as there
 TILE = 8  # nodes across the squares whose highest point is known; as there
 MARGIN = 16
 NONE = -1e30
 FIXED = 2.0**36  # of fixed point, over the length of the vector that is multiplied
-WIDEST, TALLEST = 65536, 16384
+FINE = 2.0**30  # of the diagonal's fixed point
+EXACT = 2.0**44  # of that of r v, v w and v v, over what they were before
 
 
 class Light(NamedTuple):
@@ -52,161 +57,185 @@ class Image:
     def __init__(self, backend: Backend, light: Light, shape: tuple[int, int], sides: str, gain: np.ndarray, target: np.ndarray):
         self.backend, self.shape, self.sides, self.count = backend, shape, SIDES[sides], light.count
         pixels = shape[0] * shape[1]
-        backend.reserve(pixels * (12 * self.count + 60), f"Recovering {pixels:,} nodes along {self.count} azimuths", "Recover a smaller image.")
+        if (pixels + ROOM) * self.count >= 2**31:
+            raise CapacityError(f"An image of {pixels:,} pixels along {self.count} azimuths: more than 2^31 links. Cut it into tiles.")
+        backend.reserve(pixels * (40 * self.count + 80 + 16 * backend.teams), f"Recovering {pixels:,} nodes along {self.count} azimuths", "Recover a smaller image.")
         put = lambda array: backend.upload(np.ascontiguousarray(array, np.float32))
         self.is_sky, self.is_ball = light.azimuths is not None, int(light.ball)
         self.ways = put(light.azimuths if self.is_sky else light.nodes)
         self.table = put(np.zeros((1, 4)) if light.table is None else light.table)
         self.knots, self.rows_of_table = (0, 1) if light.table is None else light.table.shape[1::-1]
-        if not self.is_sky:
+        if self.is_sky:
+            self.numbers, self.slopes = (backend.empty((self.count, pixels + ROOM), kind) for kind in (np.int32, np.float32))
+        else:
             self.frames, self.solid = put(light.frames), put(light.solid)
         self.gain = put(np.broadcast_to(gain, shape).ravel())
         self.target = put(target.ravel())
-        self.light = backend.empty((5, pixels), np.float32)
-        self.pulls, self.shares = (backend.empty((self.count, pixels), np.float32) for _ in range(2))
-        self.at = backend.empty((self.count, pixels), np.int32)
+        room = -(-pixels // BESIDE), self.count, BESIDE
+        # light, held, first, second, near, far: of the surface and of a trial
+        shapes = ((4, pixels), np.float32), ((pixels,), np.int32), (room, np.int32), (room, np.int32), (room, np.float32), (room, np.float32)
+        self.links = [tuple(backend.empty(*shape) for shape in shapes) for _ in range(2)]
 
-    def evaluate(self, *surface) -> None:
+    def evaluate(self, side: int, *surface) -> None:
         """Irradiance and its derivatives at a surface."""
         rows, cols = self.shape
-        out = (self.light, self.pulls, self.at, self.shares, rows, cols, MARGIN, self.count)
+        out = (*self.links[side], rows, cols, MARGIN, self.count)
         if self.is_sky:
-            lanes = self.backend.lanes
-            self.backend.launch("adjoint", "sky", (-(-cols // lanes), rows), *surface, self.ways, self.table, *out, self.knots, self.sides)
+            heights, tilts, tiles, top = surface
+            each = self.count if self.backend.each > 1 else 1  # azimuths of a work-item
+            across = -(-cols // self.backend.lanes)
+            self.backend.launch("adjoint", "look", (across, rows, -(-self.count // each)), *surface, self.ways, self.numbers, self.slopes, rows, cols, MARGIN, self.count,
+                                self.sides, each)
+            self.backend.launch("adjoint", "sky", (across, rows), heights, tilts, top, self.numbers, self.slopes, self.ways, self.table, *out, self.knots, self.sides)
         else:
             self.backend.launch("adjoint", "lamp", (cols, rows), *surface, self.frames, self.ways, self.solid, self.table, *out,
                                 self.knots, self.rows_of_table, self.is_ball, self.sides, lanes=1)
 
-    def products(self) -> tuple:
-        return self.light, self.pulls, self.at, self.shares
-
 
 class Descent:
-    """The least-squares problem of one grid: images of one surface, bounds of its depth, smoothness."""
+    """The least-squares problem of one grid: images of one surface, bounds of its depth, smoothness.
+
+    There are two sides, z[here] and a trial, each with what an evaluation found there: nothing is lost where a trial fails.
+    """
 
     def __init__(self, backend: Backend, shape: tuple[int, int], sides: str, images: list[tuple[Light, np.ndarray, np.ndarray]], low, high):
         rows, cols = shape
-        if rows > TALLEST or cols > WIDEST:
-            raise CapacityError(f"An image of {rows} x {cols} pixels; at most {TALLEST} x {WIDEST}, since crossings are kept in 32 bits. Cut it into tiles.")
         self.backend, self.shape, self.pixels, self.sides = backend, shape, rows * cols, SIDES[sides]
         self.images = [Image(backend, light, shape, sides, gain, target) for light, gain, target in images]
         self.heights = backend.empty((rows * (cols + 2 * MARGIN),), np.float32, NONE)
-        self.tilts, self.top = backend.empty((2, self.pixels), np.float32), backend.empty((1 + rows,), np.float32)
+        self.tilts, self.top = backend.empty((2, self.pixels), np.float32), backend.empty((1,), np.int32)
         self.tiles = backend.empty((-(-rows // TILE) * -(-cols // TILE),), np.float32)
-        self.z, self.trial, self.r, self.v, self.w, self.p, self.s, self.x, self.u, self.free, self.scale = (backend.empty((self.pixels,), np.float32) for _ in range(11))
+        *self.z, self.r, self.v, self.w, self.p, self.s, self.x, self.free, self.scale = (backend.empty((self.pixels,), np.float32) for _ in range(10))
         self.low, self.high = (backend.upload(np.broadcast_to(np.asarray(bound, np.float32), shape).ravel()) for bound in (low, high))
-        self.sum = backend.empty((self.pixels,), np.int64, 0)
-        self.blocks = -(-self.pixels // BLOCK)
-        self.gained = backend.empty((1,), np.float64, 0)
-        self.parts = {n: backend.empty((self.blocks, n), np.float64) for n in (1, 3)}
+        self.sum, self.squares = (backend.empty((backend.teams, self.pixels), np.int64, 0) for _ in range(2))
+        self.blocks, self.each, self.teams = -(-self.pixels // BLOCK), backend.each, backend.teams
+        self.of_team = self.each if self.teams == 1 else -(-self.pixels // self.teams)
+        self.parts, self.lengths = (backend.empty((n, self.blocks), np.float64) for n in (len(images) + 1, 2))
+        self.states, self.totals = [[backend.empty(shape, dtype) for _ in range(2)] for shape, dtype in (((STATE,), np.float64), ((3, SLOTS), np.int64))]
+        self.here, self._misfits, self._recorded = 0, [(), ()], {}
 
     def _launch(self, kernel, *args, dim=None, **more):
-        self.backend.launch("adjoint", kernel, dim or (self.blocks,), *args, **more)
+        self.backend.launch("adjoint", kernel, dim or (-(-self.pixels // self.each),), *args, **more)
 
-    def _total(self, n) -> np.ndarray:
-        return self.backend.download(self.parts[n]).reshape(-1, n).sum(0)
+    def _teams(self) -> tuple[int]:
+        return (-(-self.pixels // self.of_team),)
 
-    def evaluate(self, z, smoothness: float) -> float:
-        """The objective at the depths z on the device; the derivatives there are kept."""
+    @property
+    def misfits(self) -> list[tuple[float]]:
+        """Of every image the sum of (gain E - target)^2, at z[here]."""
+        return self._misfits[self.here]
+
+    def _again(self, work: Callable[[int], None], side: int, times: int = 1) -> None:
+        """Does work(side), ``times`` times; from the second call on as the backend has recorded it."""
+        if (work.__name__, side) in self._recorded:
+            recorded = self._recorded[work.__name__, side] = self._recorded[work.__name__, side] or self.backend.record(lambda: work(side), times)
+            recorded()
+            return
+        for _ in range(times):
+            work(side)
+        self._recorded[work.__name__, side] = None
+
+    def _look(self, side: int) -> None:
         rows, cols = self.shape
-        self._launch("surface", z, self.heights, self.tilts, rows, cols, MARGIN, self.sides, dim=(cols, rows))
-        down, across = -(-rows // TILE), -(-cols // TILE)
-        self._launch("tiles", z, self.tiles, rows, cols, dim=(across, down))
-        self._launch("highest", self.tiles, self.top, rows, cols, 0, dim=(down,))
-        self._launch("highest", self.tiles, self.top, rows, cols, 1, dim=(1,))
-        self.misfits = []
-        for image in self.images:
-            image.evaluate(self.heights, self.tilts, self.tiles, self.top)
-            self._launch("misfit", image.light, image.gain, image.target, self.u, self.parts[3], self.pixels)
-            self.misfits.append(self._total(3))
-        self._launch("bending", z, self.parts[1], rows, cols)
-        return 0.5 * (sum(m[0] for m in self.misfits) + smoothness * float(self._total(1)[0]))
+        z = self.z[side]
+        self._launch("surface", z, self.heights, self.tilts, self.top, rows, cols, MARGIN, self.sides, dim=(cols, rows))
+        self._launch("tiles", z, self.tiles, self.top, rows, cols, dim=(-(-cols // TILE), -(-rows // TILE)))
+        for number, image in enumerate(self.images):
+            image.evaluate(side, self.heights, self.tilts, self.tiles, self.top)
+            self._launch("misfit", image.links[side][0], image.gain, image.target, self.parts, number * self.blocks, self.pixels, dim=(self.blocks,))
+        self._launch("bending", z, self.parts, len(self.images) * self.blocks, rows, cols, dim=(self.blocks,))
+
+    def _try(self, side: int) -> None:
+        self._launch("move", self.z[1 - side], self.x, self.low, self.high, self.z[side], self.pixels, self.each)
+        self._look(side)
+
+    def evaluate(self, side: int, smoothness: float, work: Callable[[int], None] | None = None) -> float:
+        """The objective at z[side], or what ``work`` makes of it; the derivatives there are kept."""
+        self._again(work or self._look, side)
+        *misfits, bending = self.backend.download(self.parts).sum(1).tolist()
+        self._misfits[side] = [(misfit,) for misfit in misfits]
+        return 0.5 * (sum(misfits) + smoothness * bending)
 
     def value(self, z: np.ndarray, smoothness: float) -> float:
         """The objective at depths (rows, cols)."""
-        return self.evaluate(self.backend.upload(np.asarray(z, np.float32).ravel()), smoothness)
+        self.backend.put(self.z[self.here], np.asarray(z, np.float32).ravel())
+        return self.evaluate(self.here, smoothness)
 
     def irradiances(self, z: np.ndarray) -> list[np.ndarray]:
         """gain E of every image at depths (rows, cols)."""
         self.value(z, 0.0)
         get = self.backend.download
-        return [(get(image.gain) * get(image.light).reshape(5, -1)[0]).reshape(self.shape) for image in self.images]
+        return [(get(image.gain) * get(image.links[self.here][0])[0]).reshape(self.shape) for image in self.images]
 
     def aim(self, targets: list[np.ndarray]) -> None:
         """Other targets from here on."""
         for image, target in zip(self.images, targets):
-            image.target = self.backend.upload(np.asarray(target, np.float32).ravel())
+            self.backend.put(image.target, np.asarray(target, np.float32).ravel())
 
     def step(self, z: np.ndarray, smoothness: float) -> np.ndarray:
         """The first Gauss-Newton step from depths (rows, cols), which were evaluated last, without a penalty on z itself."""
-        self.solve(self.backend.upload(np.asarray(z, np.float32).ravel()), smoothness, 1e-6, 60, 1e-2)
+        self.solve(smoothness, 1e-6, 60, 1e-2)
         return self.backend.download(self.x).reshape(self.shape)
 
-    def _pull(self, image, u, unit):
-        self._launch("pull", *image.products(), u, self.sum, unit, *self.shape, image.count, dim=(-(-self.pixels // self.backend.lanes),))
-
-    def gradient(self, z, smoothness: float) -> float:
-        """Readies a step from z, which must have been evaluated last: r = -gradient, v = r / scale; the length of v."""
-        rows, cols = self.shape
+    def gradient(self, smoothness: float) -> tuple[float, float]:
+        """Readies a step from z[here], which must have been evaluated: r = -gradient, v = r / scale; gives v v and r v."""
         unit = FIXED / max(1e-12, math.sqrt(sum(m[0] for m in self.misfits)))
-        for number, image in enumerate(self.images):
-            self._launch("misfit", image.light, image.gain, image.target, self.u, self.parts[3], self.pixels)
-            self._pull(image, self.u, unit)
-            self._launch("diagonal", image.light, image.gain, self.scale, rows, cols, 12 * smoothness + 1e-7, int(number == 0), dim=(cols, rows))
-        self._launch("begin", z, self.low, self.high, self.scale, self.sum, self.r, self.v, self.x, self.p, self.s, self.free, self.parts[1], 1 / unit,
-                     smoothness, rows, cols)
-        return math.sqrt(float(self._total(1)[0]))
+        for image in self.images:
+            self._launch("downhill", *image.links[self.here], image.gain, image.target, self.sum, self.squares, unit, FINE, *self.shape, image.count, self.of_team, self.teams, dim=self._teams())
+        self._launch("begin", self.z[self.here], self.low, self.high, self.sum, self.squares, self.scale, self.r, self.v, self.x, self.p, self.s, self.free, self.lengths,
+                     1 / unit, 1 / FINE, 12 * smoothness + 1e-7, smoothness, *self.shape, self.teams, dim=(self.blocks,))
+        return tuple(self.backend.download(self.lengths).sum(1).tolist())
 
-    def solve(self, z, smoothness: float, damping: float, most: int, tolerance: float) -> float:
-        """Conjugate gradients for a step x from z; what the quadratic model gains by it."""
-        rows, cols = self.shape
-        length, gain, start, before, alpha = self.gradient(z, smoothness), 0.0, None, None, 0.0
-        if length > 0 and len(self.images) == 1 and self.pixels <= self.backend.alone:
+    def solve(self, smoothness: float, damping: float, most: int, tolerance: float) -> float:
+        """Conjugate gradients for a step x from z[here]; what the quadratic model gains by it."""
+        square, product = self.gradient(smoothness)
+        if not product > 0:
+            return 0.0
+        state = self.states[0]
+        self._launch("ready", state, self.totals[0], square, product, smoothness, damping, tolerance**2, FIXED, EXACT, most, dim=(1,))
+        if len(self.images) == 1 and self.pixels <= self.backend.alone:
             image = self.images[0]
-            self._launch("solve", *image.products(), image.gain, self.scale, self.free, self.sum, self.r, self.v, self.w, self.x, self.p, self.s, self.u,
-                         self.parts[3], self.gained, length, FIXED, smoothness, damping, tolerance**2, most, rows, cols, image.count, dim=(1,))
-            return float(self.backend.download(self.gained)[0])
-        for _ in range(most if length > 0 else 0):
-            unit = FIXED / length
-            for image in self.images:
-                self._launch("push", *image.products(), image.gain, self.v, self.u, rows, cols, image.count, dim=(-(-self.pixels // self.backend.lanes),))
-                self._pull(image, self.u, unit)
-            self._launch("curve", self.r, self.v, self.scale, self.free, self.sum, self.w, self.parts[3], 1 / unit, smoothness, damping, rows, cols)
-            product, curvature, square = (float(part) for part in self._total(3))
-            start = product if start is None else start
-            beta = 0.0 if before is None else product / before
-            curvature -= 0.0 if before is None else beta * product / alpha
-            if not (product > tolerance**2 * start and curvature > 0):
-                break
-            alpha, before, length = product / curvature, product, math.sqrt(square)
-            self._launch("go", self.scale, self.w, self.r, self.v, self.x, self.p, self.s, alpha, beta, self.pixels)
-            gain += 0.5 * alpha * product
+            self._launch("solve", *image.links[self.here], image.gain, self.scale, self.free, self.sum, self.r, self.v, self.w, self.x, self.p, self.s, state,
+                         FIXED, EXACT, *self.shape, image.count, dim=(1,))
+            return float(self.backend.download(state)[GAIN])
+        left = most
+        while left > 0:
+            self._again(self._two_iterations, self.here, self.backend.ahead)
+            left, gain = self.backend.download(state)[[LEFT, GAIN]].tolist()
         return gain
+
+    def _two_iterations(self, side: int) -> None:
+        """Of conjugate gradients, from one state to the other and back."""
+        for now, then in ((0, 1), (1, 0)):
+            for image in self.images:
+                self._launch("product", *image.links[side], image.gain, self.v, self.sum, self.states[now], *self.shape, image.count, self.of_team, self.teams, dim=self._teams())
+            self._launch("curve", self.r, self.v, self.scale, self.free, self.sum, self.w, self.totals[now], self.states[now], *self.shape, self.each,
+                         self.teams)
+            self._launch("go", self.scale, self.w, self.r, self.v, self.x, self.p, self.s, self.totals[now], self.totals[then], self.states[now],
+                         self.states[then], FIXED, EXACT, self.pixels, self.each)
 
     def run(self, start: np.ndarray, smoothness: float, steps: int, most: int, tolerance: float = 0.1, settled: float = SETTLED,
             stop: Callable[[], bool] | None = None, damping: float = DAMPING) -> tuple[np.ndarray, float]:
         """Depth (rows, cols) float32 after at most ``steps`` Gauss-Newton steps from ``start``, and the objective there."""
-        self.z, value = self.backend.upload(np.asarray(start, np.float32).ravel()), None
-        best = self.evaluate(self.z, smoothness)
+        best = self.value(start, smoothness)
         self.steps = 0
         for _ in range(steps):
             self.steps += 1
-            gain = self.solve(self.z, smoothness, damping, most, tolerance)
-            self._launch("move", self.z, self.x, self.low, self.high, self.trial, self.pixels)
-            value = self.evaluate(self.trial, smoothness)
+            gain = self.solve(smoothness, damping, most, tolerance)
+            trial = 1 - self.here
+            value = self.evaluate(trial, smoothness, self._try)
             ratio = (best - value) / max(gain, 1e-300)
             if value < best:
                 small = best - value < settled * best
-                self.z, self.trial, best = self.trial, self.z, value
+                self.here, best = trial, value
                 damping = max(damping * (0.3 if ratio > 0.5 else 1 if ratio > 0.2 else 3), 1e-6)
                 if small:
                     break
             else:
                 damping *= 4
-                self.evaluate(self.z, smoothness)
                 if damping > 1e4:
                     break
             if stop and stop():
                 break
         self.damping = damping
-        return self.backend.download(self.z).reshape(self.shape), best
+        return self.backend.download(self.z[self.here]).reshape(self.shape), best

@@ -78,6 +78,9 @@ class Backend:
     memory: int  # bytes that may be taken at once
     lanes = 1  # adjacent lines per work-item
     alone = 0  # nodes up to which one work-item takes all steps of conjugate gradients, since starting kernels would take longer
+    each = 1  # nodes that a work-item of a loop over all owns
+    teams = 1  # work-items that have sums of their own to scatter into, where adding to one that is shared would take longer
+    ahead = 1  # pairs of such steps that are started before one looks whether to stop
     strips = 1  # strips of such lines that a sweep takes side by side
     lines = 1  # adjacent work-items that share cache lines, where work-items of a group run together
     pixel_lanes = 1  # adjacent pixels per work-item where there are no lines; divides ROOM
@@ -85,6 +88,10 @@ class Backend:
 
     def upload(self, array: np.ndarray):
         """A copy of ``array`` on the device."""
+        raise NotImplementedError
+
+    def put(self, array, values: np.ndarray) -> None:
+        """Sets all of a device array."""
         raise NotImplementedError
 
     def empty(self, shape: tuple[int, ...], dtype, fill: int | float | None = None):
@@ -111,6 +118,15 @@ class Backend:
         per walk.
         """
         raise NotImplementedError
+
+    def record(self, work: Callable[[], None], times: int) -> Callable[[], None]:
+        """What launches ``times`` times the kernels that ``work`` launches, on the same arrays with the same numbers, and faster
+        where starting a kernel takes long. Another kernel of each of their modules must have run before."""
+        def again():
+            for _ in range(times):
+                work()
+
+        return again
 
     def beside(self):
         """A context in which launches may run beside those that come after it, until ``join``."""

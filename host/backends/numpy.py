@@ -39,6 +39,9 @@ class NumpyBackend(Backend):
     def upload(self, array):
         return np.array(array, order="C")
 
+    def put(self, array, values):
+        array[...] = values
+
     def empty(self, shape, dtype, fill=None):
         return np.empty(shape, dtype) if fill is None else np.full(shape, fill, dtype)
 

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from .adjoint import BLOCK
+from .adjoint import BESIDE, BLOCK
 
 NONE, STEEP, LEVEL, ALONG = np.float32(-1e30), np.float32(1e6), np.float32(0.01), np.float32(1e-6)
-COLUMN = 1 << 30
 OPEN, DARK, PERIODIC = range(3)
 f32 = np.float32
 
@@ -101,24 +100,29 @@ def _ways(c, s):
     return c, s, _over(c, along), along, _over(s, across), across
 
 
-def _crossing(ways, number, x, y, rows, cols, sides):
-    """(at, share, 1 / distance) of crossing ``number``."""
-    c, s, columns, rise, per_column, run = ways
+def _note(links, some, ways, number, x, y, rows, cols, sides, per_slope, inverse):
+    """Notes the crossings ``number`` of the nodes ``some`` as links, and gives their pulls."""
+    held, first, second, near, far = links
+    c, s, columns, rise, per_column, run = (np.broadcast_to(way, held.shape)[some] for way in ways)
+    number = number[some]
     on_row, n = number > 0, np.abs(number)
     count = n.astype(f32)
     place = count * np.where(on_row, columns, per_column)
     low = np.floor(place).astype(np.int32)
-    column = x + np.where(on_row, low, np.where(c > 0, n, -n))
-    row = y + np.where(on_row, np.where(s > 0, n, -n), low)
+    column = x[some] + np.where(on_row, low, np.where(c > 0, n, -n))
+    row = y[some] + np.where(on_row, np.where(s > 0, n, -n), low)
     if sides == PERIODIC:
         column, row = column % cols, row % rows
-    some = number != 0
-    found = np.where(some, row << 16 | column | np.where(on_row, 0, COLUMN), -1)
-    closeness = np.where(on_row, rise, run) / np.where(some, count, f32(1))
-    return found, np.where(some, place - low.astype(f32), f32(0)), np.where(some, closeness, f32(0)).astype(f32)
+    pull = per_slope[some] * (np.where(on_row, rise, run) / count)
+    whole, share, e = -pull * inverse[some], place - low.astype(f32), (some // BESIDE, held[some], some % BESIDE)
+    first[e] = row * cols + column
+    second[e] = np.where(on_row, row * cols + (column + 1) % cols, (row + 1) % rows * cols + column)
+    near[e], far[e] = whole - whole * share, whole * share
+    held[some] += 1
+    return pull
 
 
-def surface(z, heights, tilts, rows, cols, margin, sides):
+def surface(z, heights, tilts, top, rows, cols, margin, sides):
     z = z.reshape(rows, cols)
     padded = heights.reshape(rows, cols + 2 * margin)
     padded[:, margin : margin + cols] = -z
@@ -130,57 +134,79 @@ def surface(z, heights, tilts, rows, cols, margin, sides):
         out[...] = (v[:, high] - v[:, low]) / np.maximum(high - low, 1).astype(f32)
 
 
-def tiles(z, tiles, rows, cols):
-    tiles[:] = -z.min()  # the same in every tile: here nothing is skipped by them
+def tiles(z, tiles, top, rows, cols):
+    high = np.float32(-z.min())
+    tiles[:] = high  # the same in every tile: here nothing is skipped by them
+    bits = high.view(np.int32)
+    top[0] = bits ^ 0x7FFFFFFF if bits < 0 else bits
 
 
-def highest(tiles, top, rows, cols, last):
-    top[:] = tiles.max()
+def _highest(top):
+    return (top[:1] ^ 0x7FFFFFFF if top[0] < 0 else top[:1]).view(np.float32)[0]
 
 
-def _finish(light, pixels, gx, gy, total, by_own, by_x, by_y):
-    inverse = 1 / np.sqrt(1 + gx * gx + gy * gy)
+def _finish(light, gx, gy, inverse, total, by_own, by_x, by_y):
     drop = total * inverse * inverse * inverse
-    light[:] = total * inverse, by_own * inverse, by_x * inverse - drop * gx, by_y * inverse - drop * gy, inverse
+    light[:] = total * inverse, by_own * inverse, by_x * inverse - drop * gx, by_y * inverse - drop * gy
 
 
-def sky(heights, tilts, tiles, top, azimuths, table, light, pulls, at, shares, rows, cols, margin, count, knots, sides):
+def _limits(azimuth, own, gx, gy, x, y, rows, cols, sides):
+    """(way, slope along it, what limits it before the ground does, derivative of that by the own depth if it is the wall)."""
+    c, s, _, _ = azimuth
+    ways = _ways(c, s)
+    tilt = gx * c + gy * s
+    slope, by_wall = np.maximum(-tilt, f32(0)), f32(0)
+    if sides == DARK:
+        closeness = 1 / _wall(ways, x, y, rows, cols)
+        wall = -own * closeness
+        by_wall = np.where(wall > slope, closeness, f32(0))
+        slope = np.maximum(wall, slope)
+    return ways, tilt, slope, by_wall
+
+
+def look(heights, tilts, tiles, top, azimuths, numbers, slopes, rows, cols, margin, count, sides, ways):
+    y, x = (v.ravel() for v in np.indices((rows, cols)))
+    own = heights.reshape(rows, cols + 2 * margin)[:, margin : margin + cols].ravel()
+    reach = np.full(own.shape, 1e30, f32)
+    for k in range(count):
+        way, _, slope, _ = _limits(azimuths[k], own, *tilts, x, y, rows, cols, sides)
+        least = np.maximum(slope, LEVEL) if sides == PERIODIC else slope
+        slopes[k, : own.size], numbers[k, : own.size] = _horizon(heights, way, x, y, own, least, _highest(top), reach, rows, cols, margin, sides)
+
+
+def sky(heights, tilts, top, numbers, slopes, azimuths, table, light, held, first, second, near, far, rows, cols, margin, count, knots, sides):
     y, x = (v.ravel() for v in np.indices((rows, cols)))
     own = heights.reshape(rows, cols + 2 * margin)[:, margin : margin + cols].ravel()
     gx, gy = tilts
-    reach = np.full(own.shape, 1e30, f32)
     total, by_own, by_x, by_y = (np.zeros(own.shape, f32) for _ in range(4))
+    inverse = 1 / np.sqrt(1 + gx * gx + gy * gy)
+    held[:] = 0
     for k in range(count):
         c, s, width, _ = azimuths[k]
-        ways = _ways(c, s)
-        tilt = gx * c + gy * s
-        slope, by_wall = np.maximum(-tilt, f32(0)), f32(0)
-        if sides == DARK:
-            closeness = 1 / _wall(ways, x, y, rows, cols)
-            wall = -own * closeness
-            by_wall = np.where(wall > slope, closeness, f32(0))
-            slope = np.maximum(wall, slope)
-        least = np.maximum(slope, LEVEL) if sides == PERIODIC else slope
-        found, number = _horizon(heights, ways, x, y, own, least, top[0], reach, rows, cols, margin, sides)
-        slope = np.where(number != 0, found, slope)
+        ways, tilt, slope, by_wall = _limits(azimuths[k], own, gx, gy, x, y, rows, cols, sides)
+        number = numbers[k, : own.size]
+        slope = np.where(number != 0, slopes[k, : own.size], slope)
         c1, c2, d1, d2 = _above(slope, table, k, k, 0, knots)
         per_slope = width * (d1 + tilt * d2)
-        at[k], shares[k], near = _crossing(ways, number, x, y, rows, cols, sides)
-        pulls[k] = per_slope * near
         total += width * (c1 + tilt * c2)
-        by_own += np.where(number == 0, per_slope * by_wall, pulls[k])
+        by = per_slope * by_wall
+        some = np.flatnonzero(number)
+        by[some] = _note((held, first, second, near, far), some, ways, number, x, y, rows, cols, sides, per_slope, inverse)
+        by_own += by
         by_x += width * c * c2
         by_y += width * s * c2
-    _finish(light, own.size, gx, gy, total, by_own, by_x, by_y)
+    _finish(light, gx, gy, inverse, total, by_own, by_x, by_y)
 
 
-def lamp(heights, tilts, tiles, top, frames, nodes, solid, table, light, pulls, at, shares, rows, cols, margin, count, knots, n_rows, ball, sides):
+def lamp(heights, tilts, tiles, top, frames, nodes, solid, table, light, held, first, second, near, far, rows, cols, margin, count, knots, n_rows, ball, sides):
     y, x = (v.ravel() for v in np.indices((rows, cols)))
     own = heights.reshape(rows, cols + 2 * margin)[:, margin : margin + cols].ravel()
     gx, gy = tilts
     ux, uy, extent, _ = frames.T
     zero = np.zeros(own.shape, f32)
     total, by_own, by_x, by_y = (zero.copy() for _ in range(4))
+    inverse = 1 / np.sqrt(1 + gx * gx + gy * gy)
+    held[:] = 0
     for k in range(count):
         # 1. the slice, and the slopes between which the source stands in it, with their derivatives by the own depth
         sine, cosine, c, s = nodes[k]
@@ -246,7 +272,7 @@ def lamp(heights, tilts, tiles, top, frames, nodes, solid, table, light, pulls, 
         slope, by_limit = np.where(limits, low, slope), np.where(limits, low_by, by_limit)
         on = np.flatnonzero(slope < high)
         number = np.zeros(own.shape, np.int32)
-        slope[on], number[on] = _horizon(heights, tuple(np.broadcast_to(way, own.shape)[on] for way in ways), x[on], y[on], own[on], slope[on], top[0],
+        slope[on], number[on] = _horizon(heights, tuple(np.broadcast_to(way, own.shape)[on] for way in ways), x[on], y[on], own[on], slope[on], _highest(top),
                                          np.broadcast_to(reach, own.shape)[on], rows, cols, margin, OPEN)
 
         # 3. the light between
@@ -264,56 +290,52 @@ def lamp(heights, tilts, tiles, top, frames, nodes, solid, table, light, pulls, 
         o1, o2, e1, e2 = _above(np.where(cut, high, f32(0)), table, row, after, share, knots)
         c1, c2 = np.where(cut, c1 - o1, c1), np.where(cut, c2 - o2, c2)
         by_own = np.where(cut, by_own - width * (e1 + tilt * e2) * high_by, by_own)
-        at[k], shares[k], near = _crossing(ways, number, x, y, rows, cols, OPEN)
-        pulls[k] = np.where(lit, per_slope * near, f32(0))
+        by = per_slope * by_limit
+        some = np.flatnonzero(number)
+        by[some] = _note((held, first, second, near, far), some, ways, number, x, y, rows, cols, OPEN, per_slope, inverse)
         total = np.where(lit, total + width * (c1 + tilt * c2), total)
-        by_own = np.where(lit, by_own + np.where(number == 0, per_slope * by_limit, pulls[k]), by_own)
+        by_own = np.where(lit, by_own + by, by_own)
         by_x = np.where(lit, by_x + width * c * c2, by_x)
         by_y = np.where(lit, by_y + width * s * c2, by_y)
-    _finish(light, own.size, gx, gy, total, by_own, by_x, by_y)
+    _finish(light, gx, gy, inverse, total, by_own, by_x, by_y)
 
 
-def _ends(at, rows, cols):
-    row, column = at >> 16 & 0x3FFF, at & 0xFFFF
-    on_row = at & COLUMN == 0
-    after_row = np.where(on_row, row, np.where(row + 1 < rows, row + 1, 0))
-    after_column = np.where(on_row, np.where(column + 1 < cols, column + 1, 0), column)
-    return row * cols + column, after_row * cols + after_column
-
-
-def _differences(rows, cols):
-    """For the derivative along x, then y: node after, node before, and how far apart they are (0: there is none)."""
+def _neighbours(light, rows, cols):
+    """For the derivatives along x and y: by them, node after, node before, 1 over their distance."""
     y, x = (v.ravel() for v in np.indices((rows, cols)))
-    for i, size, step in ((x, cols, 1), (y, rows, cols)):
-        here = y * cols + x
-        after, before = here + step * (i < size - 1), here - step * (i > 0)
-        yield after, before, ((after - before) // step).astype(f32)
+    for by, i, size, step in ((light[2], x, cols, 1), (light[3], y, rows, cols)):
+        if size > 1:
+            here = y * cols + x
+            yield by, here + step * (i < size - 1), here - step * (i > 0), np.where((i > 0) & (i < size - 1), f32(0.5), f32(1))
 
 
-def push(light, pulls, at, shares, gain, v, out, rows, cols, count):
-    total = np.zeros(rows * cols, f32)
-    for k in range(count):
-        some = np.flatnonzero(at[k] >= 0)
-        one, two = _ends(at[k, some], rows, cols)
-        total[some] += pulls[k, some] * (v[one] + shares[k, some] * (v[two] - v[one]))
-    dx, dy = (_over(v[after] - v[before], apart) for after, before, apart in _differences(rows, cols))
-    out[:] = gain * gain * (light[1] * v - light[4] * total + light[2] * dx + light[3] * dy)
+def _links(held, *arrays):
+    """The nodes that have a k-th link, and what the arrays tell of it, for every k."""
+    for k in range(held.max()):
+        some = np.flatnonzero(held > k)
+        yield some, *(array[some // BESIDE, k, some % BESIDE] for array in arrays)
 
 
-def pull(light, pulls, at, shares, u, sum, unit, rows, cols, count):
-    unit = f32(unit)
-    own = u * unit
-    sum += (own * light[1]).astype(np.int64)
-    for number, (after, before, apart) in enumerate(_differences(rows, cols)):
-        part = _over(own * light[2 + number], apart)
-        np.add.at(sum, after, part.astype(np.int64))
-        np.add.at(sum, before, (-part).astype(np.int64))
-    for k in range(count):
-        some = np.flatnonzero(at[k] >= 0)
-        one, two = _ends(at[k, some], rows, cols)
-        part = u[some] * unit * light[4, some] * pulls[k, some]
-        np.add.at(sum, one, (-(part - part * shares[k, some])).astype(np.int64))
-        np.add.at(sum, two, (-part * shares[k, some]).astype(np.int64))
+def _change(light, held, first, second, near, far, v, rows, cols):
+    total = light[1] * v
+    for by, after, before, half in _neighbours(light, rows, cols):
+        total += by * ((v[after] - v[before]) * half)
+    for some, one, two, by_one, by_two in _links(held, first, second, near, far):
+        total[some] += by_one * v[one] + by_two * v[two]
+    return total
+
+
+def _spread(light, held, first, second, near, far, sum, u, squared, rows, cols):
+    def add(to, part, u):
+        np.add.at(sum, to, ((part * part if squared else part) * u).astype(np.int64))
+
+    add(np.arange(rows * cols), light[1], u)
+    for by, after, before, half in _neighbours(light, rows, cols):
+        add(after, by * half, u)
+        add(before, -(by * half), u)
+    for some, one, two, by_one, by_two in _links(held, first, second, near, far):
+        add(one, by_one, u[some])
+        add(two, by_two, u[some])
 
 
 def _by_blocks(values):
@@ -323,12 +345,13 @@ def _by_blocks(values):
     return np.cumsum(padded.reshape(-1, BLOCK), 1)[:, -1]
 
 
-def misfit(light, gain, target, u, part, pixels):
-    seen = gain * light[0]
-    r = seen - target
-    u[:] = gain * r
-    r, seen, target = (v.astype(np.float64) for v in (r, seen, target))
-    part[:] = np.stack([_by_blocks(r * r), _by_blocks(seen * seen), _by_blocks(seen * target)], 1)
+def _put(part, block, values):
+    sums = _by_blocks(values)
+    part.reshape(-1)[block : block + len(sums)] = sums
+
+
+def misfit(light, gain, target, part, block, pixels):
+    _put(part, block, (gain * light[0] - target).astype(np.float64) ** 2)
 
 
 def _bend(v):
@@ -350,45 +373,67 @@ def _unbend(v, rows, cols):
     return total.ravel()
 
 
-def bending(z, part, rows, cols):
+def bending(z, part, block, rows, cols):
     z = z.reshape(rows, cols)
     a, b = (v.ravel().astype(np.float64) for v in (_bend(z), _bend(z.T).T))
-    part[:] = _by_blocks(a * a + b * b).reshape(part.shape)
+    _put(part, block, a * a + b * b)
 
 
-def diagonal(light, gain, scale, rows, cols, least, is_first):
-    total = gain * light[1]
-    total = (total * total).reshape(rows, cols)
-    x, y = np.arange(cols), np.arange(rows)[:, None]
-    half = lambda i, size: np.where((i == 0) | (i == size - 1), f32(1), f32(0.5))
-    along, down = ((gain * light[2 + n]).reshape(rows, cols) * half(i, size) for n, i, size in ((0, x, cols), (1, y, rows)))
-    along, down = along * along, down * down
-    total[:, 1:] += along[:, :-1]
-    total[1:] += down[:-1]
-    total[:, :-1] += along[:, 1:]
-    total[:-1] += down[1:]
-    scale[:] = total.ravel() + (f32(least) if is_first else scale)
+def downhill(light, held, first, second, near, far, gain, target, sum, squares, unit, fine, rows, cols, count, each, teams):
+    links = light, held, first, second, near, far
+    _spread(*links, sum[0], gain * (gain * light[0] - target) * f32(unit), False, rows, cols)
+    _spread(*links, squares[0], gain * gain * f32(fine), True, rows, cols)
 
 
-def begin(z, low, high, scale, sum, r, v, x, p, s, is_free, part, unit, lambda_, rows, cols):
-    down = -(sum.astype(f32) * f32(unit) + f32(lambda_) * _unbend(z, rows, cols))
+def begin(z, low, high, sum, squares, scale, r, v, x, p, s, is_free, part, unit, fine, least, lambda_, rows, cols, teams):
+    down = -(sum[0].astype(f32) * f32(unit) + f32(lambda_) * _unbend(z, rows, cols))
     is_free[:] = ~(((z <= low) & (down < 0)) | ((z >= high) & (down > 0)))
+    scale[:] = squares[0].astype(f32) * f32(fine) + f32(least)
     r[:] = is_free * down
     v[:] = r / scale
-    for array in (sum, x, p, s):
+    for array in (sum, squares, x, p, s):
         array[:] = 0
-    part[:] = _by_blocks(v.astype(np.float64) ** 2).reshape(part.shape)
+    a, b = (array.astype(np.float64) for array in (r, v))
+    part.reshape(-1)[:] = np.concatenate([_by_blocks(b * b), _by_blocks(a * b)])
 
 
-def curve(r, v, scale, is_free, sum, w, part, unit, lambda_, damping, rows, cols):
-    w[:] = is_free * (sum.astype(f32) * f32(unit) + f32(lambda_) * _unbend(v, rows, cols) + f32(damping) * scale * v)
-    sum[:] = 0
-    a, b, c = (array.astype(np.float64) for array in (r, v, w))
-    part[:] = np.stack([_by_blocks(a * b), _by_blocks(b * c), _by_blocks(b * b)], 1)
+LEFT, SCATTERED, UNIT_RV, UNIT_VV, PRODUCT, ALPHA, START, GAIN, LAMBDA, DAMPING, LEAST = range(11)
 
 
-def go(scale, w, r, v, x, p, s, alpha, beta, pixels):
-    alpha, beta = f32(alpha), f32(beta)
+def product(light, held, first, second, near, far, gain, v, sum, state, rows, cols, count, each, teams):
+    if state[LEFT] > 0:
+        links = light, held, first, second, near, far
+        _spread(*links, sum[0], gain * gain * _change(*links, v, rows, cols) * f32(state[SCATTERED]), False, rows, cols)
+
+
+def curve(r, v, scale, is_free, sum, w, totals, state, rows, cols, each, teams):
+    if state[LEFT] > 0:
+        bent = f32(state[LAMBDA]) * _unbend(v, rows, cols)
+        w[:] = is_free * (sum[0].astype(f32) * f32(1 / state[SCATTERED]) + bent + f32(state[DAMPING]) * scale * v)
+        sum[:] = 0
+        a, b, c = (array.astype(np.float64) for array in (r, v, w))
+        for n, values in enumerate((a * b * state[UNIT_RV], b * c * state[UNIT_RV], b * b * state[UNIT_VV])):
+            totals[n, 0] = values.astype(np.int64).sum()
+
+
+def go(scale, w, r, v, x, p, s, totals, next_totals, state, next, fixed, exact, pixels, each):
+    next[:] = state
+    if state[LEFT] <= 0:
+        return
+    next_totals[:] = 0
+    product, curvature, square = totals[:, 0] / state[[UNIT_RV, UNIT_RV, UNIT_VV]]
+    beta = 0.0
+    if state[ALPHA] != 0:
+        beta = product / state[PRODUCT]
+        curvature -= beta * product / state[ALPHA]
+    else:
+        next[START] = product
+    if not (product > state[LEAST] * next[START] and curvature > 0):
+        next[LEFT] = 0
+        return
+    next[[LEFT, SCATTERED, UNIT_RV, UNIT_VV]] = state[LEFT] - 1, fixed / np.sqrt(square), exact / product, exact / square
+    next[[PRODUCT, ALPHA, GAIN]] = product, product / curvature, state[GAIN] + 0.5 * (product / curvature) * product
+    alpha, beta = f32(product / curvature), f32(beta)
     p[:] = v + beta * p
     s[:] = w + beta * s
     x += alpha * p
@@ -396,5 +441,10 @@ def go(scale, w, r, v, x, p, s, alpha, beta, pixels):
     v[:] = r / scale
 
 
-def move(z, x, low, high, to, pixels):
+def ready(state, totals, square, product, lambda_, damping, least, fixed, exact, most):
+    totals[:] = 0
+    state[:] = most, fixed / np.sqrt(square), exact / product, exact / square, 0, 0, 0, 0, lambda_, damping, least
+
+
+def move(z, x, low, high, to, pixels, each):
     to[:] = np.minimum(np.maximum(z + x, low), high)

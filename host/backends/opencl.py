@@ -18,6 +18,9 @@ HUGE = 2**21  # bytes of a huge page
 CPU_LANES = 8
 CPU_STRIPS = 8  # strips of lines that a sweep takes side by side
 ALONE = 8192  # nodes up to which one work-item solves for a whole step
+CPU_EACH = 64  # nodes that a work-item owns where it is a thread's turn
+CPU_TEAMS = 16  # most sets of sums that are scattered into side by side
+GPU_AHEAD_PAIRS = 8  # pairs of iterations started before one looks whether to stop
 GPU_PIXELS = 8
 GPU_LINES = 64
 GPU_GROUP = 1024  # work-items of a group of scan
@@ -66,17 +69,21 @@ class OpenclBackend(Backend):
         self._exact = ("-cl-fp32-correctly-rounded-divide-sqrt",) if exact else ()  # where a GPU would else take 2.5 ulp
         self.on_cpu = bool(self._device.type & cl.device_type.CPU)
         self.lanes = CPU_LANES if self.on_cpu else 1
-        self.alone = ALONE if self.on_cpu else 0
+        self.teams = min(CPU_TEAMS, 2 * self._device.max_compute_units) if self.on_cpu else 1
+        self.alone, self.each, self.ahead = (ALONE, CPU_EACH, 1) if self.on_cpu else (0, 1, GPU_AHEAD_PAIRS)
         self.strips = CPU_STRIPS if self.on_cpu else 1
         self.lines = 1 if self.on_cpu else GPU_LINES
         self.pixel_lanes = CPU_LANES if self.on_cpu else GPU_PIXELS
         self.memory = int(self._device.max_mem_alloc_size)
-        self._kernels = {}
+        self._kernels, self._recorded = {}, None
 
     def upload(self, array):
         device = self._array(array.shape, array.dtype)
         device.set(np.ascontiguousarray(array))
         return device
+
+    def put(self, array, values):
+        array.set(np.ascontiguousarray(values))
 
     def empty(self, shape, dtype, fill=None):
         array = self._array(shape, dtype)
@@ -140,7 +147,26 @@ class OpenclBackend(Backend):
         values = [arg.data if hasattr(arg, "data") and not np.isscalar(arg) else kind(arg) for arg, kind in zip(args, kinds, strict=True)]
         local = (group or usual,) + (1,) * (len(dim) - 1)
         size = tuple(-(-n // l) * l for n, l in zip(dim, local))
-        function(self.queue, size, local, *values)
+        if self._recorded is not None:
+            function = self.cl.Kernel(function.program, kernel)
+            function.set_args(*values)
+            self._recorded.append((function, size, local))
+        else:
+            function(self.queue, size, local, *values)
+
+    def record(self, work, times):
+        self._recorded = recorded = []
+        try:
+            work()
+        finally:
+            self._recorded = None
+
+        def again():
+            for _ in range(times):
+                for function, size, local in recorded:
+                    self.cl.enqueue_nd_range_kernel(self.queue, function, size, local)
+
+        return again
 
     def _kernel(self, stem, kernel, lanes, constants):
         key = stem, kernel, lanes, constants

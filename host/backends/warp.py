@@ -14,6 +14,8 @@ from .base import Backend
 from .numpy import available_memory
 
 ALONE = 8192  # nodes up to which one thread solves for a whole step
+CPU_EACH = 64  # nodes that a work-item of a CPU owns
+AHEAD = 8  # pairs of iterations started on a GPU before one looks whether to stop
 
 
 def probe():
@@ -50,7 +52,7 @@ class WarpBackend(Backend):
         self.device = self._device.name if self._device.is_cuda else "Warp on the CPU, 1 thread"
         self.lines = LINES if self._device.is_cuda else 1
         self.pixel_lanes = PIXELS
-        self.alone = 0 if self._device.is_cuda else ALONE
+        self.alone, self.each, self.ahead = (0, 1, AHEAD) if self._device.is_cuda else (ALONE, CPU_EACH, 1)
         self._loaded, self._side = set(), None
 
     @property
@@ -59,6 +61,9 @@ class WarpBackend(Backend):
 
     def upload(self, array):
         return self.wp.array(np.ascontiguousarray(array), device=self._device)
+
+    def put(self, array, values):
+        array.assign(np.ascontiguousarray(values))
 
     def empty(self, shape, dtype, fill=None):
         array = self.wp.empty(shape, dtype=self.wp.dtype_from_numpy(dtype), device=self._device)
@@ -92,12 +97,20 @@ class WarpBackend(Backend):
     def finish(self):
         self.wp.synchronize_device(self._device)
 
+    def record(self, work, times):
+        again = super().record(work, times)
+        if not self._device.is_cuda:
+            return again
+        with self.wp.ScopedCapture(self._device, force_module_load=False) as capture:
+            again()
+        return lambda: self.wp.capture_launch(capture.graph)
+
     def launch(self, stem, kernel, dim, *args, lanes=None, group=None, **constants):
         function = getattr(importlib.import_module(f"skylamp.warp_kernels.{stem}"), kernel)
         if not isinstance(function, self.wp.Kernel):
             function = function(**constants)
         group = group or (GROUP if kernel == "scan" else 256)
-        if (function, group) not in self._loaded:  # Warp compiles for every size of block
+        if (function.module, group) not in self._loaded:  # Warp compiles for every size of block
             start = time.perf_counter()
             level, self.wp.config.log_level = self.wp.config.log_level, self.wp.LOG_WARNING  # Warp would tell stdout
             try:
@@ -105,7 +118,7 @@ class WarpBackend(Backend):
             finally:
                 self.wp.config.log_level = level
             self.compile_seconds += time.perf_counter() - start
-            self._loaded.add((function, group))
+            self._loaded.add((function.module, group))
         values = [self._as(arg, formal.type) for arg, formal in zip(args, function.adj.args, strict=True)]
         # Warp's last index runs fastest, OpenCL's first
         self.wp.launch(function, dim=tuple(reversed(dim)), inputs=values, device=self._device, block_dim=group)
