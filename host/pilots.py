@@ -135,6 +135,13 @@ class Pilots:
         """Irradiance per radian of azimuth above ``slopes``, of brightness 1 or by ``table`` (azimuths, knots, >= 2): (azimuths, nodes)."""
         return ring(self.gx, self.gy, azimuths, slopes, table)
 
+    def suns(self, engine: Backend, spots: sources.Spots, spans: tuple[int, ...] = (1,)) -> list[np.ndarray]:
+        """Irradiance (nodes,) by a sky's bright spots, in sectors that are unions of so many."""
+        cosine, sine = np.cos(spots.angles)[:, None], np.sin(spots.angles)[:, None]
+        slopes = self.slopes(engine, cosine, sine, np.maximum(self.least(cosine, sine), spots.first / math.sqrt(max(1 - spots.first**2, 1e-12))))
+        of = lambda some, slopes: some.widths @ ring(self.gx, self.gy, some.angles, slopes, some.table, some.first, some.last)
+        return [of(spots.fewer(span), slopes[span // 2 :: span]) for span in spans]
+
     def exact(self, engine: Backend, source: sources.Source, solid: Ball | Quad | None = None) -> np.ndarray:
         """Irradiance by far more rays than any plan would take, to judge plans by: 720 azimuths or 1440 placed, or 256 slices through ``solid``."""
         if solid is not None:
@@ -273,15 +280,16 @@ class Pilots:
             self.x, self.y = whole
 
 
-def ring(gx, gy, azimuths, slopes, table=None):
-    """Irradiance per radian of azimuth of elements of slope (gx, gy) (nodes,) above ``slopes`` (azimuths, nodes)."""
+def ring(gx, gy, azimuths, slopes, table=None, first=0.0, last=1.0):
+    """Irradiance per radian of azimuth of elements of slope (gx, gy) (nodes,) above ``slopes`` (azimuths, nodes); ``table``
+    from the sine ``first`` of elevation to ``last``."""
     length = np.sqrt(1 + gx**2 + gy**2)
     along = (gx * np.cos(azimuths)[:, None] + gy * np.sin(azimuths)[:, None]) / length
     up = 1 / length
     secant = 1 / (1 + slopes**2)
     if table is None:
         return along * (np.pi / 2 - np.arctan(slopes) - slopes * secant) / 2 + up * secant / 2
-    at = slopes * np.sqrt(secant) * (table.shape[1] - 1)
+    at = np.clip((slopes * np.sqrt(secant) - first) / (last - first), 0, 1) * (table.shape[1] - 1)
     low = np.minimum(at.astype(int), table.shape[1] - 2)
     part = at - low
     row = np.arange(len(table))[:, None]

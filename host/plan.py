@@ -32,8 +32,9 @@ MARGIN = 0.95  # share of the tolerance that a setting may take: kernels add a l
 SIGMAS = 1.5  # standard errors by which the RMS error of all nodes may pass that of the pilots
 EVEN = (4, 6, 8, 12, 16, 24, 32, 48, 64, 96, 128, 192, 256)  # azimuths
 GRIDS = {48: 12, 96: 24, 192: 256}  # azimuths of the reference, and how many azimuths it can judge; EVEN's are among them where half of it is a multiple
-PLACED, PLACED_GRID = (8, 16, 32, 80), 160  # azimuths where brightness is uneven, and of their reference
+PLACED, PLACED_GRID = (8, 16, 32, 80), 160  # azimuths where brightness is uneven on a map that repeats, and of their reference
 PLACED_COUNT = 128  # pilots there
+SUNS, SPANS = 120, (15, 5, 3, 1)  # sectors of a sun's light in the reference, and how many of them a candidate takes together
 SLICES, FINEST = (8, 16, 32, 64, 128, 256), 96  # slices of a source that stands all round; slices of the reference
 LATTICES = (5, 7, 9, 17, 33)
 # RMS error of E / pi of the filled lattice under a uniform sky on rough ground (rms slope 1): performance/lattice_error.py
@@ -112,6 +113,7 @@ class Setting:
     scale: float = 1.0
     max_distance: float | None = None
     near: int | None = None  # rows within which every crossing is tested; the backend's choice unless given
+    suns: sources.Spots | None = None  # bright parts of the sky, which sweeps leave out
 
 
 class Work(NamedTuple):
@@ -163,7 +165,7 @@ def work(scene: Scene, source: sources.Source, tolerance: float, engine: Backend
         best = min(fitting, key=lambda s: s.seconds)
     else:
         best = min(settings, key=lambda s: (s.error if math.isfinite(s.error) else math.inf, s.seconds))
-    finer = sorted((s for s in settings if s.method == best.method and s.units > best.units and s.method != "unoccluded"), key=lambda s: s.units)
+    finer = sorted((s for s in settings if s.method == best.method and s.units > best.units and s.suns is settings[-1].suns), key=lambda s: s.units)
     if best.method == "unoccluded":
         finer = sorted((s for s in settings if s.method != "unoccluded" and s.error <= tolerance), key=lambda s: s.seconds)[:1]
     if best.method == "horizon":
@@ -254,11 +256,12 @@ class _Sky(_Planner):
     reach, reach_why = None, "a sweep costs the same however far it looks"
     looks = "constant"
     why_looks = "it is a number"
-    profile = None
+    profile = suns = None
+    constant = False  # whether brightness is taken as one number
 
     def settings(self):
         source, pilots = self.source, self.pilots
-        self.scale, self.knots, self.one = 1.0, 0, False
+        self.rest, self.scale, self.knots, self.one = source, 1.0, 0, False
         if callable(source.brightness):
             self._look()
         else:
@@ -268,24 +271,32 @@ class _Sky(_Planner):
             self.hidden, self.reach_why = lost, "there is nothing to look for"
             error = math.hypot(lost, self.flat)
             return [Setting("unoccluded", 0, error, error, 10 * error, self._seconds("closed form", 1), table=self._unoccluded if self.knots else None, scale=self.scale)]
-        return self._placed() if self.profile is not None else self._even()
+        if self.profile is not None and pilots.periodic:
+            return self._placed()
+        if self.profile is not None:
+            self.rest, self.suns = sources.split(source, SUNS, self.seen) or (source, None)
+            self._look_at_rest()
+        return self._even()
 
     contrast, flat = 1.0, 0.0
 
     def _look(self):
         """What the sky's brightness needs: a number, one table for all azimuths, or a table for each."""
-        source = self.source
-        self.profile = sources.azimuth_profile(source)
-        azimuth = 2 * np.pi * (np.arange(24) + 0.5) / 24
-        sine = np.linspace(0, 1, 513)
-        light = sources.radiance(source, sources.directions_of(azimuth[:, None], sine))
-        mean = float((light * sine).sum() / (sine.sum() * len(azimuth)))
-        low = light[:, sine < 0.5].max() if mean else 1.0
+        self.seen = sources.looks(self.source)
+        self.profile = sources.azimuth_profile(self.source, self.seen)
+        light, mean = self._look_at_rest()
+        low = light[:, : light.shape[1] // 2].max() if mean else 1.0
         self.contrast = max(1.0, float(low / mean)) if mean else 1.0
         if self.profile is not None:
             self.contrast *= float(self.profile.max() / self.profile.mean())
             self.looks, self.why_looks, self.knots = "a table per azimuth", "it is uneven in azimuth, so half of the azimuths go where the light is", 1024 if self.tolerance < 0.02 else 512
-            return
+
+    def _look_at_rest(self):
+        """Knots, and whether one table does, for what sweeps see of the sky; its brightness (azimuths, knots) and mean."""
+        azimuth = 2 * np.pi * (np.arange(24) + 0.5) / 24
+        sine = np.linspace(0, 1, 513)
+        light = sources.radiance(self.rest, sources.directions_of(azimuth[:, None], sine))
+        mean = float((light * sine).sum() / (sine.sum() * len(azimuth)))
         spread = light - light.mean(0)
         self.one = bool(np.abs(spread).max() <= 0.1 * self.tolerance * mean) if mean else True
         whole = np.concatenate([np.zeros((len(light), 1)), np.cumsum((light[:, 1:] + light[:, :-1]) / 2, 1)], 1) / 512
@@ -297,11 +308,12 @@ class _Sky(_Planner):
                 break
         self.looks = "one table" if self.one else "a table per azimuth"
         self.why_looks = f"{'it depends on elevation alone' if self.one else 'it varies with azimuth and elevation'}; {self.knots} knots"
+        return light, mean
 
     def _table(self, angles, widths):
         if not self.one:
-            return sources.elevation_table(self.source, angles, widths, max(2 * len(angles), LOOKS), self.knots)
-        return np.repeat(sources.elevation_table(self.source, angles[:1], widths[:1], 1, self.knots), len(angles), 0)
+            return sources.elevation_table(self.rest, angles, widths, max(2 * len(angles), LOOKS), self.knots)
+        return np.repeat(sources.elevation_table(self.rest, angles[:1], widths[:1], 1, self.knots), len(angles), 0)
 
     def _unoccluded(self):
         if self.profile is not None:
@@ -312,11 +324,12 @@ class _Sky(_Planner):
 
     def _seconds(self, method, units, factor=1.0):
         cost = self.cost[method]
-        tables = 3e-8 * 4 * self.knots * (1 if self.one else 2 * units) if method == "horizon" else 0.0
+        tables = 3e-8 * 4 * self.knots * (1 if self.one else 2 * units) if method == "horizon" and not self.constant else 0.0
         return factor * cost.seconds(self.pixels, units) + tables
 
     def _even(self):
         pilots, engine = self.pilots, self.engine
+        self.by_suns = {None: 0.0} if self.suns is None else dict(zip(SPANS, pilots.suns(engine, self.suns, SPANS)))
         for number, judges in GRIDS.items():
             azimuths = 2 * np.pi * np.arange(number) / number
             if number == min(GRIDS):
@@ -337,6 +350,7 @@ class _Sky(_Planner):
         """Settings of every number of azimuths, against all of ``azimuths``."""
         pilots, number = self.pilots, len(azimuths)
         width = 2 * np.pi / number
+        suns = self.by_suns[SPANS[-1] if self.suns else None]
         varies = callable(self.source.brightness)
         uniform = pilots.ring(azimuths, slopes)
         rings, table = uniform, None
@@ -344,18 +358,18 @@ class _Sky(_Planner):
         if varies:
             table = self._table(azimuths, np.full(number, width))
             rings = pilots.ring(azimuths, slopes, table)
-        exact = rings.sum(0) * width * (1.0 if varies else self.scale)
-        self.exact = exact
+        rest = rings.sum(0) * width * (1.0 if varies else self.scale)
+        self.exact = exact = rest + suns
         if varies:  # is a number near enough?
-            best = float((exact * self.uniform).sum() / max((self.uniform**2).sum(), 1e-300))
-            error = errors(best * self.uniform, exact)
+            best = float((rest * self.uniform).sum() / max((self.uniform**2).sum(), 1e-300))
+            error = errors(best * self.uniform + suns, exact)
             if self.fits(Errors(error.rms, 2 * error.bound, error.tail)):
-                self.flat, self.scale, varies, self.knots = error.rms, best, False, 0
+                self.flat, self.scale, varies, self.constant = error.rms, best, False, True
                 self.looks, self.why_looks = "constant", f"taken as one number it costs {_percent(error.rms)}"
                 rings = uniform
         lost = pilots.ring(azimuths, np.maximum(0, pilots.plane(np.cos(azimuths)[:, None], np.sin(azimuths)[:, None]))).sum(0) * width
         self.hidden = errors(self.uniform, lost).rms
-        measured = {}
+        measured = {span: {} for span in self.by_suns}
         for count in EVEN:
             if number % (2 * count) == 0:
                 at = np.arange(number // (2 * count), number, number // count)
@@ -366,8 +380,20 @@ class _Sky(_Planner):
                     share = np.ones(around.shape[1])
                     share[0] = share[-1] = 0.5
                     light = pilots.ring(azimuths[at], slopes[at], np.einsum("s,kstn->ktn", share / share.sum(), table[around]))
-                measured[count] = errors(light.sum(0) * (2 * np.pi / count) * (1.0 if varies else self.scale), exact)
-        return [Setting("horizon", count, *_between(measured, count), self._seconds("horizon", count), Azimuths(count), self._maker(count) if varies else None, self.scale) for count in EVEN]
+                light = light.sum(0) * (2 * np.pi / count) * (1.0 if varies else self.scale)
+                for span, sun in self.by_suns.items():
+                    measured[span][count] = errors(light + sun, exact)
+        near = NEAR if _steep(self.scene) > 0 else None  # behind a cliff the two best crossings are not enough
+        settings = []
+        for span in self.by_suns:
+            few, more = None, 0.0
+            if span:
+                few = self.suns.fewer(span)
+                more = self.cost["sectors"].seconds(self.pixels, len(few.angles))
+                if span > 1 and suns.max() / (2 * len(few.angles)) > self.tail * exact[exact > 0].mean():
+                    continue  # the corner of a wall, where no pilot is, may cut off half a sector of the sun
+            settings += [Setting("horizon", count, *_between(measured[span], count), self._seconds("horizon", count) + more, Azimuths(count), self._maker(count) if varies else None, self.scale, near=near, suns=few) for count in EVEN]
+        return settings
 
     def _maker(self, count):
         return lambda: self._table(Azimuths(count).angles, Azimuths(count).widths)
@@ -412,19 +438,21 @@ class _Sky(_Planner):
             made[count] = sectors, (lambda share=share, count=count: (share * table.reshape(count, -1, *table.shape[1:])).sum(1).astype(np.float32))
             if count <= PLACED[-2] or (count < PLACED_GRID and not self.fits(measured[PLACED[-2]])):
                 measured[count] = errors(sectors.widths @ pilots.ring(sectors.angles, pilots.horizons(engine, sectors.angles), made[count][1]()), exact)
-        near = NEAR if _steep(self.scene) > 0 else None  # behind a cliff a sun goes out from one node to the next
+        near = NEAR if _steep(self.scene) > 0 else None
         return [Setting("horizon", count, *_between(measured, count), self._seconds("horizon", count), *made[count], near=near) for count in made]
 
     def choices(self, best, settings):
         yield Choice("occlusion", "none" if best.method == "unoccluded" else "by ground", f"ground takes {_percent(self.hidden)} of the light (RMS)")
         yield Choice("brightness", self.looks, self.why_looks)
         if best.method == "horizon":
-            yield Choice("azimuths", f"{best.units} {'placed by brightness' if self.profile is not None else 'evenly'}", _among(best, settings))
+            yield Choice("azimuths", f"{best.units} {'evenly' if best.sectors.edges == Azimuths(best.units).edges else 'placed by brightness'}", _among(best, settings))
+            if best.suns is not None:
+                yield Choice("sun", f"{len(best.suns.angles)} azimuths of its own", f"of what is brighter than {sources.SUNNY:g} times the sky's median every crossing is tested")
         elif best.method == "lattice":
             yield Choice("directions", f"{len(Hemicube(best.units))}, filled", _among(best, settings))
         yield Choice("search radius", "whole map" if best.max_distance is None else f"{best.max_distance:g}", self.reach_why)
         if best.near:
-            yield Choice("near rows", f"{best.near}", "cliffs under uneven brightness: every crossing so near is tested")
+            yield Choice("near rows", f"{best.near}", "there are cliffs: every crossing so near is tested")
 
 
 class _Slices(_Planner):
@@ -615,7 +643,7 @@ def _known(value):
 
 def _among(best, settings, what="azimuths"):
     """What the choice was made among."""
-    same = sorted({s.units: s.error for s in settings if s.method == best.method and s.max_distance == best.max_distance}.items())
+    same = sorted({s.units: s.error for s in settings if s.method == best.method and s.max_distance == best.max_distance and s.suns is best.suns}.items())
     near = [n for n, (units, _) in enumerate(same) if units == best.units][0]
     return "error by " + what + ": " + ", ".join(f"{units}: {_percent(error)}" for units, error in same[max(0, near - 2) : near + 2])
 

@@ -243,7 +243,16 @@ def _by_horizons(scene, source, engine, setting):
     irradiance = sweeps.irradiance(last=True)
     if setting.scale != 1.0:
         irradiance *= np.float32(setting.scale)
+    if setting.suns is not None:
+        irradiance += by_sectors(scene, engine, setting.suns)
     return irradiance
+
+
+def by_sectors(scene, engine, spots: sources.Spots) -> np.ndarray:
+    """Irradiance (rows, cols) float32 by the bright spots of a sky, every crossing tested."""
+    slices = Slices(engine, *scene.lattice(), scene.sides, Dome())
+    slices.sectors(spots)
+    return slices.download()
 
 
 def _slices(scene, source, engine, most, brightness, lobe=None) -> Slices | None:
