@@ -10,6 +10,7 @@ import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -22,7 +23,7 @@ from .backends.slices import Ball, Quad, aperture, rectangle
 from .costs import Costs
 from .directions import Azimuths, Hemicube
 from .errors import bad
-from .pilots import COUNT, Pilots
+from .pilots import CLIFF, COUNT, Pilots
 from .radiometry import point_error
 from .reflectance import Lambertian
 from .scene import Scene, is_scene, positive_number
@@ -39,11 +40,11 @@ SLICES, FINEST = (8, 16, 32, 64, 128, 256), 96  # slices of a source that stands
 LATTICES = (5, 7, 9, 17, 33)
 # RMS error of E / pi of the filled lattice under a uniform sky on rough ground (rms slope 1): performance/lattice_error.py
 LATTICE_ERROR = {5: 0.0376, 7: 0.0188, 9: 0.0119, 17: 0.0039, 33: 0.0012}
-LOOKS = 192  # azimuths at which a sky's brightness is looked at, at least
+LOOKS = 192  # azimuths at which a sky's brightness is looked at, at least; a multiple of those of GRIDS
 NEAR = 24  # rows within which every crossing is tested where a small error of the horizon shows
+BEHIND = 0.0025  # RMS error of sweeps behind cliffs, however many azimuths; of houses as high as 36 nodes, at the pilots
 POINT = 0.1  # share of the tolerance by which a lamp that is called a point may be off as one
 WORTH = 0.012  # tolerance from which the lattice may be cheaper than horizons under a sky
-CLIFF = 4.0  # spacings that neighbouring nodes may lie apart before the slope is more than the grid holds
 
 
 @dataclass(frozen=True)
@@ -266,7 +267,7 @@ class _Sky(_Planner):
             self._look()
         else:
             self.scale = float(source.brightness)
-        lost = pilots.sky_lost() * self.contrast
+        lost = pilots.sky_lost(0.5 * self.tolerance / self.contrast) * self.contrast
         if lost <= 0.5 * self.tolerance:
             self.hidden, self.reach_why = lost, "there is nothing to look for"
             error = math.hypot(lost, self.flat)
@@ -311,9 +312,26 @@ class _Sky(_Planner):
         return light, mean
 
     def _table(self, angles, widths):
-        if not self.one:
-            return sources.elevation_table(self.rest, angles, widths, max(2 * len(angles), LOOKS), self.knots)
-        return np.repeat(sources.elevation_table(self.rest, angles[:1], widths[:1], 1, self.knots), len(angles), 0)
+        if self.one:
+            return np.repeat(sources.elevation_table(self.rest, angles[:1], widths[:1], 1, self.knots), len(angles), 0)
+        return sources.elevation_table(self.rest, angles, widths, max(2 * len(angles), LOOKS), self.knots, self._points)
+
+    @property
+    def _points(self):
+        """Of brightness between knots; where these are many, one does."""
+        return max(1, 4 * 33 // self.knots)
+
+    @cached_property
+    def _fine(self):
+        """The table of LOOKS even sectors, of which others are made."""
+        sectors = Azimuths(LOOKS)
+        return self._table(sectors.angles, sectors.widths)
+
+    def _around(self, number):
+        """The table of ``number`` even sectors round azimuth 0 and so on, as the reference has them."""
+        span = LOOKS // number
+        shifted = np.roll(self._fine, span // 2, 0) if span > 1 else (self._fine + np.roll(self._fine, 1, 0)) / 2
+        return shifted.reshape(number, span, *self._fine.shape[1:]).mean(1)
 
     def _unoccluded(self):
         if self.profile is not None:
@@ -356,7 +374,7 @@ class _Sky(_Planner):
         rings, table = uniform, None
         self.uniform = uniform.sum(0) * width
         if varies:
-            table = self._table(azimuths, np.full(number, width))
+            table = self._around(number)
             rings = pilots.ring(azimuths, slopes, table)
         rest = rings.sum(0) * width * (1.0 if varies else self.scale)
         self.exact = exact = rest + suns
@@ -383,7 +401,8 @@ class _Sky(_Planner):
                 light = light.sum(0) * (2 * np.pi / count) * (1.0 if varies else self.scale)
                 for span, sun in self.by_suns.items():
                     measured[span][count] = errors(light + sun, exact)
-        near = NEAR if _steep(self.scene) > 0 else None  # behind a cliff the two best crossings are not enough
+        near = NEAR if pilots.steep > 0 else None  # behind a cliff the two best crossings are not enough
+        missed = BEHIND * float(rest.mean() / max(exact.mean(), 1e-30)) if near else 0.0
         settings = []
         for span in self.by_suns:
             few, more = None, 0.0
@@ -392,11 +411,14 @@ class _Sky(_Planner):
                 more = self.cost["sectors"].seconds(self.pixels, len(few.angles))
                 if span > 1 and suns.max() / (2 * len(few.angles)) > self.tail * exact[exact > 0].mean():
                     continue  # the corner of a wall, where no pilot is, may cut off half a sector of the sun
-            settings += [Setting("horizon", count, *_between(measured[span], count), self._seconds("horizon", count) + more, Azimuths(count), self._maker(count) if varies else None, self.scale, near=near, suns=few) for count in EVEN]
+            found = {count: Errors(math.hypot(e.rms, missed), math.hypot(e.bound, missed), e.tail) for count, e in measured[span].items()}
+            settings += [Setting("horizon", count, *_between(found, count), self._seconds("horizon", count) + more, Azimuths(count), self._maker(count) if varies else None, self.scale, near=near, suns=few) for count in EVEN]
         return settings
 
     def _maker(self, count):
-        return lambda: self._table(Azimuths(count).angles, Azimuths(count).widths)
+        if self.one or LOOKS % count:
+            return lambda: self._table(Azimuths(count).angles, Azimuths(count).widths)
+        return lambda: self._fine.reshape(count, -1, *self._fine.shape[1:]).mean(1, dtype=np.float32)
 
     def _shorter(self, settings, azimuths, slopes):
         """On a map that repeats: how far must be looked."""
@@ -438,7 +460,7 @@ class _Sky(_Planner):
             made[count] = sectors, (lambda share=share, count=count: (share * table.reshape(count, -1, *table.shape[1:])).sum(1).astype(np.float32))
             if count <= PLACED[-2] or (count < PLACED_GRID and not self.fits(measured[PLACED[-2]])):
                 measured[count] = errors(sectors.widths @ pilots.ring(sectors.angles, pilots.horizons(engine, sectors.angles), made[count][1]()), exact)
-        near = NEAR if _steep(self.scene) > 0 else None
+        near = NEAR if pilots.steep > 0 else None
         return [Setting("horizon", count, *_between(measured, count), self._seconds("horizon", count), *made[count], near=near) for count in made]
 
     def choices(self, best, settings):
@@ -694,7 +716,7 @@ def _beyond(planner, tolerance):
         gap = _gap(scene, pilots, x, y, -z) - radius
         if gap < 1:
             yield f"The lamp touches the surface: {'it reaches %.2g spacings into it' % -gap if gap < 0 else 'it ends %.2g spacings from it' % gap}, and the grid holds nothing finer than 1."
-    steep = _steep(scene)
+    steep = pilots.steep
     if steep > 0:
         yield f"Slopes are steeper than the grid holds: {_percent(steep)} of neighbouring nodes lie more than {CLIFF:g} spacings apart in depth."
     if scene.mask is not None and not scene.mask.all():
@@ -719,12 +741,3 @@ def _gap(scene, pilots, x, y, height):
     v, u = np.mgrid[part[0].start : min(part[0].stop, rows), part[1].start : min(part[1].stop, cols)]
     square = (u - x) ** 2 + (v - y) ** 2 + (high[part] - height) ** 2
     return float(np.sqrt(square.min(initial=nearest)))
-
-
-def _steep(scene):
-    """Share of neighbouring nodes that lie more than CLIFF spacings apart."""
-    z = scene.depth[:: max(1, scene.shape[0] // 512)]
-    along = np.abs(np.diff(z, axis=1)) > CLIFF * scene.spacing
-    z = scene.depth[:, :: max(1, scene.shape[1] // 512)]
-    down = np.abs(np.diff(z, axis=0)) > CLIFF * scene.spacing
-    return (int(along.sum()) + int(down.sum())) / max(1, along.size + down.size)

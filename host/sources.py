@@ -278,21 +278,21 @@ def directions_of(azimuth, sine) -> np.ndarray:
 
 
 def looks(source: Source) -> tuple[np.ndarray, np.ndarray]:
-    """Brightness at some 400,000 places of the sky, evenly in azimuth and elevation, and their elevations: (azimuths, elevations) each."""
+    """Brightness at some 400,000 places of the sky, evenly in azimuth and elevation, and the sines of these: (azimuths, elevations) each."""
     azimuths, elevations = PROFILE
     azimuth = 2 * np.pi * (np.arange(azimuths) + 0.5) / azimuths
     shift = 0.6180339887498949 * np.arange(azimuths) % 1  # so that no small sun slips between rows of samples
-    elevation = np.pi / 2 * (np.arange(elevations) + shift[:, None]) / elevations
-    light = np.empty(elevation.shape)
+    light, sine = np.empty((2, azimuths, elevations))
     for some in np.array_split(np.arange(azimuths), 64):  # what stays in the cache is quicker
-        light[some] = radiance(source, directions_of(azimuth[some, None], np.sin(elevation[some])))
-    return light, elevation
+        sine[some] = np.sin(np.pi / 2 * (np.arange(elevations) + shift[some, None]) / elevations)
+        light[some] = radiance(source, directions_of(azimuth[some, None], sine[some]))
+    return light, sine
 
 
 def azimuth_profile(source: Source, seen: tuple[np.ndarray, np.ndarray] | None = None) -> np.ndarray | None:
     """Light that comes from each of many even sectors of azimuth, (2048,); None where it hardly varies. ``seen``: what :func:`looks` gives."""
-    light, elevation = looks(source) if seen is None else seen
-    profile = (light * np.cos(elevation)).sum(1)
+    light, sine = looks(source) if seen is None else seen
+    profile = np.einsum("ae,ae->a", light, np.sqrt(1 - sine**2))
     if profile.max() <= UNEVEN * profile.mean():
         return None
     return np.maximum.reduce([np.roll(profile, n) for n in range(-2, 3)])  # the edge of a sun lies between samples
@@ -322,8 +322,8 @@ class Spots(NamedTuple):
 def split(source: Sky, count: int, seen: tuple[np.ndarray, np.ndarray]) -> tuple[Sky, Spots] | None:
     """A sky without what is brighter than SUNNY times its median, and that, in ``count`` sectors; None for a sky without such a
     sun. ``seen``: what :func:`looks` gives."""
-    light, elevation = seen
-    some, weight = light[::16].ravel(), np.cos(elevation[::16]).ravel()
+    light, sine = seen
+    some, weight = light[::16].ravel(), np.sqrt(1 - sine[::16] ** 2).ravel()
     order = np.argsort(some)
     median = float(some[order][np.searchsorted(np.cumsum(weight[order]), weight.sum() / 2)])
     limit = SUNNY * median
@@ -332,7 +332,7 @@ def split(source: Sky, count: int, seen: tuple[np.ndarray, np.ndarray]) -> tuple
     spots = Sky(lambda L: np.maximum(radiance(source, L) - limit, 0))
     bright = light > limit
     apart = np.pi / 2 / light.shape[1]
-    first, last = np.sin(np.clip([elevation[bright].min() - 2 * apart, elevation[bright].max() + 2 * apart], 0, np.pi / 2))
+    first, last = np.sin(np.clip(np.arcsin([sine[bright].min(), sine[bright].max()]) + [-2 * apart, 2 * apart], 0, np.pi / 2))
     where = np.maximum.reduce([np.roll(bright.any(1), n) for n in range(-2, 3)])  # the edge of a sun lies between samples
     begin = int(where.argmin())
     bins = (np.flatnonzero(np.roll(where, -begin)) + begin) % len(where)
@@ -351,22 +351,22 @@ def split(source: Sky, count: int, seen: tuple[np.ndarray, np.ndarray]) -> tuple
     return Sky(lambda L: np.minimum(radiance(source, L), limit)), Spots(middle, widths, table.astype(np.float32), float(first), float(last))
 
 
-def elevation_table(source: Source, angles: np.ndarray, widths: np.ndarray, looks: int = 256, knots: int = KNOTS) -> np.ndarray:
+def elevation_table(source: Source, angles: np.ndarray, widths: np.ndarray, looks: int = 256, knots: int = KNOTS, points: int = 4) -> np.ndarray:
     """Brightness as sweeps take it, (K, knots, 4) float32: the integrals of B cos^2 and of B sin cos over elevation, from
     sin(elevation) = i / (knots - 1) to the zenith, averaged over each sector, and what to add up to the next knot.
 
-    Four Gauss-Legendre points between knots, and as many azimuths within a sector as make some ``looks`` in all.
+    ``points`` of Gauss and Legendre between knots, and as many azimuths within a sector as make some ``looks`` in all.
     """
     within = max(1, -(-looks // len(angles)))
     azimuth = angles[:, None] + widths[:, None] * ((np.arange(within) + 0.5) / within - 0.5)
-    points, weights = np.polynomial.legendre.leggauss(4)
+    nodes, weights = np.polynomial.legendre.leggauss(points)
     low = np.arange(knots - 1)[:, None]
-    sine = ((low + (points + 1) / 2) / (knots - 1)).ravel()
+    sine = ((low + (nodes + 1) / 2) / (knots - 1)).ravel()
     total = np.zeros((len(angles), sine.size))
     for a in azimuth.T:
         total += radiance(source, directions_of(a[:, None], sine)) / within
-    total = total.reshape(len(angles), knots - 1, 4) * weights / 2 / (knots - 1)
-    sine = sine.reshape(knots - 1, 4)
+    total = total.reshape(len(angles), knots - 1, points) * weights / 2 / (knots - 1)
+    sine = sine.reshape(knots - 1, points)
     parts = np.stack([(total * np.sqrt(1 - sine**2)).sum(-1), (total * sine).sum(-1)], -1)
     table = np.zeros((len(angles), knots, 4))
     table[:, :-1, :2] = np.cumsum(parts[:, ::-1], 1)[:, ::-1]
