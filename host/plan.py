@@ -43,6 +43,9 @@ LATTICE_ERROR = {5: 0.0376, 7: 0.0188, 9: 0.0119, 17: 0.0039, 33: 0.0012}
 LOOKS = 192  # azimuths at which a sky's brightness is looked at, at least; a multiple of those of GRIDS
 NEAR = 24  # rows within which every crossing is tested where a small error of the horizon shows
 BEHIND = 0.0025  # RMS error of sweeps behind cliffs, however many azimuths; of houses as high as 36 nodes, at the pilots
+DEARER = 1.4  # times as long as a sweep takes with so many
+SAFE = {24: 0.033, 48: 0.0125, 64: 0.0080, 96: 0.0046, 128: 0.0033, 192: 0.0021, 256: 0.0017}  # RMS error by azimuths, with so many, among houses
+SAFE_SLICES, SAFELY = 128, 1.5  # slices that do for lamps; tolerance over the known error from which a setting is taken unmeasured
 POINT = 0.1  # share of the tolerance by which a lamp that is called a point may be off as one
 WORTH = 0.012  # tolerance from which the lattice may be cheaper than horizons under a sky
 
@@ -147,8 +150,9 @@ def plan(scene: Scene, source: sources.Source, tolerance: float = 0.01, backend:
     return work(scene, source, tolerance, select(backend), tail).plan
 
 
-def work(scene: Scene, source: sources.Source, tolerance: float, engine: Backend, tail: float | None = None) -> Work:
-    """The plan and all that render() needs to follow it."""
+def work(scene: Scene, source: sources.Source, tolerance: float, engine: Backend, tail: float | None = None, hurry: bool = False) -> Work:
+    """The plan and all that render() needs to follow it. ``hurry``: a setting that is known to do is taken where that takes less
+    time than to choose one."""
     is_scene(scene)
     tolerance = positive_number(tolerance, "tolerance")
     tail = TAIL * tolerance if tail is None else positive_number(tail, "tail")
@@ -159,7 +163,7 @@ def work(scene: Scene, source: sources.Source, tolerance: float, engine: Backend
     cost = Costs(engine)
     start, compiled = time.perf_counter(), engine.compile_seconds
     source = sources.without_disc(source)  # which render adds by slices
-    planner = (_Lattice if lacking(scene, source) else _Sky if isinstance(source, sources.Sky) else _Slices)(scene, source, tolerance, tail, engine, cost)
+    planner = (_Lattice if lacking(scene, source) else _Sky if isinstance(source, sources.Sky) else _Slices)(scene, source, tolerance, tail, engine, cost, hurry)
     settings = planner.settings()
     fitting = [s for s in settings if planner.fits(s)]
     if fitting:
@@ -178,7 +182,7 @@ def work(scene: Scene, source: sources.Source, tolerance: float, engine: Backend
     reason = _error_text(best, tolerance) if math.isfinite(best.error) else planner.unmeasured
     made = Plan("horizon" if best.method == "slices" else best.method, best.units if lattice else None, True if lattice else None, reason, None if lattice or best.method == "unoccluded" else best.units,
                 best.max_distance, tolerance, tail, _known(best.error), _known(best.tail), None, best.seconds + took, took, tuple(choices), tuple(_beyond(planner, tolerance)))
-    return Work(made, [best, *finer], planner.pilots, planner.exact)
+    return Work(made, [best, *finer], planner.pilots, planner.exact if math.isfinite(best.error) else None)
 
 
 def lacking(scene: Scene, source: sources.Source) -> str:
@@ -240,8 +244,8 @@ class _Planner:
     exact: np.ndarray | None = None
     hidden = math.nan  # RMS share of the light that ground takes
 
-    def __init__(self, scene, source, tolerance, tail, engine, cost: Costs):
-        self.scene, self.source, self.tolerance, self.tail, self.engine, self.cost = scene, source, tolerance, tail, engine, cost
+    def __init__(self, scene, source, tolerance, tail, engine, cost: Costs, hurry: bool):
+        self.scene, self.source, self.tolerance, self.tail, self.engine, self.cost, self.hurry = scene, source, tolerance, tail, engine, cost, hurry
         self.pixels = scene.depth.size
         self.pilots = Pilots(scene, self.count)
 
@@ -249,6 +253,10 @@ class _Planner:
 
     def fits(self, found: Errors | Setting) -> bool:
         return found.bound <= MARGIN * self.tolerance and found.tail <= self.tail
+
+    def _quicker(self, seconds: float) -> bool:
+        """Whether a setting that is known to do takes less time than to choose one."""
+        return self.hurry and self.tail >= 5 * self.tolerance and seconds < self.cost["plan"].seconds(self.pixels)
 
 
 class _Sky(_Planner):
@@ -277,7 +285,7 @@ class _Sky(_Planner):
         if self.profile is not None:
             self.rest, self.suns = sources.split(source, SUNS, self.seen) or (source, None)
             self._look_at_rest()
-        return self._even()
+        return self._safe() or self._even()
 
     contrast, flat = 1.0, 0.0
 
@@ -344,6 +352,17 @@ class _Sky(_Planner):
         cost = self.cost[method]
         tables = 3e-8 * 4 * self.knots * (1 if self.one else 2 * units) if method == "horizon" and not self.constant else 0.0
         return factor * cost.seconds(self.pixels, units) + tables
+
+    def _safe(self):
+        """A number of azimuths that does anywhere, or nothing; what else the plan says is from 16 of them."""
+        count = next((count for count, error in SAFE.items() if SAFELY * error <= self.tolerance), None)
+        if count is None or self.pilots.periodic or not self._quicker(self._seconds("horizon", count, DEARER) + (self.cost["sectors"].seconds(self.pixels, SUNS) if self.suns else 0.0)):
+            return None
+        self.by_suns = {None: 0.0} if self.suns is None else {1: self.pilots.suns(self.engine, self.suns.fewer(SPANS[0]))[0]}
+        azimuths = 2 * np.pi * np.arange(16) / 16
+        found = next(s for s in self._evaluate(azimuths, self.pilots.horizons(self.engine, azimuths)) if s.units == count)
+        self.unmeasured = f"on ground that is hard to render it is off by {_percent(SAFE[count])}, and to choose fewer would take longer than to render"
+        return [replace(found, near=NEAR, error=math.nan, bound=math.nan, tail=math.nan)]
 
     def _even(self):
         pilots, engine = self.pilots, self.engine
@@ -412,7 +431,7 @@ class _Sky(_Planner):
                 if span > 1 and suns.max() / (2 * len(few.angles)) > self.tail * exact[exact > 0].mean():
                     continue  # the corner of a wall, where no pilot is, may cut off half a sector of the sun
             found = {count: Errors(math.hypot(e.rms, missed), math.hypot(e.bound, missed), e.tail) for count, e in measured[span].items()}
-            settings += [Setting("horizon", count, *_between(found, count), self._seconds("horizon", count) + more, Azimuths(count), self._maker(count) if varies else None, self.scale, near=near, suns=few) for count in EVEN]
+            settings += [Setting("horizon", count, *_between(found, count), self._seconds("horizon", count, DEARER if near else 1.0) + more, Azimuths(count), self._maker(count) if varies else None, self.scale, near=near, suns=few) for count in EVEN]
         return settings
 
     def _maker(self, count):
@@ -467,14 +486,14 @@ class _Sky(_Planner):
         yield Choice("occlusion", "none" if best.method == "unoccluded" else "by ground", f"ground takes {_percent(self.hidden)} of the light (RMS)")
         yield Choice("brightness", self.looks, self.why_looks)
         if best.method == "horizon":
-            yield Choice("azimuths", f"{best.units} {'evenly' if best.sectors.edges == Azimuths(best.units).edges else 'placed by brightness'}", _among(best, settings))
+            yield Choice("azimuths", f"{best.units} {'evenly' if best.sectors.edges == Azimuths(best.units).edges else 'placed by brightness'}", self.unmeasured or _among(best, settings))
             if best.suns is not None:
                 yield Choice("sun", f"{len(best.suns.angles)} azimuths of its own", f"of what is brighter than {sources.SUNNY:g} times the sky's median every crossing is tested")
         elif best.method == "lattice":
             yield Choice("directions", f"{len(Hemicube(best.units))}, filled", _among(best, settings))
         yield Choice("search radius", "whole map" if best.max_distance is None else f"{best.max_distance:g}", self.reach_why)
         if best.near:
-            yield Choice("near rows", f"{best.near}", "there are cliffs: every crossing so near is tested")
+            yield Choice("near rows", f"{best.near}", "there are cliffs: every crossing so near is tested" if self.pilots.steep else "every crossing so near is tested")
 
 
 class _Slices(_Planner):
@@ -501,6 +520,15 @@ class _Slices(_Planner):
         brightness = (lambda L: sources.radiance(source, L)) if callable(source.brightness) else source.brightness
         light = lambda slices, occluded=True: pilots.through_slices(engine, self.upright, brightness, slices, occluded)
         self.clear = self._clear()
+        turn = pilots.turn(self.upright)
+        taken = lambda most: (least := max(most // (4 if isinstance(self.solid, Ball) else 2) // 8, 1) * 8) + (turn * (most - least)).astype(int) // 8 * 8  # as many as the kernel would
+        looks = ((self.ball[0][:, None] - np.stack([pilots.x, pilots.y, pilots.own])) * np.stack([pilots.gx, pilots.gy, np.ones(len(pilots))])).sum(0) >= self.ball[1] * pilots.length
+        seconds = self._seconds("slices", float(taken(SAFE_SLICES).mean()))
+        if not self.clear and not looks.all() and self.tolerance >= 0.002 and self._quicker(seconds):  # else it may need no shadows
+            self.exact = light(16)
+            self.hidden = errors(self.exact, light(16, False)).rms
+            self.unmeasured = "on rough ground and in penumbras it is off by less than 0.1 %, and to choose fewer would take longer than to render"
+            return [Setting("slices", SAFE_SLICES, seconds=seconds)]
         free = light(FINEST, False)
         self.exact = exact = free if self.clear else light(FINEST)
         self.hidden = errors(exact, free).rms if free.any() else 0.0
@@ -509,18 +537,16 @@ class _Slices(_Planner):
             found = errors(unoccluded.lamp(pilots.gx, pilots.gy, pilots.x, pilots.y, pilots.own.astype(float), self.upright, source.brightness, points), exact)
             if self.fits(found) and unoccluded.no_shadow(self.scene, *self.ball, self.clear):
                 return [Setting("unoccluded", points, *found, self._seconds("closed form", 1))]
-        turn = pilots.turn(self.upright)
         by_count = {}
         for most in SLICES[isinstance(self.solid, Quad):]:  # a quadrangle has four sectors to share them
-            least = max(most // (4 if isinstance(self.solid, Ball) else 2) // 8, 1) * 8
-            taken = (least + turn * (most - least)).astype(int) // 8 * 8  # as many as the kernel would
+            number = taken(most)
             through = np.zeros(len(pilots))
             for count in (8, 16, 32, 64):
-                if (taken >= count).any():
+                if (number >= count).any():
                     by_count[count] = by_count.get(count) if count in by_count else light(count, not self.clear)
-                    through = np.where(taken >= count, by_count[count], through)
-            found = errors(np.where(taken >= 128, exact, through), exact)
-            settings.append(Setting("slices", most, *found, self._seconds("slices", float(taken.mean()))))
+                    through = np.where(number >= count, by_count[count], through)
+            found = errors(np.where(number >= 128, exact, through), exact)
+            settings.append(Setting("slices", most, *found, self._seconds("slices", float(number.mean()))))
             if self.fits(Errors(found.rms, 2 * found.bound, 2 * found.tail)):
                 break
         return settings
@@ -545,7 +571,7 @@ class _Slices(_Planner):
             taken = "nothing to see" if self.solid is None else "a point" if off <= POINT * self.tolerance else "a sphere, closed form" if isinstance(self.solid, Ball) else "a polygon, closed form"
             yield Choice(kind, taken, "" if self.solid is None else f"its radius seems {np.degrees(self.apparent):.2g} degrees on average, and nothing cuts it; as a point, a disc of that size is off by {_percent(off)}")
         else:
-            yield Choice(kind, f"{best.units} slices", f"its radius seems {np.degrees(self.apparent):.2g} degrees on average; {_among(best, settings, 'slices')}")
+            yield Choice(kind, f"{best.units} slices", f"its radius seems {np.degrees(self.apparent):.2g} degrees on average; {self.unmeasured or _among(best, settings, 'slices')}")
         varies = callable(self.source.brightness)
         yield Choice("brightness", "by direction" if varies and best.method != "unoccluded" else f"along {_count(best.units, 'ray')}" if varies else "constant", "it is a function" if varies else "it is a number")
         yield Choice("search radius", "up to the source", "what lies behind it hides nothing")

@@ -166,7 +166,7 @@ def _planned(scene, source, tolerance, tail, engine) -> tuple[np.ndarray, Plan, 
         fitting = [k for k, error in HORIZON_ERROR.items() if error <= tolerance] or [max(HORIZON_ERROR)]
         image, plan, found = _asked(scene, source, engine, "horizon", fitting[0], None)
         return image, replace(plan, reason=f"RMS error {HORIZON_ERROR[fitting[0]]} of E / pi on rough ground; the map stays on its device"), found
-    made = work(scene, source, tolerance, engine, tail)
+    made = work(scene, source, tolerance, engine, tail, hurry=True)
     plan = made.plan
     nodes = made.pilots.y, made.pilots.x
     for tried, setting in enumerate(made.settings):

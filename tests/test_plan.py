@@ -155,10 +155,33 @@ def test_a_tighter_tolerance_or_tail_takes_more(fast):
     assert plans[1].seconds > plans[1].planning_seconds > 0
 
 
+def choosing_takes(seconds, backend, monkeypatch):
+    engine = select(backend)
+    costs.Costs(engine)["plan"]
+    monkeypatch.setitem(costs.known[costs.Costs(engine).key], "plan", costs.Cost(seconds, 0.0, 0.0))
+
+
+@pytest.mark.parametrize(("name", "source"), [("houses", sl.Sky()), ("houses", SUN), ("rough", sl.Sky(sl.cie_overcast(2.0))), ("dark", GLOW), ("rough", LOW), ("dark", WINDOW), ("houses", PANEL)], ids=named)
+def test_what_is_sure_is_taken_where_choosing_takes_longer(fast, monkeypatch, name, source):
+    """A render in no time to choose: unmeasured, within tolerance, with the bounds of what the model lacks; plan() itself chooses."""
+    choosing_takes(1e9, fast, monkeypatch)
+    scene = SCENES[name]
+    nodes = some_nodes(scene, 150)
+    exact = truth(scene, source, nodes)
+    for tolerance in (0.03, 0.01, 0.003):
+        out = sl.render(scene, source, tolerance=tolerance, backend=fast, quantity="irradiance")
+        assert out.plan.error is None and out.plan.measured is None and "longer than to render" in str(out.plan)
+        assert errors(out.image[nodes].astype(float), exact).rms <= tolerance
+        assert any(text.startswith("Light between") for text in out.plan.beyond)
+    assert sl.plan(scene, source, 0.01, fast).error <= 0.01
+    assert sl.render(scene, source, tolerance=1e-4, backend=fast).plan.error is not None, "nothing is known to be as good as that"
+
+
 def test_an_image_that_is_off_is_made_again(fast, monkeypatch):
     """A plan that claims four azimuths to be exact is found out at the pilots, and its image replaced by a finer one."""
     import sys
 
+    choosing_takes(0.0, fast, monkeypatch)
     module = sys.modules["skylamp.plan"]
     between = module._between
     monkeypatch.setattr(module, "_between", lambda measured, count: Errors(0.0, 0.0, 0.0) if count == 4 else between(measured, count))
