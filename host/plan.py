@@ -42,7 +42,7 @@ LATTICES = (5, 7, 9, 17, 33)
 LATTICE_ERROR = {5: 0.0376, 7: 0.0188, 9: 0.0119, 17: 0.0039, 33: 0.0012}
 LOOKS = 192  # azimuths at which a sky's brightness is looked at, at least; a multiple of those of GRIDS
 NEAR = 24  # rows within which every crossing is tested where a small error of the horizon shows
-BEHIND = 0.0025  # RMS error of sweeps behind cliffs, however many azimuths; of houses as high as 36 nodes, at the pilots
+BEHIND = 0.017  # RMS error of sweeps behind cliffs, over the root of their share of the nodes, however many azimuths: 0.2 to 0.6 % among houses
 DEARER = 1.4  # times as long as a sweep takes with so many
 SAFE = {24: 0.033, 48: 0.0125, 64: 0.0080, 96: 0.0046, 128: 0.0033, 192: 0.0021, 256: 0.0017}  # RMS error by azimuths, with so many, among houses
 SAFE_SLICES, SAFELY = 128, 1.5  # slices that do for lamps; tolerance over the known error from which a setting is taken unmeasured
@@ -404,8 +404,10 @@ class _Sky(_Planner):
                 self.flat, self.scale, varies, self.constant = error.rms, best, False, True
                 self.looks, self.why_looks = "constant", f"taken as one number it costs {_percent(error.rms)}"
                 rings = uniform
-        lost = pilots.ring(azimuths, np.maximum(0, pilots.plane(np.cos(azimuths)[:, None], np.sin(azimuths)[:, None]))).sum(0) * width
-        self.hidden = errors(self.uniform, lost).rms
+        planes = np.maximum(0, pilots.plane(np.cos(azimuths)[:, None], np.sin(azimuths)[:, None]))
+        free = pilots.ring(azimuths, planes).sum(0) * width
+        self.hidden = errors(self.uniform, free).rms
+        free = pilots.ring(azimuths, planes, table).sum(0) * width if varies else free * self.scale
         measured = {span: {} for span in self.by_suns}
         for count in EVEN:
             if number % (2 * count) == 0:
@@ -421,8 +423,11 @@ class _Sky(_Planner):
                 for span, sun in self.by_suns.items():
                     measured[span][count] = errors(light + sun, exact)
         near = NEAR if pilots.steep > 0 else None  # behind a cliff the two best crossings are not enough
-        missed = BEHIND * float(rest.mean() / max(exact.mean(), 1e-30)) if near else 0.0
-        settings = []
+        missed = BEHIND * math.sqrt(pilots.steep) * float(rest.mean() / max(exact.mean(), 1e-30))
+        found = errors(free, exact)
+        settings = [Setting("unoccluded", 0, *found, self._seconds("closed form", 1), table=self._unoccluded if varies else None, scale=self.scale)]
+        if not self.fits(Errors(found.rms, 2 * found.bound, 2 * found.tail)):
+            settings = []  # the few nodes that hide something may stand where no pilot is
         for span in self.by_suns:
             few, more = None, 0.0
             if span:
@@ -430,8 +435,8 @@ class _Sky(_Planner):
                 more = self.cost["sectors"].seconds(self.pixels, len(few.angles))
                 if span > 1 and suns.max() / (2 * len(few.angles)) > self.tail * exact[exact > 0].mean():
                     continue  # the corner of a wall, where no pilot is, may cut off half a sector of the sun
-            found = {count: Errors(math.hypot(e.rms, missed), math.hypot(e.bound, missed), e.tail) for count, e in measured[span].items()}
-            settings += [Setting("horizon", count, *_between(found, count), self._seconds("horizon", count, DEARER if near else 1.0) + more, Azimuths(count), self._maker(count) if varies else None, self.scale, near=near, suns=few) for count in EVEN]
+            of = lambda e: (math.hypot(e.rms, missed), math.hypot(e.bound, missed), e.tail)
+            settings += [Setting("horizon", count, *of(_between(measured[span], count)), self._seconds("horizon", count, DEARER if near else 1.0) + more, Azimuths(count), self._maker(count) if varies else None, self.scale, near=near, suns=few) for count in EVEN]
         return settings
 
     def _maker(self, count):

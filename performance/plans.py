@@ -156,15 +156,16 @@ def side_by_side(*works, runs=3):
     return [min(taken) for taken in times]
 
 
-def tried(scene, source, nodes, exact, backend) -> list:
-    """(seconds, error, render) of every setting; of a kind, until one is within the tightest tolerance or slower than another that is."""
+def tried(scene, source, nodes, exact, backend, longest) -> list:
+    """(seconds, error, render) of every setting; of a kind, until one is within the tightest tolerance, or slower than another that is
+    or than ``longest``."""
     kinds = ["lattice"] if lacking(scene, source) else ["unoccluded", "horizon", "lattice"] if isinstance(source, sl.Sky) else ["unoccluded", "slices"]
-    found, tight = [], np.inf
+    found, tight = [], longest
     for kind in kinds:
         for units in SETTINGS.get(kind, (0,)):
             options = {"unoccluded": {"method": "unoccluded"}, "lattice": {"method": "lattice", "hemicube": units, "filled": True}}.get(kind, {"method": "horizon", "azimuths": units})
             work = lambda options=options: sl.render(scene, source, quantity="irradiance", backend=backend, **options)
-            error, seconds = off(work().image[nodes].astype(float), exact)[0], side_by_side(work, runs=2)[0]
+            error, seconds = off(work().image[nodes].astype(float), exact)[0], side_by_side(work, runs=1)[0]
             found.append((seconds, error, work))
             tight = min(tight, seconds) if error <= TOLERANCES[-1] else tight
             if error <= TOLERANCES[-1] or seconds > tight:
@@ -175,9 +176,9 @@ def tried(scene, source, nodes, exact, backend) -> list:
 def run(scene_name, light, size, backend, times, tolerances=TOLERANCES):
     scene, source = pair(scene_name, light, size)
     nodes, exact = truth(scene, source, backend)
-    rows, others = [], tried(scene, source, nodes, exact, backend) if times else []
-    for tolerance in tolerances:
-        work = lambda: sl.render(scene, source, tolerance=tolerance, quantity="irradiance", backend=backend)
+    ours = [lambda t=t: sl.render(scene, source, tolerance=t, quantity="irradiance", backend=backend) for t in tolerances]
+    rows, others = [], tried(scene, source, nodes, exact, backend, 2 * max(work().seconds for work in ours)) if times else []
+    for tolerance, work in zip(tolerances, ours):
         out = work()
         error, tail = off(out.image[nodes].astype(float), exact)
         row = {"scene": scene_name, "source": light, "size": scene.shape[0], "tolerance": tolerance, "error": error, "over": error / tolerance, "tail": tail / tolerance / 10,
