@@ -278,16 +278,12 @@ class _Sky(_Planner):
         lost = pilots.sky_lost(0.5 * self.tolerance / self.contrast) * self.contrast
         if lost <= 0.5 * self.tolerance:
             self.hidden, self.reach_why = lost, "there is nothing to look for"
-            error = math.hypot(lost, self.flat)
-            return [Setting("unoccluded", 0, error, error, 10 * error, self._seconds("closed form", 1), table=self._unoccluded if self.knots else None, scale=self.scale)]
+            return [Setting("unoccluded", 0, lost, lost, 10 * lost, self._seconds("closed form", 1), table=self._unoccluded if self.knots else None, scale=self.scale, suns=self.suns)]
         if self.profile is not None and pilots.periodic:
             return self._placed()
-        if self.profile is not None:
-            self.rest, self.suns = sources.split(source, SUNS, self.seen) or (source, None)
-            self._look_at_rest()
         return self._safe() or self._even()
 
-    contrast, flat = 1.0, 0.0
+    contrast = 1.0
 
     def _look(self):
         """What the sky's brightness needs: a number, one table for all azimuths, or a table for each."""
@@ -298,7 +294,11 @@ class _Sky(_Planner):
         self.contrast = max(1.0, float(low / mean)) if mean else 1.0
         if self.profile is not None:
             self.contrast *= float(self.profile.max() / self.profile.mean())
+        if self.profile is not None and self.pilots.periodic:
             self.looks, self.why_looks, self.knots = "a table per azimuth", "it is uneven in azimuth, so half of the azimuths go where the light is", 1024 if self.tolerance < 0.02 else 512
+        elif not self.pilots.periodic and (found := sources.split(self.source, SUNS, self.seen)):
+            self.rest, self.suns = found
+            self._look_at_rest()
 
     def _look_at_rest(self):
         """Knots, and whether one table does, for what sweeps see of the sky; its brightness (azimuths, knots) and mean."""
@@ -321,7 +321,7 @@ class _Sky(_Planner):
 
     def _table(self, angles, widths):
         if self.one:
-            return np.repeat(sources.elevation_table(self.rest, angles[:1], widths[:1], 1, self.knots), len(angles), 0)
+            return np.repeat(sources.elevation_table(self.rest, np.zeros(1), np.full(1, 2 * np.pi), LOOKS, self.knots), len(angles), 0)
         return sources.elevation_table(self.rest, angles, widths, max(2 * len(angles), LOOKS), self.knots, self._points)
 
     @property
@@ -342,7 +342,7 @@ class _Sky(_Planner):
         return shifted.reshape(number, span, *self._fine.shape[1:]).mean(1)
 
     def _unoccluded(self):
-        if self.profile is not None:
+        if self.profile is not None and self.pilots.periodic:
             sectors = Azimuths.placed(PLACED_GRID, self.profile)
             return sources.fine_table(self.source, sectors.angles, sectors.widths, self.knots), sectors
         sectors = Azimuths(unoccluded.AZIMUTHS)
@@ -401,13 +401,15 @@ class _Sky(_Planner):
             best = float((rest * self.uniform).sum() / max((self.uniform**2).sum(), 1e-300))
             error = errors(best * self.uniform + suns, exact)
             if self.fits(Errors(error.rms, 2 * error.bound, error.tail)):
-                self.flat, self.scale, varies, self.constant = error.rms, best, False, True
+                self.scale, varies, self.constant = best, False, True
                 self.looks, self.why_looks = "constant", f"taken as one number it costs {_percent(error.rms)}"
                 rings = uniform
         planes = np.maximum(0, pilots.plane(np.cos(azimuths)[:, None], np.sin(azimuths)[:, None]))
         free = pilots.ring(azimuths, planes).sum(0) * width
         self.hidden = errors(self.uniform, free).rms
         free = pilots.ring(azimuths, planes, table).sum(0) * width if varies else free * self.scale
+        if self.suns:  # nearly; a sun that no ground hides
+            free = free + pilots.suns_above(self.suns.fewer(SPANS[0]))
         measured = {span: {} for span in self.by_suns}
         for count in EVEN:
             if number % (2 * count) == 0:
@@ -425,7 +427,7 @@ class _Sky(_Planner):
         near = NEAR if pilots.steep > 0 else None  # behind a cliff the two best crossings are not enough
         missed = BEHIND * math.sqrt(pilots.steep) * float(rest.mean() / max(exact.mean(), 1e-30))
         found = errors(free, exact)
-        settings = [Setting("unoccluded", 0, *found, self._seconds("closed form", 1), table=self._unoccluded if varies else None, scale=self.scale)]
+        settings = [Setting("unoccluded", 0, *found, self._seconds("closed form", 1), table=self._unoccluded if varies else None, scale=self.scale, suns=self.suns)]
         if not self.fits(Errors(found.rms, 2 * found.bound, 2 * found.tail)):
             settings = []  # the few nodes that hide something may stand where no pilot is
         for span in self.by_suns:

@@ -272,10 +272,10 @@ def _by_slices(scene, source, engine, setting):
 
 def _unoccluded(scene, source, engine, setting):
     if isinstance(source, sources.Sky):
-        if setting.table is None:
-            return unoccluded.sky(scene, setting.scale)
-        table, sectors = setting.table()
-        return unoccluded.sky(scene, None, table, sectors.angles, sectors.widths)
+        table, sectors = (None, None) if setting.table is None else setting.table()
+        image = unoccluded.sky(scene, setting.scale) if table is None else unoccluded.sky(scene, None, table, sectors.angles, sectors.widths)
+        suns = setting.suns
+        return image if suns is None else image + unoccluded.sky(scene, None, suns.table, suns.angles, suns.widths, suns.first, suns.last)
     solid = upright(solid_of(scene, source, 1 / scene.spacing, 1.0))
     return np.zeros(scene.shape, np.float32) if solid is None else unoccluded.image(scene, solid, source.brightness, max(1, setting.units))
 
