@@ -313,7 +313,7 @@ FAILURES = {
     "sides": Failure("Wrong sides", "depth of a plane in a dark box of 80 nodes", (1, 2, 5, 10, 20, 40), (1, 40), 0.1, sides, "sides given as open",
                      "Nothing in a map tells what stands at its sides: give the ones that are there.", "sides given as dark"),
     "drilled": Failure("Columns drilled through", "eps, share of the image's maximum", (0.2, 0.1, 0.05, 0.02, 0.01, 0.002), (0.2, 0.002), 0.15, drilled, "paper, eps",
-                       "A column that steps past the image's value is carved through to the back, and one that stops early shadows the rest. `drilled` marks them and a warning gives their share. The default, `method="robust"`, does not carve and takes no eps.", "robust",
+                       "A column that steps past the image's value is carved through to the back, and one that stops early shadows the rest. `drilled` marks them and a warning gives their share. The default (`robust`) does not carve and takes no eps.", "robust",
                        lambda eps, b: first_says(picture(b), b, eps=eps), "Drilled", "share of columns drilled"),
     "two values": Failure("Two depths explain one value", "k of a lamp cos^k", (0, 1, 2, 4, 8, 16), (0, 16), 4.0, spot_errors, "paper, sign",
                           "Under a spotlight a column is dark near the viewer, bright below and dark again. The paper takes the first match, or drills, and the warning gives the share. The default fits the whole surface. Each method is given an image of its own model: N.L = 1/2, or normals.", "robust", spot_says, "Drilled", "RMS error of depth [layers]"),

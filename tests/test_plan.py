@@ -155,6 +155,16 @@ def test_a_tighter_tolerance_or_tail_takes_more(fast):
     assert plans[1].seconds > plans[1].planning_seconds > 0
 
 
+@pytest.mark.parametrize("elevation", [12, 70, 89.9])
+def test_a_sun_of_its_real_size_brings_all_its_light(fast, elevation):
+    """On open level ground, also near the zenith, where no azimuth stands out; among houses by every crossing (tests/test_slices.py)."""
+    e, r = np.radians((elevation, 0.2665))
+    axis = np.array([np.cos(e) * np.cos(1.0), np.cos(e) * np.sin(1.0), -np.sin(e)])
+    sun = sl.Sky(lambda L: 1 + 2e4 * (L @ axis >= np.cos(r)))
+    image = sl.render(SCENES["flat"], sun, tolerance=0.01, backend=fast, quantity="irradiance").image
+    np.testing.assert_allclose(image, np.pi * (1 + 2e4 * np.sin(r) ** 2 * np.sin(e)), rtol=0.004)
+
+
 def choosing_takes(seconds, backend, monkeypatch):
     engine = select(backend)
     costs.Costs(engine)["plan"]
