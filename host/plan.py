@@ -438,7 +438,9 @@ class _Sky(_Planner):
                 if span > 1 and suns.max() / (2 * len(few.angles)) > self.tail * exact[exact > 0].mean():
                     continue  # the corner of a wall, where no pilot is, may cut off half a sector of the sun
             of = lambda e: (math.hypot(e.rms, missed), math.hypot(e.bound, missed), e.tail)
-            settings += [Setting("horizon", count, *of(_between(measured[span], count)), self._seconds("horizon", count, DEARER if near else 1.0) + more, Azimuths(count), self._maker(count) if varies else None, self.scale, near=near, suns=few) for count in EVEN]
+            seconds = lambda count: self._seconds("horizon", count, DEARER if near else 1.0) + more
+            table = lambda count: self._maker(count) if varies else None
+            settings += [Setting("horizon", count, *of(_between(measured[span], count)), seconds(count), Azimuths(count), table(count), self.scale, near=near, suns=few) for count in EVEN]
         return settings
 
     def _maker(self, count):
@@ -522,19 +524,25 @@ class _Slices(_Planner):
             corners = self.solid.corners * (1, 1, -1)
             self.ball = corners.mean(0), float(np.linalg.norm(corners - corners.mean(0), axis=1).max())
         self.upright = upright(self.solid)
-        far = np.sqrt(((self.ball[0][:, None] - np.stack([pilots.x, pilots.y, pilots.own])) ** 2).sum(0))
+        to = self.ball[0][:, None] - np.stack([pilots.x, pilots.y, pilots.own])
+        far = np.sqrt((to**2).sum(0))
         self.apparent = float(np.arcsin(np.minimum(1, self.ball[1] / np.maximum(far, 1e-9))).mean())
         brightness = (lambda L: sources.radiance(source, L)) if callable(source.brightness) else source.brightness
         light = lambda slices, occluded=True: pilots.through_slices(engine, self.upright, brightness, slices, occluded)
         self.clear = self._clear()
         turn = pilots.turn(self.upright)
-        taken = lambda most: (least := max(most // (4 if isinstance(self.solid, Ball) else 2) // 8, 1) * 8) + (turn * (most - least)).astype(int) // 8 * 8  # as many as the kernel would
-        looks = ((self.ball[0][:, None] - np.stack([pilots.x, pilots.y, pilots.own])) * np.stack([pilots.gx, pilots.gy, np.ones(len(pilots))])).sum(0) >= self.ball[1] * pilots.length
+
+        def taken(most):
+            """As many slices as the kernel would take."""
+            least = max(most // (4 if isinstance(self.solid, Ball) else 2) // 8, 1) * 8
+            return (least + turn * (most - least)).astype(int) // 8 * 8
+
         seconds = self._seconds("slices", float(taken(SAFE_SLICES).mean()))
+        looks = (to * np.stack([pilots.gx, pilots.gy, np.ones(len(pilots))])).sum(0) >= self.ball[1] * pilots.length
         if not self.clear and not looks.all() and self.tolerance >= 0.002 and self._quicker(seconds):  # else it may need no shadows
             self.exact = light(16)
             self.hidden = errors(self.exact, light(16, False)).rms
-            self.unmeasured = "on rough ground and in penumbras it is off by less than 0.1 %, and to choose fewer would take longer than to render"
+            self.unmeasured = "on rough ground and in penumbras it is off by less than 0.2 %, and to choose fewer would take longer than to render"
             return [Setting("slices", SAFE_SLICES, seconds=seconds)]
         free = light(FINEST, False)
         self.exact = exact = free if self.clear else light(FINEST)

@@ -63,7 +63,8 @@ def render(scene: Scene, source: sources.Source, method: str = "auto", tolerance
     scene, source : Scene; Sky, Lamp or Window
     method : "auto", "lattice", "horizon" or "unoccluded"
         ``auto``: the cheapest that is within ``tolerance``, as :func:`skylamp.plan` finds it; the image is then compared with
-        exact rays at the plan's pilot nodes, and computed again, finer, where it is off by more. ``lattice``: the paper's
+        exact rays at the plan's pilot nodes, and computed again, finer, where it is off by more. Where a setting that does on any
+        ground takes less time than to choose one, that is taken, and not compared. ``lattice``: the paper's
         directions on a hemicube (9 unless given). ``horizon``: the source above the horizon of every node in a number of
         azimuths (64 unless given; for lamps and windows, slices through the source as every node sees it).
         ``unoccluded``: closed forms from the normals, as if ground hid nothing but what lies below each node's own tangent
