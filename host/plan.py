@@ -319,10 +319,10 @@ class _Sky(_Planner):
         self.why_looks = f"{'it depends on elevation alone' if self.one else 'it varies with azimuth and elevation'}; {self.knots} knots"
         return light, mean
 
-    def _table(self, angles, widths):
+    def _table(self, angles, widths, looks=0):
         if self.one:
             return np.repeat(sources.elevation_table(self.rest, np.zeros(1), np.full(1, 2 * np.pi), LOOKS, self.knots), len(angles), 0)
-        return sources.elevation_table(self.rest, angles, widths, max(2 * len(angles), LOOKS), self.knots, self._points)
+        return sources.elevation_table(self.rest, angles, widths, looks or max(2 * len(angles), LOOKS), self.knots, self._points)
 
     @property
     def _points(self):
@@ -333,7 +333,7 @@ class _Sky(_Planner):
     def _fine(self):
         """The table of LOOKS even sectors, of which others are made."""
         sectors = Azimuths(LOOKS)
-        return self._table(sectors.angles, sectors.widths)
+        return self._table(sectors.angles, sectors.widths, LOOKS)
 
     def _around(self, number):
         """The table of ``number`` even sectors round azimuth 0 and so on, as the reference has them."""
