@@ -435,7 +435,7 @@ class _Sky(_Planner):
             if span:
                 few = self.suns.fewer(span)
                 more = self.cost["sectors"].seconds(self.pixels, len(few.angles))
-                if span > 1 and suns.max() / (2 * len(few.angles)) > self.tail * exact[exact > 0].mean():
+                if near and span > 1 and suns.max() / (2 * len(few.angles)) > self.tail * exact[exact > 0].mean():
                     continue  # the corner of a wall, where no pilot is, may cut off half a sector of the sun
             of = lambda e: (math.hypot(e.rms, missed), math.hypot(e.bound, missed), e.tail)
             seconds = lambda count: self._seconds("horizon", count, DEARER if near else 1.0) + more

@@ -601,10 +601,12 @@ __kernel void rays(__global const float *heights, __global const float *tops, __
 
   ways   (3, count)         float  azimuth's cosine and sine, and width [rad]; count: a multiple of LANES
   table  (count, knots, 4)  float  integrals over elevation of B cos^2 and B sin cos, from the sine first + i / scale on, and what
-                                   to add up to the next knot; below the first knot and above the last there is no light */
+                                   to add up to the next knot; below the first knot and above the last there is no light
+
+highest: node of the map. */
 __kernel void sectors(__global const float *heights, __global const float *tops, __global const float *ways,
                       __global const float *table, __global float *irradiance, int rows, int cols, int width, int levels, int count,
-                      int knots, int dark, float first, float scale)
+                      int knots, int dark, float highest, float first, float scale)
 {
   if (get_global_id(0) >= cols || get_global_id(1) >= rows)
     return;
@@ -612,7 +614,7 @@ __kernel void sectors(__global const float *heights, __global const float *tops,
   const float last = first + (knots - 1) / scale;
   const float low = first / sqrt(max(1 - first * first, 1e-12f)), high = last / sqrt(max(1 - last * last, 1e-12f));
   pixel.up = 0;
-  pixel.reach = 1; /* the sky is beyond all ground */
+  pixel.reach = (highest - pixel.height) / max(low, 1e-6f); /* farther on, a ray is above all ground */
   pixel.radius = -1;
   floats sum = 0;
   if (pixel.height > NONE)
@@ -626,7 +628,7 @@ __kernel void sectors(__global const float *heights, __global const float *tops,
         const floats top = -pixel.height / LESS(wall_x, wall_y);
         slope = MORE(slope, top);
       }
-      slope = horizon(&pixel, c, s, slope, ALL(high), 0, 0);
+      slope = horizon(&pixel, c, s, slope, ALL(high), 1, 0);
       /* 2. the light above it */
       const floats at = MORE((slope / sqrt(slope * slope + 1) - first) * scale, 0);
       ints knot = TO_INTS(at);

@@ -826,6 +826,7 @@ def sectors(
     count: wp.int32,
     knots: wp.int32,
     dark: wp.int32,
+    highest: wp.float32,
     first: wp.float32,
     scale: wp.float32,
 ):
@@ -834,6 +835,8 @@ def sectors(
       ways   (3, count)         float32  azimuth's cosine and sine, and width [rad]
       table  (count, knots, 4)  float32  integrals over elevation of B cos^2 and B sin cos, from the sine first + i / scale on, and
                                          what to add up to the next knot; below the first knot and above the last there is no light
+
+    highest: node of the map.
     """
     y, x = wp.tid()
     here = (y + 1) * (cols + 1) + x + 1
@@ -848,11 +851,11 @@ def sectors(
     pixel.x = x
     pixel.y = y
     pixel.height = heights[here]
-    pixel.reach = 1.0  # the sky is beyond all ground
     pixel.radius = -1.0
     last = first + wp.float32(knots - 1) / scale
     low = first / wp.sqrt(wp.max(1.0 - first * first, 1e-12))
     high = last / wp.sqrt(wp.max(1.0 - last * last, 1e-12))
+    pixel.reach = (highest - pixel.height) / wp.max(low, 1e-6)  # farther on, a ray is above all ground
     total = wp.float32(0.0)
     if pixel.height > NONE:
         for j in range(count):
@@ -863,7 +866,7 @@ def sectors(
             slope = wp.max(-tilt, low)
             if dark != 0:
                 slope = wp.max(slope, -pixel.height / wp.min(to_wall(cols, x, c), to_wall(rows, y, s)))
-            slope = horizon(pixel, c, s, slope, high, 0.0, 0.0)
+            slope = horizon(pixel, c, s, slope, high, 1.0, 0.0)
             # 2. the light above it
             at = wp.max((slope / wp.sqrt(slope * slope + 1.0) - first) * scale, 0.0)
             knot = wp.min(wp.int32(at), knots - 2)

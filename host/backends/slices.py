@@ -177,7 +177,7 @@ class Slices:
         np.divide(depth, -step, out=ground, where=np.isfinite(depth), casting="same_kind")
         known = ground[ground > NONE]
         low, high = (float(known.min()), float(known.max())) if known.size else (0.0, 0.0)
-        self.heights = backend.upload(heights)
+        self.heights, self.highest = backend.upload(heights), high
         self.tops = backend.empty((cells, self.width), np.float32)
         self.image = backend.empty((rows, cols), np.float32)
 
@@ -263,7 +263,7 @@ class Slices:
         knots = table.shape[1]
         given = self.backend.upload(ways), self.backend.upload(table)  # held until the kernel is done
         self.backend.launch("slices", "sectors", (cols, rows), self.heights, self.tops, *given, self.image, rows, cols, self.width, self.levels, count, knots,
-                            int(self.dark), spots.first, (knots - 1) / (spots.last - spots.first), group=self.backend.lines if self.backend.lines > 1 else None)
+                            int(self.dark), self.highest, spots.first, (knots - 1) / (spots.last - spots.first), group=self.backend.lines if self.backend.lines > 1 else None)
         self.backend.finish()
 
     def download(self) -> np.ndarray:
