@@ -208,10 +208,10 @@ def main():
         rows += run(scene, light, args.size, args.backend, args.times)
         for row in rows[-len(TOLERANCES) :]:
             print(" | ".join(f"{v:.3g}" if isinstance(v, float) else str(v) for v in row.values()) + ("  MISS" if row["over"] > 1 else ""), flush=True)
-    with open(args.out / f"{args.name}.csv", "w", newline="") as file:
-        writer = csv.DictWriter(file, rows[0], lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(rows)
+        with open(args.out / f"{args.name}.csv", "w", newline="") as file:  # what is done so far
+            writer = csv.DictWriter(file, rows[0], lineterminator="\n")
+            writer.writeheader()
+            writer.writerows(rows)
     for tolerance in TOLERANCES:
         some = [row for row in rows if row["tolerance"] == tolerance]
         text = f"{tolerance}: {sum(r['over'] <= 1 for r in some)} of {len(some)} within, worst {max(r['over'] for r in some):.2f} tolerances; tail: {sum(r['tail'] <= 1 for r in some)} within"
