@@ -145,11 +145,6 @@ class Pilots:
         """Irradiance per radian of azimuth above ``slopes``, of brightness 1 or by ``table`` (azimuths, knots, >= 2): (azimuths, nodes)."""
         return ring(self.gx, self.gy, azimuths, slopes, table)
 
-    def suns_above(self, spots: sources.Spots) -> np.ndarray:
-        """Irradiance (nodes,) by a sky's bright spots above the tangent plane, as if ground hid nothing else."""
-        least = np.maximum(0, self.plane(np.cos(spots.angles)[:, None], np.sin(spots.angles)[:, None]))
-        return spots.widths @ ring(self.gx, self.gy, spots.angles, least, spots.table, spots.first, spots.last)
-
     def suns(self, engine: Backend, spots: sources.Spots, spans: tuple[int, ...] = (1,)) -> list[np.ndarray]:
         """Irradiance (nodes,) by a sky's bright spots, in sectors that are unions of so many."""
         cosine, sine = np.cos(spots.angles)[:, None], np.sin(spots.angles)[:, None]

@@ -408,8 +408,6 @@ class _Sky(_Planner):
         free = pilots.ring(azimuths, planes).sum(0) * width
         self.hidden = errors(self.uniform, free).rms
         free = pilots.ring(azimuths, planes, table).sum(0) * width if varies else free * self.scale
-        if self.suns:  # nearly; a sun that no ground hides
-            free = free + pilots.suns_above(self.suns.fewer(SPANS[0]))
         measured = {span: {} for span in self.by_suns}
         for count in EVEN:
             if number % (2 * count) == 0:
@@ -427,9 +425,9 @@ class _Sky(_Planner):
         near = NEAR if pilots.steep > 0 else None  # behind a cliff the two best crossings are not enough
         missed = BEHIND * math.sqrt(pilots.steep) * float(rest.mean() / max(exact.mean(), 1e-30))
         found = errors(free, exact)
-        settings = [Setting("unoccluded", 0, *found, self._seconds("closed form", 1), table=self._unoccluded if varies else None, scale=self.scale, suns=self.suns)]
-        if not self.fits(Errors(found.rms, 2 * found.bound, 2 * found.tail)):
-            settings = []  # the few nodes that hide something may stand where no pilot is
+        settings = [Setting("unoccluded", 0, *found, self._seconds("closed form", 1), table=self._unoccluded if varies else None, scale=self.scale)]
+        if self.suns or not self.fits(Errors(found.rms, 2 * found.bound, 2 * found.tail)):
+            settings = []  # what little ground hides may be the sun, at a few nodes where no pilot is
         for span in self.by_suns:
             few, more = None, 0.0
             if span:
