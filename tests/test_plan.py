@@ -203,13 +203,13 @@ def test_an_image_that_is_off_is_made_again(fast, monkeypatch):
 
 
 def test_brightness_is_looked_at(fast):
-    """A sky that hardly varies is a number; one of elevation alone has one table; a sun has azimuths of its own; on a map that repeats it places them."""
+    """A sky that hardly varies is a number; one of elevation alone has one table; a sun has azimuths of its own, more where walls may cut it; on a map that repeats it places them."""
     looks = lambda sky, t: next(c.taken for c in sl.plan(SCENES["rough"], sky, t, fast).choices if c.what == "brightness")
     nearly = sl.Sky(lambda L: 1 + 0.01 * L[..., 0])
     assert looks(nearly, 0.05) == "constant" and looks(nearly, 0.002) == "a table per azimuth"
     assert looks(sl.Sky(sl.cie_overcast()), 0.01) == "one table" and looks(GLOW, 0.01).startswith("a table per")
-    suns = [next((c.taken for c in sl.plan(SCENES["rough"], SUN, t, fast).choices if c.what == "sun"), "") for t in (0.03, 0.001)]
-    assert [text.split(" azimuths")[0] for text in suns] == ["8", "120"] and "placed" in str(sl.plan(SCENES["periodic"], SUN, 0.01, fast))
+    suns = [next((c.taken for c in sl.plan(SCENES["houses"], SUN, t, fast).choices if c.what == "sun"), "") for t in (0.03, 0.003)]
+    assert [text.split(" azimuths")[0] for text in suns] == ["8", "24"] and "placed" in str(sl.plan(SCENES["periodic"], SUN, 0.01, fast))
 
 
 def test_a_map_that_repeats_is_not_searched_farther_than_need_be(fast):
