@@ -58,7 +58,8 @@ def judged(kind: str, size: int, engine):
 
 
 def measure(names: list[str] | None = None, sizes=(128, 512), longest: float = 1.5, progress=None) -> list[dict]:
-    """Rows of class, size, backend, method, units, error (relative RMS) and seconds of the whole call; the plan's are ``method`` "plan".
+    """Rows of class, size, backend, method, units, error (relative RMS), seconds of the whole call, and of it to plan; the plan's are
+    ``method`` "plan", their units the tolerance.
 
     A setting that would take longer than ``longest`` seconds a call, as its backend's costs have it, is left out.
     """
@@ -80,11 +81,12 @@ def measure(names: list[str] | None = None, sizes=(128, 512), longest: float = 1
                 work = lambda: render(scene, source, backend=name, quantity="irradiance", **options)
                 image = work().image  # compiles
                 times = []
-                while len(times) < RUNS and sum(times) < longest:
+                while len(times) < RUNS and sum(took for took, _ in times) < longest:
                     start = time.perf_counter()
-                    work()
-                    times.append(time.perf_counter() - start)
-                rows.append({"class": kind, "size": size, "backend": name, "method": method, "units": units, "error": errors(image[nodes].astype(float), exact).rms, "seconds": min(times)})
+                    plan = work().plan
+                    times.append((time.perf_counter() - start, plan.planning_seconds or 0.0))
+                seconds, planning = min(times)
+                rows.append({"class": kind, "size": size, "backend": name, "method": method, "units": units, "error": errors(image[nodes].astype(float), exact).rms, "seconds": seconds, "planning": planning})
 
             for method, units in LAMP if kind == "lamp" else SKY:
                 count = units**2 + 2 * (units - 1) ** 2 if method in ("stride", "filled") else units
@@ -107,6 +109,19 @@ def frontier(points: list[tuple[float, float]]) -> list[tuple[float, float]]:
             left.append((seconds, error))
             lowest = error
     return left
+
+
+def behind(rows: list[dict]) -> dict[str, list[float]]:
+    """Where the default stands: by class, for each tolerance, its time over that of the quickest setting of any method and backend that
+    is within the tolerance, on the largest maps; nan where none is. The default is the plan on the backend where it is quickest."""
+    largest, found = max(row["size"] for row in rows), {}
+    for kind in CLASSES:
+        here = [row for row in rows if row["class"] == kind and row["size"] == largest and not row["method"].startswith("peer")]
+        for tolerance in TOLERANCES:
+            ours = min((row["seconds"] for row in here if row["method"] == "plan" and row["units"] == tolerance), default=math.nan)
+            best = min((row["seconds"] for row in here if row["method"] != "plan" and row["error"] <= tolerance), default=math.nan)
+            found.setdefault(kind, []).append(ours / best)
+    return found
 
 
 def draw(rows: list[dict], path, title: str = "") -> None:
@@ -137,6 +152,7 @@ def draw(rows: list[dict], path, title: str = "") -> None:
         level = {t: n for n, t in enumerate(TOLERANCES)}
         for row in (r for r in of if r["method"] == "plan" and r["backend"] == quickest["backend"]):
             x, y = 1e9 * row["seconds"] / row["size"] ** 2, max(row["error"], floor)
+            axes.plot([x * (1 - float(row.get("planning") or 0) / row["seconds"]), x], [y, y], color="k", lw=1.1, zorder=4)
             axes.scatter(x, y, s=190, marker="*", color="gold", edgecolor="k", lw=0.9, zorder=5)
             axes.annotate(f"{100 * row['units']:g} %", (x, y), (9, 10 - 13 * level.get(row["units"], 0)), textcoords="offset points", fontsize=8, zorder=6)
         axes.margins(0.06, 0.08)
@@ -150,7 +166,7 @@ def draw(rows: list[dict], path, title: str = "") -> None:
     handles = [dot("C0", label="horizon (lamp: slices)"), dot("C1", label="lattice, filled"), dot("C3", label="lattice, stride (the paper)"), dot("C2", label="unoccluded")]
     handles += [dot("0.3", marks[name], name) for name in names]
     handles += [dot("0.3", label=f"{size} x {size} nodes", fill=size == max(sizes), size=7 if size == max(sizes) else 4) for size in sizes]
-    handles += [Line2D([], [], color="0.4", lw=1.2, label=f"frontier, {max(sizes)} x {max(sizes)}"), Line2D([], [], ls="", marker="*", color="gold", markeredgecolor="k", markersize=13, label="what the plan takes, by tolerance")]
+    handles += [Line2D([], [], color="0.4", lw=1.2, label=f"frontier, {max(sizes)} x {max(sizes)}"), Line2D([], [], ls="", marker="*", color="gold", markeredgecolor="k", markersize=13, label="the default, by tolerance; to its left, planning")]
     handles += [dot(f"C{4 + n}", "X", peer[5:]) for n, peer in enumerate(peers)]
     figure.legend(handles=handles, loc="outside lower center", ncols=5, frameon=False, fontsize=9)
     if title:

@@ -247,8 +247,10 @@ def chart(out: Annotated[Path, typer.Option(help="Folder for chart.png (needs ma
     except ImportError:
         print("skylamp: warning: no chart.png without matplotlib: pip install 'skylamp[plot]'", file=sys.stderr)
     if as_json:
-        print(json.dumps(_plain({"out": str(folder), "points": rows})))
+        print(json.dumps(_plain({"out": str(folder), "points": rows, "behind": charts.behind(rows)})))
     else:
+        for kind, times in charts.behind(rows).items():
+            print(f"{kind}: the default takes " + ", ".join(f"{ratio:.2g} ({100 * t:g} %)" for ratio, t in zip(times, charts.TOLERANCES)) + " times as long as the quickest setting within its tolerance", file=sys.stderr)
         print(f"{folder / 'chart.png'}: {len(rows)} points", file=sys.stderr)
 
 

@@ -17,11 +17,11 @@ from . import sources
 from .backends.base import Backend
 from .scene import Scene
 
-VERSION = 1  # of the file and of what is measured
+VERSION = 2  # of the file and of what is measured
 RUNS = 3  # of which the fastest counts: others only disturb
 SMALL, SLOW = 24, 0.01  # rows and columns of the first map; seconds that it may take if the second is to be large
 LARGE, MODEST = 224, 40
-UNITS = {"horizon": (4, 16), "lattice": (3, 7), "slices": (8, 32), "closed form": (1, 1)}  # azimuths, hemicubes, slices
+UNITS = {"horizon": (4, 16), "sectors": (8, 40), "lattice": (3, 7), "slices": (8, 32), "closed form": (1, 1), "plan": (1, 1)}  # azimuths, sectors, hemicubes, slices; to choose among them
 known: dict[str, dict[str, "Cost"]] = {}
 
 
@@ -87,6 +87,8 @@ def _cost(engine, method, few, many):
     first = _seconds(engine, method, SMALL, few)
     size = LARGE if first < SLOW else MODEST
     low = _seconds(engine, method, size, few)
+    if method == "plan":  # which hardly depends on the map
+        return Cost(low, 0.0, 0.0)
     unit = max(0.0, _seconds(engine, method, size, many) - low) / (size**2 * max(1, count(many) - count(few))) if many > few else 0.0
     each = max(0.0, (low - first) / (size**2 - SMALL**2) - unit * count(few))
     return Cost(max(0.0, first - SMALL**2 * (each + unit * count(few))), each, unit)
@@ -94,7 +96,8 @@ def _cost(engine, method, few, many):
 
 def _seconds(engine, method, size, units):
     """The fastest whole call on a map of gentle waves that shade each other."""
-    from .render import render
+    from .plan import work as plan
+    from .render import by_sectors, render
 
     y, x = np.mgrid[:size, :size]
     scene = Scene(12 + 6 * np.sin(x / 5) * np.sin(y / 6) + 6 * np.sin((x + y) / 17))
@@ -102,9 +105,13 @@ def _seconds(engine, method, size, units):
         source = sources.Lamp(center=(size / 2, size / 2, -size / 4), radius=size / 4.5)
     else:
         source = sources.Sky()
-    options = {"horizon": {"method": "horizon", "azimuths": units}, "slices": {"method": "horizon", "azimuths": units},
-               "lattice": {"method": "lattice", "hemicube": units, "filled": True}, "closed form": {"method": "unoccluded"}}[method]
+    options = {"lattice": {"method": "lattice", "hemicube": units, "filled": True}, "closed form": {"method": "unoccluded"}}.get(method, {"method": "horizon", "azimuths": units})
     work = lambda: render(scene, source, backend=engine.name, **options)
+    if method == "sectors":  # a low sun
+        spots = sources.Spots(0.6 + 1e-4 * np.arange(units), np.full(units, 1e-4), np.ones((units, sources.SPOT_KNOTS, 4), np.float32), 0.4, 0.41)
+        work = lambda: by_sectors(scene, engine, spots)
+    elif method == "plan":
+        work = lambda: plan(scene, source, 0.01, engine)
     work()  # compiles
     times = []
     for _ in range(RUNS):

@@ -22,8 +22,10 @@ NONE = np.float32(-1e30)  # height where masked
 FAINT = 0.005  # slope below which ground of a map that repeats is not looked for
 STEEP = 1e6
 GAUSS = 6  # points of brightness along a chord
+CLIFF = 4.0  # spacings that neighbouring nodes may lie apart before the slope is more than the grid holds
 WIDE = 24  # blocks across a map whose highest nodes may hide something from a pilot
 CLOSE = 4  # nodes round a pilot that may
+FEW, MANY = 12, 96  # pilots that are asked first, and then, whether anything is hidden
 
 
 class Pilots:
@@ -47,6 +49,14 @@ class Pilots:
 
     def __len__(self) -> int:
         return len(self.x)
+
+    @cached_property
+    def steep(self) -> float:
+        """Share of neighbouring nodes that lie more than CLIFF spacings apart."""
+        found = []
+        for z in (self.scene.depth[:: max(1, self.rows // 256)], self.scene.depth[:, :: max(1, self.cols // 256)].T):
+            found.append(np.abs(z[:, 1:] - z[:, :-1]) > CLIFF * self.scene.spacing)
+        return sum(map(np.count_nonzero, found)) / max(1, sum(one.size for one in found))
 
     @property
     def relief(self) -> float:
@@ -135,6 +145,13 @@ class Pilots:
         """Irradiance per radian of azimuth above ``slopes``, of brightness 1 or by ``table`` (azimuths, knots, >= 2): (azimuths, nodes)."""
         return ring(self.gx, self.gy, azimuths, slopes, table)
 
+    def suns(self, engine: Backend, spots: sources.Spots, spans: tuple[int, ...] = (1,)) -> list[np.ndarray]:
+        """Irradiance (nodes,) by a sky's bright spots, in sectors that are unions of so many."""
+        cosine, sine = np.cos(spots.angles)[:, None], np.sin(spots.angles)[:, None]
+        slopes = self.slopes(engine, cosine, sine, np.maximum(self.least(cosine, sine), spots.first / math.sqrt(max(1 - spots.first**2, 1e-12))))
+        of = lambda some, slopes: some.widths @ ring(self.gx, self.gy, some.angles, slopes, some.table, some.first, some.last)
+        return [of(spots.fewer(span), slopes[span // 2 :: span]) for span in spans]
+
     def exact(self, engine: Backend, source: sources.Source, solid: Ball | Quad | None = None) -> np.ndarray:
         """Irradiance by far more rays than any plan would take, to judge plans by: 720 azimuths or 1440 placed, or 256 slices through ``solid``."""
         if solid is not None:
@@ -152,8 +169,8 @@ class Pilots:
     # -- what hides anything at all, without a kernel ------------------------------------------------------------------------
 
     @cached_property
-    def _peaks(self):
-        """Distances (x, y), distance and slope of nodes that may hide something from each pilot: (nodes, candidates)."""
+    def _highest(self):
+        """The highest node of every block, (2, blocks) x and y, and the blocks' size."""
         down, across = (-(-n // max(1, -(-n // WIDE))) for n in (self.rows, self.cols))
         high, wide = -(-self.rows // down), -(-self.cols // across)
         room = np.full((down * high, across * wide), NONE, np.float32)
@@ -163,32 +180,43 @@ class Pilots:
         y = np.repeat(np.arange(down), across) * high + at // wide
         x = np.tile(np.arange(across), down) * wide + at % wide
         keep = (y < self.rows) & (x < self.cols)
-        peaks = np.stack([x[keep], y[keep]])
+        return np.stack([x[keep], y[keep]]), max(high, wide)
+
+    def _peaks(self, count):
+        """Distances (x, y), distance and slope of nodes that may hide something from ``count`` pilots or somewhat more: (nodes, candidates)."""
+        peaks, size = self._highest
         near = np.indices((2 * CLOSE + 1,) * 2).reshape(2, -1) - CLOSE
-        some = slice(None, None, max(1, len(self) // 96))
+        some = slice(None, None, max(1, len(self) // count))
         here = np.stack([self.x[some], self.y[some]])[:, :, None]
         to = np.concatenate([peaks[:, None] - here, np.broadcast_to(near[:, None], (2, here.shape[1], near.shape[1]))], 2)
         if self.periodic:
-            size = np.array([self.cols, self.rows])[:, None, None]
-            to = (to + size // 2) % size - size // 2
+            lap = np.array([self.cols, self.rows])[:, None, None]
+            to = (to + lap // 2) % lap - lap // 2
         x, y = here + to
         if self.periodic:
             x, y = x % self.cols, y % self.rows
         inside = (x >= 0) & (x < self.cols) & (y >= 0) & (y < self.rows) & to.any(0)
         distance = np.where(inside, np.hypot(*to), np.inf)
         slope = (self.heights[np.clip(y, 0, self.rows - 1), np.clip(x, 0, self.cols - 1)] - self.own[some, None]) / distance
-        return some, to[0], to[1], distance, np.where(inside, slope, -np.inf), max(high, wide)
+        return some, to[0], to[1], distance, np.where(inside, slope, -np.inf), size
 
-    def sky_lost(self) -> float:
-        """RMS share of a uniform sky's light that ground or walls take from a node, from the highest nodes around; an estimate, on the high side."""
-        some, dx, dy, distance, slope, _ = self._peaks
+    def sky_lost(self, enough: float = math.inf) -> float:
+        """RMS share of a uniform sky's light that ground or walls take from a node, from the highest nodes around; an estimate, on the
+        high side. Where some of the pilots show that it is more than ``enough`` that may do."""
+        few = self._sky_lost(FEW) * math.sqrt(FEW / MANY) if len(self) >= 2 * MANY else 0.0
+        return few if few > enough else self._sky_lost(MANY)
+
+    def _sky_lost(self, count):
+        some, dx, dy, distance, slope, _ = self._peaks(count)
         sectors = 16
         azimuths = 2 * np.pi * (np.arange(sectors) + 0.5) / sectors
         number = np.floor(np.arctan2(dy, dx) / (2 * np.pi) * sectors).astype(int) % sectors
         gx, gy = self.gx[some], self.gy[some]
         excess = np.arctan(slope) - np.arctan(np.maximum(0, -(gx[:, None] * dx + gy[:, None] * dy) / distance))
         angle = np.zeros((sectors, len(slope)))
-        np.maximum.at(angle, (number, np.arange(len(slope))[:, None]), np.where(np.isfinite(excess), excess, 0))
+        excess = np.where(np.isfinite(excess), excess, 0)
+        for sector in range(sectors):
+            angle[sector] = (excess * (number == sector)).max(1).clip(0)
         angle = np.maximum(angle, np.maximum(np.roll(angle, 1, 0), np.roll(angle, -1, 0)))  # what stands in a sector may reach into the next
         plane = np.maximum(0, -(gx * np.cos(azimuths)[:, None] + gy * np.sin(azimuths)[:, None]))
         hidden = np.tan(np.minimum(np.arctan(plane) + angle, 1.57))
@@ -200,7 +228,10 @@ class Pilots:
     def clear(self, solid: Ball | Quad) -> bool:
         """Whether all of the source rises above the level, and nothing that could stand between it and a pilot rises above its lowest ray
         and the pilot's tangent plane."""
-        some, dx, dy, distance, slope, block = self._peaks
+        return all(self._clear(solid, count) for count in (FEW, MANY))
+
+    def _clear(self, solid, count):
+        some, dx, dy, distance, slope, block = self._peaks(count)
         here = np.stack([self.x, self.y, self.own]).astype(float)[:, some]
         if isinstance(solid, Ball):
             to = np.array(solid.center)[:, None] - here
@@ -273,15 +304,16 @@ class Pilots:
             self.x, self.y = whole
 
 
-def ring(gx, gy, azimuths, slopes, table=None):
-    """Irradiance per radian of azimuth of elements of slope (gx, gy) (nodes,) above ``slopes`` (azimuths, nodes)."""
+def ring(gx, gy, azimuths, slopes, table=None, first=0.0, last=1.0):
+    """Irradiance per radian of azimuth of elements of slope (gx, gy) (nodes,) above ``slopes`` (azimuths, nodes); ``table``
+    from the sine ``first`` of elevation to ``last``."""
     length = np.sqrt(1 + gx**2 + gy**2)
     along = (gx * np.cos(azimuths)[:, None] + gy * np.sin(azimuths)[:, None]) / length
     up = 1 / length
     secant = 1 / (1 + slopes**2)
     if table is None:
         return along * (np.pi / 2 - np.arctan(slopes) - slopes * secant) / 2 + up * secant / 2
-    at = slopes * np.sqrt(secant) * (table.shape[1] - 1)
+    at = np.clip((slopes * np.sqrt(secant) - first) / (last - first), 0, 1) * (table.shape[1] - 1)
     low = np.minimum(at.astype(int), table.shape[1] - 2)
     part = at - low
     row = np.arange(len(table))[:, None]

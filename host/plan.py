@@ -10,6 +10,7 @@ import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -22,7 +23,7 @@ from .backends.slices import Ball, Quad, aperture, rectangle
 from .costs import Costs
 from .directions import Azimuths, Hemicube
 from .errors import bad
-from .pilots import COUNT, Pilots
+from .pilots import CLIFF, COUNT, Pilots
 from .radiometry import point_error
 from .reflectance import Lambertian
 from .scene import Scene, is_scene, positive_number
@@ -32,17 +33,21 @@ MARGIN = 0.95  # share of the tolerance that a setting may take: kernels add a l
 SIGMAS = 1.5  # standard errors by which the RMS error of all nodes may pass that of the pilots
 EVEN = (4, 6, 8, 12, 16, 24, 32, 48, 64, 96, 128, 192, 256)  # azimuths
 GRIDS = {48: 12, 96: 24, 192: 256}  # azimuths of the reference, and how many azimuths it can judge; EVEN's are among them where half of it is a multiple
-PLACED, PLACED_GRID = (8, 16, 32, 80), 160  # azimuths where brightness is uneven, and of their reference
+PLACED, PLACED_GRID = (8, 16, 32, 80), 160  # azimuths where brightness is uneven on a map that repeats, and of their reference
 PLACED_COUNT = 128  # pilots there
+SUNS, SPANS = 120, (15, 5, 3, 1)  # sectors of a sun's light in the reference, and how many of them a candidate takes together
 SLICES, FINEST = (8, 16, 32, 64, 128, 256), 96  # slices of a source that stands all round; slices of the reference
 LATTICES = (5, 7, 9, 17, 33)
 # RMS error of E / pi of the filled lattice under a uniform sky on rough ground (rms slope 1): performance/lattice_error.py
 LATTICE_ERROR = {5: 0.0376, 7: 0.0188, 9: 0.0119, 17: 0.0039, 33: 0.0012}
-LOOKS = 192  # azimuths at which a sky's brightness is looked at, at least
+LOOKS = 192  # azimuths at which a sky's brightness is looked at, at least; a multiple of those of GRIDS
 NEAR = 24  # rows within which every crossing is tested where a small error of the horizon shows
+BEHIND = 0.017  # RMS error of sweeps behind cliffs, over the root of their share of the nodes, however many azimuths: 0.2 to 0.6 % among houses
+DEARER = 1.4  # times as long as a sweep takes with so many
+SAFE = {24: 0.033, 48: 0.0125, 64: 0.0080, 96: 0.0046, 128: 0.0033, 192: 0.0021, 256: 0.0017}  # RMS error by azimuths, with so many, among houses
+SAFE_SLICES, SAFELY = 128, 1.5  # slices that do for lamps; tolerance over the known error from which a setting is taken unmeasured
 POINT = 0.1  # share of the tolerance by which a lamp that is called a point may be off as one
 WORTH = 0.012  # tolerance from which the lattice may be cheaper than horizons under a sky
-CLIFF = 4.0  # spacings that neighbouring nodes may lie apart before the slope is more than the grid holds
 
 
 @dataclass(frozen=True)
@@ -112,6 +117,7 @@ class Setting:
     scale: float = 1.0
     max_distance: float | None = None
     near: int | None = None  # rows within which every crossing is tested; the backend's choice unless given
+    suns: sources.Spots | None = None  # bright parts of the sky, which sweeps leave out
 
 
 class Work(NamedTuple):
@@ -144,8 +150,9 @@ def plan(scene: Scene, source: sources.Source, tolerance: float = 0.01, backend:
     return work(scene, source, tolerance, select(backend), tail).plan
 
 
-def work(scene: Scene, source: sources.Source, tolerance: float, engine: Backend, tail: float | None = None) -> Work:
-    """The plan and all that render() needs to follow it."""
+def work(scene: Scene, source: sources.Source, tolerance: float, engine: Backend, tail: float | None = None, hurry: bool = False) -> Work:
+    """The plan and all that render() needs to follow it. ``hurry``: a setting that is known to do is taken where that takes less
+    time than to choose one."""
     is_scene(scene)
     tolerance = positive_number(tolerance, "tolerance")
     tail = TAIL * tolerance if tail is None else positive_number(tail, "tail")
@@ -156,14 +163,14 @@ def work(scene: Scene, source: sources.Source, tolerance: float, engine: Backend
     cost = Costs(engine)
     start, compiled = time.perf_counter(), engine.compile_seconds
     source = sources.without_disc(source)  # which render adds by slices
-    planner = (_Lattice if lacking(scene, source) else _Sky if isinstance(source, sources.Sky) else _Slices)(scene, source, tolerance, tail, engine, cost)
+    planner = (_Lattice if lacking(scene, source) else _Sky if isinstance(source, sources.Sky) else _Slices)(scene, source, tolerance, tail, engine, cost, hurry)
     settings = planner.settings()
     fitting = [s for s in settings if planner.fits(s)]
     if fitting:
         best = min(fitting, key=lambda s: s.seconds)
     else:
         best = min(settings, key=lambda s: (s.error if math.isfinite(s.error) else math.inf, s.seconds))
-    finer = sorted((s for s in settings if s.method == best.method and s.units > best.units and s.method != "unoccluded"), key=lambda s: s.units)
+    finer = sorted((s for s in settings if s.method == best.method and s.units > best.units and s.suns is settings[-1].suns), key=lambda s: s.units)
     if best.method == "unoccluded":
         finer = sorted((s for s in settings if s.method != "unoccluded" and s.error <= tolerance), key=lambda s: s.seconds)[:1]
     if best.method == "horizon":
@@ -175,7 +182,7 @@ def work(scene: Scene, source: sources.Source, tolerance: float, engine: Backend
     reason = _error_text(best, tolerance) if math.isfinite(best.error) else planner.unmeasured
     made = Plan("horizon" if best.method == "slices" else best.method, best.units if lattice else None, True if lattice else None, reason, None if lattice or best.method == "unoccluded" else best.units,
                 best.max_distance, tolerance, tail, _known(best.error), _known(best.tail), None, best.seconds + took, took, tuple(choices), tuple(_beyond(planner, tolerance)))
-    return Work(made, [best, *finer], planner.pilots, planner.exact)
+    return Work(made, [best, *finer], planner.pilots, planner.exact if math.isfinite(best.error) else None)
 
 
 def lacking(scene: Scene, source: sources.Source) -> str:
@@ -237,8 +244,8 @@ class _Planner:
     exact: np.ndarray | None = None
     hidden = math.nan  # RMS share of the light that ground takes
 
-    def __init__(self, scene, source, tolerance, tail, engine, cost: Costs):
-        self.scene, self.source, self.tolerance, self.tail, self.engine, self.cost = scene, source, tolerance, tail, engine, cost
+    def __init__(self, scene, source, tolerance, tail, engine, cost: Costs, hurry: bool):
+        self.scene, self.source, self.tolerance, self.tail, self.engine, self.cost, self.hurry = scene, source, tolerance, tail, engine, cost, hurry
         self.pixels = scene.depth.size
         self.pilots = Pilots(scene, self.count)
 
@@ -247,6 +254,10 @@ class _Planner:
     def fits(self, found: Errors | Setting) -> bool:
         return found.bound <= MARGIN * self.tolerance and found.tail <= self.tail
 
+    def _quicker(self, seconds: float) -> bool:
+        """Whether a setting that is known to do takes less time than to choose one."""
+        return self.hurry and self.tail >= 5 * self.tolerance and seconds < self.cost["plan"].seconds(self.pixels)
+
 
 class _Sky(_Planner):
     """Skies: no occlusion, horizons in even or placed azimuths, or the lattice."""
@@ -254,38 +265,47 @@ class _Sky(_Planner):
     reach, reach_why = None, "a sweep costs the same however far it looks"
     looks = "constant"
     why_looks = "it is a number"
-    profile = None
+    profile = suns = None
+    constant = False  # whether brightness is taken as one number
 
     def settings(self):
         source, pilots = self.source, self.pilots
-        self.scale, self.knots, self.one = 1.0, 0, False
+        self.rest, self.scale, self.knots, self.one = source, 1.0, 0, False
         if callable(source.brightness):
             self._look()
         else:
             self.scale = float(source.brightness)
-        lost = pilots.sky_lost() * self.contrast
+        lost = pilots.sky_lost(0.5 * self.tolerance / self.contrast) * self.contrast
         if lost <= 0.5 * self.tolerance:
             self.hidden, self.reach_why = lost, "there is nothing to look for"
-            error = math.hypot(lost, self.flat)
-            return [Setting("unoccluded", 0, error, error, 10 * error, self._seconds("closed form", 1), table=self._unoccluded if self.knots else None, scale=self.scale)]
-        return self._placed() if self.profile is not None else self._even()
+            return [Setting("unoccluded", 0, lost, lost, 10 * lost, self._seconds("closed form", 1), table=self._unoccluded if self.knots else None, scale=self.scale, suns=self.suns)]
+        if self.profile is not None and pilots.periodic:
+            return self._placed()
+        return self._safe() or self._even()
 
-    contrast, flat = 1.0, 0.0
+    contrast = 1.0
 
     def _look(self):
         """What the sky's brightness needs: a number, one table for all azimuths, or a table for each."""
-        source = self.source
-        self.profile = sources.azimuth_profile(source)
-        azimuth = 2 * np.pi * (np.arange(24) + 0.5) / 24
-        sine = np.linspace(0, 1, 513)
-        light = sources.radiance(source, sources.directions_of(azimuth[:, None], sine))
-        mean = float((light * sine).sum() / (sine.sum() * len(azimuth)))
-        low = light[:, sine < 0.5].max() if mean else 1.0
+        self.seen = sources.looks(self.source)
+        self.profile = sources.azimuth_profile(self.source, self.seen)
+        light, mean = self._look_at_rest()
+        low = light[:, : light.shape[1] // 2].max() if mean else 1.0
         self.contrast = max(1.0, float(low / mean)) if mean else 1.0
         if self.profile is not None:
             self.contrast *= float(self.profile.max() / self.profile.mean())
+        if self.profile is not None and self.pilots.periodic:
             self.looks, self.why_looks, self.knots = "a table per azimuth", "it is uneven in azimuth, so half of the azimuths go where the light is", 1024 if self.tolerance < 0.02 else 512
-            return
+        elif not self.pilots.periodic and (found := sources.split(self.source, SUNS, self.seen)):
+            self.rest, self.suns = found
+            self._look_at_rest()
+
+    def _look_at_rest(self):
+        """Knots, and whether one table does, for what sweeps see of the sky; its brightness (azimuths, knots) and mean."""
+        azimuth = 2 * np.pi * (np.arange(24) + 0.5) / 24
+        sine = np.linspace(0, 1, 513)
+        light = sources.radiance(self.rest, sources.directions_of(azimuth[:, None], sine))
+        mean = float((light * sine).sum() / (sine.sum() * len(azimuth)))
         spread = light - light.mean(0)
         self.one = bool(np.abs(spread).max() <= 0.1 * self.tolerance * mean) if mean else True
         whole = np.concatenate([np.zeros((len(light), 1)), np.cumsum((light[:, 1:] + light[:, :-1]) / 2, 1)], 1) / 512
@@ -297,14 +317,32 @@ class _Sky(_Planner):
                 break
         self.looks = "one table" if self.one else "a table per azimuth"
         self.why_looks = f"{'it depends on elevation alone' if self.one else 'it varies with azimuth and elevation'}; {self.knots} knots"
+        return light, mean
 
-    def _table(self, angles, widths):
-        if not self.one:
-            return sources.elevation_table(self.source, angles, widths, max(2 * len(angles), LOOKS), self.knots)
-        return np.repeat(sources.elevation_table(self.source, angles[:1], widths[:1], 1, self.knots), len(angles), 0)
+    def _table(self, angles, widths, looks=0):
+        if self.one:
+            return np.repeat(sources.elevation_table(self.rest, np.zeros(1), np.full(1, 2 * np.pi), LOOKS, self.knots), len(angles), 0)
+        return sources.elevation_table(self.rest, angles, widths, looks or max(2 * len(angles), LOOKS), self.knots, self._points)
+
+    @property
+    def _points(self):
+        """Of brightness between knots; where these are many, one does."""
+        return max(1, 4 * 33 // self.knots)
+
+    @cached_property
+    def _fine(self):
+        """The table of LOOKS even sectors, of which others are made."""
+        sectors = Azimuths(LOOKS)
+        return self._table(sectors.angles, sectors.widths, LOOKS)
+
+    def _around(self, number):
+        """The table of ``number`` even sectors round azimuth 0 and so on, as the reference has them."""
+        span = LOOKS // number
+        shifted = np.roll(self._fine, span // 2, 0) if span > 1 else (self._fine + np.roll(self._fine, 1, 0)) / 2
+        return shifted.reshape(number, span, *self._fine.shape[1:]).mean(1)
 
     def _unoccluded(self):
-        if self.profile is not None:
+        if self.profile is not None and self.pilots.periodic:
             sectors = Azimuths.placed(PLACED_GRID, self.profile)
             return sources.fine_table(self.source, sectors.angles, sectors.widths, self.knots), sectors
         sectors = Azimuths(unoccluded.AZIMUTHS)
@@ -312,11 +350,23 @@ class _Sky(_Planner):
 
     def _seconds(self, method, units, factor=1.0):
         cost = self.cost[method]
-        tables = 3e-8 * 4 * self.knots * (1 if self.one else 2 * units) if method == "horizon" else 0.0
+        tables = 3e-8 * 4 * self.knots * (1 if self.one else 2 * units) if method == "horizon" and not self.constant else 0.0
         return factor * cost.seconds(self.pixels, units) + tables
+
+    def _safe(self):
+        """A number of azimuths that does anywhere, or nothing; what else the plan says is from 16 of them."""
+        count = next((count for count, error in SAFE.items() if SAFELY * error <= self.tolerance), None)
+        if count is None or self.pilots.periodic or not self._quicker(self._seconds("horizon", count, DEARER) + (self.cost["sectors"].seconds(self.pixels, SUNS) if self.suns else 0.0)):
+            return None
+        self.by_suns = {None: 0.0} if self.suns is None else {1: self.pilots.suns(self.engine, self.suns.fewer(SPANS[0]))[0]}
+        azimuths = 2 * np.pi * np.arange(16) / 16
+        found = next(s for s in self._evaluate(azimuths, self.pilots.horizons(self.engine, azimuths)) if s.units == count)
+        self.unmeasured = f"on ground that is hard to render it is off by {_percent(SAFE[count])}, and to choose fewer would take longer than to render"
+        return [replace(found, near=NEAR, error=math.nan, bound=math.nan, tail=math.nan)]
 
     def _even(self):
         pilots, engine = self.pilots, self.engine
+        self.by_suns = {None: 0.0} if self.suns is None else dict(zip(SPANS, pilots.suns(engine, self.suns, SPANS)))
         for number, judges in GRIDS.items():
             azimuths = 2 * np.pi * np.arange(number) / number
             if number == min(GRIDS):
@@ -337,25 +387,28 @@ class _Sky(_Planner):
         """Settings of every number of azimuths, against all of ``azimuths``."""
         pilots, number = self.pilots, len(azimuths)
         width = 2 * np.pi / number
+        suns = self.by_suns[SPANS[-1] if self.suns else None]
         varies = callable(self.source.brightness)
         uniform = pilots.ring(azimuths, slopes)
         rings, table = uniform, None
         self.uniform = uniform.sum(0) * width
         if varies:
-            table = self._table(azimuths, np.full(number, width))
+            table = self._around(number)
             rings = pilots.ring(azimuths, slopes, table)
-        exact = rings.sum(0) * width * (1.0 if varies else self.scale)
-        self.exact = exact
+        rest = rings.sum(0) * width * (1.0 if varies else self.scale)
+        self.exact = exact = rest + suns
         if varies:  # is a number near enough?
-            best = float((exact * self.uniform).sum() / max((self.uniform**2).sum(), 1e-300))
-            error = errors(best * self.uniform, exact)
+            best = float((rest * self.uniform).sum() / max((self.uniform**2).sum(), 1e-300))
+            error = errors(best * self.uniform + suns, exact)
             if self.fits(Errors(error.rms, 2 * error.bound, error.tail)):
-                self.flat, self.scale, varies, self.knots = error.rms, best, False, 0
+                self.scale, varies, self.constant = best, False, True
                 self.looks, self.why_looks = "constant", f"taken as one number it costs {_percent(error.rms)}"
                 rings = uniform
-        lost = pilots.ring(azimuths, np.maximum(0, pilots.plane(np.cos(azimuths)[:, None], np.sin(azimuths)[:, None]))).sum(0) * width
-        self.hidden = errors(self.uniform, lost).rms
-        measured = {}
+        planes = np.maximum(0, pilots.plane(np.cos(azimuths)[:, None], np.sin(azimuths)[:, None]))
+        free = pilots.ring(azimuths, planes).sum(0) * width
+        self.hidden = errors(self.uniform, free).rms
+        free = pilots.ring(azimuths, planes, table).sum(0) * width if varies else free * self.scale
+        measured = {span: {} for span in self.by_suns}
         for count in EVEN:
             if number % (2 * count) == 0:
                 at = np.arange(number // (2 * count), number, number // count)
@@ -366,11 +419,32 @@ class _Sky(_Planner):
                     share = np.ones(around.shape[1])
                     share[0] = share[-1] = 0.5
                     light = pilots.ring(azimuths[at], slopes[at], np.einsum("s,kstn->ktn", share / share.sum(), table[around]))
-                measured[count] = errors(light.sum(0) * (2 * np.pi / count) * (1.0 if varies else self.scale), exact)
-        return [Setting("horizon", count, *_between(measured, count), self._seconds("horizon", count), Azimuths(count), self._maker(count) if varies else None, self.scale) for count in EVEN]
+                light = light.sum(0) * (2 * np.pi / count) * (1.0 if varies else self.scale)
+                for span, sun in self.by_suns.items():
+                    measured[span][count] = errors(light + sun, exact)
+        near = NEAR if pilots.steep > 0 else None  # behind a cliff the two best crossings are not enough
+        missed = BEHIND * math.sqrt(pilots.steep) * float(rest.mean() / max(exact.mean(), 1e-30))
+        found = errors(free, exact)
+        settings = [Setting("unoccluded", 0, *found, self._seconds("closed form", 1), table=self._unoccluded if varies else None, scale=self.scale)]
+        if self.suns or not self.fits(Errors(found.rms, 2 * found.bound, 2 * found.tail)):
+            settings = []  # what little ground hides may be the sun, at a few nodes where no pilot is
+        for span in self.by_suns:
+            few, more = None, 0.0
+            if span:
+                few = self.suns.fewer(span)
+                more = self.cost["sectors"].seconds(self.pixels, len(few.angles))
+                if near and span > 1 and suns.max() / (2 * len(few.angles)) > self.tail * exact[exact > 0].mean():
+                    continue  # the corner of a wall, where no pilot is, may cut off half a sector of the sun
+            of = lambda e: (math.hypot(e.rms, missed), math.hypot(e.bound, missed), e.tail)
+            seconds = lambda count: self._seconds("horizon", count, DEARER if near else 1.0) + more
+            table = lambda count: self._maker(count) if varies else None
+            settings += [Setting("horizon", count, *of(_between(measured[span], count)), seconds(count), Azimuths(count), table(count), self.scale, near=near, suns=few) for count in EVEN]
+        return settings
 
     def _maker(self, count):
-        return lambda: self._table(Azimuths(count).angles, Azimuths(count).widths)
+        if self.one or LOOKS % count:
+            return lambda: self._table(Azimuths(count).angles, Azimuths(count).widths)
+        return lambda: self._fine.reshape(count, -1, *self._fine.shape[1:]).mean(1, dtype=np.float32)
 
     def _shorter(self, settings, azimuths, slopes):
         """On a map that repeats: how far must be looked."""
@@ -412,19 +486,21 @@ class _Sky(_Planner):
             made[count] = sectors, (lambda share=share, count=count: (share * table.reshape(count, -1, *table.shape[1:])).sum(1).astype(np.float32))
             if count <= PLACED[-2] or (count < PLACED_GRID and not self.fits(measured[PLACED[-2]])):
                 measured[count] = errors(sectors.widths @ pilots.ring(sectors.angles, pilots.horizons(engine, sectors.angles), made[count][1]()), exact)
-        near = NEAR if _steep(self.scene) > 0 else None  # behind a cliff a sun goes out from one node to the next
+        near = NEAR if pilots.steep > 0 else None
         return [Setting("horizon", count, *_between(measured, count), self._seconds("horizon", count), *made[count], near=near) for count in made]
 
     def choices(self, best, settings):
         yield Choice("occlusion", "none" if best.method == "unoccluded" else "by ground", f"ground takes {_percent(self.hidden)} of the light (RMS)")
         yield Choice("brightness", self.looks, self.why_looks)
         if best.method == "horizon":
-            yield Choice("azimuths", f"{best.units} {'placed by brightness' if self.profile is not None else 'evenly'}", _among(best, settings))
+            yield Choice("azimuths", f"{best.units} {'evenly' if best.sectors.edges == Azimuths(best.units).edges else 'placed by brightness'}", self.unmeasured or _among(best, settings))
+            if best.suns is not None:
+                yield Choice("sun", f"{len(best.suns.angles)} azimuths of its own", f"of what is brighter than {sources.SUNNY:g} times the sky's median every crossing is tested")
         elif best.method == "lattice":
             yield Choice("directions", f"{len(Hemicube(best.units))}, filled", _among(best, settings))
         yield Choice("search radius", "whole map" if best.max_distance is None else f"{best.max_distance:g}", self.reach_why)
         if best.near:
-            yield Choice("near rows", f"{best.near}", "cliffs under uneven brightness: every crossing so near is tested")
+            yield Choice("near rows", f"{best.near}", "there are cliffs: every crossing so near is tested" if self.pilots.steep else "every crossing so near is tested")
 
 
 class _Slices(_Planner):
@@ -446,11 +522,26 @@ class _Slices(_Planner):
             corners = self.solid.corners * (1, 1, -1)
             self.ball = corners.mean(0), float(np.linalg.norm(corners - corners.mean(0), axis=1).max())
         self.upright = upright(self.solid)
-        far = np.sqrt(((self.ball[0][:, None] - np.stack([pilots.x, pilots.y, pilots.own])) ** 2).sum(0))
+        to = self.ball[0][:, None] - np.stack([pilots.x, pilots.y, pilots.own])
+        far = np.sqrt((to**2).sum(0))
         self.apparent = float(np.arcsin(np.minimum(1, self.ball[1] / np.maximum(far, 1e-9))).mean())
         brightness = (lambda L: sources.radiance(source, L)) if callable(source.brightness) else source.brightness
         light = lambda slices, occluded=True: pilots.through_slices(engine, self.upright, brightness, slices, occluded)
         self.clear = self._clear()
+        turn = pilots.turn(self.upright)
+
+        def taken(most):
+            """As many slices as the kernel would take."""
+            least = max(most // (4 if isinstance(self.solid, Ball) else 2) // 8, 1) * 8
+            return (least + turn * (most - least)).astype(int) // 8 * 8
+
+        seconds = self._seconds("slices", float(taken(SAFE_SLICES).mean()))
+        looks = (to * np.stack([pilots.gx, pilots.gy, np.ones(len(pilots))])).sum(0) >= self.ball[1] * pilots.length
+        if not self.clear and not looks.all() and self.tolerance >= 0.002 and self._quicker(seconds):  # else it may need no shadows
+            self.exact = light(16)
+            self.hidden = errors(self.exact, light(16, False)).rms
+            self.unmeasured = "on rough ground and in penumbras it is off by less than 0.2 %, and to choose fewer would take longer than to render"
+            return [Setting("slices", SAFE_SLICES, seconds=seconds)]
         free = light(FINEST, False)
         self.exact = exact = free if self.clear else light(FINEST)
         self.hidden = errors(exact, free).rms if free.any() else 0.0
@@ -459,18 +550,16 @@ class _Slices(_Planner):
             found = errors(unoccluded.lamp(pilots.gx, pilots.gy, pilots.x, pilots.y, pilots.own.astype(float), self.upright, source.brightness, points), exact)
             if self.fits(found) and unoccluded.no_shadow(self.scene, *self.ball, self.clear):
                 return [Setting("unoccluded", points, *found, self._seconds("closed form", 1))]
-        turn = pilots.turn(self.upright)
         by_count = {}
         for most in SLICES[isinstance(self.solid, Quad):]:  # a quadrangle has four sectors to share them
-            least = max(most // (4 if isinstance(self.solid, Ball) else 2) // 8, 1) * 8
-            taken = (least + turn * (most - least)).astype(int) // 8 * 8  # as many as the kernel would
+            number = taken(most)
             through = np.zeros(len(pilots))
             for count in (8, 16, 32, 64):
-                if (taken >= count).any():
+                if (number >= count).any():
                     by_count[count] = by_count.get(count) if count in by_count else light(count, not self.clear)
-                    through = np.where(taken >= count, by_count[count], through)
-            found = errors(np.where(taken >= 128, exact, through), exact)
-            settings.append(Setting("slices", most, *found, self._seconds("slices", float(taken.mean()))))
+                    through = np.where(number >= count, by_count[count], through)
+            found = errors(np.where(number >= 128, exact, through), exact)
+            settings.append(Setting("slices", most, *found, self._seconds("slices", float(number.mean()))))
             if self.fits(Errors(found.rms, 2 * found.bound, 2 * found.tail)):
                 break
         return settings
@@ -495,7 +584,7 @@ class _Slices(_Planner):
             taken = "nothing to see" if self.solid is None else "a point" if off <= POINT * self.tolerance else "a sphere, closed form" if isinstance(self.solid, Ball) else "a polygon, closed form"
             yield Choice(kind, taken, "" if self.solid is None else f"its radius seems {np.degrees(self.apparent):.2g} degrees on average, and nothing cuts it; as a point, a disc of that size is off by {_percent(off)}")
         else:
-            yield Choice(kind, f"{best.units} slices", f"its radius seems {np.degrees(self.apparent):.2g} degrees on average; {_among(best, settings, 'slices')}")
+            yield Choice(kind, f"{best.units} slices", f"its radius seems {np.degrees(self.apparent):.2g} degrees on average; {self.unmeasured or _among(best, settings, 'slices')}")
         varies = callable(self.source.brightness)
         yield Choice("brightness", "by direction" if varies and best.method != "unoccluded" else f"along {_count(best.units, 'ray')}" if varies else "constant", "it is a function" if varies else "it is a number")
         yield Choice("search radius", "up to the source", "what lies behind it hides nothing")
@@ -615,7 +704,7 @@ def _known(value):
 
 def _among(best, settings, what="azimuths"):
     """What the choice was made among."""
-    same = sorted({s.units: s.error for s in settings if s.method == best.method and s.max_distance == best.max_distance}.items())
+    same = sorted({s.units: s.error for s in settings if s.method == best.method and s.max_distance == best.max_distance and s.suns is best.suns}.items())
     near = [n for n, (units, _) in enumerate(same) if units == best.units][0]
     return "error by " + what + ": " + ", ".join(f"{units}: {_percent(error)}" for units, error in same[max(0, near - 2) : near + 2])
 
@@ -666,7 +755,7 @@ def _beyond(planner, tolerance):
         gap = _gap(scene, pilots, x, y, -z) - radius
         if gap < 1:
             yield f"The lamp touches the surface: {'it reaches %.2g spacings into it' % -gap if gap < 0 else 'it ends %.2g spacings from it' % gap}, and the grid holds nothing finer than 1."
-    steep = _steep(scene)
+    steep = pilots.steep
     if steep > 0:
         yield f"Slopes are steeper than the grid holds: {_percent(steep)} of neighbouring nodes lie more than {CLIFF:g} spacings apart in depth."
     if scene.mask is not None and not scene.mask.all():
@@ -691,12 +780,3 @@ def _gap(scene, pilots, x, y, height):
     v, u = np.mgrid[part[0].start : min(part[0].stop, rows), part[1].start : min(part[1].stop, cols)]
     square = (u - x) ** 2 + (v - y) ** 2 + (high[part] - height) ** 2
     return float(np.sqrt(square.min(initial=nearest)))
-
-
-def _steep(scene):
-    """Share of neighbouring nodes that lie more than CLIFF spacings apart."""
-    z = scene.depth[:: max(1, scene.shape[0] // 512)]
-    along = np.abs(np.diff(z, axis=1)) > CLIFF * scene.spacing
-    z = scene.depth[:, :: max(1, scene.shape[1] // 512)]
-    down = np.abs(np.diff(z, axis=0)) > CLIFF * scene.spacing
-    return (int(along.sum()) + int(down.sum())) / max(1, along.size + down.size)

@@ -63,7 +63,8 @@ def render(scene: Scene, source: sources.Source, method: str = "auto", tolerance
     scene, source : Scene; Sky, Lamp or Window
     method : "auto", "lattice", "horizon" or "unoccluded"
         ``auto``: the cheapest that is within ``tolerance``, as :func:`skylamp.plan` finds it; the image is then compared with
-        exact rays at the plan's pilot nodes, and computed again, finer, where it is off by more. ``lattice``: the paper's
+        exact rays at the plan's pilot nodes, and computed again, finer, where it is off by more. Where a setting that does on any
+        ground takes less time than to choose one, that is taken, and not compared. ``lattice``: the paper's
         directions on a hemicube (9 unless given). ``horizon``: the source above the horizon of every node in a number of
         azimuths (64 unless given; for lamps and windows, slices through the source as every node sees it).
         ``unoccluded``: closed forms from the normals, as if ground hid nothing but what lies below each node's own tangent
@@ -166,7 +167,7 @@ def _planned(scene, source, tolerance, tail, engine) -> tuple[np.ndarray, Plan, 
         fitting = [k for k, error in HORIZON_ERROR.items() if error <= tolerance] or [max(HORIZON_ERROR)]
         image, plan, found = _asked(scene, source, engine, "horizon", fitting[0], None)
         return image, replace(plan, reason=f"RMS error {HORIZON_ERROR[fitting[0]]} of E / pi on rough ground; the map stays on its device"), found
-    made = work(scene, source, tolerance, engine, tail)
+    made = work(scene, source, tolerance, engine, tail, hurry=True)
     plan = made.plan
     nodes = made.pilots.y, made.pilots.x
     for tried, setting in enumerate(made.settings):
@@ -243,7 +244,16 @@ def _by_horizons(scene, source, engine, setting):
     irradiance = sweeps.irradiance(last=True)
     if setting.scale != 1.0:
         irradiance *= np.float32(setting.scale)
+    if setting.suns is not None:
+        irradiance += by_sectors(scene, engine, setting.suns)
     return irradiance
+
+
+def by_sectors(scene, engine, spots: sources.Spots) -> np.ndarray:
+    """Irradiance (rows, cols) float32 by the bright spots of a sky, every crossing tested."""
+    slices = Slices(engine, *scene.lattice(), scene.sides, Dome())
+    slices.sectors(spots)
+    return slices.download()
 
 
 def _slices(scene, source, engine, most, brightness, lobe=None) -> Slices | None:
@@ -263,10 +273,10 @@ def _by_slices(scene, source, engine, setting):
 
 def _unoccluded(scene, source, engine, setting):
     if isinstance(source, sources.Sky):
-        if setting.table is None:
-            return unoccluded.sky(scene, setting.scale)
-        table, sectors = setting.table()
-        return unoccluded.sky(scene, None, table, sectors.angles, sectors.widths)
+        table, sectors = (None, None) if setting.table is None else setting.table()
+        image = unoccluded.sky(scene, setting.scale) if table is None else unoccluded.sky(scene, None, table, sectors.angles, sectors.widths)
+        suns = setting.suns
+        return image if suns is None else image + unoccluded.sky(scene, None, suns.table, suns.angles, suns.widths, suns.first, suns.last)
     solid = upright(solid_of(scene, source, 1 / scene.spacing, 1.0))
     return np.zeros(scene.shape, np.float32) if solid is None else unoccluded.image(scene, solid, source.brightness, max(1, setting.units))
 

@@ -266,6 +266,8 @@ def radiance(source: Source, directions: np.ndarray) -> np.ndarray:
 PROFILE = 2048, 192  # azimuths, elevations at which the light of a sky is looked at first; a sun half a degree wide gets two or three
 KNOTS = 1024  # of a table of brightness, evenly in the sine of the elevation
 UNEVEN = 2.0  # brightest azimuth over the mean from which azimuths are placed by brightness
+SUNNY = 4.0  # times a sky's median from which on brightness is a sun's, if there is any as many times brighter than that
+SPOT_KNOTS = 129  # of a sun's table
 
 
 def directions_of(azimuth, sine) -> np.ndarray:
@@ -275,36 +277,96 @@ def directions_of(azimuth, sine) -> np.ndarray:
     return np.stack([cosine * np.cos(azimuth), cosine * np.sin(azimuth), -sine], -1)
 
 
-def azimuth_profile(source: Source) -> np.ndarray | None:
-    """Light that comes from each of many even sectors of azimuth, (2048,); None where it hardly varies."""
+def looks(source: Source) -> tuple[np.ndarray, np.ndarray]:
+    """Brightness at some 400,000 places of the sky, evenly in azimuth and elevation, and the sines of these: (azimuths, elevations) each."""
     azimuths, elevations = PROFILE
     azimuth = 2 * np.pi * (np.arange(azimuths) + 0.5) / azimuths
     shift = 0.6180339887498949 * np.arange(azimuths) % 1  # so that no small sun slips between rows of samples
-    profile = np.empty(azimuths)
+    light, sine = np.empty((2, azimuths, elevations))
     for some in np.array_split(np.arange(azimuths), 64):  # what stays in the cache is quicker
-        elevation = np.pi / 2 * (np.arange(elevations) + shift[some, None]) / elevations
-        profile[some] = (radiance(source, directions_of(azimuth[some, None], np.sin(elevation))) * np.cos(elevation)).sum(1)
+        sine[some] = np.sin(np.pi / 2 * (np.arange(elevations) + shift[some, None]) / elevations)
+        light[some] = radiance(source, directions_of(azimuth[some, None], sine[some]))
+    return light, sine
+
+
+def azimuth_profile(source: Source, seen: tuple[np.ndarray, np.ndarray] | None = None) -> np.ndarray | None:
+    """Light that comes from each of many even sectors of azimuth, (2048,); None where it hardly varies. ``seen``: what :func:`looks` gives."""
+    light, sine = looks(source) if seen is None else seen
+    profile = np.einsum("ae,ae->a", light, np.sqrt(1 - sine**2))
     if profile.max() <= UNEVEN * profile.mean():
         return None
     return np.maximum.reduce([np.roll(profile, n) for n in range(-2, 3)])  # the edge of a sun lies between samples
 
 
-def elevation_table(source: Source, angles: np.ndarray, widths: np.ndarray, looks: int = 256, knots: int = KNOTS) -> np.ndarray:
+class Spots(NamedTuple):
+    """What small bright parts of a sky add to the rest of it, in sectors of azimuth of equal light.
+
+    angles (K,) [rad], each in the middle of its sector's light; widths (K,) [rad]; table (K, knots, 4) float32 as from :func:`elevation_table`, but evenly from the sine ``first`` of
+    elevation to ``last``, beyond which there is no such light.
+    """
+
+    angles: np.ndarray
+    widths: np.ndarray
+    table: np.ndarray
+    first: float
+    last: float
+
+    def fewer(self, span: int) -> Spots:
+        """Sectors that are unions of ``span`` each, seen along the middle one's azimuth."""
+        widths = self.widths.reshape(-1, span)
+        share = (widths / np.maximum(widths.sum(1, keepdims=True), 1e-30))[..., None, None]
+        table = (share * self.table.reshape(*widths.shape, *self.table.shape[1:])).sum(1).astype(np.float32)
+        return self._replace(angles=self.angles[span // 2 :: span], widths=widths.sum(1), table=table)
+
+
+def split(source: Sky, count: int, seen: tuple[np.ndarray, np.ndarray]) -> tuple[Sky, Spots] | None:
+    """A sky without what is brighter than SUNNY times its median, and that, in ``count`` sectors; None for a sky without such a
+    sun. ``seen``: what :func:`looks` gives."""
+    light, sine = seen
+    some, weight = light[::16].ravel(), np.sqrt(1 - sine[::16] ** 2).ravel()
+    order = np.argsort(some)
+    median = float(some[order][np.searchsorted(np.cumsum(weight[order]), weight.sum() / 2)])
+    limit = SUNNY * median
+    if not light.max() > SUNNY * limit:
+        return None
+    spots = Sky(lambda L: np.maximum(radiance(source, L) - limit, 0))
+    bright = light > limit
+    apart = np.pi / 2 / light.shape[1]
+    first, last = np.sin(np.clip(np.arcsin([sine[bright].min(), sine[bright].max()]) + [-2 * apart, 2 * apart], 0, np.pi / 2))
+    where = np.maximum.reduce([np.roll(bright.any(1), n) for n in range(-2, 3)])  # the edge of a sun lies between samples
+    begin = int(where.argmin())
+    bins = (np.flatnonzero(np.roll(where, -begin)) + begin) % len(where)
+    parts = -(-4 * count // len(bins))
+    angles = (2 * np.pi / len(where) * (bins[:, None] + (np.arange(parts) + 0.5) / parts)).ravel()
+    width = 2 * np.pi / len(where) / parts
+    fine = fine_table(spots, angles, np.full(len(angles), width), SPOT_KNOTS, 2, first, last)
+    flux = np.cumsum(fine[:, 0, :2].sum(1), dtype=float)
+    share = flux * count / flux[-1]
+    group = np.minimum(np.concatenate([[0], share[:-1]]) / 2 + share / 2, count - 1e-9).astype(int)
+    widths = width * np.bincount(group, minlength=count)
+    table = np.zeros((count, SPOT_KNOTS, 4))
+    np.add.at(table, group, width * fine)
+    table /= np.maximum(widths, 1e-30)[:, None, None]
+    middle = angles[np.searchsorted(share, np.arange(count) + 0.5)]
+    return Sky(lambda L: np.minimum(radiance(source, L), limit)), Spots(middle, widths, table.astype(np.float32), float(first), float(last))
+
+
+def elevation_table(source: Source, angles: np.ndarray, widths: np.ndarray, looks: int = 256, knots: int = KNOTS, points: int = 4) -> np.ndarray:
     """Brightness as sweeps take it, (K, knots, 4) float32: the integrals of B cos^2 and of B sin cos over elevation, from
     sin(elevation) = i / (knots - 1) to the zenith, averaged over each sector, and what to add up to the next knot.
 
-    Four Gauss-Legendre points between knots, and as many azimuths within a sector as make some ``looks`` in all.
+    ``points`` of Gauss and Legendre between knots, and as many azimuths within a sector as make some ``looks`` in all.
     """
     within = max(1, -(-looks // len(angles)))
     azimuth = angles[:, None] + widths[:, None] * ((np.arange(within) + 0.5) / within - 0.5)
-    points, weights = np.polynomial.legendre.leggauss(4)
+    nodes, weights = np.polynomial.legendre.leggauss(points)
     low = np.arange(knots - 1)[:, None]
-    sine = ((low + (points + 1) / 2) / (knots - 1)).ravel()
+    sine = ((low + (nodes + 1) / 2) / (knots - 1)).ravel()
     total = np.zeros((len(angles), sine.size))
     for a in azimuth.T:
         total += radiance(source, directions_of(a[:, None], sine)) / within
-    total = total.reshape(len(angles), knots - 1, 4) * weights / 2 / (knots - 1)
-    sine = sine.reshape(knots - 1, 4)
+    total = total.reshape(len(angles), knots - 1, points) * weights / 2 / (knots - 1)
+    sine = sine.reshape(knots - 1, points)
     parts = np.stack([(total * np.sqrt(1 - sine**2)).sum(-1), (total * sine).sum(-1)], -1)
     table = np.zeros((len(angles), knots, 4))
     table[:, :-1, :2] = np.cumsum(parts[:, ::-1], 1)[:, ::-1]
@@ -312,10 +374,11 @@ def elevation_table(source: Source, angles: np.ndarray, widths: np.ndarray, look
     return table.astype(np.float32)
 
 
-def fine_table(source: Source, angles: np.ndarray, widths: np.ndarray, knots: int = KNOTS, parts: int = 8) -> np.ndarray:
+def fine_table(source: Source, angles: np.ndarray, widths: np.ndarray, knots: int = KNOTS, parts: int = 8, first: float = 0.0, last: float = 1.0) -> np.ndarray:
     """As :func:`elevation_table`, for skies with small bright spots: one look per sector and knot, and ``parts`` x ``parts``
-    looks where the light of a look differs from its neighbours' by a millionth of the whole."""
-    sine = (np.arange(knots - 1) + 0.5) / (knots - 1)
+    looks where the light of a look differs from its neighbours' by a millionth of the whole. From the sine ``first`` to ``last``."""
+    step = (last - first) / (knots - 1)
+    sine = first + (np.arange(knots - 1) + 0.5) * step
     light = radiance(source, directions_of(angles[:, None], sine))
     weight = np.abs(widths)[:, None] * np.sqrt(1 - sine**2)
     steps = [np.abs(np.diff(light, axis=a, prepend=np.take(light, [-1 if a == 0 else 0], a), append=np.take(light, [0 if a == 0 else -1], a))) for a in (0, 1)]
@@ -326,12 +389,12 @@ def fine_table(source: Source, angles: np.ndarray, widths: np.ndarray, knots: in
     light = light * sine
     for some in np.array_split(np.arange(len(row)), len(row) // 4096 + 1):
         azimuth = (angles[row[some], None] + widths[row[some], None] * within)[:, :, None]
-        at = (sine[knot[some], None] + within / (knots - 1))[:, None, :]
+        at = (sine[knot[some], None] + within * step)[:, None, :]
         looks = radiance(source, directions_of(azimuth, at))
         cosine[row[some], knot[some]] = (looks * np.sqrt(1 - at**2)).mean((1, 2))
         light[row[some], knot[some]] = (looks * at).mean((1, 2))
     table = np.zeros((len(angles), knots, 4), np.float32)
-    pairs = np.stack([cosine, light], -1) / (knots - 1)
+    pairs = np.stack([cosine, light], -1) * step
     table[:, :-1, :2] = np.cumsum(pairs[:, ::-1], 1)[:, ::-1]
     table[:, :-1, 2:] = table[:, 1:, :2] - table[:, :-1, :2]
     return table

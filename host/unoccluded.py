@@ -28,11 +28,11 @@ def gradients(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
     return found[0], found[1]
 
 
-def sky(scene: Scene, brightness, table: np.ndarray | None = None, azimuths: np.ndarray | None = None, widths: np.ndarray | None = None) -> np.ndarray:
+def sky(scene: Scene, brightness, table: np.ndarray | None = None, azimuths: np.ndarray | None = None, widths: np.ndarray | None = None, first: float = 0.0, last: float = 1.0) -> np.ndarray:
     """Irradiance (rows, cols) float32 of a sky of which the tangent plane and the level alone hide a part.
 
-    A number: pi B (1 + cos a) / 2. Else by ``table`` (azimuths, knots, >= 2), as from sources.elevation_table, for some thousand
-    normals over the stereographic plane, and bilinearly between them.
+    A number: pi B (1 + cos a) / 2. Else by ``table`` (azimuths, knots, >= 2) from the sine ``first`` of elevation to ``last``, as
+    from sources.elevation_table, for some thousand normals over the stereographic plane, and bilinearly between them.
     """
     gx, gy = gradients(scene)
     up = 1 / np.sqrt(1 + gx * gx + gy * gy)
@@ -47,7 +47,7 @@ def sky(scene: Scene, brightness, table: np.ndarray | None = None, azimuths: np.
     for some in np.array_split(np.arange(len(u)), 8):
         sx, sy = u[some] * scale[some], v[some] * scale[some]
         least = np.maximum(0, -(sx * np.cos(azimuths)[:, None] + sy * np.sin(azimuths)[:, None]))
-        light[some] = widths @ ring(sx, sy, azimuths, least, table)
+        light[some] = widths @ ring(sx, sy, azimuths, least, table, first, last)
     light = light.reshape(ACROSS, ACROSS).astype(np.float32)
     at = [(g * up / (1 + up) + 1) * np.float32((ACROSS - 1) / 2) for g in (gx, gy)]
     low = [np.minimum(a.astype(np.int32), ACROSS - 2) for a in at]

@@ -596,3 +596,47 @@ __kernel void rays(__global const float *heights, __global const float *tops, __
     STORE(slope > tangent ? 0 : ALL(1), here + j, seen);
   }
 }
+
+/* sectors: the light of a sky in a few sectors of azimuth, each above the exact horizon along one azimuth.
+
+  ways   (3, count)         float  azimuth's cosine and sine, and width [rad]; count: a multiple of LANES
+  table  (count, knots, 4)  float  integrals over elevation of B cos^2 and B sin cos, from the sine first + i / scale on, and what
+                                   to add up to the next knot; below the first knot and above the last there is no light
+
+highest: node of the map. */
+__kernel void sectors(__global const float *heights, __global const float *tops, __global const float *ways,
+                      __global const float *table, __global float *irradiance, int rows, int cols, int width, int levels, int count,
+                      int knots, int dark, float highest, float first, float scale)
+{
+  if (get_global_id(0) >= cols || get_global_id(1) >= rows)
+    return;
+  Pixel pixel = pixel_at(heights, tops, heights, heights, heights, rows, cols, width, levels, 0, 0, 0, dark, 0);
+  const float last = first + (knots - 1) / scale;
+  const float low = first / sqrt(max(1 - first * first, 1e-12f)), high = last / sqrt(max(1 - last * last, 1e-12f));
+  pixel.up = 0;
+  pixel.reach = (highest - pixel.height) / max(low, 1e-6f); /* farther on, a ray is above all ground */
+  pixel.radius = -1;
+  floats sum = 0;
+  if (pixel.height > NONE)
+    for (int j = 0; j < count; j += LANES) {
+      const floats c = AT(ways, j), s = AT(ways, count + j), tilt = pixel.tilt_x * c + pixel.tilt_y * s;
+      /* 1. the tangent plane, the level, the wall, and the ground */
+      floats slope = MORE(-tilt, low);
+      if (dark) {
+        const floats wall_x = c == 0 ? ALL(ENDLESS) : (c > 0 ? ALL(cols - 0.5f - pixel.x) : ALL(-0.5f - pixel.x)) / c;
+        const floats wall_y = s == 0 ? ALL(ENDLESS) : (s > 0 ? ALL(rows - 0.5f - pixel.y) : ALL(-0.5f - pixel.y)) / s;
+        const floats top = -pixel.height / LESS(wall_x, wall_y);
+        slope = MORE(slope, top);
+      }
+      slope = horizon(&pixel, c, s, slope, ALL(high), 1, 0);
+      /* 2. the light above it */
+      const floats at = MORE((slope / sqrt(slope * slope + 1) - first) * scale, 0);
+      ints knot = TO_INTS(at);
+      knot = knot > knots - 2 ? knots - 2 : knot;
+      const floats rest = at - TO_FLOATS(knot), part = rest > 1 ? 1 : rest;
+      const ints entry = ((j + LANE) * knots + knot) * 4;
+      const floats by_cosine = GATHER(table, entry) + part * GATHER(table, entry + 2), by_sine = GATHER(table, entry + 1) + part * GATHER(table, entry + 3);
+      sum += AT(ways, 2 * count + j) * (tilt * by_cosine + by_sine);
+    }
+  irradiance[pixel.y * cols + pixel.x] = TOTAL(sum) / sqrt(1 + pixel.tilt_x * pixel.tilt_x + pixel.tilt_y * pixel.tilt_y);
+}

@@ -155,10 +155,43 @@ def test_a_tighter_tolerance_or_tail_takes_more(fast):
     assert plans[1].seconds > plans[1].planning_seconds > 0
 
 
+@pytest.mark.parametrize("elevation", [12, 70, 89.9])
+def test_a_sun_of_its_real_size_brings_all_its_light(fast, elevation):
+    """On open level ground, also near the zenith, where no azimuth stands out; among houses by every crossing (tests/test_slices.py)."""
+    e, r = np.radians((elevation, 0.2665))
+    axis = np.array([np.cos(e) * np.cos(1.0), np.cos(e) * np.sin(1.0), -np.sin(e)])
+    sun = sl.Sky(lambda L: 1 + 2e4 * (L @ axis >= np.cos(r)))
+    image = sl.render(SCENES["flat"], sun, tolerance=0.01, backend=fast, quantity="irradiance").image
+    np.testing.assert_allclose(image, np.pi * (1 + 2e4 * np.sin(r) ** 2 * np.sin(e)), rtol=0.004)
+
+
+def choosing_takes(seconds, backend, monkeypatch):
+    engine = select(backend)
+    costs.Costs(engine)["plan"]
+    monkeypatch.setitem(costs.known[costs.Costs(engine).key], "plan", costs.Cost(seconds, 0.0, 0.0))
+
+
+@pytest.mark.parametrize(("name", "source"), [("houses", sl.Sky()), ("houses", SUN), ("rough", sl.Sky(sl.cie_overcast(2.0))), ("dark", GLOW), ("rough", LOW), ("dark", WINDOW), ("houses", PANEL)], ids=named)
+def test_what_is_sure_is_taken_where_choosing_takes_longer(fast, monkeypatch, name, source):
+    """A render in no time to choose: unmeasured, within tolerance, with the bounds of what the model lacks; plan() itself chooses."""
+    choosing_takes(1e9, fast, monkeypatch)
+    scene = SCENES[name]
+    nodes = some_nodes(scene, 150)
+    exact = truth(scene, source, nodes)
+    for tolerance in (0.03, 0.01, 0.003):
+        out = sl.render(scene, source, tolerance=tolerance, backend=fast, quantity="irradiance")
+        assert out.plan.error is None and out.plan.measured is None and "longer than to render" in str(out.plan)
+        assert errors(out.image[nodes].astype(float), exact).rms <= tolerance
+        assert any(text.startswith("Light between") for text in out.plan.beyond)
+    assert sl.plan(scene, source, 0.01, fast).error <= 0.01
+    assert sl.render(scene, source, tolerance=1e-4, backend=fast).plan.error is not None, "nothing is known to be as good as that"
+
+
 def test_an_image_that_is_off_is_made_again(fast, monkeypatch):
     """A plan that claims four azimuths to be exact is found out at the pilots, and its image replaced by a finer one."""
     import sys
 
+    choosing_takes(0.0, fast, monkeypatch)
     module = sys.modules["skylamp.plan"]
     between = module._between
     monkeypatch.setattr(module, "_between", lambda measured, count: Errors(0.0, 0.0, 0.0) if count == 4 else between(measured, count))
@@ -170,12 +203,13 @@ def test_an_image_that_is_off_is_made_again(fast, monkeypatch):
 
 
 def test_brightness_is_looked_at(fast):
-    """A sky that hardly varies is a number; one of elevation alone has one table; a sun places the azimuths."""
+    """A sky that hardly varies is a number; one of elevation alone has one table; a sun has azimuths of its own, more where walls may cut it; on a map that repeats it places them."""
     looks = lambda sky, t: next(c.taken for c in sl.plan(SCENES["rough"], sky, t, fast).choices if c.what == "brightness")
     nearly = sl.Sky(lambda L: 1 + 0.01 * L[..., 0])
     assert looks(nearly, 0.05) == "constant" and looks(nearly, 0.002) == "a table per azimuth"
     assert looks(sl.Sky(sl.cie_overcast()), 0.01) == "one table" and looks(GLOW, 0.01).startswith("a table per")
-    assert "placed" in str(sl.plan(SCENES["rough"], SUN, 0.01, fast))
+    suns = [next((c.taken for c in sl.plan(SCENES["houses"], SUN, t, fast).choices if c.what == "sun"), "") for t in (0.03, 0.003)]
+    assert [text.split(" azimuths")[0] for text in suns] == ["8", "24"] and "placed" in str(sl.plan(SCENES["periodic"], SUN, 0.01, fast))
 
 
 def test_a_map_that_repeats_is_not_searched_farther_than_need_be(fast):

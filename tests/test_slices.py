@@ -413,3 +413,64 @@ def test_the_tops_of_the_cells(backend):
         for j in range((20 >> level) + 1):
             for i in range((36 >> level) + 1):
                 assert tops[j, first + i] == height[j * size : (j + 1) * size + 1, i * size : (i + 1) * size + 1].max()
+
+
+# -- suns --------------------------------------------------------------------------------------------------------------------
+
+
+def sunny(radius, height=60.0):
+    """A disc in a sky of 1, and the lamp that it is far away."""
+    e, a, r = np.radians((35.0, 200.0, radius))
+    axis = np.array([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), -np.sin(e)])
+    return sl.Sky(lambda L: 1 + height * (L @ axis >= np.cos(r))), sl.Lamp(tuple(1e7 * axis), 1e7 * np.sin(r), height - 3)
+
+
+@pytest.mark.parametrize("sides", ["open", "dark"])
+def test_a_sun_in_sectors_is_the_disc_that_it_is(backend, sides):
+    """As a far lamp through slices, which have the disc in closed form; what the split leaves is the sky and a tenth of the disc."""
+    depth = _terrain()[100:160, 150:230].copy()
+    depth[20:26, 40:43] = np.inf
+    sky, lamp = sunny(2.0)
+    rest, spots = sl.sources.split(sky, 120, sl.sources.looks(sky))
+    L = sl.sources.directions_of(np.linspace(0, 6.28, 4000)[:, None], np.linspace(0, 1, 300))
+    assert np.unique(sl.sources.radiance(rest, L)).tolist() == [1.0, 4.0]
+    made = slices.Slices(select(backend), depth, 1.0, sides, slices.Dome())
+    for some in (spots, spots.fewer(3)):
+        made.sectors(some)
+        got = made.download()
+        wanted = image(backend, depth, slices.Ball(lamp.center, lamp.radius), lamp.brightness, sides=sides, most=256)
+        np.testing.assert_allclose(got, wanted, atol=0.02 * wanted.max())
+        assert np.sqrt(np.mean((got - wanted) ** 2)) < 0.003 * wanted.max() and 0.2 < (got > 0).mean() < 0.95
+
+
+@pytest.mark.parametrize("sides", ["open", "dark"])
+def test_backends_agree_on_suns_and_repeat_themselves(backend, fast, sides):
+    """To 1e-5 of the maximum, and the same bytes again; a map of one row too."""
+    sky, _ = sunny(1.0)
+    spots = sl.sources.split(sky, 24, sl.sources.looks(sky))[1]
+    for depth in (_terrain()[100:150, 150:204], _terrain()[100:101, 150:204]):
+        images = []
+        for name in (backend, backend, fast):
+            made = slices.Slices(select(name), depth, 1.0, sides, slices.Dome())
+            made.sectors(spots)
+            images.append(made.download())
+        assert_bits_equal(images[0], images[1])
+        assert images[0].any() == (sides == "open" or len(depth) > 1)  # the walls of one row hide a sun aside of it
+        np.testing.assert_allclose(images[0], images[2], rtol=0, atol=1e-5 * images[2].max())
+
+
+def test_suns_are_found_wherever_they_stand():
+    """At the zenith, across azimuth 0, two at once; all of their light, and none where brightness is even."""
+    def disc(elevation, azimuth, radius=0.27):
+        e, a, r = np.radians((elevation, azimuth, radius))
+        return np.array([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), -np.sin(e)]), np.cos(r)
+
+    for discs in ([disc(89.9, 10)], [disc(30, 0.05)], [disc(20, 40), disc(50, 250, 2)], [disc(0.2, 300)]):
+        sky = sl.Sky(lambda L: 1 + sum(5e3 * (L @ axis >= edge) for axis, edge in discs))
+        rest, spots = sl.sources.split(sky, 120, sl.sources.looks(sky))
+        level = 4997 * np.pi * sum((1 - edge**2) * -axis[2] for axis, edge in discs)
+        if discs[0][0][2] < -0.1:
+            assert spots.widths @ spots.table[:, 0, 1] == pytest.approx(level, rel=0.01)
+            assert spots.fewer(5).widths @ spots.fewer(5).table[:, 0, 1] == pytest.approx(level, rel=0.01)
+    even = sl.Sky(sl.cie_overcast())
+    assert sl.sources.split(even, 120, sl.sources.looks(even)) is None

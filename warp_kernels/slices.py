@@ -810,3 +810,69 @@ def rays(
         above = tangent + 1e-6 * (1.0 + wp.abs(tangent))  # so that one obstacle is enough
         slope = horizon(pixel, ways[4 * here + j], ways[4 * here + count + j], tangent, above, 1.0 / ways[4 * here + 3 * count + j], 0.0)
         seen[here + j] = wp.where(slope > tangent, 0.0, 1.0)
+
+
+@wp.kernel(launch_bounds=BOUNDS)
+def sectors(
+    heights: wp.array[wp.float32],
+    tops: wp.array[wp.float32],
+    ways: wp.array[wp.float32],
+    table: wp.array[wp.float32],
+    irradiance: wp.array[wp.float32],
+    rows: wp.int32,
+    cols: wp.int32,
+    width: wp.int32,
+    levels: wp.int32,
+    count: wp.int32,
+    knots: wp.int32,
+    dark: wp.int32,
+    highest: wp.float32,
+    first: wp.float32,
+    scale: wp.float32,
+):
+    """The light of a sky in a few sectors of azimuth, each above the exact horizon along one azimuth.
+
+      ways   (3, count)         float32  azimuth's cosine and sine, and width [rad]
+      table  (count, knots, 4)  float32  integrals over elevation of B cos^2 and B sin cos, from the sine first + i / scale on, and
+                                         what to add up to the next knot; below the first knot and above the last there is no light
+
+    highest: node of the map.
+    """
+    y, x = wp.tid()
+    here = (y + 1) * (cols + 1) + x + 1
+    tilt_xy = tilt_of(heights, here, cols + 1)
+    pixel = Pixel()
+    pixel.heights = heights
+    pixel.tops = tops
+    pixel.rows = rows
+    pixel.cols = cols
+    pixel.width = width
+    pixel.levels = levels
+    pixel.x = x
+    pixel.y = y
+    pixel.height = heights[here]
+    pixel.radius = -1.0
+    last = first + wp.float32(knots - 1) / scale
+    low = first / wp.sqrt(wp.max(1.0 - first * first, 1e-12))
+    high = last / wp.sqrt(wp.max(1.0 - last * last, 1e-12))
+    pixel.reach = (highest - pixel.height) / wp.max(low, 1e-6)  # farther on, a ray is above all ground
+    total = wp.float32(0.0)
+    if pixel.height > NONE:
+        for j in range(count):
+            c = ways[j]
+            s = ways[count + j]
+            tilt = tilt_xy[0] * c + tilt_xy[1] * s
+            # 1. the tangent plane, the level, the wall, and the ground
+            slope = wp.max(-tilt, low)
+            if dark != 0:
+                slope = wp.max(slope, -pixel.height / wp.min(to_wall(cols, x, c), to_wall(rows, y, s)))
+            slope = horizon(pixel, c, s, slope, high, 1.0, 0.0)
+            # 2. the light above it
+            at = wp.max((slope / wp.sqrt(slope * slope + 1.0) - first) * scale, 0.0)
+            knot = wp.min(wp.int32(at), knots - 2)
+            part = wp.min(at - wp.float32(knot), 1.0)
+            entry = (j * knots + knot) * 4
+            by_cosine = table[entry] + part * table[entry + 2]
+            by_sine = table[entry + 1] + part * table[entry + 3]
+            total += ways[2 * count + j] * (tilt * by_cosine + by_sine)
+    irradiance[y * cols + x] = total / wp.sqrt(1.0 + tilt_xy[0] * tilt_xy[0] + tilt_xy[1] * tilt_xy[1])

@@ -440,3 +440,29 @@ def rays(heights, tops, ways, seen, rows, cols, width, levels, count):
         above = tangent + F(1e-6) * (F(1) + np.abs(tangent))  # so that one obstacle is enough
         slope = _horizon(Map(heights, tops, nothing, nothing, nothing, F(0), rows, cols, levels, 0), pixels, c, s, tangent, above, F(1) / reach, np.zeros_like(c))
         seen[y, x, j] = np.where(slope > tangent, F(0), F(1))
+
+
+def sectors(heights, tops, ways, table, irradiance, rows, cols, width, levels, count, knots, dark, highest, first, scale):
+    first, scale = F(first), F(scale)
+    ground = x, y, height, tilt_x, tilt_y, *_ = _pixels(heights, rows, cols)
+    nothing = np.zeros(0, F)
+    last = first + F(knots - 1) / scale
+    low, high = (sine / np.sqrt(max(F(1) - sine * sine, F(1e-12))) for sine in (first, last))
+    pixels = Pixels(*ground, np.zeros(len(x), F), (F(highest) - height) / max(low, F(1e-6)), F(-1))  # farther on, a ray is above all ground
+    total = np.zeros(len(x), F)
+    for j, (c, s, share) in enumerate(ways.T):
+        tilt = tilt_x * c + tilt_y * s
+        # 1. the tangent plane, the level, the wall, and the ground
+        slope = np.maximum(-tilt, low)
+        if dark:
+            slope = np.maximum(slope, -height / np.minimum(_to_wall(cols, x, c), _to_wall(rows, y, s)))
+        flat = lambda value: np.full(len(x), value, F)
+        slope = _horizon(Map(heights, tops, nothing, nothing, nothing, F(0), rows, cols, levels, 0), pixels, flat(c), flat(s), slope, flat(high), flat(1), flat(0))
+        # 2. the light above it
+        at = np.maximum((slope / np.sqrt(slope * slope + F(1)) - first) * scale, F(0))
+        knot = np.minimum(at.astype(np.int32), knots - 2)
+        part = np.minimum(at - knot.astype(F), F(1))
+        by_cosine, by_sine, more_cosine, more_sine = table[j, knot].T
+        total += share * (tilt * (by_cosine + part * more_cosine) + (by_sine + part * more_sine))
+    irradiance[...] = 0
+    irradiance[y, x] = total / np.sqrt(F(1) + tilt_x * tilt_x + tilt_y * tilt_y)

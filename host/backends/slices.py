@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..errors import CapacityError
-from ..sources import Source, radiance
+from ..sources import Source, Spots, radiance
 from .base import MOST_PIXELS, Backend, Lobe
 
 NONE = np.float32(-1e30)  # height where there is no ground
@@ -177,11 +177,11 @@ class Slices:
         np.divide(depth, -step, out=ground, where=np.isfinite(depth), casting="same_kind")
         known = ground[ground > NONE]
         low, high = (float(known.min()), float(known.max())) if known.size else (0.0, 0.0)
-        self.heights = backend.upload(heights)
+        self.heights, self.highest = backend.upload(heights), high
         self.tops = backend.empty((cells, self.width), np.float32)
         self.image = backend.empty((rows, cols), np.float32)
 
-        self.lobe, self.walls, self.coarse = lobe, sides == "dark", 0.0
+        self.lobe, self.dark, self.walls, self.coarse = lobe, sides == "dark", sides == "dark", 0.0
         if isinstance(solid, Dome):
             apparent, self.least, self.most = 1.0, LOBE_LEAST, LOBE_ROUND
         else:
@@ -251,6 +251,20 @@ class Slices:
         ways, seen = self.backend.upload(ways), self.backend.empty((rows, cols, count), np.float32)  # named, so that they last until the download
         self.backend.launch("slices", "rays", (cols, rows), self.heights, self.tops, ways, seen, rows, cols, self.width, self.levels, count, lanes=lanes)
         return self.backend.download(seen) > 0
+
+    def sectors(self, spots: Spots) -> None:
+        """The light of a sky's bright spots, above exact horizons."""
+        rows, cols = self.shape
+        self.coarsen()
+        count = -(-len(spots.angles) // SLICES) * SLICES  # the rest have no width
+        ways, table = np.zeros((3, count), np.float32), np.zeros((count, *spots.table.shape[1:]), np.float32)
+        ways[:, : len(spots.angles)] = np.cos(spots.angles), np.sin(spots.angles), spots.widths
+        table[: len(spots.angles)] = spots.table
+        knots = table.shape[1]
+        given = self.backend.upload(ways), self.backend.upload(table)  # held until the kernel is done
+        self.backend.launch("slices", "sectors", (cols, rows), self.heights, self.tops, *given, self.image, rows, cols, self.width, self.levels, count, knots,
+                            int(self.dark), self.highest, spots.first, (knots - 1) / (spots.last - spots.first), group=self.backend.lines if self.backend.lines > 1 else None)
+        self.backend.finish()
 
     def download(self) -> np.ndarray:
         """The irradiance (rows, cols) float32, 0 where masked."""
