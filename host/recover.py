@@ -22,8 +22,10 @@ METHODS = ("robust", "paper")
 STOPS = ("eps", "sign")
 UNIT = 2**30  # the largest sum of weights, and so of light, in carving's whole numbers
 DOUBT = 0.025  # of the range of depths: two answers this far apart are worth half the confidence
-RIVAL = 4.0  # times the objective up to which another start counts as an answer
+CONFINED = (0.9, 0.75)  # shares of the pixels whose depth the first answer leaves to the others
+RIVAL = 6.0  # times the objective up to which another start counts as an answer
 WEIGHT = 4.0  # of the doubt that noise leaves, against that of another start
+FINE = 9.0  # of the squared distance to the surface of a finer model
 SPREAD = 4.0  # of the squared distance to surfaces that were found from this one when disturbed
 POOR = 0.02  # share of the image's rms that model and image may differ by in a place that is to be believed
 BADLY = 0.03  # residual, as a share of the image, from which an image is called unexplained
@@ -181,27 +183,29 @@ def _robust(images, lights, start, layers, near, far, max_seconds, backend, prog
     def note(level):
         levels.append(level)
         if progress:
-            progress(len(levels), 2 * (pyramid.top + 1))
+            progress(len(levels), pyramid.top + 1)
 
     pyramid = Pyramid(engine, images, lights, start.albedo, sides, np.maximum(low, 1e-3), high, note=note)
     compiled = engine.compile_seconds
     spent = lambda: time.perf_counter() - pyramid.began - (engine.compile_seconds - compiled)
     pyramid.stop = lambda: spent() > seconds_left
-    other, cut = None, None
+    rivals, cut = [], None
     try:
         shares, misfits = pyramid.flat()
-        first = shares[np.argmin(misfits)]
-        top, half = pyramid.top, min(pyramid.top, max(1, pyramid.top - 2))
-        bottom, depth_range = pyramid.bounds[top][0], pyramid.bounds[top][1] - pyramid.bounds[top][0]
-        pyramid.lighten(bottom + first * depth_range)
-        z, value = pyramid.climb(bottom + first * depth_range, top, half)
-        found = z
-        if not pyramid.stop():
-            other, rival = pyramid.climb(bottom + (0.1 if first > 0.35 else 0.75) * depth_range, top, half, kick=False)
-            if rival < BETTER * value:
-                z, value, found, other = other, rival, other, found
-            elif rival > RIVAL * value:
-                other = None
+        top, half = pyramid.top, max(0, pyramid.top - 2)
+        flat = pyramid.bounds[top][0] + shares[np.argmin(misfits)] * (pyramid.bounds[top][1] - pyramid.bounds[top][0])
+        pyramid.lighten(flat)
+        z, value = pyramid.climb(flat, top, half, kick=False)
+        answers = [(z, value)]
+        for share in CONFINED:
+            if not pyramid.stop():
+                answers.append(pyramid.confined(float(np.quantile(z, share)), half, flat))
+        if min(found for _, found in answers) > pyramid.good(half) and not pyramid.stop():
+            answers.append(pyramid.climb(flat, top, half))
+        best, least = min(answers, key=lambda answer: answer[1])
+        if least < (BETTER if any(map(_directed, lights)) else 1) * value:
+            z, value = best, least
+        rivals = [(other - z, value / found) for other, found in answers if other is not z and found < RIVAL * value]
         pyramid.best = half, z
         z, value = pyramid.climb(z, half, 0) if half else (z, value)
         if pyramid.stop():
@@ -211,7 +215,7 @@ def _robust(images, lights, start, layers, near, far, max_seconds, backend, prog
     if cut:
         warnings.append(cut)
     level, z = pyramid.best if pyramid.best else (pyramid.top, np.broadcast_to((pyramid.bounds[-1][0] + pyramid.bounds[-1][1]) / 2, pyramid.images[-1][0].shape))
-    confidence, candidates = _trust(pyramid, level, z, None if other is None or cut else (half, other - found), depth_range=float((high - low).mean()))
+    confidence, candidates = _trust(pyramid, level, z, [] if cut else rivals, half, depth_range=float((high - low).mean()))
     while level:
         level -= 1
         z = 2 * doubled(z, pyramid.images[level][0].shape)
@@ -227,27 +231,30 @@ def _robust(images, lights, start, layers, near, far, max_seconds, backend, prog
                     candidates, ambiguous, (residual * pyramid.units[0]).astype(np.float32), tuple(levels))
 
 
-def _trust(pyramid, level, z, rival, depth_range) -> tuple[np.ndarray, np.ndarray]:
+def _directed(light) -> bool:
+    """Whether a lamp or window shines more into some directions: then luminance along a column rises and falls, and one image has several answers."""
+    return not isinstance(light, sources.Sky) and callable(light.brightness)
+
+
+def _trust(pyramid, level, z, rivals, half, depth_range) -> tuple[np.ndarray, np.ndarray]:
     """(confidence, other candidates (n, rows, cols) in nodes), on the finest grid.
 
-    Doubt is the distance to another start's surface and to those found from this one disturbed, what noise could do to this one (Pyramid.doubt), and how badly
-    the image is met in the neighbourhood.
+    Doubt is the distance to other starts' surfaces (``rivals``: apart on grid ``half``, and how well theirs explain the image beside this
+    one), to the surface that a finer model finds, to those found from this one disturbed, what noise could do (Pyramid.doubt), and how
+    badly the image is met in the neighbourhood.
     """
     small, grid = z, level
     while max(small.shape) > 64 and grid < pyramid.top:
         small, grid = _halved(small), grid + 1
-    doubt = (WEIGHT * pyramid.doubt(grid, small)) ** 2
-    if rival:
-        at_level, apart = rival
-        while at_level > grid:
-            at_level -= 1
-            apart = 2 * doubled(apart, pyramid.images[at_level][0].shape)
-        while at_level < grid:
-            apart, at_level = _halved(apart), at_level + 1
-        doubt = doubt + blurred((apart * 2**grid) ** 2)
+    doubt = (WEIGHT * pyramid.doubt(grid, small)) ** 2 + FINE * blurred((pyramid.finer(grid, small) - small) ** 2)
+    for apart, share in rivals:
+        for _ in range(grid - half):
+            apart = _halved(apart)
+        doubt = doubt + (min(share, 1) * blurred(np.abs(apart))) ** 2
     if others := [(tried, value) for at_level, tried, value in pyramid.tried if at_level == grid]:
         best = min(value for _, value in others)
-        doubt = doubt + SPREAD * blurred(sum(best / value * (tried - small) ** 2 for tried, value in others) / len(others)) * 4**grid
+        doubt = doubt + SPREAD * blurred(sum(best / value * (tried - small) ** 2 for tried, value in others) / len(others))
+    doubt *= 4**grid
     off = pyramid.problem(grid).irradiances(small)[0] - pyramid.images[grid][0]
     poor = blurred(off**2) / (POOR * BRIGHT + 3 * pyramid.noise) ** 2
     confidence = 1 / (1 + doubt / (DOUBT * depth_range) ** 2 + poor)

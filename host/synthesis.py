@@ -26,6 +26,8 @@ log = logging.getLogger("skylamp")
 COARSEST = 16  # nodes on the shorter side of the first grid
 BRIGHT = 0.4  # rms to which images are scaled, so that smoothness means the same for all
 AZIMUTHS = 24  # of a sky
+FINER, MORE = 3, 64  # times as fine a grid, and azimuths, that tell how far off the model is
+MARGIN = 0.5  # nodes between the bounds of depth, at least
 SLICES = 24  # of a lamp or window
 ROWS = 128  # of azimuths of a lamp's table of brightness
 LEAST, FINEST = 1e-5, 1e-6  # smoothness for an image without noise; on a large grid, where relief is rough
@@ -69,6 +71,19 @@ def doubled(values: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
         low = np.clip(np.floor(at).astype(int), 0, max(len(values) - 2, 0))
         share = (at - low)[:, None]
         values = (values[low] * (1 - share) + values[np.minimum(low + 1, len(values) - 1)] * share).T
+    return values
+
+
+def cubic(values: np.ndarray, times: int) -> np.ndarray:
+    """Lagrange's cubic interpolation to a grid so many times as fine, straight on beyond the border."""
+    for _ in range(2):
+        size = len(values)
+        at = (np.arange(times * size) + 0.5) / times - 0.5 + 2
+        low = np.floor(at).astype(int)
+        t = (at - low)[:, None]
+        wide = np.pad(values, ((2, 2), (0, 0)), mode="reflect", reflect_type="odd")
+        node = lambda k: wide[np.minimum(low + k, size + 3)]
+        values = (-t * (t - 1) * (t - 2) / 6 * node(-1) + (t + 1) * (t - 1) * (t - 2) / 2 * node(0) - (t + 1) * t * (t - 2) / 2 * node(1) + (t + 1) * t * (t - 1) / 6 * node(2)).T
     return values
 
 
@@ -162,6 +177,10 @@ class Pyramid:
         """Weight of squared second differences: what noise and the shade of unseen relief leave on a grid against how much surfaces bend."""
         return (LEAST if self._cheap(level) else FINEST) + ((self.noise * 0.5**level) ** 2 + self.shade(level) ** 2) / BEND
 
+    def good(self, level: int) -> float:
+        """The objective below which another minimum is not looked for."""
+        return 0.5 * self.images[level][0].size * len(self.sources) * (GOOD * BRIGHT + self.shade(level)) ** 2
+
     def shade(self, level: int) -> float:
         """rms by which the model is off on a coarse grid for relief that it does not see."""
         return SHADE * (1 - self.gains[level]) * BRIGHT
@@ -247,31 +266,63 @@ class Pyramid:
         tried, reached = self._smooth(level, z + 2 * doubled(change, z.shape), target, smoothness)
         return (tried, reached) if reached < value else (z, value)
 
-    def climb(self, z: np.ndarray, start: int, last: int, kick: bool = True) -> tuple[np.ndarray, float]:
+    def climb(self, z: np.ndarray, start: int, last: int, kick: bool = True, keep: bool = True) -> tuple[np.ndarray, float]:
         """(depth, objective) on grid ``last`` from a surface on grid ``start``, which is worked over first if it is the coarsest.
 
-        ``kick``: whether to look for other minima near by."""
+        ``kick``: whether to look for other minima near by; ``keep``: whether this is the answer so far."""
         value = math.inf
         if start == self.top:
             z, value = self._ease(start, z, STIFF, FIRST)
-            self._keep(start, z)
+            if keep:
+                self._keep(start, z)
         for level in range(start - 1, last - 1, -1):
             if self.stop():
                 break
             z = 2 * doubled(z, self.images[level][0].shape)
             z, value = self._ease(level, z, SOFTER) if self._cheap(level) else self._cycled(level, z)
-            self._keep(level, z)
             if kick and self._cheap(level):
                 z, value = self._kick(level, z, value)
+            if keep:
                 self._keep(level, z)
         return z, value
+
+    def confined(self, deepest: float, last: int, start: np.ndarray) -> tuple[np.ndarray, float]:
+        """As climb(kick=False), with no depth beyond ``deepest`` [nodes of grid ``last``] until the end: the shallow answer, where there are several."""
+        free = self.bounds
+        shallow = [(low, np.clip(deepest * 2.0 ** (last - level), low + MARGIN, high)) for level, (low, high) in enumerate(free)]
+        self._bound(shallow)
+        try:
+            z, _ = self.climb(start, self.top, last, kick=False, keep=False)
+        finally:
+            self._bound(free)
+        return self._ease(last, z, ())
+
+    def _bound(self, bounds) -> None:
+        self.bounds = bounds
+        for level, problem in self.problems.items():
+            problem.bound(*bounds[level])
+
+    def finer(self, level: int, z: np.ndarray) -> np.ndarray:
+        """What the depth would be if the images were of the smooth surface through the nodes of z, not of the nodes alone.
+
+        A grid FINER times as fine, along more azimuths, tells by how much the model is off; the surface is fitted again with that put right."""
+        problem, shape = self.problem(level), tuple(FINER * side for side in z.shape)
+        repeated = np.repeat(np.repeat(self.albedo[level], FINER, 0), FINER, 1)
+        model = Descent(self.engine, shape, self.sides, [(light_of(source, shape, FINER * 0.5**level, MORE), repeated / (math.pi * unit), np.zeros(shape))
+                                                         for source, unit in zip(self.sources, self.units)], np.zeros(shape), np.full(shape, np.inf))
+        middle, found = slice(FINER // 2, None, FINER), z
+        for _ in range(2):
+            fine = model.irradiances(np.maximum(FINER * cubic(found, FINER), 1e-3))
+            problem.aim([image + own - other[middle, middle] for image, own, other in zip(self.images[level], problem.irradiances(found), fine)])
+            found, _ = problem.run(found, self.smoothness(level), 4, MOST, TOLERANCE, SETTLED, self.stop)
+        problem.aim(self.images[level])
+        return found
 
     def _kick(self, level: int, z: np.ndarray, value: float) -> tuple[np.ndarray, float]:
         """The best of the minima near this one: the surface is disturbed, eased again, and kept if the objective fell."""
         small = max(z.shape) < 2 * KICKED
-        good = 0.5 * z.size * len(self.sources) * (GOOD * BRIGHT + self.shade(level)) ** 2
         for _ in range(ROUNDS if small else 1):
-            if value < good:
+            if value < self.good(level):
                 break
             before = value
             for kick in KICKS if small else KICKS[:1]:
@@ -321,8 +372,8 @@ class Pyramid:
         return z, value
 
     def doubt(self, level: int, z: np.ndarray, seed: int = 0) -> np.ndarray:
-        """Standard deviation of depth at z by the linear model, in nodes of the finest grid: what noise as large as the image's
-        own and FAITH of the image's rms would make of it."""
+        """Standard deviation of depth at z by the linear model, in nodes of this grid: what noise as large as the image's own and FAITH of
+        the image's rms would make of it."""
         problem, rng = self.problem(level), np.random.default_rng(seed)
         sigma = math.hypot(self.noise * 0.5**level, FAITH * BRIGHT)
         total = np.zeros(z.shape)
@@ -330,9 +381,9 @@ class Pyramid:
         for _ in range(PROBES):
             problem.aim([image + sigma * rng.normal(size=z.shape) for image in images])
             problem.value(z, 0.0)
-            total += problem.step(z, LEAST) ** 2
+            total += problem.step(LEAST, MOST, TOLERANCE) ** 2
         problem.aim(self.images[level])
-        return np.sqrt(blurred(total / PROBES)) * 2**level
+        return np.sqrt(blurred(total / PROBES))
 
     def column(self, level: int, z: np.ndarray, count: int = 33) -> tuple[np.ndarray, np.ndarray]:
         """Light of every pixel as its surface goes up and down as a whole: shifts (count,) [nodes of the finest grid] and

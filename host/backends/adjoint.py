@@ -167,14 +167,19 @@ class Descent:
         get = self.backend.download
         return [(get(image.gain) * get(image.links[self.here][0])[0]).reshape(self.shape) for image in self.images]
 
+    def bound(self, low: np.ndarray, high: np.ndarray) -> None:
+        """Other bounds of depth from here on."""
+        for array, values in ((self.low, low), (self.high, high)):
+            self.backend.put(array, np.asarray(values, np.float32).ravel())
+
     def aim(self, targets: list[np.ndarray]) -> None:
         """Other targets from here on."""
         for image, target in zip(self.images, targets):
             self.backend.put(image.target, np.asarray(target, np.float32).ravel())
 
-    def step(self, z: np.ndarray, smoothness: float) -> np.ndarray:
-        """The first Gauss-Newton step from depths (rows, cols), which were evaluated last, without a penalty on z itself."""
-        self.solve(smoothness, 1e-6, 60, 1e-2)
+    def step(self, smoothness: float, most: int, tolerance: float) -> np.ndarray:
+        """The first Gauss-Newton step (rows, cols) from the depths that were evaluated last, without a penalty on depth itself."""
+        self.solve(smoothness, 1e-6, most, tolerance)
         return self.backend.download(self.x).reshape(self.shape)
 
     def gradient(self, smoothness: float) -> tuple[float, float]:
