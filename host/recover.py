@@ -203,9 +203,10 @@ def _robust(images, lights, start, layers, near, far, max_seconds, backend, prog
         if min(found for _, found in answers) > pyramid.good(half) and not pyramid.stop():
             answers.append(pyramid.climb(flat, top, half))
         best, least = min(answers, key=lambda answer: answer[1])
-        if least < (BETTER if any(map(_directed, lights)) else 1) * value:
+        several = any(map(_directed, lights))  # answers: then the lower objective need not be the right one's
+        if least < (BETTER if several else 1) * value:
             z, value = best, least
-        rivals = [(other - z, value / found) for other, found in answers if other is not z and found < RIVAL * value]
+        rivals = [(other - z, min(1, value / found) ** (1 if several else 2)) for other, found in answers if other is not z and found < RIVAL * value]
         pyramid.best = half, z
         z, value = pyramid.climb(z, half, 0) if half else (z, value)
         if pyramid.stop():
@@ -246,18 +247,19 @@ def _trust(pyramid, level, z, rivals, half, depth_range) -> tuple[np.ndarray, np
     small, grid = z, level
     while max(small.shape) > 64 and grid < pyramid.top:
         small, grid = _halved(small), grid + 1
-    doubt = (WEIGHT * pyramid.doubt(grid, small)) ** 2 + FINE * blurred((pyramid.finer(grid, small) - small) ** 2)
+    limit = DOUBT * depth_range / 2**grid
+    # sharp, since what noise could do is a bound; what is really off is ordered by the rest
+    doubt = (WEIGHT * pyramid.doubt(grid, small)) ** 4 / limit**2 + FINE * blurred((pyramid.finer(grid, small) - small) ** 2)
     for apart, share in rivals:
         for _ in range(grid - half):
             apart = _halved(apart)
-        doubt = doubt + (min(share, 1) * blurred(np.abs(apart))) ** 2
+        doubt = doubt + (share * blurred(np.abs(apart))) ** 2
     if others := [(tried, value) for at_level, tried, value in pyramid.tried if at_level == grid]:
         best = min(value for _, value in others)
         doubt = doubt + SPREAD * blurred(sum(best / value * (tried - small) ** 2 for tried, value in others) / len(others))
-    doubt *= 4**grid
     off = pyramid.problem(grid).irradiances(small)[0] - pyramid.images[grid][0]
     poor = blurred(off**2) / (POOR * BRIGHT + 3 * pyramid.noise) ** 2
-    confidence = 1 / (1 + doubt / (DOUBT * depth_range) ** 2 + poor)
+    confidence = 1 / (1 + doubt / limit**2 + poor)
     shifts, light = pyramid.column(grid, small)
     crosses = (light[:-1] > 0) != (light[1:] > 0)
     share = light[:-1] / np.where(crosses, light[:-1] - light[1:], 1)
