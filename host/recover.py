@@ -23,6 +23,7 @@ STOPS = ("eps", "sign")
 UNIT = 2**30  # the largest sum of weights, and so of light, in carving's whole numbers
 DOUBT = 0.025  # of the range of depths: two answers this far apart are worth half the confidence
 CONFINED = (0.9, 0.75)  # shares of the pixels whose depth the first answer leaves to the others
+CLEARLY = 0.9  # share of the objective below which another start's answer is taken, where one answer is expected
 RIVAL = 6.0  # times the objective up to which another start counts as an answer
 WEIGHT = 4.0  # of the doubt that noise leaves, against that of another start
 FINE = 9.0  # of the squared distance to the surface of a finer model
@@ -204,7 +205,7 @@ def _robust(images, lights, start, layers, near, far, max_seconds, backend, prog
             answers.append(pyramid.climb(flat, top, half))
         best, least = min(answers, key=lambda answer: answer[1])
         several = any(map(_directed, lights))  # answers: then the lower objective need not be the right one's
-        if least < (BETTER if several else 1) * value:
+        if least < (BETTER if several else CLEARLY) * value:
             z, value = best, least
         rivals = [(other - z, min(1, value / found) ** (1 if several else 2)) for other, found in answers if other is not z and found < RIVAL * value]
         pyramid.best = half, z

@@ -45,7 +45,7 @@ KICKED, ROUNDS, ENOUGH = 32, 2, 0.8  # grids on which a surface is kicked out of
 GOOD = 0.0015  # residual, as a share of the image, that is not worth disturbing
 SHADE = 0.35  # residual on a coarse grid, over what its gain lacks to 1: shade of fine relief is not the same everywhere
 TEXTURE = 16.0  # variance on half as fine a grid over that on a grid, of what relief leaves in second differences of the light
-BEND = 0.6  # variance of second differences of a surface, against which noise is weighed
+BEND, BEYOND = 0.1, 0.03  # variance of second differences of a surface on the first grid, and of what a grid adds to a coarser one, against which noise is weighed
 FAITH, PROBES = 0.01, 4  # share of the image's rms that the model may be wrong by, and noises tried, to tell what is uncertain
 
 
@@ -175,11 +175,11 @@ class Pyramid:
 
     def smoothness(self, level: int) -> float:
         """Weight of squared second differences: what noise and the shade of unseen relief leave on a grid against how much surfaces bend."""
-        return (LEAST if self._cheap(level) else FINEST) + ((self.noise * 0.5**level) ** 2 + self.shade(level) ** 2) / BEND
+        return (LEAST if self._cheap(level) else FINEST) + ((self.noise * 0.5**level) ** 2 + self.shade(level) ** 2) / (BEND if level == self.top else BEYOND)
 
     def good(self, level: int) -> float:
         """The objective below which another minimum is not looked for."""
-        return 0.5 * self.images[level][0].size * len(self.sources) * (GOOD * BRIGHT + self.shade(level)) ** 2
+        return 0.5 * self.images[level][0].size * len(self.sources) * (GOOD * BRIGHT + self.shade(level) + self.noise * 0.5**level) ** 2
 
     def shade(self, level: int) -> float:
         """rms by which the model is off on a coarse grid for relief that it does not see."""
@@ -278,7 +278,9 @@ class Pyramid:
         for level in range(start - 1, last - 1, -1):
             if self.stop():
                 break
-            z = 2 * doubled(z, self.images[level][0].shape)
+            shape = self.images[level][0].shape
+            z = 2 * cubic(z, 2)[: shape[0], : shape[1]]
+            self.problem(level).lean(z)  # a coarser grid has less noise to take for relief
             z, value = self._ease(level, z, SOFTER) if self._cheap(level) else self._cycled(level, z)
             if kick and self._cheap(level):
                 z, value = self._kick(level, z, value)
@@ -381,7 +383,7 @@ class Pyramid:
         for _ in range(PROBES):
             problem.aim([image + sigma * rng.normal(size=z.shape) for image in images])
             problem.value(z, 0.0)
-            total += problem.step(LEAST, MOST, TOLERANCE) ** 2
+            total += problem.step(self.smoothness(level), MOST, TOLERANCE) ** 2
         problem.aim(self.images[level])
         return np.sqrt(blurred(total / PROBES))
 

@@ -658,15 +658,16 @@ float unbend(__global const float *v, int i, int n, int step)
   return sum;
 }
 
-/* bending: in part (blocks), from `block` on as above, the sums of squared second differences along rows and columns. */
-__kernel void bending(__global const float *z, __global double *part, int block, int rows, int cols)
+/* bending: in part (blocks), from `block` on as above, the sums of squared second differences of z - rest along rows and columns. */
+__kernel void bending(__global const float *z, __global const float *rest, __global double *part, int block, int rows, int cols)
 {
   const int g = get_global_id(0), pixels = rows * cols;
   if (g * BLOCK >= pixels)
     return;
   double sum = 0;
   for (int p = g * BLOCK; p < min(pixels, g * BLOCK + BLOCK); ++p) {
-    const float a = bend(z + p, p % cols, cols, 1), b = bend(z + p, p / cols, rows, cols);
+    const float a = bend(z + p, p % cols, cols, 1) - bend(rest + p, p % cols, cols, 1);
+    const float b = bend(z + p, p / cols, rows, cols) - bend(rest + p, p / cols, rows, cols);
     sum += (double)a * (double)a + (double)b * (double)b;
   }
   part[block + g] = sum;
@@ -699,9 +700,9 @@ long taken(__global long *sum, int i, int pixels, int teams)
   return all_;
 }
 
-/* begin: the downhill direction r = -(sum unit + lambda unbend z), 0 where a bound holds z (free 0); scale = squares fine + least;
+/* begin: the downhill direction r = -(sum unit + lambda unbend (z - rest)), 0 where a bound holds z (free 0); scale = squares fine + least;
    v = r / scale, and x = p = s = sum = squares = 0 for conjugate gradients. In part (2, blocks) v v and r v. */
-__kernel void begin(__global const float *z, __global const float *low, __global const float *high, __global long *sum, __global long *squares,
+__kernel void begin(__global const float *z, __global const float *rest, __global const float *low, __global const float *high, __global long *sum, __global long *squares,
                     __global float *scale, __global float *r, __global float *v, __global float *x, __global float *p, __global float *s,
                     __global float *is_free, __global double *part, float unit, float fine, float least, float lambda_, int rows, int cols, int teams)
 {
@@ -710,7 +711,8 @@ __kernel void begin(__global const float *z, __global const float *low, __global
     return;
   double square = 0, product = 0;
   for (int i = g * BLOCK; i < min(pixels, g * BLOCK + BLOCK); ++i) {
-    const float smooth = unbend(z + i, i % cols, cols, 1) + unbend(z + i, i / cols, rows, cols);
+    const float smooth = (unbend(z + i, i % cols, cols, 1) + unbend(z + i, i / cols, rows, cols))
+                         - (unbend(rest + i, i % cols, cols, 1) + unbend(rest + i, i / cols, rows, cols));
     const float down = -(convert_float(taken(sum, i, pixels, teams)) * unit + lambda_ * smooth);
     const float moves = (z[i] <= low[i] && down < 0) || (z[i] >= high[i] && down > 0) ? 0 : 1;
     scale[i] = convert_float(taken(squares, i, pixels, teams)) * fine + least;

@@ -520,7 +520,7 @@ def test_more_work_items_than_nodes(fast, monkeypatch):
         assert_bits_equal(got, expected)
     # sums of blocks end where their array ends
     part = made.backend.upload(np.full(200, 7.0))
-    made._launch("bending", made.backend.upload(z.ravel()), part, 0, 13, 21, dim=(made.blocks,))
+    made._launch("bending", made.backend.upload(z.ravel()), made.rest, part, 0, 13, 21, dim=(made.blocks,))
     assert (made.backend.download(part)[made.blocks :] == 7).all() and made.backend.download(part)[0] != 7
 
 

@@ -741,14 +741,14 @@ def unbend(v: wp.array[wp.float32], p: wp.int32, i: wp.int32, n: wp.int32, step:
 
 
 @wp.kernel
-def bending(z: wp.array[wp.float32], part: wp.array[wp.float64], block: wp.int32, rows: wp.int32, cols: wp.int32):
-    """In part (blocks), from ``block`` on, the sums of squared second differences along rows and columns."""
+def bending(z: wp.array[wp.float32], rest: wp.array[wp.float32], part: wp.array[wp.float64], block: wp.int32, rows: wp.int32, cols: wp.int32):
+    """In part (blocks), from ``block`` on, the sums of squared second differences of z - rest along rows and columns."""
     g = wp.tid()
     pixels = rows * cols
     sum = wp.float64(0.0)
     for p in range(g * BLOCK, wp.min(pixels, g * BLOCK + BLOCK)):
-        a = bend(z, p, p % cols, cols, 1)
-        b = bend(z, p, p / cols, rows, cols)
+        a = bend(z, p, p % cols, cols, 1) - bend(rest, p, p % cols, cols, 1)
+        b = bend(z, p, p / cols, rows, cols) - bend(rest, p, p / cols, rows, cols)
         sum += wp.float64(a) * wp.float64(a) + wp.float64(b) * wp.float64(b)
     part[block + g] = sum
 
@@ -768,18 +768,18 @@ def downhill(light: wp.array[wp.float32], held: wp.array[wp.int32], first: wp.ar
 
 
 @wp.kernel
-def begin(z: wp.array[wp.float32], low: wp.array[wp.float32], high: wp.array[wp.float32], sum: wp.array[wp.int64], squares: wp.array[wp.int64],
+def begin(z: wp.array[wp.float32], rest: wp.array[wp.float32], low: wp.array[wp.float32], high: wp.array[wp.float32], sum: wp.array[wp.int64], squares: wp.array[wp.int64],
           scale: wp.array[wp.float32], r: wp.array[wp.float32], v: wp.array[wp.float32], x: wp.array[wp.float32], p: wp.array[wp.float32],
           s: wp.array[wp.float32], is_free: wp.array[wp.float32], part: wp.array[wp.float64], unit: wp.float32, fine: wp.float32,
           least: wp.float32, lambda_: wp.float32, rows: wp.int32, cols: wp.int32, teams: wp.int32):
-    """The downhill direction r = -(sum unit + lambda unbend z), 0 where a bound holds z (free 0); scale = squares fine + least;
+    """The downhill direction r = -(sum unit + lambda unbend (z - rest)), 0 where a bound holds z (free 0); scale = squares fine + least;
     v = r / scale, and x = p = s = sum = squares = 0 for conjugate gradients. In part (2, blocks) v v and r v."""
     g = wp.tid()
     pixels = rows * cols
     square = wp.float64(0.0)
     product = wp.float64(0.0)
     for i in range(g * BLOCK, wp.min(pixels, g * BLOCK + BLOCK)):
-        smooth = unbend(z, i, i % cols, cols, 1) + unbend(z, i, i / cols, rows, cols)
+        smooth = (unbend(z, i, i % cols, cols, 1) + unbend(z, i, i / cols, rows, cols)) - (unbend(rest, i, i % cols, cols, 1) + unbend(rest, i, i / cols, rows, cols))
         down = -(wp.float32(sum[i]) * unit + lambda_ * smooth)
         moves = wp.float32(1.0)
         if (z[i] <= low[i] and down < 0.0) or (z[i] >= high[i] and down > 0.0):

@@ -106,6 +106,7 @@ class Descent:
         self.tilts, self.top = backend.empty((2, self.pixels), np.float32), backend.empty((1,), np.int32)
         self.tiles = backend.empty((-(-rows // TILE) * -(-cols // TILE),), np.float32)
         *self.z, self.r, self.v, self.w, self.p, self.s, self.x, self.free, self.scale = (backend.empty((self.pixels,), np.float32) for _ in range(10))
+        self.rest = backend.empty((self.pixels,), np.float32, 0)
         self.low, self.high = (backend.upload(np.broadcast_to(np.asarray(bound, np.float32), shape).ravel()) for bound in (low, high))
         self.sum, self.squares = (backend.empty((backend.teams, self.pixels), np.int64, 0) for _ in range(2))
         self.blocks, self.each, self.teams = -(-self.pixels // BLOCK), backend.each, backend.teams
@@ -143,7 +144,7 @@ class Descent:
         for number, image in enumerate(self.images):
             image.evaluate(side, self.heights, self.tilts, self.tiles, self.top)
             self._launch("misfit", image.links[side][0], image.gain, image.target, self.parts, number * self.blocks, self.pixels, dim=(self.blocks,))
-        self._launch("bending", z, self.parts, len(self.images) * self.blocks, rows, cols, dim=(self.blocks,))
+        self._launch("bending", z, self.rest, self.parts, len(self.images) * self.blocks, rows, cols, dim=(self.blocks,))
 
     def _try(self, side: int) -> None:
         self._launch("move", self.z[1 - side], self.x, self.low, self.high, self.z[side], self.pixels, self.each)
@@ -172,6 +173,10 @@ class Descent:
         for array, values in ((self.low, low), (self.high, high)):
             self.backend.put(array, np.asarray(values, np.float32).ravel())
 
+    def lean(self, rest: np.ndarray) -> None:
+        """From here on, smoothness is of what depth has beyond ``rest`` (rows, cols); at first that is 0."""
+        self.backend.put(self.rest, np.asarray(rest, np.float32).ravel())
+
     def aim(self, targets: list[np.ndarray]) -> None:
         """Other targets from here on."""
         for image, target in zip(self.images, targets):
@@ -187,7 +192,7 @@ class Descent:
         unit = FIXED / max(1e-12, math.sqrt(sum(m[0] for m in self.misfits)))
         for image in self.images:
             self._launch("downhill", *image.links[self.here], image.gain, image.target, self.sum, self.squares, unit, FINE, *self.shape, image.count, self.of_team, self.teams, dim=self._teams())
-        self._launch("begin", self.z[self.here], self.low, self.high, self.sum, self.squares, self.scale, self.r, self.v, self.x, self.p, self.s, self.free, self.lengths,
+        self._launch("begin", self.z[self.here], self.rest, self.low, self.high, self.sum, self.squares, self.scale, self.r, self.v, self.x, self.p, self.s, self.free, self.lengths,
                      1 / unit, 1 / FINE, 12 * smoothness + 1e-7, smoothness, *self.shape, self.teams, dim=(self.blocks,))
         return tuple(self.backend.download(self.lengths).sum(1).tolist())
 

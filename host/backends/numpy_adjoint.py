@@ -373,9 +373,9 @@ def _unbend(v, rows, cols):
     return total.ravel()
 
 
-def bending(z, part, block, rows, cols):
-    z = z.reshape(rows, cols)
-    a, b = (v.ravel().astype(np.float64) for v in (_bend(z), _bend(z.T).T))
+def bending(z, rest, part, block, rows, cols):
+    z, rest = z.reshape(rows, cols), rest.reshape(rows, cols)
+    a, b = (v.ravel().astype(np.float64) for v in (_bend(z) - _bend(rest), (_bend(z.T) - _bend(rest.T)).T))
     _put(part, block, a * a + b * b)
 
 
@@ -385,8 +385,8 @@ def downhill(light, held, first, second, near, far, gain, target, sum, squares, 
     _spread(*links, squares[0], gain * gain * f32(fine), True, rows, cols)
 
 
-def begin(z, low, high, sum, squares, scale, r, v, x, p, s, is_free, part, unit, fine, least, lambda_, rows, cols, teams):
-    down = -(sum[0].astype(f32) * f32(unit) + f32(lambda_) * _unbend(z, rows, cols))
+def begin(z, rest, low, high, sum, squares, scale, r, v, x, p, s, is_free, part, unit, fine, least, lambda_, rows, cols, teams):
+    down = -(sum[0].astype(f32) * f32(unit) + f32(lambda_) * (_unbend(z, rows, cols) - _unbend(rest, rows, cols)))
     is_free[:] = ~(((z <= low) & (down < 0)) | ((z >= high) & (down > 0)))
     scale[:] = squares[0].astype(f32) * f32(fine) + f32(least)
     r[:] = is_free * down
