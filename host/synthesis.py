@@ -175,7 +175,10 @@ class Pyramid:
 
     def smoothness(self, level: int) -> float:
         """Weight of squared second differences: what noise and the shade of unseen relief leave on a grid against how much surfaces bend."""
-        return (LEAST if self._cheap(level) else FINEST) + ((self.noise * 0.5**level) ** 2 + self.shade(level) ** 2) / (BEND if level == self.top else BEYOND)
+        return self.least(level) + ((self.noise * 0.5**level) ** 2 + self.shade(level) ** 2) / (BEND if level == self.top else BEYOND)
+
+    def least(self, level: int) -> float:
+        return LEAST if self._cheap(level) else FINEST
 
     def good(self, level: int) -> float:
         """The objective below which another minimum is not looked for."""
@@ -280,7 +283,8 @@ class Pyramid:
                 break
             shape = self.images[level][0].shape
             z = 2 * cubic(z, 2)[: shape[0], : shape[1]]
-            self.problem(level).lean(z)  # a coarser grid has less noise to take for relief
+            # a coarser grid has less noise to take for relief: what stands for noise in the smoothness leans on its surface
+            self.problem(level).lean((1 - self.least(level) / self.smoothness(level)) * z)
             z, value = self._ease(level, z, SOFTER) if self._cheap(level) else self._cycled(level, z)
             if kick and self._cheap(level):
                 z, value = self._kick(level, z, value)
