@@ -24,6 +24,7 @@ UNIT = 2**30  # the largest sum of weights, and so of light, in carving's whole 
 DOUBT = 0.025  # of the range of depths: two answers this far apart are worth half the confidence
 CONFINED = (0.9, 0.75)  # shares of the pixels whose depth the first answer leaves to the others
 CLEARLY = 0.9  # share of the objective below which another start's answer is taken, where one answer is expected
+HOPE = 30.0  # times the objective on a coarser grid up to which a start is followed
 RIVAL = 6.0  # times the objective up to which another start counts as an answer
 WEIGHT = 4.0  # of the doubt that noise leaves, against that of another start
 FINE = 9.0  # of the squared distance to the surface of a finer model
@@ -196,13 +197,20 @@ def _robust(images, lights, start, layers, near, far, max_seconds, backend, prog
         top, half = pyramid.top, max(0, pyramid.top - 2)
         flat = pyramid.bounds[top][0] + shares[np.argmin(misfits)] * (pyramid.bounds[top][1] - pyramid.bounds[top][0])
         pyramid.lighten(flat)
-        z, value = pyramid.climb(flat, top, half, kick=False)
+        middle = min(half + 1, top)  # the grid on which starts are sorted out
+        z, value = coarse = pyramid.climb(flat, top, middle, kick=False)
+        if half < middle:
+            z, value = pyramid.climb(z, middle, half, kick=False)
+        if pyramid.stop():
+            raise TimeoutError
         answers = [(z, value)]
         for share in CONFINED:
-            if not pyramid.stop():
-                answers.append(pyramid.confined(float(np.quantile(z, share)), half, flat))
-        if min(found for _, found in answers) > pyramid.good(half) and not pyramid.stop():
-            answers.append(pyramid.climb(flat, top, half))
+            other, found = pyramid.confined(float(np.quantile(coarse[0], share)), middle, flat)
+            if found < HOPE * max(coarse[1], pyramid.good(middle)):
+                answers.append(pyramid.climb(other, middle, half, kick=False, keep=False) if half < middle else (other, found))
+        if min(found for _, found in answers) > pyramid.good(half):
+            answers.append(pyramid.climb(flat, top, half, keep=False))
+        answers = [answer for answer in answers if answer[0].shape == pyramid.images[half][0].shape]  # others ran out of time
         best, least = min(answers, key=lambda answer: answer[1])
         several = any(map(_directed, lights))  # answers: then the lower objective need not be the right one's
         if least < (BETTER if several else CLEARLY) * value:
@@ -211,7 +219,9 @@ def _robust(images, lights, start, layers, near, far, max_seconds, backend, prog
         pyramid.best = half, z
         z, value = pyramid.climb(z, half, 0) if half else (z, value)
         if pyramid.stop():
-            cut = f"Out of time after {seconds_left:g} s: this is the best so far."
+            raise TimeoutError
+    except TimeoutError:
+        cut = f"Out of time after {seconds_left:g} s: this is the best so far."
     except KeyboardInterrupt:
         cut = "Interrupted: this is the best so far."
     if cut:

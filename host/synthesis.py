@@ -301,7 +301,7 @@ class Pyramid:
             z, _ = self.climb(start, self.top, last, kick=False, keep=False)
         finally:
             self._bound(free)
-        return self._ease(last, z, ())
+        return (z, math.inf) if self.stop() else self._ease(last, z, ())
 
     def _bound(self, bounds) -> None:
         self.bounds = bounds
