@@ -272,9 +272,11 @@ SPOT_KNOTS = 129  # of a sun's table
 
 def directions_of(azimuth, sine) -> np.ndarray:
     """Unit vectors (..., 3) of azimuths [rad] and sines of elevation, which broadcast."""
-    azimuth, sine = np.broadcast_arrays(azimuth, sine)
+    azimuth, sine = np.asarray(azimuth, float), np.asarray(sine, float)
     cosine = np.sqrt(np.maximum(0.0, 1 - sine**2))
-    return np.stack([cosine * np.cos(azimuth), cosine * np.sin(azimuth), -sine], -1)
+    found = np.empty((*np.broadcast_shapes(azimuth.shape, sine.shape), 3))
+    found[..., 0], found[..., 1], found[..., 2] = cosine * np.cos(azimuth), cosine * np.sin(azimuth), -sine
+    return found
 
 
 def looks(source: Source) -> tuple[np.ndarray, np.ndarray]:
@@ -344,9 +346,8 @@ def split(source: Sky, count: int, seen: tuple[np.ndarray, np.ndarray]) -> tuple
     share = flux * count / flux[-1]
     group = np.minimum(np.concatenate([[0], share[:-1]]) / 2 + share / 2, count - 1e-9).astype(int)
     widths = width * np.bincount(group, minlength=count)
-    table = np.zeros((count, SPOT_KNOTS, 4))
-    np.add.at(table, group, width * fine)
-    table /= np.maximum(widths, 1e-30)[:, None, None]
+    within = (group == np.arange(count)[:, None]) * (width / np.maximum(widths, 1e-30))[:, None]
+    table = np.tensordot(within, fine.astype(float), 1)
     middle = angles[np.searchsorted(share, np.arange(count) + 0.5)]
     return Sky(lambda L: np.minimum(radiance(source, L), limit)), Spots(middle, widths, table.astype(np.float32), float(first), float(last))
 
