@@ -55,6 +55,7 @@ def environment_map(array) -> Callable:
     if not np.isfinite(image).all() or image.min() < 0:
         raise bad("environment_map: values", f"{np.nanmin(image)} to {np.nanmax(image)}, finite: {np.isfinite(image).all()}", "finite, >= 0")
     rows, cols = image.shape[:2]
+    pixels = np.pad(image, ((0, 0), (0, 1), *((0, 0),) * (image.ndim - 2)), mode="wrap").reshape(rows * (cols + 1), *image.shape[2:])
 
     def brightness(L):
         x, y, z = np.moveaxis(np.asarray(L, float), -1, 0)
@@ -62,9 +63,9 @@ def environment_map(array) -> Callable:
         col = np.arctan2(y, x) / (2 * np.pi) * cols - 0.5
         r, c = np.floor(row), np.floor(col)
         fr, fc = (w.reshape(w.shape + (1,) * (image.ndim - 2)) for w in (row - r, col - c))
-        r0, r1 = (np.clip(r + s, 0, rows - 1).astype(int) for s in (0, 1))
-        c0, c1 = ((c + s).astype(int) % cols for s in (0, 1))
-        return (1 - fr) * ((1 - fc) * image[r0, c0] + fc * image[r0, c1]) + fr * ((1 - fc) * image[r1, c0] + fc * image[r1, c1])
+        left = np.where(c < 0, c + cols, c).astype(int)
+        high, low = (np.clip(r + s, 0, rows - 1).astype(int) * (cols + 1) + left for s in (0, 1))
+        return (1 - fr) * ((1 - fc) * pixels[high] + fc * pixels[high + 1]) + fr * ((1 - fc) * pixels[low] + fc * pixels[low + 1])
 
     return brightness
 
@@ -263,7 +264,7 @@ def radiance(source: Source, directions: np.ndarray) -> np.ndarray:
     return values
 
 
-PROFILE = 2048, 192  # azimuths, elevations at which the light of a sky is looked at first; a sun half a degree wide gets two or three
+PROFILE = 2048, 128  # azimuths, sines of elevation at which the light of a sky is looked at first; a sun half a degree wide gets two or three
 KNOTS = 1024  # of a table of brightness, evenly in the sine of the elevation
 UNEVEN = 2.0  # brightest azimuth over the mean from which azimuths are placed by brightness
 SUNNY = 4.0  # times a sky's median from which on brightness is a sun's, if there is any as many times brighter than that
@@ -280,21 +281,20 @@ def directions_of(azimuth, sine) -> np.ndarray:
 
 
 def looks(source: Source) -> tuple[np.ndarray, np.ndarray]:
-    """Brightness at some 400,000 places of the sky, evenly in azimuth and elevation, and the sines of these: (azimuths, elevations) each."""
+    """Brightness at some 260,000 places of the sky, each for the same solid angle, and the sines of their elevation: (azimuths, elevations) each."""
     azimuths, elevations = PROFILE
     azimuth = 2 * np.pi * (np.arange(azimuths) + 0.5) / azimuths
     shift = 0.6180339887498949 * np.arange(azimuths) % 1  # so that no small sun slips between rows of samples
-    light, sine = np.empty((2, azimuths, elevations))
+    sine = (np.arange(elevations) + shift[:, None]) / elevations
+    light = np.empty_like(sine)
     for some in np.array_split(np.arange(azimuths), 64):  # what stays in the cache is quicker
-        sine[some] = np.sin(np.pi / 2 * (np.arange(elevations) + shift[some, None]) / elevations)
         light[some] = radiance(source, directions_of(azimuth[some, None], sine[some]))
     return light, sine
 
 
 def azimuth_profile(source: Source, seen: tuple[np.ndarray, np.ndarray] | None = None) -> np.ndarray | None:
     """Light that comes from each of many even sectors of azimuth, (2048,); None where it hardly varies. ``seen``: what :func:`looks` gives."""
-    light, sine = looks(source) if seen is None else seen
-    profile = np.einsum("ae,ae->a", light, np.sqrt(1 - sine**2))
+    profile = (looks(source) if seen is None else seen)[0].sum(1)
     if profile.max() <= UNEVEN * profile.mean():
         return None
     return np.maximum.reduce([np.roll(profile, n) for n in range(-2, 3)])  # the edge of a sun lies between samples
@@ -325,15 +325,12 @@ def split(source: Sky, count: int, seen: tuple[np.ndarray, np.ndarray]) -> tuple
     """A sky without what is brighter than SUNNY times its median, and that, in ``count`` sectors; None for a sky without such a
     sun. ``seen``: what :func:`looks` gives."""
     light, sine = seen
-    some, weight = light[::16].ravel(), np.sqrt(1 - sine[::16] ** 2).ravel()
-    order = np.argsort(some)
-    median = float(some[order][np.searchsorted(np.cumsum(weight[order]), weight.sum() / 2)])
-    limit = SUNNY * median
+    limit = SUNNY * float(np.median(light[::16]))
     if not light.max() > SUNNY * limit:
         return None
     spots = Sky(lambda L: np.maximum(radiance(source, L) - limit, 0))
     bright = light > limit
-    apart = np.pi / 2 / light.shape[1]
+    apart = 1 / light.shape[1]  # of looks, in elevation where they are low
     first, last = np.sin(np.clip(np.arcsin([sine[bright].min(), sine[bright].max()]) + [-2 * apart, 2 * apart], 0, np.pi / 2))
     where = np.maximum.reduce([np.roll(bright.any(1), n) for n in range(-2, 3)])  # the edge of a sun lies between samples
     begin = int(where.argmin())
