@@ -264,7 +264,7 @@ def radiance(source: Source, directions: np.ndarray) -> np.ndarray:
     return values
 
 
-PROFILE = 2048, 128  # azimuths, sines of elevation at which the light of a sky is looked at first; a sun half a degree wide gets two or three
+PROFILE = 2048, 192  # azimuths, elevations at which the light of a sky is looked at first; a sun half a degree wide gets two or three
 KNOTS = 1024  # of a table of brightness, evenly in the sine of the elevation
 UNEVEN = 2.0  # brightest azimuth over the mean from which azimuths are placed by brightness
 SUNNY = 4.0  # times a sky's median from which on brightness is a sun's, if there is any as many times brighter than that
@@ -281,11 +281,11 @@ def directions_of(azimuth, sine) -> np.ndarray:
 
 
 def looks(source: Source) -> tuple[np.ndarray, np.ndarray]:
-    """Brightness at some 260,000 places of the sky, each for the same solid angle, and the sines of their elevation: (azimuths, elevations) each."""
+    """Brightness at some 400,000 places of the sky, evenly in azimuth and elevation, and the sines of these: (azimuths, elevations) each."""
     azimuths, elevations = PROFILE
     azimuth = 2 * np.pi * (np.arange(azimuths) + 0.5) / azimuths
     shift = 0.6180339887498949 * np.arange(azimuths) % 1  # so that no small sun slips between rows of samples
-    sine = (np.arange(elevations) + shift[:, None]) / elevations
+    sine = np.sin(np.pi / 2 * (np.arange(elevations) + shift[:, None]) / elevations)
     light = np.empty_like(sine)
     for some in np.array_split(np.arange(azimuths), 64):  # what stays in the cache is quicker
         light[some] = radiance(source, directions_of(azimuth[some, None], sine[some]))
@@ -294,7 +294,8 @@ def looks(source: Source) -> tuple[np.ndarray, np.ndarray]:
 
 def azimuth_profile(source: Source, seen: tuple[np.ndarray, np.ndarray] | None = None) -> np.ndarray | None:
     """Light that comes from each of many even sectors of azimuth, (2048,); None where it hardly varies. ``seen``: what :func:`looks` gives."""
-    profile = (looks(source) if seen is None else seen)[0].sum(1)
+    light, sine = looks(source) if seen is None else seen
+    profile = np.einsum("ae,ae->a", light, np.sqrt(1 - sine**2))
     if profile.max() <= UNEVEN * profile.mean():
         return None
     return np.maximum.reduce([np.roll(profile, n) for n in range(-2, 3)])  # the edge of a sun lies between samples
@@ -325,12 +326,15 @@ def split(source: Sky, count: int, seen: tuple[np.ndarray, np.ndarray]) -> tuple
     """A sky without what is brighter than SUNNY times its median, and that, in ``count`` sectors; None for a sky without such a
     sun. ``seen``: what :func:`looks` gives."""
     light, sine = seen
-    limit = SUNNY * float(np.median(light[::16]))
+    some, weight = light[::16].ravel(), np.sqrt(1 - sine[::16] ** 2).ravel()
+    order = np.argsort(some)
+    median = float(some[order][np.searchsorted(np.cumsum(weight[order]), weight.sum() / 2)])
+    limit = SUNNY * median
     if not light.max() > SUNNY * limit:
         return None
     spots = Sky(lambda L: np.maximum(radiance(source, L) - limit, 0))
     bright = light > limit
-    apart = 1 / light.shape[1]  # of looks, in elevation where they are low
+    apart = np.pi / 2 / light.shape[1]
     first, last = np.sin(np.clip(np.arcsin([sine[bright].min(), sine[bright].max()]) + [-2 * apart, 2 * apart], 0, np.pi / 2))
     where = np.maximum.reduce([np.roll(bright.any(1), n) for n in range(-2, 3)])  # the edge of a sun lies between samples
     begin = int(where.argmin())
