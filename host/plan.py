@@ -368,7 +368,9 @@ class _Sky(_Planner):
 
     def _even(self):
         pilots, engine = self.pilots, self.engine
-        self.by_suns = {None: 0.0} if self.suns is None else dict(zip(SPANS, pilots.suns(engine, self.suns, SPANS)))
+        self.by_suns = {None: 0.0}
+        if self.suns:  # the coarsest sectors by the next, until these prove too coarse
+            self.by_suns = dict(zip(SPANS, pilots.suns(engine, self.suns.fewer(SPANS[1]), (SPANS[0] // SPANS[1], 1))))
         for number, judges in GRIDS.items():
             azimuths = 2 * np.pi * np.arange(number) / number
             if number == min(GRIDS):
@@ -376,6 +378,9 @@ class _Sky(_Planner):
             else:  # every other one is known
                 slopes = np.stack([slopes, pilots.horizons(engine, azimuths[1::2])], 1).reshape(number, -1)
             settings = self._evaluate(azimuths, slopes)
+            if len(self.by_suns) == 2 and not (settings and self.fits(errors(self.exact - self.by_suns[SPANS[1]] + self.by_suns[SPANS[0]], self.exact))):
+                self.by_suns = dict(zip(SPANS, pilots.suns(engine, self.suns, SPANS)))
+                settings = self._evaluate(azimuths, slopes)
             if any(self.fits(s) and s.units <= judges for s in settings):
                 break
         if pilots.periodic:
@@ -389,7 +394,8 @@ class _Sky(_Planner):
         """Settings of every number of azimuths, against all of ``azimuths``."""
         pilots, number = self.pilots, len(azimuths)
         width = 2 * np.pi / number
-        suns = self.by_suns[SPANS[-1] if self.suns else None]
+        reference = min(self.by_suns) if self.suns else None
+        suns = self.by_suns[reference]
         varies = callable(self.source.brightness)
         uniform = pilots.ring(azimuths, slopes)
         rings, table = uniform, None
@@ -430,7 +436,7 @@ class _Sky(_Planner):
         settings = [Setting("unoccluded", 0, *found, self._seconds("closed form", 1), table=self._unoccluded if varies else None, scale=self.scale)]
         if self.suns or not self.fits(Errors(found.rms, 2 * found.bound, 2 * found.tail)):
             settings = []  # what little ground hides may be the sun, at a few nodes where no pilot is
-        for span in self.by_suns:
+        for span in self.by_suns if reference in (None, SPANS[-1]) else SPANS[:1]:
             few, more = None, 0.0
             if span:
                 few = self.suns.fewer(span)
