@@ -187,24 +187,24 @@ class Pilots:
         """The highest node of every block, (2, blocks) x and y, and the blocks' size."""
         down, across = (-(-n // max(1, -(-n // WIDE))) for n in (self.rows, self.cols))
         high, wide = -(-self.rows // down), -(-self.cols // across)
-        room = np.full((down * high, across * wide), NONE, np.float32)
-        room[: self.rows, : self.cols] = self.heights
-        blocks = room.reshape(down, high, across, wide).swapaxes(1, 2).reshape(down * across, high * wide)
-        at = blocks.argmax(1)
-        y = np.repeat(np.arange(down), across) * high + at // wide
-        x = np.tile(np.arange(across), down) * wide + at % wide
-        keep = (y < self.rows) & (x < self.cols)
-        return np.stack([x[keep], y[keep]]), max(high, wide)
+        room = np.full((down, across * wide), NONE, np.float32)
+        full = self.rows // high
+        room[:full, : self.cols] = self.heights[: full * high].reshape(full, high, self.cols).max(1)
+        room[full:, : self.cols] = self.heights[full * high :].max(0, initial=NONE)
+        x = room.reshape(down, across, wide).argmax(2) + np.arange(across) * wide
+        rows = np.minimum(np.arange(down)[:, None] * high + np.arange(high), self.rows - 1)
+        y = rows[:, 0, None] + self.heights[rows[:, None], x[..., None]].argmax(2)
+        return np.stack([x.ravel(), y.ravel()]).astype(np.int32), max(high, wide)
 
     def _peaks(self, count):
         """Distances (x, y), distance and slope of nodes that may hide something from ``count`` pilots or somewhat more: (nodes, candidates)."""
         peaks, size = self._highest
-        near = np.indices((2 * CLOSE + 1,) * 2).reshape(2, -1) - CLOSE
+        near = np.indices((2 * CLOSE + 1,) * 2, np.int32).reshape(2, -1) - CLOSE
         some = slice(None, None, max(1, len(self) // count))
-        here = np.stack([self.x[some], self.y[some]])[:, :, None]
+        here = np.stack([self.x[some], self.y[some]]).astype(np.int32)[:, :, None]
         to = np.concatenate([peaks[:, None] - here, np.broadcast_to(near[:, None], (2, here.shape[1], near.shape[1]))], 2)
         if self.periodic:
-            lap = np.array([self.cols, self.rows])[:, None, None]
+            lap = np.array([self.cols, self.rows], np.int32)[:, None, None]
             to = (to + lap // 2) % lap - lap // 2
         x, y = here + to
         if self.periodic:
