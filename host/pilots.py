@@ -23,9 +23,11 @@ FAINT = 0.005  # slope below which ground of a map that repeats is not looked fo
 STEEP = 1e6
 GAUSS = 6  # points of brightness along a chord
 CLIFF = 4.0  # spacings that neighbouring nodes may lie apart before the slope is more than the grid holds
-WIDE = 24  # blocks across a map whose highest nodes may hide something from a pilot
+WIDE = 16  # blocks across a map whose highest nodes may hide something from a pilot
 CLOSE = 4  # nodes round a pilot that may
 FEW, MANY = 12, 96  # pilots that are asked first, and then, whether anything is hidden
+OUT = 6.0  # times the root mean square of steps between nodes from which on one stands out: noise and relief reach 5, a trench in a plain 50
+BENT = 1e-3  # spacings by which the ground along a line may bend upwards and count as convex: depths are rounded
 
 
 class Pilots:
@@ -51,12 +53,24 @@ class Pilots:
         return len(self.x)
 
     @cached_property
+    def _steps(self) -> list[np.ndarray]:
+        """How much deeper the next node lies [spacings], along some 256 rows and columns; 0 beside masked nodes."""
+        z, scale = self.scene.depth, np.float32(1 / self.scene.spacing)
+        found = [np.diff(z[:: max(1, self.rows // 256)], axis=1) * scale, np.diff(z[:, :: max(1, self.cols // 256)], axis=0).T * scale]
+        return found if self.scene.mask is None else [np.nan_to_num(step) for step in found]
+
+    @cached_property
     def steep(self) -> float:
         """Share of neighbouring nodes that lie more than CLIFF spacings apart."""
-        found = []
-        for z in (self.scene.depth[:: max(1, self.rows // 256)], self.scene.depth[:, :: max(1, self.cols // 256)].T):
-            found.append(np.abs(z[:, 1:] - z[:, :-1]) > CLIFF * self.scene.spacing)
-        return sum(map(np.count_nonzero, found)) / max(1, sum(one.size for one in found))
+        return sum(np.count_nonzero(np.abs(step) > CLIFF) for step in self._steps) / max(1, sum(step.size for step in self._steps))
+
+    @cached_property
+    def alike(self) -> bool:
+        """Whether some nodes tell of all how much ground hides: no step stands out (a trench or a house that few nodes lie at), or the
+        ground is convex."""
+        largest = max(float(np.abs(step).max(initial=0)) for step in self._steps)
+        square = sum(float((step * step).sum()) for step in self._steps) / max(1, sum(step.size for step in self._steps))
+        return largest**2 <= OUT**2 * square or all((np.diff(step, axis=1) > -BENT).all() for step in self._steps)
 
     @property
     def relief(self) -> float:
@@ -173,50 +187,47 @@ class Pilots:
         """The highest node of every block, (2, blocks) x and y, and the blocks' size."""
         down, across = (-(-n // max(1, -(-n // WIDE))) for n in (self.rows, self.cols))
         high, wide = -(-self.rows // down), -(-self.cols // across)
-        room = np.full((down * high, across * wide), NONE, np.float32)
-        room[: self.rows, : self.cols] = self.heights
-        blocks = room.reshape(down, high, across, wide).swapaxes(1, 2).reshape(down * across, high * wide)
-        at = blocks.argmax(1)
-        y = np.repeat(np.arange(down), across) * high + at // wide
-        x = np.tile(np.arange(across), down) * wide + at % wide
-        keep = (y < self.rows) & (x < self.cols)
-        return np.stack([x[keep], y[keep]]), max(high, wide)
+        room = np.full((down, across * wide), NONE, np.float32)
+        full = self.rows // high
+        room[:full, : self.cols] = self.heights[: full * high].reshape(full, high, self.cols).max(1)
+        room[full:, : self.cols] = self.heights[full * high :].max(0, initial=NONE)
+        x = room.reshape(down, across, wide).argmax(2) + np.arange(across) * wide
+        rows = np.minimum(np.arange(down)[:, None] * high + np.arange(high), self.rows - 1)
+        y = rows[:, 0, None] + self.heights[rows[:, None], x[..., None]].argmax(2)
+        return np.stack([x.ravel(), y.ravel()]).astype(np.int32), max(high, wide)
 
     def _peaks(self, count):
         """Distances (x, y), distance and slope of nodes that may hide something from ``count`` pilots or somewhat more: (nodes, candidates)."""
         peaks, size = self._highest
-        near = np.indices((2 * CLOSE + 1,) * 2).reshape(2, -1) - CLOSE
+        near = np.indices((2 * CLOSE + 1,) * 2, np.int32).reshape(2, -1) - CLOSE
         some = slice(None, None, max(1, len(self) // count))
-        here = np.stack([self.x[some], self.y[some]])[:, :, None]
+        here = np.stack([self.x[some], self.y[some]]).astype(np.int32)[:, :, None]
         to = np.concatenate([peaks[:, None] - here, np.broadcast_to(near[:, None], (2, here.shape[1], near.shape[1]))], 2)
         if self.periodic:
-            lap = np.array([self.cols, self.rows])[:, None, None]
+            lap = np.array([self.cols, self.rows], np.int32)[:, None, None]
             to = (to + lap // 2) % lap - lap // 2
         x, y = here + to
         if self.periodic:
             x, y = x % self.cols, y % self.rows
         inside = (x >= 0) & (x < self.cols) & (y >= 0) & (y < self.rows) & to.any(0)
-        distance = np.where(inside, np.hypot(*to), np.inf)
+        dx, dy = to.astype(np.float32)
+        distance = np.where(inside, np.sqrt(dx * dx + dy * dy), np.float32(np.inf))
         slope = (self.heights[np.clip(y, 0, self.rows - 1), np.clip(x, 0, self.cols - 1)] - self.own[some, None]) / distance
-        return some, to[0], to[1], distance, np.where(inside, slope, -np.inf), size
+        return some, dx, dy, distance, np.where(inside, slope, -np.inf), size
 
-    def sky_lost(self, enough: float = math.inf) -> float:
-        """RMS share of a uniform sky's light that ground or walls take from a node, from the highest nodes around; an estimate, on the
-        high side. Where some of the pilots show that it is more than ``enough`` that may do."""
-        few = self._sky_lost(FEW) * math.sqrt(FEW / MANY) if len(self) >= 2 * MANY else 0.0
-        return few if few > enough else self._sky_lost(MANY)
-
-    def _sky_lost(self, count):
-        some, dx, dy, distance, slope, _ = self._peaks(count)
+    def sky_lost(self) -> float:
+        """RMS share of a uniform sky's light that ground or walls take from a node, from the highest nodes around some; an estimate, on
+        the high side where little is hidden."""
+        some, dx, dy, distance, slope, _ = self._peaks(MANY)
         sectors = 16
         azimuths = 2 * np.pi * (np.arange(sectors) + 0.5) / sectors
-        number = np.floor(np.arctan2(dy, dx) / (2 * np.pi) * sectors).astype(int) % sectors
         gx, gy = self.gx[some], self.gy[some]
-        excess = np.arctan(slope) - np.arctan(np.maximum(0, -(gx[:, None] * dx + gy[:, None] * dy) / distance))
-        angle = np.zeros((sectors, len(slope)))
-        excess = np.where(np.isfinite(excess), excess, 0)
-        for sector in range(sectors):
-            angle[sector] = (excess * (number == sector)).max(1).clip(0)
+        plane = np.maximum(0, -(gx.astype(np.float32)[:, None] * dx + gy.astype(np.float32)[:, None] * dy) / distance)
+        slope = np.maximum(slope, plane)
+        number = (np.arctan2(dy, dx) * np.float32(sectors / (2 * np.pi)) + sectors).astype(int) % sectors
+        tangent = np.zeros((sectors, len(slope)), np.float32)  # of the angle above the tangent plane
+        np.maximum.at(tangent.ravel(), (number * len(slope) + np.arange(len(slope))[:, None]).ravel(), ((slope - plane) / (1 + slope * plane)).ravel())
+        angle = np.arctan(tangent)
         angle = np.maximum(angle, np.maximum(np.roll(angle, 1, 0), np.roll(angle, -1, 0)))  # what stands in a sector may reach into the next
         plane = np.maximum(0, -(gx * np.cos(azimuths)[:, None] + gy * np.sin(azimuths)[:, None]))
         hidden = np.tan(np.minimum(np.arctan(plane) + angle, 1.57))

@@ -32,7 +32,7 @@ TAIL = 10.0  # bound on the 99.9th percentile of the error, in tolerances, unles
 MARGIN = 0.95  # share of the tolerance that a setting may take: kernels add a little to the error of their azimuths
 SIGMAS = 1.5  # standard errors by which the RMS error of all nodes may pass that of the pilots
 EVEN = (4, 6, 8, 12, 16, 24, 32, 48, 64, 96, 128, 192, 256)  # azimuths
-GRIDS = {48: 12, 96: 24, 192: 256}  # azimuths of the reference, and how many azimuths it can judge; EVEN's are among them where half of it is a multiple
+GRIDS = {24: 6, 48: 12, 96: 24, 192: 256}  # azimuths of the reference, and how many azimuths it can judge; EVEN's are among them where half of it is a multiple
 PLACED, PLACED_GRID = (8, 16, 32, 80), 160  # azimuths where brightness is uneven on a map that repeats, and of their reference
 PLACED_COUNT = 128  # pilots there
 SUNS, SPANS = 120, (15, 5, 3, 1)  # sectors of a sun's light in the reference, and how many of them a candidate takes together
@@ -47,7 +47,7 @@ DEARER = 1.4  # times as long as a sweep takes with so many
 SAFE = {24: 0.033, 48: 0.0125, 64: 0.0080, 96: 0.0046, 128: 0.0033, 192: 0.0021, 256: 0.0017}  # RMS error by azimuths, with so many, among houses
 SAFE_SLICES, SAFELY = 128, 1.5  # slices that do for lamps; tolerance over the known error from which a setting is taken unmeasured
 POINT = 0.1  # share of the tolerance by which a lamp that is called a point may be off as one
-WORTH = 0.012  # tolerance from which the lattice may be cheaper than horizons under a sky
+SLIGHT = 0.7  # share of the tolerance that ground may take from a sky, as its highest nodes have it, that no ray is cast
 
 
 @dataclass(frozen=True)
@@ -275,10 +275,10 @@ class _Sky(_Planner):
             self._look()
         else:
             self.scale = float(source.brightness)
-        lost = pilots.sky_lost(0.5 * self.tolerance / self.contrast) * self.contrast
-        if lost <= 0.5 * self.tolerance:
+        lost = pilots.sky_lost() * self.contrast
+        if lost <= SLIGHT * self.tolerance and 5 * lost <= self.tail and pilots.alike:
             self.hidden, self.reach_why = lost, "there is nothing to look for"
-            return [Setting("unoccluded", 0, lost, lost, 10 * lost, self._seconds("closed form", 1), table=self._unoccluded if self.knots else None, scale=self.scale, suns=self.suns)]
+            return [Setting("unoccluded", 0, lost, lost, 5 * lost, self._seconds("closed form", 1), table=self._unoccluded if self.knots else None, scale=self.scale, suns=self.suns)]
         if self.profile is not None and pilots.periodic:
             return self._placed()
         return self._safe() or self._even()
@@ -311,8 +311,10 @@ class _Sky(_Planner):
         whole = np.concatenate([np.zeros((len(light), 1)), np.cumsum((light[:, 1:] + light[:, :-1]) / 2, 1)], 1) / 512
         self.knots = 1024
         for knots in (33, 65, 129, 257):
-            coarse = np.array([np.interp(sine, sine[:: 512 // (knots - 1)], row[:: 512 // (knots - 1)]) for row in whole])
-            if np.abs(coarse - whole).max() <= 0.05 * self.tolerance * whole[:, -1].mean():
+            span = 512 // (knots - 1)
+            low, high = whole[:, :-1:span, None], whole[:, span::span, None]
+            off = low + (high - low) * (np.arange(span) / span) - whole[:, :-1].reshape(len(light), knots - 1, span)
+            if np.sqrt(np.mean(off**2)) <= 0.05 * self.tolerance * whole[:, -1].mean() >= 0.1 * np.abs(off).max():
                 self.knots = knots
                 break
         self.looks = "one table" if self.one else "a table per azimuth"
@@ -366,7 +368,9 @@ class _Sky(_Planner):
 
     def _even(self):
         pilots, engine = self.pilots, self.engine
-        self.by_suns = {None: 0.0} if self.suns is None else dict(zip(SPANS, pilots.suns(engine, self.suns, SPANS)))
+        self.by_suns = {None: 0.0}
+        if self.suns:  # the coarsest sectors by the next, until these prove too coarse
+            self.by_suns = dict(zip(SPANS, pilots.suns(engine, self.suns.fewer(SPANS[1]), (SPANS[0] // SPANS[1], 1))))
         for number, judges in GRIDS.items():
             azimuths = 2 * np.pi * np.arange(number) / number
             if number == min(GRIDS):
@@ -374,12 +378,15 @@ class _Sky(_Planner):
             else:  # every other one is known
                 slopes = np.stack([slopes, pilots.horizons(engine, azimuths[1::2])], 1).reshape(number, -1)
             settings = self._evaluate(azimuths, slopes)
+            if len(self.by_suns) == 2 and not (settings and self.fits(errors(self.exact - self.by_suns[SPANS[1]] + self.by_suns[SPANS[0]], self.exact))):
+                self.by_suns = dict(zip(SPANS, pilots.suns(engine, self.suns, SPANS)))
+                settings = self._evaluate(azimuths, slopes)
             if any(self.fits(s) and s.units <= judges for s in settings):
                 break
         if pilots.periodic:
             return self._shorter(settings, azimuths, slopes)
         fitting = [s.seconds for s in settings if self.fits(s)]
-        if self.tolerance >= WORTH and _lattice_seconds(self, LATTICES[0]) < 0.8 * min(fitting, default=0):
+        if self.tolerance >= LATTICE_ERROR[LATTICES[0]] and _lattice_seconds(self, LATTICES[0]) < 0.8 * min(fitting, default=0):
             settings += _of_lattices(self, LATTICES[:1], self.exact)
         return settings
 
@@ -387,7 +394,8 @@ class _Sky(_Planner):
         """Settings of every number of azimuths, against all of ``azimuths``."""
         pilots, number = self.pilots, len(azimuths)
         width = 2 * np.pi / number
-        suns = self.by_suns[SPANS[-1] if self.suns else None]
+        reference = min(self.by_suns) if self.suns else None
+        suns = self.by_suns[reference]
         varies = callable(self.source.brightness)
         uniform = pilots.ring(azimuths, slopes)
         rings, table = uniform, None
@@ -428,7 +436,7 @@ class _Sky(_Planner):
         settings = [Setting("unoccluded", 0, *found, self._seconds("closed form", 1), table=self._unoccluded if varies else None, scale=self.scale)]
         if self.suns or not self.fits(Errors(found.rms, 2 * found.bound, 2 * found.tail)):
             settings = []  # what little ground hides may be the sun, at a few nodes where no pilot is
-        for span in self.by_suns:
+        for span in self.by_suns if reference in (None, SPANS[-1]) else SPANS[:1]:
             few, more = None, 0.0
             if span:
                 few = self.suns.fewer(span)

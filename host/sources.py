@@ -55,6 +55,7 @@ def environment_map(array) -> Callable:
     if not np.isfinite(image).all() or image.min() < 0:
         raise bad("environment_map: values", f"{np.nanmin(image)} to {np.nanmax(image)}, finite: {np.isfinite(image).all()}", "finite, >= 0")
     rows, cols = image.shape[:2]
+    pixels = np.pad(image, ((0, 0), (0, 1), *((0, 0),) * (image.ndim - 2)), mode="wrap").reshape(rows * (cols + 1), *image.shape[2:])
 
     def brightness(L):
         x, y, z = np.moveaxis(np.asarray(L, float), -1, 0)
@@ -62,9 +63,9 @@ def environment_map(array) -> Callable:
         col = np.arctan2(y, x) / (2 * np.pi) * cols - 0.5
         r, c = np.floor(row), np.floor(col)
         fr, fc = (w.reshape(w.shape + (1,) * (image.ndim - 2)) for w in (row - r, col - c))
-        r0, r1 = (np.clip(r + s, 0, rows - 1).astype(int) for s in (0, 1))
-        c0, c1 = ((c + s).astype(int) % cols for s in (0, 1))
-        return (1 - fr) * ((1 - fc) * image[r0, c0] + fc * image[r0, c1]) + fr * ((1 - fc) * image[r1, c0] + fc * image[r1, c1])
+        left = np.where(c < 0, c + cols, c).astype(int)
+        high, low = (np.clip(r + s, 0, rows - 1).astype(int) * (cols + 1) + left for s in (0, 1))
+        return (1 - fr) * ((1 - fc) * pixels[high] + fc * pixels[high + 1]) + fr * ((1 - fc) * pixels[low] + fc * pixels[low + 1])
 
     return brightness
 
@@ -272,9 +273,11 @@ SPOT_KNOTS = 129  # of a sun's table
 
 def directions_of(azimuth, sine) -> np.ndarray:
     """Unit vectors (..., 3) of azimuths [rad] and sines of elevation, which broadcast."""
-    azimuth, sine = np.broadcast_arrays(azimuth, sine)
+    azimuth, sine = np.asarray(azimuth, float), np.asarray(sine, float)
     cosine = np.sqrt(np.maximum(0.0, 1 - sine**2))
-    return np.stack([cosine * np.cos(azimuth), cosine * np.sin(azimuth), -sine], -1)
+    found = np.empty((*np.broadcast_shapes(azimuth.shape, sine.shape), 3))
+    found[..., 0], found[..., 1], found[..., 2] = cosine * np.cos(azimuth), cosine * np.sin(azimuth), -sine
+    return found
 
 
 def looks(source: Source) -> tuple[np.ndarray, np.ndarray]:
@@ -282,9 +285,9 @@ def looks(source: Source) -> tuple[np.ndarray, np.ndarray]:
     azimuths, elevations = PROFILE
     azimuth = 2 * np.pi * (np.arange(azimuths) + 0.5) / azimuths
     shift = 0.6180339887498949 * np.arange(azimuths) % 1  # so that no small sun slips between rows of samples
-    light, sine = np.empty((2, azimuths, elevations))
+    sine = np.sin(np.pi / 2 * (np.arange(elevations) + shift[:, None]) / elevations)
+    light = np.empty_like(sine)
     for some in np.array_split(np.arange(azimuths), 64):  # what stays in the cache is quicker
-        sine[some] = np.sin(np.pi / 2 * (np.arange(elevations) + shift[some, None]) / elevations)
         light[some] = radiance(source, directions_of(azimuth[some, None], sine[some]))
     return light, sine
 
@@ -344,9 +347,8 @@ def split(source: Sky, count: int, seen: tuple[np.ndarray, np.ndarray]) -> tuple
     share = flux * count / flux[-1]
     group = np.minimum(np.concatenate([[0], share[:-1]]) / 2 + share / 2, count - 1e-9).astype(int)
     widths = width * np.bincount(group, minlength=count)
-    table = np.zeros((count, SPOT_KNOTS, 4))
-    np.add.at(table, group, width * fine)
-    table /= np.maximum(widths, 1e-30)[:, None, None]
+    within = (group == np.arange(count)[:, None]) * (width / np.maximum(widths, 1e-30))[:, None]
+    table = np.tensordot(within, fine.astype(float), 1)
     middle = angles[np.searchsorted(share, np.arange(count) + 0.5)]
     return Sky(lambda L: np.minimum(radiance(source, L), limit)), Spots(middle, widths, table.astype(np.float32), float(first), float(last))
 

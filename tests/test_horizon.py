@@ -120,9 +120,10 @@ def test_azimuths_go_where_a_sun_is():
 
 def test_auto_takes_horizons_where_it_can_and_says_so(backend):
     scene = sl.Scene(scenes.rough(24, 24, 1.0))
-    plan = sl.render(scene, sl.Sky(), tolerance=0.01, backend=backend).plan
+    plan = sl.plan(scene, sl.Sky(), 0.01, backend)
     assert plan.method == "horizon" and 6 <= plan.azimuths <= 24 and f"{plan.azimuths} evenly" in str(plan) and "tolerance 0.01" in plan.reason
-    assert sl.render(scene, sl.Sky(), tolerance=0.001, backend=backend).plan.azimuths > plan.azimuths
+    finer = sl.render(scene, sl.Sky(), tolerance=0.001, backend=backend).plan
+    assert finer.method == "horizon" and finer.azimuths > plan.azimuths
     aperture = np.ones((24, 24), bool)
     assert sl.render(scene, sl.Window(aperture=aperture), backend=backend).plan.method == "lattice"
     assert sl.render(scene, sl.Sky(), hemicube=5, backend=backend).plan.method == "lattice"

@@ -256,6 +256,20 @@ def test_a_spike_on_a_plain_is_not_overlooked(fast):
     assert sl.plan(sl.Scene(depth), sl.Lamp((-40, 36, 5), 3), backend=fast).method == "horizon"
 
 
+def test_a_trench_in_a_plain_is_not_overlooked(fast):
+    """Under a sky, where few pilots or none lie in it; gentle ground of the same extent launches nothing."""
+    y, x = np.mgrid[:600, :600].astype(float)
+    trench = sl.Scene(np.where(np.abs(x - 300) < 4, 25.0, 0.0) + 0.01 * y)
+    out = sl.render(trench, sl.Sky(), tolerance=0.03, backend=fast, quantity="irradiance")
+    assert out.plan.method == "horizon"
+    nodes = np.full(200, 300), np.arange(200, 400)  # across it
+    wrong = out.image[nodes] - truth(trench, sl.Sky(), nodes)
+    assert np.sqrt(np.sum(wrong**2) / 600) < 0.03 * np.pi, "nothing is hidden farther away"
+    assert not Pilots(trench).alike and Pilots(SCENES["dome"]).alike and Pilots(SCENES["rough"]).alike
+    away = np.hypot(x - 300, y - 300)
+    assert not Pilots(sl.Scene(np.maximum(0, 40 - away))).alike and Pilots(sl.Scene(away**9 / 1e20)).alike, "a pit in a plain; a convex brim hides nothing, however steep"
+
+
 def test_unoccluded_closed_forms(fast):
     """Asked for by name: a tilted plane's view factor, Lambert's polygon, and balls that the tangent plane cuts."""
     tilted = sl.render(SCENES["ramp"], sl.Sky(2.0), "unoccluded", quantity="irradiance", backend=fast).image
