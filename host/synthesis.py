@@ -2,9 +2,11 @@
 
 On a pyramid of box-downsampled images, from 16 x 16 up, Gauss-Newton (backends/adjoint.py) fits a surface to all images at
 once. On every level the smoothness is let down in steps: a stiff surface has few ways to be wrong. A coarse grid cannot
-see what a fine one can, so after the first way up the solution goes down again (full approximation scheme): the coarse
-target is put right by what the two grids say of the same surface, E_coarse(restricted z) - restricted E_fine(z), and
-the change found there is brought up and kept if the fine objective falls.
+see what a fine one can: its images get a gain for the shade of relief that it does not see, and solutions go down again
+from finer grids (full approximation scheme): the coarse target is put right by what the two grids say of the same
+surface, E_coarse(restricted z) - restricted E_fine(z), and the change found there is brought up and kept if the fine
+objective falls. Large grids are solved by such cycles alone. What of the smoothness stands for noise is of the
+difference to the coarser grid's surface, which has less noise to take for relief.
 """
 
 from __future__ import annotations
@@ -242,11 +244,12 @@ class Pyramid:
         """(depth, objective) on a large grid after cycles over all coarser ones (full approximation scheme), stiff at first."""
         least, value = self.smoothness(level), math.inf
         self.damping = {}
-        for count in range(CYCLES):
-            smoothness = max(least, SOFTER[0] * (least / SOFTER[0]) ** (count / (CYCLES // 2)))
+        cycles = CYCLES if level == 0 else CYCLES // 2
+        for count in range(cycles):
+            smoothness = max(least, SOFTER[0] * (least / SOFTER[0]) ** (count / (cycles // 2)))
             before = value
             z, value = self._cycle(level, z, self.images[level], smoothness)
-            if self.stop() or (count > CYCLES // 2 and value > (1 - SLOW) * before):
+            if self.stop() or (count > cycles // 2 and value > (1 - SLOW) * before):
                 break
         return z, value
 

@@ -1,6 +1,6 @@
 """Depth from images: how accurate, how stable, how fast. Writes OUT.md and OUT.json.
 
-    python performance/recover.py [--backend NAME] [--what accuracy,stability,speed] [--sizes 64,256] [--out FOLDER]
+    python performance/recover.py [--backend NAME] [--what accuracy,stability,terrain,speed] [--sizes 64,256] [--out FOLDER]
 
 Surfaces and images are those of tests/surfaces.py: continuous surfaces, rendered five times as finely in a box with dark sides.
 RMSE in layers (nodes), of a range of 64. "paper" is method="paper" at the eps that is best for each surface with the truth in hand.
@@ -19,7 +19,6 @@ import surfaces
 from surfaces import ALBEDO, LAYERS, SURFACES, pair, rms, source_of
 
 import skylamp as sl
-from skylamp import io
 
 EPS = (0.002, 0.01, 0.02, 0.05, 0.1)
 
@@ -74,29 +73,29 @@ def stability(backend):
                    "RMSE / clean RMSE": rms(found - depth) / rms(clean - depth)}
 
 
-def terrain(size, row=40, col=60):
-    """(depth in nodes, image) of a crop of the Jacksboro fault, heights x 4, under a uniform sky in a dark box, rendered by 128 azimuths."""
-    height, spacing = io.terrain()
-    height = np.asarray(height, float)
-    while min(height.shape) < size + max(row, col):
-        height = np.kron(height, np.ones((2, 2))) if size > 512 else np.pad(height, ((0, size), (0, size)), mode="reflect")
-    crop = 4 * height[row : row + size, col : col + size] / spacing
-    depth = crop.max() - crop + 2
-    return depth, sl.render(sl.Scene(depth, albedo=ALBEDO, sides="dark"), sl.Sky(), method="horizon", azimuths=128).image.astype(float)
+def real(backend, size=256):
+    """Real terrain, its heights as they are and raised, rendered on its own grid."""
+    for kind, source in (("lamp", surfaces.lamp_over(size)), ("sun", source_of("sun")), ("sky", source_of("sky"))):
+        for heights in (1, 2, 4):
+            depth = surfaces.terrain(size, heights)
+            found = sl.recover(surfaces.image_of(depth, source), source, ALBEDO, "dark", layers=int(np.ceil(1.2 * depth.max())), backend=backend)
+            correlation, angle = surfaces.compared(depth, found.depth)
+            yield {"source": kind, "heights": heights, "correlation": correlation, "median normal error, degrees": angle, "RMSE": rms(found.depth - depth),
+                   "relief": float(np.ptp(depth)), "residual": found.levels[-1].residual, "seconds": found.seconds}
 
 
 def speed(backend, sizes):
+    """The hardest: real terrain, heights x 4, under a uniform sky; and the five surfaces."""
     for size in sizes:
-        depth, image = terrain(size)
-        layers = int(np.ceil(depth.max() * 1.2))
+        depth = surfaces.terrain(size, 4)
+        image = surfaces.image_of(depth, sl.Sky())
         start = time.perf_counter()
-        found = sl.recover(image, sl.Sky(), ALBEDO, "dark", layers=layers, backend=backend)
+        found = sl.recover(image, sl.Sky(), ALBEDO, "dark", layers=int(np.ceil(depth.max() * 1.2)), backend=backend)
         whole = time.perf_counter() - start
-        normals = [np.stack([*np.gradient(z)[::-1], -np.ones_like(z)], -1) for z in (depth, found.depth.astype(float))]
-        cosine = np.prod([1 / np.linalg.norm(n, axis=-1) for n in normals], axis=0) * (normals[0] * normals[1]).sum(-1)
-        yield {"backend": found.backend, "size": size, "seconds": found.seconds, "compiling": found.compile_seconds, "whole call": whole,
-               "correlation": float(np.corrcoef(depth.ravel(), found.depth.ravel())[0, 1]), "median normal error, degrees": float(np.degrees(np.median(np.arccos(np.clip(cosine, -1, 1))))),
-               "RMSE": rms(found.depth - depth), "relief": float(np.ptp(depth)), "residual": found.levels[-1].residual}
+        yield {"backend": found.backend, "surface": "terrain", "size": size, "seconds": found.seconds, "compiling": found.compile_seconds, "whole call": whole}
+    for name in SURFACES:
+        found = robust(pair(name, "sky")[1], sl.Sky(), backend)
+        yield {"backend": found.backend, "surface": name, "size": surfaces.SIZE, "seconds": found.seconds, "compiling": found.compile_seconds}
 
 
 def table(rows):
@@ -108,7 +107,7 @@ def table(rows):
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--backend", default="auto")
-    parser.add_argument("--what", default="accuracy,stability,speed")
+    parser.add_argument("--what", default="accuracy,stability,terrain,speed")
     parser.add_argument("--sizes", default="64,256")
     parser.add_argument("--out", default="recover")
     options = parser.parse_args()
@@ -116,7 +115,7 @@ def main():
     out.mkdir(parents=True, exist_ok=True)
     done = {}
     for what in options.what.split(","):
-        work = {"accuracy": accuracy, "stability": stability, "speed": lambda backend: speed(backend, map(int, options.sizes.split(",")))}[what]
+        work = {"accuracy": accuracy, "stability": stability, "terrain": real, "speed": lambda backend: speed(backend, map(int, options.sizes.split(",")))}[what]
         done[what] = []
         for row in work(options.backend):
             done[what].append(row)

@@ -11,6 +11,7 @@ import functools
 import numpy as np
 
 import skylamp as sl
+from skylamp import io
 
 SIZE, FINER, ALBEDO, LAYERS = 64, 5, 0.8, 64
 
@@ -74,6 +75,34 @@ def source_of(kind, size=SIZE):
     if isinstance(source, sl.Sky):
         return source
     return sl.Lamp(center=((size - 1) / 2, (size - 1) / 2, source.center[2] * scale), radius=source.radius * scale, brightness=source.brightness)
+
+
+def terrain(size, heights=1.0, row=40, col=60):
+    """Depth [nodes] of a crop of the Jacksboro fault, its heights so many times as high; mirrored where the map ends."""
+    height, spacing = io.terrain()
+    height = np.asarray(height, float)
+    if size > 512:
+        height = np.kron(height, np.ones((2, 2)))
+    height = np.pad(height, [(0, max(0, size + off - side)) for side, off in zip(height.shape, (row, col))], mode="reflect")
+    crop = heights * height[row : row + size, col : col + size] / spacing
+    return crop.max() - crop + 2
+
+
+def lamp_over(size):
+    """An isotropic lamp over the middle of a terrain."""
+    return sl.Lamp(center=((size - 1) / 2, (size - 1) / 2, -0.4 * size), radius=size / 8)
+
+
+def image_of(depth, source):
+    """Radiance (rows, cols) float64 in a box with dark sides, by 128 azimuths on the grid of the depth itself."""
+    return sl.render(sl.Scene(depth, albedo=ALBEDO, sides="dark"), source, method="horizon", azimuths=128).image.astype(float)
+
+
+def compared(depth, found):
+    """(correlation, median angle between normals [degree]) of two depth maps."""
+    normals = [np.stack([*np.gradient(np.asarray(z, float))[::-1], -np.ones(z.shape)], -1) for z in (depth, found)]
+    a, b = (n / np.linalg.norm(n, axis=-1, keepdims=True) for n in normals)
+    return float(np.corrcoef(np.ravel(depth), np.ravel(found))[0, 1]), float(np.degrees(np.median(np.arccos(np.clip((a * b).sum(-1), -1, 1)))))
 
 
 def rms(values):

@@ -90,6 +90,15 @@ def test_a_spotlights_wrong_pixels_are_marked(fast):
     assert np.concatenate(wrong).mean() > 0.9 and np.concatenate(right).mean() < 0.15
 
 
+def test_real_terrain_under_a_lamp(fast):
+    """A crop of real terrain: shape and normals."""
+    depth = surfaces.terrain(96)
+    image = surfaces.image_of(depth, surfaces.lamp_over(96))
+    got = sl.recover(image, surfaces.lamp_over(96), ALBEDO, "dark", layers=int(np.ceil(1.2 * depth.max())), backend=fast)
+    correlation, angle = surfaces.compared(depth, got.depth)
+    assert correlation > 0.98 and angle < 6
+
+
 def test_steps_end_where_scipy_ends(fast):
     """L-BFGS-B on the same objective and gradient, 16 x 16 under a sky: neither finds a surface that is better by more than a hundredth of the start's objective."""
     minimize = pytest.importorskip("scipy.optimize").minimize
