@@ -33,6 +33,10 @@ POOR = 0.02  # share of the image's rms that model and image may differ by in a 
 BADLY = 0.03  # residual, as a share of the image, from which an image is called unexplained
 
 
+class _OutOfTime(Exception):
+    """max_seconds are over."""
+
+
 @dataclass(frozen=True, eq=False)
 class Recovery:
     """What recover() gives.
@@ -202,7 +206,7 @@ def _robust(images, lights, start, layers, near, far, max_seconds, backend, prog
         if half < middle:
             z, value = pyramid.climb(z, middle, half, kick=False)
         if pyramid.stop():
-            raise TimeoutError
+            raise _OutOfTime
         answers = [(z, value)]
         for share in CONFINED:
             other, found = pyramid.confined(float(np.quantile(coarse[0], share)), middle, flat)
@@ -219,8 +223,8 @@ def _robust(images, lights, start, layers, near, far, max_seconds, backend, prog
         pyramid.best = half, z
         z, value = pyramid.climb(z, half, 0) if half else (z, value)
         if pyramid.stop():
-            raise TimeoutError
-    except TimeoutError:
+            raise _OutOfTime
+    except _OutOfTime:
         cut = f"Out of time after {seconds_left:g} s: this is the best so far."
     except KeyboardInterrupt:
         cut = "Interrupted: this is the best so far."

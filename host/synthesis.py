@@ -220,25 +220,25 @@ class Pyramid:
     def _cheap(self, level: int) -> bool:
         return max(self.images[level][0].shape) <= SMALL
 
-    def lighten(self, z: np.ndarray) -> float:
-        """The gain that lets the first grid explain the images best, starting from z; the targets of all coarse grids are divided by theirs.
+    def lighten(self, z: np.ndarray) -> None:
+        """Looks for the gain that lets the first grid explain the images best, starting from z, and divides the targets of all coarse grids by theirs.
 
         A box of nodes whose fine relief shades itself is darker than its mean surface; without a gain, coarse grids would go deeper for it.
         A gain other than 1 is believed if the objective falls below BETTER of that without."""
+        if not self.top:
+            return
         gain, least = 1.0, BETTER * self._ease(self.top, z, STIFF, FIRST)[1]
         problem = self.problem(self.top)
-        if self.top:
-            for tried in LIGHTER:
-                problem.aim([image / tried for image in self.images[self.top]])
-                value = self._ease(self.top, z, STIFF, FIRST)[1]
-                if value < least:
-                    gain, least = tried, value
+        for tried in LIGHTER:
+            problem.aim([image / tried for image in self.images[self.top]])
+            value = self._ease(self.top, z, STIFF, FIRST)[1]
+            if value < least:
+                gain, least = tried, value
         for level in range(1, self.top + 1):
             self.gains[level] = 1 - (1 - gain) * level / self.top
             self.images[level] = [image / self.gains[level] for image in self.images[level]]
             if level in self.problems:
                 self.problems[level].aim(self.images[level])
-        return gain
 
     def _cycled(self, level: int, z: np.ndarray) -> tuple[np.ndarray, float]:
         """(depth, objective) on a large grid after cycles over all coarser ones (full approximation scheme), stiff at first."""
@@ -286,8 +286,7 @@ class Pyramid:
                 break
             shape = self.images[level][0].shape
             z = 2 * cubic(z, 2)[: shape[0], : shape[1]]
-            # a coarser grid has less noise to take for relief: what stands for noise in the smoothness leans on its surface
-            self.problem(level).lean((1 - self.least(level) / self.smoothness(level)) * z)
+            self._lean(level, z)  # a coarser grid has less noise to take for relief
             z, value = self._ease(level, z, SOFTER) if self._cheap(level) else self._cycled(level, z)
             if kick and self._cheap(level):
                 z, value = self._kick(level, z, value)
@@ -306,6 +305,10 @@ class Pyramid:
             self._bound(free)
         return (z, math.inf) if self.stop() else self._ease(last, z, ())
 
+    def _lean(self, level: int, z: np.ndarray) -> None:
+        """Lets what stands for noise in the smoothness be of the difference to z, and the rest of the whole surface."""
+        self.problem(level).lean((1 - self.least(level) / self.smoothness(level)) * z)
+
     def _bound(self, bounds) -> None:
         self.bounds = bounds
         for level, problem in self.problems.items():
@@ -320,6 +323,7 @@ class Pyramid:
         model = Descent(self.engine, shape, self.sides, [(light_of(source, shape, FINER * 0.5**level, MORE), repeated / (math.pi * unit), np.zeros(shape))
                                                          for source, unit in zip(self.sources, self.units)], np.zeros(shape), np.full(shape, np.inf))
         middle, found = slice(FINER // 2, None, FINER), z
+        self._lean(level, z)  # not on what was tried last
         for _ in range(2):
             fine = model.irradiances(np.maximum(FINER * cubic(found, FINER), 1e-3))
             problem.aim([image + own - other[middle, middle] for image, own, other in zip(self.images[level], problem.irradiances(found), fine)])
@@ -359,7 +363,7 @@ class Pyramid:
     def residual(self, level: int) -> float:
         """rms of model - image, as a share of the image's, at the last surface that was evaluated there."""
         problem = self.problem(level)
-        return math.sqrt(sum(m[0] for m in problem.misfits) / (problem.pixels * len(problem.images))) / BRIGHT
+        return math.sqrt(sum(problem.misfits) / (problem.pixels * len(problem.images))) / BRIGHT
 
     def again(self, level: int, down: int, z: np.ndarray, value: float) -> tuple[np.ndarray, float]:
         """One way down to grid ``down`` and up again; the better of what was and what came of it."""

@@ -113,7 +113,7 @@ class Descent:
         self.of_team = self.each if self.teams == 1 else -(-self.pixels // self.teams)
         self.parts, self.lengths = (backend.empty((n, self.blocks), np.float64) for n in (len(images) + 1, 2))
         self.states, self.totals = [[backend.empty(shape, dtype) for _ in range(2)] for shape, dtype in (((STATE,), np.float64), ((3, SLOTS), np.int64))]
-        self.here, self._misfits, self._recorded = 0, [(), ()], {}
+        self.here, self._misfits, self._recorded = 0, [[], []], {}
 
     def _launch(self, kernel, *args, dim=None, **more):
         self.backend.launch("adjoint", kernel, dim or (-(-self.pixels // self.each),), *args, **more)
@@ -122,19 +122,21 @@ class Descent:
         return (-(-self.pixels // self.of_team),)
 
     @property
-    def misfits(self) -> list[tuple[float]]:
+    def misfits(self) -> list[float]:
         """Of every image the sum of (gain E - target)^2, at z[here]."""
         return self._misfits[self.here]
 
     def _again(self, work: Callable[[int], None], side: int, times: int = 1) -> None:
         """Does work(side), ``times`` times; from the second call on as the backend has recorded it."""
-        if (work.__name__, side) in self._recorded:
-            recorded = self._recorded[work.__name__, side] = self._recorded[work.__name__, side] or self.backend.record(lambda: work(side), times)
-            recorded()
+        key = work.__name__, side
+        if key not in self._recorded:
+            for _ in range(times):
+                work(side)
+            self._recorded[key] = None
             return
-        for _ in range(times):
-            work(side)
-        self._recorded[work.__name__, side] = None
+        if self._recorded[key] is None:
+            self._recorded[key] = self.backend.record(lambda: work(side), times)
+        self._recorded[key]()
 
     def _look(self, side: int) -> None:
         rows, cols = self.shape
@@ -153,9 +155,8 @@ class Descent:
     def evaluate(self, side: int, smoothness: float, work: Callable[[int], None] | None = None) -> float:
         """The objective at z[side], or what ``work`` makes of it; the derivatives there are kept."""
         self._again(work or self._look, side)
-        *misfits, bending = self.backend.download(self.parts).sum(1).tolist()
-        self._misfits[side] = [(misfit,) for misfit in misfits]
-        return 0.5 * (sum(misfits) + smoothness * bending)
+        *self._misfits[side], bending = self.backend.download(self.parts).sum(1).tolist()
+        return 0.5 * (sum(self._misfits[side]) + smoothness * bending)
 
     def value(self, z: np.ndarray, smoothness: float) -> float:
         """The objective at depths (rows, cols)."""
@@ -189,7 +190,7 @@ class Descent:
 
     def gradient(self, smoothness: float) -> tuple[float, float]:
         """Readies a step from z[here], which must have been evaluated: r = -gradient, v = r / scale; gives v v and r v."""
-        unit = FIXED / max(1e-12, math.sqrt(sum(m[0] for m in self.misfits)))
+        unit = FIXED / max(1e-12, math.sqrt(sum(self.misfits)))
         for image in self.images:
             self._launch("downhill", *image.links[self.here], image.gain, image.target, self.sum, self.squares, unit, FINE, *self.shape, image.count, self.of_team, self.teams, dim=self._teams())
         self._launch("begin", self.z[self.here], self.rest, self.low, self.high, self.sum, self.squares, self.scale, self.r, self.v, self.x, self.p, self.s, self.free, self.lengths,

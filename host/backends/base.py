@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import math
 import mmap
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -21,6 +22,7 @@ from .tables import Group, crossings_of, lap_table, walk_groups
 ROOM = 32  # pixel arrays end with room for whole vectors
 SIDE, PATCH = 4, (8, 4)  # nodes on a side of a block that a work-item turns, blocks (across, down) of a patch; as in opencl/scan.cl
 MOST_PIXELS = 2**30
+CPU_ALONE, CPU_EACH, GPU_AHEAD = 8192, 64, 8  # Backend.alone, each and ahead of compiled backends
 SIDES = {"open": 0, "dark": 1, "periodic": 2}
 
 Progress = Callable[[int, int], None]
@@ -70,46 +72,47 @@ def rounded_up(pixels: int) -> int:
     return -(-pixels // ROOM) * ROOM
 
 
-class Backend:
-    """One device. Subclasses give ``name``, ``device``, ``lanes``, ``memory`` and the methods that raise here."""
+class Backend(ABC):
+    """One device. Subclasses give ``name``, ``device``, ``lanes``, ``memory`` and the abstract methods."""
 
     name: str
     device: str
     memory: int  # bytes that may be taken at once
     lanes = 1  # adjacent lines per work-item
+    strips = 1  # strips of such lines that a sweep takes side by side
     alone = 0  # nodes up to which one work-item takes all steps of conjugate gradients, since starting kernels would take longer
+    ahead = 1  # pairs of such steps that are started before one looks whether to stop
     each = 1  # nodes that a work-item of a loop over all owns
     teams = 1  # work-items that have sums of their own to scatter into, where adding to one that is shared would take longer
-    ahead = 1  # pairs of such steps that are started before one looks whether to stop
-    strips = 1  # strips of such lines that a sweep takes side by side
     lines = 1  # adjacent work-items that share cache lines, where work-items of a group run together
     pixel_lanes = 1  # adjacent pixels per work-item where there are no lines; divides ROOM
     compile_seconds = 0.0
 
+    @abstractmethod
     def upload(self, array: np.ndarray):
         """A copy of ``array`` on the device."""
-        raise NotImplementedError
 
+    @abstractmethod
     def put(self, array, values: np.ndarray) -> None:
         """Sets all of a device array."""
-        raise NotImplementedError
 
+    @abstractmethod
     def empty(self, shape: tuple[int, ...], dtype, fill: int | float | None = None):
         """A new device array; every element ``fill`` if given."""
-        raise NotImplementedError
 
+    @abstractmethod
     def fill(self, array, value) -> None:
         """Set every element of a device array."""
-        raise NotImplementedError
 
+    @abstractmethod
     def download(self, array) -> np.ndarray:
         """A copy of a device array in NumPy, after all launches before it are done."""
-        raise NotImplementedError
 
+    @abstractmethod
     def view(self, array, shape: tuple[int, ...]):
         """The first elements of a device array, seen in another shape; no copy."""
-        raise NotImplementedError
 
+    @abstractmethod
     def launch(self, stem: str, kernel: str, dim: tuple[int, ...], *args, lanes: int | None = None, group: int | None = None, **constants: int) -> None:
         """Run ``kernel`` of module ``stem`` over ``dim`` work-items; scalars and vectors are passed as the kernel declares them.
 
@@ -117,7 +120,6 @@ class Backend:
         a group, where it matters. ``constants``: what must be known when the kernel is compiled, such as BITS, elevations
         per walk.
         """
-        raise NotImplementedError
 
     def record(self, work: Callable[[], None], times: int) -> Callable[[], None]:
         """What launches ``times`` times the kernels that ``work`` launches, on the same arrays with the same numbers, and faster
@@ -135,9 +137,9 @@ class Backend:
     def join(self) -> None:
         """Launches from here on come after those that were made ``beside``."""
 
+    @abstractmethod
     def finish(self) -> None:
         """Wait until all launches are done."""
-        raise NotImplementedError
 
     def reserve(self, bytes_needed: int, what: str, fix: str) -> None:
         """Raise a CapacityError if ``bytes_needed`` is more than the device may give."""

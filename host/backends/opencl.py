@@ -11,20 +11,17 @@ import weakref
 import numpy as np
 
 from ..errors import BackendError
-from .base import Backend
+from .base import CPU_ALONE, CPU_EACH, GPU_AHEAD, Backend
 
 OPTIONS = ("-cl-std=CL1.2",)
 HUGE = 2**21  # bytes of a huge page
 CPU_LANES = 8
 CPU_STRIPS = 8  # strips of lines that a sweep takes side by side
-ALONE = 8192  # nodes up to which one work-item solves for a whole step
-CPU_EACH = 64  # nodes that a work-item owns where it is a thread's turn
 CPU_TEAMS = 16  # most sets of sums that are scattered into side by side
-GPU_AHEAD_PAIRS = 8  # pairs of iterations started before one looks whether to stop
 GPU_PIXELS = 8
 GPU_LINES = 64
 GPU_GROUP = 1024  # work-items of a group of scan
-GPU_AHEAD = 6  # depths that a scan fetches before it uses them; a CPU sees ahead by itself
+FETCHED = 6  # depths that a scan on a GPU fetches before it uses them; a CPU sees ahead by itself
 
 
 def probe():
@@ -70,7 +67,7 @@ class OpenclBackend(Backend):
         self.on_cpu = bool(self._device.type & cl.device_type.CPU)
         self.lanes = CPU_LANES if self.on_cpu else 1
         self.teams = min(CPU_TEAMS, 2 * self._device.max_compute_units) if self.on_cpu else 1
-        self.alone, self.each, self.ahead = (ALONE, CPU_EACH, 1) if self.on_cpu else (0, 1, GPU_AHEAD_PAIRS)
+        self.alone, self.each, self.ahead = (CPU_ALONE, CPU_EACH, 1) if self.on_cpu else (0, 1, GPU_AHEAD)
         self.strips = CPU_STRIPS if self.on_cpu else 1
         self.lines = 1 if self.on_cpu else GPU_LINES
         self.pixel_lanes = CPU_LANES if self.on_cpu else GPU_PIXELS
@@ -184,7 +181,7 @@ class OpenclBackend(Backend):
 
         start = time.perf_counter()
         group = 1 if self.on_cpu else min(GPU_GROUP, self._device.max_work_group_size)
-        known = {"LANES": lanes, "BITS": 0, "AHEAD": 1 if self.on_cpu else GPU_AHEAD, "GROUP": group, "STRIPS": self.strips, "LINES": self.lines, "ON_CPU": int(self.on_cpu), **dict(constants)}
+        known = {"LANES": lanes, "BITS": 0, "AHEAD": 1 if self.on_cpu else FETCHED, "GROUP": group, "STRIPS": self.strips, "LINES": self.lines, "ON_CPU": int(self.on_cpu), **dict(constants)}
         defines = [f"-D{name}={value}" for name, value in known.items()]
         try:
             program = self.cl.Program(self.context, source(stem)).build([*OPTIONS, *self._exact, *defines])

@@ -10,12 +10,8 @@ import numpy as np
 
 from skylamp.warp_kernels import GROUP, LINES, PIXELS
 
-from .base import Backend
+from .base import CPU_ALONE, CPU_EACH, GPU_AHEAD, Backend
 from .numpy import available_memory
-
-ALONE = 8192  # nodes up to which one thread solves for a whole step
-CPU_EACH = 64  # nodes that a work-item of a CPU owns
-AHEAD = 8  # pairs of iterations started on a GPU before one looks whether to stop
 
 
 def probe():
@@ -52,7 +48,7 @@ class WarpBackend(Backend):
         self.device = self._device.name if self._device.is_cuda else "Warp on the CPU, 1 thread"
         self.lines = LINES if self._device.is_cuda else 1
         self.pixel_lanes = PIXELS
-        self.alone, self.each, self.ahead = (0, 1, AHEAD) if self._device.is_cuda else (ALONE, CPU_EACH, 1)
+        self.alone, self.each, self.ahead = (0, 1, GPU_AHEAD) if self._device.is_cuda else (CPU_ALONE, CPU_EACH, 1)
         self._loaded, self._side = set(), None
 
     @property
