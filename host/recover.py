@@ -25,6 +25,7 @@ DOUBT = 0.025  # of the range of depths: two answers this far apart are worth ha
 CONFINED = (0.9, 0.75)  # shares of the pixels whose depth the first answer leaves to the others
 CLEARLY = 0.9  # share of the objective below which another start's answer is taken, where one answer is expected
 HOPE = 30.0  # times the objective on a coarser grid up to which a start is followed
+ALIKE = 0.05  # nodes (rms) between surfaces that are one answer
 RIVAL = 6.0  # times the objective up to which another start counts as an answer
 WEIGHT = 4.0  # of the doubt that noise leaves, against that of another start
 FINE = 9.0  # of the squared distance to the surface of a finer model
@@ -207,10 +208,11 @@ def _robust(images, lights, start, layers, near, far, max_seconds, backend, prog
             z, value = pyramid.climb(z, middle, half, kick=False)
         if pyramid.stop():
             raise _OutOfTime
-        answers = [(z, value)]
+        answers, followed = [(z, value)], [coarse[0]]
         for share in CONFINED:
             other, found = pyramid.confined(float(np.quantile(coarse[0], share)), middle, flat)
-            if found < HOPE * max(coarse[1], pyramid.good(middle)):
+            if found < HOPE * max(coarse[1], pyramid.good(middle)) and all(_apart(other, one) > ALIKE for one in followed):
+                followed.append(other)
                 answers.append(pyramid.climb(other, middle, half, kick=False, keep=False) if half < middle else (other, found))
         if min(found for _, found in answers) > pyramid.good(half):
             answers.append(pyramid.climb(flat, top, half, keep=False))
@@ -245,6 +247,10 @@ def _robust(images, lights, start, layers, near, far, max_seconds, backend, prog
         warnings.append(f"Ambiguous: {ambiguous.mean():.0%} of the pixels have several depths that explain them; give near= and far=, or a second image.")
     return Recovery(depth, np.zeros(shape, bool), engine.name, spent(), engine.compile_seconds - compiled, warnings, confidence.astype(np.float32),
                     candidates, ambiguous, (residual * pyramid.units[0]).astype(np.float32), tuple(levels))
+
+
+def _apart(one, other) -> float:
+    return math.sqrt(np.mean((one - other) ** 2)) if one.shape == other.shape else math.inf
 
 
 def _directed(light) -> bool:

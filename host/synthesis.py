@@ -36,15 +36,15 @@ LEAST, FINEST = 1e-5, 1e-6  # smoothness for an image without noise; on a large 
 STIFF = (1e-2, 1e-3, 1e-4)  # smoothness let down to it on the first grid
 SOFTER = (1e-3, 1e-4)  # and on all others
 STEPS, FIRST = 20, 30  # Gauss-Newton steps at one smoothness; of the first grid
-MOST, TOLERANCE = 300, 0.003  # conjugate gradients of a step: what is broad moves last, and what is wrong is mostly broad
+MOST, TOLERANCE = 60, 0.02  # conjugate gradients of a step: what is broad moves last, and what is wrong is mostly broad
 BETTER = 0.5  # share of the objective below which another start is believed instead of the first
 SMALL = 64  # grids on which this is cheap; larger ones are cycled
 SMOOTH, BOTTOM, CAREFUL = (4, 60, 0.03), (10, 100, 0.03), 1e-2  # steps, conjugate gradients, tolerance of a cycle's grids and of its coarsest; first damping
 CYCLES, SLOW = 14, 0.03  # of a large grid; the fall of the objective in one below which it is the last
-LIGHTER = (0.97, 0.94, 0.9, 0.85, 0.8, 0.75, 0.7, 0.65, 0.6)  # gains tried for what a coarse grid does not see
+LIGHTER, BETWEEN = (0.9, 0.8, 0.65), 0.05  # gains tried for what a coarse grid does not see, and about the best of them
 SETTLED = 1e-3  # share of the objective below which a step is the last
 KICKED, ROUNDS, ENOUGH = 32, 2, 0.8  # grids on which a surface is kicked out of its minimum, rounds of kicks, the fall of the objective that asks for one more
-GOOD = 0.0015  # residual, as a share of the image, that is not worth disturbing
+GOOD = 0.0025  # residual, as a share of the image, that is not worth disturbing
 SHADE = 0.35  # residual on a coarse grid, over what its gain lacks to 1: shade of fine relief is not the same everywhere
 TEXTURE = 16.0  # variance on half as fine a grid over that on a grid, of what relief leaves in second differences of the light
 BEND, BEYOND = 0.1, 0.03  # variance of second differences of a surface on the first grid, and of what a grid adds to a coarser one, against which noise is weighed
@@ -227,13 +227,19 @@ class Pyramid:
         A gain other than 1 is believed if the objective falls below BETTER of that without."""
         if not self.top:
             return
-        gain, least = 1.0, BETTER * self._ease(self.top, z, STIFF, FIRST)[1]
         problem = self.problem(self.top)
-        for tried in LIGHTER:
-            problem.aim([image / tried for image in self.images[self.top]])
-            value = self._ease(self.top, z, STIFF, FIRST)[1]
-            if value < least:
-                gain, least = tried, value
+
+        def reached(gain):
+            problem.aim([image / gain for image in self.images[self.top]])
+            return self._ease(self.top, z, STIFF, FIRST)[1]
+
+        values = {1.0: reached(1.0)}
+        values |= {gain: reached(gain) for gain in LIGHTER}
+        best = min(values, key=values.get)
+        if best < 1:
+            values |= {gain: reached(gain) for gain in (best - BETWEEN, best + BETWEEN)}
+            best = min(values, key=values.get)
+        gain = best if values[best] < BETTER * values[1.0] else 1.0
         for level in range(1, self.top + 1):
             self.gains[level] = 1 - (1 - gain) * level / self.top
             self.images[level] = [image / self.gains[level] for image in self.images[level]]

@@ -701,16 +701,13 @@ long taken(__global long *sum, int i, int pixels, int teams)
 }
 
 /* begin: the downhill direction r = -(sum unit + lambda unbend (z - rest)), 0 where a bound holds z (free 0); scale = squares fine + least;
-   v = r / scale, and x = p = s = sum = squares = 0 for conjugate gradients. In part (2, blocks) v v and r v. */
+   x = p = s = sum = squares = 0 for conjugate gradients. */
 __kernel void begin(__global const float *z, __global const float *rest, __global const float *low, __global const float *high, __global long *sum, __global long *squares,
-                    __global float *scale, __global float *r, __global float *v, __global float *x, __global float *p, __global float *s,
-                    __global float *is_free, __global double *part, float unit, float fine, float least, float lambda_, int rows, int cols, int teams)
+                    __global float *scale, __global float *r, __global float *x, __global float *p, __global float *s, __global float *is_free,
+                    float unit, float fine, float least, float lambda_, int rows, int cols, int each, int teams)
 {
-  const int g = get_global_id(0), pixels = rows * cols, blocks = (pixels - 1) / BLOCK + 1;
-  if (g >= blocks)
-    return;
-  double square = 0, product = 0;
-  for (int i = g * BLOCK; i < min(pixels, g * BLOCK + BLOCK); ++i) {
+  const int g = get_global_id(0), pixels = rows * cols;
+  for (int i = g * each; i < min(pixels, g * each + each); ++i) {
     const float smooth = (unbend(z + i, i % cols, cols, 1) + unbend(z + i, i / cols, rows, cols))
                          - (unbend(rest + i, i % cols, cols, 1) + unbend(rest + i, i / cols, rows, cols));
     const float down = -(convert_float(taken(sum, i, pixels, teams)) * unit + lambda_ * smooth);
@@ -718,10 +715,86 @@ __kernel void begin(__global const float *z, __global const float *rest, __globa
     scale[i] = convert_float(taken(squares, i, pixels, teams)) * fine + least;
     is_free[i] = moves;
     r[i] = moves * down;
-    v[i] = r[i] / scale[i];
     x[i] = 0;
     p[i] = 0;
     s[i] = 0;
+  }
+}
+
+/* What preconditions: v = r / scale, and the same on grids FOUR and FOUR^2 times as coarse, brought up by linear interpolation
+   (Bramble, Pasciak and Xu 1990); r is brought down by its transpose. */
+#define FOUR 4
+
+/* Node j of a coarse line of n: its share in node FOUR j - 2 + a of the fine one. */
+float hat(int a, int j, int n)
+{
+  return (a < 4 ? j == 0 : j == n - 1) ? 1 : (a < 4 ? 2 * a + 1 : 15 - 2 * a) * 0.125f;
+}
+
+/* Node (x, y) of what is brought down to a coarse grid from one of rows x cols. */
+float lowered(__global const float *from, int rows, int cols, int x, int y)
+{
+  const int n_rows = (rows - 1) / FOUR + 1, n_cols = (cols - 1) / FOUR + 1;
+  const int a_0 = max(0, 2 - FOUR * x), a_1 = min(2 * FOUR, cols + 2 - FOUR * x), b_0 = max(0, 2 - FOUR * y), b_1 = min(2 * FOUR, rows + 2 - FOUR * y);
+  from += (FOUR * y - 2) * cols + FOUR * x - 2;
+  float sum = 0;
+#if LANES == 8
+  if (a_1 - a_0 == LANES) {
+    floats columns = 0;
+    for (int b = b_0; b < b_1; ++b)
+      columns += hat(b, y, n_rows) * READ(b * cols, from);
+    for (int a = 0; a < LANES; ++a)
+      sum += hat(a, x, n_cols) * columns[a];
+    return sum;
+  }
+#endif
+  for (int a = a_0; a < a_1; ++a) {
+    float column = 0;
+    for (int b = b_0; b < b_1; ++b)
+      column += hat(b, y, n_rows) * from[b * cols + a];
+    sum += hat(a, x, n_cols) * column;
+  }
+  return sum;
+}
+
+/* down: to = times what is brought down; over `scale`, if asked to divide. */
+__kernel void down(__global const float *from, __global const float *scale, __global float *to, float times, int divides, int rows, int cols)
+{
+  const int x = get_global_id(0), y = get_global_id(1), n_rows = (rows - 1) / FOUR + 1, n_cols = (cols - 1) / FOUR + 1;
+  if (x >= n_cols || y >= n_rows)
+    return;
+  const float sum = times * lowered(from, rows, cols, x, y);
+  to[y * n_cols + x] = divides ? sum / scale[y * n_cols + x] : sum;
+}
+
+/* v = free (r / scale + what is brought up from a coarse grid), for the nodes of row y that lie in its node x. */
+void up_at(__global const float *r, __global const float *scale, __global const float *is_free, __global const float *from, __global float *v, int rows, int cols, int x, int y)
+{
+  const int n_rows = (rows - 1) / FOUR + 1, n_cols = (cols - 1) / FOUR + 1, k = y % FOUR, i = y * cols + FOUR * x;
+  const float share = (k < 2 ? 3 - 2 * k : 2 * k - 3) * 0.125f, own = 1 - share;
+  __global const float *here = from + y / FOUR * n_cols, *beside = from + clamp(k < 2 ? y / FOUR - 1 : y / FOUR + 1, 0, n_rows - 1) * n_cols;
+  const int left = max(x - 1, 0), right = min(x + 1, n_cols - 1);
+  const float a = own * here[left] + share * beside[left], b = own * here[x] + share * beside[x], c = own * here[right] + share * beside[right];
+  const float4 raised = (float4)(0.625f * b + 0.375f * a, 0.875f * b + 0.125f * a, 0.875f * b + 0.125f * c, 0.625f * b + 0.375f * c);
+  for (int l = 0; l < min(FOUR, cols - FOUR * x); ++l)
+    v[i + l] = is_free[i + l] * (r[i + l] / scale[i + l] + raised[l]);
+}
+
+__kernel void up(__global const float *r, __global const float *scale, __global const float *is_free, __global const float *from, __global float *v, int rows, int cols)
+{
+  const int x = get_global_id(0), y = get_global_id(1);
+  if (x * FOUR < cols && y < rows)
+    up_at(r, scale, is_free, from, v, rows, cols, x, y);
+}
+
+/* lengths: in part (2, blocks) the sums of v v and of r v. */
+__kernel void lengths(__global const float *r, __global const float *v, __global double *part, int pixels)
+{
+  const int g = get_global_id(0), blocks = (pixels - 1) / BLOCK + 1;
+  if (g >= blocks)
+    return;
+  double square = 0, product = 0;
+  for (int i = g * BLOCK; i < min(pixels, g * BLOCK + BLOCK); ++i) {
     square += (double)v[i] * (double)v[i];
     product += (double)r[i] * (double)v[i];
   }
@@ -810,19 +883,17 @@ Turn turn_of(__global const double *state, long3 total, double fixed_, double ex
 }
 
 /* go: a step of conjugate gradients with one sum (Chronopoulos and Gear 1989): p = v + beta p, s = w + beta s, x += alpha p,
-   r -= alpha s, v = r / scale. */
-void go_at(__global const float *scale, __global const float *w, __global float *r, __global float *v, __global float *x, __global float *p,
-           __global float *s, float alpha, float beta, int i)
+   r -= alpha s. */
+void go_at(__global const float *v, __global const float *w, __global float *r, __global float *x, __global float *p, __global float *s, float alpha,
+           float beta, int i)
 {
   p[i] = v[i] + beta * p[i];
   s[i] = w[i] + beta * s[i];
   x[i] += alpha * p[i];
   r[i] -= alpha * s[i];
-  v[i] = r[i] / scale[i];
 }
 
-__kernel void go(__global const float *scale, __global const float *w, __global float *r, __global float *v, __global float *x, __global float *p,
-                 __global float *s, __global const long *totals, __global long *next_totals, __global const double *state, __global double *next,
+__kernel void go(__global const float *v, __global const float *w, __global float *r, __global float *x, __global float *p, __global float *s, __global const long *totals, __global long *next_totals, __global const double *state, __global double *next,
                  double fixed_, double exact, int pixels, int each)
 {
   const int g = get_global_id(0);
@@ -840,7 +911,7 @@ __kernel void go(__global const float *scale, __global const float *w, __global 
   }
   if (state[LEFT] > 0 && turn.goes)
     for (int i = g * each; i < min(pixels, g * each + each); ++i)
-      go_at(scale, w, r, v, x, p, s, (float)turn.next[ALPHA], (float)turn.beta, i);
+      go_at(v, w, r, x, p, s, (float)turn.next[ALPHA], (float)turn.beta, i);
 }
 
 /* ready: the state and the totals before the first iteration; square and product: v v and r v. One work-item. */
@@ -862,16 +933,19 @@ __kernel void ready(__global double *state, __global long *totals, double square
   state[LEAST] = least;
 }
 
-/* solve: product, curve and go until they stop, by one work-item: on a small grid a CPU takes longer to start a kernel than to
-   run it. */
+/* solve: product, curve, go, down and up until they stop, by one work-item: on a small grid a CPU takes longer to start a kernel
+   than to run it. 4 and 16: of the coarse grids. */
 __kernel void solve(__global const float *restrict light, __global const int *restrict held, __global const int *restrict first, __global const int *restrict second,
                     __global const float *restrict near, __global const float *restrict far, __global const float *restrict gain,
-                    __global const float *restrict scale, __global const float *restrict is_free, __global long *restrict sum, __global float *restrict r,
-                    __global float *restrict v, __global float *restrict w, __global float *restrict x, __global float *restrict p, __global float *restrict s,
-                    __global double *restrict state, double fixed_, double exact, int rows, int cols, int count)
+                    __global const float *restrict scale, __global const float *restrict scale_4, __global const float *restrict scale_16,
+                    __global const float *restrict is_free, __global const float *restrict is_free_4, __global long *restrict sum, __global float *restrict r, __global float *restrict r_4,
+                    __global float *restrict v, __global float *restrict v_4, __global float *restrict v_16, __global float *restrict w,
+                    __global float *restrict x, __global float *restrict p, __global float *restrict s, __global double *restrict state, double fixed_, double exact,
+                    int rows, int cols, int count)
 {
   const Links links = {light, held, first, second, near, far, count};
-  const int pixels = rows * cols;
+  const int pixels = rows * cols, rows_4 = (rows - 1) / FOUR + 1, cols_4 = (cols - 1) / FOUR + 1;
+  const int rows_16 = (rows_4 - 1) / FOUR + 1, cols_16 = (cols_4 - 1) / FOUR + 1;
   if (get_global_id(0) > 0)
     return;
   while (state[LEFT] > 0) {
@@ -885,8 +959,22 @@ __kernel void solve(__global const float *restrict light, __global const int *re
     const Turn turn = turn_of(state, total, fixed_, exact);
     for (int i = 0; i < STATE; ++i)
       state[i] = turn.next[i];
-    for (int i = 0; turn.goes && i < pixels; ++i)
-      go_at(scale, w, r, v, x, p, s, (float)turn.next[ALPHA], (float)turn.beta, i);
+    if (!turn.goes)
+      return;
+    for (int i = 0; i < pixels; ++i)
+      go_at(v, w, r, x, p, s, (float)turn.next[ALPHA], (float)turn.beta, i);
+    for (int y = 0; y < rows_4; ++y)
+      for (int x = 0; x < cols_4; ++x)
+        r_4[y * cols_4 + x] = lowered(r, rows, cols, x, y);
+    for (int y = 0; y < rows_16; ++y)
+      for (int x = 0; x < cols_16; ++x)
+        v_16[y * cols_16 + x] = lowered(r_4, rows_4, cols_4, x, y) / scale_16[y * cols_16 + x];
+    for (int y = 0; y < rows_4; ++y)
+      for (int x = 0; x < cols_16; ++x)
+        up_at(r_4, scale_4, is_free_4, v_16, v_4, rows_4, cols_4, x, y);
+    for (int y = 0; y < rows; ++y)
+      for (int x = 0; x < cols_4; ++x)
+        up_at(r, scale, is_free, v_4, v, rows, cols, x, y);
   }
 }
 

@@ -25,6 +25,8 @@ BESIDE = 32  # nodes whose links lie side by side; as there
 SLOTS = 32  # places that a sum of whole numbers is spread over; as there
 LEFT, GAIN, STATE = 0, 7, 11  # in the state of conjugate gradients: iterations left, what was gained; its length; as there
 TILE = 8  # nodes across the squares whose highest point is known; as there
+FOUR, QUARTERED = 4, 2  # times as coarse is every grid that preconditions than the one before; how many there are
+BROAD, BROADER = 0.075, 0.125  # a coarse node's curvature over the sum of its nodes' diagonal; of the next: as measured, curvature falls as the width to -1.5
 MARGIN = 16
 NONE = -1e30
 FIXED = 2.0**36  # of fixed point, over the length of the vector that is multiplied
@@ -105,7 +107,12 @@ class Descent:
         self.heights = backend.empty((rows * (cols + 2 * MARGIN),), np.float32, NONE)
         self.tilts, self.top = backend.empty((2, self.pixels), np.float32), backend.empty((1,), np.int32)
         self.tiles = backend.empty((-(-rows // TILE) * -(-cols // TILE),), np.float32)
-        *self.z, self.r, self.v, self.w, self.p, self.s, self.x, self.free, self.scale = (backend.empty((self.pixels,), np.float32) for _ in range(10))
+        *self.z, self.w, self.p, self.s, self.x = (backend.empty((self.pixels,), np.float32) for _ in range(6))
+        self.shapes = [shape]
+        for _ in range(QUARTERED):
+            self.shapes.append(tuple(-(-size // FOUR) for size in self.shapes[-1]))
+        self.r, self.v, self.scale = ([backend.empty((down * across,), np.float32) for down, across in self.shapes] for _ in range(3))  # on all these grids
+        self.free = [backend.empty((down * across,), np.float32, 1) for down, across in self.shapes[:-1]]
         self.rest = backend.empty((self.pixels,), np.float32, 0)
         self.low, self.high = (backend.upload(np.broadcast_to(np.asarray(bound, np.float32), shape).ravel()) for bound in (low, high))
         self.sum, self.squares = (backend.empty((backend.teams, self.pixels), np.int64, 0) for _ in range(2))
@@ -193,9 +200,26 @@ class Descent:
         unit = FIXED / max(1e-12, math.sqrt(sum(self.misfits)))
         for image in self.images:
             self._launch("downhill", *image.links[self.here], image.gain, image.target, self.sum, self.squares, unit, FINE, *self.shape, image.count, self.of_team, self.teams, dim=self._teams())
-        self._launch("begin", self.z[self.here], self.rest, self.low, self.high, self.sum, self.squares, self.scale, self.r, self.v, self.x, self.p, self.s, self.free, self.lengths,
-                     1 / unit, 1 / FINE, 12 * smoothness + 1e-7, smoothness, *self.shape, self.teams, dim=(self.blocks,))
+        self._launch("begin", self.z[self.here], self.rest, self.low, self.high, self.sum, self.squares, self.scale[0], self.r[0], self.x, self.p, self.s, self.free[0],
+                     1 / unit, 1 / FINE, 12 * smoothness + 1e-7, smoothness, *self.shape, self.each, self.teams)
+        for level in range(QUARTERED):
+            self._down(level, self.scale, BROAD if level == 0 else BROADER)
+        self._precondition()
+        self._launch("lengths", self.r[0], self.v[0], self.lengths, self.pixels, dim=(self.blocks,))
         return tuple(self.backend.download(self.lengths).sum(1).tolist())
+
+    def _down(self, level: int, arrays, times: float = 1.0, over=None) -> None:
+        rows, cols = self.shapes[level + 1]
+        to = arrays[level + 1] if over is None else self.v[level + 1]
+        self._launch("down", arrays[level], to if over is None else over, to, times, over is not None, *self.shapes[level], dim=(cols, rows))
+
+    def _precondition(self) -> None:
+        """v = r / scale, and the same on coarser grids."""
+        self._down(0, self.r)
+        self._down(1, self.r, over=self.scale[2])
+        for level in (1, 0):
+            rows, cols = self.shapes[level]
+            self._launch("up", self.r[level], self.scale[level], self.free[level], self.v[level + 1], self.v[level], rows, cols, dim=(self.shapes[level + 1][1], rows))
 
     def solve(self, smoothness: float, damping: float, most: int, tolerance: float) -> float:
         """Conjugate gradients for a step x from z[here]; what the quadratic model gains by it."""
@@ -206,7 +230,7 @@ class Descent:
         self._launch("ready", state, self.totals[0], square, product, smoothness, damping, tolerance**2, FIXED, EXACT, most, dim=(1,))
         if len(self.images) == 1 and self.pixels <= self.backend.alone:
             image = self.images[0]
-            self._launch("solve", *image.links[self.here], image.gain, self.scale, self.free, self.sum, self.r, self.v, self.w, self.x, self.p, self.s, state,
+            self._launch("solve", *image.links[self.here], image.gain, *self.scale, *self.free, self.sum, *self.r[:2], *self.v, self.w, self.x, self.p, self.s, state,
                          FIXED, EXACT, *self.shape, image.count, dim=(1,))
             return float(self.backend.download(state)[GAIN])
         left = most
@@ -219,11 +243,12 @@ class Descent:
         """Of conjugate gradients, from one state to the other and back."""
         for now, then in ((0, 1), (1, 0)):
             for image in self.images:
-                self._launch("product", *image.links[side], image.gain, self.v, self.sum, self.states[now], *self.shape, image.count, self.of_team, self.teams, dim=self._teams())
-            self._launch("curve", self.r, self.v, self.scale, self.free, self.sum, self.w, self.totals[now], self.states[now], *self.shape, self.each,
+                self._launch("product", *image.links[side], image.gain, self.v[0], self.sum, self.states[now], *self.shape, image.count, self.of_team, self.teams, dim=self._teams())
+            self._launch("curve", self.r[0], self.v[0], self.scale[0], self.free[0], self.sum, self.w, self.totals[now], self.states[now], *self.shape, self.each,
                          self.teams)
-            self._launch("go", self.scale, self.w, self.r, self.v, self.x, self.p, self.s, self.totals[now], self.totals[then], self.states[now],
+            self._launch("go", self.v[0], self.w, self.r[0], self.x, self.p, self.s, self.totals[now], self.totals[then], self.states[now],
                          self.states[then], FIXED, EXACT, self.pixels, self.each)
+            self._precondition()
 
     def run(self, start: np.ndarray, smoothness: float, steps: int, most: int, tolerance: float = 0.1, settled: float = SETTLED,
             stop: Callable[[], bool] | None = None, damping: float = DAMPING) -> tuple[np.ndarray, float]:
