@@ -24,12 +24,11 @@ UNIT = 2**30  # the largest sum of weights, and so of light, in carving's whole 
 DOUBT = 0.025  # of the range of depths: two answers this far apart are worth half the confidence
 CONFINED = (0.9, 0.75)  # shares of the pixels whose depth the first answer leaves to the others
 CLEARLY = 0.9  # share of the objective below which another start's answer is taken, where one answer is expected
-HOPE = 30.0  # times the objective on a coarser grid up to which a start is followed
+HOPE = 8.0  # times the objective on a coarser grid up to which a start is followed
 ALIKE = 0.05  # nodes (rms) between surfaces that are one answer
 RIVAL = 6.0  # times the objective up to which another start counts as an answer
 WEIGHT = 4.0  # of the doubt that noise leaves, against that of another start
 FINE = 9.0  # of the squared distance to the surface of a finer model
-SPREAD = 4.0  # of the squared distance to surfaces that were found from this one when disturbed
 POOR = 0.02  # share of the image's rms that model and image may differ by in a place that is to be believed
 BADLY = 0.03  # residual, as a share of the image, from which an image is called unexplained
 
@@ -203,25 +202,29 @@ def _robust(images, lights, start, layers, near, far, max_seconds, backend, prog
         flat = pyramid.bounds[top][0] + shares[np.argmin(misfits)] * (pyramid.bounds[top][1] - pyramid.bounds[top][0])
         pyramid.lighten(flat)
         middle = min(half + 1, top)  # the grid on which starts are sorted out
-        z, value = coarse = pyramid.climb(flat, top, middle, kick=False)
+        z, value = coarse = pyramid.climb(flat, top, middle)
         if half < middle:
-            z, value = pyramid.climb(z, middle, half, kick=False)
+            z, value = pyramid.climb(z, middle, half)
         if pyramid.stop():
             raise _OutOfTime
-        answers, followed = [(z, value)], [coarse[0]]
+        starts = [coarse]
         for share in CONFINED:
             other, found = pyramid.confined(float(np.quantile(coarse[0], share)), middle, flat)
-            if found < HOPE * max(coarse[1], pyramid.good(middle)) and all(_apart(other, one) > ALIKE for one in followed):
-                followed.append(other)
-                answers.append(pyramid.climb(other, middle, half, kick=False, keep=False) if half < middle else (other, found))
-        if min(found for _, found in answers) > pyramid.good(half):
-            answers.append(pyramid.climb(flat, top, half, keep=False))
+            if all(_apart(other, one) > ALIKE for one, _ in starts):
+                starts.append((other, found))
+        _join(pyramid, middle, starts)
+        answers = [(z, value)]
+        for other, found in starts[1:]:
+            if found < HOPE * max(coarse[1], pyramid.good(middle)):
+                answers.append(pyramid.climb(other, middle, half, keep=False) if half < middle else (other, found))
         answers = [answer for answer in answers if answer[0].shape == pyramid.images[half][0].shape]  # others ran out of time
+        _join(pyramid, half, answers)
         best, least = min(answers, key=lambda answer: answer[1])
         several = any(map(_directed, lights))  # answers: then the lower objective need not be the right one's
         if least < (BETTER if several else CLEARLY) * value:
             z, value = best, least
         rivals = [(other - z, min(1, value / found) ** (1 if several else 2)) for other, found in answers if other is not z and found < RIVAL * value]
+        z, value = pyramid.polish(half, z)
         pyramid.best = half, z
         z, value = pyramid.climb(z, half, 0) if half else (z, value)
         if pyramid.stop():
@@ -249,6 +252,12 @@ def _robust(images, lights, start, layers, near, far, max_seconds, backend, prog
                     candidates, ambiguous, (residual * pyramid.units[0]).astype(np.float32), tuple(levels))
 
 
+def _join(pyramid, level, answers) -> None:
+    """Adds the mosaic of these surfaces, if there are several and none is good: different starts are right in different places."""
+    if len(answers) > 1 and min(found for _, found in answers) > pyramid.good(level):
+        answers.append(pyramid.mosaic(level, [z for z, _ in answers]))
+
+
 def _apart(one, other) -> float:
     return math.sqrt(np.mean((one - other) ** 2)) if one.shape == other.shape else math.inf
 
@@ -262,7 +271,7 @@ def _trust(pyramid, level, z, rivals, half, depth_range) -> tuple[np.ndarray, np
     """(confidence, other candidates (n, rows, cols) in nodes), on the finest grid.
 
     Doubt is the distance to other starts' surfaces (``rivals``: apart on grid ``half``, and how well theirs explain the image beside this
-    one), to the surface that a finer model finds, to those found from this one disturbed, what noise could do (Pyramid.doubt), and how
+    one), to the surface that a finer model finds, what noise could do (Pyramid.doubt), and how
     badly the image is met in the neighbourhood.
     """
     small, grid = z, level
@@ -275,9 +284,6 @@ def _trust(pyramid, level, z, rivals, half, depth_range) -> tuple[np.ndarray, np
         for _ in range(grid - half):
             apart = _halved(apart)
         doubt = doubt + (share * blurred(np.abs(apart))) ** 2
-    if others := [(tried, value) for at_level, tried, value in pyramid.tried if at_level == grid]:
-        best = min(value for _, value in others)
-        doubt = doubt + SPREAD * blurred(sum(best / value * (tried - small) ** 2 for tried, value in others) / len(others))
     off = pyramid.problem(grid).irradiances(small)[0] - pyramid.images[grid][0]
     poor = blurred(off**2) / (POOR * BRIGHT + 3 * pyramid.noise) ** 2
     confidence = 1 / (1 + doubt / limit**2 + poor)

@@ -36,15 +36,14 @@ LEAST, FINEST = 1e-5, 1e-6  # smoothness for an image without noise; on a large 
 STIFF = (1e-2, 1e-3, 1e-4)  # smoothness let down to it on the first grid
 SOFTER = (1e-3, 1e-4)  # and on all others
 STEPS, FIRST = 20, 30  # Gauss-Newton steps at one smoothness; of the first grid
-MOST, TOLERANCE = 60, 0.02  # conjugate gradients of a step: what is broad moves last, and what is wrong is mostly broad
+MOST, TOLERANCE = 60, 0.05  # conjugate gradients of a step: what is broad moves last, and what is wrong is mostly broad
 BETTER = 0.5  # share of the objective below which another start is believed instead of the first
 SMALL = 64  # grids on which this is cheap; larger ones are cycled
 SMOOTH, BOTTOM, CAREFUL = (4, 60, 0.03), (10, 100, 0.03), 1e-2  # steps, conjugate gradients, tolerance of a cycle's grids and of its coarsest; first damping
 CYCLES, SLOW = 14, 0.03  # of a large grid; the fall of the objective in one below which it is the last
 LIGHTER, BETWEEN = (0.9, 0.8, 0.65), 0.05  # gains tried for what a coarse grid does not see, and about the best of them
-SETTLED = 1e-3  # share of the objective below which a step is the last
-KICKED, ROUNDS, ENOUGH = 32, 2, 0.8  # grids on which a surface is kicked out of its minimum, rounds of kicks, the fall of the objective that asks for one more
-GOOD = 0.0025  # residual, as a share of the image, that is not worth disturbing
+ROUGHLY, SETTLED = 5e-3, 1e-3  # share of the objective below which a step is the last, on the way and at the end
+GOOD = 0.0025  # residual, as a share of the image, below which no other surface is looked for
 SHADE = 0.35  # residual on a coarse grid, over what its gain lacks to 1: shade of fine relief is not the same everywhere
 TEXTURE = 16.0  # variance on half as fine a grid over that on a grid, of what relief leaves in second differences of the light
 BEND, BEYOND = 0.1, 0.03  # variance of second differences of a surface on the first grid, and of what a grid adds to a coarser one, against which noise is weighed
@@ -172,7 +171,6 @@ class Pyramid:
         self.noise = math.sqrt(float(np.mean([noise_of(image) ** 2 for image in self.images[0]])))
         self.problems = {}
         self.gains = [1.0] * (self.top + 1)
-        self.tried = []  # (level, depth, objective) of all surfaces that were kicked and eased
         self.best = None  # (level, depth): the last surface that was accepted, whatever comes
 
     def smoothness(self, level: int) -> float:
@@ -209,13 +207,17 @@ class Pyramid:
             misfits.append(value)
         return share, np.array(misfits)
 
-    def _ease(self, level: int, z: np.ndarray, stiff, steps: int = STEPS) -> tuple[np.ndarray, float]:
+    def _ease(self, level: int, z: np.ndarray, stiff, steps: int = STEPS, settled: float = ROUGHLY) -> tuple[np.ndarray, float]:
         problem = self.problem(level)
         z = np.clip(z, *self.bounds[level])
         least = self.smoothness(level)
         for smoothness in (*(s for s in stiff if s > least), least):
-            z, value = problem.run(z, smoothness, steps, MOST, TOLERANCE, SETTLED, self.stop)
+            z, value = problem.run(z, smoothness, steps, MOST, TOLERANCE, settled, self.stop)
         return z, value
+
+    def polish(self, level: int, z: np.ndarray) -> tuple[np.ndarray, float]:
+        """(depth, objective) of a surface that was eased, worked out."""
+        return self._ease(level, z, (), settled=SETTLED)
 
     def _cheap(self, level: int) -> bool:
         return max(self.images[level][0].shape) <= SMALL
@@ -278,10 +280,10 @@ class Pyramid:
         tried, reached = self._smooth(level, z + 2 * doubled(change, z.shape), target, smoothness)
         return (tried, reached) if reached < value else (z, value)
 
-    def climb(self, z: np.ndarray, start: int, last: int, kick: bool = True, keep: bool = True) -> tuple[np.ndarray, float]:
+    def climb(self, z: np.ndarray, start: int, last: int, keep: bool = True) -> tuple[np.ndarray, float]:
         """(depth, objective) on grid ``last`` from a surface on grid ``start``, which is worked over first if it is the coarsest.
 
-        ``kick``: whether to look for other minima near by; ``keep``: whether this is the answer so far."""
+        ``keep``: whether this is the answer so far."""
         value = math.inf
         if start == self.top:
             z, value = self._ease(start, z, STIFF, FIRST)
@@ -294,22 +296,27 @@ class Pyramid:
             z = 2 * cubic(z, 2)[: shape[0], : shape[1]]
             self._lean(level, z)  # a coarser grid has less noise to take for relief
             z, value = self._ease(level, z, SOFTER) if self._cheap(level) else self._cycled(level, z)
-            if kick and self._cheap(level):
-                z, value = self._kick(level, z, value)
             if keep:
                 self._keep(level, z)
         return z, value
 
     def confined(self, deepest: float, last: int, start: np.ndarray) -> tuple[np.ndarray, float]:
-        """As climb(kick=False), with no depth beyond ``deepest`` [nodes of grid ``last``] until the end: the shallow answer, where there are several."""
+        """As climb, with no depth beyond ``deepest`` [nodes of grid ``last``] until the end: the shallow answer, where there are several."""
         free = self.bounds
         shallow = [(low, np.clip(deepest * 2.0 ** (last - level), low + MARGIN, high)) for level, (low, high) in enumerate(free)]
         self._bound(shallow)
         try:
-            z, _ = self.climb(start, self.top, last, kick=False, keep=False)
+            z, _ = self.climb(start, self.top, last, keep=False)
         finally:
             self._bound(free)
         return (z, math.inf) if self.stop() else self._ease(last, z, ())
+
+    def mosaic(self, level: int, surfaces: list[np.ndarray]) -> tuple[np.ndarray, float]:
+        """(depth, objective) from a surface that is everywhere the one of these that explains the images best in the neighbourhood."""
+        off = [sum((light - target) ** 2 for light, target in zip(self.problem(level).irradiances(z), self.images[level])) for z in surfaces]
+        off = [blurred(blurred(square)) + 1e-12 for square in off]
+        shares = [blurred((np.min(off, 0) / square) ** 2) for square in off]
+        return self._ease(level, sum(share * z for share, z in zip(shares, surfaces)) / sum(shares), SOFTER)
 
     def _lean(self, level: int, z: np.ndarray) -> None:
         """Lets what stands for noise in the smoothness be of the difference to z, and the rest of the whole surface."""
@@ -337,27 +344,6 @@ class Pyramid:
         problem.aim(self.images[level])
         return found
 
-    def _kick(self, level: int, z: np.ndarray, value: float) -> tuple[np.ndarray, float]:
-        """The best of the minima near this one: the surface is disturbed, eased again, and kept if the objective fell."""
-        small = max(z.shape) < 2 * KICKED
-        for _ in range(ROUNDS if small else 1):
-            if value < self.good(level):
-                break
-            before = value
-            for kick in KICKS if small else KICKS[:1]:
-                if self.stop():
-                    return z, value
-                tried, reached = self._ease(level, kick(z), SOFTER)
-                self.tried.append((level, tried, reached))
-                if reached < value:
-                    z, value = tried, reached
-            for down in range(self.top, level, -1):
-                if not self.stop():
-                    z, value = self.again(level, down, z, value)
-            if value > ENOUGH * before:
-                break
-        return z, value
-
     def _keep(self, level: int, z: np.ndarray) -> None:
         if self.best is None or self.best[0] >= level:
             self.best = level, z
@@ -370,25 +356,6 @@ class Pyramid:
         """rms of model - image, as a share of the image's, at the last surface that was evaluated there."""
         problem = self.problem(level)
         return math.sqrt(sum(problem.misfits) / (problem.pixels * len(problem.images))) / BRIGHT
-
-    def again(self, level: int, down: int, z: np.ndarray, value: float) -> tuple[np.ndarray, float]:
-        """One way down to grid ``down`` and up again; the better of what was and what came of it."""
-        fine, coarse = self.problem(level), self.problem(down)
-        light, target, small = fine.irradiances(z), self.images[level], np.asarray(z, float)
-        for _ in range(down - level):
-            light, target, small = [halved(v) for v in light], [halved(v) for v in target], halved(small) / 2
-        seen = coarse.irradiances(small)
-        coarse.aim([t + s - l for t, s, l in zip(target, seen, light)])
-        change, _ = self._ease(down, small, SOFTER)
-        coarse.aim(self.images[down])
-        change = change - small
-        for up in range(down - 1, level - 1, -1):
-            change = 2 * doubled(change, self.images[up][0].shape)
-        tried, reached = self._ease(level, z + change, SOFTER)
-        if reached < value:
-            return tried, reached
-        fine.value(z, self.smoothness(level))
-        return z, value
 
     def doubt(self, level: int, z: np.ndarray, seed: int = 0) -> np.ndarray:
         """Standard deviation of depth at z by the linear model, in nodes of this grid: what noise as large as the image's own and FAITH of
@@ -420,5 +387,3 @@ def blurred(values: np.ndarray) -> np.ndarray:
         values = sum(padded[i : i + values.shape[0], j : j + values.shape[1]] for i in range(3) for j in range(3)) / 9
     return values
 
-
-KICKS = (blurred, lambda z: z.mean() + 0.7 * (z - z.mean()), lambda z: z - 2, lambda z: z + 2)
