@@ -207,12 +207,12 @@ class Pyramid:
             misfits.append(value)
         return share, np.array(misfits)
 
-    def _ease(self, level: int, z: np.ndarray, stiff, steps: int = STEPS, settled: float = ROUGHLY) -> tuple[np.ndarray, float]:
+    def _ease(self, level: int, z: np.ndarray, stiff, steps: int = STEPS, settled: float | None = None) -> tuple[np.ndarray, float]:
         problem = self.problem(level)
         z = np.clip(z, *self.bounds[level])
         least = self.smoothness(level)
         for smoothness in (*(s for s in stiff if s > least), least):
-            z, value = problem.run(z, smoothness, steps, MOST, TOLERANCE, settled, self.stop)
+            z, value = problem.run(z, smoothness, steps, MOST, TOLERANCE, settled or ROUGHLY, self.stop)
         return z, value
 
     def polish(self, level: int, z: np.ndarray) -> tuple[np.ndarray, float]:

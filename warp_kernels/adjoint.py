@@ -33,6 +33,7 @@ ALONG = wp.constant(wp.float32(1e-6))  # closer to the grid is along it: n times
 LEVEL = wp.constant(wp.float32(0.01))  # slope below which a map that repeats is not searched
 SLACK = wp.constant(wp.float32(1.00001))  # what is left out must be lower by more than roundings
 BLOCK = wp.constant(wp.int32(16))  # nodes that a thread of a sum owns
+FOUR = wp.constant(wp.int32(4))  # times as coarse is every grid that preconditions than the one before
 BESIDE = wp.constant(wp.int32(32))  # nodes whose links lie side by side: a GPU reads them at once, and a CPU's cache holds them
 ROOM = wp.constant(wp.int32(32))  # with which an array ends that is read in whole vectors
 SLOTS = wp.constant(wp.int32(32))  # places that a sum of whole numbers is spread over
@@ -769,16 +770,13 @@ def downhill(light: wp.array[wp.float32], held: wp.array[wp.int32], first: wp.ar
 
 @wp.kernel
 def begin(z: wp.array[wp.float32], rest: wp.array[wp.float32], low: wp.array[wp.float32], high: wp.array[wp.float32], sum: wp.array[wp.int64], squares: wp.array[wp.int64],
-          scale: wp.array[wp.float32], r: wp.array[wp.float32], v: wp.array[wp.float32], x: wp.array[wp.float32], p: wp.array[wp.float32],
-          s: wp.array[wp.float32], is_free: wp.array[wp.float32], part: wp.array[wp.float64], unit: wp.float32, fine: wp.float32,
-          least: wp.float32, lambda_: wp.float32, rows: wp.int32, cols: wp.int32, teams: wp.int32):
+          scale: wp.array[wp.float32], r: wp.array[wp.float32], x: wp.array[wp.float32], p: wp.array[wp.float32], s: wp.array[wp.float32],
+          is_free: wp.array[wp.float32], unit: wp.float32, fine: wp.float32, least: wp.float32, lambda_: wp.float32, rows: wp.int32, cols: wp.int32,
+          each: wp.int32, teams: wp.int32):
     """The downhill direction r = -(sum unit + lambda unbend (z - rest)), 0 where a bound holds z (free 0); scale = squares fine + least;
-    v = r / scale, and x = p = s = sum = squares = 0 for conjugate gradients. In part (2, blocks) v v and r v."""
+    x = p = s = sum = squares = 0 for conjugate gradients."""
     g = wp.tid()
-    pixels = rows * cols
-    square = wp.float64(0.0)
-    product = wp.float64(0.0)
-    for i in range(g * BLOCK, wp.min(pixels, g * BLOCK + BLOCK)):
+    for i in range(g * each, wp.min(rows * cols, g * each + each)):
         smooth = (unbend(z, i, i % cols, cols, 1) + unbend(z, i, i / cols, rows, cols)) - (unbend(rest, i, i % cols, cols, 1) + unbend(rest, i, i / cols, rows, cols))
         down = -(wp.float32(sum[i]) * unit + lambda_ * smooth)
         moves = wp.float32(1.0)
@@ -789,10 +787,95 @@ def begin(z: wp.array[wp.float32], rest: wp.array[wp.float32], low: wp.array[wp.
         squares[i] = wp.int64(0)
         is_free[i] = moves
         r[i] = moves * down
-        v[i] = r[i] / scale[i]
         x[i] = 0.0
         p[i] = 0.0
         s[i] = 0.0
+
+
+# What preconditions: v = r / scale, and the same on grids FOUR and FOUR^2 times as coarse, brought up by linear interpolation
+# (Bramble, Pasciak and Xu 1990); r is brought down by its transpose.
+
+
+@wp.func
+def hat(a: wp.int32, j: wp.int32, n: wp.int32):
+    """Node j of a coarse line of n: its share in node FOUR j - 2 + a of the fine one."""
+    share = wp.float32(wp.min(2 * a + 1, 15 - 2 * a)) * 0.125
+    if (a < FOUR and j == 0) or (a >= FOUR and j == n - 1):
+        share = 1.0
+    return share
+
+
+@wp.func
+def lowered(from_: wp.array[wp.float32], rows: wp.int32, cols: wp.int32, x: wp.int32, y: wp.int32):
+    """Node (x, y) of what is brought down to a coarse grid from one of rows x cols."""
+    n_rows = (rows - 1) / FOUR + 1
+    n_cols = (cols - 1) / FOUR + 1
+    sum = wp.float32(0.0)
+    for a in range(wp.max(0, 2 - FOUR * x), wp.min(2 * FOUR, cols + 2 - FOUR * x)):
+        column = wp.float32(0.0)
+        for b in range(wp.max(0, 2 - FOUR * y), wp.min(2 * FOUR, rows + 2 - FOUR * y)):
+            column += hat(b, y, n_rows) * from_[(FOUR * y - 2 + b) * cols + FOUR * x - 2 + a]
+        sum += hat(a, x, n_cols) * column
+    return sum
+
+
+@wp.kernel
+def down(from_: wp.array[wp.float32], scale: wp.array[wp.float32], to: wp.array[wp.float32], times: wp.float32, divides: wp.int32, rows: wp.int32,
+         cols: wp.int32):
+    """to = times what is brought down; over ``scale``, if asked to divide."""
+    x, y = wp.tid()
+    sum = times * lowered(from_, rows, cols, x, y)
+    j = y * ((cols - 1) / FOUR + 1) + x
+    if divides != 0:
+        sum = sum / scale[j]
+    to[j] = sum
+
+
+@wp.func
+def beside(i: wp.int32, n: wp.int32):
+    """The coarse node that has a share in fine node i and is not its own."""
+    step = wp.int32(-1)
+    if i % FOUR > 1:
+        step = 1
+    return wp.clamp(i / FOUR + step, 0, n - 1)
+
+
+@wp.func
+def share_of(i: wp.int32):
+    """Its share."""
+    return wp.float32(wp.abs(2 * (i % FOUR) - 3)) * 0.125
+
+
+@wp.func
+def up_at(r: wp.array[wp.float32], scale: wp.array[wp.float32], is_free: wp.array[wp.float32], from_: wp.array[wp.float32], v: wp.array[wp.float32],
+          rows: wp.int32, cols: wp.int32, x: wp.int32, y: wp.int32):
+    """v = free (r / scale + what is brought up from a coarse grid) at node (x, y)."""
+    n_cols = (cols - 1) / FOUR + 1
+    here = y / FOUR * n_cols
+    there = beside(y, (rows - 1) / FOUR + 1) * n_cols
+    along = share_of(y)
+    own = (1.0 - along) * from_[here + x / FOUR] + along * from_[there + x / FOUR]
+    other = (1.0 - along) * from_[here + beside(x, n_cols)] + along * from_[there + beside(x, n_cols)]
+    across = share_of(x)
+    i = y * cols + x
+    v[i] = is_free[i] * (r[i] / scale[i] + ((1.0 - across) * own + across * other))
+
+
+@wp.kernel
+def up(r: wp.array[wp.float32], scale: wp.array[wp.float32], is_free: wp.array[wp.float32], from_: wp.array[wp.float32], v: wp.array[wp.float32],
+       rows: wp.int32, cols: wp.int32):
+    """See up_at."""
+    x, y = wp.tid()
+    up_at(r, scale, is_free, from_, v, rows, cols, x, y)
+
+
+@wp.kernel
+def lengths(r: wp.array[wp.float32], v: wp.array[wp.float32], part: wp.array[wp.float64], pixels: wp.int32):
+    """In part (2, blocks) the sums of v v and of r v."""
+    g = wp.tid()
+    square = wp.float64(0.0)
+    product = wp.float64(0.0)
+    for i in range(g * BLOCK, wp.min(pixels, g * BLOCK + BLOCK)):
         square += wp.float64(v[i]) * wp.float64(v[i])
         product += wp.float64(r[i]) * wp.float64(v[i])
     part[g] = square
@@ -892,22 +975,19 @@ def turn_of(state: wp.array[wp.float64], total: Sums, fixed_: wp.float64, exact:
 
 
 @wp.func
-def go_at(scale: wp.array[wp.float32], w: wp.array[wp.float32], r: wp.array[wp.float32], v: wp.array[wp.float32], x: wp.array[wp.float32],
-          p: wp.array[wp.float32], s: wp.array[wp.float32], alpha: wp.float32, beta: wp.float32, i: wp.int32):
+def go_at(v: wp.array[wp.float32], w: wp.array[wp.float32], r: wp.array[wp.float32], x: wp.array[wp.float32], p: wp.array[wp.float32], s: wp.array[wp.float32], alpha: wp.float32, beta: wp.float32, i: wp.int32):
     """See go."""
     p[i] = v[i] + beta * p[i]
     s[i] = w[i] + beta * s[i]
     x[i] = x[i] + alpha * p[i]
     r[i] = r[i] - alpha * s[i]
-    v[i] = r[i] / scale[i]
 
 
 @wp.kernel
-def go(scale: wp.array[wp.float32], w: wp.array[wp.float32], r: wp.array[wp.float32], v: wp.array[wp.float32], x: wp.array[wp.float32],
-       p: wp.array[wp.float32], s: wp.array[wp.float32], totals: wp.array[wp.int64], next_totals: wp.array[wp.int64],
+def go(v: wp.array[wp.float32], w: wp.array[wp.float32], r: wp.array[wp.float32], x: wp.array[wp.float32], p: wp.array[wp.float32], s: wp.array[wp.float32], totals: wp.array[wp.int64], next_totals: wp.array[wp.int64],
        state: wp.array[wp.float64], next: wp.array[wp.float64], fixed_: wp.float64, exact: wp.float64, pixels: wp.int32, each: wp.int32):
     """A step of conjugate gradients with one sum (Chronopoulos and Gear 1989): p = v + beta p, s = w + beta s, x += alpha p,
-    r -= alpha s, v = r / scale."""
+    r -= alpha s."""
     g = wp.tid()
     if state[LEFT] > wp.float64(0.0):
         total = Sums()
@@ -921,7 +1001,7 @@ def go(scale: wp.array[wp.float32], w: wp.array[wp.float32], r: wp.array[wp.floa
                 next_totals[i] = wp.int64(0)
         if goes != 0:
             for i in range(g * each, wp.min(pixels, g * each + each)):
-                go_at(scale, w, r, v, x, p, s, wp.float32(after_[ALPHA]), wp.float32(beta), i)
+                go_at(v, w, r, x, p, s, wp.float32(after_[ALPHA]), wp.float32(beta), i)
     elif g == 0:
         for i in range(11):
             next[i] = state[i]
@@ -946,12 +1026,18 @@ def ready(state: wp.array[wp.float64], totals: wp.array[wp.int64], square: wp.fl
 
 @wp.kernel
 def solve(light: wp.array[wp.float32], held: wp.array[wp.int32], first: wp.array[wp.int32], second: wp.array[wp.int32],
-          near: wp.array[wp.float32], far: wp.array[wp.float32], gain: wp.array[wp.float32], scale: wp.array[wp.float32], is_free: wp.array[wp.float32],
-          sum: wp.array[wp.int64], r: wp.array[wp.float32], v: wp.array[wp.float32], w: wp.array[wp.float32], x: wp.array[wp.float32],
-          p: wp.array[wp.float32], s: wp.array[wp.float32], state: wp.array[wp.float64], fixed_: wp.float64, exact: wp.float64,
+          near: wp.array[wp.float32], far: wp.array[wp.float32], gain: wp.array[wp.float32], scale: wp.array[wp.float32], scale_4: wp.array[wp.float32],
+          scale_16: wp.array[wp.float32], is_free: wp.array[wp.float32], is_free_4: wp.array[wp.float32], sum: wp.array[wp.int64], r: wp.array[wp.float32],
+          r_4: wp.array[wp.float32], v: wp.array[wp.float32], v_4: wp.array[wp.float32], v_16: wp.array[wp.float32], w: wp.array[wp.float32],
+          x: wp.array[wp.float32], p: wp.array[wp.float32], s: wp.array[wp.float32], state: wp.array[wp.float64], fixed_: wp.float64, exact: wp.float64,
           rows: wp.int32, cols: wp.int32, count: wp.int32):
-    """product, curve and go until they stop, by one thread: on a small grid a CPU takes longer to start a kernel than to run it."""
+    """product, curve, go, down and up until they stop, by one thread: on a small grid a CPU takes longer to start a kernel than to
+    run it. 4 and 16: of the coarse grids."""
     pixels = rows * cols
+    rows_4 = (rows - 1) / FOUR + 1
+    cols_4 = (cols - 1) / FOUR + 1
+    rows_16 = (rows_4 - 1) / FOUR + 1
+    cols_16 = (cols_4 - 1) / FOUR + 1
     while state[LEFT] > wp.float64(0.0):
         total = Sums()
         unit = wp.float32(wp.float64(1.0) / state[SCATTERED])
@@ -963,9 +1049,18 @@ def solve(light: wp.array[wp.float32], held: wp.array[wp.int32], first: wp.array
         after_, beta, goes = turn_of(state, total, fixed_, exact)
         for i in range(11):
             state[i] = after_[i]
-        if goes != 0:
-            for i in range(pixels):
-                go_at(scale, w, r, v, x, p, s, wp.float32(after_[ALPHA]), wp.float32(beta), i)
+        if goes == 0:
+            return
+        for i in range(pixels):
+            go_at(v, w, r, x, p, s, wp.float32(after_[ALPHA]), wp.float32(beta), i)
+        for j in range(rows_4 * cols_4):
+            r_4[j] = lowered(r, rows, cols, j % cols_4, j / cols_4)
+        for j in range(rows_16 * cols_16):
+            v_16[j] = lowered(r_4, rows_4, cols_4, j % cols_16, j / cols_16) / scale_16[j]
+        for j in range(rows_4 * cols_4):
+            up_at(r_4, scale_4, is_free_4, v_16, v_4, rows_4, cols_4, j % cols_4, j / cols_4)
+        for i in range(pixels):
+            up_at(r, scale, is_free, v_4, v, rows, cols, i % cols, i / cols)
 
 
 @wp.kernel

@@ -385,14 +385,52 @@ def downhill(light, held, first, second, near, far, gain, target, sum, squares, 
     _spread(*links, squares[0], gain * gain * f32(fine), True, rows, cols)
 
 
-def begin(z, rest, low, high, sum, squares, scale, r, v, x, p, s, is_free, part, unit, fine, least, lambda_, rows, cols, teams):
+def begin(z, rest, low, high, sum, squares, scale, r, x, p, s, is_free, unit, fine, least, lambda_, rows, cols, each, teams):
     down = -(sum[0].astype(f32) * f32(unit) + f32(lambda_) * (_unbend(z, rows, cols) - _unbend(rest, rows, cols)))
     is_free[:] = ~(((z <= low) & (down < 0)) | ((z >= high) & (down > 0)))
     scale[:] = squares[0].astype(f32) * f32(fine) + f32(least)
     r[:] = is_free * down
-    v[:] = r / scale
     for array in (sum, squares, x, p, s):
         array[:] = 0
+
+
+FOUR = 4
+HAT = (2 * np.minimum(np.arange(2 * FOUR), 2 * FOUR - 1 - np.arange(2 * FOUR)) + 1).astype(f32) / f32(2 * FOUR)
+
+
+def _lowered(v):
+    """Rows of v, brought down to a line of nodes FOUR times as coarse."""
+    size, few = len(v), (len(v) - 1) // FOUR + 1
+    total = np.zeros((few, *v.shape[1:]), f32)
+    for a, share in enumerate(HAT):
+        at = FOUR * np.arange(few) - 2 + a
+        shares = np.full(few, share)
+        shares[0 if a < FOUR else -1] = 1
+        some = (at >= 0) & (at < size)
+        total[some] += shares[some, None] * v[at[some]]
+    return total
+
+
+def down(from_, scale, to, times, divides, rows, cols):
+    to[:] = f32(times) * _lowered(_lowered(from_.reshape(rows, cols)).T).T.ravel()
+    if divides:
+        to /= scale
+
+
+def _raised(v, size):
+    """Rows of v, brought up by linear interpolation to so many."""
+    at, k = np.divmod(np.arange(size), FOUR)
+    beside = np.clip(np.where(k < 2, at - 1, at + 1), 0, len(v) - 1)
+    share = (np.where(k < 2, 3 - 2 * k, 2 * k - 3).astype(f32) / f32(2 * FOUR))[:, None]
+    return (1 - share) * v[at] + share * v[beside]
+
+
+def up(r, scale, is_free, from_, v, rows, cols):
+    coarse = from_.reshape((rows - 1) // FOUR + 1, -1)
+    v[:] = is_free * (r / scale + _raised(_raised(coarse, rows).T, cols).T.ravel())
+
+
+def lengths(r, v, part, pixels):
     a, b = (array.astype(np.float64) for array in (r, v))
     part.reshape(-1)[:] = np.concatenate([_by_blocks(b * b), _by_blocks(a * b)])
 
@@ -416,7 +454,7 @@ def curve(r, v, scale, is_free, sum, w, totals, state, rows, cols, each, teams):
             totals[n, 0] = values.astype(np.int64).sum()
 
 
-def go(scale, w, r, v, x, p, s, totals, next_totals, state, next, fixed, exact, pixels, each):
+def go(v, w, r, x, p, s, totals, next_totals, state, next, fixed, exact, pixels, each):
     next[:] = state
     if state[LEFT] <= 0:
         return
@@ -438,7 +476,6 @@ def go(scale, w, r, v, x, p, s, totals, next_totals, state, next, fixed, exact, 
     s[:] = w + beta * s
     x += alpha * p
     r -= alpha * s
-    v[:] = r / scale
 
 
 def ready(state, totals, square, product, lambda_, damping, least, fixed, exact, most):
