@@ -191,7 +191,8 @@ def _robust(images, lights, start, layers, near, far, max_seconds, backend, prog
         if progress:
             progress(len(levels), pyramid.top + 1)
 
-    pyramid = Pyramid(engine, images, lights, start.albedo, sides, np.maximum(low, 1e-3), high, note=note)
+    several = any(map(_directed, lights))  # answers: then the lower objective need not be the right one's
+    pyramid = Pyramid(engine, images, lights, start.albedo, sides, np.maximum(low, 1e-3), high, several, note=note)
     compiled = engine.compile_seconds
     spent = lambda: time.perf_counter() - pyramid.began - (engine.compile_seconds - compiled)
     pyramid.stop = lambda: spent() > seconds_left
@@ -220,7 +221,6 @@ def _robust(images, lights, start, layers, near, far, max_seconds, backend, prog
         answers = [answer for answer in answers if answer[0].shape == pyramid.images[half][0].shape]  # others ran out of time
         _join(pyramid, half, answers)
         best, least = min(answers, key=lambda answer: answer[1])
-        several = any(map(_directed, lights))  # answers: then the lower objective need not be the right one's
         if least < (BETTER if several else CLEARLY) * value:
             z, value = best, least
         rivals = [(other - z, min(1, value / found) ** (1 if several else 2)) for other, found in answers if other is not z and found < RIVAL * value]

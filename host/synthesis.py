@@ -36,13 +36,13 @@ LEAST, FINEST = 1e-5, 1e-6  # smoothness for an image without noise; on a large 
 STIFF = (1e-2, 1e-3, 1e-4)  # smoothness let down to it on the first grid
 SOFTER = (1e-3, 1e-4)  # and on all others
 STEPS, FIRST = 20, 30  # Gauss-Newton steps at one smoothness; of the first grid
-MOST, TOLERANCE = 60, 0.05  # conjugate gradients of a step: what is broad moves last, and what is wrong is mostly broad
+MOST = 60  # conjugate gradients of a step
+LOOSE, CLOSE = (0.05, 5e-3), (0.02, 1e-3)  # tolerance of conjugate gradients, and share of the objective below which a step is the last: on the way, at the end
 BETTER = 0.5  # share of the objective below which another start is believed instead of the first
 SMALL = 64  # grids on which this is cheap; larger ones are cycled
 SMOOTH, BOTTOM, CAREFUL = (4, 60, 0.03), (10, 100, 0.03), 1e-2  # steps, conjugate gradients, tolerance of a cycle's grids and of its coarsest; first damping
 CYCLES, SLOW = 14, 0.03  # of a large grid; the fall of the objective in one below which it is the last
 LIGHTER, BETWEEN = (0.9, 0.8, 0.65), 0.05  # gains tried for what a coarse grid does not see, and about the best of them
-ROUGHLY, SETTLED = 5e-3, 1e-3  # share of the objective below which a step is the last, on the way and at the end
 GOOD = 0.0025  # residual, as a share of the image, below which no other surface is looked for
 SHADE = 0.35  # residual on a coarse grid, over what its gain lacks to 1: shade of fine relief is not the same everywhere
 TEXTURE = 16.0  # variance on half as fine a grid over that on a grid, of what relief leaves in second differences of the light
@@ -151,13 +151,15 @@ def noise_of(image: np.ndarray) -> float:
 class Pyramid:
     """The problem on all grids. Lengths in nodes of the finest grid outside, in each grid's own inside.
 
-    images (rows, cols) radiance; albedo a number or (rows, cols); near, far (rows, cols) bounds.
+    images (rows, cols) radiance; albedo a number or (rows, cols); near, far (rows, cols) bounds. ``several``: whether there may be
+    several answers; then all are followed closely, since the way decides which one is found.
     ``stop``: asked after every step whether to end; ``note``: told of every level that was reached.
     """
 
     def __init__(self, engine: Backend, images: list[np.ndarray], lights: list[sources.Source], albedo, sides: str, near: np.ndarray, far: np.ndarray,
-                 stop: Callable[[], bool] = lambda: False, note: Callable[[Level], None] = lambda level: None):
+                 several: bool = False, stop: Callable[[], bool] = lambda: False, note: Callable[[Level], None] = lambda level: None):
         self.engine, self.sources, self.sides, self.stop, self.note = engine, lights, sides, stop, note
+        self.pace = CLOSE if several else LOOSE
         self.began = time.perf_counter()
         self.units = [math.sqrt(float(np.mean(np.square(image)))) / BRIGHT for image in images]
         self.images = [[image / unit for image, unit in zip(images, self.units)]]
@@ -207,17 +209,17 @@ class Pyramid:
             misfits.append(value)
         return share, np.array(misfits)
 
-    def _ease(self, level: int, z: np.ndarray, stiff, steps: int = STEPS, settled: float | None = None) -> tuple[np.ndarray, float]:
+    def _ease(self, level: int, z: np.ndarray, stiff, steps: int = STEPS, pace: tuple[float, float] | None = None) -> tuple[np.ndarray, float]:
         problem = self.problem(level)
         z = np.clip(z, *self.bounds[level])
         least = self.smoothness(level)
         for smoothness in (*(s for s in stiff if s > least), least):
-            z, value = problem.run(z, smoothness, steps, MOST, TOLERANCE, settled or ROUGHLY, self.stop)
+            z, value = problem.run(z, smoothness, steps, MOST, *(pace or self.pace), self.stop)
         return z, value
 
     def polish(self, level: int, z: np.ndarray) -> tuple[np.ndarray, float]:
         """(depth, objective) of a surface that was eased, worked out."""
-        return self._ease(level, z, (), settled=SETTLED)
+        return self._ease(level, z, (), pace=CLOSE)
 
     def _cheap(self, level: int) -> bool:
         return max(self.images[level][0].shape) <= SMALL
@@ -340,7 +342,7 @@ class Pyramid:
         for _ in range(2):
             fine = model.irradiances(np.maximum(FINER * cubic(found, FINER), 1e-3))
             problem.aim([image + own - other[middle, middle] for image, own, other in zip(self.images[level], problem.irradiances(found), fine)])
-            found, _ = problem.run(found, self.smoothness(level), 4, MOST, TOLERANCE, SETTLED, self.stop)
+            found, _ = problem.run(found, self.smoothness(level), 4, MOST, *CLOSE, self.stop)
         problem.aim(self.images[level])
         return found
 
@@ -367,7 +369,7 @@ class Pyramid:
         for _ in range(PROBES):
             problem.aim([image + sigma * rng.normal(size=z.shape) for image in images])
             problem.value(z, 0.0)
-            total += problem.step(self.smoothness(level), MOST, TOLERANCE) ** 2
+            total += problem.step(self.smoothness(level), MOST, CLOSE[0]) ** 2
         problem.aim(self.images[level])
         return np.sqrt(blurred(total / PROBES))
 

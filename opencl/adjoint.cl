@@ -732,17 +732,17 @@ float hat(int a, int j, int n)
 }
 
 /* Node (x, y) of what is brought down to a coarse grid from one of rows x cols. */
-float lowered(__global const float *from, int rows, int cols, int x, int y)
+float lowered(__global const float *fine, int rows, int cols, int x, int y)
 {
   const int n_rows = (rows - 1) / FOUR + 1, n_cols = (cols - 1) / FOUR + 1;
   const int a_0 = max(0, 2 - FOUR * x), a_1 = min(2 * FOUR, cols + 2 - FOUR * x), b_0 = max(0, 2 - FOUR * y), b_1 = min(2 * FOUR, rows + 2 - FOUR * y);
-  from += (FOUR * y - 2) * cols + FOUR * x - 2;
+  fine += (FOUR * y - 2) * cols + FOUR * x - 2;
   float sum = 0;
 #if LANES == 8
   if (a_1 - a_0 == LANES) {
     floats columns = 0;
     for (int b = b_0; b < b_1; ++b)
-      columns += hat(b, y, n_rows) * READ(b * cols, from);
+      columns += hat(b, y, n_rows) * READ(b * cols, fine);
     for (int a = 0; a < LANES; ++a)
       sum += hat(a, x, n_cols) * columns[a];
     return sum;
@@ -751,28 +751,28 @@ float lowered(__global const float *from, int rows, int cols, int x, int y)
   for (int a = a_0; a < a_1; ++a) {
     float column = 0;
     for (int b = b_0; b < b_1; ++b)
-      column += hat(b, y, n_rows) * from[b * cols + a];
+      column += hat(b, y, n_rows) * fine[b * cols + a];
     sum += hat(a, x, n_cols) * column;
   }
   return sum;
 }
 
 /* down: to = times what is brought down; over `scale`, if asked to divide. */
-__kernel void down(__global const float *from, __global const float *scale, __global float *to, float times, int divides, int rows, int cols)
+__kernel void down(__global const float *fine, __global const float *scale, __global float *to, float times, int divides, int rows, int cols)
 {
   const int x = get_global_id(0), y = get_global_id(1), n_rows = (rows - 1) / FOUR + 1, n_cols = (cols - 1) / FOUR + 1;
   if (x >= n_cols || y >= n_rows)
     return;
-  const float sum = times * lowered(from, rows, cols, x, y);
+  const float sum = times * lowered(fine, rows, cols, x, y);
   to[y * n_cols + x] = divides ? sum / scale[y * n_cols + x] : sum;
 }
 
 /* v = free (r / scale + what is brought up from a coarse grid), for the nodes of row y that lie in its node x. */
-void up_at(__global const float *r, __global const float *scale, __global const float *is_free, __global const float *from, __global float *v, int rows, int cols, int x, int y)
+void up_at(__global const float *r, __global const float *scale, __global const float *is_free, __global const float *coarse, __global float *v, int rows, int cols, int x, int y)
 {
   const int n_rows = (rows - 1) / FOUR + 1, n_cols = (cols - 1) / FOUR + 1, k = y % FOUR, i = y * cols + FOUR * x;
   const float share = (k < 2 ? 3 - 2 * k : 2 * k - 3) * 0.125f, own = 1 - share;
-  __global const float *here = from + y / FOUR * n_cols, *beside = from + clamp(k < 2 ? y / FOUR - 1 : y / FOUR + 1, 0, n_rows - 1) * n_cols;
+  __global const float *here = coarse + y / FOUR * n_cols, *beside = coarse + clamp(k < 2 ? y / FOUR - 1 : y / FOUR + 1, 0, n_rows - 1) * n_cols;
   const int left = max(x - 1, 0), right = min(x + 1, n_cols - 1);
   const float a = own * here[left] + share * beside[left], b = own * here[x] + share * beside[x], c = own * here[right] + share * beside[right];
   const float4 raised = (float4)(0.625f * b + 0.375f * a, 0.875f * b + 0.125f * a, 0.875f * b + 0.125f * c, 0.625f * b + 0.375f * c);
@@ -780,11 +780,11 @@ void up_at(__global const float *r, __global const float *scale, __global const 
     v[i + l] = is_free[i + l] * (r[i + l] / scale[i + l] + raised[l]);
 }
 
-__kernel void up(__global const float *r, __global const float *scale, __global const float *is_free, __global const float *from, __global float *v, int rows, int cols)
+__kernel void up(__global const float *r, __global const float *scale, __global const float *is_free, __global const float *coarse, __global float *v, int rows, int cols)
 {
   const int x = get_global_id(0), y = get_global_id(1);
   if (x * FOUR < cols && y < rows)
-    up_at(r, scale, is_free, from, v, rows, cols, x, y);
+    up_at(r, scale, is_free, coarse, v, rows, cols, x, y);
 }
 
 /* lengths: in part (2, blocks) the sums of v v and of r v. */

@@ -806,7 +806,7 @@ def hat(a: wp.int32, j: wp.int32, n: wp.int32):
 
 
 @wp.func
-def lowered(from_: wp.array[wp.float32], rows: wp.int32, cols: wp.int32, x: wp.int32, y: wp.int32):
+def lowered(fine: wp.array[wp.float32], rows: wp.int32, cols: wp.int32, x: wp.int32, y: wp.int32):
     """Node (x, y) of what is brought down to a coarse grid from one of rows x cols."""
     n_rows = (rows - 1) / FOUR + 1
     n_cols = (cols - 1) / FOUR + 1
@@ -814,17 +814,17 @@ def lowered(from_: wp.array[wp.float32], rows: wp.int32, cols: wp.int32, x: wp.i
     for a in range(wp.max(0, 2 - FOUR * x), wp.min(2 * FOUR, cols + 2 - FOUR * x)):
         column = wp.float32(0.0)
         for b in range(wp.max(0, 2 - FOUR * y), wp.min(2 * FOUR, rows + 2 - FOUR * y)):
-            column += hat(b, y, n_rows) * from_[(FOUR * y - 2 + b) * cols + FOUR * x - 2 + a]
+            column += hat(b, y, n_rows) * fine[(FOUR * y - 2 + b) * cols + FOUR * x - 2 + a]
         sum += hat(a, x, n_cols) * column
     return sum
 
 
 @wp.kernel
-def down(from_: wp.array[wp.float32], scale: wp.array[wp.float32], to: wp.array[wp.float32], times: wp.float32, divides: wp.int32, rows: wp.int32,
+def down(fine: wp.array[wp.float32], scale: wp.array[wp.float32], to: wp.array[wp.float32], times: wp.float32, divides: wp.int32, rows: wp.int32,
          cols: wp.int32):
     """to = times what is brought down; over ``scale``, if asked to divide."""
-    x, y = wp.tid()
-    sum = times * lowered(from_, rows, cols, x, y)
+    y, x = wp.tid()
+    sum = times * lowered(fine, rows, cols, x, y)
     j = y * ((cols - 1) / FOUR + 1) + x
     if divides != 0:
         sum = sum / scale[j]
@@ -847,26 +847,27 @@ def share_of(i: wp.int32):
 
 
 @wp.func
-def up_at(r: wp.array[wp.float32], scale: wp.array[wp.float32], is_free: wp.array[wp.float32], from_: wp.array[wp.float32], v: wp.array[wp.float32],
+def up_at(r: wp.array[wp.float32], scale: wp.array[wp.float32], is_free: wp.array[wp.float32], coarse: wp.array[wp.float32], v: wp.array[wp.float32],
           rows: wp.int32, cols: wp.int32, x: wp.int32, y: wp.int32):
     """v = free (r / scale + what is brought up from a coarse grid) at node (x, y)."""
     n_cols = (cols - 1) / FOUR + 1
     here = y / FOUR * n_cols
     there = beside(y, (rows - 1) / FOUR + 1) * n_cols
     along = share_of(y)
-    own = (1.0 - along) * from_[here + x / FOUR] + along * from_[there + x / FOUR]
-    other = (1.0 - along) * from_[here + beside(x, n_cols)] + along * from_[there + beside(x, n_cols)]
+    own = (1.0 - along) * coarse[here + x / FOUR] + along * coarse[there + x / FOUR]
+    other = (1.0 - along) * coarse[here + beside(x, n_cols)] + along * coarse[there + beside(x, n_cols)]
     across = share_of(x)
     i = y * cols + x
     v[i] = is_free[i] * (r[i] / scale[i] + ((1.0 - across) * own + across * other))
 
 
 @wp.kernel
-def up(r: wp.array[wp.float32], scale: wp.array[wp.float32], is_free: wp.array[wp.float32], from_: wp.array[wp.float32], v: wp.array[wp.float32],
+def up(r: wp.array[wp.float32], scale: wp.array[wp.float32], is_free: wp.array[wp.float32], coarse: wp.array[wp.float32], v: wp.array[wp.float32],
        rows: wp.int32, cols: wp.int32):
-    """See up_at."""
-    x, y = wp.tid()
-    up_at(r, scale, is_free, from_, v, rows, cols, x, y)
+    """See up_at, for the nodes of row y that lie in a coarse one."""
+    y, j = wp.tid()
+    for x in range(FOUR * j, wp.min(cols, FOUR * j + FOUR)):
+        up_at(r, scale, is_free, coarse, v, rows, cols, x, y)
 
 
 @wp.kernel

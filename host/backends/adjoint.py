@@ -108,11 +108,12 @@ class Descent:
         self.tilts, self.top = backend.empty((2, self.pixels), np.float32), backend.empty((1,), np.int32)
         self.tiles = backend.empty((-(-rows // TILE) * -(-cols // TILE),), np.float32)
         *self.z, self.w, self.p, self.s, self.x = (backend.empty((self.pixels,), np.float32) for _ in range(6))
-        self.shapes = [shape]
+        self.shapes = [shape]  # of the grid and of those that precondition
         for _ in range(QUARTERED):
             self.shapes.append(tuple(-(-size // FOUR) for size in self.shapes[-1]))
-        self.r, self.v, self.scale = ([backend.empty((down * across,), np.float32) for down, across in self.shapes] for _ in range(3))  # on all these grids
-        self.free = [backend.empty((down * across,), np.float32, 1) for down, across in self.shapes[:-1]]
+        sizes = [down * across for down, across in self.shapes]
+        self.v, self.scale = ([backend.empty((size,), np.float32) for size in sizes] for _ in range(2))
+        self.r, self.free = ([backend.empty((size,), np.float32, fill) for size in sizes[:-1]] for fill in (None, 1))
         self.rest = backend.empty((self.pixels,), np.float32, 0)
         self.low, self.high = (backend.upload(np.broadcast_to(np.asarray(bound, np.float32), shape).ravel()) for bound in (low, high))
         self.sum, self.squares = (backend.empty((backend.teams, self.pixels), np.int64, 0) for _ in range(2))
@@ -202,24 +203,23 @@ class Descent:
             self._launch("downhill", *image.links[self.here], image.gain, image.target, self.sum, self.squares, unit, FINE, *self.shape, image.count, self.of_team, self.teams, dim=self._teams())
         self._launch("begin", self.z[self.here], self.rest, self.low, self.high, self.sum, self.squares, self.scale[0], self.r[0], self.x, self.p, self.s, self.free[0],
                      1 / unit, 1 / FINE, 12 * smoothness + 1e-7, smoothness, *self.shape, self.each, self.teams)
-        for level in range(QUARTERED):
-            self._down(level, self.scale, BROAD if level == 0 else BROADER)
+        self._down(0, self.scale[0], self.scale[1], BROAD)
+        self._down(1, self.scale[1], self.scale[2], BROADER)
         self._precondition()
         self._launch("lengths", self.r[0], self.v[0], self.lengths, self.pixels, dim=(self.blocks,))
         return tuple(self.backend.download(self.lengths).sum(1).tolist())
 
-    def _down(self, level: int, arrays, times: float = 1.0, over=None) -> None:
+    def _down(self, level: int, fine, to, times: float = 1.0, over=None) -> None:
         rows, cols = self.shapes[level + 1]
-        to = arrays[level + 1] if over is None else self.v[level + 1]
-        self._launch("down", arrays[level], to if over is None else over, to, times, over is not None, *self.shapes[level], dim=(cols, rows))
+        self._launch("down", fine, to if over is None else over, to, times, over is not None, *self.shapes[level], dim=(cols, rows))
 
     def _precondition(self) -> None:
-        """v = r / scale, and the same on coarser grids."""
-        self._down(0, self.r)
-        self._down(1, self.r, over=self.scale[2])
+        """v = r / scale, and the same on the coarser grids."""
+        self._down(0, self.r[0], self.r[1])
+        self._down(1, self.r[1], self.v[2], over=self.scale[2])
         for level in (1, 0):
-            rows, cols = self.shapes[level]
-            self._launch("up", self.r[level], self.scale[level], self.free[level], self.v[level + 1], self.v[level], rows, cols, dim=(self.shapes[level + 1][1], rows))
+            dim = self.shapes[level + 1][1], self.shapes[level][0]  # a work-item does what lies in one coarse node of a row
+            self._launch("up", self.r[level], self.scale[level], self.free[level], self.v[level + 1], self.v[level], *self.shapes[level], dim=dim)
 
     def solve(self, smoothness: float, damping: float, most: int, tolerance: float) -> float:
         """Conjugate gradients for a step x from z[here]; what the quadratic model gains by it."""
@@ -230,7 +230,7 @@ class Descent:
         self._launch("ready", state, self.totals[0], square, product, smoothness, damping, tolerance**2, FIXED, EXACT, most, dim=(1,))
         if len(self.images) == 1 and self.pixels <= self.backend.alone:
             image = self.images[0]
-            self._launch("solve", *image.links[self.here], image.gain, *self.scale, *self.free, self.sum, *self.r[:2], *self.v, self.w, self.x, self.p, self.s, state,
+            self._launch("solve", *image.links[self.here], image.gain, *self.scale, *self.free, self.sum, *self.r, *self.v, self.w, self.x, self.p, self.s, state,
                          FIXED, EXACT, *self.shape, image.count, dim=(1,))
             return float(self.backend.download(state)[GAIN])
         left = most

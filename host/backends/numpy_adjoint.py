@@ -411,8 +411,8 @@ def _lowered(v):
     return total
 
 
-def down(from_, scale, to, times, divides, rows, cols):
-    to[:] = f32(times) * _lowered(_lowered(from_.reshape(rows, cols)).T).T.ravel()
+def down(fine, scale, to, times, divides, rows, cols):
+    to[:] = f32(times) * _lowered(_lowered(fine.reshape(rows, cols)).T).T.ravel()
     if divides:
         to /= scale
 
@@ -425,9 +425,8 @@ def _raised(v, size):
     return (1 - share) * v[at] + share * v[beside]
 
 
-def up(r, scale, is_free, from_, v, rows, cols):
-    coarse = from_.reshape((rows - 1) // FOUR + 1, -1)
-    v[:] = is_free * (r / scale + _raised(_raised(coarse, rows).T, cols).T.ravel())
+def up(r, scale, is_free, coarse, v, rows, cols):
+    v[:] = is_free * (r / scale + _raised(_raised(coarse.reshape((rows - 1) // FOUR + 1, -1), rows).T, cols).T.ravel())
 
 
 def lengths(r, v, part, pixels):
