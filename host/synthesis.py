@@ -219,6 +219,7 @@ class Pyramid:
 
     def polish(self, level: int, z: np.ndarray) -> tuple[np.ndarray, float]:
         """(depth, objective) of a surface that was eased, worked out."""
+        self._lean(level, z)  # not on what was tried last
         return self._ease(level, z, (), pace=CLOSE)
 
     def _cheap(self, level: int) -> bool:
@@ -318,7 +319,9 @@ class Pyramid:
         off = [sum((light - target) ** 2 for light, target in zip(self.problem(level).irradiances(z), self.images[level])) for z in surfaces]
         off = [blurred(blurred(square)) + 1e-12 for square in off]
         shares = [blurred((np.min(off, 0) / square) ** 2) for square in off]
-        return self._ease(level, sum(share * z for share, z in zip(shares, surfaces)) / sum(shares), SOFTER)
+        joined = sum(share * z for share, z in zip(shares, surfaces)) / sum(shares)
+        self._lean(level, joined)
+        return self._ease(level, joined, SOFTER)
 
     def _lean(self, level: int, z: np.ndarray) -> None:
         """Lets what stands for noise in the smoothness be of the difference to z, and the rest of the whole surface."""
@@ -338,7 +341,7 @@ class Pyramid:
         model = Descent(self.engine, shape, self.sides, [(light_of(source, shape, FINER * 0.5**level, MORE), repeated / (math.pi * unit), np.zeros(shape))
                                                          for source, unit in zip(self.sources, self.units)], np.zeros(shape), np.full(shape, np.inf))
         middle, found = slice(FINER // 2, None, FINER), z
-        self._lean(level, z)  # not on what was tried last
+        self._lean(level, z)
         for _ in range(2):
             fine = model.irradiances(np.maximum(FINER * cubic(found, FINER), 1e-3))
             problem.aim([image + own - other[middle, middle] for image, own, other in zip(self.images[level], problem.irradiances(found), fine)])
