@@ -27,6 +27,7 @@ CLIFF = 4.0  # spacings that neighbouring nodes may lie apart before the slope i
 WIDE = 16  # blocks across a map whose highest nodes may hide something from a pilot
 CLOSE = 4  # nodes round a pilot that may
 FEW, MANY = 12, 96  # pilots that are asked first, and then, whether anything is hidden
+PLAINLY = 4.0  # times what may be hidden from which on few need be asked
 RARE = 3.0  # times the median relief of blocks from which on one is rare
 COMMON = 0.25  # share of the map from which on what is rare is met often enough
 
@@ -226,7 +227,9 @@ class Pilots:
         """Distances (x, y), distance and slope of nodes that may hide something from ``count`` pilots or somewhat more: (nodes, candidates)."""
         peaks, size = self._highest
         near = np.indices((2 * CLOSE + 1,) * 2, np.int32).reshape(2, -1) - CLOSE
-        some = np.r_[0 : self.common : max(1, self.common // count), self.common : len(self)]  # of those that are rare, all
+        some = np.arange(0, self.common, max(1, self.common // count))
+        if count == MANY:
+            some = np.append(some, np.arange(self.common, len(self)))
         here = np.stack([self.x[some], self.y[some]]).astype(np.int32)[:, :, None]
         to = np.concatenate([peaks[:, None] - here, np.broadcast_to(near[:, None], (2, here.shape[1], near.shape[1]))], 2)
         if self.periodic:
@@ -241,10 +244,14 @@ class Pilots:
         slope = (self.heights[np.clip(y, 0, self.rows - 1), np.clip(x, 0, self.cols - 1)] - self.own[some, None]) / distance
         return some, dx, dy, distance, np.where(inside, slope, -np.inf), size
 
-    def sky_lost(self) -> float:
+    def sky_lost(self, limit: float) -> float:
         """RMS share of a uniform sky's light that ground or walls take from a node, from the highest nodes around some; an estimate, on
-        the high side where little is hidden."""
-        some, dx, dy, distance, slope, _ = self._peaks(MANY)
+        the high side where little is hidden; from few nodes where these tell of far more than ``limit``."""
+        few = self._sky_lost(FEW)
+        return few if few > PLAINLY * limit else self._sky_lost(MANY)
+
+    def _sky_lost(self, count):
+        some, dx, dy, distance, slope, _ = self._peaks(count)
         sectors = 16
         azimuths = 2 * np.pi * (np.arange(sectors) + 0.5) / sectors
         gx, gy = self.gx[some], self.gy[some]

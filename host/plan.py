@@ -10,7 +10,7 @@ import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cache, cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -28,6 +28,7 @@ from .radiometry import point_error
 from .reflectance import Lambertian
 from .scene import Scene, is_scene, positive_number
 
+FEWEST, SPARSE = 128, 8  # pilots of a small map under a sky; rows of a larger one for each: planning should stay a small part of the whole
 TAIL = 10.0  # bound on the 99.9th percentile of the error, in tolerances, unless given
 MARGIN = 0.95  # share of the tolerance that a setting may take: kernels add a little to the error of their azimuths
 SIGMAS = 1.5  # standard errors by which the RMS error of all nodes may pass that of the pilots
@@ -257,8 +258,6 @@ class _Planner:
         self.pixels = scene.depth.size
         self.pilots = Pilots(scene, self.count, rare=True)
 
-    count = COUNT
-
     def fits(self, found: Errors | Setting) -> bool:
         return found.bound <= MARGIN * self.tolerance and found.tail <= self.tail
 
@@ -279,6 +278,10 @@ class _Sky(_Planner):
     profile = suns = None
     constant = False  # whether brightness is taken as one number
 
+    @property
+    def count(self):
+        return min(COUNT, max(FEWEST, math.isqrt(self.pixels) // SPARSE))
+
     def settings(self):
         source, pilots = self.source, self.pilots
         self.rest, self.scale, self.knots, self.one = source, 1.0, 0, False
@@ -286,8 +289,9 @@ class _Sky(_Planner):
             self._look()
         else:
             self.scale = float(source.brightness)
-        lost = pilots.sky_lost() * self.contrast
-        if lost <= (SLIGHT if pilots.weights is None else FAINT) * self.tolerance and 5 * lost <= self.tail:
+        slight = (SLIGHT if pilots.weights is None else FAINT) * self.tolerance
+        lost = pilots.sky_lost(slight / self.contrast) * self.contrast
+        if lost <= slight and 5 * lost <= self.tail:
             self.hidden, self.reach_why = lost, "there is nothing to look for"
             return [Setting("unoccluded", 0, lost, lost, 5 * lost, self._seconds("closed form", 1), table=self._unoccluded if self.knots else None, scale=self.scale, suns=self.suns)]
         if self.profile is not None and pilots.periodic:
@@ -457,7 +461,7 @@ class _Sky(_Planner):
             of = lambda e: (math.hypot(e.rms, missed), math.hypot(e.bound, missed), e.tail)
             seconds = lambda count: self._seconds("horizon", count, DEARER if near else 1.0) + more
             table = lambda count: self._maker(count) if varies else None
-            settings += [Setting("horizon", count, *of(_between(measured[span], count)), seconds(count), Azimuths(count), table(count), self.scale, near=near, suns=few) for count in EVEN]
+            settings += [Setting("horizon", count, *of(_between(measured[span], count)), seconds(count), _evenly(count), table(count), self.scale, near=near, suns=few) for count in EVEN]
         return settings
 
     def _maker(self, count):
@@ -694,6 +698,9 @@ def _of_lattices(planner, sizes, exact) -> list[Setting]:
 
 def _lattice_seconds(planner, size):
     return planner.cost["lattice"].seconds(planner.pixels, size**2 + 2 * (size - 1) ** 2)
+
+
+_evenly = cache(Azimuths)
 
 
 def _between(measured: dict[int, Errors], count: int) -> Errors:
