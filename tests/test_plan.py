@@ -298,8 +298,8 @@ def test_pilots_look_closer_where_ground_is_rare():
 
 def test_a_bowl_in_a_plain_needs_no_sweep(fast, launched):
     """It hides what the tolerance allows, which few pilots would not know: closed forms, and within tolerance over all of the map."""
-    y, x = np.mgrid[:900, :900]
-    scene = sl.Scene(40 - np.minimum(40, 0.012 * np.hypot(x - 450, y - 450) ** 2))
+    y, x = np.mgrid[:1024, :1024]
+    scene = sl.Scene(40 - np.minimum(40, 0.012 * np.hypot(x - 512, y - 512) ** 2))
     out = sl.render(scene, sl.Sky(), tolerance=0.03, backend=fast, quantity="irradiance")
     assert out.plan.method == "unoccluded" and set(launched) == {"pilot"}
     fine = sl.render(scene, sl.Sky(), azimuths=64, backend=fast, quantity="irradiance").image
