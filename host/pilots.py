@@ -20,20 +20,26 @@ from .scene import Scene
 COUNT = 256  # pilot nodes
 NONE = np.float32(-1e30)  # height where masked
 FAINT = 0.005  # slope below which ground of a map that repeats is not looked for
+EVENLY = 0.8191725133961645, 0.6710436067037893, 0.5497004779019703  # steps of a low-discrepancy sequence in three dimensions
 STEEP = 1e6
 GAUSS = 6  # points of brightness along a chord
 CLIFF = 4.0  # spacings that neighbouring nodes may lie apart before the slope is more than the grid holds
 WIDE = 16  # blocks across a map whose highest nodes may hide something from a pilot
 CLOSE = 4  # nodes round a pilot that may
 FEW, MANY = 12, 96  # pilots that are asked first, and then, whether anything is hidden
-OUT = 6.0  # times the root mean square of steps between nodes from which on one stands out: noise and relief reach 5, a trench in a plain 50
-BENT = 1e-3  # spacings by which the ground along a line may bend upwards and count as convex: depths are rounded
+PLAINLY = 4.0  # times what may be hidden from which on few need be asked
+RARE = 3.0  # times the median relief of blocks from which on one is rare
+COMMON = 0.25  # share of the map from which on what is rare is met often enough
 
 
 class Pilots:
-    """Nodes spread over the valid part of a map by a low-discrepancy sequence, from its number ``first`` on; the same for the same scene."""
+    """Nodes spread over the valid part of a map by a low-discrepancy sequence, from its number ``first`` on; the same for the same scene.
 
-    def __init__(self, scene: Scene, count: int = COUNT, first: int = 1):
+    With ``rare``, where a few blocks have far more relief than the others (a trench in a plain), half as many nodes more
+    among these; ``weights`` (nodes,) are then the nodes' shares of the map, else None.
+    """
+
+    def __init__(self, scene: Scene, count: int = COUNT, first: int = 1, rare: bool = False):
         values, step = scene.lattice()
         self.scene, self.step, (self.rows, self.cols) = scene, step, scene.shape
         self.heights = np.negative(values)
@@ -42,9 +48,13 @@ class Pilots:
         if scene.mask is not None:
             self.heights[~scene.mask] = NONE
         self.x, self.y = _spread(scene, count, first)
+        self.common = len(self.x)
+        self.tops = self._pooled(self.heights, np.maximum)
+        self.highest, self.weights = float(self.tops.max()), None
+        if rare and len(self.x) == count:  # else these are all there are
+            self._look_closer(count // 2)
         self.own = self.heights[self.y, self.x]
         self.deepest = float(self.own.min()) if scene.mask is not None else float(self.heights.min())
-        self.highest = float(self.heights.max())
         self.gx, self.gy = (self._gradient(axis) for axis in (1, 0))
         self.length = np.sqrt(1 + self.gx**2 + self.gy**2)
         self._on = {}
@@ -64,13 +74,28 @@ class Pilots:
         """Share of neighbouring nodes that lie more than CLIFF spacings apart."""
         return sum(np.count_nonzero(np.abs(step) > CLIFF) for step in self._steps) / max(1, sum(step.size for step in self._steps))
 
-    @cached_property
-    def alike(self) -> bool:
-        """Whether some nodes tell of all how much ground hides: no step stands out (a trench or a house that few nodes lie at), or the
-        ground is convex."""
-        largest = max(float(np.abs(step).max(initial=0)) for step in self._steps)
-        square = sum(float((step * step).sum()) for step in self._steps) / max(1, sum(step.size for step in self._steps))
-        return largest**2 <= OUT**2 * square or all((np.diff(step, axis=1) > -BENT).all() for step in self._steps)
+    def _look_closer(self, count):
+        """Adds nodes where blocks are rare, and weights."""
+        size, (down, across), mask = 1 << self.shift, self.tops.shape, self.scene.mask
+        relief = self.tops - self._pooled(self.heights if mask is None else np.where(mask, self.heights, np.inf), np.minimum)
+        rare = relief > RARE * np.median(relief[relief >= 0])
+        rare |= np.roll(rare, 1, 0)  # relief reaches into the row and the column after a block
+        rare |= np.roll(rare, 1, 1)
+        high, wide = (np.minimum(size, length - size * np.arange(n)) for length, n in ((self.rows, down), (self.cols, across)))
+        row, col = np.nonzero(rare)
+        nodes = np.cumsum(high[row] * wide[col])
+        if not rare.any() or nodes[-1] > COMMON * self.heights.size:
+            return
+        which, *inside = (0.5 + np.outer(EVENLY, np.arange(count))) % 1
+        block = np.searchsorted(nodes, which * nodes[-1], "right")
+        x, y = ((size * n[block] + part * length[n[block]]).astype(int) for n, part, length in zip((col, row), inside, (wide, high)))
+        share = nodes[-1] / self.heights.size
+        if mask is not None:
+            x, y = x[mask[y, x]], y[mask[y, x]]
+            share = np.count_nonzero(mask & rare.repeat(size, 0).repeat(size, 1)[: self.rows, : self.cols]) / np.count_nonzero(mask)
+        self.x, self.y = np.concatenate([self.x, x]), np.concatenate([self.y, y])
+        here = rare[self.y // size, self.x // size]
+        self.weights = np.where(here, share / max(1, here.sum()), (1 - share) / max(1, (~here).sum()))
 
     @property
     def relief(self) -> float:
@@ -99,19 +124,21 @@ class Pilots:
     def shift(self) -> int:
         return 5 if min(self.heights.shape) >= 512 else 4 if min(self.heights.shape) >= 64 else 3
 
-    @cached_property
-    def tops(self) -> np.ndarray:
-        """Highest node of every block, and of the row and column after it."""
+    def _pooled(self, found, of):
+        """Highest or lowest node of every block, and of the row and column after it."""
         size = 1 << self.shift
-        down, across = -(-self.rows // size), -(-self.cols // size)
-        room = np.full((down * size + 1, across * size + 1), NONE, np.float32)
-        room[: self.rows, : self.cols] = self.heights
-        if self.periodic:
-            room[self.rows, : self.cols], room[: self.rows, self.cols], room[self.rows, self.cols] = self.heights[0], self.heights[:, 0], self.heights[0, 0]
-        tops = room[:-1, :-1].reshape(down, size, across, size).max((1, 3))
-        tops = np.maximum(tops, room[:-1, size::size].reshape(down, size, across).max(1))
-        tops = np.maximum(tops, room[size::size, :-1].reshape(down, across, size).max(2))
-        return np.maximum(tops, room[size::size, size::size])
+        for _ in range(2):
+            full, rest = divmod(len(found), size)
+            pooled = np.empty((full + (rest > 0), found.shape[1]), np.float32)
+            of.reduce(found[: full * size].reshape(full, size, found.shape[1]), axis=1, out=pooled[:full])
+            if rest:
+                of.reduce(found[full * size :], axis=0, out=pooled[full])
+            after = found[size::size]
+            of(pooled[: len(after)], after, out=pooled[: len(after)])
+            if self.periodic:
+                of(pooled[-1], found[0], out=pooled[-1])
+            found = np.ascontiguousarray(pooled.T)
+        return found
 
     def slopes(self, engine: Backend, cosine, sine, least, along=0.0, up=0.0, limit=1.0, reach: float = math.inf) -> np.ndarray:
         """Horizon slopes, from ``least`` on, along azimuths that broadcast with the nodes: (n, nodes) float64."""
@@ -200,7 +227,9 @@ class Pilots:
         """Distances (x, y), distance and slope of nodes that may hide something from ``count`` pilots or somewhat more: (nodes, candidates)."""
         peaks, size = self._highest
         near = np.indices((2 * CLOSE + 1,) * 2, np.int32).reshape(2, -1) - CLOSE
-        some = slice(None, None, max(1, len(self) // count))
+        some = np.arange(0, self.common, max(1, self.common // count))
+        if count == MANY:
+            some = np.append(some, np.arange(self.common, len(self)))
         here = np.stack([self.x[some], self.y[some]]).astype(np.int32)[:, :, None]
         to = np.concatenate([peaks[:, None] - here, np.broadcast_to(near[:, None], (2, here.shape[1], near.shape[1]))], 2)
         if self.periodic:
@@ -215,10 +244,14 @@ class Pilots:
         slope = (self.heights[np.clip(y, 0, self.rows - 1), np.clip(x, 0, self.cols - 1)] - self.own[some, None]) / distance
         return some, dx, dy, distance, np.where(inside, slope, -np.inf), size
 
-    def sky_lost(self) -> float:
+    def sky_lost(self, limit: float) -> float:
         """RMS share of a uniform sky's light that ground or walls take from a node, from the highest nodes around some; an estimate, on
-        the high side where little is hidden."""
-        some, dx, dy, distance, slope, _ = self._peaks(MANY)
+        the high side where little is hidden; from few nodes where these tell of far more than ``limit``."""
+        few = self._sky_lost(FEW)
+        return few if few > PLAINLY * limit else self._sky_lost(MANY)
+
+    def _sky_lost(self, count):
+        some, dx, dy, distance, slope, _ = self._peaks(count)
         sectors = 16
         azimuths = 2 * np.pi * (np.arange(sectors) + 0.5) / sectors
         gx, gy = self.gx[some], self.gy[some]
@@ -234,7 +267,8 @@ class Pilots:
         if self.scene.sides == "dark":
             hidden = np.maximum(hidden, (-self.own / self.wall(np.cos(azimuths)[:, None], np.sin(azimuths)[:, None]))[:, some])
         free, left = (ring(gx, gy, azimuths, s).mean(0) for s in (plane, hidden))
-        return float(np.sqrt(np.mean((free - left) ** 2)) / free.mean())
+        weights = None if self.weights is None else self.weights[some]
+        return float(np.sqrt(np.average((free - left) ** 2, weights=weights)) / np.average(free, weights=weights))
 
     def clear(self, solid: Ball | Quad) -> bool:
         """Whether all of the source rises above the level, and nothing that could stand between it and a pilot rises above its lowest ray

@@ -10,7 +10,7 @@ import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cache, cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -28,6 +28,7 @@ from .radiometry import point_error
 from .reflectance import Lambertian
 from .scene import Scene, is_scene, positive_number
 
+FEWEST, SPARSE = 128, 8  # pilots of a small map under a sky; rows of a larger one for each: planning should stay a small part of the whole
 TAIL = 10.0  # bound on the 99.9th percentile of the error, in tolerances, unless given
 MARGIN = 0.95  # share of the tolerance that a setting may take: kernels add a little to the error of their azimuths
 SIGMAS = 1.5  # standard errors by which the RMS error of all nodes may pass that of the pilots
@@ -47,7 +48,9 @@ DEARER = 1.4  # times as long as a sweep takes with so many
 SAFE = {24: 0.033, 48: 0.0125, 64: 0.0080, 96: 0.0046, 128: 0.0033, 192: 0.0021, 256: 0.0017}  # RMS error by azimuths, with so many, among houses
 SAFE_SLICES, SAFELY = 128, 1.5  # slices that do for lamps; tolerance over the known error from which a setting is taken unmeasured
 POINT = 0.1  # share of the tolerance by which a lamp that is called a point may be off as one
-SLIGHT = 0.7  # share of the tolerance that ground may take from a sky, as its highest nodes have it, that no ray is cast
+SLIGHT, FAINT = 0.7, 0.1  # share of the tolerance that ground may take from a sky, as its highest nodes have it, that no ray is cast; where some ground is rare
+BEYOND = 3  # nodes
+HIDDEN = 1.25  # times the bound that counts where what ground hides is left out
 
 
 @dataclass(frozen=True)
@@ -220,21 +223,27 @@ class Errors(NamedTuple):
     tail: float
 
 
-def errors(found: np.ndarray, exact: np.ndarray) -> Errors:
-    """Errors over the mean of ``exact`` where it is lit.
+def errors(found: np.ndarray, exact: np.ndarray, weights: np.ndarray | None = None) -> Errors:
+    """Errors over the mean of ``exact`` where it is lit, nodes by their ``weights``, even unless given.
 
     ``bound``: RMS and SIGMAS standard errors of it, from the sample's own spread. The percentile is extrapolated from the
-    tenth of largest errors, whose excess is taken as exponential.
+    tenth of largest errors, whose excess is taken as exponential, unless BEYOND nodes pass it.
     """
-    lit = exact[exact > 0]
-    if not lit.size:
+    lit = exact > 0
+    if not lit.any():
         return Errors(*(0.0 if not np.abs(found).max(initial=0) > 0 else math.inf,) * 3)
-    off = np.sort(np.abs(found - exact)) / lit.mean()
-    square = float(np.mean(off**2))
-    bound = math.sqrt(square + SIGMAS * float(np.std(off**2)) / math.sqrt(len(off)))
-    threshold = off[int(0.9 * (len(off) - 1))]
-    excess = off[off > threshold] - threshold
-    return Errors(math.sqrt(square), bound, float(threshold + (excess.mean() * math.log(100) if excess.size else 0.0)))
+    weights = np.full(len(exact), 1 / len(exact)) if weights is None else weights / weights.sum()
+    off = np.abs(found - exact) * (weights[lit].sum() / (weights @ exact))
+    square = float(weights @ off**2)
+    bound = math.sqrt(square + SIGMAS * float(np.linalg.norm(weights * (off**2 - square))))
+    order = np.argsort(off)
+    off, weights = off[order], weights[order]
+    tenth, last = np.searchsorted(np.cumsum(weights), (0.9 - 1e-9, 0.999))
+    threshold, tail = off[tenth], off[min(last, len(off) - 1)]
+    if len(off) - last < BEYOND:
+        excess, share = off[tenth:] - threshold, weights[tenth:] * (off[tenth:] > threshold)
+        tail = threshold + (share @ excess / share.sum() * math.log(100) if share.any() else 0.0)
+    return Errors(math.sqrt(square), bound, float(tail))
 
 
 class _Planner:
@@ -247,12 +256,13 @@ class _Planner:
     def __init__(self, scene, source, tolerance, tail, engine, cost: Costs, hurry: bool):
         self.scene, self.source, self.tolerance, self.tail, self.engine, self.cost, self.hurry = scene, source, tolerance, tail, engine, cost, hurry
         self.pixels = scene.depth.size
-        self.pilots = Pilots(scene, self.count)
-
-    count = COUNT
+        self.pilots = Pilots(scene, self.count, rare=True)
 
     def fits(self, found: Errors | Setting) -> bool:
         return found.bound <= MARGIN * self.tolerance and found.tail <= self.tail
+
+    def errors(self, found: np.ndarray, exact: np.ndarray) -> Errors:
+        return errors(found, exact, self.pilots.weights)
 
     def _quicker(self, seconds: float) -> bool:
         """Whether a setting that is known to do takes less time than to choose one."""
@@ -268,6 +278,10 @@ class _Sky(_Planner):
     profile = suns = None
     constant = False  # whether brightness is taken as one number
 
+    @property
+    def count(self):
+        return min(COUNT, max(FEWEST, math.isqrt(self.pixels) // SPARSE))
+
     def settings(self):
         source, pilots = self.source, self.pilots
         self.rest, self.scale, self.knots, self.one = source, 1.0, 0, False
@@ -275,8 +289,9 @@ class _Sky(_Planner):
             self._look()
         else:
             self.scale = float(source.brightness)
-        lost = pilots.sky_lost() * self.contrast
-        if lost <= SLIGHT * self.tolerance and 5 * lost <= self.tail and pilots.alike:
+        slight = (SLIGHT if pilots.weights is None else FAINT) * self.tolerance
+        lost = pilots.sky_lost(slight / self.contrast) * self.contrast
+        if lost <= slight and 5 * lost <= self.tail:
             self.hidden, self.reach_why = lost, "there is nothing to look for"
             return [Setting("unoccluded", 0, lost, lost, 5 * lost, self._seconds("closed form", 1), table=self._unoccluded if self.knots else None, scale=self.scale, suns=self.suns)]
         if self.profile is not None and pilots.periodic:
@@ -378,7 +393,7 @@ class _Sky(_Planner):
             else:  # every other one is known
                 slopes = np.stack([slopes, pilots.horizons(engine, azimuths[1::2])], 1).reshape(number, -1)
             settings = self._evaluate(azimuths, slopes)
-            if len(self.by_suns) == 2 and not (settings and self.fits(errors(self.exact - self.by_suns[SPANS[1]] + self.by_suns[SPANS[0]], self.exact))):
+            if len(self.by_suns) == 2 and not (settings and self.fits(self.errors(self.exact - self.by_suns[SPANS[1]] + self.by_suns[SPANS[0]], self.exact))):
                 self.by_suns = dict(zip(SPANS, pilots.suns(engine, self.suns, SPANS)))
                 settings = self._evaluate(azimuths, slopes)
             if any(self.fits(s) and s.units <= judges for s in settings):
@@ -407,14 +422,14 @@ class _Sky(_Planner):
         self.exact = exact = rest + suns
         if varies:  # is a number near enough?
             best = float((rest * self.uniform).sum() / max((self.uniform**2).sum(), 1e-300))
-            error = errors(best * self.uniform + suns, exact)
+            error = self.errors(best * self.uniform + suns, exact)
             if self.fits(Errors(error.rms, 2 * error.bound, error.tail)):
                 self.scale, varies, self.constant = best, False, True
                 self.looks, self.why_looks = "constant", f"taken as one number it costs {_percent(error.rms)}"
                 rings = uniform
         planes = np.maximum(0, pilots.plane(np.cos(azimuths)[:, None], np.sin(azimuths)[:, None]))
         free = pilots.ring(azimuths, planes).sum(0) * width
-        self.hidden = errors(self.uniform, free).rms
+        self.hidden = self.errors(self.uniform, free).rms
         free = pilots.ring(azimuths, planes, table).sum(0) * width if varies else free * self.scale
         measured = {span: {} for span in self.by_suns}
         for count in EVEN:
@@ -429,12 +444,12 @@ class _Sky(_Planner):
                     light = pilots.ring(azimuths[at], slopes[at], np.einsum("s,kstn->ktn", share / share.sum(), table[around]))
                 light = light.sum(0) * (2 * np.pi / count) * (1.0 if varies else self.scale)
                 for span, sun in self.by_suns.items():
-                    measured[span][count] = errors(light + sun, exact)
+                    measured[span][count] = self.errors(light + sun, exact)
         near = NEAR if pilots.steep > 0 else None  # behind a cliff the two best crossings are not enough
         missed = BEHIND * math.sqrt(pilots.steep) * float(rest.mean() / max(exact.mean(), 1e-30))
-        found = errors(free, exact)
+        found = self.errors(free, exact)
         settings = [Setting("unoccluded", 0, *found, self._seconds("closed form", 1), table=self._unoccluded if varies else None, scale=self.scale)]
-        if self.suns or not self.fits(Errors(found.rms, 2 * found.bound, 2 * found.tail)):
+        if self.suns or not self.fits(Errors(found.rms, HIDDEN * found.bound, found.tail)):
             settings = []  # what little ground hides may be the sun, at a few nodes where no pilot is
         for span in self.by_suns if reference in (None, SPANS[-1]) else SPANS[:1]:
             few, more = None, 0.0
@@ -446,7 +461,7 @@ class _Sky(_Planner):
             of = lambda e: (math.hypot(e.rms, missed), math.hypot(e.bound, missed), e.tail)
             seconds = lambda count: self._seconds("horizon", count, DEARER if near else 1.0) + more
             table = lambda count: self._maker(count) if varies else None
-            settings += [Setting("horizon", count, *of(_between(measured[span], count)), seconds(count), Azimuths(count), table(count), self.scale, near=near, suns=few) for count in EVEN]
+            settings += [Setting("horizon", count, *of(_between(measured[span], count)), seconds(count), _evenly(count), table(count), self.scale, near=near, suns=few) for count in EVEN]
         return settings
 
     def _maker(self, count):
@@ -468,7 +483,7 @@ class _Sky(_Planner):
             if factor > 0.8 * whole:
                 break
             short = self.pilots.ring(azimuths[some], self.pilots.horizons(self.engine, azimuths[some], reach)).sum(0)
-            cut = errors(short, full)
+            cut = self.errors(short, full)
             if cut.bound <= 0.3 * self.tolerance and cut.tail <= 0.5 * self.tail:
                 self.reach_why = f"what lies farther away costs {_percent(cut.rms)}"
                 settings += [replace(s, max_distance=reach * self.scene.spacing, seconds=s.seconds / whole * factor, error=math.hypot(s.error, cut.rms), bound=math.hypot(s.bound, cut.bound), tail=s.tail + cut.tail) for s in settings]
@@ -485,7 +500,7 @@ class _Sky(_Planner):
         self.uniform = grid.widths @ pilots.ring(grid.angles, slopes)
         self.exact = exact = grid.widths @ pilots.ring(grid.angles, slopes, table)
         lost = grid.widths @ pilots.ring(grid.angles, np.maximum(0, pilots.plane(np.cos(grid.angles)[:, None], np.sin(grid.angles)[:, None])), table)
-        self.hidden = errors(exact, lost).rms
+        self.hidden = self.errors(exact, lost).rms
         measured, made = {}, {}
         for count in (*PLACED, PLACED_GRID):
             span = PLACED_GRID // count
@@ -493,7 +508,7 @@ class _Sky(_Planner):
             share = (grid.widths.reshape(count, span) / sectors.widths[:, None])[..., None, None]
             made[count] = sectors, (lambda share=share, count=count: (share * table.reshape(count, -1, *table.shape[1:])).sum(1).astype(np.float32))
             if count <= PLACED[-2] or (count < PLACED_GRID and not self.fits(measured[PLACED[-2]])):
-                measured[count] = errors(sectors.widths @ pilots.ring(sectors.angles, pilots.horizons(engine, sectors.angles), made[count][1]()), exact)
+                measured[count] = self.errors(sectors.widths @ pilots.ring(sectors.angles, pilots.horizons(engine, sectors.angles), made[count][1]()), exact)
         near = NEAR if pilots.steep > 0 else None
         return [Setting("horizon", count, *_between(measured, count), self._seconds("horizon", count), *made[count], near=near) for count in made]
 
@@ -547,15 +562,15 @@ class _Slices(_Planner):
         looks = (to * np.stack([pilots.gx, pilots.gy, np.ones(len(pilots))])).sum(0) >= self.ball[1] * pilots.length
         if not self.clear and not looks.all() and self.tolerance >= 0.002 and self._quicker(seconds):  # else it may need no shadows
             self.exact = light(16)
-            self.hidden = errors(self.exact, light(16, False)).rms
+            self.hidden = self.errors(self.exact, light(16, False)).rms
             self.unmeasured = "on rough ground and in penumbras it is off by less than 0.2 %, and to choose fewer would take longer than to render"
             return [Setting("slices", SAFE_SLICES, seconds=seconds)]
         free = light(FINEST, False)
         self.exact = exact = free if self.clear else light(FINEST)
-        self.hidden = errors(exact, free).rms if free.any() else 0.0
+        self.hidden = self.errors(exact, free).rms if free.any() else 0.0
         settings = []
         for points in (1, 4) if callable(source.brightness) else (1,):
-            found = errors(unoccluded.lamp(pilots.gx, pilots.gy, pilots.x, pilots.y, pilots.own.astype(float), self.upright, source.brightness, points), exact)
+            found = self.errors(unoccluded.lamp(pilots.gx, pilots.gy, pilots.x, pilots.y, pilots.own.astype(float), self.upright, source.brightness, points), exact)
             if self.fits(found) and unoccluded.no_shadow(self.scene, *self.ball, self.clear):
                 return [Setting("unoccluded", points, *found, self._seconds("closed form", 1))]
         by_count = {}
@@ -566,7 +581,7 @@ class _Slices(_Planner):
                 if (number >= count).any():
                     by_count[count] = by_count.get(count) if count in by_count else light(count, not self.clear)
                     through = np.where(number >= count, by_count[count], through)
-            found = errors(np.where(number >= 128, exact, through), exact)
+            found = self.errors(np.where(number >= 128, exact, through), exact)
             settings.append(Setting("slices", most, *found, self._seconds("slices", float(number.mean()))))
             if self.fits(Errors(found.rms, 2 * found.bound, 2 * found.tail)):
                 break
@@ -677,12 +692,15 @@ def _of_lattices(planner, sizes, exact) -> list[Setting]:
                 unit = cube.steps[some, :2] / np.maximum(flat[some, None], 1e-9)
                 seen &= _passes(planner.scene, source, pilots.x + away * unit[:, :1], pilots.y + away * unit[:, 1:]) & (rise[some, None] > 0)
             total += (seen * np.maximum(0, cube.moments[some] @ normal) * brightness[some, None]).sum(0)
-        settings.append(Setting("lattice", size, *errors(total, exact), _lattice_seconds(planner, size)))
+        settings.append(Setting("lattice", size, *planner.errors(total, exact), _lattice_seconds(planner, size)))
     return settings
 
 
 def _lattice_seconds(planner, size):
     return planner.cost["lattice"].seconds(planner.pixels, size**2 + 2 * (size - 1) ** 2)
+
+
+_evenly = cache(Azimuths)
 
 
 def _between(measured: dict[int, Errors], count: int) -> Errors:

@@ -176,7 +176,7 @@ def _planned(scene, source, tolerance, tail, engine) -> tuple[np.ndarray, Plan, 
         if made.exact is None:
             break
         found = irradiance[nodes].astype(float)
-        error, bound, _ = errors(found, made.exact)
+        error, bound, _ = errors(found, made.exact, made.pilots.weights)
         if (error <= max(tolerance, setting.bound) and bound <= SPREAD * max(tolerance, setting.bound)) or tried >= RETRIES:
             break
     if made.exact is not None:

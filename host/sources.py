@@ -67,6 +67,7 @@ def environment_map(array) -> Callable:
         high, low = (np.clip(r + s, 0, rows - 1).astype(int) * (cols + 1) + left for s in (0, 1))
         return (1 - fr) * ((1 - fc) * pixels[high] + fc * pixels[high + 1]) + fr * ((1 - fc) * pixels[low] + fc * pixels[low + 1])
 
+    brightness.pixels = rows, cols
     return brightness
 
 
@@ -281,8 +282,10 @@ def directions_of(azimuth, sine) -> np.ndarray:
 
 
 def looks(source: Source) -> tuple[np.ndarray, np.ndarray]:
-    """Brightness at some 400,000 places of the sky, evenly in azimuth and elevation, and the sines of these: (azimuths, elevations) each."""
-    azimuths, elevations = PROFILE
+    """Brightness at some 400,000 places of the sky, or four a pixel's side of a map that is coarser, evenly in azimuth and elevation,
+    and the sines of these: (azimuths, elevations) each."""
+    rows, cols = getattr(source.brightness, "pixels", PROFILE[::-1])
+    azimuths, elevations = (min(most, max(most // 4, n)) for most, n in zip(PROFILE, (4 * cols, 2 * rows)))
     azimuth = 2 * np.pi * (np.arange(azimuths) + 0.5) / azimuths
     shift = 0.6180339887498949 * np.arange(azimuths) % 1  # so that no small sun slips between rows of samples
     sine = np.sin(np.pi / 2 * (np.arange(elevations) + shift[:, None]) / elevations)

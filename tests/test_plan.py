@@ -59,6 +59,8 @@ def truth(scene, source, nodes):
 def launched(monkeypatch, fast):
     """The stems of all kernels that are launched on the fast backend."""
     engine, stems = select(fast), []
+    for method in costs.UNITS:  # else they are measured when a plan first asks
+        costs.Costs(engine)[method]
     before = engine.launch
     monkeypatch.setattr(engine, "launch", lambda stem, *args, **more: (stems.append(stem), before(stem, *args, **more))[1])
     return stems
@@ -212,6 +214,17 @@ def test_brightness_is_looked_at(fast):
     assert [text.split(" azimuths")[0] for text in suns] == ["8", "24"] and "placed" in str(sl.plan(SCENES["periodic"], SUN, 0.01, fast))
 
 
+def test_a_coarse_map_of_the_sky_is_looked_at_where_it_has_pixels():
+    """One bright pixel among many is found wherever it stands, in a tenth of the looks that a function of directions takes."""
+    for row, col in ((0, 0), (3, 17), (7, 31)):
+        panorama = np.ones((16, 32))
+        panorama[row, col] = 50
+        image = sl.environment_map(panorama)
+        light, sine = sources.looks(sl.Sky(image))
+        assert 45 < light.max() <= 50 and light.shape == sine.shape and light.size < 0.1 * sources.looks(sl.Sky(lambda L: image(L)))[0].size
+    assert sources.looks(sl.Sky(sl.environment_map(np.ones((1024, 2048)))))[0].shape == sources.PROFILE
+
+
 def test_a_map_that_repeats_is_not_searched_farther_than_need_be(fast):
     """High relief, loose tolerance: a search radius; and the image with it is within tolerance."""
     scene = sl.Scene(20 * (1 + np.sin(2 * np.pi * X / SIZE * 8)), sides="periodic")
@@ -265,9 +278,43 @@ def test_a_trench_in_a_plain_is_not_overlooked(fast):
     nodes = np.full(200, 300), np.arange(200, 400)  # across it
     wrong = out.image[nodes] - truth(trench, sl.Sky(), nodes)
     assert np.sqrt(np.sum(wrong**2) / 600) < 0.03 * np.pi, "nothing is hidden farther away"
-    assert not Pilots(trench).alike and Pilots(SCENES["dome"]).alike and Pilots(SCENES["rough"]).alike
-    away = np.hypot(x - 300, y - 300)
-    assert not Pilots(sl.Scene(np.maximum(0, 40 - away))).alike and Pilots(sl.Scene(away**9 / 1e20)).alike, "a pit in a plain; a convex brim hides nothing, however steep"
+
+
+def test_pilots_look_closer_where_ground_is_rare():
+    """Nodes are added where a few blocks have most of the relief, none that is masked, below a cliff between two blocks too; weighted, they tell the features' shares."""
+    y, x = np.mgrid[:600, :600]
+    holes = (x + y) % 3 > 0
+    for lower, mask in ((np.abs(x - 300) < 4, None), (x >= 256, None), (np.hypot(x - 200, y - 300) < 25, None), (np.abs(x - 300) < 4, holes)):
+        pilots = Pilots(sl.Scene(np.where(lower, 25.0, 0.0), mask=mask), rare=True)
+        assert len(pilots) > 320 and pilots.weights.sum() == pytest.approx(1)
+        assert mask is None or mask[pilots.y, pilots.x].all()
+        there = lower[pilots.y, pilots.x]
+        assert there.sum() >= 8 and pilots.weights[there].sum() == pytest.approx(lower.mean(), rel=0.5)
+    beside = Pilots(sl.Scene(np.where(x >= 256, 25.0, 0.0)), rare=True)
+    assert ((beside.x >= 256) & (beside.x < 288)).sum() > 30
+    for depth in (scenes.rough(600, 600, 1.0, 4), 0.3 * y, np.hypot(x, y), np.where((x % 30 == 0) & (y % 30 == 0), 9.0, 0.0)):
+        assert Pilots(sl.Scene(depth), rare=True).weights is None, "what is everywhere is met often enough"
+
+
+def test_a_bowl_in_a_plain_needs_no_sweep(fast, launched):
+    """It hides what the tolerance allows, which few pilots would not know: closed forms, and within tolerance over all of the map."""
+    y, x = np.mgrid[:1024, :1024]
+    scene = sl.Scene(40 - np.minimum(40, 0.012 * np.hypot(x - 512, y - 512) ** 2))
+    out = sl.render(scene, sl.Sky(), tolerance=0.03, backend=fast, quantity="irradiance")
+    assert out.plan.method == "unoccluded" and set(launched) == {"pilot"}
+    fine = sl.render(scene, sl.Sky(), azimuths=64, backend=fast, quantity="irradiance").image
+    error = np.sqrt(np.mean((out.image - fine) ** 2)) / fine.mean()
+    assert 0.01 < error < 0.03 and out.plan.error == pytest.approx(error, rel=0.2)
+    assert sl.plan(scene, sl.Sky(), 0.01, fast).method == "horizon"
+
+
+def test_weights_by_hand():
+    """Ten nodes in forty that stand for two thousandths of the map, of whose error five make the last thousandth; weights are shares whatever their sum."""
+    weights, off = (np.repeat(pair, (30, 10)) for pair in ((0.998 / 30, 0.0002), (0.01, 0.4)))
+    found = errors(1 + off, np.ones(40), weights)
+    assert found.rms == pytest.approx(np.sqrt(0.998 * 0.01**2 + 0.002 * 0.4**2)) and found.tail == pytest.approx(0.4)
+    assert errors(1 + off, np.ones(40), 8 * weights) == found
+    assert errors(1 + off, np.ones(40)).rms == pytest.approx(np.sqrt(0.75 * 0.01**2 + 0.25 * 0.4**2))
 
 
 def test_unoccluded_closed_forms(fast):

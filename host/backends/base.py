@@ -64,7 +64,12 @@ class Problem(NamedTuple):
 def scratch(shape: tuple[int, ...]) -> np.ndarray:
     """Zeros, float32, that go back to the system when they are dropped: malloc would keep some 30 MB of what is freed."""
     count = math.prod(shape)
-    return np.frombuffer(mmap.mmap(-1, max(4, 4 * count)), np.float32, count).reshape(shape)
+    if hasattr(mmap, "MADV_HUGEPAGE"):  # to touch every small page first would take longer than to fill them
+        room = mmap.mmap(-1, max(4, 4 * count), flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)
+        room.madvise(mmap.MADV_HUGEPAGE)
+    else:
+        room = mmap.mmap(-1, max(4, 4 * count))
+    return np.frombuffer(room, np.float32, count).reshape(shape)
 
 
 def rounded_up(pixels: int) -> int:

@@ -78,8 +78,9 @@ class Sweeps:
             self.heights = here.padded(self.margin, ground.step, ground.sides, OUTSIDE)
             self.steepest = _steepest(here.probe(self.heights, self.margin, every, first))
         else:
-            known = np.isfinite(ground.heights)
-            self.lowest, highest = float(ground.heights.min(where=known, initial=np.inf)), float(ground.heights.max(where=known, initial=-np.inf))
+            self.lowest, highest = float(ground.heights.min()), float(ground.heights.max())
+            if self.lowest == -np.inf:  # masked somewhere
+                self.lowest = float(ground.heights.min(where=ground.heights > -np.inf, initial=np.inf))
             self.heights = backend.upload(_padded(ground, self.margin))
             self.steepest = _steepest(_probe(ground.heights, every, first))
         self.relief = highest - self.lowest
@@ -250,31 +251,28 @@ def ladder(steepest: float, relief: float, span: int, comes_at: int) -> tuple[in
 
 def _padded(ground: Ground, margin: int) -> np.ndarray:
     if ground.sides == "periodic":
-        heights = np.pad(ground.heights, margin, "wrap")
+        heights = np.pad(np.maximum(ground.heights, np.float32(MASKED)), margin, "wrap")
     else:
         heights = scratch(tuple(n + 2 * margin for n in ground.heights.shape))
         heights.fill(OUTSIDE)
-        heights[margin:-margin, margin:-margin] = ground.heights
-    heights[heights == -np.inf] = MASKED
+        np.maximum(ground.heights, np.float32(MASKED), out=heights[margin:-margin, margin:-margin])
     return heights.ravel()
 
 
 def _probe(heights: np.ndarray, every: int, distance: int) -> np.ndarray:
     """Steepest slopes (8, samples) to ground at ``distance`` and farther, from every ``every``-th node; -inf where none lies."""
-    rows, cols = heights.shape
-    here = np.mgrid[:rows:every, :cols:every].reshape(2, -1)
-    own = heights[tuple(here)]
-    known = np.isfinite(own)
-    best = np.full((8, len(own)), -np.inf)
-    while distance < max(rows, cols):
-        for n, (i, j) in enumerate(((1, 0), (1, 1), (0, 1), (-1, 1), (-1, 0), (-1, -1), (0, -1), (1, -1))):
-            y, x = here[0] + j * distance, here[1] + i * distance
-            inside = (y >= 0) & (y < rows) & (x >= 0) & (x < cols) & known
-            there = np.where(inside, heights[np.clip(y, 0, rows - 1), np.clip(x, 0, cols - 1)], -np.inf)
-            with np.errstate(invalid="ignore"):
-                best[n] = np.fmax(best[n], (there - own) / distance)
+    own = heights[::every, ::every]
+    down, across = own.shape
+    own = np.where(np.isfinite(own), own, np.inf)  # to masked ground all falls
+    best = np.full((8, down, across), -np.inf)
+    while distance < max(heights.shape):
+        for found, (i, j) in zip(best, ((1, 0), (1, 1), (0, 1), (-1, 1), (-1, 0), (-1, -1), (0, -1), (1, -1))):
+            y, x = (-(min(0, move * distance) // every) for move in (j, i))  # the first node whose neighbour lies on the map
+            there = heights[y * every + j * distance :: every, x * every + i * distance :: every][: max(0, down - y), : max(0, across - x)]
+            some = np.s_[y : y + there.shape[0], x : x + there.shape[1]]
+            found[some] = np.fmax(found[some], (there - own[some]) / distance)
         distance = distance * 5 // 4 + 1
-    return best
+    return best.reshape(8, -1)
 
 
 def _steepest(best: np.ndarray) -> tuple[float, float]:
