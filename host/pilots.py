@@ -35,7 +35,7 @@ COMMON = 0.25  # share of the map from which on what is rare is met often enough
 class Pilots:
     """Nodes spread over the valid part of a map by a low-discrepancy sequence, from its number ``first`` on; the same for the same scene.
 
-    With ``rare``, where a few blocks have far more relief than the others (a trench in a plain), half as many nodes more
+    With ``rare``, where a few blocks have far more relief than the others (a trench in a plain), as many nodes again
     among these; ``weights`` (nodes,) are then the nodes' shares of the map, else None.
     """
 
@@ -52,7 +52,7 @@ class Pilots:
         self.tops = self._pooled(self.heights, np.maximum)
         self.highest, self.weights = float(self.tops.max()), None
         if rare and len(self.x) == count:  # else these are all there are
-            self._look_closer(count // 2)
+            self._look_closer(count)
         self.own = self.heights[self.y, self.x]
         self.deepest = float(self.own.min()) if scene.mask is not None else float(self.heights.min())
         self.gx, self.gy = (self._gradient(axis) for axis in (1, 0))

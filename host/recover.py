@@ -187,7 +187,7 @@ def _robust(images, lights, start, layers, near, far, max_seconds, backend, prog
     warnings = _before(images, lights, start, low, high)
 
     def note(level):
-        levels.append(level)
+        levels[:] = [other for other in levels if other.shape != level.shape] + [level]
         if progress:
             progress(len(levels), pyramid.top + 1)
 
@@ -225,7 +225,6 @@ def _robust(images, lights, start, layers, near, far, max_seconds, backend, prog
             z, value = best, least
         rivals = [(other - z, min(1, value / found) ** (1 if several else 2)) for other, found in answers if other is not z and found < RIVAL * value]
         z, value = pyramid.polish(half, z)
-        pyramid.best = half, z
         z, value = pyramid.climb(z, half, 0) if half else (z, value)
         if pyramid.stop():
             raise _OutOfTime

@@ -218,9 +218,11 @@ class Pyramid:
         return z, value
 
     def polish(self, level: int, z: np.ndarray) -> tuple[np.ndarray, float]:
-        """(depth, objective) of a surface that was eased, worked out."""
+        """(depth, objective) of the surface that is the answer so far, worked out."""
         self._lean(level, z)  # not on what was tried last
-        return self._ease(level, z, (), pace=CLOSE)
+        z, value = self._ease(level, z, (), pace=CLOSE)
+        self._keep(level, z)
+        return z, value
 
     def _cheap(self, level: int) -> bool:
         return max(self.images[level][0].shape) <= SMALL
