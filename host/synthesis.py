@@ -1,12 +1,13 @@
 """Depth by analysis and synthesis, coarse to fine: what recover(method="robust") does between its checks and its answer.
 
 On a pyramid of box-downsampled images, from 16 x 16 up, Gauss-Newton (backends/adjoint.py) fits a surface to all images at
-once. On every level the smoothness is let down in steps: a stiff surface has few ways to be wrong. A coarse grid cannot
-see what a fine one can: its images get a gain for the shade of relief that it does not see, and solutions go down again
-from finer grids (full approximation scheme): the coarse target is put right by what the two grids say of the same
-surface, E_coarse(restricted z) - restricted E_fine(z), and the change found there is brought up and kept if the fine
-objective falls. Large grids are solved by such cycles alone. What of the smoothness stands for noise is of the
-difference to the coarser grid's surface, which has less noise to take for relief.
+once. On every level the smoothness is let down in steps: a stiff surface has few ways to be wrong. Different starts are
+right in different places: if none of their surfaces is good, each place is taken from the one that is best there (mosaic).
+A coarse grid cannot see what a fine one can: its images get a gain for the shade of relief that it does not see, and large
+grids are solved by cycles over all coarser ones (full approximation scheme): the coarse target is put right by what the two
+grids say of the same surface, E_coarse(restricted z) - restricted E_fine(z), and the change found there is brought up and
+kept if the fine objective falls. What of the smoothness stands for noise is of the difference to the coarser grid's surface,
+which has less noise to take for relief.
 """
 
 from __future__ import annotations
@@ -37,7 +38,8 @@ STIFF = (1e-2, 1e-3, 1e-4)  # smoothness let down to it on the first grid
 SOFTER = (1e-3, 1e-4)  # and on all others
 STEPS, FIRST = 20, 30  # Gauss-Newton steps at one smoothness; of the first grid
 MOST = 60  # conjugate gradients of a step
-LOOSE, CLOSE = (0.05, 5e-3), (0.02, 1e-3)  # tolerance of conjugate gradients, and share of the objective below which a step is the last: on the way, at the end
+LOOSE, CLOSE, LAST = (0.05, 5e-3), (0.02, 1e-3), (0.01, 2e-4)  # tolerance of conjugate gradients, and share of the objective below which a step is the last:
+# on the way, where the way decides, and of the answer
 BETTER = 0.5  # share of the objective below which another start is believed instead of the first
 SMALL = 64  # grids on which this is cheap; larger ones are cycled
 SMOOTH, BOTTOM, CAREFUL = (4, 30, 0.05), (8, 60, 0.03), 1e-2  # steps, conjugate gradients, tolerance of a cycle's grids and of its coarsest; first damping
@@ -220,7 +222,7 @@ class Pyramid:
     def polish(self, level: int, z: np.ndarray) -> tuple[np.ndarray, float]:
         """(depth, objective) of the surface that is the answer so far, worked out."""
         self._lean(level, z)  # not on what was tried last
-        z, value = self._ease(level, z, (), pace=CLOSE)
+        z, value = self._ease(level, z, (), pace=LAST)
         self._keep(level, z)
         return z, value
 

@@ -10,7 +10,7 @@ from scenes import rough
 
 import skylamp as sl
 from skylamp import oracle, synthesis
-from skylamp.backends import adjoint, select
+from skylamp.backends import select
 from skylamp.errors import CapacityError
 
 adjoint = importlib.import_module("skylamp.backends.adjoint")
