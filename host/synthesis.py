@@ -221,7 +221,7 @@ class Pyramid:
 
     def polish(self, level: int, z: np.ndarray) -> tuple[np.ndarray, float]:
         """(depth, objective) of the surface that is the answer so far, worked out."""
-        self._lean(level, z)  # not on what was tried last
+        self._lean_on_itself(level, z)
         z, value = self._ease(level, z, (), pace=LAST)
         self._keep(level, z)
         return z, value
@@ -324,12 +324,16 @@ class Pyramid:
         off = [blurred(blurred(square)) + 1e-12 for square in off]
         shares = [blurred((np.min(off, 0) / square) ** 2) for square in off]
         joined = sum(share * z for share, z in zip(shares, surfaces)) / sum(shares)
-        self._lean(level, joined)
+        self._lean_on_itself(level, joined)
         return self._ease(level, joined, SOFTER)
 
     def _lean(self, level: int, z: np.ndarray) -> None:
         """Lets what stands for noise in the smoothness be of the difference to z, and the rest of the whole surface."""
         self.problem(level).lean((1 - self.least(level) / self.smoothness(level)) * z)
+
+    def _lean_on_itself(self, level: int, z: np.ndarray) -> None:
+        """The same to what a coarser grid would hold of z."""
+        self._lean(level, cubic(halved(np.asarray(z, float)), 2)[: z.shape[0], : z.shape[1]])
 
     def _bound(self, bounds) -> None:
         self.bounds = bounds
@@ -345,7 +349,7 @@ class Pyramid:
         model = Descent(self.engine, shape, self.sides, [(light_of(source, shape, FINER * 0.5**level, MORE), repeated / (math.pi * unit), np.zeros(shape))
                                                          for source, unit in zip(self.sources, self.units)], np.zeros(shape), np.full(shape, np.inf))
         middle, found = slice(FINER // 2, None, FINER), z
-        self._lean(level, z)
+        self._lean_on_itself(level, z)
         for _ in range(2):
             fine = model.irradiances(np.maximum(FINER * cubic(found, FINER), 1e-3))
             problem.aim([image + own - other[middle, middle] for image, own, other in zip(self.images[level], problem.irradiances(found), fine)])

@@ -197,7 +197,7 @@ class Descent:
         return self.backend.download(self.x).reshape(self.shape)
 
     def gradient(self, smoothness: float) -> tuple[float, float]:
-        """Readies a step from z[here], which must have been evaluated: r = -gradient, v = r / scale; gives v v and r v."""
+        """Readies a step from z[here], which must have been evaluated: r = -gradient, v = r preconditioned; gives v v and r v."""
         unit = FIXED / max(1e-12, math.sqrt(sum(self.misfits)))
         for image in self.images:
             self._launch("downhill", *image.links[self.here], image.gain, image.target, self.sum, self.squares, unit, FINE, *self.shape, image.count, self.of_team, self.teams, dim=self._teams())
