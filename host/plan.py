@@ -28,7 +28,7 @@ from .radiometry import point_error
 from .reflectance import Lambertian
 from .scene import Scene, is_scene, positive_number
 
-FEWEST, SPARSE = 128, 8  # pilots of a small map under a sky; rows of a larger one for each: planning should stay a small part of the whole
+FEWEST, SPARSE = 192, 8  # pilots of a small map under a sky; rows of a larger one for each: planning should stay a small part of the whole
 TAIL = 10.0  # bound on the 99.9th percentile of the error, in tolerances, unless given
 MARGIN = 0.95  # share of the tolerance that a setting may take: kernels add a little to the error of their azimuths
 SIGMAS = 1.5  # standard errors by which the RMS error of all nodes may pass that of the pilots
