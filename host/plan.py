@@ -49,7 +49,7 @@ SAFE = {24: 0.033, 48: 0.0125, 64: 0.0080, 96: 0.0046, 128: 0.0033, 192: 0.0021,
 SAFE_SLICES, SAFELY = 128, 1.5  # slices that do for lamps; tolerance over the known error from which a setting is taken unmeasured
 POINT = 0.1  # share of the tolerance by which a lamp that is called a point may be off as one
 SLIGHT, FAINT = 0.7, 0.1  # share of the tolerance that ground may take from a sky, as its highest nodes have it, that no ray is cast; where some ground is rare
-BEYOND = 3  # nodes
+BEYOND = 3  # nodes beyond the percentile, from which on it is read off
 HIDDEN = 1.25  # times the bound that counts where what ground hides is left out
 
 

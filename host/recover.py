@@ -197,37 +197,41 @@ def _robust(images, lights, start, layers, near, far, max_seconds, backend, prog
     spent = lambda: time.perf_counter() - pyramid.began - (engine.compile_seconds - compiled)
     pyramid.stop = lambda: spent() > seconds_left
     rivals, cut = [], None
+
+    def in_time():
+        if pyramid.stop():
+            raise _OutOfTime
+
     try:
         shares, misfits = pyramid.flat()
         top, half = pyramid.top, max(0, pyramid.top - 2)
         flat = pyramid.bounds[top][0] + shares[np.argmin(misfits)] * (pyramid.bounds[top][1] - pyramid.bounds[top][0])
         pyramid.lighten(flat)
-        middle = min(half + 1, top)  # the grid on which starts are sorted out
+        middle = max(0, top - 1)  # the grid on which starts are sorted out
         z, value = coarse = pyramid.climb(flat, top, middle)
         if half < middle:
             z, value = pyramid.climb(z, middle, half)
-        if pyramid.stop():
-            raise _OutOfTime
+        in_time()
         starts = [coarse]
         for share in CONFINED:
             other, found = pyramid.confined(float(np.quantile(coarse[0], share)), middle, flat)
+            in_time()  # else it is of a coarser grid
             if all(_apart(other, one) > ALIKE for one, _ in starts):
                 starts.append((other, found))
         _join(pyramid, middle, starts)
-        answers = [(z, value)]
-        for other, found in starts[1:]:
-            if found < HOPE * max(coarse[1], pyramid.good(middle)):
-                answers.append(pyramid.climb(other, middle, half, keep=False) if half < middle else (other, found))
-        answers = [answer for answer in answers if answer[0].shape == pyramid.images[half][0].shape]  # others ran out of time
-        _join(pyramid, half, answers)
+        answers = starts
+        if half < middle:
+            answers = [(z, value)] + [pyramid.climb(other, middle, half, keep=False) for other, found in starts[1:] if found < HOPE * max(coarse[1], pyramid.good(middle))]
+            in_time()
+            _join(pyramid, half, answers)
         best, least = min(answers, key=lambda answer: answer[1])
         if least < (BETTER if several else CLEARLY) * value:
             z, value = best, least
         rivals = [(other - z, min(1, value / found) ** (1 if several else 2)) for other, found in answers if other is not z and found < RIVAL * value]
         z, value = pyramid.polish(half, z)
-        z, value = pyramid.climb(z, half, 0) if half else (z, value)
-        if pyramid.stop():
-            raise _OutOfTime
+        if half:
+            z, value = pyramid.climb(z, half, 0)
+        in_time()
     except _OutOfTime:
         cut = f"Out of time after {seconds_left:g} s: this is the best so far."
     except KeyboardInterrupt:
@@ -258,7 +262,7 @@ def _join(pyramid, level, answers) -> None:
 
 
 def _apart(one, other) -> float:
-    return math.sqrt(np.mean((one - other) ** 2)) if one.shape == other.shape else math.inf
+    return math.sqrt(np.mean((one - other) ** 2))
 
 
 def _directed(light) -> bool:

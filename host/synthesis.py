@@ -203,13 +203,8 @@ class Pyramid:
     def flat(self, count: int = 40) -> tuple[np.ndarray, np.ndarray]:
         """Depths of flat surfaces between the bounds, and how badly each explains the images on the first grid."""
         problem = self.problem(self.top)
-        share = (np.arange(count) + 0.5) / count
-        misfits = []
-        low, high = self.bounds[self.top]
-        for part in share:
-            value = problem.value(low + part * (high - low), 0)
-            misfits.append(value)
-        return share, np.array(misfits)
+        share, (low, high) = (np.arange(count) + 0.5) / count, self.bounds[self.top]
+        return share, np.array([problem.value(low + part * (high - low), 0) for part in share])
 
     def _ease(self, level: int, z: np.ndarray, stiff, steps: int = STEPS, pace: tuple[float, float] | None = None) -> tuple[np.ndarray, float]:
         problem = self.problem(level)

@@ -1,6 +1,8 @@
 """recover(method="robust"): accurate, stable where carving is not, and honest about what it cannot know."""
 
 import functools
+import importlib
+import itertools
 import logging
 
 import numpy as np
@@ -68,6 +70,29 @@ def test_noise_is_damped(fast, name):
     other = np.maximum(image + 0.03 * image.max() * np.random.default_rng(5).normal(size=image.shape), 0)
     noisy = sl.recover(other, sl.Sky(), ALBEDO, "dark", backend=fast)
     assert _amplification(noisy.depth, image, other, found(name, "sky", fast, 64).depth) < 0.5
+
+
+def _pyramid(fast, image, kind):
+    return Pyramid(select(fast), [image], [source_of(kind)], np.array(ALBEDO), "dark", np.full(image.shape, 1e-3), np.full(image.shape, 32.0))
+
+
+def test_a_mosaic_takes_every_place_from_the_surface_that_fits_there(fast, monkeypatch):
+    """Of two that are two layers off in one half each, before it is eased: nearly right in both, but where they meet."""
+    depth, image = pair("egg-crate", "lamp")
+    pyramid, west = _pyramid(fast, image, "lamp"), np.arange(SMALL) < SMALL // 2
+    monkeypatch.setattr(pyramid, "_ease", lambda level, z, *how: (z, 0.0))
+    joined = pyramid.mosaic(0, [depth + np.where(here, 2.0, 0.0) for here in (west, ~west)])[0]
+    away = np.abs(np.arange(SMALL) - (SMALL - 1) / 2) > 4
+    assert rms((joined - depth)[:, away]) < 0.1 and rms(joined - depth) < 0.5
+
+
+def test_what_is_polished_does_not_lean_on_what_was_tried_last(fast):
+    """With noise, smoothness leans on a coarser surface: of the answer, not of another start."""
+    depth, image = pair("egg-crate", "sky")
+    image = np.maximum(image + 0.03 * image.max() * np.random.default_rng(3).normal(size=image.shape), 0)
+    pyramid = _pyramid(fast, image, "sky")
+    pyramid._lean(0, depth[::-1])
+    assert rms(pyramid.polish(0, depth)[0] - depth) < 0.5
 
 
 @pytest.mark.parametrize("name", SURFACES)
@@ -191,6 +216,22 @@ def test_time_is_kept_and_the_best_so_far_is_given(fast):
     found("bumps", "sky", fast, SMALL)  # compiled before
     got = sl.recover(image, sl.Sky(), ALBEDO, "dark", layers=LAYERS, max_seconds=0.01, backend=fast)
     assert got.depth.shape == depth.shape and np.isfinite(got.depth).all() and any("Out of time" in warning for warning in got.warnings)
+
+
+def test_time_may_end_anywhere(fast, monkeypatch):
+    """A clock that goes on by a second whenever it is asked ends the search in every part of it: a whole surface each time, and none that is
+    worse than a flat one."""
+    depth, image = surfaces.pair("egg-crate", "sky")
+    recover = importlib.import_module("skylamp.recover")
+    cut = 0
+    for seconds in (1, 25, 80, 130, 180, 230, 280, 330, 380):
+        ticks = itertools.count()
+        with monkeypatch.context() as patch:
+            patch.setattr(recover.time, "perf_counter", lambda: next(ticks))
+            got = sl.recover(image, sl.Sky(), ALBEDO, "dark", backend=fast, max_seconds=seconds)
+        cut += any("Out of time" in warning for warning in got.warnings)
+        assert got.depth.shape == image.shape and rms(got.depth - depth) < (8 if seconds > 25 else 16)
+    assert cut > 6
 
 
 def test_an_interrupt_gives_the_best_so_far(fast):

@@ -976,7 +976,8 @@ def turn_of(state: wp.array[wp.float64], total: Sums, fixed_: wp.float64, exact:
 
 
 @wp.func
-def go_at(v: wp.array[wp.float32], w: wp.array[wp.float32], r: wp.array[wp.float32], x: wp.array[wp.float32], p: wp.array[wp.float32], s: wp.array[wp.float32], alpha: wp.float32, beta: wp.float32, i: wp.int32):
+def go_at(v: wp.array[wp.float32], w: wp.array[wp.float32], r: wp.array[wp.float32], x: wp.array[wp.float32], p: wp.array[wp.float32],
+          s: wp.array[wp.float32], alpha: wp.float32, beta: wp.float32, i: wp.int32):
     """See go."""
     p[i] = v[i] + beta * p[i]
     s[i] = w[i] + beta * s[i]
@@ -985,7 +986,8 @@ def go_at(v: wp.array[wp.float32], w: wp.array[wp.float32], r: wp.array[wp.float
 
 
 @wp.kernel
-def go(v: wp.array[wp.float32], w: wp.array[wp.float32], r: wp.array[wp.float32], x: wp.array[wp.float32], p: wp.array[wp.float32], s: wp.array[wp.float32], totals: wp.array[wp.int64], next_totals: wp.array[wp.int64],
+def go(v: wp.array[wp.float32], w: wp.array[wp.float32], r: wp.array[wp.float32], x: wp.array[wp.float32], p: wp.array[wp.float32],
+       s: wp.array[wp.float32], totals: wp.array[wp.int64], next_totals: wp.array[wp.int64],
        state: wp.array[wp.float64], next: wp.array[wp.float64], fixed_: wp.float64, exact: wp.float64, pixels: wp.int32, each: wp.int32):
     """A step of conjugate gradients with one sum (Chronopoulos and Gear 1989): p = v + beta p, s = w + beta s, x += alpha p,
     r -= alpha s."""

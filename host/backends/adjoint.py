@@ -25,7 +25,7 @@ BESIDE = 32  # nodes whose links lie side by side; as there
 SLOTS = 32  # places that a sum of whole numbers is spread over; as there
 LEFT, GAIN, STATE = 0, 7, 11  # in the state of conjugate gradients: iterations left, what was gained; its length; as there
 TILE = 8  # nodes across the squares whose highest point is known; as there
-FOUR, QUARTERED = 4, 2  # times as coarse is every grid that preconditions than the one before; how many there are
+FOUR = 4  # times as coarse is each of the two grids that precondition than the one before; as in opencl/adjoint.cl
 BROAD, BROADER = 0.075, 0.125  # a coarse node's curvature over the sum of its nodes' diagonal; of the next: as measured, curvature falls as the width to -1.5
 MARGIN = 16
 NONE = -1e30
@@ -108,9 +108,7 @@ class Descent:
         self.tilts, self.top = backend.empty((2, self.pixels), np.float32), backend.empty((1,), np.int32)
         self.tiles = backend.empty((-(-rows // TILE) * -(-cols // TILE),), np.float32)
         *self.z, self.w, self.p, self.s, self.x = (backend.empty((self.pixels,), np.float32) for _ in range(6))
-        self.shapes = [shape]  # of the grid and of those that precondition
-        for _ in range(QUARTERED):
-            self.shapes.append(tuple(-(-size // FOUR) for size in self.shapes[-1]))
+        self.shapes = [tuple(-(-size // FOUR**times) for size in shape) for times in range(3)]  # of the grid and of those that precondition
         sizes = [down * across for down, across in self.shapes]
         self.v, self.scale = ([backend.empty((size,), np.float32) for size in sizes] for _ in range(2))
         self.r, self.free = ([backend.empty((size,), np.float32, fill) for size in sizes[:-1]] for fill in (None, 1))
@@ -210,6 +208,7 @@ class Descent:
         return tuple(self.backend.download(self.lengths).sum(1).tolist())
 
     def _down(self, level: int, fine, to, times: float = 1.0, over=None) -> None:
+        """to = times what a grid brings down to the next, over ``over`` if given."""
         rows, cols = self.shapes[level + 1]
         self._launch("down", fine, to if over is None else over, to, times, over is not None, *self.shapes[level], dim=(cols, rows))
 
