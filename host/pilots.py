@@ -12,7 +12,7 @@ from functools import cached_property
 import numpy as np
 
 from . import sources
-from .backends.base import Backend
+from .backends.base import Backend, scratch
 from .backends.slices import Ball, Quad
 from .directions import Azimuths
 from .scene import Scene
@@ -40,24 +40,41 @@ class Pilots:
     """
 
     def __init__(self, scene: Scene, count: int = COUNT, first: int = 1, rare: bool = False):
-        values, step = scene.lattice()
-        self.scene, self.step, (self.rows, self.cols) = scene, step, scene.shape
-        self.heights = np.negative(values)
-        if step != 1:
-            self.heights /= np.float32(step)
-        if scene.mask is not None:
-            self.heights[~scene.mask] = NONE
+        self.scene, (self.rows, self.cols) = scene, scene.shape
         self.x, self.y = _spread(scene, count, first)
-        self.common = len(self.x)
-        self.tops = self._pooled(self.heights, np.maximum)
-        self.highest, self.weights = float(self.tops.max()), None
+        self.common, self.weights = len(self.x), None
         if rare and len(self.x) == count:  # else these are all there are
             self._look_closer(count)
-        self.own = self.heights[self.y, self.x]
-        self.deepest = float(self.own.min()) if scene.mask is not None else float(self.heights.min())
+        self.own = self.height(self.y, self.x)
         self.gx, self.gy = (self._gradient(axis) for axis in (1, 0))
         self.length = np.sqrt(1 + self.gx**2 + self.gy**2)
         self._on = {}
+
+    def height(self, row, col) -> np.ndarray:
+        """Of some nodes; NONE where masked."""
+        values, step = self.scene.lattice()
+        return np.maximum(values[row, col] / np.float32(-step), NONE)
+
+    @cached_property
+    def heights(self) -> np.ndarray:
+        """Of all nodes, once something must look at all of them."""
+        values, step = self.scene.lattice()
+        heights = np.divide(values, np.float32(-step), out=scratch(values.shape))
+        return heights if self.scene.mask is None else np.maximum(heights, NONE, out=heights)
+
+    @cached_property
+    def tops(self) -> np.ndarray:
+        """The highest node of every block of 2^shift x 2^shift nodes, and of the row and column after."""
+        return self._pooled(self.heights, np.maximum)
+
+    @cached_property
+    def highest(self) -> float:
+        return float(self.tops.max())
+
+    @property
+    def deepest(self) -> float:
+        """Of the pilots."""
+        return float(self.own.min())
 
     def __len__(self) -> int:
         return len(self.x)
@@ -107,12 +124,12 @@ class Pilots:
 
     def _gradient(self, axis):
         """d depth / d axis at the pilots: central differences, one-sided at the border and beside masked nodes."""
-        length = self.heights.shape[axis]
+        length = self.scene.shape[axis]
         found = []
         for by in (-1, 1):
             at = (self.y, self.x + by) if axis else (self.y + by, self.x)
             inside = (at[axis] >= 0) & (at[axis] < length)
-            there = self.heights[tuple(np.clip(v, 0, n - 1) for v, n in zip(at, self.heights.shape))]
+            there = self.height(*(np.clip(v, 0, n - 1) for v, n in zip(at, self.scene.shape)))
             inside &= there > NONE
             found.append((np.where(inside, there, self.own), inside))
         (low, has_low), (high, has_high) = found
@@ -122,7 +139,7 @@ class Pilots:
 
     @cached_property
     def shift(self) -> int:
-        return 5 if min(self.heights.shape) >= 512 else 4 if min(self.heights.shape) >= 64 else 3
+        return 5 if min(self.scene.shape) >= 512 else 4 if min(self.scene.shape) >= 64 else 3
 
     def _pooled(self, found, of):
         """Highest or lowest node of every block, and of the row and column after it."""
@@ -223,9 +240,15 @@ class Pilots:
         y = rows[:, 0, None] + self.heights[rows[:, None], x[..., None]].argmax(2)
         return np.stack([x.ravel(), y.ravel()]).astype(np.int32), max(high, wide)
 
-    def _peaks(self, count):
+    @cached_property
+    def _grid(self):
+        """As ``_highest``, but the middle of every block."""
+        x, y = ((np.arange(WIDE) + 0.5) * n // WIDE for n in (self.cols, self.rows))
+        return np.stack([np.tile(x, WIDE), y.repeat(WIDE)]).astype(np.int32), -(-max(self.rows, self.cols) // WIDE)
+
+    def _peaks(self, count, among):
         """Distances (x, y), distance and slope of nodes that may hide something from ``count`` pilots or somewhat more: (nodes, candidates)."""
-        peaks, size = self._highest
+        peaks, size = among
         near = np.indices((2 * CLOSE + 1,) * 2, np.int32).reshape(2, -1) - CLOSE
         some = np.arange(0, self.common, max(1, self.common // count))
         if count == MANY:
@@ -241,17 +264,21 @@ class Pilots:
         inside = (x >= 0) & (x < self.cols) & (y >= 0) & (y < self.rows) & to.any(0)
         dx, dy = to.astype(np.float32)
         distance = np.where(inside, np.sqrt(dx * dx + dy * dy), np.float32(np.inf))
-        slope = (self.heights[np.clip(y, 0, self.rows - 1), np.clip(x, 0, self.cols - 1)] - self.own[some, None]) / distance
+        slope = (self.height(np.clip(y, 0, self.rows - 1), np.clip(x, 0, self.cols - 1)) - self.own[some, None]) / distance
         return some, dx, dy, distance, np.where(inside, slope, -np.inf), size
 
     def sky_lost(self, limit: float) -> float:
         """RMS share of a uniform sky's light that ground or walls take from a node, from the highest nodes around some; an estimate, on
         the high side where little is hidden; from few nodes where these tell of far more than ``limit``."""
-        few = self._sky_lost(FEW)
-        return few if few > PLAINLY * limit else self._sky_lost(MANY)
+        few = self._sky_lost(FEW, self._highest)
+        return few if few > PLAINLY * limit else self._sky_lost(MANY, self._highest)
 
-    def _sky_lost(self, count):
-        some, dx, dy, distance, slope, _ = self._peaks(count)
+    def sky_lost_at_a_glance(self) -> float:
+        """The same from a few hundred nodes of the map; as a rule there is more."""
+        return self._sky_lost(FEW, self._grid)
+
+    def _sky_lost(self, count, among):
+        some, dx, dy, distance, slope, _ = self._peaks(count, among)
         sectors = 16
         azimuths = 2 * np.pi * (np.arange(sectors) + 0.5) / sectors
         gx, gy = self.gx[some], self.gy[some]
@@ -276,7 +303,7 @@ class Pilots:
         return all(self._clear(solid, count) for count in (FEW, MANY))
 
     def _clear(self, solid, count):
-        some, dx, dy, distance, slope, block = self._peaks(count)
+        some, dx, dy, distance, slope, block = self._peaks(count, self._highest)
         here = np.stack([self.x, self.y, self.own]).astype(float)[:, some]
         if isinstance(solid, Ball):
             to = np.array(solid.center)[:, None] - here

@@ -124,12 +124,14 @@ class Setting:
 
 
 class Work(NamedTuple):
-    """A plan with what it takes to follow it: settings from the one chosen on, the pilots and their reference (nan: none)."""
+    """A plan with what it takes to follow it: settings from the one chosen on, the pilots and their reference; ``glanced``: no ray
+    was cast, so that the image has to tell what is left out between surfaces."""
 
     plan: Plan
     settings: list[Setting]
     pilots: Pilots
     exact: np.ndarray | None
+    glanced: bool
 
 
 def plan(scene: Scene, source: sources.Source, tolerance: float = 0.01, backend: str = "auto", *, tail: float | None = None) -> Plan:
@@ -185,7 +187,7 @@ def work(scene: Scene, source: sources.Source, tolerance: float, engine: Backend
     reason = _error_text(best, tolerance) if math.isfinite(best.error) else planner.unmeasured
     made = Plan("horizon" if best.method == "slices" else best.method, best.units if lattice else None, True if lattice else None, reason, None if lattice or best.method == "unoccluded" else best.units,
                 best.max_distance, tolerance, tail, _known(best.error), _known(best.tail), None, best.seconds + took, took, tuple(choices), tuple(_beyond(planner, tolerance)))
-    return Work(made, [best, *finer], planner.pilots, planner.exact if math.isfinite(best.error) else None)
+    return Work(made, [best, *finer], planner.pilots, planner.exact if math.isfinite(best.error) else None, planner.glanced)
 
 
 def lacking(scene: Scene, source: sources.Source) -> str:
@@ -252,11 +254,15 @@ class _Planner:
     unmeasured = ""
     exact: np.ndarray | None = None
     hidden = math.nan  # RMS share of the light that ground takes
+    glanced = False
 
     def __init__(self, scene, source, tolerance, tail, engine, cost: Costs, hurry: bool):
         self.scene, self.source, self.tolerance, self.tail, self.engine, self.cost, self.hurry = scene, source, tolerance, tail, engine, cost, hurry
-        self.pixels = scene.depth.size
-        self.pilots = Pilots(scene, self.count, rare=True)
+        self.pixels = math.prod(scene.shape)
+
+    @cached_property
+    def pilots(self):
+        return Pilots(self.scene, self.count, rare=True)
 
     def fits(self, found: Errors | Setting) -> bool:
         return found.bound <= MARGIN * self.tolerance and found.tail <= self.tail
@@ -283,12 +289,15 @@ class _Sky(_Planner):
         return min(COUNT, max(FEWEST, math.isqrt(self.pixels) // SPARSE))
 
     def settings(self):
-        source, pilots = self.source, self.pilots
+        source = self.source
         self.rest, self.scale, self.knots, self.one = source, 1.0, 0, False
         if callable(source.brightness):
             self._look()
         else:
             self.scale = float(source.brightness)
+            if found := self._at_a_glance():
+                return found
+        pilots = self.pilots
         slight = (SLIGHT if pilots.weights is None else FAINT) * self.tolerance
         lost = pilots.sky_lost(slight / self.contrast) * self.contrast
         if lost <= slight and 5 * lost <= self.tail:
@@ -370,15 +379,35 @@ class _Sky(_Planner):
         tables = 3e-8 * 4 * self.knots * (1 if self.one else 2 * units) if method == "horizon" and not self.constant else 0.0
         return factor * cost.seconds(self.pixels, units) + tables
 
-    def _safe(self):
-        """A number of azimuths that does anywhere, or nothing; what else the plan says is from 16 of them."""
+    def _certain(self):
+        """A number of azimuths that does anywhere, if it takes less time than to choose one."""
         count = next((count for count, error in SAFE.items() if SAFELY * error <= self.tolerance), None)
-        if count is None or self.pilots.periodic or not self._quicker(self._seconds("horizon", count, DEARER) + (self.cost["sectors"].seconds(self.pixels, SUNS) if self.suns else 0.0)):
+        if count is None or self.scene.sides == "periodic" or not self._quicker(self._seconds("horizon", count, DEARER) + (self.cost["sectors"].seconds(self.pixels, SUNS) if self.suns else 0.0)):
+            return None
+        self.unmeasured = f"on ground that is hard to render it is off by {_percent(SAFE[count])}, and to choose fewer would take longer than to render"
+        return count
+
+    def _at_a_glance(self):
+        """Such a number of azimuths under a uniform sky, where a few hundred nodes show that closed forms will not do; or nothing."""
+        count = self._certain()
+        if count is None:
+            return None
+        pilots = Pilots(self.scene, FEWEST)
+        self.hidden = pilots.sky_lost_at_a_glance()
+        if self.hidden <= self.tolerance:
+            return None
+        self.pilots, self.glanced = pilots, True
+        near = NEAR if pilots.steep > 0 else None
+        return [Setting("horizon", count, seconds=self._seconds("horizon", count, DEARER if near else 1.0), sectors=_evenly(count), scale=self.scale, near=near)]
+
+    def _safe(self):
+        """Such a number under any sky, or nothing; what else the plan says is from 16 of them."""
+        count = self._certain()
+        if count is None:
             return None
         self.by_suns = {None: 0.0} if self.suns is None else {1: self.pilots.suns(self.engine, self.suns.fewer(SPANS[0]))[0]}
         azimuths = 2 * np.pi * np.arange(16) / 16
         found = next(s for s in self._evaluate(azimuths, self.pilots.horizons(self.engine, azimuths)) if s.units == count)
-        self.unmeasured = f"on ground that is hard to render it is off by {_percent(SAFE[count])}, and to choose fewer would take longer than to render"
         return [replace(found, near=NEAR, error=math.nan, bound=math.nan, tail=math.nan)]
 
     def _even(self):
@@ -513,7 +542,7 @@ class _Sky(_Planner):
         return [Setting("horizon", count, *_between(measured, count), self._seconds("horizon", count), *made[count], near=near) for count in made]
 
     def choices(self, best, settings):
-        yield Choice("occlusion", "none" if best.method == "unoccluded" else "by ground", f"ground takes {_percent(self.hidden)} of the light (RMS)")
+        yield Choice("occlusion", "none" if best.method == "unoccluded" else "by ground", f"ground takes {'at least ' * self.glanced}{_percent(self.hidden)} of the light (RMS)")
         yield Choice("brightness", self.looks, self.why_looks)
         if best.method == "horizon":
             yield Choice("azimuths", f"{best.units} {'evenly' if best.sectors.edges == Azimuths(best.units).edges else 'placed by brightness'}", self.unmeasured or _among(best, settings))
@@ -744,14 +773,14 @@ def _common(planner, best, settings, tolerance, tail):
     """Lines that every plan has."""
     if best.method != "unoccluded":
         others = [s for s in settings if s.method not in (best.method, "unoccluded") and s.bound <= MARGIN * tolerance]
-        why = f"the cheapest other way within tolerance takes {min(s.seconds for s in others) / best.seconds:.1f} times as long" if others else "no other way is within tolerance"
+        why = f"the cheapest other way within tolerance takes {min(s.seconds for s in others) / best.seconds:.1f} times as long" if others else "no other way is within tolerance" if math.isfinite(best.error) else "no other way was tried"
         yield Choice("method", "horizons" if best.method in ("horizon", "slices") else "lattice", lacking(planner.scene, planner.source) or why)
     kind = planner.scene.reflectance
     if isinstance(kind, Lambertian):
         yield Choice("specular lobe", "none", "the surface is Lambertian")
     else:
         yield Choice("specular lobe", type(kind).__name__, "summed beside the irradiance, to which the error and the time given here belong")
-    yield Choice("precision", "float32", f"depths are rounded by {_rounding(planner.pilots):.1g} spacings at most")
+    yield Choice("precision", "float32", f"depths are rounded by {_rounding(planner.pilots):.1g} spacings")
     if math.isfinite(best.error):
         yield Choice("error", _percent(best.error), f"RMS over the mean, at {len(planner.pilots)} pilot nodes; at most {_percent(best.bound)} over all nodes, asked for {_percent(tolerance)}")
         yield Choice("99.9th percentile", _percent(best.tail), f"asked for {_percent(tail)}")
@@ -762,19 +791,13 @@ def _common(planner, best, settings, tolerance, tail):
 def _beyond(planner, tolerance):
     """What the scene needs and the model lacks, with numbers."""
     scene, source, pilots = planner.scene, planner.source, planner.pilots
-    rho = np.asarray(scene.albedo, float)
-    rho = float((rho[scene.valid] if rho.ndim > 1 else rho).max())
-    if planner.exact is not None and planner.exact.any() and rho > 0:
+    if planner.exact is not None and planner.exact.any():
         uniform = planner.uniform
-        if uniform is None:
+        if uniform is None and planner.hidden:
             azimuths = 2 * np.pi * (np.arange(16) + 0.5) / 16
-            uniform = pilots.ring(azimuths, pilots.horizons(planner.engine, azimuths)).mean(0) * 2 * np.pi if planner.hidden else None
+            uniform = pilots.ring(azimuths, pilots.horizons(planner.engine, azimuths)).mean(0) * 2 * np.pi
         if uniform is not None:
-            sky = np.clip(uniform / np.pi, 0, 1)
-            bound = rho * (1 - sky) * planner.exact.max() / (1 - rho * (1 - sky.min()))
-            share = float(np.sqrt(np.mean(bound**2)) / planner.exact[planner.exact > 0].mean())
-            if share > tolerance:
-                yield f"Light between surfaces is left out: at most {_percent(share)} of the mean (RMS) at albedo {rho:g}."
+            yield from between_surfaces(scene, uniform, planner.exact, tolerance)
     if isinstance(source, sources.Lamp) and source.center is not None:
         x, y, z = (v / scene.spacing for v in source.center)
         radius = source.radius / scene.spacing
@@ -790,8 +813,19 @@ def _beyond(planner, tolerance):
         yield f"Depths are rounded by {_rounding(pilots):.2g} spacings, more than the tolerance allows: take the least depth off."
 
 
+def between_surfaces(scene, uniform, exact, tolerance):
+    """What light between surfaces may add to the irradiance ``exact`` at some nodes, if it passes the tolerance; ``uniform``: theirs under a sky of brightness 1."""
+    rho = np.asarray(scene.albedo, float)
+    rho = float((rho[scene.valid] if rho.ndim > 1 else rho).max())
+    sky = np.clip(uniform / np.pi, 0, 1)
+    bound = rho * (1 - sky) * exact.max() / (1 - rho * (1 - sky.min()))
+    share = float(np.sqrt(np.mean(bound**2)) / exact[exact > 0].mean())
+    if share > tolerance:
+        yield f"Light between surfaces is left out: at most {_percent(share)} of the mean (RMS) at albedo {rho:g}."
+
+
 def _rounding(pilots):
-    return max(abs(pilots.highest), abs(pilots.deepest)) * 2.0**-24
+    return abs(pilots.deepest) * 2.0**-24  # heights are none above 0
 
 
 def _gap(scene, pilots, x, y, height):
