@@ -37,13 +37,13 @@ GRIDS = {24: 6, 48: 12, 96: 24, 192: 256}  # azimuths of the reference, and how 
 PLACED, PLACED_GRID = (8, 16, 32, 80), 160  # azimuths where brightness is uneven on a map that repeats, and of their reference
 PLACED_COUNT = 128  # pilots there
 SUNS, SPANS = 120, (15, 5, 3, 1)  # sectors of a sun's light in the reference, and how many of them a candidate takes together
-SLICES, FINEST = (8, 16, 32, 64, 128, 256), 96  # slices of a source that stands all round; slices of the reference
+SLICES, FINEST = (8, 16, 32, 64, 128, 256), {0.01: 48, 0.0: 96}  # slices of a source that stands all round; slices of the reference, from a tolerance on
 LATTICES = (5, 7, 9, 17, 33)
 # RMS error of E / pi of the filled lattice under a uniform sky on rough ground (rms slope 1): performance/lattice_error.py
 LATTICE_ERROR = {5: 0.0376, 7: 0.0188, 9: 0.0119, 17: 0.0039, 33: 0.0012}
 LOOKS = 192  # azimuths at which a sky's brightness is looked at, at least; a multiple of those of GRIDS
 NEAR = 24  # rows within which every crossing is tested where a small error of the horizon shows
-BEHIND = 0.017  # RMS error of sweeps behind cliffs, over the root of their share of the nodes, however many azimuths: 0.2 to 0.6 % among houses
+BEHIND = {NEAR: 0.017, None: 0.045}  # RMS error of sweeps behind cliffs, with so many and with the backend's choice, over the root of the cliffs' share of the nodes: 0.2 to 0.6 % and 0.5 to 1.1 % among houses
 DEARER = 1.4  # times as long as a sweep takes with so many
 SAFE = {24: 0.033, 48: 0.0125, 64: 0.0080, 96: 0.0046, 128: 0.0033, 192: 0.0021, 256: 0.0017}  # RMS error by azimuths, with so many, among houses
 SAFE_SLICES, SAFELY = 128, 1.5  # slices that do for lamps; tolerance over the known error from which a setting is taken unmeasured
@@ -175,18 +175,20 @@ def work(scene: Scene, source: sources.Source, tolerance: float, engine: Backend
         best = min(fitting, key=lambda s: s.seconds)
     else:
         best = min(settings, key=lambda s: (s.error if math.isfinite(s.error) else math.inf, s.seconds))
-    finer = sorted((s for s in settings if s.method == best.method and s.units > best.units and s.suns is settings[-1].suns), key=lambda s: s.units)
+    finer = sorted((s for s in settings if s.method == best.method and s.units > best.units and s.near == best.near and s.suns is settings[-1].suns), key=lambda s: s.units)
     if best.method == "unoccluded":
         finer = sorted((s for s in settings if s.method != "unoccluded" and s.error <= tolerance), key=lambda s: s.seconds)[:1]
     if best.method == "horizon":
         finer = [replace(s, near=NEAR) for s in ([best] if best.near is None else []) + finer]
     choices = [*planner.choices(best, settings), *_common(planner, best, settings, tolerance, tail)]
+    beyond = tuple(_beyond(planner, tolerance))
+    planner.pilots.put_away()
     took = time.perf_counter() - start - (engine.compile_seconds - compiled)
     choices.append(Choice("time", f"{1e3 * (best.seconds + took):.0f} ms", f"{1e3 * took:.0f} ms of it to plan; costs of {engine.name} were measured on this machine"))
     lattice = best.method == "lattice"
     reason = _error_text(best, tolerance) if math.isfinite(best.error) else planner.unmeasured
     made = Plan("horizon" if best.method == "slices" else best.method, best.units if lattice else None, True if lattice else None, reason, None if lattice or best.method == "unoccluded" else best.units,
-                best.max_distance, tolerance, tail, _known(best.error), _known(best.tail), None, best.seconds + took, took, tuple(choices), tuple(_beyond(planner, tolerance)))
+                best.max_distance, tolerance, tail, _known(best.error), _known(best.tail), None, best.seconds + took, took, tuple(choices), beyond)
     return Work(made, [best, *finer], planner.pilots, planner.exact if math.isfinite(best.error) else None, planner.glanced)
 
 
@@ -262,7 +264,7 @@ class _Planner:
 
     @cached_property
     def pilots(self):
-        return Pilots(self.scene, self.count, rare=True)
+        return Pilots.of(self.scene, self.count, rare=True)
 
     def fits(self, found: Errors | Setting) -> bool:
         return found.bound <= MARGIN * self.tolerance and found.tail <= self.tail
@@ -392,7 +394,7 @@ class _Sky(_Planner):
         count = self._certain()
         if count is None:
             return None
-        pilots = Pilots(self.scene, FEWEST)
+        pilots = Pilots.of(self.scene, FEWEST)
         self.hidden = pilots.sky_lost_at_a_glance()
         if self.hidden <= self.tolerance:
             return None
@@ -474,8 +476,7 @@ class _Sky(_Planner):
                 light = light.sum(0) * (2 * np.pi / count) * (1.0 if varies else self.scale)
                 for span, sun in self.by_suns.items():
                     measured[span][count] = self.errors(light + sun, exact)
-        near = NEAR if pilots.steep > 0 else None  # behind a cliff the two best crossings are not enough
-        missed = BEHIND * math.sqrt(pilots.steep) * float(rest.mean() / max(exact.mean(), 1e-30))
+        cliffs = math.sqrt(pilots.steep) * float(rest.mean() / max(exact.mean(), 1e-30))  # behind them the two best crossings are not enough
         found = self.errors(free, exact)
         settings = [Setting("unoccluded", 0, *found, self._seconds("closed form", 1), table=self._unoccluded if varies else None, scale=self.scale)]
         if self.suns or not self.fits(Errors(found.rms, HIDDEN * found.bound, found.tail)):
@@ -485,12 +486,13 @@ class _Sky(_Planner):
             if span:
                 few = self.suns.fewer(span)
                 more = self.cost["sectors"].seconds(self.pixels, len(few.angles))
-                if near and span > 1 and suns.max() / (2 * len(few.angles)) > self.tail * exact[exact > 0].mean():
+                if cliffs and span > 1 and suns.max() / (2 * len(few.angles)) > self.tail * exact[exact > 0].mean():
                     continue  # the corner of a wall, where no pilot is, may cut off half a sector of the sun
-            of = lambda e: (math.hypot(e.rms, missed), math.hypot(e.bound, missed), e.tail)
-            seconds = lambda count: self._seconds("horizon", count, DEARER if near else 1.0) + more
+            of = lambda e, missed: (math.hypot(e.rms, missed), math.hypot(e.bound, missed), e.tail)
+            seconds = lambda count, near: self._seconds("horizon", count, DEARER if near else 1.0) + more
             table = lambda count: self._maker(count) if varies else None
-            settings += [Setting("horizon", count, *of(_between(measured[span], count)), seconds(count), _evenly(count), table(count), self.scale, near=near, suns=few) for count in EVEN]
+            settings += [Setting("horizon", count, *of(_between(measured[span], count), BEHIND[near] * cliffs), seconds(count, near), _evenly(count), table(count), self.scale, near=near, suns=few)
+                         for near in (BEHIND if cliffs else (None,)) for count in EVEN]
         return settings
 
     def _maker(self, count):
@@ -521,7 +523,7 @@ class _Sky(_Planner):
 
     def _placed(self):
         """Azimuths placed by brightness: every candidate's sectors are unions of the reference's."""
-        pilots = self.pilots = Pilots(self.scene, PLACED_COUNT)
+        pilots = self.pilots = Pilots.of(self.scene, PLACED_COUNT)
         engine, source = self.engine, self.source
         grid = Azimuths.placed(PLACED_GRID, self.profile)
         table = sources.fine_table(source, grid.angles, grid.widths, self.knots)
@@ -594,8 +596,9 @@ class _Slices(_Planner):
             self.hidden = self.errors(self.exact, light(16, False)).rms
             self.unmeasured = "on rough ground and in penumbras it is off by less than 0.2 %, and to choose fewer would take longer than to render"
             return [Setting("slices", SAFE_SLICES, seconds=seconds)]
-        free = light(FINEST, False)
-        self.exact = exact = free if self.clear else light(FINEST)
+        finest = next(slices for least, slices in FINEST.items() if self.tolerance >= least)
+        free = light(finest, False)
+        self.exact = exact = free if self.clear else light(finest)
         self.hidden = self.errors(exact, free).rms if free.any() else 0.0
         settings = []
         for points in (1, 4) if callable(source.brightness) else (1,):
@@ -759,7 +762,7 @@ def _known(value):
 
 def _among(best, settings, what="azimuths"):
     """What the choice was made among."""
-    same = sorted({s.units: s.error for s in settings if s.method == best.method and s.max_distance == best.max_distance and s.suns is best.suns}.items())
+    same = sorted({s.units: s.error for s in settings if s.method == best.method and (s.max_distance, s.near) == (best.max_distance, best.near) and s.suns is best.suns}.items())
     near = [n for n, (units, _) in enumerate(same) if units == best.units][0]
     return "error by " + what + ": " + ", ".join(f"{units}: {_percent(error)}" for units, error in same[max(0, near - 2) : near + 2])
 

@@ -258,7 +258,7 @@ def test_a_clear_lamp_over_gentle_ground_launches_nothing_that_looks_for_shadows
     scene = sl.Scene(20 + scenes.rough(SIZE, SIZE, 0.08, 6, 2.2))
     assert sl.render(scene, sl.Lamp((36, 36, -50), 4), tolerance=0.01, backend=fast).plan.method == "unoccluded"
     assert not set(launched) & {"slices", "horizon", "scan", "filled", "source"}
-    sl.render(SCENES["rough"], sl.Sky(), backend=fast)
+    sl.render(sl.Scene(ROUGH), sl.Sky(), backend=fast)
     assert set(launched) <= {"pilot", "ground", "horizon", "scan", "filled", "luminance"} and "pilot" in launched
 
 
