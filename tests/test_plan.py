@@ -2,6 +2,8 @@
 
 import json
 import re
+import weakref
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -174,19 +176,54 @@ def choosing_takes(seconds, backend, monkeypatch):
 
 
 @pytest.mark.parametrize(("name", "source"), [("houses", sl.Sky()), ("houses", SUN), ("rough", sl.Sky(sl.cie_overcast(2.0))), ("dark", GLOW), ("rough", LOW), ("dark", WINDOW), ("houses", PANEL)], ids=named)
-def test_what_is_sure_is_taken_where_choosing_takes_longer(fast, monkeypatch, name, source):
+def test_what_is_sure_is_taken_where_choosing_takes_longer(fast, launched, monkeypatch, name, source):
     """A render in no time to choose: unmeasured, within tolerance, with the bounds of what the model lacks; plan() itself chooses."""
     choosing_takes(1e9, fast, monkeypatch)
-    scene = SCENES[name]
+    scene = replace(SCENES[name])
     nodes = some_nodes(scene, 150)
     exact = truth(scene, source, nodes)
     for tolerance in (0.03, 0.01, 0.003):
         out = sl.render(scene, source, tolerance=tolerance, backend=fast, quantity="irradiance")
         assert out.plan.error is None and out.plan.measured is None and "longer than to render" in str(out.plan)
+        assert not isinstance(source, sl.Sky) or callable(source.brightness) or "pilot" not in launched, "no ray need be cast under a uniform sky"
         assert errors(out.image[nodes].astype(float), exact).rms <= tolerance
         assert any(text.startswith("Light between") for text in out.plan.beyond)
     assert sl.plan(scene, source, 0.01, fast).error <= 0.01
     assert sl.render(scene, source, tolerance=1e-4, backend=fast).plan.error is not None, "nothing is known to be as good as that"
+
+
+@pytest.mark.parametrize(("name", "says"), [("houses", "Slopes are steeper"), ("holes", "Nodata"), ("rough", "Light between")])
+def test_what_is_taken_at_a_glance_says_what_it_lacks(fast, monkeypatch, name, says):
+    """What a plan with pilots has to say, and as large a bound on the light between surfaces, of the image's own nodes."""
+    choosing_takes(1e9, fast, monkeypatch)
+    beyond = lambda plan: next(text for text in plan.beyond if text.startswith(says))
+    made, out = sl.plan(SCENES[name], sl.Sky(2.0), 0.03, fast), sl.render(SCENES[name], sl.Sky(2.0), tolerance=0.03, backend=fast)
+    assert out.plan.error is None and ("near rows" in str(out.plan)) == (name == "houses")
+    percents = [float(re.search(r"([\d.e+]+) %", beyond(plan))[1]) for plan in (made, out.plan)]
+    assert percents[1] == pytest.approx(percents[0], rel=0.2)
+
+
+@pytest.mark.parametrize("name", ["flat", "ramp", "dome"])
+def test_what_nothing_hides_is_never_swept_however_long_choosing_takes(fast, launched, monkeypatch, name):
+    choosing_takes(1e9, fast, monkeypatch)
+    assert sl.render(replace(SCENES[name]), sl.Sky(), tolerance=0.03, backend=fast).plan.method == "unoccluded" and launched == []
+
+
+def test_a_scene_is_not_looked_at_twice(fast, launched):
+    """Other skies and tolerances find the horizons that are known, and say the same of a scene that is new; nothing keeps a scene alive."""
+    scene = sl.Scene(ROUGH)
+    sl.plan(scene, sl.Sky(), 0.001, fast)
+    assert "pilot" in launched
+    launched.clear()
+    for source, tolerance in ((sl.Sky(3.0), 0.001), (GLOW, 0.01), (sl.Sky(), 0.03)):
+        again = sl.plan(scene, source, tolerance, fast)
+        assert launched == []
+        new = sl.plan(sl.Scene(ROUGH), source, tolerance, fast)
+        assert (again.error, again.error_tail, again.azimuths, again.beyond) == (new.error, new.error_tail, new.azimuths, new.beyond)
+        launched.clear()
+    gone = weakref.ref(scene)
+    del scene
+    assert gone() is None
 
 
 def test_an_image_that_is_off_is_made_again(fast, monkeypatch):
@@ -446,6 +483,9 @@ def test_the_chart_has_a_point_for_every_setting(fast, tmp_path):
         assert {row["method"] for row in here} >= ({"slices", "unoccluded"} if kind == "lamp" else {"horizon", "filled", "stride", "unoccluded"})
     chart.draw(rows, tmp_path / "chart.png")
     assert (tmp_path / "chart.png").stat().st_size > 20_000
+    row = lambda method, units, error, seconds, again: {"class": "smooth", "size": 9, "method": method, "units": units, "error": error, "seconds": seconds, "again": again}
+    some = [row("plan", 0.03, 0.01, 6, 3), row("filled", 5, 0.02, 2, 2), row("horizon", 8, 0.01, 4, 4), row("horizon", 64, 0.001, 9, 9), {**row("horizon", 4, 0.001, 1, 1), "size": 8}]
+    assert chart.behind(some)["smooth"][0] == 3 and chart.behind(some, "again")["smooth"][0] == 1.5 and chart.behind(some, "again", True)["smooth"][0] == 0.75
     assert chart.frontier([(1, 5), (2, 6), (3, 1), (2.5, 2)]) == [(1, 5), (2.5, 2), (3, 1)]
     with pytest.raises(sl.InputError, match="sizes"):
         chart.measure([fast], (4,))
