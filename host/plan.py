@@ -46,7 +46,8 @@ NEAR = 24  # rows within which every crossing is tested where a small error of t
 BEHIND = {NEAR: 0.017, None: 0.045}  # RMS error of sweeps behind cliffs, with so many and with the backend's choice, over the root of the cliffs' share of the nodes: 0.2 to 0.6 % and 0.5 to 1.1 % among houses
 DEARER = 1.4  # times as long as a sweep takes with so many
 SAFE = {24: 0.033, 48: 0.0125, 64: 0.0080, 96: 0.0046, 128: 0.0033, 192: 0.0021, 256: 0.0017}  # RMS error by azimuths, with so many, among houses
-SAFE_SLICES, SAFELY = 128, 1.5  # slices that do for lamps; tolerance over the known error from which a setting is taken unmeasured
+SAFE_SLICES, SAFE_BALL, SAFE_QUAD = 128, 0.0016, 0.0062  # slices that do for lamps and windows; RMS error with so many, among houses
+SAFELY = 1.5  # tolerance over the known error from which a setting is taken unmeasured
 POINT = 0.1  # share of the tolerance by which a lamp that is called a point may be off as one
 SLIGHT, FAINT = 0.7, 0.1  # share of the tolerance that ground may take from a sky, as its highest nodes have it, that no ray is cast; where some ground is rare
 BEYOND = 3  # nodes beyond the percentile, from which on it is read off
@@ -591,10 +592,11 @@ class _Slices(_Planner):
 
         seconds = self._seconds("slices", float(taken(SAFE_SLICES).mean()))
         looks = (to * np.stack([pilots.gx, pilots.gy, np.ones(len(pilots))])).sum(0) >= self.ball[1] * pilots.length
-        if not self.clear and not looks.all() and self.tolerance >= 0.002 and self._quicker(seconds):  # else it may need no shadows
+        error = SAFE_BALL if isinstance(self.solid, Ball) else SAFE_QUAD
+        if not self.clear and not looks.all() and self.tolerance >= SAFELY * error and self._quicker(seconds):  # else it may need no shadows
             self.exact = light(16)
             self.hidden = self.errors(self.exact, light(16, False)).rms
-            self.unmeasured = "on rough ground and in penumbras it is off by less than 0.2 %, and to choose fewer would take longer than to render"
+            self.unmeasured = f"on ground that is hard to render it is off by {_percent(error)}, and to choose fewer would take longer than to render"
             return [Setting("slices", SAFE_SLICES, seconds=seconds)]
         finest = next(slices for least, slices in FINEST.items() if self.tolerance >= least)
         free = light(finest, False)
