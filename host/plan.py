@@ -603,7 +603,8 @@ class _Slices(_Planner):
         self.exact = exact = free if self.clear else light(finest)
         self.hidden = self.errors(exact, free).rms if free.any() else 0.0
         settings = []
-        for points in (1, 4) if callable(source.brightness) else (1,):
+        ways = (1, 4) if callable(source.brightness) else (1,)
+        for points in ways if self.clear or looks.all() else ():  # else no_shadow would pass over all nodes in vain
             found = self.errors(unoccluded.lamp(pilots.gx, pilots.gy, pilots.x, pilots.y, pilots.own.astype(float), self.upright, source.brightness, points), exact)
             if self.fits(found) and unoccluded.no_shadow(self.scene, *self.ball, self.clear):
                 return [Setting("unoccluded", points, *found, self._seconds("closed form", 1))]
