@@ -273,9 +273,9 @@ class _Planner:
     def errors(self, found: np.ndarray, exact: np.ndarray) -> Errors:
         return errors(found, exact, self.pilots.weights)
 
-    def _quicker(self, seconds: float) -> bool:
-        """Whether a setting that is known to do takes less time than to choose one."""
-        return self.hurry and self.tail >= 5 * self.tolerance and seconds < self.cost["plan"].seconds(self.pixels)
+    def _quicker(self, more: float) -> bool:
+        """Whether a setting that is known to do takes less time, ``more`` than the cheapest, than to choose one."""
+        return self.hurry and self.tail >= 5 * self.tolerance and more < self.cost["plan"].seconds(self.pixels)
 
 
 class _Sky(_Planner):
@@ -380,12 +380,12 @@ class _Sky(_Planner):
     def _seconds(self, method, units, factor=1.0):
         cost = self.cost[method]
         tables = 3e-8 * 4 * self.knots * (1 if self.one else 2 * units) if method == "horizon" and not self.constant else 0.0
-        return factor * cost.seconds(self.pixels, units) + tables
+        return cost.seconds(self.pixels, factor * units) + tables
 
     def _certain(self):
         """A number of azimuths that does anywhere, if it takes less time than to choose one."""
         count = next((count for count, error in SAFE.items() if SAFELY * error <= self.tolerance), None)
-        if count is None or self.scene.sides == "periodic" or not self._quicker(self._seconds("horizon", count, DEARER) + (self.cost["sectors"].seconds(self.pixels, SUNS) if self.suns else 0.0)):
+        if count is None or self.scene.sides == "periodic" or not self._quicker(self._seconds("horizon", count, DEARER) - self._seconds("horizon", EVEN[0]) + (self.cost["sectors"].seconds(self.pixels, SUNS) if self.suns else 0.0)):
             return None
         self.unmeasured = f"on ground that is hard to render it is off by {_percent(SAFE[count])}, and to choose fewer would take longer than to render"
         return count
@@ -593,7 +593,7 @@ class _Slices(_Planner):
         seconds = self._seconds("slices", float(taken(SAFE_SLICES).mean()))
         looks = (to * np.stack([pilots.gx, pilots.gy, np.ones(len(pilots))])).sum(0) >= self.ball[1] * pilots.length
         error = SAFE_BALL if isinstance(self.solid, Ball) else SAFE_QUAD
-        if not self.clear and not looks.all() and self.tolerance >= SAFELY * error and self._quicker(seconds):  # else it may need no shadows
+        if not self.clear and not looks.all() and self.tolerance >= SAFELY * error and self._quicker(seconds - self._seconds("slices", float(taken(SLICES[0]).mean()))):  # else it may need no shadows
             self.exact = light(16)
             self.hidden = self.errors(self.exact, light(16, False)).rms
             self.unmeasured = f"on ground that is hard to render it is off by {_percent(error)}, and to choose fewer would take longer than to render"

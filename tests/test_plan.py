@@ -315,11 +315,12 @@ def test_what_nothing_hides_launches_no_kernel(fast, launched, name, source):
     assert launched == []
 
 
-def test_a_clear_lamp_over_gentle_ground_launches_nothing_that_looks_for_shadows(fast, launched):
+def test_a_clear_lamp_over_gentle_ground_launches_nothing_that_looks_for_shadows(fast, launched, monkeypatch):
     """Every node looks at the lamp, so nothing can hide it; under a sky the same ground is swept."""
     scene = sl.Scene(20 + scenes.rough(SIZE, SIZE, 0.08, 6, 2.2))
     assert sl.render(scene, sl.Lamp((36, 36, -50), 4), tolerance=0.01, backend=fast).plan.method == "unoccluded"
     assert not set(launched) & {"slices", "horizon", "scan", "filled", "source"}
+    choosing_takes(0.0, fast, monkeypatch)
     sl.render(sl.Scene(ROUGH), sl.Sky(), backend=fast)
     assert set(launched) <= {"pilot", "ground", "horizon", "scan", "filled", "luminance"} and "pilot" in launched
 
@@ -484,6 +485,11 @@ def test_costs_are_measured_on_maps_that_take_some_time(monkeypatch, fixed, each
     monkeypatch.setattr(costs, "_seconds", lambda engine, method, size, units: asked.add(size) or fixed + size**2 * (each + unit * units))
     np.testing.assert_allclose(costs._cost(None, "horizon", *costs.UNITS["horizon"]), (fixed, each, unit), rtol=1e-6)
     assert asked == sizes
+
+
+def test_choosing_is_timed_on_scenes_that_are_new(fast, launched):
+    costs._seconds(select(fast), "plan", 24, 1)
+    assert launched.count("pilot") >= costs.RUNS + 1
 
 
 def test_costs_grow_with_the_work(fast):
