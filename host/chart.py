@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-import time
+from dataclasses import replace
 
 import numpy as np
 
@@ -58,8 +58,8 @@ def judged(kind: str, size: int, engine):
 
 
 def measure(names: list[str] | None = None, sizes=(128, 512), longest: float = 1.5, progress=None) -> list[dict]:
-    """Rows of class, size, backend, method, units, error (relative RMS), seconds of the whole call, and of it to plan; the plan's are
-    ``method`` "plan", their units the tolerance.
+    """Rows of class, size, backend, method, units, error (relative RMS), seconds of the whole call, of it to plan, and again; the plan's are
+    ``method`` "plan", their units the tolerance, timed on a scene that is new, and "again" on one that was rendered before.
 
     A setting that would take longer than ``longest`` seconds a call, as its backend's costs have it, is left out.
     """
@@ -78,10 +78,9 @@ def measure(names: list[str] | None = None, sizes=(128, 512), longest: float = 1
             cost, points = Costs(engine), []
 
             def point(method, units, options):
-                work = lambda: render(scene, source, backend=name, quantity="irradiance", **options)
-                out = work()
-                row = {"class": kind, "size": size, "backend": name, "method": method, "units": units, "error": errors(out.image[nodes].astype(float), exact).rms}
-                points.append((row, work, [(out.seconds, out.plan.planning_seconds or 0.0)]))
+                work = lambda scene: render(scene, source, backend=name, quantity="irradiance", **options)
+                row = {"class": kind, "size": size, "backend": name, "method": method, "units": units, "error": errors(work(scene).image[nodes].astype(float), exact).rms}
+                points.append((row, work, [], []))
 
             for method, units in LAMP if kind == "lamp" else SKY:
                 count = units**2 + 2 * (units - 1) ** 2 if method in ("stride", "filled") else units
@@ -91,13 +90,13 @@ def measure(names: list[str] | None = None, sizes=(128, 512), longest: float = 1
             if cost["horizon"].seconds(size**2, 12) <= longest:
                 for tolerance in TOLERANCES:
                     point("plan", tolerance, {"tolerance": tolerance})
-            for _ in range(RUNS - 1):  # in turns, so that what else the machine does falls on all of them
-                for _, work, times in points:
+            for _ in range(RUNS):  # in turns, so that what else the machine does falls on all of them
+                for row, work, times, again in points:
                     if sum(took for took, _ in times) < longest:
-                        start = time.perf_counter()
-                        plan = work().plan
-                        times.append((time.perf_counter() - start, plan.planning_seconds or 0.0))
-            rows += [{**row, **dict(zip(("seconds", "planning"), min(times)))} for row, _, times in points]
+                        out = work(replace(scene) if row["method"] == "plan" else scene)
+                        times.append((out.seconds, out.plan.planning_seconds or 0.0))
+                        again.append(work(scene).seconds if row["method"] == "plan" else out.seconds)
+            rows += [{**row, **dict(zip(("seconds", "planning"), min(times))), "again": min(again)} for row, _, times, again in points]
         if progress:
             progress(number + 1, len(jobs))
     return rows
@@ -113,15 +112,16 @@ def frontier(points: list[tuple[float, float]]) -> list[tuple[float, float]]:
     return left
 
 
-def behind(rows: list[dict]) -> dict[str, list[float]]:
-    """Where the default stands: by class, for each tolerance, its time over that of the quickest setting of any method and backend that
-    is within the tolerance, on the largest maps; nan where none is. The default is the plan on the backend where it is quickest."""
+def behind(rows: list[dict], time: str = "seconds", as_accurate: bool = False) -> dict[str, list[float]]:
+    """Where the default stands: by class, for each tolerance, its ``time`` ("again": of a scene that was rendered before) over that of the
+    quickest setting of any method and backend that is within the tolerance, or, ``as_accurate``, no less accurate than the default's own
+    image, on the largest maps; nan where none is. The default is the plan on the backend where it is quickest."""
     largest, found = max(row["size"] for row in rows), {}
     for kind in CLASSES:
         here = [row for row in rows if row["class"] == kind and row["size"] == largest and not row["method"].startswith("peer")]
         for tolerance in TOLERANCES:
-            ours = min((row["seconds"] for row in here if row["method"] == "plan" and row["units"] == tolerance), default=math.nan)
-            best = min((row["seconds"] for row in here if row["method"] != "plan" and row["error"] <= tolerance), default=math.nan)
+            ours, error = min(((row[time], row["error"]) for row in here if row["method"] == "plan" and row["units"] == tolerance), default=(math.nan, math.nan))
+            best = min((row["seconds"] for row in here if row["method"] != "plan" and row["error"] <= (error if as_accurate else tolerance)), default=math.nan)
             found.setdefault(kind, []).append(ours / best)
     return found
 

@@ -8,6 +8,7 @@ import math
 import os
 import tempfile
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -17,11 +18,12 @@ from . import sources
 from .backends.base import Backend
 from .scene import Scene
 
-VERSION = 4  # of the file and of what is measured
+VERSION = 6  # of the file and of what is measured
 RUNS = 3  # of which the fastest counts: others only disturb
 SMALL, SLOW = 24, 0.01  # rows and columns of the first map; seconds that it may take if the second is to be large
 LARGE, MODEST = 224, 40
-UNITS = {"horizon": (4, 16), "sectors": (8, 40), "lattice": (3, 7), "slices": (8, 32), "closed form": (1, 1), "plan": (1, 1)}  # azimuths, sectors, hemicubes, slices; to choose among them
+QUICK, LARGEST = 0.008, 1024  # seconds within which a large map tells little: the largest does
+UNITS = {"horizon": (8, 32), "sectors": (8, 40), "lattice": (3, 7), "slices": (8, 32), "closed form": (1, 1), "plan": (1, 1)}  # azimuths, sectors, hemicubes, slices; to choose among them
 known: dict[str, dict[str, "Cost"]] = {}
 
 
@@ -87,8 +89,8 @@ def _cost(engine, method, few, many):
     first = _seconds(engine, method, SMALL, few)
     size = LARGE if first < SLOW else MODEST
     low = _seconds(engine, method, size, few)
-    if method == "plan":  # which hardly depends on the map
-        return Cost(low, 0.0, 0.0)
+    if size == LARGE and low < QUICK:
+        size, low = LARGEST, _seconds(engine, method, LARGEST, few)
     unit = max(0.0, _seconds(engine, method, size, many) - low) / (size**2 * max(1, count(many) - count(few))) if many > few else 0.0
     each = max(0.0, (low - first) / (size**2 - SMALL**2) - unit * count(few))
     return Cost(max(0.0, first - SMALL**2 * (each + unit * count(few))), each, unit)
@@ -111,7 +113,8 @@ def _seconds(engine, method, size, units):
         spots = sources.Spots(0.6 + 1e-4 * np.arange(units), np.full(units, 1e-4), np.ones((units, sources.SPOT_KNOTS, 4), np.float32), 0.4, 0.41)
         work = lambda: by_sectors(scene, engine, spots)
     elif method == "plan":
-        work = lambda: plan(scene, source, 0.01, engine)
+        new = [replace(scene) for _ in range(RUNS + 1)]  # a scene is not looked at twice
+        work = lambda: plan(new.pop(), source, 0.01, engine)
     work()  # compiles
     times = []
     for _ in range(RUNS):

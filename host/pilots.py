@@ -8,11 +8,12 @@ from __future__ import annotations
 
 import math
 from functools import cached_property
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
 from . import sources
-from .backends.base import Backend
+from .backends.base import Backend, scratch
 from .backends.slices import Ball, Quad
 from .directions import Azimuths
 from .scene import Scene
@@ -28,6 +29,7 @@ WIDE = 16  # blocks across a map whose highest nodes may hide something from a p
 CLOSE = 4  # nodes round a pilot that may
 FEW, MANY = 12, 96  # pilots that are asked first, and then, whether anything is hidden
 PLAINLY = 4.0  # times what may be hidden from which on few need be asked
+_known: WeakKeyDictionary[Scene, dict[tuple[int, bool], Pilots]] = WeakKeyDictionary()
 RARE = 3.0  # times the median relief of blocks from which on one is rare
 COMMON = 0.25  # share of the map from which on what is rare is met often enough
 
@@ -40,43 +42,68 @@ class Pilots:
     """
 
     def __init__(self, scene: Scene, count: int = COUNT, first: int = 1, rare: bool = False):
-        values, step = scene.lattice()
-        self.scene, self.step, (self.rows, self.cols) = scene, step, scene.shape
-        self.heights = np.negative(values)
-        if step != 1:
-            self.heights /= np.float32(step)
-        if scene.mask is not None:
-            self.heights[~scene.mask] = NONE
+        self.shape = self.rows, self.cols = scene.shape
+        self.mask, self.sides, (self.values, self.step) = scene.mask, scene.sides, scene.lattice()
         self.x, self.y = _spread(scene, count, first)
-        self.common = len(self.x)
-        self.tops = self._pooled(self.heights, np.maximum)
-        self.highest, self.weights = float(self.tops.max()), None
+        self.common, self.weights = len(self.x), None
         if rare and len(self.x) == count:  # else these are all there are
             self._look_closer(count)
-        self.own = self.heights[self.y, self.x]
-        self.deepest = float(self.own.min()) if scene.mask is not None else float(self.heights.min())
+        self.own = self.height(self.y, self.x)
         self.gx, self.gy = (self._gradient(axis) for axis in (1, 0))
         self.length = np.sqrt(1 + self.gx**2 + self.gy**2)
-        self._on = {}
+        self._on, self._slopes, self._lost = {}, {}, {}
+
+    @classmethod
+    def of(cls, scene: Scene, count: int, rare: bool = False) -> Pilots:
+        """The same object again, with the horizons that were found, as long as the scene lives: it never changes."""
+        known = _known.setdefault(scene, {})
+        if (count, rare) not in known:
+            known[count, rare] = cls(scene, count, rare=rare)
+        return known[count, rare]
+
+    def put_away(self) -> None:
+        """Copies of the map go; what was found stays."""
+        self.__dict__.pop("heights", None)
+        self._on.clear()
+
+    def height(self, row, col) -> np.ndarray:
+        """Of some nodes; NONE where masked."""
+        return np.maximum(self.values[row, col] / np.float32(-self.step), NONE)
+
+    @cached_property
+    def heights(self) -> np.ndarray:
+        """Of all nodes, once something must look at all of them."""
+        heights = np.divide(self.values, np.float32(-self.step), out=scratch(self.shape))
+        return heights if self.mask is None else np.maximum(heights, NONE, out=heights)
+
+    @cached_property
+    def tops(self) -> np.ndarray:
+        """The highest node of every block of 2^shift x 2^shift nodes, and of the row and column after."""
+        return self._pooled(self.heights, np.maximum)
+
+    @cached_property
+    def highest(self) -> float:
+        return float(self.tops.max())
+
+    @property
+    def deepest(self) -> float:
+        """Of the pilots."""
+        return float(self.own.min())
 
     def __len__(self) -> int:
         return len(self.x)
 
     @cached_property
-    def _steps(self) -> list[np.ndarray]:
-        """How much deeper the next node lies [spacings], along some 256 rows and columns; 0 beside masked nodes."""
-        z, scale = self.scene.depth, np.float32(1 / self.scene.spacing)
-        found = [np.diff(z[:: max(1, self.rows // 256)], axis=1) * scale, np.diff(z[:, :: max(1, self.cols // 256)], axis=0).T * scale]
-        return found if self.scene.mask is None else [np.nan_to_num(step) for step in found]
-
-    @cached_property
     def steep(self) -> float:
-        """Share of neighbouring nodes that lie more than CLIFF spacings apart."""
-        return sum(np.count_nonzero(np.abs(step) > CLIFF) for step in self._steps) / max(1, sum(step.size for step in self._steps))
+        """Share of neighbouring nodes that lie more than CLIFF spacings apart, along some 256 rows and columns; none beside masked ones."""
+        with np.errstate(invalid="ignore"):  # two masked nodes
+            steps = [np.abs(np.diff(self.values[:: max(1, self.rows // 256)], axis=1)), np.abs(np.diff(self.values[:, :: max(1, self.cols // 256)], axis=0))]
+        cliffs = sum(np.count_nonzero((step > CLIFF * self.step) & (step < np.inf)) for step in steps)
+        return cliffs / max(1, sum(step.size for step in steps))
 
     def _look_closer(self, count):
         """Adds nodes where blocks are rare, and weights."""
-        size, (down, across), mask = 1 << self.shift, self.tops.shape, self.scene.mask
+        size, (down, across), mask = 1 << self.shift, self.tops.shape, self.mask
         relief = self.tops - self._pooled(self.heights if mask is None else np.where(mask, self.heights, np.inf), np.minimum)
         rare = relief > RARE * np.median(relief[relief >= 0])
         rare |= np.roll(rare, 1, 0)  # relief reaches into the row and the column after a block
@@ -103,16 +130,16 @@ class Pilots:
 
     @property
     def periodic(self) -> bool:
-        return self.scene.sides == "periodic"
+        return self.sides == "periodic"
 
     def _gradient(self, axis):
         """d depth / d axis at the pilots: central differences, one-sided at the border and beside masked nodes."""
-        length = self.heights.shape[axis]
+        length = self.shape[axis]
         found = []
         for by in (-1, 1):
             at = (self.y, self.x + by) if axis else (self.y + by, self.x)
             inside = (at[axis] >= 0) & (at[axis] < length)
-            there = self.heights[tuple(np.clip(v, 0, n - 1) for v, n in zip(at, self.heights.shape))]
+            there = self.height(*(np.clip(v, 0, n - 1) for v, n in zip(at, self.shape)))
             inside &= there > NONE
             found.append((np.where(inside, there, self.own), inside))
         (low, has_low), (high, has_high) = found
@@ -122,7 +149,7 @@ class Pilots:
 
     @cached_property
     def shift(self) -> int:
-        return 5 if min(self.heights.shape) >= 512 else 4 if min(self.heights.shape) >= 64 else 3
+        return 5 if min(self.shape) >= 512 else 4 if min(self.shape) >= 64 else 3
 
     def _pooled(self, found, of):
         """Highest or lowest node of every block, and of the row and column after it."""
@@ -140,20 +167,22 @@ class Pilots:
             found = np.ascontiguousarray(pooled.T)
         return found
 
-    def slopes(self, engine: Backend, cosine, sine, least, along=0.0, up=0.0, limit=1.0, reach: float = math.inf) -> np.ndarray:
-        """Horizon slopes, from ``least`` on, along azimuths that broadcast with the nodes: (n, nodes) float64."""
-        if engine.name not in self._on:
-            self._on[engine.name] = engine.upload(self.heights), engine.upload(self.tops)
-        shape = np.broadcast_shapes(np.shape(cosine), np.shape(least), (1, len(self)))
+    def slopes(self, engine: Backend, cosine, sine, least, along=0.0, up=0.0, limit=1.0, reach: float = math.inf, node=np.s_[:]) -> np.ndarray:
+        """Horizon slopes, from ``least`` on, along azimuths that broadcast with the nodes, all or those of ``node``: (n, nodes) float64."""
+        held = self._on.get(engine.name)
+        if held is None:
+            held = self._on[engine.name] = engine.upload(self.heights), engine.upload(self.tops)
+        x, y = self.x[node], self.y[node]
+        shape = np.broadcast_shapes(np.shape(cosine), np.shape(least), (1, len(x)))
         rays = np.empty((*shape, 8), np.float32)
-        for n, value in enumerate((self.x, self.y, cosine, sine, least, along, up, limit)):
+        for n, value in enumerate((x, y, cosine, sine, least, along, up, limit)):
             rays[..., n] = value
         count = rays.size // 8
         if not count:
             return np.zeros(shape)
         given, found = engine.upload(rays.reshape(-1, 8)), engine.empty((count,), np.float32)  # both held until the kernel is done
         far = self.relief / FAINT if self.periodic else math.hypot(self.rows, self.cols)
-        engine.launch("pilot", "pilot", (count,), *self._on[engine.name], given, found, count, self.rows, self.cols, self.tops.shape[1],
+        engine.launch("pilot", "pilot", (count,), *held, given, found, count, self.rows, self.cols, self.tops.shape[1],
                       self.shift, int(self.periodic), self.highest, float(min(reach, far) + 1e-3), lanes=1)
         return engine.download(found).reshape(shape).astype(float)
 
@@ -171,7 +200,7 @@ class Pilots:
     def least(self, cosine, sine) -> np.ndarray:
         """What hides the sky whatever the ground: the level, the tangent plane, and the wall of a dark box."""
         least = np.maximum(FAINT if self.periodic else 0.0, self.plane(cosine, sine))
-        if self.scene.sides == "dark":
+        if self.sides == "dark":
             least = np.maximum(least, -self.own / self.wall(cosine, sine))
         return least
 
@@ -179,8 +208,11 @@ class Pilots:
 
     def horizons(self, engine: Backend, azimuths: np.ndarray, reach: float = math.inf) -> np.ndarray:
         """(azimuths, nodes)."""
-        cosine, sine = np.cos(azimuths)[:, None], np.sin(azimuths)[:, None]
-        return self.slopes(engine, cosine, sine, self.least(cosine, sine), reach=reach)
+        asked = engine.name, azimuths.tobytes(), reach
+        if asked not in self._slopes:
+            cosine, sine = np.cos(azimuths)[:, None], np.sin(azimuths)[:, None]
+            self._slopes[asked] = self.slopes(engine, cosine, sine, self.least(cosine, sine), reach=reach)
+        return self._slopes[asked]
 
     def ring(self, azimuths: np.ndarray, slopes: np.ndarray, table: np.ndarray | None = None) -> np.ndarray:
         """Irradiance per radian of azimuth above ``slopes``, of brightness 1 or by ``table`` (azimuths, knots, >= 2): (azimuths, nodes)."""
@@ -223,9 +255,15 @@ class Pilots:
         y = rows[:, 0, None] + self.heights[rows[:, None], x[..., None]].argmax(2)
         return np.stack([x.ravel(), y.ravel()]).astype(np.int32), max(high, wide)
 
-    def _peaks(self, count):
+    @cached_property
+    def _grid(self):
+        """As ``_highest``, but the middle of every block."""
+        x, y = ((np.arange(WIDE) + 0.5) * n // WIDE for n in (self.cols, self.rows))
+        return np.stack([np.tile(x, WIDE), y.repeat(WIDE)]).astype(np.int32), -(-max(self.rows, self.cols) // WIDE)
+
+    def _peaks(self, count, among):
         """Distances (x, y), distance and slope of nodes that may hide something from ``count`` pilots or somewhat more: (nodes, candidates)."""
-        peaks, size = self._highest
+        peaks, size = among
         near = np.indices((2 * CLOSE + 1,) * 2, np.int32).reshape(2, -1) - CLOSE
         some = np.arange(0, self.common, max(1, self.common // count))
         if count == MANY:
@@ -241,17 +279,23 @@ class Pilots:
         inside = (x >= 0) & (x < self.cols) & (y >= 0) & (y < self.rows) & to.any(0)
         dx, dy = to.astype(np.float32)
         distance = np.where(inside, np.sqrt(dx * dx + dy * dy), np.float32(np.inf))
-        slope = (self.heights[np.clip(y, 0, self.rows - 1), np.clip(x, 0, self.cols - 1)] - self.own[some, None]) / distance
+        slope = (self.height(np.clip(y, 0, self.rows - 1), np.clip(x, 0, self.cols - 1)) - self.own[some, None]) / distance
         return some, dx, dy, distance, np.where(inside, slope, -np.inf), size
 
     def sky_lost(self, limit: float) -> float:
         """RMS share of a uniform sky's light that ground or walls take from a node, from the highest nodes around some; an estimate, on
         the high side where little is hidden; from few nodes where these tell of far more than ``limit``."""
-        few = self._sky_lost(FEW)
-        return few if few > PLAINLY * limit else self._sky_lost(MANY)
+        few = self._sky_lost(FEW, "_highest")
+        return few if few > PLAINLY * limit else self._sky_lost(MANY, "_highest")
 
-    def _sky_lost(self, count):
-        some, dx, dy, distance, slope, _ = self._peaks(count)
+    def sky_lost_at_a_glance(self) -> float:
+        """The same from a few hundred nodes of the map; as a rule there is more."""
+        return self._sky_lost(FEW, "_grid")
+
+    def _sky_lost(self, count, among):
+        if (count, among) in self._lost:
+            return self._lost[count, among]
+        some, dx, dy, distance, slope, _ = self._peaks(count, getattr(self, among))
         sectors = 16
         azimuths = 2 * np.pi * (np.arange(sectors) + 0.5) / sectors
         gx, gy = self.gx[some], self.gy[some]
@@ -264,11 +308,12 @@ class Pilots:
         angle = np.maximum(angle, np.maximum(np.roll(angle, 1, 0), np.roll(angle, -1, 0)))  # what stands in a sector may reach into the next
         plane = np.maximum(0, -(gx * np.cos(azimuths)[:, None] + gy * np.sin(azimuths)[:, None]))
         hidden = np.tan(np.minimum(np.arctan(plane) + angle, 1.57))
-        if self.scene.sides == "dark":
+        if self.sides == "dark":
             hidden = np.maximum(hidden, (-self.own / self.wall(np.cos(azimuths)[:, None], np.sin(azimuths)[:, None]))[:, some])
         free, left = (ring(gx, gy, azimuths, s).mean(0) for s in (plane, hidden))
         weights = None if self.weights is None else self.weights[some]
-        return float(np.sqrt(np.average((free - left) ** 2, weights=weights)) / np.average(free, weights=weights))
+        lost = self._lost[count, among] = float(np.sqrt(np.average((free - left) ** 2, weights=weights)) / np.average(free, weights=weights))
+        return lost
 
     def clear(self, solid: Ball | Quad) -> bool:
         """Whether all of the source rises above the level, and nothing that could stand between it and a pilot rises above its lowest ray
@@ -276,7 +321,7 @@ class Pilots:
         return all(self._clear(solid, count) for count in (FEW, MANY))
 
     def _clear(self, solid, count):
-        some, dx, dy, distance, slope, block = self._peaks(count)
+        some, dx, dy, distance, slope, block = self._peaks(count, self._highest)
         here = np.stack([self.x, self.y, self.own]).astype(float)[:, some]
         if isinstance(solid, Ball):
             to = np.array(solid.center)[:, None] - here
@@ -316,7 +361,7 @@ class Pilots:
         """Irradiance through ``count`` azimuth slices of a source, (nodes,) float64; solid in spacings, heights third."""
         cosine, sine, share, low, high, along, up, limit = (_ball if isinstance(solid, Ball) else _quad)(self, solid, count)
         least = np.clip(np.maximum(low, self.plane(cosine, sine)), 0, STEEP)
-        if self.scene.sides == "dark":
+        if self.sides == "dark":
             wall = self.wall(cosine, sine)
             with np.errstate(divide="ignore", invalid="ignore"):
                 beyond = wall * (along + np.maximum(low, 0) * up) < limit  # the source stands behind the wall: only what rises above its top
@@ -326,27 +371,19 @@ class Pilots:
         if occluded:
             n, node = np.nonzero(shows)
             pick = lambda v: np.broadcast_to(v, shows.shape)[n, node]
-            slope[n, node] = self._single(engine, node, pick(cosine), pick(sine), least[n, node], pick(along), pick(up), pick(limit))
+            slope[n, node] = self.slopes(engine, pick(cosine), pick(sine), least[n, node], pick(along), pick(up), pick(limit), node=node).ravel()
         low, high = np.arctan(np.maximum(slope, low)), np.arctan(np.minimum(high, STEEP))
-        half = np.maximum(0, high - low)[..., None] / 2
-        tilt = (self.gx * cosine + self.gy * sine)[..., None]
-        point, weight = np.polynomial.legendre.leggauss(GAUSS)
-        e = low[..., None] + half * (1 + point)
-        light = half * weight * np.cos(e) * np.maximum(0, tilt * np.cos(e) + np.sin(e))
+        tilt = self.gx * cosine + self.gy * sine
         if callable(brightness):
-            light = light * brightness(sources.directions_of(np.arctan2(sine, cosine)[..., None], np.sin(e)))
-        else:
-            light = light * brightness
-        return (share * light.sum(-1)).sum(0) / self.length
-
-    def _single(self, engine, node, cosine, sine, least, along, up, limit):
-        """Slopes of rays that are listed one by one."""
-        whole = self.x, self.y
-        self.x, self.y = whole[0][node], whole[1][node]
-        try:
-            return self.slopes(engine, cosine, sine, least, along, up, limit).reshape(-1)
-        finally:
-            self.x, self.y = whole
+            half = np.maximum(0, high - low)[..., None] / 2
+            point, weight = np.polynomial.legendre.leggauss(GAUSS)
+            e = low[..., None] + half * (1 + point)
+            light = half * weight * np.cos(e) * np.maximum(0, tilt[..., None] * np.cos(e) + np.sin(e))
+            light = (light * brightness(sources.directions_of(np.arctan2(sine, cosine)[..., None], np.sin(e)))).sum(-1)
+        else:  # the integral of that; no ray lies below the tangent plane
+            up_to = lambda e: tilt * (e + np.sin(2 * e) / 2) + np.sin(e) ** 2
+            light = brightness * np.where(low < high, up_to(high) - up_to(low), 0) / 2
+        return (share * light).sum(0) / self.length
 
 
 def ring(gx, gy, azimuths, slopes, table=None, first=0.0, last=1.0):

@@ -37,16 +37,17 @@ GRIDS = {24: 6, 48: 12, 96: 24, 192: 256}  # azimuths of the reference, and how 
 PLACED, PLACED_GRID = (8, 16, 32, 80), 160  # azimuths where brightness is uneven on a map that repeats, and of their reference
 PLACED_COUNT = 128  # pilots there
 SUNS, SPANS = 120, (15, 5, 3, 1)  # sectors of a sun's light in the reference, and how many of them a candidate takes together
-SLICES, FINEST = (8, 16, 32, 64, 128, 256), 96  # slices of a source that stands all round; slices of the reference
+SLICES, FINEST = (8, 16, 32, 64, 128, 256), {0.01: 48, 0.0: 96}  # slices of a source that stands all round; slices of the reference, from a tolerance on
 LATTICES = (5, 7, 9, 17, 33)
 # RMS error of E / pi of the filled lattice under a uniform sky on rough ground (rms slope 1): performance/lattice_error.py
 LATTICE_ERROR = {5: 0.0376, 7: 0.0188, 9: 0.0119, 17: 0.0039, 33: 0.0012}
 LOOKS = 192  # azimuths at which a sky's brightness is looked at, at least; a multiple of those of GRIDS
 NEAR = 24  # rows within which every crossing is tested where a small error of the horizon shows
-BEHIND = 0.017  # RMS error of sweeps behind cliffs, over the root of their share of the nodes, however many azimuths: 0.2 to 0.6 % among houses
+BEHIND = {NEAR: 0.017, None: 0.045}  # RMS error of sweeps behind cliffs, with so many and with the backend's choice, over the root of the cliffs' share of the nodes: 0.2 to 0.6 % and 0.5 to 1.1 % among houses
 DEARER = 1.4  # times as long as a sweep takes with so many
 SAFE = {24: 0.033, 48: 0.0125, 64: 0.0080, 96: 0.0046, 128: 0.0033, 192: 0.0021, 256: 0.0017}  # RMS error by azimuths, with so many, among houses
-SAFE_SLICES, SAFELY = 128, 1.5  # slices that do for lamps; tolerance over the known error from which a setting is taken unmeasured
+SAFE_SLICES, SAFE_BALL, SAFE_QUAD = 128, 0.0016, 0.0062  # slices that do for lamps and windows; RMS error with so many, among houses
+SAFELY = 1.5  # tolerance over the known error from which a setting is taken unmeasured
 POINT = 0.1  # share of the tolerance by which a lamp that is called a point may be off as one
 SLIGHT, FAINT = 0.7, 0.1  # share of the tolerance that ground may take from a sky, as its highest nodes have it, that no ray is cast; where some ground is rare
 BEYOND = 3  # nodes beyond the percentile, from which on it is read off
@@ -124,12 +125,14 @@ class Setting:
 
 
 class Work(NamedTuple):
-    """A plan with what it takes to follow it: settings from the one chosen on, the pilots and their reference (nan: none)."""
+    """A plan with what it takes to follow it: settings from the one chosen on, the pilots and their reference; ``glanced``: no ray
+    was cast, so that the image has to tell what is left out between surfaces."""
 
     plan: Plan
     settings: list[Setting]
     pilots: Pilots
     exact: np.ndarray | None
+    glanced: bool
 
 
 def plan(scene: Scene, source: sources.Source, tolerance: float = 0.01, backend: str = "auto", *, tail: float | None = None) -> Plan:
@@ -173,19 +176,21 @@ def work(scene: Scene, source: sources.Source, tolerance: float, engine: Backend
         best = min(fitting, key=lambda s: s.seconds)
     else:
         best = min(settings, key=lambda s: (s.error if math.isfinite(s.error) else math.inf, s.seconds))
-    finer = sorted((s for s in settings if s.method == best.method and s.units > best.units and s.suns is settings[-1].suns), key=lambda s: s.units)
+    finer = sorted((s for s in settings if s.method == best.method and s.units > best.units and s.near == best.near and s.suns is settings[-1].suns), key=lambda s: s.units)
     if best.method == "unoccluded":
         finer = sorted((s for s in settings if s.method != "unoccluded" and s.error <= tolerance), key=lambda s: s.seconds)[:1]
     if best.method == "horizon":
         finer = [replace(s, near=NEAR) for s in ([best] if best.near is None else []) + finer]
     choices = [*planner.choices(best, settings), *_common(planner, best, settings, tolerance, tail)]
+    beyond = tuple(_beyond(planner, tolerance))
+    planner.pilots.put_away()
     took = time.perf_counter() - start - (engine.compile_seconds - compiled)
     choices.append(Choice("time", f"{1e3 * (best.seconds + took):.0f} ms", f"{1e3 * took:.0f} ms of it to plan; costs of {engine.name} were measured on this machine"))
     lattice = best.method == "lattice"
     reason = _error_text(best, tolerance) if math.isfinite(best.error) else planner.unmeasured
     made = Plan("horizon" if best.method == "slices" else best.method, best.units if lattice else None, True if lattice else None, reason, None if lattice or best.method == "unoccluded" else best.units,
-                best.max_distance, tolerance, tail, _known(best.error), _known(best.tail), None, best.seconds + took, took, tuple(choices), tuple(_beyond(planner, tolerance)))
-    return Work(made, [best, *finer], planner.pilots, planner.exact if math.isfinite(best.error) else None)
+                best.max_distance, tolerance, tail, _known(best.error), _known(best.tail), None, best.seconds + took, took, tuple(choices), beyond)
+    return Work(made, [best, *finer], planner.pilots, planner.exact if math.isfinite(best.error) else None, planner.glanced)
 
 
 def lacking(scene: Scene, source: sources.Source) -> str:
@@ -252,11 +257,15 @@ class _Planner:
     unmeasured = ""
     exact: np.ndarray | None = None
     hidden = math.nan  # RMS share of the light that ground takes
+    glanced = False
 
     def __init__(self, scene, source, tolerance, tail, engine, cost: Costs, hurry: bool):
         self.scene, self.source, self.tolerance, self.tail, self.engine, self.cost, self.hurry = scene, source, tolerance, tail, engine, cost, hurry
-        self.pixels = scene.depth.size
-        self.pilots = Pilots(scene, self.count, rare=True)
+        self.pixels = math.prod(scene.shape)
+
+    @cached_property
+    def pilots(self):
+        return Pilots.of(self.scene, self.count, rare=True)
 
     def fits(self, found: Errors | Setting) -> bool:
         return found.bound <= MARGIN * self.tolerance and found.tail <= self.tail
@@ -264,9 +273,9 @@ class _Planner:
     def errors(self, found: np.ndarray, exact: np.ndarray) -> Errors:
         return errors(found, exact, self.pilots.weights)
 
-    def _quicker(self, seconds: float) -> bool:
-        """Whether a setting that is known to do takes less time than to choose one."""
-        return self.hurry and self.tail >= 5 * self.tolerance and seconds < self.cost["plan"].seconds(self.pixels)
+    def _quicker(self, more: float) -> bool:
+        """Whether a setting that is known to do takes less time, ``more`` than the cheapest, than to choose one."""
+        return self.hurry and self.tail >= 5 * self.tolerance and more < self.cost["plan"].seconds(self.pixels)
 
 
 class _Sky(_Planner):
@@ -283,12 +292,15 @@ class _Sky(_Planner):
         return min(COUNT, max(FEWEST, math.isqrt(self.pixels) // SPARSE))
 
     def settings(self):
-        source, pilots = self.source, self.pilots
+        source = self.source
         self.rest, self.scale, self.knots, self.one = source, 1.0, 0, False
         if callable(source.brightness):
             self._look()
         else:
             self.scale = float(source.brightness)
+            if found := self._at_a_glance():
+                return found
+        pilots = self.pilots
         slight = (SLIGHT if pilots.weights is None else FAINT) * self.tolerance
         lost = pilots.sky_lost(slight / self.contrast) * self.contrast
         if lost <= slight and 5 * lost <= self.tail:
@@ -368,17 +380,37 @@ class _Sky(_Planner):
     def _seconds(self, method, units, factor=1.0):
         cost = self.cost[method]
         tables = 3e-8 * 4 * self.knots * (1 if self.one else 2 * units) if method == "horizon" and not self.constant else 0.0
-        return factor * cost.seconds(self.pixels, units) + tables
+        return cost.seconds(self.pixels, factor * units) + tables
+
+    def _certain(self):
+        """A number of azimuths that does anywhere, if it takes less time than to choose one."""
+        count = next((count for count, error in SAFE.items() if SAFELY * error <= self.tolerance), None)
+        if count is None or self.scene.sides == "periodic" or not self._quicker(self._seconds("horizon", count, DEARER) - self._seconds("horizon", EVEN[0]) + (self.cost["sectors"].seconds(self.pixels, SUNS) if self.suns else 0.0)):
+            return None
+        self.unmeasured = f"on ground that is hard to render it is off by {_percent(SAFE[count])}, and to choose fewer would take longer than to render"
+        return count
+
+    def _at_a_glance(self):
+        """Such a number of azimuths under a uniform sky, where a few hundred nodes show that closed forms will not do; or nothing."""
+        count = self._certain()
+        if count is None:
+            return None
+        pilots = Pilots.of(self.scene, FEWEST)
+        self.hidden = pilots.sky_lost_at_a_glance()
+        if self.hidden <= self.tolerance:
+            return None
+        self.pilots, self.glanced = pilots, True
+        near = NEAR if pilots.steep > 0 else None
+        return [Setting("horizon", count, seconds=self._seconds("horizon", count, DEARER if near else 1.0), sectors=_evenly(count), scale=self.scale, near=near)]
 
     def _safe(self):
-        """A number of azimuths that does anywhere, or nothing; what else the plan says is from 16 of them."""
-        count = next((count for count, error in SAFE.items() if SAFELY * error <= self.tolerance), None)
-        if count is None or self.pilots.periodic or not self._quicker(self._seconds("horizon", count, DEARER) + (self.cost["sectors"].seconds(self.pixels, SUNS) if self.suns else 0.0)):
+        """Such a number under any sky, or nothing; what else the plan says is from 16 of them."""
+        count = self._certain()
+        if count is None:
             return None
         self.by_suns = {None: 0.0} if self.suns is None else {1: self.pilots.suns(self.engine, self.suns.fewer(SPANS[0]))[0]}
         azimuths = 2 * np.pi * np.arange(16) / 16
         found = next(s for s in self._evaluate(azimuths, self.pilots.horizons(self.engine, azimuths)) if s.units == count)
-        self.unmeasured = f"on ground that is hard to render it is off by {_percent(SAFE[count])}, and to choose fewer would take longer than to render"
         return [replace(found, near=NEAR, error=math.nan, bound=math.nan, tail=math.nan)]
 
     def _even(self):
@@ -445,8 +477,7 @@ class _Sky(_Planner):
                 light = light.sum(0) * (2 * np.pi / count) * (1.0 if varies else self.scale)
                 for span, sun in self.by_suns.items():
                     measured[span][count] = self.errors(light + sun, exact)
-        near = NEAR if pilots.steep > 0 else None  # behind a cliff the two best crossings are not enough
-        missed = BEHIND * math.sqrt(pilots.steep) * float(rest.mean() / max(exact.mean(), 1e-30))
+        cliffs = math.sqrt(pilots.steep) * float(rest.mean() / max(exact.mean(), 1e-30))  # behind them the two best crossings are not enough
         found = self.errors(free, exact)
         settings = [Setting("unoccluded", 0, *found, self._seconds("closed form", 1), table=self._unoccluded if varies else None, scale=self.scale)]
         if self.suns or not self.fits(Errors(found.rms, HIDDEN * found.bound, found.tail)):
@@ -456,12 +487,13 @@ class _Sky(_Planner):
             if span:
                 few = self.suns.fewer(span)
                 more = self.cost["sectors"].seconds(self.pixels, len(few.angles))
-                if near and span > 1 and suns.max() / (2 * len(few.angles)) > self.tail * exact[exact > 0].mean():
+                if cliffs and span > 1 and suns.max() / (2 * len(few.angles)) > self.tail * exact[exact > 0].mean():
                     continue  # the corner of a wall, where no pilot is, may cut off half a sector of the sun
-            of = lambda e: (math.hypot(e.rms, missed), math.hypot(e.bound, missed), e.tail)
-            seconds = lambda count: self._seconds("horizon", count, DEARER if near else 1.0) + more
+            of = lambda e, missed: (math.hypot(e.rms, missed), math.hypot(e.bound, missed), e.tail)
+            seconds = lambda count, near: self._seconds("horizon", count, DEARER if near else 1.0) + more
             table = lambda count: self._maker(count) if varies else None
-            settings += [Setting("horizon", count, *of(_between(measured[span], count)), seconds(count), _evenly(count), table(count), self.scale, near=near, suns=few) for count in EVEN]
+            settings += [Setting("horizon", count, *of(_between(measured[span], count), BEHIND[near] * cliffs), seconds(count, near), _evenly(count), table(count), self.scale, near=near, suns=few)
+                         for near in (BEHIND if cliffs else (None,)) for count in EVEN]
         return settings
 
     def _maker(self, count):
@@ -492,7 +524,7 @@ class _Sky(_Planner):
 
     def _placed(self):
         """Azimuths placed by brightness: every candidate's sectors are unions of the reference's."""
-        pilots = self.pilots = Pilots(self.scene, PLACED_COUNT)
+        pilots = self.pilots = Pilots.of(self.scene, PLACED_COUNT)
         engine, source = self.engine, self.source
         grid = Azimuths.placed(PLACED_GRID, self.profile)
         table = sources.fine_table(source, grid.angles, grid.widths, self.knots)
@@ -513,7 +545,7 @@ class _Sky(_Planner):
         return [Setting("horizon", count, *_between(measured, count), self._seconds("horizon", count), *made[count], near=near) for count in made]
 
     def choices(self, best, settings):
-        yield Choice("occlusion", "none" if best.method == "unoccluded" else "by ground", f"ground takes {_percent(self.hidden)} of the light (RMS)")
+        yield Choice("occlusion", "none" if best.method == "unoccluded" else "by ground", f"ground takes {'at least ' * self.glanced}{_percent(self.hidden)} of the light (RMS)")
         yield Choice("brightness", self.looks, self.why_looks)
         if best.method == "horizon":
             yield Choice("azimuths", f"{best.units} {'evenly' if best.sectors.edges == Azimuths(best.units).edges else 'placed by brightness'}", self.unmeasured or _among(best, settings))
@@ -560,16 +592,19 @@ class _Slices(_Planner):
 
         seconds = self._seconds("slices", float(taken(SAFE_SLICES).mean()))
         looks = (to * np.stack([pilots.gx, pilots.gy, np.ones(len(pilots))])).sum(0) >= self.ball[1] * pilots.length
-        if not self.clear and not looks.all() and self.tolerance >= 0.002 and self._quicker(seconds):  # else it may need no shadows
+        error = SAFE_BALL if isinstance(self.solid, Ball) else SAFE_QUAD
+        if not self.clear and not looks.all() and self.tolerance >= SAFELY * error and self._quicker(seconds - self._seconds("slices", float(taken(SLICES[0]).mean()))):  # else it may need no shadows
             self.exact = light(16)
             self.hidden = self.errors(self.exact, light(16, False)).rms
-            self.unmeasured = "on rough ground and in penumbras it is off by less than 0.2 %, and to choose fewer would take longer than to render"
+            self.unmeasured = f"on ground that is hard to render it is off by {_percent(error)}, and to choose fewer would take longer than to render"
             return [Setting("slices", SAFE_SLICES, seconds=seconds)]
-        free = light(FINEST, False)
-        self.exact = exact = free if self.clear else light(FINEST)
+        finest = next(slices for least, slices in FINEST.items() if self.tolerance >= least)
+        free = light(finest, False)
+        self.exact = exact = free if self.clear else light(finest)
         self.hidden = self.errors(exact, free).rms if free.any() else 0.0
         settings = []
-        for points in (1, 4) if callable(source.brightness) else (1,):
+        ways = (1, 4) if callable(source.brightness) else (1,)
+        for points in ways if self.clear or looks.all() else ():  # else no_shadow would pass over all nodes in vain
             found = self.errors(unoccluded.lamp(pilots.gx, pilots.gy, pilots.x, pilots.y, pilots.own.astype(float), self.upright, source.brightness, points), exact)
             if self.fits(found) and unoccluded.no_shadow(self.scene, *self.ball, self.clear):
                 return [Setting("unoccluded", points, *found, self._seconds("closed form", 1))]
@@ -730,7 +765,7 @@ def _known(value):
 
 def _among(best, settings, what="azimuths"):
     """What the choice was made among."""
-    same = sorted({s.units: s.error for s in settings if s.method == best.method and s.max_distance == best.max_distance and s.suns is best.suns}.items())
+    same = sorted({s.units: s.error for s in settings if s.method == best.method and (s.max_distance, s.near) == (best.max_distance, best.near) and s.suns is best.suns}.items())
     near = [n for n, (units, _) in enumerate(same) if units == best.units][0]
     return "error by " + what + ": " + ", ".join(f"{units}: {_percent(error)}" for units, error in same[max(0, near - 2) : near + 2])
 
@@ -744,14 +779,14 @@ def _common(planner, best, settings, tolerance, tail):
     """Lines that every plan has."""
     if best.method != "unoccluded":
         others = [s for s in settings if s.method not in (best.method, "unoccluded") and s.bound <= MARGIN * tolerance]
-        why = f"the cheapest other way within tolerance takes {min(s.seconds for s in others) / best.seconds:.1f} times as long" if others else "no other way is within tolerance"
+        why = f"the cheapest other way within tolerance takes {min(s.seconds for s in others) / best.seconds:.1f} times as long" if others else "no other way is within tolerance" if math.isfinite(best.error) else "no other way was tried"
         yield Choice("method", "horizons" if best.method in ("horizon", "slices") else "lattice", lacking(planner.scene, planner.source) or why)
     kind = planner.scene.reflectance
     if isinstance(kind, Lambertian):
         yield Choice("specular lobe", "none", "the surface is Lambertian")
     else:
         yield Choice("specular lobe", type(kind).__name__, "summed beside the irradiance, to which the error and the time given here belong")
-    yield Choice("precision", "float32", f"depths are rounded by {_rounding(planner.pilots):.1g} spacings at most")
+    yield Choice("precision", "float32", f"depths are rounded by {_rounding(planner.pilots):.1g} spacings")
     if math.isfinite(best.error):
         yield Choice("error", _percent(best.error), f"RMS over the mean, at {len(planner.pilots)} pilot nodes; at most {_percent(best.bound)} over all nodes, asked for {_percent(tolerance)}")
         yield Choice("99.9th percentile", _percent(best.tail), f"asked for {_percent(tail)}")
@@ -762,19 +797,13 @@ def _common(planner, best, settings, tolerance, tail):
 def _beyond(planner, tolerance):
     """What the scene needs and the model lacks, with numbers."""
     scene, source, pilots = planner.scene, planner.source, planner.pilots
-    rho = np.asarray(scene.albedo, float)
-    rho = float((rho[scene.valid] if rho.ndim > 1 else rho).max())
-    if planner.exact is not None and planner.exact.any() and rho > 0:
+    if planner.exact is not None and planner.exact.any():
         uniform = planner.uniform
-        if uniform is None:
+        if uniform is None and planner.hidden:
             azimuths = 2 * np.pi * (np.arange(16) + 0.5) / 16
-            uniform = pilots.ring(azimuths, pilots.horizons(planner.engine, azimuths)).mean(0) * 2 * np.pi if planner.hidden else None
+            uniform = pilots.ring(azimuths, pilots.horizons(planner.engine, azimuths)).mean(0) * 2 * np.pi
         if uniform is not None:
-            sky = np.clip(uniform / np.pi, 0, 1)
-            bound = rho * (1 - sky) * planner.exact.max() / (1 - rho * (1 - sky.min()))
-            share = float(np.sqrt(np.mean(bound**2)) / planner.exact[planner.exact > 0].mean())
-            if share > tolerance:
-                yield f"Light between surfaces is left out: at most {_percent(share)} of the mean (RMS) at albedo {rho:g}."
+            yield from between_surfaces(scene, uniform, planner.exact, tolerance)
     if isinstance(source, sources.Lamp) and source.center is not None:
         x, y, z = (v / scene.spacing for v in source.center)
         radius = source.radius / scene.spacing
@@ -790,8 +819,19 @@ def _beyond(planner, tolerance):
         yield f"Depths are rounded by {_rounding(pilots):.2g} spacings, more than the tolerance allows: take the least depth off."
 
 
+def between_surfaces(scene, uniform, exact, tolerance):
+    """What light between surfaces may add to the irradiance ``exact`` at some nodes, if it passes the tolerance; ``uniform``: theirs under a sky of brightness 1."""
+    rho = np.asarray(scene.albedo, float)
+    rho = float((rho[scene.valid] if rho.ndim > 1 else rho).max())
+    sky = np.clip(uniform / np.pi, 0, 1)
+    bound = rho * (1 - sky) * exact.max() / (1 - rho * (1 - sky.min()))
+    share = float(np.sqrt(np.mean(bound**2)) / exact[exact > 0].mean())
+    if share > tolerance:
+        yield f"Light between surfaces is left out: at most {_percent(share)} of the mean (RMS) at albedo {rho:g}."
+
+
 def _rounding(pilots):
-    return max(abs(pilots.highest), abs(pilots.deepest)) * 2.0**-24
+    return abs(pilots.deepest) * 2.0**-24  # heights are none above 0
 
 
 def _gap(scene, pilots, x, y, height):

@@ -16,7 +16,7 @@ from .backends.slices import MOST, SLICES, Dome, Slices, blurred, brightness_of
 from .directions import Azimuths, Hemicube
 from .errors import bad
 from .horizon import engine_of, ground_of
-from .plan import LATTICE_ERROR, PLACED_GRID, Plan, Setting, errors, lacking, solid_of, upright, work
+from .plan import LATTICE_ERROR, PLACED_GRID, Plan, Setting, between_surfaces, errors, lacking, solid_of, upright, work
 from .reflectance import BRDF
 from .scene import Scene, is_scene, one_of, positive_number
 
@@ -173,9 +173,11 @@ def _planned(scene, source, tolerance, tail, engine) -> tuple[np.ndarray, Plan, 
     for tried, setting in enumerate(made.settings):
         warnings = []
         irradiance = _run(scene, source, engine, setting, warnings)
+        found = irradiance[nodes].astype(float)
+        if made.glanced and found.any():
+            plan = replace(plan, beyond=(*between_surfaces(scene, found / setting.scale, found, tolerance), *plan.beyond))
         if made.exact is None:
             break
-        found = irradiance[nodes].astype(float)
         error, bound, _ = errors(found, made.exact, made.pilots.weights)
         if (error <= max(tolerance, setting.bound) and bound <= SPREAD * max(tolerance, setting.bound)) or tried >= RETRIES:
             break

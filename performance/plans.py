@@ -1,5 +1,5 @@
 """Whether plans keep their word: scenes x sources x tolerances, the error of render(tolerance=...) against exact rays at
-nodes that no plan has seen, and its time against that of the cheapest setting that would have done, found by trying all.
+nodes that no plan has seen, and its time, of a scene that was not rendered before, against that of the cheapest setting that would have done, found by trying all.
 
     python performance/plans.py --out docs [--size 192] [--backend opencl]
     python performance/plans.py --out docs --times --size 1024 --name plans_times
@@ -10,7 +10,7 @@ and timed too (half an hour). Prints a table and writes plans.csv, or what --nam
 
 import argparse
 import csv
-import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -146,14 +146,8 @@ def off(found, exact):
 
 
 def side_by_side(*works, runs=3):
-    """Least seconds of each, run in turns."""
-    times = [[] for _ in works]
-    for _ in range(runs):
-        for work, taken in zip(works, times):
-            start = time.perf_counter()
-            work()
-            taken.append(time.perf_counter() - start)
-    return [min(taken) for taken in times]
+    """Least seconds of each render, run in turns."""
+    return [min(taken) for taken in zip(*([work().seconds for work in works] for _ in range(runs)))]
 
 
 def tried(scene, source, nodes, exact, backend, longest) -> list:
@@ -176,7 +170,7 @@ def tried(scene, source, nodes, exact, backend, longest) -> list:
 def run(scene_name, light, size, backend, times, tolerances=TOLERANCES):
     scene, source = pair(scene_name, light, size)
     nodes, exact = truth(scene, source, backend)
-    ours = [lambda t=t: sl.render(scene, source, tolerance=t, quantity="irradiance", backend=backend) for t in tolerances]
+    ours = [lambda t=t: sl.render(replace(scene), source, tolerance=t, quantity="irradiance", backend=backend) for t in tolerances]
     rows, others = [], tried(scene, source, nodes, exact, backend, 2 * max(work().seconds for work in ours)) if times else []
     for tolerance, work in zip(tolerances, ours):
         out = work()

@@ -2,6 +2,9 @@
 
 import json
 import re
+import sys
+import weakref
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -174,25 +177,84 @@ def choosing_takes(seconds, backend, monkeypatch):
 
 
 @pytest.mark.parametrize(("name", "source"), [("houses", sl.Sky()), ("houses", SUN), ("rough", sl.Sky(sl.cie_overcast(2.0))), ("dark", GLOW), ("rough", LOW), ("dark", WINDOW), ("houses", PANEL)], ids=named)
-def test_what_is_sure_is_taken_where_choosing_takes_longer(fast, monkeypatch, name, source):
+def test_what_is_sure_is_taken_where_choosing_takes_longer(fast, launched, monkeypatch, name, source):
     """A render in no time to choose: unmeasured, within tolerance, with the bounds of what the model lacks; plan() itself chooses."""
     choosing_takes(1e9, fast, monkeypatch)
-    scene = SCENES[name]
+    scene = replace(SCENES[name])
     nodes = some_nodes(scene, 150)
     exact = truth(scene, source, nodes)
     for tolerance in (0.03, 0.01, 0.003):
         out = sl.render(scene, source, tolerance=tolerance, backend=fast, quantity="irradiance")
+        if source in (WINDOW, PANEL) and tolerance < 0.01:  # is not known to do
+            assert out.plan.measured <= tolerance
+            continue
         assert out.plan.error is None and out.plan.measured is None and "longer than to render" in str(out.plan)
+        assert not isinstance(source, sl.Sky) or callable(source.brightness) or "pilot" not in launched, "no ray need be cast under a uniform sky"
         assert errors(out.image[nodes].astype(float), exact).rms <= tolerance
         assert any(text.startswith("Light between") for text in out.plan.beyond)
     assert sl.plan(scene, source, 0.01, fast).error <= 0.01
     assert sl.render(scene, source, tolerance=1e-4, backend=fast).plan.error is not None, "nothing is known to be as good as that"
 
 
+@pytest.mark.parametrize(("name", "says"), [("houses", "Slopes are steeper"), ("holes", "Nodata"), ("rough", "Light between")])
+def test_what_is_taken_at_a_glance_says_what_it_lacks(fast, monkeypatch, name, says):
+    """What a plan with pilots has to say, and as large a bound on the light between surfaces, of the image's own nodes."""
+    choosing_takes(1e9, fast, monkeypatch)
+    beyond = lambda plan: next(text for text in plan.beyond if text.startswith(says))
+    made, out = sl.plan(SCENES[name], sl.Sky(2.0), 0.03, fast), sl.render(SCENES[name], sl.Sky(2.0), tolerance=0.03, backend=fast)
+    assert out.plan.error is None and ("near rows" in str(out.plan)) == (name == "houses")
+    percents = [float(re.search(r"([\d.e+]+) %", beyond(plan))[1]) for plan in (made, out.plan)]
+    assert percents[1] == pytest.approx(percents[0], rel=0.2)
+
+
+@pytest.mark.parametrize("name", ["flat", "ramp", "dome"])
+def test_what_nothing_hides_is_never_swept_however_long_choosing_takes(fast, launched, monkeypatch, name):
+    choosing_takes(1e9, fast, monkeypatch)
+    assert sl.render(replace(SCENES[name]), sl.Sky(), tolerance=0.03, backend=fast).plan.method == "unoccluded" and launched == []
+
+
+def test_a_scene_is_not_looked_at_twice(fast, launched):
+    """Other skies and tolerances find the horizons that are known, and say the same of a scene that is new; nothing keeps a scene alive."""
+    scene = sl.Scene(ROUGH)
+    sl.plan(scene, sl.Sky(), 0.001, fast)
+    assert "pilot" in launched
+    launched.clear()
+    for source, tolerance in ((sl.Sky(3.0), 0.001), (GLOW, 0.01), (sl.Sky(), 0.03)):
+        again = sl.plan(scene, source, tolerance, fast)
+        assert launched == []
+        new = sl.plan(sl.Scene(ROUGH), source, tolerance, fast)
+        assert (again.error, again.error_tail, again.azimuths, again.beyond) == (new.error, new.error_tail, new.azimuths, new.beyond)
+        launched.clear()
+    kept = Pilots.of(scene, 192, rare=True)
+    assert kept._slopes and not kept._on and "heights" not in vars(kept), "copies of the map are not kept"
+    azimuths = 2 * np.pi * np.arange(24) / 24
+    assert (kept.horizons(select(fast), azimuths, 3.0) < kept.horizons(select(fast), azimuths)).any(), "a search that ends early is another"
+    gone = weakref.ref(scene)
+    del scene
+    assert gone() is None
+
+
+def test_a_glance_sees_what_is_far_away():
+    """A wall round a floor that is level near every node; as a rule less is seen than there is, and on flat ground nothing."""
+    wall = np.full((600, 600), 200.0)
+    wall[:100] = wall[-100:] = 0
+    for depth, least, most in ((wall, 0.7, 1.05), (scenes.rough(600, 600, 1.0, 4), 0.5, 1.0), (0.3 * np.mgrid[:600, :600][0], 0.0, 1.0)):
+        pilots = Pilots(sl.Scene(depth))
+        seen, lost = pilots.sky_lost_at_a_glance(), pilots.sky_lost(0.0)
+        assert least * lost <= seen <= most * lost, (seen, lost)
+        assert lost > 0.05 or lost < 1e-6
+
+
+def test_few_rows_are_tested_among_cliffs_where_the_tolerance_allows_it(fast):
+    """Twice as quick, and within the tolerance; else more rows."""
+    loose, tight = (sl.plan(SCENES["houses"], sl.Sky(), t, fast) for t in (0.05, 0.01))
+    assert "near rows" in str(tight) and "near rows" not in str(loose) and loose.azimuths < tight.azimuths
+    units = [s.units for s in sys.modules["skylamp.plan"].work(SCENES["houses"], sl.Sky(), 0.01, select(fast)).settings]
+    assert units == sorted(set(units)), "what is tried next, where the image is off, is finer"
+
+
 def test_an_image_that_is_off_is_made_again(fast, monkeypatch):
     """A plan that claims four azimuths to be exact is found out at the pilots, and its image replaced by a finer one."""
-    import sys
-
     choosing_takes(0.0, fast, monkeypatch)
     module = sys.modules["skylamp.plan"]
     between = module._between
@@ -253,12 +315,13 @@ def test_what_nothing_hides_launches_no_kernel(fast, launched, name, source):
     assert launched == []
 
 
-def test_a_clear_lamp_over_gentle_ground_launches_nothing_that_looks_for_shadows(fast, launched):
+def test_a_clear_lamp_over_gentle_ground_launches_nothing_that_looks_for_shadows(fast, launched, monkeypatch):
     """Every node looks at the lamp, so nothing can hide it; under a sky the same ground is swept."""
     scene = sl.Scene(20 + scenes.rough(SIZE, SIZE, 0.08, 6, 2.2))
     assert sl.render(scene, sl.Lamp((36, 36, -50), 4), tolerance=0.01, backend=fast).plan.method == "unoccluded"
     assert not set(launched) & {"slices", "horizon", "scan", "filled", "source"}
-    sl.render(SCENES["rough"], sl.Sky(), backend=fast)
+    choosing_takes(0.0, fast, monkeypatch)
+    sl.render(sl.Scene(ROUGH), sl.Sky(), backend=fast)
     assert set(launched) <= {"pilot", "ground", "horizon", "scan", "filled", "luminance"} and "pilot" in launched
 
 
@@ -278,6 +341,11 @@ def test_a_trench_in_a_plain_is_not_overlooked(fast):
     nodes = np.full(200, 300), np.arange(200, 400)  # across it
     wrong = out.image[nodes] - truth(trench, sl.Sky(), nodes)
     assert np.sqrt(np.sum(wrong**2) / 600) < 0.03 * np.pi, "nothing is hidden farther away"
+
+
+def test_holes_are_no_cliffs():
+    """Steps to masked nodes do not count."""
+    assert Pilots(SCENES["rough"]).steep == Pilots(SCENES["holes"]).steep == 0 < Pilots(SCENES["houses"]).steep
 
 
 def test_pilots_look_closer_where_ground_is_rare():
@@ -410,6 +478,20 @@ def test_costs_are_measured_once_and_kept(fast, monkeypatch, tmp_path):
     assert ask().fixed == 1e-3 and counted == ["horizon"]
 
 
+@pytest.mark.parametrize(("fixed", "each", "unit", "sizes"), [(1e-3, 1e-9, 1e-11, {24, 224, 1024}), (1e-3, 1e-7, 1e-8, {24, 224}), (0.02, 1e-6, 1e-7, {24, 40})])
+def test_costs_are_measured_on_maps_that_take_some_time(monkeypatch, fixed, each, unit, sizes):
+    """Found again from the seconds that they would give; the largest map where all others are done at once, a small one where they take long."""
+    asked = set()
+    monkeypatch.setattr(costs, "_seconds", lambda engine, method, size, units: asked.add(size) or fixed + size**2 * (each + unit * units))
+    np.testing.assert_allclose(costs._cost(None, "horizon", *costs.UNITS["horizon"]), (fixed, each, unit), rtol=1e-6)
+    assert asked == sizes
+
+
+def test_choosing_is_timed_on_scenes_that_are_new(fast, launched):
+    costs._seconds(select(fast), "plan", 24, 1)
+    assert launched.count("pilot") >= costs.RUNS + 1
+
+
 def test_costs_grow_with_the_work(fast):
     """Measured on this machine: positive, and more for more."""
     cost = costs.Costs(select(fast))["horizon"]
@@ -446,6 +528,9 @@ def test_the_chart_has_a_point_for_every_setting(fast, tmp_path):
         assert {row["method"] for row in here} >= ({"slices", "unoccluded"} if kind == "lamp" else {"horizon", "filled", "stride", "unoccluded"})
     chart.draw(rows, tmp_path / "chart.png")
     assert (tmp_path / "chart.png").stat().st_size > 20_000
+    row = lambda method, units, error, seconds, again: {"class": "smooth", "size": 9, "method": method, "units": units, "error": error, "seconds": seconds, "again": again}
+    some = [row("plan", 0.03, 0.01, 6, 3), row("filled", 5, 0.02, 2, 2), row("horizon", 8, 0.01, 4, 4), row("horizon", 64, 0.001, 9, 9), {**row("horizon", 4, 0.001, 1, 1), "size": 8}]
+    assert chart.behind(some)["smooth"][0] == 3 and chart.behind(some, "again")["smooth"][0] == 1.5 and chart.behind(some, "again", True)["smooth"][0] == 0.75
     assert chart.frontier([(1, 5), (2, 6), (3, 1), (2.5, 2)]) == [(1, 5), (2.5, 2), (3, 1)]
     with pytest.raises(sl.InputError, match="sizes"):
         chart.measure([fast], (4,))
