@@ -16,7 +16,7 @@ from .directions import Hemicube
 from .errors import bad
 from .render import timed
 from .scene import Scene, at, one_of, positive_number, real_array
-from .synthesis import BETTER, BRIGHT, Level, Pyramid, blurred, doubled, halved
+from .synthesis import BETTER, BRIGHT, SMALL, Level, Pyramid, blurred, doubled, halved
 
 METHODS = ("robust", "paper")
 STOPS = ("eps", "sign")
@@ -189,7 +189,7 @@ def _robust(images, lights, start, layers, near, far, max_seconds, backend, prog
     def note(level):
         levels[:] = [other for other in levels if other.shape != level.shape] + [level]
         if progress:
-            progress(len(levels), pyramid.top + 1)
+            progress(len(levels), pyramid.first + 1)
 
     several = any(map(_directed, lights))  # answers: then the lower objective need not be the right one's
     pyramid = Pyramid(engine, images, lights, start.albedo, sides, np.maximum(low, 1e-3), high, several, note=note)
@@ -204,17 +204,18 @@ def _robust(images, lights, start, layers, near, far, max_seconds, backend, prog
 
     try:
         shares, misfits = pyramid.flat()
-        top, half = pyramid.top, max(0, pyramid.top - 2)
-        flat = pyramid.bounds[top][0] + shares[np.argmin(misfits)] * (pyramid.bounds[top][1] - pyramid.bounds[top][0])
-        pyramid.lighten(flat)
-        middle = max(0, top - 1)  # the grid on which starts are sorted out
-        z, value = coarse = pyramid.climb(flat, top, middle)
+        first, half = pyramid.first, 0 if max(shape) <= SMALL else pyramid.first
+        flat = [low + shares[np.argmin(misfits)] * (high - low) for low, high in pyramid.bounds]
+        if first == pyramid.top:
+            pyramid.lighten(flat[-1])
+        middle = max(half, first - 1)  # the grid on which starts are sorted out
+        z, value = coarse = pyramid.begin(flat[first], middle)
         if half < middle:
             z, value = pyramid.climb(z, middle, half)
         in_time()
         starts = [coarse]
         for share in CONFINED:
-            other, found = pyramid.confined(float(np.quantile(coarse[0], share)), middle, flat)
+            other, found = pyramid.confined(float(np.quantile(coarse[0], share)), middle, flat[first])
             in_time()  # else it is of a coarser grid
             if all(_apart(other, one) > ALIKE for one, _ in starts):
                 starts.append((other, found))

@@ -1,13 +1,13 @@
 """Depth by analysis and synthesis, coarse to fine: what recover(method="robust") does between its checks and its answer.
 
-On a pyramid of box-downsampled images, from 16 x 16 up, Gauss-Newton (backends/adjoint.py) fits a surface to all images at
-once. On every level the smoothness is let down in steps: a stiff surface has few ways to be wrong. Different starts are
-right in different places: if none of their surfaces is good, each place is taken from the one that is best there (mosaic).
-A coarse grid cannot see what a fine one can: its images get a gain for the shade of relief that it does not see, and large
-grids are solved by cycles over all coarser ones (full approximation scheme): the coarse target is put right by what the two
-grids say of the same surface, E_coarse(restricted z) - restricted E_fine(z), and the change found there is brought up and
-kept if the fine objective falls. What of the smoothness stands for noise is of the difference to the coarser grid's surface,
-which has less noise to take for relief.
+On a pyramid of box-downsampled images Gauss-Newton (backends/adjoint.py) fits a surface to all images at once. On every level
+the smoothness is let down in steps: a stiff surface has few ways to be wrong. Different starts are right in different places:
+if none of their surfaces is good, each place is taken from the one that is best there (mosaic). A coarse grid cannot see what
+a fine one can, and relief that it does not see darkens the image. So large images begin at 128 nodes, not at 16; the coarse
+grids of small ones get a gain for that shade; and large grids are solved by cycles over all coarser ones (full approximation
+scheme): the coarse target is put right by what the two grids say of the same surface, E_coarse(restricted z) - restricted
+E_fine(z), and the change found there is brought up and kept if the fine objective falls. What of the smoothness stands for
+noise is of the difference to the coarser grid's surface, which has less noise to take for relief.
 """
 
 from __future__ import annotations
@@ -42,8 +42,9 @@ LOOSE, CLOSE, LAST = (0.05, 5e-3), (0.02, 1e-3), (0.01, 2e-4)  # tolerance of co
 # on the way, where the way decides, and of the answer
 BETTER = 0.5  # share of the objective below which another start is believed instead of the first
 SMALL = 64  # grids on which this is cheap; larger ones are cycled
-SMOOTH, BOTTOM, CAREFUL = (4, 30, 0.05), (8, 60, 0.03), 1e-2  # steps, conjugate gradients, tolerance of a cycle's grids and of its coarsest; first damping
-CYCLES, SLOW = 10, 0.03  # of a large grid; the fall of the objective in one below which it is the last
+BEGIN = 128  # nodes on the longer side of a large image's grid of starts, at most: relief that a coarser one does not see would mislead it
+SMOOTH, BOTTOM, CAREFUL = (3, 30, 0.05), (8, 60, 0.03), 1e-2  # steps, conjugate gradients, tolerance of a cycle's grids and of its coarsest; first damping
+CYCLES, EASED, SLOW = 8, 3e-4, 0.03  # of a large grid; smoothness of the first; the fall of the objective in one below which it is the last
 LIGHTER, BETWEEN = (0.9, 0.8, 0.65), 0.05  # gains tried for what a coarse grid does not see, and about the best of them
 GOOD = 0.0025  # residual, as a share of the image, below which no other surface is looked for
 SHADE = 0.35  # residual on a coarse grid, over what its gain lacks to 1: shade of fine relief is not the same everywhere
@@ -172,6 +173,7 @@ class Pyramid:
             self.bounds.append(tuple(halved(bound) / 2 for bound in self.bounds[-1]))
             self.albedo.append(halved(self.albedo[-1]))
         self.top = len(self.images) - 1
+        self.first = self.top if self._cheap(0) else next((level for level in range(1, self.top) if max(self.images[level][0].shape) <= BEGIN), self.top)  # the grid of starts
         self.noise = math.sqrt(float(np.mean([noise_of(image) ** 2 for image in self.images[0]])))
         self.problems = {}
         self.gains = [1.0] * (self.top + 1)
@@ -179,10 +181,10 @@ class Pyramid:
 
     def smoothness(self, level: int) -> float:
         """Weight of squared second differences: what noise and the shade of unseen relief leave on a grid against how much surfaces bend."""
-        return self.least(level) + ((self.noise * 0.5**level) ** 2 + self.shade(level) ** 2) / (BEND if level == self.top else BEYOND)
+        return self.least(level) + ((self.noise * 0.5**level) ** 2 + self.shade(level) ** 2) / (BEND if level >= self.first else BEYOND)
 
     def least(self, level: int) -> float:
-        return LEAST if self._cheap(level) else FINEST
+        return LEAST if self._cheap(level) or level >= self.first else FINEST
 
     def good(self, level: int) -> float:
         """The objective below which another minimum is not looked for."""
@@ -256,7 +258,7 @@ class Pyramid:
         self.damping = {}
         cycles = CYCLES if level == 0 else CYCLES // 2
         for count in range(cycles):
-            smoothness = max(least, SOFTER[0] * (least / SOFTER[0]) ** (count / (cycles // 2)))
+            smoothness = max(least, EASED * (least / EASED) ** (count / (cycles // 2)))
             before = value
             z, value = self._cycle(level, z, self.images[level], smoothness)
             if self.stop() or (count > cycles // 2 and value > (1 - SLOW) * before):
@@ -282,15 +284,16 @@ class Pyramid:
         tried, reached = self._smooth(level, z + 2 * doubled(change, z.shape), target, smoothness)
         return (tried, reached) if reached < value else (z, value)
 
-    def climb(self, z: np.ndarray, start: int, last: int, keep: bool = True) -> tuple[np.ndarray, float]:
-        """(depth, objective) on grid ``last`` from a surface on grid ``start``, which is worked over first if it is the coarsest.
+    def begin(self, z: np.ndarray, last: int, keep: bool = True) -> tuple[np.ndarray, float]:
+        """(depth, objective) on grid ``last`` from a surface on the grid of starts that was not worked over. ``keep``: whether this is the answer so far."""
+        z, value = self._ease(self.first, z, STIFF, FIRST)
+        if keep:
+            self._keep(self.first, z)
+        return self.climb(z, self.first, last, keep) if last < self.first else (z, value)
 
-        ``keep``: whether this is the answer so far."""
+    def climb(self, z: np.ndarray, start: int, last: int, keep: bool = True) -> tuple[np.ndarray, float]:
+        """(depth, objective) on grid ``last`` from a surface on the coarser grid ``start``."""
         value = math.inf
-        if start == self.top:
-            z, value = self._ease(start, z, STIFF, FIRST)
-            if keep:
-                self._keep(start, z)
         for level in range(start - 1, last - 1, -1):
             if self.stop():
                 break
@@ -303,12 +306,12 @@ class Pyramid:
         return z, value
 
     def confined(self, deepest: float, last: int, start: np.ndarray) -> tuple[np.ndarray, float]:
-        """As climb, with no depth beyond ``deepest`` [nodes of grid ``last``] until the end: the shallow answer, where there are several."""
+        """As begin, with no depth beyond ``deepest`` [nodes of grid ``last``] until the end: the shallow answer, where there are several."""
         free = self.bounds
         shallow = [(low, np.clip(deepest * 2.0 ** (last - level), low + MARGIN, high)) for level, (low, high) in enumerate(free)]
         self._bound(shallow)
         try:
-            z, _ = self.climb(start, self.top, last, keep=False)
+            z, _ = self.begin(start, last, keep=False)
         finally:
             self._bound(free)
         return (z, math.inf) if self.stop() else self._ease(last, z, ())

@@ -95,6 +95,13 @@ def test_what_is_polished_does_not_lean_on_what_was_tried_last(fast):
     assert rms(pyramid.polish(0, depth)[0] - depth) < 0.5
 
 
+@pytest.mark.parametrize("shape, begins", [((64, 64), (16, 16)), ((32, 60), (16, 30)), ((96, 96), (48, 48)), ((128, 128), (64, 64)), ((256, 256), (128, 128)), ((300, 520), (38, 65)), ((256, 40), (128, 20)), ((20, 300), (20, 300))])
+def test_large_images_begin_on_a_grid_that_sees_their_relief(fast, shape, begins):
+    """Small ones at 16 nodes, where starts cost least; others at most 128, but never on their own grid if there is a coarser one."""
+    pyramid = _pyramid(fast, np.ones(shape), "sky")
+    assert pyramid.images[pyramid.first][0].shape == begins
+
+
 @pytest.mark.parametrize("name", SURFACES)
 def test_the_confident_half_is_the_better_one(fast, name):
     """Its error is at most half that of the rest."""
