@@ -26,7 +26,7 @@ from .backends.base import Backend
 from .directions import Azimuths
 
 log = logging.getLogger("skylamp")
-COARSEST = 16  # nodes on the shorter side of the first grid
+COARSEST = 16  # nodes on the shorter side of the coarsest grid
 BRIGHT = 0.4  # rms to which images are scaled, so that smoothness means the same for all
 AZIMUTHS = 24  # of a sky
 FINER, MORE = 3, 64  # times as fine a grid, and azimuths, that tell how far off the model is
@@ -34,9 +34,9 @@ MARGIN = 0.5  # nodes between the bounds of depth, at least
 SLICES = 24  # of a lamp or window
 ROWS = 128  # of azimuths of a lamp's table of brightness
 LEAST, FINEST = 1e-5, 1e-6  # smoothness for an image without noise; on a large grid, where relief is rough
-STIFF = (1e-2, 1e-3, 1e-4)  # smoothness let down to it on the first grid
+STIFF = (1e-2, 1e-3, 1e-4)  # smoothness let down to it on the grid of starts
 SOFTER = (1e-3, 1e-4)  # and on all others
-STEPS, FIRST = 20, 30  # Gauss-Newton steps at one smoothness; of the first grid
+STEPS, FIRST = 20, 30  # Gauss-Newton steps at one smoothness; on the grid of starts
 MOST = 60  # conjugate gradients of a step
 LOOSE, CLOSE, LAST = (0.05, 5e-3), (0.02, 1e-3), (0.01, 2e-4)  # tolerance of conjugate gradients, and share of the objective below which a step is the last:
 # on the way, where the way decides, and of the answer
@@ -49,7 +49,7 @@ LIGHTER, BETWEEN = (0.9, 0.8, 0.65), 0.05  # gains tried for what a coarse grid 
 GOOD = 0.0025  # residual, as a share of the image, below which no other surface is looked for
 SHADE = 0.35  # residual on a coarse grid, over what its gain lacks to 1: shade of fine relief is not the same everywhere
 TEXTURE = 16.0  # variance on half as fine a grid over that on a grid, of what relief leaves in second differences of the light
-BEND, BEYOND = 0.1, 0.03  # variance of second differences of a surface on the first grid, and of what a grid adds to a coarser one, against which noise is weighed
+BEND, BEYOND = 0.1, 0.03  # variance of second differences of a surface on the grid of starts, and of what a grid adds to a coarser one, against which noise is weighed
 FAITH, PROBES = 0.01, 4  # share of the image's rms that the model may be wrong by, and noises tried, to tell what is uncertain
 
 
@@ -203,7 +203,7 @@ class Pyramid:
         return self.problems[level]
 
     def flat(self, count: int = 40) -> tuple[np.ndarray, np.ndarray]:
-        """Depths of flat surfaces between the bounds, and how badly each explains the images on the first grid."""
+        """Depths of flat surfaces between the bounds, and how badly each explains the images on the coarsest grid."""
         problem = self.problem(self.top)
         share, (low, high) = (np.arange(count) + 0.5) / count, self.bounds[self.top]
         return share, np.array([problem.value(low + part * (high - low), 0) for part in share])
@@ -227,7 +227,7 @@ class Pyramid:
         return max(self.images[level][0].shape) <= SMALL
 
     def lighten(self, z: np.ndarray) -> None:
-        """Looks for the gain that lets the first grid explain the images best, starting from z, and divides the targets of all coarse grids by theirs.
+        """Looks for the gain that lets the coarsest grid explain the images best, starting from z, and divides the targets of all coarse grids by theirs.
 
         A box of nodes whose fine relief shades itself is darker than its mean surface; without a gain, coarse grids would go deeper for it.
         A gain other than 1 is believed if the objective falls below BETTER of that without."""

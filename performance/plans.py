@@ -1,5 +1,6 @@
 """Whether plans keep their word: scenes x sources x tolerances, the error of render(tolerance=...) against exact rays at
-nodes that no plan has seen, and its time, of a scene that was not rendered before, against that of the cheapest setting that would have done, found by trying all.
+nodes that no plan has seen, and its time, of a scene that was not rendered before, against that of the cheapest setting that
+would have done, found by trying all.
 
     python performance/plans.py --out docs [--size 192] [--backend opencl]
     python performance/plans.py --out docs --times --size 1024 --name plans_times
