@@ -16,7 +16,7 @@ from .directions import Hemicube
 from .errors import bad
 from .render import timed
 from .scene import Scene, at, one_of, positive_number, real_array
-from .synthesis import BETTER, BRIGHT, SMALL, Level, Pyramid, blurred, doubled, halved
+from .synthesis import BETTER, BRIGHT, LOST, SMALL, Level, Pyramid, blurred, doubled, halved
 
 METHODS = ("robust", "paper")
 STOPS = ("eps", "sign")
@@ -202,6 +202,18 @@ def _robust(images, lights, start, layers, near, far, max_seconds, backend, prog
         if pyramid.stop():
             raise _OutOfTime
 
+    def around(answer, start, level):
+        """This answer from a start on a grid, others that begin there, and their mosaic."""
+        starts = [answer]
+        for share in CONFINED:
+            other, found = pyramid.confined(float(np.quantile(answer[0], share)), start, level, middle)
+            in_time()  # else it is of a coarser grid
+            if all(_apart(other, one) > ALIKE for one, _ in starts):
+                starts.append((other, found))
+        _join(pyramid, middle, starts)
+        return starts
+
+    objective = lambda answer: answer[1]
     try:
         shares, misfits = pyramid.flat()
         first, half = pyramid.first, 0 if max(shape) <= SMALL else pyramid.first
@@ -209,23 +221,25 @@ def _robust(images, lights, start, layers, near, far, max_seconds, backend, prog
         if first == pyramid.top:
             pyramid.lighten(flat[-1])
         middle = max(half, first - 1)  # the grid on which starts are sorted out
-        z, value = coarse = pyramid.begin(flat[first], middle)
+        coarse = pyramid.begin(flat[first], first, middle)
+        starts = around(coarse, flat[first], first)
+        if min(starts, key=objective)[1] > LOST * pyramid.good(middle):
+            start, answer = pyramid.elsewhere(shares[np.argmin(misfits)], middle)
+            in_time()  # else it is of a coarser grid
+            if answer[1] < BETTER * min(starts, key=objective)[1]:
+                coarse = answer
+                pyramid.keep(middle, answer[0])
+                starts = around(coarse, start, pyramid.top)
+        z, value = coarse
         if half < middle:
             z, value = pyramid.climb(z, middle, half)
         in_time()
-        starts = [coarse]
-        for share in CONFINED:
-            other, found = pyramid.confined(float(np.quantile(coarse[0], share)), middle, flat[first])
-            in_time()  # else it is of a coarser grid
-            if all(_apart(other, one) > ALIKE for one, _ in starts):
-                starts.append((other, found))
-        _join(pyramid, middle, starts)
         answers = starts
         if half < middle:
             answers = [(z, value)] + [pyramid.climb(other, middle, half, keep=False) for other, found in starts[1:] if found < HOPE * max(coarse[1], pyramid.good(middle))]
             in_time()
             _join(pyramid, half, answers)
-        best, least = min(answers, key=lambda answer: answer[1])
+        best, least = min(answers, key=objective)
         if least < (BETTER if several else CLEARLY) * value:
             z, value = best, least
         rivals = [(other - z, min(1, value / found) ** (1 if several else 2)) for other, found in answers if other is not z and found < RIVAL * value]

@@ -3,11 +3,12 @@
 On a pyramid of box-downsampled images Gauss-Newton (backends/adjoint.py) fits a surface to all images at once. On every level
 the smoothness is let down in steps: a stiff surface has few ways to be wrong. Different starts are right in different places:
 if none of their surfaces is good, each place is taken from the one that is best there (mosaic). A coarse grid cannot see what
-a fine one can, and relief that it does not see darkens the image. So large images begin at 128 nodes, not at 16; the coarse
-grids of small ones get a gain for that shade; and large grids are solved by cycles over all coarser ones (full approximation
-scheme): the coarse target is put right by what the two grids say of the same surface, E_coarse(restricted z) - restricted
-E_fine(z), and the change found there is brought up and kept if the fine objective falls. What of the smoothness stands for
-noise is of the difference to the coarser grid's surface, which has less noise to take for relief.
+a fine one can, and relief that it does not see darkens the image. So large images begin at 128 nodes, and at 16 like
+small ones only if their relief is too strong to be found from there; grids below that of starts get a gain for that shade;
+and large grids are solved by cycles over all coarser ones (full approximation scheme): the coarse target is put right by what
+the two grids say of the same surface, E_coarse(restricted z) - restricted E_fine(z), and the change found there is brought up
+and kept if the fine objective falls. What of the smoothness stands for noise is of the difference to the coarser grid's
+surface, which has less noise to take for relief.
 """
 
 from __future__ import annotations
@@ -47,6 +48,8 @@ SMOOTH, BOTTOM, CAREFUL = (3, 30, 0.05), (8, 60, 0.03), 1e-2  # steps, conjugate
 CYCLES, EASED, SLOW = 8, 3e-4, 0.03  # of a large grid; smoothness of the first; the fall of the objective in one below which it is the last
 LIGHTER, BETWEEN = (0.9, 0.8, 0.65), 0.05  # gains tried for what a coarse grid does not see, and about the best of them
 GOOD = 0.0025  # residual, as a share of the image, below which no other surface is looked for
+LOST, FOUND = 100.0, 16.0  # times the objective of that, from which relief is looked for from elsewhere, and below which it is found
+ELSEWHERE = ((1, 0.5), (1, 1), (0.7, 0.8), (0.35, 0.8))  # there: shares of the depth of the best flat surface, and gains
 SHADE = 0.35  # residual on a coarse grid, over what its gain lacks to 1: shade of fine relief is not the same everywhere
 TEXTURE = 16.0  # variance on half as fine a grid over that on a grid, of what relief leaves in second differences of the light
 BEND, BEYOND = 0.1, 0.03  # variance of second differences of a surface on the grid of starts, and of what a grid adds to a coarser one, against which noise is weighed
@@ -172,6 +175,7 @@ class Pyramid:
             self.images.append([halved(image) for image in self.images[-1]])
             self.bounds.append(tuple(halved(bound) / 2 for bound in self.bounds[-1]))
             self.albedo.append(halved(self.albedo[-1]))
+        self.seen = list(self.images)  # images as they are; those of coarse grids may get a gain
         self.top = len(self.images) - 1
         self.first = self.top if self._cheap(0) else next((level for level in range(1, self.top) if max(self.images[level][0].shape) <= BEGIN), self.top)  # the grid of starts
         self.noise = math.sqrt(float(np.mean([noise_of(image) ** 2 for image in self.images[0]])))
@@ -220,7 +224,7 @@ class Pyramid:
         """(depth, objective) of the surface that is the answer so far, worked out."""
         self._lean_on_itself(level, z)
         z, value = self._ease(level, z, (), pace=LAST)
-        self._keep(level, z)
+        self.keep(level, z)
         return z, value
 
     def _cheap(self, level: int) -> bool:
@@ -246,9 +250,13 @@ class Pyramid:
             values |= {gain: reached(gain) for gain in (best - BETWEEN, best + BETWEEN)}
             best = min(values, key=values.get)
         gain = best if values[best] < BETTER * values[1.0] else 1.0
-        for level in range(1, self.top + 1):
-            self.gains[level] = 1 - (1 - gain) * level / self.top
-            self.images[level] = [image / self.gains[level] for image in self.images[level]]
+        self.lift(gain, 0)
+
+    def lift(self, gain: float, above: int) -> None:
+        """Divides the targets of the grids coarser than grid ``above`` by a gain: the coarsest's by this, others' by less."""
+        for level in range(above + 1, self.top + 1):
+            self.gains[level] = 1 - (1 - gain) * (level - above) / (self.top - above)
+            self.images[level] = [image / self.gains[level] for image in self.seen[level]]
             if level in self.problems:
                 self.problems[level].aim(self.images[level])
 
@@ -284,12 +292,31 @@ class Pyramid:
         tried, reached = self._smooth(level, z + 2 * doubled(change, z.shape), target, smoothness)
         return (tried, reached) if reached < value else (z, value)
 
-    def begin(self, z: np.ndarray, last: int, keep: bool = True) -> tuple[np.ndarray, float]:
-        """(depth, objective) on grid ``last`` from a surface on the grid of starts that was not worked over. ``keep``: whether this is the answer so far."""
-        z, value = self._ease(self.first, z, STIFF, FIRST)
+    def begin(self, z: np.ndarray, start: int, last: int, keep: bool = True) -> tuple[np.ndarray, float]:
+        """(depth, objective) on grid ``last`` from a surface on grid ``start`` that was not worked over. ``keep``: whether this is the answer so far."""
+        z, value = self._ease(start, z, STIFF, FIRST)
         if keep:
-            self._keep(self.first, z)
-        return self.climb(z, self.first, last, keep) if last < self.first else (z, value)
+            self.keep(start, z)
+        return self.climb(z, start, last, keep) if last < start else (z, value)
+
+    def elsewhere(self, share: float, last: int) -> tuple[np.ndarray, tuple[np.ndarray, float]]:
+        """A flat surface of the coarsest grid from which strong relief is found, and (depth, objective) on grid ``last`` from there.
+
+        Strong relief shades itself so much that the flat surface nearest to the images, ``share`` of the way between the bounds, is
+        far too deep to start from; so shallower ones are tried, and gains, which stay as they were of the best."""
+        sort = next((level for level in range(last, self.top) if self._cheap(level)), self.top)
+        low, high = self.bounds[self.top]
+        tried = []
+        for part, gain in ELSEWHERE:
+            self.lift(gain, sort)
+            flat = low + part * share * (high - low)
+            z, value = self.begin(flat, self.top, sort, keep=False)
+            tried.append((value, gain, flat, z))
+            if self.stop() or value < FOUND * self.good(sort):
+                break
+        value, gain, flat, z = min(tried, key=lambda one: one[0])
+        self.lift(gain, sort)
+        return flat, self.climb(z, sort, last, keep=False) if last < sort else (z, value)
 
     def climb(self, z: np.ndarray, start: int, last: int, keep: bool = True) -> tuple[np.ndarray, float]:
         """(depth, objective) on grid ``last`` from a surface on the coarser grid ``start``."""
@@ -302,16 +329,16 @@ class Pyramid:
             self._lean(level, z)  # a coarser grid has less noise to take for relief
             z, value = self._ease(level, z, SOFTER) if self._cheap(level) else self._cycled(level, z)
             if keep:
-                self._keep(level, z)
+                self.keep(level, z)
         return z, value
 
-    def confined(self, deepest: float, last: int, start: np.ndarray) -> tuple[np.ndarray, float]:
+    def confined(self, deepest: float, z: np.ndarray, start: int, last: int) -> tuple[np.ndarray, float]:
         """As begin, with no depth beyond ``deepest`` [nodes of grid ``last``] until the end: the shallow answer, where there are several."""
         free = self.bounds
         shallow = [(low, np.clip(deepest * 2.0 ** (last - level), low + MARGIN, high)) for level, (low, high) in enumerate(free)]
         self._bound(shallow)
         try:
-            z, _ = self.begin(start, last, keep=False)
+            z, _ = self.begin(z, start, last, keep=False)
         finally:
             self._bound(free)
         return (z, math.inf) if self.stop() else self._ease(last, z, ())
@@ -355,7 +382,8 @@ class Pyramid:
         problem.aim(self.images[level])
         return found
 
-    def _keep(self, level: int, z: np.ndarray) -> None:
+    def keep(self, level: int, z: np.ndarray) -> None:
+        """Takes z for the answer so far."""
         if self.best is None or self.best[0] >= level:
             self.best = level, z
         self.problem(level).value(z, self.smoothness(level))
