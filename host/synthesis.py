@@ -13,6 +13,7 @@ surface, which has less noise to take for relief.
 
 from __future__ import annotations
 
+import functools
 import logging
 import math
 import time
@@ -34,7 +35,7 @@ FINER, MORE = 3, 64  # times as fine a grid, and azimuths, that tell how far off
 MARGIN = 0.5  # nodes between the bounds of depth, at least
 SLICES = 24  # of a lamp or window
 ROWS = 128  # of azimuths of a lamp's table of brightness
-LEAST, FINEST = 1e-5, 1e-6  # smoothness for an image without noise; on a large grid, where relief is rough
+LEAST, FINEST = 1e-5, 1e-7  # smoothness for an image without noise; on a large grid, where relief is rough
 STIFF = (1e-2, 1e-3, 1e-4)  # smoothness let down to it on the grid of starts
 SOFTER = (1e-3, 1e-4)  # and on all others
 STEPS, FIRST = 20, 30  # Gauss-Newton steps at one smoothness; on the grid of starts
@@ -45,7 +46,7 @@ BETTER = 0.5  # share of the objective below which another start is believed ins
 SMALL = 64  # grids on which this is cheap; larger ones are cycled
 BEGIN = 128  # nodes on the longer side of a large image's grid of starts, at most: relief that a coarser one does not see would mislead it
 SMOOTH, BOTTOM, CAREFUL = (3, 30, 0.05), (8, 60, 0.03), 1e-2  # steps, conjugate gradients, tolerance of a cycle's grids and of its coarsest; first damping
-CYCLES, EASED, SLOW = 8, 3e-4, 0.03  # of a large grid; smoothness of the first; the fall of the objective in one below which it is the last
+CYCLES, EASED, SLOW = 10, 3e-4, 0.01  # of a large grid; smoothness of the first; the fall of the objective in one below which it is the last
 LIGHTER, BETWEEN = (0.9, 0.8, 0.65), 0.05  # gains tried for what a coarse grid does not see, and about the best of them
 GOOD = 0.0025  # residual, as a share of the image, below which no other surface is looked for
 LOST, FOUND = 100.0, 16.0  # times the objective of that, from which relief is looked for from elsewhere, and below which it is found
@@ -94,11 +95,10 @@ def cubic(values: np.ndarray, times: int) -> np.ndarray:
     return values
 
 
-def light_of(source: sources.Source, shape: tuple[int, int], scale: float, azimuths: int) -> Light:
-    """A source for a grid whose node i stands at (i + 1/2) / scale - 1/2 nodes of the unit in which the source is given."""
-    table = None
+def brightness_of(source: sources.Source, azimuths: int) -> tuple[np.ndarray | None, np.ndarray | None]:
+    """(a sky's azimuths or None, the table of brightness or None where it is 1 everywhere), as in Light: the same for every grid."""
     if isinstance(source, sources.Sky):
-        sectors = Azimuths(azimuths)
+        sectors, table = Azimuths(azimuths), None
         if callable(source.brightness):
             profile = sources.azimuth_profile(source)
             sectors = sectors if profile is None else Azimuths.placed(azimuths, profile)
@@ -107,12 +107,20 @@ def light_of(source: sources.Source, shape: tuple[int, int], scale: float, azimu
         # what ought to be 0 is, so that rays along the grid stay on it
         ways = np.stack([np.cos(angles), np.sin(angles), sectors.widths, 0 * angles], 1)
         ways[np.abs(ways) < 1e-12] = 0
+        return ways, table
+    if not callable(source.brightness):
+        return None, None
+    place = 4 * np.arange(ROWS) / ROWS  # the diamond angle
+    cosine = np.where(place < 2, 1 - place, place - 3)
+    sine = np.where(place < 1, place, np.where(place < 3, 2 - place, place - 4))
+    return None, sources.elevation_table(source, np.arctan2(sine, cosine), np.zeros(ROWS), ROWS)
+
+
+def light_of(source: sources.Source, shape: tuple[int, int], scale: float, brightness: tuple[np.ndarray | None, np.ndarray | None]) -> Light:
+    """A source, with what brightness_of says of it, for a grid whose node i stands at (i + 1/2) / scale - 1/2 nodes of the unit in which the source is given."""
+    ways, table = brightness
+    if isinstance(source, sources.Sky):
         return Light(table, azimuths=ways)
-    if callable(source.brightness):
-        place = 4 * np.arange(ROWS) / ROWS  # the diamond angle
-        cosine = np.where(place < 2, 1 - place, place - 3)
-        sine = np.where(place < 1, place, np.where(place < 3, 2 - place, place - 4))
-        table = sources.elevation_table(source, np.arctan2(sine, cosine), np.zeros(ROWS), ROWS)
     share = (np.arange(SLICES) + 0.5) / SLICES
     theta, azimuth = np.pi * (share - 0.5), 2 * np.pi * share
     nodes = np.stack([np.sin(theta), np.cos(theta), np.cos(azimuth), np.sin(azimuth)], 1)
@@ -179,6 +187,7 @@ class Pyramid:
         self.top = len(self.images) - 1
         self.first = self.top if self._cheap(0) else next((level for level in range(1, self.top) if max(self.images[level][0].shape) <= BEGIN), self.top)  # the grid of starts
         self.noise = math.sqrt(float(np.mean([noise_of(image) ** 2 for image in self.images[0]])))
+        self.brightness = functools.cache(lambda number, azimuths: brightness_of(lights[number], azimuths))
         self.problems = {}
         self.gains = [1.0] * (self.top + 1)
         self.best = None  # (level, depth): the last surface that was accepted, whatever comes
@@ -202,8 +211,8 @@ class Pyramid:
         if level not in self.problems:
             images, shape = self.images[level], self.images[level][0].shape
             self.problems[level] = Descent(self.engine, shape, self.sides, [
-                (light_of(source, shape, 0.5**level, AZIMUTHS), self.albedo[level] / (math.pi * unit), image)
-                for source, unit, image in zip(self.sources, self.units, images)], *self.bounds[level])
+                (light_of(source, shape, 0.5**level, self.brightness(number, AZIMUTHS)), self.albedo[level] / (math.pi * unit), image)
+                for number, (source, unit, image) in enumerate(zip(self.sources, self.units, images))], *self.bounds[level])
         return self.problems[level]
 
     def flat(self, count: int = 40) -> tuple[np.ndarray, np.ndarray]:
@@ -371,8 +380,8 @@ class Pyramid:
         A grid FINER times as fine, along more azimuths, tells by how much the model is off; the surface is fitted again with that put right."""
         problem, shape = self.problem(level), tuple(FINER * side for side in z.shape)
         repeated = np.repeat(np.repeat(self.albedo[level], FINER, 0), FINER, 1)
-        model = Descent(self.engine, shape, self.sides, [(light_of(source, shape, FINER * 0.5**level, MORE), repeated / (math.pi * unit), np.zeros(shape))
-                                                         for source, unit in zip(self.sources, self.units)], np.zeros(shape), np.full(shape, np.inf))
+        model = Descent(self.engine, shape, self.sides, [(light_of(source, shape, FINER * 0.5**level, self.brightness(number, MORE)), repeated / (math.pi * unit), np.zeros(shape))
+                                                         for number, (source, unit) in enumerate(zip(self.sources, self.units))], np.zeros(shape), np.full(shape, np.inf))
         middle, found = slice(FINER // 2, None, FINER), z
         self._lean_on_itself(level, z)
         for _ in range(2):

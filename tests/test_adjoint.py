@@ -51,9 +51,13 @@ def ground(shape=SHAPE, seed=0, slope=0.8):
     return (3 + rough(max(shape[0], 2), max(shape[1], 2), slope, seed)[: shape[0], : shape[1]]).astype(np.float32)
 
 
+def light_of(source, shape, azimuths):
+    return synthesis.light_of(source, shape, 1.0, synthesis.brightness_of(source, azimuths))
+
+
 def problem(backend, source, shape=SHAPE, sides="open", gain=1.0, target=0.0, low=0.0, high=1e3, azimuths=8):
     full = lambda value: np.broadcast_to(np.asarray(value, float), shape)
-    lights = [synthesis.light_of(each, shape, 1.0, azimuths) for each in (source if isinstance(source, list) else [source])]
+    lights = [light_of(each, shape, azimuths) for each in (source if isinstance(source, list) else [source])]
     return adjoint.Descent(select(backend), shape, sides, [(light, full(gain), full(target)) for light in lights], full(low), full(high))
 
 
@@ -229,7 +233,7 @@ def solid64(z, source, sides, count):
 def model64(source, sides, azimuths=8):
     """depths -> E, in float64, with the discretization of the kernels."""
     if isinstance(source, sl.Sky):
-        light = synthesis.light_of(source, SHAPE, 1.0, azimuths)  # of any shape
+        light = light_of(source, SHAPE, azimuths)  # of any shape
         return lambda z: sky64(z, light, sides)
     return lambda z: solid64(z, source, sides, synthesis.SLICES)
 
@@ -282,7 +286,7 @@ def spikes():
     y, x = np.indices(shape)
     z = 12 + ground(shape, 8, 0.05) - np.where(np.isin(y % 8, (0, 7)) & np.isin(x % 8, (0, 7)) & (rng.random(shape) < 0.3), 6 * rng.random(shape), 0)
     z, lamp = z.astype(np.float32), sl.Lamp(center=(47.0, 38.0, 5.0), radius=3.0)
-    return z, lamp, sky64(z.astype(float), synthesis.light_of(sl.Sky(), shape, 1.0, 20), "open"), solid64(z.astype(float), lamp, "open", 6)
+    return z, lamp, sky64(z.astype(float), light_of(sl.Sky(), shape, 20), "open"), solid64(z.astype(float), lamp, "open", 6)
 
 
 def test_spikes_at_the_edges_of_tiles(backend, spikes, monkeypatch):
