@@ -807,7 +807,7 @@ def _beyond(planner, tolerance):
     if isinstance(source, sources.Lamp) and source.center is not None:
         x, y, z = (v / scene.spacing for v in source.center)
         radius = source.radius / scene.spacing
-        gap = _gap(scene, pilots, x, y, -z) - radius
+        gap = _gap(pilots, x, y, -z, radius)
         if gap < 1:
             yield f"The lamp touches the surface: {'it reaches %.2g spacings into it' % -gap if gap < 0 else 'it ends %.2g spacings from it' % gap}, and the grid holds nothing finer than 1."
     steep = pilots.steep
@@ -834,15 +834,11 @@ def _rounding(pilots):
     return abs(pilots.deepest) * 2.0**-24  # heights are none above 0
 
 
-def _gap(scene, pilots, x, y, height):
-    """Least distance [spacings] from a point to the nodes."""
-    rows, cols = scene.shape
-    nearest = np.inf
-    high = pilots.heights
-    reach = max(8, int(abs(height - pilots.highest)) + 2) if np.isfinite(height) else 8
-    i, j = int(round(min(max(x, 0), cols - 1))), int(round(min(max(y, 0), rows - 1)))
-    reach = min(reach, 256)
-    part = np.s_[max(0, j - reach) : j + reach + 1, max(0, i - reach) : i + reach + 1]
-    v, u = np.mgrid[part[0].start : min(part[0].stop, rows), part[1].start : min(part[1].stop, cols)]
-    square = (u - x) ** 2 + (v - y) ** 2 + (high[part] - height) ** 2
-    return float(np.sqrt(square.min(initial=nearest)))
+def _gap(pilots, x, y, height, radius):
+    """Least distance [spacings] from a ball to the nodes, where it is less than 1."""
+    if height - radius >= pilots.highest + 1:
+        return math.inf
+    i, j = (round(min(max(at, 0), n - 1)) for at, n in ((x, pilots.cols), (y, pilots.rows)))
+    reach = min(int(radius) + 2, 256)
+    v, u = np.mgrid[max(0, j - reach) : min(j + reach + 1, pilots.rows), max(0, i - reach) : min(i + reach + 1, pilots.cols)]
+    return math.sqrt(((u - x) ** 2 + (v - y) ** 2 + (pilots.height(v, u).astype(float) - height) ** 2).min()) - radius

@@ -333,7 +333,8 @@ def split(source: Sky, count: int, seen: tuple[np.ndarray, np.ndarray]) -> tuple
     """A sky without what is brighter than SUNNY times its median, and that, in ``count`` sectors; None for a sky without such a
     sun. ``seen``: what :func:`looks` gives."""
     light, sine = seen
-    some, weight = light[::16].ravel(), np.sqrt(1 - sine[::16] ** 2).ravel()
+    few = np.s_[:: max(1, len(light) // 64)]
+    some, weight = light[few].ravel(), np.sqrt(1 - sine[few] ** 2).ravel()
     order = np.argsort(some)
     median = float(some[order][np.searchsorted(np.cumsum(weight[order]), weight.sum() / 2)])
     limit = SUNNY * median
