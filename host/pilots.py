@@ -6,6 +6,7 @@ with a grid line (kernel ``pilot``); what follows is NumPy, on (rays of a node, 
 
 from __future__ import annotations
 
+import copy
 import math
 from functools import cached_property
 from weakref import WeakKeyDictionary
@@ -28,6 +29,7 @@ CLIFF = 4.0  # spacings that neighbouring nodes may lie apart before the slope i
 WIDE = 16  # blocks across a map whose highest nodes may hide something from a pilot
 CLOSE = 4  # nodes round a pilot that may
 FEW, MANY = 12, 96  # pilots that are asked first, and then, whether anything is hidden
+OTHER = 4  # of so many pilots one is asked how much of the sky it sees, where the sky is not the source
 PLAINLY = 4.0  # times what may be hidden from which on few need be asked
 _known: WeakKeyDictionary[Scene, dict[tuple[int, bool], Pilots]] = WeakKeyDictionary()
 RARE = 3.0  # times the median relief of blocks from which on one is rare
@@ -48,10 +50,21 @@ class Pilots:
         self.common, self.weights = len(self.x), None
         if rare and len(self.x) == count:  # else these are all there are
             self._look_closer(count)
+        self._on = {}
+        self._settle()
+
+    def _settle(self):
         self.own = self.height(self.y, self.x)
         self.gx, self.gy = (self._gradient(axis) for axis in (1, 0))
         self.length = np.sqrt(1 + self.gx**2 + self.gy**2)
-        self._on, self._slopes, self._lost = {}, {}, {}
+        self._slopes, self._lost, self._seen = {}, {}, {}
+
+    def moved(self, x: np.ndarray, y: np.ndarray, weights: np.ndarray | None = None) -> Pilots:
+        """Other nodes of the same map."""
+        other = copy.copy(self)
+        other.x, other.y, other.weights, other.common = x, y, weights, len(x)
+        other._settle()
+        return other
 
     @classmethod
     def of(cls, scene: Scene, count: int, rare: bool = False) -> Pilots:
@@ -216,6 +229,14 @@ class Pilots:
             cosine, sine = np.cos(azimuths)[:, None], np.sin(azimuths)[:, None]
             self._slopes[asked] = self.slopes(engine, cosine, sine, self.least(cosine, sine), reach=reach)
         return self._slopes[asked]
+
+    def sky_seen(self, engine: Backend) -> np.ndarray:
+        """Irradiance of a uniform sky of brightness 1 at every OTHERth node, to see what else light may do: (nodes,)."""
+        azimuths = 2 * np.pi * (np.arange(16) + 0.5) / 16
+        if engine.name not in self._seen:
+            few = self.moved(self.x[::OTHER], self.y[::OTHER])
+            self._seen[engine.name] = few.ring(azimuths, few.horizons(engine, azimuths)).mean(0) * 2 * np.pi
+        return self._seen[engine.name]
 
     def ring(self, azimuths: np.ndarray, slopes: np.ndarray, table: np.ndarray | None = None) -> np.ndarray:
         """Irradiance per radian of azimuth above ``slopes``, of brightness 1 or by ``table`` (azimuths, knots, >= 2): (azimuths, nodes)."""

@@ -48,6 +48,9 @@ DEARER = 1.4  # times as long as a sweep takes with so many
 SAFE = {24: 0.033, 48: 0.0125, 64: 0.0080, 96: 0.0046, 128: 0.0033, 192: 0.0021, 256: 0.0017}  # RMS error by azimuths, with so many, among houses
 SAFE_SLICES, SAFE_BALL, SAFE_QUAD = 128, 0.0016, 0.0062  # slices that do for lamps and windows; RMS error with so many, among houses
 SAFELY = 1.5  # tolerance over the known error from which a setting is taken unmeasured
+CLOSED = {(Ball, 0): 3, (Ball, 1): 8, (Ball, 4): 46, (Quad, 0): 11, (Quad, 1): 12, (Quad, 4): 28}  # times as long as the closed form of a uniform sky, by points of brightness
+SHADED = 64  # pilots where ground may hide some of a source that is nearly clear
+SMALL, COARSE = 0.1, 24  # apparent radius [rad] up to which so many slices may be reference enough
 POINT = 0.1  # share of the tolerance by which a lamp that is called a point may be off as one
 SLIGHT, FAINT = 0.7, 0.1  # share of the tolerance that ground may take from a sky, as its highest nodes have it, that no ray is cast; where some ground is rare
 BEYOND = 3  # nodes beyond the percentile, from which on it is read off
@@ -562,6 +565,7 @@ class _Slices(_Planner):
     """Lamps and windows of simple shape: a closed form where nothing hides them, else slices."""
 
     count = 192
+    shade = 0.0  # share of the nodes that may lie in shadow
 
     def settings(self):
         pilots, engine, source = self.pilots, self.engine, self.source
@@ -581,8 +585,8 @@ class _Slices(_Planner):
         far = np.sqrt((to**2).sum(0))
         self.apparent = float(np.arcsin(np.minimum(1, self.ball[1] / np.maximum(far, 1e-9))).mean())
         brightness = (lambda L: sources.radiance(source, L)) if callable(source.brightness) else source.brightness
-        light = lambda slices, occluded=True: pilots.through_slices(engine, self.upright, brightness, slices, occluded)
-        self.clear = self._clear()
+        light = lambda slices, occluded=True, pilots=pilots: pilots.through_slices(engine, self.upright, brightness, slices, occluded)
+        self.clear = self._in_box() and pilots.clear(self.upright)
         turn = pilots.turn(self.upright)
 
         def taken(most):
@@ -593,22 +597,22 @@ class _Slices(_Planner):
         seconds = self._seconds("slices", float(taken(SAFE_SLICES).mean()))
         looks = (to * np.stack([pilots.gx, pilots.gy, np.ones(len(pilots))])).sum(0) >= self.ball[1] * pilots.length
         error = SAFE_BALL if isinstance(self.solid, Ball) else SAFE_QUAD
-        if not self.clear and not looks.all() and self.tolerance >= SAFELY * error and self._quicker(seconds - self._seconds("slices", float(taken(SLICES[0]).mean()))):  # else it may need no shadows
-            self.exact = light(16)
-            self.hidden = self.errors(self.exact, light(16, False)).rms
+        if not self.clear and not (looks.all() and self._closed(1) < seconds) and self.tolerance >= SAFELY * error and self._quicker(seconds - self._seconds("slices", float(taken(SLICES[0]).mean()))):  # else it may need no shadows
+            self.exact = light(8)
+            self.hidden = self.errors(self.exact, light(8, False)).rms
             self.unmeasured = f"on ground that is hard to render it is off by {_percent(error)}, and to choose fewer would take longer than to render"
             return [Setting("slices", SAFE_SLICES, seconds=seconds)]
-        finest = next(slices for least, slices in FINEST.items() if self.tolerance >= least)
-        free = light(finest, False)
-        self.exact = exact = free if self.clear else light(finest)
-        self.hidden = self.errors(exact, free).rms if free.any() else 0.0
+        by_count = {8: light(8, not self.clear)}
+        finest = COARSE
+        self.exact = exact = light(finest, not self.clear) if self.apparent < SMALL else by_count[8]
+        found = self.errors(by_count[8], exact)
+        if exact is by_count[8] or not self.fits(Errors(found.rms, 2 * found.bound, 2 * found.tail)):
+            finest = next(slices for least, slices in FINEST.items() if self.tolerance >= least)
+            self.exact = exact = light(finest, not self.clear)
+        if found := self._unoccluded(lambda pilots: light(finest, pilots=pilots)):
+            return found
+        self.hidden = 0.0 if self.clear else self.errors(by_count[8], light(8, False)).rms
         settings = []
-        ways = (1, 4) if callable(source.brightness) else (1,)
-        for points in ways if self.clear or looks.all() else ():  # else no_shadow would pass over all nodes in vain
-            found = self.errors(unoccluded.lamp(pilots.gx, pilots.gy, pilots.x, pilots.y, pilots.own.astype(float), self.upright, source.brightness, points), exact)
-            if self.fits(found) and unoccluded.no_shadow(self.scene, *self.ball, self.clear):
-                return [Setting("unoccluded", points, *found, self._seconds("closed form", 1))]
-        by_count = {}
         for most in SLICES[isinstance(self.solid, Quad):]:  # a quadrangle has four sectors to share them
             number = taken(most)
             through = np.zeros(len(pilots))
@@ -622,20 +626,61 @@ class _Slices(_Planner):
                 break
         return settings
 
-    def _clear(self):
-        if self.scene.sides == "dark":
-            rows, cols = self.scene.shape
-            corners = [self.ball[0] - self.ball[1], self.ball[0] + self.ball[1]] if isinstance(self.solid, Ball) else self.upright.corners
-            low, high = np.min(corners, 0), np.max(corners, 0)
-            if low[0] < -0.5 or low[1] < -0.5 or high[0] > cols - 0.5 or high[1] > rows - 0.5:
-                return False
-        return self.pilots.clear(self.upright)
+    def _unoccluded(self, light):
+        """The closed form, where that is cheaper than any slices and its error at the pilots, and at others where ground may hide some of
+        the source, is within tolerance; or nothing."""
+        pilots, exact, self.hidden = self.pilots, self.exact, 0.0
+        formed = lambda pilots, points: unoccluded.lamp(pilots.gx, pilots.gy, pilots.x, pilots.y, pilots.own.astype(float), self.upright, self.source.brightness, points)
+        for points in (1, 4) if callable(self.source.brightness) else (1,):
+            seconds = self._closed(points)
+            found = formed(pilots, points)
+            if self.fits(self.errors(found, exact)) and (self.clear or seconds < self._seconds("slices", SLICES[0])):
+                break
+        else:
+            return []
+        if not self._in_box():
+            return []
+        shaded = unoccluded.shaded(self.scene, *self.ball, self.clear)
+        if shaded is None:
+            return []
+        of = self.errors(found, exact)
+        if shaded.size:
+            share = shaded.shape[1] / np.count_nonzero(self.scene.valid)
+            row, col = shaded[:, np.unique(np.linspace(0, shaded.shape[1] - 1, SHADED).astype(int))]
+            there = pilots.moved(col, row)
+            weights = np.full(len(pilots), 1 / len(pilots)) if pilots.weights is None else pilots.weights
+            weights = np.append((1 - share) * weights, np.full(len(row), share / len(row)))
+            bright = formed(there, points)
+            exact = np.append(exact, light(there))
+            of = errors(np.append(found, bright), exact, weights)
+            if len(row) < shaded.shape[1] and exact.any():  # three more might be dark
+                of = of._replace(bound=math.hypot(of.bound, math.sqrt(3 * share / len(row) * np.mean(bright**2)) / exact[exact > 0].mean()))
+            if not self.fits(of):
+                return []
+            pilots.put_away()
+            self.pilots, self.exact, self.shade = pilots.moved(np.append(pilots.x, col), np.append(pilots.y, row), weights), exact, share
+        return [Setting("unoccluded", points, *of, seconds)]
+
+    def _closed(self, points):
+        """Seconds of the closed form."""
+        return CLOSED[type(self.solid), points if callable(self.source.brightness) else 0] * self._seconds("closed form", 1)
+
+    def _in_box(self):
+        """Whether no wall of a dark box can stand between."""
+        if self.scene.sides != "dark":
+            return True
+        corners = [self.ball[0] - self.ball[1], self.ball[0] + self.ball[1]] if isinstance(self.solid, Ball) else self.upright.corners
+        low, high = np.min(corners, 0)[:2], np.max(corners, 0)[:2]
+        return bool((low >= -0.5).all() and (high <= np.array(self.scene.shape[::-1]) - 0.5).all())
 
     def _seconds(self, method, units):
         return self.cost[method].seconds(self.pixels, units)
 
     def choices(self, best, settings):
-        yield Choice("occlusion", "none" if best.method == "unoccluded" else "by ground", "nothing stands between ground and source" if self.clear else f"ground takes {_percent(self.hidden)} of the light (RMS)")
+        if best.method == "unoccluded":
+            yield Choice("occlusion", "left out" if self.shade else "none", f"ground may hide some of the source from {_percent(self.shade)} of the nodes" if self.shade else "nothing stands between ground and source")
+        else:
+            yield Choice("occlusion", "by ground", f"ground takes {_percent(self.hidden)} of the light (RMS)")
         kind = "lamp" if isinstance(self.source, sources.Lamp) else "window"
         if best.method == "unoccluded":
             off = 0.0 if self.solid is None else float(point_error(np.sin(self.apparent), 1.0))
@@ -800,8 +845,7 @@ def _beyond(planner, tolerance):
     if planner.exact is not None and planner.exact.any():
         uniform = planner.uniform
         if uniform is None and planner.hidden:
-            azimuths = 2 * np.pi * (np.arange(16) + 0.5) / 16
-            uniform = pilots.ring(azimuths, pilots.horizons(planner.engine, azimuths)).mean(0) * 2 * np.pi
+            uniform = pilots.sky_seen(planner.engine)
         if uniform is not None:
             yield from between_surfaces(scene, uniform, planner.exact, tolerance)
     if isinstance(source, sources.Lamp) and source.center is not None:
