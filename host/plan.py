@@ -128,14 +128,16 @@ class Setting:
 
 
 class Work(NamedTuple):
-    """A plan with what it takes to follow it: settings from the one chosen on, the pilots and their reference; ``glanced``: no ray
-    was cast, so that the image has to tell what is left out between surfaces."""
+    """A plan with what it takes to follow it: settings from the one chosen on, the pilots and their reference; ``glanced``: the
+    pilots' light is not known, so that the image has to tell what is left out between surfaces, by ``uniform``, what they see of a
+    uniform sky, unless that is the source."""
 
     plan: Plan
     settings: list[Setting]
     pilots: Pilots
     exact: np.ndarray | None
     glanced: bool
+    uniform: np.ndarray | None
 
 
 def plan(scene: Scene, source: sources.Source, tolerance: float = 0.01, backend: str = "auto", *, tail: float | None = None) -> Plan:
@@ -193,7 +195,7 @@ def work(scene: Scene, source: sources.Source, tolerance: float, engine: Backend
     reason = _error_text(best, tolerance) if math.isfinite(best.error) else planner.unmeasured
     made = Plan("horizon" if best.method == "slices" else best.method, best.units if lattice else None, True if lattice else None, reason, None if lattice or best.method == "unoccluded" else best.units,
                 best.max_distance, tolerance, tail, _known(best.error), _known(best.tail), None, best.seconds + took, took, tuple(choices), beyond)
-    return Work(made, [best, *finer], planner.pilots, planner.exact if math.isfinite(best.error) else None, planner.glanced)
+    return Work(made, [best, *finer], planner.pilots, planner.exact if math.isfinite(best.error) else None, planner.glanced, planner.uniform)
 
 
 def lacking(scene: Scene, source: sources.Source) -> str:
@@ -259,6 +261,7 @@ class _Planner:
 
     unmeasured = ""
     exact: np.ndarray | None = None
+    uniform: np.ndarray | None = None  # irradiance of a uniform sky of brightness 1
     hidden = math.nan  # RMS share of the light that ground takes
     glanced = False
 
@@ -301,8 +304,8 @@ class _Sky(_Planner):
             self._look()
         else:
             self.scale = float(source.brightness)
-            if found := self._at_a_glance():
-                return found
+        if found := self._at_a_glance():
+            return found
         pilots = self.pilots
         slight = (SLIGHT if pilots.weights is None else FAINT) * self.tolerance
         lost = pilots.sky_lost(slight / self.contrast) * self.contrast
@@ -311,7 +314,7 @@ class _Sky(_Planner):
             return [Setting("unoccluded", 0, lost, lost, 5 * lost, self._seconds("closed form", 1), table=self._unoccluded if self.knots else None, scale=self.scale, suns=self.suns)]
         if self.profile is not None and pilots.periodic:
             return self._placed()
-        return self._safe() or self._even()
+        return self._even()
 
     contrast = 1.0
 
@@ -385,36 +388,24 @@ class _Sky(_Planner):
         tables = 3e-8 * 4 * self.knots * (1 if self.one else 2 * units) if method == "horizon" and not self.constant else 0.0
         return cost.seconds(self.pixels, factor * units) + tables
 
-    def _certain(self):
-        """A number of azimuths that does anywhere, if it takes less time than to choose one."""
-        count = next((count for count, error in SAFE.items() if SAFELY * error <= self.tolerance), None)
-        if count is None or self.scene.sides == "periodic" or not self._quicker(self._seconds("horizon", count, DEARER) - self._seconds("horizon", EVEN[0]) + (self.cost["sectors"].seconds(self.pixels, SUNS) if self.suns else 0.0)):
-            return None
-        self.unmeasured = f"on ground that is hard to render it is off by {_percent(SAFE[count])}, and to choose fewer would take longer than to render"
-        return count
-
     def _at_a_glance(self):
-        """Such a number of azimuths under a uniform sky, where a few hundred nodes show that closed forms will not do; or nothing."""
-        count = self._certain()
-        if count is None:
+        """A number of azimuths that does anywhere, if it takes less time than to choose one, where a few hundred nodes show that closed
+        forms will not do; or nothing."""
+        count = next((count for count, error in SAFE.items() if SAFELY * error <= self.tolerance), None)
+        more = self.cost["sectors"].seconds(self.pixels, SUNS) if self.suns else 0.0
+        if count is None or self.scene.sides == "periodic" or not self._quicker(self._seconds("horizon", count, DEARER) - self._seconds("horizon", EVEN[0]) + more):
             return None
         pilots = Pilots.of(self.scene, FEWEST)
         self.hidden = pilots.sky_lost_at_a_glance()
         if self.hidden <= self.tolerance:
             return None
         self.pilots, self.glanced = pilots, True
-        near = NEAR if pilots.steep > 0 else None
-        return [Setting("horizon", count, seconds=self._seconds("horizon", count, DEARER if near else 1.0), sectors=_evenly(count), scale=self.scale, near=near)]
-
-    def _safe(self):
-        """Such a number under any sky, or nothing; what else the plan says is from 16 of them."""
-        count = self._certain()
-        if count is None:
-            return None
-        self.by_suns = {None: 0.0} if self.suns is None else {1: self.pilots.suns(self.engine, self.suns.fewer(SPANS[0]))[0]}
-        azimuths = 2 * np.pi * np.arange(16) / 16
-        found = next(s for s in self._evaluate(azimuths, self.pilots.horizons(self.engine, azimuths)) if s.units == count)
-        return [replace(found, near=NEAR, error=math.nan, bound=math.nan, tail=math.nan)]
+        self.unmeasured = f"on ground that is hard to render it is off by {_percent(SAFE[count])}, and to choose fewer would take longer than to render"
+        if self.knots:
+            self.uniform = pilots.sky_seen(self.engine)
+        near = NEAR if self.knots or pilots.steep > 0 else None
+        return [Setting("horizon", count, seconds=self._seconds("horizon", count, DEARER if near else 1.0) + more, sectors=_evenly(count), table=self._maker(count) if self.knots else None,
+                        scale=self.scale, near=near, suns=self.suns)]
 
     def _even(self):
         pilots, engine = self.pilots, self.engine
@@ -568,11 +559,10 @@ class _Slices(_Planner):
     shade = 0.0  # share of the nodes that may lie in shadow
 
     def settings(self):
-        pilots, engine, source = self.pilots, self.engine, self.source
+        engine, source = self.engine, self.source
         self.solid = solid_of(self.scene, source, 1 / self.scene.spacing, 1.0)
-        self.uniform = None
         if self.solid is None:
-            self.exact = np.zeros(len(pilots))
+            self.exact = np.zeros(len(self.pilots))
             return [Setting("unoccluded", 0, 0.0, 0.0, 0.0, self._seconds("closed form", 0))]
         if isinstance(self.solid, Ball):
             x, y, z = self.solid.center
@@ -581,27 +571,12 @@ class _Slices(_Planner):
             corners = self.solid.corners * (1, 1, -1)
             self.ball = corners.mean(0), float(np.linalg.norm(corners - corners.mean(0), axis=1).max())
         self.upright = upright(self.solid)
-        to = self.ball[0][:, None] - np.stack([pilots.x, pilots.y, pilots.own])
-        far = np.sqrt((to**2).sum(0))
-        self.apparent = float(np.arcsin(np.minimum(1, self.ball[1] / np.maximum(far, 1e-9))).mean())
+        if found := self._at_a_glance():
+            return found
+        pilots = self.pilots
         brightness = (lambda L: sources.radiance(source, L)) if callable(source.brightness) else source.brightness
         light = lambda slices, occluded=True, pilots=pilots: pilots.through_slices(engine, self.upright, brightness, slices, occluded)
         self.clear = self._in_box() and pilots.clear(self.upright)
-        turn = pilots.turn(self.upright)
-
-        def taken(most):
-            """As many slices as the kernel would take."""
-            least = max(most // (4 if isinstance(self.solid, Ball) else 2) // 8, 1) * 8
-            return (least + turn * (most - least)).astype(int) // 8 * 8
-
-        seconds = self._seconds("slices", float(taken(SAFE_SLICES).mean()))
-        looks = (to * np.stack([pilots.gx, pilots.gy, np.ones(len(pilots))])).sum(0) >= self.ball[1] * pilots.length
-        error = SAFE_BALL if isinstance(self.solid, Ball) else SAFE_QUAD
-        if not self.clear and not (looks.all() and self._closed(1) < seconds) and self.tolerance >= SAFELY * error and self._quicker(seconds - self._seconds("slices", float(taken(SLICES[0]).mean()))):  # else it may need no shadows
-            self.exact = light(8)
-            self.hidden = self.errors(self.exact, light(8, False)).rms
-            self.unmeasured = f"on ground that is hard to render it is off by {_percent(error)}, and to choose fewer would take longer than to render"
-            return [Setting("slices", SAFE_SLICES, seconds=seconds)]
         by_count = {8: light(8, not self.clear)}
         finest = COARSE
         self.exact = exact = light(finest, not self.clear) if self.apparent < SMALL else by_count[8]
@@ -614,7 +589,7 @@ class _Slices(_Planner):
         self.hidden = 0.0 if self.clear else self.errors(by_count[8], light(8, False)).rms
         settings = []
         for most in SLICES[isinstance(self.solid, Quad):]:  # a quadrangle has four sectors to share them
-            number = taken(most)
+            number = self._taken(most)
             through = np.zeros(len(pilots))
             for count in (8, 16, 32, 64):
                 if (number >= count).any():
@@ -625,6 +600,38 @@ class _Slices(_Planner):
             if self.fits(Errors(found.rms, 2 * found.bound, 2 * found.tail)):
                 break
         return settings
+
+    def _taken(self, most):
+        """As many slices at every pilot as the kernel would take."""
+        least = max(most // (4 if isinstance(self.solid, Ball) else 2) // 8, 1) * 8
+        return (least + self.pilots.turn(self.upright) * (most - least)).astype(int) // 8 * 8
+
+    @property
+    def _towards(self):
+        """Vectors from the pilots to the source's middle (3, nodes), heights third."""
+        return self.ball[0][:, None] - np.stack([self.pilots.x, self.pilots.y, self.pilots.own])
+
+    @cached_property
+    def apparent(self):
+        """Radius of the source as it seems on average [rad]."""
+        return float(np.arcsin(np.minimum(1, self.ball[1] / np.maximum(np.sqrt((self._towards**2).sum(0)), 1e-9))).mean())
+
+    def _at_a_glance(self):
+        """Slices that do anywhere, if they take less time than to choose, where a few hundred nodes show that the source is hidden from
+        some, or that the closed form would take longer; or nothing."""
+        error = SAFE_BALL if isinstance(self.solid, Ball) else SAFE_QUAD
+        if not self.hurry or self.tolerance < SAFELY * error:
+            return None
+        pilots = self.pilots = Pilots.of(self.scene, FEWEST)
+        seconds, least = (self._seconds("slices", float(self._taken(most).mean())) for most in (SAFE_SLICES, SLICES[0]))
+        looks = (self._towards * np.stack([pilots.gx, pilots.gy, np.ones(len(pilots))])).sum(0) >= self.ball[1] * pilots.length
+        if not self._quicker(seconds - least) or self._in_box() and not pilots.hides(self.upright) or looks.all() and self._closed(1) < seconds:
+            del self.pilots
+            return None
+        self.glanced = True
+        self.unmeasured = f"on ground that is hard to render it is off by {_percent(error)}, and to choose fewer would take longer than to render"
+        self.uniform = pilots.sky_seen(self.engine)
+        return [Setting("slices", SAFE_SLICES, seconds=seconds)]
 
     def _unoccluded(self, light):
         """The closed form, where that is cheaper than any slices and its error at the pilots, and at others where ground may hide some of
@@ -680,7 +687,7 @@ class _Slices(_Planner):
         if best.method == "unoccluded":
             yield Choice("occlusion", "left out" if self.shade else "none", f"ground may hide some of the source from {_percent(self.shade)} of the nodes" if self.shade else "nothing stands between ground and source")
         else:
-            yield Choice("occlusion", "by ground", f"ground takes {_percent(self.hidden)} of the light (RMS)")
+            yield Choice("occlusion", "by ground", "ground takes some of the light" if self.glanced else f"ground takes {_percent(self.hidden)} of the light (RMS)")
         kind = "lamp" if isinstance(self.source, sources.Lamp) else "window"
         if best.method == "unoccluded":
             off = 0.0 if self.solid is None else float(point_error(np.sin(self.apparent), 1.0))
@@ -700,7 +707,6 @@ class _Lattice(_Planner):
 
     def settings(self):
         self.why = lacking(self.scene, self.source)
-        self.uniform = None
         if isinstance(self.source, sources.Lamp):  # a volume: no reference but the lattice itself
             self.unmeasured = f"{self.why}; its error was not measured, on rough ground under a sky it is {LATTICE_ERROR[33]} to {LATTICE_ERROR[5]} of pi"
             size = next((m for m, error in LATTICE_ERROR.items() if error <= self.tolerance), 33)
