@@ -344,10 +344,6 @@ class Pilots:
         and the pilot's tangent plane."""
         return all(self._clear(solid, count) for count in (FEW, MANY))
 
-    def hides(self, solid: Ball | Quad) -> bool:
-        """Whether one of few pilots shows already that this is not so."""
-        return not self._clear(solid, FEW)
-
     def _clear(self, solid, count):
         some, dx, dy, distance, slope, block = self._peaks(count, self._highest)
         here = np.stack([self.x, self.y, self.own]).astype(float)[:, some]

@@ -617,15 +617,15 @@ class _Slices(_Planner):
         return float(np.arcsin(np.minimum(1, self.ball[1] / np.maximum(np.sqrt((self._towards**2).sum(0)), 1e-9))).mean())
 
     def _at_a_glance(self):
-        """Slices that do anywhere, if they take less time than to choose, where a few hundred nodes show that the source is hidden from
-        some, or that the closed form would take longer; or nothing."""
+        """Slices that do anywhere, if they take less time than to choose, where a few hundred nodes show that the source may be hidden
+        from some and no closed form will do, or would take longer; or nothing."""
         error = SAFE_BALL if isinstance(self.solid, Ball) else SAFE_QUAD
         if not self.hurry or self.tolerance < SAFELY * error:
             return None
         pilots = self.pilots = Pilots.of(self.scene, FEWEST)
         seconds, least = (self._seconds("slices", float(self._taken(most).mean())) for most in (SAFE_SLICES, SLICES[0]))
         looks = (self._towards * np.stack([pilots.gx, pilots.gy, np.ones(len(pilots))])).sum(0) >= self.ball[1] * pilots.length
-        if not self._quicker(seconds - least) or self._in_box() and not pilots.hides(self.upright) or looks.all() and self._closed(1) < seconds:
+        if not self._quicker(seconds - least) or self._in_box() and pilots.clear(self.upright) or looks.all() and self._closed(1) < seconds:
             del self.pilots
             return None
         self.glanced = True
