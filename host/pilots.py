@@ -108,9 +108,9 @@ class Pilots:
 
     @cached_property
     def steep(self) -> float:
-        """Share of neighbouring nodes that lie more than CLIFF spacings apart, along some 256 rows and columns; none beside masked ones."""
+        """Share of neighbouring nodes that lie more than CLIFF spacings apart, along some 128 rows and columns; none beside masked ones."""
         with np.errstate(invalid="ignore"):  # two masked nodes
-            steps = [np.diff(self.values[:: max(1, self.rows // 256)], axis=1), np.diff(np.ascontiguousarray(self.values[:, :: max(1, self.cols // 256)]), axis=0)]
+            steps = [np.diff(self.values[:: max(1, self.rows // 128)], axis=1), np.diff(np.ascontiguousarray(self.values[:, :: max(1, self.cols // 128)]), axis=0)]
         cliffs = 0
         for step in steps:
             far = np.abs(step, out=step) > CLIFF * self.step
