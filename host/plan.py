@@ -51,6 +51,7 @@ SAFE_SLICES, SAFE_BALL, SAFE_QUAD = 128, 0.0016, 0.0062  # slices that do for la
 SAFELY = 1.5  # tolerance over the known error from which a setting is taken unmeasured
 CLOSED = {(Ball, 0): 3, (Ball, 1): 8, (Ball, 4): 46, (Quad, 0): 11, (Quad, 1): 12, (Quad, 4): 28}  # times as long as the closed form of a uniform sky, by points of brightness
 SHADED = 64  # pilots where ground may hide some of a source that is nearly clear
+LIKELY = 1.5  # times as many nodes may be dark as these have it, where a percentile depends on few of them
 SMALL, COARSE = 0.1, 24  # apparent radius [rad] up to which so many slices may be reference enough
 POINT = 0.1  # share of the tolerance by which a lamp that is called a point may be off as one
 SLIGHT, FAINT = 0.7, 0.1  # share of the tolerance that ground may take from a sky, as its highest nodes have it, that no ray is cast; where some ground is rare
@@ -661,16 +662,16 @@ class _Slices(_Planner):
             row, col = shaded[:, np.unique(np.linspace(0, shaded.shape[1] - 1, SHADED).astype(int))]
             there = pilots.moved(col, row)
             weights = np.full(len(pilots), 1 / len(pilots)) if pilots.weights is None else pilots.weights
-            weights = np.append((1 - share) * weights, np.full(len(row), share / len(row)))
+            weighed = lambda share: np.append((1 - share) * weights, np.full(len(row), share / len(row)))
             bright = formed(there, points)
-            exact = np.append(exact, light(there))
-            of = errors(np.append(found, bright), exact, weights)
+            found, exact = np.append(found, bright), np.append(exact, light(there))
+            of = errors(found, exact, weighed(share))._replace(tail=errors(found, exact, weighed(LIKELY * share)).tail)
             if len(row) < shaded.shape[1] and exact.any():  # three more might be dark
                 of = of._replace(bound=math.hypot(of.bound, math.sqrt(3 * share / len(row) * np.mean(bright**2)) / exact[exact > 0].mean()))
             if not self.fits(of):
                 return []
             pilots.put_away()
-            self.pilots, self.exact, self.shade = pilots.moved(np.append(pilots.x, col), np.append(pilots.y, row), weights), exact, share
+            self.pilots, self.exact, self.shade = pilots.moved(np.append(pilots.x, col), np.append(pilots.y, row), weighed(share)), exact, share
         return [Setting("unoccluded", points, *of, seconds)]
 
     def _closed(self, points):

@@ -133,7 +133,8 @@ def image(scene: Scene, solid: Ball | Quad, brightness, points: int = 1) -> np.n
     gx, gy = gradients(scene)
     rows, cols = scene.shape
     x, y = np.arange(cols, dtype=np.float32), np.arange(rows, dtype=np.float32)[:, None]
-    return np.nan_to_num(lamp(gx, gy, x, y, scene.depth / np.float32(-scene.spacing), solid, brightness, points))
+    depth = scene.depth if scene.mask is None else np.nan_to_num(scene.depth)  # a brightness function is given no NaN
+    return lamp(gx, gy, x, y, depth / np.float32(-scene.spacing), solid, brightness, points)
 
 
 def shaded(scene: Scene, center: np.ndarray, radius: float, convex: bool) -> np.ndarray | None:
