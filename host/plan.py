@@ -422,6 +422,7 @@ class _Sky(_Planner):
             else:  # every other one is known
                 slopes = np.stack([slopes, pilots.horizons(engine, azimuths[1::2])], 1).reshape(number, -1)
             if need > PLAINLY * judges:
+                need = 0  # the guess is not good for two
                 continue
             settings = self._evaluate(azimuths, slopes, judges)
             if len(self.by_suns) == 2 and not (settings and self.fits(self.errors(self.exact - self.by_suns[SPANS[1]] + self.by_suns[SPANS[0]], self.exact))):

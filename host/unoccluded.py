@@ -143,8 +143,8 @@ def shaded(scene: Scene, center: np.ndarray, radius: float, convex: bool) -> np.
 
     Ground that looks at all of the ball along a vertical plane through it never rises into a ray, so that only where some does not
     may a shadow begin: it is followed from the node before, away from the source, until ground rises above the ball's lowest ray (what is
-    dark beyond has a crest of its own), and is widened by a node, since grid lines cross between nodes. Nothing is followed where the ground is ``convex``
-    as far as the caller knows, and nothing behind, away from the source, looks at the ball again.
+    dark beyond has a crest of its own), and is widened by a node, since grid lines cross between nodes. Nothing is followed where the
+    ground is ``convex`` as far as the caller knows, and nothing behind, away from the source, looks at the ball again.
     """
     gx, gy = gradients(scene)
     rows, cols = scene.shape
@@ -153,46 +153,56 @@ def shaded(scene: Scene, center: np.ndarray, radius: float, convex: bool) -> np.
     looks = x * gx + y * gy + up >= np.float32(radius) * np.sqrt(1 + gx * gx + gy * gy)
     if scene.mask is not None:
         looks |= ~scene.mask
-    if looks.all():
+    if looks.all() and scene.mask is None:
         return np.zeros((2, 0), int)
     left = STEPS * looks.size
     away = np.stack(np.divmod(np.flatnonzero(~looks), cols))
     if not convex and away.shape[1] > left:
         return None
 
-    def step(at, n):
-        """The nodes so far from others towards the source, which ones lie on the map, and the way."""
+    def behind(at, n):
+        """The nodes so far from others, away from the source, which ones lie on the map, and the way towards the source."""
         way = np.stack([y[at[0], 0], x[at[1]]]) / np.maximum(np.hypot(x[at[1]], y[at[0], 0]), 1e-9)
-        to = np.rint(at + n * way).astype(int)
+        to = np.rint(at - n * way).astype(int)
         return to, (to >= 0).all(0) & (to[0] < rows) & (to[1] < cols), way
 
-    to, there, _ = step(away, -1)
+    to, there, _ = behind(away, 1)
     if convex and not looks[tuple(to[:, there])].any():
         return np.zeros((2, 0), int)
-    to, there, _ = step(away, 1)
-    crest = to[:, there]
-    crest = crest[:, looks[tuple(crest)]]
+    crest = np.zeros((rows, cols), bool)  # nodes before one of these, towards the source, along a row, a column or both
+    before = np.sign(np.stack([y[away[0], 0], x[away[1]]])).astype(int)
+    for share in ((1, 1), (1, 0), (0, 1)):
+        crest[tuple(np.clip(away + np.array(share)[:, None] * before, 0, [[rows - 1], [cols - 1]]))] = True
+    crest &= looks
+    if scene.mask is not None:  # ground may fall off into a hole, unseen
+        crest |= _widened(~scene.mask)
+        crest &= scene.mask
+    crest = np.stack(np.divmod(np.flatnonzero(crest), cols))
     found, deepest = [away], np.fmax.reduce(up, axis=None)
     for n in range(1, rows + cols):
-        at, there, way = step(crest, -n)
+        at, there, way = behind(crest, n)
         crest, at, way = crest[:, there], at[:, there], way[:, there]
         left -= at.shape[1]
         if left < 0:
             return None
         own, here, at = up[tuple(crest)], up[tuple(at)], tuple(at)
         far = np.sqrt(x[at[1]] ** 2 + y[at[0], 0] ** 2 + here**2)
-        ray = np.tan(np.maximum(np.arcsin(here / far) - np.arcsin(np.minimum(1, np.float32(radius) / far)), 0))
+        ray = np.tan(np.maximum(np.arcsin(np.minimum(1, here / far)) - np.arcsin(np.minimum(1, np.float32(radius) / far)), 0))
         plane = -(gy[at] * way[0] + gx[at] * way[1])
         below = here - own
         found.append(np.stack(at)[:, below > n * np.maximum(ray, plane)])
         crest = crest[:, ~(below < n * ray - ABOVE) & (own + n * ray < deepest)]  # goes on where masked
         if not crest.size:
             break
-    row, col = np.concatenate(found, 1)
-    room = np.zeros((rows + 2, cols + 2), bool)
-    for j in range(3):
-        for i in range(3):
-            room[row + j, col + i] = True
-    dark = room[1:-1, 1:-1] if scene.mask is None else room[1:-1, 1:-1] & scene.mask
+    dark = np.zeros((rows, cols), bool)
+    dark[tuple(np.concatenate(found, 1))] = True
+    dark = _widened(dark) if scene.mask is None else _widened(dark) & scene.mask
     found = np.stack(np.divmod(np.flatnonzero(dark), cols))
     return found if found.shape[1] <= SHADE * looks.size else None
+
+
+def _widened(nodes):
+    """These (rows, cols) bool and those round them."""
+    room = np.pad(nodes, 1)
+    room = room[:-2] | room[1:-1] | room[2:]
+    return room[:, :-2] | room[:, 1:-1] | room[:, 2:]
