@@ -34,7 +34,6 @@ MARGIN = 0.95  # share of the tolerance that a setting may take: kernels add a l
 SIGMAS = 1.5  # standard errors by which the RMS error of all nodes may pass that of the pilots
 EVEN = (4, 6, 8, 12, 16, 24, 32, 48, 64, 96, 128, 192, 256)  # azimuths
 GRIDS = {24: 6, 48: 12, 96: 24, 192: 256}  # azimuths of the reference, and how many azimuths it can judge; EVEN's are among them where half of it is a multiple
-PLAINLY = 1.5  # times the azimuths that a reference can judge from which on the next is taken without asking this one
 PLACED, PLACED_GRID = (8, 16, 32, 80), 160  # azimuths where brightness is uneven on a map that repeats, and of their reference
 PLACED_COUNT = 128  # pilots there
 SUNS, SPANS = 120, (15, 5, 3, 1)  # sectors of a sun's light in the reference, and how many of them a candidate takes together
@@ -414,22 +413,17 @@ class _Sky(_Planner):
         self.by_suns = {None: 0.0}
         if self.suns:  # the coarsest sectors by the next, until these prove too coarse
             self.by_suns = dict(zip(SPANS, pilots.suns(engine, self.suns.fewer(SPANS[1]), (SPANS[0] // SPANS[1], 1))))
-        need = 0
         for number, judges in GRIDS.items():
             azimuths = 2 * np.pi * np.arange(number) / number
             if number == min(GRIDS):
                 slopes = pilots.horizons(engine, azimuths)
             else:  # every other one is known
                 slopes = np.stack([slopes, pilots.horizons(engine, azimuths[1::2])], 1).reshape(number, -1)
-            if need > PLAINLY * judges:
-                need = 0  # the guess is not good for two
-                continue
             settings = self._evaluate(azimuths, slopes, judges)
             if len(self.by_suns) == 2 and not (settings and self.fits(self.errors(self.exact - self.by_suns[SPANS[1]] + self.by_suns[SPANS[0]], self.exact))):
                 self.by_suns = dict(zip(SPANS, pilots.suns(engine, self.suns, SPANS)))
                 settings = self._evaluate(azimuths, slopes, judges)
-            need = min((s.units for s in settings if self.fits(s)), default=EVEN[-1])
-            if need <= judges:
+            if any(self.fits(s) and s.units <= judges for s in settings):
                 break
         if pilots.periodic:
             return self._shorter(settings, azimuths, slopes)
