@@ -28,7 +28,7 @@ from .radiometry import point_error
 from .reflectance import Lambertian
 from .scene import Scene, is_scene, positive_number
 
-FEWEST, SPARSE = 192, 8  # pilots of a small map under a sky; rows of a larger one for each: planning should stay a small part of the whole
+FEWEST, SPARSE = 144, 8  # pilots of a small map under a sky; rows of a larger one for each: planning should stay a small part of the whole
 TAIL = 10.0  # bound on the 99.9th percentile of the error, in tolerances, unless given
 MARGIN = 0.95  # share of the tolerance that a setting may take: kernels add a little to the error of their azimuths
 SIGMAS = 1.5  # standard errors by which the RMS error of all nodes may pass that of the pilots
@@ -556,7 +556,7 @@ class _Sky(_Planner):
 class _Slices(_Planner):
     """Lamps and windows of simple shape: a closed form where nothing hides them, else slices."""
 
-    count = 192
+    count = 192  # shadows are sharper than a sky's
     shade = 0.0  # share of the nodes that may lie in shadow
 
     def settings(self):
@@ -623,7 +623,7 @@ class _Slices(_Planner):
         error = SAFE_BALL if isinstance(self.solid, Ball) else SAFE_QUAD
         if not self.hurry or self.tolerance < SAFELY * error:
             return None
-        pilots = self.pilots = Pilots.of(self.scene, FEWEST)
+        pilots = self.pilots = Pilots.of(self.scene, self.count)
         seconds, least = (self._seconds("slices", float(self._taken(most).mean())) for most in (SAFE_SLICES, SLICES[0]))
         looks = (self._towards * np.stack([pilots.gx, pilots.gy, np.ones(len(pilots))])).sum(0) >= self.ball[1] * pilots.length
         if not self._quicker(seconds - least) or self._in_box() and pilots.clear(self.upright) or looks.all() and self._closed(1) < seconds:

@@ -225,7 +225,7 @@ def test_a_scene_is_not_looked_at_twice(fast, launched):
         new = sl.plan(sl.Scene(ROUGH), source, tolerance, fast)
         assert (again.error, again.error_tail, again.azimuths, again.beyond) == (new.error, new.error_tail, new.azimuths, new.beyond)
         launched.clear()
-    kept = Pilots.of(scene, 192, rare=True)
+    kept = Pilots.of(scene, 144, rare=True)
     assert kept._slopes and not kept._on and "heights" not in vars(kept), "copies of the map are not kept"
     azimuths = 2 * np.pi * np.arange(24) / 24
     assert (kept.horizons(select(fast), azimuths, 3.0) < kept.horizons(select(fast), azimuths)).any(), "a search that ends early is another"
