@@ -18,7 +18,7 @@ from . import sources
 from .backends.base import Backend
 from .scene import Scene
 
-VERSION = 6  # of the file and of what is measured
+VERSION = 7  # of the file and of what is measured
 RUNS = 3  # of which the fastest counts: others only disturb
 SMALL, SLOW = 24, 0.01  # rows and columns of the first map; seconds that it may take if the second is to be large
 LARGE, MODEST = 224, 40

@@ -6,6 +6,7 @@ with a grid line (kernel ``pilot``); what follows is NumPy, on (rays of a node, 
 
 from __future__ import annotations
 
+import copy
 import math
 from functools import cached_property
 from weakref import WeakKeyDictionary
@@ -28,6 +29,7 @@ CLIFF = 4.0  # spacings that neighbouring nodes may lie apart before the slope i
 WIDE = 16  # blocks across a map whose highest nodes may hide something from a pilot
 CLOSE = 4  # nodes round a pilot that may
 FEW, MANY = 12, 96  # pilots that are asked first, and then, whether anything is hidden
+OTHER = 4  # of so many pilots one is asked how much of the sky it sees, where the sky is not the source
 PLAINLY = 4.0  # times what may be hidden from which on few need be asked
 _known: WeakKeyDictionary[Scene, dict[tuple[int, bool], Pilots]] = WeakKeyDictionary()
 RARE = 3.0  # times the median relief of blocks from which on one is rare
@@ -48,10 +50,21 @@ class Pilots:
         self.common, self.weights = len(self.x), None
         if rare and len(self.x) == count:  # else these are all there are
             self._look_closer(count)
+        self._on = {}
+        self._settle()
+
+    def _settle(self):
         self.own = self.height(self.y, self.x)
         self.gx, self.gy = (self._gradient(axis) for axis in (1, 0))
         self.length = np.sqrt(1 + self.gx**2 + self.gy**2)
-        self._on, self._slopes, self._lost = {}, {}, {}
+        self._slopes, self._lost, self._seen = {}, {}, {}
+
+    def moved(self, x: np.ndarray, y: np.ndarray, weights: np.ndarray | None = None) -> Pilots:
+        """Other nodes of the same map."""
+        other = copy.copy(self)
+        other.x, other.y, other.weights, other.common = x, y, weights, len(x)
+        other._settle()
+        return other
 
     @classmethod
     def of(cls, scene: Scene, count: int, rare: bool = False) -> Pilots:
@@ -72,14 +85,14 @@ class Pilots:
 
     @cached_property
     def heights(self) -> np.ndarray:
-        """Of all nodes, once something must look at all of them."""
+        """Of all nodes, once rays must be followed."""
         heights = np.divide(self.values, np.float32(-self.step), out=scratch(self.shape))
         return heights if self.mask is None else np.maximum(heights, NONE, out=heights)
 
     @cached_property
     def tops(self) -> np.ndarray:
         """The highest node of every block of 2^shift x 2^shift nodes, and of the row and column after."""
-        return self._pooled(self.heights, np.maximum)
+        return np.maximum(self._pooled(self.values, np.minimum) / np.float32(-self.step), NONE)
 
     @cached_property
     def highest(self) -> float:
@@ -95,28 +108,31 @@ class Pilots:
 
     @cached_property
     def steep(self) -> float:
-        """Share of neighbouring nodes that lie more than CLIFF spacings apart, along some 256 rows and columns; none beside masked ones."""
+        """Share of neighbouring nodes that lie more than CLIFF spacings apart, along some 128 rows and columns; none beside masked ones."""
         with np.errstate(invalid="ignore"):  # two masked nodes
-            steps = [np.abs(np.diff(self.values[:: max(1, self.rows // 256)], axis=1)), np.abs(np.diff(self.values[:, :: max(1, self.cols // 256)], axis=0))]
-        cliffs = sum(np.count_nonzero((step > CLIFF * self.step) & (step < np.inf)) for step in steps)
+            steps = [np.diff(self.values[:: max(1, self.rows // 128)], axis=1), np.diff(np.ascontiguousarray(self.values[:, :: max(1, self.cols // 128)]), axis=0)]
+        cliffs = 0
+        for step in steps:
+            far = np.abs(step, out=step) > CLIFF * self.step
+            cliffs += np.count_nonzero(far if self.mask is None else far & (step < np.inf))
         return cliffs / max(1, sum(step.size for step in steps))
 
     def _look_closer(self, count):
         """Adds nodes where blocks are rare, and weights."""
         size, (down, across), mask = 1 << self.shift, self.tops.shape, self.mask
-        relief = self.tops - self._pooled(self.heights if mask is None else np.where(mask, self.heights, np.inf), np.minimum)
+        relief = self.tops - self._pooled(self.values if mask is None else np.where(mask, self.values, -np.inf), np.maximum) / np.float32(-self.step)
         rare = relief > RARE * np.median(relief[relief >= 0])
         rare |= np.roll(rare, 1, 0)  # relief reaches into the row and the column after a block
         rare |= np.roll(rare, 1, 1)
         high, wide = (np.minimum(size, length - size * np.arange(n)) for length, n in ((self.rows, down), (self.cols, across)))
         row, col = np.nonzero(rare)
         nodes = np.cumsum(high[row] * wide[col])
-        if not rare.any() or nodes[-1] > COMMON * self.heights.size:
+        if not rare.any() or nodes[-1] > COMMON * self.values.size:
             return
         which, *inside = (0.5 + np.outer(EVENLY, np.arange(count))) % 1
         block = np.searchsorted(nodes, which * nodes[-1], "right")
         x, y = ((size * n[block] + part * length[n[block]]).astype(int) for n, part, length in zip((col, row), inside, (wide, high)))
-        share = nodes[-1] / self.heights.size
+        share = nodes[-1] / self.values.size
         if mask is not None:
             x, y = x[mask[y, x]], y[mask[y, x]]
             share = np.count_nonzero(mask & rare.repeat(size, 0).repeat(size, 1)[: self.rows, : self.cols]) / np.count_nonzero(mask)
@@ -152,7 +168,7 @@ class Pilots:
         return 5 if min(self.shape) >= 512 else 4 if min(self.shape) >= 64 else 3
 
     def _pooled(self, found, of):
-        """Highest or lowest node of every block, and of the row and column after it."""
+        """The least or largest of every block, and of the row and column after it."""
         size = 1 << self.shift
         for _ in range(2):
             full, rest = divmod(len(found), size)
@@ -214,6 +230,14 @@ class Pilots:
             self._slopes[asked] = self.slopes(engine, cosine, sine, self.least(cosine, sine), reach=reach)
         return self._slopes[asked]
 
+    def sky_seen(self, engine: Backend) -> np.ndarray:
+        """Irradiance of a uniform sky of brightness 1 at every OTHERth node, to see what else light may do: (nodes,)."""
+        azimuths = 2 * np.pi * (np.arange(16) + 0.5) / 16
+        if engine.name not in self._seen:
+            few = self.moved(self.x[::OTHER], self.y[::OTHER])
+            self._seen[engine.name] = few.ring(azimuths, few.horizons(engine, azimuths)).mean(0) * 2 * np.pi
+        return self._seen[engine.name]
+
     def ring(self, azimuths: np.ndarray, slopes: np.ndarray, table: np.ndarray | None = None) -> np.ndarray:
         """Irradiance per radian of azimuth above ``slopes``, of brightness 1 or by ``table`` (azimuths, knots, >= 2): (azimuths, nodes)."""
         return ring(self.gx, self.gy, azimuths, slopes, table)
@@ -246,13 +270,13 @@ class Pilots:
         """The highest node of every block, (2, blocks) x and y, and the blocks' size."""
         down, across = (-(-n // max(1, -(-n // WIDE))) for n in (self.rows, self.cols))
         high, wide = -(-self.rows // down), -(-self.cols // across)
-        room = np.full((down, across * wide), NONE, np.float32)
+        room = np.full((down, across * wide), np.inf, np.float32)
         full = self.rows // high
-        room[:full, : self.cols] = self.heights[: full * high].reshape(full, high, self.cols).max(1)
-        room[full:, : self.cols] = self.heights[full * high :].max(0, initial=NONE)
-        x = room.reshape(down, across, wide).argmax(2) + np.arange(across) * wide
+        room[:full, : self.cols] = self.values[: full * high].reshape(full, high, self.cols).min(1)
+        room[full:, : self.cols] = self.values[full * high :].min(0, initial=np.inf)
+        x = room.reshape(down, across, wide).argmin(2) + np.arange(across) * wide
         rows = np.minimum(np.arange(down)[:, None] * high + np.arange(high), self.rows - 1)
-        y = rows[:, 0, None] + self.heights[rows[:, None], x[..., None]].argmax(2)
+        y = rows[:, 0, None] + self.values[rows[:, None], x[..., None]].argmin(2)
         return np.stack([x.ravel(), y.ravel()]).astype(np.int32), max(high, wide)
 
     @cached_property

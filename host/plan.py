@@ -28,7 +28,7 @@ from .radiometry import point_error
 from .reflectance import Lambertian
 from .scene import Scene, is_scene, positive_number
 
-FEWEST, SPARSE = 192, 8  # pilots of a small map under a sky; rows of a larger one for each: planning should stay a small part of the whole
+FEWEST, SPARSE = 144, 8  # pilots of a small map under a sky; rows of a larger one for each: planning should stay a small part of the whole
 TAIL = 10.0  # bound on the 99.9th percentile of the error, in tolerances, unless given
 MARGIN = 0.95  # share of the tolerance that a setting may take: kernels add a little to the error of their azimuths
 SIGMAS = 1.5  # standard errors by which the RMS error of all nodes may pass that of the pilots
@@ -48,6 +48,10 @@ DEARER = 1.4  # times as long as a sweep takes with so many
 SAFE = {24: 0.033, 48: 0.0125, 64: 0.0080, 96: 0.0046, 128: 0.0033, 192: 0.0021, 256: 0.0017}  # RMS error by azimuths, with so many, among houses
 SAFE_SLICES, SAFE_BALL, SAFE_QUAD = 128, 0.0016, 0.0062  # slices that do for lamps and windows; RMS error with so many, among houses
 SAFELY = 1.5  # tolerance over the known error from which a setting is taken unmeasured
+CLOSED = {(Ball, 0): 3, (Ball, 1): 8, (Ball, 4): 46, (Quad, 0): 11, (Quad, 1): 12, (Quad, 4): 28}  # times as long as the closed form of a uniform sky, by points of brightness
+SHADED = 64  # pilots where ground may hide some of a source that is nearly clear
+LIKELY = 1.5  # times as many nodes may be dark as these have it, where a percentile depends on few of them
+SMALL, COARSE = 0.1, 24  # apparent radius [rad] up to which so many slices may be reference enough
 POINT = 0.1  # share of the tolerance by which a lamp that is called a point may be off as one
 SLIGHT, FAINT = 0.7, 0.1  # share of the tolerance that ground may take from a sky, as its highest nodes have it, that no ray is cast; where some ground is rare
 BEYOND = 3  # nodes beyond the percentile, from which on it is read off
@@ -125,14 +129,16 @@ class Setting:
 
 
 class Work(NamedTuple):
-    """A plan with what it takes to follow it: settings from the one chosen on, the pilots and their reference; ``glanced``: no ray
-    was cast, so that the image has to tell what is left out between surfaces."""
+    """A plan with what it takes to follow it: settings from the one chosen on, the pilots and their reference; ``glanced``: the
+    pilots' light is not known, so that the image has to tell what is left out between surfaces, by ``uniform``, what they see of a
+    uniform sky, unless that is the source."""
 
     plan: Plan
     settings: list[Setting]
     pilots: Pilots
     exact: np.ndarray | None
     glanced: bool
+    uniform: np.ndarray | None
 
 
 def plan(scene: Scene, source: sources.Source, tolerance: float = 0.01, backend: str = "auto", *, tail: float | None = None) -> Plan:
@@ -190,7 +196,7 @@ def work(scene: Scene, source: sources.Source, tolerance: float, engine: Backend
     reason = _error_text(best, tolerance) if math.isfinite(best.error) else planner.unmeasured
     made = Plan("horizon" if best.method == "slices" else best.method, best.units if lattice else None, True if lattice else None, reason, None if lattice or best.method == "unoccluded" else best.units,
                 best.max_distance, tolerance, tail, _known(best.error), _known(best.tail), None, best.seconds + took, took, tuple(choices), beyond)
-    return Work(made, [best, *finer], planner.pilots, planner.exact if math.isfinite(best.error) else None, planner.glanced)
+    return Work(made, [best, *finer], planner.pilots, planner.exact if math.isfinite(best.error) else None, planner.glanced, planner.uniform)
 
 
 def lacking(scene: Scene, source: sources.Source) -> str:
@@ -256,6 +262,7 @@ class _Planner:
 
     unmeasured = ""
     exact: np.ndarray | None = None
+    uniform: np.ndarray | None = None  # irradiance of a uniform sky of brightness 1
     hidden = math.nan  # RMS share of the light that ground takes
     glanced = False
 
@@ -298,8 +305,8 @@ class _Sky(_Planner):
             self._look()
         else:
             self.scale = float(source.brightness)
-            if found := self._at_a_glance():
-                return found
+        if found := self._at_a_glance():
+            return found
         pilots = self.pilots
         slight = (SLIGHT if pilots.weights is None else FAINT) * self.tolerance
         lost = pilots.sky_lost(slight / self.contrast) * self.contrast
@@ -308,7 +315,7 @@ class _Sky(_Planner):
             return [Setting("unoccluded", 0, lost, lost, 5 * lost, self._seconds("closed form", 1), table=self._unoccluded if self.knots else None, scale=self.scale, suns=self.suns)]
         if self.profile is not None and pilots.periodic:
             return self._placed()
-        return self._safe() or self._even()
+        return self._even()
 
     contrast = 1.0
 
@@ -382,36 +389,24 @@ class _Sky(_Planner):
         tables = 3e-8 * 4 * self.knots * (1 if self.one else 2 * units) if method == "horizon" and not self.constant else 0.0
         return cost.seconds(self.pixels, factor * units) + tables
 
-    def _certain(self):
-        """A number of azimuths that does anywhere, if it takes less time than to choose one."""
-        count = next((count for count, error in SAFE.items() if SAFELY * error <= self.tolerance), None)
-        if count is None or self.scene.sides == "periodic" or not self._quicker(self._seconds("horizon", count, DEARER) - self._seconds("horizon", EVEN[0]) + (self.cost["sectors"].seconds(self.pixels, SUNS) if self.suns else 0.0)):
-            return None
-        self.unmeasured = f"on ground that is hard to render it is off by {_percent(SAFE[count])}, and to choose fewer would take longer than to render"
-        return count
-
     def _at_a_glance(self):
-        """Such a number of azimuths under a uniform sky, where a few hundred nodes show that closed forms will not do; or nothing."""
-        count = self._certain()
-        if count is None:
+        """A number of azimuths that does anywhere, if it takes less time than to choose one, where a few hundred nodes show that closed
+        forms will not do; or nothing."""
+        count = next((count for count, error in SAFE.items() if SAFELY * error <= self.tolerance), None)
+        more = self.cost["sectors"].seconds(self.pixels, SUNS) if self.suns else 0.0
+        if count is None or self.scene.sides == "periodic" or not self._quicker(self._seconds("horizon", count, DEARER) - self._seconds("horizon", EVEN[0]) + more):
             return None
         pilots = Pilots.of(self.scene, FEWEST)
         self.hidden = pilots.sky_lost_at_a_glance()
         if self.hidden <= self.tolerance:
             return None
         self.pilots, self.glanced = pilots, True
-        near = NEAR if pilots.steep > 0 else None
-        return [Setting("horizon", count, seconds=self._seconds("horizon", count, DEARER if near else 1.0), sectors=_evenly(count), scale=self.scale, near=near)]
-
-    def _safe(self):
-        """Such a number under any sky, or nothing; what else the plan says is from 16 of them."""
-        count = self._certain()
-        if count is None:
-            return None
-        self.by_suns = {None: 0.0} if self.suns is None else {1: self.pilots.suns(self.engine, self.suns.fewer(SPANS[0]))[0]}
-        azimuths = 2 * np.pi * np.arange(16) / 16
-        found = next(s for s in self._evaluate(azimuths, self.pilots.horizons(self.engine, azimuths)) if s.units == count)
-        return [replace(found, near=NEAR, error=math.nan, bound=math.nan, tail=math.nan)]
+        self.unmeasured = f"on ground that is hard to render it is off by {_percent(SAFE[count])}, and to choose fewer would take longer than to render"
+        if self.knots:
+            self.uniform = pilots.sky_seen(self.engine)
+        near = NEAR if self.knots or pilots.steep > 0 else None
+        return [Setting("horizon", count, seconds=self._seconds("horizon", count, DEARER if near else 1.0) + more, sectors=_evenly(count), table=self._maker(count) if self.knots else None,
+                        scale=self.scale, near=near, suns=self.suns)]
 
     def _even(self):
         pilots, engine = self.pilots, self.engine
@@ -424,10 +419,10 @@ class _Sky(_Planner):
                 slopes = pilots.horizons(engine, azimuths)
             else:  # every other one is known
                 slopes = np.stack([slopes, pilots.horizons(engine, azimuths[1::2])], 1).reshape(number, -1)
-            settings = self._evaluate(azimuths, slopes)
+            settings = self._evaluate(azimuths, slopes, judges)
             if len(self.by_suns) == 2 and not (settings and self.fits(self.errors(self.exact - self.by_suns[SPANS[1]] + self.by_suns[SPANS[0]], self.exact))):
                 self.by_suns = dict(zip(SPANS, pilots.suns(engine, self.suns, SPANS)))
-                settings = self._evaluate(azimuths, slopes)
+                settings = self._evaluate(azimuths, slopes, judges)
             if any(self.fits(s) and s.units <= judges for s in settings):
                 break
         if pilots.periodic:
@@ -437,8 +432,8 @@ class _Sky(_Planner):
             settings += _of_lattices(self, LATTICES[:1], self.exact)
         return settings
 
-    def _evaluate(self, azimuths, slopes):
-        """Settings of every number of azimuths, against all of ``azimuths``."""
+    def _evaluate(self, azimuths, slopes, judges):
+        """Settings of every number of azimuths, up to ``judges`` against all of ``azimuths``, and what others may be worth."""
         pilots, number = self.pilots, len(azimuths)
         width = 2 * np.pi / number
         reference = min(self.by_suns) if self.suns else None
@@ -465,7 +460,7 @@ class _Sky(_Planner):
         free = pilots.ring(azimuths, planes, table).sum(0) * width if varies else free * self.scale
         measured = {span: {} for span in self.by_suns}
         for count in EVEN:
-            if number % (2 * count) == 0:
+            if number % (2 * count) == 0 and count <= judges:
                 at = np.arange(number // (2 * count), number, number // count)
                 light = rings[at]
                 if varies and not self.one:  # each sector by its mean brightness
@@ -561,14 +556,14 @@ class _Sky(_Planner):
 class _Slices(_Planner):
     """Lamps and windows of simple shape: a closed form where nothing hides them, else slices."""
 
-    count = 192
+    count = 192  # shadows are sharper than a sky's
+    shade = 0.0  # share of the nodes that may lie in shadow
 
     def settings(self):
-        pilots, engine, source = self.pilots, self.engine, self.source
+        engine, source = self.engine, self.source
         self.solid = solid_of(self.scene, source, 1 / self.scene.spacing, 1.0)
-        self.uniform = None
         if self.solid is None:
-            self.exact = np.zeros(len(pilots))
+            self.exact = np.zeros(len(self.pilots))
             return [Setting("unoccluded", 0, 0.0, 0.0, 0.0, self._seconds("closed form", 0))]
         if isinstance(self.solid, Ball):
             x, y, z = self.solid.center
@@ -577,40 +572,25 @@ class _Slices(_Planner):
             corners = self.solid.corners * (1, 1, -1)
             self.ball = corners.mean(0), float(np.linalg.norm(corners - corners.mean(0), axis=1).max())
         self.upright = upright(self.solid)
-        to = self.ball[0][:, None] - np.stack([pilots.x, pilots.y, pilots.own])
-        far = np.sqrt((to**2).sum(0))
-        self.apparent = float(np.arcsin(np.minimum(1, self.ball[1] / np.maximum(far, 1e-9))).mean())
+        if found := self._at_a_glance():
+            return found
+        pilots = self.pilots
         brightness = (lambda L: sources.radiance(source, L)) if callable(source.brightness) else source.brightness
-        light = lambda slices, occluded=True: pilots.through_slices(engine, self.upright, brightness, slices, occluded)
-        self.clear = self._clear()
-        turn = pilots.turn(self.upright)
-
-        def taken(most):
-            """As many slices as the kernel would take."""
-            least = max(most // (4 if isinstance(self.solid, Ball) else 2) // 8, 1) * 8
-            return (least + turn * (most - least)).astype(int) // 8 * 8
-
-        seconds = self._seconds("slices", float(taken(SAFE_SLICES).mean()))
-        looks = (to * np.stack([pilots.gx, pilots.gy, np.ones(len(pilots))])).sum(0) >= self.ball[1] * pilots.length
-        error = SAFE_BALL if isinstance(self.solid, Ball) else SAFE_QUAD
-        if not self.clear and not looks.all() and self.tolerance >= SAFELY * error and self._quicker(seconds - self._seconds("slices", float(taken(SLICES[0]).mean()))):  # else it may need no shadows
-            self.exact = light(16)
-            self.hidden = self.errors(self.exact, light(16, False)).rms
-            self.unmeasured = f"on ground that is hard to render it is off by {_percent(error)}, and to choose fewer would take longer than to render"
-            return [Setting("slices", SAFE_SLICES, seconds=seconds)]
-        finest = next(slices for least, slices in FINEST.items() if self.tolerance >= least)
-        free = light(finest, False)
-        self.exact = exact = free if self.clear else light(finest)
-        self.hidden = self.errors(exact, free).rms if free.any() else 0.0
+        light = lambda slices, occluded=True, pilots=pilots: pilots.through_slices(engine, self.upright, brightness, slices, occluded)
+        self.clear = self._in_box() and pilots.clear(self.upright)
+        by_count = {8: light(8, not self.clear)}
+        finest = COARSE
+        self.exact = exact = light(finest, not self.clear) if self.apparent < SMALL else by_count[8]
+        found = self.errors(by_count[8], exact)
+        if exact is by_count[8] or not self.fits(Errors(found.rms, 2 * found.bound, 2 * found.tail)):
+            finest = next(slices for least, slices in FINEST.items() if self.tolerance >= least)
+            self.exact = exact = light(finest, not self.clear)
+        if found := self._unoccluded(lambda pilots: light(finest, pilots=pilots)):
+            return found
+        self.hidden = 0.0 if self.clear else self.errors(by_count[8], light(8, False)).rms
         settings = []
-        ways = (1, 4) if callable(source.brightness) else (1,)
-        for points in ways if self.clear or looks.all() else ():  # else no_shadow would pass over all nodes in vain
-            found = self.errors(unoccluded.lamp(pilots.gx, pilots.gy, pilots.x, pilots.y, pilots.own.astype(float), self.upright, source.brightness, points), exact)
-            if self.fits(found) and unoccluded.no_shadow(self.scene, *self.ball, self.clear):
-                return [Setting("unoccluded", points, *found, self._seconds("closed form", 1))]
-        by_count = {}
         for most in SLICES[isinstance(self.solid, Quad):]:  # a quadrangle has four sectors to share them
-            number = taken(most)
+            number = self._taken(most)
             through = np.zeros(len(pilots))
             for count in (8, 16, 32, 64):
                 if (number >= count).any():
@@ -622,20 +602,93 @@ class _Slices(_Planner):
                 break
         return settings
 
-    def _clear(self):
-        if self.scene.sides == "dark":
-            rows, cols = self.scene.shape
-            corners = [self.ball[0] - self.ball[1], self.ball[0] + self.ball[1]] if isinstance(self.solid, Ball) else self.upright.corners
-            low, high = np.min(corners, 0), np.max(corners, 0)
-            if low[0] < -0.5 or low[1] < -0.5 or high[0] > cols - 0.5 or high[1] > rows - 0.5:
-                return False
-        return self.pilots.clear(self.upright)
+    def _taken(self, most):
+        """As many slices at every pilot as the kernel would take."""
+        least = max(most // (4 if isinstance(self.solid, Ball) else 2) // 8, 1) * 8
+        return (least + self.pilots.turn(self.upright) * (most - least)).astype(int) // 8 * 8
+
+    @property
+    def _towards(self):
+        """Vectors from the pilots to the source's middle (3, nodes), heights third."""
+        return self.ball[0][:, None] - np.stack([self.pilots.x, self.pilots.y, self.pilots.own])
+
+    @cached_property
+    def apparent(self):
+        """Radius of the source as it seems on average [rad]."""
+        return float(np.arcsin(np.minimum(1, self.ball[1] / np.maximum(np.sqrt((self._towards**2).sum(0)), 1e-9))).mean())
+
+    def _at_a_glance(self):
+        """Slices that do anywhere, if they take less time than to choose, where a few hundred nodes show that the source may be hidden
+        from some and no closed form will do, or would take longer; or nothing."""
+        error = SAFE_BALL if isinstance(self.solid, Ball) else SAFE_QUAD
+        if not self.hurry or self.tolerance < SAFELY * error:
+            return None
+        pilots = self.pilots = Pilots.of(self.scene, self.count)
+        seconds, least = (self._seconds("slices", float(self._taken(most).mean())) for most in (SAFE_SLICES, SLICES[0]))
+        looks = (self._towards * np.stack([pilots.gx, pilots.gy, np.ones(len(pilots))])).sum(0) >= self.ball[1] * pilots.length
+        if not self._quicker(seconds - least) or self._in_box() and pilots.clear(self.upright) or looks.all() and self._closed(1) < seconds:
+            del self.pilots
+            return None
+        self.glanced = True
+        self.unmeasured = f"on ground that is hard to render it is off by {_percent(error)}, and to choose fewer would take longer than to render"
+        self.uniform = pilots.sky_seen(self.engine)
+        return [Setting("slices", SAFE_SLICES, seconds=seconds)]
+
+    def _unoccluded(self, light):
+        """The closed form, where that is cheaper than any slices and its error at the pilots, and at others where ground may hide some of
+        the source, is within tolerance; or nothing."""
+        pilots, exact, self.hidden = self.pilots, self.exact, 0.0
+        formed = lambda pilots, points: unoccluded.lamp(pilots.gx, pilots.gy, pilots.x, pilots.y, pilots.own.astype(float), self.upright, self.source.brightness, points)
+        for points in (1, 4) if callable(self.source.brightness) else (1,):
+            seconds = self._closed(points)
+            found = formed(pilots, points)
+            if self.fits(self.errors(found, exact)) and (self.clear or seconds < self._seconds("slices", SLICES[0])):
+                break
+        else:
+            return []
+        if not self._in_box():
+            return []
+        shaded = unoccluded.shaded(self.scene, *self.ball, self.clear)
+        if shaded is None:
+            return []
+        of = self.errors(found, exact)
+        if shaded.size:
+            share = shaded.shape[1] / np.count_nonzero(self.scene.valid)
+            row, col = shaded[:, np.unique(np.linspace(0, shaded.shape[1] - 1, SHADED).astype(int))]
+            there = pilots.moved(col, row)
+            weights = np.full(len(pilots), 1 / len(pilots)) if pilots.weights is None else pilots.weights
+            weighed = lambda share: np.append((1 - share) * weights, np.full(len(row), share / len(row)))
+            bright = formed(there, points)
+            found, exact = np.append(found, bright), np.append(exact, light(there))
+            of = errors(found, exact, weighed(share))._replace(tail=errors(found, exact, weighed(LIKELY * share)).tail)
+            if len(row) < shaded.shape[1] and exact.any():  # three more might be dark
+                of = of._replace(bound=math.hypot(of.bound, math.sqrt(3 * share / len(row) * np.mean(bright**2)) / exact[exact > 0].mean()))
+            if not self.fits(of):
+                return []
+            pilots.put_away()
+            self.pilots, self.exact, self.shade = pilots.moved(np.append(pilots.x, col), np.append(pilots.y, row), weighed(share)), exact, share
+        return [Setting("unoccluded", points, *of, seconds)]
+
+    def _closed(self, points):
+        """Seconds of the closed form."""
+        return CLOSED[type(self.solid), points if callable(self.source.brightness) else 0] * self._seconds("closed form", 1)
+
+    def _in_box(self):
+        """Whether no wall of a dark box can stand between."""
+        if self.scene.sides != "dark":
+            return True
+        corners = [self.ball[0] - self.ball[1], self.ball[0] + self.ball[1]] if isinstance(self.solid, Ball) else self.upright.corners
+        low, high = np.min(corners, 0)[:2], np.max(corners, 0)[:2]
+        return bool((low >= -0.5).all() and (high <= np.array(self.scene.shape[::-1]) - 0.5).all())
 
     def _seconds(self, method, units):
         return self.cost[method].seconds(self.pixels, units)
 
     def choices(self, best, settings):
-        yield Choice("occlusion", "none" if best.method == "unoccluded" else "by ground", "nothing stands between ground and source" if self.clear else f"ground takes {_percent(self.hidden)} of the light (RMS)")
+        if best.method == "unoccluded":
+            yield Choice("occlusion", "left out" if self.shade else "none", f"ground may hide some of the source from {_percent(self.shade)} of the nodes" if self.shade else "nothing stands between ground and source")
+        else:
+            yield Choice("occlusion", "by ground", "ground takes some of the light" if self.glanced else f"ground takes {_percent(self.hidden)} of the light (RMS)")
         kind = "lamp" if isinstance(self.source, sources.Lamp) else "window"
         if best.method == "unoccluded":
             off = 0.0 if self.solid is None else float(point_error(np.sin(self.apparent), 1.0))
@@ -655,7 +708,6 @@ class _Lattice(_Planner):
 
     def settings(self):
         self.why = lacking(self.scene, self.source)
-        self.uniform = None
         if isinstance(self.source, sources.Lamp):  # a volume: no reference but the lattice itself
             self.unmeasured = f"{self.why}; its error was not measured, on rough ground under a sky it is {LATTICE_ERROR[33]} to {LATTICE_ERROR[5]} of pi"
             size = next((m for m, error in LATTICE_ERROR.items() if error <= self.tolerance), 33)
@@ -800,14 +852,13 @@ def _beyond(planner, tolerance):
     if planner.exact is not None and planner.exact.any():
         uniform = planner.uniform
         if uniform is None and planner.hidden:
-            azimuths = 2 * np.pi * (np.arange(16) + 0.5) / 16
-            uniform = pilots.ring(azimuths, pilots.horizons(planner.engine, azimuths)).mean(0) * 2 * np.pi
+            uniform = pilots.sky_seen(planner.engine)
         if uniform is not None:
             yield from between_surfaces(scene, uniform, planner.exact, tolerance)
     if isinstance(source, sources.Lamp) and source.center is not None:
         x, y, z = (v / scene.spacing for v in source.center)
         radius = source.radius / scene.spacing
-        gap = _gap(scene, pilots, x, y, -z) - radius
+        gap = _gap(pilots, x, y, -z, radius)
         if gap < 1:
             yield f"The lamp touches the surface: {'it reaches %.2g spacings into it' % -gap if gap < 0 else 'it ends %.2g spacings from it' % gap}, and the grid holds nothing finer than 1."
     steep = pilots.steep
@@ -834,15 +885,11 @@ def _rounding(pilots):
     return abs(pilots.deepest) * 2.0**-24  # heights are none above 0
 
 
-def _gap(scene, pilots, x, y, height):
-    """Least distance [spacings] from a point to the nodes."""
-    rows, cols = scene.shape
-    nearest = np.inf
-    high = pilots.heights
-    reach = max(8, int(abs(height - pilots.highest)) + 2) if np.isfinite(height) else 8
-    i, j = int(round(min(max(x, 0), cols - 1))), int(round(min(max(y, 0), rows - 1)))
-    reach = min(reach, 256)
-    part = np.s_[max(0, j - reach) : j + reach + 1, max(0, i - reach) : i + reach + 1]
-    v, u = np.mgrid[part[0].start : min(part[0].stop, rows), part[1].start : min(part[1].stop, cols)]
-    square = (u - x) ** 2 + (v - y) ** 2 + (high[part] - height) ** 2
-    return float(np.sqrt(square.min(initial=nearest)))
+def _gap(pilots, x, y, height, radius):
+    """Least distance [spacings] from a ball to the nodes, where it is less than 1."""
+    if height - radius >= pilots.highest + 1:
+        return math.inf
+    i, j = (round(min(max(at, 0), n - 1)) for at, n in ((x, pilots.cols), (y, pilots.rows)))
+    reach = min(int(radius) + 2, 256)
+    v, u = np.mgrid[max(0, j - reach) : min(j + reach + 1, pilots.rows), max(0, i - reach) : min(i + reach + 1, pilots.cols)]
+    return math.sqrt(((u - x) ** 2 + (v - y) ** 2 + (pilots.height(v, u).astype(float) - height) ** 2).min()) - radius

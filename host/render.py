@@ -175,7 +175,8 @@ def _planned(scene, source, tolerance, tail, engine) -> tuple[np.ndarray, Plan, 
         irradiance = _run(scene, source, engine, setting, warnings)
         found = irradiance[nodes].astype(float)
         if made.glanced and found.any():
-            plan = replace(plan, beyond=(*between_surfaces(scene, found / setting.scale, found, tolerance), *plan.beyond))
+            uniform = found / setting.scale if made.uniform is None else made.uniform
+            plan = replace(plan, beyond=(*between_surfaces(scene, uniform, found, tolerance), *plan.beyond))
         if made.exact is None:
             break
         error, bound, _ = errors(found, made.exact, made.pilots.weights)

@@ -258,9 +258,11 @@ def radiance(source: Source, directions: np.ndarray) -> np.ndarray:
     if values.dtype.kind not in "iuf" or values.shape not in ((), directions.shape[:-1]):
         raise bad("brightness function: wrong result", f"dtype {values.dtype}, shape {values.shape} for directions {directions.shape}",
                   f"real numbers of shape {directions.shape[:-1]}")
-    values = np.broadcast_to(values.astype(np.float64), directions.shape[:-1])
-    wrong = ~((values >= 0) & (values <= BRIGHTEST))
-    if wrong.any():
+    values = values.astype(np.float64)
+    if values.shape != directions.shape[:-1]:
+        values = np.broadcast_to(values, directions.shape[:-1])
+    if values.size and not (values.min() >= 0 and values.max() <= BRIGHTEST):  # nor where one is not a number
+        wrong = ~((values >= 0) & (values <= BRIGHTEST))
         raise bad("brightness function", f"{values[wrong].flat[0]} for L = {directions[wrong][0].round(3).tolist()}", f"finite values >= 0, at most {BRIGHTEST:g}")
     return values
 
@@ -270,6 +272,7 @@ KNOTS = 1024  # of a table of brightness, evenly in the sine of the elevation
 UNEVEN = 2.0  # brightest azimuth over the mean from which azimuths are placed by brightness
 SUNNY = 4.0  # times a sky's median from which on brightness is a sun's, if there is any as many times brighter than that
 SPOT_KNOTS = 129  # of a sun's table
+AT_ONCE = 2**13  # directions whose brightness is asked for at a time: what stays in the cache is quicker, and calls take time
 
 
 def directions_of(azimuth, sine) -> np.ndarray:
@@ -288,9 +291,10 @@ def looks(source: Source) -> tuple[np.ndarray, np.ndarray]:
     azimuths, elevations = (min(most, max(most // 4, n)) for most, n in zip(PROFILE, (4 * cols, 2 * rows)))
     azimuth = 2 * np.pi * (np.arange(azimuths) + 0.5) / azimuths
     shift = 0.6180339887498949 * np.arange(azimuths) % 1  # so that no small sun slips between rows of samples
-    sine = np.sin(np.pi / 2 * (np.arange(elevations) + shift[:, None]) / elevations)
+    part, whole = (np.pi / 2 / elevations * a for a in (shift[:, None], np.arange(elevations)))  # of the elevation
+    sine = np.cos(part) * np.sin(whole) + np.sin(part) * np.cos(whole)
     light = np.empty_like(sine)
-    for some in np.array_split(np.arange(azimuths), 64):  # what stays in the cache is quicker
+    for some in np.array_split(np.arange(azimuths), -(-sine.size // AT_ONCE)):
         light[some] = radiance(source, directions_of(azimuth[some, None], sine[some]))
     return light, sine
 
@@ -329,7 +333,8 @@ def split(source: Sky, count: int, seen: tuple[np.ndarray, np.ndarray]) -> tuple
     """A sky without what is brighter than SUNNY times its median, and that, in ``count`` sectors; None for a sky without such a
     sun. ``seen``: what :func:`looks` gives."""
     light, sine = seen
-    some, weight = light[::16].ravel(), np.sqrt(1 - sine[::16] ** 2).ravel()
+    few = np.s_[:: max(1, len(light) // 64)]
+    some, weight = light[few].ravel(), np.sqrt(1 - sine[few] ** 2).ravel()
     order = np.argsort(some)
     median = float(some[order][np.searchsorted(np.cumsum(weight[order]), weight.sum() / 2)])
     limit = SUNNY * median
@@ -367,9 +372,9 @@ def elevation_table(source: Source, angles: np.ndarray, widths: np.ndarray, look
     nodes, weights = np.polynomial.legendre.leggauss(points)
     low = np.arange(knots - 1)[:, None]
     sine = ((low + (nodes + 1) / 2) / (knots - 1)).ravel()
-    total = np.zeros((len(angles), sine.size))
-    for a in azimuth.T:
-        total += radiance(source, directions_of(a[:, None], sine)) / within
+    total = np.empty((len(angles), sine.size))
+    for some in np.array_split(np.arange(len(angles)), min(len(angles), -(-azimuth.size * sine.size // AT_ONCE))):
+        total[some] = radiance(source, directions_of(azimuth[some, :, None], sine)).mean(1)
     total = total.reshape(len(angles), knots - 1, points) * weights / 2 / (knots - 1)
     sine = sine.reshape(knots - 1, points)
     parts = np.stack([(total * np.sqrt(1 - sine**2)).sum(-1), (total * sine).sum(-1)], -1)

@@ -11,6 +11,8 @@ from .scene import Scene
 
 ACROSS = 65  # normals along an axis of the table of a sky's light
 AZIMUTHS = 96
+SHADE, STEPS = 0.02, 0.06  # share of nodes that may lie in shadow; steps a node that shadows are followed in all
+ABOVE = 2.0  # spacings by which ground does for sure, since it is looked up at the nearest nodes
 
 
 def gradients(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
@@ -131,14 +133,18 @@ def image(scene: Scene, solid: Ball | Quad, brightness, points: int = 1) -> np.n
     gx, gy = gradients(scene)
     rows, cols = scene.shape
     x, y = np.arange(cols, dtype=np.float32), np.arange(rows, dtype=np.float32)[:, None]
-    return np.nan_to_num(lamp(gx, gy, x, y, scene.depth / np.float32(-scene.spacing), solid, brightness, points))
+    depth = scene.depth if scene.mask is None else np.nan_to_num(scene.depth)  # a brightness function is given no NaN
+    return lamp(gx, gy, x, y, depth / np.float32(-scene.spacing), solid, brightness, points)
 
 
-def no_shadow(scene: Scene, center: np.ndarray, radius: float, convex: bool) -> bool:
-    """Whether no ground throws a shadow under a ball round ``center`` [spacings, height third], by the normals of all nodes.
+def shaded(scene: Scene, center: np.ndarray, radius: float, convex: bool) -> np.ndarray | None:
+    """Nodes (2, count), row and column, from which ground may hide some of a ball round ``center`` [spacings, height third], by the
+    normals of all nodes; None where these are many, or it would take long to find them.
 
-    Ground that looks at all of the ball along a vertical plane through it never rises into a ray. Where some does not, it must
-    be ``convex`` as far as the caller knows, and nothing behind it, away from the source, may look at the ball again.
+    Ground that looks at all of the ball along a vertical plane through it never rises into a ray, so that only where some does not
+    may a shadow begin: it is followed from the node before, away from the source, until ground rises above the ball's lowest ray (what is
+    dark beyond has a crest of its own), and is widened by a node, since grid lines cross between nodes. Nothing is followed where the
+    ground is ``convex`` as far as the caller knows, and nothing behind, away from the source, looks at the ball again.
     """
     gx, gy = gradients(scene)
     rows, cols = scene.shape
@@ -147,10 +153,56 @@ def no_shadow(scene: Scene, center: np.ndarray, radius: float, convex: bool) -> 
     looks = x * gx + y * gy + up >= np.float32(radius) * np.sqrt(1 + gx * gx + gy * gy)
     if scene.mask is not None:
         looks |= ~scene.mask
-    if looks.all() or not convex:
-        return bool(looks.all())
-    row, col = np.nonzero(~looks)
-    flat = np.maximum(np.hypot(x[col], y[row, 0]), 1e-9)
-    behind = row - np.rint(y[row, 0] / flat).astype(int), col - np.rint(x[col] / flat).astype(int)
-    inside = (behind[0] >= 0) & (behind[0] < rows) & (behind[1] >= 0) & (behind[1] < cols)
-    return not looks[behind[0][inside], behind[1][inside]].any()
+    if looks.all() and scene.mask is None:
+        return np.zeros((2, 0), int)
+    left = STEPS * looks.size
+    away = np.stack(np.divmod(np.flatnonzero(~looks), cols))
+    if not convex and away.shape[1] > left:
+        return None
+
+    def behind(at, n):
+        """The nodes so far from others, away from the source, which ones lie on the map, and the way towards the source."""
+        way = np.stack([y[at[0], 0], x[at[1]]]) / np.maximum(np.hypot(x[at[1]], y[at[0], 0]), 1e-9)
+        to = np.rint(at - n * way).astype(int)
+        return to, (to >= 0).all(0) & (to[0] < rows) & (to[1] < cols), way
+
+    to, there, _ = behind(away, 1)
+    if convex and not looks[tuple(to[:, there])].any():
+        return np.zeros((2, 0), int)
+    crest = np.zeros((rows, cols), bool)  # nodes before one of these, towards the source, along a row, a column or both
+    before = np.sign(np.stack([y[away[0], 0], x[away[1]]])).astype(int)
+    for share in ((1, 1), (1, 0), (0, 1)):
+        crest[tuple(np.clip(away + np.array(share)[:, None] * before, 0, [[rows - 1], [cols - 1]]))] = True
+    crest &= looks
+    if scene.mask is not None:  # ground may fall off into a hole, unseen
+        crest |= _widened(~scene.mask)
+        crest &= scene.mask
+    crest = np.stack(np.divmod(np.flatnonzero(crest), cols))
+    found, deepest = [away], np.fmax.reduce(up, axis=None)
+    for n in range(1, rows + cols):
+        at, there, way = behind(crest, n)
+        crest, at, way = crest[:, there], at[:, there], way[:, there]
+        left -= at.shape[1]
+        if left < 0:
+            return None
+        own, here, at = up[tuple(crest)], up[tuple(at)], tuple(at)
+        far = np.sqrt(x[at[1]] ** 2 + y[at[0], 0] ** 2 + here**2)
+        ray = np.tan(np.maximum(np.arcsin(np.minimum(1, here / far)) - np.arcsin(np.minimum(1, np.float32(radius) / far)), 0))
+        plane = -(gy[at] * way[0] + gx[at] * way[1])
+        below = here - own
+        found.append(np.stack(at)[:, below > n * np.maximum(ray, plane)])
+        crest = crest[:, ~(below < n * ray - ABOVE) & (own + n * ray < deepest)]  # goes on where masked
+        if not crest.size:
+            break
+    dark = np.zeros((rows, cols), bool)
+    dark[tuple(np.concatenate(found, 1))] = True
+    dark = _widened(dark) if scene.mask is None else _widened(dark) & scene.mask
+    found = np.stack(np.divmod(np.flatnonzero(dark), cols))
+    return found if found.shape[1] <= SHADE * looks.size else None
+
+
+def _widened(nodes):
+    """These (rows, cols) bool and those round them."""
+    room = np.pad(nodes, 1)
+    room = room[:-2] | room[1:-1] | room[2:]
+    return room[:, :-2] | room[:, 1:-1] | room[:, 2:]

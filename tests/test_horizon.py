@@ -118,6 +118,17 @@ def test_azimuths_go_where_a_sun_is():
     assert sl.sources.azimuth_profile(sl.Sky(sl.cie_overcast())) is None
 
 
+def test_a_table_of_brightness_is_the_mean_of_its_looks():
+    """However many azimuths and looks it is made of, and of each azimuth alone."""
+    glow = sl.Sky(lambda L: 1 + 5 * np.maximum(0, L @ np.array([0.6, 0.48, -0.64])) ** 6)
+    table, angles = sl.sources.elevation_table, np.linspace(0, 6, 300)
+    looks = table(glow, 0.3 + 0.8 * ((np.arange(64) + 0.5) / 64 - 0.5), np.zeros(64), 64, 33)
+    np.testing.assert_allclose(table(glow, np.array([0.3]), np.array([0.8]), 64, 33)[0], looks.mean(0), atol=1e-6)
+    many = table(glow, angles, np.full(300, 0.02), 600, 33)
+    for n in (0, 137, 299):
+        np.testing.assert_allclose(many[n], table(glow, angles[n : n + 1], np.array([0.02]), 2, 33)[0], atol=1e-6)
+
+
 def test_auto_takes_horizons_where_it_can_and_says_so(backend):
     scene = sl.Scene(scenes.rough(24, 24, 1.0))
     plan = sl.plan(scene, sl.Sky(), 0.01, backend)

@@ -225,13 +225,34 @@ def test_a_scene_is_not_looked_at_twice(fast, launched):
         new = sl.plan(sl.Scene(ROUGH), source, tolerance, fast)
         assert (again.error, again.error_tail, again.azimuths, again.beyond) == (new.error, new.error_tail, new.azimuths, new.beyond)
         launched.clear()
-    kept = Pilots.of(scene, 192, rare=True)
+    kept = Pilots.of(scene, 144, rare=True)
     assert kept._slopes and not kept._on and "heights" not in vars(kept), "copies of the map are not kept"
     azimuths = 2 * np.pi * np.arange(24) / 24
     assert (kept.horizons(select(fast), azimuths, 3.0) < kept.horizons(select(fast), azimuths)).any(), "a search that ends early is another"
     gone = weakref.ref(scene)
     del scene
     assert gone() is None
+
+
+def test_what_other_light_may_do_is_looked_at_once(fast, launched, monkeypatch):
+    """Under a lamp that is taken at a glance, few rays tell how much of the sky the ground sees, and are kept with the scene."""
+    choosing_takes(1e9, fast, monkeypatch)
+    scene = sl.Scene(ROUGH)
+    first = sl.render(scene, LOW, backend=fast).plan
+    assert "pilot" in launched and len(Pilots.of(scene, 192)._seen[select(fast).name]) == 48
+    launched.clear()
+    assert sl.render(scene, LOW, backend=fast).plan.beyond == first.beyond != () and "pilot" not in launched
+
+
+def test_references_are_as_fine_as_they_must_be(fast, monkeypatch):
+    """A loose tolerance asks 24 azimuths; a tight one as many as can judge it, and the finest at the latest."""
+    sky, asked = sys.modules["skylamp.plan"]._Sky, []
+    before = sky._evaluate
+    monkeypatch.setattr(sky, "_evaluate", lambda self, azimuths, *more: asked.append(len(azimuths)) or before(self, azimuths, *more))
+    for tolerance, wanted in ((0.05, [24]), (0.004, [24, 48, 96]), (1e-5, [24, 48, 96, 192])):
+        asked.clear()
+        made = sl.plan(sl.Scene(ROUGH), sl.Sky(), tolerance, fast)
+        assert asked == wanted and (made.error <= tolerance) == (tolerance > 1e-4)
 
 
 def test_a_glance_sees_what_is_far_away():
@@ -325,6 +346,55 @@ def test_a_clear_lamp_over_gentle_ground_launches_nothing_that_looks_for_shadows
     assert set(launched) <= {"pilot", "ground", "horizon", "scan", "filled", "luminance"} and "pilot" in launched
 
 
+POLES = 60 + 0.02 * np.mgrid[:240, :240][0]
+POLES[[60, 150, 40, 201], [60, 22, 170, 108]] -= 25.0  # thin, in a plain
+HOLED = np.ones(POLES.shape, bool)
+HOLED[50:64, 45:60] = HOLED[150:170, 23:40] = False  # beside two of them
+MOUND = 80 - 30 * np.exp(-((np.mgrid[:240, :240] - np.array([60, 200])[:, None, None]) ** 2).sum(0) / 40)
+
+
+@pytest.mark.parametrize(("scene", "lamp"), [
+    (sl.Scene(POLES), sl.Lamp((150, 90, -100), 12)), (sl.Scene(POLES), sl.Lamp((-60, 130, -60), 5)), (sl.Scene(np.where(HOLED, POLES, np.nan), mask=HOLED), sl.Lamp((150, 90, -100), 12)), (sl.Scene(MOUND), sl.Lamp((-60, 130, -60), 5)),
+], ids=["above", "aside", "holes", "mound"])  # fmt: skip
+def test_shadows_are_sought_where_ground_looks_away(fast, scene, lamp):
+    """Nearly every node that poles or a mound hide some of a lamp from is found from the normals, also beyond a hole, and few others."""
+    solid = upright(solid_of(scene, lamp, 1.0, 1.0))
+    fine, free = (sl.render(scene, lamp, method, backend=fast, quantity="irradiance", **more).image for method, more in (("horizon", {"azimuths": 64}), ("unoccluded", {})))
+    dark, found = np.nan_to_num(free - fine) > 0.02 * np.nanmean(fine), np.zeros(fine.shape, bool)
+    found[tuple(unoccluded.shaded(scene, np.array(solid.center), solid.radius, False))] = True
+    assert dark.sum() > 100 and (dark & ~found).sum() <= 0.03 * dark.sum() and found.sum() < 4 * dark.sum() and scene.valid[found].all()
+
+
+def test_shadows_are_not_sought_in_vain():
+    """None on slanted or convex ground, and no answer where they are everywhere."""
+    shaded = lambda depth, convex=False: unoccluded.shaded(sl.Scene(depth), np.array([40.0, 30.0, 60.0]), 6.0, convex)
+    assert shaded(0.2 * Y + 9).size == 0 == shaded(0.05 * AWAY**2, True).size
+    assert shaded(3 * ROUGH) is None
+
+
+def test_few_shadows_are_left_out_where_the_tolerance_allows_it(fast, launched):
+    """Thin shadows, which hardly any pilot meets, have pilots of their own: all nodes are within tolerance, and swept where they would not be."""
+    scene, lamp = sl.Scene(POLES), sl.Lamp((150, 90, -100), 12)
+    assert sl.plan(scene, lamp, 0.003, fast).method == "horizon"
+    fine = sl.render(scene, lamp, azimuths=64, backend=fast, quantity="irradiance").image
+    launched.clear()
+    out = sl.render(scene, lamp, tolerance=0.1, tail=2.0, backend=fast, quantity="irradiance")
+    assert sl.plan(scene, lamp, 0.1, fast, tail=0.5).method == "horizon", "more than a thousandth of the nodes is dark"
+    assert out.plan.method == "unoccluded" and set(launched) == {"pilot"} and out.plan.choices[0].taken == "left out"
+    error = np.sqrt(np.mean((out.image - fine) ** 2)) / fine.mean()
+    assert 0.02 < error < 0.1 and out.plan.error == pytest.approx(error, rel=0.4) and out.plan.measured == pytest.approx(out.plan.error)
+    kept = Pilots.of(scene, 192, rare=True)
+    assert "heights" not in vars(kept) and not kept._on
+
+
+def test_a_spotlight_over_holes_has_a_closed_form(fast):
+    """Its brightness is asked in no direction from what is not there."""
+    spot = sl.Lamp((36, 30, -60), 4, brightness=sl.cosine_power(6))
+    whole, holed = (sl.render(scene, spot, "unoccluded", backend=fast, quantity="irradiance").image for scene in (sl.Scene(0.1 * X + 20), sl.Scene(np.where(HOLES, 0.1 * X + 20, np.nan), mask=HOLES)))
+    np.testing.assert_allclose(holed[HOLES], whole[HOLES], rtol=1e-4)
+    assert np.isnan(holed[~HOLES]).all()
+
+
 def test_a_spike_on_a_plain_is_not_overlooked(fast):
     """Ground that is flat but for one tall node in each quarter is not taken for flat under a lamp at its side."""
     depth = np.full((SIZE, SIZE), 30.0)
@@ -409,8 +479,9 @@ def test_unoccluded_closed_forms(fast):
 
 @pytest.mark.parametrize(("scene", "source", "says"), [
     (sl.Scene(ROUGH, albedo=0.8), sl.Sky(), "Light between surfaces is left out: at most"), (SCENES["rough"], sl.Lamp((36, 36, float(ROUGH[36, 36]) - 1.5), 1.2), "The lamp touches the surface"),
+    (SCENES["flat"], sl.Lamp((30, 40, -20), 24.5), "The lamp touches the surface: it ends 0.5 spacings"),
     (SCENES["houses"], sl.Sky(), "Slopes are steeper than the grid holds"), (SCENES["holes"], sl.Sky(), "Nodata"), (sl.Scene(ROUGH + 3e5), sl.Sky(), "Depths are rounded by"),
-], ids=["between surfaces", "touching lamp", "cliffs", "holes", "rounding"])  # fmt: skip
+], ids=["between surfaces", "touching lamp", "large lamp", "cliffs", "holes", "rounding"])  # fmt: skip
 def test_what_a_scene_needs_beyond_the_model(fast, scene, source, says):
     """Each is said with a number, and not of a scene that lacks it."""
     found = [text for text in sl.plan(scene, source, backend=fast).beyond if text.startswith(says)]
