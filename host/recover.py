@@ -202,11 +202,11 @@ def _robust(images, lights, start, layers, near, far, max_seconds, backend, prog
         if pyramid.stop():
             raise _OutOfTime
 
-    def around(answer, start, level):
-        """This answer from a start on a grid, others that begin there, and their mosaic."""
+    def around(answer, begun, level):
+        """This answer, which began with that surface on that grid, shallower ones that begin there, and their mosaic."""
         starts = [answer]
         for share in CONFINED:
-            other, found = pyramid.confined(float(np.quantile(answer[0], share)), start, level, middle)
+            other, found = pyramid.confined(float(np.quantile(answer[0], share)), begun, level, middle)
             in_time()  # else it is of a coarser grid
             if all(_apart(other, one) > ALIKE for one, _ in starts):
                 starts.append((other, found))
@@ -224,12 +224,12 @@ def _robust(images, lights, start, layers, near, far, max_seconds, backend, prog
         coarse = pyramid.begin(flat[first], first, middle)
         starts = around(coarse, flat[first], first)
         if min(starts, key=objective)[1] > LOST * pyramid.good(middle):
-            start, answer = pyramid.elsewhere(shares[np.argmin(misfits)], middle)
+            begun, answer = pyramid.elsewhere(shares[np.argmin(misfits)], middle)
             in_time()  # else it is of a coarser grid
             if answer[1] < BETTER * min(starts, key=objective)[1]:
                 coarse = answer
                 pyramid.keep(middle, answer[0])
-                starts = around(coarse, start, pyramid.top)
+                starts = around(coarse, begun, pyramid.top)
         z, value = coarse
         if half < middle:
             z, value = pyramid.climb(z, middle, half)
