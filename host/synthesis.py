@@ -46,7 +46,7 @@ BETTER = 0.5  # share of the objective below which another start is believed ins
 SMALL = 64  # grids on which this is cheap; larger ones are cycled
 BEGIN = 128  # nodes on the longer side of a large image's grid of starts, at most: relief that a coarser one does not see would mislead it
 SMOOTH, BOTTOM, CAREFUL = (3, 30, 0.05), (8, 60, 0.03), 1e-2  # steps, conjugate gradients, tolerance of a cycle's grids and of its coarsest; first damping
-CYCLES, EASED, SLOW = 10, 3e-4, 0.01  # of a large grid; smoothness of the first; the fall of the objective in one below which it is the last
+CYCLES, LONGER, EASED, SLOW = 8, 2, 3e-4, 0.01  # of a large grid; as many more under a sky, which tells less of depth; smoothness of the first; the fall of the objective in one below which it is the last
 LIGHTER, BETWEEN = (0.9, 0.8, 0.65), 0.05  # gains tried for what a coarse grid does not see, and about the best of them
 GOOD = 0.0025  # residual, as a share of the image, below which no other surface is looked for
 LOST, FOUND = 100.0, 16.0  # times the objective of that, from which relief is looked for from elsewhere, and below which it is found
@@ -273,7 +273,8 @@ class Pyramid:
         """(depth, objective) on a large grid after cycles over all coarser ones (full approximation scheme), stiff at first."""
         least, value = self.smoothness(level), math.inf
         self.damping = {}
-        cycles = CYCLES if level == 0 else CYCLES // 2
+        cycles = CYCLES + LONGER * any(isinstance(source, sources.Sky) for source in self.sources)
+        cycles = cycles if level == 0 else cycles // 2
         for count in range(cycles):
             smoothness = max(least, EASED * (least / EASED) ** (count / (cycles // 2)))
             before = value

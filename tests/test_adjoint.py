@@ -490,6 +490,29 @@ def test_descent_finds_the_surface(fast):
     assert np.sqrt(np.mean((found - z) ** 2)) < 0.1 * np.sqrt(np.mean((start - z) ** 2))
 
 
+def test_what_is_at_hand_is_not_looked_at_again(fast, monkeypatch):
+    """Depths that were just evaluated cost no rays, with whatever target and rest; others do, and so does a surface that was left since."""
+    depth, other, looks = ground(), ground(seed=1), []
+    made, target = problem(fast, sl.Sky(), low=0.5), 0.3 * np.ones(SHAPE)
+    engine, before = made.backend, made.backend.launch
+    monkeypatch.setattr(engine, "record", lambda work, times=1: lambda: [work() for _ in range(times)])  # launches shall be seen
+    monkeypatch.setattr(engine, "launch", lambda stem, kernel, *args, **more: (looks.append(kernel), before(stem, kernel, *args, **more))[1])
+    looked = lambda: [looks.count("look"), looks.clear()][0]
+    first = made.value(depth, 1e-3)
+    assert looked() == 1 and made.value(depth, 1e-3) == first and looked() == 0
+    made.aim([target])
+    made.lean(other)
+    anew = problem(fast, sl.Sky(), low=0.5, target=target)
+    anew.lean(other)
+    assert looked() == 0 and made.value(depth, 1e-3) == anew.value(depth, 1e-3) != first and looked() == 1
+    found, reached = made.run(depth, 1e-3, 3, 20, 0.1)
+    steps = made.steps
+    assert looked() == steps and made.value(found, 1e-3) == reached and looked() == 0
+    found += 1  # the caller's own
+    assert made.value(found, 1e-3) == anew.value(found, 1e-3) != reached and looked() == 2
+    assert made.value(depth, 1e-3) == anew.value(depth, 1e-3) and looked() == 2
+
+
 def test_bounds_hold_and_the_objective_never_rises(fast):
     """Whatever the image asks for, depth stays between its bounds, and more steps are no worse."""
     shape, low = (17, 21), 6.0

@@ -120,6 +120,7 @@ class Descent:
         self.parts, self.lengths = (backend.empty((n, self.blocks), np.float64) for n in (len(images) + 1, 2))
         self.states, self.totals = [[backend.empty(shape, dtype) for _ in range(2)] for shape, dtype in (((STATE,), np.float64), ((3, SLOTS), np.int64))]
         self.here, self._misfits, self._recorded = 0, [[], []], {}
+        self._at = None  # depths (rows, cols) float32 at z[here], if what an evaluation finds there is still at hand
 
     def _launch(self, kernel, *args, dim=None, **more):
         self.backend.launch("adjoint", kernel, dim or (-(-self.pixels // self.each),), *args, **more)
@@ -149,10 +150,15 @@ class Descent:
         z = self.z[side]
         self._launch("surface", z, self.heights, self.tilts, self.top, rows, cols, MARGIN, self.sides, dim=(cols, rows))
         self._launch("tiles", z, self.tiles, self.top, rows, cols, dim=(-(-cols // TILE), -(-rows // TILE)))
-        for number, image in enumerate(self.images):
+        for image in self.images:
             image.evaluate(side, self.heights, self.tilts, self.tiles, self.top)
+        self._weigh(side)
+
+    def _weigh(self, side: int) -> None:
+        """What an evaluation found, against the targets and the rest of now."""
+        for number, image in enumerate(self.images):
             self._launch("misfit", image.links[side][0], image.gain, image.target, self.parts, number * self.blocks, self.pixels, dim=(self.blocks,))
-        self._launch("bending", z, self.rest, self.parts, len(self.images) * self.blocks, rows, cols, dim=(self.blocks,))
+        self._launch("bending", self.z[side], self.rest, self.parts, len(self.images) * self.blocks, *self.shape, dim=(self.blocks,))
 
     def _try(self, side: int) -> None:
         self._launch("move", self.z[1 - side], self.x, self.low, self.high, self.z[side], self.pixels, self.each)
@@ -166,8 +172,14 @@ class Descent:
 
     def value(self, z: np.ndarray, smoothness: float) -> float:
         """The objective at depths (rows, cols)."""
-        self.backend.put(self.z[self.here], np.asarray(z, np.float32).ravel())
-        return self.evaluate(self.here, smoothness)
+        z = np.array(z, np.float32)
+        if self._at is not None and np.array_equal(z, self._at):
+            return self.evaluate(self.here, smoothness, self._weigh)
+        self._at = None  # whatever happens
+        self.backend.put(self.z[self.here], z.ravel())
+        value = self.evaluate(self.here, smoothness)
+        self._at = z
+        return value
 
     def irradiances(self, z: np.ndarray) -> list[np.ndarray]:
         """gain E of every image at depths (rows, cols)."""
@@ -253,7 +265,7 @@ class Descent:
             stop: Callable[[], bool] | None = None, damping: float = DAMPING) -> tuple[np.ndarray, float]:
         """Depth (rows, cols) float32 after at most ``steps`` Gauss-Newton steps from ``start``, and the objective there."""
         best = self.value(start, smoothness)
-        self.steps = 0
+        self.steps, self._at = 0, None
         for _ in range(steps):
             self.steps += 1
             gain = self.solve(smoothness, damping, most, tolerance)
@@ -273,4 +285,5 @@ class Descent:
             if stop and stop():
                 break
         self.damping = damping
-        return self.backend.download(self.z[self.here]).reshape(self.shape), best
+        self._at = self.backend.download(self.z[self.here]).reshape(self.shape)
+        return self._at.copy(), best
