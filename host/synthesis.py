@@ -314,7 +314,7 @@ class Pyramid:
 
         Strong relief shades itself so much that the flat surface nearest to the images, ``share`` of the way between the bounds, is
         far too deep to start from; so shallower ones are tried, and gains, which stay as they were of the best."""
-        sort = next((level for level in range(last, self.top) if self._cheap(level)), self.top)
+        sort = next((level for level in range(last, self.top) if self.images[level][0].size <= SMALL**2), self.top)
         low, high = self.bounds[self.top]
         tried = []
         for part, gain in ELSEWHERE:
