@@ -330,9 +330,9 @@ def demo(out: Annotated[Path, typer.Option(help="Folder for the pictures; create
             step()
 
         depth = _relief()
-        seen = sl.render(sl.Scene(depth, albedo=0.8, sides="dark"), sl.Sky(), backend=backend)
+        seen = sl.render(sl.Scene(depth, sides="dark"), sl.Sky(), backend=backend)
         step()
-        found = sl.recover(seen.image, sl.Sky(), albedo=0.8, sides="dark", backend=backend)
+        found = sl.recover(seen.image, sl.Sky(), sides="dark", backend=backend)
         step()
         error = float(np.sqrt(np.mean((found.depth - depth) ** 2)))
         show("relief_rendered.png", seen.image, 0.0, seen.image.max(), 1.0, "folds in a black box under a uniform sky")

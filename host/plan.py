@@ -871,7 +871,7 @@ def _beyond(planner, tolerance):
 
 
 def between_surfaces(scene, uniform, exact, tolerance):
-    """What light between surfaces may add to the irradiance ``exact`` at some nodes, if it passes the tolerance; ``uniform``: theirs under a sky of brightness 1."""
+    """What light between surfaces may add to the irradiance ``exact`` at some nodes, if it passes the tolerance; ``uniform``: that of a sky of brightness 1, at these or a few of them."""
     rho = np.asarray(scene.albedo, float)
     rho = float((rho[scene.valid] if rho.ndim > 1 else rho).max())
     sky = np.clip(uniform / np.pi, 0, 1)

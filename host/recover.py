@@ -217,18 +217,19 @@ def _robust(images, lights, start, layers, near, far, max_seconds, backend, prog
     try:
         shares, misfits = pyramid.flat()
         first, half = pyramid.first, 0 if max(shape) <= SMALL else pyramid.first
-        flat = [low + shares[np.argmin(misfits)] * (high - low) for low, high in pyramid.bounds]
+        nearest = shares[np.argmin(misfits)]
+        flat = [low + nearest * (high - low) for low, high in pyramid.bounds]
         if first == pyramid.top:
             pyramid.lighten(flat[-1])
         middle = max(half, first - 1)  # the grid on which starts are sorted out
         coarse = pyramid.begin(flat[first], first, middle)
         starts = around(coarse, flat[first], first)
         if min(starts, key=objective)[1] > LOST * pyramid.good(middle):
-            begun, answer = pyramid.elsewhere(shares[np.argmin(misfits)], middle)
+            begun, answer = pyramid.elsewhere(nearest, middle)
             in_time()  # else it is of a coarser grid
             if answer[1] < BETTER * min(starts, key=objective)[1]:
                 coarse = answer
-                pyramid.keep(middle, answer[0])
+                pyramid.accept(middle, answer[0])
                 starts = around(coarse, begun, pyramid.top)
         z, value = coarse
         if half < middle:

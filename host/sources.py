@@ -258,10 +258,8 @@ def radiance(source: Source, directions: np.ndarray) -> np.ndarray:
     if values.dtype.kind not in "iuf" or values.shape not in ((), directions.shape[:-1]):
         raise bad("brightness function: wrong result", f"dtype {values.dtype}, shape {values.shape} for directions {directions.shape}",
                   f"real numbers of shape {directions.shape[:-1]}")
-    values = values.astype(np.float64)
-    if values.shape != directions.shape[:-1]:
-        values = np.broadcast_to(values, directions.shape[:-1])
-    if values.size and not (values.min() >= 0 and values.max() <= BRIGHTEST):  # nor where one is not a number
+    values = np.broadcast_to(values.astype(np.float64), directions.shape[:-1])
+    if values.size and not (values.min() >= 0 and values.max() <= BRIGHTEST):  # so too with a NaN among them
         wrong = ~((values >= 0) & (values <= BRIGHTEST))
         raise bad("brightness function", f"{values[wrong].flat[0]} for L = {directions[wrong][0].round(3).tolist()}", f"finite values >= 0, at most {BRIGHTEST:g}")
     return values

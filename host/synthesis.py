@@ -187,6 +187,7 @@ class Pyramid:
         self.top = len(self.images) - 1
         self.first = self.top if self._cheap(0) else next((level for level in range(1, self.top) if max(self.images[level][0].shape) <= BEGIN), self.top)  # the grid of starts
         self.noise = math.sqrt(float(np.mean([noise_of(image) ** 2 for image in self.images[0]])))
+        # by number, since a source may hold what cannot be hashed
         self.brightness = functools.cache(lambda number, azimuths: brightness_of(lights[number], azimuths))
         self.problems = {}
         self.gains = [1.0] * (self.top + 1)
@@ -211,9 +212,13 @@ class Pyramid:
         if level not in self.problems:
             images, shape = self.images[level], self.images[level][0].shape
             self.problems[level] = Descent(self.engine, shape, self.sides, [
-                (light_of(source, shape, 0.5**level, self.brightness(number, AZIMUTHS)), self.albedo[level] / (math.pi * unit), image)
-                for number, (source, unit, image) in enumerate(zip(self.sources, self.units, images))], *self.bounds[level])
+                (light, self.albedo[level] / (math.pi * unit), image)
+                for light, unit, image in zip(self._lights(shape, 0.5**level, AZIMUTHS), self.units, images)], *self.bounds[level])
         return self.problems[level]
+
+    def _lights(self, shape: tuple[int, int], scale: float, azimuths: int) -> list[Light]:
+        """The sources for a grid, see light_of."""
+        return [light_of(source, shape, scale, self.brightness(number, azimuths)) for number, source in enumerate(self.sources)]
 
     def flat(self, count: int = 40) -> tuple[np.ndarray, np.ndarray]:
         """Depths of flat surfaces between the bounds, and how badly each explains the images on the coarsest grid."""
@@ -233,7 +238,7 @@ class Pyramid:
         """(depth, objective) of the surface that is the answer so far, worked out."""
         self._lean_on_itself(level, z)
         z, value = self._ease(level, z, (), pace=LAST)
-        self.keep(level, z)
+        self.accept(level, z)
         return z, value
 
     def _cheap(self, level: int) -> bool:
@@ -306,7 +311,7 @@ class Pyramid:
         """(depth, objective) on grid ``last`` from a surface on grid ``start`` that was not worked over. ``keep``: whether this is the answer so far."""
         z, value = self._ease(start, z, STIFF, FIRST)
         if keep:
-            self.keep(start, z)
+            self.accept(start, z)
         return self.climb(z, start, last, keep) if last < start else (z, value)
 
     def elsewhere(self, share: float, last: int) -> tuple[np.ndarray, tuple[np.ndarray, float]]:
@@ -317,7 +322,7 @@ class Pyramid:
         sort = next((level for level in range(last, self.top) if self.images[level][0].size <= SMALL**2), self.top)
         low, high = self.bounds[self.top]
         tried = []
-        for part, gain in ELSEWHERE:
+        for part, gain in dict.fromkeys((part, gain if sort < self.top else 1) for part, gain in ELSEWHERE):  # no grid, no gain
             self.lift(gain, sort)
             flat = low + part * share * (high - low)
             z, value = self.begin(flat, self.top, sort, keep=False)
@@ -339,7 +344,7 @@ class Pyramid:
             self._lean(level, z)  # a coarser grid has less noise to take for relief
             z, value = self._ease(level, z, SOFTER) if self._cheap(level) else self._cycled(level, z)
             if keep:
-                self.keep(level, z)
+                self.accept(level, z)
         return z, value
 
     def confined(self, deepest: float, z: np.ndarray, start: int, last: int) -> tuple[np.ndarray, float]:
@@ -381,8 +386,8 @@ class Pyramid:
         A grid FINER times as fine, along more azimuths, tells by how much the model is off; the surface is fitted again with that put right."""
         problem, shape = self.problem(level), tuple(FINER * side for side in z.shape)
         repeated = np.repeat(np.repeat(self.albedo[level], FINER, 0), FINER, 1)
-        model = Descent(self.engine, shape, self.sides, [(light_of(source, shape, FINER * 0.5**level, self.brightness(number, MORE)), repeated / (math.pi * unit), np.zeros(shape))
-                                                         for number, (source, unit) in enumerate(zip(self.sources, self.units))], np.zeros(shape), np.full(shape, np.inf))
+        model = Descent(self.engine, shape, self.sides, [(light, repeated / (math.pi * unit), np.zeros(shape))
+                                                         for light, unit in zip(self._lights(shape, FINER * 0.5**level, MORE), self.units)], np.zeros(shape), np.full(shape, np.inf))
         middle, found = slice(FINER // 2, None, FINER), z
         self._lean_on_itself(level, z)
         for _ in range(2):
@@ -392,7 +397,7 @@ class Pyramid:
         problem.aim(self.images[level])
         return found
 
-    def keep(self, level: int, z: np.ndarray) -> None:
+    def accept(self, level: int, z: np.ndarray) -> None:
         """Takes z for the answer so far."""
         if self.best is None or self.best[0] >= level:
             self.best = level, z

@@ -342,9 +342,8 @@ def test_places_that_cannot_be_written(tmp_path):
     refused(io.write, tmp_path / "a.png", np.zeros((2, 3, 4)), says=("one picture", "(2, 3, 4)", ".npy"))
     refused(io.write, tmp_path / "a.npy", GREY8, says="several arrays in an .npz", other=GREY8)
     refused(io.write, tmp_path / "a.npy", np.zeros((0, 3)), says="at least one")
-    with pytest.raises(InputError, match="a device"):
-        with io.replacing("/dev/null"):
-            pass
+    with pytest.raises(InputError, match="a device"), io.replacing("/dev/null"):
+        pytest.fail("a device was opened for writing")
 
 
 def test_output_folder(tmp_path):
