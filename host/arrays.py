@@ -62,7 +62,7 @@ def labels_of(values) -> Labels | None:
 
 def labelled(array: np.ndarray, labels: Labels | None, **leading):
     """``array`` as an xarray.DataArray with ``labels``, or as it is where there are none; ``leading``: axes before theirs, with coordinates."""
-    if labels is None:
+    if labels is None or array is None:
         return array
     import xarray
 

@@ -28,6 +28,8 @@ HOPE = 8.0  # times the objective on a coarser grid up to which a start is follo
 ALIKE = 0.05  # nodes (rms) between surfaces that are one answer
 RIVAL = 6.0  # times the objective up to which another start counts as an answer
 WEIGHT = 4.0  # of the doubt that noise leaves, against that of another start
+UNTOLD = 0.2  # of the pixels are not trusted: so many that a warning says that the albedo is not known
+UNEVEN = 1.4  # of the distance to the surface with a more even albedo, where it is not known
 FINE = 9.0  # of the squared distance to the surface of a finer model
 POOR = 0.02  # share of the image's rms that model and image may differ by in a place that is to be believed
 BADLY = 0.03  # residual, as a share of the image, from which an image is called unexplained
@@ -46,6 +48,7 @@ class Recovery:
     which a pixel has its value while the surface goes up or down as a whole, nan where there is none; ambiguous (rows,
     cols) bool: there are such, and the confidence is below 0.5; drilled (rows, cols) bool: columns that carving went
     through to the back; residual (rows, cols) float32: model - image of the first image (0 for the paper's method);
+    albedo (rows, cols) float32: that which was found, None if it was given;
     levels: shape, residual and seconds of every grid; backend (its name); seconds without
     compiling, compile_seconds; warnings. Arrays of an image that is an xarray.DataArray are some too.
     """
@@ -59,6 +62,7 @@ class Recovery:
     confidence: np.ndarray | None = None
     candidates: np.ndarray | None = None
     ambiguous: np.ndarray | None = None
+    albedo: np.ndarray | None = None
     residual: np.ndarray | None = None
     levels: tuple[Level, ...] = ()
 
@@ -74,7 +78,9 @@ def recover(image, source, albedo=0.8, sides: str = "open", spacing: float = 1.0
         Radiance, in the unit of the source's brightness. Finite, >= 0. Several images are for method="robust".
     source : Sky, Lamp or Window, or a list, one per image
     sides, spacing, albedo
-        As in the scene that the image shows; ``albedo`` a number or (rows, cols), > 0. For method="paper" a lamp
+        As in the scene that the image shows; ``albedo`` a number or (rows, cols), > 0; or None, of several images by
+        method="robust": every pixel's is found with its depth (one image cannot tell a dark surface from a deep one).
+        It may exceed 1 if the sources' brightness is in another unit than the images. For method="paper" a lamp
         must lie above z = 0 or be given as a volume that starts at layer 0, since carving starts from a surface at z = 0.
     layers : int
         The deepest depth in spacings, unless ``far`` says otherwise; the lattice's depth.
@@ -110,7 +116,9 @@ def recover(image, source, albedo=0.8, sides: str = "open", spacing: float = 1.0
         raise bad("layers", repr(layers), "a whole number from 1 to 1048575")
     eps = positive_number(eps, "eps")
     cube = hemicube if isinstance(hemicube, Hemicube) else Hemicube(hemicube)
-    start = Scene(np.zeros(images[0].shape), spacing, albedo, None, sides)
+    if albedo is None and (len(images) == 1 or method != "robust"):
+        raise bad("albedo", None, "a number or (rows, cols)", "It can be found from several images under different lights, by method='robust'.")
+    start = Scene(np.zeros(images[0].shape), spacing, 1.0 if albedo is None else albedo, None, sides)
     if np.ndim(start.albedo) in (1, 3):
         raise bad("albedo", f"RGB, shape {np.shape(start.albedo)}", "a number or (rows, cols): recover takes one channel")
     if np.any(np.asarray(start.albedo) <= 0):
@@ -120,7 +128,7 @@ def recover(image, source, albedo=0.8, sides: str = "open", spacing: float = 1.0
             raise bad("source", type(light).__name__, "Sky, Lamp or Window")
         sources.radiance(light, np.array([[0.0, 0.0, -1.0]]))  # what has colour, or a sun's disc, is refused here
     if method == "robust":
-        return _labelled(_robust(images, lights, start, layers, near, far, max_seconds, backend, progress), labels)
+        return _labelled(_robust(images, lights, start, None if albedo is None else start.albedo, layers, near, far, max_seconds, backend, progress), labels)
     if several or near is not None or far is not None or max_seconds is not None:
         raise bad("method 'paper' with several images, near, far or max_seconds", "what it cannot use", "one image and one source", "Use method='robust'.")
     return _labelled(_carved(images[0], lights[0], start, layers, cube, eps, stop, backend, progress), labels)
@@ -130,7 +138,7 @@ def _labelled(done: Recovery, labels) -> Recovery:
     """With the coordinates of the image's DataArray, if it was one."""
     if labels is None:
         return done
-    maps = {name: labelled(getattr(done, name), labels) for name in ("depth", "confidence", "ambiguous", "drilled", "residual")}
+    maps = {name: labelled(getattr(done, name), labels) for name in ("depth", "confidence", "ambiguous", "albedo", "drilled", "residual")}
     return replace(done, **maps, candidates=labelled(done.candidates, labels, candidate=np.arange(len(done.candidates))))
 
 
@@ -170,7 +178,7 @@ def _carved(image, source, start, layers, cube, eps, stop, backend, progress) ->
 OPEN_SKY = "Open sides under a sky are ill-posed: a flat surface explains a plane's image at any depth."
 
 
-def _robust(images, lights, start, layers, near, far, max_seconds, backend, progress) -> Recovery:
+def _robust(images, lights, start, albedo, layers, near, far, max_seconds, backend, progress) -> Recovery:
     spacing, sides, shape = start.spacing, start.sides, start.shape
     low, high = _bound(near, 0.0, "near", shape) / spacing, _bound(far, layers * spacing, "far", shape) / spacing
     if not (low < high).all():
@@ -192,7 +200,7 @@ def _robust(images, lights, start, layers, near, far, max_seconds, backend, prog
             progress(len(levels), pyramid.first + 1)
 
     several = any(map(_directed, lights))  # answers: then the lower objective need not be the right one's
-    pyramid = Pyramid(engine, images, lights, start.albedo, sides, np.maximum(low, 1e-3), high, several, note=note)
+    pyramid = Pyramid(engine, images, lights, albedo, sides, np.maximum(low, 1e-3), high, several, note=note)
     compiled = engine.compile_seconds
     spent = lambda: time.perf_counter() - pyramid.began - (engine.compile_seconds - compiled)
     pyramid.stop = lambda: spent() > seconds_left
@@ -265,10 +273,12 @@ def _robust(images, lights, start, layers, near, far, max_seconds, backend, prog
     ambiguous = np.isfinite(candidates).any(0) & (confidence < 0.5)
     depth = (z * spacing).astype(np.float32)
     candidates = np.concatenate([depth[None], (candidates * spacing).astype(np.float32)])
-    if ambiguous.any():
+    if ambiguous.mean() >= 0.005:
         warnings.append(f"Ambiguous: {ambiguous.mean():.0%} of the pixels have several depths that explain them; give near= and far=, or a second image.")
+    if albedo is None and (confidence < 0.5).mean() > UNTOLD:
+        warnings.append(f"Depth hangs on the albedo at {(confidence < 0.5).mean():.0%} of the pixels: these images hardly tell the two apart; another under a lamp, or a known albedo, would.")
     return Recovery(depth, np.zeros(shape, bool), engine.name, spent(), engine.compile_seconds - compiled, warnings, confidence.astype(np.float32),
-                    candidates, ambiguous, (residual * pyramid.units[0]).astype(np.float32), tuple(levels))
+                    candidates, ambiguous, pyramid.albedo[0].astype(np.float32) if albedo is None else None, (residual * pyramid.units[0]).astype(np.float32), tuple(levels))
 
 
 def _join(pyramid, level, answers) -> None:
@@ -297,8 +307,12 @@ def _trust(pyramid, level, z, rivals, half, depth_range) -> tuple[np.ndarray, np
     while max(small.shape) > 64 and grid < pyramid.top:
         small, grid = _halved(small), grid + 1
     limit = DOUBT * depth_range / 2**grid
+    hangs = 0.0  # on the albedo
+    if not pyramid.albedo_known:
+        hangs = (UNEVEN * blurred(np.abs(pyramid.evener(grid, small) - small))) ** 2
+        pyramid.settle(level, z)
     # sharp, since what noise could do is a bound; what is really off is ordered by the rest
-    doubt = (WEIGHT * pyramid.doubt(grid, small)) ** 4 / limit**2 + FINE * blurred((pyramid.finer(grid, small) - small) ** 2)
+    doubt = (WEIGHT * pyramid.doubt(grid, small)) ** 4 / limit**2 + FINE * blurred((pyramid.finer(grid, small) - small) ** 2) + hangs
     for apart, share in rivals:
         for _ in range(grid - half):
             apart = _halved(apart)

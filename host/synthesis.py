@@ -23,11 +23,12 @@ from typing import NamedTuple
 import numpy as np
 
 from . import sources
-from .backends.adjoint import Descent, Light
+from .backends.adjoint import PULL, Descent, Light
 from .backends.base import Backend
 from .directions import Azimuths
 
 log = logging.getLogger("skylamp")
+EVENER = 10.0  # times as much as that is expected of an albedo that is not known, to tell what hangs on it
 COARSEST = 16  # nodes on the shorter side of the coarsest grid
 BRIGHT = 0.4  # rms to which images are scaled, so that smoothness means the same for all
 AZIMUTHS = 24  # of a sky
@@ -165,7 +166,7 @@ def noise_of(image: np.ndarray) -> float:
 class Pyramid:
     """The problem on all grids. Lengths in nodes of the finest grid outside, in each grid's own inside.
 
-    images (rows, cols) radiance; albedo a number or (rows, cols); near, far (rows, cols) bounds. ``several``: whether there may be
+    images (rows, cols) radiance; albedo a number or (rows, cols), or None: to be found; near, far (rows, cols) bounds. ``several``: whether there may be
     several answers; then all are followed closely, since the way decides which one is found.
     ``stop``: asked after every step whether to end; ``note``: told of every level that was reached.
     """
@@ -178,7 +179,8 @@ class Pyramid:
         self.units = [math.sqrt(float(np.mean(np.square(image)))) / BRIGHT for image in images]
         self.images = [[image / unit for image, unit in zip(images, self.units)]]
         self.bounds = [(near, far)]
-        self.albedo = [np.broadcast_to(np.asarray(albedo, float), images[0].shape)]
+        self.albedo_known = albedo is not None
+        self.albedo = [np.broadcast_to(np.asarray(albedo if self.albedo_known else 1.0, float), images[0].shape)]  # if it is not known: what is expected
         while min(self.images[-1][0].shape) >= 2 * COARSEST:
             self.images.append([halved(image) for image in self.images[-1]])
             self.bounds.append(tuple(halved(bound) / 2 for bound in self.bounds[-1]))
@@ -191,7 +193,19 @@ class Pyramid:
         self.brightness = functools.cache(lambda number, azimuths: brightness_of(lights[number], azimuths))
         self.problems = {}
         self.gains = [1.0] * (self.top + 1)
+        if not self.albedo_known:  # from here on as shares of what a flat surface would have
+            self.usual = 0.0
+            self._expect(self.top, sum(self.bounds[self.top]) / 2)
+            self.albedo, self.usual = [self.usual * albedo for albedo in self.albedo], 1.0
+            self.problems.clear()
         self.best = None  # (level, depth): the last surface that was accepted, whatever comes
+
+    def _expect(self, level: int, z: np.ndarray) -> None:
+        """Takes the median of the albedo at z for what is expected of it everywhere."""
+        self.problem(level).value(z, 0.0)
+        self.usual = float(np.median(self.problem(level).albedo()))
+        for problem in self.problems.values():
+            problem.expect(self.usual)
 
     def smoothness(self, level: int) -> float:
         """Weight of squared second differences: what noise and the shade of unseen relief leave on a grid against how much surfaces bend."""
@@ -213,7 +227,9 @@ class Pyramid:
             images, shape = self.images[level], self.images[level][0].shape
             self.problems[level] = Descent(self.engine, shape, self.sides, [
                 (light, self.albedo[level] / (math.pi * unit), image)
-                for light, unit, image in zip(self._lights(shape, 0.5**level, AZIMUTHS), self.units, images)], *self.bounds[level])
+                for light, unit, image in zip(self._lights(shape, 0.5**level, AZIMUTHS), self.units, images)], *self.bounds[level], self.albedo_known)
+            if not self.albedo_known:
+                self.problems[level].expect(self.usual)
         return self.problems[level]
 
     def _lights(self, shape: tuple[int, int], scale: float, azimuths: int) -> list[Light]:
@@ -380,6 +396,25 @@ class Pyramid:
         for level, problem in self.problems.items():
             problem.bound(*bounds[level])
 
+    def evener(self, level: int, z: np.ndarray) -> np.ndarray:
+        """What the depth would be if the albedo, which is not known, were held EVENER times as fast to one that is the same everywhere."""
+        problem = self.problem(level)
+        problem.expect(self.usual, EVENER * PULL)
+        self._lean_on_itself(level, z)
+        other, _ = problem.run(z, self.smoothness(level), STEPS, MOST, *CLOSE, self.stop)
+        problem.expect(self.usual)
+        return other
+
+    def settle(self, level: int, z: np.ndarray) -> None:
+        """Takes the albedo that is best for z on this grid for known from here on, on all grids."""
+        self.problem(level).value(z, 0.0)
+        self.albedo_known, self.albedo[level] = True, self.albedo[level] * self.problem(level).albedo()
+        for coarser in range(level + 1, self.top + 1):
+            self.albedo[coarser] = halved(self.albedo[coarser - 1])
+        for finer in range(level - 1, -1, -1):
+            self.albedo[finer] = doubled(self.albedo[finer + 1], self.images[finer][0].shape)
+        self.problems.clear()
+
     def finer(self, level: int, z: np.ndarray) -> np.ndarray:
         """What the depth would be if the images were of the smooth surface through the nodes of z, not of the nodes alone.
 
@@ -402,6 +437,8 @@ class Pyramid:
         if self.best is None or self.best[0] >= level:
             self.best = level, z
         self.problem(level).value(z, self.smoothness(level))
+        if not self.albedo_known:
+            self._expect(level, z)
         reached = Level(z.shape, self.residual(level), time.perf_counter() - self.began)
         log.info("%d x %d: residual %.2g of the image, %.1f s", *reached.shape, reached.residual, reached.seconds)
         self.note(reached)

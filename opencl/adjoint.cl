@@ -626,6 +626,26 @@ void spread_at(Links links, __global long *sum, float u, int squared, int rows, 
   }
 }
 
+/* match: over and under, what an image adds to those of its pixels' albedo, over / under: the one with which all images are nearest to
+   their targets, gain that of albedo 1. The first sets them. */
+__kernel void match(__global const float *light, __global const float *gain, __global const float *target, __global float *over, __global float *under, int is_first, int pixels)
+{
+  const int p = get_global_id(0);
+  if (p >= pixels)
+    return;
+  const float e = gain[p] * light[p];
+  over[p] = (is_first ? 0 : over[p]) + e * target[p];
+  under[p] = (is_first ? 0 : under[p]) + e * e;
+}
+
+/* reflect: the gain with that albedo. */
+__kernel void reflect(__global const float *over, __global const float *under, __global const float *gain, __global float *out, int pixels)
+{
+  const int p = get_global_id(0);
+  if (p < pixels)
+    out[p] = over[p] / under[p] * gain[p];
+}
+
 /* misfit: in part (blocks) the sums of (gain E - target)^2. Work-item g of this, of bending and of begin owns BLOCK nodes and
    adds them in order. */
 __kernel void misfit(__global const float *light, __global const float *gain, __global const float *target, __global double *part, int block, int pixels)
@@ -824,6 +844,34 @@ __kernel void product(__global const float *restrict light, __global const int *
   if (state[LEFT] > 0)
     for (int p = g * each; p < min(rows * cols, g * each + each); ++p)
       product_at(links, gain, v, sum + own, (float)state[SCATTERED], rows, cols, p, teams > 1);
+}
+
+/* change: in (or added to) share, what an image says of the change of its pixels' albedo by v: bright gain J v, bright = the image at albedo 1. */
+__kernel void change(__global const float *restrict light, __global const int *restrict held, __global const int *restrict first, __global const int *restrict second,
+                     __global const float *restrict near, __global const float *restrict far, __global const float *restrict gain, __global const float *restrict bare,
+                     __global const float *restrict v, __global float *restrict share, __global const double *state, int rows, int cols, int count, int is_first, int each)
+{
+  const Links links = {light, held, first, second, near, far, count};
+  const int g = get_global_id(0);
+  if (state[LEFT] > 0)
+    for (int p = g * each; p < min(rows * cols, g * each + each); ++p)
+      share[p] = (is_first ? 0 : share[p]) + bare[p] * light[p] * (gain[p] * change_at(links, v, rows, cols, p));
+}
+
+/* product_beside: as product, less what a change of the albedo makes up for. */
+__kernel void product_beside(__global const float *restrict light, __global const int *restrict held, __global const int *restrict first, __global const int *restrict second,
+                             __global const float *restrict near, __global const float *restrict far, __global const float *restrict gain, __global const float *restrict bare,
+                             __global const float *restrict share, __global const float *restrict under, __global const float *restrict v, __global long *sum,
+                             __global const double *state, int rows, int cols, int count, int each, int teams)
+{
+  const Links links = {light, held, first, second, near, far, count};
+  const int g = get_global_id(0);
+  const size_t own = teams > 1 ? (size_t)g * rows * cols : 0;
+  if (state[LEFT] > 0)
+    for (int p = g * each; p < min(rows * cols, g * each + each); ++p) {
+      const float left = gain[p] * change_at(links, v, rows, cols, p) - bare[p] * light[p] * (share[p] / under[p]);
+      spread_at(links, sum + own, gain[p] * left * (float)state[SCATTERED], 0, rows, cols, p, teams > 1);
+    }
 }
 
 /* curve: w = free (sum / unit + lambda unbend v + damping scale v), the normal equations' matrix times v; sum = 0; and what the

@@ -184,6 +184,45 @@ def test_a_second_image_settles_a_spotlight(fast):
     assert rms(both.depth - depth) < min(1.0, rms(alone.depth - depth) + 0.1)
 
 
+@functools.cache
+def both_lit(name, kinds, backend, brighter=1.0):
+    """(truth, its albedo, what is found) of a chequered surface under two sources, its albedo not given."""
+    y, x = np.indices((SMALL, SMALL)) // 4
+    albedo = np.where((x + y) % 2, 0.7, 0.3)
+    images = [brighter * pair(name, kind)[1] * albedo / ALBEDO for kind in kinds]
+    return pair(name, kinds[0])[0], albedo, sl.recover(images, [source_of(kind) for kind in kinds], None, "dark", layers=LAYERS, backend=backend)
+
+
+@pytest.mark.parametrize("name", SURFACES)
+def test_two_images_tell_the_albedo(fast, name):
+    """A chequered surface under a sky and under a lamp: depth and albedo of every pixel."""
+    depth, albedo, got = both_lit(name, ("sky", "lamp"), fast)
+    assert rms(got.depth - depth) < 0.3 and rms(got.albedo - albedo) < 0.04
+    assert (got.confidence > 0.5).mean() > 0.8 and got.warnings == []
+
+
+def test_an_albedo_in_any_unit(fast):
+    """Images 50 times as bright: the albedo is 50 times as large, and depth the same."""
+    (depth, albedo, got), (*_, other) = (both_lit("fractal", ("sky", "lamp"), fast, brighter) for brighter in (1.0, 50.0))
+    assert rms(got.depth - other.depth) < 0.02 and rms(other.albedo / 50 - got.albedo) < 0.01
+
+
+def test_an_albedo_that_two_images_do_not_tell_is_not_trusted(fast):
+    """Two skies say little of it: what is wrong by more than a layer is marked, what is trusted is far better than the rest, and a warning says why."""
+    depth, _, got = both_lit("bumps", ("sky", "sun"), fast)
+    off = np.abs(got.depth - depth)
+    assert (off > 1).mean() > 0.2
+    assert (got.confidence < 0.5)[off > 1].mean() > 0.9
+    assert (got.confidence > 0.5).mean() > 0.1 and rms(off[got.confidence > 0.5]) < 0.3 * rms(off)
+    assert any("albedo" in warning for warning in got.warnings)
+
+
+def test_one_image_cannot_tell_the_albedo():
+    for more in ({"image": np.ones((8, 8)), "source": sl.Sky()}, {"image": [np.ones((8, 8))], "source": [sl.Sky()]}, {"image": np.ones((8, 8)), "source": sl.Sky(), "method": "paper"}):
+        with pytest.raises(sl.InputError, match="several images"):
+            sl.recover(albedo=None, sides="dark", backend="numpy", **more)
+
+
 def test_a_prior_is_kept_and_helps(fast):
     """near and far, as maps: depth lies between them, and nearer to the truth."""
     depth, image = pair("egg-crate", "spot")

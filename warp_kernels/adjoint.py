@@ -709,6 +709,27 @@ def spread_at(light: wp.array[wp.float32], held: wp.array[wp.int32], first: wp.a
 
 
 @wp.kernel
+def match(light: wp.array[wp.float32], gain: wp.array[wp.float32], target: wp.array[wp.float32], over: wp.array[wp.float32], under: wp.array[wp.float32],
+          is_first: wp.int32, pixels: wp.int32):
+    """Over and under: what an image adds to those of its pixels' albedo, over / under: the one with which all images are nearest to their
+    targets, gain that of albedo 1. The first sets them."""
+    p = wp.tid()
+    e = gain[p] * light[p]
+    if is_first != 0:
+        over[p] = wp.float32(0.0)
+        under[p] = wp.float32(0.0)
+    over[p] = over[p] + e * target[p]
+    under[p] = under[p] + e * e
+
+
+@wp.kernel
+def reflect(over: wp.array[wp.float32], under: wp.array[wp.float32], gain: wp.array[wp.float32], out: wp.array[wp.float32], pixels: wp.int32):
+    """The gain with that albedo."""
+    p = wp.tid()
+    out[p] = over[p] / under[p] * gain[p]
+
+
+@wp.kernel
 def misfit(light: wp.array[wp.float32], gain: wp.array[wp.float32], target: wp.array[wp.float32], part: wp.array[wp.float64], block: wp.int32,
            pixels: wp.int32):
     """In part (blocks), from ``block`` on, the sums of (gain E - target)^2.
@@ -911,6 +932,34 @@ def product(light: wp.array[wp.float32], held: wp.array[wp.int32], first: wp.arr
     if state[LEFT] > wp.float64(0.0):
         for p in range(g * each, wp.min(rows * cols, g * each + each)):
             product_at(light, held, first, second, near, far, gain, v, sum, wp.float32(state[SCATTERED]), rows, cols, count, p)
+
+
+@wp.kernel
+def change(light: wp.array[wp.float32], held: wp.array[wp.int32], first: wp.array[wp.int32], second: wp.array[wp.int32],
+           near: wp.array[wp.float32], far: wp.array[wp.float32], gain: wp.array[wp.float32], bare: wp.array[wp.float32], v: wp.array[wp.float32],
+           share: wp.array[wp.float32], state: wp.array[wp.float64], rows: wp.int32, cols: wp.int32, count: wp.int32, is_first: wp.int32, each: wp.int32):
+    """In (or added to) share, what an image says of the change of its pixels' albedo by v: bright gain J v, bright = the image at albedo 1."""
+    g = wp.tid()
+    if state[LEFT] > wp.float64(0.0):
+        for p in range(g * each, wp.min(rows * cols, g * each + each)):
+            own = bare[p] * light[p] * (gain[p] * change_at(light, held, first, second, near, far, v, rows, cols, count, p))
+            if is_first != 0:
+                share[p] = own
+            else:
+                share[p] = share[p] + own
+
+
+@wp.kernel
+def product_beside(light: wp.array[wp.float32], held: wp.array[wp.int32], first: wp.array[wp.int32], second: wp.array[wp.int32],
+                   near: wp.array[wp.float32], far: wp.array[wp.float32], gain: wp.array[wp.float32], bare: wp.array[wp.float32], share: wp.array[wp.float32],
+                   under: wp.array[wp.float32], v: wp.array[wp.float32], sum: wp.array[wp.int64], state: wp.array[wp.float64], rows: wp.int32, cols: wp.int32,
+                   count: wp.int32, each: wp.int32, teams: wp.int32):
+    """As product, less what a change of the albedo makes up for."""
+    g = wp.tid()
+    if state[LEFT] > wp.float64(0.0):
+        for p in range(g * each, wp.min(rows * cols, g * each + each)):
+            left = gain[p] * change_at(light, held, first, second, near, far, v, rows, cols, count, p) - bare[p] * light[p] * (share[p] / under[p])
+            spread_at(light, held, first, second, near, far, sum, gain[p] * left * wp.float32(state[SCATTERED]), 0, rows, cols, count, p)
 
 
 @wp.func

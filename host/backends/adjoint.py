@@ -27,6 +27,7 @@ LEFT, GAIN, STATE = 0, 7, 11  # in the state of conjugate gradients: iterations 
 TILE = 8  # nodes across the squares whose highest point is known; as there
 FOUR = 4  # times as coarse is each of the two grids that precondition than the one before; as in opencl/adjoint.cl
 BROAD, BROADER = 0.075, 0.125  # a coarse node's curvature over the sum of its nodes' diagonal; of the next: as measured, curvature falls as the width to -1.5
+PULL = 1e-3  # weight of what is expected of an albedo that is not known: an albedo off by its own size counts as much as an image by this
 MARGIN = 16
 NONE = -1e30
 FIXED = 2.0**36  # of fixed point, over the length of the vector that is multiplied
@@ -72,6 +73,7 @@ class Image:
         else:
             self.frames, self.solid = put(light.frames), put(light.solid)
         self.gain = put(np.broadcast_to(gain, shape).ravel())
+        self.gains = [self.gain] * 2  # with the albedo of the surface and of a trial
         self.target = put(target.ravel())
         room = -(-pixels // BESIDE), self.count, BESIDE
         # light, held, first, second, near, far: of the surface and of a trial
@@ -97,13 +99,22 @@ class Image:
 class Descent:
     """The least-squares problem of one grid: images of one surface, bounds of its depth, smoothness.
 
+    If the albedo is not known the gains stand for albedo 1, and every evaluation takes for each pixel the albedo that explains all
+    images best there: the objective is that of the best albedo, and so is its gradient (variable projection).
+
     There are two sides, z[here] and a trial, each with what an evaluation found there: nothing is lost where a trial fails.
     """
 
-    def __init__(self, backend: Backend, shape: tuple[int, int], sides: str, images: list[tuple[Light, np.ndarray, np.ndarray]], low, high):
+    def __init__(self, backend: Backend, shape: tuple[int, int], sides: str, images: list[tuple[Light, np.ndarray, np.ndarray]], low, high, albedo_known: bool = True):
         rows, cols = shape
         self.backend, self.shape, self.pixels, self.sides = backend, shape, rows * cols, SIDES[sides]
         self.images = [Image(backend, light, shape, sides, gain, target) for light, gain, target in images]
+        self.albedo_known = albedo_known
+        if not albedo_known:
+            self.over, self.share, self.pull, self.usual, *self.unders = (backend.empty((self.pixels,), np.float32, PULL) for _ in range(6))
+            self.ones, self.found = (backend.empty((1, self.pixels), np.float32, 1) for _ in range(2))
+            for image in self.images:
+                image.gains = [backend.empty((self.pixels,), np.float32) for _ in range(2)]
         self.heights = backend.empty((rows * (cols + 2 * MARGIN),), np.float32, NONE)
         self.tilts, self.top = backend.empty((2, self.pixels), np.float32), backend.empty((1,), np.int32)
         self.tiles = backend.empty((-(-rows // TILE) * -(-cols // TILE),), np.float32)
@@ -117,7 +128,7 @@ class Descent:
         self.sum, self.squares = (backend.empty((backend.teams, self.pixels), np.int64, 0) for _ in range(2))
         self.blocks, self.each, self.teams = -(-self.pixels // BLOCK), backend.each, backend.teams
         self.of_team = self.each if self.teams == 1 else -(-self.pixels // self.teams)
-        self.parts, self.lengths = (backend.empty((n, self.blocks), np.float64) for n in (len(images) + 1, 2))
+        self.parts, self.lengths = (backend.empty((n, self.blocks), np.float64) for n in (len(images) + 1 + (not albedo_known), 2))
         self.states, self.totals = [[backend.empty(shape, dtype) for _ in range(2)] for shape, dtype in (((STATE,), np.float64), ((3, SLOTS), np.int64))]
         self.here, self._misfits, self._recorded = 0, [[], []], {}
         self._at = None  # depths (rows, cols) float32 at z[here], if what an evaluation finds there is still at hand
@@ -155,9 +166,16 @@ class Descent:
         self._weigh(side)
 
     def _weigh(self, side: int) -> None:
-        """What an evaluation found, against the targets and the rest of now."""
+        """What an evaluation found, against the targets and the rest of now, with the albedo that is best there if it is not known."""
+        if not self.albedo_known:
+            # what is expected of the albedo counts as one more image, whose light is 1
+            for light, gain, target, is_first in ((self.ones, self.pull, self.usual, True), *((image.links[side][0], image.gain, image.target, False) for image in self.images)):
+                self._launch("match", light, gain, target, self.over, self.unders[side], is_first, self.pixels, dim=(self.pixels,))
+            for gain, out in ((self.ones, self.found), *((image.gain, image.gains[side]) for image in self.images)):
+                self._launch("reflect", self.over, self.unders[side], gain, out, self.pixels, dim=(self.pixels,))
+            self._launch("misfit", self.found, self.pull, self.usual, self.parts, (len(self.images) + 1) * self.blocks, self.pixels, dim=(self.blocks,))
         for number, image in enumerate(self.images):
-            self._launch("misfit", image.links[side][0], image.gain, image.target, self.parts, number * self.blocks, self.pixels, dim=(self.blocks,))
+            self._launch("misfit", image.links[side][0], image.gains[side], image.target, self.parts, number * self.blocks, self.pixels, dim=(self.blocks,))
         self._launch("bending", self.z[side], self.rest, self.parts, len(self.images) * self.blocks, *self.shape, dim=(self.blocks,))
 
     def _try(self, side: int) -> None:
@@ -167,8 +185,10 @@ class Descent:
     def evaluate(self, side: int, smoothness: float, work: Callable[[int], None] | None = None) -> float:
         """The objective at z[side], or what ``work`` makes of it; the derivatives there are kept."""
         self._again(work or self._look, side)
-        *self._misfits[side], bending = self.backend.download(self.parts).sum(1).tolist()
-        return 0.5 * (sum(self._misfits[side]) + smoothness * bending)
+        sums = self.backend.download(self.parts).sum(1).tolist()
+        count = len(self.images)
+        self._misfits[side] = sums[:count]
+        return 0.5 * (sum(sums[:count]) + smoothness * sums[count] + sum(sums[count + 1 :]))
 
     def value(self, z: np.ndarray, smoothness: float) -> float:
         """The objective at depths (rows, cols)."""
@@ -185,7 +205,17 @@ class Descent:
         """gain E of every image at depths (rows, cols)."""
         self.value(z, 0.0)
         get = self.backend.download
-        return [(get(image.gain) * get(image.links[self.here][0])[0]).reshape(self.shape) for image in self.images]
+        return [(get(image.gains[self.here]) * get(image.links[self.here][0])[0]).reshape(self.shape) for image in self.images]
+
+    def expect(self, albedo: float, pull: float = PULL) -> None:
+        """From here on, an albedo that is not known is expected to be about this share of what the gains stand for; at first 1."""
+        self.backend.fill(self.pull, pull)
+        self.backend.fill(self.usual, pull * albedo)
+
+    def albedo(self) -> np.ndarray:
+        """(rows, cols) albedo at the depths that were evaluated last, as a share of what the gains stand for."""
+        image, get = self.images[0], self.backend.download
+        return (get(image.gains[self.here]) / get(image.gain)).reshape(self.shape)
 
     def bound(self, low: np.ndarray, high: np.ndarray) -> None:
         """Other bounds of depth from here on."""
@@ -210,7 +240,7 @@ class Descent:
         """Readies a step from z[here], which must have been evaluated: r = -gradient, v = r preconditioned; gives v v and r v."""
         unit = FIXED / max(1e-12, math.sqrt(sum(self.misfits)))
         for image in self.images:
-            self._launch("downhill", *image.links[self.here], image.gain, image.target, self.sum, self.squares, unit, FINE, *self.shape, image.count, self.of_team, self.teams, dim=self._teams())
+            self._launch("downhill", *image.links[self.here], image.gains[self.here], image.target, self.sum, self.squares, unit, FINE, *self.shape, image.count, self.of_team, self.teams, dim=self._teams())
         self._launch("begin", self.z[self.here], self.rest, self.low, self.high, self.sum, self.squares, self.scale[0], self.r[0], self.x, self.p, self.s, self.free[0],
                      1 / unit, 1 / FINE, 12 * smoothness + 1e-7, smoothness, *self.shape, self.each, self.teams)
         self._down(0, self.scale[0], self.scale[1], BROAD)
@@ -241,7 +271,7 @@ class Descent:
         self._launch("ready", state, self.totals[0], square, product, smoothness, damping, tolerance**2, FIXED, EXACT, most, dim=(1,))
         if len(self.images) == 1 and self.pixels <= self.backend.alone:
             image = self.images[0]
-            self._launch("solve", *image.links[self.here], image.gain, *self.scale, *self.free, self.sum, *self.r, *self.v, self.w, self.x, self.p, self.s, state,
+            self._launch("solve", *image.links[self.here], image.gains[self.here], *self.scale, *self.free, self.sum, *self.r, *self.v, self.w, self.x, self.p, self.s, state,
                          FIXED, EXACT, *self.shape, image.count, dim=(1,))
             return float(self.backend.download(state)[GAIN])
         left = most
@@ -250,11 +280,23 @@ class Descent:
             left, gain = self.backend.download(state)[[LEFT, GAIN]].tolist()
         return gain
 
+    def _product(self, side: int, state) -> None:
+        """sum += unit transpose(J) gain^2 J v, over all images; less what the albedo that is best makes up for, if it is not known (Kaufman 1975)."""
+        rest = self.v[0], self.sum, state, *self.shape
+        if self.albedo_known:
+            for image in self.images:
+                self._launch("product", *image.links[side], image.gains[side], *rest, image.count, self.of_team, self.teams, dim=self._teams())
+            return
+        for number, image in enumerate(self.images):
+            self._launch("change", *image.links[side], image.gains[side], image.gain, self.v[0], self.share, state, *self.shape, image.count, number == 0, self.each)
+        for image in self.images:
+            self._launch("product_beside", *image.links[side], image.gains[side], image.gain, self.share, self.unders[side], *rest, image.count, self.of_team, self.teams,
+                         dim=self._teams())
+
     def _two_iterations(self, side: int) -> None:
         """Of conjugate gradients, from one state to the other and back."""
         for now, then in ((0, 1), (1, 0)):
-            for image in self.images:
-                self._launch("product", *image.links[side], image.gain, self.v[0], self.sum, self.states[now], *self.shape, image.count, self.of_team, self.teams, dim=self._teams())
+            self._product(side, self.states[now])
             self._launch("curve", self.r[0], self.v[0], self.scale[0], self.free[0], self.sum, self.w, self.totals[now], self.states[now], *self.shape, self.each,
                          self.teams)
             self._launch("go", self.v[0], self.w, self.r[0], self.x, self.p, self.s, self.totals[now], self.totals[then], self.states[now],

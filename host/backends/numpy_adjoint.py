@@ -350,6 +350,16 @@ def _put(part, block, values):
     part.reshape(-1)[block : block + len(sums)] = sums
 
 
+def match(light, gain, target, over, under, is_first, pixels):
+    e = gain * light[0]
+    over[:] = (f32(0) if is_first else over) + e * target
+    under[:] = (f32(0) if is_first else under) + e * e
+
+
+def reflect(over, under, gain, out, pixels):
+    out[:] = over / under * gain
+
+
 def misfit(light, gain, target, part, block, pixels):
     _put(part, block, (gain * light[0] - target).astype(np.float64) ** 2)
 
@@ -441,6 +451,19 @@ def product(light, held, first, second, near, far, gain, v, sum, state, rows, co
     if state[LEFT] > 0:
         links = light, held, first, second, near, far
         _spread(*links, sum[0], gain * gain * _change(*links, v, rows, cols) * f32(state[SCATTERED]), False, rows, cols)
+
+
+def change(light, held, first, second, near, far, gain, bare, v, share, state, rows, cols, count, is_first, each):
+    if state[LEFT] > 0:
+        own = bare * light[0] * (gain * _change(light, held, first, second, near, far, v, rows, cols))
+        share[:] = own if is_first else share + own
+
+
+def product_beside(light, held, first, second, near, far, gain, bare, share, under, v, sum, state, rows, cols, count, each, teams):
+    if state[LEFT] > 0:
+        links = light, held, first, second, near, far
+        left = gain * _change(*links, v, rows, cols) - bare * light[0] * (share / under)
+        _spread(*links, sum[0], gain * left * f32(state[SCATTERED]), False, rows, cols)
 
 
 def curve(r, v, scale, is_free, sum, w, totals, state, rows, cols, each, teams):
