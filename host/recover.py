@@ -21,7 +21,7 @@ from .synthesis import BETTER, BRIGHT, LOST, SMALL, Level, Pyramid, blurred, dou
 METHODS = ("robust", "paper")
 STOPS = ("eps", "sign")
 UNIT = 2**30  # the largest sum of weights, and so of light, in carving's whole numbers
-DOUBT = 0.025  # of the range of depths: two answers this far apart are worth half the confidence
+DOUBT, LEAST_DOUBT = 0.025, 1.0  # of the range of depths, and nodes at least: two answers this far apart are worth half the confidence
 CONFINED = (0.9, 0.75)  # shares of the pixels whose depth the first answer leaves to the others
 CLEARLY = 0.9  # share of the objective below which another start's answer is taken, where one answer is expected
 HOPE = 8.0  # times the objective on a coarser grid up to which a start is followed
@@ -30,7 +30,7 @@ RIVAL = 6.0  # times the objective up to which another start counts as an answer
 WEIGHT = 4.0  # of the doubt that noise leaves, against that of another start
 UNTOLD = 0.2  # of the pixels are not trusted: so many that a warning says that the albedo is not known
 UNEVEN = 1.4  # of the distance to the surface with a more even albedo, where it is not known
-FINE = 9.0  # of the squared distance to the surface of a finer model
+FINE = 9.0  # of the squared distance to the surface of a finer model, which is about the same in nodes on every grid
 POOR = 0.02  # share of the image's rms that model and image may differ by in a place that is to be believed
 BADLY = 0.03  # residual, as a share of the image, from which an image is called unexplained
 
@@ -303,23 +303,22 @@ def _trust(pyramid, level, z, rivals, half, depth_range) -> tuple[np.ndarray, np
     one), to the surface that a finer model finds, what noise could do (Pyramid.doubt), and how
     badly the image is met in the neighbourhood.
     """
+    poor = blurred((pyramid.problem(level).irradiances(z)[0] - pyramid.images[level][0]) ** 2)
     small, grid = z, level
-    while max(small.shape) > 64 and grid < pyramid.top:
-        small, grid = _halved(small), grid + 1
-    limit = DOUBT * depth_range / 2**grid
+    while max(small.shape) > SMALL and grid < pyramid.top:
+        small, poor, grid = _halved(small), halved(poor), grid + 1
+    limit = max(DOUBT * depth_range, LEAST_DOUBT) / 2**grid
     hangs = 0.0  # on the albedo
     if not pyramid.albedo_known:
         hangs = (UNEVEN * blurred(np.abs(pyramid.evener(grid, small) - small))) ** 2
         pyramid.settle(level, z)
     # sharp, since what noise could do is a bound; what is really off is ordered by the rest
-    doubt = (WEIGHT * pyramid.doubt(grid, small)) ** 4 / limit**2 + FINE * blurred((pyramid.finer(grid, small) - small) ** 2) + hangs
+    doubt = (WEIGHT * pyramid.doubt(grid, small)) ** 4 / limit**2 + FINE * blurred(((pyramid.finer(grid, small) - small) / 2 ** (grid - level)) ** 2) + hangs
     for apart, share in rivals:
         for _ in range(grid - half):
             apart = _halved(apart)
         doubt = doubt + (share * blurred(np.abs(apart))) ** 2
-    off = pyramid.problem(grid).irradiances(small)[0] - pyramid.images[grid][0]
-    poor = blurred(off**2) / (POOR * BRIGHT + 3 * pyramid.noise) ** 2
-    confidence = 1 / (1 + doubt / limit**2 + poor)
+    confidence = 1 / (1 + doubt / limit**2 + poor / (POOR * BRIGHT + 3 * pyramid.noise * 0.5**level) ** 2)
     shifts, light = pyramid.column(grid, small)
     crosses = (light[:-1] > 0) != (light[1:] > 0)
     share = light[:-1] / np.where(crosses, light[:-1] - light[1:], 1)
