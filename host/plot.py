@@ -156,7 +156,7 @@ def horizon(scene: Scene, row: int, col: int, source: sources.Sky | None = None,
 
 
 def recovery(image, found: Recovery, truth=None):
-    """The image, the depth recovered from it, and its confidence side by side; ``truth``: the true depth, beside them.
+    """The image, the depth recovered from it, its confidence, and the albedo if it was found, side by side; ``truth``: the true depth, beside them.
 
     Raises InputError where shapes differ, or if matplotlib is not installed.
     """
@@ -170,6 +170,8 @@ def recovery(image, found: Recovery, truth=None):
     for _, _, style, _ in panels[1:]:
         style.update(vmin=low, vmax=high)
     panels.append(("confidence", np.asarray(found.confidence), dict(cmap="magma", vmin=0, vmax=1), "below 0.5: do not trust"))
+    if found.albedo is not None:
+        panels.append(("albedo", np.asarray(found.albedo), dict(cmap="gray", vmin=0), ""))
     for name, values, _, _ in panels:
         if values.shape != depth.shape:
             raise bad(f"plot.recovery: {name}", values.shape, f"the depth's shape {depth.shape}")

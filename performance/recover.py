@@ -1,6 +1,6 @@
 """Depth from images: how accurate, how stable, how fast. Writes OUT.md and OUT.json.
 
-    python performance/recover.py [--backend NAME] [--what accuracy,stability,terrain,speed] [--sizes 64,256] [--out FOLDER]
+    python performance/recover.py [--backend NAME] [--what accuracy,stability,albedo,terrain,speed] [--sizes 64,256] [--out FOLDER]
 
 Surfaces and images are those of tests/surfaces.py: continuous surfaces, rendered five times as finely in a box with dark sides.
 RMSE in layers (nodes), of a range of 64. "paper" is method="paper" at the eps that is best for each surface with the truth in hand.
@@ -98,6 +98,22 @@ def speed(backend, sizes):
         yield {"backend": found.backend, "surface": name, "size": surfaces.SIZE, "seconds": found.seconds, "compiling": found.compile_seconds}
 
 
+def albedos(backend):
+    """Albedo not given: chequered surfaces, 0.3 and 0.7, seen under two or three sources."""
+    y, x = np.indices((surfaces.SIZE, surfaces.SIZE)) // 8
+    albedo = np.where((x + y) % 2, 0.7, 0.3)
+    for kinds in (("sky", "lamp"), ("sun", "lamp"), ("sky", "sun"), ("sky", "sun", "lamp")):
+        for name in SURFACES:
+            depth, images = pair(name, "sky")[0], [pair(name, kind)[1] * albedo / ALBEDO for kind in kinds]
+            lights = [source_of(kind) for kind in kinds]
+            found = sl.recover(images, lights, None, "dark", layers=LAYERS, backend=backend)
+            known = sl.recover(images, lights, albedo, "dark", layers=LAYERS, backend=backend)
+            error, doubted = np.abs(found.depth - depth), found.confidence < 0.5
+            yield {"sources": " ".join(kinds), "surface": name, "RMSE": rms(error), "RMSE, albedo given": rms(known.depth - depth), "albedo off, RMS": rms(found.albedo - albedo),
+                   "wrong by 2, marked": float(doubted[error > 2].mean()) if (error > 2).any() else None, "right within 1, marked": float(doubted[error < 1].mean()),
+                   "seconds": found.seconds}  # fmt: skip
+
+
 def table(rows):
     names = list(dict.fromkeys(name for row in rows for name in row))
     shown = lambda value: "" if value is None else f"{value:.3g}" if isinstance(value, float) else str(value)
@@ -107,7 +123,7 @@ def table(rows):
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--backend", default="auto")
-    parser.add_argument("--what", default="accuracy,stability,terrain,speed")
+    parser.add_argument("--what", default="accuracy,stability,albedo,terrain,speed")
     parser.add_argument("--sizes", default="64,256")
     parser.add_argument("--out", default="recover")
     options = parser.parse_args()
@@ -115,7 +131,7 @@ def main():
     out.mkdir(parents=True, exist_ok=True)
     done = {}
     for what in options.what.split(","):
-        work = {"accuracy": accuracy, "stability": stability, "terrain": real, "speed": lambda backend: speed(backend, map(int, options.sizes.split(",")))}[what]
+        work = {"accuracy": accuracy, "stability": stability, "albedo": albedos, "terrain": real, "speed": lambda backend: speed(backend, map(int, options.sizes.split(",")))}[what]
         done[what] = []
         for row in work(options.backend):
             done[what].append(row)

@@ -1,5 +1,6 @@
 """Pictures: what is drawn is what the library found, and files are whole or absent."""
 
+import dataclasses
 import json
 import sys
 
@@ -95,6 +96,10 @@ def test_panels(fast):
     for picture, values in zip(shown, (image, found.depth, HILLS, found.confidence), strict=True):
         np.testing.assert_array_equal(picture.get_array(), values)
     assert shown[1].get_clim() == shown[2].get_clim()
+    painted = dataclasses.replace(found, albedo=np.linspace(0.1, 0.9, found.depth.size).reshape(found.depth.shape))
+    shown = [axes.images[0] for axes in plot.recovery(image, painted).axes if axes.images]
+    np.testing.assert_array_equal(shown[-1].get_array(), painted.albedo)
+    assert shown[-1].get_clim() == (0, 0.9) and len(shown) == 4
     with pytest.raises(sl.InputError, match="plot.recovery: image"):
         plot.recovery(image[1:], found)
 
