@@ -243,11 +243,15 @@ class Descent:
             self._launch("downhill", *image.links[self.here], image.gains[self.here], image.target, self.sum, self.squares, unit, FINE, *self.shape, image.count, self.of_team, self.teams, dim=self._teams())
         self._launch("begin", self.z[self.here], self.rest, self.low, self.high, self.sum, self.squares, self.scale[0], self.r[0], self.x, self.p, self.s, self.free[0],
                      1 / unit, 1 / FINE, 12 * smoothness + 1e-7, smoothness, *self.shape, self.each, self.teams)
+        self._again(self._first, self.here)
+        return tuple(self.backend.download(self.lengths).sum(1).tolist())
+
+    def _first(self, side: int) -> None:
+        """The scales of the coarser grids, and the first v with its lengths."""
         self._down(0, self.scale[0], self.scale[1], BROAD)
         self._down(1, self.scale[1], self.scale[2], BROADER)
         self._precondition()
         self._launch("lengths", self.r[0], self.v[0], self.lengths, self.pixels, dim=(self.blocks,))
-        return tuple(self.backend.download(self.lengths).sum(1).tolist())
 
     def _down(self, level: int, fine, to, times: float = 1.0, over=None) -> None:
         """to = times what a grid brings down to the next, over ``over`` if given."""
