@@ -265,7 +265,7 @@ class Pyramid:
 
         A box of nodes whose fine relief shades itself is darker than its mean surface; without a gain, coarse grids would go deeper for it.
         A gain other than 1 is believed if the objective falls below BETTER of that without."""
-        if not self.top:
+        if not self.top or not self.albedo_known:  # then the albedo makes up for it
             return
         problem = self.problem(self.top)
 
@@ -309,7 +309,6 @@ class Pyramid:
         problem.aim(target)
         z, value = problem.run(np.clip(z, *self.bounds[level]), smoothness, *(SMOOTH if level < self.top else BOTTOM), 1e-4, self.stop, self.damping.get(level, CAREFUL))
         self.damping[level] = problem.damping
-        problem.aim(self.images[level])
         return z, value
 
     def _cycle(self, level: int, z: np.ndarray, target: list[np.ndarray], smoothness: float) -> tuple[np.ndarray, float]:
@@ -318,8 +317,11 @@ class Pyramid:
         if level == self.top or self.stop():
             return z, value
         light, small = self.problem(level).irradiances(z), halved(np.asarray(z, float)) / 2
+        coarse = [halved(t) for t in target]
+        self.problem(level + 1).aim(coarse)  # an albedo that is not known is that of the targets
         seen = self.problem(level + 1).irradiances(small)
-        change = self._cycle(level + 1, small, [halved(t) + s - halved(l) for t, s, l in zip(target, seen, light)], smoothness)[0] - small
+        change = self._cycle(level + 1, small, [t + s - halved(l) for t, s, l in zip(coarse, seen, light)], smoothness)[0] - small
+        self.problem(level + 1).aim(self.images[level + 1])
         tried, reached = self._smooth(level, z + 2 * doubled(change, z.shape), target, smoothness)
         return (tried, reached) if reached < value else (z, value)
 
