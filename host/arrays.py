@@ -60,7 +60,7 @@ def labels_of(values) -> Labels | None:
     return Labels(values.dims, {name: coordinate.copy() for name, coordinate in values.coords.items()}, values.name, dict(values.attrs))
 
 
-def labelled(array: np.ndarray, labels: Labels | None, **leading):
+def labelled(array: np.ndarray | None, labels: Labels | None, **leading):
     """``array`` as an xarray.DataArray with ``labels``, or as it is where there are none; ``leading``: axes before theirs, with coordinates."""
     if labels is None or array is None:
         return array

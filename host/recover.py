@@ -300,8 +300,8 @@ def _trust(pyramid, level, z, rivals, half, depth_range) -> tuple[np.ndarray, np
     """(confidence, other candidates (n, rows, cols) in nodes), on the finest grid.
 
     Doubt is the distance to other starts' surfaces (``rivals``: apart on grid ``half``, and how well theirs explain the image beside this
-    one), to the surface that a finer model finds, what noise could do (Pyramid.doubt), and how
-    badly the image is met in the neighbourhood.
+    one), to the surface that a finer model finds, to that of a more even albedo where it is not known, what noise could do
+    (Pyramid.doubt), and how badly the image is met in the neighbourhood. An albedo that was not known is settled on the way.
     """
     poor = blurred((pyramid.problem(level).irradiances(z)[0] - pyramid.images[level][0]) ** 2)
     small, grid = z, level

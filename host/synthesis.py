@@ -320,8 +320,10 @@ class Pyramid:
         coarse = [halved(t) for t in target]
         self.problem(level + 1).aim(coarse)  # an albedo that is not known is that of the targets
         seen = self.problem(level + 1).irradiances(small)
-        change = self._cycle(level + 1, small, [t + s - halved(l) for t, s, l in zip(coarse, seen, light)], smoothness)[0] - small
-        self.problem(level + 1).aim(self.images[level + 1])
+        try:
+            change = self._cycle(level + 1, small, [t + s - halved(l) for t, s, l in zip(coarse, seen, light)], smoothness)[0] - small
+        finally:
+            self.problem(level + 1).aim(self.images[level + 1])
         tried, reached = self._smooth(level, z + 2 * doubled(change, z.shape), target, smoothness)
         return (tried, reached) if reached < value else (z, value)
 

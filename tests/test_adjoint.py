@@ -412,7 +412,7 @@ def test_a_product_leaves_out_what_the_albedo_makes_up_for(backend):
     made, z, bright = lit_twice(backend, (9, 11))
     made.expect(1.0, 0.3)
     made.value(z, 0.0)
-    albedo, matrix = made.albedo().astype(float).ravel(), 0.0
+    albedo = made.albedo().astype(float).ravel()
     bare = [made.backend.download(each.gain).astype(float) for each in made.images]
     J = [(albedo * gain)[:, None] * derivative(made, number) for number, gain in enumerate(bare)]
     under = sum(b.ravel() ** 2 for b in bright) + 0.3**2

@@ -8,6 +8,7 @@ import logging
 import numpy as np
 import pytest
 import surfaces
+from scipy.optimize import minimize
 from surfaces import ALBEDO, SURFACES, rms
 
 import skylamp as sl
@@ -142,7 +143,6 @@ def test_real_terrain_under_a_lamp(fast):
 
 def test_steps_end_where_scipy_ends(fast):
     """L-BFGS-B on the same objective and gradient, 16 x 16 under a sky: neither finds a surface that is better by more than a hundredth of the start's objective."""
-    minimize = pytest.importorskip("scipy.optimize").minimize
     image = surfaces.pair("fractal", "sky", 16)[1]
     pyramid = Pyramid(select(fast), [image], [sl.Sky()], np.array(ALBEDO), "dark", np.full(image.shape, 1e-3), np.full(image.shape, 16.0))
     problem, start, weight = pyramid.problem(0), np.full(image.shape, 8.0), 1e-3
@@ -302,6 +302,23 @@ def test_an_interrupt_gives_the_best_so_far(fast):
     got = sl.recover(image, sl.Sky(), ALBEDO, "dark", layers=LAYERS, backend=fast, progress=progress)
     assert calls == [(1, 2)] and len(got.levels) == 1
     assert got.depth.shape == depth.shape and rms(got.depth - depth) < 8 and any("Interrupted" in warning for warning in got.warnings)
+
+
+def test_an_interrupted_cycle_leaves_the_targets_as_they_were(fast):
+    """Ctrl-C while a coarse grid works for a finer one: what is done with that grid afterwards is about its own image again."""
+    pyramid, calls = _pyramid(fast, surfaces.pair("fractal", "sky", 96)[1], "sky"), itertools.count()
+
+    def stop():
+        if next(calls) == 5:  # on the coarser grid: four times on the finer one, three steps and once between
+            raise KeyboardInterrupt
+
+    pyramid.stop = stop
+    with pytest.raises(KeyboardInterrupt):
+        pyramid._cycled(0, np.full((96, 96), 30.0))
+    assert 1 in pyramid.problems
+    for level, problem in pyramid.problems.items():
+        target = problem.backend.download(problem.images[0].target).reshape(problem.shape)
+        np.testing.assert_array_equal(target, pyramid.images[level][0].astype(np.float32))
 
 
 def test_levels_and_their_residuals(fast, caplog):

@@ -243,7 +243,7 @@ class Descent:
             self._launch("downhill", *image.links[self.here], image.gains[self.here], image.target, self.sum, self.squares, unit, FINE, *self.shape, image.count, self.of_team, self.teams, dim=self._teams())
         self._launch("begin", self.z[self.here], self.rest, self.low, self.high, self.sum, self.squares, self.scale[0], self.r[0], self.x, self.p, self.s, self.free[0],
                      1 / unit, 1 / FINE, 12 * smoothness + 1e-7, smoothness, *self.shape, self.each, self.teams)
-        self._again(self._first, self.here)
+        self._again(self._first, 0)  # the same for both sides
         return tuple(self.backend.download(self.lengths).sum(1).tolist())
 
     def _first(self, side: int) -> None:
