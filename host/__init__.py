@@ -4,7 +4,7 @@ from .backends import backends
 from .directions import Azimuths, Hemicube
 from .errors import BackendError, CapacityError, InputError, SkylampError
 from .horizon import horizons, openness, sky_view_factor
-from .plan import Plan, plan
+from .refinement import Plan, plan
 from .recover import Recovery, recover
 from .reflectance import BRDF, Lambertian, Mirror, Phong, grooves
 from .render import Rendering, render

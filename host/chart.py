@@ -9,16 +9,15 @@ import numpy as np
 
 from . import sources
 from .backends import backends, select
-from .costs import Costs
 from .errors import bad
-from .pilots import Pilots
-from .plan import errors, solid_of, upright
+from .refinement import solid_of, upright
 from .render import render
+from .samples import Samples
 from .scene import Scene
 
 CLASSES = ("smooth", "rough", "urban", "lamp")
 TOLERANCES = (0.03, 0.01, 0.003)
-NODES, FIRST = 300, 100_003  # at which errors are taken; other nodes than a plan looks at
+NODES, FIRST = 300, 100_003  # at which errors are taken; other nodes than a plan's samples
 SKY = [("horizon", k) for k in (4, 6, 8, 12, 16, 24, 32, 64, 128)] + [("filled", m) for m in (5, 9, 17, 33)] + [("stride", m) for m in (5, 9, 17, 33)] + [("unoccluded", 0)]
 LAMP = [("slices", s) for s in (8, 16, 32, 64, 128)] + [("filled", m) for m in (9, 17, 33)] + [("stride", m) for m in (9, 17, 33)] + [("unoccluded", 0)]
 RUNS = 3
@@ -50,18 +49,18 @@ def options_of(method: str, units: int) -> dict:
 
 
 def judged(kind: str, size: int, engine):
-    """(scene, source, pilots, exact irradiance at them)."""
+    """(scene, source, samples, exact irradiance at them)."""
     scene, source = scene_of(kind, size)
-    pilots = Pilots(scene, NODES, FIRST)
+    samples = Samples(engine, scene, NODES, FIRST)
     solid = None if isinstance(source, sources.Sky) else upright(solid_of(scene, source, 1.0, 1.0))
-    return scene, source, pilots, pilots.exact(engine, source, solid)
+    return scene, source, samples, samples.exact(source, solid)
 
 
 def measure(names: list[str] | None = None, sizes=(128, 512), longest: float = 1.5, progress=None) -> list[dict]:
     """Rows of class, size, backend, method, units, error (relative RMS), seconds of the whole call, of it to plan, and again; the plan's are
     ``method`` "plan", their units the tolerance, timed on a scene that is new, and "again" on one that was rendered before.
 
-    A setting that would take longer than ``longest`` seconds a call, as its backend's costs have it, is left out.
+    A setting is left out if the next coarser one of its method took longer than ``longest`` seconds a call, or would have, as the next smaller map has it.
     """
     here = [info.name for info in backends() if info.available]
     for name in names or []:
@@ -70,26 +69,27 @@ def measure(names: list[str] | None = None, sizes=(128, 512), longest: float = 1
     if not sizes or min(sizes) < 16:
         raise bad("chart: sizes", list(sizes), "whole numbers from 16 on")
     best = select("auto")
-    rows, jobs = [], [(kind, size) for kind in CLASSES for size in sizes]
+    rows, jobs, took_before = [], [(kind, size) for kind in CLASSES for size in sorted(sizes)], {}
     for number, (kind, size) in enumerate(jobs):
-        scene, source, pilots, exact = judged(kind, size, best)
-        nodes = pilots.y, pilots.x
-        for name, engine in engines.items():
-            cost, points = Costs(engine), []
+        scene, source, samples, exact = judged(kind, size, best)
+        for name in engines:
+            points, slow = [], set()
 
             def point(method, units, options):
+                last, seconds = took_before.get((kind, name, method, units), (size, 0.0))
+                if method in slow or seconds * (size / last) ** 2 > longest:
+                    return
                 work = lambda scene: render(scene, source, backend=name, quantity="irradiance", **options)
-                row = {"class": kind, "size": size, "backend": name, "method": method, "units": units, "error": errors(work(scene).image[nodes].astype(float), exact).rms}
-                points.append((row, work, [], []))
+                out = work(scene)
+                if out.seconds > longest:
+                    slow.add(method)
+                took_before[kind, name, method, units] = size, out.seconds
+                points.append(({"class": kind, "size": size, "backend": name, "method": method, "units": units, "error": samples.errors(samples.of(out.image), exact).rms}, work, [], []))
 
             for method, units in LAMP if kind == "lamp" else SKY:
-                count = units**2 + 2 * (units - 1) ** 2 if method in ("stride", "filled") else units
-                by = {"stride": "lattice", "filled": "lattice", "unoccluded": "closed form"}.get(method, method)
-                if cost[by].seconds(size**2, count) <= longest:
-                    point(method, units, options_of(method, units))
-            if cost["horizon"].seconds(size**2, 12) <= longest:
-                for tolerance in TOLERANCES:
-                    point("plan", tolerance, {"tolerance": tolerance})
+                point(method, units, options_of(method, units))
+            for tolerance in TOLERANCES:
+                point("plan", tolerance, {"tolerance": tolerance})
             for _ in range(RUNS):  # in turns, so that what else the machine does falls on all of them
                 for row, work, times, again in points:
                     if sum(took for took, _ in times) < longest:

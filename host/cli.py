@@ -87,17 +87,24 @@ def render(file: File, out: Out, height: Height = None, spacing: Spacing = None,
            white: Annotated[Optional[float], typer.Option(help="PNG: the value that becomes white  [default: the image's maximum]", show_default=False)] = None,
            bits: Annotated[int, typer.Option(help="PNG: 8 or 16")] = 8,
            exposure: Annotated[Optional[float], typer.Option(help="PNG for the eye: 8 bits in sRGB's tones, image x 2^exposure, white at 1", show_default=False)] = None,
+           error: Annotated[Optional[str], typer.Option("--error", metavar="FILE", help="Where to write the estimated error of every pixel, in the image's unit, of a render within a tolerance", show_default=False)] = None,
            backend: Backend = "auto", as_json: Json = False):
     """Render a depth map under a source."""
     _check_output(out, as_json)
+    if error is not None:
+        _check_output(error, as_json)
     if exposure is not None and (not out.lower().endswith(".png") or white is not None or bits != 8):
         raise typer.BadParameter("makes an 8-bit .png for the eye: it goes without --white and --bits 16, and with no other format", param_hint="--exposure")
     scene, raster = _scene(file, height, spacing, _reflectance(albedo, specular, exponent), nodata, sides, resample)
     with _working("rendering"):
         done = sl.render(scene, _source(source, lamp, window, sun, direct), method=method, tolerance=_tolerance(tolerance), backend=backend,
                          quantity=quantity, hemicube=hemicube, filled=filled)
+    if error is not None and done.error is None:
+        raise typer.BadParameter("an error is estimated where a tolerance decides: it goes with --method auto, and without --hemicube and --stride", param_hint="--error")
     image = done.image if exposure is None else io.tone_mapped(done.image, exposure)
     scale = _deliver(out, image, raster, range=None if white is None else (0.0, white), bits=bits)
+    if error is not None:
+        _deliver(error, done.error, raster)
     _report(done, out, as_json, shape=done.image.shape, range=scale)
 
 

@@ -30,8 +30,8 @@ def horizons(scene: Scene, azimuths: int | Azimuths = 64, backend: str = "auto",
     """
     azimuths = as_azimuths(azimuths)
     engine = engine_of(scene, backend)
-    sweeps = Sweeps(engine, ground_of(scene, max_distance, engine), Rays(azimuths.angles, azimuths.widths), near=FINE)
-    slopes = sweeps.slopes()
+    with engine.lock:
+        slopes = Sweeps(engine, ground_of(scene, max_distance, engine), Rays(azimuths.angles, azimuths.widths), near=FINE).slopes()
     slopes[:, ~scene.valid] = np.nan
     return labelled(slopes, scene.labels, azimuth=azimuths.angles)
 
@@ -71,11 +71,12 @@ def openness(scene: Scene, azimuths: int | Azimuths = 64, backend: str = "auto",
         scene = Scene(np.where(scene.valid, depth.max() - depth, np.nan), scene.spacing, mask=scene.mask, sides=scene.sides)
     azimuths = as_azimuths(azimuths)
     engine = engine_of(scene, backend)
-    sweeps = Sweeps(engine, ground_of(scene, max_distance, engine), Rays(azimuths.angles, azimuths.widths), near=FINE)
     total = np.zeros(scene.shape)
-    for numbers, slopes in sweeps.planes():
-        for width, slope in zip(azimuths.widths[numbers], slopes):
-            total += width * (np.pi / 2 - np.arctan(np.where(np.isfinite(slope), slope, 0)))
+    with engine.lock:
+        sweeps = Sweeps(engine, ground_of(scene, max_distance, engine), Rays(azimuths.angles, azimuths.widths), near=FINE)
+        for numbers, slopes in sweeps.planes():
+            for width, slope in zip(azimuths.widths[numbers], slopes):
+                total += width * (np.pi / 2 - np.arctan(np.where(np.isfinite(slope), slope, 0)))
     return labelled(np.where(scene.valid, total / (2 * np.pi), np.nan).astype(np.float32), labels)
 
 
@@ -110,7 +111,7 @@ def _sum(scene, share, azimuths, backend, max_distance):
         table[:, :, 1] = share
         table[:, :-1, 3] = np.diff(share)
     engine = engine_of(scene, backend)
-    sweeps = Sweeps(engine, ground_of(scene, max_distance, engine), Rays(azimuths.angles, azimuths.widths), table, level=share is not None)
-    image = sweeps.irradiance(last=True)
+    with engine.lock:
+        image = Sweeps(engine, ground_of(scene, max_distance, engine), Rays(azimuths.angles, azimuths.widths), table, level=share is not None).irradiance(last=True)
     image[~scene.valid] = np.nan
     return image

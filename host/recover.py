@@ -127,8 +127,12 @@ def recover(image, source, albedo=0.8, sides: str = "open", spacing: float = 1.0
         if not isinstance(light, sources.Source):
             raise bad("source", type(light).__name__, "Sky, Lamp or Window")
         sources.radiance(light, np.array([[0.0, 0.0, -1.0]]))  # what has colour, or a sun's disc, is refused here
+        if not callable(light.brightness) and not light.brightness > 0:
+            raise bad("source: brightness", light.brightness, "> 0: nothing can be recovered from darkness")
     if method == "robust":
-        return _labelled(_robust(images, lights, start, None if albedo is None else start.albedo, layers, near, far, max_seconds, backend, progress), labels)
+        engine = select(backend)
+        with engine.lock:
+            return _labelled(_robust(images, lights, start, None if albedo is None else start.albedo, layers, near, far, max_seconds, engine, progress), labels)
     if several or near is not None or far is not None or max_seconds is not None:
         raise bad("method 'paper' with several images, near, far or max_seconds", "what it cannot use", "one image and one source", "Use method='robust'.")
     return _labelled(_carved(images[0], lights[0], start, layers, cube, eps, stop, backend, progress), labels)
@@ -178,7 +182,7 @@ def _carved(image, source, start, layers, cube, eps, stop, backend, progress) ->
 OPEN_SKY = "Open sides under a sky are ill-posed: a flat surface explains a plane's image at any depth."
 
 
-def _robust(images, lights, start, albedo, layers, near, far, max_seconds, backend, progress) -> Recovery:
+def _robust(images, lights, start, albedo, layers, near, far, max_seconds, engine, progress) -> Recovery:
     spacing, sides, shape = start.spacing, start.sides, start.shape
     low, high = _bound(near, 0.0, "near", shape) / spacing, _bound(far, layers * spacing, "far", shape) / spacing
     if not (low < high).all():
@@ -189,7 +193,6 @@ def _robust(images, lights, start, albedo, layers, near, far, max_seconds, backe
         if sides == "periodic" and not isinstance(light, sources.Sky):
             raise bad("method 'robust' with sides='periodic'", type(light).__name__, "a sky, or sides='open' or 'dark'")
     seconds_left = math.inf if max_seconds is None else positive_number(max_seconds, "max_seconds")
-    engine = select(backend)
     lights = [_in_nodes(light, spacing) for light in lights]
     levels: list[Level] = []
     warnings = _before(images, lights, start, low, high)

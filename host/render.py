@@ -5,30 +5,32 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
-from . import shading, skies, sources, unoccluded
+from . import shading, skies, sources
 from .arrays import labelled
 from .backends.base import Backend, Problem
 from .backends.horizon import FINE, Rays, Sweeps
 from .backends.slices import MOST, SLICES, Dome, Slices, blurred, brightness_of
+from .brightness import Integrals, chords
 from .directions import Azimuths, Hemicube
 from .errors import bad
 from .horizon import engine_of, ground_of
-from .plan import LATTICE_ERROR, PLACED_GRID, Plan, Setting, between_surfaces, errors, lacking, solid_of, upright, work
+from .light import unoccluded
+from .light.lattice import ERRORS, lacking
+from .light.slices import KNOTS, TURNS, widened
+from .refinement import BOX, Plan, Refined, refined, solid_of, upright
 from .reflectance import BRDF
 from .scene import Scene, is_scene, one_of, positive_number
 
 METHODS = ("auto", "lattice", "horizon", "unoccluded")
 QUANTITIES = ("radiance", "irradiance")
-# RMS error of E / pi by number of azimuths, uniform sky, rough ground (rms slope 1): performance/horizon.py
-HORIZON_ERROR = {8: 0.0138, 12: 0.0080, 16: 0.0052, 24: 0.0029, 32: 0.0019, 48: 0.0012, 64: 0.0008, 96: 0.0006, 128: 0.0003}
 FAR = 1e5  # extents of the map at which the sun stands: a hundred-thousandth of a radian across it
+MAP = np.float32(1.25)  # what the error map is more than the RMS error, so that 70, 93 and 98 % of the nodes keep to one, two and three times it: performance/refinement.py
 COARSE = 1.2  # half widths of a lobe between directions, from which on its sum may be too large by 1 in a thousand
 LEAK_SLOPE = 0.7  # rms slope from which the unfilled step leaks from M = 7 on (README, Limits)
-SPREAD = 1.25  # tolerances that the bound from the pilots' spread may reach
-RETRIES = 2  # finer settings that are tried where the image is off at the pilots
 REPEATED_LOBE = "a lobe over a map that repeats"
 
 
@@ -38,7 +40,7 @@ class Rendering:
 
     image (rows, cols) float32, or (rows, cols, 3) in colour, nan where masked, an xarray.DataArray if the scene was made from one;
     plan; backend (its name); seconds of the call without compiling,
-    compile_seconds; warnings (one sentence each).
+    compile_seconds; warnings (one sentence each). error: see there.
     """
 
     image: np.ndarray
@@ -47,6 +49,22 @@ class Rendering:
     seconds: float
     compile_seconds: float
     warnings: list[str] = field(default_factory=list)
+    _parts: tuple[tuple[Refined, float], ...] = field(default=(), repr=False)
+    _scene: Scene | None = field(default=None, repr=False)
+    _quantity: str = field(default="radiance", repr=False)
+
+    @cached_property
+    def error(self) -> np.ndarray | None:
+        """Estimated error of every node, in the unit of image and of its shape, nan where masked; None where no tolerance was asked.
+
+        The root mean square, over 9 x 9 nodes, of half the difference of the image's two halves, times the share of it that is
+        error, and besides what both halves share. It shows regions, not nodes: of nodes, at least 70, 93 and 98 % are within one, two and three times
+        it. What a lobe or a mirror adds has no part in it.
+        """
+        if not self._parts:
+            return None
+        spread = [np.float32(factor) * _spread(found, self._scene) for found, factor in self._parts]
+        return labelled(_image(self._scene, spread, [], self._quantity), self._scene.labels)
 
 
 def render(scene: Scene, source: sources.Source, method: str = "auto", tolerance: float = 0.01, backend: str = "auto",
@@ -62,9 +80,8 @@ def render(scene: Scene, source: sources.Source, method: str = "auto", tolerance
     ----------
     scene, source : Scene; Sky, Lamp or Window
     method : "auto", "lattice", "horizon" or "unoccluded"
-        ``auto``: the cheapest that is within ``tolerance``, as :func:`skylamp.plan` finds it; the image is then compared with
-        exact rays at the plan's pilot nodes, and computed again, finer, where it is off by more. Where a setting that does on any
-        ground takes less time than to choose one, that is taken, and not compared. ``lattice``: the paper's
+        ``auto``: begun as :func:`skylamp.plan` says and refined until the estimate of its error, over all nodes, and exact rays at some
+        hundred samples are within ``tolerance``. ``lattice``: the paper's
         directions on a hemicube (9 unless given). ``horizon``: the source above the horizon of every node in a number of
         azimuths (64 unless given; for lamps and windows, slices through the source as every node sees it).
         ``unoccluded``: closed forms from the normals, as if ground hid nothing but what lies below each node's own tangent
@@ -92,6 +109,11 @@ def render(scene: Scene, source: sources.Source, method: str = "auto", tolerance
     Raises
     ------
     InputError, BackendError, CapacityError
+
+    Examples
+    --------
+    >>> out = render(Scene(depth), Sky(), tolerance=0.003)
+    >>> print(out.plan, out.error.max())
     """
     is_scene(scene)
     one_of(method, METHODS, "method")
@@ -122,13 +144,22 @@ def render(scene: Scene, source: sources.Source, method: str = "auto", tolerance
     if tail is not None and not planned:
         raise bad("tail", tail, "a bound for method='auto' without arguments of a method")
     engine, greys = engine_of(scene, backend), sources.channels(source)
-    sun = None if lattice or missing else _sun_of(scene, source, max_distance)
-    plans, warnings = [], []
+    sun = None if lattice or missing or planned and not shines else _sun_of(scene, source, max_distance)
+    plans, warnings, parts = [], [], []
+
+    def within():
+        """Irradiances of all colours; where they differ by a factor alone, of one and times that factor."""
+        alike = not any(callable(grey.brightness) for grey in greys)
+        for grey in greys:
+            found = parts[0][0] if alike and parts else refined(scene, replace(grey, brightness=1.0) if alike else grey, tolerance, engine, tail)
+            parts.append((found, float(grey.brightness) if alike else 1.0))
+            plans.append(found.plan)
+            warnings.extend(text for text in found.warnings if text not in warnings)
+        return [found.irradiance if factor == 1.0 else found.irradiance * np.float32(factor) for found, factor in parts]
 
     def irradiance(grey, azimuths=azimuths):
-        image, plan, found = _planned(scene, grey, tolerance, tail, engine) if planned else _asked(scene, grey, engine, method, azimuths, max_distance)
+        image, plan = _asked(scene, grey, engine, method, azimuths, max_distance)
         plans.append(plan)
-        warnings.extend(text for text in found if text not in warnings)
         return image
 
     def light():
@@ -138,17 +169,21 @@ def render(scene: Scene, source: sources.Source, method: str = "auto", tolerance
             cube = hemicube if isinstance(hemicube, Hemicube) else Hemicube(plan.hemicube)
             return _by_lattice(scene, source, greys, engine, cube, plan.filled, weights, quantity, warnings)
         if _is_brdf(scene, quantity):
-            plans.append(_plan_of(scene, greys[0], azimuths, max_distance)[1])
+            plans.append(_plan_of(scene, greys[0], azimuths, max_distance)[0])
             if not isinstance(source, sources.Sky):
                 return [], shading.by_brdf(scene, greys, engine, max_distance)
             sectors = azimuths if isinstance(azimuths, Azimuths) else Azimuths(azimuths or 64)
             return [], shading.by_brdf_under_sky(scene, greys, Sweeps(engine, ground_of(scene, max_distance, engine), Rays(sectors.angles, sectors.widths), near=FINE).planes(), sectors)
-        irradiances = _each([sources.without_disc(grey) for grey in greys], irradiance) if _is_dull(scene, quantity) else []
-        if irradiances and sun is not None:
+        irradiances = []
+        if _is_dull(scene, quantity) and planned:
+            irradiances = within()
+        elif _is_dull(scene, quantity):
+            irradiances = _each([sources.without_disc(grey) for grey in greys], irradiance)
+        if irradiances and sun is not None and not planned:
             irradiances[0] += irradiance(sun, None)  # the azimuths that were asked for are the sky's
         if not plans:
-            plans.append(_plan_of(scene, greys[0], azimuths, max_distance)[1])
-        if sun is not None:
+            plans.append(_plan_of(scene, greys[0], azimuths, max_distance)[0])
+        if sun is not None and not planned:
             plans[0] = replace(plans[0], reason=f"{plans[0].reason}; the sun's disc by itself")
         if lobe and isinstance(source, sources.Sky):
             return irradiances, _each(greys, lambda grey: _gloss(scene, grey, engine, lobe, sun is not None, max_distance))
@@ -158,60 +193,55 @@ def render(scene: Scene, source: sources.Source, method: str = "auto", tolerance
 
     (irradiances, shown), seconds, compiling = timed(engine, light)
     image = labelled(_image(scene, irradiances, shown, quantity), scene.labels)
-    return Rendering(image, plans[0], engine.name, seconds, compiling, warnings)
+    return Rendering(image, plans[0], engine.name, seconds, compiling, warnings, tuple(parts), scene if parts else None, quantity)
 
 
-def _planned(scene, source, tolerance, tail, engine) -> tuple[np.ndarray, Plan, list[str]]:
-    """(irradiance, plan, warnings) as the plan has it, and finer where the image proves to be off at the pilots."""
-    if scene.resident is not None and isinstance(source, sources.Sky) and scene.resident.backend is engine:
-        fitting = [k for k, error in HORIZON_ERROR.items() if error <= tolerance] or [max(HORIZON_ERROR)]
-        image, plan, found = _asked(scene, source, engine, "horizon", fitting[0], None)
-        return image, replace(plan, reason=f"RMS error {HORIZON_ERROR[fitting[0]]} of E / pi on rough ground; the map stays on its device"), found
-    made = work(scene, source, tolerance, engine, tail, hurry=True)
-    plan = made.plan
-    nodes = made.pilots.y, made.pilots.x
-    for tried, setting in enumerate(made.settings):
-        warnings = []
-        irradiance = _run(scene, source, engine, setting, warnings)
-        found = irradiance[nodes].astype(float)
-        if made.glanced and found.any():
-            uniform = found / setting.scale if made.uniform is None else made.uniform
-            plan = replace(plan, beyond=(*between_surfaces(scene, uniform, found, tolerance), *plan.beyond))
-        if made.exact is None:
-            break
-        error, bound, _ = errors(found, made.exact, made.pilots.weights)
-        if (error <= max(tolerance, setting.bound) and bound <= SPREAD * max(tolerance, setting.bound)) or tried >= RETRIES:
-            break
-    if made.exact is not None:
-        if setting.method == "lattice":
-            plan = replace(plan, hemicube=setting.units, measured=error)
-        else:
-            plan = replace(plan, azimuths=setting.units if setting.method != "unoccluded" else None, measured=error)
-        if error > tolerance:
-            warnings.append(f"Tolerance: the image is off by {100 * error:.2g} % (RMS over the mean) at {len(made.pilots)} pilot nodes, more than the {100 * tolerance:.2g} % asked for"
-                            + (f"; {plan.reason}." if not setting.error <= tolerance else "."))
-    return irradiance, plan, warnings
+def _spread(found: Refined, scene: Scene) -> np.ndarray:
+    """Estimated error (rows, cols) float32 of a refined irradiance."""
+    if found.half is None:
+        return np.full(scene.shape, found.floor, np.float32)
+    square, count = np.where(scene.valid, found.half.astype(float) ** 2, 0), scene.valid.astype(float)
+    for axis in (0, 1):
+        square, count = (_boxes(values, axis) for values in (square, count))
+    return MAP * np.sqrt(found.share**2 * square / np.maximum(count, 1) + found.floor**2).astype(np.float32)
 
 
-def _asked(scene, source, engine, method, azimuths, max_distance) -> tuple[np.ndarray, Plan, list[str]]:
-    """(irradiance, plan, warnings) as the caller asked for it."""
+def _boxes(values, axis):
+    """Sums over up to 2 BOX + 1 neighbours along an axis."""
+    ends = np.concatenate([np.zeros_like(np.take(values, [0], axis)), np.cumsum(values, axis)], axis)
+    at = np.arange(values.shape[axis])
+    return np.take(ends, np.minimum(at + BOX + 1, len(at)), axis) - np.take(ends, np.maximum(at - BOX, 0), axis)
+
+
+def _asked(scene, source, engine, method, azimuths, max_distance) -> tuple[np.ndarray, Plan]:
+    """(irradiance (rows, cols) float32, plan) of a grey source as the caller asked for it."""
+    is_sky = isinstance(source, sources.Sky)
     if method == "unoccluded":
-        setting, plan = Setting("unoccluded", scale=source.brightness, table=_sky_table(source)), Plan("unoccluded", None, None, "as asked")
-    else:
-        setting, plan = _plan_of(scene, source, azimuths, max_distance)
-    warnings = []
-    return _run(scene, source, engine, setting, warnings), plan, warnings
+        if is_sky:
+            image = unoccluded.sky(scene, Integrals(source) if callable(source.brightness) else float(source.brightness))
+        else:
+            solid = upright(solid_of(scene, source, 1 / scene.spacing, 1.0))
+            image = np.zeros(scene.shape, np.float32) if solid is None else unoccluded.image(scene, solid, source.brightness)
+        return image.astype(np.float32, copy=False), Plan("unoccluded", None, None, "as asked")
+    plan, sectors = _plan_of(scene, source, azimuths, max_distance)
+    if is_sky:
+        table = None
+        if callable(source.brightness):
+            profile = sources.azimuth_profile(source)
+            if profile is not None and not isinstance(azimuths, Azimuths):
+                sectors = Azimuths.placed(len(sectors), profile)
+            table = Integrals(source, np.inf).table(sectors.angles, sectors.widths, 1025)
+        image = Sweeps(engine, ground_of(scene, max_distance, engine), Rays(sectors.angles, sectors.widths), table).irradiance(last=True)
+        return image if table is not None or source.brightness == 1 else image * np.float32(source.brightness), plan
+    brightness = chords(Integrals(sources.Sky(source.brightness), np.inf, True), TURNS, KNOTS) if callable(source.brightness) else float(source.brightness)
+    slices, scale = _slices(scene, source, engine, plan.azimuths, brightness)
+    if slices is None:
+        return np.zeros(scene.shape, np.float32), plan
+    slices.run()
+    return np.maximum(slices.download(), 0) * np.float32(scale), plan  # a difference of sums of brightness may round to less
 
 
-def _run(scene, source, engine, setting: Setting, found: list[str]) -> np.ndarray:
-    """Irradiance (rows, cols) float32 of a grey source by one setting; warnings go into ``found``."""
-    if setting.method == "lattice":
-        return _by_lattice(scene, source, [source], engine, Hemicube(setting.units), True, "moment", "irradiance", found)[0][0]
-    way = {"unoccluded": _unoccluded, "slices": _by_slices, "horizon": _by_horizons}[setting.method]
-    return way(scene, source, engine, setting).astype(np.float32, copy=False)
-
-
-def _plan_of(scene, source, azimuths, max_distance) -> tuple[Setting, Plan]:
+def _plan_of(scene, source, azimuths, max_distance) -> tuple[Plan, Azimuths | None]:
     """Horizons or slices, as many as the caller asked for."""
     if getattr(source, "corner", None) is None:
         sources.geometry(source, scene, 1.0)  # checks that they fit
@@ -219,69 +249,19 @@ def _plan_of(scene, source, azimuths, max_distance) -> tuple[Setting, Plan]:
         if max_distance is not None or isinstance(azimuths, Azimuths):
             raise bad("method 'horizon' with a lamp or window", "max_distance, or azimuths of the caller's", "azimuths as a whole number: slices of a source that stands all round")
         most = MOST if azimuths is None else -(-len(Azimuths(azimuths)) // SLICES) * SLICES
-        return Setting("slices", most), Plan("horizon", None, None, "slices through the source as every node sees it, fewer where it looks small", most)
+        return Plan("horizon", None, None, "slices through the source as every node sees it, fewer where it looks small", most), None
     sectors = azimuths if isinstance(azimuths, Azimuths) else Azimuths(64 if azimuths is None else azimuths)
-    table, scale = None, 1.0
-    if callable(source.brightness):
-        profile = sources.azimuth_profile(source)
-        if profile is not None and not isinstance(azimuths, Azimuths):
-            sectors = Azimuths.placed(len(sectors), profile)
-        table = lambda: sources.elevation_table(source, sectors.angles, sectors.widths, 256 if profile is None else 1024)
-    else:
-        scale = float(source.brightness)
-    return Setting("horizon", len(sectors), sectors=sectors, table=table, scale=scale, max_distance=max_distance), Plan("horizon", None, None, "as asked", len(sectors), max_distance)
+    return Plan("horizon", None, None, "as asked", len(sectors), max_distance), sectors
 
 
-def _sky_table(source):
-    """What makes the table of a sky's brightness where nothing hides it; None for a number, and for what is no sky."""
-    if not isinstance(source, sources.Sky) or not callable(source.brightness):
-        return None
-    profile = sources.azimuth_profile(source)
-    sectors = Azimuths(unoccluded.AZIMUTHS) if profile is None else Azimuths.placed(PLACED_GRID, profile)
-    return lambda: (sources.fine_table(source, sectors.angles, sectors.widths), sectors)
-
-
-def _by_horizons(scene, source, engine, setting):
-    table = None if setting.table is None else setting.table()
-    sweeps = Sweeps(engine, ground_of(scene, setting.max_distance, engine), Rays(setting.sectors.angles, setting.sectors.widths), table, setting.near)
-    irradiance = sweeps.irradiance(last=True)
-    if setting.scale != 1.0:
-        irradiance *= np.float32(setting.scale)
-    if setting.suns is not None:
-        irradiance += by_sectors(scene, engine, setting.suns)
-    return irradiance
-
-
-def by_sectors(scene, engine, spots: sources.Spots) -> np.ndarray:
-    """Irradiance (rows, cols) float32 by the bright spots of a sky, every crossing tested."""
-    slices = Slices(engine, *scene.lattice(), scene.sides, Dome())
-    slices.sectors(spots)
-    return slices.download()
-
-
-def _slices(scene, source, engine, most, brightness, lobe=None) -> Slices | None:
-    """Azimuth slices placed within a lamp or window as every node sees it; None for a window outside the box."""
+def _slices(scene, source, engine, most, brightness, lobe=None) -> tuple[Slices | None, float]:
+    """(azimuth slices placed within a lamp or window as every node sees it, what their light is to be multiplied by); None for a window outside the box."""
     depth, step = scene.lattice()
     solid = solid_of(scene, source, step / scene.spacing, step)
-    return None if solid is None else Slices(engine, depth, step, scene.sides, solid, brightness, most, lobe)
-
-
-def _by_slices(scene, source, engine, setting):
-    slices = _slices(scene, source, engine, setting.units, brightness_of(source))
-    if slices is None:
-        return np.zeros(scene.shape, np.float32)
-    slices.run()
-    return slices.download()
-
-
-def _unoccluded(scene, source, engine, setting):
-    if isinstance(source, sources.Sky):
-        table, sectors = (None, None) if setting.table is None else setting.table()
-        image = unoccluded.sky(scene, setting.scale) if table is None else unoccluded.sky(scene, None, table, sectors.angles, sectors.widths)
-        suns = setting.suns
-        return image if suns is None else image + unoccluded.sky(scene, None, suns.table, suns.angles, suns.widths, suns.first, suns.last)
-    solid = upright(solid_of(scene, source, 1 / scene.spacing, 1.0))
-    return np.zeros(scene.shape, np.float32) if solid is None else unoccluded.image(scene, solid, source.brightness, max(1, setting.units))
+    if solid is None:
+        return None, 1.0
+    solid, scale = widened(solid, depth, step)
+    return Slices(engine, depth, step, scene.sides, solid, brightness, most, lobe), scale
 
 
 def _by_lattice(scene, source, greys, engine, cube, filled, weights, quantity, found) -> tuple[list, list]:
@@ -323,11 +303,11 @@ def _gloss(scene, grey, engine, lobe, has_sun, max_distance):
 def _lamp_lobe(scene, grey, engine, lobe, azimuths, found):
     """What a lobe makes of a lamp or window: (rows, cols) float32."""
     brightness = brightness_of(grey)
-    slices = _slices(scene, grey, engine, _plan_of(scene, grey, azimuths, None)[0].units, brightness, lobe)
+    slices, scale = _slices(scene, grey, engine, _plan_of(scene, grey, azimuths, None)[0].azimuths, brightness, lobe)
     if slices is None:
         return np.zeros(scene.shape, np.float32)
     slices.run()
-    image = slices.download() * np.float32(scene.reflectance.norm)
+    image = slices.download() * np.float32(scene.reflectance.norm * scale)
     if slices.coarse > COARSE:
         text = _narrow(lobe, slices.coarse * lobe.spread, "a smaller lamp, or Mirror")
         found.extend([text] if text not in found else [])
@@ -408,19 +388,20 @@ def lattice_problem(scene: Scene, source: sources.Source, cube: Hemicube, filled
 
 
 def timed(engine: Backend, work: Callable[[], tuple]) -> tuple[tuple, float, float]:
-    """(result, seconds without compiling, seconds of compiling) of ``work``."""
-    compiled, start = engine.compile_seconds, time.perf_counter()
-    result = work()
-    compiling = engine.compile_seconds - compiled
-    return result, time.perf_counter() - start - compiling, compiling
+    """(result, seconds without compiling, seconds of compiling) of ``work``, once the engine is free."""
+    with engine.lock:
+        compiled, start = engine.compile_seconds, time.perf_counter()
+        result = work()
+        compiling = engine.compile_seconds - compiled
+        return result, time.perf_counter() - start - compiling, compiling
 
 
 def _lattice_plan(hemicube, filled, method, tolerance) -> Plan:
     given = hemicube.size if isinstance(hemicube, Hemicube) else hemicube
     filled = filled is not False if method == "auto" else bool(filled)
     if method == "auto" and given is None and tolerance is not None:
-        given = next((m for m, error in LATTICE_ERROR.items() if error <= tolerance), max(LATTICE_ERROR))
-        return Plan("lattice", given, filled, f"RMS error {LATTICE_ERROR[given]} of E / pi on rough ground")
+        given = next((m for m, error in ERRORS.items() if error <= tolerance), max(ERRORS))
+        return Plan("lattice", given, filled, f"RMS error {ERRORS[given]} of E / pi on rough ground")
     return Plan("lattice", 9 if given is None else given, filled, "as asked")
 
 

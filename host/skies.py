@@ -58,6 +58,16 @@ class CieSky:
         share = np.sin(np.radians(SUN_RADIUS))
         return Lamp(center=tuple(distance * towards(*self.sun)), radius=distance * share, brightness=self.direct / (np.pi * share**2))
 
+    @property
+    def peaks(self) -> tuple:
+        """Directions of features narrower than a degree: the disc's, if there is one."""
+        return (tuple(towards(*self.sun)),) if self.direct else ()
+
+    def with_disc(self, L) -> np.ndarray:
+        """The brightness with the sun's disc, direct / (pi sin^2 SUN_RADIUS) within it."""
+        radius = np.radians(SUN_RADIUS)
+        return self(L) + np.where(np.asarray(L, float) @ towards(*self.sun) > np.cos(radius), self.direct / (np.pi * np.sin(radius) ** 2), 0.0)
+
     def horizontal(self) -> float:
         """Irradiance of an open level surface by the sky without the disc [unit of brightness x sr]."""
         return self.zenith * _horizontal(self.type, self.sun)

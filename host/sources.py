@@ -16,6 +16,7 @@ from .arrays import host_array
 from .errors import InputError, bad
 from .scene import real_array
 
+WIDE_POWER, NARROW_POWER = 64, 1e5  # of spots that are wider than 12 degrees, and narrower than 0.4
 BRIGHTEST = 1e30  # so that sums stay in float32
 
 Brightness = float | tuple[float, float, float] | Callable[[np.ndarray], np.ndarray]
@@ -24,7 +25,7 @@ Brightness = float | tuple[float, float, float] | Callable[[np.ndarray], np.ndar
 def uniform(brightness: float = 1.0) -> Callable:
     """The same brightness in every direction."""
     value = _brightness_number(brightness)
-    return lambda L: np.full(np.shape(L)[:-1], value)
+    return _named(lambda L: np.full(np.shape(L)[:-1], value))
 
 
 def cosine_power(power: float, axis=(0.0, 0.0, 1.0), brightness: float = 1.0) -> Callable:
@@ -35,13 +36,20 @@ def cosine_power(power: float, axis=(0.0, 0.0, 1.0), brightness: float = 1.0) ->
     if isinstance(power, str) or not (np.isfinite(power) and power >= 0):
         raise bad("cosine_power: power", repr(power), "a finite number >= 0")
     axis, value = axis / np.linalg.norm(axis), _brightness_number(brightness)
-    return lambda L: value * np.maximum(0.0, -(np.asarray(L) @ axis)) ** power
+    spot = lambda L: value * np.maximum(0.0, -(np.asarray(L) @ axis)) ** power
+    return _named(spot) if power <= WIDE_POWER else spot if power <= NARROW_POWER else _named(spot, -axis)
 
 
 def cie_overcast(zenith: float = 1.0) -> Callable:
     """CIE standard overcast sky: zenith x (1 + 2 sin(elevation)) / 3 (ISO 15469, Moon and Spencer 1942)."""
     value = _brightness_number(zenith)
-    return lambda L: value * (1.0 - 2.0 * np.asarray(L)[..., 2]) / 3.0
+    return _named(lambda L: value * (1.0 - 2.0 * np.asarray(L)[..., 2]) / 3.0)
+
+
+def _named(function, *peaks):
+    """``function`` with the directions of its features that are narrower than a degree: where it is integrated, none is looked for elsewhere."""
+    function.peaks = peaks
+    return function
 
 
 def environment_map(array) -> Callable:
@@ -67,7 +75,7 @@ def environment_map(array) -> Callable:
         high, low = (np.clip(r + s, 0, rows - 1).astype(int) * (cols + 1) + left for s in (0, 1))
         return (1 - fr) * ((1 - fc) * pixels[high] + fc * pixels[high + 1]) + fr * ((1 - fc) * pixels[low] + fc * pixels[low + 1])
 
-    brightness.pixels = rows, cols
+    brightness.pixels, brightness.image = (rows, cols), image
     return brightness
 
 
@@ -75,13 +83,37 @@ def environment_map(array) -> Callable:
 class Sky:
     """The sky: rays arrive from every direction of the hemisphere.
 
-    ``brightness``: number; RGB as three; or a function of unit vectors (..., 3) to (...), or to RGB (..., 3).
+    Parameters
+    ----------
+    brightness : number; RGB as three; or a function of unit vectors (..., 3) to (...), or to RGB (..., 3)
+        A function is integrated: whatever is at least 0.2 degrees across is found, wherever it stands, and so is all of an environment map. A function
+        may say where its narrow features stand by an attribute ``peaks``, as ``suns`` does.
+    suns : unit vectors (x, y, z), optional
+        Directions towards all features of ``brightness`` that are narrower than a degree. They may then be of any size, and none is looked for elsewhere.
+
+    Raises
+    ------
+    InputError
+        For another brightness, or suns that are no vectors towards the viewer's side (z <= 0).
+
+    Examples
+    --------
+    >>> sky = Sky(lambda L: 1 + 1e7 * (L[..., 2] < -0.9999999), suns=[(0, 0, -1)])
     """
 
     brightness: Brightness = 1.0
+    suns: tuple[tuple[float, float, float], ...] = ()
 
     def __post_init__(self):
         object.__setattr__(self, "brightness", _brightness(self.brightness))
+        try:
+            suns = tuple(_numbers(sun, 3, "sky: suns", "(x, y, z)") for sun in self.suns)
+        except TypeError:
+            raise bad("sky: suns", repr(self.suns), "a sequence of vectors (x, y, z) towards them") from None
+        for sun in suns:
+            if not sun[2] <= 0 or not any(sun):
+                raise bad("sky: suns", sun, "a vector (x, y, z) towards the sun, not zero, with z <= 0")
+        object.__setattr__(self, "suns", suns)
 
 
 @dataclass(frozen=True, eq=False)
@@ -230,6 +262,16 @@ class _Channel:
     function: Callable
     number: int
 
+    @property
+    def image(self):
+        """One channel of an environment map."""
+        image = getattr(self.function, "image", None)
+        return None if image is None else image[..., self.number]
+
+    @property
+    def peaks(self):
+        return getattr(self.function, "peaks", None)
+
     def __call__(self, directions):
         values = np.asarray(self.function(directions))
         if values.shape != directions.shape:
@@ -268,8 +310,6 @@ def radiance(source: Source, directions: np.ndarray) -> np.ndarray:
 PROFILE = 2048, 192  # azimuths, elevations at which the light of a sky is looked at first; a sun half a degree wide gets two or three
 KNOTS = 1024  # of a table of brightness, evenly in the sine of the elevation
 UNEVEN = 2.0  # brightest azimuth over the mean from which azimuths are placed by brightness
-SUNNY = 4.0  # times a sky's median from which on brightness is a sun's, if there is any as many times brighter than that
-SPOT_KNOTS = 129  # of a sun's table
 AT_ONCE = 2**13  # directions whose brightness is asked for at a time: what stays in the cache is quicker, and calls take time
 
 
@@ -306,59 +346,6 @@ def azimuth_profile(source: Source, seen: tuple[np.ndarray, np.ndarray] | None =
     return np.maximum.reduce([np.roll(profile, n) for n in range(-2, 3)])  # the edge of a sun lies between samples
 
 
-class Spots(NamedTuple):
-    """What small bright parts of a sky add to the rest of it, in sectors of azimuth of equal light.
-
-    angles (K,) [rad], each in the middle of its sector's light; widths (K,) [rad]; table (K, knots, 4) float32 as from :func:`elevation_table`, but evenly from the sine ``first`` of
-    elevation to ``last``, beyond which there is no such light.
-    """
-
-    angles: np.ndarray
-    widths: np.ndarray
-    table: np.ndarray
-    first: float
-    last: float
-
-    def fewer(self, span: int) -> Spots:
-        """Sectors that are unions of ``span`` each, seen along the middle one's azimuth."""
-        widths = self.widths.reshape(-1, span)
-        share = (widths / np.maximum(widths.sum(1, keepdims=True), 1e-30))[..., None, None]
-        table = (share * self.table.reshape(*widths.shape, *self.table.shape[1:])).sum(1).astype(np.float32)
-        return self._replace(angles=self.angles[span // 2 :: span], widths=widths.sum(1), table=table)
-
-
-def split(source: Sky, count: int, seen: tuple[np.ndarray, np.ndarray]) -> tuple[Sky, Spots] | None:
-    """A sky without what is brighter than SUNNY times its median, and that, in ``count`` sectors; None for a sky without such a
-    sun. ``seen``: what :func:`looks` gives."""
-    light, sine = seen
-    few = np.s_[:: max(1, len(light) // 64)]
-    some, weight = light[few].ravel(), np.sqrt(1 - sine[few] ** 2).ravel()
-    order = np.argsort(some)
-    median = float(some[order][np.searchsorted(np.cumsum(weight[order]), weight.sum() / 2)])
-    limit = SUNNY * median
-    if not light.max() > SUNNY * limit:
-        return None
-    spots = Sky(lambda L: np.maximum(radiance(source, L) - limit, 0))
-    bright = light > limit
-    apart = np.pi / 2 / light.shape[1]
-    first, last = np.sin(np.clip(np.arcsin([sine[bright].min(), sine[bright].max()]) + [-2 * apart, 2 * apart], 0, np.pi / 2))
-    where = np.maximum.reduce([np.roll(bright.any(1), n) for n in range(-2, 3)])  # the edge of a sun lies between samples
-    begin = int(where.argmin())
-    bins = (np.flatnonzero(np.roll(where, -begin)) + begin) % len(where)
-    parts = -(-4 * count // len(bins))
-    angles = (2 * np.pi / len(where) * (bins[:, None] + (np.arange(parts) + 0.5) / parts)).ravel()
-    width = 2 * np.pi / len(where) / parts
-    fine = fine_table(spots, angles, np.full(len(angles), width), SPOT_KNOTS, 2, first, last)
-    flux = np.cumsum(fine[:, 0, :2].sum(1), dtype=float)
-    share = flux * count / flux[-1]
-    group = np.minimum(np.concatenate([[0], share[:-1]]) / 2 + share / 2, count - 1e-9).astype(int)
-    widths = width * np.bincount(group, minlength=count)
-    within = (group == np.arange(count)[:, None]) * (width / np.maximum(widths, 1e-30))[:, None]
-    table = np.tensordot(within, fine.astype(float), 1)
-    middle = angles[np.searchsorted(share, np.arange(count) + 0.5)]
-    return Sky(lambda L: np.minimum(radiance(source, L), limit)), Spots(middle, widths, table.astype(np.float32), float(first), float(last))
-
-
 def elevation_table(source: Source, angles: np.ndarray, widths: np.ndarray, looks: int = 256, knots: int = KNOTS, points: int = 4) -> np.ndarray:
     """Brightness as sweeps take it, (K, knots, 4) float32: the integrals of B cos^2 and of B sin cos over elevation, from
     sin(elevation) = i / (knots - 1) to the zenith, averaged over each sector, and what to add up to the next knot.
@@ -380,32 +367,6 @@ def elevation_table(source: Source, angles: np.ndarray, widths: np.ndarray, look
     table[:, :-1, :2] = np.cumsum(parts[:, ::-1], 1)[:, ::-1]
     table[:, :-1, 2:] = table[:, 1:, :2] - table[:, :-1, :2]
     return table.astype(np.float32)
-
-
-def fine_table(source: Source, angles: np.ndarray, widths: np.ndarray, knots: int = KNOTS, parts: int = 8, first: float = 0.0, last: float = 1.0) -> np.ndarray:
-    """As :func:`elevation_table`, for skies with small bright spots: one look per sector and knot, and ``parts`` x ``parts``
-    looks where the light of a look differs from its neighbours' by a millionth of the whole. From the sine ``first`` to ``last``."""
-    step = (last - first) / (knots - 1)
-    sine = first + (np.arange(knots - 1) + 0.5) * step
-    light = radiance(source, directions_of(angles[:, None], sine))
-    weight = np.abs(widths)[:, None] * np.sqrt(1 - sine**2)
-    steps = [np.abs(np.diff(light, axis=a, prepend=np.take(light, [-1 if a == 0 else 0], a), append=np.take(light, [0 if a == 0 else -1], a))) for a in (0, 1)]
-    uneven = np.maximum(np.maximum(steps[0][1:], steps[0][:-1]), np.maximum(steps[1][:, 1:], steps[1][:, :-1])) * weight
-    row, knot = np.nonzero(uneven > 1e-6 * (light * weight).sum())
-    within = (np.arange(parts) + 0.5) / parts - 0.5
-    cosine = light * np.sqrt(1 - sine**2)
-    light = light * sine
-    for some in np.array_split(np.arange(len(row)), len(row) // 4096 + 1):
-        azimuth = (angles[row[some], None] + widths[row[some], None] * within)[:, :, None]
-        at = (sine[knot[some], None] + within * step)[:, None, :]
-        looks = radiance(source, directions_of(azimuth, at))
-        cosine[row[some], knot[some]] = (looks * np.sqrt(1 - at**2)).mean((1, 2))
-        light[row[some], knot[some]] = (looks * at).mean((1, 2))
-    table = np.zeros((len(angles), knots, 4), np.float32)
-    pairs = np.stack([cosine, light], -1) * step
-    table[:, :-1, :2] = np.cumsum(pairs[:, ::-1], 1)[:, ::-1]
-    table[:, :-1, 2:] = table[:, 1:, :2] - table[:, :-1, :2]
-    return table
 
 
 def _brightness_number(value) -> float:

@@ -97,7 +97,7 @@ def cubic(values: np.ndarray, times: int) -> np.ndarray:
 
 
 def brightness_of(source: sources.Source, azimuths: int) -> tuple[np.ndarray | None, np.ndarray | None]:
-    """(a sky's azimuths or None, the table of brightness or None where it is 1 everywhere), as in Light: the same for every grid."""
+    """(a sky's azimuths or None, the table of brightness or None for a number, which is part of the gains), as in Light: the same for every grid."""
     if isinstance(source, sources.Sky):
         sectors, table = Azimuths(azimuths), None
         if callable(source.brightness):
@@ -177,6 +177,8 @@ class Pyramid:
         self.pace = CLOSE if several else LOOSE
         self.began = time.perf_counter()
         self.units = [math.sqrt(float(np.mean(np.square(image)))) / BRIGHT for image in images]
+        # where brightness is a number, models are of 1: light so many times as strong is a unit so many times as small
+        self.scales = [unit if callable(source.brightness) else unit / source.brightness for unit, source in zip(self.units, lights)]
         self.images = [[image / unit for image, unit in zip(images, self.units)]]
         self.bounds = [(near, far)]
         self.albedo_known = albedo is not None
@@ -226,8 +228,8 @@ class Pyramid:
         if level not in self.problems:
             images, shape = self.images[level], self.images[level][0].shape
             self.problems[level] = Descent(self.engine, shape, self.sides, [
-                (light, self.albedo[level] / (math.pi * unit), image)
-                for light, unit, image in zip(self._lights(shape, 0.5**level, AZIMUTHS), self.units, images)], *self.bounds[level], self.albedo_known)
+                (light, self.albedo[level] / (math.pi * scale), image)
+                for light, scale, image in zip(self._lights(shape, 0.5**level, AZIMUTHS), self.scales, images)], *self.bounds[level], self.albedo_known)
             if not self.albedo_known:
                 self.problems[level].expect(self.usual)
         return self.problems[level]
@@ -425,8 +427,8 @@ class Pyramid:
         A grid FINER times as fine, along more azimuths, tells by how much the model is off; the surface is fitted again with that put right."""
         problem, shape = self.problem(level), tuple(FINER * side for side in z.shape)
         repeated = np.repeat(np.repeat(self.albedo[level], FINER, 0), FINER, 1)
-        model = Descent(self.engine, shape, self.sides, [(light, repeated / (math.pi * unit), np.zeros(shape))
-                                                         for light, unit in zip(self._lights(shape, FINER * 0.5**level, MORE), self.units)], np.zeros(shape), np.full(shape, np.inf))
+        model = Descent(self.engine, shape, self.sides, [(light, repeated / (math.pi * scale), np.zeros(shape))
+                                                         for light, scale in zip(self._lights(shape, FINER * 0.5**level, MORE), self.scales)], np.zeros(shape), np.full(shape, np.inf))
         middle, found = slice(FINER // 2, None, FINER), z
         self._lean_on_itself(level, z)
         for _ in range(2):

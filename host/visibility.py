@@ -33,7 +33,9 @@ def visibility(scene: Scene, source: sources.Source, hemicube: int | Hemicube = 
         if filled:
             raise bad("algorithm 'propagate' with filled=True", "both", "filled=False: propagation goes from node to node")
         return visibility_field(scene, source, cube, backend=backend).surface()
-    return select(backend).visibility(lattice_problem(scene, source, cube, filled))
+    engine, problem = select(backend), lattice_problem(scene, source, cube, filled)
+    with engine.lock:
+        return engine.visibility(problem)
 
 
 def visibility_field(scene: Scene, source: sources.Source, hemicube: int | Hemicube = 9, layers: int | None = None, backend: str = "auto",
@@ -59,7 +61,9 @@ def visibility_field(scene: Scene, source: sources.Source, hemicube: int | Hemic
                             f"max_bytes allows {max_bytes:,}. Ask for fewer layers, a smaller hemicube or a coarser map.")
     engine = select(backend)
     problem = Problem(depth, step, scene.sides, cube.steps, sources.geometry(source, scene, step))
-    return VisibilityField(engine.field(problem, int(layers), progress), cube, scene, source, depth, engine.name)
+    with engine.lock:
+        words = engine.field(problem, int(layers), progress)
+    return VisibilityField(words, cube, scene, source, depth, engine.name)
 
 
 def field_bytes(scene: Scene, hemicube: Hemicube, layers: int) -> int:

@@ -1,6 +1,8 @@
-/* What sweeps need besides: slopes of a padded map, a map turned, and sums as irradiance. Twin of warp_kernels/ground.py. */
+/* What sweeps need besides: slopes of a padded map, a map turned, sums as irradiance, and how far that is off. Twin of
+warp_kernels/ground.py. */
 #include "lanes.h"
 #define NONE -1e30f
+#define MASKED (-1e29f)
 
 /* tilt: d depth/dx and d depth/dy of a padded map, by central differences; one-sided at the border and beside masked
 nodes, 0 where alone or masked.
@@ -47,4 +49,96 @@ __kernel void gather(__global const int *sum, __global const int *turned, __glob
   const int x = get_global_id(0), y = get_global_id(1);
   if (x < cols && y < rows)
     irradiance[y * cols + x] = (float)(sum[y * cols + x] + turned[x * rows + y]) * unit;
+}
+
+/* correct: irradiance += unit x table, by normal.
+
+  tilts       (2, room)      float  [1]                  gx and gy, as tilt makes them
+  table       (side, side)   float  [irradiance / unit]  at v (row) and u (column), and bilinear between:
+                                    u = (gx up / (1 + up) + 1) (side - 1) / 2, v so with gy, up = 1 / sqrt(1 + gx^2 + gy^2)
+  irradiance  (rows x cols)  float  in and out
+
+side >= 2. Work-item (x, y) owns one node; a masked one is as if level. */
+__kernel void correct(__global const float *tilts, __global const float *table, __global float *irradiance, int rows, int cols,
+                      int margin, int room, int side, float unit)
+{
+  const int x = get_global_id(0), y = get_global_id(1);
+  if (x >= cols || y >= rows)
+    return;
+  const int at = (y + margin) * (cols + 2 * margin) + margin + x;
+  const float gx = tilts[at], gy = tilts[room + at], up = 1.0f / sqrt(1.0f + gx * gx + gy * gy);
+  const float u = (gx * up / (1.0f + up) + 1.0f) * 0.5f * (float)(side - 1), v = (gy * up / (1.0f + up) + 1.0f) * 0.5f * (float)(side - 1);
+  const int i = clamp((int)u, 0, side - 2), j = clamp((int)v, 0, side - 2);
+  __global const float *cell = table + j * side + i;
+  const float low = cell[0] + (u - i) * (cell[1] - cell[0]), high = cell[side] + (u - i) * (cell[side + 1] - cell[side]);
+  irradiance[y * cols + x] += unit * (low + (v - j) * (high - low));
+}
+
+/* halves: of two images of the same light, in place, their mean and half their difference.
+
+  a  (count)  float  in and out: (a + b) / 2
+  b  (count)  float  in and out: (b - a) / 2
+
+Work-item p owns one node of both. */
+__kernel void halves(__global float *a, __global float *b, int count)
+{
+  const int p = get_global_id(0);
+  if (p >= count)
+    return;
+  const float first = a[p], second = b[p];
+  a[p] = (first + second) * 0.5f;
+  b[p] = (second - first) * 0.5f;
+}
+
+/* judge: sums for an estimate of the error, over the valid nodes of each column of a few rows.
+
+  heights  (room)             float  [spacing]  as for sweep; a node is valid where > -1e29
+  image    (rows x cols)      float
+  half     (rows x cols)      float  [image]    half a difference, as halves makes it; half_ here, since half is a type
+  found    (5, blocks, cols)  float  out: sum of image, sum of half^2, and numbers of nodes that are valid, whose image is
+                              > 0, and whose |half| is > limit; blocks = ceil(rows / block)
+
+Work-item (x, b) owns column x of rows b block .. min((b + 1) block, rows) - 1, summed in this order. */
+__kernel void judge(__global const float *heights, __global const float *image, __global const float *half_, __global float *found,
+                    int rows, int cols, int margin, int block, float limit)
+{
+  const int x = get_global_id(0), b = get_global_id(1), blocks = (rows + block - 1) / block;
+  if (x >= cols || b >= blocks)
+    return;
+  float light = 0, square = 0;
+  int valid = 0, lit = 0, off = 0;
+  for (int y = b * block; y < min((b + 1) * block, rows); ++y) {
+    if (!(heights[(y + margin) * (cols + 2 * margin) + margin + x] > MASKED))
+      continue;
+    const float here = image[y * cols + x], apart = half_[y * cols + x];
+    light += here;
+    square += apart * apart;
+    valid += 1;
+    lit += here > 0;
+    off += fabs(apart) > limit;
+  }
+  const int at = b * cols + x, all = blocks * cols;
+  found[at] = light;
+  found[all + at] = square;
+  found[2 * all + at] = (float)valid;
+  found[3 * all + at] = (float)lit;
+  found[4 * all + at] = (float)off;
+}
+
+/* box: sums over the up to 2 r + 1 nodes round each along its row, or along its column where down; fewer at the border.
+
+  values  (rows x cols)  float
+  found   (rows x cols)  float  out
+
+Work-item (x, y) owns one sum, from the least column or row on. */
+__kernel void box(__global const float *values, __global float *found, int rows, int cols, int r, int down)
+{
+  const int x = get_global_id(0), y = get_global_id(1);
+  if (x >= cols || y >= rows)
+    return;
+  const int at = down ? y : x, length = down ? rows : cols, stride = down ? cols : 1, start = down ? x : y * cols;
+  float sum = 0;
+  for (int k = max(at - r, 0); k <= min(at + r, length - 1); ++k)
+    sum += values[start + k * stride];
+  found[y * cols + x] = sum;
 }

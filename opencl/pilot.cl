@@ -1,6 +1,6 @@
-/* Horizons along single rays, exactly: what a plan is measured against.
+/* Horizons along single rays, exactly: what a plan is measured against; a map in blocks, for them; and values picked.
 
-The slope found is the largest (height - own height) / distance over every crossing of the ray's vertical plane with a row
+pilot: the slope found is the largest (height - own height) / distance over every crossing of the ray's vertical plane with a row
 or a column of the grid, from `least` >= 0 on. Square blocks whose highest node stays below the line so far are left as a
 whole.
 
@@ -12,6 +12,8 @@ whole.
 
 reach [spacing]: as far as is looked. Work-item n owns a ray. Twin of warp_kernels/pilot.py. */
 #include "lanes.h"
+#define NONE (-1e30f)
+#define MASKED (-1e29f)
 
 /* The steps after which a line that moves by `move` a step has left the block [low, high) it is in. */
 int steps_out(float at, float move, int low, int high)
@@ -73,4 +75,63 @@ __kernel void pilot(__global const float *heights, __global const float *tops, _
     }
   }
   slopes[number] = slope;
+}
+
+/* pool: of every square block of 2^shift x 2^shift nodes the highest node, with the row and the column after it; the lowest
+node; and how many steps are cliffs.
+
+  heights  (rows, cols)       float  [spacing]  <= -1e29 where masked
+  found    (3, down, across)  float  [spacing], [spacing], [1]  out
+    [0]  highest valid node of the block, of the row and the column after it and of the node where these meet: round the map
+         where that is periodic, else as far as it goes; -1e30 if there is none
+    [1]  lowest valid node of the block itself; 1e30 if there is none
+    [2]  steps from a valid node of the block to its right and to its lower neighbour, valid and on the map (never round it),
+         that rise or fall by more than cliff
+
+Work-item (bx, by) owns one block; its nodes along rows, from its first on. */
+__kernel void pool(__global const float *heights, __global float *found, int rows, int cols, int across, int down, int shift,
+                   int periodic, float cliff)
+{
+  const int bx = get_global_id(0), by = get_global_id(1);
+  if (bx >= across || by >= down)
+    return;
+  const int end_x = min((bx + 1) << shift, cols), end_y = min((by + 1) << shift, rows);
+  float highest = NONE, lowest = -NONE;
+  int cliffs = 0;
+  for (int y = by << shift; y <= end_y; ++y) {
+    if (y == rows && !periodic)
+      break;
+    const int row = (y < rows ? y : 0) * cols;
+    for (int x = bx << shift; x <= end_x; ++x) {
+      if (x == cols && !periodic)
+        break;
+      const float here = heights[row + (x < cols ? x : 0)];
+      if (here <= MASKED)
+        continue;
+      highest = max(highest, here);
+      if (x == end_x || y == end_y)
+        continue;
+      lowest = min(lowest, here);
+      const float right = x + 1 < cols ? heights[row + x + 1] : NONE, below = y + 1 < rows ? heights[row + cols + x] : NONE;
+      cliffs += (right > MASKED && fabs(right - here) > cliff) + (below > MASKED && fabs(below - here) > cliff);
+    }
+  }
+  const int at = by * across + bx, blocks = down * across;
+  found[at] = highest;
+  found[blocks + at] = lowest;
+  found[2 * blocks + at] = (float)cliffs;
+}
+
+/* pick: some values of an array.
+
+  values   (count)    float
+  at       (n_found)  int    which; below 0 for none
+  found    (n_found)  float  out; `missing` where there is none
+
+Work-item n owns one that is picked. */
+__kernel void pick(__global const float *values, __global const int *at, __global float *found, int n_found, float missing)
+{
+  const int n = get_global_id(0);
+  if (n < n_found)
+    found[n] = at[n] >= 0 ? values[at[n]] : missing;
 }

@@ -9,10 +9,14 @@ Shared arguments
                               node (x, y) stands at (y + 1) (cols + 1) + x + 1, and every neighbour of a node can be read
   tops        (cells, width)  float  highest node of square cells, corners included: level l = 1, 2.. has cells 2^l wide,
                               from column width - (width >> l - 1) on; width is a multiple of 2^levels
-  sky         (side, side)    float  brightness over the stereographic plane, x / (1 - z) and y / (1 - z) from -1 to 1
-  points      (n_points, 2)   float  where along a chord brightness is taken, 0..1, and weights; none: it is 1
+  sky         (side, side)    float  of light in a lobe: brightness over the stereographic plane, x / (1 - z) and y / (1 - z)
+                              from -1 to 1
+  points      (n_points, 2)   float  where along a chord that brightness is taken, 0..1, and weights; none: it is 1
   lobe        (n_lobe)        float  weight of light by 1 - cosine of its angle to the mirror direction, even steps from 0 to
                               rim, beyond which there is none; n_lobe 0: all light counts alike
+  chords      (n_turns, n_knots, 2)  float  of light in no lobe: integrals of B cos^2 and B sin cos over elevation, from the
+                              sine k / (n_knots - 1) to the zenith, means over n_turns even cells of the diamond angle
+                              q = s / (|c| + |s|), 2 - q, 4 + q of the azimuth's cosine c and sine s, 0..4; n_knots 0: B is 1
   irradiance  (rows, cols)    float  out; unit: its factor
   least, most slices of a source that is a point, and of one that stands all round: multiples of SLICES, as what is between
   dark        whether walls stand half a node outside the map, up to height 0
@@ -80,8 +84,8 @@ __kernel void coarser(__global const float *heights, __global float *tops, int r
 /* What all slices of a pixel share. A point (c t, s t, v) from the pixel stands before the source iff along t + up v < reach,
 `along` the slice's own. */
 typedef struct {
-  __global const float *heights, *tops, *sky, *points, *lobe;
-  int rows, cols, width, levels, side, n_points, n_lobe, dark, x, y;
+  __global const float *heights, *tops, *sky, *points, *lobe, *chords;
+  int rows, cols, width, levels, side, n_points, n_lobe, n_turns, n_knots, dark, x, y;
   float height, tilt_x, tilt_y, rim, mirror_x, mirror_y, mirror_z;
   float up, reach, radius; /* radius: of a ball, 0 for a quadrangle, below 0 for the sky */
 } Pixel;
@@ -94,14 +98,14 @@ float slope_between(float low, float here, float high)
 }
 
 Pixel pixel_at(__global const float *heights, __global const float *tops, __global const float *sky,
-               __global const float *points, __global const float *lobe, int rows, int cols, int width, int levels,
-               int side, int n_points, int n_lobe, int dark, float rim)
+               __global const float *points, __global const float *lobe, __global const float *chords, int rows, int cols,
+               int width, int levels, int side, int n_points, int n_lobe, int n_turns, int n_knots, int dark, float rim)
 {
   const int x = get_global_id(0), y = get_global_id(1), stride = cols + 1;
   __global const float *here = heights + (y + 1) * stride + x + 1;
   const float tilt_x = slope_between(here[-1], here[0], here[1]), tilt_y = slope_between(here[-stride], here[0], here[stride]);
   const float twice = 2 / (1 + tilt_x * tilt_x + tilt_y * tilt_y);
-  const Pixel pixel = {heights, tops, sky, points, lobe, rows, cols, width, levels, side, n_points, n_lobe, dark, x, y,
+  const Pixel pixel = {heights, tops, sky, points, lobe, chords, rows, cols, width, levels, side, n_points, n_lobe, n_turns, n_knots, dark, x, y,
                        here[0], tilt_x, tilt_y, rim, twice * tilt_x, twice * tilt_y, twice - 1};
   return pixel;
 }
@@ -186,7 +190,7 @@ floats in_lobe(const Pixel *pixel, floats c, floats s, floats cosine, floats sin
   return first + (at - TO_FLOATS(i)) * (GATHER(pixel->lobe, i + 1) - first);
 }
 
-/* Mean brightness of the chord between two tangents, weighted by the cosine to the normal. */
+/* Mean brightness of the chord between two tangents, weighted by the cosine to the normal and by the lobe. */
 floats brightness_of(const Pixel *pixel, floats c, floats s, floats tilt, floats low, floats high)
 {
   const float half_ = 0.5f * (pixel->side - 1);
@@ -207,11 +211,7 @@ floats brightness_of(const Pixel *pixel, floats c, floats s, floats tilt, floats
     const floats near = GATHER(pixel->sky, at) * (1 - p) + GATHER(pixel->sky, at + 1) * p;
     const floats far = GATHER(pixel->sky, at + pixel->side) * (1 - p) + GATHER(pixel->sky, at + pixel->side + 1) * p;
     const floats facing = tilt * cosine + sine, share = weight / (square * square) * cosine * MORE(facing, 0);
-    floats light = near * (1 - q) + far * q;
-    if (pixel->n_lobe) {
-      const floats length = sqrt(square);
-      light *= in_lobe(pixel, c, s, cosine / length, sine / length);
-    }
+    const floats length = sqrt(square), light = (near * (1 - q) + far * q) * in_lobe(pixel, c, s, cosine / length, sine / length);
     sum += share * light;
     all += share;
   }
@@ -232,6 +232,69 @@ floats arctan(floats x)
   return x * (sum * y + 0.9999999f);
 }
 
+/* Mean of the cosine over the sines between two near directions with cosines a and b, to second order even at the zenith. */
+floats mean_cosine(floats a, floats b)
+{
+  const floats twice = 1.5f * (a + b);
+  return (a * a + a * b + b * b) / MORE(twice, 1 / ENDLESS);
+}
+
+/* An integral of the table, 0 or 1, from a knot to the zenith, between two turns. */
+floats blended(const Pixel *pixel, ints before, ints after, floats part, ints knot, int which)
+{
+  const ints i = 2 * (before * pixel->n_knots + knot) + which, j = 2 * (after * pixel->n_knots + knot) + which;
+  return GATHER(pixel->chords, i) * (1 - part) + GATHER(pixel->chords, j) * part;
+}
+
+/* As chord(), from the table; by_cosine, by_sine: what the chord is worth where brightness is 1.
+
+Brightness is even between two knots. Sines and cosines are in steps of the knots' sines, so are `even` integrals. */
+floats of_chords(const Pixel *pixel, floats c, floats s, floats tilt, floats low, floats high, floats by_cosine, floats by_sine)
+{
+  /* 1. the cells of azimuth beside */
+  const floats ratio = s / ((c < 0 ? -c : c) + (s < 0 ? -s : s)), diamond = c < 0 ? 2 - ratio : s < 0 ? 4 + ratio : ratio;
+  const floats place = diamond * (0.25f * pixel->n_turns) + 0.5f;
+  ints after = TO_INTS(place);
+  after = after > pixel->n_turns ? pixel->n_turns : after;
+  const floats turn = place - TO_FLOATS(after);
+  const ints before = after > 0 ? after - 1 : pixel->n_turns - 1;
+  after = after < 0 || after >= pixel->n_turns ? 0 : after;
+  /* 2. the knots below the ends */
+  const int steps = pixel->n_knots - 1;
+  const float size = steps;
+  const floats low_c = size / sqrt(low * low + 1), high_c = size / sqrt(high * high + 1), low_s = low * low_c, high_s = high * high_c;
+  ints i = TO_INTS(low_s), j = TO_INTS(high_s);
+  i = i < 0 ? 0 : i > steps - 1 ? steps - 1 : i;
+  j = j < 0 ? 0 : j > steps - 1 ? steps - 1 : j;
+  const floats at_i = sqrt(TO_FLOATS((steps - i) * (steps + i))), at_j = sqrt(TO_FLOATS((steps - j) * (steps + j)));
+  const floats rest_i = low_s - TO_FLOATS(i), rest_j = high_s - TO_FLOATS(j);
+  const ints near = WHERE(j <= i + 1);
+  floats light[2];
+  for (int k = 0; k < 2; ++k) {
+    const floats low_0 = blended(pixel, before, after, turn, i, k), low_1 = blended(pixel, before, after, turn, i + 1, k);
+    const floats high_0 = blended(pixel, before, after, turn, j, k), high_1 = blended(pixel, before, after, turn, j + 1, k);
+    /* 3. the even integrals: of both cells, and what of them lies below the ends */
+    floats low_all, high_all, low_part, high_part;
+    if (k) {
+      low_all = TO_FLOATS(i) + 0.5f;
+      high_all = TO_FLOATS(j) + 0.5f;
+      low_part = rest_i * 0.5f * (low_s + TO_FLOATS(i));
+      high_part = rest_j * 0.5f * (high_s + TO_FLOATS(j));
+    } else {
+      low_all = mean_cosine(at_i, sqrt(TO_FLOATS((steps - i - 1) * (steps + i + 1))));
+      high_all = mean_cosine(at_j, sqrt(TO_FLOATS((steps - j - 1) * (steps + j + 1))));
+      low_part = rest_i * mean_cosine(at_i, low_c);
+      high_part = rest_j * mean_cosine(at_j, high_c);
+    }
+    /* 4. brightness there; in one cell or two neighbours the closed forms leave short chords all digits */
+    const floats here = (low_0 - low_1) / low_all, there = (high_0 - high_1) / high_all;
+    const floats few = here * (size * size) * (k ? by_sine : by_cosine) + (there - here) * high_part;
+    const floats many = (low_1 - high_0) + here * (low_all - low_part) + there * high_part;
+    light[k] = near ? few : many;
+  }
+  return tilt * light[0] + light[1];
+}
+
 /* Integral of B (tilt cos^2 + sin cos) of elevation between the tangents low and high, which are `rise` apart. */
 floats chord(const Pixel *pixel, floats c, floats s, floats low, floats high, floats rise)
 {
@@ -242,6 +305,10 @@ floats chord(const Pixel *pixel, floats c, floats s, floats low, floats high, fl
   const floats tilt = pixel->tilt_x * c + pixel->tilt_y * s, product = low * high;
   const floats r = sqrt((low * low + 1) * (high * high + 1)), sine = rise / r;
   const floats by_cosine = arctan(rise / (r + 1 + product)) + 0.5f * ((1 - product) / r * sine), by_sine = 0.5f * ((low + high) / r * sine);
+  if (pixel->n_knots) {
+    const floats all = of_chords(pixel, c, s, tilt, low, high, by_cosine, by_sine);
+    return shows ? all : 0;
+  }
   const floats light = pixel->n_points ? brightness_of(pixel, c, s, tilt, low, high) : 1;
   return shows ? light * (tilt * by_cosine + by_sine) : 0;
 }
@@ -308,19 +375,22 @@ floats slice(const Pixel *pixel, floats c, floats s, floats along, floats aside,
 /* ball: x0, y0, z0 its centre (z0 a height) and its radius.
 
   nodes  (most / SLICES, 4, most)  float  for SLICES, 2 SLICES.. slices: sine and cosine of theta, midpoints of -pi/2..pi/2,
-                                          and of the azimuths of midpoints all round
+                                          and of the azimuths of midpoints all round; or other places in the same even steps
+  alternating  (rows, cols)        float  out: the even slices' light less that of the odd ones, which tells how far the slices
+                                          are from enough
 
 The slice at the azimuth offset d from the centre, sin d = (sin a / cos e) sin theta, a the ball's angular radius and e its
 centre's elevation, sees a chord of half width w, sin w = sin a cos theta / r, r^2 = 1 - cos^2 e sin^2 d. Where the zenith
 lies within the disc, slices go all round. */
 __kernel void ball(__global const float *heights, __global const float *tops, __global const float *nodes,
                    __global const float *sky, __global const float *points, __global const float *lobe,
-                   __global float *irradiance, int rows, int cols, int width, int levels, int least, int most, int side,
-                   int n_points, int n_lobe, int dark, float rim, float x0, float y0, float z0, float radius, float unit)
+                   __global const float *chords, __global float *irradiance, __global float *alternating, int rows, int cols,
+                   int width, int levels, int least, int most, int side, int n_points, int n_lobe, int n_turns, int n_knots,
+                   int dark, float rim, float x0, float y0, float z0, float radius, float unit)
 {
   if (get_global_id(0) >= cols || get_global_id(1) >= rows)
     return;
-  Pixel pixel = pixel_at(heights, tops, sky, points, lobe, rows, cols, width, levels, side, n_points, n_lobe, dark, rim);
+  Pixel pixel = pixel_at(heights, tops, sky, points, lobe, chords, rows, cols, width, levels, side, n_points, n_lobe, n_turns, n_knots, dark, rim);
 
   /* 1. where the ball stands, and how many slices it is worth */
   const float dx = x0 - pixel.x, dy = y0 - pixel.y, dz = z0 - pixel.height;
@@ -341,7 +411,7 @@ __kernel void ball(__global const float *heights, __global const float *tops, __
   pixel.radius = radius;
 
   /* 2. its slices */
-  floats sum = 0;
+  floats sum = 0, other = 0;
   if (pixel.height > NONE && (inside || dz + radius > 0))
     for (int j = 0; j < n_slices; j += LANES) {
       floats sin_d, cos_d, half_, share;
@@ -355,7 +425,7 @@ __kernel void ball(__global const float *heights, __global const float *tops, __
         sin_d = widest * AT(own, j);
         cos_d = sqrt((1 - sin_d) * (1 + sin_d));
         half_ = sin_a * AT(own, most + j);
-        share = widest * step * AT(own, most + j) / cos_d;
+        share = widest * step * AT(own, most + j) / MORE(cos_d, 1e-6f); /* no less but where there is no chord */
       }
       const floats in_plane = cos_e * cos_d, square = in_plane * in_plane + sin_e * sin_e;
       const floats low_c = in_plane * cos_a + sin_e * half_, low_s = sin_e * cos_a - in_plane * half_;
@@ -365,9 +435,13 @@ __kernel void ball(__global const float *heights, __global const float *tops, __
       low = inside ? -STEEP : low;
       high = inside || high > STEEP ? STEEP : high;
       const floats rise = low_c > 0 && high < STEEP ? 2 * cos_a * half_ * square / (low_c * high_c) : high - low;
-      sum += share * slice(&pixel, ux * cos_d - uy * sin_d, uy * cos_d + ux * sin_d, flat * cos_d, flat * sin_d, low, high, rise);
+      const floats light = share * slice(&pixel, ux * cos_d - uy * sin_d, uy * cos_d + ux * sin_d, flat * cos_d, flat * sin_d, low, high, rise);
+      sum += light;
+      other += TO_FLOATS(1 - 2 * ((j + LANE) & 1)) * light;
     }
-  irradiance[pixel.y * cols + pixel.x] = unit * TOTAL(sum) / sqrt(1 + pixel.tilt_x * pixel.tilt_x + pixel.tilt_y * pixel.tilt_y);
+  const float slant = sqrt(1 + pixel.tilt_x * pixel.tilt_x + pixel.tilt_y * pixel.tilt_y);
+  irradiance[pixel.y * cols + pixel.x] = unit * TOTAL(sum) / slant;
+  alternating[pixel.y * cols + pixel.x] = unit * TOTAL(other) / slant;
 }
 
 /* Azimuths between two directions: the bisector, and the tangent of a quarter of the angle. */
@@ -411,12 +485,13 @@ Between the azimuths of neighbouring corners the chord's ends run along one edge
 the slices, at least one. All is reckoned from the quadrangle's middle, so that small far sources lose no digits. */
 __kernel void quad(__global const float *heights, __global const float *tops, __global const float *corners,
                    __global const float *nodes, __global const float *sky, __global const float *points,
-                   __global const float *lobe, __global float *irradiance, int rows, int cols, int width, int levels,
-                   int least, int most, int side, int n_points, int n_lobe, int dark, float rim, float unit)
+                   __global const float *lobe, __global const float *chords, __global float *irradiance, int rows, int cols,
+                   int width, int levels, int least, int most, int side, int n_points, int n_lobe, int n_turns, int n_knots,
+                   int dark, float rim, float unit)
 {
   if (get_global_id(0) >= cols || get_global_id(1) >= rows)
     return;
-  Pixel pixel = pixel_at(heights, tops, sky, points, lobe, rows, cols, width, levels, side, n_points, n_lobe, dark, rim);
+  Pixel pixel = pixel_at(heights, tops, sky, points, lobe, chords, rows, cols, width, levels, side, n_points, n_lobe, n_turns, n_knots, dark, rim);
 
   /* 1. the corners, in the frame that points below the middle */
   const float dx = corners[12] - pixel.x, dy = corners[13] - pixel.y, dz = corners[14] - pixel.height;
@@ -540,7 +615,7 @@ __kernel void gloss(__global const float *heights, __global const float *tops, _
 {
   if (get_global_id(0) >= cols || get_global_id(1) >= rows)
     return;
-  Pixel pixel = pixel_at(heights, tops, sky, points, lobe, rows, cols, width, levels, side, n_points, n_lobe, dark, rim);
+  Pixel pixel = pixel_at(heights, tops, sky, points, lobe, sky, rows, cols, width, levels, side, n_points, n_lobe, 0, 0, dark, rim);
 
   /* 1. where the disc stands, and how many slices it is worth */
   const float flat = sqrt(pixel.mirror_x * pixel.mirror_x + pixel.mirror_y * pixel.mirror_y);
@@ -584,7 +659,7 @@ __kernel void rays(__global const float *heights, __global const float *tops, __
 {
   if (get_global_id(0) >= cols || get_global_id(1) >= rows)
     return;
-  Pixel pixel = pixel_at(heights, tops, heights, heights, heights, rows, cols, width, levels, 0, 0, 0, 0, 0);
+  Pixel pixel = pixel_at(heights, tops, heights, heights, heights, heights, rows, cols, width, levels, 0, 0, 0, 0, 0, 0, 0);
   const size_t here = ((size_t)pixel.y * cols + pixel.x) * count;
   pixel.up = 0;
   pixel.radius = -1;
@@ -597,46 +672,83 @@ __kernel void rays(__global const float *heights, __global const float *tops, __
   }
 }
 
-/* sectors: the light of a sky in a few sectors of azimuth, each above the exact horizon along one azimuth.
+/* Between which distances a way from `at` is within low..high, `along` its part in their direction. */
+void between(float at, float low, float high, floats along, floats *from, floats *to)
+{
+  const floats one = (low - at) / along, other = (high - at) / along;
+  const floats nowhere = low <= at && at < high ? -ENDLESS : ENDLESS;
+  *from = along > 0 ? one : along < 0 ? other : nowhere;
+  *to = along > 0 ? other : along < 0 ? one : -nowhere;
+}
 
-  ways   (3, count)         float  azimuth's cosine and sine, and width [rad]; count: a multiple of LANES
-  table  (count, knots, 4)  float  integrals over elevation of B cos^2 and B sin cos, from the sine first + i / scale on, and what
-                                   to add up to the next knot; below the first knot and above the last there is no light
+/* The light of a sector above a tangent. */
+floats light_above(__global const float *table, ints entry, int knots, floats first, floats scale, floats tangent, floats tilt)
+{
+  const floats at = MORE((tangent / sqrt(tangent * tangent + 1) - first) * scale, 0);
+  ints knot = TO_INTS(at);
+  knot = knot > knots - 2 ? knots - 2 : knot;
+  const floats rest = at - TO_FLOATS(knot), part = rest > 1 ? 1 : rest;
+  const ints here = (entry + knot) * 4;
+  const floats by_cosine = GATHER(table, here) + part * GATHER(table, here + 2), by_sine = GATHER(table, here + 1) + part * GATHER(table, here + 3);
+  return tilt * by_cosine + by_sine;
+}
 
-highest: node of the map. */
+/* sectors: the light of a sky in a few sectors of azimuth, each above the exact horizon along one azimuth, added to what is
+there.
+
+  ways        (5, count)         float  azimuth's cosine and sine, width [rad], and of its table: the sine of elevation at which
+                                        it begins, `first`, and knots per unit of sine, `scale`; count: a multiple of LANES
+  table       (count, knots, 4)  float  integrals over elevation of B cos^2 and B sin cos, from the sine first + i / scale on, and
+                                        what to add up to the next knot; below the first knot and above the last there is no light
+  irradiance  (rows, cols)       float  in, out
+
+highest: node of the map. x0 <= x < x1, y0 <= y < y1 [spacing]: window at height 0 through which the light comes;
+-ENDLESS..ENDLESS: there is none. */
 __kernel void sectors(__global const float *heights, __global const float *tops, __global const float *ways,
                       __global const float *table, __global float *irradiance, int rows, int cols, int width, int levels, int count,
-                      int knots, int dark, float highest, float first, float scale)
+                      int knots, int dark, float highest, float x0, float x1, float y0, float y1)
 {
   if (get_global_id(0) >= cols || get_global_id(1) >= rows)
     return;
-  Pixel pixel = pixel_at(heights, tops, heights, heights, heights, rows, cols, width, levels, 0, 0, 0, dark, 0);
-  const float last = first + (knots - 1) / scale;
-  const float low = first / sqrt(max(1 - first * first, 1e-12f)), high = last / sqrt(max(1 - last * last, 1e-12f));
+  Pixel pixel = pixel_at(heights, tops, heights, heights, heights, heights, rows, cols, width, levels, 0, 0, 0, 0, 0, dark, 0);
   pixel.up = 0;
-  pixel.reach = (highest - pixel.height) / max(low, 1e-6f); /* farther on, a ray is above all ground */
+  pixel.reach = 1; /* ground counts up to t x along = 1 */
   pixel.radius = -1;
+  const int framed = x0 > -ENDLESS || x1 < ENDLESS || y0 > -ENDLESS || y1 < ENDLESS;
   floats sum = 0;
-  if (pixel.height > NONE)
+  if (pixel.height > NONE && (!framed || pixel.height < 0))
     for (int j = 0; j < count; j += LANES) {
-      const floats c = AT(ways, j), s = AT(ways, count + j), tilt = pixel.tilt_x * c + pixel.tilt_y * s;
-      /* 1. the tangent plane, the level, the wall, and the ground */
-      floats slope = MORE(-tilt, low);
+      const floats c = AT(ways, j), s = AT(ways, count + j), first = AT(ways, 3 * count + j), scale = AT(ways, 4 * count + j);
+      const floats last = first + (knots - 1) / scale, below = 1 - first * first, beyond = 1 - last * last;
+      const floats low = first / sqrt(MORE(below, 1e-12f)), high = last / sqrt(MORE(beyond, 1e-12f));
+      const floats along = MORE(low, 1e-6f) / max(highest - pixel.height, 1e-6f); /* farther on, a ray is above all ground */
+      const floats tilt = pixel.tilt_x * c + pixel.tilt_y * s;
+      /* 1. the tangent plane, the level, the wall, the window, and the ground */
+      floats slope = MORE(-tilt, low), end = STEEP;
       if (dark) {
         const floats wall_x = c == 0 ? ALL(ENDLESS) : (c > 0 ? ALL(cols - 0.5f - pixel.x) : ALL(-0.5f - pixel.x)) / c;
         const floats wall_y = s == 0 ? ALL(ENDLESS) : (s > 0 ? ALL(rows - 0.5f - pixel.y) : ALL(-0.5f - pixel.y)) / s;
         const floats top = -pixel.height / LESS(wall_x, wall_y);
         slope = MORE(slope, top);
       }
-      slope = horizon(&pixel, c, s, slope, ALL(high), 1, 0);
+      if (framed) {
+        floats from_x, to_x, from_y, to_y;
+        between(pixel.x, x0, x1, c, &from_x, &to_x);
+        between(pixel.y, y0, y1, s, &from_y, &to_y);
+        const floats from = MORE(from_x, from_y), near = from > 0 ? from : 0, far = LESS(to_x, to_y);
+        const floats least = -pixel.height / far, most = -pixel.height / near;
+        slope = near < far ? MORE(slope, least) : slope;
+        end = near < far ? (near > 0 && most < STEEP ? most : STEEP) : -STEEP;
+      }
+      slope = horizon(&pixel, c, s, slope, LESS(high, end), along, 0);
       /* 2. the light above it */
-      const floats at = MORE((slope / sqrt(slope * slope + 1) - first) * scale, 0);
-      ints knot = TO_INTS(at);
-      knot = knot > knots - 2 ? knots - 2 : knot;
-      const floats rest = at - TO_FLOATS(knot), part = rest > 1 ? 1 : rest;
-      const ints entry = ((j + LANE) * knots + knot) * 4;
-      const floats by_cosine = GATHER(table, entry) + part * GATHER(table, entry + 2), by_sine = GATHER(table, entry + 1) + part * GATHER(table, entry + 3);
-      sum += AT(ways, 2 * count + j) * (tilt * by_cosine + by_sine);
+      const ints entry = (j + LANE) * knots;
+      floats light = light_above(table, entry, knots, first, scale, slope, tilt);
+      if (framed) {
+        const floats past = light_above(table, entry, knots, first, scale, end, tilt);
+        light = slope < end ? light - (end < STEEP ? past : 0) : 0;
+      }
+      sum += AT(ways, 2 * count + j) * light;
     }
-  irradiance[pixel.y * cols + pixel.x] = TOTAL(sum) / sqrt(1 + pixel.tilt_x * pixel.tilt_x + pixel.tilt_y * pixel.tilt_y);
+  irradiance[pixel.y * cols + pixel.x] += TOTAL(sum) / sqrt(1 + pixel.tilt_x * pixel.tilt_x + pixel.tilt_y * pixel.tilt_y);
 }

@@ -1,5 +1,5 @@
 """Whether plans keep their word: scenes x sources x tolerances, the error of render(tolerance=...) against exact rays at
-nodes that no plan has seen, and its time, of a scene that was not rendered before, against that of the cheapest setting that
+nodes that no choice has seen, and its time, of a scene that was not rendered before, against that of the cheapest setting that
 would have done, found by trying all.
 
     python performance/plans.py --out docs [--size 192] [--backend opencl]
@@ -19,8 +19,9 @@ import numpy as np
 import skylamp as sl
 from skylamp import io, sources
 from skylamp.backends import select
-from skylamp.pilots import Pilots
-from skylamp.plan import lacking, solid_of, upright
+from skylamp.light.lattice import lacking
+from skylamp.refinement import solid_of, upright
+from skylamp.samples import Samples
 
 TOLERANCES = (0.03, 0.01, 0.003)
 NODES = 600  # at which an image is judged
@@ -130,20 +131,22 @@ def pair(scene: str, light: str, size: int) -> tuple[sl.Scene, sources.Source]:
     return made, in_length(lights(min(made.shape), 0)[light], made.spacing)
 
 
-def truth(scene, source, backend, nodes: int = NODES):
-    """Nodes (rows, cols), other than a plan's, and their irradiance by many exact rays."""
-    pilots = Pilots(scene, nodes, first=100_003)
+def truth(scene, source, backend, nodes: int = NODES) -> tuple[Samples, np.ndarray]:
+    """Nodes, other than those that choose, and their irradiance by many exact rays."""
+    samples = Samples(select(backend), scene, nodes, first=100_003)
     solid = None if isinstance(source, sl.Sky) else upright(solid_of(scene, source, 1 / scene.spacing, 1.0))
     if solid is None and not isinstance(source, sl.Sky):
-        return (pilots.y, pilots.x), np.zeros(len(pilots))
-    return (pilots.y, pilots.x), pilots.exact(select(backend), source, solid)
+        return samples, np.zeros(len(samples))
+    return samples, samples.exact(source, solid)
 
 
-def off(found, exact):
-    """(RMS, 99.9th percentile) relative to the mean lit irradiance."""
-    lit = exact[exact > 0]
-    wrong = np.abs(found - exact) / (lit.mean() if lit.size else 1.0)
-    return float(np.sqrt(np.mean(wrong**2))), float(np.quantile(wrong, 0.999))
+def off(samples, image, exact) -> tuple[float, float]:
+    """(RMS, 99.9th percentile) of an image's error at the samples, over the mean lit irradiance; samples by their weights."""
+    weights = np.full(len(exact), 1 / len(exact)) if samples.weights is None else samples.weights / samples.weights.sum()
+    lit = exact > 0
+    wrong = np.abs(samples.of(np.asarray(image)) - exact) / ((weights[lit] @ exact[lit]) / weights[lit].sum() if lit.any() else 1.0)
+    order = np.argsort(wrong)
+    return float(np.sqrt(weights @ wrong**2)), float(wrong[order][min(np.searchsorted(np.cumsum(weights[order]), 0.999), len(order) - 1)])
 
 
 def side_by_side(*works, runs=3):
@@ -151,7 +154,7 @@ def side_by_side(*works, runs=3):
     return [min(taken) for taken in zip(*([work().seconds for work in works] for _ in range(runs)))]
 
 
-def tried(scene, source, nodes, exact, backend, longest) -> list:
+def tried(scene, source, samples, exact, backend, longest) -> list:
     """(seconds, error, render) of every setting; of a kind, until one is within the tightest tolerance, or slower than another that is
     or than ``longest``."""
     kinds = ["lattice"] if lacking(scene, source) else ["unoccluded", "horizon", "lattice"] if isinstance(source, sl.Sky) else ["unoccluded", "slices"]
@@ -160,7 +163,7 @@ def tried(scene, source, nodes, exact, backend, longest) -> list:
         for units in SETTINGS.get(kind, (0,)):
             options = {"unoccluded": {"method": "unoccluded"}, "lattice": {"method": "lattice", "hemicube": units, "filled": True}}.get(kind, {"method": "horizon", "azimuths": units})
             work = lambda options=options: sl.render(scene, source, quantity="irradiance", backend=backend, **options)
-            error, seconds = off(work().image[nodes].astype(float), exact)[0], side_by_side(work, runs=1)[0]
+            error, seconds = off(samples, work().image, exact)[0], side_by_side(work, runs=1)[0]
             found.append((seconds, error, work))
             tight = min(tight, seconds) if error <= TOLERANCES[-1] else tight
             if error <= TOLERANCES[-1] or seconds > tight:
@@ -170,12 +173,12 @@ def tried(scene, source, nodes, exact, backend, longest) -> list:
 
 def run(scene_name, light, size, backend, times, tolerances=TOLERANCES):
     scene, source = pair(scene_name, light, size)
-    nodes, exact = truth(scene, source, backend)
+    samples, exact = truth(scene, source, backend)
     ours = [lambda t=t: sl.render(replace(scene), source, tolerance=t, quantity="irradiance", backend=backend) for t in tolerances]
-    rows, others = [], tried(scene, source, nodes, exact, backend, 2 * max(work().seconds for work in ours)) if times else []
+    rows, others = [], tried(scene, source, samples, exact, backend, 2 * max(work().seconds for work in ours)) if times else []
     for tolerance, work in zip(tolerances, ours):
         out = work()
-        error, tail = off(out.image[nodes].astype(float), exact)
+        error, tail = off(samples, out.image, exact)
         row = {"scene": scene_name, "source": light, "size": scene.shape[0], "tolerance": tolerance, "error": error, "over": error / tolerance, "tail": tail / tolerance / 10,
                "planned": out.plan.error, "measured": out.plan.measured, "method": out.plan.method, "units": out.plan.azimuths or out.plan.hemicube, "warned": len(out.warnings)}
         if times:

@@ -47,8 +47,8 @@ class Failure(NamedTuple):
 
 
 def error_of(scene, source, backend, **options):
-    nodes, exact = truth(scene, source, backend)
-    return plans.off(sl.render(scene, source, backend=backend, quantity="irradiance", **options).image[nodes].astype(float), exact)[0]
+    samples, exact = truth(scene, source, backend)
+    return plans.off(samples, sl.render(scene, source, backend=backend, quantity="irradiance", **options).image, exact)[0]
 
 
 def truth(scene, source, backend):
@@ -79,12 +79,12 @@ def razor(width, backend):
 def valley(deep, backend):
     scene = sl.Scene(np.where(np.abs(X - 40) < 3, float(deep), 0.0)[:, 20:60])
     inside = np.abs(np.arange(20, 60) - 40) < 3
-    nodes, exact = truth(scene, sl.Sky(), backend)
-    some = inside[nodes[1]]
+    samples, exact = truth(scene, sl.Sky(), backend)
+    some = inside[samples.x]
     exact = exact[some]
 
     def off(**options):
-        image = sl.render(scene, sl.Sky(), backend=backend, quantity="irradiance", **options).image[nodes].astype(float)[some]
+        image = samples.of(sl.render(scene, sl.Sky(), backend=backend, quantity="irradiance", **options).image)[some]
         return float(np.sqrt(np.mean((image - exact) ** 2)) / exact.mean())
 
     return {"lattice, M 9": off(method="lattice", hemicube=9, filled=True), "8 azimuths": off(method="horizon", azimuths=8), "64 azimuths": off(method="horizon", azimuths=64), "tolerance 0.3 %": off(tolerance=0.003)}
@@ -116,9 +116,9 @@ def grazing(elevation, backend):
 def cliff(height, backend):
     depth = plans.urban(2 * SIZE)
     scene, sky = sl.Scene(40 - (40 - depth) * (height / 36)), sl.Sky(plans.sun(0.27, 35, 200, 0.7))
-    nodes, exact = plans.truth(scene, sky, backend, 600)
+    samples, exact = plans.truth(scene, sky, backend, 600)
     ways = {"six near rows": {"method": "horizon", "azimuths": 64}, "default": {}}
-    return {name: plans.off(sl.render(scene, sky, backend=backend, quantity="irradiance", **way).image[nodes].astype(float), exact)[0] for name, way in ways.items()}
+    return {name: plans.off(samples, sl.render(scene, sky, backend=backend, quantity="irradiance", **way).image, exact)[0] for name, way in ways.items()}
 
 
 def between(albedo, backend):
@@ -143,11 +143,11 @@ def between_says(albedo, backend):
 
 def holes(share, backend):
     scene, whole = holed(share), sl.Scene(rough())
-    nodes, exact = truth(whole, sl.Sky(), backend)
-    some = scene.valid[nodes]
+    samples, exact = truth(whole, sl.Sky(), backend)
+    some = scene.valid[samples.y, samples.x]
 
     def off(**options):
-        image = sl.render(scene, sl.Sky(), backend=backend, quantity="irradiance", **options).image[nodes].astype(float)
+        image = samples.of(sl.render(scene, sl.Sky(), backend=backend, quantity="irradiance", **options).image)
         return float(np.sqrt(np.mean((image - exact)[some] ** 2)) / exact.mean())
 
     return {"against the ground without holes": off(), "lattice, M 17": off(method="lattice", hemicube=17, filled=True)}
@@ -200,8 +200,8 @@ def search(distance, backend):
 def sides(depth, backend):
     """A plane in a dark box, rendered as if its sides were open."""
     box, free = (sl.Scene(np.full((SIZE, SIZE), float(depth)), sides=s) for s in ("dark", "open"))
-    nodes, exact = truth(box, sl.Sky(), backend)
-    return {name: plans.off(sl.render(scene, sl.Sky(), backend=backend, quantity="irradiance").image[nodes].astype(float), exact)[0] for name, scene in (("sides given as open", free), ("sides given as dark", box))}
+    samples, exact = truth(box, sl.Sky(), backend)
+    return {name: plans.off(samples, sl.render(scene, sl.Sky(), backend=backend, quantity="irradiance").image, exact)[0] for name, scene in (("sides given as open", free), ("sides given as dark", box))}
 
 
 # -- recovery --------------------------------------------------------------------------------------------------------------------
@@ -290,18 +290,18 @@ FAILURES = {
     "razor": Failure("Razor ridges", "width of the ridges [nodes]", (8, 6, 4, 3, 2, 1), (8, 1), 0.1, razor, "stride M 17",
                      "A ridge narrower than the step stands between its nodes. Filled lattice and horizons test every crossing.", "default"),
     "valley": Failure("Deep narrow valleys", "depth of a trench 5 nodes wide", (2, 5, 10, 20, 40, 80), (2, 40), 0.05, valley, "lattice, M 9",
-                      "Little sky is left, and few directions meet it. The error is over the nodes at the bottom alone. A plan sees its share of the whole image: name a tighter tolerance for the bottom.", "64 azimuths"),
+                      "Little sky is left, and few directions meet it. The error is over the nodes at the bottom alone. A tolerance is over the whole image: name a tighter one for the bottom.", "64 azimuths"),
     "small lamp": Failure("Small lamps vanish between lattice directions", "radius of the lamp [nodes], 24 above a plane", (11, 8, 4, 2, 1, 0.5), (11, 1), 0.3, small_lamp, "lattice M 9",
                           "Rays of the lattice pass a small lamp by. Slices are laid through it as each node sees it; where nothing hides it the default is a closed form. Where the lattice is asked for, a warning says so.", "default",
                           small_lamp_says, "Small lamp"),
     "small sun": Failure("Small suns vanish between azimuths", "radius of the sun [degrees]", (10, 5, 2, 1, 0.5, 0.27), (10, 0.27), 0.1, small_sun, "even azimuths",
-                         "The sun is found by some 400,000 looks at the sky. Half of the azimuths that are asked for go where the light is; plans give it azimuths of its own.", "default"),
+                         "With a number of azimuths asked for, half of them go where the light is. With a tolerance, the sun is found by integrating the sky, and has azimuths of its own.", "default"),
     "grazing": Failure("Grazing light", "elevation of the sun [degrees]", (60, 40, 20, 10, 5, 2), (60, 10), 0.1, grazing, "even azimuths",
-                       "A low sun lights few nodes, and a small error of a horizon puts them out. The sun has azimuths of its own, and their number follows the measured error.", "default"),
+                       "A low sun lights few nodes, and a small error of a horizon puts them out. With a tolerance the sun has azimuths of its own, and their number follows the estimated error.", "default"),
     "cliff": Failure("Cliffs under a hard sun", "height of the tallest houses [spacings]", (1, 4, 9, 18, 36), (1, 36), 0.03, cliff, "six near rows",
-                     "Sweeps look up the two best crossings beyond 6 rows; behind a wall a wrong one puts out the sun for a node. Plans give the sun azimuths of its own, along which every crossing is tested, and where neighbours lie more than 4 spacings apart every crossing within 24 rows.", "default"),
+                     "Sweeps look up the two best crossings beyond 6 rows; behind a wall a wrong one puts out the sun for a node. With a tolerance, where neighbours lie more than 4 spacings apart, the sun has exact horizons in azimuths of its own, and every crossing within 24 rows is tested for the rest.", "default"),
     "between": Failure("Light between surfaces", "albedo of a spherical bowl", (0.05, 0.1, 0.2, 0.4, 0.6, 0.8, 0.95), (0.001, 0.8), 0.1, between, "light left out, over the image",
-                       "It is left out. Plans bound it (MODEL.md, 7.3), with a number.", None, between_says, "Light between surfaces"),
+                       "It is left out. `Plan.beyond` bounds it, with a number.", None, between_says, "Light between surfaces"),
     "holes": Failure("Holes in the data", "share of 8 x 8 blocks that are masked", (0.0, 0.01, 0.03, 0.1, 0.2, 0.4), (0.0, 0.3), 0.015, holes, "against the ground without holes",
                      "Masked ground hides nothing, so light comes through. Plans give the share of nodes that are masked.", None, holes_says, "Nodata"),
     "touching": Failure("A lamp that touches the surface", "gap below a ball of radius 2 [nodes]", (8, 4, 2, 1, 0.5, 0.25), (8, 0.25), 0.1, touching_lamp, "nodes against the mean of their cells",

@@ -49,7 +49,7 @@ def backend(request):
 
 @pytest.fixture(scope="session", autouse=True)
 def cache(tmp_path_factory):
-    """Costs are measured anew by every run of the suite, and the user's are left alone."""
+    """What is kept between runs is kept apart from the user's."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
         yield

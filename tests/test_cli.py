@@ -319,3 +319,14 @@ def test_render_takes_colour_and_gloss(here, capsys):
     for arguments, code, says in ((["--exponent", "5"], 2, "--specular"), (["--albedo", "0.9", "--specular", "0.3"], 3, "0.2 too much"), (["--albedo", "1,2"], 2, "R,G,B")):
         fails(capsys, code, "render", "depth.npy", "--out", "no.npy", *arguments, says=says)
     fails(capsys, 3, "render", "depth.npy", "--out", "no.png", "--bits", "16", "--albedo", "0.2,0.4,0.6", "--backend", "numpy", says="8 bits")
+
+
+def test_render_writes_the_error(here, capsys):
+    """--error: the estimate of every pixel in the image's unit, in any format; refused where no tolerance decides."""
+    assert run(capsys, "render", "depth.npy", "--out", "a.npy", "--error", "e.npy", "--tolerance", "3%", "--backend", "numpy")[0] == 0
+    wanted = sl.render(sl.Scene(np.load("depth.npy")), sl.Sky(), tolerance=0.03, backend="numpy")
+    np.testing.assert_array_equal(np.load("a.npy"), wanted.image)
+    np.testing.assert_array_equal(np.load("e.npy"), wanted.error)
+    assert run(capsys, "render", "depth.npy", "--out", "b.npy", "--error", "e.png", "--backend", "numpy")[0] == 0 and os.path.getsize("e.png") > 100
+    fails(capsys, 2, "render", "depth.npy", "--out", "c.npy", "--error", "f.npy", "--method", "horizon", "--backend", "numpy", says="--error")
+    fails(capsys, 3, "render", "depth.npy", "--out", "c.npy", "--error", "f.exe", "--backend", "numpy", says="f.exe")

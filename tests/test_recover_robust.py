@@ -248,6 +248,55 @@ def test_spacing_is_a_unit(fast):
     np.testing.assert_allclose(got.depth, 2 * found("bumps", "lamp", fast, SMALL).depth, atol=1e-3)
 
 
+SHINE = {"sky": sl.Sky, "lamp": lambda k: sl.Lamp((20, 10, -12), 5, k), "window": lambda k: sl.Window((4, 28), (4, 28), k),
+         "rectangle": lambda k: sl.Lamp(corner=(5, 5, -9), edges=((12, 0, 0), (0, 9, 0)), brightness=k)}  # fmt: skip
+
+
+@functools.cache
+def lit_by(kind, backend):
+    """Image (32, 32) float64 of waves under a source of brightness 1."""
+    y, x = np.mgrid[:32, :32]
+    return sl.render(sl.Scene(8 + 6 * np.sin(x / 5 + np.sin(y / 7)) ** 2, albedo=0.3, sides="dark"), SHINE[kind](1.0), method="horizon", backend=backend).image.astype(float)
+
+
+@functools.cache
+def under(kind, backend, k=1.0, **more):
+    return sl.recover(k * lit_by(kind, backend), SHINE[kind](k), 0.3, "dark", layers=32, backend=backend, **more)
+
+
+@pytest.mark.parametrize("kind", SHINE)
+def test_light_so_many_times_as_strong(fast, kind):
+    """A brightness that is a number: depth, confidence and warnings are those of brightness 1, and the residual is in the image's unit."""
+    one = under(kind, fast)
+    for k in (0.5, 2.0, 100.0):
+        got = under(kind, fast, k)
+        np.testing.assert_allclose(got.depth, one.depth, atol=1e-3)
+        np.testing.assert_allclose(got.confidence, one.confidence, atol=1e-3)
+        np.testing.assert_allclose(got.residual / k, one.residual, atol=1e-6)
+        assert got.warnings == one.warnings
+    assert np.ptp(one.depth) > 4 and one.confidence.mean() > 0.8
+
+
+def test_carving_under_light_so_many_times_as_strong(fast):
+    for k in (0.5, 100.0):
+        np.testing.assert_array_equal(under("sky", fast, k, method="paper").depth, under("sky", fast, method="paper").depth)
+
+
+def test_two_lights_of_different_strength(fast):
+    """Each image in the unit of its own source: the same depth, and the same albedo, which is not known."""
+    got = [sl.recover([k * lit_by("sky", fast), l * lit_by("lamp", fast)], [SHINE["sky"](k), SHINE["lamp"](l)], None, "dark", layers=32, backend=fast) for k, l in ((1.0, 1.0), (100.0, 0.25))]
+    np.testing.assert_allclose(got[1].depth, got[0].depth, atol=1e-3)
+    np.testing.assert_allclose(got[1].albedo, got[0].albedo, atol=1e-4)
+    assert abs(got[0].albedo.mean() - 0.3) < 0.05
+
+
+@pytest.mark.parametrize("kind", SHINE)
+@pytest.mark.parametrize("method", ["robust", "paper"])
+def test_nothing_is_recovered_from_darkness(kind, method):
+    with pytest.raises(sl.InputError, match="brightness: got 0;.*darkness"):
+        sl.recover(np.ones((8, 8)), SHINE[kind](0), sides="dark", method=method, backend="numpy")
+
+
 def test_wrong_sides_are_suspected(fast):
     """An image from a dark box, taken to be open: the walls' shade has no other cause, and a warning says so; with the right sides none does."""
     image = pair("bumps", "sky")[1]

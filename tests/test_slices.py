@@ -1,5 +1,6 @@
 """Light of balls, rectangles and windows through slices: closed forms, the oracle's shadow rays, and the backends side by side."""
 
+import functools
 import importlib
 import math
 
@@ -12,6 +13,7 @@ from scenes import rough
 import skylamp as sl
 from skylamp import oracle
 from skylamp.backends import select
+from skylamp.brightness import Integrals, chords
 from skylamp.radiometry import disc_moment, polygon_moment, rectangle_solid_angle
 
 slices = importlib.import_module("skylamp.backends.slices")
@@ -19,12 +21,27 @@ UP = np.array([0.0, 0.0, -1.0])
 NODES = (np.array([0, 7, 7, 12]), np.array([0, 3, 9, 16]))
 
 
-def image(backend, depth, solid, light=1.0, step=1.0, sides="open", **options):
-    """Irradiance (rows, cols) float32; ``light``: a number, or a function of directions."""
-    brightness = slices.brightness_of(sl.Sky(brightness=light))
-    made = slices.Slices(select(backend), np.asarray(depth, np.float32), step, sides, solid, brightness, **options)
-    made.run()
-    return made.download()
+@functools.cache
+def lit(light):
+    """A function of directions as Slices takes it."""
+    return table_of(light, 2048, 1025)
+
+
+def table_of(light, turns, knots):
+    """Integrals along chords, nothing taken apart."""
+    return chords(Integrals(sl.Sky(light), math.inf, True), turns, knots)
+
+
+def made(backend, depth, solid, light=1.0, step=1.0, sides="open", **options):
+    """Slices that have run; ``light``: a number, a function of directions, or a table of chords."""
+    run = slices.Slices(select(backend), np.asarray(depth, np.float32), step, sides, solid, lit(light) if callable(light) else light, **options)
+    run.run()
+    return run
+
+
+def image(*args, **options):
+    """Irradiance (rows, cols) float32."""
+    return made(*args, **options).download()
 
 
 def slanted(shape, gx, gy, z=30.0):
@@ -138,6 +155,39 @@ def test_ground_in_and_behind_a_ball(backend):
     assert image(backend, depth, slices.Ball((31, 20, 8), 3.0))[nodes] == 0
 
 
+def test_two_halves_of_a_balls_slices(backend):
+    """Where nothing hides the ball they agree, and so do slices between; in a penumbra they do not, and in the umbra nothing is left.
+
+    Slices of shift 0.5 are in mirror pairs of an even and an odd one, those of shift 0 in pairs of a kind: what lies mirrored
+    before a node is seen by the halves of the latter alone.
+    """
+    lamp, floor, depth = slices.Ball((34.0, 20.0, -4.0), 3.0), np.full((41, 45), 12.0), walled()
+    clear = image(backend, floor, lamp)
+    for row in (12, 20):
+        nodes = np.full(20, row), np.arange(20)
+        to = np.array(lamp.center) - places(depth, nodes=nodes)
+        edge = np.stack([np.full(20, 4.0 - 12), np.zeros(20), -(22.0 - np.arange(20))], -1)
+        height = (to * edge).sum(1) / np.linalg.norm(edge, axis=1) / lamp.radius  # of its centre above the plane through node and edge
+        free, dark, partly = height > 1.02, height < -1.02, np.abs(height) < 1
+        assert free.sum() >= 2 and dark.sum() >= 2 and partly.sum() >= 10
+        images = []
+        for shift in (0.5, 0.0):
+            run = made(backend, floor, lamp, shift=shift)
+            np.testing.assert_allclose(run.download(), clear, rtol=1e-4)
+            assert (np.abs(run.backend.download(run.alternating)) < 1e-3 * clear).all()
+            run = made(backend, depth, lamp, shift=shift)
+            share, off = (value[nodes] / clear[nodes] for value in (run.download(), np.abs(run.backend.download(run.alternating))))
+            images.append(share)
+            np.testing.assert_allclose(share[free], 1, rtol=1e-4)
+            assert off[free].max() < 1e-3 and not off[dark].any() and not share[dark].any()
+            if (row, shift) == (20, 0.5):
+                assert off.max() < 1e-6
+            else:
+                assert 5e-3 < off[partly].max() < 0.02
+        apart = np.abs(images[0] - images[1])
+        assert apart[free].max() < 1e-4 and 1e-3 < apart[partly].max() < 0.01
+
+
 # -- rectangles and windows --------------------------------------------------------------------------------------------------
 
 
@@ -208,14 +258,14 @@ def test_the_shadow_of_an_edge_in_a_window(backend):
 
 
 def test_a_small_lamp_shines_with_the_brightness_of_its_direction(backend):
-    """B(L) pi (R / d)^2 cos for a spot cos^16."""
+    """B(L) pi (R / d)^2 cos for a spot cos^16; overhead, where knots are half a degree and more apart, a lamp a tenth of that has their mean."""
     depth = np.full((13, 17), 30.0)
     spot = sl.cosine_power(16, axis=(0.3, 0.1, 1), brightness=2.0)
-    for center, radius in (((4, 5, -20), 0.05), ((14, 9, 10), 0.1)):
+    for center, radius, bound in (((4, 5, -20), 0.05, 0.015), ((14, 9, 10), 0.1, 2e-3)):
         to = np.array(center) - places(depth)
         far = np.linalg.norm(to, axis=1)
         wanted = spot(to / far[:, None]) * np.pi * (radius / far) ** 2 * -to[:, 2] / far
-        np.testing.assert_allclose(image(backend, depth, slices.Ball(center, radius), spot)[NODES], wanted, rtol=2e-3, atol=2e-3 * wanted.max())
+        np.testing.assert_allclose(image(backend, depth, slices.Ball(center, radius), spot)[NODES], wanted, rtol=bound, atol=bound * wanted.max())
 
 
 def test_the_brightness_of_a_window(backend):
@@ -225,6 +275,78 @@ def test_the_brightness_of_a_window(backend):
     wanted = rectangle_solid_angle(3 - eyes[:, 0], 10 - eyes[:, 0], 2 - eyes[:, 1], 11 - eyes[:, 1], 9.0)
     got = image(backend, depth, slices.aperture((3, 10), (2, 11), depth.shape, 1.0, "open"), lambda L: 1 / np.maximum(-L[..., 2], 0.01))[NODES]
     near(got, wanted, 2e-3)
+
+
+def within_cone(axis, radius, rings=200, spokes=400):
+    """Directions (n, 3) evenly through a cone round a unit vector, and the solid angle of each."""
+    cosine = 1 - (1 - math.cos(radius)) * (np.arange(rings) + 0.5)[:, None] / rings
+    turn = 2 * np.pi * (np.arange(spokes) + 0.5) / spokes
+    u = np.cross(axis, [1.0, 0, 0] if abs(axis[0]) < 0.7 else [0, 1.0, 0])
+    u /= np.linalg.norm(u)
+    off = np.cos(turn)[:, None] * u + np.sin(turn)[:, None] * np.cross(axis, u)
+    L = cosine[..., None] * axis + np.sqrt(1 - cosine**2)[..., None] * off
+    return L.reshape(-1, 3), 2 * np.pi * (1 - math.cos(radius)) / (rings * spokes)
+
+
+def stripes(L):
+    return ((20 * L[..., 0]) % 1 < 0.5).astype(float)
+
+
+def test_a_window_with_stripes(backend):
+    """Stripes far narrower than the window, against quadrature over it: what samples along a chord would miss."""
+    depth = np.full((13, 17), 9.0)
+    x, y = (4.0, 15.0), (3.0, 12.0)
+    u, v = (a + (b - a) * (np.arange(1500) + 0.5) / 1500 for a, b in (x, y))
+    got = image(backend, depth, slices.aperture(x, y, depth.shape, 1.0, "open"), stripes, most=256)[NODES]  # half as many leave 2 % near a node below
+    for value, eye in zip(got, places(depth)):
+        to = np.stack(np.broadcast_arrays(u - eye[0], (v - eye[1])[:, None], -9.0), -1)
+        square = (to * to).sum(-1)
+        light = stripes(to / np.sqrt(square)[..., None]) * 81 / square**2
+        assert value == pytest.approx(light.mean() * 11 * 9, rel=5e-3)
+
+
+def test_a_beam_narrower_than_its_lamp(backend):
+    """cos^900 from a ball, in the beam's middle and on its flank, on level and on slanting ground, against quadrature over the disc."""
+    ball = slices.Ball((14.0, 9.0, -16.0), 4.0)
+    for gx, gy in ((0, 0), (0.3, -0.2)):
+        depth, normal = slanted((13, 17), gx, gy, z=20.0)
+        axis = places(depth, nodes=(np.array([7]), np.array([6])))[0] - ball.center
+        beam = sl.cosine_power(900, axis=axis)
+        nodes = (np.array([7, 7, 6, 8]), np.array([6, 7, 5, 6]))
+        wanted = []
+        for eye in places(depth, nodes=nodes):
+            to = np.array(ball.center) - eye
+            far = np.linalg.norm(to)
+            L, angle = within_cone(to / far, math.asin(ball.radius / far))
+            wanted.append((beam(L) * (L @ normal)).sum() * angle)
+        near(image(backend, depth, ball, beam)[nodes], np.array(wanted), 0.01)
+
+
+def test_the_table_of_chords():
+    """Closed forms at every knot; each azimuth has its own brightness, in the order of the diamond angle."""
+    turns, knots = 64, 33
+    s = np.arange(knots) / (knots - 1)
+    t = np.arcsin(s)
+    table = table_of(lambda L: 3 - L[..., 2] * 0, turns, knots)
+    assert table.shape == (turns, knots, 2) and table.dtype == np.float32
+    np.testing.assert_allclose(table[5], 3 * np.stack([np.pi / 2 - t - np.sin(t) * np.cos(t), 1 - s**2], -1) / 2, atol=5e-6)  # linear within cells
+    quarter = lambda L: np.select([(L[..., 0] >= 0) & (L[..., 1] >= 0), L[..., 1] >= 0, L[..., 0] < 0], [1.0, 2.0, 3.0], 4.0)
+    table = table_of(quarter, turns, knots)
+    wanted, inner = np.repeat([0.5, 1, 1.5, 2], turns // 4), np.arange(turns) % (turns // 4) % (turns // 4 - 1) > 0
+    np.testing.assert_allclose(table[inner, 0, 1], wanted[inner], rtol=1e-6)
+    np.testing.assert_allclose(table[~inner, 0, 1], wanted[~inner], atol=0.03)  # cells of the sky lie across the borders
+
+
+def test_brightness_goes_evenly_from_turn_to_turn(backend):
+    """Each row of the table counts at the middle of its cell, the last one and the first are neighbours: by a lamp as small as a star."""
+    depth, turns, knots = np.full((13, 17), 30.0), 8, 33
+    even = table_of(lambda L: np.ones(L.shape[:-1]), turns, knots)
+    middle = (np.arange(turns) + 0.5) * 4 / turns
+    for q in (0.0, 0.1, 0.2, 0.6, 1.3, 2.9, 3.5, 3.9):
+        x, y = 1 - q if q < 2 else q - 3, q if q < 1 else 2 - q if q < 3 else q - 4
+        lamp = slices.Ball((8 + 1e5 * x, 6 + 1e5 * y, -1e5), 10.0)
+        got, one = (image(backend, depth, lamp, light)[6, 8] for light in (middle[:, None, None] * even, 1.0))
+        assert got / one == pytest.approx(np.interp(q, middle, middle, period=4), rel=1e-4)
 
 
 def test_the_map_of_brightness():
@@ -376,16 +498,19 @@ def test_backends_agree_and_repeat_themselves(backend, fast, sides):
     depth[20:26, 40:43] = np.inf
     for source in SOURCES.values():
         solid, light = _solid(_shifted(source, 150, 100), depth.shape)
-        brightness = slices.brightness_of(sl.Sky(brightness=light), 64)
-        made = slices.Slices(select(backend), depth, 1.0, sides, solid, brightness)
-        made.run()
-        got = made.download()
-        made.run()
-        assert_bits_equal(made.download(), got)
+        brightness = table_of(light, 128, 65) if callable(light) else light
+        one = slices.Slices(select(backend), depth, 1.0, sides, solid, brightness)
+        one.run()
+        got = one.download()
+        one.run()
+        assert_bits_equal(one.download(), got)
         reference = slices.Slices(select(fast), depth, 1.0, sides, solid, brightness)
         reference.run()
         assert got.max() > 0
         np.testing.assert_allclose(got, reference.download(), rtol=0, atol=1e-5 * got.max())
+        if isinstance(solid, slices.Ball):
+            other, wanted = (run.backend.download(run.alternating) for run in (one, reference))
+            np.testing.assert_allclose(other, wanted, rtol=0, atol=1e-5 * got.max())
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (1, 29), (31, 1), (2, 2), (17, 33)])
@@ -403,13 +528,12 @@ def test_the_tops_of_the_cells(backend):
     """Each cell's highest node, its corners included, on every level."""
     depth = rough(21, 37, 1.0, seed=8).astype(np.float32)
     depth[5, 6] = np.inf
-    made = slices.Slices(select(backend), depth, 1.0, "open", slices.Ball((5, 5, -5), 1.0))
-    made.run()
-    tops = made.backend.download(made.tops)
+    run = made(backend, depth, slices.Ball((5, 5, -5), 1.0))
+    tops = run.backend.download(run.tops)
     height = np.where(np.isfinite(depth), -depth, slices.NONE)
-    assert made.levels >= 3
-    for level in range(1, made.levels + 1):
-        size, first = 2**level, made.width - (made.width >> level - 1)
+    assert run.levels >= 3
+    for level in range(1, run.levels + 1):
+        size, first = 2**level, run.width - (run.width >> level - 1)
         for j in range((20 >> level) + 1):
             for i in range((36 >> level) + 1):
                 assert tops[j, first + i] == height[j * size : (j + 1) * size + 1, i * size : (i + 1) * size + 1].max()
@@ -425,19 +549,25 @@ def sunny(radius, height=60.0):
     return sl.Sky(lambda L: 1 + height * (L @ axis >= np.cos(r))), sl.Lamp(tuple(1e7 * axis), 1e7 * np.sin(r), height - 3)
 
 
+def by_suns(backend, depth, launches, window=None, sides="open"):
+    """Irradiance by sectors, (ways, table) of each launch."""
+    run = slices.Slices(select(backend), np.asarray(depth, np.float32), 1.0, sides, slices.Dome())
+    run.clear()
+    for ways, table in launches:
+        run.sectors(ways, table, window)
+    return run.download()
+
+
 @pytest.mark.parametrize("sides", ["open", "dark"])
 def test_a_sun_in_sectors_is_the_disc_that_it_is(backend, sides):
-    """As a far lamp through slices, which have the disc in closed form; what the split leaves is the sky and a tenth of the disc."""
+    """As a far lamp through slices, which have the disc in closed form; what it stands above is the sky and a little of the disc."""
     depth = _terrain()[100:160, 150:230].copy()
     depth[20:26, 40:43] = np.inf
     sky, lamp = sunny(2.0)
-    rest, spots = sl.sources.split(sky, 120, sl.sources.looks(sky))
-    L = sl.sources.directions_of(np.linspace(0, 6.28, 4000)[:, None], np.linspace(0, 1, 300))
-    assert np.unique(sl.sources.radiance(rest, L)).tolist() == [1.0, 4.0]
-    made = slices.Slices(select(backend), depth, 1.0, sides, slices.Dome())
-    for some in (spots, spots.fewer(3)):
-        made.sectors(some)
-        got = made.download()
+    (sun,) = Integrals(sky).suns
+    assert sun.limit == pytest.approx(4) and lamp.brightness == 57
+    for sectors in (sun.sectors(120), sun.sectors(40), sun.sectors(40, True)):
+        got = by_suns(backend, depth, [sectors], sides=sides)
         wanted = image(backend, depth, slices.Ball(lamp.center, lamp.radius), lamp.brightness, sides=sides, most=256)
         np.testing.assert_allclose(got, wanted, atol=0.02 * wanted.max())
         assert np.sqrt(np.mean((got - wanted) ** 2)) < 0.003 * wanted.max() and 0.2 < (got > 0).mean() < 0.95
@@ -447,16 +577,79 @@ def test_a_sun_in_sectors_is_the_disc_that_it_is(backend, sides):
 def test_backends_agree_on_suns_and_repeat_themselves(backend, fast, sides):
     """To 1e-5 of the maximum, and the same bytes again; a map of one row too."""
     sky, _ = sunny(1.0)
-    spots = sl.sources.split(sky, 24, sl.sources.looks(sky))[1]
+    sectors = Integrals(sky).suns[0].sectors(24)
     for depth in (_terrain()[100:150, 150:204], _terrain()[100:101, 150:204]):
         images = []
         for name in (backend, backend, fast):
-            made = slices.Slices(select(name), depth, 1.0, sides, slices.Dome())
-            made.sectors(spots)
-            images.append(made.download())
+            images.append(by_suns(name, depth, [sectors], sides=sides))
         assert_bits_equal(images[0], images[1])
         assert images[0].any() == (sides == "open" or len(depth) > 1)  # the walls of one row hide a sun aside of it
         np.testing.assert_allclose(images[0], images[2], rtol=0, atol=1e-5 * images[2].max())
+
+
+def a_sun(elevation, azimuth, radius, count=64, knots=129):
+    """(ways, table) of a disc of brightness 1, in closed form along the middle of every sector; angles in degrees."""
+    e, a, r = np.radians((elevation, azimuth, radius))
+    widest = np.arcsin(np.sin(r) / np.cos(e))
+    d = widest * (2 * (np.arange(count) + 0.5) / count - 1)
+    in_plane = np.cos(e) * np.cos(d)
+    middle, half = np.arctan2(np.sin(e), in_plane), np.arccos(np.minimum(np.cos(r) / np.hypot(in_plane, np.sin(e)), 1))
+    first, last = np.sin(np.radians([elevation - 1.1 * radius, elevation + 1.1 * radius]))
+    knot = np.arcsin(np.linspace(first, last, knots))
+    low, high = np.clip(knot, (middle - half)[:, None], (middle + half)[:, None]), (middle + half)[:, None]
+    whole = lambda t: np.stack([t + np.sin(t) * np.cos(t), np.sin(t) ** 2], -1) / 2
+    table = whole(high) - whole(low)
+    table = np.concatenate([table, np.diff(table, axis=1, append=table[:, -1:])], -1)
+    same = np.ones(count)
+    return np.stack([np.cos(a + d), np.sin(a + d), 2 * widest / count * same, first * same, (knots - 1) / (last - first) * same]), table
+
+
+@pytest.mark.parametrize("sides", ["open", "dark"])
+def test_two_suns_at_once(backend, sides):
+    """Sectors with tables over other ranges of elevation in one launch are the sum of two; a window without edges is none."""
+    depth = _terrain()[100:150, 150:210].copy()
+    depth[20:26, 40:43] = np.inf
+    depth[3, 3] = -1.0  # above the plane of windows
+    high, low = a_sun(50, 200, 3, count=20), a_sun(12, 20, 1, count=11)
+    together = np.concatenate([high[0], low[0]], 1), np.concatenate([high[1], low[1]])
+    got = by_suns(backend, depth, [together], sides=sides)
+    one, other = (by_suns(backend, depth, [sun], sides=sides) for sun in (high, low))
+    np.testing.assert_allclose(got, one + other, atol=1e-6 * got.max())
+    np.testing.assert_allclose(by_suns(backend, depth, [high, low], sides=sides), one + other, atol=1e-6 * got.max())
+    assert one[3, 3] > 0 and (other > 0).mean() > 0.05 and (other == 0).mean() > 0.05
+    assert_bits_equal(by_suns(backend, depth, [together], (-1e30, 1e30, -1e30, 1e30), sides), got)
+    np.testing.assert_allclose(by_suns(backend, depth, [together], (-1e6, 1e6, -1e6, 1e6), sides), np.where(depth > 0, got, 0), atol=1e-6 * got.max())
+
+
+def test_a_sun_through_a_window(backend, fast):
+    """Over a level floor: all of the disc, none of it, or the part that looks through, counted direction by direction."""
+    depth = np.full((33, 41), 20.0)
+    elevation, radius, window = 50, 3, (18.0, 33.5, 9.0, 24.25)
+    for azimuth in (0, 35, 200):
+        e, a = np.radians((elevation, azimuth))
+        L, _ = within_cone(np.array([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), -np.sin(e)]), np.radians(radius), 40, 80)
+        x, y = (np.arange(n)[:, None] - 20.0 * L[:, k] / L[:, 2] for k, n in ((0, 41), (1, 33)))
+        inside = lambda at, low, high: ((at >= low) & (at < high)).astype(float)
+        weight = -L[:, 2] / -L[:, 2].sum()
+        share = np.einsum("yn,xn,n->yx", inside(y, *window[2:]), inside(x, *window[:2]), weight)
+        full = np.pi * np.sin(np.radians(radius)) ** 2 * np.sin(e)
+        sun = a_sun(elevation, azimuth, radius)
+        got = by_suns(backend, depth, [sun], window)
+        near(by_suns(backend, depth, [sun]), np.full(depth.shape, full), 3e-3)
+        wholly, outside = share > 1 - 1e-9, share == 0
+        assert wholly.sum() > 50 and outside.sum() > 50 and (~wholly & ~outside).sum() > 50
+        near(got[wholly], np.full(wholly.sum(), full), 3e-3)
+        assert got[outside].max() < 2e-3 * full and (got[outside] == 0).mean() > 0.9
+        np.testing.assert_allclose(got / full, share, atol=0.02)
+        np.testing.assert_allclose(got, by_suns(fast, depth, [sun], window), rtol=0, atol=1e-5 * full)
+    along = by_suns(backend, depth, [a_sun(elevation, 0, radius, count=1)], (-1e30, 1e30, 9.0, 24.0))
+    assert np.flatnonzero(along.any(1)).tolist() == list(range(9, 24))  # half-open where the way runs along an edge
+    higher = depth.copy()
+    higher[:, 30] = 8.0  # the window frames what the ground leaves
+    for edges in (window, (-1e30, 1e30, 9.0, 24.25)):
+        got, free = by_suns(backend, higher, [sun], edges), by_suns(backend, higher, [sun])
+        assert (got <= free * (1 + 1e-5)).all() and not got[(free == 0)].any()
+    assert not by_suns(backend, np.full_like(depth, 0.0), [sun], window).any()
 
 
 def test_suns_are_found_wherever_they_stand():
@@ -466,11 +659,13 @@ def test_suns_are_found_wherever_they_stand():
         return np.array([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), -np.sin(e)]), np.cos(r)
 
     for discs in ([disc(89.9, 10)], [disc(30, 0.05)], [disc(20, 40), disc(50, 250, 2)], [disc(0.2, 300)]):
-        sky = sl.Sky(lambda L: 1 + sum(5e3 * (L @ axis >= edge) for axis, edge in discs))
-        rest, spots = sl.sources.split(sky, 120, sl.sources.looks(sky))
-        level = 4997 * np.pi * sum((1 - edge**2) * -axis[2] for axis, edge in discs)
+        sky = Integrals(sl.Sky(lambda L: 1 + sum(5e3 * (L @ axis >= edge) for axis, edge in discs)))
+        assert len(sky.suns) == len(discs)
         if discs[0][0][2] < -0.1:
-            assert spots.widths @ spots.table[:, 0, 1] == pytest.approx(level, rel=0.01)
-            assert spots.fewer(5).widths @ spots.fewer(5).table[:, 0, 1] == pytest.approx(level, rel=0.01)
-    even = sl.Sky(sl.cie_overcast())
-    assert sl.sources.split(even, 120, sl.sources.looks(even)) is None
+            level = 5e3 * np.pi * sum((1 - edge**2) * -axis[2] for axis, edge in discs)
+            assert sky.level == pytest.approx(np.pi + level, rel=1e-4)
+            for count in (120, 5):
+                found = [sun.sectors(count) for sun in sky.suns]
+                assert sky.rest + sum(ways[2] @ table[:, 0, 1] for ways, table in found) == pytest.approx(np.pi + level, rel=1e-4)
+            assert not sky.suns or sky.rest < np.pi + 2e-3 * level
+    assert Integrals(sl.Sky(sl.cie_overcast())).suns == ()

@@ -1,4 +1,4 @@
-"""What sweeps need besides: slopes of a padded map, a map turned, and sums as irradiance. Twin of opencl/ground.cl."""
+"""What sweeps need besides: slopes of a padded map, a map turned, sums as irradiance, and how far that is off. Twin of opencl/ground.cl."""
 
 import warp as wp
 
@@ -7,6 +7,7 @@ from . import OPTIONS
 wp.set_module_options(OPTIONS)
 
 NONE = wp.constant(wp.float32(-1e30))
+MASKED = wp.constant(wp.float32(-1e29))
 
 
 @wp.func
@@ -63,3 +64,112 @@ def gather(sum: wp.array[wp.int32], turned: wp.array[wp.int32], irradiance: wp.a
     """The sums of both maps, (rows, cols) and (cols, rows), as irradiance [unit]. Thread (y, x) owns one node."""
     y, x = wp.tid()
     irradiance[y * cols + x] = wp.float32(sum[y * cols + x] + turned[x * rows + y]) * unit
+
+
+@wp.kernel
+def correct(tilts: wp.array2d[wp.float32], table: wp.array[wp.float32], irradiance: wp.array[wp.float32], rows: wp.int32, cols: wp.int32, margin: wp.int32, room: wp.int32, side: wp.int32, unit: wp.float32):
+    """irradiance += unit x table, by normal.
+
+      tilts       (2, room)      float32 [1]                  gx and gy, as tilt makes them
+      table       (side, side)   float32 [irradiance / unit]  at v (row) and u (column), and bilinear between:
+                                        u = (gx up / (1 + up) + 1) (side - 1) / 2, v so with gy, up = 1 / sqrt(1 + gx^2 + gy^2)
+      irradiance  (rows x cols)  float32  in and out
+
+    side >= 2. Thread (y, x) owns one node; a masked one is as if level.
+    """
+    y, x = wp.tid()
+    at = (y + margin) * (cols + 2 * margin) + margin + x
+    gx = tilts[0, at]
+    gy = tilts[1, at]
+    one = wp.float32(1.0)
+    scale = wp.float32(side - 1)
+    up = one / wp.sqrt(one + gx * gx + gy * gy)
+    u = (gx * up / (one + up) + one) * wp.float32(0.5) * scale
+    v = (gy * up / (one + up) + one) * wp.float32(0.5) * scale
+    i = wp.clamp(wp.int32(u), 0, side - 2)
+    j = wp.clamp(wp.int32(v), 0, side - 2)
+    cell = j * side + i
+    across = u - wp.float32(i)
+    low = table[cell] + across * (table[cell + 1] - table[cell])
+    high = table[cell + side] + across * (table[cell + side + 1] - table[cell + side])
+    irradiance[y * cols + x] = irradiance[y * cols + x] + unit * (low + (v - wp.float32(j)) * (high - low))
+
+
+@wp.kernel
+def halves(a: wp.array[wp.float32], b: wp.array[wp.float32], count: wp.int32):
+    """Of two images of the same light, in place, their mean and half their difference.
+
+      a  (count)  float32  in and out: (a + b) / 2
+      b  (count)  float32  in and out: (b - a) / 2
+
+    Thread p owns one node of both.
+    """
+    p = wp.tid()
+    if p >= count:
+        return
+    first = a[p]
+    second = b[p]
+    a[p] = (first + second) * wp.float32(0.5)
+    b[p] = (second - first) * wp.float32(0.5)
+
+
+@wp.kernel
+def judge(heights: wp.array[wp.float32], image: wp.array[wp.float32], half: wp.array[wp.float32], found: wp.array2d[wp.float32], rows: wp.int32, cols: wp.int32, margin: wp.int32, block: wp.int32, limit: wp.float32):
+    """Sums for an estimate of the error, over the valid nodes of each column of a few rows.
+
+      heights  (room)             float32 [spacing]  as for sweep; a node is valid where > -1e29
+      image    (rows x cols)      float32
+      half     (rows x cols)      float32 [image]    half a difference, as halves makes it
+      found    (5, blocks, cols)  float32  out: sum of image, sum of half^2, and numbers of nodes that are valid, whose image is
+                                  > 0, and whose abs(half) is > limit; blocks = ceil(rows / block)
+
+    Thread (b, x) owns column x of rows b block .. min((b + 1) block, rows) - 1, summed in this order.
+    """
+    b, x = wp.tid()
+    light = wp.float32(0.0)
+    square = wp.float32(0.0)
+    valid = wp.int32(0)
+    lit = wp.int32(0)
+    off = wp.int32(0)
+    for y in range(b * block, wp.min((b + 1) * block, rows)):
+        if heights[(y + margin) * (cols + 2 * margin) + margin + x] > MASKED:
+            here = image[y * cols + x]
+            apart = half[y * cols + x]
+            light += here
+            square += apart * apart
+            valid += 1
+            if here > wp.float32(0.0):
+                lit += 1
+            if wp.abs(apart) > limit:
+                off += 1
+    at = b * cols + x
+    found[0, at] = light
+    found[1, at] = square
+    found[2, at] = wp.float32(valid)
+    found[3, at] = wp.float32(lit)
+    found[4, at] = wp.float32(off)
+
+
+@wp.kernel
+def box(values: wp.array[wp.float32], found: wp.array[wp.float32], rows: wp.int32, cols: wp.int32, r: wp.int32, down: wp.int32):
+    """Sums over the up to 2 r + 1 nodes round each along its row, or along its column where ``down``; fewer at the border.
+
+      values  (rows x cols)  float32
+      found   (rows x cols)  float32  out
+
+    Thread (y, x) owns one sum, from the least column or row on.
+    """
+    y, x = wp.tid()
+    at = x
+    length = cols
+    stride = wp.int32(1)
+    start = y * cols
+    if down != 0:
+        at = y
+        length = rows
+        stride = cols
+        start = x
+    sum = wp.float32(0.0)
+    for k in range(wp.max(at - r, 0), wp.min(at + r, length - 1) + 1):
+        sum += values[start + k * stride]
+    found[y * cols + x] = sum

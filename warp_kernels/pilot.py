@@ -1,10 +1,13 @@
-"""Horizons along single rays, exactly: what a plan is measured against. Twin of opencl/pilot.cl."""
+"""Horizons along single rays, exactly: what a plan is measured against; a map in blocks, for them; and values picked. Twin of opencl/pilot.cl."""
 
 import warp as wp
 
 from . import OPTIONS
 
 wp.set_module_options(OPTIONS)
+
+NONE = wp.constant(wp.float32(-1e30))
+MASKED = wp.constant(wp.float32(-1e29))
 
 
 @wp.func
@@ -98,3 +101,72 @@ def pilot(heights: wp.array[wp.float32], tops: wp.array[wp.float32], rays: wp.ar
                         slope = tangent
                     n += 1
     slopes[number] = slope
+
+
+@wp.kernel
+def pool(heights: wp.array[wp.float32], found: wp.array2d[wp.float32], rows: wp.int32, cols: wp.int32, across: wp.int32, down: wp.int32, shift: wp.int32, periodic: wp.int32, cliff: wp.float32):
+    """Of every square block of 2^shift x 2^shift nodes the highest node, with the row and the column after it; the lowest
+    node; and how many steps are cliffs.
+
+      heights  (rows, cols)       float32 [spacing]  <= -1e29 where masked
+      found    (3, down, across)  float32 [spacing], [spacing], [1]  out
+        [0]  highest valid node of the block, of the row and the column after it and of the node where these meet: round the map
+             where that is periodic, else as far as it goes; -1e30 if there is none
+        [1]  lowest valid node of the block itself; 1e30 if there is none
+        [2]  steps from a valid node of the block to its right and to its lower neighbour, valid and on the map (never round it),
+             that rise or fall by more than ``cliff``
+
+    Thread (by, bx) owns one block; its nodes along rows, from its first on.
+    """
+    by, bx = wp.tid()
+    if bx >= across or by >= down:
+        return
+    end_x = wp.min((bx + 1) << shift, cols)
+    end_y = wp.min((by + 1) << shift, rows)
+    last_x = end_x
+    last_y = end_y
+    if periodic == 0:
+        last_x = wp.min(end_x, cols - 1)
+        last_y = wp.min(end_y, rows - 1)
+    highest = wp.float32(NONE)
+    lowest = wp.float32(-NONE)
+    cliffs = wp.int32(0)
+    for y in range(by << shift, last_y + 1):
+        row = wp.where(y < rows, y, 0) * cols
+        for x in range(bx << shift, last_x + 1):
+            here = heights[row + wp.where(x < cols, x, 0)]
+            if here > MASKED:
+                highest = wp.max(highest, here)
+                if x < end_x and y < end_y:
+                    lowest = wp.min(lowest, here)
+                    if x + 1 < cols:
+                        right = heights[row + x + 1]
+                        if right > MASKED and wp.abs(right - here) > cliff:
+                            cliffs += 1
+                    if y + 1 < rows:
+                        below = heights[row + cols + x]
+                        if below > MASKED and wp.abs(below - here) > cliff:
+                            cliffs += 1
+    at = by * across + bx
+    found[0, at] = highest
+    found[1, at] = lowest
+    found[2, at] = wp.float32(cliffs)
+
+
+@wp.kernel
+def pick(values: wp.array[wp.float32], at: wp.array[wp.int32], found: wp.array[wp.float32], n_found: wp.int32, missing: wp.float32):
+    """Some values of an array.
+
+      values   (count)    float32
+      at       (n_found)  int32    which; below 0 for none
+      found    (n_found)  float32  out; ``missing`` where there is none
+
+    Thread n owns one that is picked.
+    """
+    n = wp.tid()
+    if n >= n_found:
+        return
+    if at[n] >= 0:
+        found[n] = values[at[n]]
+    else:
+        found[n] = missing

@@ -9,10 +9,14 @@ Shared arguments
                               node (x, y) stands at (y + 1) (cols + 1) + x + 1, and every neighbour of a node can be read
   tops        (cells, width)  float32  highest node of square cells, corners included: level l = 1, 2.. has cells 2^l wide,
                               from column width - (width >> l - 1) on; width is a multiple of 2^levels
-  sky         (side, side)    float32  brightness over the stereographic plane, x / (1 - z) and y / (1 - z) from -1 to 1
-  points      (n_points, 2)   float32  where along a chord brightness is taken, 0..1, and weights; none: it is 1
+  sky         (side, side)    float32  of light in a lobe: brightness over the stereographic plane, x / (1 - z) and y / (1 - z)
+                              from -1 to 1
+  points      (n_points, 2)   float32  where along a chord that brightness is taken, 0..1, and weights; none: it is 1
   lobe        (n_lobe)        float32  weight of light by 1 - cosine of its angle to the mirror direction, even steps from 0 to
                               rim, beyond which there is none; n_lobe 0: all light counts alike
+  chords      (n_turns, n_knots, 2)  float32  of light in no lobe: integrals of B cos^2 and B sin cos over elevation, from the
+                              sine k / (n_knots - 1) to the zenith, means over n_turns even cells of the diamond angle
+                              q = s / (|c| + |s|), 2 - q, 4 + q of the azimuth's cosine c and sine s, 0..4; n_knots 0: B is 1
   irradiance  (rows, cols)    float32  out; unit: its factor
   least, most slices of a source that is a point, and of one that stands all round: multiples of SLICES, as what is between
   dark        whether walls stand half a node outside the map, up to height 0
@@ -60,6 +64,7 @@ class Pixel:
     sky: wp.array[wp.float32]
     points: wp.array[wp.float32]
     lobe: wp.array[wp.float32]
+    chords: wp.array[wp.float32]
     rows: wp.int32
     cols: wp.int32
     width: wp.int32
@@ -67,6 +72,8 @@ class Pixel:
     side: wp.int32
     n_points: wp.int32
     n_lobe: wp.int32
+    n_turns: wp.int32
+    n_knots: wp.int32
     dark: wp.int32
     x: wp.int32
     y: wp.int32
@@ -197,7 +204,7 @@ def in_lobe(pixel: Pixel, c: wp.float32, s: wp.float32, cosine: wp.float32, sine
 
 @wp.func
 def brightness_of(pixel: Pixel, c: wp.float32, s: wp.float32, tilt: wp.float32, low: wp.float32, high: wp.float32):
-    """Mean brightness of the chord between two tangents, weighted by the cosine to the normal."""
+    """Mean brightness of the chord between two tangents, weighted by the cosine to the normal and by the lobe."""
     half = 0.5 * wp.float32(pixel.side - 1)
     most = pixel.side - 2
     low_c = 1.0 / wp.sqrt(low * low + 1.0)
@@ -223,10 +230,8 @@ def brightness_of(pixel: Pixel, c: wp.float32, s: wp.float32, tilt: wp.float32, 
         near = pixel.sky[at] * (1.0 - p) + pixel.sky[at + 1] * p
         far = pixel.sky[at + pixel.side] * (1.0 - p) + pixel.sky[at + pixel.side + 1] * p
         share = weight / (square * square) * cosine * wp.max(tilt * cosine + sine, 0.0)
-        light = near * (1.0 - q) + far * q
-        if pixel.n_lobe > 0:
-            length = wp.sqrt(square)
-            light *= in_lobe(pixel, c, s, cosine / length, sine / length)
+        length = wp.sqrt(square)
+        light = (near * (1.0 - q) + far * q) * in_lobe(pixel, c, s, cosine / length, sine / length)
         total += share * light
         all += share
     return total / wp.max(all, 1.0 / ENDLESS)
@@ -247,6 +252,69 @@ def arctan(x: wp.float32):
 
 
 @wp.func
+def mean_cosine(a: wp.float32, b: wp.float32):
+    """Mean of the cosine over the sines between two near directions with cosines a and b, to second order even at the zenith."""
+    return (a * a + a * b + b * b) / wp.max(1.5 * (a + b), 1.0 / ENDLESS)
+
+
+@wp.func
+def blended(pixel: Pixel, before: wp.int32, after: wp.int32, part: wp.float32, knot: wp.int32):
+    """Both integrals from a knot to the zenith, between two turns."""
+    i = 2 * (before * pixel.n_knots + knot)
+    j = 2 * (after * pixel.n_knots + knot)
+    return wp.vec2(pixel.chords[i] * (1.0 - part) + pixel.chords[j] * part, pixel.chords[i + 1] * (1.0 - part) + pixel.chords[j + 1] * part)
+
+
+@wp.func
+def of_chords(pixel: Pixel, c: wp.float32, s: wp.float32, tilt: wp.float32, low: wp.float32, high: wp.float32, by_cosine: wp.float32, by_sine: wp.float32):
+    """As chord(), from the table; by_cosine, by_sine: what the chord is worth where brightness is 1.
+
+    Brightness is even between two knots. Sines and cosines are in steps of the knots' sines, so are `even` integrals.
+    """
+    # 1. the cells of azimuth beside
+    diamond = s / (wp.abs(c) + wp.abs(s))
+    if c < 0.0:
+        diamond = 2.0 - diamond
+    elif s < 0.0:
+        diamond = 4.0 + diamond
+    place = diamond * (0.25 * wp.float32(pixel.n_turns)) + 0.5
+    after = wp.min(wp.int32(place), pixel.n_turns)
+    turn = place - wp.float32(after)
+    before = wp.where(after > 0, after - 1, pixel.n_turns - 1)
+    after = wp.where(after < pixel.n_turns, after, 0)
+    # 2. the knots below the ends
+    steps = pixel.n_knots - 1
+    size = wp.float32(steps)
+    low_c = size / wp.sqrt(low * low + 1.0)
+    high_c = size / wp.sqrt(high * high + 1.0)
+    low_s = low * low_c
+    high_s = high * high_c
+    i = wp.clamp(wp.int32(low_s), 0, steps - 1)
+    j = wp.clamp(wp.int32(high_s), 0, steps - 1)
+    low_0 = blended(pixel, before, after, turn, i)
+    low_1 = blended(pixel, before, after, turn, i + 1)
+    high_0 = blended(pixel, before, after, turn, j)
+    high_1 = blended(pixel, before, after, turn, j + 1)
+    at_i = wp.sqrt(wp.float32((steps - i) * (steps + i)))
+    at_j = wp.sqrt(wp.float32((steps - j) * (steps + j)))
+    # 3. the even integrals: of both cells, and what of them lies below the ends
+    low_all = wp.vec2(mean_cosine(at_i, wp.sqrt(wp.float32((steps - i - 1) * (steps + i + 1)))), wp.float32(i) + 0.5)
+    high_all = wp.vec2(mean_cosine(at_j, wp.sqrt(wp.float32((steps - j - 1) * (steps + j + 1)))), wp.float32(j) + 0.5)
+    rest = low_s - wp.float32(i)
+    low_part = wp.vec2(rest * mean_cosine(at_i, low_c), rest * 0.5 * (low_s + wp.float32(i)))
+    rest = high_s - wp.float32(j)
+    high_part = wp.vec2(rest * mean_cosine(at_j, high_c), rest * 0.5 * (high_s + wp.float32(j)))
+    # 4. brightness there; in one cell or two neighbours the closed forms leave short chords all digits
+    here = wp.cw_div(low_0 - low_1, low_all)
+    there = wp.cw_div(high_0 - high_1, high_all)
+    if j <= i + 1:
+        light = here * (size * size)
+        return tilt * (light[0] * by_cosine + (there[0] - here[0]) * high_part[0]) + (light[1] * by_sine + (there[1] - here[1]) * high_part[1])
+    whole = (low_1 - high_0) + wp.cw_mul(here, low_all - low_part) + wp.cw_mul(there, high_part)
+    return tilt * whole[0] + whole[1]
+
+
+@wp.func
 def chord(pixel: Pixel, c: wp.float32, s: wp.float32, low: wp.float32, high: wp.float32, rise: wp.float32):
     """Integral of B (tilt cos^2 + sin cos) of elevation between the tangents low and high, which are ``rise`` apart."""
     if not low < high:
@@ -257,6 +325,8 @@ def chord(pixel: Pixel, c: wp.float32, s: wp.float32, low: wp.float32, high: wp.
     sine = rise / r
     by_cosine = arctan(rise / (r + 1.0 + product)) + 0.5 * ((1.0 - product) / r * sine)
     by_sine = 0.5 * ((low + high) / r * sine)
+    if pixel.n_knots > 0:
+        return of_chords(pixel, c, s, tilt, low, high, by_cosine, by_sine)
     light = wp.float32(1.0)
     if pixel.n_points > 0:
         light = brightness_of(pixel, c, s, tilt, low, high)
@@ -368,7 +438,9 @@ def ball(
     sky: wp.array[wp.float32],
     points: wp.array[wp.float32],
     lobe: wp.array[wp.float32],
+    chords: wp.array[wp.float32],
     irradiance: wp.array[wp.float32],
+    alternating: wp.array[wp.float32],
     rows: wp.int32,
     cols: wp.int32,
     width: wp.int32,
@@ -378,6 +450,8 @@ def ball(
     side: wp.int32,
     n_points: wp.int32,
     n_lobe: wp.int32,
+    n_turns: wp.int32,
+    n_knots: wp.int32,
     dark: wp.int32,
     rim: wp.float32,
     x0: wp.float32,
@@ -389,7 +463,10 @@ def ball(
     """x0, y0, z0: its centre (z0 a height), and its radius.
 
       nodes  (most / SLICES, 4, most)  float32  for SLICES, 2 SLICES.. slices: sine and cosine of theta, midpoints of
-                                                -pi/2..pi/2, and of the azimuths of midpoints all round
+                                                -pi/2..pi/2, and of the azimuths of midpoints all round; or other places
+                                                in the same even steps
+      alternating  (rows, cols)        float32  out: the even slices' light less that of the odd ones, which tells how far the
+                                                slices are from enough
 
     The slice at the azimuth offset d from the centre, sin d = (sin a / cos e) sin theta, a the ball's angular radius and e its
     centre's elevation, sees a chord of half width w, sin w = sin a cos theta / r, r^2 = 1 - cos^2 e sin^2 d. Where the zenith
@@ -399,8 +476,8 @@ def ball(
     here = (y + 1) * (cols + 1) + x + 1
     tilt = tilt_of(heights, here, cols + 1)
     mirror = mirror_of(tilt)
-    pixel = Pixel(heights, tops, sky, points, lobe, rows, cols, width, levels, side, n_points, n_lobe, dark, x, y, heights[here], tilt[0], tilt[1],
-                  rim, mirror[0], mirror[1], mirror[2], 0.0, 0.0, radius)
+    pixel = Pixel(heights, tops, sky, points, lobe, chords, rows, cols, width, levels, side, n_points, n_lobe, n_turns, n_knots, dark, x, y, heights[here],
+                  tilt[0], tilt[1], rim, mirror[0], mirror[1], mirror[2], 0.0, 0.0, radius)
 
     # 1. where the ball stands, and how many slices it is worth
     dx = x0 - wp.float32(x)
@@ -441,12 +518,13 @@ def ball(
 
     # 2. its slices
     total = wp.float32(0.0)
+    other = wp.float32(0.0)
     if pixel.height > NONE and (inside or dz + radius > 0.0):
         for j in range(n_slices):
             sin_d = widest * nodes[own + j]
             half = sin_a * nodes[own + most + j]
             cos_d = wp.sqrt((1.0 - sin_d) * (1.0 + sin_d))
-            share = widest * step * nodes[own + most + j] / cos_d
+            share = widest * step * nodes[own + most + j] / wp.max(cos_d, 1e-6)  # no less but where there is no chord
             if all_round:
                 sin_d = nodes[own + 2 * most + j]
                 cos_d = nodes[own + 3 * most + j]
@@ -471,8 +549,12 @@ def ball(
             rise = high - low
             if low_c > 0.0 and high < STEEP:
                 rise = 2.0 * cos_a * half * square / (low_c * high_c)
-            total += share * slice_light(pixel, ux * cos_d - uy * sin_d, uy * cos_d + ux * sin_d, flat * cos_d, flat * sin_d, low, high, rise)
-    irradiance[y * cols + x] = unit * total / wp.sqrt(1.0 + pixel.tilt_x * pixel.tilt_x + pixel.tilt_y * pixel.tilt_y)
+            light = share * slice_light(pixel, ux * cos_d - uy * sin_d, uy * cos_d + ux * sin_d, flat * cos_d, flat * sin_d, low, high, rise)
+            total += light
+            other += wp.where((j & 1) == 0, light, -light)
+    slant = wp.sqrt(1.0 + pixel.tilt_x * pixel.tilt_x + pixel.tilt_y * pixel.tilt_y)
+    irradiance[y * cols + x] = unit * total / slant
+    alternating[y * cols + x] = unit * other / slant
 
 
 @wp.func
@@ -520,6 +602,7 @@ def quad(
     sky: wp.array[wp.float32],
     points: wp.array[wp.float32],
     lobe: wp.array[wp.float32],
+    chords: wp.array[wp.float32],
     irradiance: wp.array[wp.float32],
     rows: wp.int32,
     cols: wp.int32,
@@ -530,6 +613,8 @@ def quad(
     side: wp.int32,
     n_points: wp.int32,
     n_lobe: wp.int32,
+    n_turns: wp.int32,
+    n_knots: wp.int32,
     dark: wp.int32,
     rim: wp.float32,
     unit: wp.float32,
@@ -546,8 +631,8 @@ def quad(
     here = (y + 1) * (cols + 1) + x + 1
     tilt = tilt_of(heights, here, cols + 1)
     mirror = mirror_of(tilt)
-    pixel = Pixel(heights, tops, sky, points, lobe, rows, cols, width, levels, side, n_points, n_lobe, dark, x, y, heights[here], tilt[0], tilt[1],
-                  rim, mirror[0], mirror[1], mirror[2], 0.0, 0.0, 0.0)
+    pixel = Pixel(heights, tops, sky, points, lobe, chords, rows, cols, width, levels, side, n_points, n_lobe, n_turns, n_knots, dark, x, y, heights[here],
+                  tilt[0], tilt[1], rim, mirror[0], mirror[1], mirror[2], 0.0, 0.0, 0.0)
 
     # 1. the corners, in the frame that points below the middle
     dx = corners[12] - wp.float32(x)
@@ -736,7 +821,7 @@ def gloss(
     here = (y + 1) * (cols + 1) + x + 1
     tilt = tilt_of(heights, here, cols + 1)
     mirror = mirror_of(tilt)
-    pixel = Pixel(heights, tops, sky, points, lobe, rows, cols, width, levels, side, n_points, n_lobe, dark, x, y, heights[here], tilt[0], tilt[1],
+    pixel = Pixel(heights, tops, sky, points, lobe, sky, rows, cols, width, levels, side, n_points, n_lobe, 0, 0, dark, x, y, heights[here], tilt[0], tilt[1],
                   rim, mirror[0], mirror[1], mirror[2], 0.0, reach, -1.0)
 
     # 1. where the disc stands, and how many slices it is worth
@@ -812,6 +897,30 @@ def rays(
         seen[here + j] = wp.where(slope > tangent, 0.0, 1.0)
 
 
+@wp.func
+def between(at: wp.float32, low: wp.float32, high: wp.float32, along: wp.float32):
+    """Between which distances a way from ``at`` is within low..high, ``along`` its part in their direction."""
+    if along > 0.0:
+        return wp.vec2((low - at) / along, (high - at) / along)
+    if along < 0.0:
+        return wp.vec2((high - at) / along, (low - at) / along)
+    if low <= at and at < high:
+        return wp.vec2(-ENDLESS, ENDLESS)
+    return wp.vec2(ENDLESS, -ENDLESS)
+
+
+@wp.func
+def light_above(table: wp.array[wp.float32], entry: wp.int32, knots: wp.int32, first: wp.float32, scale: wp.float32, tangent: wp.float32, tilt: wp.float32):
+    """The light of a sector above a tangent."""
+    at = wp.max((tangent / wp.sqrt(tangent * tangent + 1.0) - first) * scale, 0.0)
+    knot = wp.min(wp.int32(at), knots - 2)
+    part = wp.min(at - wp.float32(knot), 1.0)
+    here = (entry + knot) * 4
+    by_cosine = table[here] + part * table[here + 2]
+    by_sine = table[here + 1] + part * table[here + 3]
+    return tilt * by_cosine + by_sine
+
+
 @wp.kernel(launch_bounds=BOUNDS)
 def sectors(
     heights: wp.array[wp.float32],
@@ -827,16 +936,22 @@ def sectors(
     knots: wp.int32,
     dark: wp.int32,
     highest: wp.float32,
-    first: wp.float32,
-    scale: wp.float32,
+    x0: wp.float32,
+    x1: wp.float32,
+    y0: wp.float32,
+    y1: wp.float32,
 ):
-    """The light of a sky in a few sectors of azimuth, each above the exact horizon along one azimuth.
+    """The light of a sky in a few sectors of azimuth, each above the exact horizon along one azimuth, added to what is there.
 
-      ways   (3, count)         float32  azimuth's cosine and sine, and width [rad]
-      table  (count, knots, 4)  float32  integrals over elevation of B cos^2 and B sin cos, from the sine first + i / scale on, and
-                                         what to add up to the next knot; below the first knot and above the last there is no light
+      ways        (5, count)         float32  azimuth's cosine and sine, width [rad], and of its table: the sine of elevation at which
+                                              it begins, `first`, and knots per unit of sine, `scale`
+      table       (count, knots, 4)  float32  integrals over elevation of B cos^2 and B sin cos, from the sine first + i / scale on,
+                                              and what to add up to the next knot; below the first knot and above the last there is
+                                              no light
+      irradiance  (rows, cols)       float32  in, out
 
-    highest: node of the map.
+    highest: node of the map. x0 <= x < x1, y0 <= y < y1 [spacing]: window at height 0 through which the light comes;
+    -ENDLESS..ENDLESS: there is none.
     """
     y, x = wp.tid()
     here = (y + 1) * (cols + 1) + x + 1
@@ -851,28 +966,43 @@ def sectors(
     pixel.x = x
     pixel.y = y
     pixel.height = heights[here]
+    pixel.reach = 1.0  # ground counts up to t x along = 1
     pixel.radius = -1.0
-    last = first + wp.float32(knots - 1) / scale
-    low = first / wp.sqrt(wp.max(1.0 - first * first, 1e-12))
-    high = last / wp.sqrt(wp.max(1.0 - last * last, 1e-12))
-    pixel.reach = (highest - pixel.height) / wp.max(low, 1e-6)  # farther on, a ray is above all ground
+    framed = x0 > -ENDLESS or x1 < ENDLESS or y0 > -ENDLESS or y1 < ENDLESS
     total = wp.float32(0.0)
-    if pixel.height > NONE:
+    if pixel.height > NONE and (not framed or pixel.height < 0.0):
         for j in range(count):
             c = ways[j]
             s = ways[count + j]
+            first = ways[3 * count + j]
+            scale = ways[4 * count + j]
+            last = first + wp.float32(knots - 1) / scale
+            low = first / wp.sqrt(wp.max(1.0 - first * first, 1e-12))
+            high = last / wp.sqrt(wp.max(1.0 - last * last, 1e-12))
+            along = wp.max(low, 1e-6) / wp.max(highest - pixel.height, 1e-6)  # farther on, a ray is above all ground
             tilt = tilt_xy[0] * c + tilt_xy[1] * s
-            # 1. the tangent plane, the level, the wall, and the ground
+            # 1. the tangent plane, the level, the wall, the window, and the ground
             slope = wp.max(-tilt, low)
             if dark != 0:
                 slope = wp.max(slope, -pixel.height / wp.min(to_wall(cols, x, c), to_wall(rows, y, s)))
-            slope = horizon(pixel, c, s, slope, high, 1.0, 0.0)
+            end = wp.float32(STEEP)
+            if framed:
+                by_x = between(wp.float32(x), x0, x1, c)
+                by_y = between(wp.float32(y), y0, y1, s)
+                near = wp.max(wp.max(by_x[0], by_y[0]), 0.0)
+                far = wp.min(by_x[1], by_y[1])
+                if near < far:
+                    slope = wp.max(slope, -pixel.height / far)
+                    if near > 0.0:
+                        end = wp.min(-pixel.height / near, STEEP)
+                else:
+                    end = wp.float32(-STEEP)
+            slope = horizon(pixel, c, s, slope, wp.min(high, end), along, 0.0)
             # 2. the light above it
-            at = wp.max((slope / wp.sqrt(slope * slope + 1.0) - first) * scale, 0.0)
-            knot = wp.min(wp.int32(at), knots - 2)
-            part = wp.min(at - wp.float32(knot), 1.0)
-            entry = (j * knots + knot) * 4
-            by_cosine = table[entry] + part * table[entry + 2]
-            by_sine = table[entry + 1] + part * table[entry + 3]
-            total += ways[2 * count + j] * (tilt * by_cosine + by_sine)
-    irradiance[y * cols + x] = total / wp.sqrt(1.0 + tilt_xy[0] * tilt_xy[0] + tilt_xy[1] * tilt_xy[1])
+            light = wp.float32(0.0)
+            if not framed or slope < end:
+                light = light_above(table, j * knots, knots, first, scale, slope, tilt)
+                if end < STEEP:
+                    light -= light_above(table, j * knots, knots, first, scale, end, tilt)
+            total += ways[2 * count + j] * light
+    irradiance[y * cols + x] = irradiance[y * cols + x] + total / wp.sqrt(1.0 + tilt_xy[0] * tilt_xy[0] + tilt_xy[1] * tilt_xy[1])

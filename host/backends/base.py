@@ -7,8 +7,10 @@ opencl/ and in numpy.py; what is here launches them by name.
 from __future__ import annotations
 
 import contextlib
+import functools
 import math
 import mmap
+import threading
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from typing import NamedTuple
@@ -77,8 +79,25 @@ def rounded_up(pixels: int) -> int:
     return -(-pixels // ROOM) * ROOM
 
 
+ALONE = {"upload", "put", "empty", "fill", "download", "launch", "record", "finish"}  # methods of a backend that take its lock
+
+
+def _alone(method: Callable) -> Callable:
+    @functools.wraps(method)
+    def alone(self, *args, **more):
+        with self.lock:
+            return method(self, *args, **more)
+
+    return alone
+
+
 class Backend(ABC):
-    """One device. Subclasses give ``name``, ``device``, ``lanes``, ``memory`` and the abstract methods."""
+    """One device. Subclasses give ``name``, ``device``, ``lanes``, ``memory`` and the abstract methods.
+
+    ``lock``: every public call holds it from its first array to its last download, so calls from threads come one after another:
+    the arguments of kernels, queues, what is recorded and the seconds of compiling belong to one call at a time. What uses the
+    device outside of such calls, as a scene does whose map lies there, waits for them in each of the methods of ALONE.
+    """
 
     name: str
     device: str
@@ -92,6 +111,13 @@ class Backend(ABC):
     lines = 1  # adjacent work-items that share cache lines, where work-items of a group run together
     pixel_lanes = 1  # adjacent pixels per work-item where there are no lines; divides ROOM
     compile_seconds = 0.0
+
+    def __init__(self):
+        self.lock = threading.RLock()  # a call makes others
+
+    def __init_subclass__(cls):
+        for name in ALONE & vars(cls).keys():
+            setattr(cls, name, _alone(vars(cls)[name]))
 
     @abstractmethod
     def upload(self, array: np.ndarray):

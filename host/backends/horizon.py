@@ -17,6 +17,7 @@ LADDER = 16  # slopes of the ladder, as in opencl/horizon.cl
 OUTSIDE, MASKED = np.float32(-1e30), np.float32(-2e30)  # heights where there is no ground
 NEVER = 1 << 30  # a window that no line fills
 SLOPES, UNIFORM, TABLE = range(3)  # what a sweep does with the horizon
+BLOCK = 64  # rows of a column that are summed in float32 before they are in float64
 PROBED = 1024  # nodes from which the steepest rise and fall are looked for
 FAINTEST = 0.01  # slope below which ground of a map that repeats is not looked for: at most 5e-5 of E / pi
 
@@ -59,15 +60,16 @@ class Half(NamedTuple):
 class Sweeps:
     """A map on a device, ready to be swept; ``light`` and ``slopes`` may be repeated (and timed)."""
 
-    def __init__(self, backend: Backend, ground: Ground, rays: Rays, table: np.ndarray | None = None, near: int | None = None, level: bool = False):
+    def __init__(self, backend: Backend, ground: Ground, rays: Rays | None = None, table: np.ndarray | None = None, near: int | None = None, level: bool = False):
         """``table`` (K, knots, 4) float32: brightness, see opencl/horizon.cl; uniform, of brightness 1, unless given.
-        ``level``: light falls on a level element at every node, not on the surface."""
-        self.level = level
-        self.backend, self.ground, self.rays = backend, ground._replace(heights=None), rays  # the device has the heights
+        ``level``: light falls on a level element at every node, not on the surface. Without ``rays`` it waits for ``aim``, and what all aims share is made
+        once and kept."""
+        self.level, self.kept, self.made = level, rays is None, set()
+        self.backend, self.ground = backend, ground._replace(heights=None)  # the device has the heights
         rows, cols = self.shape = ground.heights.shape
         if rows * cols > MOST_PIXELS:
             raise CapacityError(f"A map of {rows * cols:,} nodes; at most {MOST_PIXELS:,}, since kernels count nodes in 32 bits. Cut it into tiles.")
-        self.near = near or (FINE if len(rays.angles) >= MANY else NEAR)
+        self.near = near or (FINE if rays is not None and len(rays.angles) >= MANY else NEAR)
         self.margin = self.near + backend.lanes + 3
         backend.reserve(32 * (rows + 2 * self.margin) * (cols + 2 * self.margin), f"A map of {rows} x {cols} nodes", "Cut it into tiles.")
         self.room = (rows + 2 * self.margin) * (cols + 2 * self.margin)
@@ -87,17 +89,38 @@ class Sweeps:
         self.turned = backend.empty((self.room,), np.float32)
         level_ground = 0 if level else None  # else the kernel `tilt` writes them
         self.tilts = [backend.empty((2, self.room), np.float32, level_ground)]  # on a GPU both maps are swept at the same time
-        self.tilts.append(backend.empty((2, self.room), np.float32, level_ground) if backend.lines > 1 else self.tilts[0])
-        self.knots = 2 if table is None else table.shape[1]
-        self.unit = self._unit(table)
+        self.tilts.append(backend.empty((2, self.room), np.float32, level_ground) if backend.lines > 1 or self.kept else self.tilts[0])
         self.nothing = backend.empty((4,), np.float32)
-        self.what = UNIFORM if table is None else TABLE
-        self.halves = [self._half(turned, table) for turned in (False, True)]
+        if rays is not None:
+            self.aim(rays, table)
 
     # -- what is asked of it
 
-    def light(self, total, turned) -> None:
-        """Irradiance float32 [brightness x sr] into the device array ``total``; both (rows x cols) int32, for sums on the way."""
+    def aim(self, rays: Rays, table: np.ndarray | None = None) -> None:
+        """Sweep along other azimuths from now on, with other brightness."""
+        self.rays, self.what, self.knots = rays, UNIFORM if table is None else TABLE, 2 if table is None else table.shape[1]
+        self.unit = self._unit(table)
+        self.halves = [self._half(turned, table) for turned in (False, True)]
+
+    def add_light(self, table: np.ndarray, image) -> None:
+        """Add to an irradiance on the device what ``table`` (side, side) float32 [brightness x sr] has for every node's normal; see the kernel
+        ``correct``. After ``light``, which leaves the tilts of the map as it lies."""
+        rows, cols = self.shape
+        given = self.backend.upload(table)
+        self.backend.launch("ground", "correct", (cols, rows), self.tilts[0], given, image, rows, cols, self.margin, self.room, len(table), 1.0)
+        self.backend.finish()  # the table may go
+
+    def judge(self, image, half, limit: float) -> tuple[float, float, int, int, int]:
+        """(sum of an image, sum of the squares of half a difference, valid nodes, lit nodes, nodes where half the difference passes ``limit``)."""
+        rows, cols = self.shape
+        blocks = -(-rows // BLOCK)
+        found = self.backend.empty((5, blocks, cols), np.float32)
+        self.backend.launch("ground", "judge", (cols, blocks), self.heights, image, half, found, rows, cols, self.margin, BLOCK, float(limit))
+        light, square, *counts = self.backend.download(found).reshape(5, -1).sum(1, dtype=np.float64).tolist()
+        return light, square, *map(int, counts)
+
+    def light(self, total, turned, image=None) -> None:
+        """Irradiance float32 [brightness x sr] into the device array ``image``, or into ``total``; both others (rows x cols) int32, for sums on the way."""
         backend = self.backend
         self._turn()
         backend.fill(total, 0)
@@ -106,17 +129,19 @@ class Sweeps:
             self._light_of(self.halves[1], turned)
         self._light_of(self.halves[0], total)
         backend.join()
-        self._gather(total, turned)
+        self._gather(total, turned, total if image is None else image)
 
-    def _gather(self, total, turned):
+    def _gather(self, total, turned, image):
         rows, cols = self.shape
-        self.backend.launch("ground", "gather", (cols, rows), total, turned, total, rows, cols, 1 / self.unit)
+        self.backend.launch("ground", "gather", (cols, rows), total, turned, image, rows, cols, 1 / self.unit)
 
     def _light_of(self, half: Half, sums) -> None:
         backend, around = self.backend, 2 * self.margin
-        if not self.level:
+        if not self.level and half.turned not in self.made:
             backend.launch("ground", "tilt", (half.cols + around, half.rows + around), half.heights, half.tilts, half.rows, half.cols, self.margin, self.room,
                            int(self.ground.sides == "periodic"))
+        if self.kept:
+            self.made.add(half.turned)
         for first, count in self._batches(half, 1 if backend.lines == 1 else NEVER):
             scratch = self.nothing
             if half.windows[first] < NEVER:
@@ -138,7 +163,7 @@ class Sweeps:
         self.turned = None
         total = backend.empty(size, np.int32, 0)
         self._light_of(self.halves.pop(), total)
-        self._gather(total, turned)
+        self._gather(total, turned, total)
         backend.finish()
         del self.heights, self.tilts, turned
         return backend.download(total).view(np.float32).reshape(self.shape)
@@ -170,6 +195,10 @@ class Sweeps:
     # -- how
 
     def _turn(self):
+        if "map" in self.made:
+            return
+        if self.kept:
+            self.made.add("map")
         rows, cols = (n + 2 * self.margin for n in self.shape)
         self.backend.launch("ground", "turn", (rows, cols), self.heights, self.turned, rows, cols)
 

@@ -1,6 +1,8 @@
-"""pilot in NumPy: all rays at once, each at its own step. Twin of opencl/pilot.cl."""
+"""pilot in NumPy: all rays at once, each at its own step; all blocks and picked values at once. Twin of opencl/pilot.cl."""
 
 import numpy as np
+
+NONE, MASKED = np.float32(-1e30), np.float32(-1e29)
 
 
 def _steps_out(at, move, low, high):
@@ -44,3 +46,27 @@ def pilot(heights, tops, rays, slopes, count, rows, cols, across, shift, periodi
             higher = (tangent > slope[here]) & (t * (rays[here, 5] + tangent * rays[here, 6]) < rays[here, 7])
             slope[here[higher]] = tangent[higher]
     slopes[...] = slope
+
+
+def pool(heights, found, rows, cols, across, down, shift, periodic, cliff):
+    size, found = 1 << shift, found.reshape(3, down, across)
+    heights = heights.reshape(rows, cols)
+    known = heights > MASKED
+    heights = np.where(known, heights, NONE)
+    top = np.full((down * size + 1, across * size + 1), NONE)
+    top[:rows, :cols] = heights
+    if periodic:
+        top[: rows + 1, : cols + 1] = np.pad(heights, ((0, 1), (0, 1)), "wrap")
+    for _ in range(2):  # blocks of rows, then of columns, each with the one after it
+        top = np.maximum(top[:-1].reshape(-1, size, top.shape[1]).max(1), top[size::size]).T
+    low, cliffs = np.full((down * size, across * size), -NONE), np.zeros((down * size, across * size), np.float32)
+    low[:rows, :cols][known] = heights[known]
+    cliffs[:rows, : cols - 1] += known[:, 1:] & known[:, :-1] & (abs(heights[:, 1:] - heights[:, :-1]) > np.float32(cliff))
+    cliffs[: rows - 1, :cols] += known[1:] & known[:-1] & (abs(heights[1:] - heights[:-1]) > np.float32(cliff))
+    blocks = down, size, across, size
+    found[:] = top, low.reshape(blocks).min((1, 3)), cliffs.reshape(blocks).sum((1, 3))
+
+
+def pick(values, at, found, n_found, missing):
+    at = at[:n_found]
+    found[:n_found] = np.where(at >= 0, values.reshape(-1)[np.maximum(at, 0)], np.float32(missing))

@@ -36,6 +36,7 @@ class Map(NamedTuple):
     sky: np.ndarray
     points: np.ndarray
     lobe: np.ndarray
+    chords: np.ndarray
     rim: np.float32
     rows: int
     cols: int
@@ -165,10 +166,8 @@ def _brightness_of(ground, pixels, c, s, tilt, low, high):
         near = sky[at] * (F(1) - p) + sky[at + 1] * p
         far = sky[at + side] * (F(1) - p) + sky[at + side + 1] * p
         share = weight / (square * square) * cosine * np.maximum(tilt * cosine + sine, F(0))
-        light = near * (F(1) - q) + far * q
-        if len(ground.lobe):
-            length = np.sqrt(square)
-            light = light * _in_lobe(ground, pixels, c, s, cosine / length, sine / length)
+        length = np.sqrt(square)
+        light = (near * (F(1) - q) + far * q) * _in_lobe(ground, pixels, c, s, cosine / length, sine / length)
         total += share * light
         everything += share
     return total / np.maximum(everything, F(1) / ENDLESS)
@@ -182,6 +181,40 @@ def _arctan(x):
     return x * total
 
 
+def _mean_cosine(a, b):
+    """Mean of the cosine over the sines between two near directions with cosines a and b, to second order even at the zenith."""
+    return (a * a + a * b + b * b) / np.maximum(F(1.5) * (a + b), F(1) / ENDLESS)
+
+
+def _of_chords(chords, c, s, tilt, low, high, by_cosine, by_sine):
+    turns, knots = chords.shape[:2]
+    # 1. the cells of azimuth beside
+    ratio = s / (np.abs(c) + np.abs(s))
+    diamond = np.where(c < 0, F(2) - ratio, np.where(s < 0, F(4) + ratio, ratio))
+    place = diamond * (F(0.25) * F(turns)) + F(0.5)
+    after = np.minimum(place.astype(np.int32), turns)
+    turn = (place - after.astype(F))[:, None]
+    before, after = np.where(after > 0, after - 1, turns - 1), np.where(after < turns, after, 0)
+    blended = lambda knot: chords[before, knot] * (F(1) - turn) + chords[after, knot] * turn
+    # 2. the knots below the ends
+    steps = knots - 1
+    low_c, high_c = F(steps) / np.sqrt(low * low + F(1)), F(steps) / np.sqrt(high * high + F(1))
+    low_s, high_s = low * low_c, high * high_c
+    i, j = (np.clip(sine.astype(np.int32), 0, steps - 1) for sine in (low_s, high_s))
+    low_0, low_1, high_0, high_1 = (blended(knot) for knot in (i, i + 1, j, j + 1))
+    cosine_at = lambda knot: np.sqrt(((steps - knot) * (steps + knot)).astype(F))
+    # 3. the even integrals: of both cells, and what of them lies below the ends
+    below = lambda knot, sine, cosine: np.stack([_mean_cosine(cosine_at(knot), cosine), F(0.5) * (sine + knot.astype(F))], -1)
+    low_all, high_all = (below(knot, (knot + 1).astype(F), cosine_at(knot + 1)) for knot in (i, j))
+    low_part, high_part = ((sine - knot.astype(F))[:, None] * below(knot, sine, cosine) for knot, sine, cosine in ((i, low_s, low_c), (j, high_s, high_c)))
+    # 4. brightness there; in one cell or two neighbours the closed forms leave short chords all digits
+    here, there = (low_0 - low_1) / low_all, (high_0 - high_1) / high_all
+    few = here * (F(steps) * F(steps)) * np.stack([by_cosine, by_sine], -1) + (there - here) * high_part
+    many = (low_1 - high_0) + here * (low_all - low_part) + there * high_part
+    light = np.where((j <= i + 1)[:, None], few, many)
+    return tilt * light[:, 0] + light[:, 1]
+
+
 def _chord(ground, pixels, c, s, low, high, rise):
     out = np.zeros_like(low)
     n = np.flatnonzero(low < high)
@@ -191,8 +224,11 @@ def _chord(ground, pixels, c, s, low, high, rise):
     sine = rise / r
     by_cosine = _arctan(rise / (r + F(1) + product)) + F(0.5) * ((F(1) - product) / r * sine)
     by_sine = F(0.5) * ((low + high) / r * sine)
-    light = _brightness_of(ground, pixels, c, s, tilt, low, high) if len(ground.points) else F(1)
-    out[n] = light * (tilt * by_cosine + by_sine)
+    if ground.chords.shape[1]:
+        out[n] = _of_chords(ground.chords, c, s, tilt, low, high, by_cosine, by_sine)
+    else:
+        light = _brightness_of(ground, pixels, c, s, tilt, low, high) if len(ground.points) else F(1)
+        out[n] = light * (tilt * by_cosine + by_sine)
     return out
 
 
@@ -244,9 +280,11 @@ def _light(ground, pixels, c, s, along, aside, low, high, rise):
     return total + np.where(split, _chord(ground, pixels, c, s, above, high, high - above), F(0))
 
 
-def _sum(ground, pixels, blocks, most, unit, irradiance, slices_of):
+def _sum(ground, pixels, blocks, most, unit, irradiance, slices_of, alternating=None):
     """Fill irradiance: slices_of(indices of pixels, their number of slices) -> (share, along, aside, low, high, rise, c, s), 2-D."""
     irradiance[...] = 0
+    if alternating is not None:
+        alternating[...] = 0
     for block in np.unique(blocks):
         some = np.flatnonzero(blocks == block)
         count = int(block) * SLICES
@@ -256,10 +294,14 @@ def _sum(ground, pixels, blocks, most, unit, irradiance, slices_of):
             flat = lambda value: np.ascontiguousarray(np.broadcast_to(value, share.shape)).ravel()
             light = _light(ground, here.of(np.repeat(np.arange(len(part)), count)), *map(flat, (c, s, along, aside, low, high, rise)))
             scale = np.sqrt(F(1) + here.tilt_x * here.tilt_x + here.tilt_y * here.tilt_y)
-            irradiance[here.y, here.x] = F(unit) * (share * light.reshape(share.shape)).sum(1, dtype=F) / scale
+            light = share * light.reshape(share.shape)
+            irradiance[here.y, here.x] = F(unit) * light.sum(1, dtype=F) / scale
+            if alternating is not None:
+                alternating[here.y, here.x] = F(unit) * (light[:, ::2] - light[:, 1::2]).sum(1, dtype=F) / scale
 
 
-def ball(heights, tops, nodes, sky, points, lobe, irradiance, rows, cols, width, levels, least, most, side, n_points, n_lobe, dark, rim, x0, y0, z0, radius, unit):
+def ball(heights, tops, nodes, sky, points, lobe, chords, irradiance, alternating, rows, cols, width, levels, least, most, side, n_points, n_lobe, n_turns, n_knots, dark,
+         rim, x0, y0, z0, radius, unit):
     x0, y0, z0, radius = F(x0), F(y0), F(z0), F(radius)
     nodes_with_ground = x, y, height, *_ = _pixels(heights, rows, cols)
     # 1. where the ball stands, and how many slices it is worth
@@ -287,7 +329,7 @@ def ball(heights, tops, nodes, sky, points, lobe, irradiance, rows, cols, width,
         cos_d = np.where(all_round_, row[3], np.sqrt((F(1) - sin_d) * (F(1) + sin_d)))
         square = column(sin_a) * column(sin_a) - column(cos_e) * column(cos_e) * (sin_d * sin_d)
         half = np.where(all_round_, np.sqrt(np.maximum(square, F(0))), column(sin_a) * row[1])
-        share = np.where(all_round_, F(2) * step, column(widest) * step * row[1] / cos_d)
+        share = np.where(all_round_, F(2) * step, column(widest) * step * row[1] / np.maximum(cos_d, F(1e-6)))  # no less but where there is no chord
         in_plane = column(cos_e) * cos_d
         square = in_plane * in_plane + column(sin_e) * column(sin_e)
         low_c, low_s = in_plane * column(cos_a) + column(sin_e) * half, column(sin_e) * column(cos_a) - in_plane * half
@@ -301,7 +343,8 @@ def ball(heights, tops, nodes, sky, points, lobe, irradiance, rows, cols, width,
         flat_ = column(flat)
         return share, flat_ * cos_d, flat_ * sin_d, low, high, rise, column(ux) * cos_d - column(uy) * sin_d, column(uy) * cos_d + column(ux) * sin_d
 
-    _sum(Map(heights, tops, sky, points[:n_points], lobe[:n_lobe], F(rim), rows, cols, levels, dark), pixels, blocks, most, unit, irradiance, slices_of)
+    ground = Map(heights, tops, sky, points[:n_points], lobe[:n_lobe], chords[:n_turns, :n_knots], F(rim), rows, cols, levels, dark)
+    _sum(ground, pixels, blocks, most, unit, irradiance, slices_of, alternating)
 
 
 def _sector_between(ax, ay, bx, by):
@@ -320,7 +363,7 @@ def _share_of(quarter):
     return quarter * (F(0.637) - F(0.137) * quarter * quarter)
 
 
-def quad(heights, tops, corners, nodes, sky, points, lobe, irradiance, rows, cols, width, levels, least, most, side, n_points, n_lobe, dark, rim, unit):
+def quad(heights, tops, corners, nodes, sky, points, lobe, chords, irradiance, rows, cols, width, levels, least, most, side, n_points, n_lobe, n_turns, n_knots, dark, rim, unit):
     nodes_with_ground = x, y, height, *_ = _pixels(heights, rows, cols)
     # 1. the corners, in the frame that points below the middle
     dx, dy, dz = corners[4, 0] - x.astype(F), corners[4, 1] - y.astype(F), corners[4, 2] - height
@@ -400,7 +443,8 @@ def quad(heights, tops, corners, nodes, sky, points, lobe, irradiance, rows, col
         c, s = column(ux) * cos_d - column(uy) * sin_d, column(uy) * cos_d + column(ux) * sin_d
         return np.where(column(seen), share, F(0)), along, F(0), low, high, rise, c, s
 
-    _sum(Map(heights, tops, sky, points[:n_points], lobe[:n_lobe], F(rim), rows, cols, levels, dark), pixels, blocks, most, unit, irradiance, slices_of)
+    ground = Map(heights, tops, sky, points[:n_points], lobe[:n_lobe], chords[:n_turns, :n_knots], F(rim), rows, cols, levels, dark)
+    _sum(ground, pixels, blocks, most, unit, irradiance, slices_of)
 
 
 def gloss(heights, tops, nodes, sky, points, lobe, irradiance, rows, cols, width, levels, least, most, side, n_points, n_lobe, dark, rim, reach, unit):
@@ -427,42 +471,70 @@ def gloss(heights, tops, nodes, sky, points, lobe, irradiance, rows, cols, width
         share = np.where(column(all_round), F(2) * step, column(widest) * step * row[1] / cos_d)
         return share, F(1), F(0), -STEEP, STEEP, F(2) * STEEP, column(ux) * cos_d - column(uy) * sin_d, column(uy) * cos_d + column(ux) * sin_d
 
-    _sum(Map(heights, tops, sky, points[:n_points], lobe[:n_lobe], rim, rows, cols, levels, dark), pixels, blocks, most, unit, irradiance, slices_of)
+    _sum(Map(heights, tops, sky, points[:n_points], lobe[:n_lobe], np.zeros((0, 0, 2), F), rim, rows, cols, levels, dark), pixels, blocks, most, unit, irradiance, slices_of)
+
+
+def _bare(heights, tops, rows, cols, levels):
+    nothing = np.zeros(0, F)
+    return Map(heights, tops, nothing, nothing, nothing, nothing, F(0), rows, cols, levels, 0)
 
 
 def rays(heights, tops, ways, seen, rows, cols, width, levels, count):
     ground = _pixels(heights, rows, cols)
     y, x = ground[1], ground[0]
     pixels = Pixels(*ground, np.zeros(len(x), F), np.ones(len(x), F), F(-1))  # along a ray ground counts up to t / reach = 1
-    nothing = np.zeros(0, F)
     for j in range(count):
         c, s, tangent, reach = (np.ascontiguousarray(ways[y, x, k, j]) for k in range(4))
         above = tangent + F(1e-6) * (F(1) + np.abs(tangent))  # so that one obstacle is enough
-        slope = _horizon(Map(heights, tops, nothing, nothing, nothing, F(0), rows, cols, levels, 0), pixels, c, s, tangent, above, F(1) / reach, np.zeros_like(c))
+        slope = _horizon(_bare(heights, tops, rows, cols, levels), pixels, c, s, tangent, above, F(1) / reach, np.zeros_like(c))
         seen[y, x, j] = np.where(slope > tangent, F(0), F(1))
 
 
-def sectors(heights, tops, ways, table, irradiance, rows, cols, width, levels, count, knots, dark, highest, first, scale):
-    first, scale = F(first), F(scale)
+def _between(at, low, high, along):
+    """Between which distances a way from ``at`` is within low..high, ``along`` its part in their direction."""
+    ends = (low - at.astype(F)) / along, (high - at.astype(F)) / along
+    if along == 0:
+        nowhere = np.where((low <= at) & (at < high), -ENDLESS, ENDLESS)
+        return nowhere, -nowhere
+    return ends if along > 0 else ends[::-1]
+
+
+def _light_above(table, first, scale, tangent, tilt):
+    """The light of a sector above a tangent."""
+    at = np.maximum((tangent / np.sqrt(tangent * tangent + F(1)) - first) * scale, F(0))
+    knot = np.minimum(at.astype(np.int32), len(table) - 2)
+    part = np.minimum(at - knot.astype(F), F(1))
+    by_cosine, by_sine, more_cosine, more_sine = table[knot].T
+    return tilt * (by_cosine + part * more_cosine) + (by_sine + part * more_sine)
+
+
+def sectors(heights, tops, ways, table, irradiance, rows, cols, width, levels, count, knots, dark, highest, x0, x1, y0, y1):
+    x0, x1, y0, y1 = map(F, (x0, x1, y0, y1))
     ground = x, y, height, tilt_x, tilt_y, *_ = _pixels(heights, rows, cols)
-    nothing = np.zeros(0, F)
-    last = first + F(knots - 1) / scale
-    low, high = (sine / np.sqrt(max(F(1) - sine * sine, F(1e-12))) for sine in (first, last))
-    pixels = Pixels(*ground, np.zeros(len(x), F), (F(highest) - height) / max(low, F(1e-6)), F(-1))  # farther on, a ray is above all ground
+    pixels = Pixels(*ground, np.zeros(len(x), F), np.ones(len(x), F), F(-1))  # ground counts up to t x along = 1
+    framed = x0 > -ENDLESS or x1 < ENDLESS or y0 > -ENDLESS or y1 < ENDLESS
+    flat = lambda value: np.full(len(x), value, F)
     total = np.zeros(len(x), F)
-    for j, (c, s, share) in enumerate(ways.T):
+    for j, (c, s, share, first, scale) in enumerate(ways.T):
+        last = first + F(knots - 1) / scale
+        low, high = (sine / np.sqrt(max(F(1) - sine * sine, F(1e-12))) for sine in (first, last))
+        along = max(low, F(1e-6)) / np.maximum(F(highest) - height, F(1e-6))  # farther on, a ray is above all ground
         tilt = tilt_x * c + tilt_y * s
-        # 1. the tangent plane, the level, the wall, and the ground
-        slope = np.maximum(-tilt, low)
+        # 1. the tangent plane, the level, the wall, the window, and the ground
+        slope, end = np.maximum(-tilt, low), flat(STEEP)
         if dark:
             slope = np.maximum(slope, -height / np.minimum(_to_wall(cols, x, c), _to_wall(rows, y, s)))
-        flat = lambda value: np.full(len(x), value, F)
-        slope = _horizon(Map(heights, tops, nothing, nothing, nothing, F(0), rows, cols, levels, 0), pixels, flat(c), flat(s), slope, flat(high), flat(1), flat(0))
+        if framed:
+            by_x, by_y = _between(x, x0, x1, c), _between(y, y0, y1, s)
+            near, far = np.maximum(np.maximum(by_x[0], by_y[0]), F(0)), np.minimum(by_x[1], by_y[1])
+            passes = (near < far) & (height < 0)
+            slope = np.where(passes, np.maximum(slope, -height / far), slope)
+            end = np.where(passes, np.where(near > 0, np.minimum(-height / near, STEEP), STEEP), -STEEP)
+        slope = _horizon(_bare(heights, tops, rows, cols, levels), pixels, flat(c), flat(s), slope, np.minimum(high, end), along, flat(0))
         # 2. the light above it
-        at = np.maximum((slope / np.sqrt(slope * slope + F(1)) - first) * scale, F(0))
-        knot = np.minimum(at.astype(np.int32), knots - 2)
-        part = np.minimum(at - knot.astype(F), F(1))
-        by_cosine, by_sine, more_cosine, more_sine = table[j, knot].T
-        total += share * (tilt * (by_cosine + part * more_cosine) + (by_sine + part * more_sine))
-    irradiance[...] = 0
-    irradiance[y, x] = total / np.sqrt(F(1) + tilt_x * tilt_x + tilt_y * tilt_y)
+        light = _light_above(table[j], first, scale, slope, tilt)
+        if framed:
+            past = np.where(end < STEEP, _light_above(table[j], first, scale, end, tilt), F(0))
+            light = np.where(slope < end, light - past, F(0))
+        total += share * light
+    irradiance[y, x] += total / np.sqrt(F(1) + tilt_x * tilt_x + tilt_y * tilt_y)

@@ -56,6 +56,7 @@ class OpenclBackend(Backend):
         import pyopencl as cl
         import pyopencl.array
 
+        super().__init__()
         self.cl = cl
         self.name = f"opencl:{platform}:{device}"
         self._device = cl.get_platforms()[platform].get_devices()[device]

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import difflib
 import functools
+import threading
 from dataclasses import dataclass
 
 from ..errors import BackendError
 from .base import Backend
+
+_lock = threading.RLock()  # devices are looked for, and a backend is made, by one thread
 
 
 @dataclass(frozen=True)
@@ -23,7 +26,9 @@ class BackendInfo:
 
 def backends() -> list[BackendInfo]:
     """Every backend that was looked for, in the order in which "auto" would take them."""
-    return sorted(_probe(), key=lambda info: (not info.available, not info.gpu, ["opencl", "warp", "numpy"].index(info.name.split(":")[0])))
+    with _lock:
+        found = _probe()
+    return sorted(found, key=lambda info: (not info.available, not info.gpu, ["opencl", "warp", "numpy"].index(info.name.split(":")[0])))
 
 
 def select(name: str = "auto") -> Backend:
@@ -46,7 +51,8 @@ def select(name: str = "auto") -> Backend:
         here = _names()
         nearest = difflib.get_close_matches(name, here, 1, 0.0)[0]
         raise BackendError(f"backend {name!r} is not available: {why}. Nearest that is: {nearest!r} (here: {', '.join(here)}, auto).")
-    return _make(name)
+    with _lock:
+        return _make(name)
 
 
 def _names() -> list[str]:

@@ -12,17 +12,16 @@ from typing import NamedTuple
 import numpy as np
 
 from ..errors import CapacityError
-from ..sources import Source, Spots, radiance
+from ..sources import Source, radiance
 from .base import MOST_PIXELS, Backend, Lobe
 
 NONE = np.float32(-1e30)  # height where there is no ground
+ENDLESS = 1e30
 SLICES = 8  # that a CPU takes at a time
 MOST = 32  # of a source that stands all round, unless asked otherwise
-FINER = ((0.005, MOST), (0.002, 2 * MOST), (0.0, 4 * MOST))  # for tolerances from the first number on
 WALLED = 2  # times as many where a wall cuts the source
 LEVELS = 9  # cells of 2 to 512 nodes
 SIDE = 512  # samples of the brightness across the sky
-POINTS = ((0.1, 3), (0.35, 4), (math.inf, 8))  # apparent radius up to which so many samples of brightness do for a slice
 GAUSS = 8  # points between two knots of a cumulative table
 LOBE_POINTS, LOBE_VARIES = 10, 14  # samples of a lobe along a chord within its rim; where brightness varies
 LOBE_LEAST, LOBE_ROUND, LOBE_MOST = 16, 32, 256  # slices of a lobe: least, where the zenith lies within it, and through a lamp
@@ -67,7 +66,7 @@ def aperture(x, y, shape: tuple[int, int], step: float, sides: str) -> Quad | No
 
 
 def brightness_of(source: Source, side: int = SIDE) -> float | np.ndarray:
-    """A source's brightness as Slices takes it: a number where it is the same everywhere, else over the sky, (side, side).
+    """A source's brightness as Slices takes it for a lobe: a number where it is the same everywhere, else over the sky, (side, side).
 
     Row j, column i: the direction whose stereographic projection x / (1 - z), y / (1 - z) is 2 i / (side - 1) - 1 and
     2 j / (side - 1) - 1; beyond the level, that of the level below it.
@@ -143,25 +142,18 @@ def cumulative(source: Source, azimuths: np.ndarray, knots: int) -> np.ndarray:
     return out
 
 
-def slices_within(tolerance: float) -> int:
-    """How many slices a source that stands all round needs for this RMS error on rough ground, a share of the mean lit irradiance.
-
-    Measured (tests/test_slices.py): at most a third of it; in the penumbra of a straight edge a third of the tolerance at most, as
-    a share of the full light.
-    """
-    return next(most for limit, most in FINER if tolerance >= limit)
-
-
 class Slices:
     """The light of a ball or a quadrangle over a map, with everything on the device; ``run`` may be repeated (and timed)."""
 
     def __init__(self, backend: Backend, depth: np.ndarray, step: float, sides: str, solid: Ball | Quad | Dome, brightness: float | np.ndarray = 1.0, most: int = MOST,
-                 lobe: Lobe | None = None):
+                 lobe: Lobe | None = None, shift: float = 0.5):
         """depth (rows, cols) float32, +inf where masked, in a unit in which the spacing is ``step``; ``sides``: open or dark.
 
-        ``brightness``: as from :func:`brightness_of`. ``most``: slices of a source that stands all round, a multiple of 8;
-        one that looks small has a quarter of them, half if it is a quadrangle, but at least 8, and others what is between.
-        ``lobe``: light is weighted by it; then there are as many slices as it needs. A Dome has a lobe.
+        ``brightness``: a number; else what :func:`brightness_of` gives for a lobe, and :func:`skylamp.brightness.chords` for none. ``most``: slices
+        of a source that stands all round, a multiple of 8; one that looks small has a quarter of them, half if it is a quadrangle, but at least 8, and
+        others what is between.
+        ``lobe``: light is weighted by it; then there are as many slices as it needs. A Dome has a lobe. ``shift``: where in its
+        step every slice of a ball stands, 0..1; the slices of 0 stand between those of 0.5.
         """
         if depth.size > MOST_PIXELS:
             raise CapacityError(f"A map of {depth.size:,} nodes; at most {MOST_PIXELS:,}, since kernels count nodes in 32 bits. Cut it into tiles.")
@@ -170,7 +162,8 @@ class Slices:
         self.levels = min(max(round(math.log2(cols)) - 2, 1), LEVELS)
         self.width = -(-cols >> self.levels) << self.levels
         cells = (rows + 1) // 2
-        backend.reserve(4 * ((rows + 2) * (cols + 1) + cells * self.width + rows * cols), f"A map of {depth.size:,} nodes", "Cut it into tiles.")
+        images = 2 if isinstance(solid, Ball) else 1
+        backend.reserve(4 * ((rows + 2) * (cols + 1) + cells * self.width + images * rows * cols), f"A map of {depth.size:,} nodes", "Cut it into tiles.")
 
         heights = np.full((rows + 2) * (cols + 1) + 1, NONE, np.float32)
         ground = heights[:-1].reshape(rows + 2, cols + 1)[1:-1, 1:]
@@ -179,7 +172,9 @@ class Slices:
         low, high = (float(known.min()), float(known.max())) if known.size else (0.0, 0.0)
         self.heights, self.highest = backend.upload(heights), high
         self.tops = backend.empty((cells, self.width), np.float32)
-        self.image = backend.empty((rows, cols), np.float32)
+        self.image, self.coarsened = backend.empty((rows, cols), np.float32), False
+        if isinstance(solid, Ball):
+            self.alternating = backend.empty((rows, cols), np.float32)  # light of the even slices less that of the odd ones
 
         self.lobe, self.dark, self.walls, self.coarse = lobe, sides == "dark", sides == "dark", 0.0
         if isinstance(solid, Dome):
@@ -200,11 +195,13 @@ class Slices:
         varies = np.ndim(brightness) > 0
         self.unit = 1.0 if varies else float(brightness)
         nothing = [[1.0, 1.0]] * 2  # a lobe weights a brightness, if only 1
-        self.sky = backend.upload(np.asarray(brightness if varies else nothing, np.float32))
-        self.side = len(brightness) if varies else 2
-        self.n_points = (LOBE_VARIES if varies else LOBE_POINTS) if lobe else next(count for limit, count in POINTS if apparent <= limit) if varies else 0
+        self.sky = backend.upload(np.asarray(brightness if varies and lobe else nothing, np.float32))
+        self.side = len(brightness) if varies and lobe else 2
+        self.n_points = (LOBE_VARIES if varies else LOBE_POINTS) if lobe else 0
         self.points = backend.upload(_on_unit(max(self.n_points, 1)))
-        self.nodes = backend.upload((_quad_nodes if isinstance(solid, Quad) else _ball_nodes)(self.most))
+        self.turns, self.knots, _ = brightness.shape if varies and not lobe else (0, 0, 2)
+        self.chords = backend.upload(np.asarray(brightness if varies and not lobe else np.zeros((1, 1, 2)), np.float32))
+        self.nodes = backend.upload(_quad_nodes(self.most) if isinstance(solid, Quad) else _ball_nodes(self.most, shift))
         self.table = backend.upload(lobe.table if lobe else np.zeros(2, np.float32))
 
     def _place(self, step):
@@ -220,6 +217,10 @@ class Slices:
         return middle, np.linalg.norm(corners - middle, axis=1).max(), (corners[:, :2].min(0), corners[:, :2].max(0))
 
     def coarsen(self) -> None:
+        """The tops of all cells; once is enough."""
+        if self.coarsened:
+            return
+        self.coarsened = True
         rows, cols = self.shape
         for level in range(1, self.levels + 1):
             self.backend.launch("slices", "coarser", (self.width >> level, ((rows - 1) >> level) + 1), self.heights, self.tops, rows, cols, self.width, level)
@@ -229,15 +230,18 @@ class Slices:
         launch = self.backend.launch
         self.coarsen()
         n_lobe, rim = (len(self.lobe.table), self.lobe.rim) if self.lobe else (0, 1.0)
-        shared = (self.sky, self.points, self.table, self.image, rows, cols, self.width, self.levels, self.least, self.most, self.side, self.n_points, n_lobe,
-                  int(self.walls), rim)
+        lit = self.sky, self.points, self.table
+        size = rows, cols, self.width, self.levels, self.least, self.most, self.side, self.n_points, n_lobe
+        table = self.turns, self.knots, int(self.walls), rim
         group = self.backend.lines if self.backend.lines > 1 else None
         if isinstance(self.solid, Dome):
-            launch("slices", "gloss", (cols, rows), self.heights, self.tops, self.nodes, *shared, min(self.solid.reach / self.step, -float(NONE)), self.unit, group=group)
+            launch("slices", "gloss", (cols, rows), self.heights, self.tops, self.nodes, *lit, self.image, *size, int(self.walls), rim,
+                   min(self.solid.reach / self.step, -float(NONE)), self.unit, group=group)
         elif isinstance(self.solid, Ball):
-            launch("slices", "ball", (cols, rows), self.heights, self.tops, self.nodes, *shared, *map(float, self.center), float(self.radius), self.unit, group=group)
+            launch("slices", "ball", (cols, rows), self.heights, self.tops, self.nodes, *lit, self.chords, self.image, self.alternating, *size, *table,
+                   *map(float, self.center), float(self.radius), self.unit, group=group)
         else:
-            launch("slices", "quad", (cols, rows), self.heights, self.tops, self.corners, self.nodes, *shared, self.unit, group=group)
+            launch("slices", "quad", (cols, rows), self.heights, self.tops, self.corners, self.nodes, *lit, self.chords, self.image, *size, *table, self.unit, group=group)
 
     def rays(self, ways: np.ndarray) -> np.ndarray:
         """Whether the ground leaves rays free: (rows, cols, count) bool.
@@ -252,18 +256,28 @@ class Slices:
         self.backend.launch("slices", "rays", (cols, rows), self.heights, self.tops, ways, seen, rows, cols, self.width, self.levels, count, lanes=lanes)
         return self.backend.download(seen) > 0
 
-    def sectors(self, spots: Spots) -> None:
-        """The light of a sky's bright spots, above exact horizons."""
+    def clear(self) -> None:
+        """No light yet; :meth:`sectors` adds."""
+        self.backend.fill(self.image, 0)
+
+    def sectors(self, ways: np.ndarray, table: np.ndarray, window: tuple[float, float, float, float] | None = None) -> None:
+        """Add the light of a sky's bright spots, above exact horizons; ``clear`` comes before the first.
+
+        ``ways`` (5, K): azimuth's cosine and sine, width [rad], sine of elevation at which the sector's table begins, and knots per
+        unit of sine. ``table`` (K, knots, 4): integrals of B cos^2 and B sin cos from each knot on, and what to add up to the next.
+        ``window`` (x0, x1, y0, y1) [spacing]: in the plane z = 0, through which the light comes.
+        """
         rows, cols = self.shape
         self.coarsen()
-        count = -(-len(spots.angles) // SLICES) * SLICES  # the rest have no width
-        ways, table = np.zeros((3, count), np.float32), np.zeros((count, *spots.table.shape[1:]), np.float32)
-        ways[:, : len(spots.angles)] = np.cos(spots.angles), np.sin(spots.angles), spots.widths
-        table[: len(spots.angles)] = spots.table
-        knots = table.shape[1]
-        given = self.backend.upload(ways), self.backend.upload(table)  # held until the kernel is done
+        found, knots = table.shape[:2]
+        count = -(-found // SLICES) * SLICES  # the rest have no width
+        given = np.zeros((5, count), np.float32), np.zeros((count, knots, 4), np.float32)
+        given[0][4] = 1
+        given[0][:, :found], given[1][:found] = ways, table
+        given = [self.backend.upload(array) for array in given]  # held until the kernel is done
+        x0, x1, y0, y1 = (-ENDLESS, ENDLESS) * 2 if window is None else map(float, window)
         self.backend.launch("slices", "sectors", (cols, rows), self.heights, self.tops, *given, self.image, rows, cols, self.width, self.levels, count, knots,
-                            int(self.dark), self.highest, spots.first, (knots - 1) / (spots.last - spots.first), group=self.backend.lines if self.backend.lines > 1 else None)
+                            int(self.dark), self.highest, x0, x1, y0, y1, group=self.backend.lines if self.backend.lines > 1 else None)
         self.backend.finish()
 
     def download(self) -> np.ndarray:
@@ -277,12 +291,12 @@ def _on_unit(count: int) -> np.ndarray:
     return np.stack([(1 + node) / 2, weight / 2], 1).astype(np.float32)
 
 
-def _ball_nodes(most: int) -> np.ndarray:
-    """(most / SLICES, 4, most) float32, as the kernel ``ball`` reads it."""
+def _ball_nodes(most: int, shift: float = 0.5) -> np.ndarray:
+    """(most / SLICES, 4, most) float32, as the kernel ``ball`` reads it; ``shift``: where in its step a slice stands."""
     table = np.zeros((most // SLICES, 4, most), np.float32)
     for block in range(most // SLICES):
         count = SLICES * (block + 1)
-        share = (np.arange(count) + 0.5) / count
+        share = (np.arange(count) + shift) / count
         theta, azimuth = np.pi * (share - 0.5), 2 * np.pi * share
         table[block, :, :count] = np.sin(theta), np.cos(theta), np.sin(azimuth), np.cos(azimuth)
     return table

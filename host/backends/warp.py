@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import importlib
+import threading
 import time
 
 import numpy as np
@@ -38,6 +39,8 @@ def probe():
 
 class WarpBackend(Backend):
     """One Warp device. Device arrays are Warp arrays."""
+
+    lock = threading.RLock()  # one for all devices: modules and settings are the process's, and a scene's map may lie on another device
 
     def __init__(self, alias: str):
         import warp as wp

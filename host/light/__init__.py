@@ -1,0 +1,1 @@
+"""How light reaches the ground: a file a method, all with the protocol of base.py."""

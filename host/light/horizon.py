@@ -1,0 +1,118 @@
+"""A sky above horizons in even azimuths; its small bright parts in azimuths of their own."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from ..backends.base import Backend
+from ..backends.horizon import Rays, Sweeps
+from ..backends.slices import Dome, Slices
+from ..brightness import KNOTS, Integrals, even
+from ..horizon import ground_of
+from ..scene import Scene
+from . import unoccluded
+from .base import Estimate, LightMethod
+
+OFFSET = 1 / 3  # of a sector: doubling turns it into 2/3 and back, so that no set of azimuths looks along a grid line; at 1/2 errors double there
+FINE_KNOTS = 1025  # of a table that holds small bright parts too: a knot is 0.06 degrees at the horizon
+
+
+class Horizons(LightMethod):
+    """``sky``: a brightness, or what Integrals found. ``count``: azimuths, even in number, 0 for tangent planes alone; ``sectors`` of every small bright part;
+    ``near`` rows within which every crossing is tested. ``rays``: the small parts are seen above exact horizons, which behind cliffs a sweep's are not; where the map
+    ends and is searched whole.
+
+    Each of the two images has half of the azimuths, every other one, and all light: what the tangent planes alone would let through is exact (a
+    control variate: added exactly, and taken off as these azimuths have it).
+    """
+
+    def __init__(self, engine: Backend, scene: Scene, sky: Integrals | float, count: int, sectors: int = 8, near: int | None = None, max_distance: float | None = None, rays: bool = False):
+        self.engine, self.scene, self.sky, self.units, self.sectors = engine, scene, sky, count, sectors
+        self.scale = sky if isinstance(sky, float) else 1.0
+        self.suns = () if isinstance(sky, float) else sky.suns
+        shape, size = scene.shape, (math.prod(scene.shape),)
+        self.sweeps = Sweeps(engine, ground_of(scene, max_distance, engine), near=near)
+        self.total, self.turned = (engine.empty(size, np.int32) for _ in range(2))
+        self.slices = Slices(engine, *scene.lattice(), scene.sides, Dome()) if rays and self.suns else None
+        self.exact = None if isinstance(sky, float) else self._by_normals(unoccluded.AZIMUTHS, 0.5, 2 * math.pi / unoccluded.AZIMUTHS)
+        self.difference = None
+        if not count:
+            self.mean = engine.empty(shape, np.float32, 0)
+            self.sweeps.aim(Rays(np.zeros(0), np.zeros(0)))
+            self.sweeps.light(self.total, self.turned)  # for the tilts
+            self.sweeps.add_light(self.exact if self.exact is not None else unoccluded.by_normals(None), self.mean)
+            return
+        self.offset = OFFSET / 2
+        self.mean = self._image(count // 2, 2 * math.pi / count, False)
+        self._halve(self._image(count // 2, 2 * math.pi / count, True))
+
+    def refine(self) -> None:
+        """The azimuths between those that were swept."""
+        count, self.sectors = self.units, 2 * self.sectors
+        self.units *= 2
+        self._halve(self._image(count, math.pi / count, True))
+
+    def _halve(self, image):
+        """Join a set of azimuths with the one between, which ``image`` is of."""
+        self.offset = 2 * self.offset % 1
+        self.engine.launch("ground", "halves", (math.prod(self.scene.shape),), self.mean, image, math.prod(self.scene.shape))
+        self.difference = image
+
+    def _by_normals(self, count, offset, window):
+        """Light (side, side) by normal that ``count`` azimuths make of tangent planes, brightness being that within ``window`` round each."""
+        azimuths = even(count, offset)
+        return unoccluded.by_normals(self.sky.table(azimuths.angles, np.full(count, window)), azimuths.angles, azimuths.widths)
+
+    def _image(self, count, window, between):
+        """The light of ``count`` azimuths and of as many sectors of the small parts as they are worth."""
+        offset = self.offset + between / 2
+        azimuths = even(count, offset)
+        rays, table = Rays(azimuths.angles, azimuths.widths), None
+        suns = [sun.sectors(self.sectors, between) for sun in self.suns]
+        if not isinstance(self.sky, float):
+            table = self.sky.table(rays.angles, np.full(count, window), FINE_KNOTS if suns and not self.slices else KNOTS)
+            if suns and not self.slices:
+                angles, parts = zip(*(_as_azimuths(*sun) for sun in suns))
+                rays = Rays(np.concatenate([rays.angles, *angles]), np.concatenate([rays.widths, np.ones(sum(map(len, angles)))]))
+                table = np.concatenate([table, *parts])
+        image = self.engine.empty(self.scene.shape, np.float32)
+        self.sweeps.aim(rays, table)
+        self.sweeps.light(self.total, self.turned, image)
+        if self.exact is not None:
+            self.sweeps.add_light(self.exact - self._by_normals(count, offset, window), image)
+        if self.slices:
+            self.slices.image = image
+            self.slices.sectors(*(np.concatenate(parts, axis) for parts, axis in zip(zip(*suns), (1, 0))))
+        return image
+
+    def irradiance(self) -> np.ndarray:
+        return self._download(self.mean)
+
+    def half(self) -> np.ndarray | None:
+        return None if self.difference is None else self._download(self.difference)
+
+    def _download(self, image):
+        found = self.engine.download(image).reshape(self.scene.shape)
+        return found if self.scale == 1.0 else found * np.float32(self.scale)
+
+    def estimate(self, limit: float) -> Estimate | None:
+        if self.difference is None:
+            return None
+        light, square, valid, lit, beyond = self.sweeps.judge(self.mean, self.difference, limit / self.scale if self.scale else math.inf)
+        mean = light / lit if lit and light > 0 else 1e-30
+        return Estimate(math.sqrt(square / valid) / mean, beyond / valid)
+
+
+def _as_azimuths(ways, table):
+    """(angles, table (K, FINE_KNOTS, 4)) as sweeps take it, of sectors of a small part."""
+    cosine, sine, _, first, scale = ways.astype(float)
+    knots = np.linspace(0, 1, FINE_KNOTS)
+    found = np.zeros((len(table), FINE_KNOTS, 4), np.float32)
+    for n, part in enumerate(table):
+        at = first[n] + np.arange(len(part)) / scale[n]
+        for k in (0, 1):
+            found[n, :, k] = np.interp(knots, at, part[:, k])
+    found[:, :-1, 2:] = np.diff(found[:, :, :2], axis=1)
+    return np.arctan2(sine, cosine), found

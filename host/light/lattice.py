@@ -1,0 +1,100 @@
+"""The directions of a filled lattice, for sources and sides that horizons cannot render."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from .. import sources
+from ..backends.base import Backend, Problem
+from ..directions import Hemicube
+from ..samples import Samples
+from ..scene import Scene
+from .base import LightMethod
+
+# RMS error of E / pi under a uniform sky on rough ground (rms slope 1), of the hemicubes that are chosen among: performance/lattice_error.py. A larger one takes minutes to tabulate
+ERRORS = {5: 0.0376, 7: 0.0188, 9: 0.0119, 17: 0.0039, 33: 0.0012}
+AZIMUTHS, ELEVATIONS = 96, 192  # directions of the exact light through a window
+
+
+class Lattice(LightMethod):
+    """``units``: the hemicube's size."""
+
+    def __init__(self, engine: Backend, scene: Scene, source: sources.Source, units: int):
+        self.engine, self.scene, self.source, self.units = engine, scene, source, units
+        values, step = scene.lattice()
+        cube = Hemicube(units)
+        problem = Problem(values, step, scene.sides, cube.steps, sources.geometry(source, scene, step), True)
+        self.image = engine.irradiance(problem, cube.moments * sources.radiance(source, cube.directions)[:, None])
+
+    def refine(self) -> None:
+        """The next larger hemicube: no direction is shared."""
+        self.__init__(self.engine, self.scene, self.source, next(size for size in ERRORS if size > self.units))
+
+    def irradiance(self) -> np.ndarray:
+        return self.image
+
+
+def lacking(scene: Scene, source: sources.Source) -> str:
+    """Why horizons and slices cannot render this, or nothing."""
+    if isinstance(source, sources.Lamp) and source.volume is not None:
+        return "a lamp given as a volume"
+    if isinstance(source, sources.Window) and source.aperture is not None:
+        return "a window given as an aperture"
+    if scene.sides == "periodic" and not isinstance(source, sources.Sky):
+        return "a lamp or window over a map that repeats"
+    return ""
+
+
+def through_window(samples: Samples, scene: Scene, source: sources.Window) -> np.ndarray:
+    """Irradiance at the samples through a window of any kind, by AZIMUTHS x ELEVATIONS directions."""
+    azimuths = 2 * np.pi * (np.arange(AZIMUTHS) + 0.5) / AZIMUTHS
+    total, deep = np.zeros(len(samples)), -samples.own.astype(float)
+    e = (np.arange(ELEVATIONS)[:, None] + 0.5) / ELEVATIONS * np.pi / 2
+    for azimuth, slope in zip(azimuths, samples.horizons(azimuths)):
+        c, s = math.cos(azimuth), math.sin(azimuth)
+        away = deep / np.tan(e)
+        seen = _passes(scene, source, samples.x + away * c, samples.y + away * s) & (np.tan(e) >= slope)
+        light = sources.radiance(source, sources.directions_of(azimuth, np.sin(e)))
+        along = (samples.gx * c + samples.gy * s) / samples.length
+        total += (np.where(seen, light, 0) * np.cos(e) * np.maximum(0, along * np.cos(e) + np.sin(e) / samples.length)).sum(0)
+    return total * (np.pi / 2 / ELEVATIONS) * (2 * np.pi / AZIMUTHS)
+
+
+def _passes(scene, source, x, y):
+    """Whether rays that cross z = 0 at (x, y) [spacings] pass the window."""
+    rows, cols = scene.shape
+    inside = (x >= -0.5) & (x < cols - 0.5) & (y >= -0.5) & (y < rows - 0.5)
+    if source.aperture is not None:
+        col, row = np.floor(x + 0.5).astype(np.int64), np.floor(y + 0.5).astype(np.int64)
+        if scene.sides == "periodic":
+            return source.aperture[row % rows, col % cols]
+        return inside & source.aperture[np.clip(row, 0, rows - 1), np.clip(col, 0, cols - 1)]
+    passes = inside if scene.sides == "dark" else np.ones(inside.shape, bool)
+    for at, (low, high), period in ((x, source.x, cols), (y, source.y, rows)):
+        low, high = low / scene.spacing, high / scene.spacing
+        passes = passes & (np.mod(at - low, period) < high - low if scene.sides == "periodic" else (low <= at) & (at < high))
+    return passes
+
+
+def at_samples(samples: Samples, scene: Scene, source: sources.Source, size: int) -> np.ndarray:
+    """The filled lattice's light at the samples: a direction is seen where it lies on or above the horizon of its azimuth."""
+    cube = Hemicube(size)
+    brightness = sources.radiance(source, cube.directions)
+    ways, number = np.unique(np.round(np.arctan2(cube.steps[:, 1], cube.steps[:, 0]), 9), return_inverse=True)
+    slopes = samples.horizons(ways)
+    flat = np.hypot(cube.steps[:, 0], cube.steps[:, 1])
+    rise = -cube.steps[:, 2] / np.maximum(flat, 1e-9)
+    normal = np.stack([samples.gx, samples.gy, -np.ones(len(samples))]) / samples.length
+    planes = np.maximum(0, samples.plane(np.cos(ways)[:, None], np.sin(ways)[:, None]))
+    total = np.zeros(len(samples))
+    for some in np.array_split(np.arange(len(cube)), len(cube) // 512 + 1):
+        seen = rise[some, None] * (1 + 1e-6) >= slopes[number[some]]
+        seen |= slopes[number[some]] <= planes[number[some]]  # the tangent plane hides nothing: cells are cut by N.w
+        if isinstance(source, sources.Window):
+            away = -samples.own / np.maximum(rise[some, None], 1e-9)
+            unit = cube.steps[some, :2] / np.maximum(flat[some, None], 1e-9)
+            seen &= _passes(scene, source, samples.x + away * unit[:, :1], samples.y + away * unit[:, 1:]) & (rise[some, None] > 0)
+        total += (seen * np.maximum(0, cube.moments[some] @ normal) * brightness[some, None]).sum(0)
+    return total

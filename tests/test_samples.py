@@ -1,0 +1,121 @@
+"""Samples: exact rays against the oracle and shadow rays, nodes where ground is rare, and errors by hand."""
+
+import numpy as np
+import pytest
+import scenes
+from compare import assert_bits_equal
+from test_refinement import HIGH, LOW, PANEL, SCENES, SIZE, WINDOW, truth
+
+import skylamp as sl
+from skylamp import oracle
+from skylamp.backends import select
+from skylamp.backends.slices import Dome, Slices
+from skylamp.brightness import Integrals
+from skylamp.refinement import solid_of, upright
+from skylamp.samples import COUNT, NONE, Errors, Samples, errors
+
+
+@pytest.mark.parametrize("name", ["rough", "dark", "periodic", "holes", "metres", "tiny"])
+def test_samples_see_the_oracles_horizons(backend, name):
+    """On every backend, every crossing: horizons clamped at the level, the tangent plane and the wall agree to float32."""
+    scene = SCENES[name]
+    samples = Samples(select(backend), scene, 24)
+    azimuths = np.array([0, 0.3, 1.1, np.pi / 4, np.pi / 2, 2.2, 3.6, 4.9, 6.1])
+    found = samples.horizons(azimuths)
+    raw = oracle.horizons(scene.depth.astype(float), scene.spacing, azimuths, scene.sides, nodes=(samples.y, samples.x))
+    free = samples.free(np.cos(azimuths)[:, None], np.sin(azimuths)[:, None])
+    np.testing.assert_allclose(found, np.maximum(free, raw), atol=2e-4, rtol=2e-5)
+    assert (raw > free).mean() > 0.2, "nothing stands in the way"
+    normal = oracle.normals(np.nan_to_num(scene.depth.astype(float)), scene.spacing, scene.valid)[samples.y, samples.x]
+    np.testing.assert_allclose(np.stack([samples.gx, samples.gy]), (normal[:, :2] / -normal[:, 2:]).T, atol=1e-5)
+
+
+@pytest.mark.parametrize("source", [HIGH, LOW, PANEL, WINDOW], ids=["ball", "low spot", "panel", "window"])
+def test_samples_see_lamps_as_shadow_rays_do(fast, source):
+    """Slices through a source against 4096 rays a node, and never a node that is masked."""
+    for scene in (SCENES["rough"], SCENES["holes"]):
+        samples = Samples(select(fast), scene, 40)
+        assert scene.valid[samples.y, samples.x].all() and (samples.own > NONE).all()
+        found = samples.through_slices(upright(solid_of(scene, source, 1.0, 1.0)), source.brightness, 128)
+        wanted = truth(scene, source, (samples.y, samples.x))
+        assert errors(found, wanted).rms < 0.005 and (wanted > 0).mean() > 0.3
+
+
+@pytest.mark.parametrize("sides", ["open", "dark"])
+def test_samples_see_suns_as_images_do(fast, sides):
+    """Small bright parts in sectors: as the kernel has them at the same nodes, also through a window, some dark and some not."""
+    axis = np.array([0.5, 0.4, -0.6]) / np.sqrt(0.77)
+    sun = Integrals(sl.Sky(lambda L: 1 + 1e3 * (L @ axis > np.cos(0.02)))).suns[0].sectors(16)
+    scene = SCENES["dark"] if sides == "dark" else SCENES["rough"]
+    samples = Samples(select(fast), scene, 200)
+    for window in (None, (10.3, 51.0, 20.0, 66.6)):
+        run = Slices(select(fast), *scene.lattice(), sides, Dome())
+        run.clear()
+        run.sectors(*sun, *([window] if window else []))
+        wanted = samples.of(run.download())
+        assert errors(samples.sectors(*sun, window), wanted).rms < 0.01 and 0.1 < (wanted > 0).mean() < 0.95
+    assert samples.sectors(*sun, occluded=False).min() >= samples.sectors(*sun).min() and (samples.sectors(*sun, occluded=False) > samples.sectors(*sun) + 0.1).any()
+
+
+def test_samples_are_spread_and_the_same_again(fast):
+    """Over all quarters of a map, on a few valid nodes among many masked, and all nodes of a small map; numbers from elsewhere are other nodes."""
+    of = lambda scene, *more: Samples(select(fast), scene, *more)
+    one, other = of(SCENES["rough"]), of(sl.Scene(SCENES["rough"].depth.copy()))
+    assert_bits_equal(one.x.astype(np.int64), other.x.astype(np.int64))
+    quarters = np.bincount(2 * (one.x > SIZE / 2) + (one.y > SIZE / 2), minlength=4)
+    assert len(one) == COUNT and quarters.min() > 0.2 * COUNT
+    few = np.zeros((40, 50), bool)
+    few[3:5, 7:30] = True
+    assert len(of(sl.Scene(np.zeros((40, 50)), mask=few))) == 46 and len(of(SCENES["tiny"])) == 9 * 13
+    there = of(SCENES["rough"], 300, 100_003)
+    both = {*zip(one.x.tolist(), one.y.tolist())} & {*zip(there.x.tolist(), there.y.tolist())}
+    assert len(both) < 0.25 * len(there)
+    image = np.arange(SIZE * SIZE, dtype=np.float32).reshape(SIZE, SIZE)
+    assert_bits_equal(one.of(image), (one.y * SIZE + one.x).astype(float))
+
+
+def test_errors_by_hand():
+    """RMS over all nodes, mean over the lit ones; exponential errors have their 99.9th percentile at ln 1000 of their mean."""
+    exact = np.array([0.0, 0.0, 1.0, 3.0])
+    assert errors(exact + [0.2, 0, 0, -0.2], exact).rms == pytest.approx(np.sqrt(0.08 / 4) / 2)
+    rng = np.random.default_rng(0)
+    found = errors(1 + 0.01 * rng.exponential(size=4000), np.ones(4000))
+    assert found.tail == pytest.approx(0.01 * np.log(1000), rel=0.1) and found.rms < found.bound < 1.06 * found.rms
+    rare = np.zeros(100)
+    rare[7] = 1
+    assert errors(rare + 1, np.ones(100)).bound > 1.4 * errors(rare + 1, np.ones(100)).rms, "one node in a hundred may be three"
+    assert errors(np.zeros(3), np.zeros(3)) == Errors(0, 0, 0) and errors(np.ones(3), np.zeros(3)).rms == np.inf
+    assert errors(exact[:1], exact[:1] + 1).rms == 1.0, "one node has an error too"
+
+
+def test_weights_by_hand():
+    """Ten nodes in forty that stand for two thousandths of the map, of whose error five make the last thousandth; weights are shares whatever their sum."""
+    weights, off = (np.repeat(pair, (30, 10)) for pair in ((0.998 / 30, 0.0002), (0.01, 0.4)))
+    found = errors(1 + off, np.ones(40), weights)
+    assert found.rms == pytest.approx(np.sqrt(0.998 * 0.01**2 + 0.002 * 0.4**2)) and found.tail == pytest.approx(0.4)
+    assert errors(1 + off, np.ones(40), 8 * weights) == pytest.approx(found)
+    assert errors(1 + off, np.ones(40)).rms == pytest.approx(np.sqrt(0.75 * 0.01**2 + 0.25 * 0.4**2))
+
+
+def test_holes_are_no_cliffs(fast):
+    """Steps to masked nodes do not count; of houses, the share of pairs of neighbours that are a step."""
+    assert Samples(select(fast), SCENES["rough"]).cliffs == Samples(select(fast), SCENES["holes"]).cliffs == 0
+    depth = SCENES["houses"].depth.astype(float)
+    steps = [np.abs(np.diff(depth, axis=a)) > 4 for a in (0, 1)]
+    assert Samples(select(fast), SCENES["houses"]).cliffs == pytest.approx(sum(s.sum() for s in steps) / sum(s.size for s in steps), rel=1e-5)
+
+
+def test_samples_look_closer_where_ground_is_rare(fast):
+    """Nodes are added where a few blocks have most of the relief, none that is masked, below a cliff between two blocks too; weighted, they tell the features' shares."""
+    y, x = np.mgrid[:600, :600]
+    holes, of = (x + y) % 3 > 0, lambda scene: Samples(select(fast), scene)
+    for lower, mask in ((np.abs(x - 300) < 4, None), (x >= 256, None), (np.hypot(x - 200, y - 300) < 25, None), (np.abs(x - 300) < 4, holes)):
+        samples = of(sl.Scene(np.where(lower, 25.0, 0.0), mask=mask))
+        assert len(samples) > COUNT + 64 and samples.weights.sum() == pytest.approx(1) and samples.rare.sum() > 64
+        assert mask is None or mask[samples.y, samples.x].all()
+        there = lower[samples.y, samples.x]
+        assert there.sum() >= 8 and samples.weights[there].sum() == pytest.approx(lower.mean(), rel=0.5)
+    beside = of(sl.Scene(np.where(x >= 256, 25.0, 0.0)))
+    assert ((beside.x >= 256) & (beside.x < 288)).sum() > 30
+    for depth in (scenes.rough(600, 600, 1.0, 4), 0.3 * y, np.hypot(x, y), np.where((x % 30 == 0) & (y % 30 == 0), 9.0, 0.0)):
+        assert of(sl.Scene(depth)).weights is None, "what is everywhere is met often enough"
