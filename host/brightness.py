@@ -33,6 +33,7 @@ AT_ONCE = 2**13  # directions that are evaluated at a time; chosen: what stays i
 BRIGHT = 4.0  # times the median brightness from which on light may belong to a small part; chosen: twice or half moves 1 % of a sun's aureole
 FAINT = 0.1  # tolerances that small parts may give together and stay with the rest; chosen
 WIDEST = math.pi / 6  # azimuth that a small part may span, 30 degrees: even azimuths resolve what is wider
+FINEST = 16  # parts that a cell is cut into for narrow sectors
 GAP = math.radians(1)  # of darkness between two small parts; chosen: parts nearer than that share azimuths
 KNOTS, SUN_KNOTS = 257, 65  # of the tables of a sky and of a small part, evenly in the sine of elevation
 
@@ -90,6 +91,13 @@ class Sun(NamedTuple):
         """Its light in ``count`` sectors of azimuth that have equal shares of it: ways (5, K) and table (K, SUN_KNOTS, 4) as the kernel
         `sectors` takes them. ``shifted``: borders half a sector on, so that there are ``count`` + 1."""
         cells = self.cells
+        span = float(np.ptp(cells.azimuth)) + float(cells.width.max())
+        times = np.clip(np.ceil(2 * count * cells.width / span), 1, FINEST).astype(int)  # no cell wider than half a sector
+        if times.max() > 1:
+            part = np.arange(times.sum()) - np.repeat(np.cumsum(times) - times, times)
+            cells, times = cells.pick(np.repeat(np.arange(len(times)), times)), np.repeat(times, times)
+            cells = cells._replace(azimuth=cells.azimuth + cells.width * ((part + 0.5) / times - 0.5), width=cells.width / times)
+            cells = cells.pick(np.argsort(cells.azimuth, kind="stable"))
         moments = cells.moments
         share = np.cumsum(moments.sum(0))
         share = (share - moments.sum(0) / 2) / share[-1] * count + (0.5 if shifted else 0.0)
@@ -146,8 +154,9 @@ class Integrals:
     its mean; ``contrast``: its brightest cell over its mean.
     """
 
-    def __init__(self, source: sources.Sky, tolerance: float = 0.01, fine: bool = False):
-        """``fine``: cells are small also where narrow features are named, for what sees little of the sky at a time. ``tolerance`` inf: nothing is taken apart."""
+    def __init__(self, source: sources.Sky, tolerance: float = 0.01, fine: bool = False, widest: float = WIDEST):
+        """``fine``: cells are small also where narrow features are named, for what sees little of the sky at a time. ``tolerance`` inf: nothing is taken apart.
+        ``widest``: azimuth that a small part may span [rad]."""
         function, peaks = source.brightness, _peaks(source)
         if getattr(function, "direct", 0):  # the disc is part of this sky, and stands where it says
             function = function.with_disc
@@ -174,7 +183,7 @@ class Integrals:
         for n, band in enumerate(bands):
             row, col = np.nonzero((band.light > limit) & ~divided[sizes[n] : sizes[n + 1]].reshape(band.light.shape))
             bright.append(band.cells(row, col, sizes[n]))
-        suns = [] if math.isinf(tolerance) else sorted(_small(Cells(*(np.concatenate(values) for values in zip(*bright))), limit), key=lambda sun: -sun.power)
+        suns = [] if math.isinf(tolerance) else sorted(_small(Cells(*(np.concatenate(values) for values in zip(*bright))), limit, widest), key=lambda sun: -sun.power)
         left = np.cumsum([sun.power for sun in suns][::-1])[::-1]
         self.suns = tuple(sun for sun, power in zip(suns, left) if power > FAINT * tolerance * total)
         for sun in self.suns:
@@ -384,16 +393,16 @@ def _steps(light: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return np.maximum.reduce([np.abs(values) for values in bent]), (bent[0] + bent[1]) / 24
 
 
-def _small(cells: Cells, limit: float, depth: int = 12) -> Iterator[Sun]:
+def _small(cells: Cells, limit: float, widest: float, depth: int = 12) -> Iterator[Sun]:
     """Groups of bright cells that span little azimuth, with the light that they have above ``limit``; of wider ones what is brighter still."""
     for part in _groups(cells):
         azimuth = part.azimuth
         sun = Sun(part._replace(light=part.light - limit), limit)
-        if azimuth[-1] - azimuth[0] + part.width.max() <= WIDEST or (part.light > limit).any() and sun.cone[1] <= math.sin(WIDEST / 2):  # or round the zenith
+        if azimuth[-1] - azimuth[0] + part.width.max() <= widest or (part.light > limit).any() and sun.cone[1] <= math.sin(widest / 2):  # or round the zenith
             yield sun
         elif depth:
             limit_here = max(4 * limit, 1e-6 * float(part.light.max()))
-            yield from _small(part.pick(part.light > limit_here), limit_here, depth - 1)
+            yield from _small(part.pick(part.light > limit_here), limit_here, widest, depth - 1)
 
 
 def _groups(cells: Cells, axis: int = 0, whole: bool = False) -> Iterator[Cells]:

@@ -25,7 +25,7 @@ from .light import lattice, unoccluded
 from .light.base import LightMethod
 from .light.horizon import OFFSET, Horizons
 from .light.lattice import Lattice, lacking
-from .light.slices import RAYS, Sliced
+from .light.slices import RAYS, Sliced, outline, widened
 from .radiometry import point_error
 from .reflectance import Lambertian
 from .samples import CLIFF, COUNT, FAINT, Errors, Samples
@@ -50,6 +50,10 @@ REACHES = (0.8, 0.4, 0.2, 0.1, 0.05, 0.025)  # slopes over which a map that repe
 SHORT = 0.3  # tolerances that a shorter search may cost
 WINDOWED = 2.5  # times as many steps as a sweep without a search radius
 MOST_STEPS = 2**40  # nodes x azimuths of a call: some three hours on two cores, ten seconds on an H200
+SMALL = math.radians(5)  # azimuth that a small bright part behind a window may span: slices, which stand within the window, resolve what is wider
+BEHIND_WINDOW = 256  # sectors of a small bright part behind a window, to judge by: its edges cut the part wherever they like
+NARROW = 0.02  # apparent radius [rad] of a lamp, six cells of a table of brightness, up to which rays tell its brightness
+MOST_LOOKS = 2**25  # evaluations of a brightness for the sake of rays, some ten seconds
 POINT = 0.1  # share of the tolerance by which a lamp that is called a point may be off as one
 DISAGREE = 1.3  # times the estimate from which on an audit tells of what both halves share: more near rows are tried before more azimuths
 BOX = 4  # nodes round a node over which the error map is a mean: regions, not nodes, are what halves know
@@ -521,10 +525,11 @@ class _Slices(_Chosen):
         self.uniform = self._seen_of_sky()
         bright, brightness = 0.0, source.brightness
         if isinstance(source, sources.Window) and callable(brightness):
-            self.sky = Integrals(sources.Sky(brightness), self.tolerance, True)
-            window = tuple(v / scene.spacing for v in (*source.x, *source.y))
+            self.sky = Integrals(sources.Sky(brightness), self.tolerance, True, SMALL)
+            depth, step = scene.lattice()
+            wide, scale = widened(solid_of(scene, source, step / scene.spacing, step), depth, step)
             if self.sky.suns:
-                bright = sum(samples.sectors(*sun.sectors(64), window) for sun in self.sky.suns)
+                bright = scale * sum(samples.sectors(*sun.sectors(BEHIND_WINDOW), outline(wide, step)) for sun in self.sky.suns)
                 brightness = self._without_suns
         light = lambda count: samples.through_slices(self.solid, brightness, count) + bright
         by_count = {count: light(count) for count in SLICES[:3]}
@@ -534,7 +539,7 @@ class _Slices(_Chosen):
         self.kind = Sliced
         if callable(source.brightness):
             even = samples.through_slices(self.solid, 1.0, SLICES[2]) / np.maximum(self._formed(1, 1.0), 1e-30)
-            for rays in RAYS if isinstance(source, sources.Lamp) else ():
+            for rays in RAYS if isinstance(source, sources.Lamp) and self.apparent < NARROW else ():
                 if samples.errors(self._formed(rays) * even, self.exact).bound <= 0.5 * self.tolerance:
                     self.rays = rays
                     break
@@ -597,7 +602,7 @@ class _Slices(_Chosen):
         return (least + self.samples.turn(self.solid) * (most - least)).astype(int) // 8 * 8
 
     def refine(self, method, alike):
-        if self.kind is Sliced and alike and not self.rays and isinstance(self.source, sources.Lamp) and self.sky is not None:
+        if self.kind is Sliced and alike and not self.rays and isinstance(self.source, sources.Lamp) and self.sky is not None and math.prod(self.scene.shape) * RAYS[-1] <= MOST_LOOKS:
             self.rays, self.sky = RAYS[-1], None  # what a table of the sky is too coarse for
             self.method = self.make()
             return True

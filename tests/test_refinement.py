@@ -449,7 +449,7 @@ def test_a_bad_choice_is_refined(fast, four, source):
         assert sorted({*units}) == [4 * 2**n for n in range(len({*units}))] and units == sorted(units)  # the same number again: with more near rows
         assert len({*units}) >= 2 + (tolerance < 0.01) and out.plan.azimuths == units[-1]
         estimates = [step.estimate for step in out.plan.steps]
-        assert estimates[0] > tolerance >= estimates[-1] == out.plan.error and not out.warnings
+        assert estimates[0] > tolerance >= out.plan.error and out.plan.error in out.plan.steps[-1][1:] and not out.warnings
         nodes = some_nodes(SCENES["rough"], 150)
         assert errors(out.image[nodes].astype(float), truth(SCENES["rough"], source, nodes)).rms <= 1.15 * tolerance
 

@@ -21,8 +21,8 @@ FINE_KNOTS = 1025  # of a table that holds small bright parts too: a knot is 0.0
 
 class Horizons(LightMethod):
     """``sky``: a brightness, or what Integrals found. ``count``: azimuths, even in number, 0 for tangent planes alone; ``sectors`` of every small bright part;
-    ``near`` rows within which every crossing is tested. ``rays``: the small parts are seen above exact horizons, which behind cliffs a sweep's are not; where the map
-    ends and is searched whole.
+    ``near`` rows within which every crossing is tested. ``rays``: the small parts are seen above exact horizons, which behind cliffs a sweep's are not; of a map that ends,
+    searched whole.
 
     Each of the two images has half of the azimuths, every other one, and all light: what the tangent planes alone would let through is exact (a
     control variate: added exactly, and taken off as these azimuths have it).

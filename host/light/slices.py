@@ -51,8 +51,7 @@ class Sliced(LightMethod):
             found = [sun.sectors(max(8, self.units)) for sun in self.sky.suns]
             bright = Slices(self.engine, self.depth, self.step, self.scene.sides, Dome())
             bright.clear()
-            (x0, x1), (y0, y1) = (np.array(v) / self.scene.spacing for v in (self.source.x, self.source.y))
-            bright.sectors(*(np.concatenate(parts, axis) for parts, axis in zip(zip(*found), (1, 0))), (x0, x1, y0, y1))
+            bright.sectors(*(np.concatenate(parts, axis) for parts, axis in zip(zip(*found), (1, 0))), outline(self.solid, self.step))
             self.suns = bright.image
 
     def refine(self) -> None:
@@ -82,7 +81,7 @@ class Sliced(LightMethod):
         image = self._scaled(self.mean)
         if self.sky is not None:
             image = np.maximum(image, 0)  # a difference of sums may round to less
-        return image if self.suns is None else image + self.engine.download(self.suns).reshape(image.shape)
+        return image if self.suns is None else image + np.float32(self.scale) * self.engine.download(self.suns).reshape(image.shape)
 
     def half(self) -> np.ndarray | None:
         return None if self.difference is None else self._scaled(self.difference)
@@ -100,6 +99,12 @@ class Sliced(LightMethod):
         lit = image > 0
         mean = float(image.sum(dtype=np.float64)) / lit.sum() if lit.any() else 1e-30
         return Estimate(math.sqrt(float(np.square(half, dtype=np.float64).mean())) / mean, np.count_nonzero(half > limit) / half.size)
+
+
+def outline(window: Quad, step: float) -> tuple[float, float, float, float]:
+    """x0, x1, y0, y1 [spacing] of a window."""
+    (x0, y0, _), (x1, y1, _) = (of(np.asarray(window.corners, float) / step, axis=0).tolist() for of in (np.min, np.max))
+    return x0, x1, y0, y1
 
 
 def widened(solid: Ball | Quad, depth: np.ndarray, step: float) -> tuple[Ball | Quad, float]:
