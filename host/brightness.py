@@ -151,7 +151,7 @@ class Integrals:
 
     ``suns``: its small bright parts, brightest first; ``level``: irradiance of open level ground [brightness x sr], suns included, and ``rest``
     without them; ``error``: estimate of its relative error; ``mean``: brightness of a uniform sky with the same rest; ``variation``: what the rest varies by, over
-    its mean; ``contrast``: its brightest cell over its mean.
+    its mean.
     """
 
     def __init__(self, source: sources.Sky, tolerance: float = 0.01, fine: bool = False, widest: float = WIDEST):
@@ -195,7 +195,7 @@ class Integrals:
         self.mean = self.rest / math.pi
         light = [part[1] / (band.width * np.diff(_until(band.borders)[1]))[:, None] for band, part in zip(bands, parts)]
         least, most = min(float(v.min()) for v in light), max(float(v.max()) for v in light)
-        self.variation, self.contrast = ((most - least) / self.mean, max(1.0, most / self.mean)) if self.mean > 0 else (0.0, 1.0)
+        self.variation = (most - least) / self.mean if self.mean > 0 else 0.0
         self._edges = np.concatenate([[0.0], *(band.borders[1:] for band in bands)])
         self._sums = [np.concatenate([np.zeros((*part.shape[:2], 1)), np.cumsum(part, 2)], 2) for part in parts]
 
@@ -292,20 +292,12 @@ class Integrals:
 
     def above(self, begin: np.ndarray, end: np.ndarray, knots: int) -> np.ndarray:
         """Integrals of B cos^2 and of B sin cos above every knot and between azimuths: (2, K, knots) float64."""
-        found = np.concatenate([self._until(sums, end) - self._until(sums, begin) for sums in self._sums], 1)
+        found = np.concatenate([_between(sums, begin, end) for sums in self._sums], 1)
         down = np.concatenate([np.cumsum(found[:, ::-1], 1)[:, ::-1], np.zeros_like(found[:, :1])], 1)  # from the zenith to the rows' lower edges
         at = np.interp(np.linspace(0, 1, knots), np.sin(self._edges), np.arange(len(self._edges)))
         low = np.minimum(at.astype(int), len(self._edges) - 2)
         part = (at - low)[:, None]
         return ((1 - part) * down[:, low] + part * down[:, low + 1]).swapaxes(1, 2)
-
-    @staticmethod
-    def _until(sums, azimuth):
-        """Sums over azimuth from 0 to some, which may lie beyond a turn: (2, rows, K)."""
-        cols = sums.shape[2] - 1
-        turns, at = np.divmod(np.asarray(azimuth) * (cols / (2 * math.pi)), cols)
-        low = np.minimum(at.astype(int), cols - 1)
-        return sums[:, :, low] + (at - low) * (sums[:, :, low + 1] - sums[:, :, low]) + turns * sums[:, :, -1:]
 
 
 def chords(sky: Integrals, turns: int, knots: int) -> np.ndarray:
@@ -368,6 +360,18 @@ def _of_map(image: np.ndarray) -> list[Band]:
         wide = (1 - f) * image[np.clip(low_row[some], 0, rows - 1)] + f * image[np.clip(low_row[some] + 1, 0, rows - 1)]
         light[some] = wide if times == 1 else wide[:, low % cols] * (1 - (col - low)) + wide[:, (low + 1) % cols] * (col - low)
     return [Band(light, np.full(count, math.pi / len(col)), np.linspace(0, math.pi / 2, count + 1))]
+
+
+def _between(sums: np.ndarray, begin: np.ndarray, end: np.ndarray) -> np.ndarray:
+    """What sums over azimuth from 0 (2, rows, cells + 1) grow by between azimuths, which may lie beyond a turn: (2, rows, K)."""
+    cols = sums.shape[2] - 1
+
+    def until(azimuth):
+        turns, at = np.divmod(np.asarray(azimuth) * (cols / (2 * math.pi)), cols)
+        low = np.minimum(at.astype(int), cols - 1)
+        return sums[:, :, low] + (at - low) * (sums[:, :, low + 1] - sums[:, :, low]) + turns * sums[:, :, -1:]
+
+    return until(end) - until(begin)
 
 
 def _until(elevation: np.ndarray) -> np.ndarray:

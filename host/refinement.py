@@ -56,7 +56,6 @@ NARROW = 0.02  # apparent radius [rad] of a lamp, six cells of a table of bright
 MOST_LOOKS = 2**25  # evaluations of a brightness for the sake of rays, some ten seconds
 POINT = 0.1  # share of the tolerance by which a lamp that is called a point may be off as one
 DISAGREE = 1.3  # times the estimate from which on an audit tells of what both halves share: more near rows are tried before more azimuths
-BOX = 4  # nodes round a node over which the error map is a mean: regions, not nodes, are what halves know
 
 
 @dataclass(frozen=True)
@@ -184,12 +183,10 @@ def refined(scene: Scene, source: sources.Source, tolerance: float, engine: Back
     worst = max(off or 0.0, audit or 0.0)
     if worst > tolerance:
         warnings.append(f"Tolerance: the image is estimated to be {100 * worst:.2g} % off (RMS over the mean), more than the {100 * tolerance:.2g} % asked for.")
-    lit = image if scene.mask is None else image[scene.mask]
-    mean = float(lit.sum(dtype=np.float64)) / max(1, np.count_nonzero(lit > 0))
     shared = max(chosen.floor, math.sqrt(max(0.0, off**2 - (share * found.rms) ** 2))) if found else off or 0.0
     units = {"hemicube" if made.method == "lattice" else "azimuths": None if made.method == "unoccluded" else method.units}
     made = replace(made, **units, error=made.error if off is None else off, measured=audit, steps=tuple(steps), seconds=now(), planning_seconds=planned)
-    return Refined(image, method.half(), share, mean * shared, made, warnings)
+    return Refined(image, method.half(), share, shared * (chosen.mean if math.isfinite(chosen.mean) else 0.0), made, warnings)
 
 
 def choose(scene: Scene, source: sources.Source, tolerance: float, engine: Backend, tail: float | None = None) -> _Chosen:

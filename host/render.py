@@ -21,13 +21,14 @@ from .horizon import engine_of, ground_of
 from .light import unoccluded
 from .light.lattice import ERRORS, lacking
 from .light.slices import KNOTS, TURNS, widened
-from .refinement import BOX, Plan, Refined, refined, solid_of, upright
+from .refinement import Plan, Refined, refined, solid_of, upright
 from .reflectance import BRDF
 from .scene import Scene, is_scene, one_of, positive_number
 
 METHODS = ("auto", "lattice", "horizon", "unoccluded")
 QUANTITIES = ("radiance", "irradiance")
 FAR = 1e5  # extents of the map at which the sun stands: a hundred-thousandth of a radian across it
+BOX = 4  # nodes round a node over which the error map is a mean: halves tell of regions, not of nodes
 MAP = np.float32(1.25)  # what the error map is more than the RMS error, so that 70, 93 and 98 % of the nodes keep to one, two and three times it: performance/refinement.py
 COARSE = 1.2  # half widths of a lobe between directions, from which on its sum may be too large by 1 in a thousand
 LEAK_SLOPE = 0.7  # rms slope from which the unfilled step leaks from M = 7 on (README, Limits)

@@ -8,7 +8,7 @@ import numpy as np
 
 from .. import sources
 from ..backends.base import Backend
-from ..backends.slices import SLICES, Ball, Dome, Quad, Slices, _ball_nodes
+from ..backends.slices import Ball, Dome, Quad, Slices, _ball_nodes
 from ..brightness import Integrals, chords
 from ..scene import Scene
 from . import unoccluded

@@ -149,12 +149,12 @@ def _rays(solid, to, x, y, height, points):
     flat, far = np.sqrt(to[0] ** 2 + to[1] ** 2), np.sqrt(to[0] ** 2 + to[1] ** 2 + to[2] ** 2)
     c, s, rise = to[0] / np.maximum(flat, 1e-9), to[1] / np.maximum(flat, 1e-9), -to[2] / far
     rings = max(1, round(math.sqrt(points) / 2))
-    for ring in range(rings):
-        out = np.minimum(np.float32(math.sqrt((ring + 0.5) / rings)) * solid.radius / far, 0.99)  # sine of the angle from the middle; rings of equal area
+    for number in range(rings):
+        out = np.minimum(np.float32(math.sqrt((number + 0.5) / rings)) * solid.radius / far, 0.99)  # sine of the angle from the middle; rings of equal area
         secant = 1 / np.sqrt(1 - out * out)
         tangent = out * secant * far
         for n in range(points // rings):
-            angle = 2 * math.pi * (n + 0.5 * (ring % 2)) / (points // rings)
+            angle = 2 * math.pi * (n + 0.5 * (number % 2)) / (points // rings)
             across, up = math.cos(angle), math.sin(angle)
             yield (to[0] + tangent * (-across * s + up * c * rise), to[1] + tangent * (across * c + up * s * rise), to[2] + tangent * up * flat / far), secant
 
