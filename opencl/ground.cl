@@ -124,21 +124,3 @@ __kernel void judge(__global const float *heights, __global const float *image, 
   found[3 * all + at] = (float)lit;
   found[4 * all + at] = (float)off;
 }
-
-/* box: sums over the up to 2 r + 1 nodes round each along its row, or along its column where down; fewer at the border.
-
-  values  (rows x cols)  float
-  found   (rows x cols)  float  out
-
-Work-item (x, y) owns one sum, from the least column or row on. */
-__kernel void box(__global const float *values, __global float *found, int rows, int cols, int r, int down)
-{
-  const int x = get_global_id(0), y = get_global_id(1);
-  if (x >= cols || y >= rows)
-    return;
-  const int at = down ? y : x, length = down ? rows : cols, stride = down ? cols : 1, start = down ? x : y * cols;
-  float sum = 0;
-  for (int k = max(at - r, 0); k <= min(at + r, length - 1); ++k)
-    sum += values[start + k * stride];
-  found[y * cols + x] = sum;
-}

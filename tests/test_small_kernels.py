@@ -1,4 +1,4 @@
-"""Kernels that pool, pick, correct, halve, judge and box, each against a few lines of plain NumPy.
+"""Kernels that pool, pick, correct, halve and judge, each against a few lines of plain NumPy.
 
 Heights are in spacings.
 """
@@ -191,7 +191,7 @@ def test_correct_writes_into_sums_that_hold_irradiance(engine):
     np.testing.assert_array_equal(engine.download(b).view(np.float32), (other - (before + np.float32(2))) / 2)
 
 
-# -- halves, judge, box --------------------------------------------------------------------------------------------------------
+# -- halves, judge -------------------------------------------------------------------------------------------------------------
 
 
 def test_halves_are_mean_and_half_difference(engine):
@@ -222,31 +222,6 @@ def test_judge_sums_over_valid_nodes(engine, block):
     np.testing.assert_array_equal(got, np.stack([_in_order(terms[:, y : y + block], 1) for y in range(0, ROWS, block)], 1))
     assert got.shape == (5, blocks, COLS) and got[2].sum() == known.sum() and all(0 < number.sum() < known.sum() for number in got[3:])
     _close(got[:2].sum(1, dtype=float), np.where(known, [image, half.astype(float) ** 2], 0).sum(1))
-
-
-@pytest.mark.parametrize("r", [0, 1, 5, 40, 100])
-@pytest.mark.parametrize("down", [0, 1])
-def test_box_sums_round_every_node(engine, down, r):
-    """Exactly, in float32; along rows or columns, clipped at the border, also where it is wider than the map."""
-    values = _rng(13).random(SHAPE).astype(np.float32)
-    given, found = engine.upload(values), engine.empty((ROWS * COLS,), np.float32, np.nan)
-    engine.launch("ground", "box", (COLS, ROWS), given, found, ROWS, COLS, r, down, lanes=1)
-    lines = values.T if down else values
-    expected = np.stack([_in_order(lines[:, max(0, n - r) : n + r + 1], 1) for n in range(lines.shape[1])], 1)
-    got = engine.download(found).reshape(SHAPE)
-    np.testing.assert_array_equal(got.T if down else got, expected)
-
-
-@pytest.mark.parametrize("shape", [(1, 1), (1, 7), (7, 1)], ids=str)
-def test_box_on_a_line(engine, shape):
-    """A map of one row or column; ones give the number of nodes that were summed, exactly."""
-    rows, cols = shape
-    for down, length in ((0, cols), (1, rows)):
-        given, found = engine.upload(np.ones(shape, np.float32)), engine.empty(shape, np.float32, 7)
-        engine.launch("ground", "box", (cols, rows), given, found, rows, cols, 2, down, lanes=1)
-        at = np.arange(length)
-        counted = np.minimum(at + 2, length - 1) - np.maximum(at - 2, 0) + 1
-        np.testing.assert_array_equal(engine.download(found), np.broadcast_to(counted[:, None] if down else counted, shape))
 
 
 def test_numpy_kernels_take_the_same_arguments():

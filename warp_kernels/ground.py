@@ -148,28 +148,3 @@ def judge(heights: wp.array[wp.float32], image: wp.array[wp.float32], half: wp.a
     found[2, at] = wp.float32(valid)
     found[3, at] = wp.float32(lit)
     found[4, at] = wp.float32(off)
-
-
-@wp.kernel
-def box(values: wp.array[wp.float32], found: wp.array[wp.float32], rows: wp.int32, cols: wp.int32, r: wp.int32, down: wp.int32):
-    """Sums over the up to 2 r + 1 nodes round each along its row, or along its column where ``down``; fewer at the border.
-
-      values  (rows x cols)  float32
-      found   (rows x cols)  float32  out
-
-    Thread (y, x) owns one sum, from the least column or row on.
-    """
-    y, x = wp.tid()
-    at = x
-    length = cols
-    stride = wp.int32(1)
-    start = y * cols
-    if down != 0:
-        at = y
-        length = rows
-        stride = cols
-        start = x
-    sum = wp.float32(0.0)
-    for k in range(wp.max(at - r, 0), wp.min(at + r, length - 1) + 1):
-        sum += values[start + k * stride]
-    found[y * cols + x] = sum

@@ -244,13 +244,3 @@ def judge(heights, image, half_, found, rows, cols, margin, block, limit):
         some, here, apart = known[rest], image[rest], half_[rest]
         for sums, terms in zip(found, (here, apart * apart, ONE, here > 0, abs(apart) > np.float32(limit))):
             sums[: len(some)] += np.where(some, terms, np.float32(0))
-
-
-def box(values, found, rows, cols, r, down):
-    values, found = (array.view(np.float32).reshape(rows, cols) for array in (values, found))
-    if down:
-        values, found = values.T, found.T
-    length = values.shape[1]
-    found[...] = 0
-    for by in range(-min(r, length - 1), min(r, length - 1) + 1):
-        found[:, max(0, -by) : length - max(0, by)] += values[:, max(0, by) : length + min(0, by)]
