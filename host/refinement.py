@@ -36,12 +36,12 @@ MARGIN = 0.95  # share of the tolerance that a choice may take: float32 adds a l
 EVEN = (4, 6, 8, 12, 16, 24, 32, 48, 64, 96, 128, 192, 256)  # azimuths
 GRIDS = {36: 6, 72: 12, 144: 24, 288: 48}  # azimuths of the exact light, each grid within the next, and how many azimuths it can judge: a sixth
 LANES, FINER = 8, (1, 3, 9)  # sectors of azimuth that small bright parts have together at least, as many as a CPU takes at a time; times as many are tried
-SUN = 0.25  # error over the difference of two halves of sectors, LEAST of half of it: performance/refinement.py
+SUN = 0.25  # error over the difference of two halves of sectors: about LEAST of half of it, as for azimuths
 SLICES, JUDGES = (8, 16, 32, 64, 128, 256), 4  # slices of a source that stands all round; times as many judge them
 MOST = {Horizons: 256, Sliced: 1024, Lattice: 33}  # units up to which is refined
 ORDER = 1.2  # of convergence in the number of azimuths, on rough ground: performance/horizon.py
 FIRST, LEAST = 0.9, 0.45  # error over half the difference of two halves, if nothing else is known, and at least: measured, docs/model.md
-LOW = 0.3  # the least share that the samples may tell; chosen: what they tell is off by a fifth
+LOW = 0.3  # the least share that the samples may tell; chosen
 BALL = 0.5  # the same of the alternating sum of a ball's slices: at most 0.61 on 114 pairs
 BEHIND = {None: 0.028, 24: 0.0085}  # RMS error of sweeps behind cliffs, over the root of their share of the neighbours, with 6 near rows and with 24: measured
 SHARP = 0.01  # tolerance below which shadows of suns take 24 near rows: with 6 they cost 0.1 to 0.9 %, with 24 0.01 to 0.35 % (fractals, terrain)
@@ -335,7 +335,7 @@ class _Sky(_Chosen):
 
     def choose(self):
         samples, brightness = self.samples, self.source.brightness
-        self.light = float(brightness)  if not callable(brightness) else Integrals(self.source, self.tolerance)
+        self.light = float(brightness) if not callable(brightness) else Integrals(self.source, self.tolerance)
         self.varies = isinstance(self.light, Integrals)
         if self.varies and not self.light.suns and self.light.variation <= UNIFORM * self.tolerance:
             self.light, self.varies = float(self.light.mean), False
@@ -404,11 +404,10 @@ class _Sky(_Chosen):
         planes = np.maximum(0, self.samples.plane(np.cos(angles)[:, None], np.sin(angles)[:, None]))
         return widths @ self.samples.ring(angles, planes, self.light.table(angles, windows))
 
-    def _corrected(self, angles, slopes, widths, windows=None):
+    def _corrected(self, angles, slopes, widths, windows):
         """Light above ``slopes`` with what tangent planes alone would let through put right; see Horizons."""
         if not self.varies:
             return self.light * (widths @ self.samples.ring(angles, slopes))
-        windows = widths if windows is None else windows
         return widths @ self.samples.ring(angles, slopes, self.light.table(angles, windows)) + self.free - self._above_planes(angles, widths, windows)
 
     def _bright(self, suns, floor=None):
@@ -508,7 +507,7 @@ class _Slices(_Chosen):
 
     def choose(self):
         scene, source, samples = self.scene, self.source, self.samples
-        self.kind, self.apparent, self.why = _ClosedForm, 0.0, ""
+        self.kind, self.apparent = _ClosedForm, 0.0
         self.solid = upright(solid_of(scene, source, 1 / scene.spacing, 1.0))
         if self.solid is None:
             self.exact, self.errors = np.zeros(len(samples)), Errors(0.0, 0.0, 0.0)
