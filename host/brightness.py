@@ -10,6 +10,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -33,6 +35,7 @@ AT_ONCE = 2**13  # directions that are evaluated at a time; chosen: what stays i
 BRIGHT = 4.0  # times the median brightness from which on light may belong to a small part; chosen
 FAINT = 0.1  # tolerances that small parts may give together and stay with the rest; chosen
 WIDEST = math.pi / 6  # azimuth that a small part may span, 30 degrees: even azimuths resolve what is wider
+INNER = 0.1  # share of a small part's light from which on what is far brighter in it stands for itself; chosen
 FINEST = 16  # parts that a cell is cut into for narrow sectors
 GAP = math.radians(1)  # of darkness between two small parts; chosen: parts nearer than that share azimuths
 KNOTS, SUN_KNOTS = 257, 65  # of the tables of a sky and of a small part, evenly in the sine of elevation
@@ -61,24 +64,25 @@ class Cells(NamedTuple):
         return self.light * self.width * (_until(self.high) - _until(self.low))
 
 
-class Sun(NamedTuple):
+@dataclass(frozen=True)
+class Sun:
     """A small bright part of a sky: its cells in order of azimuth, which may run past 2 pi, what they are brighter than ``limit`` as their light."""
 
     cells: Cells
     limit: float
 
-    @property
+    @cached_property
     def power(self) -> float:
         """Brightness x solid angle."""
         return float(self.cells.light @ self.cells.solid_angle)
 
-    @property
+    @cached_property
     def moment(self) -> np.ndarray:
         """Integral of B L dOmega, third component upwards: (3,)."""
         along, up = self.cells.moments
         return np.array([along @ np.cos(self.cells.azimuth), along @ np.sin(self.cells.azimuth), up.sum()])
 
-    @property
+    @cached_property
     def cone(self) -> tuple[np.ndarray, float]:
         """A unit vector, third component upwards, and the sine of the radius of a disc round it that holds every cell."""
         middle = self.moment / np.linalg.norm(self.moment)
@@ -87,33 +91,36 @@ class Sun(NamedTuple):
         size = float((self.cells.high - self.cells.low).max() + self.cells.width.max() * np.cos(e).max())
         return middle, math.sin(min(math.pi / 2, math.acos(min(1.0, float(cosine.min()))) + size))
 
+    @cached_property
+    def _rows(self) -> tuple[tuple[np.ndarray, np.ndarray], np.ndarray]:
+        """The elevations between which its cells lie, (lowest, highest) of every row of them, and each cell's row."""
+        rows, row = np.unique(self.cells.low + 1j * self.cells.high, return_inverse=True)
+        return (rows.real, rows.imag), row
+
     def sectors(self, count: int, shifted: bool = False) -> tuple[np.ndarray, np.ndarray]:
         """Its light in ``count`` sectors of azimuth that have equal shares of it: ways (5, K) and table (K, SUN_KNOTS, 4) as the kernel
         `sectors` takes them. ``shifted``: borders half a sector on, so that there are ``count`` + 1."""
-        cells = self.cells
+        cells, (ends, row) = self.cells, self._rows
         span = float(np.ptp(cells.azimuth)) + float(cells.width.max())
         times = np.clip(np.ceil(2 * count * cells.width / span), 1, FINEST).astype(int)  # no cell wider than half a sector
         if times.max() > 1:
             part = np.arange(times.sum()) - np.repeat(np.cumsum(times) - times, times)
-            cells, times = cells.pick(np.repeat(np.arange(len(times)), times)), np.repeat(times, times)
+            which, times = np.repeat(np.arange(len(times)), times), np.repeat(times, times)
+            cells = cells.pick(which)
             cells = cells._replace(azimuth=cells.azimuth + cells.width * ((part + 0.5) / times - 0.5), width=cells.width / times)
-            cells = cells.pick(np.argsort(cells.azimuth, kind="stable"))
+            order = np.argsort(cells.azimuth, kind="stable")
+            cells, row = cells.pick(order), row[which][order]
         moments = cells.moments
         share = np.cumsum(moments.sum(0))
         share = (share - moments.sum(0) / 2) / share[-1] * count + (0.5 if shifted else 0.0)
         group = np.minimum(share.astype(int), count - (not shifted))
-        edges = np.flatnonzero(np.diff(group, prepend=-1))
+        begins = np.diff(group, prepend=-1) > 0
+        edges, group = np.flatnonzero(begins), np.cumsum(begins) - 1
         first, last = math.sin(cells.low.min()), math.sin(cells.high.max())
-        knots = np.linspace(first, last, SUN_KNOTS)
-        low, high = np.sin(cells.low), np.sin(cells.high)
-        table = np.zeros((2, len(edges), SUN_KNOTS))
-        for some in np.array_split(np.arange(len(low)), len(low) * SUN_KNOTS // 2**20 + 1):
-            above = np.clip((high[some, None] - knots) / np.maximum(high - low, 1e-12)[some, None], 0, 1)
-            begins = np.flatnonzero(np.diff(group[some], prepend=-1))
-            number = np.searchsorted(group[edges], group[some][begins])
-            for part, moment in zip(table, moments):
-                part[number] += np.add.reduceat(moment[some, None] * above, begins)
-        table[:, :, 0] = np.add.reduceat(moments, edges, axis=1)
+        low, high = (np.sin(ends)[:, None] for ends in ends)
+        ramp = np.clip((high - np.linspace(first, last, SUN_KNOTS)) / np.maximum(high - low, 1e-12), 0, 1)  # share of a row above every knot
+        ramp[:, 0] = 1  # of which rounding takes a part
+        table = np.stack([np.bincount(group * len(low) + row, moment, len(edges) * len(low)).reshape(len(edges), -1) @ ramp for moment in moments])
         weight = moments.sum(0)
         angle = np.add.reduceat(weight * cells.azimuth, edges) / np.add.reduceat(weight, edges)
         ways = np.stack([np.cos(angle), np.sin(angle), np.ones(len(edges)), np.full(len(edges), first), np.full(len(edges), (SUN_KNOTS - 1) / (last - first))])
@@ -400,13 +407,33 @@ def _steps(light: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def _small(cells: Cells, limit: float, widest: float, depth: int = 12) -> Iterator[Sun]:
     """Groups of bright cells that span little azimuth, with the light that they have above ``limit``; of wider ones what is brighter still."""
     for part in _groups(cells):
-        azimuth = part.azimuth
         sun = Sun(part._replace(light=part.light - limit), limit)
-        if azimuth[-1] - azimuth[0] + part.width.max() <= widest or (part.light > limit).any() and sun.cone[1] <= math.sin(widest / 2):  # or round the zenith
-            yield sun
+        if part.azimuth[-1] - part.azimuth[0] + part.width.max() <= widest or (part.light > limit).any() and sun.cone[1] <= math.sin(widest / 2):  # or round the zenith
+            yield from _nested(sun, part, widest)
         elif depth:
             limit_here = max(4 * limit, 1e-6 * float(part.light.max()))
             yield from _small(part.pick(part.light > limit_here), limit_here, widest, depth - 1)
+
+
+def _nested(sun: Sun, cells: Cells, widest: float) -> Iterator[Sun]:
+    """A sun, or what glows round far brighter and smaller parts of it and these parts (a disc in its aureole), since sectors serve one width each."""
+    limit, power, extent = sun.limit, sun.power, _extent(cells)
+    while (limit := 4 * limit) < cells.light.max():
+        inside = cells.light > limit
+        if (cells.light - limit)[inside] @ cells.solid_angle[inside] < INNER * power:
+            break
+        inner = cells.pick(inside)
+        if _extent(inner) <= 0.5 * extent or all(_extent(part) <= 0.5 * extent for part in _groups(inner)):
+            yield Sun(cells._replace(light=np.minimum(cells.light, limit) - sun.limit), sun.limit)
+            yield from _small(inner, limit, widest, 0)
+            return
+    yield sun
+
+
+def _extent(cells: Cells) -> float:
+    """About how wide they are [rad]; cells in order of azimuth."""
+    low = float(cells.low.min())
+    return max(float(cells.high.max()) - low, float(np.ptp(cells.azimuth) + cells.width.max()) * math.cos(low))
 
 
 def _groups(cells: Cells, axis: int = 0, whole: bool = False) -> Iterator[Cells]:
