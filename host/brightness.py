@@ -33,6 +33,7 @@ MOST = 2**20  # evaluations in divided cells, as many as in the first ones: the 
 ENOUGH = 2e-5  # relative error at which no cell is divided any more: a fifth of what level ground is held to
 AT_ONCE = 2**13  # directions that are evaluated at a time; chosen: what stays in a cache is quicker
 BRIGHT = 4.0  # times the median brightness from which on light may belong to a small part; chosen
+DARK = 1e-6  # of the brightest, from which on levels are tried where the sky is dark; chosen
 FAINT = 0.1  # tolerances that small parts may give together and stay with the rest; chosen
 WIDEST = math.pi / 6  # azimuth that a small part may span, 30 degrees: even azimuths resolve what is wider
 INNER = 0.1  # share of a small part's light from which on what is far brighter in it stands for itself; chosen
@@ -411,14 +412,15 @@ def _small(cells: Cells, limit: float, widest: float, depth: int = 12) -> Iterat
         if part.azimuth[-1] - part.azimuth[0] + part.width.max() <= widest or (part.light > limit).any() and sun.cone[1] <= math.sin(widest / 2):  # or round the zenith
             yield from _nested(sun, part, widest)
         elif depth:
-            limit_here = max(4 * limit, 1e-6 * float(part.light.max()))
+            limit_here = max(4 * limit, DARK * float(part.light.max()))
             yield from _small(part.pick(part.light > limit_here), limit_here, widest, depth - 1)
 
 
 def _nested(sun: Sun, cells: Cells, widest: float) -> Iterator[Sun]:
     """A sun, or what glows round far brighter and smaller parts of it and these parts (a disc in its aureole), since sectors serve one width each."""
-    limit, power, extent = sun.limit, sun.power, _extent(cells)
-    while (limit := 4 * limit) < cells.light.max():
+    power, extent, brightest = sun.power, _extent(cells), float(cells.light.max())
+    limit = sun.limit
+    while (limit := max(4 * limit, DARK * brightest)) < brightest:
         inside = cells.light > limit
         if (cells.light - limit)[inside] @ cells.solid_angle[inside] < INNER * power:
             break
