@@ -1,17 +1,28 @@
 """skylamp: spatially varying illumination of depth maps, forward and inverse (Langer and Zucker)."""
 
+import importlib
+
 from .backends import backends
 from .directions import Azimuths, Hemicube
 from .errors import BackendError, CapacityError, InputError, SkylampError
 from .horizon import horizons, openness, sky_view_factor
 from .refinement import Plan, plan
-from .recover import Recovery, recover
+from .inverse.recover import Recovery, recover
 from .reflectance import BRDF, Lambertian, Mirror, Phong, grooves
-from .render import Rendering, render
+from .rendering import Rendering, render
 from .scene import Scene
-from .skies import CieSky, cie_clear, cie_sky, sun_position
-from .sources import Lamp, Sky, Window, cie_overcast, cosine_power, environment_map, uniform
+from .sources.cie import CieSky, cie_clear, cie_sky, sun_position
+from .sources.shapes import Lamp, Sky, Window, cie_overcast, cosine_power, environment_map, uniform
 from .visibility import View, VisibilityField, visibility, visibility_field
+
+_LAZY = {"geo": "skylamp.io.geotiff", "plot": "skylamp.app.plot"}  # they need optional libraries
+
+
+def __getattr__(name: str):
+    if name in _LAZY:
+        return importlib.import_module(_LAZY[name])
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
 
 __version__ = "0.1.0"
 __all__ = [

@@ -5,12 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from .arrays import labelled
-from .backends import select
-from .backends.base import Backend, scratch
-from .backends.horizon import FINE, Ground, Rays, Sweeps
+from .light.sweeps import FINE, Rays, Sweeps, engine_of, ground_of
 from .directions import Azimuths
 from .errors import bad
-from .scene import Scene, is_scene, one_of, positive_number
+from .scene import Scene, is_scene
+from .checks import one_of
 
 DEFINITIONS = ("tilted", "horizontal", "solid_angle")
 RUNGS = 1025  # of the tables that turn slopes into sums
@@ -82,24 +81,6 @@ def openness(scene: Scene, azimuths: int | Azimuths = 64, backend: str = "auto",
 
 def as_azimuths(azimuths: int | Azimuths) -> Azimuths:
     return azimuths if isinstance(azimuths, Azimuths) else Azimuths(azimuths)
-
-
-def engine_of(scene: Scene, backend: str) -> Backend:
-    """The backend of this name; ``auto`` stays on the GPU on which the scene's depth lies."""
-    is_scene(scene)
-    there = scene.resident.backend.name if scene.resident is not None else ""
-    return select(there if backend == "auto" and there.startswith("warp:cuda") else backend)
-
-
-def ground_of(scene: Scene, max_distance: float | None, engine: Backend) -> Ground:
-    """The map that sweeps on ``engine`` need, heights in spacings above the viewer's plane; where it lies there, it stays there."""
-    reach = np.inf if max_distance is None else positive_number(max_distance, "max_distance") / scene.spacing
-    if reach < 1:
-        raise bad("max_distance", max_distance, f"at least one spacing, {scene.spacing:g}")
-    if scene.resident is not None and scene.resident.backend is engine:
-        return Ground(scene.resident, scene.sides, reach, scene.spacing)
-    values, step = scene.lattice()
-    return Ground(np.divide(values, np.float32(-step), out=scratch(values.shape)), scene.sides, reach)
 
 
 def _sum(scene, share, azimuths, backend, max_distance):

@@ -13,7 +13,8 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from .sources import APERTURE, BALL, RECTANGLE, SKY, VOLUME, Geometry
+from .constants import APERTURE, BALL, RECTANGLE, SKY, VOLUME
+from .sources import Geometry
 
 FAR = np.iinfo(np.int64).max // 4  # depth of a masked column: free space without end
 

@@ -17,9 +17,9 @@ import numpy as np
 from . import sources
 from .backends import select
 from .backends.base import Backend
-from .backends.horizon import FAINTEST
-from .backends.slices import Ball, Quad, aperture, rectangle
-from .brightness import Integrals, even
+from .light.sweeps import FAINTEST
+from .sources.solids import Ball, Quad, aperture, rectangle
+from .sources.integrals import Integrals, even
 from .errors import CapacityError, bad
 from .light import lattice, unoccluded
 from .light.base import LightMethod
@@ -29,7 +29,8 @@ from .light.slices import RAYS, Sliced, outline, widened
 from .radiometry import point_error
 from .reflectance import Lambertian
 from .samples import CLIFF, COUNT, FAINT, Errors, Samples
-from .scene import Scene, is_scene, positive_number
+from .scene import Scene, is_scene
+from .checks import positive_number
 
 TAIL = 10.0  # bound on the 99.9th percentile of the error, in tolerances, unless given
 MARGIN = 0.85  # share of the tolerance that an estimate may take; chosen: samples know an RMS to some 10 %, and with 0.95 one image in twelve at 0.3 % was 1 to 1.4 tolerances off

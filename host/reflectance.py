@@ -15,7 +15,7 @@ import numpy as np
 
 from .errors import bad
 from .radiometry import directional_hemispheric
-from .scene import at, real_array
+from .checks import at, real_array
 
 BOUND = 1e-3  # by which a reflectance may seem to give more than it gets: the numeric integral's own error
 MOST_EXPONENT = 1e5  # a lobe half a degree wide; beyond it a mirror

@@ -15,8 +15,8 @@ import numpy as np
 
 from . import sources
 from .backends.base import Backend, scratch
-from .backends.slices import Ball, Quad
-from .brightness import Integrals, even
+from .sources.solids import Ball, Quad
+from .sources.integrals import Integrals, even
 from .scene import Scene
 
 COUNT = 384  # nodes; chosen: their standard error of an RMS is some 1 / sqrt(2 x 384), 4 %, if errors are normal, and their rays take time in proportion

@@ -3,56 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from .arrays import Labels, host_array, labels_of, on_device
-from .errors import InputError, bad
-
-if TYPE_CHECKING:
-    from .reflectance import Reflectance
+from .checks import at, one_of, positive_number, real_array
+from .backends.resident import Resident, find
+from .errors import bad
+from .reflectance import Lambertian, Reflectance, fit
 
 SIDES = ("open", "dark", "periodic")
 ALBEDO = 0.8
 STEEPEST = 1e15  # spacings of depth, so that squares of slopes stay in float32
-
-
-def real_array(values, what: str, ndim: int | None = 2) -> np.ndarray:
-    """``values`` as a real float64 array of ``ndim`` axes, not empty; never a view that a caller could see change."""
-    if isinstance(values, np.ma.MaskedArray):
-        raise bad(f"{what}: a numpy masked array", "mask inside the array", "plain arrays", "Pass array.data and mask=~numpy.ma.getmaskarray(array).")
-    try:
-        array = host_array(values)
-    except Exception as error:
-        raise InputError(f"{what}: not an array ({error}); allowed: a real array.") from error
-    if array.dtype.kind not in "iuf":
-        raise bad(f"{what}: wrong type", f"dtype {array.dtype}", "real numbers (integer or floating)")
-    if ndim is not None and array.ndim != ndim:
-        raise bad(f"{what}: wrong shape", array.shape, f"{ndim} axes" + (" (rows, cols)" if ndim == 2 else ""))
-    if array.size == 0:
-        raise bad(f"{what}: empty array", f"shape {array.shape}", "at least one element")
-    return array.astype(np.float64)
-
-
-def one_of(value, allowed: tuple[str, ...], what: str) -> None:
-    if not isinstance(value, str) or value not in allowed:
-        raise bad(what, repr(value), " | ".join(allowed))
-
-
-def positive_number(value, what: str) -> float:
-    try:
-        number = float(value)
-    except (TypeError, ValueError):
-        raise bad(f"{what}: not a number", repr(value), "a finite number > 0") from None
-    if not (np.isfinite(number) and number > 0):
-        raise bad(what, number, "a finite number > 0")
-    return number
-
-
-def at(index) -> str:
-    """Where the first true element of a boolean array is, for messages."""
-    return f"at (row, col) = {tuple(int(i) for i in np.argwhere(index)[0])}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -211,8 +173,6 @@ def resident_map(values, height: bool = False):
     """``values`` as a :class:`skylamp.backends.resident.Resident` where they lie on a device of Warp's as float32, else None."""
     if isinstance(values, (np.ndarray, list, int, float)):
         return None
-    from .backends.resident import Resident, find
-
     if isinstance(values, Resident):
         return values
     try:
@@ -240,15 +200,13 @@ def _mask(mask, shape):
 
 
 def _reflectance(albedo, given, shape, valid):
-    from . import reflectance as materials  # which checks its arrays by real_array
-
     if given is None:
-        given = materials.Lambertian(albedo)
-    elif not isinstance(given, materials.Reflectance):
+        given = Lambertian(albedo)
+    elif not isinstance(given, Reflectance):
         raise bad("reflectance", type(given).__name__, "Lambertian, Phong, Mirror or BRDF")
     elif not np.array_equal(albedo, ALBEDO):
         raise bad("scene: albedo and reflectance", "both", "one of them", "The diffuse albedo is an argument of the reflectance.")
-    materials.fit(given, shape, valid)
+    fit(given, shape, valid)
     return given
 
 

@@ -5,9 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from . import sources
-from .backends import numpy as kernels
-from .backends.base import Backend, Lobe
-from .backends.slices import Dome, Slices
+from .backends.numpy.luminance import gradient
+from .backends.base import Backend
+from .light.propagation import Lobe
+from .sources.solids import Dome
+from .light.slices import Slices
 from .errors import bad
 from .reflectance import BRDF, Mirror, Phong, frames, mirror_directions
 from .scene import Scene
@@ -36,7 +38,7 @@ def tilts(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
     depth, step = scene.lattice()
     out = np.zeros((2, depth.size), np.float32)
     with np.errstate(invalid="ignore"):
-        kernels.gradient(depth, out, *scene.shape, depth.size, 0.5 / step, 1 / step)
+        gradient(depth, out, *scene.shape, depth.size, 0.5 / step, 1 / step)
     return out.reshape(2, *scene.shape)
 
 

@@ -9,11 +9,13 @@ import numpy as np
 
 from . import sources
 from .backends import select
-from .backends.base import Problem, Progress
+from .light import propagation
+from .light.propagation import Problem, Progress
 from .directions import Hemicube
 from .errors import CapacityError, bad
-from .render import lattice_problem, render
-from .scene import Scene, is_scene, one_of
+from .rendering import lattice_problem, render
+from .scene import Scene, is_scene
+from .checks import one_of
 
 
 def visibility(scene: Scene, source: sources.Source, hemicube: int | Hemicube = 9, backend: str = "auto", *, filled: bool = False,
@@ -35,7 +37,7 @@ def visibility(scene: Scene, source: sources.Source, hemicube: int | Hemicube = 
         return visibility_field(scene, source, cube, backend=backend).surface()
     engine, problem = select(backend), lattice_problem(scene, source, cube, filled)
     with engine.lock:
-        return engine.visibility(problem)
+        return propagation.visibility(engine, problem)
 
 
 def visibility_field(scene: Scene, source: sources.Source, hemicube: int | Hemicube = 9, layers: int | None = None, backend: str = "auto",
@@ -62,7 +64,7 @@ def visibility_field(scene: Scene, source: sources.Source, hemicube: int | Hemic
     engine = select(backend)
     problem = Problem(depth, step, scene.sides, cube.steps, sources.geometry(source, scene, step))
     with engine.lock:
-        words = engine.field(problem, int(layers), progress)
+        words = propagation.field(engine, problem, int(layers), progress)
     return VisibilityField(words, cube, scene, source, depth, engine.name)
 
 

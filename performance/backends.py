@@ -17,8 +17,8 @@ import numpy as np
 
 import skylamp as sl
 from skylamp.backends import select
-from skylamp.backends.base import FieldByLayers, Light, Surface
-from skylamp.render import lattice_problem
+from skylamp.light.propagation import FieldByLayers, Light, Surface
+from skylamp.rendering import lattice_problem
 
 HEMICUBE = 9
 

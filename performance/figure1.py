@@ -19,7 +19,7 @@ from matplotlib.collections import PatchCollection
 from matplotlib.patches import Circle, Rectangle, Wedge
 
 import skylamp as sl
-from skylamp.plot import sectors
+from skylamp.app.plot import sectors
 from skylamp.radiometry import rectangle_solid_angle
 
 COLS, ROWS, FLOOR = 73, 25, 40  # the room, in nodes; its floor is layer 40

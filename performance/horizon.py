@@ -29,8 +29,8 @@ import peers
 import skylamp as sl
 from skylamp import oracle
 from skylamp.backends import select
-from skylamp.backends.horizon import Rays, Sweeps
-from skylamp.horizon import ground_of
+from skylamp.light.sweeps import Rays, Sweeps
+from skylamp.light.sweeps import ground_of
 
 GROUNDS = {"rough": (1.0, 2.0), "smooth": (0.5, 2.5)}  # rms slope, and the power by which amplitude falls with frequency
 USUAL = 64  # azimuths

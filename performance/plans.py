@@ -17,7 +17,8 @@ from pathlib import Path
 import numpy as np
 
 import skylamp as sl
-from skylamp import io, sources
+from skylamp.io import files as io
+from skylamp import sources
 from skylamp.backends import select
 from skylamp.light.lattice import lacking
 from skylamp.refinement import solid_of, upright

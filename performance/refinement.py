@@ -29,7 +29,7 @@ from skylamp import sources
 from skylamp.backends import select
 from skylamp.refinement import solid_of, upright
 from skylamp.samples import Samples
-from skylamp.skies import SUN_RADIUS, towards
+from skylamp.sources.cie import SUN_RADIUS, towards
 
 NODES = 400
 AZIMUTHS, CELLS, WITHIN = 1440, 1024, 4  # of the smooth part of a sky: azimuths, cells of elevation, places of azimuth at which brightness is taken

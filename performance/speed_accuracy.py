@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 
 import skylamp as sl
-from skylamp import chart
+from skylamp.app import chart
 from skylamp.backends import select
 
 HERE = Path(__file__).parent

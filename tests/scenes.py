@@ -8,8 +8,9 @@ import functools
 import numpy as np
 
 import skylamp as sl
-from skylamp import io, oracle
-from skylamp.sources import Geometry
+from skylamp.io import files as io
+from skylamp import oracle
+from skylamp.sources.shapes import Geometry
 
 SKY = Geometry(0, np.zeros(4), np.zeros((1, 1, 1), np.uint8))
 SIDES = ("open", "dark", "periodic")

@@ -11,7 +11,7 @@ import functools
 import numpy as np
 
 import skylamp as sl
-from skylamp import io
+from skylamp.io import files as io
 
 SIZE, FINER, ALBEDO, LAYERS = 64, 5, 0.8, 64
 

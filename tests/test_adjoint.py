@@ -9,11 +9,12 @@ from compare import assert_bits_equal
 from scenes import rough
 
 import skylamp as sl
-from skylamp import oracle, synthesis
+from skylamp import oracle
+from skylamp.inverse import pyramid as synthesis
 from skylamp.backends import select
 from skylamp.errors import CapacityError
 
-adjoint = importlib.import_module("skylamp.backends.adjoint")
+adjoint = importlib.import_module("skylamp.inverse.descent")
 SHAPE = (9, 11)
 
 

@@ -267,7 +267,8 @@ def test_maps_that_the_host_must_straighten(fast):
 @pytest.mark.parametrize("sides", scenes.SIDES)
 def test_kernels_of_resident_maps(backend, sides):
     """On every backend: the checks, the padded map and the slopes are those of the host."""
-    from skylamp.backends import horizon, select
+    from skylamp.light import sweeps as horizon
+    from skylamp.backends import select
     from skylamp.backends.resident import adopt
 
     engine = select(backend)

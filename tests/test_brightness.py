@@ -8,7 +8,7 @@ import pytest
 import skylamp as sl
 from skylamp import sources
 from skylamp.backends import select
-from skylamp.brightness import Integrals, even
+from skylamp.sources.integrals import Integrals, even
 from skylamp.light.horizon import Horizons
 
 FLAT = sl.Scene(np.full((24, 31), 5.0))

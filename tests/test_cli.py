@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 import skylamp as sl
-from skylamp import cli, io
+from skylamp.app import cli
+from skylamp.io import files as io
 
 BOWL = (np.hypot(*np.mgrid[-6:7, -7:8]) // 2).max() - np.hypot(*np.mgrid[-6:7, -7:8]) // 2 + 1
 
@@ -259,7 +260,7 @@ def test_what_libraries_print_stays_off_stdout(here, capsys, monkeypatch):
 
 def test_as_a_process(here):
     """Version, data on stdout through a pipe, exit codes as the shell sees them, no bar off a terminal."""
-    skylamp = lambda *arguments: subprocess.run([sys.executable, "-m", "skylamp.cli", *arguments], capture_output=True, timeout=300)
+    skylamp = lambda *arguments: subprocess.run([sys.executable, "-m", "skylamp.app.cli", *arguments], capture_output=True, timeout=300)
     version = skylamp("--version")
     assert (version.returncode, version.stdout.decode().split()) == (0, ["skylamp", sl.__version__])
     piped = skylamp("render", "depth.npy", "--out", "-", "--backend", "numpy")
@@ -274,7 +275,7 @@ def test_bar_on_a_terminal(here):
     """On a terminal stderr shows what is being done, and stdout stays clean."""
     pty = pytest.importorskip("pty")  # not on Windows
     terminal, stderr = pty.openpty()
-    done = subprocess.run([sys.executable, "-m", "skylamp.cli", "recover", "image.npy", "--out", "a.npy", "--json", "--method", "paper", "--layers", "4", "--hemicube", "3", "--backend", "numpy"],
+    done = subprocess.run([sys.executable, "-m", "skylamp.app.cli", "recover", "image.npy", "--out", "a.npy", "--json", "--method", "paper", "--layers", "4", "--hemicube", "3", "--backend", "numpy"],
                           stdout=subprocess.PIPE, stderr=stderr, timeout=300, env={**os.environ, "TERM": "xterm"})
     os.close(stderr)
     shown = os.read(terminal, 1 << 16)

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 import skylamp as sl
-from skylamp import cli, geo, io
+from skylamp.app import cli
+from skylamp.io import geotiff as geo, files as io
 from skylamp.errors import InputError
 
 rasterio = pytest.importorskip("rasterio")
@@ -202,7 +203,7 @@ def test_command_line_stays_one_line(tmp_path):
     """GDAL and rasterio log by themselves; a process says one line."""
     path = make(tmp_path / "a.tif")
     path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
-    done = subprocess.run([sys.executable, "-m", "skylamp.cli", "render", str(path), "--out", str(tmp_path / "o.npy")], capture_output=True, timeout=300)
+    done = subprocess.run([sys.executable, "-m", "skylamp.app.cli", "render", str(path), "--out", str(tmp_path / "o.npy")], capture_output=True, timeout=300)
     assert done.returncode == 3 and done.stdout == b"" and done.stderr.count(b"\n") == 1 and b"a.tif" in done.stderr, done
 
 

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 import skylamp as sl
-from skylamp import cli, io
+from skylamp.app import cli
+from skylamp.io import files as io
 from skylamp.errors import InputError
 
 OpenEXR = pytest.importorskip("OpenEXR")
@@ -151,7 +152,7 @@ def test_command_line_stays_one_line(tmp_path):
         io.write(tmp_path / f"a{suffix}", LIGHT)
         cut = tmp_path / f"cut{suffix}"
         cut.write_bytes((tmp_path / f"a{suffix}").read_bytes()[:-300])
-        done = subprocess.run([sys.executable, "-m", "skylamp.cli", "render", str(tmp_path / "d.npy"), "--source", str(cut), "--out", str(tmp_path / "o.npy")], capture_output=True, timeout=300)
+        done = subprocess.run([sys.executable, "-m", "skylamp.app.cli", "render", str(tmp_path / "d.npy"), "--source", str(cut), "--out", str(tmp_path / "o.npy")], capture_output=True, timeout=300)
         assert done.returncode == 3 and done.stdout == b"" and done.stderr.count(b"\n") == 1 and cut.name.encode() in done.stderr, done
 
 

@@ -17,7 +17,7 @@ import skylamp as sl
 import skylamp.opencl
 from skylamp import oracle
 from skylamp.backends import select
-from skylamp.backends.horizon import FINE, MANY, NEAR, Ground, Rays, Sweeps
+from skylamp.light.sweeps import FINE, MANY, NEAR, Ground, Rays, Sweeps
 
 AGREE = 1e-5  # rad, and of the largest irradiance: what backends may differ by
 HORIZON = 0.002  # rad, RMS against the oracle
@@ -114,7 +114,7 @@ def assert_agree(got, expected, bound=AGREE):
 @pytest.mark.parametrize("stem", ["horizon", "ground"])
 def test_numpy_kernels_take_the_same_arguments(stem):
     """Names and order as in OpenCL; constants by keyword."""
-    module = importlib.import_module("skylamp.backends.numpy_horizon")
+    module = importlib.import_module("skylamp.backends.numpy.horizon")
     text = re.sub(r"/\*.*?\*/", "", skylamp.opencl.source(stem), flags=re.S)
     kernels = re.findall(r"__kernel void (\w+)\((.*?)\)", text, re.S)
     assert kernels
@@ -253,7 +253,7 @@ def test_reach_beyond_a_map_that_repeats(fast):
 @pytest.mark.parametrize("broken", ["near", "azimuths", "ladder"])
 def test_a_broken_table_is_seen(fast, monkeypatch, broken):
     """The comparison with the oracle turns red when a table is wrong: by a tenth of a node, by a degree, with one slope for all."""
-    module = importlib.import_module("skylamp.backends.horizon")
+    module = importlib.import_module("skylamp.light.sweeps")
     if broken == "ladder":
         original = module.ladder
         monkeypatch.setattr(module, "ladder", lambda *args: (*original(*args)[:2], original(*args)[2][:1] * 16, original(*args)[3][:1] * 16))

@@ -10,7 +10,7 @@ import tifffile
 from PIL import Image
 from PIL.PngImagePlugin import PngInfo
 
-from skylamp import io
+from skylamp.io import files as io
 from skylamp.errors import InputError
 
 RNG = np.random.default_rng(7)

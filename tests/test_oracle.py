@@ -8,7 +8,7 @@ from compare import assert_bits_equal
 
 import skylamp as sl
 from skylamp import oracle
-from skylamp.sources import APERTURE, BALL, RECTANGLE, SKY, VOLUME, Geometry
+from skylamp.sources.shapes import APERTURE, BALL, RECTANGLE, SKY, VOLUME, Geometry
 
 NOTHING = np.zeros((1, 1, 1), np.uint8)
 OPEN_SKY = Geometry(SKY, np.zeros(4), NOTHING)

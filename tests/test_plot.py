@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 import skylamp as sl
-from skylamp import cli, io, plot
+from skylamp.app import cli, plot
+from skylamp.io import files as io
 
 pytest.importorskip("matplotlib")
 from matplotlib.patches import Circle  # noqa: E402

@@ -9,8 +9,8 @@ from compare import assert_bits_equal
 
 import skylamp as sl
 from skylamp import oracle
-from skylamp.recover import carving_integers
-from skylamp.sources import BALL, RECTANGLE, SKY, VOLUME, Geometry, radiance
+from skylamp.inverse.recover import carving_integers
+from skylamp.sources.shapes import BALL, RECTANGLE, SKY, VOLUME, Geometry, radiance
 
 paper = functools.partial(sl.recover, method="paper")
 NOTHING = np.zeros((1, 1, 1), np.uint8)

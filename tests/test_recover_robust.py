@@ -13,7 +13,7 @@ from surfaces import ALBEDO, SURFACES, rms
 
 import skylamp as sl
 from skylamp.backends import select
-from skylamp.synthesis import Pyramid
+from skylamp.inverse.pyramid import Pyramid
 
 SMALL = SIZE = 32  # half the size of performance/recover.py: a layer here is two there
 LAYERS = 32
@@ -326,7 +326,7 @@ def test_time_may_end_anywhere(fast, monkeypatch):
     """A clock that goes on by a second whenever it is asked ends the search in every part of it: a whole surface each time, and none that is
     worse than a flat one."""
     depth, image = surfaces.pair("egg-crate", "sky")
-    recover = importlib.import_module("skylamp.recover")
+    recover = importlib.import_module("skylamp.inverse.recover")
     cut = 0
     for seconds in (1, 25, 80, 130, 180, 230, 280, 330, 380):
         ticks = itertools.count()

@@ -16,7 +16,7 @@ from compare import assert_bits_equal
 import skylamp as sl
 from skylamp import oracle, refinement, sources
 from skylamp.backends import select
-from skylamp.backends.slices import Ball, rectangle
+from skylamp.sources.solids import Ball, rectangle
 from skylamp.light import unoccluded
 from skylamp.radiometry import polygon_moment
 from skylamp.samples import Errors, Samples, errors
@@ -653,7 +653,7 @@ def test_the_command_line_prints_plans(fast, tmp_path):
     """A table with reasons, or one JSON object; the tolerance as a share or in percent; a bad one is a usage error."""
     from typer.testing import CliRunner
 
-    from skylamp.cli import app
+    from skylamp.app.cli import app
 
     np.save(tmp_path / "depth.npy", ROUGH)
     ask = lambda *more: CliRunner().invoke(app, ["plan", str(tmp_path / "depth.npy"), "--backend", fast, *more])
@@ -666,7 +666,7 @@ def test_the_command_line_prints_plans(fast, tmp_path):
 
 def test_the_chart_has_a_point_for_every_setting(fast, tmp_path):
     """All classes, the plan's three choices, a picture; the frontier is what nothing beats."""
-    from skylamp import chart
+    from skylamp.app import chart
 
     rows = chart.measure([fast], (24,), longest=0.5)
     assert {row["class"] for row in rows} == set(chart.CLASSES) and all(row["seconds"] > 0 and row["error"] >= 0 for row in rows)

@@ -10,7 +10,7 @@ from compare import assert_bits_equal, assert_close
 import skylamp as sl
 from skylamp import oracle
 from skylamp.radiometry import polygon_moment
-from skylamp.sources import BALL, RECTANGLE, Geometry
+from skylamp.sources.shapes import BALL, RECTANGLE, Geometry
 
 NOTHING = np.zeros((1, 1, 1), np.uint8)
 SIZES = (9, 17, 33)

@@ -9,8 +9,9 @@ from test_refinement import HIGH, LOW, PANEL, SCENES, SIZE, WINDOW, truth
 import skylamp as sl
 from skylamp import oracle
 from skylamp.backends import select
-from skylamp.backends.slices import Dome, Slices
-from skylamp.brightness import Integrals
+from skylamp.sources.solids import Dome
+from skylamp.light.slices import Slices
+from skylamp.sources.integrals import Integrals
 from skylamp.refinement import solid_of, upright
 from skylamp.samples import COUNT, NONE, Errors, Samples, errors
 

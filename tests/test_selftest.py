@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import skylamp as sl
-from skylamp import cli, selftest
+from skylamp.app import cli, selftest
 from skylamp.backends.base import Backend
 from skylamp.errors import BackendError
 

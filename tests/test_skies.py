@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 import skylamp as sl
-from skylamp import cli, skies
+from skylamp.app import cli
+from skylamp.sources import cie as skies
 
 FLAT = sl.Scene(np.full((5, 6), 3.0), albedo=1.0)
 # Zenith luminance over diffuse horizontal illuminance, (B sin^C g / cos^D g + E sin g) / (133.8 sin g) for a sun at

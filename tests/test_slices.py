@@ -13,10 +13,11 @@ from scenes import rough
 import skylamp as sl
 from skylamp import oracle
 from skylamp.backends import select
-from skylamp.brightness import Integrals, chords
+from skylamp.sources import solids
+from skylamp.sources.integrals import Integrals, chords
 from skylamp.radiometry import disc_moment, polygon_moment, rectangle_solid_angle
 
-slices = importlib.import_module("skylamp.backends.slices")
+slices = importlib.import_module("skylamp.light.slices")
 UP = np.array([0.0, 0.0, -1.0])
 NODES = (np.array([0, 7, 7, 12]), np.array([0, 3, 9, 16]))
 
@@ -203,22 +204,22 @@ def test_a_rectangle_above_the_plane(backend, name):
     corner, u, v = RECTANGLES[name]
     for gx, gy in ((0, 0), (0.3, -0.2)):
         depth, normal = slanted((13, 17), gx, gy, z=20.0)
-        quad = slices.rectangle(corner, u, v)
+        quad = solids.rectangle(corner, u, v)
         wanted = of_polygon(quad.corners, places(depth), normal, UP)
         assert (wanted > 0).all()
         near(image(backend, depth, quad)[NODES], wanted, 1e-3)
-    near(image(backend, depth, slices.rectangle(corner, v, u))[NODES], wanted, 1e-3)
+    near(image(backend, depth, solids.rectangle(corner, v, u))[NODES], wanted, 1e-3)
 
 
 def test_a_rectangle_seen_on_edge(backend):
     """Nothing from its own plane, and only what rises above the level."""
     depth = np.full((13, 17), 10.0)
-    assert not image(backend, depth, slices.rectangle((6, 7, 2), (8, 0, 0), (0, 0, 5)))[7].any()
-    assert not image(backend, depth, slices.rectangle((6, 7, 2), (8, 0, 0), (0, 0, 9)))[7].any()
+    assert not image(backend, depth, solids.rectangle((6, 7, 2), (8, 0, 0), (0, 0, 5)))[7].any()
+    assert not image(backend, depth, solids.rectangle((6, 7, 2), (8, 0, 0), (0, 0, 9)))[7].any()
     for most in (32, 128):  # from its corner, and with an edge overhead
-        got = image(backend, depth, slices.rectangle((6, 7, 10), (2, 3, 0), (0, 0, -4)), most=most)
+        got = image(backend, depth, solids.rectangle((6, 7, 10), (2, 3, 0), (0, 0, -4)), most=most)
         assert np.isfinite(got).all() and got.max() < 4
-    low = slices.rectangle((3, 4, 7), (9, 0, 0), (0, 0, 6))
+    low = solids.rectangle((3, 4, 7), (9, 0, 0), (0, 0, 6))
     near(image(backend, depth, low)[NODES], of_polygon(low.corners, places(depth), UP), 2e-3)
 
 
@@ -227,7 +228,7 @@ def test_a_window_over_the_plane(backend, x, y):
     """Parallel and tilted, above, across, far larger than the map, and a pinhole; a plane that cuts it asks for more slices."""
     for gx, gy in ((0, 0), (0.3, -0.4)):
         depth, normal = slanted((13, 17), gx, gy, z=9.0)
-        window = slices.aperture(x, y, depth.shape, 1.0, "open")
+        window = solids.aperture(x, y, depth.shape, 1.0, "open")
         wanted = of_polygon(window.corners, places(depth), normal)
         np.testing.assert_allclose(image(backend, depth, window)[NODES], wanted, rtol=2e-3, atol=0.02 * wanted.max() if gx else 0)
         near(image(backend, depth, window, most=64)[NODES], wanted, 4e-3)
@@ -236,7 +237,7 @@ def test_a_window_over_the_plane(backend, x, y):
 def test_a_node_in_the_window(backend):
     """In its plane the whole sky or none; a hair below it, half the sky on an edge, a quarter on a corner."""
     nodes = (np.array([7, 7, 7, 8, 6]), np.array([3, 8, 9, 5, 5]))
-    window = lambda x, y: slices.aperture(x, y, (13, 17), 1.0, "open")
+    window = lambda x, y: solids.aperture(x, y, (13, 17), 1.0, "open")
     near(image(backend, np.zeros((13, 17)), window((2.5, 8.5), (6.5, 7.5)))[nodes], np.pi * np.array([1.0, 1, 0, 0, 0]), 1e-5)
     shallow = np.full((13, 17), 1e-4)
     got = image(backend, shallow, window((3, 9), (7, 8)))[nodes]
@@ -247,7 +248,7 @@ def test_the_shadow_of_an_edge_in_a_window(backend):
     """Lambert's polygon, cut by the plane through node and edge."""
     depth = walled()
     nodes = (np.full(10, 20), np.arange(0, 20, 2))
-    window = slices.aperture((25, 44), (12, 31), depth.shape, 1.0, "open")
+    window = solids.aperture((25, 44), (12, 31), depth.shape, 1.0, "open")
     wanted = np.array([of_polygon(window.corners, [eye], UP, np.array([4.0 - 12, 0, -(22 - eye[0])]))[0] for eye in places(depth, nodes=nodes)])
     for most, bound in ((32, 6e-3), (64, 2e-3), (128, 1e-3)):
         np.testing.assert_allclose(image(backend, depth, window, most=most)[nodes], wanted, atol=bound * wanted.max())
@@ -273,7 +274,7 @@ def test_the_brightness_of_a_window(backend):
     depth = np.full((13, 17), 9.0)
     eyes = places(depth)
     wanted = rectangle_solid_angle(3 - eyes[:, 0], 10 - eyes[:, 0], 2 - eyes[:, 1], 11 - eyes[:, 1], 9.0)
-    got = image(backend, depth, slices.aperture((3, 10), (2, 11), depth.shape, 1.0, "open"), lambda L: 1 / np.maximum(-L[..., 2], 0.01))[NODES]
+    got = image(backend, depth, solids.aperture((3, 10), (2, 11), depth.shape, 1.0, "open"), lambda L: 1 / np.maximum(-L[..., 2], 0.01))[NODES]
     near(got, wanted, 2e-3)
 
 
@@ -297,7 +298,7 @@ def test_a_window_with_stripes(backend):
     depth = np.full((13, 17), 9.0)
     x, y = (4.0, 15.0), (3.0, 12.0)
     u, v = (a + (b - a) * (np.arange(1500) + 0.5) / 1500 for a, b in (x, y))
-    got = image(backend, depth, slices.aperture(x, y, depth.shape, 1.0, "open"), stripes, most=256)[NODES]  # half as many leave 2 % near a node below
+    got = image(backend, depth, solids.aperture(x, y, depth.shape, 1.0, "open"), stripes, most=256)[NODES]  # half as many leave 2 % near a node below
     for value, eye in zip(got, places(depth)):
         to = np.stack(np.broadcast_arrays(u - eye[0], (v - eye[1])[:, None], -9.0), -1)
         square = (to * to).sum(-1)
@@ -397,7 +398,7 @@ def test_a_light_and_the_walls_of_a_dark_box(backend):
     def flat(corner, end, z):
         return np.array([[corner[0], corner[1], z], [end[0], corner[1], z], [end[0], end[1], z], [corner[0], end[1], z]])
 
-    light = lambda z: slices.rectangle((-4.0, 1.0, z), (14.0, 0, 0), (0, 12.0, 0))
+    light = lambda z: solids.rectangle((-4.0, 1.0, z), (14.0, 0, 0), (0, 12.0, 0))
     # seen from depth 8, a light at z = -8 covers half its width in the plane z = 0
     wanted = np.array([of_polygon(flat(np.maximum(low, (eye[:2] + [-4, 1]) / 2), np.minimum(high, (eye[:2] + [10, 13]) / 2), 0), [eye], UP)[0] for eye in eyes])
     dark = lambda solid: image(backend, depth, solid, step=spacing, sides="dark")[nodes]
@@ -414,10 +415,10 @@ def test_a_light_and_the_walls_of_a_dark_box(backend):
 def test_a_window_in_a_dark_box(backend):
     """Only what lies over the box; one beside it is nothing."""
     depth, spacing = np.full((13, 17), 9.0), 0.5
-    window = slices.aperture((5, 40), (-7, 3), depth.shape, spacing, "dark")
+    window = solids.aperture((5, 40), (-7, 3), depth.shape, spacing, "dark")
     assert window.corners[:, :2].min(0).tolist() == [5, -0.25] and window.corners[:, :2].max(0).tolist() == [8.25, 3]
     near(image(backend, depth, window, step=spacing, sides="dark")[NODES], of_polygon(window.corners, places(depth, spacing), UP), 2e-3)
-    assert slices.aperture((8.25, 9), (0, 3), depth.shape, spacing, "dark") is None
+    assert solids.aperture((8.25, 9), (0, 3), depth.shape, spacing, "dark") is None
 
 
 def test_masked_ground_neither_hides_nor_is_lit(backend):
@@ -470,8 +471,8 @@ def _solid(source, shape):
     if isinstance(source, sl.Lamp):
         return slices.Ball(source.center, source.radius), source.brightness
     if isinstance(source, sl.Window):
-        return slices.aperture(source.x, source.y, shape, 1.0, "open"), source.brightness
-    return slices.rectangle(*source[:3]), source[3]
+        return solids.aperture(source.x, source.y, shape, 1.0, "open"), source.brightness
+    return solids.rectangle(*source[:3]), source[3]
 
 
 @pytest.mark.parametrize("name", SOURCES)

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 import skylamp.opencl
-from skylamp.backends import numpy_pilot, select
+from skylamp.backends.numpy import pilot as numpy_pilot
+from skylamp.backends import select
 
 SHAPE = ROWS, COLS = 37, 53
 CLOSE = 1e-6  # of the largest value, where values are rounded on the way

@@ -11,7 +11,7 @@ import skylamp as sl
 from skylamp import oracle
 from skylamp.backends import select
 from skylamp.errors import CapacityError, InputError
-from skylamp.sources import APERTURE, BALL, RECTANGLE, VOLUME, Geometry
+from skylamp.sources.shapes import APERTURE, BALL, RECTANGLE, VOLUME, Geometry
 
 NOTHING = np.zeros((1, 1, 1), np.uint8)
 SKY = sl.Sky()
@@ -272,8 +272,8 @@ def test_work_that_goes_in_groups_gives_the_same_bytes(backend, filled, monkeypa
     for share in (4 * words, 4 * words + 7):
         with monkeypatch.context() as patch:
             _with_memory(patch, engine, share * scene.depth.size)
-            from skylamp.backends.base import Surface
-            from skylamp.render import lattice_problem
+            from skylamp.light.propagation import Surface
+            from skylamp.rendering import lattice_problem
 
             groups = Surface(engine, lattice_problem(scene, SKY, sl.Hemicube(9), filled)).groups
             assert len(groups) > 4, "the work was not split, so this test says nothing"

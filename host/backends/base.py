@@ -10,57 +10,18 @@ import contextlib
 import functools
 import math
 import mmap
+import os
 import threading
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from typing import NamedTuple
+from dataclasses import dataclass
 
 import numpy as np
 
+from ..constants import ROOM
 from ..errors import CapacityError
-from ..sources import SKY, Geometry
-from .tables import Group, crossings_of, lap_table, walk_groups
 
-ROOM = 32  # pixel arrays end with room for whole vectors
-SIDE, PATCH = 4, (8, 4)  # nodes on a side of a block that a work-item turns, blocks (across, down) of a patch; as in opencl/scan.cl
-MOST_PIXELS = 2**30
 CPU_ALONE, CPU_EACH, GPU_AHEAD = 8192, 64, 8  # Backend.alone, each and ahead of compiled backends
-SIDES = {"open": 0, "dark": 1, "periodic": 2}
-
-Progress = Callable[[int, int], None]
-
-
-class Lobe(NamedTuple):
-    """A lobe about the mirror direction: its weight by even steps of 1 - cosine from 0 to rim, and its half width [rad]."""
-
-    table: np.ndarray
-    rim: float
-    spread: float
-
-
-class Problem(NamedTuple):
-    """What is asked of a backend: depth (rows, cols) float32, +inf where masked, in a unit in which the spacing is step."""
-
-    depth: np.ndarray
-    step: float
-    sides: str
-    steps: np.ndarray
-    geometry: Geometry
-    filled: bool = False
-
-    @property
-    def pixels(self) -> int:
-        return self.depth.size
-
-    @property
-    def relief(self) -> float:
-        finite = self.depth[np.isfinite(self.depth)]
-        return float(finite.max()) - float(finite.min())
-
-    @property
-    def clips(self) -> bool:
-        """Whether the source or the walls take away some of what the sky would give."""
-        return self.geometry.kind != SKY or self.sides == "dark"
 
 
 def scratch(shape: tuple[int, ...]) -> np.ndarray:
@@ -72,6 +33,15 @@ def scratch(shape: tuple[int, ...]) -> np.ndarray:
     else:
         room = mmap.mmap(-1, max(4, 4 * count))
     return np.frombuffer(room, np.float32, count).reshape(shape)
+
+
+def available_memory() -> int:
+    """Bytes of main memory that could be taken now, where the system tells; else a cautious 2 GiB."""
+    try:
+        with open("/proc/meminfo") as lines:
+            return 1024 * next(int(line.split()[1]) for line in lines if line.startswith("MemAvailable"))
+    except (OSError, StopIteration):
+        return os.sysconf("SC_AVPHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") if hasattr(os, "sysconf") and "SC_AVPHYS_PAGES" in os.sysconf_names else 2**31
 
 
 def rounded_up(pixels: int) -> int:
@@ -89,6 +59,17 @@ def _alone(method: Callable) -> Callable:
             return method(self, *args, **more)
 
     return alone
+
+
+@dataclass(frozen=True)
+class BackendInfo:
+    """A backend that was looked for: its name, device, whether it is available, and if not, why not."""
+
+    name: str
+    device: str
+    available: bool
+    why: str = ""
+    gpu: bool = False
 
 
 class Backend(ABC):
@@ -176,288 +157,3 @@ class Backend(ABC):
         """Raise a CapacityError if ``bytes_needed`` is more than the device may give."""
         if bytes_needed > self.memory:
             raise CapacityError(f"{what} needs {bytes_needed:,} bytes; {self.name} may take {self.memory:,}. {fix}")
-
-    def visibility(self, problem: Problem) -> np.ndarray:
-        """Packed surface visibility (rows, cols, words) uint32."""
-        words = -(-len(problem.steps) // 32)
-        self.reserve(4 * words * problem.pixels, "Packed visibility", "Use a smaller hemicube or map.")
-        surface = Surface(self, problem)
-        out = self.empty((*problem.depth.shape, words), np.uint32, 0)
-        for number, group in enumerate(surface.groups):
-            self.launch("scan", "pack", (problem.pixels,), surface.scan(number), group.directions, out, problem.pixels, surface.room, words, group.count, BITS=group.bits)
-        return self.download(out)
-
-    def irradiance(self, problem: Problem, moments: np.ndarray) -> np.ndarray:
-        """Irradiance (rows, cols) float32; ``moments`` (D, 3): brightness times the integral of L dOmega over each cell."""
-        return self.light(problem, moments)[0][0]
-
-    def light(self, problem: Problem, moments: np.ndarray, lobe: Lobe | None = None, weights: np.ndarray | None = None, whole: np.ndarray | None = None) -> tuple[list, list]:
-        """Irradiance, and what a lobe reflects, (rows, cols) float32 per colour; arguments as for :class:`Light`."""
-        light = Light(Surface(self, problem), moments, lobe, weights, whole)
-        light.run()
-        get = lambda arrays: [self.download(array)[: problem.pixels].reshape(problem.depth.shape) for array in arrays]
-        return get(light.sums), get(light.glosses)
-
-    def carve(self, problem: Problem, low, high, weights, layers: int, by_sign: bool, progress: Progress | None = None) -> np.ndarray:
-        """Depth in layers (rows, cols) int32 by the inverse algorithm; arguments as for skylamp.oracle.carve."""
-        surface = Surface(self, problem._replace(depth=np.zeros(problem.depth.shape, np.float32)), relief=float(layers))
-        pixels = problem.pixels
-        light, side = (self.empty((pixels,), np.int32, 0) for _ in range(2))
-        low, high = (self.upload(a.astype(np.int32).ravel()) for a in (low, high))
-        tables = [self.upload(weights.astype(np.int32)[group.order]) for group in surface.groups]
-        for layer in range(layers):
-            active = self.empty((1,), np.int32, 0)
-            if layer:
-                surface.turn()
-                if surface.periodic:
-                    surface.find_laps(surface.depths())
-            for number, (group, table) in enumerate(zip(surface.groups, tables)):
-                planes = surface.scan(number)
-                self.launch("carve", "carve", (pixels,), planes, table, light, low, high, side, surface.depth, active, pixels, surface.room, group.count,
-                            int(number == 0), int(number == len(tables) - 1), layer, int(by_sign), BITS=group.bits)
-            if progress:
-                progress(layer + 1, layers)
-            if not self.download(active)[0]:
-                break
-        return surface.depths().astype(np.int32)
-
-    def field(self, problem: Problem, layers: int, progress: Progress | None = None) -> np.ndarray:
-        """The visibility field (layers, words, rows, cols) uint32 for depths in layers (step 1), bits packed as everywhere."""
-        field = FieldOfLamp(self, problem, layers) if problem.geometry.is_lamp else FieldByLayers(self, problem, layers)
-        field.run(progress)
-        return field.download()
-
-
-class OnDevice(NamedTuple):
-    """A group of walks with its tables on the device; names as in Group, and what clipping and launching need besides."""
-
-    host: Group
-    pairs: object
-    walks: object
-    rise: object
-    crossings: object
-    climbs: object
-    spans: object
-    directions: object
-    steps: object  # (count, bits, 4) i, j, k, number
-    ways: object  # crossings and spans of the map as it lies, for the rays of lamps
-    way_spans: object
-    lines: int
-
-    @property
-    def order(self) -> np.ndarray:
-        return self.host.directions
-
-    @property
-    def count(self) -> int:
-        return self.host.count
-
-    @property
-    def bits(self) -> int:
-        return self.host.bits
-
-
-class Surface:
-    """A map on a device, ready to be scanned group by group of walks; one buffer of planes serves all groups."""
-
-    def __init__(self, backend: Backend, problem: Problem, relief: float | None = None):
-        self.backend, self.problem = backend, problem
-        if problem.pixels > MOST_PIXELS:
-            raise CapacityError(f"A map of {problem.pixels:,} nodes; at most {MOST_PIXELS:,}, since kernels count nodes in 32 bits. Cut it into tiles.")
-        self.room = rounded_up(problem.pixels)
-        # two maps, two slopes, the sum, and a plane with its turned twin
-        backend.reserve(22 * self.room, f"A map of {problem.pixels:,} nodes", "Cut it into tiles.")
-        most = max(1, int(backend.memory // 3 // self.room))
-        relief = problem.relief if relief is None else relief
-        groups = walk_groups(problem.steps, problem.depth.shape, relief, problem.step, self.periodic, problem.filled, most)
-        maps = np.zeros((2, self.room), np.float32)
-        maps[0, : problem.pixels] = problem.depth.ravel()
-        self.maps = backend.upload(maps)
-        self.depth = backend.view(self.maps, problem.depth.shape)
-        self.planes = backend.empty((max(g.count + len(g.pairs) for g in groups), self.room), np.uint8)
-        self.numbers, self.flags = backend.upload(problem.geometry.numbers), backend.upload(problem.geometry.flags)
-        self.groups = [self._put(group) for group in groups]
-        self.turn()
-        self.find_laps(problem.depth)
-
-    @property
-    def periodic(self) -> bool:
-        return self.problem.sides == "periodic"
-
-    def depths(self) -> np.ndarray:
-        """The depths (rows, cols) that the device now holds."""
-        return self.backend.download(self.maps)[0, : self.problem.pixels].reshape(self.problem.depth.shape)
-
-    def _put(self, group: Group) -> OnDevice:
-        put = self.backend.upload
-        lines = 0
-        for _, j, _, _, _, _, turned, _ in group.walks.tolist():
-            rows, cols = self.problem.depth.shape[:: -1 if turned else 1]
-            lines = max(lines, min(abs(j), rows) * -(-cols // self.backend.lanes))
-        steps = np.concatenate([self.problem.steps[group.directions] * [1, 1, -1], group.directions[..., None]], -1).astype(np.int32)
-        points = [crossings_of(i, j, self.problem.filled)[0] for i, j in steps[:, 0, :2].tolist()]
-        counts = np.array([len(p) for p in points])
-        spans = np.stack([np.cumsum(counts) - counts, counts], 1).astype(np.int32)
-        return OnDevice(group, put(group.pairs) if len(group.pairs) else None, *map(put, group[1:]), put(steps), put(np.array(sum(points, []), np.int32)), put(spans), lines)
-
-    def turn(self) -> None:
-        """Make the turned map follow a change of the depths on the device."""
-        self.backend.launch("scan", "turn_map", (self._blocks(),), self.maps, *self.problem.depth.shape, self.room)
-
-    def _blocks(self) -> int:
-        rows, cols = self.problem.depth.shape
-        return -(-rows // (SIDE * PATCH[1])) * -(-cols // (SIDE * PATCH[0])) * PATCH[0] * PATCH[1]
-
-    def find_laps(self, depth: np.ndarray) -> None:
-        """Where the map repeats: the first ceilings of the level rays for these depths."""
-        self.laps = []
-        for group in self.groups:
-            lap = np.zeros((group.count, 1), np.float32)
-            if self.periodic and not group.host.rise[:, 0].all():
-                turned = group.host.walks[:, 6] != 0
-                ways = self.problem.steps[group.order[:, 0], :2].tolist()
-                tables = [lap_table(depth.T if t else depth, [way[::-1] if t else way], self.problem.filled)[0] for way, t in zip(ways, turned)]
-                lap = np.zeros((group.count, max(map(len, tables))), np.float32)
-                for row, table in zip(lap, tables):
-                    row[: len(table)] = table
-            self.laps.append((self.backend.upload(lap), lap.shape[1]))
-
-    def scan(self, number: int):
-        """The planes of a group, its walks first: (walks and more, room) uint8; overwritten by the next scan."""
-        group, problem, launch = self.groups[number], self.problem, self.backend.launch
-        shape = problem.depth.shape
-        lap, lap_lines = self.laps[number]
-        tail = (self.planes, *shape, self.room, lap_lines, int(self.periodic))
-        if problem.filled:
-            launch("filled", "scan_filled", (group.lines, group.count), self.maps, group.walks, group.rise, lap, group.crossings, group.climbs, group.spans, *tail, BITS=group.bits)
-        else:
-            launch("scan", "scan", (group.lines, group.count), self.maps, group.walks, group.rise, lap, *tail, BITS=group.bits)
-        if group.pairs is not None:
-            by_fours = all(n % 4 == 0 for n in shape)
-            launch("scan", "turn_planes_by_fours" if by_fours else "turn_planes", (self._blocks(), len(group.host.pairs)), self.planes, group.pairs, *shape, self.room)
-        if problem.clips:
-            geometry = problem.geometry
-            launch("source", "clip", (problem.pixels,), self.depth, group.steps, group.ways, group.way_spans, self.numbers, self.flags, self.planes, *shape,
-                   self.room, len(geometry.flags), geometry.kind, SIDES[problem.sides], float(problem.step), group.count, BITS=group.bits)
-        return self.planes
-
-
-class Light:
-    """The sum over the visible directions, with everything on the device; ``run`` may be repeated (and timed).
-
-    ``moments`` (D, 3), or one for each colour (C, D, 3): all are summed in one pass over visibility. ``lobe``, with
-    ``weights`` (C, D, 4) unit vectors and weights, gives what is reflected about the mirror direction too; no more than it
-    gets if ``whole`` (D, 4) are given, the weights under a sky of brightness 1.
-    """
-
-    def __init__(self, surface: Surface, moments: np.ndarray, lobe: Lobe | None = None, weights: np.ndarray | None = None, whole: np.ndarray | None = None):
-        backend = surface.backend
-        self.surface, self.lobe = surface, lobe
-        self.slopes = backend.empty((2, surface.room), np.float32, 0)
-        moments = moments.reshape(-1, *moments.shape[-2:])
-        padded = np.concatenate([moments, np.zeros((*moments.shape[:2], 1))], 2)
-        weights = np.zeros((0, *padded.shape[1:])) if lobe is None else weights
-        self.sums, self.glosses = ([backend.empty((surface.room,), np.float32, 0) for _ in values] for values in (padded, weights))
-        put = lambda values: [[backend.upload(one.astype(np.float32)[group.order]) for one in values] for group in surface.groups]
-        self.tables, self.weights = put(padded), put(weights)
-        self.table = None if lobe is None else backend.upload(lobe.table)
-        self.whole = None if whole is None else backend.upload(whole.astype(np.float32))
-
-    @property
-    def sum(self):
-        return self.sums[0]
-
-    def run(self) -> None:
-        surface, backend, problem = self.surface, self.surface.backend, self.surface.problem
-        rows, cols = problem.depth.shape
-        surface.turn()
-        backend.launch("luminance", "gradient", (cols, rows), surface.depth, self.slopes, rows, cols, surface.room, 0.5 / problem.step, 1 / problem.step)
-        last = len(surface.groups) - 1
-        launch = lambda stem, kernel, *args, **constants: backend.launch(stem, kernel, (surface.room // backend.pixel_lanes,), *args, lanes=backend.pixel_lanes, **constants)
-        for number, group in enumerate(surface.groups):
-            planes, when = surface.scan(number), (int(number == 0), int(number == last))
-            for table, total in zip(self.tables[number], self.sums):
-                launch("luminance", "luminance", planes, self.slopes, table, total, problem.pixels, surface.room, group.count, *when, BITS=group.bits)
-            for table, total in zip(self.weights[number], self.glosses):
-                launch("specular", "specular", planes, self.slopes, table, self.table, total, surface.room, group.count, len(self.lobe.table), *when, self.lobe.rim,
-                       BITS=group.bits)
-        for total in self.glosses if self.whole is not None else ():
-            launch("specular", "bound", self.slopes, self.whole, self.table, total, surface.room, len(problem.steps), len(self.lobe.table), self.lobe.rim)
-
-
-class FieldByLayers:
-    """The visibility field of a sky or window, layer by layer, on the device; ``run`` may be repeated (and timed)."""
-
-    def __init__(self, backend: Backend, problem: Problem, layers: int):
-        self.backend, self.problem, self.layers = backend, problem, layers
-        rows, cols = problem.depth.shape
-        self.count, self.reach = len(problem.steps), int(np.abs(problem.steps).max())
-        self.words = -(-self.count // 32)
-        self.width, self.height = cols + 2 * self.reach, rows + 2 * self.reach
-        level = problem.steps[:, 2] == 0
-        self.n_level = int(level.sum())
-        backend.reserve(4 * self.words * (layers + self.reach) * self.width * self.height + 4 * self.n_level * problem.pixels,
-                        "The visibility field", "Ask for fewer layers, a smaller hemicube or map.")
-        steps = _numbered(problem.steps)
-        self.steps, self.numbers, self.flags = map(backend.upload, (steps, problem.geometry.numbers, problem.geometry.flags))
-        self.offsets = backend.upload(np.stack([steps[:, 2], steps[:, 1] * self.width + steps[:, 0]], 1).astype(np.int32))
-        self.depth = backend.upload(problem.depth)
-        # A sky fills what lies outside the map; level rays get nowhere where walls or a window's plane end them.
-        self.field = backend.empty((layers + self.reach, self.words, self.height, self.width), np.uint32, 0 if problem.clips else 0xFFFFFFFF)
-        self.levels = backend.empty((self.n_level, rows, cols), np.float32, -1 if problem.clips else None)
-        ways = problem.steps[level, :2].tolist()
-        lap = lap_table(problem.depth, ways, False) if problem.sides == "periodic" else np.zeros((1, 1), np.float32)
-        self.ways, self.lap, self.lap_lines = backend.upload(problem.steps[level, :2].astype(np.int32)), backend.upload(lap), lap.shape[1]
-        self.lines = max(min(abs(j or i), rows if j else cols) * (cols if j else rows) for i, j in ways)
-
-    def run(self, progress: Progress | None = None) -> None:
-        launch, problem = self.backend.launch, self.problem
-        rows, cols = problem.depth.shape
-        periodic = problem.sides == "periodic"
-        if problem.clips:
-            launch("source", "enter", (self.width, self.height, self.layers + self.reach), self.steps, self.numbers, self.flags, self.field, rows, cols,
-                   self.reach, self.words, self.count, problem.geometry.kind, SIDES[problem.sides])
-        else:
-            launch("propagate", "reaches", (self.lines, self.n_level), self.depth, self.ways, self.lap, self.levels, rows, cols, self.lap_lines, int(periodic))
-        lanes = self.backend.lanes if cols >= self.backend.lanes else 1
-        for n in range(self.layers):
-            launch("propagate", "propagate", (-(-cols // lanes), rows, self.words), self.depth, self.levels, self.offsets, self.field, rows, cols,
-                   self.reach, self.words, self.count, self.n_level, n, lanes=lanes)
-            if periodic:
-                launch("propagate", "wrap", (self.width, self.height, self.words), self.field, rows, cols, self.reach, self.words, n)
-            if progress:
-                progress(n + 1, self.layers)
-
-    def download(self) -> np.ndarray:
-        rows, cols = self.problem.depth.shape
-        m = self.reach
-        return self.backend.download(self.field)[m:, :, m : m + rows, m : m + cols]
-
-
-class FieldOfLamp:
-    """The visibility field of a lamp, node by node: a lamp among the ground is no boundary that layers could hand down."""
-
-    def __init__(self, backend: Backend, problem: Problem, layers: int):
-        self.backend, self.problem, self.layers = backend, problem, layers
-        self.words = -(-len(problem.steps) // 32)
-        backend.reserve(4 * self.words * layers * problem.pixels, "The visibility field", "Ask for fewer layers, a smaller hemicube or map.")
-        steps = _numbered(problem.steps)
-        nodes = np.array([crossings_of(i, j, False)[0][0] for i, j, _ in problem.steps.tolist()], np.int32)
-        spans = np.stack([np.arange(len(steps)), np.ones(len(steps))], 1).astype(np.int32)
-        self.tables = [backend.upload(a) for a in (problem.depth, steps, nodes, spans, problem.geometry.numbers, problem.geometry.flags)]
-        self.field = backend.empty((layers, self.words, *problem.depth.shape), np.uint32)
-
-    def run(self, progress: Progress | None = None) -> None:
-        problem = self.problem
-        self.backend.launch("source", "beam", (problem.pixels, self.layers), *self.tables, self.field, *problem.depth.shape, len(problem.geometry.flags),
-                            problem.geometry.kind, SIDES[problem.sides], self.words, len(problem.steps), self.layers)
-        if progress:
-            progress(self.layers, self.layers)
-
-    def download(self) -> np.ndarray:
-        return self.backend.download(self.field)
-
-
-def _numbered(steps: np.ndarray) -> np.ndarray:
-    """(D, 4) int32: i, j, k and the direction's number."""
-    return np.concatenate([steps * [1, 1, -1], np.arange(len(steps))[:, None]], 1).astype(np.int32)

@@ -11,7 +11,7 @@ import weakref
 import numpy as np
 
 from ..errors import BackendError
-from .base import CPU_ALONE, CPU_EACH, GPU_AHEAD, Backend
+from .base import CPU_ALONE, CPU_EACH, GPU_AHEAD, Backend, BackendInfo
 
 OPTIONS = ("-cl-std=CL1.2",)
 HUGE = 2**21  # bytes of a huge page
@@ -26,8 +26,6 @@ FETCHED = 6  # depths that a scan on a GPU fetches before it uses them; a CPU se
 
 def probe():
     """A BackendInfo for every OpenCL device, or one that says why there is none."""
-    from .registry import BackendInfo
-
     try:
         import pyopencl as cl
 

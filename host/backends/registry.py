@@ -5,23 +5,11 @@ from __future__ import annotations
 import difflib
 import functools
 import threading
-from dataclasses import dataclass
 
 from ..errors import BackendError
-from .base import Backend
+from .base import Backend, BackendInfo
 
 _lock = threading.RLock()  # devices are looked for, and a backend is made, by one thread
-
-
-@dataclass(frozen=True)
-class BackendInfo:
-    """A backend that was looked for: its name, device, whether it is available, and if not, why not."""
-
-    name: str
-    device: str
-    available: bool
-    why: str = ""
-    gpu: bool = False
 
 
 def backends() -> list[BackendInfo]:

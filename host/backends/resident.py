@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from .base import Backend
+from .registry import select
 
 
 class Resident(NamedTuple):
@@ -57,8 +58,6 @@ def find(values, height: bool = False) -> Resident | None:
     """A Warp array as a Resident of its device's backend if it is a float32 map (rows, cols); None of one that a host must straighten first."""
     if values.dtype.__name__ != "float32" or values.ndim != 2 or not values.size or not values.is_contiguous:
         return None
-    from .registry import select
-
     return adopt(select(f"warp:{values.device.alias}"), values.flatten(), values.shape, height)
 
 

@@ -11,14 +11,11 @@ import numpy as np
 
 from skylamp.warp_kernels import GROUP, LINES, PIXELS
 
-from .base import CPU_ALONE, CPU_EACH, GPU_AHEAD, Backend
-from .numpy import available_memory
+from .base import CPU_ALONE, CPU_EACH, GPU_AHEAD, Backend, BackendInfo, available_memory
 
 
 def probe():
     """A BackendInfo for Warp's CPU device and for every CUDA device."""
-    from .registry import BackendInfo
-
     try:
         import warp as wp
 

@@ -7,10 +7,11 @@ import math
 import numpy as np
 
 from ..backends.base import Backend
-from ..backends.horizon import Rays, Sweeps
-from ..backends.slices import Dome, Slices
-from ..brightness import KNOTS, Integrals, even
-from ..horizon import ground_of
+from .sweeps import Rays, Sweeps
+from ..sources.solids import Dome
+from .slices import Slices
+from ..sources.integrals import KNOTS, Integrals, even
+from .sweeps import ground_of
 from ..scene import Scene
 from . import unoccluded
 from .base import Estimate, LightMethod

@@ -7,7 +7,9 @@ import math
 import numpy as np
 
 from .. import sources
-from ..backends.base import Backend, Problem
+from ..backends.base import Backend
+from . import propagation
+from .propagation import Problem
 from ..directions import Hemicube
 from ..samples import Samples
 from ..scene import Scene
@@ -26,7 +28,7 @@ class Lattice(LightMethod):
         values, step = scene.lattice()
         cube = Hemicube(units)
         problem = Problem(values, step, scene.sides, cube.steps, sources.geometry(source, scene, step), True)
-        self.image = engine.irradiance(problem, cube.moments * sources.radiance(source, cube.directions)[:, None])
+        self.image = propagation.irradiance(engine, problem, cube.moments * sources.radiance(source, cube.directions)[:, None])
 
     def refine(self) -> None:
         """The next larger hemicube: no direction is shared."""

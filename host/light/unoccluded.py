@@ -7,8 +7,8 @@ import math
 import numpy as np
 
 from .. import sources
-from ..backends.slices import Ball, Quad
-from ..brightness import Integrals, even
+from ..sources.solids import Ball, Quad
+from ..sources.integrals import Integrals, even
 from ..samples import ring
 from ..scene import Scene
 

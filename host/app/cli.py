@@ -26,9 +26,10 @@ from rich.table import Column, Table
 
 import skylamp as sl
 
-from . import geo, io, plot
-from .backends import select
-from .errors import BackendError, InputError, SkylampError, bad
+from ..io import geotiff as geo, files as io
+from . import plot
+from ..backends import select
+from ..errors import BackendError, InputError, SkylampError, bad
 from .selftest import selftest as run_selftest
 
 app = typer.Typer(name="skylamp", no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None,

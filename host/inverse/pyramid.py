@@ -22,10 +22,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from . import sources
-from .backends.adjoint import PULL, Descent, Light
-from .backends.base import Backend
-from .directions import Azimuths
+from .. import sources
+from .descent import PULL, Descent, Light
+from ..backends.base import Backend
+from ..directions import Azimuths
 
 log = logging.getLogger("skylamp")
 EVENER = 10.0  # times as much as that is expected of an albedo that is not known, to tell what hangs on it

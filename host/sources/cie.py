@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .errors import bad, lacking
-from .sources import Lamp, _brightness_number
+from ..errors import bad, lacking
+from .shapes import Lamp, _brightness_number
 
 SUN_RADIUS = 0.2665  # [degree], the mean apparent radius of the sun
 # ISO 15469:2004 / CIE S 011:2003, table 1: gradation a, b; indicatrix c, d, e

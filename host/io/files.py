@@ -21,7 +21,7 @@ from pathlib import Path
 
 import numpy as np
 
-from .errors import InputError, bad, lacking
+from ..errors import InputError, bad, lacking
 
 SUFFIXES = (".npy", ".npz", ".png", ".tif", ".tiff")
 HDR = (".exr", ".hdr")  # with the extra of that name
@@ -217,7 +217,7 @@ def terrain() -> tuple[np.ndarray, float]:
     The grid is 3 arc seconds, so its steps are not equally long; the spacing is their geometric mean.
     ``data/jacksboro.json`` holds both steps and the provenance.
     """
-    data = Path(__file__).with_name("data")
+    data = Path(__file__).parents[1] / "data"
     about = json.loads((data / "jacksboro.json").read_text(encoding="utf-8"))
     return read(data / "jacksboro.png").astype(np.float32), about["spacing"]
 

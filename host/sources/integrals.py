@@ -16,8 +16,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from . import sources
-from .directions import Azimuths
+from .. import sources
+from ..directions import Azimuths
 
 ROWS, COLS = 640, 2304  # cells from the horizon to the zenith, and round the horizon: a disc of 0.1 degrees radius holds a sample
 COARSE_ROWS, COARSE_COLS = 180, 576  # the same where narrow features are named: cells of half a degree

@@ -8,15 +8,16 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from . import sources
-from .arrays import labelled, labels_of
-from .backends import select
-from .backends.base import Problem, Progress
-from .directions import Hemicube
-from .errors import bad
-from .render import timed
-from .scene import Scene, at, one_of, positive_number, real_array
-from .synthesis import BETTER, BRIGHT, LOST, SMALL, Level, Pyramid, blurred, doubled, halved
+from .. import sources
+from ..arrays import labelled, labels_of
+from ..backends import select
+from ..light.propagation import Problem, Progress, carve
+from ..directions import Hemicube
+from ..errors import bad
+from ..rendering import timed
+from ..scene import Scene
+from ..checks import at, one_of, positive_number, real_array
+from .pyramid import BETTER, BRIGHT, LOST, SMALL, Level, Pyramid, blurred, doubled, halved
 
 METHODS = ("robust", "paper")
 STOPS = ("eps", "sign")
@@ -164,7 +165,7 @@ def _carved(image, source, start, layers, cube, eps, stop, backend, progress) ->
     deep = Scene(np.full(image.shape, float(layers) * spacing), spacing, albedo, None, sides)
     volume = isinstance(source, sources.Lamp) and source.volume is not None
     problem = Problem(np.zeros(image.shape, np.float32), 1.0, sides, cube.steps, sources.geometry(source, deep if volume else start, 1.0))
-    (depth,), seconds, compiling = timed(engine, lambda: (engine.carve(problem, low, high, weights, int(layers), stop == "sign", progress),))
+    (depth,), seconds, compiling = timed(engine, lambda: (carve(engine, problem, low, high, weights, int(layers), stop == "sign", progress),))
     drilled = depth >= layers
     warnings = []
     if drilled.any():

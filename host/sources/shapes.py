@@ -12,9 +12,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .arrays import host_array
-from .errors import InputError, bad
-from .scene import real_array
+from ..arrays import host_array
+from ..constants import APERTURE, BALL, RECTANGLE, SKY, VOLUME
+from ..errors import InputError, bad
+from ..checks import real_array
 
 WIDE_POWER, NARROW_POWER = 64, 1e5  # of spots that are wider than 12 degrees, and narrower than 0.4
 BRIGHTEST = 1e30  # so that sums stay in float32
@@ -205,9 +206,6 @@ class Geometry(NamedTuple):
     @property
     def is_lamp(self) -> bool:
         return self.kind in (BALL, VOLUME)
-
-
-SKY, RECTANGLE, APERTURE, BALL, VOLUME = range(5)
 
 
 def geometry(source: Source, scene, step: float) -> Geometry:

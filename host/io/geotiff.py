@@ -12,9 +12,9 @@ from pathlib import Path
 
 import numpy as np
 
-from .errors import bad, lacking
-from .io import _parent, _readable, _reading, replacing
-from .scene import Scene
+from ..errors import bad, lacking
+from .files import _parent, _readable, _reading, replacing
+from ..scene import Scene
 
 SQUARE = 0.01  # by how much of its length a cell's other side may differ: that much the slopes are off
 FEET = {"ft": 0.3048, "foot": 0.3048, "feet": 0.3048, "us-ft": 1200 / 3937, "us survey foot": 1200 / 3937}  # [metre]

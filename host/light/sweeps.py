@@ -7,9 +7,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .base import MOST_PIXELS, SIDES, Backend, scratch
-from .resident import Resident
-from ..errors import CapacityError
+from ..backends import select
+from ..backends.base import Backend, scratch
+from ..backends.resident import Resident
+from ..checks import positive_number
+from ..constants import MOST_PIXELS, SIDES
+from ..errors import CapacityError, bad
+from ..scene import Scene, is_scene
 
 NEAR = 6  # rows within which every crossing is tested; with 12 from MANY azimuths on, where the sum is that exact
 FINE, MANY = 12, 128
@@ -310,3 +314,21 @@ def _steepest(best: np.ndarray) -> tuple[float, float]:
     if not best.size:
         return 0.1, -0.1
     return max(0.1, 1.1 * float(np.quantile(best, 0.999))), min(-0.1, 1.1 * float(np.quantile(best, 0.001)))
+
+
+def engine_of(scene: Scene, backend: str) -> Backend:
+    """The backend of this name; ``auto`` stays on the GPU on which the scene's depth lies."""
+    is_scene(scene)
+    there = scene.resident.backend.name if scene.resident is not None else ""
+    return select(there if backend == "auto" and there.startswith("warp:cuda") else backend)
+
+
+def ground_of(scene: Scene, max_distance: float | None, engine: Backend) -> Ground:
+    """The map that sweeps on ``engine`` need, heights in spacings above the viewer's plane; where it lies there, it stays there."""
+    reach = np.inf if max_distance is None else positive_number(max_distance, "max_distance") / scene.spacing
+    if reach < 1:
+        raise bad("max_distance", max_distance, f"at least one spacing, {scene.spacing:g}")
+    if scene.resident is not None and scene.resident.backend is engine:
+        return Ground(scene.resident, scene.sides, reach, scene.spacing)
+    values, step = scene.lattice()
+    return Ground(np.divide(values, np.float32(-step), out=scratch(values.shape)), scene.sides, reach)

@@ -8,15 +8,15 @@ from itertools import combinations
 
 import numpy as np
 
-from . import io
-from .backends import backends, select
-from .errors import SkylampError
-from .horizon import horizons
-from .render import render
-from .scene import Scene
-from .skies import cie_clear
-from .sources import Lamp, Sky
-from .visibility import visibility
+from ..io import files as io
+from ..backends import backends, select
+from ..errors import SkylampError
+from ..horizon import horizons
+from ..rendering import render
+from ..scene import Scene
+from ..sources.cie import cie_clear
+from ..sources.shapes import Lamp, Sky
+from ..visibility import visibility
 
 CROP = slice(120, 168), slice(150, 214)  # of the sample terrain: 48 x 64 nodes
 STEEPER = 3.0  # heights are multiplied by this, so that a good part of the ground is in shadow

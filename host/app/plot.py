@@ -10,13 +10,13 @@ from pathlib import Path
 
 import numpy as np
 
-from . import oracle, sources
-from .errors import bad, lacking
-from .horizon import horizons
-from .io import _parent, replacing
-from .recover import Recovery
-from .scene import Scene, is_scene
-from .visibility import View, VisibilityField
+from .. import oracle, sources
+from ..errors import bad, lacking
+from ..horizon import horizons
+from ..io.files import _parent, replacing
+from ..inverse.recover import Recovery
+from ..scene import Scene, is_scene
+from ..visibility import View, VisibilityField
 
 SUFFIXES = (".png", ".svg", ".pdf")
 DISCS = 12  # along the longer side of a section, unless asked otherwise

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from .adjoint import BESIDE, BLOCK
+from ...constants import BESIDE, SUMMED
 
 NONE, STEEP, LEVEL, ALONG = np.float32(-1e30), np.float32(1e6), np.float32(0.01), np.float32(1e-6)
 OPEN, DARK, PERIODIC = range(3)
@@ -339,10 +339,10 @@ def _spread(light, held, first, second, near, far, sum, u, squared, rows, cols):
 
 
 def _by_blocks(values):
-    """Sums of BLOCK values each, added one after another."""
-    padded = np.zeros(-(-len(values) // BLOCK) * BLOCK)
+    """Sums of SUMMED values each, added one after another."""
+    padded = np.zeros(-(-len(values) // SUMMED) * SUMMED)
     padded[: len(values)] = values
-    return np.cumsum(padded.reshape(-1, BLOCK), 1)[:, -1]
+    return np.cumsum(padded.reshape(-1, SUMMED), 1)[:, -1]
 
 
 def _put(part, block, values):

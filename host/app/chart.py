@@ -7,13 +7,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from . import sources
-from .backends import backends, select
-from .errors import bad
-from .refinement import solid_of, upright
-from .render import render
-from .samples import Samples
-from .scene import Scene
+from .. import sources
+from ..backends import backends, select
+from ..errors import bad
+from ..refinement import solid_of, upright
+from ..rendering import render
+from ..samples import Samples
+from ..scene import Scene
 
 CLASSES = ("smooth", "rough", "urban", "lamp")
 TOLERANCES = (0.03, 0.01, 0.003)

@@ -9,21 +9,25 @@ from functools import cached_property
 
 import numpy as np
 
-from . import shading, skies, sources
+from . import shading, sources
+from .sources import cie as skies
 from .arrays import labelled
-from .backends.base import Backend, Problem
-from .backends.horizon import FINE, Rays, Sweeps
-from .backends.slices import MOST, SLICES, Dome, Slices, blurred, brightness_of
-from .brightness import Integrals, chords
+from .backends.base import Backend
+from .light.propagation import Problem
+from .light.sweeps import FINE, Rays, Sweeps
+from .light.slices import MOST, SLICES, Slices, blurred, brightness_of
+from .sources.solids import Dome
+from .sources.integrals import Integrals, chords
 from .directions import Azimuths, Hemicube
 from .errors import bad
-from .horizon import engine_of, ground_of
-from .light import unoccluded
+from .light.sweeps import engine_of, ground_of
+from .light import propagation, unoccluded
 from .light.lattice import ERRORS, lacking
 from .light.slices import KNOTS, TURNS, widened
 from .refinement import Plan, Refined, refined, solid_of, upright
 from .reflectance import BRDF
-from .scene import Scene, is_scene, one_of, positive_number
+from .scene import Scene, is_scene
+from .checks import one_of, positive_number
 
 METHODS = ("auto", "lattice", "horizon", "unoccluded")
 QUANTITIES = ("radiance", "irradiance")
@@ -281,8 +285,8 @@ def _by_lattice(scene, source, greys, engine, cube, filled, weights, quantity, f
         else:
             found.append(_narrow(lobe, spacing, "method='horizon' or a larger hemicube"))
     if _is_brdf(scene, quantity):
-        return [], shading.by_brdf_on_lattice(scene, greys, engine.visibility(problem), cube)
-    irradiances, shown = engine.light(problem, moments * brightness[..., None], lobe, shares, whole)
+        return [], shading.by_brdf_on_lattice(scene, greys, propagation.visibility(engine, problem), cube)
+    irradiances, shown = propagation.light(engine, problem, moments * brightness[..., None], lobe, shares, whole)
     return irradiances, shown + _mirrored(scene, greys, engine, quantity, None)
 
 

@@ -16,13 +16,12 @@ from typing import NamedTuple
 import numpy as np
 
 from ..errors import CapacityError
-from .base import ROOM, SIDES, Backend
+from ..backends.base import Backend
+from ..constants import BESIDE, ROOM, SIDES, SUMMED
 
 DAMPING = 1e-4  # of the first step, in the diagonal's unit
 SETTLED = 3e-3  # share of the objective below which a step is the last
-BLOCK = 16  # nodes that a work-item of a sum owns; as in opencl/adjoint.cl
-BESIDE = 32  # nodes whose links lie side by side; as there
-SLOTS = 32  # places that a sum of whole numbers is spread over; as there
+SLOTS = 32  # places that a sum of whole numbers is spread over; as in opencl/adjoint.cl
 LEFT, GAIN, STATE = 0, 7, 11  # in the state of conjugate gradients: iterations left, what was gained; its length; as there
 TILE = 8  # nodes across the squares whose highest point is known; as there
 FOUR = 4  # times as coarse is each of the two grids that precondition than the one before; as in opencl/adjoint.cl
@@ -126,7 +125,7 @@ class Descent:
         self.rest = backend.empty((self.pixels,), np.float32, 0)
         self.low, self.high = (backend.upload(np.broadcast_to(np.asarray(bound, np.float32), shape).ravel()) for bound in (low, high))
         self.sum, self.squares = (backend.empty((backend.teams, self.pixels), np.int64, 0) for _ in range(2))
-        self.blocks, self.each, self.teams = -(-self.pixels // BLOCK), backend.each, backend.teams
+        self.blocks, self.each, self.teams = -(-self.pixels // SUMMED), backend.each, backend.teams
         self.of_team = self.each if self.teams == 1 else -(-self.pixels // self.teams)
         self.parts, self.lengths = (backend.empty((n, self.blocks), np.float64) for n in (len(images) + 1 + (not albedo_known), 2))
         self.states, self.totals = [[backend.empty(shape, dtype) for _ in range(2)] for shape, dtype in (((STATE,), np.float64), ((3, SLOTS), np.int64))]

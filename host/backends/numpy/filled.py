@@ -1,0 +1,36 @@
+"""The kernels of `filled` in NumPy: names, arguments and bits as in opencl/filled.cl and warp_kernels/filled.py."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .scan import map_of, scan_walk
+
+
+def scan_filled(maps, walks, rise, lap, crossings, climbs, spans, planes, map_rows, map_cols, room, lap_lines, periodic, BITS):
+    for w, walk in enumerate(walks):
+        begin, end = spans[w, 0], spans[w].sum() - 1
+        depth = map_of(maps, walk[6], (map_rows, map_cols))
+
+        def lower(ceiling, row, begin=begin, end=end, depth=depth):
+            for c in range(begin, end):
+                np.minimum(ceiling, _ground(depth, crossings[c], row, periodic) + climbs[c][:, None], out=ceiling)
+
+        scan_walk(maps, walk, rise[w], lap[w], planes, (map_rows, map_cols), periodic, lower)
+
+
+def _ground(depth, crossing, row, periodic):
+    """Depth x parts at a crossing next to every node of a row; +inf where it is unknown."""
+    rows, cols = depth.shape
+    x, y = np.arange(cols), np.full(cols, row)
+    to_x, to_y, next_x, next_y, near_weight, far_weight = (int(v) for v in crossing[:6])
+    values = []
+    for px, py in ((x + to_x, y + to_y), (x + to_x + next_x, y + to_y + next_y)):
+        if periodic:
+            values.append(depth[py % rows, px % cols])
+        else:
+            inside = (px >= 0) & (px < cols) & (py >= 0) & (py < rows)
+            values.append(np.where(inside, depth[np.clip(py, 0, rows - 1), np.clip(px, 0, cols - 1)], np.float32(np.inf)))
+    near, far = values
+    ground = np.float32(near_weight + far_weight) * near + np.float32(far_weight) * (far - near)
+    return np.where((near < np.inf) & (far < np.inf), ground, np.float32(np.inf))

@@ -1,0 +1,40 @@
+"""The kernels of `propagate` in NumPy: names, arguments and bits as in opencl/propagate.cl and warp_kernels/propagate.py."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .scan import sweep_lines
+
+
+def reaches(depth, ways, lap, levels, rows, cols, lap_lines, periodic):
+    nothing = np.zeros((1, 1), np.float32)
+    for w, (i, j) in enumerate(ways.tolist()):
+        z, out = (depth, levels[w]) if j else (depth.T, levels[w].T)
+        i, j = (i, j) if j else (0, i)
+
+        def first_ceiling(line, w=w, cols=z.shape[1]):
+            return lap[w, None, line : line + cols].copy() if periodic else np.full((1, cols), np.inf, np.float32)
+
+        for row, _, ceiling in sweep_lines(z, i, j, 0, first_ceiling, periodic, lambda ceiling, row: None, nothing):
+            out[row] = ceiling[0]
+
+
+def propagate(depth, levels, offsets, field, rows, cols, reach, n_words, n_directions, n_level, layer):
+    here = field[layer + reach]
+    width = cols + 2 * reach
+    lit = np.zeros((n_words, rows, cols), np.uint32)
+    for d, (k, offset) in enumerate(offsets.tolist()):
+        word, bit = d // 32, np.uint32(1 << d % 32)
+        if d < n_level:
+            lit[word] |= np.where(levels[d] >= layer, bit, np.uint32(0))
+        else:
+            j = round(offset / width)
+            i = offset - j * width
+            lit[word] |= field[layer + reach - k, word, reach + j : reach + j + rows, reach + i : reach + i + cols] & bit
+    here[:, reach : reach + rows, reach : reach + cols] = np.where(depth >= layer, lit, np.uint32(0))
+
+
+def wrap(field, rows, cols, reach, n_words, layer):
+    y, x = (np.arange(n + 2 * reach) - reach for n in (rows, cols))
+    field[layer + reach] = field[layer + reach][:, (y % rows + reach)[:, None], (x % cols + reach)[None]]

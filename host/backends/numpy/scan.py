@@ -1,0 +1,78 @@
+"""The kernels of `scan` in NumPy: names, arguments and bits as in opencl/scan.cl and warp_kernels/scan.py."""
+
+from __future__ import annotations
+
+import numpy as np
+
+NOTHING = np.finfo(np.float32).max  # ceiling where nothing stands above; finite, so that a masked node never passes
+
+
+def sweep_lines(depth, i, j, warm, first_ceiling, periodic, lower, climb):
+    """Yields (row, depths, ceilings) of the nodes of one walk (i, j), j not 0, row by row from the source's side.
+
+    ``lower(ceiling, row)`` lowers the ceilings first.
+    """
+    rows, cols = depth.shape
+    for residue in range(min(abs(j), rows)):
+        ceiling = first_ceiling(residue * cols)
+        for u in range(-warm, -(-(rows - residue) // abs(j))):
+            row = (residue + u * abs(j)) % rows
+            row = rows - 1 - row if j > 0 else row
+            lower(ceiling, row)
+            z = depth[row]
+            if u >= 0:
+                yield row, z, ceiling
+            ceiling = np.minimum(ceiling, z) + climb
+            # the next node of a line lies i columns back; what comes in from outside the map has open sky
+            ceiling = np.roll(ceiling, -i, 1)
+            if not periodic and i:
+                ceiling[:, slice(-i, None) if i > 0 else slice(0, -i)] = NOTHING
+
+
+def scan_walk(maps, walk, climb, lap, planes, shape, periodic, lower=None):
+    i, j, warm, _, _, parts, turned, plane = walk.tolist()
+    depth = map_of(maps, turned, shape)
+    bits = len(climb)
+
+    def first_ceiling(line):
+        ceiling = np.full((bits, depth.shape[1]), NOTHING)
+        if periodic and climb[0] == 0:
+            ceiling[0] = np.roll(lap[line : line + depth.shape[1]], warm * i)  # the warm-up begins elsewhere on the cycle
+        return ceiling
+
+    out = planes[plane, : depth.size].reshape(depth.shape)
+    weights = (1 << np.arange(bits, dtype=np.uint8))[:, None]
+    scaled = depth * np.float32(parts) if lower else depth
+    for row, z, ceiling in sweep_lines(scaled, i, j, warm, first_ceiling, periodic, lower or (lambda ceiling, row: None), climb[:, None]):
+        out[row] = ((z <= ceiling) * weights).sum(0, dtype=np.uint8)
+
+
+def map_of(maps, turned, shape):
+    shape = shape[::-1] if turned else shape
+    return maps[turned, : shape[0] * shape[1]].reshape(shape)
+
+
+def scan(maps, walks, rise, lap, planes, map_rows, map_cols, room, lap_lines, periodic, BITS):
+    for w, walk in enumerate(walks):
+        scan_walk(maps, walk, rise[w], lap[w], planes, (map_rows, map_cols), periodic)
+
+
+def turn_map(maps, rows, cols, room):
+    map_of(maps, 1, (rows, cols))[...] = map_of(maps, 0, (rows, cols)).T
+
+
+def turn_planes(planes, pairs, rows, cols, room):
+    n = rows * cols
+    for turned, plane in pairs:
+        planes[plane, :n].reshape(rows, cols)[...] = planes[turned, :n].reshape(cols, rows).T
+
+
+def pack(planes, order, words, pixels, room, n_words, n_walks, BITS):
+    words = words.reshape(pixels, n_words)
+    for w in range(n_walks):
+        lit = planes[w, :pixels]
+        for b, d in enumerate(order[w]):
+            words[:, d // 32] |= (lit >> np.uint8(b) & np.uint8(1)).astype(np.uint32) << np.uint32(d % 32)
+
+
+turn_planes_by_fours = turn_planes

@@ -1,0 +1,45 @@
+"""What arguments go through before anything else: one clear error each."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .arrays import host_array
+from .errors import InputError, bad
+
+
+def real_array(values, what: str, ndim: int | None = 2) -> np.ndarray:
+    """``values`` as a real float64 array of ``ndim`` axes, not empty; never a view that a caller could see change."""
+    if isinstance(values, np.ma.MaskedArray):
+        raise bad(f"{what}: a numpy masked array", "mask inside the array", "plain arrays", "Pass array.data and mask=~numpy.ma.getmaskarray(array).")
+    try:
+        array = host_array(values)
+    except Exception as error:
+        raise InputError(f"{what}: not an array ({error}); allowed: a real array.") from error
+    if array.dtype.kind not in "iuf":
+        raise bad(f"{what}: wrong type", f"dtype {array.dtype}", "real numbers (integer or floating)")
+    if ndim is not None and array.ndim != ndim:
+        raise bad(f"{what}: wrong shape", array.shape, f"{ndim} axes" + (" (rows, cols)" if ndim == 2 else ""))
+    if array.size == 0:
+        raise bad(f"{what}: empty array", f"shape {array.shape}", "at least one element")
+    return array.astype(np.float64)
+
+
+def one_of(value, allowed: tuple[str, ...], what: str) -> None:
+    if not isinstance(value, str) or value not in allowed:
+        raise bad(what, repr(value), " | ".join(allowed))
+
+
+def positive_number(value, what: str) -> float:
+    try:
+        number = float(value)
+    except (TypeError, ValueError):
+        raise bad(f"{what}: not a number", repr(value), "a finite number > 0") from None
+    if not (np.isfinite(number) and number > 0):
+        raise bad(what, number, "a finite number > 0")
+    return number
+
+
+def at(index) -> str:
+    """Where the first true element of a boolean array is, for messages."""
+    return f"at (row, col) = {tuple(int(i) for i in np.argwhere(index)[0])}"

@@ -1,0 +1,271 @@
+"""Imports within skylamp follow the layers that CONTRIBUTING.md lists: downwards only, and in no circle."""
+
+import ast
+import re
+from collections import deque
+from pathlib import Path
+from typing import NamedTuple
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+FOLDERS = {  # package: folder, as in pyproject.toml
+    "skylamp": ROOT / "host",
+    "skylamp.warp_kernels": ROOT / "warp_kernels",
+    "skylamp.opencl": ROOT / "opencl",
+}
+ORACLE = {"sources", "constants"}  # what the oracle may import: the geometry of the sources
+
+
+class Edge(NamedTuple):
+    """Module ``source`` imports module ``target``; ``place`` is the file and line of the import."""
+
+    source: str
+    target: str
+    place: str
+
+    def __str__(self) -> str:
+        return f"{_short(self.source)} -> {_short(self.target)}  ({self.place})"
+
+
+def _short(module):
+    """The module's name without the leading package."""
+    return module.partition(".")[2] or module
+
+
+def layers(text):
+    """{name: number of its layer, 0 at the top} of the fenced block ``layers``."""
+    (block,) = re.findall(r"^```layers\n(.*?)^```", text, re.DOTALL | re.MULTILINE)
+    names = [(name, number) for number, line in enumerate(block.splitlines()) for name in line.split()]
+    assert len(dict(names)) == len(names), f"a name is listed twice: {sorted(name for name, _ in names)}"
+    return dict(names)
+
+
+def part(module):
+    """The name under which the layers list a module: the first after ``skylamp``, or ``skylamp`` itself."""
+    return _short(module).partition(".")[0]
+
+
+def modules(folders):
+    """{module: file} of all Python files in these folders."""
+    found = {}
+    for package, folder in folders.items():
+        for path in folder.rglob("*.py"):
+            names = path.relative_to(folder).with_suffix("").parts
+            found[".".join([package, *(name for name in names if name != "__init__")])] = path
+    return found
+
+
+def _at_run_time(node):
+    """The node and all below it, without what stands under ``if TYPE_CHECKING:``."""
+    yield node
+    skips = isinstance(node, ast.If) and ast.unparse(node.test).rpartition(".")[2] == "TYPE_CHECKING"
+    for child in node.orelse if skips else ast.iter_child_nodes(node):
+        yield from _at_run_time(child)
+
+
+def _absolute(level, name, module, is_package):
+    """The full name of what ``level`` dots and ``name`` mean in ``module``."""
+    if not level:
+        return name or ""
+    base = module.split(".")
+    base = base[: len(base) - level + is_package]
+    return ".".join([*base, *([name] if name else [])])
+
+
+def _loaded(call, module, is_package, known):
+    """Modules that ``import_module`` with a literal may mean; of a name that is computed, all of its package."""
+    if ast.unparse(call.func).rpartition(".")[2] not in ("import_module", "__import__") or not call.args:
+        return []
+    name = call.args[0]
+    pieces = name.values if isinstance(name, ast.JoinedStr) else [name]
+    if not isinstance(pieces[0], ast.Constant):
+        return []
+    text = pieces[0].value
+    level = len(text) - len(text.lstrip("."))
+    if len(pieces) == 1:
+        return [_absolute(level, text[level:], module, is_package)]
+    package = _absolute(level, text[level:].rpartition(".")[0], module, is_package)
+    return [other for other in known if other.rpartition(".")[0] == package]
+
+
+def _targets(node, module, is_package, known):
+    """Full names that a node of the syntax tree imports."""
+    if isinstance(node, ast.Import):
+        return [alias.name for alias in node.names]
+    if isinstance(node, ast.ImportFrom):
+        base = _absolute(node.level, node.module, module, is_package)
+        names = [f"{base}.{alias.name}" for alias in node.names]
+        return [name if name in known else base for name in names]
+    return _loaded(node, module, is_package, known) if isinstance(node, ast.Call) else []
+
+
+def imports(found):
+    """Edges of the import graph of these modules, each once.
+
+    Imports in functions count as those of the module do. To import ``a.b.c`` runs ``a`` and ``a.b`` too: these are
+    edges as well, except those that hold the importing module, which are being imported already.
+    """
+    edges = {}
+    for module, path in sorted(found.items()):
+        is_package = path.name == "__init__.py"
+        holders = {module.rsplit(".", n)[0] for n in range(module.count(".") + 1)}
+        for node in _at_run_time(ast.parse(path.read_text(encoding="utf-8"))):
+            for target in _targets(node, module, is_package, found):
+                above = {target.rsplit(".", n)[0] for n in range(1, target.count(".") + 1)} - holders
+                for other in sorted(above | {target} - {module}):
+                    if other in found:
+                        place = f"{str(path).removeprefix(f'{ROOT}/')}:{node.lineno}"
+                        edges.setdefault((module, other), Edge(module, other, place))
+    return list(edges.values())
+
+
+def upward(edges, layer_of):
+    """Edges from a layer to one above it; of a package and a module in it, the module."""
+    known = [edge for edge in edges if part(edge.source) in layer_of and part(edge.target) in layer_of]
+    up = [edge for edge in known if layer_of[part(edge.target)] < layer_of[part(edge.source)]]
+    within = {(edge.source, edge.target.rpartition(".")[0]) for edge in up}
+    return [edge for edge in up if (edge.source, edge.target) not in within]
+
+
+def circles(edges):
+    """The shortest circle through each edge that is in one, as tuples of modules, each circle once."""
+    after = {}
+    for edge in edges:
+        after.setdefault(edge.source, []).append(edge.target)
+    found = set()
+    for edge in edges:
+        before, waiting = {edge.target: None}, deque([edge.target])
+        while waiting and edge.source not in before:
+            module = waiting.popleft()
+            for other in after.get(module, ()):
+                if other not in before:
+                    before[other] = module
+                    waiting.append(other)
+        if edge.source in before:
+            way = [edge.source]
+            while way[-1] != edge.target:
+                way.append(before[way[-1]])
+            way.reverse()
+            first = way.index(min(way))
+            found.add(tuple(way[first:] + way[:first]))
+    return sorted(found)
+
+
+def report(what, found):
+    """Fail with one line for each fault."""
+    if found:
+        pytest.fail(
+            f"{len(found)} {what} (CONTRIBUTING.md):\n" + "\n".join(f"  {one}" for one in found),
+            pytrace=False,
+        )
+
+
+@pytest.fixture(scope="module")
+def layer_of():
+    """The layers of CONTRIBUTING.md."""
+    return layers((ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8"))
+
+
+@pytest.fixture(scope="module")
+def graph():
+    """The import graph of the package."""
+    return imports(modules(FOLDERS))
+
+
+def test_every_module_belongs_to_a_layer(layer_of):
+    """Each module under host/ is listed, itself or its package, and nothing is listed that is not there."""
+    there = modules(FOLDERS)
+    missing = sorted(_short(module) for module in there if part(module) not in layer_of)
+    stale = sorted(set(layer_of) - {part(module) for module in there})
+    report("modules in no layer", missing)
+    report("names of layers that are no module", stale)
+
+
+def test_no_import_goes_upwards(graph, layer_of):
+    """A module imports from its own layer and from those below it."""
+    report("imports that go upwards", upward(graph, layer_of))
+
+
+def test_no_circle(graph):
+    """No module imports itself by way of others, imports inside functions among them."""
+    report(
+        "circles of imports", [" -> ".join(map(_short, [*circle, circle[0]])) for circle in circles(graph)]
+    )
+
+
+def test_the_oracle_stands_apart(graph):
+    """The oracle shares nothing with what it checks but the geometry of the sources."""
+    known = {*ORACLE, "oracle"}
+    found = [edge for edge in graph if part(edge.source) == "oracle" and part(edge.target) not in known]
+    report("imports of the oracle besides the sources", found)
+
+
+def test_files_that_contributing_names_are_there():
+    """The recipes point to real files."""
+    text = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    named = set(re.findall(r"`((?:host|opencl|warp_kernels|tests|performance|docs|\.ci)/[\w./-]+)[ `]", text))
+    assert len(named) > 20
+    report("files that are not there", sorted(name for name in named if not (ROOT / name).exists()))
+
+
+MADE_UP = {
+    "__init__.py": "from .high import top\n",
+    "high/__init__.py": "from .top import TOP\n",
+    "high/top.py": "import numpy\nfrom .. import middle\nfrom ..low import base\nTOP = 1\n",
+    "middle.py": "import skylamp.low.base\ndef f():\n    from .high import TOP\n",
+    "low/__init__.py": "",
+    "low/base.py": "from typing import TYPE_CHECKING\n"
+    "if TYPE_CHECKING:\n    from ..high import top\nelse:\n    from . import one\n",
+    "low/one.py": "import importlib\ndef f(stem):\n    importlib.import_module(f'.kernels.{stem}', __package__)\n",
+    "low/kernels/__init__.py": "",
+    "low/kernels/two.py": "from ...middle import f\n",
+    "stray.py": "",
+}
+
+
+@pytest.fixture
+def made_up(tmp_path):
+    """Modules of a small package with one fault of each kind."""
+    for name, text in MADE_UP.items():
+        path = tmp_path / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text, encoding="utf-8")
+    return modules({"skylamp": tmp_path})
+
+
+def test_faults_of_a_small_package_are_found(made_up):
+    """Imports in functions, of computed names and of packages on the way count; those for type checkers do not."""
+    edges = imports(made_up)
+    assert {(_short(edge.source), _short(edge.target)) for edge in edges} == {
+        ("skylamp", "high"),
+        ("skylamp", "high.top"),
+        ("high", "high.top"),
+        ("high.top", "middle"),
+        ("high.top", "low"),
+        ("high.top", "low.base"),
+        ("middle", "low"),
+        ("middle", "low.base"),
+        ("middle", "high"),
+        ("low.base", "low.one"),
+        ("low.one", "low.kernels"),
+        ("low.one", "low.kernels.two"),
+        ("low.kernels.two", "middle"),
+    }
+    layer_of = layers("```layers\nskylamp\nhigh\nmiddle\nlow\n```\n")
+    assert [(_short(edge.source), _short(edge.target), edge.place) for edge in upward(edges, layer_of)] == [
+        ("low.kernels.two", "middle", f"{made_up['skylamp.low.kernels.two']}:1"),
+        ("middle", "high", f"{made_up['skylamp.middle']}:3"),
+    ]
+    assert [[_short(module) for module in circle] for circle in circles(edges)] == [
+        ["high", "high.top", "low.base", "low.one", "low.kernels.two", "middle"],
+        ["high", "high.top", "middle"],
+        ["low.base", "low.one", "low.kernels.two", "middle"],
+    ]
+    assert [name for name in made_up if part(name) not in layer_of] == ["skylamp.stray"]
+
+
+def test_a_name_in_two_layers_is_refused():
+    """Else the second place would win without a word."""
+    with pytest.raises(AssertionError, match="listed twice"):
+        layers("```layers\nlight\nlow light\n```\n")
