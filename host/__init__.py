@@ -6,8 +6,8 @@ from .backends import backends
 from .directions import Azimuths, Hemicube
 from .errors import BackendError, CapacityError, InputError, SkylampError
 from .horizon import horizons, openness, sky_view_factor
-from .refinement import Plan, plan
 from .inverse.recover import Recovery, recover
+from .refinement import Plan, plan
 from .reflectance import BRDF, Lambertian, Mirror, Phong, grooves
 from .rendering import Rendering, render
 from .scene import Scene
@@ -26,8 +26,41 @@ def __getattr__(name: str):
 
 __version__ = "0.1.0"
 __all__ = [
-    "Azimuths", "BRDF", "BackendError", "CapacityError", "CieSky", "Hemicube", "InputError", "Lambertian", "Lamp", "Mirror", "Phong", "Plan",
-    "Recovery", "Rendering", "Scene", "Sky", "SkylampError", "View", "VisibilityField", "Window", "backends", "cie_clear", "cie_overcast", "cie_sky",
-    "cosine_power", "environment_map", "grooves", "horizons", "openness", "plan", "recover", "render", "sky_view_factor", "sun_position", "uniform",
-    "visibility", "visibility_field",
+    "Azimuths",
+    "BRDF",
+    "BackendError",
+    "CapacityError",
+    "CieSky",
+    "Hemicube",
+    "InputError",
+    "Lambertian",
+    "Lamp",
+    "Mirror",
+    "Phong",
+    "Plan",
+    "Recovery",
+    "Rendering",
+    "Scene",
+    "Sky",
+    "SkylampError",
+    "View",
+    "VisibilityField",
+    "Window",
+    "backends",
+    "cie_clear",
+    "cie_overcast",
+    "cie_sky",
+    "cosine_power",
+    "environment_map",
+    "grooves",
+    "horizons",
+    "openness",
+    "plan",
+    "recover",
+    "render",
+    "sky_view_factor",
+    "sun_position",
+    "uniform",
+    "visibility",
+    "visibility_field",
 ]

@@ -21,12 +21,16 @@ ON_CUDA = 2, 13  # DLPack's kDLCUDA and kDLCUDAManaged
 
 
 def on_device(values):
-    """A Warp array on the memory of ``values`` where that is a Warp array or lies on a GPU (PyTorch, CuPy, JAX, Numba), else None."""
+    """A Warp array on the memory of ``values`` where that is a Warp array or lies on a GPU (PyTorch, CuPy,
+    JAX, Numba), else None.
+    """
     warp = sys.modules.get("warp")
     if warp is not None and isinstance(values, warp.array):
         return values
     dlpack = hasattr(values, "__dlpack__") and hasattr(values, "__dlpack_device__")
-    if isinstance(values, np.ndarray) or not (hasattr(values, "__cuda_array_interface__") or (dlpack and values.__dlpack_device__()[0] in ON_CUDA)):
+    if isinstance(values, np.ndarray) or not (
+        hasattr(values, "__cuda_array_interface__") or (dlpack and values.__dlpack_device__()[0] in ON_CUDA)
+    ):
         return None
     import warp
 
@@ -34,13 +38,20 @@ def on_device(values):
         return warp.from_dlpack(values)
     told = values.__cuda_array_interface__
     warp.synchronize()  # whoever wrote it may have done so on a stream of its own
-    return warp.array(ptr=told["data"][0], dtype=warp.dtype_from_numpy(np.dtype(told["typestr"])), shape=told["shape"], strides=told.get("strides"), device="cuda")
+    return warp.array(
+        ptr=told["data"][0],
+        dtype=warp.dtype_from_numpy(np.dtype(told["typestr"])),
+        shape=told["shape"],
+        strides=told.get("strides"),
+        device="cuda",
+    )
 
 
 def host_array(values) -> np.ndarray:
     """``values`` as a NumPy array, without a copy where that can be; a GPU's are brought over by Warp.
 
-    Takes what numpy.asarray takes, and whatever has ``__dlpack__`` or ``__cuda_array_interface__``. Raises what those raise.
+    Takes what numpy.asarray takes, and whatever has ``__dlpack__`` or ``__cuda_array_interface__``. Raises
+    what those raise.
     """
     if isinstance(values, np.ndarray):
         return values
@@ -57,13 +68,22 @@ def labels_of(values) -> Labels | None:
     xarray = sys.modules.get("xarray")
     if xarray is None or not isinstance(values, xarray.DataArray):
         return None
-    return Labels(values.dims, {name: coordinate.copy() for name, coordinate in values.coords.items()}, values.name, dict(values.attrs))
+    return Labels(
+        values.dims,
+        {name: coordinate.copy() for name, coordinate in values.coords.items()},
+        values.name,
+        dict(values.attrs),
+    )
 
 
 def labelled(array: np.ndarray | None, labels: Labels | None, **leading):
-    """``array`` as an xarray.DataArray with ``labels``, or as it is where there are none; ``leading``: axes before theirs, with coordinates."""
+    """``array`` as an xarray.DataArray with ``labels``, or as it is where there are none; ``leading``: axes
+    before theirs, with coordinates.
+    """
     if labels is None or array is None:
         return array
     import xarray
 
-    return xarray.DataArray(array, {**leading, **labels.coords}, (*leading, *labels.dims), labels.name, labels.attrs)
+    return xarray.DataArray(
+        array, {**leading, **labels.coords}, (*leading, *labels.dims), labels.name, labels.attrs
+    )

@@ -9,9 +9,16 @@ from .errors import InputError, bad
 
 
 def real_array(values, what: str, ndim: int | None = 2) -> np.ndarray:
-    """``values`` as a real float64 array of ``ndim`` axes, not empty; never a view that a caller could see change."""
+    """``values`` as a real float64 array of ``ndim`` axes, not empty; never a view that a caller could see
+    change.
+    """
     if isinstance(values, np.ma.MaskedArray):
-        raise bad(f"{what}: a numpy masked array", "mask inside the array", "plain arrays", "Pass array.data and mask=~numpy.ma.getmaskarray(array).")
+        raise bad(
+            f"{what}: a numpy masked array",
+            "mask inside the array",
+            "plain arrays",
+            "Pass array.data and mask=~numpy.ma.getmaskarray(array).",
+        )
     try:
         array = host_array(values)
     except Exception as error:
@@ -19,7 +26,9 @@ def real_array(values, what: str, ndim: int | None = 2) -> np.ndarray:
     if array.dtype.kind not in "iuf":
         raise bad(f"{what}: wrong type", f"dtype {array.dtype}", "real numbers (integer or floating)")
     if ndim is not None and array.ndim != ndim:
-        raise bad(f"{what}: wrong shape", array.shape, f"{ndim} axes" + (" (rows, cols)" if ndim == 2 else ""))
+        raise bad(
+            f"{what}: wrong shape", array.shape, f"{ndim} axes" + (" (rows, cols)" if ndim == 2 else "")
+        )
     if array.size == 0:
         raise bad(f"{what}: empty array", f"shape {array.shape}", "at least one element")
     return array.astype(np.float64)

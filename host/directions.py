@@ -16,9 +16,11 @@ LARGEST = 129  # 16,641 + 32,768 directions; a larger cube is a slip of the keyb
 
 @dataclass(frozen=True)
 class Hemicube:
-    """The surface nodes with L_z <= 0 of an M x M x M cube (Langer and Zucker, section 5), ordered by (k, j, i).
+    """The surface nodes with L_z <= 0 of an M x M x M cube (Langer and Zucker, section 5), ordered by (k, j,
+    i).
 
-    Every direction owns the part of the cube's surface nearest to its node, clipped at edges and at the horizon.
+    Every direction owns the part of the cube's surface nearest to its node, clipped at edges and at the
+    horizon.
 
     Parameters
     ----------
@@ -44,7 +46,12 @@ class Hemicube:
 
     def __post_init__(self):
         size = self.size
-        if isinstance(size, (bool, np.bool_)) or not isinstance(size, (int, np.integer)) or size % 2 == 0 or not 3 <= size <= LARGEST:
+        if (
+            isinstance(size, (bool, np.bool_))
+            or not isinstance(size, (int, np.integer))
+            or size % 2 == 0
+            or not 3 <= size <= LARGEST
+        ):
             raise bad("hemicube", repr(size), f"an odd whole number from 3 to {LARGEST}")
         object.__setattr__(self, "size", int(size))
 
@@ -94,14 +101,16 @@ class Hemicube:
 
 @dataclass(frozen=True)
 class Azimuths:
-    """Sectors of azimuth, each seen along one azimuth in its middle; angles from +x (columns) towards +y (rows).
+    """Sectors of azimuth, each seen along one azimuth in its middle; angles from +x (columns) towards +y
+    (rows).
 
     Parameters
     ----------
     count : int >= 1
         Number of sectors.
     edges : (count + 1,) increasing, spanning 2 pi [rad], optional
-        Borders of the sectors; evenly from 0 unless given, so that azimuth a looks along 2 pi (a + 1/2) / count.
+        Borders of the sectors; evenly from 0 unless given, so that azimuth a looks along 2 pi (a + 1/2) /
+        count.
 
     Attributes
     ----------
@@ -119,11 +128,21 @@ class Azimuths:
 
     def __post_init__(self):
         count = self.count
-        if isinstance(count, (bool, np.bool_)) or not isinstance(count, (int, np.integer)) or not 1 <= count <= MOST_AZIMUTHS:
+        if (
+            isinstance(count, (bool, np.bool_))
+            or not isinstance(count, (int, np.integer))
+            or not 1 <= count <= MOST_AZIMUTHS
+        ):
             raise bad("azimuths", repr(count), f"a whole number from 1 to {MOST_AZIMUTHS}")
         edges = np.linspace(0, 2 * np.pi, count + 1) if self.edges is None else np.asarray(self.edges, float)
-        if edges.shape != (count + 1,) or not (np.diff(edges) > 0).all() or abs(edges[-1] - edges[0] - 2 * np.pi) > 1e-9:
-            raise bad("azimuths: edges", f"shape {edges.shape}", f"{count + 1} increasing angles that span 2 pi")
+        if (
+            edges.shape != (count + 1,)
+            or not (np.diff(edges) > 0).all()
+            or abs(edges[-1] - edges[0] - 2 * np.pi) > 1e-9
+        ):
+            raise bad(
+                "azimuths: edges", f"shape {edges.shape}", f"{count + 1} increasing angles that span 2 pi"
+            )
         object.__setattr__(self, "count", int(count))
         object.__setattr__(self, "edges", tuple(edges.tolist()))
 
@@ -140,10 +159,14 @@ class Azimuths:
 
     @classmethod
     def placed(cls, count: int, weights: np.ndarray) -> Azimuths:
-        """``count`` sectors, half of them spread by ``weights`` (n,), the light of n even sectors, half evenly."""
+        """``count`` sectors, half of them spread by ``weights`` (n,), the light of n even sectors, half
+        evenly.
+        """
         weights = np.asarray(weights, float)
         share = np.concatenate([[0], np.cumsum(0.5 * weights / weights.sum() + 0.5 / len(weights))])
-        edges = np.interp(np.linspace(0, 1, count + 1), share / share[-1], np.linspace(0, 2 * np.pi, len(weights) + 1))
+        edges = np.interp(
+            np.linspace(0, 1, count + 1), share / share[-1], np.linspace(0, 2 * np.pi, len(weights) + 1)
+        )
         return cls(count, tuple(edges))
 
 
@@ -154,7 +177,9 @@ def _frozen(array):
 
 @lru_cache(maxsize=8)
 def _cells(size):
-    """Solid angle (D,) and moment (D, 3) of every cell: a union of one to three rectangles on the cube's faces."""
+    """Solid angle (D,) and moment (D, 3) of every cell: a union of one to three rectangles on the cube's
+    faces.
+    """
     cube = Hemicube(size)
     m = cube.reach
     solid_angle, moment = np.zeros(len(cube)), np.zeros((len(cube), 3))

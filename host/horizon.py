@@ -5,45 +5,61 @@ from __future__ import annotations
 import numpy as np
 
 from .arrays import labelled
-from .light.sweeps import FINE, Rays, Sweeps, engine_of, ground_of
+from .checks import one_of
 from .directions import Azimuths
 from .errors import bad
+from .light.sweeps import FINE, Rays, Sweeps, engine_of, ground_of
 from .scene import Scene, is_scene
-from .checks import one_of
 
 DEFINITIONS = ("tilted", "horizontal", "solid_angle")
 RUNGS = 1025  # of the tables that turn slopes into sums
 
 
-def horizons(scene: Scene, azimuths: int | Azimuths = 64, backend: str = "auto", *, max_distance: float | None = None) -> np.ndarray:
-    """The horizon's slope, tangent of its elevation, at every node and azimuth: (azimuths, rows, cols) float32.
+def horizons(
+    scene: Scene, azimuths: int | Azimuths = 64, backend: str = "auto", *, max_distance: float | None = None
+) -> np.ndarray:
+    """The horizon's slope, tangent of its elevation, at every node and azimuth: (azimuths, rows, cols)
+    float32.
 
-    Azimuth a looks along 2 pi (a + 1/2) / azimuths [rad] from +x (columns) towards +y (rows). Slopes may be negative;
-    -inf where no ground lies that way, nan where the scene is masked; of a scene made from an xarray.DataArray, a DataArray
-    with the coordinate ``azimuth`` [rad] (this holds for sky_view_factor and openness too). The surface is linear between neighbouring nodes
-    along rows and along columns. ``max_distance`` [unit of spacing]: ground farther away does not count; the whole map
-    does unless given (on a map that repeats, as far as its relief makes a slope of 0.01). With dark sides the wall
-    counts as ground.
+    Azimuth a looks along 2 pi (a + 1/2) / azimuths [rad] from +x (columns) towards +y (rows). Slopes may be
+    negative;
+    -inf where no ground lies that way, nan where the scene is masked; of a scene made from an
+    xarray.DataArray, a DataArray with the coordinate ``azimuth`` [rad] (this holds for sky_view_factor and
+    openness too). The surface is linear between neighbouring nodes along rows and along columns.
+    ``max_distance`` [unit of spacing]: ground farther away does not count; the whole map does unless given
+    (on a map that repeats, as far as its relief makes a slope of 0.01). With dark sides the wall counts as
+    ground.
 
     Raises InputError, BackendError or CapacityError.
     """
     azimuths = as_azimuths(azimuths)
     engine = engine_of(scene, backend)
     with engine.lock:
-        slopes = Sweeps(engine, ground_of(scene, max_distance, engine), Rays(azimuths.angles, azimuths.widths), near=FINE).slopes()
+        slopes = Sweeps(
+            engine, ground_of(scene, max_distance, engine), Rays(azimuths.angles, azimuths.widths), near=FINE
+        ).slopes()
     slopes[:, ~scene.valid] = np.nan
     return labelled(slopes, scene.labels, azimuth=azimuths.angles)
 
 
-def sky_view_factor(scene: Scene, definition: str = "tilted", azimuths: int | Azimuths = 64, backend: str = "auto", *, max_distance: float | None = None) -> np.ndarray:
+def sky_view_factor(
+    scene: Scene,
+    definition: str = "tilted",
+    azimuths: int | Azimuths = 64,
+    backend: str = "auto",
+    *,
+    max_distance: float | None = None,
+) -> np.ndarray:
     """Share of the sky that every node sees: (rows, cols) float32, 0 to 1, nan where the scene is masked.
 
     ``definition``, with h the horizon's elevation, not below 0:
 
-    - "tilted": the cosine-weighted share as the tilted surface has it, E / (pi B) under a uniform sky, which ends at the
+    - "tilted": the cosine-weighted share as the tilted surface has it, E / (pi B) under a uniform sky, which
+      ends at the
       tangent plane (Dozier and Frew 1990; topocalc, HORAYZON).
     - "horizontal": the same for a horizontal element at the node, mean of cos^2 h over azimuth.
-    - "solid_angle": the share of the hemisphere's solid angle, 1 - mean of sin h (Zaksek, Ostir and Kokalj 2011; RVT, xarray-spatial).
+    - "solid_angle": the share of the hemisphere's solid angle, 1 - mean of sin h (Zaksek, Ostir and Kokalj
+      2011; RVT, xarray-spatial).
 
     Other arguments and errors as for :func:`horizons`.
     """
@@ -54,12 +70,20 @@ def sky_view_factor(scene: Scene, definition: str = "tilted", azimuths: int | Az
     return labelled(_sum(scene, share, azimuths, backend, max_distance) * np.float32(scale), scene.labels)
 
 
-def openness(scene: Scene, azimuths: int | Azimuths = 64, backend: str = "auto", *, negative: bool = False, max_distance: float | None = None) -> np.ndarray:
-    """Topographic openness (Yokoyama, Shirasawa and Pike 2002) [rad]: mean over azimuth of the angle from the zenith to the horizon.
+def openness(
+    scene: Scene,
+    azimuths: int | Azimuths = 64,
+    backend: str = "auto",
+    *,
+    negative: bool = False,
+    max_distance: float | None = None,
+) -> np.ndarray:
+    """Topographic openness (Yokoyama, Shirasawa and Pike 2002) [rad]: mean over azimuth of the angle from the
+    zenith to the horizon.
 
-    (rows, cols) float32; more than pi / 2 on peaks, nan where masked. ``negative``: of the surface turned upside down,
-    the mean angle from the nadir. Where no ground lies along an azimuth the horizon counts as level. Other arguments and
-    errors as for :func:`horizons`.
+    (rows, cols) float32; more than pi / 2 on peaks, nan where masked. ``negative``: of the surface turned
+    upside down, the mean angle from the nadir. Where no ground lies along an azimuth the horizon counts as
+    level. Other arguments and errors as for :func:`horizons`.
     """
     is_scene(scene)
     labels = scene.labels
@@ -67,12 +91,19 @@ def openness(scene: Scene, azimuths: int | Azimuths = 64, backend: str = "auto",
         raise bad("openness: negative", repr(negative), "True or False")
     if negative:
         depth = np.where(scene.valid, scene.depth, 0)
-        scene = Scene(np.where(scene.valid, depth.max() - depth, np.nan), scene.spacing, mask=scene.mask, sides=scene.sides)
+        scene = Scene(
+            np.where(scene.valid, depth.max() - depth, np.nan),
+            scene.spacing,
+            mask=scene.mask,
+            sides=scene.sides,
+        )
     azimuths = as_azimuths(azimuths)
     engine = engine_of(scene, backend)
     total = np.zeros(scene.shape)
     with engine.lock:
-        sweeps = Sweeps(engine, ground_of(scene, max_distance, engine), Rays(azimuths.angles, azimuths.widths), near=FINE)
+        sweeps = Sweeps(
+            engine, ground_of(scene, max_distance, engine), Rays(azimuths.angles, azimuths.widths), near=FINE
+        )
         for numbers, slopes in sweeps.planes():
             for width, slope in zip(azimuths.widths[numbers], slopes):
                 total += width * (np.pi / 2 - np.arctan(np.where(np.isfinite(slope), slope, 0)))
@@ -84,7 +115,9 @@ def as_azimuths(azimuths: int | Azimuths) -> Azimuths:
 
 
 def _sum(scene, share, azimuths, backend, max_distance):
-    """Sum over azimuths of ``share`` (of the horizon's sine, for a level element), or of a uniform sky's light."""
+    """Sum over azimuths of ``share`` (of the horizon's sine, for a level element), or of a uniform sky's
+    light.
+    """
     azimuths = as_azimuths(azimuths)
     table = None
     if share is not None:
@@ -93,6 +126,12 @@ def _sum(scene, share, azimuths, backend, max_distance):
         table[:, :-1, 3] = np.diff(share)
     engine = engine_of(scene, backend)
     with engine.lock:
-        image = Sweeps(engine, ground_of(scene, max_distance, engine), Rays(azimuths.angles, azimuths.widths), table, level=share is not None).irradiance(last=True)
+        image = Sweeps(
+            engine,
+            ground_of(scene, max_distance, engine),
+            Rays(azimuths.angles, azimuths.widths),
+            table,
+            level=share is not None,
+        ).irradiance(last=True)
     image[~scene.valid] = np.nan
     return image

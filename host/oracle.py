@@ -1,9 +1,10 @@
-"""The oracle: the paper's two algorithms, step by step, in NumPy and float64. Slow on purpose and never tuned.
+"""The oracle: the paper's two algorithms, step by step, in NumPy and float64. Slow on purpose and never
+tuned.
 
-Nothing here shares code with the backends; it is tested against closed forms (tests/test_oracle.py), and the kernels
-are tested against it. Depth is in whole layers n (masked nodes: -1 in ``surface``, and free space all the way down),
-but for horizons and shadow rays, where it is a length (tests/test_oracle_horizons.py).
-The step numbers (1) to (4) are those of the forward and inverse algorithms in Langer and Zucker, section 6.
+Nothing here shares code with the backends; it is tested against closed forms (tests/test_oracle.py), and the
+kernels are tested against it. Depth is in whole layers n (masked nodes: -1 in ``surface``, and free space all
+the way down), but for horizons and shadow rays, where it is a length (tests/test_oracle_horizons.py). The
+step numbers (1) to (4) are those of the forward and inverse algorithms in Langer and Zucker, section 6.
 """
 
 from __future__ import annotations
@@ -44,9 +45,11 @@ def normals(depth: np.ndarray, spacing: float, valid: np.ndarray) -> np.ndarray:
 
 
 def meets_source(x, y, n, step, shape, sides: str, source: Geometry) -> np.ndarray:
-    """Whether rays from nodes (x, y, n), which leave the volume along ``step`` without meeting ground, meet the source.
+    """Whether rays from nodes (x, y, n), which leave the volume along ``step`` without meeting ground, meet
+    the source.
 
-    x, y, n: integer arrays; step (i, j, -k). The crossing with z = 0 is compared multiplied out by k, never divided.
+    x, y, n: integer arrays; step (i, j, -k). The crossing with z = 0 is compared multiplied out by k, never
+    divided.
     """
     i, j, k = int(step[0]), int(step[1]), -int(step[2])
     rows, cols = shape
@@ -99,12 +102,19 @@ def _hits_ball(x, y, n, step, ball, longest: float, shape, sides: str) -> np.nda
     return hit
 
 
-def propagate(surface: np.ndarray, steps: np.ndarray, sides: str, source: Geometry, layers: int,
-              free: Callable[[int], np.ndarray] | None = None) -> Iterator[tuple[int, np.ndarray]]:
-    """The forward algorithm: yields (n, V) for n = 0 .. layers - 1, V (D, rows, cols) bool, the visibility field.
+def propagate(
+    surface: np.ndarray,
+    steps: np.ndarray,
+    sides: str,
+    source: Geometry,
+    layers: int,
+    free: Callable[[int], np.ndarray] | None = None,
+) -> Iterator[tuple[int, np.ndarray]]:
+    """The forward algorithm: yields (n, V) for n = 0 .. layers - 1, V (D, rows, cols) bool, the visibility
+    field.
 
-    ``surface``: (rows, cols) int, the depth z in layers, -1 where masked. ``free(n)`` replaces the test n <= z for
-    carving, where free space F* grows while the layers go down; it is asked once per layer, in order.
+    ``surface``: (rows, cols) int, the depth z in layers, -1 where masked. ``free(n)`` replaces the test n <=
+    z for carving, where free space F* grows while the layers go down; it is asked once per layer, in order.
     """
     rows, cols = surface.shape
     bottom = np.where(surface < 0, FAR, surface)
@@ -122,7 +132,9 @@ def propagate(surface: np.ndarray, steps: np.ndarray, sides: str, source: Geomet
             i, j, k = int(i), int(j), -int(up)
             leaving = meets_source(x, y, np.full_like(x, n), (i, j, -k), surface.shape, sides, source)
             if source.kind == BALL:
-                near = _hits_ball(x, y, np.full_like(x, n), (i, j, -k), source.numbers, 1.0, surface.shape, sides)
+                near = _hits_ball(
+                    x, y, np.full_like(x, n), (i, j, -k), source.numbers, 1.0, surface.shape, sides
+                )
             else:
                 near = np.zeros_like(leaving)
             if n - k < 0:  # the ray leaves through z < 0
@@ -186,7 +198,9 @@ def _in_layer(in_free, shining, near, i, j, sides, leaving, source):
 
 
 def surface_visibility(surface: np.ndarray, steps: np.ndarray, sides: str, source: Geometry) -> np.ndarray:
-    """V(x) at the surface's own nodes: (rows, cols, D) bool, by propagation through all layers down to the deepest."""
+    """V(x) at the surface's own nodes: (rows, cols, D) bool, by propagation through all layers down to the
+    deepest.
+    """
     out = np.zeros((*surface.shape, len(steps)), bool)
     for n, visible in propagate(surface, steps, sides, source, int(surface.max()) + 1):
         here = surface == n
@@ -195,10 +209,12 @@ def surface_visibility(surface: np.ndarray, steps: np.ndarray, sides: str, sourc
 
 
 def filled_visibility(depth: np.ndarray, spacing: float, steps: np.ndarray, sides: str) -> np.ndarray:
-    """Surface visibility under a sky, testing every crossing with a grid line: (rows, cols, D) bool, by brute force.
+    """Surface visibility under a sky, testing every crossing with a grid line: (rows, cols, D) bool, by brute
+    force.
 
-    Along each direction every crossing of the ray's vertical plane with a row or a column is compared, until the map
-    ends; heights between nodes are linear. Multiplied out, so that whole numbers are compared exactly.
+    Along each direction every crossing of the ray's vertical plane with a row or a column is compared, until
+    the map ends; heights between nodes are linear. Multiplied out, so that whole numbers are compared
+    exactly.
     """
     rows, cols = depth.shape
     out = np.zeros((rows, cols, len(steps)), bool)
@@ -209,7 +225,11 @@ def filled_visibility(depth: np.ndarray, spacing: float, steps: np.ndarray, side
         i, j, k = int(i), int(j), -int(up)
         lit = finite.copy()
         crossings = {(a, abs(i)) for a in range(1, abs(i) + 1)} | {(b, abs(j)) for b in range(1, abs(j) + 1)}
-        laps = math.lcm(cols // math.gcd(cols, i or cols), rows // math.gcd(rows, j or rows)) if sides == "periodic" else max(rows, cols)
+        laps = (
+            math.lcm(cols // math.gcd(cols, i or cols), rows // math.gcd(rows, j or rows))
+            if sides == "periodic"
+            else max(rows, cols)
+        )
         if k:
             laps = min(laps, int(relief / (k * spacing)) + 2)
         for t in range(laps if (i or j) else 0):
@@ -225,10 +245,14 @@ def filled_visibility(depth: np.ndarray, spacing: float, steps: np.ndarray, side
                 if sides == "periodic":
                     c, r, c2, r2 = c % cols, r % rows, c2 % cols, r2 % rows
                 inside = (c >= 0) & (c2 < cols) & (r >= 0) & (r2 < rows)
-                clip = lambda row, col: depth[np.clip(row, 0, rows - 1), np.clip(col, 0, cols - 1)].astype(float)
+                clip = lambda row, col: depth[np.clip(row, 0, rows - 1), np.clip(col, 0, cols - 1)].astype(
+                    float
+                )
                 near, far = clip(r, c), np.where(weight == 0, clip(r, c), clip(r2, c2))
                 known = inside & np.isfinite(near) & np.isfinite(far)
-                ground = np.where(known, (q - weight) * np.where(known, near, 0) + weight * np.where(known, far, 0), np.inf)
+                ground = np.where(
+                    known, (q - weight) * np.where(known, near, 0) + weight * np.where(known, far, 0), np.inf
+                )
                 ray = q * np.where(finite, depth, 0).astype(float) - (t * q + a) * k * spacing
                 lit &= ~(known & (ground < ray))
         if sides == "dark":
@@ -240,22 +264,35 @@ def filled_visibility(depth: np.ndarray, spacing: float, steps: np.ndarray, side
     return out
 
 
-def luminance(visible: np.ndarray, normal: np.ndarray, brightness: np.ndarray, moments: np.ndarray) -> np.ndarray:
-    """Irradiance of Eq. 3: sum over visible L of B(L) max(0, N . w_L), in float64; radiance is rho / pi times it.
+def luminance(
+    visible: np.ndarray, normal: np.ndarray, brightness: np.ndarray, moments: np.ndarray
+) -> np.ndarray:
+    """Irradiance of Eq. 3: sum over visible L of B(L) max(0, N . w_L), in float64; radiance is rho / pi times
+    it.
 
-    visible (rows, cols, D) bool; normal (rows, cols, 3); brightness (D,); moments (D, 3), L dL for the printed form.
+    visible (rows, cols, D) bool; normal (rows, cols, 3); brightness (D,); moments (D, 3), L dL for the
+    printed form.
     """
     cosine = np.maximum(0.0, normal @ moments.T)
     return (np.where(visible, cosine, 0.0) * brightness).sum(-1)
 
 
-def carve(low: np.ndarray, high: np.ndarray, weights: np.ndarray, steps: np.ndarray, sides: str, source: Geometry,
-          layers: int, stop: str = "eps") -> np.ndarray:
-    """The inverse algorithm: depth in layers (rows, cols) int64; ``layers`` where a column was drilled through.
+def carve(
+    low: np.ndarray,
+    high: np.ndarray,
+    weights: np.ndarray,
+    steps: np.ndarray,
+    sides: str,
+    source: Geometry,
+    layers: int,
+    stop: str = "eps",
+) -> np.ndarray:
+    """The inverse algorithm: depth in layers (rows, cols) int64; ``layers`` where a column was drilled
+    through.
 
-    ``weights`` (D,) int: rho B dOmega / (2 pi) of Eq. 4; ``low``, ``high`` (rows, cols) int: image - eps, image + eps,
-    all in one unit. stop "eps": at the first layer with low <= B <= high. "sign": at the first layer where B reaches
-    the image or lies on its other side than at n = 0.
+    ``weights`` (D,) int: rho B dOmega / (2 pi) of Eq. 4; ``low``, ``high`` (rows, cols) int: image - eps,
+    image + eps, all in one unit. stop "eps": at the first layer with low <= B <= high. "sign": at the first
+    layer where B reaches the image or lies on its other side than at n = 0.
     """
     depth = np.zeros(low.shape, np.int64)  # (1) z*(x, y) := 0
     active = np.ones(low.shape, bool)
@@ -278,10 +315,12 @@ def carve(low: np.ndarray, high: np.ndarray, weights: np.ndarray, steps: np.ndar
     return depth
 
 
-# -- horizons and shadow rays: one surface, given by its grid lines ------------------------------------------------------------
+# -- horizons and shadow rays: one surface, given by its grid lines
+# ------------------------------------------------------------
 
 AT_A_NODE = 1e-9  # nodes; a crossing this near to a node is at the node, so that rounding loses no neighbour
-LEVEL = 0.002  # tangent; on a map that repeats, ground that may rise less than this above a node is not looked for
+# tangent; on a map that repeats, ground that may rise less than this above a node is not looked for
+LEVEL = 0.002
 
 
 def _split(at):
@@ -292,7 +331,9 @@ def _split(at):
 
 
 def _between(surface, column, low, weight, sides):
-    """Depth on grid line ``column`` between rows ``low`` and ``low`` + 1; nan where a node of weight > 0 is masked or off the map."""
+    """Depth on grid line ``column`` between rows ``low`` and ``low`` + 1; nan where a node of weight > 0 is
+    masked or off the map.
+    """
     rows, cols = surface.shape
     high = low + (weight > 0)
     if sides == "periodic":
@@ -303,18 +344,29 @@ def _between(surface, column, low, weight, sides):
     return np.where(inside, near + weight * (surface[high, column] - near), np.nan)
 
 
-def horizons(depth: np.ndarray, spacing: float, azimuths, sides: str = "open", max_distance: float | None = None, nodes=None) -> np.ndarray:
-    """Raw tangent of the horizon's elevation by brute force: (azimuths, rows, cols), or (azimuths, n) at ``nodes``.
+def horizons(
+    depth: np.ndarray,
+    spacing: float,
+    azimuths,
+    sides: str = "open",
+    max_distance: float | None = None,
+    nodes=None,
+) -> np.ndarray:
+    """Raw tangent of the horizon's elevation by brute force: (azimuths, rows, cols), or (azimuths, n) at
+    ``nodes``.
 
-    depth (rows, cols) [length], not finite where masked; ``azimuths`` [rad] from +x (columns) towards +y (rows);
-    ``nodes``: (row indices, column indices). Every crossing of the azimuth's vertical plane with a row or a column
-    counts, up to ``max_distance`` [length]; of a map that repeats, to where its relief is LEVEL high, or one lap.
-    Dark: at least depth / distance of the wall half a node outside. -inf: no ground that way; nan: masked node.
+    depth (rows, cols) [length], not finite where masked; ``azimuths`` [rad] from +x (columns) towards +y
+    (rows); ``nodes``: (row indices, column indices). Every crossing of the azimuth's vertical plane with a
+    row or a column counts, up to ``max_distance`` [length]; of a map that repeats, to where its relief is
+    LEVEL high, or one lap. Dark: at least depth / distance of the wall half a node outside. -inf: no ground
+    that way; nan: masked node.
     """
     surface = np.where(np.isfinite(depth), depth, np.nan).astype(float)
     row, col = (np.ravel(index) for index in (np.indices(surface.shape) if nodes is None else nodes))
     z, top, bottom = surface[row, col], np.nanmin(surface), np.nanmax(surface)
-    reach = math.inf if max_distance is None else max_distance / spacing * (1 + 1e-12)  # in nodes; a crossing just there counts
+    reach = (
+        math.inf if max_distance is None else max_distance / spacing * (1 + 1e-12)
+    )  # in nodes; a crossing just there counts
     if sides != "periodic":
         reach = min(reach, math.hypot(*surface.shape))
     elif math.isinf(reach):
@@ -338,11 +390,14 @@ def horizons(depth: np.ndarray, spacing: float, azimuths, sides: str = "open", m
             offset = step if a > 0 else -step
             start = 0
             while start < len(step):
-                # no ground stands higher than top, so from here on nothing can raise the other nodes' horizons
+                # no ground stands higher than top, so from here on nothing can raise the other nodes'
+                # horizons
                 left = np.flatnonzero(z - top > found * distance[start])
                 stop = start + 1 + 2**16 // (len(left) + 1)
                 part = slice(start, stop)
-                ground = _between(lines, own[left, None] + offset[part], across[left, None] + low[part], weight[part], sides)
+                ground = _between(
+                    lines, own[left, None] + offset[part], across[left, None] + low[part], weight[part], sides
+                )
                 slope = (z[left, None] - ground) / distance[part]
                 found[left] = np.fmax(found[left], np.fmax.reduce(slope, axis=1))
                 start = stop
@@ -352,12 +407,21 @@ def horizons(depth: np.ndarray, spacing: float, azimuths, sides: str = "open", m
     return out.reshape(-1, *surface.shape) if nodes is None else out
 
 
-def sky_irradiance(depth: np.ndarray, spacing: float, valid: np.ndarray, azimuths, widths, horizon: np.ndarray,
-                   brightness=None, nodes=None) -> np.ndarray:
+def sky_irradiance(
+    depth: np.ndarray,
+    spacing: float,
+    valid: np.ndarray,
+    azimuths,
+    widths,
+    horizon: np.ndarray,
+    brightness=None,
+    nodes=None,
+) -> np.ndarray:
     """Irradiance of a sky above ``horizon``, as from :func:`horizons`: (rows, cols), or (n,) at ``nodes``.
 
-    ``widths`` [rad]: each azimuth's share of the circle. A uniform sky (None: 1, or a number) is integrated over elevation
-    in closed form, a function of unit vectors (..., 3) at 200 Gauss-Legendre nodes between horizon and zenith.
+    ``widths`` [rad]: each azimuth's share of the circle. A uniform sky (None: 1, or a number) is integrated
+    over elevation in closed form, a function of unit vectors (..., 3) at 200 Gauss-Legendre nodes between
+    horizon and zenith.
     """
     row, col = (np.ravel(index) for index in (np.indices(valid.shape) if nodes is None else nodes))
     normal = normals(depth, spacing, valid)[row, col]
@@ -366,7 +430,9 @@ def sky_irradiance(depth: np.ndarray, spacing: float, valid: np.ndarray, azimuth
     for azimuth, width, tangent in zip(azimuths, widths, np.reshape(horizon, (len(azimuths), -1))):
         along = normal[:, 0] * math.cos(azimuth) + normal[:, 1] * math.sin(azimuth)
         up = -normal[:, 2]
-        t = np.arctan(np.maximum(0.0, np.maximum(tangent, -along / up)))  # the horizon, the tangent plane, the level
+        t = np.arctan(
+            np.maximum(0.0, np.maximum(tangent, -along / up))
+        )  # the horizon, the tangent plane, the level
         if not callable(brightness):
             ring = along * (np.pi / 2 - t - np.sin(t) * np.cos(t)) / 2 + up * np.cos(t) ** 2 / 2
             out += width * (1.0 if brightness is None else brightness) * ring
@@ -381,10 +447,20 @@ def sky_irradiance(depth: np.ndarray, spacing: float, valid: np.ndarray, azimuth
     return out.reshape(valid.shape) if nodes is None else out
 
 
-def unblocked(depth: np.ndarray, spacing: float, row: int, col: int, directions: np.ndarray, ends: np.ndarray, sides: str = "open") -> np.ndarray:
-    """Whether rays from node (row, col) along unit vectors (n, 3) meet no ground before ``ends`` (n,) [length]: (n,) bool.
+def unblocked(
+    depth: np.ndarray,
+    spacing: float,
+    row: int,
+    col: int,
+    directions: np.ndarray,
+    ends: np.ndarray,
+    sides: str = "open",
+) -> np.ndarray:
+    """Whether rays from node (row, col) along unit vectors (n, 3) meet no ground before ``ends`` (n,)
+    [length]: (n,) bool.
 
-    Every crossing with a column and with a row is looked at; blocked where the ground is strictly higher than the ray.
+    Every crossing with a column and with a row is looked at; blocked where the ground is strictly higher than
+    the ray.
     """
     surface = np.where(np.isfinite(depth), depth, np.nan).astype(float)
     top = np.nanmin(surface)
@@ -407,23 +483,63 @@ def unblocked(depth: np.ndarray, spacing: float, row: int, col: int, directions:
     return free
 
 
-def lamp_irradiance(depth: np.ndarray, spacing: float, valid: np.ndarray, lamp, nodes, rays: int = 4096, seed: int = 0,
-                    sides: str = "open") -> np.ndarray:
-    """Irradiance of a lamp at ``nodes`` (row indices, column indices) by stratified shadow rays: (n,) float64.
+def lamp_irradiance(
+    depth: np.ndarray,
+    spacing: float,
+    valid: np.ndarray,
+    lamp,
+    nodes,
+    rays: int = 4096,
+    seed: int = 0,
+    sides: str = "open",
+) -> np.ndarray:
+    """Irradiance of a lamp at ``nodes`` (row indices, column indices) by stratified shadow rays: (n,)
+    float64.
 
-    ``lamp``: a sphere, anything with center, radius [length] and brightness, whose rays are uniform in the cone in which it
-    is seen; or a rectangle (corner, edge_u, edge_v, brightness), its edges at right angles, which shines from both faces.
+    ``lamp``: a sphere, anything with center, radius [length] and brightness, whose rays are uniform in the
+    cone in which it is seen; or a rectangle (corner, edge_u, edge_v, brightness), its edges at right angles,
+    which shines from both faces.
     """
     if isinstance(lamp, tuple):
-        return _gather(depth, spacing, valid, nodes, rays, seed, sides, lamp[3], lambda origin, u, v: _to_rectangle(*lamp[:3], origin, u, v))
-    return _gather(depth, spacing, valid, nodes, rays, seed, sides, lamp.brightness, lambda origin, u, v: _to_ball(lamp.center, lamp.radius, origin, u, v))
+        return _gather(
+            depth,
+            spacing,
+            valid,
+            nodes,
+            rays,
+            seed,
+            sides,
+            lamp[3],
+            lambda origin, u, v: _to_rectangle(*lamp[:3], origin, u, v),
+        )
+    return _gather(
+        depth,
+        spacing,
+        valid,
+        nodes,
+        rays,
+        seed,
+        sides,
+        lamp.brightness,
+        lambda origin, u, v: _to_ball(lamp.center, lamp.radius, origin, u, v),
+    )
 
 
-def window_irradiance(depth: np.ndarray, spacing: float, valid: np.ndarray, window, nodes, points: int = 4096, seed: int = 0,
-                      sides: str = "open") -> np.ndarray:
-    """Irradiance at ``nodes`` of the sky behind a rectangle in z = 0, by stratified shadow rays: (n,) float64.
+def window_irradiance(
+    depth: np.ndarray,
+    spacing: float,
+    valid: np.ndarray,
+    window,
+    nodes,
+    points: int = 4096,
+    seed: int = 0,
+    sides: str = "open",
+) -> np.ndarray:
+    """Irradiance at ``nodes`` of the sky behind a rectangle in z = 0, by stratified shadow rays: (n,)
+    float64.
 
-    ``window``: anything with x = (x0, x1), y = (y0, y1) [length] and brightness. Over a map that repeats so does the window.
+    ``window``: anything with x = (x0, x1), y = (y0, y1) [length] and brightness. Over a map that repeats so
+    does the window.
     """
     (x0, x1), (y0, y1) = window.x, window.y
     if sides == "dark":  # the box hides the rest: no ray need be spent on it
@@ -435,7 +551,8 @@ def window_irradiance(depth: np.ndarray, spacing: float, valid: np.ndarray, wind
     def aim(origin, u, v):
         if sides != "periodic" and origin[2] > 0:
             return _to_rectangle((x0, y0, 0.0), (x1 - x0, 0.0, 0.0), (0.0, y1 - y0, 0.0), origin, u, v)
-        # every direction, and whether it passes: a node in the window's own plane sees all the sky or none of it
+        # every direction, and whether it passes: a node in the window's own plane sees all the sky or none of
+        # it
         L = _upwards(u, v)
         ends = origin[2] / -L[:, 2]
         through = np.ones(len(L), bool)
@@ -449,21 +566,44 @@ def window_irradiance(depth: np.ndarray, spacing: float, valid: np.ndarray, wind
     return _gather(depth, spacing, valid, nodes, points, seed, sides, window.brightness, aim)
 
 
-def specular(visible: np.ndarray, normal: np.ndarray, brightness: np.ndarray, directions: np.ndarray, solid_angles: np.ndarray, exponent: float) -> np.ndarray:
-    """What Phong's lobe (MODEL.md 6) makes of the visible directions: (n + 2) / (2 pi) x sum of B (R.L)^n N.L dL, in float64.
+def specular(
+    visible: np.ndarray,
+    normal: np.ndarray,
+    brightness: np.ndarray,
+    directions: np.ndarray,
+    solid_angles: np.ndarray,
+    exponent: float,
+) -> np.ndarray:
+    """What Phong's lobe (MODEL.md 6) makes of the visible directions: (n + 2) / (2 pi) x sum of B (R.L)^n N.L
+    dL, in float64.
 
     visible (rows, cols, D) bool; normal (rows, cols, 3); R = 2 (N.V) N - V for V = (0, 0, -1).
     """
     mirror = -2 * normal[..., 2:] * normal - [0.0, 0.0, -1.0]
     lobe = np.maximum(0.0, mirror @ directions.T) ** exponent
-    return (exponent + 2) / (2 * np.pi) * (visible * lobe * np.maximum(0.0, normal @ directions.T) * brightness * solid_angles).sum(-1)
+    return (
+        (exponent + 2)
+        / (2 * np.pi)
+        * (visible * lobe * np.maximum(0.0, normal @ directions.T) * brightness * solid_angles).sum(-1)
+    )
 
 
-def lobe_radiance(depth: np.ndarray, spacing: float, valid: np.ndarray, source, exponent: float, nodes, rays: int = 4096, seed: int = 0,
-                  sides: str = "open", kind: str = "sky") -> np.ndarray:
+def lobe_radiance(
+    depth: np.ndarray,
+    spacing: float,
+    valid: np.ndarray,
+    source,
+    exponent: float,
+    nodes,
+    rays: int = 4096,
+    seed: int = 0,
+    sides: str = "open",
+    kind: str = "sky",
+) -> np.ndarray:
     """The same by stratified shadow rays at ``nodes``: (n,) float64. ``kind``: "sky", "lamp" or "window".
 
-    Under a sky rays are as dense as the lobe, cos^n about the mirror direction; towards lamps and windows as for irradiance.
+    Under a sky rays are as dense as the lobe, cos^n about the mirror direction; towards lamps and windows as
+    for irradiance.
     """
     normal = normals(depth, spacing, valid)
     out = np.full(len(nodes[0]), np.nan)
@@ -479,7 +619,11 @@ def lobe_radiance(depth: np.ndarray, spacing: float, valid: np.ndarray, source, 
             cosine = (1 - u) ** (1 / (exponent + 1))
             sine, e = np.sqrt(1 - cosine**2), np.cross(R, np.eye(3)[np.argmin(abs(R))])
             e /= np.linalg.norm(e)
-            L = cosine[:, None] * R + (sine * np.cos(2 * np.pi * v))[:, None] * e + (sine * np.sin(2 * np.pi * v))[:, None] * np.cross(R, e)
+            L = (
+                cosine[:, None] * R
+                + (sine * np.cos(2 * np.pi * v))[:, None] * e
+                + (sine * np.sin(2 * np.pi * v))[:, None] * np.cross(R, e)
+            )
             return L, np.full(len(u), np.inf), 2 * np.pi / ((exponent + 1) * cosine**exponent)
 
         here = ([row], [col])
@@ -489,20 +633,40 @@ def lobe_radiance(depth: np.ndarray, spacing: float, valid: np.ndarray, source, 
             aim = lambda origin, u, v: _to_ball(source.center, source.radius, origin, u, v)
             out[node] = _gather(depth, spacing, valid, here, rays, seed, sides, light, aim)[0]
         else:
-            aim = lambda origin, u, v: _to_rectangle((source.x[0], source.y[0], 0), (source.x[1] - source.x[0], 0, 0), (0, source.y[1] - source.y[0], 0), origin, u, v)
+            aim = lambda origin, u, v: _to_rectangle(
+                (source.x[0], source.y[0], 0),
+                (source.x[1] - source.x[0], 0, 0),
+                (0, source.y[1] - source.y[0], 0),
+                origin,
+                u,
+                v,
+            )
             out[node] = _gather(depth, spacing, valid, here, rays, seed, sides, light, aim)[0]
     return out
 
 
-def mirror_radiance(depth: np.ndarray, spacing: float, valid: np.ndarray, brightness, nodes, sides: str = "open") -> np.ndarray:
-    """The sky in an ideal mirror at ``nodes``: brightness(L) along the mirror direction, 0 where ground is in the way: (n,) float64."""
+def mirror_radiance(
+    depth: np.ndarray, spacing: float, valid: np.ndarray, brightness, nodes, sides: str = "open"
+) -> np.ndarray:
+    """The sky in an ideal mirror at ``nodes``: brightness(L) along the mirror direction, 0 where ground is in
+    the way: (n,) float64.
+    """
     normal = normals(depth, spacing, valid)
     R = -2 * normal[..., 2:] * normal - [0.0, 0.0, -1.0]
-    return np.array([brightness(R[node][None])[0] * (R[node][2] <= 0) * unblocked(depth, spacing, *node, R[node][None], np.array([np.inf]), sides)[0] for node in zip(*nodes)])
+    return np.array(
+        [
+            brightness(R[node][None])[0]
+            * (R[node][2] <= 0)
+            * unblocked(depth, spacing, *node, R[node][None], np.array([np.inf]), sides)[0]
+            for node in zip(*nodes)
+        ]
+    )
 
 
 def _gather(depth, spacing, valid, nodes, rays, seed, sides, brightness, aim):
-    """Mean of weight B max(0, N . L) over the rays that arrive: aim(origin, u, v) -> (L (n, 3), ends (n,), weights [sr])."""
+    """Mean of weight B max(0, N . L) over the rays that arrive: aim(origin, u, v) -> (L (n, 3), ends (n,),
+    weights [sr]).
+    """
     rows, cols = valid.shape
     normal = normals(depth, spacing, valid)
     surface = np.where(valid, depth, np.nan).astype(float)
@@ -511,7 +675,9 @@ def _gather(depth, spacing, valid, nodes, rays, seed, sides, brightness, aim):
     for node, (row, col) in enumerate(zip(*nodes)):
         if not valid[row, col]:
             continue
-        jitter = np.random.default_rng((seed, row, col)).random((2, side, side))  # a node's rays do not depend on the other nodes
+        jitter = np.random.default_rng((seed, row, col)).random(
+            (2, side, side)
+        )  # a node's rays do not depend on the other nodes
         u, v = ((np.indices((side, side)) + jitter) / side).reshape(2, -1)
         origin = np.array([col * spacing, row * spacing, surface[row, col]])
         L, ends, weight = aim(origin, u, v)
@@ -536,7 +702,9 @@ def _upwards(u, v):
 
 
 def _to_ball(center, radius, origin, u, v):
-    """Rays uniform in the cone that touches the ball, and where they meet it; from inside every ray meets it at once."""
+    """Rays uniform in the cone that touches the ball, and where they meet it; from inside every ray meets it
+    at once.
+    """
     to = np.asarray(center, float) - origin
     far = np.linalg.norm(to)
     if far <= radius:
@@ -549,7 +717,11 @@ def _to_ball(center, radius, origin, u, v):
     cap = q / (1 + math.sqrt(1 - q))  # 1 - cos of the cone's half angle, without cancellation
     lost = u * cap  # 1 - cos of the ray's angle from the axis
     sine = np.sqrt(lost * (2 - lost))
-    L = (1 - lost)[:, None] * axis + (sine * np.cos(2 * np.pi * v))[:, None] * e + (sine * np.sin(2 * np.pi * v))[:, None] * f
+    L = (
+        (1 - lost)[:, None] * axis
+        + (sine * np.cos(2 * np.pi * v))[:, None] * e
+        + (sine * np.sin(2 * np.pi * v))[:, None] * f
+    )
     ends = far * (1 - lost) - np.sqrt(np.maximum(0.0, radius**2 - (far * sine) ** 2))
     return L, ends, np.full(len(u), 2 * np.pi * cap)
 
@@ -557,8 +729,9 @@ def _to_ball(center, radius, origin, u, v):
 def _to_rectangle(corner, edge_u, edge_v, origin, u, v):
     """Rays to a rectangle, weighted by solid angle; nothing from its own plane.
 
-    With the foot of the perpendicular, d long, at (0, 0), dOmega = d dx dy / (d^2 + x^2 + y^2)^(3/2) = dphi dh for
-    x = d tan(phi) and h = y / sqrt(d^2 + x^2 + y^2): phi and h are uniform, and nothing is singular close by.
+    With the foot of the perpendicular, d long, at (0, 0), dOmega = d dx dy / (d^2 + x^2 + y^2)^(3/2) = dphi
+    dh for x = d tan(phi) and h = y / sqrt(d^2 + x^2 + y^2): phi and h are uniform, and nothing is singular
+    close by.
     """
     corner, ex, ey = (np.asarray(vector, float) for vector in (corner, edge_u, edge_v))
     width, length = np.linalg.norm(ex), np.linalg.norm(ey)

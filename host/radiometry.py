@@ -1,7 +1,8 @@
-"""Radiometry: what light is measured in, and the closed forms of how much of it goes from one patch to another.
+"""Radiometry: what light is measured in, and the closed forms of how much of it goes from one patch to
+another.
 
-Equations without a number are those of the notes on radiometry. Lengths may be in any one unit; radiance L is in
-W m^-2 sr^-1, or cd m^-2 where light is weighted by the eye.
+Equations without a number are those of the notes on radiometry. Lengths may be in any one unit; radiance L is
+in W m^-2 sr^-1, or cd m^-2 where light is weighted by the eye.
 """
 
 from __future__ import annotations
@@ -14,7 +15,9 @@ EFFICACY = 683.0  # lm/W of monochromatic light of 540 THz, by the definition of
 
 
 def foreshortening(normal, direction):
-    """cos(theta) between unit vectors ``normal`` and ``direction`` (..., 3), 0 from behind: the share of its area that a patch shows."""
+    """cos(theta) between unit vectors ``normal`` and ``direction`` (..., 3), 0 from behind: the share of its
+    area that a patch shows.
+    """
     return np.maximum(0.0, (np.asarray(normal, float) * direction).sum(-1))
 
 
@@ -27,9 +30,11 @@ def planar_angle(length, cosine, distance):
 
 
 def curve_angle(points):
-    """Angle [rad] that an open curve through ``points`` (..., n, 2) sweeps as seen from the origin, its segments straight.
+    """Angle [rad] that an open curve through ``points`` (..., n, 2) sweeps as seen from the origin, its
+    segments straight.
 
-    Signed by the sense of rotation; a closed curve round the origin gives 2 pi if its first point is repeated.
+    Signed by the sense of rotation; a closed curve round the origin gives 2 pi if its first point is
+    repeated.
     """
     a = np.asarray(points, float)
     a, b = a[..., :-1, :], a[..., 1:, :]
@@ -37,15 +42,17 @@ def curve_angle(points):
 
 
 def patch_solid_angle(area, cosine, distance):
-    """Solid angle [sr] of a small patch, domega = dA cos(theta) / r^2; ``cosine`` of its normal to the line of sight."""
+    """Solid angle [sr] of a small patch, domega = dA cos(theta) / r^2; ``cosine`` of its normal to the line
+    of sight.
+    """
     return np.asarray(area) * cosine / np.square(np.asarray(distance, float))
 
 
 def polygon_solid_angle(corners):
     """Solid angle [sr] of convex flat polygons (..., n, 3) seen from the origin, not from within their plane.
 
-    The polygon is cut into triangles from its first corner; each by tan(omega / 2) = a.(b x c) / (abc + ...) (Van Oosterom
-    and Strackee 1983).
+    The polygon is cut into triangles from its first corner; each by tan(omega / 2) = a.(b x c) / (abc + ...)
+    (Van Oosterom and Strackee 1983).
     """
     corners = np.asarray(corners, float)
     unit = corners / np.linalg.norm(corners, axis=-1, keepdims=True)
@@ -58,14 +65,16 @@ def polygon_solid_angle(corners):
 def transfer(radiance, cosine_1, area_1, cosine_2, area_2, distance):
     """Power [W] from patch 1 to patch 2: d3E = L cos(theta_1) cos(theta_2) dA_1 dA_2 / r^2 per unit of time.
 
-    ``radiance``: of patch 1 towards patch 2. Radiance is constant along a ray, so patch 2 sees the same L, and what leaves
-    is what arrives: the formula is the same with the patches exchanged. Arguments broadcast; small patches.
+    ``radiance``: of patch 1 towards patch 2. Radiance is constant along a ray, so patch 2 sees the same L,
+    and what leaves is what arrives: the formula is the same with the patches exchanged. Arguments broadcast;
+    small patches.
     """
     return np.asarray(radiance) * cosine_1 * area_1 * patch_solid_angle(area_2, cosine_2, distance)
 
 
 def radiance_of_transfer(power, cosine_1, area_1, cosine_2, area_2, distance):
-    """The radiance [W m^-2 sr^-1] of a ray that carries ``power`` between two small patches; the inverse of :func:`transfer`.
+    """The radiance [W m^-2 sr^-1] of a ray that carries ``power`` between two small patches; the inverse of
+    :func:`transfer`.
 
     Seen from either end it is the same: radiance is invariant along a ray through empty space.
     """
@@ -73,9 +82,11 @@ def radiance_of_transfer(power, cosine_1, area_1, cosine_2, area_2, distance):
 
 
 def hemisphere(azimuths: int = 64, elevations: int = 32):
-    """Unit vectors (n, 3) about the normal (0, 0, 1), and weights [sr] (n,) of cos(theta) domega, which sum to pi.
+    """Unit vectors (n, 3) about the normal (0, 0, 1), and weights [sr] (n,) of cos(theta) domega, which sum
+    to pi.
 
-    Even azimuths and Gauss-Legendre nodes in sin^2(theta): exact for polynomials in it of degree 2 ``elevations`` - 1.
+    Even azimuths and Gauss-Legendre nodes in sin^2(theta): exact for polynomials in it of degree 2
+    ``elevations`` - 1.
     """
     node, weight = np.polynomial.legendre.leggauss(elevations)
     sine = np.sqrt((1 + node) / 2)
@@ -88,17 +99,19 @@ def hemisphere(azimuths: int = 64, elevations: int = 32):
 def irradiance(radiance, azimuths: int = 64, elevations: int = 32):
     """Irradiance E [W m^-2]: the integral of L cos(theta) over the hemisphere about (0, 0, 1).
 
-    ``radiance``: a function of unit vectors (n, 3) to (n,) or (n, channels). For radiance that leaves, this is the
-    radiosity (:func:`radiosity`): the two integrals are one.
+    ``radiance``: a function of unit vectors (n, 3) to (n,) or (n, channels). For radiance that leaves, this
+    is the radiosity (:func:`radiosity`): the two integrals are one.
     """
     directions, weights = hemisphere(azimuths, elevations)
     return np.tensordot(weights, radiance(directions), 1)
 
 
 def radiosity(radiance):
-    """Radiosity B [W m^-2], the power that leaves a surface per area: pi x radiance if that does not depend on direction.
+    """Radiosity B [W m^-2], the power that leaves a surface per area: pi x radiance if that does not depend
+    on direction.
 
-    ``radiance``: number or array; or a function of unit vectors, which is integrated over the exit hemisphere.
+    ``radiance``: number or array; or a function of unit vectors, which is integrated over the exit
+    hemisphere.
     """
     return irradiance(radiance) if callable(radiance) else np.pi * np.asarray(radiance)
 
@@ -109,35 +122,46 @@ def radiance_of_radiosity(radiosity):
 
 
 def directional_hemispheric(brdf, incoming, azimuths: int = 128, elevations: int = 64):
-    """Directional-hemispheric reflectance: the share of light from ``incoming`` that is reflected, whatever the direction.
+    """Directional-hemispheric reflectance: the share of light from ``incoming`` that is reflected, whatever
+    the direction.
 
-    rho_dh = integral of f(incoming, outgoing) cos(theta_o) domega_o over the exit hemisphere. ``brdf``: function [sr^-1] of
-    two arrays of unit vectors (..., 3) about (0, 0, 1) that broadcast, (...) out. ``incoming`` (..., 3); returns (...).
+    rho_dh = integral of f(incoming, outgoing) cos(theta_o) domega_o over the exit hemisphere. ``brdf``:
+    function [sr^-1] of two arrays of unit vectors (..., 3) about (0, 0, 1) that broadcast, (...) out.
+    ``incoming`` (..., 3); returns (...).
     """
     incoming = np.asarray(incoming, float)
     directions, weights = hemisphere(azimuths, elevations)
     flat = incoming.reshape(-1, 3)
-    return np.array([brdf(np.broadcast_to(one, directions.shape), directions) @ weights for one in flat]).reshape(incoming.shape[:-1])
+    return np.array(
+        [brdf(np.broadcast_to(one, directions.shape), directions) @ weights for one in flat]
+    ).reshape(incoming.shape[:-1])
 
 
-# -- photometric units -------------------------------------------------------------------------------------------------------
+# -- photometric units
+# -------------------------------------------------------------------------------------------------------
 
 
 def lumens(watts, efficiency=1.0):
-    """Luminous flux [lm] of a radiant flux [W]: 683 lm/W x ``efficiency``, the mean of the eye's V(lambda) over the spectrum.
+    """Luminous flux [lm] of a radiant flux [W]: 683 lm/W x ``efficiency``, the mean of the eye's V(lambda)
+    over the spectrum.
 
-    By area the same turns W m^-2 into lux, by area and solid angle W m^-2 sr^-1 into cd m^-2. efficiency: 1 at 555 nm.
+    By area the same turns W m^-2 into lux, by area and solid angle W m^-2 sr^-1 into cd m^-2. efficiency: 1
+    at 555 nm.
     """
     return EFFICACY * np.asarray(watts) * _efficiency(efficiency)
 
 
 def watts(lumens, efficiency=1.0):
-    """Radiant flux [W] of a luminous flux [lm]; also lux to W m^-2 and cd m^-2 to W m^-2 sr^-1. See :func:`lumens`."""
+    """Radiant flux [W] of a luminous flux [lm]; also lux to W m^-2 and cd m^-2 to W m^-2 sr^-1. See
+    :func:`lumens`.
+    """
     return np.asarray(lumens) / (EFFICACY * _efficiency(efficiency))
 
 
 def intensity(radiance, area, cosine=1.0):
-    """Intensity I [W sr^-1, cd] of a small flat source: radiance x foreshortened area. A sphere shows pi R^2 to every side."""
+    """Intensity I [W sr^-1, cd] of a small flat source: radiance x foreshortened area. A sphere shows pi R^2
+    to every side.
+    """
     return np.asarray(radiance) * area * cosine
 
 
@@ -147,11 +171,12 @@ def point_irradiance(intensity, cosine, distance):
 
 
 def point_error(size, distance, shape: str = "disc"):
-    """Relative error of :func:`point_irradiance` for a source of radius ``size``, seen face on, wholly above the horizon.
+    """Relative error of :func:`point_irradiance` for a source of radius ``size``, seen face on, wholly above
+    the horizon.
 
-    shape "disc": (R / r)^2, since a Lambertian disc gives pi L R^2 / (r^2 + R^2). "sphere": 0, since pi L (R / r)^2 is
-    exact at any distance; what a sphere needs a size for is its penumbra, sin(half angle) = R / r. The rule of thumb
-    "five times its diameter" leaves a disc 1 %.
+    shape "disc": (R / r)^2, since a Lambertian disc gives pi L R^2 / (r^2 + R^2). "sphere": 0, since pi L (R
+    / r)^2 is exact at any distance; what a sphere needs a size for is its penumbra, sin(half angle) = R / r.
+    The rule of thumb "five times its diameter" leaves a disc 1 %.
     """
     if shape not in ("disc", "sphere"):
         raise bad("point_error: shape", repr(shape), "disc | sphere")
@@ -162,7 +187,9 @@ def point_error(size, distance, shape: str = "disc"):
 
 
 def point_distance(size, tolerance):
-    """How far away a disc of radius ``size`` may be taken for a point within a relative error of ``tolerance``: size / sqrt(tolerance)."""
+    """How far away a disc of radius ``size`` may be taken for a point within a relative error of
+    ``tolerance``: size / sqrt(tolerance).
+    """
     return np.asarray(size) / np.sqrt(np.asarray(tolerance, float))
 
 
@@ -173,7 +200,8 @@ def _efficiency(value):
     return value
 
 
-# -- closed forms over finite sources ----------------------------------------------------------------------------------------
+# -- closed forms over finite sources
+# ----------------------------------------------------------------------------------------
 
 
 def rectangle_solid_angle(u0, u1, v0, v1, distance):
@@ -189,11 +217,13 @@ def rectangle_solid_angle(u0, u1, v0, v1, distance):
 
 
 def polygon_moment(corners):
-    """Integral of L dOmega [sr] over flat polygons seen from the origin, L the unit vector towards the polygon.
+    """Integral of L dOmega [sr] over flat polygons seen from the origin, L the unit vector towards the
+    polygon.
 
-    ``corners``: (..., n, 3), in either sense of rotation; returns (..., 3). Lambert's formula: half the sum over the
-    edges of the edge's angle times the unit normal of the plane through edge and eye. For a surface element of unit
-    normal N, with the polygon wholly above its tangent plane, N . moment / pi is the polygon's view factor.
+    ``corners``: (..., n, 3), in either sense of rotation; returns (..., 3). Lambert's formula: half the sum
+    over the edges of the edge's angle times the unit normal of the plane through edge and eye. For a surface
+    element of unit normal N, with the polygon wholly above its tangent plane, N . moment / pi is the
+    polygon's view factor.
     """
     a = np.asarray(corners, float)
     b = np.roll(a, -1, axis=-2)
@@ -207,11 +237,13 @@ def polygon_moment(corners):
 
 
 def disc_moment(axis, sine, above=None):
-    """Integral of L dOmega [sr] over a disc of directions, such as a sphere covers: the cone about the unit vector ``axis``.
+    """Integral of L dOmega [sr] over a disc of directions, such as a sphere covers: the cone about the unit
+    vector ``axis``.
 
-    ``sine`` of the cone's half angle, below 1: radius / distance of a sphere's centre. ``above``: unit normal of a plane
-    through the eye; only the part on its side counts (a half-set sphere, the penumbra of a straight edge). axis and above
-    (..., 3), sine (...); returns (..., 3). Half the integral of L x dL round the rim: the circle's arc, and the plane's.
+    ``sine`` of the cone's half angle, below 1: radius / distance of a sphere's centre. ``above``: unit normal
+    of a plane through the eye; only the part on its side counts (a half-set sphere, the penumbra of a
+    straight edge). axis and above (..., 3), sine (...); returns (..., 3). Half the integral of L x dL round
+    the rim: the circle's arc, and the plane's.
     """
     axis, sine = np.asarray(axis, float), np.asarray(sine, float)[..., None]
     if above is None:
@@ -222,6 +254,8 @@ def disc_moment(axis, sine, above=None):
     towards = above - height * axis  # across the axis, to the side that counts
     width = np.linalg.norm(towards, axis=-1, keepdims=True)
     towards = towards / np.where(width > 0, width, 1)
-    arc = np.arccos(np.clip(-height * cosine / np.maximum(width * sine, 1e-300), -1, 1))  # half of what is left of the circle
+    arc = np.arccos(
+        np.clip(-height * cosine / np.maximum(width * sine, 1e-300), -1, 1)
+    )  # half of what is left of the circle
     chord = 2 * np.arcsin(np.clip(sine * np.sin(arc), -1, 1))  # the plane's arc between its two ends
     return arc * sine**2 * axis - cosine * sine * np.sin(arc) * towards + chord / 2 * above

@@ -1,9 +1,10 @@
 """Reflectance: what a surface makes of the light that it gets (MODEL.md 6; the notes on radiometry).
 
-A BRDF f [sr^-1] is the ratio of outgoing radiance to incident irradiance. Here directions are unit vectors (..., 3) in the
-surface's own frame: z along the normal, x along the map's columns and y along its rows, both within the surface. A
-reflectance is energy-bounded if its directional-hemispheric reflectance, the integral of f cos(theta_o), is at most 1 for
-every incoming direction, and reciprocal (Helmholtz) if f(incoming, outgoing) = f(outgoing, incoming).
+A BRDF f [sr^-1] is the ratio of outgoing radiance to incident irradiance. Here directions are unit vectors
+(..., 3) in the surface's own frame: z along the normal, x along the map's columns and y along its rows, both
+within the surface. A reflectance is energy-bounded if its directional-hemispheric reflectance, the integral
+of f cos(theta_o), is at most 1 for every incoming direction, and reciprocal (Helmholtz) if f(incoming,
+outgoing) = f(outgoing, incoming).
 """
 
 from __future__ import annotations
@@ -13,9 +14,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from .checks import at, real_array
 from .errors import bad
 from .radiometry import directional_hemispheric
-from .checks import at, real_array
 
 BOUND = 1e-3  # by which a reflectance may seem to give more than it gets: the numeric integral's own error
 MOST_EXPONENT = 1e5  # a lobe half a degree wide; beyond it a mirror
@@ -41,14 +42,14 @@ class Lambertian:
 
 @dataclass(frozen=True, eq=False)
 class Phong:
-    """Lambertian and a lobe about the mirror direction: L = albedo E / pi + specular (n + 2) / (2 pi) x the integral of
-    B cos^n(angle to the mirror direction) cos(theta_i) domega.
+    """Lambertian and a lobe about the mirror direction: L = albedo E / pi + specular (n + 2) / (2 pi) x the
+    integral of B cos^n(angle to the mirror direction) cos(theta_i) domega.
 
     Parameters
     ----------
     albedo, specular : number; (rows, cols); RGB as (3,) or (rows, cols, 3)
-        Diffuse and specular albedo, each >= 0, their sum at most 1: then it is bounded, since the lobe is normalised for
-        light along the normal and gives less from elsewhere. It is reciprocal.
+        Diffuse and specular albedo, each >= 0, their sum at most 1: then it is bounded, since the lobe is
+        normalised for light along the normal and gives less from elsewhere. It is reciprocal.
     exponent : float, 0 to 1e5
         n: the larger, the narrower the lobe, of half width about sqrt(2 / n) rad.
     """
@@ -64,7 +65,12 @@ class Phong:
         except (TypeError, ValueError):
             exponent = np.nan
         if not 0 <= exponent <= MOST_EXPONENT:
-            raise bad("Phong: exponent", repr(self.exponent), f"a number from 0 to {MOST_EXPONENT:g}", "For a narrower lobe use Mirror.")
+            raise bad(
+                "Phong: exponent",
+                repr(self.exponent),
+                f"a number from 0 to {MOST_EXPONENT:g}",
+                "For a narrower lobe use Mirror.",
+            )
         object.__setattr__(self, "exponent", exponent)
 
     @property
@@ -78,7 +84,9 @@ class Phong:
         return float(1 / np.sqrt(self.exponent + 1))
 
     def rim(self, lost: float) -> float:
-        """1 - cosine of the angle from the mirror direction within which all but a share ``lost`` of the lobe's light lies."""
+        """1 - cosine of the angle from the mirror direction within which all but a share ``lost`` of the
+        lobe's light lies.
+        """
         return float(1 - lost ** (1 / (self.exponent + 1)))
 
     def table(self, rim: float) -> np.ndarray:
@@ -88,16 +96,20 @@ class Phong:
     def brdf(self, incoming, outgoing):
         """f [sr^-1]: (..., 3), (..., 3) -> (...); the albedos must be numbers."""
         incoming, outgoing = np.asarray(incoming, float), np.asarray(outgoing, float)
-        cosine = np.maximum(0.0, (incoming * outgoing * [-1, -1, 1]).sum(-1))  # of the angle to the mirror direction
+        cosine = np.maximum(
+            0.0, (incoming * outgoing * [-1, -1, 1]).sum(-1)
+        )  # of the angle to the mirror direction
         lobe = _number(self.specular, "specular") * self.norm * cosine**self.exponent * (cosine > 0)
         return _above(incoming, outgoing) * (_number(self.albedo, "albedo") / np.pi + lobe)
 
 
 @dataclass(frozen=True, eq=False)
 class Mirror:
-    """Ideal mirror: a pixel shows ``specular`` x the radiance along its mirror direction, if nothing stands there; and a Lambertian part.
+    """Ideal mirror: a pixel shows ``specular`` x the radiance along its mirror direction, if nothing stands
+    there; and a Lambertian part.
 
-    Its f is no function but a delta; as a mapping of rays it is reciprocal, and bounded for albedo + specular <= 1.
+    Its f is no function but a delta; as a mapping of rays it is reciprocal, and bounded for albedo + specular
+    <= 1.
     """
 
     specular: float | np.ndarray = 1.0
@@ -111,9 +123,10 @@ class Mirror:
 class BRDF:
     """Any reflectance, given as a function f(incoming, outgoing) [sr^-1] of two arrays (..., 3) -> (...).
 
-    Its directional-hemispheric reflectance is integrated numerically for incoming directions all over the hemisphere; an
-    InputError says where it gives more than it gets, and by how much. ``largest`` is the largest that was found.
-    ``asymmetry``: the largest |f(i, o) - f(o, i)| over the largest f, near 0 where f is reciprocal.
+    Its directional-hemispheric reflectance is integrated numerically for incoming directions all over the
+    hemisphere; an InputError says where it gives more than it gets, and by how much. ``largest`` is the
+    largest that was found. ``asymmetry``: the largest |f(i, o) - f(o, i)| over the largest f, near 0 where f
+    is reciprocal.
     """
 
     function: Callable[[np.ndarray, np.ndarray], np.ndarray]
@@ -123,30 +136,54 @@ class BRDF:
 
     def __post_init__(self):
         if not callable(self.function):
-            raise bad("BRDF", type(self.function).__name__, "a function of two arrays of unit vectors (..., 3)")
-        theta, phi = np.meshgrid(np.radians([0, 10, 20, 30, 40, 50, 60, 70, 80, 85]), 2 * np.pi * (np.arange(8) + 0.25) / 8, indexing="ij")
-        incoming = np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)], -1).reshape(-1, 3)
+            raise bad(
+                "BRDF", type(self.function).__name__, "a function of two arrays of unit vectors (..., 3)"
+            )
+        theta, phi = np.meshgrid(
+            np.radians([0, 10, 20, 30, 40, 50, 60, 70, 80, 85]),
+            2 * np.pi * (np.arange(8) + 0.25) / 8,
+            indexing="ij",
+        )
+        incoming = np.stack(
+            [np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)], -1
+        ).reshape(-1, 3)
         found = directional_hemispheric(self.brdf, incoming)
         worst = int(found.argmax())
         if found[worst] > 1 + BOUND:
-            raise bad("BRDF: gives more than it gets", f"a directional-hemispheric reflectance of {found[worst]:.4g} for light from {incoming[worst].round(3).tolist()}",
-                      "at most 1 for every incoming direction", f"Divide it by {found[worst]:.4g} or more.")
+            raise bad(
+                "BRDF: gives more than it gets",
+                f"a directional-hemispheric reflectance of {found[worst]:.4g} for light from"
+                f" {incoming[worst].round(3).tolist()}",
+                "at most 1 for every incoming direction",
+                f"Divide it by {found[worst]:.4g} or more.",
+            )
         a, b = incoming[:, None], incoming[None]
         shape = (len(incoming),) * 2 + (3,)
         values = self.brdf(np.broadcast_to(a, shape), np.broadcast_to(b, shape))
         object.__setattr__(self, "largest", float(found[worst]))
-        object.__setattr__(self, "asymmetry", float(np.abs(values - values.T).max() / max(values.max(), 1e-300)))
+        object.__setattr__(
+            self, "asymmetry", float(np.abs(values - values.T).max() / max(values.max(), 1e-300))
+        )
 
     def brdf(self, incoming, outgoing):
         """f [sr^-1], checked: (..., 3), (..., 3) -> (...); 0 where a direction lies below the surface."""
         incoming, outgoing = np.broadcast_arrays(np.asarray(incoming, float), np.asarray(outgoing, float))
         values = np.asarray(self.function(incoming.copy(), outgoing.copy()))
         if values.dtype.kind not in "iuf" or values.shape not in ((), incoming.shape[:-1]):
-            raise bad("BRDF function: wrong result", f"dtype {values.dtype}, shape {values.shape} for directions {incoming.shape}", f"real numbers of shape {incoming.shape[:-1]}")
+            raise bad(
+                "BRDF function: wrong result",
+                f"dtype {values.dtype}, shape {values.shape} for directions {incoming.shape}",
+                f"real numbers of shape {incoming.shape[:-1]}",
+            )
         values = np.where(_above(incoming, outgoing), values, 0.0)
         if not (values >= 0).all() or not np.isfinite(values).all():
             wrong = ~((values >= 0) & np.isfinite(values))
-            raise bad("BRDF function", f"{values[wrong][0]} for {incoming[wrong][0].round(3).tolist()} to {outgoing[wrong][0].round(3).tolist()}", "finite values >= 0")
+            raise bad(
+                "BRDF function",
+                f"{values[wrong][0]} for {incoming[wrong][0].round(3).tolist()} to"
+                f" {outgoing[wrong][0].round(3).tolist()}",
+                "finite values >= 0",
+            )
         return values
 
 
@@ -154,19 +191,25 @@ Reflectance = Lambertian | Phong | Mirror | BRDF
 
 
 def grooves(white: float = 0.9, black: float = 0.0, steepness: float = 45.0) -> BRDF:
-    """The notes' example of a reflectance that varies sharply: fine triangular grooves along y, white on one face and black on the other.
+    """The notes' example of a reflectance that varies sharply: fine triangular grooves along y, white on one
+    face and black on the other.
 
-    The white faces look towards -x and the black ones towards +x, each ``steepness`` [degrees] from level and Lambertian with
-    the given albedo; light that goes from face to face is left out. A face is lit, and seen, from its upper edge down to
-    where the opposite edge hides it, so f is reciprocal.
+    The white faces look towards -x and the black ones towards +x, each ``steepness`` [degrees] from level and
+    Lambertian with the given albedo; light that goes from face to face is left out. A face is lit, and seen,
+    from its upper edge down to where the opposite edge hides it, so f is reciprocal.
     """
-    white, black = _number(share(white, "grooves: white"), "white"), _number(share(black, "grooves: black"), "black")
+    white, black = (
+        _number(share(white, "grooves: white"), "white"),
+        _number(share(black, "grooves: black"), "black"),
+    )
     if not 0 < steepness < 90:
         raise bad("grooves: steepness", steepness, "between 0 and 90 degrees")
     rise = np.tan(np.radians(steepness))
 
     def shows(w):
-        """Cosine to the white face's normal, over cos(steepness), and the share of the face that rays from w meet."""
+        """Cosine to the white face's normal, over cos(steepness), and the share of the face that rays from w
+        meet.
+        """
         x, z = w[..., 0], np.maximum(w[..., 2], 1e-12)
         facing = np.maximum(0.0, z - rise * x)
         return facing, np.where(x < 0, np.minimum(1.0, 2 * z / (rise * np.abs(x) + z)), 1.0)
@@ -175,44 +218,68 @@ def grooves(white: float = 0.9, black: float = 0.0, steepness: float = 45.0) -> 
         total = 0.0
         for albedo, way in ((white, [1, 1, 1]), (black, [-1, 1, 1])):
             (a, lit), (b, seen) = shows(incoming * way), shows(outgoing * way)
-            # half of the level area lies under each face, which is larger by 1 / cos and whose two cosines are cos x a, cos x b
-            total = total + albedo / np.pi * 0.5 * np.cos(np.radians(steepness)) * a * b * np.minimum(lit, seen)
+            # half of the level area lies under each face, which is larger by 1 / cos and whose two cosines
+            # are cos x a, cos x b
+            total = total + albedo / np.pi * 0.5 * np.cos(np.radians(steepness)) * a * b * np.minimum(
+                lit, seen
+            )
         return total / (np.maximum(incoming[..., 2], 1e-12) * np.maximum(outgoing[..., 2], 1e-12))
 
     return BRDF(function)
 
 
 def phong_printed(irradiance, radiance, offset, albedo=0.5, specular=0.3, exponent=20.0):
-    """The notes' last formula as printed: rho_d E + rho_s L(theta_s) cos^n(theta_s - theta_o), for comparison.
+    """The notes' last formula as printed: rho_d E + rho_s L(theta_s) cos^n(theta_s - theta_o), for
+    comparison.
 
-    ``irradiance`` E, ``radiance`` L of the source in the specular direction, ``offset`` theta_s - theta_o [rad]. It is
-    neither normalised nor reciprocal: it lacks the 1 / pi of a Lambertian surface, so that an albedo above 1 / pi gives more
-    than it gets, and its lobe reflects a share that depends on n and has no cos(theta_i). Use :class:`Phong`.
+    ``irradiance`` E, ``radiance`` L of the source in the specular direction, ``offset`` theta_s - theta_o
+    [rad]. It is neither normalised nor reciprocal: it lacks the 1 / pi of a Lambertian surface, so that an
+    albedo above 1 / pi gives more than it gets, and its lobe reflects a share that depends on n and has no
+    cos(theta_i). Use :class:`Phong`.
     """
-    return albedo * np.asarray(irradiance) + specular * np.asarray(radiance) * np.maximum(0.0, np.cos(offset)) ** exponent
+    return (
+        albedo * np.asarray(irradiance)
+        + specular * np.asarray(radiance) * np.maximum(0.0, np.cos(offset)) ** exponent
+    )
 
 
 def mirror_directions(tilt_x, tilt_y):
     """Where a viewer along (0, 0, 1) looks by way of the surface: unit vectors (..., 3) from dz/dx and dz/dy.
 
-    R = 2 (N.V) N - V with V = (0, 0, -1) towards the viewer; R_z > 0, below the level, where the surface is steeper than 45 degrees.
+    R = 2 (N.V) N - V with V = (0, 0, -1) towards the viewer; R_z > 0, below the level, where the surface is
+    steeper than 45 degrees.
     """
     square = 1 + tilt_x * tilt_x + tilt_y * tilt_y
     return np.stack([2 * tilt_x / square, 2 * tilt_y / square, 1 - 2 / square], -1)
 
 
 def frames(tilt_x, tilt_y):
-    """(..., 3, 3): the surface's axes as rows, in the map's coordinates: x within the surface along columns, y, normal."""
-    normal = np.stack([tilt_x, tilt_y, -np.ones_like(tilt_x)], -1) / np.sqrt(1 + tilt_x**2 + tilt_y**2)[..., None]
-    along = np.stack([np.ones_like(tilt_x), np.zeros_like(tilt_x), tilt_x], -1) / np.sqrt(1 + tilt_x**2)[..., None]
+    """(..., 3, 3): the surface's axes as rows, in the map's coordinates: x within the surface along columns,
+    y, normal.
+    """
+    normal = (
+        np.stack([tilt_x, tilt_y, -np.ones_like(tilt_x)], -1) / np.sqrt(1 + tilt_x**2 + tilt_y**2)[..., None]
+    )
+    along = (
+        np.stack([np.ones_like(tilt_x), np.zeros_like(tilt_x), tilt_x], -1)
+        / np.sqrt(1 + tilt_x**2)[..., None]
+    )
     return np.stack([along, np.cross(along, normal), normal], -2)
 
 
 def share(values, what: str):
-    """A reflectance between 0 and 1 as a float or a float32 array: a number, (rows, cols), (3,) or (rows, cols, 3)."""
+    """A reflectance between 0 and 1 as a float or a float32 array: a number, (rows, cols), (3,) or (rows,
+    cols, 3).
+    """
     array = real_array(values, what, None)
-    if array.ndim > 3 or (array.ndim == 1 and array.shape != (3,)) or (array.ndim == 3 and array.shape[2] != 3):
-        raise bad(f"{what}: wrong shape", array.shape, "a number, (rows, cols), or RGB as (3,) or (rows, cols, 3)")
+    if (
+        array.ndim > 3
+        or (array.ndim == 1 and array.shape != (3,))
+        or (array.ndim == 3 and array.shape[2] != 3)
+    ):
+        raise bad(
+            f"{what}: wrong shape", array.shape, "a number, (rows, cols), or RGB as (3,) or (rows, cols, 3)"
+        )
     if not array.ndim:
         if not 0 <= array <= 1:
             raise bad(f"{what}: out of range", float(array), "finite, 0 to 1")
@@ -223,17 +290,27 @@ def share(values, what: str):
 
 
 def fit(reflectance: Reflectance, shape: tuple[int, int], valid: np.ndarray) -> None:
-    """InputError unless the maps of ``reflectance`` fit a scene of this shape and are bounded where it is valid."""
+    """InputError unless the maps of ``reflectance`` fit a scene of this shape and are bounded where it is
+    valid.
+    """
     total = 0.0
     for name in ("albedo", "specular"):
         values = np.asarray(getattr(reflectance, name, 0.0), float)
         if values.ndim >= 2 and values.shape[:2] != shape:
-            raise bad(f"{name}: wrong shape", values.shape, f"a number, an array of shape {shape}, or RGB as (3,) or {(*shape, 3)}")
+            raise bad(
+                f"{name}: wrong shape",
+                values.shape,
+                f"a number, an array of shape {shape}, or RGB as (3,) or {(*shape, 3)}",
+            )
         wrong = ~((values >= 0) & (values <= 1))
         if values.ndim >= 2:
             wrong &= valid if values.ndim == 2 else valid[..., None]
         if wrong.any():
-            raise bad(f"{name}: out of range" + (f" {at(wrong)}" if values.ndim >= 2 else ""), values[wrong].flat[0], "finite, 0 to 1")
+            raise bad(
+                f"{name}: out of range" + (f" {at(wrong)}" if values.ndim >= 2 else ""),
+                values[wrong].flat[0],
+                "finite, 0 to 1",
+            )
         total = total + (values if values.ndim in (0, 1, 3) else values[..., None])
     total = np.where(valid[..., None], total, 0.0) if np.ndim(total) == 3 else total
     bounded(total)
@@ -242,12 +319,18 @@ def fit(reflectance: Reflectance, shape: tuple[int, int], valid: np.ndarray) -> 
 def bounded(total) -> None:
     worst = float(np.max(total))
     if worst > 1 + 1e-6:
-        raise bad("albedo + specular: gives more than it gets", f"{worst:.6g}, {worst - 1:.3g} too much", "a sum of at most 1")
+        raise bad(
+            "albedo + specular: gives more than it gets",
+            f"{worst:.6g}, {worst - 1:.3g} too much",
+            "a sum of at most 1",
+        )
 
 
 def _shares(reflectance):
     for name in ("albedo", "specular"):
-        object.__setattr__(reflectance, name, share(getattr(reflectance, name), f"{type(reflectance).__name__}: {name}"))
+        object.__setattr__(
+            reflectance, name, share(getattr(reflectance, name), f"{type(reflectance).__name__}: {name}")
+        )
     values = [np.asarray(getattr(reflectance, name), float) for name in ("albedo", "specular")]
     if all(v.ndim < 2 for v in values):  # maps are checked in their scene, where it is known what is masked
         if not all((v >= 0).all() and (v <= 1).all() for v in values):

@@ -10,31 +10,35 @@ from functools import cached_property
 import numpy as np
 
 from . import shading, sources
-from .sources import cie as skies
 from .arrays import labelled
 from .backends.base import Backend
-from .light.propagation import Problem
-from .light.sweeps import FINE, Rays, Sweeps
-from .light.slices import MOST, SLICES, Slices, blurred, brightness_of
-from .sources.solids import Dome
-from .sources.integrals import Integrals, chords
+from .checks import one_of, positive_number
 from .directions import Azimuths, Hemicube
 from .errors import bad
-from .light.sweeps import engine_of, ground_of
 from .light import propagation, unoccluded
 from .light.lattice import ERRORS, lacking
-from .light.slices import KNOTS, TURNS, widened
+from .light.propagation import Problem
+from .light.slices import KNOTS, MOST, SLICES, TURNS, Slices, blurred, brightness_of, widened
+from .light.sweeps import FINE, Rays, Sweeps, engine_of, ground_of
 from .refinement import Plan, Refined, refined, solid_of, upright
 from .reflectance import BRDF
 from .scene import Scene, is_scene
-from .checks import one_of, positive_number
+from .sources import cie as skies
+from .sources.integrals import Integrals, chords
+from .sources.solids import Dome
 
 METHODS = ("auto", "lattice", "horizon", "unoccluded")
 QUANTITIES = ("radiance", "irradiance")
 FAR = 1e5  # extents of the map at which the sun stands: a hundred-thousandth of a radian across it
 BOX = 4  # nodes round a node over which the error map is a mean: halves tell of regions, not of nodes
-MAP = np.float32(1.25)  # what the error map is more than the RMS error; chosen: with it 84, 93 and 95 % of all nodes keep to one, two and three times the map (performance/refinement.py)
-COARSE = 1.2  # half widths of a lobe between directions, from which on its sum may be too large by 1 in a thousand
+MAP = np.float32(
+    1.25
+    # what the error map is more than the RMS error; chosen: with it 84, 93 and 95 % of all nodes keep to one, two
+    # and three times the map (performance/refinement.py)
+)
+COARSE = (
+    1.2  # half widths of a lobe between directions, from which on its sum may be too large by 1 in a thousand
+)
 LEAK_SLOPE = 0.7  # rms slope from which the unfilled step leaks from M = 7 on (README, Limits)
 REPEATED_LOBE = "a lobe over a map that repeats"
 
@@ -43,9 +47,9 @@ REPEATED_LOBE = "a lobe over a map that repeats"
 class Rendering:
     """What render() gives.
 
-    image (rows, cols) float32, or (rows, cols, 3) in colour, nan where masked, an xarray.DataArray if the scene was made from one;
-    plan; backend (its name); seconds of the call without compiling,
-    compile_seconds; warnings (one sentence each). error: see there.
+    image (rows, cols) float32, or (rows, cols, 3) in colour, nan where masked, an xarray.DataArray if the
+    scene was made from one; plan; backend (its name); seconds of the call without compiling, compile_seconds;
+    warnings (one sentence each). error: see there.
     """
 
     image: np.ndarray
@@ -60,11 +64,13 @@ class Rendering:
 
     @cached_property
     def error(self) -> np.ndarray | None:
-        """Estimated error of every node, in the unit of image and of its shape, nan where masked; None where no tolerance was asked.
+        """Estimated error of every node, in the unit of image and of its shape, nan where masked; None where
+        no tolerance was asked.
 
-        The root mean square, over 9 x 9 nodes, of half the difference of the image's two halves, times the share of it that is
-        error, and besides what both halves share. It shows regions, not nodes: of nodes, 84, 93 and 95 % were within one, two and three times it
-        on random scenes. What a lobe or a mirror adds has no part in it.
+        The root mean square, over 9 x 9 nodes, of half the difference of the image's two halves, times the
+        share of it that is error, and besides what both halves share. It shows regions, not nodes: of nodes,
+        84, 93 and 95 % were within one, two and three times it on random scenes. What a lobe or a mirror adds
+        has no part in it.
         """
         if not self._parts:
             return None
@@ -72,27 +78,41 @@ class Rendering:
         return labelled(_image(self._scene, spread, [], self._quantity), self._scene.labels)
 
 
-def render(scene: Scene, source: sources.Source, method: str = "auto", tolerance: float = 0.01, backend: str = "auto",
-           quantity: str = "radiance", *, hemicube: int | Hemicube | None = None, filled: bool | None = None,
-           weights: str = "moment", azimuths: int | Azimuths | None = None, max_distance: float | None = None, tail: float | None = None) -> Rendering:
+def render(
+    scene: Scene,
+    source: sources.Source,
+    method: str = "auto",
+    tolerance: float = 0.01,
+    backend: str = "auto",
+    quantity: str = "radiance",
+    *,
+    hemicube: int | Hemicube | None = None,
+    filled: bool | None = None,
+    weights: str = "moment",
+    azimuths: int | Azimuths | None = None,
+    max_distance: float | None = None,
+    tail: float | None = None,
+) -> Rendering:
     """The image of ``scene`` under ``source``, seen orthographically along +z (Langer and Zucker, Eq. 3).
 
-    In colour, (rows, cols, 3), where the source's brightness or the scene's reflectance is; each channel is what a grey
-    render of it gives, bit for bit. To rho E / pi comes what the scene's reflectance adds: the integral of
-    f B cos(theta_i) over the visible directions, f a lobe or any BRDF, or what an ideal mirror shows.
+    In colour, (rows, cols, 3), where the source's brightness or the scene's reflectance is; each channel is
+    what a grey render of it gives, bit for bit. To rho E / pi comes what the scene's reflectance adds: the
+    integral of f B cos(theta_i) over the visible directions, f a lobe or any BRDF, or what an ideal mirror
+    shows.
 
     Parameters
     ----------
     scene, source : Scene; Sky, Lamp or Window
     method : "auto", "lattice", "horizon" or "unoccluded"
-        ``auto``: begun as :func:`skylamp.plan` says and refined until the estimate of its error, over all nodes, and exact rays at some
-        hundred samples are within ``tolerance``. ``lattice``: the paper's
-        directions on a hemicube (9 unless given). ``horizon``: the source above the horizon of every node in a number of
-        azimuths (64 unless given; for lamps and windows, slices through the source as every node sees it).
-        ``unoccluded``: closed forms from the normals, as if ground hid nothing but what lies below each node's own tangent
-        plane; the brightness of a lamp or window is that towards its middle.
+        ``auto``: begun as :func:`skylamp.plan` says and refined until the estimate of its error, over all
+        nodes, and exact rays at some hundred samples are within ``tolerance``. ``lattice``: the paper's
+        directions on a hemicube (9 unless given). ``horizon``: the source above the horizon of every node in
+        a number of azimuths (64 unless given; for lamps and windows, slices through the source as every node
+        sees it). ``unoccluded``: closed forms from the normals, as if ground hid nothing but what lies below
+        each node's own tangent plane; the brightness of a lamp or window is that towards its middle.
     tolerance, tail : float
-        Of ``auto``: relative RMS error of the irradiance, that over all valid nodes divided by the mean over the lit ones, and a bound on the
+        Of ``auto``: relative RMS error of the irradiance, that over all valid nodes divided by the mean over
+        the lit ones, and a bound on the
         99.9th percentile of the relative error, ten tolerances unless given.
     backend : str
         See :func:`skylamp.backends`.
@@ -103,11 +123,11 @@ def render(scene: Scene, source: sources.Source, method: str = "auto", tolerance
     filled : bool
         Test every crossing of a ray with a grid line, not the lattice nodes alone (the paper's step).
     weights : "moment" or "printed"
-        Each cell's integral of N.L dL (exact where the cell is wholly visible and above the tangent plane), or
-        N.L of its node times its solid angle, as Eq. 3 is printed.
+        Each cell's integral of N.L dL (exact where the cell is wholly visible and above the tangent plane),
+        or N.L of its node times its solid angle, as Eq. 3 is printed.
     azimuths : int or Azimuths
-        Of horizons. Under a sky whose brightness is very uneven in azimuth, such as one with a sun, a number of azimuths
-        is placed half evenly, half by brightness.
+        Of horizons. Under a sky whose brightness is very uneven in azimuth, such as one with a sun, a number
+        of azimuths is placed half evenly, half by brightness.
     max_distance : float [unit of spacing]
         Of horizons under a sky: ground farther away does not count; the whole map does unless given.
 
@@ -132,16 +152,30 @@ def render(scene: Scene, source: sources.Source, method: str = "auto", tolerance
     lattice = hemicube is not None or filled is not None or weights != "moment"
     horizon = azimuths is not None or max_distance is not None
     if horizon and (lattice or method == "lattice"):
-        raise bad("render: arguments of two methods", "azimuths or max_distance with the lattice's", "azimuths and max_distance with method='horizon'; hemicube, filled and weights with 'lattice'")
+        raise bad(
+            "render: arguments of two methods",
+            "azimuths or max_distance with the lattice's",
+            "azimuths and max_distance with method='horizon'; hemicube, filled and weights with 'lattice'",
+        )
     if method == "horizon" and lattice:
         raise bad("method 'horizon' with hemicube, filled or weights", "both", "azimuths and max_distance")
     if method == "unoccluded" and (lattice or horizon):
-        raise bad("method 'unoccluded' with arguments of another", "both", "neither azimuths and max_distance nor hemicube, filled and weights")
+        raise bad(
+            "method 'unoccluded' with arguments of another",
+            "both",
+            "neither azimuths and max_distance nor hemicube, filled and weights",
+        )
     missing, lobe = lacking(scene, source), shading.lobe_of(scene) if quantity == "radiance" else None
     if scene.sides == "periodic" and lobe:
         missing = REPEATED_LOBE
     if missing and (method in ("horizon", "unoccluded") or horizon):
-        raise bad(f"method '{'horizon' if horizon else method}'", missing, "a sky, a rectangular window, or a lamp given by its centre and radius, the last two with sides='open' or 'dark'", "Use method='lattice'.")
+        raise bad(
+            f"method '{'horizon' if horizon else method}'",
+            missing,
+            "a sky, a rectangular window, or a lamp given by its centre and radius, the last two with"
+            " sides='open' or 'dark'",
+            "Use method='lattice'.",
+        )
     shines = lobe or _is_brdf(scene, quantity) or quantity == "radiance" and shading.has_mirror(scene)
     if method == "unoccluded" and shines:
         raise bad("method 'unoccluded'", type(scene.reflectance).__name__, "a Lambertian surface")
@@ -156,11 +190,18 @@ def render(scene: Scene, source: sources.Source, method: str = "auto", tolerance
         """Irradiances of all colours; where they differ by a factor alone, of one and times that factor."""
         alike = not any(callable(grey.brightness) for grey in greys)
         for grey in greys:
-            found = parts[0][0] if alike and parts else refined(scene, replace(grey, brightness=1.0) if alike else grey, tolerance, engine, tail)
+            found = (
+                parts[0][0]
+                if alike and parts
+                else refined(scene, replace(grey, brightness=1.0) if alike else grey, tolerance, engine, tail)
+            )
             parts.append((found, float(grey.brightness) if alike else 1.0))
             plans.append(found.plan)
             warnings.extend(text for text in found.warnings if text not in warnings)
-        return [found.irradiance if factor == 1.0 else found.irradiance * np.float32(factor) for found, factor in parts]
+        return [
+            found.irradiance if factor == 1.0 else found.irradiance * np.float32(factor)
+            for found, factor in parts
+        ]
 
     def irradiance(grey, azimuths=azimuths):
         image, plan = _asked(scene, grey, engine, method, azimuths, max_distance)
@@ -178,7 +219,17 @@ def render(scene: Scene, source: sources.Source, method: str = "auto", tolerance
             if not isinstance(source, sources.Sky):
                 return [], shading.by_brdf(scene, greys, engine, max_distance)
             sectors = azimuths if isinstance(azimuths, Azimuths) else Azimuths(azimuths or 64)
-            return [], shading.by_brdf_under_sky(scene, greys, Sweeps(engine, ground_of(scene, max_distance, engine), Rays(sectors.angles, sectors.widths), near=FINE).planes(), sectors)
+            return [], shading.by_brdf_under_sky(
+                scene,
+                greys,
+                Sweeps(
+                    engine,
+                    ground_of(scene, max_distance, engine),
+                    Rays(sectors.angles, sectors.widths),
+                    near=FINE,
+                ).planes(),
+                sectors,
+            )
         irradiances = []
         if _is_dull(scene, quantity) and planned:
             irradiances = within()
@@ -191,14 +242,28 @@ def render(scene: Scene, source: sources.Source, method: str = "auto", tolerance
         if sun is not None and not planned:
             plans[0] = replace(plans[0], reason=f"{plans[0].reason}; the sun's disc by itself")
         if lobe and isinstance(source, sources.Sky):
-            return irradiances, _each(greys, lambda grey: _gloss(scene, grey, engine, lobe, sun is not None, max_distance))
+            return irradiances, _each(
+                greys, lambda grey: _gloss(scene, grey, engine, lobe, sun is not None, max_distance)
+            )
         if lobe:
-            return irradiances, _each(greys, lambda grey: _lamp_lobe(scene, grey, engine, lobe, azimuths, warnings))
+            return irradiances, _each(
+                greys, lambda grey: _lamp_lobe(scene, grey, engine, lobe, azimuths, warnings)
+            )
         return irradiances, _mirrored(scene, greys, engine, quantity, max_distance)
 
     (irradiances, shown), seconds, compiling = timed(engine, light)
     image = labelled(_image(scene, irradiances, shown, quantity), scene.labels)
-    return Rendering(image, plans[0], engine.name, seconds, compiling, warnings, tuple(parts), scene if parts else None, quantity)
+    return Rendering(
+        image,
+        plans[0],
+        engine.name,
+        seconds,
+        compiling,
+        warnings,
+        tuple(parts),
+        scene if parts else None,
+        quantity,
+    )
 
 
 def _spread(found: Refined, scene: Scene) -> np.ndarray:
@@ -215,7 +280,9 @@ def _boxes(values, axis):
     """Sums over up to 2 BOX + 1 neighbours along an axis."""
     ends = np.concatenate([np.zeros_like(np.take(values, [0], axis)), np.cumsum(values, axis)], axis)
     at = np.arange(values.shape[axis])
-    return np.take(ends, np.minimum(at + BOX + 1, len(at)), axis) - np.take(ends, np.maximum(at - BOX, 0), axis)
+    return np.take(ends, np.minimum(at + BOX + 1, len(at)), axis) - np.take(
+        ends, np.maximum(at - BOX, 0), axis
+    )
 
 
 def _asked(scene, source, engine, method, azimuths, max_distance) -> tuple[np.ndarray, Plan]:
@@ -223,10 +290,16 @@ def _asked(scene, source, engine, method, azimuths, max_distance) -> tuple[np.nd
     is_sky = isinstance(source, sources.Sky)
     if method == "unoccluded":
         if is_sky:
-            image = unoccluded.sky(scene, Integrals(source) if callable(source.brightness) else float(source.brightness))
+            image = unoccluded.sky(
+                scene, Integrals(source) if callable(source.brightness) else float(source.brightness)
+            )
         else:
             solid = upright(solid_of(scene, source, 1 / scene.spacing, 1.0))
-            image = np.zeros(scene.shape, np.float32) if solid is None else unoccluded.image(scene, solid, source.brightness)
+            image = (
+                np.zeros(scene.shape, np.float32)
+                if solid is None
+                else unoccluded.image(scene, solid, source.brightness)
+            )
         return image.astype(np.float32, copy=False), Plan("unoccluded", None, None, "as asked")
     plan, sectors = _plan_of(scene, source, azimuths, max_distance)
     if is_sky:
@@ -236,14 +309,25 @@ def _asked(scene, source, engine, method, azimuths, max_distance) -> tuple[np.nd
             if profile is not None and not isinstance(azimuths, Azimuths):
                 sectors = Azimuths.placed(len(sectors), profile)
             table = Integrals(source, np.inf).table(sectors.angles, sectors.widths, 1025)
-        image = Sweeps(engine, ground_of(scene, max_distance, engine), Rays(sectors.angles, sectors.widths), table).irradiance(last=True)
-        return image if table is not None or source.brightness == 1 else image * np.float32(source.brightness), plan
-    brightness = chords(Integrals(sources.Sky(source.brightness), np.inf, True), TURNS, KNOTS) if callable(source.brightness) else float(source.brightness)
+        image = Sweeps(
+            engine, ground_of(scene, max_distance, engine), Rays(sectors.angles, sectors.widths), table
+        ).irradiance(last=True)
+        return (
+            image if table is not None or source.brightness == 1 else image * np.float32(source.brightness)
+        ), plan
+    brightness = (
+        chords(Integrals(sources.Sky(source.brightness), np.inf, True), TURNS, KNOTS)
+        if callable(source.brightness)
+        else float(source.brightness)
+    )
     slices, scale = _slices(scene, source, engine, plan.azimuths, brightness)
     if slices is None:
         return np.zeros(scene.shape, np.float32), plan
     slices.run()
-    return np.maximum(slices.download(), 0) * np.float32(scale), plan  # a difference of sums of brightness may round to less
+    return (
+        np.maximum(slices.download(), 0) * np.float32(scale),
+        plan,
+    )  # a difference of sums of brightness may round to less
 
 
 def _plan_of(scene, source, azimuths, max_distance) -> tuple[Plan, Azimuths | None]:
@@ -252,15 +336,30 @@ def _plan_of(scene, source, azimuths, max_distance) -> tuple[Plan, Azimuths | No
         sources.geometry(source, scene, 1.0)  # checks that they fit
     if not isinstance(source, sources.Sky):
         if max_distance is not None or isinstance(azimuths, Azimuths):
-            raise bad("method 'horizon' with a lamp or window", "max_distance, or azimuths of the caller's", "azimuths as a whole number: slices of a source that stands all round")
+            raise bad(
+                "method 'horizon' with a lamp or window",
+                "max_distance, or azimuths of the caller's",
+                "azimuths as a whole number: slices of a source that stands all round",
+            )
         most = MOST if azimuths is None else -(-len(Azimuths(azimuths)) // SLICES) * SLICES
-        return Plan("horizon", None, None, "slices through the source as every node sees it, fewer where it looks small", most), None
+        return (
+            Plan(
+                "horizon",
+                None,
+                None,
+                "slices through the source as every node sees it, fewer where it looks small",
+                most,
+            ),
+            None,
+        )
     sectors = azimuths if isinstance(azimuths, Azimuths) else Azimuths(64 if azimuths is None else azimuths)
     return Plan("horizon", None, None, "as asked", len(sectors), max_distance), sectors
 
 
 def _slices(scene, source, engine, most, brightness, lobe=None) -> tuple[Slices | None, float]:
-    """(azimuth slices placed within a lamp or window as every node sees it, what their light is to be multiplied by); None for a window outside the box."""
+    """(azimuth slices placed within a lamp or window as every node sees it, what their light is to be
+    multiplied by); None for a window outside the box.
+    """
     depth, step = scene.lattice()
     solid = solid_of(scene, source, step / scene.spacing, step)
     if solid is None:
@@ -270,7 +369,9 @@ def _slices(scene, source, engine, most, brightness, lobe=None) -> tuple[Slices 
 
 
 def _by_lattice(scene, source, greys, engine, cube, filled, weights, quantity, found) -> tuple[list, list]:
-    """(irradiances, what the surface shows besides) over the directions of a hemicube; warnings go into ``found``."""
+    """(irradiances, what the surface shows besides) over the directions of a hemicube; warnings go into
+    ``found``.
+    """
     found += warnings_of(scene, source, cube, filled)
     problem = lattice_problem(scene, source, cube, filled)
     brightness = np.stack([sources.radiance(grey, cube.directions) for grey in greys])
@@ -278,7 +379,10 @@ def _by_lattice(scene, source, greys, engine, cube, filled, weights, quantity, f
     lobe, shares, whole = shading.lobe_of(scene, 1e-6) if quantity == "radiance" else None, None, None
     if lobe:
         angles = cube.solid_angles * scene.reflectance.norm
-        shares, whole = (np.concatenate([np.broadcast_to(cube.directions, (*share.shape, 3)), share[..., None]], -1) for share in (brightness * angles, angles))
+        shares, whole = (
+            np.concatenate([np.broadcast_to(cube.directions, (*share.shape, 3)), share[..., None]], -1)
+            for share in (brightness * angles, angles)
+        )
         spacing = np.sqrt(2 * np.pi / len(cube))
         if spacing <= COARSE * lobe.spread:
             whole = None  # the sum is exact enough
@@ -286,7 +390,9 @@ def _by_lattice(scene, source, greys, engine, cube, filled, weights, quantity, f
             found.append(_narrow(lobe, spacing, "method='horizon' or a larger hemicube"))
     if _is_brdf(scene, quantity):
         return [], shading.by_brdf_on_lattice(scene, greys, propagation.visibility(engine, problem), cube)
-    irradiances, shown = propagation.light(engine, problem, moments * brightness[..., None], lobe, shares, whole)
+    irradiances, shown = propagation.light(
+        engine, problem, moments * brightness[..., None], lobe, shares, whole
+    )
     return irradiances, shown + _mirrored(scene, greys, engine, quantity, None)
 
 
@@ -296,7 +402,10 @@ def _gloss(scene, grey, engine, lobe, has_sun, max_distance):
     reach = np.inf if max_distance is None else max_distance * (step / scene.spacing)
     table, suns, flux = blurred(sources.without_disc(grey), lobe.spread)
     if has_sun:
-        suns, flux = np.concatenate([suns.reshape(-1, 3), [skies.towards(*grey.brightness.sun)]]), np.append(flux, grey.brightness.direct)
+        suns, flux = (
+            np.concatenate([suns.reshape(-1, 3), [skies.towards(*grey.brightness.sun)]]),
+            np.append(flux, grey.brightness.direct),
+        )
     slices = Slices(engine, depth, step, scene.sides, Dome(reach), table, lobe=lobe)
     slices.run()
     image = slices.download()
@@ -308,7 +417,9 @@ def _gloss(scene, grey, engine, lobe, has_sun, max_distance):
 def _lamp_lobe(scene, grey, engine, lobe, azimuths, found):
     """What a lobe makes of a lamp or window: (rows, cols) float32."""
     brightness = brightness_of(grey)
-    slices, scale = _slices(scene, grey, engine, _plan_of(scene, grey, azimuths, None)[0].azimuths, brightness, lobe)
+    slices, scale = _slices(
+        scene, grey, engine, _plan_of(scene, grey, azimuths, None)[0].azimuths, brightness, lobe
+    )
     if slices is None:
         return np.zeros(scene.shape, np.float32)
     slices.run()
@@ -321,9 +432,13 @@ def _lamp_lobe(scene, grey, engine, lobe, azimuths, found):
 
 
 def _image(scene: Scene, irradiances: list[np.ndarray], shown: list[np.ndarray], quantity: str) -> np.ndarray:
-    """What was asked for, made in place of irradiance and, per unit of specular albedo, of what the surface shows besides; a list has one array per colour."""
+    """What was asked for, made in place of irradiance and, per unit of specular albedo, of what the surface
+    shows besides; a list has one array per colour.
+    """
     if quantity == "radiance":
-        albedo, specular = (np.asarray(getattr(scene.reflectance, name, 1.0), np.float32) for name in ("albedo", "specular"))
+        albedo, specular = (
+            np.asarray(getattr(scene.reflectance, name, 1.0), np.float32) for name in ("albedo", "specular")
+        )
         count = max([len(irradiances), len(shown), *(3 for share in (albedo, specular) if _in_colour(share))])
         of = lambda arrays, n: arrays[n % len(arrays)].copy() if count > len(arrays) else arrays[n]
         channels = []
@@ -352,21 +467,33 @@ def _is_brdf(scene: Scene, quantity: str) -> bool:
 
 
 def _mirrored(scene, greys, engine, quantity, max_distance) -> list[np.ndarray]:
-    return shading.mirrored(scene, greys, engine, max_distance) if quantity == "radiance" and shading.has_mirror(scene) else []
+    return (
+        shading.mirrored(scene, greys, engine, max_distance)
+        if quantity == "radiance" and shading.has_mirror(scene)
+        else []
+    )
 
 
 def _is_dull(scene: Scene, quantity: str) -> bool:
     """Whether irradiance is asked for, or reflected: a surface that only shines needs none."""
-    return quantity == "irradiance" or np.any(scene.albedo) or not (shading.lobe_of(scene) or shading.has_mirror(scene))
+    return (
+        quantity == "irradiance"
+        or np.any(scene.albedo)
+        or not (shading.lobe_of(scene) or shading.has_mirror(scene))
+    )
 
 
 def _narrow(lobe, apart: float, fix: str) -> str:
-    return (f"Narrow lobe: it is {np.degrees(lobe.spread):.1f} degrees wide and the directions stand up to {np.degrees(apart):.1f} degrees apart, "
-            f"so highlights break up into dots or are lost; use {fix}.")
+    return (
+        f"Narrow lobe: it is {np.degrees(lobe.spread):.1f} degrees wide and the directions stand up to"
+        f" {np.degrees(apart):.1f} degrees apart, so highlights break up into dots or are lost; use {fix}."
+    )
 
 
 def _each(greys: list, work: Callable) -> list[np.ndarray]:
-    """``work`` (source) for every colour; where colours differ by a factor alone, once, and times that factor."""
+    """``work`` (source) for every colour; where colours differ by a factor alone, once, and times that
+    factor.
+    """
     if any(callable(grey.brightness) for grey in greys):
         return [work(grey) for grey in greys]
     one = work(replace(greys[0], brightness=1.0))
@@ -378,9 +505,18 @@ def _sun_of(scene, source, max_distance) -> sources.Lamp | None:
     if not isinstance(source, sources.Sky) or not getattr(source.brightness, "direct", 0):
         return None
     if scene.sides == "periodic" or max_distance is not None:
-        raise bad("a sky with the sun's disc (direct)", f"sides={scene.sides!r}, max_distance={max_distance}", "sides 'open' or 'dark' and the whole map")
+        raise bad(
+            "a sky with the sun's disc (direct)",
+            f"sides={scene.sides!r}, max_distance={max_distance}",
+            "sides 'open' or 'dark' and the whole map",
+        )
     if isinstance(scene.reflectance, BRDF) or shading.has_mirror(scene):
-        raise bad("a sky with the sun's disc (direct)", type(scene.reflectance).__name__, "Lambertian or Phong", "Give the sun as a Lamp of its own.")
+        raise bad(
+            "a sky with the sun's disc (direct)",
+            type(scene.reflectance).__name__,
+            "Lambertian or Phong",
+            "Give the sun as a Lamp of its own.",
+        )
     extent = max(max(scene.shape) * scene.spacing, float(scene.depth[scene.valid].max()))
     return source.brightness.disc(FAR * extent)
 
@@ -419,14 +555,24 @@ def warnings_of(scene: Scene, source: sources.Source, cube: Hemicube, filled: bo
         slopes = [np.diff(z, axis=a) / scene.spacing for a in (0, 1) if z.shape[a] > 1]
         square = sum(np.nanmean(s**2) if np.isfinite(s).any() else 0.0 for s in slopes)
         if square > LEAK_SLOPE**2:
-            found.append(f"Leak: the rms slope is {np.sqrt(square):.2f}, and steps of {cube.reach} nodes jump over ridges, so light leaks through; use filled=True.")
+            found.append(
+                f"Leak: the rms slope is {np.sqrt(square):.2f}, and steps of {cube.reach} nodes jump over"
+                " ridges, so light leaks through; use filled=True."
+            )
     if isinstance(source, sources.Lamp) and source.volume is None:
         rows, cols = scene.shape
         x, y, z = source.center
-        far = np.sqrt((max(abs(x), abs((cols - 1) * scene.spacing - x))) ** 2 + max(abs(y), abs((rows - 1) * scene.spacing - y)) ** 2 + (depth.max() - z) ** 2)
+        far = np.sqrt(
+            (max(abs(x), abs((cols - 1) * scene.spacing - x))) ** 2
+            + max(abs(y), abs((rows - 1) * scene.spacing - y)) ** 2
+            + (depth.max() - z) ** 2
+        )
         spacing = np.sqrt(2 * np.pi / len(cube))
         apparent = 2 * np.arcsin(min(1.0, source.radius / far))
         if apparent < 2 * spacing:
-            found.append(f"Small lamp: from the farthest ground it is {np.degrees(apparent):.1f} degrees wide and the directions stand {np.degrees(spacing):.1f} "
-                         "degrees apart, so some nodes see it in few directions or none; use a larger hemicube.")
+            found.append(
+                f"Small lamp: from the farthest ground it is {np.degrees(apparent):.1f} degrees wide and the"
+                f" directions stand {np.degrees(spacing):.1f} degrees apart, so some nodes see it in few"
+                " directions or none; use a larger hemicube."
+            )
     return found

@@ -1,7 +1,8 @@
-"""Sample nodes: some hundred nodes of a map whose light is found by exact rays, to choose by and to audit images with.
+"""Sample nodes: some hundred nodes of a map whose light is found by exact rays, to choose by and to audit
+images with.
 
-Lengths are in spacings, heights grow towards the viewer. A slope is the tangent of an elevation. Rays test every crossing
-with a grid line (kernel ``pilot``); what follows is NumPy, on (rays of a node, nodes).
+Lengths are in spacings, heights grow towards the viewer. A slope is the tangent of an elevation. Rays test
+every crossing with a grid line (kernel ``pilot``); what follows is NumPy, on (rays of a node, nodes).
 """
 
 from __future__ import annotations
@@ -15,17 +16,29 @@ import numpy as np
 
 from . import sources
 from .backends.base import Backend, scratch
-from .sources.solids import Ball, Quad
-from .sources.integrals import Integrals, even
 from .scene import Scene
+from .sources.integrals import Integrals, even
+from .sources.solids import Ball, Quad
 
-COUNT = 384  # nodes; chosen: their standard error of an RMS is some 1 / sqrt(2 x 384), 4 %, if errors are normal, and their rays take time in proportion
+# nodes; chosen: their standard error of an RMS is some 1 / sqrt(2 x 384), 4 %, if errors are normal, and
+# their rays take time in proportion
+COUNT = 384
 CLOSER = 256  # more nodes where ground is rare
-MANY, FEW = 4096, 0.1  # nodes among which light is looked for; share of them that has to have it all before more are taken
-RARE, COMMON = 3.0, 0.25  # times the median relief of blocks from which on one is rare; share of the map from which on what is rare is met often enough
+MANY, FEW = (
+    4096,
+    0.1,
+)  # nodes among which light is looked for; share of them that has to have it all before more are taken
+RARE, COMMON = (
+    3.0,
+    0.25,
+    # times the median relief of blocks from which on one is rare; share of the map from which on what is rare is
+    # met often enough
+)
 NONE = np.float32(-1e30)  # height where masked
 FAINT = 0.005  # slope below which ground of a map that repeats is not looked for: 1.3e-5 of E / pi
-CLIFF = 4.0  # spacings that neighbouring nodes may lie apart before two crossings are too few behind them (host/backends/horizon.py)
+# spacings that neighbouring nodes may lie apart before two crossings are too few behind them
+# (host/backends/horizon.py)
+CLIFF = 4.0
 STEEP = 1e6  # tangent as good as the zenith's
 POINTS = 48  # of brightness along a chord; chosen
 TAIL = 3  # samples beyond the 99.9th percentile from which on it is read off
@@ -35,7 +48,9 @@ SPREAD_3 = 0.8191725133961645, 0.6710436067037893, 0.5497004779019703  # and in 
 
 
 class Errors(NamedTuple):
-    """Relative errors of a sample of nodes: RMS, what the RMS over all nodes hardly passes, and 99.9th percentile."""
+    """Relative errors of a sample of nodes: RMS, what the RMS over all nodes hardly passes, and 99.9th
+    percentile.
+    """
 
     rms: float
     bound: float
@@ -45,8 +60,9 @@ class Errors(NamedTuple):
 def errors(found: np.ndarray, exact: np.ndarray, weights: np.ndarray | None = None) -> Errors:
     """Errors over the mean of ``exact`` where it is lit, nodes by their ``weights``, even unless given.
 
-    ``bound``: RMS and SIGMAS standard errors of it, from the sample's own spread. The percentile is extrapolated from the
-    tenth of largest errors, whose excess is taken as exponential, unless TAIL nodes pass it.
+    ``bound``: RMS and SIGMAS standard errors of it, from the sample's own spread. The percentile is
+    extrapolated from the tenth of largest errors, whose excess is taken as exponential, unless TAIL nodes
+    pass it.
     """
     lit = exact > 0
     if not lit.any():
@@ -66,11 +82,12 @@ def errors(found: np.ndarray, exact: np.ndarray, weights: np.ndarray | None = No
 
 
 class Samples:
-    """Nodes spread over the valid part of a map by a low-discrepancy sequence, from its number ``first`` on; the same for the same scene.
+    """Nodes spread over the valid part of a map by a low-discrepancy sequence, from its number ``first`` on;
+    the same for the same scene.
 
-    Where a few blocks of nodes have far more relief than the others (a trench in a plain), CLOSER nodes more among these:
-    ``weights`` (nodes,) are then the nodes' shares of the map, else None; ``rare`` tells which these are. Blocks are found by a
-    reduction over all nodes, so that no such place is missed.
+    Where a few blocks of nodes have far more relief than the others (a trench in a plain), CLOSER nodes more
+    among these: ``weights`` (nodes,) are then the nodes' shares of the map, else None; ``rare`` tells which
+    these are. Blocks are found by a reduction over all nodes, so that no such place is missed.
     """
 
     def __init__(self, engine: Backend, scene: Scene, count: int = COUNT, first: int = 1):
@@ -80,12 +97,34 @@ class Samples:
         self.shift = 5 if min(scene.shape) >= 512 else 4 if min(scene.shape) >= 64 else 3
         down, across = (((n - 1) >> self.shift) + 1 for n in (rows, cols))
         self.tops = engine.empty((3, down, across), np.float32)
-        engine.launch("pilot", "pool", (across, down), self.heights, self.tops, rows, cols, across, down, self.shift, int(self.periodic), CLIFF, lanes=1)
+        engine.launch(
+            "pilot",
+            "pool",
+            (across, down),
+            self.heights,
+            self.tops,
+            rows,
+            cols,
+            across,
+            down,
+            self.shift,
+            int(self.periodic),
+            CLIFF,
+            lanes=1,
+        )
         highest, lowest, cliffs = engine.download(self.tops).reshape(3, down, across)
         for axis in (0, 1):  # a step may run between blocks
-            lowest = np.minimum(lowest, np.concatenate([np.delete(lowest, 0, axis), np.take(lowest, [-1], axis)], axis))
+            lowest = np.minimum(
+                lowest, np.concatenate([np.delete(lowest, 0, axis), np.take(lowest, [-1], axis)], axis)
+            )
         self.highest, self.relief = float(highest.max()), float(highest.max() - lowest.min())
-        pairs = rows * (cols - 1) + (rows - 1) * cols if scene.mask is None else int((scene.mask[:, 1:] & scene.mask[:, :-1]).sum() + (scene.mask[1:] & scene.mask[:-1]).sum())
+        pairs = (
+            rows * (cols - 1) + (rows - 1) * cols
+            if scene.mask is None
+            else int(
+                (scene.mask[:, 1:] & scene.mask[:, :-1]).sum() + (scene.mask[1:] & scene.mask[:-1]).sum()
+            )
+        )
         self.cliffs = float(cliffs.sum(dtype=np.float64)) / max(1, pairs)
         self.x, self.y = _spread(scene, count, first)
         self.weights, self.rare = None, np.zeros(len(self.x), bool)
@@ -96,14 +135,22 @@ class Samples:
     def _place(self, x, y):
         """Stand at these nodes."""
         self.x, self.y = x, y
-        moved = [np.where((x + i >= 0) & (x + i < self.cols) & (y + j >= 0) & (y + j < self.rows), (y + j) * self.cols + x + i, -1) for i, j in ((0, 0), (-1, 0), (1, 0), (0, -1), (0, 1))]
+        moved = [
+            np.where(
+                (x + i >= 0) & (x + i < self.cols) & (y + j >= 0) & (y + j < self.rows),
+                (y + j) * self.cols + x + i,
+                -1,
+            )
+            for i, j in ((0, 0), (-1, 0), (1, 0), (0, -1), (0, 1))
+        ]
         self.own, left, right, above, below = self.pick(self.heights, np.stack(moved), NONE)
         self.gx, self.gy = (_slope(low, self.own, high) for low, high in ((left, right), (above, below)))
         self.length = np.sqrt(1 + self.gx**2 + self.gy**2)
 
     def look_where(self, scene: Scene, light: Callable[[Samples], np.ndarray]) -> None:
-        """Take up to CLOSER nodes more, where ``light`` says that there is any, if most of it falls on few nodes; each sample then stands for as many nodes as
-        it was one of to be drawn (Horvitz and Thompson)."""
+        """Take up to CLOSER nodes more, where ``light`` says that there is any, if most of it falls on few
+        nodes; each sample then stands for as many nodes as it was one of to be drawn (Horvitz and Thompson).
+        """
         many = copy.copy(self)
         many._place(*_spread(scene, MANY, self.first))
         if self.weights is not None or len(many) < MANY:
@@ -127,8 +174,13 @@ class Samples:
 
     def pick(self, values, at: np.ndarray, missing: float = 0.0) -> np.ndarray:
         """Elements of a device array; ``missing`` where the number is negative."""
-        given, found = self.engine.upload(at.astype(np.int32).ravel()), self.engine.empty((at.size,), np.float32)
-        self.engine.launch("pilot", "pick", (at.size,), values, given, found, at.size, float(missing), lanes=1)
+        given, found = (
+            self.engine.upload(at.astype(np.int32).ravel()),
+            self.engine.empty((at.size,), np.float32),
+        )
+        self.engine.launch(
+            "pilot", "pick", (at.size,), values, given, found, at.size, float(missing), lanes=1
+        )
         return self.engine.download(found).reshape(at.shape)
 
     def of(self, image: np.ndarray) -> np.ndarray:
@@ -144,26 +196,41 @@ class Samples:
         rare = relief > RARE * np.median(relief)
         rare |= np.roll(rare, 1, 0)  # relief reaches into the row and the column after a block
         rare |= np.roll(rare, 1, 1)
-        high, wide = (np.minimum(size, length - size * np.arange(n)) for length, n in zip((self.rows, self.cols), rare.shape))
+        high, wide = (
+            np.minimum(size, length - size * np.arange(n))
+            for length, n in zip((self.rows, self.cols), rare.shape)
+        )
         row, col = np.nonzero(rare)
         nodes = np.cumsum(high[row] * wide[col])
         if not rare.any() or nodes[-1] > COMMON * self.rows * self.cols:
             return
         which, *inside = (0.5 + np.outer(SPREAD_3, np.arange(CLOSER))) % 1
         block = np.searchsorted(nodes, which * nodes[-1], "right")
-        x, y = ((size * n[block] + part * length[n[block]]).astype(int) for n, part, length in zip((col, row), inside, (wide, high)))
+        x, y = (
+            (size * n[block] + part * length[n[block]]).astype(int)
+            for n, part, length in zip((col, row), inside, (wide, high))
+        )
         share = nodes[-1] / (self.rows * self.cols)
         if mask is not None:
             x, y = x[mask[y, x]], y[mask[y, x]]
-            share = np.count_nonzero(mask & rare.repeat(size, 0).repeat(size, 1)[: self.rows, : self.cols]) / np.count_nonzero(mask)
+            share = np.count_nonzero(
+                mask & rare.repeat(size, 0).repeat(size, 1)[: self.rows, : self.cols]
+            ) / np.count_nonzero(mask)
         self.x, self.y = np.concatenate([self.x, x]), np.concatenate([self.y, y])
         self.rare = rare[self.y // size, self.x // size]
-        self.weights = np.where(self.rare, share / max(1, self.rare.sum()), (1 - share) / max(1, (~self.rare).sum()))
+        self.weights = np.where(
+            self.rare, share / max(1, self.rare.sum()), (1 - share) / max(1, (~self.rare).sum())
+        )
 
-    # -- rays ----------------------------------------------------------------------------------------------------------------
+    # -- rays
+    # ----------------------------------------------------------------------------------------------------------------
 
-    def slopes(self, cosine, sine, least, along=0.0, up=0.0, limit=1.0, reach: float = math.inf, node=np.s_[:]) -> np.ndarray:
-        """Horizon slopes, from ``least`` on, along azimuths that broadcast with the nodes, all or those of ``node``: (n, nodes) float64."""
+    def slopes(
+        self, cosine, sine, least, along=0.0, up=0.0, limit=1.0, reach: float = math.inf, node=np.s_[:]
+    ) -> np.ndarray:
+        """Horizon slopes, from ``least`` on, along azimuths that broadcast with the nodes, all or those of
+        ``node``: (n, nodes) float64.
+        """
         engine, x, y = self.engine, self.x[node], self.y[node]
         shape = np.broadcast_shapes(np.shape(cosine), np.shape(least), (1, len(x)))
         rays = np.empty((*shape, 8), np.float32)
@@ -172,11 +239,30 @@ class Samples:
         count = rays.size // 8
         if not count:
             return np.zeros(shape)
-        given, found = engine.upload(rays.reshape(-1, 8)), engine.empty((count,), np.float32)  # both held until the kernel is done
+        given, found = (
+            engine.upload(rays.reshape(-1, 8)),
+            engine.empty((count,), np.float32),
+        )  # both held until the kernel is done
         far = self.relief / FAINT if self.periodic else math.hypot(self.rows, self.cols)
         across = ((self.cols - 1) >> self.shift) + 1
-        engine.launch("pilot", "pilot", (count,), self.heights, self.tops, given, found, count, self.rows, self.cols, across, self.shift, int(self.periodic), self.highest,
-                      float(min(reach, far) + 1e-3), lanes=1)
+        engine.launch(
+            "pilot",
+            "pilot",
+            (count,),
+            self.heights,
+            self.tops,
+            given,
+            found,
+            count,
+            self.rows,
+            self.cols,
+            across,
+            self.shift,
+            int(self.periodic),
+            self.highest,
+            float(min(reach, far) + 1e-3),
+            lanes=1,
+        )
         return engine.download(found).reshape(shape).astype(float)
 
     def plane(self, cosine, sine):
@@ -186,7 +272,10 @@ class Samples:
     def wall(self, cosine, sine):
         """Distance of the wall of a dark box."""
         with np.errstate(divide="ignore", invalid="ignore"):
-            out = [np.where(a > 1e-9, (n - 0.5 - at) / a, np.where(a < -1e-9, (-0.5 - at) / a, np.inf)) for a, n, at in ((cosine, self.cols, self.x), (sine, self.rows, self.y))]
+            out = [
+                np.where(a > 1e-9, (n - 0.5 - at) / a, np.where(a < -1e-9, (-0.5 - at) / a, np.inf))
+                for a, n, at in ((cosine, self.cols, self.x), (sine, self.rows, self.y))
+            ]
         return np.minimum(*out)
 
     def free(self, cosine, sine) -> np.ndarray:
@@ -194,7 +283,8 @@ class Samples:
         least = np.maximum(FAINT if self.periodic else 0.0, self.plane(cosine, sine))
         return least if self.sides != "dark" else np.maximum(least, -self.own / self.wall(cosine, sine))
 
-    # -- skies ---------------------------------------------------------------------------------------------------------------
+    # -- skies
+    # ---------------------------------------------------------------------------------------------------------------
 
     def horizons(self, azimuths: np.ndarray, reach: float = math.inf) -> np.ndarray:
         """(azimuths, nodes)."""
@@ -202,19 +292,36 @@ class Samples:
         return self.slopes(cosine, sine, self.free(cosine, sine), reach=reach)
 
     def ring(self, azimuths: np.ndarray, slopes: np.ndarray, table: np.ndarray | None = None) -> np.ndarray:
-        """Irradiance per radian of azimuth above ``slopes``, of brightness 1 or by ``table`` (azimuths, knots, >= 2): (azimuths, nodes)."""
+        """Irradiance per radian of azimuth above ``slopes``, of brightness 1 or by ``table`` (azimuths,
+        knots, >= 2): (azimuths, nodes).
+        """
         return ring(self.gx, self.gy, azimuths, slopes, table)
 
     def sectors(self, ways: np.ndarray, table: np.ndarray, window=None, occluded: bool = True) -> np.ndarray:
-        """Irradiance (nodes,) by small bright parts of a sky; arguments as of :meth:`skylamp.backends.slices.Slices.sectors`."""
+        """Irradiance (nodes,) by small bright parts of a sky; arguments as of
+        :meth:`skylamp.backends.slices.Slices.sectors`.
+        """
         cosine, sine, width, first, scale = (v[:, None].astype(float) for v in ways)
         low, high = first / np.sqrt(np.maximum(1 - first**2, 1e-12)), STEEP
         if window is not None:
             x0, x1, y0, y1 = window
             with np.errstate(divide="ignore", invalid="ignore"):
-                sides = [np.sort([np.where(a == 0, np.where((at >= lo) & (at < hi), s * np.inf, np.inf), (end - at) / a) for end, s in ((lo, -1), (hi, 1))], 0)
-                         for a, at, lo, hi in ((cosine, self.x, x0, x1), (sine, self.y, y0, y1))]
-            near, far = np.maximum(0, np.maximum(sides[0][0], sides[1][0])), np.minimum(sides[0][1], sides[1][1])
+                sides = [
+                    np.sort(
+                        [
+                            np.where(
+                                a == 0, np.where((at >= lo) & (at < hi), s * np.inf, np.inf), (end - at) / a
+                            )
+                            for end, s in ((lo, -1), (hi, 1))
+                        ],
+                        0,
+                    )
+                    for a, at, lo, hi in ((cosine, self.x, x0, x1), (sine, self.y, y0, y1))
+                ]
+            near, far = (
+                np.maximum(0, np.maximum(sides[0][0], sides[1][0])),
+                np.minimum(sides[0][1], sides[1][1]),
+            )
             with np.errstate(divide="ignore", invalid="ignore"):
                 passes = (near < far) & (self.own < 0)
                 low = np.where(passes, np.maximum(low, np.clip(-self.own / far, 0, STEEP)), STEEP)
@@ -230,21 +337,31 @@ class Samples:
             c1, c2 = (table[row, knot, k] + (at - knot) * table[row, knot, k + 2] for k in (0, 1))
             return along * c1 + up * c2
 
-        return (width * (above(slopes) - (above(np.maximum(slopes, high)) if window is not None else 0))).sum(0)
+        return (width * (above(slopes) - (above(np.maximum(slopes, high)) if window is not None else 0))).sum(
+            0
+        )
 
     def exact(self, source: sources.Source, solid: Ball | Quad | None = None) -> np.ndarray:
-        """Irradiance by far more rays than any plan would take, to judge by: 720 azimuths and 120 sectors of every small bright part, or 256
-        slices through ``solid``."""
+        """Irradiance by far more rays than any plan would take, to judge by: 720 azimuths and 120 sectors of
+        every small bright part, or 256 slices through ``solid``.
+        """
         if solid is not None:
             return self.through_slices(solid, source.brightness, 256)
         sky = Integrals(source) if callable(source.brightness) else None
         total, sectors = np.zeros(len(self)), even(720, 1 / 3)
         for some in np.array_split(np.arange(720), 8):
             angles, widths = sectors.angles[some], sectors.widths[some]
-            total += widths @ self.ring(angles, self.horizons(angles), None if sky is None else sky.table(angles, widths, 1025))
-        return total * float(source.brightness) if sky is None else total + sum(self.sectors(*sun.sectors(120)) for sun in sky.suns)
+            total += widths @ self.ring(
+                angles, self.horizons(angles), None if sky is None else sky.table(angles, widths, 1025)
+            )
+        return (
+            total * float(source.brightness)
+            if sky is None
+            else total + sum(self.sectors(*sun.sectors(120)) for sun in sky.suns)
+        )
 
-    # -- lamps and windows ---------------------------------------------------------------------------------------------------
+    # -- lamps and windows
+    # ---------------------------------------------------------------------------------------------------
 
     def turn(self, solid: Ball | Quad) -> np.ndarray:
         """Share of the circle of azimuths that a source takes up, as kernels reckon it: (nodes,)."""
@@ -254,40 +371,60 @@ class Samples:
         return np.where(widest >= 1, 1.0, widest * (0.318 + 0.182 * np.minimum(1, widest) ** 2))
 
     def through_slices(self, solid: Ball | Quad, brightness, count: int, occluded: bool = True) -> np.ndarray:
-        """Irradiance through ``count`` azimuth slices of a source, (nodes,) float64; solid in spacings, heights third."""
-        cosine, sine, share, low, high, along, up, limit = (_ball if isinstance(solid, Ball) else _quad)(self, solid, count)
+        """Irradiance through ``count`` azimuth slices of a source, (nodes,) float64; solid in spacings,
+        heights third.
+        """
+        cosine, sine, share, low, high, along, up, limit = (_ball if isinstance(solid, Ball) else _quad)(
+            self, solid, count
+        )
         least = np.clip(np.maximum(low, self.plane(cosine, sine)), 0, STEEP)
         if self.sides == "dark":
             wall = self.wall(cosine, sine)
             with np.errstate(divide="ignore", invalid="ignore"):
-                beyond = wall * (along + np.maximum(low, 0) * up) < limit  # the source stands behind the wall: only what rises above its top
+                beyond = (
+                    wall * (along + np.maximum(low, 0) * up) < limit
+                )  # the source stands behind the wall: only what rises above its top
             least = np.where(beyond, np.maximum(least, -self.own / wall), least)
         shows = (low < high) & (least < high)
         slope = np.where(shows, least, STEEP)
         if occluded:
             n, node = np.nonzero(shows)
             pick = lambda v: np.broadcast_to(v, shows.shape)[n, node]
-            slope[n, node] = self.slopes(pick(cosine), pick(sine), least[n, node], pick(along), pick(up), pick(limit), node=node).ravel()
+            slope[n, node] = self.slopes(
+                pick(cosine), pick(sine), least[n, node], pick(along), pick(up), pick(limit), node=node
+            ).ravel()
         low, high = np.arctan(np.maximum(slope, low)), np.arctan(np.minimum(high, STEEP))
         tilt = self.gx * cosine + self.gy * sine
         if not callable(brightness):  # no ray lies below the tangent plane
             up_to = lambda e: tilt * (e + np.sin(2 * e) / 2) + np.sin(e) ** 2
-            return (share * brightness * np.where(low < high, up_to(high) - up_to(low), 0) / 2).sum(0) / self.length
+            return (share * brightness * np.where(low < high, up_to(high) - up_to(low), 0) / 2).sum(
+                0
+            ) / self.length
         light, span = np.zeros(shows.shape), np.maximum(0, high - low)
         n, node = np.nonzero(span > 0)
         azimuth = np.arctan2(sine, cosine)[n, node]
         for point in (np.arange(POINTS) + 0.5) / POINTS:
             e = low[n, node] + point * span[n, node]
-            light[n, node] += np.cos(e) * np.maximum(0, tilt[n, node] * np.cos(e) + np.sin(e)) * sources.radiance(sources.Sky(brightness), sources.directions_of(azimuth, np.maximum(np.sin(e), 0)))
+            light[n, node] += (
+                np.cos(e)
+                * np.maximum(0, tilt[n, node] * np.cos(e) + np.sin(e))
+                * sources.radiance(
+                    sources.Sky(brightness), sources.directions_of(azimuth, np.maximum(np.sin(e), 0))
+                )
+            )
         return (share * light * span / POINTS).sum(0) / self.length
 
 
 def heights_on(engine: Backend, scene: Scene):
-    """Heights (rows, cols) float32 [spacing] above the viewer's plane on a device, NONE where masked; a map that lies there stays there."""
+    """Heights (rows, cols) float32 [spacing] above the viewer's plane on a device, NONE where masked; a map
+    that lies there stays there.
+    """
     if scene.resident is not None and scene.resident.backend is engine:
         count = math.prod(scene.shape)
         heights = engine.empty((count,), np.float32)
-        engine.launch("resident", "take", (count,), scene.resident.depth, heights, 0.0, -1.0 / scene.spacing, count)
+        engine.launch(
+            "resident", "take", (count,), scene.resident.depth, heights, 0.0, -1.0 / scene.spacing, count
+        )
         return heights
     values, step = scene.lattice()
     heights = np.divide(values, np.float32(-step), out=scratch(values.shape))
@@ -295,7 +432,9 @@ def heights_on(engine: Backend, scene: Scene):
 
 
 def ring(gx, gy, azimuths, slopes, table=None):
-    """Irradiance per radian of azimuth of elements of slope (gx, gy) (nodes,) above ``slopes`` (azimuths, nodes)."""
+    """Irradiance per radian of azimuth of elements of slope (gx, gy) (nodes,) above ``slopes`` (azimuths,
+    nodes).
+    """
     length = np.sqrt(1 + gx**2 + gy**2)
     along = (gx * np.cos(azimuths)[:, None] + gy * np.sin(azimuths)[:, None]) / length
     up, secant = 1 / length, 1 / (1 + slopes**2)
@@ -311,13 +450,18 @@ def ring(gx, gy, azimuths, slopes, table=None):
 def _slope(low, here, high):
     """d depth between neighbours: central differences, one-sided at the border and beside masked nodes."""
     has_low, has_high = low > NONE, high > NONE
-    return ((np.where(has_low, low, here) - np.where(has_high, high, here)) / np.maximum(1, has_low.astype(int) + has_high)).astype(np.float64)
+    return (
+        (np.where(has_low, low, here) - np.where(has_high, high, here))
+        / np.maximum(1, has_low.astype(int) + has_high)
+    ).astype(np.float64)
 
 
 def _spread(scene, count, first):
     """(columns, rows) of nodes; all valid ones if they are few."""
     rows, cols = scene.shape
-    at = lambda n: tuple(np.floor((0.5 + step * n) % 1 * size).astype(int) for step, size in zip(SPREAD, (cols, rows)))
+    at = lambda n: tuple(
+        np.floor((0.5 + step * n) % 1 * size).astype(int) for step, size in zip(SPREAD, (cols, rows))
+    )
     if scene.mask is None and rows * cols > 2 * count:
         return at(np.arange(first, first + count))
     if scene.mask is not None:
@@ -326,7 +470,11 @@ def _spread(scene, count, first):
         if len(good) == count:
             return x[good], y[good]
     valid = np.arange(rows * cols) if scene.mask is None else np.flatnonzero(scene.mask)
-    valid = valid[np.unique(np.linspace(0, len(valid) - 1, count).astype(int))] if len(valid) > 2 * count else valid
+    valid = (
+        valid[np.unique(np.linspace(0, len(valid) - 1, count).astype(int))]
+        if len(valid) > 2 * count
+        else valid
+    )
     return valid % cols, valid // cols
 
 
@@ -349,8 +497,12 @@ def _ball(samples, ball, count):
         theta = np.pi * (share - 0.5)
         sin_d = np.where(all_round, np.sin(2 * np.pi * share), widest * np.sin(theta))
         cos_d = np.where(all_round, np.cos(2 * np.pi * share), np.sqrt(np.maximum(0, 1 - sin_d**2)))
-        half = np.where(all_round, np.sqrt(np.maximum(0, sin_a**2 - (cos_e * sin_d) ** 2)), sin_a * np.cos(theta))
-        share = np.where(all_round, 2 * np.pi / count, widest * np.pi / count * np.cos(theta) / np.maximum(cos_d, 1e-30))
+        half = np.where(
+            all_round, np.sqrt(np.maximum(0, sin_a**2 - (cos_e * sin_d) ** 2)), sin_a * np.cos(theta)
+        )
+        share = np.where(
+            all_round, 2 * np.pi / count, widest * np.pi / count * np.cos(theta) / np.maximum(cos_d, 1e-30)
+        )
         in_plane = cos_e * cos_d
         low_c, low_s = in_plane * cos_a + sin_e * half, sin_e * cos_a - in_plane * half
         high_c, high_s = in_plane * cos_a - sin_e * half, sin_e * cos_a + in_plane * half
@@ -362,7 +514,9 @@ def _ball(samples, ball, count):
 
 
 def _quad(samples, quad, count):
-    """Slices through a quadrangle: Gauss-Legendre in each sector between the azimuths of neighbouring corners."""
+    """Slices through a quadrangle: Gauss-Legendre in each sector between the azimuths of neighbouring
+    corners.
+    """
     to, within, base, edges, widths = _outline(samples, quad)
     corners = np.asarray(quad.corners, float)
     normal = np.cross(corners[2] - corners[0], corners[3] - corners[1])
@@ -390,16 +544,34 @@ def _quad(samples, quad, count):
     above = sense * normal[2] > 0  # the node looks at it from below
     low, high = np.where(within & ~above, -STEEP, low), np.where(within & above, STEEP, high)
     low, high = (np.where((hits > 0) & (apart != 0), np.clip(v, -STEEP, STEEP), -STEEP) for v in (low, high))
-    return cosine, sine, share, low, high, sense * (normal[0] * cosine + normal[1] * sine), sense * normal[2], sense * apart
+    return (
+        cosine,
+        sine,
+        share,
+        low,
+        high,
+        sense * (normal[0] * cosine + normal[1] * sine),
+        sense * normal[2],
+        sense * apart,
+    )
 
 
 def _outline(samples, quad):
-    """Corners (4, 3, nodes) from every node, whether the zenith lies within, and the sectors between their azimuths: base (nodes,),
-    where they begin (4, nodes) and how wide they are."""
-    to = np.asarray(quad.corners, float)[:, :, None] - np.stack([samples.x, samples.y, samples.own]).astype(float)
+    """Corners (4, 3, nodes) from every node, whether the zenith lies within, and the sectors between their
+    azimuths: base (nodes,), where they begin (4, nodes) and how wide they are.
+    """
+    to = np.asarray(quad.corners, float)[:, :, None] - np.stack([samples.x, samples.y, samples.own]).astype(
+        float
+    )
     turn = [to[i, 0] * to[(i + 1) % 4, 1] - to[i, 1] * to[(i + 1) % 4, 0] for i in range(4)]
     within = (np.min(turn, 0) > 0) | (np.max(turn, 0) < 0)
     middle = to.mean(0)
     base = np.where(within, 0, np.arctan2(middle[1], middle[0]))
     offset = np.sort((np.arctan2(to[:, 1], to[:, 0]) - base + np.pi) % (2 * np.pi) - np.pi, 0)
-    return to, within, base, offset, np.diff(np.concatenate([offset, np.where(within, offset[:1] + 2 * np.pi, offset[3:])]), axis=0)
+    return (
+        to,
+        within,
+        base,
+        offset,
+        np.diff(np.concatenate([offset, np.where(within, offset[:1] + 2 * np.pi, offset[3:])]), axis=0),
+    )

@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from .arrays import Labels, host_array, labels_of, on_device
-from .checks import at, one_of, positive_number, real_array
 from .backends.resident import Resident, find
+from .checks import at, one_of, positive_number, real_array
 from .errors import bad
 from .reflectance import Lambertian, Reflectance, fit
 
@@ -21,11 +21,12 @@ STEEPEST = 1e15  # spacings of depth, so that squares of slopes stay in float32
 class Scene:
     """A surface seen from above: depth map, spacing, albedo, mask and what stands at the sides.
 
-    Arrays may be NumPy's, or have ``__array__``, ``__dlpack__`` or ``__cuda_array_interface__``. They are copied; the
-    caller's are never changed. A depth (or height) that is an xarray.DataArray is remembered as ``labels``, and what has the
-    scene's rows and columns comes back as one: with its dimensions, coordinates, name and attributes. A float32 depth or
-    height without a mask that lies on a GPU (or in a Warp array) stays there: skies by horizons, horizons, sky-view factor
-    and openness on that device's backend, which ``auto`` takes then, never bring it to the host.
+    Arrays may be NumPy's, or have ``__array__``, ``__dlpack__`` or ``__cuda_array_interface__``. They are
+    copied; the caller's are never changed. A depth (or height) that is an xarray.DataArray is remembered as
+    ``labels``, and what has the scene's rows and columns comes back as one: with its dimensions, coordinates,
+    name and attributes. A float32 depth or height without a mask that lies on a GPU (or in a Warp array)
+    stays there: skies by horizons, horizons, sky-view factor and openness on that device's backend, which
+    ``auto`` takes then, never bring it to the host.
 
     Parameters
     ----------
@@ -39,7 +40,8 @@ class Scene:
         True where data are valid. Nodes that are not valid neither block light nor are lit.
     sides : "open", "dark" or "periodic"
         ``open``: a ray that leaves sideways goes on unblocked. ``dark``: the map stands in a black box
-        whose walls, half a node outside the outermost nodes, reach up to z = 0. ``periodic``: the map repeats.
+        whose walls, half a node outside the outermost nodes, reach up to z = 0. ``periodic``: the map
+        repeats.
     reflectance : Lambertian, Phong, Mirror or BRDF, in place of ``albedo``
         What the surface makes of its light; ``albedo`` is then its diffuse part.
 
@@ -47,8 +49,8 @@ class Scene:
     ------
     InputError
         For an array of wrong shape or type, an empty one, NaN or infinity where the mask says valid,
-        negative depth, an albedo outside 0 to 1, a spacing that is not positive, unknown sides, or a reflectance that
-        gives more than it gets.
+        negative depth, an albedo outside 0 to 1, a spacing that is not positive, unknown sides, or a
+        reflectance that gives more than it gets.
     """
 
     depth: np.ndarray
@@ -60,7 +62,9 @@ class Scene:
     _values: np.ndarray = field(init=False, repr=False)
     _step: float = field(init=False, repr=False)
     labels: Labels | None = field(init=False, repr=False, default=None)
-    resident: object = field(init=False, repr=False, default=None)  # the depth on a device of Warp's, if it was given there
+    resident: object = field(
+        init=False, repr=False, default=None
+    )  # the depth on a device of Warp's, if it was given there
 
     def __post_init__(self):
         put = lambda name, value: object.__setattr__(self, name, value)
@@ -77,19 +81,34 @@ class Scene:
             raise bad("mask: no valid node", "False everywhere", "at least one True")
         broken = valid & ~np.isfinite(depth)
         if broken.any():
-            raise bad(f"depth: {broken.sum()} values are NaN or infinite, first {at(broken)}", depth[broken][0],
-                      "finite depth wherever the mask is True", "Pass mask=numpy.isfinite(depth) to leave them out.")
+            raise bad(
+                f"depth: {broken.sum()} values are NaN or infinite, first {at(broken)}",
+                depth[broken][0],
+                "finite depth wherever the mask is True",
+                "Pass mask=numpy.isfinite(depth) to leave them out.",
+            )
         low = valid & (depth < 0)
         if low.any():
-            raise bad(f"depth: negative {at(low)}", depth[low][0], "depth >= 0 (0 is the viewer's plane)",
-                      "For terrain heights use Scene.from_height.")
+            raise bad(
+                f"depth: negative {at(low)}",
+                depth[low][0],
+                "depth >= 0 (0 is the viewer's plane)",
+                "For terrain heights use Scene.from_height.",
+            )
         depth[~valid] = np.nan
         with np.errstate(over="ignore"):
             depth = depth.astype(np.float32)
         if np.isinf(depth).any():
-            raise bad(f"depth: too large for float32 {at(np.isinf(depth))}", "more than 3.4e38", "a smaller unit")
+            raise bad(
+                f"depth: too large for float32 {at(np.isinf(depth))}", "more than 3.4e38", "a smaller unit"
+            )
         if depth[valid].max() / self.spacing > STEEPEST:
-            raise bad("depth: too deep for its spacing", f"{depth[valid].max()} at spacing {self.spacing}", f"at most {STEEPEST:g} spacings", "Give both in one unit.")
+            raise bad(
+                "depth: too deep for its spacing",
+                f"{depth[valid].max()} at spacing {self.spacing}",
+                f"at most {STEEPEST:g} spacings",
+                "Give both in one unit.",
+            )
         put("depth", depth)
         put("reflectance", _reflectance(self.albedo, self.reflectance, depth.shape, valid))
         put("albedo", self.reflectance.albedo)
@@ -106,12 +125,30 @@ class Scene:
         put("spacing", positive_number(self.spacing, "spacing"))
         one_of(self.sides, SIDES, "sides")
         if found.broken:
-            raise bad(f"depth: {found.broken} values are NaN or infinite", f"a map on {found.backend.name}", "finite depth", "Bring it to the host and pass mask=numpy.isfinite(depth) to leave them out.")
+            raise bad(
+                f"depth: {found.broken} values are NaN or infinite",
+                f"a map on {found.backend.name}",
+                "finite depth",
+                "Bring it to the host and pass mask=numpy.isfinite(depth) to leave them out.",
+            )
         if found.least < 0:
-            raise bad("depth: negative", found.least, "depth >= 0 (0 is the viewer's plane)", "For terrain heights use Scene.from_height.")
+            raise bad(
+                "depth: negative",
+                found.least,
+                "depth >= 0 (0 is the viewer's plane)",
+                "For terrain heights use Scene.from_height.",
+            )
         if found.most / self.spacing > STEEPEST:
-            raise bad("depth: too deep for its spacing", f"{found.most} at spacing {self.spacing}", f"at most {STEEPEST:g} spacings", "Give both in one unit.")
-        put("reflectance", _reflectance(self.albedo, self.reflectance, found.shape, np.ones(found.shape, bool)))
+            raise bad(
+                "depth: too deep for its spacing",
+                f"{found.most} at spacing {self.spacing}",
+                f"at most {STEEPEST:g} spacings",
+                "Give both in one unit.",
+            )
+        put(
+            "reflectance",
+            _reflectance(self.albedo, self.reflectance, found.shape, np.ones(found.shape, bool)),
+        )
         put("albedo", self.reflectance.albedo)
         put("resident", found)
         object.__delattr__(self, "depth")
@@ -127,7 +164,9 @@ class Scene:
         return self.__dict__[name]
 
     @classmethod
-    def from_height(cls, height, spacing=1.0, albedo=ALBEDO, mask=None, sides="open", reflectance=None) -> Scene:
+    def from_height(
+        cls, height, spacing=1.0, albedo=ALBEDO, mask=None, sides="open", reflectance=None
+    ) -> Scene:
         """A scene from terrain height [length]: depth = max(valid height) - height.
 
         ``height``: (rows, cols); the other arguments and errors as for :class:`Scene`.
@@ -139,8 +178,12 @@ class Scene:
         valid = np.ones(height.shape, bool) if mask is None else _mask(mask, height.shape)
         broken = valid & ~np.isfinite(height)
         if broken.any():
-            raise bad(f"height: {broken.sum()} values are NaN or infinite, first {at(broken)}", height[broken][0],
-                      "finite height wherever the mask is True", "Pass mask=numpy.isfinite(height) to leave them out.")
+            raise bad(
+                f"height: {broken.sum()} values are NaN or infinite, first {at(broken)}",
+                height[broken][0],
+                "finite height wherever the mask is True",
+                "Pass mask=numpy.isfinite(height) to leave them out.",
+            )
         top = height[valid].max() if valid.any() else 0.0
         scene = cls(np.where(valid, top - height, np.nan), spacing, albedo, mask, sides, reflectance)
         object.__setattr__(scene, "labels", labels)
@@ -159,8 +202,8 @@ class Scene:
     def lattice(self) -> tuple[np.ndarray, float]:
         """What the lattice methods compare: (values, step).
 
-        Depth itself and the spacing, in float32; where every depth is a whole number of layers, the layers and 1,
-        which is the same comparison without any rounding. Masked nodes are +inf: they never block.
+        Depth itself and the spacing, in float32; where every depth is a whole number of layers, the layers
+        and 1, which is the same comparison without any rounding. Masked nodes are +inf: they never block.
         """
         return self._values, self._step
 
@@ -170,7 +213,9 @@ class Scene:
 
 
 def resident_map(values, height: bool = False):
-    """``values`` as a :class:`skylamp.backends.resident.Resident` where they lie on a device of Warp's as float32, else None."""
+    """``values`` as a :class:`skylamp.backends.resident.Resident` where they lie on a device of Warp's as
+    float32, else None.
+    """
     if isinstance(values, (np.ndarray, list, int, float)):
         return None
     if isinstance(values, Resident):
@@ -195,7 +240,9 @@ def _mask(mask, shape):
     except Exception as error:
         raise bad("mask: not an array", str(error), f"bool, shape {shape}") from None
     if mask.dtype != bool or mask.shape != shape:
-        raise bad("mask: wrong type or shape", f"dtype {mask.dtype}, shape {mask.shape}", f"bool, shape {shape}")
+        raise bad(
+            "mask: wrong type or shape", f"dtype {mask.dtype}, shape {mask.shape}", f"bool, shape {shape}"
+        )
     return mask.copy()
 
 
@@ -205,7 +252,12 @@ def _reflectance(albedo, given, shape, valid):
     elif not isinstance(given, Reflectance):
         raise bad("reflectance", type(given).__name__, "Lambertian, Phong, Mirror or BRDF")
     elif not np.array_equal(albedo, ALBEDO):
-        raise bad("scene: albedo and reflectance", "both", "one of them", "The diffuse albedo is an argument of the reflectance.")
+        raise bad(
+            "scene: albedo and reflectance",
+            "both",
+            "one of them",
+            "The diffuse albedo is an argument of the reflectance.",
+        )
     fit(given, shape, valid)
     return given
 

@@ -1,18 +1,20 @@
-"""What surfaces that are not Lambertian make of their light: lobes through slices, mirrors and BRDFs ray by ray (MODEL.md, 6)."""
+"""What surfaces that are not Lambertian make of their light: lobes through slices, mirrors and BRDFs ray by
+ray (MODEL.md, 6).
+"""
 
 from __future__ import annotations
 
 import numpy as np
 
 from . import sources
-from .backends.numpy.luminance import gradient
 from .backends.base import Backend
-from .light.propagation import Lobe
-from .sources.solids import Dome
-from .light.slices import Slices
+from .backends.numpy.luminance import gradient
 from .errors import bad
+from .light.propagation import Lobe
+from .light.slices import Slices
 from .reflectance import BRDF, Mirror, Phong, frames, mirror_directions
 from .scene import Scene
+from .sources.solids import Dome
 
 ELEVATIONS = 12  # Gauss-Legendre nodes between horizon and zenith, of a BRDF under a sky
 ACROSS = 12  # rays across a lamp or window, of a BRDF; its square in all
@@ -21,7 +23,9 @@ AT_ONCE = 2**18  # directions that a BRDF function is given at a time
 
 
 def lobe_of(scene: Scene, lost: float = 1e-4) -> Lobe | None:
-    """The lobe of a scene whose reflectance has one that shows, but for a share ``lost`` of its light at its rim."""
+    """The lobe of a scene whose reflectance has one that shows, but for a share ``lost`` of its light at its
+    rim.
+    """
     surface = scene.reflectance
     if not (isinstance(surface, Phong) and np.any(surface.specular)):
         return None
@@ -42,8 +46,12 @@ def tilts(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
     return out.reshape(2, *scene.shape)
 
 
-def suns(scene: Scene, engine: Backend, lobe: Lobe, L: np.ndarray, flux: np.ndarray, max_distance: float | None) -> np.ndarray:
-    """What a lobe, not normalised, makes of light from a few directions L (K, 3) of a sky, ``flux`` (K,) each: (rows, cols) float32."""
+def suns(
+    scene: Scene, engine: Backend, lobe: Lobe, L: np.ndarray, flux: np.ndarray, max_distance: float | None
+) -> np.ndarray:
+    """What a lobe, not normalised, makes of light from a few directions L (K, 3) of a sky, ``flux`` (K,)
+    each: (rows, cols) float32.
+    """
     rays, total = _Rays(scene, engine, max_distance), np.zeros(scene.shape)
     gx, gy = tilts(scene).astype(float)
     mirror, scale = mirror_directions(gx, gy), 1 / np.sqrt(gx**2 + gy**2 + 1)
@@ -53,14 +61,25 @@ def suns(scene: Scene, engine: Backend, lobe: Lobe, L: np.ndarray, flux: np.ndar
         for n, k in enumerate(some):
             away = ((mirror - L[k]) ** 2).sum(-1) / 2
             weight = np.interp(away, np.linspace(0, lobe.rim, len(lobe.table)), lobe.table, right=0.0)
-            total += flux[k] * lit[..., n] * weight * np.maximum(0.0, (gx * L[k, 0] + gy * L[k, 1] - L[k, 2]) * scale)
+            total += (
+                flux[k]
+                * lit[..., n]
+                * weight
+                * np.maximum(0.0, (gx * L[k, 0] + gy * L[k, 1] - L[k, 2]) * scale)
+            )
     return total.astype(np.float32)
 
 
 def mirrored(scene: Scene, greys: list, engine: Backend, max_distance: float | None) -> list[np.ndarray]:
-    """Radiance along the mirror direction of every node, (rows, cols) float32 for each grey source of one place; 0 where ground is in the way."""
+    """Radiance along the mirror direction of every node, (rows, cols) float32 for each grey source of one
+    place; 0 where ground is in the way.
+    """
     if scene.sides == "periodic":
-        raise bad("a mirror with sides='periodic'", "rays that would go on over a map that repeats", "sides='open' or 'dark', or Phong with a large exponent")
+        raise bad(
+            "a mirror with sides='periodic'",
+            "rays that would go on over a map that repeats",
+            "sides='open' or 'dark', or Phong with a large exponent",
+        )
     L = mirror_directions(*tilts(scene).astype(float))
     ends = _meets(scene, greys[0], L[:, :, None])[..., 0]
     lit = _Rays(scene, engine, max_distance).free(L[:, :, None], ends[..., None])[..., 0]
@@ -87,7 +106,9 @@ def by_brdf(scene: Scene, greys: list, engine: Backend, max_distance: float | No
 
 
 def by_brdf_under_sky(scene: Scene, greys: list, planes, sectors) -> list[np.ndarray]:
-    """The same under a sky, above the horizons that ``planes`` yields: (numbers of azimuths, slopes (n, rows, cols)) at a time."""
+    """The same under a sky, above the horizons that ``planes`` yields: (numbers of azimuths, slopes (n, rows,
+    cols)) at a time.
+    """
     surface, shade = scene.reflectance, _Shade(scene)
     images = [np.zeros(scene.shape) for _ in greys]
     node, weight = np.polynomial.legendre.leggauss(ELEVATIONS)
@@ -95,11 +116,15 @@ def by_brdf_under_sky(scene: Scene, greys: list, planes, sectors) -> list[np.nda
     for numbers, slopes in planes:
         for number, slope in zip(numbers, slopes):
             c, s = np.cos(sectors.angles[number]), np.sin(sectors.angles[number])
-            low = np.arctan(np.maximum(np.maximum(slope, -(gx * c + gy * s)), 0.0))[..., None]  # the tangent plane, the level
+            low = np.arctan(np.maximum(np.maximum(slope, -(gx * c + gy * s)), 0.0))[
+                ..., None
+            ]  # the tangent plane, the level
             half = (np.pi / 2 - low) / 2
             e = low + half * (1 + node)
             L = np.stack([np.cos(e) * c, np.cos(e) * s, -np.sin(e)], -1)
-            for image, light in zip(images, shade(surface, greys, L, half * weight * np.cos(e) * sectors.widths[number])):
+            for image, light in zip(
+                images, shade(surface, greys, L, half * weight * np.cos(e) * sectors.widths[number])
+            ):
                 image += light
     return [image.astype(np.float32) for image in images]
 
@@ -131,7 +156,11 @@ class _Shade:
         for some in np.array_split(np.arange(rows), -(-rows * cols * n // AT_ONCE)):
             incoming = np.einsum("rcij,rcnj->rcni", self.frames[some], L[some])
             cosine = np.maximum(0.0, incoming[..., 2])
-            f = surface.brdf(incoming, np.broadcast_to(self.outgoing[some, :, None], incoming.shape)) * cosine * weights[some]
+            f = (
+                surface.brdf(incoming, np.broadcast_to(self.outgoing[some, :, None], incoming.shape))
+                * cosine
+                * weights[some]
+            )
             shows = f > 0
             for image, grey in zip(out, greys):
                 light = np.zeros(f.shape)
@@ -151,7 +180,9 @@ class _Rays:
         self.reach = np.inf if max_distance is None else max_distance / scene.spacing
 
     def free(self, L: np.ndarray, ends: np.ndarray) -> np.ndarray:
-        """Whether rays along L (rows, cols, n, 3) come to ``ends`` (rows, cols, n) [unit of spacing]: not nan, above the level, nothing in the way."""
+        """Whether rays along L (rows, cols, n, 3) come to ``ends`` (rows, cols, n) [unit of spacing]: not
+        nan, above the level, nothing in the way.
+        """
         scene, (rows, cols) = self.scene, self.scene.shape
         depth = scene.depth.astype(float)[..., None] / scene.spacing
         ends = ends / scene.spacing
@@ -159,7 +190,9 @@ class _Rays:
         up = -L[..., 2]
         lit = (up >= 0) & ~np.isnan(ends) & scene.valid[..., None]
         with np.errstate(divide="ignore", invalid="ignore"):
-            if scene.sides == "dark":  # where the ray leaves the box through z = 0, or meets the source inside it
+            if (
+                scene.sides == "dark"
+            ):  # where the ray leaves the box through z = 0, or meets the source inside it
                 to = np.fmin(ends, depth / up)
                 y, x = np.mgrid[:rows, :cols]
                 for axis, at, count in ((0, x, cols), (1, y, rows)):
@@ -167,8 +200,12 @@ class _Rays:
                     lit &= (place >= -0.5) & (place < count - 0.5)
             tangent = np.where(flat > up / STEEP, up / flat, STEEP)
             c, s = np.where(flat > 0, L[..., 0] / flat, 1.0), np.where(flat > 0, L[..., 1] / flat, 0.0)
-        reach = np.where(lit, np.minimum(np.where(flat > 0, ends * np.maximum(flat, 1e-30), np.inf), self.reach), 1e-6)
-        return lit & self.slices.rays(np.stack([c, s, tangent, np.minimum(reach, 1e30)], 2).astype(np.float32))
+        reach = np.where(
+            lit, np.minimum(np.where(flat > 0, ends * np.maximum(flat, 1e-30), np.inf), self.reach), 1e-6
+        )
+        return lit & self.slices.rays(
+            np.stack([c, s, tangent, np.minimum(reach, 1e30)], 2).astype(np.float32)
+        )
 
 
 def _places(scene: Scene) -> np.ndarray:
@@ -177,13 +214,17 @@ def _places(scene: Scene) -> np.ndarray:
 
 
 def _meets(scene: Scene, source, L: np.ndarray) -> np.ndarray:
-    """How far along L (rows, cols, n, 3) rays from the nodes meet the source [unit of spacing], inf for the sky, nan where they miss it."""
+    """How far along L (rows, cols, n, 3) rays from the nodes meet the source [unit of spacing], inf for the
+    sky, nan where they miss it.
+    """
     if isinstance(source, sources.Sky):
         return np.full(L.shape[:-1], np.inf)
     origin = _places(scene)[:, :, None]
     with np.errstate(divide="ignore", invalid="ignore"):
         if isinstance(source, sources.Lamp) and source.volume is not None:
-            raise bad("a mirror under a lamp given as a volume", "a lamp of any shape", "a sphere, or a rectangle")
+            raise bad(
+                "a mirror under a lamp given as a volume", "a lamp of any shape", "a sphere, or a rectangle"
+            )
         if isinstance(source, sources.Lamp) and source.corner is None:
             to = np.array(source.center) - origin
             b, q = (to * L).sum(-1), (to * to).sum(-1) - source.radius**2
@@ -201,7 +242,10 @@ def _meets(scene: Scene, source, L: np.ndarray) -> np.ndarray:
         if source.aperture is None:
             through = (source.x[0] <= x) & (x < source.x[1]) & (source.y[0] <= y) & (y < source.y[1])
         else:
-            col, row = (np.floor(np.nan_to_num(v / scene.spacing + 0.5, nan=-1, posinf=-1, neginf=-1)).astype(int) for v in (x, y))
+            col, row = (
+                np.floor(np.nan_to_num(v / scene.spacing + 0.5, nan=-1, posinf=-1, neginf=-1)).astype(int)
+                for v in (x, y)
+            )
             rows, cols = scene.shape
             through = (0 <= col) & (col < cols) & (0 <= row) & (row < rows)
             through &= source.aperture[np.clip(row, 0, rows - 1), np.clip(col, 0, cols - 1)]
@@ -224,8 +268,14 @@ def _aim(scene: Scene, source, a: float, u: np.ndarray):
         lost = (a * cap)[..., None, None]
         sine = np.sqrt(lost * (2 - lost))
         turn = 2 * np.pi * (u + a)[:, None]  # rings turned against each other
-        L = (1 - lost) * axis[:, :, None] + sine * (np.cos(turn) * e[:, :, None] + np.sin(turn) * f[:, :, None])
-        return L, _meets(scene, source, L), np.broadcast_to((2 * np.pi * cap / len(u) ** 2)[..., None], L.shape[:-1])
+        L = (1 - lost) * axis[:, :, None] + sine * (
+            np.cos(turn) * e[:, :, None] + np.sin(turn) * f[:, :, None]
+        )
+        return (
+            L,
+            _meets(scene, source, L),
+            np.broadcast_to((2 * np.pi * cap / len(u) ** 2)[..., None], L.shape[:-1]),
+        )
     if isinstance(source, sources.Window):
         (x0, x1), (y0, y1) = source.x, source.y
         if scene.sides == "dark":  # the walls hide the rest
@@ -234,8 +284,9 @@ def _aim(scene: Scene, source, a: float, u: np.ndarray):
         corner, edges = np.array([x0, y0, 0.0]), (np.array([x1 - x0, 0, 0]), np.array([0, y1 - y0, 0.0]))
     else:
         corner, edges = np.array(source.corner), tuple(map(np.array, source.edges))
-    # With the foot of the perpendicular, d long, at (0, 0), domega = dphi dh for x = d tan(phi), y = h sqrt(d^2 + x^2 + y^2):
-    # even steps of both are even steps of solid angle, and nothing is singular close by.
+    # With the foot of the perpendicular, d long, at (0, 0), domega = dphi dh for x = d tan(phi), y = h
+    # sqrt(d^2 + x^2 + y^2): even steps of both are even steps of solid angle, and nothing is singular close
+    # by.
     (width, ex), (length, ey) = ((np.linalg.norm(edge), edge / np.linalg.norm(edge)) for edge in edges)
     to, ez = corner - origin, np.cross(ex, ey)
     x, y, d = to @ ex, to @ ey, to @ ez

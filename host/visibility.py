@@ -9,23 +9,31 @@ import numpy as np
 
 from . import sources
 from .backends import select
-from .light import propagation
-from .light.propagation import Problem, Progress
+from .checks import one_of
 from .directions import Hemicube
 from .errors import CapacityError, bad
+from .light import propagation
+from .light.propagation import Problem, Progress
 from .rendering import lattice_problem, render
 from .scene import Scene, is_scene
-from .checks import one_of
 
 
-def visibility(scene: Scene, source: sources.Source, hemicube: int | Hemicube = 9, backend: str = "auto", *, filled: bool = False,
-               algorithm: str = "scan") -> np.ndarray:
+def visibility(
+    scene: Scene,
+    source: sources.Source,
+    hemicube: int | Hemicube = 9,
+    backend: str = "auto",
+    *,
+    filled: bool = False,
+    algorithm: str = "scan",
+) -> np.ndarray:
     """In which directions of the hemicube every surface node sees the source.
 
-    Returns packed bits (rows, cols, words) uint32: direction d, in the order of ``Hemicube.steps``, is bit d % 32 of
-    word d // 32; no bit is set where the scene is masked. ``filled``: test every crossing with a grid line, not the
-    lattice nodes alone. ``algorithm``: "scan", or "propagate" (the paper's own, layer by layer, for depths rounded to
-    layers; the same bits where depths are whole layers). ``Hemicube.unpack`` makes booleans of the bits.
+    Returns packed bits (rows, cols, words) uint32: direction d, in the order of ``Hemicube.steps``, is bit d
+    % 32 of word d // 32; no bit is set where the scene is masked. ``filled``: test every crossing with a grid
+    line, not the lattice nodes alone. ``algorithm``: "scan", or "propagate" (the paper's own, layer by layer,
+    for depths rounded to layers; the same bits where depths are whole layers). ``Hemicube.unpack`` makes
+    booleans of the bits.
 
     Raises InputError, BackendError or CapacityError.
     """
@@ -33,20 +41,32 @@ def visibility(scene: Scene, source: sources.Source, hemicube: int | Hemicube = 
     one_of(algorithm, ("scan", "propagate"), "algorithm")
     if algorithm == "propagate":
         if filled:
-            raise bad("algorithm 'propagate' with filled=True", "both", "filled=False: propagation goes from node to node")
+            raise bad(
+                "algorithm 'propagate' with filled=True",
+                "both",
+                "filled=False: propagation goes from node to node",
+            )
         return visibility_field(scene, source, cube, backend=backend).surface()
     engine, problem = select(backend), lattice_problem(scene, source, cube, filled)
     with engine.lock:
         return propagation.visibility(engine, problem)
 
 
-def visibility_field(scene: Scene, source: sources.Source, hemicube: int | Hemicube = 9, layers: int | None = None, backend: str = "auto",
-                     *, max_bytes: int | None = None, progress: Progress | None = None) -> VisibilityField:
+def visibility_field(
+    scene: Scene,
+    source: sources.Source,
+    hemicube: int | Hemicube = 9,
+    layers: int | None = None,
+    backend: str = "auto",
+    *,
+    max_bytes: int | None = None,
+    progress: Progress | None = None,
+) -> VisibilityField:
     """The visibility field over free space, by the paper's forward algorithm (section 6).
 
-    Depths are rounded to layers one spacing thick. ``layers``: how many, from z = 0 down; unless given, down to the
-    deepest node. ``max_bytes``: what the field may take (half of what is free unless given). ``progress``: called with
-    (layers done, layers).
+    Depths are rounded to layers one spacing thick. ``layers``: how many, from z = 0 down; unless given, down
+    to the deepest node. ``max_bytes``: what the field may take (half of what is free unless given).
+    ``progress``: called with (layers done, layers).
 
     Raises InputError, BackendError, and CapacityError before anything is allocated if the field is too large.
     """
@@ -59,8 +79,11 @@ def visibility_field(scene: Scene, source: sources.Source, hemicube: int | Hemic
         raise bad("layers", repr(layers), "a whole number >= 1")
     needed = field_bytes(scene, cube, layers)
     if max_bytes is not None and needed > max_bytes:
-        raise CapacityError(f"The visibility field of {layers} layers x {scene.shape[0]} rows x {scene.shape[1]} cols x {cube.words} words takes {needed:,} bytes; "
-                            f"max_bytes allows {max_bytes:,}. Ask for fewer layers, a smaller hemicube or a coarser map.")
+        raise CapacityError(
+            f"The visibility field of {layers} layers x {scene.shape[0]} rows x {scene.shape[1]} cols x"
+            f" {cube.words} words takes {needed:,} bytes; max_bytes allows {max_bytes:,}. Ask for fewer"
+            " layers, a smaller hemicube or a coarser map."
+        )
     engine = select(backend)
     problem = Problem(depth, step, scene.sides, cube.steps, sources.geometry(source, scene, step))
     with engine.lock:
@@ -69,14 +92,17 @@ def visibility_field(scene: Scene, source: sources.Source, hemicube: int | Hemic
 
 
 def field_bytes(scene: Scene, hemicube: Hemicube, layers: int) -> int:
-    """Bytes that the bits of a visibility field take: 4 per word, node and layer, with the rim that propagation needs."""
+    """Bytes that the bits of a visibility field take: 4 per word, node and layer, with the rim that
+    propagation needs.
+    """
     rim = 2 * hemicube.reach
     return 4 * hemicube.words * (layers + hemicube.reach) * (scene.shape[0] + rim) * (scene.shape[1] + rim)
 
 
 @dataclass(frozen=True, eq=False)
 class VisibilityField:
-    """The visibility field V(x) on the lattice: node (x, y, layer) stands at column x, row y and depth layer x spacing.
+    """The visibility field V(x) on the lattice: node (x, y, layer) stands at column x, row y and depth layer
+    x spacing.
 
     Attributes
     ----------
@@ -122,7 +148,11 @@ class VisibilityField:
         """
         deepest = int(self.depth[self.scene.valid].max())
         if deepest >= self.layers:
-            raise bad("field: surface", f"{self.layers} layers", f"at least {deepest + 1}, the deepest node of the surface")
+            raise bad(
+                "field: surface",
+                f"{self.layers} layers",
+                f"at least {deepest + 1}, the deepest node of the surface",
+            )
         out = np.zeros((*self.scene.shape, self.hemicube.words), np.uint32)
         y, x = np.nonzero(self.scene.valid)
         out[y, x] = self.words[self.depth[y, x].astype(int), :, y, x]
@@ -142,9 +172,10 @@ class VisibilityField:
     def view(self, point: tuple[int, int, int], backend: str = "auto") -> View:
         """What the point (x, y, layer) sees in every direction of the whole cube, up and down.
 
-        The source's brightness where it is visible, and elsewhere the radiance rho E / pi (Eq. 1, 3) of the surface
-        that the ray hits: the white and the grey sectors of the paper's Fig. 1. A ray goes from node to node, as in
-        propagation, and hits the column that it first stands below. Walls, and what lies beside an open map, are black.
+        The source's brightness where it is visible, and elsewhere the radiance rho E / pi (Eq. 1, 3) of the
+        surface that the ray hits: the white and the grey sectors of the paper's Fig. 1. A ray goes from node
+        to node, as in propagation, and hits the column that it first stands below. Walls, and what lies
+        beside an open map, are black.
 
         Raises InputError if the point is not in the field or lies below the surface; BackendError.
         """
@@ -154,10 +185,16 @@ class VisibilityField:
             raise bad("field: view point", repr(point), "three whole numbers (x, y, layer)") from None
         visible = self.at(x, y, layer)
         if not layer <= self.depth[y, x]:
-            raise bad("field: view point", (x, y, layer), f"a node in free space, layer <= {self.depth[y, x]:g} at (row, col) = ({y}, {x})")
+            raise bad(
+                "field: view point",
+                (x, y, layer),
+                f"a node in free space, layer <= {self.depth[y, x]:g} at (row, col) = ({y}, {x})",
+            )
         engine = select(backend)
         if engine.name not in self._images:
-            self._images[engine.name] = np.asarray(render(self.scene, self.source, "lattice", backend=engine.name, hemicube=self.hemicube).image)
+            self._images[engine.name] = np.asarray(
+                render(self.scene, self.source, "lattice", backend=engine.name, hemicube=self.hemicube).image
+            )
         image = self._images[engine.name]
         cube = self.hemicube
         down = cube.steps[:, 2] < 0
@@ -173,7 +210,9 @@ class VisibilityField:
             if where is not None:
                 hit[d] = where
                 brightness[d] = image[where]
-        return View(steps, directions, np.concatenate([above, cube.solid_angles[down]]), visible, brightness, hit)
+        return View(
+            steps, directions, np.concatenate([above, cube.solid_angles[down]]), visible, brightness, hit
+        )
 
     def _first_hit(self, node, step):
         """(row, col) of the first column that the ray from ``node`` stands below, or None."""
@@ -195,11 +234,12 @@ class VisibilityField:
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """What a point sees, per direction of the whole cube: first the hemicube's directions, then those that look down.
+    """What a point sees, per direction of the whole cube: first the hemicube's directions, then those that
+    look down.
 
-    steps (n, 3) int; directions (n, 3) unit vectors from the point; solid_angles (n,) [sr], summing to 4 pi; visible (n,)
-    bool: the source is seen; brightness (n,) [unit of the source's]; hit (n, 2) int: (row, col) of the surface that is
-    seen, -1 where it is not the surface.
+    steps (n, 3) int; directions (n, 3) unit vectors from the point; solid_angles (n,) [sr], summing to 4 pi;
+    visible (n,) bool: the source is seen; brightness (n,) [unit of the source's]; hit (n, 2) int: (row, col)
+    of the surface that is seen, -1 where it is not the surface.
     """
 
     steps: np.ndarray

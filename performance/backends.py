@@ -1,9 +1,11 @@
-"""Backends side by side on the same work, in one run: scan + luminance over all directions of M = 9, and a field.
+"""Backends side by side on the same work, in one run: scan + luminance over all directions of M = 9, and a
+field.
 
     python performance/backends.py --out docs [--size 1024] [--field 256] [--backends numpy,warp:cpu,opencl]
 
-Times are medians over repeated runs with input and output resident on the device; compiling is apart; the time of the
-whole sl.render call on NumPy arrays stands beside them. Writes backends.json, backends.md and, with matplotlib, backends.png.
+Times are medians over repeated runs with input and output resident on the device; compiling is apart; the
+time of the whole sl.render call on NumPy arrays stands beside them. Writes backends.json, backends.md and,
+with matplotlib, backends.png.
 """
 
 import argparse
@@ -14,7 +16,6 @@ import time
 from pathlib import Path
 
 import numpy as np
-
 import skylamp as sl
 from skylamp.backends import select
 from skylamp.light.propagation import FieldByLayers, Light, Surface
@@ -64,7 +65,13 @@ def measure(name: str, scene: sl.Scene, field_size: int, budget: float) -> dict:
             work = Light(Surface(engine, problem._replace(filled=True)), cube.moments).run
         compiled = engine.compile_seconds
         seconds, low, high = median_seconds(engine, work, budget)
-        row[label] = {"seconds": seconds, "min": low, "max": high, "tests per second": tests / seconds, "compile": engine.compile_seconds - compiled}
+        row[label] = {
+            "seconds": seconds,
+            "min": low,
+            "max": high,
+            "tests per second": tests / seconds,
+            "compile": engine.compile_seconds - compiled,
+        }
     start = time.perf_counter()
     out = sl.render(scene, sl.Sky(), "lattice", backend=engine.name)
     row["whole call"] = {"seconds": time.perf_counter() - start}
@@ -75,16 +82,25 @@ def measure(name: str, scene: sl.Scene, field_size: int, budget: float) -> dict:
         deep = sl.Scene(bumps)
         run = FieldByLayers(engine, lattice_problem(deep, sl.Sky(), cube, False), field_size).run
         seconds, low, high = median_seconds(engine, run, budget)
-        row["field"] = {"seconds": seconds, "min": low, "max": high, "tests per second": field_size**3 * len(cube) / seconds}
+        row["field"] = {
+            "seconds": seconds,
+            "min": low,
+            "max": high,
+            "tests per second": field_size**3 * len(cube) / seconds,
+        }
     return row
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--out", type=Path, default=Path("."), help="folder for the table and the chart")
     parser.add_argument("--size", type=int, default=1024, help="rows and columns of the map")
     parser.add_argument("--field", type=int, default=256, help="nodes on a side of the field; 0: none")
-    parser.add_argument("--backends", default="", help="names, comma-separated; all that are available unless given")
+    parser.add_argument(
+        "--backends", default="", help="names, comma-separated; all that are available unless given"
+    )
     parser.add_argument("--budget", type=float, default=3.0, help="seconds of repetition for each time")
     args = parser.parse_args()
     names = args.backends.split(",") if args.backends else [b.name for b in sl.backends() if b.available]
@@ -94,20 +110,33 @@ def main() -> None:
         rows.append(measure(name, scene, args.field, args.budget))
         print(line(rows[-1]), flush=True)
     args.out.mkdir(parents=True, exist_ok=True)
-    facts = {"size": args.size, "field": args.field, "hemicube": HEMICUBE, "machine": platform.platform(), "skylamp": sl.__version__, "rows": rows}
+    facts = {
+        "size": args.size,
+        "field": args.field,
+        "hemicube": HEMICUBE,
+        "machine": platform.platform(),
+        "skylamp": sl.__version__,
+        "rows": rows,
+    }
     (args.out / "backends.json").write_text(json.dumps(facts, indent=1) + "\n")
     (args.out / "backends.md").write_text(HEAD + "".join(line(row) + "\n" for row in rows))
     chart(rows, args.out / "backends.png", args.size)
 
 
-HEAD = "| backend | device | scan, tests/s | scan + luminance, tests/s | ms | filled, ms | field, ms | whole call, ms | compile, s |\n|---|---|---|---|---|---|---|---|---|\n"
+HEAD = (
+    "| backend | device | scan, tests/s | scan + luminance, tests/s | ms | filled, ms | field, ms | whole"
+    " call, ms | compile, s |\n|---|---|---|---|---|---|---|---|---|\n"
+)
 
 
 def line(row: dict) -> str:
     ms = lambda key: f"{1e3 * row[key]['seconds']:.3g}" if key in row else "-"
     compiled = sum(row[key]["compile"] for key in ("scan", "scan + luminance", "filled scan + luminance"))
-    return (f"| {row['backend']} | {row['device']} | {row['scan']['tests per second']:.2e} | {row['scan + luminance']['tests per second']:.2e} "
-            f"| {ms('scan + luminance')} | {ms('filled scan + luminance')} | {ms('field')} | {ms('whole call')} | {compiled:.1f} |")
+    return (
+        f"| {row['backend']} | {row['device']} | {row['scan']['tests per second']:.2e} |"
+        f" {row['scan + luminance']['tests per second']:.2e} | {ms('scan + luminance')} |"
+        f" {ms('filled scan + luminance')} | {ms('field')} | {ms('whole call')} | {compiled:.1f} |"
+    )
 
 
 def chart(rows: list[dict], path: Path, size: int) -> None:
@@ -125,10 +154,21 @@ def chart(rows: list[dict], path: Path, size: int) -> None:
         bars = axes.barh([n + offset for n in range(len(rows))], values, 0.38, label=key)
         axes.bar_label(bars, [f"{v:.1e}" for v in values], padding=3, fontsize=8)
     every = [row[key]["tests per second"] for row in rows for key in ("scan", "scan + luminance")]
-    axes.set(xscale="log", xlim=(min(every) / 10, max(every) * 4), xlabel="direction tests per second", title=f"{size} x {size} nodes, all 209 directions of M = {HEMICUBE}")
+    axes.set(
+        xscale="log",
+        xlim=(min(every) / 10, max(every) * 4),
+        xlabel="direction tests per second",
+        title=f"{size} x {size} nodes, all 209 directions of M = {HEMICUBE}",
+    )
     axes.set_yticks(range(len(rows)), labels, fontsize=8)
     axes.invert_yaxis()
-    axes.legend(fontsize=8, loc="upper left", bbox_to_anchor=(0, -0.35 if len(rows) < 3 else -0.2), ncols=2, frameon=False)
+    axes.legend(
+        fontsize=8,
+        loc="upper left",
+        bbox_to_anchor=(0, -0.35 if len(rows) < 3 else -0.2),
+        ncols=2,
+        frameon=False,
+    )
     figure.savefig(path, dpi=120)
 
 

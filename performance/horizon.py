@@ -3,14 +3,15 @@
     python performance/horizon.py --out docs [--size 1024] [--backends opencl] [--azimuths 8,16,32,64,128]
         [--sizes 512,1024,2048,4096] [--peers] [--lamps] [--memory]
 
-Accuracy: E / pi under a uniform sky at a few hundred nodes against the oracle's horizons, every crossing with a grid line,
-float64. Speed: medians over repeated runs with input and output resident on the device, compiling apart, and the whole
-sl.render call on NumPy arrays beside them. Whole calls of the lattice and of other packages (--peers, see peers.py) stand
-against whole calls of skylamp, on one map and against one reference, each on the quantity that it claims; nodes near the
-border are left out there, since some packages mirror the map. Lamps (--lamps) against shadow rays. Memory (--memory): peak
-of the render call in a process of its own (Linux). The first backend does all but the speed, which is that of every one.
-Cores are those that were busy with the work: fewer than there are, on a crowded machine.
-Prints its tables, and writes horizon.json, horizon.md and, with matplotlib, horizon.png.
+Accuracy: E / pi under a uniform sky at a few hundred nodes against the oracle's horizons, every crossing with
+a grid line, float64. Speed: medians over repeated runs with input and output resident on the device,
+compiling apart, and the whole sl.render call on NumPy arrays beside them. Whole calls of the lattice and of
+other packages (--peers, see peers.py) stand against whole calls of skylamp, on one map and against one
+reference, each on the quantity that it claims; nodes near the border are left out there, since some packages
+mirror the map. Lamps (--lamps) against shadow rays. Memory (--memory): peak of the render call in a process
+of its own (Linux). The first backend does all but the speed, which is that of every one. Cores are those that
+were busy with the work: fewer than there are, on a crowded machine. Prints its tables, and writes
+horizon.json, horizon.md and, with matplotlib, horizon.png.
 """
 
 import argparse
@@ -25,14 +26,15 @@ from pathlib import Path
 
 import numpy as np
 import peers
-
 import skylamp as sl
 from skylamp import oracle
 from skylamp.backends import select
-from skylamp.light.sweeps import Rays, Sweeps
-from skylamp.light.sweeps import ground_of
+from skylamp.light.sweeps import Rays, Sweeps, ground_of
 
-GROUNDS = {"rough": (1.0, 2.0), "smooth": (0.5, 2.5)}  # rms slope, and the power by which amplitude falls with frequency
+GROUNDS = {
+    "rough": (1.0, 2.0),
+    "smooth": (0.5, 2.5),
+}  # rms slope, and the power by which amplitude falls with frequency
 USUAL = 64  # azimuths
 CHOICE = (4, 6, 8, 12, 16, 24, 32, 48, 64, 96, 128)  # azimuths that may beat a peer
 BORDER = 100  # nodes that are left out beside peers, or an eighth of the map
@@ -59,7 +61,12 @@ def reference(depth: np.ndarray, nodes, azimuths: int) -> dict[str, np.ndarray]:
     """Exact sky-view factors at the nodes, by definition."""
     rays = sl.Azimuths(azimuths)
     horizon = oracle.horizons(depth, 1.0, rays.angles, nodes=nodes)
-    tilted = oracle.sky_irradiance(depth, 1.0, np.ones(depth.shape, bool), rays.angles, rays.widths, horizon, nodes=nodes) / np.pi
+    tilted = (
+        oracle.sky_irradiance(
+            depth, 1.0, np.ones(depth.shape, bool), rays.angles, rays.widths, horizon, nodes=nodes
+        )
+        / np.pi
+    )
     return {"tilted": tilted, "solid_angle": 1 - np.sin(np.arctan(np.maximum(horizon, 0))).mean(0)}
 
 
@@ -69,7 +76,9 @@ def errors(found: np.ndarray, exact: np.ndarray) -> dict[str, float]:
 
 
 def time_of(work, budget: float, least: int = 1, finish=lambda: None) -> dict[str, float]:
-    """Median seconds of ``work``, and the cores that were busy with it; at least ``least`` runs, and more within ``budget`` seconds."""
+    """Median seconds of ``work``, and the cores that were busy with it; at least ``least`` runs, and more
+    within ``budget`` seconds.
+    """
     times, spent = [], time.process_time()
     while len(times) < least or (sum(times) < budget and len(times) < 50):
         start = time.perf_counter()
@@ -79,7 +88,8 @@ def time_of(work, budget: float, least: int = 1, finish=lambda: None) -> dict[st
     return {"seconds": statistics.median(times), "cores": (time.process_time() - spent) / sum(times)}
 
 
-# -- what is measured --------------------------------------------------------------------------------------------------------
+# -- what is measured
+# --------------------------------------------------------------------------------------------------------
 
 
 def accuracy(backend: str, azimuths: list[int], size: int, count: int) -> tuple[list[dict], dict[str, float]]:
@@ -89,8 +99,17 @@ def accuracy(backend: str, azimuths: list[int], size: int, count: int) -> tuple[
         depth, nodes = ground(size, kind), some_nodes(size, count)
         scene, exact = sl.Scene(depth), reference(depth, nodes, 2048)["tilted"]
         for number in azimuths:
-            image = sl.render(scene, sl.Sky(), "horizon", backend=backend, quantity="irradiance", azimuths=number).image
-            rows.append({"ground": kind, "azimuths": number, "mean": float(exact.mean()), **errors(image[nodes] / np.pi, exact)})
+            image = sl.render(
+                scene, sl.Sky(), "horizon", backend=backend, quantity="irradiance", azimuths=number
+            ).image
+            rows.append(
+                {
+                    "ground": kind,
+                    "azimuths": number,
+                    "mean": float(exact.mean()),
+                    **errors(image[nodes] / np.pi, exact),
+                }
+            )
         found = np.arctan(sl.horizons(scene, USUAL, backend)[:, *nodes])
         exact = np.arctan(oracle.horizons(depth, 1.0, sl.Azimuths(USUAL).angles, nodes=nodes))
         angles[kind] = errors(found, exact)["rms"]
@@ -107,10 +126,22 @@ def speed(backend: str, sizes: list[int], budget: float) -> list[dict]:
         scene = sl.Scene(ground(size))
         sweeps = Sweeps(engine, ground_of(scene, None, engine), Rays(rays.angles, rays.widths))
         total, turned = (engine.empty((size * size,), np.int32, 0) for _ in range(2))
-        whole = time_of(lambda: sl.render(scene, sl.Sky(), "horizon", backend=backend, azimuths=USUAL), budget)  # warms up, too
+        whole = time_of(
+            lambda: sl.render(scene, sl.Sky(), "horizon", backend=backend, azimuths=USUAL), budget
+        )  # warms up, too
         light = time_of(lambda: sweeps.light(total, turned), budget, 3, engine.finish)
-        rows.append({"backend": engine.name, "device": engine.device, "size": size, "light": light, "whole": whole,
-                     "ns per horizon": 1e9 * light["seconds"] / size**2 / USUAL, "compile": compiled, "first call": first})
+        rows.append(
+            {
+                "backend": engine.name,
+                "device": engine.device,
+                "size": size,
+                "light": light,
+                "whole": whole,
+                "ns per horizon": 1e9 * light["seconds"] / size**2 / USUAL,
+                "compile": compiled,
+                "first call": first,
+            }
+        )
         rows[-1]["growth"] = rows[-1]["ns per horizon"] / rows[0]["ns per horizon"]
     return rows
 
@@ -127,24 +158,57 @@ class SideBySide:
 
     def measure(self, quantity: str, work) -> dict:
         work(self.tiny)  # compiles
-        return {**time_of(lambda: work(self.scene), self.budget), **errors(work(self.scene)[self.nodes], self.exact[quantity])}
+        return {
+            **time_of(lambda: work(self.scene), self.budget),
+            **errors(work(self.scene)[self.nodes], self.exact[quantity]),
+        }
 
     def horizons(self, quantity: str, azimuths: int) -> dict:
         if (quantity, azimuths) not in self.known:
             work = lambda scene: sl.sky_view_factor(scene, quantity, azimuths, self.backend)
-            self.known[quantity, azimuths] = {"azimuths": azimuths, "quantity": quantity, **self.measure(quantity, work)}
+            self.known[quantity, azimuths] = {
+                "azimuths": azimuths,
+                "quantity": quantity,
+                **self.measure(quantity, work),
+            }
         return self.known[quantity, azimuths]
 
     def lattice(self, hemicube: int, filled: bool) -> dict:
-        render = lambda scene: sl.render(scene, sl.Sky(), "lattice", backend=self.backend, quantity="irradiance", hemicube=hemicube, filled=filled).image / np.float32(np.pi)
-        return {"hemicube": hemicube, "filled": filled, "quantity": "tilted", **self.measure("tilted", render)}
+        render = lambda scene: (
+            sl.render(
+                scene,
+                sl.Sky(),
+                "lattice",
+                backend=self.backend,
+                quantity="irradiance",
+                hemicube=hemicube,
+                filled=filled,
+            ).image
+            / np.float32(np.pi)
+        )
+        return {
+            "hemicube": hemicube,
+            "filled": filled,
+            "quantity": "tilted",
+            **self.measure("tilted", render),
+        }
 
     def peer(self, name: str, azimuths: int, radius: int | None) -> dict:
-        """A peer's run, and the cheapest setting of skylamp whose RMS error on the same quantity is not larger."""
+        """A peer's run, and the cheapest setting of skylamp whose RMS error on the same quantity is not
+        larger.
+        """
         quantity = peers.PEERS[name][3]
         found, seconds, cores = peers.run(name, self.depth.max() - self.depth, self.nodes, azimuths, radius)
-        row = {"peer": name, "version": peers.version(name), "quantity": quantity, "azimuths": azimuths, "radius": radius,
-               "seconds": seconds, "cores": cores, **errors(found, self.exact[quantity])}
+        row = {
+            "peer": name,
+            "version": peers.version(name),
+            "quantity": quantity,
+            "azimuths": azimuths,
+            "radius": radius,
+            "seconds": seconds,
+            "cores": cores,
+            **errors(found, self.exact[quantity]),
+        }
         for number in CHOICE:
             ours = self.horizons(quantity, number)
             if ours["rms"] <= row["rms"]:
@@ -155,7 +219,11 @@ class SideBySide:
 def lamps(backend: str, size: int, count: int, budget: float) -> list[dict]:
     """Spheres over rough ground: seconds of the call, and error relative to the mean lit irradiance."""
     depth, nodes = ground(size), some_nodes(size, count)
-    scene, valid, middle = sl.Scene(depth), np.ones(depth.shape, bool), np.array([size / 2, size / 2, depth.mean()])
+    scene, valid, middle = (
+        sl.Scene(depth),
+        np.ones(depth.shape, bool),
+        np.array([size / 2, size / 2, depth.mean()]),
+    )
     far = np.array([0.5, 0.3, -0.4]) * size  # from the middle
     spot = np.array([0.1, -0.2, -0.3]) * size
     sources = {
@@ -169,12 +237,21 @@ def lamps(backend: str, size: int, count: int, budget: float) -> list[dict]:
         image = work().image[nodes]  # compiles
         exact = oracle.lamp_irradiance(depth, 1.0, valid, lamp, nodes, 4096)
         lit = exact[exact > 0]
-        rows.append({"lamp": name, "lit": len(lit) / count, **time_of(work, budget), **{key: value / lit.mean() for key, value in errors(image, exact).items()}})
+        rows.append(
+            {
+                "lamp": name,
+                "lit": len(lit) / count,
+                **time_of(work, budget),
+                **{key: value / lit.mean() for key, value in errors(image, exact).items()},
+            }
+        )
     return rows
 
 
 def memory(backend: str, size: int) -> float:
-    """Bytes per pixel that the render call takes at its peak above what was there before, less 4 for what it gives."""
+    """Bytes per pixel that the render call takes at its peak above what was there before, less 4 for what it
+    gives.
+    """
     scene = sl.Scene(ground(size))
     sl.render(sl.Scene(ground(96)), sl.Sky(), "horizon", backend=backend)
     ctypes.CDLL(None).malloc_trim(0)  # what making the map took is given back,
@@ -186,16 +263,27 @@ def memory(backend: str, size: int) -> float:
 
 def _resident(key: str) -> int:
     """Bytes; not getrusage's, which a child process inherits."""
-    return next(1024 * int(line.split()[1]) for line in Path("/proc/self/status").read_text().splitlines() if line.startswith(key))
+    return next(
+        1024 * int(line.split()[1])
+        for line in Path("/proc/self/status").read_text().splitlines()
+        if line.startswith(key)
+    )
 
 
-# -- what is shown -----------------------------------------------------------------------------------------------------------
+# -- what is shown
+# -----------------------------------------------------------------------------------------------------------
 
 
 def table(title: str, head: str, rows: list[list]) -> str:
     """A table in Markdown, printed too."""
-    show = lambda v: "-" if v is None else v if isinstance(v, str) else str(v) if isinstance(v, int) else f"{v:.3g}"
-    lines = [f"| {head} |", "|" + "---|" * (head.count("|") + 1), *("| " + " | ".join(map(show, row)) + " |" for row in rows)]
+    show = lambda v: (
+        "-" if v is None else v if isinstance(v, str) else str(v) if isinstance(v, int) else f"{v:.3g}"
+    )
+    lines = [
+        f"| {head} |",
+        "|" + "---|" * (head.count("|") + 1),
+        *("| " + " | ".join(map(show, row)) + " |" for row in rows),
+    ]
     text = f"\n{title}\n\n" + "\n".join(lines) + "\n"
     print(text, flush=True)
     return text
@@ -211,13 +299,35 @@ def accuracy_table(rows: list[dict], angles: dict[str, float], size: int, count:
         fall = rows[n - 1]["rms"] / row["rms"] if n and rows[n - 1]["ground"] == row["ground"] else None
         cells.append([row["ground"], row["azimuths"], *error_cells(row), fall])
     horizon = ", ".join(f"{kind} {rms:.5f} rad" for kind, rms in angles.items())
-    title = f"E / pi under a uniform sky, {size} x {size}, {count} nodes against 2048 exact azimuths. RMS error of the horizon, {USUAL} azimuths: {horizon}."
+    title = (
+        f"E / pi under a uniform sky, {size} x {size}, {count} nodes against 2048 exact azimuths. RMS error"
+        f" of the horizon, {USUAL} azimuths: {horizon}."
+    )
     return table(title, "ground | azimuths | RMS | bias | max | RMS falls by", cells)
 
 
 def speed_table(rows: list[dict]) -> str:
-    cells = [[row["backend"], row["device"][:34], row["size"], 1e3 * row["light"]["seconds"], row["light"]["cores"], row["ns per horizon"], row["growth"], 1e3 * row["whole"]["seconds"], row["compile"], row["first call"]] for row in rows]
-    return table(f"Uniform sky, {USUAL} azimuths, rough ground", "backend | device | size | resident, ms | cores | ns per horizon | per pixel, over the first | whole call, ms | compile, s | first call, s", cells)
+    cells = [
+        [
+            row["backend"],
+            row["device"][:34],
+            row["size"],
+            1e3 * row["light"]["seconds"],
+            row["light"]["cores"],
+            row["ns per horizon"],
+            row["growth"],
+            1e3 * row["whole"]["seconds"],
+            row["compile"],
+            row["first call"],
+        ]
+        for row in rows
+    ]
+    return table(
+        f"Uniform sky, {USUAL} azimuths, rough ground",
+        "backend | device | size | resident, ms | cores | ns per horizon | per pixel, over the first | whole"
+        " call, ms | compile, s | first call, s",
+        cells,
+    )
 
 
 def side_table(rows: list[dict], title: str) -> str:
@@ -229,10 +339,29 @@ def peer_table(rows: list[dict]) -> str:
     cells = []
     for row in rows:
         ours = row.get("skylamp")
-        beside = [ours["azimuths"], ours["seconds"], ours["cores"], *error_cells(ours), row["ratio"]] if ours else ["none"] + [None] * 6
-        cells.append([f"{row['peer']} {row['version']}", row["quantity"], row["azimuths"], row["radius"], row["seconds"], row["cores"], *error_cells(row), *beside])
-    return table("Other packages, and the cheapest skylamp whose RMS error is not larger (whole calls)",
-                 "package | quantity | azimuths or rays | radius | s | cores | RMS | bias | max | skylamp: azimuths | s | cores | RMS | bias | max | times faster", cells)
+        beside = (
+            [ours["azimuths"], ours["seconds"], ours["cores"], *error_cells(ours), row["ratio"]]
+            if ours
+            else ["none"] + [None] * 6
+        )
+        cells.append(
+            [
+                f"{row['peer']} {row['version']}",
+                row["quantity"],
+                row["azimuths"],
+                row["radius"],
+                row["seconds"],
+                row["cores"],
+                *error_cells(row),
+                *beside,
+            ]
+        )
+    return table(
+        "Other packages, and the cheapest skylamp whose RMS error is not larger (whole calls)",
+        "package | quantity | azimuths or rays | radius | s | cores | RMS | bias | max | skylamp: azimuths |"
+        " s | cores | RMS | bias | max | times faster",
+        cells,
+    )
 
 
 def label(row: dict) -> str:
@@ -254,26 +383,77 @@ def chart(path: Path, size: int, rows: list[dict], others: list[dict]) -> None:
     figure, axes = plt.subplots(figsize=(9, 6), layout="constrained")
     at = lambda row: (1e9 * row["seconds"] / size**2, row["rms"])
     for quantity, style in (("tilted", "o-"), ("solid_angle", "o--")):
-        line = sorted((row for row in rows if "azimuths" in row and row["quantity"] == quantity), key=lambda row: row["azimuths"])
+        line = sorted(
+            (row for row in rows if "azimuths" in row and row["quantity"] == quantity),
+            key=lambda row: row["azimuths"],
+        )
         if line:
             fill = "C0" if quantity == "tilted" else "white"
-            axes.plot(*zip(*map(at, line)), style, color="C0", markerfacecolor=fill, label=f"skylamp, horizons, {quantity.replace('_', ' ')}")
+            axes.plot(
+                *zip(*map(at, line)),
+                style,
+                color="C0",
+                markerfacecolor=fill,
+                label=f"skylamp, horizons, {quantity.replace('_', ' ')}",
+            )
         for row in line if quantity == "tilted" else ():
-            axes.annotate(str(row["azimuths"]), at(row), (-5, -5), textcoords="offset points", fontsize=8, color="C0", ha="right", va="top")
+            axes.annotate(
+                str(row["azimuths"]),
+                at(row),
+                (-5, -5),
+                textcoords="offset points",
+                fontsize=8,
+                color="C0",
+                ha="right",
+                va="top",
+            )
     for filled, colour in ((True, "C1"), (False, "C2")):
         line = [row for row in rows if "hemicube" in row and row["filled"] == filled]
-        axes.plot(*zip(*map(at, line)), "s-", color=colour, label=f"skylamp, {'filled lattice' if filled else 'the paper’s stride'}, tilted")
+        axes.plot(
+            *zip(*map(at, line)),
+            "s-",
+            color=colour,
+            label=f"skylamp, {'filled lattice' if filled else 'the paper’s stride'}, tilted",
+        )
         for row in line:
-            axes.annotate(f"M = {row['hemicube']}", at(row), (6, 4 if filled else -10), textcoords="offset points", fontsize=8, color=colour)
+            axes.annotate(
+                f"M = {row['hemicube']}",
+                at(row),
+                (6, 4 if filled else -10),
+                textcoords="offset points",
+                fontsize=8,
+                color=colour,
+            )
     for n, name in enumerate(dict.fromkeys(row["peer"] for row in others)):
         line = [row for row in others if row["peer"] == name]
         fill = f"C{n + 3}" if line[0]["quantity"] == "tilted" else "white"
-        axes.plot(*zip(*map(at, line)), "D", color=f"C{n + 3}", markerfacecolor=fill, label=f"{name}, {line[0]['quantity'].replace('_', ' ')}")
+        axes.plot(
+            *zip(*map(at, line)),
+            "D",
+            color=f"C{n + 3}",
+            markerfacecolor=fill,
+            label=f"{name}, {line[0]['quantity'].replace('_', ' ')}",
+        )
         for row in line:
-            text = f"{row['azimuths']}" + (f", radius {row['radius']}" if row["radius"] else " rays" if "embreex" in name else "")
-            axes.annotate(text, at(row), (0, -13 if "rays" in text else 6), textcoords="offset points", fontsize=8, color=f"C{n + 3}", ha="center")
-    axes.set(xscale="log", yscale="log", xlabel="time per pixel of the whole call [ns]", ylabel="RMS error of the sky-view factor (tilted: E / pi)",
-             title=f"Uniform sky, rough ground, {size} x {size} nodes; numbers are azimuths")
+            text = f"{row['azimuths']}" + (
+                f", radius {row['radius']}" if row["radius"] else " rays" if "embreex" in name else ""
+            )
+            axes.annotate(
+                text,
+                at(row),
+                (0, -13 if "rays" in text else 6),
+                textcoords="offset points",
+                fontsize=8,
+                color=f"C{n + 3}",
+                ha="center",
+            )
+    axes.set(
+        xscale="log",
+        yscale="log",
+        xlabel="time per pixel of the whole call [ns]",
+        ylabel="RMS error of the sky-view factor (tilted: E / pi)",
+        title=f"Uniform sky, rough ground, {size} x {size} nodes; numbers are azimuths",
+    )
     axes.margins(x=0.12)
     axes.grid(True, which="both", color="0.92")
     axes.legend(fontsize=8, loc="upper left", bbox_to_anchor=(1, 1), frameon=False)
@@ -282,13 +462,27 @@ def chart(path: Path, size: int, rows: list[dict], others: list[dict]) -> None:
 
 def main() -> None:
     numbers = lambda text: [int(number) for number in text.split(",")]
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--out", type=Path, default=Path("."), help="folder for the tables and the chart")
-    parser.add_argument("--size", type=int, default=1024, help="rows and columns of the map on which methods, peers and lamps stand side by side")
+    parser.add_argument(
+        "--size",
+        type=int,
+        default=1024,
+        help="rows and columns of the map on which methods, peers and lamps stand side by side",
+    )
     parser.add_argument("--backends", default="opencl", help="names, comma-separated")
     parser.add_argument("--azimuths", type=numbers, default="8,16,32,64,128", help="numbers of azimuths")
-    parser.add_argument("--sizes", type=numbers, default="512,1024,2048,4096", help="rows and columns of the maps whose speed is measured")
-    parser.add_argument("--exact", type=int, default=512, help="rows and columns of the maps whose accuracy is measured")
+    parser.add_argument(
+        "--sizes",
+        type=numbers,
+        default="512,1024,2048,4096",
+        help="rows and columns of the maps whose speed is measured",
+    )
+    parser.add_argument(
+        "--exact", type=int, default=512, help="rows and columns of the maps whose accuracy is measured"
+    )
     parser.add_argument("--budget", type=float, default=3.0, help="seconds of repetition for each time")
     parser.add_argument("--peers", action="store_true", help="run what other packages there are")
     parser.add_argument("--lamps", action="store_true", help="spheres against shadow rays")
@@ -304,16 +498,35 @@ def main() -> None:
     if args.memory:
         with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as child:
             found = child.submit(memory, names[0], MEMORY_SIZE).result()
-        put("memory", found, table("Peak memory of the call beyond input and output", "backend | size | bytes per pixel", [[names[0], MEMORY_SIZE, f"{found:.1f}"]]))
+        put(
+            "memory",
+            found,
+            table(
+                "Peak memory of the call beyond input and output",
+                "backend | size | bytes per pixel",
+                [[names[0], MEMORY_SIZE, f"{found:.1f}"]],
+            ),
+        )
     rows = [row for name in names for row in speed(name, args.sizes, args.budget)]
     put("speed", rows, speed_table(rows))
     rows, angles = accuracy(names[0], args.azimuths, args.exact, 400)
     put("accuracy", rows, accuracy_table(rows, angles, args.exact, 400))
     facts["horizon"] = angles
     side = SideBySide(names[0], args.size, 1000, args.budget)
-    rows = [side.horizons(quantity, number) for quantity in ("tilted", "solid_angle")[: 1 + args.peers] for number in args.azimuths]
+    rows = [
+        side.horizons(quantity, number)
+        for quantity in ("tilted", "solid_angle")[: 1 + args.peers]
+        for number in args.azimuths
+    ]
     rows += [side.lattice(hemicube, filled) for filled in (True, False) for hemicube in (9, 17)]
-    put("side by side", rows, side_table(rows, f"One rough map, {args.size} x {args.size}, 1000 nodes against 720 exact azimuths (whole calls)"))
+    put(
+        "side by side",
+        rows,
+        side_table(
+            rows,
+            f"One rough map, {args.size} x {args.size}, 1000 nodes against 720 exact azimuths (whole calls)",
+        ),
+    )
     others = []
     if args.peers:
         missing = peers.missing()
@@ -328,11 +541,25 @@ def main() -> None:
     if args.lamps:
         rows = lamps(names[0], args.size, 150, args.budget)
         cells = [[row["lamp"], row["lit"], row["seconds"], row["cores"], *error_cells(row)] for row in rows]
-        put("lamps", rows, table(f"Lamps over rough ground, {args.size} x {args.size}, 150 nodes against 4096 shadow rays; errors over the mean lit irradiance", "lamp | nodes lit | whole call, s | cores | RMS | bias | max", cells))
+        put(
+            "lamps",
+            rows,
+            table(
+                f"Lamps over rough ground, {args.size} x {args.size}, 150 nodes against 4096 shadow rays;"
+                " errors over the mean lit irradiance",
+                "lamp | nodes lit | whole call, s | cores | RMS | bias | max",
+                cells,
+            ),
+        )
     args.out.mkdir(parents=True, exist_ok=True)
     (args.out / "horizon.md").write_text(facts.pop("text").lstrip())
     (args.out / "horizon.json").write_text(json.dumps(facts, indent=1) + "\n")
-    chart(args.out / "horizon.png", args.size, [*side.known.values(), *(row for row in facts["side by side"] if "hemicube" in row)], others)
+    chart(
+        args.out / "horizon.png",
+        args.size,
+        [*side.known.values(), *(row for row in facts["side by side"] if "hemicube" in row)],
+        others,
+    )
 
 
 if __name__ == "__main__":

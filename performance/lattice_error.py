@@ -1,8 +1,9 @@
-"""RMS error of E / pi of the lattice under a uniform sky, against horizons by brute force; the table in the README.
+"""RMS error of E / pi of the lattice under a uniform sky, against horizons by brute force; the table in the
+README.
 
-Two random grounds, rough (rms slope 1) and smooth (rms slope 0.5), open sides. The reference shares nothing with the
-library: at each sampled node, every crossing with a grid line along 720 azimuths, and the closed form over elevation.
-Prints a table (about a minute on two cores):
+Two random grounds, rough (rms slope 1) and smooth (rms slope 0.5), open sides. The reference shares nothing
+with the library: at each sampled node, every crossing with a grid line along 720 azimuths, and the closed
+form over elevation. Prints a table (about a minute on two cores):
 
     python performance/lattice_error.py
 """
@@ -10,11 +11,13 @@ Prints a table (about a minute on two cores):
 import argparse
 
 import numpy as np
-
 import skylamp as sl
 
 SIZE, SAMPLES, AZIMUTHS = 256, 1000, 720
-GROUNDS = {"rough": (1.0, 1.5), "smooth": (0.5, 2.5)}  # rms slope, and the power by which amplitude falls with frequency
+GROUNDS = {
+    "rough": (1.0, 1.5),
+    "smooth": (0.5, 2.5),
+}  # rms slope, and the power by which amplitude falls with frequency
 
 
 def ground(slope, power):
@@ -27,7 +30,9 @@ def ground(slope, power):
 
 
 def lines(height, rows, cols, dx, dy):
-    """Ground where rays leave the nodes along (dx, dy), dx = +-1: at every column they cross, (steps, nodes), -inf off the map."""
+    """Ground where rays leave the nodes along (dx, dy), dx = +-1: at every column they cross, (steps, nodes),
+    -inf off the map.
+    """
     t = np.arange(1, SIZE)[:, None]
     x, y = cols + np.rint(dx).astype(int) * t, rows + dy * t
     inside = (x >= 0) & (x < SIZE) & (y >= 0) & (y <= SIZE - 1)
@@ -45,8 +50,10 @@ def reference(height, rows, cols):
     total = np.zeros(len(rows))
     for azimuth in 2 * np.pi * (np.arange(AZIMUTHS) + 0.5) / AZIMUTHS:
         c, s = np.cos(azimuth), np.sin(azimuth)
-        slopes = [((lines(z, v, u, np.sign(a), b / abs(a)) - here) * abs(a) / t).max(0)
-                  for z, u, v, a, b in ((height, cols, rows, c, s), (height.T, rows, cols, s, c))]
+        slopes = [
+            ((lines(z, v, u, np.sign(a), b / abs(a)) - here) * abs(a) / t).max(0)
+            for z, u, v, a, b in ((height, cols, rows, c, s), (height.T, rows, cols, s, c))
+        ]
         along, up = (gx * c + gy * s) / length, 1 / length  # N.L = along cos(elevation) + up sin(elevation)
         low = np.maximum(np.maximum(np.arctan(np.maximum(*slopes)), np.arctan2(-along, up)), 0)
         total += along * (np.pi / 2 - low - np.sin(low) * np.cos(low)) / 2 + up * np.cos(low) ** 2 / 2
@@ -64,9 +71,24 @@ def main():
         height = ground(slope, power)
         exact = reference(height, rows, cols)
         for size in options.hemicubes:
-            off = [sl.render(sl.Scene.from_height(height), sl.Sky(), "lattice", hemicube=size, filled=filled, quantity="irradiance",
-                             backend=options.backend).image[rows, cols] / np.pi - exact for filled in (False, True)]
-            print(f"{name:8} {exact.mean():6.3f} {size:3d} {np.sqrt((off[0] ** 2).mean()):8.4f} {np.sqrt((off[1] ** 2).mean()):8.4f}")
+            off = [
+                sl.render(
+                    sl.Scene.from_height(height),
+                    sl.Sky(),
+                    "lattice",
+                    hemicube=size,
+                    filled=filled,
+                    quantity="irradiance",
+                    backend=options.backend,
+                ).image[rows, cols]
+                / np.pi
+                - exact
+                for filled in (False, True)
+            ]
+            print(
+                f"{name:8} {exact.mean():6.3f} {size:3d} {np.sqrt((off[0] ** 2).mean()):8.4f}"
+                f" {np.sqrt((off[1] ** 2).mean()):8.4f}"
+            )
 
 
 if __name__ == "__main__":

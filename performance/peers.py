@@ -1,20 +1,22 @@
 """Sky-view factors by other packages on PyPI, as performance/horizon.py --peers runs them beside skylamp.
 
     python3 -m venv peers
-    peers/bin/pip install -U pip setuptools wheel setuptools_scm cython numpy==2.4.6 scipy==1.17.1 numba==0.68.1 \\
+    peers/bin/pip install -U pip setuptools wheel setuptools_scm cython numpy==2.4.6 scipy==1.17.1
+    numba==0.68.1 \\
         xarray==2026.9.0 pandas==3.1.1 urllib3 trimesh==5.2.0 embreex==4.4.0.post1
-    peers/bin/pip install --no-deps --no-build-isolation --ignore-requires-python rvt-py==2.2.3 xarray-spatial==0.10.20 topocalc==0.5.0
-    peers/bin/pip install -e .[plot]
-    peers/bin/python performance/horizon.py --out docs --peers
+    peers/bin/pip install --no-deps --no-build-isolation --ignore-requires-python rvt-py==2.2.3
+    xarray-spatial==0.10.20 topocalc==0.5.0 peers/bin/pip install -e .[plot] peers/bin/python
+    performance/horizon.py --out docs --peers
 
 Two quantities, as in skylamp.sky_view_factor; h is the horizon's elevation, not below 0:
 
 - "solid_angle": 1 - mean of sin h over azimuth, the share of the hemisphere's solid angle.
 - "tilted": E / (pi B) under a uniform sky, cosine-weighted about the surface's normal.
 
-A runner is f(height (rows, cols) in spacings, azimuths or rays, radius in spacings) -> (rows, cols), with the package's
-defaults for what is not given. rvt-py has a sky_illumination too; it is left out, since 2.2.3 turns its azimuths the wrong
-way against the slope's aspect (a plane of slope 1 gets 0.94 facing east, 0.67 facing south, where 0.85 is right).
+A runner is f(height (rows, cols) in spacings, azimuths or rays, radius in spacings) -> (rows, cols), with the
+package's defaults for what is not given. rvt-py has a sky_illumination too; it is left out, since 2.2.3 turns
+its azimuths the wrong way against the slope's aspect (a plane of slope 1 gets 0.94 facing east, 0.67 facing
+south, where 0.85 is right).
 """
 
 import importlib
@@ -33,7 +35,9 @@ def rvt_py(height, azimuths=16, radius=10):
     """Nearest nodes along each azimuth up to the radius; borders mirrored."""
     import rvt.vis
 
-    return rvt.vis.sky_view_factor(np.asarray(height, np.float32), 1.0, svf_n_dir=azimuths, svf_r_max=radius)["svf"]
+    return rvt.vis.sky_view_factor(np.asarray(height, np.float32), 1.0, svf_n_dir=azimuths, svf_r_max=radius)[
+        "svf"
+    ]
 
 
 def xarray_spatial(height, azimuths=16, radius=10):
@@ -42,13 +46,16 @@ def xarray_spatial(height, azimuths=16, radius=10):
     from xrspatial import sky_view_factor
 
     grid = xarray.DataArray(np.asarray(height, float), dims=("y", "x"))
-    return sky_view_factor(grid, max_radius=radius, n_directions=azimuths, cellsize_x=1.0, cellsize_y=1.0).data
+    return sky_view_factor(
+        grid, max_radius=radius, n_directions=azimuths, cellsize_x=1.0, cellsize_y=1.0
+    ).data
 
 
 def topocalc(height, azimuths=72, radius=None):
     """Horizons of the whole map, sheared by whole nodes; borders open.
 
-    Normals by central differences, as in the reference: with its own (Horn's, of 3 x 3 nodes) its error is a third larger.
+    Normals by central differences, as in the reference: with its own (Horn's, of 3 x 3 nodes) its error is a
+    third larger.
     """
     from topocalc.gradient import gradient_d4
     from topocalc.viewf import viewf
@@ -59,10 +66,12 @@ def topocalc(height, azimuths=72, radius=None):
 
 
 def embree(height, azimuths=256, radius=None, nodes=None, seed=0):
-    """``azimuths`` (a square) jittered rays per node, cosine-weighted about its normal, to two triangles per cell; borders open.
+    """``azimuths`` (a square) jittered rays per node, cosine-weighted about its normal, to two triangles per
+    cell; borders open.
 
-    nan off ``nodes`` (rows, cols), all unless given. Rays below the level count as blocked. The triangles' diagonals are
-    ridges that the reference, linear along rows and columns, does not have: about 0.0015 of its bias on rough ground.
+    nan off ``nodes`` (rows, cols), all unless given. Rays below the level count as blocked. The triangles'
+    diagonals are ridges that the reference, linear along rows and columns, does not have: about 0.0015 of its
+    bias on rough ground.
     """
     import trimesh.ray.ray_pyembree
     from trimesh import Trimesh
@@ -78,7 +87,10 @@ def embree(height, azimuths=256, radius=None, nodes=None, seed=0):
     normal = np.stack([-gx, -gy, np.ones_like(gx)], -1) / np.sqrt(1 + gx**2 + gy**2)[:, None]
     a = -1 / (1 + normal[:, 2])  # a frame about the normal
     b = normal[:, 0] * normal[:, 1] * a
-    one, other = np.stack([1 + normal[:, 0] ** 2 * a, b, -normal[:, 0]], -1), np.stack([b, 1 + normal[:, 1] ** 2 * a, -normal[:, 1]], -1)
+    one, other = (
+        np.stack([1 + normal[:, 0] ** 2 * a, b, -normal[:, 0]], -1),
+        np.stack([b, 1 + normal[:, 1] ** 2 * a, -normal[:, 1]], -1),
+    )
     origin = np.stack([cols, rows, height[rows, cols]], -1) + 1e-3 * normal
     side = round(azimuths**0.5)
     cell = np.indices((side, side)).reshape(2, 1, -1)
@@ -86,7 +98,11 @@ def embree(height, azimuths=256, radius=None, nodes=None, seed=0):
     for part in np.array_split(np.arange(len(rows)), len(rows) * azimuths // 1_000_000 + 1):
         u, v = (cell + rng.random((2, len(part), azimuths))) / side
         r, turn = np.sqrt(u)[..., None], 2 * np.pi * v[..., None]
-        rays = r * np.cos(turn) * one[part, None] + r * np.sin(turn) * other[part, None] + np.sqrt(1 - r**2) * normal[part, None]
+        rays = (
+            r * np.cos(turn) * one[part, None]
+            + r * np.sin(turn) * other[part, None]
+            + np.sqrt(1 - r**2) * normal[part, None]
+        )
         seen = rays[..., 2] >= 0
         seen[seen] = ~mesh.intersects_any(np.repeat(origin[part, None], azimuths, 1)[seen], rays[seen])
         out[rows[part], cols[part]] = seen.mean(1)
@@ -121,7 +137,9 @@ def version(name: str) -> str:
     return " + ".join(importlib.metadata.version(package) for package in PEERS[name][1])
 
 
-def run(name: str, height: np.ndarray, nodes, azimuths: int, radius: int | None) -> tuple[np.ndarray, float, float]:
+def run(
+    name: str, height: np.ndarray, nodes, azimuths: int, radius: int | None
+) -> tuple[np.ndarray, float, float]:
     """(values at ``nodes``, seconds for the whole map, cores that were busy) of a peer."""
     function = PEERS[name][0]
     options = {"azimuths": azimuths, "radius": radius}
@@ -131,7 +149,7 @@ def run(name: str, height: np.ndarray, nodes, azimuths: int, radius: int | None)
         image, seconds, cores = timed(function, height, **options)
         return image[nodes], seconds, cores
     image, few, _ = timed(function, height, nodes=nodes, **options)  # mostly the mesh and its tree
-    many = np.unravel_index(np.random.default_rng(0).permutation(height.size)[: EMBREE_NODES], height.shape)
+    many = np.unravel_index(np.random.default_rng(0).permutation(height.size)[:EMBREE_NODES], height.shape)
     _, seconds, cores = timed(function, height, nodes=many, **options)
     left = (height.size - len(many[0])) / (len(many[0]) - len(nodes[0]))
     return image[nodes], seconds + max(0.0, seconds - few) * left, cores

@@ -1,12 +1,12 @@
-"""Whether plans keep their word: scenes x sources x tolerances, the error of render(tolerance=...) against exact rays at
-nodes that no choice has seen, and its time, of a scene that was not rendered before, against that of the cheapest setting that
-would have done, found by trying all.
+"""Whether plans keep their word: scenes x sources x tolerances, the error of render(tolerance=...) against
+exact rays at nodes that no choice has seen, and its time, of a scene that was not rendered before, against
+that of the cheapest setting that would have done, found by trying all.
 
     python performance/plans.py --out docs [--size 192] [--backend opencl]
     python performance/plans.py --out docs --times --size 1024 --name plans_times
 
-Errors are relative RMS (MODEL.md, 7) and the 99.9th percentile. With --times fewer pairs, of which other settings are rendered
-and timed too (half an hour). Prints a table and writes plans.csv, or what --name says.
+Errors are relative RMS (MODEL.md, 7) and the 99.9th percentile. With --times fewer pairs, of which other
+settings are rendered and timed too (half an hour). Prints a table and writes plans.csv, or what --name says.
 """
 
 import argparse
@@ -15,25 +15,31 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-
 import skylamp as sl
-from skylamp.io import files as io
 from skylamp import sources
 from skylamp.backends import select
+from skylamp.io import files as io
 from skylamp.light.lattice import lacking
 from skylamp.refinement import solid_of, upright
 from skylamp.samples import Samples
 
 TOLERANCES = (0.03, 0.01, 0.003)
 NODES = 600  # at which an image is judged
-SETTINGS = {"horizon": (4, 6, 8, 12, 16, 24, 32, 48, 64, 96, 128, 192, 256), "slices": (8, 16, 32, 64, 128), "lattice": (5, 7, 9, 17, 33)}
+SETTINGS = {
+    "horizon": (4, 6, 8, 12, 16, 24, 32, 48, 64, 96, 128, 192, 256),
+    "slices": (8, 16, 32, 64, 128),
+    "lattice": (5, 7, 9, 17, 33),
+}
 
 
 def fractal(size, slope, power, seed=1):
     """Depth (size, size) of this rms slope, from filtered noise."""
     frequency = np.hypot(*np.meshgrid(np.fft.rfftfreq(size), np.fft.fftfreq(size)))
     frequency[0, 0] = 1
-    z = np.fft.irfft2(np.fft.rfft2(np.random.default_rng(seed).standard_normal((size, size))) / frequency**power, s=(size, size))
+    z = np.fft.irfft2(
+        np.fft.rfft2(np.random.default_rng(seed).standard_normal((size, size))) / frequency**power,
+        s=(size, size),
+    )
     z *= slope / np.sqrt(sum(np.mean(np.diff(z, axis=a) ** 2) for a in (0, 1)))
     return z - z.min()
 
@@ -45,7 +51,9 @@ def urban(size, seed=2):
     for row in range(3, size - 10, 15):
         for col in range(3, size - 10, 15):
             if rng.random() < 0.75:
-                depth[row : row + rng.integers(7, 12), col : col + rng.integers(7, 12)] = 40 - rng.integers(4, 40)
+                depth[row : row + rng.integers(7, 12), col : col + rng.integers(7, 12)] = 40 - rng.integers(
+                    4, 40
+                )
     return depth
 
 
@@ -123,7 +131,9 @@ def in_length(source, spacing):
     if isinstance(source, sl.Lamp) and source.center is not None:
         return sl.Lamp(scale(source.center), spacing * source.radius, source.brightness)
     if isinstance(source, sl.Lamp):
-        return sl.Lamp(corner=scale(source.corner), edges=tuple(map(scale, source.edges)), brightness=source.brightness)
+        return sl.Lamp(
+            corner=scale(source.corner), edges=tuple(map(scale, source.edges)), brightness=source.brightness
+        )
     return source
 
 
@@ -142,12 +152,22 @@ def truth(scene, source, backend, nodes: int = NODES) -> tuple[Samples, np.ndarr
 
 
 def off(samples, image, exact) -> tuple[float, float]:
-    """(RMS, 99.9th percentile) of an image's error at the samples, over the mean lit irradiance; samples by their weights."""
-    weights = np.full(len(exact), 1 / len(exact)) if samples.weights is None else samples.weights / samples.weights.sum()
+    """(RMS, 99.9th percentile) of an image's error at the samples, over the mean lit irradiance; samples by
+    their weights.
+    """
+    weights = (
+        np.full(len(exact), 1 / len(exact))
+        if samples.weights is None
+        else samples.weights / samples.weights.sum()
+    )
     lit = exact > 0
-    wrong = np.abs(samples.of(np.asarray(image)) - exact) / ((weights[lit] @ exact[lit]) / weights[lit].sum() if lit.any() else 1.0)
+    wrong = np.abs(samples.of(np.asarray(image)) - exact) / (
+        (weights[lit] @ exact[lit]) / weights[lit].sum() if lit.any() else 1.0
+    )
     order = np.argsort(wrong)
-    return float(np.sqrt(weights @ wrong**2)), float(wrong[order][min(np.searchsorted(np.cumsum(weights[order]), 0.999), len(order) - 1)])
+    return float(np.sqrt(weights @ wrong**2)), float(
+        wrong[order][min(np.searchsorted(np.cumsum(weights[order]), 0.999), len(order) - 1)]
+    )
 
 
 def side_by_side(*works, runs=3):
@@ -156,14 +176,26 @@ def side_by_side(*works, runs=3):
 
 
 def tried(scene, source, samples, exact, backend, longest) -> list:
-    """(seconds, error, render) of every setting; of a kind, until one is within the tightest tolerance, or slower than another that is
-    or than ``longest``."""
-    kinds = ["lattice"] if lacking(scene, source) else ["unoccluded", "horizon", "lattice"] if isinstance(source, sl.Sky) else ["unoccluded", "slices"]
+    """(seconds, error, render) of every setting; of a kind, until one is within the tightest tolerance, or
+    slower than another that is or than ``longest``.
+    """
+    kinds = (
+        ["lattice"]
+        if lacking(scene, source)
+        else ["unoccluded", "horizon", "lattice"]
+        if isinstance(source, sl.Sky)
+        else ["unoccluded", "slices"]
+    )
     found, tight = [], longest
     for kind in kinds:
         for units in SETTINGS.get(kind, (0,)):
-            options = {"unoccluded": {"method": "unoccluded"}, "lattice": {"method": "lattice", "hemicube": units, "filled": True}}.get(kind, {"method": "horizon", "azimuths": units})
-            work = lambda options=options: sl.render(scene, source, quantity="irradiance", backend=backend, **options)
+            options = {
+                "unoccluded": {"method": "unoccluded"},
+                "lattice": {"method": "lattice", "hemicube": units, "filled": True},
+            }.get(kind, {"method": "horizon", "azimuths": units})
+            work = lambda options=options: sl.render(
+                scene, source, quantity="irradiance", backend=backend, **options
+            )
             error, seconds = off(samples, work().image, exact)[0], side_by_side(work, runs=1)[0]
             found.append((seconds, error, work))
             tight = min(tight, seconds) if error <= TOLERANCES[-1] else tight
@@ -175,17 +207,43 @@ def tried(scene, source, samples, exact, backend, longest) -> list:
 def run(scene_name, light, size, backend, times, tolerances=TOLERANCES):
     scene, source = pair(scene_name, light, size)
     samples, exact = truth(scene, source, backend)
-    ours = [lambda t=t: sl.render(replace(scene), source, tolerance=t, quantity="irradiance", backend=backend) for t in tolerances]
-    rows, others = [], tried(scene, source, samples, exact, backend, 2 * max(work().seconds for work in ours)) if times else []
+    ours = [
+        lambda t=t: sl.render(replace(scene), source, tolerance=t, quantity="irradiance", backend=backend)
+        for t in tolerances
+    ]
+    rows, others = (
+        [],
+        (
+            tried(scene, source, samples, exact, backend, 2 * max(work().seconds for work in ours))
+            if times
+            else []
+        ),
+    )
     for tolerance, work in zip(tolerances, ours):
         out = work()
         error, tail = off(samples, out.image, exact)
-        row = {"scene": scene_name, "source": light, "size": scene.shape[0], "tolerance": tolerance, "error": error, "over": error / tolerance, "tail": tail / tolerance / 10,
-               "planned": out.plan.error, "measured": out.plan.measured, "method": out.plan.method, "units": out.plan.azimuths or out.plan.hemicube, "warned": len(out.warnings)}
+        row = {
+            "scene": scene_name,
+            "source": light,
+            "size": scene.shape[0],
+            "tolerance": tolerance,
+            "error": error,
+            "over": error / tolerance,
+            "tail": tail / tolerance / 10,
+            "planned": out.plan.error,
+            "measured": out.plan.measured,
+            "method": out.plan.method,
+            "units": out.plan.azimuths or out.plan.hemicube,
+            "warned": len(out.warnings),
+        }
         if times:
             fine = [other for other in others if other[1] <= tolerance]
             row["planning"] = min(work().plan.planning_seconds for _ in range(2))
-            row["seconds"], row["cheapest"] = side_by_side(work, min(fine, key=lambda other: other[0])[2]) if fine else (*side_by_side(work), np.nan)
+            row["seconds"], row["cheapest"] = (
+                side_by_side(work, min(fine, key=lambda other: other[0])[2])
+                if fine
+                else (*side_by_side(work), np.nan)
+            )
             row["ratio"] = row["seconds"] / row["cheapest"]
         rows.append(row)
     return rows
@@ -206,17 +264,31 @@ def main():
             continue
         rows += run(scene, light, args.size, args.backend, args.times)
         for row in rows[-len(TOLERANCES) :]:
-            print(" | ".join(f"{v:.3g}" if isinstance(v, float) else str(v) for v in row.values()) + ("  MISS" if row["over"] > 1 else ""), flush=True)
+            print(
+                " | ".join(f"{v:.3g}" if isinstance(v, float) else str(v) for v in row.values())
+                + ("  MISS" if row["over"] > 1 else ""),
+                flush=True,
+            )
         with open(args.out / f"{args.name}.csv", "w", newline="") as file:  # what is done so far
             writer = csv.DictWriter(file, rows[0], lineterminator="\n")
             writer.writeheader()
             writer.writerows(rows)
     for tolerance in TOLERANCES:
         some = [row for row in rows if row["tolerance"] == tolerance]
-        text = f"{tolerance}: {sum(r['over'] <= 1 for r in some)} of {len(some)} within, worst {max(r['over'] for r in some):.2f} tolerances; tail: {sum(r['tail'] <= 1 for r in some)} within"
+        text = (
+            f"{tolerance}: {sum(r['over'] <= 1 for r in some)} of {len(some)} within, worst"
+            f" {max(r['over'] for r in some):.2f} tolerances; tail: {sum(r['tail'] <= 1 for r in some)}"
+            " within"
+        )
         if args.times:
-            text += f"; time over the cheapest: median {np.nanmedian([r['ratio'] for r in some]):.2f}, most {np.nanmax([r['ratio'] for r in some]):.2f}"
-            text += f"; planning above 20 % of the render and 50 ms: {sum(r['planning'] > max(0.05, 0.2 * (r['seconds'] - r['planning'])) for r in some)}"
+            text += (
+                f"; time over the cheapest: median {np.nanmedian([r['ratio'] for r in some]):.2f}, most"
+                f" {np.nanmax([r['ratio'] for r in some]):.2f}"
+            )
+            text += (
+                "; planning above 20 % of the render and 50 ms:"
+                f" {sum(r['planning'] > max(0.05, 0.2 * (r['seconds'] - r['planning'])) for r in some)}"
+            )
         print(text)
 
 

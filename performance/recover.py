@@ -1,9 +1,11 @@
 """Depth from images: how accurate, how stable, how fast. Writes OUT.md and OUT.json.
 
-    python performance/recover.py [--backend NAME] [--what accuracy,stability,albedo,terrain,speed] [--sizes 64,256] [--out FOLDER]
+    python performance/recover.py [--backend NAME] [--what accuracy,stability,albedo,terrain,speed] [--sizes
+    64,256] [--out FOLDER]
 
-Surfaces and images are those of tests/surfaces.py: continuous surfaces, rendered five times as finely in a box with dark sides.
-RMSE in layers (nodes), of a range of 64. "paper" is method="paper" at the eps that is best for each surface with the truth in hand.
+Surfaces and images are those of tests/surfaces.py: continuous surfaces, rendered five times as finely in a
+box with dark sides. RMSE in layers (nodes), of a range of 64. "paper" is method="paper" at the eps that is
+best for each surface with the truth in hand.
 """
 
 import argparse
@@ -15,10 +17,9 @@ from pathlib import Path
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parent.parent / "tests"))
+import skylamp as sl
 import surfaces
 from surfaces import ALBEDO, LAYERS, SURFACES, pair, rms, source_of
-
-import skylamp as sl
 
 EPS = (0.002, 0.01, 0.02, 0.05, 0.1)
 
@@ -28,7 +29,15 @@ def robust(image, source, backend, **more):
 
 
 def best_paper(image, source, depth, backend):
-    return min(rms(sl.recover(image, source, ALBEDO, "dark", layers=LAYERS, method="paper", eps=eps, backend=backend).depth - depth) for eps in EPS)
+    return min(
+        rms(
+            sl.recover(
+                image, source, ALBEDO, "dark", layers=LAYERS, method="paper", eps=eps, backend=backend
+            ).depth
+            - depth
+        )
+        for eps in EPS
+    )
 
 
 def accuracy(backend):
@@ -39,20 +48,40 @@ def accuracy(backend):
             found = robust(image, source_of(kind), backend)
             error, sure = np.abs(found.depth - depth), found.confidence >= np.median(found.confidence)
             marked, wrong, right = (found.confidence < 0.5) | found.ambiguous, error > 5, error < 2
-            yield {"source": kind, "surface": name, "robust": rms(error), "paper": best_paper(image, source_of(kind), depth, backend), "confident half": rms(error[sure]),
-                   "the rest": rms(error[~sure]), "wrong by 5, marked": float(marked[wrong].mean()) if wrong.any() else None,
-                   "right within 2, marked": float(marked[right].mean()) if right.any() else None, "seconds": found.seconds}
+            yield {
+                "source": kind,
+                "surface": name,
+                "robust": rms(error),
+                "paper": best_paper(image, source_of(kind), depth, backend),
+                "confident half": rms(error[sure]),
+                "the rest": rms(error[~sure]),
+                "wrong by 5, marked": float(marked[wrong].mean()) if wrong.any() else None,
+                "right within 2, marked": float(marked[right].mean()) if right.any() else None,
+                "seconds": found.seconds,
+            }
     for name in SURFACES:
         (depth, spot), (_, sky) = pair(name, "spot"), pair(name, "sky")
         two = robust([spot, sky], [source_of("spot"), source_of("sky")], backend)
         prior = robust(spot, source_of("spot"), backend, near=np.maximum(depth - 6, 0), far=depth + 6)
-        yield {"source": "spot and sky", "surface": name, "robust": rms(two.depth - depth), "seconds": two.seconds}
-        yield {"source": "spot, depth known to 6", "surface": name, "robust": rms(prior.depth - depth), "seconds": prior.seconds}
+        yield {
+            "source": "spot and sky",
+            "surface": name,
+            "robust": rms(two.depth - depth),
+            "seconds": two.seconds,
+        }
+        yield {
+            "source": "spot, depth known to 6",
+            "surface": name,
+            "robust": rms(prior.depth - depth),
+            "seconds": prior.seconds,
+        }
 
 
 def disturbed(image, what, rng):
     if what.startswith("noise"):
-        return np.maximum(image + float(what.split()[1]) / 100 * image.max() * rng.normal(size=image.shape), 0)
+        return np.maximum(
+            image + float(what.split()[1]) / 100 * image.max() * rng.normal(size=image.shape), 0
+        )
     if what == "8 bits":
         return np.rint(image / image.max() * 255) / 255 * image.max()
     return image * 1.05  # an albedo 5 % too low
@@ -63,25 +92,53 @@ def stability(backend):
     for name in SURFACES:
         depth, image = pair(name, "sky")
         clean = robust(image, sl.Sky(), backend).depth
-        carved = sl.recover(image, sl.Sky(), ALBEDO, "dark", layers=LAYERS, method="paper", backend=backend).depth
+        carved = sl.recover(
+            image, sl.Sky(), ALBEDO, "dark", layers=LAYERS, method="paper", backend=backend
+        ).depth
         for what in ("noise 1 %", "noise 3 %", "8 bits", "albedo 5 %"):
             other = disturbed(image, what, np.random.default_rng(5))
             change = rms(other - image) / image.max()
             found = robust(other, sl.Sky(), backend).depth
-            again = sl.recover(other, sl.Sky(), ALBEDO, "dark", layers=LAYERS, method="paper", backend=backend).depth
-            yield {"surface": name, "disturbance": what, "robust": rms(found - clean) / LAYERS / change, "paper": rms(again - carved) / LAYERS / change,
-                   "RMSE / clean RMSE": rms(found - depth) / rms(clean - depth)}
+            again = sl.recover(
+                other, sl.Sky(), ALBEDO, "dark", layers=LAYERS, method="paper", backend=backend
+            ).depth
+            yield {
+                "surface": name,
+                "disturbance": what,
+                "robust": rms(found - clean) / LAYERS / change,
+                "paper": rms(again - carved) / LAYERS / change,
+                "RMSE / clean RMSE": rms(found - depth) / rms(clean - depth),
+            }
 
 
 def real(backend, size=256):
     """Real terrain, its heights as they are and raised, rendered on its own grid."""
-    for kind, source in (("lamp", surfaces.lamp_over(size)), ("sun", source_of("sun")), ("sky", source_of("sky"))):
+    for kind, source in (
+        ("lamp", surfaces.lamp_over(size)),
+        ("sun", source_of("sun")),
+        ("sky", source_of("sky")),
+    ):
         for heights in (1, 2, 4):
             depth = surfaces.terrain(size, heights)
-            found = sl.recover(surfaces.image_of(depth, source), source, ALBEDO, "dark", layers=int(np.ceil(1.2 * depth.max())), backend=backend)
+            found = sl.recover(
+                surfaces.image_of(depth, source),
+                source,
+                ALBEDO,
+                "dark",
+                layers=int(np.ceil(1.2 * depth.max())),
+                backend=backend,
+            )
             correlation, angle = surfaces.compared(depth, found.depth)
-            yield {"source": kind, "heights": heights, "correlation": correlation, "median normal error, degrees": angle, "RMSE": rms(found.depth - depth),
-                   "relief": float(np.ptp(depth)), "residual": found.levels[-1].residual, "seconds": found.seconds}
+            yield {
+                "source": kind,
+                "heights": heights,
+                "correlation": correlation,
+                "median normal error, degrees": angle,
+                "RMSE": rms(found.depth - depth),
+                "relief": float(np.ptp(depth)),
+                "residual": found.levels[-1].residual,
+                "seconds": found.seconds,
+            }
 
 
 def speed(backend, sizes):
@@ -90,12 +147,27 @@ def speed(backend, sizes):
         depth = surfaces.terrain(size, 4)
         image = surfaces.image_of(depth, sl.Sky())
         start = time.perf_counter()
-        found = sl.recover(image, sl.Sky(), ALBEDO, "dark", layers=int(np.ceil(depth.max() * 1.2)), backend=backend)
+        found = sl.recover(
+            image, sl.Sky(), ALBEDO, "dark", layers=int(np.ceil(depth.max() * 1.2)), backend=backend
+        )
         whole = time.perf_counter() - start
-        yield {"backend": found.backend, "surface": "terrain", "size": size, "seconds": found.seconds, "compiling": found.compile_seconds, "whole call": whole}
+        yield {
+            "backend": found.backend,
+            "surface": "terrain",
+            "size": size,
+            "seconds": found.seconds,
+            "compiling": found.compile_seconds,
+            "whole call": whole,
+        }
     for name in SURFACES:
         found = robust(pair(name, "sky")[1], sl.Sky(), backend)
-        yield {"backend": found.backend, "surface": name, "size": surfaces.SIZE, "seconds": found.seconds, "compiling": found.compile_seconds}
+        yield {
+            "backend": found.backend,
+            "surface": name,
+            "size": surfaces.SIZE,
+            "seconds": found.seconds,
+            "compiling": found.compile_seconds,
+        }
 
 
 def albedos(backend):
@@ -117,11 +189,19 @@ def albedos(backend):
 def table(rows):
     names = list(dict.fromkeys(name for row in rows for name in row))
     shown = lambda value: "" if value is None else f"{value:.3g}" if isinstance(value, float) else str(value)
-    return "\n".join(["| " + " | ".join(names) + " |", "|" + "---|" * len(names), *("| " + " | ".join(shown(row.get(name)) for name in names) + " |" for row in rows)])
+    return "\n".join(
+        [
+            "| " + " | ".join(names) + " |",
+            "|" + "---|" * len(names),
+            *("| " + " | ".join(shown(row.get(name)) for name in names) + " |" for row in rows),
+        ]
+    )
 
 
 def main():
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--backend", default="auto")
     parser.add_argument("--what", default="accuracy,stability,albedo,terrain,speed")
     parser.add_argument("--sizes", default="64,256")
@@ -131,13 +211,21 @@ def main():
     out.mkdir(parents=True, exist_ok=True)
     done = {}
     for what in options.what.split(","):
-        work = {"accuracy": accuracy, "stability": stability, "albedo": albedos, "terrain": real, "speed": lambda backend: speed(backend, map(int, options.sizes.split(",")))}[what]
+        work = {
+            "accuracy": accuracy,
+            "stability": stability,
+            "albedo": albedos,
+            "terrain": real,
+            "speed": lambda backend: speed(backend, map(int, options.sizes.split(","))),
+        }[what]
         done[what] = []
         for row in work(options.backend):
             done[what].append(row)
             print(what, row, flush=True)
             (out / "recover.json").write_text(json.dumps(done, indent=1))
-            (out / "recover.md").write_text("\n\n".join(f"## {name}\n\n{table(rows)}" for name, rows in done.items() if rows) + "\n")
+            (out / "recover.md").write_text(
+                "\n\n".join(f"## {name}\n\n{table(rows)}" for name, rows in done.items() if rows) + "\n"
+            )
 
 
 if __name__ == "__main__":

@@ -1,11 +1,12 @@
 """Speed against accuracy on one chart: `skylamp chart`, and other packages as points of it.
 
-    python performance/speed_accuracy.py --out docs [--backends opencl,numpy] [--sizes 128,512] [--rows docs/speed_accuracy.csv]
+    python performance/speed_accuracy.py --out docs [--backends opencl,numpy] [--sizes 128,512] [--rows
+    docs/speed_accuracy.csv]
         [--peers /path/to/python]
 
-``--peers``: an interpreter that has the packages (see peers.py; this one unless given). They claim sky-view factors, which are
-compared at the same nodes with exact ones of their own definition. ``--rows``: points measured before, drawn again with peers.
-Writes speed_accuracy.csv and speed_accuracy.png.
+``--peers``: an interpreter that has the packages (see peers.py; this one unless given). They claim sky-view
+factors, which are compared at the same nodes with exact ones of their own definition. ``--rows``: points
+measured before, drawn again with peers. Writes speed_accuracy.csv and speed_accuracy.png.
 """
 
 import argparse
@@ -17,7 +18,6 @@ import tempfile
 from pathlib import Path
 
 import numpy as np
-
 import skylamp as sl
 from skylamp.app import chart
 from skylamp.backends import select
@@ -44,22 +44,44 @@ def peers_rows(python: str, size: int) -> list[dict]:
     for kind in ("smooth", "rough", "urban"):
         scene, _, pilots, exact = chart.judged(kind, size, engine)
         border = size // 8
-        inside = (pilots.x >= border) & (pilots.x < size - border) & (pilots.y >= border) & (pilots.y < size - border)  # some mirror the map at its border
+        inside = (
+            (pilots.x >= border)
+            & (pilots.x < size - border)
+            & (pilots.y >= border)
+            & (pilots.y < size - border)
+        )  # some mirror the map at its border
         azimuths = sl.Azimuths(720).angles
         cosine, sine = np.cos(azimuths)[:, None], np.sin(azimuths)[:, None]
         level = pilots.slopes(engine, cosine, sine, np.zeros((720, len(pilots))))
         truth = {"tilted": exact / np.pi, "solid_angle": 1 - np.mean(level / np.sqrt(1 + level**2), 0)}
         with tempfile.NamedTemporaryFile(suffix=".npz") as file:
-            np.savez(file, height=scene.depth.max() - scene.depth, rows=pilots.y[inside], cols=pilots.x[inside])
+            np.savez(
+                file, height=scene.depth.max() - scene.depth, rows=pilots.y[inside], cols=pilots.x[inside]
+            )
             file.flush()
-            out = subprocess.run([python, "-W", "ignore", "-c", CHILD, str(HERE), file.name], capture_output=True, text=True, check=True).stdout
+            out = subprocess.run(
+                [python, "-W", "ignore", "-c", CHILD, str(HERE), file.name],
+                capture_output=True,
+                text=True,
+                check=True,
+            ).stdout
         for line in map(json.loads, out.splitlines()):
             for name, why in line.get("missing", {}).items():
                 print(f"not run: {name} ({why})", flush=True)
             if "peer" in line:
                 wanted = truth[line["quantity"]][inside]
                 error = float(np.sqrt(np.mean((np.array(line["values"]) - wanted) ** 2)) / wanted.mean())
-                rows.append({"class": kind, "size": size, "backend": "peer", "method": f"peer {line['peer']}", "units": line["azimuths"], "error": error, "seconds": line["seconds"]})
+                rows.append(
+                    {
+                        "class": kind,
+                        "size": size,
+                        "backend": "peer",
+                        "method": f"peer {line['peer']}",
+                        "units": line["azimuths"],
+                        "error": error,
+                        "seconds": line["seconds"],
+                    }
+                )
                 print(rows[-1], flush=True)
     return rows
 
@@ -76,7 +98,17 @@ def main():
     sizes = [int(size) for size in args.sizes.split(",")]
     if args.rows:
         with open(args.rows, newline="") as file:
-            rows = [{**row, "size": int(row["size"]), **{name: float(row[name] or 0) for name in ("units", "error", "seconds", "planning", "again")}} for row in csv.DictReader(file)]
+            rows = [
+                {
+                    **row,
+                    "size": int(row["size"]),
+                    **{
+                        name: float(row[name] or 0)
+                        for name in ("units", "error", "seconds", "planning", "again")
+                    },
+                }
+                for row in csv.DictReader(file)
+            ]
         rows = [row for row in rows if row["backend"] != "peer"]
     else:
         rows = chart.measure([name for name in args.backends.split(",") if name] or None, sizes)
@@ -90,7 +122,10 @@ def main():
     for time in ("seconds", "again"):
         for what, as_accurate in (("within the tolerance", False), ("as accurate as its own image", True)):
             for kind, times in chart.behind(rows, time, as_accurate).items():
-                print(f"{kind}, {time}: the default's time over that of the quickest setting {what}:", ", ".join(f"{ratio:.2f} ({100 * t:g} %)" for ratio, t in zip(times, chart.TOLERANCES)))
+                print(
+                    f"{kind}, {time}: the default's time over that of the quickest setting {what}:",
+                    ", ".join(f"{ratio:.2f} ({100 * t:g} %)" for ratio, t in zip(times, chart.TOLERANCES)),
+                )
 
 
 if __name__ == "__main__":

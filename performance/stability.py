@@ -2,8 +2,9 @@
 
     python performance/stability.py --out docs [--backend opencl] [--only leak,sun]
 
-Writes stability.md, stability.csv and stability-*.png (matplotlib). tests/test_stability.py measures the same failures at two values each.
-Errors of images are relative RMS against exact rays, unless a failure says otherwise; those of depth are RMS in layers.
+Writes stability.md, stability.csv and stability-*.png (matplotlib). tests/test_stability.py measures the same
+failures at two values each. Errors of images are relative RMS against exact rays, unless a failure says
+otherwise; those of depth are RMS in layers.
 """
 
 import argparse
@@ -18,19 +19,24 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parent))
 import plans
-
 import skylamp as sl
 
 SIZE = 80
 LAYERS = 32
 Y, X = np.mgrid[:SIZE, :SIZE].astype(float)
 EPS = 0.1  # at which the clean image drills nothing
-RECOVERIES = {"paper, eps": {"method": "paper", "stop": "eps"}, "paper, sign": {"method": "paper", "stop": "sign"}, "robust": {"method": "robust"}}
+RECOVERIES = {
+    "paper, eps": {"method": "paper", "stop": "eps"},
+    "paper, sign": {"method": "paper", "stop": "sign"},
+    "robust": {"method": "robust"},
+}
 
 
 class Failure(NamedTuple):
-    """``measure(value, backend)``: error by line. ``bad`` fails at ``quick[1]`` and not at ``quick[0]``, by ``limit``; ``good``
-    does not fail there, or ``warns(value, backend)`` gives warnings that begin with ``says`` there and not at quick[0]."""
+    """``measure(value, backend)``: error by line. ``bad`` fails at ``quick[1]`` and not at ``quick[0]``, by
+    ``limit``; ``good`` does not fail there, or ``warns(value, backend)`` gives warnings that begin with
+    ``says`` there and not at quick[0].
+    """
 
     title: str
     parameter: str
@@ -48,7 +54,9 @@ class Failure(NamedTuple):
 
 def error_of(scene, source, backend, **options):
     samples, exact = truth(scene, source, backend)
-    return plans.off(samples, sl.render(scene, source, backend=backend, quantity="irradiance", **options).image, exact)[0]
+    return plans.off(
+        samples, sl.render(scene, source, backend=backend, quantity="irradiance", **options).image, exact
+    )[0]
 
 
 def truth(scene, source, backend):
@@ -56,7 +64,9 @@ def truth(scene, source, backend):
 
 
 def lines(scene, source, backend, **ways):
-    return {name.replace("_", " "): error_of(scene, source, backend, **options) for name, options in ways.items()}
+    return {
+        name.replace("_", " "): error_of(scene, source, backend, **options) for name, options in ways.items()
+    }
 
 
 @functools.cache
@@ -65,7 +75,14 @@ def rough(slope=1.0, seed=1):
 
 
 def leak(m, backend):
-    found = lines(sl.Scene(rough()), sl.Sky(), backend, stride={"method": "lattice", "hemicube": m}, filled={"method": "lattice", "hemicube": m, "filled": True}, default={})
+    found = lines(
+        sl.Scene(rough()),
+        sl.Sky(),
+        backend,
+        stride={"method": "lattice", "hemicube": m},
+        filled={"method": "lattice", "hemicube": m, "filled": True},
+        default={},
+    )
     return found
 
 
@@ -73,7 +90,14 @@ def razor(width, backend):
     depth = np.full((SIZE, SIZE), 25.0)
     for at in range(5, SIZE, 20):
         depth[:, at : at + width] = 0
-    return lines(sl.Scene(depth), sl.Sky(), backend, stride_M_17={"method": "lattice", "hemicube": 17}, filled_M_17={"method": "lattice", "hemicube": 17, "filled": True}, default={})
+    return lines(
+        sl.Scene(depth),
+        sl.Sky(),
+        backend,
+        stride_M_17={"method": "lattice", "hemicube": 17},
+        filled_M_17={"method": "lattice", "hemicube": 17, "filled": True},
+        default={},
+    )
 
 
 def valley(deep, backend):
@@ -84,19 +108,36 @@ def valley(deep, backend):
     exact = exact[some]
 
     def off(**options):
-        image = samples.of(sl.render(scene, sl.Sky(), backend=backend, quantity="irradiance", **options).image)[some]
+        image = samples.of(
+            sl.render(scene, sl.Sky(), backend=backend, quantity="irradiance", **options).image
+        )[some]
         return float(np.sqrt(np.mean((image - exact) ** 2)) / exact.mean())
 
-    return {"lattice, M 9": off(method="lattice", hemicube=9, filled=True), "8 azimuths": off(method="horizon", azimuths=8), "64 azimuths": off(method="horizon", azimuths=64), "tolerance 0.3 %": off(tolerance=0.003)}
+    return {
+        "lattice, M 9": off(method="lattice", hemicube=9, filled=True),
+        "8 azimuths": off(method="horizon", azimuths=8),
+        "64 azimuths": off(method="horizon", azimuths=64),
+        "tolerance 0.3 %": off(tolerance=0.003),
+    }
 
 
 def small_lamp(radius, backend):
     scene, lamp = sl.Scene(np.full((40, 40), 24.0)), sl.Lamp((20.3, 19.6, 0), radius)
-    return lines(scene, lamp, backend, lattice_M_9={"method": "lattice", "hemicube": 9, "filled": True}, lattice_M_33={"method": "lattice", "hemicube": 33, "filled": True}, slices={"method": "horizon"}, default={})
+    return lines(
+        scene,
+        lamp,
+        backend,
+        lattice_M_9={"method": "lattice", "hemicube": 9, "filled": True},
+        lattice_M_33={"method": "lattice", "hemicube": 33, "filled": True},
+        slices={"method": "horizon"},
+        default={},
+    )
 
 
 def small_lamp_says(radius, backend):
-    return sl.render(sl.Scene(np.full((40, 40), 24.0)), sl.Lamp((20.3, 19.6, 0), radius), "lattice", backend=backend).warnings
+    return sl.render(
+        sl.Scene(np.full((40, 40), 24.0)), sl.Lamp((20.3, 19.6, 0), radius), "lattice", backend=backend
+    ).warnings
 
 
 def sunny(radius, elevation):
@@ -105,12 +146,27 @@ def sunny(radius, elevation):
 
 def small_sun(radius, backend):
     scene, sky = sl.Scene(rough(0.6)), sunny(radius, 35)
-    return lines(scene, sky, backend, lattice_M_17={"method": "lattice", "hemicube": 17, "filled": True}, even_azimuths={"method": "horizon", "azimuths": sl.Azimuths(64)}, placed_azimuths={"method": "horizon", "azimuths": 64}, default={})
+    return lines(
+        scene,
+        sky,
+        backend,
+        lattice_M_17={"method": "lattice", "hemicube": 17, "filled": True},
+        even_azimuths={"method": "horizon", "azimuths": sl.Azimuths(64)},
+        placed_azimuths={"method": "horizon", "azimuths": 64},
+        default={},
+    )
 
 
 def grazing(elevation, backend):
     scene, sky = sl.Scene(rough(0.6)), sunny(1.0, elevation)
-    return lines(scene, sky, backend, lattice_M_17={"method": "lattice", "hemicube": 17, "filled": True}, even_azimuths={"method": "horizon", "azimuths": sl.Azimuths(32)}, default={})
+    return lines(
+        scene,
+        sky,
+        backend,
+        lattice_M_17={"method": "lattice", "hemicube": 17, "filled": True},
+        even_azimuths={"method": "horizon", "azimuths": sl.Azimuths(32)},
+        default={},
+    )
 
 
 def cliff(height, backend):
@@ -118,15 +174,25 @@ def cliff(height, backend):
     scene, sky = sl.Scene(40 - (40 - depth) * (height / 36)), sl.Sky(plans.sun(0.27, 35, 200, 0.7))
     samples, exact = plans.truth(scene, sky, backend, 600)
     ways = {"six near rows": {"method": "horizon", "azimuths": 64}, "default": {}}
-    return {name: plans.off(samples, sl.render(scene, sky, backend=backend, quantity="irradiance", **way).image, exact)[0] for name, way in ways.items()}
+    return {
+        name: plans.off(
+            samples, sl.render(scene, sky, backend=backend, quantity="irradiance", **way).image, exact
+        )[0]
+        for name, way in ways.items()
+    }
 
 
 def between(albedo, backend):
-    """What the model leaves out in a spherical bowl, exactly, over the image; and the bound that the plan gives."""
+    """What the model leaves out in a spherical bowl, exactly, over the image; and the bound that the plan
+    gives.
+    """
     scene, sky = bowl(albedo)
     exact = albedo * (1 - sky) / (1 - albedo * (1 - sky))
     said = [text for text in sl.plan(scene, sl.Sky(), 0.001, backend).beyond if text.startswith("Light")]
-    return {"light left out, over the image": float(exact), "the plan's bound": float(said[0].split("at most ")[1].split(" %")[0]) / 100 if said else 0.0}
+    return {
+        "light left out, over the image": float(exact),
+        "the plan's bound": float(said[0].split("at most ")[1].split(" %")[0]) / 100 if said else 0.0,
+    }
 
 
 def bowl(albedo):
@@ -147,10 +213,15 @@ def holes(share, backend):
     some = scene.valid[samples.y, samples.x]
 
     def off(**options):
-        image = samples.of(sl.render(scene, sl.Sky(), backend=backend, quantity="irradiance", **options).image)
+        image = samples.of(
+            sl.render(scene, sl.Sky(), backend=backend, quantity="irradiance", **options).image
+        )
         return float(np.sqrt(np.mean((image - exact)[some] ** 2)) / exact.mean())
 
-    return {"against the ground without holes": off(), "lattice, M 17": off(method="lattice", hemicube=17, filled=True)}
+    return {
+        "against the ground without holes": off(),
+        "lattice, M 17": off(method="lattice", hemicube=17, filled=True),
+    }
 
 
 def holed(share):
@@ -164,18 +235,26 @@ def holes_says(share, backend):
 
 
 def touching(gap):
-    return sl.Scene(np.full((41, 41), 20.0) - 4 * np.exp(-((X - 30) ** 2 + (Y - 20) ** 2) / 20)[:41, :41]), sl.Lamp((20, 20, 20 - gap - 2), 2)
+    return sl.Scene(
+        np.full((41, 41), 20.0) - 4 * np.exp(-((X - 30) ** 2 + (Y - 20) ** 2) / 20)[:41, :41]
+    ), sl.Lamp((20, 20, 20 - gap - 2), 2)
 
 
 def touching_lamp(gap, backend):
-    """Irradiance summed over a plane below a ball, against the integral of pi (R / d)^2 cos: what the grid does not hold."""
+    """Irradiance summed over a plane below a ball, against the integral of pi (R / d)^2 cos: what the grid
+    does not hold.
+    """
     scene = sl.Scene(np.full((41, 41), 20.0))
     fine = sl.Scene(np.full((41 * 8 - 7,) * 2, 20.0 * 8), 1.0)
     lamp, large = sl.Lamp((20, 20, 20 - gap - 2), 2), sl.Lamp((160, 160, 160 - 8 * gap - 16), 16)
     coarse = sl.render(scene, lamp, "horizon", backend=backend, quantity="irradiance").image.astype(float)
     sharp = sl.render(fine, large, "horizon", backend=backend, quantity="irradiance").image.astype(float)
     blocks = np.pad(sharp, 4, "edge")[: 41 * 8, : 41 * 8].reshape(41, 8, 41, 8).mean((1, 3))
-    return {"nodes against the mean of their cells": float(np.sqrt(np.mean((coarse - blocks) ** 2)) / blocks.mean())}
+    return {
+        "nodes against the mean of their cells": float(
+            np.sqrt(np.mean((coarse - blocks) ** 2)) / blocks.mean()
+        )
+    }
 
 
 def touching_says(gap, backend):
@@ -184,7 +263,12 @@ def touching_says(gap, backend):
 
 def offset(metres, backend):
     """A relief of a few spacings far below the viewer's plane, against the same at it."""
-    low, near = (sl.render(sl.Scene(rough() + shift), sl.Sky(), "horizon", backend=backend, quantity="irradiance").image for shift in (metres, 0))
+    low, near = (
+        sl.render(
+            sl.Scene(rough() + shift), sl.Sky(), "horizon", backend=backend, quantity="irradiance"
+        ).image
+        for shift in (metres, 0)
+    )
     return {"float32 depth": float(np.sqrt(np.mean((low - near) ** 2)) / near.mean())}
 
 
@@ -194,28 +278,46 @@ def offset_says(metres, backend):
 
 def search(distance, backend):
     scene = sl.Scene(20 * (1 + np.sin(2 * np.pi * X / SIZE * 4)), sides="periodic")
-    return lines(scene, sl.Sky(), backend, as_far_as_asked={"method": "horizon", "azimuths": 64, "max_distance": distance}, default={})
+    return lines(
+        scene,
+        sl.Sky(),
+        backend,
+        as_far_as_asked={"method": "horizon", "azimuths": 64, "max_distance": distance},
+        default={},
+    )
 
 
 def sides(depth, backend):
     """A plane in a dark box, rendered as if its sides were open."""
     box, free = (sl.Scene(np.full((SIZE, SIZE), float(depth)), sides=s) for s in ("dark", "open"))
     samples, exact = truth(box, sl.Sky(), backend)
-    return {name: plans.off(samples, sl.render(scene, sl.Sky(), backend=backend, quantity="irradiance").image, exact)[0] for name, scene in (("sides given as open", free), ("sides given as dark", box))}
+    return {
+        name: plans.off(
+            samples, sl.render(scene, sl.Sky(), backend=backend, quantity="irradiance").image, exact
+        )[0]
+        for name, scene in (("sides given as open", free), ("sides given as dark", box))
+    }
 
 
-# -- recovery --------------------------------------------------------------------------------------------------------------------
+# -- recovery
+# --------------------------------------------------------------------------------------------------------------------
 
 
 @functools.cache
 def relief(kind="egg crate"):
     y, x = np.mgrid[:32, :32].astype(float)
-    return {"egg crate": 12 + 4 * np.sin(x / 5) * np.sin(y / 5), "plane": np.full((32, 32), 12.0), "slant": 8 + 0.3 * x}[kind]
+    return {
+        "egg crate": 12 + 4 * np.sin(x / 5) * np.sin(y / 5),
+        "plane": np.full((32, 32), 12.0),
+        "slant": 8 + 0.3 * x,
+    }[kind]
 
 
 @functools.cache
 def picture(backend, albedo=0.8, kind="egg crate"):
-    return sl.render(sl.Scene(relief(kind), albedo=albedo, sides="dark"), sl.Sky(), tolerance=0.003, backend=backend).image.astype(float)
+    return sl.render(
+        sl.Scene(relief(kind), albedo=albedo, sides="dark"), sl.Sky(), tolerance=0.003, backend=backend
+    ).image.astype(float)
 
 
 def recovered(image, backend, source=sl.Sky(), ways=RECOVERIES, **options):
@@ -228,7 +330,10 @@ def first_says(image, backend, way="paper, eps", **options):
 
 
 def drilled(eps, backend):
-    return {name: float(found.drilled.mean()) for name, found in recovered(picture(backend), backend, eps=eps).items()}
+    return {
+        name: float(found.drilled.mean())
+        for name, found in recovered(picture(backend), backend, eps=eps).items()
+    }
 
 
 def noisy(backend, share):
@@ -243,7 +348,10 @@ def counted(backend, bits):
 
 def change(image, backend, **options):
     """RMS change of depth [layers] from that recovered from the clean image."""
-    clean, other = recovered(picture(backend), backend, eps=EPS), recovered(image, backend, eps=EPS, **options)
+    clean, other = (
+        recovered(picture(backend), backend, eps=EPS),
+        recovered(image, backend, eps=EPS, **options),
+    )
     return {name: float(np.sqrt(np.mean((other[name].depth - clean[name].depth) ** 2))) for name in clean}
 
 
@@ -254,7 +362,10 @@ def spot_picture(power, backend):
     scene = sl.Scene(relief("slant"), albedo=0.8)
     cube = sl.Hemicube(17)
     bits = cube.unpack(sl.visibility(scene, lamp, 17, backend))
-    return 0.8 / (2 * np.pi) * (bits * cube.solid_angles * sl.sources.radiance(lamp, cube.directions)).sum(-1), lamp
+    return (
+        0.8 / (2 * np.pi) * (bits * cube.solid_angles * sl.sources.radiance(lamp, cube.directions)).sum(-1),
+        lamp,
+    )
 
 
 def spot(power):
@@ -263,8 +374,15 @@ def spot(power):
 
 def spot_errors(power, backend):
     image, lamp = spot_picture(power, backend)
-    shaded = sl.render(sl.Scene(relief("slant"), albedo=0.8), lamp, tolerance=0.003, backend=backend).image.astype(float)  # with normals, for the method that has them
-    found = {name: recovered(shaded if name == "robust" else image, backend, lamp, [name], sides="open", hemicube=17, eps=0.01)[name] for name in RECOVERIES}
+    shaded = sl.render(
+        sl.Scene(relief("slant"), albedo=0.8), lamp, tolerance=0.003, backend=backend
+    ).image.astype(float)  # with normals, for the method that has them
+    found = {
+        name: recovered(
+            shaded if name == "robust" else image, backend, lamp, [name], sides="open", hemicube=17, eps=0.01
+        )[name]
+        for name in RECOVERIES
+    }
     return {name: float(np.sqrt(np.mean((one.depth - relief("slant")) ** 2))) for name, one in found.items()}
 
 
@@ -276,7 +394,10 @@ def spot_says(power, backend):
 def flat_start(depth, backend):
     """A plane under an open sky: every depth explains it."""
     image = np.full((24, 24), 0.8)
-    return {name: float(np.sqrt(np.mean((found.depth - depth) ** 2))) for name, found in recovered(image, backend, sides="open").items()}
+    return {
+        name: float(np.sqrt(np.mean((found.depth - depth) ** 2)))
+        for name, found in recovered(image, backend, sides="open").items()
+    }
 
 
 def open_says(sides, backend):
@@ -344,11 +465,22 @@ def draw(path, failure, found):
 
     figure, axes = plt.subplots(figsize=(5.2, 3.2), layout="constrained")
     for number, (name, values) in enumerate(found.items()):
-        axes.plot(range(len(values)), values, "o-", color=f"C{number}", lw=2.2 if name == failure.bad else 1.5, label=name)
+        axes.plot(
+            range(len(values)),
+            values,
+            "o-",
+            color=f"C{number}",
+            lw=2.2 if name == failure.bad else 1.5,
+            label=name,
+        )
     axes.axhline(failure.limit, color="0.6", lw=1, ls="--")
     axes.set_xticks(range(len(failure.values)), [f"{v:g}" for v in failure.values])
     smallest = min((v for values in found.values() for v in values if v > 0), default=1)
-    axes.set_yscale("symlog", linthresh=max(smallest, failure.limit / 300)) if smallest < failure.limit / 5 else None
+    (
+        axes.set_yscale("symlog", linthresh=max(smallest, failure.limit / 300))
+        if smallest < failure.limit / 5
+        else None
+    )
     axes.set_ylim(bottom=0)
     axes.set_xlabel(failure.parameter)
     axes.set_ylabel(failure.unit)
@@ -366,9 +498,19 @@ def main():
     parser.add_argument("--only", default="", help="names, comma-separated")
     args = parser.parse_args()
     args.out.mkdir(parents=True, exist_ok=True)
-    text, rows = ["# Where methods fail, and what skylamp does about it", "",
-                  "Made by `performance/stability.py`. Each figure shows error against the parameter that provokes a failure; the dashed line is where it counts as one. "
-                  "`tests/test_stability.py` holds that each failure is there in the method that has it, and gone, or warned about, in the default.", ""], []
+    text, rows = (
+        [
+            "# Where methods fail, and what skylamp does about it",
+            "",
+            (
+                "Made by `performance/stability.py`. Each figure shows error against the parameter that provokes"
+                " a failure; the dashed line is where it counts as one. `tests/test_stability.py` holds that each"
+                " failure is there in the method that has it, and gone, or warned about, in the default."
+            ),
+            "",
+        ],
+        [],
+    )
     for name, failure in FAILURES.items():
         if args.only and name not in args.only.split(","):
             continue
@@ -376,8 +518,24 @@ def main():
         found = {line: [errors[line] for errors in each] for line in each[0]}
         picture_file = f"stability-{name.replace(' ', '-')}.png"
         draw(args.out / picture_file, failure, found)
-        text += [f"## {failure.title}", "", failure.does, "", f"Sets in ({failure.bad}, above {failure.limit:g}): {sets_in(failure, found)}, {failure.parameter}.", "", f"![{failure.title}]({picture_file})", ""]
-        rows += [(name, failure.parameter, value, line, errors[line]) for value, errors in zip(failure.values, each) for line in errors]
+        text += [
+            f"## {failure.title}",
+            "",
+            failure.does,
+            "",
+            (
+                f"Sets in ({failure.bad}, above {failure.limit:g}): {sets_in(failure, found)},"
+                f" {failure.parameter}."
+            ),
+            "",
+            f"![{failure.title}]({picture_file})",
+            "",
+        ]
+        rows += [
+            (name, failure.parameter, value, line, errors[line])
+            for value, errors in zip(failure.values, each)
+            for line in errors
+        ]
         print(name, {line: [round(v, 4) for v in values] for line, values in found.items()}, flush=True)
     if not args.only:
         (args.out / "stability.md").write_text("\n".join(text))

@@ -3,14 +3,21 @@
 import os
 
 import pytest
+import skylamp as sl
 from hypothesis import HealthCheck, settings
 
-import skylamp as sl
-
-settings.register_profile("skylamp", derandomize=True, database=None, deadline=None, max_examples=25, suppress_health_check=list(HealthCheck))
+settings.register_profile(
+    "skylamp",
+    derandomize=True,
+    database=None,
+    deadline=None,
+    max_examples=25,
+    suppress_health_check=list(HealthCheck),
+)
 settings.load_profile("skylamp")
 
-# SKYLAMP_TEST_BACKENDS="numpy,warp:cuda:0,opencl" names exactly the backends to use instead; all that are named must be there.
+# SKYLAMP_TEST_BACKENDS="numpy,warp:cuda:0,opencl" names exactly the backends to use instead; all that are
+# named must be there.
 NAMED = [name.strip() for name in os.environ.get("SKYLAMP_TEST_BACKENDS", "").split(",") if name.strip()]
 MUST = ["numpy", "warp:cpu", "opencl-cpu"]  # missing: a failure, never a skip
 MAY = ["warp:cuda:0", "opencl-gpu"]  # missing: a skip that says why
@@ -21,10 +28,16 @@ def _parameters():
 
 
 def _resolved(name):
-    """The backend's own name: OpenCL devices are asked for by their kind, since their numbers differ from machine to machine."""
+    """The backend's own name: OpenCL devices are asked for by their kind, since their numbers differ from
+    machine to machine.
+    """
     if name not in ("opencl-cpu", "opencl-gpu"):
         return name
-    fitting = [info.name for info in sl.backends() if info.name.startswith("opencl:") and info.gpu == name.endswith("gpu") and info.available]
+    fitting = [
+        info.name
+        for info in sl.backends()
+        if info.name.startswith("opencl:") and info.gpu == name.endswith("gpu") and info.available
+    ]
     return fitting[0] if fitting else None
 
 
@@ -32,7 +45,11 @@ def _missing(name):
     why = {info.name: info.why for info in sl.backends() if not info.available}
     if name == "warp:cuda:0":
         return why.get(name)
-    return None if _resolved(name) else f"no {name.replace('-', ' device: ')}" + (f" ({why['opencl']})" if "opencl" in why else "")
+    return (
+        None
+        if _resolved(name)
+        else f"no {name.replace('-', ' device: ')}" + (f" ({why['opencl']})" if "opencl" in why else "")
+    )
 
 
 @pytest.fixture(scope="session", params=_parameters())
@@ -60,9 +77,17 @@ def fast():
     """One backend for tests of the model itself: OpenCL, or else the first that is named."""
     from skylamp.backends import select
 
-    return select(_resolved(next((name for name in NAMED or MUST if name.startswith("opencl")), (NAMED or MUST)[0]))).name
+    return select(
+        _resolved(next((name for name in NAMED or MUST if name.startswith("opencl")), (NAMED or MUST)[0]))
+    ).name
 
 
 def pytest_report_header(config):
-    lines = [f"skylamp {sl.__version__}; backends under test: {', '.join(NAMED or MUST)}" + ("" if NAMED else f"; where there is one: {', '.join(MAY)}")]
-    return lines + [f"  {info.name}: {info.device if info.available else 'not here: ' + info.why}" for info in sl.backends()]
+    lines = [
+        f"skylamp {sl.__version__}; backends under test: {', '.join(NAMED or MUST)}"
+        + ("" if NAMED else f"; where there is one: {', '.join(MAY)}")
+    ]
+    return lines + [
+        f"  {info.name}: {info.device if info.available else 'not here: ' + info.why}"
+        for info in sl.backends()
+    ]

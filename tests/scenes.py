@@ -1,4 +1,5 @@
-"""Depth maps of the suite: whole layers, where every method is exact, and continuous ones. All are made here, from fixed seeds.
+"""Depth maps of the suite: whole layers, where every method is exact, and continuous ones. All are made here,
+from fixed seeds.
 
 Most sizes have short common cycles, since the oracle follows level rays round a periodic map node by node.
 """
@@ -6,10 +7,9 @@ Most sizes have short common cycles, since the oracle follows level rays round a
 import functools
 
 import numpy as np
-
 import skylamp as sl
-from skylamp.io import files as io
 from skylamp import oracle
+from skylamp.io import files as io
 from skylamp.sources.shapes import Geometry
 
 SKY = Geometry(0, np.zeros(4), np.zeros((1, 1, 1), np.uint8))
@@ -61,7 +61,9 @@ def _spikes():
 
 
 def _plateaus():
-    y, x = np.mgrid[:24, :32]  # terraces whose edges stand in line with rays of slope 1, 1/2 and 2: touching everywhere
+    y, x = np.mgrid[
+        :24, :32
+    ]  # terraces whose edges stand in line with rays of slope 1, 1/2 and 2: touching everywhere
     return np.where(y < 12, 2 * (x // 4), np.minimum(x, 31 - x) // 2 + (y - 12) // 3)
 
 
@@ -112,7 +114,9 @@ def scene(name, sides="open", spacing=1.0, albedo=0.8):
     """The sl.Scene of a map in whole layers, ``spacing`` per layer; masked depths are NaN."""
     depth, valid = whole_layers(name)
     values = depth * float(spacing)
-    return sl.Scene(values if valid is None else np.where(valid, values, np.nan), spacing, albedo, valid, sides)
+    return sl.Scene(
+        values if valid is None else np.where(valid, values, np.nan), spacing, albedo, valid, sides
+    )
 
 
 def layers(name):
@@ -133,10 +137,16 @@ def filled_truth(name, size, sides):
     """The oracle's test of every crossing, packed."""
     depth, valid = whole_layers(name)
     cube = sl.Hemicube(size)
-    return cube.pack(oracle.filled_visibility(np.where(True if valid is None else valid, depth, np.inf).astype(float), 1.0, cube.steps, sides))
+    return cube.pack(
+        oracle.filled_visibility(
+            np.where(True if valid is None else valid, depth, np.inf).astype(float), 1.0, cube.steps, sides
+        )
+    )
 
 
 def offset_plane(rows=40, cols=56, spacing=0.1):
-    """A slanted plane half a layer off the lattice with a step of 0.1, so that rounding decides nearly every tie."""
+    """A slanted plane half a layer off the lattice with a step of 0.1, so that rounding decides nearly every
+    tie.
+    """
     y, x = np.mgrid[:rows, :cols]
     return spacing * (x + 0.5) + 2 * spacing * (y // 8)

@@ -1,15 +1,16 @@
-"""Continuous surfaces for the inverse problem, and images of them on a finer grid than the one that is to be recovered.
+"""Continuous surfaces for the inverse problem, and images of them on a finer grid than the one that is to be
+recovered.
 
-A surface is sampled FINER times as finely as the image, in the same box, rendered there with many azimuths, and every
-FINER-th node is kept: horizons, walls and normals are nearly those of the continuous surface. It is skylamp's own horizon
-method that renders (method="horizon", 64 or 128 azimuths): another grid and another sampling of azimuths than recover()
-uses, but not another model. What the two share by mistake these images cannot show; tests/test_oracle_horizons.py can.
+A surface is sampled FINER times as finely as the image, in the same box, rendered there with many azimuths,
+and every FINER-th node is kept: horizons, walls and normals are nearly those of the continuous surface. It is
+skylamp's own horizon method that renders (method="horizon", 64 or 128 azimuths): another grid and another
+sampling of azimuths than recover() uses, but not another model. What the two share by mistake these images
+cannot show; tests/test_oracle_horizons.py can.
 """
 
 import functools
 
 import numpy as np
-
 import skylamp as sl
 from skylamp.io import files as io
 
@@ -21,7 +22,9 @@ def _fractal(x, y):
     for wave in range(1, 28):
         for _ in range(4):
             angle, phase = rng.uniform(0, 2 * np.pi, 2)
-            out = out + wave**-1.6 * np.cos(2 * np.pi * wave * (x * np.cos(angle) + y * np.sin(angle)) / 100 + phase)
+            out = out + wave**-1.6 * np.cos(
+                2 * np.pi * wave * (x * np.cos(angle) + y * np.sin(angle)) / 100 + phase
+            )
     return 20 * (out - out.min()) / np.ptp(out)
 
 
@@ -36,7 +39,15 @@ def _face(x, y):
 
 SURFACES = {
     "plane": lambda x, y: 20 * (0.8 * x + 0.2 * y) / 64,
-    "bumps": lambda x, y: 20 - sum(h * np.exp(-((x - u) ** 2 + (y - v) ** 2) / (2 * w * w)) for u, v, w, h in ((18, 20, 7, 16), (44, 16, 6, 11), (30, 46, 9, 19), (52, 46, 5, 9))),
+    "bumps": (
+        lambda x, y: (
+            20
+            - sum(
+                h * np.exp(-((x - u) ** 2 + (y - v) ** 2) / (2 * w * w))
+                for u, v, w, h in ((18, 20, 7, 16), (44, 16, 6, 11), (30, 46, 9, 19), (52, 46, 5, 9))
+            )
+        )
+    ),
     "egg-crate": lambda x, y: 9 - 9 * np.sin(2 * np.pi * x / 32) * np.sin(2 * np.pi * y / 32),
     "fractal": _fractal,
     "face": _face,
@@ -53,7 +64,9 @@ SOURCES = {
 
 @functools.cache
 def pair(name, kind, size=SIZE):
-    """(depth, image), (size, size) float64: the truth at the nodes and its radiance, in a box with dark sides."""
+    """(depth, image), (size, size) float64: the truth at the nodes and its radiance, in a box with dark
+    sides.
+    """
     at = (np.arange(size * FINER) + 0.5) / FINER - 0.5
     x, y = np.meshgrid(at * SIZE / size, at * SIZE / size)
     depth = SURFACES[name](x, y) * size / SIZE
@@ -62,9 +75,19 @@ def pair(name, kind, size=SIZE):
     if isinstance(source, sl.Lamp):  # seen from the fine grid's first node, which lies outside the image's
         scale, off = size / SIZE, (FINER - 1) / 2 / FINER
         middle = (size - 1) / 2 + off
-        source = sl.Lamp(center=(middle, middle, source.center[2] * scale), radius=source.radius * scale, brightness=source.brightness)
+        source = sl.Lamp(
+            center=(middle, middle, source.center[2] * scale),
+            radius=source.radius * scale,
+            brightness=source.brightness,
+        )
     azimuths = 128 if isinstance(source, sl.Sky) else 64
-    image = sl.render(sl.Scene(depth, 1 / FINER, ALBEDO, sides="dark"), source, method="horizon", azimuths=azimuths, backend="auto").image
+    image = sl.render(
+        sl.Scene(depth, 1 / FINER, ALBEDO, sides="dark"),
+        source,
+        method="horizon",
+        azimuths=azimuths,
+        backend="auto",
+    ).image
     pick = slice(FINER // 2, None, FINER)
     return depth[pick, pick], image[pick, pick].astype(float)
 
@@ -74,16 +97,26 @@ def source_of(kind, size=SIZE):
     source, scale = SOURCES[kind], size / SIZE
     if isinstance(source, sl.Sky):
         return source
-    return sl.Lamp(center=((size - 1) / 2, (size - 1) / 2, source.center[2] * scale), radius=source.radius * scale, brightness=source.brightness)
+    return sl.Lamp(
+        center=((size - 1) / 2, (size - 1) / 2, source.center[2] * scale),
+        radius=source.radius * scale,
+        brightness=source.brightness,
+    )
 
 
 def terrain(size, heights=1.0, row=40, col=60):
-    """Depth [nodes] of a crop of the Jacksboro fault, its heights so many times as high; mirrored where the map ends."""
+    """Depth [nodes] of a crop of the Jacksboro fault, its heights so many times as high; mirrored where the
+    map ends.
+    """
     height, spacing = io.terrain()
     height = np.asarray(height, float)
     if size > 512:
         height = np.kron(height, np.ones((2, 2)))
-    height = np.pad(height, [(0, max(0, size + off - side)) for side, off in zip(height.shape, (row, col))], mode="reflect")
+    height = np.pad(
+        height,
+        [(0, max(0, size + off - side)) for side, off in zip(height.shape, (row, col))],
+        mode="reflect",
+    )
     crop = heights * height[row : row + size, col : col + size] / spacing
     return crop.max() - crop + 2
 
@@ -94,15 +127,23 @@ def lamp_over(size):
 
 
 def image_of(depth, source):
-    """Radiance (rows, cols) float64 in a box with dark sides, by 128 azimuths on the grid of the depth itself."""
-    return sl.render(sl.Scene(depth, albedo=ALBEDO, sides="dark"), source, method="horizon", azimuths=128).image.astype(float)
+    """Radiance (rows, cols) float64 in a box with dark sides, by 128 azimuths on the grid of the depth
+    itself.
+    """
+    return sl.render(
+        sl.Scene(depth, albedo=ALBEDO, sides="dark"), source, method="horizon", azimuths=128
+    ).image.astype(float)
 
 
 def compared(depth, found):
     """(correlation, median angle between normals [degree]) of two depth maps."""
-    normals = [np.stack([*np.gradient(np.asarray(z, float))[::-1], -np.ones(z.shape)], -1) for z in (depth, found)]
+    normals = [
+        np.stack([*np.gradient(np.asarray(z, float))[::-1], -np.ones(z.shape)], -1) for z in (depth, found)
+    ]
     a, b = (n / np.linalg.norm(n, axis=-1, keepdims=True) for n in normals)
-    return float(np.corrcoef(np.ravel(depth), np.ravel(found))[0, 1]), float(np.degrees(np.median(np.arccos(np.clip((a * b).sum(-1), -1, 1)))))
+    return float(np.corrcoef(np.ravel(depth), np.ravel(found))[0, 1]), float(
+        np.degrees(np.median(np.arccos(np.clip((a * b).sum(-1), -1, 1))))
+    )
 
 
 def rms(values):

@@ -1,18 +1,19 @@
-"""Irradiance with its derivatives, and the steps of Gauss-Newton: against float64, against dense matrices, and backend by backend."""
+"""Irradiance with its derivatives, and the steps of Gauss-Newton: against float64, against dense matrices,
+and backend by backend.
+"""
 
 import importlib
 import math
 
 import numpy as np
 import pytest
+import skylamp as sl
 from compare import assert_bits_equal
 from scenes import rough
-
-import skylamp as sl
 from skylamp import oracle
-from skylamp.inverse import pyramid as synthesis
 from skylamp.backends import select
 from skylamp.errors import CapacityError
+from skylamp.inverse import pyramid as synthesis
 
 adjoint = importlib.import_module("skylamp.inverse.descent")
 SHAPE = (9, 11)
@@ -28,7 +29,11 @@ def glow(L):
 
 
 SUN = np.array([0.6, 0.3, -0.74]) / np.linalg.norm([0.6, 0.3, 0.74])
-SKIES = {"uniform": sl.Sky(), "glow": sl.Sky(brightness=glow), "sun": sl.Sky(lambda L: 1 + 30 * np.exp(20 * (L @ SUN - 1)))}
+SKIES = {
+    "uniform": sl.Sky(),
+    "glow": sl.Sky(brightness=glow),
+    "sun": sl.Sky(lambda L: 1 + 30 * np.exp(20 * (L @ SUN - 1))),
+}
 SOLIDS = {  # for a map of SHAPE, depths from 3 on
     "ball": sl.Lamp(center=(5.3, 12.5, -4.0), radius=1.5),
     "ball overhead": sl.Lamp(center=(4.2, 4.6, -5.0), radius=4.0),
@@ -37,9 +42,17 @@ SOLIDS = {  # for a map of SHAPE, depths from 3 on
     "window": sl.Window(x=(3.7, 8.9), y=(2.2, 11.4)),
     "upright": sl.Lamp(corner=(-3.0, 1.3, 2.0), edges=((0.0, 7.0, 0.0), (0.0, 0.0, -9.0))),
 }
-SPOTS = {"spot": sl.Lamp(center=(5.3, 12.5, -4.0), radius=1.5, brightness=glow), "lit window": sl.Window(x=(3.7, 8.9), y=(2.2, 11.4), brightness=overcast)}
+SPOTS = {
+    "spot": sl.Lamp(center=(5.3, 12.5, -4.0), radius=1.5, brightness=glow),
+    "lit window": sl.Window(x=(3.7, 8.9), y=(2.2, 11.4), brightness=overcast),
+}
 SOURCES = {**SKIES, **SOLIDS, **SPOTS}
-CASES = [(name, sides) for name, source in SOURCES.items() for sides in ("open", "dark", "periodic") if name in SKIES or sides != "periodic"]
+CASES = [
+    (name, sides)
+    for name, source in SOURCES.items()
+    for sides in ("open", "dark", "periodic")
+    if name in SKIES or sides != "periodic"
+]
 
 
 @pytest.fixture(autouse=True)
@@ -49,17 +62,29 @@ def few_slices(monkeypatch):
 
 def ground(shape=SHAPE, seed=0, slope=0.8):
     """Depths from 3 on; float32, so that float64 sees the same ones."""
-    return (3 + rough(max(shape[0], 2), max(shape[1], 2), slope, seed)[: shape[0], : shape[1]]).astype(np.float32)
+    return (3 + rough(max(shape[0], 2), max(shape[1], 2), slope, seed)[: shape[0], : shape[1]]).astype(
+        np.float32
+    )
 
 
 def light_of(source, shape, azimuths):
     return synthesis.light_of(source, shape, 1.0, synthesis.brightness_of(source, azimuths))
 
 
-def problem(backend, source, shape=SHAPE, sides="open", gain=1.0, target=0.0, low=0.0, high=1e3, azimuths=8, **more):
+def problem(
+    backend, source, shape=SHAPE, sides="open", gain=1.0, target=0.0, low=0.0, high=1e3, azimuths=8, **more
+):
     full = lambda value: np.broadcast_to(np.asarray(value, float), shape)
     lights = [light_of(each, shape, azimuths) for each in (source if isinstance(source, list) else [source])]
-    return adjoint.Descent(select(backend), shape, sides, [(light, full(gain), full(target)) for light in lights], full(low), full(high), **more)
+    return adjoint.Descent(
+        select(backend),
+        shape,
+        sides,
+        [(light, full(gain), full(target)) for light in lights],
+        full(low),
+        full(high),
+        **more,
+    )
 
 
 def image(made, z):
@@ -90,7 +115,9 @@ def push(made, v, number=0):
     for k in range(int(held.max())):
         some = np.flatnonzero(held > k)
         one, two = first[k, some], second[k, some]
-        total[some] += near[k, some].astype(float) * v.ravel()[one] + far[k, some].astype(float) * v.ravel()[two]
+        total[some] += (
+            near[k, some].astype(float) * v.ravel()[one] + far[k, some].astype(float) * v.ravel()[two]
+        )
     return total.reshape(v.shape)
 
 
@@ -102,7 +129,20 @@ def derivative(made, number=0):
 def product(made, v):
     """The sum over images of transpose(J) gain^2 J v, by the kernel."""
     length = float(np.linalg.norm(v))
-    made._launch("ready", made.states[0], made.totals[0], length**2, 1.0, 0.0, 0.0, 0.0, adjoint.FIXED, adjoint.EXACT, 1, dim=(1,))
+    made._launch(
+        "ready",
+        made.states[0],
+        made.totals[0],
+        length**2,
+        1.0,
+        0.0,
+        0.0,
+        0.0,
+        adjoint.FIXED,
+        adjoint.EXACT,
+        1,
+        dim=(1,),
+    )
     made.backend.put(made.v[0], np.asarray(v, np.float32).ravel())
     made._product(made.here, made.states[0])
     sum = made.backend.download(made.sum).sum(0).reshape(made.shape)
@@ -110,7 +150,8 @@ def product(made, v):
     return sum * length / adjoint.FIXED
 
 
-# -- float64 -----------------------------------------------------------------------------------------------------------------
+# -- float64
+# -----------------------------------------------------------------------------------------------------------------
 
 
 def tilts_of(z):
@@ -131,7 +172,9 @@ def sky64(z, light, sides):
     for k, angle in enumerate(angles):
         along = gx * math.cos(angle) + gy * math.sin(angle)
         sine = np.sin(np.arctan(np.maximum(np.maximum(tangent[k], -along), 0)))
-        by_cosine, by_sine = (np.interp(sine, knots, column) for column in light.table[k, :, :2].astype(float).T)
+        by_cosine, by_sine = (
+            np.interp(sine, knots, column) for column in light.table[k, :, :2].astype(float).T
+        )
         total = total + widths[k] * (along * by_cosine + by_sine)
     return total / length
 
@@ -145,7 +188,13 @@ def ground64(height, x, y, c, s, reach):
             continue
         step = np.arange(1, len(lines))
         place, line = across + step * b / abs(a), own + step * (1 if a > 0 else -1)
-        here = (line >= 0) & (line < len(lines)) & (place >= 0) & (place <= lines.shape[1] - 1) & (step <= reach * abs(a))
+        here = (
+            (line >= 0)
+            & (line < len(lines))
+            & (place >= 0)
+            & (place <= lines.shape[1] - 1)
+            & (step <= reach * abs(a))
+        )
         place, line, distance = place[here], line[here], step[here] / abs(a)
         low = np.minimum(place.astype(int), max(lines.shape[1] - 2, 0))
         up = np.minimum(low + 1, lines.shape[1] - 1)
@@ -155,7 +204,9 @@ def ground64(height, x, y, c, s, reach):
 
 
 def in_ball(lamp, x, y, own, k, count):
-    """A slice by its angles: azimuth, width, elevations of its ends, how far ground counts, how far the source goes."""
+    """A slice by its angles: azimuth, width, elevations of its ends, how far ground counts, how far the
+    source goes.
+    """
     dx, dy, rise = lamp.center[0] - x, lamp.center[1] - y, -lamp.center[2] - own
     flat, to = math.hypot(dx, dy), math.atan2(dy, dx)
     if flat > lamp.radius:
@@ -176,7 +227,9 @@ def in_ball(lamp, x, y, own, k, count):
 def corners_of(source):
     """(4, 3) x, y, height, in turn."""
     if isinstance(source, sl.Window):
-        return np.array([(x, y, 0.0) for x, y in zip(np.array(source.x)[[0, 1, 1, 0]], np.array(source.y)[[0, 0, 1, 1]])])
+        return np.array(
+            [(x, y, 0.0) for x, y in zip(np.array(source.x)[[0, 1, 1, 0]], np.array(source.y)[[0, 0, 1, 1]])]
+        )
     a, (u, v) = np.array(source.corner), np.array(source.edges)
     return np.array([a, a + u, a + u + v, a + v]) * [1, 1, -1]
 
@@ -200,11 +253,25 @@ def in_quadrangle(corners, x, y, own, k, count):
             share = a.imag / (a.imag - b.imag)
             r = a.real + share * (b.real - a.real)
             if r > 0:
-                met.append((math.atan2(corners[i, 2] + share * (corners[(i + 1) % 4, 2] - corners[i, 2]) - own, r), r))
+                met.append(
+                    (
+                        math.atan2(
+                            corners[i, 2] + share * (corners[(i + 1) % 4, 2] - corners[i, 2]) - own, r
+                        ),
+                        r,
+                    )
+                )
     if not met:
         return azimuth, width, 1.0, 0.0, 0.0, 0.0
     angles, reach = [angle for angle, _ in met], max(r for _, r in met)
-    return azimuth, width, min(angles), math.pi / 2 if len(met) == 1 and angles[0] > 0 else max(angles), reach, reach
+    return (
+        azimuth,
+        width,
+        min(angles),
+        math.pi / 2 if len(met) == 1 and angles[0] > 0 else max(angles),
+        reach,
+        reach,
+    )
 
 
 def solid64(z, source, sides, count):
@@ -217,11 +284,18 @@ def solid64(z, source, sides, count):
             if isinstance(source, sl.Lamp) and source.center:
                 azimuth, width, low, high, reach, end = in_ball(source, x, y, -z[y, x], k, count)
             else:
-                azimuth, width, low, high, reach, end = in_quadrangle(corners_of(source), x, y, -z[y, x], k, count)
+                azimuth, width, low, high, reach, end = in_quadrangle(
+                    corners_of(source), x, y, -z[y, x], k, count
+                )
             c, s, high = math.cos(azimuth), math.sin(azimuth), min(high, math.pi / 2)
             tilt = gx[y, x] * c + gy[y, x] * s
-            wall = min((cols - 0.5 - x if c > 0 else x + 0.5) / abs(c), (rows - 0.5 - y if s > 0 else y + 0.5) / abs(s))
-            limits = [0.0, -tilt, ground64(-z, x, y, c, s, reach)] + [z[y, x] / wall if sides == "dark" and end > wall else 0.0]
+            wall = min(
+                (cols - 0.5 - x if c > 0 else x + 0.5) / abs(c),
+                (rows - 0.5 - y if s > 0 else y + 0.5) / abs(s),
+            )
+            limits = [0.0, -tilt, ground64(-z, x, y, c, s, reach)] + [
+                z[y, x] / wall if sides == "dark" and end > wall else 0.0
+            ]
             low = max(low, *map(math.atan, limits))
             if low < high:
                 by_sine = (math.sin(high) ** 2 - math.sin(low) ** 2) / 2
@@ -253,7 +327,9 @@ def test_irradiance_and_its_derivative(fast, name, sides):
         np.testing.assert_allclose(push(made, v), change, rtol=0, atol=3e-4 * abs(change).max())
 
 
-@pytest.mark.parametrize("name", ["ball", "ball overhead", "ball in the box", "spot", "window", "lit window", "upright"])
+@pytest.mark.parametrize(
+    "name", ["ball", "ball overhead", "ball in the box", "spot", "window", "lit window", "upright"]
+)
 @pytest.mark.parametrize("sides", ["open", "dark"])
 def test_a_solid_is_the_oracles(fast, monkeypatch, name, sides):
     """With many slices, shadow rays within 1.5 % RMS of the mean that is lit."""
@@ -262,10 +338,14 @@ def test_a_solid_is_the_oracles(fast, monkeypatch, name, sides):
     z, source = ground(), SOURCES[name]
     nodes = tuple(np.random.default_rng(0).permutation(np.indices(SHAPE).reshape(2, -1).T)[:30].T)
     if isinstance(source, sl.Window):
-        wanted = oracle.window_irradiance(z.astype(float), 1.0, np.ones(SHAPE, bool), source, nodes, 1024, sides=sides)
+        wanted = oracle.window_irradiance(
+            z.astype(float), 1.0, np.ones(SHAPE, bool), source, nodes, 1024, sides=sides
+        )
     else:
         lamp = source if source.center else (source.corner, *source.edges, source.brightness)
-        wanted = oracle.lamp_irradiance(z.astype(float), 1.0, np.ones(SHAPE, bool), lamp, nodes, 1024, sides=sides)
+        wanted = oracle.lamp_irradiance(
+            z.astype(float), 1.0, np.ones(SHAPE, bool), lamp, nodes, 1024, sides=sides
+        )
     got = image(problem(fast, source, sides=sides), z)[nodes]
     assert wanted.max() > 0
     assert np.sqrt(np.mean((got - wanted) ** 2)) < 0.015 * wanted[wanted > 0].mean()
@@ -276,7 +356,9 @@ def test_a_solid_is_the_oracles(fast, monkeypatch, name, sides):
 def test_maps_of_any_shape(fast, shape, sides):
     z = ground(shape)
     made = problem(fast, sl.Sky(), shape, sides)
-    np.testing.assert_allclose(image(made, z), model64(sl.Sky(), sides)(z.astype(float)), rtol=0, atol=1e-5 * math.pi)
+    np.testing.assert_allclose(
+        image(made, z), model64(sl.Sky(), sides)(z.astype(float)), rtol=0, atol=1e-5 * math.pi
+    )
 
 
 @pytest.fixture(scope="module")
@@ -284,29 +366,48 @@ def spikes():
     """Single nodes that stand out beside every edge of the tiles, and their light under a sky and a low lamp."""
     shape, rng = (34, 43), np.random.default_rng(2)
     y, x = np.indices(shape)
-    z = 12 + ground(shape, 8, 0.05) - np.where(np.isin(y % 8, (0, 7)) & np.isin(x % 8, (0, 7)) & (rng.random(shape) < 0.3), 6 * rng.random(shape), 0)
+    z = (
+        12
+        + ground(shape, 8, 0.05)
+        - np.where(
+            np.isin(y % 8, (0, 7)) & np.isin(x % 8, (0, 7)) & (rng.random(shape) < 0.3),
+            6 * rng.random(shape),
+            0,
+        )
+    )
     z, lamp = z.astype(np.float32), sl.Lamp(center=(47.0, 38.0, 5.0), radius=3.0)
-    return z, lamp, sky64(z.astype(float), light_of(sl.Sky(), shape, 20), "open"), solid64(z.astype(float), lamp, "open", 6)
+    return (
+        z,
+        lamp,
+        sky64(z.astype(float), light_of(sl.Sky(), shape, 20), "open"),
+        solid64(z.astype(float), lamp, "open", 6),
+    )
 
 
 def test_spikes_at_the_edges_of_tiles(backend, spikes, monkeypatch):
     """What is left out by the highest ground of tiles never stands above."""
     z, lamp, by_sky, by_lamp = spikes
     monkeypatch.setattr(synthesis, "SLICES", 6)
-    np.testing.assert_allclose(image(problem(backend, sl.Sky(), z.shape, azimuths=20), z), by_sky, rtol=0, atol=1e-5 * math.pi)
+    np.testing.assert_allclose(
+        image(problem(backend, sl.Sky(), z.shape, azimuths=20), z), by_sky, rtol=0, atol=1e-5 * math.pi
+    )
     got = image(problem(backend, lamp, z.shape), z)
     assert (by_lamp < 0.5 * np.median(by_lamp)).mean() > 0.02, "the spikes shade nothing"
     np.testing.assert_allclose(got, by_lamp, rtol=0, atol=2e-5 * by_lamp.max())
 
 
 def test_which_node_limits_a_slice(backend):
-    """A level floor at depth 9 with a ridge to 5 along column 6: E's share to each node, how far, and round a map that repeats."""
+    """A level floor at depth 9 with a ridge to 5 along column 6: E's share to each node, how far, and round a
+    map that repeats.
+    """
     rows, cols, at = 5, 11, 6
     z = np.full((rows, cols), 9.0, np.float32)
     z[:, at] = 5
     light = adjoint.Light(None, azimuths=np.array([(1.0, 0, 2, 0), (-1, 0, 2, 0), (0.6, 0.8, 2, 0)]))
     for sides in ("open", "periodic"):
-        made = adjoint.Descent(select(backend), z.shape, sides, [(light, np.ones(z.shape), np.zeros(z.shape))], 0, 99)
+        made = adjoint.Descent(
+            select(backend), z.shape, sides, [(light, np.ones(z.shape), np.zeros(z.shape))], 0, 99
+        )
         made.value(z, 0.0)
         held, first, second, near, far = links(made)
         wanted = [[] for _ in range(rows * cols)]  # links of every node, where they can be told
@@ -322,13 +423,19 @@ def test_which_node_limits_a_slice(backend):
                 assert first[k, p] == node and far[k, p] == 0 and near[k, p] == pytest.approx(-pull, rel=1e-6)
         slanting = lambda y, x: [k for k in range(held[y * cols + x]) if first[k, y * cols + x] // cols != y]
         if sides == "open":
-            # 3 columns on the slanting ray has gone 4 rows; from row 1 it meets the last row a quarter of a node before the ridge
-            assert not any(slanting(y, 3) for y in range(2, rows)) and all(held[y * cols + at] == 0 for y in range(rows))
+            # 3 columns on the slanting ray has gone 4 rows; from row 1 it meets the last row a quarter of a
+            # node before the ridge
+            assert not any(slanting(y, 3) for y in range(2, rows)) and all(
+                held[y * cols + at] == 0 for y in range(rows)
+            )
             (k,), p = slanting(1, 3), cols + 3
             tangent = 1 / 3.75
             pull = -2 * tangent / (1 + tangent**2) ** 2 / 3.75
             assert (first[k, p], second[k, p]) == (4 * cols + at - 1, 4 * cols + at)
-            assert (near[k, p], far[k, p]) == (pytest.approx(-0.75 * pull, rel=1e-5), pytest.approx(-0.25 * pull, rel=1e-5))
+            assert (near[k, p], far[k, p]) == (
+                pytest.approx(-0.75 * pull, rel=1e-5),
+                pytest.approx(-0.25 * pull, rel=1e-5),
+            )
         else:
             assert all(slanting(y, 3) for y in range(rows))
 
@@ -339,7 +446,9 @@ def test_an_azimuth_almost_along_the_grid(backend):
 
     def lit(c, s):
         light = adjoint.Light(None, azimuths=np.array([(c, s, 2 * math.pi, 0)]))
-        made = adjoint.Descent(select(backend), SHAPE, "open", [(light, np.ones(SHAPE), np.zeros(SHAPE))], 0, 99)
+        made = adjoint.Descent(
+            select(backend), SHAPE, "open", [(light, np.ones(SHAPE), np.zeros(SHAPE))], 0, 99
+        )
         return image(made, z)
 
     for c, s in ((0, 1), (0, -1), (1, 0), (-1, 0)):
@@ -349,10 +458,13 @@ def test_an_azimuth_almost_along_the_grid(backend):
             np.testing.assert_allclose(lit(c or off, s or off), wanted, rtol=1e-5)
 
 
-# -- the adjoint -------------------------------------------------------------------------------------------------------------
+# -- the adjoint
+# -------------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("name", "sides"), [("uniform", "dark"), ("glow", "periodic"), ("spot", "open"), ("window", "dark")])
+@pytest.mark.parametrize(
+    ("name", "sides"), [("uniform", "dark"), ("glow", "periodic"), ("spot", "open"), ("window", "dark")]
+)
 def test_a_product_is_that_of_the_matrices(backend, name, sides):
     """transpose(J) gain^2 J v, for noise and for a mass at a node."""
     rng = np.random.default_rng(5)
@@ -383,16 +495,35 @@ def test_the_gradient_is_that_of_the_objective(fast, name):
 
 
 def lit_twice(backend, shape, known=False, seed=7):
-    """A surface under a sky and a lamp whose images are not those of any albedo, and the two images at albedo 1."""
+    """A surface under a sky and a lamp whose images are not those of any albedo, and the two images at albedo
+    1.
+    """
     rng, z = np.random.default_rng(seed), ground(shape, 2)
     gain = rng.uniform(0.3, 0.6, shape).astype(np.float32)
-    made = problem(backend, [SOURCES["uniform"], SOURCES["spot"]], shape, "dark", gain, 0.4 + 0.1 * rng.normal(size=shape), albedo_known=known)
+    made = problem(
+        backend,
+        [SOURCES["uniform"], SOURCES["spot"]],
+        shape,
+        "dark",
+        gain,
+        0.4 + 0.1 * rng.normal(size=shape),
+        albedo_known=known,
+    )
     made.value(z, 0.02)
-    return made, z, [gain * made.backend.download(each.links[made.here][0])[0].reshape(shape).astype(float) for each in made.images]
+    return (
+        made,
+        z,
+        [
+            gain * made.backend.download(each.links[made.here][0])[0].reshape(shape).astype(float)
+            for each in made.images
+        ],
+    )
 
 
 def test_the_albedo_is_the_best_there_is(backend):
-    """Pixel by pixel the least-squares solution of both images and of what is expected, and the objective is with it."""
+    """Pixel by pixel the least-squares solution of both images and of what is expected, and the objective is
+    with it.
+    """
     made, z, bright = lit_twice(backend, (9, 11))
     pull, expected = 0.3, 0.7
     made.expect(expected, pull)
@@ -402,7 +533,10 @@ def test_the_albedo_is_the_best_there_is(backend):
                         for j in range(z.shape[1])] for i in range(z.shape[0])])  # fmt: skip
     np.testing.assert_allclose(made.albedo(), albedo, rtol=1e-5)
     assert np.ptp(albedo) > 0.2
-    squares = sum(((albedo * b - t) ** 2).sum() for b, t in zip(bright, targets)) + ((pull * (albedo - expected)) ** 2).sum()
+    squares = (
+        sum(((albedo * b - t) ** 2).sum() for b, t in zip(bright, targets))
+        + ((pull * (albedo - expected)) ** 2).sum()
+    )
     assert value == pytest.approx(0.5 * squares, rel=1e-5)
     for got, b in zip(made.irradiances(z), bright):
         np.testing.assert_allclose(got, albedo * b, rtol=1e-5)
@@ -426,7 +560,9 @@ def test_a_product_leaves_out_what_the_albedo_makes_up_for(backend):
 
 
 def test_the_gradient_with_the_best_albedo_is_that_of_the_objective(fast):
-    """By differences of the objective, the albedo found anew for each: within 1 %. Held fast, the albedo of another surface has another one."""
+    """By differences of the objective, the albedo found anew for each: within 1 %. Held fast, the albedo of
+    another surface has another one.
+    """
     made, z, _ = lit_twice(fast, (12, 15))
     made.gradient(0.02)
     downhill = made.backend.download(made.r[0]).reshape(z.shape).astype(float)
@@ -440,16 +576,27 @@ def test_the_gradient_with_the_best_albedo_is_that_of_the_objective(fast):
 
 def second_differences(shape):
     """D (2 pixels, pixels), along rows and along columns, 0 at the ends."""
-    one = lambda n: np.array([np.eye(n)[i - 1] - 2 * np.eye(n)[i] + np.eye(n)[i + 1] if 0 < i < n - 1 else np.zeros(n) for i in range(n)])
+    one = lambda n: np.array(
+        [
+            np.eye(n)[i - 1] - 2 * np.eye(n)[i] + np.eye(n)[i + 1] if 0 < i < n - 1 else np.zeros(n)
+            for i in range(n)
+        ]
+    )
     return np.vstack([np.kron(np.eye(shape[0]), one(shape[1])), np.kron(one(shape[0]), np.eye(shape[1]))])
 
 
 @pytest.mark.parametrize(("name", "sides"), [("uniform", "dark"), ("glow", "periodic"), ("ball", "open")])
 def test_a_step_is_that_of_the_dense_matrices(backend, name, sides):
-    """Gradient, scale, and conjugate gradients against J column by column, with nodes that a bound holds and nodes it lets go."""
+    """Gradient, scale, and conjugate gradients against J column by column, with nodes that a bound holds and
+    nodes it lets go.
+    """
     shape, rng = (6, 7), np.random.default_rng(11)
     n, weight, damping = 42, 0.03, 0.01
-    gain, target, z = rng.uniform(0.3, 0.9, shape).astype(np.float32), rng.uniform(0.3, 0.9, shape).astype(np.float32), ground(shape, 4)
+    gain, target, z = (
+        rng.uniform(0.3, 0.9, shape).astype(np.float32),
+        rng.uniform(0.3, 0.9, shape).astype(np.float32),
+        ground(shape, 4),
+    )
     low, high = np.where(rng.random(shape) < 0.3, z, 0), np.where(rng.random(shape) < 0.3, z, 99)
     made = problem(backend, SOURCES[name], shape, sides, gain, target, low, high)
     value = made.value(z, weight)
@@ -465,7 +612,11 @@ def test_a_step_is_that_of_the_dense_matrices(backend, name, sides):
     free = ~held
     assert 3 < held.sum() < ((z <= low) | (z >= high)).sum() and (get(made.free[0]) == free).all()
     # the diagonal of transpose(J) J, but for a node's links that lead to the same one
-    scale, (E, own, by_x, by_y), (held, first, second, near, far) = np.full(n, 12 * weight + 1e-7), E.astype(float), links(made)
+    scale, (E, own, by_x, by_y), (held, first, second, near, far) = (
+        np.full(n, 12 * weight + 1e-7),
+        E.astype(float),
+        links(made),
+    )
     y, x = np.indices(shape)
     for p, (i, j) in enumerate(zip(y.ravel(), x.ravel())):
         g = float(gain[i, j])
@@ -473,7 +624,9 @@ def test_a_step_is_that_of_the_dense_matrices(backend, name, sides):
         for by, place, size, step in ((by_x, j, 7, 1), (by_y, i, 6, 7)):
             half = 0.5 if 0 < place < size - 1 else 1
             parts += [(p + step * (place < size - 1), half * by[p]), (p - step * (place > 0), half * by[p])]
-        parts += [(to[k, p], part[k, p]) for k in range(held[p]) for to, part in ((first, near), (second, far))]
+        parts += [
+            (to[k, p], part[k, p]) for k in range(held[p]) for to, part in ((first, near), (second, far))
+        ]
         for to, part in parts:
             scale[to] += (g * float(part)) ** 2
     np.testing.assert_allclose(get(made.scale[0]), scale, rtol=1e-5)
@@ -484,22 +637,34 @@ def test_a_step_is_that_of_the_dense_matrices(backend, name, sides):
     assert gained == pytest.approx(0.5 * down[free] @ wanted[free], rel=1e-3)
     assert abs(get(made.r[0])).max() < 1e-4 * abs(down).max()
 
-    made._launch("move", made.backend.upload(z.ravel()), made.x, made.low, made.high, made.z[1], made.pixels, made.each)
-    np.testing.assert_allclose(get(made.z[1]), np.clip(z.ravel() + wanted, low.ravel(), high.ravel()), atol=3e-4 * abs(wanted).max())
+    made._launch(
+        "move", made.backend.upload(z.ravel()), made.x, made.low, made.high, made.z[1], made.pixels, made.each
+    )
+    np.testing.assert_allclose(
+        get(made.z[1]), np.clip(z.ravel() + wanted, low.ravel(), high.ravel()), atol=3e-4 * abs(wanted).max()
+    )
 
 
 def hats(n):
-    """(n, coarse) linear interpolation from a line of nodes four times as coarse, whose first lies at node 1.5, level beyond its ends."""
+    """(n, coarse) linear interpolation from a line of nodes four times as coarse, whose first lies at node
+    1.5, level beyond its ends.
+    """
     coarse = -(-n // 4)
-    return np.stack([np.interp(np.arange(n), 4 * np.arange(coarse) + 1.5, unit) for unit in np.eye(coarse)], 1)
+    return np.stack(
+        [np.interp(np.arange(n), 4 * np.arange(coarse) + 1.5, unit) for unit in np.eye(coarse)], 1
+    )
 
 
 @pytest.mark.parametrize("shape", [(6, 7), (16, 37), (1, 21)])
 def test_what_preconditions_is_that_of_dense_matrices(backend, shape):
-    """v = free (r / scale + P (P^T r / S + P' (P'^T P^T r / S'))), P interpolation, S of grids 4 and 16 times as coarse."""
+    """v = free (r / scale + P (P^T r / S + P' (P'^T P^T r / S'))), P interpolation, S of grids 4 and 16 times
+    as coarse.
+    """
     z, rng = ground(shape, 4), np.random.default_rng(2)
     held = rng.random(shape) < 0.2
-    made = problem(backend, sl.Sky(), shape, "dark", 0.5, np.where(held, 2, 0), np.where(held, z, 0), 99)  # too dark: it would go up
+    made = problem(
+        backend, sl.Sky(), shape, "dark", 0.5, np.where(held, 2, 0), np.where(held, z, 0), 99
+    )  # too dark: it would go up
     made.value(z, 0.03)
     square, along = made.gradient(0.03)
     get = lambda array: made.backend.download(array).astype(float)
@@ -518,7 +683,9 @@ def test_what_preconditions_is_that_of_dense_matrices(backend, shape):
 
 
 def test_coarse_grids_make_conjugate_gradients_quick(fast, monkeypatch):
-    """Where a broad part of a surface is wrong, ten iterations leave less than a fifth of what they leave without coarse grids."""
+    """Where a broad part of a surface is wrong, ten iterations leave less than a fifth of what they leave
+    without coarse grids.
+    """
     shape, gains = (48, 48), []
     z = ground(shape, 6, 0.5)
     target = problem(fast, sl.Sky(), shape, "dark", 0.3).irradiances(z)[0]
@@ -531,7 +698,9 @@ def test_coarse_grids_make_conjugate_gradients_quick(fast, monkeypatch):
 
 
 def test_descent_finds_the_surface(fast):
-    """From a blurred start to the surface whose image it is; the objective that it tells is the one it reached."""
+    """From a blurred start to the surface whose image it is; the objective that it tells is the one it
+    reached.
+    """
     shape = (16, 16)
     z = ground(shape, 6, 0.5)
     rng = np.random.default_rng(1)
@@ -547,12 +716,20 @@ def test_descent_finds_the_surface(fast):
 
 
 def test_what_is_at_hand_is_not_looked_at_again(fast, monkeypatch):
-    """Depths that were just evaluated cost no rays, with whatever target and rest; others do, and so does a surface that was left since."""
+    """Depths that were just evaluated cost no rays, with whatever target and rest; others do, and so does a
+    surface that was left since.
+    """
     depth, other, looks = ground(), ground(seed=1), []
     made, target = problem(fast, sl.Sky(), low=0.5), 0.3 * np.ones(SHAPE)
     engine, before = made.backend, made.backend.launch
-    monkeypatch.setattr(engine, "record", lambda work, times=1: lambda: [work() for _ in range(times)])  # launches shall be seen
-    monkeypatch.setattr(engine, "launch", lambda stem, kernel, *args, **more: (looks.append(kernel), before(stem, kernel, *args, **more))[1])
+    monkeypatch.setattr(
+        engine, "record", lambda work, times=1: lambda: [work() for _ in range(times)]
+    )  # launches shall be seen
+    monkeypatch.setattr(
+        engine,
+        "launch",
+        lambda stem, kernel, *args, **more: (looks.append(kernel), before(stem, kernel, *args, **more))[1],
+    )
     looked = lambda: [looks.count("look"), looks.clear()][0]
     first = made.value(depth, 1e-3)
     assert looked() == 1 and made.value(depth, 1e-3) == first and looked() == 0
@@ -581,7 +758,8 @@ def test_bounds_hold_and_the_objective_never_rises(fast):
     assert values[0] > values[1] >= values[2] and (z[:, :9] == 9).any()
 
 
-# -- backends ----------------------------------------------------------------------------------------------------------------
+# -- backends
+# ----------------------------------------------------------------------------------------------------------------
 
 
 def everything(made, z):
@@ -589,9 +767,17 @@ def everything(made, z):
     value = made.value(z, 1e-3)
     get = made.backend.download
     held, *rest = links(made)
-    seen = [get(made.images[0].links[made.here][0]) + 0, held, *(np.where(np.arange(len(array))[:, None] < held, array, 0) + 0 for array in rest)]
+    seen = [
+        get(made.images[0].links[made.here][0]) + 0,
+        held,
+        *(np.where(np.arange(len(array))[:, None] < held, array, 0) + 0 for array in rest),
+    ]
     gained = made.solve(1e-3, 1e-3, 8, 1e-3)
-    return [*seen, *(get(array) + 0 for array in (*made.scale, *made.free, made.x, *made.r, *made.v)), np.array([value, gained])]
+    return [
+        *seen,
+        *(get(array) + 0 for array in (*made.scale, *made.free, made.x, *made.r, *made.v)),
+        np.array([value, gained]),
+    ]
 
 
 @pytest.mark.parametrize(("name", "sides"), CASES)
@@ -610,7 +796,9 @@ def test_backends_agree_to_the_bit_and_repeat_themselves(backend, fast, name, si
 
 
 def test_descents_agree_to_the_bit(backend, fast):
-    """Three whole steps from the same start under a sky and a lamp together, also where the albedo is not known."""
+    """Three whole steps from the same start under a sky and a lamp together, also where the albedo is not
+    known.
+    """
     shape = (16, 19)
     start, target = ground(shape, 3, 0.4), 0.3 + 0.1 * ground(shape, 5, 0.1)
     for known in (True, False):
@@ -621,7 +809,9 @@ def test_descents_agree_to_the_bit(backend, fast):
 
 
 def test_one_kernel_solves_as_many_do(fast, monkeypatch):
-    """A step of conjugate gradients by one work-item, and by launches for every part of it, also when they go on after the end: the same bits."""
+    """A step of conjugate gradients by one work-item, and by launches for every part of it, also when they go
+    on after the end: the same bits.
+    """
     shape, found = (33, 35), []
     start, target = ground(shape, 3, 0.4), 0.3 + 0.1 * ground(shape, 5, 0.1)
     for alone, ahead in ((0, 1), (0, 7), (8192, 1)):
@@ -642,7 +832,11 @@ def test_more_work_items_than_nodes(fast, monkeypatch):
     z = ground((13, 21), 1)
     wanted = everything(made, z)
     launch = type(made.backend).launch
-    monkeypatch.setattr(type(made.backend), "launch", lambda self, *args, group=None, **more: launch(self, *args, group=64, **more))
+    monkeypatch.setattr(
+        type(made.backend),
+        "launch",
+        lambda self, *args, group=None, **more: launch(self, *args, group=64, **more),
+    )
     for got, expected in zip(everything(made, z), wanted, strict=True):
         assert_bits_equal(got, expected)
     # sums of blocks end where their array ends
@@ -654,20 +848,30 @@ def test_more_work_items_than_nodes(fast, monkeypatch):
 def test_a_map_with_too_many_links(backend):
     light = adjoint.Light(None, azimuths=np.zeros((2**22, 4), np.float32))
     with pytest.raises(CapacityError, match="links"):
-        adjoint.Descent(select(backend), (16, 32), "open", [(light, np.ones((16, 32)), np.ones((16, 32)))], 0, 1)
+        adjoint.Descent(
+            select(backend), (16, 32), "open", [(light, np.ones((16, 32)), np.ones((16, 32)))], 0, 1
+        )
 
 
-# -- Warp's tape, where it is right: no loop that changes what it reads ------------------------------------------------------
+# -- Warp's tape, where it is right: no loop that changes what it reads
+# ------------------------------------------------------
 
 
 def _taped():
     import warp as wp
-
     from skylamp.warp_kernels import adjoint as kernels
 
     @wp.kernel
-    def of_slope(t: wp.array[wp.float32], table: wp.array[wp.float32], row: wp.int32, share: wp.float32, knots: wp.int32, c1: wp.array[wp.float32],
-                 c2: wp.array[wp.float32], found: wp.array2d[wp.float32]):
+    def of_slope(
+        t: wp.array[wp.float32],
+        table: wp.array[wp.float32],
+        row: wp.int32,
+        share: wp.float32,
+        knots: wp.int32,
+        c1: wp.array[wp.float32],
+        c2: wp.array[wp.float32],
+        found: wp.array2d[wp.float32],
+    ):
         i = wp.tid()
         lit = kernels.above(t[i], table, row, row + 1, share, knots)
         c1[i] = lit[0]
@@ -676,8 +880,16 @@ def _taped():
         found[i, 1] = lit[3]
 
     @wp.kernel
-    def of_nodes(heights: wp.array2d[wp.float32], share: wp.float32, closeness: wp.float32, tilt: wp.float32, width: wp.float32, table: wp.array[wp.float32],
-                 out: wp.array[wp.float32], pulls: wp.array[wp.float32]):
+    def of_nodes(
+        heights: wp.array2d[wp.float32],
+        share: wp.float32,
+        closeness: wp.float32,
+        tilt: wp.float32,
+        width: wp.float32,
+        table: wp.array[wp.float32],
+        out: wp.array[wp.float32],
+        pulls: wp.array[wp.float32],
+    ):
         i = wp.tid()
         own = heights[i, 0]
         a = heights[i, 1]
@@ -700,38 +912,73 @@ def test_light_above_a_slope_has_the_derivative_of_the_tape(taped, knots):
     wp, of_slope, _ = taped
     slopes = np.array([0.003, 0.2, 0.71, 0.99, 1.01, 2.5, 9.0, 80.0], np.float32)
     angles = np.array([0.3, 1.1])
-    table = np.zeros((1, 4)) if knots == 0 else importlib.import_module("skylamp.sources").elevation_table(sl.Sky(brightness=glow), angles, 0 * angles, 64, knots)
+    table = (
+        np.zeros((1, 4))
+        if knots == 0
+        else importlib.import_module("skylamp.sources").elevation_table(
+            sl.Sky(brightness=glow), angles, 0 * angles, 64, knots
+        )
+    )
     put = lambda array, grad=False: wp.array(np.asarray(array, np.float32), device="cpu", requires_grad=grad)
     found = put(np.zeros((8, 2)))
     for column in range(2):
         t, c1, c2 = (put(v, True) for v in (slopes, 0 * slopes, 0 * slopes))
         tape = wp.Tape()
         with tape:
-            wp.launch(of_slope, dim=8, inputs=[t, put(np.ravel(table)), 0, 0.4, knots, c1, c2, found], device="cpu")
+            wp.launch(
+                of_slope, dim=8, inputs=[t, put(np.ravel(table)), 0, 0.4, knots, c1, c2, found], device="cpu"
+            )
         tape.backward(grads={(c1, c2)[column]: put(np.ones(8))})
         assert (abs(t.grad.numpy()[:6]) > 1e-3).all()
         np.testing.assert_allclose(found.numpy()[:, column], t.grad.numpy(), rtol=2e-4, atol=2e-6)
     # and the integrals are those of the sky: from each slope to the zenith
-    e = np.arctan(slopes.astype(float))[:, None] + (np.pi / 2 - np.arctan(slopes.astype(float)))[:, None] * (np.arange(4000) + 0.5) / 4000
+    e = (
+        np.arctan(slopes.astype(float))[:, None]
+        + (np.pi / 2 - np.arctan(slopes.astype(float)))[:, None] * (np.arange(4000) + 0.5) / 4000
+    )
     light = 1.0
     if knots:
-        ways = [glow(np.stack([np.cos(e) * math.cos(a), np.cos(e) * math.sin(a), -np.sin(e)], -1)) for a in angles]
+        ways = [
+            glow(np.stack([np.cos(e) * math.cos(a), np.cos(e) * math.sin(a), -np.sin(e)], -1)) for a in angles
+        ]
         light = ways[0] + 0.4 * (ways[1] - ways[0])
     step = np.pi / 2 - np.arctan(slopes.astype(float))
     np.testing.assert_allclose(c1.numpy(), (light * np.sin(e) * np.cos(e)).mean(1) * step, rtol=0, atol=1e-4)
-    np.testing.assert_allclose(c2.numpy(), (light * np.cos(e) ** 2).mean(1) * step, rtol=0, atol=5e-4)  # knots are far apart near the zenith
+    np.testing.assert_allclose(
+        c2.numpy(), (light * np.cos(e) ** 2).mean(1) * step, rtol=0, atol=5e-4
+    )  # knots are far apart near the zenith
 
 
 def test_the_pull_of_a_crossing_is_that_of_the_tape(taped):
-    """What a link makes of a pull: -1 to the node's own height, 1 - share and share to the two beside the crossing."""
+    """What a link makes of a pull: -1 to the node's own height, 1 - share and share to the two beside the
+    crossing.
+    """
     wp, _, of_nodes = taped
     share, closeness, tilt, width = 0.3, 0.25, -0.2, 0.7
-    heights = wp.array(np.array([[-9, -5, -6.5], [-9, -8.6, -8], [-3, 2, 90]], np.float32), device="cpu", requires_grad=True)
+    heights = wp.array(
+        np.array([[-9, -5, -6.5], [-9, -8.6, -8], [-3, 2, 90]], np.float32), device="cpu", requires_grad=True
+    )
     out, pulls = (wp.zeros(3, dtype=wp.float32, device="cpu", requires_grad=True) for _ in range(2))
     tape = wp.Tape()
     with tape:
-        wp.launch(of_nodes, dim=3, inputs=[heights, share, closeness, tilt, width, wp.zeros(4, dtype=wp.float32, device="cpu"), out, pulls], device="cpu")
+        wp.launch(
+            of_nodes,
+            dim=3,
+            inputs=[
+                heights,
+                share,
+                closeness,
+                tilt,
+                width,
+                wp.zeros(4, dtype=wp.float32, device="cpu"),
+                out,
+                pulls,
+            ],
+            device="cpu",
+        )
     tape.backward(grads={out: wp.array(np.ones(3, np.float32), device="cpu")})
     pull = pulls.numpy()
     assert (pull < 0).sum() >= 2
-    np.testing.assert_allclose(heights.grad.numpy(), pull[:, None] * [-1, 1 - share, share], rtol=1e-3, atol=1e-7)
+    np.testing.assert_allclose(
+        heights.grad.numpy(), pull[:, None] * [-1, 1 - share, share], rtol=1e-3, atol=1e-7
+    )

@@ -103,8 +103,8 @@ def _targets(node, module, is_package, known):
 def imports(found):
     """Edges of the import graph of these modules, each once.
 
-    Imports in functions count as those of the module do. To import ``a.b.c`` runs ``a`` and ``a.b`` too: these are
-    edges as well, except those that hold the importing module, which are being imported already.
+    Imports in functions count as those of the module do. To import ``a.b.c`` runs ``a`` and ``a.b`` too:
+    these are edges as well, except those that hold the importing module, which are being imported already.
     """
     edges = {}
     for module, path in sorted(found.items()):
@@ -215,9 +215,13 @@ MADE_UP = {
     "high/top.py": "import numpy\nfrom .. import middle\nfrom ..low import base\nTOP = 1\n",
     "middle.py": "import skylamp.low.base\ndef f():\n    from .high import TOP\n",
     "low/__init__.py": "",
-    "low/base.py": "from typing import TYPE_CHECKING\n"
-    "if TYPE_CHECKING:\n    from ..high import top\nelse:\n    from . import one\n",
-    "low/one.py": "import importlib\ndef f(stem):\n    importlib.import_module(f'.kernels.{stem}', __package__)\n",
+    "low/base.py": (
+        "from typing import TYPE_CHECKING\n"
+        "if TYPE_CHECKING:\n    from ..high import top\nelse:\n    from . import one\n"
+    ),
+    "low/one.py": (
+        "import importlib\ndef f(stem):\n    importlib.import_module(f'.kernels.{stem}', __package__)\n"
+    ),
     "low/kernels/__init__.py": "",
     "low/kernels/two.py": "from ...middle import f\n",
     "stray.py": "",
@@ -235,7 +239,9 @@ def made_up(tmp_path):
 
 
 def test_faults_of_a_small_package_are_found(made_up):
-    """Imports in functions, of computed names and of packages on the way count; those for type checkers do not."""
+    """Imports in functions, of computed names and of packages on the way count; those for type checkers do
+    not.
+    """
     edges = imports(made_up)
     assert {(_short(edge.source), _short(edge.target)) for edge in edges} == {
         ("skylamp", "high"),

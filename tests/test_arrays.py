@@ -6,9 +6,8 @@ import sys
 import numpy as np
 import pytest
 import scenes
-from compare import assert_bits_equal
-
 import skylamp as sl
+from compare import assert_bits_equal
 from skylamp.arrays import host_array
 
 DEPTH = scenes.rough(18, 23, 0.8, seed=4).astype(np.float32)
@@ -39,11 +38,18 @@ class WithDlpack:
 
 
 class OnGpu:
-    """What PyTorch and CuPy do for a GPU's array: numpy is refused, Warp gets the memory. The memory here is the CPU's."""
+    """What PyTorch and CuPy do for a GPU's array: numpy is refused, Warp gets the memory. The memory here is
+    the CPU's.
+    """
 
     def __init__(self, values):
         self.values = values
-        self.__cuda_array_interface__ = {"shape": values.shape, "typestr": values.dtype.str, "data": (values.ctypes.data, False), "version": 3}
+        self.__cuda_array_interface__ = {
+            "shape": values.shape,
+            "typestr": values.dtype.str,
+            "data": (values.ctypes.data, False),
+            "version": 3,
+        }
 
     def __array__(self, *a, **k):
         raise TypeError("can't convert cuda:0 device type tensor to numpy")
@@ -61,15 +67,24 @@ def warp_array(values):
     return wp.array(values, dtype=wp.dtype_from_numpy(values.dtype), device="cpu")
 
 
-@pytest.mark.parametrize("other", [WithArray, WithDlpack, OnGpu, warp_array, np.ndarray.tolist, np.asfortranarray])
+@pytest.mark.parametrize(
+    "other", [WithArray, WithDlpack, OnGpu, warp_array, np.ndarray.tolist, np.asfortranarray]
+)
 def test_same_scene_from_every_kind_of_array(other, fast):
     """Depth, albedo, environment map and image; the caller's array is untouched."""
     rng = np.random.default_rng(2)
     albedo, light, before = rng.random(DEPTH.shape, np.float32), rng.random((6, 12), np.float32), DEPTH.copy()
-    expected = sl.render(sl.Scene(DEPTH, albedo=albedo), sl.Sky(sl.environment_map(light)), backend=fast).image
-    got = sl.render(sl.Scene(other(DEPTH), albedo=other(albedo)), sl.Sky(sl.environment_map(other(light))), backend=fast).image
+    expected = sl.render(
+        sl.Scene(DEPTH, albedo=albedo), sl.Sky(sl.environment_map(light)), backend=fast
+    ).image
+    got = sl.render(
+        sl.Scene(other(DEPTH), albedo=other(albedo)), sl.Sky(sl.environment_map(other(light))), backend=fast
+    ).image
     assert_bits_equal(got, expected)
-    assert_bits_equal(sl.recover(other(expected), sl.Sky(), layers=5, hemicube=3, backend=fast).depth, sl.recover(expected, sl.Sky(), layers=5, hemicube=3, backend=fast).depth)
+    assert_bits_equal(
+        sl.recover(other(expected), sl.Sky(), layers=5, hemicube=3, backend=fast).depth,
+        sl.recover(expected, sl.Sky(), layers=5, hemicube=3, backend=fast).depth,
+    )
     assert_bits_equal(DEPTH, before)
 
 
@@ -92,17 +107,41 @@ def test_cuda_array_interface_alone(monkeypatch):
     import warp as wp
 
     class Numba:
-        __cuda_array_interface__ = {"shape": (4, 3), "typestr": "<f8", "data": (DEPTH.ctypes.data, False), "strides": (24, 8), "version": 3}
+        __cuda_array_interface__ = {
+            "shape": (4, 3),
+            "typestr": "<f8",
+            "data": (DEPTH.ctypes.data, False),
+            "strides": (24, 8),
+            "version": 3,
+        }
 
     made = []
-    monkeypatch.setattr(wp, "array", type("array", (), {"__init__": lambda self, **options: made.append(options), "numpy": lambda self: np.ones((4, 3))}))
+    monkeypatch.setattr(
+        wp,
+        "array",
+        type(
+            "array",
+            (),
+            {"__init__": lambda self, **options: made.append(options), "numpy": lambda self: np.ones((4, 3))},
+        ),
+    )
     monkeypatch.setattr(wp, "synchronize", lambda: made.append("waited"))
     assert host_array(Numba()).shape == (4, 3)
-    assert made == ["waited", {"ptr": DEPTH.ctypes.data, "dtype": wp.float64, "shape": (4, 3), "strides": (24, 8), "device": "cuda"}]
+    assert made == [
+        "waited",
+        {
+            "ptr": DEPTH.ctypes.data,
+            "dtype": wp.float64,
+            "shape": (4, 3),
+            "strides": (24, 8),
+            "device": "cuda",
+        },
+    ]
 
 
 def test_what_is_no_array():
     """An object whose protocol fails is one InputError with its reason."""
+
     class Broken:
         def __array__(self, *a, **k):
             raise RuntimeError("lost")
@@ -118,13 +157,26 @@ def test_what_is_no_array():
 
 @pytest.fixture
 def labelled():
-    """A DEM as rioxarray reads one: dimensions y and x, coordinates, one that is no dimension, attributes, a name."""
+    """A DEM as rioxarray reads one: dimensions y and x, coordinates, one that is no dimension, attributes, a
+    name.
+    """
     xarray = pytest.importorskip("xarray")
-    return xarray.DataArray(100 - DEPTH, {"y": 4000.0 - 30 * np.arange(18), "x": 500.0 + 30 * np.arange(23), "spatial_ref": 0}, ("y", "x"), "elevation", {"units": "m", "_FillValue": -9999})
+    return xarray.DataArray(
+        100 - DEPTH,
+        {"y": 4000.0 - 30 * np.arange(18), "x": 500.0 + 30 * np.arange(23), "spatial_ref": 0},
+        ("y", "x"),
+        "elevation",
+        {"units": "m", "_FillValue": -9999},
+    )
 
 
 def same_labels(got, like, leading=()):
-    assert type(got) is type(like) and got.dims == (*leading, *like.dims) and got.name == like.name and got.attrs == like.attrs
+    assert (
+        type(got) is type(like)
+        and got.dims == (*leading, *like.dims)
+        and got.name == like.name
+        and got.attrs == like.attrs
+    )
     assert set(got.coords) == {*like.coords, *leading}
     for name in like.coords:
         assert got.coords[name].identical(like.coords[name]), name
@@ -135,8 +187,13 @@ def test_dataarray_in_dataarray_out(labelled, fast):
     before = labelled.copy(deep=True)
     scene, plain = sl.Scene.from_height(labelled, spacing=2), sl.Scene.from_height(labelled.values, spacing=2)
     lamp = sl.Lamp(center=(10, 10, -20), radius=4)
-    for work in (lambda s: sl.render(s, sl.Sky(), backend=fast).image, lambda s: sl.render(s, lamp, method="lattice", backend=fast).image,
-                 lambda s: sl.sky_view_factor(s, backend=fast), lambda s: sl.openness(s, backend=fast), lambda s: sl.openness(s, backend=fast, negative=True)):
+    for work in (
+        lambda s: sl.render(s, sl.Sky(), backend=fast).image,
+        lambda s: sl.render(s, lamp, method="lattice", backend=fast).image,
+        lambda s: sl.sky_view_factor(s, backend=fast),
+        lambda s: sl.openness(s, backend=fast),
+        lambda s: sl.openness(s, backend=fast, negative=True),
+    ):
         same_labels(work(scene), labelled)
         assert_bits_equal(work(scene).values, work(plain))
     slopes = sl.horizons(scene, azimuths=8, backend=fast)
@@ -169,8 +226,11 @@ def test_recover_from_a_dataarray(labelled, fast):
 
 def test_xarray_is_not_imported():
     """Nor is anything else that a user may not have."""
-    code = ("import sys, numpy as np, skylamp as sl; sl.sky_view_factor(sl.Scene(np.ones((4, 4))), backend='numpy'); "
-            "print(*[m for m in ('xarray', 'pandas', 'rasterio', 'OpenEXR', 'cv2', 'pvlib', 'torch', 'cupy') if m in sys.modules])")
+    code = (
+        "import sys, numpy as np, skylamp as sl; sl.sky_view_factor(sl.Scene(np.ones((4, 4))),"
+        " backend='numpy'); print(*[m for m in ('xarray', 'pandas', 'rasterio', 'OpenEXR', 'cv2', 'pvlib',"
+        " 'torch', 'cupy') if m in sys.modules])"
+    )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, timeout=300)
     assert (done.returncode, done.stdout.split()) == (0, []), done
 
@@ -197,9 +257,18 @@ def test_a_map_on_the_device_stays_there(other, sides, stays):
     kinds = [(sl.Scene, DEPTH), (sl.Scene.from_height, DEPTH.max() - DEPTH)]
     for make, values in kinds:
         plain, there = make(values, albedo=0.5, sides=sides), make(other(values), albedo=0.5, sides=sides)
-        assert there.resident is not None and there.resident.backend.name == "warp:cpu" and there.shape == DEPTH.shape
-        for work in (lambda s: sl.render(s, sl.Sky(sl.cie_clear((50, 40))), azimuths=12, backend="warp:cpu").image, lambda s: sl.horizons(s, 8, "warp:cpu"),
-                     lambda s: sl.sky_view_factor(s, backend="warp:cpu"), lambda s: sl.openness(s, 8, "warp:cpu"), lambda s: sl.horizons(s, 8, "warp:cpu", max_distance=5)):
+        assert (
+            there.resident is not None
+            and there.resident.backend.name == "warp:cpu"
+            and there.shape == DEPTH.shape
+        )
+        for work in (
+            lambda s: sl.render(s, sl.Sky(sl.cie_clear((50, 40))), azimuths=12, backend="warp:cpu").image,
+            lambda s: sl.horizons(s, 8, "warp:cpu"),
+            lambda s: sl.sky_view_factor(s, backend="warp:cpu"),
+            lambda s: sl.openness(s, 8, "warp:cpu"),
+            lambda s: sl.horizons(s, 8, "warp:cpu", max_distance=5),
+        ):
             got, expected = work(there), work(plain)
             np.testing.assert_array_equal(np.isneginf(got), np.isneginf(expected))
             assert_bits_equal(np.nan_to_num(got, neginf=0), np.nan_to_num(expected, neginf=0))
@@ -208,15 +277,27 @@ def test_a_map_on_the_device_stays_there(other, sides, stays):
 @pytest.mark.gpu
 @pytest.mark.parametrize("library", ["cupy", "torch", "warp"])
 def test_a_map_on_a_gpu_stays_there(library, stays):
-    """As the last, with a map that another library made on cuda:0: on its own stream, float32; another type comes by the host."""
+    """As the last, with a map that another library made on cuda:0: on its own stream, float32; another type
+    comes by the host.
+    """
     name = "warp:cuda:0"
     if missing := {info.name: info.why for info in sl.backends() if not info.available}.get(name):
         pytest.skip(f"{name}: {missing}")
     made = pytest.importorskip(library, reason=f"{library} is not installed")
-    there = {"cupy": lambda v: made.asarray(v), "torch": lambda v: made.as_tensor(v, device="cuda"), "warp": lambda v: made.array(v, device="cuda:0")}[library]
-    plain, scene = sl.Scene(DEPTH, albedo=0.5), sl.Scene(there(DEPTH), albedo=there(np.full(DEPTH.shape, 0.5, np.float32)))
+    there = {
+        "cupy": lambda v: made.asarray(v),
+        "torch": lambda v: made.as_tensor(v, device="cuda"),
+        "warp": lambda v: made.array(v, device="cuda:0"),
+    }[library]
+    plain, scene = (
+        sl.Scene(DEPTH, albedo=0.5),
+        sl.Scene(there(DEPTH), albedo=there(np.full(DEPTH.shape, 0.5, np.float32))),
+    )
     assert scene.resident.backend.name == name
-    assert_bits_equal(sl.render(scene, sl.Sky(), azimuths=12, backend=name).image, sl.render(plain, sl.Sky(), azimuths=12, backend=name).image)
+    assert_bits_equal(
+        sl.render(scene, sl.Sky(), azimuths=12, backend=name).image,
+        sl.render(plain, sl.Sky(), azimuths=12, backend=name).image,
+    )
     assert_bits_equal(sl.sky_view_factor(scene, backend=name), sl.sky_view_factor(plain, backend=name))
     assert_bits_equal(host_array(there(DEPTH.astype(np.float64))), DEPTH.astype(np.float64))
 
@@ -226,7 +307,11 @@ def test_what_must_have_it_on_the_host_gets_it(fast):
     plain, there = sl.Scene(DEPTH, 2.5), sl.Scene(warp_array(DEPTH), 2.5)
     assert "depth" not in vars(there)
     lamp = sl.Lamp(center=(20, 20, -9), radius=5)
-    for work in (lambda s: sl.render(s, sl.Sky(), backend=fast).image, lambda s: sl.render(s, lamp, backend=fast).image, lambda s: sl.render(s, lamp, method="lattice", backend=fast).image):
+    for work in (
+        lambda s: sl.render(s, sl.Sky(), backend=fast).image,
+        lambda s: sl.render(s, lamp, backend=fast).image,
+        lambda s: sl.render(s, lamp, method="lattice", backend=fast).image,
+    ):
         assert_bits_equal(work(there), work(plain))
     assert_bits_equal(there.depth, plain.depth)
     got, expected = (sl.render(s, sl.Sky(), azimuths=16, backend="warp:cpu").image for s in (there, plain))
@@ -248,7 +333,11 @@ def test_bad_maps_on_the_device(stays):
     """The checks of the host, made where the map lies."""
     broken, negative = DEPTH.copy(), DEPTH - 1
     broken[3, 4] = np.nan
-    for values, says in ((broken, "1 values are NaN or infinite"), (negative, "negative"), (DEPTH * 1e20, "too deep")):
+    for values, says in (
+        (broken, "1 values are NaN or infinite"),
+        (negative, "negative"),
+        (DEPTH * 1e20, "too deep"),
+    ):
         with pytest.raises(sl.InputError, match=says):
             sl.Scene(warp_array(values.astype(np.float32)))
 
@@ -258,7 +347,11 @@ def test_maps_that_the_host_must_straighten(fast):
     import warp as wp
 
     mask = DEPTH > 0.2
-    for values, options in ((warp_array(DEPTH), {"mask": mask}), (warp_array(DEPTH.astype(np.float64)), {}), (wp.array(np.ascontiguousarray(DEPTH.T), device="cpu").transpose(), {})):
+    for values, options in (
+        (warp_array(DEPTH), {"mask": mask}),
+        (warp_array(DEPTH.astype(np.float64)), {}),
+        (wp.array(np.ascontiguousarray(DEPTH.T), device="cpu").transpose(), {}),
+    ):
         scene = sl.Scene(values, **options)
         assert scene.resident is None
         np.testing.assert_array_equal(scene.depth, np.where(options.get("mask", True), DEPTH, np.nan))
@@ -267,9 +360,9 @@ def test_maps_that_the_host_must_straighten(fast):
 @pytest.mark.parametrize("sides", scenes.SIDES)
 def test_kernels_of_resident_maps(backend, sides):
     """On every backend: the checks, the padded map and the slopes are those of the host."""
-    from skylamp.light import sweeps as horizon
     from skylamp.backends import select
     from skylamp.backends.resident import adopt
+    from skylamp.light import sweeps as horizon
 
     engine = select(backend)
     heights = DEPTH.max() - DEPTH
@@ -279,6 +372,9 @@ def test_kernels_of_resident_maps(backend, sides):
         assert_bits_equal(here.download(), depth)
         padded = here.padded(5, 2.0, sides, horizon.OUTSIDE)
         zero = np.float32(0)  # -0.0 becomes 0.0: nothing that is made of heights tells them apart
-        assert_bits_equal(engine.download(padded) + zero, horizon._padded(horizon.Ground(-depth / np.float32(2), sides), 5) + zero)
+        assert_bits_equal(
+            engine.download(padded) + zero,
+            horizon._padded(horizon.Ground(-depth / np.float32(2), sides), 5) + zero,
+        )
         got = here.probe(padded, 5, 2, 3)
         np.testing.assert_allclose(got, horizon._probe(-depth / np.float32(2), 2, 3), rtol=1e-6)

@@ -1,15 +1,16 @@
-"""A sky's brightness as integrals: level ground to 1e-4 whatever the sky, small bright parts found and named, tables against quadrature."""
+"""A sky's brightness as integrals: level ground to 1e-4 whatever the sky, small bright parts found and named,
+tables against quadrature.
+"""
 
 import math
 
 import numpy as np
 import pytest
-
 import skylamp as sl
 from skylamp import sources
 from skylamp.backends import select
-from skylamp.sources.integrals import Integrals, even
 from skylamp.light.horizon import Horizons
+from skylamp.sources.integrals import Integrals, even
 
 FLAT = sl.Scene(np.full((24, 31), 5.0))
 DISC = np.sin(np.radians(0.2665)) ** 2
@@ -22,7 +23,9 @@ def towards(azimuth, elevation):
 
 
 def discs(seed, count, base=0.7, least=0.1, most=3.0):
-    """(sky function, irradiance of level ground, directions): discs of random place, radius and brightness, each wholly above the horizon."""
+    """(sky function, irradiance of level ground, directions): discs of random place, radius and brightness,
+    each wholly above the horizon.
+    """
     rng = np.random.default_rng(seed)
     parts = []
     for _ in range(count):
@@ -40,7 +43,9 @@ def lights(seed, rows, count, base=0.5, size=2):
     image = np.full((rows, 2 * rows), base)
     for _ in range(count):
         row, col = int(rng.uniform(0.02, 0.47) * rows), int(rng.uniform(0, 2) * rows)
-        image[row : row + size, np.arange(col, col + size) % (2 * rows)] += 1.5 / count / ((size * np.pi / rows) ** 2 * np.sin((row + 1) * np.pi / rows))
+        image[row : row + size, np.arange(col, col + size) % (2 * rows)] += (
+            1.5 / count / ((size * np.pi / rows) ** 2 * np.sin((row + 1) * np.pi / rows))
+        )
     return image, of_map(image)
 
 
@@ -48,14 +53,26 @@ def of_map(image):
     """Irradiance of level ground: rows are linear between their middles, and azimuths even."""
     rows = len(image)
     theta = np.pi / 2 * (np.arange(400_000) + 0.5) / 400_000
-    return 2 * np.pi * (np.interp(theta / np.pi * rows - 0.5, np.arange(rows), image.mean(1)) * np.sin(theta) * np.cos(theta)).mean() * np.pi / 2
+    return (
+        2
+        * np.pi
+        * (
+            np.interp(theta / np.pi * rows - 0.5, np.arange(rows), image.mean(1))
+            * np.sin(theta)
+            * np.cos(theta)
+        ).mean()
+        * np.pi
+        / 2
+    )
 
 
 def striped(count):
     """(sky function, irradiance of level ground) of stripes along y: the integral over a unit disc (Nusselt)."""
     until = lambda x: x * np.sqrt(1 - x * x) + np.arcsin(x)
     low = np.arange(-count, count) / count
-    return lambda L: ((count * L[..., 0]) % 1 < 0.5).astype(float), float((until(low + 0.5 / count) - until(low)).sum())
+    return lambda L: ((count * L[..., 0]) % 1 < 0.5).astype(float), float(
+        (until(low + 0.5 / count) - until(low)).sum()
+    )
 
 
 def held(sky, level, fast, within=1e-4):
@@ -66,10 +83,13 @@ def held(sky, level, fast, within=1e-4):
     assert not out.warnings
 
 
-# -- level ground ----------------------------------------------------------------------------------------------------------------
+# -- level ground
+# ----------------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("count", "seed"), [(count, seed) for seed, count in enumerate((1, 1, 1, 2, 2, 2, 10, 10, 10, 1, 3, 5))])
+@pytest.mark.parametrize(
+    ("count", "seed"), [(count, seed) for seed, count in enumerate((1, 1, 1, 2, 2, 2, 10, 10, 10, 1, 3, 5))]
+)
 def test_level_ground_under_suns(fast, count, seed):
     """Any number of discs of any size."""
     function, level, _ = discs(seed, count)
@@ -83,7 +103,9 @@ def test_suns_that_are_named_have_all_their_light(seed):
     assert Integrals(sl.Sky(function, suns=axes)).level == pytest.approx(level, rel=2e-4)
 
 
-@pytest.mark.parametrize(("rows", "count"), [(256, 1), (256, 4), (256, 10), (512, 1), (512, 4), (512, 10), (255, 4), (129, 3)])
+@pytest.mark.parametrize(
+    ("rows", "count"), [(256, 1), (256, 4), (256, 10), (512, 1), (512, 4), (512, 10), (255, 4), (129, 3)]
+)
 def test_level_ground_under_an_environment_map(fast, rows, count):
     """Lights of two by two pixels; an odd number of rows has one across the horizon."""
     image, level = lights(rows + count, rows, count)
@@ -91,7 +113,9 @@ def test_level_ground_under_an_environment_map(fast, rows, count):
 
 
 def test_level_ground_under_a_coarse_map(fast):
-    """Pixels 11 degrees wide, all different; one of the zenith, one at the horizon, and one beside column 0 alone."""
+    """Pixels 11 degrees wide, all different; one of the zenith, one at the horizon, and one beside column 0
+    alone.
+    """
     rng = np.random.default_rng(5)
     image = rng.random((16, 32))
     held(sl.Sky(sl.environment_map(image)), of_map(image), fast)
@@ -101,13 +125,17 @@ def test_level_ground_under_a_coarse_map(fast):
         held(sl.Sky(sl.environment_map(image)), of_map(image), fast)
 
 
-@pytest.mark.parametrize(("elevation", "radius"), [(90, 0.1), (89.95, 0.1), (90, 2), (47, 0.1), (0.2, 0.1), (12.3, 0.15), (88, 5)])
+@pytest.mark.parametrize(
+    ("elevation", "radius"), [(90, 0.1), (89.95, 0.1), (90, 2), (47, 0.1), (0.2, 0.1), (12.3, 0.15), (88, 5)]
+)
 def test_level_ground_under_a_spot(fast, elevation, radius):
     """As small as 0.1 degrees, in the zenith and near the horizon, beside a sun."""
     axis, sun, r = towards(77.7, elevation), towards(200, 30), np.radians(radius)
     k = 2 / (np.pi * np.sin(r) ** 2)
     level = np.pi * 0.5 + 2 * -axis[2] + 1e4 * np.pi * DISC * 0.5
-    held(sl.Sky(lambda L: 0.5 + k * (L @ axis > np.cos(r)) + 1e4 * (L @ sun > np.sqrt(1 - DISC))), level, fast)
+    held(
+        sl.Sky(lambda L: 0.5 + k * (L @ axis > np.cos(r)) + 1e4 * (L @ sun > np.sqrt(1 - DISC))), level, fast
+    )
 
 
 @pytest.mark.parametrize(("count", "within"), [(3, 1e-4), (20, 1e-4), (57, 1e-3)])
@@ -120,9 +148,23 @@ def test_level_ground_under_stripes(fast, count, within):
 def test_level_ground_under_borders(fast):
     """Sharp ones, along an elevation and along azimuths."""
     for e in np.radians((11.25, 30, 45.3)):
-        held(sl.Sky(lambda L: np.where(L[..., 2] < -np.sin(e), 3.0, 0.2)), np.pi * (3 * np.cos(e) ** 2 + 0.2 * np.sin(e) ** 2), fast)
+        held(
+            sl.Sky(lambda L: np.where(L[..., 2] < -np.sin(e), 3.0, 0.2)),
+            np.pi * (3 * np.cos(e) ** 2 + 0.2 * np.sin(e) ** 2),
+            fast,
+        )
     for low, high in ((0.0, np.pi), (0.7, 1.9), (1.0, 1.1), (np.pi / 4, np.pi / 2)):
-        held(sl.Sky(lambda L: np.where((np.arctan2(L[..., 1], L[..., 0]) >= low) & (np.arctan2(L[..., 1], L[..., 0]) < high), 4.0, 1.0)), np.pi + 1.5 * (high - low), fast)
+        held(
+            sl.Sky(
+                lambda L: np.where(
+                    (np.arctan2(L[..., 1], L[..., 0]) >= low) & (np.arctan2(L[..., 1], L[..., 0]) < high),
+                    4.0,
+                    1.0,
+                )
+            ),
+            np.pi + 1.5 * (high - low),
+            fast,
+        )
 
 
 @pytest.mark.parametrize("power", [1, 6, 64, 300, 900])
@@ -134,18 +176,27 @@ def test_level_ground_under_cosine_powers(fast, power):
 
 @pytest.mark.parametrize("seed", range(3))
 def test_few_azimuths_are_right_on_planes(fast, seed):
-    """Four azimuths, two sectors of every sun, no closed form: what tangent planes let through is added exactly."""
+    """Four azimuths, two sectors of every sun, no closed form: what tangent planes let through is added
+    exactly.
+    """
     function, level, _ = discs(20 + seed, 4)
-    np.testing.assert_allclose(Horizons(select(fast), FLAT, Integrals(sl.Sky(function)), 4, 2).irradiance(), level, rtol=1e-4)
+    np.testing.assert_allclose(
+        Horizons(select(fast), FLAT, Integrals(sl.Sky(function)), 4, 2).irradiance(), level, rtol=1e-4
+    )
     y, x = np.mgrid[:24, :31]
     normal = np.array([-0.2, 0.1, -1]) / np.sqrt(1.05)
     axes = [towards(a, e) for a, e in ((10 + seed, 60), (130, 40 + seed), (255.5, 80))]
     sky = sl.Sky(lambda L: 0.7 + sum(1e4 * (L @ u > np.sqrt(1 - DISC)) for u in axes))
     image = Horizons(select(fast), sl.Scene(30 - 0.2 * x + 0.1 * y), Integrals(sky), 4, 2).irradiance()
-    np.testing.assert_allclose(image[2:-2, 2:-2], 0.7 * np.pi * (1 - normal[2]) / 2 + 1e4 * np.pi * DISC * sum(u @ normal for u in axes), rtol=5e-4)
+    np.testing.assert_allclose(
+        image[2:-2, 2:-2],
+        0.7 * np.pi * (1 - normal[2]) / 2 + 1e4 * np.pi * DISC * sum(u @ normal for u in axes),
+        rtol=5e-4,
+    )
 
 
-# -- features that are named -----------------------------------------------------------------------------------------------------
+# -- features that are named
+# -----------------------------------------------------------------------------------------------------
 
 
 def test_a_spot_is_found_where_it_is_named(fast):
@@ -160,10 +211,28 @@ def test_a_spot_is_found_where_it_is_named(fast):
         spot_with.peaks = (tuple(axis),)
         for sky in (sl.Sky(spot, suns=[axis]), sl.Sky(spot, suns=[tuple(7 * axis)]), sl.Sky(spot_with)):
             assert Integrals(sky).level == pytest.approx(level, rel=2e-4) and len(Integrals(sky).suns) == 1
-            np.testing.assert_allclose(sl.render(FLAT, sky, tolerance=0.01, backend=fast, quantity="irradiance").image, level, rtol=2e-4)
+            np.testing.assert_allclose(
+                sl.render(FLAT, sky, tolerance=0.01, backend=fast, quantity="irradiance").image,
+                level,
+                rtol=2e-4,
+            )
 
 
-@pytest.mark.parametrize("suns", [3, "up", [3], [(0, 0)], [(0, 0, 0)], [(0, 0, 1)], [(np.nan, 0, -1)], [(0, 0, "x")], [(1, 2, 3, 4)], None])
+@pytest.mark.parametrize(
+    "suns",
+    [
+        3,
+        "up",
+        [3],
+        [(0, 0)],
+        [(0, 0, 0)],
+        [(0, 0, 1)],
+        [(np.nan, 0, -1)],
+        [(0, 0, "x")],
+        [(1, 2, 3, 4)],
+        None,
+    ],
+)
 def test_suns_that_are_none(suns):
     with pytest.raises(sl.InputError, match="suns"):
         sl.Sky(lambda L: L[..., 0], suns=suns)
@@ -181,37 +250,65 @@ def test_a_sky_with_a_disc_is_its_parts(fast):
             sl.render(scene, sl.Sky(sky), "horizon", backend=fast)
 
 
-# -- what is found of a sky ------------------------------------------------------------------------------------------------------
+# -- what is found of a sky
+# ------------------------------------------------------------------------------------------------------
 
 
 def test_suns_have_all_their_light(fast):
-    """Directions, flux and cones of three discs; together with the rest they are the whole; sectors have what their sun has, shifted ones too."""
-    places = [(towards(10, 20), 0.5, 900.0), (towards(140, 50), 1.5, 300.0), (towards(359.9, 70), 0.3, 3000.0)]
+    """Directions, flux and cones of three discs; together with the rest they are the whole; sectors have what
+    their sun has, shifted ones too.
+    """
+    places = [
+        (towards(10, 20), 0.5, 900.0),
+        (towards(140, 50), 1.5, 300.0),
+        (towards(359.9, 70), 0.3, 3000.0),
+    ]
     light = Integrals(sl.Sky(lambda L: 1 + sum(k * (L @ u > np.cos(np.radians(r))) for u, r, k in places)))
-    assert len(light.suns) == 3 and [sun.power for sun in light.suns] == sorted((sun.power for sun in light.suns), reverse=True)
-    assert light.rest + sum(sun.moment[2] for sun in light.suns) == pytest.approx(light.level) and light.mean == pytest.approx(light.rest / np.pi)
+    assert len(light.suns) == 3 and [sun.power for sun in light.suns] == sorted(
+        (sun.power for sun in light.suns), reverse=True
+    )
+    assert light.rest + sum(sun.moment[2] for sun in light.suns) == pytest.approx(
+        light.level
+    ) and light.mean == pytest.approx(light.rest / np.pi)
     for u, r, k in places:
         sun = max(light.suns, key=lambda sun: sun.moment @ (u * (1, 1, -1)) / np.linalg.norm(sun.moment))
         flux = (k - 3) * np.pi * np.sin(np.radians(r)) ** 2
-        assert np.linalg.norm(sun.moment) == pytest.approx(flux, rel=2e-3) and sun.power == pytest.approx(flux, rel=2e-3)
+        assert np.linalg.norm(sun.moment) == pytest.approx(flux, rel=2e-3) and sun.power == pytest.approx(
+            flux, rel=2e-3
+        )
         middle, sine = sun.cone
-        assert np.degrees(np.arccos(min(1, middle @ (u * (1, 1, -1))))) < 0.03 and 0.99 * np.sin(np.radians(r)) < sine < np.sin(np.radians(1.5 * r + 0.2))
+        assert np.degrees(np.arccos(min(1, middle @ (u * (1, 1, -1))))) < 0.03 and 0.99 * np.sin(
+            np.radians(r)
+        ) < sine < np.sin(np.radians(1.5 * r + 0.2))
         for count, shifted in ((1, False), (4, False), (4, True), (120, False)):
             ways, table = sun.sectors(count, shifted)
             assert 0.8 * count < ways.shape[1] == len(table) <= count + shifted
             np.testing.assert_allclose(ways[2] @ table[:, 0, 1], sun.moment[2], rtol=1e-5)
-            np.testing.assert_allclose((ways[:2] * table[:, 0, 0]).sum(1), sun.moment[:2], atol=1e-4 * np.linalg.norm(sun.moment) + (0.02 * flux * np.radians(r) if count == 1 else 2e-3 * flux))
+            np.testing.assert_allclose(
+                (ways[:2] * table[:, 0, 0]).sum(1),
+                sun.moment[:2],
+                atol=1e-4 * np.linalg.norm(sun.moment)
+                + (0.02 * flux * np.radians(r) if count == 1 else 2e-3 * flux),
+            )
             share = table[:, 0, :2].sum(1) / table[:, 0, :2].sum()
             assert count != 4 or share[1:-1].max() < 1.6 / count
 
 
 def test_what_is_no_sun():
-    """Even skies have none; nor has what spans much azimuth, or brings a tenth of the tolerance; a table of azimuths has it then."""
-    assert Integrals(sl.Sky(sl.cie_overcast())).suns == () == Integrals(sl.Sky(lambda L: np.where(L[..., 0] > 0, 9.0, 1.0))).suns
+    """Even skies have none; nor has what spans much azimuth, or brings a tenth of the tolerance; a table of
+    azimuths has it then.
+    """
+    assert (
+        Integrals(sl.Sky(sl.cie_overcast())).suns
+        == ()
+        == Integrals(sl.Sky(lambda L: np.where(L[..., 0] > 0, 9.0, 1.0))).suns
+    )
     axis = towards(40, 40)
     for k, found in ((4e4, 1), (20.0, 0)):
         light = Integrals(sl.Sky(lambda L: 1 + k * (L @ axis > np.sqrt(1 - DISC))), 0.01)
-        assert len(light.suns) == found and light.level == pytest.approx(np.pi * (1 + k * DISC * -axis[2]), rel=1e-4)
+        assert len(light.suns) == found and light.level == pytest.approx(
+            np.pi * (1 + k * DISC * -axis[2]), rel=1e-4
+        )
     assert Integrals(sl.Sky(lambda L: 1 + 4e4 * (L @ axis > np.sqrt(1 - DISC))), math.inf).suns == ()
 
 
@@ -220,20 +317,30 @@ def test_what_a_sky_varies_by():
     light = Integrals(sl.Sky(lambda L: 2 - L[..., 2]))  # 2 + sine: 2 to 3, mean 2 + 2 / 3
     assert light.mean == pytest.approx(8 / 3, rel=1e-5) and light.variation == pytest.approx(3 / 8, rel=0.02)
     same = Integrals(sl.Sky(sl.uniform(3.0)))
-    assert same.mean == pytest.approx(3) and same.variation == pytest.approx(0, abs=1e-9) and same.level == pytest.approx(3 * np.pi) and same.error == 0
+    assert (
+        same.mean == pytest.approx(3)
+        and same.variation == pytest.approx(0, abs=1e-9)
+        and same.level == pytest.approx(3 * np.pi)
+        and same.error == 0
+    )
     assert Integrals(sl.Sky(sl.uniform(0.0))).level == 0
 
 
 def test_errors_of_integrals_are_told(fast):
     """What is too rugged to integrate says by how much it may be off; what is smooth is known well."""
-    assert Integrals(sl.Sky(sl.cie_overcast())).error < 2e-5 and 2e-5 < Integrals(sl.Sky(striped(57)[0])).error < 1e-3
+    assert (
+        Integrals(sl.Sky(sl.cie_overcast())).error < 2e-5
+        and 2e-5 < Integrals(sl.Sky(striped(57)[0])).error < 1e-3
+    )
     rugged = sl.Sky(lambda L: (np.sin(5000 * L[..., 0]) * np.sin(5000 * L[..., 1]) > 0) * 1.0)
     light = Integrals(rugged)
     assert light.level == pytest.approx(np.pi / 2, rel=max(5e-3, 3 * light.error))
 
 
 def test_tables_hold_integrals():
-    """B cos^2 and B sin cos above every knot, by sectors of azimuth, against quadrature; widths that lie across azimuth 0; the steps lead from knot to knot."""
+    """B cos^2 and B sin cos above every knot, by sectors of azimuth, against quadrature; widths that lie
+    across azimuth 0; the steps lead from knot to knot.
+    """
     function = lambda L: 1 + L[..., 0] ** 2 + 0.5 * L[..., 1] - 0.3 * L[..., 2]
     light, azimuths = Integrals(sl.Sky(function), math.inf), even(6, 0.1)
     table = light.table(azimuths.angles, azimuths.widths, 9)
@@ -243,7 +350,9 @@ def test_tables_hold_integrals():
         a = angle + width * ((np.arange(200) + 0.5) / 200 - 0.5)
         values = function(sources.directions_of(a[:, None], np.sin(e))).mean(0)
         for k, weight in enumerate((np.cos(e) ** 2, np.sin(e) * np.cos(e))):
-            wanted = [(values * weight * (np.sin(e) > s)).sum() * np.pi / 2 / 2000 for s in np.linspace(0, 1, 9)]
+            wanted = [
+                (values * weight * (np.sin(e) > s)).sum() * np.pi / 2 / 2000 for s in np.linspace(0, 1, 9)
+            ]
             np.testing.assert_allclose(table[n, :, k], wanted, atol=1e-3)
     np.testing.assert_allclose(table[:, :-1, :2] + table[:, :-1, 2:], table[:, 1:, :2], atol=1e-6)
     assert not table[:, -1].any()
@@ -259,7 +368,11 @@ def test_a_map_is_its_function():
 
 def test_brightness_that_is_wrong_is_an_input_error(fast):
     """Negative, not finite, or of another shape, wherever it first turns up."""
-    for function in (lambda L: L[..., 0], lambda L: np.where(L[..., 2] < -0.5, np.nan, 1.0), lambda L: np.ones(3)):
+    for function in (
+        lambda L: L[..., 0],
+        lambda L: np.where(L[..., 2] < -0.5, np.nan, 1.0),
+        lambda L: np.ones(3),
+    ):
         with pytest.raises(sl.InputError, match="brightness"):
             sl.render(FLAT, sl.Sky(function), backend=fast)
 
@@ -267,5 +380,8 @@ def test_brightness_that_is_wrong_is_an_input_error(fast):
 def test_faint_skies_scale(fast):
     """A function times 1e-12 gives the image times 1e-12: nothing is compared with absolute numbers."""
     scene = sl.Scene(10 + np.random.default_rng(0).random((24, 31)) * 4)
-    one, faint = (sl.render(scene, sl.Sky(lambda L: k * (1 - L[..., 2])), backend=fast).image.astype(float) / k for k in (1.0, 1e-12))
+    one, faint = (
+        sl.render(scene, sl.Sky(lambda L: k * (1 - L[..., 2])), backend=fast).image.astype(float) / k
+        for k in (1.0, 1e-12)
+    )
     np.testing.assert_allclose(faint, one, rtol=1e-4)

@@ -8,7 +8,6 @@ import sys
 
 import numpy as np
 import pytest
-
 import skylamp as sl
 from skylamp.app import cli
 from skylamp.io import files as io
@@ -50,11 +49,40 @@ def fails(capsys, code, *arguments, says):
 
 def test_render_writes_what_the_library_renders(here, capsys):
     """Same array as sl.render; nothing on stdout."""
-    code, out, err = run(capsys, "render", "depth.npy", "--out", "a.npy", "--spacing", "2", "--albedo", "0.5", "--sides", "dark",
-                         "--method", "lattice", "--hemicube", "5", "--filled", "--backend", "numpy", "--quantity", "irradiance", "--source", "overcast")
+    code, out, err = run(
+        capsys,
+        "render",
+        "depth.npy",
+        "--out",
+        "a.npy",
+        "--spacing",
+        "2",
+        "--albedo",
+        "0.5",
+        "--sides",
+        "dark",
+        "--method",
+        "lattice",
+        "--hemicube",
+        "5",
+        "--filled",
+        "--backend",
+        "numpy",
+        "--quantity",
+        "irradiance",
+        "--source",
+        "overcast",
+    )
     assert (code, out) == (0, ""), err
-    expected = sl.render(sl.Scene(BOWL, 2.0, 0.5, sides="dark"), sl.Sky(sl.cie_overcast()), method="lattice", hemicube=5, filled=True,
-                         quantity="irradiance", backend="numpy").image
+    expected = sl.render(
+        sl.Scene(BOWL, 2.0, 0.5, sides="dark"),
+        sl.Sky(sl.cie_overcast()),
+        method="lattice",
+        hemicube=5,
+        filled=True,
+        quantity="irradiance",
+        backend="numpy",
+    ).image
     np.testing.assert_array_equal(io.read("a.npy"), expected)
     assert "a.npy: 13 x 15 by numpy" in err
 
@@ -63,8 +91,27 @@ def test_stride_and_filled_differ(here, capsys):
     """--stride and --filled reach the library as they are."""
     np.save("walls.npy", np.where(np.arange(15) % 5 == 2, 0, 6.0)[None].repeat(13, 0))
     for flag, filled in (("--stride", False), ("--filled", True)):
-        assert run(capsys, "render", "walls.npy", "--out", "a.npy", flag, "--method", "lattice", "--backend", "numpy")[0] == 0
-        np.testing.assert_array_equal(io.read("a.npy"), sl.render(sl.Scene(io.read("walls.npy")), sl.Sky(), method="lattice", filled=filled, backend="numpy").image)
+        assert (
+            run(
+                capsys,
+                "render",
+                "walls.npy",
+                "--out",
+                "a.npy",
+                flag,
+                "--method",
+                "lattice",
+                "--backend",
+                "numpy",
+            )[0]
+            == 0
+        )
+        np.testing.assert_array_equal(
+            io.read("a.npy"),
+            sl.render(
+                sl.Scene(io.read("walls.npy")), sl.Sky(), method="lattice", filled=filled, backend="numpy"
+            ).image,
+        )
 
 
 def test_height_is_depth_upside_down(here, capsys):
@@ -91,10 +138,23 @@ def test_sources(here, capsys):
     }
     pictures = []
     for options, source in cases.items():
-        code, _, err = run(capsys, "render", "depth.npy", "--out", "a.npy", "--method", "lattice", "--backend", "numpy", *options)
+        code, _, err = run(
+            capsys,
+            "render",
+            "depth.npy",
+            "--out",
+            "a.npy",
+            "--method",
+            "lattice",
+            "--backend",
+            "numpy",
+            *options,
+        )
         assert code == 0, err
         pictures.append(io.read("a.npy"))
-        np.testing.assert_array_equal(pictures[-1], sl.render(sl.Scene(BOWL), source, method="lattice", backend="numpy").image)
+        np.testing.assert_array_equal(
+            pictures[-1], sl.render(sl.Scene(BOWL), source, method="lattice", backend="numpy").image
+        )
     assert len({p.tobytes() for p in pictures}) == len(pictures)
 
 
@@ -103,10 +163,29 @@ def test_json_is_one_object_on_stdout(here, capsys):
     code, out, err = run(capsys, "render", "depth.npy", "--out", "a.png", "--json", "--backend", "numpy")
     facts = json.loads(out)
     image = sl.render(sl.Scene(BOWL), sl.Sky(), backend="numpy").image
-    assert code == 0 and facts["out"] == "a.png" and facts["backend"] == "numpy" and facts["shape"] == [13, 15]
+    assert (
+        code == 0 and facts["out"] == "a.png" and facts["backend"] == "numpy" and facts["shape"] == [13, 15]
+    )
     assert facts["range"] == [0.0, float(image.max())] and io.read("a.png").max() == 255
-    assert run(capsys, "render", "depth.npy", "--out", "a.png", "--bits", "16", "--white", "2", "--backend", "numpy")[0] == 0
-    np.testing.assert_array_equal(io.read("a.png"), np.rint(image.astype(float) / 2.0 * 65535).astype(np.uint16))
+    assert (
+        run(
+            capsys,
+            "render",
+            "depth.npy",
+            "--out",
+            "a.png",
+            "--bits",
+            "16",
+            "--white",
+            "2",
+            "--backend",
+            "numpy",
+        )[0]
+        == 0
+    )
+    np.testing.assert_array_equal(
+        io.read("a.png"), np.rint(image.astype(float) / 2.0 * 65535).astype(np.uint16)
+    )
 
 
 def test_nodata(here, capsys):
@@ -125,8 +204,31 @@ def test_nodata(here, capsys):
 
 def test_recover(here, capsys):
     """Depth and the mask of drilled columns, as sl.recover gives them; a PNG holds whole layers."""
-    expected = sl.recover(io.read("image.npy"), sl.Sky(), albedo=0.8, spacing=2.0, layers=9, hemicube=5, method="paper", stop="sign", backend="numpy")
-    options = ("--method", "paper", "--spacing", 2, "--layers", 9, "--hemicube", 5, "--stop", "sign", "--backend", "numpy")
+    expected = sl.recover(
+        io.read("image.npy"),
+        sl.Sky(),
+        albedo=0.8,
+        spacing=2.0,
+        layers=9,
+        hemicube=5,
+        method="paper",
+        stop="sign",
+        backend="numpy",
+    )
+    options = (
+        "--method",
+        "paper",
+        "--spacing",
+        2,
+        "--layers",
+        9,
+        "--hemicube",
+        5,
+        "--stop",
+        "sign",
+        "--backend",
+        "numpy",
+    )
     code, out, err = run(capsys, "recover", "image.npy", "--out", "a.npz", "--json", *options)
     assert code == 0, err
     assert json.loads(out)["drilled"] == int(expected.drilled.sum())
@@ -138,19 +240,43 @@ def test_recover(here, capsys):
 
 
 def test_recover_writes_a_picture(here, capsys):
-    """By default: image, relief, confidence and residual beside the result, and what they were made of in an .npz; not to stdout."""
-    code, out, err = run(capsys, "recover", "image.npy", "--out", "a.npz", "--json", "--sides", "dark", "--layers", 9, "--backend", "numpy", "--max-seconds", 20)
+    """By default: image, relief, confidence and residual beside the result, and what they were made of in an
+    .npz; not to stdout.
+    """
+    code, out, err = run(
+        capsys,
+        "recover",
+        "image.npy",
+        "--out",
+        "a.npz",
+        "--json",
+        "--sides",
+        "dark",
+        "--layers",
+        9,
+        "--backend",
+        "numpy",
+        "--max-seconds",
+        20,
+    )
     assert code == 0, err
     facts = json.loads(out)
     image = io.read("image.npy")
     picture = io.read("a_picture.png")
     times = 256 // max(image.shape)
-    assert facts["picture"] == "a_picture.png" and picture.shape == (image.shape[0] * times + 20, 4 * (image.shape[1] * times + 10) + 10)
+    assert facts["picture"] == "a_picture.png" and picture.shape == (
+        image.shape[0] * times + 20,
+        4 * (image.shape[1] * times + 10) + 10,
+    )
     with np.load("a.npz") as arrays:
         assert {"depth", "confidence", "candidates", "ambiguous", "drilled"} <= set(arrays)
         confidence = np.rint(255 * arrays["confidence"])
     left = 10 + 2 * (image.shape[1] * times + 10)
-    np.testing.assert_allclose(picture[10:10 + image.shape[0] * times:times, left:left + image.shape[1] * times:times], confidence, atol=1)
+    np.testing.assert_allclose(
+        picture[10 : 10 + image.shape[0] * times : times, left : left + image.shape[1] * times : times],
+        confidence,
+        atol=1,
+    )
 
 
 def test_counts_need_a_scale(here, capsys):
@@ -159,25 +285,70 @@ def test_counts_need_a_scale(here, capsys):
     io.write("ours.png", image, bits=16)
     io.write("foreign.png", io.read("ours.png"))
     options = ("--method", "paper", "--layers", 6, "--hemicube", 3, "--backend", "numpy")
-    fails(capsys, 3, "recover", "foreign.png", "--out", "a.npy", *options, says=("foreign.png: counts without a scale", "--white"))
-    fails(capsys, 2, "recover", "image.npy", "--out", "a.npy", "--white", "1", *options, says="radiance as they are")
+    fails(
+        capsys,
+        3,
+        "recover",
+        "foreign.png",
+        "--out",
+        "a.npy",
+        *options,
+        says=("foreign.png: counts without a scale", "--white"),
+    )
+    fails(
+        capsys,
+        2,
+        "recover",
+        "image.npy",
+        "--out",
+        "a.npy",
+        "--white",
+        "1",
+        *options,
+        says="radiance as they are",
+    )
     assert run(capsys, "recover", "ours.png", "--out", "a.npy", *options)[0] == 0
-    assert run(capsys, "recover", "foreign.png", "--white", float(image.max()), "--out", "b.npy", *options)[0] == 0
+    assert (
+        run(capsys, "recover", "foreign.png", "--white", float(image.max()), "--out", "b.npy", *options)[0]
+        == 0
+    )
     np.testing.assert_array_equal(io.read("a.npy"), io.read("b.npy"))
-    expected = sl.recover(io.read("ours.png") * (np.float64(image.max()) / 65535), sl.Sky(), layers=6, hemicube=3, method="paper", backend="numpy")
+    expected = sl.recover(
+        io.read("ours.png") * (np.float64(image.max()) / 65535),
+        sl.Sky(),
+        layers=6,
+        hemicube=3,
+        method="paper",
+        backend="numpy",
+    )
     np.testing.assert_array_equal(io.read("a.npy"), expected.depth)
 
 
 def test_field(here, capsys):
     """Solid angles in every layer, or in one."""
-    expected = sl.visibility_field(sl.Scene(BOWL), sl.Sky(), hemicube=3, layers=4, backend="numpy").solid_angle()
+    expected = sl.visibility_field(
+        sl.Scene(BOWL), sl.Sky(), hemicube=3, layers=4, backend="numpy"
+    ).solid_angle()
     options = ("--hemicube", 3, "--layers", 4, "--backend", "numpy")
     assert run(capsys, "field", "depth.npy", "--out", "a.npy", *options)[0] == 0
     np.testing.assert_array_equal(io.read("a.npy"), expected)
     assert run(capsys, "field", "depth.npy", "--out", "a.png", "--layer", 2, *options)[0] == 0
-    np.testing.assert_array_equal(io.read("a.png"), np.rint(expected[2].astype(float) / (2 * np.pi) * 255).astype(np.uint8))
+    np.testing.assert_array_equal(
+        io.read("a.png"), np.rint(expected[2].astype(float) / (2 * np.pi) * 255).astype(np.uint8)
+    )
     fails(capsys, 2, "field", "depth.npy", "--out", "b.png", *options, says="--layer")
-    fails(capsys, 3, "field", "depth.npy", "--out", "b.npy", "--layer", 4, *options, says=("--layer: got 4", "0 to 3"))
+    fails(
+        capsys,
+        3,
+        "field",
+        "depth.npy",
+        "--out",
+        "b.npy",
+        "--layer",
+        4,
+        *options,
+        says=("--layer: got 4", "0 to 3"),
+    )
 
 
 def test_backends(capsys):
@@ -189,33 +360,48 @@ def test_backends(capsys):
     assert "numpy" in run(capsys, "backends")[1]
 
 
-@pytest.mark.parametrize("arguments, code, says", [
-    (["render", "no.npy", "--out", "a.npy"], 3, "no.npy: cannot read: got no such file"),
-    (["render", "depth.npy", "--out", "no/a.npy"], 3, ("no/a.npy", "no folder no")),
-    (["render", "depth.npy", "--out", "a.jpg"], 3, ("unknown extension", ".npy .npz .png .tif .tiff")),
-    (["render", "depth.npy", "--out", "a.npy", "--spacing", "0"], 3, "spacing"),
-    (["render", "depth.npy", "--out", "a.npy", "--albedo", "1.5"], 3, "albedo"),
-    (["render", "depth.npy", "--out", "a.npy", "--sides", "shut"], 3, ("'shut'", "open | dark | periodic")),
-    (["render", "depth.npy", "--out", "a.npy", "--method", "magic"], 3, "magic"),
-    (["render", "depth.npy", "--out", "a.npy", "--quantity", "joy"], 3, "joy"),
-    (["render", "depth.npy", "--out", "a.npy", "--hemicube", "8"], 3, ("hemicube", "8", "odd")),
-    (["render", "depth.npy", "--out", "a.npy", "--source", "moon"], 3, ("--source: got 'moon'", "sky, overcast, clear, cie1 to cie15, lamp, window")),
-    (["render", "depth.npy", "--out", "a.npy", "--lamp", "7,6,1000,3"], 3, "below the surface"),
-    (["render", "depth.npy", "--out", "a.png", "--white", "-1"], 3, "low < high"),
-    (["render", "depth.npy", "--out", "a.png", "--bits", "12"], 3, "8 or 16"),
-    (["render", "depth.npy", "--out", "a.npy", "--backend", "warp:cuda:99"], 4, "warp:cuda:99"),
-    (["recover", "image.npy", "--out", "a.npy", "--backend", "opencl:9:9"], 4, "opencl:9:9"),
-    (["recover", "image.npy", "--out", "a.npy", "--stop", "never"], 3, "never"),
-    (["render", "depth.npy"], 2, "--out"),
-    (["render", "depth.npy", "--out", "a.npy", "--spacing", "wide"], 2, "--spacing"),
-    (["render", "depth.npy", "--out", "a.npy", "--lamp", "1,2,3"], 2, ("'1,2,3'", "X,Y,Z,R")),
-    (["render", "depth.npy", "--out", "a.npy", "--window", "a,b,c,d"], 2, "X0,X1,Y0,Y1"),
-    (["render", "depth.npy", "--out", "a.npy", "--source", "lamp"], 2, "without --lamp"),
-    (["render", "depth.npy", "--out", "a.npy", "--source", "sky", "--lamp", "1,2,3,4"], 2, "goes with --source lamp"),
-    (["render", "depth.npy", "--out", "-", "--json"], 2, "stdout"),
-    (["dance"], 2, "dance"),
-    (["demo", "--out", "depth.npy"], 3, "not a folder"),
-])
+@pytest.mark.parametrize(
+    "arguments, code, says",
+    [
+        (["render", "no.npy", "--out", "a.npy"], 3, "no.npy: cannot read: got no such file"),
+        (["render", "depth.npy", "--out", "no/a.npy"], 3, ("no/a.npy", "no folder no")),
+        (["render", "depth.npy", "--out", "a.jpg"], 3, ("unknown extension", ".npy .npz .png .tif .tiff")),
+        (["render", "depth.npy", "--out", "a.npy", "--spacing", "0"], 3, "spacing"),
+        (["render", "depth.npy", "--out", "a.npy", "--albedo", "1.5"], 3, "albedo"),
+        (
+            ["render", "depth.npy", "--out", "a.npy", "--sides", "shut"],
+            3,
+            ("'shut'", "open | dark | periodic"),
+        ),
+        (["render", "depth.npy", "--out", "a.npy", "--method", "magic"], 3, "magic"),
+        (["render", "depth.npy", "--out", "a.npy", "--quantity", "joy"], 3, "joy"),
+        (["render", "depth.npy", "--out", "a.npy", "--hemicube", "8"], 3, ("hemicube", "8", "odd")),
+        (
+            ["render", "depth.npy", "--out", "a.npy", "--source", "moon"],
+            3,
+            ("--source: got 'moon'", "sky, overcast, clear, cie1 to cie15, lamp, window"),
+        ),
+        (["render", "depth.npy", "--out", "a.npy", "--lamp", "7,6,1000,3"], 3, "below the surface"),
+        (["render", "depth.npy", "--out", "a.png", "--white", "-1"], 3, "low < high"),
+        (["render", "depth.npy", "--out", "a.png", "--bits", "12"], 3, "8 or 16"),
+        (["render", "depth.npy", "--out", "a.npy", "--backend", "warp:cuda:99"], 4, "warp:cuda:99"),
+        (["recover", "image.npy", "--out", "a.npy", "--backend", "opencl:9:9"], 4, "opencl:9:9"),
+        (["recover", "image.npy", "--out", "a.npy", "--stop", "never"], 3, "never"),
+        (["render", "depth.npy"], 2, "--out"),
+        (["render", "depth.npy", "--out", "a.npy", "--spacing", "wide"], 2, "--spacing"),
+        (["render", "depth.npy", "--out", "a.npy", "--lamp", "1,2,3"], 2, ("'1,2,3'", "X,Y,Z,R")),
+        (["render", "depth.npy", "--out", "a.npy", "--window", "a,b,c,d"], 2, "X0,X1,Y0,Y1"),
+        (["render", "depth.npy", "--out", "a.npy", "--source", "lamp"], 2, "without --lamp"),
+        (
+            ["render", "depth.npy", "--out", "a.npy", "--source", "sky", "--lamp", "1,2,3,4"],
+            2,
+            "goes with --source lamp",
+        ),
+        (["render", "depth.npy", "--out", "-", "--json"], 2, "stdout"),
+        (["dance"], 2, "dance"),
+        (["demo", "--out", "depth.npy"], 3, "not a folder"),
+    ],
+)
 def test_errors(here, capsys, arguments, code, says):
     """Each mistake has its exit code and its text, and leaves no file."""
     fails(capsys, code, *arguments, says=says)
@@ -231,13 +417,23 @@ def test_output_is_checked_before_the_work(here, capsys, monkeypatch):
 
 def test_unexpected_errors_are_one_line_and_exit_1(here, capsys, monkeypatch):
     """A bug of ours is no traceback, unless asked for; too little memory and a full disk are exit 1 too."""
+
     def broken(error):
         def render(*a, **k):
             raise error
+
         monkeypatch.setattr(sl, "render", render)
 
     broken(ZeroDivisionError("two\nlines"))
-    fails(capsys, 1, "render", "depth.npy", "--out", "a.npy", says="ZeroDivisionError: two lines (--debug shows where)")
+    fails(
+        capsys,
+        1,
+        "render",
+        "depth.npy",
+        "--out",
+        "a.npy",
+        says="ZeroDivisionError: two lines (--debug shows where)",
+    )
     code, _, err = run(capsys, "--debug", "render", "depth.npy", "--out", "a.npy")
     assert code == 1 and "Traceback" in err
     for error in (sl.errors.CapacityError("needs 9 bytes"), OSError(28, "No space left on device")):
@@ -260,23 +456,54 @@ def test_what_libraries_print_stays_off_stdout(here, capsys, monkeypatch):
 
 def test_as_a_process(here):
     """Version, data on stdout through a pipe, exit codes as the shell sees them, no bar off a terminal."""
-    skylamp = lambda *arguments: subprocess.run([sys.executable, "-m", "skylamp.app.cli", *arguments], capture_output=True, timeout=300)
+    skylamp = lambda *arguments: subprocess.run(
+        [sys.executable, "-m", "skylamp.app.cli", *arguments], capture_output=True, timeout=300
+    )
     version = skylamp("--version")
     assert (version.returncode, version.stdout.decode().split()) == (0, ["skylamp", sl.__version__])
     piped = skylamp("render", "depth.npy", "--out", "-", "--backend", "numpy")
     assert piped.returncode == 0 and b"\x1b" not in piped.stderr and b"%" not in piped.stderr
-    np.testing.assert_array_equal(np.load(streams.BytesIO(piped.stdout)), sl.render(sl.Scene(BOWL), sl.Sky(), backend="numpy").image)
+    np.testing.assert_array_equal(
+        np.load(streams.BytesIO(piped.stdout)), sl.render(sl.Scene(BOWL), sl.Sky(), backend="numpy").image
+    )
     (here / "cut.tif").write_bytes(b"II*\0\x08\0\0\0")
     cut = skylamp("render", "cut.tif", "--out", "a.npy")
-    assert cut.returncode == 3 and cut.stdout == b"" and cut.stderr.count(b"\n") == 1 and b"cut.tif" in cut.stderr
+    assert (
+        cut.returncode == 3
+        and cut.stdout == b""
+        and cut.stderr.count(b"\n") == 1
+        and b"cut.tif" in cut.stderr
+    )
 
 
 def test_bar_on_a_terminal(here):
     """On a terminal stderr shows what is being done, and stdout stays clean."""
     pty = pytest.importorskip("pty")  # not on Windows
     terminal, stderr = pty.openpty()
-    done = subprocess.run([sys.executable, "-m", "skylamp.app.cli", "recover", "image.npy", "--out", "a.npy", "--json", "--method", "paper", "--layers", "4", "--hemicube", "3", "--backend", "numpy"],
-                          stdout=subprocess.PIPE, stderr=stderr, timeout=300, env={**os.environ, "TERM": "xterm"})
+    done = subprocess.run(
+        [
+            sys.executable,
+            "-m",
+            "skylamp.app.cli",
+            "recover",
+            "image.npy",
+            "--out",
+            "a.npy",
+            "--json",
+            "--method",
+            "paper",
+            "--layers",
+            "4",
+            "--hemicube",
+            "3",
+            "--backend",
+            "numpy",
+        ],
+        stdout=subprocess.PIPE,
+        stderr=stderr,
+        timeout=300,
+        env={**os.environ, "TERM": "xterm"},
+    )
     os.close(stderr)
     shown = os.read(terminal, 1 << 16)
     os.close(terminal)
@@ -285,7 +512,10 @@ def test_bar_on_a_terminal(here):
 
 def test_import_is_light():
     """The library does not bring the command line or image readers with it."""
-    code = "import sys, skylamp; print(*[m for m in ('typer', 'rich', 'imageio', 'PIL', 'tifffile', 'matplotlib', 'skylamp.cli') if m in sys.modules])"
+    code = (
+        "import sys, skylamp; print(*[m for m in ('typer', 'rich', 'imageio', 'PIL', 'tifffile',"
+        " 'matplotlib', 'skylamp.cli') if m in sys.modules])"
+    )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, timeout=300)
     assert (done.returncode, done.stdout.split()) == (0, []), done
 
@@ -295,7 +525,9 @@ def test_demo(tmp_path, capsys):
     code, out, err = run(capsys, "demo", "--out", tmp_path / "new" / "demo", "--json")
     assert code == 0, err
     facts = json.loads(out)
-    assert sorted(p.name for p in (tmp_path / "new" / "demo").iterdir()) == sorted(p["file"] for p in facts["pictures"])
+    assert sorted(p.name for p in (tmp_path / "new" / "demo").iterdir()) == sorted(
+        p["file"] for p in facts["pictures"]
+    )
     for picture in facts["pictures"]:
         tones = io.read(tmp_path / "new" / "demo" / picture["file"])
         assert tones.dtype == np.uint8 and tones.std() > 20, picture
@@ -303,31 +535,107 @@ def test_demo(tmp_path, capsys):
 
 
 def test_render_takes_colour_and_gloss(here, capsys):
-    """--albedo R,G,B, --specular and --exponent are the library's; three channels go into .npy, .tif and .png."""
+    """--albedo R,G,B, --specular and --exponent are the library's; three channels go into .npy, .tif and
+    .png.
+    """
     import imageio.v3 as imageio
 
-    render = lambda out, *arguments: run(capsys, "render", "depth.npy", "--out", out, "--backend", "numpy", *arguments)
-    for arguments, surface in ((["--albedo", "0.2,0.4,0.6"], sl.Lambertian((0.2, 0.4, 0.6))),
-                               (["--albedo", "0.3", "--specular", "0.2,0.1,0.1", "--exponent", "9"], sl.Phong(0.3, (0.2, 0.1, 0.1), 9)),
-                               (["--albedo", "0.1", "--specular", "0.5", "--exponent", "inf"], sl.Mirror(0.5, 0.1))):
+    render = lambda out, *arguments: run(
+        capsys, "render", "depth.npy", "--out", out, "--backend", "numpy", *arguments
+    )
+    for arguments, surface in (
+        (["--albedo", "0.2,0.4,0.6"], sl.Lambertian((0.2, 0.4, 0.6))),
+        (
+            ["--albedo", "0.3", "--specular", "0.2,0.1,0.1", "--exponent", "9"],
+            sl.Phong(0.3, (0.2, 0.1, 0.1), 9),
+        ),
+        (["--albedo", "0.1", "--specular", "0.5", "--exponent", "inf"], sl.Mirror(0.5, 0.1)),
+    ):
         assert render("out.npy", *arguments)[0] == 0
-        np.testing.assert_array_equal(np.load("out.npy"), sl.render(sl.Scene(np.load("depth.npy"), reflectance=surface), sl.Sky(), backend="numpy").image)
+        np.testing.assert_array_equal(
+            np.load("out.npy"),
+            sl.render(sl.Scene(np.load("depth.npy"), reflectance=surface), sl.Sky(), backend="numpy").image,
+        )
     for name in ("out.png", "out.tif"):
         assert render(name, "--albedo", "0.2,0.4,0.6")[0] == 0
         picture = imageio.imread(name).astype(float)
         assert picture.shape == (*BOWL.shape, 3)
         np.testing.assert_allclose(picture[..., 0] / picture[..., 2], 1 / 3, atol=0.01)
-    for arguments, code, says in ((["--exponent", "5"], 2, "--specular"), (["--albedo", "0.9", "--specular", "0.3"], 3, "0.2 too much"), (["--albedo", "1,2"], 2, "R,G,B")):
+    for arguments, code, says in (
+        (["--exponent", "5"], 2, "--specular"),
+        (["--albedo", "0.9", "--specular", "0.3"], 3, "0.2 too much"),
+        (["--albedo", "1,2"], 2, "R,G,B"),
+    ):
         fails(capsys, code, "render", "depth.npy", "--out", "no.npy", *arguments, says=says)
-    fails(capsys, 3, "render", "depth.npy", "--out", "no.png", "--bits", "16", "--albedo", "0.2,0.4,0.6", "--backend", "numpy", says="8 bits")
+    fails(
+        capsys,
+        3,
+        "render",
+        "depth.npy",
+        "--out",
+        "no.png",
+        "--bits",
+        "16",
+        "--albedo",
+        "0.2,0.4,0.6",
+        "--backend",
+        "numpy",
+        says="8 bits",
+    )
 
 
 def test_render_writes_the_error(here, capsys):
-    """--error: the estimate of every pixel in the image's unit, in any format; refused where no tolerance decides."""
-    assert run(capsys, "render", "depth.npy", "--out", "a.npy", "--error", "e.npy", "--tolerance", "3%", "--backend", "numpy")[0] == 0
+    """--error: the estimate of every pixel in the image's unit, in any format; refused where no tolerance
+    decides.
+    """
+    assert (
+        run(
+            capsys,
+            "render",
+            "depth.npy",
+            "--out",
+            "a.npy",
+            "--error",
+            "e.npy",
+            "--tolerance",
+            "3%",
+            "--backend",
+            "numpy",
+        )[0]
+        == 0
+    )
     wanted = sl.render(sl.Scene(np.load("depth.npy")), sl.Sky(), tolerance=0.03, backend="numpy")
     np.testing.assert_array_equal(np.load("a.npy"), wanted.image)
     np.testing.assert_array_equal(np.load("e.npy"), wanted.error)
-    assert run(capsys, "render", "depth.npy", "--out", "b.npy", "--error", "e.png", "--backend", "numpy")[0] == 0 and os.path.getsize("e.png") > 100
-    fails(capsys, 2, "render", "depth.npy", "--out", "c.npy", "--error", "f.npy", "--method", "horizon", "--backend", "numpy", says="--error")
-    fails(capsys, 3, "render", "depth.npy", "--out", "c.npy", "--error", "f.exe", "--backend", "numpy", says="f.exe")
+    assert (
+        run(capsys, "render", "depth.npy", "--out", "b.npy", "--error", "e.png", "--backend", "numpy")[0] == 0
+        and os.path.getsize("e.png") > 100
+    )
+    fails(
+        capsys,
+        2,
+        "render",
+        "depth.npy",
+        "--out",
+        "c.npy",
+        "--error",
+        "f.npy",
+        "--method",
+        "horizon",
+        "--backend",
+        "numpy",
+        says="--error",
+    )
+    fails(
+        capsys,
+        3,
+        "render",
+        "depth.npy",
+        "--out",
+        "c.npy",
+        "--error",
+        "f.exe",
+        "--backend",
+        "numpy",
+        says="f.exe",
+    )

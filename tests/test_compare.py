@@ -26,14 +26,38 @@ def test_equal_arrays_pass():
 @pytest.mark.parametrize("index", [(0, 0), (1, 2), (2, 3)])
 def test_one_flipped_bit_fails(bit, index):
     """Any bit of any element, the first and the last too; the message says where."""
-    with pytest.raises(AssertionError, match=rf"1 of 12 elements differ, first at \({index[0]}, {index[1]}\)"):
+    with pytest.raises(
+        AssertionError, match=rf"1 of 12 elements differ, first at \({index[0]}, {index[1]}\)"
+    ):
         assert_bits_equal(changed(WORDS, index, WORDS[index] ^ np.uint32(1 << bit)), WORDS)
 
 
 @pytest.mark.parametrize(
     "got",
-    [WORDS, WORDS[:], WORDS.view(np.int32), WORDS.astype(np.int32), WORDS.astype(np.uint64), WORDS[:2].copy(), WORDS.ravel().copy(), WORDS[None].copy(), WORDS.tolist(), None],
-    ids=["same object", "view", "view of another type", "int32", "uint64", "fewer rows", "flat", "one axis more", "list", "None"],
+    [
+        WORDS,
+        WORDS[:],
+        WORDS.view(np.int32),
+        WORDS.astype(np.int32),
+        WORDS.astype(np.uint64),
+        WORDS[:2].copy(),
+        WORDS.ravel().copy(),
+        WORDS[None].copy(),
+        WORDS.tolist(),
+        None,
+    ],
+    ids=[
+        "same object",
+        "view",
+        "view of another type",
+        "int32",
+        "uint64",
+        "fewer rows",
+        "flat",
+        "one axis more",
+        "list",
+        "None",
+    ],
 )
 def test_bits_of_another_kind_fail(got):
     """Shared memory, another type, another shape: broadcasting must not hide any of them."""
@@ -59,7 +83,11 @@ def test_negative_zero_is_not_zero_in_bits():
 def test_what_is_not_finite_is_never_close(value):
     """NaN against a number, a number against NaN, and NaN or infinity against itself."""
     broken, expected = changed(FLOATS, (2, 3), value), FLOATS.astype(np.float64)
-    for a, b in ((broken, expected), (FLOATS, changed(expected, (2, 3), value)), (broken, changed(expected, (2, 3), value))):
+    for a, b in (
+        (broken, expected),
+        (FLOATS, changed(expected, (2, 3), value)),
+        (broken, changed(expected, (2, 3), value)),
+    ):
         with pytest.raises(AssertionError, match=r"first at \(2, 3\)"):
             assert_close(a, b)
 
@@ -74,7 +102,17 @@ def test_two_bounds_off_fails_in_either_direction():
                 assert_close(got, expected)
 
 
-@pytest.mark.parametrize("got", [FLOATS.astype(np.float64), FLOATS.astype(np.float16), FLOATS[:2].copy(), FLOATS[:1].copy(), FLOATS[0, 0]], ids=["float64", "float16", "rows", "row", "number"])
+@pytest.mark.parametrize(
+    "got",
+    [
+        FLOATS.astype(np.float64),
+        FLOATS.astype(np.float16),
+        FLOATS[:2].copy(),
+        FLOATS[:1].copy(),
+        FLOATS[0, 0],
+    ],
+    ids=["float64", "float16", "rows", "row", "number"],
+)
 def test_close_arrays_of_another_kind_fail(got):
     """Another type or shape than the float32 image that is promised."""
     with pytest.raises(AssertionError):
@@ -89,6 +127,9 @@ def test_a_backend_cannot_stand_in_for_the_oracle():
 
 def test_empty_arrays_fail():
     """A comparison of nothing is a test that cannot fail."""
-    for compare, types in ((assert_bits_equal, (np.uint32, np.uint32)), (assert_close, (np.float32, np.float64))):
+    for compare, types in (
+        (assert_bits_equal, (np.uint32, np.uint32)),
+        (assert_close, (np.float32, np.float64)),
+    ):
         with pytest.raises(AssertionError, match="empty"):
             compare(*(np.empty((0, 4), t) for t in types))

@@ -2,9 +2,8 @@
 
 import numpy as np
 import pytest
-from compare import assert_bits_equal
-
 import skylamp as sl
+from compare import assert_bits_equal
 from skylamp.radiometry import polygon_moment, rectangle_solid_angle
 
 SIZES = [3, 5, 7, 9, 17, 33]
@@ -27,15 +26,26 @@ def test_steps_are_the_surface_nodes_of_the_half_cube(size):
     """Every node with L_z <= 0 once, unit vectors along them, ordered by (k, j, i)."""
     cube = sl.Hemicube(size)
     m = cube.reach
-    wanted = [(i, j, -k) for k in range(m + 1) for j in range(-m, m + 1) for i in range(-m, m + 1) if max(abs(i), abs(j), k) == m]
+    wanted = [
+        (i, j, -k)
+        for k in range(m + 1)
+        for j in range(-m, m + 1)
+        for i in range(-m, m + 1)
+        if max(abs(i), abs(j), k) == m
+    ]
     assert [tuple(s) for s in cube.steps.tolist()] == wanted
     assert np.allclose(np.linalg.norm(cube.directions, axis=1), 1, rtol=0, atol=1e-15)
-    assert np.allclose(np.cross(cube.directions, cube.steps), 0, atol=1e-12) and ((cube.directions * cube.steps).sum(1) > 0).all()
+    assert (
+        np.allclose(np.cross(cube.directions, cube.steps), 0, atol=1e-12)
+        and ((cube.directions * cube.steps).sum(1) > 0).all()
+    )
 
 
 @pytest.mark.parametrize("size", [3, 9])
 def test_cells_have_the_symmetry_of_the_cube(size):
-    """Transposing and mirroring permute solid angles and moments; a face with its axes swapped would not survive."""
+    """Transposing and mirroring permute solid angles and moments; a face with its axes swapped would not
+    survive.
+    """
     cube = sl.Hemicube(size)
     number = {tuple(step): d for d, step in enumerate(cube.steps.tolist())}
     for change in (lambda v: v[:, [1, 0, 2]], lambda v: v * [-1, 1, 1], lambda v: v * [1, -1, 1]):
@@ -46,7 +56,9 @@ def test_cells_have_the_symmetry_of_the_cube(size):
 
 @pytest.mark.parametrize("size", [3, 5, 9])
 def test_every_cell_agrees_with_quadrature_over_the_nearest_node(size):
-    """Midpoint quadrature of dOmega and L dOmega over the cube's faces, each sample given to its nearest node."""
+    """Midpoint quadrature of dOmega and L dOmega over the cube's faces, each sample given to its nearest
+    node.
+    """
     cube = sl.Hemicube(size)
     m, n = cube.reach, 64 * 2 * cube.reach
     edge = (np.arange(n) + 0.5) / n * 2 * m - m
@@ -70,7 +82,9 @@ def test_every_cell_agrees_with_quadrature_over_the_nearest_node(size):
 
 @pytest.mark.parametrize("size", [3, 5, 7, 9, 17])
 def test_packed_bits_stand_where_the_design_says(size):
-    """Direction d is bit d % 32 of word d // 32; packing and unpacking undo one another, and spare bits are 0."""
+    """Direction d is bit d % 32 of word d // 32; packing and unpacking undo one another, and spare bits are
+    0.
+    """
     cube = sl.Hemicube(size)
     flags = np.random.default_rng(size).random((5, 3, len(cube))) < 0.5
     bits = cube.pack(flags)
@@ -95,11 +109,15 @@ def test_rectangle_solid_angle_and_moment_agree_with_quadrature(u, v, distance):
     r = np.sqrt(x**2 + y**2 + distance**2)
     d_omega = distance / r**3 * (u[1] - u[0]) * (v[1] - v[0]) / n**2
     assert rectangle_solid_angle(*u, *v, distance) == pytest.approx(d_omega.sum(), rel=2e-5)
-    corners = np.array([[u[0], v[0], distance], [u[1], v[0], distance], [u[1], v[1], distance], [u[0], v[1], distance]])
+    corners = np.array(
+        [[u[0], v[0], distance], [u[1], v[0], distance], [u[1], v[1], distance], [u[0], v[1], distance]]
+    )
     wanted = [(c / r * d_omega).sum() for c in (x, y, distance)]
     assert polygon_moment(corners) == pytest.approx(wanted, rel=2e-5, abs=2e-5 * max(wanted))
     assert_bits_equal(polygon_moment(corners), polygon_moment(corners.copy()))
-    assert polygon_moment(corners[::-1]) == pytest.approx(wanted, rel=2e-5, abs=2e-5 * max(wanted))  # either sense of rotation
+    assert polygon_moment(corners[::-1]) == pytest.approx(
+        wanted, rel=2e-5, abs=2e-5 * max(wanted)
+    )  # either sense of rotation
 
 
 def test_the_tables_of_a_hemicube_cannot_be_written_to():

@@ -9,7 +9,6 @@ from pathlib import Path
 
 import imageio.v3 as imageio
 import pytest
-
 import skylamp as sl
 
 ROOT = Path(__file__).parent.parent
@@ -20,9 +19,13 @@ _spec.loader.exec_module(pictures)
 PAGES = sorted(page.stem for page in DOCS.glob("*.md"))
 
 
-@pytest.mark.parametrize("name", [name for name in PAGES if pictures.blocks((DOCS / f"{name}.md").read_text(encoding="utf-8"))])
+@pytest.mark.parametrize(
+    "name", [name for name in PAGES if pictures.blocks((DOCS / f"{name}.md").read_text(encoding="utf-8"))]
+)
 def test_page_runs(name, tmp_path):
-    """Every block in order, as a reader would paste them; and a page's code makes each picture that it shows, as it is in the repository."""
+    """Every block in order, as a reader would paste them; and a page's code makes each picture that it shows,
+    as it is in the repository.
+    """
     page = DOCS / f"{name}.md"
     pictures.run(page, tmp_path)
     if name not in pictures.TUTORIALS:
@@ -31,9 +34,14 @@ def test_page_runs(name, tmp_path):
     assert shown
     for picture in shown:
         made, kept = imageio.imread(tmp_path / picture), imageio.imread(DOCS / "pictures" / picture)
-        assert made.shape[2:] == kept.shape[2:] and abs(made.shape[0] - kept.shape[0]) + abs(made.shape[1] - kept.shape[1]) <= 12, picture  # fonts may differ by a pixel
+        assert (
+            made.shape[2:] == kept.shape[2:]
+            and abs(made.shape[0] - kept.shape[0]) + abs(made.shape[1] - kept.shape[1]) <= 12
+        ), picture  # fonts may differ by a pixel
         if made.shape == kept.shape:
-            assert abs(made.astype(float) - kept).mean() < 6, f"{picture} is not what the page makes: python docs/pictures.py {name}"
+            assert abs(made.astype(float) - kept).mean() < 6, (
+                f"{picture} is not what the page makes: python docs/pictures.py {name}"
+            )
 
 
 def test_every_tutorial_is_there_and_shows_pictures():
@@ -48,8 +56,14 @@ def test_every_tutorial_is_there_and_shows_pictures():
 
 
 def test_a_block_that_fails_is_seen(tmp_path):
-    """The runner is no comparator that cannot fail: a raising block, a failing command and an unknown language."""
-    for text, error in (("```python\n1 / 0\n```\n", ZeroDivisionError), ("```sh\npip install x && false\n```\n", RuntimeError), ("```perl\nprint 1\n```\n", ValueError)):
+    """The runner is no comparator that cannot fail: a raising block, a failing command and an unknown
+    language.
+    """
+    for text, error in (
+        ("```python\n1 / 0\n```\n", ZeroDivisionError),
+        ("```sh\npip install x && false\n```\n", RuntimeError),
+        ("```perl\nprint 1\n```\n", ValueError),
+    ):
         (tmp_path / "page.md").write_text(text)
         with pytest.raises(error):
             pictures.run(tmp_path / "page.md", tmp_path)
@@ -58,9 +72,26 @@ def test_a_block_that_fails_is_seen(tmp_path):
 def test_pages_build_without_a_warning(tmp_path):
     """mkdocs build --strict, as CI does it; every public name has its entry."""
     (tmp_path / "packages").mkdir()
-    (tmp_path / "packages" / "skylamp").symlink_to(Path(sl.__file__).parent)  # an editable install is not found by its name
-    done = subprocess.run([sys.executable, "-m", "mkdocs", "build", "--strict", "-f", str(ROOT / ".ci" / "mkdocs.yml"), "--site-dir", str(tmp_path / "site")],
-                          env={**os.environ, "PYTHONPATH": str(tmp_path / "packages"), "NO_MKDOCS_2_WARNING": "1"}, capture_output=True, text=True, timeout=300)
+    (tmp_path / "packages" / "skylamp").symlink_to(
+        Path(sl.__file__).parent
+    )  # an editable install is not found by its name
+    done = subprocess.run(
+        [
+            sys.executable,
+            "-m",
+            "mkdocs",
+            "build",
+            "--strict",
+            "-f",
+            str(ROOT / ".ci" / "mkdocs.yml"),
+            "--site-dir",
+            str(tmp_path / "site"),
+        ],
+        env={**os.environ, "PYTHONPATH": str(tmp_path / "packages"), "NO_MKDOCS_2_WARNING": "1"},
+        capture_output=True,
+        text=True,
+        timeout=300,
+    )
     assert done.returncode == 0, done.stderr
     assert "mkdocs build --strict" in (ROOT / ".ci" / "run").read_text(encoding="utf-8")
     page = (tmp_path / "site" / "api" / "index.html").read_text(encoding="utf-8")

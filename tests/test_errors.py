@@ -1,4 +1,6 @@
-"""Bad input at the door: one clear error each, that says what was got and what is allowed; and what importing skylamp does not do."""
+"""Bad input at the door: one clear error each, that says what was got and what is allowed; and what importing
+skylamp does not do.
+"""
 
 import os
 import subprocess
@@ -7,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-
 import skylamp as sl
 from skylamp.errors import BackendError, InputError
 
@@ -24,10 +25,19 @@ def with_value(value, index=(1, 2)):
 
 
 SCENES = {
-    "NaN without a mask": (lambda: sl.Scene(NAN), ["depth: 1 values are NaN or infinite", "(row, col) = (1, 3)", "mask=numpy.isfinite(depth)"]),
+    "NaN without a mask": (
+        lambda: sl.Scene(NAN),
+        ["depth: 1 values are NaN or infinite", "(row, col) = (1, 3)", "mask=numpy.isfinite(depth)"],
+    ),
     "infinity": (lambda: sl.Scene(with_value(np.inf)), ["NaN or infinite", "(1, 2)", "got inf"]),
-    "NaN where the mask says valid": (lambda: sl.Scene(NAN, mask=np.ones((4, 6), bool)), ["NaN or infinite", "(1, 3)"]),
-    "negative depth": (lambda: sl.Scene(with_value(-0.5)), ["depth: negative", "(1, 2)", "got -0.5", ">= 0", "Scene.from_height"]),
+    "NaN where the mask says valid": (
+        lambda: sl.Scene(NAN, mask=np.ones((4, 6), bool)),
+        ["NaN or infinite", "(1, 3)"],
+    ),
+    "negative depth": (
+        lambda: sl.Scene(with_value(-0.5)),
+        ["depth: negative", "(1, 2)", "got -0.5", ">= 0", "Scene.from_height"],
+    ),
     "beyond float32": (lambda: sl.Scene(with_value(1e39)), ["too large for float32", "(1, 2)"]),
     "three axes": (lambda: sl.Scene(np.ones((2, 3, 4))), ["depth: wrong shape", "(2, 3, 4)", "(rows, cols)"]),
     "one axis": (lambda: sl.Scene(np.ones(5)), ["depth: wrong shape", "(5,)"]),
@@ -43,27 +53,51 @@ SCENES = {
     "spacing NaN": (lambda: sl.Scene(DEPTH, np.nan), ["spacing", "got nan"]),
     "spacing text": (lambda: sl.Scene(DEPTH, "wide"), ["spacing: not a number", "'wide'"]),
     "spacing pair": (lambda: sl.Scene(DEPTH, (1, 2)), ["spacing: not a number"]),
-    "unknown sides": (lambda: sl.Scene(DEPTH, sides="closed"), ["sides", "'closed'", "open | dark | periodic"]),
+    "unknown sides": (
+        lambda: sl.Scene(DEPTH, sides="closed"),
+        ["sides", "'closed'", "open | dark | periodic"],
+    ),
     "albedo above 1": (lambda: sl.Scene(DEPTH, albedo=1.5), ["albedo: out of range", "got 1.5", "0 to 1"]),
     "albedo negative": (lambda: sl.Scene(DEPTH, albedo=-0.1), ["albedo: out of range", "got -0.1"]),
     "albedo NaN": (lambda: sl.Scene(DEPTH, albedo=np.nan), ["albedo: out of range", "got nan"]),
-    "albedo map with a hole": (lambda: sl.Scene(DEPTH, albedo=with_value(np.nan) / 2), ["albedo: out of range at (row, col) = (1, 2)"]),
-    "albedo map of another shape": (lambda: sl.Scene(DEPTH, albedo=np.ones((6, 4)) / 2), ["albedo: wrong shape", "(6, 4)", "(4, 6)"]),
+    "albedo map with a hole": (
+        lambda: sl.Scene(DEPTH, albedo=with_value(np.nan) / 2),
+        ["albedo: out of range at (row, col) = (1, 2)"],
+    ),
+    "albedo map of another shape": (
+        lambda: sl.Scene(DEPTH, albedo=np.ones((6, 4)) / 2),
+        ["albedo: wrong shape", "(6, 4)", "(4, 6)"],
+    ),
     "albedo complex": (lambda: sl.Scene(DEPTH, albedo=0.5j), ["albedo: wrong type", "complex"]),
-    "mask of another shape": (lambda: sl.Scene(DEPTH, mask=np.ones((6, 4), bool)), ["mask", "(6, 4)", "(4, 6)"]),
+    "mask of another shape": (
+        lambda: sl.Scene(DEPTH, mask=np.ones((6, 4), bool)),
+        ["mask", "(6, 4)", "(4, 6)"],
+    ),
     "mask of numbers": (lambda: sl.Scene(DEPTH, mask=np.ones((4, 6))), ["mask", "float64", "bool"]),
     "mask ragged": (lambda: sl.Scene(DEPTH, mask=[[True], [True, False]]), ["mask", "bool"]),
-    "mask without a valid node": (lambda: sl.Scene(DEPTH, mask=np.zeros((4, 6), bool)), ["mask: no valid node"]),
-    "height with NaN": (lambda: sl.Scene.from_height(NAN), ["height: 1 values", "(1, 3)", "mask=numpy.isfinite(height)"]),
+    "mask without a valid node": (
+        lambda: sl.Scene(DEPTH, mask=np.zeros((4, 6), bool)),
+        ["mask: no valid node"],
+    ),
+    "height with NaN": (
+        lambda: sl.Scene.from_height(NAN),
+        ["height: 1 values", "(1, 3)", "mask=numpy.isfinite(height)"],
+    ),
     "height empty": (lambda: sl.Scene.from_height(np.ones((4, 0))), ["height: empty array"]),
-    "height nowhere valid": (lambda: sl.Scene.from_height(DEPTH, mask=np.zeros((4, 6), bool)), ["mask: no valid node"]),
+    "height nowhere valid": (
+        lambda: sl.Scene.from_height(DEPTH, mask=np.zeros((4, 6), bool)),
+        ["mask: no valid node"],
+    ),
 }
 VOLUME = np.zeros((3, 4, 6), bool)
 VOLUME[2] = True
 SOURCES = {
     "brightness negative": (lambda: sl.Sky(-1), ["brightness", "got -1.0", ">= 0"]),
     "brightness NaN": (lambda: sl.Sky(np.nan), ["brightness", "got nan"]),
-    "brightness infinite": (lambda: sl.Window(x=(0, 1), y=(0, 1), brightness=np.inf), ["brightness", "got inf"]),
+    "brightness infinite": (
+        lambda: sl.Window(x=(0, 1), y=(0, 1), brightness=np.inf),
+        ["brightness", "got inf"],
+    ),
     "brightness an array": (lambda: sl.Sky(np.ones(4)), ["brightness", "function of unit vectors"]),
     "brightness complex": (lambda: sl.Sky(1j), ["brightness", "1j"]),
     "brightness text": (lambda: sl.Sky("bright"), ["brightness", "'bright'"]),
@@ -74,9 +108,15 @@ SOURCES = {
     "cosine axis text": (lambda: sl.cosine_power(1, axis="down"), ["cosine_power: axis", "three"]),
     "cosine axis 0": (lambda: sl.cosine_power(1, (0, 0, 0)), ["cosine_power: axis", "not all zero"]),
     "cosine axis short": (lambda: sl.cosine_power(1, (0, 1)), ["cosine_power: axis", "three"]),
-    "environment of three axes": (lambda: sl.environment_map(np.ones((2, 3, 4))), ["environment_map: wrong shape", "(2, 3, 4)"]),
+    "environment of three axes": (
+        lambda: sl.environment_map(np.ones((2, 3, 4))),
+        ["environment_map: wrong shape", "(2, 3, 4)"],
+    ),
     "environment negative": (lambda: sl.environment_map([[1, -1]]), ["environment_map: values", "-1"]),
-    "environment NaN": (lambda: sl.environment_map([[1, np.nan]]), ["environment_map: values", "finite: False"]),
+    "environment NaN": (
+        lambda: sl.environment_map([[1, np.nan]]),
+        ["environment_map: values", "finite: False"],
+    ),
     "lamp of nothing": (lambda: sl.Lamp(), ["lamp", "center and radius"]),
     "lamp without radius": (lambda: sl.Lamp(center=(1, 2, 3)), ["lamp", "center and radius"]),
     "lamp both": (lambda: sl.Lamp(center=(1, 2, 3), radius=1, volume=VOLUME), ["lamp", "volume alone"]),
@@ -85,8 +125,14 @@ SOURCES = {
     "lamp radius 0": (lambda: sl.Lamp(center=(1, 2, 3), radius=0), ["lamp radius", "got 0.0", "> 0"]),
     "lamp radius negative": (lambda: sl.Lamp(center=(1, 2, 3), radius=-1), ["lamp radius", "-1.0"]),
     "lamp radius NaN": (lambda: sl.Lamp(center=(1, 2, 3), radius=np.nan), ["lamp radius", "nan"]),
-    "volume of numbers": (lambda: sl.Lamp(volume=VOLUME * 1.0), ["lamp volume", "float64", "bool (layers, rows, cols)"]),
-    "volume ragged": (lambda: sl.Lamp(volume=[[[True], [True, False]]]), ["lamp volume", "(layers, rows, cols)"]),
+    "volume of numbers": (
+        lambda: sl.Lamp(volume=VOLUME * 1.0),
+        ["lamp volume", "float64", "bool (layers, rows, cols)"],
+    ),
+    "volume ragged": (
+        lambda: sl.Lamp(volume=[[[True], [True, False]]]),
+        ["lamp volume", "(layers, rows, cols)"],
+    ),
     "volume flat": (lambda: sl.Lamp(volume=VOLUME[0]), ["lamp volume", "(4, 6)"]),
     "volume dark": (lambda: sl.Lamp(volume=np.zeros((3, 4, 6), bool)), ["lamp volume", "nothing shines"]),
     "window of nothing": (lambda: sl.Window(), ["window", "x and y"]),
@@ -94,18 +140,39 @@ SOURCES = {
     "window inside out": (lambda: sl.Window(x=(2, 1), y=(0, 1)), ["window x", "(2.0, 1.0)", "low < high"]),
     "window of no width": (lambda: sl.Window(x=(0, 1), y=(1, 1)), ["window y", "low < high"]),
     "window NaN": (lambda: sl.Window(x=(0, np.nan), y=(0, 1)), ["window x", "nan"]),
-    "aperture closed": (lambda: sl.Window(aperture=np.zeros((4, 6), bool)), ["window aperture", "nothing shines"]),
+    "aperture closed": (
+        lambda: sl.Window(aperture=np.zeros((4, 6), bool)),
+        ["window aperture", "nothing shines"],
+    ),
     "aperture of numbers": (lambda: sl.Window(aperture=np.ones((4, 6))), ["window aperture", "float64"]),
 }
 RENDER = {
     "not a scene": (lambda: sl.render(DEPTH, SKY), ["scene", "ndarray", "skylamp.Scene"]),
-    "visibility of no scene": (lambda: sl.visibility(DEPTH, SKY, 3, "numpy"), ["scene", "ndarray", "skylamp.Scene"]),
-    "field of no scene": (lambda: sl.visibility_field(DEPTH, SKY, 3, backend="numpy"), ["scene", "ndarray", "skylamp.Scene"]),
-    "view from a pair": (lambda: sl.visibility_field(SCENE, SKY, 3, backend="numpy").view((1, 1), "numpy"), ["point", "(1, 1)"]),
-    "not a source": (lambda: sl.render(SCENE, 1.0, backend="numpy"), ["source", "float", "Sky, Lamp or Window"]),
+    "visibility of no scene": (
+        lambda: sl.visibility(DEPTH, SKY, 3, "numpy"),
+        ["scene", "ndarray", "skylamp.Scene"],
+    ),
+    "field of no scene": (
+        lambda: sl.visibility_field(DEPTH, SKY, 3, backend="numpy"),
+        ["scene", "ndarray", "skylamp.Scene"],
+    ),
+    "view from a pair": (
+        lambda: sl.visibility_field(SCENE, SKY, 3, backend="numpy").view((1, 1), "numpy"),
+        ["point", "(1, 1)"],
+    ),
+    "not a source": (
+        lambda: sl.render(SCENE, 1.0, backend="numpy"),
+        ["source", "float", "Sky, Lamp or Window"],
+    ),
     "unknown method": (lambda: sl.render(SCENE, SKY, "raytrace"), ["method", "'raytrace'", "lattice"]),
-    "unknown quantity": (lambda: sl.render(SCENE, SKY, quantity="lux"), ["quantity", "'lux'", "radiance | irradiance"]),
-    "unknown weights": (lambda: sl.render(SCENE, SKY, weights="even"), ["weights", "'even'", "moment | printed"]),
+    "unknown quantity": (
+        lambda: sl.render(SCENE, SKY, quantity="lux"),
+        ["quantity", "'lux'", "radiance | irradiance"],
+    ),
+    "unknown weights": (
+        lambda: sl.render(SCENE, SKY, weights="even"),
+        ["weights", "'even'", "moment | printed"],
+    ),
     "tolerance 0": (lambda: sl.render(SCENE, SKY, tolerance=0), ["tolerance", "> 0"]),
     "tolerance NaN": (lambda: sl.render(SCENE, SKY, tolerance=np.nan), ["tolerance", "nan"]),
     "even M": (lambda: sl.render(SCENE, SKY, "lattice", hemicube=8), ["hemicube", "8", "odd whole number"]),
@@ -113,19 +180,57 @@ RENDER = {
     "M too large": (lambda: sl.Hemicube(1001), ["hemicube", "1001", "to 129"]),
     "M a fraction": (lambda: sl.Hemicube(9.0), ["hemicube", "9.0"]),
     "M a truth": (lambda: sl.Hemicube(True), ["hemicube", "True"]),
-    "unknown algorithm": (lambda: sl.visibility(SCENE, SKY, algorithm="magic"), ["algorithm", "'magic'", "scan | propagate"]),
-    "propagation filled": (lambda: sl.visibility(SCENE, SKY, filled=True, algorithm="propagate"), ["filled=False"]),
+    "unknown algorithm": (
+        lambda: sl.visibility(SCENE, SKY, algorithm="magic"),
+        ["algorithm", "'magic'", "scan | propagate"],
+    ),
+    "propagation filled": (
+        lambda: sl.visibility(SCENE, SKY, filled=True, algorithm="propagate"),
+        ["filled=False"],
+    ),
     "field of no layers": (lambda: sl.visibility_field(SCENE, SKY, layers=0), ["layers", "0", ">= 1"]),
-    "lamp below the surface": (lambda: sl.render(SCENE, sl.Lamp(center=(2, 1, 1.5), radius=1), backend="numpy"), ["lamp below the surface", "z = 1.5", "(row, col) = (1, 2)", "z <= 1.0"]),
-    "lamp on a periodic map": (lambda: sl.render(sl.Scene(DEPTH, sides="periodic"), sl.Lamp(center=(2, 1, -1), radius=1), backend="numpy"), ["periodic", "volume"]),
-    "volume of another shape": (lambda: sl.visibility(sl.Scene(DEPTH.T), sl.Lamp(volume=VOLUME), backend="numpy"), ["lamp volume: wrong shape", "(3, 4, 6)", "(6, 4)"]),
-    "volume in the ground": (lambda: sl.visibility(SCENE, sl.Lamp(volume=VOLUME), backend="numpy"), ["lamp volume", "free space"]),
-    "aperture of another shape": (lambda: sl.visibility(SCENE, sl.Window(aperture=np.ones((6, 4), bool)), backend="numpy"), ["window aperture: wrong shape", "(6, 4)", "(4, 6)"]),
-    "brightness of wrong shape": (lambda: sl.render(SCENE, sl.Sky(lambda L: L[..., :2]), backend="numpy"), ["brightness function: wrong result", "shape"]),
-    "brightness of negative value": (lambda: sl.render(SCENE, sl.Sky(lambda L: L[..., 2]), backend="numpy"), ["brightness function", "L =", ">= 0"]),
-    "brightness of NaN": (lambda: sl.render(SCENE, sl.Sky(lambda L: np.full(L.shape[:-1], np.nan)), backend="numpy"), ["brightness function", "nan"]),
-    "brightness of complex value": (lambda: sl.render(SCENE, sl.Sky(lambda L: L[..., 0] + 1j), backend="numpy"), ["brightness function", "complex128"]),
-    "brightness of nothing": (lambda: sl.render(SCENE, sl.Sky(lambda L: None), backend="numpy"), ["brightness function", "object"]),
+    "lamp below the surface": (
+        lambda: sl.render(SCENE, sl.Lamp(center=(2, 1, 1.5), radius=1), backend="numpy"),
+        ["lamp below the surface", "z = 1.5", "(row, col) = (1, 2)", "z <= 1.0"],
+    ),
+    "lamp on a periodic map": (
+        lambda: sl.render(
+            sl.Scene(DEPTH, sides="periodic"), sl.Lamp(center=(2, 1, -1), radius=1), backend="numpy"
+        ),
+        ["periodic", "volume"],
+    ),
+    "volume of another shape": (
+        lambda: sl.visibility(sl.Scene(DEPTH.T), sl.Lamp(volume=VOLUME), backend="numpy"),
+        ["lamp volume: wrong shape", "(3, 4, 6)", "(6, 4)"],
+    ),
+    "volume in the ground": (
+        lambda: sl.visibility(SCENE, sl.Lamp(volume=VOLUME), backend="numpy"),
+        ["lamp volume", "free space"],
+    ),
+    "aperture of another shape": (
+        lambda: sl.visibility(SCENE, sl.Window(aperture=np.ones((6, 4), bool)), backend="numpy"),
+        ["window aperture: wrong shape", "(6, 4)", "(4, 6)"],
+    ),
+    "brightness of wrong shape": (
+        lambda: sl.render(SCENE, sl.Sky(lambda L: L[..., :2]), backend="numpy"),
+        ["brightness function: wrong result", "shape"],
+    ),
+    "brightness of negative value": (
+        lambda: sl.render(SCENE, sl.Sky(lambda L: L[..., 2]), backend="numpy"),
+        ["brightness function", "L =", ">= 0"],
+    ),
+    "brightness of NaN": (
+        lambda: sl.render(SCENE, sl.Sky(lambda L: np.full(L.shape[:-1], np.nan)), backend="numpy"),
+        ["brightness function", "nan"],
+    ),
+    "brightness of complex value": (
+        lambda: sl.render(SCENE, sl.Sky(lambda L: L[..., 0] + 1j), backend="numpy"),
+        ["brightness function", "complex128"],
+    ),
+    "brightness of nothing": (
+        lambda: sl.render(SCENE, sl.Sky(lambda L: None), backend="numpy"),
+        ["brightness function", "object"],
+    ),
 }
 IMAGE = np.full((4, 6), 0.5)
 RECOVER = {
@@ -137,19 +242,38 @@ RECOVER = {
     "image empty": (lambda: sl.recover(np.ones((0, 0)), SKY), ["image: empty array"]),
     "eps 0": (lambda: sl.recover(IMAGE, SKY, method="paper", eps=0), ["eps", "> 0"]),
     "eps NaN": (lambda: sl.recover(IMAGE, SKY, method="paper", eps=np.nan), ["eps", "nan"]),
-    "unknown stop": (lambda: sl.recover(IMAGE, SKY, method="paper", stop="never"), ["stop", "'never'", "eps | sign"]),
+    "unknown stop": (
+        lambda: sl.recover(IMAGE, SKY, method="paper", stop="never"),
+        ["stop", "'never'", "eps | sign"],
+    ),
     "unknown method": (lambda: sl.recover(IMAGE, SKY, method="magic"), ["method", "'magic'", "paper"]),
-    "unknown sides": (lambda: sl.recover(IMAGE, SKY, sides="closed"), ["sides", "'closed'", "open | dark | periodic"]),
+    "unknown sides": (
+        lambda: sl.recover(IMAGE, SKY, sides="closed"),
+        ["sides", "'closed'", "open | dark | periodic"],
+    ),
     "no layers": (lambda: sl.recover(IMAGE, SKY, layers=0), ["layers", "0"]),
     "half a layer": (lambda: sl.recover(IMAGE, SKY, layers=2.5), ["layers", "2.5"]),
     "even M": (lambda: sl.recover(IMAGE, SKY, hemicube=4), ["hemicube", "4", "odd"]),
     "albedo 0": (lambda: sl.recover(IMAGE, SKY, albedo=0), ["albedo", "> 0"]),
-    "albedo map with a black pixel": (lambda: sl.recover(IMAGE, SKY, albedo=with_value(0)), ["albedo", "> 0"]),
-    "albedo of another shape": (lambda: sl.recover(IMAGE, SKY, albedo=np.ones((6, 4))), ["albedo: wrong shape", "(6, 4)"]),
+    "albedo map with a black pixel": (
+        lambda: sl.recover(IMAGE, SKY, albedo=with_value(0)),
+        ["albedo", "> 0"],
+    ),
+    "albedo of another shape": (
+        lambda: sl.recover(IMAGE, SKY, albedo=np.ones((6, 4))),
+        ["albedo: wrong shape", "(6, 4)"],
+    ),
     "spacing": (lambda: sl.recover(IMAGE, SKY, spacing=-1), ["spacing", "-1"]),
-    "not a source": (lambda: sl.recover(IMAGE, None, backend="numpy"), ["source", "NoneType", "Sky, Lamp or Window"]),
+    "not a source": (
+        lambda: sl.recover(IMAGE, None, backend="numpy"),
+        ["source", "NoneType", "Sky, Lamp or Window"],
+    ),
 }
-CASES = [(f"{room}: {name}", *case) for room, cases in (("scene", SCENES), ("source", SOURCES), ("render", RENDER), ("recover", RECOVER)) for name, case in cases.items()]
+CASES = [
+    (f"{room}: {name}", *case)
+    for room, cases in (("scene", SCENES), ("source", SOURCES), ("render", RENDER), ("recover", RECOVER))
+    for name, case in cases.items()
+]
 
 
 @pytest.mark.parametrize(("call", "parts"), [case[1:] for case in CASES], ids=[case[0] for case in CASES])
@@ -170,7 +294,12 @@ def test_an_unknown_backend_is_an_error_that_names_the_nearest(name):
     with pytest.raises(BackendError) as caught:
         sl.render(SCENE, SKY, backend=name)
     text = str(caught.value)
-    assert repr(name) in text and "there is no such backend" in text and "'numpy'" in text or "Nearest that is:" in text
+    assert (
+        repr(name) in text
+        and "there is no such backend" in text
+        and "'numpy'" in text
+        or "Nearest that is:" in text
+    )
     here = [info.name for info in sl.backends() if info.available]
     assert all(n in text for n in here) and "auto" in text
     if name == "numpi":
@@ -185,7 +314,9 @@ def test_a_backend_that_is_no_name_is_an_error(name):
 
 
 def test_a_backend_that_is_not_here_says_why():
-    """A GPU that is missing is named with the reason, and every entry of backends() that is not available has one."""
+    """A GPU that is missing is named with the reason, and every entry of backends() that is not available has
+    one.
+    """
     for info in sl.backends():
         assert info.available != bool(info.why)
         if not info.available:
@@ -206,20 +337,44 @@ def test_auto_says_what_it_took():
 
 def python(code, **environment):
     """The standard output of a fresh interpreter, away from the repository."""
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env={**os.environ, **environment}, cwd=Path(sys.executable).parent, timeout=120)
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        capture_output=True,
+        text=True,
+        env={**os.environ, **environment},
+        cwd=Path(sys.executable).parent,
+        timeout=120,
+    )
     assert done.returncode == 0, done.stderr
     return done.stdout
 
 
 def test_importing_skylamp_starts_no_backend():
     """Neither Warp nor OpenCL is imported until a backend is asked for."""
-    assert python("import sys, skylamp; print([m for m in ('warp', 'pyopencl', 'matplotlib', 'typer') if m in sys.modules])").strip() == "[]"
+    assert (
+        python(
+            "import sys, skylamp; print([m for m in ('warp', 'pyopencl', 'matplotlib', 'typer') if m in"
+            " sys.modules])"
+        ).strip()
+        == "[]"
+    )
 
 
 def test_all_public_names_are_there():
     """__all__ and what it promises."""
     assert all(hasattr(sl, name) for name in sl.__all__) and len(set(sl.__all__)) == len(sl.__all__)
-    assert {"Scene", "Sky", "Lamp", "Window", "Hemicube", "render", "visibility", "visibility_field", "recover", "backends"} <= set(sl.__all__)
+    assert {
+        "Scene",
+        "Sky",
+        "Lamp",
+        "Window",
+        "Hemicube",
+        "render",
+        "visibility",
+        "visibility_field",
+        "recover",
+        "backends",
+    } <= set(sl.__all__)
 
 
 def test_the_rooms_are_not_imported_twice():

@@ -5,11 +5,11 @@ import sys
 
 import numpy as np
 import pytest
-
 import skylamp as sl
 from skylamp.app import cli
-from skylamp.io import geotiff as geo, files as io
 from skylamp.errors import InputError
+from skylamp.io import files as io
+from skylamp.io import geotiff as geo
 
 rasterio = pytest.importorskip("rasterio")
 from rasterio.transform import Affine, from_origin  # noqa: E402
@@ -19,10 +19,31 @@ HEIGHT[3, 4:6] = -32768
 METRES = dict(crs="EPSG:32616", transform=from_origin(730000, 4070000, 30, 30))
 
 
-def make(path, values=HEIGHT, *, crs="EPSG:32616", transform=METRES["transform"], nodata=-32768, tags=(), band=(), **options):
+def make(
+    path,
+    values=HEIGHT,
+    *,
+    crs="EPSG:32616",
+    transform=METRES["transform"],
+    nodata=-32768,
+    tags=(),
+    band=(),
+    **options,
+):
     values = values if values.ndim == 3 else values[None]
-    with rasterio.open(path, "w", driver="GTiff", width=values.shape[2], height=values.shape[1], count=len(values), dtype=values.dtype,
-                       crs=crs, transform=transform, nodata=nodata, **options) as file:
+    with rasterio.open(
+        path,
+        "w",
+        driver="GTiff",
+        width=values.shape[2],
+        height=values.shape[1],
+        count=len(values),
+        dtype=values.dtype,
+        crs=crs,
+        transform=transform,
+        nodata=nodata,
+        **options,
+    ) as file:
         file.write(values)
         file.update_tags(**dict(tags))
         for name, value in dict(band).items():
@@ -39,7 +60,9 @@ def refused(says, function, *arguments, **options):
     with pytest.raises(InputError) as caught:
         function(*arguments, **options)
     text = str(caught.value)
-    assert all(part in text for part in ((says,) if isinstance(says, str) else says)) and "\n" not in text, text
+    assert all(part in text for part in ((says,) if isinstance(says, str) else says)) and "\n" not in text, (
+        text
+    )
 
 
 def run(*arguments):
@@ -52,12 +75,20 @@ def run(*arguments):
 @pytest.mark.parametrize("nodata", [-32768, None, 0])
 def test_same_georeference_out_as_in(tmp_path, tags, nodata, fast):
     """Rendered by the command line; reopened with rasterio; heights, spacing and holes are the file's own."""
-    height = np.where(HEIGHT == -32768, 9, HEIGHT).astype(HEIGHT.dtype) if nodata == 0 else HEIGHT  # a pit of 32 km is black, and 0 its radiance
+    height = (
+        np.where(HEIGHT == -32768, 9, HEIGHT).astype(HEIGHT.dtype) if nodata == 0 else HEIGHT
+    )  # a pit of 32 km is black, and 0 its radiance
     path, out = make(tmp_path / "dem.tif", height, nodata=nodata, tags=tags), tmp_path / "lit.tif"
     assert run("render", path, "--out", out, "--backend", fast) == 0
     crs, transform, _, area, shape, _ = facts(path)
     got = facts(out)
-    assert (got[0], got[1], got[3], got[4], got[5]) == (crs, transform, area, shape, ("float32",)) and crs.to_epsg() == 32616
+    assert (got[0], got[1], got[3], got[4], got[5]) == (
+        crs,
+        transform,
+        area,
+        shape,
+        ("float32",),
+    ) and crs.to_epsg() == 32616
     mask = np.ones(HEIGHT.shape, bool) if nodata is None else height != nodata
     expected = sl.render(sl.Scene.from_height(height, spacing=30.0, mask=mask), sl.Sky(), backend=fast).image
     with rasterio.open(out) as file:
@@ -69,7 +100,21 @@ def test_same_georeference_out_as_in(tmp_path, tags, nodata, fast):
 def test_layers_are_bands(tmp_path, fast):
     """Horizons and fields are several maps: one band each, with the georeference too."""
     path = make(tmp_path / "dem.tif", np.maximum(HEIGHT, 0))
-    assert run("horizon", path, "--what", "slopes", "--azimuths", 4, "--out", tmp_path / "a.tif", "--backend", fast) == 0
+    assert (
+        run(
+            "horizon",
+            path,
+            "--what",
+            "slopes",
+            "--azimuths",
+            4,
+            "--out",
+            tmp_path / "a.tif",
+            "--backend",
+            fast,
+        )
+        == 0
+    )
     expected = sl.horizons(geo.read(path).scene(), 4, fast)
     with rasterio.open(tmp_path / "a.tif") as file:
         assert (file.count, file.crs, file.transform) == (4, *facts(path)[:2])
@@ -85,7 +130,9 @@ def test_nodata_that_is_a_value(tmp_path):
     with rasterio.open(tmp_path / "a.tif") as file:
         assert np.isnan(file.nodata)
         np.testing.assert_array_equal(file.read(1), light)
-    geo.write(tmp_path / "b.tif", raster.mask, geo.read(make(tmp_path / "dem.tif")))  # -32768 does not fit into a byte
+    geo.write(
+        tmp_path / "b.tif", raster.mask, geo.read(make(tmp_path / "dem.tif"))
+    )  # -32768 does not fit into a byte
     assert facts(tmp_path / "b.tif")[2] is None and facts(tmp_path / "b.tif")[5] == ("uint8",)
 
 
@@ -94,7 +141,13 @@ def test_degrees(tmp_path, latitude, fast):
     """Refused with both lengths; resampled to squares, the light is that of the ground in metres."""
     arc = 1 / 3600
     y, x = np.mgrid[:40, :44]
-    dem = make(tmp_path / "dem.tif", (200 + 3.0 * x + 2.0 * y).astype(np.float32), crs="EPSG:4326", transform=from_origin(7.5, latitude + 20 * arc, arc, arc), nodata=None)
+    dem = make(
+        tmp_path / "dem.tif",
+        (200 + 3.0 * x + 2.0 * y).astype(np.float32),
+        crs="EPSG:4326",
+        transform=from_origin(7.5, latitude + 20 * arc, arc, arc),
+        nodata=None,
+    )
     with rasterio.open(dem) as file:  # metres by PROJ, not by us
         from rasterio.crs import CRS
         from rasterio.warp import transform
@@ -104,11 +157,17 @@ def test_degrees(tmp_path, latitude, fast):
         east = transform(file.crs, local, [centre[0] + arc], [centre[1]])[0][0]
         north = transform(file.crs, local, [centre[0]], [centre[1] + arc])[1][0]
     if abs(east / north - 1) > geo.SQUARE:
-        refused(("cells are not square", f"{east:.4g} m to the east by {north:.4g} m", "--resample", "rio warp"), geo.read, dem)
+        refused(
+            ("cells are not square", f"{east:.4g} m to the east by {north:.4g} m", "--resample", "rio warp"),
+            geo.read,
+            dem,
+        )
     raster = geo.read(dem, resample=True)
     assert raster.spacing == pytest.approx(min(east, north), rel=5e-3) and raster.crs.to_epsg() == 4326
     rows, cols = raster.values.shape
-    assert (cols * raster.transform.a, rows * raster.transform.e) == pytest.approx((44 * arc, -40 * arc))  # the same ground
+    assert (cols * raster.transform.a, rows * raster.transform.e) == pytest.approx(
+        (44 * arc, -40 * arc)
+    )  # the same ground
     slope = np.hypot(3 / east, 2 / north)  # a plane's light says what its slope came out as
     image = sl.render(raster.scene(albedo=1.0), sl.Sky(), quantity="irradiance", backend=fast).image
     middle = image[rows // 2, cols // 2]
@@ -121,7 +180,10 @@ def test_holes_grow_no_heights(tmp_path):
     """Resampling keeps what lies beside a hole out of it: no height is made of a nodata value."""
     values = np.full((30, 30), 100, np.int16)
     values[10:13, 10:13] = -32768
-    raster = geo.read(make(tmp_path / "dem.tif", values, crs="EPSG:4326", transform=from_origin(7, 50, 1 / 3600, 1 / 3600)), resample=True)
+    raster = geo.read(
+        make(tmp_path / "dem.tif", values, crs="EPSG:4326", transform=from_origin(7, 50, 1 / 3600, 1 / 3600)),
+        resample=True,
+    )
     assert (raster.values[raster.mask] == 100).all() and 0.9 < raster.mask.mean() < 1
 
 
@@ -136,9 +198,13 @@ def test_units(tmp_path):
 
 
 def test_depth_and_spacing_can_be_told(tmp_path, fast):
-    """--depth and --spacing overrule what a GeoTIFF is taken for; --resample needs one; a plain TIFF stays plain."""
+    """--depth and --spacing overrule what a GeoTIFF is taken for; --resample needs one; a plain TIFF stays
+    plain.
+    """
     path = make(tmp_path / "dem.tif")
-    assert run("render", path, "--depth", "--spacing", "2", "--out", tmp_path / "a.npy", "--backend", fast) == 0
+    assert (
+        run("render", path, "--depth", "--spacing", "2", "--out", tmp_path / "a.npy", "--backend", fast) == 0
+    )
     mask = HEIGHT != -32768
     expected = sl.render(sl.Scene(np.where(mask, HEIGHT, 0), 2.0, mask=mask), sl.Sky(), backend=fast).image
     np.testing.assert_array_equal(io.read(tmp_path / "a.npy"), expected)
@@ -149,15 +215,18 @@ def test_depth_and_spacing_can_be_told(tmp_path, fast):
     assert run("render", tmp_path / "plain.tif", "--resample", "--out", tmp_path / "b.tif") == 2
 
 
-@pytest.mark.parametrize("options, says", [
-    (dict(values=np.stack([HEIGHT] * 3)), "bands: got 3"),
-    (dict(transform=Affine(28, -10, 730000, -10, -28, 4070000)), "turned grid"),
-    (dict(transform=Affine(30, 0, 0, 0, 30, 0)), "turned grid"),
-    (dict(transform=from_origin(0, 0, 30, 20)), ("not square", "30 m to the east by 20 m to the north")),
-    (dict(crs="EPSG:4326", transform=from_origin(0, 70, 1, 1)), ("change their width", "57 to 70")),
-    (dict(crs="EPSG:4326", transform=from_origin(0, 95, 1, 1)), "latitudes"),
-    (dict(values=(HEIGHT + 0j).astype(np.complex64), nodata=None), "real numbers"),
-])
+@pytest.mark.parametrize(
+    "options, says",
+    [
+        (dict(values=np.stack([HEIGHT] * 3)), "bands: got 3"),
+        (dict(transform=Affine(28, -10, 730000, -10, -28, 4070000)), "turned grid"),
+        (dict(transform=Affine(30, 0, 0, 0, 30, 0)), "turned grid"),
+        (dict(transform=from_origin(0, 0, 30, 20)), ("not square", "30 m to the east by 20 m to the north")),
+        (dict(crs="EPSG:4326", transform=from_origin(0, 70, 1, 1)), ("change their width", "57 to 70")),
+        (dict(crs="EPSG:4326", transform=from_origin(0, 95, 1, 1)), "latitudes"),
+        (dict(values=(HEIGHT + 0j).astype(np.complex64), nodata=None), "real numbers"),
+    ],
+)
 def test_rasters_that_do_not_fit(tmp_path, options, says):
     """One clear error, with what to do where something can be done."""
     refused(says, geo.read, make(tmp_path / "a.tif", **options))
@@ -168,19 +237,38 @@ def test_not_a_geotiff(tmp_path):
     io.write(tmp_path / "plain.tif", np.ones((4, 5), np.float32))
     refused("cannot read", geo.read, tmp_path / "plain.tif")
     source = make(tmp_path / "dem.tif")
-    (tmp_path / "vrt.tif").write_text(f'<VRTDataset rasterXSize="17" rasterYSize="13"><VRTRasterBand dataType="Int16" band="1"><SimpleSource>'
-                                      f'<SourceFilename>{source}</SourceFilename><SourceBand>1</SourceBand></SimpleSource></VRTRasterBand></VRTDataset>')
+    (tmp_path / "vrt.tif").write_text(
+        '<VRTDataset rasterXSize="17" rasterYSize="13"><VRTRasterBand dataType="Int16"'
+        ' band="1"><SimpleSource>'
+        f"<SourceFilename>{source}</SourceFilename><SourceBand>1</SourceBand></SimpleSource></VRTRasterBand></VRTDataset>"
+    )
     refused("vrt.tif: cannot read", geo.read, tmp_path / "vrt.tif")
     raster = geo.read(source)
-    for path, array in ((tmp_path / "a.png", raster.mask), (tmp_path / "a.tif", raster.mask[1:]), (tmp_path / "a.tif", raster.values * 1j), (tmp_path / "no" / "a.tif", raster.mask)):
+    for path, array in (
+        (tmp_path / "a.png", raster.mask),
+        (tmp_path / "a.tif", raster.mask[1:]),
+        (tmp_path / "a.tif", raster.values * 1j),
+        (tmp_path / "no" / "a.tif", raster.mask),
+    ):
         before = sorted(tmp_path.iterdir())
         refused(str(path), geo.write, path, array, raster)
         assert sorted(tmp_path.iterdir()) == before
 
 
-@pytest.mark.parametrize("options", [{}, dict(compress="deflate"), dict(compress="lzw", blockysize=2), dict(tiled=True, blockxsize=16, blockysize=16)], ids=["plain", "deflate", "lzw", "tiles"])
+@pytest.mark.parametrize(
+    "options",
+    [
+        {},
+        dict(compress="deflate"),
+        dict(compress="lzw", blockysize=2),
+        dict(tiled=True, blockxsize=16, blockysize=16),
+    ],
+    ids=["plain", "deflate", "lzw", "tiles"],
+)
 def test_truncated_and_damaged(tmp_path, options):
-    """Cut anywhere: an error, or all of the values; changed bytes: an InputError or a raster, never anything else."""
+    """Cut anywhere: an error, or all of the values; changed bytes: an InputError or a raster, never anything
+    else.
+    """
     path = make(tmp_path / "a.tif", **options)
     whole, data = geo.read(path).values, path.read_bytes()
     for length in sorted({1, 8, 100, *np.linspace(10, len(data) - 1, 25).astype(int).tolist()}):
@@ -192,7 +280,9 @@ def test_truncated_and_damaged(tmp_path, options):
     rng = np.random.default_rng(3)
     for _ in range(40):
         position = int(rng.integers(len(data)))
-        path.write_bytes(data[:position] + bytes([data[position] ^ int(rng.integers(1, 256))]) + data[position + 1 :])
+        path.write_bytes(
+            data[:position] + bytes([data[position] ^ int(rng.integers(1, 256))]) + data[position + 1 :]
+        )
         try:
             geo.read(path)
         except InputError as error:
@@ -203,8 +293,17 @@ def test_command_line_stays_one_line(tmp_path):
     """GDAL and rasterio log by themselves; a process says one line."""
     path = make(tmp_path / "a.tif")
     path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
-    done = subprocess.run([sys.executable, "-m", "skylamp.app.cli", "render", str(path), "--out", str(tmp_path / "o.npy")], capture_output=True, timeout=300)
-    assert done.returncode == 3 and done.stdout == b"" and done.stderr.count(b"\n") == 1 and b"a.tif" in done.stderr, done
+    done = subprocess.run(
+        [sys.executable, "-m", "skylamp.app.cli", "render", str(path), "--out", str(tmp_path / "o.npy")],
+        capture_output=True,
+        timeout=300,
+    )
+    assert (
+        done.returncode == 3
+        and done.stdout == b""
+        and done.stderr.count(b"\n") == 1
+        and b"a.tif" in done.stderr
+    ), done
 
 
 def test_without_rasterio(tmp_path, monkeypatch):

@@ -5,11 +5,10 @@ import sys
 
 import numpy as np
 import pytest
-
 import skylamp as sl
 from skylamp.app import cli
-from skylamp.io import files as io
 from skylamp.errors import InputError
+from skylamp.io import files as io
 
 OpenEXR = pytest.importorskip("OpenEXR")
 cv2 = pytest.importorskip("cv2")
@@ -25,8 +24,17 @@ def refused(says, function, *arguments, **options):
     assert says in str(caught.value) and "\n" not in str(caught.value), caught.value
 
 
-@pytest.mark.parametrize("array", [FLOATS, FLOATS.astype(np.float16), (1000 * LIGHT[..., 0]).astype(np.uint32), FLOATS[::2, ::-3], np.asfortranarray(FLOATS)],
-                         ids=["float32", "float16", "uint32", "strided", "fortran"])
+@pytest.mark.parametrize(
+    "array",
+    [
+        FLOATS,
+        FLOATS.astype(np.float16),
+        (1000 * LIGHT[..., 0]).astype(np.uint32),
+        FLOATS[::2, ::-3],
+        np.asfortranarray(FLOATS),
+    ],
+    ids=["float32", "float16", "uint32", "strided", "fortran"],
+)
 def test_exr_comes_back_to_the_bit(tmp_path, array):
     """Every type that it holds, NaN and infinity too; other types are refused, not converted."""
     io.write(tmp_path / "a.exr", array)
@@ -37,22 +45,38 @@ def test_exr_comes_back_to_the_bit(tmp_path, array):
 
 def test_exr_of_other_types(tmp_path):
     """float64 would lose bits."""
-    for array in (FLOATS.astype(np.float64), np.ones((3, 3), np.uint8), np.ones((3, 3, 2), np.float32), np.ones(3, np.float32)):
+    for array in (
+        FLOATS.astype(np.float64),
+        np.ones((3, 3), np.uint8),
+        np.ones((3, 3, 2), np.float32),
+        np.ones(3, np.float32),
+    ):
         refused("float16, float32 or uint32", io.write, tmp_path / "a.exr", array)
     assert not list(tmp_path.iterdir())
 
 
 def test_exr_is_read_by_others(tmp_path):
-    """Red is R: what OpenEXR itself finds in our file, and what we find in one of theirs, with alpha and one named channel."""
+    """Red is R: what OpenEXR itself finds in our file, and what we find in one of theirs, with alpha and one
+    named channel.
+    """
     io.write(tmp_path / "a.exr", LIGHT)
     channels = OpenEXR.File(str(tmp_path / "a.exr"), separate_channels=True).channels()
     for n, name in enumerate("RGB"):
         assert channels[name].pixels.tobytes() == np.ascontiguousarray(LIGHT[..., n]).tobytes()
-    np.testing.assert_allclose(io.read_environment(tmp_path / "a.exr"), LIGHT.astype(float) @ [0.2126, 0.7152, 0.0722], rtol=1e-6)
+    np.testing.assert_allclose(
+        io.read_environment(tmp_path / "a.exr"), LIGHT.astype(float) @ [0.2126, 0.7152, 0.0722], rtol=1e-6
+    )
     refused("a.exr: not grey", io.read, tmp_path / "a.exr")
-    header = lambda: {"compression": OpenEXR.PIZ_COMPRESSION, "type": OpenEXR.scanlineimage}  # File adds to it
-    OpenEXR.File(header(), {"RGBA": np.concatenate([LIGHT, LIGHT[..., :1]], -1)}).write(str(tmp_path / "b.exr"))
-    np.testing.assert_array_equal(io.read_environment(tmp_path / "b.exr"), io.read_environment(tmp_path / "a.exr"))
+    header = lambda: {
+        "compression": OpenEXR.PIZ_COMPRESSION,
+        "type": OpenEXR.scanlineimage,
+    }  # File adds to it
+    OpenEXR.File(header(), {"RGBA": np.concatenate([LIGHT, LIGHT[..., :1]], -1)}).write(
+        str(tmp_path / "b.exr")
+    )
+    np.testing.assert_array_equal(
+        io.read_environment(tmp_path / "b.exr"), io.read_environment(tmp_path / "a.exr")
+    )
     OpenEXR.File(header(), {"Z": FLOATS}).write(str(tmp_path / "c.exr"))
     assert io.read(tmp_path / "c.exr").tobytes() == FLOATS.tobytes()
     OpenEXR.File(header(), {"Z": FLOATS, "U": FLOATS}).write(str(tmp_path / "d.exr"))
@@ -65,7 +89,9 @@ def test_radiance_round_trip(tmp_path):
     luminance = LIGHT.astype(float) @ [0.2126, 0.7152, 0.0722]
     got = io.read_environment(tmp_path / "a.hdr")
     assert (np.abs(got - luminance) <= LIGHT.max(-1) / 128).all()
-    np.testing.assert_allclose(cv2.imread(str(tmp_path / "a.hdr"), cv2.IMREAD_UNCHANGED)[..., ::-1], LIGHT, atol=LIGHT.max() / 128)
+    np.testing.assert_allclose(
+        cv2.imread(str(tmp_path / "a.hdr"), cv2.IMREAD_UNCHANGED)[..., ::-1], LIGHT, atol=LIGHT.max() / 128
+    )
     data = (tmp_path / "a.hdr").read_bytes()
     (tmp_path / "b.hdr").write_bytes(data.replace(b"\nFORMAT", b"\nEXPOSURE=2.0\nEXPOSURE= 4\nFORMAT", 1))
     np.testing.assert_allclose(io.read_environment(tmp_path / "b.hdr"), got / 8, rtol=1e-6)
@@ -82,17 +108,34 @@ def test_environment_lights_a_scene(tmp_path, fast):
     for name in ("e.exr", "e.hdr"):
         io.write(tmp_path / name, light)
         with pytest.raises(SystemExit) as ended:
-            cli.main(["render", str(tmp_path / "flat.npy"), "--source", str(tmp_path / name), "--out", str(tmp_path / "a.exr"), "--backend", fast])
+            cli.main(
+                [
+                    "render",
+                    str(tmp_path / "flat.npy"),
+                    "--source",
+                    str(tmp_path / name),
+                    "--out",
+                    str(tmp_path / "a.exr"),
+                    "--backend",
+                    fast,
+                ]
+            )
         assert not ended.value.code
         images.append(io.read(tmp_path / "a.exr"))
-    expected = sl.render(sl.Scene(np.full((4, 5), 2.0)), sl.Sky(sl.environment_map(light @ np.float64(io.LUMINANCE))), backend=fast).image
+    expected = sl.render(
+        sl.Scene(np.full((4, 5), 2.0)),
+        sl.Sky(sl.environment_map(light @ np.float64(io.LUMINANCE))),
+        backend=fast,
+    ).image
     np.testing.assert_allclose(images[0], expected, rtol=1e-6)
     np.testing.assert_allclose(images[1], images[0], rtol=1e-2)
 
 
 @pytest.mark.parametrize("suffix", io.HDR)
 def test_truncated_and_damaged(tmp_path, suffix):
-    """Cut anywhere or with bytes changed: one InputError, or a picture; never anything else, never a half one from a cut file."""
+    """Cut anywhere or with bytes changed: one InputError, or a picture; never anything else, never a half one
+    from a cut file.
+    """
     path = tmp_path / f"a{suffix}"
     io.write(path, LIGHT)
     data = path.read_bytes()
@@ -101,12 +144,19 @@ def test_truncated_and_damaged(tmp_path, suffix):
         refused(f"a{suffix}: cannot read", io.read_environment, path)
     for _ in range(60):
         position = int(RNG.integers(len(data)))
-        path.write_bytes(data[:position] + bytes([data[position] ^ int(RNG.integers(1, 256))]) + data[position + 1 :])
+        path.write_bytes(
+            data[:position] + bytes([data[position] ^ int(RNG.integers(1, 256))]) + data[position + 1 :]
+        )
         try:
             assert io.read_environment(path).ndim == 2
         except InputError as error:
             assert path.name in str(error)
-    for wrong in (b"x", b"hello, world\n" * 50, RNG.bytes(3000), b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 2000000000 +X 2000000000\n"):
+    for wrong in (
+        b"x",
+        b"hello, world\n" * 50,
+        RNG.bytes(3000),
+        b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 2000000000 +X 2000000000\n",
+    ):
         path.write_bytes(wrong)
         refused(f"a{suffix}: cannot read", io.read, path)
 
@@ -117,7 +167,9 @@ def test_hostile_size(tmp_path):
     data = (tmp_path / "a.exr").read_bytes()
     window = np.array([0, 0, 16, 12], np.int32).tobytes()
     assert data.count(window) == 2
-    (tmp_path / "a.exr").write_bytes(data.replace(window, np.array([0, 0, 2**20 - 1, 2**20 - 1], np.int32).tobytes()))
+    (tmp_path / "a.exr").write_bytes(
+        data.replace(window, np.array([0, 0, 2**20 - 1, 2**20 - 1], np.int32).tobytes())
+    )
     refused("a.exr", io.read, tmp_path / "a.exr")
 
 
@@ -128,7 +180,12 @@ def test_without_the_extra(tmp_path, monkeypatch, suffix, package):
     io.write(path, LIGHT)
     monkeypatch.setitem(sys.modules, "OpenEXR", None)
     monkeypatch.setitem(sys.modules, "cv2", None)
-    for work in (lambda: io.read(path), lambda: io.read_environment(path), lambda: io.write(tmp_path / f"b{suffix}", LIGHT), lambda: io.writable(tmp_path / f"b{suffix}")):
+    for work in (
+        lambda: io.read(path),
+        lambda: io.read_environment(path),
+        lambda: io.write(tmp_path / f"b{suffix}", LIGHT),
+        lambda: io.writable(tmp_path / f"b{suffix}"),
+    ):
         refused(f"needs {package}, which is not installed: pip install 'skylamp[hdr]'", work)
     assert [p.name for p in tmp_path.iterdir()] == [path.name]
 
@@ -136,6 +193,7 @@ def test_without_the_extra(tmp_path, monkeypatch, suffix, package):
 @pytest.mark.parametrize("suffix", io.HDR)
 def test_failing_write_leaves_no_trace(tmp_path, monkeypatch, suffix):
     """A full disk at the last moment."""
+
     def full(descriptor):
         raise OSError(28, "No space left on device")
 
@@ -146,18 +204,41 @@ def test_failing_write_leaves_no_trace(tmp_path, monkeypatch, suffix):
 
 
 def test_command_line_stays_one_line(tmp_path):
-    """OpenEXR and OpenCV print about damaged files themselves: a process's stdout stays clean and stderr one line."""
+    """OpenEXR and OpenCV print about damaged files themselves: a process's stdout stays clean and stderr one
+    line.
+    """
     np.save(tmp_path / "d.npy", np.ones((3, 3)))
     for suffix in io.HDR:
         io.write(tmp_path / f"a{suffix}", LIGHT)
         cut = tmp_path / f"cut{suffix}"
         cut.write_bytes((tmp_path / f"a{suffix}").read_bytes()[:-300])
-        done = subprocess.run([sys.executable, "-m", "skylamp.app.cli", "render", str(tmp_path / "d.npy"), "--source", str(cut), "--out", str(tmp_path / "o.npy")], capture_output=True, timeout=300)
-        assert done.returncode == 3 and done.stdout == b"" and done.stderr.count(b"\n") == 1 and cut.name.encode() in done.stderr, done
+        done = subprocess.run(
+            [
+                sys.executable,
+                "-m",
+                "skylamp.app.cli",
+                "render",
+                str(tmp_path / "d.npy"),
+                "--source",
+                str(cut),
+                "--out",
+                str(tmp_path / "o.npy"),
+            ],
+            capture_output=True,
+            timeout=300,
+        )
+        assert (
+            done.returncode == 3
+            and done.stdout == b""
+            and done.stderr.count(b"\n") == 1
+            and cut.name.encode() in done.stderr
+        ), done
 
 
 def test_tone_mapping(tmp_path, capsys):
-    """sRGB's curve: 0.5 is count 188 and 0.001 is 3; a stop doubles; NaN is black, above white is white; --exposure does it."""
+    """sRGB's curve: 0.5 is count 188 and 0.001 is 3; a stop doubles; NaN is black, above white is white;
+    --exposure does it.
+    """
     image = np.array([[0.0, 0.001, 0.5], [1.0, 7.0, np.nan]], np.float32)
     assert io.tone_mapped(image).tolist() == [[0, 3, 188], [255, 255, 0]]
     assert io.tone_mapped(image / 4, 2).tolist() == io.tone_mapped(image).tolist()

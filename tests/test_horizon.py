@@ -2,11 +2,9 @@
 
 import numpy as np
 import pytest
-
+import scenes
 import skylamp as sl
 from skylamp import oracle
-
-import scenes
 
 
 def spike(rows=31, cols=31, height=5.0, spacing=1.0, **more):
@@ -19,11 +17,17 @@ def spike(rows=31, cols=31, height=5.0, spacing=1.0, **more):
 @pytest.mark.parametrize("spacing", [1.0, 30.0])
 def test_a_spike_is_seen_where_it_stands(backend, spacing):
     """Along the axes, at its slope, from both sides, whatever the unit; azimuth grows from +x towards +y."""
-    slopes = sl.horizons(spike(spacing=spacing), sl.Azimuths(4, (-np.pi / 4, np.pi / 4, 3 * np.pi / 4, 5 * np.pi / 4, 7 * np.pi / 4)), backend)
+    slopes = sl.horizons(
+        spike(spacing=spacing),
+        sl.Azimuths(4, (-np.pi / 4, np.pi / 4, 3 * np.pi / 4, 5 * np.pi / 4, 7 * np.pi / 4)),
+        backend,
+    )
     assert slopes.shape == (4, 31, 31) and slopes.dtype == np.float32
     for azimuth, (dx, dy) in enumerate(((1, 0), (0, 1), (-1, 0), (0, -1))):
         for distance in (1, 4, 9, 14):
-            assert slopes[azimuth, 15 - dy * distance, 15 - dx * distance] == pytest.approx(5 / distance, rel=1e-6)
+            assert slopes[azimuth, 15 - dy * distance, 15 - dx * distance] == pytest.approx(
+                5 / distance, rel=1e-6
+            )
             assert slopes[azimuth, 15 + dy * distance, 15 + dx * distance] <= 0
 
 
@@ -44,7 +48,9 @@ def test_masked_nodes_have_no_horizon_and_make_none(backend):
 
 def test_no_ground_is_minus_infinity(backend):
     slopes = sl.horizons(sl.Scene(np.ones((5, 7))), 4, backend)
-    assert np.isneginf(slopes[0][:, -1]).all() and np.isneginf(slopes[1][-1]).all()  # azimuths pi/4 and 3 pi/4
+    assert (
+        np.isneginf(slopes[0][:, -1]).all() and np.isneginf(slopes[1][-1]).all()
+    )  # azimuths pi/4 and 3 pi/4
     assert (slopes[0][:-1, :-1] == 0).all()
 
 
@@ -58,17 +64,25 @@ def test_sky_view_factor_by_its_definitions(fast):
     azimuth = np.linspace(0, 2 * np.pi, 100001)[:-1]
     elevation = np.arctan(deep / half * np.abs(np.cos(azimuth)))
     row = 12
-    for definition, expected in (("tilted", half / np.hypot(half, deep)), ("horizontal", half / np.hypot(half, deep)), ("solid_angle", 1 - np.sin(elevation).mean())):
+    for definition, expected in (
+        ("tilted", half / np.hypot(half, deep)),
+        ("horizontal", half / np.hypot(half, deep)),
+        ("solid_angle", 1 - np.sin(elevation).mean()),
+    ):
         got = sl.sky_view_factor(scene, definition, 128, fast)[row, middle]
         assert got == pytest.approx(expected, rel=2e-3), definition
     assert sl.sky_view_factor(sl.Scene(np.zeros((6, 6))), "solid_angle", 16, fast) == pytest.approx(1)
 
 
 def test_tilted_and_horizontal_differ_on_a_slope(backend):
-    """45 degrees: at the upper border nothing stands above a level element, but the surface itself looks away."""
+    """45 degrees: at the upper border nothing stands above a level element, but the surface itself looks
+    away.
+    """
     y, x = np.mgrid[:40, :40]
     scene = sl.Scene(100 - x * 1.0)
-    tilted, level = (sl.sky_view_factor(scene, definition, 64, backend)[20] for definition in ("tilted", "horizontal"))
+    tilted, level = (
+        sl.sky_view_factor(scene, definition, 64, backend)[20] for definition in ("tilted", "horizontal")
+    )
     assert tilted == pytest.approx((1 + np.cos(np.pi / 4)) / 2, rel=2e-3)
     assert level[-1] == pytest.approx(1) and level[2] == pytest.approx(tilted[2], rel=2e-3)
 
@@ -78,38 +92,54 @@ def test_openness_of_planes_and_pits(fast):
     assert sl.openness(sl.Scene(np.zeros((9, 9))), 16, fast) == pytest.approx(np.pi / 2)
     y, x = np.mgrid[:81, :81] - 40.0
     pit = np.maximum(0, 15 - 0.5 * np.maximum(0, np.hypot(x, y) - 6))
-    assert sl.openness(sl.Scene(pit), 32, fast)[40, 40] == pytest.approx(np.pi / 2 - np.arctan(15 / 36), abs=2e-3)
+    assert sl.openness(sl.Scene(pit), 32, fast)[40, 40] == pytest.approx(
+        np.pi / 2 - np.arctan(15 / 36), abs=2e-3
+    )
     negative = sl.openness(sl.Scene(pit), 32, fast, negative=True)
     assert negative == pytest.approx(sl.openness(sl.Scene(15 - pit), 32, fast), abs=1e-5)
     assert abs(negative - sl.openness(sl.Scene(pit), 32, fast)).max() > 0.1
 
 
 def test_render_agrees_with_the_oracle_on_brightness(fast):
-    """A sky that varies with azimuth and elevation, over rough ground, against horizons and quadrature in float64."""
+    """A sky that varies with azimuth and elevation, over rough ground, against horizons and quadrature in
+    float64.
+    """
     depth = scenes.rough(48, 56, 1.0)
     brightness = lambda L: 1 + 0.8 * L[..., 0] + 0.5 * L[..., 2] ** 2
-    image = sl.render(sl.Scene(depth), sl.Sky(brightness), "horizon", azimuths=48, backend=fast, quantity="irradiance").image
+    image = sl.render(
+        sl.Scene(depth), sl.Sky(brightness), "horizon", azimuths=48, backend=fast, quantity="irradiance"
+    ).image
     sectors = sl.Azimuths(48)
     nodes = tuple(np.random.default_rng(0).integers(0, n, 200) for n in depth.shape)
     horizon = oracle.horizons(depth, 1.0, sectors.angles, nodes=nodes)
-    expected = oracle.sky_irradiance(depth, 1.0, np.ones(depth.shape, bool), sectors.angles, sectors.widths, horizon, brightness, nodes)
+    expected = oracle.sky_irradiance(
+        depth, 1.0, np.ones(depth.shape, bool), sectors.angles, sectors.widths, horizon, brightness, nodes
+    )
     off = image[nodes] - expected
     assert np.sqrt((off**2).mean()) < 2e-3 * expected.mean() and abs(off).max() < 0.03 * expected.mean()
 
 
 def test_every_brightness_on_level_ground(backend):
-    """Closed forms: uniform pi B, overcast 7/9 pi, sine of elevation 2/3 pi; a sun a few degrees wide by its solid angle."""
+    """Closed forms: uniform pi B, overcast 7/9 pi, sine of elevation 2/3 pi; a sun a few degrees wide by its
+    solid angle.
+    """
     level = sl.Scene(np.full((9, 9), 3.0))
     sun = np.array([0.48, -0.36, -0.8])
     cap = np.cos(np.radians(3))
-    for brightness, expected in ((2.5, 2.5 * np.pi), (sl.cie_overcast(), 7 / 9 * np.pi), (lambda L: -L[..., 2], 2 / 3 * np.pi),
-                                 (lambda L: 1000.0 * (L @ sun > cap), 1000 * np.pi * (1 - cap**2) * 0.8)):
+    for brightness, expected in (
+        (2.5, 2.5 * np.pi),
+        (sl.cie_overcast(), 7 / 9 * np.pi),
+        (lambda L: -L[..., 2], 2 / 3 * np.pi),
+        (lambda L: 1000.0 * (L @ sun > cap), 1000 * np.pi * (1 - cap**2) * 0.8),
+    ):
         got = sl.render(level, sl.Sky(brightness), "horizon", backend=backend, quantity="irradiance").image
         assert got == pytest.approx(expected, rel=6e-3)
 
 
 def test_azimuths_go_where_a_sun_is():
-    """Half of the sectors within the sun's few degrees, and a penumbra behind a wall that is finer than even sectors give."""
+    """Half of the sectors within the sun's few degrees, and a penumbra behind a wall that is finer than even
+    sectors give.
+    """
     sun = np.array([0.6, 0.0, -0.8])
     profile = sl.sources.azimuth_profile(sl.Sky(lambda L: 1e-3 + 1e4 * (L @ sun > np.cos(np.radians(1)))))
     sectors = sl.Azimuths.placed(64, profile)
@@ -123,16 +153,25 @@ def test_a_table_of_brightness_is_the_mean_of_its_looks():
     glow = sl.Sky(lambda L: 1 + 5 * np.maximum(0, L @ np.array([0.6, 0.48, -0.64])) ** 6)
     table, angles = sl.sources.elevation_table, np.linspace(0, 6, 300)
     looks = table(glow, 0.3 + 0.8 * ((np.arange(64) + 0.5) / 64 - 0.5), np.zeros(64), 64, 33)
-    np.testing.assert_allclose(table(glow, np.array([0.3]), np.array([0.8]), 64, 33)[0], looks.mean(0), atol=1e-6)
+    np.testing.assert_allclose(
+        table(glow, np.array([0.3]), np.array([0.8]), 64, 33)[0], looks.mean(0), atol=1e-6
+    )
     many = table(glow, angles, np.full(300, 0.02), 600, 33)
     for n in (0, 137, 299):
-        np.testing.assert_allclose(many[n], table(glow, angles[n : n + 1], np.array([0.02]), 2, 33)[0], atol=1e-6)
+        np.testing.assert_allclose(
+            many[n], table(glow, angles[n : n + 1], np.array([0.02]), 2, 33)[0], atol=1e-6
+        )
 
 
 def test_auto_takes_horizons_where_it_can_and_says_so(backend):
     scene = sl.Scene(scenes.rough(24, 24, 1.0))
     plan = sl.plan(scene, sl.Sky(), 0.01, backend)
-    assert plan.method == "horizon" and 6 <= plan.azimuths <= 24 and f"{plan.azimuths} evenly" in str(plan) and "tolerance 0.01" in plan.reason
+    assert (
+        plan.method == "horizon"
+        and 6 <= plan.azimuths <= 24
+        and f"{plan.azimuths} evenly" in str(plan)
+        and "tolerance 0.01" in plan.reason
+    )
     finer = sl.render(scene, sl.Sky(), tolerance=0.001, backend=backend).plan
     assert finer.method == "horizon" and finer.azimuths > plan.azimuths
     aperture = np.ones((24, 24), bool)

@@ -11,10 +11,9 @@ import re
 
 import numpy as np
 import pytest
-from scenes import rough
-
 import skylamp as sl
 import skylamp.opencl
+from scenes import rough
 from skylamp import oracle
 from skylamp.backends import select
 from skylamp.light.sweeps import FINE, MANY, NEAR, Ground, Rays, Sweeps
@@ -75,7 +74,14 @@ def heights(name):
 def truth(name, sides, reach, rays):
     """The oracle's horizons at the valid nodes (K, n)."""
     nodes = np.nonzero(np.isfinite(heights(name)))
-    return oracle.horizons(-heights(name).astype(float), 1.0, RAYS[rays].angles, sides, None if math.isinf(reach) else reach, nodes)
+    return oracle.horizons(
+        -heights(name).astype(float),
+        1.0,
+        RAYS[rays].angles,
+        sides,
+        None if math.isinf(reach) else reach,
+        nodes,
+    )
 
 
 @functools.cache
@@ -91,7 +97,10 @@ def off(got, expected):
     assert got.shape == expected.shape and got.size and not np.shares_memory(got, expected)
     assert not np.isnan(got).any() and not np.isnan(expected).any(), "nan"
     wrong = np.isneginf(got) != np.isneginf(expected)
-    assert not wrong.any(), f"{wrong.sum()} of {wrong.size} horizons are -inf in one only, {np.isneginf(got)[wrong].sum()} of them in the first"
+    assert not wrong.any(), (
+        f"{wrong.sum()} of {wrong.size} horizons are -inf in one only, {np.isneginf(got)[wrong].sum()} of"
+        " them in the first"
+    )
     some = np.isfinite(got)
     return np.arctan(got[some].astype(float)) - np.arctan(expected[some].astype(float))
 
@@ -103,12 +112,17 @@ def rms(errors):
 def assert_agree(got, expected, bound=AGREE):
     """Horizons and irradiance of two backends; on CPUs all but a last bit of a few horizons are equal."""
     errors = abs(off(got[0], expected[0]))
-    assert (errors <= bound).all(), f"{(errors > bound).sum()} of {errors.size} horizons differ, by up to {errors.max():.2g} rad"
+    assert (errors <= bound).all(), (
+        f"{(errors > bound).sum()} of {errors.size} horizons differ, by up to {errors.max():.2g} rad"
+    )
     light = abs(got[1].astype(float) - expected[1])
-    assert (light <= AGREE * expected[1].max()).all(), f"irradiance differs by up to {light.max():.2g} of {expected[1].max():.2g}"
+    assert (light <= AGREE * expected[1].max()).all(), (
+        f"irradiance differs by up to {light.max():.2g} of {expected[1].max():.2g}"
+    )
 
 
-# -- backends ----------------------------------------------------------------------------------------------------------------
+# -- backends
+# ----------------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("stem", ["horizon", "ground"])
@@ -120,8 +134,12 @@ def test_numpy_kernels_take_the_same_arguments(stem):
     assert kernels
     for name, arguments in kernels:
         parameters = inspect.signature(getattr(module, name)).parameters.values()
-        assert [p.name for p in parameters if p.kind == p.POSITIONAL_OR_KEYWORD] == [re.search(r"\w+$", a.strip()).group() for a in arguments.split(",")]
-        assert {p.name for p in parameters if p.kind == p.KEYWORD_ONLY} == ({"NEAR", "SIDES", "WHAT", "BLOCKS"} if name == "sweep" else set())
+        assert [p.name for p in parameters if p.kind == p.POSITIONAL_OR_KEYWORD] == [
+            re.search(r"\w+$", a.strip()).group() for a in arguments.split(",")
+        ]
+        assert {p.name for p in parameters if p.kind == p.KEYWORD_ONLY} == (
+            {"NEAR", "SIDES", "WHAT", "BLOCKS"} if name == "sweep" else set()
+        )
 
 
 CASES = [
@@ -143,7 +161,9 @@ CASES = [
 def test_backends_agree(backend, case):
     """With NumPy's sweep, and that with OpenCL's."""
     other = "numpy" if backend != "numpy" else "opencl"
-    on_cpus = all(select(name).lines == 1 for name in (backend, other))  # no device with a reciprocal of its own
+    on_cpus = all(
+        select(name).lines == 1 for name in (backend, other)
+    )  # no device with a reciprocal of its own
     assert_agree(found(backend, *case), found(other, *case), 1e-6 if on_cpus else AGREE)
 
 
@@ -152,7 +172,12 @@ def test_agreement_can_fail():
     whole = found("numpy", "tiny", "open", math.inf, "uneven")
     assert_agree([part.copy() for part in whole], whole, 0)
     at = np.argwhere(np.isfinite(whole[0]))[3]
-    for part, index, value in ((0, tuple(at), whole[0][tuple(at)] + 2e-5 * (1 + whole[0][tuple(at)] ** 2)), (0, tuple(at), -np.inf), (0, tuple(at), np.nan), (1, 2, whole[1][2] * 0.9999)):
+    for part, index, value in (
+        (0, tuple(at), whole[0][tuple(at)] + 2e-5 * (1 + whole[0][tuple(at)] ** 2)),
+        (0, tuple(at), -np.inf),
+        (0, tuple(at), np.nan),
+        (1, 2, whole[1][2] * 0.9999),
+    ):
         changed = [p.copy() for p in whole]
         changed[part][index] = value
         with pytest.raises(AssertionError):
@@ -176,7 +201,9 @@ def _light(backend, name, count):
     return Sweeps(select(backend), Ground(heights(name), "open"), even(count)).irradiance()
 
 
-@pytest.mark.parametrize(("sides", "reach"), [("open", math.inf), ("open", 7), ("dark", math.inf), ("periodic", 7)])
+@pytest.mark.parametrize(
+    ("sides", "reach"), [("open", math.inf), ("open", 7), ("dark", math.inf), ("periodic", 7)]
+)
 def test_a_repeat_gives_the_same_bytes(backend, sides, reach):
     """Sums in fixed point do not depend on who adds first."""
     sweeps = Sweeps(select(backend), Ground(heights("small with holes"), sides, reach), RAYS["even"])
@@ -186,7 +213,8 @@ def test_a_repeat_gives_the_same_bytes(backend, sides, reach):
     assert again.irradiance().tobytes() == sweeps.irradiance().tobytes()
 
 
-# -- horizons against the oracle ---------------------------------------------------------------------------------------------
+# -- horizons against the oracle
+# ---------------------------------------------------------------------------------------------
 
 
 def test_every_backend_is_near_the_oracle(backend):
@@ -210,8 +238,9 @@ def test_horizons(fast, name, sides, rays):
 
 
 def _but_a_few(errors):
-    """Without the worst of a thousand: what a line sees beside a hole may be in the hole for a node half a step away, and far
-    ground is lost to that node then. RMS over all of them is up to 0.006 rad."""
+    """Without the worst of a thousand: what a line sees beside a hole may be in the hole for a node half a
+    step away, and far ground is lost to that node then. RMS over all of them is up to 0.006 rad.
+    """
     assert rms(errors) <= 0.006
     return np.sort(abs(errors))[: len(errors) * 999 // 1000]
 
@@ -252,11 +281,17 @@ def test_reach_beyond_a_map_that_repeats(fast):
 
 @pytest.mark.parametrize("broken", ["near", "azimuths", "ladder"])
 def test_a_broken_table_is_seen(fast, monkeypatch, broken):
-    """The comparison with the oracle turns red when a table is wrong: by a tenth of a node, by a degree, with one slope for all."""
+    """The comparison with the oracle turns red when a table is wrong: by a tenth of a node, by a degree, with
+    one slope for all.
+    """
     module = importlib.import_module("skylamp.light.sweeps")
     if broken == "ladder":
         original = module.ladder
-        monkeypatch.setattr(module, "ladder", lambda *args: (*original(*args)[:2], original(*args)[2][:1] * 16, original(*args)[3][:1] * 16))
+        monkeypatch.setattr(
+            module,
+            "ladder",
+            lambda *args: (*original(*args)[:2], original(*args)[2][:1] * 16, original(*args)[3][:1] * 16),
+        )
     engine = select(fast)
     sweeps = Sweeps(engine, Ground(heights("rough"), "open"), RAYS["even"])
     for half in sweeps.halves:
@@ -271,16 +306,28 @@ def test_a_broken_table_is_seen(fast, monkeypatch, broken):
     assert rms(errors[np.isfinite(errors)]) > 1.5 * HORIZON
 
 
-# -- light -------------------------------------------------------------------------------------------------------------------
+# -- light
+# -------------------------------------------------------------------------------------------------------------------
 
 
 def _from_oracle(height, rays, nodes, sides="open", brightness=None):
     depth = -height.astype(float)
     valid = np.isfinite(height)
-    return oracle.sky_irradiance(depth, 1.0, valid, rays.angles, rays.widths, oracle.horizons(depth, 1.0, rays.angles, sides, nodes=nodes), brightness, nodes)
+    return oracle.sky_irradiance(
+        depth,
+        1.0,
+        valid,
+        rays.angles,
+        rays.widths,
+        oracle.horizons(depth, 1.0, rays.angles, sides, nodes=nodes),
+        brightness,
+        nodes,
+    )
 
 
-@pytest.mark.parametrize(("name", "sides"), [("rough", "open"), ("smooth with holes", "dark"), ("flat enough", "periodic")])
+@pytest.mark.parametrize(
+    ("name", "sides"), [("rough", "open"), ("smooth with holes", "dark"), ("flat enough", "periodic")]
+)
 def test_light_of_the_same_azimuths(backend, name, sides):
     """What the oracle has with the same azimuths: only horizons and normals differ."""
     height, rays = heights(name), RAYS["uneven"]
@@ -307,14 +354,18 @@ def _table(rays, knots):
 
 
 def test_light_by_tables(backend):
-    """A brightness that depends on elevation and azimuth, against the oracle's quadrature; NumPy's sums as everywhere."""
+    """A brightness that depends on elevation and azimuth, against the oracle's quadrature; NumPy's sums as
+    everywhere.
+    """
     height, rays = heights("small with holes"), RAYS["even"]
     valid = np.isfinite(height)
     table = _table(rays, 257)
     got = Sweeps(select(backend), Ground(height, "open"), rays, table).irradiance()[valid]
     errors = (got - _from_oracle(height, rays, np.nonzero(valid), brightness=overcast)) / np.pi
     assert rms(errors) <= 0.0005 and abs(errors).max() <= 0.01
-    same = Sweeps(select("numpy" if backend != "numpy" else "opencl"), Ground(height, "open"), rays, table).irradiance()[valid]
+    same = Sweeps(
+        select("numpy" if backend != "numpy" else "opencl"), Ground(height, "open"), rays, table
+    ).irradiance()[valid]
     assert abs(got.astype(float) - same).max() <= AGREE * same.max()
 
 
@@ -326,11 +377,22 @@ def _sampled(slope, falloff):
     return height, nodes, _from_oracle(height, even(2048), nodes) / np.pi
 
 
-@pytest.mark.parametrize(("slope", "falloff", "limits"), [(1.0, 2.0, {32: 0.0015, 64: 0.0007}), (0.5, 2.5, {32: 0.0005, 64: 0.0002})], ids=["rough", "smooth"])
+@pytest.mark.parametrize(
+    ("slope", "falloff", "limits"),
+    [(1.0, 2.0, {32: 0.0015, 64: 0.0007}), (0.5, 2.5, {32: 0.0005, 64: 0.0002})],
+    ids=["rough", "smooth"],
+)
 def test_accuracy_of_a_uniform_sky(fast, slope, falloff, limits):
-    """E / pi against 2048 exact azimuths: within limits, never worse with more azimuths, and 1.5 times better per doubling."""
+    """E / pi against 2048 exact azimuths: within limits, never worse with more azimuths, and 1.5 times better
+    per doubling.
+    """
     height, nodes, expected = _sampled(slope, falloff)
-    errors = {count: Sweeps(select(fast), Ground(height, "open"), even(count)).irradiance()[nodes] / np.pi - expected for count in (8, 16, 32, 64, 128, 256)}
+    errors = {
+        count: (
+            Sweeps(select(fast), Ground(height, "open"), even(count)).irradiance()[nodes] / np.pi - expected
+        )
+        for count in (8, 16, 32, 64, 128, 256)
+    }
     size = {count: rms(error) for count, error in errors.items()}
     for count, limit in limits.items():
         assert size[count] <= limit and abs(errors[count]).max() <= 0.02, size
@@ -339,7 +401,8 @@ def test_accuracy_of_a_uniform_sky(fast, slope, falloff, limits):
         assert size[count] <= 0.00015 or size[2 * count] <= max(size[count] / 1.5, 0.00015), size
 
 
-# -- closed forms ------------------------------------------------------------------------------------------------------------
+# -- closed forms
+# ------------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("sides", ["open", "periodic"])
@@ -398,9 +461,13 @@ def test_a_bowl(fast, degrees):
 
 
 def test_arrays_last_as_long_as_kernels_need_them(fast):
-    """A large map that repeats is swept through scratch arrays, which are let go while kernels may still run on them."""
+    """A large map that repeats is swept through scratch arrays, which are let go while kernels may still run
+    on them.
+    """
     depth = np.tile(rough(64, 64, 0.3), (17, 17))
     options = dict(method="horizon", azimuths=4, max_distance=9, backend=fast)
     image = sl.render(sl.Scene(depth, sides="periodic"), sl.Sky(), **options).image
     small = sl.render(sl.Scene(depth[:64, :64], sides="periodic"), sl.Sky(), **options).image
-    np.testing.assert_allclose(image[513:575, 513:575], small[1:-1, 1:-1], atol=0.01)  # at its border the small map's normals are one-sided
+    np.testing.assert_allclose(
+        image[513:575, 513:575], small[1:-1, 1:-1], atol=0.01
+    )  # at its border the small map's normals are one-sided

@@ -9,9 +9,8 @@ import pytest
 import tifffile
 from PIL import Image
 from PIL.PngImagePlugin import PngInfo
-
-from skylamp.io import files as io
 from skylamp.errors import InputError
+from skylamp.io import files as io
 
 RNG = np.random.default_rng(7)
 GREY8 = RNG.integers(0, 256, (13, 17), dtype=np.uint8)
@@ -38,9 +37,16 @@ def refused(function, *arguments, says, **options):
 def png16_rgb(path):
     """A 16-bit RGB PNG by hand: Pillow cannot write one, and reads it as 8-bit."""
     rows = b"".join(b"\0" + row.tobytes() for row in np.arange(4 * 5 * 3, dtype=">u2").reshape(4, 15) * 999)
-    chunk = lambda kind, body: struct.pack(">I", len(body)) + kind + body + struct.pack(">I", zlib.crc32(kind + body))
+    chunk = lambda kind, body: (
+        struct.pack(">I", len(body)) + kind + body + struct.pack(">I", zlib.crc32(kind + body))
+    )
     header = struct.pack(">IIBBBBB", 5, 4, 16, 2, 0, 0, 0)
-    path.write_bytes(b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + chunk(b"IDAT", zlib.compress(rows)) + chunk(b"IEND", b""))
+    path.write_bytes(
+        b"\x89PNG\r\n\x1a\n"
+        + chunk(b"IHDR", header)
+        + chunk(b"IDAT", zlib.compress(rows))
+        + chunk(b"IEND", b"")
+    )
 
 
 @pytest.mark.parametrize("suffix", [".npy", ".npz", ".tif", ".tiff", ".TIF", ".png", ".PNG"])
@@ -84,7 +90,10 @@ def test_caller_array_is_left_alone(tmp_path):
 def test_png_scale(tmp_path, bits, dtype):
     """0 is 0, the maximum is full scale, NaN and what lies below are 0; the range is in the file."""
     path, full = tmp_path / "a.png", 2**bits - 1
-    assert io.write(path, np.array([[0, 0.25, np.nan], [0.5, -3, 0.125]], np.float32), bits=bits) == (0.0, 0.5)
+    assert io.write(path, np.array([[0, 0.25, np.nan], [0.5, -3, 0.125]], np.float32), bits=bits) == (
+        0.0,
+        0.5,
+    )
     same(io.read(path), np.array([[0, np.rint(full / 2), 0], [full, 0, np.rint(full / 4)]]).astype(dtype))
     assert io.read_range(path) == (0.0, 0.5)
     assert io.write(path, np.array([[1.0, 2.0, 9.0, 3.0]]), bits=bits, range=(1, 3)) == (1.0, 3.0)
@@ -122,11 +131,14 @@ def test_range_only_where_skylamp_wrote_it(tmp_path):
         refused(io.read_range, tmp_path / "b.png", says="b.png")
 
 
-@pytest.mark.parametrize("options, says", [
-    (dict(bits=12), ("bits of a PNG: got 12", "8 or 16")),
-    (dict(range=(1, 1)), "low < high"),
-    (dict(range=(0, np.nan)), "low < high"),
-])
+@pytest.mark.parametrize(
+    "options, says",
+    [
+        (dict(bits=12), ("bits of a PNG: got 12", "8 or 16")),
+        (dict(range=(1, 1)), "low < high"),
+        (dict(range=(0, np.nan)), "low < high"),
+    ],
+)
 def test_bad_scale(tmp_path, options, says):
     """A scale that means nothing is refused and writes nothing."""
     refused(io.write, tmp_path / "a.png", np.ones((2, 2)), says=says, **options)
@@ -160,7 +172,11 @@ def test_sixteen_bit_rgb_png_is_refused(tmp_path):
     """The trap: imageio hands back 8 bits without a word."""
     png16_rgb(tmp_path / "a.png")
     assert imageio.imread(tmp_path / "a.png").dtype == np.uint8, "the reader has learnt: relax the refusal"
-    refused(io.read, tmp_path / "a.png", says=("16-bit RGB PNG", "grey PNG of 8 or 16 bits", "Convert it to one grey channel"))
+    refused(
+        io.read,
+        tmp_path / "a.png",
+        says=("16-bit RGB PNG", "grey PNG of 8 or 16 bits", "Convert it to one grey channel"),
+    )
     refused(io.read_environment, tmp_path / "a.png", says=("16-bit RGB PNG", "RGB of 8 bits"))
 
 
@@ -171,8 +187,16 @@ def test_reader_that_changes_depth_is_caught(tmp_path, monkeypatch):
     refused(io.read, tmp_path / "a.png", says=("the reader changed the data", "uint8", "16-bit grey PNG"))
 
 
-@pytest.mark.parametrize("mode, says", [("RGB", "8-bit RGB PNG"), ("RGBA", "8-bit RGB with alpha"), ("LA", "8-bit grey with alpha"),
-                                        ("P", "palette PNG"), ("1", "got 1-bit grey PNG")])
+@pytest.mark.parametrize(
+    "mode, says",
+    [
+        ("RGB", "8-bit RGB PNG"),
+        ("RGBA", "8-bit RGB with alpha"),
+        ("LA", "8-bit grey with alpha"),
+        ("P", "palette PNG"),
+        ("1", "got 1-bit grey PNG"),
+    ],
+)
 def test_png_that_is_not_plain_grey(tmp_path, mode, says):
     """Colour, alpha, palettes and packed bits are never converted silently."""
     Image.fromarray(GREY8).convert(mode).save(tmp_path / "a.png")
@@ -181,9 +205,15 @@ def test_png_that_is_not_plain_grey(tmp_path, mode, says):
 
 def test_four_bit_png(tmp_path):
     """Pillow scales 4-bit grey up to 8 bits: other values than the file's."""
-    chunk = lambda kind, body: struct.pack(">I", len(body)) + kind + body + struct.pack(">I", zlib.crc32(kind + body))
-    (tmp_path / "a.png").write_bytes(b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", struct.pack(">IIBBBBB", 2, 1, 4, 0, 0, 0, 0))
-                                     + chunk(b"IDAT", zlib.compress(b"\0\x5a")) + chunk(b"IEND", b""))
+    chunk = lambda kind, body: (
+        struct.pack(">I", len(body)) + kind + body + struct.pack(">I", zlib.crc32(kind + body))
+    )
+    (tmp_path / "a.png").write_bytes(
+        b"\x89PNG\r\n\x1a\n"
+        + chunk(b"IHDR", struct.pack(">IIBBBBB", 2, 1, 4, 0, 0, 0, 0))
+        + chunk(b"IDAT", zlib.compress(b"\0\x5a"))
+        + chunk(b"IEND", b"")
+    )
     refused(io.read, tmp_path / "a.png", says="got 4-bit grey PNG")
 
 
@@ -240,7 +270,12 @@ def test_wrong_content(tmp_path, suffix):
         io.write(tmp_path / f"other{other}", GREY8)
         others[other] = (tmp_path / f"other{other}").read_bytes()
     kin = {".tif", ".tiff"} if suffix.startswith(".tif") else {suffix}
-    for data in (b"x", b"hello, world\n" * 50, RNG.bytes(5000), *(d for s, d in others.items() if s not in kin)):
+    for data in (
+        b"x",
+        b"hello, world\n" * 50,
+        RNG.bytes(5000),
+        *(d for s, d in others.items() if s not in kin),
+    ):
         path.write_bytes(data)
         refused(io.read, path, says=(path.name, "cannot read"))
 
@@ -254,7 +289,10 @@ FORMATS = {
     "tif": ("a.tif", lambda p: io.write(p, FLOATS)),
     "tif-strips": ("a.tif", lambda p: tifffile.imwrite(p, GREY16, rowsperstrip=2)),
     "tif-deflate": ("a.tif", lambda p: tifffile.imwrite(p, FLOATS, rowsperstrip=3, compression="zlib")),
-    "tif-pages": ("a.tif", lambda p: tifffile.imwrite(p, np.stack([GREY16] * 3), photometric="minisblack", metadata=None)),
+    "tif-pages": (
+        "a.tif",
+        lambda p: tifffile.imwrite(p, np.stack([GREY16] * 3), photometric="minisblack", metadata=None),
+    ),
 }
 
 
@@ -265,14 +303,30 @@ def test_truncated_files(tmp_path, kind):
     path = tmp_path / name
     make(path)
     whole, data = io.read(path), path.read_bytes()
-    for length in sorted({1, 4, 7, 8, 9, 33, 100, *np.linspace(10, len(data) - 1, 40).astype(int), len(data) - 12, len(data) - 2, len(data) - 1}):
+    for length in sorted(
+        {
+            1,
+            4,
+            7,
+            8,
+            9,
+            33,
+            100,
+            *np.linspace(10, len(data) - 1, 40).astype(int),
+            len(data) - 12,
+            len(data) - 2,
+            len(data) - 1,
+        }
+    ):
         path.write_bytes(data[:length])
         try:
             got = io.read(path)
         except InputError as error:
             assert name in str(error) and "\n" not in str(error)
         else:  # a TIFF may end in bytes that say nothing about the picture
-            assert kind.startswith("tif") and got.tobytes() == whole.tobytes() and got.shape == whole.shape, length
+            assert kind.startswith("tif") and got.tobytes() == whole.tobytes() and got.shape == whole.shape, (
+                length
+            )
     path.write_bytes(data)
     same(io.read(path), whole)
 
@@ -286,7 +340,9 @@ def test_damaged_files_never_crash(tmp_path, kind):
     data = path.read_bytes()
     for _ in range(60):
         position = int(RNG.integers(len(data)))
-        path.write_bytes(data[:position] + bytes([data[position] ^ int(RNG.integers(1, 256))]) + data[position + 1:])
+        path.write_bytes(
+            data[:position] + bytes([data[position] ^ int(RNG.integers(1, 256))]) + data[position + 1 :]
+        )
         try:
             io.read(path)
         except InputError as error:
@@ -333,7 +389,12 @@ def test_link_is_written_through(tmp_path):
 
 def test_places_that_cannot_be_written(tmp_path):
     """No parent, unknown extension, a folder or a device of that name, what a format does not hold."""
-    refused(io.write, tmp_path / "no" / "a.npy", GREY8, says=("no folder", str(tmp_path / "no"), "existing folder"))
+    refused(
+        io.write,
+        tmp_path / "no" / "a.npy",
+        GREY8,
+        says=("no folder", str(tmp_path / "no"), "existing folder"),
+    )
     assert not list(tmp_path.iterdir())
     for name in ("a.jpg", "a"):
         refused(io.write, tmp_path / name, GREY8, says=("unknown extension", ".npy .npz .png .tif .tiff"))
@@ -358,9 +419,13 @@ def test_environment_maps(tmp_path):
     """Grey or RGB; luminance of the three; counts become 0 to 1."""
     rgb = RNG.integers(0, 256, (4, 8, 3), dtype=np.uint8)
     Image.fromarray(rgb).save(tmp_path / "a.png")
-    np.testing.assert_allclose(io.read_environment(tmp_path / "a.png"), (rgb / 255) @ [0.2126, 0.7152, 0.0722], rtol=1e-14)
+    np.testing.assert_allclose(
+        io.read_environment(tmp_path / "a.png"), (rgb / 255) @ [0.2126, 0.7152, 0.0722], rtol=1e-14
+    )
     np.save(tmp_path / "a.npy", rgb / np.float32(16))
-    np.testing.assert_allclose(io.read_environment(tmp_path / "a.npy"), (rgb / 16) @ [0.2126, 0.7152, 0.0722], rtol=1e-6)
+    np.testing.assert_allclose(
+        io.read_environment(tmp_path / "a.npy"), (rgb / 16) @ [0.2126, 0.7152, 0.0722], rtol=1e-6
+    )
     io.write(tmp_path / "g.png", GREY16)
     np.testing.assert_array_equal(io.read_environment(tmp_path / "g.png"), GREY16 / 65535)
     np.save(tmp_path / "a.npy", np.zeros((4, 8, 2)))
@@ -371,12 +436,21 @@ def test_terrain():
     """The array of matplotlib's sample data, value for value, and the spacing that its latitude gives."""
     height, spacing = io.terrain()
     assert height.shape == (344, 403) and height.dtype == np.float32 and (height == np.rint(height)).all()
-    assert (height.min(), height.max(), height[0, 0], int(height.sum(dtype=np.float64))) == (236, 1076, 483, 73617913)
-    degree = np.pi / 180 * 6371008.8  # metres, mean Earth radius; the ellipsoid differs by less than half a percent
+    assert (height.min(), height.max(), height[0, 0], int(height.sum(dtype=np.float64))) == (
+        236,
+        1076,
+        483,
+        73617913,
+    )
+    degree = (
+        np.pi / 180 * 6371008.8
+    )  # metres, mean Earth radius; the ellipsoid differs by less than half a percent
     assert spacing == pytest.approx(3 / 3600 * degree * np.cos(np.radians(36.5896)) ** 0.5, rel=5e-3)
 
 
 def test_terrain_is_matplotlibs():
     """Compared with the original where matplotlib is there and brings it."""
     cbook = pytest.importorskip("matplotlib.cbook")
-    np.testing.assert_array_equal(io.terrain()[0], cbook.get_sample_data("jacksboro_fault_dem.npz")["elevation"])
+    np.testing.assert_array_equal(
+        io.terrain()[0], cbook.get_sample_data("jacksboro_fault_dem.npz")["elevation"]
+    )

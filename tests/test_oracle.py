@@ -4,9 +4,8 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
-from compare import assert_bits_equal
-
 import skylamp as sl
+from compare import assert_bits_equal
 from skylamp import oracle
 from skylamp.sources.shapes import APERTURE, BALL, RECTANGLE, SKY, VOLUME, Geometry
 
@@ -33,8 +32,9 @@ def test_a_flat_plane_sees_every_direction(sides):
 
 
 def test_the_shadow_of_a_wall_one_node_wide():
-    """Floor at depth 4, wall at column 6 up to z = 0, step (1, 0, -1): the ray from column x is at depth 4 - (6 - x) over the
-    wall, so it is blocked while 6 - x < 4; at 6 - x = 4 it touches the edge and is lit."""
+    """Floor at depth 4, wall at column 6 up to z = 0, step (1, 0, -1): the ray from column x is at depth 4 -
+    (6 - x) over the wall, so it is blocked while 6 - x < 4; at 6 - x = 4 it touches the edge and is lit.
+    """
     depth = np.full((3, 12), 4)
     depth[:, 6] = 0
     lit = visible(depth)
@@ -52,8 +52,12 @@ def test_a_step_of_two_jumps_over_a_wall_of_one():
     d = cube.steps.tolist().index([2, 0, -1])
     stride = visible(depth, 5)[2, 0, 1][0]
     filled = oracle.filled_visibility(depth.astype(float), 1.0, cube.steps, "open")[0, :, d]
-    assert stride.tolist() == [x >= 6 or x % 2 == 1 for x in range(12)]  # from 4 nodes or fewer: over the wall the ray is at least 2 deep
-    assert filled.tolist() == [x >= 6 for x in range(12)]  # the ray from column 0 is still at depth 1 over the wall
+    assert stride.tolist() == [
+        x >= 6 or x % 2 == 1 for x in range(12)
+    ]  # from 4 nodes or fewer: over the wall the ray is at least 2 deep
+    assert filled.tolist() == [
+        x >= 6 for x in range(12)
+    ]  # the ray from column 0 is still at depth 1 over the wall
 
 
 def test_level_rays_run_in_order_from_the_source():
@@ -68,13 +72,19 @@ def test_level_rays_run_in_order_from_the_source():
 
 
 def test_the_corner_of_a_dark_box():
-    """Dark: lit iff -k <= 2 (x k + i n) < (2 cols - 1) k, in both axes; the low wall belongs to the box and the high does not."""
+    """Dark: lit iff -k <= 2 (x k + i n) < (2 cols - 1) k, in both axes; the low wall belongs to the box and
+    the high does not.
+    """
     for depth in (1, 2, 3):
         lit = visible(np.full((4, 6), depth), 5, "dark")
         for (i, j, k), got in lit.items():
             for y in range(4):
                 for x in range(6):
-                    inside = k > 0 and Fraction(-1, 2) <= x + Fraction(i * depth, k) < 6 - Fraction(1, 2) and Fraction(-1, 2) <= y + Fraction(j * depth, k) < 4 - Fraction(1, 2)
+                    inside = (
+                        k > 0
+                        and Fraction(-1, 2) <= x + Fraction(i * depth, k) < 6 - Fraction(1, 2)
+                        and Fraction(-1, 2) <= y + Fraction(j * depth, k) < 4 - Fraction(1, 2)
+                    )
                     assert got[y, x] == inside, (depth, i, j, k, y, x)
     exact = visible(np.full((1, 6), 1), 5, "dark")
     assert exact[-1, 0, 2][0].tolist() == [True] * 6  # from x = 0 it leaves at -1/2, which belongs to the box
@@ -90,7 +100,9 @@ def test_the_edges_of_a_window_are_half_open():
             for x in range(9):
                 inside = k > 0 and 2 <= x + Fraction(i, k) < 5 and 0 <= y + Fraction(j, k) < 3
                 assert got[y, x] == inside, (i, j, k, y, x)
-    beyond = visible(np.full((1, 3), 2), 3, "open", Geometry(RECTANGLE, np.array([3.0, 5.0, -9.0, 9.0]), NOTHING))
+    beyond = visible(
+        np.full((1, 3), 2), 3, "open", Geometry(RECTANGLE, np.array([3.0, 5.0, -9.0, 9.0]), NOTHING)
+    )
     assert beyond[1, 0, 1][0].tolist() == [False, True, True]
     assert not beyond[1, 0, 0].any()
 
@@ -105,7 +117,9 @@ def test_a_window_over_a_periodic_map_repeats():
 
 
 def test_an_aperture_takes_the_nearest_node():
-    """floor(x + 1/2) of the crossing: at exactly half way the higher node counts; off the map nothing is open."""
+    """floor(x + 1/2) of the crossing: at exactly half way the higher node counts; off the map nothing is
+    open.
+    """
     flags = np.array([[[1, 0, 0, 1, 1]]], np.uint8)
     lit = visible(np.full((1, 5), 1), 5, "open", Geometry(APERTURE, np.zeros(4), flags))
     assert lit[1, 0, 2][0].tolist() == [False, False, True, True, False]  # x + 1/2 -> x + 1
@@ -114,7 +128,9 @@ def test_an_aperture_takes_the_nearest_node():
 
 
 def test_level_rays_of_a_periodic_map_follow_their_cycle():
-    """Lit iff no node of the cycle is higher: on a 4 x 6 torus a diagonal meets every second node, and so not every wall."""
+    """Lit iff no node of the cycle is higher: on a 4 x 6 torus a diagonal meets every second node, and so not
+    every wall.
+    """
     depth = np.full((4, 6), 2)
     depth[1, 2] = 1
     lit = visible(depth, 3, "periodic")
@@ -126,7 +142,9 @@ def test_level_rays_of_a_periodic_map_follow_their_cycle():
 
 
 def test_a_periodic_ray_climbs_past_the_edge():
-    """What stands on the left edge shades the right one: the ray from column 6 meets the wall of column 0 as column 7."""
+    """What stands on the left edge shades the right one: the ray from column 6 meets the wall of column 0 as
+    column 7.
+    """
     depth = np.full((1, 7), 3)
     depth[0, 0] = 0
     assert visible(depth, 3, "periodic")[1, 0, 1][0].tolist() == [True, True, True, True, True, False, False]
@@ -145,7 +163,8 @@ def test_masked_nodes_neither_block_nor_are_lit():
         assert got[0].tolist() == [x != 4 for x in range(9)]
 
 
-# -- lamps -------------------------------------------------------------------------------------------------------------------
+# -- lamps
+# -------------------------------------------------------------------------------------------------------------------
 
 
 def _free_segment(depth, x, y, step, end):
@@ -162,9 +181,13 @@ def _free_segment(depth, x, y, step, end):
     return True
 
 
-@pytest.mark.parametrize("lamp", [(5, 4, -6, 3), (3, 3, 1, 1.5), (6.25, 2.5, 0.5, 1.25), (-4, 3, 0, 2), (4, 4, 3, 2)], ids=str)
+@pytest.mark.parametrize(
+    "lamp", [(5, 4, -6, 3), (3, 3, 1, 1.5), (6.25, 2.5, 0.5, 1.25), (-4, 3, 0, 2), (4, 4, 3, 2)], ids=str
+)
 def test_a_ball_is_seen_where_the_ray_meets_it_first(lamp):
-    """Ray and ball by the distance of the centre from the ray, then a walk to the near side; independent of propagation."""
+    """Ray and ball by the distance of the centre from the ray, then a walk to the near side; independent of
+    propagation.
+    """
     depth = np.random.default_rng(6).integers(2, 6, (8, 10))
     depth[4, 4] = 3
     centre, radius = np.array(lamp[:3], float), lamp[3]
@@ -180,7 +203,11 @@ def test_a_ball_is_seen_where_the_ray_meets_it_first(lamp):
                 if abs(away - radius) < 1e-9:
                     continue  # grazing: rounding decides
                 meets = to @ to <= radius**2 or (along > 0 and away < radius)
-                first = 0 if to @ to <= radius**2 else (along - np.sqrt(max(0, radius**2 - away**2))) / np.linalg.norm(line)
+                first = (
+                    0
+                    if to @ to <= radius**2
+                    else (along - np.sqrt(max(0, radius**2 - away**2))) / np.linalg.norm(line)
+                )
                 expected = bool(meets and _free_segment(depth, x, y, line.astype(int), first))
                 assert got[y, x] == expected, (step, y, x)
                 seen += expected
@@ -193,15 +220,23 @@ def test_ground_behind_a_lamp_does_not_hide_it():
     depth[0, 9] = 0
     east = lambda lamp: visible(depth, 3, "open", ball(*lamp))[1, 0, 0][0]
     assert east((6, 0, 6, 0.25)).tolist() == [x <= 6 for x in range(12)]
-    assert east((11, 0, 6, 0.25)).tolist() == [False] * 9 + [False, True, True]  # column 9 stands at z = 0, and its level ray passes above
+    assert east((11, 0, 6, 0.25)).tolist() == [False] * 9 + [
+        False,
+        True,
+        True,
+    ]  # column 9 stands at z = 0, and its level ray passes above
 
 
 def test_a_lamp_outside_a_dark_box_is_seen_through_its_opening_only():
-    """A ball behind the viewer's plane, wide of the map: open sides see it, a box only where the ray leaves through z = 0."""
+    """A ball behind the viewer's plane, wide of the map: open sides see it, a box only where the ray leaves
+    through z = 0.
+    """
     depth = np.full((1, 9), 2)
     lamp = ball(12, 0, -4, 0.5)  # on the ray (1, 0, -1) from column 6: 6 steps of 1 up
     assert visible(depth, 3, "open", lamp)[1, 0, 1][0].tolist() == [x == 6 for x in range(9)]
-    assert visible(depth, 3, "dark", lamp)[1, 0, 1][0].tolist() == [x == 6 for x in range(9)]  # leaves at column 8 < 8.5
+    assert visible(depth, 3, "dark", lamp)[1, 0, 1][0].tolist() == [
+        x == 6 for x in range(9)
+    ]  # leaves at column 8 < 8.5
     assert not visible(depth[:, :8], 3, "dark", lamp)[1, 0, 1].any()  # leaves at column 8 >= 7.5
     assert visible(depth[:, :8], 3, "open", lamp)[1, 0, 1][0, 6]
 
@@ -222,7 +257,8 @@ def test_a_volume_shines_from_its_nodes():
     assert around[1, 0, 0][1].all() and not around[1, 0, 0][[0, 2]].any()
 
 
-# -- filled ------------------------------------------------------------------------------------------------------------------
+# -- filled
+# ------------------------------------------------------------------------------------------------------------------
 
 
 def _crossed(depth, x, y, step):
@@ -247,7 +283,12 @@ def test_filled_visibility_looks_at_every_crossing():
     depth = np.random.default_rng(12).integers(0, 7, (9, 6))
     cube = sl.Hemicube(7)
     got = oracle.filled_visibility(depth.astype(float), 1.0, cube.steps, "open")
-    expected = np.array([[[not _crossed(depth, x, y, (i, j, -up)) for i, j, up in cube.steps.tolist()] for x in range(6)] for y in range(9)])
+    expected = np.array(
+        [
+            [[not _crossed(depth, x, y, (i, j, -up)) for i, j, up in cube.steps.tolist()] for x in range(6)]
+            for y in range(9)
+        ]
+    )
     assert_bits_equal(got, expected)
     stride = oracle.surface_visibility(depth, cube.steps, "open", OPEN_SKY)
     assert (stride & ~got).sum() > 50, "the map does not leak, so the test says little"
@@ -259,10 +300,14 @@ def test_filled_and_stride_are_the_same_where_steps_are_of_one_node():
     depth = np.random.default_rng(13).integers(0, 7, (9, 8))
     cube = sl.Hemicube(3)
     for sides in ("open", "dark", "periodic"):
-        assert_bits_equal(oracle.filled_visibility(depth.astype(float), 1.0, cube.steps, sides), oracle.surface_visibility(depth, cube.steps, sides, OPEN_SKY))
+        assert_bits_equal(
+            oracle.filled_visibility(depth.astype(float), 1.0, cube.steps, sides),
+            oracle.surface_visibility(depth, cube.steps, sides, OPEN_SKY),
+        )
 
 
-# -- luminance, normals ------------------------------------------------------------------------------------------------------
+# -- luminance, normals
+# ------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("size", [3, 9])
@@ -275,7 +320,12 @@ def test_luminance_of_an_open_plane_is_the_closed_form(size, slope):
     got = oracle.luminance(everything, np.broadcast_to(normal, (2, 3, 3)), np.ones(len(cube)), cube.moments)
     wanted = np.pi * (1 + 1 / np.sqrt(1 + slope[0] ** 2 + slope[1] ** 2)) / 2
     assert np.abs(got - wanted).max() <= (1e-12 if slope == (0, 0) else {3: 0.12, 9: 0.012}[size] * np.pi)
-    assert oracle.luminance(~everything, np.broadcast_to(normal, (2, 3, 3)), np.ones(len(cube)), cube.moments).max() == 0
+    assert (
+        oracle.luminance(
+            ~everything, np.broadcast_to(normal, (2, 3, 3)), np.ones(len(cube)), cube.moments
+        ).max()
+        == 0
+    )
 
 
 def test_gradient_by_hand():
@@ -289,33 +339,51 @@ def test_gradient_by_hand():
     assert np.allclose(normal, np.array([1, 4, -1]) / np.sqrt(18))
 
 
-# -- carving -----------------------------------------------------------------------------------------------------------------
+# -- carving
+# -----------------------------------------------------------------------------------------------------------------
 
 
 def _carve_row(low, high, stop="eps", layers=6):
-    """A row under light from straight above and from both sides at 45 degrees, weights 1, 2 and 4, dark sides."""
+    """A row under light from straight above and from both sides at 45 degrees, weights 1, 2 and 4, dark
+    sides.
+    """
     steps = np.array([[-1, 0, -1], [0, 0, -1], [1, 0, -1]])
-    return oracle.carve(np.array([low]), np.array([high]), np.array([2, 1, 4]), steps, "dark", OPEN_SKY, layers, stop)[0].tolist()
+    return oracle.carve(
+        np.array([low]), np.array([high]), np.array([2, 1, 4]), steps, "dark", OPEN_SKY, layers, stop
+    )[0].tolist()
 
 
 def test_carving_a_trench_by_hand():
     """Five columns in a dark box; the middle one asks for the light of its bottom at depth 2.
 
-    At n = 0 every ray leaves at its own node: all see 7. Columns that ask for 7 stop; the middle one asks for 1. At n = 1 its
-    rays at 45 degrees come from columns 1 and 3 at layer 0, which are free: 7 again. At n = 2 they pass through columns 1
-    and 3 at layer 1, below the surface: 1.
+    At n = 0 every ray leaves at its own node: all see 7. Columns that ask for 7 stop; the middle one asks for
+    1. At n = 1 its rays at 45 degrees come from columns 1 and 3 at layer 0, which are free: 7 again. At n = 2
+    they pass through columns 1 and 3 at layer 1, below the surface: 1.
     """
     assert _carve_row([7, 7, 1, 7, 7], [7, 7, 1, 7, 7]) == [0, 0, 2, 0, 0]
-    assert _carve_row([7, 7, 3, 7, 7], [7, 7, 3, 7, 7]) == [0, 0, 6, 0, 0]  # never so bright again: drilled through
-    assert _carve_row([7, 7, 3, 7, 7], [7, 7, 3, 7, 7], "sign") == [0, 0, 2, 0, 0]  # passed between n = 1 and n = 2
+    assert _carve_row([7, 7, 3, 7, 7], [7, 7, 3, 7, 7]) == [
+        0,
+        0,
+        6,
+        0,
+        0,
+    ]  # never so bright again: drilled through
+    assert _carve_row([7, 7, 3, 7, 7], [7, 7, 3, 7, 7], "sign") == [
+        0,
+        0,
+        2,
+        0,
+        0,
+    ]  # passed between n = 1 and n = 2
     assert _carve_row([7, 7, 0, 7, 7], [7, 7, 1, 7, 7]) == [0, 0, 2, 0, 0]
     assert _carve_row([9] * 5, [9] * 5) == [6] * 5
 
 
 def test_carving_a_box_by_hand():
-    """All five ask to go down: the walls of the box shade the outer columns first, and what was carved is free for the rest.
+    """All five ask to go down: the walls of the box shade the outer columns first, and what was carved is
+    free for the rest.
 
-    At depth n the ray (1, 0, -1) leaves the box from columns x + n < 4.5: at n = 1 column 4 loses weight 4 and column 0
-    weight 2; at n = 2 columns 3 and 4 lose 4, columns 0 and 1 lose 2.
+    At depth n the ray (1, 0, -1) leaves the box from columns x + n < 4.5: at n = 1 column 4 loses weight 4
+    and column 0 weight 2; at n = 2 columns 3 and 4 lose 4, columns 0 and 1 lose 2.
     """
     assert _carve_row([5, 5, 0, 3, 3], [5, 5, 0, 3, 3]) == [1, 2, 6, 2, 1]

@@ -7,7 +7,6 @@ import sys
 import imageio.v3 as imageio
 import numpy as np
 import pytest
-
 import skylamp as sl
 from skylamp.app import cli, plot
 from skylamp.io import files as io
@@ -21,7 +20,9 @@ HILLS = 20 + 8 * np.sin(X / 6) + 4 * np.cos(Y / 5)
 
 @pytest.fixture(scope="module")
 def valley(fast):
-    return sl.visibility_field(sl.Scene(HILLS, albedo=0.5), sl.Lamp(center=(24, 15, -6), radius=6), hemicube=9, backend=fast)
+    return sl.visibility_field(
+        sl.Scene(HILLS, albedo=0.5), sl.Lamp(center=(24, 15, -6), radius=6), hemicube=9, backend=fast
+    )
 
 
 def discs(figure):
@@ -29,7 +30,9 @@ def discs(figure):
 
 
 def test_discs_show_the_field(valley, fast):
-    """Every disc stands in free space of the row and inside the map; its white share is the share of angle that sees the lamp."""
+    """Every disc stands in free space of the row and inside the map; its white share is the share of angle
+    that sees the lamp.
+    """
     figure = plot.field(valley, row=15, every=6, backend=fast)
     circles, wedges = discs(figure), figure.axes[0].collections[1:]
     assert len(circles) == len(wedges) >= 10
@@ -39,7 +42,11 @@ def test_discs_show_the_field(valley, fast):
         assert radius <= x <= 47 - radius + 0.5 and z + radius < valley.depth[15, round(x)]
         view = valley.view((round(x), 15, round(z)), backend=fast)
         low, high, which = plot.sectors(view)
-        assert high.max() - low.min() == pytest.approx(360) and (high > low).all() and (view.steps[which, 1] == 0).all()
+        assert (
+            high.max() - low.min() == pytest.approx(360)
+            and (high > low).all()
+            and (view.steps[which, 1] == 0).all()
+        )
         white = (disc.get_facecolor()[:, :3] == 1).all(1)
         np.testing.assert_array_equal(white, view.visible[which])
         shares.append(((high - low) * white).sum() / 360)
@@ -47,7 +54,9 @@ def test_discs_show_the_field(valley, fast):
 
 
 def test_sectors_lie_as_the_ray_goes(valley, fast):
-    """A lamp overhead lights the upper sectors: depth runs downwards in the picture, and the angle of -z is 90 degrees."""
+    """A lamp overhead lights the upper sectors: depth runs downwards in the picture, and the angle of -z is
+    90 degrees.
+    """
     view = valley.view((24, 15, 2), backend=fast)
     low, high, which = plot.sectors(view)
     white = view.visible[which]
@@ -58,7 +67,9 @@ def test_sectors_lie_as_the_ray_goes(valley, fast):
 
 
 def test_sky_above_a_pixel(fast):
-    """The line is the horizon that sl.horizons finds, north up; only sky above it has colour; the title's factor is the library's."""
+    """The line is the horizon that sl.horizons finds, north up; only sky above it has colour; the title's
+    factor is the library's.
+    """
     scene = sl.Scene.from_height(HILLS.max() - HILLS, sides="open")
     sky = sl.Sky(sl.cie_clear((90, 40), direct=3.0))
     figure = plot.horizon(scene, 12, 30, sky, azimuths=90, backend=fast)
@@ -66,7 +77,9 @@ def test_sky_above_a_pixel(fast):
     angle, radius = axes.lines[0].get_data()
     slopes = sl.horizons(scene, azimuths=90, backend=fast)[:, 12, 30]
     np.testing.assert_allclose(radius[:-1], 90 - np.degrees(np.arctan(np.maximum(slopes, 0))), atol=1e-5)
-    np.testing.assert_allclose(angle[:-1], 2 * np.pi * (np.arange(90) + 0.5) / 90 + np.pi / 2)  # +x, east, is at 90 degrees from north
+    np.testing.assert_allclose(
+        angle[:-1], 2 * np.pi * (np.arange(90) + 0.5) / 90 + np.pi / 2
+    )  # +x, east, is at 90 degrees from north
     assert axes.get_theta_direction() == -1 and axes.get_theta_offset() == pytest.approx(np.pi / 2)
     light = np.ma.masked_invalid(axes.collections[0].get_array()).reshape(180, 90)
     heights = 90 - (np.arange(180) + 0.5) / 2
@@ -97,7 +110,9 @@ def test_panels(fast):
     for picture, values in zip(shown, (image, found.depth, HILLS, found.confidence), strict=True):
         np.testing.assert_array_equal(picture.get_array(), values)
     assert shown[1].get_clim() == shown[2].get_clim()
-    painted = dataclasses.replace(found, albedo=np.linspace(0.1, 0.9, found.depth.size).reshape(found.depth.shape))
+    painted = dataclasses.replace(
+        found, albedo=np.linspace(0.1, 0.9, found.depth.size).reshape(found.depth.shape)
+    )
     shown = [axes.images[0] for axes in plot.recovery(image, painted).axes if axes.images]
     np.testing.assert_array_equal(shown[-1].get_array(), painted.albedo)
     assert shown[-1].get_clim() == (0, 0.9) and len(shown) == 4
@@ -105,18 +120,21 @@ def test_panels(fast):
         plot.recovery(image[1:], found)
 
 
-@pytest.mark.parametrize("work, says", [
-    (lambda f, s: plot.field(f, row=30), "row: got 30; allowed: a whole number from 0 to 29"),
-    (lambda f, s: plot.field(f, row=True), "row: got True"),
-    (lambda f, s: plot.field(f, every=1), "at least 2"),
-    (lambda f, s: plot.field(f, every=40), "at least one disc"),
-    (lambda f, s: plot.horizon(s, 30, 0), "row: got 30"),
-    (lambda f, s: plot.horizon(s, 0, 1.5), "col: got 1.5"),
-    (lambda f, s: plot.horizon(s, 0, 0), "not masked"),
-    (lambda f, s: plot.horizon(s, 3, 3, f.source), "got Lamp; allowed: a Sky"),
-    (lambda f, s: plot.save(None, "a.jpg"), ".png .svg .pdf"),
-    (lambda f, s: plot.save(None, "no/a.png"), "no folder no"),
-])
+@pytest.mark.parametrize(
+    "work, says",
+    [
+        (lambda f, s: plot.field(f, row=30), "row: got 30; allowed: a whole number from 0 to 29"),
+        (lambda f, s: plot.field(f, row=True), "row: got True"),
+        (lambda f, s: plot.field(f, every=1), "at least 2"),
+        (lambda f, s: plot.field(f, every=40), "at least one disc"),
+        (lambda f, s: plot.horizon(s, 30, 0), "row: got 30"),
+        (lambda f, s: plot.horizon(s, 0, 1.5), "col: got 1.5"),
+        (lambda f, s: plot.horizon(s, 0, 0), "not masked"),
+        (lambda f, s: plot.horizon(s, 3, 3, f.source), "got Lamp; allowed: a Sky"),
+        (lambda f, s: plot.save(None, "a.jpg"), ".png .svg .pdf"),
+        (lambda f, s: plot.save(None, "no/a.png"), "no folder no"),
+    ],
+)
 def test_errors(valley, work, says, tmp_path, monkeypatch):
     """One clear error each."""
     monkeypatch.chdir(tmp_path)
@@ -130,8 +148,15 @@ def test_errors(valley, work, says, tmp_path, monkeypatch):
 def test_without_matplotlib(valley, monkeypatch):
     """The error names the pip command."""
     monkeypatch.setitem(sys.modules, "matplotlib", None)
-    for work in (lambda: plot.field(valley), lambda: plot.horizon(sl.Scene(HILLS), 3, 3), lambda: plot.save(None, "a.png")):
-        with pytest.raises(sl.InputError, match=r"a picture needs matplotlib, which is not installed: pip install 'skylamp\[plot\]'"):
+    for work in (
+        lambda: plot.field(valley),
+        lambda: plot.horizon(sl.Scene(HILLS), 3, 3),
+        lambda: plot.save(None, "a.png"),
+    ):
+        with pytest.raises(
+            sl.InputError,
+            match=r"a picture needs matplotlib, which is not installed: pip install 'skylamp\[plot\]'",
+        ):
             work()
 
 
@@ -147,9 +172,25 @@ def test_command_line(tmp_path, monkeypatch, capsys, fast):
     monkeypatch.chdir(tmp_path)
     np.save("d.npy", HILLS)
     np.save("i.npy", sl.render(sl.Scene(HILLS), sl.Sky(), backend=fast).image)
-    for command in (["field", "d.npy", "--lamp", "24,15,-6,6", "--hemicube", "5", "--plot", "f.png"], ["horizon", "d.npy", "--at", "12,30", "--plot", "h.svg"],
-                    ["horizon", "d.npy", "--out", "v.npy", "--at", "12,30", "--plot", "h.png", "--source", "clear", "--sun", "120,40"],
-                    ["recover", "i.npy", "--layers", "4", "--hemicube", "3", "--out", "r.npy", "--plot", "r.png"]):
+    for command in (
+        ["field", "d.npy", "--lamp", "24,15,-6,6", "--hemicube", "5", "--plot", "f.png"],
+        ["horizon", "d.npy", "--at", "12,30", "--plot", "h.svg"],
+        [
+            "horizon",
+            "d.npy",
+            "--out",
+            "v.npy",
+            "--at",
+            "12,30",
+            "--plot",
+            "h.png",
+            "--source",
+            "clear",
+            "--sun",
+            "120,40",
+        ],
+        ["recover", "i.npy", "--layers", "4", "--hemicube", "3", "--out", "r.npy", "--plot", "r.png"],
+    ):
         code, out, err = run(capsys, *command, "--backend", fast)
         assert (code, out) == (0, ""), err
     np.testing.assert_array_equal(io.read("v.npy"), sl.sky_view_factor(sl.Scene(HILLS), backend=fast))
@@ -158,18 +199,51 @@ def test_command_line(tmp_path, monkeypatch, capsys, fast):
         picture = imageio.imread(name)
         assert picture.shape[0] > 150 and picture.shape[1] > 500 and picture[..., :3].std() > 20, name
     there = sorted(p.name for p in tmp_path.iterdir())
-    for code, command in ((2, ["horizon", "d.npy"]), (2, ["horizon", "d.npy", "--at", "1,2"]), (2, ["horizon", "d.npy", "--plot", "a.png"]), (3, ["horizon", "d.npy", "--at", "1,99", "--plot", "a.png"]),
-                          (3, ["horizon", "d.npy", "--at", "1.5,2", "--plot", "a.png"]), (2, ["field", "d.npy"]), (3, ["field", "d.npy", "--plot", "a.jpg"]), (3, ["field", "d.npy", "--plot", "no/a.png"]),
-                          (3, ["horizon", "d.npy", "--what", "joy", "--out", "a.npy"]), (3, ["horizon", "d.npy", "--at", "1,2", "--plot", "a.png", "--source", "lamp.exr"])):
+    for code, command in (
+        (2, ["horizon", "d.npy"]),
+        (2, ["horizon", "d.npy", "--at", "1,2"]),
+        (2, ["horizon", "d.npy", "--plot", "a.png"]),
+        (3, ["horizon", "d.npy", "--at", "1,99", "--plot", "a.png"]),
+        (3, ["horizon", "d.npy", "--at", "1.5,2", "--plot", "a.png"]),
+        (2, ["field", "d.npy"]),
+        (3, ["field", "d.npy", "--plot", "a.jpg"]),
+        (3, ["field", "d.npy", "--plot", "no/a.png"]),
+        (3, ["horizon", "d.npy", "--what", "joy", "--out", "a.npy"]),
+        (3, ["horizon", "d.npy", "--at", "1,2", "--plot", "a.png", "--source", "lamp.exr"]),
+    ):
         assert run(capsys, *command)[0] == code, command
     assert sorted(p.name for p in tmp_path.iterdir()) == there
 
 
-@pytest.mark.parametrize("what, make", [("openness", sl.openness), ("negative-openness", lambda *a, **k: sl.openness(*a, negative=True, **k)), ("slopes", sl.horizons)])
+@pytest.mark.parametrize(
+    "what, make",
+    [
+        ("openness", sl.openness),
+        ("negative-openness", lambda *a, **k: sl.openness(*a, negative=True, **k)),
+        ("slopes", sl.horizons),
+    ],
+)
 def test_horizons_by_command(tmp_path, capsys, fast, what, make):
     """Each kind reaches the library as it is, with azimuths and reach."""
     np.save(tmp_path / "d.npy", HILLS)
-    code, out, err = run(capsys, "horizon", tmp_path / "d.npy", "--spacing", 2, "--what", what, "--azimuths", 8, "--max-distance", 20, "--out", tmp_path / "a.npy", "--json", "--backend", fast)
+    code, out, err = run(
+        capsys,
+        "horizon",
+        tmp_path / "d.npy",
+        "--spacing",
+        2,
+        "--what",
+        what,
+        "--azimuths",
+        8,
+        "--max-distance",
+        20,
+        "--out",
+        tmp_path / "a.npy",
+        "--json",
+        "--backend",
+        fast,
+    )
     assert code == 0, err
     facts = json.loads(out)
     expected = make(sl.Scene(HILLS, 2.0), 8, fast, max_distance=20)

@@ -2,23 +2,26 @@
 
 import numpy as np
 import pytest
+import skylamp as sl
 from compare import assert_bits_equal
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-import skylamp as sl
-
 SHAPES = st.tuples(st.integers(1, 12), st.integers(1, 19))
 WHOLE = SHAPES.flatmap(lambda shape: hnp.arrays(np.int64, shape, elements=st.integers(0, 9)))
-REAL = SHAPES.flatmap(lambda shape: hnp.arrays(np.float32, shape, elements=st.floats(0, 40, width=32, allow_subnormal=True)))
+REAL = SHAPES.flatmap(
+    lambda shape: hnp.arrays(np.float32, shape, elements=st.floats(0, 40, width=32, allow_subnormal=True))
+)
 SIDES = st.sampled_from(["open", "dark", "periodic"])
 SKY = sl.Sky()
 CUBE = sl.Hemicube(5)
 
 
 def flags(depth, backend, sides="open", spacing=1.0, filled=False):
-    return CUBE.unpack(sl.visibility(sl.Scene(depth, spacing, sides=sides), SKY, CUBE, backend, filled=filled))
+    return CUBE.unpack(
+        sl.visibility(sl.Scene(depth, spacing, sides=sides), SKY, CUBE, backend, filled=filled)
+    )
 
 
 def same(got, expected):
@@ -38,11 +41,20 @@ def test_raising_an_occluder_never_reveals_another_node(backend, depth, sides, f
     assert not (after & ~before).any()
 
 
-@given(depth=REAL, sides=SIDES, filled=st.booleans(), power=st.integers(-20, 20), spacing=st.sampled_from([1.0, 0.7, 30.0]))
+@given(
+    depth=REAL,
+    sides=SIDES,
+    filled=st.booleans(),
+    power=st.integers(-20, 20),
+    spacing=st.sampled_from([1.0, 0.7, 30.0]),
+)
 def test_scaling_by_a_power_of_two_changes_nothing(backend, depth, sides, filled, power, spacing):
     """The unit of length is the caller's: every comparison scales exactly."""
     depth = np.where(depth < 1e-3, np.float32(0), depth)  # what underflows does not scale
-    same(flags(depth * np.float32(2.0**power), backend, sides, spacing * 2.0**power, filled), flags(depth, backend, sides, spacing, filled))
+    same(
+        flags(depth * np.float32(2.0**power), backend, sides, spacing * 2.0**power, filled),
+        flags(depth, backend, sides, spacing, filled),
+    )
 
 
 @given(depth=WHOLE, sides=SIDES, filled=st.booleans())
@@ -50,15 +62,26 @@ def test_transposed_maps_see_transposed_directions(backend, depth, sides, filled
     """Rows and columns are treated alike by every walk, with and without filling."""
     number = {tuple(s): d for d, s in enumerate(CUBE.steps.tolist())}
     order = [number[j, i, k] for i, j, k in CUBE.steps.tolist()]
-    same(flags(depth.T, backend, sides, filled=filled)[..., order].transpose(1, 0, 2), flags(depth, backend, sides, filled=filled))
+    same(
+        flags(depth.T, backend, sides, filled=filled)[..., order].transpose(1, 0, 2),
+        flags(depth, backend, sides, filled=filled),
+    )
 
 
-@given(depth=WHOLE, sides=st.sampled_from(["open", "periodic"]), filled=st.booleans(), axis=st.sampled_from([0, 1]))
+@given(
+    depth=WHOLE,
+    sides=st.sampled_from(["open", "periodic"]),
+    filled=st.booleans(),
+    axis=st.sampled_from([0, 1]),
+)
 def test_mirrored_maps_see_mirrored_directions(backend, depth, sides, filled, axis):
     """East and west, north and south; a dark box is left out, since its edges are half-open."""
     number = {tuple(s): d for d, s in enumerate(CUBE.steps.tolist())}
     order = [number[(i if axis == 0 else -i), (j if axis == 1 else -j), k] for i, j, k in CUBE.steps.tolist()]
-    same(np.flip(flags(np.flip(depth, axis), backend, sides, filled=filled)[..., order], axis), flags(depth, backend, sides, filled=filled))
+    same(
+        np.flip(flags(np.flip(depth, axis), backend, sides, filled=filled)[..., order], axis),
+        flags(depth, backend, sides, filled=filled),
+    )
 
 
 @given(depth=WHOLE, filled=st.booleans(), down=st.integers(0, 11), right=st.integers(0, 18))
@@ -68,7 +91,13 @@ def test_a_periodic_map_may_be_cut_anywhere(backend, depth, filled, down, right)
     same(np.roll(rolled, (-down, -right), (0, 1)), flags(depth, backend, "periodic", filled=filled))
 
 
-@given(shape=SHAPES, level=st.floats(0, 1e6, width=32), sides=st.sampled_from(["open", "periodic"]), filled=st.booleans(), spacing=st.floats(1e-3, 1e4))
+@given(
+    shape=SHAPES,
+    level=st.floats(0, 1e6, width=32),
+    sides=st.sampled_from(["open", "periodic"]),
+    filled=st.booleans(),
+    spacing=st.floats(1e-3, 1e4),
+)
 def test_a_flat_plane_is_fully_visible(backend, shape, level, sides, filled, spacing):
     """At any depth and spacing; rounding must not make a plane shade itself."""
     scene = sl.Scene(np.full(shape, level), spacing, sides=sides)

@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-
 import skylamp as sl
 from skylamp import radiometry as r
 
@@ -12,7 +11,9 @@ def unit(*v):
 
 
 def test_angle_of_a_curve():
-    """dphi = dl cos / r, summed: half a circle whatever the curve between its ends, and a straight line seen askew by its arctangents."""
+    """dphi = dl cos / r, summed: half a circle whatever the curve between its ends, and a straight line seen
+    askew by its arctangents.
+    """
     line = np.stack([np.linspace(-3, 5, 2001), np.full(2001, 2.0)], -1)
     middle, step = (line[1:] + line[:-1]) / 2, np.diff(line, axis=0)
     distance = np.linalg.norm(middle, axis=1)
@@ -22,7 +23,9 @@ def test_angle_of_a_curve():
     assert abs(abs(r.curve_angle(line)) - exact) < 1e-12
     t = np.linspace(0, 2 * np.pi, 50)
     round_it = np.stack([3 * np.cos(t) + 0.5, np.sin(t) - 0.2], -1)
-    np.testing.assert_allclose(r.curve_angle(np.stack([round_it, round_it + [9, 0]])), [2 * np.pi, 0], atol=1e-12)
+    np.testing.assert_allclose(
+        r.curve_angle(np.stack([round_it, round_it + [9, 0]])), [2 * np.pi, 0], atol=1e-12
+    )
 
 
 def test_solid_angles():
@@ -38,11 +41,15 @@ def test_solid_angles():
     small = eye + 0.05 * np.array([-u - v, u - v, u + v, v - u])
     area = 4 * 0.05**2 * np.linalg.norm(u) * np.linalg.norm(v)
     far = np.linalg.norm(eye)
-    assert abs(r.patch_solid_angle(area, abs(normal @ eye) / far, far) / r.polygon_solid_angle(small) - 1) < 1e-5
+    assert (
+        abs(r.patch_solid_angle(area, abs(normal @ eye) / far, far) / r.polygon_solid_angle(small) - 1) < 1e-5
+    )
 
 
 def test_transfer_between_two_discs():
-    """d3E summed over two coaxial discs is pi L A_1 F_12, F_12 from the tables of view factors; and the same from either end."""
+    """d3E summed over two coaxial discs is pi L A_1 F_12, F_12 from the tables of view factors; and the same
+    from either end.
+    """
     radius, gap, n = (1.0, 1.5), 2.0, 40
     discs = []
     for R in radius:
@@ -62,11 +69,15 @@ def test_transfer_between_two_discs():
 
 
 def test_radiance_does_not_change_along_a_ray():
-    """Twice as far, a patch gets a quarter of the power from a quarter of the solid angle: the radiance is the same."""
+    """Twice as far, a patch gets a quarter of the power from a quarter of the solid angle: the radiance is
+    the same.
+    """
     distance = np.array([1.0, 2, 7])
     power = r.transfer(5.0, 0.8, 0.01, 0.6, 0.02, distance)
     np.testing.assert_allclose(power * distance**2, power[0])
-    np.testing.assert_allclose(power / (0.02 * 0.6 * r.patch_solid_angle(0.01, 0.8, distance)), 5.0)  # as patch 2 measures it
+    np.testing.assert_allclose(
+        power / (0.02 * 0.6 * r.patch_solid_angle(0.01, 0.8, distance)), 5.0
+    )  # as patch 2 measures it
 
 
 def test_irradiance_and_radiosity():
@@ -74,7 +85,9 @@ def test_irradiance_and_radiosity():
     assert abs(r.irradiance(lambda L: np.ones(len(L))) - np.pi) < 1e-12
     assert abs(r.irradiance(lambda L: 1 / L[:, 2], elevations=200) / (2 * np.pi) - 1) < 4e-3
     assert abs(r.irradiance(lambda L: sl.cie_overcast()(L * [1, 1, -1])) - 7 * np.pi / 9) < 1e-5
-    np.testing.assert_allclose(r.irradiance(lambda L: L[:, 2:] * [1, 2, 0.5]), 2 * np.pi / 3 * np.array([1, 2, 0.5]), rtol=1e-5)
+    np.testing.assert_allclose(
+        r.irradiance(lambda L: L[:, 2:] * [1, 2, 0.5]), 2 * np.pi / 3 * np.array([1, 2, 0.5]), rtol=1e-5
+    )
     np.testing.assert_allclose(r.radiosity([1.0, 4.0]), [np.pi, 4 * np.pi])
     assert abs(r.radiosity(lambda L: np.full(len(L), 2.0)) - r.radiosity(2.0)) < 1e-12
     assert r.radiance_of_radiosity(r.radiosity(2.0)) == pytest.approx(2.0)
@@ -83,8 +96,14 @@ def test_irradiance_and_radiosity():
 def test_reflectance_of_a_constant_brdf():
     """rho_d = pi x rho_brdf from every side; and a BRDF that depends on one direction."""
     incoming = np.array([[0, 0, 1.0], unit(1, 0, 1), unit(0, 3, 0.1)])
-    np.testing.assert_allclose(r.directional_hemispheric(lambda i, o: np.full(len(o), 0.2), incoming), 0.2 * np.pi)
-    np.testing.assert_allclose(r.directional_hemispheric(lambda i, o: i[:, 2] * o[:, 2], incoming), 2 * np.pi / 3 * incoming[:, 2], rtol=1e-5)
+    np.testing.assert_allclose(
+        r.directional_hemispheric(lambda i, o: np.full(len(o), 0.2), incoming), 0.2 * np.pi
+    )
+    np.testing.assert_allclose(
+        r.directional_hemispheric(lambda i, o: i[:, 2] * o[:, 2], incoming),
+        2 * np.pi / 3 * incoming[:, 2],
+        rtol=1e-5,
+    )
 
 
 def test_light_for_the_eye():
@@ -98,9 +117,15 @@ def test_light_for_the_eye():
 
 
 def test_where_a_point_will_do():
-    """The error of I / r^2 for a disc, exactly: pi L R^2 / (r^2 + R^2) is what it gives; for a sphere there is none."""
+    """The error of I / r^2 for a disc, exactly: pi L R^2 / (r^2 + R^2) is what it gives; for a sphere there
+    is none.
+    """
     R, distance = 0.5, np.array([0.5, 1, 5, 50])
-    exact = (r.disc_moment(np.tile([0, 0, 1.0], (4, 1)), R / np.hypot(R, distance)) @ [0, 0, 1.0])  # the cone that the disc fills
+    exact = r.disc_moment(np.tile([0, 0, 1.0], (4, 1)), R / np.hypot(R, distance)) @ [
+        0,
+        0,
+        1.0,
+    ]  # the cone that the disc fills
     point = r.point_irradiance(r.intensity(1.0, np.pi * R**2), 1.0, distance)
     np.testing.assert_allclose(point / exact - 1, r.point_error(R, distance), rtol=1e-9)
     sphere = r.disc_moment(np.tile([0, 0, 1.0], (3, 1)), R / distance[1:]) @ [0, 0, 1.0]

@@ -1,4 +1,6 @@
-"""The README does what it says: its Python runs, its pictures are there, its test command is the one that CI runs."""
+"""The README does what it says: its Python runs, its pictures are there, its test command is the one that CI
+runs.
+"""
 
 import os
 import re
@@ -27,7 +29,13 @@ def test_shell_blocks_run(number, tmp_path):
     """Every command as written; installing and the suite itself are what .ci/run does."""
     command = re.sub(r"^(pip install [^&\n]*(&& )?)?(pytest -n 2$)?", "", SHELL[number], flags=re.MULTILINE)
     path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
-    done = subprocess.run(["bash", "-euo", "pipefail", "-c", command], cwd=tmp_path, env={**os.environ, "PATH": path}, capture_output=True, text=True)
+    done = subprocess.run(
+        ["bash", "-euo", "pipefail", "-c", command],
+        cwd=tmp_path,
+        env={**os.environ, "PATH": path},
+        capture_output=True,
+        text=True,
+    )
     assert done.returncode == 0, done.stderr
 
 

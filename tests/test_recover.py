@@ -5,9 +5,8 @@ import functools
 import numpy as np
 import pytest
 import scenes
-from compare import assert_bits_equal
-
 import skylamp as sl
+from compare import assert_bits_equal
 from skylamp import oracle
 from skylamp.inverse.recover import carving_integers
 from skylamp.sources.shapes import BALL, RECTANGLE, SKY, VOLUME, Geometry, radiance
@@ -29,18 +28,25 @@ SOURCES = {
     "sky": (sl.Sky(), Geometry(SKY, np.zeros(4), NOTHING)),
     "overcast": (sl.Sky(sl.cie_overcast(3.0)), Geometry(SKY, np.zeros(4), NOTHING)),
     "window": (sl.Window(x=(8, 24.5), y=(5, 20)), Geometry(RECTANGLE, np.array([8, 24.5, 5, 20.0]), NOTHING)),
-    "lamp": (sl.Lamp(center=(17, 12, -5), radius=4.5, brightness=sl.cosine_power(2)), Geometry(BALL, np.array([17, 12, -5, 4.5]), NOTHING)),
+    "lamp": (
+        sl.Lamp(center=(17, 12, -5), radius=4.5, brightness=sl.cosine_power(2)),
+        Geometry(BALL, np.array([17, 12, -5, 4.5]), NOTHING),
+    ),
     "volume": (sl.Lamp(volume=_volume()), Geometry(VOLUME, np.zeros(4), _volume().astype(np.uint8))),
 }
 
 
 @functools.cache
 def _image(kind, sides, size=5):
-    """An image of the fractal relief by the oracle's own Eq. 3 with a little noise; where nothing shines, still a little light."""
+    """An image of the fractal relief by the oracle's own Eq. 3 with a little noise; where nothing shines,
+    still a little light.
+    """
     cube, (source, geometry) = sl.Hemicube(size), SOURCES[kind]
     depth = scenes.layers("fractal")
     lit = oracle.surface_visibility(depth, cube.steps, sides, geometry)
-    light = oracle.luminance(lit, oracle.normals(depth, 1.0, depth >= 0), radiance(source, cube.directions), cube.moments)
+    light = oracle.luminance(
+        lit, oracle.normals(depth, 1.0, depth >= 0), radiance(source, cube.directions), cube.moments
+    )
     noise = 1 + 0.02 * np.random.default_rng(4).normal(size=depth.shape)
     return 0.6 / np.pi * light * noise + 1e-4
 
@@ -48,24 +54,58 @@ def _image(kind, sides, size=5):
 @functools.cache
 def _carved(kind, sides, stop, eps, size=5, albedo="number"):
     cube, (source, geometry) = sl.Hemicube(size), SOURCES[kind]
-    low, high, weights = carving_integers(_image(kind, sides, size), ALBEDO[albedo], radiance(source, cube.directions), cube.solid_angles, eps if stop == "eps" else 0.0)
-    return oracle.carve(low, high, weights, cube.steps, sides, geometry, FEW if kind == "volume" else LAYERS, stop)
+    low, high, weights = carving_integers(
+        _image(kind, sides, size),
+        ALBEDO[albedo],
+        radiance(source, cube.directions),
+        cube.solid_angles,
+        eps if stop == "eps" else 0.0,
+    )
+    return oracle.carve(
+        low, high, weights, cube.steps, sides, geometry, FEW if kind == "volume" else LAYERS, stop
+    )
 
 
-ALBEDO = {"number": 0.6, "map": np.where(np.arange(36) % 7 < 3, np.float32(0.5), np.float32(0.7)) * np.ones((27, 1), np.float32)}
+ALBEDO = {
+    "number": 0.6,
+    "map": np.where(np.arange(36) % 7 < 3, np.float32(0.5), np.float32(0.7)) * np.ones((27, 1), np.float32),
+}
 
 
 @pytest.mark.parametrize("stop", ["eps", "sign"])
-@pytest.mark.parametrize(("kind", "sides"), [(k, s) for k in SOURCES for s in scenes.SIDES if (k, s) != ("lamp", "periodic") and not (k == "overcast" and s != "dark")])
+@pytest.mark.parametrize(
+    ("kind", "sides"),
+    [
+        (k, s)
+        for k in SOURCES
+        for s in scenes.SIDES
+        if (k, s) != ("lamp", "periodic") and not (k == "overcast" and s != "dark")
+    ],
+)
 def test_recovery_equals_the_oracle(backend, kind, sides, stop):
-    """Every source and side, both stops: every column of the same depth, and drilled means carved to the back."""
+    """Every source and side, both stops: every column of the same depth, and drilled means carved to the
+    back.
+    """
     expected = _carved(kind, sides, stop, 0.05)
     layers = FEW if kind == "volume" else LAYERS
-    got = paper(_image(kind, sides), SOURCES[kind][0], 0.6, sides, 1.0, layers, 5, eps=0.05, stop=stop, backend=backend)
+    got = paper(
+        _image(kind, sides),
+        SOURCES[kind][0],
+        0.6,
+        sides,
+        1.0,
+        layers,
+        5,
+        eps=0.05,
+        stop=stop,
+        backend=backend,
+    )
     assert got.backend == backend
     assert_bits_equal(got.depth, expected.astype(np.float32))
     assert_bits_equal(got.drilled, expected == layers)
-    if not (kind == "sky" and stop == "sign" and sides != "dark"):  # there all columns go down together, and nothing ever gets darker
+    if not (
+        kind == "sky" and stop == "sign" and sides != "dark"
+    ):  # there all columns go down together, and nothing ever gets darker
         assert len(np.unique(expected)) > 2, "nothing was carved, so this test says little"
 
 
@@ -73,7 +113,9 @@ def test_recovery_equals_the_oracle(backend, kind, sides, stop):
 def test_recovery_with_an_albedo_map_and_spacing_equals_the_oracle(backend, eps):
     """The albedo divides the image, pixel by pixel; depth comes in the unit of the spacing; M = 9."""
     expected = _carved("sky", "dark", "eps", eps, 9, "map")
-    got = paper(_image("sky", "dark", 9), sl.Sky(), ALBEDO["map"], "dark", 2.5, LAYERS, 9, eps=eps, backend=backend)
+    got = paper(
+        _image("sky", "dark", 9), sl.Sky(), ALBEDO["map"], "dark", 2.5, LAYERS, 9, eps=eps, backend=backend
+    )
     assert_bits_equal(got.depth, (expected * 2.5).astype(np.float32))
     assert got.drilled.any() == (eps < 0.1)
     assert any("Drilled" in w and "stop='sign'" in w for w in got.warnings) == (eps < 0.1)
@@ -82,14 +124,18 @@ def test_recovery_with_an_albedo_map_and_spacing_equals_the_oracle(backend, eps)
 def test_drilled_columns_are_named_and_the_sign_drills_fewer(backend):
     """MODEL.md 5.1: with a narrow eps most columns never match; the stop at the sign change is monotone."""
     image = _image("sky", "dark")
-    by_eps, by_sign = (paper(image, sl.Sky(), 0.6, "dark", 1.0, LAYERS, 5, eps=0.002, stop=stop, backend=backend) for stop in ("eps", "sign"))
+    by_eps, by_sign = (
+        paper(image, sl.Sky(), 0.6, "dark", 1.0, LAYERS, 5, eps=0.002, stop=stop, backend=backend)
+        for stop in ("eps", "sign")
+    )
     assert by_eps.drilled.mean() > 0.3 > by_sign.drilled.mean()
     assert any(f"{by_eps.drilled.mean():.1%}" in w for w in by_eps.warnings)
 
 
 def test_an_image_of_equation_four_gives_its_depth_back(backend):
-    """A flat floor in a dark box at depth 5, lit by Eq. 4 itself: no column goes deeper or drills, and those that stop above
-    it do so because the few directions give two layers the same light."""
+    """A flat floor in a dark box at depth 5, lit by Eq. 4 itself: no column goes deeper or drills, and those
+    that stop above it do so because the few directions give two layers the same light.
+    """
     cube = sl.Hemicube(7)
     depth = np.full((11, 14), 5)
     lit = oracle.surface_visibility(depth, cube.steps, "dark", scenes.SKY)
@@ -102,16 +148,36 @@ def test_an_image_of_equation_four_gives_its_depth_back(backend):
 def test_open_sides_under_a_sky_are_called_ill_posed(backend):
     """A flat start explains a plane's image at any depth; a window does not need the warning."""
     image = _image("sky", "open")
-    assert any("ill-posed" in w for w in paper(image, sl.Sky(), 0.6, layers=3, hemicube=3, backend=backend).warnings)
-    assert not any("ill-posed" in w for w in paper(image, SOURCES["window"][0], 0.6, layers=3, hemicube=3, backend=backend).warnings)
-    assert not any("ill-posed" in w for w in paper(image, sl.Sky(), 0.6, "dark", layers=3, hemicube=3, backend=backend).warnings)
+    assert any(
+        "ill-posed" in w for w in paper(image, sl.Sky(), 0.6, layers=3, hemicube=3, backend=backend).warnings
+    )
+    assert not any(
+        "ill-posed" in w
+        for w in paper(image, SOURCES["window"][0], 0.6, layers=3, hemicube=3, backend=backend).warnings
+    )
+    assert not any(
+        "ill-posed" in w
+        for w in paper(image, sl.Sky(), 0.6, "dark", layers=3, hemicube=3, backend=backend).warnings
+    )
 
 
 def test_progress_counts_layers_and_a_second_run_is_the_same(backend):
     """Called once per layer with the total; the image is not changed."""
     image = _image("window", "dark").copy()
     before, calls = image.copy(), []
-    first = paper(image, SOURCES["window"][0], 0.6, "dark", 1.0, LAYERS, 5, backend=backend, progress=lambda done, total: calls.append((done, total)))
+    first = paper(
+        image,
+        SOURCES["window"][0],
+        0.6,
+        "dark",
+        1.0,
+        LAYERS,
+        5,
+        backend=backend,
+        progress=lambda done, total: calls.append((done, total)),
+    )
     assert calls == [(n + 1, LAYERS) for n in range(len(calls))] and calls
-    assert_bits_equal(paper(image, SOURCES["window"][0], 0.6, "dark", 1.0, LAYERS, 5, backend=backend).depth, first.depth)
+    assert_bits_equal(
+        paper(image, SOURCES["window"][0], 0.6, "dark", 1.0, LAYERS, 5, backend=backend).depth, first.depth
+    )
     assert_bits_equal(image, before)

@@ -7,13 +7,12 @@ import logging
 
 import numpy as np
 import pytest
+import skylamp as sl
 import surfaces
 from scipy.optimize import minimize
-from surfaces import ALBEDO, SURFACES, rms
-
-import skylamp as sl
 from skylamp.backends import select
 from skylamp.inverse.pyramid import Pyramid
+from surfaces import ALBEDO, SURFACES, rms
 
 SMALL = SIZE = 32  # half the size of performance/recover.py: a layer here is two there
 LAYERS = 32
@@ -23,13 +22,23 @@ pair, source_of = (functools.partial(f, size=SMALL) for f in (surfaces.pair, sur
 @functools.cache
 def found(name, kind, backend, size=SIZE, **more):
     depth, image = surfaces.pair(name, kind, size)
-    return sl.recover(image, surfaces.source_of(kind, size), ALBEDO, "dark", layers=LAYERS * size // SIZE, backend=backend, **more)
+    return sl.recover(
+        image,
+        surfaces.source_of(kind, size),
+        ALBEDO,
+        "dark",
+        layers=LAYERS * size // SIZE,
+        backend=backend,
+        **more,
+    )
 
 
 @functools.cache
 def carved(name, kind, eps, backend):
     depth, image = pair(name, kind)
-    return sl.recover(image, source_of(kind), ALBEDO, "dark", layers=LAYERS, method="paper", eps=eps, backend=backend).depth
+    return sl.recover(
+        image, source_of(kind), ALBEDO, "dark", layers=LAYERS, method="paper", eps=eps, backend=backend
+    ).depth
 
 
 def off(name, kind, backend, size=SIZE):
@@ -43,7 +52,10 @@ def test_uniform_sky(fast, name):
     assert off(name, "sky", fast) < min(1.0, best / 5)
 
 
-@pytest.mark.parametrize(("name", "kind", "most"), [("egg-crate", "sky", 0.5), ("face", "sky", 0.2), ("egg-crate", "sun", 3.0), ("bumps", "sun", 2.0)])
+@pytest.mark.parametrize(
+    ("name", "kind", "most"),
+    [("egg-crate", "sky", 0.5), ("face", "sky", 0.2), ("egg-crate", "sun", 3.0), ("bumps", "sun", 2.0)],
+)
 def test_hard_ones_at_full_size(fast, name, kind, most):
     """64 x 64, where a coarse grid leads astray: layers of 64."""
     assert off(name, kind, fast, 64) < most
@@ -52,12 +64,16 @@ def test_hard_ones_at_full_size(fast, name, kind, most):
 @pytest.mark.parametrize("name", ["bumps", "egg-crate", "fractal"])
 def test_isotropic_lamp(fast, name):
     """At most half a layer off, forty times nearer than carving."""
-    assert off(name, "lamp", fast) < min(0.5, rms(carved(name, "lamp", 0.05, fast) - pair(name, "lamp")[0]) / 40)
+    assert off(name, "lamp", fast) < min(
+        0.5, rms(carved(name, "lamp", 0.05, fast) - pair(name, "lamp")[0]) / 40
+    )
 
 
 def test_sky_with_a_sun(fast):
     """At most three layers off on a fractal, eight times nearer than carving."""
-    assert off("fractal", "sun", fast) < min(3.0, rms(carved("fractal", "sun", 0.05, fast) - pair("fractal", "sun")[0]) / 8)
+    assert off("fractal", "sun", fast) < min(
+        3.0, rms(carved("fractal", "sun", 0.05, fast) - pair("fractal", "sun")[0]) / 8
+    )
 
 
 def _amplification(change, image, other, clean):
@@ -66,7 +82,9 @@ def _amplification(change, image, other, clean):
 
 @pytest.mark.parametrize("name", SURFACES)
 def test_noise_is_damped(fast, name):
-    """White noise of 3 % of the maximum changes depth by less than half of that share of its range, on every surface."""
+    """White noise of 3 % of the maximum changes depth by less than half of that share of its range, on every
+    surface.
+    """
     image = surfaces.pair(name, "sky")[1]
     other = np.maximum(image + 0.03 * image.max() * np.random.default_rng(5).normal(size=image.shape), 0)
     noisy = sl.recover(other, sl.Sky(), ALBEDO, "dark", backend=fast)
@@ -74,11 +92,21 @@ def test_noise_is_damped(fast, name):
 
 
 def _pyramid(fast, image, kind):
-    return Pyramid(select(fast), [image], [source_of(kind)], np.array(ALBEDO), "dark", np.full(image.shape, 1e-3), np.full(image.shape, 32.0))
+    return Pyramid(
+        select(fast),
+        [image],
+        [source_of(kind)],
+        np.array(ALBEDO),
+        "dark",
+        np.full(image.shape, 1e-3),
+        np.full(image.shape, 32.0),
+    )
 
 
 def test_a_mosaic_takes_every_place_from_the_surface_that_fits_there(fast, monkeypatch):
-    """Of two that are two layers off in one half each, before it is eased: nearly right in both, but where they meet."""
+    """Of two that are two layers off in one half each, before it is eased: nearly right in both, but where
+    they meet.
+    """
     depth, image = pair("egg-crate", "lamp")
     pyramid, west = _pyramid(fast, image, "lamp"), np.arange(SMALL) < SMALL // 2
     monkeypatch.setattr(pyramid, "_ease", lambda level, z, *how: (z, 0.0))
@@ -96,16 +124,39 @@ def test_what_is_polished_does_not_lean_on_what_was_tried_last(fast):
     assert rms(pyramid.polish(0, depth)[0] - depth) < 0.5
 
 
-@pytest.mark.parametrize("shape, begins", [((64, 64), (16, 16)), ((32, 60), (16, 30)), ((96, 96), (48, 48)), ((128, 128), (64, 64)), ((256, 256), (128, 128)), ((300, 520), (38, 65)), ((256, 40), (128, 20)), ((20, 300), (20, 300))])
+@pytest.mark.parametrize(
+    "shape, begins",
+    [
+        ((64, 64), (16, 16)),
+        ((32, 60), (16, 30)),
+        ((96, 96), (48, 48)),
+        ((128, 128), (64, 64)),
+        ((256, 256), (128, 128)),
+        ((300, 520), (38, 65)),
+        ((256, 40), (128, 20)),
+        ((20, 300), (20, 300)),
+    ],
+)
 def test_large_images_begin_on_a_grid_that_sees_their_relief(fast, shape, begins):
-    """Small ones at 16 nodes, where starts cost least; others at most 128, but never on their own grid if there is a coarser one."""
+    """Small ones at 16 nodes, where starts cost least; others at most 128, but never on their own grid if
+    there is a coarser one.
+    """
     pyramid = _pyramid(fast, np.ones(shape), "sky")
     assert pyramid.images[pyramid.first][0].shape == begins
 
 
-@pytest.mark.parametrize(("shape", "method"), [((96, 96), {"method": "lattice", "hemicube": 33, "filled": True}), ((96, 96), {"method": "horizon", "azimuths": 64}), ((70, 130), {"method": "horizon", "azimuths": 64})])
+@pytest.mark.parametrize(
+    ("shape", "method"),
+    [
+        ((96, 96), {"method": "lattice", "hemicube": 33, "filled": True}),
+        ((96, 96), {"method": "horizon", "azimuths": 64}),
+        ((70, 130), {"method": "horizon", "azimuths": 64}),
+    ],
+)
 def test_strong_relief_in_a_large_image(fast, shape, method):
-    """Deep folds darken themselves so much that no flat surface on the grid of starts leads to them: only shallower starts on coarser ones do."""
+    """Deep folds darken themselves so much that no flat surface on the grid of starts leads to them: only
+    shallower starts on coarser ones do.
+    """
     y, x = np.indices(shape)
     depth = 16 + 24 * np.sin(x / 9.6 + 1.2 * np.sin(y / 15)) ** 2
     image = sl.render(sl.Scene(depth, albedo=0.3, sides="dark"), sl.Sky(), backend=fast, **method).image
@@ -121,10 +172,15 @@ def test_the_confident_half_is_the_better_one(fast, name):
 
 
 def test_a_spotlights_wrong_pixels_are_marked(fast):
-    """Over all five surfaces: most of what is wrong by more than five layers is ambiguous or not trusted, little of what is right within two."""
+    """Over all five surfaces: most of what is wrong by more than five layers is ambiguous or not trusted,
+    little of what is right within two.
+    """
     wrong, right = [], []
     for name in SURFACES:
-        got, off = found(name, "spot", fast, 64), np.abs(found(name, "spot", fast, 64).depth - surfaces.pair(name, "spot")[0])
+        got, off = (
+            found(name, "spot", fast, 64),
+            np.abs(found(name, "spot", fast, 64).depth - surfaces.pair(name, "spot")[0]),
+        )
         marked = (got.confidence < 0.5) | got.ambiguous
         wrong.append(marked[off > 5])
         right.append(marked[off < 2])
@@ -133,18 +189,32 @@ def test_a_spotlights_wrong_pixels_are_marked(fast):
 
 
 def test_real_terrain_under_a_lamp(fast):
-    """A crop of real terrain, larger than the grid on which confidence is worked out: shape and normals, and most of it is trusted."""
+    """A crop of real terrain, larger than the grid on which confidence is worked out: shape and normals, and
+    most of it is trusted.
+    """
     depth = surfaces.terrain(96)
     image = surfaces.image_of(depth, surfaces.lamp_over(96))
-    got = sl.recover(image, surfaces.lamp_over(96), ALBEDO, "dark", layers=int(np.ceil(1.2 * depth.max())), backend=fast)
+    got = sl.recover(
+        image, surfaces.lamp_over(96), ALBEDO, "dark", layers=int(np.ceil(1.2 * depth.max())), backend=fast
+    )
     correlation, angle = surfaces.compared(depth, got.depth)
     assert correlation > 0.98 and angle < 6 and (got.confidence > 0.5).mean() > 0.7
 
 
 def test_steps_end_where_scipy_ends(fast):
-    """L-BFGS-B on the same objective and gradient, 16 x 16 under a sky: neither finds a surface that is better by more than a hundredth of the start's objective."""
+    """L-BFGS-B on the same objective and gradient, 16 x 16 under a sky: neither finds a surface that is
+    better by more than a hundredth of the start's objective.
+    """
     image = surfaces.pair("fractal", "sky", 16)[1]
-    pyramid = Pyramid(select(fast), [image], [sl.Sky()], np.array(ALBEDO), "dark", np.full(image.shape, 1e-3), np.full(image.shape, 16.0))
+    pyramid = Pyramid(
+        select(fast),
+        [image],
+        [sl.Sky()],
+        np.array(ALBEDO),
+        "dark",
+        np.full(image.shape, 1e-3),
+        np.full(image.shape, 16.0),
+    )
     problem, start, weight = pyramid.problem(0), np.full(image.shape, 8.0), 1e-3
 
     def objective(z):
@@ -152,21 +222,39 @@ def test_steps_end_where_scipy_ends(fast):
         problem.gradient(weight)
         return value, -problem.backend.download(problem.r[0]).astype(float)
 
-    theirs = minimize(objective, start.ravel(), jac=True, method="L-BFGS-B", bounds=[(1e-3, 16.0)] * start.size, options={"maxiter": 500})
+    theirs = minimize(
+        objective,
+        start.ravel(),
+        jac=True,
+        method="L-BFGS-B",
+        bounds=[(1e-3, 16.0)] * start.size,
+        options={"maxiter": 500},
+    )
     ours = problem.run(start, weight, 50, 300, 0.003, 1e-6)[1]
     assert abs(ours - theirs.fun) < 0.01 * problem.value(start, weight)
 
 
-@pytest.mark.parametrize(("what", "most", "carving"), [("noise 1 %", 0.5, 5), ("noise 3 %", 0.5, 5), ("8 bits", 1.5, 20), ("albedo 5 %", 1.5, 5)])
+@pytest.mark.parametrize(
+    ("what", "most", "carving"),
+    [("noise 1 %", 0.5, 5), ("noise 3 %", 0.5, 5), ("8 bits", 1.5, 20), ("albedo 5 %", 1.5, 5)],
+)
 def test_stable_where_carving_is_not(fast, what, most, carving):
     """Change of depth by change of image, both as shares of their range: small, where carving multiplies it."""
     depth, image = surfaces.pair("bumps", "sky")
     noise = np.random.default_rng(7).normal(size=image.shape)
-    other = {"noise 1 %": lambda: image + 0.01 * image.max() * noise, "noise 3 %": lambda: np.maximum(image + 0.03 * image.max() * noise, 0),
-             "8 bits": lambda: np.rint(image / image.max() * 255) / 255 * image.max(), "albedo 5 %": lambda: 1.05 * image}[what]()  # fmt: skip
+    other = {
+        "noise 1 %": lambda: image + 0.01 * image.max() * noise,
+        "noise 3 %": lambda: np.maximum(image + 0.03 * image.max() * noise, 0),
+        # fmt: skip
+        "8 bits": lambda: np.rint(image / image.max() * 255) / 255 * image.max(),
+        "albedo 5 %": lambda: 1.05 * image,
+    }[what]()
     robust = sl.recover(other, sl.Sky(), ALBEDO, "dark", backend=fast)
     assert _amplification(robust.depth, image, other, found("bumps", "sky", fast, 64).depth) < most
-    clean, again = (sl.recover(picture, sl.Sky(), ALBEDO, "dark", method="paper", backend=fast).depth for picture in (image, other))
+    clean, again = (
+        sl.recover(picture, sl.Sky(), ALBEDO, "dark", method="paper", backend=fast).depth
+        for picture in (image, other)
+    )
     assert _amplification(again, image, other, clean) > carving
 
 
@@ -177,10 +265,19 @@ def test_nothing_is_drilled(fast):
 
 
 def test_a_second_image_settles_a_spotlight(fast):
-    """Spotlight alone: wrong by many layers, and its wrong pixels are marked. With the sky's image beside it, right."""
+    """Spotlight alone: wrong by many layers, and its wrong pixels are marked. With the sky's image beside it,
+    right.
+    """
     depth, image = pair("egg-crate", "spot")
     alone = found("egg-crate", "spot", fast, SMALL)
-    both = sl.recover([image, pair("egg-crate", "sky")[1]], [source_of("spot"), sl.Sky()], ALBEDO, "dark", layers=32, backend=fast)
+    both = sl.recover(
+        [image, pair("egg-crate", "sky")[1]],
+        [source_of("spot"), sl.Sky()],
+        ALBEDO,
+        "dark",
+        layers=32,
+        backend=fast,
+    )
     assert rms(both.depth - depth) < min(1.0, rms(alone.depth - depth) + 0.1)
 
 
@@ -190,7 +287,11 @@ def both_lit(name, kinds, backend, brighter=1.0):
     y, x = np.indices((SMALL, SMALL)) // 4
     albedo = np.where((x + y) % 2, 0.7, 0.3)
     images = [brighter * pair(name, kind)[1] * albedo / ALBEDO for kind in kinds]
-    return pair(name, kinds[0])[0], albedo, sl.recover(images, [source_of(kind) for kind in kinds], None, "dark", layers=LAYERS, backend=backend)
+    return (
+        pair(name, kinds[0])[0],
+        albedo,
+        sl.recover(images, [source_of(kind) for kind in kinds], None, "dark", layers=LAYERS, backend=backend),
+    )
 
 
 @pytest.mark.parametrize("name", SURFACES)
@@ -203,12 +304,16 @@ def test_two_images_tell_the_albedo(fast, name):
 
 def test_an_albedo_in_any_unit(fast):
     """Images 50 times as bright: the albedo is 50 times as large, and depth the same."""
-    (depth, albedo, got), (*_, other) = (both_lit("fractal", ("sky", "lamp"), fast, brighter) for brighter in (1.0, 50.0))
+    (depth, albedo, got), (*_, other) = (
+        both_lit("fractal", ("sky", "lamp"), fast, brighter) for brighter in (1.0, 50.0)
+    )
     assert rms(got.depth - other.depth) < 0.02 and rms(other.albedo / 50 - got.albedo) < 0.01
 
 
 def test_an_albedo_that_two_images_do_not_tell_is_not_trusted(fast):
-    """Two skies say little of it: what is wrong by more than a layer is marked, what is trusted is far better than the rest, and a warning says why."""
+    """Two skies say little of it: what is wrong by more than a layer is marked, what is trusted is far better
+    than the rest, and a warning says why.
+    """
     depth, _, got = both_lit("bumps", ("sky", "sun"), fast)
     off = np.abs(got.depth - depth)
     assert (off > 1).mean() > 0.2
@@ -218,7 +323,11 @@ def test_an_albedo_that_two_images_do_not_tell_is_not_trusted(fast):
 
 
 def test_one_image_cannot_tell_the_albedo():
-    for more in ({"image": np.ones((8, 8)), "source": sl.Sky()}, {"image": [np.ones((8, 8))], "source": [sl.Sky()]}, {"image": np.ones((8, 8)), "source": sl.Sky(), "method": "paper"}):
+    for more in (
+        {"image": np.ones((8, 8)), "source": sl.Sky()},
+        {"image": [np.ones((8, 8))], "source": [sl.Sky()]},
+        {"image": np.ones((8, 8)), "source": sl.Sky(), "method": "paper"},
+    ):
         with pytest.raises(sl.InputError, match="several images"):
             sl.recover(albedo=None, sides="dark", backend="numpy", **more)
 
@@ -226,8 +335,21 @@ def test_one_image_cannot_tell_the_albedo():
 def test_a_prior_is_kept_and_helps(fast):
     """near and far, as maps: depth lies between them, and nearer to the truth."""
     depth, image = pair("egg-crate", "spot")
-    got = sl.recover(image, source_of("spot"), ALBEDO, "dark", near=np.maximum(depth - 3, 0), far=depth + 3, layers=32, backend=fast)
-    assert (got.depth >= depth - 3.001).all() and (got.depth <= depth + 3.001).all() and rms(got.depth - depth) < 1.0
+    got = sl.recover(
+        image,
+        source_of("spot"),
+        ALBEDO,
+        "dark",
+        near=np.maximum(depth - 3, 0),
+        far=depth + 3,
+        layers=32,
+        backend=fast,
+    )
+    assert (
+        (got.depth >= depth - 3.001).all()
+        and (got.depth <= depth + 3.001).all()
+        and rms(got.depth - depth) < 1.0
+    )
 
 
 def test_all_backends_find_the_same_depth(backend):
@@ -248,25 +370,39 @@ def test_spacing_is_a_unit(fast):
     np.testing.assert_allclose(got.depth, 2 * found("bumps", "lamp", fast, SMALL).depth, atol=1e-3)
 
 
-SHINE = {"sky": sl.Sky, "lamp": lambda k: sl.Lamp((20, 10, -12), 5, k), "window": lambda k: sl.Window((4, 28), (4, 28), k),
-         "rectangle": lambda k: sl.Lamp(corner=(5, 5, -9), edges=((12, 0, 0), (0, 9, 0)), brightness=k)}  # fmt: skip
+SHINE = {
+    "sky": sl.Sky,
+    "lamp": lambda k: sl.Lamp((20, 10, -12), 5, k),
+    "window": lambda k: sl.Window((4, 28), (4, 28), k),
+    # fmt: skip
+    "rectangle": lambda k: sl.Lamp(corner=(5, 5, -9), edges=((12, 0, 0), (0, 9, 0)), brightness=k),
+}
 
 
 @functools.cache
 def lit_by(kind, backend):
     """Image (32, 32) float64 of waves under a source of brightness 1."""
     y, x = np.mgrid[:32, :32]
-    return sl.render(sl.Scene(8 + 6 * np.sin(x / 5 + np.sin(y / 7)) ** 2, albedo=0.3, sides="dark"), SHINE[kind](1.0), method="horizon", backend=backend).image.astype(float)
+    return sl.render(
+        sl.Scene(8 + 6 * np.sin(x / 5 + np.sin(y / 7)) ** 2, albedo=0.3, sides="dark"),
+        SHINE[kind](1.0),
+        method="horizon",
+        backend=backend,
+    ).image.astype(float)
 
 
 @functools.cache
 def under(kind, backend, k=1.0, **more):
-    return sl.recover(k * lit_by(kind, backend), SHINE[kind](k), 0.3, "dark", layers=32, backend=backend, **more)
+    return sl.recover(
+        k * lit_by(kind, backend), SHINE[kind](k), 0.3, "dark", layers=32, backend=backend, **more
+    )
 
 
 @pytest.mark.parametrize("kind", SHINE)
 def test_light_so_many_times_as_strong(fast, kind):
-    """A brightness that is a number: depth, confidence and warnings are those of brightness 1, and the residual is in the image's unit."""
+    """A brightness that is a number: depth, confidence and warnings are those of brightness 1, and the
+    residual is in the image's unit.
+    """
     one = under(kind, fast)
     for k in (0.5, 2.0, 100.0):
         got = under(kind, fast, k)
@@ -279,12 +415,24 @@ def test_light_so_many_times_as_strong(fast, kind):
 
 def test_carving_under_light_so_many_times_as_strong(fast):
     for k in (0.5, 100.0):
-        np.testing.assert_array_equal(under("sky", fast, k, method="paper").depth, under("sky", fast, method="paper").depth)
+        np.testing.assert_array_equal(
+            under("sky", fast, k, method="paper").depth, under("sky", fast, method="paper").depth
+        )
 
 
 def test_two_lights_of_different_strength(fast):
     """Each image in the unit of its own source: the same depth, and the same albedo, which is not known."""
-    got = [sl.recover([k * lit_by("sky", fast), l * lit_by("lamp", fast)], [SHINE["sky"](k), SHINE["lamp"](l)], None, "dark", layers=32, backend=fast) for k, l in ((1.0, 1.0), (100.0, 0.25))]
+    got = [
+        sl.recover(
+            [k * lit_by("sky", fast), l * lit_by("lamp", fast)],
+            [SHINE["sky"](k), SHINE["lamp"](l)],
+            None,
+            "dark",
+            layers=32,
+            backend=fast,
+        )
+        for k, l in ((1.0, 1.0), (100.0, 0.25))
+    ]
     np.testing.assert_allclose(got[1].depth, got[0].depth, atol=1e-3)
     np.testing.assert_allclose(got[1].albedo, got[0].albedo, atol=1e-4)
     assert abs(got[0].albedo.mean() - 0.3) < 0.05
@@ -298,7 +446,9 @@ def test_nothing_is_recovered_from_darkness(kind, method):
 
 
 def test_wrong_sides_are_suspected(fast):
-    """An image from a dark box, taken to be open: the walls' shade has no other cause, and a warning says so; with the right sides none does."""
+    """An image from a dark box, taken to be open: the walls' shade has no other cause, and a warning says so;
+    with the right sides none does.
+    """
     image = pair("bumps", "sky")[1]
     wrong = sl.recover(image, sl.Sky(), ALBEDO, "open", layers=32, backend=fast).warnings
     assert any("ill-posed" in warning for warning in wrong)
@@ -310,7 +460,15 @@ def test_wrong_sides_are_suspected(fast):
 def test_a_small_lamp_is_named(fast):
     """Smaller than a node of the coarsest grid at the deepest depth."""
     image = pair("plane", "lamp")[1]
-    got = sl.recover(image, sl.Lamp(center=(15.5, 15.5, -3), radius=0.5), ALBEDO, "dark", layers=32, max_seconds=1.0, backend=fast)
+    got = sl.recover(
+        image,
+        sl.Lamp(center=(15.5, 15.5, -3), radius=0.5),
+        ALBEDO,
+        "dark",
+        layers=32,
+        max_seconds=1.0,
+        backend=fast,
+    )
     assert any("Small lamp" in warning for warning in got.warnings)
 
 
@@ -319,12 +477,17 @@ def test_time_is_kept_and_the_best_so_far_is_given(fast):
     depth, image = pair("bumps", "sky")
     found("bumps", "sky", fast, SMALL)  # compiled before
     got = sl.recover(image, sl.Sky(), ALBEDO, "dark", layers=LAYERS, max_seconds=0.01, backend=fast)
-    assert got.depth.shape == depth.shape and np.isfinite(got.depth).all() and any("Out of time" in warning for warning in got.warnings)
+    assert (
+        got.depth.shape == depth.shape
+        and np.isfinite(got.depth).all()
+        and any("Out of time" in warning for warning in got.warnings)
+    )
 
 
 def test_time_may_end_anywhere(fast, monkeypatch):
-    """A clock that goes on by a second whenever it is asked ends the search in every part of it: a whole surface each time, and none that is
-    worse than a flat one."""
+    """A clock that goes on by a second whenever it is asked ends the search in every part of it: a whole
+    surface each time, and none that is worse than a flat one.
+    """
     depth, image = surfaces.pair("egg-crate", "sky")
     recover = importlib.import_module("skylamp.inverse.recover")
     cut = 0
@@ -350,11 +513,17 @@ def test_an_interrupt_gives_the_best_so_far(fast):
 
     got = sl.recover(image, sl.Sky(), ALBEDO, "dark", layers=LAYERS, backend=fast, progress=progress)
     assert calls == [(1, 2)] and len(got.levels) == 1
-    assert got.depth.shape == depth.shape and rms(got.depth - depth) < 8 and any("Interrupted" in warning for warning in got.warnings)
+    assert (
+        got.depth.shape == depth.shape
+        and rms(got.depth - depth) < 8
+        and any("Interrupted" in warning for warning in got.warnings)
+    )
 
 
 def test_an_interrupted_cycle_leaves_the_targets_as_they_were(fast):
-    """Ctrl-C while a coarse grid works for a finer one: what is done with that grid afterwards is about its own image again."""
+    """Ctrl-C while a coarse grid works for a finer one: what is done with that grid afterwards is about its
+    own image again.
+    """
     pyramid, calls = _pyramid(fast, surfaces.pair("fractal", "sky", 96)[1], "sky"), itertools.count()
 
     def stop():
@@ -371,16 +540,23 @@ def test_an_interrupted_cycle_leaves_the_targets_as_they_were(fast):
 
 
 def test_levels_and_their_residuals(fast, caplog):
-    """Every grid is told of, coarse to fine, with its residual, in the result and to the log; what the residual says is true."""
+    """Every grid is told of, coarse to fine, with its residual, in the result and to the log; what the
+    residual says is true.
+    """
     with caplog.at_level(logging.INFO, "skylamp"):
         depth, image = pair("fractal", "lamp")
         got = sl.recover(image, source_of("lamp"), ALBEDO, "dark", layers=32, backend=fast)
     shapes = [level.shape for level in got.levels]
     assert shapes == [(16, 16), (32, 32)], "each once, as it was left"
     told = [record.getMessage() for record in caplog.records]
-    assert [any(text.startswith(f"{rows} x {cols}: ") for text in told) for rows, cols in shapes] == [True, True]
+    assert [any(text.startswith(f"{rows} x {cols}: ") for text in told) for rows, cols in shapes] == [
+        True,
+        True,
+    ]
     assert got.levels[-1].residual == pytest.approx(rms(got.residual) / rms(image), rel=0.05)
-    assert got.confidence.shape == got.ambiguous.shape == depth.shape and got.candidates.shape[1:] == depth.shape
+    assert (
+        got.confidence.shape == got.ambiguous.shape == depth.shape and got.candidates.shape[1:] == depth.shape
+    )
     np.testing.assert_array_equal(got.candidates[0], got.depth)
     assert 0 <= got.confidence.min() and got.confidence.max() <= 1
 
@@ -395,7 +571,9 @@ def test_levels_and_their_residuals(fast, caplog):
 ])  # fmt: skip
 def test_bad_arguments(arguments, says):
     with pytest.raises(sl.InputError, match=says):
-        sl.recover(**{"image": np.ones((8, 8)), "source": sl.Sky(), "sides": "dark", "backend": "numpy", **arguments})
+        sl.recover(
+            **{"image": np.ones((8, 8)), "source": sl.Sky(), "sides": "dark", "backend": "numpy", **arguments}
+        )
 
 
 def test_surfaces_are_what_they_are_said_to_be():
@@ -403,5 +581,7 @@ def test_surfaces_are_what_they_are_said_to_be():
     for name in SURFACES:
         depth, image = surfaces.pair(name, "sky")
         assert 15 < np.ptp(depth) < 22 and image.min() > 0
-        own = sl.render(sl.Scene(depth, albedo=ALBEDO, sides="dark"), sl.Sky(), method="horizon", azimuths=64).image
+        own = sl.render(
+            sl.Scene(depth, albedo=ALBEDO, sides="dark"), sl.Sky(), method="horizon", azimuths=64
+        ).image
         assert rms(own - image) < 0.03 * rms(image)

@@ -1,4 +1,6 @@
-"""The loop: promises kept on scenes and skies of every kind, what is flat is not swept, refinements, the error map, the same bytes, and every warning."""
+"""The loop: promises kept on scenes and skies of every kind, what is flat is not swept, refinements, the
+error map, the same bytes, and every warning.
+"""
 
 import json
 import os
@@ -11,15 +13,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import scenes
-from compare import assert_bits_equal
-
 import skylamp as sl
+from compare import assert_bits_equal
 from skylamp import oracle, refinement, sources
 from skylamp.backends import select
-from skylamp.sources.solids import Ball, rectangle
 from skylamp.light import unoccluded
 from skylamp.radiometry import polygon_moment
 from skylamp.samples import Errors, Samples, errors
+from skylamp.sources.solids import Ball, rectangle
 
 SIZE = 72
 Y, X = np.mgrid[:SIZE, :SIZE].astype(float)
@@ -34,7 +35,9 @@ SCENES = {
     "metres": sl.Scene(30 * ROUGH, 30.0), "tiny": sl.Scene(ROUGH[:9, :13]),
 }  # fmt: skip
 GLOW = sl.Sky(lambda L: 1 + 5 * np.maximum(0, L @ np.array([0.6, 0.48, -0.64])) ** 6)
-SUN = sl.Sky(lambda L: 1 + 600 * np.exp((L @ np.array([0.6, 0.48, -0.64]) - 1) / 0.001))  # some 3 degrees wide; smooth, for the oracle samples it
+SUN = sl.Sky(
+    lambda L: 1 + 600 * np.exp((L @ np.array([0.6, 0.48, -0.64]) - 1) / 0.001)
+)  # some 3 degrees wide; smooth, for the oracle samples it
 HIGH = sl.Lamp((40, 30, -60), 6)
 LOW = sl.Lamp((20, 50, -6), 3, brightness=sl.cosine_power(2))
 PANEL = sl.Lamp(corner=(20, 22, -15), edges=((18, 0, 0), (0, 12, 0)))
@@ -53,7 +56,16 @@ def truth(scene, source, nodes):
         profile = sources.azimuth_profile(source) if callable(source.brightness) else None
         rays = sl.Azimuths(256) if profile is None else sl.Azimuths.placed(512, profile)
         horizon = oracle.horizons(depth, scene.spacing, rays.angles, scene.sides, nodes=nodes)
-        return oracle.sky_irradiance(np.nan_to_num(depth), scene.spacing, valid, rays.angles, rays.widths, horizon, source.brightness if callable(source.brightness) else None, nodes)
+        return oracle.sky_irradiance(
+            np.nan_to_num(depth),
+            scene.spacing,
+            valid,
+            rays.angles,
+            rays.widths,
+            horizon,
+            source.brightness if callable(source.brightness) else None,
+            nodes,
+        )
     if isinstance(source, sl.Window):
         return oracle.window_irradiance(depth, scene.spacing, valid, source, nodes, 4096, sides=scene.sides)
     lamp = source if source.center is not None else (source.corner, *source.edges, source.brightness)
@@ -65,7 +77,9 @@ def launched(monkeypatch, fast):
     """The stems of all kernels that are launched on the fast backend."""
     engine, stems = select(fast), []
     before = engine.launch
-    monkeypatch.setattr(engine, "launch", lambda stem, *args, **more: (stems.append(stem), before(stem, *args, **more))[1])
+    monkeypatch.setattr(
+        engine, "launch", lambda stem, *args, **more: (stems.append(stem), before(stem, *args, **more))[1]
+    )
     return stems
 
 
@@ -78,14 +92,22 @@ def rms(image, exact, lit=None):
 
 def said(out):
     """By how much a rendering says that it is off, 0 if it says nothing."""
-    return max([float(re.search(r"estimated to be ([\d.e+-]+) % off", w)[1]) / 100 for w in out.warnings if w.startswith("Tolerance:")], default=0.0)
+    return max(
+        [
+            float(re.search(r"estimated to be ([\d.e+-]+) % off", w)[1]) / 100
+            for w in out.warnings
+            if w.startswith("Tolerance:")
+        ],
+        default=0.0,
+    )
 
 
 def irradiance(scene, source, fast, *args, **more):
     return sl.render(scene, source, *args, backend=fast, quantity="irradiance", **more)
 
 
-# -- promises --------------------------------------------------------------------------------------------------------------------
+# -- promises
+# --------------------------------------------------------------------------------------------------------------------
 
 
 def named(value):
@@ -101,7 +123,9 @@ def test_tolerances_are_kept(fast, name, source):
     """Against the oracle at nodes that no plan has seen; a plan's word and the audit agree."""
     scene = SCENES[name]
     nodes = some_nodes(scene, 150)
-    exact = truth(scene, source, nodes) * (source.brightness if isinstance(source, sl.Sky) and not callable(source.brightness) else 1)
+    exact = truth(scene, source, nodes) * (
+        source.brightness if isinstance(source, sl.Sky) and not callable(source.brightness) else 1
+    )
     for tolerance in (0.03, 0.006):
         out = sl.render(scene, source, tolerance=tolerance, backend=fast, quantity="irradiance")
         error = errors(out.image[nodes].astype(float), exact).rms
@@ -114,18 +138,43 @@ def test_tolerances_are_kept(fast, name, source):
 def test_a_tighter_tolerance_or_tail_takes_more(fast):
     """More azimuths, a smaller error, and a reason that names it; a tail alone can ask for more."""
     plans = [sl.plan(SCENES["rough"], sl.Sky(), t, fast) for t in (0.0115, 0.004, 0.001)]
-    assert plans[0].azimuths < plans[1].azimuths < plans[2].azimuths and plans[0].error > plans[1].error > plans[2].error
+    assert (
+        plans[0].azimuths < plans[1].azimuths < plans[2].azimuths
+        and plans[0].error > plans[1].error > plans[2].error
+    )
     assert all(p.error <= p.tolerance and p.error_tail <= p.tail for p in plans)
     assert sl.plan(SCENES["rough"], sl.Sky(), 0.0115, fast, tail=0.01).azimuths > plans[0].azimuths
     text = str(plans[1])
-    assert f"{plans[1].azimuths} evenly" in text and "precision" in text and "99.9th percentile" in text and plans[1].line.startswith("horizon, ")
-    assert {c.what for c in plans[1].choices} == {"occlusion", "brightness", "azimuths", "search radius", "method", "specular lobe", "precision", "error", "99.9th percentile"}
-    assert plans[1].seconds is None and plans[1].planning_seconds > 0 and not plans[1].steps and plans[1].measured is None
+    assert (
+        f"{plans[1].azimuths} evenly" in text
+        and "precision" in text
+        and "99.9th percentile" in text
+        and plans[1].line.startswith("horizon, ")
+    )
+    assert {c.what for c in plans[1].choices} == {
+        "occlusion",
+        "brightness",
+        "azimuths",
+        "search radius",
+        "method",
+        "specular lobe",
+        "precision",
+        "error",
+        "99.9th percentile",
+    }
+    assert (
+        plans[1].seconds is None
+        and plans[1].planning_seconds > 0
+        and not plans[1].steps
+        and plans[1].measured is None
+    )
 
 
 @pytest.mark.parametrize("elevation", [12, 70, 89.9])
 def test_a_sun_of_its_real_size_brings_all_its_light(fast, elevation):
-    """On open level ground, also near the zenith, where no azimuth stands out; among houses see tests/test_slices.py."""
+    """On open level ground, also near the zenith, where no azimuth stands out; among houses see
+    tests/test_slices.py.
+    """
     e, r = np.radians((elevation, 0.2665))
     axis = np.array([np.cos(e) * np.cos(1.0), np.cos(e) * np.sin(1.0), -np.sin(e)])
     sun = sl.Sky(lambda L: 1 + 2e4 * (L @ axis >= np.cos(r)))
@@ -143,7 +192,8 @@ def test_a_map_that_repeats_is_not_searched_farther_than_need_be(fast):
     assert errors(out.image[nodes].astype(float), truth(scene, sl.Sky(), nodes)).rms < 0.03
 
 
-# -- no more model than the scene needs ----------------------------------------------------------------------------------------
+# -- no more model than the scene needs
+# ----------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(("name", "source"), [
@@ -155,14 +205,18 @@ def test_what_nothing_hides_is_not_swept(fast, launched, name, source):
     out = sl.render(scene, source, backend=fast, quantity="irradiance")
     assert set(launched) <= {"pilot"} and out.plan.method == "unoccluded" and "none" in str(out.plan)
     nodes = some_nodes(scene, 40)
-    exact = truth(scene, source, nodes) * (source.brightness if isinstance(source, sl.Sky) and not callable(source.brightness) else 1)
+    exact = truth(scene, source, nodes) * (
+        source.brightness if isinstance(source, sl.Sky) and not callable(source.brightness) else 1
+    )
     assert errors(out.image[nodes].astype(float), exact).rms < 0.01
 
 
 def test_a_clear_lamp_over_gentle_ground_launches_nothing_that_looks_for_shadows(fast, launched):
     """Every node looks at the lamp, so nothing can hide it; under a sky rough ground is swept."""
     scene = sl.Scene(20 + scenes.rough(SIZE, SIZE, 0.08, 6, 2.2))
-    assert sl.render(scene, sl.Lamp((36, 36, -50), 4), tolerance=0.01, backend=fast).plan.method == "unoccluded"
+    assert (
+        sl.render(scene, sl.Lamp((36, 36, -50), 4), tolerance=0.01, backend=fast).plan.method == "unoccluded"
+    )
     assert set(launched) <= {"pilot"}
     sl.render(sl.Scene(ROUGH), sl.Sky(), backend=fast)
     assert set(launched) <= {"pilot", "ground", "horizon", "scan"} and "horizon" in launched
@@ -189,13 +243,18 @@ def test_thin_shadows_are_not_overlooked(fast, scene, lamp):
 def test_a_spotlight_over_holes_has_a_closed_form(fast):
     """Its brightness is asked in no direction from what is not there."""
     spot = sl.Lamp((36, 30, -60), 4, brightness=sl.cosine_power(6))
-    whole, holed = (sl.render(scene, spot, "unoccluded", backend=fast, quantity="irradiance").image for scene in (sl.Scene(0.1 * X + 20), sl.Scene(np.where(HOLES, 0.1 * X + 20, np.nan), mask=HOLES)))
+    whole, holed = (
+        sl.render(scene, spot, "unoccluded", backend=fast, quantity="irradiance").image
+        for scene in (sl.Scene(0.1 * X + 20), sl.Scene(np.where(HOLES, 0.1 * X + 20, np.nan), mask=HOLES))
+    )
     np.testing.assert_allclose(holed[HOLES], whole[HOLES], rtol=1e-4)
     assert np.isnan(holed[~HOLES]).all()
 
 
 def test_a_spike_on_a_plain_is_not_overlooked(fast):
-    """Ground that is flat but for one tall node in each quarter is not taken for flat under a lamp at its side."""
+    """Ground that is flat but for one tall node in each quarter is not taken for flat under a lamp at its
+    side.
+    """
     depth = np.full((SIZE, SIZE), 30.0)
     depth[18::36, 18::36] = 0
     assert sl.plan(sl.Scene(depth), sl.Lamp((-40, 36, 5), 3), backend=fast).method == "horizon"
@@ -213,7 +272,9 @@ def test_a_trench_in_a_plain_is_not_overlooked(fast):
 
 
 def test_a_bowl_in_a_plain_needs_no_sweep(fast, launched):
-    """It hides what the tolerance allows, which few samples would not know: closed forms, and within tolerance over all of the map."""
+    """It hides what the tolerance allows, which few samples would not know: closed forms, and within
+    tolerance over all of the map.
+    """
     y, x = np.mgrid[:600, :600]
     scene = sl.Scene(20 - np.minimum(20, 0.02 * np.hypot(x - 300, y - 300) ** 2))
     out = sl.render(scene, sl.Sky(), tolerance=0.03, backend=fast, quantity="irradiance")
@@ -225,24 +286,42 @@ def test_a_bowl_in_a_plain_needs_no_sweep(fast, launched):
 
 
 def test_unoccluded_closed_forms(fast):
-    """Asked for by name: a tilted plane's view factor, Lambert's polygon, and balls that the tangent plane cuts."""
+    """Asked for by name: a tilted plane's view factor, Lambert's polygon, and balls that the tangent plane
+    cuts.
+    """
     tilted = sl.render(SCENES["ramp"], sl.Sky(2.0), "unoccluded", quantity="irradiance", backend=fast).image
     np.testing.assert_allclose(tilted, np.pi * (1 + 1 / np.sqrt(1.45)), rtol=1e-5)
-    by_table = sl.render(SCENES["ramp"], sl.Sky(sl.uniform(2.0)), "unoccluded", quantity="irradiance", backend=fast).image
+    by_table = sl.render(
+        SCENES["ramp"], sl.Sky(sl.uniform(2.0)), "unoccluded", quantity="irradiance", backend=fast
+    ).image
     np.testing.assert_allclose(by_table, tilted, rtol=3e-3)
     window = sl.render(SCENES["flat"], WINDOW, "unoccluded", quantity="irradiance", backend=fast).image
-    corners = np.stack([np.stack([u - X, v - Y, np.full(X.shape, -5.0)], -1) for u, v in ((20.3, 12), (45.1, 12), (45.1, 50.7), (20.3, 50.7))], -2)
+    corners = np.stack(
+        [
+            np.stack([u - X, v - Y, np.full(X.shape, -5.0)], -1)
+            for u, v in ((20.3, 12), (45.1, 12), (45.1, 50.7), (20.3, 50.7))
+        ],
+        -2,
+    )
     np.testing.assert_allclose(window, -polygon_moment(corners)[..., 2], rtol=2e-3, atol=1e-4)
     samples = Samples(select(fast), SCENES["rough"], 200)
     ball = Ball((40.0, 30.0, 10.0), 8.0)
-    found = unoccluded.lamp(samples.gx, samples.gy, samples.x, samples.y, samples.own.astype(float), ball, 1.0)
+    found = unoccluded.lamp(
+        samples.gx, samples.gy, samples.x, samples.y, samples.own.astype(float), ball, 1.0
+    )
     wanted = samples.through_slices(ball, 1.0, 512, occluded=False)
-    cut = np.abs(found - np.pi * 64 / ((samples.x - 40) ** 2 + (samples.y - 30) ** 2 + (samples.own - 10.0) ** 2)) > 1e-6
+    cut = (
+        np.abs(
+            found - np.pi * 64 / ((samples.x - 40) ** 2 + (samples.y - 30) ** 2 + (samples.own - 10.0) ** 2)
+        )
+        > 1e-6
+    )
     np.testing.assert_allclose(found, wanted, atol=2e-3 * wanted.max())
     assert cut.any() and rectangle((0, 0, 0), (1, 0, 0), (0, 1, 0)).corners.shape == (4, 3)
 
 
-# -- suns ------------------------------------------------------------------------------------------------------------------------
+# -- suns
+# ------------------------------------------------------------------------------------------------------------------------
 
 
 def within_cone(axis, radius, rings=12, spokes=24):
@@ -269,13 +348,23 @@ def under(samples, base, discs):
         L, angle = within_cone(axis, radius)
         azimuth, e = np.arctan2(L[:, 1], L[:, 0]), np.arcsin(-L[:, 2])
         facing = (L[:, :1] * samples.gx + L[:, 1:2] * samples.gy - L[:, 2:]) / samples.length
-        total += light * angle * (np.maximum(0, facing) * (np.tan(e)[:, None] >= samples.horizons(azimuth))).sum(0)
+        total += (
+            light * angle * (np.maximum(0, facing) * (np.tan(e)[:, None] >= samples.horizons(azimuth))).sum(0)
+        )
     return total
 
 
 @pytest.mark.parametrize("name", ["rough", "houses"])
-@pytest.mark.parametrize("discs", [[(towards(18, 70), 0.27, 2.0), (towards(235, 26), 0.27, 2.0)], [(towards(100, 40), 2.0, 2.5), (towards(290, 12), 0.6, 3.0)],
-                                   [(towards(50 * n, 15 + 10 * n), 0.3, 0.8) for n in range(5)]], ids=["two alike", "large and low", "five"])  # fmt: skip
+@pytest.mark.parametrize(
+    "discs",
+    [
+        [(towards(18, 70), 0.27, 2.0), (towards(235, 26), 0.27, 2.0)],
+        [(towards(100, 40), 2.0, 2.5), (towards(290, 12), 0.6, 3.0)],
+        # fmt: skip
+        [(towards(50 * n, 15 + 10 * n), 0.3, 0.8) for n in range(5)],
+    ],
+    ids=["two alike", "large and low", "five"],
+)
 def test_suns_over_ground_that_hides_them(fast, name, discs):
     """Against every direction of every disc, at nodes that no plan has seen, and a sky that is the rest."""
     discs = [(u, np.radians(r), flux / (np.pi * np.sin(np.radians(r)) ** 2)) for u, r, flux in discs]
@@ -284,10 +373,14 @@ def test_suns_over_ground_that_hides_them(fast, name, discs):
     exact = under(samples, 0.6, discs)
     for tolerance in (0.01, 0.003):
         out = irradiance(SCENES[name], sky, fast, tolerance=tolerance)
-        assert errors(samples.of(out.image), exact).rms <= 1.15 * max(tolerance, said(out)) and said(out) <= 1.2 * tolerance, out.plan.steps  # shadows of walls: a share that no azimuths mend
+        assert (
+            errors(samples.of(out.image), exact).rms <= 1.15 * max(tolerance, said(out))
+            and said(out) <= 1.2 * tolerance
+        ), out.plan.steps  # shadows of walls: a share that no azimuths mend
 
 
-# -- lamps and windows whose brightness varies -----------------------------------------------------------------------------------
+# -- lamps and windows whose brightness varies
+# -----------------------------------------------------------------------------------
 
 
 def through(samples, points, areas, normal, brightness):
@@ -348,7 +441,9 @@ def test_spotlights_over_ground_that_hides_them(fast, power, radius):
     nodes = nodes[0][pick], nodes[1][pick]
     exact = oracle.lamp_irradiance(SMALL, 1.0, scene.valid, spot, nodes, 4096 if radius == 5 else 1024)
     out = irradiance(scene, spot, fast, tolerance=0.01)
-    off = np.sqrt(np.mean((out.image[nodes] - exact) ** 2)) / exact.mean()  # where the beam is: the mean over all nodes is far less
+    off = (
+        np.sqrt(np.mean((out.image[nodes] - exact) ** 2)) / exact.mean()
+    )  # where the beam is: the mean over all nodes is far less
     assert off <= 0.02 or said(out) and off <= said(out), (off, out.plan.steps, out.warnings)
 
 
@@ -358,7 +453,14 @@ def test_a_sun_through_a_window_lights_a_patch(fast, radius):
     s = np.array([0.4, 0.3, -0.866]) / np.linalg.norm([0.4, 0.3, -0.866])
     r = np.radians(radius)
     y, x = np.mgrid[:96, :96]
-    image = irradiance(sl.Scene(np.full((96, 96), 20.0), sides="dark"), sl.Window((30, 66), (30, 66), lambda L: (L @ s > np.cos(r)) / (np.pi * np.sin(r) ** 2)), fast).image / -s[2]
+    image = (
+        irradiance(
+            sl.Scene(np.full((96, 96), 20.0), sides="dark"),
+            sl.Window((30, 66), (30, 66), lambda L: (L @ s > np.cos(r)) / (np.pi * np.sin(r) ** 2)),
+            fast,
+        ).image
+        / -s[2]
+    )
     at_x, at_y, reach = x - 20 * s[0] / s[2], y - 20 * s[1] / s[2], 20 * np.tan(2 * r) / 0.75 + 1
     inside = (at_x > 30 + reach) & (at_x < 66 - reach) & (at_y > 30 + reach) & (at_y < 66 - reach)
     outside = (at_x < 30 - reach) | (at_x > 66 + reach) | (at_y < 30 - reach) | (at_y > 66 + reach)
@@ -373,10 +475,19 @@ def test_thin_sources(fast, ground, kind):
     """A slit 1e-4 spacings wide and a tube lamp as thin: their length in points, times their width."""
     depth = SMALL if ground == "rough" else np.full((48, 48), 15.0)
     samples = Samples(select(fast), sl.Scene(depth), 80, 100_003)
-    corner, u, v = ((12.0, 20.3, 0.0), (20.0, 0, 0), (0, 1e-4, 0)) if kind == "slit" else ((12.0, 20.3, -3.0), (20.0, 0, 0), (0, 0.8e-4, 0.6e-4))
-    source = sl.Window((12.0, 32.0), (20.3, 20.3001)) if kind == "slit" else sl.Lamp(corner=corner, edges=(u, v))
+    corner, u, v = (
+        ((12.0, 20.3, 0.0), (20.0, 0, 0), (0, 1e-4, 0))
+        if kind == "slit"
+        else ((12.0, 20.3, -3.0), (20.0, 0, 0), (0, 0.8e-4, 0.6e-4))
+    )
+    source = (
+        sl.Window((12.0, 32.0), (20.3, 20.3001)) if kind == "slit" else sl.Lamp(corner=corner, edges=(u, v))
+    )
     out = irradiance(sl.Scene(depth), source, fast)
-    assert errors(samples.of(out.image), through(samples, *sheet(corner, u, v, 4000, 1), 1.0)).rms <= 0.012 and not out.warnings
+    assert (
+        errors(samples.of(out.image), through(samples, *sheet(corner, u, v, 4000, 1), 1.0)).rms <= 0.012
+        and not out.warnings
+    )
     if ground == "level" and kind == "slit":
         eyes = np.stack([samples.x, samples.y, -samples.own], -1).astype(float)
         corners = np.array([(12, 20.3, 0), (32, 20.3, 0), (32, 20.3001, 0), (12, 20.3001, 0)])
@@ -392,7 +503,8 @@ def test_a_window_over_a_map_that_repeats_returns(fast):
     assert any(re.match(r"Tolerance:.*\d %", w) for w in out.warnings) and out.plan.steps[-1].units == 33
 
 
-# -- the error of every node -----------------------------------------------------------------------------------------------------
+# -- the error of every node
+# -----------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("tolerance", [0.01, 0.003])
@@ -400,7 +512,10 @@ def test_a_window_over_a_map_that_repeats_returns(fast):
 def test_the_error_map_tells_the_error(fast, tolerance, seed):
     """On rough ground: enough nodes within one, two and three times it, and the two alike on the whole."""
     scene = sl.Scene(scenes.rough(SIZE, SIZE, 1.0, seed))
-    out, fine = irradiance(scene, sl.Sky(), fast, tolerance=tolerance), irradiance(scene, sl.Sky(), fast, "horizon", azimuths=512).image
+    out, fine = (
+        irradiance(scene, sl.Sky(), fast, tolerance=tolerance),
+        irradiance(scene, sl.Sky(), fast, "horizon", azimuths=512).image,
+    )
     off = np.abs(out.image - fine)
     shares = [(off <= k * out.error).mean() for k in (1, 2, 3)]
     assert shares[0] >= 0.70 and shares[1] >= 0.93 and shares[2] >= 0.98, shares
@@ -411,21 +526,36 @@ def test_the_error_map_has_the_images_shape_and_unit(fast):
     """Radiance and irradiance, colour, masks; none where no tolerance was asked."""
     albedo = np.array([0.2, 0.4, 0.8])
     scene = sl.Scene(SCENES["holes"].depth, mask=HOLES, albedo=0.3)
-    light, shine = (sl.render(scene, sl.Sky(2.0), backend=fast, quantity=q) for q in ("irradiance", "radiance"))
+    light, shine = (
+        sl.render(scene, sl.Sky(2.0), backend=fast, quantity=q) for q in ("irradiance", "radiance")
+    )
     assert light.error.shape == light.image.shape and light.error.dtype == np.float32
     np.testing.assert_allclose(shine.error[HOLES], light.error[HOLES] * 0.3 / np.pi, rtol=1e-5)
     assert np.isnan(light.error[~HOLES]).all() and (light.error[HOLES] > 0).all()
-    np.testing.assert_allclose(light.error[HOLES], 2 * irradiance(scene, sl.Sky(), fast).error[HOLES], rtol=1e-5)
-    colour = sl.render(sl.Scene(ROUGH, albedo=np.broadcast_to(albedo, (SIZE, SIZE, 3))), sl.Sky((1.0, 2.0, 3.0)), backend=fast)
+    np.testing.assert_allclose(
+        light.error[HOLES], 2 * irradiance(scene, sl.Sky(), fast).error[HOLES], rtol=1e-5
+    )
+    colour = sl.render(
+        sl.Scene(ROUGH, albedo=np.broadcast_to(albedo, (SIZE, SIZE, 3))),
+        sl.Sky((1.0, 2.0, 3.0)),
+        backend=fast,
+    )
     grey = irradiance(SCENES["rough"], sl.Sky(), fast)
     assert colour.error.shape == colour.image.shape == (SIZE, SIZE, 3)
     np.testing.assert_allclose(colour.error, grey.error[..., None] * albedo * [1, 2, 3] / np.pi, rtol=1e-5)
-    for more in ({"method": "horizon"}, {"azimuths": 8}, {"method": "lattice", "hemicube": 5}, {"hemicube": 5}, {"method": "unoccluded"}):
+    for more in (
+        {"method": "horizon"},
+        {"azimuths": 8},
+        {"method": "lattice", "hemicube": 5},
+        {"hemicube": 5},
+        {"method": "unoccluded"},
+    ):
         assert sl.render(SCENES["rough"], sl.Sky(), backend=fast, **more).error is None
     assert sl.render(SCENES["flat"], sl.Sky(), backend=fast).error.max() < 1e-3
 
 
-# -- refinement ------------------------------------------------------------------------------------------------------------------
+# -- refinement
+# ------------------------------------------------------------------------------------------------------------------
 
 
 @pytest.fixture
@@ -446,18 +576,29 @@ def test_a_bad_choice_is_refined(fast, four, source):
     for tolerance in (0.03, 0.006):
         out = irradiance(SCENES["rough"], source, fast, tolerance=tolerance)
         units = [step.units for step in out.plan.steps]
-        assert sorted({*units}) == [4 * 2**n for n in range(len({*units}))] and units == sorted(units)  # the same number again: with more near rows
+        assert sorted({*units}) == [4 * 2**n for n in range(len({*units}))] and units == sorted(
+            units
+        )  # the same number again: with more near rows
         assert len({*units}) >= 2 + (tolerance < 0.01) and out.plan.azimuths == units[-1]
         estimates = [step.estimate for step in out.plan.steps]
-        assert estimates[0] > tolerance >= out.plan.error and out.plan.error in out.plan.steps[-1][1:] and not out.warnings
+        assert (
+            estimates[0] > tolerance >= out.plan.error
+            and out.plan.error in out.plan.steps[-1][1:]
+            and not out.warnings
+        )
         nodes = some_nodes(SCENES["rough"], 150)
-        assert errors(out.image[nodes].astype(float), truth(SCENES["rough"], source, nodes)).rms <= 1.15 * tolerance
+        assert (
+            errors(out.image[nodes].astype(float), truth(SCENES["rough"], source, nodes)).rms
+            <= 1.15 * tolerance
+        )
 
 
 def test_a_tolerance_that_cannot_be_had(fast):
     """The best there is, and a warning with the number."""
     out = irradiance(SCENES["tiny"], sl.Sky(), fast, tolerance=1e-6)
-    assert out.plan.azimuths >= 128 and said(out) == pytest.approx(max(v for v in out.plan.steps[-1][1:] if v is not None), rel=0.05)
+    assert out.plan.azimuths >= 128 and said(out) == pytest.approx(
+        max(v for v in out.plan.steps[-1][1:] if v is not None), rel=0.05
+    )
     nodes = some_nodes(SCENES["tiny"], 100)
     assert errors(out.image[nodes].astype(float), truth(SCENES["tiny"], sl.Sky(), nodes)).rms < 0.01
 
@@ -471,23 +612,42 @@ def test_what_cannot_be_worked_off_is_an_error(fast):
 def test_the_audit_tells_what_halves_share(fast, monkeypatch):
     """An image that is off in both halves alike is found out by the samples, and said so."""
     horizons = refinement.Horizons
-    monkeypatch.setattr(horizons, "irradiance", lambda self, before=horizons.irradiance: before(self) * np.float32(1.05))
+    monkeypatch.setattr(
+        horizons, "irradiance", lambda self, before=horizons.irradiance: before(self) * np.float32(1.05)
+    )
     out = irradiance(SCENES["rough"], sl.Sky(), fast, tolerance=0.01)
-    assert any(w.startswith("Tolerance:") for w in out.warnings) and out.plan.steps[0].audit == pytest.approx(0.05, rel=0.3)
+    assert any(w.startswith("Tolerance:") for w in out.warnings) and out.plan.steps[0].audit == pytest.approx(
+        0.05, rel=0.3
+    )
 
 
-# -- the same bytes --------------------------------------------------------------------------------------------------------------
+# -- the same bytes
+# --------------------------------------------------------------------------------------------------------------
 
 
-CALLS = [("rough", sl.Sky(), 0.01), ("houses", GLOW, 0.01), ("holes", LOW, 0.01), ("dark", WINDOW, 0.02), ("periodic", sl.Sky(), 0.03), ("dome", HIGH, 0.01)]
+CALLS = [
+    ("rough", sl.Sky(), 0.01),
+    ("houses", GLOW, 0.01),
+    ("holes", LOW, 0.01),
+    ("dark", WINDOW, 0.02),
+    ("periodic", sl.Sky(), 0.03),
+    ("dome", HIGH, 0.01),
+]
 
 
 def test_the_same_call_gives_the_same_bytes(fast):
     """Again, after other renders, of a scene that is equal, and while another thread works."""
-    call = lambda name, source, tolerance: irradiance(replace(SCENES[name]), source, fast, tolerance=tolerance)
+    call = lambda name, source, tolerance: irradiance(
+        replace(SCENES[name]), source, fast, tolerance=tolerance
+    )
     first = [call(*given) for given in CALLS]
     stop = threading.Event()
-    busy = threading.Thread(target=lambda: [np.linalg.norm(np.random.default_rng(0).random((300, 300)) @ np.ones((300, 300))) for _ in iter(stop.is_set, True)])
+    busy = threading.Thread(
+        target=lambda: [
+            np.linalg.norm(np.random.default_rng(0).random((300, 300)) @ np.ones((300, 300)))
+            for _ in iter(stop.is_set, True)
+        ]
+    )
     busy.start()
     try:
         for before, given in reversed([*zip(first, CALLS)]):
@@ -502,28 +662,62 @@ def test_the_same_call_gives_the_same_bytes(fast):
 
 def test_the_same_bytes_in_another_process(tmp_path):
     """With an empty folder of caches."""
-    code = ("import sys, numpy as np, skylamp as sl; z = np.load(sys.argv[1]); "
-            "out = sl.render(sl.Scene(z), sl.Sky(sl.cie_clear((30, 40), direct=2.0)), tolerance=0.01, backend='numpy'); np.save(sys.argv[2], out.image); print(out.plan)")
+    code = (
+        "import sys, numpy as np, skylamp as sl; z = np.load(sys.argv[1]); out = sl.render(sl.Scene(z),"
+        " sl.Sky(sl.cie_clear((30, 40), direct=2.0)), tolerance=0.01, backend='numpy'); np.save(sys.argv[2],"
+        " out.image); print(out.plan)"
+    )
     np.save(tmp_path / "z.npy", ROUGH[:40, :40])
-    run = lambda n: subprocess.run([sys.executable, "-c", code, str(tmp_path / "z.npy"), str(tmp_path / f"{n}.npy")], capture_output=True, text=True, timeout=300, check=True,
-                                   env={**os.environ, "XDG_CACHE_HOME": str(tmp_path / f"cache{n}")}).stdout
+    run = lambda n: (
+        subprocess.run(
+            [sys.executable, "-c", code, str(tmp_path / "z.npy"), str(tmp_path / f"{n}.npy")],
+            capture_output=True,
+            text=True,
+            timeout=300,
+            check=True,
+            env={**os.environ, "XDG_CACHE_HOME": str(tmp_path / f"cache{n}")},
+        ).stdout
+    )
     text = run(0)
-    out = sl.render(sl.Scene(ROUGH[:40, :40]), sl.Sky(sl.cie_clear((30, 40), direct=2.0)), tolerance=0.01, backend="numpy")
+    out = sl.render(
+        sl.Scene(ROUGH[:40, :40]), sl.Sky(sl.cie_clear((30, 40), direct=2.0)), tolerance=0.01, backend="numpy"
+    )
     assert_bits_equal(out.image, np.load(tmp_path / "0.npy"))
     assert text.strip() == str(out.plan)
 
 
-@pytest.mark.parametrize(("name", "source", "tolerance"), [*CALLS, ("rough", WINDOW, 0.01), ("houses", sl.Sky(), 0.03), ("flat", SUN, 0.01), ("dark", sl.Sky(sl.cie_overcast()), 0.003)], ids=named)
+@pytest.mark.parametrize(
+    ("name", "source", "tolerance"),
+    [
+        *CALLS,
+        ("rough", WINDOW, 0.01),
+        ("houses", sl.Sky(), 0.03),
+        ("flat", SUN, 0.01),
+        ("dark", sl.Sky(sl.cie_overcast()), 0.003),
+    ],
+    ids=named,
+)
 def test_what_is_planned_is_what_is_done(fast, name, source, tolerance):
     """sl.plan and the render's plan agree line by line; in azimuths too where nothing was refined."""
-    made, out = sl.plan(SCENES[name], source, tolerance, fast), irradiance(SCENES[name], source, fast, tolerance=tolerance)
-    assert made.method == out.plan.method and made.choices == out.plan.choices and made.beyond == out.plan.beyond and made.max_distance == out.plan.max_distance
+    made, out = (
+        sl.plan(SCENES[name], source, tolerance, fast),
+        irradiance(SCENES[name], source, fast, tolerance=tolerance),
+    )
+    assert (
+        made.method == out.plan.method
+        and made.choices == out.plan.choices
+        and made.beyond == out.plan.beyond
+        and made.max_distance == out.plan.max_distance
+    )
     if len(out.plan.steps) == 1:
         assert made.azimuths == out.plan.azimuths
-    assert out.plan.steps[-1].units == (out.plan.azimuths or 0) and out.plan.seconds >= out.plan.planning_seconds
+    assert (
+        out.plan.steps[-1].units == (out.plan.azimuths or 0) and out.plan.seconds >= out.plan.planning_seconds
+    )
 
 
-# -- maps that lie on a device ---------------------------------------------------------------------------------------------------
+# -- maps that lie on a device
+# ---------------------------------------------------------------------------------------------------
 
 
 def on_device(depth):
@@ -533,19 +727,28 @@ def on_device(depth):
 
 
 @pytest.mark.parametrize("name", ["rough", "houses"])
-@pytest.mark.parametrize("source", [sl.Sky(), sl.Sky(sl.cie_overcast()), GLOW], ids=["uniform", "overcast", "glow"])
+@pytest.mark.parametrize(
+    "source", [sl.Sky(), sl.Sky(sl.cie_overcast()), GLOW], ids=["uniform", "overcast", "glow"]
+)
 def test_a_map_on_a_device_obeys_the_tolerance(name, source):
     """As the host's map does, to rounding."""
     depth = SCENES[name].depth
     samples = Samples(select("warp:cpu"), sl.Scene(depth), 300, 100_003)
     exact = samples.exact(source)
     for tolerance in (0.03, 0.006):
-        there, here = (irradiance(scene, source, "warp:cpu", tolerance=tolerance) for scene in (on_device(depth), sl.Scene(depth)))
-        assert errors(samples.of(there.image), exact).rms <= 1.15 * tolerance and there.plan.tail == pytest.approx(10 * tolerance)
+        there, here = (
+            irradiance(scene, source, "warp:cpu", tolerance=tolerance)
+            for scene in (on_device(depth), sl.Scene(depth))
+        )
+        assert errors(
+            samples.of(there.image), exact
+        ).rms <= 1.15 * tolerance and there.plan.tail == pytest.approx(10 * tolerance)
         np.testing.assert_allclose(there.image, here.image, rtol=1e-5, atol=1e-5 * here.image.max())
         assert there.plan.azimuths == here.plan.azimuths
     tight = sl.plan(on_device(depth), source, 0.03, "warp:cpu", tail=0.02)
-    assert tight.azimuths > sl.plan(on_device(depth), source, 0.03, "warp:cpu").azimuths, "a tail counts here too"
+    assert tight.azimuths > sl.plan(on_device(depth), source, 0.03, "warp:cpu").azimuths, (
+        "a tail counts here too"
+    )
 
 
 @pytest.mark.parametrize("name", ["rough", "houses", "flat", "dome"])
@@ -559,32 +762,58 @@ def test_a_map_on_a_device_is_not_fetched(monkeypatch, name):
     assert out.error.shape == out.image.shape and "depth" not in vars(scene)
 
 
-# -- maps that repeat, masks and dark boxes --------------------------------------------------------------------------------------
+# -- maps that repeat, masks and dark boxes
+# --------------------------------------------------------------------------------------
 
 
 SUNNY = sl.Sky(lambda L: 0.5 + 3e4 * (L @ towards(70, 35) > np.cos(np.radians(0.27))))
 
 
 @pytest.mark.parametrize("name", ["periodic", "holes", "dark"])
-@pytest.mark.parametrize("source", [sl.Sky(), sl.Sky(sl.cie_overcast()), SUNNY], ids=["uniform", "overcast", "sunny"])
+@pytest.mark.parametrize(
+    "source", [sl.Sky(), sl.Sky(sl.cie_overcast()), SUNNY], ids=["uniform", "overcast", "sunny"]
+)
 def test_maps_of_every_kind_keep_the_tolerance(fast, name, source):
     """Against exact rays in very many directions, at nodes that no plan has seen."""
     scene = SCENES[name]
     samples = Samples(select(fast), scene, 300, 100_003)
-    exact = under(samples, 0.5, [(towards(70, 35), np.radians(0.27), 3e4)]) if source is SUNNY else truth(scene, source, (samples.y, samples.x))
+    exact = (
+        under(samples, 0.5, [(towards(70, 35), np.radians(0.27), 3e4)])
+        if source is SUNNY
+        else truth(scene, source, (samples.y, samples.x))
+    )
     out = irradiance(scene, source, fast, tolerance=0.01)
-    assert errors(samples.of(out.image), exact).rms <= 0.0115 and not any(w.startswith("Tolerance") for w in out.warnings)
+    assert errors(samples.of(out.image), exact).rms <= 0.0115 and not any(
+        w.startswith("Tolerance") for w in out.warnings
+    )
 
 
 def test_brightness_is_looked_at(fast):
-    """A sky that hardly varies is a number; one that does has a table per azimuth; suns have azimuths of their own, more where the tolerance is tight, on a map that repeats too."""
-    line = lambda name, sky, t, what: next((c.taken for c in sl.plan(SCENES[name], sky, t, fast).choices if c.what == what), "")
+    """A sky that hardly varies is a number; one that does has a table per azimuth; suns have azimuths of
+    their own, more where the tolerance is tight, on a map that repeats too.
+    """
+    line = lambda name, sky, t, what: next(
+        (c.taken for c in sl.plan(SCENES[name], sky, t, fast).choices if c.what == what), ""
+    )
     nearly = sl.Sky(lambda L: 1 + 0.0005 * L[..., 0])
-    assert line("rough", nearly, 0.05, "brightness") == "constant" and line("rough", nearly, 0.002, "brightness") == "a table per azimuth"
-    assert line("rough", sl.Sky(sl.cie_overcast()), 0.01, "brightness") == line("rough", GLOW, 0.01, "brightness") == "a table per azimuth"
-    count, each = zip(*(map(int, re.findall(r"\d+", line("houses", SUN, t, "bright parts"))) for t in (0.1, 0.003)))
+    assert (
+        line("rough", nearly, 0.05, "brightness") == "constant"
+        and line("rough", nearly, 0.002, "brightness") == "a table per azimuth"
+    )
+    assert (
+        line("rough", sl.Sky(sl.cie_overcast()), 0.01, "brightness")
+        == line("rough", GLOW, 0.01, "brightness")
+        == "a table per azimuth"
+    )
+    count, each = zip(
+        *(map(int, re.findall(r"\d+", line("houses", SUN, t, "bright parts"))) for t in (0.1, 0.003))
+    )
     assert count == (2, 2) and each[0] < each[1]  # the disc, and what glows round it
-    assert line("periodic", SUN, 0.01, "bright parts") and line("flat", SUN, 0.01, "bright parts") == "1, as directions" and not line("rough", GLOW, 0.01, "bright parts")
+    assert (
+        line("periodic", SUN, 0.01, "bright parts")
+        and line("flat", SUN, 0.01, "bright parts") == "1, as directions"
+        and not line("rough", GLOW, 0.01, "bright parts")
+    )
 
 
 def test_more_rows_are_tested_among_cliffs_where_the_tolerance_needs_it(fast):
@@ -593,7 +822,8 @@ def test_more_rows_are_tested_among_cliffs_where_the_tolerance_needs_it(fast):
     assert "near rows" in str(tight) and "near rows" not in str(loose) and loose.azimuths < tight.azimuths
 
 
-# -- what is beyond the model ----------------------------------------------------------------------------------------------------
+# -- what is beyond the model
+# ----------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(("scene", "source", "says"), [
@@ -606,28 +836,48 @@ def test_what_a_scene_needs_beyond_the_model(fast, scene, source, says):
     found = [text for text in sl.plan(scene, source, backend=fast).beyond if text.startswith(says)]
     assert len(found) == 1 and any(c.isdigit() for c in found[0]), found
     assert sl.plan(SCENES["flat"], sl.Sky(), backend=fast).beyond == ()
-    assert not any(text.startswith("Light between") for text in sl.plan(sl.Scene(ROUGH, albedo=0.0), sl.Sky(), backend=fast).beyond)
+    assert not any(
+        text.startswith("Light between")
+        for text in sl.plan(sl.Scene(ROUGH, albedo=0.0), sl.Sky(), backend=fast).beyond
+    )
 
 
 def test_the_light_between_surfaces_bounds_what_a_bowl_adds(fast):
-    """In a bowl of rim angle a every point sees sky by (1 + cos a) / 2, and all bounces add E rho (1 - f) / (1 - rho (1 - f)) exactly."""
+    """In a bowl of rim angle a every point sees sky by (1 + cos a) / 2, and all bounces add E rho (1 - f) /
+    (1 - rho (1 - f)) exactly.
+    """
     radius, rim = 150.0, np.radians(50)
     size = 2 * int(radius * np.sin(rim)) + 9
     y, x = np.mgrid[:size, :size] - size // 2
     depth = np.maximum(0, np.sqrt(np.maximum(0, radius**2 - x**2 - y**2)) - radius * np.cos(rim))
     rho, sky = 0.6, (1 + np.cos(rim)) / 2
-    text = next(t for t in sl.plan(sl.Scene(depth, albedo=rho), sl.Sky(), backend=fast).beyond if t.startswith("Light"))
+    text = next(
+        t
+        for t in sl.plan(sl.Scene(depth, albedo=rho), sl.Sky(), backend=fast).beyond
+        if t.startswith("Light")
+    )
     bound = float(text.split("at most ")[1].split(" %")[0]) / 100
     exact = rho * (1 - sky) / (1 - rho * (1 - sky))
-    assert 0.8 * exact < bound < 2.5 * exact, (bound, exact)  # the flat corners see more, the rim's slopes less
+    assert 0.8 * exact < bound < 2.5 * exact, (
+        bound,
+        exact,
+    )  # the flat corners see more, the rim's slopes less
 
 
 def test_what_the_lattice_must_do_is_planned_too(fast):
-    """A window as an aperture, a window over a map that repeats, a lamp as a volume: hemicubes, measured where there is a reference."""
+    """A window as an aperture, a window over a map that repeats, a lamp as a volume: hemicubes, measured
+    where there is a reference.
+    """
     aperture = np.zeros((SIZE, SIZE), bool)
     aperture[10:50, 20:60] = True
     made = sl.plan(SCENES["rough"], sl.Window(aperture=aperture), 0.05, fast)
-    assert made.method == "lattice" and made.filled and made.hemicube > 5 and made.error < 0.05 and "aperture" in str(made)
+    assert (
+        made.method == "lattice"
+        and made.filled
+        and made.hemicube > 5
+        and made.error < 0.05
+        and "aperture" in str(made)
+    )
     assert sl.plan(SCENES["periodic"], WINDOW, 0.1, fast).method == "lattice"
     volume = np.zeros((2, SIZE, SIZE), bool)
     volume[0, 20:50, 20:50] = True
@@ -646,19 +896,26 @@ def test_bad_input_is_named(call, says):
         call()
 
 
-# -- command line and chart --------------------------------------------------------------------------------------------------------
+# -- command line and chart
+# --------------------------------------------------------------------------------------------------------
 
 
 def test_the_command_line_prints_plans(fast, tmp_path):
-    """A table with reasons, or one JSON object; the tolerance as a share or in percent; a bad one is a usage error."""
+    """A table with reasons, or one JSON object; the tolerance as a share or in percent; a bad one is a usage
+    error.
+    """
+    from skylamp.app.cli import app
     from typer.testing import CliRunner
 
-    from skylamp.app.cli import app
-
     np.save(tmp_path / "depth.npy", ROUGH)
-    ask = lambda *more: CliRunner().invoke(app, ["plan", str(tmp_path / "depth.npy"), "--backend", fast, *more])
+    ask = lambda *more: CliRunner().invoke(
+        app, ["plan", str(tmp_path / "depth.npy"), "--backend", fast, *more]
+    )
     percent, share = (json.loads(ask("--json", "--tolerance", text).stdout) for text in ("0.4%", "0.004"))
-    assert percent["tolerance"] == share["tolerance"] == pytest.approx(0.004) and percent["azimuths"] == share["azimuths"] > 8
+    assert (
+        percent["tolerance"] == share["tolerance"] == pytest.approx(0.004)
+        and percent["azimuths"] == share["azimuths"] > 8
+    )
     text = ask("--tolerance", "1%").stdout
     assert "azimuths" in text and "within 1%" in text and "Beyond the model" in text
     assert ask("--tolerance", "much").exit_code == 2
@@ -669,16 +926,38 @@ def test_the_chart_has_a_point_for_every_setting(fast, tmp_path):
     from skylamp.app import chart
 
     rows = chart.measure([fast], (24,), longest=0.5)
-    assert {row["class"] for row in rows} == set(chart.CLASSES) and all(row["seconds"] > 0 and row["error"] >= 0 for row in rows)
+    assert {row["class"] for row in rows} == set(chart.CLASSES) and all(
+        row["seconds"] > 0 and row["error"] >= 0 for row in rows
+    )
     for kind in chart.CLASSES:
         here = [row for row in rows if row["class"] == kind]
         assert [row["units"] for row in here if row["method"] == "plan"] == list(chart.TOLERANCES)
-        assert {row["method"] for row in here} >= ({"slices", "unoccluded"} if kind == "lamp" else {"horizon", "filled", "stride", "unoccluded"})
+        assert {row["method"] for row in here} >= (
+            {"slices", "unoccluded"} if kind == "lamp" else {"horizon", "filled", "stride", "unoccluded"}
+        )
     chart.draw(rows, tmp_path / "chart.png")
     assert (tmp_path / "chart.png").stat().st_size > 20_000
-    row = lambda method, units, error, seconds, again: {"class": "smooth", "size": 9, "method": method, "units": units, "error": error, "seconds": seconds, "again": again}
-    some = [row("plan", 0.03, 0.01, 6, 3), row("filled", 5, 0.02, 2, 2), row("horizon", 8, 0.01, 4, 4), row("horizon", 64, 0.001, 9, 9), {**row("horizon", 4, 0.001, 1, 1), "size": 8}]
-    assert chart.behind(some)["smooth"][0] == 3 and chart.behind(some, "again")["smooth"][0] == 1.5 and chart.behind(some, "again", True)["smooth"][0] == 0.75
+    row = lambda method, units, error, seconds, again: {
+        "class": "smooth",
+        "size": 9,
+        "method": method,
+        "units": units,
+        "error": error,
+        "seconds": seconds,
+        "again": again,
+    }
+    some = [
+        row("plan", 0.03, 0.01, 6, 3),
+        row("filled", 5, 0.02, 2, 2),
+        row("horizon", 8, 0.01, 4, 4),
+        row("horizon", 64, 0.001, 9, 9),
+        {**row("horizon", 4, 0.001, 1, 1), "size": 8},
+    ]
+    assert (
+        chart.behind(some)["smooth"][0] == 3
+        and chart.behind(some, "again")["smooth"][0] == 1.5
+        and chart.behind(some, "again", True)["smooth"][0] == 0.75
+    )
     assert chart.frontier([(1, 5), (2, 6), (3, 1), (2.5, 2)]) == [(1, 5), (2.5, 2), (3, 1)]
     with pytest.raises(sl.InputError, match="sizes"):
         chart.measure([fast], (4,))

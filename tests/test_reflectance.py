@@ -1,12 +1,13 @@
-"""Reflectance: energy, reciprocity, colour, lobes, mirrors and any BRDF, against closed forms, the oracle and each other."""
+"""Reflectance: energy, reciprocity, colour, lobes, mirrors and any BRDF, against closed forms, the oracle and
+each other.
+"""
 
 import numpy as np
 import pytest
 import scenes
+import skylamp as sl
 from compare import assert_bits_equal, assert_close
 from scenes import rough
-
-import skylamp as sl
 from skylamp import oracle
 from skylamp.backends import select
 from skylamp.radiometry import directional_hemispheric, patch_solid_angle
@@ -39,24 +40,38 @@ def launches(monkeypatch, name, work):
     """[(kernel, arguments)] that ``work`` starts on a backend."""
     engine, seen = select(name), []
     launch = engine.launch
-    monkeypatch.setattr(engine, "launch", lambda stem, kernel, dim, *args, **more: (seen.append((kernel, args)), launch(stem, kernel, dim, *args, **more))[1])
+    monkeypatch.setattr(
+        engine,
+        "launch",
+        lambda stem, kernel, dim, *args, **more: (
+            seen.append((kernel, args)),
+            launch(stem, kernel, dim, *args, **more),
+        )[1],
+    )
     work()
     monkeypatch.undo()
     return seen
 
 
-# -- the models ----------------------------------------------------------------------------------------------------------------
+# -- the models
+# ----------------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("exponent", [0, 0.5, 1, 4, 20, 150])
 def test_phong_gives_no_more_than_it_gets(exponent):
-    """Its directional-hemispheric reflectance is albedo + specular along the normal, and less than that from elsewhere."""
+    """Its directional-hemispheric reflectance is albedo + specular along the normal, and less than that from
+    elsewhere.
+    """
     incoming = np.array([[np.sin(t), 0, np.cos(t)] for t in np.radians([0, 20, 40, 60, 75, 88])])
     found = directional_hemispheric(sl.Phong(0.3, 0.7, exponent).brdf, incoming, 512, 256)
     assert abs(found[0] - 1) < 1e-3 and (found <= 1 + 1e-3).all() and found[-1] < 0.9
 
 
-@pytest.mark.parametrize("surface", [sl.Lambertian(0.4), sl.Phong(0.2, 0.7, 30), sl.grooves(0.9, 0.2), sl.grooves(0.8, 0.0, 60)], ids=["Lambertian", "Phong", "grooves", "steep grooves"])
+@pytest.mark.parametrize(
+    "surface",
+    [sl.Lambertian(0.4), sl.Phong(0.2, 0.7, 30), sl.grooves(0.9, 0.2), sl.grooves(0.8, 0.0, 60)],
+    ids=["Lambertian", "Phong", "grooves", "steep grooves"],
+)
 def test_reciprocity(surface):
     """Helmholtz: f does not change when light goes the other way."""
     a, b = directions(500), directions(500, 1)
@@ -66,6 +81,7 @@ def test_reciprocity(surface):
 
 def test_what_is_not_reciprocal_is_said():
     """A lobe without cos(theta_i), as the notes print it, is no reciprocal BRDF; and the figure tells."""
+
     def printed(i, o):
         return 0.05 * np.maximum(0, (i * o * [-1, -1, 1]).sum(-1)) ** 3 / np.maximum(i[..., 2], 0.05)
 
@@ -73,31 +89,45 @@ def test_what_is_not_reciprocal_is_said():
 
 
 def test_the_printed_formula_gives_more_than_it_gets():
-    """rho_d E without 1 / pi: a white surface under a uniform sky of radiance 1, where E = pi, would shine at pi."""
+    """rho_d E without 1 / pi: a white surface under a uniform sky of radiance 1, where E = pi, would shine at
+    pi.
+    """
     assert phong_printed(np.pi, 0.0, 0.0, albedo=1.0) == pytest.approx(np.pi)
     assert phong_printed(0.0, 2.0, np.radians(60), specular=0.5, exponent=3) == pytest.approx(0.5 * 2 / 8)
 
 
-@pytest.mark.parametrize(("make", "parts"), [
-    (lambda: sl.Phong(0.7, 0.4), ["albedo + specular: gives more than it gets", "1.1, 0.1 too much"]),
-    (lambda: sl.Mirror(1.0, 0.25), ["gives more than it gets", "0.25 too much"]),
-    (lambda: sl.Phong((0.1, 0.2, 0.9), (0.1, 0.1, 0.2)), ["0.1 too much"]),
-    (lambda: sl.Scene(GROUND, reflectance=sl.Phong(np.full(GROUND.shape, 0.8), (0.1, 0.1, 0.3))), ["0.1 too much"]),
-    (lambda: sl.BRDF(lambda i, o: np.full(i.shape[:-1], 0.5)), ["BRDF: gives more than it gets", "reflectance of 1.571", "Divide it by 1.571"]),
-    (lambda: sl.BRDF(lambda i, o: i), ["BRDF function: wrong result", "shape"]),
-    (lambda: sl.BRDF(lambda i, o: -i[..., 2]), ["BRDF function", "finite values >= 0"]),
-    (lambda: sl.BRDF(0.5), ["BRDF: got float", "a function"]),
-    (lambda: sl.Phong(0.1, 0.1, -1), ["Phong: exponent", "0 to 100000"]),
-    (lambda: sl.Phong(0.1, 0.1, 1e6), ["Phong: exponent", "Mirror"]),
-    (lambda: sl.Phong(-0.1, 0.1), ["Phong: albedo: out of range", "-0.1"]),
-    (lambda: sl.Phong((0.5, 0.5, 1.5), 0.0), ["out of range", "1.5"]),
-    (lambda: sl.Lambertian(np.ones(4)), ["albedo: wrong shape", "RGB as (3,)"]),
-    (lambda: sl.Scene(GROUND, albedo=np.ones((4, 4, 3))), ["albedo: wrong shape", "(4, 4, 3)", "(26, 31)"]),
-    (lambda: sl.Scene(GROUND, albedo=0.5, reflectance=GLOSSY), ["albedo and reflectance"]),
-    (lambda: sl.Scene(GROUND, reflectance=0.5), ["reflectance: got float", "Phong"]),
-    (lambda: sl.Sky((1.0, -1.0, 0.5)), ["brightness", "-1.0"]),
-    (lambda: sl.grooves(steepness=90), ["steepness", "between 0 and 90"]),
-])
+@pytest.mark.parametrize(
+    ("make", "parts"),
+    [
+        (lambda: sl.Phong(0.7, 0.4), ["albedo + specular: gives more than it gets", "1.1, 0.1 too much"]),
+        (lambda: sl.Mirror(1.0, 0.25), ["gives more than it gets", "0.25 too much"]),
+        (lambda: sl.Phong((0.1, 0.2, 0.9), (0.1, 0.1, 0.2)), ["0.1 too much"]),
+        (
+            lambda: sl.Scene(GROUND, reflectance=sl.Phong(np.full(GROUND.shape, 0.8), (0.1, 0.1, 0.3))),
+            ["0.1 too much"],
+        ),
+        (
+            lambda: sl.BRDF(lambda i, o: np.full(i.shape[:-1], 0.5)),
+            ["BRDF: gives more than it gets", "reflectance of 1.571", "Divide it by 1.571"],
+        ),
+        (lambda: sl.BRDF(lambda i, o: i), ["BRDF function: wrong result", "shape"]),
+        (lambda: sl.BRDF(lambda i, o: -i[..., 2]), ["BRDF function", "finite values >= 0"]),
+        (lambda: sl.BRDF(0.5), ["BRDF: got float", "a function"]),
+        (lambda: sl.Phong(0.1, 0.1, -1), ["Phong: exponent", "0 to 100000"]),
+        (lambda: sl.Phong(0.1, 0.1, 1e6), ["Phong: exponent", "Mirror"]),
+        (lambda: sl.Phong(-0.1, 0.1), ["Phong: albedo: out of range", "-0.1"]),
+        (lambda: sl.Phong((0.5, 0.5, 1.5), 0.0), ["out of range", "1.5"]),
+        (lambda: sl.Lambertian(np.ones(4)), ["albedo: wrong shape", "RGB as (3,)"]),
+        (
+            lambda: sl.Scene(GROUND, albedo=np.ones((4, 4, 3))),
+            ["albedo: wrong shape", "(4, 4, 3)", "(26, 31)"],
+        ),
+        (lambda: sl.Scene(GROUND, albedo=0.5, reflectance=GLOSSY), ["albedo and reflectance"]),
+        (lambda: sl.Scene(GROUND, reflectance=0.5), ["reflectance: got float", "Phong"]),
+        (lambda: sl.Sky((1.0, -1.0, 0.5)), ["brightness", "-1.0"]),
+        (lambda: sl.grooves(steepness=90), ["steepness", "between 0 and 90"]),
+    ],
+)
 def test_bad_reflectance_is_one_clear_error(make, parts):
     with pytest.raises(sl.InputError) as caught:
         make()
@@ -111,13 +141,19 @@ def test_a_map_is_bounded_where_it_is_valid_alone():
     valid[3, 5] = False
     specular = np.full(GROUND.shape, 0.2)
     specular[3, 5] = 0.9
-    assert np.isnan(sl.render(sl.Scene(GROUND, mask=valid, reflectance=sl.Phong(0.5, specular, 5)), sl.Sky(), backend="numpy").image[3, 5])
+    assert np.isnan(
+        sl.render(
+            sl.Scene(GROUND, mask=valid, reflectance=sl.Phong(0.5, specular, 5)), sl.Sky(), backend="numpy"
+        ).image[3, 5]
+    )
     with pytest.raises(sl.InputError, match="0.4 too much"):
         sl.Scene(GROUND, reflectance=sl.Phong(0.5, specular, 5))
 
 
 def test_grooves_against_points_on_their_faces():
-    """Each point of a groove's profile lit and seen by brute force, and where the notes say that they are bright and dark."""
+    """Each point of a groove's profile lit and seen by brute force, and where the notes say that they are
+    bright and dark.
+    """
     steepness, white = 50, 0.9
     rise = np.tan(np.radians(steepness))
     x = (np.arange(4000) + 0.5) / 2000 - 1
@@ -132,46 +168,77 @@ def test_grooves_against_points_on_their_faces():
     brdf = sl.grooves(white, 0.0, steepness).brdf
     for a, b in zip(directions(40, 2), directions(40, 3)):
         both = met(a) & met(b) & (x > 0)  # the white faces lie there and look towards -x
-        wanted = white / np.pi * np.where(both, (normal @ a) * (normal @ b) / normal[:, 2], 0).mean() / (a[2] * b[2])
+        wanted = (
+            white
+            / np.pi
+            * np.where(both, (normal @ a) * (normal @ b) / normal[:, 2], 0).mean()
+            / (a[2] * b[2])
+        )
         assert brdf(a[None], b[None])[0] == pytest.approx(wanted, abs=2e-3 * white / (a[2] * b[2]))
     to_white, to_black = (directional_hemispheric(brdf, np.array([s * 0.8, 0, 0.6])) for s in (-1, 1))
     assert to_white > 0.5 and to_black < 0.01
 
 
-# -- white furnace ---------------------------------------------------------------------------------------------------------------
+# -- white furnace
+# ---------------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("exponent", [0, 3, 40, 1000])
 def test_white_furnace(backend, exponent):
     """Under a sky of 1, a level plane with specular 1 shows 1, and no node of rough ground shows more."""
-    level = sl.render(sl.Scene(np.full((5, 6), 3.0), reflectance=sl.Phong(0, 1, exponent)), sl.Sky(), method="horizon", backend=backend).image
+    level = sl.render(
+        sl.Scene(np.full((5, 6), 3.0), reflectance=sl.Phong(0, 1, exponent)),
+        sl.Sky(),
+        method="horizon",
+        backend=backend,
+    ).image
     np.testing.assert_allclose(level, 1, atol=1e-3)
-    ground = sl.render(sl.Scene(GROUND, reflectance=sl.Phong(0, 1, exponent)), sl.Sky(), method="horizon", backend=backend).image
+    ground = sl.render(
+        sl.Scene(GROUND, reflectance=sl.Phong(0, 1, exponent)), sl.Sky(), method="horizon", backend=backend
+    ).image
     assert ground.max() <= 1 + 1e-3 and ground.min() < 0.8
 
 
 def test_the_lattice_gives_no_more_than_it_gets(backend):
-    """Where a lobe is far narrower than the directions stand apart, one direction would count up to 38 times its share."""
+    """Where a lobe is far narrower than the directions stand apart, one direction would count up to 38 times
+    its share.
+    """
     y, x = np.mgrid[:40, :40]
     bowl = 30 - 0.012 * ((x - 20) ** 2 + (y - 20) ** 2)  # tilts up to 0.5 either way
     for exponent, hemicube in ((1000, 5), (200, 9), (15, 5)):
-        image = sl.render(sl.Scene(bowl, reflectance=sl.Phong(0, 1, exponent)), sl.Sky(), method="lattice", hemicube=hemicube, backend=backend).image
+        image = sl.render(
+            sl.Scene(bowl, reflectance=sl.Phong(0, 1, exponent)),
+            sl.Sky(),
+            method="lattice",
+            hemicube=hemicube,
+            backend=backend,
+        ).image
         assert 0.9 < image.max() <= 1 + 1e-3, (exponent, hemicube, image.max())
 
 
 def test_white_furnace_of_the_rest(fast):
     """Lobes on the lattice, sums of both parts, mirrors, and BRDFs."""
-    for surface in (sl.Phong(0.4, 0.6, 8), sl.Mirror(0.9, 0.1), sl.Mirror(1.0), sl.BRDF(sl.Phong(0.4, 0.6, 8).brdf), sl.grooves(1.0, 1.0), sl.Lambertian(1.0)):
+    for surface in (
+        sl.Phong(0.4, 0.6, 8),
+        sl.Mirror(0.9, 0.1),
+        sl.Mirror(1.0),
+        sl.BRDF(sl.Phong(0.4, 0.6, 8).brdf),
+        sl.grooves(1.0, 1.0),
+        sl.Lambertian(1.0),
+    ):
         for options in ({"method": "horizon"}, {"method": "lattice", "hemicube": 33, "filled": True}):
             image = sl.render(sl.Scene(GROUND, reflectance=surface), sl.Sky(), backend=fast, **options).image
             assert image.max() <= 1 + 1e-3 and image.max() > 0.6, (surface, options)
 
 
-# -- lobes -----------------------------------------------------------------------------------------------------------------------
+# -- lobes
+# -----------------------------------------------------------------------------------------------------------------------
 
 
 def test_the_oracle_of_lobes():
-    """(n + 2) / (n + k + 2) for a level plane under cos^k of the zenith angle; half of it for one at 45 degrees, whose lobe is half set."""
+    """(n + 2) / (n + k + 2) for a level plane under cos^k of the zenith angle; half of it for one at 45
+    degrees, whose lobe is half set.
+    """
     level = np.full((5, 5), 2.0)
     for n, k in ((0, 0), (6, 0), (6, 3), (200, 1)):
         sky = sl.Sky(lambda L, k=k: np.maximum(0, -L[..., 2]) ** k)
@@ -182,7 +249,9 @@ def test_the_oracle_of_lobes():
     np.testing.assert_allclose(narrow, np.cos(np.pi / 4) / 2, rtol=0.02)
     visible = np.ones((1, 1, len(sl.Hemicube(33))), bool)
     cube = sl.Hemicube(33)
-    got = oracle.specular(visible, np.array([[[0, 0, -1.0]]]), np.ones(len(cube)), cube.directions, cube.solid_angles, 6)
+    got = oracle.specular(
+        visible, np.array([[[0, 0, -1.0]]]), np.ones(len(cube)), cube.directions, cube.solid_angles, 6
+    )
     np.testing.assert_allclose(got, 1, rtol=2e-3)
 
 
@@ -192,9 +261,21 @@ def test_lobes_through_slices(backend, kind, sides):
     """Every source, in sight of the oracle's shadow rays."""
     source = {"sky": sl.Sky(2.0), "clear sky": sl.Sky(clear), "lamp": LAMP, "window": WINDOW}[kind]
     depth = GROUND + 4
-    got = sl.render(sl.Scene(depth, sides=sides, reflectance=GLOSSY), source, method="horizon", backend=backend).image[NODES]
+    got = sl.render(
+        sl.Scene(depth, sides=sides, reflectance=GLOSSY), source, method="horizon", backend=backend
+    ).image[NODES]
     lamp = sl.Lamp(center=LAMP.center, radius=LAMP.radius)
-    wanted = oracle.lobe_radiance(depth, 1.0, depth > 0, lamp if kind == "lamp" else source, GLOSSY.exponent, NODES, 9216, sides=sides, kind=kind.split()[-1])
+    wanted = oracle.lobe_radiance(
+        depth,
+        1.0,
+        depth > 0,
+        lamp if kind == "lamp" else source,
+        GLOSSY.exponent,
+        NODES,
+        9216,
+        sides=sides,
+        kind=kind.split()[-1],
+    )
     assert wanted.max() > 0.02
     np.testing.assert_allclose(got, wanted, atol=0.012 * wanted.max(), rtol=0.012)
 
@@ -204,7 +285,10 @@ def test_backends_agree_on_lobes_and_rays(backend):
     scene = lambda surface: sl.Scene(GROUND + 3, sides="dark", reflectance=surface)
     for surface in (sl.Phong(0.1, 0.8, 60), sl.Mirror(0.9)):
         for source in (sl.Sky(clear), LAMP, WINDOW):
-            got, wanted = (sl.render(scene(surface), source, method="horizon", backend=name).image for name in (backend, "numpy"))
+            got, wanted = (
+                sl.render(scene(surface), source, method="horizon", backend=name).image
+                for name in (backend, "numpy")
+            )
             np.testing.assert_allclose(got, wanted, atol=2e-5)
 
 
@@ -213,9 +297,22 @@ def test_lobes_on_the_lattice(backend, sides):
     """The kernel's sum against the oracle's in float64."""
     scene = scenes.scene("bumps", sides)
     cube, depth = sl.Hemicube(9), scenes.whole_layers("bumps")[0].astype(float)
-    got = sl.render(sl.Scene(depth, sides=sides, reflectance=GLOSSY), sl.Sky(clear), method="lattice", hemicube=9, backend=backend)
+    got = sl.render(
+        sl.Scene(depth, sides=sides, reflectance=GLOSSY),
+        sl.Sky(clear),
+        method="lattice",
+        hemicube=9,
+        backend=backend,
+    )
     visible = cube.unpack(scenes.truth("bumps", 9, sides))
-    wanted = oracle.specular(visible, oracle.normals(depth, 1.0, scene.valid), clear(cube.directions), cube.directions, cube.solid_angles, GLOSSY.exponent)
+    wanted = oracle.specular(
+        visible,
+        oracle.normals(depth, 1.0, scene.valid),
+        clear(cube.directions),
+        cube.directions,
+        cube.solid_angles,
+        GLOSSY.exponent,
+    )
     assert_close(got.image, wanted)
 
 
@@ -225,7 +322,12 @@ def test_the_highlight_of_a_sphere(fast, x, y, z):
     row, col = np.mgrid[:63, :63]
     radius, middle = 40.0, 31.0
     surface = lambda r, c: 45 - np.sqrt(np.maximum(0, radius**2 - (r - middle) ** 2 - (c - middle) ** 2))
-    image = sl.render(sl.Scene(surface(row, col), reflectance=sl.Phong(0, 1, 400)), sl.Lamp(center=(x, y, z), radius=1.0), method="horizon", backend=fast).image
+    image = sl.render(
+        sl.Scene(surface(row, col), reflectance=sl.Phong(0, 1, 400)),
+        sl.Lamp(center=(x, y, z), radius=1.0),
+        method="horizon",
+        backend=fast,
+    ).image
     fine = np.linspace(4, 58, 1081)
     r, c = np.meshgrid(fine, fine, indexing="ij")
     inside = (r - middle) ** 2 + (c - middle) ** 2 < 27**2
@@ -240,26 +342,44 @@ def test_the_highlight_of_a_sphere(fast, x, y, z):
 
 
 def test_the_sun_in_a_lobe(fast):
-    """A sun half a degree wide is not missed between directions: radiance B Omega (n + 2) / (2 pi) cos^n cos, to 5 % up to three half widths away."""
+    """A sun half a degree wide is not missed between directions: radiance B Omega (n + 2) / (2 pi) cos^n cos,
+    to 5 % up to three half widths away.
+    """
     sun, half = np.array([0.5, -0.3, -0.9]) / np.linalg.norm([0.5, -0.3, -0.9]), np.radians(0.27)
     sky = sl.Sky(lambda L: 1e4 * (L @ sun > np.cos(half)))
     y, x = np.mgrid[:12, :14]
     for gx, gy in ((0.12, -0.05), (0.28, -0.17)):
-        image = sl.render(sl.Scene(30 + gx * x + gy * y, reflectance=sl.Phong(0, 1, 50)), sky, method="horizon", backend=fast).image
+        image = sl.render(
+            sl.Scene(30 + gx * x + gy * y, reflectance=sl.Phong(0, 1, 50)),
+            sky,
+            method="horizon",
+            backend=fast,
+        ).image
         normal = np.array([gx, gy, -1]) / np.sqrt(gx**2 + gy**2 + 1)
         mirror = mirror_directions(np.array(gx), np.array(gy))
-        wanted = 1e4 * 2 * np.pi * (1 - np.cos(half)) * 52 / (2 * np.pi) * (mirror @ sun) ** 50 * (normal @ sun)
+        wanted = (
+            1e4 * 2 * np.pi * (1 - np.cos(half)) * 52 / (2 * np.pi) * (mirror @ sun) ** 50 * (normal @ sun)
+        )
         np.testing.assert_allclose(image, np.full(image.shape, wanted), rtol=0.05)
 
 
 def test_a_narrow_lobe_is_warned_of(fast):
     """Where directions stand farther apart than the lobe is wide, and nowhere else."""
     surface = lambda n: sl.Scene(GROUND, reflectance=sl.Phong(0.2, 0.5, n))
-    warned = lambda *args, **more: any("Narrow lobe" in text for text in sl.render(*args, backend=fast, **more).warnings)
-    assert warned(surface(500), sl.Sky(), method="lattice", hemicube=9) and not warned(surface(10), sl.Sky(), method="lattice", hemicube=9)
+    warned = lambda *args, **more: any(
+        "Narrow lobe" in text for text in sl.render(*args, backend=fast, **more).warnings
+    )
+    assert warned(surface(500), sl.Sky(), method="lattice", hemicube=9) and not warned(
+        surface(10), sl.Sky(), method="lattice", hemicube=9
+    )
     assert not warned(surface(1e5), sl.Sky(), method="horizon")
     wide = sl.Lamp(center=(15, 15, -30), radius=29)
-    assert sl.render(sl.Scene(GROUND, reflectance=sl.Phong(0, 1, 1e5)), wide, method="horizon", backend=fast).image.max() <= 1 + 1e-3
+    assert (
+        sl.render(
+            sl.Scene(GROUND, reflectance=sl.Phong(0, 1, 1e5)), wide, method="horizon", backend=fast
+        ).image.max()
+        <= 1 + 1e-3
+    )
     assert warned(surface(1e5), wide, method="horizon") and not warned(surface(500), wide, method="horizon")
 
 
@@ -271,8 +391,21 @@ def test_a_lobe_over_a_map_that_repeats_is_the_lattices(fast):
         sl.render(scene, sl.Sky(), method="horizon", backend=fast)
     for options in ({"method": "horizon", "max_distance": 9}, {"method": "lattice"}):
         with pytest.raises(sl.InputError, match="mirror with sides='periodic'"):
-            sl.render(sl.Scene(GROUND, sides="periodic", reflectance=sl.Mirror()), sl.Sky(), backend=fast, **options)
-    assert sl.render(scene, sl.Sky(), method="horizon", quantity="irradiance", azimuths=4, max_distance=20, backend=fast).plan.method == "horizon"
+            sl.render(
+                sl.Scene(GROUND, sides="periodic", reflectance=sl.Mirror()), sl.Sky(), backend=fast, **options
+            )
+    assert (
+        sl.render(
+            scene,
+            sl.Sky(),
+            method="horizon",
+            quantity="irradiance",
+            azimuths=4,
+            max_distance=20,
+            backend=fast,
+        ).plan.method
+        == "horizon"
+    )
 
 
 def test_distance_counts_in_lobes_and_mirrors_too(fast):
@@ -281,33 +414,63 @@ def test_distance_counts_in_lobes_and_mirrors_too(fast):
     depth[:, 35:] = 0
     depth[:, :20] -= 0.5 * np.arange(20)[::-1]  # looks towards the wall
     for surface in (GLOSSY, sl.Mirror()):
-        whole, short = (sl.render(sl.Scene(depth, reflectance=surface), sl.Sky(), method="horizon", backend=fast, **more).image[4, 10] for more in ({}, {"max_distance": 5}))
-        alone = sl.render(sl.Scene(depth[:, :30], reflectance=surface), sl.Sky(), method="horizon", backend=fast).image[4, 10]
+        whole, short = (
+            sl.render(
+                sl.Scene(depth, reflectance=surface), sl.Sky(), method="horizon", backend=fast, **more
+            ).image[4, 10]
+            for more in ({}, {"max_distance": 5})
+        )
+        alone = sl.render(
+            sl.Scene(depth[:, :30], reflectance=surface), sl.Sky(), method="horizon", backend=fast
+        ).image[4, 10]
         assert short == pytest.approx(alone, abs=1e-3) and whole < short - 0.01, surface
 
 
-# -- colour ------------------------------------------------------------------------------------------------------------------------
+# -- colour
+# ------------------------------------------------------------------------------------------------------------------------
 
 
 COLOURS = np.random.default_rng(3).uniform(0.1, 0.5, (*GROUND.shape, 3))
 
 
-@pytest.mark.parametrize("options", [{"method": "horizon"}, {"method": "lattice", "hemicube": 5}], ids=["horizon", "lattice"])
-@pytest.mark.parametrize("surface", [sl.Lambertian(COLOURS), sl.Phong((0.2, 0.3, 0.4), COLOURS, 9), sl.Mirror(COLOURS, 0.2)], ids=["Lambertian", "Phong", "Mirror"])
+@pytest.mark.parametrize(
+    "options", [{"method": "horizon"}, {"method": "lattice", "hemicube": 5}], ids=["horizon", "lattice"]
+)
+@pytest.mark.parametrize(
+    "surface",
+    [sl.Lambertian(COLOURS), sl.Phong((0.2, 0.3, 0.4), COLOURS, 9), sl.Mirror(COLOURS, 0.2)],
+    ids=["Lambertian", "Phong", "Mirror"],
+)
 def test_colour_is_three_grey_renders(backend, fast, surface, options):
     """Bit for bit: RGB numbers and functions, RGB reflectance."""
     pick = lambda values, n: values if np.ndim(values) == 0 else np.asarray(values)[..., n]
-    shares = {name: getattr(surface, name) for name in ("albedo", "specular", "exponent") if hasattr(surface, name)}
-    sky = [] if isinstance(surface, sl.Phong) and backend != fast else [sl.Sky(warm)]  # its fine table takes a second each time
-    for source in (*sky, sl.Sky((1.0, 0.7, 0.3)), sl.Lamp(center=LAMP.center, radius=5, brightness=warm), sl.Window(x=(2, 20), y=(3, 20), brightness=(3, 2, 1))):
+    shares = {
+        name: getattr(surface, name) for name in ("albedo", "specular", "exponent") if hasattr(surface, name)
+    }
+    sky = (
+        [] if isinstance(surface, sl.Phong) and backend != fast else [sl.Sky(warm)]
+    )  # its fine table takes a second each time
+    for source in (
+        *sky,
+        sl.Sky((1.0, 0.7, 0.3)),
+        sl.Lamp(center=LAMP.center, radius=5, brightness=warm),
+        sl.Window(x=(2, 20), y=(3, 20), brightness=(3, 2, 1)),
+    ):
         image = sl.render(sl.Scene(GROUND, reflectance=surface), source, backend=backend, **options).image
         assert image.shape == (*GROUND.shape, 3) and np.ptp(image, axis=-1).max() > 0
         for n in range(3):
             light = (lambda L, n=n: warm(L)[..., n]) if callable(source.brightness) else source.brightness[n]
-            grey = type(surface)(**{name: pick(value, n) if name != "exponent" else value for name, value in shares.items()})
-            grey_source = {sl.Sky: lambda: sl.Sky(light), sl.Lamp: lambda: sl.Lamp(center=LAMP.center, radius=5, brightness=light),
-                           sl.Window: lambda: sl.Window(x=(2, 20), y=(3, 20), brightness=light)}[type(source)]()
-            alone = sl.render(sl.Scene(GROUND, reflectance=grey), grey_source, backend=backend, **options).image
+            grey = type(surface)(
+                **{name: pick(value, n) if name != "exponent" else value for name, value in shares.items()}
+            )
+            grey_source = {
+                sl.Sky: lambda: sl.Sky(light),
+                sl.Lamp: lambda: sl.Lamp(center=LAMP.center, radius=5, brightness=light),
+                sl.Window: lambda: sl.Window(x=(2, 20), y=(3, 20), brightness=light),
+            }[type(source)]()
+            alone = sl.render(
+                sl.Scene(GROUND, reflectance=grey), grey_source, backend=backend, **options
+            ).image
             assert_bits_equal(np.ascontiguousarray(image[..., n]), alone)
 
 
@@ -316,25 +479,52 @@ def test_colour_where_only_one_side_has_it(fast):
     image = sl.render(sl.Scene(GROUND, albedo=(0.1, 0.2, 0.4)), sl.Sky(), backend=fast).image
     grey = sl.render(sl.Scene(GROUND, albedo=0.2), sl.Sky(), backend=fast).image
     assert_bits_equal(np.ascontiguousarray(image[..., 1]), grey)
-    assert sl.render(sl.Scene(GROUND, albedo=(0.1, 0.2, 0.4)), sl.Sky(), quantity="irradiance", backend=fast).image.shape == GROUND.shape
-    assert sl.render(sl.Scene(GROUND, albedo=0.5), sl.Sky((1, 2, 3)), quantity="irradiance", backend=fast).image.shape == (*GROUND.shape, 3)
+    assert (
+        sl.render(
+            sl.Scene(GROUND, albedo=(0.1, 0.2, 0.4)), sl.Sky(), quantity="irradiance", backend=fast
+        ).image.shape
+        == GROUND.shape
+    )
+    assert sl.render(
+        sl.Scene(GROUND, albedo=0.5), sl.Sky((1, 2, 3)), quantity="irradiance", backend=fast
+    ).image.shape == (*GROUND.shape, 3)
 
 
 def test_colour_takes_one_pass_over_visibility(monkeypatch, fast):
     """The lattice scans once for three colours, and horizons are swept once where colours differ by a factor."""
-    count = lambda source, kernel, **options: sum(name == kernel for name, _ in launches(monkeypatch, fast, lambda: sl.render(sl.Scene(GROUND), source, backend=fast, **options)))
-    for kernel, options, sources in (("scan", {"method": "lattice", "hemicube": 5}, (sl.Sky(clear), sl.Sky(warm))), ("sweep", {"method": "horizon"}, (sl.Sky(1.0), sl.Sky((1, 2, 3))))):
+    count = lambda source, kernel, **options: sum(
+        name == kernel
+        for name, _ in launches(
+            monkeypatch, fast, lambda: sl.render(sl.Scene(GROUND), source, backend=fast, **options)
+        )
+    )
+    for kernel, options, sources in (
+        ("scan", {"method": "lattice", "hemicube": 5}, (sl.Sky(clear), sl.Sky(warm))),
+        ("sweep", {"method": "horizon"}, (sl.Sky(1.0), sl.Sky((1, 2, 3)))),
+    ):
         grey, colour = (count(source, kernel, **options) for source in sources)
         assert grey == colour > 0, kernel
 
 
 def test_a_lambertian_scene_starts_no_specular_kernel(monkeypatch, fast):
     """Nor does a lobe of albedo 0; one that shows does."""
-    def started(surface, source, **options):
-        seen = launches(monkeypatch, fast, lambda: sl.render(sl.Scene(GROUND, reflectance=surface), source, backend=fast, **options))
-        return [name for name, args in seen if name in ("specular", "bound", "gloss", "rays")], [name for name, _ in seen]
 
-    for source, options in ((sl.Sky(), {"method": "lattice", "hemicube": 5}), (sl.Sky(clear), {"method": "horizon"}), (LAMP, {"method": "horizon"}), (WINDOW, {"method": "horizon"})):
+    def started(surface, source, **options):
+        seen = launches(
+            monkeypatch,
+            fast,
+            lambda: sl.render(sl.Scene(GROUND, reflectance=surface), source, backend=fast, **options),
+        )
+        return [name for name, args in seen if name in ("specular", "bound", "gloss", "rays")], [
+            name for name, _ in seen
+        ]
+
+    for source, options in (
+        (sl.Sky(), {"method": "lattice", "hemicube": 5}),
+        (sl.Sky(clear), {"method": "horizon"}),
+        (LAMP, {"method": "horizon"}),
+        (WINDOW, {"method": "horizon"}),
+    ):
         plain, everything = started(sl.Lambertian(0.5), source, **options)
         assert plain == [] and started(sl.Phong(0.5, 0.0, 20), source, **options)[1] == everything
         assert len(started(sl.Phong(0.5, 0.1, 20), source, **options)[1]) > len(everything)
@@ -342,7 +532,8 @@ def test_a_lambertian_scene_starts_no_specular_kernel(monkeypatch, fast):
         assert started(sl.Mirror(0.5), source, **options)[0] == ["rays"]
 
 
-# -- mirrors -----------------------------------------------------------------------------------------------------------------------
+# -- mirrors
+# -----------------------------------------------------------------------------------------------------------------------
 
 
 def test_a_mirror_shows_the_pixel_of_the_environment_map(backend):
@@ -353,38 +544,60 @@ def test_a_mirror_shows_the_pixel_of_the_environment_map(backend):
         theta, phi = np.pi * (row + 0.5) / 16, 2 * np.pi * (col + 0.5) / 32
         slope = np.tan(theta / 2)  # the normal stands half way between the zenith and what is seen
         depth = 40 + slope * (np.cos(phi) * x + np.sin(phi) * y)
-        image = sl.render(sl.Scene(depth, reflectance=sl.Mirror(0.5)), sl.Sky(sl.environment_map(sky)), method="horizon", backend=backend).image
-        np.testing.assert_allclose(image, np.broadcast_to(0.5 * sky[row, col], image.shape), rtol=1e-3)  # depth in float32 tilts it by 1e-5
+        image = sl.render(
+            sl.Scene(depth, reflectance=sl.Mirror(0.5)),
+            sl.Sky(sl.environment_map(sky)),
+            method="horizon",
+            backend=backend,
+        ).image
+        np.testing.assert_allclose(
+            image, np.broadcast_to(0.5 * sky[row, col], image.shape), rtol=1e-3
+        )  # depth in float32 tilts it by 1e-5
 
 
 def test_mirrors_on_rough_ground(fast):
     """Against the oracle, node by node: what is hidden is hidden, and the rest shows the sky."""
     nodes = tuple(index.ravel() for index in np.indices(GROUND.shape))
     steep = 2.0 * GROUND
-    got = sl.render(sl.Scene(steep, reflectance=sl.Mirror()), sl.Sky(clear), method="horizon", backend=fast).image
-    wanted = oracle.mirror_radiance(steep.astype(np.float32).astype(float), 1.0, steep >= 0, clear, nodes).reshape(GROUND.shape)
+    got = sl.render(
+        sl.Scene(steep, reflectance=sl.Mirror()), sl.Sky(clear), method="horizon", backend=fast
+    ).image
+    wanted = oracle.mirror_radiance(
+        steep.astype(np.float32).astype(float), 1.0, steep >= 0, clear, nodes
+    ).reshape(GROUND.shape)
     assert 0.05 < (wanted == 0).mean() < 0.9
     off = np.abs(got - wanted) > 1e-4
     assert off.mean() < 0.003  # a ray that grazes an edge may go either way
 
 
 def test_mirrors_see_lamps_and_windows(fast):
-    """A level mirror looks straight up: a window stands where it is, half open, and a lamp is a disc; a wall hides what is behind it."""
+    """A level mirror looks straight up: a window stands where it is, half open, and a lamp is a disc; a wall
+    hides what is behind it.
+    """
     depth = np.full((20, 24), 6.0)
     y, x = np.mgrid[:20, :24]
     scene = sl.Scene(depth, reflectance=sl.Mirror(0.5))
-    window = sl.render(scene, sl.Window(x=(3, 9), y=(5, 16), brightness=2.0), method="horizon", backend=fast).image
+    window = sl.render(
+        scene, sl.Window(x=(3, 9), y=(5, 16), brightness=2.0), method="horizon", backend=fast
+    ).image
     np.testing.assert_array_equal(window, np.where((x >= 3) & (x < 9) & (y >= 5) & (y < 16), 1.0, 0.0))
     opening = np.zeros(depth.shape, bool)
     opening[2:5, 7] = True
-    np.testing.assert_array_equal(sl.render(scene, sl.Window(aperture=opening), method="lattice", hemicube=3, backend=fast).image, 0.5 * opening)
+    np.testing.assert_array_equal(
+        sl.render(scene, sl.Window(aperture=opening), method="lattice", hemicube=3, backend=fast).image,
+        0.5 * opening,
+    )
     lamp = sl.render(scene, sl.Lamp(center=(12, 8, -3), radius=4.5), method="horizon", backend=fast).image
     np.testing.assert_array_equal(lamp, 0.5 * (np.hypot(x - 12, y - 8) <= 4.5))
-    panel = sl.render(scene, sl.Lamp(corner=(4, 4, -5), edges=((7, 0, 0), (0, 9, 0))), method="horizon", backend=fast).image
+    panel = sl.render(
+        scene, sl.Lamp(corner=(4, 4, -5), edges=((7, 0, 0), (0, 9, 0))), method="horizon", backend=fast
+    ).image
     np.testing.assert_array_equal(panel, 0.5 * ((x >= 4) & (x < 11) & (y >= 4) & (y < 13)))
     ramp = 20 + 0.5 * x + 0.0 * y  # looks up at atan(3/4) to the +x side
     ramp[:, 20] = 0.0
-    seen = sl.render(sl.Scene(ramp, reflectance=sl.Mirror()), sl.Sky(), method="horizon", backend=fast).image[10]
+    seen = sl.render(sl.Scene(ramp, reflectance=sl.Mirror()), sl.Sky(), method="horizon", backend=fast).image[
+        10
+    ]
     # from x, z = 20 + x / 2, the ray climbs 3/4 a column: blocked where it is at column 20 below depth 0
     wanted = (20 + 0.5 * x[0] - 0.75 * (20 - x[0]) <= 0).astype(float)
     np.testing.assert_array_equal(seen[1:18], wanted[1:18])
@@ -392,24 +605,42 @@ def test_mirrors_see_lamps_and_windows(fast):
         sl.render(scene, sl.Lamp(volume=np.ones((2, 20, 24), bool)), hemicube=3, backend=fast)
 
 
-# -- any BRDF ----------------------------------------------------------------------------------------------------------------------
+# -- any BRDF
+# ----------------------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("source", [sl.Sky(2.0), sl.Sky(clear), LAMP, WINDOW], ids=["sky", "clear sky", "lamp", "window"])
+@pytest.mark.parametrize(
+    "source", [sl.Sky(2.0), sl.Sky(clear), LAMP, WINDOW], ids=["sky", "clear sky", "lamp", "window"]
+)
 def test_phong_given_as_a_function(fast, source):
-    """The host's sum over rays and the kernels' sum over slices are two roads to one image; on the lattice as well."""
+    """The host's sum over rays and the kernels' sum over slices are two roads to one image; on the lattice as
+    well.
+    """
     surface = sl.Phong(0.3, 0.6, 6)
     for sides in ("open", "dark"):
-        for options, within in (({"method": "horizon"}, 0.01), ({"method": "lattice", "hemicube": 17, "filled": True}, 0.01)):
-            images = [sl.render(sl.Scene(GROUND + 3, sides=sides, reflectance=given), source, backend=fast, **options).image for given in (surface, sl.BRDF(surface.brdf))]
+        for options, within in (
+            ({"method": "horizon"}, 0.01),
+            ({"method": "lattice", "hemicube": 17, "filled": True}, 0.01),
+        ):
+            images = [
+                sl.render(
+                    sl.Scene(GROUND + 3, sides=sides, reflectance=given), source, backend=fast, **options
+                ).image
+                for given in (surface, sl.BRDF(surface.brdf))
+            ]
             difference = np.sqrt(np.mean((images[0] - images[1]) ** 2)) / images[0].mean()
             assert difference < within, (sides, options, difference)
 
 
 def test_grooves_turn_with_the_light(fast):
-    """A level plane of grooves is bright where the lamp stands before the white faces, dark on the other side; in its own frame x is along columns."""
+    """A level plane of grooves is bright where the lamp stands before the white faces, dark on the other
+    side; in its own frame x is along columns.
+    """
     scene = sl.Scene(np.full((6, 7), 5.0), reflectance=sl.grooves(0.9, 0.0, 45))
-    left, right, across = (sl.render(scene, sl.Lamp(center=c, radius=4), backend=fast, method="horizon").image[3, 3] for c in ((-60, 3, -35), (66, 3, -35), (3, 66, -35)))
+    left, right, across = (
+        sl.render(scene, sl.Lamp(center=c, radius=4), backend=fast, method="horizon").image[3, 3]
+        for c in ((-60, 3, -35), (66, 3, -35), (3, 66, -35))
+    )
     assert left > 1.8 * across and right < 1e-6
     tilt = frames(np.array(0.5), np.array(-0.2))
     np.testing.assert_allclose(tilt @ tilt.T, np.eye(3), atol=1e-12)
@@ -420,9 +651,19 @@ def test_grooves_turn_with_the_light(fast):
 def test_a_small_lamp_and_a_brdf_are_a_product(fast):
     """f B cos x solid angle for a lamp that is nearly a point."""
     surface = sl.BRDF(sl.Phong(0.2, 0.5, 4).brdf)
-    image = sl.render(sl.Scene(np.full((3, 3), 2.0), reflectance=surface), sl.Lamp(center=(31, 1, -38), radius=0.5, brightness=100.0), method="horizon", backend=fast).image
+    image = sl.render(
+        sl.Scene(np.full((3, 3), 2.0), reflectance=surface),
+        sl.Lamp(center=(31, 1, -38), radius=0.5, brightness=100.0),
+        method="horizon",
+        backend=fast,
+    ).image
     L = np.array([0.6, 0, 0.8])
-    wanted = 100 * surface.brdf(L[None], np.array([[0, 0, 1.0]]))[0] * 0.8 * patch_solid_angle(np.pi * 0.25, 1.0, 50.0)
+    wanted = (
+        100
+        * surface.brdf(L[None], np.array([[0, 0, 1.0]]))[0]
+        * 0.8
+        * patch_solid_angle(np.pi * 0.25, 1.0, 50.0)
+    )
     np.testing.assert_allclose(image[1, 1], wanted, rtol=1e-3)
 
 

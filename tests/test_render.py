@@ -1,13 +1,14 @@
-"""render(): every backend against the float64 oracle, the lattice against closed forms, and what is known to go wrong, by name."""
+"""render(): every backend against the float64 oracle, the lattice against closed forms, and what is known to
+go wrong, by name.
+"""
 
 import functools
 
 import numpy as np
 import pytest
 import scenes
-from compare import assert_bits_equal, assert_close
-
 import skylamp as sl
+from compare import assert_bits_equal, assert_close
 from skylamp import oracle
 from skylamp.radiometry import polygon_moment
 from skylamp.sources.shapes import BALL, RECTANGLE, Geometry
@@ -17,20 +18,35 @@ SIZES = (9, 17, 33)
 
 
 def irradiance(scene, source, size, backend, filled=True, **more):
-    out = sl.render(scene, source, "lattice", backend=backend, quantity="irradiance", hemicube=size, filled=filled, **more)
+    out = sl.render(
+        scene, source, "lattice", backend=backend, quantity="irradiance", hemicube=size, filled=filled, **more
+    )
     assert out.backend == backend
     return out.image
 
 
-# -- the oracle ----------------------------------------------------------------------------------------------------------------
+# -- the oracle
+# ----------------------------------------------------------------------------------------------------------------
 
 
 SOURCES = {
     "uniform": (sl.Sky(), scenes.SKY, lambda L: np.ones(L.shape[:-1])),
     "overcast": (sl.Sky(sl.cie_overcast(2.0)), scenes.SKY, lambda L: 2 * (1 - 2 * L[..., 2]) / 3),
-    "any function": (sl.Sky(lambda L: 1 + L[..., 0] + 0.5 * L[..., 1] ** 2), scenes.SKY, lambda L: 1 + L[..., 0] + 0.5 * L[..., 1] ** 2),
-    "window": (sl.Window(x=(6, 17), y=(4, 20), brightness=3.0), Geometry(RECTANGLE, np.array([6, 17, 4, 20.0]), NOTHING), lambda L: np.full(L.shape[:-1], 3.0)),
-    "spotlight": (sl.Lamp(center=(13, 11, -4), radius=4, brightness=sl.cosine_power(3)), Geometry(BALL, np.array([13, 11, -4, 4.0]), NOTHING), lambda L: np.maximum(0, -L[..., 2]) ** 3),
+    "any function": (
+        sl.Sky(lambda L: 1 + L[..., 0] + 0.5 * L[..., 1] ** 2),
+        scenes.SKY,
+        lambda L: 1 + L[..., 0] + 0.5 * L[..., 1] ** 2,
+    ),
+    "window": (
+        sl.Window(x=(6, 17), y=(4, 20), brightness=3.0),
+        Geometry(RECTANGLE, np.array([6, 17, 4, 20.0]), NOTHING),
+        lambda L: np.full(L.shape[:-1], 3.0),
+    ),
+    "spotlight": (
+        sl.Lamp(center=(13, 11, -4), radius=4, brightness=sl.cosine_power(3)),
+        Geometry(BALL, np.array([13, 11, -4, 4.0]), NOTHING),
+        lambda L: np.maximum(0, -L[..., 2]) ** 3,
+    ),
 }
 
 
@@ -42,7 +58,10 @@ def _expected(name, source, sides, size, weights):
     _, geometry, brightness = SOURCES[source]
     visible = oracle.surface_visibility(scenes.layers(name), cube.steps, sides, geometry)
     moments = cube.moments if weights == "moment" else cube.directions * cube.solid_angles[:, None]
-    return oracle.luminance(visible, oracle.normals(depth, 1.0, valid), brightness(cube.directions), moments), valid
+    return (
+        oracle.luminance(visible, oracle.normals(depth, 1.0, valid), brightness(cube.directions), moments),
+        valid,
+    )
 
 
 @pytest.mark.parametrize(("name", "source", "sides", "size"), [
@@ -51,13 +70,19 @@ def _expected(name, source, sides, size, weights):
 ])  # fmt: skip
 @pytest.mark.parametrize("weights", ["moment", "printed"])
 def test_radiance_agrees_with_the_oracle(backend, name, source, sides, size, weights):
-    """Eq. 3 in float32 against float64, to 1e-5 of the value itself down to a hundredth of the brightness; masked pixels are NaN."""
+    """Eq. 3 in float32 against float64, to 1e-5 of the value itself down to a hundredth of the brightness;
+    masked pixels are NaN.
+    """
     light, valid = _expected(name, source, sides, size, weights)
     rho = np.linspace(0.1, 1, light.size).reshape(light.shape)
     depth, mask = scenes.whole_layers(name)
-    scene = sl.Scene(depth if mask is None else np.where(mask, depth, np.nan), albedo=rho, mask=mask, sides=sides)
+    scene = sl.Scene(
+        depth if mask is None else np.where(mask, depth, np.nan), albedo=rho, mask=mask, sides=sides
+    )
     options = dict(method="lattice", backend=backend, hemicube=size, weights=weights)
-    bright, lit = (sl.render(scene, SOURCES[source][0], quantity=q, **options) for q in ("radiance", "irradiance"))
+    bright, lit = (
+        sl.render(scene, SOURCES[source][0], quantity=q, **options) for q in ("radiance", "irradiance")
+    )
     assert bright.backend == lit.backend == backend
     assert np.isnan(bright.image[~valid]).all() and np.isnan(lit.image[~valid]).all()
     assert_close(bright.image[valid], (rho * light / np.pi)[valid], floor=0.01)
@@ -65,12 +90,19 @@ def test_radiance_agrees_with_the_oracle(backend, name, source, sides, size, wei
 
 
 def test_spacing_scales_slopes_not_light(backend):
-    """A relief in metres, 30 to the layer, and one between layers: normals from depth / spacing, visibility in metres."""
+    """A relief in metres, 30 to the layer, and one between layers: normals from depth / spacing, visibility
+    in metres.
+    """
     depth = np.random.default_rng(9).uniform(0, 90, (12, 15)).astype(np.float32)
     cube = sl.Hemicube(5)
     scene = sl.Scene(depth, 30.0)
     visible = cube.unpack(sl.visibility(scene, sl.Sky(), cube, backend))
-    expected = oracle.luminance(visible, oracle.normals(depth.astype(float), 30.0, np.ones(depth.shape, bool)), np.ones(len(cube)), cube.moments)
+    expected = oracle.luminance(
+        visible,
+        oracle.normals(depth.astype(float), 30.0, np.ones(depth.shape, bool)),
+        np.ones(len(cube)),
+        cube.moments,
+    )
     assert_close(irradiance(scene, sl.Sky(), 5, backend, False), expected, floor=0.01)
 
 
@@ -81,7 +113,8 @@ def test_printed_weights_differ(backend):
     assert np.abs(moment / np.pi - 1).max() < 1e-6 < 0.005 < np.abs(printed / np.pi - 1).min()
 
 
-# -- closed forms (MODEL.md, section 4) ----------------------------------------------------------------------------------------
+# -- closed forms (MODEL.md, section 4)
+# ----------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("size", [3, 5, 9, 17, 33])
@@ -96,11 +129,15 @@ def test_a_level_plane_gets_the_whole_sky_at_every_size(backend, size, filled, s
 
 @pytest.mark.parametrize("slope", [(1, 0), (0.5, -0.25), (-2, 1)], ids=str)
 def test_a_tilted_plane_converges_to_its_view_factor(backend, slope):
-    """E = pi B (1 + cos a) / 2; only the cells that the tangent plane cuts are in error, so it falls as 1 / M^2."""
+    """E = pi B (1 + cos a) / 2; only the cells that the tangent plane cuts are in error, so it falls as 1 /
+    M^2.
+    """
     y, x = np.mgrid[:5, :7]
     z = slope[0] * x + slope[1] * y
     wanted = np.pi * (1 + 1 / np.sqrt(1 + slope[0] ** 2 + slope[1] ** 2)) / 2
-    errors = [abs(irradiance(sl.Scene(z - z.min()), sl.Sky(), size, backend)[2, 3] / wanted - 1) for size in SIZES]
+    errors = [
+        abs(irradiance(sl.Scene(z - z.min()), sl.Sky(), size, backend)[2, 3] / wanted - 1) for size in SIZES
+    ]
     assert errors[0] < 4e-3 and errors[1] < 0.4 * errors[0] and errors[2] < 0.4 * errors[1]
 
 
@@ -120,7 +157,10 @@ def test_infinite_trenches_converge_to_their_view_factor(fast):
         for a, d in shapes:
             depth = np.full((1, 2 * a + 4), float(d))
             depth[0, 2 * a :] = depth[0, 0] = 0  # rims at columns 0 and 2 a
-            found.append(irradiance(sl.Scene(depth, sides="periodic"), sl.Sky(), size, fast)[0, a] / np.pi - a / np.hypot(a, d))
+            found.append(
+                irradiance(sl.Scene(depth, sides="periodic"), sl.Sky(), size, fast)[0, a] / np.pi
+                - a / np.hypot(a, d)
+            )
         errors.append(_rms(found))
     assert errors[0] > errors[1] > errors[2], errors
     assert errors[2] < 0.012, errors
@@ -130,7 +170,9 @@ def test_a_trench_is_the_same_on_every_backend(backend):
     """a = 10, d = 4 at M = 17: within one cell of the closed form, along rows and along columns."""
     depth = np.full((1, 24), 4.0)
     depth[0, 20:] = depth[0, 0] = 0
-    along, across = (irradiance(sl.Scene(z, sides="periodic"), sl.Sky(), 17, backend) for z in (depth, depth.T))
+    along, across = (
+        irradiance(sl.Scene(z, sides="periodic"), sl.Sky(), 17, backend) for z in (depth, depth.T)
+    )
     assert abs(along[0, 10] / (np.pi * 10 / np.hypot(10, 4)) - 1) < 0.02
     assert abs(across[10, 0] / along[0, 10] - 1) < 1e-5
 
@@ -139,10 +181,19 @@ def test_rectangular_windows_converge_to_lamberts_polygon(fast):
     """A floor below a window: each pixel has its own closed form, straight below and far to the side."""
     depth, (x0, x1), (y0, y1) = 7.0, (3.2, 14.1), (2.3, 9.7)
     y, x = np.mgrid[:13, :19]
-    corners = np.stack([np.stack([u - x, v - y, np.full(x.shape, -depth)], -1) for u, v in ((x0, y0), (x1, y0), (x1, y1), (x0, y1))], -2)
+    corners = np.stack(
+        [
+            np.stack([u - x, v - y, np.full(x.shape, -depth)], -1)
+            for u, v in ((x0, y0), (x1, y0), (x1, y1), (x0, y1))
+        ],
+        -2,
+    )
     wanted = -polygon_moment(corners)[..., 2]
     scene = sl.Scene(np.full(x.shape, depth))
-    errors = [_rms(irradiance(scene, sl.Window(x=(x0, x1), y=(y0, y1)), size, fast) - wanted) / wanted.mean() for size in SIZES]
+    errors = [
+        _rms(irradiance(scene, sl.Window(x=(x0, x1), y=(y0, y1)), size, fast) - wanted) / wanted.mean()
+        for size in SIZES
+    ]
     assert errors[0] > errors[1] > errors[2] and errors[2] < 0.36 * errors[0], errors  # at least as 1 / M
     assert errors[2] < 0.04, errors
 
@@ -154,18 +205,27 @@ def test_a_sphere_converges_to_its_closed_form(fast):
     square = (x - cx) ** 2 + (y - cy) ** 2 + (depth - cz) ** 2
     wanted = np.pi * radius**2 / square * (depth - cz) / np.sqrt(square)
     scene = sl.Scene(np.full(x.shape, depth))
-    errors = [_rms(irradiance(scene, sl.Lamp(center=(cx, cy, cz), radius=radius), size, fast) - wanted) / wanted.mean() for size in SIZES]
+    errors = [
+        _rms(irradiance(scene, sl.Lamp(center=(cx, cy, cz), radius=radius), size, fast) - wanted)
+        / wanted.mean()
+        for size in SIZES
+    ]
     assert errors[0] > errors[1] > errors[2] and errors[2] < 0.36 * errors[0], errors  # at least as 1 / M
     assert errors[2] < 0.04, errors
 
 
 def test_the_penumbra_has_the_width_of_similar_triangles(backend):
-    """A floor at depth 24, an edge at column 40 and depth 12, a window of x = 44 to 56 above the far side: all of it is seen
-    from x <= 24, nothing from x > 36, and from between the part beyond the edge's shadow, X <= x + 2 (40 - x)."""
+    """A floor at depth 24, an edge at column 40 and depth 12, a window of x = 44 to 56 above the far side:
+    all of it is seen from x <= 24, nothing from x > 36, and from between the part beyond the edge's shadow, X
+    <= x + 2 (40 - x).
+    """
     depth = np.full((25, 60), 24.0)
     depth[:, 40:] = 12
     window = sl.Window(x=(44, 56), y=(2, 22))  # rays from row 12 to the window stay on the map
-    shaded, free = (irradiance(sl.Scene(z), window, 17, backend)[12, :40].astype(float) for z in (depth, np.full(depth.shape, 24.0)))
+    shaded, free = (
+        irradiance(sl.Scene(z), window, 17, backend)[12, :40].astype(float)
+        for z in (depth, np.full(depth.shape, 24.0))
+    )
     x = np.arange(40)
     assert (free > 0).all() and (shaded[x <= 24] == free[x <= 24]).all()
     assert (shaded[x > 36] == 0).all()
@@ -180,34 +240,52 @@ def test_the_penumbra_has_the_width_of_similar_triangles(backend):
     assert _rms(share - (wanted > 0.5)) > 0.25  # smooth, not a step
 
 
-# -- what goes wrong, by name --------------------------------------------------------------------------------------------------
+# -- what goes wrong, by name
+# --------------------------------------------------------------------------------------------------
 
 
 def test_longer_strides_leak_light_and_filling_stops_it(fast):
-    """MODEL.md 3.3: on rough ground the paper's step gets worse from M = 9 on, since it jumps over ridges; filled, the error falls."""
+    """MODEL.md 3.3: on rough ground the paper's step gets worse from M = 9 on, since it jumps over ridges;
+    filled, the error falls.
+    """
     scene = sl.Scene(scenes.rough(96, 96, 1.0, 2, 1.4))
     reference = irradiance(scene, sl.Sky(), 65, fast).astype(float)
-    stride, filled = ([_rms(irradiance(scene, sl.Sky(), size, fast, f) - reference) / np.pi for size in SIZES] for f in (False, True))
+    stride, filled = (
+        [_rms(irradiance(scene, sl.Sky(), size, fast, f) - reference) / np.pi for size in SIZES]
+        for f in (False, True)
+    )
     assert stride[0] < stride[1] < stride[2], stride
     assert filled[0] > 2 * filled[1] > 4 * filled[2], filled
     assert filled[2] < 0.0015 and stride[2] > 30 * filled[2]
-    assert (irradiance(scene, sl.Sky(), 33, fast, False) - irradiance(scene, sl.Sky(), 33, fast, True)).min() > -1e-4  # it only ever adds light
-    said = lambda size, f: any(w.startswith("Leak") and "filled=True" in w for w in sl.render(scene, sl.Sky(), "lattice", backend=fast, hemicube=size, filled=f).warnings)
+    assert (
+        irradiance(scene, sl.Sky(), 33, fast, False) - irradiance(scene, sl.Sky(), 33, fast, True)
+    ).min() > -1e-4  # it only ever adds light
+    said = lambda size, f: any(
+        w.startswith("Leak") and "filled=True" in w
+        for w in sl.render(scene, sl.Sky(), "lattice", backend=fast, hemicube=size, filled=f).warnings
+    )
     assert said(7, False) and said(9, False) and said(17, False) and not said(9, True) and not said(5, False)
     gentle = sl.Scene(scenes.rough(32, 32, 0.3, 2, 1.4))
     assert sl.render(gentle, sl.Sky(), "lattice", backend=fast, hemicube=17).warnings == []
 
 
 def test_a_lamp_between_the_directions_is_named(fast):
-    """A lamp narrower than the directions' spacing leaves pixels dark, and a warning says so; a large one does not."""
+    """A lamp narrower than the directions' spacing leaves pixels dark, and a warning says so; a large one
+    does not.
+    """
     scene = sl.Scene(np.full((24, 24), 24.0))
-    small, large = (sl.render(scene, sl.Lamp(center=(11.5, 11.5, 0), radius=r), "lattice", backend=fast) for r in (1, 11))
-    assert (small.image == 0).mean() > 0.8 and any("Small lamp" in w and "larger hemicube" in w for w in small.warnings)
+    small, large = (
+        sl.render(scene, sl.Lamp(center=(11.5, 11.5, 0), radius=r), "lattice", backend=fast) for r in (1, 11)
+    )
+    assert (small.image == 0).mean() > 0.8 and any(
+        "Small lamp" in w and "larger hemicube" in w for w in small.warnings
+    )
     assert (large.image > 0).all() and large.warnings == []
 
 
 def test_a_directed_lamp_moves_the_maximum_towards_the_centre(backend):
-    """The paper's Fig. 2: a slanted plane under a sphere at the viewer; isotropic, weakly and strongly directed.
+    """The paper's Fig. 2: a slanted plane under a sphere at the viewer; isotropic, weakly and strongly
+    directed.
 
     The maxima stand where N.L (R / d)^2 cos^k, the closed form of a sphere, has them.
     """
@@ -219,14 +297,19 @@ def test_a_directed_lamp_moves_the_maximum_towards_the_centre(backend):
     for power in (0, 4, 24):
         lamp = sl.Lamp(center=(40, 1, height), radius=18, brightness=sl.cosine_power(power))
         light = irradiance(sl.Scene(np.tile(depth, (3, 1))), lamp, 17, backend)[1].astype(float)
-        peak.append(3 + int(np.argmax(np.convolve(light, np.ones(7) / 7, "valid"))))  # over the lattice's grain
-        wanted.append(int(np.argmax((slope * towards[0] - towards[1]) / far**3 * (-towards[1] / far) ** power)))
+        peak.append(
+            3 + int(np.argmax(np.convolve(light, np.ones(7) / 7, "valid")))
+        )  # over the lattice's grain
+        wanted.append(
+            int(np.argmax((slope * towards[0] - towards[1]) / far**3 * (-towards[1] / far) ** power))
+        )
     assert wanted == [16, 28, 36]
     assert peak[0] + 5 < peak[1] < peak[2] - 3 and peak[2] <= 40, peak
     assert np.abs(np.subtract(peak, wanted)).max() <= 4, peak
 
 
-# -- brightness, albedo, plan --------------------------------------------------------------------------------------------------
+# -- brightness, albedo, plan
+# --------------------------------------------------------------------------------------------------
 
 
 UNIT = np.array([[0, 0, -1], [1, 0, 0], [0, 1, 0], [-0.6, 0, -0.8], [0, -0.8, -0.6]])
@@ -243,7 +326,14 @@ def test_brightness_functions_by_hand():
 
 def test_the_overcast_sky_lights_a_plane_with_seven_ninths(fast):
     """E = pi Lz (1/3) (1 + 4/3) = 7 pi Lz / 9."""
-    errors = [abs(irradiance(sl.Scene(np.ones((1, 1))), sl.Sky(sl.cie_overcast(9.0)), size, fast)[0, 0] / (7 * np.pi) - 1) for size in SIZES]
+    errors = [
+        abs(
+            irradiance(sl.Scene(np.ones((1, 1))), sl.Sky(sl.cie_overcast(9.0)), size, fast)[0, 0]
+            / (7 * np.pi)
+            - 1
+        )
+        for size in SIZES
+    ]
     assert errors[0] < 3e-3 and errors[2] < errors[1] < errors[0]
 
 
@@ -253,8 +343,13 @@ def test_an_environment_map_has_the_zenith_above_and_column_zero_in_the_east():
     sky = sl.environment_map(image)
     row, col = np.mgrid[:6, :8]
     away, azimuth = (row + 0.5) / 6 * np.pi, (col + 0.5) / 8 * 2 * np.pi
-    assert np.allclose(sky(np.stack([np.sin(away) * np.cos(azimuth), np.sin(away) * np.sin(azimuth), -np.cos(away)], -1)), image)
-    assert np.allclose(sky(np.array([np.sin(away[2, 0]), 0, -np.cos(away[2, 0])])), (image[2, 0] + image[2, 7]) / 2)  # no seam at +x
+    assert np.allclose(
+        sky(np.stack([np.sin(away) * np.cos(azimuth), np.sin(away) * np.sin(azimuth), -np.cos(away)], -1)),
+        image,
+    )
+    assert np.allclose(
+        sky(np.array([np.sin(away[2, 0]), 0, -np.cos(away[2, 0])])), (image[2, 0] + image[2, 7]) / 2
+    )  # no seam at +x
     assert sl.environment_map([[3.0]])(UNIT).tolist() == [3.0] * 5
 
 
@@ -268,7 +363,9 @@ def test_an_environment_map_lights_the_slope_that_faces_it(backend):
         light = {}
         for way in ((1, 0), (0, 1), (-1, 0), (0, -1)):
             z = way[0] * x + way[1] * y
-            light[way] = irradiance(sl.Scene(z - z.min()), sl.Sky(sl.environment_map(image)), 9, backend)[2, 2]
+            light[way] = irradiance(sl.Scene(z - z.min()), sl.Sky(sl.environment_map(image)), 9, backend)[
+                2, 2
+            ]
         assert max(light, key=light.get) == towards and light[towards] > 1.3 * sorted(light.values())[-2]
 
 
@@ -278,7 +375,12 @@ def test_albedo_multiplies_radiance_and_not_irradiance(backend):
     rho = np.random.default_rng(2).uniform(0, 1, depth.shape)
     rho[3, 4], rho[5, 6] = 0, 1
     light = irradiance(sl.Scene(depth), sl.Sky(), 5, backend)
-    by_map, by_number = (sl.render(sl.Scene(depth, albedo=a), sl.Sky(), "lattice", backend=backend, hemicube=5, filled=True).image for a in (rho, 0.25))
+    by_map, by_number = (
+        sl.render(
+            sl.Scene(depth, albedo=a), sl.Sky(), "lattice", backend=backend, hemicube=5, filled=True
+        ).image
+        for a in (rho, 0.25)
+    )
     assert_close(by_map, rho * light.astype(float) / np.pi, relative=1e-6)
     assert_close(by_number, 0.25 * light.astype(float) / np.pi, relative=1e-6)
     assert by_map[3, 4] == 0
@@ -293,7 +395,10 @@ def test_brightness_is_linear_and_lamps_only_add(backend):
     rows, cols = scene.shape
     aperture = np.random.default_rng(3).random((rows, cols)) < 0.4
     dark = scenes.scene("fractal", "dark")
-    parts = sum(irradiance(dark, sl.Window(aperture=a), 5, backend, False).astype(float) for a in (aperture, ~aperture))
+    parts = sum(
+        irradiance(dark, sl.Window(aperture=a), 5, backend, False).astype(float)
+        for a in (aperture, ~aperture)
+    )
     assert_close(irradiance(dark, sl.Sky(), 5, backend, False), parts)
 
 
@@ -311,5 +416,9 @@ def test_what_is_asked_for_is_taken(fast):
     asked = sl.render(scene, sl.Sky(), "lattice", hemicube=5, backend=fast).plan
     assert (asked.method, asked.hemicube, asked.filled, asked.azimuths) == ("lattice", 5, False, None)
     out = sl.render(scene, sl.Sky(), filled=True, backend=fast)
-    assert (out.plan.hemicube, out.plan.filled, str(out.plan)) == (9, True, "lattice, hemicube 9, filled: as asked")
+    assert (out.plan.hemicube, out.plan.filled, str(out.plan)) == (
+        9,
+        True,
+        "lattice, hemicube 9, filled: as asked",
+    )
     assert out.seconds >= 0 and out.compile_seconds >= 0

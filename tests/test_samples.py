@@ -3,32 +3,39 @@
 import numpy as np
 import pytest
 import scenes
-from compare import assert_bits_equal
-from test_refinement import HIGH, LOW, PANEL, SCENES, SIZE, WINDOW, truth
-
 import skylamp as sl
+from compare import assert_bits_equal
 from skylamp import oracle
 from skylamp.backends import select
-from skylamp.sources.solids import Dome
 from skylamp.light.slices import Slices
-from skylamp.sources.integrals import Integrals
 from skylamp.refinement import solid_of, upright
 from skylamp.samples import COUNT, NONE, Errors, Samples, errors
+from skylamp.sources.integrals import Integrals
+from skylamp.sources.solids import Dome
+from test_refinement import HIGH, LOW, PANEL, SCENES, SIZE, WINDOW, truth
 
 
 @pytest.mark.parametrize("name", ["rough", "dark", "periodic", "holes", "metres", "tiny"])
 def test_samples_see_the_oracles_horizons(backend, name):
-    """On every backend, every crossing: horizons clamped at the level, the tangent plane and the wall agree to float32."""
+    """On every backend, every crossing: horizons clamped at the level, the tangent plane and the wall agree
+    to float32.
+    """
     scene = SCENES[name]
     samples = Samples(select(backend), scene, 24)
     azimuths = np.array([0, 0.3, 1.1, np.pi / 4, np.pi / 2, 2.2, 3.6, 4.9, 6.1])
     found = samples.horizons(azimuths)
-    raw = oracle.horizons(scene.depth.astype(float), scene.spacing, azimuths, scene.sides, nodes=(samples.y, samples.x))
+    raw = oracle.horizons(
+        scene.depth.astype(float), scene.spacing, azimuths, scene.sides, nodes=(samples.y, samples.x)
+    )
     free = samples.free(np.cos(azimuths)[:, None], np.sin(azimuths)[:, None])
     np.testing.assert_allclose(found, np.maximum(free, raw), atol=2e-4, rtol=2e-5)
     assert (raw > free).mean() > 0.2, "nothing stands in the way"
-    normal = oracle.normals(np.nan_to_num(scene.depth.astype(float)), scene.spacing, scene.valid)[samples.y, samples.x]
-    np.testing.assert_allclose(np.stack([samples.gx, samples.gy]), (normal[:, :2] / -normal[:, 2:]).T, atol=1e-5)
+    normal = oracle.normals(np.nan_to_num(scene.depth.astype(float)), scene.spacing, scene.valid)[
+        samples.y, samples.x
+    ]
+    np.testing.assert_allclose(
+        np.stack([samples.gx, samples.gy]), (normal[:, :2] / -normal[:, 2:]).T, atol=1e-5
+    )
 
 
 @pytest.mark.parametrize("source", [HIGH, LOW, PANEL, WINDOW], ids=["ball", "low spot", "panel", "window"])
@@ -44,7 +51,9 @@ def test_samples_see_lamps_as_shadow_rays_do(fast, source):
 
 @pytest.mark.parametrize("sides", ["open", "dark"])
 def test_samples_see_suns_as_images_do(fast, sides):
-    """Small bright parts in sectors: as the kernel has them at the same nodes, also through a window, some dark and some not."""
+    """Small bright parts in sectors: as the kernel has them at the same nodes, also through a window, some
+    dark and some not.
+    """
     axis = np.array([0.5, 0.4, -0.6]) / np.sqrt(0.77)
     sun = Integrals(sl.Sky(lambda L: 1 + 1e3 * (L @ axis > np.cos(0.02)))).suns[0].sectors(16)
     scene = SCENES["dark"] if sides == "dark" else SCENES["rough"]
@@ -55,11 +64,16 @@ def test_samples_see_suns_as_images_do(fast, sides):
         run.sectors(*sun, *([window] if window else []))
         wanted = samples.of(run.download())
         assert errors(samples.sectors(*sun, window), wanted).rms < 0.01 and 0.1 < (wanted > 0).mean() < 0.95
-    assert samples.sectors(*sun, occluded=False).min() >= samples.sectors(*sun).min() and (samples.sectors(*sun, occluded=False) > samples.sectors(*sun) + 0.1).any()
+    assert (
+        samples.sectors(*sun, occluded=False).min() >= samples.sectors(*sun).min()
+        and (samples.sectors(*sun, occluded=False) > samples.sectors(*sun) + 0.1).any()
+    )
 
 
 def test_samples_are_spread_and_the_same_again(fast):
-    """Over all quarters of a map, on a few valid nodes among many masked, and all nodes of a small map; numbers from elsewhere are other nodes."""
+    """Over all quarters of a map, on a few valid nodes among many masked, and all nodes of a small map;
+    numbers from elsewhere are other nodes.
+    """
     of = lambda scene, *more: Samples(select(fast), scene, *more)
     one, other = of(SCENES["rough"]), of(sl.Scene(SCENES["rough"].depth.copy()))
     assert_bits_equal(one.x.astype(np.int64), other.x.astype(np.int64))
@@ -76,24 +90,37 @@ def test_samples_are_spread_and_the_same_again(fast):
 
 
 def test_errors_by_hand():
-    """RMS over all nodes, mean over the lit ones; exponential errors have their 99.9th percentile at ln 1000 of their mean."""
+    """RMS over all nodes, mean over the lit ones; exponential errors have their 99.9th percentile at ln 1000
+    of their mean.
+    """
     exact = np.array([0.0, 0.0, 1.0, 3.0])
     assert errors(exact + [0.2, 0, 0, -0.2], exact).rms == pytest.approx(np.sqrt(0.08 / 4) / 2)
     rng = np.random.default_rng(0)
     found = errors(1 + 0.01 * rng.exponential(size=4000), np.ones(4000))
-    assert found.tail == pytest.approx(0.01 * np.log(1000), rel=0.1) and found.rms < found.bound < 1.06 * found.rms
+    assert (
+        found.tail == pytest.approx(0.01 * np.log(1000), rel=0.1)
+        and found.rms < found.bound < 1.06 * found.rms
+    )
     rare = np.zeros(100)
     rare[7] = 1
-    assert errors(rare + 1, np.ones(100)).bound > 1.4 * errors(rare + 1, np.ones(100)).rms, "one node in a hundred may be three"
-    assert errors(np.zeros(3), np.zeros(3)) == Errors(0, 0, 0) and errors(np.ones(3), np.zeros(3)).rms == np.inf
+    assert errors(rare + 1, np.ones(100)).bound > 1.4 * errors(rare + 1, np.ones(100)).rms, (
+        "one node in a hundred may be three"
+    )
+    assert (
+        errors(np.zeros(3), np.zeros(3)) == Errors(0, 0, 0) and errors(np.ones(3), np.zeros(3)).rms == np.inf
+    )
     assert errors(exact[:1], exact[:1] + 1).rms == 1.0, "one node has an error too"
 
 
 def test_weights_by_hand():
-    """Ten nodes in forty that stand for two thousandths of the map, of whose error five make the last thousandth; weights are shares whatever their sum."""
+    """Ten nodes in forty that stand for two thousandths of the map, of whose error five make the last
+    thousandth; weights are shares whatever their sum.
+    """
     weights, off = (np.repeat(pair, (30, 10)) for pair in ((0.998 / 30, 0.0002), (0.01, 0.4)))
     found = errors(1 + off, np.ones(40), weights)
-    assert found.rms == pytest.approx(np.sqrt(0.998 * 0.01**2 + 0.002 * 0.4**2)) and found.tail == pytest.approx(0.4)
+    assert found.rms == pytest.approx(
+        np.sqrt(0.998 * 0.01**2 + 0.002 * 0.4**2)
+    ) and found.tail == pytest.approx(0.4)
     assert errors(1 + off, np.ones(40), 8 * weights) == pytest.approx(found)
     assert errors(1 + off, np.ones(40)).rms == pytest.approx(np.sqrt(0.75 * 0.01**2 + 0.25 * 0.4**2))
 
@@ -103,20 +130,38 @@ def test_holes_are_no_cliffs(fast):
     assert Samples(select(fast), SCENES["rough"]).cliffs == Samples(select(fast), SCENES["holes"]).cliffs == 0
     depth = SCENES["houses"].depth.astype(float)
     steps = [np.abs(np.diff(depth, axis=a)) > 4 for a in (0, 1)]
-    assert Samples(select(fast), SCENES["houses"]).cliffs == pytest.approx(sum(s.sum() for s in steps) / sum(s.size for s in steps), rel=1e-5)
+    assert Samples(select(fast), SCENES["houses"]).cliffs == pytest.approx(
+        sum(s.sum() for s in steps) / sum(s.size for s in steps), rel=1e-5
+    )
 
 
 def test_samples_look_closer_where_ground_is_rare(fast):
-    """Nodes are added where a few blocks have most of the relief, none that is masked, below a cliff between two blocks too; weighted, they tell the features' shares."""
+    """Nodes are added where a few blocks have most of the relief, none that is masked, below a cliff between
+    two blocks too; weighted, they tell the features' shares.
+    """
     y, x = np.mgrid[:600, :600]
     holes, of = (x + y) % 3 > 0, lambda scene: Samples(select(fast), scene)
-    for lower, mask in ((np.abs(x - 300) < 4, None), (x >= 256, None), (np.hypot(x - 200, y - 300) < 25, None), (np.abs(x - 300) < 4, holes)):
+    for lower, mask in (
+        (np.abs(x - 300) < 4, None),
+        (x >= 256, None),
+        (np.hypot(x - 200, y - 300) < 25, None),
+        (np.abs(x - 300) < 4, holes),
+    ):
         samples = of(sl.Scene(np.where(lower, 25.0, 0.0), mask=mask))
-        assert len(samples) > COUNT + 64 and samples.weights.sum() == pytest.approx(1) and samples.rare.sum() > 64
+        assert (
+            len(samples) > COUNT + 64
+            and samples.weights.sum() == pytest.approx(1)
+            and samples.rare.sum() > 64
+        )
         assert mask is None or mask[samples.y, samples.x].all()
         there = lower[samples.y, samples.x]
         assert there.sum() >= 8 and samples.weights[there].sum() == pytest.approx(lower.mean(), rel=0.5)
     beside = of(sl.Scene(np.where(x >= 256, 25.0, 0.0)))
     assert ((beside.x >= 256) & (beside.x < 288)).sum() > 30
-    for depth in (scenes.rough(600, 600, 1.0, 4), 0.3 * y, np.hypot(x, y), np.where((x % 30 == 0) & (y % 30 == 0), 9.0, 0.0)):
+    for depth in (
+        scenes.rough(600, 600, 1.0, 4),
+        0.3 * y,
+        np.hypot(x, y),
+        np.where((x % 30 == 0) & (y % 30 == 0), 9.0, 0.0),
+    ):
         assert of(sl.Scene(depth)).weights is None, "what is everywhere is met often enough"

@@ -5,7 +5,6 @@ import json
 
 import numpy as np
 import pytest
-
 import skylamp as sl
 from skylamp.app import cli, selftest
 from skylamp.backends.base import Backend
@@ -26,7 +25,10 @@ def test_every_pair_agrees(capsys):
     names = [b.name for b in sl.backends() if b.available]
     assert code == 0 and facts["passed"] is True and facts["backends"] == names, err
     got = {(c["case"], c["one"], c["other"]) for c in facts["comparisons"]}
-    assert got == {(case.name, *pair) for case in selftest.cases() for pair in itertools.combinations(names, 2)} and len(got) >= 18
+    assert (
+        got == {(case.name, *pair) for case in selftest.cases() for pair in itertools.combinations(names, 2)}
+        and len(got) >= 18
+    )
     assert all(c["difference"] == 0 for c in facts["comparisons"] if "bits" in c["case"])
     assert all(c["allowed"] <= 1e-5 for c in facts["comparisons"])
     for case in selftest.cases():
@@ -61,10 +63,19 @@ def test_a_difference_is_exit_1(capsys, monkeypatch):
     assert code == 1 and "failed" in out and "skylamp: warp:cpu: lost the device" in err
 
 
-@pytest.mark.parametrize("one, other, expected", [
-    ([1.0, 2.0], [1.0, 2.0], 0), ([1.0, 2.0], [1.0, 2.2], 0.2 / 2.2), ([1.0, np.nan], [1.0, np.nan], 0), ([1.0, np.nan], [1.0, 2.0], np.inf),
-    ([1.0, -np.inf], [1.0, np.inf], np.inf), ([np.nan, np.nan], [np.nan, np.nan], np.inf), ([1.0], [1.0, 1.0], np.inf), ([0.0], [0.0], 0),
-])
+@pytest.mark.parametrize(
+    "one, other, expected",
+    [
+        ([1.0, 2.0], [1.0, 2.0], 0),
+        ([1.0, 2.0], [1.0, 2.2], 0.2 / 2.2),
+        ([1.0, np.nan], [1.0, np.nan], 0),
+        ([1.0, np.nan], [1.0, 2.0], np.inf),
+        ([1.0, -np.inf], [1.0, np.inf], np.inf),
+        ([np.nan, np.nan], [np.nan, np.nan], np.inf),
+        ([1.0], [1.0, 1.0], np.inf),
+        ([0.0], [0.0], 0),
+    ],
+)
 def test_difference(one, other, expected):
     """NaN beside a number, other shapes and nothing but NaN never pass."""
     assert selftest.difference(np.array(one), np.array(other)) == pytest.approx(expected)

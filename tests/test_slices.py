@@ -1,4 +1,6 @@
-"""Light of balls, rectangles and windows through slices: closed forms, the oracle's shadow rays, and the backends side by side."""
+"""Light of balls, rectangles and windows through slices: closed forms, the oracle's shadow rays, and the
+backends side by side.
+"""
 
 import functools
 import importlib
@@ -7,15 +9,14 @@ import math
 import numpy as np
 import pytest
 import scenes
+import skylamp as sl
 from compare import assert_bits_equal
 from scenes import rough
-
-import skylamp as sl
 from skylamp import oracle
 from skylamp.backends import select
+from skylamp.radiometry import disc_moment, polygon_moment, rectangle_solid_angle
 from skylamp.sources import solids
 from skylamp.sources.integrals import Integrals, chords
-from skylamp.radiometry import disc_moment, polygon_moment, rectangle_solid_angle
 
 slices = importlib.import_module("skylamp.light.slices")
 UP = np.array([0.0, 0.0, -1.0])
@@ -35,7 +36,15 @@ def table_of(light, turns, knots):
 
 def made(backend, depth, solid, light=1.0, step=1.0, sides="open", **options):
     """Slices that have run; ``light``: a number, a function of directions, or a table of chords."""
-    run = slices.Slices(select(backend), np.asarray(depth, np.float32), step, sides, solid, lit(light) if callable(light) else light, **options)
+    run = slices.Slices(
+        select(backend),
+        np.asarray(depth, np.float32),
+        step,
+        sides,
+        solid,
+        lit(light) if callable(light) else light,
+        **options,
+    )
     run.run()
     return run
 
@@ -46,7 +55,7 @@ def image(*args, **options):
 
 
 def slanted(shape, gx, gy, z=30.0):
-    y, x = np.mgrid[:shape[0], :shape[1]]
+    y, x = np.mgrid[: shape[0], : shape[1]]
     return z + gx * x + gy * y, np.array([gx, gy, -1]) / math.sqrt(1 + gx**2 + gy**2)
 
 
@@ -78,7 +87,9 @@ def cut(polygon, normal):
 
 
 def of_polygon(corners, eyes, *planes):
-    """Lambert's formula for what stands above every plane through each eye; the first one is the surface's own."""
+    """Lambert's formula for what stands above every plane through each eye; the first one is the surface's
+    own.
+    """
     out = []
     for eye in eyes:
         part = np.asarray(corners, float) - eye
@@ -88,13 +99,22 @@ def of_polygon(corners, eyes, *planes):
     return np.array(out)
 
 
-# -- balls -------------------------------------------------------------------------------------------------------------------
+# -- balls
+# -------------------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(("gx", "gy"), [(0, 0), (0.5, -0.3)])
 def test_a_ball_above_the_plane(backend, gx, gy):
-    """pi (R / d)^2 cos: close by, overhead, behind the viewer, and as small as a star; in spacings and in lengths."""
-    for lamp in ((8, 6, 5, 4), (9, 7, 2, 9), (-9, 20, -15, 7), (100, 100, -200, 1.5), (300, -500, -2000, 0.2)):
+    """pi (R / d)^2 cos: close by, overhead, behind the viewer, and as small as a star; in spacings and in
+    lengths.
+    """
+    for lamp in (
+        (8, 6, 5, 4),
+        (9, 7, 2, 9),
+        (-9, 20, -15, 7),
+        (100, 100, -200, 1.5),
+        (300, -500, -2000, 0.2),
+    ):
         for spacing in (1.0, 0.5):
             depth, normal = slanted((13, 17), gx, gy)
             to = (np.array(lamp[:3]) - places(depth)) * spacing
@@ -112,7 +132,11 @@ def test_a_half_set_ball(backend):
         to = np.array(lamp[:3]) - places(depth)
         far = np.linalg.norm(to, axis=1)
         assert (abs(to[:, 2]) < lamp[3]).all()
-        near(image(backend, depth, slices.Ball(lamp[:3], lamp[3]))[NODES], disc_moment(to / far[:, None], lamp[3] / far, UP) @ UP, 1e-3)
+        near(
+            image(backend, depth, slices.Ball(lamp[:3], lamp[3]))[NODES],
+            disc_moment(to / far[:, None], lamp[3] / far, UP) @ UP,
+            1e-3,
+        )
     assert not image(backend, depth, slices.Ball((25, 6, 15), 5)).any()
 
 
@@ -121,13 +145,19 @@ def test_a_node_inside_the_ball(backend):
     depth = np.full((13, 17), 10.0)
     depth[:, 4] = 7.0
     for sides in ("open", "dark"):
-        assert image(backend, depth, slices.Ball((7, 6, 9), 6), sides=sides)[6, 6] == pytest.approx(np.pi, rel=1e-5)
+        assert image(backend, depth, slices.Ball((7, 6, 9), 6), sides=sides)[6, 6] == pytest.approx(
+            np.pi, rel=1e-5
+        )
     depth, normal = slanted((13, 17), 1.0, 0.5)
-    assert image(backend, depth, slices.Ball((8, 6, 38), 6))[6, 8] == pytest.approx(np.pi * (1 - normal[2]) / 2, rel=2e-3)
+    assert image(backend, depth, slices.Ball((8, 6, 38), 6))[6, 8] == pytest.approx(
+        np.pi * (1 - normal[2]) / 2, rel=2e-3
+    )
 
 
 def test_the_penumbra_of_a_ball(backend):
-    """Behind a straight edge: the disc's part above the plane through node and edge, smooth from dark to light."""
+    """Behind a straight edge: the disc's part above the plane through node and edge, smooth from dark to
+    light.
+    """
     spacing = 0.5
     lamp = np.array([34.0, 20.0, -4.0, 3.0]) * spacing
     depth = walled() * spacing
@@ -138,16 +168,24 @@ def test_the_penumbra_of_a_ball(backend):
     above = edge / np.linalg.norm(edge, axis=1)[:, None]
     height = (to * above).sum(1) / lamp[3]
     full = disc_moment(to / far[:, None], lamp[3] / far) @ UP
-    wanted = np.where(height <= -1, 0, np.where(height >= 1, full, disc_moment(to / far[:, None], lamp[3] / far, above) @ UP))
+    wanted = np.where(
+        height <= -1,
+        0,
+        np.where(height >= 1, full, disc_moment(to / far[:, None], lamp[3] / far, above) @ UP),
+    )
     partly = (height > -1) & (height < 1)
     for most, bound in ((32, 4e-3), (64, 1e-3), (128, 5e-4)):
         got = image(backend, depth, slices.Ball(tuple(lamp[:3]), lamp[3]), step=spacing, most=most)[nodes]
         np.testing.assert_allclose(got, wanted, atol=bound * wanted.max())
-        assert partly.sum() >= 10 and (np.diff((got / full)[partly]) < 0).all() and not got[height < -1.1].any()
+        assert (
+            partly.sum() >= 10 and (np.diff((got / full)[partly]) < 0).all() and not got[height < -1.1].any()
+        )
 
 
 def test_ground_in_and_behind_a_ball(backend):
-    """A ball stands through a wall: its part before the wall shines as if there were none, and nothing comes from beyond it."""
+    """A ball stands through a wall: its part before the wall shines as if there were none, and nothing comes
+    from beyond it.
+    """
     depth = walled(floor=12.0, top=2.0)
     nodes = ([20], [8])
     for ball in (slices.Ball((20, 20, 6), 4.0), slices.Ball((14, 20, 7), 2.0)):
@@ -157,10 +195,11 @@ def test_ground_in_and_behind_a_ball(backend):
 
 
 def test_two_halves_of_a_balls_slices(backend):
-    """Where nothing hides the ball they agree, and so do slices between; in a penumbra they do not, and in the umbra nothing is left.
+    """Where nothing hides the ball they agree, and so do slices between; in a penumbra they do not, and in
+    the umbra nothing is left.
 
-    Slices of shift 0.5 are in mirror pairs of an even and an odd one, those of shift 0 in pairs of a kind: what lies mirrored
-    before a node is seen by the halves of the latter alone.
+    Slices of shift 0.5 are in mirror pairs of an even and an odd one, those of shift 0 in pairs of a kind:
+    what lies mirrored before a node is seen by the halves of the latter alone.
     """
     lamp, floor, depth = slices.Ball((34.0, 20.0, -4.0), 3.0), np.full((41, 45), 12.0), walled()
     clear = image(backend, floor, lamp)
@@ -168,7 +207,9 @@ def test_two_halves_of_a_balls_slices(backend):
         nodes = np.full(20, row), np.arange(20)
         to = np.array(lamp.center) - places(depth, nodes=nodes)
         edge = np.stack([np.full(20, 4.0 - 12), np.zeros(20), -(22.0 - np.arange(20))], -1)
-        height = (to * edge).sum(1) / np.linalg.norm(edge, axis=1) / lamp.radius  # of its centre above the plane through node and edge
+        height = (
+            (to * edge).sum(1) / np.linalg.norm(edge, axis=1) / lamp.radius
+        )  # of its centre above the plane through node and edge
         free, dark, partly = height > 1.02, height < -1.02, np.abs(height) < 1
         assert free.sum() >= 2 and dark.sum() >= 2 and partly.sum() >= 10
         images = []
@@ -177,7 +218,10 @@ def test_two_halves_of_a_balls_slices(backend):
             np.testing.assert_allclose(run.download(), clear, rtol=1e-4)
             assert (np.abs(run.backend.download(run.alternating)) < 1e-3 * clear).all()
             run = made(backend, depth, lamp, shift=shift)
-            share, off = (value[nodes] / clear[nodes] for value in (run.download(), np.abs(run.backend.download(run.alternating))))
+            share, off = (
+                value[nodes] / clear[nodes]
+                for value in (run.download(), np.abs(run.backend.download(run.alternating)))
+            )
             images.append(share)
             np.testing.assert_allclose(share[free], 1, rtol=1e-4)
             assert off[free].max() < 1e-3 and not off[dark].any() and not share[dark].any()
@@ -189,7 +233,8 @@ def test_two_halves_of_a_balls_slices(backend):
         assert apart[free].max() < 1e-4 and 1e-3 < apart[partly].max() < 0.01
 
 
-# -- rectangles and windows --------------------------------------------------------------------------------------------------
+# -- rectangles and windows
+# --------------------------------------------------------------------------------------------------
 
 
 RECTANGLES = {
@@ -223,14 +268,21 @@ def test_a_rectangle_seen_on_edge(backend):
     near(image(backend, depth, low)[NODES], of_polygon(low.corners, places(depth), UP), 2e-3)
 
 
-@pytest.mark.parametrize(("x", "y"), [((4.25, 9), (3, 8.5)), ((-30, -12), (5, 60)), ((-5000, 6000), (-3000, 9000)), ((8, 8.01), (6, 6.01))])
+@pytest.mark.parametrize(
+    ("x", "y"),
+    [((4.25, 9), (3, 8.5)), ((-30, -12), (5, 60)), ((-5000, 6000), (-3000, 9000)), ((8, 8.01), (6, 6.01))],
+)
 def test_a_window_over_the_plane(backend, x, y):
-    """Parallel and tilted, above, across, far larger than the map, and a pinhole; a plane that cuts it asks for more slices."""
+    """Parallel and tilted, above, across, far larger than the map, and a pinhole; a plane that cuts it asks
+    for more slices.
+    """
     for gx, gy in ((0, 0), (0.3, -0.4)):
         depth, normal = slanted((13, 17), gx, gy, z=9.0)
         window = solids.aperture(x, y, depth.shape, 1.0, "open")
         wanted = of_polygon(window.corners, places(depth), normal)
-        np.testing.assert_allclose(image(backend, depth, window)[NODES], wanted, rtol=2e-3, atol=0.02 * wanted.max() if gx else 0)
+        np.testing.assert_allclose(
+            image(backend, depth, window)[NODES], wanted, rtol=2e-3, atol=0.02 * wanted.max() if gx else 0
+        )
         near(image(backend, depth, window, most=64)[NODES], wanted, 4e-3)
 
 
@@ -238,10 +290,16 @@ def test_a_node_in_the_window(backend):
     """In its plane the whole sky or none; a hair below it, half the sky on an edge, a quarter on a corner."""
     nodes = (np.array([7, 7, 7, 8, 6]), np.array([3, 8, 9, 5, 5]))
     window = lambda x, y: solids.aperture(x, y, (13, 17), 1.0, "open")
-    near(image(backend, np.zeros((13, 17)), window((2.5, 8.5), (6.5, 7.5)))[nodes], np.pi * np.array([1.0, 1, 0, 0, 0]), 1e-5)
+    near(
+        image(backend, np.zeros((13, 17)), window((2.5, 8.5), (6.5, 7.5)))[nodes],
+        np.pi * np.array([1.0, 1, 0, 0, 0]),
+        1e-5,
+    )
     shallow = np.full((13, 17), 1e-4)
     got = image(backend, shallow, window((3, 9), (7, 8)))[nodes]
-    np.testing.assert_allclose(got, of_polygon(window((3, 9), (7, 8)).corners, places(shallow, nodes=nodes), UP), atol=5e-3)
+    np.testing.assert_allclose(
+        got, of_polygon(window((3, 9), (7, 8)).corners, places(shallow, nodes=nodes), UP), atol=5e-3
+    )
 
 
 def test_the_shadow_of_an_edge_in_a_window(backend):
@@ -249,24 +307,39 @@ def test_the_shadow_of_an_edge_in_a_window(backend):
     depth = walled()
     nodes = (np.full(10, 20), np.arange(0, 20, 2))
     window = solids.aperture((25, 44), (12, 31), depth.shape, 1.0, "open")
-    wanted = np.array([of_polygon(window.corners, [eye], UP, np.array([4.0 - 12, 0, -(22 - eye[0])]))[0] for eye in places(depth, nodes=nodes)])
+    wanted = np.array(
+        [
+            of_polygon(window.corners, [eye], UP, np.array([4.0 - 12, 0, -(22 - eye[0])]))[0]
+            for eye in places(depth, nodes=nodes)
+        ]
+    )
     for most, bound in ((32, 6e-3), (64, 2e-3), (128, 1e-3)):
-        np.testing.assert_allclose(image(backend, depth, window, most=most)[nodes], wanted, atol=bound * wanted.max())
+        np.testing.assert_allclose(
+            image(backend, depth, window, most=most)[nodes], wanted, atol=bound * wanted.max()
+        )
     assert wanted[0] > 0 and wanted[-1] == 0
 
 
-# -- brightness --------------------------------------------------------------------------------------------------------------
+# -- brightness
+# --------------------------------------------------------------------------------------------------------------
 
 
 def test_a_small_lamp_shines_with_the_brightness_of_its_direction(backend):
-    """B(L) pi (R / d)^2 cos for a spot cos^16; overhead, where knots are half a degree and more apart, a lamp a tenth of that has their mean."""
+    """B(L) pi (R / d)^2 cos for a spot cos^16; overhead, where knots are half a degree and more apart, a lamp
+    a tenth of that has their mean.
+    """
     depth = np.full((13, 17), 30.0)
     spot = sl.cosine_power(16, axis=(0.3, 0.1, 1), brightness=2.0)
     for center, radius, bound in (((4, 5, -20), 0.05, 0.015), ((14, 9, 10), 0.1, 2e-3)):
         to = np.array(center) - places(depth)
         far = np.linalg.norm(to, axis=1)
         wanted = spot(to / far[:, None]) * np.pi * (radius / far) ** 2 * -to[:, 2] / far
-        np.testing.assert_allclose(image(backend, depth, slices.Ball(center, radius), spot)[NODES], wanted, rtol=bound, atol=bound * wanted.max())
+        np.testing.assert_allclose(
+            image(backend, depth, slices.Ball(center, radius), spot)[NODES],
+            wanted,
+            rtol=bound,
+            atol=bound * wanted.max(),
+        )
 
 
 def test_the_brightness_of_a_window(backend):
@@ -274,7 +347,12 @@ def test_the_brightness_of_a_window(backend):
     depth = np.full((13, 17), 9.0)
     eyes = places(depth)
     wanted = rectangle_solid_angle(3 - eyes[:, 0], 10 - eyes[:, 0], 2 - eyes[:, 1], 11 - eyes[:, 1], 9.0)
-    got = image(backend, depth, solids.aperture((3, 10), (2, 11), depth.shape, 1.0, "open"), lambda L: 1 / np.maximum(-L[..., 2], 0.01))[NODES]
+    got = image(
+        backend,
+        depth,
+        solids.aperture((3, 10), (2, 11), depth.shape, 1.0, "open"),
+        lambda L: 1 / np.maximum(-L[..., 2], 0.01),
+    )[NODES]
     near(got, wanted, 2e-3)
 
 
@@ -294,11 +372,15 @@ def stripes(L):
 
 
 def test_a_window_with_stripes(backend):
-    """Stripes far narrower than the window, against quadrature over it: what samples along a chord would miss."""
+    """Stripes far narrower than the window, against quadrature over it: what samples along a chord would
+    miss.
+    """
     depth = np.full((13, 17), 9.0)
     x, y = (4.0, 15.0), (3.0, 12.0)
     u, v = (a + (b - a) * (np.arange(1500) + 0.5) / 1500 for a, b in (x, y))
-    got = image(backend, depth, solids.aperture(x, y, depth.shape, 1.0, "open"), stripes, most=256)[NODES]  # half as many leave 2 % near a node below
+    got = image(backend, depth, solids.aperture(x, y, depth.shape, 1.0, "open"), stripes, most=256)[
+        NODES
+    ]  # half as many leave 2 % near a node below
     for value, eye in zip(got, places(depth)):
         to = np.stack(np.broadcast_arrays(u - eye[0], (v - eye[1])[:, None], -9.0), -1)
         square = (to * to).sum(-1)
@@ -307,7 +389,9 @@ def test_a_window_with_stripes(backend):
 
 
 def test_a_beam_narrower_than_its_lamp(backend):
-    """cos^900 from a ball, in the beam's middle and on its flank, on level and on slanting ground, against quadrature over the disc."""
+    """cos^900 from a ball, in the beam's middle and on its flank, on level and on slanting ground, against
+    quadrature over the disc.
+    """
     ball = slices.Ball((14.0, 9.0, -16.0), 4.0)
     for gx, gy in ((0, 0), (0.3, -0.2)):
         depth, normal = slanted((13, 17), gx, gy, z=20.0)
@@ -330,16 +414,27 @@ def test_the_table_of_chords():
     t = np.arcsin(s)
     table = table_of(lambda L: 3 - L[..., 2] * 0, turns, knots)
     assert table.shape == (turns, knots, 2) and table.dtype == np.float32
-    np.testing.assert_allclose(table[5], 3 * np.stack([np.pi / 2 - t - np.sin(t) * np.cos(t), 1 - s**2], -1) / 2, atol=5e-6)  # linear within cells
-    quarter = lambda L: np.select([(L[..., 0] >= 0) & (L[..., 1] >= 0), L[..., 1] >= 0, L[..., 0] < 0], [1.0, 2.0, 3.0], 4.0)
+    np.testing.assert_allclose(
+        table[5], 3 * np.stack([np.pi / 2 - t - np.sin(t) * np.cos(t), 1 - s**2], -1) / 2, atol=5e-6
+    )  # linear within cells
+    quarter = lambda L: np.select(
+        [(L[..., 0] >= 0) & (L[..., 1] >= 0), L[..., 1] >= 0, L[..., 0] < 0], [1.0, 2.0, 3.0], 4.0
+    )
     table = table_of(quarter, turns, knots)
-    wanted, inner = np.repeat([0.5, 1, 1.5, 2], turns // 4), np.arange(turns) % (turns // 4) % (turns // 4 - 1) > 0
+    wanted, inner = (
+        np.repeat([0.5, 1, 1.5, 2], turns // 4),
+        np.arange(turns) % (turns // 4) % (turns // 4 - 1) > 0,
+    )
     np.testing.assert_allclose(table[inner, 0, 1], wanted[inner], rtol=1e-6)
-    np.testing.assert_allclose(table[~inner, 0, 1], wanted[~inner], atol=0.03)  # cells of the sky lie across the borders
+    np.testing.assert_allclose(
+        table[~inner, 0, 1], wanted[~inner], atol=0.03
+    )  # cells of the sky lie across the borders
 
 
 def test_brightness_goes_evenly_from_turn_to_turn(backend):
-    """Each row of the table counts at the middle of its cell, the last one and the first are neighbours: by a lamp as small as a star."""
+    """Each row of the table counts at the middle of its cell, the last one and the first are neighbours: by a
+    lamp as small as a star.
+    """
     depth, turns, knots = np.full((13, 17), 30.0), 8, 33
     even = table_of(lambda L: np.ones(L.shape[:-1]), turns, knots)
     middle = (np.arange(turns) + 0.5) * 4 / turns
@@ -355,19 +450,29 @@ def test_the_map_of_brightness():
     side = 9
     values = slices.brightness_of(sl.Sky(brightness=lambda L: 5 + L @ np.array([1.0, 2.0, 3.0])), side)
     assert values.shape == (side, side)
-    assert values[4, 4] == pytest.approx(5 - 3) and values[4, 8] == pytest.approx(5 + 1) and values[0, 4] == pytest.approx(5 - 2)
+    assert (
+        values[4, 4] == pytest.approx(5 - 3)
+        and values[4, 8] == pytest.approx(5 + 1)
+        and values[0, 4] == pytest.approx(5 - 2)
+    )
     assert values[8, 8] == pytest.approx(5 + 3 / math.sqrt(2))  # beyond the level
     u = v = 0.5
     L = np.array([2 * u, 2 * v, -(1 - u * u - v * v)]) / (1 + u * u + v * v)
     assert values[6, 6] == pytest.approx(5 + L @ [1, 2, 3])
-    assert slices.brightness_of(sl.Sky(brightness=lambda L: np.full(L.shape[:-1], 7.0))) == 7.0 == slices.brightness_of(sl.Sky(brightness=7))
+    assert (
+        slices.brightness_of(sl.Sky(brightness=lambda L: np.full(L.shape[:-1], 7.0)))
+        == 7.0
+        == slices.brightness_of(sl.Sky(brightness=7))
+    )
 
 
 def test_the_rules_of_quadrature():
     """Gauss-Legendre for every number of slices."""
     table = slices._quad_nodes(40)
     for count in (1, 2, 3, 7, 40):
-        np.testing.assert_allclose(table[count - 1, :count].T, np.polynomial.legendre.leggauss(count), atol=1e-7)
+        np.testing.assert_allclose(
+            table[count - 1, :count].T, np.polynomial.legendre.leggauss(count), atol=1e-7
+        )
         assert not table[count - 1, count:].any()
 
 
@@ -380,12 +485,17 @@ def test_the_cumulative_table():
         table = slices.cumulative(sl.Sky(brightness=brightness), [0.3, 2.0, 5.0], knots)
         assert table.shape == (3, knots, 2) and table.dtype == np.float32
         np.testing.assert_allclose(table[:, :, 1], np.tile(wanted, (3, 1)), atol=2e-7)
-    table = slices.cumulative(sl.Sky(brightness=lambda L: 2 + L[..., 0] / np.hypot(L[..., 0], L[..., 1])), [0.0, np.pi / 2, np.pi], knots)
+    table = slices.cumulative(
+        sl.Sky(brightness=lambda L: 2 + L[..., 0] / np.hypot(L[..., 0], L[..., 1])),
+        [0.0, np.pi / 2, np.pi],
+        knots,
+    )
     wanted = (np.pi / 2 - t - np.sin(t) * np.cos(t)) / 2
     np.testing.assert_allclose(table[:, :, 0], np.outer([3, 2, 1], wanted), atol=5e-7)
 
 
-# -- walls and masks ---------------------------------------------------------------------------------------------------------
+# -- walls and masks
+# ---------------------------------------------------------------------------------------------------------
 
 
 def test_a_light_and_the_walls_of_a_dark_box(backend):
@@ -396,11 +506,22 @@ def test_a_light_and_the_walls_of_a_dark_box(backend):
     eyes = places(depth, spacing, nodes)
 
     def flat(corner, end, z):
-        return np.array([[corner[0], corner[1], z], [end[0], corner[1], z], [end[0], end[1], z], [corner[0], end[1], z]])
+        return np.array(
+            [[corner[0], corner[1], z], [end[0], corner[1], z], [end[0], end[1], z], [corner[0], end[1], z]]
+        )
 
     light = lambda z: solids.rectangle((-4.0, 1.0, z), (14.0, 0, 0), (0, 12.0, 0))
     # seen from depth 8, a light at z = -8 covers half its width in the plane z = 0
-    wanted = np.array([of_polygon(flat(np.maximum(low, (eye[:2] + [-4, 1]) / 2), np.minimum(high, (eye[:2] + [10, 13]) / 2), 0), [eye], UP)[0] for eye in eyes])
+    wanted = np.array(
+        [
+            of_polygon(
+                flat(np.maximum(low, (eye[:2] + [-4, 1]) / 2), np.minimum(high, (eye[:2] + [10, 13]) / 2), 0),
+                [eye],
+                UP,
+            )[0]
+            for eye in eyes
+        ]
+    )
     dark = lambda solid: image(backend, depth, solid, step=spacing, sides="dark")[nodes]
     np.testing.assert_allclose(dark(light(-8.0)), wanted, rtol=0.02)
     np.testing.assert_allclose(dark(light(5.0)), of_polygon(flat((-0.25, 1), high, 5), eyes, UP), rtol=0.02)
@@ -409,15 +530,26 @@ def test_a_light_and_the_walls_of_a_dark_box(backend):
     through = slices.Ball((6.5, 2, 4), 2.0)
     valid = np.ones(depth.shape, bool)
     lamp = sl.Lamp(center=through.center, radius=through.radius)
-    np.testing.assert_allclose(dark(through), oracle.lamp_irradiance(depth, spacing, valid, lamp, nodes, rays=65536, sides="dark"), rtol=0.02)
+    np.testing.assert_allclose(
+        dark(through),
+        oracle.lamp_irradiance(depth, spacing, valid, lamp, nodes, rays=65536, sides="dark"),
+        rtol=0.02,
+    )
 
 
 def test_a_window_in_a_dark_box(backend):
     """Only what lies over the box; one beside it is nothing."""
     depth, spacing = np.full((13, 17), 9.0), 0.5
     window = solids.aperture((5, 40), (-7, 3), depth.shape, spacing, "dark")
-    assert window.corners[:, :2].min(0).tolist() == [5, -0.25] and window.corners[:, :2].max(0).tolist() == [8.25, 3]
-    near(image(backend, depth, window, step=spacing, sides="dark")[NODES], of_polygon(window.corners, places(depth, spacing), UP), 2e-3)
+    assert window.corners[:, :2].min(0).tolist() == [5, -0.25] and window.corners[:, :2].max(0).tolist() == [
+        8.25,
+        3,
+    ]
+    near(
+        image(backend, depth, window, step=spacing, sides="dark")[NODES],
+        of_polygon(window.corners, places(depth, spacing), UP),
+        2e-3,
+    )
     assert solids.aperture((8.25, 9), (0, 3), depth.shape, spacing, "dark") is None
 
 
@@ -430,25 +562,34 @@ def test_masked_ground_neither_hides_nor_is_lit(backend):
     depth[19:22, 22] = np.inf
     got = image(backend, depth, ball)
     to = np.array(ball.center) - [10, 20, 12]
-    assert got[20, 10] == pytest.approx(np.pi * to[2] / -np.linalg.norm(to) ** 3, rel=1e-3)
+    assert got[20, 10] == pytest.approx(np.pi * to[2] / -(np.linalg.norm(to) ** 3), rel=1e-3)
     assert got[nodes][1] == 0 and np.isfinite(got).all()
     valid = np.isfinite(depth)
     some = tuple(np.argwhere(valid)[:: valid.size // 40].T)
-    wanted = oracle.lamp_irradiance(depth, 1.0, valid, sl.Lamp(center=ball.center, radius=1.0), some, rays=256)
+    wanted = oracle.lamp_irradiance(
+        depth, 1.0, valid, sl.Lamp(center=ball.center, radius=1.0), some, rays=256
+    )
     assert np.sqrt(np.mean((got[some] - wanted) ** 2)) < 0.01 * wanted[wanted > 0].mean()
     nothing = image(backend, np.full((4, 5), np.inf), ball)
     assert nothing.shape == (4, 5) and not nothing.any()
 
 
-# -- rough ground ------------------------------------------------------------------------------------------------------------
+# -- rough ground
+# ------------------------------------------------------------------------------------------------------------
 
 
 def _shifted(source, x, y):
     """The same source for a map that begins at (x, y)."""
     if isinstance(source, sl.Lamp):
-        return sl.Lamp(center=tuple(np.array(source.center) - (x, y, 0)), radius=source.radius, brightness=source.brightness)
+        return sl.Lamp(
+            center=tuple(np.array(source.center) - (x, y, 0)),
+            radius=source.radius,
+            brightness=source.brightness,
+        )
     if isinstance(source, sl.Window):
-        return sl.Window(x=tuple(np.array(source.x) - x), y=tuple(np.array(source.y) - y), brightness=source.brightness)
+        return sl.Window(
+            x=tuple(np.array(source.x) - x), y=tuple(np.array(source.y) - y), brightness=source.brightness
+        )
     return (tuple(np.array(source[0]) - (x, y, 0)), *source[1:])
 
 
@@ -494,7 +635,9 @@ def test_real_terrain_against_shadow_rays(fast, name):
 
 @pytest.mark.parametrize("sides", ["open", "dark"])
 def test_backends_agree_and_repeat_themselves(backend, fast, sides):
-    """To 1e-5 of the maximum, and each gives the same bytes again; with masked ground, over walls, balls and rectangles."""
+    """To 1e-5 of the maximum, and each gives the same bytes again; with masked ground, over walls, balls and
+    rectangles.
+    """
     depth = _terrain()[100:172, 150:254].copy()
     depth[20:26, 40:43] = np.inf
     for source in SOURCES.values():
@@ -537,17 +680,23 @@ def test_the_tops_of_the_cells(backend):
         size, first = 2**level, run.width - (run.width >> level - 1)
         for j in range((20 >> level) + 1):
             for i in range((36 >> level) + 1):
-                assert tops[j, first + i] == height[j * size : (j + 1) * size + 1, i * size : (i + 1) * size + 1].max()
+                assert (
+                    tops[j, first + i]
+                    == height[j * size : (j + 1) * size + 1, i * size : (i + 1) * size + 1].max()
+                )
 
 
-# -- suns --------------------------------------------------------------------------------------------------------------------
+# -- suns
+# --------------------------------------------------------------------------------------------------------------------
 
 
 def sunny(radius, height=60.0):
     """A disc in a sky of 1, and the lamp that it is far away."""
     e, a, r = np.radians((35.0, 200.0, radius))
     axis = np.array([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), -np.sin(e)])
-    return sl.Sky(lambda L: 1 + height * (L @ axis >= np.cos(r))), sl.Lamp(tuple(1e7 * axis), 1e7 * np.sin(r), height - 3)
+    return sl.Sky(lambda L: 1 + height * (L @ axis >= np.cos(r))), sl.Lamp(
+        tuple(1e7 * axis), 1e7 * np.sin(r), height - 3
+    )
 
 
 def by_suns(backend, depth, launches, window=None, sides="open"):
@@ -561,7 +710,9 @@ def by_suns(backend, depth, launches, window=None, sides="open"):
 
 @pytest.mark.parametrize("sides", ["open", "dark"])
 def test_a_sun_in_sectors_is_the_disc_that_it_is(backend, sides):
-    """As a far lamp through slices, which have the disc in closed form; what it stands above is the sky and a little of the disc."""
+    """As a far lamp through slices, which have the disc in closed form; what it stands above is the sky and a
+    little of the disc.
+    """
     depth = _terrain()[100:160, 150:230].copy()
     depth[20:26, 40:43] = np.inf
     sky, lamp = sunny(2.0)
@@ -569,7 +720,9 @@ def test_a_sun_in_sectors_is_the_disc_that_it_is(backend, sides):
     assert sun.limit == pytest.approx(4) and lamp.brightness == 57
     for sectors in (sun.sectors(120), sun.sectors(40), sun.sectors(40, True)):
         got = by_suns(backend, depth, [sectors], sides=sides)
-        wanted = image(backend, depth, slices.Ball(lamp.center, lamp.radius), lamp.brightness, sides=sides, most=256)
+        wanted = image(
+            backend, depth, slices.Ball(lamp.center, lamp.radius), lamp.brightness, sides=sides, most=256
+        )
         np.testing.assert_allclose(got, wanted, atol=0.02 * wanted.max())
         assert np.sqrt(np.mean((got - wanted) ** 2)) < 0.003 * wanted.max() and 0.2 < (got > 0).mean() < 0.95
 
@@ -584,17 +737,24 @@ def test_backends_agree_on_suns_and_repeat_themselves(backend, fast, sides):
         for name in (backend, backend, fast):
             images.append(by_suns(name, depth, [sectors], sides=sides))
         assert_bits_equal(images[0], images[1])
-        assert images[0].any() == (sides == "open" or len(depth) > 1)  # the walls of one row hide a sun aside of it
+        assert images[0].any() == (
+            sides == "open" or len(depth) > 1
+        )  # the walls of one row hide a sun aside of it
         np.testing.assert_allclose(images[0], images[2], rtol=0, atol=1e-5 * images[2].max())
 
 
 def a_sun(elevation, azimuth, radius, count=64, knots=129):
-    """(ways, table) of a disc of brightness 1, in closed form along the middle of every sector; angles in degrees."""
+    """(ways, table) of a disc of brightness 1, in closed form along the middle of every sector; angles in
+    degrees.
+    """
     e, a, r = np.radians((elevation, azimuth, radius))
     widest = np.arcsin(np.sin(r) / np.cos(e))
     d = widest * (2 * (np.arange(count) + 0.5) / count - 1)
     in_plane = np.cos(e) * np.cos(d)
-    middle, half = np.arctan2(np.sin(e), in_plane), np.arccos(np.minimum(np.cos(r) / np.hypot(in_plane, np.sin(e)), 1))
+    middle, half = (
+        np.arctan2(np.sin(e), in_plane),
+        np.arccos(np.minimum(np.cos(r) / np.hypot(in_plane, np.sin(e)), 1)),
+    )
     first, last = np.sin(np.radians([elevation - 1.1 * radius, elevation + 1.1 * radius]))
     knot = np.arcsin(np.linspace(first, last, knots))
     low, high = np.clip(knot, (middle - half)[:, None], (middle + half)[:, None]), (middle + half)[:, None]
@@ -602,12 +762,25 @@ def a_sun(elevation, azimuth, radius, count=64, knots=129):
     table = whole(high) - whole(low)
     table = np.concatenate([table, np.diff(table, axis=1, append=table[:, -1:])], -1)
     same = np.ones(count)
-    return np.stack([np.cos(a + d), np.sin(a + d), 2 * widest / count * same, first * same, (knots - 1) / (last - first) * same]), table
+    return (
+        np.stack(
+            [
+                np.cos(a + d),
+                np.sin(a + d),
+                2 * widest / count * same,
+                first * same,
+                (knots - 1) / (last - first) * same,
+            ]
+        ),
+        table,
+    )
 
 
 @pytest.mark.parametrize("sides", ["open", "dark"])
 def test_two_suns_at_once(backend, sides):
-    """Sectors with tables over other ranges of elevation in one launch are the sum of two; a window without edges is none."""
+    """Sectors with tables over other ranges of elevation in one launch are the sum of two; a window without
+    edges is none.
+    """
     depth = _terrain()[100:150, 150:210].copy()
     depth[20:26, 40:43] = np.inf
     depth[3, 3] = -1.0  # above the plane of windows
@@ -616,19 +789,29 @@ def test_two_suns_at_once(backend, sides):
     got = by_suns(backend, depth, [together], sides=sides)
     one, other = (by_suns(backend, depth, [sun], sides=sides) for sun in (high, low))
     np.testing.assert_allclose(got, one + other, atol=1e-6 * got.max())
-    np.testing.assert_allclose(by_suns(backend, depth, [high, low], sides=sides), one + other, atol=1e-6 * got.max())
+    np.testing.assert_allclose(
+        by_suns(backend, depth, [high, low], sides=sides), one + other, atol=1e-6 * got.max()
+    )
     assert one[3, 3] > 0 and (other > 0).mean() > 0.05 and (other == 0).mean() > 0.05
     assert_bits_equal(by_suns(backend, depth, [together], (-1e30, 1e30, -1e30, 1e30), sides), got)
-    np.testing.assert_allclose(by_suns(backend, depth, [together], (-1e6, 1e6, -1e6, 1e6), sides), np.where(depth > 0, got, 0), atol=1e-6 * got.max())
+    np.testing.assert_allclose(
+        by_suns(backend, depth, [together], (-1e6, 1e6, -1e6, 1e6), sides),
+        np.where(depth > 0, got, 0),
+        atol=1e-6 * got.max(),
+    )
 
 
 def test_a_sun_through_a_window(backend, fast):
-    """Over a level floor: all of the disc, none of it, or the part that looks through, counted direction by direction."""
+    """Over a level floor: all of the disc, none of it, or the part that looks through, counted direction by
+    direction.
+    """
     depth = np.full((33, 41), 20.0)
     elevation, radius, window = 50, 3, (18.0, 33.5, 9.0, 24.25)
     for azimuth in (0, 35, 200):
         e, a = np.radians((elevation, azimuth))
-        L, _ = within_cone(np.array([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), -np.sin(e)]), np.radians(radius), 40, 80)
+        L, _ = within_cone(
+            np.array([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), -np.sin(e)]), np.radians(radius), 40, 80
+        )
         x, y = (np.arange(n)[:, None] - 20.0 * L[:, k] / L[:, 2] for k, n in ((0, 41), (1, 33)))
         inside = lambda at, low, high: ((at >= low) & (at < high)).astype(float)
         weight = -L[:, 2] / -L[:, 2].sum()
@@ -644,7 +827,9 @@ def test_a_sun_through_a_window(backend, fast):
         np.testing.assert_allclose(got / full, share, atol=0.02)
         np.testing.assert_allclose(got, by_suns(fast, depth, [sun], window), rtol=0, atol=1e-5 * full)
     along = by_suns(backend, depth, [a_sun(elevation, 0, radius, count=1)], (-1e30, 1e30, 9.0, 24.0))
-    assert np.flatnonzero(along.any(1)).tolist() == list(range(9, 24))  # half-open where the way runs along an edge
+    assert np.flatnonzero(along.any(1)).tolist() == list(
+        range(9, 24)
+    )  # half-open where the way runs along an edge
     higher = depth.copy()
     higher[:, 30] = 8.0  # the window frames what the ground leaves
     for edges in (window, (-1e30, 1e30, 9.0, 24.25)):
@@ -655,6 +840,7 @@ def test_a_sun_through_a_window(backend, fast):
 
 def test_suns_are_found_wherever_they_stand():
     """At the zenith, across azimuth 0, two at once; all of their light, and none where brightness is even."""
+
     def disc(elevation, azimuth, radius=0.27):
         e, a, r = np.radians((elevation, azimuth, radius))
         return np.array([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), -np.sin(e)]), np.cos(r)
@@ -667,6 +853,8 @@ def test_suns_are_found_wherever_they_stand():
             assert sky.level == pytest.approx(np.pi + level, rel=1e-4)
             for count in (120, 5):
                 found = [sun.sectors(count) for sun in sky.suns]
-                assert sky.rest + sum(ways[2] @ table[:, 0, 1] for ways, table in found) == pytest.approx(np.pi + level, rel=1e-4)
+                assert sky.rest + sum(ways[2] @ table[:, 0, 1] for ways, table in found) == pytest.approx(
+                    np.pi + level, rel=1e-4
+                )
             assert not sky.suns or sky.rest < np.pi + 2e-3 * level
     assert Integrals(sl.Sky(sl.cie_overcast())).suns == ()

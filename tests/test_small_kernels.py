@@ -8,10 +8,9 @@ import re
 
 import numpy as np
 import pytest
-
 import skylamp.opencl
-from skylamp.backends.numpy import pilot as numpy_pilot
 from skylamp.backends import select
+from skylamp.backends.numpy import pilot as numpy_pilot
 
 SHAPE = ROWS, COLS = 37, 53
 CLOSE = 1e-6  # of the largest value, where values are rounded on the way
@@ -27,7 +26,9 @@ def _rng(seed=1):
 
 
 def _map(rows=ROWS, cols=COLS, mask=-1e30):
-    """Heights, with holes where there is a ``mask``: whole blocks, at a corner and within, and nodes by themselves."""
+    """Heights, with holes where there is a ``mask``: whole blocks, at a corner and within, and nodes by
+    themselves.
+    """
     rng = _rng(rows * cols)
     heights = rng.normal(0, 3, (rows, cols)).astype(np.float32)
     if mask is not None:
@@ -51,7 +52,8 @@ def _close(got, expected):
     np.testing.assert_allclose(got, expected, rtol=0, atol=CLOSE * abs(expected).max())
 
 
-# -- pool ----------------------------------------------------------------------------------------------------------------------
+# -- pool
+# ----------------------------------------------------------------------------------------------------------------------
 
 
 def _pooled(heights, shift, periodic, cliff):
@@ -61,13 +63,27 @@ def _pooled(heights, shift, periodic, cliff):
     for y in range(0, rows, size):
         for x in range(0, cols, size):
             own = heights[y : y + size, x : x + size]
-            more = [[v % n for v in range(o, min(o + size, n) + 1) if periodic or v < n] for o, n in ((y, rows), (x, cols))]
+            more = [
+                [v % n for v in range(o, min(o + size, n) + 1) if periodic or v < n]
+                for o, n in ((y, rows), (x, cols))
+            ]
             with_next, known = heights[np.ix_(*more)], own[own > -1e29]
             cliffs = 0
             for j, i in np.argwhere(own > -1e29) + (y, x):
                 for v, u in ((j, i + 1), (j + 1, i)):
-                    cliffs += v < rows and u < cols and heights[v, u] > -1e29 and abs(heights[v, u] - heights[j, i]) > cliff
-            found.append((with_next[with_next > -1e29].max(initial=np.float32(-1e30)), known.min(initial=np.float32(1e30)), cliffs))
+                    cliffs += (
+                        v < rows
+                        and u < cols
+                        and heights[v, u] > -1e29
+                        and abs(heights[v, u] - heights[j, i]) > cliff
+                    )
+            found.append(
+                (
+                    with_next[with_next > -1e29].max(initial=np.float32(-1e30)),
+                    known.min(initial=np.float32(1e30)),
+                    cliffs,
+                )
+            )
     return np.array(found, np.float32).T.reshape(3, -(-rows // size), -(-cols // size))
 
 
@@ -75,11 +91,34 @@ def _pool(engine, heights, shift, periodic, cliff):
     rows, cols = heights.shape
     down, across = (-(-n >> shift) for n in (rows, cols))
     given, found = engine.upload(heights), engine.empty((3, down, across), np.float32, np.nan)
-    engine.launch("pilot", "pool", (across, down), given, found, rows, cols, across, down, shift, int(periodic), cliff, lanes=1)
+    engine.launch(
+        "pilot",
+        "pool",
+        (across, down),
+        given,
+        found,
+        rows,
+        cols,
+        across,
+        down,
+        shift,
+        int(periodic),
+        cliff,
+        lanes=1,
+    )
     return engine.download(found)
 
 
-MAPS = [(SHAPE, None), (SHAPE, -1e30), (SHAPE, -np.inf), ((32, 48), -1e30), ((16, 17), -1e30), ((1, 9), None), ((9, 1), None), ((1, 1), None)]
+MAPS = [
+    (SHAPE, None),
+    (SHAPE, -1e30),
+    (SHAPE, -np.inf),
+    ((32, 48), -1e30),
+    ((16, 17), -1e30),
+    ((1, 9), None),
+    ((9, 1), None),
+    ((1, 1), None),
+]
 
 
 @pytest.mark.parametrize("shift", [3, 4])
@@ -94,23 +133,36 @@ def test_pool_finds_the_extremes_and_cliffs_of_every_block(engine, shape, mask, 
 
 
 def test_pool_of_blocks_without_ground(engine):
-    """Neither a highest nor a lowest node, nor a cliff; the row and the column after a block count for its highest alone."""
+    """Neither a highest nor a lowest node, nor a cliff; the row and the column after a block count for its
+    highest alone.
+    """
     heights = np.full((16, 16), -1e30, np.float32)
     heights[8, 8] = 5
     found = _pool(engine, heights, 3, False, 0.0)
-    assert (found[0] == 5).all() and found[1, 1, 1] == 5 and (found[1].ravel()[:3] == np.float32(1e30)).all() and not found[2].any()
+    assert (
+        (found[0] == 5).all()
+        and found[1, 1, 1] == 5
+        and (found[1].ravel()[:3] == np.float32(1e30)).all()
+        and not found[2].any()
+    )
     assert (_pool(engine, np.full((16, 16), -1e30, np.float32), 3, True, 0.0)[0] == np.float32(-1e30)).all()
 
 
 def test_pool_counts_a_cliff_once_and_not_round_the_map(engine):
-    """A step of 3 along a whole edge between blocks is the blocks' on its left; the same step round the map is nobody's; 3 is not more than 3."""
+    """A step of 3 along a whole edge between blocks is the blocks' on its left; the same step round the map
+    is nobody's; 3 is not more than 3.
+    """
     heights = np.zeros((16, 16), np.float32)
     heights[:, 8:] = 3
-    assert _pool(engine, heights, 3, True, 2.9)[2].tolist() == [[8, 0], [8, 0]] and not _pool(engine, heights, 3, True, 3.0)[2].any()
+    assert (
+        _pool(engine, heights, 3, True, 2.9)[2].tolist() == [[8, 0], [8, 0]]
+        and not _pool(engine, heights, 3, True, 3.0)[2].any()
+    )
     assert _pool(engine, heights.T, 3, True, 2.9)[2].tolist() == [[8, 8], [0, 0]]
 
 
-# -- pick ----------------------------------------------------------------------------------------------------------------------
+# -- pick
+# ----------------------------------------------------------------------------------------------------------------------
 
 
 def test_pick_takes_values_or_what_stands_for_none(engine):
@@ -123,20 +175,40 @@ def test_pick_takes_values_or_what_stands_for_none(engine):
     np.testing.assert_array_equal(engine.download(found), np.where(at >= 0, values[at], np.float32(-1e30)))
 
 
-# -- correct -------------------------------------------------------------------------------------------------------------------
+# -- correct
+# -------------------------------------------------------------------------------------------------------------------
 
 
 def _correct(engine, gx, gy, table, before, unit, margin=3):
     rows, cols = before.shape
     tilts = np.stack([_padded(gx, margin), _padded(gy, margin)])
-    given, light = [engine.upload(np.asarray(a, np.float32)) for a in (tilts, table)], engine.upload(before.astype(np.float32).ravel())
-    engine.launch("ground", "correct", (cols, rows), *given, light, rows, cols, margin, tilts.shape[1], len(table), unit, lanes=1)
+    given, light = (
+        [engine.upload(np.asarray(a, np.float32)) for a in (tilts, table)],
+        engine.upload(before.astype(np.float32).ravel()),
+    )
+    engine.launch(
+        "ground",
+        "correct",
+        (cols, rows),
+        *given,
+        light,
+        rows,
+        cols,
+        margin,
+        tilts.shape[1],
+        len(table),
+        unit,
+        lanes=1,
+    )
     return engine.download(light).reshape(rows, cols)
 
 
 def _slopes():
     """From level to a cliff, in all directions and along the axes."""
-    gx, gy = (10.0 ** _rng(3).uniform(-3, 4, (2, *SHAPE)) * _rng(4).choice([-1, 1, 0], (2, *SHAPE), p=[0.45, 0.45, 0.1])).astype(np.float32)
+    gx, gy = (
+        10.0 ** _rng(3).uniform(-3, 4, (2, *SHAPE))
+        * _rng(4).choice([-1, 1, 0], (2, *SHAPE), p=[0.45, 0.45, 0.1])
+    ).astype(np.float32)
     gx[0], gy[0] = 1e6, 0
     gx[1], gy[1] = 0, -1e6
     return gx, gy
@@ -151,7 +223,10 @@ def test_correct_adds_a_table_by_normal(engine, side):
     up = 1 / np.sqrt(1 + gx.astype(float) ** 2 + gy.astype(float) ** 2)
     at_u, at_v = ((g * up / (1 + up) + 1) * 0.5 * (side - 1) for g in (gx, gy))
     assert at_u.max() > (side - 1) * 0.999 and at_v.min() < 0.001 * (side - 1)
-    _close(_correct(engine, gx, gy, 0.5 + 2 * u - 0.75 * v, before, 0.125), before + 0.125 * (0.5 + 2 * at_u - 0.75 * at_v))
+    _close(
+        _correct(engine, gx, gy, 0.5 + 2 * u - 0.75 * v, before, 0.125),
+        before + 0.125 * (0.5 + 2 * at_u - 0.75 * at_v),
+    )
 
 
 def test_correct_is_bilinear(engine):
@@ -161,38 +236,64 @@ def test_correct_is_bilinear(engine):
     up = 1 / np.sqrt(1 + gx.astype(float) ** 2 + gy.astype(float) ** 2)
     u, v = ((g * up / (1 + up) + 1) * 0.5 * (side - 1) for g in (gx, gy))
     i, j = np.minimum(u.astype(int), side - 2), np.minimum(v.astype(int), side - 2)
-    expected = sum(abs(1 - a - (u - i)) * abs(1 - b - (v - j)) * table[j + b, i + a] for a in (0, 1) for b in (0, 1))
+    expected = sum(
+        abs(1 - a - (u - i)) * abs(1 - b - (v - j)) * table[j + b, i + a] for a in (0, 1) for b in (0, 1)
+    )
     got = _correct(engine, gx, gy, table, np.zeros(SHAPE), 1.0)
-    np.testing.assert_allclose(got, expected, rtol=0, atol=3 * CLOSE * abs(expected).max())  # u, up to 8, is rounded itself
+    np.testing.assert_allclose(
+        got, expected, rtol=0, atol=3 * CLOSE * abs(expected).max()
+    )  # u, up to 8, is rounded itself
 
 
 def test_correct_takes_the_middle_where_level(engine):
     """Exactly, and adds it to what was there."""
     table, before = _rng(7).normal(size=(9, 9)).astype(np.float32), _rng(8).random(SHAPE).astype(np.float32)
     level = np.zeros(SHAPE, np.float32)
-    np.testing.assert_array_equal(_correct(engine, level, level, table, before, 0.1), before + np.float32(0.1) * table[4, 4])
+    np.testing.assert_array_equal(
+        _correct(engine, level, level, table, before, 0.1), before + np.float32(0.1) * table[4, 4]
+    )
 
 
 def test_correct_takes_the_rim_where_steep(engine):
-    """A column is by gx and a row by gy; nothing past the last column is read, not even to be weighted with 0."""
+    """A column is by gx and a row by gy; nothing past the last column is read, not even to be weighted with
+    0.
+    """
     table = _rng(7).normal(size=(9, 9)).astype(np.float32)
-    level, steep = np.zeros(SHAPE, np.float32), np.full(SHAPE, 1e8, np.float32)  # whose up is nothing: u = side - 1
+    level, steep = (
+        np.zeros(SHAPE, np.float32),
+        np.full(SHAPE, 1e8, np.float32),
+    )  # whose up is nothing: u = side - 1
     table[:, 0] = np.nan
-    np.testing.assert_array_equal(_correct(engine, steep, level, table, np.zeros(SHAPE), 1.0), table[4, 7] + (table[4, 8] - table[4, 7]))
-    np.testing.assert_array_equal(_correct(engine, level, steep, table, np.zeros(SHAPE), 1.0), table[7, 4] + (table[8, 4] - table[7, 4]))
+    np.testing.assert_array_equal(
+        _correct(engine, steep, level, table, np.zeros(SHAPE), 1.0), table[4, 7] + (table[4, 8] - table[4, 7])
+    )
+    np.testing.assert_array_equal(
+        _correct(engine, level, steep, table, np.zeros(SHAPE), 1.0), table[7, 4] + (table[8, 4] - table[7, 4])
+    )
 
 
 def test_correct_writes_into_sums_that_hold_irradiance(engine):
     """gather leaves float32 in an array of int32, which correct and halves take as it is."""
     before, other = (_rng(n).random(ROWS * COLS).astype(np.float32) for n in (9, 10))
-    a, b, tilts, table = (engine.upload(v) for v in (before.view(np.int32), other.view(np.int32), np.zeros((2, ROWS * COLS), np.float32), np.ones((3, 3), np.float32)))
-    engine.launch("ground", "correct", (COLS, ROWS), tilts, table, a, ROWS, COLS, 0, ROWS * COLS, 3, 2.0, lanes=1)
+    a, b, tilts, table = (
+        engine.upload(v)
+        for v in (
+            before.view(np.int32),
+            other.view(np.int32),
+            np.zeros((2, ROWS * COLS), np.float32),
+            np.ones((3, 3), np.float32),
+        )
+    )
+    engine.launch(
+        "ground", "correct", (COLS, ROWS), tilts, table, a, ROWS, COLS, 0, ROWS * COLS, 3, 2.0, lanes=1
+    )
     np.testing.assert_array_equal(engine.download(a).view(np.float32), before + np.float32(2))
     engine.launch("ground", "halves", (ROWS * COLS,), a, b, ROWS * COLS, lanes=1)
     np.testing.assert_array_equal(engine.download(b).view(np.float32), (other - (before + np.float32(2))) / 2)
 
 
-# -- halves, judge -------------------------------------------------------------------------------------------------------------
+# -- halves, judge
+# -------------------------------------------------------------------------------------------------------------
 
 
 def test_halves_are_mean_and_half_difference(engine):
@@ -219,9 +320,17 @@ def test_judge_sums_over_valid_nodes(engine, block):
     found = engine.empty((5, blocks, COLS), np.float32, np.nan)
     engine.launch("ground", "judge", (COLS, blocks), *given, found, ROWS, COLS, margin, block, limit, lanes=1)
     got = engine.download(found)
-    terms = np.where(known, np.stack([image, half * half, known, image > 0, abs(half) > limit]), np.float32(0))
-    np.testing.assert_array_equal(got, np.stack([_in_order(terms[:, y : y + block], 1) for y in range(0, ROWS, block)], 1))
-    assert got.shape == (5, blocks, COLS) and got[2].sum() == known.sum() and all(0 < number.sum() < known.sum() for number in got[3:])
+    terms = np.where(
+        known, np.stack([image, half * half, known, image > 0, abs(half) > limit]), np.float32(0)
+    )
+    np.testing.assert_array_equal(
+        got, np.stack([_in_order(terms[:, y : y + block], 1) for y in range(0, ROWS, block)], 1)
+    )
+    assert (
+        got.shape == (5, blocks, COLS)
+        and got[2].sum() == known.sum()
+        and all(0 < number.sum() < known.sum() for number in got[3:])
+    )
     _close(got[:2].sum(1, dtype=float), np.where(known, [image, half.astype(float) ** 2], 0).sum(1))
 
 
@@ -231,4 +340,6 @@ def test_numpy_kernels_take_the_same_arguments():
     kernels = dict(re.findall(r"__kernel void (\w+)\((.*?)\)", text, re.S))
     assert set(kernels) == {"pilot", "pool", "pick"}
     for name, arguments in kernels.items():
-        assert [*inspect.signature(getattr(numpy_pilot, name)).parameters] == [re.search(r"\w+$", a.strip()).group() for a in arguments.split(",")], name
+        assert [*inspect.signature(getattr(numpy_pilot, name)).parameters] == [
+            re.search(r"\w+$", a.strip()).group() for a in arguments.split(",")
+        ], name

@@ -1,4 +1,6 @@
-"""The stability atlas (docs/stability.md): each failure is there in the method that has it, and gone, or warned about, in the default."""
+"""The stability atlas (docs/stability.md): each failure is there in the method that has it, and gone, or
+warned about, in the default.
+"""
 
 import importlib.util
 from pathlib import Path
@@ -23,12 +25,16 @@ def test_the_atlas_is_whole():
 
 @pytest.mark.parametrize("name", stability.FAILURES)
 def test_the_failure_is_there_and_seen_to(fast, name):
-    """Beyond its limit at the harmful value and not at the harmless one; there the default is good, or a warning names it."""
+    """Beyond its limit at the harmful value and not at the harmless one; there the default is good, or a
+    warning names it.
+    """
     failure = stability.FAILURES[name]
     harmless, harmful = (failure.measure(value, fast) for value in failure.quick)
     assert harmless[failure.bad] <= failure.limit < harmful[failure.bad], (harmless, harmful)
     if failure.good:
-        assert harmful[failure.good] <= failure.limit and harmful[failure.good] < 0.5 * harmful[failure.bad], harmful
+        assert (
+            harmful[failure.good] <= failure.limit and harmful[failure.good] < 0.5 * harmful[failure.bad]
+        ), harmful
     if failure.warns:
         calm, loud = (failure.warns(value, fast) for value in failure.quick)
         assert any(text.startswith(failure.says) for text in loud), loud

@@ -8,7 +8,6 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
-
 import skylamp as sl
 from skylamp.backends import registry, select
 
@@ -59,7 +58,9 @@ def together(jobs):
 
 def test_threads_get_the_bytes_of_calls_one_by_one(backend):
     """Eight threads, each with maps and sources of its own, each going through all work from another end."""
-    each = lambda number: [WORK[(number + n) % len(WORK)](depth_of(number), backend).tobytes() for n in range(len(WORK))]
+    each = lambda number: [
+        WORK[(number + n) % len(WORK)](depth_of(number), backend).tobytes() for n in range(len(WORK))
+    ]
     each(0)  # compiled, costs measured
     jobs = [functools.partial(each, number) for number in range(THREADS)]
     expected = [job() for job in jobs]
@@ -79,8 +80,12 @@ def test_recover_on_threads(fast):
     """What one recovery has recorded and holds on the device is not another's."""
     jobs = [functools.partial(WORK[0], depth_of(4), fast)]
     for number in (1, 2):
-        image = sl.render(sl.Scene(depth_of(number)[:16, :16] + 3, sides="dark"), sl.Sky(), azimuths=24, backend=fast).image
-        jobs.append(lambda image=image: sl.recover(image, sl.Sky(), sides="dark", layers=16, backend=fast).depth)
+        image = sl.render(
+            sl.Scene(depth_of(number)[:16, :16] + 3, sides="dark"), sl.Sky(), azimuths=24, backend=fast
+        ).image
+        jobs.append(
+            lambda image=image: sl.recover(image, sl.Sky(), sides="dark", layers=16, backend=fast).depth
+        )
     expected = [job().tobytes() for job in jobs]
     assert [found.tobytes() for found in together(jobs)] == expected
 
@@ -89,7 +94,10 @@ def test_one_scene_on_all_backends_at_once():
     """They share what is remembered of a scene, and nothing else."""
     scene = sl.Scene(depth_of(5))
     names = [info.name for info in sl.backends() if info.available]
-    jobs = [lambda name=name: sl.render(scene, sl.Sky(), tolerance=0.02, backend=name).image.tobytes() for name in names]
+    jobs = [
+        lambda name=name: sl.render(scene, sl.Sky(), tolerance=0.02, backend=name).image.tobytes()
+        for name in names
+    ]
     [job() for job in jobs]  # costs measured
     expected = [job() for job in jobs]
     for _ in range(ROUNDS):
@@ -98,7 +106,9 @@ def test_one_scene_on_all_backends_at_once():
 
 
 def test_maps_that_lie_on_a_device_on_threads():
-    """Scenes made of Warp arrays launch kernels before there is a call, and bring their map to the host when another backend asks."""
+    """Scenes made of Warp arrays launch kernels before there is a call, and bring their map to the host when
+    another backend asks.
+    """
     import warp as wp
 
     def work(number):
@@ -127,7 +137,9 @@ def test_threads_that_ask_first_get_one_backend(monkeypatch, what):
 
 
 def test_waiting_for_a_device_is_not_counted_and_others_are_free(backend):
-    """A call waits while another has its device; it says how long it took itself. A call on another device does not wait."""
+    """A call waits while another has its device; it says how long it took itself. A call on another device
+    does not wait.
+    """
     render = lambda name: sl.render(sl.Scene(depth_of(1)), sl.Sky(), azimuths=8, backend=name)
     other = "numpy" if backend != "numpy" else "warp:cpu"
     before = max(render(name).seconds for name in (backend, backend, other))

@@ -8,28 +8,50 @@ from importlib.resources import files
 import numpy as np
 import pytest
 import scenes
-from compare import assert_bits_equal
-
 import skylamp as sl
 import skylamp.opencl
 import skylamp.warp_kernels
+from compare import assert_bits_equal
 
 STEMS = sorted(f.name[:-3] for f in files(skylamp.opencl).iterdir() if f.name.endswith(".cl"))
-C_TYPES = {"float": "float32", "double": "float64", "int": "int32", "long": "int64", "uint": "uint32", "uchar": "uint8", "float4": "float32", "floats": "float32", "uchars": "uint8",
-           "Ladder": "int32"}  # vectors by their elements
+C_TYPES = {
+    "float": "float32",
+    "double": "float64",
+    "int": "int32",
+    "long": "int64",
+    "uint": "uint32",
+    "uchar": "uint8",
+    "float4": "float32",
+    "floats": "float32",
+    "uchars": "uint8",
+    "Ladder": "int32",
+}  # vectors by their elements
 C_NAMES = {"half_": "half"}  # half is a type in OpenCL
-CONSTANTS = {"BITS": (3, 4), "NEAR": (6, 12), "SIDES": (0, 2), "WHAT": (0, 1), "BLOCKS": (0, 1)}  # known when compiling: two values of each
-WARP_WORDS = {("luminance", "planes"), ("specular", "planes")}  # bytes that Warp loads four to a uint32, since its byte vectors are loaded one by one
+CONSTANTS = {
+    "BITS": (3, 4),
+    "NEAR": (6, 12),
+    "SIDES": (0, 2),
+    "WHAT": (0, 1),
+    "BLOCKS": (0, 1),
+}  # known when compiling: two values of each
+WARP_WORDS = {
+    ("luminance", "planes"),
+    ("specular", "planes"),
+}  # bytes that Warp loads four to a uint32, since its byte vectors are loaded one by one
 
 
 def _signatures(stem):
     """{kernel: [(name, element type, is a buffer)]} of a .cl file."""
     text = re.sub(r"/\*.*?\*/", "", skylamp.opencl.source(stem), flags=re.S)
     kernels = {}
-    for name, arguments in re.findall(r"__kernel\s+(?:__attribute__\(\(.*?\)\)\)\s*)?void\s+(\w+)\s*\((.*?)\)\s*\{", text, re.S):
+    for name, arguments in re.findall(
+        r"__kernel\s+(?:__attribute__\(\(.*?\)\)\)\s*)?void\s+(\w+)\s*\((.*?)\)\s*\{", text, re.S
+    ):
         parsed = []
         for argument in arguments.split(","):
-            words = re.sub(r"\b(__global|__constant|const|restrict)\b", " ", argument).replace("*", " * ").split()
+            words = (
+                re.sub(r"\b(__global|__constant|const|restrict)\b", " ", argument).replace("*", " * ").split()
+            )
             parsed.append((C_NAMES.get(words[-1], words[-1]), C_TYPES[words[0]], "*" in words))
         kernels[name] = parsed
     return kernels
@@ -57,7 +79,11 @@ def _type(kind):
 
 def test_every_opencl_file_has_a_warp_twin():
     """The same stems in both rooms."""
-    warp = sorted(f.name[:-3] for f in files(skylamp.warp_kernels).iterdir() if f.name.endswith(".py") and not f.name.startswith("_"))
+    warp = sorted(
+        f.name[:-3]
+        for f in files(skylamp.warp_kernels).iterdir()
+        if f.name.endswith(".py") and not f.name.startswith("_")
+    )
     assert STEMS == warp and {"scan", "propagate", "luminance", "carve"} <= set(STEMS)
 
 
@@ -69,18 +95,30 @@ def test_kernels_have_the_same_names_and_arguments(stem):
     signatures = _signatures(stem)
     assert signatures, f"no kernel found in {stem}.cl"
     module = importlib.import_module(f"skylamp.warp_kernels.{stem}")
-    factories = {n for n, v in vars(module).items() if callable(v) and hasattr(v, "cache_info") and v.__module__ == module.__name__ and isinstance(_made(v), wp.Kernel)}
+    factories = {
+        n
+        for n, v in vars(module).items()
+        if callable(v)
+        and hasattr(v, "cache_info")
+        and v.__module__ == module.__name__
+        and isinstance(_made(v), wp.Kernel)
+    }
     public = factories | {n for n, v in vars(module).items() if isinstance(v, wp.Kernel)}
     assert public == set(signatures)
     for name, arguments in signatures.items():
         kernel = _warp_kernel(stem, name)
-        expected = [(label, "uint32" if (name, label) in WARP_WORDS else kind, is_buffer) for label, kind, is_buffer in arguments]
+        expected = [
+            (label, "uint32" if (name, label) in WARP_WORDS else kind, is_buffer)
+            for label, kind, is_buffer in arguments
+        ]
         assert [(a.label, *_type(a.type)) for a in kernel.adj.args] == expected, f"{stem}.{name}"
 
 
 @pytest.mark.parametrize("stem", STEMS)
 def test_a_kernel_with_constants_is_a_factory_in_warp(stem):
-    """Where the OpenCL kernel uses such a constant, the Warp twin is asked for with it, and gives the same kernel again."""
+    """Where the OpenCL kernel uses such a constant, the Warp twin is asked for with it, and gives the same
+    kernel again.
+    """
     import warp as wp
 
     text = re.sub(r"/\*.*?\*/", "", skylamp.opencl.source(stem), flags=re.S)
@@ -93,7 +131,9 @@ def test_a_kernel_with_constants_is_a_factory_in_warp(stem):
         if used:
             assert set(inspect.signature(twin).parameters) == used, f"{stem}.{name}"
             assert _made(twin) is _made(twin)
-            assert all(_made(twin) is not _made(twin, **{constant: CONSTANTS[constant][1]}) for constant in used)
+            assert all(
+                _made(twin) is not _made(twin, **{constant: CONSTANTS[constant][1]}) for constant in used
+            )
 
 
 def test_vectors_by_value_are_as_long_in_both():
@@ -119,20 +159,36 @@ def _broken_bits(monkeypatch, old, new):
 
     original = skylamp.opencl.source
     assert old in original("scan"), f"scan.cl has no {old!r}: mend this test"
-    monkeypatch.setattr(skylamp.opencl, "source", lambda stem: original(stem).replace(old, new) if stem == "scan" else original(stem))
-    name = next((info.name for info in sl.backends() if info.name.startswith("opencl:") and info.available), None)
+    monkeypatch.setattr(
+        skylamp.opencl,
+        "source",
+        lambda stem: original(stem).replace(old, new) if stem == "scan" else original(stem),
+    )
+    name = next(
+        (info.name for info in sl.backends() if info.name.startswith("opencl:") and info.available), None
+    )
     if name is None:
         pytest.skip("no OpenCL device")
     broken = opencl.OpenclBackend(*map(int, name.split(":")[1:]))
-    monkeypatch.setattr(importlib.import_module("skylamp.visibility"), "select", lambda name: broken)  # the registry itself is left alone
+    monkeypatch.setattr(
+        importlib.import_module("skylamp.visibility"), "select", lambda name: broken
+    )  # the registry itself is left alone
     return sl.visibility(scenes.scene("plateaus"), sl.Sky(), 5)
 
 
-@pytest.mark.parametrize(("old", "new"), [("<= ceiling", "< ceiling"), ("1 << b", "1 << (b ^ 1)")], ids=["touching blocks", "elevations swapped"])
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [("<= ceiling", "< ceiling"), ("1 << b", "1 << (b ^ 1)")],
+    ids=["touching blocks", "elevations swapped"],
+)
 def test_a_broken_scan_is_seen(monkeypatch, old, new):
-    """The comparison with the oracle turns red when one sign of the kernel is changed, and is green without the change."""
+    """The comparison with the oracle turns red when one sign of the kernel is changed, and is green without
+    the change.
+    """
     with monkeypatch.context() as patch:
-        assert_bits_equal(_broken_bits(patch, "<= ceiling", "<= ceiling"), scenes.truth("plateaus", 5, "open"))
+        assert_bits_equal(
+            _broken_bits(patch, "<= ceiling", "<= ceiling"), scenes.truth("plateaus", 5, "open")
+        )
     with monkeypatch.context() as patch:
         got = _broken_bits(patch, old, new)
         with pytest.raises(AssertionError, match="elements differ"):

@@ -5,9 +5,8 @@ import functools
 import numpy as np
 import pytest
 import scenes
-from compare import assert_bits_equal
-
 import skylamp as sl
+from compare import assert_bits_equal
 from skylamp import oracle
 from skylamp.backends import select
 from skylamp.errors import CapacityError, InputError
@@ -28,10 +27,27 @@ def test_scan_and_propagation_equal_the_oracle(backend, name, size, sides):
 
 
 @pytest.mark.parametrize("sides", scenes.SIDES)
-@pytest.mark.parametrize(("name", "size"), [("fractal", 9), ("walls", 9), ("spikes", 5), ("plateaus", 7), ("masked", 9), ("terrain", 17), ("row", 9), ("column", 7), ("tiny", 9), ("one", 5)])
+@pytest.mark.parametrize(
+    ("name", "size"),
+    [
+        ("fractal", 9),
+        ("walls", 9),
+        ("spikes", 5),
+        ("plateaus", 7),
+        ("masked", 9),
+        ("terrain", 17),
+        ("row", 9),
+        ("column", 7),
+        ("tiny", 9),
+        ("one", 5),
+    ],
+)
 def test_filled_scan_equals_brute_force_over_all_crossings(backend, name, size, sides):
     """filled=True looks at every grid line that a ray crosses; M = 17 has more elevations than a byte holds."""
-    assert_bits_equal(sl.visibility(scenes.scene(name, sides), SKY, size, backend, filled=True), scenes.filled_truth(name, size, sides))
+    assert_bits_equal(
+        sl.visibility(scenes.scene(name, sides), SKY, size, backend, filled=True),
+        scenes.filled_truth(name, size, sides),
+    )
 
 
 @functools.cache
@@ -41,7 +57,12 @@ def _window(name):
     y, x = np.mgrid[:rows, :cols]
     aperture = (x // 3 + y // 4) % 2 == 0
     return {
-        "rectangle": (dict(x=(cols / 4, cols / 2), y=(rows / 8, rows - 0.5)), RECTANGLE, [cols / 4, cols / 2, rows / 8, rows - 0.5], NOTHING),
+        "rectangle": (
+            dict(x=(cols / 4, cols / 2), y=(rows / 8, rows - 0.5)),
+            RECTANGLE,
+            [cols / 4, cols / 2, rows / 8, rows - 0.5],
+            NOTHING,
+        ),
         "beside": (dict(x=(-9, 2), y=(-6.25, rows + 7)), RECTANGLE, [-9, 2, -6.25, rows + 7], NOTHING),
         "aperture": (dict(aperture=aperture), APERTURE, np.zeros(4), aperture[None].astype(np.uint8)),
     }
@@ -51,7 +72,11 @@ def _window(name):
 def _through(name, kind, size, sides):
     _, number, numbers, flags = _window(name)[kind]
     cube = sl.Hemicube(size)
-    return cube.pack(oracle.surface_visibility(scenes.layers(name), cube.steps, sides, Geometry(number, np.array(numbers, float), flags)))
+    return cube.pack(
+        oracle.surface_visibility(
+            scenes.layers(name), cube.steps, sides, Geometry(number, np.array(numbers, float), flags)
+        )
+    )
 
 
 @pytest.mark.parametrize("sides", scenes.SIDES)
@@ -66,7 +91,13 @@ def test_windows_equal_the_oracle(backend, name, size, kind, sides):
     assert_bits_equal(sl.visibility(scene, window, size, backend, algorithm="propagate"), expected)
 
 
-LAMPS = {"viewer": (14, 12, -3, 3.5), "amid": (12, 9, 0.5, 2), "half buried": (9, 15, None, 3), "beside": (-6, 8, 1, 4), "far": (20, 14, -60, 20)}
+LAMPS = {
+    "viewer": (14, 12, -3, 3.5),
+    "amid": (12, 9, 0.5, 2),
+    "half buried": (9, 15, None, 3),
+    "beside": (-6, 8, 1, 4),
+    "far": (20, 14, -60, 20),
+}
 
 
 def _lamp(name, kind):
@@ -77,7 +108,11 @@ def _lamp(name, kind):
 @functools.cache
 def _lamplight(name, kind, size, sides):
     cube = sl.Hemicube(size)
-    return cube.pack(oracle.surface_visibility(scenes.layers(name), cube.steps, sides, Geometry(BALL, np.array(_lamp(name, kind)), NOTHING)))
+    return cube.pack(
+        oracle.surface_visibility(
+            scenes.layers(name), cube.steps, sides, Geometry(BALL, np.array(_lamp(name, kind)), NOTHING)
+        )
+    )
 
 
 @pytest.mark.parametrize("sides", ["open", "dark"])
@@ -100,7 +135,11 @@ def test_lamps_equal_the_oracle(backend, name, size, kind, sides):
 def _volume(name):
     depth, valid = scenes.whole_layers(name)
     n, y, x = np.ogrid[:6, : depth.shape[0], : depth.shape[1]]
-    shape = ((x - 8) ** 2 + (y - 12) ** 2 < 9) & (n < 3) | (x == 17) & (y > 20) & (n == 4) | (x + y == 25) & (n == 5)
+    shape = (
+        ((x - 8) ** 2 + (y - 12) ** 2 < 9) & (n < 3)
+        | (x == 17) & (y > 20) & (n == 4)
+        | (x + y == 25) & (n == 5)
+    )
     return shape, shape & (n <= np.where(True if valid is None else valid, depth, 99))
 
 
@@ -119,7 +158,9 @@ def test_lamps_of_any_shape_equal_the_oracle(backend, name, size, sides):
     lamp = sl.Lamp(volume=_volume(name)[0])
     assert expected.any()
     assert_bits_equal(sl.visibility(scenes.scene(name, sides), lamp, size, backend), expected)
-    assert_bits_equal(sl.visibility(scenes.scene(name, sides), lamp, size, backend, algorithm="propagate"), expected)
+    assert_bits_equal(
+        sl.visibility(scenes.scene(name, sides), lamp, size, backend, algorithm="propagate"), expected
+    )
 
 
 @pytest.mark.parametrize("sides", ["open", "dark"])
@@ -135,12 +176,15 @@ def test_filled_windows_and_high_lamps_are_the_filled_sky_clipped(backend, sides
     ):
         clipped = cube.unpack(scenes.filled_truth(name, 9, sides)).copy()
         for d, step in enumerate(cube.steps):
-            clipped[..., d] &= oracle.meets_source(x, y, scenes.layers(name), step, (rows, cols), sides, geometry)
+            clipped[..., d] &= oracle.meets_source(
+                x, y, scenes.layers(name), step, (rows, cols), sides, geometry
+            )
         assert clipped.any()
         assert_bits_equal(sl.visibility(scene, source, cube, backend, filled=True), cube.pack(clipped))
 
 
-# -- larger, continuous maps: backends against one another -----------------------------------------------------------------
+# -- larger, continuous maps: backends against one another
+# -----------------------------------------------------------------
 
 
 def _large():
@@ -157,7 +201,11 @@ def _numpy_bits(name, sides, source, filled, size=9):
     return sl.visibility(_large()[name](sides), SOURCES[source], size, "numpy", filled=filled)
 
 
-SOURCES = {"sky": SKY, "lamp": sl.Lamp(center=(2.05, 1.95, -1.0), radius=1.5), "window": sl.Window(x=(0.5, 3.3), y=(0.7, 2.1))}
+SOURCES = {
+    "sky": SKY,
+    "lamp": sl.Lamp(center=(2.05, 1.95, -1.0), radius=1.5),
+    "window": sl.Window(x=(0.5, 3.3), y=(0.7, 2.1)),
+}
 
 
 @pytest.mark.parametrize("filled", [False, True], ids=["stride", "filled"])
@@ -167,21 +215,31 @@ def test_backends_agree_on_continuous_maps(backend, name, sides, filled):
     """Rounding is the same everywhere: no bit differs from NumPy's, also where rounding decides ties."""
     if backend == "numpy":
         pytest.skip("the reference of this test")
-    assert_bits_equal(sl.visibility(_large()[name](sides), SKY, 9, backend, filled=filled), _numpy_bits(name, sides, "sky", filled))
+    assert_bits_equal(
+        sl.visibility(_large()[name](sides), SKY, 9, backend, filled=filled),
+        _numpy_bits(name, sides, "sky", filled),
+    )
 
 
 @pytest.mark.parametrize("filled", [False, True], ids=["stride", "filled"])
 @pytest.mark.parametrize("sides", ["open", "dark"])
 @pytest.mark.parametrize("source", ["lamp", "window"])
 def test_backends_agree_on_lamps_and_windows_where_rounding_decides(backend, source, sides, filled):
-    """The geometry is in double precision and the scan in single; which of them decides must not depend on the backend."""
+    """The geometry is in double precision and the scan in single; which of them decides must not depend on
+    the backend.
+    """
     if backend == "numpy":
         pytest.skip("the reference of this test")
-    assert_bits_equal(sl.visibility(_large()["near ties"](sides), SOURCES[source], 9, backend, filled=filled), _numpy_bits("near ties", sides, source, filled))
+    assert_bits_equal(
+        sl.visibility(_large()["near ties"](sides), SOURCES[source], 9, backend, filled=filled),
+        _numpy_bits("near ties", sides, source, filled),
+    )
 
 
 def test_the_whole_real_terrain_is_the_same_everywhere(backend, fast):
-    """344 x 403 nodes in metres, spacing as it is, against the backend that is quick here and against the oracle's rule on a row."""
+    """344 x 403 nodes in metres, spacing as it is, against the backend that is quick here and against the
+    oracle's rule on a row.
+    """
     if backend == fast:
         pytest.skip("the reference of this test")
     height, spacing = scenes.terrain()
@@ -191,16 +249,22 @@ def test_the_whole_real_terrain_is_the_same_everywhere(backend, fast):
 
 @pytest.mark.parametrize("sides", scenes.SIDES)
 def test_metres_are_layers_where_depths_are_whole_layers(backend, sides):
-    """Spacing other than 1, whole layers: the same bits as in layers, by both algorithms, for sky, window and lamp."""
+    """Spacing other than 1, whole layers: the same bits as in layers, by both algorithms, for sky, window and
+    lamp.
+    """
     name = "fractal"
     for spacing in (30.0, 0.1, 75.0):
         scene = scenes.scene(name, sides, spacing)
         assert_bits_equal(sl.visibility(scene, SKY, 5, backend), scenes.truth(name, 5, sides))
-        assert_bits_equal(sl.visibility(scene, SKY, 5, backend, algorithm="propagate"), scenes.truth(name, 5, sides))
+        assert_bits_equal(
+            sl.visibility(scene, SKY, 5, backend, algorithm="propagate"), scenes.truth(name, 5, sides)
+        )
 
 
 def test_whole_metres_between_layers_are_compared_in_metres(backend):
-    """Depths in whole metres, 30 metres a layer, against the definition: dividing or rounding first would flip bits."""
+    """Depths in whole metres, 30 metres a layer, against the definition: dividing or rounding first would
+    flip bits.
+    """
     depth = np.random.default_rng(2).integers(0, 200, (15, 18)).astype(float)
     cube = sl.Hemicube(7)
     expected = np.ones((15, 18, len(cube)), bool)
@@ -208,22 +272,34 @@ def test_whole_metres_between_layers_are_compared_in_metres(backend):
         for t in range(1, 18 if i or j else 1):
             for y in range(15):
                 for x in range(18):
-                    if 0 <= x + t * i < 18 and 0 <= y + t * j < 15 and depth[y + t * j, x + t * i] < depth[y, x] + t * up * 30.0:
+                    if (
+                        0 <= x + t * i < 18
+                        and 0 <= y + t * j < 15
+                        and depth[y + t * j, x + t * i] < depth[y, x] + t * up * 30.0
+                    ):
                         expected[y, x, d] = False
     assert_bits_equal(sl.visibility(sl.Scene(depth, 30.0), SKY, cube, backend), cube.pack(expected))
 
 
 @pytest.mark.parametrize("spacing", [30.0, 49.0, 75.0])
 def test_window_edges_on_nodes_do_not_depend_on_the_unit(backend, spacing):
-    """Half-open edges at whole numbers of nodes: the same bits in metres as in layers, low edge in, high edge out."""
+    """Half-open edges at whole numbers of nodes: the same bits in metres as in layers, low edge in, high edge
+    out.
+    """
     depth = np.random.default_rng(3).integers(0, 4, (12, 40))
     for edge in range(1, 36, 2):
         in_layers = sl.visibility(sl.Scene(depth), sl.Window(x=(edge, edge + 3), y=(1, 9)), 3, backend)
-        in_metres = sl.visibility(sl.Scene(depth * spacing, spacing), sl.Window(x=(edge * spacing, (edge + 3) * spacing), y=(spacing, 9 * spacing)), 3, backend)
+        in_metres = sl.visibility(
+            sl.Scene(depth * spacing, spacing),
+            sl.Window(x=(edge * spacing, (edge + 3) * spacing), y=(spacing, 9 * spacing)),
+            3,
+            backend,
+        )
         assert_bits_equal(in_metres, in_layers)
 
 
-# -- promises ----------------------------------------------------------------------------------------------------------------
+# -- promises
+# ----------------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("filled", [False, True], ids=["stride", "filled"])
@@ -239,7 +315,11 @@ def test_the_callers_arrays_are_not_changed(backend):
     """Depth, mask, albedo, volume and aperture are as they were, and writing to them later changes no scene."""
     depth, valid = (a.copy() for a in scenes.whole_layers("masked"))
     depth = depth.astype(np.float32)
-    albedo, volume, aperture = np.full(depth.shape, 0.5, np.float32), _volume("masked")[0].copy(), np.ones(depth.shape, bool)
+    albedo, volume, aperture = (
+        np.full(depth.shape, 0.5, np.float32),
+        _volume("masked")[0].copy(),
+        np.ones(depth.shape, bool),
+    )
     arrays = (depth, valid, albedo, volume, aperture)
     before = [a.copy() for a in arrays]
     scene = sl.Scene(depth, albedo=albedo, mask=valid)
@@ -304,7 +384,11 @@ def test_garbage_in_new_arrays_does_not_show(backend, sides, monkeypatch):
     def poisoned(self, shape, dtype, fill=None):
         array = original(self, shape, dtype, fill)
         if fill is None:
-            return self.upload(np.full(int(np.prod(shape)) * np.dtype(dtype).itemsize, 0xA5, np.uint8).view(dtype).reshape(shape))
+            return self.upload(
+                np.full(int(np.prod(shape)) * np.dtype(dtype).itemsize, 0xA5, np.uint8)
+                .view(dtype)
+                .reshape(shape)
+            )
         return array
 
     monkeypatch.setattr(type(engine), "empty", poisoned)
@@ -313,27 +397,42 @@ def test_garbage_in_new_arrays_does_not_show(backend, sides, monkeypatch):
         scene, truth = scenes.scene(name, sides), scenes.truth(name, 7, sides)
         assert_bits_equal(sl.visibility(scene, SKY, 7, backend), truth)
         assert_bits_equal(sl.visibility(scene, SKY, 7, backend, algorithm="propagate"), truth)
-        image = sl.render(scene, SKY, "lattice", backend=backend, hemicube=7, quantity="irradiance").image[scene.valid]
+        image = sl.render(scene, SKY, "lattice", backend=backend, hemicube=7, quantity="irradiance").image[
+            scene.valid
+        ]
         assert (image >= 0).all() and (image <= np.pi * 1.00001).all()
     scene = scenes.scene("masked", sides)
     rectangle = sl.Window(**_window("masked")["rectangle"][0])
-    assert_bits_equal(sl.visibility(scene, rectangle, 7, backend, algorithm="propagate"), _through("masked", "rectangle", 7, sides))
-    assert_bits_equal(sl.visibility(scene, lamp, 7, backend, algorithm="propagate"), _volume_truth("masked", 7, sides))
+    assert_bits_equal(
+        sl.visibility(scene, rectangle, 7, backend, algorithm="propagate"),
+        _through("masked", "rectangle", 7, sides),
+    )
+    assert_bits_equal(
+        sl.visibility(scene, lamp, 7, backend, algorithm="propagate"), _volume_truth("masked", 7, sides)
+    )
 
 
-# -- the field ---------------------------------------------------------------------------------------------------------------
+# -- the field
+# ---------------------------------------------------------------------------------------------------------------
 
 
 @functools.cache
 def _field_truth(name, size, sides, layers):
     cube = sl.Hemicube(size)
-    return np.stack([np.moveaxis(v, 0, -1) for _, v in oracle.propagate(scenes.layers(name), cube.steps, sides, scenes.SKY, layers)])
+    return np.stack(
+        [
+            np.moveaxis(v, 0, -1)
+            for _, v in oracle.propagate(scenes.layers(name), cube.steps, sides, scenes.SKY, layers)
+        ]
+    )
 
 
 @pytest.mark.parametrize("sides", scenes.SIDES)
 @pytest.mark.parametrize("name", ["spikes", "masked", "tiny"])
 def test_every_node_of_the_field_equals_the_oracle(backend, name, sides):
-    """All layers, below the deepest node too, free space and ground; at(), solid_angle(), surface() and bits say the same."""
+    """All layers, below the deepest node too, free space and ground; at(), solid_angle(), surface() and bits
+    say the same.
+    """
     depth = scenes.layers(name)
     layers = int(depth.max()) + 3
     field = sl.visibility_field(scenes.scene(name, sides), SKY, 5, layers, backend)
@@ -352,7 +451,16 @@ def test_the_field_refuses_nodes_that_it_has_not(backend):
     """Negative indices must not wrap round, and a shallow field has no surface to give."""
     field = sl.visibility_field(scenes.scene("spikes"), SKY, 3, 4, backend)
     rows, cols = field.scene.shape
-    for node in ((-1, 0, 0), (0, -1, 0), (0, 0, -1), (cols, 0, 0), (0, rows, 0), (0, 0, 4), (1.5, 0, 0), (True, 0, 0)):
+    for node in (
+        (-1, 0, 0),
+        (0, -1, 0),
+        (0, 0, -1),
+        (cols, 0, 0),
+        (0, rows, 0),
+        (0, 0, 4),
+        (1.5, 0, 0),
+        (True, 0, 0),
+    ):
         with pytest.raises(InputError, match="a whole number from 0 to"):
             field.at(*node)
     with pytest.raises(InputError, match="at least"):
@@ -363,7 +471,9 @@ def test_the_field_refuses_nodes_that_it_has_not(backend):
 
 
 def test_a_view_shows_source_and_ground_where_they_are(backend):
-    """A pit with one bright wall: solid angles cover the sphere, the sky is above, and what is hit is what stands there."""
+    """A pit with one bright wall: solid angles cover the sphere, the sky is above, and what is hit is what
+    stands there.
+    """
     depth = np.full((15, 15), 6)
     depth[:, 10:] = 0
     scene = sl.Scene(depth, albedo=np.where(np.arange(15) >= 10, 0.9, 0.1) * np.ones((15, 1)))
@@ -376,8 +486,13 @@ def test_a_view_shows_source_and_ground_where_they_are(backend):
     number = {tuple(s): d for d, s in enumerate(view.steps.tolist())}
     image = sl.render(scene, sl.Sky(2.0), "lattice", backend=backend, hemicube=5).image
     east, down = number[2, 0, 0], number[0, 0, 2]
-    assert view.hit[east].tolist() == [7, 11] and not view.visible[east]  # columns 9 and 11 are looked at; 11 stands higher
+    assert (
+        view.hit[east].tolist() == [7, 11] and not view.visible[east]
+    )  # columns 9 and 11 are looked at; 11 stands higher
     assert view.hit[down].tolist() == [7, 7]
     for d in (east, down):
         assert view.brightness[d] == image[tuple(view.hit[d])]
-    assert view.visible[number[-2, 0, 0]] and view.brightness[number[-2, 0, 2]] == image[tuple(view.hit[number[-2, 0, 2]])]
+    assert (
+        view.visible[number[-2, 0, 0]]
+        and view.brightness[number[-2, 0, 2]] == image[tuple(view.hit[number[-2, 0, 2]])]
+    )

@@ -1,8 +1,10 @@
-"""Irradiance of a depth map and its derivatives, for the inverse problem (MODEL.md, 5.2). Twin of opencl/adjoint.cl.
+"""Irradiance of a depth map and its derivatives, for the inverse problem (MODEL.md, 5.2). Twin of
+opencl/adjoint.cl.
 
-E = (1 + |grad z|^2)^(-1/2) sum over slices of width x [C1(T) + s C2(T)], s = e . grad z, C1 and C2 the integrals of
-B sin cos and of B cos^2 above the slope T: the largest of the level, the tangent plane, the wall, the source's own lower
-edge and the horizon. Where the horizon is the limit, dE/dT goes to the two nodes beside its crossing, over its distance.
+E = (1 + |grad z|^2)^(-1/2) sum over slices of width x [C1(T) + s C2(T)], s = e . grad z, C1 and C2 the
+integrals of B sin cos and of B cos^2 above the slope T: the largest of the level, the tangent plane, the
+wall, the source's own lower edge and the horizon. Where the horizon is the limit, dE/dT goes to the two nodes
+beside its crossing, over its distance.
 
 Shared arguments, lengths in spacings
   heights  (rows, cols + 2 margin)  float32  -z; in the margins -1e30, or the other side of a map that repeats
@@ -12,13 +14,16 @@ Shared arguments, lengths in spacings
   numbers, slopes  (count, pixels + ROOM)    under a sky: what look finds
   light    (4, pixels)              float32  out: E; dE by own depth, by dz/dx, by dz/dy
   held     (pixels)                 int32    out: slices of a node that another node limits, or two: its links
-  first, second                     int32    out: these nodes; (pixels / BESIDE, count, BESIDE): node by node, their links
-  near, far                         float32  out: dE by the depth of the first, of the second; likewise
-  table    (n, knots, 4)            float32  integrals of B cos^2 and of B sin cos from sin(elevation) = i / (knots - 1) to the
-                                             zenith, and what to add up to the next knot; knots 0: brightness 1, closed form
+  first, second                     int32    out: these nodes; (pixels / BESIDE, count, BESIDE): node by node,
+  their links near, far                         float32  out: dE by the depth of the first, of the second;
+  likewise table    (n, knots, 4)            float32  integrals of B cos^2 and of B sin cos from
+  sin(elevation) = i / (knots - 1) to the
+                                             zenith, and what to add up to the next knot; knots 0: brightness
+                                             1, closed form
   sides                             0 open, 1 dark, 2 periodic
 
-All arithmetic is +, -, x, / and sqrt, correctly rounded and in one order, so that every backend finds the same bits.
+All arithmetic is +, -, x, / and sqrt, correctly rounded and in one order, so that every backend finds the
+same bits.
 """
 
 import warp as wp
@@ -29,12 +34,18 @@ wp.set_module_options(OPTIONS)
 
 NONE = wp.constant(wp.float32(-1e30))
 STEEP = wp.constant(wp.float32(1e6))  # as good as the zenith
-ALONG = wp.constant(wp.float32(1e-6))  # closer to the grid is along it: n times -1e-9 would be a crossing all but on a node, and one of its two off the map
+ALONG = wp.constant(
+    wp.float32(1e-6)
+    # closer to the grid is along it: n times -1e-9 would be a crossing all but on a node, and one of its two off
+    # the map
+)
 LEVEL = wp.constant(wp.float32(0.01))  # slope below which a map that repeats is not searched
 SLACK = wp.constant(wp.float32(1.00001))  # what is left out must be lower by more than roundings
 BLOCK = wp.constant(wp.int32(16))  # nodes that a thread of a sum owns
 FOUR = wp.constant(wp.int32(4))  # times as coarse is every grid that preconditions than the one before
-BESIDE = wp.constant(wp.int32(32))  # nodes whose links lie side by side: a GPU reads them at once, and a CPU's cache holds them
+BESIDE = wp.constant(
+    wp.int32(32)
+)  # nodes whose links lie side by side: a GPU reads them at once, and a CPU's cache holds them
 ROOM = wp.constant(wp.int32(32))  # with which an array ends that is read in whole vectors
 SLOTS = wp.constant(wp.int32(32))  # places that a sum of whole numbers is spread over
 TILE = wp.constant(wp.int32(8))
@@ -62,12 +73,26 @@ def arc_tangent(v: wp.float32):
 
 
 @wp.func
-def above(t: wp.float32, table: wp.array[wp.float32], row: wp.int32, next: wp.int32, share: wp.float32, knots: wp.int32):
-    """Light between the slope t and the zenith: integrals of B sin cos and of B cos^2, and their derivatives by t."""
+def above(
+    t: wp.float32,
+    table: wp.array[wp.float32],
+    row: wp.int32,
+    next: wp.int32,
+    share: wp.float32,
+    knots: wp.int32,
+):
+    """Light between the slope t and the zenith: integrals of B sin cos and of B cos^2, and their derivatives
+    by t.
+    """
     square = 1.0 + t * t
     cosine = 1.0 / square
     if knots == 0:
-        return wp.vec4(0.5 * cosine, 0.5 * (1.57079633 - arc_tangent(t) - t * cosine), -t * cosine * cosine, -cosine * cosine)
+        return wp.vec4(
+            0.5 * cosine,
+            0.5 * (1.57079633 - arc_tangent(t) - t * cosine),
+            -t * cosine * cosine,
+            -cosine * cosine,
+        )
     root = wp.sqrt(square)
     sine = t / root
     place = sine * wp.float32(knots - 1)
@@ -84,7 +109,9 @@ def above(t: wp.float32, table: wp.array[wp.float32], row: wp.int32, next: wp.in
 
 @wp.struct
 class Way:
-    """A slice: the azimuth's cosine and sine, columns per row and rows per column, and their reciprocal lengths."""
+    """A slice: the azimuth's cosine and sine, columns per row and rows per column, and their reciprocal
+    lengths.
+    """
 
     c: wp.float32
     s: wp.float32
@@ -113,8 +140,18 @@ def way_of(c: wp.float32, s: wp.float32):
 
 
 @wp.func
-def highest_in(tiles: wp.array[wp.float32], left: wp.int32, right: wp.int32, over: wp.int32, under: wp.int32, rows: wp.int32, cols: wp.int32):
-    """The highest ground in the tiles that hold columns left..right of rows over..under, what is off the map left out."""
+def highest_in(
+    tiles: wp.array[wp.float32],
+    left: wp.int32,
+    right: wp.int32,
+    over: wp.int32,
+    under: wp.int32,
+    rows: wp.int32,
+    cols: wp.int32,
+):
+    """The highest ground in the tiles that hold columns left..right of rows over..under, what is off the map
+    left out.
+    """
     across = (cols - 1) / TILE + 1
     high = wp.float32(NONE)
     for j in range(wp.max(over, 0) / TILE, wp.min(under, rows - 1) / TILE + 1):
@@ -129,11 +166,25 @@ def within(value: wp.int32, size: wp.int32):
 
 
 @wp.func
-def horizon(heights: wp.array[wp.float32], tiles: wp.array[wp.float32], way: Way, x: wp.int32, y: wp.int32, own: wp.float32, least: wp.float32,
-            top: wp.float32, reach: wp.float32, rows: wp.int32, cols: wp.int32, margin: wp.int32, sides: wp.int32):
-    """(slope, number): ``least``, which is not below 0, raised to the horizon as far as ``reach``, and by which crossing: n
-    rows on, or -n columns on; 0 where nothing stands above. TILE crossings at a time are left out where no ground near them
-    is high enough."""
+def horizon(
+    heights: wp.array[wp.float32],
+    tiles: wp.array[wp.float32],
+    way: Way,
+    x: wp.int32,
+    y: wp.int32,
+    own: wp.float32,
+    least: wp.float32,
+    top: wp.float32,
+    reach: wp.float32,
+    rows: wp.int32,
+    cols: wp.int32,
+    margin: wp.int32,
+    sides: wp.int32,
+):
+    """(slope, number): ``least``, which is not below 0, raised to the horizon as far as ``reach``, and by
+    which crossing: n rows on, or -n columns on; 0 where nothing stands above. TILE crossings at a time are
+    left out where no ground near them is high enough.
+    """
     stride = cols + 2 * margin
     best = wp.float32(least)
     number = wp.int32(0)
@@ -177,7 +228,15 @@ def horizon(heights: wp.array[wp.float32], tiles: wp.array[wp.float32], way: Way
             if sides != PERIODIC and wp.abs(way.columns) <= 2.0:
                 last = x + wp.int32(wp.floor(wp.float32(n + TILE - 1) * way.columns))
                 end = y + up * (n + TILE - 1)
-                high = highest_in(tiles, wp.min(column, last), wp.max(column, last) + 1, wp.min(row, end), wp.max(row, end), rows, cols)
+                high = highest_in(
+                    tiles,
+                    wp.min(column, last),
+                    wp.max(column, last) + 1,
+                    wp.min(row, end),
+                    wp.max(row, end),
+                    rows,
+                    cols,
+                )
                 if (high - own) * (SLACK * closeness) <= best:
                     leave = 1
         if leave == 1:
@@ -217,7 +276,15 @@ def horizon(heights: wp.array[wp.float32], tiles: wp.array[wp.float32], way: Way
             if sides != PERIODIC and wp.abs(way.rows) <= 2.0:
                 last = column + on * (TILE - 1)
                 end = y + wp.int32(wp.floor(wp.float32(n + TILE - 1) * way.rows))
-                high = highest_in(tiles, wp.min(column, last), wp.max(column, last), wp.min(row, end), wp.max(row, end) + 1, rows, cols)
+                high = highest_in(
+                    tiles,
+                    wp.min(column, last),
+                    wp.max(column, last),
+                    wp.min(row, end),
+                    wp.max(row, end) + 1,
+                    rows,
+                    cols,
+                )
                 if (high - own) * (SLACK * closeness) <= best:
                     leave = 1
         if leave == 1:
@@ -248,7 +315,9 @@ def wall_of(way: Way, x: wp.int32, y: wp.int32, rows: wp.int32, cols: wp.int32):
 
 
 @wp.func
-def crossing_of(way: Way, number: wp.int32, x: wp.int32, y: wp.int32, rows: wp.int32, cols: wp.int32, sides: wp.int32):
+def crossing_of(
+    way: Way, number: wp.int32, x: wp.int32, y: wp.int32, rows: wp.int32, cols: wp.int32, sides: wp.int32
+):
     """The nodes beside crossing ``number`` of a node, the second one's weight, 1 / distance."""
     n = wp.abs(number)
     count = wp.float32(n)
@@ -306,8 +375,16 @@ def unordered(bits: wp.int32):
 
 
 @wp.kernel
-def surface(z: wp.array[wp.float32], heights: wp.array[wp.float32], tilts: wp.array[wp.float32], top: wp.array[wp.int32], rows: wp.int32, cols: wp.int32, margin: wp.int32,
-            sides: wp.int32):
+def surface(
+    z: wp.array[wp.float32],
+    heights: wp.array[wp.float32],
+    tilts: wp.array[wp.float32],
+    top: wp.array[wp.int32],
+    rows: wp.int32,
+    cols: wp.int32,
+    margin: wp.int32,
+    sides: wp.int32,
+):
     """Heights and tilts of the depths z (pixels), and a top for tiles to raise. Thread (y, x) owns a node."""
     y, x = wp.tid()
     stride = cols + 2 * margin
@@ -340,7 +417,13 @@ def surface(z: wp.array[wp.float32], heights: wp.array[wp.float32], tilts: wp.ar
 
 
 @wp.kernel
-def tiles(z: wp.array[wp.float32], tiles: wp.array[wp.float32], top: wp.array[wp.int32], rows: wp.int32, cols: wp.int32):
+def tiles(
+    z: wp.array[wp.float32],
+    tiles: wp.array[wp.float32],
+    top: wp.array[wp.int32],
+    rows: wp.int32,
+    cols: wp.int32,
+):
     """The greatest height of every TILE x TILE nodes, and of all. Thread (j, i) owns a tile."""
     j, i = wp.tid()
     high = wp.float32(NONE)
@@ -352,8 +435,20 @@ def tiles(z: wp.array[wp.float32], tiles: wp.array[wp.float32], top: wp.array[wp
 
 
 @wp.func
-def limit_of(way: Way, own: wp.float32, gx: wp.float32, gy: wp.float32, x: wp.int32, y: wp.int32, rows: wp.int32, cols: wp.int32, sides: wp.int32):
-    """What limits a slice of a sky before the ground does: the level, the tangent plane or the wall, then with its derivative."""
+def limit_of(
+    way: Way,
+    own: wp.float32,
+    gx: wp.float32,
+    gy: wp.float32,
+    x: wp.int32,
+    y: wp.int32,
+    rows: wp.int32,
+    cols: wp.int32,
+    sides: wp.int32,
+):
+    """What limits a slice of a sky before the ground does: the level, the tangent plane or the wall, then
+    with its derivative.
+    """
     slope = wp.max(-(gx * way.c + gy * way.s), 0.0)
     by_wall = wp.float32(0.0)
     if sides == DARK:
@@ -366,9 +461,21 @@ def limit_of(way: Way, own: wp.float32, gx: wp.float32, gy: wp.float32, x: wp.in
 
 
 @wp.kernel
-def look(heights: wp.array[wp.float32], tilts: wp.array[wp.float32], tiles: wp.array[wp.float32], top: wp.array[wp.int32],
-         azimuths: wp.array[wp.float32], numbers: wp.array[wp.int32], slopes: wp.array[wp.float32], rows: wp.int32, cols: wp.int32,
-         margin: wp.int32, count: wp.int32, sides: wp.int32, ways: wp.int32):
+def look(
+    heights: wp.array[wp.float32],
+    tilts: wp.array[wp.float32],
+    tiles: wp.array[wp.float32],
+    top: wp.array[wp.int32],
+    azimuths: wp.array[wp.float32],
+    numbers: wp.array[wp.int32],
+    slopes: wp.array[wp.float32],
+    rows: wp.int32,
+    cols: wp.int32,
+    margin: wp.int32,
+    count: wp.int32,
+    sides: wp.int32,
+    ways: wp.int32,
+):
     """The horizon of every slice under a sky: its crossing's number (as horizon gives it) and its slope.
 
     azimuths (count, 4): cosine, sine, width, 0. Thread (a, y, x) owns a node and ``ways`` azimuths."""
@@ -380,16 +487,35 @@ def look(heights: wp.array[wp.float32], tilts: wp.array[wp.float32], tiles: wp.a
         least, _by_wall = limit_of(way, own, tilts[p], tilts[rows * cols + p], x, y, rows, cols, sides)
         if sides == PERIODIC:
             least = wp.max(least, LEVEL)
-        found, number = horizon(heights, tiles, way, x, y, own, least, unordered(top[0]), 1e30, rows, cols, margin, sides)
+        found, number = horizon(
+            heights, tiles, way, x, y, own, least, unordered(top[0]), 1e30, rows, cols, margin, sides
+        )
         numbers[k * (rows * cols + ROOM) + p] = number
         slopes[k * (rows * cols + ROOM) + p] = found
 
 
 @wp.kernel
-def sky(heights: wp.array[wp.float32], tilts: wp.array[wp.float32], top: wp.array[wp.int32], numbers: wp.array[wp.int32], slopes: wp.array[wp.float32],
-        azimuths: wp.array[wp.float32], table: wp.array[wp.float32], light: wp.array[wp.float32], held: wp.array[wp.int32], first: wp.array[wp.int32],
-        second: wp.array[wp.int32], near: wp.array[wp.float32], far: wp.array[wp.float32], rows: wp.int32, cols: wp.int32,
-        margin: wp.int32, count: wp.int32, knots: wp.int32, sides: wp.int32):
+def sky(
+    heights: wp.array[wp.float32],
+    tilts: wp.array[wp.float32],
+    top: wp.array[wp.int32],
+    numbers: wp.array[wp.int32],
+    slopes: wp.array[wp.float32],
+    azimuths: wp.array[wp.float32],
+    table: wp.array[wp.float32],
+    light: wp.array[wp.float32],
+    held: wp.array[wp.int32],
+    first: wp.array[wp.int32],
+    second: wp.array[wp.int32],
+    near: wp.array[wp.float32],
+    far: wp.array[wp.float32],
+    rows: wp.int32,
+    cols: wp.int32,
+    margin: wp.int32,
+    count: wp.int32,
+    knots: wp.int32,
+    sides: wp.int32,
+):
     """E and its derivatives under a sky, after look. table: one row per azimuth.
 
     Thread (y, x) owns a node. Order of summation: azimuths."""
@@ -440,19 +566,40 @@ def sky(heights: wp.array[wp.float32], tilts: wp.array[wp.float32], top: wp.arra
 
 
 @wp.kernel
-def lamp(heights: wp.array[wp.float32], tilts: wp.array[wp.float32], tiles: wp.array[wp.float32], top: wp.array[wp.int32],
-         frames: wp.array[wp.float32], nodes: wp.array[wp.float32], solid: wp.array[wp.float32], table: wp.array[wp.float32],
-         light: wp.array[wp.float32], held: wp.array[wp.int32], first: wp.array[wp.int32], second: wp.array[wp.int32],
-         near: wp.array[wp.float32], far: wp.array[wp.float32],
-         rows: wp.int32, cols: wp.int32, margin: wp.int32, count: wp.int32, knots: wp.int32, n_rows: wp.int32, ball: wp.int32,
-         sides: wp.int32):
-    """The same for a finite source, through slices within it as every node sees it. A ball, ``solid`` its centre (x, y, height)
-    and radius; or a flat, convex quadrangle, ``solid`` its four corners in turn.
+def lamp(
+    heights: wp.array[wp.float32],
+    tilts: wp.array[wp.float32],
+    tiles: wp.array[wp.float32],
+    top: wp.array[wp.int32],
+    frames: wp.array[wp.float32],
+    nodes: wp.array[wp.float32],
+    solid: wp.array[wp.float32],
+    table: wp.array[wp.float32],
+    light: wp.array[wp.float32],
+    held: wp.array[wp.int32],
+    first: wp.array[wp.int32],
+    second: wp.array[wp.int32],
+    near: wp.array[wp.float32],
+    far: wp.array[wp.float32],
+    rows: wp.int32,
+    cols: wp.int32,
+    margin: wp.int32,
+    count: wp.int32,
+    knots: wp.int32,
+    n_rows: wp.int32,
+    ball: wp.int32,
+    sides: wp.int32,
+):
+    """The same for a finite source, through slices within it as every node sees it. A ball, ``solid`` its
+    centre (x, y, height) and radius; or a flat, convex quadrangle, ``solid`` its four corners in turn.
 
-      frames  (pixels, 4)  float32  cosine and sine of the azimuth of the source's middle; ball: distance to the centre along the
-                                    ground; quadrangle: tangent of a quarter of the angle it takes up, 0 where it stands all round
-      nodes   (count, 4)   float32  sine and cosine of midpoints of -pi/2..pi/2, cosine and sine of midpoints all round
-      n_rows  rows of table, evenly in the diamond angle (c, s) -> s / (|c| + |s|), -1..1 over the half c > 0 and on
+      frames  (pixels, 4)  float32  cosine and sine of the azimuth of the source's middle; ball: distance to
+      the centre along the
+                                    ground; quadrangle: tangent of a quarter of the angle it takes up, 0 where
+                                    it stands all round
+      nodes   (count, 4)   float32  sine and cosine of midpoints of -pi/2..pi/2, cosine and sine of midpoints
+      all round n_rows  rows of table, evenly in the diamond angle (c, s) -> s / (|c| + |s|), -1..1 over the
+      half c > 0 and on
 
     Thread (y, x) owns a node. Order of summation: slices."""
     y, x = wp.tid()
@@ -471,7 +618,8 @@ def lamp(heights: wp.array[wp.float32], tilts: wp.array[wp.float32], tiles: wp.a
     by_x = wp.float32(0.0)
     by_y = wp.float32(0.0)
     for k in range(count):
-        # 1. the slice, and the slopes between which the source stands in it, with their derivatives by the own depth
+        # 1. the slice, and the slopes between which the source stands in it, with their derivatives by the
+        # own depth
         c = nodes[4 * k + 2]
         s = nodes[4 * k + 3]
         width = 6.28318531 / wp.float32(count)
@@ -525,7 +673,9 @@ def lamp(heights: wp.array[wp.float32], tilts: wp.array[wp.float32], tiles: wp.a
                     high = STEEP
         else:
             if extent > 0.0:
-                t = extent * (wp.float32(2 * k + 1) / wp.float32(count) - 1.0)  # of half the angle from the middle
+                t = extent * (
+                    wp.float32(2 * k + 1) / wp.float32(count) - 1.0
+                )  # of half the angle from the middle
                 scale = 1.0 / (1.0 + t * t)
                 on = (1.0 - t * t) * scale
                 off = 2.0 * t * scale
@@ -584,7 +734,9 @@ def lamp(heights: wp.array[wp.float32], tilts: wp.array[wp.float32], tiles: wp.a
             by_limit = low_by
         number = wp.int32(0)
         if slope < high:
-            slope, number = horizon(heights, tiles, way, x, y, own, slope, unordered(top[0]), reach, rows, cols, margin, OPEN)
+            slope, number = horizon(
+                heights, tiles, way, x, y, own, slope, unordered(top[0]), reach, rows, cols, margin, OPEN
+            )
 
         # 3. the light between
         if slope < high:
@@ -659,18 +811,32 @@ def before(i: wp.int32, step: wp.int32):
 
 
 @wp.func
-def change_at(light: wp.array[wp.float32], held: wp.array[wp.int32], first: wp.array[wp.int32], second: wp.array[wp.int32],
-              near: wp.array[wp.float32], far: wp.array[wp.float32], v: wp.array[wp.float32], rows: wp.int32, cols: wp.int32, count: wp.int32,
-              p: wp.int32):
+def change_at(
+    light: wp.array[wp.float32],
+    held: wp.array[wp.int32],
+    first: wp.array[wp.int32],
+    second: wp.array[wp.int32],
+    near: wp.array[wp.float32],
+    far: wp.array[wp.float32],
+    v: wp.array[wp.float32],
+    rows: wp.int32,
+    cols: wp.int32,
+    count: wp.int32,
+    p: wp.int32,
+):
     """Row p of J, the derivative of E by depth, times v: by how much E changes there."""
     pixels = rows * cols
     x = p % cols
     y = p / cols
     sum = light[pixels + p] * v[p]
     if cols > 1:
-        sum += light[2 * pixels + p] * ((v[p + after(x, cols, 1)] - v[p - before(x, 1)]) * half_within(x, cols))
+        sum += light[2 * pixels + p] * (
+            (v[p + after(x, cols, 1)] - v[p - before(x, 1)]) * half_within(x, cols)
+        )
     if rows > 1:
-        sum += light[3 * pixels + p] * ((v[p + after(y, rows, cols)] - v[p - before(y, cols)]) * half_within(y, rows))
+        sum += light[3 * pixels + p] * (
+            (v[p + after(y, rows, cols)] - v[p - before(y, cols)]) * half_within(y, rows)
+        )
     for k in range(held[p]):
         e = link(p, k, count)
         sum += near[e] * v[first[e]] + far[e] * v[second[e]]
@@ -686,10 +852,24 @@ def add(sum: wp.array[wp.int64], to: wp.int32, part: wp.float32, u: wp.float32, 
 
 
 @wp.func
-def spread_at(light: wp.array[wp.float32], held: wp.array[wp.int32], first: wp.array[wp.int32], second: wp.array[wp.int32],
-              near: wp.array[wp.float32], far: wp.array[wp.float32], sum: wp.array[wp.int64], u: wp.float32, squared: wp.int32, rows: wp.int32, cols: wp.int32,
-              count: wp.int32, p: wp.int32):
-    """sum += row p of J times u, in whole numbers, so that no order of summation matters; its elements squared if asked for."""
+def spread_at(
+    light: wp.array[wp.float32],
+    held: wp.array[wp.int32],
+    first: wp.array[wp.int32],
+    second: wp.array[wp.int32],
+    near: wp.array[wp.float32],
+    far: wp.array[wp.float32],
+    sum: wp.array[wp.int64],
+    u: wp.float32,
+    squared: wp.int32,
+    rows: wp.int32,
+    cols: wp.int32,
+    count: wp.int32,
+    p: wp.int32,
+):
+    """sum += row p of J times u, in whole numbers, so that no order of summation matters; its elements
+    squared if asked for.
+    """
     pixels = rows * cols
     x = p % cols
     y = p / cols
@@ -709,10 +889,18 @@ def spread_at(light: wp.array[wp.float32], held: wp.array[wp.int32], first: wp.a
 
 
 @wp.kernel
-def match(light: wp.array[wp.float32], gain: wp.array[wp.float32], target: wp.array[wp.float32], over: wp.array[wp.float32], under: wp.array[wp.float32],
-          is_first: wp.int32, pixels: wp.int32):
-    """Over and under: what an image adds to those of its pixels' albedo, over / under: the one with which all images are nearest to their
-    targets, gain that of albedo 1. The first sets them."""
+def match(
+    light: wp.array[wp.float32],
+    gain: wp.array[wp.float32],
+    target: wp.array[wp.float32],
+    over: wp.array[wp.float32],
+    under: wp.array[wp.float32],
+    is_first: wp.int32,
+    pixels: wp.int32,
+):
+    """Over and under: what an image adds to those of its pixels' albedo, over / under: the one with which all
+    images are nearest to their targets, gain that of albedo 1. The first sets them.
+    """
     p = wp.tid()
     e = gain[p] * light[p]
     if is_first != 0:
@@ -723,15 +911,27 @@ def match(light: wp.array[wp.float32], gain: wp.array[wp.float32], target: wp.ar
 
 
 @wp.kernel
-def reflect(over: wp.array[wp.float32], under: wp.array[wp.float32], gain: wp.array[wp.float32], out: wp.array[wp.float32], pixels: wp.int32):
+def reflect(
+    over: wp.array[wp.float32],
+    under: wp.array[wp.float32],
+    gain: wp.array[wp.float32],
+    out: wp.array[wp.float32],
+    pixels: wp.int32,
+):
     """The gain with that albedo."""
     p = wp.tid()
     out[p] = over[p] / under[p] * gain[p]
 
 
 @wp.kernel
-def misfit(light: wp.array[wp.float32], gain: wp.array[wp.float32], target: wp.array[wp.float32], part: wp.array[wp.float64], block: wp.int32,
-           pixels: wp.int32):
+def misfit(
+    light: wp.array[wp.float32],
+    gain: wp.array[wp.float32],
+    target: wp.array[wp.float32],
+    part: wp.array[wp.float64],
+    block: wp.int32,
+    pixels: wp.int32,
+):
     """In part (blocks), from ``block`` on, the sums of (gain E - target)^2.
 
     Thread g of this, of bending and of begin owns BLOCK nodes and adds them in order."""
@@ -745,7 +945,9 @@ def misfit(light: wp.array[wp.float32], gain: wp.array[wp.float32], target: wp.a
 
 @wp.func
 def bend(v: wp.array[wp.float32], p: wp.int32, i: wp.int32, n: wp.int32, step: wp.int32):
-    """Second difference of v along a line of n nodes, ``step`` apart in memory, about node i of it, at p; 0 at the ends."""
+    """Second difference of v along a line of n nodes, ``step`` apart in memory, about node i of it, at p; 0
+    at the ends.
+    """
     if i < 1 or i > n - 2:
         return wp.float32(0.0)
     return (v[p - step] - v[p]) - (v[p] - v[p + step])
@@ -763,8 +965,17 @@ def unbend(v: wp.array[wp.float32], p: wp.int32, i: wp.int32, n: wp.int32, step:
 
 
 @wp.kernel
-def bending(z: wp.array[wp.float32], rest: wp.array[wp.float32], part: wp.array[wp.float64], block: wp.int32, rows: wp.int32, cols: wp.int32):
-    """In part (blocks), from ``block`` on, the sums of squared second differences of z - rest along rows and columns."""
+def bending(
+    z: wp.array[wp.float32],
+    rest: wp.array[wp.float32],
+    part: wp.array[wp.float64],
+    block: wp.int32,
+    rows: wp.int32,
+    cols: wp.int32,
+):
+    """In part (blocks), from ``block`` on, the sums of squared second differences of z - rest along rows and
+    columns.
+    """
     g = wp.tid()
     pixels = rows * cols
     sum = wp.float64(0.0)
@@ -776,29 +987,82 @@ def bending(z: wp.array[wp.float32], rest: wp.array[wp.float32], part: wp.array[
 
 
 @wp.kernel
-def downhill(light: wp.array[wp.float32], held: wp.array[wp.int32], first: wp.array[wp.int32], second: wp.array[wp.int32],
-             near: wp.array[wp.float32], far: wp.array[wp.float32], gain: wp.array[wp.float32], target: wp.array[wp.float32], sum: wp.array[wp.int64],
-             squares: wp.array[wp.int64], unit: wp.float32, fine: wp.float32, rows: wp.int32, cols: wp.int32, count: wp.int32, each: wp.int32,
-             teams: wp.int32):
-    """sum += unit transpose(J) gain (gain E - target), and squares += fine x the diagonal of transpose(J) gain^2 J, or what it is
-    where no two links of a node lead to the same one. Thread g of this and of all below owns ``each`` nodes. Here there is one
-    team, whose sums are added to as one."""
+def downhill(
+    light: wp.array[wp.float32],
+    held: wp.array[wp.int32],
+    first: wp.array[wp.int32],
+    second: wp.array[wp.int32],
+    near: wp.array[wp.float32],
+    far: wp.array[wp.float32],
+    gain: wp.array[wp.float32],
+    target: wp.array[wp.float32],
+    sum: wp.array[wp.int64],
+    squares: wp.array[wp.int64],
+    unit: wp.float32,
+    fine: wp.float32,
+    rows: wp.int32,
+    cols: wp.int32,
+    count: wp.int32,
+    each: wp.int32,
+    teams: wp.int32,
+):
+    """sum += unit transpose(J) gain (gain E - target), and squares += fine x the diagonal of transpose(J)
+    gain^2 J, or what it is where no two links of a node lead to the same one. Thread g of this and of all
+    below owns ``each`` nodes. Here there is one team, whose sums are added to as one.
+    """
     g = wp.tid()
     for p in range(g * each, wp.min(rows * cols, g * each + each)):
-        spread_at(light, held, first, second, near, far, sum, gain[p] * (gain[p] * light[p] - target[p]) * unit, 0, rows, cols, count, p)
-        spread_at(light, held, first, second, near, far, squares, gain[p] * gain[p] * fine, 1, rows, cols, count, p)
+        spread_at(
+            light,
+            held,
+            first,
+            second,
+            near,
+            far,
+            sum,
+            gain[p] * (gain[p] * light[p] - target[p]) * unit,
+            0,
+            rows,
+            cols,
+            count,
+            p,
+        )
+        spread_at(
+            light, held, first, second, near, far, squares, gain[p] * gain[p] * fine, 1, rows, cols, count, p
+        )
 
 
 @wp.kernel
-def begin(z: wp.array[wp.float32], rest: wp.array[wp.float32], low: wp.array[wp.float32], high: wp.array[wp.float32], sum: wp.array[wp.int64], squares: wp.array[wp.int64],
-          scale: wp.array[wp.float32], r: wp.array[wp.float32], x: wp.array[wp.float32], p: wp.array[wp.float32], s: wp.array[wp.float32],
-          is_free: wp.array[wp.float32], unit: wp.float32, fine: wp.float32, least: wp.float32, lambda_: wp.float32, rows: wp.int32, cols: wp.int32,
-          each: wp.int32, teams: wp.int32):
-    """The downhill direction r = -(sum unit + lambda unbend (z - rest)), 0 where a bound holds z (free 0); scale = squares fine + least;
-    x = p = s = sum = squares = 0 for conjugate gradients."""
+def begin(
+    z: wp.array[wp.float32],
+    rest: wp.array[wp.float32],
+    low: wp.array[wp.float32],
+    high: wp.array[wp.float32],
+    sum: wp.array[wp.int64],
+    squares: wp.array[wp.int64],
+    scale: wp.array[wp.float32],
+    r: wp.array[wp.float32],
+    x: wp.array[wp.float32],
+    p: wp.array[wp.float32],
+    s: wp.array[wp.float32],
+    is_free: wp.array[wp.float32],
+    unit: wp.float32,
+    fine: wp.float32,
+    least: wp.float32,
+    lambda_: wp.float32,
+    rows: wp.int32,
+    cols: wp.int32,
+    each: wp.int32,
+    teams: wp.int32,
+):
+    """The downhill direction r = -(sum unit + lambda unbend (z - rest)), 0 where a bound holds z (free 0);
+    scale = squares fine + least; x = p = s = sum = squares = 0 for conjugate gradients.
+    """
     g = wp.tid()
     for i in range(g * each, wp.min(rows * cols, g * each + each)):
-        smooth = (unbend(z, i, i % cols, cols, 1) + unbend(z, i, i / cols, rows, cols)) - (unbend(rest, i, i % cols, cols, 1) + unbend(rest, i, i / cols, rows, cols))
+        smooth = (unbend(z, i, i % cols, cols, 1) + unbend(z, i, i / cols, rows, cols)) - (
+            unbend(rest, i, i % cols, cols, 1) + unbend(rest, i, i / cols, rows, cols)
+        )
         down = -(wp.float32(sum[i]) * unit + lambda_ * smooth)
         moves = wp.float32(1.0)
         if (z[i] <= low[i] and down < 0.0) or (z[i] >= high[i] and down > 0.0):
@@ -813,8 +1077,8 @@ def begin(z: wp.array[wp.float32], rest: wp.array[wp.float32], low: wp.array[wp.
         s[i] = 0.0
 
 
-# What preconditions: v = r / scale, and the same on grids FOUR and FOUR^2 times as coarse, brought up by linear interpolation
-# (Bramble, Pasciak and Xu 1990); r is brought down by its transpose.
+# What preconditions: v = r / scale, and the same on grids FOUR and FOUR^2 times as coarse, brought up by
+# linear interpolation (Bramble, Pasciak and Xu 1990); r is brought down by its transpose.
 
 
 @wp.func
@@ -841,8 +1105,15 @@ def lowered(fine: wp.array[wp.float32], rows: wp.int32, cols: wp.int32, x: wp.in
 
 
 @wp.kernel
-def down(fine: wp.array[wp.float32], scale: wp.array[wp.float32], to: wp.array[wp.float32], times: wp.float32, divides: wp.int32, rows: wp.int32,
-         cols: wp.int32):
+def down(
+    fine: wp.array[wp.float32],
+    scale: wp.array[wp.float32],
+    to: wp.array[wp.float32],
+    times: wp.float32,
+    divides: wp.int32,
+    rows: wp.int32,
+    cols: wp.int32,
+):
     """to = times what is brought down; over ``scale``, if asked to divide."""
     y, x = wp.tid()
     sum = times * lowered(fine, rows, cols, x, y)
@@ -868,8 +1139,17 @@ def share_of(i: wp.int32):
 
 
 @wp.func
-def up_at(r: wp.array[wp.float32], scale: wp.array[wp.float32], is_free: wp.array[wp.float32], coarse: wp.array[wp.float32], v: wp.array[wp.float32],
-          rows: wp.int32, cols: wp.int32, x: wp.int32, y: wp.int32):
+def up_at(
+    r: wp.array[wp.float32],
+    scale: wp.array[wp.float32],
+    is_free: wp.array[wp.float32],
+    coarse: wp.array[wp.float32],
+    v: wp.array[wp.float32],
+    rows: wp.int32,
+    cols: wp.int32,
+    x: wp.int32,
+    y: wp.int32,
+):
     """v = free (r / scale + what is brought up from a coarse grid) at node (x, y)."""
     n_cols = (cols - 1) / FOUR + 1
     here = y / FOUR * n_cols
@@ -883,8 +1163,15 @@ def up_at(r: wp.array[wp.float32], scale: wp.array[wp.float32], is_free: wp.arra
 
 
 @wp.kernel
-def up(r: wp.array[wp.float32], scale: wp.array[wp.float32], is_free: wp.array[wp.float32], coarse: wp.array[wp.float32], v: wp.array[wp.float32],
-       rows: wp.int32, cols: wp.int32):
+def up(
+    r: wp.array[wp.float32],
+    scale: wp.array[wp.float32],
+    is_free: wp.array[wp.float32],
+    coarse: wp.array[wp.float32],
+    v: wp.array[wp.float32],
+    rows: wp.int32,
+    cols: wp.int32,
+):
     """See up_at, for the nodes of row y that lie in a coarse one."""
     y, j = wp.tid()
     for x in range(FOUR * j, wp.min(cols, FOUR * j + FOUR)):
@@ -904,45 +1191,112 @@ def lengths(r: wp.array[wp.float32], v: wp.array[wp.float32], part: wp.array[wp.
     part[(pixels - 1) / BLOCK + 1 + g] = product
 
 
-# The state of conjugate gradients (float64): iterations left, 0 once it has stopped; units of the scattered sum and of r v, v w
-# and v v, from the last ones' size; alpha, 0 before the first step; the first r v; what the quadratic model has gained; and what
-# was asked for: lambda, damping, share of the first r v at which to stop. Two of them take turns, and so do the totals (3, SLOTS)
+# The state of conjugate gradients (float64): iterations left, 0 once it has stopped; units of the scattered
+# sum and of r v, v w and v v, from the last ones' size; alpha, 0 before the first step; the first r v; what
+# the quadratic model has gained; and what was asked for: lambda, damping, share of the first r v at which to
+# stop. Two of them take turns, and so do the totals (3, SLOTS)
 # of r v, v w and v v.
-LEFT, SCATTERED, UNIT_RV, UNIT_VV, PRODUCT, ALPHA, START, GAIN, LAMBDA, DAMPING, LEAST = (wp.constant(wp.int32(n)) for n in range(11))
+LEFT, SCATTERED, UNIT_RV, UNIT_VV, PRODUCT, ALPHA, START, GAIN, LAMBDA, DAMPING, LEAST = (
+    wp.constant(wp.int32(n)) for n in range(11)
+)
 State = wp.types.vector(11, wp.float64)
 Sums = wp.types.vector(3, wp.int64)
 
 
 @wp.func
-def product_at(light: wp.array[wp.float32], held: wp.array[wp.int32], first: wp.array[wp.int32], second: wp.array[wp.int32],
-               near: wp.array[wp.float32], far: wp.array[wp.float32], gain: wp.array[wp.float32], v: wp.array[wp.float32], sum: wp.array[wp.int64],
-               unit: wp.float32, rows: wp.int32, cols: wp.int32, count: wp.int32, p: wp.int32):
+def product_at(
+    light: wp.array[wp.float32],
+    held: wp.array[wp.int32],
+    first: wp.array[wp.int32],
+    second: wp.array[wp.int32],
+    near: wp.array[wp.float32],
+    far: wp.array[wp.float32],
+    gain: wp.array[wp.float32],
+    v: wp.array[wp.float32],
+    sum: wp.array[wp.int64],
+    unit: wp.float32,
+    rows: wp.int32,
+    cols: wp.int32,
+    count: wp.int32,
+    p: wp.int32,
+):
     """See product."""
     change = change_at(light, held, first, second, near, far, v, rows, cols, count, p)
-    spread_at(light, held, first, second, near, far, sum, gain[p] * gain[p] * change * unit, 0, rows, cols, count, p)
+    spread_at(
+        light, held, first, second, near, far, sum, gain[p] * gain[p] * change * unit, 0, rows, cols, count, p
+    )
 
 
 @wp.kernel
-def product(light: wp.array[wp.float32], held: wp.array[wp.int32], first: wp.array[wp.int32], second: wp.array[wp.int32],
-            near: wp.array[wp.float32], far: wp.array[wp.float32], gain: wp.array[wp.float32], v: wp.array[wp.float32], sum: wp.array[wp.int64],
-            state: wp.array[wp.float64], rows: wp.int32, cols: wp.int32, count: wp.int32, each: wp.int32,
-            teams: wp.int32):
+def product(
+    light: wp.array[wp.float32],
+    held: wp.array[wp.int32],
+    first: wp.array[wp.int32],
+    second: wp.array[wp.int32],
+    near: wp.array[wp.float32],
+    far: wp.array[wp.float32],
+    gain: wp.array[wp.float32],
+    v: wp.array[wp.float32],
+    sum: wp.array[wp.int64],
+    state: wp.array[wp.float64],
+    rows: wp.int32,
+    cols: wp.int32,
+    count: wp.int32,
+    each: wp.int32,
+    teams: wp.int32,
+):
     """sum += unit transpose(J) gain^2 J v."""
     g = wp.tid()
     if state[LEFT] > wp.float64(0.0):
         for p in range(g * each, wp.min(rows * cols, g * each + each)):
-            product_at(light, held, first, second, near, far, gain, v, sum, wp.float32(state[SCATTERED]), rows, cols, count, p)
+            product_at(
+                light,
+                held,
+                first,
+                second,
+                near,
+                far,
+                gain,
+                v,
+                sum,
+                wp.float32(state[SCATTERED]),
+                rows,
+                cols,
+                count,
+                p,
+            )
 
 
 @wp.kernel
-def change(light: wp.array[wp.float32], held: wp.array[wp.int32], first: wp.array[wp.int32], second: wp.array[wp.int32],
-           near: wp.array[wp.float32], far: wp.array[wp.float32], gain: wp.array[wp.float32], bare: wp.array[wp.float32], v: wp.array[wp.float32],
-           share: wp.array[wp.float32], state: wp.array[wp.float64], rows: wp.int32, cols: wp.int32, count: wp.int32, is_first: wp.int32, each: wp.int32):
-    """In (or added to) share, what an image says of the change of its pixels' albedo by v: bright gain J v, bright = the image at albedo 1."""
+def change(
+    light: wp.array[wp.float32],
+    held: wp.array[wp.int32],
+    first: wp.array[wp.int32],
+    second: wp.array[wp.int32],
+    near: wp.array[wp.float32],
+    far: wp.array[wp.float32],
+    gain: wp.array[wp.float32],
+    bare: wp.array[wp.float32],
+    v: wp.array[wp.float32],
+    share: wp.array[wp.float32],
+    state: wp.array[wp.float64],
+    rows: wp.int32,
+    cols: wp.int32,
+    count: wp.int32,
+    is_first: wp.int32,
+    each: wp.int32,
+):
+    """In (or added to) share, what an image says of the change of its pixels' albedo by v: bright gain J v,
+    bright = the image at albedo 1.
+    """
     g = wp.tid()
     if state[LEFT] > wp.float64(0.0):
         for p in range(g * each, wp.min(rows * cols, g * each + each)):
-            own = bare[p] * light[p] * (gain[p] * change_at(light, held, first, second, near, far, v, rows, cols, count, p))
+            own = (
+                bare[p]
+                * light[p]
+                * (gain[p] * change_at(light, held, first, second, near, far, v, rows, cols, count, p))
+            )
             if is_first != 0:
                 share[p] = own
             else:
@@ -950,45 +1304,118 @@ def change(light: wp.array[wp.float32], held: wp.array[wp.int32], first: wp.arra
 
 
 @wp.kernel
-def product_beside(light: wp.array[wp.float32], held: wp.array[wp.int32], first: wp.array[wp.int32], second: wp.array[wp.int32],
-                   near: wp.array[wp.float32], far: wp.array[wp.float32], gain: wp.array[wp.float32], bare: wp.array[wp.float32], share: wp.array[wp.float32],
-                   under: wp.array[wp.float32], v: wp.array[wp.float32], sum: wp.array[wp.int64], state: wp.array[wp.float64], rows: wp.int32, cols: wp.int32,
-                   count: wp.int32, each: wp.int32, teams: wp.int32):
+def product_beside(
+    light: wp.array[wp.float32],
+    held: wp.array[wp.int32],
+    first: wp.array[wp.int32],
+    second: wp.array[wp.int32],
+    near: wp.array[wp.float32],
+    far: wp.array[wp.float32],
+    gain: wp.array[wp.float32],
+    bare: wp.array[wp.float32],
+    share: wp.array[wp.float32],
+    under: wp.array[wp.float32],
+    v: wp.array[wp.float32],
+    sum: wp.array[wp.int64],
+    state: wp.array[wp.float64],
+    rows: wp.int32,
+    cols: wp.int32,
+    count: wp.int32,
+    each: wp.int32,
+    teams: wp.int32,
+):
     """As product, less what a change of the albedo makes up for."""
     g = wp.tid()
     if state[LEFT] > wp.float64(0.0):
         for p in range(g * each, wp.min(rows * cols, g * each + each)):
-            left = gain[p] * change_at(light, held, first, second, near, far, v, rows, cols, count, p) - bare[p] * light[p] * (share[p] / under[p])
-            spread_at(light, held, first, second, near, far, sum, gain[p] * left * wp.float32(state[SCATTERED]), 0, rows, cols, count, p)
+            left = gain[p] * change_at(light, held, first, second, near, far, v, rows, cols, count, p) - bare[
+                p
+            ] * light[p] * (share[p] / under[p])
+            spread_at(
+                light,
+                held,
+                first,
+                second,
+                near,
+                far,
+                sum,
+                gain[p] * left * wp.float32(state[SCATTERED]),
+                0,
+                rows,
+                cols,
+                count,
+                p,
+            )
 
 
 @wp.func
-def curve_at(r: wp.array[wp.float32], v: wp.array[wp.float32], scale: wp.array[wp.float32], is_free: wp.array[wp.float32],
-             sum: wp.array[wp.int64], w: wp.array[wp.float32], unit: wp.float32, lambda_: wp.float32, damping: wp.float32,
-             by_product: wp.float64, by_square: wp.float64, rows: wp.int32, cols: wp.int32, i: wp.int32):
-    """w = free (sum unit + lambda unbend v + damping scale v), the normal equations' matrix times v; sum = 0; and what the node
-    adds to r v, v w and v v."""
+def curve_at(
+    r: wp.array[wp.float32],
+    v: wp.array[wp.float32],
+    scale: wp.array[wp.float32],
+    is_free: wp.array[wp.float32],
+    sum: wp.array[wp.int64],
+    w: wp.array[wp.float32],
+    unit: wp.float32,
+    lambda_: wp.float32,
+    damping: wp.float32,
+    by_product: wp.float64,
+    by_square: wp.float64,
+    rows: wp.int32,
+    cols: wp.int32,
+    i: wp.int32,
+):
+    """w = free (sum unit + lambda unbend v + damping scale v), the normal equations' matrix times v; sum = 0;
+    and what the node adds to r v, v w and v v.
+    """
     smooth = unbend(v, i, i % cols, cols, 1) + unbend(v, i, i / cols, rows, cols)
     w[i] = is_free[i] * (wp.float32(sum[i]) * unit + lambda_ * smooth + damping * scale[i] * v[i])
     sum[i] = wp.int64(0)
     product = wp.float64(r[i]) * wp.float64(v[i])
     curvature = wp.float64(v[i]) * wp.float64(w[i])
     square = wp.float64(v[i]) * wp.float64(v[i])
-    return Sums(wp.int64(product * by_product), wp.int64(curvature * by_product), wp.int64(square * by_square))
+    return Sums(
+        wp.int64(product * by_product), wp.int64(curvature * by_product), wp.int64(square * by_square)
+    )
 
 
 @wp.kernel
-def curve(r: wp.array[wp.float32], v: wp.array[wp.float32], scale: wp.array[wp.float32], is_free: wp.array[wp.float32],
-          sum: wp.array[wp.int64], w: wp.array[wp.float32], totals: wp.array[wp.int64], state: wp.array[wp.float64], rows: wp.int32,
-          cols: wp.int32, each: wp.int32, teams: wp.int32):
+def curve(
+    r: wp.array[wp.float32],
+    v: wp.array[wp.float32],
+    scale: wp.array[wp.float32],
+    is_free: wp.array[wp.float32],
+    sum: wp.array[wp.int64],
+    w: wp.array[wp.float32],
+    totals: wp.array[wp.int64],
+    state: wp.array[wp.float64],
+    rows: wp.int32,
+    cols: wp.int32,
+    each: wp.int32,
+    teams: wp.int32,
+):
     """See curve_at."""
     g = wp.tid()
     if state[LEFT] > wp.float64(0.0):
         part = Sums()
         unit = wp.float32(wp.float64(1.0) / state[SCATTERED])
         for i in range(g * each, wp.min(rows * cols, g * each + each)):
-            part += curve_at(r, v, scale, is_free, sum, w, unit, wp.float32(state[LAMBDA]), wp.float32(state[DAMPING]), state[UNIT_RV],
-                             state[UNIT_VV], rows, cols, i)
+            part += curve_at(
+                r,
+                v,
+                scale,
+                is_free,
+                sum,
+                w,
+                unit,
+                wp.float32(state[LAMBDA]),
+                wp.float32(state[DAMPING]),
+                state[UNIT_RV],
+                state[UNIT_VV],
+                rows,
+                cols,
+                i,
+            )
         wp.atomic_add(totals, g % SLOTS, part[0])
         wp.atomic_add(totals, SLOTS + g % SLOTS, part[1])
         wp.atomic_add(totals, 2 * SLOTS + g % SLOTS, part[2])
@@ -1025,8 +1452,17 @@ def turn_of(state: wp.array[wp.float64], total: Sums, fixed_: wp.float64, exact:
 
 
 @wp.func
-def go_at(v: wp.array[wp.float32], w: wp.array[wp.float32], r: wp.array[wp.float32], x: wp.array[wp.float32], p: wp.array[wp.float32],
-          s: wp.array[wp.float32], alpha: wp.float32, beta: wp.float32, i: wp.int32):
+def go_at(
+    v: wp.array[wp.float32],
+    w: wp.array[wp.float32],
+    r: wp.array[wp.float32],
+    x: wp.array[wp.float32],
+    p: wp.array[wp.float32],
+    s: wp.array[wp.float32],
+    alpha: wp.float32,
+    beta: wp.float32,
+    i: wp.int32,
+):
     """See go."""
     p[i] = v[i] + beta * p[i]
     s[i] = w[i] + beta * s[i]
@@ -1035,11 +1471,25 @@ def go_at(v: wp.array[wp.float32], w: wp.array[wp.float32], r: wp.array[wp.float
 
 
 @wp.kernel
-def go(v: wp.array[wp.float32], w: wp.array[wp.float32], r: wp.array[wp.float32], x: wp.array[wp.float32], p: wp.array[wp.float32],
-       s: wp.array[wp.float32], totals: wp.array[wp.int64], next_totals: wp.array[wp.int64],
-       state: wp.array[wp.float64], next: wp.array[wp.float64], fixed_: wp.float64, exact: wp.float64, pixels: wp.int32, each: wp.int32):
-    """A step of conjugate gradients with one sum (Chronopoulos and Gear 1989): p = v + beta p, s = w + beta s, x += alpha p,
-    r -= alpha s."""
+def go(
+    v: wp.array[wp.float32],
+    w: wp.array[wp.float32],
+    r: wp.array[wp.float32],
+    x: wp.array[wp.float32],
+    p: wp.array[wp.float32],
+    s: wp.array[wp.float32],
+    totals: wp.array[wp.int64],
+    next_totals: wp.array[wp.int64],
+    state: wp.array[wp.float64],
+    next: wp.array[wp.float64],
+    fixed_: wp.float64,
+    exact: wp.float64,
+    pixels: wp.int32,
+    each: wp.int32,
+):
+    """A step of conjugate gradients with one sum (Chronopoulos and Gear 1989): p = v + beta p, s = w + beta
+    s, x += alpha p, r -= alpha s.
+    """
     g = wp.tid()
     if state[LEFT] > wp.float64(0.0):
         total = Sums()
@@ -1060,8 +1510,18 @@ def go(v: wp.array[wp.float32], w: wp.array[wp.float32], r: wp.array[wp.float32]
 
 
 @wp.kernel
-def ready(state: wp.array[wp.float64], totals: wp.array[wp.int64], square: wp.float64, product: wp.float64, lambda_: wp.float64,
-          damping: wp.float64, least: wp.float64, fixed_: wp.float64, exact: wp.float64, most: wp.int32):
+def ready(
+    state: wp.array[wp.float64],
+    totals: wp.array[wp.int64],
+    square: wp.float64,
+    product: wp.float64,
+    lambda_: wp.float64,
+    damping: wp.float64,
+    least: wp.float64,
+    fixed_: wp.float64,
+    exact: wp.float64,
+    most: wp.int32,
+):
     """The state and the totals before the first iteration; square and product: v v and r v. One thread."""
     for i in range(3 * SLOTS):
         totals[i] = wp.int64(0)
@@ -1077,14 +1537,39 @@ def ready(state: wp.array[wp.float64], totals: wp.array[wp.int64], square: wp.fl
 
 
 @wp.kernel
-def solve(light: wp.array[wp.float32], held: wp.array[wp.int32], first: wp.array[wp.int32], second: wp.array[wp.int32],
-          near: wp.array[wp.float32], far: wp.array[wp.float32], gain: wp.array[wp.float32], scale: wp.array[wp.float32], scale_4: wp.array[wp.float32],
-          scale_16: wp.array[wp.float32], is_free: wp.array[wp.float32], is_free_4: wp.array[wp.float32], sum: wp.array[wp.int64], r: wp.array[wp.float32],
-          r_4: wp.array[wp.float32], v: wp.array[wp.float32], v_4: wp.array[wp.float32], v_16: wp.array[wp.float32], w: wp.array[wp.float32],
-          x: wp.array[wp.float32], p: wp.array[wp.float32], s: wp.array[wp.float32], state: wp.array[wp.float64], fixed_: wp.float64, exact: wp.float64,
-          rows: wp.int32, cols: wp.int32, count: wp.int32):
-    """product, curve, go, down and up until they stop, by one thread: on a small grid a CPU takes longer to start a kernel than to
-    run it. 4 and 16: of the coarse grids."""
+def solve(
+    light: wp.array[wp.float32],
+    held: wp.array[wp.int32],
+    first: wp.array[wp.int32],
+    second: wp.array[wp.int32],
+    near: wp.array[wp.float32],
+    far: wp.array[wp.float32],
+    gain: wp.array[wp.float32],
+    scale: wp.array[wp.float32],
+    scale_4: wp.array[wp.float32],
+    scale_16: wp.array[wp.float32],
+    is_free: wp.array[wp.float32],
+    is_free_4: wp.array[wp.float32],
+    sum: wp.array[wp.int64],
+    r: wp.array[wp.float32],
+    r_4: wp.array[wp.float32],
+    v: wp.array[wp.float32],
+    v_4: wp.array[wp.float32],
+    v_16: wp.array[wp.float32],
+    w: wp.array[wp.float32],
+    x: wp.array[wp.float32],
+    p: wp.array[wp.float32],
+    s: wp.array[wp.float32],
+    state: wp.array[wp.float64],
+    fixed_: wp.float64,
+    exact: wp.float64,
+    rows: wp.int32,
+    cols: wp.int32,
+    count: wp.int32,
+):
+    """product, curve, go, down and up until they stop, by one thread: on a small grid a CPU takes longer to
+    start a kernel than to run it. 4 and 16: of the coarse grids.
+    """
     pixels = rows * cols
     rows_4 = (rows - 1) / FOUR + 1
     cols_4 = (cols - 1) / FOUR + 1
@@ -1094,10 +1579,39 @@ def solve(light: wp.array[wp.float32], held: wp.array[wp.int32], first: wp.array
         total = Sums()
         unit = wp.float32(wp.float64(1.0) / state[SCATTERED])
         for i in range(pixels):
-            product_at(light, held, first, second, near, far, gain, v, sum, wp.float32(state[SCATTERED]), rows, cols, count, i)
+            product_at(
+                light,
+                held,
+                first,
+                second,
+                near,
+                far,
+                gain,
+                v,
+                sum,
+                wp.float32(state[SCATTERED]),
+                rows,
+                cols,
+                count,
+                i,
+            )
         for i in range(pixels):
-            total += curve_at(r, v, scale, is_free, sum, w, unit, wp.float32(state[LAMBDA]), wp.float32(state[DAMPING]), state[UNIT_RV],
-                              state[UNIT_VV], rows, cols, i)
+            total += curve_at(
+                r,
+                v,
+                scale,
+                is_free,
+                sum,
+                w,
+                unit,
+                wp.float32(state[LAMBDA]),
+                wp.float32(state[DAMPING]),
+                state[UNIT_RV],
+                state[UNIT_VV],
+                rows,
+                cols,
+                i,
+            )
         after_, beta, goes = turn_of(state, total, fixed_, exact)
         for i in range(11):
             state[i] = after_[i]
@@ -1116,8 +1630,15 @@ def solve(light: wp.array[wp.float32], held: wp.array[wp.int32], first: wp.array
 
 
 @wp.kernel
-def move(z: wp.array[wp.float32], x: wp.array[wp.float32], low: wp.array[wp.float32], high: wp.array[wp.float32], to: wp.array[wp.float32],
-         pixels: wp.int32, each: wp.int32):
+def move(
+    z: wp.array[wp.float32],
+    x: wp.array[wp.float32],
+    low: wp.array[wp.float32],
+    high: wp.array[wp.float32],
+    to: wp.array[wp.float32],
+    pixels: wp.int32,
+    each: wp.int32,
+):
     """to = z + x, within its bounds."""
     g = wp.tid()
     for i in range(g * each, wp.min(pixels, g * each + each)):

@@ -1,4 +1,5 @@
-"""Surface visibility that tests every crossing of a ray with a grid line of either axis, not only the lattice nodes.
+"""Surface visibility that tests every crossing of a ray with a grid line of either axis, not only the lattice
+nodes.
 
 Twin of opencl/filled.cl.
 """
@@ -15,7 +16,15 @@ NOTHING = wp.constant(wp.float32(3.4028234663852886e38))  # as in scan
 
 
 @wp.func
-def depth_at(maps: wp.array2d[wp.float32], turned: wp.int32, x: wp.int32, y: wp.int32, rows: wp.int32, cols: wp.int32, periodic: wp.int32):
+def depth_at(
+    maps: wp.array2d[wp.float32],
+    turned: wp.int32,
+    x: wp.int32,
+    y: wp.int32,
+    rows: wp.int32,
+    cols: wp.int32,
+    periodic: wp.int32,
+):
     """Depth of a node; +inf off a map that does not repeat."""
     cx = x
     cy = y
@@ -29,14 +38,16 @@ def depth_at(maps: wp.array2d[wp.float32], turned: wp.int32, x: wp.int32, y: wp.
 
 @functools.cache
 def scan_filled(BITS: int):
-    """As scan, and between a node and the next one towards the source the depths of the crossings, linear between two
-    nodes, lower the ceiling too. All depths are multiplied by the walk's `parts`, so that whole layers stay exact.
+    """As scan, and between a node and the next one towards the source the depths of the crossings, linear
+    between two nodes, lower the ceiling too. All depths are multiplied by the walk's `parts`, so that whole
+    layers stay exact.
 
       maps, walks, lap, planes, map_rows, map_cols, room, lap_lines, periodic  as in scan
       rise       (walks, BITS)  float32  [length x parts] per step
-      crossings  (n, 8)         int32    x, y of a node, x, y to the next node on that line, the weights of both, when, parts
-      climbs     (n, BITS)      float32  [length x parts] what the ray climbs until the crossing
-      spans      (walks, 2)     int32    first crossing of a walk and how many; the last is the lattice node itself
+      crossings  (n, 8)         int32    x, y of a node, x, y to the next node on that line, the weights of
+      both, when, parts climbs     (n, BITS)      float32  [length x parts] what the ray climbs until the
+      crossing spans      (walks, 2)     int32    first crossing of a walk and how many; the last is the
+      lattice node itself
 
     A crossing with a masked end, or off the map, does not block. Thread (w, line) owns one line of walk w.
     """

@@ -1,4 +1,6 @@
-"""What sweeps need besides: slopes of a padded map, a map turned, sums as irradiance, and how far that is off. Twin of opencl/ground.cl."""
+"""What sweeps need besides: slopes of a padded map, a map turned, sums as irradiance, and how far that is
+off. Twin of opencl/ground.cl.
+"""
 
 import warp as wp
 
@@ -25,9 +27,17 @@ def difference(heights: wp.array[wp.float32], here: wp.int32, low: wp.int32, hig
 
 
 @wp.kernel
-def tilt(heights: wp.array[wp.float32], tilts: wp.array2d[wp.float32], rows: wp.int32, cols: wp.int32, margin: wp.int32, room: wp.int32, periodic: wp.int32):
-    """d depth/dx and d depth/dy of a padded map, by central differences; one-sided at the border and beside masked nodes,
-    0 where alone or masked.
+def tilt(
+    heights: wp.array[wp.float32],
+    tilts: wp.array2d[wp.float32],
+    rows: wp.int32,
+    cols: wp.int32,
+    margin: wp.int32,
+    room: wp.int32,
+    periodic: wp.int32,
+):
+    """d depth/dx and d depth/dy of a padded map, by central differences; one-sided at the border and beside
+    masked nodes, 0 where alone or masked.
 
       heights  (room)     float32 [spacing]  as for sweep
       tilts    (2, room)  float32 [1]        out
@@ -60,19 +70,39 @@ def turn(map: wp.array[wp.float32], turned: wp.array[wp.float32], rows: wp.int32
 
 
 @wp.kernel
-def gather(sum: wp.array[wp.int32], turned: wp.array[wp.int32], irradiance: wp.array[wp.float32], rows: wp.int32, cols: wp.int32, unit: wp.float32):
-    """The sums of both maps, (rows, cols) and (cols, rows), as irradiance [unit]. Thread (y, x) owns one node."""
+def gather(
+    sum: wp.array[wp.int32],
+    turned: wp.array[wp.int32],
+    irradiance: wp.array[wp.float32],
+    rows: wp.int32,
+    cols: wp.int32,
+    unit: wp.float32,
+):
+    """The sums of both maps, (rows, cols) and (cols, rows), as irradiance [unit]. Thread (y, x) owns one
+    node.
+    """
     y, x = wp.tid()
     irradiance[y * cols + x] = wp.float32(sum[y * cols + x] + turned[x * rows + y]) * unit
 
 
 @wp.kernel
-def correct(tilts: wp.array2d[wp.float32], table: wp.array[wp.float32], irradiance: wp.array[wp.float32], rows: wp.int32, cols: wp.int32, margin: wp.int32, room: wp.int32, side: wp.int32, unit: wp.float32):
+def correct(
+    tilts: wp.array2d[wp.float32],
+    table: wp.array[wp.float32],
+    irradiance: wp.array[wp.float32],
+    rows: wp.int32,
+    cols: wp.int32,
+    margin: wp.int32,
+    room: wp.int32,
+    side: wp.int32,
+    unit: wp.float32,
+):
     """irradiance += unit x table, by normal.
 
       tilts       (2, room)      float32 [1]                  gx and gy, as tilt makes them
       table       (side, side)   float32 [irradiance / unit]  at v (row) and u (column), and bilinear between:
-                                        u = (gx up / (1 + up) + 1) (side - 1) / 2, v so with gy, up = 1 / sqrt(1 + gx^2 + gy^2)
+                                        u = (gx up / (1 + up) + 1) (side - 1) / 2, v so with gy, up = 1 /
+                                        sqrt(1 + gx^2 + gy^2)
       irradiance  (rows x cols)  float32  in and out
 
     side >= 2. Thread (y, x) owns one node; a masked one is as if level.
@@ -114,13 +144,24 @@ def halves(a: wp.array[wp.float32], b: wp.array[wp.float32], count: wp.int32):
 
 
 @wp.kernel
-def judge(heights: wp.array[wp.float32], image: wp.array[wp.float32], half: wp.array[wp.float32], found: wp.array2d[wp.float32], rows: wp.int32, cols: wp.int32, margin: wp.int32, block: wp.int32, limit: wp.float32):
+def judge(
+    heights: wp.array[wp.float32],
+    image: wp.array[wp.float32],
+    half: wp.array[wp.float32],
+    found: wp.array2d[wp.float32],
+    rows: wp.int32,
+    cols: wp.int32,
+    margin: wp.int32,
+    block: wp.int32,
+    limit: wp.float32,
+):
     """Sums for an estimate of the error, over the valid nodes of each column of a few rows.
 
       heights  (room)             float32 [spacing]  as for sweep; a node is valid where > -1e29
       image    (rows x cols)      float32
       half     (rows x cols)      float32 [image]    half a difference, as halves makes it
-      found    (5, blocks, cols)  float32  out: sum of image, sum of half^2, and numbers of nodes that are valid, whose image is
+      found    (5, blocks, cols)  float32  out: sum of image, sum of half^2, and numbers of nodes that are
+      valid, whose image is
                                   > 0, and whose abs(half) is > limit; blocks = ceil(rows / block)
 
     Thread (b, x) owns column x of rows b block .. min((b + 1) block, rows) - 1, summed in this order.

@@ -1,6 +1,7 @@
 """Horizons, and the light of a sky above them, by sweeps along lines that pass the map in one azimuth.
 
-The method and the arguments are told in opencl/horizon.cl, whose steps have the same numbers. Twin of opencl/horizon.cl.
+The method and the arguments are told in opencl/horizon.cl, whose steps have the same numbers. Twin of
+opencl/horizon.cl.
 """
 
 import functools
@@ -155,7 +156,15 @@ def arctan(r: wp.float32) -> wp.float32:
 
 
 @wp.func
-def look(a: wp.float32, b: wp.float32, weight: wp.float32, lowest: wp.float32, unit: wp.float32, bits: wp.int32, distance: wp.int32):
+def look(
+    a: wp.float32,
+    b: wp.float32,
+    weight: wp.float32,
+    lowest: wp.float32,
+    unit: wp.float32,
+    bits: wp.int32,
+    distance: wp.int32,
+):
     """Ground of the line between two nodes, quantized, with the distance at which it comes in."""
     ground = a + weight * (b - a)
     if a == NONE:  # beside the map the border goes on; a masked node is a gap
@@ -170,13 +179,19 @@ def look(a: wp.float32, b: wp.float32, weight: wp.float32, lowest: wp.float32, u
 @wp.func
 def enters(line: wp.int32, count: wp.int32, shear: wp.float32, reciprocal: wp.float32, cols: wp.int32):
     """From which row on one of ``count`` lines is on the map."""
-    return wp.max(wp.int32(wp.floor(wp.float32(wp.where(shear > 0.0, line - cols, -line - count)) * reciprocal)), 0)
+    return wp.max(
+        wp.int32(wp.floor(wp.float32(wp.where(shear > 0.0, line - cols, -line - count)) * reciprocal)), 0
+    )
 
 
 @wp.func
-def leaves(line: wp.int32, count: wp.int32, shear: wp.float32, reciprocal: wp.float32, rows: wp.int32, cols: wp.int32):
+def leaves(
+    line: wp.int32, count: wp.int32, shear: wp.float32, reciprocal: wp.float32, rows: wp.int32, cols: wp.int32
+):
     """Up to which row."""
-    return wp.min(wp.int32(wp.float32(wp.where(shear > 0.0, line + count, cols - line)) * reciprocal) + 2, rows)
+    return wp.min(
+        wp.int32(wp.float32(wp.where(shear > 0.0, line + count, cols - line)) * reciprocal) + 2, rows
+    )
 
 
 SHARED = """
@@ -194,14 +209,33 @@ def rays(SIDES: int, BLOCKS: int):
     """(on_row, on_column): slopes along a node's own ray."""
 
     @wp.func
-    def beside_of(p: wp.int32, x: wp.int32, y: wp.int32, dx: wp.int32, dy: wp.int32, rows: wp.int32, cols: wp.int32, margin: wp.int32):
-        """Where the node dx columns and dy rows beside the node at p, (x, y), lies: on a map that repeats, round its sides."""
+    def beside_of(
+        p: wp.int32,
+        x: wp.int32,
+        y: wp.int32,
+        dx: wp.int32,
+        dy: wp.int32,
+        rows: wp.int32,
+        cols: wp.int32,
+        margin: wp.int32,
+    ):
+        """Where the node dx columns and dy rows beside the node at p, (x, y), lies: on a map that repeats,
+        round its sides.
+        """
         if wp.static(SIDES == PERIODIC):
             return (around(y + dy, rows) + margin) * (cols + 2 * margin) + margin + around(x + dx, cols)
         return p + (cols + 2 * margin) * dy + dx
 
     @wp.func
-    def rise(heights: wp.array[wp.float32], i: wp.int32, j: wp.int32, weight: wp.float32, distance: wp.float32, reach: wp.float32, own: wp.float32):
+    def rise(
+        heights: wp.array[wp.float32],
+        i: wp.int32,
+        j: wp.int32,
+        weight: wp.float32,
+        distance: wp.float32,
+        reach: wp.float32,
+        own: wp.float32,
+    ):
         """Slope to where a ray crosses the grid line between nodes i and j, at a distance."""
         slope = stands(read(heights, i), read(heights, j), weight, own) * reciprocal_of(distance)
         if wp.static(BLOCKS != 0) and distance > reach:
@@ -256,20 +290,26 @@ def rays(SIDES: int, BLOCKS: int):
         if wp.static(SIDES != PERIODIC):
             before = wp.min(n, u + 1)
         at = beside_of(p, x, y, wp.where(shear > 0.0, m, -m), -towards * before, rows, cols, margin)
-        return rise(heights, at, at - towards * (cols + 2 * margin), distance - wp.float32(n), distance, reach, own)
+        return rise(
+            heights, at, at - towards * (cols + 2 * margin), distance - wp.float32(n), distance, reach, own
+        )
 
     return on_row, on_column
 
 
 @functools.cache
 def sweep(NEAR: int, SIDES: int, WHAT: int, BLOCKS: int):
-    """WHAT: SLOPES writes horizon slopes, UNIFORM adds the light of a uniform sky, TABLE that of ``table``; see opencl/horizon.cl.
+    """WHAT: SLOPES writes horizon slopes, UNIFORM adds the light of a uniform sky, TABLE that of ``table``;
+    see opencl/horizon.cl.
 
     Thread (g, k, j) owns one line of azimuth k; long lines start first.
     """
     NEAR_COLUMNS = NEAR - 1
     nears, weights = wp.types.vector(NEAR, wp.int32), wp.types.vector(NEAR, wp.float32)
-    column_nears, column_weights = wp.types.vector(NEAR_COLUMNS, wp.int32), wp.types.vector(NEAR_COLUMNS, wp.float32)
+    column_nears, column_weights = (
+        wp.types.vector(NEAR_COLUMNS, wp.int32),
+        wp.types.vector(NEAR_COLUMNS, wp.float32),
+    )
     on_row, on_column = rays(SIDES, BLOCKS)
     TILED = not BLOCKS and SIDES != PERIODIC  # on a GPU
     PITCH = LINES + TILE_ROWS + NEAR + 8
@@ -404,14 +444,28 @@ def sweep(NEAR: int, SIDES: int, WHAT: int, BLOCKS: int):
                     u = i - 2 * into + window - 1
             comes = u - comes_at
             if wp.static(TILED) and on_gpu() != 0:
-                if (i - begin) % TILE_ROWS == 0:  # TILE_ROWS rows, and those before them that are near or come in
+                if (
+                    i - begin
+                ) % TILE_ROWS == 0:  # TILE_ROWS rows, and those before them that are near or come in
                     first_row = i - wp.static(NEAR + 1)
-                    left = first_line + wp.int32(wp.floor(wp.float32(0.5) - shear * wp.float32(wp.where(shear > 0.0, i + wp.static(TILE_ROWS - 1), first_row)))) - 2
+                    left = (
+                        first_line
+                        + wp.int32(
+                            wp.floor(
+                                wp.float32(0.5)
+                                - shear
+                                * wp.float32(wp.where(shear > 0.0, i + wp.static(TILE_ROWS - 1), first_row))
+                            )
+                        )
+                        - 2
+                    )
                     barrier()
                     e = wp.int32(j)
                     while e < TILE:
                         r = first_row + e // PITCH
-                        row = wp.min(wp.max(wp.where(towards > 0, r, rows - 1 - r), -margin), rows + margin - 1)
+                        row = wp.min(
+                            wp.max(wp.where(towards > 0, r, rows - 1 - r), -margin), rows + margin - 1
+                        )
                         c = wp.min(wp.max(left + e % PITCH, -margin), cols + margin - 1)
                         keep(tile + 4 * e, read(heights, (row + margin) * stride + margin + c))
                         e += LINES
@@ -439,7 +493,15 @@ def sweep(NEAR: int, SIDES: int, WHAT: int, BLOCKS: int):
                 at = (cy + margin) * stride + margin + cx
                 if wp.static(TILED) and on_gpu() != 0:
                     at = here + 4 * (comes * PITCH + cx)
-                seen = look(node(heights, at), node(heights, at + element), across - column, lowest, unit, bits, comes_at)
+                seen = look(
+                    node(heights, at),
+                    node(heights, at + element),
+                    across - column,
+                    lowest,
+                    unit,
+                    bits,
+                    comes_at,
+                )
             for s in range(LADDER):
                 above[s] = wp.max(above[s] + turn * steps[s], seen)
 
@@ -462,16 +524,27 @@ def sweep(NEAR: int, SIDES: int, WHAT: int, BLOCKS: int):
                 near = NONE
                 for e in range(NEAR):
                     at_row = spot + row_at[e]
-                    found = wp.max(near, stands(node(heights, at_row), node(heights, at_row + element), row_weight[e], own) * wp.static(wp.float32(1.0 / (e + 1))))
+                    found = wp.max(
+                        near,
+                        stands(node(heights, at_row), node(heights, at_row + element), row_weight[e], own)
+                        * wp.static(wp.float32(1.0 / (e + 1))),
+                    )
                     near = wp.where(wp.static(BLOCKS == 0) or e < near_rows, found, near)
                 beside = NONE
                 for e in range(NEAR_COLUMNS):
                     at_column = spot + column_at[e]
-                    found = wp.max(beside, stands(node(heights, at_column), node(heights, at_column + back), column_weight[e], own) * wp.static(wp.float32(1.0 / (e + 1))))
+                    found = wp.max(
+                        beside,
+                        stands(
+                            node(heights, at_column), node(heights, at_column + back), column_weight[e], own
+                        )
+                        * wp.static(wp.float32(1.0 / (e + 1))),
+                    )
                     beside = wp.where(e < near_columns, found, beside)
                 slope = wp.max(near, beside * wp.max(steepness, wp.float32(1e-6)))
 
-                # 5. the two steps of the ladder between which the node lies, by bisection; above[s] is rises[s] too high
+                # 5. the two steps of the ladder between which the node lies, by bisection; above[s] is
+                # rises[s] too high
                 level = wp.int32(wp.max(own - lowest, wp.float32(0.0)) * unit) << bits
                 test = above[8] >= level + rises[8]
                 low = eight()
@@ -510,19 +583,77 @@ def sweep(NEAR: int, SIDES: int, WHAT: int, BLOCKS: int):
                 # 7. and the column crossings beside them: the nearer one's before, the farther one's behind
                 if reciprocal < 1e8:
                     before = wp.int32(steepness * wp.float32(t1))
-                    far = wp.max(far, on_column(heights, own, p, x, y, u, wp.max(before, 1), shear, reciprocal, reach, towards, rows, cols, margin))
-                    far = wp.max(far, on_column(heights, own, p, x, y, u, before + 1, shear, reciprocal, reach, towards, rows, cols, margin))
+                    far = wp.max(
+                        far,
+                        on_column(
+                            heights,
+                            own,
+                            p,
+                            x,
+                            y,
+                            u,
+                            wp.max(before, 1),
+                            shear,
+                            reciprocal,
+                            reach,
+                            towards,
+                            rows,
+                            cols,
+                            margin,
+                        ),
+                    )
+                    far = wp.max(
+                        far,
+                        on_column(
+                            heights,
+                            own,
+                            p,
+                            x,
+                            y,
+                            u,
+                            before + 1,
+                            shear,
+                            reciprocal,
+                            reach,
+                            towards,
+                            rows,
+                            cols,
+                            margin,
+                        ),
+                    )
                 slope = wp.max(slope, far)
                 if wp.static(BLOCKS != 0):  # downhill the end of the window is the horizon
-                    slope = wp.max(slope, on_row(heights, own, p, x, y, last, shear, reach, towards, rows, cols, margin))
+                    slope = wp.max(
+                        slope, on_row(heights, own, p, x, y, last, shear, reach, towards, rows, cols, margin)
+                    )
                     if reciprocal < 1e8:
                         m = wp.int32(steepness * wp.min(reach, wp.float32(u + warm)))
                         if wp.static(SIDES != PERIODIC):
                             m = wp.min(m, wp.where(shear > 0.0, cols - 1 - x, x))
-                        slope = wp.max(slope, on_column(heights, own, p, x, y, u, wp.max(m, 1), shear, reciprocal, reach, towards, rows, cols, margin))
+                        slope = wp.max(
+                            slope,
+                            on_column(
+                                heights,
+                                own,
+                                p,
+                                x,
+                                y,
+                                u,
+                                wp.max(m, 1),
+                                shear,
+                                reciprocal,
+                                reach,
+                                towards,
+                                rows,
+                                cols,
+                                margin,
+                            ),
+                        )
                 slope *= tangent
                 if wp.static(SIDES == DARK):  # a wall half a node outside, up to height 0
-                    wall = wp.float32(wp.where(shear > 0.0, 2 * (cols - x) - 1, 2 * x + 1)) * (wp.float32(0.5) * reciprocal)
+                    wall = wp.float32(wp.where(shear > 0.0, 2 * (cols - x) - 1, 2 * x + 1)) * (
+                        wp.float32(0.5) * reciprocal
+                    )
                     slope = wp.max(slope, -own * tangent / wp.min(wall, wp.float32(u) + 0.5))
 
                 # 8. the light between the horizon, or the tangent plane, and the zenith

@@ -1,4 +1,6 @@
-"""The sum of brightness x cosine x solid angle over the visible directions (Eq. 3). Twin of opencl/luminance.cl."""
+"""The sum of brightness x cosine x solid angle over the visible directions (Eq. 3). Twin of
+opencl/luminance.cl.
+"""
 
 import functools
 
@@ -13,7 +15,15 @@ words = wp.types.vector(PIXELS // 4, wp.uint32)  # four pixels' bytes each, for 
 
 
 @wp.func
-def difference(here: wp.float32, low: wp.float32, high: wp.float32, has_low: wp.bool, has_high: wp.bool, half: wp.float32, one: wp.float32):
+def difference(
+    here: wp.float32,
+    low: wp.float32,
+    high: wp.float32,
+    has_low: wp.bool,
+    has_high: wp.bool,
+    half: wp.float32,
+    one: wp.float32,
+):
     below = has_low and low < wp.inf
     above = has_high and high < wp.inf
     if below and above:
@@ -48,8 +58,12 @@ def gradient(
     gx = wp.float32(0.0)
     gy = wp.float32(0.0)
     if z < wp.inf:
-        gx = difference(z, depth[y, wp.max(x - 1, 0)], depth[y, wp.min(x + 1, cols - 1)], x > 0, x < cols - 1, half, one)
-        gy = difference(z, depth[wp.max(y - 1, 0), x], depth[wp.min(y + 1, rows - 1), x], y > 0, y < rows - 1, half, one)
+        gx = difference(
+            z, depth[y, wp.max(x - 1, 0)], depth[y, wp.min(x + 1, cols - 1)], x > 0, x < cols - 1, half, one
+        )
+        gy = difference(
+            z, depth[wp.max(y - 1, 0), x], depth[wp.min(y + 1, rows - 1), x], y > 0, y < rows - 1, half, one
+        )
     slopes[0, y * cols + x] = gx
     slopes[1, y * cols + x] = gy
 
@@ -61,9 +75,11 @@ def luminance(BITS: int):
       planes      (walks, room)  uint8
       slopes      (2, room)      float32
       moments     (walks, BITS)  vec4     [sr x brightness]  x, y, z, 0
-      irradiance  (room)         float32  in, out: the sum x |(dz/dx, dz/dy, -1)|, and after the last group the sum itself
+      irradiance  (room)         float32  in, out: the sum x |(dz/dx, dz/dy, -1)|, and after the last group
+      the sum itself
 
-    Thread g owns pixels PIXELS g to PIXELS g + PIXELS - 1. Order of summation: walks, within a walk elevations.
+    Thread g owns pixels PIXELS g to PIXELS g + PIXELS - 1. Order of summation: walks, within a walk
+    elevations.
     """
 
     @wp.kernel(module="unique", module_options=OPTIONS)

@@ -1,4 +1,6 @@
-"""Horizons along single rays, exactly: what a plan is measured against; a map in blocks, for them; and values picked. Twin of opencl/pilot.cl."""
+"""Horizons along single rays, exactly: what a plan is measured against; a map in blocks, for them; and values
+picked. Twin of opencl/pilot.cl.
+"""
 
 import warp as wp
 
@@ -21,14 +23,28 @@ def steps_out(at: wp.float32, move: wp.float32, low: wp.int32, high: wp.int32):
 
 
 @wp.kernel
-def pilot(heights: wp.array[wp.float32], tops: wp.array[wp.float32], rays: wp.array2d[wp.float32], slopes: wp.array[wp.float32], count: wp.int32, rows: wp.int32,
-          cols: wp.int32, across: wp.int32, shift: wp.int32, periodic: wp.int32, highest: wp.float32, reach: wp.float32):
-    """The largest (height - own height) / distance over every crossing of a ray's vertical plane with a row or a column of
-    the grid, from `least` >= 0 on; blocks whose highest node stays below the line so far are left as a whole.
+def pilot(
+    heights: wp.array[wp.float32],
+    tops: wp.array[wp.float32],
+    rays: wp.array2d[wp.float32],
+    slopes: wp.array[wp.float32],
+    count: wp.int32,
+    rows: wp.int32,
+    cols: wp.int32,
+    across: wp.int32,
+    shift: wp.int32,
+    periodic: wp.int32,
+    highest: wp.float32,
+    reach: wp.float32,
+):
+    """The largest (height - own height) / distance over every crossing of a ray's vertical plane with a row
+    or a column of the grid, from `least` >= 0 on; blocks whose highest node stays below the line so far are
+    left as a whole.
 
       heights  (rows, cols)  float32 [spacing]  -1e30 where masked
-      tops     (.., across)  float32 [spacing]  highest node of every block of 2^shift x 2^shift nodes, and of the row and column after
-      rays     (count, 8)    float32  column, row, cosine and sine of the azimuth, least; along, up, limit: a point t away
+      tops     (.., across)  float32 [spacing]  highest node of every block of 2^shift x 2^shift nodes, and of
+      the row and column after rays     (count, 8)    float32  column, row, cosine and sine of the azimuth,
+      least; along, up, limit: a point t away
                                       with slope s stands before the source iff t (along + s up) < limit
       slopes   (count)       float32  out
 
@@ -45,7 +61,8 @@ def pilot(heights: wp.array[wp.float32], tops: wp.array[wp.float32], rays: wp.ar
     own = heights[y * cols + x]
     slope = rays[number, 4]
     for by_rows in range(2):
-        # crossings with columns, then with rows: node `at` of `length` along them, `start_aside` of `width` aside
+        # crossings with columns, then with rows: node `at` of `length` along them, `start_aside` of `width`
+        # aside
         to = rays[number, 2]
         aside = rays[number, 3]
         start = x
@@ -73,7 +90,12 @@ def pilot(heights: wp.array[wp.float32], tops: wp.array[wp.float32], rays: wp.ar
                 at = (at % length + length) % length
                 v = v - wp.float32(width) * wp.floor(v / wp.float32(width))
                 v = wp.where(v < wp.float32(width), v, wp.float32(0.0))
-            elif at < 0 or at >= length or v < wp.float32(-1e-4) or v > wp.float32(width - 1) + wp.float32(1e-4):
+            elif (
+                at < 0
+                or at >= length
+                or v < wp.float32(-1e-4)
+                or v > wp.float32(width - 1) + wp.float32(1e-4)
+            ):
                 going = False
             if t > reach or highest - own <= slope * t or not (t * (along + slope * up) < limit):
                 going = False
@@ -83,10 +105,20 @@ def pilot(heights: wp.array[wp.float32], tops: wp.array[wp.float32], rays: wp.ar
                 # 2. its block, if that can hide nothing
                 block_at = at >> shift
                 block_low = low >> shift
-                top = tops[wp.where(by_rows == 1, block_at * across + block_low, block_low * across + block_at)]
+                top = tops[
+                    wp.where(by_rows == 1, block_at * across + block_low, block_low * across + block_at)
+                ]
                 if top - own <= slope * t:
-                    left = wp.where(way > 0, wp.min((block_at + 1) << shift, length) - at, at - (block_at << shift) + 1)
-                    n += wp.max(1, wp.min(left, steps_out(v, move, block_low << shift, wp.min((block_low + 1) << shift, width))))
+                    left = wp.where(
+                        way > 0, wp.min((block_at + 1) << shift, length) - at, at - (block_at << shift) + 1
+                    )
+                    n += wp.max(
+                        1,
+                        wp.min(
+                            left,
+                            steps_out(v, move, block_low << shift, wp.min((block_low + 1) << shift, width)),
+                        ),
+                    )
                 else:
                     # 3. or the ground there
                     next = low
@@ -104,16 +136,28 @@ def pilot(heights: wp.array[wp.float32], tops: wp.array[wp.float32], rays: wp.ar
 
 
 @wp.kernel
-def pool(heights: wp.array[wp.float32], found: wp.array2d[wp.float32], rows: wp.int32, cols: wp.int32, across: wp.int32, down: wp.int32, shift: wp.int32, periodic: wp.int32, cliff: wp.float32):
-    """Of every square block of 2^shift x 2^shift nodes the highest node, with the row and the column after it; the lowest
-    node; and how many steps are cliffs.
+def pool(
+    heights: wp.array[wp.float32],
+    found: wp.array2d[wp.float32],
+    rows: wp.int32,
+    cols: wp.int32,
+    across: wp.int32,
+    down: wp.int32,
+    shift: wp.int32,
+    periodic: wp.int32,
+    cliff: wp.float32,
+):
+    """Of every square block of 2^shift x 2^shift nodes the highest node, with the row and the column after
+    it; the lowest node; and how many steps are cliffs.
 
       heights  (rows, cols)       float32 [spacing]  <= -1e29 where masked
       found    (3, down, across)  float32 [spacing], [spacing], [1]  out
-        [0]  highest valid node of the block, of the row and the column after it and of the node where these meet: round the map
+        [0]  highest valid node of the block, of the row and the column after it and of the node where these
+        meet: round the map
              where that is periodic, else as far as it goes; -1e30 if there is none
         [1]  lowest valid node of the block itself; 1e30 if there is none
-        [2]  steps from a valid node of the block to its right and to its lower neighbour, valid and on the map (never round it),
+        [2]  steps from a valid node of the block to its right and to its lower neighbour, valid and on the
+        map (never round it),
              that rise or fall by more than ``cliff``
 
     Thread (by, bx) owns one block; its nodes along rows, from its first on.
@@ -154,7 +198,13 @@ def pool(heights: wp.array[wp.float32], found: wp.array2d[wp.float32], rows: wp.
 
 
 @wp.kernel
-def pick(values: wp.array[wp.float32], at: wp.array[wp.int32], found: wp.array[wp.float32], n_found: wp.int32, missing: wp.float32):
+def pick(
+    values: wp.array[wp.float32],
+    at: wp.array[wp.int32],
+    found: wp.array[wp.float32],
+    n_found: wp.int32,
+    missing: wp.float32,
+):
     """Some values of an array.
 
       values   (count)    float32

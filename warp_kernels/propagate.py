@@ -1,9 +1,10 @@
-"""The paper's forward algorithm: the visibility field of a layer from the layers above it. Twin of opencl/propagate.cl.
+"""The paper's forward algorithm: the visibility field of a layer from the layers above it. Twin of
+opencl/propagate.cl.
 
-  depth  (rows, cols)  float32 [layers]  +inf where masked
-  field  (layers + reach, words, rows + 2 reach, cols + 2 reach) uint32
-         packed bits of the nodes and of a rim around them; layer n stands at n + reach; 0 below the surface
-  reach  m, the longest step; words: uint32 per node
+depth  (rows, cols)  float32 [layers]  +inf where masked
+field  (layers + reach, words, rows + 2 reach, cols + 2 reach) uint32
+       packed bits of the nodes and of a rim around them; layer n stands at n + reach; 0 below the surface
+reach  m, the longest step; words: uint32 per node
 """
 
 import warp as wp
@@ -24,8 +25,8 @@ def reaches(
     lap_lines: wp.int32,
     periodic: wp.int32,
 ):
-    """k = 0 rays stay in their layer, so all layers share one walk in order from the source's side: a level ray from
-    (x, y, n) gets out iff n <= level(x, y) = the least depth on its way.
+    """k = 0 rays stay in their layer, so all layers share one walk in order from the source's side: a level
+    ray from (x, y, n) gets out iff n <= level(x, y) = the least depth on its way.
 
       ways    (ways, 2)           int32    i, j
       lap     (ways, lap_lines)   float32  periodic: the least depth of a line's cycle
@@ -82,10 +83,11 @@ def propagate(
     n_level: wp.int32,
     layer: wp.int32,
 ):
-    """L in V(x) iff x + L in F and L in V(x + L); the first n_level directions have k = 0 and are read off `levels`.
+    """L in V(x) iff x + L in F and L in V(x + L); the first n_level directions have k = 0 and are read off
+    `levels`.
 
-      offsets  (directions, 2)  int32  k, and j x (cols + 2 reach) + i: from a node to the one its ray comes from
-      field    seen as (layers + reach, words, nodes of a layer with its rim)
+      offsets  (directions, 2)  int32  k, and j x (cols + 2 reach) + i: from a node to the one its ray comes
+      from field    seen as (layers + reach, words, nodes of a layer with its rim)
 
     Thread (word, y, x) owns one node, 32 directions.
     """
@@ -105,8 +107,17 @@ def propagate(
 
 
 @wp.kernel
-def wrap(field: wp.array4d[wp.uint32], rows: wp.int32, cols: wp.int32, reach: wp.int32, n_words: wp.int32, layer: wp.int32):
-    """Where the map repeats, the rim of layer n is the other side of the map. Thread (word, Y, X) owns a rim node."""
+def wrap(
+    field: wp.array4d[wp.uint32],
+    rows: wp.int32,
+    cols: wp.int32,
+    reach: wp.int32,
+    n_words: wp.int32,
+    layer: wp.int32,
+):
+    """Where the map repeats, the rim of layer n is the other side of the map. Thread (word, Y, X) owns a rim
+    node.
+    """
     word, Y, X = wp.tid()
     x = X - reach
     y = Y - reach

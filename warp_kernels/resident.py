@@ -8,7 +8,13 @@ wp.set_module_options(OPTIONS)
 
 
 @wp.kernel
-def take(values: wp.array[wp.float32], depth: wp.array[wp.float32], top: wp.float32, sign: wp.float32, count: wp.int32):
+def take(
+    values: wp.array[wp.float32],
+    depth: wp.array[wp.float32],
+    top: wp.float32,
+    sign: wp.float32,
+    count: wp.int32,
+):
     """depth = top + sign x value: a copy (0, 1), or the depth of heights (highest, -1).
 
       values, depth  (count)  float32 [length]
@@ -48,8 +54,18 @@ def survey(values: wp.array[wp.float32], found: wp.array2d[wp.float32], rows: wp
 
 
 @wp.kernel
-def pad(depth: wp.array[wp.float32], heights: wp.array[wp.float32], rows: wp.int32, cols: wp.int32, margin: wp.int32, step: wp.float32, outside: wp.float32, periodic: wp.int32):
-    """Heights as sweep wants them, -depth / step with a margin round them: the map again where it repeats, else ``outside``.
+def pad(
+    depth: wp.array[wp.float32],
+    heights: wp.array[wp.float32],
+    rows: wp.int32,
+    cols: wp.int32,
+    margin: wp.int32,
+    step: wp.float32,
+    outside: wp.float32,
+    periodic: wp.int32,
+):
+    """Heights as sweep wants them, -depth / step with a margin round them: the map again where it repeats,
+    else ``outside``.
 
       depth    (rows x cols)                              float32 [length]
       heights  (rows + 2 margin) x (cols + 2 margin)      float32 [spacing]  out
@@ -69,8 +85,19 @@ def pad(depth: wp.array[wp.float32], heights: wp.array[wp.float32], rows: wp.int
 
 
 @wp.kernel
-def probe(heights: wp.array[wp.float32], best: wp.array2d[wp.float32], rows: wp.int32, cols: wp.int32, margin: wp.int32, every: wp.int32, across: wp.int32, count: wp.int32, first: wp.int32):
-    """The steepest slope to ground in eight directions from every ``every``-th node, at growing distances from ``first`` on; -inf where none lies.
+def probe(
+    heights: wp.array[wp.float32],
+    best: wp.array2d[wp.float32],
+    rows: wp.int32,
+    cols: wp.int32,
+    margin: wp.int32,
+    every: wp.int32,
+    across: wp.int32,
+    count: wp.int32,
+    first: wp.int32,
+):
+    """The steepest slope to ground in eight directions from every ``every``-th node, at growing distances
+    from ``first`` on; -inf where none lies.
 
       heights  (room)      float32 [spacing]  as for sweep
       best     (8, count)  float32 [1]        out
@@ -92,6 +119,8 @@ def probe(heights: wp.array[wp.float32], best: wp.array2d[wp.float32], rows: wp.
         u = x + i * distance
         v = y + j * distance
         if u >= 0 and u < cols and v >= 0 and v < rows:
-            steepest = wp.max(steepest, (heights[(v + margin) * stride + margin + u] - own) / wp.float32(distance))
+            steepest = wp.max(
+                steepest, (heights[(v + margin) * stride + margin + u] - own) / wp.float32(distance)
+            )
         distance = distance * 5 // 4 + 1
     best[way, sample] = steepest

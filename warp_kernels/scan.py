@@ -13,7 +13,9 @@ wp.set_module_options(OPTIONS)
 
 depths = wp.types.vector(AHEAD, wp.float32)
 fours = wp.types.vector(4, wp.uint32)
-NOTHING = wp.constant(wp.float32(3.4028234663852886e38))  # the largest float32: finite, so that a masked node never passes
+NOTHING = wp.constant(
+    wp.float32(3.4028234663852886e38)
+)  # the largest float32: finite, so that a masked node never passes
 SIDE = wp.constant(4)
 PATCH_X = wp.constant(8)
 PATCH_Y = wp.constant(4)
@@ -21,18 +23,23 @@ PATCH_Y = wp.constant(4)
 
 @functools.cache
 def scan(BITS: int):
-    """Walks every lattice line of one azimuth (i, j) from the source's side and carries, for each of BITS elevations,
-    the depth that the ray there must not exceed: ceiling <- min(ceiling, depth) + k step; a node is lit iff
-    depth <= ceiling. A line that leaves the map goes on at its other side, as a new line (open, dark) or as itself (periodic).
+    """Walks every lattice line of one azimuth (i, j) from the source's side and carries, for each of BITS
+    elevations, the depth that the ray there must not exceed: ceiling <- min(ceiling, depth) + k step; a node
+    is lit iff depth <= ceiling. A line that leaves the map goes on at its other side, as a new line (open,
+    dark) or as itself (periodic).
 
-      maps    (2, room)           float32  [length]  depth (rows, cols) and the same turned, (cols, rows); +inf where masked:
-                                                     blocks nothing, never lit; room: pixels, rounded up for whole vectors
-      walks   (walks, 8)          int32    i, j (not 0, and |i| less than the map is wide), warm-up steps, their x and y
-                                           offset, parts, which map, which plane; those of the turned map are the turned ones
+      maps    (2, room)           float32  [length]  depth (rows, cols) and the same turned, (cols, rows);
+      +inf where masked:
+                                                     blocks nothing, never lit; room: pixels, rounded up for
+                                                     whole vectors
+      walks   (walks, 8)          int32    i, j (not 0, and |i| less than the map is wide), warm-up steps,
+      their x and y
+                                           offset, parts, which map, which plane; those of the turned map are
+                                           the turned ones
       rise    (walks, BITS)       float32  [length]  k step, what the ray climbs per step
-      lap     (walks, lap_lines)  float32  [length]  periodic: first ceiling of the k = 0 ray, the least depth of its cycle
-      planes  (planes, room)      uint8    out: bit b is set where the walk's b-th elevation is lit
-      map_rows, map_cols, room, lap_lines, periodic (0 or 1)
+      lap     (walks, lap_lines)  float32  [length]  periodic: first ceiling of the k = 0 ray, the least depth
+      of its cycle planes  (planes, room)      uint8    out: bit b is set where the walk's b-th elevation is
+      lit map_rows, map_cols, room, lap_lines, periodic (0 or 1)
 
     Thread (w, line) owns one line of walk w; AHEAD depths are fetched before they are used.
     No sums, only min and + in the order of the line: every bit is exact.
@@ -103,9 +110,14 @@ def scan(BITS: int):
             at = y * cols + x
             last_x = x - (AHEAD - 1) * i
             last_y = y - (AHEAD - 1) * down
-            inside = wp.uint32(x - x_low) < wp.uint32(x_span) and wp.uint32(last_x - x_low) < wp.uint32(x_span) and wp.uint32(last_y) < wp.uint32(rows)
+            inside = (
+                wp.uint32(x - x_low) < wp.uint32(x_span)
+                and wp.uint32(last_x - x_low) < wp.uint32(x_span)
+                and wp.uint32(last_y) < wp.uint32(rows)
+            )
             if inside and u >= 0 and u + AHEAD <= count:
-                # 4. a stretch of AHEAD nodes inside the map; an unsigned index spares Warp its test for negative ones
+                # 4. a stretch of AHEAD nodes inside the map; an unsigned index spares Warp its test for
+                # negative ones
                 z = depths()
                 for a in range(AHEAD):
                     z[a] = maps[turned, wp.uint32(at + a * next)]
@@ -124,7 +136,8 @@ def scan(BITS: int):
                     y += turn_y
             else:
                 for a in range(u, wp.min(u + AHEAD, count)):
-                    # 5. near a side: a line whose next node towards the source lies outside the map has open sky there
+                    # 5. near a side: a line whose next node towards the source lies outside the map has open
+                    # sky there
                     if periodic == 0 and wp.uint32(x + i) >= wp.uint32(cols):
                         for b in range(BITS):
                             ceiling[b] = NOTHING
@@ -162,10 +175,11 @@ def block_y(g: wp.int32, cols: wp.int32):
 
 @wp.kernel
 def turn_map(maps: wp.array2d[wp.float32], rows: wp.int32, cols: wp.int32, room: wp.int32):
-    """The second of `maps`, (cols, rows), from the first, (rows, cols), so that walks along rows become walks along columns.
+    """The second of `maps`, (cols, rows), from the first, (rows, cols), so that walks along rows become walks
+    along columns.
 
-    Thread g owns SIDE x SIDE nodes; 32 neighbours own a patch of 8 x 4 such blocks, so that both sides of the copy stay
-    within few cache lines.
+    Thread g owns SIDE x SIDE nodes; 32 neighbours own a patch of 8 x 4 such blocks, so that both sides of the
+    copy stay within few cache lines.
     """
     g = wp.tid()
     x0 = block_x(g, cols)
@@ -176,8 +190,12 @@ def turn_map(maps: wp.array2d[wp.float32], rows: wp.int32, cols: wp.int32, room:
 
 
 @wp.kernel
-def turn_planes(planes: wp.array2d[wp.uint8], pairs: wp.array2d[wp.int32], rows: wp.int32, cols: wp.int32, room: wp.int32):
-    """Planes of the turned map, (cols, rows), to planes of the map; the pairs (from, to) are given. Thread (w, g) as in turn_map."""
+def turn_planes(
+    planes: wp.array2d[wp.uint8], pairs: wp.array2d[wp.int32], rows: wp.int32, cols: wp.int32, room: wp.int32
+):
+    """Planes of the turned map, (cols, rows), to planes of the map; the pairs (from, to) are given. Thread
+    (w, g) as in turn_map.
+    """
     w, g = wp.tid()
     turned = pairs[w, 0]
     plane = pairs[w, 1]
@@ -189,7 +207,9 @@ def turn_planes(planes: wp.array2d[wp.uint8], pairs: wp.array2d[wp.int32], rows:
 
 
 @wp.kernel
-def turn_planes_by_fours(planes: wp.array2d[wp.uint32], pairs: wp.array2d[wp.int32], rows: wp.int32, cols: wp.int32, room: wp.int32):
+def turn_planes_by_fours(
+    planes: wp.array2d[wp.uint32], pairs: wp.array2d[wp.int32], rows: wp.int32, cols: wp.int32, room: wp.int32
+):
     """The same where rows and cols are multiples of 4, with four bytes to a uint32."""
     w, g = wp.tid()
     turned = pairs[w, 0]
@@ -237,6 +257,8 @@ def pack(BITS: int):
             lit = wp.uint32(planes[w, p])
             for b in range(BITS):
                 d = order[w, b]
-                words[y, x, d // 32] = words[y, x, d // 32] | (((lit >> wp.uint32(b)) & wp.uint32(1)) << wp.uint32(d % 32))
+                words[y, x, d // 32] = words[y, x, d // 32] | (
+                    ((lit >> wp.uint32(b)) & wp.uint32(1)) << wp.uint32(d % 32)
+                )
 
     return pack

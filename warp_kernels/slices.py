@@ -1,25 +1,34 @@
-"""Light of a finite source, a ball or a flat quadrangle, through a few azimuth slices per pixel. Twin of opencl/slices.cl.
+"""Light of a finite source, a ball or a flat quadrangle, through a few azimuth slices per pixel. Twin of
+opencl/slices.cl.
 
-In the slice at azimuth phi the source covers a chord of elevations; what ground, tangent plane and level leave of it gives
-E = sum over slices of share x (n_c integral of B cos^2 + n_z integral of B sin cos), n_c the normal's part along phi.
-Elevations go by their tangents. Lengths are in units of the spacing; heights grow towards the viewer.
+In the slice at azimuth phi the source covers a chord of elevations; what ground, tangent plane and level
+leave of it gives E = sum over slices of share x (n_c integral of B cos^2 + n_z integral of B sin cos), n_c
+the normal's part along phi. Elevations go by their tangents. Lengths are in units of the spacing; heights
+grow towards the viewer.
 
 Shared arguments
-  heights     (rows + 2, cols + 1) and one more  float32  -depth; NONE where masked, in column 0, in the first and the last row:
-                              node (x, y) stands at (y + 1) (cols + 1) + x + 1, and every neighbour of a node can be read
-  tops        (cells, width)  float32  highest node of square cells, corners included: level l = 1, 2.. has cells 2^l wide,
+  heights     (rows + 2, cols + 1) and one more  float32  -depth; NONE where masked, in column 0, in the first
+  and the last row:
+                              node (x, y) stands at (y + 1) (cols + 1) + x + 1, and every neighbour of a node
+                              can be read
+  tops        (cells, width)  float32  highest node of square cells, corners included: level l = 1, 2.. has
+  cells 2^l wide,
                               from column width - (width >> l - 1) on; width is a multiple of 2^levels
-  sky         (side, side)    float32  of light in a lobe: brightness over the stereographic plane, x / (1 - z) and y / (1 - z)
+  sky         (side, side)    float32  of light in a lobe: brightness over the stereographic plane, x / (1 -
+  z) and y / (1 - z)
                               from -1 to 1
-  points      (n_points, 2)   float32  where along a chord that brightness is taken, 0..1, and weights; none: it is 1
-  lobe        (n_lobe)        float32  weight of light by 1 - cosine of its angle to the mirror direction, even steps from 0 to
+  points      (n_points, 2)   float32  where along a chord that brightness is taken, 0..1, and weights; none:
+  it is 1 lobe        (n_lobe)        float32  weight of light by 1 - cosine of its angle to the mirror
+  direction, even steps from 0 to
                               rim, beyond which there is none; n_lobe 0: all light counts alike
-  chords      (n_turns, n_knots, 2)  float32  of light in no lobe: integrals of B cos^2 and B sin cos over elevation, from the
-                              sine k / (n_knots - 1) to the zenith, means over n_turns even cells of the diamond angle
-                              q = s / (|c| + |s|), 2 - q, 4 + q of the azimuth's cosine c and sine s, 0..4; n_knots 0: B is 1
+  chords      (n_turns, n_knots, 2)  float32  of light in no lobe: integrals of B cos^2 and B sin cos over
+  elevation, from the
+                              sine k / (n_knots - 1) to the zenith, means over n_turns even cells of the
+                              diamond angle q = s / (|c| + |s|), 2 - q, 4 + q of the azimuth's cosine c and
+                              sine s, 0..4; n_knots 0: B is 1
   irradiance  (rows, cols)    float32  out; unit: its factor
-  least, most slices of a source that is a point, and of one that stands all round: multiples of SLICES, as what is between
-  dark        whether walls stand half a node outside the map, up to height 0
+  least, most slices of a source that is a point, and of one that stands all round: multiples of SLICES, as
+  what is between dark        whether walls stand half a node outside the map, up to height 0
 
 Thread (y, x) owns one node. Order of summation: slices.
 """
@@ -38,7 +47,14 @@ BOUNDS = (LINES, 16)  # threads of a block, and blocks that a multiprocessor sha
 
 
 @wp.kernel
-def coarser(heights: wp.array[wp.float32], tops: wp.array[wp.float32], rows: wp.int32, cols: wp.int32, width: wp.int32, level: wp.int32):
+def coarser(
+    heights: wp.array[wp.float32],
+    tops: wp.array[wp.float32],
+    rows: wp.int32,
+    cols: wp.int32,
+    width: wp.int32,
+    level: wp.int32,
+):
     """One level of tops, from the heights (level 1) or from the level before. Thread (y, x) owns a cell."""
     y, x = wp.tid()
     top = wp.float32(NONE)
@@ -56,8 +72,10 @@ def coarser(heights: wp.array[wp.float32], tops: wp.array[wp.float32], rows: wp.
 
 @wp.struct
 class Pixel:
-    """What all slices of a pixel share. A point (c t, s t, v) from the pixel stands before the source iff along t + up v < reach,
-    ``along`` the slice's own. radius: of a ball, 0 for a quadrangle, below 0 for the sky."""
+    """What all slices of a pixel share. A point (c t, s t, v) from the pixel stands before the source iff
+    along t + up v < reach, ``along`` the slice's own. radius: of a ball, 0 for a quadrangle, below 0 for the
+    sky.
+    """
 
     heights: wp.array[wp.float32]
     tops: wp.array[wp.float32]
@@ -102,7 +120,9 @@ def slope_between(low: wp.float32, here: wp.float32, high: wp.float32):
 
 @wp.func
 def under_source(pixel: Pixel, along: wp.float32, aside: wp.float32, t: wp.float32):
-    """The tangent at which a column at distance t goes into the source: what stands in it there hides no more than what is below."""
+    """The tangent at which a column at distance t goes into the source: what stands in it there hides no more
+    than what is below.
+    """
     if pixel.radius > 0.0:
         off = t - along
         square = pixel.radius * pixel.radius - aside * aside - off * off
@@ -115,11 +135,20 @@ def under_source(pixel: Pixel, along: wp.float32, aside: wp.float32, t: wp.float
 
 
 @wp.func
-def horizon(pixel: Pixel, c: wp.float32, s: wp.float32, start: wp.float32, high: wp.float32, along: wp.float32, aside: wp.float32):
-    """The tangent of the horizon along (c, s), from ``start`` on, over the ground before the source and as far as ``high`` matters.
+def horizon(
+    pixel: Pixel,
+    c: wp.float32,
+    s: wp.float32,
+    start: wp.float32,
+    high: wp.float32,
+    along: wp.float32,
+    aside: wp.float32,
+):
+    """The tangent of the horizon along (c, s), from ``start`` on, over the ground before the source and as
+    far as ``high`` matters.
 
-    The slice goes from cell to cell of a quadtree. A large cell whose top stays below the line is left as a whole, else its
-    quarters are looked at; the way out of a single cell is a crossing with a grid line.
+    The slice goes from cell to cell of a quadtree. A large cell whose top stays below the line is left as a
+    whole, else its quarters are looked at; the way out of a single cell is a crossing with a grid line.
     """
     x = pixel.x
     y = pixel.y
@@ -165,7 +194,11 @@ def horizon(pixel: Pixel, c: wp.float32, s: wp.float32, start: wp.float32, high:
             # 2. the ground there
             low = wp.where(by_x, (cell_y + 1) * stride + line_x + 1, (line_y + 1) * stride + cell_x + 1)
             part = wp.clamp(across - wp.float32(wp.where(by_x, cell_y - y, cell_x - x)), 0.0, 1.0)
-            rise = pixel.heights[low] * (1.0 - part) + pixel.heights[low + wp.where(by_x, stride, 1)] * part - pixel.height
+            rise = (
+                pixel.heights[low] * (1.0 - part)
+                + pixel.heights[low + wp.where(by_x, stride, 1)] * part
+                - pixel.height
+            )
             if rise > slope * out and out * (along + slope * pixel.up) < pixel.reach:
                 slope = wp.max(slope, wp.min(rise / out, under_source(pixel, along, aside, out)))
         else:
@@ -203,8 +236,12 @@ def in_lobe(pixel: Pixel, c: wp.float32, s: wp.float32, cosine: wp.float32, sine
 
 
 @wp.func
-def brightness_of(pixel: Pixel, c: wp.float32, s: wp.float32, tilt: wp.float32, low: wp.float32, high: wp.float32):
-    """Mean brightness of the chord between two tangents, weighted by the cosine to the normal and by the lobe."""
+def brightness_of(
+    pixel: Pixel, c: wp.float32, s: wp.float32, tilt: wp.float32, low: wp.float32, high: wp.float32
+):
+    """Mean brightness of the chord between two tangents, weighted by the cosine to the normal and by the
+    lobe.
+    """
     half = 0.5 * wp.float32(pixel.side - 1)
     most = pixel.side - 2
     low_c = 1.0 / wp.sqrt(low * low + 1.0)
@@ -253,7 +290,9 @@ def arctan(x: wp.float32):
 
 @wp.func
 def mean_cosine(a: wp.float32, b: wp.float32):
-    """Mean of the cosine over the sines between two near directions with cosines a and b, to second order even at the zenith."""
+    """Mean of the cosine over the sines between two near directions with cosines a and b, to second order
+    even at the zenith.
+    """
     return (a * a + a * b + b * b) / wp.max(1.5 * (a + b), 1.0 / ENDLESS)
 
 
@@ -262,14 +301,27 @@ def blended(pixel: Pixel, before: wp.int32, after: wp.int32, part: wp.float32, k
     """Both integrals from a knot to the zenith, between two turns."""
     i = 2 * (before * pixel.n_knots + knot)
     j = 2 * (after * pixel.n_knots + knot)
-    return wp.vec2(pixel.chords[i] * (1.0 - part) + pixel.chords[j] * part, pixel.chords[i + 1] * (1.0 - part) + pixel.chords[j + 1] * part)
+    return wp.vec2(
+        pixel.chords[i] * (1.0 - part) + pixel.chords[j] * part,
+        pixel.chords[i + 1] * (1.0 - part) + pixel.chords[j + 1] * part,
+    )
 
 
 @wp.func
-def of_chords(pixel: Pixel, c: wp.float32, s: wp.float32, tilt: wp.float32, low: wp.float32, high: wp.float32, by_cosine: wp.float32, by_sine: wp.float32):
+def of_chords(
+    pixel: Pixel,
+    c: wp.float32,
+    s: wp.float32,
+    tilt: wp.float32,
+    low: wp.float32,
+    high: wp.float32,
+    by_cosine: wp.float32,
+    by_sine: wp.float32,
+):
     """As chord(), from the table; by_cosine, by_sine: what the chord is worth where brightness is 1.
 
-    Brightness is even between two knots. Sines and cosines are in steps of the knots' sines, so are `even` integrals.
+    Brightness is even between two knots. Sines and cosines are in steps of the knots' sines, so are `even`
+    integrals.
     """
     # 1. the cells of azimuth beside
     diamond = s / (wp.abs(c) + wp.abs(s))
@@ -298,8 +350,12 @@ def of_chords(pixel: Pixel, c: wp.float32, s: wp.float32, tilt: wp.float32, low:
     at_i = wp.sqrt(wp.float32((steps - i) * (steps + i)))
     at_j = wp.sqrt(wp.float32((steps - j) * (steps + j)))
     # 3. the even integrals: of both cells, and what of them lies below the ends
-    low_all = wp.vec2(mean_cosine(at_i, wp.sqrt(wp.float32((steps - i - 1) * (steps + i + 1)))), wp.float32(i) + 0.5)
-    high_all = wp.vec2(mean_cosine(at_j, wp.sqrt(wp.float32((steps - j - 1) * (steps + j + 1)))), wp.float32(j) + 0.5)
+    low_all = wp.vec2(
+        mean_cosine(at_i, wp.sqrt(wp.float32((steps - i - 1) * (steps + i + 1)))), wp.float32(i) + 0.5
+    )
+    high_all = wp.vec2(
+        mean_cosine(at_j, wp.sqrt(wp.float32((steps - j - 1) * (steps + j + 1)))), wp.float32(j) + 0.5
+    )
     rest = low_s - wp.float32(i)
     low_part = wp.vec2(rest * mean_cosine(at_i, low_c), rest * 0.5 * (low_s + wp.float32(i)))
     rest = high_s - wp.float32(j)
@@ -309,14 +365,18 @@ def of_chords(pixel: Pixel, c: wp.float32, s: wp.float32, tilt: wp.float32, low:
     there = wp.cw_div(high_0 - high_1, high_all)
     if j <= i + 1:
         light = here * (size * size)
-        return tilt * (light[0] * by_cosine + (there[0] - here[0]) * high_part[0]) + (light[1] * by_sine + (there[1] - here[1]) * high_part[1])
+        return tilt * (light[0] * by_cosine + (there[0] - here[0]) * high_part[0]) + (
+            light[1] * by_sine + (there[1] - here[1]) * high_part[1]
+        )
     whole = (low_1 - high_0) + wp.cw_mul(here, low_all - low_part) + wp.cw_mul(there, high_part)
     return tilt * whole[0] + whole[1]
 
 
 @wp.func
 def chord(pixel: Pixel, c: wp.float32, s: wp.float32, low: wp.float32, high: wp.float32, rise: wp.float32):
-    """Integral of B (tilt cos^2 + sin cos) of elevation between the tangents low and high, which are ``rise`` apart."""
+    """Integral of B (tilt cos^2 + sin cos) of elevation between the tangents low and high, which are ``rise``
+    apart.
+    """
     if not low < high:
         return wp.float32(0.0)
     tilt = pixel.tilt_x * c + pixel.tilt_y * s
@@ -344,8 +404,12 @@ def to_wall(ends: wp.int32, at: wp.int32, along: wp.float32):
 
 
 @wp.func
-def to_rim(pixel: Pixel, c: wp.float32, s: wp.float32, before: wp.float32, after: wp.float32, rise: wp.float32):
-    """What a slice along (c, s) leaves of the chord between two tangents within the lobe's rim, and how far they are apart."""
+def to_rim(
+    pixel: Pixel, c: wp.float32, s: wp.float32, before: wp.float32, after: wp.float32, rise: wp.float32
+):
+    """What a slice along (c, s) leaves of the chord between two tangents within the lobe's rim, and how far
+    they are apart.
+    """
     least = 1.0 - pixel.rim
     up = pixel.mirror_z
     in_plane = pixel.mirror_x * c + pixel.mirror_y * s
@@ -367,9 +431,19 @@ def to_rim(pixel: Pixel, c: wp.float32, s: wp.float32, before: wp.float32, after
 
 
 @wp.func
-def slice_light(pixel: Pixel, c: wp.float32, s: wp.float32, along: wp.float32, aside: wp.float32, before: wp.float32, after: wp.float32, apart: wp.float32):
-    """The light through a slice along (c, s) of a source between the tangents before and after, ``apart`` apart; aside: how far
-    its middle stands from the slice."""
+def slice_light(
+    pixel: Pixel,
+    c: wp.float32,
+    s: wp.float32,
+    along: wp.float32,
+    aside: wp.float32,
+    before: wp.float32,
+    after: wp.float32,
+    apart: wp.float32,
+):
+    """The light through a slice along (c, s) of a source between the tangents before and after, ``apart``
+    apart; aside: how far its middle stands from the slice.
+    """
     low = before
     high = after
     rise = apart
@@ -384,7 +458,8 @@ def slice_light(pixel: Pixel, c: wp.float32, s: wp.float32, along: wp.float32, a
     if pixel.dark == 0:
         slope = horizon(pixel, c, s, slope, high, along, aside)
         return chord(pixel, c, s, slope, high, wp.where(slope > low, high - slope, rise))
-    # 2. the wall hides what lies beyond it: tangents up to `under`, and from `over` on, but none from its top on
+    # 2. the wall hides what lies beyond it: tangents up to `under`, and from `over` on, but none from its top
+    # on
     wall = wp.min(to_wall(pixel.cols, pixel.x, c), to_wall(pixel.rows, pixel.y, s))
     top = -pixel.height / wall
     under = -ENDLESS
@@ -420,7 +495,10 @@ def slice_light(pixel: Pixel, c: wp.float32, s: wp.float32, along: wp.float32, a
 @wp.func
 def tilt_of(heights: wp.array[wp.float32], here: wp.int32, stride: wp.int32):
     own = heights[here]
-    return wp.vec2(slope_between(heights[here - 1], own, heights[here + 1]), slope_between(heights[here - stride], own, heights[here + stride]))
+    return wp.vec2(
+        slope_between(heights[here - 1], own, heights[here + 1]),
+        slope_between(heights[here - stride], own, heights[here + stride]),
+    )
 
 
 @wp.func
@@ -462,22 +540,52 @@ def ball(
 ):
     """x0, y0, z0: its centre (z0 a height), and its radius.
 
-      nodes  (most / SLICES, 4, most)  float32  for SLICES, 2 SLICES.. slices: sine and cosine of theta, midpoints of
-                                                -pi/2..pi/2, and of the azimuths of midpoints all round; or other places
-                                                in the same even steps
-      alternating  (rows, cols)        float32  out: the even slices' light less that of the odd ones, which tells how far the
+      nodes  (most / SLICES, 4, most)  float32  for SLICES, 2 SLICES.. slices: sine and cosine of theta,
+      midpoints of
+                                                -pi/2..pi/2, and of the azimuths of midpoints all round; or
+                                                other places in the same even steps
+      alternating  (rows, cols)        float32  out: the even slices' light less that of the odd ones, which
+      tells how far the
                                                 slices are from enough
 
-    The slice at the azimuth offset d from the centre, sin d = (sin a / cos e) sin theta, a the ball's angular radius and e its
-    centre's elevation, sees a chord of half width w, sin w = sin a cos theta / r, r^2 = 1 - cos^2 e sin^2 d. Where the zenith
-    lies within the disc, slices go all round.
+    The slice at the azimuth offset d from the centre, sin d = (sin a / cos e) sin theta, a the ball's angular
+    radius and e its centre's elevation, sees a chord of half width w, sin w = sin a cos theta / r, r^2 = 1 -
+    cos^2 e sin^2 d. Where the zenith lies within the disc, slices go all round.
     """
     y, x = wp.tid()
     here = (y + 1) * (cols + 1) + x + 1
     tilt = tilt_of(heights, here, cols + 1)
     mirror = mirror_of(tilt)
-    pixel = Pixel(heights, tops, sky, points, lobe, chords, rows, cols, width, levels, side, n_points, n_lobe, n_turns, n_knots, dark, x, y, heights[here],
-                  tilt[0], tilt[1], rim, mirror[0], mirror[1], mirror[2], 0.0, 0.0, radius)
+    pixel = Pixel(
+        heights,
+        tops,
+        sky,
+        points,
+        lobe,
+        chords,
+        rows,
+        cols,
+        width,
+        levels,
+        side,
+        n_points,
+        n_lobe,
+        n_turns,
+        n_knots,
+        dark,
+        x,
+        y,
+        heights[here],
+        tilt[0],
+        tilt[1],
+        rim,
+        mirror[0],
+        mirror[1],
+        mirror[2],
+        0.0,
+        0.0,
+        radius,
+    )
 
     # 1. where the ball stands, and how many slices it is worth
     dx = x0 - wp.float32(x)
@@ -524,7 +632,9 @@ def ball(
             sin_d = widest * nodes[own + j]
             half = sin_a * nodes[own + most + j]
             cos_d = wp.sqrt((1.0 - sin_d) * (1.0 + sin_d))
-            share = widest * step * nodes[own + most + j] / wp.max(cos_d, 1e-6)  # no less but where there is no chord
+            share = (
+                widest * step * nodes[own + most + j] / wp.max(cos_d, 1e-6)
+            )  # no less but where there is no chord
             if all_round:
                 sin_d = nodes[own + 2 * most + j]
                 cos_d = nodes[own + 3 * most + j]
@@ -549,7 +659,16 @@ def ball(
             rise = high - low
             if low_c > 0.0 and high < STEEP:
                 rise = 2.0 * cos_a * half * square / (low_c * high_c)
-            light = share * slice_light(pixel, ux * cos_d - uy * sin_d, uy * cos_d + ux * sin_d, flat * cos_d, flat * sin_d, low, high, rise)
+            light = share * slice_light(
+                pixel,
+                ux * cos_d - uy * sin_d,
+                uy * cos_d + ux * sin_d,
+                flat * cos_d,
+                flat * sin_d,
+                low,
+                high,
+                rise,
+            )
             total += light
             other += wp.where((j & 1) == 0, light, -light)
     slant = wp.sqrt(1.0 + pixel.tilt_x * pixel.tilt_x + pixel.tilt_y * pixel.tilt_y)
@@ -621,18 +740,48 @@ def quad(
 ):
     """A flat, convex quadrangle, which shines from both faces.
 
-      corners  (6, 3)           float32  four corners round it, from their middle; the middle; the unit normal. Third: heights
-      nodes    (most, most, 2)  float32  row n - 1: Gauss-Legendre nodes, -1..1, and weights of n slices
+      corners  (6, 3)           float32  four corners round it, from their middle; the middle; the unit
+      normal. Third: heights nodes    (most, most, 2)  float32  row n - 1: Gauss-Legendre nodes, -1..1, and
+      weights of n slices
 
-    Between the azimuths of neighbouring corners the chord's ends run along one edge each: every such sector gets its share of
-    the slices, at least one. All is reckoned from the quadrangle's middle, so that small far sources lose no digits.
+    Between the azimuths of neighbouring corners the chord's ends run along one edge each: every such sector
+    gets its share of the slices, at least one. All is reckoned from the quadrangle's middle, so that small
+    far sources lose no digits.
     """
     y, x = wp.tid()
     here = (y + 1) * (cols + 1) + x + 1
     tilt = tilt_of(heights, here, cols + 1)
     mirror = mirror_of(tilt)
-    pixel = Pixel(heights, tops, sky, points, lobe, chords, rows, cols, width, levels, side, n_points, n_lobe, n_turns, n_knots, dark, x, y, heights[here],
-                  tilt[0], tilt[1], rim, mirror[0], mirror[1], mirror[2], 0.0, 0.0, 0.0)
+    pixel = Pixel(
+        heights,
+        tops,
+        sky,
+        points,
+        lobe,
+        chords,
+        rows,
+        cols,
+        width,
+        levels,
+        side,
+        n_points,
+        n_lobe,
+        n_turns,
+        n_knots,
+        dark,
+        x,
+        y,
+        heights[here],
+        tilt[0],
+        tilt[1],
+        rim,
+        mirror[0],
+        mirror[1],
+        mirror[2],
+        0.0,
+        0.0,
+        0.0,
+    )
 
     # 1. the corners, in the frame that points below the middle
     dx = corners[12] - wp.float32(x)
@@ -709,7 +858,9 @@ def quad(
 
     # 3. the slices
     total = wp.float32(0.0)
-    if pixel.height > NONE and all > 0.0 and top >= 0.0 and (within or apart != 0.0):  # from its own plane it is a line
+    if (
+        pixel.height > NONE and all > 0.0 and top >= 0.0 and (within or apart != 0.0)
+    ):  # from its own plane it is a line
         for k in range(n_slices):
             sector = d
             first = end_c
@@ -734,7 +885,8 @@ def quad(
             cos_d = sector[0] * cos_t - sector[1] * sin_t
             sin_d = sector[1] * cos_t + sector[0] * sin_t
             share = 2.0 * sector[2] * nodes[at + 1] * scale
-            # where the outline goes through the slice to the left, and to the right: distance and height from the middle
+            # where the outline goes through the slice to the left, and to the right: distance and height from
+            # the middle
             left_r = wp.float32(0.0)
             left_z = wp.float32(0.0)
             right_r = wp.float32(0.0)
@@ -776,7 +928,12 @@ def quad(
                     high = -STEEP
                 rise = high - low
             else:
-                wide = dz * (right_r - left_r) + in_plane * (left_z - right_z) + left_z * right_r - right_z * left_r
+                wide = (
+                    dz * (right_r - left_r)
+                    + in_plane * (left_z - right_z)
+                    + left_z * right_r
+                    - right_z * left_r
+                )
                 low = wp.where(wide > 0.0, steep_right, steep_left)
                 high = wp.where(wide > 0.0, steep_left, steep_right)
                 rise = wp.where(high < STEEP, wp.abs(wide) / (to_left * to_right), STEEP - low)
@@ -784,8 +941,12 @@ def quad(
                     high = -STEEP
             high = wp.min(high, STEEP)
             along = sense * (normal_x * cos_d + normal_y * sin_d)
-            total += share * slice_light(pixel, ux * cos_d - uy * sin_d, uy * cos_d + ux * sin_d, along, 0.0, low, high, rise)
-    irradiance[y * cols + x] = unit * total / wp.sqrt(1.0 + pixel.tilt_x * pixel.tilt_x + pixel.tilt_y * pixel.tilt_y)
+            total += share * slice_light(
+                pixel, ux * cos_d - uy * sin_d, uy * cos_d + ux * sin_d, along, 0.0, low, high, rise
+            )
+    irradiance[y * cols + x] = (
+        unit * total / wp.sqrt(1.0 + pixel.tilt_x * pixel.tilt_x + pixel.tilt_y * pixel.tilt_y)
+    )
 
 
 @wp.kernel(launch_bounds=BOUNDS)
@@ -815,14 +976,43 @@ def gloss(
 
       reach  float32 [spacing]  ground farther away does not count
 
-    Slices go through the disc within the rim about the mirror direction, or all round where the zenith lies within it.
+    Slices go through the disc within the rim about the mirror direction, or all round where the zenith lies
+    within it.
     """
     y, x = wp.tid()
     here = (y + 1) * (cols + 1) + x + 1
     tilt = tilt_of(heights, here, cols + 1)
     mirror = mirror_of(tilt)
-    pixel = Pixel(heights, tops, sky, points, lobe, sky, rows, cols, width, levels, side, n_points, n_lobe, 0, 0, dark, x, y, heights[here], tilt[0], tilt[1],
-                  rim, mirror[0], mirror[1], mirror[2], 0.0, reach, -1.0)
+    pixel = Pixel(
+        heights,
+        tops,
+        sky,
+        points,
+        lobe,
+        sky,
+        rows,
+        cols,
+        width,
+        levels,
+        side,
+        n_points,
+        n_lobe,
+        0,
+        0,
+        dark,
+        x,
+        y,
+        heights[here],
+        tilt[0],
+        tilt[1],
+        rim,
+        mirror[0],
+        mirror[1],
+        mirror[2],
+        0.0,
+        reach,
+        -1.0,
+    )
 
     # 1. where the disc stands, and how many slices it is worth
     flat = wp.sqrt(mirror[0] * mirror[0] + mirror[1] * mirror[1])
@@ -854,8 +1044,12 @@ def gloss(
                 sin_d = nodes[own + 2 * most + j]
                 cos_d = nodes[own + 3 * most + j]
                 share = 2.0 * step
-            total += share * slice_light(pixel, ux * cos_d - uy * sin_d, uy * cos_d + ux * sin_d, 1.0, 0.0, -STEEP, STEEP, 2.0 * STEEP)
-    irradiance[y * cols + x] = unit * total / wp.sqrt(1.0 + pixel.tilt_x * pixel.tilt_x + pixel.tilt_y * pixel.tilt_y)
+            total += share * slice_light(
+                pixel, ux * cos_d - uy * sin_d, uy * cos_d + ux * sin_d, 1.0, 0.0, -STEEP, STEEP, 2.0 * STEEP
+            )
+    irradiance[y * cols + x] = (
+        unit * total / wp.sqrt(1.0 + pixel.tilt_x * pixel.tilt_x + pixel.tilt_y * pixel.tilt_y)
+    )
 
 
 @wp.kernel
@@ -872,8 +1066,9 @@ def rays(
 ):
     """Whether the ground leaves rays free.
 
-      ways  (rows, cols, 4, count)  float32  azimuth's cosine and sine, tangent of the elevation, and how far [spacing] ground counts
-      seen  (rows, cols, count)     float32  out: 1 where no ground stands higher than the ray, else 0
+    ways  (rows, cols, 4, count)  float32  azimuth's cosine and sine, tangent of the elevation, and how far
+    [spacing] ground counts seen  (rows, cols, count)     float32  out: 1 where no ground stands higher than
+    the ray, else 0
     """
     y, x = wp.tid()
     own = (y + 1) * (cols + 1) + x + 1
@@ -893,7 +1088,15 @@ def rays(
     for j in range(count):
         tangent = ways[4 * here + 2 * count + j]
         above = tangent + 1e-6 * (1.0 + wp.abs(tangent))  # so that one obstacle is enough
-        slope = horizon(pixel, ways[4 * here + j], ways[4 * here + count + j], tangent, above, 1.0 / ways[4 * here + 3 * count + j], 0.0)
+        slope = horizon(
+            pixel,
+            ways[4 * here + j],
+            ways[4 * here + count + j],
+            tangent,
+            above,
+            1.0 / ways[4 * here + 3 * count + j],
+            0.0,
+        )
         seen[here + j] = wp.where(slope > tangent, 0.0, 1.0)
 
 
@@ -910,7 +1113,15 @@ def between(at: wp.float32, low: wp.float32, high: wp.float32, along: wp.float32
 
 
 @wp.func
-def light_above(table: wp.array[wp.float32], entry: wp.int32, knots: wp.int32, first: wp.float32, scale: wp.float32, tangent: wp.float32, tilt: wp.float32):
+def light_above(
+    table: wp.array[wp.float32],
+    entry: wp.int32,
+    knots: wp.int32,
+    first: wp.float32,
+    scale: wp.float32,
+    tangent: wp.float32,
+    tilt: wp.float32,
+):
     """The light of a sector above a tangent."""
     at = wp.max((tangent / wp.sqrt(tangent * tangent + 1.0) - first) * scale, 0.0)
     knot = wp.min(wp.int32(at), knots - 2)
@@ -941,16 +1152,20 @@ def sectors(
     y0: wp.float32,
     y1: wp.float32,
 ):
-    """The light of a sky in a few sectors of azimuth, each above the exact horizon along one azimuth, added to what is there.
+    """The light of a sky in a few sectors of azimuth, each above the exact horizon along one azimuth, added
+    to what is there.
 
-      ways        (5, count)         float32  azimuth's cosine and sine, width [rad], and of its table: the sine of elevation at which
+      ways        (5, count)         float32  azimuth's cosine and sine, width [rad], and of its table: the
+      sine of elevation at which
                                               it begins, `first`, and knots per unit of sine, `scale`
-      table       (count, knots, 4)  float32  integrals over elevation of B cos^2 and B sin cos, from the sine first + i / scale on,
-                                              and what to add up to the next knot; below the first knot and above the last there is
-                                              no light
+      table       (count, knots, 4)  float32  integrals over elevation of B cos^2 and B sin cos, from the sine
+      first + i / scale on,
+                                              and what to add up to the next knot; below the first knot and
+                                              above the last there is no light
       irradiance  (rows, cols)       float32  in, out
 
-    highest: node of the map. x0 <= x < x1, y0 <= y < y1 [spacing]: window at height 0 through which the light comes;
+    highest: node of the map. x0 <= x < x1, y0 <= y < y1 [spacing]: window at height 0 through which the light
+    comes;
     -ENDLESS..ENDLESS: there is none.
     """
     y, x = wp.tid()
@@ -979,7 +1194,9 @@ def sectors(
             last = first + wp.float32(knots - 1) / scale
             low = first / wp.sqrt(wp.max(1.0 - first * first, 1e-12))
             high = last / wp.sqrt(wp.max(1.0 - last * last, 1e-12))
-            along = wp.max(low, 1e-6) / wp.max(highest - pixel.height, 1e-6)  # farther on, a ray is above all ground
+            along = wp.max(low, 1e-6) / wp.max(
+                highest - pixel.height, 1e-6
+            )  # farther on, a ray is above all ground
             tilt = tilt_xy[0] * c + tilt_xy[1] * s
             # 1. the tangent plane, the level, the wall, the window, and the ground
             slope = wp.max(-tilt, low)
@@ -1005,4 +1222,6 @@ def sectors(
                 if end < STEEP:
                     light -= light_above(table, j * knots, knots, first, scale, end, tilt)
             total += ways[2 * count + j] * light
-    irradiance[y * cols + x] = irradiance[y * cols + x] + total / wp.sqrt(1.0 + tilt_xy[0] * tilt_xy[0] + tilt_xy[1] * tilt_xy[1])
+    irradiance[y * cols + x] = irradiance[y * cols + x] + total / wp.sqrt(
+        1.0 + tilt_xy[0] * tilt_xy[0] + tilt_xy[1] * tilt_xy[1]
+    )

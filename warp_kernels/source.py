@@ -3,13 +3,15 @@
 Shared arguments
   depth      (rows, cols)       float32  [length]  +inf where masked
   steps      (walks, BITS, 4)   int32    i, j, k, direction number
-  crossings  (n, 8)             int32    where a ray meets grid lines within one step, in order: x, y of a node, x, y to
-                                         the next node on that line, the weights of both, when (per step: parts), parts
-  spans      (walks, 2)         int32    first crossing of a walk and how many; the last one is the lattice node itself
-  numbers    (4)                float64  [length]  x0, x1, y0, y1 of a rectangle, or x, y, z, radius of a ball
-  flags      (layers, rows, cols) uint8  aperture (one layer) or volume
-  kind       0 sky, 1 rectangle, 2 aperture, 3 ball, 4 volume (skylamp.sources); sides: 0 open, 1 dark, 2 periodic
-  step       float64 [length]  the spacing in the unit of depth
+  crossings  (n, 8)             int32    where a ray meets grid lines within one step, in order: x, y of a
+  node, x, y to
+                                         the next node on that line, the weights of both, when (per step:
+                                         parts), parts
+  spans      (walks, 2)         int32    first crossing of a walk and how many; the last one is the lattice
+  node itself numbers    (4)                float64  [length]  x0, x1, y0, y1 of a rectangle, or x, y, z,
+  radius of a ball flags      (layers, rows, cols) uint8  aperture (one layer) or volume kind       0 sky, 1
+  rectangle, 2 aperture, 3 ball, 4 volume (skylamp.sources); sides: 0 open, 1 dark, 2 periodic step
+  float64 [length]  the spacing in the unit of depth
 
 Every formula is one rounding per operation, so every device decides alike. Twin of opencl/source.cl.
 """
@@ -38,7 +40,9 @@ def wrapped(value: wp.float64, period: wp.float64):
 
 
 @wp.func
-def within(w: wp.float64, k: wp.float64, low: wp.float64, high: wp.float64, period: wp.float64, sides: wp.int32):
+def within(
+    w: wp.float64, k: wp.float64, low: wp.float64, high: wp.float64, period: wp.float64, sides: wp.int32
+):
     """Whether low <= w / k < high, multiplied out; where the map repeats, for some image of it."""
     if sides != PERIODIC:
         return k * low <= w and w < k * high
@@ -46,16 +50,44 @@ def within(w: wp.float64, k: wp.float64, low: wp.float64, high: wp.float64, peri
 
 
 @wp.func
-def leaves_box(x: wp.int32, y: wp.int32, z: wp.float64, i: wp.int32, j: wp.int32, climb: wp.float64, rows: wp.int32, cols: wp.int32):
+def leaves_box(
+    x: wp.int32,
+    y: wp.int32,
+    z: wp.float64,
+    i: wp.int32,
+    j: wp.int32,
+    climb: wp.float64,
+    rows: wp.int32,
+    cols: wp.int32,
+):
     """Whether a ray through (x, y, z) crosses z = 0 inside the box of the map."""
     u = wp.float64(2.0) * (wp.float64(x) * climb + wp.float64(i) * z)
     v = wp.float64(2.0) * (wp.float64(y) * climb + wp.float64(j) * z)
-    return -climb <= u and u < wp.float64(2 * cols - 1) * climb and -climb <= v and v < wp.float64(2 * rows - 1) * climb
+    return (
+        -climb <= u
+        and u < wp.float64(2 * cols - 1) * climb
+        and -climb <= v
+        and v < wp.float64(2 * rows - 1) * climb
+    )
 
 
 @wp.func
-def meets_plane(x: wp.int32, y: wp.int32, z: wp.float64, i: wp.int32, j: wp.int32, k: wp.int32, numbers: wp.array[wp.float64],
-                flags: wp.array3d[wp.uint8], rows: wp.int32, cols: wp.int32, kind: wp.int32, sides: wp.int32, step: wp.float64):  # fmt: skip
+def meets_plane(
+    x: wp.int32,
+    y: wp.int32,
+    z: wp.float64,
+    i: wp.int32,
+    j: wp.int32,
+    k: wp.int32,
+    numbers: wp.array[wp.float64],
+    # fmt: skip
+    flags: wp.array3d[wp.uint8],
+    rows: wp.int32,
+    cols: wp.int32,
+    kind: wp.int32,
+    sides: wp.int32,
+    step: wp.float64,
+):
     """Whether an unblocked ray through (x, y, z) along (i, j, -k) comes from the sky or through the window."""
     if k == 0:
         return kind == SKY and sides != DARK
@@ -77,15 +109,31 @@ def meets_plane(x: wp.int32, y: wp.int32, z: wp.float64, i: wp.int32, j: wp.int3
         if sides == PERIODIC:
             col = wrapped(col, wp.float64(cols))
             row = wrapped(row, wp.float64(rows))
-        if col < wp.float64(0.0) or col >= wp.float64(cols) or row < wp.float64(0.0) or row >= wp.float64(rows):
+        if (
+            col < wp.float64(0.0)
+            or col >= wp.float64(cols)
+            or row < wp.float64(0.0)
+            or row >= wp.float64(rows)
+        ):
             return False
         return flags[0, wp.int32(row), wp.int32(col)] != wp.uint8(0)
     return True
 
 
 @wp.func
-def meets_ball(x: wp.int32, y: wp.int32, z: wp.float64, i: wp.int32, j: wp.int32, k: wp.int32, numbers: wp.array[wp.float64], step: wp.float64):
-    """The step count at which a ray from (x, y, z) along (i, j, -k) first meets the closed ball; -1 if it does not."""
+def meets_ball(
+    x: wp.int32,
+    y: wp.int32,
+    z: wp.float64,
+    i: wp.int32,
+    j: wp.int32,
+    k: wp.int32,
+    numbers: wp.array[wp.float64],
+    step: wp.float64,
+):
+    """The step count at which a ray from (x, y, z) along (i, j, -k) first meets the closed ball; -1 if it
+    does not.
+    """
     lx = wp.float64(i) * step
     ly = wp.float64(j) * step
     lz = -(wp.float64(k) * step)
@@ -119,7 +167,9 @@ def meets_lamp(depth: wp.array2d[wp.float32], x: wp.int32, y: wp.int32, z: wp.fl
                crossings: wp.array2d[wp.int32], first: wp.int32, n_crossings: wp.int32, numbers: wp.array[wp.float64],
                flags: wp.array3d[wp.uint8], rows: wp.int32, cols: wp.int32, layers: wp.int32, kind: wp.int32, sides: wp.int32,
                step: wp.float64):  # fmt: skip
-    """Whether the lamp is visible from (x, y, z) along the step: the ray meets it, and neither ground nor wall comes before."""
+    """Whether the lamp is visible from (x, y, z) along the step: the ray meets it, and neither ground nor
+    wall comes before.
+    """
     hit = wp.float64(wp.inf)
     climb = wp.float64(k) * step
     level = wp.int64(wp.rint(z / step))
@@ -174,7 +224,11 @@ def meets_lamp(depth: wp.array2d[wp.float32], x: wp.int32, y: wp.int32, z: wp.fl
                 if crossings[c, 5] != 0:
                     far = depth[wp.int32(ey), wp.int32(ex)]
                 if near < wp.inf and far < wp.inf:
-                    if wp.float64(crossings[c, 4]) * wp.float64(near) + wp.float64(crossings[c, 5]) * wp.float64(far) < over:
+                    if (
+                        wp.float64(crossings[c, 4]) * wp.float64(near)
+                        + wp.float64(crossings[c, 5]) * wp.float64(far)
+                        < over
+                    ):
                         return False
             if kind == VOLUME:
                 nx = cx
@@ -183,7 +237,11 @@ def meets_lamp(depth: wp.array2d[wp.float32], x: wp.int32, y: wp.int32, z: wp.fl
                     nx = ex
                     ny = ey
                 two = wp.float64(2.0)
-                n = wp.int64(wp.floor((two * (wp.float64(level) * parts - when * wp.float64(k)) + parts) / (two * parts)))
+                n = wp.int64(
+                    wp.floor(
+                        (two * (wp.float64(level) * parts - when * wp.float64(k)) + parts) / (two * parts)
+                    )
+                )
                 if n >= wp.int64(0) and n < wp.int64(layers) and on_map(nx, ny, rows, cols):
                     if flags[wp.int32(n), wp.int32(ny), wp.int32(nx)] != wp.uint8(0):
                         return True
@@ -194,8 +252,9 @@ def meets_lamp(depth: wp.array2d[wp.float32], x: wp.int32, y: wp.int32, z: wp.fl
 
 @functools.cache
 def clip(BITS: int):
-    """Clears the bits of surface nodes whose unblocked rays do not come from the sky, window or lamp, and with a lamp
-    sets those that only something beyond the lamp blocks. planes (walks, room) uint8, in, out. Thread p owns pixel p.
+    """Clears the bits of surface nodes whose unblocked rays do not come from the sky, window or lamp, and
+    with a lamp sets those that only something beyond the lamp blocks. planes (walks, room) uint8, in, out.
+    Thread p owns pixel p.
     """
 
     @wp.kernel(module="unique", module_options=OPTIONS)
@@ -233,7 +292,26 @@ def clip(BITS: int):
                 if kind == BALL and was and sides == OPEN:
                     on = meets_ball(x, y, z, i, j, k, numbers, step) >= wp.float64(0.0)
                 elif kind >= BALL:
-                    on = meets_lamp(depth, x, y, z, i, j, k, crossings, spans[w, 0], spans[w, 1], numbers, flags, rows, cols, layers, kind, sides, step)
+                    on = meets_lamp(
+                        depth,
+                        x,
+                        y,
+                        z,
+                        i,
+                        j,
+                        k,
+                        crossings,
+                        spans[w, 0],
+                        spans[w, 1],
+                        numbers,
+                        flags,
+                        rows,
+                        cols,
+                        layers,
+                        kind,
+                        sides,
+                        step,
+                    )
                 elif was:
                     on = meets_plane(x, y, z, i, j, k, numbers, flags, rows, cols, kind, sides, step)
                 if on:
@@ -259,8 +337,8 @@ def enter(
     kind: wp.int32,
     sides: wp.int32,
 ):
-    """The field outside the volume. Nodes of layer n < 0, and of the rim of `reach` nodes around layer n >= 0, get the
-    bits of the rays that come from the sky or through the window; lamps do not use it.
+    """The field outside the volume. Nodes of layer n < 0, and of the rim of `reach` nodes around layer n >=
+    0, get the bits of the rays that come from the sky or through the window; lamps do not use it.
 
       field  (layers + reach, words, rows + 2 reach, cols + 2 reach) uint32  out; layer n stands at n + reach
 
@@ -276,7 +354,21 @@ def enter(
         lit = wp.uint32(0)
         if not (sides == DARK and n >= 0):
             for d in range(32 * word, wp.min(32 * word + 32, n_directions)):
-                if meets_plane(x, y, wp.float64(n), steps[d, 0], steps[d, 1], steps[d, 2], numbers, flags, rows, cols, kind, sides, wp.float64(1.0)):
+                if meets_plane(
+                    x,
+                    y,
+                    wp.float64(n),
+                    steps[d, 0],
+                    steps[d, 1],
+                    steps[d, 2],
+                    numbers,
+                    flags,
+                    rows,
+                    cols,
+                    kind,
+                    sides,
+                    wp.float64(1.0),
+                ):
                     lit |= wp.uint32(1) << wp.uint32(d % 32)
         field[layer, word, Y, X] = lit
 
@@ -299,7 +391,9 @@ def beam(
     n_directions: wp.int32,
     field_layers: wp.int32,
 ):
-    """The field of a lamp, node by node. field (layers, words, rows, cols) uint32, out. Thread (n, p) owns node p of layer n."""
+    """The field of a lamp, node by node. field (layers, words, rows, cols) uint32, out. Thread (n, p) owns
+    node p of layer n.
+    """
     n, p = wp.tid()
     y = p // cols
     x = p - y * cols

@@ -1,4 +1,6 @@
-"""What a lobe about the mirror direction makes of the light from the visible directions (MODEL.md, 6). Twin of opencl/specular.cl."""
+"""What a lobe about the mirror direction makes of the light from the visible directions (MODEL.md, 6). Twin
+of opencl/specular.cl.
+"""
 
 import functools
 
@@ -13,7 +15,14 @@ words = wp.types.vector(PIXELS // 4, wp.uint32)  # four pixels' bytes each, for 
 
 
 @wp.func
-def gloss(gx: wp.float32, gy: wp.float32, L: wp.vec4, lobe: wp.array[wp.float32], n_lobe: wp.int32, per_step: wp.float32):
+def gloss(
+    gx: wp.float32,
+    gy: wp.float32,
+    L: wp.vec4,
+    lobe: wp.array[wp.float32],
+    n_lobe: wp.int32,
+    per_step: wp.float32,
+):
     """What |(dz/dx, dz/dy, -1)| x max(0, N.L) x lobe is for one direction."""
     twice = 2.0 / (gx * gx + gy * gy + 1.0)
     cosine = gx * L[0] + gy * L[1] - L[2]
@@ -30,17 +39,18 @@ def gloss(gx: wp.float32, gy: wp.float32, L: wp.vec4, lobe: wp.array[wp.float32]
 
 @functools.cache
 def specular(BITS: int):
-    """radiance += sum over set bits of weight x max(0, N.L) x lobe(1 - R.L), R = 2 (N.V) N - V the mirror direction of the
-    viewer's V = (0, 0, -1).
+    """radiance += sum over set bits of weight x max(0, N.L) x lobe(1 - R.L), R = 2 (N.V) N - V the mirror
+    direction of the viewer's V = (0, 0, -1).
 
       planes      (walks, room)  uint8
       slopes      (2, room)      float32  dz/dx, dz/dy
-      directions  (walks, BITS)  vec4     L, x, y, z, and its weight: brightness x solid angle x the lobe's norm
-      lobe        (n_lobe)       float32  by even steps of 1 - cosine from 0 to rim, beyond which there is none
-      radiance    (room)         float32  in, out: the sum x |(dz/dx, dz/dy, -1)|, and after the last group the sum itself
+      directions  (walks, BITS)  vec4     L, x, y, z, and its weight: brightness x solid angle x the lobe's
+      norm lobe        (n_lobe)       float32  by even steps of 1 - cosine from 0 to rim, beyond which there
+      is none radiance    (room)         float32  in, out: the sum x |(dz/dx, dz/dy, -1)|, and after the last
+      group the sum itself
 
-    Thread g owns pixels PIXELS g to PIXELS g + PIXELS - 1. Order of summation: walks, within a walk elevations. 1 - R.L is
-    taken as |L - R|^2 / 2, which loses no digits where the lobe is narrow.
+    Thread g owns pixels PIXELS g to PIXELS g + PIXELS - 1. Order of summation: walks, within a walk
+    elevations. 1 - R.L is taken as |L - R|^2 / 2, which loses no digits where the lobe is narrow.
     """
 
     @wp.kernel(module="unique", module_options=OPTIONS)
@@ -90,8 +100,9 @@ def bound(
     n_lobe: wp.int32,
     rim: wp.float32,
 ):
-    """radiance /= what the lobe would make of a sky of brightness 1, all of it visible, if that is more than 1: where a lobe is
-    narrower than the directions stand apart, a direction may count for more than its share.
+    """radiance /= what the lobe would make of a sky of brightness 1, all of it visible, if that is more than
+    1: where a lobe is narrower than the directions stand apart, a direction may count for more than its
+    share.
 
       directions  (n)     vec4     L, and its weight: solid angle x the lobe's norm
       radiance    (room)  float32  in, out

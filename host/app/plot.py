@@ -1,7 +1,8 @@
-"""Pictures (extra ``plot``, matplotlib): the visibility field's discs, the sky above a pixel, an image with what was found in it.
+"""Pictures (extra ``plot``, matplotlib): the visibility field's discs, the sky above a pixel, an image with
+what was found in it.
 
-Each function returns a matplotlib Figure, made without pyplot: no window opens, no global state changes. Save it with
-:func:`save`, or ``figure.savefig``.
+Each function returns a matplotlib Figure, made without pyplot: no window opens, no global state changes. Save
+it with :func:`save`, or ``figure.savefig``.
 """
 
 from __future__ import annotations
@@ -13,8 +14,8 @@ import numpy as np
 from .. import oracle, sources
 from ..errors import bad, lacking
 from ..horizon import horizons
-from ..io.files import _parent, replacing
 from ..inverse.recover import Recovery
+from ..io.files import _parent, replacing
 from ..scene import Scene, is_scene
 from ..visibility import View, VisibilityField
 
@@ -27,9 +28,10 @@ GROUND = "#6b5b4b"
 def field(field: VisibilityField, row: int | None = None, every: int | None = None, backend: str = "auto"):
     """The paper's Fig. 1: a section of the visibility field along ``row`` (the middle one unless given).
 
-    A disc stands for the rays through a point of free space that lie in the plane of the drawing. White sectors see the
-    source; grey ones a lit surface, as bright as it is; the rest is black. ``every``: nodes between discs. Only directions
-    (i, 0, k) lie in the plane: the field's hemicube of M makes 4 (M - 1) sectors.
+    A disc stands for the rays through a point of free space that lie in the plane of the drawing. White
+    sectors see the source; grey ones a lit surface, as bright as it is; the rest is black. ``every``: nodes
+    between discs. Only directions (i, 0, k) lie in the plane: the field's hemicube of M makes 4 (M - 1)
+    sectors.
 
     Raises InputError for a row outside the map, or if matplotlib is not installed.
     """
@@ -48,34 +50,63 @@ def field(field: VisibilityField, row: int | None = None, every: int | None = No
     depth, radius = field.depth[row], 0.42 * every
     rim = every // 2
     start = rim + (cols - 1 - 2 * rim) % every // 2  # as much room on the left as on the right
-    points = [(x, row, z) for z in range(rim, field.layers, every) for x in range(start, cols - rim, every)
-              if z + radius < (depth[max(0, int(x - radius)) : int(x + radius) + 2]).min()]  # the disc keeps clear of the ground
+    points = [
+        (x, row, z)
+        for z in range(rim, field.layers, every)
+        for x in range(start, cols - rim, every)
+        if z + radius < (depth[max(0, int(x - radius)) : int(x + radius) + 2]).min()
+    ]  # the disc keeps clear of the ground
     if not points:
-        raise bad("plot.field: every", every, "a distance at which at least one disc fits above the ground", "Give a smaller one.")
+        raise bad(
+            "plot.field: every",
+            every,
+            "a distance at which at least one disc fits above the ground",
+            "Give a smaller one.",
+        )
     views = [field.view(point, backend=backend) for point in points]
-    brightest = max(max((view.brightness[~view.visible].max() for view in views)), 1e-30)
+    brightest = max(max(view.brightness[~view.visible].max() for view in views), 1e-30)
     floor = np.where(np.isfinite(depth), depth, field.layers)
     bottom = max(field.layers, floor.max()) + 0.03 * cols
     figure = _figure(9.5, float(np.clip(0.9 + 8.0 * (bottom + 0.02 * cols) / cols, 2.8, 9)))
     axes = figure.add_subplot()
     shades = matplotlib.colors.LinearSegmentedColormap.from_list("surface", list(GREYS))
     axes.set_facecolor("#cdd8e3")
-    axes.fill_between(np.linspace(-0.5, cols - 0.5, 8 * cols), np.interp(np.linspace(-0.5, cols - 0.5, 8 * cols), np.arange(cols), floor), bottom, color=GROUND, lw=0)
+    axes.fill_between(
+        np.linspace(-0.5, cols - 0.5, 8 * cols),
+        np.interp(np.linspace(-0.5, cols - 0.5, 8 * cols), np.arange(cols), floor),
+        bottom,
+        color=GROUND,
+        lw=0,
+    )
     for (x, _, z), view in zip(points, views):
         low, high, which = sectors(view)
         colours = np.where(view.visible[which, None], 1.0, shades(view.brightness[which] / brightest))
-        wedges = [Wedge((x, z), radius, -b, -a) for a, b in zip(low, high)]  # depth is drawn downwards, which turns angles round
+        wedges = [
+            Wedge((x, z), radius, -b, -a) for a, b in zip(low, high)
+        ]  # depth is drawn downwards, which turns angles round
         axes.add_collection(PatchCollection(wedges, facecolors=colours, edgecolors=colours, linewidths=0.3))
         axes.add_patch(Circle((x, z), radius, fill=False, ec="0.2", lw=0.6))
-    axes.set(xlim=(-0.5, cols - 0.5), ylim=(bottom, -0.02 * cols), aspect="equal", xlabel="x [nodes]", ylabel="depth [nodes]",
-             title=f"Rays through points of row {row}: white sees the {type(field.source).__name__.lower()}")
-    bar = figure.colorbar(matplotlib.cm.ScalarMappable(matplotlib.colors.Normalize(0, brightest), shades), ax=axes, shrink=0.8, pad=0.015)
+    axes.set(
+        xlim=(-0.5, cols - 0.5),
+        ylim=(bottom, -0.02 * cols),
+        aspect="equal",
+        xlabel="x [nodes]",
+        ylabel="depth [nodes]",
+        title=f"Rays through points of row {row}: white sees the {type(field.source).__name__.lower()}",
+    )
+    bar = figure.colorbar(
+        matplotlib.cm.ScalarMappable(matplotlib.colors.Normalize(0, brightest), shades),
+        ax=axes,
+        shrink=0.8,
+        pad=0.015,
+    )
     bar.set_label("brightness of what else is seen")
     return figure
 
 
 def sectors(view: View) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(angle [degree] at which each sector starts, ends; which directions) of the directions in the plane y = const.
+    """(angle [degree] at which each sector starts, ends; which directions) of the directions in the plane y =
+    const.
 
     Angles run from +x towards the viewer's side, -z. A sector reaches halfway to the neighbouring directions.
     """
@@ -89,14 +120,23 @@ def sectors(view: View) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return (angle + before) / 2, (angle + after) / 2, flat[order]
 
 
-def horizon(scene: Scene, row: int, col: int, source: sources.Sky | None = None, azimuths: int = 360, backend: str = "auto"):
-    """The sky above one node: the horizon and, above it, the brightness of what the node sees, as a polar plot.
+def horizon(
+    scene: Scene,
+    row: int,
+    col: int,
+    source: sources.Sky | None = None,
+    azimuths: int = 360,
+    backend: str = "auto",
+):
+    """The sky above one node: the horizon and, above it, the brightness of what the node sees, as a polar
+    plot.
 
-    The zenith is in the middle, the level horizon at the rim, north (-y) up and east (+x) to the right, as on the map (a
-    view from above, not one of somebody who looks up). The dashed line is where the surface's own tangent plane ends.
-    ``source``: a Sky, uniform unless given.
+    The zenith is in the middle, the level horizon at the rim, north (-y) up and east (+x) to the right, as on
+    the map (a view from above, not one of somebody who looks up). The dashed line is where the surface's own
+    tangent plane ends. ``source``: a Sky, uniform unless given.
 
-    Raises InputError for a node that is outside or masked, a source that is no sky, or if matplotlib is not installed.
+    Raises InputError for a node that is outside or masked, a source that is no sky, or if matplotlib is not
+    installed.
     """
     _matplotlib()
     is_scene(scene)
@@ -132,31 +172,61 @@ def horizon(scene: Scene, row: int, col: int, source: sources.Sky | None = None,
     axes.set_facecolor(GROUND)
     top = np.nanmax(light) if np.isfinite(light).any() else 1.0
     even = np.isfinite(light).any() and np.nanmin(light) >= 0.999 * top
-    mesh = axes.pcolormesh(edges[0] + np.pi / 2, edges[1], light, cmap="YlGnBu_r", vmin=0 if even else None, vmax=top or 1.0, rasterized=True)
+    mesh = axes.pcolormesh(
+        edges[0] + np.pi / 2,
+        edges[1],
+        light,
+        cmap="YlGnBu_r",
+        vmin=0 if even else None,
+        vmax=top or 1.0,
+        rasterized=True,
+    )
     ring = np.append(compass, compass[0] + 2 * np.pi)
     axes.plot(ring, np.append(90 - elevation, 90 - elevation[0]), color="k", lw=1.5, label="horizon")
     near = slice(max(0, row - 1), row + 2), slice(max(0, col - 1), col + 2)
-    gradient = [g[min(row, 1), min(col, 1)] for g in oracle.gradient(scene.depth[near], scene.spacing, scene.valid[near])]
-    plane = np.degrees(np.arctan(-(gradient[0] * np.cos(turn) + gradient[1] * np.sin(turn))))  # the ground rises where depth falls
+    gradient = [
+        g[min(row, 1), min(col, 1)]
+        for g in oracle.gradient(scene.depth[near], scene.spacing, scene.valid[near])
+    ]
+    plane = np.degrees(
+        np.arctan(-(gradient[0] * np.cos(turn) + gradient[1] * np.sin(turn)))
+    )  # the ground rises where depth falls
     plane = np.where(plane > 0, 90 - plane, np.nan)
     if np.isfinite(plane).any():
         axes.plot(ring, np.append(plane, plane[0]), color="w", lw=1.2, ls="--", label="tangent plane")
     if sun is not None:
         axes.plot(np.radians(sun[0]), 90 - sun[1], "o", ms=9, mfc="#ffd54a", mec="k", label="sun")
     axes.set_xticks(np.radians(np.arange(0, 360, 45)), ["N", "NE", "E", "SE", "S", "SW", "W", "NW"])
-    axes.set_yticks([30, 60, 90], ["60°", "30°", ""], fontsize=9, bbox=dict(boxstyle="round,pad=0.1", fc="w", ec="none", alpha=0.7))
+    axes.set_yticks(
+        [30, 60, 90],
+        ["60°", "30°", ""],
+        fontsize=9,
+        bbox=dict(boxstyle="round,pad=0.1", fc="w", ec="none", alpha=0.7),
+    )
     axes.set_rlabel_position(112)
     axes.set_rlim(0, 90)
     axes.grid(color="0.5", lw=0.5, alpha=0.6)
     figure.colorbar(mesh, ax=axes, shrink=0.7, pad=0.1, label="brightness of the visible sky")
-    figure.legend(*axes.get_legend_handles_labels(), loc="lower right", ncols=3, fontsize=9, facecolor=GROUND, labelcolor="w")
+    figure.legend(
+        *axes.get_legend_handles_labels(),
+        loc="lower right",
+        ncols=3,
+        fontsize=9,
+        facecolor=GROUND,
+        labelcolor="w",
+    )
     seen = float((np.cos(np.radians(elevation)) ** 2).mean())
-    figure.suptitle(f"Row {row}, column {col}: horizon to {elevation.max():.0f}°, sky-view factor of level ground {seen:.2f}", fontsize=11)
+    figure.suptitle(
+        f"Row {row}, column {col}: horizon to {elevation.max():.0f}°, sky-view factor of level ground"
+        f" {seen:.2f}",
+        fontsize=11,
+    )
     return figure
 
 
 def recovery(image, found: Recovery, truth=None):
-    """The image, the depth recovered from it, its confidence, and the albedo if it was found, side by side; ``truth``: the true depth, beside them.
+    """The image, the depth recovered from it, its confidence, and the albedo if it was found, side by side;
+    ``truth``: the true depth, beside them.
 
     Raises InputError where shapes differ, or if matplotlib is not installed.
     """
@@ -165,11 +235,21 @@ def recovery(image, found: Recovery, truth=None):
     depth = np.asarray(found.depth)
     if truth is not None:
         panels.append(("true depth", np.asarray(truth), dict(cmap="viridis_r"), "depth"))
-    low, high = np.nanmin([np.nanmin(depth)] + [np.nanmin(p[1]) for p in panels[1:]]), np.nanmax([np.nanmax(depth)] + [np.nanmax(p[1]) for p in panels[1:]])
+    low, high = (
+        np.nanmin([np.nanmin(depth)] + [np.nanmin(p[1]) for p in panels[1:]]),
+        np.nanmax([np.nanmax(depth)] + [np.nanmax(p[1]) for p in panels[1:]]),
+    )
     panels.insert(1, ("recovered depth", depth, dict(cmap="viridis_r"), "depth, near is bright"))
     for _, _, style, _ in panels[1:]:
         style.update(vmin=low, vmax=high)
-    panels.append(("confidence", np.asarray(found.confidence), dict(cmap="magma", vmin=0, vmax=1), "below 0.5: do not trust"))
+    panels.append(
+        (
+            "confidence",
+            np.asarray(found.confidence),
+            dict(cmap="magma", vmin=0, vmax=1),
+            "below 0.5: do not trust",
+        )
+    )
     if found.albedo is not None:
         panels.append(("albedo", np.asarray(found.albedo), dict(cmap="gray", vmin=0), ""))
     for name, values, _, _ in panels:
@@ -188,15 +268,24 @@ def recovery(image, found: Recovery, truth=None):
 
 
 def save(figure, path, dpi: int = 120) -> Path:
-    """Write a figure as .png, .svg or .pdf, whole or not at all. Raises InputError for another extension or no such folder."""
+    """Write a figure as .png, .svg or .pdf, whole or not at all. Raises InputError for another extension or
+    no such folder.
+    """
     path = drawable(path)
     with replacing(path) as file:
-        figure.savefig(file, format=path.suffix[1:].lower(), dpi=dpi, **({"pil_kwargs": {"optimize": True}} if path.suffix.lower() == ".png" else {}))
+        figure.savefig(
+            file,
+            format=path.suffix[1:].lower(),
+            dpi=dpi,
+            **({"pil_kwargs": {"optimize": True}} if path.suffix.lower() == ".png" else {}),
+        )
     return path
 
 
 def drawable(path) -> Path:
-    """``path`` if a picture can be put there; InputError for another extension, no such folder, or without matplotlib."""
+    """``path`` if a picture can be put there; InputError for another extension, no such folder, or without
+    matplotlib.
+    """
     path = Path(path)
     if path.suffix.lower() not in SUFFIXES:
         raise bad(f"{path}: unknown extension of a picture", repr(path.suffix), " ".join(SUFFIXES))

@@ -8,10 +8,10 @@ from itertools import combinations
 
 import numpy as np
 
-from ..io import files as io
 from ..backends import backends, select
 from ..errors import SkylampError
 from ..horizon import horizons
+from ..io import files as io
 from ..rendering import render
 from ..scene import Scene
 from ..sources.cie import cie_clear
@@ -24,7 +24,9 @@ STEEPER = 3.0  # heights are multiplied by this, so that a good part of the grou
 
 @dataclass(frozen=True)
 class Case:
-    """One quantity: what it is, how a backend makes it, and how far two backends may be apart (0: equal bytes)."""
+    """One quantity: what it is, how a backend makes it, and how far two backends may be apart (0: equal
+    bytes).
+    """
 
     name: str
     make: Callable[[str], np.ndarray]
@@ -33,8 +35,9 @@ class Case:
 
 @dataclass(frozen=True)
 class Comparison:
-    """Two backends on one case: the largest difference, relative to the case's largest value (for bits, the share of words
-    that differ), or the error of the one that failed."""
+    """Two backends on one case: the largest difference, relative to the case's largest value (for bits, the
+    share of words that differ), or the error of the one that failed.
+    """
 
     case: str
     one: str
@@ -49,7 +52,9 @@ class Comparison:
 
 
 def cases() -> list[Case]:
-    """Visibility bits, irradiance by the lattice and by horizons, horizons, and a lamp; one of each kind of kernel."""
+    """Visibility bits, irradiance by the lattice and by horizons, horizons, and a lamp; one of each kind of
+    kernel.
+    """
     height, spacing = io.terrain()
     scene = Scene.from_height(STEEPER * height[CROP], spacing)
     box = Scene.from_height(STEEPER * height[CROP], spacing, sides="dark")
@@ -59,7 +64,11 @@ def cases() -> list[Case]:
     light = lambda *what, **how: lambda name: render(*what, backend=name, quantity="irradiance", **how).image
     return [
         Case("visibility bits", lambda name: visibility(scene, Sky(), backend=name), 0.0),
-        Case("visibility bits, filled, lamp", lambda name: visibility(box, lamp, backend=name, filled=True), 0.0),
+        Case(
+            "visibility bits, filled, lamp",
+            lambda name: visibility(box, lamp, backend=name, filled=True),
+            0.0,
+        ),
         Case("sky, lattice", light(scene, Sky(), method="lattice"), 1e-5),
         Case("horizons", lambda name: horizons(scene, azimuths=16, backend=name), 1e-5),
         Case("clear sky, horizons", light(box, clear, azimuths=32), 1e-5),
@@ -81,14 +90,25 @@ def selftest(progress: Callable[[int, int], None] | None = None) -> list[Compari
                 failed[name] = f"{name}: {' '.join(str(error).split())}"
         for one, other in combinations(names, 2):
             error = failed.get(one) or failed.get(other) or ""
-            compared.append(Comparison(case.name, one, other, None if error else difference(found[one], found[other]), case.allowed, error))
+            compared.append(
+                Comparison(
+                    case.name,
+                    one,
+                    other,
+                    None if error else difference(found[one], found[other]),
+                    case.allowed,
+                    error,
+                )
+            )
         if progress:
             progress(done + 1, len(every))
     return compared
 
 
 def difference(one: np.ndarray, other: np.ndarray) -> float:
-    """The share of words that differ, or the largest difference over the largest value; infinite where only one is finite, or types differ."""
+    """The share of words that differ, or the largest difference over the largest value; infinite where only
+    one is finite, or types differ.
+    """
     if one.dtype != other.dtype or one.shape != other.shape:
         return float("inf")
     if one.dtype.kind == "u":
@@ -96,4 +116,7 @@ def difference(one: np.ndarray, other: np.ndarray) -> float:
     known = np.isfinite(one)
     if not np.array_equal(one[~known], other[~known], equal_nan=True) or not known.any():
         return float("inf")
-    return float(np.abs(one[known].astype(float) - other[known]).max() / max(np.abs(one[known]).max(), np.abs(other[known]).max(), 1e-30))
+    return float(
+        np.abs(one[known].astype(float) - other[known]).max()
+        / max(np.abs(one[known]).max(), np.abs(other[known]).max(), 1e-30)
+    )

@@ -33,18 +33,38 @@ def probe():
     except ImportError as error:
         return [BackendInfo("opencl", "", False, f"pyopencl cannot be imported ({error})")]
     except cl.Error as error:
-        return [BackendInfo("opencl", "", False, f"no OpenCL platform ({error}); pocl-binary-distribution brings one for the CPU")]
+        return [
+            BackendInfo(
+                "opencl",
+                "",
+                False,
+                f"no OpenCL platform ({error}); pocl-binary-distribution brings one for the CPU",
+            )
+        ]
     found = []
     for p, platform in enumerate(platforms):
         for d, device in enumerate(platform.get_devices()):
             name = f"opencl:{p}:{d}"
-            described = f"{device.name.strip()} ({platform.version.strip()}, {device.max_compute_units} compute units)"
+            described = (
+                f"{device.name.strip()} ({platform.version.strip()}, {device.max_compute_units} compute"
+                " units)"
+            )
             gpu = bool(device.type & cl.device_type.GPU)
             if device.double_fp_config:
                 found.append(BackendInfo(name, described, True, gpu=gpu))
             else:
-                found.append(BackendInfo(name, described, False, "the device has no double precision, which windows and lamps need", gpu))
-    return sorted(found, key=lambda info: not info.gpu) or [BackendInfo("opencl", "", False, "the OpenCL platforms have no device")]
+                found.append(
+                    BackendInfo(
+                        name,
+                        described,
+                        False,
+                        "the device has no double precision, which windows and lamps need",
+                        gpu,
+                    )
+                )
+    return sorted(found, key=lambda info: not info.gpu) or [
+        BackendInfo("opencl", "", False, "the OpenCL platforms have no device")
+    ]
 
 
 class OpenclBackend(Backend):
@@ -60,9 +80,15 @@ class OpenclBackend(Backend):
         self._device = cl.get_platforms()[platform].get_devices()[device]
         self.device = self._device.name.strip()
         self.context = cl.Context([self._device])
-        self.queue, self._side, self._pending = cl.CommandQueue(self.context), cl.CommandQueue(self.context), None
+        self.queue, self._side, self._pending = (
+            cl.CommandQueue(self.context),
+            cl.CommandQueue(self.context),
+            None,
+        )
         exact = self._device.single_fp_config & cl.device_fp_config.CORRECTLY_ROUNDED_DIVIDE_SQRT
-        self._exact = ("-cl-fp32-correctly-rounded-divide-sqrt",) if exact else ()  # where a GPU would else take 2.5 ulp
+        self._exact = (
+            ("-cl-fp32-correctly-rounded-divide-sqrt",) if exact else ()
+        )  # where a GPU would else take 2.5 ulp
         self.on_cpu = bool(self._device.type & cl.device_type.CPU)
         self.lanes = CPU_LANES if self.on_cpu else 1
         self.teams = min(CPU_TEAMS, 2 * self._device.max_compute_units) if self.on_cpu else 1
@@ -90,21 +116,29 @@ class OpenclBackend(Backend):
     def _array(self, shape, dtype):
         data = self._on_huge_pages(shape, dtype)
         array = self.cl.array.Array(self.queue, shape, dtype, data=data)
-        if data is not None:  # its memory is ours, not the device's: kernels that were started must be done with it first
+        if (
+            data is not None
+        ):  # its memory is ours, not the device's: kernels that were started must be done with it first
             weakref.finalize(array, self.queue.finish).atexit = False
         return array
 
     def _on_huge_pages(self, shape, dtype):
-        """A buffer in main memory for a large array on a CPU, or None: kernels that step from row to row touch a page a row."""
+        """A buffer in main memory for a large array on a CPU, or None: kernels that step from row to row
+        touch a page a row.
+        """
         size = int(np.prod(shape)) * np.dtype(dtype).itemsize
         if not self.on_cpu or size < 2 * HUGE or not hasattr(mmap, "MADV_HUGEPAGE"):
             return None
         room = mmap.mmap(-1, size + HUGE, flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)
         memory = np.frombuffer(room, np.uint8)
         start = -memory.ctypes.data % HUGE
-        room.madvise(mmap.MADV_HUGEPAGE, start, size // HUGE * HUGE)  # not the rest, which would take a whole one
+        room.madvise(
+            mmap.MADV_HUGEPAGE, start, size // HUGE * HUGE
+        )  # not the rest, which would take a whole one
         flags = self.cl.mem_flags
-        return self.cl.Buffer(self.context, flags.READ_WRITE | flags.USE_HOST_PTR, hostbuf=memory[start : start + size])
+        return self.cl.Buffer(
+            self.context, flags.READ_WRITE | flags.USE_HOST_PTR, hostbuf=memory[start : start + size]
+        )
 
     def fill(self, array, value):
         array.fill(array.dtype.type(value))
@@ -139,8 +173,13 @@ class OpenclBackend(Backend):
         self.queue.finish()
 
     def launch(self, stem, kernel, dim, *args, lanes=None, group=None, **constants):
-        function, kinds, usual = self._kernel(stem, kernel, lanes or self.lanes, tuple(sorted(constants.items())))
-        values = [arg.data if hasattr(arg, "data") and not np.isscalar(arg) else kind(arg) for arg, kind in zip(args, kinds, strict=True)]
+        function, kinds, usual = self._kernel(
+            stem, kernel, lanes or self.lanes, tuple(sorted(constants.items()))
+        )
+        values = [
+            arg.data if hasattr(arg, "data") and not np.isscalar(arg) else kind(arg)
+            for arg, kind in zip(args, kinds, strict=True)
+        ]
         local = (group or usual,) + (1,) * (len(dim) - 1)
         size = tuple(-(-n // l) * l for n, l in zip(dim, local))
         if self._recorded is not None:
@@ -171,7 +210,11 @@ class OpenclBackend(Backend):
             info = self.cl.kernel_work_group_info
             demanded = function.get_work_group_info(info.COMPILE_WORK_GROUP_SIZE, self._device)[0]
             most = min(256, function.get_work_group_info(info.WORK_GROUP_SIZE, self._device))
-            self._kernels[key] = function, _scalar_kinds(stem, kernel), demanded or (1 if self.on_cpu else most)
+            self._kernels[key] = (
+                function,
+                _scalar_kinds(stem, kernel),
+                demanded or (1 if self.on_cpu else most),
+            )
         return self._kernels[key]
 
     @functools.cache
@@ -180,7 +223,16 @@ class OpenclBackend(Backend):
 
         start = time.perf_counter()
         group = 1 if self.on_cpu else min(GPU_GROUP, self._device.max_work_group_size)
-        known = {"LANES": lanes, "BITS": 0, "AHEAD": 1 if self.on_cpu else FETCHED, "GROUP": group, "STRIPS": self.strips, "LINES": self.lines, "ON_CPU": int(self.on_cpu), **dict(constants)}
+        known = {
+            "LANES": lanes,
+            "BITS": 0,
+            "AHEAD": 1 if self.on_cpu else FETCHED,
+            "GROUP": group,
+            "STRIPS": self.strips,
+            "LINES": self.lines,
+            "ON_CPU": int(self.on_cpu),
+            **dict(constants),
+        }
         defines = [f"-D{name}={value}" for name, value in known.items()]
         try:
             program = self.cl.Program(self.context, source(stem)).build([*OPTIONS, *self._exact, *defines])
@@ -198,5 +250,13 @@ def _scalar_kinds(stem, kernel):
     from skylamp.opencl import source
 
     signature = re.search(rf"__kernel void {kernel}\((.*?)\)", source(stem), re.S).group(1)
-    kinds = {"int": np.int32, "float": np.float32, "double": np.float64, "Ladder": lambda values: np.array(values, np.int32)}
-    return [None if "*" in argument else kinds[argument.replace("const", "").split()[0]] for argument in signature.split(",")]
+    kinds = {
+        "int": np.int32,
+        "float": np.float32,
+        "double": np.float64,
+        "Ladder": lambda values: np.array(values, np.int32),
+    }
+    return [
+        None if "*" in argument else kinds[argument.replace("const", "").split()[0]]
+        for argument in signature.split(",")
+    ]

@@ -16,14 +16,22 @@ def backends() -> list[BackendInfo]:
     """Every backend that was looked for, in the order in which "auto" would take them."""
     with _lock:
         found = _probe()
-    return sorted(found, key=lambda info: (not info.available, not info.gpu, ["opencl", "warp", "numpy"].index(info.name.split(":")[0])))
+    return sorted(
+        found,
+        key=lambda info: (
+            not info.available,
+            not info.gpu,
+            ["opencl", "warp", "numpy"].index(info.name.split(":")[0]),
+        ),
+    )
 
 
 def select(name: str = "auto") -> Backend:
     """The backend of this name, made once per process.
 
-    ``auto``: a GPU if there is one, else OpenCL on the CPU, else Warp, else NumPy. ``opencl``: the first device, GPU
-    before CPU. Raises BackendError, with the reason and the nearest name that is here, if a named one is not.
+    ``auto``: a GPU if there is one, else OpenCL on the CPU, else Warp, else NumPy. ``opencl``: the first
+    device, GPU before CPU. Raises BackendError, with the reason and the nearest name that is here, if a named
+    one is not.
     """
     if not isinstance(name, str):
         raise BackendError(f"backend: got {name!r}; allowed: a name, one of {', '.join(_names())}, auto.")
@@ -38,7 +46,10 @@ def select(name: str = "auto") -> Backend:
         why = info.why if info else "there is no such backend"
         here = _names()
         nearest = difflib.get_close_matches(name, here, 1, 0.0)[0]
-        raise BackendError(f"backend {name!r} is not available: {why}. Nearest that is: {nearest!r} (here: {', '.join(here)}, auto).")
+        raise BackendError(
+            f"backend {name!r} is not available: {why}. Nearest that is: {nearest!r} (here:"
+            f" {', '.join(here)}, auto)."
+        )
     with _lock:
         return _make(name)
 

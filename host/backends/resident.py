@@ -1,4 +1,6 @@
-"""Depth maps that lie on a backend's device already: they are checked, padded and probed there, and never come to the host."""
+"""Depth maps that lie on a backend's device already: they are checked, padded and probed there, and never
+come to the host.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +13,9 @@ from .registry import select
 
 
 class Resident(NamedTuple):
-    """A depth map on a device: the backend whose device that is, depth (rows x cols) float32 there, and what it spans."""
+    """A depth map on a device: the backend whose device that is, depth (rows x cols) float32 there, and what
+    it spans.
+    """
 
     backend: Backend
     depth: object
@@ -29,25 +33,52 @@ class Resident(NamedTuple):
         rows, cols = self.shape
         size = cols + 2 * margin, rows + 2 * margin
         heights = self.backend.empty((size[0] * size[1],), np.float32)
-        self.backend.launch("resident", "pad", size, self.depth, heights, rows, cols, margin, float(step), float(outside), int(sides == "periodic"))
+        self.backend.launch(
+            "resident",
+            "pad",
+            size,
+            self.depth,
+            heights,
+            rows,
+            cols,
+            margin,
+            float(step),
+            float(outside),
+            int(sides == "periodic"),
+        )
         return heights
 
     def probe(self, heights, margin: int, every: int, first: int) -> np.ndarray:
-        """Steepest slopes (8, samples) to ground at least ``first`` rows away, from every ``every``-th node; -inf where none lies."""
+        """Steepest slopes (8, samples) to ground at least ``first`` rows away, from every ``every``-th node;
+        -inf where none lies.
+        """
         rows, cols = self.shape
         across = -(-cols // every)
         count = across * -(-rows // every)
         best = self.backend.empty((8, count), np.float32)
-        self.backend.launch("resident", "probe", (count, 8), heights, best, rows, cols, margin, every, across, count, first)
+        self.backend.launch(
+            "resident", "probe", (count, 8), heights, best, rows, cols, margin, every, across, count, first
+        )
         return self.backend.download(best)
 
 
 def adopt(backend: Backend, values, shape: tuple[int, int], height: bool = False) -> Resident:
-    """A copy, on the same device, of device array ``values`` (rows x cols) float32 [length]: depth, or heights turned into depth."""
+    """A copy, on the same device, of device array ``values`` (rows x cols) float32 [length]: depth, or
+    heights turned into depth.
+    """
     rows, cols = shape
     least, most, broken = _survey(backend, values, rows, cols)
     depth = backend.empty((rows * cols,), np.float32)
-    backend.launch("resident", "take", (rows * cols,), values, depth, most if height else 0.0, -1.0 if height else 1.0, rows * cols)
+    backend.launch(
+        "resident",
+        "take",
+        (rows * cols,),
+        values,
+        depth,
+        most if height else 0.0,
+        -1.0 if height else 1.0,
+        rows * cols,
+    )
     backend.finish()  # the caller's array may go
     if height:
         least, most = 0.0, float(np.float32(most) - np.float32(least))
@@ -55,7 +86,9 @@ def adopt(backend: Backend, values, shape: tuple[int, int], height: bool = False
 
 
 def find(values, height: bool = False) -> Resident | None:
-    """A Warp array as a Resident of its device's backend if it is a float32 map (rows, cols); None of one that a host must straighten first."""
+    """A Warp array as a Resident of its device's backend if it is a float32 map (rows, cols); None of one
+    that a host must straighten first.
+    """
     if values.dtype.__name__ != "float32" or values.ndim != 2 or not values.size or not values.is_contiguous:
         return None
     return adopt(select(f"warp:{values.device.alias}"), values.flatten(), values.shape, height)

@@ -8,7 +8,6 @@ import threading
 import time
 
 import numpy as np
-
 from skylamp.warp_kernels import GROUP, LINES, PIXELS
 
 from .base import CPU_ALONE, CPU_EACH, GPU_AHEAD, Backend, BackendInfo, available_memory
@@ -25,7 +24,14 @@ def probe():
         finally:
             wp.config.log_level = level
         here = wp.is_cpu_available()
-        found = [BackendInfo("warp:cpu", "Warp on the CPU, 1 thread", here, "" if here else "this Warp comes without its CPU compiler")]
+        found = [
+            BackendInfo(
+                "warp:cpu",
+                "Warp on the CPU, 1 thread",
+                here,
+                "" if here else "this Warp comes without its CPU compiler",
+            )
+        ]
         found += [BackendInfo(f"warp:{d.alias}", d.name, True, gpu=True) for d in wp.get_cuda_devices()]
     except (ImportError, OSError, RuntimeError) as error:
         return [BackendInfo("warp:cpu", "", False, f"warp-lang cannot be started ({error})")]
@@ -37,7 +43,8 @@ def probe():
 class WarpBackend(Backend):
     """One Warp device. Device arrays are Warp arrays."""
 
-    lock = threading.RLock()  # one for all devices: modules and settings are the process's, and a scene's map may lie on another device
+    # one for all devices: modules and settings are the process's, and a scene's map may lie on another device
+    lock = threading.RLock()
 
     def __init__(self, alias: str):
         import warp as wp
@@ -48,7 +55,9 @@ class WarpBackend(Backend):
         self.device = self._device.name if self._device.is_cuda else "Warp on the CPU, 1 thread"
         self.lines = LINES if self._device.is_cuda else 1
         self.pixel_lanes = PIXELS
-        self.alone, self.each, self.ahead = (0, 1, GPU_AHEAD) if self._device.is_cuda else (CPU_ALONE, CPU_EACH, 1)
+        self.alone, self.each, self.ahead = (
+            (0, 1, GPU_AHEAD) if self._device.is_cuda else (CPU_ALONE, CPU_EACH, 1)
+        )
         self._loaded, self._side = set(), None
 
     @property
@@ -108,7 +117,10 @@ class WarpBackend(Backend):
         group = group or (GROUP if kernel == "scan" else 256)
         if (function.module, group) not in self._loaded:  # Warp compiles for every size of block
             start = time.perf_counter()
-            level, self.wp.config.log_level = self.wp.config.log_level, self.wp.LOG_WARNING  # Warp would tell stdout
+            level, self.wp.config.log_level = (
+                self.wp.config.log_level,
+                self.wp.LOG_WARNING,
+            )  # Warp would tell stdout
             try:
                 self.wp.load_module(function.module, device=self._device, block_dim=group)
             finally:
@@ -117,10 +129,14 @@ class WarpBackend(Backend):
             self._loaded.add((function.module, group))
         values = [self._as(arg, formal.type) for arg, formal in zip(args, function.adj.args, strict=True)]
         # Warp's last index runs fastest, OpenCL's first
-        self.wp.launch(function, dim=tuple(reversed(dim)), inputs=values, device=self._device, block_dim=group)
+        self.wp.launch(
+            function, dim=tuple(reversed(dim)), inputs=values, device=self._device, block_dim=group
+        )
 
     def _as(self, value, kind):
-        """A device array seen with the axes and elements that the kernel declares: trailing axes run together, in vectors."""
+        """A device array seen with the axes and elements that the kernel declares: trailing axes run
+        together, in vectors.
+        """
         if not isinstance(value, self.wp.array):
             return kind(*value) if hasattr(kind, "_wp_scalar_type_") else value  # a vector by value
         if value.dtype == kind.dtype and value.ndim == kind.ndim:

@@ -1,9 +1,10 @@
-"""Files in and out: .npy, .npz, PNG (8 and 16 bit), TIFF, OpenEXR and Radiance HDR, by their extension and never by guess.
+"""Files in and out: .npy, .npz, PNG (8 and 16 bit), TIFF, OpenEXR and Radiance HDR, by their extension and
+never by guess.
 
 GeoTIFF with its georeference is read and written by :mod:`skylamp.geo`.
 
-What is read has exactly the values that the file holds; whatever a reader would have to change (colour, packed bits,
-palettes, pickles) is an error that names the fix. What is written is whole or not there.
+What is read has exactly the values that the file holds; whatever a reader would have to change (colour,
+packed bits, palettes, pickles) is an error that names the fix. What is written is whole or not there.
 """
 
 from __future__ import annotations
@@ -36,12 +37,14 @@ _GREY_FIX = "Convert it to one grey channel first, so that the weights of the co
 def read(path, name: str | None = None) -> np.ndarray:
     """The array in a file, its values untouched.
 
-    ``path``: .npy; .npz; grey PNG of 8 or 16 bits (uint8, uint16); TIFF of one grey channel in the type that it has,
-    (rows, cols), or (layers, rows, cols) for equal pages; OpenEXR of one channel (float16, float32 or uint32). ``name``: which array of an .npz, "depth", "height" or
-    "image"; without that name the only array is taken, unless it is named as another of the three.
+    ``path``: .npy; .npz; grey PNG of 8 or 16 bits (uint8, uint16); TIFF of one grey channel in the type that
+    it has, (rows, cols), or (layers, rows, cols) for equal pages; OpenEXR of one channel (float16, float32 or
+    uint32). ``name``: which array of an .npz, "depth", "height" or "image"; without that name the only array
+    is taken, unless it is named as another of the three.
 
-    Raises InputError, naming the file, what was got and what is allowed: missing, a folder, empty, truncated or damaged
-    files, unknown extensions, pickles, colour, and bit depths that a reader would change on the way.
+    Raises InputError, naming the file, what was got and what is allowed: missing, a folder, empty, truncated
+    or damaged files, unknown extensions, pickles, colour, and bit depths that a reader would change on the
+    way.
     """
     path = _readable(path)
     with _reading(path):
@@ -59,7 +62,9 @@ def read(path, name: str | None = None) -> np.ndarray:
         else:
             array = _read_tiff(path)
     if getattr(array, "dtype", np.dtype(object)).kind not in "biuf":
-        raise bad(f"{path}: wrong type", getattr(array, "dtype", "no array"), "real numbers (integer or floating)")
+        raise bad(
+            f"{path}: wrong type", getattr(array, "dtype", "no array"), "real numbers (integer or floating)"
+        )
     if array.size == 0:
         raise bad(f"{path}: empty array", f"shape {array.shape}", "at least one element")
     return array
@@ -68,9 +73,10 @@ def read(path, name: str | None = None) -> np.ndarray:
 def read_environment(path) -> np.ndarray:
     """An environment map (rows, cols) float64 for :func:`skylamp.environment_map`: brightness per pixel.
 
-    Reads what :func:`read` reads, and RGB: OpenEXR, Radiance HDR (divided by its EXPOSURE), an 8-bit RGB PNG or a
-    (rows, cols, 3) .npy or .npz, turned into luminance, 0.2126 R + 0.7152 G + 0.0722 B (ITU-R BT.709). Counts of integer files are taken as proportional to brightness,
-    full scale (255, 65535) as 1; floating values as they are. Errors as in :func:`read`.
+    Reads what :func:`read` reads, and RGB: OpenEXR, Radiance HDR (divided by its EXPOSURE), an 8-bit RGB PNG
+    or a (rows, cols, 3) .npy or .npz, turned into luminance, 0.2126 R + 0.7152 G + 0.0722 B (ITU-R BT.709).
+    Counts of integer files are taken as proportional to brightness, full scale (255, 65535) as 1; floating
+    values as they are. Errors as in :func:`read`.
     """
     path = _readable(path)
     if path.suffix.lower() == ".png":
@@ -89,7 +95,9 @@ def read_environment(path) -> np.ndarray:
 
 
 def read_range(path) -> tuple[float, float] | None:
-    """The values (low, high) that the counts 0 and full scale of a PNG written by :func:`write` stand for, or None."""
+    """The values (low, high) that the counts 0 and full scale of a PNG written by :func:`write` stand for, or
+    None.
+    """
     path = _readable(path)
     if path.suffix.lower() != ".png":
         return None
@@ -102,7 +110,9 @@ def read_range(path) -> tuple[float, float] | None:
 
 
 def writable(path) -> Path:
-    """``path`` if a file can be put there; InputError for an unknown extension or a parent folder that is missing."""
+    """``path`` if a file can be put there; InputError for an unknown extension or a parent folder that is
+    missing.
+    """
     path = Path(path)
     if path.suffix.lower() not in SUFFIXES + HDR:
         raise bad(f"{path}: unknown extension", repr(path.suffix), " ".join(SUFFIXES + HDR))
@@ -113,35 +123,47 @@ def writable(path) -> Path:
 
 
 def folder(path) -> Path:
-    """``path`` as an existing folder, created with its parents if need be; InputError where a file stands in the way."""
+    """``path`` as an existing folder, created with its parents if need be; InputError where a file stands in
+    the way.
+    """
     path = Path(path)
     try:
         path.mkdir(parents=True, exist_ok=True)
     except (FileExistsError, NotADirectoryError):
-        raise bad(f"{path}: not a folder", "a file of that name, or a file among its parents", "a folder, or a name that is free") from None
+        raise bad(
+            f"{path}: not a folder",
+            "a file of that name, or a file among its parents",
+            "a folder, or a name that is free",
+        ) from None
     return path
 
 
-def write(path, array, *, range: tuple[float, float] | None = None, bits: int = 8, name: str = "image", **more) -> tuple[float, float] | None:
+def write(
+    path, array, *, range: tuple[float, float] | None = None, bits: int = 8, name: str = "image", **more
+) -> tuple[float, float] | None:
     """Write ``array`` to ``path``, whole or not at all; an older file stays until the new one is complete.
 
-    .npy and .tif keep the values and their type (bool becomes 0 and 255 in .tif). .exr keeps float16, float32 and uint32,
-    as channel Y, or R, G and B for (rows, cols, 3). .hdr holds (rows, cols) or (rows, cols, 3) of floats >= 0 with 8 bits
-    of mantissa, so it is off by up to 1 in 256 of a pixel's largest channel. .npz holds the array as ``name`` and
-    the arrays in ``more``, which other formats do not take. An "image" (rows, cols, 3) is RGB in .tif and in .png, there with
-    8 bits. .png holds (rows, cols): uint8, uint16 and bool as they
-    are (True is 255), anything else as counts of ``bits`` (8 or 16): rint((value - low) / (high - low) * full scale),
-    clipped, NaN as 0, with ``range`` = (low, high), by default (0, the largest finite value); the range is put
-    into the file and :func:`read_range` gives it back.
+    .npy and .tif keep the values and their type (bool becomes 0 and 255 in .tif). .exr keeps float16, float32
+    and uint32, as channel Y, or R, G and B for (rows, cols, 3). .hdr holds (rows, cols) or (rows, cols, 3) of
+    floats >= 0 with 8 bits of mantissa, so it is off by up to 1 in 256 of a pixel's largest channel. .npz
+    holds the array as ``name`` and the arrays in ``more``, which other formats do not take. An "image" (rows,
+    cols, 3) is RGB in .tif and in .png, there with 8 bits. .png holds (rows, cols): uint8, uint16 and bool as
+    they are (True is 255), anything else as counts of ``bits`` (8 or 16): rint((value - low) / (high - low) *
+    full scale), clipped, NaN as 0, with ``range`` = (low, high), by default (0, the largest finite value);
+    the range is put into the file and :func:`read_range` gives it back.
 
-    Returns the range of a scaled PNG, else None. Raises InputError for a missing parent folder, an unknown extension, or
-    an array that the format does not hold; OSError if the disk refuses.
+    Returns the range of a scaled PNG, else None. Raises InputError for a missing parent folder, an unknown
+    extension, or an array that the format does not hold; OSError if the disk refuses.
     """
     path, array = writable(path), np.asarray(array)
     suffix = path.suffix.lower()
     colour = name == "image" and array.ndim == 3 and array.shape[2] == 3
     if array.dtype.kind not in "biuf" or array.size == 0:
-        raise bad(f"{path}: cannot write the array", f"dtype {array.dtype}, shape {array.shape}", "real numbers, at least one")
+        raise bad(
+            f"{path}: cannot write the array",
+            f"dtype {array.dtype}, shape {array.shape}",
+            "real numbers, at least one",
+        )
     if more and suffix != ".npz":
         raise bad(f"{path}: only one array fits", f"{1 + len(more)} arrays", "several arrays in an .npz")
     if suffix == ".npz":
@@ -164,7 +186,12 @@ def write(path, array, *, range: tuple[float, float] | None = None, bits: int = 
             tifffile.imwrite(file, array, photometric="rgb" if colour else "minisblack", metadata=None)
         return None
     if array.ndim != 2 and not colour:
-        raise bad(f"{path}: a PNG holds one picture", f"shape {array.shape}", "(rows, cols)", "Write .npy, .npz or .tif instead.")
+        raise bad(
+            f"{path}: a PNG holds one picture",
+            f"shape {array.shape}",
+            "(rows, cols)",
+            "Write .npy, .npz or .tif instead.",
+        )
     if colour and (bits != 8 or array.dtype == np.uint16):
         raise bad(f"{path}: a PNG in colour", "16 bits", "8 bits", "Write .npy, .npz or .tif instead.")
     header = None
@@ -184,22 +211,27 @@ def write(path, array, *, range: tuple[float, float] | None = None, bits: int = 
 
 
 def tone_mapped(image, exposure: float = 0.0) -> np.ndarray:
-    """``image`` for a display, uint8 of the same shape: image x 2^exposure, clipped at 1, in sRGB's tones (IEC 61966-2-1).
+    """``image`` for a display, uint8 of the same shape: image x 2^exposure, clipped at 1, in sRGB's tones
+    (IEC 61966-2-1).
 
-    ``exposure`` [stops]: 0 shows 1 as white, 1 shows 0.5 as white. NaN is black. Raises InputError for an exposure that is
-    not finite.
+    ``exposure`` [stops]: 0 shows 1 as white, 1 shows 0.5 as white. NaN is black. Raises InputError for an
+    exposure that is not finite.
     """
     if isinstance(exposure, str) or not np.isfinite(exposure):
         raise bad("exposure", repr(exposure), "a finite number of stops")
     light = np.clip(np.nan_to_num(np.asarray(image, np.float64), nan=0.0) * 2.0**exposure, 0, 1)
-    return np.rint(255 * np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)).astype(np.uint8)
+    return np.rint(
+        255 * np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)
+    ).astype(np.uint8)
 
 
 @contextlib.contextmanager
 def replacing(path):
     """A binary file that becomes ``path`` when the block ends well, and leaves no trace when it does not."""
     path = _parent(Path(path)).resolve()  # through a symbolic link, not over it
-    temporary = path.with_name(f".{secrets.token_hex(8)}.tmp")  # same folder: a rename must not cross file systems
+    temporary = path.with_name(
+        f".{secrets.token_hex(8)}.tmp"
+    )  # same folder: a rename must not cross file systems
     try:
         with open(temporary, "xb") as file:
             yield file
@@ -212,7 +244,8 @@ def replacing(path):
 
 
 def terrain() -> tuple[np.ndarray, float]:
-    """The Jacksboro fault, Tennessee: (height (344, 403) float32 in whole metres, north up; spacing in metres).
+    """The Jacksboro fault, Tennessee: (height (344, 403) float32 in whole metres, north up; spacing in
+    metres).
 
     The grid is 3 arc seconds, so its steps are not equally long; the spacing is their geometric mean.
     ``data/jacksboro.json`` holds both steps and the provenance.
@@ -243,9 +276,14 @@ def _reading(path):
         yield
     except InputError:
         raise
-    except Exception as error:  # the libraries raise OSError, ValueError, struct.error, zlib.error, SyntaxError, MemoryError ...
+    # the libraries raise OSError, ValueError, struct.error, zlib.error, SyntaxError, MemoryError ...
+    except Exception as error:
         text = " ".join(str(error).split()) or "no reason given"
-        raise bad(f"{path}: cannot read", f"{type(error).__name__}: {text}", f"a whole {path.suffix.lower()} file of real numbers") from error
+        raise bad(
+            f"{path}: cannot read",
+            f"{type(error).__name__}: {text}",
+            f"a whole {path.suffix.lower()} file of real numbers",
+        ) from error
 
 
 def _read_npz(path, name) -> np.ndarray:
@@ -257,8 +295,11 @@ def _read_npz(path, name) -> np.ndarray:
         if not chosen and len(found) == 1 and not (name and found[0] in ROLES):
             chosen = found
         if len(chosen) != 1:
-            raise bad(f"{path}: cannot tell which array is the {name or 'data'}", f"arrays {', '.join(found) or 'none'}",
-                      f"an array named {name or ' or '.join(ROLES)}, or a single array under a name of its own")
+            raise bad(
+                f"{path}: cannot tell which array is the {name or 'data'}",
+                f"arrays {', '.join(found) or 'none'}",
+                f"an array named {name or ' or '.join(ROLES)}, or a single array under a name of its own",
+            )
         return arrays[chosen[0]]
 
 
@@ -296,24 +337,42 @@ def _read_png(path, colours) -> np.ndarray:
 
     array = imageio.imread(path, plugin="pillow")
     shape = (height, width) if colour == 0 else (height, width, 3)
-    if array.dtype.itemsize * 8 != depth or array.shape != shape:  # imageio turns some 16-bit files into 8-bit
-        raise bad(f"{path}: the reader changed the data", f"{array.dtype} {array.shape} from a {what} of {shape}", allowed)
+    if (
+        array.dtype.itemsize * 8 != depth or array.shape != shape
+    ):  # imageio turns some 16-bit files into 8-bit
+        raise bad(
+            f"{path}: the reader changed the data",
+            f"{array.dtype} {array.shape} from a {what} of {shape}",
+            allowed,
+        )
     return array
 
 
 def _read_tiff(path) -> np.ndarray:
-    import tifffile  # imageio's own backend; asked directly because imageio hides pages, palettes and missing strips
+    # imageio's own backend; asked directly because imageio hides pages, palettes and missing strips
+    import tifffile
 
     with _logged_errors_raise("tifffile"), tifffile.TiffFile(path) as file:
         if len(file.pages) == 0 or len(file.series) != 1:
-            raise bad(f"{path}: pages", f"{len(file.pages)} pages of {len(file.series)} kinds", "one picture, or equal pages as layers")
+            raise bad(
+                f"{path}: pages",
+                f"{len(file.pages)} pages of {len(file.series)} kinds",
+                "one picture, or equal pages as layers",
+            )
         size = path.stat().st_size
         for page in file.pages:
             page = page.aspage()
             if page.samplesperpixel != 1 or page.photometric != tifffile.PHOTOMETRIC.MINISBLACK:
-                raise bad(f"{path}: not grey", f"{page.samplesperpixel} samples, photometric {getattr(page.photometric, 'name', page.photometric)}",
-                          "one grey channel, 0 is black (photometric MINISBLACK)", _GREY_FIX)
-            if any(n <= 0 or at + n > size for at, n in zip(page.dataoffsets, page.databytecounts)):  # tifffile fills such strips with zeros
+                raise bad(
+                    f"{path}: not grey",
+                    f"{page.samplesperpixel} samples, photometric"
+                    f" {getattr(page.photometric, 'name', page.photometric)}",
+                    "one grey channel, 0 is black (photometric MINISBLACK)",
+                    _GREY_FIX,
+                )
+            if any(
+                n <= 0 or at + n > size for at, n in zip(page.dataoffsets, page.databytecounts)
+            ):  # tifffile fills such strips with zeros
                 raise ValueError("truncated: a strip or tile is missing or lies beyond the end of the file")
         array = file.asarray()
         if array.dtype.itemsize * 8 != page.bitspersample:
@@ -332,7 +391,9 @@ def _module(path):
 
         return cv2
     except ImportError as error:
-        raise lacking(str(path), "OpenEXR" if path.suffix.lower() == ".exr" else "opencv-python-headless", "hdr") from error
+        raise lacking(
+            str(path), "OpenEXR" if path.suffix.lower() == ".exr" else "opencv-python-headless", "hdr"
+        ) from error
 
 
 def _read_exr(path) -> np.ndarray:
@@ -347,7 +408,9 @@ def _read_exr(path) -> np.ndarray:
     if (size < 1).any() or size.prod() > MOST_PIXELS:
         raise bad(f"{path}: size", " x ".join(map(str, size)), f"at least one pixel, at most {MOST_PIXELS:,}")
     if not all(np.array_equal(a, b) for a, b in zip(header["dataWindow"], header["displayWindow"])):
-        raise bad(f"{path}: part of a picture", "a data window that is not the display window", "a whole picture")
+        raise bad(
+            f"{path}: part of a picture", "a data window that is not the display window", "a whole picture"
+        )
     file = OpenEXR.File(str(path), separate_channels=True)
     if not file.parts:
         raise ValueError("truncated or damaged")
@@ -364,13 +427,22 @@ def _read_exr(path) -> np.ndarray:
 
 
 def _write_exr(path, array):
-    if array.dtype not in (np.float16, np.float32, np.uint32) or array.shape[2:] not in ((), (3,)) or array.ndim < 2:
-        raise bad(f"{path}: an OpenEXR file holds one picture", f"dtype {array.dtype}, shape {array.shape}",
-                  "float16, float32 or uint32, (rows, cols) or (rows, cols, 3)")
+    if (
+        array.dtype not in (np.float16, np.float32, np.uint32)
+        or array.shape[2:] not in ((), (3,))
+        or array.ndim < 2
+    ):
+        raise bad(
+            f"{path}: an OpenEXR file holds one picture",
+            f"dtype {array.dtype}, shape {array.shape}",
+            "float16, float32 or uint32, (rows, cols) or (rows, cols, 3)",
+        )
     OpenEXR = _module(path)
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
     with replacing(path) as file:
-        OpenEXR.File(header, {"Y" if array.ndim == 2 else "RGB": np.ascontiguousarray(array)}).write(file.name)
+        OpenEXR.File(header, {"Y" if array.ndim == 2 else "RGB": np.ascontiguousarray(array)}).write(
+            file.name
+        )
 
 
 def _read_hdr(path) -> np.ndarray:
@@ -388,11 +460,22 @@ def _read_hdr(path) -> np.ndarray:
 
 
 def _write_hdr(path, array):
-    if array.dtype.kind != "f" or array.shape[2:] not in ((), (3,)) or array.ndim < 2 or not (np.isfinite(array).all() and array.min() >= 0):
-        raise bad(f"{path}: a Radiance picture holds light", f"dtype {array.dtype}, shape {array.shape}, {np.nanmin(array)} to {np.nanmax(array)}",
-                  "finite floats >= 0, (rows, cols) or (rows, cols, 3)", "Write .exr or .tif to keep negative values and NaN.")
+    if (
+        array.dtype.kind != "f"
+        or array.shape[2:] not in ((), (3,))
+        or array.ndim < 2
+        or not (np.isfinite(array).all() and array.min() >= 0)
+    ):
+        raise bad(
+            f"{path}: a Radiance picture holds light",
+            f"dtype {array.dtype}, shape {array.shape}, {np.nanmin(array)} to {np.nanmax(array)}",
+            "finite floats >= 0, (rows, cols) or (rows, cols, 3)",
+            "Write .exr or .tif to keep negative values and NaN.",
+        )
     cv2 = _module(path)
-    colours = np.ascontiguousarray((array if array.ndim == 3 else np.stack([array] * 3, -1))[..., ::-1], np.float32)
+    colours = np.ascontiguousarray(
+        (array if array.ndim == 3 else np.stack([array] * 3, -1))[..., ::-1], np.float32
+    )
     done, data = cv2.imencode(".hdr", colours)
     if not done:
         raise OSError(f"{path}: OpenCV could not encode it")
@@ -403,6 +486,7 @@ def _write_hdr(path, array):
 @contextlib.contextmanager
 def _logged_errors_raise(name):
     """tifffile logs some damage, such as a broken chain of pages, and reads on: here that ends the reading."""
+
     def stop(record):
         if record.levelno >= logging.ERROR:
             raise ValueError(record.getMessage())
@@ -418,7 +502,12 @@ def _logged_errors_raise(name):
 
 def _parent(path) -> Path:
     if not path.parent.is_dir():
-        raise bad(f"{path}: cannot write", f"no folder {path.parent}", "a file in an existing folder", "Create the folder first.")
+        raise bad(
+            f"{path}: cannot write",
+            f"no folder {path.parent}",
+            "a file in an existing folder",
+            "Create the folder first.",
+        )
     if path.exists() and not path.is_file():
         raise bad(f"{path}: cannot write", "a folder or a device of that name", "a file")
     return path

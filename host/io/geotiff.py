@@ -1,7 +1,8 @@
-"""GeoTIFF in and out, with its coordinate reference system, transform and nodata value, by rasterio (extra ``geo``).
+"""GeoTIFF in and out, with its coordinate reference system, transform and nodata value, by rasterio (extra
+``geo``).
 
-skylamp's grids are square and north is up (-y). Cells that are not square on the ground, as cells of degrees never are
-off the equator, are resampled when that is asked for, else refused.
+skylamp's grids are square and north is up (-y). Cells that are not square on the ground, as cells of degrees
+never are off the equator, are resampled when that is asked for, else refused.
 """
 
 from __future__ import annotations
@@ -13,11 +14,17 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import bad, lacking
-from .files import _parent, _readable, _reading, replacing
 from ..scene import Scene
+from .files import _parent, _readable, _reading, replacing
 
 SQUARE = 0.01  # by how much of its length a cell's other side may differ: that much the slopes are off
-FEET = {"ft": 0.3048, "foot": 0.3048, "feet": 0.3048, "us-ft": 1200 / 3937, "us survey foot": 1200 / 3937}  # [metre]
+FEET = {
+    "ft": 0.3048,
+    "foot": 0.3048,
+    "feet": 0.3048,
+    "us-ft": 1200 / 3937,
+    "us survey foot": 1200 / 3937,
+}  # [metre]
 GEO_TAGS = (33550, 33922, 34264, 34735)  # pixel scale, tie points, transformation, keys
 
 
@@ -25,9 +32,9 @@ GEO_TAGS = (33550, 33922, 34264, 34735)  # pixel scale, tie points, transformati
 class Raster:
     """A GeoTIFF's one band and where on Earth it lies.
 
-    values (rows, cols), in the file's own type; mask (rows, cols) bool, True where there are data; spacing: side of a cell
-    in the unit of the values (metres, unless the band says feet); crs and transform as rasterio has them; nodata, the
-    file's value or None; point: the transform was told for cells' centres.
+    values (rows, cols), in the file's own type; mask (rows, cols) bool, True where there are data; spacing:
+    side of a cell in the unit of the values (metres, unless the band says feet); crs and transform as
+    rasterio has them; nodata, the file's value or None; point: the transform was told for cells' centres.
     """
 
     values: np.ndarray
@@ -39,9 +46,13 @@ class Raster:
     point: bool = False
 
     def scene(self, **options) -> Scene:
-        """The :class:`skylamp.Scene` of these heights; ``options``: albedo, sides, or a spacing of the caller's."""
+        """The :class:`skylamp.Scene` of these heights; ``options``: albedo, sides, or a spacing of the
+        caller's.
+        """
         height = np.where(self.mask, self.values, 0)
-        return Scene.from_height(height, **{"spacing": self.spacing, "mask": None if self.mask.all() else self.mask, **options})
+        return Scene.from_height(
+            height, **{"spacing": self.spacing, "mask": None if self.mask.all() else self.mask, **options}
+        )
 
 
 def is_geotiff(path) -> bool:
@@ -58,49 +69,77 @@ def is_geotiff(path) -> bool:
 def read(path, *, resample: bool = False) -> Raster:
     """The one band of a GeoTIFF with its georeference.
 
-    Its cells must be square on the ground to 1 %, north up. In degrees, a cell's sides in metres follow from the ellipsoid
-    at the middle latitude; they are not equally long. ``resample``: make cells square, with the shorter side, by bilinear
-    interpolation; the coordinate reference system stays, the transform becomes that of the new cells.
+    Its cells must be square on the ground to 1 %, north up. In degrees, a cell's sides in metres follow from
+    the ellipsoid at the middle latitude; they are not equally long. ``resample``: make cells square, with the
+    shorter side, by bilinear interpolation; the coordinate reference system stays, the transform becomes that
+    of the new cells.
 
-    Raises InputError for a file that is missing, truncated, damaged, not a TIFF, without a georeference or with several
-    bands, turned, not square, or so tall in latitude that a degree's length changes by more than 2 %; or without rasterio.
+    Raises InputError for a file that is missing, truncated, damaged, not a TIFF, without a georeference or
+    with several bands, turned, not square, or so tall in latitude that a degree's length changes by more than
+    2 %; or without rasterio.
     """
     path = _readable(path)
     rasterio = _rasterio(path)
     with _reading(path), warnings.catch_warnings():
         warnings.simplefilter("error", rasterio.errors.NotGeoreferencedWarning)
-        with rasterio.open(path, driver="GTiff") as file:  # this driver alone: a .tif that is a VRT could name any file
+        with rasterio.open(
+            path, driver="GTiff"
+        ) as file:  # this driver alone: a .tif that is a VRT could name any file
             if file.count != 1:
                 raise bad(f"{path}: bands", file.count, "one band of heights, depths or values")
             if file.width * file.height > 2**30:
-                raise bad(f"{path}: size", f"{file.height} x {file.width}", f"at most {2**30:,} cells", "Cut it into tiles.")
+                raise bad(
+                    f"{path}: size",
+                    f"{file.height} x {file.width}",
+                    f"at most {2**30:,} cells",
+                    "Cut it into tiles.",
+                )
             values, mask = file.read(1), file.read_masks(1) > 0
             scale, offset, unit = file.scales[0], file.offsets[0], (file.units[0] or "").strip().lower()
-            found = Raster(values, mask, 0.0, file.crs, file.transform, file.nodata, file.tags().get("AREA_OR_POINT") == "Point")
+            found = Raster(
+                values,
+                mask,
+                0.0,
+                file.crs,
+                file.transform,
+                file.nodata,
+                file.tags().get("AREA_OR_POINT") == "Point",
+            )
     if values.dtype.kind not in "iuf":
         raise bad(f"{path}: wrong type", values.dtype, "real numbers (integer or floating)")
     if (scale, offset) != (1.0, 0.0):
         found = replace(found, values=values * np.float64(scale) + offset)
     t = found.transform
     if t.b or t.d or t.a <= 0 or t.e >= 0:
-        raise bad(f"{path}: turned grid", f"transform {tuple(t)[:6]}", "north up, east to the right", "Warp it first: rio warp IN.tif OUT.tif --dst-crs EPSG:NNNN")
+        raise bad(
+            f"{path}: turned grid",
+            f"transform {tuple(t)[:6]}",
+            "north up, east to the right",
+            "Warp it first: rio warp IN.tif OUT.tif --dst-crs EPSG:NNNN",
+        )
     east, north = _metres(path, found)
     vertical = FEET.get(unit, 1.0)
     if abs(east / north - 1) > SQUARE:
         if not resample:
-            raise bad(f"{path}: cells are not square", f"{east:.4g} m to the east by {north:.4g} m to the north", "square cells: skylamp's grids have one spacing",
-                      "Pass resample=True (--resample), or warp it to a metric system: rio warp IN.tif OUT.tif --dst-crs EPSG:NNNN")
+            raise bad(
+                f"{path}: cells are not square",
+                f"{east:.4g} m to the east by {north:.4g} m to the north",
+                "square cells: skylamp's grids have one spacing",
+                "Pass resample=True (--resample), or warp it to a metric system: rio warp IN.tif OUT.tif"
+                " --dst-crs EPSG:NNNN",
+            )
         found = _squared(rasterio, found, east, north)
         east = north = min(east, north)
     return replace(found, spacing=float(np.sqrt(east * north) / vertical))
 
 
 def write(path, array, like: Raster) -> None:
-    """Write ``array``, (rows, cols) or (bands, rows, cols), as a GeoTIFF with the georeference of ``like``, whole or not at all, in the array's own type.
+    """Write ``array``, (rows, cols) or (bands, rows, cols), as a GeoTIFF with the georeference of ``like``,
+    whole or not at all, in the array's own type.
 
-    NaN stands as the nodata value of ``like``; where there is none, or a valid value equals it or it does not fit the type,
-    NaN stays and is the nodata value itself. A whole-number array keeps the nodata value if it fits its type.
-    Raises InputError for another shape or type, or a path that cannot be written.
+    NaN stands as the nodata value of ``like``; where there is none, or a valid value equals it or it does not
+    fit the type, NaN stays and is the nodata value itself. A whole-number array keeps the nodata value if it
+    fits its type. Raises InputError for another shape or type, or a path that cannot be written.
     """
     path = Path(path)
     if path.suffix.lower() not in (".tif", ".tiff"):
@@ -109,20 +148,46 @@ def write(path, array, like: Raster) -> None:
     rasterio = _rasterio(path)
     array = np.asarray(array)
     array = array.astype(np.uint8) if array.dtype == bool else array
-    if array.shape[-2:] != like.values.shape or array.ndim not in (2, 3) or not array.size or array.dtype.kind not in "iuf" or array.dtype == np.float16:
-        raise bad(f"{path}: cannot write the array", f"dtype {array.dtype}, shape {array.shape}", f"real numbers of shape {like.values.shape}, or bands of it")
+    if (
+        array.shape[-2:] != like.values.shape
+        or array.ndim not in (2, 3)
+        or not array.size
+        or array.dtype.kind not in "iuf"
+        or array.dtype == np.float16
+    ):
+        raise bad(
+            f"{path}: cannot write the array",
+            f"dtype {array.dtype}, shape {array.shape}",
+            f"real numbers of shape {like.values.shape}, or bands of it",
+        )
     nodata = like.nodata
     if array.dtype.kind == "f":
-        fits = nodata is not None and (np.isnan(nodata) or (array.dtype.type(nodata) == nodata and not (array == nodata).any()))
+        fits = nodata is not None and (
+            np.isnan(nodata) or (array.dtype.type(nodata) == nodata and not (array == nodata).any())
+        )
         nodata = nodata if fits else np.nan
         array = np.where(np.isnan(array), array.dtype.type(nodata), array)
     elif nodata is not None:
         info = np.iinfo(array.dtype)
-        nodata = nodata if np.isfinite(nodata) and nodata == int(nodata) and info.min <= nodata <= info.max else None
+        nodata = (
+            nodata
+            if np.isfinite(nodata) and nodata == int(nodata) and info.min <= nodata <= info.max
+            else None
+        )
     bands = array.reshape(-1, *array.shape[-2:])
     with rasterio.MemoryFile() as memory:
-        with memory.open(driver="GTiff", width=bands.shape[2], height=bands.shape[1], count=len(bands), dtype=array.dtype, crs=like.crs, transform=like.transform, nodata=nodata,
-                         compress="deflate", bigtiff="if_safer") as file:
+        with memory.open(
+            driver="GTiff",
+            width=bands.shape[2],
+            height=bands.shape[1],
+            count=len(bands),
+            dtype=array.dtype,
+            crs=like.crs,
+            transform=like.transform,
+            nodata=nodata,
+            compress="deflate",
+            bigtiff="if_safer",
+        ) as file:
             file.update_tags(AREA_OR_POINT="Point" if like.point else "Area")
             file.write(bands)
         with replacing(path) as out:
@@ -144,15 +209,21 @@ def _metres(path, raster: Raster) -> tuple[float, float]:
     """A cell's length to the east and to the north [metre]."""
     east, north = raster.transform.a, -raster.transform.e
     if raster.crs is None or not raster.crs.is_geographic:
-        unit = raster.crs.linear_units_factor[1] if raster.crs is not None and raster.crs.is_projected else 1.0
+        unit = (
+            raster.crs.linear_units_factor[1] if raster.crs is not None and raster.crs.is_projected else 1.0
+        )
         return east * unit, north * unit
     top, bottom = (raster.transform.f + raster.transform.e * row for row in (0, len(raster.values)))
     if not (-90 <= bottom < top <= 90):
         raise bad(f"{path}: latitudes", f"{bottom} to {top}", "-90 to 90 degrees")
     lengths = [_degrees(latitude) for latitude in (bottom, (top + bottom) / 2, top)]
     if max(abs(e / lengths[1][0] - 1) for e, _ in lengths) > 2 * SQUARE:
-        raise bad(f"{path}: cells in degrees that change their width", f"latitudes {bottom:.4g} to {top:.4g}", "a map so low that a degree's length changes by at most 2 %",
-                  "Warp it to a metric system: rio warp IN.tif OUT.tif --dst-crs EPSG:NNNN")
+        raise bad(
+            f"{path}: cells in degrees that change their width",
+            f"latitudes {bottom:.4g} to {top:.4g}",
+            "a map so low that a degree's length changes by at most 2 %",
+            "Warp it to a metric system: rio warp IN.tif OUT.tif --dst-crs EPSG:NNNN",
+        )
     return east * lengths[1][0], north * lengths[1][1]
 
 
@@ -169,9 +240,18 @@ def _squared(rasterio, raster: Raster, east: float, north: float) -> Raster:
     t, side = raster.transform, min(east, north)
     shape = max(1, round(rows * north / side)), max(1, round(cols * east / side))
     transform = rasterio.Affine(t.a * cols / shape[1], 0, t.c, 0, t.e * rows / shape[0], t.f)
-    warp = dict(src_transform=t, dst_transform=transform, src_crs="EPSG:3857", dst_crs="EPSG:3857")  # from plane to plane: any system will do
+    warp = dict(
+        src_transform=t, dst_transform=transform, src_crs="EPSG:3857", dst_crs="EPSG:3857"
+    )  # from plane to plane: any system will do
     values = np.zeros(shape, np.float64)
-    rasterio.warp.reproject(np.where(raster.mask, raster.values, 0).astype(np.float64), values, resampling=rasterio.warp.Resampling.bilinear, **warp)
+    rasterio.warp.reproject(
+        np.where(raster.mask, raster.values, 0).astype(np.float64),
+        values,
+        resampling=rasterio.warp.Resampling.bilinear,
+        **warp,
+    )
     share = np.zeros(shape, np.float64)
-    rasterio.warp.reproject(raster.mask.astype(np.float64), share, resampling=rasterio.warp.Resampling.bilinear, **warp)
+    rasterio.warp.reproject(
+        raster.mask.astype(np.float64), share, resampling=rasterio.warp.Resampling.bilinear, **warp
+    )
     return replace(raster, values=values.astype(np.float32), mask=share > 1 - 1e-6, transform=transform)

@@ -7,29 +7,44 @@ import math
 import numpy as np
 
 from ..backends.base import Backend
-from .sweeps import Rays, Sweeps
-from ..sources.solids import Dome
-from .slices import Slices
-from ..sources.integrals import KNOTS, Integrals, even
-from .sweeps import ground_of
 from ..scene import Scene
+from ..sources.integrals import KNOTS, Integrals, even
+from ..sources.solids import Dome
 from . import unoccluded
 from .base import Estimate, LightMethod
+from .slices import Slices
+from .sweeps import Rays, Sweeps, ground_of
 
-OFFSET = 1 / 3  # of a sector: doubling turns it into 2/3 and back, so that no set of azimuths looks along a grid line; at 1/2 errors double there
+OFFSET = (
+    1 / 3
+    # of a sector: doubling turns it into 2/3 and back, so that no set of azimuths looks along a grid line; at 1/2
+    # errors double there
+)
 FINE_KNOTS = 1025  # of a table that holds small bright parts too: a knot is 0.06 degrees at the horizon
 
 
 class Horizons(LightMethod):
-    """``sky``: a brightness, or what Integrals found. ``count``: azimuths, even in number, 0 for tangent planes alone; ``sectors`` of every small bright part;
-    ``near`` rows within which every crossing is tested. ``rays``: the small parts are seen above exact horizons, which behind cliffs a sweep's are not; of a map that ends,
-    searched whole.
+    """``sky``: a brightness, or what Integrals found. ``count``: azimuths, even in number, 0 for tangent
+    planes alone; ``sectors`` of every small bright part; ``near`` rows within which every crossing is tested.
+    ``rays``: the small parts are seen above exact horizons, which behind cliffs a sweep's are not; of a map
+    that ends, searched whole.
 
-    Each of the two images has half of the azimuths, every other one, and all light: what the tangent planes alone would let through is exact (a
-    control variate: added exactly, and taken off as these azimuths have it).
+    Each of the two images has half of the azimuths, every other one, and all light: what the tangent planes
+    alone would let through is exact (a control variate: added exactly, and taken off as these azimuths have
+    it).
     """
 
-    def __init__(self, engine: Backend, scene: Scene, sky: Integrals | float, count: int, sectors: int = 8, near: int | None = None, max_distance: float | None = None, rays: bool = False):
+    def __init__(
+        self,
+        engine: Backend,
+        scene: Scene,
+        sky: Integrals | float,
+        count: int,
+        sectors: int = 8,
+        near: int | None = None,
+        max_distance: float | None = None,
+        rays: bool = False,
+    ):
         self.engine, self.scene, self.sky, self.units, self.sectors = engine, scene, sky, count, sectors
         self.scale = sky if isinstance(sky, float) else 1.0
         self.suns = () if isinstance(sky, float) else sky.suns
@@ -37,13 +52,19 @@ class Horizons(LightMethod):
         self.sweeps = Sweeps(engine, ground_of(scene, max_distance, engine), near=near)
         self.total, self.turned = (engine.empty(size, np.int32) for _ in range(2))
         self.slices = Slices(engine, *scene.lattice(), scene.sides, Dome()) if rays and self.suns else None
-        self.exact = None if isinstance(sky, float) else self._by_normals(unoccluded.AZIMUTHS, 0.5, 2 * math.pi / unoccluded.AZIMUTHS)
+        self.exact = (
+            None
+            if isinstance(sky, float)
+            else self._by_normals(unoccluded.AZIMUTHS, 0.5, 2 * math.pi / unoccluded.AZIMUTHS)
+        )
         self.difference = None
         if not count:
             self.mean = engine.empty(shape, np.float32, 0)
             self.sweeps.aim(Rays(np.zeros(0), np.zeros(0)))
             self.sweeps.light(self.total, self.turned)  # for the tilts
-            self.sweeps.add_light(self.exact if self.exact is not None else unoccluded.by_normals(None), self.mean)
+            self.sweeps.add_light(
+                self.exact if self.exact is not None else unoccluded.by_normals(None), self.mean
+            )
             return
         self.offset = OFFSET / 2
         self.mean = self._image(count // 2, 2 * math.pi / count, False)
@@ -58,13 +79,19 @@ class Horizons(LightMethod):
     def _halve(self, image):
         """Join a set of azimuths with the one between, which ``image`` is of."""
         self.offset = 2 * self.offset % 1
-        self.engine.launch("ground", "halves", (math.prod(self.scene.shape),), self.mean, image, math.prod(self.scene.shape))
+        self.engine.launch(
+            "ground", "halves", (math.prod(self.scene.shape),), self.mean, image, math.prod(self.scene.shape)
+        )
         self.difference = image
 
     def _by_normals(self, count, offset, window):
-        """Light (side, side) by normal that ``count`` azimuths make of tangent planes, brightness being that within ``window`` round each."""
+        """Light (side, side) by normal that ``count`` azimuths make of tangent planes, brightness being that
+        within ``window`` round each.
+        """
         azimuths = even(count, offset)
-        return unoccluded.by_normals(self.sky.table(azimuths.angles, np.full(count, window)), azimuths.angles, azimuths.widths)
+        return unoccluded.by_normals(
+            self.sky.table(azimuths.angles, np.full(count, window)), azimuths.angles, azimuths.widths
+        )
 
     def _image(self, count, window, between):
         """The light of ``count`` azimuths and of as many sectors of the small parts as they are worth."""
@@ -73,10 +100,15 @@ class Horizons(LightMethod):
         rays, table = Rays(azimuths.angles, azimuths.widths), None
         suns = [sun.sectors(self.sectors, between) for sun in self.suns]
         if not isinstance(self.sky, float):
-            table = self.sky.table(rays.angles, np.full(count, window), FINE_KNOTS if suns and not self.slices else KNOTS)
+            table = self.sky.table(
+                rays.angles, np.full(count, window), FINE_KNOTS if suns and not self.slices else KNOTS
+            )
             if suns and not self.slices:
                 angles, parts = zip(*(_as_azimuths(*sun) for sun in suns))
-                rays = Rays(np.concatenate([rays.angles, *angles]), np.concatenate([rays.widths, np.ones(sum(map(len, angles)))]))
+                rays = Rays(
+                    np.concatenate([rays.angles, *angles]),
+                    np.concatenate([rays.widths, np.ones(sum(map(len, angles)))]),
+                )
                 table = np.concatenate([table, *parts])
         image = self.engine.empty(self.scene.shape, np.float32)
         self.sweeps.aim(rays, table)
@@ -101,7 +133,9 @@ class Horizons(LightMethod):
     def estimate(self, limit: float) -> Estimate | None:
         if self.difference is None:
             return None
-        light, square, valid, lit, beyond = self.sweeps.judge(self.mean, self.difference, limit / self.scale if self.scale else math.inf)
+        light, square, valid, lit, beyond = self.sweeps.judge(
+            self.mean, self.difference, limit / self.scale if self.scale else math.inf
+        )
         mean = light / lit if lit and light > 0 else 1e-30
         return Estimate(math.sqrt(square / valid) / mean, beyond / valid)
 

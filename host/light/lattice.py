@@ -8,14 +8,15 @@ import numpy as np
 
 from .. import sources
 from ..backends.base import Backend
-from . import propagation
-from .propagation import Problem
 from ..directions import Hemicube
 from ..samples import Samples
 from ..scene import Scene
+from . import propagation
 from .base import LightMethod
+from .propagation import Problem
 
-# RMS error of E / pi under a uniform sky on rough ground (rms slope 1), of the hemicubes that are chosen among: performance/lattice_error.py. A larger one takes minutes to tabulate
+# RMS error of E / pi under a uniform sky on rough ground (rms slope 1), of the hemicubes that are chosen
+# among: performance/lattice_error.py. A larger one takes minutes to tabulate
 ERRORS = {5: 0.0376, 7: 0.0188, 9: 0.0119, 17: 0.0039, 33: 0.0012}
 AZIMUTHS, ELEVATIONS = 96, 192  # directions of the exact light through a window
 
@@ -28,11 +29,15 @@ class Lattice(LightMethod):
         values, step = scene.lattice()
         cube = Hemicube(units)
         problem = Problem(values, step, scene.sides, cube.steps, sources.geometry(source, scene, step), True)
-        self.image = propagation.irradiance(engine, problem, cube.moments * sources.radiance(source, cube.directions)[:, None])
+        self.image = propagation.irradiance(
+            engine, problem, cube.moments * sources.radiance(source, cube.directions)[:, None]
+        )
 
     def refine(self) -> None:
         """The next larger hemicube: no direction is shared."""
-        self.__init__(self.engine, self.scene, self.source, next(size for size in ERRORS if size > self.units))
+        self.__init__(
+            self.engine, self.scene, self.source, next(size for size in ERRORS if size > self.units)
+        )
 
     def irradiance(self) -> np.ndarray:
         return self.image
@@ -60,7 +65,11 @@ def through_window(samples: Samples, scene: Scene, source: sources.Window) -> np
         seen = _passes(scene, source, samples.x + away * c, samples.y + away * s) & (np.tan(e) >= slope)
         light = sources.radiance(source, sources.directions_of(azimuth, np.sin(e)))
         along = (samples.gx * c + samples.gy * s) / samples.length
-        total += (np.where(seen, light, 0) * np.cos(e) * np.maximum(0, along * np.cos(e) + np.sin(e) / samples.length)).sum(0)
+        total += (
+            np.where(seen, light, 0)
+            * np.cos(e)
+            * np.maximum(0, along * np.cos(e) + np.sin(e) / samples.length)
+        ).sum(0)
     return total * (np.pi / 2 / ELEVATIONS) * (2 * np.pi / AZIMUTHS)
 
 
@@ -76,12 +85,16 @@ def _passes(scene, source, x, y):
     passes = inside if scene.sides == "dark" else np.ones(inside.shape, bool)
     for at, (low, high), period in ((x, source.x, cols), (y, source.y, rows)):
         low, high = low / scene.spacing, high / scene.spacing
-        passes = passes & (np.mod(at - low, period) < high - low if scene.sides == "periodic" else (low <= at) & (at < high))
+        passes = passes & (
+            np.mod(at - low, period) < high - low if scene.sides == "periodic" else (low <= at) & (at < high)
+        )
     return passes
 
 
 def at_samples(samples: Samples, scene: Scene, source: sources.Source, size: int) -> np.ndarray:
-    """The filled lattice's light at the samples: a direction is seen where it lies on or above the horizon of its azimuth."""
+    """The filled lattice's light at the samples: a direction is seen where it lies on or above the horizon of
+    its azimuth.
+    """
     cube = Hemicube(size)
     brightness = sources.radiance(source, cube.directions)
     ways, number = np.unique(np.round(np.arctan2(cube.steps[:, 1], cube.steps[:, 0]), 9), return_inverse=True)
@@ -93,10 +106,14 @@ def at_samples(samples: Samples, scene: Scene, source: sources.Source, size: int
     total = np.zeros(len(samples))
     for some in np.array_split(np.arange(len(cube)), len(cube) // 512 + 1):
         seen = rise[some, None] * (1 + 1e-6) >= slopes[number[some]]
-        seen |= slopes[number[some]] <= planes[number[some]]  # the tangent plane hides nothing: cells are cut by N.w
+        seen |= (
+            slopes[number[some]] <= planes[number[some]]
+        )  # the tangent plane hides nothing: cells are cut by N.w
         if isinstance(source, sources.Window):
             away = -samples.own / np.maximum(rise[some, None], 1e-9)
             unit = cube.steps[some, :2] / np.maximum(flat[some, None], 1e-9)
-            seen &= _passes(scene, source, samples.x + away * unit[:, :1], samples.y + away * unit[:, 1:]) & (rise[some, None] > 0)
+            seen &= _passes(scene, source, samples.x + away * unit[:, :1], samples.y + away * unit[:, 1:]) & (
+                rise[some, None] > 0
+            )
         total += (seen * np.maximum(0, cube.moments[some] @ normal) * brightness[some, None]).sum(0)
     return total

@@ -1,4 +1,5 @@
-"""Visibility carried along the directions of a lattice, and what is made of it: packed bits, irradiance, depth by carving, the field.
+"""Visibility carried along the directions of a lattice, and what is made of it: packed bits, irradiance,
+depth by carving, the field.
 
 The sequences of kernels are the same on every backend.
 """
@@ -16,13 +17,21 @@ from ..errors import CapacityError
 from ..sources import Geometry
 from .walks import Group, crossings_of, lap_table, walk_groups
 
-SIDE, PATCH = 4, (8, 4)  # nodes on a side of a block that a work-item turns, blocks (across, down) of a patch; as in opencl/scan.cl
+SIDE, PATCH = (
+    4,
+    (
+        8,
+        4,
+    ),
+)  # nodes on a side of a block that a work-item turns, blocks (across, down) of a patch; as in opencl/scan.cl
 
 Progress = Callable[[int, int], None]
 
 
 class Lobe(NamedTuple):
-    """A lobe about the mirror direction: its weight by even steps of 1 - cosine from 0 to rim, and its half width [rad]."""
+    """A lobe about the mirror direction: its weight by even steps of 1 - cosine from 0 to rim, and its half
+    width [rad].
+    """
 
     table: np.ndarray
     rim: float
@@ -30,7 +39,9 @@ class Lobe(NamedTuple):
 
 
 class Problem(NamedTuple):
-    """What is asked of a backend: depth (rows, cols) float32, +inf where masked, in a unit in which the spacing is step."""
+    """What is asked of a backend: depth (rows, cols) float32, +inf where masked, in a unit in which the
+    spacing is step.
+    """
 
     depth: np.ndarray
     step: float
@@ -55,7 +66,9 @@ class Problem(NamedTuple):
 
 
 class OnDevice(NamedTuple):
-    """A group of walks with its tables on the device; names as in Group, and what clipping and launching need besides."""
+    """A group of walks with its tables on the device; names as in Group, and what clipping and launching need
+    besides.
+    """
 
     host: Group
     pairs: object
@@ -89,19 +102,27 @@ class Surface:
     def __init__(self, backend: Backend, problem: Problem, relief: float | None = None):
         self.backend, self.problem = backend, problem
         if problem.pixels > MOST_PIXELS:
-            raise CapacityError(f"A map of {problem.pixels:,} nodes; at most {MOST_PIXELS:,}, since kernels count nodes in 32 bits. Cut it into tiles.")
+            raise CapacityError(
+                f"A map of {problem.pixels:,} nodes; at most {MOST_PIXELS:,}, since kernels count nodes in 32"
+                " bits. Cut it into tiles."
+            )
         self.room = rounded_up(problem.pixels)
         # two maps, two slopes, the sum, and a plane with its turned twin
         backend.reserve(22 * self.room, f"A map of {problem.pixels:,} nodes", "Cut it into tiles.")
         most = max(1, int(backend.memory // 3 // self.room))
         relief = problem.relief if relief is None else relief
-        groups = walk_groups(problem.steps, problem.depth.shape, relief, problem.step, self.periodic, problem.filled, most)
+        groups = walk_groups(
+            problem.steps, problem.depth.shape, relief, problem.step, self.periodic, problem.filled, most
+        )
         maps = np.zeros((2, self.room), np.float32)
         maps[0, : problem.pixels] = problem.depth.ravel()
         self.maps = backend.upload(maps)
         self.depth = backend.view(self.maps, problem.depth.shape)
         self.planes = backend.empty((max(g.count + len(g.pairs) for g in groups), self.room), np.uint8)
-        self.numbers, self.flags = backend.upload(problem.geometry.numbers), backend.upload(problem.geometry.flags)
+        self.numbers, self.flags = (
+            backend.upload(problem.geometry.numbers),
+            backend.upload(problem.geometry.flags),
+        )
         self.groups = [self._put(group) for group in groups]
         self.turn()
         self.find_laps(problem.depth)
@@ -120,15 +141,27 @@ class Surface:
         for _, j, _, _, _, _, turned, _ in group.walks.tolist():
             rows, cols = self.problem.depth.shape[:: -1 if turned else 1]
             lines = max(lines, min(abs(j), rows) * -(-cols // self.backend.lanes))
-        steps = np.concatenate([self.problem.steps[group.directions] * [1, 1, -1], group.directions[..., None]], -1).astype(np.int32)
+        steps = np.concatenate(
+            [self.problem.steps[group.directions] * [1, 1, -1], group.directions[..., None]], -1
+        ).astype(np.int32)
         points = [crossings_of(i, j, self.problem.filled)[0] for i, j in steps[:, 0, :2].tolist()]
         counts = np.array([len(p) for p in points])
         spans = np.stack([np.cumsum(counts) - counts, counts], 1).astype(np.int32)
-        return OnDevice(group, put(group.pairs) if len(group.pairs) else None, *map(put, group[1:]), put(steps), put(np.array(sum(points, []), np.int32)), put(spans), lines)
+        return OnDevice(
+            group,
+            put(group.pairs) if len(group.pairs) else None,
+            *map(put, group[1:]),
+            put(steps),
+            put(np.array(sum(points, []), np.int32)),
+            put(spans),
+            lines,
+        )
 
     def turn(self) -> None:
         """Make the turned map follow a change of the depths on the device."""
-        self.backend.launch("scan", "turn_map", (self._blocks(),), self.maps, *self.problem.depth.shape, self.room)
+        self.backend.launch(
+            "scan", "turn_map", (self._blocks(),), self.maps, *self.problem.depth.shape, self.room
+        )
 
     def _blocks(self) -> int:
         rows, cols = self.problem.depth.shape
@@ -142,7 +175,10 @@ class Surface:
             if self.periodic and not group.host.rise[:, 0].all():
                 turned = group.host.walks[:, 6] != 0
                 ways = self.problem.steps[group.order[:, 0], :2].tolist()
-                tables = [lap_table(depth.T if t else depth, [way[::-1] if t else way], self.problem.filled)[0] for way, t in zip(ways, turned)]
+                tables = [
+                    lap_table(depth.T if t else depth, [way[::-1] if t else way], self.problem.filled)[0]
+                    for way, t in zip(ways, turned)
+                ]
                 lap = np.zeros((group.count, max(map(len, tables))), np.float32)
                 for row, table in zip(lap, tables):
                     row[: len(table)] = table
@@ -155,36 +191,99 @@ class Surface:
         lap, lap_lines = self.laps[number]
         tail = (self.planes, *shape, self.room, lap_lines, int(self.periodic))
         if problem.filled:
-            launch("filled", "scan_filled", (group.lines, group.count), self.maps, group.walks, group.rise, lap, group.crossings, group.climbs, group.spans, *tail, BITS=group.bits)
+            launch(
+                "filled",
+                "scan_filled",
+                (group.lines, group.count),
+                self.maps,
+                group.walks,
+                group.rise,
+                lap,
+                group.crossings,
+                group.climbs,
+                group.spans,
+                *tail,
+                BITS=group.bits,
+            )
         else:
-            launch("scan", "scan", (group.lines, group.count), self.maps, group.walks, group.rise, lap, *tail, BITS=group.bits)
+            launch(
+                "scan",
+                "scan",
+                (group.lines, group.count),
+                self.maps,
+                group.walks,
+                group.rise,
+                lap,
+                *tail,
+                BITS=group.bits,
+            )
         if group.pairs is not None:
             by_fours = all(n % 4 == 0 for n in shape)
-            launch("scan", "turn_planes_by_fours" if by_fours else "turn_planes", (self._blocks(), len(group.host.pairs)), self.planes, group.pairs, *shape, self.room)
+            launch(
+                "scan",
+                "turn_planes_by_fours" if by_fours else "turn_planes",
+                (self._blocks(), len(group.host.pairs)),
+                self.planes,
+                group.pairs,
+                *shape,
+                self.room,
+            )
         if problem.clips:
             geometry = problem.geometry
-            launch("source", "clip", (problem.pixels,), self.depth, group.steps, group.ways, group.way_spans, self.numbers, self.flags, self.planes, *shape,
-                   self.room, len(geometry.flags), geometry.kind, SIDES[problem.sides], float(problem.step), group.count, BITS=group.bits)
+            launch(
+                "source",
+                "clip",
+                (problem.pixels,),
+                self.depth,
+                group.steps,
+                group.ways,
+                group.way_spans,
+                self.numbers,
+                self.flags,
+                self.planes,
+                *shape,
+                self.room,
+                len(geometry.flags),
+                geometry.kind,
+                SIDES[problem.sides],
+                float(problem.step),
+                group.count,
+                BITS=group.bits,
+            )
         return self.planes
 
 
 class Light:
-    """The sum over the visible directions, with everything on the device; ``run`` may be repeated (and timed).
+    """The sum over the visible directions, with everything on the device; ``run`` may be repeated (and
+    timed).
 
-    ``moments`` (D, 3), or one for each colour (C, D, 3): all are summed in one pass over visibility. ``lobe``, with
-    ``weights`` (C, D, 4) unit vectors and weights, gives what is reflected about the mirror direction too; no more than it
-    gets if ``whole`` (D, 4) are given, the weights under a sky of brightness 1.
+    ``moments`` (D, 3), or one for each colour (C, D, 3): all are summed in one pass over visibility.
+    ``lobe``, with ``weights`` (C, D, 4) unit vectors and weights, gives what is reflected about the mirror
+    direction too; no more than it gets if ``whole`` (D, 4) are given, the weights under a sky of brightness
+    1.
     """
 
-    def __init__(self, surface: Surface, moments: np.ndarray, lobe: Lobe | None = None, weights: np.ndarray | None = None, whole: np.ndarray | None = None):
+    def __init__(
+        self,
+        surface: Surface,
+        moments: np.ndarray,
+        lobe: Lobe | None = None,
+        weights: np.ndarray | None = None,
+        whole: np.ndarray | None = None,
+    ):
         backend = surface.backend
         self.surface, self.lobe = surface, lobe
         self.slopes = backend.empty((2, surface.room), np.float32, 0)
         moments = moments.reshape(-1, *moments.shape[-2:])
         padded = np.concatenate([moments, np.zeros((*moments.shape[:2], 1))], 2)
         weights = np.zeros((0, *padded.shape[1:])) if lobe is None else weights
-        self.sums, self.glosses = ([backend.empty((surface.room,), np.float32, 0) for _ in values] for values in (padded, weights))
-        put = lambda values: [[backend.upload(one.astype(np.float32)[group.order]) for one in values] for group in surface.groups]
+        self.sums, self.glosses = (
+            [backend.empty((surface.room,), np.float32, 0) for _ in values] for values in (padded, weights)
+        )
+        put = lambda values: [
+            [backend.upload(one.astype(np.float32)[group.order]) for one in values]
+            for group in surface.groups
+        ]
         self.tables, self.weights = put(padded), put(weights)
         self.table = None if lobe is None else backend.upload(lobe.table)
         self.whole = None if whole is None else backend.upload(whole.astype(np.float32))
@@ -197,22 +296,78 @@ class Light:
         surface, backend, problem = self.surface, self.surface.backend, self.surface.problem
         rows, cols = problem.depth.shape
         surface.turn()
-        backend.launch("luminance", "gradient", (cols, rows), surface.depth, self.slopes, rows, cols, surface.room, 0.5 / problem.step, 1 / problem.step)
+        backend.launch(
+            "luminance",
+            "gradient",
+            (cols, rows),
+            surface.depth,
+            self.slopes,
+            rows,
+            cols,
+            surface.room,
+            0.5 / problem.step,
+            1 / problem.step,
+        )
         last = len(surface.groups) - 1
-        launch = lambda stem, kernel, *args, **constants: backend.launch(stem, kernel, (surface.room // backend.pixel_lanes,), *args, lanes=backend.pixel_lanes, **constants)
+        launch = lambda stem, kernel, *args, **constants: backend.launch(
+            stem,
+            kernel,
+            (surface.room // backend.pixel_lanes,),
+            *args,
+            lanes=backend.pixel_lanes,
+            **constants,
+        )
         for number, group in enumerate(surface.groups):
             planes, when = surface.scan(number), (int(number == 0), int(number == last))
             for table, total in zip(self.tables[number], self.sums):
-                launch("luminance", "luminance", planes, self.slopes, table, total, problem.pixels, surface.room, group.count, *when, BITS=group.bits)
+                launch(
+                    "luminance",
+                    "luminance",
+                    planes,
+                    self.slopes,
+                    table,
+                    total,
+                    problem.pixels,
+                    surface.room,
+                    group.count,
+                    *when,
+                    BITS=group.bits,
+                )
             for table, total in zip(self.weights[number], self.glosses):
-                launch("specular", "specular", planes, self.slopes, table, self.table, total, surface.room, group.count, len(self.lobe.table), *when, self.lobe.rim,
-                       BITS=group.bits)
+                launch(
+                    "specular",
+                    "specular",
+                    planes,
+                    self.slopes,
+                    table,
+                    self.table,
+                    total,
+                    surface.room,
+                    group.count,
+                    len(self.lobe.table),
+                    *when,
+                    self.lobe.rim,
+                    BITS=group.bits,
+                )
         for total in self.glosses if self.whole is not None else ():
-            launch("specular", "bound", self.slopes, self.whole, self.table, total, surface.room, len(problem.steps), len(self.lobe.table), self.lobe.rim)
+            launch(
+                "specular",
+                "bound",
+                self.slopes,
+                self.whole,
+                self.table,
+                total,
+                surface.room,
+                len(problem.steps),
+                len(self.lobe.table),
+                self.lobe.rim,
+            )
 
 
 class FieldByLayers:
-    """The visibility field of a sky or window, layer by layer, on the device; ``run`` may be repeated (and timed)."""
+    """The visibility field of a sky or window, layer by layer, on the device; ``run`` may be repeated (and
+    timed).
+    """
 
     def __init__(self, backend: Backend, problem: Problem, layers: int):
         self.backend, self.problem, self.layers = backend, problem, layers
@@ -222,18 +377,39 @@ class FieldByLayers:
         self.width, self.height = cols + 2 * self.reach, rows + 2 * self.reach
         level = problem.steps[:, 2] == 0
         self.n_level = int(level.sum())
-        backend.reserve(4 * self.words * (layers + self.reach) * self.width * self.height + 4 * self.n_level * problem.pixels,
-                        "The visibility field", "Ask for fewer layers, a smaller hemicube or map.")
+        backend.reserve(
+            4 * self.words * (layers + self.reach) * self.width * self.height
+            + 4 * self.n_level * problem.pixels,
+            "The visibility field",
+            "Ask for fewer layers, a smaller hemicube or map.",
+        )
         steps = _numbered(problem.steps)
-        self.steps, self.numbers, self.flags = map(backend.upload, (steps, problem.geometry.numbers, problem.geometry.flags))
-        self.offsets = backend.upload(np.stack([steps[:, 2], steps[:, 1] * self.width + steps[:, 0]], 1).astype(np.int32))
+        self.steps, self.numbers, self.flags = map(
+            backend.upload, (steps, problem.geometry.numbers, problem.geometry.flags)
+        )
+        self.offsets = backend.upload(
+            np.stack([steps[:, 2], steps[:, 1] * self.width + steps[:, 0]], 1).astype(np.int32)
+        )
         self.depth = backend.upload(problem.depth)
-        # A sky fills what lies outside the map; level rays get nowhere where walls or a window's plane end them.
-        self.field = backend.empty((layers + self.reach, self.words, self.height, self.width), np.uint32, 0 if problem.clips else 0xFFFFFFFF)
+        # A sky fills what lies outside the map; level rays get nowhere where walls or a window's plane end
+        # them.
+        self.field = backend.empty(
+            (layers + self.reach, self.words, self.height, self.width),
+            np.uint32,
+            0 if problem.clips else 0xFFFFFFFF,
+        )
         self.levels = backend.empty((self.n_level, rows, cols), np.float32, -1 if problem.clips else None)
         ways = problem.steps[level, :2].tolist()
-        lap = lap_table(problem.depth, ways, False) if problem.sides == "periodic" else np.zeros((1, 1), np.float32)
-        self.ways, self.lap, self.lap_lines = backend.upload(problem.steps[level, :2].astype(np.int32)), backend.upload(lap), lap.shape[1]
+        lap = (
+            lap_table(problem.depth, ways, False)
+            if problem.sides == "periodic"
+            else np.zeros((1, 1), np.float32)
+        )
+        self.ways, self.lap, self.lap_lines = (
+            backend.upload(problem.steps[level, :2].astype(np.int32)),
+            backend.upload(lap),
+            lap.shape[1],
+        )
         self.lines = max(min(abs(j or i), rows if j else cols) * (cols if j else rows) for i, j in ways)
 
     def run(self, progress: Progress | None = None) -> None:
@@ -241,16 +417,67 @@ class FieldByLayers:
         rows, cols = problem.depth.shape
         periodic = problem.sides == "periodic"
         if problem.clips:
-            launch("source", "enter", (self.width, self.height, self.layers + self.reach), self.steps, self.numbers, self.flags, self.field, rows, cols,
-                   self.reach, self.words, self.count, problem.geometry.kind, SIDES[problem.sides])
+            launch(
+                "source",
+                "enter",
+                (self.width, self.height, self.layers + self.reach),
+                self.steps,
+                self.numbers,
+                self.flags,
+                self.field,
+                rows,
+                cols,
+                self.reach,
+                self.words,
+                self.count,
+                problem.geometry.kind,
+                SIDES[problem.sides],
+            )
         else:
-            launch("propagate", "reaches", (self.lines, self.n_level), self.depth, self.ways, self.lap, self.levels, rows, cols, self.lap_lines, int(periodic))
+            launch(
+                "propagate",
+                "reaches",
+                (self.lines, self.n_level),
+                self.depth,
+                self.ways,
+                self.lap,
+                self.levels,
+                rows,
+                cols,
+                self.lap_lines,
+                int(periodic),
+            )
         lanes = self.backend.lanes if cols >= self.backend.lanes else 1
         for n in range(self.layers):
-            launch("propagate", "propagate", (-(-cols // lanes), rows, self.words), self.depth, self.levels, self.offsets, self.field, rows, cols,
-                   self.reach, self.words, self.count, self.n_level, n, lanes=lanes)
+            launch(
+                "propagate",
+                "propagate",
+                (-(-cols // lanes), rows, self.words),
+                self.depth,
+                self.levels,
+                self.offsets,
+                self.field,
+                rows,
+                cols,
+                self.reach,
+                self.words,
+                self.count,
+                self.n_level,
+                n,
+                lanes=lanes,
+            )
             if periodic:
-                launch("propagate", "wrap", (self.width, self.height, self.words), self.field, rows, cols, self.reach, self.words, n)
+                launch(
+                    "propagate",
+                    "wrap",
+                    (self.width, self.height, self.words),
+                    self.field,
+                    rows,
+                    cols,
+                    self.reach,
+                    self.words,
+                    n,
+                )
             if progress:
                 progress(n + 1, self.layers)
 
@@ -261,22 +488,43 @@ class FieldByLayers:
 
 
 class FieldOfLamp:
-    """The visibility field of a lamp, node by node: a lamp among the ground is no boundary that layers could hand down."""
+    """The visibility field of a lamp, node by node: a lamp among the ground is no boundary that layers could
+    hand down.
+    """
 
     def __init__(self, backend: Backend, problem: Problem, layers: int):
         self.backend, self.problem, self.layers = backend, problem, layers
         self.words = -(-len(problem.steps) // 32)
-        backend.reserve(4 * self.words * layers * problem.pixels, "The visibility field", "Ask for fewer layers, a smaller hemicube or map.")
+        backend.reserve(
+            4 * self.words * layers * problem.pixels,
+            "The visibility field",
+            "Ask for fewer layers, a smaller hemicube or map.",
+        )
         steps = _numbered(problem.steps)
         nodes = np.array([crossings_of(i, j, False)[0][0] for i, j, _ in problem.steps.tolist()], np.int32)
         spans = np.stack([np.arange(len(steps)), np.ones(len(steps))], 1).astype(np.int32)
-        self.tables = [backend.upload(a) for a in (problem.depth, steps, nodes, spans, problem.geometry.numbers, problem.geometry.flags)]
+        self.tables = [
+            backend.upload(a)
+            for a in (problem.depth, steps, nodes, spans, problem.geometry.numbers, problem.geometry.flags)
+        ]
         self.field = backend.empty((layers, self.words, *problem.depth.shape), np.uint32)
 
     def run(self, progress: Progress | None = None) -> None:
         problem = self.problem
-        self.backend.launch("source", "beam", (problem.pixels, self.layers), *self.tables, self.field, *problem.depth.shape, len(problem.geometry.flags),
-                            problem.geometry.kind, SIDES[problem.sides], self.words, len(problem.steps), self.layers)
+        self.backend.launch(
+            "source",
+            "beam",
+            (problem.pixels, self.layers),
+            *self.tables,
+            self.field,
+            *problem.depth.shape,
+            len(problem.geometry.flags),
+            problem.geometry.kind,
+            SIDES[problem.sides],
+            self.words,
+            len(problem.steps),
+            self.layers,
+        )
         if progress:
             progress(self.layers, self.layers)
 
@@ -291,26 +539,60 @@ def visibility(backend: Backend, problem: Problem) -> np.ndarray:
     surface = Surface(backend, problem)
     out = backend.empty((*problem.depth.shape, words), np.uint32, 0)
     for number, group in enumerate(surface.groups):
-        backend.launch("scan", "pack", (problem.pixels,), surface.scan(number), group.directions, out, problem.pixels, surface.room, words, group.count, BITS=group.bits)
+        backend.launch(
+            "scan",
+            "pack",
+            (problem.pixels,),
+            surface.scan(number),
+            group.directions,
+            out,
+            problem.pixels,
+            surface.room,
+            words,
+            group.count,
+            BITS=group.bits,
+        )
     return backend.download(out)
 
 
 def irradiance(backend: Backend, problem: Problem, moments: np.ndarray) -> np.ndarray:
-    """Irradiance (rows, cols) float32; ``moments`` (D, 3): brightness times the integral of L dOmega over each cell."""
+    """Irradiance (rows, cols) float32; ``moments`` (D, 3): brightness times the integral of L dOmega over
+    each cell.
+    """
     return light(backend, problem, moments)[0][0]
 
 
-def light(backend: Backend, problem: Problem, moments: np.ndarray, lobe: Lobe | None = None, weights: np.ndarray | None = None, whole: np.ndarray | None = None) -> tuple[list, list]:
+def light(
+    backend: Backend,
+    problem: Problem,
+    moments: np.ndarray,
+    lobe: Lobe | None = None,
+    weights: np.ndarray | None = None,
+    whole: np.ndarray | None = None,
+) -> tuple[list, list]:
     """Irradiance, and what a lobe reflects, (rows, cols) float32 per colour; arguments as for :class:`Light`."""
     light = Light(Surface(backend, problem), moments, lobe, weights, whole)
     light.run()
-    get = lambda arrays: [backend.download(array)[: problem.pixels].reshape(problem.depth.shape) for array in arrays]
+    get = lambda arrays: [
+        backend.download(array)[: problem.pixels].reshape(problem.depth.shape) for array in arrays
+    ]
     return get(light.sums), get(light.glosses)
 
 
-def carve(backend: Backend, problem: Problem, low, high, weights, layers: int, by_sign: bool, progress: Progress | None = None) -> np.ndarray:
+def carve(
+    backend: Backend,
+    problem: Problem,
+    low,
+    high,
+    weights,
+    layers: int,
+    by_sign: bool,
+    progress: Progress | None = None,
+) -> np.ndarray:
     """Depth in layers (rows, cols) int32 by the inverse algorithm; arguments as for skylamp.oracle.carve."""
-    surface = Surface(backend, problem._replace(depth=np.zeros(problem.depth.shape, np.float32)), relief=float(layers))
+    surface = Surface(
+        backend, problem._replace(depth=np.zeros(problem.depth.shape, np.float32)), relief=float(layers)
+    )
     pixels = problem.pixels
     light, side = (backend.empty((pixels,), np.int32, 0) for _ in range(2))
     low, high = (backend.upload(a.astype(np.int32).ravel()) for a in (low, high))
@@ -323,8 +605,27 @@ def carve(backend: Backend, problem: Problem, low, high, weights, layers: int, b
                 surface.find_laps(surface.depths())
         for number, (group, table) in enumerate(zip(surface.groups, tables)):
             planes = surface.scan(number)
-            backend.launch("carve", "carve", (pixels,), planes, table, light, low, high, side, surface.depth, active, pixels, surface.room, group.count,
-                        int(number == 0), int(number == len(tables) - 1), layer, int(by_sign), BITS=group.bits)
+            backend.launch(
+                "carve",
+                "carve",
+                (pixels,),
+                planes,
+                table,
+                light,
+                low,
+                high,
+                side,
+                surface.depth,
+                active,
+                pixels,
+                surface.room,
+                group.count,
+                int(number == 0),
+                int(number == len(tables) - 1),
+                layer,
+                int(by_sign),
+                BITS=group.bits,
+            )
         if progress:
             progress(layer + 1, layers)
         if not backend.download(active)[0]:
@@ -333,8 +634,14 @@ def carve(backend: Backend, problem: Problem, low, high, weights, layers: int, b
 
 
 def field(backend: Backend, problem: Problem, layers: int, progress: Progress | None = None) -> np.ndarray:
-    """The visibility field (layers, words, rows, cols) uint32 for depths in layers (step 1), bits packed as everywhere."""
-    field = FieldOfLamp(backend, problem, layers) if problem.geometry.is_lamp else FieldByLayers(backend, problem, layers)
+    """The visibility field (layers, words, rows, cols) uint32 for depths in layers (step 1), bits packed as
+    everywhere.
+    """
+    field = (
+        FieldOfLamp(backend, problem, layers)
+        if problem.geometry.is_lamp
+        else FieldByLayers(backend, problem, layers)
+    )
     field.run(progress)
     return field.download()
 

@@ -31,22 +31,35 @@ LEVELS = 9  # cells of 2 to 512 nodes
 SIDE = 512  # samples of the brightness across the sky
 GAUSS = 8  # points between two knots of a cumulative table
 LOBE_POINTS, LOBE_VARIES = 10, 14  # samples of a lobe along a chord within its rim; where brightness varies
-LOBE_LEAST, LOBE_ROUND, LOBE_MOST = 16, 32, 256  # slices of a lobe: least, where the zenith lies within it, and through a lamp
+LOBE_LEAST, LOBE_ROUND, LOBE_MOST = (
+    16,
+    32,
+    256,
+)  # slices of a lobe: least, where the zenith lies within it, and through a lamp
 LOBE_APART = 1.1  # half widths of a lobe between two slices of a lamp
 FINEST = 2048  # samples across the sky that a lobe's means are made of
 SUNNY, SUNS = 4.0, 64  # times the mean brightness from which on light is a sun's; rays to suns
-THIN = 2e-3  # apparent width [rad] of what is widened: of its light a square over 12 is lost, 3e-7, and float32 holds its width to 5e-5; derived
-SHIFT = 0.25  # where in its step a slice of a ball stands; at 1/2 and 0 even and odd slices are mirror images, and their difference is blind to half of the error
-TURNS, KNOTS = 1024, 4097  # cells of azimuth and of the sine of elevation of a brightness, 8 bytes each: 0.35 degrees round the horizon, and 0.16 at an elevation of 85
+# apparent width [rad] of what is widened: of its light a square over 12 is lost, 3e-7, and float32 holds its
+# width to 5e-5; derived
+THIN = 2e-3
+# where in its step a slice of a ball stands; at 1/2 and 0 even and odd slices are mirror images, and their
+# difference is blind to half of the error
+SHIFT = 0.25
+TURNS, KNOTS = (
+    1024,
+    4097,
+    # cells of azimuth and of the sine of elevation of a brightness, 8 bytes each: 0.35 degrees round the horizon,
+    # and 0.16 at an elevation of 85
+)
 RAYS = 4, 16, 64  # to a small lamp, along which its brightness is taken
 
 
-
 def brightness_of(source: Source, side: int = SIDE) -> float | np.ndarray:
-    """A source's brightness as Slices takes it for a lobe: a number where it is the same everywhere, else over the sky, (side, side).
+    """A source's brightness as Slices takes it for a lobe: a number where it is the same everywhere, else
+    over the sky, (side, side).
 
-    Row j, column i: the direction whose stereographic projection x / (1 - z), y / (1 - z) is 2 i / (side - 1) - 1 and
-    2 j / (side - 1) - 1; beyond the level, that of the level below it.
+    Row j, column i: the direction whose stereographic projection x / (1 - z), y / (1 - z) is 2 i / (side - 1)
+    - 1 and 2 j / (side - 1) - 1; beyond the level, that of the level below it.
     """
     if not callable(source.brightness):
         return float(source.brightness)
@@ -54,16 +67,23 @@ def brightness_of(source: Source, side: int = SIDE) -> float | np.ndarray:
     over = np.maximum(1.0, np.hypot(u, v))
     u, v = u / over, v / over
     square = u * u + v * v
-    some = lambda rows: np.stack([2 * u[rows], 2 * v[rows], np.minimum(square[rows] - 1, 0)], -1) / (1 + square[rows])[..., None]
-    values = np.concatenate([radiance(source, some(slice(first, first + SIDE))) for first in range(0, side, SIDE)])
+    some = lambda rows: (
+        np.stack([2 * u[rows], 2 * v[rows], np.minimum(square[rows] - 1, 0)], -1)
+        / (1 + square[rows])[..., None]
+    )
+    values = np.concatenate(
+        [radiance(source, some(slice(first, first + SIDE))) for first in range(0, side, SIDE)]
+    )
     return float(values.flat[0]) if np.ptp(values) == 0 else values
 
 
 def blurred(source: Source, spread: float) -> tuple[float | np.ndarray, np.ndarray, np.ndarray]:
-    """A source's brightness as a lobe of this half width [rad] takes it: (number or table, suns (K, 3), their flux (K,)).
+    """A source's brightness as a lobe of this half width [rad] takes it: (number or table, suns (K, 3), their
+    flux (K,)).
 
-    The table holds means over half a half width, so that nothing falls between the lobe's samples. What is brighter than
-    SUNNY times the mean is taken out of it, as up to SUNS unit vectors with brightness x solid angle each.
+    The table holds means over half a half width, so that nothing falls between the lobe's samples. What is
+    brighter than SUNNY times the mean is taken out of it, as up to SUNS unit vectors with brightness x solid
+    angle each.
     """
     none = np.zeros((0, 3)), np.zeros(0)
     if not callable(source.brightness):
@@ -99,9 +119,11 @@ def blurred(source: Source, spread: float) -> tuple[float | np.ndarray, np.ndarr
 
 
 def cumulative(source: Source, azimuths: np.ndarray, knots: int) -> np.ndarray:
-    """Integrals of B cos^2 and B sin cos over elevation, from knot i to the zenith: (azimuths, knots, 2) float32.
+    """Integrals of B cos^2 and B sin cos over elevation, from knot i to the zenith: (azimuths, knots, 2)
+    float32.
 
-    Knot i stands where the sine of elevation is i / (knots - 1); Gauss-Legendre quadrature in elevation between knots.
+    Knot i stands where the sine of elevation is i / (knots - 1); Gauss-Legendre quadrature in elevation
+    between knots.
     """
     azimuths = np.asarray(azimuths, float)
     out = np.zeros((len(azimuths), knots, 2), np.float32)
@@ -113,34 +135,57 @@ def cumulative(source: Source, azimuths: np.ndarray, knots: int) -> np.ndarray:
     share = np.stack([half * weight * c * c, half * weight * s * c], -1)
     for some in np.array_split(np.arange(len(azimuths)), -(-len(azimuths) * e.size // 2**18)):
         a = azimuths[some, None, None]
-        light = radiance(source, np.stack([c * np.cos(a), c * np.sin(a), np.broadcast_to(-s, (len(some), *s.shape))], -1))
+        light = radiance(
+            source, np.stack([c * np.cos(a), c * np.sin(a), np.broadcast_to(-s, (len(some), *s.shape))], -1)
+        )
         parts = (light[..., None] * share).sum(2)
         out[some, :-1] = np.cumsum(parts[:, ::-1], 1)[:, ::-1]
     return out
 
 
 class Slices:
-    """The light of a ball or a quadrangle over a map, with everything on the device; ``run`` may be repeated (and timed)."""
+    """The light of a ball or a quadrangle over a map, with everything on the device; ``run`` may be repeated
+    (and timed).
+    """
 
-    def __init__(self, backend: Backend, depth: np.ndarray, step: float, sides: str, solid: Ball | Quad | Dome, brightness: float | np.ndarray = 1.0, most: int = MOST,
-                 lobe: Lobe | None = None, shift: float = 0.5):
-        """depth (rows, cols) float32, +inf where masked, in a unit in which the spacing is ``step``; ``sides``: open or dark.
+    def __init__(
+        self,
+        backend: Backend,
+        depth: np.ndarray,
+        step: float,
+        sides: str,
+        solid: Ball | Quad | Dome,
+        brightness: float | np.ndarray = 1.0,
+        most: int = MOST,
+        lobe: Lobe | None = None,
+        shift: float = 0.5,
+    ):
+        """depth (rows, cols) float32, +inf where masked, in a unit in which the spacing is ``step``;
+        ``sides``: open or dark.
 
-        ``brightness``: a number; else what :func:`brightness_of` gives for a lobe, and :func:`skylamp.brightness.chords` for none. ``most``: slices
-        of a source that stands all round, a multiple of 8; one that looks small has a quarter of them, half if it is a quadrangle, but at least 8, and
-        others what is between.
-        ``lobe``: light is weighted by it; then there are as many slices as it needs. A Dome has a lobe. ``shift``: where in its
-        step every slice of a ball stands, 0..1; the slices of 0 stand between those of 0.5.
+        ``brightness``: a number; else what :func:`brightness_of` gives for a lobe, and
+        :func:`skylamp.brightness.chords` for none. ``most``: slices of a source that stands all round, a
+        multiple of 8; one that looks small has a quarter of them, half if it is a quadrangle, but at least 8,
+        and others what is between. ``lobe``: light is weighted by it; then there are as many slices as it
+        needs. A Dome has a lobe. ``shift``: where in its step every slice of a ball stands, 0..1; the slices
+        of 0 stand between those of 0.5.
         """
         if depth.size > MOST_PIXELS:
-            raise CapacityError(f"A map of {depth.size:,} nodes; at most {MOST_PIXELS:,}, since kernels count nodes in 32 bits. Cut it into tiles.")
+            raise CapacityError(
+                f"A map of {depth.size:,} nodes; at most {MOST_PIXELS:,}, since kernels count nodes in 32"
+                " bits. Cut it into tiles."
+            )
         rows, cols = self.shape = depth.shape
         self.backend, self.solid, self.step = backend, solid, step
         self.levels = min(max(round(math.log2(cols)) - 2, 1), LEVELS)
         self.width = -(-cols >> self.levels) << self.levels
         cells = (rows + 1) // 2
         images = 2 if isinstance(solid, Ball) else 1
-        backend.reserve(4 * ((rows + 2) * (cols + 1) + cells * self.width + images * rows * cols), f"A map of {depth.size:,} nodes", "Cut it into tiles.")
+        backend.reserve(
+            4 * ((rows + 2) * (cols + 1) + cells * self.width + images * rows * cols),
+            f"A map of {depth.size:,} nodes",
+            "Cut it into tiles.",
+        )
 
         heights = np.full((rows + 2) * (cols + 1) + 1, NONE, np.float32)
         ground = heights[:-1].reshape(rows + 2, cols + 1)[1:-1, 1:]
@@ -151,24 +196,43 @@ class Slices:
         self.tops = backend.empty((cells, self.width), np.float32)
         self.image, self.coarsened = backend.empty((rows, cols), np.float32), False
         if isinstance(solid, Ball):
-            self.alternating = backend.empty((rows, cols), np.float32)  # light of the even slices less that of the odd ones
+            self.alternating = backend.empty(
+                (rows, cols), np.float32
+            )  # light of the even slices less that of the odd ones
 
         self.lobe, self.dark, self.walls, self.coarse = lobe, sides == "dark", sides == "dark", 0.0
         if isinstance(solid, Dome):
             apparent, self.least, self.most = 1.0, LOBE_LEAST, LOBE_ROUND
         else:
             center, radius, extent = self._place(step)
-            away = np.maximum(0, np.maximum([0 - center[0], 0 - center[1], low - center[2]], [center[0] - (cols - 1), center[1] - (rows - 1), center[2] - high]))
+            away = np.maximum(
+                0,
+                np.maximum(
+                    [0 - center[0], 0 - center[1], low - center[2]],
+                    [center[0] - (cols - 1), center[1] - (rows - 1), center[2] - high],
+                ),
+            )
             apparent = radius / max(float(np.linalg.norm(away)), radius)
-            beyond = (extent[0] < -0.5 - 1e-6).any() or (extent[1] > np.array([cols, rows]) - 0.5 + 1e-6).any()
+            beyond = (extent[0] < -0.5 - 1e-6).any() or (
+                extent[1] > np.array([cols, rows]) - 0.5 + 1e-6
+            ).any()
             self.walls = self.walls and beyond
             if lobe:
-                most = min(max(math.ceil(2 * math.pi / (LOBE_APART * lobe.spread * SLICES)) * SLICES, most), LOBE_MOST)
+                most = min(
+                    max(math.ceil(2 * math.pi / (LOBE_APART * lobe.spread * SLICES)) * SLICES, most),
+                    LOBE_MOST,
+                )
             self.most = most * (WALLED if self.walls else 1)
-            self.least = LOBE_LEAST if lobe else max(self.most // (4 if isinstance(solid, Ball) else 2) // SLICES, 1) * SLICES
+            self.least = (
+                LOBE_LEAST
+                if lobe
+                else max(self.most // (4 if isinstance(solid, Ball) else 2) // SLICES, 1) * SLICES
+            )
             if lobe:
                 turn = apparent * (0.318 + 0.182 * apparent**2)
-                self.coarse = 2 * math.pi * turn / (self.least + turn * (self.most - self.least)) / lobe.spread
+                self.coarse = (
+                    2 * math.pi * turn / (self.least + turn * (self.most - self.least)) / lobe.spread
+                )
         varies = np.ndim(brightness) > 0
         self.unit = 1.0 if varies else float(brightness)
         nothing = [[1.0, 1.0]] * 2  # a lobe weights a brightness, if only 1
@@ -177,21 +241,38 @@ class Slices:
         self.n_points = (LOBE_VARIES if varies else LOBE_POINTS) if lobe else 0
         self.points = backend.upload(_on_unit(max(self.n_points, 1)))
         self.turns, self.knots, _ = brightness.shape if varies and not lobe else (0, 0, 2)
-        self.chords = backend.upload(np.asarray(brightness if varies and not lobe else np.zeros((1, 1, 2)), np.float32))
-        self.nodes = backend.upload(_quad_nodes(self.most) if isinstance(solid, Quad) else _ball_nodes(self.most, shift))
+        self.chords = backend.upload(
+            np.asarray(brightness if varies and not lobe else np.zeros((1, 1, 2)), np.float32)
+        )
+        self.nodes = backend.upload(
+            _quad_nodes(self.most) if isinstance(solid, Quad) else _ball_nodes(self.most, shift)
+        )
         self.table = backend.upload(lobe.table if lobe else np.zeros(2, np.float32))
 
     def _place(self, step):
-        """Centre and radius round the source, and its extent over the map ((x, y) lowest, highest), in spacings; heights third."""
+        """Centre and radius round the source, and its extent over the map ((x, y) lowest, highest), in
+        spacings; heights third.
+        """
         if isinstance(self.solid, Ball):
-            self.center, self.radius = np.array(self.solid.center) / step * (1, 1, -1), self.solid.radius / step
+            self.center, self.radius = (
+                np.array(self.solid.center) / step * (1, 1, -1),
+                self.solid.radius / step,
+            )
             return self.center, self.radius, (self.center[:2] - self.radius, self.center[:2] + self.radius)
         corners = np.asarray(self.solid.corners, float) / step * (1, 1, -1)
         middle = corners.mean(0)
         normal = np.cross(corners[2] - corners[0], corners[3] - corners[1])
-        normal *= (1 if normal[2] >= 0 else -1) / np.linalg.norm(normal)  # upwards, which decides for nodes in its own plane
-        self.corners = self.backend.upload(np.concatenate([corners - middle, [middle, normal]]).astype(np.float32))
-        return middle, np.linalg.norm(corners - middle, axis=1).max(), (corners[:, :2].min(0), corners[:, :2].max(0))
+        normal *= (1 if normal[2] >= 0 else -1) / np.linalg.norm(
+            normal
+        )  # upwards, which decides for nodes in its own plane
+        self.corners = self.backend.upload(
+            np.concatenate([corners - middle, [middle, normal]]).astype(np.float32)
+        )
+        return (
+            middle,
+            np.linalg.norm(corners - middle, axis=1).max(),
+            (corners[:, :2].min(0), corners[:, :2].max(0)),
+        )
 
     def coarsen(self) -> None:
         """The tops of all cells; once is enough."""
@@ -200,7 +281,17 @@ class Slices:
         self.coarsened = True
         rows, cols = self.shape
         for level in range(1, self.levels + 1):
-            self.backend.launch("slices", "coarser", (self.width >> level, ((rows - 1) >> level) + 1), self.heights, self.tops, rows, cols, self.width, level)
+            self.backend.launch(
+                "slices",
+                "coarser",
+                (self.width >> level, ((rows - 1) >> level) + 1),
+                self.heights,
+                self.tops,
+                rows,
+                cols,
+                self.width,
+                level,
+            )
 
     def run(self) -> None:
         rows, cols = self.shape
@@ -212,37 +303,102 @@ class Slices:
         table = self.turns, self.knots, int(self.walls), rim
         group = self.backend.lines if self.backend.lines > 1 else None
         if isinstance(self.solid, Dome):
-            launch("slices", "gloss", (cols, rows), self.heights, self.tops, self.nodes, *lit, self.image, *size, int(self.walls), rim,
-                   min(self.solid.reach / self.step, -float(NONE)), self.unit, group=group)
+            launch(
+                "slices",
+                "gloss",
+                (cols, rows),
+                self.heights,
+                self.tops,
+                self.nodes,
+                *lit,
+                self.image,
+                *size,
+                int(self.walls),
+                rim,
+                min(self.solid.reach / self.step, -float(NONE)),
+                self.unit,
+                group=group,
+            )
         elif isinstance(self.solid, Ball):
-            launch("slices", "ball", (cols, rows), self.heights, self.tops, self.nodes, *lit, self.chords, self.image, self.alternating, *size, *table,
-                   *map(float, self.center), float(self.radius), self.unit, group=group)
+            launch(
+                "slices",
+                "ball",
+                (cols, rows),
+                self.heights,
+                self.tops,
+                self.nodes,
+                *lit,
+                self.chords,
+                self.image,
+                self.alternating,
+                *size,
+                *table,
+                *map(float, self.center),
+                float(self.radius),
+                self.unit,
+                group=group,
+            )
         else:
-            launch("slices", "quad", (cols, rows), self.heights, self.tops, self.corners, self.nodes, *lit, self.chords, self.image, *size, *table, self.unit, group=group)
+            launch(
+                "slices",
+                "quad",
+                (cols, rows),
+                self.heights,
+                self.tops,
+                self.corners,
+                self.nodes,
+                *lit,
+                self.chords,
+                self.image,
+                *size,
+                *table,
+                self.unit,
+                group=group,
+            )
 
     def rays(self, ways: np.ndarray) -> np.ndarray:
         """Whether the ground leaves rays free: (rows, cols, count) bool.
 
-        ``ways`` (rows, cols, 4, count) float32: azimuth's cosine and sine, tangent of the elevation, and how far
-        [spacing] ground counts. ``coarsen`` or ``run`` comes before it.
+        ``ways`` (rows, cols, 4, count) float32: azimuth's cosine and sine, tangent of the elevation, and how
+        far [spacing] ground counts. ``coarsen`` or ``run`` comes before it.
         """
         rows, cols = self.shape
         count = ways.shape[-1]
         lanes = self.backend.lanes if count % self.backend.lanes == 0 else 1
-        ways, seen = self.backend.upload(ways), self.backend.empty((rows, cols, count), np.float32)  # named, so that they last until the download
-        self.backend.launch("slices", "rays", (cols, rows), self.heights, self.tops, ways, seen, rows, cols, self.width, self.levels, count, lanes=lanes)
+        ways, seen = (
+            self.backend.upload(ways),
+            self.backend.empty((rows, cols, count), np.float32),
+        )  # named, so that they last until the download
+        self.backend.launch(
+            "slices",
+            "rays",
+            (cols, rows),
+            self.heights,
+            self.tops,
+            ways,
+            seen,
+            rows,
+            cols,
+            self.width,
+            self.levels,
+            count,
+            lanes=lanes,
+        )
         return self.backend.download(seen) > 0
 
     def clear(self) -> None:
         """No light yet; :meth:`sectors` adds."""
         self.backend.fill(self.image, 0)
 
-    def sectors(self, ways: np.ndarray, table: np.ndarray, window: tuple[float, float, float, float] | None = None) -> None:
+    def sectors(
+        self, ways: np.ndarray, table: np.ndarray, window: tuple[float, float, float, float] | None = None
+    ) -> None:
         """Add the light of a sky's bright spots, above exact horizons; ``clear`` comes before the first.
 
-        ``ways`` (5, K): azimuth's cosine and sine, width [rad], sine of elevation at which the sector's table begins, and knots per
-        unit of sine. ``table`` (K, knots, 4): integrals of B cos^2 and B sin cos from each knot on, and what to add up to the next.
-        ``window`` (x0, x1, y0, y1) [spacing]: in the plane z = 0, through which the light comes.
+        ``ways`` (5, K): azimuth's cosine and sine, width [rad], sine of elevation at which the sector's table
+        begins, and knots per unit of sine. ``table`` (K, knots, 4): integrals of B cos^2 and B sin cos from
+        each knot on, and what to add up to the next. ``window`` (x0, x1, y0, y1) [spacing]: in the plane z =
+        0, through which the light comes.
         """
         rows, cols = self.shape
         self.coarsen()
@@ -253,8 +409,28 @@ class Slices:
         given[0][:, :found], given[1][:found] = ways, table
         given = [self.backend.upload(array) for array in given]  # held until the kernel is done
         x0, x1, y0, y1 = (-ENDLESS, ENDLESS) * 2 if window is None else map(float, window)
-        self.backend.launch("slices", "sectors", (cols, rows), self.heights, self.tops, *given, self.image, rows, cols, self.width, self.levels, count, knots,
-                            int(self.dark), self.highest, x0, x1, y0, y1, group=self.backend.lines if self.backend.lines > 1 else None)
+        self.backend.launch(
+            "slices",
+            "sectors",
+            (cols, rows),
+            self.heights,
+            self.tops,
+            *given,
+            self.image,
+            rows,
+            cols,
+            self.width,
+            self.levels,
+            count,
+            knots,
+            int(self.dark),
+            self.highest,
+            x0,
+            x1,
+            y0,
+            y1,
+            group=self.backend.lines if self.backend.lines > 1 else None,
+        )
         self.backend.finish()
 
     def download(self) -> np.ndarray:
@@ -269,7 +445,9 @@ def _on_unit(count: int) -> np.ndarray:
 
 
 def _ball_nodes(most: int, shift: float = 0.5) -> np.ndarray:
-    """(most / SLICES, 4, most) float32, as the kernel ``ball`` reads it; ``shift``: where in its step a slice stands."""
+    """(most / SLICES, 4, most) float32, as the kernel ``ball`` reads it; ``shift``: where in its step a slice
+    stands.
+    """
     table = np.zeros((most // SLICES, 4, most), np.float32)
     for block in range(most // SLICES):
         count = SLICES * (block + 1)
@@ -281,7 +459,9 @@ def _ball_nodes(most: int, shift: float = 0.5) -> np.ndarray:
 
 @functools.cache
 def _quad_nodes(most: int) -> np.ndarray:
-    """(most, most, 2) float32, as the kernel ``quad`` reads it: all rules at once by Newton's method on Legendre polynomials."""
+    """(most, most, 2) float32, as the kernel ``quad`` reads it: all rules at once by Newton's method on
+    Legendre polynomials.
+    """
     n, k = np.arange(1, most + 1)[:, None], np.arange(most)
     used = k < n
     x = np.where(used, -np.cos(np.pi * (k + 0.75) / (n + 0.5)), 0.0)
@@ -303,12 +483,22 @@ def _quad_nodes(most: int) -> np.ndarray:
 class Sliced(LightMethod):
     """``solid`` [unit of depth] in ``units`` slices where it stands all round, fewer where it looks small.
 
-    ``rays``: the brightness is the mean along so many rays to the lamp, of every node; else what every slice's chord holds, integrated, and the small
-    bright parts of what is seen through a window have azimuths of their own. The slices of a ball are two images that share none; to refine
-    puts as many slices between them. Those of a quadrangle stand by Gauss and Legendre: other numbers share none.
+    ``rays``: the brightness is the mean along so many rays to the lamp, of every node; else what every
+    slice's chord holds, integrated, and the small bright parts of what is seen through a window have azimuths
+    of their own. The slices of a ball are two images that share none; to refine puts as many slices between
+    them. Those of a quadrangle stand by Gauss and Legendre: other numbers share none.
     """
 
-    def __init__(self, engine: Backend, scene: Scene, source: sources.Source, solid: Ball | Quad, units: int, rays: int = 0, sky: Integrals | None = None):
+    def __init__(
+        self,
+        engine: Backend,
+        scene: Scene,
+        source: sources.Source,
+        solid: Ball | Quad,
+        units: int,
+        rays: int = 0,
+        sky: Integrals | None = None,
+    ):
         self.engine, self.scene, self.units, self.rays = engine, scene, units, rays
         self.depth, self.step = scene.lattice()
         self.solid, self.scale = widened(solid, self.depth, self.step)
@@ -316,22 +506,47 @@ class Sliced(LightMethod):
         self.factor = None
         self.brightness = 1.0 if rays else source.brightness if sky is None else chords(sky, TURNS, KNOTS)
         if rays:
-            upright = solid._replace(center=(*np.array(self.solid.center) / self.step * (1, 1, -1),), radius=self.solid.radius / self.step) if isinstance(solid, Ball) else Quad(np.asarray(self.solid.corners) / self.step * (1, 1, -1))
-            light = [unoccluded.image(scene, upright, brightness, rays) for brightness in (source.brightness, 1.0)]
+            upright = (
+                solid._replace(
+                    center=(*np.array(self.solid.center) / self.step * (1, 1, -1),),
+                    radius=self.solid.radius / self.step,
+                )
+                if isinstance(solid, Ball)
+                else Quad(np.asarray(self.solid.corners) / self.step * (1, 1, -1))
+            )
+            light = [
+                unoccluded.image(scene, upright, brightness, rays) for brightness in (source.brightness, 1.0)
+            ]
             self.factor = np.divide(*light, out=np.zeros(scene.shape, np.float32), where=light[1] > 0)
         self.levels = [SHIFT]
         self._run()
 
     def _run(self):
-        slices = Slices(self.engine, self.depth, self.step, self.scene.sides, self.solid, self.brightness, self.units, shift=SHIFT)
+        slices = Slices(
+            self.engine,
+            self.depth,
+            self.step,
+            self.scene.sides,
+            self.solid,
+            self.brightness,
+            self.units,
+            shift=SHIFT,
+        )
         slices.run()
-        self.slices, self.mean, self.difference = slices, slices.image, slices.alternating if isinstance(self.solid, Ball) else None
+        self.slices, self.mean, self.difference = (
+            slices,
+            slices.image,
+            slices.alternating if isinstance(self.solid, Ball) else None,
+        )
         self.suns = None
         if self.sky is not None and self.sky.suns:
             found = [sun.sectors(max(8, self.units)) for sun in self.sky.suns]
             bright = Slices(self.engine, self.depth, self.step, self.scene.sides, Dome())
             bright.clear()
-            bright.sectors(*(np.concatenate(parts, axis) for parts, axis in zip(zip(*found), (1, 0))), outline(self.solid, self.step))
+            bright.sectors(
+                *(np.concatenate(parts, axis) for parts, axis in zip(zip(*found), (1, 0))),
+                outline(self.solid, self.step),
+            )
             self.suns = bright.image
 
     def refine(self) -> None:
@@ -350,18 +565,31 @@ class Sliced(LightMethod):
         self.levels += between
         self.units *= 2
         self.difference = first
-        self.engine.launch("ground", "halves", (math.prod(self.scene.shape),), self.mean, self.difference, math.prod(self.scene.shape))
+        self.engine.launch(
+            "ground",
+            "halves",
+            (math.prod(self.scene.shape),),
+            self.mean,
+            self.difference,
+            math.prod(self.scene.shape),
+        )
 
     def _mean(self, image, other, count):
         """The mean of ``count`` images, in ``image``, and one more."""
-        values = self.engine.download(image) * (count / (count + 1)) + self.engine.download(other) / (count + 1)
+        values = self.engine.download(image) * (count / (count + 1)) + self.engine.download(other) / (
+            count + 1
+        )
         return self.engine.upload(values.astype(np.float32))
 
     def irradiance(self) -> np.ndarray:
         image = self._scaled(self.mean)
         if self.sky is not None:
             image = np.maximum(image, 0)  # a difference of sums may round to less
-        return image if self.suns is None else image + np.float32(self.scale) * self.engine.download(self.suns).reshape(image.shape)
+        return (
+            image
+            if self.suns is None
+            else image + np.float32(self.scale) * self.engine.download(self.suns).reshape(image.shape)
+        )
 
     def half(self) -> np.ndarray | None:
         return None if self.difference is None else self._scaled(self.difference)
@@ -375,21 +603,31 @@ class Sliced(LightMethod):
     def estimate(self, limit: float) -> Estimate | None:
         if self.difference is None:
             return None
-        image, half = (values if self.scene.mask is None else values[self.scene.mask] for values in (self.irradiance(), np.abs(self.half())))
+        image, half = (
+            values if self.scene.mask is None else values[self.scene.mask]
+            for values in (self.irradiance(), np.abs(self.half()))
+        )
         lit = image > 0
         mean = float(image.sum(dtype=np.float64)) / lit.sum() if lit.any() else 1e-30
-        return Estimate(math.sqrt(float(np.square(half, dtype=np.float64).mean())) / mean, np.count_nonzero(half > limit) / half.size)
+        return Estimate(
+            math.sqrt(float(np.square(half, dtype=np.float64).mean())) / mean,
+            np.count_nonzero(half > limit) / half.size,
+        )
 
 
 def outline(window: Quad, step: float) -> tuple[float, float, float, float]:
     """x0, x1, y0, y1 [spacing] of a window."""
-    (x0, y0, _), (x1, y1, _) = (of(np.asarray(window.corners, float) / step, axis=0).tolist() for of in (np.min, np.max))
+    (x0, y0, _), (x1, y1, _) = (
+        of(np.asarray(window.corners, float) / step, axis=0).tolist() for of in (np.min, np.max)
+    )
     return x0, x1, y0, y1
 
 
 def widened(solid: Ball | Quad, depth: np.ndarray, step: float) -> tuple[Ball | Quad, float]:
-    """A quadrangle whose thin sides are widened to what float32 can hold as the ground sees it, and what its light must be multiplied by: across so little,
-    light is in proportion to the width. ``depth`` (rows, cols) in a unit in which the spacing is ``step``."""
+    """A quadrangle whose thin sides are widened to what float32 can hold as the ground sees it, and what its
+    light must be multiplied by: across so little, light is in proportion to the width. ``depth`` (rows, cols)
+    in a unit in which the spacing is ``step``.
+    """
     if isinstance(solid, Ball):
         return solid, 1.0
     corners = np.asarray(solid.corners, float)

@@ -7,17 +7,21 @@ import math
 import numpy as np
 
 from .. import sources
-from ..sources.solids import Ball, Quad
-from ..sources.integrals import Integrals, even
 from ..samples import ring
 from ..scene import Scene
+from ..sources.integrals import Integrals, even
+from ..sources.solids import Ball, Quad
 
-ACROSS = 65  # normals along an axis of the table of a sky's light: a uniform sky's is 2e-4 off between them (step^2 / 8 x curvature), none at level ground
+# normals along an axis of the table of a sky's light: a uniform sky's is 2e-4 off between them (step^2 / 8 x
+# curvature), none at level ground
+ACROSS = 65
 AZIMUTHS = 96  # that tables are made of; chosen
 
 
 def gradients(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
-    """d depth/dx and d depth/dy (rows, cols) float32: central differences, one-sided at the border and beside masked nodes."""
+    """d depth/dx and d depth/dy (rows, cols) float32: central differences, one-sided at the border and beside
+    masked nodes.
+    """
     z = scene.depth / np.float32(scene.spacing)
     if scene.mask is None:
         across = [np.gradient(z, axis=a) if z.shape[a] > 1 else np.zeros_like(z) for a in (1, 0)]
@@ -27,15 +31,21 @@ def gradients(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
         room = np.pad(z, [(int(a == axis),) * 2 for a in (0, 1)], constant_values=np.nan)
         low, high = (np.take(room, np.arange(n, n + z.shape[axis]), axis) for n in (0, 2))
         steps = np.maximum(1, np.isfinite(low).astype(np.float32) + np.isfinite(high))
-        found.append(np.nan_to_num((np.where(np.isfinite(high), high, z) - np.where(np.isfinite(low), low, z)) / steps))
+        found.append(
+            np.nan_to_num((np.where(np.isfinite(high), high, z) - np.where(np.isfinite(low), low, z)) / steps)
+        )
     return found[0], found[1]
 
 
-def by_normals(table: np.ndarray | None, azimuths: np.ndarray | None = None, widths: np.ndarray | None = None) -> np.ndarray:
-    """A sky's light (ACROSS, ACROSS) float32 on surfaces that nothing but their tangent plane and the level shades, by normal.
+def by_normals(
+    table: np.ndarray | None, azimuths: np.ndarray | None = None, widths: np.ndarray | None = None
+) -> np.ndarray:
+    """A sky's light (ACROSS, ACROSS) float32 on surfaces that nothing but their tangent plane and the level
+    shades, by normal.
 
-    Row j, column i: the normal whose stereographic projection is 2 i / (ACROSS - 1) - 1 along x and so on, see the kernel ``correct``. ``table``
-    (azimuths, knots, 4) as sweeps take it; None: a uniform sky of brightness 1, pi (1 + cos a) / 2.
+    Row j, column i: the normal whose stereographic projection is 2 i / (ACROSS - 1) - 1 along x and so on,
+    see the kernel ``correct``. ``table`` (azimuths, knots, 4) as sweeps take it; None: a uniform sky of
+    brightness 1, pi (1 + cos a) / 2.
     """
     side = np.linspace(-1, 1, ACROSS)
     u, v = (a.ravel() for a in np.meshgrid(side, side))
@@ -56,8 +66,8 @@ def by_normals(table: np.ndarray | None, azimuths: np.ndarray | None = None, wid
 def sky(scene: Scene, light: Integrals | float) -> np.ndarray:
     """Irradiance (rows, cols) float32 of a sky of which the tangent plane and the level alone hide a part.
 
-    A number: pi B (1 + cos a) / 2. Else by :func:`by_normals`, bilinearly, and every small bright part as if it stood in one
-    direction.
+    A number: pi B (1 + cos a) / 2. Else by :func:`by_normals`, bilinearly, and every small bright part as if
+    it stood in one direction.
     """
     gx, gy = gradients(scene)
     up = 1 / np.sqrt(1 + gx * gx + gy * gy)
@@ -69,7 +79,9 @@ def sky(scene: Scene, light: Integrals | float) -> np.ndarray:
     low = [np.minimum(a.astype(np.int32), ACROSS - 2) for a in at]
     p, q = (a - l for a, l in zip(at, low))
     i, j = low
-    image = (1 - q) * ((1 - p) * table[j, i] + p * table[j, i + 1]) + q * ((1 - p) * table[j + 1, i] + p * table[j + 1, i + 1])
+    image = (1 - q) * ((1 - p) * table[j, i] + p * table[j, i + 1]) + q * (
+        (1 - p) * table[j + 1, i] + p * table[j + 1, i + 1]
+    )
     for sun in light.suns:
         x, y, z = sun.moment.astype(np.float32)
         image += np.maximum(0, gx * x + gy * y + z) * up
@@ -77,19 +89,26 @@ def sky(scene: Scene, light: Integrals | float) -> np.ndarray:
 
 
 def looks_at_all(gx, gy, x, y, z, sine) -> np.ndarray:
-    """Whether a surface of slope (gx, gy) looks at all of a disc of this angular radius round the direction (x, y, z), z upwards. Ground that does so
-    everywhere hides none of the disc from any node: a ray to it leaves the ground and never comes back."""
+    """Whether a surface of slope (gx, gy) looks at all of a disc of this angular radius round the direction
+    (x, y, z), z upwards. Ground that does so everywhere hides none of the disc from any node: a ray to it
+    leaves the ground and never comes back.
+    """
     return gx * x + gy * y + z >= sine * np.sqrt(1 + gx * gx + gy * gy)
 
 
 def lamp(gx, gy, x, y, height, solid: Ball | Quad, brightness, points: int = 1) -> np.ndarray:
-    """Irradiance of elements of slope (gx, gy) at (x, y, height) [spacings] under a ball or a quadrangle that nothing hides but their tangent plane.
+    """Irradiance of elements of slope (gx, gy) at (x, y, height) [spacings] under a ball or a quadrangle that
+    nothing hides but their tangent plane.
 
-    A ball: pi B (R / d)^2 cos where it stands wholly above the plane, and the closed form of the part above it (Howell, Menguc,
-    Daun and Siegel 2020, factor B-43). A quadrangle: Lambert's polygon, none where it turns negative. A brightness that
-    varies is taken along ``points`` rays to parts of the source of equal size, 1 or a power of 4, each weighed by the light that it would bring. Arrays that broadcast; the level hides nothing.
+    A ball: pi B (R / d)^2 cos where it stands wholly above the plane, and the closed form of the part above
+    it (Howell, Menguc, Daun and Siegel 2020, factor B-43). A quadrangle: Lambert's polygon, none where it
+    turns negative. A brightness that varies is taken along ``points`` rays to parts of the source of equal
+    size, 1 or a power of 4, each weighed by the light that it would bring. Arrays that broadcast; the level
+    hides nothing.
     """
-    middle = np.array(solid.center if isinstance(solid, Ball) else np.asarray(solid.corners).mean(0), np.float32)
+    middle = np.array(
+        solid.center if isinstance(solid, Ball) else np.asarray(solid.corners).mean(0), np.float32
+    )
     to = middle[0] - x, middle[1] - y, middle[2] - height
     up = 1 / np.sqrt(1 + gx * gx + gy * gy)
     square = to[0] ** 2 + to[1] ** 2 + to[2] ** 2
@@ -104,7 +123,15 @@ def lamp(gx, gy, x, y, height, solid: Ball | Quad, brightness, points: int = 1) 
             c, r = (np.broadcast_to(v, light.shape).ravel()[cut].astype(float) for v in (cosine, ratio))
             h, sine = 1 / r, np.sqrt(np.maximum(1 - c * c, 1e-12))
             root = np.sqrt(np.maximum(h * h - 1, 0))
-            part = 0.5 - np.arcsin(np.clip(root / (h * sine), -1, 1)) / np.pi + (c * np.arccos(np.clip(-root * c / sine, -1, 1)) - root * np.sqrt(np.maximum(0, 1 - (h * c) ** 2))) / (np.pi * h * h)
+            part = (
+                0.5
+                - np.arcsin(np.clip(root / (h * sine), -1, 1)) / np.pi
+                + (
+                    c * np.arccos(np.clip(-root * c / sine, -1, 1))
+                    - root * np.sqrt(np.maximum(0, 1 - (h * c) ** 2))
+                )
+                / (np.pi * h * h)
+            )
             light = light.ravel()
             light[cut] = np.pi * np.maximum(part, 0)
             light = light.reshape(far.shape)
@@ -124,24 +151,47 @@ def lamp(gx, gy, x, y, height, solid: Ball | Quad, brightness, points: int = 1) 
             size = np.sqrt(way[0] ** 2 + way[1] ** 2 + way[2] ** 2)
             if points > 1:
                 weight = weight * np.maximum(0, (way[0] * gx + way[1] * gy + way[2]) / size)
-            direction = np.stack(np.broadcast_arrays(way[0] / size, way[1] / size, np.minimum(-way[2] / size, 0)), -1)
-            total, whole = total + weight * sources.radiance(sources.Sky(brightness), direction), whole + weight
+            direction = np.stack(
+                np.broadcast_arrays(way[0] / size, way[1] / size, np.minimum(-way[2] / size, 0)), -1
+            )
+            total, whole = (
+                total + weight * sources.radiance(sources.Sky(brightness), direction),
+                whole + weight,
+            )
         return (light * (total / whole)).astype(np.float32)
     return (light * float(brightness)).astype(np.float32)
 
 
 def _rays(solid, to, x, y, height, points):
-    """``points`` vectors to a source from (x, y, height), ``to`` that to its middle, each for as much of it, and a weight for each."""
+    """``points`` vectors to a source from (x, y, height), ``to`` that to its middle, each for as much of it,
+    and a weight for each.
+    """
     if isinstance(solid, Quad):
         corners = np.asarray(solid.corners, np.float32)
         edges = corners[1] - corners[0], corners[3] - corners[0]
         long, wide = (float(np.linalg.norm(edge)) for edge in edges)
-        along = int(np.clip(2 ** round(math.log2(points) / 2 + math.log2(max(long, 1e-30) / max(wide, 1e-30)) / 2), 1, points))  # cells as square as can be
+        along = int(
+            np.clip(
+                2 ** round(math.log2(points) / 2 + math.log2(max(long, 1e-30) / max(wide, 1e-30)) / 2),
+                1,
+                points,
+            )
+        )  # cells as square as can be
         normal = np.cross(*edges)
         for i in range(along):
             for j in range(points // along):
-                way = [corners[0][n] + (i + 0.5) / along * edges[0][n] + (j + 0.5) / (points // along) * edges[1][n] - at for n, at in enumerate((x, y, height))]
-                yield way, np.abs(way[0] * normal[0] + way[1] * normal[1] + way[2] * normal[2]) / (way[0] ** 2 + way[1] ** 2 + way[2] ** 2) ** 1.5
+                way = [
+                    corners[0][n]
+                    + (i + 0.5) / along * edges[0][n]
+                    + (j + 0.5) / (points // along) * edges[1][n]
+                    - at
+                    for n, at in enumerate((x, y, height))
+                ]
+                yield (
+                    way,
+                    np.abs(way[0] * normal[0] + way[1] * normal[1] + way[2] * normal[2])
+                    / (way[0] ** 2 + way[1] ** 2 + way[2] ** 2) ** 1.5,
+                )
         return
     if points == 1:
         yield to, 1.0
@@ -150,13 +200,22 @@ def _rays(solid, to, x, y, height, points):
     c, s, rise = to[0] / np.maximum(flat, 1e-9), to[1] / np.maximum(flat, 1e-9), -to[2] / far
     rings = max(1, round(math.sqrt(points) / 2))
     for number in range(rings):
-        out = np.minimum(np.float32(math.sqrt((number + 0.5) / rings)) * solid.radius / far, 0.99)  # sine of the angle from the middle; rings of equal area
+        out = np.minimum(
+            np.float32(math.sqrt((number + 0.5) / rings)) * solid.radius / far, 0.99
+        )  # sine of the angle from the middle; rings of equal area
         secant = 1 / np.sqrt(1 - out * out)
         tangent = out * secant * far
         for n in range(points // rings):
             angle = 2 * math.pi * (n + 0.5 * (number % 2)) / (points // rings)
             across, up = math.cos(angle), math.sin(angle)
-            yield (to[0] + tangent * (-across * s + up * c * rise), to[1] + tangent * (across * c + up * s * rise), to[2] + tangent * up * flat / far), secant
+            yield (
+                (
+                    to[0] + tangent * (-across * s + up * c * rise),
+                    to[1] + tangent * (across * c + up * s * rise),
+                    to[2] + tangent * up * flat / far,
+                ),
+                secant,
+            )
 
 
 def image(scene: Scene, solid: Ball | Quad, brightness, points: int = 1) -> np.ndarray:
@@ -164,5 +223,7 @@ def image(scene: Scene, solid: Ball | Quad, brightness, points: int = 1) -> np.n
     gx, gy = gradients(scene)
     rows, cols = scene.shape
     x, y = np.arange(cols, dtype=np.float32), np.arange(rows, dtype=np.float32)[:, None]
-    depth = scene.depth if scene.mask is None else np.nan_to_num(scene.depth)  # a brightness function is given no NaN
+    depth = (
+        scene.depth if scene.mask is None else np.nan_to_num(scene.depth)
+    )  # a brightness function is given no NaN
     return lamp(gx, gy, x, y, depth / np.float32(-scene.spacing), solid, brightness, points)

@@ -8,17 +8,18 @@ from typing import NamedTuple
 import numpy as np
 
 BYTE = 8  # visibility bits of one walk and node that a plane holds
-FREE = 1e30  # a rise after which nothing blocks; so small beside the largest float32 that adding it changes nothing there
+# a rise after which nothing blocks; so small beside the largest float32 that adding it changes nothing there
+FREE = 1e30
 
 
 class Group(NamedTuple):
     """Walks with equally many elevations. A walk is an azimuth (i, j) with up to 8 of its elevations.
 
-    The kernels' arguments of these names, see opencl/scan.cl, source.cl and filled.cl: walks (count, 8) int32,
-    rise (count, bits) float32, crossings (n, 8) int32, climbs (n, bits) float32, spans (count, 2) int32, and
-    directions (count, bits) int32, the number of each direction. Walks along rows (j = 0) are walks along columns of the
-    turned map, so that neighbours in memory stay neighbours; what they write is turned back, plane by plane: pairs
-    (turned walks, 2) int32, (from, to).
+    The kernels' arguments of these names, see opencl/scan.cl, source.cl and filled.cl: walks (count, 8)
+    int32, rise (count, bits) float32, crossings (n, 8) int32, climbs (n, bits) float32, spans (count, 2)
+    int32, and directions (count, bits) int32, the number of each direction. Walks along rows (j = 0) are
+    walks along columns of the turned map, so that neighbours in memory stay neighbours; what they write is
+    turned back, plane by plane: pairs (turned walks, 2) int32, (from, to).
     """
 
     pairs: np.ndarray
@@ -38,16 +39,29 @@ class Group(NamedTuple):
         return self.directions.shape[1]
 
 
-def walk_groups(steps: np.ndarray, shape: tuple[int, int], relief: float, step: float, periodic: bool, filled: bool, most: int) -> list[Group]:
-    """The directions ``steps`` (D, 3) over a map of ``shape``, ``most`` walks a group; relief and step in the unit of depth."""
+def walk_groups(
+    steps: np.ndarray,
+    shape: tuple[int, int],
+    relief: float,
+    step: float,
+    periodic: bool,
+    filled: bool,
+    most: int,
+) -> list[Group]:
+    """The directions ``steps`` (D, 3) over a map of ``shape``, ``most`` walks a group; relief and step in the
+    unit of depth.
+    """
     ways: dict[tuple[int, int], list[tuple[int, int]]] = {}
     for d, (i, j, up) in enumerate(steps.tolist()):
         ways.setdefault((i, j), []).append((-up, d))
     chunks = []
     for way, members in ways.items():
-        chunks += [(way, part) for part in np.array_split(np.array(sorted(members)), -(-len(members) // BYTE))]
+        chunks += [
+            (way, part) for part in np.array_split(np.array(sorted(members)), -(-len(members) // BYTE))
+        ]
 
-    # Many elevations first; within a size the longest lines first, so that none is left to run alone at the end.
+    # Many elevations first; within a size the longest lines first, so that none is left to run alone at the
+    # end.
     chunks.sort(key=lambda c: (-len(c[1]), abs(c[0][1]) or abs(c[0][0]), c[0], c[1][0, 0]))
     groups = []
     while chunks:
@@ -69,18 +83,33 @@ def _group(chunks, shape, relief, step, periodic, filled):
         crossings += points
         climbs += [point[6] * k * step for point in points]
         i = i % cols if periodic else i
-        if (i == 0 and j == 0) or abs(i) >= cols:  # straight up, or off the map at once: no node stands in another's way
+        if (i == 0 and j == 0) or abs(
+            i
+        ) >= cols:  # straight up, or off the map at once: no node stands in another's way
             i, j, warm = 0, 1, 0
             rise.append(np.full(len(k), FREE))
         else:
             climbing = k[k > 0]  # a level ray starts from its whole cycle instead
-            warm = min(cycle_length(i, j, rows, cols), math.ceil(relief / (climbing.min() * step)) + 1) if periodic and len(climbing) else 0
+            warm = (
+                min(cycle_length(i, j, rows, cols), math.ceil(relief / (climbing.min() * step)) + 1)
+                if periodic and len(climbing)
+                else 0
+            )
             rise.append(k * step * parts)
         if turned:
             pairs.append((len(chunks) + len(pairs), w))
-        walks.append((i, j, warm, warm * i % cols, warm * j % rows, parts, turned, pairs[-1][0] if turned else w))
-    return Group(np.array(pairs, np.int32).reshape(-1, 2), np.array(walks, np.int32), np.array(rise, np.float32), np.array(crossings, np.int32),
-                 np.array(climbs, np.float32), np.array(spans, np.int32), np.array([members[:, 1] for _, members in chunks], np.int32))
+        walks.append(
+            (i, j, warm, warm * i % cols, warm * j % rows, parts, turned, pairs[-1][0] if turned else w)
+        )
+    return Group(
+        np.array(pairs, np.int32).reshape(-1, 2),
+        np.array(walks, np.int32),
+        np.array(rise, np.float32),
+        np.array(crossings, np.int32),
+        np.array(climbs, np.float32),
+        np.array(spans, np.int32),
+        np.array([members[:, 1] for _, members in chunks], np.int32),
+    )
 
 
 def cycle_length(i: int, j: int, rows: int, cols: int) -> int:
@@ -109,7 +138,8 @@ def crossings_of(i: int, j: int, filled: bool) -> tuple[list[tuple[int, ...]], i
 
 
 def lap_table(depth: np.ndarray, ways: list[tuple[int, int]], filled: bool) -> np.ndarray:
-    """(walks, lines) float32: the least depth x parts on the cycle of each line of the walks, on a map that repeats.
+    """(walks, lines) float32: the least depth x parts on the cycle of each line of the walks, on a map that
+    repeats.
 
     Line r * across + n of a walk is the n-th of residue r: side by side in x, or in y where j = 0.
     """
@@ -124,7 +154,9 @@ def lap_table(depth: np.ndarray, ways: list[tuple[int, int]], filled: bool) -> n
         residue, lane = np.divmod(np.arange(lines[w]), across)
         start = along - 1 - residue if stride > 0 else residue
         table[w, : lines[w]] = least[i, j][start, lane] if j else least[i, j][lane, start]
-    return np.minimum(table, np.finfo(np.float32).max)  # where a whole cycle is masked; see the first ceilings of scan
+    return np.minimum(
+        table, np.finfo(np.float32).max
+    )  # where a whole cycle is masked; see the first ceilings of scan
 
 
 def _cycle_minimum(depth, i, j, filled):

@@ -1,8 +1,9 @@
-"""Skies of the field: the fifteen of the CIE standard general sky, the sun's disc in them, and where the sun stands.
+"""Skies of the field: the fifteen of the CIE standard general sky, the sun's disc in them, and where the sun
+stands.
 
-Directions of the sky are told as in terrain analysis and solar engineering: azimuth [degree] clockwise from geographic
-north (-y), so that 90 is east (+x), and elevation [degree] above the horizon. Brightness functions take the house's unit
-vectors.
+Directions of the sky are told as in terrain analysis and solar engineering: azimuth [degree] clockwise from
+geographic north (-y), so that 90 is east (+x), and elevation [degree] above the horizon. Brightness functions
+take the house's unit vectors.
 """
 
 from __future__ import annotations
@@ -31,9 +32,9 @@ WITHOUT_SUN = (1, 3, 5)  # whose brightness does not depend on where the sun sta
 class CieSky:
     """A brightness function, made by :func:`cie_sky`: (..., 3) unit vectors -> (...), 0 below the horizon.
 
-    ``sun`` (azimuth, elevation) [degree] or None; ``zenith``: brightness of the zenith; ``direct``: irradiance by the sun's
-    disc of a surface that faces it. The function itself is the sky without the disc, which :func:`skylamp.render` adds by
-    slices: no set of directions is fine enough for it.
+    ``sun`` (azimuth, elevation) [degree] or None; ``zenith``: brightness of the zenith; ``direct``:
+    irradiance by the sun's disc of a surface that faces it. The function itself is the sky without the disc,
+    which :func:`skylamp.render` adds by slices: no set of directions is fine enough for it.
     """
 
     type: int
@@ -54,9 +55,15 @@ class CieSky:
         return np.where(up >= 0, light, 0.0)
 
     def disc(self, distance: float) -> Lamp:
-        """The sun's disc as a ball so far away [unit of spacing], evenly bright: direct = pi B sin^2(SUN_RADIUS)."""
+        """The sun's disc as a ball so far away [unit of spacing], evenly bright: direct = pi B
+        sin^2(SUN_RADIUS).
+        """
         share = np.sin(np.radians(SUN_RADIUS))
-        return Lamp(center=tuple(distance * towards(*self.sun)), radius=distance * share, brightness=self.direct / (np.pi * share**2))
+        return Lamp(
+            center=tuple(distance * towards(*self.sun)),
+            radius=distance * share,
+            brightness=self.direct / (np.pi * share**2),
+        )
 
     @property
     def peaks(self) -> tuple:
@@ -66,35 +73,48 @@ class CieSky:
     def with_disc(self, L) -> np.ndarray:
         """The brightness with the sun's disc, direct / (pi sin^2 SUN_RADIUS) within it."""
         radius = np.radians(SUN_RADIUS)
-        return self(L) + np.where(np.asarray(L, float) @ towards(*self.sun) > np.cos(radius), self.direct / (np.pi * np.sin(radius) ** 2), 0.0)
+        return self(L) + np.where(
+            np.asarray(L, float) @ towards(*self.sun) > np.cos(radius),
+            self.direct / (np.pi * np.sin(radius) ** 2),
+            0.0,
+        )
 
     def horizontal(self) -> float:
         """Irradiance of an open level surface by the sky without the disc [unit of brightness x sr]."""
         return self.zenith * _horizontal(self.type, self.sun)
 
 
-def cie_sky(type: int, sun: tuple[float, float] | None = None, zenith: float | None = None, *, horizontal: float | None = None, direct: float = 0.0) -> CieSky:
-    """A sky of the CIE standard general sky (ISO 15469:2004), as a brightness function for :class:`skylamp.Sky`.
+def cie_sky(
+    type: int,
+    sun: tuple[float, float] | None = None,
+    zenith: float | None = None,
+    *,
+    horizontal: float | None = None,
+    direct: float = 0.0,
+) -> CieSky:
+    """A sky of the CIE standard general sky (ISO 15469:2004), as a brightness function for
+    :class:`skylamp.Sky`.
 
-    B(L) / B(zenith) = f(chi) phi(Z) / (f(Z_sun) phi(0)), with Z the angle from the zenith, chi the angle from the sun,
-    phi(Z) = 1 + a exp(b / cos Z) and f(chi) = 1 + c (exp(d chi) - exp(d pi / 2)) + e cos^2 chi.
+    B(L) / B(zenith) = f(chi) phi(Z) / (f(Z_sun) phi(0)), with Z the angle from the zenith, chi the angle from
+    the sun, phi(Z) = 1 + a exp(b / cos Z) and f(chi) = 1 + c (exp(d chi) - exp(d pi / 2)) + e cos^2 chi.
 
     Parameters
     ----------
     type : 1 to 15
-        1: overcast, steep gradation (the CIE standard overcast sky's pattern), 5: uniform, 7: partly cloudy, 12: the CIE
-        standard clear sky of low turbidity, 13: that of a polluted atmosphere, 15: white-blue turbid with a broad corona.
+        1: overcast, steep gradation (the CIE standard overcast sky's pattern), 5: uniform, 7: partly cloudy,
+        12: the CIE standard clear sky of low turbidity, 13: that of a polluted atmosphere, 15: white-blue
+        turbid with a broad corona.
     sun : (azimuth, elevation) [degree]
-        Clockwise from north (-y), above the horizon (0 to 90); see :func:`sun_position`. Not needed for 1, 3 and 5,
-        which look alike at any hour.
+        Clockwise from north (-y), above the horizon (0 to 90); see :func:`sun_position`. Not needed for 1, 3
+        and 5, which look alike at any hour.
     zenith : float [unit of brightness]
         Brightness of the zenith, 1 unless given.
     horizontal : float [unit of brightness x sr], optional
         Instead of ``zenith``: the diffuse irradiance of open level ground, which the sky is scaled to.
     direct : float [unit of brightness x sr]
-        Irradiance by the sun's disc of a surface that faces it; 0, no disc, unless given. The disc has a radius of 0.2665
-        degrees and is evenly bright, direct / (pi sin^2 radius). It needs ``render`` with method="horizon" and sides "open"
-        or "dark"; everything else says that it has no direction as small.
+        Irradiance by the sun's disc of a surface that faces it; 0, no disc, unless given. The disc has a
+        radius of 0.2665 degrees and is evenly bright, direct / (pi sin^2 radius). It needs ``render`` with
+        method="horizon" and sides "open" or "dark"; everything else says that it has no direction as small.
 
     Raises
     ------
@@ -104,7 +124,12 @@ def cie_sky(type: int, sun: tuple[float, float] | None = None, zenith: float | N
     if isinstance(type, bool) or type not in PARAMETERS:
         raise bad("cie_sky: type", repr(type), "a whole number from 1 to 15")
     if sun is None and (type not in WITHOUT_SUN or direct):
-        raise bad(f"cie_sky: type {type}{' with direct' * bool(direct)}", "no sun", "sun=(azimuth, elevation) in degrees", "sun_position gives it from time and place.")
+        raise bad(
+            f"cie_sky: type {type}{' with direct' * bool(direct)}",
+            "no sun",
+            "sun=(azimuth, elevation) in degrees",
+            "sun_position gives it from time and place.",
+        )
     if sun is not None:
         sun = _angles(sun)
     if zenith is not None and horizontal is not None:
@@ -115,16 +140,27 @@ def cie_sky(type: int, sun: tuple[float, float] | None = None, zenith: float | N
     return CieSky(int(type), sun, _brightness_number(1.0 if zenith is None else zenith), direct)
 
 
-def cie_clear(sun: tuple[float, float], zenith: float | None = None, *, turbid: bool = False, horizontal: float | None = None, direct: float = 0.0) -> CieSky:
-    """The CIE standard clear sky: type 12 of :func:`cie_sky`, or 13 where ``turbid``. Arguments and errors as there."""
+def cie_clear(
+    sun: tuple[float, float],
+    zenith: float | None = None,
+    *,
+    turbid: bool = False,
+    horizontal: float | None = None,
+    direct: float = 0.0,
+) -> CieSky:
+    """The CIE standard clear sky: type 12 of :func:`cie_sky`, or 13 where ``turbid``. Arguments and errors as
+    there.
+    """
     return cie_sky(13 if turbid else 12, sun, zenith, horizontal=horizontal, direct=direct)
 
 
 def sun_position(time, latitude: float, longitude: float, altitude: float = 0.0) -> tuple[float, float]:
-    """(azimuth, elevation) of the sun [degree], for ``sun`` of :func:`cie_sky`; elevation with refraction, below 0 at night.
+    """(azimuth, elevation) of the sun [degree], for ``sun`` of :func:`cie_sky`; elevation with refraction,
+    below 0 at night.
 
-    ``time``: a datetime that knows its time zone, or such a time as ISO 8601 text ("2026-06-21T09:00+02:00"). ``latitude``,
-    ``longitude`` [degree], north and east positive; ``altitude`` [metre]. By pvlib (NREL's algorithm, Reda and Andreas 2004).
+    ``time``: a datetime that knows its time zone, or such a time as ISO 8601 text ("2026-06-21T09:00+02:00").
+    ``latitude``, ``longitude`` [degree], north and east positive; ``altitude`` [metre]. By pvlib (NREL's
+    algorithm, Reda and Andreas 2004).
 
     Raises InputError for a time without a zone or a place that is not on Earth, or if pvlib is not installed.
     """
@@ -132,21 +168,34 @@ def sun_position(time, latitude: float, longitude: float, altitude: float = 0.0)
         when = datetime.datetime.fromisoformat(time) if isinstance(time, str) else time
         known = when.utcoffset() is not None
     except (ValueError, AttributeError):
-        raise bad("sun_position: time", repr(time), "a datetime, or ISO 8601 text, with its time zone") from None
+        raise bad(
+            "sun_position: time", repr(time), "a datetime, or ISO 8601 text, with its time zone"
+        ) from None
     if not known:
-        raise bad("sun_position: time without a zone", str(time), "a time that knows its zone", "Append Z for universal time, or +02:00.")
+        raise bad(
+            "sun_position: time without a zone",
+            str(time),
+            "a time that knows its zone",
+            "Append Z for universal time, or +02:00.",
+        )
     try:
         numbers = tuple(float(v) for v in (latitude, longitude, altitude))
     except (TypeError, ValueError):
         numbers = (np.nan,)
     if not (np.isfinite(numbers).all() and abs(numbers[0]) <= 90 and abs(numbers[1]) <= 360):
-        raise bad("sun_position: place", (latitude, longitude, altitude), "latitude -90 to 90, longitude -360 to 360 [degree], altitude [metre]")
+        raise bad(
+            "sun_position: place",
+            (latitude, longitude, altitude),
+            "latitude -90 to 90, longitude -360 to 360 [degree], altitude [metre]",
+        )
     try:
         import pandas
         import pvlib
     except ImportError as error:
         raise lacking("sun_position", "pvlib", "sun") from error
-    found = pvlib.solarposition.get_solarposition(pandas.DatetimeIndex([when]), numbers[0], numbers[1], altitude=numbers[2])
+    found = pvlib.solarposition.get_solarposition(
+        pandas.DatetimeIndex([when]), numbers[0], numbers[1], altitude=numbers[2]
+    )
     return float(found["azimuth"].iloc[0]), float(found["apparent_elevation"].iloc[0])
 
 
@@ -167,10 +216,19 @@ def _angles(sun) -> tuple[float, float]:
 
 
 def _horizontal(type: int, sun) -> float:
-    """Irradiance of level ground for a zenith of 1: Gauss-Legendre in the square of the sine, 128 azimuths from the sun's."""
+    """Irradiance of level ground for a zenith of 1: Gauss-Legendre in the square of the sine, 128 azimuths
+    from the sun's.
+    """
     node, weight = np.polynomial.legendre.leggauss(96)
     sine = (1 + node) / 2
     azimuth = 2 * np.pi * (np.arange(128) + 0.5) / 128 + (np.radians(sun[0]) if sun else 0.0)
     cosine = np.sqrt(1 - sine**2)
-    L = np.stack([cosine * np.sin(azimuth[:, None]), -cosine * np.cos(azimuth[:, None]), np.broadcast_to(-sine, (128, 96))], -1)
+    L = np.stack(
+        [
+            cosine * np.sin(azimuth[:, None]),
+            -cosine * np.cos(azimuth[:, None]),
+            np.broadcast_to(-sine, (128, 96)),
+        ],
+        -1,
+    )
     return float(np.pi / 128 * (CieSky(type, sun, 1.0)(L) @ (weight * sine)).sum())

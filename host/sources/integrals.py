@@ -1,9 +1,11 @@
-"""A sky's brightness as integrals over sectors of azimuth and bands of elevation, with its small bright parts apart.
+"""A sky's brightness as integrals over sectors of azimuth and bands of elevation, with its small bright parts
+apart.
 
-The hemisphere is divided into cells about 0.15 degrees wide. A function is evaluated once in every cell; where it differs
-between neighbours the cell is divided, again and again, until what is left to divide carries less than SHARE of the light.
-An environment map is integrated pixel by pixel. What is small and bright (suns, lights, spots; any number) is found from the
-cells and gets azimuths of its own. Everything here is float64 and on the host.
+The hemisphere is divided into cells about 0.15 degrees wide. A function is evaluated once in every cell;
+where it differs between neighbours the cell is divided, again and again, until what is left to divide carries
+less than SHARE of the light. An environment map is integrated pixel by pixel. What is small and bright (suns,
+lights, spots; any number) is found from the cells and gets azimuths of its own. Everything here is float64
+and on the host.
 """
 
 from __future__ import annotations
@@ -19,31 +21,49 @@ import numpy as np
 from .. import sources
 from ..directions import Azimuths
 
-ROWS, COLS = 640, 2304  # cells from the horizon to the zenith, and round the horizon: a disc of 0.1 degrees radius holds a sample
+ROWS, COLS = (
+    640,
+    2304,
+)  # cells from the horizon to the zenith, and round the horizon: a disc of 0.1 degrees radius holds a sample
 COARSE_ROWS, COARSE_COLS = 180, 576  # the same where narrow features are named: cells of half a degree
-GOLDEN = 0.6180339887498949  # of a cell: every row starts so much farther on, so that no border in azimuth runs along cells
+# of a cell: every row starts so much farther on, so that no border in azimuth runs along cells
+GOLDEN = 0.6180339887498949
 PLACES = 0.7548776662466927, 0.5698402909980532  # steps of a low-discrepancy sequence in two dimensions
-ROUGH = 0.05  # steps, over the brightness, from which a cell is no smooth one; chosen above the 0.006 by which a spot of cos^900 bends a cell
-SHARE = 2e-6  # of all light: a cell that steps by more is divided. Level ground under ten suns is then 2e-5 to 7e-5 off (tests/test_brightness.py)
+# steps, over the brightness, from which a cell is no smooth one; chosen above the 0.006 by which a spot of
+# cos^900 bends a cell
+ROUGH = 0.05
+# of all light: a cell that steps by more is divided. Level ground under ten suns is then 2e-5 to 7e-5 off
+# (tests/test_brightness.py)
+SHARE = 2e-6
 DIM = 1e-9  # of all light: what steps by less in a cell cannot matter, a million cells of it are 1e-6 off
-LOOKS = 5  # looks along each side of a rough cell that is not divided; chosen: with 3, twenty stripes are 2e-4 off, with 1 six times that
+# looks along each side of a rough cell that is not divided; chosen: with 3, twenty stripes are 2e-4 off, with
+# 1 six times that
+LOOKS = 5
 PARTS = 4  # into which a cell is divided along each side
 DEEPEST = 9  # divisions: 0.15 degrees / 4^9 = 2e-6 degrees
-MOST = 2**20  # evaluations in divided cells, as many as in the first ones: the largest steps are divided first, and `error` tells the rest
+MOST = (
+    2**20
+    # evaluations in divided cells, as many as in the first ones: the largest steps are divided first, and `error`
+    # tells the rest
+)
 ENOUGH = 2e-5  # relative error at which no cell is divided any more: a fifth of what level ground is held to
 AT_ONCE = 2**13  # directions that are evaluated at a time; chosen: what stays in a cache is quicker
 BRIGHT = 4.0  # times the median brightness from which on light may belong to a small part; chosen
 DARK = 1e-6  # of the brightest, from which on levels are tried where the sky is dark; chosen
 FAINT = 0.1  # tolerances that small parts may give together and stay with the rest; chosen
 WIDEST = math.pi / 6  # azimuth that a small part may span, 30 degrees: even azimuths resolve what is wider
-INNER = 0.1  # share of a small part's light from which on what is far brighter in it stands for itself; chosen
+INNER = (
+    0.1  # share of a small part's light from which on what is far brighter in it stands for itself; chosen
+)
 FINEST = 16  # parts that a cell is cut into for narrow sectors
 GAP = math.radians(1)  # of darkness between two small parts; chosen: parts nearer than that share azimuths
 KNOTS, SUN_KNOTS = 257, 65  # of the tables of a sky and of a small part, evenly in the sine of elevation
 
 
 class Cells(NamedTuple):
-    """Parts of the sky, (n,) each: azimuth and width of it [rad], elevations [rad], brightness, and the number of the base cell."""
+    """Parts of the sky, (n,) each: azimuth and width of it [rad], elevations [rad], brightness, and the
+    number of the base cell.
+    """
 
     azimuth: np.ndarray
     width: np.ndarray
@@ -67,7 +87,9 @@ class Cells(NamedTuple):
 
 @dataclass(frozen=True)
 class Sun:
-    """A small bright part of a sky: its cells in order of azimuth, which may run past 2 pi, what they are brighter than ``limit`` as their light."""
+    """A small bright part of a sky: its cells in order of azimuth, which may run past 2 pi, what they are
+    brighter than ``limit`` as their light.
+    """
 
     cells: Cells
     limit: float
@@ -85,7 +107,9 @@ class Sun:
 
     @cached_property
     def cone(self) -> tuple[np.ndarray, float]:
-        """A unit vector, third component upwards, and the sine of the radius of a disc round it that holds every cell."""
+        """A unit vector, third component upwards, and the sine of the radius of a disc round it that holds
+        every cell.
+        """
         middle = self.moment / np.linalg.norm(self.moment)
         e, a = (self.cells.low + self.cells.high) / 2, self.cells.azimuth
         cosine = np.cos(e) * (middle[0] * np.cos(a) + middle[1] * np.sin(a)) + middle[2] * np.sin(e)
@@ -94,21 +118,29 @@ class Sun:
 
     @cached_property
     def _rows(self) -> tuple[tuple[np.ndarray, np.ndarray], np.ndarray]:
-        """The elevations between which its cells lie, (lowest, highest) of every row of them, and each cell's row."""
+        """The elevations between which its cells lie, (lowest, highest) of every row of them, and each cell's
+        row.
+        """
         rows, row = np.unique(self.cells.low + 1j * self.cells.high, return_inverse=True)
         return (rows.real, rows.imag), row
 
     def sectors(self, count: int, shifted: bool = False) -> tuple[np.ndarray, np.ndarray]:
-        """Its light in ``count`` sectors of azimuth that have equal shares of it: ways (5, K) and table (K, SUN_KNOTS, 4) as the kernel
-        `sectors` takes them. ``shifted``: borders half a sector on, so that there are ``count`` + 1."""
+        """Its light in ``count`` sectors of azimuth that have equal shares of it: ways (5, K) and table (K,
+        SUN_KNOTS, 4) as the kernel `sectors` takes them. ``shifted``: borders half a sector on, so that there
+        are ``count`` + 1.
+        """
         cells, (ends, row) = self.cells, self._rows
         span = float(np.ptp(cells.azimuth)) + float(cells.width.max())
-        times = np.clip(np.ceil(2 * count * cells.width / span), 1, FINEST).astype(int)  # no cell wider than half a sector
+        times = np.clip(np.ceil(2 * count * cells.width / span), 1, FINEST).astype(
+            int
+        )  # no cell wider than half a sector
         if times.max() > 1:
             part = np.arange(times.sum()) - np.repeat(np.cumsum(times) - times, times)
             which, times = np.repeat(np.arange(len(times)), times), np.repeat(times, times)
             cells = cells.pick(which)
-            cells = cells._replace(azimuth=cells.azimuth + cells.width * ((part + 0.5) / times - 0.5), width=cells.width / times)
+            cells = cells._replace(
+                azimuth=cells.azimuth + cells.width * ((part + 0.5) / times - 0.5), width=cells.width / times
+            )
             order = np.argsort(cells.azimuth, kind="stable")
             cells, row = cells.pick(order), row[which][order]
         moments = cells.moments
@@ -119,18 +151,35 @@ class Sun:
         edges, group = np.flatnonzero(begins), np.cumsum(begins) - 1
         first, last = math.sin(cells.low.min()), math.sin(cells.high.max())
         low, high = (np.sin(ends)[:, None] for ends in ends)
-        ramp = np.clip((high - np.linspace(first, last, SUN_KNOTS)) / np.maximum(high - low, 1e-12), 0, 1)  # share of a row above every knot
+        ramp = np.clip(
+            (high - np.linspace(first, last, SUN_KNOTS)) / np.maximum(high - low, 1e-12), 0, 1
+        )  # share of a row above every knot
         ramp[:, 0] = 1  # of which rounding takes a part
-        table = np.stack([np.bincount(group * len(low) + row, moment, len(edges) * len(low)).reshape(len(edges), -1) @ ramp for moment in moments])
+        table = np.stack(
+            [
+                np.bincount(group * len(low) + row, moment, len(edges) * len(low)).reshape(len(edges), -1)
+                @ ramp
+                for moment in moments
+            ]
+        )
         weight = moments.sum(0)
         angle = np.add.reduceat(weight * cells.azimuth, edges) / np.add.reduceat(weight, edges)
-        ways = np.stack([np.cos(angle), np.sin(angle), np.ones(len(edges)), np.full(len(edges), first), np.full(len(edges), (SUN_KNOTS - 1) / (last - first))])
+        ways = np.stack(
+            [
+                np.cos(angle),
+                np.sin(angle),
+                np.ones(len(edges)),
+                np.full(len(edges), first),
+                np.full(len(edges), (SUN_KNOTS - 1) / (last - first)),
+            ]
+        )
         return ways.astype(np.float32), _with_steps(table)
 
 
 class Band(NamedTuple):
-    """Rows of equally wide cells: brightness (rows, n); azimuth of the first cell's middle in every row (rows,) [rad], and borders
-    (rows + 1,) [rad] between rows."""
+    """Rows of equally wide cells: brightness (rows, n); azimuth of the first cell's middle in every row
+    (rows,) [rad], and borders (rows + 1,) [rad] between rows.
+    """
 
     light: np.ndarray
     start: np.ndarray
@@ -151,26 +200,41 @@ class Band(NamedTuple):
         return self.light * (self.width * np.diff(_until(self.borders)))[..., None]
 
     def cells(self, row, col, first) -> Cells:
-        return Cells(self.start[row] + col * self.width, np.full(len(col), self.width), self.borders[row], self.borders[row + 1], self.light[row, col], first + row * self.light.shape[1] + col)
+        return Cells(
+            self.start[row] + col * self.width,
+            np.full(len(col), self.width),
+            self.borders[row],
+            self.borders[row + 1],
+            self.light[row, col],
+            first + row * self.light.shape[1] + col,
+        )
 
 
 class Integrals:
     """A grey sky, integrated.
 
-    ``suns``: its small bright parts, brightest first; ``level``: irradiance of open level ground [brightness x sr], suns included, and ``rest``
-    without them; ``error``: estimate of its relative error; ``mean``: brightness of a uniform sky with the same rest; ``variation``: what the rest varies by, over
-    its mean.
+    ``suns``: its small bright parts, brightest first; ``level``: irradiance of open level ground [brightness
+    x sr], suns included, and ``rest`` without them; ``error``: estimate of its relative error; ``mean``:
+    brightness of a uniform sky with the same rest; ``variation``: what the rest varies by, over its mean.
     """
 
-    def __init__(self, source: sources.Sky, tolerance: float = 0.01, fine: bool = False, widest: float = WIDEST):
-        """``fine``: cells are small also where narrow features are named, for what sees little of the sky at a time. ``tolerance`` inf: nothing is taken apart.
-        ``widest``: azimuth that a small part may span [rad]."""
+    def __init__(
+        self, source: sources.Sky, tolerance: float = 0.01, fine: bool = False, widest: float = WIDEST
+    ):
+        """``fine``: cells are small also where narrow features are named, for what sees little of the sky at
+        a time. ``tolerance`` inf: nothing is taken apart. ``widest``: azimuth that a small part may span
+        [rad].
+        """
         function, peaks = source.brightness, _peaks(source)
         if getattr(function, "direct", 0):  # the disc is part of this sky, and stands where it says
             function = function.with_disc
         image = getattr(function, "image", None)
-        bands = _of_map(image) if image is not None else _of_function(function, peaks is not None and not fine)
-        self._look = lambda azimuth, sine: sources.radiance(sources.Sky(function), sources.directions_of(azimuth, sine))
+        bands = (
+            _of_map(image) if image is not None else _of_function(function, peaks is not None and not fine)
+        )
+        self._look = lambda azimuth, sine: sources.radiance(
+            sources.Sky(function), sources.directions_of(azimuth, sine)
+        )
         sizes = np.array([0, *np.cumsum([band.light.size for band in bands])])
         solid = [band.solid_angle for band in bands]
         total = sum(float((angle * band.light).sum()) for band, angle in zip(bands, solid))
@@ -185,13 +249,26 @@ class Integrals:
             for n, part in enumerate(parts):
                 here = np.s_[sizes[n] : sizes[n + 1]]
                 for values, moment in zip(part, leaves.moments):
-                    np.copyto(values, np.bincount(leaves.home, moment, sizes[-1])[here].reshape(values.shape), where=divided[here].reshape(values.shape))
+                    np.copyto(
+                        values,
+                        np.bincount(leaves.home, moment, sizes[-1])[here].reshape(values.shape),
+                        where=divided[here].reshape(values.shape),
+                    )
         self.level = float(sum(part[1].sum() for part in parts))
         bright = [] if leaves is None else [leaves.pick(leaves.light > limit)]
         for n, band in enumerate(bands):
-            row, col = np.nonzero((band.light > limit) & ~divided[sizes[n] : sizes[n + 1]].reshape(band.light.shape))
+            row, col = np.nonzero(
+                (band.light > limit) & ~divided[sizes[n] : sizes[n + 1]].reshape(band.light.shape)
+            )
             bright.append(band.cells(row, col, sizes[n]))
-        suns = [] if math.isinf(tolerance) else sorted(_small(Cells(*(np.concatenate(values) for values in zip(*bright))), limit, widest), key=lambda sun: -sun.power)
+        suns = (
+            []
+            if math.isinf(tolerance)
+            else sorted(
+                _small(Cells(*(np.concatenate(values) for values in zip(*bright))), limit, widest),
+                key=lambda sun: -sun.power,
+            )
+        )
         left = np.cumsum([sun.power for sun in suns][::-1])[::-1]
         self.suns = tuple(sun for sun, power in zip(suns, left) if power > FAINT * tolerance * total)
         for sun in self.suns:
@@ -201,30 +278,46 @@ class Integrals:
                     np.subtract.at(values.reshape(-1), sun.cells.home[here] - sizes[n], moment[here])
         self.rest = float(sum(part[1].sum() for part in parts))
         self.mean = self.rest / math.pi
-        light = [part[1] / (band.width * np.diff(_until(band.borders)[1]))[:, None] for band, part in zip(bands, parts)]
+        light = [
+            part[1] / (band.width * np.diff(_until(band.borders)[1]))[:, None]
+            for band, part in zip(bands, parts)
+        ]
         least, most = min(float(v.min()) for v in light), max(float(v.max()) for v in light)
         self.variation = (most - least) / self.mean if self.mean > 0 else 0.0
         self._edges = np.concatenate([[0.0], *(band.borders[1:] for band in bands)])
-        self._sums = [np.concatenate([np.zeros((*part.shape[:2], 1)), np.cumsum(part, 2)], 2) for part in parts]
+        self._sums = [
+            np.concatenate([np.zeros((*part.shape[:2], 1)), np.cumsum(part, 2)], 2) for part in parts
+        ]
 
     def _divide(self, bands, sizes, solid, total, peaks):
         """(leaves of the divided cells, relative error, all light): cells are divided where light steps."""
         begin, mends, turn, total, done = [], [], 2 * math.pi, max(total, 1e-300), 0.0
         for n, (band, angle) in enumerate(zip(bands, solid)):
             light = band.light
-            below = bands[n - 1].light[-1:].reshape(1, -1, 2).mean(2) if n else light[:1]  # which has twice as many cells in a row
+            below = (
+                bands[n - 1].light[-1:].reshape(1, -1, 2).mean(2) if n else light[:1]
+            )  # which has twice as many cells in a row
             above = bands[n + 1].light[:1].repeat(2, 1) if n + 1 < len(bands) else light[-1:]
             rows = np.concatenate([below, light, above])
             step, mend = (values[0] for values in _steps(np.pad(rows, ((0, 0), (1, 1)), "wrap")[None]))
-            middle = (band.borders[1:] + band.borders[:-1]) / 2  # rows grow narrow towards the zenith: their lower half weighs more
+            middle = (
+                band.borders[1:] + band.borders[:-1]
+            ) / 2  # rows grow narrow towards the zenith: their lower half weighs more
             mend = mend - (rows[2:] - rows[:-2]) * (np.tan(middle) * np.diff(band.borders) / 24)[:, None]
             step *= angle
             mark = step > SHARE * total
             for azimuth, elevation in peaks:  # with the cells round it: it may lie across borders
                 height = np.diff(band.borders)[:, None]
-                turned = np.abs((band.start[:, None] + np.arange(light.shape[1]) * band.width - azimuth + math.pi) % turn - math.pi)
-                near = turned * math.cos(elevation) <= 1.5 * np.maximum(band.width * np.cos(band.borders[:-1, None]), height)
-                mark |= near & (np.abs((band.borders[1:] + band.borders[:-1])[:, None] / 2 - elevation) <= 1.5 * height)
+                turned = np.abs(
+                    (band.start[:, None] + np.arange(light.shape[1]) * band.width - azimuth + math.pi) % turn
+                    - math.pi
+                )
+                near = turned * math.cos(elevation) <= 1.5 * np.maximum(
+                    band.width * np.cos(band.borders[:-1, None]), height
+                )
+                mark |= near & (
+                    np.abs((band.borders[1:] + band.borders[:-1])[:, None] / 2 - elevation) <= 1.5 * height
+                )
             row, col = np.nonzero(mark)
             begin.append((band.cells(row, col, sizes[n]), step[row, col]))
             rough = ~mark & (step > np.maximum(ROUGH * light * angle, DIM * total))
@@ -232,7 +325,10 @@ class Integrals:
             row, col = np.nonzero(rough)
             light[row, col] = self._anywhere(band.cells(row, col, sizes[n]), LOOKS)
             done += float(np.sum(step[rough] ** 2)) / (12 * LOOKS**3)
-        cells, step = Cells(*(np.concatenate(values) for values in zip(*(c for c, _ in begin)))), np.concatenate([s for _, s in begin])
+        cells, step = (
+            Cells(*(np.concatenate(values) for values in zip(*(c for c, _ in begin)))),
+            np.concatenate([s for _, s in begin]),
+        )
         for band, mend in zip(bands, mends):
             band.light[...] = np.maximum(0, band.light + mend)
         leaves, left = [], MOST
@@ -240,7 +336,12 @@ class Integrals:
         for _ in range(DEEPEST):
             waits = float(np.sum(step**2)) / 12
             whole = max(total + float(cells.light @ cells.solid_angle), 1e-300)
-            if not len(step) or left < (PARTS + 2) ** 2 or math.sqrt(done + waits) <= ENOUGH * whole and not peaks:
+            if (
+                not len(step)
+                or left < (PARTS + 2) ** 2
+                or math.sqrt(done + waits) <= ENOUGH * whole
+                and not peaks
+            ):
                 break
             if len(step) * (PARTS + 2) ** 2 > left:  # the largest steps first
                 first = np.argsort(-step, kind="stable")
@@ -252,7 +353,9 @@ class Integrals:
             place = (np.arange(-1, PARTS + 1) + 0.5) / PARTS  # with a neighbour on every side
             azimuth = cells.azimuth[:, None] + cells.width[:, None] * (place - 0.5)
             edges = cells.low[:, None] + (cells.high - cells.low)[:, None] * (np.arange(PARTS + 1) / PARTS)
-            sine = np.sin(np.clip(cells.low[:, None] + (cells.high - cells.low)[:, None] * place, 0, turn / 4))
+            sine = np.sin(
+                np.clip(cells.low[:, None] + (cells.high - cells.low)[:, None] * place, 0, turn / 4)
+            )
             light = np.empty((len(sine), PARTS + 2, PARTS + 2))
             for some in np.array_split(np.arange(len(sine)), light.size // AT_ONCE + 1):
                 light[some] = self._look(azimuth[some, None, :], sine[some, :, None])
@@ -261,20 +364,33 @@ class Integrals:
             light, step, azimuth = light[:, 1:-1, 1:-1], step.ravel(), azimuth[:, 1:-1]
             light = np.where(step.reshape(light.shape) > ROUGH * light, light, np.maximum(0, light + mend))
             grow = lambda values: np.broadcast_to(values, light.shape).ravel()
-            cells = Cells(grow(azimuth[:, None, :]), grow(cells.width[:, None, None] / PARTS), grow(edges[:, :-1, None]), grow(edges[:, 1:, None]), light.ravel(), grow(cells.home[:, None, None]))
+            cells = Cells(
+                grow(azimuth[:, None, :]),
+                grow(cells.width[:, None, None] / PARTS),
+                grow(edges[:, :-1, None]),
+                grow(edges[:, 1:, None]),
+                light.ravel(),
+                grow(cells.home[:, None, None]),
+            )
             step = step * cells.solid_angle
             whole = max(total + float(cells.light @ cells.solid_angle), 1e-300)
             divide = step > SHARE * whole
             for azimuth, elevation in peaks:
                 turned = np.abs((cells.azimuth - azimuth + math.pi) % turn - math.pi)
-                divide |= (turned <= 1.5 * cells.width) & (np.abs((cells.low + cells.high) / 2 - elevation) <= 1.5 * (cells.high - cells.low))
+                divide |= (turned <= 1.5 * cells.width) & (
+                    np.abs((cells.low + cells.high) / 2 - elevation) <= 1.5 * (cells.high - cells.low)
+                )
             leaves.append(self._leaf(cells.pick(~divide), step[~divide]))
             done += float(np.sum(step[~divide] ** 2)) / 12  # a border anywhere in a cell
             total += float(leaves[-1].light @ leaves[-1].solid_angle)
             cells, step = cells.pick(divide), step[divide]
         leaves.append(self._leaf(cells, step))
         total += float(leaves[-1].light @ leaves[-1].solid_angle)
-        return Cells(*(np.concatenate(values) for values in zip(*leaves))), math.sqrt(done + float(np.sum(step**2)) / 12) / max(total, 1e-300), total
+        return (
+            Cells(*(np.concatenate(values) for values in zip(*leaves))),
+            math.sqrt(done + float(np.sum(step**2)) / 12) / max(total, 1e-300),
+            total,
+        )
 
     def _leaf(self, cells: Cells, step: np.ndarray) -> Cells:
         """Cells that are not divided any more."""
@@ -283,25 +399,34 @@ class Integrals:
         return cells
 
     def _anywhere(self, cells: Cells, looks: int = 1) -> np.ndarray:
-        """Mean brightness at ``looks`` x ``looks`` places in every cell, others in each: borders that run along cells are then met at all places."""
+        """Mean brightness at ``looks`` x ``looks`` places in every cell, others in each: borders that run
+        along cells are then met at all places.
+        """
         u, v = np.outer(PLACES, np.arange(len(cells.light))) % 1
         total = np.zeros(len(u))
         for some in np.array_split(np.arange(len(u)), len(u) // AT_ONCE + 1):
             for i in range(looks):
                 for j in range(looks):
                     azimuth = cells.azimuth[some] + ((u[some] + i) / looks - 0.5) * cells.width[some]
-                    total[some] += self._look(azimuth, np.sin(cells.low[some] + (v[some] + j) / looks * (cells.high - cells.low)[some]))
+                    total[some] += self._look(
+                        azimuth,
+                        np.sin(cells.low[some] + (v[some] + j) / looks * (cells.high - cells.low)[some]),
+                    )
         return total / looks**2
 
     def table(self, angles: np.ndarray, widths: np.ndarray, knots: int = KNOTS) -> np.ndarray:
-        """Brightness as sweeps take it, suns apart: integrals of B cos^2 and of B sin cos over elevation, from sin(elevation) = i / (knots - 1) to
-        the zenith, averaged over the sectors round ``angles`` that are ``widths`` wide [rad], and what to add up to the next knot: (K, knots, 4) float32."""
+        """Brightness as sweeps take it, suns apart: integrals of B cos^2 and of B sin cos over elevation,
+        from sin(elevation) = i / (knots - 1) to the zenith, averaged over the sectors round ``angles`` that
+        are ``widths`` wide [rad], and what to add up to the next knot: (K, knots, 4) float32.
+        """
         return _with_steps(self.above(angles - widths / 2, angles + widths / 2, knots) / widths[:, None])
 
     def above(self, begin: np.ndarray, end: np.ndarray, knots: int) -> np.ndarray:
         """Integrals of B cos^2 and of B sin cos above every knot and between azimuths: (2, K, knots) float64."""
         found = np.concatenate([_between(sums, begin, end) for sums in self._sums], 1)
-        down = np.concatenate([np.cumsum(found[:, ::-1], 1)[:, ::-1], np.zeros_like(found[:, :1])], 1)  # from the zenith to the rows' lower edges
+        down = np.concatenate(
+            [np.cumsum(found[:, ::-1], 1)[:, ::-1], np.zeros_like(found[:, :1])], 1
+        )  # from the zenith to the rows' lower edges
         at = np.interp(np.linspace(0, 1, knots), np.sin(self._edges), np.arange(len(self._edges)))
         low = np.minimum(at.astype(int), len(self._edges) - 2)
         part = (at - low)[:, None]
@@ -309,13 +434,18 @@ class Integrals:
 
 
 def chords(sky: Integrals, turns: int, knots: int) -> np.ndarray:
-    """The brightness of a lamp or window as slices take it, small bright parts apart: the integrals of :meth:`Integrals.above` per radian over even cells of
-    the diamond angle, (turns, knots, 2) float32; see opencl/slices.cl."""
+    """The brightness of a lamp or window as slices take it, small bright parts apart: the integrals of
+    :meth:`Integrals.above` per radian over even cells of the diamond angle, (turns, knots, 2) float32; see
+    opencl/slices.cl.
+    """
     place = 4 * np.arange(turns + 1) / turns
     cosine = np.where(place < 2, 1 - place, place - 3)
     sine = np.where(place < 1, place, np.where(place < 3, 2 - place, place - 4))
     azimuth = np.append(np.arctan2(sine, cosine)[:-1] % (2 * math.pi), 2 * math.pi)
-    return np.ascontiguousarray((sky.above(azimuth[:-1], azimuth[1:], knots) / np.diff(azimuth)[:, None]).transpose(1, 2, 0), np.float32)
+    return np.ascontiguousarray(
+        (sky.above(azimuth[:-1], azimuth[1:], knots) / np.diff(azimuth)[:, None]).transpose(1, 2, 0),
+        np.float32,
+    )
 
 
 def even(count: int, offset: float) -> Azimuths:
@@ -324,11 +454,17 @@ def even(count: int, offset: float) -> Azimuths:
 
 
 def _peaks(source) -> tuple[tuple[float, float], ...] | None:
-    """(azimuth, elevation) [rad] of the narrow features that a sky names; None if it names none, () if it says that there are none."""
+    """(azimuth, elevation) [rad] of the narrow features that a sky names; None if it names none, () if it
+    says that there are none.
+    """
     named = [*getattr(source, "suns", ()), *(getattr(source.brightness, "peaks", None) or ())]
     if not named and getattr(source.brightness, "peaks", None) is None:
         return None
-    return tuple((math.atan2(y, x) % (2 * math.pi), math.asin(min(1.0, -z / math.sqrt(x * x + y * y + z * z)))) for x, y, z in named if z <= 0)
+    return tuple(
+        (math.atan2(y, x) % (2 * math.pi), math.asin(min(1.0, -z / math.sqrt(x * x + y * y + z * z))))
+        for x, y, z in named
+        if z <= 0
+    )
 
 
 def _of_function(function, named: bool) -> list[Band]:
@@ -346,7 +482,11 @@ def _of_function(function, named: bool) -> list[Band]:
         light = np.empty((len(rows), cols))
         for some in np.array_split(np.arange(len(rows)), max(1, len(rows) * cols // AT_ONCE)):
             L = np.empty((len(some), cols, 3))
-            L[..., 0], L[..., 1], L[..., 2] = out[some] * (c[some] * cosines - s[some] * sines), out[some] * (s[some] * cosines + c[some] * sines), -sine[some]
+            L[..., 0], L[..., 1], L[..., 2] = (
+                out[some] * (c[some] * cosines - s[some] * sines),
+                out[some] * (s[some] * cosines + c[some] * sines),
+                -sine[some],
+            )
             light[some] = sources.radiance(sky, L)
         bands.append(Band(light, start, borders[rows[0] : rows[-1] + 2]))
     top = sources.radiance(sky, np.array([[0.0, 0.0, -1.0]]))  # a light in the zenith is met for sure
@@ -365,19 +505,29 @@ def _of_map(image: np.ndarray) -> list[Band]:
     light = np.empty((count, len(col)))
     for some in np.array_split(np.arange(count), count * len(col) // 2**22 + 1):
         f = (row - low_row)[some, None]
-        wide = (1 - f) * image[np.clip(low_row[some], 0, rows - 1)] + f * image[np.clip(low_row[some] + 1, 0, rows - 1)]
-        light[some] = wide if times == 1 else wide[:, low % cols] * (1 - (col - low)) + wide[:, (low + 1) % cols] * (col - low)
+        wide = (1 - f) * image[np.clip(low_row[some], 0, rows - 1)] + f * image[
+            np.clip(low_row[some] + 1, 0, rows - 1)
+        ]
+        light[some] = (
+            wide
+            if times == 1
+            else wide[:, low % cols] * (1 - (col - low)) + wide[:, (low + 1) % cols] * (col - low)
+        )
     return [Band(light, np.full(count, math.pi / len(col)), np.linspace(0, math.pi / 2, count + 1))]
 
 
 def _between(sums: np.ndarray, begin: np.ndarray, end: np.ndarray) -> np.ndarray:
-    """What sums over azimuth from 0 (2, rows, cells + 1) grow by between azimuths, which may lie beyond a turn: (2, rows, K)."""
+    """What sums over azimuth from 0 (2, rows, cells + 1) grow by between azimuths, which may lie beyond a
+    turn: (2, rows, K).
+    """
     cols = sums.shape[2] - 1
 
     def until(azimuth):
         turns, at = np.divmod(np.asarray(azimuth) * (cols / (2 * math.pi)), cols)
         low = np.minimum(at.astype(int), cols - 1)
-        return sums[:, :, low] + (at - low) * (sums[:, :, low + 1] - sums[:, :, low]) + turns * sums[:, :, -1:]
+        return (
+            sums[:, :, low] + (at - low) * (sums[:, :, low + 1] - sums[:, :, low]) + turns * sums[:, :, -1:]
+        )
 
     return until(end) - until(begin)
 
@@ -391,25 +541,38 @@ def _median(bands: list[Band], solid) -> float:
     """Of brightness, by solid angle."""
     every = [max(1, band.light.shape[1] // 128) for band in bands]
     light = np.concatenate([band.light[:, ::n].ravel() for band, n in zip(bands, every)])
-    weight = np.concatenate([np.repeat(n * angle, band.light[:, ::n].shape[1], 1).ravel() for band, angle, n in zip(bands, solid, every)])
+    weight = np.concatenate(
+        [
+            np.repeat(n * angle, band.light[:, ::n].shape[1], 1).ravel()
+            for band, angle, n in zip(bands, solid, every)
+        ]
+    )
     order = np.argsort(light)
     return float(light[order][np.searchsorted(np.cumsum(weight[order]), weight.sum() / 2)])
 
 
 def _steps(light: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Of the inner cells of blocks (n, rows, cols): how much light steps there, the most, over rows, columns and diagonals, by which a cell and its two
-    neighbours depart from a straight line, so that an even slope is no step; and what the mean over a smooth cell is more than its middle,
-    from the curvature. (n, rows - 2, cols - 2) each."""
+    """Of the inner cells of blocks (n, rows, cols): how much light steps there, the most, over rows, columns
+    and diagonals, by which a cell and its two neighbours depart from a straight line, so that an even slope
+    is no step; and what the mean over a smooth cell is more than its middle, from the curvature. (n, rows -
+    2, cols - 2) each.
+    """
     pick = lambda i, j: light[:, 1 + i : light.shape[1] - 1 + i, 1 + j : light.shape[2] - 1 + j]
     bent = [pick(-i, -j) - 2 * pick(0, 0) + pick(i, j) for i, j in ((0, 1), (1, 0), (1, 1), (1, -1))]
     return np.maximum.reduce([np.abs(values) for values in bent]), (bent[0] + bent[1]) / 24
 
 
 def _small(cells: Cells, limit: float, widest: float, depth: int = 12) -> Iterator[Sun]:
-    """Groups of bright cells that span little azimuth, with the light that they have above ``limit``; of wider ones what is brighter still."""
+    """Groups of bright cells that span little azimuth, with the light that they have above ``limit``; of
+    wider ones what is brighter still.
+    """
     for part in _groups(cells):
         sun = Sun(part._replace(light=part.light - limit), limit)
-        if part.azimuth[-1] - part.azimuth[0] + part.width.max() <= widest or (part.light > limit).any() and sun.cone[1] <= math.sin(widest / 2):  # or round the zenith
+        if (
+            part.azimuth[-1] - part.azimuth[0] + part.width.max() <= widest
+            or (part.light > limit).any()
+            and sun.cone[1] <= math.sin(widest / 2)
+        ):  # or round the zenith
             yield from _nested(sun, part, widest)
         elif depth:
             limit_here = max(4 * limit, DARK * float(part.light.max()))
@@ -417,7 +580,9 @@ def _small(cells: Cells, limit: float, widest: float, depth: int = 12) -> Iterat
 
 
 def _nested(sun: Sun, cells: Cells, widest: float) -> Iterator[Sun]:
-    """A sun, or what glows round far brighter and smaller parts of it and these parts (a disc in its aureole), since sectors serve one width each."""
+    """A sun, or what glows round far brighter and smaller parts of it and these parts (a disc in its
+    aureole), since sectors serve one width each.
+    """
     power, extent, brightest = sun.power, _extent(cells), float(cells.light.max())
     limit = sun.limit
     while (limit := max(4 * limit, DARK * brightest)) < brightest:
@@ -435,11 +600,15 @@ def _nested(sun: Sun, cells: Cells, widest: float) -> Iterator[Sun]:
 def _extent(cells: Cells) -> float:
     """About how wide they are [rad]; cells in order of azimuth."""
     low = float(cells.low.min())
-    return max(float(cells.high.max()) - low, float(np.ptp(cells.azimuth) + cells.width.max()) * math.cos(low))
+    return max(
+        float(cells.high.max()) - low, float(np.ptp(cells.azimuth) + cells.width.max()) * math.cos(low)
+    )
 
 
 def _groups(cells: Cells, axis: int = 0, whole: bool = False) -> Iterator[Cells]:
-    """Cells parted at gaps in azimuth, these at gaps in elevation, and so on; each in order of azimuth, which may run past 2 pi."""
+    """Cells parted at gaps in azimuth, these at gaps in elevation, and so on; each in order of azimuth, which
+    may run past 2 pi.
+    """
     if not len(cells.light):
         return
     if axis:
@@ -452,7 +621,9 @@ def _groups(cells: Cells, axis: int = 0, whole: bool = False) -> Iterator[Cells]
         first = (int(gaps.argmax()) + 1) % len(order)  # the circle is opened at its largest gap
         order, gaps = np.roll(order, -first), np.roll(gaps, -first)[:-1]
         azimuth = azimuth[order]
-        cells = cells.pick(order)._replace(azimuth=np.where(azimuth < azimuth[0], azimuth + 2 * math.pi, azimuth))
+        cells = cells.pick(order)._replace(
+            azimuth=np.where(azimuth < azimuth[0], azimuth + 2 * math.pi, azimuth)
+        )
         sizes = cells.width
     cuts = np.flatnonzero(gaps > np.maximum(GAP, 2 * sizes[:-1])) + 1
     if not len(cuts) and whole and not axis:

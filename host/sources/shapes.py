@@ -1,7 +1,8 @@
 """Sources: sky (converging), lamp and window (diverging), and the brightness that their rays carry.
 
-Brightness (radiance [W m^-2 sr^-1], luminance [cd m^-2]) depends on the ray's direction alone: the unit vector
-L = (x, y, z) from a point towards the source, z <= 0 on the viewer's side (Langer and Zucker, section 4).
+Brightness (radiance [W m^-2 sr^-1], luminance [cd m^-2]) depends on the ray's direction alone: the unit
+vector L = (x, y, z) from a point towards the source, z <= 0 on the viewer's side (Langer and Zucker, section
+4).
 """
 
 from __future__ import annotations
@@ -13,9 +14,9 @@ from typing import NamedTuple
 import numpy as np
 
 from ..arrays import host_array
+from ..checks import real_array
 from ..constants import APERTURE, BALL, RECTANGLE, SKY, VOLUME
 from ..errors import InputError, bad
-from ..checks import real_array
 
 WIDE_POWER, NARROW_POWER = 64, 1e5  # of spots that are wider than 12 degrees, and narrower than 0.4
 BRIGHTEST = 1e30  # so that sums stay in float32
@@ -30,7 +31,9 @@ def uniform(brightness: float = 1.0) -> Callable:
 
 
 def cosine_power(power: float, axis=(0.0, 0.0, 1.0), brightness: float = 1.0) -> Callable:
-    """A spotlight: brightness x max(0, -L . axis)^power, ``axis`` the direction in which it shines (need not be unit)."""
+    """A spotlight: brightness x max(0, -L . axis)^power, ``axis`` the direction in which it shines (need not
+    be unit).
+    """
     axis = np.array(_numbers(axis, 3, "cosine_power: axis", "(x, y, z)"))
     if not axis.any():
         raise bad("cosine_power: axis", axis.tolist(), "three finite numbers, not all zero")
@@ -48,13 +51,16 @@ def cie_overcast(zenith: float = 1.0) -> Callable:
 
 
 def _named(function, *peaks):
-    """``function`` with the directions of its features that are narrower than a degree: where it is integrated, none is looked for elsewhere."""
+    """``function`` with the directions of its features that are narrower than a degree: where it is
+    integrated, none is looked for elsewhere.
+    """
     function.peaks = peaks
     return function
 
 
 def environment_map(array) -> Callable:
-    """Brightness from an equirectangular map (rows, cols) or RGB (rows, cols, 3), interpolated bilinearly between pixel centres.
+    """Brightness from an equirectangular map (rows, cols) or RGB (rows, cols, 3), interpolated bilinearly
+    between pixel centres.
 
     Row 0 is the zenith, the last row the nadir; column 0 looks towards +x and azimuth grows towards +y.
     """
@@ -62,9 +68,15 @@ def environment_map(array) -> Callable:
     if image.ndim != 2 and (image.ndim != 3 or image.shape[2] != 3):
         raise bad("environment_map: wrong shape", image.shape, "2 axes (rows, cols), or RGB (rows, cols, 3)")
     if not np.isfinite(image).all() or image.min() < 0:
-        raise bad("environment_map: values", f"{np.nanmin(image)} to {np.nanmax(image)}, finite: {np.isfinite(image).all()}", "finite, >= 0")
+        raise bad(
+            "environment_map: values",
+            f"{np.nanmin(image)} to {np.nanmax(image)}, finite: {np.isfinite(image).all()}",
+            "finite, >= 0",
+        )
     rows, cols = image.shape[:2]
-    pixels = np.pad(image, ((0, 0), (0, 1), *((0, 0),) * (image.ndim - 2)), mode="wrap").reshape(rows * (cols + 1), *image.shape[2:])
+    pixels = np.pad(image, ((0, 0), (0, 1), *((0, 0),) * (image.ndim - 2)), mode="wrap").reshape(
+        rows * (cols + 1), *image.shape[2:]
+    )
 
     def brightness(L):
         x, y, z = np.moveaxis(np.asarray(L, float), -1, 0)
@@ -74,7 +86,9 @@ def environment_map(array) -> Callable:
         fr, fc = (w.reshape(w.shape + (1,) * (image.ndim - 2)) for w in (row - r, col - c))
         left = np.where(c < 0, c + cols, c).astype(int)
         high, low = (np.clip(r + s, 0, rows - 1).astype(int) * (cols + 1) + left for s in (0, 1))
-        return (1 - fr) * ((1 - fc) * pixels[high] + fc * pixels[high + 1]) + fr * ((1 - fc) * pixels[low] + fc * pixels[low + 1])
+        return (1 - fr) * ((1 - fc) * pixels[high] + fc * pixels[high + 1]) + fr * (
+            (1 - fc) * pixels[low] + fc * pixels[low + 1]
+        )
 
     brightness.pixels, brightness.image = (rows, cols), image
     return brightness
@@ -87,10 +101,12 @@ class Sky:
     Parameters
     ----------
     brightness : number; RGB as three; or a function of unit vectors (..., 3) to (...), or to RGB (..., 3)
-        A function is integrated: whatever is at least 0.2 degrees across is found, wherever it stands, and so is all of an environment map. A function
-        may say where its narrow features stand by an attribute ``peaks``, as ``suns`` does.
+        A function is integrated: whatever is at least 0.2 degrees across is found, wherever it stands, and so
+        is all of an environment map. A function may say where its narrow features stand by an attribute
+        ``peaks``, as ``suns`` does.
     suns : unit vectors (x, y, z), optional
-        Directions towards all features of ``brightness`` that are narrower than a degree. They may then be of any size, and none is looked for elsewhere.
+        Directions towards all features of ``brightness`` that are narrower than a degree. They may then be of
+        any size, and none is looked for elsewhere.
 
     Raises
     ------
@@ -121,10 +137,10 @@ class Sky:
 class Lamp:
     """A finite emitter near the surface.
 
-    A sphere, ``center`` = (x, y, z) and ``radius`` [unit of spacing], x along columns, y along rows, z depth (z < 0:
-    behind the viewer's plane); or a rectangle that shines to both sides, ``corner`` = (x, y, z) and ``edges``, two vectors
-    at right angles from it (for method="horizon"); or any shape, ``volume`` (layers, rows, cols) bool on the lattice, True
-    where the node (layer, row, col) shines.
+    A sphere, ``center`` = (x, y, z) and ``radius`` [unit of spacing], x along columns, y along rows, z depth
+    (z < 0: behind the viewer's plane); or a rectangle that shines to both sides, ``corner`` = (x, y, z) and
+    ``edges``, two vectors at right angles from it (for method="horizon"); or any shape, ``volume`` (layers,
+    rows, cols) bool on the lattice, True where the node (layer, row, col) shines.
     """
 
     center: tuple[float, float, float] | None = None
@@ -135,9 +151,17 @@ class Lamp:
     edges: tuple[tuple[float, float, float], tuple[float, float, float]] | None = None
 
     def __post_init__(self):
-        given = [name for name in ("center", "radius", "volume", "corner", "edges") if getattr(self, name) is not None]
+        given = [
+            name
+            for name in ("center", "radius", "volume", "corner", "edges")
+            if getattr(self, name) is not None
+        ]
         if given not in (["center", "radius"], ["volume"], ["corner", "edges"]):
-            raise bad("lamp", " and ".join(given) or "no shape", "center and radius (a sphere), corner and edges (a rectangle), or volume alone")
+            raise bad(
+                "lamp",
+                " and ".join(given) or "no shape",
+                "center and radius (a sphere), corner and edges (a rectangle), or volume alone",
+            )
         if self.corner is not None:
             object.__setattr__(self, "corner", _numbers(self.corner, 3, "lamp corner", "(x, y, z)"))
             try:
@@ -175,9 +199,14 @@ class Window:
     aperture: np.ndarray | None = None
 
     def __post_init__(self):
-        if (self.aperture is None) == (self.x is None or self.y is None) or (self.aperture is not None and (self.x, self.y) != (None, None)):
-            raise bad("window", f"x={self.x}, y={self.y}, aperture {'given' if self.aperture is not None else 'not given'}",
-                      "x and y (a rectangle), or aperture alone")
+        if (self.aperture is None) == (self.x is None or self.y is None) or (
+            self.aperture is not None and (self.x, self.y) != (None, None)
+        ):
+            raise bad(
+                "window",
+                f"x={self.x}, y={self.y}, aperture {'given' if self.aperture is not None else 'not given'}",
+                "x and y (a rectangle), or aperture alone",
+            )
         if self.aperture is not None:
             object.__setattr__(self, "aperture", _flags(self.aperture, "window aperture", 2, "(rows, cols)"))
         else:
@@ -209,7 +238,9 @@ class Geometry(NamedTuple):
 
 
 def geometry(source: Source, scene, step: float) -> Geometry:
-    """The geometry of ``source`` over ``scene``, lengths scaled so that the spacing is ``step``; checks that they fit."""
+    """The geometry of ``source`` over ``scene``, lengths scaled so that the spacing is ``step``; checks that
+    they fit.
+    """
     nothing, numbers = np.zeros((1, 1, 1), np.uint8), np.zeros(4)
     if isinstance(source, Sky):
         return Geometry(SKY, numbers, nothing)
@@ -223,20 +254,40 @@ def geometry(source: Source, scene, step: float) -> Geometry:
         raise bad("source", type(source).__name__, "Sky, Lamp or Window")
     if source.volume is not None:
         if source.volume.shape[1:] != scene.shape:
-            raise bad("lamp volume: wrong shape", source.volume.shape, f"(layers, rows, cols) with the scene's rows and cols {scene.shape}")
+            raise bad(
+                "lamp volume: wrong shape",
+                source.volume.shape,
+                f"(layers, rows, cols) with the scene's rows and cols {scene.shape}",
+            )
         free = np.arange(len(source.volume))[:, None, None] <= scene.layers()[0]
         if not (source.volume & free).any():
-            raise bad("lamp volume: no node of it lies in free space", f"{source.volume.sum()} nodes", "at least one True node at or above the surface")
+            raise bad(
+                "lamp volume: no node of it lies in free space",
+                f"{source.volume.sum()} nodes",
+                "at least one True node at or above the surface",
+            )
         return Geometry(VOLUME, numbers, (source.volume & free).view(np.uint8))
     if source.corner is not None:
-        raise bad("method 'lattice' with a rectangular lamp", "a lamp given by corner and edges", "a sphere or a volume", "Use method='horizon'.")
+        raise bad(
+            "method 'lattice' with a rectangular lamp",
+            "a lamp given by corner and edges",
+            "a sphere or a volume",
+            "Use method='horizon'.",
+        )
     if scene.sides == "periodic":
-        raise bad("lamp sphere with sides='periodic'", "a lamp that stands once over a map that repeats",
-                  "sides='open' or 'dark', or a lamp given as a volume, which repeats with the map")
+        raise bad(
+            "lamp sphere with sides='periodic'",
+            "a lamp that stands once over a map that repeats",
+            "sides='open' or 'dark', or a lamp given as a volume, which repeats with the map",
+        )
     x, y, z = source.center
     col, row = (int(np.floor(v / scene.spacing + 0.5)) for v in (x, y))
     if 0 <= row < scene.shape[0] and 0 <= col < scene.shape[1] and z > scene.depth[row, col]:
-        raise bad("lamp below the surface", f"center z = {z} at (row, col) = ({row}, {col})", f"z <= {scene.depth[row, col]}, the depth of the surface there")
+        raise bad(
+            "lamp below the surface",
+            f"center z = {z} at (row, col) = ({row}, {col})",
+            f"z <= {scene.depth[row, col]}, the depth of the surface there",
+        )
     return Geometry(BALL, np.array([x, y, z, source.radius]) * step / scene.spacing, nothing)
 
 
@@ -273,42 +324,78 @@ class _Channel:
     def __call__(self, directions):
         values = np.asarray(self.function(directions))
         if values.shape != directions.shape:
-            raise bad("brightness function: wrong result", f"shape {values.shape} for directions {directions.shape}", f"RGB of shape {directions.shape}, as before")
+            raise bad(
+                "brightness function: wrong result",
+                f"shape {values.shape} for directions {directions.shape}",
+                f"RGB of shape {directions.shape}, as before",
+            )
         return values[..., self.number]
 
 
 def without_disc(source: Source) -> Source:
     """A sky without its sun's disc; anything else as it is."""
-    return Sky(replace(source.brightness, direct=0.0)) if isinstance(source, Sky) and getattr(source.brightness, "direct", 0) else source
+    return (
+        Sky(replace(source.brightness, direct=0.0))
+        if isinstance(source, Sky) and getattr(source.brightness, "direct", 0)
+        else source
+    )
 
 
 def radiance(source: Source, directions: np.ndarray) -> np.ndarray:
-    """The source's grey brightness along unit vectors (..., 3) -> (...) float64; an InputError if it is not finite and >= 0."""
+    """The source's grey brightness along unit vectors (..., 3) -> (...) float64; an InputError if it is not
+    finite and >= 0.
+    """
     if not isinstance(source, Source):
         raise bad("source", type(source).__name__, "Sky, Lamp or Window")
     brightness = source.brightness
     if isinstance(brightness, tuple):
-        raise bad("brightness", f"RGB {brightness}", "one number, or a function to one number per direction", "Only render takes colour.")
+        raise bad(
+            "brightness",
+            f"RGB {brightness}",
+            "one number, or a function to one number per direction",
+            "Only render takes colour.",
+        )
     if not callable(brightness):
         return np.full(directions.shape[:-1], float(brightness))
-    if getattr(brightness, "direct", 0):  # half a degree wide: what looks in some directions would miss it, or overrate it
-        raise bad("brightness: a sky with the sun's disc (direct)", "a method, source or sides without it", "Sky with render's method 'horizon' and sides 'open' or 'dark'",
-                  "Leave direct out, or render with method='horizon'.")
+    if getattr(
+        brightness, "direct", 0
+    ):  # half a degree wide: what looks in some directions would miss it, or overrate it
+        raise bad(
+            "brightness: a sky with the sun's disc (direct)",
+            "a method, source or sides without it",
+            "Sky with render's method 'horizon' and sides 'open' or 'dark'",
+            "Leave direct out, or render with method='horizon'.",
+        )
     values = np.asarray(brightness(directions.copy()))
     if values.dtype.kind not in "iuf" or values.shape not in ((), directions.shape[:-1]):
-        raise bad("brightness function: wrong result", f"dtype {values.dtype}, shape {values.shape} for directions {directions.shape}",
-                  f"real numbers of shape {directions.shape[:-1]}")
+        raise bad(
+            "brightness function: wrong result",
+            f"dtype {values.dtype}, shape {values.shape} for directions {directions.shape}",
+            f"real numbers of shape {directions.shape[:-1]}",
+        )
     values = np.broadcast_to(values.astype(np.float64), directions.shape[:-1])
     if values.size and not (values.min() >= 0 and values.max() <= BRIGHTEST):  # so too with a NaN among them
         wrong = ~((values >= 0) & (values <= BRIGHTEST))
-        raise bad("brightness function", f"{values[wrong].flat[0]} for L = {directions[wrong][0].round(3).tolist()}", f"finite values >= 0, at most {BRIGHTEST:g}")
+        raise bad(
+            "brightness function",
+            f"{values[wrong].flat[0]} for L = {directions[wrong][0].round(3).tolist()}",
+            f"finite values >= 0, at most {BRIGHTEST:g}",
+        )
     return values
 
 
-PROFILE = 2048, 192  # azimuths, elevations at which the light of a sky is looked at first; a sun half a degree wide gets two or three
+PROFILE = (
+    2048,
+    192,
+    # azimuths, elevations at which the light of a sky is looked at first; a sun half a degree wide gets two or
+    # three
+)
 KNOTS = 1024  # of a table of brightness, evenly in the sine of the elevation
 UNEVEN = 2.0  # brightest azimuth over the mean from which azimuths are placed by brightness
-AT_ONCE = 2**13  # directions whose brightness is asked for at a time: what stays in the cache is quicker, and calls take time
+AT_ONCE = (
+    2**13
+    # directions whose brightness is asked for at a time: what stays in the cache is quicker, and calls take time
+)
 
 
 def directions_of(azimuth, sine) -> np.ndarray:
@@ -321,13 +408,16 @@ def directions_of(azimuth, sine) -> np.ndarray:
 
 
 def looks(source: Source) -> tuple[np.ndarray, np.ndarray]:
-    """Brightness at some 400,000 places of the sky, or four a pixel's side of a map that is coarser, evenly in azimuth and elevation,
-    and the sines of these: (azimuths, elevations) each."""
+    """Brightness at some 400,000 places of the sky, or four a pixel's side of a map that is coarser, evenly
+    in azimuth and elevation, and the sines of these: (azimuths, elevations) each.
+    """
     rows, cols = getattr(source.brightness, "pixels", PROFILE[::-1])
     azimuths, elevations = (min(most, max(most // 4, n)) for most, n in zip(PROFILE, (4 * cols, 2 * rows)))
     azimuth = 2 * np.pi * (np.arange(azimuths) + 0.5) / azimuths
     shift = 0.6180339887498949 * np.arange(azimuths) % 1  # so that no small sun slips between rows of samples
-    part, whole = (np.pi / 2 / elevations * a for a in (shift[:, None], np.arange(elevations)))  # of the elevation
+    part, whole = (
+        np.pi / 2 / elevations * a for a in (shift[:, None], np.arange(elevations))
+    )  # of the elevation
     sine = np.cos(part) * np.sin(whole) + np.sin(part) * np.cos(whole)
     light = np.empty_like(sine)
     for some in np.array_split(np.arange(azimuths), -(-sine.size // AT_ONCE)):
@@ -336,19 +426,32 @@ def looks(source: Source) -> tuple[np.ndarray, np.ndarray]:
 
 
 def azimuth_profile(source: Source, seen: tuple[np.ndarray, np.ndarray] | None = None) -> np.ndarray | None:
-    """Light that comes from each of many even sectors of azimuth, (2048,); None where it hardly varies. ``seen``: what :func:`looks` gives."""
+    """Light that comes from each of many even sectors of azimuth, (2048,); None where it hardly varies.
+    ``seen``: what :func:`looks` gives.
+    """
     light, sine = looks(source) if seen is None else seen
     profile = np.einsum("ae,ae->a", light, np.sqrt(1 - sine**2))
     if profile.max() <= UNEVEN * profile.mean():
         return None
-    return np.maximum.reduce([np.roll(profile, n) for n in range(-2, 3)])  # the edge of a sun lies between samples
+    return np.maximum.reduce(
+        [np.roll(profile, n) for n in range(-2, 3)]
+    )  # the edge of a sun lies between samples
 
 
-def elevation_table(source: Source, angles: np.ndarray, widths: np.ndarray, looks: int = 256, knots: int = KNOTS, points: int = 4) -> np.ndarray:
-    """Brightness as sweeps take it, (K, knots, 4) float32: the integrals of B cos^2 and of B sin cos over elevation, from
-    sin(elevation) = i / (knots - 1) to the zenith, averaged over each sector, and what to add up to the next knot.
+def elevation_table(
+    source: Source,
+    angles: np.ndarray,
+    widths: np.ndarray,
+    looks: int = 256,
+    knots: int = KNOTS,
+    points: int = 4,
+) -> np.ndarray:
+    """Brightness as sweeps take it, (K, knots, 4) float32: the integrals of B cos^2 and of B sin cos over
+    elevation, from sin(elevation) = i / (knots - 1) to the zenith, averaged over each sector, and what to add
+    up to the next knot.
 
-    ``points`` of Gauss and Legendre between knots, and as many azimuths within a sector as make some ``looks`` in all.
+    ``points`` of Gauss and Legendre between knots, and as many azimuths within a sector as make some
+    ``looks`` in all.
     """
     within = max(1, -(-looks // len(angles)))
     azimuth = angles[:, None] + widths[:, None] * ((np.arange(within) + 0.5) / within - 0.5)
@@ -356,7 +459,9 @@ def elevation_table(source: Source, angles: np.ndarray, widths: np.ndarray, look
     low = np.arange(knots - 1)[:, None]
     sine = ((low + (nodes + 1) / 2) / (knots - 1)).ravel()
     total = np.empty((len(angles), sine.size))
-    for some in np.array_split(np.arange(len(angles)), min(len(angles), -(-azimuth.size * sine.size // AT_ONCE))):
+    for some in np.array_split(
+        np.arange(len(angles)), min(len(angles), -(-azimuth.size * sine.size // AT_ONCE))
+    ):
         total[some] = radiance(source, directions_of(azimuth[some, :, None], sine)).mean(1)
     total = total.reshape(len(angles), knots - 1, points) * weights / 2 / (knots - 1)
     sine = sine.reshape(knots - 1, points)
@@ -371,7 +476,11 @@ def _brightness_number(value) -> float:
     try:
         number = float(value)
     except (TypeError, ValueError):
-        raise bad("brightness", repr(value), "a number, RGB as three numbers, or a function of unit vectors (..., 3) -> (...)") from None
+        raise bad(
+            "brightness",
+            repr(value),
+            "a number, RGB as three numbers, or a function of unit vectors (..., 3) -> (...)",
+        ) from None
     if not 0 <= number <= BRIGHTEST:
         raise bad("brightness", number, f"finite, >= 0, at most {BRIGHTEST:g}")
     return number
@@ -391,9 +500,15 @@ def _numbers(values, count, what, form) -> tuple[float, ...]:
     try:
         numbers = tuple(float(v) for v in values)
     except (TypeError, ValueError):
-        raise bad(what, repr(values), f"{('one', 'two', 'three')[count - 1]} finite number{'s' * (count > 1)} {form}") from None
+        raise bad(
+            what,
+            repr(values),
+            f"{('one', 'two', 'three')[count - 1]} finite number{'s' * (count > 1)} {form}",
+        ) from None
     if len(numbers) != count or not np.isfinite(numbers).all():
-        raise bad(what, numbers, f"{('one', 'two', 'three')[count - 1]} finite number{'s' * (count > 1)} {form}")
+        raise bad(
+            what, numbers, f"{('one', 'two', 'three')[count - 1]} finite number{'s' * (count > 1)} {form}"
+        )
     return numbers
 
 

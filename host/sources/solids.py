@@ -16,7 +16,9 @@ class Ball(NamedTuple):
 
 
 class Quad(NamedTuple):
-    """A flat, convex quadrangle that shines from both faces: its corners (4, 3) in turn, (x, y, z) [unit of depth]."""
+    """A flat, convex quadrangle that shines from both faces: its corners (4, 3) in turn, (x, y, z) [unit of
+    depth].
+    """
 
     corners: np.ndarray
 
@@ -34,7 +36,9 @@ def rectangle(corner, edge_u, edge_v) -> Quad:
 
 
 def aperture(x, y, shape: tuple[int, int], step: float, sides: str) -> Quad | None:
-    """The window x[0]..x[1], y[0]..y[1] in the plane z = 0, or what a dark box leaves of it; None where that is nothing."""
+    """The window x[0]..x[1], y[0]..y[1] in the plane z = 0, or what a dark box leaves of it; None where that
+    is nothing.
+    """
     (x0, x1), (y0, y1) = x, y
     if sides == "dark":
         rows, cols = shape

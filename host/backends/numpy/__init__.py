@@ -1,4 +1,6 @@
-"""The kernels in NumPy: a file a stem, same names, arguments and bits as in Warp and OpenCL, on whole rows at a time."""
+"""The kernels in NumPy: a file a stem, same names, arguments and bits as in Warp and OpenCL, on whole rows at
+a time.
+"""
 
 from __future__ import annotations
 

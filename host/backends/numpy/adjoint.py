@@ -25,7 +25,12 @@ def _above(t, table, row, after, share, knots):
     square = 1 + t * t
     cosine = 1 / square
     if knots == 0:
-        return f32(0.5) * cosine, f32(0.5) * (f32(1.57079633) - _arc_tangent(t) - t * cosine), -t * cosine * cosine, -cosine * cosine
+        return (
+            f32(0.5) * cosine,
+            f32(0.5) * (f32(1.57079633) - _arc_tangent(t) - t * cosine),
+            -t * cosine * cosine,
+            -cosine * cosine,
+        )
     root = np.sqrt(square)
     place = t / root * f32(knots - 1)
     per = f32(knots - 1) / (square * root)
@@ -43,7 +48,9 @@ def _over(a, b):
 
 
 def _horizon(heights, ways, x, y, own, best, top, reach, rows, cols, margin, sides):
-    """Slope and crossing number for nodes (n,); ``ways``: (c, s, columns, rise, rows, run), numbers or one per node."""
+    """Slope and crossing number for nodes (n,); ``ways``: (c, s, columns, rise, rows, run), numbers or one
+    per node.
+    """
     c, s, columns, rise, per_column, run = (np.broadcast_to(part, own.shape) for part in ways)
     padded = heights.reshape(rows, cols + 2 * margin)
     best, number = best.copy(), np.zeros(own.shape, np.int32)
@@ -58,7 +65,11 @@ def _horizon(heights, ways, x, y, own, best, top, reach, rows, cols, margin, sid
         while len(left):
             n += 1
             closeness = length[left] / f32(n)
-            going = (n <= last[left]) & ~(reach[left] * closeness < 1) & ~((top - own[left]) * (f32(1.00001) * closeness) <= best[left])
+            going = (
+                (n <= last[left])
+                & ~(reach[left] * closeness < 1)
+                & ~((top - own[left]) * (f32(1.00001) * closeness) <= best[left])
+            )
             left, closeness = left[going], closeness[going]
             across = f32(n) * shear[left]
             low = np.floor(across)
@@ -76,7 +87,9 @@ def _horizon(heights, ways, x, y, own, best, top, reach, rows, cols, margin, sid
             else:
                 there = (row >= 0) & (row < rows) & ~((over >= rows) & (share > 0))
                 over = np.minimum(over, rows - 1)
-            left, closeness, share, column, row, over = (v[there] for v in (left, closeness, share, column, row, over))
+            left, closeness, share, column, row, over = (
+                v[there] for v in (left, closeness, share, column, row, over)
+            )
             a = padded[row, margin + column]
             b = padded[over, margin + column + on_rows]
             slope = (a + share * (b - a) - own[left]) * closeness
@@ -91,7 +104,9 @@ def _wall(ways, x, y, rows, cols):
     half = f32(0.5)
     to_x = np.where(c > 0, f32(cols) - half - x.astype(f32), x.astype(f32) + half)
     to_y = np.where(s > 0, f32(rows) - half - y.astype(f32), y.astype(f32) + half)
-    return np.minimum(np.where(c != 0, to_x / run, f32(1e30)), np.where(s != 0, to_y / rise, f32(1e30))).astype(f32)
+    return np.minimum(
+        np.where(c != 0, to_x / run, f32(1e30)), np.where(s != 0, to_y / rise, f32(1e30))
+    ).astype(f32)
 
 
 def _ways(c, s):
@@ -114,7 +129,11 @@ def _note(links, some, ways, number, x, y, rows, cols, sides, per_slope, inverse
     if sides == PERIODIC:
         column, row = column % cols, row % rows
     pull = per_slope[some] * (np.where(on_row, rise, run) / count)
-    whole, share, e = -pull * inverse[some], place - low.astype(f32), (some // BESIDE, held[some], some % BESIDE)
+    whole, share, e = (
+        -pull * inverse[some],
+        place - low.astype(f32),
+        (some // BESIDE, held[some], some % BESIDE),
+    )
     first[e] = row * cols + column
     second[e] = np.where(on_row, row * cols + (column + 1) % cols, (row + 1) % rows * cols + column)
     near[e], far[e] = whole - whole * share, whole * share
@@ -151,7 +170,9 @@ def _finish(light, gx, gy, inverse, total, by_own, by_x, by_y):
 
 
 def _limits(azimuth, own, gx, gy, x, y, rows, cols, sides):
-    """(way, slope along it, what limits it before the ground does, derivative of that by the own depth if it is the wall)."""
+    """(way, slope along it, what limits it before the ground does, derivative of that by the own depth if it
+    is the wall).
+    """
     c, s, _, _ = azimuth
     ways = _ways(c, s)
     tilt = gx * c + gy * s
@@ -171,10 +192,32 @@ def look(heights, tilts, tiles, top, azimuths, numbers, slopes, rows, cols, marg
     for k in range(count):
         way, _, slope, _ = _limits(azimuths[k], own, *tilts, x, y, rows, cols, sides)
         least = np.maximum(slope, LEVEL) if sides == PERIODIC else slope
-        slopes[k, : own.size], numbers[k, : own.size] = _horizon(heights, way, x, y, own, least, _highest(top), reach, rows, cols, margin, sides)
+        slopes[k, : own.size], numbers[k, : own.size] = _horizon(
+            heights, way, x, y, own, least, _highest(top), reach, rows, cols, margin, sides
+        )
 
 
-def sky(heights, tilts, top, numbers, slopes, azimuths, table, light, held, first, second, near, far, rows, cols, margin, count, knots, sides):
+def sky(
+    heights,
+    tilts,
+    top,
+    numbers,
+    slopes,
+    azimuths,
+    table,
+    light,
+    held,
+    first,
+    second,
+    near,
+    far,
+    rows,
+    cols,
+    margin,
+    count,
+    knots,
+    sides,
+):
     y, x = (v.ravel() for v in np.indices((rows, cols)))
     own = heights.reshape(rows, cols + 2 * margin)[:, margin : margin + cols].ravel()
     gx, gy = tilts
@@ -191,14 +234,39 @@ def sky(heights, tilts, top, numbers, slopes, azimuths, table, light, held, firs
         total += width * (c1 + tilt * c2)
         by = per_slope * by_wall
         some = np.flatnonzero(number)
-        by[some] = _note((held, first, second, near, far), some, ways, number, x, y, rows, cols, sides, per_slope, inverse)
+        by[some] = _note(
+            (held, first, second, near, far), some, ways, number, x, y, rows, cols, sides, per_slope, inverse
+        )
         by_own += by
         by_x += width * c * c2
         by_y += width * s * c2
     _finish(light, gx, gy, inverse, total, by_own, by_x, by_y)
 
 
-def lamp(heights, tilts, tiles, top, frames, nodes, solid, table, light, held, first, second, near, far, rows, cols, margin, count, knots, n_rows, ball, sides):
+def lamp(
+    heights,
+    tilts,
+    tiles,
+    top,
+    frames,
+    nodes,
+    solid,
+    table,
+    light,
+    held,
+    first,
+    second,
+    near,
+    far,
+    rows,
+    cols,
+    margin,
+    count,
+    knots,
+    n_rows,
+    ball,
+    sides,
+):
     y, x = (v.ravel() for v in np.indices((rows, cols)))
     own = heights.reshape(rows, cols + 2 * margin)[:, margin : margin + cols].ravel()
     gx, gy = tilts
@@ -208,7 +276,8 @@ def lamp(heights, tilts, tiles, top, frames, nodes, solid, table, light, held, f
     inverse = 1 / np.sqrt(1 + gx * gx + gy * gy)
     held[:] = 0
     for k in range(count):
-        # 1. the slice, and the slopes between which the source stands in it, with their derivatives by the own depth
+        # 1. the slice, and the slopes between which the source stands in it, with their derivatives by the
+        # own depth
         sine, cosine, c, s = nodes[k]
         width = f32(6.28318531) / f32(count)
         if ball:
@@ -227,8 +296,12 @@ def lamp(heights, tilts, tiles, top, frames, nodes, solid, table, light, held, f
             tangent, square = np.sqrt(beyond), along * along + rise * rise
             low_c, low_s = along * tangent + rise * half, rise * tangent - along * half
             high_c, high_s = along * tangent - rise * half, rise * tangent + along * half
-            low = np.where(inside, -STEEP, np.where(low_c > 0, low_s / low_c, np.where(low_s > 0, STEEP, -STEEP)))
-            high = np.where(inside, STEEP, np.where(high_c > 0, high_s / high_c, np.where(rise > 0, STEEP, -STEEP)))
+            low = np.where(
+                inside, -STEEP, np.where(low_c > 0, low_s / low_c, np.where(low_s > 0, STEEP, -STEEP))
+            )
+            high = np.where(
+                inside, STEEP, np.where(high_c > 0, high_s / high_c, np.where(rise > 0, STEEP, -STEEP))
+            )
             low_by = np.where(~inside & (low_c > 0), square / (low_c * tangent), f32(0))
             high_by = np.where(~inside & (high_c > 0), square / (high_c * tangent), f32(0))
         else:
@@ -242,7 +315,12 @@ def lamp(heights, tilts, tiles, top, frames, nodes, solid, table, light, held, f
             for i in range(4):
                 j = (i + 1) % 4
                 (px, py, pz), (qx, qy, qz) = solid[3 * i : 3 * i + 3], solid[3 * j : 3 * j + 3]
-                ax, ay, bx, by = px - x.astype(f32), py - y.astype(f32), qx - x.astype(f32), qy - y.astype(f32)
+                ax, ay, bx, by = (
+                    px - x.astype(f32),
+                    py - y.astype(f32),
+                    qx - x.astype(f32),
+                    qy - y.astype(f32),
+                )
                 start, stop = c * ay - s * ax, c * by - s * bx
                 share = start / (start - stop)
                 r = c * (ax + share * (bx - ax)) + s * (ay + share * (by - ay))
@@ -272,14 +350,30 @@ def lamp(heights, tilts, tiles, top, frames, nodes, solid, table, light, held, f
         slope, by_limit = np.where(limits, low, slope), np.where(limits, low_by, by_limit)
         on = np.flatnonzero(slope < high)
         number = np.zeros(own.shape, np.int32)
-        slope[on], number[on] = _horizon(heights, tuple(np.broadcast_to(way, own.shape)[on] for way in ways), x[on], y[on], own[on], slope[on], _highest(top),
-                                         np.broadcast_to(reach, own.shape)[on], rows, cols, margin, OPEN)
+        slope[on], number[on] = _horizon(
+            heights,
+            tuple(np.broadcast_to(way, own.shape)[on] for way in ways),
+            x[on],
+            y[on],
+            own[on],
+            slope[on],
+            _highest(top),
+            np.broadcast_to(reach, own.shape)[on],
+            rows,
+            cols,
+            margin,
+            OPEN,
+        )
 
         # 3. the light between
         lit = slope < high
         number = np.where(lit, number, 0)
         down, left = s < 0, c < 0
-        diamond = np.where(~down, np.where(~left, s / (c + s), 1 - c / (s - c)), np.where(left, 2 - s / (-c - s), 3 + c / (c - s)))
+        diamond = np.where(
+            ~down,
+            np.where(~left, s / (c + s), 1 - c / (s - c)),
+            np.where(left, 2 - s / (-c - s), 3 + c / (c - s)),
+        )
         place = f32(0.25) * diamond * f32(n_rows)
         row = np.minimum(place.astype(np.int32), n_rows - 1)
         after = np.where(row + 1 < n_rows, row + 1, 0)
@@ -292,7 +386,9 @@ def lamp(heights, tilts, tiles, top, frames, nodes, solid, table, light, held, f
         by_own = np.where(cut, by_own - width * (e1 + tilt * e2) * high_by, by_own)
         by = per_slope * by_limit
         some = np.flatnonzero(number)
-        by[some] = _note((held, first, second, near, far), some, ways, number, x, y, rows, cols, OPEN, per_slope, inverse)
+        by[some] = _note(
+            (held, first, second, near, far), some, ways, number, x, y, rows, cols, OPEN, per_slope, inverse
+        )
         total = np.where(lit, total + width * (c1 + tilt * c2), total)
         by_own = np.where(lit, by_own + by, by_own)
         by_x = np.where(lit, by_x + width * c * c2, by_x)
@@ -306,7 +402,12 @@ def _neighbours(light, rows, cols):
     for by, i, size, step in ((light[2], x, cols, 1), (light[3], y, rows, cols)):
         if size > 1:
             here = y * cols + x
-            yield by, here + step * (i < size - 1), here - step * (i > 0), np.where((i > 0) & (i < size - 1), f32(0.5), f32(1))
+            yield (
+                by,
+                here + step * (i < size - 1),
+                here - step * (i > 0),
+                np.where((i > 0) & (i < size - 1), f32(0.5), f32(1)),
+            )
 
 
 def _links(held, *arrays):
@@ -389,14 +490,55 @@ def bending(z, rest, part, block, rows, cols):
     _put(part, block, a * a + b * b)
 
 
-def downhill(light, held, first, second, near, far, gain, target, sum, squares, unit, fine, rows, cols, count, each, teams):
+def downhill(
+    light,
+    held,
+    first,
+    second,
+    near,
+    far,
+    gain,
+    target,
+    sum,
+    squares,
+    unit,
+    fine,
+    rows,
+    cols,
+    count,
+    each,
+    teams,
+):
     links = light, held, first, second, near, far
     _spread(*links, sum[0], gain * (gain * light[0] - target) * f32(unit), False, rows, cols)
     _spread(*links, squares[0], gain * gain * f32(fine), True, rows, cols)
 
 
-def begin(z, rest, low, high, sum, squares, scale, r, x, p, s, is_free, unit, fine, least, lambda_, rows, cols, each, teams):
-    down = -(sum[0].astype(f32) * f32(unit) + f32(lambda_) * (_unbend(z, rows, cols) - _unbend(rest, rows, cols)))
+def begin(
+    z,
+    rest,
+    low,
+    high,
+    sum,
+    squares,
+    scale,
+    r,
+    x,
+    p,
+    s,
+    is_free,
+    unit,
+    fine,
+    least,
+    lambda_,
+    rows,
+    cols,
+    each,
+    teams,
+):
+    down = -(
+        sum[0].astype(f32) * f32(unit) + f32(lambda_) * (_unbend(z, rows, cols) - _unbend(rest, rows, cols))
+    )
     is_free[:] = ~(((z <= low) & (down < 0)) | ((z >= high) & (down > 0)))
     scale[:] = squares[0].astype(f32) * f32(fine) + f32(least)
     r[:] = is_free * down
@@ -405,7 +547,9 @@ def begin(z, rest, low, high, sum, squares, scale, r, x, p, s, is_free, unit, fi
 
 
 FOUR = 4
-HAT = (2 * np.minimum(np.arange(2 * FOUR), 2 * FOUR - 1 - np.arange(2 * FOUR)) + 1).astype(f32) / f32(2 * FOUR)
+HAT = (2 * np.minimum(np.arange(2 * FOUR), 2 * FOUR - 1 - np.arange(2 * FOUR)) + 1).astype(f32) / f32(
+    2 * FOUR
+)
 
 
 def _lowered(v):
@@ -436,7 +580,9 @@ def _raised(v, size):
 
 
 def up(r, scale, is_free, coarse, v, rows, cols):
-    v[:] = is_free * (r / scale + _raised(_raised(coarse.reshape((rows - 1) // FOUR + 1, -1), rows).T, cols).T.ravel())
+    v[:] = is_free * (
+        r / scale + _raised(_raised(coarse.reshape((rows - 1) // FOUR + 1, -1), rows).T, cols).T.ravel()
+    )
 
 
 def lengths(r, v, part, pixels):
@@ -450,16 +596,44 @@ LEFT, SCATTERED, UNIT_RV, UNIT_VV, PRODUCT, ALPHA, START, GAIN, LAMBDA, DAMPING,
 def product(light, held, first, second, near, far, gain, v, sum, state, rows, cols, count, each, teams):
     if state[LEFT] > 0:
         links = light, held, first, second, near, far
-        _spread(*links, sum[0], gain * gain * _change(*links, v, rows, cols) * f32(state[SCATTERED]), False, rows, cols)
+        _spread(
+            *links,
+            sum[0],
+            gain * gain * _change(*links, v, rows, cols) * f32(state[SCATTERED]),
+            False,
+            rows,
+            cols,
+        )
 
 
-def change(light, held, first, second, near, far, gain, bare, v, share, state, rows, cols, count, is_first, each):
+def change(
+    light, held, first, second, near, far, gain, bare, v, share, state, rows, cols, count, is_first, each
+):
     if state[LEFT] > 0:
         own = bare * light[0] * (gain * _change(light, held, first, second, near, far, v, rows, cols))
         share[:] = own if is_first else share + own
 
 
-def product_beside(light, held, first, second, near, far, gain, bare, share, under, v, sum, state, rows, cols, count, each, teams):
+def product_beside(
+    light,
+    held,
+    first,
+    second,
+    near,
+    far,
+    gain,
+    bare,
+    share,
+    under,
+    v,
+    sum,
+    state,
+    rows,
+    cols,
+    count,
+    each,
+    teams,
+):
     if state[LEFT] > 0:
         links = light, held, first, second, near, far
         left = gain * _change(*links, v, rows, cols) - bare * light[0] * (share / under)
@@ -469,7 +643,9 @@ def product_beside(light, held, first, second, near, far, gain, bare, share, und
 def curve(r, v, scale, is_free, sum, w, totals, state, rows, cols, each, teams):
     if state[LEFT] > 0:
         bent = f32(state[LAMBDA]) * _unbend(v, rows, cols)
-        w[:] = is_free * (sum[0].astype(f32) * f32(1 / state[SCATTERED]) + bent + f32(state[DAMPING]) * scale * v)
+        w[:] = is_free * (
+            sum[0].astype(f32) * f32(1 / state[SCATTERED]) + bent + f32(state[DAMPING]) * scale * v
+        )
         sum[:] = 0
         a, b, c = (array.astype(np.float64) for array in (r, v, w))
         for n, values in enumerate((a * b * state[UNIT_RV], b * c * state[UNIT_RV], b * b * state[UNIT_VV])):
@@ -491,8 +667,17 @@ def go(v, w, r, x, p, s, totals, next_totals, state, next, fixed, exact, pixels,
     if not (product > state[LEAST] * next[START] and curvature > 0):
         next[LEFT] = 0
         return
-    next[[LEFT, SCATTERED, UNIT_RV, UNIT_VV]] = state[LEFT] - 1, fixed / np.sqrt(square), exact / product, exact / square
-    next[[PRODUCT, ALPHA, GAIN]] = product, product / curvature, state[GAIN] + 0.5 * (product / curvature) * product
+    next[[LEFT, SCATTERED, UNIT_RV, UNIT_VV]] = (
+        state[LEFT] - 1,
+        fixed / np.sqrt(square),
+        exact / product,
+        exact / square,
+    )
+    next[[PRODUCT, ALPHA, GAIN]] = (
+        product,
+        product / curvature,
+        state[GAIN] + 0.5 * (product / curvature) * product,
+    )
     alpha, beta = f32(product / curvature), f32(beta)
     p[:] = v + beta * p
     s[:] = w + beta * s
@@ -502,7 +687,19 @@ def go(v, w, r, x, p, s, totals, next_totals, state, next, fixed, exact, pixels,
 
 def ready(state, totals, square, product, lambda_, damping, least, fixed, exact, most):
     totals[:] = 0
-    state[:] = most, fixed / np.sqrt(square), exact / product, exact / square, 0, 0, 0, 0, lambda_, damping, least
+    state[:] = (
+        most,
+        fixed / np.sqrt(square),
+        exact / product,
+        exact / square,
+        0,
+        0,
+        0,
+        0,
+        lambda_,
+        damping,
+        least,
+    )
 
 
 def move(z, x, low, high, to, pixels, each):

@@ -5,7 +5,24 @@ from __future__ import annotations
 import numpy as np
 
 
-def carve(planes, weights, light, low, high, side, depth, active, pixels, room, n_walks, is_first, is_last, layer, by_sign, BITS):
+def carve(
+    planes,
+    weights,
+    light,
+    low,
+    high,
+    side,
+    depth,
+    active,
+    pixels,
+    room,
+    n_walks,
+    is_first,
+    is_last,
+    layer,
+    by_sign,
+    BITS,
+):
     depth = depth.reshape(pixels)
     here = np.flatnonzero(depth == layer)
     total = np.zeros(len(here), np.int32) if is_first else light[here]

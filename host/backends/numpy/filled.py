@@ -1,4 +1,6 @@
-"""The kernels of `filled` in NumPy: names, arguments and bits as in opencl/filled.cl and warp_kernels/filled.py."""
+"""The kernels of `filled` in NumPy: names, arguments and bits as in opencl/filled.cl and
+warp_kernels/filled.py.
+"""
 
 from __future__ import annotations
 
@@ -7,14 +9,31 @@ import numpy as np
 from .scan import map_of, scan_walk
 
 
-def scan_filled(maps, walks, rise, lap, crossings, climbs, spans, planes, map_rows, map_cols, room, lap_lines, periodic, BITS):
+def scan_filled(
+    maps,
+    walks,
+    rise,
+    lap,
+    crossings,
+    climbs,
+    spans,
+    planes,
+    map_rows,
+    map_cols,
+    room,
+    lap_lines,
+    periodic,
+    BITS,
+):
     for w, walk in enumerate(walks):
         begin, end = spans[w, 0], spans[w].sum() - 1
         depth = map_of(maps, walk[6], (map_rows, map_cols))
 
         def lower(ceiling, row, begin=begin, end=end, depth=depth):
             for c in range(begin, end):
-                np.minimum(ceiling, _ground(depth, crossings[c], row, periodic) + climbs[c][:, None], out=ceiling)
+                np.minimum(
+                    ceiling, _ground(depth, crossings[c], row, periodic) + climbs[c][:, None], out=ceiling
+                )
 
         scan_walk(maps, walk, rise[w], lap[w], planes, (map_rows, map_cols), periodic, lower)
 
@@ -30,7 +49,11 @@ def _ground(depth, crossing, row, periodic):
             values.append(depth[py % rows, px % cols])
         else:
             inside = (px >= 0) & (px < cols) & (py >= 0) & (py < rows)
-            values.append(np.where(inside, depth[np.clip(py, 0, rows - 1), np.clip(px, 0, cols - 1)], np.float32(np.inf)))
+            values.append(
+                np.where(
+                    inside, depth[np.clip(py, 0, rows - 1), np.clip(px, 0, cols - 1)], np.float32(np.inf)
+                )
+            )
     near, far = values
     ground = np.float32(near_weight + far_weight) * near + np.float32(far_weight) * (far - near)
     return np.where((near < np.inf) & (far < np.inf), ground, np.float32(np.inf))

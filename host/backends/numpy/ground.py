@@ -1,15 +1,14 @@
 """Horizons, and the light of a sky above them, in NumPy: twins of opencl/horizon.cl and opencl/ground.cl.
 
-Float32 and int32 operations in the order of the OpenCL kernels, a product and its sum rounded one after the other, so
-that slopes are the same bits as on a CPU. What is done for one node there is done for the whole map here, and what is
-done for one line for all lines of an azimuth; only the ladder goes from row to row. Steps are numbered as in
-opencl/horizon.cl.
+Float32 and int32 operations in the order of the OpenCL kernels, a product and its sum rounded one after the
+other, so that slopes are the same bits as on a CPU. What is done for one node there is done for the whole map
+here, and what is done for one line for all lines of an azimuth; only the ladder goes from row to row. Steps
+are numbered as in opencl/horizon.cl.
 """
 
 from __future__ import annotations
 
 import numpy as np
-
 
 NONE, MASKED = np.float32(-1e30), np.float32(-1e29)
 UNSEEN = 1 - (1 << 30)
@@ -28,9 +27,13 @@ def _difference(z):
 
 
 def tilt(heights, tilts, rows, cols, margin, room, periodic):
-    inner = heights.reshape(rows + 2 * margin, cols + 2 * margin)[margin - 1 : 1 - margin, margin - 1 : 1 - margin]
+    inner = heights.reshape(rows + 2 * margin, cols + 2 * margin)[
+        margin - 1 : 1 - margin, margin - 1 : 1 - margin
+    ]
     for out, slope in zip(tilts, (_difference(inner), _difference(inner.T).T)):
-        out.reshape(rows + 2 * margin, cols + 2 * margin)[...] = np.pad(slope, margin, "wrap" if periodic else "constant")
+        out.reshape(rows + 2 * margin, cols + 2 * margin)[...] = np.pad(
+            slope, margin, "wrap" if periodic else "constant"
+        )
 
 
 def turn(map, turned, rows, cols):
@@ -50,7 +53,9 @@ def correct(tilts, table, irradiance, rows, cols, margin, room, side, unit):
     i, j = (np.clip(w.astype(np.int32), 0, side - 2) for w in (u, v))
     across, along = u - i.astype(np.float32), v - j.astype(np.float32)
     table = table.reshape(side, side)
-    low, high = (row[0] + across * (row[1] - row[0]) for row in ((table[k, i], table[k, i + 1]) for k in (j, j + 1)))
+    low, high = (
+        row[0] + across * (row[1] - row[0]) for row in ((table[k, i], table[k, i + 1]) for k in (j, j + 1))
+    )
     irradiance.view(np.float32).reshape(rows, cols)[...] += np.float32(unit) * (low + along * (high - low))
 
 
@@ -62,10 +67,15 @@ def halves(a, b, count):
 def judge(heights, image, half_, found, rows, cols, margin, block, limit):
     blocks = -(-rows // block)
     image, half_ = (values.view(np.float32).reshape(rows, cols) for values in (image, half_))
-    known = heights.reshape(rows + 2 * margin, cols + 2 * margin)[margin : margin + rows, margin : margin + cols] > MASKED
+    known = (
+        heights.reshape(rows + 2 * margin, cols + 2 * margin)[margin : margin + rows, margin : margin + cols]
+        > MASKED
+    )
     found = found.reshape(5, blocks, cols)
     found[:] = 0
-    for first in range(min(block, rows)):  # the first rows of all blocks, then their second: each sum in the order of its rows
+    for first in range(
+        min(block, rows)
+    ):  # the first rows of all blocks, then their second: each sum in the order of its rows
         rest = np.s_[first::block]
         some, here, apart = known[rest], image[rest], half_[rest]
         for sums, terms in zip(found, (here, apart * apart, ONE, here > 0, abs(apart) > np.float32(limit))):

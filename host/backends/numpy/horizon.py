@@ -1,9 +1,9 @@
 """Horizons, and the light of a sky above them, in NumPy: twins of opencl/horizon.cl and opencl/ground.cl.
 
-Float32 and int32 operations in the order of the OpenCL kernels, a product and its sum rounded one after the other, so
-that slopes are the same bits as on a CPU. What is done for one node there is done for the whole map here, and what is
-done for one line for all lines of an azimuth; only the ladder goes from row to row. Steps are numbered as in
-opencl/horizon.cl.
+Float32 and int32 operations in the order of the OpenCL kernels, a product and its sum rounded one after the
+other, so that slopes are the same bits as on a CPU. What is done for one node there is done for the whole map
+here, and what is done for one line for all lines of an azimuth; only the ladder goes from row to row. Steps
+are numbered as in opencl/horizon.cl.
 """
 
 from __future__ import annotations
@@ -18,17 +18,96 @@ SLOPES, UNIFORM, TABLE = range(3)  # WHAT
 ONE, HALF = np.float32(1), np.float32(0.5)
 
 
-def sweep(heights, tilts, azimuths, ways, near_at, near_weight, table, slopes, sum, steps, rises, first, group, rows, cols,
-          margin, room, knots, bits, lowest, unit, known, backward, *, NEAR, SIDES, WHAT, BLOCKS):
+def sweep(
+    heights,
+    tilts,
+    azimuths,
+    ways,
+    near_at,
+    near_weight,
+    table,
+    slopes,
+    sum,
+    steps,
+    rises,
+    first,
+    group,
+    rows,
+    cols,
+    margin,
+    room,
+    knots,
+    bits,
+    lowest,
+    unit,
+    known,
+    backward,
+    *,
+    NEAR,
+    SIDES,
+    WHAT,
+    BLOCKS,
+):
     """``group`` is how devices share out the lines; here all lines go together, azimuth by azimuth."""
-    for plane in range(len(slopes) if slopes.ndim == 2 else 1):  # without slopes light is summed, azimuth by azimuth
-        _sweep(heights, tilts, azimuths[first + plane], ways[first + plane], near_at[first + plane], near_weight[first + plane],
-               None if WHAT != TABLE else table[first + plane], slopes[plane : plane + 1], sum, np.array(steps, np.int32), np.array(rises, np.int32),
-               rows, cols, margin, room, knots, bits, np.float32(lowest), np.float32(unit), known, backward, NEAR, SIDES, WHAT, BLOCKS)
+    for plane in range(
+        len(slopes) if slopes.ndim == 2 else 1
+    ):  # without slopes light is summed, azimuth by azimuth
+        _sweep(
+            heights,
+            tilts,
+            azimuths[first + plane],
+            ways[first + plane],
+            near_at[first + plane],
+            near_weight[first + plane],
+            None if WHAT != TABLE else table[first + plane],
+            slopes[plane : plane + 1],
+            sum,
+            np.array(steps, np.int32),
+            np.array(rises, np.int32),
+            rows,
+            cols,
+            margin,
+            room,
+            knots,
+            bits,
+            np.float32(lowest),
+            np.float32(unit),
+            known,
+            backward,
+            NEAR,
+            SIDES,
+            WHAT,
+            BLOCKS,
+        )
 
 
-def _sweep(heights, tilts, azimuth, way, near_at, near_weight, table, slopes, sum, steps, rises, rows, cols, margin, room, knots, bits,
-           lowest, unit, known, backward, NEAR, SIDES, WHAT, BLOCKS):
+def _sweep(
+    heights,
+    tilts,
+    azimuth,
+    way,
+    near_at,
+    near_weight,
+    table,
+    slopes,
+    sum,
+    steps,
+    rises,
+    rows,
+    cols,
+    margin,
+    room,
+    knots,
+    bits,
+    lowest,
+    unit,
+    known,
+    backward,
+    NEAR,
+    SIDES,
+    WHAT,
+    BLOCKS,
+):
     shear, cosine, sine, tangent, width, reciprocal, reach = azimuth[:7]
     towards, near_rows, near_columns, warm, window = (int(v) for v in way[:5])
     steepness = abs(shear)
@@ -64,7 +143,12 @@ def _sweep(heights, tilts, azimuth, way, near_at, near_weight, table, slopes, su
         distance = m.astype(np.float32) * reciprocal
         n = distance.astype(np.int32)
         before = n if periodic else np.minimum(n, u + 1)
-        slope = rise(place(x + m if shear > 0 else x - m, y - towards * before), -towards * stride, distance - n.astype(np.float32), distance)
+        slope = rise(
+            place(x + m if shear > 0 else x - m, y - towards * before),
+            -towards * stride,
+            distance - n.astype(np.float32),
+            distance,
+        )
         return np.where(distance <= reach, slope, NONE) if BLOCKS else slope
 
     # 4. every near crossing
@@ -73,18 +157,42 @@ def _sweep(heights, tilts, azimuth, way, near_at, near_weight, table, slopes, su
     for e in range(near_rows if BLOCKS else NEAR):
         near = np.fmax(near, rise(p + near_at[e], 1, near_weight[e], np.float32(e + 1)))
     for e in range(near_columns):
-        beside = np.fmax(beside, rise(p + near_at[NEAR + e], -towards * stride, near_weight[NEAR + e], np.float32(e + 1)))
+        beside = np.fmax(
+            beside, rise(p + near_at[NEAR + e], -towards * stride, near_weight[NEAR + e], np.float32(e + 1))
+        )
     near = np.fmax(near, beside * np.maximum(steepness, np.float32(1e-6)))
 
     # 3. and 5. distances of the two crossings that the ladder gives
     level = (np.maximum(own - lowest, np.float32(0)) * unit).astype(np.int32) << bits
-    lower, upper = _ladder(heights, level, steps, rises, shear, reciprocal, towards, warm, window, rows, cols, margin, lowest, unit, bits, backward, NEAR, periodic, BLOCKS)
+    lower, upper = _ladder(
+        heights,
+        level,
+        steps,
+        rises,
+        shear,
+        reciprocal,
+        towards,
+        warm,
+        window,
+        rows,
+        cols,
+        margin,
+        lowest,
+        unit,
+        bits,
+        backward,
+        NEAR,
+        periodic,
+        BLOCKS,
+    )
 
     # 6. both on the node's own ray, no farther than the map or the window goes
     last = np.broadcast_to(np.minimum(u + warm, window), p.shape)
     if not periodic and oblique:
         room_beside = (cols - 1 - x if shear > 0 else x).astype(np.float32) * reciprocal
-        last = np.where(room_beside < np.minimum(u, window).astype(np.float32), room_beside.astype(np.int32), last)
+        last = np.where(
+            room_beside < np.minimum(u, window).astype(np.float32), room_beside.astype(np.int32), last
+        )
     last = np.maximum(last, 1)
     t1, t2 = np.maximum(np.minimum(lower, last), 1), np.maximum(np.minimum(upper, last), 1)
     far = np.fmax(on_row(t1), on_row(t2))
@@ -127,8 +235,30 @@ def _sweep(heights, tilts, azimuth, way, near_at, near_weight, table, slopes, su
     sum.reshape(rows, cols)[::towards] += (light + HALF).astype(np.int32)
 
 
-def _ladder(heights, level, steps, rises, shear, reciprocal, towards, warm, window, rows, cols, margin, lowest, unit, bits, backward, NEAR, periodic, BLOCKS):
-    """Distances [rows] of the crossings that the ladder's two steps give between which a node lies; each (rows, cols)."""
+def _ladder(
+    heights,
+    level,
+    steps,
+    rises,
+    shear,
+    reciprocal,
+    towards,
+    warm,
+    window,
+    rows,
+    cols,
+    margin,
+    lowest,
+    unit,
+    bits,
+    backward,
+    NEAR,
+    periodic,
+    BLOCKS,
+):
+    """Distances [rows] of the crossings that the ladder's two steps give between which a node lies; each
+    (rows, cols).
+    """
     grid = heights.reshape(rows + 2 * margin, cols + 2 * margin)
     x = np.arange(cols)
     backward = bool(BLOCKS and backward)
@@ -164,17 +294,22 @@ def _ladder(heights, level, steps, rises, shear, reciprocal, towards, warm, wind
             across = -shear * np.float32(comes)
             column = np.floor(across)
             at = line + int(column)
-            at = at % cols if periodic else np.clip(at, -2, cols)  # beyond that there is only what is not there
+            at = (
+                at % cols if periodic else np.clip(at, -2, cols)
+            )  # beyond that there is only what is not there
             ground = grid[margin + (comes % rows if towards > 0 else (rows - 1 - comes) % rows)]
             a, b = ground[margin + at], ground[margin + at + 1]
             ground = np.where(a == NONE, b, np.where(b == NONE, a, a + (across - column) * (b - a)))
-            quantized = (np.maximum(ground - lowest, np.float32(0)) * unit).astype(np.int32) << bits | comes_at
+            quantized = (np.maximum(ground - lowest, np.float32(0)) * unit).astype(
+                np.int32
+            ) << bits | comes_at
             seen = np.where(ground < np.float32(-1e20), seen, quantized)
         going = (start <= i) & (i < stop)
         above = np.where(going, np.maximum(above + steps, seen), above)
         if not 0 <= u < rows:
             continue
-        # 5. the two steps of the ladder between which each node lies, by bisection; above[s] is rises[s] too high
+        # 5. the two steps of the ladder between which each node lies, by bisection; above[s] is rises[s] too
+        # high
         of = x - int(np.floor(HALF - shear * np.float32(u)))
         heard = above[:, of % cols if periodic else of - origin]
         test = heard >= level[u] + rises

@@ -1,4 +1,6 @@
-"""The kernels of `luminance` in NumPy: names, arguments and bits as in opencl/luminance.cl and warp_kernels/luminance.py."""
+"""The kernels of `luminance` in NumPy: names, arguments and bits as in opencl/luminance.cl and
+warp_kernels/luminance.py.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +9,10 @@ import numpy as np
 
 def gradient(depth, slopes, rows, cols, room, half, one):
     half, one = np.float32(half), np.float32(one)
-    for out, z in ((slopes[0, : depth.size].reshape(depth.shape), depth), (slopes[1, : depth.size].reshape(depth.shape).T, depth.T)):
+    for out, z in (
+        (slopes[0, : depth.size].reshape(depth.shape), depth),
+        (slopes[1, : depth.size].reshape(depth.shape).T, depth.T),
+    ):
         known = np.isfinite(z)
         before, after = np.zeros_like(known), np.zeros_like(known)
         before[:, 1:], after[:, :-1] = known[:, :-1], known[:, 1:]
@@ -25,5 +30,7 @@ def luminance(planes, slopes, moments, irradiance, pixels, room, n_walks, is_fir
         lit = planes[w, :pixels]
         for b, (mx, my, mz, _) in enumerate(moments[w]):
             cosine = gx * mx + gy * my - mz
-            total += np.where((lit >> np.uint8(b) & np.uint8(1)).astype(bool) & (cosine > 0), cosine, np.float32(0))
+            total += np.where(
+                (lit >> np.uint8(b) & np.uint8(1)).astype(bool) & (cosine > 0), cosine, np.float32(0)
+            )
     irradiance[:pixels] = total / np.sqrt(gx * gx + gy * gy + np.float32(1)) if is_last else total

@@ -1,4 +1,6 @@
-"""pilot in NumPy: all rays at once, each at its own step; all blocks and picked values at once. Twin of opencl/pilot.cl."""
+"""pilot in NumPy: all rays at once, each at its own step; all blocks and picked values at once. Twin of
+opencl/pilot.cl.
+"""
 
 import numpy as np
 
@@ -23,8 +25,15 @@ def pilot(heights, tops, rays, slopes, count, rows, cols, across, shift, periodi
         move, n = aside * apart, np.ones(len(rays), np.int64)
         while len(left):
             t = n[left] * apart[left]
-            at, v = start[left] + way[left] * n[left], (start_aside[left] + n[left] * move[left]).astype(np.float32)
-            going = (t <= reach) & (highest - own[left] > slope[left] * t) & (t * (rays[left, 5] + slope[left] * rays[left, 6]) < rays[left, 7])
+            at, v = (
+                start[left] + way[left] * n[left],
+                (start_aside[left] + n[left] * move[left]).astype(np.float32),
+            )
+            going = (
+                (t <= reach)
+                & (highest - own[left] > slope[left] * t)
+                & (t * (rays[left, 5] + slope[left] * rays[left, 6]) < rays[left, 7])
+            )
             if periodic:
                 at, v = at % length, np.mod(v, np.float32(width))
                 v = np.where(v < width, v, np.float32(0))
@@ -36,8 +45,16 @@ def pilot(heights, tops, rays, slopes, count, rows, cols, across, shift, periodi
             block_at, block_low = at >> shift, low >> shift
             top = tops[block_at * across + block_low if by_rows else block_low * across + block_at]
             past = top - own[left] <= slope[left] * t
-            inside = np.where(way[left] > 0, np.minimum(block_at + 1 << shift, length) - at, at - (block_at << shift) + 1)
-            jump = np.maximum(1, np.minimum(inside, _steps_out(v, move[left], block_low << shift, np.minimum(block_low + 1 << shift, width))))
+            inside = np.where(
+                way[left] > 0, np.minimum(block_at + 1 << shift, length) - at, at - (block_at << shift) + 1
+            )
+            jump = np.maximum(
+                1,
+                np.minimum(
+                    inside,
+                    _steps_out(v, move[left], block_low << shift, np.minimum(block_low + 1 << shift, width)),
+                ),
+            )
             n[left] += np.where(past, jump, 1)
             here, at, low, t, part = left[~past], at[~past], low[~past], t[~past], part[~past]
             after = np.where(low + 1 < width, low + 1, 0 if periodic else low)
@@ -59,10 +76,17 @@ def pool(heights, found, rows, cols, across, down, shift, periodic, cliff):
         top[: rows + 1, : cols + 1] = np.pad(heights, ((0, 1), (0, 1)), "wrap")
     for _ in range(2):  # blocks of rows, then of columns, each with the one after it
         top = np.maximum(top[:-1].reshape(-1, size, top.shape[1]).max(1), top[size::size]).T
-    low, cliffs = np.full((down * size, across * size), -NONE), np.zeros((down * size, across * size), np.float32)
+    low, cliffs = (
+        np.full((down * size, across * size), -NONE),
+        np.zeros((down * size, across * size), np.float32),
+    )
     low[:rows, :cols][known] = heights[known]
-    cliffs[:rows, : cols - 1] += known[:, 1:] & known[:, :-1] & (abs(heights[:, 1:] - heights[:, :-1]) > np.float32(cliff))
-    cliffs[: rows - 1, :cols] += known[1:] & known[:-1] & (abs(heights[1:] - heights[:-1]) > np.float32(cliff))
+    cliffs[:rows, : cols - 1] += (
+        known[:, 1:] & known[:, :-1] & (abs(heights[:, 1:] - heights[:, :-1]) > np.float32(cliff))
+    )
+    cliffs[: rows - 1, :cols] += (
+        known[1:] & known[:-1] & (abs(heights[1:] - heights[:-1]) > np.float32(cliff))
+    )
     blocks = down, size, across, size
     found[:] = top, low.reshape(blocks).min((1, 3)), cliffs.reshape(blocks).sum((1, 3))
 

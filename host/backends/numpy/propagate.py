@@ -1,4 +1,6 @@
-"""The kernels of `propagate` in NumPy: names, arguments and bits as in opencl/propagate.cl and warp_kernels/propagate.py."""
+"""The kernels of `propagate` in NumPy: names, arguments and bits as in opencl/propagate.cl and
+warp_kernels/propagate.py.
+"""
 
 from __future__ import annotations
 
@@ -14,9 +16,15 @@ def reaches(depth, ways, lap, levels, rows, cols, lap_lines, periodic):
         i, j = (i, j) if j else (0, i)
 
         def first_ceiling(line, w=w, cols=z.shape[1]):
-            return lap[w, None, line : line + cols].copy() if periodic else np.full((1, cols), np.inf, np.float32)
+            return (
+                lap[w, None, line : line + cols].copy()
+                if periodic
+                else np.full((1, cols), np.inf, np.float32)
+            )
 
-        for row, _, ceiling in sweep_lines(z, i, j, 0, first_ceiling, periodic, lambda ceiling, row: None, nothing):
+        for row, _, ceiling in sweep_lines(
+            z, i, j, 0, first_ceiling, periodic, lambda ceiling, row: None, nothing
+        ):
             out[row] = ceiling[0]
 
 
@@ -31,7 +39,10 @@ def propagate(depth, levels, offsets, field, rows, cols, reach, n_words, n_direc
         else:
             j = round(offset / width)
             i = offset - j * width
-            lit[word] |= field[layer + reach - k, word, reach + j : reach + j + rows, reach + i : reach + i + cols] & bit
+            lit[word] |= (
+                field[layer + reach - k, word, reach + j : reach + j + rows, reach + i : reach + i + cols]
+                & bit
+            )
     here[:, reach : reach + rows, reach : reach + cols] = np.where(depth >= layer, lit, np.uint32(0))
 
 

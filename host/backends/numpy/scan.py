@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-NOTHING = np.finfo(np.float32).max  # ceiling where nothing stands above; finite, so that a masked node never passes
+NOTHING = np.finfo(
+    np.float32
+).max  # ceiling where nothing stands above; finite, so that a masked node never passes
 
 
 def sweep_lines(depth, i, j, warm, first_ceiling, periodic, lower, climb):
-    """Yields (row, depths, ceilings) of the nodes of one walk (i, j), j not 0, row by row from the source's side.
+    """Yields (row, depths, ceilings) of the nodes of one walk (i, j), j not 0, row by row from the source's
+    side.
 
     ``lower(ceiling, row)`` lowers the ceilings first.
     """
@@ -37,13 +40,17 @@ def scan_walk(maps, walk, climb, lap, planes, shape, periodic, lower=None):
     def first_ceiling(line):
         ceiling = np.full((bits, depth.shape[1]), NOTHING)
         if periodic and climb[0] == 0:
-            ceiling[0] = np.roll(lap[line : line + depth.shape[1]], warm * i)  # the warm-up begins elsewhere on the cycle
+            ceiling[0] = np.roll(
+                lap[line : line + depth.shape[1]], warm * i
+            )  # the warm-up begins elsewhere on the cycle
         return ceiling
 
     out = planes[plane, : depth.size].reshape(depth.shape)
     weights = (1 << np.arange(bits, dtype=np.uint8))[:, None]
     scaled = depth * np.float32(parts) if lower else depth
-    for row, z, ceiling in sweep_lines(scaled, i, j, warm, first_ceiling, periodic, lower or (lambda ceiling, row: None), climb[:, None]):
+    for row, z, ceiling in sweep_lines(
+        scaled, i, j, warm, first_ceiling, periodic, lower or (lambda ceiling, row: None), climb[:, None]
+    ):
         out[row] = ((z <= ceiling) * weights).sum(0, dtype=np.uint8)
 
 

@@ -1,4 +1,6 @@
-"""The kernels of slices in NumPy: same names, arguments and steps as in Warp and OpenCL, on many slices at a time."""
+"""The kernels of slices in NumPy: same names, arguments and steps as in Warp and OpenCL, on many slices at a
+time.
+"""
 
 from __future__ import annotations
 
@@ -74,9 +76,21 @@ def _pixels(heights, rows, cols):
     y, x = np.nonzero(grid[1:-1, 1:] > NONE)
     here = (y + 1) * (cols + 1) + x + 1
     pick = lambda step: heights[here + step]
-    tilt_x, tilt_y = _slope_between(pick(-1), pick(0), pick(1)), _slope_between(pick(-cols - 1), pick(0), pick(cols + 1))
+    tilt_x, tilt_y = (
+        _slope_between(pick(-1), pick(0), pick(1)),
+        _slope_between(pick(-cols - 1), pick(0), pick(cols + 1)),
+    )
     twice = F(2) / (F(1) + tilt_x * tilt_x + tilt_y * tilt_y)
-    return x.astype(np.int32), y.astype(np.int32), pick(0), tilt_x, tilt_y, twice * tilt_x, twice * tilt_y, twice - F(1)
+    return (
+        x.astype(np.int32),
+        y.astype(np.int32),
+        pick(0),
+        tilt_x,
+        tilt_y,
+        twice * tilt_x,
+        twice * tilt_y,
+        twice - F(1),
+    )
 
 
 def _under_source(pixels, along, aside, t):
@@ -94,8 +108,12 @@ def _horizon(ground, pixels, c, s, slope, high, along, aside):
     found = slope.copy()
     per_x, per_y = np.where(c != 0, F(1) / c, ENDLESS), np.where(s != 0, F(1) / s, ENDLESS)
     on_x, on_y = (c >= 0).astype(np.int32), (s >= 0).astype(np.int32)
-    end_x = np.where(c == 0, ENDLESS, np.where(c > 0, ground.cols - 1 - pixels.x, -pixels.x).astype(F) * per_x)
-    end_y = np.where(s == 0, ENDLESS, np.where(s > 0, ground.rows - 1 - pixels.y, -pixels.y).astype(F) * per_y)
+    end_x = np.where(
+        c == 0, ENDLESS, np.where(c > 0, ground.cols - 1 - pixels.x, -pixels.x).astype(F) * per_x
+    )
+    end_y = np.where(
+        s == 0, ENDLESS, np.where(s > 0, ground.rows - 1 - pixels.y, -pixels.y).astype(F) * per_y
+    )
     end = np.minimum(end_x, end_y)
     who = np.flatnonzero((slope < high) & (end > 0) & (pixels.reach > 0))
     state = [value[who] for value in (c, s, slope, high, along, aside, per_x, per_y, on_x, on_y, end)]
@@ -114,12 +132,22 @@ def _horizon(ground, pixels, c, s, slope, high, along, aside):
         across = np.where(by_x, s, c) * out
         # 2. the ground there
         n = np.flatnonzero(single)
-        low = np.where(by_x[n], (cell_y[n] + 1) * stride + line_x[n] + 1, (line_y[n] + 1) * stride + cell_x[n] + 1)
-        part = np.clip(across[n] - np.where(by_x[n], cell_y[n] - here.y[n], cell_x[n] - here.x[n]).astype(F), F(0), F(1))
-        rise = ground.heights[low] * (F(1) - part) + ground.heights[low + np.where(by_x[n], stride, 1)] * part - here.height[n]
+        low = np.where(
+            by_x[n], (cell_y[n] + 1) * stride + line_x[n] + 1, (line_y[n] + 1) * stride + cell_x[n] + 1
+        )
+        part = np.clip(
+            across[n] - np.where(by_x[n], cell_y[n] - here.y[n], cell_x[n] - here.x[n]).astype(F), F(0), F(1)
+        )
+        rise = (
+            ground.heights[low] * (F(1) - part)
+            + ground.heights[low + np.where(by_x[n], stride, 1)] * part
+            - here.height[n]
+        )
         higher = (rise > slope[n] * out[n]) & (out[n] * (along[n] + slope[n] * here.up[n]) < here.reach[n])
         n = n[higher]
-        slope[n] = np.maximum(slope[n], np.minimum(rise[higher] / out[n], _under_source(here.of(n), along[n], aside[n], out[n])))
+        slope[n] = np.maximum(
+            slope[n], np.minimum(rise[higher] / out[n], _under_source(here.of(n), along[n], aside[n], out[n]))
+        )
         # 3. or the top of a large cell against the line where it comes in
         at = np.where(single, 0, large_y * width + width - (width >> np.maximum(level - 1, 0)) + large_x)
         passes = single | (tops[at] - here.height <= slope * t)
@@ -141,9 +169,15 @@ def _horizon(ground, pixels, c, s, slope, high, along, aside):
 
 
 def _in_lobe(ground, pixels, c, s, cosine, sine):
-    x, y, z = cosine - (pixels.mirror_x * c + pixels.mirror_y * s), pixels.mirror_y * c - pixels.mirror_x * s, sine - pixels.mirror_z
+    x, y, z = (
+        cosine - (pixels.mirror_x * c + pixels.mirror_y * s),
+        pixels.mirror_y * c - pixels.mirror_x * s,
+        sine - pixels.mirror_z,
+    )
     most = F(len(ground.lobe) - 1)
-    at = np.minimum((x * x + y * y + z * z) * (F(0.5) * most / ground.rim), most)  # 1 - cos is half of |L - R|^2
+    at = np.minimum(
+        (x * x + y * y + z * z) * (F(0.5) * most / ground.rim), most
+    )  # 1 - cos is half of |L - R|^2
     i = np.minimum(at.astype(np.int32), len(ground.lobe) - 2)
     first = ground.lobe[i]
     return first + (at - i.astype(F)) * (ground.lobe[i + 1] - first)
@@ -182,7 +216,9 @@ def _arctan(x):
 
 
 def _mean_cosine(a, b):
-    """Mean of the cosine over the sines between two near directions with cosines a and b, to second order even at the zenith."""
+    """Mean of the cosine over the sines between two near directions with cosines a and b, to second order
+    even at the zenith.
+    """
     return (a * a + a * b + b * b) / np.maximum(F(1.5) * (a + b), F(1) / ENDLESS)
 
 
@@ -204,9 +240,14 @@ def _of_chords(chords, c, s, tilt, low, high, by_cosine, by_sine):
     low_0, low_1, high_0, high_1 = (blended(knot) for knot in (i, i + 1, j, j + 1))
     cosine_at = lambda knot: np.sqrt(((steps - knot) * (steps + knot)).astype(F))
     # 3. the even integrals: of both cells, and what of them lies below the ends
-    below = lambda knot, sine, cosine: np.stack([_mean_cosine(cosine_at(knot), cosine), F(0.5) * (sine + knot.astype(F))], -1)
+    below = lambda knot, sine, cosine: np.stack(
+        [_mean_cosine(cosine_at(knot), cosine), F(0.5) * (sine + knot.astype(F))], -1
+    )
     low_all, high_all = (below(knot, (knot + 1).astype(F), cosine_at(knot + 1)) for knot in (i, j))
-    low_part, high_part = ((sine - knot.astype(F))[:, None] * below(knot, sine, cosine) for knot, sine, cosine in ((i, low_s, low_c), (j, high_s, high_c)))
+    low_part, high_part = (
+        (sine - knot.astype(F))[:, None] * below(knot, sine, cosine)
+        for knot, sine, cosine in ((i, low_s, low_c), (j, high_s, high_c))
+    )
     # 4. brightness there; in one cell or two neighbours the closed forms leave short chords all digits
     here, there = (low_0 - low_1) / low_all, (high_0 - high_1) / high_all
     few = here * (F(steps) * F(steps)) * np.stack([by_cosine, by_sine], -1) + (there - here) * high_part
@@ -233,7 +274,11 @@ def _chord(ground, pixels, c, s, low, high, rise):
 
 
 def _to_wall(ends, at, along):
-    return np.where(along == 0, ENDLESS, np.where(along > 0, F(ends) - F(0.5) - at.astype(F), F(-0.5) - at.astype(F)) / along)
+    return np.where(
+        along == 0,
+        ENDLESS,
+        np.where(along > 0, F(ends) - F(0.5) - at.astype(F), F(-0.5) - at.astype(F)) / along,
+    )
 
 
 def _to_rim(ground, pixels, c, s, before, after, rise):
@@ -257,7 +302,8 @@ def _light(ground, pixels, c, s, along, aside, low, high, rise):
     if not ground.dark:
         slope = _horizon(ground, pixels, c, s, slope, high, along, aside)
         return _chord(ground, pixels, c, s, slope, high, np.where(slope > low, high - slope, rise))
-    # 2. the wall hides what lies beyond it: tangents up to `under`, and from `over` on, but none from its top on
+    # 2. the wall hides what lies beyond it: tangents up to `under`, and from `over` on, but none from its top
+    # on
     wall = np.minimum(_to_wall(ground.cols, pixels.x, c), _to_wall(ground.rows, pixels.y, s))
     top = -pixels.height / wall
     if pixels.radius > 0:
@@ -270,18 +316,25 @@ def _light(ground, pixels, c, s, along, aside, low, high, rise):
     else:
         up = np.where(pixels.up == 0, F(1) / ENDLESS, pixels.up)
         meets = (pixels.reach / wall - along) / up
-        under, over = np.where(up > 0, ENDLESS if pixels.radius < 0 else meets, -ENDLESS), np.where(up > 0, ENDLESS, meets)
+        under, over = (
+            np.where(up > 0, ENDLESS if pixels.radius < 0 else meets, -ENDLESS),
+            np.where(up > 0, ENDLESS, meets),
+        )
     slope = np.maximum(slope, np.minimum(under, top))
     split = over < top
     left = np.where(split, np.minimum(high, over), high)
     slope = _horizon(ground, pixels, c, s, slope, np.where(split & (high <= top), left, high), along, aside)
-    total = _chord(ground, pixels, c, s, slope, left, np.where((slope > low) | (left < high), left - slope, rise))
+    total = _chord(
+        ground, pixels, c, s, slope, left, np.where((slope > low) | (left < high), left - slope, rise)
+    )
     above = np.maximum(slope, top)
     return total + np.where(split, _chord(ground, pixels, c, s, above, high, high - above), F(0))
 
 
 def _sum(ground, pixels, blocks, most, unit, irradiance, slices_of, alternating=None):
-    """Fill irradiance: slices_of(indices of pixels, their number of slices) -> (share, along, aside, low, high, rise, c, s), 2-D."""
+    """Fill irradiance: slices_of(indices of pixels, their number of slices) -> (share, along, aside, low,
+    high, rise, c, s), 2-D.
+    """
     irradiance[...] = 0
     if alternating is not None:
         alternating[...] = 0
@@ -292,16 +345,49 @@ def _sum(ground, pixels, blocks, most, unit, irradiance, slices_of, alternating=
             here = pixels.of(part)
             share, along, aside, low, high, rise, c, s = slices_of(part, count)
             flat = lambda value: np.ascontiguousarray(np.broadcast_to(value, share.shape)).ravel()
-            light = _light(ground, here.of(np.repeat(np.arange(len(part)), count)), *map(flat, (c, s, along, aside, low, high, rise)))
+            light = _light(
+                ground,
+                here.of(np.repeat(np.arange(len(part)), count)),
+                *map(flat, (c, s, along, aside, low, high, rise)),
+            )
             scale = np.sqrt(F(1) + here.tilt_x * here.tilt_x + here.tilt_y * here.tilt_y)
             light = share * light.reshape(share.shape)
             irradiance[here.y, here.x] = F(unit) * light.sum(1, dtype=F) / scale
             if alternating is not None:
-                alternating[here.y, here.x] = F(unit) * (light[:, ::2] - light[:, 1::2]).sum(1, dtype=F) / scale
+                alternating[here.y, here.x] = (
+                    F(unit) * (light[:, ::2] - light[:, 1::2]).sum(1, dtype=F) / scale
+                )
 
 
-def ball(heights, tops, nodes, sky, points, lobe, chords, irradiance, alternating, rows, cols, width, levels, least, most, side, n_points, n_lobe, n_turns, n_knots, dark,
-         rim, x0, y0, z0, radius, unit):
+def ball(
+    heights,
+    tops,
+    nodes,
+    sky,
+    points,
+    lobe,
+    chords,
+    irradiance,
+    alternating,
+    rows,
+    cols,
+    width,
+    levels,
+    least,
+    most,
+    side,
+    n_points,
+    n_lobe,
+    n_turns,
+    n_knots,
+    dark,
+    rim,
+    x0,
+    y0,
+    z0,
+    radius,
+    unit,
+):
     x0, y0, z0, radius = F(x0), F(y0), F(z0), F(radius)
     nodes_with_ground = x, y, height, *_ = _pixels(heights, rows, cols)
     # 1. where the ball stands, and how many slices it is worth
@@ -315,7 +401,9 @@ def ball(heights, tops, nodes, sky, points, lobe, chords, irradiance, alternatin
     sin_a, cos_a = np.where(inside, F(1), radius / far), np.where(inside, F(0), np.sqrt(beyond) / far)
     all_round = sin_a >= cos_e
     widest = np.where(all_round, F(1), sin_a / cos_e)
-    turn = np.where(all_round, F(1), widest * (F(0.318) + F(0.182) * widest * widest))  # share of the circle, nearly
+    turn = np.where(
+        all_round, F(1), widest * (F(0.318) + F(0.182) * widest * widest)
+    )  # share of the circle, nearly
     blocks = np.minimum((least + (turn * F(most - least)).astype(np.int32)) // SLICES, most // SLICES)
     pixels = Pixels(*nodes_with_ground, dz, beyond, radius)
     seen = inside | (dz + radius > 0)
@@ -329,21 +417,52 @@ def ball(heights, tops, nodes, sky, points, lobe, chords, irradiance, alternatin
         cos_d = np.where(all_round_, row[3], np.sqrt((F(1) - sin_d) * (F(1) + sin_d)))
         square = column(sin_a) * column(sin_a) - column(cos_e) * column(cos_e) * (sin_d * sin_d)
         half = np.where(all_round_, np.sqrt(np.maximum(square, F(0))), column(sin_a) * row[1])
-        share = np.where(all_round_, F(2) * step, column(widest) * step * row[1] / np.maximum(cos_d, F(1e-6)))  # no less but where there is no chord
+        share = np.where(
+            all_round_, F(2) * step, column(widest) * step * row[1] / np.maximum(cos_d, F(1e-6))
+        )  # no less but where there is no chord
         in_plane = column(cos_e) * cos_d
         square = in_plane * in_plane + column(sin_e) * column(sin_e)
-        low_c, low_s = in_plane * column(cos_a) + column(sin_e) * half, column(sin_e) * column(cos_a) - in_plane * half
-        high_c, high_s = in_plane * column(cos_a) - column(sin_e) * half, column(sin_e) * column(cos_a) + in_plane * half
+        low_c, low_s = (
+            in_plane * column(cos_a) + column(sin_e) * half,
+            column(sin_e) * column(cos_a) - in_plane * half,
+        )
+        high_c, high_s = (
+            in_plane * column(cos_a) - column(sin_e) * half,
+            column(sin_e) * column(cos_a) + in_plane * half,
+        )
         low = np.where(low_c > 0, low_s / low_c, np.where(low_s > 0, STEEP, -STEEP))
         high = np.where(high_c > 0, high_s / high_c, np.where(column(sin_e) > 0, STEEP, -STEEP))
         low = np.where(inside_, -STEEP, low)
         high = np.where(inside_ | (high > STEEP), STEEP, high)
-        rise = np.where((low_c > 0) & (high < STEEP), F(2) * column(cos_a) * half * square / (low_c * high_c), high - low)
+        rise = np.where(
+            (low_c > 0) & (high < STEEP), F(2) * column(cos_a) * half * square / (low_c * high_c), high - low
+        )
         high = np.where(column(seen), high, -STEEP)
         flat_ = column(flat)
-        return share, flat_ * cos_d, flat_ * sin_d, low, high, rise, column(ux) * cos_d - column(uy) * sin_d, column(uy) * cos_d + column(ux) * sin_d
+        return (
+            share,
+            flat_ * cos_d,
+            flat_ * sin_d,
+            low,
+            high,
+            rise,
+            column(ux) * cos_d - column(uy) * sin_d,
+            column(uy) * cos_d + column(ux) * sin_d,
+        )
 
-    ground = Map(heights, tops, sky, points[:n_points], lobe[:n_lobe], chords[:n_turns, :n_knots], F(rim), rows, cols, levels, dark)
+    ground = Map(
+        heights,
+        tops,
+        sky,
+        points[:n_points],
+        lobe[:n_lobe],
+        chords[:n_turns, :n_knots],
+        F(rim),
+        rows,
+        cols,
+        levels,
+        dark,
+    )
     _sum(ground, pixels, blocks, most, unit, irradiance, slices_of, alternating)
 
 
@@ -352,7 +471,11 @@ def _sector_between(ax, ay, bx, by):
     square = ax * ax + ay * ay
     product = np.sqrt(square * (bx * bx + by * by))
     cosine, sine = ax * bx + ay * by, ax * by - ay * bx  # times product
-    half = np.where(cosine < 0, (product - cosine) / np.maximum(sine, F(1e-7) * product), np.maximum(sine, F(0)) / (product + np.maximum(cosine, F(0))))
+    half = np.where(
+        cosine < 0,
+        (product - cosine) / np.maximum(sine, F(1e-7) * product),
+        np.maximum(sine, F(0)) / (product + np.maximum(cosine, F(0))),
+    )
     r = np.sqrt(F(1) + half * half)
     scale = F(1) / (r * np.sqrt(square))
     return np.stack([(ax - ay * half) * scale, (ay + ax * half) * scale, half / (F(1) + r)])
@@ -363,7 +486,31 @@ def _share_of(quarter):
     return quarter * (F(0.637) - F(0.137) * quarter * quarter)
 
 
-def quad(heights, tops, corners, nodes, sky, points, lobe, chords, irradiance, rows, cols, width, levels, least, most, side, n_points, n_lobe, n_turns, n_knots, dark, rim, unit):
+def quad(
+    heights,
+    tops,
+    corners,
+    nodes,
+    sky,
+    points,
+    lobe,
+    chords,
+    irradiance,
+    rows,
+    cols,
+    width,
+    levels,
+    least,
+    most,
+    side,
+    n_points,
+    n_lobe,
+    n_turns,
+    n_knots,
+    dark,
+    rim,
+    unit,
+):
     nodes_with_ground = x, y, height, *_ = _pixels(heights, rows, cols)
     # 1. the corners, in the frame that points below the middle
     dx, dy, dz = corners[4, 0] - x.astype(F), corners[4, 1] - y.astype(F), corners[4, 2] - height
@@ -404,7 +551,9 @@ def quad(heights, tops, corners, nodes, sky, points, lobe, chords, irradiance, r
     def slices_of(part, count):
         number = np.arange(count)[None]
         column = lambda value: value[part, None]
-        bounds = np.concatenate([np.zeros((1, len(part)), int), ends[:, part], np.full((1, len(part)), count)])
+        bounds = np.concatenate(
+            [np.zeros((1, len(part)), int), ends[:, part], np.full((1, len(part)), count)]
+        )
         which = (number[None] >= bounds[1:4, :, None]).sum(0)
         axis_c, axis_s, quarter = (np.take_along_axis(sectors[:, k, part].T, which, 1) for k in range(3))
         first = np.take_along_axis(bounds[:4].T, which, 1)
@@ -415,7 +564,8 @@ def quad(heights, tops, corners, nodes, sky, points, lobe, chords, irradiance, r
         cos_t, sin_t = (F(1) - tangent * tangent) * scale, F(2) * tangent * scale
         cos_d, sin_d = axis_c * cos_t - axis_s * sin_t, axis_s * cos_t + axis_c * sin_t
         share = F(2) * quarter * weight * scale
-        # where the outline goes through the slice to the left, and to the right: distance and height from the middle
+        # where the outline goes through the slice to the left, and to the right: distance and height from the
+        # middle
         left_r, left_z, right_r, right_z = (np.zeros_like(share) for _ in range(4))
         has_left, has_right = np.zeros(share.shape, bool), np.zeros(share.shape, bool)
         side_of = [cos_d * column(ay[i]) - sin_d * column(ax[i]) for i in range(4)]
@@ -434,20 +584,63 @@ def quad(heights, tops, corners, nodes, sky, points, lobe, chords, irradiance, r
         steep_left, steep_right = (dz_ + left_z) / to_left, (dz_ + right_z) / to_right
         edge = np.where(column(left), steep_left, steep_right)
         wide = dz_ * (right_r - left_r) + in_plane * (left_z - right_z) + left_z * right_r - right_z * left_r
-        low = np.where(column(within), np.where(over, np.minimum(edge, STEEP), -STEEP), np.where(wide > 0, steep_right, steep_left))
-        high = np.where(column(within), np.where(over, STEEP, edge), np.where(wide > 0, steep_left, steep_right))
-        rise = np.where(column(within), high - low, np.where(high < STEEP, np.abs(wide) / (to_left * to_right), STEEP - low))
+        low = np.where(
+            column(within),
+            np.where(over, np.minimum(edge, STEEP), -STEEP),
+            np.where(wide > 0, steep_right, steep_left),
+        )
+        high = np.where(
+            column(within), np.where(over, STEEP, edge), np.where(wide > 0, steep_left, steep_right)
+        )
+        rise = np.where(
+            column(within),
+            high - low,
+            np.where(high < STEEP, np.abs(wide) / (to_left * to_right), STEEP - low),
+        )
         has = np.where(column(within), np.where(column(left), has_left, has_right), has_left & has_right)
         high = np.where(has & column(seen), np.minimum(high, STEEP), -STEEP)
         along = column(sense) * (column(normal_x) * cos_d + column(normal_y) * sin_d)
         c, s = column(ux) * cos_d - column(uy) * sin_d, column(uy) * cos_d + column(ux) * sin_d
         return np.where(column(seen), share, F(0)), along, F(0), low, high, rise, c, s
 
-    ground = Map(heights, tops, sky, points[:n_points], lobe[:n_lobe], chords[:n_turns, :n_knots], F(rim), rows, cols, levels, dark)
+    ground = Map(
+        heights,
+        tops,
+        sky,
+        points[:n_points],
+        lobe[:n_lobe],
+        chords[:n_turns, :n_knots],
+        F(rim),
+        rows,
+        cols,
+        levels,
+        dark,
+    )
     _sum(ground, pixels, blocks, most, unit, irradiance, slices_of)
 
 
-def gloss(heights, tops, nodes, sky, points, lobe, irradiance, rows, cols, width, levels, least, most, side, n_points, n_lobe, dark, rim, reach, unit):
+def gloss(
+    heights,
+    tops,
+    nodes,
+    sky,
+    points,
+    lobe,
+    irradiance,
+    rows,
+    cols,
+    width,
+    levels,
+    least,
+    most,
+    side,
+    n_points,
+    n_lobe,
+    dark,
+    rim,
+    reach,
+    unit,
+):
     rim = F(rim)
     ground = _pixels(heights, rows, cols)
     mirror_x, mirror_y = ground[5:7]
@@ -469,9 +662,38 @@ def gloss(heights, tops, nodes, sky, points, lobe, irradiance, rows, cols, width
         sin_d = np.where(column(all_round), row[2], column(widest) * row[0])
         cos_d = np.where(column(all_round), row[3], np.sqrt((F(1) - sin_d) * (F(1) + sin_d)))
         share = np.where(column(all_round), F(2) * step, column(widest) * step * row[1] / cos_d)
-        return share, F(1), F(0), -STEEP, STEEP, F(2) * STEEP, column(ux) * cos_d - column(uy) * sin_d, column(uy) * cos_d + column(ux) * sin_d
+        return (
+            share,
+            F(1),
+            F(0),
+            -STEEP,
+            STEEP,
+            F(2) * STEEP,
+            column(ux) * cos_d - column(uy) * sin_d,
+            column(uy) * cos_d + column(ux) * sin_d,
+        )
 
-    _sum(Map(heights, tops, sky, points[:n_points], lobe[:n_lobe], np.zeros((0, 0, 2), F), rim, rows, cols, levels, dark), pixels, blocks, most, unit, irradiance, slices_of)
+    _sum(
+        Map(
+            heights,
+            tops,
+            sky,
+            points[:n_points],
+            lobe[:n_lobe],
+            np.zeros((0, 0, 2), F),
+            rim,
+            rows,
+            cols,
+            levels,
+            dark,
+        ),
+        pixels,
+        blocks,
+        most,
+        unit,
+        irradiance,
+        slices_of,
+    )
 
 
 def _bare(heights, tops, rows, cols, levels):
@@ -482,11 +704,22 @@ def _bare(heights, tops, rows, cols, levels):
 def rays(heights, tops, ways, seen, rows, cols, width, levels, count):
     ground = _pixels(heights, rows, cols)
     y, x = ground[1], ground[0]
-    pixels = Pixels(*ground, np.zeros(len(x), F), np.ones(len(x), F), F(-1))  # along a ray ground counts up to t / reach = 1
+    pixels = Pixels(
+        *ground, np.zeros(len(x), F), np.ones(len(x), F), F(-1)
+    )  # along a ray ground counts up to t / reach = 1
     for j in range(count):
         c, s, tangent, reach = (np.ascontiguousarray(ways[y, x, k, j]) for k in range(4))
         above = tangent + F(1e-6) * (F(1) + np.abs(tangent))  # so that one obstacle is enough
-        slope = _horizon(_bare(heights, tops, rows, cols, levels), pixels, c, s, tangent, above, F(1) / reach, np.zeros_like(c))
+        slope = _horizon(
+            _bare(heights, tops, rows, cols, levels),
+            pixels,
+            c,
+            s,
+            tangent,
+            above,
+            F(1) / reach,
+            np.zeros_like(c),
+        )
         seen[y, x, j] = np.where(slope > tangent, F(0), F(1))
 
 
@@ -508,17 +741,39 @@ def _light_above(table, first, scale, tangent, tilt):
     return tilt * (by_cosine + part * more_cosine) + (by_sine + part * more_sine)
 
 
-def sectors(heights, tops, ways, table, irradiance, rows, cols, width, levels, count, knots, dark, highest, x0, x1, y0, y1):
+def sectors(
+    heights,
+    tops,
+    ways,
+    table,
+    irradiance,
+    rows,
+    cols,
+    width,
+    levels,
+    count,
+    knots,
+    dark,
+    highest,
+    x0,
+    x1,
+    y0,
+    y1,
+):
     x0, x1, y0, y1 = map(F, (x0, x1, y0, y1))
     ground = x, y, height, tilt_x, tilt_y, *_ = _pixels(heights, rows, cols)
-    pixels = Pixels(*ground, np.zeros(len(x), F), np.ones(len(x), F), F(-1))  # ground counts up to t x along = 1
+    pixels = Pixels(
+        *ground, np.zeros(len(x), F), np.ones(len(x), F), F(-1)
+    )  # ground counts up to t x along = 1
     framed = x0 > -ENDLESS or x1 < ENDLESS or y0 > -ENDLESS or y1 < ENDLESS
     flat = lambda value: np.full(len(x), value, F)
     total = np.zeros(len(x), F)
     for j, (c, s, share, first, scale) in enumerate(ways.T):
         last = first + F(knots - 1) / scale
         low, high = (sine / np.sqrt(max(F(1) - sine * sine, F(1e-12))) for sine in (first, last))
-        along = max(low, F(1e-6)) / np.maximum(F(highest) - height, F(1e-6))  # farther on, a ray is above all ground
+        along = max(low, F(1e-6)) / np.maximum(
+            F(highest) - height, F(1e-6)
+        )  # farther on, a ray is above all ground
         tilt = tilt_x * c + tilt_y * s
         # 1. the tangent plane, the level, the wall, the window, and the ground
         slope, end = np.maximum(-tilt, low), flat(STEEP)
@@ -530,7 +785,16 @@ def sectors(heights, tops, ways, table, irradiance, rows, cols, width, levels, c
             passes = (near < far) & (height < 0)
             slope = np.where(passes, np.maximum(slope, -height / far), slope)
             end = np.where(passes, np.where(near > 0, np.minimum(-height / near, STEEP), STEEP), -STEEP)
-        slope = _horizon(_bare(heights, tops, rows, cols, levels), pixels, flat(c), flat(s), slope, np.minimum(high, end), along, flat(0))
+        slope = _horizon(
+            _bare(heights, tops, rows, cols, levels),
+            pixels,
+            flat(c),
+            flat(s),
+            slope,
+            np.minimum(high, end),
+            along,
+            flat(0),
+        )
         # 2. the light above it
         light = _light_above(table[j], first, scale, slope, tilt)
         if framed:

@@ -1,4 +1,6 @@
-"""The kernels of `source` in NumPy: names, arguments and bits as in opencl/source.cl and warp_kernels/source.py."""
+"""The kernels of `source` in NumPy: names, arguments and bits as in opencl/source.cl and
+warp_kernels/source.py.
+"""
 
 from __future__ import annotations
 
@@ -40,7 +42,9 @@ def _meets_plane(x, y, z, i, j, k, numbers, flags, rows, cols, kind, sides, step
 
 
 def _meets_lamp(depth, x, y, z, i, j, k, crossings, numbers, flags, kind, sides, step):
-    """x, y, z: flat arrays of nodes. All rays go forward together; those that are decided fall out of ``going``."""
+    """x, y, z: flat arrays of nodes. All rays go forward together; those that are decided fall out of
+    ``going``.
+    """
     rows, cols = depth.shape
     layers = len(flags)
     climb = k * step
@@ -61,7 +65,9 @@ def _meets_lamp(depth, x, y, z, i, j, k, crossings, numbers, flags, kind, sides,
         going &= ~lit
     who = np.flatnonzero(going)
     for t in itertools.count():
-        for c, (to_x, to_y, next_x, next_y, near_weight, far_weight, moment, parts) in enumerate(crossings.tolist()):
+        for c, (to_x, to_y, next_x, next_y, near_weight, far_weight, moment, parts) in enumerate(
+            crossings.tolist()
+        ):
             when = t * parts + moment
             if kind == BALL:
                 arrived = when >= hit[who] * parts
@@ -82,11 +88,24 @@ def _meets_lamp(depth, x, y, z, i, j, k, crossings, numbers, flags, kind, sides,
             near = pick(cy, cx)
             far = near if far_weight == 0 else pick(ey, ex)
             known = near_in & (far_in | (far_weight == 0)) & np.isfinite(near) & np.isfinite(far)
-            blocked = known & ~gone & (near_weight * np.where(known, near, 0) + far_weight * np.where(known, far, 0) < over)
+            blocked = (
+                known
+                & ~gone
+                & (near_weight * np.where(known, near, 0) + far_weight * np.where(known, far, 0) < over)
+            )
             if kind == VOLUME:
                 nx, ny = (ex, ey) if 2 * far_weight >= parts else (cx, cy)
                 n = (2 * (level[who] * parts - when * k) + parts) // (2 * parts)
-                there = ~gone & ~blocked & (n >= 0) & (n < layers) & (nx >= 0) & (nx < cols) & (ny >= 0) & (ny < rows)
+                there = (
+                    ~gone
+                    & ~blocked
+                    & (n >= 0)
+                    & (n < layers)
+                    & (nx >= 0)
+                    & (nx < cols)
+                    & (ny >= 0)
+                    & (ny < rows)
+                )
                 there[there] = flags[n[there], ny[there], nx[there]] != 0
                 lit[who[there]] = True
                 gone |= there
@@ -107,7 +126,24 @@ def _meets_ball(x, y, z, i, j, k, numbers, step):
     return np.where(q <= 0, 0.0, np.where(meets, (b - np.sqrt(np.where(meets, root, 0))) / a, -1.0))
 
 
-def clip(depth, steps, crossings, spans, numbers, flags, planes, rows, cols, room, layers, kind, sides, step, n_walks, BITS):
+def clip(
+    depth,
+    steps,
+    crossings,
+    spans,
+    numbers,
+    flags,
+    planes,
+    rows,
+    cols,
+    room,
+    layers,
+    kind,
+    sides,
+    step,
+    n_walks,
+    BITS,
+):
     y, x = np.nonzero(np.isfinite(depth))
     z = depth[y, x].astype(float)
     for w in range(n_walks):
@@ -116,13 +152,31 @@ def clip(depth, steps, crossings, spans, numbers, flags, planes, rows, cols, roo
         for b, (i, j, k, _) in enumerate(steps[w].tolist()):
             bit = np.uint8(1 << b)
             if kind in (BALL, VOLUME):
-                clear = (lit & bit != 0) if kind == BALL and sides == SIDES["open"] else np.zeros(len(z), bool)  # nothing at all is in the way
+                clear = (
+                    (lit & bit != 0) if kind == BALL and sides == SIDES["open"] else np.zeros(len(z), bool)
+                )  # nothing at all is in the way
                 on = np.empty(len(z), bool)
                 on[clear] = _meets_ball(x[clear], y[clear], z[clear], i, j, k, numbers, step) >= 0
                 rest = ~clear
-                on[rest] = _meets_lamp(depth, x[rest], y[rest], z[rest], i, j, k, crossings[spans[w, 0] : spans[w].sum()], numbers, flags, kind, sides, step)
+                on[rest] = _meets_lamp(
+                    depth,
+                    x[rest],
+                    y[rest],
+                    z[rest],
+                    i,
+                    j,
+                    k,
+                    crossings[spans[w, 0] : spans[w].sum()],
+                    numbers,
+                    flags,
+                    kind,
+                    sides,
+                    step,
+                )
             else:
-                on = (lit & bit != 0) & _meets_plane(x, y, z, i, j, k, numbers, flags, rows, cols, kind, sides, step)
+                on = (lit & bit != 0) & _meets_plane(
+                    x, y, z, i, j, k, numbers, flags, rows, cols, kind, sides, step
+                )
             lit = np.where(on, lit | bit, lit & ~bit)
         plane[y, x] = lit
 
@@ -137,15 +191,47 @@ def enter(steps, numbers, flags, field, rows, cols, reach, n_words, n_directions
         words = np.zeros((n_words, *x.shape), np.uint32)
         if not (n >= 0 and sides == SIDES["dark"]):
             for d, (i, j, k, _) in enumerate(steps.tolist()):
-                words[d // 32] |= _meets_plane(x, y, z, i, j, k, numbers, flags, rows, cols, kind, sides, 1.0).astype(np.uint32) << np.uint32(d % 32)
+                words[d // 32] |= _meets_plane(
+                    x, y, z, i, j, k, numbers, flags, rows, cols, kind, sides, 1.0
+                ).astype(np.uint32) << np.uint32(d % 32)
         field[layer][:, where] = words[:, where]
 
 
-def beam(depth, steps, crossings, spans, numbers, flags, field, rows, cols, layers, kind, sides, n_words, n_directions, field_layers):
+def beam(
+    depth,
+    steps,
+    crossings,
+    spans,
+    numbers,
+    flags,
+    field,
+    rows,
+    cols,
+    layers,
+    kind,
+    sides,
+    n_words,
+    n_directions,
+    field_layers,
+):
     for n in range(field_layers):
         y, x = np.nonzero(n <= depth)
         z = np.full(x.shape, float(n))
         field[n] = 0
         for d, (i, j, k, _) in enumerate(steps.tolist()):
-            on = _meets_lamp(depth, x, y, z, i, j, k, crossings[spans[d, 0] : spans[d].sum()], numbers, flags, kind, sides, 1.0)
+            on = _meets_lamp(
+                depth,
+                x,
+                y,
+                z,
+                i,
+                j,
+                k,
+                crossings[spans[d, 0] : spans[d].sum()],
+                numbers,
+                flags,
+                kind,
+                sides,
+                1.0,
+            )
             field[n, d // 32, y, x] |= on.astype(np.uint32) << np.uint32(d % 32)

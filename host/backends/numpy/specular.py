@@ -1,4 +1,6 @@
-"""The kernels of `specular` in NumPy: names, arguments and bits as in opencl/specular.cl and warp_kernels/specular.py."""
+"""The kernels of `specular` in NumPy: names, arguments and bits as in opencl/specular.cl and
+warp_kernels/specular.py.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +8,9 @@ import numpy as np
 
 
 def _gloss(gx, gy, L, lobe, rim, where):
-    """What |(dz/dx, dz/dy, -1)| x max(0, N.L) x lobe is for one direction: (pixels among ``where`` in which it shows, values)."""
+    """What |(dz/dx, dz/dy, -1)| x max(0, N.L) x lobe is for one direction: (pixels among ``where`` in which
+    it shows, values).
+    """
     gx, gy = gx[where], gy[where]
     twice = np.float32(2) / (gx * gx + gy * gy + np.float32(1))
     cosine = gx * L[0] + gy * L[1] - L[2]
