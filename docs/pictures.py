@@ -1,6 +1,6 @@
 """Runs the tutorials and keeps the pictures that they show: every thumbnail is what a page's own code made.
 
-    python docs/pictures.py            # all pages; or: python docs/pictures.py vision terrain
+python docs/pictures.py            # all pages; or: python docs/pictures.py vision terrain
 """
 
 import contextlib
@@ -30,7 +30,13 @@ def shell(code: str, folder) -> None:
     """Run a block of shell lines in ``folder``, with the Python that runs this; installing is left to CI."""
     code = re.sub(r"^pip install [^&\n]*(&& )?", "", code, flags=re.MULTILINE)
     path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
-    done = subprocess.run(["bash", "-euo", "pipefail", "-c", code], cwd=folder, env={**os.environ, "PATH": path}, capture_output=True, text=True)
+    done = subprocess.run(
+        ["bash", "-euo", "pipefail", "-c", code],
+        cwd=folder,
+        env={**os.environ, "PATH": path},
+        capture_output=True,
+        text=True,
+    )
     if done.returncode:
         raise RuntimeError(f"exit {done.returncode} of\n{code}\n{done.stderr}")
 

@@ -16,6 +16,7 @@ import time
 from pathlib import Path
 
 import numpy as np
+
 import skylamp as sl
 from skylamp.backends import select
 from skylamp.light.propagation import FieldByLayers, Light, Surface

@@ -16,9 +16,10 @@ import numpy as np
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
-import skylamp as sl
 from matplotlib.collections import PatchCollection
 from matplotlib.patches import Circle, Rectangle, Wedge
+
+import skylamp as sl
 from skylamp.app.plot import sectors
 from skylamp.radiometry import rectangle_solid_angle
 

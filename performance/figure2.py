@@ -19,6 +19,7 @@ import numpy as np
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
+
 import skylamp as sl
 
 SIZE, LAYERS, ALBEDO = 64, 64, 0.8

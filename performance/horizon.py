@@ -26,6 +26,7 @@ from pathlib import Path
 
 import numpy as np
 import peers
+
 import skylamp as sl
 from skylamp import oracle
 from skylamp.backends import select
@@ -88,8 +89,7 @@ def time_of(work, budget: float, least: int = 1, finish=lambda: None) -> dict[st
     return {"seconds": statistics.median(times), "cores": (time.process_time() - spent) / sum(times)}
 
 
-# -- what is measured
-# --------------------------------------------------------------------------------------------------------
+# -- what is measured ----------------------------------------------------------------------------------------
 
 
 def accuracy(backend: str, azimuths: list[int], size: int, count: int) -> tuple[list[dict], dict[str, float]]:
@@ -270,8 +270,7 @@ def _resident(key: str) -> int:
     )
 
 
-# -- what is shown
-# -----------------------------------------------------------------------------------------------------------
+# -- what is shown -------------------------------------------------------------------------------------------
 
 
 def table(title: str, head: str, rows: list[list]) -> str:

@@ -11,6 +11,7 @@ form over elevation. Prints a table (about a minute on two cores):
 import argparse
 
 import numpy as np
+
 import skylamp as sl
 
 SIZE, SAMPLES, AZIMUTHS = 256, 1000, 720

@@ -1,12 +1,12 @@
 """Sky-view factors by other packages on PyPI, as performance/horizon.py --peers runs them beside skylamp.
 
     python3 -m venv peers
-    peers/bin/pip install -U pip setuptools wheel setuptools_scm cython numpy==2.4.6 scipy==1.17.1
-    numba==0.68.1 \\
-        xarray==2026.9.0 pandas==3.1.1 urllib3 trimesh==5.2.0 embreex==4.4.0.post1
-    peers/bin/pip install --no-deps --no-build-isolation --ignore-requires-python rvt-py==2.2.3
-    xarray-spatial==0.10.20 topocalc==0.5.0 peers/bin/pip install -e .[plot] peers/bin/python
-    performance/horizon.py --out docs --peers
+    peers/bin/pip install -U pip setuptools wheel setuptools_scm cython numpy==2.4.6 scipy==1.17.1 \\
+        numba==0.68.1 xarray==2026.9.0 pandas==3.1.1 urllib3 trimesh==5.2.0 embreex==4.4.0.post1
+    peers/bin/pip install --no-deps --no-build-isolation --ignore-requires-python \\
+        rvt-py==2.2.3 xarray-spatial==0.10.20 topocalc==0.5.0
+    peers/bin/pip install -e .[plot]
+    peers/bin/python performance/horizon.py --out docs --peers
 
 Two quantities, as in skylamp.sky_view_factor; h is the horizon's elevation, not below 0:
 
@@ -116,9 +116,14 @@ PEERS = {  # function, packages, modules that must import, quantity
     "trimesh + embreex": (embree, ("trimesh", "embreex"), ("trimesh", "embreex"), "tilted"),
 }
 RUNS = (  # peer, azimuths or rays, radius
-    ("rvt-py", 16, 10), ("rvt-py", 16, 100), ("xarray-spatial", 16, 10), ("xarray-spatial", 16, 100),
-    ("topocalc", 16, None), ("topocalc", 64, None), ("trimesh + embreex", 256, None),
-)  # fmt: skip
+    ("rvt-py", 16, 10),
+    ("rvt-py", 16, 100),
+    ("xarray-spatial", 16, 10),
+    ("xarray-spatial", 16, 100),
+    ("topocalc", 16, None),
+    ("topocalc", 64, None),
+    ("trimesh + embreex", 256, None),
+)
 
 
 def missing() -> dict[str, str]:

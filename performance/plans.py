@@ -5,7 +5,7 @@ that of the cheapest setting that would have done, found by trying all.
     python performance/plans.py --out docs [--size 192] [--backend opencl]
     python performance/plans.py --out docs --times --size 1024 --name plans_times
 
-Errors are relative RMS (MODEL.md, 7) and the 99.9th percentile. With --times fewer pairs, of which other
+Errors are relative RMS (docs/model.md) and the 99.9th percentile. With --times fewer pairs, of which other
 settings are rendered and timed too (half an hour). Prints a table and writes plans.csv, or what --name says.
 """
 
@@ -15,6 +15,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+
 import skylamp as sl
 from skylamp import sources
 from skylamp.backends import select
@@ -68,14 +69,27 @@ def scenes(size) -> dict[str, sl.Scene]:
     height, spacing = io.terrain()
     part = height[:size, :size]
     return {
-        "flat": sl.Scene(np.full((size, size), 5.0)), "ramp": sl.Scene(0.6 * x + 0.3 * y), "dome": sl.Scene(0.002 * away**2),
-        "rough": sl.Scene(rough), "smooth": sl.Scene(fractal(size, 0.5, 2.5, 3)), "gentle": sl.Scene(fractal(size, 0.08, 2.5, 4)), "very rough": sl.Scene(fractal(size, 2.0, 1.6, 5)),
-        "urban": sl.Scene(urban(size)), "terrain": sl.Scene.from_height(part, spacing), "terrain x 4": sl.Scene.from_height(4 * part, spacing),
-        "dark folds": sl.Scene(folds + 8, sides="dark"), "dark rough": sl.Scene(rough + 10, sides="dark"), "periodic folds": sl.Scene(np.tile(folds[:, :size], 1), sides="periodic"),
-        "periodic rough": sl.Scene(rough, sides="periodic"), "holes": sl.Scene(np.where(mask, rough, np.nan), mask=mask), "bowl": sl.Scene(40 - np.minimum(40, 0.012 * away**2)),
-        "trench": sl.Scene(np.where(np.abs(x - middle) < 6, 25.0, 0.0) + 0.01 * y), "cliff": sl.Scene(np.where(x < size / 3, 0.0, 30.0) + 0.1 * rough), "tiny": sl.Scene(rough[:20, :26]),
+        "flat": sl.Scene(np.full((size, size), 5.0)),
+        "ramp": sl.Scene(0.6 * x + 0.3 * y),
+        "dome": sl.Scene(0.002 * away**2),
+        "rough": sl.Scene(rough),
+        "smooth": sl.Scene(fractal(size, 0.5, 2.5, 3)),
+        "gentle": sl.Scene(fractal(size, 0.08, 2.5, 4)),
+        "very rough": sl.Scene(fractal(size, 2.0, 1.6, 5)),
+        "urban": sl.Scene(urban(size)),
+        "terrain": sl.Scene.from_height(part, spacing),
+        "terrain x 4": sl.Scene.from_height(4 * part, spacing),
+        "dark folds": sl.Scene(folds + 8, sides="dark"),
+        "dark rough": sl.Scene(rough + 10, sides="dark"),
+        "periodic folds": sl.Scene(np.tile(folds[:, :size], 1), sides="periodic"),
+        "periodic rough": sl.Scene(rough, sides="periodic"),
+        "holes": sl.Scene(np.where(mask, rough, np.nan), mask=mask),
+        "bowl": sl.Scene(40 - np.minimum(40, 0.012 * away**2)),
+        "trench": sl.Scene(np.where(np.abs(x - middle) < 6, 25.0, 0.0) + 0.01 * y),
+        "cliff": sl.Scene(np.where(x < size / 3, 0.0, 30.0) + 0.1 * rough),
+        "tiny": sl.Scene(rough[:20, :26]),
         "spikes": sl.Scene(np.where(np.random.default_rng(6).random((size, size)) < 0.004, 0.0, 12.0)),
-    }  # fmt: skip
+    }
 
 
 def sun(degrees, elevation, azimuth, share):
@@ -96,31 +110,112 @@ def lights(size, depth) -> dict[str, sources.Source]:
     """Sources over a map, ``depth`` the median depth of it [spacings], lengths in spacings."""
     panorama = np.random.default_rng(7).uniform(0.2, 2, (16, 32)) ** 2
     return {
-        "uniform": sl.Sky(), "overcast": sl.Sky(sl.cie_overcast()), "glow": sl.Sky(lobe(6, 30, 40, 5)), "soft sun": sl.Sky(sun(4, 40, 115, 0.6)), "sun": sl.Sky(sun(0.27, 35, 200, 0.7)),
+        "uniform": sl.Sky(),
+        "overcast": sl.Sky(sl.cie_overcast()),
+        "glow": sl.Sky(lobe(6, 30, 40, 5)),
+        "soft sun": sl.Sky(sun(4, 40, 115, 0.6)),
+        "sun": sl.Sky(sun(0.27, 35, 200, 0.7)),
         "panorama": sl.Sky(sl.environment_map(panorama)),
-        "high lamp": sl.Lamp((0.6 * size, 0.4 * size, -0.8 * size), 0.05 * size), "low lamp": sl.Lamp((0.3 * size, 0.7 * size, -0.15 * size), 0.04 * size),
-        "side lamp": sl.Lamp((-0.5 * size, 0.2 * size, -0.3 * size), 0.06 * size), "small lamp": sl.Lamp((0.5 * size, 0.5 * size, -0.4 * size), 0.5),
-        "spot": sl.Lamp((0.5 * size, 0.6 * size, -0.5 * size), 0.03 * size, brightness=sl.cosine_power(8, axis=(0.2, -0.1, 1))),
-        "panel": sl.Lamp(corner=(0.3 * size, 0.3 * size, -0.2 * size), edges=((0.3 * size, 0, 0), (0, 0.2 * size, 0.0))),
-        "window": sl.Window(x=(0.3 * size, 0.6 * size), y=(0.25 * size, 0.7 * size)), "narrow window": sl.Window(x=(0.45 * size, 0.5 * size), y=(0.1 * size, 0.9 * size), brightness=sl.cie_overcast()),
-    }  # fmt: skip
+        "high lamp": sl.Lamp((0.6 * size, 0.4 * size, -0.8 * size), 0.05 * size),
+        "low lamp": sl.Lamp((0.3 * size, 0.7 * size, -0.15 * size), 0.04 * size),
+        "side lamp": sl.Lamp((-0.5 * size, 0.2 * size, -0.3 * size), 0.06 * size),
+        "small lamp": sl.Lamp((0.5 * size, 0.5 * size, -0.4 * size), 0.5),
+        "spot": sl.Lamp(
+            (0.5 * size, 0.6 * size, -0.5 * size),
+            0.03 * size,
+            brightness=sl.cosine_power(8, axis=(0.2, -0.1, 1)),
+        ),
+        "panel": sl.Lamp(
+            corner=(0.3 * size, 0.3 * size, -0.2 * size), edges=((0.3 * size, 0, 0), (0, 0.2 * size, 0.0))
+        ),
+        "window": sl.Window(x=(0.3 * size, 0.6 * size), y=(0.25 * size, 0.7 * size)),
+        "narrow window": sl.Window(
+            x=(0.45 * size, 0.5 * size), y=(0.1 * size, 0.9 * size), brightness=sl.cie_overcast()
+        ),
+    }
 
 
 SKIES = ("uniform", "overcast", "glow", "soft sun", "sun", "panorama")
 PAIRS = [
-    *[(scene, "uniform") for scene in ("flat", "ramp", "dome", "rough", "smooth", "gentle", "very rough", "urban", "terrain", "terrain x 4", "dark folds", "dark rough", "periodic folds", "periodic rough", "holes", "bowl", "trench", "cliff", "tiny", "spikes")],
-    *[(scene, "overcast") for scene in ("flat", "rough", "urban", "dark folds", "periodic rough", "terrain x 4")],
-    *[(scene, light) for scene in ("rough", "smooth", "urban", "terrain x 4") for light in ("glow", "soft sun", "sun", "panorama")],
-    *[(scene, light) for scene in ("rough", "urban", "terrain x 4") for light in ("high lamp", "low lamp", "side lamp", "small lamp", "spot", "panel", "window")],
-    ("flat", "high lamp"), ("flat", "panel"), ("flat", "window"), ("dome", "spot"), ("smooth", "narrow window"), ("dark folds", "high lamp"), ("dark rough", "window"), ("holes", "low lamp"),
-    ("holes", "sun"), ("dark folds", "sun"), ("tiny", "small lamp"), ("cliff", "side lamp"), ("trench", "window"), ("spikes", "high lamp"), ("bowl", "low lamp"), ("gentle", "sun"),
-]  # fmt: skip
+    *[
+        (scene, "uniform")
+        for scene in (
+            "flat",
+            "ramp",
+            "dome",
+            "rough",
+            "smooth",
+            "gentle",
+            "very rough",
+            "urban",
+            "terrain",
+            "terrain x 4",
+            "dark folds",
+            "dark rough",
+            "periodic folds",
+            "periodic rough",
+            "holes",
+            "bowl",
+            "trench",
+            "cliff",
+            "tiny",
+            "spikes",
+        )
+    ],
+    *[
+        (scene, "overcast")
+        for scene in ("flat", "rough", "urban", "dark folds", "periodic rough", "terrain x 4")
+    ],
+    *[
+        (scene, light)
+        for scene in ("rough", "smooth", "urban", "terrain x 4")
+        for light in ("glow", "soft sun", "sun", "panorama")
+    ],
+    *[
+        (scene, light)
+        for scene in ("rough", "urban", "terrain x 4")
+        for light in ("high lamp", "low lamp", "side lamp", "small lamp", "spot", "panel", "window")
+    ],
+    ("flat", "high lamp"),
+    ("flat", "panel"),
+    ("flat", "window"),
+    ("dome", "spot"),
+    ("smooth", "narrow window"),
+    ("dark folds", "high lamp"),
+    ("dark rough", "window"),
+    ("holes", "low lamp"),
+    ("holes", "sun"),
+    ("dark folds", "sun"),
+    ("tiny", "small lamp"),
+    ("cliff", "side lamp"),
+    ("trench", "window"),
+    ("spikes", "high lamp"),
+    ("bowl", "low lamp"),
+    ("gentle", "sun"),
+]
 
 
 TIMED = [
-    ("flat", "uniform"), ("rough", "uniform"), ("smooth", "uniform"), ("gentle", "uniform"), ("urban", "uniform"), ("dark folds", "uniform"), ("periodic rough", "uniform"), ("holes", "uniform"),
-    ("bowl", "uniform"), ("spikes", "uniform"), ("rough", "overcast"), ("smooth", "panorama"), ("rough", "sun"), ("urban", "sun"), ("rough", "low lamp"), ("urban", "high lamp"), ("smooth", "spot"), ("rough", "panel"), ("urban", "window"),
-]  # fmt: skip
+    ("flat", "uniform"),
+    ("rough", "uniform"),
+    ("smooth", "uniform"),
+    ("gentle", "uniform"),
+    ("urban", "uniform"),
+    ("dark folds", "uniform"),
+    ("periodic rough", "uniform"),
+    ("holes", "uniform"),
+    ("bowl", "uniform"),
+    ("spikes", "uniform"),
+    ("rough", "overcast"),
+    ("smooth", "panorama"),
+    ("rough", "sun"),
+    ("urban", "sun"),
+    ("rough", "low lamp"),
+    ("urban", "high lamp"),
+    ("smooth", "spot"),
+    ("rough", "panel"),
+    ("urban", "window"),
+]
 
 
 def in_length(source, spacing):

@@ -1,7 +1,7 @@
 """Depth from images: how accurate, how stable, how fast. Writes OUT.md and OUT.json.
 
-    python performance/recover.py [--backend NAME] [--what accuracy,stability,albedo,terrain,speed] [--sizes
-    64,256] [--out FOLDER]
+    python performance/recover.py [--backend NAME] [--what accuracy,stability,albedo,terrain,speed]
+        [--sizes 64,256] [--out FOLDER]
 
 Surfaces and images are those of tests/surfaces.py: continuous surfaces, rendered five times as finely in a
 box with dark sides. RMSE in layers (nodes), of a range of 64. "paper" is method="paper" at the eps that is
@@ -17,9 +17,10 @@ from pathlib import Path
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parent.parent / "tests"))
-import skylamp as sl
 import surfaces
 from surfaces import ALBEDO, LAYERS, SURFACES, pair, rms, source_of
+
+import skylamp as sl
 
 EPS = (0.002, 0.01, 0.02, 0.05, 0.1)
 
@@ -181,9 +182,16 @@ def albedos(backend):
             found = sl.recover(images, lights, None, "dark", layers=LAYERS, backend=backend)
             known = sl.recover(images, lights, albedo, "dark", layers=LAYERS, backend=backend)
             error, doubted = np.abs(found.depth - depth), found.confidence < 0.5
-            yield {"sources": " ".join(kinds), "surface": name, "RMSE": rms(error), "RMSE, albedo given": rms(known.depth - depth), "albedo off, RMS": rms(found.albedo - albedo),
-                   "wrong by 2, marked": float(doubted[error > 2].mean()) if (error > 2).any() else None, "right within 1, marked": float(doubted[error < 1].mean()),
-                   "seconds": found.seconds}  # fmt: skip
+            yield {
+                "sources": " ".join(kinds),
+                "surface": name,
+                "RMSE": rms(error),
+                "RMSE, albedo given": rms(known.depth - depth),
+                "albedo off, RMS": rms(found.albedo - albedo),
+                "wrong by 2, marked": float(doubted[error > 2].mean()) if (error > 2).any() else None,
+                "right within 1, marked": float(doubted[error < 1].mean()),
+                "seconds": found.seconds,
+            }
 
 
 def table(rows):

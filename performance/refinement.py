@@ -26,8 +26,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-import skylamp as sl
 from plans import TOLERANCES, fractal, in_length, off, side_by_side, tried
+
+import skylamp as sl
 from skylamp import sources
 from skylamp.backends import select
 from skylamp.refinement import solid_of, upright
@@ -54,8 +55,7 @@ along_up = lambda e: (
 )  # integrals of cos^2 and of sin cos from level
 
 
-# -- brightness
-# ------------------------------------------------------------------------------------------------------------------
+# -- brightness ----------------------------------------------------------------------------------------------
 
 
 @dataclass
@@ -217,8 +217,7 @@ def even(rng):
     return Light("even", float(rng.uniform(0.2, 4)))
 
 
-# -- sources and scenes, lengths in spacings
-# ---------------------------------------------------------------------------------------
+# -- sources and scenes, lengths in spacings -----------------------------------------------------------------
 
 
 def sky(rng, size):
@@ -405,8 +404,7 @@ def pair(seed, number, size) -> tuple[str, sl.Scene, str, sources.Source, Light]
     return what, ground, text, in_length(source, ground.spacing), light
 
 
-# -- truth
-# -------------------------------------------------------------------------------------------------------------------------
+# -- truth ---------------------------------------------------------------------------------------------------
 
 
 def cap(azimuth, elevation, radius, count):
@@ -641,8 +639,7 @@ def truth(samples, scene, source, light, density=1):
     )
 
 
-# -- measuring
-# ---------------------------------------------------------------------------------------------------------------------
+# -- measuring -----------------------------------------------------------------------------------------------
 
 
 def measure(seed, number, size, backend, times, twice):

@@ -1,8 +1,7 @@
 """Speed against accuracy on one chart: `skylamp chart`, and other packages as points of it.
 
-    python performance/speed_accuracy.py --out docs [--backends opencl,numpy] [--sizes 128,512] [--rows
-    docs/speed_accuracy.csv]
-        [--peers /path/to/python]
+    python performance/speed_accuracy.py --out docs [--backends opencl,numpy] [--sizes 128,512]
+        [--rows docs/speed_accuracy.csv] [--peers /path/to/python]
 
 ``--peers``: an interpreter that has the packages (see peers.py; this one unless given). They claim sky-view
 factors, which are compared at the same nodes with exact ones of their own definition. ``--rows``: points
@@ -18,6 +17,7 @@ import tempfile
 from pathlib import Path
 
 import numpy as np
+
 import skylamp as sl
 from skylamp.app import chart
 from skylamp.backends import select
@@ -34,7 +34,9 @@ print(json.dumps({"missing": missing}), flush=True)
 for name, azimuths, radius in peers.RUNS:
     if name not in missing:
         values, seconds, _ = peers.run(name, data["height"], (data["rows"], data["cols"]), azimuths, radius)
-        print(json.dumps({"peer": name, "azimuths": azimuths, "radius": radius, "quantity": peers.PEERS[name][3], "seconds": seconds, "values": np.asarray(values, float).tolist()}), flush=True)
+        row = {"peer": name, "azimuths": azimuths, "radius": radius, "quantity": peers.PEERS[name][3]}
+        row |= {"seconds": seconds, "values": np.asarray(values, float).tolist()}
+        print(json.dumps(row), flush=True)
 """
 
 

@@ -19,6 +19,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parent))
 import plans
+
 import skylamp as sl
 
 SIZE = 80
@@ -299,8 +300,7 @@ def sides(depth, backend):
     }
 
 
-# -- recovery
-# --------------------------------------------------------------------------------------------------------------------
+# -- recovery ------------------------------------------------------------------------------------------------
 
 
 @functools.cache
@@ -405,48 +405,300 @@ def open_says(sides, backend):
 
 
 FAILURES = {
-    "leak": Failure("The paper's step leaks at large M", "M", (5, 7, 9, 17, 33), (5, 33), 0.05, leak, "stride",
-                    "Steps go from node to node and jump over the ridges between. `filled=True` tests between the nodes, horizons every crossing; a warning names the leak where stride is asked for.", "default",
-                    lambda m, b: sl.render(sl.Scene(rough()), sl.Sky(), "lattice", hemicube=m, backend=b).warnings, "Leak"),
-    "razor": Failure("Razor ridges", "width of the ridges [nodes]", (8, 6, 4, 3, 2, 1), (8, 1), 0.1, razor, "stride M 17",
-                     "A ridge narrower than the step stands between its nodes. Filled lattice and horizons test every crossing.", "default"),
-    "valley": Failure("Deep narrow valleys", "depth of a trench 5 nodes wide", (2, 5, 10, 20, 40, 80), (2, 40), 0.05, valley, "lattice, M 9",
-                      "Little sky is left, and few directions meet it. The error is over the nodes at the bottom alone. A tolerance is over the whole image: name a tighter one for the bottom.", "64 azimuths"),
-    "small lamp": Failure("Small lamps vanish between lattice directions", "radius of the lamp [nodes], 24 above a plane", (11, 8, 4, 2, 1, 0.5), (11, 1), 0.3, small_lamp, "lattice M 9",
-                          "Rays of the lattice pass a small lamp by. Slices are laid through it as each node sees it; where nothing hides it the default is a closed form. Where the lattice is asked for, a warning says so.", "default",
-                          small_lamp_says, "Small lamp"),
-    "small sun": Failure("Small suns vanish between directions", "radius of the sun [degrees]", (10, 5, 2, 1, 0.5, 0.27), (10, 0.27), 0.1, small_sun, "lattice M 17",
-                         "The lattice meets a small sun or misses it. Tables of horizons hold all of its light, since brightness is integrated; with a number of azimuths asked for, half of them go where the light is, and with a tolerance the sun has azimuths of its own.", "default"),
-    "grazing": Failure("Grazing light", "elevation of the sun [degrees]", (60, 40, 20, 10, 5, 2), (60, 10), 0.1, grazing, "even azimuths",
-                       "A low sun lights few nodes, and a small error of a horizon puts them out. With a tolerance the sun has azimuths of its own, and their number follows the estimated error.", "default"),
-    "cliff": Failure("Cliffs under a hard sun", "height of the tallest houses [spacings]", (1, 4, 9, 18, 36), (1, 36), 0.03, cliff, "six near rows",
-                     "Sweeps look up the two best crossings beyond 6 rows; behind a wall a wrong one puts out the sun for a node. With a tolerance, where neighbours lie more than 4 spacings apart, the sun has exact horizons in azimuths of its own, and every crossing within 24 rows is tested for the rest.", "default"),
-    "between": Failure("Light between surfaces", "albedo of a spherical bowl", (0.05, 0.1, 0.2, 0.4, 0.6, 0.8, 0.95), (0.001, 0.8), 0.1, between, "light left out, over the image",
-                       "It is left out. `Plan.beyond` bounds it, with a number.", None, between_says, "Light between surfaces"),
-    "holes": Failure("Holes in the data", "share of 8 x 8 blocks that are masked", (0.0, 0.01, 0.03, 0.1, 0.2, 0.4), (0.0, 0.3), 0.015, holes, "against the ground without holes",
-                     "Masked ground hides nothing, so light comes through. Plans give the share of nodes that are masked.", None, holes_says, "Nodata"),
-    "touching": Failure("A lamp that touches the surface", "gap below a ball of radius 2 [nodes]", (8, 4, 2, 1, 0.5, 0.25), (8, 0.25), 0.1, touching_lamp, "nodes against the mean of their cells",
-                        "Below it the light changes within one cell. Plans say how far the lamp is from the surface when that is less than a spacing.", None, touching_says, "The lamp touches"),
-    "rounding": Failure("Relief far below the viewer's plane", "depth added to it [spacings]", (1e2, 1e3, 1e4, 1e5, 1e6, 1e7), (1e2, 1e7), 0.01, offset, "float32 depth",
-                        "Depths are float32. Plans name the rounding when it is more than a tenth of the tolerance.", None, offset_says, "Depths are rounded"),
-    "search": Failure("Searching not far enough", "max_distance [spacings]", (160, 80, 40, 20, 10, 5), (80, 5), 0.05, search, "as far as asked",
-                      "`max_distance` drops the ground beyond. Plans measure what it costs before they use one.", "default"),
-    "sides": Failure("Wrong sides", "depth of a plane in a dark box of 80 nodes", (1, 2, 5, 10, 20, 40), (1, 40), 0.1, sides, "sides given as open",
-                     "Nothing in a map tells what stands at its sides: give the ones that are there.", "sides given as dark"),
-    "drilled": Failure("Columns drilled through", "eps, share of the image's maximum", (0.2, 0.1, 0.05, 0.02, 0.01, 0.002), (0.2, 0.002), 0.15, drilled, "paper, eps",
-                       "A column that steps past the image's value is carved through to the back, and one that stops early shadows the rest. `drilled` marks them and a warning gives their share. The default (`robust`) does not carve and takes no eps.", "robust",
-                       lambda eps, b: first_says(picture(b), b, eps=eps), "Drilled", "share of columns drilled"),
-    "two values": Failure("Two depths explain one value", "k of a lamp cos^k", (0, 1, 2, 4, 8, 16), (0, 16), 4.0, spot_errors, "paper, sign",
-                          "Under a spotlight a column is dark near the viewer, bright below and dark again. The paper takes the first match, or drills, and the warning gives the share. The default fits the whole surface. Each method is given an image of its own model: N.L = 1/2, or normals.", "robust", spot_says, "Drilled", "RMS error of depth [layers]"),
-    "noise": Failure("Noise", "noise, share of the image's maximum", (0.001, 0.003, 0.01, 0.03, 0.1), (0.001, 0.1), 1.5, lambda v, b: change(noisy(b, v), b), "paper, eps",
-                     "One false stop shadows its neighbours, so small noise moves whole groups of columns; drilled ones are counted in a warning. The default moves some ten times less at 1 % of noise, and half as much at 10 %.", None, lambda v, b: first_says(noisy(b, v), b, eps=EPS), "Drilled", "RMS change of depth [layers]"),
-    "bits": Failure("Images of few bits", "bits", (16, 8, 6, 4, 3, 2), (16, 2), 1.0, lambda v, b: change(counted(b, v), b), "paper, eps",
-                    "A step of the count is more than eps. A warning names the count. Use 16-bit files. At 2 bits the default is worse than carving.", None, lambda v, b: first_says(counted(b, v), b, eps=EPS), "Few counts", "RMS change of depth [layers]"),
-    "albedo": Failure("Wrong albedo", "albedo given, over the true one", (1.0, 1.02, 1.05, 1.1, 1.2, 1.5), (1.0, 1.3), 1.5, lambda v, b: change(picture(b, 0.6), b, albedo=0.6 * v), "paper, eps",
-                      "A surface thought brighter than it is must lie deeper; the bright parts fit at no depth and drill. The default does not drill, but it moves too, less than carving with stop \"eps\" until 1.1 and more from 1.2 on, and no less than with \"sign\" from 1.05 on: one image does not tell depth from albedo.", None, lambda v, b: first_says(picture(b, 0.6), b, albedo=0.6 * v, eps=EPS), "Drilled", "RMS change of depth [layers]"),
-    "ill-posed": Failure("A plane under an open sky", "its depth [layers]", (1, 2, 5, 10, 20, 30), (1, 20), 5.0, flat_start, "paper, eps",
-                         "Every depth gives the same image, and no method finds the right one. A warning says so whenever sides are open under a sky.", None, lambda v, b: open_says("open" if v > 1 else "dark", b), "Open sides", "RMS error of depth [layers]"),
-}  # fmt: skip
+    "leak": Failure(
+        title="The paper's step leaks at large M",
+        parameter="M",
+        values=(5, 7, 9, 17, 33),
+        quick=(5, 33),
+        limit=0.05,
+        measure=leak,
+        bad="stride",
+        does=(
+            "Steps go from node to node and jump over the ridges between. `filled=True` tests between the"
+            " nodes, horizons every crossing; a warning names the leak where stride is asked for."
+        ),
+        good="default",
+        warns=lambda m, b: sl.render(sl.Scene(rough()), sl.Sky(), "lattice", hemicube=m, backend=b).warnings,
+        says="Leak",
+    ),
+    "razor": Failure(
+        title="Razor ridges",
+        parameter="width of the ridges [nodes]",
+        values=(8, 6, 4, 3, 2, 1),
+        quick=(8, 1),
+        limit=0.1,
+        measure=razor,
+        bad="stride M 17",
+        does=(
+            "A ridge narrower than the step stands between its nodes. Filled lattice and horizons test every"
+            " crossing."
+        ),
+        good="default",
+    ),
+    "valley": Failure(
+        title="Deep narrow valleys",
+        parameter="depth of a trench 5 nodes wide",
+        values=(2, 5, 10, 20, 40, 80),
+        quick=(2, 40),
+        limit=0.05,
+        measure=valley,
+        bad="lattice, M 9",
+        does=(
+            "Little sky is left, and few directions meet it. The error is over the nodes at the bottom alone."
+            " A tolerance is over the whole image: name a tighter one for the bottom."
+        ),
+        good="64 azimuths",
+    ),
+    "small lamp": Failure(
+        title="Small lamps vanish between lattice directions",
+        parameter="radius of the lamp [nodes], 24 above a plane",
+        values=(11, 8, 4, 2, 1, 0.5),
+        quick=(11, 1),
+        limit=0.3,
+        measure=small_lamp,
+        bad="lattice M 9",
+        does=(
+            "Rays of the lattice pass a small lamp by. Slices are laid through it as each node sees it; where"
+            " nothing hides it the default is a closed form. Where the lattice is asked for, a warning"
+            " says so."
+        ),
+        good="default",
+        warns=small_lamp_says,
+        says="Small lamp",
+    ),
+    "small sun": Failure(
+        title="Small suns vanish between directions",
+        parameter="radius of the sun [degrees]",
+        values=(10, 5, 2, 1, 0.5, 0.27),
+        quick=(10, 0.27),
+        limit=0.1,
+        measure=small_sun,
+        bad="lattice M 17",
+        does=(
+            "The lattice meets a small sun or misses it. Tables of horizons hold all of its light, since"
+            " brightness is integrated; with a number of azimuths asked for, half of them go where the light"
+            " is, and with a tolerance the sun has azimuths of its own."
+        ),
+        good="default",
+    ),
+    "grazing": Failure(
+        title="Grazing light",
+        parameter="elevation of the sun [degrees]",
+        values=(60, 40, 20, 10, 5, 2),
+        quick=(60, 10),
+        limit=0.1,
+        measure=grazing,
+        bad="even azimuths",
+        does=(
+            "A low sun lights few nodes, and a small error of a horizon puts them out. With a tolerance the"
+            " sun has azimuths of its own, and their number follows the estimated error."
+        ),
+        good="default",
+    ),
+    "cliff": Failure(
+        title="Cliffs under a hard sun",
+        parameter="height of the tallest houses [spacings]",
+        values=(1, 4, 9, 18, 36),
+        quick=(1, 36),
+        limit=0.03,
+        measure=cliff,
+        bad="six near rows",
+        does=(
+            "Sweeps look up the two best crossings beyond 6 rows; behind a wall a wrong one puts out the sun"
+            " for a node. With a tolerance, where neighbours lie more than 4 spacings apart, the sun has"
+            " exact horizons in azimuths of its own, and every crossing within 24 rows is tested for the"
+            " rest."
+        ),
+        good="default",
+    ),
+    "between": Failure(
+        title="Light between surfaces",
+        parameter="albedo of a spherical bowl",
+        values=(0.05, 0.1, 0.2, 0.4, 0.6, 0.8, 0.95),
+        quick=(0.001, 0.8),
+        limit=0.1,
+        measure=between,
+        bad="light left out, over the image",
+        does="It is left out. `Plan.beyond` bounds it, with a number.",
+        good=None,
+        warns=between_says,
+        says="Light between surfaces",
+    ),
+    "holes": Failure(
+        title="Holes in the data",
+        parameter="share of 8 x 8 blocks that are masked",
+        values=(0.0, 0.01, 0.03, 0.1, 0.2, 0.4),
+        quick=(0.0, 0.3),
+        limit=0.015,
+        measure=holes,
+        bad="against the ground without holes",
+        does=(
+            "Masked ground hides nothing, so light comes through. Plans give the share of nodes that are"
+            " masked."
+        ),
+        good=None,
+        warns=holes_says,
+        says="Nodata",
+    ),
+    "touching": Failure(
+        title="A lamp that touches the surface",
+        parameter="gap below a ball of radius 2 [nodes]",
+        values=(8, 4, 2, 1, 0.5, 0.25),
+        quick=(8, 0.25),
+        limit=0.1,
+        measure=touching_lamp,
+        bad="nodes against the mean of their cells",
+        does=(
+            "Below it the light changes within one cell. Plans say how far the lamp is from the surface when"
+            " that is less than a spacing."
+        ),
+        good=None,
+        warns=touching_says,
+        says="The lamp touches",
+    ),
+    "rounding": Failure(
+        title="Relief far below the viewer's plane",
+        parameter="depth added to it [spacings]",
+        values=(1e2, 1e3, 1e4, 1e5, 1e6, 1e7),
+        quick=(1e2, 1e7),
+        limit=0.01,
+        measure=offset,
+        bad="float32 depth",
+        does="Depths are float32. Plans name the rounding when it is more than a tenth of the tolerance.",
+        good=None,
+        warns=offset_says,
+        says="Depths are rounded",
+    ),
+    "search": Failure(
+        title="Searching not far enough",
+        parameter="max_distance [spacings]",
+        values=(160, 80, 40, 20, 10, 5),
+        quick=(80, 5),
+        limit=0.05,
+        measure=search,
+        bad="as far as asked",
+        does="`max_distance` drops the ground beyond. Plans measure what it costs before they use one.",
+        good="default",
+    ),
+    "sides": Failure(
+        title="Wrong sides",
+        parameter="depth of a plane in a dark box of 80 nodes",
+        values=(1, 2, 5, 10, 20, 40),
+        quick=(1, 40),
+        limit=0.1,
+        measure=sides,
+        bad="sides given as open",
+        does="Nothing in a map tells what stands at its sides: give the ones that are there.",
+        good="sides given as dark",
+    ),
+    "drilled": Failure(
+        title="Columns drilled through",
+        parameter="eps, share of the image's maximum",
+        values=(0.2, 0.1, 0.05, 0.02, 0.01, 0.002),
+        quick=(0.2, 0.002),
+        limit=0.15,
+        measure=drilled,
+        bad="paper, eps",
+        does=(
+            "A column that steps past the image's value is carved through to the back, and one that stops"
+            " early shadows the rest. `drilled` marks them and a warning gives their share. The default"
+            " (`robust`) does not carve and takes no eps."
+        ),
+        good="robust",
+        warns=lambda eps, b: first_says(picture(b), b, eps=eps),
+        says="Drilled",
+        unit="share of columns drilled",
+    ),
+    "two values": Failure(
+        title="Two depths explain one value",
+        parameter="k of a lamp cos^k",
+        values=(0, 1, 2, 4, 8, 16),
+        quick=(0, 16),
+        limit=4.0,
+        measure=spot_errors,
+        bad="paper, sign",
+        does=(
+            "Under a spotlight a column is dark near the viewer, bright below and dark again. The paper takes"
+            " the first match, or drills, and the warning gives the share. The default fits the whole"
+            " surface. Each method is given an image of its own model: N.L = 1/2, or normals."
+        ),
+        good="robust",
+        warns=spot_says,
+        says="Drilled",
+        unit="RMS error of depth [layers]",
+    ),
+    "noise": Failure(
+        title="Noise",
+        parameter="noise, share of the image's maximum",
+        values=(0.001, 0.003, 0.01, 0.03, 0.1),
+        quick=(0.001, 0.1),
+        limit=1.5,
+        measure=lambda v, b: change(noisy(b, v), b),
+        bad="paper, eps",
+        does=(
+            "One false stop shadows its neighbours, so small noise moves whole groups of columns; drilled"
+            " ones are counted in a warning. The default moves some ten times less at 1 % of noise, and half"
+            " as much at 10 %."
+        ),
+        good=None,
+        warns=lambda v, b: first_says(noisy(b, v), b, eps=EPS),
+        says="Drilled",
+        unit="RMS change of depth [layers]",
+    ),
+    "bits": Failure(
+        title="Images of few bits",
+        parameter="bits",
+        values=(16, 8, 6, 4, 3, 2),
+        quick=(16, 2),
+        limit=1.0,
+        measure=lambda v, b: change(counted(b, v), b),
+        bad="paper, eps",
+        does=(
+            "A step of the count is more than eps. A warning names the count. Use 16-bit files. At 2 bits the"
+            " default is worse than carving."
+        ),
+        good=None,
+        warns=lambda v, b: first_says(counted(b, v), b, eps=EPS),
+        says="Few counts",
+        unit="RMS change of depth [layers]",
+    ),
+    "albedo": Failure(
+        title="Wrong albedo",
+        parameter="albedo given, over the true one",
+        values=(1.0, 1.02, 1.05, 1.1, 1.2, 1.5),
+        quick=(1.0, 1.3),
+        limit=1.5,
+        measure=lambda v, b: change(picture(b, 0.6), b, albedo=0.6 * v),
+        bad="paper, eps",
+        does=(
+            "A surface thought brighter than it is must lie deeper; the bright parts fit at no depth and"
+            ' drill. The default does not drill, but it moves too, less than carving with stop "eps" until'
+            ' 1.1 and more from 1.2 on, and no less than with "sign" from 1.05 on: one image does not tell'
+            " depth from albedo."
+        ),
+        good=None,
+        warns=lambda v, b: first_says(picture(b, 0.6), b, albedo=0.6 * v, eps=EPS),
+        says="Drilled",
+        unit="RMS change of depth [layers]",
+    ),
+    "ill-posed": Failure(
+        title="A plane under an open sky",
+        parameter="its depth [layers]",
+        values=(1, 2, 5, 10, 20, 30),
+        quick=(1, 20),
+        limit=5.0,
+        measure=flat_start,
+        bad="paper, eps",
+        does=(
+            "Every depth gives the same image, and no method finds the right one. A warning says so whenever"
+            " sides are open under a sky."
+        ),
+        good=None,
+        warns=lambda v, b: open_says("open" if v > 1 else "dark", b),
+        says="Open sides",
+        unit="RMS error of depth [layers]",
+    ),
+}
 
 
 def sets_in(failure, found) -> str:
@@ -503,9 +755,10 @@ def main():
             "# Where methods fail, and what skylamp does about it",
             "",
             (
-                "Made by `performance/stability.py`. Each figure shows error against the parameter that provokes"
-                " a failure; the dashed line is where it counts as one. `tests/test_stability.py` holds that each"
-                " failure is there in the method that has it, and gone, or warned about, in the default."
+                "Made by `performance/stability.py`. Each figure shows error against the parameter that"
+                " provokes a failure; the dashed line is where it counts as one. `tests/test_stability.py`"
+                " holds that each failure is there in the method that has it, and gone, or warned about, in"
+                " the default."
             ),
             "",
         ],

@@ -3,8 +3,9 @@
 import os
 
 import pytest
-import skylamp as sl
 from hypothesis import HealthCheck, settings
+
+import skylamp as sl
 
 settings.register_profile(
     "skylamp",

@@ -7,6 +7,7 @@ Most sizes have short common cycles, since the oracle follows level rays round a
 import functools
 
 import numpy as np
+
 import skylamp as sl
 from skylamp import oracle
 from skylamp.io import files as io
@@ -93,11 +94,20 @@ def _terrain_layers():
 
 
 MAPS = {
-    "slanted": _slanted, "bumps": _bumps, "fractal": _fractal, "walls": _walls, "spikes": _spikes, "plateaus": _plateaus, "noise": _noise,
-    "masked": _masked, "terrain": _terrain_layers,
-    "row": lambda: np.random.default_rng(1).integers(0, 5, (1, 29)), "column": lambda: np.random.default_rng(2).integers(0, 5, (31, 1)),
-    "tiny": lambda: np.array([[2, 0, 1], [3, 1, 4]]), "one": lambda: np.array([[3]]),
-}  # fmt: skip
+    "slanted": _slanted,
+    "bumps": _bumps,
+    "fractal": _fractal,
+    "walls": _walls,
+    "spikes": _spikes,
+    "plateaus": _plateaus,
+    "noise": _noise,
+    "masked": _masked,
+    "terrain": _terrain_layers,
+    "row": lambda: np.random.default_rng(1).integers(0, 5, (1, 29)),
+    "column": lambda: np.random.default_rng(2).integers(0, 5, (31, 1)),
+    "tiny": lambda: np.array([[2, 0, 1], [3, 1, 4]]),
+    "one": lambda: np.array([[3]]),
+}
 
 
 @functools.cache

@@ -74,7 +74,7 @@ def _absolute(level, name, module, is_package):
 
 
 def _loaded(call, module, is_package, known):
-    """Modules that ``import_module`` with a literal may mean; of a name that is computed, all of its package."""
+    """Modules that ``import_module`` with a literal may mean; of a computed name, all of its package."""
     if ast.unparse(call.func).rpartition(".")[2] not in ("import_module", "__import__") or not call.args:
         return []
     name = call.args[0]

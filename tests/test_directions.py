@@ -2,8 +2,9 @@
 
 import numpy as np
 import pytest
-import skylamp as sl
 from compare import assert_bits_equal
+
+import skylamp as sl
 from skylamp.radiometry import polygon_moment, rectangle_solid_angle
 
 SIZES = [3, 5, 7, 9, 17, 33]
@@ -11,7 +12,7 @@ SIZES = [3, 5, 7, 9, 17, 33]
 
 @pytest.mark.parametrize("size", SIZES)
 def test_a_hemicube_covers_the_hemisphere_once(size):
-    """Count, solid angles and moments in closed form; cells that overlap or miss a corner would not add up."""
+    """Count, solid angles and moments in closed form; cells that overlap or leave gaps would not add up."""
     cube = sl.Hemicube(size)
     m = (size - 1) // 2
     assert len(cube) == cube.steps.shape[0] == size**2 + 8 * m**2

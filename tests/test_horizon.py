@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import scenes
+
 import skylamp as sl
 from skylamp import oracle
 
@@ -88,7 +89,7 @@ def test_tilted_and_horizontal_differ_on_a_slope(backend):
 
 
 def test_openness_of_planes_and_pits(fast):
-    """Level: pi / 2. In the middle of a pit: up to its rim; and negative is that of the surface upside down."""
+    """Level: pi / 2. In the middle of a pit: up to its rim. Negative: that of the surface upside down."""
     assert sl.openness(sl.Scene(np.zeros((9, 9))), 16, fast) == pytest.approx(np.pi / 2)
     y, x = np.mgrid[:81, :81] - 40.0
     pit = np.maximum(0, 15 - 0.5 * np.maximum(0, np.hypot(x, y) - 6))

@@ -7,9 +7,10 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
-import skylamp as sl
 from compare import assert_bits_equal
 from scenes import rough
+
+import skylamp as sl
 from skylamp import oracle
 from skylamp.radiometry import disc_moment, polygon_moment, rectangle_solid_angle
 
@@ -54,8 +55,7 @@ def spiked(shape=(17, 21), at=(8, 10), floor=5.0, top=2.0):
     return depth
 
 
-# -- horizons: by hand
-# -------------------------------------------------------------------------------------------------------
+# -- horizons: by hand ---------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("spacing", [1.0, 0.25])
@@ -77,7 +77,7 @@ def test_a_spike_seen_exactly(dx, dy, spacing):
 
 
 def test_crossings_between_the_spike_and_its_neighbours():
-    """Heights fall from 3 to 0 over one node along rows and along columns: what a ray meets there, by hand."""
+    """Heights fall from 3 to 0 over one node along rows and columns: the crossings of a ray, by hand."""
     depth = spiked()
     # from 2 columns west: the spike's column is crossed at dy = 1/2, no row before
     assert slope(depth, 8, 8, math.atan2(0.5, 2)) == pytest.approx(1.5 / math.hypot(2, 0.5), rel=1e-12)
@@ -329,8 +329,7 @@ def test_horizons_scale_with_length():
     )
 
 
-# -- skies
-# -------------------------------------------------------------------------------------------------------------------
+# -- skies ---------------------------------------------------------------------------------------------------
 
 
 def test_a_level_plane_under_a_uniform_sky():
@@ -426,8 +425,7 @@ def test_widths_weigh_the_azimuths():
     np.testing.assert_allclose(got, np.pi * (1 + 3**-0.5) / 2, rtol=1e-3)
 
 
-# -- shadow rays
-# -------------------------------------------------------------------------------------------------------------
+# -- shadow rays ---------------------------------------------------------------------------------------------
 
 
 def _random_rays(count, seed):
@@ -481,8 +479,7 @@ def test_a_ray_ends_where_it_ends():
     assert not oracle.unblocked(low, 1.0, 0, 5, up, np.array([50.0]))[0]
 
 
-# -- lamps
-# -------------------------------------------------------------------------------------------------------------------
+# -- lamps ---------------------------------------------------------------------------------------------------
 
 
 def ball(x, y, z, radius, brightness=1.0):
@@ -565,7 +562,7 @@ def test_the_moment_of_a_disc_cut_by_a_plane():
 
 
 def test_a_half_set_sphere():
-    """Cut by the tangent plane: the disc's moment above it. Level ground, so that plane and horizon are one."""
+    """Cut by the tangent plane: the disc's moment above it. On level ground plane and horizon are one."""
     depth = np.full((13, 17), 10.0)
     for lamp in ((25, 6, 10, 5), (24, 5, 12, 6), (22, 6, 8, 5)):
         to = np.array(lamp[:3]) - places(depth)
@@ -720,7 +717,7 @@ def test_an_area_light_seen_edge_on():
 
 
 def test_a_wall_shades_only_before_the_lamp():
-    """A lamp before the wall, around it and beyond it; a hole in the wall, one masked node, lets it through."""
+    """A lamp before the wall, around it and beyond it; a masked node in the wall lets it through."""
     depth = walled(rows=21, top=0.0)
     valid = everywhere(depth)
     at = ([10], [10])
@@ -797,8 +794,7 @@ def test_a_lamp_and_the_walls_of_a_dark_box():
     assert (oracle.lamp_irradiance(depth, spacing, everywhere(depth), beyond, nodes) > 0).all()
 
 
-# -- windows
-# -----------------------------------------------------------------------------------------------------------------
+# -- windows -------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("gx, gy", [(0, 0), (0.3, -0.4)])

@@ -2,11 +2,12 @@
 
 import numpy as np
 import pytest
-import skylamp as sl
 from compare import assert_bits_equal
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
+
+import skylamp as sl
 
 SHAPES = st.tuples(st.integers(1, 12), st.integers(1, 19))
 WHOLE = SHAPES.flatmap(lambda shape: hnp.arrays(np.int64, shape, elements=st.integers(0, 9)))

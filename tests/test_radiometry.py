@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+
 import skylamp as sl
 from skylamp import radiometry as r
 
@@ -81,7 +82,7 @@ def test_radiance_does_not_change_along_a_ray():
 
 
 def test_irradiance_and_radiosity():
-    """Uniform: pi L. The notes' 1 / cos(theta): 2 pi. An overcast sky: 7 pi / 9. Radiosity is pi x radiance."""
+    """Uniform: pi L. 1 / cos(theta): 2 pi. An overcast sky: 7 pi / 9. Radiosity is pi x radiance."""
     assert abs(r.irradiance(lambda L: np.ones(len(L))) - np.pi) < 1e-12
     assert abs(r.irradiance(lambda L: 1 / L[:, 2], elevations=200) / (2 * np.pi) - 1) < 4e-3
     assert abs(r.irradiance(lambda L: sl.cie_overcast()(L * [1, 1, -1])) - 7 * np.pi / 9) < 1e-5

@@ -1,4 +1,4 @@
-"""Calls from threads give the bytes that they give one after another, whatever else runs on the same device."""
+"""Calls from threads give the bytes of calls one after another, whatever else runs on the same device."""
 
 import functools
 import sys
@@ -8,6 +8,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
+
 import skylamp as sl
 from skylamp.backends import registry, select
 
@@ -30,18 +31,26 @@ def depth_of(number):
 
 WORK = [
     lambda z, b: sl.render(sl.Scene(z), sl.Sky(), method="horizon", azimuths=16, backend=b).image,
-    lambda z, b: sl.render(sl.Scene(z, sides="dark"), sl.Sky(sl.cosine_power(z.shape[0])), azimuths=12, backend=b).image,
+    lambda z, b: (
+        sl.render(
+            sl.Scene(z, sides="dark"), sl.Sky(sl.cosine_power(z.shape[0])), azimuths=12, backend=b
+        ).image
+    ),
     lambda z, b: sl.render(sl.Scene(z), sl.Sky(), method="lattice", hemicube=5, backend=b).image,
-    lambda z, b: sl.render(sl.Scene(z), sl.Lamp((z.shape[1] / 2, 9, -6), 4), method="horizon", backend=b).image,
+    lambda z, b: (
+        sl.render(sl.Scene(z), sl.Lamp((z.shape[1] / 2, 9, -6), 4), method="horizon", backend=b).image
+    ),
     lambda z, b: sl.render(sl.Scene(z), sl.Lamp((z.shape[1] / 2, 9, -6), 4), tolerance=0.03, backend=b).image,
     lambda z, b: sl.sky_view_factor(sl.Scene(z), azimuths=12, backend=b),
     lambda z, b: sl.visibility(sl.Scene(z), sl.Sky(), 5, b, filled=True),
-    lambda z, b: sl.recover(1 + z, sl.Sky(8.0), 0.5, "dark", layers=5, hemicube=5, method="paper", backend=b).depth,
+    lambda z, b: (
+        sl.recover(1 + z, sl.Sky(8.0), 0.5, "dark", layers=5, hemicube=5, method="paper", backend=b).depth
+    ),
     lambda z, b: sl.horizons(sl.Scene(z), 6, b),
     lambda z, b: sl.openness(sl.Scene(z), 6, b),
     lambda z, b: sl.visibility_field(sl.Scene(np.rint(z)), sl.Sky(), 3, backend=b).words,
     lambda z, b: np.array(sl.plan(sl.Scene(z), sl.Sky(), 0.05, b).error),
-]  # fmt: skip
+]
 
 
 def together(jobs):

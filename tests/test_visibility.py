@@ -5,8 +5,9 @@ import functools
 import numpy as np
 import pytest
 import scenes
-import skylamp as sl
 from compare import assert_bits_equal
+
+import skylamp as sl
 from skylamp import oracle
 from skylamp.backends import select
 from skylamp.errors import CapacityError, InputError
@@ -43,7 +44,7 @@ def test_scan_and_propagation_equal_the_oracle(backend, name, size, sides):
     ],
 )
 def test_filled_scan_equals_brute_force_over_all_crossings(backend, name, size, sides):
-    """filled=True looks at every grid line that a ray crosses; M = 17 has more elevations than a byte holds."""
+    """filled=True tests every crossing with a grid line; M = 17 has more elevations than a byte holds."""
     assert_bits_equal(
         sl.visibility(scenes.scene(name, sides), SKY, size, backend, filled=True),
         scenes.filled_truth(name, size, sides),
@@ -183,8 +184,7 @@ def test_filled_windows_and_high_lamps_are_the_filled_sky_clipped(backend, sides
         assert_bits_equal(sl.visibility(scene, source, cube, backend, filled=True), cube.pack(clipped))
 
 
-# -- larger, continuous maps: backends against one another
-# -----------------------------------------------------------------
+# -- larger, continuous maps: backends against one another ---------------------------------------------------
 
 
 def _large():
@@ -298,8 +298,7 @@ def test_window_edges_on_nodes_do_not_depend_on_the_unit(backend, spacing):
         assert_bits_equal(in_metres, in_layers)
 
 
-# -- promises
-# ----------------------------------------------------------------------------------------------------------------
+# -- promises ------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("filled", [False, True], ids=["stride", "filled"])
@@ -312,7 +311,7 @@ def test_a_second_run_gives_the_same_bytes(backend, filled):
 
 
 def test_the_callers_arrays_are_not_changed(backend):
-    """Depth, mask, albedo, volume and aperture are as they were, and writing to them later changes no scene."""
+    """Depth, mask, albedo, volume and aperture stay as they were; writing to them later changes no scene."""
     depth, valid = (a.copy() for a in scenes.whole_layers("masked"))
     depth = depth.astype(np.float32)
     albedo, volume, aperture = (
@@ -344,8 +343,11 @@ def test_work_that_goes_in_groups_gives_the_same_bytes(backend, filled, monkeypa
     """With memory for a few walks at a time: bits, light and carving are the same to the byte."""
     scene = scenes.scene("fractal", "periodic")
     window = sl.Window(x=(4, 21), y=(2, 19))
-    lit = lambda: (sl.visibility(scene, SKY, 9, backend, filled=filled), sl.visibility(scene, window, 9, backend, filled=filled),
-                   sl.render(scene, SKY, "lattice", backend=backend, filled=filled).image)  # fmt: skip
+    lit = lambda: (
+        sl.visibility(scene, SKY, 9, backend, filled=filled),
+        sl.visibility(scene, window, 9, backend, filled=filled),
+        sl.render(scene, SKY, "lattice", backend=backend, filled=filled).image,
+    )
     whole = lit()
     engine = select(backend)
     words = sl.Hemicube(9).words
@@ -412,8 +414,7 @@ def test_garbage_in_new_arrays_does_not_show(backend, sides, monkeypatch):
     )
 
 
-# -- the field
-# ---------------------------------------------------------------------------------------------------------------
+# -- the field -----------------------------------------------------------------------------------------------
 
 
 @functools.cache

@@ -4,8 +4,9 @@ import functools
 from typing import Any
 
 import numpy as np
-import skylamp as sl
 from numpy.typing import NDArray
+
+import skylamp as sl
 
 SIZES = 256, 1024  # rows and columns of the map
 BACKENDS = "numpy", "warp:cpu", "opencl", "warp:cuda:0"  # "opencl": the first device, a GPU before a CPU

@@ -9,7 +9,7 @@ from .common import BACKENDS, METHODS, SIZES, rough_ground, skip_missing, work
 
 @functools.cache
 def compile_once(size: int, backend: str, method: str) -> None:
-    """The first call of a process compiles kernels, or loads them; ``cache``: setup runs before every sample."""
+    """Compile or load the kernels; ``cache``, since setup runs before every sample."""
     source, options = work(method, size)
     sl.render(sl.Scene(rough_ground(size)), source, backend=backend, **options)
 
