@@ -1,4 +1,7 @@
-"""Imports within skylamp follow the layers that CONTRIBUTING.md lists: downwards only, and in no circle."""
+"""Imports within skylamp follow the layers that CONTRIBUTING.md lists: downwards only, and in no circle.
+
+Functions, classes and lines are no longer than it says.
+"""
 
 import ast
 import re
@@ -14,6 +17,10 @@ FOLDERS = {  # package: folder, as in pyproject.toml
     "skylamp.warp_kernels": ROOT / "warp_kernels",
     "skylamp.opencl": ROOT / "opencl",
 }
+FUNCTION_LINES, CLASS_METHODS, COLUMNS = 80, 15, 110  # CONTRIBUTING.md, Habits; COLUMNS as in pyproject.toml
+# What is larger, by its place: lines of the function, methods of the class, or lines that are too long.
+# Lower a number when its part shrinks, remove the entry when it fits, and add none.
+ALLOWED: dict[str, int] = {}
 ORACLE = {"sources", "constants"}  # what the oracle may import: the geometry of the sources
 
 
@@ -207,6 +214,105 @@ def test_files_that_contributing_names_are_there():
     named = set(re.findall(r"`((?:host|opencl|warp_kernels|tests|performance|docs|\.ci)/[\w./-]+)[ `]", text))
     assert len(named) > 20
     report("files that are not there", sorted(name for name in named if not (ROOT / name).exists()))
+
+
+def definitions(tree, prefix=""):
+    """(qualified name, node) of all functions and classes below a node of the syntax tree."""
+    for child in ast.iter_child_nodes(tree):
+        named = isinstance(child, (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef))
+        name = f"{prefix}{child.name}" if named else prefix
+        if named:
+            yield name, child
+        yield from definitions(child, f"{name}." if named else prefix)
+
+
+def large_definitions(path, place):
+    """{place: size} of functions of more than FUNCTION_LINES lines and classes of more than CLASS_METHODS.
+
+    A function's lines count from ``def`` to its last one, a class's methods with its properties.
+    """
+    found = {}
+    for name, node in definitions(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.ClassDef):
+            size = sum(isinstance(one, (ast.FunctionDef, ast.AsyncFunctionDef)) for one in node.body)
+            limit = CLASS_METHODS
+        else:
+            size, limit = node.end_lineno - node.lineno + 1, FUNCTION_LINES
+        if size > limit:
+            found[f"{place}:{name}"] = size
+    return found
+
+
+def long_lines(path, place):
+    """{place: count} if the file has lines of more than COLUMNS columns; else nothing."""
+    count = sum(len(line) > COLUMNS for line in path.read_text(encoding="utf-8").splitlines())
+    return {place: count} if count else {}
+
+
+def beyond(found, allowed):
+    """Faults in words: sizes that are not allowed or above what is, and allowances that nothing needs."""
+    return [
+        *(f"{name}: {size}" for name, size in sorted(found.items()) if name not in allowed),
+        *(
+            f"{name}: {found[name]}, and {size} is allowed"
+            for name, size in allowed.items()
+            if found.get(name, 0) > size
+        ),
+        *(f"{name}: fits, remove it from ALLOWED" for name in allowed if name not in found),
+    ]
+
+
+def sources_of(*folders, suffixes):
+    """(file, its place from the top of the repository) of all files with these suffixes."""
+    found = [path for folder in folders for path in sorted((ROOT / folder).rglob("*"))]
+    return [(path, path.relative_to(ROOT).as_posix()) for path in found if path.suffix in suffixes]
+
+
+def test_functions_and_classes_are_not_too_large():
+    """No function under host/ has more than 80 lines, no class more than 15 methods."""
+    found = {}
+    for path, place in sources_of("host", suffixes={".py"}):
+        found |= large_definitions(path, place)
+    allowed = {place: size for place, size in ALLOWED.items() if ":" in place}
+    report(
+        f"functions beyond {FUNCTION_LINES} lines or classes beyond {CLASS_METHODS} methods",
+        beyond(found, allowed),
+    )
+
+
+def test_lines_are_not_too_long():
+    """No line of the package, kernels in OpenCL C among it, has more than 110 columns."""
+    found = {}
+    for path, place in sources_of("host", "opencl", "warp_kernels", suffixes={".py", ".cl", ".h"}):
+        found |= long_lines(path, place)
+    allowed = {place: size for place, size in ALLOWED.items() if ":" not in place}
+    report(f"files with lines beyond {COLUMNS} columns, and how many", beyond(found, allowed))
+
+
+def test_what_is_too_large_is_found(tmp_path):
+    """One line more than allowed, one method more, one column more; at the limit nothing is found."""
+    path = tmp_path / "made_up.py"
+
+    def text(more):
+        body = "        pass\n" * (FUNCTION_LINES - 1 + more)
+        methods = "    @property\n    def p(self): pass\n" * (CLASS_METHODS - 1 + more)
+        return f"class A:\n    def f(self):\n{body}{methods}{'#' * (COLUMNS + more)}\n"
+
+    path.write_text(text(0), encoding="utf-8")
+    assert large_definitions(path, "a.py") == long_lines(path, "a.py") == {}
+    path.write_text(text(1), encoding="utf-8")
+    assert large_definitions(path, "a.py") == {"a.py:A": CLASS_METHODS + 1, "a.py:A.f": FUNCTION_LINES + 1}
+    assert long_lines(path, "a.py") == {"a.py": 1}
+
+
+def test_allowances_only_shrink():
+    """Allowed sizes pass; larger ones, others, and allowances that are no longer needed do not."""
+    assert beyond({"a": 90}, {"a": 90}) == beyond({"a": 85}, {"a": 90}) == []
+    assert beyond({"a": 91, "b": 81}, {"a": 90, "c": 82}) == [
+        "b: 81",
+        "a: 91, and 90 is allowed",
+        "c: fits, remove it from ALLOWED",
+    ]
 
 
 MADE_UP = {
