@@ -26,18 +26,7 @@ Twin of warp_kernels/adjoint.py. */
 #include "lanes.h"
 #pragma OPENCL EXTENSION cl_khr_int64_base_atomics : enable
 #pragma OPENCL EXTENSION cl_khr_fp64 : enable
-#define NONE -1e30f
-#define STEEP 1e6f    /* as good as the zenith */
-#define TILE 8
-#define SLACK 1.00001f /* what is left out must be lower by more than roundings */
-#define ALONG 1e-6f   /* closer to the grid is along it: n times -1e-9 would be a crossing all but on a node, and one of its two off the map */
-#define LEVEL 0.01f   /* slope below which a map that repeats is not searched */
-#define BLOCK 16      /* nodes that a work-item of a sum owns */
-#define BESIDE 32     /* nodes whose links lie side by side: a GPU reads them at once, and a CPU's cache holds them */
 #define LINK(p, k) (((p) / BESIDE * count + (k)) * BESIDE + (p) % BESIDE)
-#define ROOM 32       /* with which an array ends that is read in whole vectors, and which keeps its rows off the same places in a cache */
-#define SLOTS 32      /* places that a sum of whole numbers is spread over */
-enum { OPEN, DARK, PERIODIC };
 
 #if LANES == 1
 #define TO_FLOATS convert_float
@@ -63,15 +52,15 @@ typedef struct __attribute__((packed)) { ints v; } loose_ints;
 floats arc_tangent(floats v)
 {
   const floats r = v > 1 ? 1 / v : v, q = r * r;
-  floats p = -0.0040545627f;
-  p = p * q + 0.021862943f;
-  p = p * q - 0.055912301f;
-  p = p * q + 0.096421957f;
-  p = p * q - 0.13908629f;
-  p = p * q + 0.19946566f;
-  p = p * q - 0.33329859f;
-  p = p * q + 0.99999934f;
-  return v > 1 ? 1.57079633f - p * r : p * r;
+  floats p = ARC_TANGENT_0;
+  p = p * q + ARC_TANGENT_1;
+  p = p * q + ARC_TANGENT_2;
+  p = p * q + ARC_TANGENT_3;
+  p = p * q + ARC_TANGENT_4;
+  p = p * q + ARC_TANGENT_5;
+  p = p * q + ARC_TANGENT_6;
+  p = p * q + ARC_TANGENT_7;
+  return v > 1 ? HALF_PI - p * r : p * r;
 }
 
 /* Light between the slope T and the zenith: integrals of B sin cos (c1) and of B cos^2 (c2), and their derivative by T. */
@@ -83,7 +72,7 @@ Above above(floats t, __global const float *table, int row, int next, float shar
   Above sky;
   if (knots == 0) {
     sky.c1 = 0.5f * cosine;
-    sky.c2 = 0.5f * (1.57079633f - arc_tangent(t) - t * cosine);
+    sky.c2 = 0.5f * (HALF_PI - arc_tangent(t) - t * cosine);
     sky.d1 = -t * cosine * cosine;
     sky.d2 = -cosine * cosine;
     return sky;
@@ -455,7 +444,7 @@ __kernel void lamp(__global const float *heights, __global const float *tilts, _
   int links = 0;
   for (int k = 0; k < count; ++k) {
     /* 1. the slice, and the slopes between which the source stands in it, with their derivatives by the own depth */
-    float c = nodes[4 * k + 2], s = nodes[4 * k + 3], width = 6.28318531f / count;
+    float c = nodes[4 * k + 2], s = nodes[4 * k + 3], width = TWO_PI / count;
     float low = 1, high = 0, low_by = 0, high_by = 0, reach = 0, end = 0; /* ground counts as far as reach; the source's end */
     if (ball) {
       const float radius = solid[3], rise = solid[2] - own, beyond = extent * extent + rise * rise - radius * radius;
@@ -468,7 +457,7 @@ __kernel void lamp(__global const float *heights, __global const float *tilts, _
         const float off = radius / extent * nodes[4 * k], on = sqrt((1 - off) * (1 + off));
         c = ux * on - uy * off;
         s = uy * on + ux * off;
-        width = radius / extent * nodes[4 * k + 1] * (3.14159265f / count) / on;
+        width = radius / extent * nodes[4 * k + 1] * (PI / count) / on;
         along = extent * on;
         half_ = radius * nodes[4 * k + 1];
       }
@@ -646,15 +635,15 @@ __kernel void reflect(__global const float *over, __global const float *under, _
     out[p] = over[p] / under[p] * gain[p];
 }
 
-/* misfit: in part (blocks) the sums of (gain E - target)^2. Work-item g of this, of bending and of begin owns BLOCK nodes and
+/* misfit: in part (blocks) the sums of (gain E - target)^2. Work-item g of this, of bending and of begin owns SUMMED nodes and
    adds them in order. */
 __kernel void misfit(__global const float *light, __global const float *gain, __global const float *target, __global double *part, int block, int pixels)
 {
   const int g = get_global_id(0);
-  if (g * BLOCK >= pixels)
+  if (g * SUMMED >= pixels)
     return;
   double square = 0;
-  for (int p = g * BLOCK; p < min(pixels, g * BLOCK + BLOCK); ++p) {
+  for (int p = g * SUMMED; p < min(pixels, g * SUMMED + SUMMED); ++p) {
     const float r = gain[p] * light[p] - target[p];
     square += (double)r * (double)r;
   }
@@ -682,10 +671,10 @@ float unbend(__global const float *v, int i, int n, int step)
 __kernel void bending(__global const float *z, __global const float *rest, __global double *part, int block, int rows, int cols)
 {
   const int g = get_global_id(0), pixels = rows * cols;
-  if (g * BLOCK >= pixels)
+  if (g * SUMMED >= pixels)
     return;
   double sum = 0;
-  for (int p = g * BLOCK; p < min(pixels, g * BLOCK + BLOCK); ++p) {
+  for (int p = g * SUMMED; p < min(pixels, g * SUMMED + SUMMED); ++p) {
     const float a = bend(z + p, p % cols, cols, 1) - bend(rest + p, p % cols, cols, 1);
     const float b = bend(z + p, p / cols, rows, cols) - bend(rest + p, p / cols, rows, cols);
     sum += (double)a * (double)a + (double)b * (double)b;
@@ -743,7 +732,6 @@ __kernel void begin(__global const float *z, __global const float *rest, __globa
 
 /* What preconditions: v = r / scale, and the same on grids FOUR and FOUR^2 times as coarse, brought up by linear interpolation
    (Bramble, Pasciak and Xu 1990); r is brought down by its transpose. */
-#define FOUR 4
 
 /* Node j of a coarse line of n: its share in node FOUR j - 2 + a of the fine one. */
 float hat(int a, int j, int n)
@@ -810,11 +798,11 @@ __kernel void up(__global const float *r, __global const float *scale, __global 
 /* lengths: in part (2, blocks) the sums of v v and of r v. */
 __kernel void lengths(__global const float *r, __global const float *v, __global double *part, int pixels)
 {
-  const int g = get_global_id(0), blocks = (pixels - 1) / BLOCK + 1;
+  const int g = get_global_id(0), blocks = (pixels - 1) / SUMMED + 1;
   if (g >= blocks)
     return;
   double square = 0, product = 0;
-  for (int i = g * BLOCK; i < min(pixels, g * BLOCK + BLOCK); ++i) {
+  for (int i = g * SUMMED; i < min(pixels, g * SUMMED + SUMMED); ++i) {
     square += (double)v[i] * (double)v[i];
     product += (double)r[i] * (double)v[i];
   }
@@ -826,7 +814,6 @@ __kernel void lengths(__global const float *r, __global const float *v, __global
    and v v, from the last ones' size; alpha, 0 before the first step; the first r v; what the quadratic model has gained; and what was
    asked for: lambda, damping, share of the first r v at which to stop. Two of them take turns, and so do the totals (3, SLOTS) of
    r v, v w and v v. */
-enum { LEFT, SCATTERED, UNIT_RV, UNIT_VV, PRODUCT, ALPHA, START, GAIN, LAMBDA, DAMPING, LEAST, STATE };
 
 /* product: sum += unit transpose(J) gain^2 J v. */
 void product_at(Links links, __global const float *gain, __global const float *v, __global long *sum, float unit, int rows, int cols, int p, int alone)

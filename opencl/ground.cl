@@ -1,8 +1,6 @@
 /* What sweeps need besides: slopes of a padded map, a map turned, sums as irradiance, and how far that is off. Twin of
 warp_kernels/ground.py. */
 #include "lanes.h"
-#define NONE -1e30f
-#define MASKED (-1e29f)
 
 /* tilt: d depth/dx and d depth/dy of a padded map, by central differences; one-sided at the border and beside masked
 nodes, 0 where alone or masked.

@@ -31,16 +31,10 @@ one window before every node.
 Work-item (j, k, g) owns LANES adjacent lines of azimuth k, or STRIPS times as many on a CPU; long lines start first. On a GPU
 the LINES work-items of a group keep the rows about them in local memory (TILED). Twin of warp_kernels/horizon.py. */
 #include "lanes.h"
-#define NONE -1e30f
-#define UNSEEN (1 - (1 << 30)) /* far below all ground, one row away */
-#define LADDER 16
-#define TILED (!ON_CPU && !BLOCKS && SIDES != 2) /* the preprocessor knows no enum */
-#define TILE_ROWS 16
+#define TILED (!ON_CPU && !BLOCKS && SIDES != PERIODIC)
 #define PITCH (LINES + TILE_ROWS + NEAR + 8)
 #define ACROSS (LANES * STRIPS) /* strips of LANES lines side by side, for the sake of cache lines */
 #define NEAR_COLUMNS (NEAR - 1) /* the last one within NEAR rows lies on a row */
-enum { OPEN, DARK, PERIODIC }; /* SIDES */
-enum { SLOPES, UNIFORM, TABLE }; /* WHAT */
 
 #if LANES == 1
 #define TO_FLOATS convert_float
@@ -93,14 +87,14 @@ floats higher(floats a, floats b) { return MORE(a, b); }
 floats arctan(floats v)
 {
   const floats r = v > 1 ? RECIPROCAL(v) : v, q = r * r;
-  floats p = FMA((floats)-0.0040545627f, q, 0.021862943f);
-  p = FMA(p, q, -0.055912301f);
-  p = FMA(p, q, 0.096421957f);
-  p = FMA(p, q, -0.13908629f);
-  p = FMA(p, q, 0.19946566f);
-  p = FMA(p, q, -0.33329859f);
-  p = FMA(p, q, 0.99999934f);
-  return v > 1 ? 1.57079633f - p * r : p * r;
+  floats p = FMA((floats)ARC_TANGENT_0, q, ARC_TANGENT_1);
+  p = FMA(p, q, ARC_TANGENT_2);
+  p = FMA(p, q, ARC_TANGENT_3);
+  p = FMA(p, q, ARC_TANGENT_4);
+  p = FMA(p, q, ARC_TANGENT_5);
+  p = FMA(p, q, ARC_TANGENT_6);
+  p = FMA(p, q, ARC_TANGENT_7);
+  return v > 1 ? HALF_PI - p * r : p * r;
 }
 
 /* Where the node dx columns and dy rows beside the nodes at p, (x, y), lies: on a map that repeats, round its sides. */
@@ -376,7 +370,7 @@ __kernel void sweep(__global const float *restrict heights, __global const float
       floats c1, c2;
       if (WHAT == UNIFORM) {
         c2 = RECIPROCAL(limit * limit + 1.0f);
-        c1 = 0.5f * (1.57079633f - arctan(limit) - limit * c2);
+        c1 = 0.5f * (HALF_PI - arctan(limit) - limit * c2);
         c2 *= 0.5f;
       } else {
         const floats at = limit * RECIPROCAL_ROOT(limit * limit + 1.0f) * (float)(knots - 1);

@@ -12,8 +12,6 @@ whole.
 
 reach [spacing]: as far as is looked. Work-item n owns a ray. Twin of warp_kernels/pilot.py. */
 #include "lanes.h"
-#define NONE (-1e30f)
-#define MASKED (-1e29f)
 
 /* The steps after which a line that moves by `move` a step has left the block [low, high) it is in. */
 int steps_out(float at, float move, int low, int high)

@@ -114,9 +114,6 @@ columns. turn_planes: planes of the turned map, (cols, rows), to planes of the m
 
 Work-item (g, w) owns SIDE x SIDE nodes; 32 neighbours own a patch of 8 x 4 such blocks, so that both sides of the copy
 stay within few cache lines. */
-#define SIDE 4
-#define PATCH_X 8
-#define PATCH_Y 4
 
 int block_x(int g, int cols)
 {

@@ -24,10 +24,6 @@ Shared arguments
 Work-item (x, y) owns one node and takes LANES of its slices at a time. Order of summation: slices of a lane, then lanes.
 Twin of warp_kernels/slices.py. */
 #include "lanes.h"
-#define NONE -1e30f
-#define STEEP 1e6f /* as good as the zenith */
-#define ENDLESS 1e30f
-#define SLICES 8
 #define LESS(a, b) ((a) < (b) ? (a) : (b)) /* min and max of vectors are calls on PoCL, as vload is */
 #define MORE(a, b) ((a) > (b) ? (a) : (b))
 #if LANES == 1
@@ -222,14 +218,14 @@ floats brightness_of(const Pixel *pixel, floats c, floats s, floats tilt, floats
 floats arctan(floats x)
 {
   const floats y = x * x;
-  floats sum = -0.0046932749f;
-  sum = sum * y + 0.0242524f;
-  sum = sum * y - 0.05948639f;
-  sum = sum * y + 0.09914292f;
-  sum = sum * y - 0.1401948f;
-  sum = sum * y + 0.19969724f;
-  sum = sum * y - 0.3333199f;
-  return x * (sum * y + 0.9999999f);
+  floats sum = CHORD_TANGENT_0;
+  sum = sum * y + CHORD_TANGENT_1;
+  sum = sum * y + CHORD_TANGENT_2;
+  sum = sum * y + CHORD_TANGENT_3;
+  sum = sum * y + CHORD_TANGENT_4;
+  sum = sum * y + CHORD_TANGENT_5;
+  sum = sum * y + CHORD_TANGENT_6;
+  return x * (sum * y + CHORD_TANGENT_7);
 }
 
 /* Mean of the cosine over the sines between two near directions with cosines a and b, to second order even at the zenith. */
@@ -402,7 +398,7 @@ __kernel void ball(__global const float *heights, __global const float *tops, __
   const float sin_a = inside ? 1 : radius / far, cos_a = inside ? 0 : sqrt(beyond) / far;
   const int all_round = sin_a >= cos_e;
   const float widest = all_round ? 1 : sin_a / cos_e;
-  const float turn = all_round ? 1 : widest * (0.318f + 0.182f * widest * widest); /* share of the circle, nearly */
+  const float turn = all_round ? 1 : widest * (TURN_BY_SINE_0 + TURN_BY_SINE_1 * widest * widest); /* share of the circle, nearly */
   const int blocks = min((least + (int)(turn * (most - least))) / SLICES, most / SLICES), n_slices = blocks * SLICES;
   const float step = M_PI_F / n_slices;
   __global const float *own = nodes + (blocks - 1) * 4 * most;
@@ -462,7 +458,7 @@ Sector sector_between(float ax, float ay, float bx, float by)
 /* The angle by its quarter's tangent: share of the circle, nearly, up to half of it. */
 float share_of(float quarter)
 {
-  return quarter * (0.637f - 0.137f * quarter * quarter);
+  return quarter * (TURN_BY_TANGENT_0 - TURN_BY_TANGENT_1 * quarter * quarter);
 }
 
 /* Swaps directions i and j of four where the second does not lie to the left. */
@@ -623,7 +619,7 @@ __kernel void gloss(__global const float *heights, __global const float *tops, _
   const float sin_a = sqrt(rim * (2 - rim));
   const int all_round = sin_a >= flat;
   const float widest = all_round ? 1 : sin_a / flat;
-  const float turn = all_round ? 1 : widest * (0.318f + 0.182f * widest * widest);
+  const float turn = all_round ? 1 : widest * (TURN_BY_SINE_0 + TURN_BY_SINE_1 * widest * widest);
   const int blocks = min((least + (int)(turn * (most - least))) / SLICES, most / SLICES), n_slices = blocks * SLICES;
   const float step = M_PI_F / n_slices;
   __global const float *own = nodes + (blocks - 1) * 4 * most;

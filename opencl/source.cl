@@ -14,8 +14,6 @@ Shared arguments
 Every formula is one rounding per operation, so every device decides alike. Twin of warp_kernels/source.py. */
 #pragma OPENCL FP_CONTRACT OFF
 #pragma OPENCL EXTENSION cl_khr_fp64 : enable
-enum { SKY, RECTANGLE, APERTURE, BALL, VOLUME };
-enum { OPEN, DARK, PERIODIC };
 
 /* Whether low <= w / k < high, multiplied out; where the map repeats, for some image of it. */
 int within(double w, double k, double low, double high, double period, int sides)

@@ -8,6 +8,7 @@ import re
 
 import numpy as np
 import pytest
+
 import skylamp.opencl
 from skylamp.backends import select
 from skylamp.backends.numpy import pilot as numpy_pilot

@@ -12,5 +12,3 @@ OPTIONS = {
 }  # one rounding per operation, as in OpenCL; a thread per element
 AHEAD = 16  # depths that a scan fetches before it uses them
 GROUP = 512  # most threads of a block of scan; neighbouring lines of a block share cache lines
-LINES = 64  # lines of a block of sweep
-PIXELS = 8  # adjacent pixels that a thread of luminance owns

@@ -28,28 +28,43 @@ same bits.
 
 import warp as wp
 
+from skylamp.constants import (
+    ALONG,
+    ALPHA,
+    ARC_TANGENT,
+    BESIDE,
+    DAMPING,
+    DARK,
+    FOUR,
+    GAIN,
+    HALF_PI,
+    LAMBDA,
+    LEAST,
+    LEFT,
+    LEVEL,
+    NONE,
+    OPEN,
+    PERIODIC,
+    PI,
+    PRODUCT,
+    ROOM,
+    SCATTERED,
+    SLACK,
+    SLOTS,
+    START,
+    STEEP,
+    SUMMED,
+    TILE,
+    TWO_PI,
+    UNIT_RV,
+    UNIT_VV,
+)
+
 from . import OPTIONS
 
 wp.set_module_options(OPTIONS)
 
-NONE = wp.constant(wp.float32(-1e30))
-STEEP = wp.constant(wp.float32(1e6))  # as good as the zenith
-ALONG = wp.constant(
-    wp.float32(1e-6)
-    # closer to the grid is along it: n times -1e-9 would be a crossing all but on a node, and one of its two off
-    # the map
-)
-LEVEL = wp.constant(wp.float32(0.01))  # slope below which a map that repeats is not searched
-SLACK = wp.constant(wp.float32(1.00001))  # what is left out must be lower by more than roundings
-BLOCK = wp.constant(wp.int32(16))  # nodes that a thread of a sum owns
-FOUR = wp.constant(wp.int32(4))  # times as coarse is every grid that preconditions than the one before
-BESIDE = wp.constant(
-    wp.int32(32)
-)  # nodes whose links lie side by side: a GPU reads them at once, and a CPU's cache holds them
-ROOM = wp.constant(wp.int32(32))  # with which an array ends that is read in whole vectors
-SLOTS = wp.constant(wp.int32(32))  # places that a sum of whole numbers is spread over
-TILE = wp.constant(wp.int32(8))
-OPEN, DARK, PERIODIC = (wp.constant(wp.int32(side)) for side in range(3))
+A0, A1, A2, A3, A4, A5, A6, A7 = ARC_TANGENT
 
 
 @wp.func
@@ -59,16 +74,16 @@ def arc_tangent(v: wp.float32):
     if v > 1.0:
         r = 1.0 / v
     q = r * r
-    p = wp.float32(-0.0040545627)
-    p = p * q + 0.021862943
-    p = p * q - 0.055912301
-    p = p * q + 0.096421957
-    p = p * q - 0.13908629
-    p = p * q + 0.19946566
-    p = p * q - 0.33329859
-    p = p * q + 0.99999934
+    p = wp.float32(A0)
+    p = p * q + A1
+    p = p * q + A2
+    p = p * q + A3
+    p = p * q + A4
+    p = p * q + A5
+    p = p * q + A6
+    p = p * q + A7
     if v > 1.0:
-        return 1.57079633 - p * r
+        return HALF_PI - p * r
     return p * r
 
 
@@ -89,7 +104,7 @@ def above(
     if knots == 0:
         return wp.vec4(
             0.5 * cosine,
-            0.5 * (1.57079633 - arc_tangent(t) - t * cosine),
+            0.5 * (HALF_PI - arc_tangent(t) - t * cosine),
             -t * cosine * cosine,
             -cosine * cosine,
         )
@@ -622,7 +637,7 @@ def lamp(
         # own depth
         c = nodes[4 * k + 2]
         s = nodes[4 * k + 3]
-        width = 6.28318531 / wp.float32(count)
+        width = TWO_PI / wp.float32(count)
         low = wp.float32(1.0)
         high = wp.float32(0.0)
         low_by = wp.float32(0.0)
@@ -644,7 +659,7 @@ def lamp(
                 on = wp.sqrt((1.0 - off) * (1.0 + off))
                 c = ux * on - uy * off
                 s = uy * on + ux * off
-                width = radius / extent * nodes[4 * k + 1] * (3.14159265 / wp.float32(count)) / on
+                width = radius / extent * nodes[4 * k + 1] * (PI / wp.float32(count)) / on
                 along = extent * on
                 half = radius * nodes[4 * k + 1]
             reach = wp.max(along, half)
@@ -934,10 +949,10 @@ def misfit(
 ):
     """In part (blocks), from ``block`` on, the sums of (gain E - target)^2.
 
-    Thread g of this, of bending and of begin owns BLOCK nodes and adds them in order."""
+    Thread g of this, of bending and of begin owns SUMMED nodes and adds them in order."""
     g = wp.tid()
     square = wp.float64(0.0)
-    for p in range(g * BLOCK, wp.min(pixels, g * BLOCK + BLOCK)):
+    for p in range(g * SUMMED, wp.min(pixels, g * SUMMED + SUMMED)):
         r = gain[p] * light[p] - target[p]
         square += wp.float64(r) * wp.float64(r)
     part[block + g] = square
@@ -979,7 +994,7 @@ def bending(
     g = wp.tid()
     pixels = rows * cols
     sum = wp.float64(0.0)
-    for p in range(g * BLOCK, wp.min(pixels, g * BLOCK + BLOCK)):
+    for p in range(g * SUMMED, wp.min(pixels, g * SUMMED + SUMMED)):
         a = bend(z, p, p % cols, cols, 1) - bend(rest, p, p % cols, cols, 1)
         b = bend(z, p, p / cols, rows, cols) - bend(rest, p, p / cols, rows, cols)
         sum += wp.float64(a) * wp.float64(a) + wp.float64(b) * wp.float64(b)
@@ -1184,11 +1199,11 @@ def lengths(r: wp.array[wp.float32], v: wp.array[wp.float32], part: wp.array[wp.
     g = wp.tid()
     square = wp.float64(0.0)
     product = wp.float64(0.0)
-    for i in range(g * BLOCK, wp.min(pixels, g * BLOCK + BLOCK)):
+    for i in range(g * SUMMED, wp.min(pixels, g * SUMMED + SUMMED)):
         square += wp.float64(v[i]) * wp.float64(v[i])
         product += wp.float64(r[i]) * wp.float64(v[i])
     part[g] = square
-    part[(pixels - 1) / BLOCK + 1 + g] = product
+    part[(pixels - 1) / SUMMED + 1 + g] = product
 
 
 # The state of conjugate gradients (float64): iterations left, 0 once it has stopped; units of the scattered
@@ -1196,9 +1211,6 @@ def lengths(r: wp.array[wp.float32], v: wp.array[wp.float32], part: wp.array[wp.
 # the quadratic model has gained; and what was asked for: lambda, damping, share of the first r v at which to
 # stop. Two of them take turns, and so do the totals (3, SLOTS)
 # of r v, v w and v v.
-LEFT, SCATTERED, UNIT_RV, UNIT_VV, PRODUCT, ALPHA, START, GAIN, LAMBDA, DAMPING, LEAST = (
-    wp.constant(wp.int32(n)) for n in range(11)
-)
 State = wp.types.vector(11, wp.float64)
 Sums = wp.types.vector(3, wp.int64)
 

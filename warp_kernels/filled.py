@@ -8,11 +8,11 @@ import functools
 
 import warp as wp
 
+from skylamp.constants import NOTHING
+
 from . import OPTIONS
 
 wp.set_module_options(OPTIONS)
-
-NOTHING = wp.constant(wp.float32(3.4028234663852886e38))  # as in scan
 
 
 @wp.func

@@ -8,14 +8,23 @@ import functools
 
 import warp as wp
 
-from . import LINES, OPTIONS
+from skylamp.constants import (
+    ARC_TANGENT,
+    DARK,
+    GPU_LINES,
+    HALF_PI,
+    LADDER,
+    NONE,
+    PERIODIC,
+    SLOPES,
+    TILE_ROWS,
+    UNIFORM,
+    UNSEEN,
+)
 
-LADDER = 16
-NONE = wp.constant(wp.float32(-1e30))
-UNSEEN = wp.constant(wp.int32(1 - (1 << 30)))  # far below all ground, one row away
-OPEN, DARK, PERIODIC = range(3)  # SIDES
-SLOPES, UNIFORM, TABLE = range(3)  # WHAT
-TILE_ROWS = 16
+from . import OPTIONS
+
+A0, A1, A2, A3, A4, A5, A6, A7 = (f"{factor!r}f" for factor in ARC_TANGENT)
 
 rungs = wp.types.vector(LADDER, wp.int32)
 eight = wp.types.vector(8, wp.int32)
@@ -134,19 +143,19 @@ def stands(a: wp.float32, b: wp.float32, weight: wp.float32, own: wp.float32) ->
     ...
 
 
-@wp.func_native("""
+@wp.func_native(f"""
 #if defined(__CUDA_ARCH__)
 #define TIMES(a, b, c) fmaf(a, b, c)
 #else
 #define TIMES(a, b, c) ((a) * (b) + (c))
 #endif
-float q = r * r, p = TIMES(-0.0040545627f, q, 0.021862943f);
-p = TIMES(p, q, -0.055912301f);
-p = TIMES(p, q, 0.096421957f);
-p = TIMES(p, q, -0.13908629f);
-p = TIMES(p, q, 0.19946566f);
-p = TIMES(p, q, -0.33329859f);
-p = TIMES(p, q, 0.99999934f);
+float q = r * r, p = TIMES({A0}, q, {A1});
+p = TIMES(p, q, {A2});
+p = TIMES(p, q, {A3});
+p = TIMES(p, q, {A4});
+p = TIMES(p, q, {A5});
+p = TIMES(p, q, {A6});
+p = TIMES(p, q, {A7});
 #undef TIMES
 return p * r;
 """)
@@ -312,7 +321,7 @@ def sweep(NEAR: int, SIDES: int, WHAT: int, BLOCKS: int):
     )
     on_row, on_column = rays(SIDES, BLOCKS)
     TILED = not BLOCKS and SIDES != PERIODIC  # on a GPU
-    PITCH = LINES + TILE_ROWS + NEAR + 8
+    PITCH = GPU_LINES + TILE_ROWS + NEAR + 8
     TILE = (TILE_ROWS + NEAR + 1) * PITCH
 
     @wp.func_native(SHARED % TILE)
@@ -325,7 +334,7 @@ def sweep(NEAR: int, SIDES: int, WHAT: int, BLOCKS: int):
             return kept(at)
         return read(heights, at)
 
-    @wp.kernel(module="unique", module_options=OPTIONS, launch_bounds=(LINES, 6))
+    @wp.kernel(module="unique", module_options=OPTIONS, launch_bounds=(GPU_LINES, 6))
     def sweep(
         heights: wp.array[wp.float32],
         tilts: wp.array2d[wp.float32],
@@ -410,8 +419,8 @@ def sweep(NEAR: int, SIDES: int, WHAT: int, BLOCKS: int):
             begin = wp.int32(0)
             finish = rows
             if reciprocal < 1e8:
-                begin = enters(first_line, LINES, shear, reciprocal, cols)
-                finish = leaves(first_line, LINES, shear, reciprocal, rows, cols)
+                begin = enters(first_line, GPU_LINES, shear, reciprocal, cols)
+                finish = leaves(first_line, GPU_LINES, shear, reciprocal, rows, cols)
 
         row_at = nears()
         row_weight = weights()
@@ -468,7 +477,7 @@ def sweep(NEAR: int, SIDES: int, WHAT: int, BLOCKS: int):
                         )
                         c = wp.min(wp.max(left + e % PITCH, -margin), cols + margin - 1)
                         keep(tile + 4 * e, read(heights, (row + margin) * stride + margin + c))
-                        e += LINES
+                        e += GPU_LINES
                     barrier()
                     here = tile - 4 * (first_row * PITCH + left)
 
@@ -671,9 +680,9 @@ def sweep(NEAR: int, SIDES: int, WHAT: int, BLOCKS: int):
                         c2 = wp.float32(0.0)
                         if wp.static(WHAT == UNIFORM):
                             angle = arctan(wp.where(limit > 1.0, reciprocal_of(limit), limit))
-                            angle = wp.where(limit > 1.0, wp.float32(1.57079633) - angle, angle)
+                            angle = wp.where(limit > 1.0, wp.float32(HALF_PI) - angle, angle)
                             c2 = reciprocal_of(limit * limit + 1.0)
-                            c1 = 0.5 * (wp.float32(1.57079633) - angle - limit * c2)
+                            c1 = 0.5 * (wp.float32(HALF_PI) - angle - limit * c2)
                             c2 *= 0.5
                         else:
                             at_knot = limit * reciprocal_root(limit * limit + 1.0) * wp.float32(knots - 1)

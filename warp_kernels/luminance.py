@@ -6,12 +6,14 @@ import functools
 
 import warp as wp
 
-from . import OPTIONS, PIXELS
+from skylamp.constants import GPU_PIXELS
+
+from . import OPTIONS
 
 wp.set_module_options(OPTIONS)
 
-floats = wp.types.vector(PIXELS, wp.float32)
-words = wp.types.vector(PIXELS // 4, wp.uint32)  # four pixels' bytes each, for whole loads
+floats = wp.types.vector(GPU_PIXELS, wp.float32)
+words = wp.types.vector(GPU_PIXELS // 4, wp.uint32)  # four pixels' bytes each, for whole loads
 
 
 @wp.func
@@ -78,7 +80,7 @@ def luminance(BITS: int):
       irradiance  (room)         float32  in, out: the sum x |(dz/dx, dz/dy, -1)|, and after the last group
       the sum itself
 
-    Thread g owns pixels PIXELS g to PIXELS g + PIXELS - 1. Order of summation: walks, within a walk
+    Thread g owns pixels GPU_PIXELS g to GPU_PIXELS g + GPU_PIXELS - 1. Order of summation: walks, within a walk
     elevations.
     """
 
@@ -104,12 +106,12 @@ def luminance(BITS: int):
             lit = planes[w, g]
             for b in range(BITS):
                 moment = moments[w, b]
-                for l in range(PIXELS):
+                for l in range(GPU_PIXELS):
                     cosine = gx[l] * moment[0] + gy[l] * moment[1] - moment[2]
                     if (lit[l // 4] & wp.uint32(1 << (8 * (l % 4) + b))) != wp.uint32(0) and cosine > 0.0:
                         total[l] += cosine
         if is_last != 0:
-            for l in range(PIXELS):
+            for l in range(GPU_PIXELS):
                 total[l] /= wp.sqrt(gx[l] * gx[l] + gy[l] * gy[l] + 1.0)
         irradiance[g] = total
 

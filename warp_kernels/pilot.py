@@ -4,12 +4,11 @@ picked. Twin of opencl/pilot.cl.
 
 import warp as wp
 
+from skylamp.constants import MASKED, NONE
+
 from . import OPTIONS
 
 wp.set_module_options(OPTIONS)
-
-NONE = wp.constant(wp.float32(-1e30))
-MASKED = wp.constant(wp.float32(-1e29))
 
 
 @wp.func

@@ -7,18 +7,14 @@ import functools
 
 import warp as wp
 
+from skylamp.constants import NOTHING, PATCH_X, PATCH_Y, SIDE
+
 from . import AHEAD, GROUP, OPTIONS
 
 wp.set_module_options(OPTIONS)
 
 depths = wp.types.vector(AHEAD, wp.float32)
 fours = wp.types.vector(4, wp.uint32)
-NOTHING = wp.constant(
-    wp.float32(3.4028234663852886e38)
-)  # the largest float32: finite, so that a masked node never passes
-SIDE = wp.constant(4)
-PATCH_X = wp.constant(8)
-PATCH_Y = wp.constant(4)
 
 
 @functools.cache

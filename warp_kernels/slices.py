@@ -35,15 +35,25 @@ Thread (y, x) owns one node. Order of summation: slices.
 
 import warp as wp
 
-from . import LINES, OPTIONS
+from skylamp.constants import (
+    CHORD_TANGENT,
+    ENDLESS,
+    GPU_LINES,
+    NONE,
+    SLICES,
+    STEEP,
+    TURN_BY_SINE,
+    TURN_BY_TANGENT,
+)
+
+from . import OPTIONS
 
 wp.set_module_options(OPTIONS)
 
-NONE = wp.constant(wp.float32(-1e30))
-STEEP = wp.constant(wp.float32(1e6))  # as good as the zenith
-ENDLESS = wp.constant(wp.float32(1e30))
-SLICES = wp.constant(wp.int32(8))
-BOUNDS = (LINES, 16)  # threads of a block, and blocks that a multiprocessor shall hold: 64 registers each
+B0, B1, B2, B3, B4, B5, B6, B7 = CHORD_TANGENT
+SINE_1, SINE_3 = TURN_BY_SINE
+TANGENT_1, TANGENT_3 = TURN_BY_TANGENT
+BOUNDS = (GPU_LINES, 16)  # threads of a block, and blocks that a multiprocessor shall hold: 64 registers each
 
 
 @wp.kernel
@@ -278,14 +288,14 @@ def brightness_of(
 def arctan(x: wp.float32):
     """atan(x), 0 <= x <= 1, to 2e-7."""
     y = x * x
-    total = wp.float32(-0.0046932749)
-    total = total * y + 0.0242524
-    total = total * y - 0.05948639
-    total = total * y + 0.09914292
-    total = total * y - 0.1401948
-    total = total * y + 0.19969724
-    total = total * y - 0.3333199
-    return x * (total * y + 0.9999999)
+    total = wp.float32(B0)
+    total = total * y + B1
+    total = total * y + B2
+    total = total * y + B3
+    total = total * y + B4
+    total = total * y + B5
+    total = total * y + B6
+    return x * (total * y + B7)
 
 
 @wp.func
@@ -616,7 +626,7 @@ def ball(
     turn = wp.float32(1.0)
     if not all_round:
         widest = sin_a / cos_e
-        turn = widest * (0.318 + 0.182 * widest * widest)  # share of the circle, nearly
+        turn = widest * (SINE_1 + SINE_3 * widest * widest)  # share of the circle, nearly
     blocks = wp.min((least + wp.int32(turn * wp.float32(most - least))) // SLICES, most // SLICES)
     n_slices = blocks * SLICES
     step = wp.float32(wp.pi) / wp.float32(n_slices)
@@ -694,7 +704,7 @@ def sector_between(ax: wp.float32, ay: wp.float32, bx: wp.float32, by: wp.float3
 @wp.func
 def share_of(quarter: wp.float32):
     """The angle by its quarter's tangent: share of the circle, nearly, up to half of it."""
-    return quarter * (0.637 - 0.137 * quarter * quarter)
+    return quarter * (TANGENT_1 - TANGENT_3 * quarter * quarter)
 
 
 @wp.func
@@ -1027,7 +1037,7 @@ def gloss(
     turn = wp.float32(1.0)
     if not all_round:
         widest = sin_a / flat
-        turn = widest * (0.318 + 0.182 * widest * widest)
+        turn = widest * (SINE_1 + SINE_3 * widest * widest)
     blocks = wp.min((least + wp.int32(turn * wp.float32(most - least))) // SLICES, most // SLICES)
     n_slices = blocks * SLICES
     step = wp.float32(wp.pi) / wp.float32(n_slices)

@@ -20,18 +20,11 @@ import functools
 
 import warp as wp
 
+from skylamp.constants import APERTURE, BALL, DARK, OPEN, PERIODIC, RECTANGLE, SKY, VOLUME
+
 from . import OPTIONS
 
 wp.set_module_options(OPTIONS)
-
-SKY = wp.constant(0)
-RECTANGLE = wp.constant(1)
-APERTURE = wp.constant(2)
-BALL = wp.constant(3)
-VOLUME = wp.constant(4)
-OPEN = wp.constant(0)
-DARK = wp.constant(1)
-PERIODIC = wp.constant(2)
 
 
 @wp.func

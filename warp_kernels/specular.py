@@ -6,12 +6,14 @@ import functools
 
 import warp as wp
 
-from . import OPTIONS, PIXELS
+from skylamp.constants import GPU_PIXELS
+
+from . import OPTIONS
 
 wp.set_module_options(OPTIONS)
 
-floats = wp.types.vector(PIXELS, wp.float32)
-words = wp.types.vector(PIXELS // 4, wp.uint32)  # four pixels' bytes each, for whole loads
+floats = wp.types.vector(GPU_PIXELS, wp.float32)
+words = wp.types.vector(GPU_PIXELS // 4, wp.uint32)  # four pixels' bytes each, for whole loads
 
 
 @wp.func
@@ -49,7 +51,7 @@ def specular(BITS: int):
       is none radiance    (room)         float32  in, out: the sum x |(dz/dx, dz/dy, -1)|, and after the last
       group the sum itself
 
-    Thread g owns pixels PIXELS g to PIXELS g + PIXELS - 1. Order of summation: walks, within a walk
+    Thread g owns pixels GPU_PIXELS g to GPU_PIXELS g + GPU_PIXELS - 1. Order of summation: walks, within a walk
     elevations. 1 - R.L is taken as |L - R|^2 / 2, which loses no digits where the lobe is narrow.
     """
 
@@ -78,11 +80,11 @@ def specular(BITS: int):
             lit = planes[w, g]
             for b in range(BITS):
                 L = directions[w, b]
-                for l in range(PIXELS):
+                for l in range(GPU_PIXELS):
                     if (lit[l // 4] & wp.uint32(1 << (8 * (l % 4) + b))) != wp.uint32(0):
                         total[l] += L[3] * gloss(gx[l], gy[l], L, lobe, n_lobe, per_step)
         if is_last != 0:
-            for l in range(PIXELS):
+            for l in range(GPU_PIXELS):
                 total[l] /= wp.sqrt(gx[l] * gx[l] + gy[l] * gy[l] + 1.0)
         radiance[g] = total
 
@@ -107,11 +109,11 @@ def bound(
       directions  (n)     vec4     L, and its weight: solid angle x the lobe's norm
       radiance    (room)  float32  in, out
 
-    Thread g owns PIXELS pixels from PIXELS g on.
+    Thread g owns GPU_PIXELS pixels from GPU_PIXELS g on.
     """
     group = wp.tid()
     per_step = 0.5 * wp.float32(n_lobe - 1) / rim
-    for g in range(PIXELS * group, PIXELS * group + PIXELS):
+    for g in range(GPU_PIXELS * group, GPU_PIXELS * group + GPU_PIXELS):
         gx = slopes[0, g]
         gy = slopes[1, g]
         total = wp.float32(0.0)

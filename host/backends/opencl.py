@@ -10,6 +10,7 @@ import weakref
 
 import numpy as np
 
+from ..constants import GPU_LINES, GPU_PIXELS
 from ..errors import BackendError
 from .base import CPU_ALONE, CPU_EACH, GPU_AHEAD, Backend, BackendInfo
 
@@ -18,8 +19,6 @@ HUGE = 2**21  # bytes of a huge page
 CPU_LANES = 8
 CPU_STRIPS = 8  # strips of lines that a sweep takes side by side
 CPU_TEAMS = 16  # most sets of sums that are scattered into side by side
-GPU_PIXELS = 8
-GPU_LINES = 64
 GPU_GROUP = 1024  # work-items of a group of scan
 FETCHED = 6  # depths that a scan on a GPU fetches before it uses them; a CPU sees ahead by itself
 
@@ -219,7 +218,7 @@ class OpenclBackend(Backend):
 
     @functools.cache
     def _program(self, stem, lanes, constants):
-        from skylamp.opencl import source
+        from skylamp.opencl import defines, source
 
         start = time.perf_counter()
         group = 1 if self.on_cpu else min(GPU_GROUP, self._device.max_work_group_size)
@@ -233,9 +232,11 @@ class OpenclBackend(Backend):
             "ON_CPU": int(self.on_cpu),
             **dict(constants),
         }
-        defines = [f"-D{name}={value}" for name, value in known.items()]
+        shared, own = defines(stem), [f"-D{name}={value}" for name, value in known.items()]
         try:
-            program = self.cl.Program(self.context, source(stem)).build([*OPTIONS, *self._exact, *defines])
+            program = self.cl.Program(self.context, source(stem)).build(
+                [*OPTIONS, *self._exact, *shared, *own]
+            )
         except self.cl.Error as error:
             raise BackendError(f"{self.name}: {stem}.cl does not build on {self.device}: {error}") from error
         self.compile_seconds += time.perf_counter() - start

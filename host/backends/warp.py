@@ -8,8 +8,10 @@ import threading
 import time
 
 import numpy as np
-from skylamp.warp_kernels import GROUP, LINES, PIXELS
 
+from skylamp.warp_kernels import GROUP
+
+from ..constants import GPU_LINES, GPU_PIXELS
 from .base import CPU_ALONE, CPU_EACH, GPU_AHEAD, Backend, BackendInfo, available_memory
 
 
@@ -53,8 +55,8 @@ class WarpBackend(Backend):
         self.name = f"warp:{alias}"
         self._device = wp.get_device(alias)
         self.device = self._device.name if self._device.is_cuda else "Warp on the CPU, 1 thread"
-        self.lines = LINES if self._device.is_cuda else 1
-        self.pixel_lanes = PIXELS
+        self.lines = GPU_LINES if self._device.is_cuda else 1
+        self.pixel_lanes = GPU_PIXELS
         self.alone, self.each, self.ahead = (
             (0, 1, GPU_AHEAD) if self._device.is_cuda else (CPU_ALONE, CPU_EACH, 1)
         )

@@ -4,20 +4,51 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...constants import BESIDE, SUMMED
+from ... import constants
+from ...constants import (
+    ALPHA,
+    BESIDE,
+    DAMPING,
+    DARK,
+    FOUR,
+    GAIN,
+    LAMBDA,
+    LEAST,
+    LEFT,
+    OPEN,
+    PERIODIC,
+    PRODUCT,
+    SCATTERED,
+    START,
+    SUMMED,
+    UNIT_RV,
+    UNIT_VV,
+)
 
-NONE, STEEP, LEVEL, ALONG = np.float32(-1e30), np.float32(1e6), np.float32(0.01), np.float32(1e-6)
-OPEN, DARK, PERIODIC = range(3)
 f32 = np.float32
+NONE, STEEP, LEVEL, ALONG, SLACK, PI, HALF_PI, TWO_PI = map(
+    f32,
+    (
+        constants.NONE,
+        constants.STEEP,
+        constants.LEVEL,
+        constants.ALONG,
+        constants.SLACK,
+        constants.PI,
+        constants.HALF_PI,
+        constants.TWO_PI,
+    ),
+)
+ARC_TANGENT = [f32(factor) for factor in constants.ARC_TANGENT]
 
 
 def _arc_tangent(v):
     r = np.where(v > 1, 1 / v, v)
     q = r * r
-    p = np.full_like(v, -0.0040545627)
-    for factor in (0.021862943, -0.055912301, 0.096421957, -0.13908629, 0.19946566, -0.33329859, 0.99999934):
-        p = p * q + f32(factor)
-    return np.where(v > 1, f32(1.57079633) - p * r, p * r)
+    p = np.full_like(v, ARC_TANGENT[0])
+    for factor in ARC_TANGENT[1:]:
+        p = p * q + factor
+    return np.where(v > 1, HALF_PI - p * r, p * r)
 
 
 def _above(t, table, row, after, share, knots):
@@ -27,7 +58,7 @@ def _above(t, table, row, after, share, knots):
     if knots == 0:
         return (
             f32(0.5) * cosine,
-            f32(0.5) * (f32(1.57079633) - _arc_tangent(t) - t * cosine),
+            f32(0.5) * (HALF_PI - _arc_tangent(t) - t * cosine),
             -t * cosine * cosine,
             -cosine * cosine,
         )
@@ -68,7 +99,7 @@ def _horizon(heights, ways, x, y, own, best, top, reach, rows, cols, margin, sid
             going = (
                 (n <= last[left])
                 & ~(reach[left] * closeness < 1)
-                & ~((top - own[left]) * (f32(1.00001) * closeness) <= best[left])
+                & ~((top - own[left]) * (SLACK * closeness) <= best[left])
             )
             left, closeness = left[going], closeness[going]
             across = f32(n) * shear[left]
@@ -279,7 +310,7 @@ def lamp(
         # 1. the slice, and the slopes between which the source stands in it, with their derivatives by the
         # own depth
         sine, cosine, c, s = nodes[k]
-        width = f32(6.28318531) / f32(count)
+        width = TWO_PI / f32(count)
         if ball:
             radius, rise = solid[3], solid[2] - own
             beyond = extent * extent + rise * rise - radius * radius
@@ -289,7 +320,7 @@ def lamp(
             off = radius / extent * sine
             on = np.sqrt((1 - off) * (1 + off))
             c, s = np.where(around, c, ux * on - uy * off), np.where(around, s, uy * on + ux * off)
-            width = np.where(around, width, radius / extent * cosine * (f32(3.14159265) / f32(count)) / on)
+            width = np.where(around, width, radius / extent * cosine * (PI / f32(count)) / on)
             along, half = np.where(around, along, extent * on), np.where(around, half, radius * cosine)
             reach, end = np.maximum(along, half), along + half
             inside = beyond <= 0
@@ -546,7 +577,6 @@ def begin(
         array[:] = 0
 
 
-FOUR = 4
 HAT = (2 * np.minimum(np.arange(2 * FOUR), 2 * FOUR - 1 - np.arange(2 * FOUR)) + 1).astype(f32) / f32(
     2 * FOUR
 )
@@ -588,9 +618,6 @@ def up(r, scale, is_free, coarse, v, rows, cols):
 def lengths(r, v, part, pixels):
     a, b = (array.astype(np.float64) for array in (r, v))
     part.reshape(-1)[:] = np.concatenate([_by_blocks(b * b), _by_blocks(a * b)])
-
-
-LEFT, SCATTERED, UNIT_RV, UNIT_VV, PRODUCT, ALPHA, START, GAIN, LAMBDA, DAMPING, LEAST = range(11)
 
 
 def product(light, held, first, second, near, far, gain, v, sum, state, rows, cols, count, each, teams):

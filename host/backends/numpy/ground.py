@@ -10,9 +10,9 @@ from __future__ import annotations
 
 import numpy as np
 
-NONE, MASKED = np.float32(-1e30), np.float32(-1e29)
-UNSEEN = 1 - (1 << 30)
-SLOPES, UNIFORM, TABLE = range(3)  # WHAT
+from ... import constants
+
+NONE, MASKED = np.float32(constants.NONE), np.float32(constants.MASKED)
 ONE, HALF = np.float32(1), np.float32(0.5)
 
 

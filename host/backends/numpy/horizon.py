@@ -10,12 +10,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...constants import SIDES as SIDE
+from ... import constants
+from ...constants import DARK, PERIODIC, SLOPES, TABLE, UNIFORM, UNSEEN
 
-NONE, MASKED = np.float32(-1e30), np.float32(-1e29)
-UNSEEN = 1 - (1 << 30)
-SLOPES, UNIFORM, TABLE = range(3)  # WHAT
-ONE, HALF = np.float32(1), np.float32(0.5)
+NONE, MASKED = np.float32(constants.NONE), np.float32(constants.MASKED)
+ONE, HALF, HALF_PI = np.float32(1), np.float32(0.5), np.float32(constants.HALF_PI)
 
 
 def sweep(
@@ -111,7 +110,7 @@ def _sweep(
     shear, cosine, sine, tangent, width, reciprocal, reach = azimuth[:7]
     towards, near_rows, near_columns, warm, window = (int(v) for v in way[:5])
     steepness = abs(shear)
-    periodic, oblique = SIDES == SIDE["periodic"], bool(reciprocal < 1e8)
+    periodic, oblique = SIDES == PERIODIC, bool(reciprocal < 1e8)
     stride = cols + 2 * margin
 
     # all nodes: u rows from where rays go to, column x, row y of the map, element p of heights
@@ -208,7 +207,7 @@ def _sweep(
             far = np.fmax(far, on_column(np.maximum(m, 1)))
 
     slope = np.fmax(far, near) * tangent
-    if SIDES == SIDE["dark"]:  # a wall half a node outside, up to height 0
+    if SIDES == DARK:  # a wall half a node outside, up to height 0
         wall = (2 * (cols - x) - 1 if shear > 0 else 2 * x + 1).astype(np.float32) * (HALF * reciprocal)
         slope = np.maximum(slope, -own * tangent / np.minimum(wall, u.astype(np.float32) + HALF))
     if WHAT == SLOPES or BLOCKS:
@@ -224,7 +223,7 @@ def _sweep(
     limit = np.maximum(np.maximum(slope, -along), np.float32(0))
     if WHAT == UNIFORM:
         c2 = ONE / (limit * limit + ONE)
-        c1 = HALF * (np.float32(1.57079633) - np.arctan(limit) - limit * c2)
+        c1 = HALF * (HALF_PI - np.arctan(limit) - limit * c2)
         c2 = c2 * HALF
     else:
         at = limit * (ONE / np.sqrt(limit * limit + ONE)) * np.float32(knots - 1)

@@ -4,7 +4,9 @@ opencl/pilot.cl.
 
 import numpy as np
 
-NONE, MASKED = np.float32(-1e30), np.float32(-1e29)
+from ... import constants
+
+NONE, MASKED = np.float32(constants.NONE), np.float32(constants.MASKED)
 
 
 def _steps_out(at, move, low, high):

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-NOTHING = np.finfo(
-    np.float32
-).max  # ceiling where nothing stands above; finite, so that a masked node never passes
+from ... import constants
+
+NOTHING = np.float32(constants.NOTHING)  # finite, so that a masked node never passes
 
 
 def sweep_lines(depth, i, j, warm, first_ceiling, periodic, lower, climb):

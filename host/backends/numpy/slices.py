@@ -8,8 +8,15 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ... import constants
+from ...constants import SLICES
+
 F = np.float32
-NONE, STEEP, ENDLESS, SLICES = F(-1e30), F(1e6), F(1e30), 8
+NONE, STEEP, ENDLESS = F(constants.NONE), F(constants.STEEP), F(constants.ENDLESS)
+CHORD_TANGENT, TURN_BY_SINE, TURN_BY_TANGENT = (
+    np.array(factors, F)
+    for factors in (constants.CHORD_TANGENT, constants.TURN_BY_SINE, constants.TURN_BY_TANGENT)
+)
 AT_ONCE = 2**15  # slices
 
 
@@ -209,9 +216,9 @@ def _brightness_of(ground, pixels, c, s, tilt, low, high):
 
 def _arctan(x):
     y = x * x
-    total = np.full_like(x, -0.0046932749)
-    for factor in (0.0242524, -0.05948639, 0.09914292, -0.1401948, 0.19969724, -0.3333199, 0.9999999):
-        total = total * y + F(factor)
+    total = np.full_like(x, CHORD_TANGENT[0])
+    for factor in CHORD_TANGENT[1:]:
+        total = total * y + factor
     return x * total
 
 
@@ -402,7 +409,7 @@ def ball(
     all_round = sin_a >= cos_e
     widest = np.where(all_round, F(1), sin_a / cos_e)
     turn = np.where(
-        all_round, F(1), widest * (F(0.318) + F(0.182) * widest * widest)
+        all_round, F(1), widest * (TURN_BY_SINE[0] + TURN_BY_SINE[1] * widest * widest)
     )  # share of the circle, nearly
     blocks = np.minimum((least + (turn * F(most - least)).astype(np.int32)) // SLICES, most // SLICES)
     pixels = Pixels(*nodes_with_ground, dz, beyond, radius)
@@ -483,7 +490,7 @@ def _sector_between(ax, ay, bx, by):
 
 def _share_of(quarter):
     """The angle by its quarter's tangent: share of the circle, nearly, up to half of it."""
-    return quarter * (F(0.637) - F(0.137) * quarter * quarter)
+    return quarter * (TURN_BY_TANGENT[0] - TURN_BY_TANGENT[1] * quarter * quarter)
 
 
 def quad(
@@ -650,7 +657,7 @@ def gloss(
     sin_a = np.sqrt(rim * (F(2) - rim))
     all_round = sin_a >= flat
     widest = np.where(all_round, F(1), sin_a / flat)
-    turn = np.where(all_round, F(1), widest * (F(0.318) + F(0.182) * widest * widest))
+    turn = np.where(all_round, F(1), widest * (TURN_BY_SINE[0] + TURN_BY_SINE[1] * widest * widest))
     blocks = np.minimum((least + (turn * F(most - least)).astype(np.int32)) // SLICES, most // SLICES)
     pixels = Pixels(*ground, np.zeros_like(flat), np.full_like(flat, reach), F(-1))
 

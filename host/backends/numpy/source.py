@@ -8,11 +8,11 @@ import itertools
 
 import numpy as np
 
-from ...constants import APERTURE, BALL, RECTANGLE, SIDES, SKY, VOLUME
+from ...constants import APERTURE, BALL, DARK, OPEN, PERIODIC, RECTANGLE, SKY, VOLUME
 
 
 def _within(w, k, low, high, period, sides):
-    if sides != SIDES["periodic"]:
+    if sides != PERIODIC:
         return (k * low <= w) & (w < k * high)
     v, lap = w - k * low, k * period
     return v - np.floor(v / lap) * lap < k * (high - low)
@@ -25,16 +25,16 @@ def _leaves_box(x, y, z, i, j, climb, rows, cols):
 
 def _meets_plane(x, y, z, i, j, k, numbers, flags, rows, cols, kind, sides, step):
     if k == 0:
-        return np.full(z.shape, kind == SKY and sides != SIDES["dark"])
+        return np.full(z.shape, kind == SKY and sides != DARK)
     climb = k * step
-    on = _leaves_box(x, y, z, i, j, climb, rows, cols) if sides == SIDES["dark"] else np.ones(z.shape, bool)
+    on = _leaves_box(x, y, z, i, j, climb, rows, cols) if sides == DARK else np.ones(z.shape, bool)
     u, v = x * climb + i * z, y * climb + j * z
     if kind == RECTANGLE:
         x0, x1, y0, y1 = numbers
         on &= _within(u, k, x0, x1, cols * step, sides) & _within(v, k, y0, y1, rows * step, sides)
     if kind == APERTURE:
         col, row = np.floor((2 * u + climb) / (2 * climb)), np.floor((2 * v + climb) / (2 * climb))
-        if sides == SIDES["periodic"]:
+        if sides == PERIODIC:
             col, row = col - np.floor(col / cols) * cols, row - np.floor(row / rows) * rows
         on &= (col >= 0) & (col < cols) & (row >= 0) & (row < rows)
         on[on] = flags[0][row[on].astype(int), col[on].astype(int)] != 0
@@ -54,7 +54,7 @@ def _meets_lamp(depth, x, y, z, i, j, k, crossings, numbers, flags, kind, sides,
     if kind == BALL:
         hit = _meets_ball(x, y, z, i, j, k, numbers, step)
         going = hit >= 0
-        if sides == SIDES["dark"]:
+        if sides == DARK:
             px, py = x + hit * i, y + hit * j
             inside = (px >= -0.5) & (px < cols - 0.5) & (py >= -0.5) & (py < rows - 0.5)
             out_first = z <= hit * climb if k else np.zeros(z.shape, bool)
@@ -77,7 +77,7 @@ def _meets_lamp(depth, x, y, z, i, j, k, crossings, numbers, flags, kind, sides,
             gone = over < (0.0 if kind == BALL else -0.5 * step * parts)
             cx, cy = x[who] + t * i + to_x, y[who] + t * j + to_y
             ex, ey = cx + next_x, cy + next_y
-            if sides == SIDES["periodic"]:
+            if sides == PERIODIC:
                 cx, ex, cy, ey = cx % cols, ex % cols, cy % rows, ey % rows
             near_in = (cx >= 0) & (cx < cols) & (cy >= 0) & (cy < rows)
             far_in = (ex >= 0) & (ex < cols) & (ey >= 0) & (ey < rows)
@@ -153,7 +153,7 @@ def clip(
             bit = np.uint8(1 << b)
             if kind in (BALL, VOLUME):
                 clear = (
-                    (lit & bit != 0) if kind == BALL and sides == SIDES["open"] else np.zeros(len(z), bool)
+                    (lit & bit != 0) if kind == BALL and sides == OPEN else np.zeros(len(z), bool)
                 )  # nothing at all is in the way
                 on = np.empty(len(z), bool)
                 on[clear] = _meets_ball(x[clear], y[clear], z[clear], i, j, k, numbers, step) >= 0
@@ -189,7 +189,7 @@ def enter(steps, numbers, flags, field, rows, cols, reach, n_words, n_directions
         where = rim if n >= 0 else np.ones_like(rim)
         z = np.full(x.shape, float(n))
         words = np.zeros((n_words, *x.shape), np.uint32)
-        if not (n >= 0 and sides == SIDES["dark"]):
+        if not (n >= 0 and sides == DARK):
             for d, (i, j, k, _) in enumerate(steps.tolist()):
                 words[d // 32] |= _meets_plane(
                     x, y, z, i, j, k, numbers, flags, rows, cols, kind, sides, 1.0
