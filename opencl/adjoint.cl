@@ -1,10 +1,11 @@
 /* Irradiance of a depth map and its derivatives, for the inverse problem (MODEL.md, 5.2).
 
-E = (1 + |grad z|^2)^(-1/2) sum over slices of width x [C1(T) + s C2(T)], s = e . grad z, C1 and C2 the integrals of
-B sin cos and of B cos^2 above the slope T: the largest of the level, the tangent plane, the wall, the source's own lower
-edge and the horizon. The horizon is the largest (height - own height) / distance over every crossing of the slice with a
-row or a column of the grid; where it is the limit, dE/dT goes to the two nodes beside that crossing, over its distance.
-Where the tangent plane is the limit the integrand is 0 and so is the derivative.
+E = (1 + |grad z|^2)^(-1/2) sum over slices of width x [C1(T) + s C2(T)], s = e . grad z, C1 and C2 the
+integrals of B sin cos and of B cos^2 above the slope T: the largest of the level, the tangent plane, the
+wall, the source's own lower edge and the horizon. The horizon is the largest (height - own height) / distance
+over every crossing of the slice with a row or a column of the grid; where it is the limit, dE/dT goes to the
+two nodes beside that crossing, over its distance. Where the tangent plane is the limit the integrand is 0 and
+so is the derivative.
 
 Lengths are in spacings. z is depth, heights are -z. `pixels` is rows x cols.
 
@@ -15,14 +16,16 @@ Lengths are in spacings. z is depth, heights are -z. `pixels` is rows x cols.
   numbers, slopes  (count, pixels + ROOM)  under a sky: what look finds
   light    (4, pixels)              float  out: E; dE by own depth, by dz/dx, by dz/dy
   held     (pixels)                 int    out: slices of a node that another node limits, or two: its links
-  first, second                     int    out: these nodes; (pixels / BESIDE, count, BESIDE): node by node, their links
+  first, second                     int    out: these nodes; (pixels / BESIDE, count, BESIDE): node by node,
+                                           their links
   near, far                         float  out: dE by the depth of the first, of the second; likewise
-  table    (n, knots, 4)            float  integrals of B cos^2 and of B sin cos from sin(elevation) = i / (knots - 1) to the
-                                           zenith, and what to add up to the next knot; knots 0: brightness 1, closed form
+  table    (n, knots, 4)            float  integrals of B cos^2 and of B sin cos from sin(elevation) = i /
+                                           (knots - 1) to the zenith, and what to add up to the next knot;
+                                           knots 0: brightness 1, closed form
   sides                             0 open, 1 dark, 2 periodic
 
-All arithmetic is +, -, x, / and sqrt, correctly rounded and in one order, so that every backend finds the same bits.
-Twin of warp_kernels/adjoint.py. */
+All arithmetic is +, -, x, / and sqrt, correctly rounded and in one order, so that every backend finds the
+same bits. Twin of warp_kernels/adjoint.py. */
 #include "lanes.h"
 #pragma OPENCL EXTENSION cl_khr_int64_base_atomics : enable
 #pragma OPENCL EXTENSION cl_khr_fp64 : enable
@@ -39,7 +42,8 @@ Twin of warp_kernels/adjoint.py. */
 #define TO_FLOATS JOIN(convert_float, LANES)
 #define COUNT (ints)(0, 1, 2, 3, 4, 5, 6, 7)
 #define ALL(v) all(v)
-typedef struct __attribute__((packed)) { floats v; } loose_floats; /* PoCL calls its vector builtins; these go inline */
+/* PoCL calls its vector builtins; these go inline */
+typedef struct __attribute__((packed)) { floats v; } loose_floats;
 typedef struct __attribute__((packed)) { ints v; } loose_ints;
 #define READ(offset, pointer) (((__global const loose_floats *)((pointer) + (offset)))->v)
 #define READ_INTS(offset, pointer) (((__global const loose_ints *)((pointer) + (offset)))->v)
@@ -63,7 +67,8 @@ floats arc_tangent(floats v)
   return v > 1 ? HALF_PI - p * r : p * r;
 }
 
-/* Light between the slope T and the zenith: integrals of B sin cos (c1) and of B cos^2 (c2), and their derivative by T. */
+/* Light between the slope T and the zenith: integrals of B sin cos (c1) and of B cos^2 (c2), and their
+   derivative by T. */
 typedef struct { floats c1, c2, d1, d2; } Above;
 
 Above above(floats t, __global const float *table, int row, int next, float share, int knots)
@@ -103,7 +108,8 @@ Above above(floats t, __global const float *table, int row, int next, float shar
   return sky;
 }
 
-/* A slice: the azimuth's cosine and sine, columns per row and rows per column, and their reciprocal lengths. */
+/* A slice: the azimuth's cosine and sine, columns per row and rows per column, and their reciprocal
+   lengths. */
 typedef struct { float c, s, columns, rise, rows, run; } Way;
 
 Way way_of(float c, float s)
@@ -115,7 +121,8 @@ Way way_of(float c, float s)
   return way;
 }
 
-/* The highest ground in the tiles that hold columns left..right of rows over..under, what is off the map left out. */
+/* The highest ground in the tiles that hold columns left..right of rows over..under, what is off the map left
+   out. */
 float highest_in(__global const float *tiles, int left, int right, int over, int under, int rows, int cols)
 {
   const int across = (cols - 1) / TILE + 1;
@@ -126,11 +133,11 @@ float highest_in(__global const float *tiles, int left, int right, int over, int
   return high;
 }
 
-/* Raises `best`, which is not below 0, to the horizon of the LANES nodes from (x, y) on, as far as `reach`, and says by which
-   crossing: n rows on, or -n columns on; 0 where nothing stands above `best`. TILE crossings at a time are left out where no
-   ground near them is high enough. */
-ints horizon(__global const float *heights, __global const float *tiles, Way way, int x, int y, floats own, floats *best, float top, float reach,
-             int rows, int cols, int margin, int sides)
+/* Raises `best`, which is not below 0, to the horizon of the LANES nodes from (x, y) on, as far as `reach`,
+   and says by which crossing: n rows on, or -n columns on; 0 where nothing stands above `best`. TILE
+   crossings at a time are left out where no ground near them is high enough. */
+ints horizon(__global const float *heights, __global const float *tiles, Way way, int x, int y, floats own,
+             floats *best, float top, float reach, int rows, int cols, int margin, int sides)
 {
   const int stride = cols + 2 * margin, up = way.s > 0 ? 1 : -1, on = way.c > 0 ? 1 : -1;
   __global const float *map = heights + margin;
@@ -152,7 +159,8 @@ ints horizon(__global const float *heights, __global const float *tiles, Way way
         break;
       if (sides != PERIODIC && fabs(way.columns) <= 2) {
         const int last = x + (int)floor((n + TILE - 1) * way.columns), end = y + up * (n + TILE - 1);
-        const float high = highest_in(tiles, min(column, last), max(column, last) + LANES, min(row, end), max(row, end), rows, cols);
+        const float high = highest_in(tiles, min(column, last), max(column, last) + LANES, min(row, end),
+                                      max(row, end), rows, cols);
         if (ALL((high - own) * (SLACK * closeness) <= *best)) {
           n += TILE - 1;
           continue;
@@ -164,7 +172,10 @@ ints horizon(__global const float *heights, __global const float *tiles, Way way
     number = slope > *best ? (ints)n : number;
     *best = MORE(slope, *best);
   }
-  const int n_columns = way.c == 0 ? 0 : sides == PERIODIC ? 1 << 20 : way.c > 0 ? cols - 1 - x : x + LANES - 1;
+  const int n_columns = way.c == 0          ? 0
+                        : sides == PERIODIC ? 1 << 20
+                        : way.c > 0         ? cols - 1 - x
+                                            : x + LANES - 1;
   for (int n = 1; n <= n_columns; ++n) {
     const float closeness = way.run / n;
     if (reach * closeness < 1)
@@ -184,7 +195,8 @@ ints horizon(__global const float *heights, __global const float *tiles, Way way
         break;
       if (sides != PERIODIC && fabs(way.rows) <= 2) {
         const int last = column + on * (TILE - 1), end = y + (int)floor((n + TILE - 1) * way.rows);
-        const float high = highest_in(tiles, min(column, last), max(column, last) + LANES - 1, min(row, end), max(row, end) + 1, rows, cols);
+        const float high = highest_in(tiles, min(column, last), max(column, last) + LANES - 1, min(row, end),
+                                      max(row, end) + 1, rows, cols);
         if (ALL((high - own) * (SLACK * closeness) <= *best)) {
           n += TILE - 1;
           continue;
@@ -232,7 +244,9 @@ Crossing crossing_of(Way way, ints number, int x, int y, int rows, int cols, int
   found.first = row * cols + column;
   found.second = on_row ? row * cols + next_column : next_row * cols + column;
   found.share = place - TO_FLOATS(low);
-  found.closeness = number == 0 ? (floats)0 : (on_row ? (floats)way.rise : (floats)way.run) / (number == 0 ? (floats)1 : count);
+  found.closeness = number == 0
+                        ? (floats)0
+                        : (on_row ? (floats)way.rise : (floats)way.run) / (number == 0 ? (floats)1 : count);
   return found;
 }
 
@@ -248,8 +262,10 @@ float unordered(int bits)
   return as_float(bits < 0 ? bits ^ 0x7fffffff : bits);
 }
 
-/* surface: heights and tilts of the depths z (pixels), and a top for tiles to raise. Work-item (x, y) owns a node. */
-__kernel void surface(__global const float *z, __global float *heights, __global float *tilts, __global int *top, int rows, int cols, int margin, int sides)
+/* surface: heights and tilts of the depths z (pixels), and a top for tiles to raise. Work-item (x, y) owns a
+   node. */
+__kernel void surface(__global const float *z, __global float *heights, __global float *tilts,
+                      __global int *top, int rows, int cols, int margin, int sides)
 {
   const int x = get_global_id(0), y = get_global_id(1), stride = cols + 2 * margin, p = y * cols + x;
   if (x >= cols) /* a group may reach beyond what is asked for; so below */
@@ -265,7 +281,8 @@ __kernel void surface(__global const float *z, __global float *heights, __global
     for (int to = x - cols; to >= -margin; to -= cols)
       heights[y * stride + margin + to] = h;
   }
-  const int left = max(x - 1, 0), right = min(x + 1, cols - 1), over = max(y - 1, 0), under = min(y + 1, rows - 1);
+  const int left = max(x - 1, 0), right = min(x + 1, cols - 1), over = max(y - 1, 0),
+            under = min(y + 1, rows - 1);
   tilts[p] = right > left ? (z[y * cols + right] - z[y * cols + left]) / (right - left) : 0;
   tilts[rows * cols + p] = under > over ? (z[under * cols + x] - z[over * cols + x]) / (under - over) : 0;
 }
@@ -313,7 +330,8 @@ void put_ints(__global int *to, ints v, int left)
 /* LANES nodes of row y from x on: height (none is above those that are not there), dz/dx, dz/dy. */
 typedef struct { floats own, gx, gy; } Nodes;
 
-Nodes nodes_at(__global const float *heights, __global const float *tilts, float highest, int x, int y, int rows, int cols, int margin)
+Nodes nodes_at(__global const float *heights, __global const float *tilts, float highest, int x, int y,
+               int rows, int cols, int margin)
 {
   const int pixels = rows * cols, p = y * cols + x;
   const floats own = READ(y * (cols + 2 * margin) + margin + x, heights);
@@ -331,7 +349,8 @@ Nodes nodes_at(__global const float *heights, __global const float *tilts, float
   return nodes;
 }
 
-/* What limits a slice of a sky before the ground does: the level, the tangent plane or the wall, then with its derivative. */
+/* What limits a slice of a sky before the ground does: the level, the tangent plane or the wall, then with
+   its derivative. */
 typedef struct { floats slope, by_wall; } Limit;
 
 Limit limit_of(Way way, Nodes nodes, int x, int y, int rows, int cols, int sides)
@@ -347,10 +366,13 @@ Limit limit_of(Way way, Nodes nodes, int x, int y, int rows, int cols, int sides
 }
 
 /* look: the horizon of every slice under a sky: its crossing's number (as horizon gives it) and its slope.
-   azimuths (count, 4): cosine, sine, width, 0. Work-item (g, y, a) owns LANES nodes of row y, and `ways` azimuths. */
-__kernel void look(__global const float *restrict heights, __global const float *restrict tilts, __global const float *restrict tiles, __global const int *restrict top,
-                   __global const float *restrict azimuths, __global int *restrict numbers, __global float *restrict slopes, int rows, int cols,
-                   int margin, int count, int sides, int ways)
+   azimuths (count, 4): cosine, sine, width, 0. Work-item (g, y, a) owns LANES nodes of row y, and `ways`
+   azimuths. */
+__kernel void look(__global const float *restrict heights, __global const float *restrict tilts,
+                   __global const float *restrict tiles, __global const int *restrict top,
+                   __global const float *restrict azimuths, __global int *restrict numbers,
+                   __global float *restrict slopes, int rows, int cols, int margin, int count, int sides,
+                   int ways)
 {
   const int x = get_global_id(0) * LANES, y = get_global_id(1), from = get_global_id(2) * ways;
   if (x >= cols)
@@ -361,20 +383,25 @@ __kernel void look(__global const float *restrict heights, __global const float 
     const Way way = way_of(azimuths[4 * k], azimuths[4 * k + 1]);
     const floats least = limit_of(way, nodes, x, y, rows, cols, sides).slope;
     floats found = sides == PERIODIC ? MORE(least, LEVEL) : least;
-    const ints number = horizon(heights, tiles, way, x, y, nodes.own, &found, highest, 1e30f, rows, cols, margin, sides);
+    const ints number =
+        horizon(heights, tiles, way, x, y, nodes.own, &found, highest, 1e30f, rows, cols, margin, sides);
     put_ints(numbers + k * (rows * cols + ROOM) + y * cols + x, number, cols - x);
     put_floats(slopes + k * (rows * cols + ROOM) + y * cols + x, found, cols - x);
   }
 }
 
-/* sky: E and its derivatives under a sky, after look. table: one row per azimuth. Work-item (g, y) owns LANES nodes of row y.
-   Order of summation: azimuths. */
-__kernel void sky(__global const float *restrict heights, __global const float *restrict tilts, __global const int *restrict top,
-                  __global const int *restrict numbers, __global const float *restrict slopes, __global const float *restrict azimuths,
-                  __global const float *restrict table, __global float *restrict light, __global int *restrict held, __global int *restrict first, __global int *restrict second, __global float *restrict near,
-                  __global float *restrict far, int rows, int cols, int margin, int count, int knots, int sides)
+/* sky: E and its derivatives under a sky, after look. table: one row per azimuth. Work-item (g, y) owns LANES
+   nodes of row y. Order of summation: azimuths. */
+__kernel void sky(__global const float *restrict heights, __global const float *restrict tilts,
+                  __global const int *restrict top, __global const int *restrict numbers,
+                  __global const float *restrict slopes, __global const float *restrict azimuths,
+                  __global const float *restrict table, __global float *restrict light,
+                  __global int *restrict held, __global int *restrict first, __global int *restrict second,
+                  __global float *restrict near, __global float *restrict far, int rows, int cols, int margin,
+                  int count, int knots, int sides)
 {
-  const int x = get_global_id(0) * LANES, y = get_global_id(1), pixels = rows * cols, p = y * cols + x, left = min(cols - x, LANES);
+  const int x = get_global_id(0) * LANES, y = get_global_id(1), pixels = rows * cols, p = y * cols + x,
+            left = min(cols - x, LANES);
   if (x >= cols)
     return;
   const Nodes nodes = nodes_at(heights, tilts, unordered(top[0]), x, y, rows, cols, margin);
@@ -400,7 +427,8 @@ __kernel void sky(__global const float *restrict heights, __global const float *
       by_own += per_slope * limit.by_wall;
     else {
       const Crossing crossing = crossing_of(way, number, x, y, rows, cols, sides);
-      const floats pull = per_slope * crossing.closeness, all_ = -pull * inverse, other = all_ * crossing.share, one = all_ - other;
+      const floats pull = per_slope * crossing.closeness, all_ = -pull * inverse,
+                   other = all_ * crossing.share, one = all_ - other;
       by_own += number == 0 ? per_slope * limit.by_wall : pull;
       for (int l = 0; l < left; ++l)
         if (LANE(number, l) != 0) {
@@ -422,32 +450,41 @@ __kernel void sky(__global const float *restrict heights, __global const float *
 }
 
 #if LANES == 1
-/* lamp: the same for a finite source, through slices within it as every node sees it. A ball, `solid` its centre (x, y,
-   height) and radius; or a flat, convex quadrangle, `solid` its four corners in turn.
+/* lamp: the same for a finite source, through slices within it as every node sees it. A ball, `solid` its
+   centre (x, y, height) and radius; or a flat, convex quadrangle, `solid` its four corners in turn.
 
-   frames  (pixels, 4)  float  cosine and sine of the azimuth of the source's middle; ball: distance to the centre along the
-                               ground; quadrangle: tangent of a quarter of the angle it takes up, 0 where it stands all round
-   nodes   (count, 4)   float  sine and cosine of midpoints of -pi/2..pi/2, cosine and sine of midpoints all round
-   n_rows  rows of table, evenly in the diamond angle (c, s) -> s / (|c| + |s|), -1..1 over the half c > 0 and on
+   frames  (pixels, 4)  float  cosine and sine of the azimuth of the source's middle; ball: distance to the
+                               centre along the ground; quadrangle: tangent of a quarter of the angle it takes
+                               up, 0 where it stands all round
+   nodes   (count, 4)   float  sine and cosine of midpoints of -pi/2..pi/2, cosine and sine of midpoints all
+                               round
+   n_rows  rows of table, evenly in the diamond angle (c, s) -> s / (|c| + |s|), -1..1 over the half c > 0 and
+           on
    Work-item (x, y) owns a node. Order of summation: slices. */
-__kernel void lamp(__global const float *heights, __global const float *tilts, __global const float *tiles, __global const int *top, __global const float *frames,
-                   __global const float *nodes, __global const float *solid, __global const float *table, __global float *light,
-                   __global int *held, __global int *first, __global int *second, __global float *near, __global float *far,
-                   int rows, int cols, int margin, int count, int knots, int n_rows, int ball, int sides)
+__kernel void lamp(__global const float *heights, __global const float *tilts, __global const float *tiles,
+                   __global const int *top, __global const float *frames, __global const float *nodes,
+                   __global const float *solid, __global const float *table, __global float *light,
+                   __global int *held, __global int *first, __global int *second, __global float *near,
+                   __global float *far, int rows, int cols, int margin, int count, int knots, int n_rows,
+                   int ball, int sides)
 {
   const int x = get_global_id(0), y = get_global_id(1), pixels = rows * cols, p = y * cols + x;
   if (x >= cols)
     return;
   const float own = heights[y * (cols + 2 * margin) + margin + x], gx = tilts[p], gy = tilts[pixels + p];
-  const float ux = frames[4 * p], uy = frames[4 * p + 1], extent = frames[4 * p + 2], inverse = 1 / sqrt(1 + gx * gx + gy * gy);
+  const float ux = frames[4 * p], uy = frames[4 * p + 1], extent = frames[4 * p + 2],
+              inverse = 1 / sqrt(1 + gx * gx + gy * gy);
   float sum = 0, by_own = 0, by_x = 0, by_y = 0;
   int links = 0;
   for (int k = 0; k < count; ++k) {
-    /* 1. the slice, and the slopes between which the source stands in it, with their derivatives by the own depth */
+    /* 1. the slice, and the slopes between which the source stands in it, with their derivatives by the own
+       depth */
     float c = nodes[4 * k + 2], s = nodes[4 * k + 3], width = TWO_PI / count;
-    float low = 1, high = 0, low_by = 0, high_by = 0, reach = 0, end = 0; /* ground counts as far as reach; the source's end */
+    /* ground counts as far as reach; the source's end */
+    float low = 1, high = 0, low_by = 0, high_by = 0, reach = 0, end = 0;
     if (ball) {
-      const float radius = solid[3], rise = solid[2] - own, beyond = extent * extent + rise * rise - radius * radius;
+      const float radius = solid[3], rise = solid[2] - own,
+                  beyond = extent * extent + rise * rise - radius * radius;
       float along, half_;
       if (extent <= radius) {
         const float off = extent * (s * ux - c * uy);
@@ -476,7 +513,8 @@ __kernel void lamp(__global const float *heights, __global const float *tilts, _
       }
     } else {
       if (extent > 0) {
-        const float t = extent * ((2 * k + 1.0f) / count - 1), scale = 1 / (1 + t * t); /* of half the angle from the middle */
+        /* of half the angle from the middle */
+        const float t = extent * ((2 * k + 1.0f) / count - 1), scale = 1 / (1 + t * t);
         const float on = (1 - t * t) * scale, off = 2 * t * scale;
         c = ux * on - uy * off;
         s = uy * on + ux * off;
@@ -486,11 +524,13 @@ __kernel void lamp(__global const float *heights, __global const float *tilts, _
       int met = 0;
       for (int i = 0; i < 4; ++i) {
         const int j = (i + 1) & 3;
-        const float ax = solid[3 * i] - x, ay = solid[3 * i + 1] - y, bx = solid[3 * j] - x, by = solid[3 * j + 1] - y;
+        const float ax = solid[3 * i] - x, ay = solid[3 * i + 1] - y, bx = solid[3 * j] - x,
+                    by = solid[3 * j + 1] - y;
         const float from = c * ay - s * ax, to = c * by - s * bx;
         if ((from <= 0) == (to <= 0))
           continue;
-        const float share = from / (from - to), r = c * (ax + share * (bx - ax)) + s * (ay + share * (by - ay));
+        const float share = from / (from - to),
+                    r = c * (ax + share * (bx - ax)) + s * (ay + share * (by - ay));
         if (r <= 0)
           continue;
         const float slope = (solid[3 * i + 2] + share * (solid[3 * j + 2] - solid[3 * i + 2]) - own) / r;
@@ -524,11 +564,13 @@ __kernel void lamp(__global const float *heights, __global const float *tilts, _
     }
     int number = 0;
     if (slope < high)
-      number = horizon(heights, tiles, way, x, y, own, &slope, unordered(top[0]), reach, rows, cols, margin, OPEN);
+      number =
+          horizon(heights, tiles, way, x, y, own, &slope, unordered(top[0]), reach, rows, cols, margin, OPEN);
 
     /* 3. the light between */
     if (slope < high) {
-      const float diamond = s >= 0 ? (c >= 0 ? s / (c + s) : 1 - c / (s - c)) : (c < 0 ? 2 - s / (-c - s) : 3 + c / (c - s));
+      const float diamond =
+          s >= 0 ? (c >= 0 ? s / (c + s) : 1 - c / (s - c)) : (c < 0 ? 2 - s / (-c - s) : 3 + c / (c - s));
       const float place = 0.25f * diamond * n_rows;
       const int row = min((int)place, n_rows - 1), next = row + 1 < n_rows ? row + 1 : 0;
       Above lit = above(slope, table, row, next, place - row, knots);
@@ -546,7 +588,8 @@ __kernel void lamp(__global const float *heights, __global const float *tilts, _
         by_own += per_slope * by_limit;
       else {
         const Crossing crossing = crossing_of(way, number, x, y, rows, cols, OPEN);
-        const float pull = per_slope * crossing.closeness, all_ = -pull * inverse, other = all_ * crossing.share;
+        const float pull = per_slope * crossing.closeness, all_ = -pull * inverse,
+                    other = all_ * crossing.share;
         const int e = LINK(p, links++);
         by_own += pull;
         first[e] = crossing.first;
@@ -566,7 +609,12 @@ __kernel void lamp(__global const float *heights, __global const float *tilts, _
 #endif
 
 /* An image's derivative J by depth: rows of it are applied to a change of depths, and added up. */
-typedef struct { __global const float *light; __global const int *held, *first, *second; __global const float *near, *far; int count; } Links;
+typedef struct {
+  __global const float *light;
+  __global const int *held, *first, *second;
+  __global const float *near, *far;
+  int count;
+} Links;
 
 /* Row p of J times v: by how much E changes there. */
 float change_at(Links links, __global const float *v, int rows, int cols, int p)
@@ -574,9 +622,11 @@ float change_at(Links links, __global const float *v, int rows, int cols, int p)
   const int pixels = rows * cols, x = p % cols, y = p / cols, count = links.count;
   float sum = links.light[pixels + p] * v[p];
   if (cols > 1)
-    sum += links.light[2 * pixels + p] * ((v[p + (x < cols - 1)] - v[p - (x > 0)]) * (x > 0 && x < cols - 1 ? 0.5f : 1.0f));
+    sum += links.light[2 * pixels + p] *
+           ((v[p + (x < cols - 1)] - v[p - (x > 0)]) * (x > 0 && x < cols - 1 ? 0.5f : 1.0f));
   if (rows > 1)
-    sum += links.light[3 * pixels + p] * ((v[p + (y < rows - 1 ? cols : 0)] - v[p - (y > 0 ? cols : 0)]) * (y > 0 && y < rows - 1 ? 0.5f : 1.0f));
+    sum += links.light[3 * pixels + p] * ((v[p + (y < rows - 1 ? cols : 0)] - v[p - (y > 0 ? cols : 0)]) *
+                                          (y > 0 && y < rows - 1 ? 0.5f : 1.0f));
   for (int k = 0; k < links.held[p]; ++k) {
     const int e = LINK(p, k);
     sum += links.near[e] * v[links.first[e]] + links.far[e] * v[links.second[e]];
@@ -592,11 +642,16 @@ void add(__global long *sum, long value, int alone)
     atom_add(sum, value);
 }
 
-/* sum += row p of J times u, in whole numbers, so that no order of summation matters; its elements squared if asked for. */
+/* sum += row p of J times u, in whole numbers, so that no order of summation matters; its elements squared if
+   asked for. */
 void spread_at(Links links, __global long *sum, float u, int squared, int rows, int cols, int p, int alone)
 {
   const int pixels = rows * cols, x = p % cols, y = p / cols, count = links.count;
-#define SPREAD(to, part) { const float part_ = part; add(sum + (to), convert_long_rtz((squared ? part_ * part_ : part_) * u), alone); }
+#define SPREAD(to, part)                                                                                     \
+  {                                                                                                          \
+    const float part_ = part;                                                                                \
+    add(sum + (to), convert_long_rtz((squared ? part_ * part_ : part_) * u), alone);                         \
+  }
   SPREAD(p, links.light[pixels + p])
   if (cols > 1) {
     const float part = links.light[2 * pixels + p] * (x > 0 && x < cols - 1 ? 0.5f : 1.0f);
@@ -615,9 +670,10 @@ void spread_at(Links links, __global long *sum, float u, int squared, int rows, 
   }
 }
 
-/* match: over and under, what an image adds to those of its pixels' albedo, over / under: the one with which all images are nearest to
-   their targets, gain that of albedo 1. The first sets them. */
-__kernel void match(__global const float *light, __global const float *gain, __global const float *target, __global float *over, __global float *under, int is_first, int pixels)
+/* match: over and under, what an image adds to those of its pixels' albedo, over / under: the one with which
+   all images are nearest to their targets, gain that of albedo 1. The first sets them. */
+__kernel void match(__global const float *light, __global const float *gain, __global const float *target,
+                    __global float *over, __global float *under, int is_first, int pixels)
 {
   const int p = get_global_id(0);
   if (p >= pixels)
@@ -628,16 +684,18 @@ __kernel void match(__global const float *light, __global const float *gain, __g
 }
 
 /* reflect: the gain with that albedo. */
-__kernel void reflect(__global const float *over, __global const float *under, __global const float *gain, __global float *out, int pixels)
+__kernel void reflect(__global const float *over, __global const float *under, __global const float *gain,
+                      __global float *out, int pixels)
 {
   const int p = get_global_id(0);
   if (p < pixels)
     out[p] = over[p] / under[p] * gain[p];
 }
 
-/* misfit: in part (blocks) the sums of (gain E - target)^2. Work-item g of this, of bending and of begin owns SUMMED nodes and
-   adds them in order. */
-__kernel void misfit(__global const float *light, __global const float *gain, __global const float *target, __global double *part, int block, int pixels)
+/* misfit: in part (blocks) the sums of (gain E - target)^2. Work-item g of this, of bending and of begin owns
+   SUMMED nodes and adds them in order. */
+__kernel void misfit(__global const float *light, __global const float *gain, __global const float *target,
+                     __global double *part, int block, int pixels)
 {
   const int g = get_global_id(0);
   if (g * SUMMED >= pixels)
@@ -650,7 +708,8 @@ __kernel void misfit(__global const float *light, __global const float *gain, __
   part[block + g] = square;
 }
 
-/* Second difference of v along a line of n nodes, `step` apart in memory, about node i of it; 0 at the ends. */
+/* Second difference of v along a line of n nodes, `step` apart in memory, about node i of it; 0 at the
+   ends. */
 float bend(__global const float *v, int i, int n, int step)
 {
   return i < 1 || i > n - 2 ? 0 : (v[-step] - v[0]) - (v[0] - v[step]);
@@ -667,8 +726,10 @@ float unbend(__global const float *v, int i, int n, int step)
   return sum;
 }
 
-/* bending: in part (blocks), from `block` on as above, the sums of squared second differences of z - rest along rows and columns. */
-__kernel void bending(__global const float *z, __global const float *rest, __global double *part, int block, int rows, int cols)
+/* bending: in part (blocks), from `block` on as above, the sums of squared second differences of z - rest
+   along rows and columns. */
+__kernel void bending(__global const float *z, __global const float *rest, __global double *part, int block,
+                      int rows, int cols)
 {
   const int g = get_global_id(0), pixels = rows * cols;
   if (g * SUMMED >= pixels)
@@ -682,18 +743,23 @@ __kernel void bending(__global const float *z, __global const float *rest, __glo
   part[block + g] = sum;
 }
 
-/* downhill: sum += unit transpose(J) gain (gain E - target), and squares += fine x the diagonal of transpose(J) gain^2 J, or what
-   it is where no two links of a node lead to the same one. Work-item g of this and of all below owns `each` nodes; if there is
-   more than one team, it is one, and adds to sums of its own: sum and squares (teams, pixels). */
-__kernel void downhill(__global const float *restrict light, __global const int *restrict held, __global const int *restrict first, __global const int *restrict second,
-                       __global const float *restrict near, __global const float *restrict far, __global const float *restrict gain,
-                       __global const float *restrict target, __global long *sum, __global long *squares, float unit, float fine, int rows, int cols, int count, int each, int teams)
+/* downhill: sum += unit transpose(J) gain (gain E - target), and squares += fine x the diagonal of
+   transpose(J) gain^2 J, or what it is where no two links of a node lead to the same one. Work-item g of this
+   and of all below owns `each` nodes; if there is more than one team, it is one, and adds to sums of its own:
+   sum and squares (teams, pixels). */
+__kernel void downhill(__global const float *restrict light, __global const int *restrict held,
+                       __global const int *restrict first, __global const int *restrict second,
+                       __global const float *restrict near, __global const float *restrict far,
+                       __global const float *restrict gain, __global const float *restrict target,
+                       __global long *sum, __global long *squares, float unit, float fine, int rows, int cols,
+                       int count, int each, int teams)
 {
   const Links links = {light, held, first, second, near, far, count};
   const int g = get_global_id(0);
   const size_t own = teams > 1 ? (size_t)g * rows * cols : 0;
   for (int p = g * each; p < min(rows * cols, g * each + each); ++p) {
-    spread_at(links, sum + own, gain[p] * (gain[p] * light[p] - target[p]) * unit, 0, rows, cols, p, teams > 1);
+    spread_at(links, sum + own, gain[p] * (gain[p] * light[p] - target[p]) * unit, 0, rows, cols, p,
+              teams > 1);
     spread_at(links, squares + own, gain[p] * gain[p] * fine, 1, rows, cols, p, teams > 1);
   }
 }
@@ -709,11 +775,13 @@ long taken(__global long *sum, int i, int pixels, int teams)
   return all_;
 }
 
-/* begin: the downhill direction r = -(sum unit + lambda unbend (z - rest)), 0 where a bound holds z (free 0); scale = squares fine + least;
-   x = p = s = sum = squares = 0 for conjugate gradients. */
-__kernel void begin(__global const float *z, __global const float *rest, __global const float *low, __global const float *high, __global long *sum, __global long *squares,
-                    __global float *scale, __global float *r, __global float *x, __global float *p, __global float *s, __global float *is_free,
-                    float unit, float fine, float least, float lambda_, int rows, int cols, int each, int teams)
+/* begin: the downhill direction r = -(sum unit + lambda unbend (z - rest)), 0 where a bound holds z (free 0);
+   scale = squares fine + least; x = p = s = sum = squares = 0 for conjugate gradients. */
+__kernel void begin(__global const float *z, __global const float *rest, __global const float *low,
+                    __global const float *high, __global long *sum, __global long *squares,
+                    __global float *scale, __global float *r, __global float *x, __global float *p,
+                    __global float *s, __global float *is_free, float unit, float fine, float least,
+                    float lambda_, int rows, int cols, int each, int teams)
 {
   const int g = get_global_id(0), pixels = rows * cols;
   for (int i = g * each; i < min(pixels, g * each + each); ++i) {
@@ -730,8 +798,8 @@ __kernel void begin(__global const float *z, __global const float *rest, __globa
   }
 }
 
-/* What preconditions: v = r / scale, and the same on grids FOUR and FOUR^2 times as coarse, brought up by linear interpolation
-   (Bramble, Pasciak and Xu 1990); r is brought down by its transpose. */
+/* What preconditions: v = r / scale, and the same on grids FOUR and FOUR^2 times as coarse, brought up by
+   linear interpolation (Bramble, Pasciak and Xu 1990); r is brought down by its transpose. */
 
 /* Node j of a coarse line of n: its share in node FOUR j - 2 + a of the fine one. */
 float hat(int a, int j, int n)
@@ -743,7 +811,8 @@ float hat(int a, int j, int n)
 float lowered(__global const float *fine, int rows, int cols, int x, int y)
 {
   const int n_rows = (rows - 1) / FOUR + 1, n_cols = (cols - 1) / FOUR + 1;
-  const int a_0 = max(0, 2 - FOUR * x), a_1 = min(2 * FOUR, cols + 2 - FOUR * x), b_0 = max(0, 2 - FOUR * y), b_1 = min(2 * FOUR, rows + 2 - FOUR * y);
+  const int a_0 = max(0, 2 - FOUR * x), a_1 = min(2 * FOUR, cols + 2 - FOUR * x), b_0 = max(0, 2 - FOUR * y),
+            b_1 = min(2 * FOUR, rows + 2 - FOUR * y);
   fine += (FOUR * y - 2) * cols + FOUR * x - 2;
   float sum = 0;
 #if LANES == 8
@@ -766,29 +835,38 @@ float lowered(__global const float *fine, int rows, int cols, int x, int y)
 }
 
 /* down: to = times what is brought down; over `scale`, if asked to divide. */
-__kernel void down(__global const float *fine, __global const float *scale, __global float *to, float times, int divides, int rows, int cols)
+__kernel void down(__global const float *fine, __global const float *scale, __global float *to, float times,
+                   int divides, int rows, int cols)
 {
-  const int x = get_global_id(0), y = get_global_id(1), n_rows = (rows - 1) / FOUR + 1, n_cols = (cols - 1) / FOUR + 1;
+  const int x = get_global_id(0), y = get_global_id(1), n_rows = (rows - 1) / FOUR + 1,
+            n_cols = (cols - 1) / FOUR + 1;
   if (x >= n_cols || y >= n_rows)
     return;
   const float sum = times * lowered(fine, rows, cols, x, y);
   to[y * n_cols + x] = divides ? sum / scale[y * n_cols + x] : sum;
 }
 
-/* v = free (r / scale + what is brought up from a coarse grid), for the nodes of row y that lie in its node x. */
-void up_at(__global const float *r, __global const float *scale, __global const float *is_free, __global const float *coarse, __global float *v, int rows, int cols, int x, int y)
+/* v = free (r / scale + what is brought up from a coarse grid), for the nodes of row y that lie in its node
+   x. */
+void up_at(__global const float *r, __global const float *scale, __global const float *is_free,
+           __global const float *coarse, __global float *v, int rows, int cols, int x, int y)
 {
-  const int n_rows = (rows - 1) / FOUR + 1, n_cols = (cols - 1) / FOUR + 1, k = y % FOUR, i = y * cols + FOUR * x;
+  const int n_rows = (rows - 1) / FOUR + 1, n_cols = (cols - 1) / FOUR + 1, k = y % FOUR,
+            i = y * cols + FOUR * x;
   const float share = (k < 2 ? 3 - 2 * k : 2 * k - 3) * 0.125f, own = 1 - share;
-  __global const float *here = coarse + y / FOUR * n_cols, *beside = coarse + clamp(k < 2 ? y / FOUR - 1 : y / FOUR + 1, 0, n_rows - 1) * n_cols;
+  __global const float *here = coarse + y / FOUR * n_cols,
+                       *beside = coarse + clamp(k < 2 ? y / FOUR - 1 : y / FOUR + 1, 0, n_rows - 1) * n_cols;
   const int left = max(x - 1, 0), right = min(x + 1, n_cols - 1);
-  const float a = own * here[left] + share * beside[left], b = own * here[x] + share * beside[x], c = own * here[right] + share * beside[right];
-  const float4 raised = (float4)(0.625f * b + 0.375f * a, 0.875f * b + 0.125f * a, 0.875f * b + 0.125f * c, 0.625f * b + 0.375f * c);
+  const float a = own * here[left] + share * beside[left], b = own * here[x] + share * beside[x],
+              c = own * here[right] + share * beside[right];
+  const float4 raised = (float4)(0.625f * b + 0.375f * a, 0.875f * b + 0.125f * a, 0.875f * b + 0.125f * c,
+                                 0.625f * b + 0.375f * c);
   for (int l = 0; l < min(FOUR, cols - FOUR * x); ++l)
     v[i + l] = is_free[i + l] * (r[i + l] / scale[i + l] + raised[l]);
 }
 
-__kernel void up(__global const float *r, __global const float *scale, __global const float *is_free, __global const float *coarse, __global float *v, int rows, int cols)
+__kernel void up(__global const float *r, __global const float *scale, __global const float *is_free,
+                 __global const float *coarse, __global float *v, int rows, int cols)
 {
   const int x = get_global_id(0), y = get_global_id(1);
   if (x * FOUR < cols && y < rows)
@@ -810,20 +888,25 @@ __kernel void lengths(__global const float *r, __global const float *v, __global
   part[blocks + g] = product;
 }
 
-/* The state of conjugate gradients (double): iterations left, 0 once it has stopped; units of the scattered sum and of r v, v w
-   and v v, from the last ones' size; alpha, 0 before the first step; the first r v; what the quadratic model has gained; and what was
-   asked for: lambda, damping, share of the first r v at which to stop. Two of them take turns, and so do the totals (3, SLOTS) of
-   r v, v w and v v. */
+/* The state of conjugate gradients (double): iterations left, 0 once it has stopped; units of the scattered
+   sum and of r v, v w and v v, from the last ones' size; alpha, 0 before the first step; the first r v; what
+   the quadratic model has gained; and what was asked for: lambda, damping, share of the first r v at which to
+   stop. Two of them take turns, and so do the totals (3, SLOTS) of r v, v w and v v. */
 
 /* product: sum += unit transpose(J) gain^2 J v. */
-void product_at(Links links, __global const float *gain, __global const float *v, __global long *sum, float unit, int rows, int cols, int p, int alone)
+void product_at(Links links, __global const float *gain, __global const float *v, __global long *sum,
+                float unit, int rows, int cols, int p, int alone)
 {
-  spread_at(links, sum, gain[p] * gain[p] * change_at(links, v, rows, cols, p) * unit, 0, rows, cols, p, alone);
+  spread_at(links, sum, gain[p] * gain[p] * change_at(links, v, rows, cols, p) * unit, 0, rows, cols, p,
+            alone);
 }
 
-__kernel void product(__global const float *restrict light, __global const int *restrict held, __global const int *restrict first, __global const int *restrict second,
-                      __global const float *restrict near, __global const float *restrict far, __global const float *restrict gain,
-                      __global const float *restrict v, __global long *sum, __global const double *state, int rows, int cols, int count, int each, int teams)
+__kernel void product(__global const float *restrict light, __global const int *restrict held,
+                      __global const int *restrict first, __global const int *restrict second,
+                      __global const float *restrict near, __global const float *restrict far,
+                      __global const float *restrict gain, __global const float *restrict v,
+                      __global long *sum, __global const double *state, int rows, int cols, int count,
+                      int each, int teams)
 {
   const Links links = {light, held, first, second, near, far, count};
   const int g = get_global_id(0);
@@ -833,22 +916,30 @@ __kernel void product(__global const float *restrict light, __global const int *
       product_at(links, gain, v, sum + own, (float)state[SCATTERED], rows, cols, p, teams > 1);
 }
 
-/* change: in (or added to) share, what an image says of the change of its pixels' albedo by v: bright gain J v, bright = the image at albedo 1. */
-__kernel void change(__global const float *restrict light, __global const int *restrict held, __global const int *restrict first, __global const int *restrict second,
-                     __global const float *restrict near, __global const float *restrict far, __global const float *restrict gain, __global const float *restrict bare,
-                     __global const float *restrict v, __global float *restrict share, __global const double *state, int rows, int cols, int count, int is_first, int each)
+/* change: in (or added to) share, what an image says of the change of its pixels' albedo by v: bright gain J
+   v, bright = the image at albedo 1. */
+__kernel void change(__global const float *restrict light, __global const int *restrict held,
+                     __global const int *restrict first, __global const int *restrict second,
+                     __global const float *restrict near, __global const float *restrict far,
+                     __global const float *restrict gain, __global const float *restrict bare,
+                     __global const float *restrict v, __global float *restrict share,
+                     __global const double *state, int rows, int cols, int count, int is_first, int each)
 {
   const Links links = {light, held, first, second, near, far, count};
   const int g = get_global_id(0);
   if (state[LEFT] > 0)
     for (int p = g * each; p < min(rows * cols, g * each + each); ++p)
-      share[p] = (is_first ? 0 : share[p]) + bare[p] * light[p] * (gain[p] * change_at(links, v, rows, cols, p));
+      share[p] =
+          (is_first ? 0 : share[p]) + bare[p] * light[p] * (gain[p] * change_at(links, v, rows, cols, p));
 }
 
 /* product_beside: as product, less what a change of the albedo makes up for. */
-__kernel void product_beside(__global const float *restrict light, __global const int *restrict held, __global const int *restrict first, __global const int *restrict second,
-                             __global const float *restrict near, __global const float *restrict far, __global const float *restrict gain, __global const float *restrict bare,
-                             __global const float *restrict share, __global const float *restrict under, __global const float *restrict v, __global long *sum,
+__kernel void product_beside(__global const float *restrict light, __global const int *restrict held,
+                             __global const int *restrict first, __global const int *restrict second,
+                             __global const float *restrict near, __global const float *restrict far,
+                             __global const float *restrict gain, __global const float *restrict bare,
+                             __global const float *restrict share, __global const float *restrict under,
+                             __global const float *restrict v, __global long *sum,
                              __global const double *state, int rows, int cols, int count, int each, int teams)
 {
   const Links links = {light, held, first, second, near, far, count};
@@ -856,24 +947,32 @@ __kernel void product_beside(__global const float *restrict light, __global cons
   const size_t own = teams > 1 ? (size_t)g * rows * cols : 0;
   if (state[LEFT] > 0)
     for (int p = g * each; p < min(rows * cols, g * each + each); ++p) {
-      const float left = gain[p] * change_at(links, v, rows, cols, p) - bare[p] * light[p] * (share[p] / under[p]);
+      const float left =
+          gain[p] * change_at(links, v, rows, cols, p) - bare[p] * light[p] * (share[p] / under[p]);
       spread_at(links, sum + own, gain[p] * left * (float)state[SCATTERED], 0, rows, cols, p, teams > 1);
     }
 }
 
-/* curve: w = free (sum / unit + lambda unbend v + damping scale v), the normal equations' matrix times v; sum = 0; and what the
-   node adds to r v, v w and v v. */
-long3 curve_at(__global const float *r, __global const float *v, __global const float *scale, __global const float *is_free, __global long *sum,
-               __global float *w, float unit, float lambda_, float damping, double by_product, double by_square, int rows, int cols, int teams, int i)
+/* curve: w = free (sum / unit + lambda unbend v + damping scale v), the normal equations' matrix times v; sum
+   = 0; and what the node adds to r v, v w and v v. */
+long3 curve_at(__global const float *r, __global const float *v, __global const float *scale,
+               __global const float *is_free, __global long *sum, __global float *w, float unit,
+               float lambda_, float damping, double by_product, double by_square, int rows, int cols,
+               int teams, int i)
 {
   const float smooth = unbend(v + i, i % cols, cols, 1) + unbend(v + i, i / cols, rows, cols);
-  w[i] = is_free[i] * (convert_float(taken(sum, i, rows * cols, teams)) * unit + lambda_ * smooth + damping * scale[i] * v[i]);
-  const double product = (double)r[i] * (double)v[i], curvature = (double)v[i] * (double)w[i], square = (double)v[i] * (double)v[i];
-  return (long3)(convert_long_rtz(product * by_product), convert_long_rtz(curvature * by_product), convert_long_rtz(square * by_square));
+  w[i] = is_free[i] * (convert_float(taken(sum, i, rows * cols, teams)) * unit + lambda_ * smooth +
+                       damping * scale[i] * v[i]);
+  const double product = (double)r[i] * (double)v[i], curvature = (double)v[i] * (double)w[i],
+               square = (double)v[i] * (double)v[i];
+  return (long3)(convert_long_rtz(product * by_product), convert_long_rtz(curvature * by_product),
+                 convert_long_rtz(square * by_square));
 }
 
-__kernel void curve(__global const float *r, __global const float *v, __global const float *scale, __global const float *is_free, __global long *sum,
-                    __global float *w, __global long *totals, __global const double *state, int rows, int cols, int each, int teams)
+__kernel void curve(__global const float *r, __global const float *v, __global const float *scale,
+                    __global const float *is_free, __global long *sum, __global float *w,
+                    __global long *totals, __global const double *state, int rows, int cols, int each,
+                    int teams)
 {
   const int g = get_global_id(0), pixels = rows * cols;
   if (g * each >= pixels || state[LEFT] <= 0)
@@ -881,7 +980,8 @@ __kernel void curve(__global const float *r, __global const float *v, __global c
   const float unit = 1 / state[SCATTERED], lambda_ = state[LAMBDA], damping = state[DAMPING];
   long3 part = 0;
   for (int i = g * each; i < min(pixels, g * each + each); ++i)
-    part += curve_at(r, v, scale, is_free, sum, w, unit, lambda_, damping, state[UNIT_RV], state[UNIT_VV], rows, cols, teams, i);
+    part += curve_at(r, v, scale, is_free, sum, w, unit, lambda_, damping, state[UNIT_RV], state[UNIT_VV],
+                     rows, cols, teams, i);
   atom_add(totals + g % SLOTS, part.x);
   atom_add(totals + SLOTS + g % SLOTS, part.y);
   atom_add(totals + 2 * SLOTS + g % SLOTS, part.z);
@@ -917,10 +1017,10 @@ Turn turn_of(__global const double *state, long3 total, double fixed_, double ex
   return turn;
 }
 
-/* go: a step of conjugate gradients with one sum (Chronopoulos and Gear 1989): p = v + beta p, s = w + beta s, x += alpha p,
-   r -= alpha s. */
-void go_at(__global const float *v, __global const float *w, __global float *r, __global float *x, __global float *p, __global float *s, float alpha,
-           float beta, int i)
+/* go: a step of conjugate gradients with one sum (Chronopoulos and Gear 1989): p = v + beta p, s = w + beta
+   s, x += alpha p, r -= alpha s. */
+void go_at(__global const float *v, __global const float *w, __global float *r, __global float *x,
+           __global float *p, __global float *s, float alpha, float beta, int i)
 {
   p[i] = v[i] + beta * p[i];
   s[i] = w[i] + beta * s[i];
@@ -928,7 +1028,9 @@ void go_at(__global const float *v, __global const float *w, __global float *r, 
   r[i] -= alpha * s[i];
 }
 
-__kernel void go(__global const float *v, __global const float *w, __global float *r, __global float *x, __global float *p, __global float *s, __global const long *totals, __global long *next_totals, __global const double *state, __global double *next,
+__kernel void go(__global const float *v, __global const float *w, __global float *r, __global float *x,
+                 __global float *p, __global float *s, __global const long *totals,
+                 __global long *next_totals, __global const double *state, __global double *next,
                  double fixed_, double exact, int pixels, int each)
 {
   const int g = get_global_id(0);
@@ -949,9 +1051,10 @@ __kernel void go(__global const float *v, __global const float *w, __global floa
       go_at(v, w, r, x, p, s, (float)turn.next[ALPHA], (float)turn.beta, i);
 }
 
-/* ready: the state and the totals before the first iteration; square and product: v v and r v. One work-item. */
-__kernel void ready(__global double *state, __global long *totals, double square, double product, double lambda_, double damping, double least, double fixed_,
-                    double exact, int most)
+/* ready: the state and the totals before the first iteration; square and product: v v and r v. One
+   work-item. */
+__kernel void ready(__global double *state, __global long *totals, double square, double product,
+                    double lambda_, double damping, double least, double fixed_, double exact, int most)
 {
   if (get_global_id(0) > 0)
     return;
@@ -968,14 +1071,18 @@ __kernel void ready(__global double *state, __global long *totals, double square
   state[LEAST] = least;
 }
 
-/* solve: product, curve, go, down and up until they stop, by one work-item: on a small grid a CPU takes longer to start a kernel
-   than to run it. 4 and 16: of the coarse grids. */
-__kernel void solve(__global const float *restrict light, __global const int *restrict held, __global const int *restrict first, __global const int *restrict second,
-                    __global const float *restrict near, __global const float *restrict far, __global const float *restrict gain,
-                    __global const float *restrict scale, __global const float *restrict scale_4, __global const float *restrict scale_16,
-                    __global const float *restrict is_free, __global const float *restrict is_free_4, __global long *restrict sum, __global float *restrict r, __global float *restrict r_4,
-                    __global float *restrict v, __global float *restrict v_4, __global float *restrict v_16, __global float *restrict w,
-                    __global float *restrict x, __global float *restrict p, __global float *restrict s, __global double *restrict state, double fixed_, double exact,
+/* solve: product, curve, go, down and up until they stop, by one work-item: on a small grid a CPU takes
+   longer to start a kernel than to run it. 4 and 16: of the coarse grids. */
+__kernel void solve(__global const float *restrict light, __global const int *restrict held,
+                    __global const int *restrict first, __global const int *restrict second,
+                    __global const float *restrict near, __global const float *restrict far,
+                    __global const float *restrict gain, __global const float *restrict scale,
+                    __global const float *restrict scale_4, __global const float *restrict scale_16,
+                    __global const float *restrict is_free, __global const float *restrict is_free_4,
+                    __global long *restrict sum, __global float *restrict r, __global float *restrict r_4,
+                    __global float *restrict v, __global float *restrict v_4, __global float *restrict v_16,
+                    __global float *restrict w, __global float *restrict x, __global float *restrict p,
+                    __global float *restrict s, __global double *restrict state, double fixed_, double exact,
                     int rows, int cols, int count)
 {
   const Links links = {light, held, first, second, near, far, count};
@@ -984,13 +1091,15 @@ __kernel void solve(__global const float *restrict light, __global const int *re
   if (get_global_id(0) > 0)
     return;
   while (state[LEFT] > 0) {
-    const float to = state[SCATTERED], unit = 1 / state[SCATTERED], lambda_ = state[LAMBDA], damping = state[DAMPING];
+    const float to = state[SCATTERED], unit = 1 / state[SCATTERED], lambda_ = state[LAMBDA],
+                damping = state[DAMPING];
     const double by_product = state[UNIT_RV], by_square = state[UNIT_VV];
     long3 total = 0;
     for (int i = 0; i < pixels; ++i)
       product_at(links, gain, v, sum, to, rows, cols, i, 1);
     for (int i = 0; i < pixels; ++i)
-      total += curve_at(r, v, scale, is_free, sum, w, unit, lambda_, damping, by_product, by_square, rows, cols, 1, i);
+      total += curve_at(r, v, scale, is_free, sum, w, unit, lambda_, damping, by_product, by_square, rows,
+                        cols, 1, i);
     const Turn turn = turn_of(state, total, fixed_, exact);
     for (int i = 0; i < STATE; ++i)
       state[i] = turn.next[i];
@@ -1014,8 +1123,8 @@ __kernel void solve(__global const float *restrict light, __global const int *re
 }
 
 /* move: to = z + x, within its bounds. */
-__kernel void move(__global const float *z, __global const float *x, __global const float *low, __global const float *high, __global float *to,
-                   int pixels, int each)
+__kernel void move(__global const float *z, __global const float *x, __global const float *low,
+                   __global const float *high, __global float *to, int pixels, int each)
 {
   const int g = get_global_id(0);
   for (int i = g * each; i < min(pixels, g * each + each); ++i)

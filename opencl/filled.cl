@@ -1,16 +1,19 @@
-/* Surface visibility that tests every crossing of a ray with a grid line of either axis, not only the lattice nodes.
+/* Surface visibility that tests every crossing of a ray with a grid line of either axis, not only the lattice
+nodes.
 
-scan_filled: as scan, and between a node and the next one towards the source the depths of the crossings, linear between
-two nodes, lower the ceiling too. All depths are multiplied by the walk's `parts`, so that whole layers stay exact.
+scan_filled: as scan, and between a node and the next one towards the source the depths of the crossings,
+linear between two nodes, lower the ceiling too. All depths are multiplied by the walk's `parts`, so that
+whole layers stay exact.
 
   maps, walks, lap, planes, map_rows, map_cols, room, lap_lines, periodic  as in scan
   rise       (walks, BITS)  float  [length x parts] per step
-  crossings  (n, 8)         int    x, y of a node, x, y to the next node on that line, the weights of both, when, parts
+  crossings  (n, 8)         int    x, y of a node, x, y to the next node on that line, the weights of both,
+                                   when, parts
   climbs     (n, BITS)      float  [length x parts] what the ray climbs until the crossing
   spans      (walks, 2)     int    first crossing of a walk and how many; the last is the lattice node itself
 
-A crossing with a masked end, or off the map, does not block. Work-item (g, w) owns LANES adjacent lines of walk w.
-Twin of warp_kernels/filled.py. */
+A crossing with a masked end, or off the map, does not block. Work-item (g, w) owns LANES adjacent lines of
+walk w. Twin of warp_kernels/filled.py. */
 #include "lanes.h"
 
 /* Depth of a node; +inf off a map that does not repeat. */
@@ -24,9 +27,9 @@ float depth_at(__global const float *depth, int x, int y, int rows, int cols, in
 }
 
 __kernel void scan_filled(__global const float *maps, __global const int *walks, __global const float *rise,
-                          __global const float *lap, __global const int *crossings, __global const float *climbs,
-                          __global const int *spans, __global uchar *planes, int map_rows, int map_cols, int room,
-                          int lap_lines, int periodic)
+                          __global const float *lap, __global const int *crossings,
+                          __global const float *climbs, __global const int *spans, __global uchar *planes,
+                          int map_rows, int map_cols, int room, int lap_lines, int periodic)
 {
   const int w = get_global_id(1), turned = walks[8 * w + 6];
   const int rows = turned ? map_cols : map_rows, cols = turned ? map_rows : map_cols;
@@ -76,7 +79,8 @@ __kernel void scan_filled(__global const float *maps, __global const int *walks,
         for (int l = 0; l < LANES; ++l) {
           const float near = depth_at(depth, (x + l) % cols + at[0], ny, rows, cols, periodic);
           const float far = depth_at(depth, (x + l) % cols + at[0] + at[2], fy, rows, cols, periodic);
-          ((float *)&ground)[l] = near < INFINITY && far < INFINITY ? parts * near + w_far * (far - near) : INFINITY;
+          ((float *)&ground)[l] =
+              near < INFINITY && far < INFINITY ? parts * near + w_far * (far - near) : INFINITY;
         }
       for (int b = 0; b < BITS; ++b) {
         const floats limit = ground + climbs[BITS * c + b];

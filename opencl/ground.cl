@@ -1,9 +1,9 @@
-/* What sweeps need besides: slopes of a padded map, a map turned, sums as irradiance, and how far that is off. Twin of
-warp_kernels/ground.py. */
+/* What sweeps need besides: slopes of a padded map, a map turned, sums as irradiance, and how far that is
+off. Twin of warp_kernels/ground.py. */
 #include "lanes.h"
 
-/* tilt: d depth/dx and d depth/dy of a padded map, by central differences; one-sided at the border and beside masked
-nodes, 0 where alone or masked.
+/* tilt: d depth/dx and d depth/dy of a padded map, by central differences; one-sided at the border and beside
+masked nodes, 0 where alone or masked.
 
   heights  (room)     float  [spacing]  as for sweep
   tilts    (2, room)  float  [1]        out
@@ -16,7 +16,8 @@ float difference(__global const float *heights, int here, int low, int high)
   return (heights[low] - heights[high]) * (low == here || high == here ? 1.0f : 0.5f);
 }
 
-__kernel void tilt(__global const float *heights, __global float *tilts, int rows, int cols, int margin, int room, int periodic)
+__kernel void tilt(__global const float *heights, __global float *tilts, int rows, int cols, int margin,
+                   int room, int periodic)
 {
   const int stride = cols + 2 * margin;
   int x = (int)get_global_id(0) - margin, y = (int)get_global_id(1) - margin;
@@ -27,12 +28,15 @@ __kernel void tilt(__global const float *heights, __global float *tilts, int row
     x = (x % cols + cols) % cols;
     y = (y % rows + rows) % rows;
   }
-  const int p = (y + margin) * stride + margin + x, known = x >= 0 && x < cols && y >= 0 && y < rows && heights[p] > NONE;
+  const int p = (y + margin) * stride + margin + x,
+            known = x >= 0 && x < cols && y >= 0 && y < rows && heights[p] > NONE;
   tilts[at] = known ? difference(heights, p, p - (x > 0), p + (x < cols - 1)) : 0.0f;
-  tilts[room + at] = known ? difference(heights, p, p - (y > 0 ? stride : 0), p + (y < rows - 1 ? stride : 0)) : 0.0f;
+  tilts[room + at] =
+      known ? difference(heights, p, p - (y > 0 ? stride : 0), p + (y < rows - 1 ? stride : 0)) : 0.0f;
 }
 
-/* turn: a map (rows, cols) and the same turned, (cols, rows). Work-item (x, y) owns one node of the turned map. */
+/* turn: a map (rows, cols) and the same turned, (cols, rows). Work-item (x, y) owns one node of the turned
+   map. */
 __kernel void turn(__global const float *map, __global float *turned, int rows, int cols)
 {
   const int x = get_global_id(0), y = get_global_id(1);
@@ -40,9 +44,10 @@ __kernel void turn(__global const float *map, __global float *turned, int rows, 
     turned[y * rows + x] = map[x * cols + y];
 }
 
-/* gather: the sums of both maps, (rows, cols) and (cols, rows), as irradiance [unit]. Work-item (x, y) owns one node. */
-__kernel void gather(__global const int *sum, __global const int *turned, __global float *irradiance, int rows, int cols,
-                     float unit)
+/* gather: the sums of both maps, (rows, cols) and (cols, rows), as irradiance [unit]. Work-item (x, y) owns
+   one node. */
+__kernel void gather(__global const int *sum, __global const int *turned, __global float *irradiance,
+                     int rows, int cols, float unit)
 {
   const int x = get_global_id(0), y = get_global_id(1);
   if (x < cols && y < rows)
@@ -52,23 +57,26 @@ __kernel void gather(__global const int *sum, __global const int *turned, __glob
 /* correct: irradiance += unit x table, by normal.
 
   tilts       (2, room)      float  [1]                  gx and gy, as tilt makes them
-  table       (side, side)   float  [irradiance / unit]  at v (row) and u (column), and bilinear between:
-                                    u = (gx up / (1 + up) + 1) (side - 1) / 2, v so with gy, up = 1 / sqrt(1 + gx^2 + gy^2)
+  table       (side, side)   float  [irradiance / unit]  at v (row) and u (column), and bilinear between: u =
+                                                         (gx up / (1 + up) + 1) (side - 1) / 2, v so with gy,
+                                                         up = 1 / sqrt(1 + gx^2 + gy^2)
   irradiance  (rows x cols)  float  in and out
 
 side >= 2. Work-item (x, y) owns one node; a masked one is as if level. */
-__kernel void correct(__global const float *tilts, __global const float *table, __global float *irradiance, int rows, int cols,
-                      int margin, int room, int side, float unit)
+__kernel void correct(__global const float *tilts, __global const float *table, __global float *irradiance,
+                      int rows, int cols, int margin, int room, int side, float unit)
 {
   const int x = get_global_id(0), y = get_global_id(1);
   if (x >= cols || y >= rows)
     return;
   const int at = (y + margin) * (cols + 2 * margin) + margin + x;
   const float gx = tilts[at], gy = tilts[room + at], up = 1.0f / sqrt(1.0f + gx * gx + gy * gy);
-  const float u = (gx * up / (1.0f + up) + 1.0f) * 0.5f * (float)(side - 1), v = (gy * up / (1.0f + up) + 1.0f) * 0.5f * (float)(side - 1);
+  const float u = (gx * up / (1.0f + up) + 1.0f) * 0.5f * (float)(side - 1),
+              v = (gy * up / (1.0f + up) + 1.0f) * 0.5f * (float)(side - 1);
   const int i = clamp((int)u, 0, side - 2), j = clamp((int)v, 0, side - 2);
   __global const float *cell = table + j * side + i;
-  const float low = cell[0] + (u - i) * (cell[1] - cell[0]), high = cell[side] + (u - i) * (cell[side + 1] - cell[side]);
+  const float low = cell[0] + (u - i) * (cell[1] - cell[0]),
+              high = cell[side] + (u - i) * (cell[side + 1] - cell[side]);
   irradiance[y * cols + x] += unit * (low + (v - j) * (high - low));
 }
 
@@ -92,13 +100,15 @@ __kernel void halves(__global float *a, __global float *b, int count)
 
   heights  (room)             float  [spacing]  as for sweep; a node is valid where > -1e29
   image    (rows x cols)      float
-  half     (rows x cols)      float  [image]    half a difference, as halves makes it; half_ here, since half is a type
-  found    (5, blocks, cols)  float  out: sum of image, sum of half^2, and numbers of nodes that are valid, whose image is
-                              > 0, and whose |half| is > limit; blocks = ceil(rows / block)
+  half     (rows x cols)      float  [image]    half a difference, as halves makes it; half_ here, since half
+                                                is a type
+  found    (5, blocks, cols)  float  out: sum of image, sum of half^2, and numbers of nodes that are valid,
+                                     whose image is > 0, and whose |half| is > limit; blocks = ceil(rows /
+                                     block)
 
 Work-item (x, b) owns column x of rows b block .. min((b + 1) block, rows) - 1, summed in this order. */
-__kernel void judge(__global const float *heights, __global const float *image, __global const float *half_, __global float *found,
-                    int rows, int cols, int margin, int block, float limit)
+__kernel void judge(__global const float *heights, __global const float *image, __global const float *half_,
+                    __global float *found, int rows, int cols, int margin, int block, float limit)
 {
   const int x = get_global_id(0), b = get_global_id(1), blocks = (rows + block - 1) / block;
   if (x >= cols || b >= blocks)

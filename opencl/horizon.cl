@@ -1,35 +1,44 @@
 /* Horizons, and the light of a sky above them, by sweeps along lines that pass the map in one azimuth.
 
-The horizon's slope at a node is the largest (height - own height) / distance over every crossing of the azimuth's
-vertical plane with a row or column of the grid. Nearer than NEAR rows all crossings are tested, exactly. Farther away a
-line that passes within half a node carries, for each slope s of a ladder, the crossing that stands highest above a ray of
-that slope, max (height - s distance), as one integer: quantized height above the ray, and the distance in its lowest
-bits. The two steps of the ladder between which the node's own height lies give the two crossings between which the
-true one lies; both, and a column crossing beside each, are then looked up on the node's own ray, exactly.
+The horizon's slope at a node is the largest (height - own height) / distance over every crossing of the
+azimuth's vertical plane with a row or column of the grid. Nearer than NEAR rows all crossings are tested,
+exactly. Farther away a line that passes within half a node carries, for each slope s of a ladder, the
+crossing that stands highest above a ray of that slope, max (height - s distance), as one integer: quantized
+height above the ray, and the distance in its lowest bits. The two steps of the ladder between which the
+node's own height lies give the two crossings between which the true one lies; both, and a column crossing
+beside each, are then looked up on the node's own ray, exactly.
 
-The map is seen so that rays go from row to row: azimuths nearer to the columns' direction belong to the turned map.
+The map is seen so that rays go from row to row: azimuths nearer to the columns' direction belong to the
+turned map.
 
-  heights      (room)          float  [spacing]  the padded map, (rows + 2 margin, cols + 2 margin); -1e30 outside, -2e30 masked
+  heights      (room)          float  [spacing]  the padded map, (rows + 2 margin, cols + 2 margin); -1e30
+                                                 outside, -2e30 masked
   tilts        (2, room)       float  [1]        d depth/dx and d depth/dy, padded likewise
-  azimuths     (count, 8)      float  columns per row towards the source, cosine and sine of the azimuth in this map, the
-                                      slope's unit (rows per spacing), width [rad x unit of the sum], 1 / |columns per
-                                      row| or 1e9, reach [rows], 0
-  ways         (count, 8)      int    1 if the source lies towards row 0, else -1; near rows; near columns; rows before the
-                                      first from which a map that repeats is swept; window [rows]; 0, 0, 0
-  near_at      (count, NEAR + NEAR_COLUMNS, 2) int  the first node of each near row (column) crossing: columns on, rows on
+  azimuths     (count, 8)      float  columns per row towards the source, cosine and sine of the azimuth in
+                                      this map, the slope's unit (rows per spacing), width [rad x unit of the
+                                      sum], 1 / |columns per row| or 1e9, reach [rows], 0
+  ways         (count, 8)      int    1 if the source lies towards row 0, else -1; near rows; near columns;
+                                      rows before the first from which a map that repeats is swept; window
+                                      [rows]; 0, 0, 0
+  near_at      (count, NEAR + NEAR_COLUMNS, 2) int  the first node of each near row (column) crossing: columns
+                                                    on, rows on
   near_weight  likewise        float  weight of the farther node of each
   table        (count, knots)  float4 brightness: integrals over elevation of B cos^2 and B sin cos from
-                                      sin(elevation) = i / (knots - 1) to the zenith, and what to add up to the next knot
+                               sin(elevation) = i / (knots - 1) to the zenith, and what to add up to the next
+                               knot
   slopes       (count, rows x cols) float  in, out: horizon slopes [1]
-  sum          (rows x cols)   int    in, out: irradiance in fixed point, so that no order of summation matters
-  steps, rises                        the ladder: (s << bits) - 1, and s times the distance at which a crossing comes in
+  sum          (rows x cols)   int    in, out: irradiance in fixed point, so that no order of summation
+                                      matters
+  steps, rises                        the ladder: (s << bits) - 1, and s times the distance at which a
+                                      crossing comes in
 
-WHAT: SLOPES writes slopes, UNIFORM adds the light of a uniform sky, TABLE that of `table`. SIDES: OPEN, DARK or PERIODIC.
-known: slopes holds what is known already. BLOCKS: the window is not endless. backward: rows at the far end of the window
-come in, and blocks of one window are swept from the last row to the first; with a forward sweep by blocks it covers exactly
-one window before every node.
-Work-item (j, k, g) owns LANES adjacent lines of azimuth k, or STRIPS times as many on a CPU; long lines start first. On a GPU
-the LINES work-items of a group keep the rows about them in local memory (TILED). Twin of warp_kernels/horizon.py. */
+WHAT: SLOPES writes slopes, UNIFORM adds the light of a uniform sky, TABLE that of `table`. SIDES: OPEN, DARK
+or PERIODIC. known: slopes holds what is known already. BLOCKS: the window is not endless. backward: rows at
+the far end of the window come in, and blocks of one window are swept from the last row to the first; with a
+forward sweep by blocks it covers exactly one window before every node.
+Work-item (j, k, g) owns LANES adjacent lines of azimuth k, or STRIPS times as many on a CPU; long lines start
+first. On a GPU the LINES work-items of a group keep the rows about them in local memory (TILED). Twin of
+warp_kernels/horizon.py. */
 #include "lanes.h"
 #define TILED (!ON_CPU && !BLOCKS && SIDES != PERIODIC)
 #define PITCH (LINES + TILE_ROWS + NEAR + 8)
@@ -44,7 +53,9 @@ the LINES work-items of a group keep the rows about them in local memory (TILED)
 #else
 #define TO_FLOATS JOIN(convert_float, LANES)
 #define COUNT (ints)(0, 1, 2, 3, 4, 5, 6, 7)
-#define PICK(p, i) ((floats)((p)[(i).s0], (p)[(i).s1], (p)[(i).s2], (p)[(i).s3], (p)[(i).s4], (p)[(i).s5], (p)[(i).s6], (p)[(i).s7]))
+#define PICK(p, i)                                                                                           \
+  ((floats)((p)[(i).s0], (p)[(i).s1], (p)[(i).s2], (p)[(i).s3], (p)[(i).s4], (p)[(i).s5], (p)[(i).s6],       \
+            (p)[(i).s7]))
 #define LANE(type, v, l) ((type *)&v)[l]
 #endif
 #if ON_CPU /* PoCL calls its vector builtins; these go inline */
@@ -62,7 +73,8 @@ typedef struct __attribute__((packed)) { ints v; } loose_ints;
 #define READ(offset, pointer) LOAD(offset, pointer)
 #define MORE(a, b) fmax(a, b)
 #define FMA(a, b, c) fma(a, b, c)
-#define ORDER(g, groups) ((g) & 1 ? (groups) / 2 - ((g) + 1) / 2 : (groups) / 2 + (g) / 2) /* the longest first */
+/* the longest first */
+#define ORDER(g, groups) ((g) & 1 ? (groups) / 2 - ((g) + 1) / 2 : (groups) / 2 + (g) / 2)
 #define RECIPROCAL(v) native_recip(v)
 #define RECIPROCAL_ROOT(v) native_rsqrt(v)
 #define ADD(to, value) atomic_add(to, value)
@@ -97,7 +109,8 @@ floats arctan(floats v)
   return v > 1 ? HALF_PI - p * r : p * r;
 }
 
-/* Where the node dx columns and dy rows beside the nodes at p, (x, y), lies: on a map that repeats, round its sides. */
+/* Where the node dx columns and dy rows beside the nodes at p, (x, y), lies: on a map that repeats, round its
+   sides. */
 ints beside_of(int p, int x, int y, ints dx, ints dy, int rows, int cols, int margin)
 {
   if (SIDES != PERIODIC)
@@ -120,7 +133,8 @@ int column_of(int x, int line, int l, int cols)
 ints look(floats a, floats b, float weight, float lowest, float unit, int bits, int distance)
 {
   floats ground = a + weight * (b - a);
-  ground = a == NONE ? b : b == NONE ? a : ground; /* beside the map the border goes on; a masked node is a gap */
+  /* beside the map the border goes on; a masked node is a gap */
+  ground = a == NONE ? b : b == NONE ? a : ground;
   const ints seen = (TO_INTS(higher(ground - lowest, 0.0f) * unit) << bits) | distance;
   return ground < -1e20f ? (ints)UNSEEN : seen;
 }
@@ -136,15 +150,17 @@ int leaves(int line, int count, float shear, float reciprocal, int rows, int col
 }
 
 /* Slope to where a ray crosses the grid line between nodes i and j, at a distance. */
-floats rise(__global const float *heights, ints i, ints j, floats weight, floats distance, float reach, floats own)
+floats rise(__global const float *heights, ints i, ints j, floats weight, floats distance, float reach,
+            floats own)
 {
-  const floats a = PICK(heights, i), b = PICK(heights, j), slope = FMA(weight, b - a, a - own) * RECIPROCAL(distance);
+  const floats a = PICK(heights, i), b = PICK(heights, j),
+               slope = FMA(weight, b - a, a - own) * RECIPROCAL(distance);
   return BLOCKS ? distance <= reach ? slope : NONE : slope;
 }
 
 /* The crossing with the row t rows on of the ray of the node at column x, row y. */
-floats on_row(__global const float *heights, floats own, int p, int x, int y, ints t, float shear, float reach, int towards, int rows,
-              int cols, int margin)
+floats on_row(__global const float *heights, floats own, int p, int x, int y, ints t, float shear,
+              float reach, int towards, int rows, int cols, int margin)
 {
   const floats distance = TO_FLOATS(t), across = shear * distance;
   ints n = TO_INTS(across);
@@ -154,8 +170,8 @@ floats on_row(__global const float *heights, floats own, int p, int x, int y, in
 }
 
 /* The crossing with the column m columns on, which counts if it is within reach. */
-floats on_column(__global const float *heights, floats own, int p, int x, int y, int u, ints m, float shear, float reciprocal, float reach,
-                 int towards, int rows, int cols, int margin)
+floats on_column(__global const float *heights, floats own, int p, int x, int y, int u, ints m, float shear,
+                 float reciprocal, float reach, int towards, int rows, int cols, int margin)
 {
   const floats distance = TO_FLOATS(m) * reciprocal;
   const ints n = TO_INTS(distance), before = SIDES == PERIODIC ? n : less(n, u + 1);
@@ -163,27 +179,31 @@ floats on_column(__global const float *heights, floats own, int p, int x, int y,
   return rise(heights, at, at - towards * (cols + 2 * margin), distance - TO_FLOATS(n), distance, reach, own);
 }
 
-__kernel void sweep(__global const float *restrict heights, __global const float *restrict tilts, __constant float *azimuths,
-                    __constant int *ways, __constant int *near_at, __constant float *near_weight,
-                    __global const float4 *restrict table, __global float *restrict slopes, __global int *restrict sum,
-                    const Ladder steps, const Ladder rises, int first, int group, int rows, int cols, int margin,
-                    int room, int knots, int bits, float lowest, float unit, int known, int backward)
+__kernel void sweep(__global const float *restrict heights, __global const float *restrict tilts,
+                    __constant float *azimuths, __constant int *ways, __constant int *near_at,
+                    __constant float *near_weight, __global const float4 *restrict table,
+                    __global float *restrict slopes, __global int *restrict sum, const Ladder steps,
+                    const Ladder rises, int first, int group, int rows, int cols, int margin, int room,
+                    int knots, int bits, float lowest, float unit, int known, int backward)
 {
   const int k = get_group_id(1) + first, g = get_global_id(2);
   const float shear = azimuths[8 * k], cosine = azimuths[8 * k + 1], sine = azimuths[8 * k + 2];
   const float tangent = azimuths[8 * k + 3], width = azimuths[8 * k + 4], reciprocal = azimuths[8 * k + 5];
   const float reach = azimuths[8 * k + 6], steepness = fabs(shear);
-  const int towards = ways[8 * k], near_rows = ways[8 * k + 1], near_columns = ways[8 * k + 2], warm = ways[8 * k + 3];
+  const int towards = ways[8 * k], near_rows = ways[8 * k + 1], near_columns = ways[8 * k + 2],
+            warm = ways[8 * k + 3];
   const int window = ways[8 * k + 4];
 
   const int stride = cols + 2 * margin, back = TILED ? -PITCH : -towards * stride, mask = (1 << bits) - 1;
 
   /* 1. which lines, the longest first, and from which row to which they are on the map */
-  const int overhang = SIDES == PERIODIC ? 0 : (int)(steepness * rows) + 1, beyond = cols + (shear > 0 ? overhang : 0);
+  const int overhang = SIDES == PERIODIC ? 0 : (int)(steepness * rows) + 1,
+            beyond = cols + (shear > 0 ? overhang : 0);
   const int groups = (cols + overhang + ACROSS * group - 1) / (ACROSS * group);
   if (g >= groups)
     return;
-  const int first_line = ORDER(g, groups) * group * ACROSS - (shear < 0 ? overhang : 0), line = first_line + (int)get_local_id(0) * ACROSS;
+  const int first_line = ORDER(g, groups) * group * ACROSS - (shear < 0 ? overhang : 0),
+            line = first_line + (int)get_local_id(0) * ACROSS;
   if (!TILED && line >= beyond)
     return;
   int start = -warm, stop = rows;
@@ -238,17 +258,22 @@ __kernel void sweep(__global const float *restrict heights, __global const float
     }
     const int on_line = u >= max(start, 0) && u < stop;
     const int y = towards > 0 ? u : rows - 1 - u, shift = (int)floor(0.5f - shear * u);
-    const int comes = u - comes_at, arrives = (SIDES == PERIODIC || comes >= start && comes < stop) && (!BLOCKS || backward || into > NEAR);
+    const int comes = u - comes_at, arrives = (SIDES == PERIODIC || comes >= start && comes < stop) &&
+                                              (!BLOCKS || backward || into > NEAR);
     const float across = -shear * comes;
     const int column = (int)floor(across), came = SIDES == PERIODIC ? (comes % rows + rows) % rows : comes;
     const int from_row = ((towards > 0 ? came : rows - 1 - came) + margin) * stride + margin;
 #if TILED
     if ((i - from) % TILE_ROWS == 0) { /* TILE_ROWS rows, and those before them that are near or come in */
-      const int first_row = i - NEAR - 1, left = first_line + (int)floor(0.5f - shear * (shear > 0 ? i + TILE_ROWS - 1 : first_row)) - 2;
+      const int first_row = i - NEAR - 1,
+                left =
+                    first_line + (int)floor(0.5f - shear * (shear > 0 ? i + TILE_ROWS - 1 : first_row)) - 2;
       barrier(CLK_LOCAL_MEM_FENCE);
       for (int e = get_local_id(0); e < (TILE_ROWS + NEAR + 1) * PITCH; e += LINES) {
         const int r = first_row + e / PITCH, c = min(max(left + e % PITCH, -margin), cols + margin - 1);
-        tile[e] = heights[(min(max(towards > 0 ? r : rows - 1 - r, -margin), rows + margin - 1) + margin) * stride + margin + c];
+        tile[e] =
+            heights[(min(max(towards > 0 ? r : rows - 1 - r, -margin), rows + margin - 1) + margin) * stride +
+                    margin + c];
       }
       barrier(CLK_LOCAL_MEM_FENCE);
       here = tile - (first_row * PITCH + left);
@@ -280,7 +305,8 @@ __kernel void sweep(__global const float *restrict heights, __global const float
       /* 4. LANES neighbours from column x: every near crossing */
       const int p = (y + margin) * stride + margin + x;
       const floats own = NODE(0);
-      const floats gx = WHAT == SLOPES ? 0 : READ(p, tilts), gy = WHAT == SLOPES ? 0 : READ(room + p, tilts); /* asked for early */
+      /* asked for early */
+      const floats gx = WHAT == SLOPES ? 0 : READ(p, tilts), gy = WHAT == SLOPES ? 0 : READ(room + p, tilts);
       floats near = NONE, beside = NONE;
       for (int e = 0; e < NEAR; ++e) {
         const floats a = NODE(row_at[e]), b = NODE(row_at[e] + 1);
@@ -294,13 +320,16 @@ __kernel void sweep(__global const float *restrict heights, __global const float
       }
       floats slope = higher(near, beside * max(steepness, 1e-6f));
 
-      /* 5. the two steps of the ladder between which the node lies, by bisection; above[s] is rise[s] too high */
+      /* 5. the two steps of the ladder between which the node lies, by bisection; above[s] is rise[s] too
+         high */
       const ints level = TO_INTS(higher(own - lowest, 0.0f) * unit) << bits;
       ints low[8], test = above[8] >= level + rises.s[8], lower, upper = test ? above[15] : above[8];
       for (int s = 0; s < 8; ++s)
         low[s] = test ? above[8 + s] : above[s];
-      ints r1 = test ? (ints)rises.s[9] : (ints)rises.s[1], r2 = test ? (ints)rises.s[10] : (ints)rises.s[2], r3 = test ? (ints)rises.s[11] : (ints)rises.s[3];
-      ints r4 = test ? (ints)rises.s[12] : (ints)rises.s[4], r5 = test ? (ints)rises.s[13] : (ints)rises.s[5], r6 = test ? (ints)rises.s[14] : (ints)rises.s[6];
+      ints r1 = test ? (ints)rises.s[9] : (ints)rises.s[1], r2 = test ? (ints)rises.s[10] : (ints)rises.s[2],
+           r3 = test ? (ints)rises.s[11] : (ints)rises.s[3];
+      ints r4 = test ? (ints)rises.s[12] : (ints)rises.s[4], r5 = test ? (ints)rises.s[13] : (ints)rises.s[5],
+           r6 = test ? (ints)rises.s[14] : (ints)rises.s[6];
       ints r7 = test ? (ints)rises.s[15] : (ints)rises.s[7];
       test = low[4] >= level + r4;
       upper = test ? upper : low[4];
@@ -332,8 +361,10 @@ __kernel void sweep(__global const float *restrict heights, __global const float
       /* 7. and the column crossings beside them: the nearer one's before, the farther one's behind */
       if (reciprocal < 1e8f) {
         const ints before = TO_INTS(steepness * TO_FLOATS(t1)), m1 = more(before, 1), m2 = before + 1;
-        far = higher(far, higher(on_column(heights, own, p, x, y, u, m1, shear, reciprocal, reach, towards, rows, cols, margin),
-                                 on_column(heights, own, p, x, y, u, m2, shear, reciprocal, reach, towards, rows, cols, margin)));
+        far = higher(far, higher(on_column(heights, own, p, x, y, u, m1, shear, reciprocal, reach, towards,
+                                           rows, cols, margin),
+                                 on_column(heights, own, p, x, y, u, m2, shear, reciprocal, reach, towards,
+                                           rows, cols, margin)));
       }
       slope = higher(slope, far);
       if (BLOCKS) { /* downhill the end of the window is the horizon */
@@ -341,12 +372,14 @@ __kernel void sweep(__global const float *restrict heights, __global const float
         if (reciprocal < 1e8f) {
           ints m = (int)(steepness * min(reach, (float)(u + warm)));
           m = SIDES == PERIODIC ? m : less(m, shear > 0 ? cols - 1 - xs : xs);
-          slope = higher(slope, on_column(heights, own, p, x, y, u, more(m, 1), shear, reciprocal, reach, towards, rows, cols, margin));
+          slope = higher(slope, on_column(heights, own, p, x, y, u, more(m, 1), shear, reciprocal, reach,
+                                          towards, rows, cols, margin));
         }
       }
       slope *= tangent;
       if (SIDES == DARK) { /* a wall half a node outside, up to height 0 */
-        const floats wall = TO_FLOATS(shear > 0 ? 2 * (cols - xs) - 1 : 2 * xs + 1) * (0.5f * reciprocal), ahead = u + 0.5f;
+        const floats wall = TO_FLOATS(shear > 0 ? 2 * (cols - xs) - 1 : 2 * xs + 1) * (0.5f * reciprocal),
+                     ahead = u + 0.5f;
         slope = higher(slope, -own * tangent / (wall < ahead ? wall : ahead));
       }
       __global float *plane = slopes + ((size_t)get_group_id(1) * rows + y) * cols;

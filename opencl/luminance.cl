@@ -1,6 +1,7 @@
 /* The sum of brightness x cosine x solid angle over the visible directions (Eq. 3).
 
-gradient: dz/dx and dz/dy by central differences, one-sided at the border and beside masked nodes, 0 where alone.
+gradient: dz/dx and dz/dy by central differences, one-sided at the border and beside masked nodes, 0 where
+alone.
 
   depth   (rows, cols)  float [length]  +inf where masked
   slopes  (2, room)     float [1]       out: dz/dx, dz/dy; room: pixels rounded up for whole vectors
@@ -19,8 +20,8 @@ float difference(__global const float *depth, size_t here, size_t low, size_t hi
   return low == here && high == here ? 0.0f : rise * (low == here || high == here ? one : half_);
 }
 
-__kernel void gradient(__global const float *depth, __global float *slopes, int rows, int cols, int room, float half_,
-                       float one)
+__kernel void gradient(__global const float *depth, __global float *slopes, int rows, int cols, int room,
+                       float half_, float one)
 {
   const int x = get_global_id(0), y = get_global_id(1);
   if (x >= cols || y >= rows)
@@ -28,19 +29,24 @@ __kernel void gradient(__global const float *depth, __global float *slopes, int 
   const size_t p = (size_t)y * cols + x;
   const int known = !isinf(depth[p]);
   slopes[p] = known ? difference(depth, p, p - (x > 0), p + (x < cols - 1), half_, one) : 0.0f;
-  slopes[room + p] = known ? difference(depth, p, y > 0 ? p - cols : p, y < rows - 1 ? p + cols : p, half_, one) : 0.0f;
+  slopes[room + p] =
+      known ? difference(depth, p, y > 0 ? p - cols : p, y < rows - 1 ? p + cols : p, half_, one) : 0.0f;
 }
 
-/* luminance: irradiance += sum over set bits of max(0, N . moment) x brightness; the moments come multiplied by it.
+/* luminance: irradiance += sum over set bits of max(0, N . moment) x brightness; the moments come multiplied
+by it.
 
   planes      (walks, room)       uchar
   slopes      (2, room)           float
   moments     (walks, BITS, 4)    float  [sr x brightness]  x, y, z, 0
-  irradiance  (room)              float  in, out: the sum x |(dz/dx, dz/dy, -1)|, and after the last group the sum itself
+  irradiance  (room)              float  in, out: the sum x |(dz/dx, dz/dy, -1)|, and after the last group the
+                                         sum itself
 
-Work-item g owns pixels LANES g to LANES g + LANES - 1. Order of summation: walks, within a walk elevations. */
-__kernel void luminance(__global const uchars *planes, __global const floats *slopes, __global const float4 *moments,
-                        __global floats *irradiance, int pixels, int room, int n_walks, int is_first, int is_last)
+Work-item g owns pixels LANES g to LANES g + LANES - 1. Order of summation: walks, within a walk
+elevations. */
+__kernel void luminance(__global const uchars *planes, __global const floats *slopes,
+                        __global const float4 *moments, __global floats *irradiance, int pixels, int room,
+                        int n_walks, int is_first, int is_last)
 {
   const size_t g = get_global_id(0), groups = room / LANES;
   if (g >= groups)

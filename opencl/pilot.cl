@@ -1,13 +1,15 @@
-/* Horizons along single rays, exactly: what a plan is measured against; a map in blocks, for them; and values picked.
+/* Horizons along single rays, exactly: what a plan is measured against; a map in blocks, for them; and values
+picked.
 
-pilot: the slope found is the largest (height - own height) / distance over every crossing of the ray's vertical plane with a row
-or a column of the grid, from `least` >= 0 on. Square blocks whose highest node stays below the line so far are left as a
-whole.
+pilot: the slope found is the largest (height - own height) / distance over every crossing of the ray's
+vertical plane with a row or a column of the grid, from `least` >= 0 on. Square blocks whose highest node
+stays below the line so far are left as a whole.
 
   heights  (rows, cols)   float  [spacing]  -1e30 where masked
-  tops     (.., across)   float  [spacing]  highest node of every block of 2^shift x 2^shift nodes, and of the row and column after
-  rays     (count, 8)     float  column, row, cosine and sine of the azimuth, least; along, up, limit: a point t away with
-                                 slope s stands before the source iff t (along + s up) < limit
+  tops     (.., across)   float  [spacing]  highest node of every block of 2^shift x 2^shift nodes, and of the
+                                            row and column after
+  rays     (count, 8)     float  column, row, cosine and sine of the azimuth, least; along, up, limit: a point
+                                 t away with slope s stands before the source iff t (along + s up) < limit
   slopes   (count)        float  out
 
 reach [spacing]: as far as is looked. Work-item n owns a ray. Twin of warp_kernels/pilot.py. */
@@ -21,8 +23,9 @@ int steps_out(float at, float move, int low, int high)
   return (int)min(move > 0 ? (high - at) / move : (at - low) / -move, 1e9f) + 1;
 }
 
-__kernel void pilot(__global const float *heights, __global const float *tops, __global const float *rays, __global float *slopes,
-                    int count, int rows, int cols, int across, int shift, int periodic, float highest, float reach)
+__kernel void pilot(__global const float *heights, __global const float *tops, __global const float *rays,
+                    __global float *slopes, int count, int rows, int cols, int across, int shift,
+                    int periodic, float highest, float reach)
 {
   const int number = get_global_id(0);
   if (number >= count)
@@ -36,7 +39,8 @@ __kernel void pilot(__global const float *heights, __global const float *tops, _
     const float to = by_rows ? ray[3] : ray[2], aside = by_rows ? ray[2] : ray[3];
     if (fabs(to) < 1e-6f)
       continue;
-    const int start = by_rows ? y : x, length = by_rows ? rows : cols, from = by_rows ? x : y, width = by_rows ? cols : rows;
+    const int start = by_rows ? y : x, length = by_rows ? rows : cols, from = by_rows ? x : y,
+              width = by_rows ? cols : rows;
     const int way = to > 0 ? 1 : -1;
     const float apart = 1 / fabs(to), move = aside * apart;
     int n = 1;
@@ -65,7 +69,8 @@ __kernel void pilot(__global const float *heights, __global const float *tops, _
       }
       /* 3. or the ground there */
       const int next = low + 1 < width ? low + 1 : periodic ? 0 : low;
-      const float near = heights[by_rows ? at * cols + low : low * cols + at], far = heights[by_rows ? at * cols + next : next * cols + at];
+      const float near = heights[by_rows ? at * cols + low : low * cols + at],
+                  far = heights[by_rows ? at * cols + next : next * cols + at];
       const float tangent = (near + part * (far - near) - own) / t;
       if (tangent > slope && t * (along + tangent * up) < limit)
         slope = tangent;
@@ -75,20 +80,20 @@ __kernel void pilot(__global const float *heights, __global const float *tops, _
   slopes[number] = slope;
 }
 
-/* pool: of every square block of 2^shift x 2^shift nodes the highest node, with the row and the column after it; the lowest
-node; and how many steps are cliffs.
+/* pool: of every square block of 2^shift x 2^shift nodes the highest node, with the row and the column after
+it; the lowest node; and how many steps are cliffs.
 
   heights  (rows, cols)       float  [spacing]  <= -1e29 where masked
   found    (3, down, across)  float  [spacing], [spacing], [1]  out
-    [0]  highest valid node of the block, of the row and the column after it and of the node where these meet: round the map
-         where that is periodic, else as far as it goes; -1e30 if there is none
+    [0]  highest valid node of the block, of the row and the column after it and of the node where these meet:
+         round the map where that is periodic, else as far as it goes; -1e30 if there is none
     [1]  lowest valid node of the block itself; 1e30 if there is none
-    [2]  steps from a valid node of the block to its right and to its lower neighbour, valid and on the map (never round it),
-         that rise or fall by more than cliff
+    [2]  steps from a valid node of the block to its right and to its lower neighbour, valid and on the map
+         (never round it), that rise or fall by more than cliff
 
 Work-item (bx, by) owns one block; its nodes along rows, from its first on. */
-__kernel void pool(__global const float *heights, __global float *found, int rows, int cols, int across, int down, int shift,
-                   int periodic, float cliff)
+__kernel void pool(__global const float *heights, __global float *found, int rows, int cols, int across,
+                   int down, int shift, int periodic, float cliff)
 {
   const int bx = get_global_id(0), by = get_global_id(1);
   if (bx >= across || by >= down)
@@ -110,8 +115,10 @@ __kernel void pool(__global const float *heights, __global float *found, int row
       if (x == end_x || y == end_y)
         continue;
       lowest = min(lowest, here);
-      const float right = x + 1 < cols ? heights[row + x + 1] : NONE, below = y + 1 < rows ? heights[row + cols + x] : NONE;
-      cliffs += (right > MASKED && fabs(right - here) > cliff) + (below > MASKED && fabs(below - here) > cliff);
+      const float right = x + 1 < cols ? heights[row + x + 1] : NONE,
+                  below = y + 1 < rows ? heights[row + cols + x] : NONE;
+      cliffs +=
+          (right > MASKED && fabs(right - here) > cliff) + (below > MASKED && fabs(below - here) > cliff);
     }
   }
   const int at = by * across + bx, blocks = down * across;
@@ -127,7 +134,8 @@ __kernel void pool(__global const float *heights, __global float *found, int row
   found    (n_found)  float  out; `missing` where there is none
 
 Work-item n owns one that is picked. */
-__kernel void pick(__global const float *values, __global const int *at, __global float *found, int n_found, float missing)
+__kernel void pick(__global const float *values, __global const int *at, __global float *found, int n_found,
+                   float missing)
 {
   const int n = get_global_id(0);
   if (n < n_found)

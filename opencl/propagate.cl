@@ -5,8 +5,8 @@
          packed bits of the nodes and of a rim around them; layer n stands at n + reach; 0 below the surface
   reach  m, the longest step; words: uints per node
 
-reaches: k = 0 rays stay in their layer, so all layers share one walk in order from the source's side: a level ray from
-(x, y, n) gets out iff n <= level(x, y) = the least depth on its way.
+reaches: k = 0 rays stay in their layer, so all layers share one walk in order from the source's side: a level
+ray from (x, y, n) gets out iff n <= level(x, y) = the least depth on its way.
 
   ways    (ways, 2)           int    i, j
   lap     (ways, lap_lines)   float  periodic: the least depth of a line's cycle
@@ -39,16 +39,18 @@ __kernel void reaches(__global const float *depth, __global const int *ways, __g
   }
 }
 
-/* propagate: L in V(x) iff x + L in F and L in V(x + L); the first n_level directions have k = 0 and are read off `levels`.
+/* propagate: L in V(x) iff x + L in F and L in V(x + L); the first n_level directions have k = 0 and are read
+off `levels`.
 
   offsets  (directions, 2)  int  k, and j x (cols + 2 reach) + i: from a node to the one its ray comes from
 
 Work-item (g, y, word) owns LANES nodes of row y, 32 directions. */
-__kernel void propagate(__global const float *depth, __global const float *levels, __global const int *offsets,
-                        __global uint *field, int rows, int cols, int reach, int n_words, int n_directions, int n_level,
-                        int layer)
+__kernel void propagate(__global const float *depth, __global const float *levels,
+                        __global const int *offsets, __global uint *field, int rows, int cols, int reach,
+                        int n_words, int n_directions, int n_level, int layer)
 {
-  const int x = min((int)get_global_id(0) * LANES, max(cols - LANES, 0)), y = get_global_id(1), word = get_global_id(2);
+  const int x = min((int)get_global_id(0) * LANES, max(cols - LANES, 0)), y = get_global_id(1),
+            word = get_global_id(2);
   if (get_global_id(0) * LANES >= cols || y >= rows)
     return;
   const size_t width = cols + 2 * reach, slice = width * (rows + 2 * reach);
@@ -67,7 +69,8 @@ __kernel void propagate(__global const float *depth, __global const float *level
   STORE(lit & as_uints(WHERE(LOAD((size_t)y * cols + x, depth) >= (float)layer)), here, field);
 }
 
-/* wrap: where the map repeats, the rim of layer n is the other side of the map. Work-item (X, Y, word) owns a rim node. */
+/* wrap: where the map repeats, the rim of layer n is the other side of the map. Work-item (X, Y, word) owns a
+   rim node. */
 __kernel void wrap(__global uint *field, int rows, int cols, int reach, int n_words, int layer)
 {
   const int X = get_global_id(0), Y = get_global_id(1), word = get_global_id(2);

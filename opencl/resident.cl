@@ -1,4 +1,5 @@
-/* A depth map that lies on the device already: checked, padded and probed there. Twin of warp_kernels/resident.py. */
+/* A depth map that lies on the device already: checked, padded and probed there. Twin of
+   warp_kernels/resident.py. */
 #pragma OPENCL FP_CONTRACT OFF
 
 /* take: depth = top + sign x value: a copy (0, 1), or the depth of heights (highest, -1).
@@ -39,13 +40,15 @@ __kernel void survey(__global const float *values, __global float *found, int ro
   found[2 * cols + x] = (float)broken;
 }
 
-/* pad: heights as sweep wants them, -depth / step with a margin round them: the map again where it repeats, else outside.
+/* pad: heights as sweep wants them, -depth / step with a margin round them: the map again where it repeats,
+else outside.
 
   depth    (rows x cols)                          float  [length]
   heights  (rows + 2 margin) x (cols + 2 margin)  float  [spacing]  out
 
 Work-item (x, y) owns one element of the padded map. */
-__kernel void pad(__global const float *depth, __global float *heights, int rows, int cols, int margin, float step, float outside, int periodic)
+__kernel void pad(__global const float *depth, __global float *heights, int rows, int cols, int margin,
+                  float step, float outside, int periodic)
 {
   const int column = get_global_id(0), row = get_global_id(1);
   int x = column - margin, y = row - margin;
@@ -55,17 +58,19 @@ __kernel void pad(__global const float *depth, __global float *heights, int rows
     x = (x % cols + cols) % cols;
     y = (y % rows + rows) % rows;
   }
-  heights[row * (cols + 2 * margin) + column] = x >= 0 && x < cols && y >= 0 && y < rows ? -depth[y * cols + x] / step : outside;
+  heights[row * (cols + 2 * margin) + column] =
+      x >= 0 && x < cols && y >= 0 && y < rows ? -depth[y * cols + x] / step : outside;
 }
 
-/* probe: the steepest slope to ground in eight directions from every `every`-th node, at growing distances from first on;
--inf where none lies.
+/* probe: the steepest slope to ground in eight directions from every `every`-th node, at growing distances
+from first on; -inf where none lies.
 
   heights  (room)      float  [spacing]  as for sweep
   best     (8, count)  float  [1]        out
 
 Work-item (sample, direction) owns one slope; samples run along rows, across of them in each. */
-__kernel void probe(__global const float *heights, __global float *best, int rows, int cols, int margin, int every, int across, int count, int first)
+__kernel void probe(__global const float *heights, __global float *best, int rows, int cols, int margin,
+                    int every, int across, int count, int first)
 {
   const int sample = get_global_id(0), way = get_global_id(1);
   if (sample >= count || way >= 8)

@@ -1,20 +1,25 @@
 /* Surface visibility by the suffix maximum along lattice lines: propagation's own bits, N times cheaper.
 
-scan: walks every lattice line of one azimuth (i, j) from the source's side and carries, for each of BITS elevations,
-the depth that the ray there must not exceed: ceiling <- min(ceiling, depth) + k step; a node is lit iff
-depth <= ceiling. A line that leaves the map goes on at its other side, as a new line (open, dark) or as itself (periodic).
+scan: walks every lattice line of one azimuth (i, j) from the source's side and carries, for each of BITS
+elevations, the depth that the ray there must not exceed: ceiling <- min(ceiling, depth) + k step; a node is
+lit iff depth <= ceiling. A line that leaves the map goes on at its other side, as a new line (open, dark) or
+as itself (periodic).
 
-  maps    (2, room)           float  [length]  depth (rows, cols) and the same turned, (cols, rows); +inf where masked:
-                                               blocks nothing, never lit; room: pixels, rounded up for whole vectors
-  walks   (walks, 8)          int    i, j (not 0, and |i| less than the map is wide), warm-up steps, their x and y offset,
-                                     parts, which map, which plane; those of the turned map are the turned ones
+  maps    (2, room)           float  [length]  depth (rows, cols) and the same turned, (cols, rows); +inf
+                                               where masked: blocks nothing, never lit; room: pixels, rounded
+                                               up for whole vectors
+  walks   (walks, 8)          int    i, j (not 0, and |i| less than the map is wide), warm-up steps, their x
+                                     and y offset, parts, which map, which plane; those of the turned map are
+                                     the turned ones
   rise    (walks, BITS)       float  [length]  k step, what the ray climbs per step
-  lap     (walks, lap_lines)  float  [length]  periodic: first ceiling of the k = 0 ray, the least depth of its cycle
+  lap     (walks, lap_lines)  float  [length]  periodic: first ceiling of the k = 0 ray, the least depth of
+                                               its cycle
   planes  (planes, room)      uchar  out: bit b is set where the walk's b-th elevation is lit
   map_rows, map_cols, room, lap_lines, periodic (0 or 1)
 
-Work-item (g, w) owns LANES adjacent lines of walk w, side by side in x; AHEAD depths are fetched before they are used.
-No sums, only min and + in the order of the line: every bit is exact. Twin of warp_kernels/scan.py. */
+Work-item (g, w) owns LANES adjacent lines of walk w, side by side in x; AHEAD depths are fetched before
+they are used. No sums, only min and + in the order of the line: every bit is exact. Twin of
+warp_kernels/scan.py. */
 #include "lanes.h"
 
 #if LANES == 1
@@ -67,14 +72,15 @@ __kernel void scan(__global const float *maps, __global const int *walks, __glob
     for (int l = 0; l < LANES; ++l)
       ((float *)ceiling)[l] = lap[(size_t)w * lap_lines + residue * cols + min(lane + l, cols - 1)];
 
-  /* 3. from x_low on, for x_span nodes, all lanes are neighbours in one row and none has just entered the map */
+  /* 3. from x_low on, for x_span nodes, all lanes are neighbours in one row and none has just entered the
+     map */
   const int x_low = periodic ? 0 : max(0, -i);
   const int x_span = max(0, cols - LANES + 1 - (periodic ? 0 : (int)abs(i)));
   const int whole = lane + LANES <= cols, next = -(i + down * cols);
   for (int u = -warm; u < count; u += AHEAD) {
     const int at = y * cols + x, last_x = x - (AHEAD - 1) * i, last_y = y - (AHEAD - 1) * down;
-    if (whole && (uint)(x - x_low) < (uint)x_span && (uint)(last_x - x_low) < (uint)x_span && (uint)last_y < (uint)rows &&
-        u >= 0 && u + AHEAD <= count) {
+    if (whole && (uint)(x - x_low) < (uint)x_span && (uint)(last_x - x_low) < (uint)x_span &&
+        (uint)last_y < (uint)rows && u >= 0 && u + AHEAD <= count) {
       /* 4. a stretch of AHEAD nodes inside the map */
       floats z[AHEAD];
       for (int a = 0; a < AHEAD; ++a)
@@ -89,7 +95,8 @@ __kernel void scan(__global const float *maps, __global const int *walks, __glob
       y += (uint)y >= (uint)rows ? turn_y : 0;
     } else
       for (int a = u; a < min(u + AHEAD, count); ++a) {
-        /* 5. near a side: a lane whose next node towards the source lies outside the map has open sky there */
+        /* 5. near a side: a lane whose next node towards the source lies outside the map has open sky
+           there */
         floats z;
         for (int l = 0; l < LANES; ++l) {
           const int xl = COLUMN(x, l);
@@ -109,11 +116,12 @@ __kernel void scan(__global const float *maps, __global const int *walks, __glob
   }
 }
 
-/* turn_map: the second of `maps`, (cols, rows), from the first, (rows, cols), so that walks along rows become walks along
-columns. turn_planes: planes of the turned map, (cols, rows), to planes of the map; the pairs (from, to) are given.
+/* turn_map: the second of `maps`, (cols, rows), from the first, (rows, cols), so that walks along rows become
+walks along columns. turn_planes: planes of the turned map, (cols, rows), to planes of the map; the pairs
+(from, to) are given.
 
-Work-item (g, w) owns SIDE x SIDE nodes; 32 neighbours own a patch of 8 x 4 such blocks, so that both sides of the copy
-stay within few cache lines. */
+Work-item (g, w) owns SIDE x SIDE nodes; 32 neighbours own a patch of 8 x 4 such blocks, so that both sides of
+the copy stay within few cache lines. */
 
 int block_x(int g, int cols)
 {
@@ -146,7 +154,8 @@ __kernel void turn_planes(__global uchar *planes, __global const int *pairs, int
 }
 
 /* turn_planes_by_fours: the same where rows and cols are multiples of 4, with four bytes to a uint. */
-__kernel void turn_planes_by_fours(__global uint *planes, __global const int *pairs, int rows, int cols, int room)
+__kernel void turn_planes_by_fours(__global uint *planes, __global const int *pairs, int rows, int cols,
+                                   int room)
 {
   const int x0 = block_x(get_global_id(0), cols), y0 = block_y(get_global_id(0), cols), w = get_global_id(1);
   if (x0 >= cols || y0 >= rows)
@@ -171,8 +180,8 @@ __kernel void turn_planes_by_fours(__global uint *planes, __global const int *pa
   words   (pixels, n_words)    uint   in, out: bits are added, so walks may come in groups
 
 Work-item p owns pixel p. */
-__kernel void pack(__global const uchar *planes, __global const int *order, __global uint *words, int pixels, int room,
-                   int n_words, int n_walks)
+__kernel void pack(__global const uchar *planes, __global const int *order, __global uint *words, int pixels,
+                   int room, int n_words, int n_walks)
 {
   const size_t p = get_global_id(0);
   if (p >= pixels)

@@ -1,28 +1,37 @@
 /* Light of a finite source, a ball or a flat quadrangle, through a few azimuth slices per pixel.
 
-In the slice at azimuth phi the source covers a chord of elevations; what ground, tangent plane and level leave of it gives
-E = sum over slices of share x (n_c integral of B cos^2 + n_z integral of B sin cos), n_c the normal's part along phi.
-Elevations go by their tangents. Lengths are in units of the spacing; heights grow towards the viewer.
+In the slice at azimuth phi the source covers a chord of elevations; what ground, tangent plane and level
+leave of it gives E = sum over slices of share x (n_c integral of B cos^2 + n_z integral of B sin cos), n_c
+the normal's part along phi. Elevations go by their tangents. Lengths are in units of the spacing; heights
+grow towards the viewer.
 
 Shared arguments
-  heights     (rows + 2, cols + 1) and one more  float  -depth; NONE where masked, in column 0, in the first and the last row:
-                              node (x, y) stands at (y + 1) (cols + 1) + x + 1, and every neighbour of a node can be read
-  tops        (cells, width)  float  highest node of square cells, corners included: level l = 1, 2.. has cells 2^l wide,
-                              from column width - (width >> l - 1) on; width is a multiple of 2^levels
-  sky         (side, side)    float  of light in a lobe: brightness over the stereographic plane, x / (1 - z) and y / (1 - z)
-                              from -1 to 1
-  points      (n_points, 2)   float  where along a chord that brightness is taken, 0..1, and weights; none: it is 1
-  lobe        (n_lobe)        float  weight of light by 1 - cosine of its angle to the mirror direction, even steps from 0 to
-                              rim, beyond which there is none; n_lobe 0: all light counts alike
-  chords      (n_turns, n_knots, 2)  float  of light in no lobe: integrals of B cos^2 and B sin cos over elevation, from the
-                              sine k / (n_knots - 1) to the zenith, means over n_turns even cells of the diamond angle
-                              q = s / (|c| + |s|), 2 - q, 4 + q of the azimuth's cosine c and sine s, 0..4; n_knots 0: B is 1
+  heights     (rows + 2, cols + 1) and one more  float  -depth; NONE where masked, in column 0, in the first
+                                                        and the last row: node (x, y) stands at (y + 1) (cols
+                                                        + 1) + x + 1, and every neighbour of a node can be
+                                                        read
+  tops        (cells, width)  float  highest node of square cells, corners included: level l = 1, 2.. has
+                                     cells 2^l wide, from column width - (width >> l - 1) on; width is a
+                                     multiple of 2^levels
+  sky         (side, side)    float  of light in a lobe: brightness over the stereographic plane, x / (1 - z)
+                                     and y / (1 - z) from -1 to 1
+  points      (n_points, 2)   float  where along a chord that brightness is taken, 0..1, and weights; none: it
+                                     is 1
+  lobe        (n_lobe)        float  weight of light by 1 - cosine of its angle to the mirror direction, even
+                                     steps from 0 to rim, beyond which there is none; n_lobe 0: all light
+                                     counts alike
+  chords      (n_turns, n_knots, 2)  float  of light in no lobe: integrals of B cos^2 and B sin cos over
+                                            elevation, from the sine k / (n_knots - 1) to the zenith, means
+                                            over n_turns even cells of the diamond angle q = s / (|c| + |s|),
+                                            2 - q, 4 + q of the azimuth's cosine c and sine s, 0..4; n_knots
+                                            0: B is 1
   irradiance  (rows, cols)    float  out; unit: its factor
-  least, most slices of a source that is a point, and of one that stands all round: multiples of SLICES, as what is between
+  least, most slices of a source that is a point, and of one that stands all round: multiples of SLICES, as
+  what is between
   dark        whether walls stand half a node outside the map, up to height 0
 
-Work-item (x, y) owns one node and takes LANES of its slices at a time. Order of summation: slices of a lane, then lanes.
-Twin of warp_kernels/slices.py. */
+Work-item (x, y) owns one node and takes LANES of its slices at a time. Order of summation: slices of a lane,
+then lanes. Twin of warp_kernels/slices.py. */
 #include "lanes.h"
 #define LESS(a, b) ((a) < (b) ? (a) : (b)) /* min and max of vectors are calls on PoCL, as vload is */
 #define MORE(a, b) ((a) > (b) ? (a) : (b))
@@ -42,7 +51,9 @@ typedef struct __attribute__((packed)) {
   floats v;
 } Packed;
 #define AT(pointer, offset) ((__global const Packed *)((pointer) + (offset)))->v
-#define GATHER(p, o) (floats)((p)[(o).s0], (p)[(o).s1], (p)[(o).s2], (p)[(o).s3], (p)[(o).s4], (p)[(o).s5], (p)[(o).s6], (p)[(o).s7])
+#define GATHER(p, o)                                                                                         \
+  (floats)((p)[(o).s0], (p)[(o).s1], (p)[(o).s2], (p)[(o).s3], (p)[(o).s4], (p)[(o).s5], (p)[(o).s6],        \
+           (p)[(o).s7])
 int ANY(ints test)
 {
   const int4 four = test.lo | test.hi;
@@ -57,8 +68,10 @@ float TOTAL(floats v)
 }
 #endif
 
-/* coarser: one level of tops, from the heights (level 1) or from the level before. Work-item (x, y) owns a cell. */
-__kernel void coarser(__global const float *heights, __global float *tops, int rows, int cols, int width, int level)
+/* coarser: one level of tops, from the heights (level 1) or from the level before. Work-item (x, y) owns a
+   cell. */
+__kernel void coarser(__global const float *heights, __global float *tops, int rows, int cols, int width,
+                      int level)
 {
   const int x = get_global_id(0), y = get_global_id(1), stride = cols + 1;
   if (x >= width >> level || y > (rows - 1) >> level)
@@ -77,8 +90,8 @@ __kernel void coarser(__global const float *heights, __global float *tops, int r
   tops[y * width + width - (width >> (level - 1)) + x] = top;
 }
 
-/* What all slices of a pixel share. A point (c t, s t, v) from the pixel stands before the source iff along t + up v < reach,
-`along` the slice's own. */
+/* What all slices of a pixel share. A point (c t, s t, v) from the pixel stands before the source iff along t
++ up v < reach, `along` the slice's own. */
 typedef struct {
   __global const float *heights, *tops, *sky, *points, *lobe, *chords;
   int rows, cols, width, levels, side, n_points, n_lobe, n_turns, n_knots, dark, x, y;
@@ -94,19 +107,24 @@ float slope_between(float low, float here, float high)
 }
 
 Pixel pixel_at(__global const float *heights, __global const float *tops, __global const float *sky,
-               __global const float *points, __global const float *lobe, __global const float *chords, int rows, int cols,
-               int width, int levels, int side, int n_points, int n_lobe, int n_turns, int n_knots, int dark, float rim)
+               __global const float *points, __global const float *lobe, __global const float *chords,
+               int rows, int cols, int width, int levels, int side, int n_points, int n_lobe, int n_turns,
+               int n_knots, int dark, float rim)
 {
   const int x = get_global_id(0), y = get_global_id(1), stride = cols + 1;
   __global const float *here = heights + (y + 1) * stride + x + 1;
-  const float tilt_x = slope_between(here[-1], here[0], here[1]), tilt_y = slope_between(here[-stride], here[0], here[stride]);
+  const float tilt_x = slope_between(here[-1], here[0], here[1]),
+              tilt_y = slope_between(here[-stride], here[0], here[stride]);
   const float twice = 2 / (1 + tilt_x * tilt_x + tilt_y * tilt_y);
-  const Pixel pixel = {heights, tops, sky, points, lobe, chords, rows, cols, width, levels, side, n_points, n_lobe, n_turns, n_knots, dark, x, y,
-                       here[0], tilt_x, tilt_y, rim, twice * tilt_x, twice * tilt_y, twice - 1};
+  const Pixel pixel = {heights,  tops,   sky,     points,   lobe,   chords,  rows,           cols,
+                       width,    levels, side,    n_points, n_lobe, n_turns, n_knots,        dark,
+                       x,        y,      here[0], tilt_x,   tilt_y, rim,     twice * tilt_x, twice * tilt_y,
+                       twice - 1};
   return pixel;
 }
 
-/* The tangent at which a column at distance t goes into the source: what stands in it there hides no more than what is below. */
+/* The tangent at which a column at distance t goes into the source: what stands in it there hides no more
+   than what is below. */
 floats under_source(const Pixel *pixel, floats along, floats aside, floats t)
 {
   if (pixel->radius > 0) {
@@ -116,10 +134,11 @@ floats under_source(const Pixel *pixel, floats along, floats aside, floats t)
   return pixel->up > 0 ? (pixel->reach / t - along) / pixel->up : ALL(ENDLESS);
 }
 
-/* The tangent of the horizon along (c, s), from `slope` on, over the ground before the source and as far as `high` matters.
+/* The tangent of the horizon along (c, s), from `slope` on, over the ground before the source and as far as
+`high` matters.
 
-The slice goes from cell to cell of a quadtree. A large cell whose top stays below the line is left as a whole, else its
-quarters are looked at; the way out of a single cell is a crossing with a grid line. */
+The slice goes from cell to cell of a quadtree. A large cell whose top stays below the line is left as a
+whole, else its quarters are looked at; the way out of a single cell is a crossing with a grid line. */
 floats horizon(const Pixel *pixel, floats c, floats s, floats slope, floats high, floats along, floats aside)
 {
   const int x = pixel->x, y = pixel->y, stride = pixel->cols + 1;
@@ -145,8 +164,10 @@ floats horizon(const Pixel *pixel, floats c, floats s, floats slope, floats high
       const ints at = by_x ? (cell_y + 1) * stride + line_x + 1 : (line_y + 1) * stride + cell_x + 1;
       const ints low = single & going ? at : 0, next = low + (by_x ? stride : 1);
       const floats f = across - TO_FLOATS(by_x ? cell_y - y : cell_x - x), part = f < 0 ? 0 : f > 1 ? 1 : f;
-      const floats rise = GATHER(pixel->heights, low) * (1 - part) + GATHER(pixel->heights, next) * part - pixel->height;
-      const ints higher = single & going & WHERE(rise > slope * out) & WHERE(out * (along + slope * pixel->up) < pixel->reach);
+      const floats rise =
+          GATHER(pixel->heights, low) * (1 - part) + GATHER(pixel->heights, next) * part - pixel->height;
+      const ints higher = single & going & WHERE(rise > slope * out) &
+                          WHERE(out * (along + slope * pixel->up) < pixel->reach);
       if (ANY(higher)) {
         const floats tangent = LESS(rise / out, under_source(pixel, along, aside, out));
         slope = higher && tangent > slope ? tangent : slope;
@@ -160,7 +181,8 @@ floats horizon(const Pixel *pixel, floats c, floats s, floats slope, floats high
     }
     /* 4. on, and up where a larger cell begins; or down */
     passes &= going;
-    const ints first = ((by_x ? large_y : large_x) << level) - (by_x ? y : x), last = first + ((ints)1 << level) - 1;
+    const ints first = ((by_x ? large_y : large_x) << level) - (by_x ? y : x),
+               last = first + ((ints)1 << level) - 1;
     ints to = TO_INTS(across);
     to += WHERE(across < TO_FLOATS(to));
     to = to < first ? first : to > last ? last : to;
@@ -177,9 +199,11 @@ floats horizon(const Pixel *pixel, floats c, floats s, floats slope, floats high
 /* The lobe's weight of the direction whose elevation has this cosine and sine. */
 floats in_lobe(const Pixel *pixel, floats c, floats s, floats cosine, floats sine)
 {
-  const floats x = cosine - (pixel->mirror_x * c + pixel->mirror_y * s), y = pixel->mirror_y * c - pixel->mirror_x * s, z = sine - pixel->mirror_z;
+  const floats x = cosine - (pixel->mirror_x * c + pixel->mirror_y * s),
+               y = pixel->mirror_y * c - pixel->mirror_x * s, z = sine - pixel->mirror_z;
   const float most = pixel->n_lobe - 1;
-  const floats all = (x * x + y * y + z * z) * (0.5f * most / pixel->rim), at = all < most ? all : most; /* 1 - cos is half of |L - R|^2 */
+  /* 1 - cos is half of |L - R|^2 */
+  const floats all = (x * x + y * y + z * z) * (0.5f * most / pixel->rim), at = all < most ? all : most;
   ints i = TO_INTS(at);
   i = i > pixel->n_lobe - 2 ? pixel->n_lobe - 2 : i;
   const floats first = GATHER(pixel->lobe, i);
@@ -196,7 +220,8 @@ floats brightness_of(const Pixel *pixel, floats c, floats s, floats tilt, floats
   floats sum = 0, all = 0;
   for (int k = 0; k < pixel->n_points; ++k) {
     const float f = pixel->points[2 * k], weight = pixel->points[2 * k + 1];
-    const floats cosine = low_c + f * (high_c - low_c), sine = low_s + f * (high_s - low_s), square = cosine * cosine + sine * sine;
+    const floats cosine = low_c + f * (high_c - low_c), sine = low_s + f * (high_s - low_s),
+                 square = cosine * cosine + sine * sine;
     const floats from_zenith = half_ * cosine / (sqrt(square) + sine);
     const floats u = half_ + from_zenith * c, v = half_ + from_zenith * s;
     ints i = TO_INTS(u), j = TO_INTS(v);
@@ -205,9 +230,11 @@ floats brightness_of(const Pixel *pixel, floats c, floats s, floats tilt, floats
     const ints at = j * pixel->side + i;
     const floats p = u - TO_FLOATS(i), q = v - TO_FLOATS(j);
     const floats near = GATHER(pixel->sky, at) * (1 - p) + GATHER(pixel->sky, at + 1) * p;
-    const floats far = GATHER(pixel->sky, at + pixel->side) * (1 - p) + GATHER(pixel->sky, at + pixel->side + 1) * p;
+    const floats far =
+        GATHER(pixel->sky, at + pixel->side) * (1 - p) + GATHER(pixel->sky, at + pixel->side + 1) * p;
     const floats facing = tilt * cosine + sine, share = weight / (square * square) * cosine * MORE(facing, 0);
-    const floats length = sqrt(square), light = (near * (1 - q) + far * q) * in_lobe(pixel, c, s, cosine / length, sine / length);
+    const floats length = sqrt(square),
+                 light = (near * (1 - q) + far * q) * in_lobe(pixel, c, s, cosine / length, sine / length);
     sum += share * light;
     all += share;
   }
@@ -228,7 +255,8 @@ floats arctan(floats x)
   return x * (sum * y + CHORD_TANGENT_7);
 }
 
-/* Mean of the cosine over the sines between two near directions with cosines a and b, to second order even at the zenith. */
+/* Mean of the cosine over the sines between two near directions with cosines a and b, to second order even at
+   the zenith. */
 floats mean_cosine(floats a, floats b)
 {
   const floats twice = 1.5f * (a + b);
@@ -238,17 +266,22 @@ floats mean_cosine(floats a, floats b)
 /* An integral of the table, 0 or 1, from a knot to the zenith, between two turns. */
 floats blended(const Pixel *pixel, ints before, ints after, floats part, ints knot, int which)
 {
-  const ints i = 2 * (before * pixel->n_knots + knot) + which, j = 2 * (after * pixel->n_knots + knot) + which;
+  const ints i = 2 * (before * pixel->n_knots + knot) + which,
+             j = 2 * (after * pixel->n_knots + knot) + which;
   return GATHER(pixel->chords, i) * (1 - part) + GATHER(pixel->chords, j) * part;
 }
 
 /* As chord(), from the table; by_cosine, by_sine: what the chord is worth where brightness is 1.
 
-Brightness is even between two knots. Sines and cosines are in steps of the knots' sines, so are `even` integrals. */
-floats of_chords(const Pixel *pixel, floats c, floats s, floats tilt, floats low, floats high, floats by_cosine, floats by_sine)
+Brightness is even between two knots. Sines and cosines are in steps of the knots' sines, so are `even`
+integrals. */
+floats of_chords(const Pixel *pixel, floats c, floats s, floats tilt, floats low, floats high,
+                 floats by_cosine, floats by_sine)
 {
   /* 1. the cells of azimuth beside */
-  const floats ratio = s / ((c < 0 ? -c : c) + (s < 0 ? -s : s)), diamond = c < 0 ? 2 - ratio : s < 0 ? 4 + ratio : ratio;
+  const floats ratio = s / ((c < 0 ? -c : c) + (s < 0 ? -s : s)), diamond = c < 0   ? 2 - ratio
+                                                                            : s < 0 ? 4 + ratio
+                                                                                    : ratio;
   const floats place = diamond * (0.25f * pixel->n_turns) + 0.5f;
   ints after = TO_INTS(place);
   after = after > pixel->n_turns ? pixel->n_turns : after;
@@ -258,17 +291,21 @@ floats of_chords(const Pixel *pixel, floats c, floats s, floats tilt, floats low
   /* 2. the knots below the ends */
   const int steps = pixel->n_knots - 1;
   const float size = steps;
-  const floats low_c = size / sqrt(low * low + 1), high_c = size / sqrt(high * high + 1), low_s = low * low_c, high_s = high * high_c;
+  const floats low_c = size / sqrt(low * low + 1), high_c = size / sqrt(high * high + 1), low_s = low * low_c,
+               high_s = high * high_c;
   ints i = TO_INTS(low_s), j = TO_INTS(high_s);
   i = i < 0 ? 0 : i > steps - 1 ? steps - 1 : i;
   j = j < 0 ? 0 : j > steps - 1 ? steps - 1 : j;
-  const floats at_i = sqrt(TO_FLOATS((steps - i) * (steps + i))), at_j = sqrt(TO_FLOATS((steps - j) * (steps + j)));
+  const floats at_i = sqrt(TO_FLOATS((steps - i) * (steps + i))),
+               at_j = sqrt(TO_FLOATS((steps - j) * (steps + j)));
   const floats rest_i = low_s - TO_FLOATS(i), rest_j = high_s - TO_FLOATS(j);
   const ints near = WHERE(j <= i + 1);
   floats light[2];
   for (int k = 0; k < 2; ++k) {
-    const floats low_0 = blended(pixel, before, after, turn, i, k), low_1 = blended(pixel, before, after, turn, i + 1, k);
-    const floats high_0 = blended(pixel, before, after, turn, j, k), high_1 = blended(pixel, before, after, turn, j + 1, k);
+    const floats low_0 = blended(pixel, before, after, turn, i, k),
+                 low_1 = blended(pixel, before, after, turn, i + 1, k);
+    const floats high_0 = blended(pixel, before, after, turn, j, k),
+                 high_1 = blended(pixel, before, after, turn, j + 1, k);
     /* 3. the even integrals: of both cells, and what of them lies below the ends */
     floats low_all, high_all, low_part, high_part;
     if (k) {
@@ -291,7 +328,8 @@ floats of_chords(const Pixel *pixel, floats c, floats s, floats tilt, floats low
   return tilt * light[0] + light[1];
 }
 
-/* Integral of B (tilt cos^2 + sin cos) of elevation between the tangents low and high, which are `rise` apart. */
+/* Integral of B (tilt cos^2 + sin cos) of elevation between the tangents low and high, which are `rise`
+   apart. */
 floats chord(const Pixel *pixel, floats c, floats s, floats low, floats high, floats rise)
 {
   const ints shows = WHERE(low < high);
@@ -300,7 +338,8 @@ floats chord(const Pixel *pixel, floats c, floats s, floats low, floats high, fl
   high = MORE(low, high);
   const floats tilt = pixel->tilt_x * c + pixel->tilt_y * s, product = low * high;
   const floats r = sqrt((low * low + 1) * (high * high + 1)), sine = rise / r;
-  const floats by_cosine = arctan(rise / (r + 1 + product)) + 0.5f * ((1 - product) / r * sine), by_sine = 0.5f * ((low + high) / r * sine);
+  const floats by_cosine = arctan(rise / (r + 1 + product)) + 0.5f * ((1 - product) / r * sine),
+               by_sine = 0.5f * ((low + high) / r * sine);
   if (pixel->n_knots) {
     const floats all = of_chords(pixel, c, s, tilt, low, high, by_cosine, by_sine);
     return shows ? all : 0;
@@ -309,23 +348,32 @@ floats chord(const Pixel *pixel, floats c, floats s, floats low, floats high, fl
   return shows ? light * (tilt * by_cosine + by_sine) : 0;
 }
 
-/* What a slice along (c, s) leaves of the chord between two tangents within the lobe's rim; gives how far they are apart. */
+/* What a slice along (c, s) leaves of the chord between two tangents within the lobe's rim; gives how far
+   they are apart. */
 floats to_rim(const Pixel *pixel, floats c, floats s, floats *low, floats *high, floats rise)
 {
   const float least = 1 - pixel->rim, up = pixel->mirror_z;
-  const floats in_plane = pixel->mirror_x * c + pixel->mirror_y * s, square = in_plane * in_plane + up * up - least * least;
-  const floats half_ = sqrt(MORE(square, 0)), before = *low, after = *high; /* of the chord: least is to it as cosine to sine */
+  const floats in_plane = pixel->mirror_x * c + pixel->mirror_y * s,
+               square = in_plane * in_plane + up * up - least * least;
+  /* of the chord: least is to it as cosine to sine */
+  const floats half_ = sqrt(MORE(square, 0)), before = *low, after = *high;
   const floats low_c = in_plane * least + up * half_, low_s = up * least - in_plane * half_;
   const floats high_c = in_plane * least - up * half_, high_s = up * least + in_plane * half_;
-  const floats from = low_c > 0 ? low_s / low_c : up > 0 ? ALL(STEEP) : ALL(-STEEP), to = high_c > 0 ? high_s / high_c : up > 0 ? ALL(STEEP) : ALL(-STEEP);
+  const floats from = low_c > 0 ? low_s / low_c
+                      : up > 0  ? ALL(STEEP)
+                                : ALL(-STEEP),
+               to = high_c > 0 ? high_s / high_c
+                    : up > 0   ? ALL(STEEP)
+                               : ALL(-STEEP);
   *low = MORE(before, from);
   *high = square > 0 ? LESS(after, to) : -STEEP;
   return from > before || to < after ? *high - *low : rise;
 }
 
-/* The light through a slice along (c, s) of a source between the tangents low and high, `rise` apart; aside: how far its
-middle stands from the slice. */
-floats slice(const Pixel *pixel, floats c, floats s, floats along, floats aside, floats low, floats high, floats rise)
+/* The light through a slice along (c, s) of a source between the tangents low and high, `rise` apart; aside:
+how far its middle stands from the slice. */
+floats slice(const Pixel *pixel, floats c, floats s, floats along, floats aside, floats low, floats high,
+             floats rise)
 {
   if (pixel->n_lobe)
     rise = to_rim(pixel, c, s, &low, &high, rise);
@@ -337,9 +385,12 @@ floats slice(const Pixel *pixel, floats c, floats s, floats along, floats aside,
     slope = horizon(pixel, c, s, slope, high, along, aside);
     return chord(pixel, c, s, slope, high, slope > low ? high - slope : rise);
   }
-  /* 2. the wall hides what lies beyond it: tangents up to `under`, and from `over` on, but none from its top on */
-  const floats wall_x = c == 0 ? ALL(ENDLESS) : (c > 0 ? ALL(pixel->cols - 0.5f - pixel->x) : ALL(-0.5f - pixel->x)) / c;
-  const floats wall_y = s == 0 ? ALL(ENDLESS) : (s > 0 ? ALL(pixel->rows - 0.5f - pixel->y) : ALL(-0.5f - pixel->y)) / s;
+  /* 2. the wall hides what lies beyond it: tangents up to `under`, and from `over` on, but none from its top
+     on */
+  const floats wall_x =
+      c == 0 ? ALL(ENDLESS) : (c > 0 ? ALL(pixel->cols - 0.5f - pixel->x) : ALL(-0.5f - pixel->x)) / c;
+  const floats wall_y =
+      s == 0 ? ALL(ENDLESS) : (s > 0 ? ALL(pixel->rows - 0.5f - pixel->y) : ALL(-0.5f - pixel->y)) / s;
   const floats wall = LESS(wall_x, wall_y), top = -pixel->height / wall;
   floats under, over;
   if (pixel->radius > 0) {
@@ -370,23 +421,26 @@ floats slice(const Pixel *pixel, floats c, floats s, floats along, floats aside,
 
 /* ball: x0, y0, z0 its centre (z0 a height) and its radius.
 
-  nodes  (most / SLICES, 4, most)  float  for SLICES, 2 SLICES.. slices: sine and cosine of theta, midpoints of -pi/2..pi/2,
-                                          and of the azimuths of midpoints all round; or other places in the same even steps
-  alternating  (rows, cols)        float  out: the even slices' light less that of the odd ones, which tells how far the slices
-                                          are from enough
+  nodes  (most / SLICES, 4, most)  float  for SLICES, 2 SLICES.. slices: sine and cosine of theta, midpoints
+                                          of -pi/2..pi/2, and of the azimuths of midpoints all round; or other
+                                          places in the same even steps
+  alternating  (rows, cols)        float  out: the even slices' light less that of the odd ones, which tells
+                                          how far the slices are from enough
 
-The slice at the azimuth offset d from the centre, sin d = (sin a / cos e) sin theta, a the ball's angular radius and e its
-centre's elevation, sees a chord of half width w, sin w = sin a cos theta / r, r^2 = 1 - cos^2 e sin^2 d. Where the zenith
-lies within the disc, slices go all round. */
+The slice at the azimuth offset d from the centre, sin d = (sin a / cos e) sin theta, a the ball's angular
+radius and e its centre's elevation, sees a chord of half width w, sin w = sin a cos theta / r, r^2 = 1 -
+cos^2 e sin^2 d. Where the zenith lies within the disc, slices go all round. */
 __kernel void ball(__global const float *heights, __global const float *tops, __global const float *nodes,
                    __global const float *sky, __global const float *points, __global const float *lobe,
-                   __global const float *chords, __global float *irradiance, __global float *alternating, int rows, int cols,
-                   int width, int levels, int least, int most, int side, int n_points, int n_lobe, int n_turns, int n_knots,
-                   int dark, float rim, float x0, float y0, float z0, float radius, float unit)
+                   __global const float *chords, __global float *irradiance, __global float *alternating,
+                   int rows, int cols, int width, int levels, int least, int most, int side, int n_points,
+                   int n_lobe, int n_turns, int n_knots, int dark, float rim, float x0, float y0, float z0,
+                   float radius, float unit)
 {
   if (get_global_id(0) >= cols || get_global_id(1) >= rows)
     return;
-  Pixel pixel = pixel_at(heights, tops, sky, points, lobe, chords, rows, cols, width, levels, side, n_points, n_lobe, n_turns, n_knots, dark, rim);
+  Pixel pixel = pixel_at(heights, tops, sky, points, lobe, chords, rows, cols, width, levels, side, n_points,
+                         n_lobe, n_turns, n_knots, dark, rim);
 
   /* 1. where the ball stands, and how many slices it is worth */
   const float dx = x0 - pixel.x, dy = y0 - pixel.y, dz = z0 - pixel.height;
@@ -398,8 +452,10 @@ __kernel void ball(__global const float *heights, __global const float *tops, __
   const float sin_a = inside ? 1 : radius / far, cos_a = inside ? 0 : sqrt(beyond) / far;
   const int all_round = sin_a >= cos_e;
   const float widest = all_round ? 1 : sin_a / cos_e;
-  const float turn = all_round ? 1 : widest * (TURN_BY_SINE_0 + TURN_BY_SINE_1 * widest * widest); /* share of the circle, nearly */
-  const int blocks = min((least + (int)(turn * (most - least))) / SLICES, most / SLICES), n_slices = blocks * SLICES;
+  /* share of the circle, nearly */
+  const float turn = all_round ? 1 : widest * (TURN_BY_SINE_0 + TURN_BY_SINE_1 * widest * widest);
+  const int blocks = min((least + (int)(turn * (most - least))) / SLICES, most / SLICES),
+            n_slices = blocks * SLICES;
   const float step = M_PI_F / n_slices;
   __global const float *own = nodes + (blocks - 1) * 4 * most;
   pixel.up = dz;
@@ -421,7 +477,8 @@ __kernel void ball(__global const float *heights, __global const float *tops, __
         sin_d = widest * AT(own, j);
         cos_d = sqrt((1 - sin_d) * (1 + sin_d));
         half_ = sin_a * AT(own, most + j);
-        share = widest * step * AT(own, most + j) / MORE(cos_d, 1e-6f); /* no less but where there is no chord */
+        /* no less but where there is no chord */
+        share = widest * step * AT(own, most + j) / MORE(cos_d, 1e-6f);
       }
       const floats in_plane = cos_e * cos_d, square = in_plane * in_plane + sin_e * sin_e;
       const floats low_c = in_plane * cos_a + sin_e * half_, low_s = sin_e * cos_a - in_plane * half_;
@@ -430,8 +487,10 @@ __kernel void ball(__global const float *heights, __global const float *tops, __
       floats high = high_c > 0 ? high_s / high_c : sin_e > 0 ? STEEP : -STEEP;
       low = inside ? -STEEP : low;
       high = inside || high > STEEP ? STEEP : high;
-      const floats rise = low_c > 0 && high < STEEP ? 2 * cos_a * half_ * square / (low_c * high_c) : high - low;
-      const floats light = share * slice(&pixel, ux * cos_d - uy * sin_d, uy * cos_d + ux * sin_d, flat * cos_d, flat * sin_d, low, high, rise);
+      const floats rise =
+          low_c > 0 && high < STEEP ? 2 * cos_a * half_ * square / (low_c * high_c) : high - low;
+      const floats light = share * slice(&pixel, ux * cos_d - uy * sin_d, uy * cos_d + ux * sin_d,
+                                         flat * cos_d, flat * sin_d, low, high, rise);
       sum += light;
       other += TO_FLOATS(1 - 2 * ((j + LANE) & 1)) * light;
     }
@@ -449,7 +508,8 @@ Sector sector_between(float ax, float ay, float bx, float by)
 {
   const float square = ax * ax + ay * ay, product = sqrt(square * (bx * bx + by * by));
   const float cosine = ax * bx + ay * by, sine = ax * by - ay * bx; /* times product */
-  const float half_ = cosine < 0 ? (product - cosine) / max(sine, 1e-7f * product) : max(sine, 0.0f) / (product + cosine);
+  const float half_ =
+      cosine < 0 ? (product - cosine) / max(sine, 1e-7f * product) : max(sine, 0.0f) / (product + cosine);
   const float r = sqrt(1 + half_ * half_), scale = 1 / (r * sqrt(square));
   const Sector sector = {(ax - ay * half_) * scale, (ay + ax * half_) * scale, half_ / (1 + r)};
   return sector;
@@ -474,25 +534,29 @@ void in_order(float *px, float *py, int i, int j)
 
 /* quad: a flat, convex quadrangle, which shines from both faces.
 
-  corners  (6, 3)          float  four corners round it, from their middle; the middle; the unit normal. Third: heights
+  corners  (6, 3)          float  four corners round it, from their middle; the middle; the unit normal.
+                                  Third: heights
   nodes    (most, most, 2) float  row n - 1: Gauss-Legendre nodes, -1..1, and weights of n slices
 
-Between the azimuths of neighbouring corners the chord's ends run along one edge each: every such sector gets its share of
-the slices, at least one. All is reckoned from the quadrangle's middle, so that small far sources lose no digits. */
+Between the azimuths of neighbouring corners the chord's ends run along one edge each: every such sector gets
+its share of the slices, at least one. All is reckoned from the quadrangle's middle, so that small far sources
+lose no digits. */
 __kernel void quad(__global const float *heights, __global const float *tops, __global const float *corners,
                    __global const float *nodes, __global const float *sky, __global const float *points,
-                   __global const float *lobe, __global const float *chords, __global float *irradiance, int rows, int cols,
-                   int width, int levels, int least, int most, int side, int n_points, int n_lobe, int n_turns, int n_knots,
-                   int dark, float rim, float unit)
+                   __global const float *lobe, __global const float *chords, __global float *irradiance,
+                   int rows, int cols, int width, int levels, int least, int most, int side, int n_points,
+                   int n_lobe, int n_turns, int n_knots, int dark, float rim, float unit)
 {
   if (get_global_id(0) >= cols || get_global_id(1) >= rows)
     return;
-  Pixel pixel = pixel_at(heights, tops, sky, points, lobe, chords, rows, cols, width, levels, side, n_points, n_lobe, n_turns, n_knots, dark, rim);
+  Pixel pixel = pixel_at(heights, tops, sky, points, lobe, chords, rows, cols, width, levels, side, n_points,
+                         n_lobe, n_turns, n_knots, dark, rim);
 
   /* 1. the corners, in the frame that points below the middle */
   const float dx = corners[12] - pixel.x, dy = corners[13] - pixel.y, dz = corners[14] - pixel.height;
   const float flat = sqrt(dx * dx + dy * dy), ux = flat > 0 ? dx / flat : 1, uy = flat > 0 ? dy / flat : 0;
-  float ax[4], ay[4], from[4], up[4], turn[4], px[4], py[4]; /* corners; `from` the middle; the same in order of azimuth */
+  /* corners; `from` the middle; the same in order of azimuth */
+  float ax[4], ay[4], from[4], up[4], turn[4], px[4], py[4];
   float top = -ENDLESS;
   for (int i = 0; i < 4; ++i) {
     from[i] = corners[3 * i] * ux + corners[3 * i + 1] * uy;
@@ -537,36 +601,46 @@ __kernel void quad(__global const float *heights, __global const float *tops, __
   c = sector_between(px[2], py[2], px[3], py[3]);
   d = sector_between(px[3], py[3], px[0], py[0]);
   d.quarter = within ? d.quarter : 0;
-  const float to_a = share_of(a.quarter), to_b = to_a + share_of(b.quarter), to_c = to_b + share_of(c.quarter), all = to_c + share_of(d.quarter);
-  const int blocks = min((least + (int)(all * (most - least))) / SLICES, most / SLICES), n_slices = blocks * SLICES;
+  const float to_a = share_of(a.quarter), to_b = to_a + share_of(b.quarter),
+              to_c = to_b + share_of(c.quarter), all = to_c + share_of(d.quarter);
+  const int blocks = min((least + (int)(all * (most - least))) / SLICES, most / SLICES),
+            n_slices = blocks * SLICES;
   const float narrow = 1e-4f * all; /* a sector below that is left out */
-  const int used_a = to_a > narrow, used_b = used_a + (to_b - to_a > narrow), used_c = used_b + (to_c - to_b > narrow), used = used_c + (all - to_c > narrow);
+  const int used_a = to_a > narrow, used_b = used_a + (to_b - to_a > narrow),
+            used_c = used_b + (to_c - to_b > narrow), used = used_c + (all - to_c > narrow);
   const float more = all > 0 ? (n_slices - used) / all : 0;
-  const int end_a = used_a + (int)(to_a * more + 0.5f), end_b = used_b + (int)(to_b * more + 0.5f), end_c = used_c + (int)(to_c * more + 0.5f);
+  const int end_a = used_a + (int)(to_a * more + 0.5f), end_b = used_b + (int)(to_b * more + 0.5f),
+            end_c = used_c + (int)(to_c * more + 0.5f);
 
   /* 3. the slices */
   floats sum = 0;
-  if (pixel.height > NONE && all > 0 && top >= 0 && (within || apart != 0)) /* from its own plane it is a line */
+  /* from its own plane it is a line */
+  if (pixel.height > NONE && all > 0 && top >= 0 && (within || apart != 0))
     for (int k = 0; k < n_slices; k += LANES) {
       const ints number = k + LANE;
       const ints in_a = WHERE(number < end_a), in_b = WHERE(number < end_b), in_c = WHERE(number < end_c);
       const floats axis_c = OF_SECTOR(a.c, b.c, c.c, ALL(d.c)), axis_s = OF_SECTOR(a.s, b.s, c.s, ALL(d.s));
       const floats quarter = OF_SECTOR(a.quarter, b.quarter, c.quarter, ALL(d.quarter));
-      const ints first = OF_SECTOR(0, end_a, end_b, (ints)end_c), count = OF_SECTOR(end_a, end_b, end_c, (ints)n_slices) - first;
+      const ints first = OF_SECTOR(0, end_a, end_b, (ints)end_c),
+                 count = OF_SECTOR(end_a, end_b, end_c, (ints)n_slices) - first;
       const ints at = 2 * ((count - 1) * most + number - first);
-      const floats tangent = quarter * GATHER(nodes, at), scale = 1 / (1 + tangent * tangent); /* of half the angle from the bisector */
+      /* of half the angle from the bisector */
+      const floats tangent = quarter * GATHER(nodes, at), scale = 1 / (1 + tangent * tangent);
       const floats cos_t = (1 - tangent * tangent) * scale, sin_t = 2 * tangent * scale;
       const floats cos_d = axis_c * cos_t - axis_s * sin_t, sin_d = axis_s * cos_t + axis_c * sin_t;
       const floats share = 2 * quarter * GATHER(nodes, at + 1) * scale;
-      /* where the outline goes through the slice to the left, and to the right: distance and height from the middle */
+      /* where the outline goes through the slice to the left, and to the right: distance and height from the
+         middle */
       floats left_r = 0, left_z = 0, right_r = 0, right_z = 0;
       ints has_left = 0, has_right = 0;
       for (int i = 0; i < 4; ++i) {
         const int j = (i + 1) % 4;
         const floats side_i = cos_d * ay[i] - sin_d * ax[i], side_j = cos_d * ay[j] - sin_d * ax[j];
         const floats r_i = cos_d * from[i] + sin_d * ay[i], r_j = cos_d * from[j] + sin_d * ay[j];
-        const floats f = side_i / (side_i - side_j), r = r_i + f * (r_j - r_i), z = up[i] + f * (up[j] - up[i]);
-        const ints to_left = WHERE(side_i <= 0) & WHERE(side_j > 0), to_right = WHERE(side_j <= 0) & WHERE(side_i > 0);
+        const floats f = side_i / (side_i - side_j), r = r_i + f * (r_j - r_i),
+                     z = up[i] + f * (up[j] - up[i]);
+        const ints to_left = WHERE(side_i <= 0) & WHERE(side_j > 0),
+                   to_right = WHERE(side_j <= 0) & WHERE(side_i > 0);
         left_r = to_left ? r : left_r;
         left_z = to_left ? z : left_z;
         right_r = to_right ? r : right_r;
@@ -585,7 +659,8 @@ __kernel void quad(__global const float *heights, __global const float *tops, __
         high = (left ? has_left : has_right) ? high : -STEEP;
         rise = high - low;
       } else {
-        const floats wide = dz * (right_r - left_r) + in_plane * (left_z - right_z) + left_z * right_r - right_z * left_r;
+        const floats wide =
+            dz * (right_r - left_r) + in_plane * (left_z - right_z) + left_z * right_r - right_z * left_r;
         low = wide > 0 ? steep_right : steep_left;
         high = wide > 0 ? steep_left : steep_right;
         rise = (wide > 0 ? wide : -wide) / (to_left * to_right);
@@ -594,24 +669,29 @@ __kernel void quad(__global const float *heights, __global const float *tops, __
       }
       high = LESS(high, STEEP);
       const floats along = normal_x * cos_d + normal_y * sin_d;
-      sum += share * slice(&pixel, ux * cos_d - uy * sin_d, uy * cos_d + ux * sin_d, sense * along, 0, low, high, rise);
+      sum += share * slice(&pixel, ux * cos_d - uy * sin_d, uy * cos_d + ux * sin_d, sense * along, 0, low,
+                           high, rise);
     }
-  irradiance[pixel.y * cols + pixel.x] = unit * TOTAL(sum) / sqrt(1 + pixel.tilt_x * pixel.tilt_x + pixel.tilt_y * pixel.tilt_y);
+  irradiance[pixel.y * cols + pixel.x] =
+      unit * TOTAL(sum) / sqrt(1 + pixel.tilt_x * pixel.tilt_x + pixel.tilt_y * pixel.tilt_y);
 }
 
 /* gloss: the light of the sky within the lobe; nodes as for a ball.
 
   reach  float [spacing]  ground farther away does not count
 
-Slices go through the disc within the rim about the mirror direction, or all round where the zenith lies within it. */
+Slices go through the disc within the rim about the mirror direction, or all round where the zenith lies
+within it. */
 __kernel void gloss(__global const float *heights, __global const float *tops, __global const float *nodes,
                     __global const float *sky, __global const float *points, __global const float *lobe,
-                    __global float *irradiance, int rows, int cols, int width, int levels, int least, int most, int side,
-                    int n_points, int n_lobe, int dark, float rim, float reach, float unit)
+                    __global float *irradiance, int rows, int cols, int width, int levels, int least,
+                    int most, int side, int n_points, int n_lobe, int dark, float rim, float reach,
+                    float unit)
 {
   if (get_global_id(0) >= cols || get_global_id(1) >= rows)
     return;
-  Pixel pixel = pixel_at(heights, tops, sky, points, lobe, sky, rows, cols, width, levels, side, n_points, n_lobe, 0, 0, dark, rim);
+  Pixel pixel = pixel_at(heights, tops, sky, points, lobe, sky, rows, cols, width, levels, side, n_points,
+                         n_lobe, 0, 0, dark, rim);
 
   /* 1. where the disc stands, and how many slices it is worth */
   const float flat = sqrt(pixel.mirror_x * pixel.mirror_x + pixel.mirror_y * pixel.mirror_y);
@@ -620,7 +700,8 @@ __kernel void gloss(__global const float *heights, __global const float *tops, _
   const int all_round = sin_a >= flat;
   const float widest = all_round ? 1 : sin_a / flat;
   const float turn = all_round ? 1 : widest * (TURN_BY_SINE_0 + TURN_BY_SINE_1 * widest * widest);
-  const int blocks = min((least + (int)(turn * (most - least))) / SLICES, most / SLICES), n_slices = blocks * SLICES;
+  const int blocks = min((least + (int)(turn * (most - least))) / SLICES, most / SLICES),
+            n_slices = blocks * SLICES;
   const float step = M_PI_F / n_slices;
   __global const float *own = nodes + (blocks - 1) * 4 * most;
   pixel.up = 0;
@@ -641,27 +722,34 @@ __kernel void gloss(__global const float *heights, __global const float *tops, _
         cos_d = sqrt((1 - sin_d) * (1 + sin_d));
         share = widest * step * AT(own, most + j) / cos_d;
       }
-      sum += share * slice(&pixel, ux * cos_d - uy * sin_d, uy * cos_d + ux * sin_d, 1, 0, -STEEP, STEEP, 2 * STEEP);
+      sum += share *
+             slice(&pixel, ux * cos_d - uy * sin_d, uy * cos_d + ux * sin_d, 1, 0, -STEEP, STEEP, 2 * STEEP);
     }
-  irradiance[pixel.y * cols + pixel.x] = unit * TOTAL(sum) / sqrt(1 + pixel.tilt_x * pixel.tilt_x + pixel.tilt_y * pixel.tilt_y);
+  irradiance[pixel.y * cols + pixel.x] =
+      unit * TOTAL(sum) / sqrt(1 + pixel.tilt_x * pixel.tilt_x + pixel.tilt_y * pixel.tilt_y);
 }
 
 /* rays: whether the ground leaves rays free.
 
-  ways  (rows, cols, 4, count)  float  azimuth's cosine and sine, tangent of the elevation, and how far [spacing] ground counts
-  seen  (rows, cols, count)     float  out: 1 where no ground stands higher than the ray, else 0; count: a multiple of LANES */
-__kernel void rays(__global const float *heights, __global const float *tops, __global const float *ways, __global float *seen,
-                   int rows, int cols, int width, int levels, int count)
+  ways  (rows, cols, 4, count)  float  azimuth's cosine and sine, tangent of the elevation, and how far
+                                       [spacing] ground counts
+  seen  (rows, cols, count)     float  out: 1 where no ground stands higher than the ray, else 0; count: a
+                                       multiple of LANES */
+__kernel void rays(__global const float *heights, __global const float *tops, __global const float *ways,
+                   __global float *seen, int rows, int cols, int width, int levels, int count)
 {
   if (get_global_id(0) >= cols || get_global_id(1) >= rows)
     return;
-  Pixel pixel = pixel_at(heights, tops, heights, heights, heights, heights, rows, cols, width, levels, 0, 0, 0, 0, 0, 0, 0);
+  Pixel pixel = pixel_at(heights, tops, heights, heights, heights, heights, rows, cols, width, levels, 0, 0,
+                         0, 0, 0, 0, 0);
   const size_t here = ((size_t)pixel.y * cols + pixel.x) * count;
   pixel.up = 0;
   pixel.radius = -1;
   for (int j = 0; j < count; j += LANES) {
-    const floats c = AT(ways, 4 * here + j), s = AT(ways, 4 * here + count + j), tangent = AT(ways, 4 * here + 2 * count + j), reach = AT(ways, 4 * here + 3 * count + j);
-    const floats above = tangent + 1e-6f * (1 + (tangent < 0 ? -tangent : tangent)); /* so that one obstacle is enough */
+    const floats c = AT(ways, 4 * here + j), s = AT(ways, 4 * here + count + j),
+                 tangent = AT(ways, 4 * here + 2 * count + j), reach = AT(ways, 4 * here + 3 * count + j);
+    /* so that one obstacle is enough */
+    const floats above = tangent + 1e-6f * (1 + (tangent < 0 ? -tangent : tangent));
     pixel.reach = 1; /* along the ray ground counts up to t / reach = 1 */
     const floats slope = horizon(&pixel, c, s, tangent, above, 1 / reach, 0);
     STORE(slope > tangent ? 0 : ALL(1), here + j, seen);
@@ -678,35 +766,41 @@ void between(float at, float low, float high, floats along, floats *from, floats
 }
 
 /* The light of a sector above a tangent. */
-floats light_above(__global const float *table, ints entry, int knots, floats first, floats scale, floats tangent, floats tilt)
+floats light_above(__global const float *table, ints entry, int knots, floats first, floats scale,
+                   floats tangent, floats tilt)
 {
   const floats at = MORE((tangent / sqrt(tangent * tangent + 1) - first) * scale, 0);
   ints knot = TO_INTS(at);
   knot = knot > knots - 2 ? knots - 2 : knot;
   const floats rest = at - TO_FLOATS(knot), part = rest > 1 ? 1 : rest;
   const ints here = (entry + knot) * 4;
-  const floats by_cosine = GATHER(table, here) + part * GATHER(table, here + 2), by_sine = GATHER(table, here + 1) + part * GATHER(table, here + 3);
+  const floats by_cosine = GATHER(table, here) + part * GATHER(table, here + 2),
+               by_sine = GATHER(table, here + 1) + part * GATHER(table, here + 3);
   return tilt * by_cosine + by_sine;
 }
 
-/* sectors: the light of a sky in a few sectors of azimuth, each above the exact horizon along one azimuth, added to what is
-there.
+/* sectors: the light of a sky in a few sectors of azimuth, each above the exact horizon along one azimuth,
+added to what is there.
 
-  ways        (5, count)         float  azimuth's cosine and sine, width [rad], and of its table: the sine of elevation at which
-                                        it begins, `first`, and knots per unit of sine, `scale`; count: a multiple of LANES
-  table       (count, knots, 4)  float  integrals over elevation of B cos^2 and B sin cos, from the sine first + i / scale on, and
-                                        what to add up to the next knot; below the first knot and above the last there is no light
+  ways        (5, count)         float  azimuth's cosine and sine, width [rad], and of its table: the sine of
+                                        elevation at which it begins, `first`, and knots per unit of sine,
+                                        `scale`; count: a multiple of LANES
+  table       (count, knots, 4)  float  integrals over elevation of B cos^2 and B sin cos, from the sine first
+                                        + i / scale on, and what to add up to the next knot; below the first
+                                        knot and above the last there is no light
   irradiance  (rows, cols)       float  in, out
 
-highest: node of the map. x0 <= x < x1, y0 <= y < y1 [spacing]: window at height 0 through which the light comes;
--ENDLESS..ENDLESS: there is none. */
+highest: node of the map. x0 <= x < x1, y0 <= y < y1 [spacing]: window at height 0 through which the light
+comes; -ENDLESS..ENDLESS: there is none. */
 __kernel void sectors(__global const float *heights, __global const float *tops, __global const float *ways,
-                      __global const float *table, __global float *irradiance, int rows, int cols, int width, int levels, int count,
-                      int knots, int dark, float highest, float x0, float x1, float y0, float y1)
+                      __global const float *table, __global float *irradiance, int rows, int cols, int width,
+                      int levels, int count, int knots, int dark, float highest, float x0, float x1, float y0,
+                      float y1)
 {
   if (get_global_id(0) >= cols || get_global_id(1) >= rows)
     return;
-  Pixel pixel = pixel_at(heights, tops, heights, heights, heights, heights, rows, cols, width, levels, 0, 0, 0, 0, 0, dark, 0);
+  Pixel pixel = pixel_at(heights, tops, heights, heights, heights, heights, rows, cols, width, levels, 0, 0,
+                         0, 0, 0, dark, 0);
   pixel.up = 0;
   pixel.reach = 1; /* ground counts up to t x along = 1 */
   pixel.radius = -1;
@@ -714,16 +808,20 @@ __kernel void sectors(__global const float *heights, __global const float *tops,
   floats sum = 0;
   if (pixel.height > NONE && (!framed || pixel.height < 0))
     for (int j = 0; j < count; j += LANES) {
-      const floats c = AT(ways, j), s = AT(ways, count + j), first = AT(ways, 3 * count + j), scale = AT(ways, 4 * count + j);
+      const floats c = AT(ways, j), s = AT(ways, count + j), first = AT(ways, 3 * count + j),
+                   scale = AT(ways, 4 * count + j);
       const floats last = first + (knots - 1) / scale, below = 1 - first * first, beyond = 1 - last * last;
       const floats low = first / sqrt(MORE(below, 1e-12f)), high = last / sqrt(MORE(beyond, 1e-12f));
-      const floats along = MORE(low, 1e-6f) / max(highest - pixel.height, 1e-6f); /* farther on, a ray is above all ground */
+      /* farther on, a ray is above all ground */
+      const floats along = MORE(low, 1e-6f) / max(highest - pixel.height, 1e-6f);
       const floats tilt = pixel.tilt_x * c + pixel.tilt_y * s;
       /* 1. the tangent plane, the level, the wall, the window, and the ground */
       floats slope = MORE(-tilt, low), end = STEEP;
       if (dark) {
-        const floats wall_x = c == 0 ? ALL(ENDLESS) : (c > 0 ? ALL(cols - 0.5f - pixel.x) : ALL(-0.5f - pixel.x)) / c;
-        const floats wall_y = s == 0 ? ALL(ENDLESS) : (s > 0 ? ALL(rows - 0.5f - pixel.y) : ALL(-0.5f - pixel.y)) / s;
+        const floats wall_x =
+            c == 0 ? ALL(ENDLESS) : (c > 0 ? ALL(cols - 0.5f - pixel.x) : ALL(-0.5f - pixel.x)) / c;
+        const floats wall_y =
+            s == 0 ? ALL(ENDLESS) : (s > 0 ? ALL(rows - 0.5f - pixel.y) : ALL(-0.5f - pixel.y)) / s;
         const floats top = -pixel.height / LESS(wall_x, wall_y);
         slope = MORE(slope, top);
       }
@@ -746,5 +844,6 @@ __kernel void sectors(__global const float *heights, __global const float *tops,
       }
       sum += AT(ways, 2 * count + j) * light;
     }
-  irradiance[pixel.y * cols + pixel.x] += TOTAL(sum) / sqrt(1 + pixel.tilt_x * pixel.tilt_x + pixel.tilt_y * pixel.tilt_y);
+  irradiance[pixel.y * cols + pixel.x] +=
+      TOTAL(sum) / sqrt(1 + pixel.tilt_x * pixel.tilt_x + pixel.tilt_y * pixel.tilt_y);
 }

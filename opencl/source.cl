@@ -3,12 +3,15 @@
 Shared arguments
   depth      (rows, cols)       float   [length]  +inf where masked
   steps      (walks, BITS, 4)   int     i, j, k, direction number
-  crossings  (n, 8)             int     where a ray meets grid lines within one step, in order: x, y of a node, x, y to
-                                        the next node on that line, the weights of both, when (per STEP_PARTS), parts
-  spans      (walks, 2)         int     first crossing of a walk and how many; the last one is the lattice node itself
+  crossings  (n, 8)             int     where a ray meets grid lines within one step, in order: x, y of a
+                                        node, x, y to the next node on that line, the weights of both, when
+                                        (per STEP_PARTS), parts
+  spans      (walks, 2)         int     first crossing of a walk and how many; the last one is the lattice
+                                        node itself
   numbers    (4)                double  [length]  x0, x1, y0, y1 of a rectangle, or x, y, z, radius of a ball
   flags      (layers, rows, cols) uchar aperture (one layer) or volume
-  kind       0 sky, 1 rectangle, 2 aperture, 3 ball, 4 volume (skylamp.sources); sides: 0 open, 1 dark, 2 periodic
+  kind       0 sky, 1 rectangle, 2 aperture, 3 ball, 4 volume (skylamp.sources); sides: 0 open, 1 dark, 2
+             periodic
   step       double [length]  the spacing in the unit of depth
 
 Every formula is one rounding per operation, so every device decides alike. Twin of warp_kernels/source.py. */
@@ -42,7 +45,8 @@ int meets_plane(int x, int y, double z, int i, int j, int k, __global const doub
     return 0;
   const double u = x * climb + i * z, v = y * climb + j * z;
   if (kind == RECTANGLE)
-    return within(u, k, numbers[0], numbers[1], cols * step, sides) && within(v, k, numbers[2], numbers[3], rows * step, sides);
+    return within(u, k, numbers[0], numbers[1], cols * step, sides) &&
+           within(v, k, numbers[2], numbers[3], rows * step, sides);
   if (kind == APERTURE) {
     double col = floor((2 * u + climb) / (2 * climb)), row = floor((2 * v + climb) / (2 * climb));
     if (sides == PERIODIC) {
@@ -54,7 +58,8 @@ int meets_plane(int x, int y, double z, int i, int j, int k, __global const doub
   return 1;
 }
 
-/* The step count at which a ray from (x, y, z) along (i, j, -k) first meets the closed ball; -1 if it does not. */
+/* The step count at which a ray from (x, y, z) along (i, j, -k) first meets the closed ball; -1 if it does
+   not. */
 double meets_ball(int x, int y, double z, int i, int j, int k, __global const double *numbers, double step)
 {
   const double lx = i * step, ly = j * step, lz = -(k * step);
@@ -67,7 +72,8 @@ double meets_ball(int x, int y, double z, int i, int j, int k, __global const do
   return b > 0 && root >= 0 ? (b - sqrt(root)) / a : -1;
 }
 
-/* Whether the lamp is visible from (x, y, z) along the step: the ray meets it, and neither ground nor wall comes before. */
+/* Whether the lamp is visible from (x, y, z) along the step: the ray meets it, and neither ground nor wall
+   comes before. */
 int meets_lamp(__global const float *depth, int x, int y, double z, int i, int j, int k,
                __global const int *crossings, int n_crossings, __global const double *numbers,
                __global const uchar *flags, int rows, int cols, int layers, int kind, int sides, double step)
@@ -112,14 +118,16 @@ int meets_lamp(__global const float *depth, int x, int y, double z, int i, int j
       if (!near_in && !far_in && c == n_crossings - 1)
         return kind == BALL; /* past the side of the map nothing stands in the way */
       if (near_in && (at[5] == 0 || far_in)) {
-        const float near = depth[(size_t)cy * cols + cx], far = at[5] == 0 ? near : depth[(size_t)ey * cols + ex];
+        const float near = depth[(size_t)cy * cols + cx],
+                    far = at[5] == 0 ? near : depth[(size_t)ey * cols + ex];
         if (!isinf(near) && !isinf(far) && at[4] * (double)near + at[5] * (double)far < over)
           return 0;
       }
       if (kind == VOLUME) {
         const long nx = 2 * at[5] >= parts ? ex : cx, ny = 2 * at[5] >= parts ? ey : cy;
         const long n = (long)floor((2 * (level * parts - when * k) + parts) / (2 * parts));
-        if (n >= 0 && n < layers && nx >= 0 && nx < cols && ny >= 0 && ny < rows && flags[((size_t)n * rows + ny) * cols + nx])
+        if (n >= 0 && n < layers && nx >= 0 && nx < cols && ny >= 0 && ny < rows &&
+            flags[((size_t)n * rows + ny) * cols + nx])
           return 1;
       }
       if (k == 0 && c == n_crossings - 1 && cx == x && cy == y)
@@ -127,12 +135,13 @@ int meets_lamp(__global const float *depth, int x, int y, double z, int i, int j
     }
 }
 
-/* clip: clears the bits of surface nodes whose unblocked rays do not come from the sky, window or lamp, and with a lamp
-sets those that only something beyond the lamp blocks. planes (walks, room) uchar, in, out. Work-item p owns pixel p. */
+/* clip: clears the bits of surface nodes whose unblocked rays do not come from the sky, window or lamp, and
+with a lamp sets those that only something beyond the lamp blocks. planes (walks, room) uchar, in, out.
+Work-item p owns pixel p. */
 __kernel void clip(__global const float *depth, __global const int *steps, __global const int *crossings,
                    __global const int *spans, __global const double *numbers, __global const uchar *flags,
-                   __global uchar *planes, int rows, int cols, int room, int layers, int kind, int sides, double step,
-                   int n_walks)
+                   __global uchar *planes, int rows, int cols, int room, int layers, int kind, int sides,
+                   double step, int n_walks)
 {
   const size_t p = get_global_id(0), pixels = (size_t)rows * cols;
   if (p >= pixels || isinf(depth[p]))
@@ -146,24 +155,26 @@ __kernel void clip(__global const float *depth, __global const int *steps, __glo
       if (kind == BALL && lit >> b & 1 && sides == OPEN)
         on = meets_ball(x, y, depth[p], l[0], l[1], l[2], numbers, step) >= 0;
       else if (kind >= BALL)
-        on = meets_lamp(depth, x, y, depth[p], l[0], l[1], l[2], crossings + 8 * spans[2 * w], spans[2 * w + 1], numbers, flags, rows, cols, layers, kind, sides, step);
+        on = meets_lamp(depth, x, y, depth[p], l[0], l[1], l[2], crossings + 8 * spans[2 * w],
+                        spans[2 * w + 1], numbers, flags, rows, cols, layers, kind, sides, step);
       else
-        on = lit >> b & 1 && meets_plane(x, y, depth[p], l[0], l[1], l[2], numbers, flags, rows, cols, kind, sides, step);
+        on = lit >> b & 1 &&
+             meets_plane(x, y, depth[p], l[0], l[1], l[2], numbers, flags, rows, cols, kind, sides, step);
       lit = on ? lit | 1 << b : lit & ~(1 << b);
     }
     planes[(size_t)w * room + p] = lit;
   }
 }
 
-/* enter: the field outside the volume. Nodes of layer n < 0, and of the rim of `reach` nodes around layer n >= 0, get the
-bits of the rays that come from the sky or through the window; lamps do not use it.
+/* enter: the field outside the volume. Nodes of layer n < 0, and of the rim of `reach` nodes around layer n
+>= 0, get the bits of the rays that come from the sky or through the window; lamps do not use it.
 
   field  (layers + reach, words, rows + 2 reach, cols + 2 reach) uint  out; layer n stands at n + reach
 
 Work-item (X, Y, n) owns a node of the layer with its rim, for all directions. */
 __kernel void enter(__global const int *steps, __global const double *numbers, __global const uchar *flags,
-                    __global uint *field, int rows, int cols, int reach, int n_words, int n_directions, int kind,
-                    int sides)
+                    __global uint *field, int rows, int cols, int reach, int n_words, int n_directions,
+                    int kind, int sides)
 {
   const int X = get_global_id(0), Y = get_global_id(1), layer = get_global_id(2);
   const int width = cols + 2 * reach, height = rows + 2 * reach;
@@ -174,14 +185,16 @@ __kernel void enter(__global const int *steps, __global const double *numbers, _
     uint lit = 0;
     for (int d = 32 * word; d < min(32 * word + 32, n_directions); ++d) {
       __global const int *l = steps + 4 * d;
-      if (!(sides == DARK && n >= 0) && meets_plane(x, y, n, l[0], l[1], l[2], numbers, flags, rows, cols, kind, sides, 1))
+      if (!(sides == DARK && n >= 0) &&
+          meets_plane(x, y, n, l[0], l[1], l[2], numbers, flags, rows, cols, kind, sides, 1))
         lit |= 1u << d % 32;
     }
     field[(((size_t)layer * n_words + word) * height + Y) * width + X] = lit;
   }
 }
 
-/* beam: the field of a lamp, node by node. words (layers, words, rows, cols) uint, out. Work-item (p, n) owns node p of layer n. */
+/* beam: the field of a lamp, node by node. words (layers, words, rows, cols) uint, out. Work-item (p, n) owns
+   node p of layer n. */
 __kernel void beam(__global const float *depth, __global const int *steps, __global const int *crossings,
                    __global const int *spans, __global const double *numbers, __global const uchar *flags,
                    __global uint *field, int rows, int cols, int layers, int kind, int sides, int n_words,
@@ -196,7 +209,8 @@ __kernel void beam(__global const float *depth, __global const int *steps, __glo
     uint lit = 0;
     for (int d = 32 * word; d < min(32 * word + 32, n_directions); ++d) {
       __global const int *l = steps + 4 * d;
-      if (n <= depth[p] && meets_lamp(depth, x, y, n, l[0], l[1], l[2], crossings + 8 * spans[2 * d], spans[2 * d + 1], numbers, flags, rows, cols, layers, kind, sides, 1))
+      if (n <= depth[p] && meets_lamp(depth, x, y, n, l[0], l[1], l[2], crossings + 8 * spans[2 * d],
+                                      spans[2 * d + 1], numbers, flags, rows, cols, layers, kind, sides, 1))
         lit |= 1u << d % 32;
     }
     field[((size_t)n * n_words + word) * pixels + p] = lit;
