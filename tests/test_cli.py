@@ -8,9 +8,10 @@ import sys
 
 import numpy as np
 import pytest
+
 import skylamp as sl
+from skylamp import io
 from skylamp.app import cli
-from skylamp.io import files as io
 
 BOWL = (np.hypot(*np.mgrid[-6:7, -7:8]) // 2).max() - np.hypot(*np.mgrid[-6:7, -7:8]) // 2 + 1
 
@@ -514,7 +515,7 @@ def test_import_is_light():
     """The library does not bring the command line or image readers with it."""
     code = (
         "import sys, skylamp; print(*[m for m in ('typer', 'rich', 'imageio', 'PIL', 'tifffile',"
-        " 'matplotlib', 'skylamp.cli') if m in sys.modules])"
+        " 'matplotlib', 'skylamp.app.cli') if m in sys.modules])"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, timeout=300)
     assert (done.returncode, done.stdout.split()) == (0, []), done

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import imageio.v3 as imageio
 import pytest
+
 import skylamp as sl
 
 ROOT = Path(__file__).parent.parent

@@ -5,10 +5,11 @@ import sys
 
 import numpy as np
 import pytest
+
 import skylamp as sl
+from skylamp import io
 from skylamp.app import cli
 from skylamp.errors import InputError
-from skylamp.io import files as io
 from skylamp.io import geotiff as geo
 
 rasterio = pytest.importorskip("rasterio")
@@ -233,7 +234,7 @@ def test_rasters_that_do_not_fit(tmp_path, options, says):
 
 
 def test_not_a_geotiff(tmp_path):
-    """No georeference, another format under the name (a VRT could name any file), and what cannot be written."""
+    """No georeference, another format under the name (a VRT could name any file), what cannot be written."""
     io.write(tmp_path / "plain.tif", np.ones((4, 5), np.float32))
     refused("cannot read", geo.read, tmp_path / "plain.tif")
     source = make(tmp_path / "dem.tif")

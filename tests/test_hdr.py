@@ -5,10 +5,13 @@ import sys
 
 import numpy as np
 import pytest
+
 import skylamp as sl
+from skylamp import io
 from skylamp.app import cli
 from skylamp.errors import InputError
-from skylamp.io import files as io
+from skylamp.io.files import LUMINANCE
+from skylamp.io.paths import HDR
 
 OpenEXR = pytest.importorskip("OpenEXR")
 cv2 = pytest.importorskip("cv2")
@@ -124,14 +127,14 @@ def test_environment_lights_a_scene(tmp_path, fast):
         images.append(io.read(tmp_path / "a.exr"))
     expected = sl.render(
         sl.Scene(np.full((4, 5), 2.0)),
-        sl.Sky(sl.environment_map(light @ np.float64(io.LUMINANCE))),
+        sl.Sky(sl.environment_map(light @ np.float64(LUMINANCE))),
         backend=fast,
     ).image
     np.testing.assert_allclose(images[0], expected, rtol=1e-6)
     np.testing.assert_allclose(images[1], images[0], rtol=1e-2)
 
 
-@pytest.mark.parametrize("suffix", io.HDR)
+@pytest.mark.parametrize("suffix", HDR)
 def test_truncated_and_damaged(tmp_path, suffix):
     """Cut anywhere or with bytes changed: one InputError, or a picture; never anything else, never a half one
     from a cut file.
@@ -190,7 +193,7 @@ def test_without_the_extra(tmp_path, monkeypatch, suffix, package):
     assert [p.name for p in tmp_path.iterdir()] == [path.name]
 
 
-@pytest.mark.parametrize("suffix", io.HDR)
+@pytest.mark.parametrize("suffix", HDR)
 def test_failing_write_leaves_no_trace(tmp_path, monkeypatch, suffix):
     """A full disk at the last moment."""
 
@@ -208,7 +211,7 @@ def test_command_line_stays_one_line(tmp_path):
     line.
     """
     np.save(tmp_path / "d.npy", np.ones((3, 3)))
-    for suffix in io.HDR:
+    for suffix in HDR:
         io.write(tmp_path / f"a{suffix}", LIGHT)
         cut = tmp_path / f"cut{suffix}"
         cut.write_bytes((tmp_path / f"a{suffix}").read_bytes()[:-300])

@@ -5,6 +5,7 @@ import json
 
 import numpy as np
 import pytest
+
 import skylamp as sl
 from skylamp.app import cli, selftest
 from skylamp.backends.base import Backend

@@ -15,7 +15,7 @@ from .. import oracle, sources
 from ..errors import bad, lacking
 from ..horizon import horizons
 from ..inverse.recover import Recovery
-from ..io.files import _parent, replacing
+from ..io.paths import StrPath, destination, replacing
 from ..scene import Scene, is_scene
 from ..visibility import View, VisibilityField
 
@@ -290,7 +290,7 @@ def drawable(path) -> Path:
     if path.suffix.lower() not in SUFFIXES:
         raise bad(f"{path}: unknown extension of a picture", repr(path.suffix), " ".join(SUFFIXES))
     _matplotlib()
-    return _parent(path)
+    return destination(path)
 
 
 def _matplotlib():

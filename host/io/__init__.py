@@ -1,4 +1,4 @@
-"""Files: depth maps, images, environment maps (`files`), GeoTIFF (`geotiff`)."""
+"""Files: arrays in several formats (`files`; `png`, `tiff`, `hdr`), GeoTIFF (`geotiff`), paths (`paths`)."""
 
 from .files import (
     folder,

@@ -10,14 +10,16 @@ from __future__ import annotations
 import warnings
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from ..errors import bad, lacking
 from ..scene import Scene
-from .files import _parent, _readable, _reading, replacing
+from .paths import StrPath, destination, readable, reading, replacing
 
 SQUARE = 0.01  # by how much of its length a cell's other side may differ: that much the slopes are off
+MOST_CELLS = 2**30  # a header that asks for more is damaged or hostile
 FEET = {
     "ft": 0.3048,
     "foot": 0.3048,
@@ -40,33 +42,31 @@ class Raster:
     values: np.ndarray
     mask: np.ndarray
     spacing: float
-    crs: object
-    transform: object
+    crs: Any  # rasterio.crs.CRS
+    transform: Any  # affine.Affine
     nodata: float | None
     point: bool = False
 
-    def scene(self, **options) -> Scene:
-        """The :class:`skylamp.Scene` of these heights; ``options``: albedo, sides, or a spacing of the
-        caller's.
-        """
+    def scene(self, **options: Any) -> Scene:
+        """The :class:`skylamp.Scene` of these heights; ``options``: albedo, sides, or another spacing."""
         height = np.where(self.mask, self.values, 0)
         return Scene.from_height(
             height, **{"spacing": self.spacing, "mask": None if self.mask.all() else self.mask, **options}
         )
 
 
-def is_geotiff(path) -> bool:
+def is_geotiff(path: StrPath) -> bool:
     """Whether ``path`` is a TIFF with a georeference; told by its tags, without rasterio."""
-    path = _readable(path)
+    path = readable(path)
     if path.suffix.lower() not in (".tif", ".tiff"):
         return False
     import tifffile
 
-    with _reading(path), tifffile.TiffFile(path) as file:
-        return bool(len(file.pages)) and any(tag in file.pages[0].tags for tag in GEO_TAGS)
+    with reading(path), tifffile.TiffFile(path) as file:
+        return bool(len(file.pages)) and any(tag in file.pages[0].aspage().tags for tag in GEO_TAGS)
 
 
-def read(path, *, resample: bool = False) -> Raster:
+def read(path: StrPath, *, resample: bool = False) -> Raster:
     """The one band of a GeoTIFF with its georeference.
 
     Its cells must be square on the ground to 1 %, north up. In degrees, a cell's sides in metres follow from
@@ -78,20 +78,19 @@ def read(path, *, resample: bool = False) -> Raster:
     with several bands, turned, not square, or so tall in latitude that a degree's length changes by more than
     2 %; or without rasterio.
     """
-    path = _readable(path)
+    path = readable(path)
     rasterio = _rasterio(path)
-    with _reading(path), warnings.catch_warnings():
+    with reading(path), warnings.catch_warnings():
         warnings.simplefilter("error", rasterio.errors.NotGeoreferencedWarning)
-        with rasterio.open(
-            path, driver="GTiff"
-        ) as file:  # this driver alone: a .tif that is a VRT could name any file
+        # this driver alone: a .tif that is a VRT could name any file
+        with rasterio.open(path, driver="GTiff") as file:
             if file.count != 1:
                 raise bad(f"{path}: bands", file.count, "one band of heights, depths or values")
-            if file.width * file.height > 2**30:
+            if file.width * file.height > MOST_CELLS:
                 raise bad(
                     f"{path}: size",
                     f"{file.height} x {file.width}",
-                    f"at most {2**30:,} cells",
+                    f"at most {MOST_CELLS:,} cells",
                     "Cut it into tiles.",
                 )
             values, mask = file.read(1), file.read_masks(1) > 0
@@ -133,7 +132,7 @@ def read(path, *, resample: bool = False) -> Raster:
     return replace(found, spacing=float(np.sqrt(east * north) / vertical))
 
 
-def write(path, array, like: Raster) -> None:
+def write(path: StrPath, array: np.ndarray, like: Raster) -> None:
     """Write ``array``, (rows, cols) or (bands, rows, cols), as a GeoTIFF with the georeference of ``like``,
     whole or not at all, in the array's own type.
 
@@ -144,7 +143,7 @@ def write(path, array, like: Raster) -> None:
     path = Path(path)
     if path.suffix.lower() not in (".tif", ".tiff"):
         raise bad(f"{path}: unknown extension of a GeoTIFF", repr(path.suffix), ".tif .tiff")
-    _parent(path)
+    destination(path)
     rasterio = _rasterio(path)
     array = np.asarray(array)
     array = array.astype(np.uint8) if array.dtype == bool else array
@@ -194,7 +193,7 @@ def write(path, array, like: Raster) -> None:
             out.write(memory.getbuffer())
 
 
-def _rasterio(path):
+def _rasterio(path: Path) -> Any:
     try:
         import rasterio
         import rasterio.errors
@@ -205,7 +204,7 @@ def _rasterio(path):
         raise lacking(f"{path}: a GeoTIFF", "rasterio", "geo") from error
 
 
-def _metres(path, raster: Raster) -> tuple[float, float]:
+def _metres(path: Path, raster: Raster) -> tuple[float, float]:
     """A cell's length to the east and to the north [metre]."""
     east, north = raster.transform.a, -raster.transform.e
     if raster.crs is None or not raster.crs.is_geographic:
@@ -234,24 +233,20 @@ def _degrees(latitude: float) -> tuple[float, float]:
     return np.pi / 180 * a * np.cos(np.radians(latitude)) / s**0.5, np.pi / 180 * a * (1 - e2) / s**1.5
 
 
-def _squared(rasterio, raster: Raster, east: float, north: float) -> Raster:
+def _squared(rasterio: Any, raster: Raster, east: float, north: float) -> Raster:
     """``raster`` in square cells of the shorter side; bilinear, and no data where a neighbour has none."""
     rows, cols = raster.values.shape
     t, side = raster.transform, min(east, north)
     shape = max(1, round(rows * north / side)), max(1, round(cols * east / side))
     transform = rasterio.Affine(t.a * cols / shape[1], 0, t.c, 0, t.e * rows / shape[0], t.f)
     warp = dict(
-        src_transform=t, dst_transform=transform, src_crs="EPSG:3857", dst_crs="EPSG:3857"
-    )  # from plane to plane: any system will do
-    values = np.zeros(shape, np.float64)
-    rasterio.warp.reproject(
-        np.where(raster.mask, raster.values, 0).astype(np.float64),
-        values,
+        src_transform=t,
+        dst_transform=transform,
+        src_crs="EPSG:3857",  # from plane to plane: any system will do
+        dst_crs="EPSG:3857",
         resampling=rasterio.warp.Resampling.bilinear,
-        **warp,
     )
-    share = np.zeros(shape, np.float64)
-    rasterio.warp.reproject(
-        raster.mask.astype(np.float64), share, resampling=rasterio.warp.Resampling.bilinear, **warp
-    )
+    values, share = np.zeros(shape, np.float64), np.zeros(shape, np.float64)
+    rasterio.warp.reproject(np.where(raster.mask, raster.values, 0).astype(np.float64), values, **warp)
+    rasterio.warp.reproject(raster.mask.astype(np.float64), share, **warp)
     return replace(raster, values=values.astype(np.float32), mask=share > 1 - 1e-6, transform=transform)

@@ -1,0 +1,125 @@
+"""Pictures of high dynamic range: OpenEXR (.exr) and Radiance HDR (.hdr), both with the extra ``hdr``."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..errors import bad, lacking
+from .paths import replacing
+
+MOST_PIXELS = 2**30  # a header that asks for more is damaged or hostile
+
+
+def module(path: Path) -> Any:
+    """OpenEXR or OpenCV, whichever reads and writes ``path``; InputError if it is not installed."""
+    try:
+        if path.suffix.lower() == ".exr":
+            import OpenEXR
+
+            return OpenEXR
+        import cv2
+
+        return cv2
+    except ImportError as error:
+        raise lacking(
+            str(path), "OpenEXR" if path.suffix.lower() == ".exr" else "opencv-python-headless", "hdr"
+        ) from error
+
+
+def read(path: Path) -> np.ndarray:
+    """(rows, cols), or (rows, cols, 3) red, green, blue."""
+    return _read_openexr(path) if path.suffix.lower() == ".exr" else _read_radiance(path)
+
+
+def write(path: Path, array: np.ndarray) -> None:
+    """Write (rows, cols) or (rows, cols, 3); InputError for a type that the format does not hold."""
+    (_write_openexr if path.suffix.lower() == ".exr" else _write_radiance)(path, array)
+
+
+def _is_picture(array: np.ndarray) -> bool:
+    return array.ndim >= 2 and array.shape[2:] in ((), (3,))
+
+
+def _read_openexr(path: Path) -> np.ndarray:
+    """(rows, cols), or (rows, cols, 3) red, green, blue; alpha is left out, since colours are what shines."""
+    OpenEXR = module(path)
+    file = OpenEXR.File(str(path), header_only=True)
+    if len(file.parts) != 1:
+        raise bad(f"{path}: parts", len(file.parts), "an OpenEXR file of one picture")
+    header = file.header()
+    low, high = (np.asarray(corner, np.int64) for corner in header["dataWindow"])
+    size = high - low + 1
+    if (size < 1).any() or size.prod() > MOST_PIXELS:
+        raise bad(f"{path}: size", " x ".join(map(str, size)), f"at least one pixel, at most {MOST_PIXELS:,}")
+    if not all(np.array_equal(a, b) for a, b in zip(header["dataWindow"], header["displayWindow"])):
+        raise bad(
+            f"{path}: part of a picture", "a data window that is not the display window", "a whole picture"
+        )
+    file = OpenEXR.File(str(path), separate_channels=True)
+    if not file.parts:
+        raise ValueError("truncated or damaged")
+    channels = {name: channel.pixels for name, channel in file.channels().items() if name != "A"}
+    array: np.ndarray
+    if set(channels) == set("RGB"):
+        array = np.stack([channels[c] for c in "RGB"], -1)
+    elif len(channels) == 1:
+        (array,) = channels.values()
+    else:
+        raise bad(f"{path}: channels", ", ".join(channels), "R, G and B, or one channel")
+    if array.shape[:2] != (size[1], size[0]):
+        raise ValueError(f"channels of {array.shape[:2]} in a picture of {size[1]} x {size[0]}")
+    return array
+
+
+def _write_openexr(path: Path, array: np.ndarray) -> None:
+    if array.dtype not in (np.float16, np.float32, np.uint32) or not _is_picture(array):
+        raise bad(
+            f"{path}: an OpenEXR file holds one picture",
+            f"dtype {array.dtype}, shape {array.shape}",
+            "float16, float32 or uint32, (rows, cols) or (rows, cols, 3)",
+        )
+    OpenEXR = module(path)
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    channels = {"Y" if array.ndim == 2 else "RGB": np.ascontiguousarray(array)}
+    with replacing(path) as file:
+        OpenEXR.File(header, channels).write(file.name)
+
+
+def _read_radiance(path: Path) -> np.ndarray:
+    """(rows, cols, 3) float32 red, green, blue."""
+    cv2 = module(path)
+    data = path.read_bytes()
+    header = data[: data.find(b"\n\n") + 1]
+    if not header.startswith(b"#?"):
+        raise ValueError("not a Radiance picture")
+    array: np.ndarray | None = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+    if array is None or array.dtype != np.float32 or array.ndim != 3:
+        raise ValueError("truncated or damaged")
+    exposures = [float(value) for value in re.findall(rb"^EXPOSURE=\s*(\S+)", header, re.MULTILINE)]
+    rgb: np.ndarray = array[..., ::-1] / np.float32(np.prod(exposures))
+    return rgb
+
+
+def _write_radiance(path: Path, array: np.ndarray) -> None:
+    if (
+        array.dtype.kind != "f"
+        or not _is_picture(array)
+        or not (np.isfinite(array).all() and array.min() >= 0)
+    ):
+        raise bad(
+            f"{path}: a Radiance picture holds light",
+            f"dtype {array.dtype}, shape {array.shape}, {np.nanmin(array)} to {np.nanmax(array)}",
+            "finite floats >= 0, (rows, cols) or (rows, cols, 3)",
+            "Write .exr or .tif to keep negative values and NaN.",
+        )
+    cv2 = module(path)
+    rgb = array if array.ndim == 3 else np.stack([array] * 3, -1)
+    done, data = cv2.imencode(".hdr", np.ascontiguousarray(rgb[..., ::-1], np.float32))
+    if not done:
+        raise OSError(f"{path}: OpenCV could not encode it")
+    with replacing(path) as file:
+        file.write(data.tobytes())

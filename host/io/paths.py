@@ -1,0 +1,97 @@
+"""Paths: which can be read, which can be written, and files that are replaced whole or not at all."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import secrets
+from collections.abc import Iterator
+from pathlib import Path
+from typing import BinaryIO
+
+from ..errors import InputError, bad
+
+SUFFIXES = (".npy", ".npz", ".png", ".tif", ".tiff")
+HDR = (".exr", ".hdr")  # with the extra of that name
+
+StrPath = str | os.PathLike[str]
+
+
+def readable(path: StrPath) -> Path:
+    """``path`` if it is a file with data and a known extension; else InputError."""
+    path = Path(path)
+    with reading(path):
+        if path.is_dir():
+            raise bad(f"{path}: cannot read", "a folder", "a file")
+        if not path.exists():
+            raise bad(f"{path}: cannot read", "no such file", "an existing file")
+        if path.suffix.lower() not in SUFFIXES + HDR:
+            raise bad(f"{path}: unknown extension", repr(path.suffix), " ".join(SUFFIXES + HDR))
+        if path.stat().st_size == 0:
+            raise bad(f"{path}: cannot read", "an empty file", "a file with data")
+    return path
+
+
+@contextlib.contextmanager
+def reading(path: Path) -> Iterator[None]:
+    """Whatever a reader raises at a damaged or hostile file becomes one InputError that names the file."""
+    try:
+        yield
+    except InputError:
+        raise
+    # the libraries raise OSError, ValueError, struct.error, zlib.error, SyntaxError, MemoryError ...
+    except Exception as error:
+        text = " ".join(str(error).split()) or "no reason given"
+        raise bad(
+            f"{path}: cannot read",
+            f"{type(error).__name__}: {text}",
+            f"a whole {path.suffix.lower()} file of real numbers",
+        ) from error
+
+
+def destination(path: Path) -> Path:
+    """``path`` if its parent folder exists and no folder or device has that name; else InputError."""
+    if not path.parent.is_dir():
+        raise bad(
+            f"{path}: cannot write",
+            f"no folder {path.parent}",
+            "a file in an existing folder",
+            "Create the folder first.",
+        )
+    if path.exists() and not path.is_file():
+        raise bad(f"{path}: cannot write", "a folder or a device of that name", "a file")
+    return path
+
+
+def folder(path: StrPath) -> Path:
+    """``path`` as an existing folder, created with its parents if need be.
+
+    Raises InputError where a file stands in the way.
+    """
+    path = Path(path)
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except (FileExistsError, NotADirectoryError):
+        raise bad(
+            f"{path}: not a folder",
+            "a file of that name, or a file among its parents",
+            "a folder, or a name that is free",
+        ) from None
+    return path
+
+
+@contextlib.contextmanager
+def replacing(path: StrPath) -> Iterator[BinaryIO]:
+    """A binary file that becomes ``path`` when the block ends well, and leaves no trace when it does not."""
+    path = destination(Path(path)).resolve()  # through a symbolic link, not over it
+    # in the same folder: a rename must not cross file systems
+    temporary = path.with_name(f".{secrets.token_hex(8)}.tmp")
+    try:
+        with open(temporary, "xb") as file:
+            yield file
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(temporary, path)
+    except BaseException:
+        temporary.unlink(missing_ok=True)
+        raise
