@@ -11,8 +11,9 @@ from .refinement import Plan, plan
 from .reflectance import BRDF, Lambertian, Mirror, Phong, grooves
 from .rendering import Rendering, render
 from .scene import Scene
+from .sources.brightness import cie_overcast, cosine_power, environment_map, uniform
 from .sources.cie import CieSky, cie_clear, cie_sky, sun_position
-from .sources.shapes import Lamp, Sky, Window, cie_overcast, cosine_power, environment_map, uniform
+from .sources.shapes import Lamp, Sky, Window
 from .visibility import View, VisibilityField, visibility, visibility_field
 
 _LAZY = {"geo": "skylamp.io.geotiff", "plot": "skylamp.app.plot"}  # they need optional libraries

@@ -1,30 +1,9 @@
 """Sources of light: their shapes, their brightness, and its integrals over the sky."""
 
-from .shapes import (
-    APERTURE,
-    BALL,
-    RECTANGLE,
-    SKY,
-    VOLUME,
-    Brightness,
-    Geometry,
-    Lamp,
-    Sky,
-    Source,
-    Window,
-    azimuth_profile,
-    channels,
-    cie_overcast,
-    cosine_power,
-    directions_of,
-    elevation_table,
-    environment_map,
-    geometry,
-    looks,
-    radiance,
-    uniform,
-    without_disc,
-)
+from ..constants import APERTURE, BALL, RECTANGLE, SKY, VOLUME
+from .brightness import Brightness, cie_overcast, cosine_power, directions_of, environment_map, uniform
+from .shapes import Geometry, Lamp, Sky, Source, Window, channels, geometry, radiance, without_disc
+from .tables import azimuth_profile, elevation_table
 
 __all__ = [
     "APERTURE",
@@ -46,7 +25,6 @@ __all__ = [
     "elevation_table",
     "environment_map",
     "geometry",
-    "looks",
     "radiance",
     "uniform",
     "without_disc",

@@ -1,20 +1,21 @@
-"""Skies of the field: the fifteen of the CIE standard general sky, the sun's disc in them, and where the sun
-stands.
+"""The fifteen skies of the CIE standard general sky, the sun's disc in them, and the sun's position.
 
-Directions of the sky are told as in terrain analysis and solar engineering: azimuth [degree] clockwise from
+Directions of the sky are given as in terrain analysis and solar engineering: azimuth [degree] clockwise from
 geographic north (-y), so that 90 is east (+x), and elevation [degree] above the horizon. Brightness functions
-take the house's unit vectors.
+take unit vectors L, as all brightness functions here do.
 """
 
 from __future__ import annotations
 
 import datetime
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from ..errors import bad, lacking
-from .shapes import Lamp, _brightness_number
+from .brightness import brightness_number
+from .shapes import Lamp
 
 SUN_RADIUS = 0.2665  # [degree], the mean apparent radius of the sun
 # ISO 15469:2004 / CIE S 011:2003, table 1: gradation a, b; indicatrix c, d, e
@@ -22,8 +23,9 @@ PARAMETERS = {
     1: (4.0, -0.70, 0.0, -1.0, 0.00), 2: (4.0, -0.70, 2.0, -1.5, 0.15), 3: (1.1, -0.80, 0.0, -1.0, 0.00),
     4: (1.1, -0.80, 2.0, -1.5, 0.15), 5: (0.0, -1.00, 0.0, -1.0, 0.00), 6: (0.0, -1.00, 2.0, -1.5, 0.15),
     7: (0.0, -1.00, 5.0, -2.5, 0.30), 8: (0.0, -1.00, 10.0, -3.0, 0.45), 9: (-1.0, -0.55, 2.0, -1.5, 0.15),
-    10: (-1.0, -0.55, 5.0, -2.5, 0.30), 11: (-1.0, -0.55, 10.0, -3.0, 0.45), 12: (-1.0, -0.32, 10.0, -3.0, 0.45),
-    13: (-1.0, -0.32, 16.0, -3.0, 0.30), 14: (-1.0, -0.15, 16.0, -3.0, 0.30), 15: (-1.0, -0.15, 24.0, -2.8, 0.15),
+    10: (-1.0, -0.55, 5.0, -2.5, 0.30), 11: (-1.0, -0.55, 10.0, -3.0, 0.45),
+    12: (-1.0, -0.32, 10.0, -3.0, 0.45), 13: (-1.0, -0.32, 16.0, -3.0, 0.30),
+    14: (-1.0, -0.15, 16.0, -3.0, 0.30), 15: (-1.0, -0.15, 24.0, -2.8, 0.15),
 }  # fmt: skip
 WITHOUT_SUN = (1, 3, 5)  # whose brightness does not depend on where the sun stands
 
@@ -42,39 +44,50 @@ class CieSky:
     zenith: float
     direct: float = 0.0
 
-    def __call__(self, L) -> np.ndarray:
+    def __call__(self, L: np.ndarray) -> np.ndarray:
         L = np.asarray(L, float)
         up = -L[..., 2]
         a, b, c, d, e = PARAMETERS[self.type]
-        gradation = lambda sine: 1 + a * np.exp(b / np.maximum(sine, 1e-9))
+
+        def gradation(sine: Any) -> Any:
+            return 1 + a * np.exp(b / np.maximum(sine, 1e-9))
+
+        def scattered(chi: Any) -> Any:
+            return 1 + c * (np.exp(d * chi) - np.exp(d * np.pi / 2)) + e * np.cos(chi) ** 2
+
         light = self.zenith * gradation(up) / gradation(1.0)
         if self.sun is not None:
-            scattered = lambda chi: 1 + c * (np.exp(d * chi) - np.exp(d * np.pi / 2)) + e * np.cos(chi) ** 2
             chi = np.arccos(np.clip(L @ towards(*self.sun), -1, 1))
             light = light * scattered(chi) / scattered(np.radians(90 - self.sun[1]))
         return np.where(up >= 0, light, 0.0)
 
     def disc(self, distance: float) -> Lamp:
-        """The sun's disc as a ball so far away [unit of spacing], evenly bright: direct = pi B
-        sin^2(SUN_RADIUS).
+        """The sun's disc as a ball at this distance [unit of spacing], uniform.
+
+        Its brightness B follows from direct = pi B sin^2(SUN_RADIUS).
         """
         share = np.sin(np.radians(SUN_RADIUS))
+        x, y, z = distance * self._towards_sun()
         return Lamp(
-            center=tuple(distance * towards(*self.sun)),
+            center=(x, y, z),
             radius=distance * share,
             brightness=self.direct / (np.pi * share**2),
         )
 
     @property
-    def peaks(self) -> tuple:
+    def peaks(self) -> tuple[tuple[float, ...], ...]:
         """Directions of features narrower than a degree: the disc's, if there is one."""
-        return (tuple(towards(*self.sun)),) if self.direct else ()
+        return (tuple(self._towards_sun()),) if self.direct else ()
 
-    def with_disc(self, L) -> np.ndarray:
+    def _towards_sun(self) -> np.ndarray:
+        assert self.sun is not None, "cie_sky requires a sun where there is a disc"
+        return towards(*self.sun)
+
+    def with_disc(self, L: np.ndarray) -> np.ndarray:
         """The brightness with the sun's disc, direct / (pi sin^2 SUN_RADIUS) within it."""
         radius = np.radians(SUN_RADIUS)
         return self(L) + np.where(
-            np.asarray(L, float) @ towards(*self.sun) > np.cos(radius),
+            np.asarray(L, float) @ self._towards_sun() > np.cos(radius),
             self.direct / (np.pi * np.sin(radius) ** 2),
             0.0,
         )
@@ -106,15 +119,15 @@ def cie_sky(
         turbid with a broad corona.
     sun : (azimuth, elevation) [degree]
         Clockwise from north (-y), above the horizon (0 to 90); see :func:`sun_position`. Not needed for 1, 3
-        and 5, which look alike at any hour.
+        and 5, which do not depend on it.
     zenith : float [unit of brightness]
         Brightness of the zenith, 1 unless given.
     horizontal : float [unit of brightness x sr], optional
         Instead of ``zenith``: the diffuse irradiance of open level ground, which the sky is scaled to.
     direct : float [unit of brightness x sr]
         Irradiance by the sun's disc of a surface that faces it; 0, no disc, unless given. The disc has a
-        radius of 0.2665 degrees and is evenly bright, direct / (pi sin^2 radius). It needs ``render`` with
-        method="horizon" and sides "open" or "dark"; everything else says that it has no direction as small.
+        radius of 0.2665 degrees and the uniform brightness direct / (pi sin^2 radius). It needs ``render``
+        with method="horizon" and sides "open" or "dark"; everything else raises InputError.
 
     Raises
     ------
@@ -134,10 +147,10 @@ def cie_sky(
         sun = _angles(sun)
     if zenith is not None and horizontal is not None:
         raise bad("cie_sky: brightness", "zenith and horizontal", "one of the two")
-    direct = _brightness_number(direct)
+    direct = brightness_number(direct)
     if horizontal is not None:
-        zenith = _brightness_number(horizontal) / _horizontal(int(type), sun)
-    return CieSky(int(type), sun, _brightness_number(1.0 if zenith is None else zenith), direct)
+        zenith = brightness_number(horizontal) / _horizontal(int(type), sun)
+    return CieSky(int(type), sun, brightness_number(1.0 if zenith is None else zenith), direct)
 
 
 def cie_clear(
@@ -148,19 +161,21 @@ def cie_clear(
     horizontal: float | None = None,
     direct: float = 0.0,
 ) -> CieSky:
-    """The CIE standard clear sky: type 12 of :func:`cie_sky`, or 13 where ``turbid``. Arguments and errors as
-    there.
+    """The CIE standard clear sky: type 12 of :func:`cie_sky`, or 13 where ``turbid``.
+
+    Arguments and errors are those of :func:`cie_sky`.
     """
     return cie_sky(13 if turbid else 12, sun, zenith, horizontal=horizontal, direct=direct)
 
 
-def sun_position(time, latitude: float, longitude: float, altitude: float = 0.0) -> tuple[float, float]:
-    """(azimuth, elevation) of the sun [degree], for ``sun`` of :func:`cie_sky`; elevation with refraction,
-    below 0 at night.
+def sun_position(
+    time: datetime.datetime | str, latitude: float, longitude: float, altitude: float = 0.0
+) -> tuple[float, float]:
+    """(azimuth, elevation) of the sun [degree], for ``sun`` of :func:`cie_sky`.
 
-    ``time``: a datetime that knows its time zone, or such a time as ISO 8601 text ("2026-06-21T09:00+02:00").
-    ``latitude``, ``longitude`` [degree], north and east positive; ``altitude`` [metre]. By pvlib (NREL's
-    algorithm, Reda and Andreas 2004).
+    The elevation is with refraction, and below 0 at night. ``time``: a datetime with a time zone, or such a
+    time as ISO 8601 text ("2026-06-21T09:00+02:00"). ``latitude``, ``longitude`` [degree], north and east
+    positive; ``altitude`` [metre]. By pvlib (NREL's algorithm, Reda and Andreas 2004).
 
     Raises InputError for a time without a zone or a place that is not on Earth, or if pvlib is not installed.
     """
@@ -179,9 +194,9 @@ def sun_position(time, latitude: float, longitude: float, altitude: float = 0.0)
             "Append Z for universal time, or +02:00.",
         )
     try:
-        numbers = tuple(float(v) for v in (latitude, longitude, altitude))
+        numbers = [float(v) for v in (latitude, longitude, altitude)]
     except (TypeError, ValueError):
-        numbers = (np.nan,)
+        numbers = [np.nan]
     if not (np.isfinite(numbers).all() and abs(numbers[0]) <= 90 and abs(numbers[1]) <= 360):
         raise bad(
             "sun_position: place",
@@ -205,7 +220,7 @@ def towards(azimuth: float, elevation: float) -> np.ndarray:
     return np.array([np.sin(a) * np.cos(e), -np.cos(a) * np.cos(e), -np.sin(e)])
 
 
-def _angles(sun) -> tuple[float, float]:
+def _angles(sun: Any) -> tuple[float, float]:
     try:
         azimuth, elevation = (float(v) for v in sun)
     except (TypeError, ValueError):
@@ -215,9 +230,10 @@ def _angles(sun) -> tuple[float, float]:
     return azimuth, elevation
 
 
-def _horizontal(type: int, sun) -> float:
-    """Irradiance of level ground for a zenith of 1: Gauss-Legendre in the square of the sine, 128 azimuths
-    from the sun's.
+def _horizontal(type: int, sun: tuple[float, float] | None) -> float:
+    """Irradiance of level ground for a zenith of 1.
+
+    Gauss-Legendre quadrature in the sine of elevation, 128 azimuths from the sun's on.
     """
     node, weight = np.polynomial.legendre.leggauss(96)
     sine = (1 + node) / 2

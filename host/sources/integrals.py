@@ -11,7 +11,7 @@ and on the host.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
@@ -21,40 +21,34 @@ import numpy as np
 from .. import sources
 from ..directions import Azimuths
 
-ROWS, COLS = (
-    640,
-    2304,
-)  # cells from the horizon to the zenith, and round the horizon: a disc of 0.1 degrees radius holds a sample
+# cells from the horizon to the zenith, and round the horizon: a disc of 0.1 degrees radius holds a sample
+ROWS, COLS = 640, 2304
 COARSE_ROWS, COARSE_COLS = 180, 576  # the same where narrow features are named: cells of half a degree
 # of a cell: every row starts so much farther on, so that no border in azimuth runs along cells
 GOLDEN = 0.6180339887498949
 PLACES = 0.7548776662466927, 0.5698402909980532  # steps of a low-discrepancy sequence in two dimensions
-# steps, over the brightness, from which a cell is no smooth one; chosen above the 0.006 by which a spot of
-# cos^900 bends a cell
+# second difference over the brightness from which a cell is not smooth; chosen above the 0.006 of a spot of
+# cos^900
 ROUGH = 0.05
-# of all light: a cell that steps by more is divided. Level ground under ten suns is then 2e-5 to 7e-5 off
-# (tests/test_brightness.py)
+# of all light: a cell with a larger second difference is divided. Level ground under ten suns is then 2e-5 to
+# 7e-5 off (tests/test_brightness.py)
 SHARE = 2e-6
-DIM = 1e-9  # of all light: what steps by less in a cell cannot matter, a million cells of it are 1e-6 off
-# looks along each side of a rough cell that is not divided; chosen: with 3, twenty stripes are 2e-4 off, with
+NEGLIGIBLE = 1e-9  # of all light: smaller second differences do not matter, a million cells are 1e-6 off
+# samples along each side of a rough cell that is not divided; chosen: with 3, twenty stripes are 2e-4 off, with
 # 1 six times that
-LOOKS = 5
+JITTERED = 5
 PARTS = 4  # into which a cell is divided along each side
-DEEPEST = 9  # divisions: 0.15 degrees / 4^9 = 2e-6 degrees
-MOST = (
-    2**20
-    # evaluations in divided cells, as many as in the first ones: the largest steps are divided first, and `error`
-    # tells the rest
-)
-ENOUGH = 2e-5  # relative error at which no cell is divided any more: a fifth of what level ground is held to
+MOST_DIVISIONS = 9  # 0.15 degrees / 4^9 = 2e-6 degrees
+# evaluations in divided cells, as many as in the first ones: those with the largest second differences are
+# divided first, and `error` holds what is left
+MOST_EVALUATIONS = 2**20
+CONVERGED = 2e-5  # relative error at which no cell is divided any more: a fifth of level ground's tolerance
 AT_ONCE = 2**13  # directions that are evaluated at a time; chosen: what stays in a cache is quicker
 BRIGHT = 4.0  # times the median brightness from which on light may belong to a small part; chosen
 DARK = 1e-6  # of the brightest, from which on levels are tried where the sky is dark; chosen
 FAINT = 0.1  # tolerances that small parts may give together and stay with the rest; chosen
 WIDEST = math.pi / 6  # azimuth that a small part may span, 30 degrees: even azimuths resolve what is wider
-INNER = (
-    0.1  # share of a small part's light from which on what is far brighter in it stands for itself; chosen
-)
+INNER = 0.1  # share of a small part's light from which on far brighter cells in it form another; chosen
 FINEST = 16  # parts that a cell is cut into for narrow sectors
 GAP = math.radians(1)  # of darkness between two small parts; chosen: parts nearer than that share azimuths
 KNOTS, SUN_KNOTS = 257, 65  # of the tables of a sky and of a small part, evenly in the sine of elevation
@@ -70,7 +64,7 @@ class Cells(NamedTuple):
     low: np.ndarray
     high: np.ndarray
     light: np.ndarray
-    home: np.ndarray
+    base: np.ndarray
 
     def pick(self, which) -> Cells:
         return Cells(*(values[which] for values in self))
@@ -82,7 +76,7 @@ class Cells(NamedTuple):
     @property
     def moments(self) -> np.ndarray:
         """Integrals of B cos^2 and of B sin cos over azimuth and elevation: (2, n)."""
-        return self.light * self.width * (_until(self.high) - _until(self.low))
+        return self.light * self.width * (_antiderivatives(self.high) - _antiderivatives(self.low))
 
 
 @dataclass(frozen=True)
@@ -197,7 +191,7 @@ class Band(NamedTuple):
     @property
     def moments(self) -> np.ndarray:
         """Integrals of B cos^2 and of B sin cos over every cell: (2, rows, n)."""
-        return self.light * (self.width * np.diff(_until(self.borders)))[..., None]
+        return self.light * (self.width * np.diff(_antiderivatives(self.borders)))[..., None]
 
     def cells(self, row, col, first) -> Cells:
         return Cells(
@@ -208,6 +202,30 @@ class Band(NamedTuple):
             self.light[row, col],
             first + row * self.light.shape[1] + col,
         )
+
+
+Peaks = tuple[tuple[float, float], ...]  # (azimuth, elevation) [rad] of narrow features
+
+
+@dataclass
+class _Leaves:
+    """Cells that are not divided any more; the light of all cells but those that may still be divided, and the
+    variance of its error.
+    """
+
+    cells: list[Cells]
+    total: float
+    variance: float
+
+    def add(self, cells: Cells, step: np.ndarray) -> None:
+        """``step``: their second differences times solid angle. A border may lie anywhere in a cell."""
+        self.cells.append(cells)
+        self.variance += float(np.sum(step**2)) / 12
+        self.total += float(cells.light @ cells.solid_angle)
+
+    def light_with(self, cells: Cells) -> float:
+        """All light, ``cells`` being those that may still be divided."""
+        return max(self.total + float(cells.light @ cells.solid_angle), 1e-300)
 
 
 class Integrals:
@@ -232,7 +250,7 @@ class Integrals:
         bands = (
             _of_map(image) if image is not None else _of_function(function, peaks is not None and not fine)
         )
-        self._look = lambda azimuth, sine: sources.radiance(
+        self._radiance = lambda azimuth, sine: sources.radiance(
             sources.Sky(function), sources.directions_of(azimuth, sine)
         )
         sizes = np.array([0, *np.cumsum([band.light.size for band in bands])])
@@ -245,13 +263,13 @@ class Integrals:
         parts = [band.moments for band in bands]
         divided = np.zeros(sizes[-1], bool)
         if leaves is not None:  # which replace the base cells that they divide
-            divided[leaves.home] = True
+            divided[leaves.base] = True
             for n, part in enumerate(parts):
                 here = np.s_[sizes[n] : sizes[n + 1]]
                 for values, moment in zip(part, leaves.moments):
                     np.copyto(
                         values,
-                        np.bincount(leaves.home, moment, sizes[-1])[here].reshape(values.shape),
+                        np.bincount(leaves.base, moment, sizes[-1])[here].reshape(values.shape),
                         where=divided[here].reshape(values.shape),
                     )
         self.level = float(sum(part[1].sum() for part in parts))
@@ -265,7 +283,7 @@ class Integrals:
             []
             if math.isinf(tolerance)
             else sorted(
-                _small(Cells(*(np.concatenate(values) for values in zip(*bright))), limit, widest),
+                _small(_joined(bright), limit, widest),
                 key=lambda sun: -sun.power,
             )
         )
@@ -273,13 +291,13 @@ class Integrals:
         self.suns = tuple(sun for sun, power in zip(suns, left) if power > FAINT * tolerance * total)
         for sun in self.suns:
             for n, part in enumerate(parts):
-                here = (sun.cells.home >= sizes[n]) & (sun.cells.home < sizes[n + 1])
+                here = (sun.cells.base >= sizes[n]) & (sun.cells.base < sizes[n + 1])
                 for values, moment in zip(part, sun.cells.moments):
-                    np.subtract.at(values.reshape(-1), sun.cells.home[here] - sizes[n], moment[here])
+                    np.subtract.at(values.reshape(-1), sun.cells.base[here] - sizes[n], moment[here])
         self.rest = float(sum(part[1].sum() for part in parts))
         self.mean = self.rest / math.pi
         light = [
-            part[1] / (band.width * np.diff(_until(band.borders)[1]))[:, None]
+            part[1] / (band.width * np.diff(_antiderivatives(band.borders)[1]))[:, None]
             for band, part in zip(bands, parts)
         ]
         least, most = min(float(v.min()) for v in light), max(float(v.max()) for v in light)
@@ -289,116 +307,95 @@ class Integrals:
             np.concatenate([np.zeros((*part.shape[:2], 1)), np.cumsum(part, 2)], 2) for part in parts
         ]
 
-    def _divide(self, bands, sizes, solid, total, peaks):
-        """(leaves of the divided cells, relative error, all light): cells are divided where light steps."""
-        begin, mends, turn, total, done = [], [], 2 * math.pi, max(total, 1e-300), 0.0
+    def _divide(
+        self, bands: list[Band], sizes: np.ndarray, solid: list[np.ndarray], total: float, peaks: Peaks
+    ) -> tuple[Cells, float, float]:
+        """(leaves of the divided cells, relative error, all light).
+
+        Cells are divided where the second difference of brightness is large.
+        """
+        total = max(total, 1e-300)
+        cells, step, variance = self._rough_cells(bands, sizes, solid, total, peaks)
+        leaves = _Leaves([], total - float(cells.light @ cells.solid_angle), variance)
+        evaluations, each = MOST_EVALUATIONS, (PARTS + 2) ** 2
+        for _ in range(MOST_DIVISIONS):
+            error = math.sqrt(leaves.variance + float(np.sum(step**2)) / 12)
+            converged = error <= CONVERGED * leaves.light_with(cells) and not peaks
+            if not len(step) or evaluations < each or converged:
+                break
+            if len(step) * each > evaluations:  # the largest steps first
+                order = np.argsort(-step, kind="stable")
+                rest, first = order[evaluations // each :], order[: evaluations // each]
+                leaves.add(self._leaf(cells.pick(rest), step[rest]), step[rest])
+                cells, step = cells.pick(first), step[first]
+            evaluations -= len(step) * each
+            cells, step = self._parts(cells)
+            divide = (step > SHARE * leaves.light_with(cells)) | _near(cells, peaks)
+            leaves.add(self._leaf(cells.pick(~divide), step[~divide]), step[~divide])
+            cells, step = cells.pick(divide), step[divide]
+        leaves.add(self._leaf(cells, step), step)
+        return _joined(leaves.cells), math.sqrt(leaves.variance) / max(leaves.total, 1e-300), leaves.total
+
+    def _rough_cells(
+        self, bands: list[Band], sizes: np.ndarray, solid: list[np.ndarray], total: float, peaks: Peaks
+    ) -> tuple[Cells, np.ndarray, float]:
+        """(base cells to be divided, their second differences, variance of the others).
+
+        The brightness of the others becomes the mean over the cell: by its curvature where it is smooth, else by
+        samples.
+        """
+        begin, corrections, variance = [], [], 0.0
         for n, (band, angle) in enumerate(zip(bands, solid)):
             light = band.light
-            below = (
-                bands[n - 1].light[-1:].reshape(1, -1, 2).mean(2) if n else light[:1]
-            )  # which has twice as many cells in a row
-            above = bands[n + 1].light[:1].repeat(2, 1) if n + 1 < len(bands) else light[-1:]
-            rows = np.concatenate([below, light, above])
-            step, mend = (values[0] for values in _steps(np.pad(rows, ((0, 0), (1, 1)), "wrap")[None]))
-            middle = (
-                band.borders[1:] + band.borders[:-1]
-            ) / 2  # rows grow narrow towards the zenith: their lower half weighs more
-            mend = mend - (rows[2:] - rows[:-2]) * (np.tan(middle) * np.diff(band.borders) / 24)[:, None]
+            step, correction = _band_steps(bands, n)
             step *= angle
-            mark = step > SHARE * total
-            for azimuth, elevation in peaks:  # with the cells round it: it may lie across borders
-                height = np.diff(band.borders)[:, None]
-                turned = np.abs(
-                    (band.start[:, None] + np.arange(light.shape[1]) * band.width - azimuth + math.pi) % turn
-                    - math.pi
-                )
-                near = turned * math.cos(elevation) <= 1.5 * np.maximum(
-                    band.width * np.cos(band.borders[:-1, None]), height
-                )
-                mark |= near & (
-                    np.abs((band.borders[1:] + band.borders[:-1])[:, None] / 2 - elevation) <= 1.5 * height
-                )
+            mark = (step > SHARE * total) | _near_base(band, peaks)
             row, col = np.nonzero(mark)
             begin.append((band.cells(row, col, sizes[n]), step[row, col]))
-            rough = ~mark & (step > np.maximum(ROUGH * light * angle, DIM * total))
-            mends.append(np.where(mark | rough, 0, mend))
+            rough = ~mark & (step > np.maximum(ROUGH * light * angle, NEGLIGIBLE * total))
+            corrections.append(np.where(mark | rough, 0, correction))
             row, col = np.nonzero(rough)
-            light[row, col] = self._anywhere(band.cells(row, col, sizes[n]), LOOKS)
-            done += float(np.sum(step[rough] ** 2)) / (12 * LOOKS**3)
-        cells, step = (
-            Cells(*(np.concatenate(values) for values in zip(*(c for c, _ in begin)))),
-            np.concatenate([s for _, s in begin]),
-        )
-        for band, mend in zip(bands, mends):
-            band.light[...] = np.maximum(0, band.light + mend)
-        leaves, left = [], MOST
-        total -= float(cells.light @ cells.solid_angle)
-        for _ in range(DEEPEST):
-            waits = float(np.sum(step**2)) / 12
-            whole = max(total + float(cells.light @ cells.solid_angle), 1e-300)
-            if (
-                not len(step)
-                or left < (PARTS + 2) ** 2
-                or math.sqrt(done + waits) <= ENOUGH * whole
-                and not peaks
-            ):
-                break
-            if len(step) * (PARTS + 2) ** 2 > left:  # the largest steps first
-                first = np.argsort(-step, kind="stable")
-                keep, first = first[left // (PARTS + 2) ** 2 :], first[: left // (PARTS + 2) ** 2]
-                leaves.append(self._leaf(cells.pick(keep), step[keep]))
-                done += float(np.sum(step[keep] ** 2)) / 12
-                total += float(leaves[-1].light @ leaves[-1].solid_angle)
-                cells, step = cells.pick(first), step[first]
-            place = (np.arange(-1, PARTS + 1) + 0.5) / PARTS  # with a neighbour on every side
-            azimuth = cells.azimuth[:, None] + cells.width[:, None] * (place - 0.5)
-            edges = cells.low[:, None] + (cells.high - cells.low)[:, None] * (np.arange(PARTS + 1) / PARTS)
-            sine = np.sin(
-                np.clip(cells.low[:, None] + (cells.high - cells.low)[:, None] * place, 0, turn / 4)
-            )
-            light = np.empty((len(sine), PARTS + 2, PARTS + 2))
-            for some in np.array_split(np.arange(len(sine)), light.size // AT_ONCE + 1):
-                light[some] = self._look(azimuth[some, None, :], sine[some, :, None])
-            left -= light.size
-            step, mend = _steps(light)
-            light, step, azimuth = light[:, 1:-1, 1:-1], step.ravel(), azimuth[:, 1:-1]
-            light = np.where(step.reshape(light.shape) > ROUGH * light, light, np.maximum(0, light + mend))
-            grow = lambda values: np.broadcast_to(values, light.shape).ravel()
-            cells = Cells(
-                grow(azimuth[:, None, :]),
-                grow(cells.width[:, None, None] / PARTS),
-                grow(edges[:, :-1, None]),
-                grow(edges[:, 1:, None]),
-                light.ravel(),
-                grow(cells.home[:, None, None]),
-            )
-            step = step * cells.solid_angle
-            whole = max(total + float(cells.light @ cells.solid_angle), 1e-300)
-            divide = step > SHARE * whole
-            for azimuth, elevation in peaks:
-                turned = np.abs((cells.azimuth - azimuth + math.pi) % turn - math.pi)
-                divide |= (turned <= 1.5 * cells.width) & (
-                    np.abs((cells.low + cells.high) / 2 - elevation) <= 1.5 * (cells.high - cells.low)
+            light[row, col] = self._jittered_mean(band.cells(row, col, sizes[n]), JITTERED)
+            variance += float(np.sum(step[rough] ** 2)) / (12 * JITTERED**3)
+        for band, correction in zip(bands, corrections):
+            band.light[...] = np.maximum(0, band.light + correction)
+        return _joined([cells for cells, _ in begin]), np.concatenate([step for _, step in begin]), variance
+
+    def _parts(self, cells: Cells) -> tuple[Cells, np.ndarray]:
+        """The PARTS x PARTS parts of each cell, and their second differences times solid angle."""
+        place = (np.arange(-1, PARTS + 1) + 0.5) / PARTS  # with a neighbour on every side
+        azimuth = cells.azimuth[:, None] + cells.width[:, None] * (place - 0.5)
+        edges = cells.low[:, None] + (cells.high - cells.low)[:, None] * (np.arange(PARTS + 1) / PARTS)
+        sine = np.sin(np.clip(cells.low[:, None] + (cells.high - cells.low)[:, None] * place, 0, math.pi / 2))
+        sampled = np.empty((len(sine), PARTS + 2, PARTS + 2))
+        for some in np.array_split(np.arange(len(sine)), sampled.size // AT_ONCE + 1):
+            sampled[some] = self._radiance(azimuth[some, None, :], sine[some, :, None])
+        step, correction = _second_differences(sampled)
+        light, azimuth = sampled[:, 1:-1, 1:-1], azimuth[:, 1:-1]
+        light = np.where(step > ROUGH * light, light, np.maximum(0, light + correction))
+        shape = light.shape
+        parts = Cells(
+            *(
+                np.broadcast_to(values, shape).ravel()
+                for values in (
+                    azimuth[:, None, :],
+                    cells.width[:, None, None] / PARTS,
+                    edges[:, :-1, None],
+                    edges[:, 1:, None],
+                    light,
+                    cells.base[:, None, None],
                 )
-            leaves.append(self._leaf(cells.pick(~divide), step[~divide]))
-            done += float(np.sum(step[~divide] ** 2)) / 12  # a border anywhere in a cell
-            total += float(leaves[-1].light @ leaves[-1].solid_angle)
-            cells, step = cells.pick(divide), step[divide]
-        leaves.append(self._leaf(cells, step))
-        total += float(leaves[-1].light @ leaves[-1].solid_angle)
-        return (
-            Cells(*(np.concatenate(values) for values in zip(*leaves))),
-            math.sqrt(done + float(np.sum(step**2)) / 12) / max(total, 1e-300),
-            total,
+            )
         )
+        return parts, step.ravel() * parts.solid_angle
 
     def _leaf(self, cells: Cells, step: np.ndarray) -> Cells:
         """Cells that are not divided any more."""
         rough = np.flatnonzero(step > ROUGH * cells.light * cells.solid_angle)
-        cells.light[rough] = self._anywhere(cells.pick(rough))
+        cells.light[rough] = self._jittered_mean(cells.pick(rough))
         return cells
 
-    def _anywhere(self, cells: Cells, looks: int = 1) -> np.ndarray:
+    def _jittered_mean(self, cells: Cells, looks: int = 1) -> np.ndarray:
         """Mean brightness at ``looks`` x ``looks`` places in every cell, others in each: borders that run
         along cells are then met at all places.
         """
@@ -408,7 +405,7 @@ class Integrals:
             for i in range(looks):
                 for j in range(looks):
                     azimuth = cells.azimuth[some] + ((u[some] + i) / looks - 0.5) * cells.width[some]
-                    total[some] += self._look(
+                    total[some] += self._radiance(
                         azimuth,
                         np.sin(cells.low[some] + (v[some] + j) / looks * (cells.high - cells.low)[some]),
                     )
@@ -532,7 +529,7 @@ def _between(sums: np.ndarray, begin: np.ndarray, end: np.ndarray) -> np.ndarray
     return until(end) - until(begin)
 
 
-def _until(elevation: np.ndarray) -> np.ndarray:
+def _antiderivatives(elevation: np.ndarray) -> np.ndarray:
     """Integrals of cos^2 and of sin cos from level: (2, ...)."""
     return np.stack([elevation / 2 + np.sin(2 * elevation) / 4, np.sin(elevation) ** 2 / 2])
 
@@ -551,7 +548,7 @@ def _median(bands: list[Band], solid) -> float:
     return float(light[order][np.searchsorted(np.cumsum(weight[order]), weight.sum() / 2)])
 
 
-def _steps(light: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _second_differences(light: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Of the inner cells of blocks (n, rows, cols): how much light steps there, the most, over rows, columns
     and diagonals, by which a cell and its two neighbours depart from a straight line, so that an even slope
     is no step; and what the mean over a smooth cell is more than its middle, from the curvature. (n, rows -
@@ -560,6 +557,55 @@ def _steps(light: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     pick = lambda i, j: light[:, 1 + i : light.shape[1] - 1 + i, 1 + j : light.shape[2] - 1 + j]
     bent = [pick(-i, -j) - 2 * pick(0, 0) + pick(i, j) for i, j in ((0, 1), (1, 0), (1, 1), (1, -1))]
     return np.maximum.reduce([np.abs(values) for values in bent]), (bent[0] + bent[1]) / 24
+
+
+def _band_steps(bands: list[Band], n: int) -> tuple[np.ndarray, np.ndarray]:
+    """:func:`_second_differences` (rows, cols) of a band, its neighbours being the bands below and above."""
+    band, light = bands[n], bands[n].light
+    # a row of the band below has twice as many cells
+    below = bands[n - 1].light[-1:].reshape(1, -1, 2).mean(2) if n else light[:1]
+    above = bands[n + 1].light[:1].repeat(2, 1) if n + 1 < len(bands) else light[-1:]
+    rows = np.concatenate([below, light, above])
+    step, correction = (
+        values[0] for values in _second_differences(np.pad(rows, ((0, 0), (1, 1)), "wrap")[None])
+    )
+    # rows grow narrow towards the zenith: their lower half weighs more
+    middle = (band.borders[1:] + band.borders[:-1]) / 2
+    correction = correction - (rows[2:] - rows[:-2]) * (np.tan(middle) * np.diff(band.borders) / 24)[:, None]
+    return step, correction
+
+
+def _near_base(band: Band, peaks: Peaks) -> np.ndarray:
+    """Which cells of a band (rows, cols) hold a peak, or touch one that does: it may lie across borders."""
+    found = np.zeros(band.light.shape, bool)
+    height = np.diff(band.borders)[:, None]
+    for azimuth, elevation in peaks:
+        turned = np.abs(
+            (band.start[:, None] + np.arange(found.shape[1]) * band.width - azimuth + math.pi) % (2 * math.pi)
+            - math.pi
+        )
+        near = turned * math.cos(elevation) <= 1.5 * np.maximum(
+            band.width * np.cos(band.borders[:-1, None]), height
+        )
+        found |= near & (
+            np.abs((band.borders[1:] + band.borders[:-1])[:, None] / 2 - elevation) <= 1.5 * height
+        )
+    return found
+
+
+def _near(cells: Cells, peaks: Peaks) -> np.ndarray:
+    """Which cells (n,) hold a peak, or touch one that does."""
+    found = np.zeros(len(cells.light), bool)
+    for azimuth, elevation in peaks:
+        turned = np.abs((cells.azimuth - azimuth + math.pi) % (2 * math.pi) - math.pi)
+        found |= (turned <= 1.5 * cells.width) & (
+            np.abs((cells.low + cells.high) / 2 - elevation) <= 1.5 * (cells.high - cells.low)
+        )
+    return found
+
+
+def _joined(groups: Iterable[Cells]) -> Cells:
+    return Cells(*(np.concatenate(values) for values in zip(*groups)))
 
 
 def _small(cells: Cells, limit: float, widest: float, depth: int = 12) -> Iterator[Sun]:

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+
+Vector = Sequence[float] | np.ndarray
 
 
 class Ball(NamedTuple):
@@ -16,28 +19,32 @@ class Ball(NamedTuple):
 
 
 class Quad(NamedTuple):
-    """A flat, convex quadrangle that shines from both faces: its corners (4, 3) in turn, (x, y, z) [unit of
-    depth].
+    """A flat, convex quadrangle that shines from both faces.
+
+    ``corners`` (4, 3): (x, y, z) [unit of depth], in turn.
     """
 
     corners: np.ndarray
 
 
 class Dome(NamedTuple):
-    """The sky, seen in a mirror: ground farther away than reach [unit of depth] does not count."""
+    """The sky, seen in a mirror. Ground farther away than ``reach`` [unit of depth] does not occlude it."""
 
     reach: float = math.inf
 
 
-def rectangle(corner, edge_u, edge_v) -> Quad:
+def rectangle(corner: Vector, edge_u: Vector, edge_v: Vector) -> Quad:
     """The rectangle, or parallelogram, with these edges at ``corner``."""
-    corner, u, v = (np.asarray(vector, float) for vector in (corner, edge_u, edge_v))
-    return Quad(np.array([corner, corner + u, corner + u + v, corner + v]))
+    at, u, v = (np.asarray(vector, float) for vector in (corner, edge_u, edge_v))
+    return Quad(np.array([at, at + u, at + u + v, at + v]))
 
 
-def aperture(x, y, shape: tuple[int, int], step: float, sides: str) -> Quad | None:
-    """The window x[0]..x[1], y[0]..y[1] in the plane z = 0, or what a dark box leaves of it; None where that
-    is nothing.
+def aperture(
+    x: tuple[float, float], y: tuple[float, float], shape: tuple[int, int], step: float, sides: str
+) -> Quad | None:
+    """The window x[0]..x[1], y[0]..y[1] in the plane z = 0, clipped by the walls of a dark box.
+
+    None where nothing is left.
     """
     (x0, x1), (y0, y1) = x, y
     if sides == "dark":

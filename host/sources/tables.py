@@ -1,0 +1,78 @@
+"""A sky's brightness by azimuth, and as cumulative tables over elevation, from samples."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .brightness import directions_of
+from .shapes import Source, radiance
+
+AZIMUTHS, ELEVATIONS = 2048, 192  # of the samples of a sky: a sun half a degree wide gets two or three
+KNOTS = 1024  # of a table of brightness, evenly in the sine of the elevation
+UNEVEN = 2.0  # brightest azimuth over the mean from which azimuths are placed by brightness
+# directions whose brightness is evaluated at a time: more would leave the cache, fewer need more calls
+AT_ONCE = 2**13
+
+
+def sky_samples(source: Source) -> tuple[np.ndarray, np.ndarray]:
+    """Brightness at some 400,000 directions, and the sines of their elevations: (azimuths, elevations) each.
+
+    Evenly in azimuth and elevation; of a coarser environment map, four along each side of a pixel.
+    """
+    rows, cols = getattr(source.brightness, "pixels", (ELEVATIONS, AZIMUTHS))
+    azimuths, elevations = (
+        min(most, max(most // 4, n)) for most, n in zip((AZIMUTHS, ELEVATIONS), (4 * cols, 2 * rows))
+    )
+    azimuth = 2 * np.pi * (np.arange(azimuths) + 0.5) / azimuths
+    shift = 0.6180339887498949 * np.arange(azimuths) % 1  # so that no small sun slips between rows of samples
+    # of the elevation
+    part, whole = (np.pi / 2 / elevations * a for a in (shift[:, None], np.arange(elevations)))
+    sine = np.cos(part) * np.sin(whole) + np.sin(part) * np.cos(whole)
+    light = np.empty_like(sine)
+    for some in np.array_split(np.arange(azimuths), -(-sine.size // AT_ONCE)):
+        light[some] = radiance(source, directions_of(azimuth[some, None], sine[some]))
+    return light, sine
+
+
+def azimuth_profile(source: Source) -> np.ndarray | None:
+    """Light that comes from each of many even sectors of azimuth, (2048,); None where it hardly varies."""
+    light, sine = sky_samples(source)
+    profile = np.einsum("ae,ae->a", light, np.sqrt(1 - sine**2))
+    if profile.max() <= UNEVEN * profile.mean():
+        return None
+    # the edge of a sun lies between samples
+    widest: np.ndarray = np.maximum.reduce([np.roll(profile, n) for n in range(-2, 3)])
+    return widest
+
+
+def elevation_table(
+    source: Source,
+    angles: np.ndarray,
+    widths: np.ndarray,
+    samples: int = 256,
+    knots: int = KNOTS,
+    points: int = 4,
+) -> np.ndarray:
+    """Brightness as sweeps take it, (K, knots, 4) float32.
+
+    The integrals of B cos^2 and of B sin cos over elevation, from sin(elevation) = i / (knots - 1) to the
+    zenith, averaged over each sector, and their differences to the next knot. ``points`` of Gauss-Legendre
+    quadrature between knots; within each sector as many azimuths as make some ``samples`` in all.
+    """
+    within = max(1, -(-samples // len(angles)))
+    azimuth = angles[:, None] + widths[:, None] * ((np.arange(within) + 0.5) / within - 0.5)
+    nodes, weights = np.polynomial.legendre.leggauss(points)
+    low = np.arange(knots - 1)[:, None]
+    sine = ((low + (nodes + 1) / 2) / (knots - 1)).ravel()
+    total = np.empty((len(angles), sine.size))
+    for some in np.array_split(
+        np.arange(len(angles)), min(len(angles), -(-azimuth.size * sine.size // AT_ONCE))
+    ):
+        total[some] = radiance(source, directions_of(azimuth[some, :, None], sine)).mean(1)
+    light = total.reshape(len(angles), knots - 1, points) * weights / 2 / (knots - 1)
+    sines = sine.reshape(knots - 1, points)
+    parts = np.stack([(light * np.sqrt(1 - sines**2)).sum(-1), (light * sines).sum(-1)], -1)
+    table = np.zeros((len(angles), knots, 4))
+    table[:, :-1, :2] = np.cumsum(parts[:, ::-1], 1)[:, ::-1]
+    table[:, :-1, 2:] = table[:, 1:, :2] - table[:, :-1, :2]
+    return table.astype(np.float32)
