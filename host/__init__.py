@@ -1,6 +1,7 @@
 """skylamp: spatially varying illumination of depth maps, forward and inverse (Langer and Zucker)."""
 
 import importlib
+from types import ModuleType
 
 from .backends import backends
 from .directions import Azimuths, Hemicube
@@ -19,7 +20,7 @@ from .visibility import View, VisibilityField, visibility, visibility_field
 _LAZY = {"geo": "skylamp.io.geotiff", "plot": "skylamp.app.plot"}  # they need optional libraries
 
 
-def __getattr__(name: str):
+def __getattr__(name: str) -> ModuleType:
     if name in _LAZY:
         return importlib.import_module(_LAZY[name])
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -1,4 +1,4 @@
-"""Horizons of a surface, and what terrain people make of them: sky-view factor and openness."""
+"""Horizons of a surface, and the terrain attributes made of them: sky-view factor and openness."""
 
 from __future__ import annotations
 
@@ -18,17 +18,15 @@ RUNGS = 1025  # of the tables that turn slopes into sums
 def horizons(
     scene: Scene, azimuths: int | Azimuths = 64, backend: str = "auto", *, max_distance: float | None = None
 ) -> np.ndarray:
-    """The horizon's slope, tangent of its elevation, at every node and azimuth: (azimuths, rows, cols)
-    float32.
+    """The horizon's slope, tangent of its elevation, at every node: (azimuths, rows, cols) float32.
 
     Azimuth a looks along 2 pi (a + 1/2) / azimuths [rad] from +x (columns) towards +y (rows). Slopes may be
-    negative;
-    -inf where no ground lies that way, nan where the scene is masked; of a scene made from an
-    xarray.DataArray, a DataArray with the coordinate ``azimuth`` [rad] (this holds for sky_view_factor and
-    openness too). The surface is linear between neighbouring nodes along rows and along columns.
-    ``max_distance`` [unit of spacing]: ground farther away does not count; the whole map does unless given
-    (on a map that repeats, as far as its relief makes a slope of 0.01). With dark sides the wall counts as
-    ground.
+    negative; they are -inf where no ground lies that way, and nan where the scene is masked. A scene made
+    from an xarray.DataArray gives a DataArray with the coordinate ``azimuth`` [rad]; this holds for
+    sky_view_factor and openness too. The surface is linear between neighbouring nodes along rows and along
+    columns. ``max_distance`` [unit of spacing]: ground farther away does not count; the whole map does unless
+    given (on a map that repeats, as far as its relief makes a slope of 0.01). With dark sides the wall counts
+    as ground.
 
     Raises InputError, BackendError or CapacityError.
     """
@@ -39,7 +37,8 @@ def horizons(
             engine, ground_of(scene, max_distance, engine), Rays(azimuths.angles, azimuths.widths), near=FINE
         ).slopes()
     slopes[:, ~scene.valid] = np.nan
-    return labelled(slopes, scene.labels, azimuth=azimuths.angles)
+    found: np.ndarray = labelled(slopes, scene.labels, azimuth=azimuths.angles)
+    return found
 
 
 def sky_view_factor(
@@ -54,9 +53,8 @@ def sky_view_factor(
 
     ``definition``, with h the horizon's elevation, not below 0:
 
-    - "tilted": the cosine-weighted share as the tilted surface has it, E / (pi B) under a uniform sky, which
-      ends at the
-      tangent plane (Dozier and Frew 1990; topocalc, HORAYZON).
+    - "tilted": the cosine-weighted share of the tilted surface, E / (pi B) under a uniform sky, which ends at
+      the tangent plane (Dozier and Frew 1990; topocalc, HORAYZON).
     - "horizontal": the same for a horizontal element at the node, mean of cos^2 h over azimuth.
     - "solid_angle": the share of the hemisphere's solid angle, 1 - mean of sin h (Zaksek, Ostir and Kokalj
       2011; RVT, xarray-spatial).
@@ -67,7 +65,9 @@ def sky_view_factor(
     sine = np.linspace(0, 1, RUNGS)
     share = {"tilted": None, "horizontal": (1 - sine**2) / 2, "solid_angle": 1 - sine}[definition]
     scale = 1 / np.pi if definition != "solid_angle" else 1 / (2 * np.pi)
-    return labelled(_sum(scene, share, azimuths, backend, max_distance) * np.float32(scale), scene.labels)
+    image = _sum(scene, share, azimuths, backend, max_distance) * np.float32(scale)
+    found: np.ndarray = labelled(image, scene.labels)
+    return found
 
 
 def openness(
@@ -78,12 +78,12 @@ def openness(
     negative: bool = False,
     max_distance: float | None = None,
 ) -> np.ndarray:
-    """Topographic openness (Yokoyama, Shirasawa and Pike 2002) [rad]: mean over azimuth of the angle from the
-    zenith to the horizon.
+    """Topographic openness (Yokoyama, Shirasawa and Pike 2002) [rad].
 
-    (rows, cols) float32; more than pi / 2 on peaks, nan where masked. ``negative``: of the surface turned
-    upside down, the mean angle from the nadir. Where no ground lies along an azimuth the horizon counts as
-    level. Other arguments and errors as for :func:`horizons`.
+    The mean over azimuth of the angle from the zenith to the horizon: (rows, cols) float32; more than pi / 2
+    on peaks, nan where masked. ``negative``: of the surface turned upside down, the mean angle from the
+    nadir. Where no ground lies along an azimuth the horizon counts as level. Other arguments and errors as
+    for :func:`horizons`.
     """
     is_scene(scene)
     labels = scene.labels
@@ -107,16 +107,25 @@ def openness(
         for numbers, slopes in sweeps.planes():
             for width, slope in zip(azimuths.widths[numbers], slopes):
                 total += width * (np.pi / 2 - np.arctan(np.where(np.isfinite(slope), slope, 0)))
-    return labelled(np.where(scene.valid, total / (2 * np.pi), np.nan).astype(np.float32), labels)
+    image = np.where(scene.valid, total / (2 * np.pi), np.nan).astype(np.float32)
+    found: np.ndarray = labelled(image, labels)
+    return found
 
 
 def as_azimuths(azimuths: int | Azimuths) -> Azimuths:
     return azimuths if isinstance(azimuths, Azimuths) else Azimuths(azimuths)
 
 
-def _sum(scene, share, azimuths, backend, max_distance):
-    """Sum over azimuths of ``share`` (of the horizon's sine, for a level element), or of a uniform sky's
-    light.
+def _sum(
+    scene: Scene,
+    share: np.ndarray | None,
+    azimuths: int | Azimuths,
+    backend: str,
+    max_distance: float | None,
+) -> np.ndarray:
+    """Sum over azimuths of ``share``, a function of the horizon's sine, on level elements; None: light.
+
+    That light is the irradiance of a uniform sky of brightness 1 on the tilted surface.
     """
     azimuths = as_azimuths(azimuths)
     table = None

@@ -1,5 +1,4 @@
-"""The oracle: the paper's two algorithms, step by step, in NumPy and float64. Slow on purpose and never
-tuned.
+"""The oracle: the paper's two algorithms, step by step, in NumPy and float64. It is slow on purpose.
 
 Nothing here shares code with the backends; it is tested against closed forms (tests/test_oracle.py), and the
 kernels are tested against it. Depth is in whole layers n (masked nodes: -1 in ``surface``, and free space all
@@ -10,12 +9,16 @@ step numbers (1) to (4) are those of the forward and inverse algorithms in Lange
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any
 
 import numpy as np
 
 from .constants import APERTURE, BALL, RECTANGLE, SKY, VOLUME
 from .sources import Geometry
+
+Node = tuple[Sequence[int] | np.ndarray, Sequence[int] | np.ndarray]  # row indices, column indices
+Aim = Callable[[np.ndarray, np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray, np.ndarray]]
 
 FAR = np.iinfo(np.int64).max // 4  # depth of a masked column: free space without end
 
@@ -23,7 +26,7 @@ FAR = np.iinfo(np.int64).max // 4  # depth of a masked column: free space withou
 def gradient(depth: np.ndarray, spacing: float, valid: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """dz/dx and dz/dy at the nodes: central differences, one-sided at the border and beside masked nodes."""
 
-    def along_columns(z, ok):
+    def along_columns(z: np.ndarray, ok: np.ndarray) -> np.ndarray:
         out = np.zeros(z.shape)
         for row in range(z.shape[0]):
             for col in range(z.shape[1]):
@@ -41,10 +44,19 @@ def normals(depth: np.ndarray, spacing: float, valid: np.ndarray) -> np.ndarray:
     """Unit normals (rows, cols, 3) = (dz/dx, dz/dy, -1) / |.|, towards the viewer's side."""
     gx, gy = gradient(depth, spacing, valid)
     normal = np.stack([gx, gy, -np.ones_like(gx)], -1)
-    return normal / np.linalg.norm(normal, axis=-1, keepdims=True)
+    unit: np.ndarray = normal / np.linalg.norm(normal, axis=-1, keepdims=True)
+    return unit
 
 
-def meets_source(x, y, n, step, shape, sides: str, source: Geometry) -> np.ndarray:
+def meets_source(
+    x: np.ndarray,
+    y: np.ndarray,
+    n: np.ndarray,
+    step: Sequence[int] | np.ndarray,
+    shape: tuple[int, int],
+    sides: str,
+    source: Geometry,
+) -> np.ndarray:
     """Whether rays from nodes (x, y, n), which leave the volume along ``step`` without meeting ground, meet
     the source.
 
@@ -79,16 +91,25 @@ def meets_source(x, y, n, step, shape, sides: str, source: Geometry) -> np.ndarr
     return lit
 
 
-def _hits_ball(x, y, n, step, ball, longest: float, shape, sides: str) -> np.ndarray:
+def _hits_ball(
+    x: np.ndarray,
+    y: np.ndarray,
+    n: np.ndarray,
+    step: Sequence[int],
+    ball: np.ndarray,
+    longest: float,
+    shape: tuple[int, int],
+    sides: str,
+) -> np.ndarray:
     """Whether x + t step, 0 < t <= longest, meets the closed ball (before a wall, with dark sides)."""
     rows, cols = shape
-    l = np.asarray(step, float)
+    way = np.asarray(step, float)
     to = [c - p for c, p in zip(ball[:3], (x, y, n))]
-    a = l @ l
-    b = to[0] * l[0] + to[1] * l[1] + to[2] * l[2]
+    a = way @ way
+    b = to[0] * way[0] + to[1] * way[1] + to[2] * way[2]
     q = to[0] ** 2 + to[1] ** 2 + to[2] ** 2 - ball[3] ** 2
     root = b * b - a * q
-    hit = (q <= 0) | ((b > 0) & (root >= 0))
+    hit: np.ndarray = (q <= 0) | ((b > 0) & (root >= 0))
     t = np.where(q <= 0, 0.0, (b - np.sqrt(np.maximum(root, 0))) / a)
     hit &= t <= longest
     if sides == "dark":
@@ -96,7 +117,7 @@ def _hits_ball(x, y, n, step, ball, longest: float, shape, sides: str) -> np.nda
         over = n <= t * k  # the ray crosses z = 0 before it meets the ball
         u, v = x * k + int(step[0]) * n, y * k + int(step[1]) * n
         through = (-k <= 2 * u) & (2 * u < (2 * cols - 1) * k) & (-k <= 2 * v) & (2 * v < (2 * rows - 1) * k)
-        px, py = x + t * l[0], y + t * l[1]
+        px, py = x + t * way[0], y + t * way[1]
         inside = (px >= -0.5) & (px < cols - 0.5) & (py >= -0.5) & (py < rows - 0.5)
         hit &= np.where(over & (k > 0), through, inside)
     return hit
@@ -141,7 +162,7 @@ def propagate(
                 visible[d] = leaving
             elif k > 0:
                 above_free, above = kept[n - k]
-                visible[d] = _shifted(above[d] & above_free, i, j, sides, leaving, source)
+                visible[d] = _shifted(above[d] & above_free, i, j, sides, leaving)
             else:
                 visible[d] = _in_layer(in_free, shining, near, i, j, sides, leaving, source)
             visible[d] |= near
@@ -152,18 +173,27 @@ def propagate(
         yield n, visible  # (4) n := n + 1
 
 
-def _shifted(values, i, j, sides, leaving, source):
+def _shifted(values: np.ndarray, i: int, j: int, sides: str, leaving: np.ndarray) -> np.ndarray:
     """values at x + l, or what a ray that leaves sideways sees."""
     rows, cols = values.shape
     y, x = np.mgrid[:rows, :cols]
     if sides == "periodic":
-        return values[(y + j) % rows, (x + i) % cols]
+        return np.asarray(values[(y + j) % rows, (x + i) % cols])
     inside = (0 <= x + i) & (x + i < cols) & (0 <= y + j) & (y + j < rows)
     outside = leaving if sides == "open" else np.zeros_like(leaving)
     return np.where(inside, values[np.clip(y + j, 0, rows - 1), np.clip(x + i, 0, cols - 1)], outside)
 
 
-def _in_layer(in_free, shining, near, i, j, sides, leaving, source):
+def _in_layer(
+    in_free: np.ndarray,
+    shining: np.ndarray,
+    near: np.ndarray,
+    i: int,
+    j: int,
+    sides: str,
+    leaving: np.ndarray,
+    source: Geometry,
+) -> np.ndarray:
     """k = 0: V(x) needs V(x + l) of the same layer, so nodes are taken in order from the source's side."""
     rows, cols = in_free.shape
     if sides == "periodic":
@@ -245,10 +275,11 @@ def filled_visibility(depth: np.ndarray, spacing: float, steps: np.ndarray, side
                 if sides == "periodic":
                     c, r, c2, r2 = c % cols, r % rows, c2 % cols, r2 % rows
                 inside = (c >= 0) & (c2 < cols) & (r >= 0) & (r2 < rows)
-                clip = lambda row, col: depth[np.clip(row, 0, rows - 1), np.clip(col, 0, cols - 1)].astype(
-                    float
+                near, after = (
+                    depth[np.clip(row, 0, rows - 1), np.clip(col, 0, cols - 1)].astype(float)
+                    for row, col in ((r, c), (r2, c2))
                 )
-                near, far = clip(r, c), np.where(weight == 0, clip(r, c), clip(r2, c2))
+                far = np.where(weight == 0, near, after)
                 known = inside & np.isfinite(near) & np.isfinite(far)
                 ground = np.where(
                     known, (q - weight) * np.where(known, near, 0) + weight * np.where(known, far, 0), np.inf
@@ -274,7 +305,8 @@ def luminance(
     printed form.
     """
     cosine = np.maximum(0.0, normal @ moments.T)
-    return (np.where(visible, cosine, 0.0) * brightness).sum(-1)
+    total: np.ndarray = (np.where(visible, cosine, 0.0) * brightness).sum(-1)
+    return total
 
 
 def carve(
@@ -298,7 +330,7 @@ def carve(
     active = np.ones(low.shape, bool)
     side = None
 
-    def free(n):  # F*: columns carved down to n and beyond
+    def free(n: int) -> np.ndarray:  # F*: columns carved down to n and beyond
         return depth >= n
 
     for n, visible in propagate(depth, steps, sides, source, layers, free):
@@ -316,23 +348,25 @@ def carve(
 
 
 # -- horizons and shadow rays: one surface, given by its grid lines
-# ------------------------------------------------------------
 
 AT_A_NODE = 1e-9  # nodes; a crossing this near to a node is at the node, so that rounding loses no neighbour
 # tangent; on a map that repeats, ground that may rise less than this above a node is not looked for
 LEVEL = 0.002
 
 
-def _split(at):
+def _split(at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Positions on a grid line as (node at or below, weight of the next node), weight 0 where at a node."""
     low = np.floor(at + AT_A_NODE)
     weight = at - low
     return low.astype(np.int64), np.where(weight < AT_A_NODE, 0.0, weight)
 
 
-def _between(surface, column, low, weight, sides):
-    """Depth on grid line ``column`` between rows ``low`` and ``low`` + 1; nan where a node of weight > 0 is
-    masked or off the map.
+def _between(
+    surface: np.ndarray, column: np.ndarray, low: np.ndarray, weight: np.ndarray, sides: str
+) -> np.ndarray:
+    """Depth on grid line ``column`` between rows ``low`` and ``low`` + 1.
+
+    It is nan where a node of weight > 0 is masked or off the map.
     """
     rows, cols = surface.shape
     high = low + (weight > 0)
@@ -347,10 +381,10 @@ def _between(surface, column, low, weight, sides):
 def horizons(
     depth: np.ndarray,
     spacing: float,
-    azimuths,
+    azimuths: Sequence[float] | np.ndarray,
     sides: str = "open",
     max_distance: float | None = None,
-    nodes=None,
+    nodes: Node | None = None,
 ) -> np.ndarray:
     """Raw tangent of the horizon's elevation by brute force: (azimuths, rows, cols), or (azimuths, n) at
     ``nodes``.
@@ -364,9 +398,8 @@ def horizons(
     surface = np.where(np.isfinite(depth), depth, np.nan).astype(float)
     row, col = (np.ravel(index) for index in (np.indices(surface.shape) if nodes is None else nodes))
     z, top, bottom = surface[row, col], np.nanmin(surface), np.nanmax(surface)
-    reach = (
-        math.inf if max_distance is None else max_distance / spacing * (1 + 1e-12)
-    )  # in nodes; a crossing just there counts
+    # in nodes; a crossing just there counts
+    reach = math.inf if max_distance is None else max_distance / spacing * (1 + 1e-12)
     if sides != "periodic":
         reach = min(reach, math.hypot(*surface.shape))
     elif math.isinf(reach):
@@ -390,8 +423,7 @@ def horizons(
             offset = step if a > 0 else -step
             start = 0
             while start < len(step):
-                # no ground stands higher than top, so from here on nothing can raise the other nodes'
-                # horizons
+                # no ground is higher than top, so from here on the other nodes' horizons cannot rise
                 left = np.flatnonzero(z - top > found * distance[start])
                 stop = start + 1 + 2**16 // (len(left) + 1)
                 part = slice(start, stop)
@@ -411,11 +443,11 @@ def sky_irradiance(
     depth: np.ndarray,
     spacing: float,
     valid: np.ndarray,
-    azimuths,
-    widths,
+    azimuths: Sequence[float] | np.ndarray,
+    widths: Sequence[float] | np.ndarray,
     horizon: np.ndarray,
-    brightness=None,
-    nodes=None,
+    brightness: Any = None,
+    nodes: Node | None = None,
 ) -> np.ndarray:
     """Irradiance of a sky above ``horizon``, as from :func:`horizons`: (rows, cols), or (n,) at ``nodes``.
 
@@ -430,9 +462,8 @@ def sky_irradiance(
     for azimuth, width, tangent in zip(azimuths, widths, np.reshape(horizon, (len(azimuths), -1))):
         along = normal[:, 0] * math.cos(azimuth) + normal[:, 1] * math.sin(azimuth)
         up = -normal[:, 2]
-        t = np.arctan(
-            np.maximum(0.0, np.maximum(tangent, -along / up))
-        )  # the horizon, the tangent plane, the level
+        # the horizon, the tangent plane, the level
+        t = np.arctan(np.maximum(0.0, np.maximum(tangent, -along / up)))
         if not callable(brightness):
             ring = along * (np.pi / 2 - t - np.sin(t) * np.cos(t)) / 2 + up * np.cos(t) ** 2 / 2
             out += width * (1.0 if brightness is None else brightness) * ring
@@ -487,8 +518,8 @@ def lamp_irradiance(
     depth: np.ndarray,
     spacing: float,
     valid: np.ndarray,
-    lamp,
-    nodes,
+    lamp: Any,
+    nodes: Node,
     rays: int = 4096,
     seed: int = 0,
     sides: str = "open",
@@ -501,6 +532,7 @@ def lamp_irradiance(
     which shines from both faces.
     """
     if isinstance(lamp, tuple):
+        corner, edge_u, edge_v, brightness = lamp
         return _gather(
             depth,
             spacing,
@@ -509,8 +541,8 @@ def lamp_irradiance(
             rays,
             seed,
             sides,
-            lamp[3],
-            lambda origin, u, v: _to_rectangle(*lamp[:3], origin, u, v),
+            brightness,
+            lambda origin, u, v: _to_rectangle(corner, edge_u, edge_v, origin, u, v),
         )
     return _gather(
         depth,
@@ -529,8 +561,8 @@ def window_irradiance(
     depth: np.ndarray,
     spacing: float,
     valid: np.ndarray,
-    window,
-    nodes,
+    window: Any,
+    nodes: Node,
     points: int = 4096,
     seed: int = 0,
     sides: str = "open",
@@ -548,11 +580,10 @@ def window_irradiance(
         if x0 == x1 or y0 == y1:
             return np.where(valid[tuple(nodes)], 0.0, np.nan)
 
-    def aim(origin, u, v):
+    def aim(origin: np.ndarray, u: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         if sides != "periodic" and origin[2] > 0:
             return _to_rectangle((x0, y0, 0.0), (x1 - x0, 0.0, 0.0), (0.0, y1 - y0, 0.0), origin, u, v)
-        # every direction, and whether it passes: a node in the window's own plane sees all the sky or none of
-        # it
+        # every direction, and whether it passes: a node in the window's own plane sees the whole sky or none
         L = _upwards(u, v)
         ends = origin[2] / -L[:, 2]
         through = np.ones(len(L), bool)
@@ -574,27 +605,26 @@ def specular(
     solid_angles: np.ndarray,
     exponent: float,
 ) -> np.ndarray:
-    """What Phong's lobe (MODEL.md 6) makes of the visible directions: (n + 2) / (2 pi) x sum of B (R.L)^n N.L
-    dL, in float64.
+    """Radiance of Phong's lobe (docs/model.md) over the visible directions, float64.
+
+    (n + 2) / (2 pi) x sum of B (R.L)^n N.L dL.
 
     visible (rows, cols, D) bool; normal (rows, cols, 3); R = 2 (N.V) N - V for V = (0, 0, -1).
     """
     mirror = -2 * normal[..., 2:] * normal - [0.0, 0.0, -1.0]
     lobe = np.maximum(0.0, mirror @ directions.T) ** exponent
-    return (
-        (exponent + 2)
-        / (2 * np.pi)
-        * (visible * lobe * np.maximum(0.0, normal @ directions.T) * brightness * solid_angles).sum(-1)
-    )
+    cosine = np.maximum(0.0, normal @ directions.T)
+    total: np.ndarray = (visible * lobe * cosine * brightness * solid_angles).sum(-1)
+    return (exponent + 2) / (2 * np.pi) * total
 
 
 def lobe_radiance(
     depth: np.ndarray,
     spacing: float,
     valid: np.ndarray,
-    source,
+    source: Any,
     exponent: float,
-    nodes,
+    nodes: Node,
     rays: int = 4096,
     seed: int = 0,
     sides: str = "open",
@@ -612,10 +642,14 @@ def lobe_radiance(
         R = -2 * N[2] * N - [0.0, 0.0, -1.0]
         sky = source.brightness if callable(source.brightness) else lambda L: source.brightness
 
-        def light(L, R=R, sky=sky):
-            return sky(L) * (exponent + 2) / (2 * np.pi) * np.maximum(0.0, L @ R) ** exponent
+        def light(L: np.ndarray, R: np.ndarray = R, sky: Callable[[np.ndarray], Any] = sky) -> np.ndarray:
+            lobe: np.ndarray = np.maximum(0.0, L @ R) ** exponent
+            radiance: np.ndarray = sky(L) * (exponent + 2) / (2 * np.pi) * lobe
+            return radiance
 
-        def about(origin, u, v, R=R):
+        def about(
+            origin: np.ndarray, u: np.ndarray, v: np.ndarray, R: np.ndarray = R
+        ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
             cosine = (1 - u) ** (1 / (exponent + 1))
             sine, e = np.sqrt(1 - cosine**2), np.cross(R, np.eye(3)[np.argmin(abs(R))])
             e /= np.linalg.norm(e)
@@ -646,10 +680,16 @@ def lobe_radiance(
 
 
 def mirror_radiance(
-    depth: np.ndarray, spacing: float, valid: np.ndarray, brightness, nodes, sides: str = "open"
+    depth: np.ndarray,
+    spacing: float,
+    valid: np.ndarray,
+    brightness: Callable[[np.ndarray], np.ndarray],
+    nodes: Node,
+    sides: str = "open",
 ) -> np.ndarray:
-    """The sky in an ideal mirror at ``nodes``: brightness(L) along the mirror direction, 0 where ground is in
-    the way: (n,) float64.
+    """The sky in an ideal mirror at ``nodes``: (n,) float64, brightness(L) along the mirror direction.
+
+    It is 0 where ground is in the way.
     """
     normal = normals(depth, spacing, valid)
     R = -2 * normal[..., 2:] * normal - [0.0, 0.0, -1.0]
@@ -663,9 +703,20 @@ def mirror_radiance(
     )
 
 
-def _gather(depth, spacing, valid, nodes, rays, seed, sides, brightness, aim):
-    """Mean of weight B max(0, N . L) over the rays that arrive: aim(origin, u, v) -> (L (n, 3), ends (n,),
-    weights [sr]).
+def _gather(
+    depth: np.ndarray,
+    spacing: float,
+    valid: np.ndarray,
+    nodes: Node,
+    rays: int,
+    seed: int,
+    sides: str,
+    brightness: Any,
+    aim: Aim,
+) -> np.ndarray:
+    """Mean of weight B max(0, N . L) over the rays that arrive.
+
+    aim(origin, u, v) -> (L (n, 3), ends (n,), weights [sr]).
     """
     rows, cols = valid.shape
     normal = normals(depth, spacing, valid)
@@ -675,9 +726,8 @@ def _gather(depth, spacing, valid, nodes, rays, seed, sides, brightness, aim):
     for node, (row, col) in enumerate(zip(*nodes)):
         if not valid[row, col]:
             continue
-        jitter = np.random.default_rng((seed, row, col)).random(
-            (2, side, side)
-        )  # a node's rays do not depend on the other nodes
+        # a node's rays do not depend on the other nodes
+        jitter = np.random.default_rng((seed, row, col)).random((2, side, side))
         u, v = ((np.indices((side, side)) + jitter) / side).reshape(2, -1)
         origin = np.array([col * spacing, row * spacing, surface[row, col]])
         L, ends, weight = aim(origin, u, v)
@@ -694,17 +744,17 @@ def _gather(depth, spacing, valid, nodes, rays, seed, sides, brightness, aim):
     return out
 
 
-def _upwards(u, v):
+def _upwards(u: np.ndarray, v: np.ndarray) -> np.ndarray:
     """Unit vectors uniform over the hemisphere L_z < 0, for u and v uniform over 0 to 1."""
     cosine = 1 - u
     sine = np.sqrt(1 - cosine**2)
     return np.stack([sine * np.cos(2 * np.pi * v), sine * np.sin(2 * np.pi * v), -cosine], -1)
 
 
-def _to_ball(center, radius, origin, u, v):
-    """Rays uniform in the cone that touches the ball, and where they meet it; from inside every ray meets it
-    at once.
-    """
+def _to_ball(
+    center: Sequence[float], radius: float, origin: np.ndarray, u: np.ndarray, v: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Rays uniform in the cone that touches the ball, and where they meet it; from inside: at once."""
     to = np.asarray(center, float) - origin
     far = np.linalg.norm(to)
     if far <= radius:
@@ -726,7 +776,14 @@ def _to_ball(center, radius, origin, u, v):
     return L, ends, np.full(len(u), 2 * np.pi * cap)
 
 
-def _to_rectangle(corner, edge_u, edge_v, origin, u, v):
+def _to_rectangle(
+    corner: Sequence[float] | np.ndarray,
+    edge_u: Sequence[float] | np.ndarray,
+    edge_v: Sequence[float] | np.ndarray,
+    origin: np.ndarray,
+    u: np.ndarray,
+    v: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Rays to a rectangle, weighted by solid angle; nothing from its own plane.
 
     With the foot of the perpendicular, d long, at (0, 0), dOmega = d dx dy / (d^2 + x^2 + y^2)^(3/2) = dphi

@@ -1,4 +1,4 @@
-"""Reflectance: what a surface makes of the light that it gets (MODEL.md 6; the notes on radiometry).
+"""Reflectance: what a surface makes of the light that it gets (docs/model.md; the notes on radiometry).
 
 A BRDF f [sr^-1] is the ratio of outgoing radiance to incident irradiance. Here directions are unit vectors
 (..., 3) in the surface's own frame: z along the normal, x along the map's columns and y along its rows, both
@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -32,10 +33,10 @@ class Lambertian:
 
     albedo: float | np.ndarray = 0.8
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         object.__setattr__(self, "albedo", share(self.albedo, "albedo"))
 
-    def brdf(self, incoming, outgoing):
+    def brdf(self, incoming: np.ndarray, outgoing: np.ndarray) -> np.ndarray:
         """f [sr^-1]: (..., 3), (..., 3) -> (...); the albedo must be a number."""
         return _above(incoming, outgoing) * (_number(self.albedo, "albedo") / np.pi)
 
@@ -58,7 +59,7 @@ class Phong:
     specular: float | np.ndarray = 0.3
     exponent: float = 20.0
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         _shares(self)
         try:
             exponent = float(self.exponent)
@@ -93,12 +94,11 @@ class Phong:
         """cos^n, (2048,) float32, by even steps of 1 - cos from 0 to ``rim``, as kernels read it."""
         return ((1 - np.linspace(0, rim, KNOTS)) ** self.exponent).astype(np.float32)
 
-    def brdf(self, incoming, outgoing):
+    def brdf(self, incoming: np.ndarray, outgoing: np.ndarray) -> np.ndarray:
         """f [sr^-1]: (..., 3), (..., 3) -> (...); the albedos must be numbers."""
         incoming, outgoing = np.asarray(incoming, float), np.asarray(outgoing, float)
-        cosine = np.maximum(
-            0.0, (incoming * outgoing * [-1, -1, 1]).sum(-1)
-        )  # of the angle to the mirror direction
+        # of the angle to the mirror direction
+        cosine: np.ndarray = np.maximum(0.0, (incoming * outgoing * [-1, -1, 1]).sum(-1))
         lobe = _number(self.specular, "specular") * self.norm * cosine**self.exponent * (cosine > 0)
         return _above(incoming, outgoing) * (_number(self.albedo, "albedo") / np.pi + lobe)
 
@@ -115,7 +115,7 @@ class Mirror:
     specular: float | np.ndarray = 1.0
     albedo: float | np.ndarray = 0.0
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         _shares(self)
 
 
@@ -134,7 +134,7 @@ class BRDF:
     asymmetry: float = field(init=False)
     albedo = 0.0  # there is no Lambertian part beside it
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         if not callable(self.function):
             raise bad(
                 "BRDF", type(self.function).__name__, "a function of two arrays of unit vectors (..., 3)"
@@ -165,7 +165,7 @@ class BRDF:
             self, "asymmetry", float(np.abs(values - values.T).max() / max(values.max(), 1e-300))
         )
 
-    def brdf(self, incoming, outgoing):
+    def brdf(self, incoming: np.ndarray, outgoing: np.ndarray) -> np.ndarray:
         """f [sr^-1], checked: (..., 3), (..., 3) -> (...); 0 where a direction lies below the surface."""
         incoming, outgoing = np.broadcast_arrays(np.asarray(incoming, float), np.asarray(outgoing, float))
         values = np.asarray(self.function(incoming.copy(), outgoing.copy()))
@@ -206,16 +206,14 @@ def grooves(white: float = 0.9, black: float = 0.0, steepness: float = 45.0) -> 
         raise bad("grooves: steepness", steepness, "between 0 and 90 degrees")
     rise = np.tan(np.radians(steepness))
 
-    def shows(w):
-        """Cosine to the white face's normal, over cos(steepness), and the share of the face that rays from w
-        meet.
-        """
+    def shows(w: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Cosine to the white face's normal over cos(steepness), and the share of the face that w meets."""
         x, z = w[..., 0], np.maximum(w[..., 2], 1e-12)
         facing = np.maximum(0.0, z - rise * x)
         return facing, np.where(x < 0, np.minimum(1.0, 2 * z / (rise * np.abs(x) + z)), 1.0)
 
-    def function(incoming, outgoing):
-        total = 0.0
+    def function(incoming: np.ndarray, outgoing: np.ndarray) -> np.ndarray:
+        total: np.ndarray = np.zeros(())
         for albedo, way in ((white, [1, 1, 1]), (black, [-1, 1, 1])):
             (a, lit), (b, seen) = shows(incoming * way), shows(outgoing * way)
             # half of the level area lies under each face, which is larger by 1 / cos and whose two cosines
@@ -223,14 +221,21 @@ def grooves(white: float = 0.9, black: float = 0.0, steepness: float = 45.0) -> 
             total = total + albedo / np.pi * 0.5 * np.cos(np.radians(steepness)) * a * b * np.minimum(
                 lit, seen
             )
-        return total / (np.maximum(incoming[..., 2], 1e-12) * np.maximum(outgoing[..., 2], 1e-12))
+        total /= np.maximum(incoming[..., 2], 1e-12) * np.maximum(outgoing[..., 2], 1e-12)
+        return total
 
     return BRDF(function)
 
 
-def phong_printed(irradiance, radiance, offset, albedo=0.5, specular=0.3, exponent=20.0):
-    """The notes' last formula as printed: rho_d E + rho_s L(theta_s) cos^n(theta_s - theta_o), for
-    comparison.
+def phong_printed(
+    irradiance: float | np.ndarray,
+    radiance: float | np.ndarray,
+    offset: float | np.ndarray,
+    albedo: float = 0.5,
+    specular: float = 0.3,
+    exponent: float = 20.0,
+) -> np.ndarray:
+    """The notes' last formula as printed: rho_d E + rho_s L(theta_s) cos^n(theta_s - theta_o).
 
     ``irradiance`` E, ``radiance`` L of the source in the specular direction, ``offset`` theta_s - theta_o
     [rad]. It is neither normalised nor reciprocal: it lacks the 1 / pi of a Lambertian surface, so that an
@@ -243,7 +248,7 @@ def phong_printed(irradiance, radiance, offset, albedo=0.5, specular=0.3, expone
     )
 
 
-def mirror_directions(tilt_x, tilt_y):
+def mirror_directions(tilt_x: np.ndarray, tilt_y: np.ndarray) -> np.ndarray:
     """Where a viewer along (0, 0, 1) looks by way of the surface: unit vectors (..., 3) from dz/dx and dz/dy.
 
     R = 2 (N.V) N - V with V = (0, 0, -1) towards the viewer; R_z > 0, below the level, where the surface is
@@ -253,13 +258,10 @@ def mirror_directions(tilt_x, tilt_y):
     return np.stack([2 * tilt_x / square, 2 * tilt_y / square, 1 - 2 / square], -1)
 
 
-def frames(tilt_x, tilt_y):
-    """(..., 3, 3): the surface's axes as rows, in the map's coordinates: x within the surface along columns,
-    y, normal.
-    """
-    normal = (
-        np.stack([tilt_x, tilt_y, -np.ones_like(tilt_x)], -1) / np.sqrt(1 + tilt_x**2 + tilt_y**2)[..., None]
-    )
+def frames(tilt_x: np.ndarray, tilt_y: np.ndarray) -> np.ndarray:
+    """The surface's axes in the map's coordinates, (..., 3, 3): rows x (along columns), y, normal."""
+    level = -np.ones_like(tilt_x)
+    normal = np.stack([tilt_x, tilt_y, level], -1) / np.sqrt(1 + tilt_x**2 + tilt_y**2)[..., None]
     along = (
         np.stack([np.ones_like(tilt_x), np.zeros_like(tilt_x), tilt_x], -1)
         / np.sqrt(1 + tilt_x**2)[..., None]
@@ -267,10 +269,8 @@ def frames(tilt_x, tilt_y):
     return np.stack([along, np.cross(along, normal), normal], -2)
 
 
-def share(values, what: str):
-    """A reflectance between 0 and 1 as a float or a float32 array: a number, (rows, cols), (3,) or (rows,
-    cols, 3).
-    """
+def share(values: Any, what: str) -> float | np.ndarray:
+    """A reflectance from 0 to 1: a float, or float32 (rows, cols), (3,) or (rows, cols, 3)."""
     array = real_array(values, what, None)
     if (
         array.ndim > 3
@@ -290,10 +290,8 @@ def share(values, what: str):
 
 
 def fit(reflectance: Reflectance, shape: tuple[int, int], valid: np.ndarray) -> None:
-    """InputError unless the maps of ``reflectance`` fit a scene of this shape and are bounded where it is
-    valid.
-    """
-    total = 0.0
+    """InputError unless the maps of ``reflectance`` fit a scene of this shape and are bounded where valid."""
+    total: np.ndarray = np.zeros(())
     for name in ("albedo", "specular"):
         values = np.asarray(getattr(reflectance, name, 0.0), float)
         if values.ndim >= 2 and values.shape[:2] != shape:
@@ -312,11 +310,11 @@ def fit(reflectance: Reflectance, shape: tuple[int, int], valid: np.ndarray) -> 
                 "finite, 0 to 1",
             )
         total = total + (values if values.ndim in (0, 1, 3) else values[..., None])
-    total = np.where(valid[..., None], total, 0.0) if np.ndim(total) == 3 else total
-    bounded(total)
+    bounded(np.where(valid[..., None], total, 0.0) if total.ndim == 3 else total)
 
 
-def bounded(total) -> None:
+def bounded(total: float | np.ndarray) -> None:
+    """InputError where the sum of albedo and specular passes 1."""
     worst = float(np.max(total))
     if worst > 1 + 1e-6:
         raise bad(
@@ -326,7 +324,7 @@ def bounded(total) -> None:
         )
 
 
-def _shares(reflectance):
+def _shares(reflectance: Phong | Mirror) -> None:
     for name in ("albedo", "specular"):
         object.__setattr__(
             reflectance, name, share(getattr(reflectance, name), f"{type(reflectance).__name__}: {name}")
@@ -338,11 +336,13 @@ def _shares(reflectance):
         bounded(values[0] + values[1])
 
 
-def _number(value, what):
+def _number(value: float | np.ndarray, what: str) -> float:
     if np.ndim(value):
         raise bad(f"brdf: {what} is a map or a colour", np.shape(value), "a number")
-    return value
+    return float(value)
 
 
-def _above(incoming, outgoing):
-    return (np.asarray(incoming)[..., 2] > 0) & (np.asarray(outgoing)[..., 2] > 0)
+def _above(incoming: np.ndarray, outgoing: np.ndarray) -> np.ndarray:
+    """Whether both directions lie above the surface."""
+    above: np.ndarray = (np.asarray(incoming)[..., 2] > 0) & (np.asarray(outgoing)[..., 2] > 0)
+    return above

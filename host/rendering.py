@@ -372,8 +372,8 @@ def _by_lattice(scene, source, greys, engine, cube, filled, weights, quantity, f
     """(irradiances, what the surface shows besides) over the directions of a hemicube; warnings go into
     ``found``.
     """
+    problem = lattice_problem(scene, source, cube, filled)  # first: it checks that the source fits
     found += warnings_of(scene, source, cube, filled)
-    problem = lattice_problem(scene, source, cube, filled)
     brightness = np.stack([sources.radiance(grey, cube.directions) for grey in greys])
     moments = cube.moments if weights == "moment" else cube.directions * cube.solid_angles[:, None]
     lobe, shares, whole = shading.lobe_of(scene, 1e-6) if quantity == "radiance" else None, None, None
@@ -559,7 +559,7 @@ def warnings_of(scene: Scene, source: sources.Source, cube: Hemicube, filled: bo
                 f"Leak: the rms slope is {np.sqrt(square):.2f}, and steps of {cube.reach} nodes jump over"
                 " ridges, so light leaks through; use filled=True."
             )
-    if isinstance(source, sources.Lamp) and source.volume is None:
+    if isinstance(source, sources.Lamp) and source.center is not None:
         rows, cols = scene.shape
         x, y, z = source.center
         far = np.sqrt(

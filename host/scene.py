@@ -1,8 +1,9 @@
-"""Scene: a depth map with its spacing, albedo, mask and sides. All validation of a scene happens here, once."""
+"""Scene: a depth map with its spacing, albedo, mask and sides. It is checked here, once."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -62,20 +63,18 @@ class Scene:
     _values: np.ndarray = field(init=False, repr=False)
     _step: float = field(init=False, repr=False)
     labels: Labels | None = field(init=False, repr=False, default=None)
-    resident: object = field(
-        init=False, repr=False, default=None
-    )  # the depth on a device of Warp's, if it was given there
+    # the depth on a device of Warp's, if it was given there
+    resident: Resident | None = field(init=False, repr=False, default=None)
 
-    def __post_init__(self):
-        put = lambda name, value: object.__setattr__(self, name, value)
-        put("labels", labels_of(self.depth))
+    def __post_init__(self) -> None:
+        _set(self, labels=labels_of(self.depth))
         if self.mask is None and (found := resident_map(self.depth)) is not None:
             self._keep(found)
             return
         depth = real_array(self.depth, "depth")
-        put("spacing", positive_number(self.spacing, "spacing"))
+        _set(self, spacing=positive_number(self.spacing, "spacing"))
         one_of(self.sides, SIDES, "sides")
-        put("mask", _mask(self.mask, depth.shape))
+        _set(self, mask=_mask(self.mask, depth.shape))
         valid = np.ones(depth.shape, bool) if self.mask is None else self.mask
         if not valid.any():
             raise bad("mask: no valid node", "False everywhere", "at least one True")
@@ -109,20 +108,16 @@ class Scene:
                 f"at most {STEEPEST:g} spacings",
                 "Give both in one unit.",
             )
-        put("depth", depth)
-        put("reflectance", _reflectance(self.albedo, self.reflectance, depth.shape, valid))
-        put("albedo", self.reflectance.albedo)
+        surface = _reflectance(self.albedo, self.reflectance, depth.shape, valid)
         values, step = _lattice(np.where(valid, depth, np.float32(np.inf)), self.spacing)
-        put("_values", values)
-        put("_step", step)
+        _set(self, depth=depth, reflectance=surface, albedo=surface.albedo, _values=values, _step=step)
         for array in (self.depth, self.mask, values):
             if isinstance(array, np.ndarray):
                 array.flags.writeable = False
 
-    def _keep(self, found):
-        """Stay with a depth map on its device; the host's copies are made if something asks for them."""
-        put = lambda name, value: object.__setattr__(self, name, value)
-        put("spacing", positive_number(self.spacing, "spacing"))
+    def _keep(self, found: Resident) -> None:
+        """Keep a depth map on its device; the host's copies are made on first use."""
+        _set(self, spacing=positive_number(self.spacing, "spacing"))
         one_of(self.sides, SIDES, "sides")
         if found.broken:
             raise bad(
@@ -145,27 +140,30 @@ class Scene:
                 f"at most {STEEPEST:g} spacings",
                 "Give both in one unit.",
             )
-        put(
-            "reflectance",
-            _reflectance(self.albedo, self.reflectance, found.shape, np.ones(found.shape, bool)),
-        )
-        put("albedo", self.reflectance.albedo)
-        put("resident", found)
+        surface = _reflectance(self.albedo, self.reflectance, found.shape, np.ones(found.shape, bool))
+        _set(self, reflectance=surface, albedo=surface.albedo, resident=found)
         object.__delattr__(self, "depth")
 
-    def __getattr__(self, name):
-        if name not in ("depth", "_values", "_step") or self.__dict__.get("resident") is None:
+    def __getattr__(self, name: str) -> Any:
+        """The host's copies of a depth map on a device, downloaded when they are first asked for."""
+        resident: Resident | None = self.__dict__.get("resident")
+        if name not in ("depth", "_values", "_step") or resident is None:
             raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
-        depth = self.resident.download()
+        depth = resident.download()
         values, step = _lattice(depth, self.spacing)
-        for what, value in (("depth", depth), ("_values", values), ("_step", step)):
-            object.__setattr__(self, what, value)
+        _set(self, depth=depth, _values=values, _step=step)
         depth.flags.writeable = values.flags.writeable = False
         return self.__dict__[name]
 
     @classmethod
     def from_height(
-        cls, height, spacing=1.0, albedo=ALBEDO, mask=None, sides="open", reflectance=None
+        cls,
+        height: Any,
+        spacing: float = 1.0,
+        albedo: float | np.ndarray = ALBEDO,
+        mask: np.ndarray | None = None,
+        sides: str = "open",
+        reflectance: Reflectance | None = None,
     ) -> Scene:
         """A scene from terrain height [length]: depth = max(valid height) - height.
 
@@ -173,9 +171,11 @@ class Scene:
         """
         labels = labels_of(height)
         if mask is None and (found := resident_map(height, height=True)) is not None:
-            return cls(found, spacing, albedo, None, sides, reflectance)
+            resident: Any = found
+            return cls(resident, spacing, albedo, None, sides, reflectance)
         height = real_array(height, "height")
-        valid = np.ones(height.shape, bool) if mask is None else _mask(mask, height.shape)
+        mask = _mask(mask, height.shape)
+        valid = np.ones(height.shape, bool) if mask is None else mask
         broken = valid & ~np.isfinite(height)
         if broken.any():
             raise bad(
@@ -186,7 +186,7 @@ class Scene:
             )
         top = height[valid].max() if valid.any() else 0.0
         scene = cls(np.where(valid, top - height, np.nan), spacing, albedo, mask, sides, reflectance)
-        object.__setattr__(scene, "labels", labels)
+        _set(scene, labels=labels)
         return scene
 
     @property
@@ -208,14 +208,12 @@ class Scene:
         return self._values, self._step
 
     def layers(self) -> tuple[np.ndarray, float]:
-        """Depth rounded to layers, rint(depth / spacing), and the step 1, as the field and carving use them."""
+        """Depth rounded to layers, rint(depth / spacing), and the step 1, for the field and for carving."""
         return np.rint(self._values.astype(np.float64) / self._step).astype(np.float32), 1.0
 
 
-def resident_map(values, height: bool = False):
-    """``values`` as a :class:`skylamp.backends.resident.Resident` where they lie on a device of Warp's as
-    float32, else None.
-    """
+def resident_map(values: Any, height: bool = False) -> Resident | None:
+    """``values`` as a Resident where they lie on a device of Warp's as float32, else None."""
     if isinstance(values, (np.ndarray, list, int, float)):
         return None
     if isinstance(values, Resident):
@@ -227,12 +225,20 @@ def resident_map(values, height: bool = False):
     return None if found is None else find(found, height)
 
 
-def is_scene(scene) -> None:
+def is_scene(scene: object) -> None:
+    """InputError unless ``scene`` is a Scene."""
     if not isinstance(scene, Scene):
         raise bad("scene", type(scene).__name__, "a skylamp.Scene")
 
 
-def _mask(mask, shape):
+def _set(scene: Scene, **values: object) -> None:
+    """Sets fields of a frozen scene while it is made."""
+    for name, value in values.items():
+        object.__setattr__(scene, name, value)
+
+
+def _mask(mask: Any, shape: tuple[int, ...]) -> np.ndarray | None:
+    """A copy of a mask, checked."""
     if mask is None:
         return None
     try:
@@ -243,10 +249,13 @@ def _mask(mask, shape):
         raise bad(
             "mask: wrong type or shape", f"dtype {mask.dtype}, shape {mask.shape}", f"bool, shape {shape}"
         )
-    return mask.copy()
+    return np.array(mask)
 
 
-def _reflectance(albedo, given, shape, valid):
+def _reflectance(
+    albedo: float | np.ndarray, given: Any, shape: tuple[int, int], valid: np.ndarray
+) -> Reflectance:
+    """The reflectance of a scene, from one of its two arguments, checked."""
     if given is None:
         given = Lambertian(albedo)
     elif not isinstance(given, Reflectance):
@@ -258,11 +267,13 @@ def _reflectance(albedo, given, shape, valid):
             "one of them",
             "The diffuse albedo is an argument of the reflectance.",
         )
-    fit(given, shape, valid)
-    return given
+    surface: Reflectance = given
+    fit(surface, shape, valid)
+    return surface
 
 
-def _lattice(depth, spacing):
+def _lattice(depth: np.ndarray, spacing: float) -> tuple[np.ndarray, float]:
+    """What :meth:`Scene.lattice` gives."""
     # Whole layers compare exactly as integers; dividing anything else by the spacing would flip bits.
     with np.errstate(invalid="ignore"):
         layers = np.rint(depth.astype(np.float64) / spacing)

@@ -1,14 +1,15 @@
-"""What surfaces that are not Lambertian make of their light: lobes through slices, mirrors and BRDFs ray by
-ray (MODEL.md, 6).
-"""
+"""Reflection by surfaces that are not Lambertian: lobes by slices, mirrors and BRDFs by rays (docs/model.md)."""
 
 from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
 from . import sources
 from .backends.base import Backend
 from .backends.numpy.luminance import gradient
+from .directions import Azimuths, Hemicube
 from .errors import bad
 from .light.propagation import Lobe
 from .light.slices import Slices
@@ -23,9 +24,7 @@ AT_ONCE = 2**18  # directions that a BRDF function is given at a time
 
 
 def lobe_of(scene: Scene, lost: float = 1e-4) -> Lobe | None:
-    """The lobe of a scene whose reflectance has one that shows, but for a share ``lost`` of its light at its
-    rim.
-    """
+    """The lobe of a scene's reflectance, cut where a share ``lost`` of its light lies outside; or None."""
     surface = scene.reflectance
     if not (isinstance(surface, Phong) and np.any(surface.specular)):
         return None
@@ -37,8 +36,8 @@ def has_mirror(scene: Scene) -> bool:
     return isinstance(scene.reflectance, Mirror) and bool(np.any(scene.reflectance.specular))
 
 
-def tilts(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
-    """dz/dx and dz/dy (rows, cols) float32, as the kernels have them; 0 where masked."""
+def tilts(scene: Scene) -> np.ndarray:
+    """dz/dx and dz/dy (2, rows, cols) float32, as the kernels have them; 0 where masked."""
     depth, step = scene.lattice()
     out = np.zeros((2, depth.size), np.float32)
     with np.errstate(invalid="ignore"):
@@ -49,8 +48,9 @@ def tilts(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
 def suns(
     scene: Scene, engine: Backend, lobe: Lobe, L: np.ndarray, flux: np.ndarray, max_distance: float | None
 ) -> np.ndarray:
-    """What a lobe, not normalised, makes of light from a few directions L (K, 3) of a sky, ``flux`` (K,)
-    each: (rows, cols) float32.
+    """Reflection by a lobe, not normalised, of light from K directions of a sky: (rows, cols) float32.
+
+    L (K, 3): unit vectors; ``flux`` (K,): brightness x solid angle of each.
     """
     rays, total = _Rays(scene, engine, max_distance), np.zeros(scene.shape)
     gx, gy = tilts(scene).astype(float)
@@ -70,9 +70,12 @@ def suns(
     return total.astype(np.float32)
 
 
-def mirrored(scene: Scene, greys: list, engine: Backend, max_distance: float | None) -> list[np.ndarray]:
-    """Radiance along the mirror direction of every node, (rows, cols) float32 for each grey source of one
-    place; 0 where ground is in the way.
+def mirrored(
+    scene: Scene, greys: Sequence[sources.Source], engine: Backend, max_distance: float | None
+) -> list[np.ndarray]:
+    """Radiance along the mirror direction of every node, 0 where ground is in the way.
+
+    (rows, cols) float32 for each of the grey sources, which differ in brightness alone.
     """
     if scene.sides == "periodic":
         raise bad(
@@ -91,65 +94,76 @@ def mirrored(scene: Scene, greys: list, engine: Backend, max_distance: float | N
     return out
 
 
-def by_brdf(scene: Scene, greys: list, engine: Backend, max_distance: float | None) -> list[np.ndarray]:
+def by_brdf(
+    scene: Scene, greys: Sequence[sources.Source], engine: Backend, max_distance: float | None
+) -> list[np.ndarray]:
     """Radiance of a BRDF under a lamp or window, by rays spread evenly over its solid angle or area."""
-    rays, surface = _Rays(scene, engine, max_distance), scene.reflectance
+    rays, reflect = _Rays(scene, engine, max_distance), _Reflection(scene)
     images = [np.zeros(scene.shape) for _ in greys]
-    shade = _Shade(scene)
     u = (np.arange(ACROSS) + 0.5) / ACROSS
     for a in u:
         L, ends, weights = _aim(scene, greys[0], a, u)
         lit = rays.free(L, ends) & (weights > 0)
-        for image, light in zip(images, shade(surface, greys, L, np.where(lit, weights, 0.0))):
+        for image, light in zip(images, reflect(greys, L, np.where(lit, weights, 0.0))):
             image += light
     return [image.astype(np.float32) for image in images]
 
 
-def by_brdf_under_sky(scene: Scene, greys: list, planes, sectors) -> list[np.ndarray]:
-    """The same under a sky, above the horizons that ``planes`` yields: (numbers of azimuths, slopes (n, rows,
-    cols)) at a time.
+def by_brdf_under_sky(
+    scene: Scene,
+    greys: Sequence[sources.Source],
+    planes: Iterable[tuple[np.ndarray, np.ndarray]],
+    sectors: Azimuths,
+) -> list[np.ndarray]:
+    """Radiance of a BRDF under a sky above horizons.
+
+    ``planes`` yields (numbers of azimuths (n,), their horizons' slopes (n, rows, cols)), a few at a time.
     """
-    surface, shade = scene.reflectance, _Shade(scene)
+    reflect = _Reflection(scene)
     images = [np.zeros(scene.shape) for _ in greys]
     node, weight = np.polynomial.legendre.leggauss(ELEVATIONS)
-    gx, gy = shade.tilts
+    gx, gy = reflect.tilts
     for numbers, slopes in planes:
         for number, slope in zip(numbers, slopes):
             c, s = np.cos(sectors.angles[number]), np.sin(sectors.angles[number])
-            low = np.arctan(np.maximum(np.maximum(slope, -(gx * c + gy * s)), 0.0))[
-                ..., None
-            ]  # the tangent plane, the level
+            plane = -(gx * c + gy * s)  # slope of the tangent plane; light comes from above the level, too
+            low = np.arctan(np.maximum(np.maximum(slope, plane), 0.0))[..., None]
             half = (np.pi / 2 - low) / 2
             e = low + half * (1 + node)
             L = np.stack([np.cos(e) * c, np.cos(e) * s, -np.sin(e)], -1)
-            for image, light in zip(
-                images, shade(surface, greys, L, half * weight * np.cos(e) * sectors.widths[number])
-            ):
+            weights = half * weight * np.cos(e) * sectors.widths[number]
+            for image, light in zip(images, reflect(greys, L, weights)):
                 image += light
     return [image.astype(np.float32) for image in images]
 
 
-def by_brdf_on_lattice(scene: Scene, greys: list, bits: np.ndarray, cube) -> list[np.ndarray]:
-    """The same for the directions of a hemicube that ``bits`` (rows, cols, words) says are visible."""
-    surface, shade = scene.reflectance, _Shade(scene)
+def by_brdf_on_lattice(
+    scene: Scene, greys: Sequence[sources.Source], bits: np.ndarray, cube: Hemicube
+) -> list[np.ndarray]:
+    """Radiance of a BRDF over the directions of a hemicube that ``bits`` (rows, cols, words) has visible."""
+    reflect = _Reflection(scene)
     images = [np.zeros(scene.shape) for _ in greys]
     for some in np.array_split(np.arange(len(cube)), -(-len(cube) // 16)):
         lit = np.stack([bits[..., d // 32] >> np.uint32(d % 32) & np.uint32(1) for d in some], -1)
         L = np.broadcast_to(cube.directions[some], (*scene.shape, len(some), 3))
-        for image, light in zip(images, shade(surface, greys, L, lit * cube.solid_angles[some])):
+        for image, light in zip(images, reflect(greys, L, lit * cube.solid_angles[some])):
             image += light
     return [image.astype(np.float32) for image in images]
 
 
-class _Shade:
-    """Sums f B cos(theta_i) x weight over directions, for every node in its own frame."""
+class _Reflection:
+    """The reflection integral of a scene's BRDF: sums of f B cos(theta_i) x weight in every node's frame."""
 
     def __init__(self, scene: Scene):
+        assert isinstance(scene.reflectance, BRDF), "only a BRDF is integrated direction by direction"
+        self.surface = scene.reflectance
         self.tilts = tilts(scene).astype(float)
         self.frames = frames(*self.tilts)
         self.outgoing = self.frames @ [0.0, 0.0, -1.0]
 
-    def __call__(self, surface: BRDF, greys: list, L: np.ndarray, weights: np.ndarray) -> list[np.ndarray]:
+    def __call__(
+        self, greys: Sequence[sources.Source], L: np.ndarray, weights: np.ndarray
+    ) -> list[np.ndarray]:
         """L (rows, cols, n, 3), weights (rows, cols, n) [sr] -> (rows, cols) for each grey source."""
         out = [np.zeros(L.shape[:2]) for _ in greys]
         rows, cols, n = weights.shape
@@ -157,7 +171,7 @@ class _Shade:
             incoming = np.einsum("rcij,rcnj->rcni", self.frames[some], L[some])
             cosine = np.maximum(0.0, incoming[..., 2])
             f = (
-                surface.brdf(incoming, np.broadcast_to(self.outgoing[some, :, None], incoming.shape))
+                self.surface.brdf(incoming, np.broadcast_to(self.outgoing[some, :, None], incoming.shape))
                 * cosine
                 * weights[some]
             )
@@ -180,8 +194,9 @@ class _Rays:
         self.reach = np.inf if max_distance is None else max_distance / scene.spacing
 
     def free(self, L: np.ndarray, ends: np.ndarray) -> np.ndarray:
-        """Whether rays along L (rows, cols, n, 3) come to ``ends`` (rows, cols, n) [unit of spacing]: not
-        nan, above the level, nothing in the way.
+        """Whether rays along L (rows, cols, n, 3) reach ``ends`` (rows, cols, n) [unit of spacing].
+
+        They do where the end is not nan, the ray rises above the level, and nothing is in the way.
         """
         scene, (rows, cols) = self.scene, self.scene.shape
         depth = scene.depth.astype(float)[..., None] / scene.spacing
@@ -190,9 +205,7 @@ class _Rays:
         up = -L[..., 2]
         lit = (up >= 0) & ~np.isnan(ends) & scene.valid[..., None]
         with np.errstate(divide="ignore", invalid="ignore"):
-            if (
-                scene.sides == "dark"
-            ):  # where the ray leaves the box through z = 0, or meets the source inside it
+            if scene.sides == "dark":  # where the ray leaves the box through z = 0, or meets the source in it
                 to = np.fmin(ends, depth / up)
                 y, x = np.mgrid[:rows, :cols]
                 for axis, at, count in ((0, x, cols), (1, y, rows)):
@@ -203,100 +216,143 @@ class _Rays:
         reach = np.where(
             lit, np.minimum(np.where(flat > 0, ends * np.maximum(flat, 1e-30), np.inf), self.reach), 1e-6
         )
-        return lit & self.slices.rays(
-            np.stack([c, s, tangent, np.minimum(reach, 1e30)], 2).astype(np.float32)
-        )
+        ways = np.stack([c, s, tangent, np.minimum(reach, 1e30)], 2).astype(np.float32)
+        arrived: np.ndarray = lit & self.slices.rays(ways)
+        return arrived
 
 
-def _places(scene: Scene) -> np.ndarray:
+def _nodes(scene: Scene) -> np.ndarray:
+    """Positions of the nodes (rows, cols, 3) [unit of spacing]."""
     y, x = np.mgrid[: scene.shape[0], : scene.shape[1]]
     return np.stack([x * scene.spacing, y * scene.spacing, scene.depth.astype(float)], -1)
 
 
-def _meets(scene: Scene, source, L: np.ndarray) -> np.ndarray:
-    """How far along L (rows, cols, n, 3) rays from the nodes meet the source [unit of spacing], inf for the
-    sky, nan where they miss it.
+def _meets(scene: Scene, source: sources.Source, L: np.ndarray) -> np.ndarray:
+    """Distance along L (rows, cols, n, 3) at which rays from the nodes meet the source [unit of spacing].
+
+    It is inf for the sky, and nan where they miss the source.
     """
     if isinstance(source, sources.Sky):
         return np.full(L.shape[:-1], np.inf)
-    origin = _places(scene)[:, :, None]
+    origin = _nodes(scene)[:, :, None]
     with np.errstate(divide="ignore", invalid="ignore"):
-        if isinstance(source, sources.Lamp) and source.volume is not None:
-            raise bad(
-                "a mirror under a lamp given as a volume", "a lamp of any shape", "a sphere, or a rectangle"
-            )
-        if isinstance(source, sources.Lamp) and source.corner is None:
-            to = np.array(source.center) - origin
-            b, q = (to * L).sum(-1), (to * to).sum(-1) - source.radius**2
-            root = b * b - q
-            return np.where(q <= 0, 0.0, np.where((b > 0) & (root >= 0), b - np.sqrt(root), np.nan))
-        if isinstance(source, sources.Lamp):
-            corner, (u, v) = np.array(source.corner), map(np.array, source.edges)
-            normal = np.cross(u, v)
-            t = ((corner - origin) @ normal) / (L @ normal)
-            past = origin + t[..., None] * L - corner
-            inside = [(0 <= past @ edge) & (past @ edge < edge @ edge) for edge in (u, v)]
-            return np.where(inside[0] & inside[1] & (t > 0), t, np.nan)
-        t = origin[..., 2] / -L[..., 2]
-        x, y = (origin[..., axis] + np.where(L[..., axis] == 0, 0.0, t * L[..., axis]) for axis in (0, 1))
-        if source.aperture is None:
-            through = (source.x[0] <= x) & (x < source.x[1]) & (source.y[0] <= y) & (y < source.y[1])
-        else:
-            col, row = (
-                np.floor(np.nan_to_num(v / scene.spacing + 0.5, nan=-1, posinf=-1, neginf=-1)).astype(int)
-                for v in (x, y)
-            )
-            rows, cols = scene.shape
-            through = (0 <= col) & (col < cols) & (0 <= row) & (row < rows)
-            through &= source.aperture[np.clip(row, 0, rows - 1), np.clip(col, 0, cols - 1)]
-        return np.where(through & (L[..., 2] < 0), t, np.nan)
+        if isinstance(source, sources.Window):
+            return _meets_window(scene, source, origin, L)
+        if source.center is not None and source.radius is not None:
+            return _meets_sphere(np.array(source.center), source.radius, origin, L)
+        if source.corner is not None and source.edges is not None:
+            u, v = map(np.array, source.edges)
+            return _meets_rectangle(np.array(source.corner), u, v, origin, L)
+    raise bad("a mirror under a lamp given as a volume", "a lamp of any shape", "a sphere, or a rectangle")
 
 
-def _aim(scene: Scene, source, a: float, u: np.ndarray):
-    """Rays to a lamp or window, one row of a square of them: L (rows, cols, n, 3), ends, weights [sr]."""
-    origin = _places(scene)
-    if isinstance(source, sources.Lamp) and source.corner is None:
-        to = np.array(source.center) - origin
-        far = np.linalg.norm(to, axis=-1, keepdims=True)
-        inside = far[..., 0] <= source.radius
-        axis = np.where(inside[..., None], [0.0, 0.0, -1.0], to / np.where(far > 0, far, 1.0))
-        e = np.cross(axis, np.where(np.abs(axis[..., :1]) < 0.5, [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]))
-        e /= np.linalg.norm(e, axis=-1, keepdims=True)
-        f = np.cross(axis, e)
-        q = np.minimum(1.0, (source.radius / np.where(far > 0, far, 1.0)) ** 2)[..., 0]
-        cap = np.where(inside, 1.0, q / (1 + np.sqrt(1 - q)))  # 1 - cos of the cone's half angle
-        lost = (a * cap)[..., None, None]
-        sine = np.sqrt(lost * (2 - lost))
-        turn = 2 * np.pi * (u + a)[:, None]  # rings turned against each other
-        L = (1 - lost) * axis[:, :, None] + sine * (
-            np.cos(turn) * e[:, :, None] + np.sin(turn) * f[:, :, None]
+def _meets_sphere(center: np.ndarray, radius: float, origin: np.ndarray, L: np.ndarray) -> np.ndarray:
+    """Distance along L from ``origin`` to a sphere, 0 from within it, nan where L misses it."""
+    to = center - origin
+    b, q = (to * L).sum(-1), (to * to).sum(-1) - radius**2
+    root = b * b - q
+    return np.where(q <= 0, 0.0, np.where((b > 0) & (root >= 0), b - np.sqrt(root), np.nan))
+
+
+def _meets_rectangle(
+    corner: np.ndarray, u: np.ndarray, v: np.ndarray, origin: np.ndarray, L: np.ndarray
+) -> np.ndarray:
+    """Distance along L from ``origin`` to a rectangle with edges u and v, nan where L misses it."""
+    normal = np.cross(u, v)
+    t = ((corner - origin) @ normal) / (L @ normal)
+    past = origin + t[..., None] * L - corner
+    inside = [(0 <= past @ edge) & (past @ edge < edge @ edge) for edge in (u, v)]
+    return np.where(inside[0] & inside[1] & (t > 0), t, np.nan)
+
+
+def _meets_window(scene: Scene, window: sources.Window, origin: np.ndarray, L: np.ndarray) -> np.ndarray:
+    """Distance along L from ``origin`` to z = 0, nan where the ray does not pass the window."""
+    t = origin[..., 2] / -L[..., 2]
+    x, y = (origin[..., axis] + np.where(L[..., axis] == 0, 0.0, t * L[..., axis]) for axis in (0, 1))
+    if window.aperture is not None:
+        col, row = (
+            np.floor(np.nan_to_num(v / scene.spacing + 0.5, nan=-1, posinf=-1, neginf=-1)).astype(int)
+            for v in (x, y)
         )
-        return (
-            L,
-            _meets(scene, source, L),
-            np.broadcast_to((2 * np.pi * cap / len(u) ** 2)[..., None], L.shape[:-1]),
-        )
-    if isinstance(source, sources.Window):
-        (x0, x1), (y0, y1) = source.x, source.y
-        if scene.sides == "dark":  # the walls hide the rest
-            x0, x1 = np.clip((x0, x1), *(np.array([-0.5, scene.shape[1] - 0.5]) * scene.spacing))
-            y0, y1 = np.clip((y0, y1), *(np.array([-0.5, scene.shape[0] - 0.5]) * scene.spacing))
-        corner, edges = np.array([x0, y0, 0.0]), (np.array([x1 - x0, 0, 0]), np.array([0, y1 - y0, 0.0]))
+        rows, cols = scene.shape
+        through = (0 <= col) & (col < cols) & (0 <= row) & (row < rows)
+        through &= window.aperture[np.clip(row, 0, rows - 1), np.clip(col, 0, cols - 1)]
     else:
-        corner, edges = np.array(source.corner), tuple(map(np.array, source.edges))
-    # With the foot of the perpendicular, d long, at (0, 0), domega = dphi dh for x = d tan(phi), y = h
-    # sqrt(d^2 + x^2 + y^2): even steps of both are even steps of solid angle, and nothing is singular close
-    # by.
-    (width, ex), (length, ey) = ((np.linalg.norm(edge), edge / np.linalg.norm(edge)) for edge in edges)
+        (x0, x1), (y0, y1) = _sides(window)
+        through = (x0 <= x) & (x < x1) & (y0 <= y) & (y < y1)
+    return np.where(through & (L[..., 2] < 0), t, np.nan)
+
+
+def _sides(window: sources.Window) -> tuple[tuple[float, float], tuple[float, float]]:
+    """(x0, x1), (y0, y1) [unit of spacing] of a rectangular window."""
+    assert window.x is not None and window.y is not None, "a window without an aperture is a rectangle"
+    return window.x, window.y
+
+
+def _aim(
+    scene: Scene, source: sources.Source, a: float, u: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Rays to a lamp or window, row ``a`` of a square of them: L (rows, cols, n, 3), ends, weights [sr].
+
+    ``a`` and ``u`` (n,) are 0..1. Ends are distances [unit of spacing], (rows, cols, n), as weights are.
+    """
+    origin = _nodes(scene)
+    if isinstance(source, sources.Lamp) and source.center is not None and source.radius is not None:
+        L, weights = _aim_at_sphere(np.array(source.center), source.radius, origin, a, u)
+        return L, _meets(scene, source, L), weights
+    if isinstance(source, sources.Lamp):
+        assert source.corner is not None and source.edges is not None, "volumes are rendered by the lattice"
+        first, second = map(np.array, source.edges)
+        return _aim_at_rectangle(np.array(source.corner), first, second, origin, a, u)
+    assert isinstance(source, sources.Window), "a sky is integrated above horizons"
+    (x0, x1), (y0, y1) = _sides(source)
+    if scene.sides == "dark":  # the walls hide the rest
+        x0, x1 = np.clip((x0, x1), *(np.array([-0.5, scene.shape[1] - 0.5]) * scene.spacing))
+        y0, y1 = np.clip((y0, y1), *(np.array([-0.5, scene.shape[0] - 0.5]) * scene.spacing))
+    first, second = np.array([x1 - x0, 0, 0]), np.array([0, y1 - y0, 0.0])
+    return _aim_at_rectangle(np.array([x0, y0, 0.0]), first, second, origin, a, u)
+
+
+def _aim_at_sphere(
+    center: np.ndarray, radius: float, origin: np.ndarray, a: float, u: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """L and weights of rays uniform in the cone in which a sphere is seen; see :func:`_aim`."""
+    to = center - origin
+    far = np.linalg.norm(to, axis=-1, keepdims=True)
+    inside = far[..., 0] <= radius
+    axis = np.where(inside[..., None], [0.0, 0.0, -1.0], to / np.where(far > 0, far, 1.0))
+    e = np.cross(axis, np.where(np.abs(axis[..., :1]) < 0.5, [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]))
+    e /= np.linalg.norm(e, axis=-1, keepdims=True)
+    f = np.cross(axis, e)
+    q = np.minimum(1.0, (radius / np.where(far > 0, far, 1.0)) ** 2)[..., 0]
+    cap = np.where(inside, 1.0, q / (1 + np.sqrt(1 - q)))  # 1 - cos of the cone's half angle
+    lost = (a * cap)[..., None, None]
+    sine = np.sqrt(lost * (2 - lost))
+    turn = 2 * np.pi * (u + a)[:, None]  # rings turned against each other
+    L = (1 - lost) * axis[:, :, None] + sine * (np.cos(turn) * e[:, :, None] + np.sin(turn) * f[:, :, None])
+    weights = np.broadcast_to((2 * np.pi * cap / len(u) ** 2)[..., None], L.shape[:-1])
+    return L, weights
+
+
+def _aim_at_rectangle(
+    corner: np.ndarray, first: np.ndarray, second: np.ndarray, origin: np.ndarray, a: float, u: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """L, ends and weights of rays uniform in the solid angle of a rectangle; see :func:`_aim`.
+
+    With the foot of the perpendicular, d long, at (0, 0), domega = dphi dh for x = d tan(phi), y = h sqrt(d^2
+    + x^2 + y^2): even steps of both are even steps of solid angle, and nothing is singular close by.
+    """
+    width, length = np.linalg.norm(first), np.linalg.norm(second)
+    ex, ey = first / width, second / length
     to, ez = corner - origin, np.cross(ex, ey)
     x, y, d = to @ ex, to @ ey, to @ ez
     near = np.where(d == 0, 1.0, np.abs(d))  # from its own plane it is a line
-    first, last = np.arctan2(x, near), np.arctan2(x + width, near)
-    x = (near * np.tan(first + a * (last - first)))[..., None]
+    left, right = np.arctan2(x, near), np.arctan2(x + width, near)
+    x = (near * np.tan(left + a * (right - left)))[..., None]
     away = np.hypot(near[..., None], x)
     low, high = (end / np.hypot(away, end) for end in (y[..., None], y[..., None] + length))
     h = low + u * (high - low)
     y = h * away / np.sqrt(1 - h * h)
     far = np.hypot(away, y)
     L = (x[..., None] * ex + y[..., None] * ey + d[..., None, None] * ez) / far[..., None]
-    return L, far, np.where(d == 0, 0.0, last - first)[..., None] * (high - low) / len(u) ** 2
+    return L, far, np.where(d == 0, 0.0, right - left)[..., None] * (high - low) / len(u) ** 2

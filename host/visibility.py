@@ -92,17 +92,16 @@ def visibility_field(
 
 
 def field_bytes(scene: Scene, hemicube: Hemicube, layers: int) -> int:
-    """Bytes that the bits of a visibility field take: 4 per word, node and layer, with the rim that
-    propagation needs.
-    """
+    """Bytes of a visibility field's bits: 4 per word, node and layer, with the rim that propagation needs."""
     rim = 2 * hemicube.reach
     return 4 * hemicube.words * (layers + hemicube.reach) * (scene.shape[0] + rim) * (scene.shape[1] + rim)
 
 
 @dataclass(frozen=True, eq=False)
 class VisibilityField:
-    """The visibility field V(x) on the lattice: node (x, y, layer) stands at column x, row y and depth layer
-    x spacing.
+    """The visibility field V(x) on the lattice.
+
+    Node (x, y, layer) stands at column x, row y and depth layer x spacing.
 
     Attributes
     ----------
@@ -159,7 +158,7 @@ class VisibilityField:
         return out
 
     def solid_angle(self) -> np.ndarray:
-        """Solid angle [sr] in which the source is visible: (layers, rows, cols) float32, 0 below the surface."""
+        """Solid angle [sr] that sees the source: (layers, rows, cols) float32, 0 below the surface."""
         total = np.zeros((self.layers, *self.scene.shape), np.float32)
         for d, angle in enumerate(self.hemicube.solid_angles):
             total += (self.words[:, d // 32] >> np.uint32(d % 32) & np.uint32(1)) * np.float32(angle)
@@ -214,7 +213,7 @@ class VisibilityField:
             steps, directions, np.concatenate([above, cube.solid_angles[down]]), visible, brightness, hit
         )
 
-    def _first_hit(self, node, step):
+    def _first_hit(self, node: np.ndarray, step: np.ndarray) -> tuple[int, int] | None:
         """(row, col) of the first column that the ray from ``node`` stands below, or None."""
         rows, cols = self.scene.shape
         deepest = self.depth[self.scene.valid].max()
@@ -234,12 +233,12 @@ class VisibilityField:
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """What a point sees, per direction of the whole cube: first the hemicube's directions, then those that
-    look down.
+    """What a point sees in every direction of the whole cube.
 
-    steps (n, 3) int; directions (n, 3) unit vectors from the point; solid_angles (n,) [sr], summing to 4 pi;
-    visible (n,) bool: the source is seen; brightness (n,) [unit of the source's]; hit (n, 2) int: (row, col)
-    of the surface that is seen, -1 where it is not the surface.
+    The hemicube's directions come first, then those that look down. steps (n, 3) int; directions (n, 3) unit
+    vectors from the point; solid_angles (n,) [sr], summing to 4 pi; visible (n,) bool: the source is seen;
+    brightness (n,) [unit of the source's]; hit (n, 2) int: (row, col) of the surface that is seen, -1 where
+    it is not the surface.
     """
 
     steps: np.ndarray

@@ -199,6 +199,12 @@ RENDER = {
         ),
         ["periodic", "volume"],
     ),
+    "rectangular lamp by the lattice": (
+        lambda: sl.render(
+            SCENE, sl.Lamp(corner=(1, 1, -1), edges=((2, 0, 0), (0, 1, 0))), "lattice", backend="numpy"
+        ),
+        ["method 'lattice' with a rectangular lamp", "corner and edges", "Use method='horizon'"],
+    ),
     "volume of another shape": (
         lambda: sl.visibility(sl.Scene(DEPTH.T), sl.Lamp(volume=VOLUME), backend="numpy"),
         ["lamp volume: wrong shape", "(3, 4, 6)", "(6, 4)"],
