@@ -48,130 +48,96 @@ def brightest(image):
 
 
 def two_valued(columns, image):
-    """Where the luminance down a free column crosses the image's value twice, more than four layers apart
-    (rows, cols).
-    """
+    """Where luminance down a free column crosses the image's value twice, over 4 layers apart."""
     brighter = columns > image
     crossing = brighter[1:] != brighter[:-1]
     return crossing.any(0) & (len(crossing) - 1 - crossing[::-1].argmax(0) - crossing.argmax(0) > 4)
 
 
-def main():
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument(
-        "--out", type=Path, default=Path("docs"), help="folder of the picture (default: docs)"
+def carved(image, power, cube, eps, backend):
+    """Depth from the image by the paper's method."""
+    return sl.recover(
+        image,
+        lamp(power),
+        albedo=ALBEDO,
+        sides="open",
+        layers=LAYERS,
+        hemicube=cube,
+        method="paper",
+        eps=eps,
+        backend=backend,
     )
-    parser.add_argument("--hemicube", type=int, default=33, help="M, odd (default: 33)")
-    parser.add_argument(
-        "--eps", type=float, default=0.01, help="of carving, a share of the image's maximum (default: 0.01)"
-    )
-    parser.add_argument("--backend", default="auto")
-    options = parser.parse_args()
-    options.out.mkdir(parents=True, exist_ok=True)
-    cube, backend = sl.Hemicube(options.hemicube), options.backend
 
-    x = np.arange(SIZE) - CENTRE
-    plane = np.broadcast_to(MIDDLE + SLOPE * x, (SIZE, SIZE))
-    whole = np.rint(plane)
-    # what a point of free space sees of the lamp; its bits do not depend on how the lamp is directed
-    free = sl.visibility_field(
-        sl.Scene(np.full((SIZE, SIZE), LAYERS - 1.0)), lamp(0), hemicube=cube, backend=backend
-    )
-    weights = np.stack([shares(cube, power) for power in POWERS.values()], 1).astype(np.float32)
-    down = np.stack([cube.unpack(layer).astype(np.float32) @ weights for layer in free.bits], 0)
-    seen = cube.unpack(sl.visibility(sl.Scene(whole), lamp(0), hemicube=cube, backend=backend))
 
-    figure, axes = plt.subplots(4, 3, figsize=(10.5, 14.4), layout="constrained")
+def print_row(name, equation, image, found, truth, two):
+    error = found.depth - truth
+    rms, kept = (np.sqrt(np.mean(error[w] ** 2)) for w in (np.full(two.shape, True), ~found.drilled))
+    px, py = brightest(image)
+    print(
+        f"{name:25} {equation:6} {f'({px:+.1f}, {py:+.1f})':>15} {np.hypot(px, py):8.1f} {rms:6.2f}"
+        f" {kept:6.2f} {found.drilled.mean():8.1%} {two.mean():10.1%}"
+    )
+
+
+def draw_image(axis, name, image):
+    """Row 1: the image of Eq. 3, its centre and its maximum."""
+    axis.imshow(image, cmap="gray", vmin=0)
+    px, py = brightest(image)
+    axis.plot(CENTRE, CENTRE, "+", color="#1f77b4", ms=11, mew=2, label="centre")
+    far = f"maximum, {np.hypot(px, py):.0f} from the centre"
+    axis.plot(px + CENTRE, py + CENTRE, "x", color="#d62728", ms=9, mew=2, label=far)
+    axis.legend(
+        loc="upper center",
+        bbox_to_anchor=(0.5, 0.0),
+        ncols=2,
+        fontsize=9,
+        frameon=False,
+        handletextpad=0.2,
+        columnspacing=1.0,
+    )
+    axis.set_title(name, fontsize=12)
+
+
+def draw_depth(axis, equation, found, truth, two):
+    """Rows 2 and 3: recovered depth, what was drilled, and the outline of what is two-valued."""
     depths = plt.get_cmap("viridis_r").copy()
     depths.set_bad("#d62728")
-    print(
-        f"{'lamp':25} {'image':6} {'maximum at':>15} {'distance':>8} {'RMSE':>6} {'kept':>6} {'drilled':>8}"
-        f" {'two-valued':>10}"
+    drawn = axis.imshow(np.where(found.drilled, np.nan, found.depth), cmap=depths, vmin=0, vmax=LAYERS)
+    if two.any() and not two.all():
+        axis.contour(two, [0.5], colors="black", linewidths=1.2)
+    rms = np.sqrt(np.mean((found.depth - truth) ** 2))
+    axis.set_title(
+        f"depth from the image of {equation}: RMSE {rms:.1f},\n{found.drilled.mean():.0%} drilled,"
+        f" {two.mean():.0%} two-valued",
+        fontsize=10,
     )
-    for number, (name, power) in enumerate(POWERS.items()):
-        shown = sl.render(
-            sl.Scene(plane, albedo=ALBEDO),
-            lamp(power),
-            method="lattice",
-            hemicube=options.hemicube,
-            filled=True,
-            backend=backend,
-        ).image
-        flat = seen @ weights[:, number]
-        for row, (equation, image, truth) in enumerate((("Eq. 3", shown, plane), ("Eq. 4", flat, whole)), 1):
-            found = sl.recover(
-                image,
-                lamp(power),
-                albedo=ALBEDO,
-                sides="open",
-                layers=LAYERS,
-                hemicube=cube,
-                method="paper",
-                eps=options.eps,
-                backend=backend,
+    return drawn
+
+
+def draw_columns(chart, pictures, down, flat, whole):
+    """Row 4: luminance down the two columns, which are marked in the pictures above."""
+    most = flat.max()
+    for (label, (r, c)), colour in zip(COLUMNS.items(), ("#ff7f0e", "#1f77b4")):
+        chart.plot(np.arange(LAYERS), down[:, r, c] / most, color=colour, label=f"column {label}")
+        chart.axhline(flat[r, c] / most, color=colour, lw=0.8, ls="--")
+        chart.plot(whole[r, c], flat[r, c] / most, "o", color=colour)
+        for picture in pictures:
+            picture.plot(c, r, "o", color=colour, mec="white", ms=6)
+            picture.annotate(
+                label,
+                (c, r),
+                (-5, 0),
+                textcoords="offset points",
+                ha="right",
+                va="center",
+                color="white",
+                weight="bold",
             )
-            error, two = found.depth - truth, two_valued(down[..., number], image)
-            rms, kept = (np.sqrt(np.mean(error[w] ** 2)) for w in (np.full(two.shape, True), ~found.drilled))
-            px, py = brightest(image)
-            print(
-                f"{name:25} {equation:6} {f'({px:+.1f}, {py:+.1f})':>15} {np.hypot(px, py):8.1f} {rms:6.2f}"
-                f" {kept:6.2f} {found.drilled.mean():8.1%} {two.mean():10.1%}"
-            )
-            drawn = axes[row, number].imshow(
-                np.where(found.drilled, np.nan, found.depth), cmap=depths, vmin=0, vmax=LAYERS
-            )
-            if two.any() and not two.all():
-                axes[row, number].contour(two, [0.5], colors="black", linewidths=1.2)
-            axes[row, number].set_title(
-                f"depth from the image of {equation}: RMSE {rms:.1f},\n{found.drilled.mean():.0%} drilled,"
-                f" {two.mean():.0%} two-valued",
-                fontsize=10,
-            )
-        top = axes[0, number]
-        top.imshow(shown, cmap="gray", vmin=0)
-        px, py = brightest(shown)
-        top.plot(CENTRE, CENTRE, "+", color="#1f77b4", ms=11, mew=2, label="centre")
-        top.plot(
-            px + CENTRE,
-            py + CENTRE,
-            "x",
-            color="#d62728",
-            ms=9,
-            mew=2,
-            label=f"maximum, {np.hypot(px, py):.0f} from the centre",
-        )
-        top.legend(
-            loc="upper center",
-            bbox_to_anchor=(0.5, 0.0),
-            ncols=2,
-            fontsize=9,
-            frameon=False,
-            handletextpad=0.2,
-            columnspacing=1.0,
-        )
-        top.set_title(name, fontsize=12)
-        chart = axes[3, number]
-        for (label, (r, c)), colour in zip(COLUMNS.items(), ("#ff7f0e", "#1f77b4")):
-            chart.plot(
-                np.arange(LAYERS), down[:, r, c, number] / flat.max(), color=colour, label=f"column {label}"
-            )
-            chart.axhline(flat[r, c] / flat.max(), color=colour, lw=0.8, ls="--")
-            chart.plot(whole[r, c], flat[r, c] / flat.max(), "o", color=colour)
-            for picture in axes[1:3, number]:
-                picture.plot(c, r, "o", color=colour, mec="white", ms=6)
-                picture.annotate(
-                    label,
-                    (c, r),
-                    (-5, 0),
-                    textcoords="offset points",
-                    ha="right",
-                    va="center",
-                    color="white",
-                    weight="bold",
-                )
-        chart.set(xlabel="depth [layers]", xlim=(0, LAYERS - 1), ylim=(0, None))
-        for axis in axes[:3, number]:
-            axis.set(xticks=[], yticks=[])
+    chart.set(xlabel="depth [layers]", xlim=(0, LAYERS - 1), ylim=(0, None))
+
+
+def finish(figure, axes, drawn, plane, path):
+    """Labels that all columns share, and the file."""
     axes[3, 0].set_ylabel(
         "luminance of Eq. 4, share of the maximum\n(dashed: the image; dot: the truth)", fontsize=9
     )
@@ -190,8 +156,61 @@ def main():
         f" radius {RADIUS:.0f} behind the viewer",
         fontsize=12,
     )
-    figure.savefig(options.out / "figure2.png", dpi=90, pil_kwargs={"optimize": True})
-    print(f"Wrote {options.out / 'figure2.png'}.")
+    figure.savefig(path, dpi=90, pil_kwargs={"optimize": True})
+    print(f"Wrote {path}.")
+
+
+def arguments():
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument(
+        "--out", type=Path, default=Path("docs"), help="folder of the picture (default: docs)"
+    )
+    parser.add_argument("--hemicube", type=int, default=33, help="M, odd (default: 33)")
+    parser.add_argument(
+        "--eps", type=float, default=0.01, help="of carving, a share of the image's maximum (default: 0.01)"
+    )
+    parser.add_argument("--backend", default="auto")
+    return parser.parse_args()
+
+
+def main():
+    options = arguments()
+    options.out.mkdir(parents=True, exist_ok=True)
+    cube, backend = sl.Hemicube(options.hemicube), options.backend
+    plane = np.broadcast_to(MIDDLE + SLOPE * (np.arange(SIZE) - CENTRE), (SIZE, SIZE))
+    whole = np.rint(plane)
+    # what a point of free space sees of the lamp; its bits do not depend on how the lamp is directed
+    space = sl.Scene(np.full((SIZE, SIZE), LAYERS - 1.0))
+    free = sl.visibility_field(space, lamp(0), hemicube=cube, backend=backend)
+    weights = np.stack([shares(cube, power) for power in POWERS.values()], 1).astype(np.float32)
+    down = np.stack([cube.unpack(layer).astype(np.float32) @ weights for layer in free.bits], 0)
+    seen = cube.unpack(sl.visibility(sl.Scene(whole), lamp(0), hemicube=cube, backend=backend))
+
+    figure, axes = plt.subplots(4, 3, figsize=(10.5, 14.4), layout="constrained")
+    print(
+        f"{'lamp':25} {'image':6} {'maximum at':>15} {'distance':>8} {'RMSE':>6} {'kept':>6} {'drilled':>8}"
+        f" {'two-valued':>10}"
+    )
+    for number, (name, power) in enumerate(POWERS.items()):
+        shown = sl.render(
+            sl.Scene(plane, albedo=ALBEDO),
+            lamp(power),
+            method="lattice",
+            hemicube=options.hemicube,
+            filled=True,
+            backend=backend,
+        ).image
+        flat = seen @ weights[:, number]
+        draw_image(axes[0, number], name, shown)
+        for row, (equation, image, truth) in enumerate((("Eq. 3", shown, plane), ("Eq. 4", flat, whole)), 1):
+            found = carved(image, power, cube, options.eps, backend)
+            two = two_valued(down[..., number], image)
+            print_row(name, equation, image, found, truth, two)
+            drawn = draw_depth(axes[row, number], equation, found, truth, two)
+        draw_columns(axes[3, number], axes[1:3, number], down[..., number], flat, whole)
+        for axis in axes[:3, number]:
+            axis.set(xticks=[], yticks=[])
+    finish(figure, axes, drawn, plane, options.out / "figure2.png")
 
 
 if __name__ == "__main__":

@@ -22,6 +22,7 @@ import platform
 import statistics
 import time
 from concurrent.futures import ProcessPoolExecutor
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -32,10 +33,8 @@ from skylamp import oracle
 from skylamp.backends import select
 from skylamp.light.sweeps import Rays, Sweeps, ground_of
 
-GROUNDS = {
-    "rough": (1.0, 2.0),
-    "smooth": (0.5, 2.5),
-}  # rms slope, and the power by which amplitude falls with frequency
+# rms slope, and the power by which amplitude falls with frequency
+GROUNDS = {"rough": (1.0, 2.0), "smooth": (0.5, 2.5)}
 USUAL = 64  # azimuths
 CHOICE = (4, 6, 8, 12, 16, 24, 32, 48, 64, 96, 128)  # azimuths that may beat a peer
 BORDER = 100  # nodes that are left out beside peers, or an eighth of the map
@@ -77,8 +76,9 @@ def errors(found: np.ndarray, exact: np.ndarray) -> dict[str, float]:
 
 
 def time_of(work, budget: float, least: int = 1, finish=lambda: None) -> dict[str, float]:
-    """Median seconds of ``work``, and the cores that were busy with it; at least ``least`` runs, and more
-    within ``budget`` seconds.
+    """Median seconds of ``work``, and the cores that were busy with it.
+
+    At least ``least`` runs, and more within ``budget`` seconds.
     """
     times, spent = [], time.process_time()
     while len(times) < least or (sum(times) < budget and len(times) < 50):
@@ -125,11 +125,10 @@ def speed(backend: str, sizes: list[int], budget: float) -> list[dict]:
     for size in sizes:
         scene = sl.Scene(ground(size))
         sweeps = Sweeps(engine, ground_of(scene, None, engine), Rays(rays.angles, rays.widths))
-        total, turned = (engine.empty((size * size,), np.int32, 0) for _ in range(2))
-        whole = time_of(
-            lambda: sl.render(scene, sl.Sky(), "horizon", backend=backend, azimuths=USUAL), budget
-        )  # warms up, too
-        light = time_of(lambda: sweeps.light(total, turned), budget, 3, engine.finish)
+        sums = [engine.empty((size * size,), np.int32, 0) for _ in range(2)]
+        call = partial(sl.render, scene, sl.Sky(), "horizon", backend=backend, azimuths=USUAL)
+        whole = time_of(call, budget)  # warms up, too
+        light = time_of(partial(sweeps.light, *sums), budget, 3, engine.finish)
         rows.append(
             {
                 "backend": engine.name,
@@ -194,9 +193,7 @@ class SideBySide:
         }
 
     def peer(self, name: str, azimuths: int, radius: int | None) -> dict:
-        """A peer's run, and the cheapest setting of skylamp whose RMS error on the same quantity is not
-        larger.
-        """
+        """A peer's run, and the cheapest skylamp whose RMS error on the same quantity is not larger."""
         quantity = peers.PEERS[name][3]
         found, seconds, cores = peers.run(name, self.depth.max() - self.depth, self.nodes, azimuths, radius)
         row = {
@@ -233,7 +230,7 @@ def lamps(backend: str, size: int, count: int, budget: float) -> list[dict]:
     }
     rows = []
     for name, lamp in sources.items():
-        work = lambda: sl.render(scene, lamp, "horizon", backend=backend, quantity="irradiance")
+        work = partial(sl.render, scene, lamp, "horizon", backend=backend, quantity="irradiance")
         image = work().image[nodes]  # compiles
         exact = oracle.lamp_irradiance(depth, 1.0, valid, lamp, nodes, 4096)
         lit = exact[exact > 0]
@@ -249,9 +246,7 @@ def lamps(backend: str, size: int, count: int, budget: float) -> list[dict]:
 
 
 def memory(backend: str, size: int) -> float:
-    """Bytes per pixel that the render call takes at its peak above what was there before, less 4 for what it
-    gives.
-    """
+    """Bytes per pixel of the render call at its peak, beyond what was there before and the image itself."""
     scene = sl.Scene(ground(size))
     sl.render(sl.Scene(ground(96)), sl.Sky(), "horizon", backend=backend)
     ctypes.CDLL(None).malloc_trim(0)  # what making the map took is given back,
@@ -372,6 +367,7 @@ def label(row: dict) -> str:
 
 
 def chart(path: Path, size: int, rows: list[dict], others: list[dict]) -> None:
+    """Error against time per pixel, of skylamp's horizons and lattices and of the peers."""
     try:
         import matplotlib
 
@@ -381,71 +377,9 @@ def chart(path: Path, size: int, rows: list[dict], others: list[dict]) -> None:
         return
     figure, axes = plt.subplots(figsize=(9, 6), layout="constrained")
     at = lambda row: (1e9 * row["seconds"] / size**2, row["rms"])
-    for quantity, style in (("tilted", "o-"), ("solid_angle", "o--")):
-        line = sorted(
-            (row for row in rows if "azimuths" in row and row["quantity"] == quantity),
-            key=lambda row: row["azimuths"],
-        )
-        if line:
-            fill = "C0" if quantity == "tilted" else "white"
-            axes.plot(
-                *zip(*map(at, line)),
-                style,
-                color="C0",
-                markerfacecolor=fill,
-                label=f"skylamp, horizons, {quantity.replace('_', ' ')}",
-            )
-        for row in line if quantity == "tilted" else ():
-            axes.annotate(
-                str(row["azimuths"]),
-                at(row),
-                (-5, -5),
-                textcoords="offset points",
-                fontsize=8,
-                color="C0",
-                ha="right",
-                va="top",
-            )
-    for filled, colour in ((True, "C1"), (False, "C2")):
-        line = [row for row in rows if "hemicube" in row and row["filled"] == filled]
-        axes.plot(
-            *zip(*map(at, line)),
-            "s-",
-            color=colour,
-            label=f"skylamp, {'filled lattice' if filled else 'the paper’s stride'}, tilted",
-        )
-        for row in line:
-            axes.annotate(
-                f"M = {row['hemicube']}",
-                at(row),
-                (6, 4 if filled else -10),
-                textcoords="offset points",
-                fontsize=8,
-                color=colour,
-            )
-    for n, name in enumerate(dict.fromkeys(row["peer"] for row in others)):
-        line = [row for row in others if row["peer"] == name]
-        fill = f"C{n + 3}" if line[0]["quantity"] == "tilted" else "white"
-        axes.plot(
-            *zip(*map(at, line)),
-            "D",
-            color=f"C{n + 3}",
-            markerfacecolor=fill,
-            label=f"{name}, {line[0]['quantity'].replace('_', ' ')}",
-        )
-        for row in line:
-            text = f"{row['azimuths']}" + (
-                f", radius {row['radius']}" if row["radius"] else " rays" if "embreex" in name else ""
-            )
-            axes.annotate(
-                text,
-                at(row),
-                (0, -13 if "rays" in text else 6),
-                textcoords="offset points",
-                fontsize=8,
-                color=f"C{n + 3}",
-                ha="center",
-            )
+    draw_horizons(axes, at, [row for row in rows if "azimuths" in row])
+    draw_lattices(axes, at, [row for row in rows if "hemicube" in row])
+    draw_peers(axes, at, others)
     axes.set(
         xscale="log",
         yscale="log",
@@ -459,34 +393,102 @@ def chart(path: Path, size: int, rows: list[dict], others: list[dict]) -> None:
     figure.savefig(path, dpi=120)
 
 
-def main() -> None:
+def annotate(axes, text: str, point, offset, colour: str, **options) -> None:
+    axes.annotate(text, point, offset, textcoords="offset points", fontsize=8, color=colour, **options)
+
+
+def draw_horizons(axes, at, rows: list[dict]) -> None:
+    for quantity, style in (("tilted", "o-"), ("solid_angle", "o--")):
+        line = sorted((row for row in rows if row["quantity"] == quantity), key=lambda row: row["azimuths"])
+        if line:
+            fill = "C0" if quantity == "tilted" else "white"
+            name = f"skylamp, horizons, {quantity.replace('_', ' ')}"
+            axes.plot(*zip(*map(at, line)), style, color="C0", markerfacecolor=fill, label=name)
+        for row in line if quantity == "tilted" else ():
+            annotate(axes, str(row["azimuths"]), at(row), (-5, -5), "C0", ha="right", va="top")
+
+
+def draw_lattices(axes, at, rows: list[dict]) -> None:
+    for filled, colour in ((True, "C1"), (False, "C2")):
+        line = [row for row in rows if row["filled"] == filled]
+        name = f"skylamp, {'filled lattice' if filled else 'the paper’s stride'}, tilted"
+        axes.plot(*zip(*map(at, line)), "s-", color=colour, label=name)
+        for row in line:
+            annotate(axes, f"M = {row['hemicube']}", at(row), (6, 4 if filled else -10), colour)
+
+
+def draw_peers(axes, at, rows: list[dict]) -> None:
+    for n, name in enumerate(dict.fromkeys(row["peer"] for row in rows), 3):
+        line, colour = [row for row in rows if row["peer"] == name], f"C{n}"
+        quantity = line[0]["quantity"]
+        fill = colour if quantity == "tilted" else "white"
+        text = f"{name}, {quantity.replace('_', ' ')}"
+        axes.plot(*zip(*map(at, line)), "D", color=colour, markerfacecolor=fill, label=text)
+        for row in line:
+            reach = f", radius {row['radius']}" if row["radius"] else " rays" if "embreex" in name else ""
+            below = "rays" in reach
+            annotate(
+                axes, f"{row['azimuths']}{reach}", at(row), (0, -13 if below else 6), colour, ha="center"
+            )
+
+
+def arguments() -> argparse.Namespace:
     numbers = lambda text: [int(number) for number in text.split(",")]
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--out", type=Path, default=Path("."), help="folder for the tables and the chart")
-    parser.add_argument(
+    add = parser.add_argument
+    add("--out", type=Path, default=Path("."), help="folder for the tables and the chart")
+    add(
         "--size",
         type=int,
         default=1024,
         help="rows and columns of the map on which methods, peers and lamps stand side by side",
     )
-    parser.add_argument("--backends", default="opencl", help="names, comma-separated")
-    parser.add_argument("--azimuths", type=numbers, default="8,16,32,64,128", help="numbers of azimuths")
-    parser.add_argument(
+    add("--backends", default="opencl", help="names, comma-separated")
+    add("--azimuths", type=numbers, default="8,16,32,64,128", help="numbers of azimuths")
+    add(
         "--sizes",
         type=numbers,
         default="512,1024,2048,4096",
         help="rows and columns of the maps whose speed is measured",
     )
-    parser.add_argument(
-        "--exact", type=int, default=512, help="rows and columns of the maps whose accuracy is measured"
+    add("--exact", type=int, default=512, help="rows and columns of the maps whose accuracy is measured")
+    add("--budget", type=float, default=3.0, help="seconds of repetition for each time")
+    add("--peers", action="store_true", help="run what other packages there are")
+    add("--lamps", action="store_true", help="spheres against shadow rays")
+    add("--memory", action="store_true", help="peak memory of the call")
+    return parser.parse_args()
+
+
+def run_peers(side: SideBySide, missing: dict[str, str]) -> list[dict]:
+    """Rows of the peers that are here; those that are not are named."""
+    for name, why in missing.items():
+        print(f"not run: {name} ({why})", flush=True)
+    rows = []
+    for name, azimuths, radius in peers.RUNS:
+        if name not in missing:
+            rows.append(side.peer(name, azimuths, radius))
+            print(f"{label(rows[-1])}: {rows[-1]['seconds']:.3g} s", flush=True)
+    return rows
+
+
+def memory_table(backend: str, found: float) -> str:
+    title = "Peak memory of the call beyond input and output"
+    return table(title, "backend | size | bytes per pixel", [[backend, MEMORY_SIZE, f"{found:.1f}"]])
+
+
+def lamp_table(rows: list[dict], size: int) -> str:
+    cells = [[row["lamp"], row["lit"], row["seconds"], row["cores"], *error_cells(row)] for row in rows]
+    title = (
+        f"Lamps over rough ground, {size} x {size}, 150 nodes against 4096 shadow rays; errors over the mean"
+        " lit irradiance"
     )
-    parser.add_argument("--budget", type=float, default=3.0, help="seconds of repetition for each time")
-    parser.add_argument("--peers", action="store_true", help="run what other packages there are")
-    parser.add_argument("--lamps", action="store_true", help="spheres against shadow rays")
-    parser.add_argument("--memory", action="store_true", help="peak memory of the call")
-    args = parser.parse_args()
+    return table(title, "lamp | nodes lit | whole call, s | cores | RMS | bias | max", cells)
+
+
+def main() -> None:
+    args = arguments()
     names = args.backends.split(",")
     facts = {"machine": platform.platform(), "skylamp": sl.__version__, "size": args.size, "text": ""}
 
@@ -497,68 +499,31 @@ def main() -> None:
     if args.memory:
         with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as child:
             found = child.submit(memory, names[0], MEMORY_SIZE).result()
-        put(
-            "memory",
-            found,
-            table(
-                "Peak memory of the call beyond input and output",
-                "backend | size | bytes per pixel",
-                [[names[0], MEMORY_SIZE, f"{found:.1f}"]],
-            ),
-        )
+        put("memory", found, memory_table(names[0], found))
     rows = [row for name in names for row in speed(name, args.sizes, args.budget)]
     put("speed", rows, speed_table(rows))
     rows, angles = accuracy(names[0], args.azimuths, args.exact, 400)
     put("accuracy", rows, accuracy_table(rows, angles, args.exact, 400))
     facts["horizon"] = angles
     side = SideBySide(names[0], args.size, 1000, args.budget)
-    rows = [
-        side.horizons(quantity, number)
-        for quantity in ("tilted", "solid_angle")[: 1 + args.peers]
-        for number in args.azimuths
-    ]
+    quantities = ("tilted", "solid_angle")[: 1 + args.peers]
+    rows = [side.horizons(quantity, number) for quantity in quantities for number in args.azimuths]
     rows += [side.lattice(hemicube, filled) for filled in (True, False) for hemicube in (9, 17)]
-    put(
-        "side by side",
-        rows,
-        side_table(
-            rows,
-            f"One rough map, {args.size} x {args.size}, 1000 nodes against 720 exact azimuths (whole calls)",
-        ),
-    )
+    title = f"One rough map, {args.size} x {args.size}, 1000 nodes against 720 exact azimuths (whole calls)"
+    put("side by side", rows, side_table(rows, title))
     others = []
     if args.peers:
-        missing = peers.missing()
-        for name, why in missing.items():
-            print(f"not run: {name} ({why})", flush=True)
-        for name, azimuths, radius in peers.RUNS:
-            if name not in missing:
-                others.append(side.peer(name, azimuths, radius))
-                print(f"{label(others[-1])}: {others[-1]['seconds']:.3g} s", flush=True)
-        facts["missing peers"] = missing
+        facts["missing peers"] = peers.missing()
+        others = run_peers(side, facts["missing peers"])
         put("peers", others, peer_table(others) if others else "")
     if args.lamps:
         rows = lamps(names[0], args.size, 150, args.budget)
-        cells = [[row["lamp"], row["lit"], row["seconds"], row["cores"], *error_cells(row)] for row in rows]
-        put(
-            "lamps",
-            rows,
-            table(
-                f"Lamps over rough ground, {args.size} x {args.size}, 150 nodes against 4096 shadow rays;"
-                " errors over the mean lit irradiance",
-                "lamp | nodes lit | whole call, s | cores | RMS | bias | max",
-                cells,
-            ),
-        )
+        put("lamps", rows, lamp_table(rows, args.size))
     args.out.mkdir(parents=True, exist_ok=True)
     (args.out / "horizon.md").write_text(facts.pop("text").lstrip())
     (args.out / "horizon.json").write_text(json.dumps(facts, indent=1) + "\n")
-    chart(
-        args.out / "horizon.png",
-        args.size,
-        [*side.known.values(), *(row for row in facts["side by side"] if "hemicube" in row)],
-        others,
-    )
+    lattices = [row for row in facts["side by side"] if "hemicube" in row]
+    chart(args.out / "horizon.png", args.size, [*side.known.values(), *lattices], others)
 
 
 if __name__ == "__main__":

@@ -246,23 +246,19 @@ def truth(scene, source, backend, nodes: int = NODES) -> tuple[Samples, np.ndarr
     return samples, samples.exact(source, solid)
 
 
-def off(samples, image, exact) -> tuple[float, float]:
-    """(RMS, 99.9th percentile) of an image's error at the samples, over the mean lit irradiance; samples by
-    their weights.
+def relative_errors(samples, image, exact) -> tuple[float, float]:
+    """(RMS, 99.9th percentile) of an image's error at the samples, over the mean lit irradiance.
+
+    Samples count by their weights.
     """
-    weights = (
-        np.full(len(exact), 1 / len(exact))
-        if samples.weights is None
-        else samples.weights / samples.weights.sum()
-    )
+    weights = np.ones(len(exact)) if samples.weights is None else samples.weights
+    weights = weights / weights.sum()
     lit = exact > 0
-    wrong = np.abs(samples.of(np.asarray(image)) - exact) / (
-        (weights[lit] @ exact[lit]) / weights[lit].sum() if lit.any() else 1.0
-    )
+    mean = (weights[lit] @ exact[lit]) / weights[lit].sum() if lit.any() else 1.0
+    wrong = np.abs(samples.of(np.asarray(image)) - exact) / mean
     order = np.argsort(wrong)
-    return float(np.sqrt(weights @ wrong**2)), float(
-        wrong[order][min(np.searchsorted(np.cumsum(weights[order]), 0.999), len(order) - 1)]
-    )
+    tail = min(np.searchsorted(np.cumsum(weights[order]), 0.999), len(order) - 1)
+    return float(np.sqrt(weights @ wrong**2)), float(wrong[order][tail])
 
 
 def side_by_side(*works, runs=3):
@@ -270,19 +266,20 @@ def side_by_side(*works, runs=3):
     return [min(taken) for taken in zip(*([work().seconds for work in works] for _ in range(runs)))]
 
 
+def kinds_of(scene, source) -> list[str]:
+    """Methods that can represent the pair, cheapest first."""
+    if lacking(scene, source):
+        return ["lattice"]
+    return ["unoccluded", "horizon", "lattice"] if isinstance(source, sl.Sky) else ["unoccluded", "slices"]
+
+
 def tried(scene, source, samples, exact, backend, longest) -> list:
-    """(seconds, error, render) of every setting; of a kind, until one is within the tightest tolerance, or
-    slower than another that is or than ``longest``.
+    """(seconds, error, render) of every setting.
+
+    Of a kind, until one is within the tightest tolerance, or slower than ``longest`` or than one that is.
     """
-    kinds = (
-        ["lattice"]
-        if lacking(scene, source)
-        else ["unoccluded", "horizon", "lattice"]
-        if isinstance(source, sl.Sky)
-        else ["unoccluded", "slices"]
-    )
     found, tight = [], longest
-    for kind in kinds:
+    for kind in kinds_of(scene, source):
         for units in SETTINGS.get(kind, (0,)):
             options = {
                 "unoccluded": {"method": "unoccluded"},
@@ -291,7 +288,8 @@ def tried(scene, source, samples, exact, backend, longest) -> list:
             work = lambda options=options: sl.render(
                 scene, source, quantity="irradiance", backend=backend, **options
             )
-            error, seconds = off(samples, work().image, exact)[0], side_by_side(work, runs=1)[0]
+            error = relative_errors(samples, work().image, exact)[0]
+            (seconds,) = side_by_side(work, runs=1)
             found.append((seconds, error, work))
             tight = min(tight, seconds) if error <= TOLERANCES[-1] else tight
             if error <= TOLERANCES[-1] or seconds > tight:
@@ -299,24 +297,31 @@ def tried(scene, source, samples, exact, backend, longest) -> list:
     return found
 
 
+def cheapest(others, tolerance, work) -> dict[str, float]:
+    """Seconds of ``work`` and of the cheapest setting tried that is within the tolerance; their ratio."""
+    fine = [other for other in others if other[1] <= tolerance]
+    if fine:
+        seconds, least = side_by_side(work, min(fine, key=lambda other: other[0])[2])
+    else:
+        (seconds,), least = side_by_side(work), np.nan
+    return {"seconds": seconds, "cheapest": least, "ratio": seconds / least}
+
+
 def run(scene_name, light, size, backend, times, tolerances=TOLERANCES):
+    """Rows of one pair, a tolerance each."""
     scene, source = pair(scene_name, light, size)
     samples, exact = truth(scene, source, backend)
     ours = [
         lambda t=t: sl.render(replace(scene), source, tolerance=t, quantity="irradiance", backend=backend)
         for t in tolerances
     ]
-    rows, others = (
-        [],
-        (
-            tried(scene, source, samples, exact, backend, 2 * max(work().seconds for work in ours))
-            if times
-            else []
-        ),
-    )
+    if times:
+        longest = 2 * max(work().seconds for work in ours)
+        others = tried(scene, source, samples, exact, backend, longest)
+    rows = []
     for tolerance, work in zip(tolerances, ours):
         out = work()
-        error, tail = off(samples, out.image, exact)
+        error, tail = relative_errors(samples, out.image, exact)
         row = {
             "scene": scene_name,
             "source": light,
@@ -332,16 +337,25 @@ def run(scene_name, light, size, backend, times, tolerances=TOLERANCES):
             "warned": len(out.warnings),
         }
         if times:
-            fine = [other for other in others if other[1] <= tolerance]
             row["planning"] = min(work().plan.planning_seconds for _ in range(2))
-            row["seconds"], row["cheapest"] = (
-                side_by_side(work, min(fine, key=lambda other: other[0])[2])
-                if fine
-                else (*side_by_side(work), np.nan)
-            )
-            row["ratio"] = row["seconds"] / row["cheapest"]
+            row |= cheapest(others, tolerance, work)
         rows.append(row)
     return rows
+
+
+def print_row(row) -> None:
+    """A row on one line, marked where it is beyond its tolerance."""
+    shown = " | ".join(f"{v:.3g}" if isinstance(v, float) else str(v) for v in row.values())
+    print(shown + ("  MISS" if row["over"] > 1 else ""), flush=True)
+
+
+def write_rows(path, rows, about: str = "") -> None:
+    """A CSV file; ``about`` is its first line, if given."""
+    with open(path, "w", newline="") as file:
+        file.write(f"{about}\n" if about else "")
+        writer = csv.DictWriter(file, rows[0], lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(rows)
 
 
 def main():
@@ -359,15 +373,8 @@ def main():
             continue
         rows += run(scene, light, args.size, args.backend, args.times)
         for row in rows[-len(TOLERANCES) :]:
-            print(
-                " | ".join(f"{v:.3g}" if isinstance(v, float) else str(v) for v in row.values())
-                + ("  MISS" if row["over"] > 1 else ""),
-                flush=True,
-            )
-        with open(args.out / f"{args.name}.csv", "w", newline="") as file:  # what is done so far
-            writer = csv.DictWriter(file, rows[0], lineterminator="\n")
-            writer.writeheader()
-            writer.writerows(rows)
+            print_row(row)
+        write_rows(args.out / f"{args.name}.csv", rows)  # what is done so far
     for tolerance in TOLERANCES:
         some = [row for row in rows if row["tolerance"] == tolerance]
         text = (

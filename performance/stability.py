@@ -25,6 +25,7 @@ import skylamp as sl
 SIZE = 80
 LAYERS = 32
 Y, X = np.mgrid[:SIZE, :SIZE].astype(float)
+UNIFORM = sl.Sky()
 EPS = 0.1  # at which the clean image drills nothing
 RECOVERIES = {
     "paper, eps": {"method": "paper", "stop": "eps"},
@@ -55,7 +56,7 @@ class Failure(NamedTuple):
 
 def error_of(scene, source, backend, **options):
     samples, exact = truth(scene, source, backend)
-    return plans.off(
+    return plans.relative_errors(
         samples, sl.render(scene, source, backend=backend, quantity="irradiance", **options).image, exact
     )[0]
 
@@ -176,7 +177,7 @@ def cliff(height, backend):
     samples, exact = plans.truth(scene, sky, backend, 600)
     ways = {"six near rows": {"method": "horizon", "azimuths": 64}, "default": {}}
     return {
-        name: plans.off(
+        name: plans.relative_errors(
             samples, sl.render(scene, sky, backend=backend, quantity="irradiance", **way).image, exact
         )[0]
         for name, way in ways.items()
@@ -293,7 +294,7 @@ def sides(depth, backend):
     box, free = (sl.Scene(np.full((SIZE, SIZE), float(depth)), sides=s) for s in ("dark", "open"))
     samples, exact = truth(box, sl.Sky(), backend)
     return {
-        name: plans.off(
+        name: plans.relative_errors(
             samples, sl.render(scene, sl.Sky(), backend=backend, quantity="irradiance").image, exact
         )[0]
         for name, scene in (("sides given as open", free), ("sides given as dark", box))
@@ -320,7 +321,7 @@ def picture(backend, albedo=0.8, kind="egg crate"):
     ).image.astype(float)
 
 
-def recovered(image, backend, source=sl.Sky(), ways=RECOVERIES, **options):
+def recovered(image, backend, source=UNIFORM, ways=RECOVERIES, **options):
     options = {"sides": "dark", "layers": LAYERS, "backend": backend, **options}
     return {name: sl.recover(image, source, **{**options, **RECOVERIES[name]}) for name in ways}
 
