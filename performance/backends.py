@@ -1,5 +1,4 @@
-"""Backends side by side on the same work, in one run: scan + luminance over all directions of M = 9, and a
-field.
+"""Backends side by side in one run: scan + luminance over all directions of M = 9, and a field.
 
     python performance/backends.py --out docs [--size 1024] [--field 256] [--backends numpy,warp:cpu,opencl]
 

@@ -1,5 +1,4 @@
-"""The paper's Fig. 1: an empty room lit through a window, and which rays come from the window, point by
-point.
+"""The paper's Fig. 1: an empty room lit through a window; which rays come from the window, by point.
 
 A disc stands for the rays through a point of free space that lie in the plane of the drawing. White sectors
 are the directions in which the window is seen; the others are the floor, as bright as it is, and the black

@@ -1,5 +1,4 @@
-"""The paper's Fig. 2: a slanting plane under a spherical lamp behind the viewer, more and more directed; its
-image, and depth from it.
+"""The paper's Fig. 2: a slanting plane under a spherical lamp behind the viewer, and depth from its image.
 
 The lamp shines alike in all directions, weakly directed (cos^2) and strongly directed (cos^8). Columns of the
 picture: the three lamps. Rows: (1) the image of Eq. 3; (2) depth recovered from it by carving, which replaces

@@ -1,9 +1,8 @@
-"""RMS error of E / pi of the lattice under a uniform sky, against horizons by brute force; the table in the
-README.
+"""RMS error of the lattice under a uniform sky against horizons by brute force; the table in the README.
 
-Two random grounds, rough (rms slope 1) and smooth (rms slope 0.5), open sides. The reference shares nothing
-with the library: at each sampled node, every crossing with a grid line along 720 azimuths, and the closed
-form over elevation. Prints a table (about a minute on two cores):
+The error is that of E / pi, on two random grounds with open sides, rough (rms slope 1) and smooth (0.5). The
+reference shares nothing with the library: at each sampled node, every crossing with a grid line along 720
+azimuths, and the closed form over elevation. Prints a table (about a minute on two cores):
 
     python performance/lattice_error.py
 """
@@ -31,9 +30,7 @@ def ground(slope, power):
 
 
 def lines(height, rows, cols, dx, dy):
-    """Ground where rays leave the nodes along (dx, dy), dx = +-1: at every column they cross, (steps, nodes),
-    -inf off the map.
-    """
+    """Heights of the crossings with columns along (dx, dy), dx = +-1: (steps, nodes), -inf off the map."""
     t = np.arange(1, SIZE)[:, None]
     x, y = cols + np.rint(dx).astype(int) * t, rows + dy * t
     inside = (x >= 0) & (x < SIZE) & (y >= 0) & (y <= SIZE - 1)

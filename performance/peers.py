@@ -66,12 +66,11 @@ def topocalc(height, azimuths=72, radius=None):
 
 
 def embree(height, azimuths=256, radius=None, nodes=None, seed=0):
-    """``azimuths`` (a square) jittered rays per node, cosine-weighted about its normal, to two triangles per
-    cell; borders open.
+    """Share of ``azimuths`` (a square) jittered rays per node that meet no ground; borders open.
 
-    nan off ``nodes`` (rows, cols), all unless given. Rays below the level count as blocked. The triangles'
-    diagonals are ridges that the reference, linear along rows and columns, does not have: about 0.0015 of its
-    bias on rough ground.
+    Rays are cosine-weighted about the normal; the ground is two triangles per cell. nan off ``nodes`` (rows,
+    cols), all unless given. Rays below the level count as blocked. The triangles' diagonals are ridges that
+    the reference, linear along rows and columns, does not have: about 0.0015 of its bias on rough ground.
     """
     import trimesh.ray.ray_pyembree
     from trimesh import Trimesh

@@ -1,12 +1,12 @@
-"""Whether plans keep their word: scenes x sources x tolerances, the error of render(tolerance=...) against
-exact rays at nodes that no choice has seen, and its time, of a scene that was not rendered before, against
-that of the cheapest setting that would have done, found by trying all.
+"""Whether plans keep their word: the error and time of render(tolerance=...), by scene, source, tolerance.
 
     python performance/plans.py --out docs [--size 192] [--backend opencl]
     python performance/plans.py --out docs --times --size 1024 --name plans_times
 
-Errors are relative RMS (docs/model.md) and the 99.9th percentile. With --times fewer pairs, of which other
-settings are rendered and timed too (half an hour). Prints a table and writes plans.csv, or what --name says.
+Errors are against exact rays at nodes that no choice has seen: relative RMS (docs/model.md) and the 99.9th
+percentile. With --times fewer pairs, whose time, of a scene that was not rendered before, is compared with
+that of the cheapest setting that would have done, found by trying all (half an hour). Prints a table and
+writes plans.csv, or what --name says.
 """
 
 import argparse

@@ -35,9 +35,11 @@ RECOVERIES = {
 
 
 class Failure(NamedTuple):
-    """``measure(value, backend)``: error by line. ``bad`` fails at ``quick[1]`` and not at ``quick[0]``, by
-    ``limit``; ``good`` does not fail there, or ``warns(value, backend)`` gives warnings that begin with
-    ``says`` there and not at quick[0].
+    """A failure, what provokes it and what skylamp does about it.
+
+    ``measure(value, backend)`` gives the error of every line. ``bad`` fails at ``quick[1]`` and not at
+    ``quick[0]``, by ``limit``. ``good`` does not fail there, or ``warns(value, backend)`` gives warnings that
+    begin with ``says`` at ``quick[1]`` and not at ``quick[0]``.
     """
 
     title: str
@@ -185,9 +187,7 @@ def cliff(height, backend):
 
 
 def between(albedo, backend):
-    """What the model leaves out in a spherical bowl, exactly, over the image; and the bound that the plan
-    gives.
-    """
+    """What the model leaves out in a spherical bowl, exactly, over the image; and the plan's bound."""
     scene, sky = bowl(albedo)
     exact = albedo * (1 - sky) / (1 - albedo * (1 - sky))
     said = [text for text in sl.plan(scene, sl.Sky(), 0.001, backend).beyond if text.startswith("Light")]
@@ -243,9 +243,7 @@ def touching(gap):
 
 
 def touching_lamp(gap, backend):
-    """Irradiance summed over a plane below a ball, against the integral of pi (R / d)^2 cos: what the grid
-    does not hold.
-    """
+    """Irradiance at the nodes below a ball, against the mean of their cells: what the grid does not hold."""
     scene = sl.Scene(np.full((41, 41), 20.0))
     fine = sl.Scene(np.full((41 * 8 - 7,) * 2, 20.0 * 8), 1.0)
     lamp, large = sl.Lamp((20, 20, 20 - gap - 2), 2), sl.Lamp((160, 160, 160 - 8 * gap - 16), 16)

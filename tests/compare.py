@@ -39,8 +39,7 @@ def assert_bits_equal(got, expected):
 
 
 def assert_close(got, expected, relative=RADIANCE, floor=1.0):
-    """float32 ``got`` within relative x max(floor, |expected|) of float64 ``expected``; anything that is not
-    finite fails.
+    """float32 ``got`` within relative x max(floor, |expected|) of float64 ``expected``, and finite.
 
     The types differ on purpose: a backend is compared with the float64 oracle, so never with itself or
     another backend. ``floor``: the magnitude of the terms where they may cancel, the source's brightness

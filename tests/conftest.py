@@ -29,9 +29,7 @@ def _parameters():
 
 
 def _resolved(name):
-    """The backend's own name: OpenCL devices are asked for by their kind, since their numbers differ from
-    machine to machine.
-    """
+    """The backend's own name; OpenCL devices by kind, since their numbers differ between machines."""
     if name not in ("opencl-cpu", "opencl-gpu"):
         return name
     fitting = [

@@ -1,7 +1,7 @@
-"""Depth maps of the suite: whole layers, where every method is exact, and continuous ones. All are made here,
-from fixed seeds.
+"""Depth maps of the suite: whole layers, where every method is exact, and continuous ones.
 
-Most sizes have short common cycles, since the oracle follows level rays round a periodic map node by node.
+All are made here, from fixed seeds. Most sizes have short common cycles, since the oracle follows level rays
+round a periodic map node by node.
 """
 
 import functools
@@ -155,8 +155,6 @@ def filled_truth(name, size, sides):
 
 
 def offset_plane(rows=40, cols=56, spacing=0.1):
-    """A slanted plane half a layer off the lattice with a step of 0.1, so that rounding decides nearly every
-    tie.
-    """
+    """A slanted plane half a layer off the lattice, step 0.1: rounding decides nearly every tie."""
     y, x = np.mgrid[:rows, :cols]
     return spacing * (x + 0.5) + 2 * spacing * (y // 8)

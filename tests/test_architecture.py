@@ -345,9 +345,7 @@ def made_up(tmp_path):
 
 
 def test_faults_of_a_small_package_are_found(made_up):
-    """Imports in functions, of computed names and of packages on the way count; those for type checkers do
-    not.
-    """
+    """Imports in functions, of computed names and of holding packages count; those for type checkers not."""
     edges = imports(made_up)
     assert {(_short(edge.source), _short(edge.target)) for edge in edges} == {
         ("skylamp", "high"),

@@ -44,9 +44,7 @@ def test_steps_are_the_surface_nodes_of_the_half_cube(size):
 
 @pytest.mark.parametrize("size", [3, 9])
 def test_cells_have_the_symmetry_of_the_cube(size):
-    """Transposing and mirroring permute solid angles and moments; a face with its axes swapped would not
-    survive.
-    """
+    """Transposing and mirroring permute solid angles and moments; a face with swapped axes would fail."""
     cube = sl.Hemicube(size)
     number = {tuple(step): d for d, step in enumerate(cube.steps.tolist())}
     for change in (lambda v: v[:, [1, 0, 2]], lambda v: v * [-1, 1, 1], lambda v: v * [1, -1, 1]):
@@ -57,9 +55,7 @@ def test_cells_have_the_symmetry_of_the_cube(size):
 
 @pytest.mark.parametrize("size", [3, 5, 9])
 def test_every_cell_agrees_with_quadrature_over_the_nearest_node(size):
-    """Midpoint quadrature of dOmega and L dOmega over the cube's faces, each sample given to its nearest
-    node.
-    """
+    """Midpoint quadrature of dOmega and L dOmega over the cube's faces, by the nearest node."""
     cube = sl.Hemicube(size)
     m, n = cube.reach, 64 * 2 * cube.reach
     edge = (np.arange(n) + 0.5) / n * 2 * m - m
@@ -83,9 +79,7 @@ def test_every_cell_agrees_with_quadrature_over_the_nearest_node(size):
 
 @pytest.mark.parametrize("size", [3, 5, 7, 9, 17])
 def test_packed_bits_stand_where_the_design_says(size):
-    """Direction d is bit d % 32 of word d // 32; packing and unpacking undo one another, and spare bits are
-    0.
-    """
+    """Direction d is bit d % 32 of word d // 32; unpacking undoes packing, and spare bits are 0."""
     cube = sl.Hemicube(size)
     flags = np.random.default_rng(size).random((5, 3, len(cube))) < 0.5
     bits = cube.pack(flags)

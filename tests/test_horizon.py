@@ -76,9 +76,7 @@ def test_sky_view_factor_by_its_definitions(fast):
 
 
 def test_tilted_and_horizontal_differ_on_a_slope(backend):
-    """45 degrees: at the upper border nothing stands above a level element, but the surface itself looks
-    away.
-    """
+    """45 degrees, at the upper border: a level element sees all, the surface itself looks away."""
     y, x = np.mgrid[:40, :40]
     scene = sl.Scene(100 - x * 1.0)
     tilted, level = (
@@ -102,9 +100,7 @@ def test_openness_of_planes_and_pits(fast):
 
 
 def test_render_agrees_with_the_oracle_on_brightness(fast):
-    """A sky that varies with azimuth and elevation, over rough ground, against horizons and quadrature in
-    float64.
-    """
+    """A sky that varies with azimuth and elevation, on rough ground, against quadrature in float64."""
     depth = scenes.rough(48, 56, 1.0)
     brightness = lambda L: 1 + 0.8 * L[..., 0] + 0.5 * L[..., 2] ** 2
     image = sl.render(
@@ -121,9 +117,7 @@ def test_render_agrees_with_the_oracle_on_brightness(fast):
 
 
 def test_every_brightness_on_level_ground(backend):
-    """Closed forms: uniform pi B, overcast 7/9 pi, sine of elevation 2/3 pi; a sun a few degrees wide by its
-    solid angle.
-    """
+    """Closed forms: uniform pi B, overcast 7/9 pi, sine of elevation 2/3 pi; a small sun."""
     level = sl.Scene(np.full((9, 9), 3.0))
     sun = np.array([0.48, -0.36, -0.8])
     cap = np.cos(np.radians(3))
@@ -138,9 +132,7 @@ def test_every_brightness_on_level_ground(backend):
 
 
 def test_azimuths_go_where_a_sun_is():
-    """Half of the sectors within the sun's few degrees, and a penumbra behind a wall that is finer than even
-    sectors give.
-    """
+    """Half of the sectors lie within the sun; its penumbra behind a wall is finer than by even sectors."""
     sun = np.array([0.6, 0.0, -0.8])
     profile = sl.sources.azimuth_profile(sl.Sky(lambda L: 1e-3 + 1e4 * (L @ sun > np.cos(np.radians(1)))))
     sectors = sl.Azimuths.placed(64, profile)

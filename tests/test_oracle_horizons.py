@@ -1,5 +1,6 @@
-"""The oracle's horizons and shadow rays against closed forms and cases worked out by hand; nothing here runs
-a backend.
+"""The oracle's horizons and shadow rays against closed forms and cases worked out by hand.
+
+Nothing here runs a backend.
 """
 
 import math
@@ -63,9 +64,7 @@ def spiked(shape=(17, 21), at=(8, 10), floor=5.0, top=2.0):
     "dx, dy", [(1, 0), (-4, 0), (0, 3), (0, -1), (5, 5), (-3, 3), (3, 1), (-2, -5), (7, -2), (-9, 4)]
 )
 def test_a_spike_seen_exactly(dx, dy, spacing):
-    """3 high: 3 / distance, whatever the azimuth's rounding; a degree off, less; the other way, the level
-    floor.
-    """
+    """3 high: 3 / distance, whatever the azimuth's rounding; a degree off, less; behind, the level floor."""
     depth = spiked()
     x, y, towards = 10 - dx, 8 - dy, math.atan2(dy, dx)
     exact = 3 / (math.hypot(dx, dy) * spacing)
@@ -93,9 +92,7 @@ def test_crossings_between_the_spike_and_its_neighbours():
 
 
 def _horizon_by_hand(depth, x, y, i, j, laps=0):
-    """Steepest crossing along (i, j) in fractions, from grid line to grid line; None: masked. ``laps`` > 0:
-    the map repeats.
-    """
+    """Steepest crossing along (i, j) in fractions; None: masked. ``laps`` > 0: the map repeats."""
     rows, cols = len(depth), len(depth[0])
     reach = laps * max(rows, cols) if laps else max(rows, cols)
     times = {Fraction(s, abs(n)) for n in (i, j) if n for s in range(1, reach * abs(n) + 1)}
@@ -124,9 +121,7 @@ DIRECTIONS = [(i, j) for i in range(-3, 4) for j in range(-3, 4) if math.gcd(i, 
 
 @pytest.mark.parametrize("masked", [False, True])
 def test_horizons_look_at_every_crossing(masked):
-    """Against crossings in exact fractions, on a map that is wider than tall; through nodes beside masked
-    ones too.
-    """
+    """Against exact fractions, on a map wider than tall; through nodes beside masked ones too."""
     rng = np.random.default_rng(4)
     whole = rng.integers(0, 9, (7, 12))
     gone = masked & (rng.random(whole.shape) < 0.25)
@@ -166,9 +161,7 @@ def test_horizons_of_a_map_that_repeats_look_at_every_crossing():
 
 @pytest.mark.parametrize("turns", range(8))
 def test_along_axes_and_diagonals(turns):
-    """Exactly along them only nodes are met, so a walk from node to node finds the same, also with every
-    neighbour masked.
-    """
+    """Rays along them meet only nodes: a walk from node to node finds the same, beside masked ones too."""
     depth = np.random.default_rng(7).random((9, 9)) * 6
     i, j = [(1, 0), (1, 1), (0, 1), (-1, 1), (-1, 0), (-1, -1), (0, -1), (1, -1)][turns]
     walk = np.full(depth.shape, -np.inf)
@@ -198,9 +191,7 @@ def test_along_axes_and_diagonals(turns):
 
 
 def test_no_ground_that_way():
-    """-inf, not 0: at the border looking out, on a map of one row at any other azimuth, beside nothing but
-    masked nodes.
-    """
+    """-inf, not 0: off the border, across a map of one row, beside nothing but masked nodes."""
     level = np.full((4, 5), 3.0)
     east = oracle.horizons(level, 1.0, [0.0])[0]
     assert np.isneginf(east[:, -1]).all() and (east[:, :-1] == 0).all()
@@ -219,9 +210,7 @@ def test_no_ground_that_way():
 
 
 def test_masked_nodes_do_not_occlude():
-    """A wall with a masked node: seen on either side of the hole from its neighbours on, through the hole not
-    at all.
-    """
+    """A wall with a masked node: seen on either side of the hole, through the hole not at all."""
     depth = np.full((9, 9), 4.0)
     depth[:, 6] = 0.0
     depth[4, 6] = np.nan
@@ -234,9 +223,7 @@ def test_masked_nodes_do_not_occlude():
 
 
 def test_walls_of_a_dark_box():
-    """Half a node outside, up to z = 0: depth / distance, whichever wall comes first; ground that rises
-    higher still counts.
-    """
+    """Half a node outside, up to z = 0: depth / distance of the first wall; higher ground still counts."""
     depth = np.full((5, 9), 6.0)
     spacing = 2.0
     got = lambda x, y, i, j: slope(depth, x, y, math.atan2(j, i), spacing, sides="dark")
@@ -259,9 +246,7 @@ def test_walls_of_a_dark_box():
 
 
 def test_a_spike_across_the_seam():
-    """A map that repeats: the spike of column 1 stands before column 19 as column 22, and its own image
-    before itself.
-    """
+    """A map that repeats: column 1's spike stands before column 19 as column 22, and before itself."""
     depth = spiked((15, 21), (3, 1))
     periodic = lambda x, y, i, j: slope(depth, x, y, math.atan2(j, i), sides="periodic")
     assert periodic(19, 3, 1, 0) == 1.0
@@ -315,9 +300,7 @@ def test_nodes_are_the_map_sampled():
 
 
 def test_horizons_scale_with_length():
-    """Depth and spacing in another unit: the same; spacing alone: its inverse. Integer and float32 depths are
-    welcome.
-    """
+    """Depth and spacing in another unit: the same; spacing alone: its inverse. Integers and float32 too."""
     depth = rough(10, 9, 1.0, seed=3).astype(np.float32)
     azimuths, _ = circle(9)
     one = oracle.horizons(depth, 1.0, azimuths, "dark")
@@ -381,9 +364,7 @@ def test_a_spherical_bowl():
 
 
 def test_brightness_by_quadrature():
-    """Skies with closed forms on a level plane: uniform pi, overcast 7/9 pi, sine of elevation 2/3 pi, odd
-    ones nothing.
-    """
+    """Closed forms on a level plane: uniform pi, overcast 7/9 pi, sine of elevation 2/3 pi, odd ones 0."""
     depth = np.full((2, 3), 4.0)
     for brightness, wanted in (
         (sl.uniform(1.0), 1),
@@ -400,9 +381,7 @@ def test_brightness_by_quadrature():
 
 
 def test_half_a_sky_behind_a_horizon_of_45_degrees():
-    """B = 1 + L_y, towards +y only what is above 45 degrees: pi cos^2 t / 2 + 2 cos^3 t / 3 there, pi / 2 - 2
-    / 3 behind.
-    """
+    """B = 1 + L_y, over 45 degrees to +y: pi cos^2 t / 2 + 2 cos^3 t / 3 there, pi / 2 - 2 / 3 behind."""
     azimuths, widths = circle(720)
     horizon = np.where(azimuths < np.pi, 1.0, -np.inf)[:, None, None] * np.ones((1, 1))
     got = oracle.sky_irradiance(
@@ -503,9 +482,7 @@ def places(depth, spacing=1.0, nodes=NODES):
 @pytest.mark.parametrize("gx, gy", [(0, 0), (0.5, -0.3)])
 @pytest.mark.parametrize("lamp", [(8, 6, 5, 4), (-9, 20, -15, 7), (100, 100, -200, 1.5)])
 def test_a_sphere_above_the_plane(lamp, gx, gy):
-    """pi (R / d)^2 cos(angle), near and far, inside the volume and behind the viewer; spacing 0.5 and the
-    lamp in lengths.
-    """
+    """pi (R / d)^2 cos(angle): near, far, inside the volume, behind the viewer; spacing 0.5."""
     depth, normal = slanted((13, 17), gx, gy)
     for spacing in (1.0, 0.5):
         to = np.array(lamp[:3]) * spacing - places(depth * spacing, spacing)
@@ -520,9 +497,7 @@ def test_a_sphere_above_the_plane(lamp, gx, gy):
 
 
 def test_a_small_far_lamp_shines_with_the_brightness_of_its_direction():
-    """B(L) pi (R / d)^2 cos for a spot, whose axis points away from it; a lamp below the horizon gives
-    nothing.
-    """
+    """B(L) pi (R / d)^2 cos for a spot, whose axis points away from it; below the horizon, nothing."""
     depth = np.full((13, 17), 30.0)
     spot = sl.cosine_power(16, axis=(0.3, 0.1, 1), brightness=2.0)
     to = np.array([4.0, 5.0, -20.0]) - places(depth)
@@ -578,9 +553,7 @@ def test_a_half_set_sphere():
 
 
 def test_light_from_below_the_level_does_not_count():
-    """On a slope that falls away, a sphere level with the node stands above the tangent plane: its upper half
-    shines.
-    """
+    """On a falling slope the upper half of a sphere at the node's level shines, above the tangent plane."""
     depth, normal = slanted((13, 17), 0.8, 0.0)
     lamp = np.array([22.0, 6, 38, 3])
     nodes = (np.array([6, 4]), np.array([10, 10]))
@@ -593,9 +566,7 @@ def test_light_from_below_the_level_does_not_count():
 
 
 def test_a_node_inside_the_sphere_sees_it_everywhere():
-    """pi on level ground, pi (1 + cos a) / 2 tilted (below z = level nothing shines), a wall next to it or
-    not.
-    """
+    """pi on level ground, pi (1 + cos a) / 2 tilted (nothing shines from below), beside a wall or not."""
     depth = np.full((13, 17), 10.0)
     depth[:, 4] = 7.0
     got = oracle.lamp_irradiance(depth, 1.0, everywhere(depth), ball(7, 6, 9, 6), ([6], [6]))
@@ -613,9 +584,7 @@ def walled(rows=81, cols=45, floor=12.0, top=4.0, at=22):
 
 
 def test_the_penumbra_of_a_sphere_behind_a_straight_edge():
-    """From nothing to the whole disc: the part above the plane through node and edge, in closed form at every
-    node.
-    """
+    """From nothing to the whole disc: the part above the plane through node and edge, in closed form."""
     spacing = 0.5
     depth, lamp = walled() * spacing, np.array([34.0, 40.0, -4.0, 3.0]) * spacing
     cols = np.arange(0, 20)
@@ -676,9 +645,7 @@ def test_the_penumbra_of_an_area_light_behind_a_straight_edge():
 
 @pytest.mark.parametrize("gx, gy", [(0, 0), (-0.4, 0.7)])
 def test_an_area_light_in_the_open(gx, gy):
-    """Lambert's formula for a tilted rectangle, from either face and whichever way its edges are named; B of
-    the direction.
-    """
+    """Lambert's formula for a tilted rectangle, either face, edges in either order; B by direction."""
     depth, normal = slanted((13, 17), gx, gy)
     corner, u, v = np.array([2.0, 3.0, 4.0]), np.array([9.0, 0, 3]), np.array([-1.0, 5, 3])
     assert u @ v == 0
@@ -802,9 +769,7 @@ def test_a_lamp_and_the_walls_of_a_dark_box():
     "x, y", [((4.25, 9), (3, 8.5)), ((-30, -12), (5, 60)), ((-500, 600), (-300, 900)), ((8, 8.01), (6, 6.01))]
 )
 def test_a_window_over_the_open_plane(x, y, gx, gy):
-    """Lambert's formula: parallel and tilted, above, across and far larger than the map, and as small as a
-    pinhole.
-    """
+    """Lambert's formula: parallel and tilted, above, across, far larger than the map, small as a pinhole."""
     depth, normal = slanted((13, 17), gx, gy, z=9.0)
     eyes = places(depth)
     wanted = np.array([polygon_moment(_above(_rectangle(*x, *y, 0, eye), normal)) @ normal for eye in eyes])
@@ -845,9 +810,7 @@ def test_the_brightness_of_a_window_is_that_of_the_ray():
 
 
 def test_a_node_in_the_window():
-    """At z = 0 the whole sky or none, x0 <= x < x1; a hair below it by Lambert's formula, half the sky on an
-    edge.
-    """
+    """At z = 0 the whole sky or none, x0 <= x < x1; just below it by Lambert's formula, half on an edge."""
     depth = np.zeros((13, 17))
     window = sl.Window(x=(3.0, 9.0), y=(7.0, 8.0))
     nodes = (np.array([7, 7, 7, 8, 6]), np.array([3, 8, 9, 5, 5]))
@@ -911,9 +874,7 @@ def test_a_window_over_a_map_that_repeats():
 
 
 def test_a_window_without_end_is_the_sky():
-    """Horizons and shadow rays on rough ground, by quite different quadratures; half a map away no ray is
-    forgotten.
-    """
+    """Horizons and shadow rays on rough ground, by different quadratures; no ray half a map away is lost."""
     depth = rough(40, 48, 1.0, seed=11)
     depth[10:13, 20:24] = np.inf
     nodes = tuple(np.random.default_rng(3).integers(0, 40, (2, 12)))

@@ -12,9 +12,7 @@ def unit(*v):
 
 
 def test_angle_of_a_curve():
-    """dphi = dl cos / r, summed: half a circle whatever the curve between its ends, and a straight line seen
-    askew by its arctangents.
-    """
+    """dphi = dl cos / r, summed: half a circle whatever the curve between its ends; a line by arctangents."""
     line = np.stack([np.linspace(-3, 5, 2001), np.full(2001, 2.0)], -1)
     middle, step = (line[1:] + line[:-1]) / 2, np.diff(line, axis=0)
     distance = np.linalg.norm(middle, axis=1)
@@ -48,9 +46,7 @@ def test_solid_angles():
 
 
 def test_transfer_between_two_discs():
-    """d3E summed over two coaxial discs is pi L A_1 F_12, F_12 from the tables of view factors; and the same
-    from either end.
-    """
+    """d3E summed over two coaxial discs is pi L A_1 F_12 by the tables of view factors, from either end."""
     radius, gap, n = (1.0, 1.5), 2.0, 40
     discs = []
     for R in radius:
@@ -70,9 +66,7 @@ def test_transfer_between_two_discs():
 
 
 def test_radiance_does_not_change_along_a_ray():
-    """Twice as far, a patch gets a quarter of the power from a quarter of the solid angle: the radiance is
-    the same.
-    """
+    """Twice as far, a quarter of the power from a quarter of the solid angle: the radiance is the same."""
     distance = np.array([1.0, 2, 7])
     power = r.transfer(5.0, 0.8, 0.01, 0.6, 0.02, distance)
     np.testing.assert_allclose(power * distance**2, power[0])
@@ -118,9 +112,7 @@ def test_light_for_the_eye():
 
 
 def test_where_a_point_will_do():
-    """The error of I / r^2 for a disc, exactly: pi L R^2 / (r^2 + R^2) is what it gives; for a sphere there
-    is none.
-    """
+    """The error of I / r^2, exactly: a disc gives pi L R^2 / (r^2 + R^2); for a sphere there is none."""
     R, distance = 0.5, np.array([0.5, 1, 5, 50])
     exact = r.disc_moment(np.tile([0, 0, 1.0], (4, 1)), R / np.hypot(R, distance)) @ [
         0,

@@ -1,5 +1,6 @@
-"""The stability atlas (docs/stability.md): each failure is there in the method that has it, and gone, or
-warned about, in the default.
+"""The stability atlas (docs/stability.md): each failure is there in the method that has it.
+
+In the default it is gone, or a warning names it.
 """
 
 import importlib.util
@@ -25,9 +26,7 @@ def test_the_atlas_is_whole():
 
 @pytest.mark.parametrize("name", stability.FAILURES)
 def test_the_failure_is_there_and_seen_to(fast, name):
-    """Beyond its limit at the harmful value and not at the harmless one; there the default is good, or a
-    warning names it.
-    """
+    """Beyond the limit at the harmful value only; there the default is good, or a warning names it."""
     failure = stability.FAILURES[name]
     harmless, harmful = (failure.measure(value, fast) for value in failure.quick)
     assert harmless[failure.bad] <= failure.limit < harmful[failure.bad], (harmless, harmful)

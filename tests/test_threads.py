@@ -115,9 +115,7 @@ def test_one_scene_on_all_backends_at_once():
 
 
 def test_maps_that_lie_on_a_device_on_threads():
-    """Scenes made of Warp arrays launch kernels before there is a call, and bring their map to the host when
-    another backend asks.
-    """
+    """Scenes of Warp arrays launch kernels before any call, and copy to the host for another backend."""
     import warp as wp
 
     def work(number):
@@ -146,9 +144,7 @@ def test_threads_that_ask_first_get_one_backend(monkeypatch, what):
 
 
 def test_waiting_for_a_device_is_not_counted_and_others_are_free(backend):
-    """A call waits while another has its device; it says how long it took itself. A call on another device
-    does not wait.
-    """
+    """A call waits while its device is taken and does not count the wait; another device's call runs on."""
     render = lambda name: sl.render(sl.Scene(depth_of(1)), sl.Sky(), azimuths=8, backend=name)
     other = "numpy" if backend != "numpy" else "warp:cpu"
     before = max(render(name).seconds for name in (backend, backend, other))

@@ -225,9 +225,7 @@ def test_backends_agree_on_continuous_maps(backend, name, sides, filled):
 @pytest.mark.parametrize("sides", ["open", "dark"])
 @pytest.mark.parametrize("source", ["lamp", "window"])
 def test_backends_agree_on_lamps_and_windows_where_rounding_decides(backend, source, sides, filled):
-    """The geometry is in double precision and the scan in single; which of them decides must not depend on
-    the backend.
-    """
+    """Geometry is in float64 and the scan in float32; which of them decides is the same on every backend."""
     if backend == "numpy":
         pytest.skip("the reference of this test")
     assert_bits_equal(
@@ -237,9 +235,7 @@ def test_backends_agree_on_lamps_and_windows_where_rounding_decides(backend, sou
 
 
 def test_the_whole_real_terrain_is_the_same_everywhere(backend, fast):
-    """344 x 403 nodes in metres, spacing as it is, against the backend that is quick here and against the
-    oracle's rule on a row.
-    """
+    """344 x 403 nodes in metres, against the quickest backend here, and the oracle's rule on a row."""
     if backend == fast:
         pytest.skip("the reference of this test")
     height, spacing = scenes.terrain()
@@ -249,9 +245,7 @@ def test_the_whole_real_terrain_is_the_same_everywhere(backend, fast):
 
 @pytest.mark.parametrize("sides", scenes.SIDES)
 def test_metres_are_layers_where_depths_are_whole_layers(backend, sides):
-    """Spacing other than 1, whole layers: the same bits as in layers, by both algorithms, for sky, window and
-    lamp.
-    """
+    """Another spacing, whole layers: the bits of layers, by both algorithms, for sky, window and lamp."""
     name = "fractal"
     for spacing in (30.0, 0.1, 75.0):
         scene = scenes.scene(name, sides, spacing)
@@ -262,9 +256,7 @@ def test_metres_are_layers_where_depths_are_whole_layers(backend, sides):
 
 
 def test_whole_metres_between_layers_are_compared_in_metres(backend):
-    """Depths in whole metres, 30 metres a layer, against the definition: dividing or rounding first would
-    flip bits.
-    """
+    """Whole metres, 30 a layer, against the definition: dividing or rounding first would flip bits."""
     depth = np.random.default_rng(2).integers(0, 200, (15, 18)).astype(float)
     cube = sl.Hemicube(7)
     expected = np.ones((15, 18, len(cube)), bool)
@@ -283,9 +275,7 @@ def test_whole_metres_between_layers_are_compared_in_metres(backend):
 
 @pytest.mark.parametrize("spacing", [30.0, 49.0, 75.0])
 def test_window_edges_on_nodes_do_not_depend_on_the_unit(backend, spacing):
-    """Half-open edges at whole numbers of nodes: the same bits in metres as in layers, low edge in, high edge
-    out.
-    """
+    """Half-open edges at whole nodes: the same bits in metres as in layers, low edge in, high edge out."""
     depth = np.random.default_rng(3).integers(0, 4, (12, 40))
     for edge in range(1, 36, 2):
         in_layers = sl.visibility(sl.Scene(depth), sl.Window(x=(edge, edge + 3), y=(1, 9)), 3, backend)
@@ -431,9 +421,7 @@ def _field_truth(name, size, sides, layers):
 @pytest.mark.parametrize("sides", scenes.SIDES)
 @pytest.mark.parametrize("name", ["spikes", "masked", "tiny"])
 def test_every_node_of_the_field_equals_the_oracle(backend, name, sides):
-    """All layers, below the deepest node too, free space and ground; at(), solid_angle(), surface() and bits
-    say the same.
-    """
+    """All layers, below the deepest node too; at(), solid_angle(), surface() and bits say the same."""
     depth = scenes.layers(name)
     layers = int(depth.max()) + 3
     field = sl.visibility_field(scenes.scene(name, sides), SKY, 5, layers, backend)
@@ -472,9 +460,7 @@ def test_the_field_refuses_nodes_that_it_has_not(backend):
 
 
 def test_a_view_shows_source_and_ground_where_they_are(backend):
-    """A pit with one bright wall: solid angles cover the sphere, the sky is above, and what is hit is what
-    stands there.
-    """
+    """A pit with one bright wall: solid angles cover the sphere, the sky is above, hits are right."""
     depth = np.full((15, 15), 6)
     depth[:, 10:] = 0
     scene = sl.Scene(depth, albedo=np.where(np.arange(15) >= 10, 0.9, 0.1) * np.ones((15, 1)))
