@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import importlib
 import sys
-from typing import NamedTuple
+from collections.abc import Hashable
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -11,20 +13,21 @@ import numpy as np
 class Labels(NamedTuple):
     """What an xarray.DataArray has besides its values."""
 
-    dims: tuple
-    coords: dict
-    name: object
-    attrs: dict
+    dims: tuple[Hashable, ...]
+    coords: dict[Hashable, Any]
+    name: Hashable
+    attrs: dict[Any, Any]
 
 
 ON_CUDA = 2, 13  # DLPack's kDLCUDA and kDLCUDAManaged
 
 
-def on_device(values):
-    """A Warp array on the memory of ``values`` where that is a Warp array or lies on a GPU (PyTorch, CuPy,
-    JAX, Numba), else None.
+def on_device(values: Any) -> Any:
+    """A Warp array on the memory of ``values``; None unless that is a Warp array or lies on a GPU.
+
+    On a GPU lie arrays of PyTorch, CuPy, JAX and Numba.
     """
-    warp = sys.modules.get("warp")
+    warp: Any = sys.modules.get("warp")
     if warp is not None and isinstance(values, warp.array):
         return values
     dlpack = hasattr(values, "__dlpack__") and hasattr(values, "__dlpack_device__")
@@ -32,8 +35,7 @@ def on_device(values):
         hasattr(values, "__cuda_array_interface__") or (dlpack and values.__dlpack_device__()[0] in ON_CUDA)
     ):
         return None
-    import warp
-
+    warp = importlib.import_module("warp")
     if dlpack:
         return warp.from_dlpack(values)
     told = values.__cuda_array_interface__
@@ -47,7 +49,7 @@ def on_device(values):
     )
 
 
-def host_array(values) -> np.ndarray:
+def host_array(values: Any) -> np.ndarray:
     """``values`` as a NumPy array, without a copy where that can be; a GPU's are brought over by Warp.
 
     Takes what numpy.asarray takes, and whatever has ``__dlpack__`` or ``__cuda_array_interface__``. Raises
@@ -57,15 +59,15 @@ def host_array(values) -> np.ndarray:
         return values
     found = on_device(values)
     if found is not None:
-        return found.numpy()
+        return np.asarray(found.numpy())
     if hasattr(values, "__dlpack__") and not hasattr(values, "__array__"):
         return np.from_dlpack(values)
     return np.asarray(values)
 
 
-def labels_of(values) -> Labels | None:
+def labels_of(values: Any) -> Labels | None:
     """The labels of an xarray.DataArray, None of anything else; xarray is not imported for it."""
-    xarray = sys.modules.get("xarray")
+    xarray: Any = sys.modules.get("xarray")
     if xarray is None or not isinstance(values, xarray.DataArray):
         return None
     return Labels(
@@ -76,9 +78,10 @@ def labels_of(values) -> Labels | None:
     )
 
 
-def labelled(array: np.ndarray | None, labels: Labels | None, **leading):
-    """``array`` as an xarray.DataArray with ``labels``, or as it is where there are none; ``leading``: axes
-    before theirs, with coordinates.
+def labelled(array: np.ndarray | None, labels: Labels | None, **leading: Any) -> Any:
+    """``array`` as an xarray.DataArray with ``labels``, or as it is where there are none.
+
+    ``leading``: axes before theirs, with coordinates.
     """
     if labels is None or array is None:
         return array

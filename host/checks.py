@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
+from numpy.typing import ArrayLike
 
 from .arrays import host_array
 from .errors import InputError, bad
 
 
-def real_array(values, what: str, ndim: int | None = 2) -> np.ndarray:
-    """``values`` as a real float64 array of ``ndim`` axes, not empty; never a view that a caller could see
-    change.
-    """
+def real_array(values: Any, what: str, ndim: int | None = 2) -> np.ndarray:
+    """``values`` as a real float64 array of ``ndim`` axes, not empty; always a copy."""
     if isinstance(values, np.ma.MaskedArray):
         raise bad(
             f"{what}: a numpy masked array",
@@ -34,12 +35,12 @@ def real_array(values, what: str, ndim: int | None = 2) -> np.ndarray:
     return array.astype(np.float64)
 
 
-def one_of(value, allowed: tuple[str, ...], what: str) -> None:
+def one_of(value: object, allowed: tuple[str, ...], what: str) -> None:
     if not isinstance(value, str) or value not in allowed:
         raise bad(what, repr(value), " | ".join(allowed))
 
 
-def positive_number(value, what: str) -> float:
+def positive_number(value: Any, what: str) -> float:
     try:
         number = float(value)
     except (TypeError, ValueError):
@@ -49,6 +50,6 @@ def positive_number(value, what: str) -> float:
     return number
 
 
-def at(index) -> str:
+def at(index: ArrayLike) -> str:
     """Where the first true element of a boolean array is, for messages."""
     return f"at (row, col) = {tuple(int(i) for i in np.argwhere(index)[0])}"

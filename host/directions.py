@@ -16,11 +16,10 @@ LARGEST = 129  # 16,641 + 32,768 directions; a larger cube is a slip of the keyb
 
 @dataclass(frozen=True)
 class Hemicube:
-    """The surface nodes with L_z <= 0 of an M x M x M cube (Langer and Zucker, section 5), ordered by (k, j,
-    i).
+    """The surface nodes with L_z <= 0 of an M x M x M cube (Langer and Zucker, section 5).
 
-    Every direction owns the part of the cube's surface nearest to its node, clipped at edges and at the
-    horizon.
+    They are ordered by (k, j, i). Every direction owns the part of the cube's surface nearest to its node,
+    clipped at edges and at the horizon.
 
     Parameters
     ----------
@@ -44,7 +43,7 @@ class Hemicube:
 
     size: int
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         size = self.size
         if (
             isinstance(size, (bool, np.bool_))
@@ -101,8 +100,7 @@ class Hemicube:
 
 @dataclass(frozen=True)
 class Azimuths:
-    """Sectors of azimuth, each seen along one azimuth in its middle; angles from +x (columns) towards +y
-    (rows).
+    """Sectors of azimuth, each sampled along its middle; angles from +x (columns) towards +y (rows).
 
     Parameters
     ----------
@@ -126,7 +124,7 @@ class Azimuths:
     count: int
     edges: tuple[float, ...] | None = None
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         count = self.count
         if (
             isinstance(count, (bool, np.bool_))
@@ -151,17 +149,18 @@ class Azimuths:
 
     @property
     def angles(self) -> np.ndarray:
-        return (np.array(self.edges[1:]) + np.array(self.edges[:-1])) / 2
+        edges = np.array(self.edges, float)
+        middles: np.ndarray = (edges[1:] + edges[:-1]) / 2
+        return middles
 
     @property
     def widths(self) -> np.ndarray:
-        return np.diff(self.edges)
+        widths: np.ndarray = np.diff(np.array(self.edges, float))
+        return widths
 
     @classmethod
     def placed(cls, count: int, weights: np.ndarray) -> Azimuths:
-        """``count`` sectors, half of them spread by ``weights`` (n,), the light of n even sectors, half
-        evenly.
-        """
+        """``count`` sectors, half spread evenly, half by ``weights`` (n,), the light of n even sectors."""
         weights = np.asarray(weights, float)
         share = np.concatenate([[0], np.cumsum(0.5 * weights / weights.sum() + 0.5 / len(weights))])
         edges = np.interp(
@@ -170,16 +169,14 @@ class Azimuths:
         return cls(count, tuple(edges))
 
 
-def _frozen(array):
+def _frozen(array: np.ndarray) -> np.ndarray:
     array.flags.writeable = False
     return array
 
 
 @lru_cache(maxsize=8)
-def _cells(size):
-    """Solid angle (D,) and moment (D, 3) of every cell: a union of one to three rectangles on the cube's
-    faces.
-    """
+def _cells(size: int) -> tuple[np.ndarray, np.ndarray]:
+    """Solid angle (D,) and moment (D, 3) of every cell: one to three rectangles on the cube's faces."""
     cube = Hemicube(size)
     m = cube.reach
     solid_angle, moment = np.zeros(len(cube)), np.zeros((len(cube), 3))

@@ -10,15 +10,15 @@ class InputError(SkylampError, ValueError):
 
 
 class BackendError(SkylampError, RuntimeError):
-    """A named backend is not here, or failed."""
+    """A named backend is not available, or failed."""
 
 
 class CapacityError(SkylampError, MemoryError):
-    """The work does not fit into the memory that there is."""
+    """The work does not fit into the available memory."""
 
 
 def bad(what: str, got: object, allowed: str, fix: str = "") -> InputError:
-    """An InputError in the house's form: what is wrong, what was got, what is allowed, how to mend it."""
+    """An InputError that says what is wrong, what was got, what is allowed, and how to mend it."""
     return InputError(f"{what}: got {got}; allowed: {allowed}." + (f" {fix}" if fix else ""))
 
 

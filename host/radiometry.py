@@ -1,5 +1,4 @@
-"""Radiometry: what light is measured in, and the closed forms of how much of it goes from one patch to
-another.
+"""Radiometry: the quantities of light, and closed forms of its transfer between patches.
 
 Equations without a number are those of the notes on radiometry. Lengths may be in any one unit; radiance L is
 in W m^-2 sr^-1, or cd m^-2 where light is weighted by the eye.
@@ -7,21 +6,29 @@ in W m^-2 sr^-1, or cd m^-2 where light is weighted by the eye.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import Any
+
 import numpy as np
+from numpy.typing import ArrayLike
 
 from .errors import bad
+
+Quantity = Any  # a number or an array; arguments of one function broadcast
+Radiance = Callable[[np.ndarray], np.ndarray]  # of unit vectors (n, 3)
 
 EFFICACY = 683.0  # lm/W of monochromatic light of 540 THz, by the definition of the candela (SI)
 
 
-def foreshortening(normal, direction):
-    """cos(theta) between unit vectors ``normal`` and ``direction`` (..., 3), 0 from behind: the share of its
-    area that a patch shows.
+def foreshortening(normal: ArrayLike, direction: ArrayLike) -> Quantity:
+    """cos(theta) between unit vectors ``normal`` and ``direction`` (..., 3), 0 from behind.
+
+    It is the share of its area that a patch shows.
     """
     return np.maximum(0.0, (np.asarray(normal, float) * direction).sum(-1))
 
 
-def planar_angle(length, cosine, distance):
+def planar_angle(length: Quantity, cosine: Quantity, distance: Quantity) -> Quantity:
     """Angle [rad] that a short segment of a curve takes up in the plane: dphi = dl cos(theta) / r.
 
     ``cosine``: of the angle between the segment's normal and the line of sight. Arguments broadcast.
@@ -29,26 +36,26 @@ def planar_angle(length, cosine, distance):
     return np.asarray(length) * cosine / np.asarray(distance, float)
 
 
-def curve_angle(points):
-    """Angle [rad] that an open curve through ``points`` (..., n, 2) sweeps as seen from the origin, its
-    segments straight.
+def curve_angle(points: ArrayLike) -> Quantity:
+    """Angle [rad] that an open curve of straight segments sweeps as seen from the origin.
 
-    Signed by the sense of rotation; a closed curve round the origin gives 2 pi if its first point is
-    repeated.
+    ``points`` (..., n, 2). Signed by the sense of rotation; a closed curve round the origin gives 2 pi if its
+    first point is repeated.
     """
     a = np.asarray(points, float)
     a, b = a[..., :-1, :], a[..., 1:, :]
     return np.arctan2(a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0], (a * b).sum(-1)).sum(-1)
 
 
-def patch_solid_angle(area, cosine, distance):
-    """Solid angle [sr] of a small patch, domega = dA cos(theta) / r^2; ``cosine`` of its normal to the line
-    of sight.
+def patch_solid_angle(area: Quantity, cosine: Quantity, distance: Quantity) -> Quantity:
+    """Solid angle [sr] of a small patch, domega = dA cos(theta) / r^2.
+
+    ``cosine``: of the angle between its normal and the line of sight.
     """
     return np.asarray(area) * cosine / np.square(np.asarray(distance, float))
 
 
-def polygon_solid_angle(corners):
+def polygon_solid_angle(corners: ArrayLike) -> Quantity:
     """Solid angle [sr] of convex flat polygons (..., n, 3) seen from the origin, not from within their plane.
 
     The polygon is cut into triangles from its first corner; each by tan(omega / 2) = a.(b x c) / (abc + ...)
@@ -62,7 +69,14 @@ def polygon_solid_angle(corners):
     return np.abs(2 * half.sum(-1))
 
 
-def transfer(radiance, cosine_1, area_1, cosine_2, area_2, distance):
+def transfer(
+    radiance: Quantity,
+    cosine_1: Quantity,
+    area_1: Quantity,
+    cosine_2: Quantity,
+    area_2: Quantity,
+    distance: Quantity,
+) -> Quantity:
     """Power [W] from patch 1 to patch 2: d3E = L cos(theta_1) cos(theta_2) dA_1 dA_2 / r^2 per unit of time.
 
     ``radiance``: of patch 1 towards patch 2. Radiance is constant along a ray, so patch 2 sees the same L,
@@ -72,21 +86,27 @@ def transfer(radiance, cosine_1, area_1, cosine_2, area_2, distance):
     return np.asarray(radiance) * cosine_1 * area_1 * patch_solid_angle(area_2, cosine_2, distance)
 
 
-def radiance_of_transfer(power, cosine_1, area_1, cosine_2, area_2, distance):
-    """The radiance [W m^-2 sr^-1] of a ray that carries ``power`` between two small patches; the inverse of
-    :func:`transfer`.
+def radiance_of_transfer(
+    power: Quantity,
+    cosine_1: Quantity,
+    area_1: Quantity,
+    cosine_2: Quantity,
+    area_2: Quantity,
+    distance: Quantity,
+) -> Quantity:
+    """The radiance [W m^-2 sr^-1] of a ray that carries ``power`` between two small patches.
 
-    Seen from either end it is the same: radiance is invariant along a ray through empty space.
+    The inverse of :func:`transfer`. Seen from either end it is the same: radiance is invariant along a ray
+    through empty space.
     """
     return np.asarray(power) / (np.asarray(cosine_1) * area_1 * patch_solid_angle(area_2, cosine_2, distance))
 
 
-def hemisphere(azimuths: int = 64, elevations: int = 32):
-    """Unit vectors (n, 3) about the normal (0, 0, 1), and weights [sr] (n,) of cos(theta) domega, which sum
-    to pi.
+def hemisphere(azimuths: int = 64, elevations: int = 32) -> tuple[np.ndarray, np.ndarray]:
+    """Unit vectors (n, 3) about the normal (0, 0, 1), and weights [sr] (n,) of cos(theta) domega.
 
-    Even azimuths and Gauss-Legendre nodes in sin^2(theta): exact for polynomials in it of degree 2
-    ``elevations`` - 1.
+    The weights sum to pi. Even azimuths and Gauss-Legendre nodes in sin^2(theta): exact for polynomials in it
+    of degree 2 ``elevations`` - 1.
     """
     node, weight = np.polynomial.legendre.leggauss(elevations)
     sine = np.sqrt((1 + node) / 2)
@@ -96,7 +116,7 @@ def hemisphere(azimuths: int = 64, elevations: int = 32):
     return np.concatenate([flat, up], -1).reshape(-1, 3), np.repeat(weight * np.pi / (2 * azimuths), azimuths)
 
 
-def irradiance(radiance, azimuths: int = 64, elevations: int = 32):
+def irradiance(radiance: Radiance, azimuths: int = 64, elevations: int = 32) -> Quantity:
     """Irradiance E [W m^-2]: the integral of L cos(theta) over the hemisphere about (0, 0, 1).
 
     ``radiance``: a function of unit vectors (n, 3) to (n,) or (n, channels). For radiance that leaves, this
@@ -106,24 +126,27 @@ def irradiance(radiance, azimuths: int = 64, elevations: int = 32):
     return np.tensordot(weights, radiance(directions), 1)
 
 
-def radiosity(radiance):
-    """Radiosity B [W m^-2], the power that leaves a surface per area: pi x radiance if that does not depend
-    on direction.
+def radiosity(radiance: Quantity | Radiance) -> Quantity:
+    """Radiosity B [W m^-2], the power that leaves a surface per area.
 
-    ``radiance``: number or array; or a function of unit vectors, which is integrated over the exit
-    hemisphere.
+    ``radiance``: number or array, the same in all directions: B = pi x radiance. Or a function of unit
+    vectors, which is integrated over the exit hemisphere.
     """
     return irradiance(radiance) if callable(radiance) else np.pi * np.asarray(radiance)
 
 
-def radiance_of_radiosity(radiosity):
+def radiance_of_radiosity(radiosity: Quantity) -> Quantity:
     """Radiance [W m^-2 sr^-1] of a surface that looks the same from everywhere: B / pi."""
     return np.asarray(radiosity) * np.float64(1 / np.pi)
 
 
-def directional_hemispheric(brdf, incoming, azimuths: int = 128, elevations: int = 64):
-    """Directional-hemispheric reflectance: the share of light from ``incoming`` that is reflected, whatever
-    the direction.
+def directional_hemispheric(
+    brdf: Callable[[np.ndarray, np.ndarray], np.ndarray],
+    incoming: ArrayLike,
+    azimuths: int = 128,
+    elevations: int = 64,
+) -> np.ndarray:
+    """Directional-hemispheric reflectance: the share of light from ``incoming`` that is reflected.
 
     rho_dh = integral of f(incoming, outgoing) cos(theta_o) domega_o over the exit hemisphere. ``brdf``:
     function [sr^-1] of two arrays of unit vectors (..., 3) about (0, 0, 1) that broadcast, (...) out.
@@ -138,45 +161,45 @@ def directional_hemispheric(brdf, incoming, azimuths: int = 128, elevations: int
 
 
 # -- photometric units
-# -------------------------------------------------------------------------------------------------------
 
 
-def lumens(watts, efficiency=1.0):
-    """Luminous flux [lm] of a radiant flux [W]: 683 lm/W x ``efficiency``, the mean of the eye's V(lambda)
-    over the spectrum.
+def lumens(watts: Quantity, efficiency: Quantity = 1.0) -> Quantity:
+    """Luminous flux [lm] of a radiant flux [W]: 683 lm/W x ``efficiency``.
 
-    By area the same turns W m^-2 into lux, by area and solid angle W m^-2 sr^-1 into cd m^-2. efficiency: 1
-    at 555 nm.
+    ``efficiency``: the mean of the eye's V(lambda) over the spectrum, 1 at 555 nm. By area the same turns
+    W m^-2 into lux, by area and solid angle W m^-2 sr^-1 into cd m^-2.
     """
     return EFFICACY * np.asarray(watts) * _efficiency(efficiency)
 
 
-def watts(lumens, efficiency=1.0):
-    """Radiant flux [W] of a luminous flux [lm]; also lux to W m^-2 and cd m^-2 to W m^-2 sr^-1. See
-    :func:`lumens`.
+def watts(lumens: Quantity, efficiency: Quantity = 1.0) -> Quantity:
+    """Radiant flux [W] of a luminous flux [lm]; also lux to W m^-2, cd m^-2 to W m^-2 sr^-1.
+
+    See :func:`lumens`.
     """
     return np.asarray(lumens) / (EFFICACY * _efficiency(efficiency))
 
 
-def intensity(radiance, area, cosine=1.0):
-    """Intensity I [W sr^-1, cd] of a small flat source: radiance x foreshortened area. A sphere shows pi R^2
-    to every side.
+def intensity(radiance: Quantity, area: Quantity, cosine: Quantity = 1.0) -> Quantity:
+    """Intensity I [W sr^-1, cd] of a small flat source: radiance x foreshortened area.
+
+    A sphere shows pi R^2 to every side.
     """
     return np.asarray(radiance) * area * cosine
 
 
-def point_irradiance(intensity, cosine, distance):
+def point_irradiance(intensity: Quantity, cosine: Quantity, distance: Quantity) -> Quantity:
     """Irradiance E [W m^-2, lx] of a point source: I cos(theta) / r^2, r from its centre."""
     return np.asarray(intensity) * patch_solid_angle(1.0, cosine, distance)
 
 
-def point_error(size, distance, shape: str = "disc"):
-    """Relative error of :func:`point_irradiance` for a source of radius ``size``, seen face on, wholly above
-    the horizon.
+def point_error(size: Quantity, distance: Quantity, shape: str = "disc") -> Quantity:
+    """Relative error of :func:`point_irradiance` for a source of radius ``size``, seen face on.
 
-    shape "disc": (R / r)^2, since a Lambertian disc gives pi L R^2 / (r^2 + R^2). "sphere": 0, since pi L (R
-    / r)^2 is exact at any distance; what a sphere needs a size for is its penumbra, sin(half angle) = R / r.
-    The rule of thumb "five times its diameter" leaves a disc 1 %.
+    The source is wholly above the horizon. shape "disc": (R / r)^2, since a Lambertian disc gives
+    pi L R^2 / (r^2 + R^2). "sphere": 0, since pi L (R / r)^2 is exact at any distance; a sphere needs a size
+    for its penumbra only, sin(half angle) = R / r. The rule of thumb "five times its diameter" leaves a disc
+    1 %.
     """
     if shape not in ("disc", "sphere"):
         raise bad("point_error: shape", repr(shape), "disc | sphere")
@@ -186,14 +209,12 @@ def point_error(size, distance, shape: str = "disc"):
     return ratio**2 if shape == "disc" else np.zeros_like(ratio)
 
 
-def point_distance(size, tolerance):
-    """How far away a disc of radius ``size`` may be taken for a point within a relative error of
-    ``tolerance``: size / sqrt(tolerance).
-    """
+def point_distance(size: Quantity, tolerance: Quantity) -> Quantity:
+    """Least distance at which a disc is a point within a relative ``tolerance``: size / sqrt(tolerance)."""
     return np.asarray(size) / np.sqrt(np.asarray(tolerance, float))
 
 
-def _efficiency(value):
+def _efficiency(value: Quantity) -> Quantity:
     value = np.asarray(value, float)
     if not ((value > 0) & (value <= 1)).all():
         raise bad("luminous efficiency", value, "0 to 1, 1 for monochromatic light of 555 nm")
@@ -201,24 +222,24 @@ def _efficiency(value):
 
 
 # -- closed forms over finite sources
-# ----------------------------------------------------------------------------------------
 
 
-def rectangle_solid_angle(u0, u1, v0, v1, distance):
+def rectangle_solid_angle(
+    u0: Quantity, u1: Quantity, v0: Quantity, v1: Quantity, distance: Quantity
+) -> Quantity:
     """Solid angle [sr] of the rectangle u0 <= u <= u1, v0 <= v <= v1 in a plane at ``distance`` from the eye.
 
     The foot of the perpendicular is (u, v) = (0, 0). Arguments broadcast; lengths in one unit.
     """
 
-    def corner(u, v):
+    def corner(u: Quantity, v: Quantity) -> Quantity:
         return np.arctan2(u * v, distance * np.sqrt(u * u + v * v + distance * distance))
 
     return corner(u1, v1) - corner(u0, v1) - corner(u1, v0) + corner(u0, v0)
 
 
-def polygon_moment(corners):
-    """Integral of L dOmega [sr] over flat polygons seen from the origin, L the unit vector towards the
-    polygon.
+def polygon_moment(corners: ArrayLike) -> Quantity:
+    """Integral of L dOmega [sr] over flat polygons seen from the origin, L towards the polygon.
 
     ``corners``: (..., n, 3), in either sense of rotation; returns (..., 3). Lambert's formula: half the sum
     over the edges of the edge's angle times the unit normal of the plane through edge and eye. For a surface
@@ -236,9 +257,8 @@ def polygon_moment(corners):
     return np.where(towards < 0, -moment, moment)
 
 
-def disc_moment(axis, sine, above=None):
-    """Integral of L dOmega [sr] over a disc of directions, such as a sphere covers: the cone about the unit
-    vector ``axis``.
+def disc_moment(axis: ArrayLike, sine: ArrayLike, above: ArrayLike | None = None) -> Quantity:
+    """Integral of L dOmega [sr] over a disc of directions: the cone about the unit vector ``axis``.
 
     ``sine`` of the cone's half angle, below 1: radius / distance of a sphere's centre. ``above``: unit normal
     of a plane through the eye; only the part on its side counts (a half-set sphere, the penumbra of a
@@ -254,8 +274,7 @@ def disc_moment(axis, sine, above=None):
     towards = above - height * axis  # across the axis, to the side that counts
     width = np.linalg.norm(towards, axis=-1, keepdims=True)
     towards = towards / np.where(width > 0, width, 1)
-    arc = np.arccos(
-        np.clip(-height * cosine / np.maximum(width * sine, 1e-300), -1, 1)
-    )  # half of what is left of the circle
+    # half of what is left of the circle
+    arc = np.arccos(np.clip(-height * cosine / np.maximum(width * sine, 1e-300), -1, 1))
     chord = 2 * np.arcsin(np.clip(sine * np.sin(arc), -1, 1))  # the plane's arc between its two ends
     return arc * sine**2 * axis - cosine * sine * np.sin(arc) * towards + chord / 2 * above

@@ -1,7 +1,7 @@
 """The protocol of a backend, and the sequences of kernels that are the same on all of them.
 
 A backend knows arrays and kernels, not scenes. A kernel has the same stem, name and arguments in
-warp_kernels/, in opencl/ and in numpy.py; what is here launches them by name.
+warp_kernels/, in opencl/ and in numpy/; what is here launches them by name.
 """
 
 from __future__ import annotations
@@ -15,18 +15,23 @@ import threading
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import DTypeLike
 
 from ..constants import ROOM
 from ..errors import CapacityError
 
 CPU_ALONE, CPU_EACH, GPU_AHEAD = 8192, 64, 8  # Backend.alone, each and ahead of compiled backends
 
+Array = Any  # of a device: NumPy's, Warp's or pyopencl's
+
 
 def scratch(shape: tuple[int, ...]) -> np.ndarray:
-    """Zeros, float32, that go back to the system when they are dropped: malloc would keep some 30 MB of what
-    is freed.
+    """Zeros, float32, whose memory the system gets back when they are dropped.
+
+    malloc would keep some 30 MB of what is freed.
     """
     count = math.prod(shape)
     if hasattr(mmap, "MADV_HUGEPAGE"):  # to touch every small page first would take longer than to fill them
@@ -55,25 +60,17 @@ def rounded_up(pixels: int) -> int:
     return -(-pixels // ROOM) * ROOM
 
 
-ALONE = {
-    "upload",
-    "put",
-    "empty",
-    "fill",
-    "download",
-    "launch",
-    "record",
-    "finish",
-}  # methods of a backend that take its lock
+# methods of a backend that take its lock
+LOCKED = {"upload", "put", "empty", "fill", "download", "launch", "record", "finish"}
 
 
-def _alone(method: Callable) -> Callable:
+def _locked(method: Callable[..., Any]) -> Callable[..., Any]:
     @functools.wraps(method)
-    def alone(self, *args, **more):
+    def locked(self: Backend, *args: Any, **more: Any) -> Any:
         with self.lock:
             return method(self, *args, **more)
 
-    return alone
+    return locked
 
 
 @dataclass(frozen=True)
@@ -93,12 +90,11 @@ class Backend(ABC):
     ``lock``: every public call holds it from its first array to its last download, so calls from threads come
     one after another: the arguments of kernels, queues, what is recorded and the seconds of compiling belong
     to one call at a time. What uses the device outside of such calls, as a scene does whose map lies there,
-    waits for them in each of the methods of ALONE.
+    waits for them in each of the methods of LOCKED.
     """
 
     name: str
     device: str
-    memory: int  # bytes that may be taken at once
     lanes = 1  # adjacent lines per work-item
     strips = 1  # strips of such lines that a sweep takes side by side
     # nodes up to which one work-item takes all steps of conjugate gradients, since starting kernels would
@@ -113,35 +109,41 @@ class Backend(ABC):
     pixel_lanes = 1  # adjacent pixels per work-item where there are no lines; divides ROOM
     compile_seconds = 0.0
 
-    def __init__(self):
+    def __init__(self) -> None:
         self.lock = threading.RLock()  # a call makes others
 
-    def __init_subclass__(cls):
-        for name in ALONE & vars(cls).keys():
-            setattr(cls, name, _alone(vars(cls)[name]))
+    def __init_subclass__(cls) -> None:
+        super().__init_subclass__()
+        for name in LOCKED & vars(cls).keys():
+            setattr(cls, name, _locked(vars(cls)[name]))
+
+    @property
+    @abstractmethod
+    def memory(self) -> int:
+        """Bytes that may be taken at once."""
 
     @abstractmethod
-    def upload(self, array: np.ndarray):
+    def upload(self, array: np.ndarray) -> Array:
         """A copy of ``array`` on the device."""
 
     @abstractmethod
-    def put(self, array, values: np.ndarray) -> None:
+    def put(self, array: Array, values: np.ndarray) -> None:
         """Sets all of a device array."""
 
     @abstractmethod
-    def empty(self, shape: tuple[int, ...], dtype, fill: int | float | None = None):
+    def empty(self, shape: tuple[int, ...], dtype: DTypeLike, fill: float | None = None) -> Array:
         """A new device array; every element ``fill`` if given."""
 
     @abstractmethod
-    def fill(self, array, value) -> None:
+    def fill(self, array: Array, value: float) -> None:
         """Set every element of a device array."""
 
     @abstractmethod
-    def download(self, array) -> np.ndarray:
+    def download(self, array: Array) -> np.ndarray:
         """A copy of a device array in NumPy, after all launches before it are done."""
 
     @abstractmethod
-    def view(self, array, shape: tuple[int, ...]):
+    def view(self, array: Array, shape: tuple[int, ...]) -> Array:
         """The first elements of a device array, seen in another shape; no copy."""
 
     @abstractmethod
@@ -150,7 +152,7 @@ class Backend(ABC):
         stem: str,
         kernel: str,
         dim: tuple[int, ...],
-        *args,
+        *args: Any,
         lanes: int | None = None,
         group: int | None = None,
         **constants: int,
@@ -169,17 +171,17 @@ class Backend(ABC):
         have run before.
         """
 
-        def again():
+        def again() -> None:
             for _ in range(times):
                 work()
 
         return again
 
-    def beside(self):
+    def beside(self) -> contextlib.AbstractContextManager[None]:
         """A context in which launches may run beside those that come after it, until ``join``."""
         return contextlib.nullcontext()
 
-    def join(self) -> None:
+    def join(self) -> None:  # noqa: B027  nothing to do where launches never overlap
         """Launches from here on come after those that were made ``beside``."""
 
     @abstractmethod

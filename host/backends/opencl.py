@@ -4,15 +4,22 @@ from __future__ import annotations
 
 import contextlib
 import functools
+import math
 import mmap
+import re
 import time
 import weakref
+from collections.abc import Callable, Iterator
+from typing import Any
 
 import numpy as np
+from numpy.typing import DTypeLike
+
+import skylamp.opencl
 
 from ..constants import GPU_LINES, GPU_PIXELS
 from ..errors import BackendError
-from .base import CPU_ALONE, CPU_EACH, GPU_AHEAD, Backend, BackendInfo
+from .base import CPU_ALONE, CPU_EACH, GPU_AHEAD, Array, Backend, BackendInfo
 
 OPTIONS = ("-cl-std=CL1.2",)
 HUGE = 2**21  # bytes of a huge page
@@ -20,10 +27,11 @@ CPU_LANES = 8
 CPU_STRIPS = 8  # strips of lines that a sweep takes side by side
 CPU_TEAMS = 16  # most sets of sums that are scattered into side by side
 GPU_GROUP = 1024  # work-items of a group of scan
-FETCHED = 6  # depths that a scan on a GPU fetches before it uses them; a CPU sees ahead by itself
+USUAL_GROUP = 256  # most work-items of a group of other kernels
+FETCHED = 6  # depths that a scan on a GPU fetches before it uses them; a CPU does so by itself
 
 
-def probe():
+def probe() -> list[BackendInfo]:
     """A BackendInfo for every OpenCL device, or one that says why there is none."""
     try:
         import pyopencl as cl
@@ -32,35 +40,19 @@ def probe():
     except ImportError as error:
         return [BackendInfo("opencl", "", False, f"pyopencl cannot be imported ({error})")]
     except cl.Error as error:
-        return [
-            BackendInfo(
-                "opencl",
-                "",
-                False,
-                f"no OpenCL platform ({error}); pocl-binary-distribution brings one for the CPU",
-            )
-        ]
+        why = f"no OpenCL platform ({error}); pocl-binary-distribution brings one for the CPU"
+        return [BackendInfo("opencl", "", False, why)]
     found = []
     for p, platform in enumerate(platforms):
         for d, device in enumerate(platform.get_devices()):
-            name = f"opencl:{p}:{d}"
             described = (
                 f"{device.name.strip()} ({platform.version.strip()}, {device.max_compute_units} compute"
                 " units)"
             )
+            exact = bool(device.double_fp_config)
+            why = "" if exact else "the device has no double precision, which windows and lamps need"
             gpu = bool(device.type & cl.device_type.GPU)
-            if device.double_fp_config:
-                found.append(BackendInfo(name, described, True, gpu=gpu))
-            else:
-                found.append(
-                    BackendInfo(
-                        name,
-                        described,
-                        False,
-                        "the device has no double precision, which windows and lamps need",
-                        gpu,
-                    )
-                )
+            found.append(BackendInfo(f"opencl:{p}:{d}", described, exact, why, gpu))
     return sorted(found, key=lambda info: not info.gpu) or [
         BackendInfo("opencl", "", False, "the OpenCL platforms have no device")
     ]
@@ -69,7 +61,7 @@ def probe():
 class OpenclBackend(Backend):
     """One OpenCL device with one queue. Device arrays are pyopencl arrays."""
 
-    def __init__(self, platform: int, device: int):
+    def __init__(self, platform: int, device: int) -> None:
         import pyopencl as cl
         import pyopencl.array
 
@@ -79,15 +71,11 @@ class OpenclBackend(Backend):
         self._device = cl.get_platforms()[platform].get_devices()[device]
         self.device = self._device.name.strip()
         self.context = cl.Context([self._device])
-        self.queue, self._side, self._pending = (
-            cl.CommandQueue(self.context),
-            cl.CommandQueue(self.context),
-            None,
-        )
+        self.queue, self._side = cl.CommandQueue(self.context), cl.CommandQueue(self.context)
+        self._pending: Any = None  # the last launch on the side queue, until join
         exact = self._device.single_fp_config & cl.device_fp_config.CORRECTLY_ROUNDED_DIVIDE_SQRT
-        self._exact = (
-            ("-cl-fp32-correctly-rounded-divide-sqrt",) if exact else ()
-        )  # where a GPU would else take 2.5 ulp
+        # where a GPU would else take 2.5 ulp
+        self._exact = ("-cl-fp32-correctly-rounded-divide-sqrt",) if exact else ()
         self.on_cpu = bool(self._device.type & cl.device_type.CPU)
         self.lanes = CPU_LANES if self.on_cpu else 1
         self.teams = min(CPU_TEAMS, 2 * self._device.max_compute_units) if self.on_cpu else 1
@@ -95,61 +83,46 @@ class OpenclBackend(Backend):
         self.strips = CPU_STRIPS if self.on_cpu else 1
         self.lines = 1 if self.on_cpu else GPU_LINES
         self.pixel_lanes = CPU_LANES if self.on_cpu else GPU_PIXELS
-        self.memory = int(self._device.max_mem_alloc_size)
-        self._kernels, self._recorded = {}, None
+        self._programs: dict[tuple[Any, ...], Any] = {}
+        self._kernels: dict[tuple[Any, ...], Any] = {}
+        self._recorded: list[tuple[Any, ...]] | None = None
 
-    def upload(self, array):
-        device = self._array(array.shape, array.dtype)
+    @property
+    def memory(self) -> int:
+        return int(self._device.max_mem_alloc_size)
+
+    def upload(self, array: np.ndarray) -> Array:
+        device = self.empty(array.shape, array.dtype)
         device.set(np.ascontiguousarray(array))
         return device
 
-    def put(self, array, values):
+    def put(self, array: Array, values: np.ndarray) -> None:
         array.set(np.ascontiguousarray(values))
 
-    def empty(self, shape, dtype, fill=None):
-        array = self._array(shape, dtype)
-        if fill is not None:
-            array.fill(np.dtype(dtype).type(fill))
-        return array
-
-    def _array(self, shape, dtype):
-        data = self._on_huge_pages(shape, dtype)
+    def empty(self, shape: tuple[int, ...], dtype: DTypeLike, fill: float | None = None) -> Array:
+        size = math.prod(shape) * np.dtype(dtype).itemsize
+        large = self.on_cpu and size >= 2 * HUGE and hasattr(mmap, "MADV_HUGEPAGE")
+        data = _on_huge_pages(self.context, size) if large else None
         array = self.cl.array.Array(self.queue, shape, dtype, data=data)
-        if (
-            data is not None
-        ):  # its memory is ours, not the device's: kernels that were started must be done with it first
+        if large:  # the memory is the host's: kernels that were started must be done with it first
             weakref.finalize(array, self.queue.finish).atexit = False
+        if fill is not None:
+            scalar: Any = np.dtype(dtype).type
+            array.fill(scalar(fill))
         return array
 
-    def _on_huge_pages(self, shape, dtype):
-        """A buffer in main memory for a large array on a CPU, or None: kernels that step from row to row
-        touch a page a row.
-        """
-        size = int(np.prod(shape)) * np.dtype(dtype).itemsize
-        if not self.on_cpu or size < 2 * HUGE or not hasattr(mmap, "MADV_HUGEPAGE"):
-            return None
-        room = mmap.mmap(-1, size + HUGE, flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)
-        memory = np.frombuffer(room, np.uint8)
-        start = -memory.ctypes.data % HUGE
-        room.madvise(
-            mmap.MADV_HUGEPAGE, start, size // HUGE * HUGE
-        )  # not the rest, which would take a whole one
-        flags = self.cl.mem_flags
-        return self.cl.Buffer(
-            self.context, flags.READ_WRITE | flags.USE_HOST_PTR, hostbuf=memory[start : start + size]
-        )
-
-    def fill(self, array, value):
+    def fill(self, array: Array, value: float) -> None:
         array.fill(array.dtype.type(value))
 
-    def download(self, array):
-        return array.get()
+    def download(self, array: Array) -> np.ndarray:
+        found: np.ndarray = array.get()
+        return found
 
-    def view(self, array, shape):
+    def view(self, array: Array, shape: tuple[int, ...]) -> Array:
         return array  # a kernel is given a pointer
 
     @contextlib.contextmanager
-    def beside(self):
+    def beside(self) -> Iterator[None]:
         if self.on_cpu:
             yield
             return
@@ -163,15 +136,24 @@ class OpenclBackend(Backend):
             self.queue.flush()
             self.queue = main
 
-    def join(self):
+    def join(self) -> None:
         if self._pending is not None:
             self.cl.enqueue_barrier(self.queue, wait_for=[self._pending])
             self._pending = None
 
-    def finish(self):
+    def finish(self) -> None:
         self.queue.finish()
 
-    def launch(self, stem, kernel, dim, *args, lanes=None, group=None, **constants):
+    def launch(
+        self,
+        stem: str,
+        kernel: str,
+        dim: tuple[int, ...],
+        *args: Any,
+        lanes: int | None = None,
+        group: int | None = None,
+        **constants: int,
+    ) -> None:
         function, kinds, usual = self._kernel(
             stem, kernel, lanes or self.lanes, tuple(sorted(constants.items()))
         )
@@ -180,7 +162,7 @@ class OpenclBackend(Backend):
             for arg, kind in zip(args, kinds, strict=True)
         ]
         local = (group or usual,) + (1,) * (len(dim) - 1)
-        size = tuple(-(-n // l) * l for n, l in zip(dim, local))
+        size = tuple(-(-whole // part) * part for whole, part in zip(dim, local))
         if self._recorded is not None:
             function = self.cl.Kernel(function.program, kernel)
             function.set_args(*values)
@@ -188,38 +170,36 @@ class OpenclBackend(Backend):
         else:
             function(self.queue, size, local, *values)
 
-    def record(self, work, times):
-        self._recorded = recorded = []
+    def record(self, work: Callable[[], None], times: int) -> Callable[[], None]:
+        recorded: list[tuple[Any, ...]] = []
+        self._recorded = recorded
         try:
             work()
         finally:
             self._recorded = None
 
-        def again():
+        def again() -> None:
             for _ in range(times):
                 for function, size, local in recorded:
                     self.cl.enqueue_nd_range_kernel(self.queue, function, size, local)
 
         return again
 
-    def _kernel(self, stem, kernel, lanes, constants):
+    def _kernel(self, stem: str, kernel: str, lanes: int, constants: tuple[tuple[str, int], ...]) -> Any:
+        """(kernel, types of its scalar arguments, work-items of a group), compiled once."""
         key = stem, kernel, lanes, constants
         if key not in self._kernels:
-            function = self.cl.Kernel(self._program(stem, lanes, constants), kernel)
+            if (stem, lanes, constants) not in self._programs:
+                self._programs[stem, lanes, constants] = self._program(stem, lanes, constants)
+            function = self.cl.Kernel(self._programs[stem, lanes, constants], kernel)
             info = self.cl.kernel_work_group_info
             demanded = function.get_work_group_info(info.COMPILE_WORK_GROUP_SIZE, self._device)[0]
-            most = min(256, function.get_work_group_info(info.WORK_GROUP_SIZE, self._device))
-            self._kernels[key] = (
-                function,
-                _scalar_kinds(stem, kernel),
-                demanded or (1 if self.on_cpu else most),
-            )
+            most = min(USUAL_GROUP, function.get_work_group_info(info.WORK_GROUP_SIZE, self._device))
+            usual = demanded or (1 if self.on_cpu else most)
+            self._kernels[key] = function, _scalar_kinds(stem, kernel), usual
         return self._kernels[key]
 
-    @functools.cache
-    def _program(self, stem, lanes, constants):
-        from skylamp.opencl import defines, source
-
+    def _program(self, stem: str, lanes: int, constants: tuple[tuple[str, int], ...]) -> Any:
         start = time.perf_counter()
         group = 1 if self.on_cpu else min(GPU_GROUP, self._device.max_work_group_size)
         known = {
@@ -232,26 +212,36 @@ class OpenclBackend(Backend):
             "ON_CPU": int(self.on_cpu),
             **dict(constants),
         }
-        shared, own = defines(stem), [f"-D{name}={value}" for name, value in known.items()]
+        defines = [*skylamp.opencl.defines(stem), *(f"-D{name}={value}" for name, value in known.items())]
         try:
-            program = self.cl.Program(self.context, source(stem)).build(
-                [*OPTIONS, *self._exact, *shared, *own]
-            )
+            program = self.cl.Program(self.context, skylamp.opencl.source(stem))
+            program.build([*OPTIONS, *self._exact, *defines])
         except self.cl.Error as error:
             raise BackendError(f"{self.name}: {stem}.cl does not build on {self.device}: {error}") from error
         self.compile_seconds += time.perf_counter() - start
         return program
 
 
+def _on_huge_pages(context: Any, size: int) -> Any:
+    """A buffer in main memory for a large array: kernels that step from row to row touch a page a row."""
+    import pyopencl as cl
+
+    room = mmap.mmap(-1, size + HUGE, flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)
+    memory = np.frombuffer(room, np.uint8)
+    start = -memory.ctypes.data % HUGE
+    # not the rest, which would take a whole page
+    room.madvise(mmap.MADV_HUGEPAGE, start, size // HUGE * HUGE)
+    flags = cl.mem_flags.READ_WRITE | cl.mem_flags.USE_HOST_PTR
+    return cl.Buffer(context, flags, hostbuf=memory[start : start + size])
+
+
 @functools.cache
-def _scalar_kinds(stem, kernel):
+def _scalar_kinds(stem: str, kernel: str) -> list[Callable[[Any], Any] | None]:
     """The NumPy type of every scalar argument (None for buffers), read off the kernel's own signature."""
-    import re
-
-    from skylamp.opencl import source
-
-    signature = re.search(rf"__kernel void {kernel}\((.*?)\)", source(stem), re.S).group(1)
-    kinds = {
+    found = re.search(rf"__kernel void {kernel}\((.*?)\)", skylamp.opencl.source(stem), re.S)
+    if found is None:
+        raise BackendError(f"{stem}.cl has no kernel {kernel}")
+    kinds: dict[str, Callable[[Any], Any]] = {
         "int": np.int32,
         "float": np.float32,
         "double": np.float64,
@@ -259,5 +249,5 @@ def _scalar_kinds(stem, kernel):
     }
     return [
         None if "*" in argument else kinds[argument.replace("const", "").split()[0]]
-        for argument in signature.split(",")
+        for argument in found.group(1).split(",")
     ]

@@ -1,6 +1,4 @@
-"""Depth maps that lie on a backend's device already: they are checked, padded and probed there, and never
-come to the host.
-"""
+"""Depth maps that lie on a backend's device already: checked, padded and probed there."""
 
 from __future__ import annotations
 
@@ -8,17 +6,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .base import Backend
+from .base import Array, Backend
 from .registry import select
 
 
 class Resident(NamedTuple):
-    """A depth map on a device: the backend whose device that is, depth (rows x cols) float32 there, and what
-    it spans.
-    """
+    """A depth map on a device: the device's backend, depth (rows x cols) float32 there, and its range."""
 
     backend: Backend
-    depth: object
+    depth: Array
     shape: tuple[int, int]
     least: float
     most: float
@@ -28,7 +24,7 @@ class Resident(NamedTuple):
         """The map (rows, cols) on the host."""
         return self.backend.download(self.depth).reshape(self.shape)
 
-    def padded(self, margin: int, step: float, sides: str, outside: float):
+    def padded(self, margin: int, step: float, sides: str, outside: float) -> Array:
         """Heights [spacing] with a margin, as sweeps take them, on the device."""
         rows, cols = self.shape
         size = cols + 2 * margin, rows + 2 * margin
@@ -48,9 +44,10 @@ class Resident(NamedTuple):
         )
         return heights
 
-    def probe(self, heights, margin: int, every: int, first: int) -> np.ndarray:
-        """Steepest slopes (8, samples) to ground at least ``first`` rows away, from every ``every``-th node;
-        -inf where none lies.
+    def probe(self, heights: Array, margin: int, every: int, first: int) -> np.ndarray:
+        """Steepest slopes (8, samples) from every ``every``-th node to ground at least ``first`` rows away.
+
+        -inf where no ground lies.
         """
         rows, cols = self.shape
         across = -(-cols // every)
@@ -62,9 +59,10 @@ class Resident(NamedTuple):
         return self.backend.download(best)
 
 
-def adopt(backend: Backend, values, shape: tuple[int, int], height: bool = False) -> Resident:
-    """A copy, on the same device, of device array ``values`` (rows x cols) float32 [length]: depth, or
-    heights turned into depth.
+def adopt(backend: Backend, values: Array, shape: tuple[int, int], height: bool = False) -> Resident:
+    """A copy, on the same device, of device array ``values`` (rows x cols) float32 [length].
+
+    The values are depth, or heights, which are turned into depth.
     """
     rows, cols = shape
     least, most, broken = _survey(backend, values, rows, cols)
@@ -85,16 +83,17 @@ def adopt(backend: Backend, values, shape: tuple[int, int], height: bool = False
     return Resident(backend, depth, (rows, cols), least, most, broken)
 
 
-def find(values, height: bool = False) -> Resident | None:
-    """A Warp array as a Resident of its device's backend if it is a float32 map (rows, cols); None of one
-    that a host must straighten first.
+def find(values: Array, height: bool = False) -> Resident | None:
+    """A Warp array as a Resident of its device's backend if it is a contiguous float32 map (rows, cols).
+
+    None of any other array, which the host must convert first.
     """
     if values.dtype.__name__ != "float32" or values.ndim != 2 or not values.size or not values.is_contiguous:
         return None
     return adopt(select(f"warp:{values.device.alias}"), values.flatten(), values.shape, height)
 
 
-def _survey(backend, values, rows, cols):
+def _survey(backend: Backend, values: Array, rows: int, cols: int) -> tuple[float, float, int]:
     found = backend.empty((3, cols), np.float32)
     backend.launch("resident", "survey", (cols,), values, found, rows, cols)
     low, high, broken = backend.download(found).reshape(3, cols)

@@ -6,34 +6,29 @@ import contextlib
 import importlib
 import threading
 import time
+from collections.abc import Callable, Iterator
+from typing import Any
 
 import numpy as np
+from numpy.typing import DTypeLike
 
 from skylamp.warp_kernels import GROUP
 
 from ..constants import GPU_LINES, GPU_PIXELS
-from .base import CPU_ALONE, CPU_EACH, GPU_AHEAD, Backend, BackendInfo, available_memory
+from .base import CPU_ALONE, CPU_EACH, GPU_AHEAD, Array, Backend, BackendInfo, available_memory
+
+USUAL_GROUP = 256  # threads of a block of other kernels than scan
 
 
-def probe():
+def probe() -> list[BackendInfo]:
     """A BackendInfo for Warp's CPU device and for every CUDA device."""
     try:
-        import warp as wp
-
-        level, wp.config.log_level = wp.config.log_level, wp.LOG_WARNING  # no banner for having looked
-        try:
+        wp: Any = importlib.import_module("warp")
+        with _quiet(wp):  # no banner for having looked
             wp.init()
-        finally:
-            wp.config.log_level = level
         here = wp.is_cpu_available()
-        found = [
-            BackendInfo(
-                "warp:cpu",
-                "Warp on the CPU, 1 thread",
-                here,
-                "" if here else "this Warp comes without its CPU compiler",
-            )
-        ]
+        why = "" if here else "this Warp comes without its CPU compiler"
+        found = [BackendInfo("warp:cpu", "Warp on the CPU, 1 thread", here, why)]
         found += [BackendInfo(f"warp:{d.alias}", d.name, True, gpu=True) for d in wp.get_cuda_devices()]
     except (ImportError, OSError, RuntimeError) as error:
         return [BackendInfo("warp:cpu", "", False, f"warp-lang cannot be started ({error})")]
@@ -42,53 +37,64 @@ def probe():
     return found
 
 
+@contextlib.contextmanager
+def _quiet(wp: Any) -> Iterator[None]:
+    """Warp prints nothing but warnings meanwhile."""
+    level, wp.config.log_level = wp.config.log_level, wp.LOG_WARNING
+    try:
+        yield
+    finally:
+        wp.config.log_level = level
+
+
 class WarpBackend(Backend):
     """One Warp device. Device arrays are Warp arrays."""
 
     # one for all devices: modules and settings are the process's, and a scene's map may lie on another device
     lock = threading.RLock()
 
-    def __init__(self, alias: str):
-        import warp as wp
-
-        self.wp = wp
+    def __init__(self, alias: str) -> None:
+        self.wp: Any = importlib.import_module("warp")
         self.name = f"warp:{alias}"
-        self._device = wp.get_device(alias)
-        self.device = self._device.name if self._device.is_cuda else "Warp on the CPU, 1 thread"
-        self.lines = GPU_LINES if self._device.is_cuda else 1
+        self._device = self.wp.get_device(alias)
+        cuda = self._device.is_cuda
+        self.device = self._device.name if cuda else "Warp on the CPU, 1 thread"
+        self.lines = GPU_LINES if cuda else 1
         self.pixel_lanes = GPU_PIXELS
-        self.alone, self.each, self.ahead = (
-            (0, 1, GPU_AHEAD) if self._device.is_cuda else (CPU_ALONE, CPU_EACH, 1)
-        )
-        self._loaded, self._side = set(), None
+        self.alone, self.each, self.ahead = (0, 1, GPU_AHEAD) if cuda else (CPU_ALONE, CPU_EACH, 1)
+        self._loaded: set[tuple[Any, int]] = set()  # modules, each with a size of block
+        self._side: Any = None  # the stream of launches beside others
 
     @property
     def memory(self) -> int:
-        return self._device.free_memory * 9 // 10 if self._device.is_cuda else available_memory() // 2
+        if self._device.is_cuda:
+            return int(self._device.free_memory) * 9 // 10
+        return available_memory() // 2
 
-    def upload(self, array):
+    def upload(self, array: np.ndarray) -> Array:
         return self.wp.array(np.ascontiguousarray(array), device=self._device)
 
-    def put(self, array, values):
+    def put(self, array: Array, values: np.ndarray) -> None:
         array.assign(np.ascontiguousarray(values))
 
-    def empty(self, shape, dtype, fill=None):
+    def empty(self, shape: tuple[int, ...], dtype: DTypeLike, fill: float | None = None) -> Array:
         array = self.wp.empty(shape, dtype=self.wp.dtype_from_numpy(dtype), device=self._device)
         if fill is not None:
-            array.fill_(np.dtype(dtype).type(fill))
+            scalar: Any = np.dtype(dtype).type
+            array.fill_(scalar(fill))
         return array
 
-    def fill(self, array, value):
+    def fill(self, array: Array, value: float) -> None:
         array.fill_(value)
 
-    def download(self, array):
+    def download(self, array: Array) -> np.ndarray:
         return np.array(array.numpy())
 
-    def view(self, array, shape):
+    def view(self, array: Array, shape: tuple[int, ...]) -> Array:
         return self.wp.array(ptr=array.ptr, dtype=array.dtype, shape=shape, device=array.device)
 
     @contextlib.contextmanager
-    def beside(self):
+    def beside(self) -> Iterator[None]:
         if not self._device.is_cuda:
             yield
             return
@@ -97,36 +103,40 @@ class WarpBackend(Backend):
         with self.wp.ScopedStream(self._side, sync_enter=False):
             yield
 
-    def join(self):
+    def join(self) -> None:
         if self._side:
             self._device.stream.wait_stream(self._side)
 
-    def finish(self):
+    def finish(self) -> None:
         self.wp.synchronize_device(self._device)
 
-    def record(self, work, times):
+    def record(self, work: Callable[[], None], times: int) -> Callable[[], None]:
         again = super().record(work, times)
         if not self._device.is_cuda:
             return again
         with self.wp.ScopedCapture(self._device, force_module_load=False) as capture:
             again()
-        return lambda: self.wp.capture_launch(capture.graph)
+        graph = capture.graph
+        return lambda: self.wp.capture_launch(graph)
 
-    def launch(self, stem, kernel, dim, *args, lanes=None, group=None, **constants):
+    def launch(
+        self,
+        stem: str,
+        kernel: str,
+        dim: tuple[int, ...],
+        *args: Any,
+        lanes: int | None = None,
+        group: int | None = None,
+        **constants: int,
+    ) -> None:
         function = getattr(importlib.import_module(f"skylamp.warp_kernels.{stem}"), kernel)
         if not isinstance(function, self.wp.Kernel):
             function = function(**constants)
-        group = group or (GROUP if kernel == "scan" else 256)
+        group = group or (GROUP if kernel == "scan" else USUAL_GROUP)
         if (function.module, group) not in self._loaded:  # Warp compiles for every size of block
             start = time.perf_counter()
-            level, self.wp.config.log_level = (
-                self.wp.config.log_level,
-                self.wp.LOG_WARNING,
-            )  # Warp would tell stdout
-            try:
+            with _quiet(self.wp):
                 self.wp.load_module(function.module, device=self._device, block_dim=group)
-            finally:
-                self.wp.config.log_level = level
             self.compile_seconds += time.perf_counter() - start
             self._loaded.add((function.module, group))
         values = [self._as(arg, formal.type) for arg, formal in zip(args, function.adj.args, strict=True)]
@@ -135,7 +145,7 @@ class WarpBackend(Backend):
             function, dim=tuple(reversed(dim)), inputs=values, device=self._device, block_dim=group
         )
 
-    def _as(self, value, kind):
+    def _as(self, value: Any, kind: Any) -> Any:
         """A device array seen with the axes and elements that the kernel declares: trailing axes run
         together, in vectors.
         """
@@ -143,7 +153,7 @@ class WarpBackend(Backend):
             return kind(*value) if hasattr(kind, "_wp_scalar_type_") else value  # a vector by value
         if value.dtype == kind.dtype and value.ndim == kind.ndim:
             return value
-        size = lambda dtype: self.wp.types.type_size_in_bytes(dtype)
+        size = self.wp.types.type_size_in_bytes
         lead = value.shape[: kind.ndim - 1]
         shape = (*lead, value.size * size(value.dtype) // size(kind.dtype) // int(np.prod(lead)))
         return self.wp.array(ptr=value.ptr, dtype=kind.dtype, shape=shape, device=value.device)

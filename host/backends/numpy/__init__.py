@@ -1,14 +1,17 @@
-"""The kernels in NumPy: a file a stem, same names, arguments and bits as in Warp and OpenCL, on whole rows at
-a time.
+"""The kernels in NumPy, a file per stem.
+
+Names, arguments and bits are those of Warp and OpenCL; each kernel works on whole rows at a time.
 """
 
 from __future__ import annotations
 
 import importlib
+from typing import Any
 
 import numpy as np
+from numpy.typing import DTypeLike
 
-from ..base import Backend, available_memory
+from ..base import Array, Backend, available_memory
 
 
 class NumpyBackend(Backend):
@@ -21,27 +24,36 @@ class NumpyBackend(Backend):
     def memory(self) -> int:
         return available_memory() // 2
 
-    def upload(self, array):
+    def upload(self, array: np.ndarray) -> Array:
         return np.array(array, order="C")
 
-    def put(self, array, values):
+    def put(self, array: Array, values: np.ndarray) -> None:
         array[...] = values
 
-    def empty(self, shape, dtype, fill=None):
+    def empty(self, shape: tuple[int, ...], dtype: DTypeLike, fill: float | None = None) -> Array:
         return np.empty(shape, dtype) if fill is None else np.full(shape, fill, dtype)
 
-    def fill(self, array, value):
+    def fill(self, array: Array, value: float) -> None:
         array[...] = value
 
-    def download(self, array):
-        return array.copy()
+    def download(self, array: Array) -> np.ndarray:
+        return np.array(array)
 
-    def view(self, array, shape):
+    def view(self, array: Array, shape: tuple[int, ...]) -> Array:
         return array.reshape(-1)[: np.prod(shape)].reshape(shape)
 
-    def launch(self, stem, kernel, dim, *args, lanes=None, group=None, **constants):
+    def launch(
+        self,
+        stem: str,
+        kernel: str,
+        dim: tuple[int, ...],
+        *args: Any,
+        lanes: int | None = None,
+        group: int | None = None,
+        **constants: int,
+    ) -> None:
         with np.errstate(invalid="ignore", divide="ignore", over="ignore"):  # masked nodes are +inf
             getattr(importlib.import_module(f".{stem}", __package__), kernel)(*args, **constants)
 
-    def finish(self):
+    def finish(self) -> None:
         """NumPy is done when it returns."""
