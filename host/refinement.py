@@ -23,9 +23,10 @@ from .checks import positive_number
 from .errors import CapacityError, bad
 from .light import lattice, unoccluded
 from .light.base import LightMethod
+from .light.finite import RAYS, Sliced
 from .light.horizon import OFFSET, Horizons
 from .light.lattice import Lattice, lacking
-from .light.slices import RAYS, Sliced, outline, widened
+from .light.slices import outline, widened
 from .light.sweeps import FAINTEST
 from .radiometry import point_error
 from .reflectance import Lambertian

@@ -12,9 +12,7 @@ import numpy as np
 
 
 class Estimate(NamedTuple):
-    """What half the difference of two halves is, over the image's mean: its RMS, and the share of nodes at
-    which it passes a limit.
-    """
+    """Of half the difference of two images, over the image's mean: RMS, and share of nodes beyond a limit."""
 
     rms: float
     beyond: float
@@ -32,17 +30,16 @@ class LightMethod(ABC):
 
     @abstractmethod
     def refine(self) -> None:
-        """Make the image better: more azimuths, slices or directions, beside those that are there where the
-        method can.
-        """
+        """Improve the image by more azimuths, slices or directions, added to the present ones if possible."""
 
     @abstractmethod
     def irradiance(self) -> np.ndarray:
-        """(rows, cols) float32 [brightness x sr]; no number that means anything where masked."""
+        """(rows, cols) float32 [brightness x sr]; undefined where masked."""
 
     def half(self) -> np.ndarray | None:
-        """Half the difference of the two images, (rows, cols) float32 in the irradiance's unit; None where
-        there are not two.
+        """Half the difference of the two images, (rows, cols) float32 in the irradiance's unit.
+
+        None where there is one image only.
         """
         return None
 

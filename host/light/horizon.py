@@ -17,8 +17,8 @@ from .sweeps import Rays, Sweeps, ground_of
 
 OFFSET = (
     1 / 3
-    # of a sector: doubling turns it into 2/3 and back, so that no set of azimuths looks along a grid line; at 1/2
-    # errors double there
+    # of a sector: doubling turns it into 2/3 and back, so that no set of azimuths looks along a grid line; at
+    # 1/2 errors double there
 )
 FINE_KNOTS = 1025  # of a table that holds small bright parts too: a knot is 0.06 degrees at the horizon
 

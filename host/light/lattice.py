@@ -15,8 +15,8 @@ from . import propagation
 from .base import LightMethod
 from .propagation import Problem
 
-# RMS error of E / pi under a uniform sky on rough ground (rms slope 1), of the hemicubes that are chosen
-# among: performance/lattice_error.py. A larger one takes minutes to tabulate
+# RMS error of E / pi under a uniform sky on rough ground (rms slope 1), of the hemicubes that may be chosen:
+# performance/lattice_error.py. The tables of a larger one take minutes
 ERRORS = {5: 0.0376, 7: 0.0188, 9: 0.0119, 17: 0.0039, 33: 0.0012}
 AZIMUTHS, ELEVATIONS = 96, 192  # directions of the exact light through a window
 
@@ -26,18 +26,20 @@ class Lattice(LightMethod):
 
     def __init__(self, engine: Backend, scene: Scene, source: sources.Source, units: int):
         self.engine, self.scene, self.source, self.units = engine, scene, source, units
-        values, step = scene.lattice()
-        cube = Hemicube(units)
-        problem = Problem(values, step, scene.sides, cube.steps, sources.geometry(source, scene, step), True)
-        self.image = propagation.irradiance(
-            engine, problem, cube.moments * sources.radiance(source, cube.directions)[:, None]
+        self.image = self._image()
+
+    def _image(self) -> np.ndarray:
+        values, step = self.scene.lattice()
+        cube, geometry = Hemicube(self.units), sources.geometry(self.source, self.scene, step)
+        problem = Problem(values, step, self.scene.sides, cube.steps, geometry, True)
+        return propagation.irradiance(
+            self.engine, problem, cube.moments * sources.radiance(self.source, cube.directions)[:, None]
         )
 
     def refine(self) -> None:
         """The next larger hemicube: no direction is shared."""
-        self.__init__(
-            self.engine, self.scene, self.source, next(size for size in ERRORS if size > self.units)
-        )
+        self.units = next(size for size in ERRORS if size > self.units)
+        self.image = self._image()
 
     def irradiance(self) -> np.ndarray:
         return self.image
@@ -70,19 +72,24 @@ def through_window(samples: Samples, scene: Scene, source: sources.Window) -> np
             * np.cos(e)
             * np.maximum(0, along * np.cos(e) + np.sin(e) / samples.length)
         ).sum(0)
-    return total * (np.pi / 2 / ELEVATIONS) * (2 * np.pi / AZIMUTHS)
+    irradiance: np.ndarray = total * (np.pi / 2 / ELEVATIONS) * (2 * np.pi / AZIMUTHS)
+    return irradiance
 
 
-def _passes(scene, source, x, y):
+def _passes(scene: Scene, source: sources.Window, x: np.ndarray, y: np.ndarray) -> np.ndarray:
     """Whether rays that cross z = 0 at (x, y) [spacings] pass the window."""
     rows, cols = scene.shape
     inside = (x >= -0.5) & (x < cols - 0.5) & (y >= -0.5) & (y < rows - 0.5)
     if source.aperture is not None:
         col, row = np.floor(x + 0.5).astype(np.int64), np.floor(y + 0.5).astype(np.int64)
         if scene.sides == "periodic":
-            return source.aperture[row % rows, col % cols]
-        return inside & source.aperture[np.clip(row, 0, rows - 1), np.clip(col, 0, cols - 1)]
-    passes = inside if scene.sides == "dark" else np.ones(inside.shape, bool)
+            repeated: np.ndarray = source.aperture[row % rows, col % cols]
+            return repeated
+        there = source.aperture[np.clip(row, 0, rows - 1), np.clip(col, 0, cols - 1)]
+        within: np.ndarray = inside & there
+        return within
+    assert source.x is not None and source.y is not None, "a window without aperture is a rectangle"
+    passes: np.ndarray = inside if scene.sides == "dark" else np.ones(inside.shape, bool)
     for at, (low, high), period in ((x, source.x, cols), (y, source.y, rows)):
         low, high = low / scene.spacing, high / scene.spacing
         passes = passes & (
@@ -92,8 +99,9 @@ def _passes(scene, source, x, y):
 
 
 def at_samples(samples: Samples, scene: Scene, source: sources.Source, size: int) -> np.ndarray:
-    """The filled lattice's light at the samples: a direction is seen where it lies on or above the horizon of
-    its azimuth.
+    """The filled lattice's light at the samples.
+
+    A direction is visible where it lies on or above the horizon of its azimuth.
     """
     cube = Hemicube(size)
     brightness = sources.radiance(source, cube.directions)
@@ -106,9 +114,8 @@ def at_samples(samples: Samples, scene: Scene, source: sources.Source, size: int
     total = np.zeros(len(samples))
     for some in np.array_split(np.arange(len(cube)), len(cube) // 512 + 1):
         seen = rise[some, None] * (1 + 1e-6) >= slopes[number[some]]
-        seen |= (
-            slopes[number[some]] <= planes[number[some]]
-        )  # the tangent plane hides nothing: cells are cut by N.w
+        # the tangent plane hides nothing: cells are cut by N.w
+        seen |= slopes[number[some]] <= planes[number[some]]
         if isinstance(source, sources.Window):
             away = -samples.own / np.maximum(rise[some, None], 1e-9)
             unit = cube.steps[some, :2] / np.maximum(flat[some, None], 1e-9)

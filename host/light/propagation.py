@@ -1,5 +1,4 @@
-"""Visibility carried along the directions of a lattice, and what is made of it: packed bits, irradiance,
-depth by carving, the field.
+"""Visibility along the directions of a lattice, and its uses: packed bits, irradiance, carving, the field.
 
 The sequences of kernels are the same on every backend.
 """
@@ -7,30 +6,26 @@ The sequences of kernels are the same on every backend.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..backends.base import Backend, rounded_up
+from ..backends.base import Array, Backend, rounded_up
 from ..constants import MOST_PIXELS, SIDES, SKY
 from ..errors import CapacityError
 from ..sources import Geometry
 from .walks import Group, crossings_of, lap_table, walk_groups
 
-SIDE, PATCH = (
-    4,
-    (
-        8,
-        4,
-    ),
-)  # nodes on a side of a block that a work-item turns, blocks (across, down) of a patch; as in opencl/scan.cl
+# nodes on a side of a block that a work-item turns, blocks (across, down) of a patch; as in opencl/scan.cl
+SIDE, PATCH = 4, (8, 4)
 
 Progress = Callable[[int, int], None]
 
 
 class Lobe(NamedTuple):
-    """A lobe about the mirror direction: its weight by even steps of 1 - cosine from 0 to rim, and its half
-    width [rad].
+    """A lobe about the mirror direction.
+
+    ``table``: its weight by even steps of 1 - cosine from 0 to ``rim``; ``spread``: its half width [rad].
     """
 
     table: np.ndarray
@@ -39,8 +34,9 @@ class Lobe(NamedTuple):
 
 
 class Problem(NamedTuple):
-    """What is asked of a backend: depth (rows, cols) float32, +inf where masked, in a unit in which the
-    spacing is step.
+    """The input of a backend: depth (rows, cols) float32, +inf where masked.
+
+    Depth is in a unit in which the spacing is ``step``; ``steps`` (D, 3): the directions.
     """
 
     depth: np.ndarray
@@ -61,26 +57,24 @@ class Problem(NamedTuple):
 
     @property
     def clips(self) -> bool:
-        """Whether the source or the walls take away some of what the sky would give."""
+        """Whether the source or the walls occlude a part of the sky."""
         return self.geometry.kind != SKY or self.sides == "dark"
 
 
 class OnDevice(NamedTuple):
-    """A group of walks with its tables on the device; names as in Group, and what clipping and launching need
-    besides.
-    """
+    """A group of walks with its tables on the device; names as in Group."""
 
     host: Group
-    pairs: object
-    walks: object
-    rise: object
-    crossings: object
-    climbs: object
-    spans: object
-    directions: object
-    steps: object  # (count, bits, 4) i, j, k, number
-    ways: object  # crossings and spans of the map as it lies, for the rays of lamps
-    way_spans: object
+    pairs: Array
+    walks: Array
+    rise: Array
+    crossings: Array
+    climbs: Array
+    spans: Array
+    directions: Array
+    steps: Array  # (n_walks, bits, 4) i, j, k, number
+    ways: Array  # crossings and spans of the map as it lies, for the rays of lamps
+    way_spans: Array
     lines: int
 
     @property
@@ -88,8 +82,8 @@ class OnDevice(NamedTuple):
         return self.host.directions
 
     @property
-    def count(self) -> int:
-        return self.host.count
+    def n_walks(self) -> int:
+        return self.host.n_walks
 
     @property
     def bits(self) -> int:
@@ -97,7 +91,9 @@ class OnDevice(NamedTuple):
 
 
 class Surface:
-    """A map on a device, ready to be scanned group by group of walks; one buffer of planes serves all groups."""
+    """A map on a device, to be scanned group by group of walks; one buffer of planes serves all groups."""
+
+    laps: list[tuple[Array, int]]
 
     def __init__(self, backend: Backend, problem: Problem, relief: float | None = None):
         self.backend, self.problem = backend, problem
@@ -118,12 +114,10 @@ class Surface:
         maps[0, : problem.pixels] = problem.depth.ravel()
         self.maps = backend.upload(maps)
         self.depth = backend.view(self.maps, problem.depth.shape)
-        self.planes = backend.empty((max(g.count + len(g.pairs) for g in groups), self.room), np.uint8)
-        self.numbers, self.flags = (
-            backend.upload(problem.geometry.numbers),
-            backend.upload(problem.geometry.flags),
-        )
-        self.groups = [self._put(group) for group in groups]
+        self.planes = backend.empty((max(g.n_walks + len(g.pairs) for g in groups), self.room), np.uint8)
+        self.numbers = backend.upload(problem.geometry.numbers)
+        self.flags = backend.upload(problem.geometry.flags)
+        self.groups = [self._upload(group) for group in groups]
         self.turn()
         self.find_laps(problem.depth)
 
@@ -135,8 +129,8 @@ class Surface:
         """The depths (rows, cols) that the device now holds."""
         return self.backend.download(self.maps)[0, : self.problem.pixels].reshape(self.problem.depth.shape)
 
-    def _put(self, group: Group) -> OnDevice:
-        put = self.backend.upload
+    def _upload(self, group: Group) -> OnDevice:
+        upload = self.backend.upload
         lines = 0
         for _, j, _, _, _, _, turned, _ in group.walks.tolist():
             rows, cols = self.problem.depth.shape[:: -1 if turned else 1]
@@ -149,29 +143,35 @@ class Surface:
         spans = np.stack([np.cumsum(counts) - counts, counts], 1).astype(np.int32)
         return OnDevice(
             group,
-            put(group.pairs) if len(group.pairs) else None,
-            *map(put, group[1:]),
-            put(steps),
-            put(np.array(sum(points, []), np.int32)),
-            put(spans),
-            lines,
+            pairs=upload(group.pairs) if len(group.pairs) else None,
+            walks=upload(group.walks),
+            rise=upload(group.rise),
+            crossings=upload(group.crossings),
+            climbs=upload(group.climbs),
+            spans=upload(group.spans),
+            directions=upload(group.directions),
+            steps=upload(steps),
+            ways=upload(np.array([point for way in points for point in way], np.int32)),
+            way_spans=upload(spans),
+            lines=lines,
         )
 
     def turn(self) -> None:
-        """Make the turned map follow a change of the depths on the device."""
+        """Update the turned map after a change of the depths on the device."""
         self.backend.launch(
             "scan", "turn_map", (self._blocks(),), self.maps, *self.problem.depth.shape, self.room
         )
 
     def _blocks(self) -> int:
         rows, cols = self.problem.depth.shape
-        return -(-rows // (SIDE * PATCH[1])) * -(-cols // (SIDE * PATCH[0])) * PATCH[0] * PATCH[1]
+        down, across = -(-rows // (SIDE * PATCH[1])), -(-cols // (SIDE * PATCH[0]))
+        return int(down * across * PATCH[0] * PATCH[1])
 
     def find_laps(self, depth: np.ndarray) -> None:
-        """Where the map repeats: the first ceilings of the level rays for these depths."""
+        """Of a periodic map: the first ceilings of the level rays for these depths."""
         self.laps = []
         for group in self.groups:
-            lap = np.zeros((group.count, 1), np.float32)
+            lap = np.zeros((group.n_walks, 1), np.float32)
             if self.periodic and not group.host.rise[:, 0].all():
                 turned = group.host.walks[:, 6] != 0
                 ways = self.problem.steps[group.order[:, 0], :2].tolist()
@@ -179,13 +179,13 @@ class Surface:
                     lap_table(depth.T if t else depth, [way[::-1] if t else way], self.problem.filled)[0]
                     for way, t in zip(ways, turned)
                 ]
-                lap = np.zeros((group.count, max(map(len, tables))), np.float32)
+                lap = np.zeros((group.n_walks, max(map(len, tables))), np.float32)
                 for row, table in zip(lap, tables):
                     row[: len(table)] = table
             self.laps.append((self.backend.upload(lap), lap.shape[1]))
 
-    def scan(self, number: int):
-        """The planes of a group, its walks first: (walks and more, room) uint8; overwritten by the next scan."""
+    def scan(self, number: int) -> Array:
+        """The planes of a group, its walks first: (walks and more, room) uint8, overwritten by the next."""
         group, problem, launch = self.groups[number], self.problem, self.backend.launch
         shape = problem.depth.shape
         lap, lap_lines = self.laps[number]
@@ -194,7 +194,7 @@ class Surface:
             launch(
                 "filled",
                 "scan_filled",
-                (group.lines, group.count),
+                (group.lines, group.n_walks),
                 self.maps,
                 group.walks,
                 group.rise,
@@ -209,7 +209,7 @@ class Surface:
             launch(
                 "scan",
                 "scan",
-                (group.lines, group.count),
+                (group.lines, group.n_walks),
                 self.maps,
                 group.walks,
                 group.rise,
@@ -247,20 +247,19 @@ class Surface:
                 geometry.kind,
                 SIDES[problem.sides],
                 float(problem.step),
-                group.count,
+                group.n_walks,
                 BITS=group.bits,
             )
         return self.planes
 
 
 class Light:
-    """The sum over the visible directions, with everything on the device; ``run`` may be repeated (and
-    timed).
+    """The sum over the visible directions, with all arrays on the device; ``run`` may be repeated.
 
     ``moments`` (D, 3), or one for each colour (C, D, 3): all are summed in one pass over visibility.
-    ``lobe``, with ``weights`` (C, D, 4) unit vectors and weights, gives what is reflected about the mirror
-    direction too; no more than it gets if ``whole`` (D, 4) are given, the weights under a sky of brightness
-    1.
+    ``lobe``, with ``weights`` (C, D, 4) unit vectors and weights, adds the reflection about the mirror
+    direction; no more is reflected than arrives if ``whole`` (D, 4) is given, the weights under a sky of
+    brightness 1.
     """
 
     def __init__(
@@ -276,20 +275,24 @@ class Light:
         self.slopes = backend.empty((2, surface.room), np.float32, 0)
         moments = moments.reshape(-1, *moments.shape[-2:])
         padded = np.concatenate([moments, np.zeros((*moments.shape[:2], 1))], 2)
-        weights = np.zeros((0, *padded.shape[1:])) if lobe is None else weights
+        if lobe is None or weights is None:
+            weights = np.zeros((0, *padded.shape[1:]))
         self.sums, self.glosses = (
             [backend.empty((surface.room,), np.float32, 0) for _ in values] for values in (padded, weights)
         )
-        put = lambda values: [
-            [backend.upload(one.astype(np.float32)[group.order]) for one in values]
-            for group in surface.groups
-        ]
-        self.tables, self.weights = put(padded), put(weights)
+
+        def by_group(values: np.ndarray) -> list[list[Array]]:
+            return [
+                [backend.upload(one.astype(np.float32)[group.order]) for one in values]
+                for group in surface.groups
+            ]
+
+        self.tables, self.weights = by_group(padded), by_group(weights)
         self.table = None if lobe is None else backend.upload(lobe.table)
         self.whole = None if whole is None else backend.upload(whole.astype(np.float32))
 
     @property
-    def sum(self):
+    def sum(self) -> Array:
         return self.sums[0]
 
     def run(self) -> None:
@@ -309,14 +312,12 @@ class Light:
             1 / problem.step,
         )
         last = len(surface.groups) - 1
-        launch = lambda stem, kernel, *args, **constants: backend.launch(
-            stem,
-            kernel,
-            (surface.room // backend.pixel_lanes,),
-            *args,
-            lanes=backend.pixel_lanes,
-            **constants,
-        )
+
+        def launch(stem: str, kernel: str, *args: Any, **constants: int) -> None:
+            dim = (surface.room // backend.pixel_lanes,)
+            backend.launch(stem, kernel, dim, *args, lanes=backend.pixel_lanes, **constants)
+
+        lobe_size, rim = (0, 0.0) if self.lobe is None else (len(self.lobe.table), self.lobe.rim)
         for number, group in enumerate(surface.groups):
             planes, when = surface.scan(number), (int(number == 0), int(number == last))
             for table, total in zip(self.tables[number], self.sums):
@@ -329,7 +330,7 @@ class Light:
                     total,
                     problem.pixels,
                     surface.room,
-                    group.count,
+                    group.n_walks,
                     *when,
                     BITS=group.bits,
                 )
@@ -343,10 +344,10 @@ class Light:
                     self.table,
                     total,
                     surface.room,
-                    group.count,
-                    len(self.lobe.table),
+                    group.n_walks,
+                    lobe_size,
                     *when,
-                    self.lobe.rim,
+                    rim,
                     BITS=group.bits,
                 )
         for total in self.glosses if self.whole is not None else ():
@@ -359,15 +360,13 @@ class Light:
                 total,
                 surface.room,
                 len(problem.steps),
-                len(self.lobe.table),
-                self.lobe.rim,
+                lobe_size,
+                rim,
             )
 
 
 class FieldByLayers:
-    """The visibility field of a sky or window, layer by layer, on the device; ``run`` may be repeated (and
-    timed).
-    """
+    """The visibility field of a sky or window, layer by layer, on the device; ``run`` may be repeated."""
 
     def __init__(self, backend: Backend, problem: Problem, layers: int):
         self.backend, self.problem, self.layers = backend, problem, layers
@@ -391,8 +390,7 @@ class FieldByLayers:
             np.stack([steps[:, 2], steps[:, 1] * self.width + steps[:, 0]], 1).astype(np.int32)
         )
         self.depth = backend.upload(problem.depth)
-        # A sky fills what lies outside the map; level rays get nowhere where walls or a window's plane end
-        # them.
+        # A sky fills what lies outside the map; level rays end at walls and in a window's plane.
         self.field = backend.empty(
             (layers + self.reach, self.words, self.height, self.width),
             np.uint32,
@@ -405,11 +403,8 @@ class FieldByLayers:
             if problem.sides == "periodic"
             else np.zeros((1, 1), np.float32)
         )
-        self.ways, self.lap, self.lap_lines = (
-            backend.upload(problem.steps[level, :2].astype(np.int32)),
-            backend.upload(lap),
-            lap.shape[1],
-        )
+        self.ways = backend.upload(problem.steps[level, :2].astype(np.int32))
+        self.lap, self.lap_lines = backend.upload(lap), lap.shape[1]
         self.lines = max(min(abs(j or i), rows if j else cols) * (cols if j else rows) for i, j in ways)
 
     def run(self, progress: Progress | None = None) -> None:
@@ -488,9 +483,7 @@ class FieldByLayers:
 
 
 class FieldOfLamp:
-    """The visibility field of a lamp, node by node: a lamp among the ground is no boundary that layers could
-    hand down.
-    """
+    """The visibility field of a lamp, node by node: layers pass on the light of a boundary only."""
 
     def __init__(self, backend: Backend, problem: Problem, layers: int):
         self.backend, self.problem, self.layers = backend, problem, layers
@@ -549,17 +542,19 @@ def visibility(backend: Backend, problem: Problem) -> np.ndarray:
             problem.pixels,
             surface.room,
             words,
-            group.count,
+            group.n_walks,
             BITS=group.bits,
         )
     return backend.download(out)
 
 
 def irradiance(backend: Backend, problem: Problem, moments: np.ndarray) -> np.ndarray:
-    """Irradiance (rows, cols) float32; ``moments`` (D, 3): brightness times the integral of L dOmega over
-    each cell.
+    """Irradiance (rows, cols) float32.
+
+    ``moments`` (D, 3): brightness times the integral of L dOmega over each cell.
     """
-    return light(backend, problem, moments)[0][0]
+    image: np.ndarray = light(backend, problem, moments)[0][0]
+    return image
 
 
 def light(
@@ -569,33 +564,34 @@ def light(
     lobe: Lobe | None = None,
     weights: np.ndarray | None = None,
     whole: np.ndarray | None = None,
-) -> tuple[list, list]:
-    """Irradiance, and what a lobe reflects, (rows, cols) float32 per colour; arguments as for :class:`Light`."""
+) -> tuple[list[np.ndarray], list[np.ndarray]]:
+    """Irradiance, and what a lobe reflects, (rows, cols) float32 per colour; arguments: see Light."""
     light = Light(Surface(backend, problem), moments, lobe, weights, whole)
     light.run()
-    get = lambda arrays: [
-        backend.download(array)[: problem.pixels].reshape(problem.depth.shape) for array in arrays
-    ]
-    return get(light.sums), get(light.glosses)
+    irradiances, glosses = (
+        [backend.download(array)[: problem.pixels].reshape(problem.depth.shape) for array in arrays]
+        for arrays in (light.sums, light.glosses)
+    )
+    return irradiances, glosses
 
 
 def carve(
     backend: Backend,
     problem: Problem,
-    low,
-    high,
-    weights,
+    low: np.ndarray,
+    high: np.ndarray,
+    weights: np.ndarray,
     layers: int,
     by_sign: bool,
     progress: Progress | None = None,
 ) -> np.ndarray:
-    """Depth in layers (rows, cols) int32 by the inverse algorithm; arguments as for skylamp.oracle.carve."""
+    """Depth in layers (rows, cols) int32 by the inverse algorithm; arguments as of skylamp.oracle.carve."""
     surface = Surface(
         backend, problem._replace(depth=np.zeros(problem.depth.shape, np.float32)), relief=float(layers)
     )
     pixels = problem.pixels
     light, side = (backend.empty((pixels,), np.int32, 0) for _ in range(2))
-    low, high = (backend.upload(a.astype(np.int32).ravel()) for a in (low, high))
+    bounds = [backend.upload(a.astype(np.int32).ravel()) for a in (low, high)]
     tables = [backend.upload(weights.astype(np.int32)[group.order]) for group in surface.groups]
     for layer in range(layers):
         active = backend.empty((1,), np.int32, 0)
@@ -612,14 +608,13 @@ def carve(
                 planes,
                 table,
                 light,
-                low,
-                high,
+                *bounds,
                 side,
                 surface.depth,
                 active,
                 pixels,
                 surface.room,
-                group.count,
+                group.n_walks,
                 int(number == 0),
                 int(number == len(tables) - 1),
                 layer,
@@ -634,9 +629,7 @@ def carve(
 
 
 def field(backend: Backend, problem: Problem, layers: int, progress: Progress | None = None) -> np.ndarray:
-    """The visibility field (layers, words, rows, cols) uint32 for depths in layers (step 1), bits packed as
-    everywhere.
-    """
+    """The visibility field (layers, words, rows, cols) uint32, bits packed; depths in layers (step 1)."""
     field = (
         FieldOfLamp(backend, problem, layers)
         if problem.geometry.is_lamp

@@ -1,6 +1,6 @@
-"""Light of finite sources, balls, rectangles and windows, through a few azimuth slices per node.
+"""Launch sequence of azimuth slices: light of finite sources, through a few slices per node.
 
-The same slices sum what a lobe about the mirror direction makes of such a source, or of the sky.
+The same slices sum the reflection of such a source, or of the sky, by a lobe about the mirror direction.
 """
 
 from __future__ import annotations
@@ -10,98 +10,82 @@ import math
 
 import numpy as np
 
-from .. import sources
 from ..backends.base import Backend
 from ..constants import MOST_PIXELS
 from ..errors import CapacityError
-from ..scene import Scene
 from ..sources import Source, radiance
-from ..sources.integrals import Integrals, chords
 from ..sources.solids import Ball, Dome, Quad
-from . import unoccluded
-from .base import Estimate, LightMethod
 from .propagation import Lobe
 
 NONE = np.float32(-1e30)  # height where there is no ground
 ENDLESS = 1e30
-SLICES = 8  # that a CPU takes at a time
-MOST = 32  # of a source that stands all round, unless asked otherwise
+SLICES = 8  # that a CPU computes at a time
+MOST = 32  # of a source that surrounds a node, by default
 WALLED = 2  # times as many where a wall cuts the source
 LEVELS = 9  # cells of 2 to 512 nodes
 SIDE = 512  # samples of the brightness across the sky
 GAUSS = 8  # points between two knots of a cumulative table
 LOBE_POINTS, LOBE_VARIES = 10, 14  # samples of a lobe along a chord within its rim; where brightness varies
-LOBE_LEAST, LOBE_ROUND, LOBE_MOST = (
-    16,
-    32,
-    256,
-)  # slices of a lobe: least, where the zenith lies within it, and through a lamp
+# slices of a lobe: least, where the zenith lies within it, and through a lamp
+LOBE_LEAST, LOBE_ROUND, LOBE_MOST = 16, 32, 256
 LOBE_APART = 1.1  # half widths of a lobe between two slices of a lamp
 FINEST = 2048  # samples across the sky that a lobe's means are made of
 SUNNY, SUNS = 4.0, 64  # times the mean brightness from which on light is a sun's; rays to suns
 # apparent width [rad] of what is widened: of its light a square over 12 is lost, 3e-7, and float32 holds its
 # width to 5e-5; derived
 THIN = 2e-3
-# where in its step a slice of a ball stands; at 1/2 and 0 even and odd slices are mirror images, and their
-# difference is blind to half of the error
-SHIFT = 0.25
-TURNS, KNOTS = (
-    1024,
-    4097,
-    # cells of azimuth and of the sine of elevation of a brightness, 8 bytes each: 0.35 degrees round the horizon,
-    # and 0.16 at an elevation of 85
-)
-RAYS = 4, 16, 64  # to a small lamp, along which its brightness is taken
+# cells of azimuth and of the sine of elevation of a brightness, 8 bytes each: 0.35 degrees round the horizon,
+# and 0.16 at an elevation of 85
+TURNS, KNOTS = 1024, 4097
 
 
 def brightness_of(source: Source, side: int = SIDE) -> float | np.ndarray:
-    """A source's brightness as Slices takes it for a lobe: a number where it is the same everywhere, else
-    over the sky, (side, side).
+    """A source's brightness as Slices takes it for a lobe: a number where it is uniform, else (side, side).
 
     Row j, column i: the direction whose stereographic projection x / (1 - z), y / (1 - z) is 2 i / (side - 1)
     - 1 and 2 j / (side - 1) - 1; beyond the level, that of the level below it.
     """
     if not callable(source.brightness):
-        return float(source.brightness)
+        return _number(source)
     v, u = np.meshgrid(*(np.linspace(-1, 1, side),) * 2, indexing="ij")
     over = np.maximum(1.0, np.hypot(u, v))
     u, v = u / over, v / over
     square = u * u + v * v
-    some = lambda rows: (
-        np.stack([2 * u[rows], 2 * v[rows], np.minimum(square[rows] - 1, 0)], -1)
-        / (1 + square[rows])[..., None]
-    )
-    values = np.concatenate(
-        [radiance(source, some(slice(first, first + SIDE))) for first in range(0, side, SIDE)]
-    )
+    parts = []
+    for some in (slice(first, first + SIDE) for first in range(0, side, SIDE)):
+        along = np.stack([2 * u[some], 2 * v[some], np.minimum(square[some] - 1, 0)], -1)
+        parts.append(radiance(source, along / (1 + square[some])[..., None]))
+    values = np.concatenate(parts)
     return float(values.flat[0]) if np.ptp(values) == 0 else values
 
 
-def blurred(source: Source, spread: float) -> tuple[float | np.ndarray, np.ndarray, np.ndarray]:
-    """A source's brightness as a lobe of this half width [rad] takes it: (number or table, suns (K, 3), their
-    flux (K,)).
+def _number(source: Source) -> float:
+    """A brightness that is no function."""
+    assert isinstance(source.brightness, (int, float)), "channels are rendered one by one"
+    return float(source.brightness)
 
-    The table holds means over half a half width, so that nothing falls between the lobe's samples. What is
-    brighter than SUNNY times the mean is taken out of it, as up to SUNS unit vectors with brightness x solid
-    angle each.
+
+def blurred(source: Source, spread: float) -> tuple[float | np.ndarray, np.ndarray, np.ndarray]:
+    """A source's brightness as a lobe of this half width [rad] takes it.
+
+    (number or table, suns (K, 3), their flux (K,)). The table holds means over half a half width, so that
+    nothing falls between the lobe's samples. Brightness beyond SUNNY times the mean is not in it; it is given
+    as up to SUNS unit vectors with brightness x solid angle each.
     """
-    none = np.zeros((0, 3)), np.zeros(0)
-    if not callable(source.brightness):
-        return float(source.brightness), *none
+    suns = np.zeros((0, 3)), np.zeros(0)
     fine = brightness_of(source, FINEST)
-    if np.ndim(fine) == 0:
-        return fine, *none
+    if not isinstance(fine, np.ndarray):
+        return fine, *suns
     u = np.linspace(-1, 1, FINEST)
     square = u * u + u[:, None] ** 2
     angle = np.where(square <= 1, (2 * (u[1] - u[0]) / (1 + square)) ** 2, 0.0)  # of the plane's cells
     limit = SUNNY * float((fine * angle).sum() / angle.sum())
-    suns = none
     y, x = np.nonzero((fine > limit) & (square <= 1))
     if len(x):
         flux = (fine[y, x] - limit) * angle[y, x]
         L = np.stack([2 * u[x], 2 * u[y], square[y, x] - 1], -1) / (1 + square[y, x, None])
         block, count = 0, SUNS + 1
-        while count > SUNS:  # neighbours go together until they are few
+        while count > SUNS:  # neighbours are merged until they are few
             which = np.unique((y >> block) * FINEST + (x >> block), return_inverse=True)[1]
             count, block = which.max() + 1, block + 1
         total = np.bincount(which, flux)
@@ -144,9 +128,7 @@ def cumulative(source: Source, azimuths: np.ndarray, knots: int) -> np.ndarray:
 
 
 class Slices:
-    """The light of a ball or a quadrangle over a map, with everything on the device; ``run`` may be repeated
-    (and timed).
-    """
+    """The light of a ball or a quadrangle over a map, all arrays on the device; ``run`` may be repeated."""
 
     def __init__(
         self,
@@ -245,7 +227,7 @@ class Slices:
             np.asarray(brightness if varies and not lobe else np.zeros((1, 1, 2)), np.float32)
         )
         self.nodes = backend.upload(
-            _quad_nodes(self.most) if isinstance(solid, Quad) else _ball_nodes(self.most, shift)
+            _quad_nodes(self.most) if isinstance(solid, Quad) else ball_nodes(self.most, shift)
         )
         self.table = backend.upload(lobe.table if lobe else np.zeros(2, np.float32))
 
@@ -275,7 +257,7 @@ class Slices:
         )
 
     def coarsen(self) -> None:
-        """The tops of all cells; once is enough."""
+        """The highest ground of all cells, computed once."""
         if self.coarsened:
             return
         self.coarsened = True
@@ -357,25 +339,23 @@ class Slices:
             )
 
     def rays(self, ways: np.ndarray) -> np.ndarray:
-        """Whether the ground leaves rays free: (rows, cols, count) bool.
+        """Whether the ground occludes no part of rays: (rows, cols, count) bool.
 
-        ``ways`` (rows, cols, 4, count) float32: azimuth's cosine and sine, tangent of the elevation, and how
-        far [spacing] ground counts. ``coarsen`` or ``run`` comes before it.
+        ``ways`` (rows, cols, 4, count) float32: azimuth's cosine and sine, tangent of the elevation, and
+        distance [spacing] up to which ground occludes. ``coarsen`` or ``run`` comes before it.
         """
         rows, cols = self.shape
         count = ways.shape[-1]
         lanes = self.backend.lanes if count % self.backend.lanes == 0 else 1
-        ways, seen = (
-            self.backend.upload(ways),
-            self.backend.empty((rows, cols, count), np.float32),
-        )  # named, so that they last until the download
+        # named, so that they exist until the download
+        given, seen = self.backend.upload(ways), self.backend.empty((rows, cols, count), np.float32)
         self.backend.launch(
             "slices",
             "rays",
             (cols, rows),
             self.heights,
             self.tops,
-            ways,
+            given,
             seen,
             rows,
             cols,
@@ -384,10 +364,11 @@ class Slices:
             count,
             lanes=lanes,
         )
-        return self.backend.download(seen) > 0
+        visible: np.ndarray = self.backend.download(seen) > 0
+        return visible
 
     def clear(self) -> None:
-        """No light yet; :meth:`sectors` adds."""
+        """Set the light to 0, before the first :meth:`sectors`."""
         self.backend.fill(self.image, 0)
 
     def sectors(
@@ -397,17 +378,17 @@ class Slices:
 
         ``ways`` (5, K): azimuth's cosine and sine, width [rad], sine of elevation at which the sector's table
         begins, and knots per unit of sine. ``table`` (K, knots, 4): integrals of B cos^2 and B sin cos from
-        each knot on, and what to add up to the next. ``window`` (x0, x1, y0, y1) [spacing]: in the plane z =
-        0, through which the light comes.
+        each knot on, and their differences to the next. ``window`` (x0, x1, y0, y1) [spacing]: in the plane z
+        = 0, through which the light comes.
         """
         rows, cols = self.shape
         self.coarsen()
         found, knots = table.shape[:2]
         count = -(-found // SLICES) * SLICES  # the rest have no width
-        given = np.zeros((5, count), np.float32), np.zeros((count, knots, 4), np.float32)
-        given[0][4] = 1
-        given[0][:, :found], given[1][:found] = ways, table
-        given = [self.backend.upload(array) for array in given]  # held until the kernel is done
+        sectors, tables = np.zeros((5, count), np.float32), np.zeros((count, knots, 4), np.float32)
+        sectors[4] = 1
+        sectors[:, :found], tables[:found] = ways, table
+        given = [self.backend.upload(array) for array in (sectors, tables)]  # held until the kernel is done
         x0, x1, y0, y1 = (-ENDLESS, ENDLESS) * 2 if window is None else map(float, window)
         self.backend.launch(
             "slices",
@@ -444,9 +425,10 @@ def _on_unit(count: int) -> np.ndarray:
     return np.stack([(1 + node) / 2, weight / 2], 1).astype(np.float32)
 
 
-def _ball_nodes(most: int, shift: float = 0.5) -> np.ndarray:
-    """(most / SLICES, 4, most) float32, as the kernel ``ball`` reads it; ``shift``: where in its step a slice
-    stands.
+def ball_nodes(most: int, shift: float = 0.5) -> np.ndarray:
+    """(most / SLICES, 4, most) float32, as the kernel ``ball`` reads it.
+
+    ``shift``: where in its step a slice lies.
     """
     table = np.zeros((most // SLICES, 4, most), np.float32)
     for block in range(most // SLICES):
@@ -459,8 +441,9 @@ def _ball_nodes(most: int, shift: float = 0.5) -> np.ndarray:
 
 @functools.cache
 def _quad_nodes(most: int) -> np.ndarray:
-    """(most, most, 2) float32, as the kernel ``quad`` reads it: all rules at once by Newton's method on
-    Legendre polynomials.
+    """(most, most, 2) float32, as the kernel ``quad`` reads it.
+
+    All Gauss-Legendre rules at once, by Newton's method on Legendre polynomials.
     """
     n, k = np.arange(1, most + 1)[:, None], np.arange(most)
     used = k < n
@@ -480,141 +463,6 @@ def _quad_nodes(most: int) -> np.ndarray:
     return table
 
 
-class Sliced(LightMethod):
-    """``solid`` [unit of depth] in ``units`` slices where it stands all round, fewer where it looks small.
-
-    ``rays``: the brightness is the mean along so many rays to the lamp, of every node; else what every
-    slice's chord holds, integrated, and the small bright parts of what is seen through a window have azimuths
-    of their own. The slices of a ball are two images that share none; to refine puts as many slices between
-    them. Those of a quadrangle stand by Gauss and Legendre: other numbers share none.
-    """
-
-    def __init__(
-        self,
-        engine: Backend,
-        scene: Scene,
-        source: sources.Source,
-        solid: Ball | Quad,
-        units: int,
-        rays: int = 0,
-        sky: Integrals | None = None,
-    ):
-        self.engine, self.scene, self.units, self.rays = engine, scene, units, rays
-        self.depth, self.step = scene.lattice()
-        self.solid, self.scale = widened(solid, self.depth, self.step)
-        self.source, self.sky = source, sky
-        self.factor = None
-        self.brightness = 1.0 if rays else source.brightness if sky is None else chords(sky, TURNS, KNOTS)
-        if rays:
-            upright = (
-                solid._replace(
-                    center=(*np.array(self.solid.center) / self.step * (1, 1, -1),),
-                    radius=self.solid.radius / self.step,
-                )
-                if isinstance(solid, Ball)
-                else Quad(np.asarray(self.solid.corners) / self.step * (1, 1, -1))
-            )
-            light = [
-                unoccluded.image(scene, upright, brightness, rays) for brightness in (source.brightness, 1.0)
-            ]
-            self.factor = np.divide(*light, out=np.zeros(scene.shape, np.float32), where=light[1] > 0)
-        self.levels = [SHIFT]
-        self._run()
-
-    def _run(self):
-        slices = Slices(
-            self.engine,
-            self.depth,
-            self.step,
-            self.scene.sides,
-            self.solid,
-            self.brightness,
-            self.units,
-            shift=SHIFT,
-        )
-        slices.run()
-        self.slices, self.mean, self.difference = (
-            slices,
-            slices.image,
-            slices.alternating if isinstance(self.solid, Ball) else None,
-        )
-        self.suns = None
-        if self.sky is not None and self.sky.suns:
-            found = [sun.sectors(max(8, self.units)) for sun in self.sky.suns]
-            bright = Slices(self.engine, self.depth, self.step, self.scene.sides, Dome())
-            bright.clear()
-            bright.sectors(
-                *(np.concatenate(parts, axis) for parts, axis in zip(zip(*found), (1, 0))),
-                outline(self.solid, self.step),
-            )
-            self.suns = bright.image
-
-    def refine(self) -> None:
-        """The slices of a ball that stand between; of a quadrangle twice as many."""
-        if not isinstance(self.solid, Ball):
-            self.units *= 2
-            self._run()
-            return
-        between = [(shift + 0.5 / len(self.levels)) % 1 for shift in self.levels]
-        slices, first = self.slices, None
-        for n, shift in enumerate(between):
-            slices.nodes = self.engine.upload(_ball_nodes(slices.most, shift))
-            slices.image = self.engine.empty(self.scene.shape, np.float32)
-            slices.run()
-            first = slices.image if first is None else self._mean(first, slices.image, n)
-        self.levels += between
-        self.units *= 2
-        self.difference = first
-        self.engine.launch(
-            "ground",
-            "halves",
-            (math.prod(self.scene.shape),),
-            self.mean,
-            self.difference,
-            math.prod(self.scene.shape),
-        )
-
-    def _mean(self, image, other, count):
-        """The mean of ``count`` images, in ``image``, and one more."""
-        values = self.engine.download(image) * (count / (count + 1)) + self.engine.download(other) / (
-            count + 1
-        )
-        return self.engine.upload(values.astype(np.float32))
-
-    def irradiance(self) -> np.ndarray:
-        image = self._scaled(self.mean)
-        if self.sky is not None:
-            image = np.maximum(image, 0)  # a difference of sums may round to less
-        return (
-            image
-            if self.suns is None
-            else image + np.float32(self.scale) * self.engine.download(self.suns).reshape(image.shape)
-        )
-
-    def half(self) -> np.ndarray | None:
-        return None if self.difference is None else self._scaled(self.difference)
-
-    def _scaled(self, image):
-        found = self.engine.download(image).reshape(self.scene.shape)
-        if self.factor is not None:
-            found = found * self.factor
-        return found if self.scale == 1.0 else found * np.float32(self.scale)
-
-    def estimate(self, limit: float) -> Estimate | None:
-        if self.difference is None:
-            return None
-        image, half = (
-            values if self.scene.mask is None else values[self.scene.mask]
-            for values in (self.irradiance(), np.abs(self.half()))
-        )
-        lit = image > 0
-        mean = float(image.sum(dtype=np.float64)) / lit.sum() if lit.any() else 1e-30
-        return Estimate(
-            math.sqrt(float(np.square(half, dtype=np.float64).mean())) / mean,
-            np.count_nonzero(half > limit) / half.size,
-        )
-
-
 def outline(window: Quad, step: float) -> tuple[float, float, float, float]:
     """x0, x1, y0, y1 [spacing] of a window."""
     (x0, y0, _), (x1, y1, _) = (
@@ -624,9 +472,10 @@ def outline(window: Quad, step: float) -> tuple[float, float, float, float]:
 
 
 def widened(solid: Ball | Quad, depth: np.ndarray, step: float) -> tuple[Ball | Quad, float]:
-    """A quadrangle whose thin sides are widened to what float32 can hold as the ground sees it, and what its
-    light must be multiplied by: across so little, light is in proportion to the width. ``depth`` (rows, cols)
-    in a unit in which the spacing is ``step``.
+    """(A quadrangle whose thin sides are widened to what float32 can resolve, factor of its light).
+
+    Across so little, light is in proportion to the width. ``depth`` (rows, cols) in a unit in which the
+    spacing is ``step``.
     """
     if isinstance(solid, Ball):
         return solid, 1.0
@@ -635,7 +484,8 @@ def widened(solid: Ball | Quad, depth: np.ndarray, step: float) -> tuple[Ball | 
     middle, finite = corners.mean(0), depth[:: max(1, rows // 32), :: max(1, cols // 32)]
     y, x = np.mgrid[0 : rows : max(1, rows // 32), 0 : cols : max(1, cols // 32)] * step
     away = np.sqrt((x - middle[0]) ** 2 + (y - middle[1]) ** 2 + (finite - middle[2]) ** 2)
-    least = THIN * float(np.median(away[np.isfinite(away)], axis=None)) if np.isfinite(away).any() else 0.0
+    known = away[np.isfinite(away)]
+    least = THIN * float(np.median(known)) if known.size else 0.0
     edges, scale = [corners[1] - corners[0], corners[3] - corners[0]], 1.0
     for n, edge in enumerate(edges):
         length = float(np.linalg.norm(edge))

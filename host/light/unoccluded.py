@@ -1,8 +1,10 @@
-"""Light where nothing hides the source: closed forms from the surface's normals, without any kernel."""
+"""Light where nothing occludes the source: closed forms from the surface's normals, without any kernel."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 
@@ -17,10 +19,14 @@ from ..sources.solids import Ball, Quad
 ACROSS = 65
 AZIMUTHS = 96  # that tables are made of; chosen
 
+Values = Any  # numbers or arrays that broadcast
+Vector = tuple[Values, Values, Values]
+
 
 def gradients(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
-    """d depth/dx and d depth/dy (rows, cols) float32: central differences, one-sided at the border and beside
-    masked nodes.
+    """d depth/dx and d depth/dy (rows, cols) float32.
+
+    Central differences, one-sided at the border and beside masked nodes.
     """
     z = scene.depth / np.float32(scene.spacing)
     if scene.mask is None:
@@ -40,12 +46,11 @@ def gradients(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
 def by_normals(
     table: np.ndarray | None, azimuths: np.ndarray | None = None, widths: np.ndarray | None = None
 ) -> np.ndarray:
-    """A sky's light (ACROSS, ACROSS) float32 on surfaces that nothing but their tangent plane and the level
-    shades, by normal.
+    """A sky's light by normal, (ACROSS, ACROSS) float32, where the tangent plane and the level alone occlude.
 
     Row j, column i: the normal whose stereographic projection is 2 i / (ACROSS - 1) - 1 along x and so on,
-    see the kernel ``correct``. ``table`` (azimuths, knots, 4) as sweeps take it; None: a uniform sky of
-    brightness 1, pi (1 + cos a) / 2.
+    see the kernel ``correct``. ``table`` (azimuths, knots, 4) as sweeps take it, with the ``azimuths`` and
+    ``widths`` of its sectors; None: a uniform sky of brightness 1, pi (1 + cos a) / 2.
     """
     side = np.linspace(-1, 1, ACROSS)
     u, v = (a.ravel() for a in np.meshgrid(side, side))
@@ -58,28 +63,30 @@ def by_normals(
         if table is None:
             light[some] = np.pi / 2 * (1 + 1 / np.sqrt(1 + sx * sx + sy * sy))
         else:
+            assert azimuths is not None and widths is not None, "a table has azimuths"
             least = np.maximum(0, -(sx * np.cos(azimuths)[:, None] + sy * np.sin(azimuths)[:, None]))
             light[some] = widths @ ring(sx, sy, azimuths, least, table)
     return light.reshape(ACROSS, ACROSS).astype(np.float32)
 
 
 def sky(scene: Scene, light: Integrals | float) -> np.ndarray:
-    """Irradiance (rows, cols) float32 of a sky of which the tangent plane and the level alone hide a part.
+    """Irradiance (rows, cols) float32 of a sky that the tangent plane and the level alone occlude.
 
     A number: pi B (1 + cos a) / 2. Else by :func:`by_normals`, bilinearly, and every small bright part as if
-    it stood in one direction.
+    it lay in one direction.
     """
     gx, gy = gradients(scene)
     up = 1 / np.sqrt(1 + gx * gx + gy * gy)
     if isinstance(light, float):
-        return (1 + up) * np.float32(np.pi / 2 * light)
+        uniform: np.ndarray = (1 + up) * np.float32(np.pi / 2 * light)
+        return uniform
     sectors = even(AZIMUTHS, 0.5)
     table = by_normals(light.table(sectors.angles, sectors.widths), sectors.angles, sectors.widths)
     at = [np.nan_to_num((g * up / (1 + up) + 1) * np.float32((ACROSS - 1) / 2)) for g in (gx, gy)]
     low = [np.minimum(a.astype(np.int32), ACROSS - 2) for a in at]
-    p, q = (a - l for a, l in zip(at, low))
+    p, q = (a - whole for a, whole in zip(at, low))
     i, j = low
-    image = (1 - q) * ((1 - p) * table[j, i] + p * table[j, i + 1]) + q * (
+    image: np.ndarray = (1 - q) * ((1 - p) * table[j, i] + p * table[j, i + 1]) + q * (
         (1 - p) * table[j + 1, i] + p * table[j + 1, i + 1]
     )
     for sun in light.suns:
@@ -88,121 +95,149 @@ def sky(scene: Scene, light: Integrals | float) -> np.ndarray:
     return image
 
 
-def looks_at_all(gx, gy, x, y, z, sine) -> np.ndarray:
-    """Whether a surface of slope (gx, gy) looks at all of a disc of this angular radius round the direction
-    (x, y, z), z upwards. Ground that does so everywhere hides none of the disc from any node: a ray to it
-    leaves the ground and never comes back.
+def looks_at_all(gx: Values, gy: Values, x: Values, y: Values, z: Values, sine: Values) -> np.ndarray:
+    """Whether the tangent plane of a surface of slope (gx, gy) hides no part of a disc.
+
+    The disc is round the direction (x, y, z), z upwards, and ``sine`` is that of its angular radius. Where
+    this holds at all nodes, the ground occludes the disc at none: a ray to it leaves the ground and does not
+    return.
     """
-    return gx * x + gy * y + z >= sine * np.sqrt(1 + gx * gx + gy * gy)
+    clear: np.ndarray = gx * x + gy * y + z >= sine * np.sqrt(1 + gx * gx + gy * gy)
+    return clear
 
 
-def lamp(gx, gy, x, y, height, solid: Ball | Quad, brightness, points: int = 1) -> np.ndarray:
-    """Irradiance of elements of slope (gx, gy) at (x, y, height) [spacings] under a ball or a quadrangle that
-    nothing hides but their tangent plane.
+def lamp(
+    gx: Values,
+    gy: Values,
+    x: Values,
+    y: Values,
+    height: Values,
+    solid: Ball | Quad,
+    brightness: sources.Brightness,
+    points: int = 1,
+) -> np.ndarray:
+    """Irradiance of elements of slope (gx, gy) at (x, y, height) [spacings] under a ball or a quadrangle.
 
-    A ball: pi B (R / d)^2 cos where it stands wholly above the plane, and the closed form of the part above
-    it (Howell, Menguc, Daun and Siegel 2020, factor B-43). A quadrangle: Lambert's polygon, none where it
-    turns negative. A brightness that varies is taken along ``points`` rays to parts of the source of equal
-    size, 1 or a power of 4, each weighed by the light that it would bring. Arrays that broadcast; the level
-    hides nothing.
+    The tangent planes of the elements alone occlude it; the level does not. A brightness that varies is taken
+    along ``points`` rays to parts of the source of equal size, 1 or a power of 4, each weighted by the light
+    of its part. Arrays that broadcast.
     """
     middle = np.array(
         solid.center if isinstance(solid, Ball) else np.asarray(solid.corners).mean(0), np.float32
     )
     to = middle[0] - x, middle[1] - y, middle[2] - height
     up = 1 / np.sqrt(1 + gx * gx + gy * gy)
-    square = to[0] ** 2 + to[1] ** 2 + to[2] ** 2
-    far = np.sqrt(square)
+    light: np.ndarray
     if isinstance(solid, Ball):
-        cosine = (to[0] * gx + to[1] * gy + to[2]) * up / far
-        ratio = np.float32(solid.radius) / far
-        light = np.pi * ratio**2 * cosine
-        cut = np.flatnonzero((np.abs(cosine) < ratio).ravel())
-        light = np.where(cosine < 0, 0, light)
-        if cut.size:
-            c, r = (np.broadcast_to(v, light.shape).ravel()[cut].astype(float) for v in (cosine, ratio))
-            h, sine = 1 / r, np.sqrt(np.maximum(1 - c * c, 1e-12))
-            root = np.sqrt(np.maximum(h * h - 1, 0))
-            part = (
-                0.5
-                - np.arcsin(np.clip(root / (h * sine), -1, 1)) / np.pi
-                + (
-                    c * np.arccos(np.clip(-root * c / sine, -1, 1))
-                    - root * np.sqrt(np.maximum(0, 1 - (h * c) ** 2))
-                )
-                / (np.pi * h * h)
-            )
-            light = light.ravel()
-            light[cut] = np.pi * np.maximum(part, 0)
-            light = light.reshape(far.shape)
+        light = _ball(gx, gy, to, up, solid)
     else:
-        light = np.zeros(np.shape(far), np.float32)
-        corners = np.asarray(solid.corners, np.float32)
-        rays = [(c[0] - x, c[1] - y, c[2] - height) for c in corners]
-        for a, b in zip(rays, rays[1:] + rays[:1]):
-            edge = a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
-            size = np.sqrt(edge[0] ** 2 + edge[1] ** 2 + edge[2] ** 2)
-            angle = np.arctan2(size, a[0] * b[0] + a[1] * b[1] + a[2] * b[2])
-            light += angle / np.maximum(size, 1e-30) * (edge[0] * gx + edge[1] * gy + edge[2])
-        light = np.abs(light) * (up / 2)
-    if callable(brightness):
-        total, whole = 0.0, 1e-30
-        for way, weight in _rays(solid, to, x, y, height, points):
-            size = np.sqrt(way[0] ** 2 + way[1] ** 2 + way[2] ** 2)
-            if points > 1:
-                weight = weight * np.maximum(0, (way[0] * gx + way[1] * gy + way[2]) / size)
-            direction = np.stack(
-                np.broadcast_arrays(way[0] / size, way[1] / size, np.minimum(-way[2] / size, 0)), -1
-            )
-            total, whole = (
-                total + weight * sources.radiance(sources.Sky(brightness), direction),
-                whole + weight,
-            )
-        return (light * (total / whole)).astype(np.float32)
-    return (light * float(brightness)).astype(np.float32)
+        light = _quadrangle(gx, gy, x, y, height, up, solid)
+    if not callable(brightness):
+        assert not isinstance(brightness, tuple), "channels are rendered one by one"
+        return (light * float(brightness)).astype(np.float32)
+    total: Values = 0.0
+    whole: Values = 1e-30
+    for way, weight in _rays(solid, to, x, y, height, points):
+        size = np.sqrt(way[0] ** 2 + way[1] ** 2 + way[2] ** 2)
+        if points > 1:
+            weight = weight * np.maximum(0, (way[0] * gx + way[1] * gy + way[2]) / size)
+        direction = np.stack(
+            np.broadcast_arrays(way[0] / size, way[1] / size, np.minimum(-way[2] / size, 0)), -1
+        )
+        total = total + weight * sources.radiance(sources.Sky(brightness), direction)
+        whole = whole + weight
+    return (light * (total / whole)).astype(np.float32)
 
 
-def _rays(solid, to, x, y, height, points):
-    """``points`` vectors to a source from (x, y, height), ``to`` that to its middle, each for as much of it,
-    and a weight for each.
+def _ball(gx: Values, gy: Values, to: Vector, up: Values, ball: Ball) -> np.ndarray:
+    """Irradiance by a ball of brightness 1, ``to`` the vectors to its centre; ``up`` the normals' z.
+
+    pi (R / d)^2 cos where it lies wholly above the plane, else the closed form of the part above it (Howell,
+    Menguc, Daun and Siegel 2020, factor B-43).
+    """
+    far = np.sqrt(to[0] ** 2 + to[1] ** 2 + to[2] ** 2)
+    cosine = (to[0] * gx + to[1] * gy + to[2]) * up / far
+    ratio = np.float32(ball.radius) / far
+    light: np.ndarray = np.pi * ratio**2 * cosine
+    cut = np.flatnonzero((np.abs(cosine) < ratio).ravel())
+    light = np.where(cosine < 0, 0, light)
+    if not cut.size:
+        return light
+    c, r = (np.broadcast_to(v, light.shape).ravel()[cut].astype(float) for v in (cosine, ratio))
+    h, sine = 1 / r, np.sqrt(np.maximum(1 - c * c, 1e-12))
+    root = np.sqrt(np.maximum(h * h - 1, 0))
+    part = (
+        0.5
+        - np.arcsin(np.clip(root / (h * sine), -1, 1)) / np.pi
+        + (c * np.arccos(np.clip(-root * c / sine, -1, 1)) - root * np.sqrt(np.maximum(0, 1 - (h * c) ** 2)))
+        / (np.pi * h * h)
+    )
+    light = light.ravel()
+    light[cut] = np.pi * np.maximum(part, 0)
+    lit: np.ndarray = light.reshape(far.shape)
+    return lit
+
+
+def _quadrangle(
+    gx: Values, gy: Values, x: Values, y: Values, height: Values, up: Values, quad: Quad
+) -> np.ndarray:
+    """Irradiance by a quadrangle of brightness 1, ``up`` the normals' z: Lambert's polygon."""
+    light = np.zeros(np.broadcast_shapes(np.shape(x), np.shape(y), np.shape(height)), np.float32)
+    corners = np.asarray(quad.corners, np.float32)
+    rays = [(c[0] - x, c[1] - y, c[2] - height) for c in corners]
+    for a, b in zip(rays, rays[1:] + rays[:1]):
+        edge = a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+        size = np.sqrt(edge[0] ** 2 + edge[1] ** 2 + edge[2] ** 2)
+        angle = np.arctan2(size, a[0] * b[0] + a[1] * b[1] + a[2] * b[2])
+        light += angle / np.maximum(size, 1e-30) * (edge[0] * gx + edge[1] * gy + edge[2])
+    whole: np.ndarray = np.abs(light) * (up / 2)
+    return whole
+
+
+def _rays(
+    solid: Ball | Quad, to: Vector, x: Values, y: Values, height: Values, points: int
+) -> Iterator[tuple[Vector, Values]]:
+    """``points`` vectors to parts of equal size of a source from (x, y, height), and a weight for each.
+
+    ``to``: the vectors to its middle.
     """
     if isinstance(solid, Quad):
-        corners = np.asarray(solid.corners, np.float32)
-        edges = corners[1] - corners[0], corners[3] - corners[0]
-        long, wide = (float(np.linalg.norm(edge)) for edge in edges)
-        along = int(
-            np.clip(
-                2 ** round(math.log2(points) / 2 + math.log2(max(long, 1e-30) / max(wide, 1e-30)) / 2),
-                1,
-                points,
-            )
-        )  # cells as square as can be
-        normal = np.cross(*edges)
-        for i in range(along):
-            for j in range(points // along):
-                way = [
-                    corners[0][n]
-                    + (i + 0.5) / along * edges[0][n]
-                    + (j + 0.5) / (points // along) * edges[1][n]
-                    - at
-                    for n, at in enumerate((x, y, height))
-                ]
-                yield (
-                    way,
-                    np.abs(way[0] * normal[0] + way[1] * normal[1] + way[2] * normal[2])
-                    / (way[0] ** 2 + way[1] ** 2 + way[2] ** 2) ** 1.5,
-                )
-        return
-    if points == 1:
+        yield from _rays_to_quadrangle(solid, x, y, height, points)
+    elif points == 1:
         yield to, 1.0
-        return
+    else:
+        yield from _rays_to_ball(solid, to, points)
+
+
+def _rays_to_quadrangle(
+    quad: Quad, x: Values, y: Values, height: Values, points: int
+) -> Iterator[tuple[Vector, Values]]:
+    corners = np.asarray(quad.corners, np.float32)
+    edges = corners[1] - corners[0], corners[3] - corners[0]
+    long, wide = (float(np.linalg.norm(edge)) for edge in edges)
+    # cells as square as can be
+    halvings = round(math.log2(points) / 2 + math.log2(max(long, 1e-30) / max(wide, 1e-30)) / 2)
+    along = int(np.clip(2**halvings, 1, points))
+    normal = np.cross(*edges)
+    for i in range(along):
+        for j in range(points // along):
+            u, v = (i + 0.5) / along, (j + 0.5) / (points // along)
+            dx, dy, dz = (
+                corners[0][n] + u * edges[0][n] + v * edges[1][n] - at for n, at in enumerate((x, y, height))
+            )
+            yield (
+                (dx, dy, dz),
+                np.abs(dx * normal[0] + dy * normal[1] + dz * normal[2]) / (dx**2 + dy**2 + dz**2) ** 1.5,
+            )
+
+
+def _rays_to_ball(ball: Ball, to: Vector, points: int) -> Iterator[tuple[Vector, Values]]:
     flat, far = np.sqrt(to[0] ** 2 + to[1] ** 2), np.sqrt(to[0] ** 2 + to[1] ** 2 + to[2] ** 2)
     c, s, rise = to[0] / np.maximum(flat, 1e-9), to[1] / np.maximum(flat, 1e-9), -to[2] / far
     rings = max(1, round(math.sqrt(points) / 2))
     for number in range(rings):
-        out = np.minimum(
-            np.float32(math.sqrt((number + 0.5) / rings)) * solid.radius / far, 0.99
-        )  # sine of the angle from the middle; rings of equal area
+        # sine of the angle from the middle; rings of equal area
+        out = np.minimum(np.float32(math.sqrt((number + 0.5) / rings)) * ball.radius / far, 0.99)
         secant = 1 / np.sqrt(1 - out * out)
         tangent = out * secant * far
         for n in range(points // rings):
@@ -218,12 +253,11 @@ def _rays(solid, to, x, y, height, points):
             )
 
 
-def image(scene: Scene, solid: Ball | Quad, brightness, points: int = 1) -> np.ndarray:
+def image(scene: Scene, solid: Ball | Quad, brightness: sources.Brightness, points: int = 1) -> np.ndarray:
     """(rows, cols) float32, see :func:`lamp`; lengths of ``solid`` in spacings, heights third."""
     gx, gy = gradients(scene)
     rows, cols = scene.shape
     x, y = np.arange(cols, dtype=np.float32), np.arange(rows, dtype=np.float32)[:, None]
-    depth = (
-        scene.depth if scene.mask is None else np.nan_to_num(scene.depth)
-    )  # a brightness function is given no NaN
+    # a brightness function is given no NaN
+    depth = scene.depth if scene.mask is None else np.nan_to_num(scene.depth)
     return lamp(gx, gy, x, y, depth / np.float32(-scene.spacing), solid, brightness, points)

@@ -1,4 +1,4 @@
-"""The tables that every kernel language is handed: walks over lattice lines, crossings of grid lines, cycles."""
+"""Tables for the kernels of all languages: walks over lattice lines, crossings of grid lines, cycles."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 BYTE = 8  # visibility bits of one walk and node that a plane holds
-# a rise after which nothing blocks; so small beside the largest float32 that adding it changes nothing there
+# a rise after which nothing occludes; so small beside the largest float32 that adding it changes nothing
 FREE = 1e30
 
 
@@ -31,12 +31,13 @@ class Group(NamedTuple):
     directions: np.ndarray
 
     @property
-    def count(self) -> int:
+    def n_walks(self) -> int:
         return len(self.walks)
 
     @property
     def bits(self) -> int:
-        return self.directions.shape[1]
+        """Elevations of a walk."""
+        return int(self.directions.shape[1])
 
 
 def walk_groups(
@@ -48,8 +49,9 @@ def walk_groups(
     filled: bool,
     most: int,
 ) -> list[Group]:
-    """The directions ``steps`` (D, 3) over a map of ``shape``, ``most`` walks a group; relief and step in the
-    unit of depth.
+    """The directions ``steps`` (D, 3) over a map of ``shape``, at most ``most`` walks per group.
+
+    ``relief`` and ``step``, the spacing, in the unit of depth.
     """
     ways: dict[tuple[int, int], list[tuple[int, int]]] = {}
     for d, (i, j, up) in enumerate(steps.tolist()):
@@ -60,8 +62,7 @@ def walk_groups(
             (way, part) for part in np.array_split(np.array(sorted(members)), -(-len(members) // BYTE))
         ]
 
-    # Many elevations first; within a size the longest lines first, so that none is left to run alone at the
-    # end.
+    # Many elevations first; of equally many the longest lines first, so that none runs alone at the end.
     chunks.sort(key=lambda c: (-len(c[1]), abs(c[0][1]) or abs(c[0][0]), c[0], c[1][0, 0]))
     groups = []
     while chunks:
@@ -71,8 +72,17 @@ def walk_groups(
     return groups
 
 
-def _group(chunks, shape, relief, step, periodic, filled):
-    walks, spans, crossings, climbs, rise, pairs = [], [], [], [], [], []
+def _group(
+    chunks: list[tuple[tuple[int, int], np.ndarray]],
+    shape: tuple[int, int],
+    relief: float,
+    step: float,
+    periodic: bool,
+    filled: bool,
+) -> Group:
+    crossings: list[tuple[int, ...]] = []
+    pairs: list[tuple[int, int]] = []
+    walks, spans, climbs, rise = [], [], [], []
     for w, ((i, j), members) in enumerate(chunks):
         k = members[:, 0]
         turned = j == 0 and i != 0
@@ -83,9 +93,7 @@ def _group(chunks, shape, relief, step, periodic, filled):
         crossings += points
         climbs += [point[6] * k * step for point in points]
         i = i % cols if periodic else i
-        if (i == 0 and j == 0) or abs(
-            i
-        ) >= cols:  # straight up, or off the map at once: no node stands in another's way
+        if (i == 0 and j == 0) or abs(i) >= cols:  # straight up, or off the map at once: nothing occludes
             i, j, warm = 0, 1, 0
             rise.append(np.full(len(k), FREE))
         else:
@@ -113,7 +121,7 @@ def _group(chunks, shape, relief, step, periodic, filled):
 
 
 def cycle_length(i: int, j: int, rows: int, cols: int) -> int:
-    """Steps (i, j) after which a walk over a map that repeats is back at its node."""
+    """Steps (i, j) after which a walk over a periodic map is back at its node."""
     return math.lcm(cols // math.gcd(cols, i), rows // math.gcd(rows, j))
 
 
@@ -138,10 +146,9 @@ def crossings_of(i: int, j: int, filled: bool) -> tuple[list[tuple[int, ...]], i
 
 
 def lap_table(depth: np.ndarray, ways: list[tuple[int, int]], filled: bool) -> np.ndarray:
-    """(walks, lines) float32: the least depth x parts on the cycle of each line of the walks, on a map that
-    repeats.
+    """Of a periodic map, the least depth x parts on the cycle of each line of walks: (walks, lines) float32.
 
-    Line r * across + n of a walk is the n-th of residue r: side by side in x, or in y where j = 0.
+    Line r * across + n of a walk is the n-th of residue r: adjacent in x, or in y where j = 0.
     """
     rows, cols = depth.shape
     lines = [cols * min(abs(j), rows) if j else rows * min(abs(i), cols) for i, j in ways]
@@ -154,16 +161,19 @@ def lap_table(depth: np.ndarray, ways: list[tuple[int, int]], filled: bool) -> n
         residue, lane = np.divmod(np.arange(lines[w]), across)
         start = along - 1 - residue if stride > 0 else residue
         table[w, : lines[w]] = least[i, j][start, lane] if j else least[i, j][lane, start]
-    return np.minimum(
-        table, np.finfo(np.float32).max
-    )  # where a whole cycle is masked; see the first ceilings of scan
+    # where a whole cycle is masked; see the first ceilings of scan
+    return np.minimum(table, np.finfo(np.float32).max)
 
 
-def _cycle_minimum(depth, i, j, filled):
+def _cycle_minimum(depth: np.ndarray, i: int, j: int, filled: bool) -> np.ndarray:
+    """Of every node (rows, cols) float32, the least depth x parts on the cycle of steps (i, j) through it."""
     rows, cols = depth.shape
-    moved = lambda values, x, y: np.roll(values, (-y % rows, -x % cols), (0, 1))
+
+    def moved(values: np.ndarray, x: int, y: int) -> np.ndarray:
+        return np.roll(values, (-y % rows, -x % cols), (0, 1))
+
     points, parts = crossings_of(i, j, filled)
-    least = depth * np.float32(parts)
+    least: np.ndarray = depth * np.float32(parts)
     for x, y, to_x, to_y, near, far, _, _ in points[:-1]:
         a, b = moved(depth, x, y), moved(depth, x + to_x, y + to_y)
         with np.errstate(invalid="ignore"):  # inf x 0 where masked

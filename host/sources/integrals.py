@@ -14,7 +14,7 @@ import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -34,8 +34,8 @@ ROUGH = 0.05
 # 7e-5 off (tests/test_brightness.py)
 SHARE = 2e-6
 NEGLIGIBLE = 1e-9  # of all light: smaller second differences do not matter, a million cells are 1e-6 off
-# samples along each side of a rough cell that is not divided; chosen: with 3, twenty stripes are 2e-4 off, with
-# 1 six times that
+# samples along each side of a rough cell that is not divided; chosen: with 3, twenty stripes are 2e-4 off,
+# with 1 six times that
 JITTERED = 5
 PARTS = 4  # into which a cell is divided along each side
 MOST_DIVISIONS = 9  # 0.15 degrees / 4^9 = 2e-6 degrees
@@ -55,8 +55,9 @@ KNOTS, SUN_KNOTS = 257, 65  # of the tables of a sky and of a small part, evenly
 
 
 class Cells(NamedTuple):
-    """Parts of the sky, (n,) each: azimuth and width of it [rad], elevations [rad], brightness, and the
-    number of the base cell.
+    """Parts of the sky, (n,) each.
+
+    Azimuth and its width [rad], elevations [rad], brightness, and the number of the base cell.
     """
 
     azimuth: np.ndarray
@@ -66,23 +67,27 @@ class Cells(NamedTuple):
     light: np.ndarray
     base: np.ndarray
 
-    def pick(self, which) -> Cells:
+    def pick(self, which: np.ndarray) -> Cells:
         return Cells(*(values[which] for values in self))
 
     @property
     def solid_angle(self) -> np.ndarray:
-        return self.width * (np.sin(self.high) - np.sin(self.low))
+        angle: np.ndarray = self.width * (np.sin(self.high) - np.sin(self.low))
+        return angle
 
     @property
     def moments(self) -> np.ndarray:
         """Integrals of B cos^2 and of B sin cos over azimuth and elevation: (2, n)."""
-        return self.light * self.width * (_antiderivatives(self.high) - _antiderivatives(self.low))
+        per_width = _antiderivatives(self.high) - _antiderivatives(self.low)
+        moments: np.ndarray = self.light * self.width * per_width
+        return moments
 
 
 @dataclass(frozen=True)
 class Sun:
-    """A small bright part of a sky: its cells in order of azimuth, which may run past 2 pi, what they are
-    brighter than ``limit`` as their light.
+    """A small bright part of a sky: its cells in order of azimuth, which may run past 2 pi.
+
+    Their light is the excess of brightness over ``limit``.
     """
 
     cells: Cells
@@ -101,9 +106,7 @@ class Sun:
 
     @cached_property
     def cone(self) -> tuple[np.ndarray, float]:
-        """A unit vector, third component upwards, and the sine of the radius of a disc round it that holds
-        every cell.
-        """
+        """(Unit vector, third component upwards; sine of the radius of a disc round it that holds all)."""
         middle = self.moment / np.linalg.norm(self.moment)
         e, a = (self.cells.low + self.cells.high) / 2, self.cells.azimuth
         cosine = np.cos(e) * (middle[0] * np.cos(a) + middle[1] * np.sin(a)) + middle[2] * np.sin(e)
@@ -112,22 +115,20 @@ class Sun:
 
     @cached_property
     def _rows(self) -> tuple[tuple[np.ndarray, np.ndarray], np.ndarray]:
-        """The elevations between which its cells lie, (lowest, highest) of every row of them, and each cell's
-        row.
-        """
+        """(Lowest and highest elevations of the rows of its cells, each cell's row)."""
         rows, row = np.unique(self.cells.low + 1j * self.cells.high, return_inverse=True)
         return (rows.real, rows.imag), row
 
     def sectors(self, count: int, shifted: bool = False) -> tuple[np.ndarray, np.ndarray]:
-        """Its light in ``count`` sectors of azimuth that have equal shares of it: ways (5, K) and table (K,
-        SUN_KNOTS, 4) as the kernel `sectors` takes them. ``shifted``: borders half a sector on, so that there
-        are ``count`` + 1.
+        """Its light in ``count`` sectors of azimuth that have equal shares of it.
+
+        ways (5, K) and table (K, SUN_KNOTS, 4), as the kernel `sectors` takes them. ``shifted``: borders half
+        a sector on, so that there are ``count`` + 1.
         """
         cells, (ends, row) = self.cells, self._rows
         span = float(np.ptp(cells.azimuth)) + float(cells.width.max())
-        times = np.clip(np.ceil(2 * count * cells.width / span), 1, FINEST).astype(
-            int
-        )  # no cell wider than half a sector
+        # no cell wider than half a sector
+        times = np.clip(np.ceil(2 * count * cells.width / span), 1, FINEST).astype(int)
         if times.max() > 1:
             part = np.arange(times.sum()) - np.repeat(np.cumsum(times) - times, times)
             which, times = np.repeat(np.arange(len(times)), times), np.repeat(times, times)
@@ -145,10 +146,9 @@ class Sun:
         edges, group = np.flatnonzero(begins), np.cumsum(begins) - 1
         first, last = math.sin(cells.low.min()), math.sin(cells.high.max())
         low, high = (np.sin(ends)[:, None] for ends in ends)
-        ramp = np.clip(
-            (high - np.linspace(first, last, SUN_KNOTS)) / np.maximum(high - low, 1e-12), 0, 1
-        )  # share of a row above every knot
-        ramp[:, 0] = 1  # of which rounding takes a part
+        # share of a row above every knot
+        ramp = np.clip((high - np.linspace(first, last, SUN_KNOTS)) / np.maximum(high - low, 1e-12), 0, 1)
+        ramp[:, 0] = 1  # but for rounding
         table = np.stack(
             [
                 np.bincount(group * len(low) + row, moment, len(edges) * len(low)).reshape(len(edges), -1)
@@ -171,8 +171,10 @@ class Sun:
 
 
 class Band(NamedTuple):
-    """Rows of equally wide cells: brightness (rows, n); azimuth of the first cell's middle in every row
-    (rows,) [rad], and borders (rows + 1,) [rad] between rows.
+    """Rows of equally wide cells.
+
+    Brightness (rows, n); azimuth of the first cell's middle in every row (rows,) [rad]; borders (rows + 1,)
+    [rad] between rows.
     """
 
     light: np.ndarray
@@ -181,19 +183,21 @@ class Band(NamedTuple):
 
     @property
     def width(self) -> float:
-        return 2 * math.pi / self.light.shape[1]
+        return 2 * math.pi / float(self.light.shape[1])
 
     @property
     def solid_angle(self) -> np.ndarray:
         """Of a cell of every row: (rows, 1)."""
-        return self.width * np.diff(np.sin(self.borders))[:, None]
+        angle: np.ndarray = self.width * np.diff(np.sin(self.borders))[:, None]
+        return angle
 
     @property
     def moments(self) -> np.ndarray:
         """Integrals of B cos^2 and of B sin cos over every cell: (2, rows, n)."""
-        return self.light * (self.width * np.diff(_antiderivatives(self.borders)))[..., None]
+        moments: np.ndarray = self.light * (self.width * np.diff(_antiderivatives(self.borders)))[..., None]
+        return moments
 
-    def cells(self, row, col, first) -> Cells:
+    def cells(self, row: np.ndarray, col: np.ndarray, first: int) -> Cells:
         return Cells(
             self.start[row] + col * self.width,
             np.full(len(col), self.width),
@@ -209,8 +213,9 @@ Peaks = tuple[tuple[float, float], ...]  # (azimuth, elevation) [rad] of narrow 
 
 @dataclass
 class _Leaves:
-    """Cells that are not divided any more; the light of all cells but those that may still be divided, and the
-    variance of its error.
+    """Cells that are not divided any more.
+
+    ``total``: light of all cells but those that may still be divided; ``variance``: of the error of it.
     """
 
     cells: list[Cells]
@@ -239,10 +244,10 @@ class Integrals:
     def __init__(
         self, source: sources.Sky, tolerance: float = 0.01, fine: bool = False, widest: float = WIDEST
     ):
-        """``fine``: cells are small also where narrow features are named, for what sees little of the sky at
-        a time. ``tolerance`` inf: nothing is taken apart. ``widest``: azimuth that a small part may span
-        [rad].
+        """``fine``: cells are small also where narrow features are named, for sources that see little of the
+        sky at a time. ``tolerance`` inf: no small bright parts. ``widest``: azimuth that one may span [rad].
         """
+        function: Any
         function, peaks = source.brightness, _peaks(source)
         if getattr(function, "direct", 0):  # the disc is part of this sky, and stands where it says
             function = function.with_disc
@@ -250,9 +255,7 @@ class Integrals:
         bands = (
             _of_map(image) if image is not None else _of_function(function, peaks is not None and not fine)
         )
-        self._radiance = lambda azimuth, sine: sources.radiance(
-            sources.Sky(function), sources.directions_of(azimuth, sine)
-        )
+        self._source = sources.Sky(function)
         sizes = np.array([0, *np.cumsum([band.light.size for band in bands])])
         solid = [band.solid_angle for band in bands]
         total = sum(float((angle * band.light).sum()) for band, angle in zip(bands, solid))
@@ -291,9 +294,9 @@ class Integrals:
         self.suns = tuple(sun for sun, power in zip(suns, left) if power > FAINT * tolerance * total)
         for sun in self.suns:
             for n, part in enumerate(parts):
-                here = (sun.cells.base >= sizes[n]) & (sun.cells.base < sizes[n + 1])
+                inside = (sun.cells.base >= sizes[n]) & (sun.cells.base < sizes[n + 1])
                 for values, moment in zip(part, sun.cells.moments):
-                    np.subtract.at(values.reshape(-1), sun.cells.base[here] - sizes[n], moment[here])
+                    np.subtract.at(values.reshape(-1), sun.cells.base[inside] - sizes[n], moment[inside])
         self.rest = float(sum(part[1].sum() for part in parts))
         self.mean = self.rest / math.pi
         light = [
@@ -306,6 +309,9 @@ class Integrals:
         self._sums = [
             np.concatenate([np.zeros((*part.shape[:2], 1)), np.cumsum(part, 2)], 2) for part in parts
         ]
+
+    def _radiance(self, azimuth: np.ndarray, sine: np.ndarray) -> np.ndarray:
+        return sources.radiance(self._source, sources.directions_of(azimuth, sine))
 
     def _divide(
         self, bands: list[Band], sizes: np.ndarray, solid: list[np.ndarray], total: float, peaks: Peaks
@@ -341,8 +347,8 @@ class Integrals:
     ) -> tuple[Cells, np.ndarray, float]:
         """(base cells to be divided, their second differences, variance of the others).
 
-        The brightness of the others becomes the mean over the cell: by its curvature where it is smooth, else by
-        samples.
+        The brightness of the others becomes the mean over the cell: by its curvature where it is smooth, else
+        by samples.
         """
         begin, corrections, variance = [], [], 0.0
         for n, (band, angle) in enumerate(zip(bands, solid)):
@@ -395,45 +401,49 @@ class Integrals:
         cells.light[rough] = self._jittered_mean(cells.pick(rough))
         return cells
 
-    def _jittered_mean(self, cells: Cells, looks: int = 1) -> np.ndarray:
-        """Mean brightness at ``looks`` x ``looks`` places in every cell, others in each: borders that run
-        along cells are then met at all places.
+    def _jittered_mean(self, cells: Cells, samples: int = 1) -> np.ndarray:
+        """Mean brightness at ``samples`` x ``samples`` places in every cell, jittered.
+
+        An edge that runs along cells is then met at all places of it.
         """
         u, v = np.outer(PLACES, np.arange(len(cells.light))) % 1
         total = np.zeros(len(u))
         for some in np.array_split(np.arange(len(u)), len(u) // AT_ONCE + 1):
-            for i in range(looks):
-                for j in range(looks):
-                    azimuth = cells.azimuth[some] + ((u[some] + i) / looks - 0.5) * cells.width[some]
+            for i in range(samples):
+                for j in range(samples):
+                    azimuth = cells.azimuth[some] + ((u[some] + i) / samples - 0.5) * cells.width[some]
                     total[some] += self._radiance(
                         azimuth,
-                        np.sin(cells.low[some] + (v[some] + j) / looks * (cells.high - cells.low)[some]),
+                        np.sin(cells.low[some] + (v[some] + j) / samples * (cells.high - cells.low)[some]),
                     )
-        return total / looks**2
+        return total / samples**2
 
     def table(self, angles: np.ndarray, widths: np.ndarray, knots: int = KNOTS) -> np.ndarray:
-        """Brightness as sweeps take it, suns apart: integrals of B cos^2 and of B sin cos over elevation,
-        from sin(elevation) = i / (knots - 1) to the zenith, averaged over the sectors round ``angles`` that
-        are ``widths`` wide [rad], and what to add up to the next knot: (K, knots, 4) float32.
+        """Brightness as sweeps take it, without the suns: (K, knots, 4) float32.
+
+        Integrals of B cos^2 and of B sin cos over elevation, from sin(elevation) = i / (knots - 1) to the
+        zenith, averaged over the sectors round ``angles`` that are ``widths`` wide [rad], and their
+        differences to the next knot.
         """
         return _with_steps(self.above(angles - widths / 2, angles + widths / 2, knots) / widths[:, None])
 
     def above(self, begin: np.ndarray, end: np.ndarray, knots: int) -> np.ndarray:
-        """Integrals of B cos^2 and of B sin cos above every knot and between azimuths: (2, K, knots) float64."""
+        """Integrals of B cos^2, B sin cos above every knot and between azimuths: (2, K, knots) float64."""
         found = np.concatenate([_between(sums, begin, end) for sums in self._sums], 1)
-        down = np.concatenate(
-            [np.cumsum(found[:, ::-1], 1)[:, ::-1], np.zeros_like(found[:, :1])], 1
-        )  # from the zenith to the rows' lower edges
+        # from the zenith to the rows' lower edges
+        down = np.concatenate([np.cumsum(found[:, ::-1], 1)[:, ::-1], np.zeros_like(found[:, :1])], 1)
         at = np.interp(np.linspace(0, 1, knots), np.sin(self._edges), np.arange(len(self._edges)))
         low = np.minimum(at.astype(int), len(self._edges) - 2)
         part = (at - low)[:, None]
-        return ((1 - part) * down[:, low] + part * down[:, low + 1]).swapaxes(1, 2)
+        above: np.ndarray = ((1 - part) * down[:, low] + part * down[:, low + 1]).swapaxes(1, 2)
+        return above
 
 
 def chords(sky: Integrals, turns: int, knots: int) -> np.ndarray:
-    """The brightness of a lamp or window as slices take it, small bright parts apart: the integrals of
-    :meth:`Integrals.above` per radian over even cells of the diamond angle, (turns, knots, 2) float32; see
-    opencl/slices.cl.
+    """The brightness of a lamp or window as slices take it, without small bright parts.
+
+    The integrals of :meth:`Integrals.above` per radian, over even cells of the diamond angle: (turns, knots,
+    2) float32; see opencl/slices.cl.
     """
     place = 4 * np.arange(turns + 1) / turns
     cosine = np.where(place < 2, 1 - place, place - 3)
@@ -446,14 +456,12 @@ def chords(sky: Integrals, turns: int, knots: int) -> np.ndarray:
 
 
 def even(count: int, offset: float) -> Azimuths:
-    """``count`` even sectors, sector n seen along 2 pi (n + offset) / count."""
+    """``count`` even sectors; the azimuth of sector n is 2 pi (n + offset) / count."""
     return Azimuths(count, tuple(2 * math.pi * (np.arange(count + 1) + offset - 0.5) / count))
 
 
-def _peaks(source) -> tuple[tuple[float, float], ...] | None:
-    """(azimuth, elevation) [rad] of the narrow features that a sky names; None if it names none, () if it
-    says that there are none.
-    """
+def _peaks(source: sources.Sky) -> Peaks | None:
+    """The narrow features that a sky names; None if it names none, () if it states that there are none."""
     named = [*getattr(source, "suns", ()), *(getattr(source.brightness, "peaks", None) or ())]
     if not named and getattr(source.brightness, "peaks", None) is None:
         return None
@@ -464,7 +472,7 @@ def _peaks(source) -> tuple[tuple[float, float], ...] | None:
     )
 
 
-def _of_function(function, named: bool) -> list[Band]:
+def _of_function(function: Any, named: bool) -> list[Band]:
     """Bands of rows from the horizon up, with half as many cells each time the circle is half as long."""
     count, around = (COARSE_ROWS, COARSE_COLS) if named else (ROWS, COLS)
     borders = np.linspace(0, math.pi / 2, count + 1)
@@ -514,19 +522,20 @@ def _of_map(image: np.ndarray) -> list[Band]:
 
 
 def _between(sums: np.ndarray, begin: np.ndarray, end: np.ndarray) -> np.ndarray:
-    """What sums over azimuth from 0 (2, rows, cells + 1) grow by between azimuths, which may lie beyond a
-    turn: (2, rows, K).
+    """Integrals (2, rows, K) between azimuths, which may lie beyond a turn.
+
+    ``sums`` (2, rows, cells + 1): cumulative over azimuth from 0.
     """
     cols = sums.shape[2] - 1
 
-    def until(azimuth):
+    def until(azimuth: np.ndarray) -> Any:
         turns, at = np.divmod(np.asarray(azimuth) * (cols / (2 * math.pi)), cols)
         low = np.minimum(at.astype(int), cols - 1)
-        return (
-            sums[:, :, low] + (at - low) * (sums[:, :, low + 1] - sums[:, :, low]) + turns * sums[:, :, -1:]
-        )
+        within = (at - low) * (sums[:, :, low + 1] - sums[:, :, low])
+        return sums[:, :, low] + within + turns * sums[:, :, -1:]
 
-    return until(end) - until(begin)
+    between: np.ndarray = until(end) - until(begin)
+    return between
 
 
 def _antiderivatives(elevation: np.ndarray) -> np.ndarray:
@@ -534,7 +543,7 @@ def _antiderivatives(elevation: np.ndarray) -> np.ndarray:
     return np.stack([elevation / 2 + np.sin(2 * elevation) / 4, np.sin(elevation) ** 2 / 2])
 
 
-def _median(bands: list[Band], solid) -> float:
+def _median(bands: list[Band], solid: list[np.ndarray]) -> float:
     """Of brightness, by solid angle."""
     every = [max(1, band.light.shape[1] // 128) for band in bands]
     light = np.concatenate([band.light[:, ::n].ravel() for band, n in zip(bands, every)])
@@ -549,13 +558,16 @@ def _median(bands: list[Band], solid) -> float:
 
 
 def _second_differences(light: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Of the inner cells of blocks (n, rows, cols): how much light steps there, the most, over rows, columns
-    and diagonals, by which a cell and its two neighbours depart from a straight line, so that an even slope
-    is no step; and what the mean over a smooth cell is more than its middle, from the curvature. (n, rows -
-    2, cols - 2) each.
+    """Of the inner cells of blocks (n, rows, cols): (n, rows - 2, cols - 2) each.
+
+    The largest absolute second difference over rows, columns and diagonals, which is 0 on an even slope; and
+    by how much the mean over a smooth cell exceeds its middle, from the curvature.
     """
-    pick = lambda i, j: light[:, 1 + i : light.shape[1] - 1 + i, 1 + j : light.shape[2] - 1 + j]
-    bent = [pick(-i, -j) - 2 * pick(0, 0) + pick(i, j) for i, j in ((0, 1), (1, 0), (1, 1), (1, -1))]
+
+    def moved(i: int, j: int) -> np.ndarray:
+        return light[:, 1 + i : light.shape[1] - 1 + i, 1 + j : light.shape[2] - 1 + j]
+
+    bent = [moved(-i, -j) - 2 * moved(0, 0) + moved(i, j) for i, j in ((0, 1), (1, 0), (1, 1), (1, -1))]
     return np.maximum.reduce([np.abs(values) for values in bent]), (bent[0] + bent[1]) / 24
 
 
@@ -570,7 +582,7 @@ def _band_steps(bands: list[Band], n: int) -> tuple[np.ndarray, np.ndarray]:
         values[0] for values in _second_differences(np.pad(rows, ((0, 0), (1, 1)), "wrap")[None])
     )
     # rows grow narrow towards the zenith: their lower half weighs more
-    middle = (band.borders[1:] + band.borders[:-1]) / 2
+    middle: np.ndarray = (band.borders[1:] + band.borders[:-1]) / 2
     correction = correction - (rows[2:] - rows[:-2]) * (np.tan(middle) * np.diff(band.borders) / 24)[:, None]
     return step, correction
 
@@ -579,17 +591,16 @@ def _near_base(band: Band, peaks: Peaks) -> np.ndarray:
     """Which cells of a band (rows, cols) hold a peak, or touch one that does: it may lie across borders."""
     found = np.zeros(band.light.shape, bool)
     height = np.diff(band.borders)[:, None]
+    middle: np.ndarray = (band.borders[1:, None] + band.borders[:-1, None]) / 2
+    columns: np.ndarray = np.arange(found.shape[1])
     for azimuth, elevation in peaks:
         turned = np.abs(
-            (band.start[:, None] + np.arange(found.shape[1]) * band.width - azimuth + math.pi) % (2 * math.pi)
-            - math.pi
+            (band.start[:, None] + columns * band.width - azimuth + math.pi) % (2 * math.pi) - math.pi
         )
         near = turned * math.cos(elevation) <= 1.5 * np.maximum(
             band.width * np.cos(band.borders[:-1, None]), height
         )
-        found |= near & (
-            np.abs((band.borders[1:] + band.borders[:-1])[:, None] / 2 - elevation) <= 1.5 * height
-        )
+        found |= near & (np.abs(middle - elevation) <= 1.5 * height)
     return found
 
 
@@ -609,8 +620,9 @@ def _joined(groups: Iterable[Cells]) -> Cells:
 
 
 def _small(cells: Cells, limit: float, widest: float, depth: int = 12) -> Iterator[Sun]:
-    """Groups of bright cells that span little azimuth, with the light that they have above ``limit``; of
-    wider ones what is brighter still.
+    """Groups of bright cells that span little azimuth, with their light above ``limit``.
+
+    Wider groups are split at a higher limit.
     """
     for part in _groups(cells):
         sun = Sun(part._replace(light=part.light - limit), limit)
@@ -626,8 +638,9 @@ def _small(cells: Cells, limit: float, widest: float, depth: int = 12) -> Iterat
 
 
 def _nested(sun: Sun, cells: Cells, widest: float) -> Iterator[Sun]:
-    """A sun, or what glows round far brighter and smaller parts of it and these parts (a disc in its
-    aureole), since sectors serve one width each.
+    """A sun; or, where far brighter and smaller parts lie in it (a disc in its aureole), the rest and these.
+
+    The sectors of one sun are of one width.
     """
     power, extent, brightest = sun.power, _extent(cells), float(cells.light.max())
     limit = sun.limit
@@ -652,8 +665,9 @@ def _extent(cells: Cells) -> float:
 
 
 def _groups(cells: Cells, axis: int = 0, whole: bool = False) -> Iterator[Cells]:
-    """Cells parted at gaps in azimuth, these at gaps in elevation, and so on; each in order of azimuth, which
-    may run past 2 pi.
+    """Cells split at gaps in azimuth, these at gaps in elevation, and so on.
+
+    Each group is in order of azimuth, which may run past 2 pi.
     """
     if not len(cells.light):
         return
@@ -680,7 +694,7 @@ def _groups(cells: Cells, axis: int = 0, whole: bool = False) -> Iterator[Cells]
 
 
 def _with_steps(values: np.ndarray) -> np.ndarray:
-    """(2, K, knots) -> (K, knots, 4) float32: what to add up to the next knot beside each."""
+    """(2, K, knots) -> (K, knots, 4) float32: values, and their differences to the next knot."""
     table = np.zeros((*values.shape[1:], 4), np.float32)
     table[..., :2] = values.transpose(1, 2, 0)
     table[:, :-1, 2:] = np.diff(values, axis=2).transpose(1, 2, 0)

@@ -232,7 +232,7 @@ def channels(source: Source) -> list[Source]:
 def without_disc(source: Source) -> Source:
     """A sky without its sun's disc; anything else as it is."""
     brightness: Any = source.brightness
-    if isinstance(source, Sky) and getattr(brightness, "direct", 0):
+    if isinstance(source, Sky) and getattr(brightness, "direct", False):
         return Sky(replace(brightness, direct=0.0))
     return source
 
