@@ -477,6 +477,19 @@ def test_as_a_process(here):
     )
 
 
+@pytest.mark.parametrize("module", ["skylamp", "skylamp.app.cli"])
+def test_as_a_module(here, module):
+    """python -m runs the command line, under its own name, with its exit codes."""
+    call = lambda *arguments: subprocess.run(
+        [sys.executable, "-m", module, *arguments], capture_output=True, text=True, timeout=300
+    )
+    version = call("--version")
+    assert (version.returncode, version.stdout, version.stderr) == (0, f"skylamp {sl.__version__}\n", "")
+    assert "Usage: skylamp [OPTIONS] COMMAND" in call("--help").stdout
+    missing = call("render", "no.npy", "--out", "a.npy")
+    assert missing.returncode == 3 and missing.stderr.startswith("skylamp: error: no.npy")
+
+
 def test_bar_on_a_terminal(here):
     """On a terminal stderr shows what is being done, and stdout stays clean."""
     pty = pytest.importorskip("pty")  # not on Windows

@@ -94,7 +94,7 @@ def test_sky_above_a_pixel(fast):
 
 
 def test_tangent_plane(fast):
-    """On a plane that rises to the east, the dashed line stands at its slope there and nowhere to the west."""
+    """On a plane rising to the east, the dashed line stands at its slope there and nowhere to the west."""
     scene = sl.Scene.from_height(np.tan(np.radians(30)) * X[:9, :9].astype(float))
     axes = plot.horizon(scene, 4, 4, azimuths=180, backend=fast).axes[0]
     dashed = next(line for line in axes.lines if line.get_linestyle() == "--")

@@ -8,8 +8,8 @@ import pytest
 
 import skylamp as sl
 from skylamp.app import cli, selftest
-from skylamp.backends.base import Backend
 from skylamp.errors import BackendError
+from skylamp.light import propagation
 
 
 def run(capsys, *arguments):
@@ -39,27 +39,27 @@ def test_every_pair_agrees(capsys):
 
 def test_a_difference_is_exit_1(capsys, monkeypatch):
     """One bit of one backend, or a failure of it, makes it red and says which."""
-    right = Backend.visibility
+    right = propagation.visibility
 
-    def one_bit(self, problem):
-        bits = right(self, problem)
-        if self.name == "warp:cpu":
+    def one_bit(engine, problem):
+        bits = right(engine, problem)
+        if engine.name == "warp:cpu":
             bits[3, 4, 0] ^= 1
         return bits
 
     monkeypatch.setattr(selftest, "cases", lambda every=selftest.cases: every()[:1])
-    monkeypatch.setattr(Backend, "visibility", one_bit)
+    monkeypatch.setattr(propagation, "visibility", one_bit)
     code, out, err = run(capsys, "--json")
     wrong = {(c["one"], c["other"]) for c in json.loads(out)["comparisons"] if not c["passed"]}
     assert code == 1 and wrong and all("warp:cpu" in pair for pair in wrong)
     assert "DIFFERS" in run(capsys)[1]
 
-    def fails(self, problem):
-        if self.name == "warp:cpu":
+    def fails(engine, problem):
+        if engine.name == "warp:cpu":
             raise BackendError("lost the device")
-        return right(self, problem)
+        return right(engine, problem)
 
-    monkeypatch.setattr(Backend, "visibility", fails)
+    monkeypatch.setattr(propagation, "visibility", fails)
     code, out, err = run(capsys)
     assert code == 1 and "failed" in out and "skylamp: warp:cpu: lost the device" in err
 

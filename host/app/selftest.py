@@ -1,21 +1,23 @@
-"""selftest(): every backend on this machine beside every other, on one built-in case."""
+"""selftest(): every backend on this machine compared with every other, on built-in cases."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from itertools import combinations
+from typing import Any
 
 import numpy as np
 
+from .. import io
 from ..backends import backends, select
 from ..errors import SkylampError
 from ..horizon import horizons
-from ..io import files as io
 from ..rendering import render
 from ..scene import Scene
+from ..sources import Lamp, Sky, Source
 from ..sources.cie import cie_clear
-from ..sources.shapes import Lamp, Sky
 from ..visibility import visibility
 
 CROP = slice(120, 168), slice(150, 214)  # of the sample terrain: 48 x 64 nodes
@@ -24,7 +26,7 @@ STEEPER = 3.0  # heights are multiplied by this, so that a good part of the grou
 
 @dataclass(frozen=True)
 class Case:
-    """One quantity: what it is, how a backend makes it, and how far two backends may be apart (0: equal
+    """One quantity: its name, how a backend computes it, and the difference that is allowed (0: equal
     bytes).
     """
 
@@ -52,8 +54,8 @@ class Comparison:
 
 
 def cases() -> list[Case]:
-    """Visibility bits, irradiance by the lattice and by horizons, horizons, and a lamp; one of each kind of
-    kernel.
+    """One of each kind of kernel: visibility bits, irradiance by the lattice and by horizons, horizons, a
+    lamp.
     """
     height, spacing = io.terrain()
     scene = Scene.from_height(STEEPER * height[CROP], spacing)
@@ -61,53 +63,56 @@ def cases() -> list[Case]:
     x, y = (spacing * (n // 2) for n in scene.shape[::-1])
     lamp = Lamp(center=(x, y, -8 * spacing), radius=3 * spacing)
     clear = Sky(cie_clear((135.0, 35.0)))
-    light = lambda *what, **how: lambda name: render(*what, backend=name, quantity="irradiance", **how).image
+    bits = partial(visibility, scene, Sky())
+    bits_filled = partial(visibility, box, lamp, filled=True)
     return [
-        Case("visibility bits", lambda name: visibility(scene, Sky(), backend=name), 0.0),
-        Case(
-            "visibility bits, filled, lamp",
-            lambda name: visibility(box, lamp, backend=name, filled=True),
-            0.0,
-        ),
-        Case("sky, lattice", light(scene, Sky(), method="lattice"), 1e-5),
+        Case("visibility bits", lambda name: bits(backend=name), 0.0),
+        Case("visibility bits, filled, lamp", lambda name: bits_filled(backend=name), 0.0),
+        Case("sky, lattice", _irradiance(scene, Sky(), method="lattice"), 1e-5),
         Case("horizons", lambda name: horizons(scene, azimuths=16, backend=name), 1e-5),
-        Case("clear sky, horizons", light(box, clear, azimuths=32), 1e-5),
-        Case("lamp, slices", light(scene, lamp, method="horizon"), 1e-5),
+        Case("clear sky, horizons", _irradiance(box, clear, azimuths=32), 1e-5),
+        Case("lamp, slices", _irradiance(scene, lamp, method="horizon"), 1e-5),
     ]
 
 
+def _irradiance(scene: Scene, source: Source, **options: Any) -> Callable[[str], np.ndarray]:
+    return lambda name: render(scene, source, backend=name, quantity="irradiance", **options).image
+
+
 def selftest(progress: Callable[[int, int], None] | None = None) -> list[Comparison]:
-    """Every pair of available backends on every case. A backend that raises does not pass any of its pairs."""
+    """Every pair of available backends on every case. A backend that raises fails all of its pairs."""
     names = [info.name for info in backends() if info.available]
     compared = []
-    every = cases()
-    for done, case in enumerate(every):
-        found, failed = {}, {}
+    todo = cases()
+    for done, case in enumerate(todo):
+        found: dict[str, np.ndarray] = {}
+        failed: dict[str, str] = {}
         for name in names:
             try:
                 found[name] = case.make(select(name).name)
             except (SkylampError, RuntimeError, MemoryError) as error:
                 failed[name] = f"{name}: {' '.join(str(error).split())}"
         for one, other in combinations(names, 2):
-            error = failed.get(one) or failed.get(other) or ""
+            failure = failed.get(one) or failed.get(other) or ""
             compared.append(
                 Comparison(
                     case.name,
                     one,
                     other,
-                    None if error else difference(found[one], found[other]),
+                    None if failure else difference(found[one], found[other]),
                     case.allowed,
-                    error,
+                    failure,
                 )
             )
         if progress:
-            progress(done + 1, len(every))
+            progress(done + 1, len(todo))
     return compared
 
 
 def difference(one: np.ndarray, other: np.ndarray) -> float:
-    """The share of words that differ, or the largest difference over the largest value; infinite where only
-    one is finite, or types differ.
+    """The share of words that differ, or the largest difference over the largest value.
+
+    Infinite where only one is finite, or where types differ.
     """
     if one.dtype != other.dtype or one.shape != other.shape:
         return float("inf")

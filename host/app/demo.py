@@ -1,0 +1,212 @@
+"""The demo: real ground under two skies and a lamp, depth from a picture, and every backend compared."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.markup import escape
+from rich.table import Column, Table
+
+from .. import io
+from ..backends import backends
+from ..inverse.recover import recover
+from ..rendering import Rendering, render
+from ..scene import Scene
+from ..sources import Lamp, Sky, cie_overcast
+from ..visibility import visibility
+from . import mosaic, output
+
+# Real ground is gentle: heights are exaggerated so that valleys lose sky.
+EXAGGERATION = 4
+LAMP = (215, 150, -45, 40)  # x, y, z, radius [nodes]
+CROP = slice(100, 228), slice(130, 258)  # of the sample terrain, for the comparison of backends
+STAGES = 6  # the comparison, three renderings, the relief, its recovery
+
+
+@dataclass
+class Pictures:
+    """The pictures of the demo: a file each, what it shows, and its tones for the panel of all."""
+
+    folder: Path
+    facts: list[dict[str, Any]] = field(default_factory=list)
+    tones: list[np.ndarray] = field(default_factory=list)
+
+    def add(self, name: str, image: np.ndarray, low: float, high: float, gamma: float, text: str) -> None:
+        """One 8-bit picture: black is low, white is high, ((v - low) / (high - low))^(1 / gamma) between."""
+        tone = np.clip((image - low) / (high - low), 0, 1) ** (1 / gamma)
+        io.write(self.folder / name, tone, range=(0.0, 1.0))
+        self.tones.append(tone)
+        self.facts.append(
+            {"file": name, "shows": text, "black": float(low), "white": float(high), "gamma": gamma}
+        )
+
+    def add_panel(self) -> None:
+        """All pictures on one sheet."""
+        io.write(self.folder / "panel.png", mosaic.of_six(self.tones), range=(0.0, 1.0))
+        self.facts.append({"file": "panel.png", "shows": "all of them"})
+
+
+def demo(folder: Path, backend: str, progress: Callable[[int, int], None] | None = None) -> dict[str, Any]:
+    """Write the pictures into ``folder``.
+
+    Returns {out, backend, pictures, seconds, compile_seconds, backends}: what is in the pictures, how long
+    the three renderings took, and :func:`compared`.
+    """
+    stages = iter(range(1, STAGES + 1))
+
+    def step() -> None:
+        if progress:
+            progress(next(stages), STAGES)
+
+    pictures = Pictures(folder)
+    height, spacing = io.terrain()
+    # before the rest: it tells what compiling takes
+    comparison = compared(Scene.from_height(height[CROP], spacing=spacing))
+    step()
+    renderings = _mountains(
+        Scene.from_height(EXAGGERATION * height, spacing=spacing), backend, pictures, step
+    )
+    _relief_recovered(backend, pictures, step)
+    pictures.add_panel()
+    return {
+        "out": str(folder),
+        "backend": renderings[0].backend,
+        "pictures": pictures.facts,
+        "seconds": [r.seconds for r in renderings],
+        "compile_seconds": [r.compile_seconds for r in renderings],
+        "backends": comparison,
+    }
+
+
+def _mountains(scene: Scene, backend: str, pictures: Pictures, step: Callable[[], None]) -> list[Rendering]:
+    """The terrain under a uniform sky, an overcast one and a low lamp."""
+    x, y, z, radius = (scene.spacing * v for v in LAMP)
+    lamp = Lamp(center=(x, y, z), radius=radius)
+    renderings = []
+    for name, source, hemicube, text in (
+        ("uniform_sky", Sky(), 9, "uniform sky"),
+        ("overcast_sky", Sky(cie_overcast()), 9, "CIE overcast sky"),
+        ("low_lamp", lamp, 33, f"a lamp, radius {LAMP[3]} nodes, {-LAMP[2]} nodes above the highest peak"),
+    ):
+        done = render(scene, source, method="lattice", hemicube=hemicube, filled=True, backend=backend)
+        renderings.append(done)
+        if source is lamp:
+            low, high, gamma = 0.0, np.percentile(done.image, 99), 2.2
+        else:  # white is what open level ground would send, so that the two skies compare
+            flat = Scene(np.zeros((1, 1)))
+            level = render(flat, source, method="lattice", hemicube=hemicube, backend=backend).image[0, 0]
+            low, high, gamma = 0.3 * level, level, 1.0
+        pictures.add(
+            f"jacksboro_x{EXAGGERATION}_{name}.png",
+            done.image,
+            low,
+            high,
+            gamma,
+            f"Jacksboro fault, heights x {EXAGGERATION}, under {text}",
+        )
+        step()
+    return renderings
+
+
+def _relief_recovered(backend: str, pictures: Pictures, step: Callable[[], None]) -> None:
+    """Folds in a black box under a uniform sky, the depth recovered from that image, and the true one."""
+    depth = relief()
+    seen = render(Scene(depth, sides="dark"), Sky(), backend=backend)
+    step()
+    found = recover(seen.image, Sky(), sides="dark", backend=backend)
+    step()
+    error = float(np.sqrt(np.mean((found.depth - depth) ** 2)))
+    pictures.add(
+        "relief_rendered.png",
+        seen.image,
+        0.0,
+        seen.image.max(),
+        1.0,
+        "folds in a black box under a uniform sky",
+    )
+    for name, z, text in (
+        (
+            "relief_recovered.png",
+            found.depth,
+            f"depth recovered from that picture, near is bright; off by {error:.2g} RMS in a relief"
+            f" of {np.ptp(depth):.0f}",
+        ),
+        ("relief_true.png", depth, "its true depth, same scale"),
+    ):
+        pictures.add(name, -z, -depth.max(), -depth.min(), 1.0, text)
+
+
+def relief() -> np.ndarray:
+    """The folds of a drapery, (100, 100) depth in nodes."""
+    y, x = np.mgrid[:100, :100] / 99.0
+    depth: np.ndarray = 16 + 24 * np.sin(2 * np.pi * (1.6 * x + 0.2 * np.sin(2 * np.pi * y))) ** 2
+    return depth
+
+
+def compared(scene: Scene) -> list[dict[str, Any]]:
+    """Every backend on one small scene: seconds of compiling and of a second call, and its difference from
+    NumPy.
+    """
+    image = render(scene, Sky(), method="lattice", hemicube=9, backend="numpy").image
+    bits = visibility(scene, Sky(), hemicube=9, backend="numpy")
+    table = []
+    for b in backends():
+        row = {"name": b.name, "device": b.device, "available": b.available, "why": b.why}
+        if b.available:
+            first, again = (
+                render(scene, Sky(), method="lattice", hemicube=9, backend=b.name) for _ in range(2)
+            )
+            row |= {
+                "compile_seconds": first.compile_seconds,
+                "seconds": again.seconds,
+                "bits_equal": np.array_equal(visibility(scene, Sky(), hemicube=9, backend=b.name), bits),
+                "difference": float(np.abs(again.image - image).max()),
+            }
+        table.append(row)
+    return table
+
+
+def print_tables(facts: dict[str, Any]) -> None:
+    """The pictures and the comparison of backends, on stderr."""
+    console = output.console(stderr=True)
+    table = Table(
+        Column("picture", no_wrap=True),
+        "shows",
+        "black",
+        "white",
+        "gamma",
+        title=f"Pictures in {escape(facts['out'])}, made by {facts['backend']}",
+    )
+    for picture in facts["pictures"]:
+        table.add_row(
+            picture["file"],
+            picture["shows"],
+            *(f"{picture[k]:.3g}" if k in picture else "" for k in ("black", "white", "gamma")),
+        )
+    console.print(table)
+    table = Table(
+        "backend",
+        "device",
+        "compile [s]",
+        "run [s]",
+        "bits as numpy",
+        "radiance off by",
+        title="128 x 128 nodes, 209 directions, beside NumPy",
+    )
+    for row in facts["backends"]:
+        if row["available"]:
+            table.add_row(
+                row["name"],
+                row["device"],
+                f"{row['compile_seconds']:.2f}",
+                f"{row['seconds']:.4f}",
+                "all" if row["bits_equal"] else "NO",
+                f"{row['difference']:.1e}",
+            )
+        else:
+            table.add_row(row["name"], row["device"], escape(row["why"]))
+    console.print(table)

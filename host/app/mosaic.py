@@ -1,0 +1,59 @@
+"""Several pictures on one grey sheet, without scales: for PNG, without matplotlib."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..inverse.recover import Recovery
+from ..rendering import render
+from ..scene import Scene
+from ..sources import Lamp
+
+GREY = 0.5
+GAP = 10  # pixels between pictures and along the edge
+ROW = 256  # pixels: pictures of a recovery are enlarged towards this side
+
+
+def enlarged(picture: np.ndarray, times: int) -> np.ndarray:
+    """``picture`` with every pixel repeated ``times`` times along both axes."""
+    return np.kron(picture, np.ones((times, times)))
+
+
+def of_six(pictures: list[np.ndarray]) -> np.ndarray:
+    """Two rows of three, the small ones enlarged to whole multiples."""
+    rows, cols = pictures[0].shape
+    sheet = np.full((2 * rows + 3 * GAP, 3 * cols + 4 * GAP), GREY)
+    for number, picture in enumerate(pictures):
+        times = min(rows // picture.shape[0], cols // picture.shape[1])
+        picture = enlarged(picture, times)
+        top = GAP + (rows + GAP) * (number // 3) + (rows - picture.shape[0]) // 2
+        left = GAP + (cols + GAP) * (number % 3) + (cols - picture.shape[1]) // 2
+        sheet[top : top + picture.shape[0], left : left + picture.shape[1]] = picture
+    return sheet
+
+
+def of_recovery(image: np.ndarray, found: Recovery, spacing: float) -> np.ndarray:
+    """Side by side: the image, the depth as a relief under a low lamp, the confidence, and |model - image|
+    from 0 to a tenth of the image.
+    """
+    assert found.confidence is not None and found.residual is not None, "recover() gives both"
+    rows, cols = found.depth.shape
+    size, depth = max(rows, cols) * spacing, found.depth - found.depth.min()
+    lamp = Lamp(center=(-size, -size, -1.5 * size), radius=size / 4)
+    relief = render(Scene(depth, spacing), lamp, backend=found.backend).image
+    pictures = [
+        _scaled(image, image.max()),
+        _scaled(relief, np.percentile(relief, 99)),
+        found.confidence,
+        _scaled(np.abs(found.residual), 0.1 * image.max()),
+    ]
+    times = max(1, ROW // max(rows, cols))
+    sheet = np.full((rows * times + 2 * GAP, 4 * (cols * times + GAP) + GAP), GREY)
+    for number, values in enumerate(pictures):
+        left = GAP + number * (cols * times + GAP)
+        sheet[GAP : GAP + rows * times, left : left + cols * times] = enlarged(values, times)
+    return sheet
+
+
+def _scaled(values: np.ndarray, white: float) -> np.ndarray:
+    return np.clip(values / max(float(white), 1e-30), 0, 1)

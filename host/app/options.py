@@ -1,0 +1,261 @@
+"""The options of the command line: type, help text and metavar of each."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+# -- of several commands
+File = Annotated[
+    Path,
+    typer.Argument(
+        help="Depth, or height with --height: .npy, .npz, grey .png, .tif or .exr; a GeoTIFF holds height",
+        show_default=False,
+    ),
+]
+Out = Annotated[
+    str,
+    typer.Option(
+        help=".npy, .npz, .tif, .png, .exr or .hdr; - writes .npy to stdout; a .tif from a GeoTIFF is one",
+        show_default=False,
+    ),
+]
+MaybeOut = Annotated[
+    str | None,
+    typer.Option(
+        "--out",
+        help=".npy, .npz, .tif or .exr, or .png for one plane; - writes .npy to stdout",
+        show_default=False,
+    ),
+]
+Height = Annotated[
+    bool | None,
+    typer.Option(
+        "--height/--depth",
+        help=(
+            "What the file holds: height (larger is nearer to the viewer) or depth  [default: depth, height"
+            " in a GeoTIFF]"
+        ),
+        show_default=False,
+    ),
+]
+Spacing = Annotated[
+    float | None,
+    typer.Option(
+        help="Distance between neighbouring nodes, in the unit of depth  [default: 1, a GeoTIFF's own]",
+        show_default=False,
+    ),
+]
+Resample = Annotated[
+    bool, typer.Option("--resample", help="GeoTIFF: make cells square that are not, such as cells of degrees")
+]
+Albedo = Annotated[float, typer.Option(help="Diffuse reflectance, 0 to 1")]
+Albedos = Annotated[
+    str, typer.Option(metavar="A|R,G,B", help="Diffuse reflectance, 0 to 1; in colour with three numbers")
+]
+Specular = Annotated[
+    str | None,
+    typer.Option(
+        metavar="S|R,G,B",
+        help="Specular albedo of a lobe about the mirror direction, 0 to 1 - albedo",
+        show_default=False,
+    ),
+]
+Exponent = Annotated[
+    float | None,
+    typer.Option(
+        help="Phong's exponent of that lobe; inf is an ideal mirror  [default: 20]", show_default=False
+    ),
+]
+Nodata = Annotated[
+    float | None, typer.Option(help="Leave out nodes of this value (a number, or nan)", show_default=False)
+]
+Source = Annotated[
+    str | None,
+    typer.Option(
+        help=(
+            "sky | overcast | clear | cie1 to cie15 | lamp | window | FILE, an environment map  [default:"
+            " lamp with --lamp, window with --window, else sky]"
+        ),
+        show_default=False,
+    ),
+]
+Lamp = Annotated[
+    str | None,
+    typer.Option(
+        metavar="X,Y,Z,R",
+        help="Centre and radius of a spherical lamp, in the unit of spacing",
+        show_default=False,
+    ),
+]
+Window = Annotated[
+    str | None,
+    typer.Option(
+        metavar="X0,X1,Y0,Y1", help="Rectangle in the plane z = 0, in the unit of spacing", show_default=False
+    ),
+]
+Sun = Annotated[
+    str | None,
+    typer.Option(
+        metavar="AZ,EL | TIME,LAT,LON",
+        help=(
+            "Where the sun stands, for clear and cie skies: degrees clockwise from north and above the"
+            " horizon, or 2026-06-21T12:00Z and degrees north and east"
+        ),
+        show_default=False,
+    ),
+]
+Sides = Annotated[str, typer.Option(help="open | dark | periodic")]
+Backend = Annotated[str, typer.Option(help="auto, or a name from `skylamp backends`")]
+Hemicube = Annotated[int, typer.Option(help="Nodes along an edge of the cube of directions, odd")]
+Tolerance = Annotated[str, typer.Option(help="Relative RMS error that auto may make: 0.01 or 1%")]
+Plot = Annotated[
+    Path | None, typer.Option("--plot", help="Draw a picture: .png, .svg or .pdf", show_default=False)
+]
+Json = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout")]
+
+# -- of render
+Direct = Annotated[
+    float,
+    typer.Option(
+        help="Irradiance by the sun's disc of a surface that faces it, beside a zenith of brightness 1"
+    ),
+]
+Method = Annotated[str, typer.Option(help="auto | lattice | horizon | unoccluded")]
+LatticeHemicube = Annotated[
+    int | None,
+    typer.Option(help="Lattice: nodes along an edge of the cube of directions, odd", show_default=False),
+]
+Filled = Annotated[
+    bool | None,
+    typer.Option(
+        "--filled/--stride",
+        help="Lattice: test between the nodes, or step over them as the paper does",
+        show_default=False,
+    ),
+]
+Quantity = Annotated[str, typer.Option(help="radiance | irradiance")]
+PngWhite = Annotated[
+    float | None,
+    typer.Option(
+        help="PNG: the value that becomes white  [default: the image's maximum]", show_default=False
+    ),
+]
+Bits = Annotated[int, typer.Option(help="PNG: 8 or 16")]
+Exposure = Annotated[
+    float | None,
+    typer.Option(
+        help="PNG for the eye: 8 bits in sRGB's tones, image x 2^exposure, white at 1", show_default=False
+    ),
+]
+ErrorFile = Annotated[
+    str | None,
+    typer.Option(
+        "--error",
+        metavar="FILE",
+        help=(
+            "Where to write the estimated error of every pixel, in the image's unit, of a render within a"
+            " tolerance"
+        ),
+        show_default=False,
+    ),
+]
+
+# -- of plan
+Tail = Annotated[
+    str | None,
+    typer.Option(
+        help="Bound on the 99.9th percentile of the error  [default: ten tolerances]", show_default=False
+    ),
+]
+
+# -- of recover
+Image = Annotated[
+    Path, typer.Argument(help="Image of radiance: .npy, .npz, grey .png or .tif", show_default=False)
+]
+NodeSpacing = Annotated[float, typer.Option(help="Distance between neighbouring nodes")]
+RecoverMethod = Annotated[
+    str, typer.Option(help="robust: the surface whose image is nearest to this one | paper: carving")
+]
+Near = Annotated[float | None, typer.Option(help="robust: the least depth  [default: 0]", show_default=False)]
+Far = Annotated[
+    float | None,
+    typer.Option(help="robust: the greatest depth  [default: layers x spacing]", show_default=False),
+]
+MaxSeconds = Annotated[
+    float | None, typer.Option(help="robust: stop with the best so far", show_default=False)
+]
+RecoveryPicture = Annotated[
+    str | None,
+    typer.Option(
+        help="robust: PNG of image, relief, confidence and residual, without scales  [default: beside OUT]",
+        show_default=False,
+    ),
+]
+Layers = Annotated[int, typer.Option(help="Greatest depth in spacings; paper: of the block that is carved")]
+Eps = Annotated[
+    float,
+    typer.Option(
+        help="paper: stop a column when it is this close to the image, as a share of the image's maximum"
+    ),
+]
+Stop = Annotated[str, typer.Option(help="paper: eps | sign: when the column becomes darker than the image")]
+CountWhite = Annotated[
+    float | None,
+    typer.Option(
+        help="Radiance of a full-scale count, for integer files that skylamp did not write",
+        show_default=False,
+    ),
+]
+
+# -- of horizon
+What = Annotated[
+    str,
+    typer.Option(help="sky-view-factor | openness | negative-openness | slopes, (azimuths, rows, cols)"),
+]
+Definition = Annotated[str, typer.Option(help="Of the sky-view factor: tilted | horizontal | solid_angle")]
+Azimuths = Annotated[int, typer.Option(help="Directions along which horizons are looked for")]
+MaxDistance = Annotated[
+    float | None,
+    typer.Option(
+        help="Ground farther away does not count, in the unit of spacing  [default: the whole map]",
+        show_default=False,
+    ),
+]
+At = Annotated[
+    str | None, typer.Option(metavar="ROW,COL", help="The node that --plot shows", show_default=False)
+]
+PlotSky = Annotated[
+    str, typer.Option(help="The sky that --plot shows: sky | overcast | clear | cie1 to cie15 | FILE")
+]
+
+# -- of field
+FieldLayers = Annotated[
+    int | None,
+    typer.Option(
+        help="Layers of free space, from z = 0  [default: down to the deepest node]", show_default=False
+    ),
+]
+Layer = Annotated[int | None, typer.Option(help="Write this layer alone, (rows, cols)", show_default=False)]
+Row = Annotated[
+    int | None,
+    typer.Option(help="The row that --plot cuts along  [default: the middle one]", show_default=False),
+]
+
+# -- of chart and demo
+ChartFolder = Annotated[
+    Path,
+    typer.Option(
+        help="Folder for chart.png (needs matplotlib) and chart.csv; created if need be",
+        show_default=False,
+    ),
+]
+Backends = Annotated[
+    str, typer.Option(help="Names with commas between  [default: all that are here]", show_default=False)
+]
+Sizes = Annotated[str, typer.Option(help="Rows and columns of the maps")]
+DemoFolder = Annotated[
+    Path, typer.Option(help="Folder for the pictures; created if need be", show_default=False)
+]

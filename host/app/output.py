@@ -1,0 +1,173 @@
+"""What commands write: arrays to files or stdout, progress and messages to stderr, JSON to stdout."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import json
+import os
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import typer
+from rich.console import Console
+from rich.progress import Progress
+
+from .. import io
+from ..io import geotiff as geo
+from ..io.paths import HDR
+from . import plot
+
+WIDTH = 160  # characters in a line of a table, off a terminal
+
+
+def check_array_or_picture(out: str | None, picture: Path | None, as_json: bool) -> None:
+    """:func:`check` for commands that may write an array, a picture or both."""
+    if not out and not picture:
+        raise typer.BadParameter("nothing to do: give --out FILE, --plot FILE or both", param_hint="--out")
+    check(out or "-", as_json and bool(out), picture)
+
+
+def check(out: str, as_json: bool, picture: Path | None = None) -> None:
+    """Before any work is done: can the result be put there?"""
+    if picture is not None:
+        plot.drawable(picture)
+    if out != "-":
+        io.writable(out)
+    elif as_json:
+        raise typer.BadParameter(
+            "stdout holds either the data or the JSON object: give --out a file", param_hint="--out"
+        )
+
+
+def write(
+    out: str, array: np.ndarray, raster: geo.Raster | None = None, **options: Any
+) -> tuple[float, float] | None:
+    """Write ``array`` to a file, or as .npy to stdout if ``out`` is "-".
+
+    A .tif is a GeoTIFF if ``raster`` is given. Options are those of :func:`skylamp.io.write`. Returns the
+    range of a scaled PNG, else None.
+    """
+    if raster is not None and out.lower().endswith((".tif", ".tiff")):
+        geo.write(out, array, raster)
+        return None
+    if out != "-":
+        return io.write(out, array, **options)
+    np.save(sys.stdout.buffer, array, allow_pickle=False)
+    sys.stdout.flush()
+    return None
+
+
+@contextlib.contextmanager
+def native_stderr_silenced(path: Path | str) -> Iterator[None]:
+    """No native output to stderr while an .exr or .hdr is read.
+
+    OpenEXR and OpenCV write there about damage, which the error of the command names too.
+    """
+    if not str(path).lower().endswith(HDR):
+        yield
+        return
+    sys.stderr.flush()
+    kept = os.dup(2)
+    null = os.open(os.devnull, os.O_WRONLY)
+    try:
+        os.dup2(null, 2)
+        yield
+    finally:
+        os.dup2(kept, 2)
+        os.close(kept)
+        os.close(null)
+
+
+@contextlib.contextmanager
+def progress_bar(title: str) -> Iterator[Callable[[int, int], None] | None]:
+    """A progress(done, total) that draws a bar on stderr if that is a terminal, else None.
+
+    What libraries print goes to stderr too.
+    """
+    import warp
+
+    # No banner, no line per module: here, because a library must not decide that for its user.
+    if hasattr(warp, "LOG_WARNING"):  # older Warps have no levels
+        warp.config.log_level = warp.LOG_WARNING
+    with contextlib.redirect_stdout(sys.stderr):
+        if not sys.stderr.isatty():
+            yield None
+            return
+        with Progress(console=Console(stderr=True), transient=True) as bar:
+            task = bar.add_task(title, total=None)
+            yield lambda done, total: bar.update(task, completed=done, total=total)
+
+
+def console(stderr: bool = False) -> Console:
+    """A console for tables: as wide as the terminal, or of a fixed width where there is none."""
+    stream = sys.stderr if stderr else sys.stdout
+    return Console(stderr=stderr, width=None if stream.isatty() else WIDTH)
+
+
+def report(done: Any, out: str, as_json: bool, **facts: Any) -> None:
+    """One line about a result on stderr, or everything as JSON on stdout; warnings on stderr either way."""
+    known = {
+        name: getattr(done, name)
+        for name in ("plan", "backend", "seconds", "compile_seconds")
+        if hasattr(done, name)
+    }
+    facts = {"out": out, **known, **facts, "warnings": getattr(done, "warnings", [])}
+    for warning in facts["warnings"]:
+        print(f"skylamp: warning: {warning}", file=sys.stderr)
+    if as_json:
+        print_json(facts)
+    else:
+        scale = f", white is {facts['range'][1]:.6g}" if facts.get("range") else ""
+        plan = f"; {done.plan.line}" if "plan" in facts else ""
+        print(
+            f"{out}: {' x '.join(map(str, facts['shape']))} by {done.backend}{scale}{plan}", file=sys.stderr
+        )
+
+
+def report_array_or_picture(
+    out: str | None,
+    picture: Path | None,
+    as_json: bool,
+    backend: str,
+    shape: tuple[int, ...] = (),
+    range: tuple[float, float] | None = None,
+    **facts: Any,
+) -> None:
+    """What was written where, for commands that may write an array, a picture or both."""
+    if as_json:
+        print_json(
+            {
+                "out": out,
+                "plot": picture and str(picture),
+                "backend": backend,
+                "shape": shape or None,
+                "range": range,
+                **facts,
+            }
+        )
+        return
+    if out:
+        scale = f", white is {range[1]:.6g}" if range else ""
+        print(f"{out}: {' x '.join(map(str, shape))} by {backend}{scale}", file=sys.stderr)
+    if picture:
+        print(f"{picture}: drawn, by {backend}", file=sys.stderr)
+
+
+def print_json(value: object) -> None:
+    """``value`` as one JSON object on stdout."""
+    print(json.dumps(plain(value)))
+
+
+def plain(value: Any) -> Any:
+    """``value`` made of what JSON has: dicts, lists, numbers, texts and None."""
+    if dataclasses.is_dataclass(value):
+        return {f.name: plain(getattr(value, f.name)) for f in dataclasses.fields(value)}
+    if isinstance(value, dict):
+        return {str(k): plain(v) for k, v in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [plain(v) for v in value]
+    return value.item() if isinstance(value, np.generic) else value

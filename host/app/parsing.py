@@ -1,0 +1,180 @@
+"""From the words of the command line to scenes, reflectances, sources and images."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import typer
+
+from .. import io
+from ..errors import bad
+from ..io import geotiff as geo
+from ..reflectance import Lambertian, Mirror, Phong, Reflectance
+from ..scene import Scene
+from ..sources import Lamp, Sky, Source, Window, cie_overcast, environment_map
+from ..sources.cie import cie_sky, sun_position
+from .output import native_stderr_silenced
+
+CLEAR = 12  # the CIE's number of the clear sky
+
+
+def scene(
+    file: Path,
+    height: bool | None,
+    spacing: float | None,
+    reflectance: Reflectance | None,
+    nodata: float | None,
+    sides: str,
+    resample: bool = False,
+) -> tuple[Scene, geo.Raster | None]:
+    """(scene, the raster that the file is if it is a GeoTIFF)."""
+    raster = geo.read(file, resample=resample) if geo.is_geotiff(file) else None
+    if resample and raster is None:
+        raise typer.BadParameter(f"{file} is not a GeoTIFF", param_hint="--resample")
+    height = raster is not None if height is None else height
+    with native_stderr_silenced(file):
+        values = io.read(file, "height" if height else "depth") if raster is None else raster.values
+    mask = None if raster is None or raster.mask.all() else raster.mask
+    if nodata is not None:
+        known = ~np.isnan(values) if np.isnan(nodata) else values != nodata
+        mask = known if mask is None else mask & known
+    if raster is not None and not height:
+        values = np.where(raster.mask, values, 0)
+    spacing = spacing if spacing is not None else 1.0 if raster is None else raster.spacing
+    make = Scene.from_height if height else Scene
+    return make(values, spacing=spacing, mask=mask, sides=sides, reflectance=reflectance), raster
+
+
+def reflectance(albedo: str, specular: str | None, exponent: float | None) -> Reflectance:
+    """The surface that --albedo, --specular and --exponent describe."""
+    if specular is None:
+        if exponent is not None:
+            raise typer.BadParameter("goes with --specular", param_hint="--exponent")
+        return Lambertian(_share(albedo, "--albedo"))
+    diffuse, lobe = _share(albedo, "--albedo"), _share(specular, "--specular")
+    if exponent == np.inf:
+        return Mirror(lobe, diffuse)
+    return Phong(diffuse, lobe, 20.0 if exponent is None else exponent)
+
+
+def _share(text: str, option: str) -> float | np.ndarray:
+    """A share of light, or one for each of red, green and blue."""
+    return np.array(numbers(text, option, "R,G,B")) if "," in text else numbers(text, option, "A")[0]
+
+
+def source(
+    kind: str | None, lamp: str | None, window: str | None, sun: str | None = None, direct: float = 0.0
+) -> Source:
+    """The source that --source, --lamp, --window, --sun and --direct describe."""
+    kind = kind or ("lamp" if lamp else "window" if window else "sky")
+    for name, given in (("lamp", lamp), ("window", window)):
+        if bool(given) != (kind == name):
+            raise typer.BadParameter(
+                f"--{name} goes with --source {name}: got --source {kind}"
+                + ("" if given else f" without --{name}"),
+                param_hint=f"--{name}",
+            )
+    cie = re.fullmatch("clear|cie([0-9]+)", kind)
+    if (sun or direct) and not cie:
+        raise typer.BadParameter(
+            f"goes with --source clear or cie1 to cie15: got --source {kind}",
+            param_hint="--sun" if sun else "--direct",
+        )
+    if lamp:
+        x, y, z, radius = numbers(lamp, "--lamp", "X,Y,Z,R")
+        return Lamp(center=(x, y, z), radius=radius)
+    if window:
+        x0, x1, y0, y1 = numbers(window, "--window", "X0,X1,Y0,Y1")
+        return Window(x=(x0, x1), y=(y0, y1))
+    if cie:
+        return Sky(cie_sky(int(cie[1] or CLEAR), None if sun is None else _sun(sun), direct=direct))
+    return _sky(kind)
+
+
+def _sky(kind: str) -> Sky:
+    """The uniform sky, the overcast one, or the environment map in the file ``kind``."""
+    if kind == "sky":
+        return Sky()
+    if kind == "overcast":
+        return Sky(cie_overcast())
+    if not Path(kind).exists():
+        raise bad(
+            "--source",
+            repr(kind),
+            "sky, overcast, clear, cie1 to cie15, lamp, window, or an existing file (an environment map)",
+        )
+    with native_stderr_silenced(kind):
+        return Sky(environment_map(io.read_environment(kind)))
+
+
+def _sun(text: str) -> tuple[float, float]:
+    """(azimuth, elevation) [degree] of --sun, given as such or by time and place."""
+    if text.count(",") == 2:
+        time, place = text.split(",", 1)
+        latitude, longitude = numbers(place, "--sun", "LAT,LON")
+        azimuth, elevation = sun_position(time, latitude, longitude)
+        if elevation < 0:
+            raise bad(f"--sun {text}", f"a sun {-elevation:.1f} degrees below the horizon", "a time of day")
+        return azimuth, elevation
+    azimuth, elevation = numbers(text, "--sun", "AZ,EL")
+    return azimuth, elevation
+
+
+def tolerance(text: str, option: str = "--tolerance") -> float:
+    """A share of one: 0.01 or 1%."""
+    try:
+        return float(text[:-1]) / 100 if text.endswith("%") else float(text)
+    except ValueError:
+        raise typer.BadParameter(
+            f"got {text!r}; allowed: a number above 0, such as 0.01 or 1%", param_hint=option
+        ) from None
+
+
+def numbers(text: str, option: str, form: str) -> tuple[float, ...]:
+    """As many numbers, with commas between, as ``form`` has names."""
+    try:
+        found = tuple(float(part) for part in text.split(","))
+    except ValueError:
+        found = ()
+    if len(found) != len(form.split(",")):
+        raise typer.BadParameter(
+            f"got {text!r}; allowed: {form}, numbers with commas between", param_hint=option
+        )
+    return found
+
+
+def whole_numbers(text: str, option: str) -> list[int]:
+    """Whole numbers with commas between."""
+    try:
+        return [int(part) for part in text.split(",")]
+    except ValueError:
+        raise typer.BadParameter(
+            f"got {text!r}; allowed: whole numbers with commas between", param_hint=option
+        ) from None
+
+
+def radiance(file: Path, white: float | None) -> np.ndarray:
+    """The image in ``file`` as radiance.
+
+    Counts need a scale, the file's own or --white; floating values are radiance already.
+    """
+    with native_stderr_silenced(file):
+        image = io.read(file, "image")
+    if image.dtype.kind == "f":
+        if white is not None:
+            raise typer.BadParameter(
+                f"{file} holds floating values, which are radiance as they are", param_hint="--white"
+            )
+        return image
+    scale = (0.0, white) if white is not None else io.read_range(file)
+    if scale is None or image.dtype.kind != "u":
+        raise bad(
+            f"{file}: counts without a scale",
+            image.dtype,
+            "floating values, or unsigned counts with a scale",
+            "Give --white, the radiance of a full-scale count.",
+        )
+    low, high = scale
+    return low + image * ((high - low) / np.iinfo(image.dtype).max)
