@@ -11,6 +11,7 @@ cannot show; tests/test_oracle_horizons.py can.
 import functools
 
 import numpy as np
+
 import skylamp as sl
 from skylamp.io import files as io
 

@@ -7,15 +7,16 @@ import math
 
 import numpy as np
 import pytest
-import skylamp as sl
 from compare import assert_bits_equal
 from scenes import rough
+
+import skylamp as sl
 from skylamp import oracle
 from skylamp.backends import select
 from skylamp.errors import CapacityError
-from skylamp.inverse import pyramid as synthesis
+from skylamp.inverse import conjugate_gradients, lights, resampling
+from skylamp.inverse.descent import Descent
 
-adjoint = importlib.import_module("skylamp.inverse.descent")
 SHAPE = (9, 11)
 
 
@@ -57,7 +58,7 @@ CASES = [
 
 @pytest.fixture(autouse=True)
 def few_slices(monkeypatch):
-    monkeypatch.setattr(synthesis, "SLICES", 10)
+    monkeypatch.setattr(lights, "SLICES", 10)
 
 
 def ground(shape=SHAPE, seed=0, slope=0.8):
@@ -68,7 +69,7 @@ def ground(shape=SHAPE, seed=0, slope=0.8):
 
 
 def light_of(source, shape, azimuths):
-    return synthesis.light_of(source, shape, 1.0, synthesis.brightness_of(source, azimuths))
+    return lights.light_of(source, shape, 1.0, lights.brightness_of(source, azimuths))
 
 
 def problem(
@@ -76,7 +77,7 @@ def problem(
 ):
     full = lambda value: np.broadcast_to(np.asarray(value, float), shape)
     lights = [light_of(each, shape, azimuths) for each in (source if isinstance(source, list) else [source])]
-    return adjoint.Descent(
+    return Descent(
         select(backend),
         shape,
         sides,
@@ -85,6 +86,11 @@ def problem(
         full(high),
         **more,
     )
+
+
+def gradient(made, smoothness):
+    """Readies a step of conjugate gradients at the depths of the last evaluation: v v and r v."""
+    return made.gradients.gradient(made.here, sum(made.misfits), smoothness)
 
 
 def image(made, z):
@@ -129,29 +135,28 @@ def derivative(made, number=0):
 def product(made, v):
     """The sum over images of transpose(J) gain^2 J v, by the kernel."""
     length = float(np.linalg.norm(v))
-    made._launch(
+    made.launcher.launch(
         "ready",
-        made.states[0],
-        made.totals[0],
+        made.gradients.states[0],
+        made.gradients.totals[0],
         length**2,
         1.0,
         0.0,
         0.0,
         0.0,
-        adjoint.FIXED,
-        adjoint.EXACT,
+        conjugate_gradients.FIXED,
+        conjugate_gradients.EXACT,
         1,
         dim=(1,),
     )
-    made.backend.put(made.v[0], np.asarray(v, np.float32).ravel())
-    made._product(made.here, made.states[0])
-    sum = made.backend.download(made.sum).sum(0).reshape(made.shape)
-    made.backend.fill(made.sum, 0)
-    return sum * length / adjoint.FIXED
+    made.backend.put(made.gradients.v[0], np.asarray(v, np.float32).ravel())
+    made.gradients.multiply(made.here, made.gradients.states[0])
+    sum = made.backend.download(made.gradients.sum).sum(0).reshape(made.shape)
+    made.backend.fill(made.gradients.sum, 0)
+    return sum * length / conjugate_gradients.FIXED
 
 
 # -- float64
-# -----------------------------------------------------------------------------------------------------------------
 
 
 def tilts_of(z):
@@ -309,7 +314,7 @@ def model64(source, sides, azimuths=8):
     if isinstance(source, sl.Sky):
         light = light_of(source, SHAPE, azimuths)  # of any shape
         return lambda z: sky64(z, light, sides)
-    return lambda z: solid64(z, source, sides, synthesis.SLICES)
+    return lambda z: solid64(z, source, sides, lights.SLICES)
 
 
 @pytest.mark.parametrize(("name", "sides"), [case for case in CASES if case[0] not in SPOTS])
@@ -333,8 +338,8 @@ def test_irradiance_and_its_derivative(fast, name, sides):
 @pytest.mark.parametrize("sides", ["open", "dark"])
 def test_a_solid_is_the_oracles(fast, monkeypatch, name, sides):
     """With many slices, shadow rays within 1.5 % RMS of the mean that is lit."""
-    monkeypatch.setattr(synthesis, "SLICES", 96)
-    monkeypatch.setattr(synthesis, "ROWS", 16)  # so that what is between rows of the table counts
+    monkeypatch.setattr(lights, "SLICES", 96)
+    monkeypatch.setattr(lights, "TABLE_AZIMUTHS", 16)  # so that what is between rows of the table counts
     z, source = ground(), SOURCES[name]
     nodes = tuple(np.random.default_rng(0).permutation(np.indices(SHAPE).reshape(2, -1).T)[:30].T)
     if isinstance(source, sl.Window):
@@ -363,7 +368,7 @@ def test_maps_of_any_shape(fast, shape, sides):
 
 @pytest.fixture(scope="module")
 def spikes():
-    """Single nodes that stand out beside every edge of the tiles, and their light under a sky and a low lamp."""
+    """Single nodes that stand out beside every edge of the tiles; their light under a sky and a low lamp."""
     shape, rng = (34, 43), np.random.default_rng(2)
     y, x = np.indices(shape)
     z = (
@@ -387,7 +392,7 @@ def spikes():
 def test_spikes_at_the_edges_of_tiles(backend, spikes, monkeypatch):
     """What is left out by the highest ground of tiles never stands above."""
     z, lamp, by_sky, by_lamp = spikes
-    monkeypatch.setattr(synthesis, "SLICES", 6)
+    monkeypatch.setattr(lights, "SLICES", 6)
     np.testing.assert_allclose(
         image(problem(backend, sl.Sky(), z.shape, azimuths=20), z), by_sky, rtol=0, atol=1e-5 * math.pi
     )
@@ -403,25 +408,26 @@ def test_which_node_limits_a_slice(backend):
     rows, cols, at = 5, 11, 6
     z = np.full((rows, cols), 9.0, np.float32)
     z[:, at] = 5
-    light = adjoint.Light(None, azimuths=np.array([(1.0, 0, 2, 0), (-1, 0, 2, 0), (0.6, 0.8, 2, 0)]))
+    light = lights.Light(None, azimuths=np.array([(1.0, 0, 2, 0), (-1, 0, 2, 0), (0.6, 0.8, 2, 0)]))
     for sides in ("open", "periodic"):
-        made = adjoint.Descent(
-            select(backend), z.shape, sides, [(light, np.ones(z.shape), np.zeros(z.shape))], 0, 99
-        )
+        made = Descent(select(backend), z.shape, sides, [(light, np.ones(z.shape), np.zeros(z.shape))], 0, 99)
         made.value(z, 0.0)
         held, first, second, near, far = links(made)
         wanted = [[] for _ in range(rows * cols)]  # links of every node, where they can be told
         for y, x in np.ndindex(rows, cols):
-            for toward, ahead in ((1, at - x), (-1, x - at)):
+            for ahead in (at - x, x - at):
                 away = ahead % cols if sides == "periodic" else ahead
                 if away > 1 and away < cols - 1:  # level beside the ridge is not: there the slope is not 0
                     tangent = 4 / away
                     wanted[y * cols + x].append((y * cols + at, -2 * tangent / (1 + tangent**2) ** 2 / away))
-        flat = made.backend.download(made.tilts)[0] == 0
+        flat = made.backend.download(made.surface.tilts)[0] == 0
         for p, expected in enumerate(wanted):
             for k, (node, pull) in enumerate(expected if flat[p] else ()):
                 assert first[k, p] == node and far[k, p] == 0 and near[k, p] == pytest.approx(-pull, rel=1e-6)
-        slanting = lambda y, x: [k for k in range(held[y * cols + x]) if first[k, y * cols + x] // cols != y]
+
+        def slanting(y, x, held=held, first=first):
+            return [k for k in range(held[y * cols + x]) if first[k, y * cols + x] // cols != y]
+
         if sides == "open":
             # 3 columns on the slanting ray has gone 4 rows; from row 1 it meets the last row a quarter of a
             # node before the ridge
@@ -445,10 +451,8 @@ def test_an_azimuth_almost_along_the_grid(backend):
     z = ground()
 
     def lit(c, s):
-        light = adjoint.Light(None, azimuths=np.array([(c, s, 2 * math.pi, 0)]))
-        made = adjoint.Descent(
-            select(backend), SHAPE, "open", [(light, np.ones(SHAPE), np.zeros(SHAPE))], 0, 99
-        )
+        light = lights.Light(None, azimuths=np.array([(c, s, 2 * math.pi, 0)]))
+        made = Descent(select(backend), SHAPE, "open", [(light, np.ones(SHAPE), np.zeros(SHAPE))], 0, 99)
         return image(made, z)
 
     for c, s in ((0, 1), (0, -1), (1, 0), (-1, 0)):
@@ -459,7 +463,6 @@ def test_an_azimuth_almost_along_the_grid(backend):
 
 
 # -- the adjoint
-# -------------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -484,10 +487,10 @@ def test_the_gradient_is_that_of_the_objective(fast, name):
     rng, shape, z = np.random.default_rng(7), (12, 15), ground((12, 15), 2).astype(float)
     gain = rng.uniform(0.3, 0.6, shape)
     made = problem(fast, [SOURCES[name], sl.Sky()], shape, "dark", gain, 0.4 + 0.1 * rng.normal(size=shape))
-    smooth = synthesis.doubled(synthesis.doubled(rng.normal(size=(3, 4)), (6, 8)), shape)
+    smooth = resampling.doubled(resampling.doubled(rng.normal(size=(3, 4)), (6, 8)), shape)
     made.value(z, 0.02)
-    made.gradient(0.02)
-    downhill = made.backend.download(made.r[0]).reshape(shape).astype(float)
+    gradient(made, 0.02)
+    downhill = made.backend.download(made.gradients.r[0]).reshape(shape).astype(float)
     for v in (smooth, downhill / abs(downhill).max()):
         step = 2e-3
         slope = (made.value(z + step * v, 0.02) - made.value(z - step * v, 0.02)) / (2 * step)
@@ -526,12 +529,15 @@ def test_the_albedo_is_the_best_there_is(backend):
     """
     made, z, bright = lit_twice(backend, (9, 11))
     pull, expected = 0.3, 0.7
-    made.expect(expected, pull)
+    made.albedo.set_prior(expected, pull)
     value = made.value(z, 0.0)
     targets = [made.backend.download(each.target).reshape(z.shape) for each in made.images]
-    albedo = np.array([[np.linalg.lstsq([[b[i, j]] for b in (*bright, np.full(z.shape, pull))], [*(t[i, j] for t in targets), pull * expected], rcond=None)[0][0]
-                        for j in range(z.shape[1])] for i in range(z.shape[0])])  # fmt: skip
-    np.testing.assert_allclose(made.albedo(), albedo, rtol=1e-5)
+    columns, rows = [*bright, np.full(z.shape, pull)], [*targets, np.full(z.shape, pull * expected)]
+    albedo = np.empty(z.shape)
+    for node in np.ndindex(z.shape):
+        column, row = [[b[node]] for b in columns], [t[node] for t in rows]
+        albedo[node] = np.linalg.lstsq(column, row, rcond=None)[0][0]
+    np.testing.assert_allclose(made.fitted_albedo(), albedo, rtol=1e-5)
     assert np.ptp(albedo) > 0.2
     squares = (
         sum(((albedo * b - t) ** 2).sum() for b, t in zip(bright, targets))
@@ -545,9 +551,9 @@ def test_the_albedo_is_the_best_there_is(backend):
 def test_a_product_leaves_out_what_the_albedo_makes_up_for(backend):
     """Of the images' change by depth, that part which no change of the pixel's albedo undoes."""
     made, z, bright = lit_twice(backend, (9, 11))
-    made.expect(1.0, 0.3)
+    made.albedo.set_prior(1.0, 0.3)
     made.value(z, 0.0)
-    albedo = made.albedo().astype(float).ravel()
+    albedo = made.fitted_albedo().astype(float).ravel()
     bare = [made.backend.download(each.gain).astype(float) for each in made.images]
     J = [(albedo * gain)[:, None] * derivative(made, number) for number, gain in enumerate(bare)]
     under = sum(b.ravel() ** 2 for b in bright) + 0.3**2
@@ -564,8 +570,8 @@ def test_the_gradient_with_the_best_albedo_is_that_of_the_objective(fast):
     another surface has another one.
     """
     made, z, _ = lit_twice(fast, (12, 15))
-    made.gradient(0.02)
-    downhill = made.backend.download(made.r[0]).reshape(z.shape).astype(float)
+    gradient(made, 0.02)
+    downhill = made.backend.download(made.gradients.r[0]).reshape(z.shape).astype(float)
     v, step = downhill / abs(downhill).max(), 2e-3
     slope = (made.value(z + step * v, 0.02) - made.value(z - step * v, 0.02)) / (2 * step)
     assert abs(slope) > 1e-3 and slope == pytest.approx(-(downhill * v).sum(), rel=0.01)
@@ -610,7 +616,7 @@ def test_a_step_is_that_of_the_dense_matrices(backend, name, sides):
     down = -(J.T @ misfit + weight * D.T @ (D @ z.ravel().astype(float)))
     held = ((z <= low).ravel() & (down < 0)) | ((z >= high).ravel() & (down > 0))
     free = ~held
-    assert 3 < held.sum() < ((z <= low) | (z >= high)).sum() and (get(made.free[0]) == free).all()
+    assert 3 < held.sum() < ((z <= low) | (z >= high)).sum() and (get(made.gradients.free[0]) == free).all()
     # the diagonal of transpose(J) J, but for a node's links that lead to the same one
     scale, (E, own, by_x, by_y), (held, first, second, near, far) = (
         np.full(n, 12 * weight + 1e-7),
@@ -629,19 +635,28 @@ def test_a_step_is_that_of_the_dense_matrices(backend, name, sides):
         ]
         for to, part in parts:
             scale[to] += (g * float(part)) ** 2
-    np.testing.assert_allclose(get(made.scale[0]), scale, rtol=1e-5)
+    np.testing.assert_allclose(get(made.gradients.scale[0]), scale, rtol=1e-5)
     matrix = (J.T @ J + weight * D.T @ D + damping * np.diag(scale))[np.ix_(free, free)]
     wanted = np.zeros(n)
     wanted[free] = np.linalg.solve(matrix, down[free])
-    np.testing.assert_allclose(get(made.x), wanted, rtol=0, atol=2e-4 * abs(wanted).max())
+    np.testing.assert_allclose(get(made.gradients.x), wanted, rtol=0, atol=2e-4 * abs(wanted).max())
     assert gained == pytest.approx(0.5 * down[free] @ wanted[free], rel=1e-3)
-    assert abs(get(made.r[0])).max() < 1e-4 * abs(down).max()
+    assert abs(get(made.gradients.r[0])).max() < 1e-4 * abs(down).max()
 
-    made._launch(
-        "move", made.backend.upload(z.ravel()), made.x, made.low, made.high, made.z[1], made.pixels, made.each
+    made.launcher.launch(
+        "move",
+        made.backend.upload(z.ravel()),
+        made.gradients.x,
+        made.depths.low,
+        made.depths.high,
+        made.depths.z[1],
+        made.pixels,
+        made.launcher.each,
     )
     np.testing.assert_allclose(
-        get(made.z[1]), np.clip(z.ravel() + wanted, low.ravel(), high.ravel()), atol=3e-4 * abs(wanted).max()
+        get(made.depths.z[1]),
+        np.clip(z.ravel() + wanted, low.ravel(), high.ravel()),
+        atol=3e-4 * abs(wanted).max(),
     )
 
 
@@ -666,19 +681,19 @@ def test_what_preconditions_is_that_of_dense_matrices(backend, shape):
         backend, sl.Sky(), shape, "dark", 0.5, np.where(held, 2, 0), np.where(held, z, 0), 99
     )  # too dark: it would go up
     made.value(z, 0.03)
-    square, along = made.gradient(0.03)
+    square, along = gradient(made, 0.03)
     get = lambda array: made.backend.download(array).astype(float)
     once = np.kron(hats(shape[0]), hats(shape[1]))
     twice = np.kron(hats(-(-shape[0] // 4)), hats(-(-shape[1] // 4)))
-    r, scale, free = get(made.r[0]), get(made.scale[0]), get(made.free[0])
-    broad = adjoint.BROAD * once.T @ scale
-    broader = adjoint.BROADER * twice.T @ broad
-    np.testing.assert_allclose(get(made.scale[1]), broad, rtol=1e-5)
-    np.testing.assert_allclose(get(made.scale[2]), broader, rtol=1e-5)
+    r, scale, free = get(made.gradients.r[0]), get(made.gradients.scale[0]), get(made.gradients.free[0])
+    broad = conjugate_gradients.BROAD * once.T @ scale
+    broader = conjugate_gradients.BROADER * twice.T @ broad
+    np.testing.assert_allclose(get(made.gradients.scale[1]), broad, rtol=1e-5)
+    np.testing.assert_allclose(get(made.gradients.scale[2]), broader, rtol=1e-5)
     low = once.T @ r
     wanted = free * (r / scale + once @ (low / broad + twice @ (twice.T @ low / broader)))
     assert (free == 0).any() and (wanted != 0).any()
-    np.testing.assert_allclose(get(made.v[0]), wanted, rtol=0, atol=1e-5 * abs(wanted).max())
+    np.testing.assert_allclose(get(made.gradients.v[0]), wanted, rtol=0, atol=1e-5 * abs(wanted).max())
     assert (square, along) == (pytest.approx(wanted @ wanted, rel=1e-4), pytest.approx(r @ wanted, rel=1e-4))
 
 
@@ -689,8 +704,8 @@ def test_coarse_grids_make_conjugate_gradients_quick(fast, monkeypatch):
     shape, gains = (48, 48), []
     z = ground(shape, 6, 0.5)
     target = problem(fast, sl.Sky(), shape, "dark", 0.3).irradiances(z)[0]
-    for broad, most in ((adjoint.BROAD, 10), (1e20, 10), (adjoint.BROAD, 400)):
-        monkeypatch.setattr(adjoint, "BROAD", broad)
+    for broad, most in ((conjugate_gradients.BROAD, 10), (1e20, 10), (conjugate_gradients.BROAD, 400)):
+        monkeypatch.setattr(conjugate_gradients, "BROAD", broad)
         made = problem(fast, sl.Sky(), shape, "dark", 0.3, target)
         made.value(z + 2 * np.hanning(48) * np.hanning(48)[:, None], 1e-4)
         gains.append(made.solve(1e-4, 1e-6, most, 1e-6))
@@ -704,10 +719,10 @@ def test_descent_finds_the_surface(fast):
     shape = (16, 16)
     z = ground(shape, 6, 0.5)
     rng = np.random.default_rng(1)
-    start = z + 0.3 * synthesis.doubled(synthesis.doubled(rng.normal(size=(4, 4)), (8, 8)), shape)
+    start = z + 0.3 * resampling.doubled(resampling.doubled(rng.normal(size=(4, 4)), (8, 8)), shape)
     made = problem(fast, sl.Sky(), shape, "dark", 1 / math.pi, azimuths=16)
     target = made.irradiances(z)[0]
-    made.aim([target])
+    made.set_targets([target])
     assert made.value(z, 0.0) < 1e-9
     before = made.value(start, 1e-6)
     found, value = made.run(start, 1e-6, 30, 60, tolerance=0.01, settled=1e-5)
@@ -733,10 +748,10 @@ def test_what_is_at_hand_is_not_looked_at_again(fast, monkeypatch):
     looked = lambda: [looks.count("look"), looks.clear()][0]
     first = made.value(depth, 1e-3)
     assert looked() == 1 and made.value(depth, 1e-3) == first and looked() == 0
-    made.aim([target])
-    made.lean(other)
+    made.set_targets([target])
+    made.set_prior(other)
     anew = problem(fast, sl.Sky(), low=0.5, target=target)
-    anew.lean(other)
+    anew.set_prior(other)
     assert looked() == 0 and made.value(depth, 1e-3) == anew.value(depth, 1e-3) != first and looked() == 1
     found, reached = made.run(depth, 1e-3, 3, 20, 0.1)
     steps = made.steps
@@ -759,7 +774,6 @@ def test_bounds_hold_and_the_objective_never_rises(fast):
 
 
 # -- backends
-# ----------------------------------------------------------------------------------------------------------------
 
 
 def everything(made, z):
@@ -772,10 +786,10 @@ def everything(made, z):
         held,
         *(np.where(np.arange(len(array))[:, None] < held, array, 0) + 0 for array in rest),
     ]
-    gained = made.solve(1e-3, 1e-3, 8, 1e-3)
+    gained, solver = made.solve(1e-3, 1e-3, 8, 1e-3), made.gradients
     return [
         *seen,
-        *(get(array) + 0 for array in (*made.scale, *made.free, made.x, *made.r, *made.v)),
+        *(get(array) + 0 for array in (*solver.scale, *solver.free, solver.x, *solver.r, *solver.v)),
         np.array([value, gained]),
     ]
 
@@ -787,7 +801,7 @@ def test_backends_agree_to_the_bit_and_repeat_themselves(backend, fast, name, si
     made, reference = (problem(each, SOURCES[name], (13, 21), sides, 0.3, 0.4) for each in (backend, fast))
     wanted = everything(reference, z)
     got = everything(made, z)
-    assert got[1].max() > got[1].min() and abs(made.backend.download(made.x)).max() > 1e-3
+    assert got[1].max() > got[1].min() and abs(made.backend.download(made.gradients.x)).max() > 1e-3
     for a, b in zip(got, wanted, strict=True):
         assert_bits_equal(a, b)
     everything(made, other)
@@ -802,8 +816,11 @@ def test_descents_agree_to_the_bit(backend, fast):
     shape = (16, 19)
     start, target = ground(shape, 3, 0.4), 0.3 + 0.1 * ground(shape, 5, 0.1)
     for known in (True, False):
-        (found, value), (wanted, other) = (problem(each, [sl.Sky(), SOURCES["spot"]], shape, "open", 0.3, target, albedo_known=known).run(start, 1e-2, 3, 10)
-                                           for each in (backend, fast))  # fmt: skip
+        both = [sl.Sky(), SOURCES["spot"]]
+        (found, value), (wanted, other) = (
+            problem(each, both, shape, "open", 0.3, target, albedo_known=known).run(start, 1e-2, 3, 10)
+            for each in (backend, fast)
+        )
         assert value == other and np.ptp(found - start) > 0.1
         assert_bits_equal(found, wanted)
 
@@ -840,25 +857,24 @@ def test_more_work_items_than_nodes(fast, monkeypatch):
     for got, expected in zip(everything(made, z), wanted, strict=True):
         assert_bits_equal(got, expected)
     # sums of blocks end where their array ends
-    part = made.backend.upload(np.full(200, 7.0))
-    made._launch("bending", made.backend.upload(z.ravel()), made.rest, part, 0, 13, 21, dim=(made.blocks,))
-    assert (made.backend.download(part)[made.blocks :] == 7).all() and made.backend.download(part)[0] != 7
+    part, blocks = made.backend.upload(np.full(200, 7.0)), made.launcher.blocks
+    depths = made.backend.upload(z.ravel()), made.depths.rest
+    made.launcher.launch("bending", *depths, part, 0, 13, 21, dim=(blocks,))
+    assert (made.backend.download(part)[blocks:] == 7).all() and made.backend.download(part)[0] != 7
 
 
 def test_a_map_with_too_many_links(backend):
-    light = adjoint.Light(None, azimuths=np.zeros((2**22, 4), np.float32))
+    light = lights.Light(None, azimuths=np.zeros((2**22, 4), np.float32))
     with pytest.raises(CapacityError, match="links"):
-        adjoint.Descent(
-            select(backend), (16, 32), "open", [(light, np.ones((16, 32)), np.ones((16, 32)))], 0, 1
-        )
+        Descent(select(backend), (16, 32), "open", [(light, np.ones((16, 32)), np.ones((16, 32)))], 0, 1)
 
 
 # -- Warp's tape, where it is right: no loop that changes what it reads
-# ------------------------------------------------------
 
 
 def _taped():
     import warp as wp
+
     from skylamp.warp_kernels import adjoint as kernels
 
     @wp.kernel

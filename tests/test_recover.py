@@ -5,10 +5,11 @@ import functools
 import numpy as np
 import pytest
 import scenes
-import skylamp as sl
 from compare import assert_bits_equal
+
+import skylamp as sl
 from skylamp import oracle
-from skylamp.inverse.recover import carving_integers
+from skylamp.inverse.carving import carving_integers
 from skylamp.sources.shapes import BALL, RECTANGLE, SKY, VOLUME, Geometry, radiance
 
 paper = functools.partial(sl.recover, method="paper")
@@ -122,7 +123,9 @@ def test_recovery_with_an_albedo_map_and_spacing_equals_the_oracle(backend, eps)
 
 
 def test_drilled_columns_are_named_and_the_sign_drills_fewer(backend):
-    """MODEL.md 5.1: with a narrow eps most columns never match; the stop at the sign change is monotone."""
+    """docs/model.md, The inverse: with a narrow eps most columns never match; the stop at the sign change is
+    monotone.
+    """
     image = _image("sky", "dark")
     by_eps, by_sign = (
         paper(image, sl.Sky(), 0.6, "dark", 1.0, LAYERS, 5, eps=0.002, stop=stop, backend=backend)
@@ -159,6 +162,13 @@ def test_open_sides_under_a_sky_are_called_ill_posed(backend):
         "ill-posed" in w
         for w in paper(image, sl.Sky(), 0.6, "dark", layers=3, hemicube=3, backend=backend).warnings
     )
+
+
+def test_carving_has_a_residual_of_zero_and_no_albedo(backend):
+    """As Recovery says: the residual is 0, and the albedo, which was given, is None."""
+    got = paper(_image("sky", "dark"), sl.Sky(), 0.6, "dark", 1.0, LAYERS, 5, eps=0.05, backend=backend)
+    assert_bits_equal(got.residual, np.zeros(got.depth.shape, np.float32))
+    assert got.albedo is None
 
 
 def test_progress_counts_layers_and_a_second_run_is_the_same(backend):

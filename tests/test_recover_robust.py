@@ -7,12 +7,15 @@ import logging
 
 import numpy as np
 import pytest
-import skylamp as sl
 import surfaces
 from scipy.optimize import minimize
-from skylamp.backends import select
-from skylamp.inverse.pyramid import Pyramid
 from surfaces import ALBEDO, SURFACES, rms
+
+import skylamp as sl
+from skylamp.backends import select
+from skylamp.inverse.multigrid import Multigrid
+from skylamp.inverse.pyramid import Pyramid
+from skylamp.inverse.starts import Starts
 
 SMALL = SIZE = 32  # half the size of performance/recover.py: a layer here is two there
 LAYERS = 32
@@ -109,19 +112,20 @@ def test_a_mosaic_takes_every_place_from_the_surface_that_fits_there(fast, monke
     """
     depth, image = pair("egg-crate", "lamp")
     pyramid, west = _pyramid(fast, image, "lamp"), np.arange(SMALL) < SMALL // 2
-    monkeypatch.setattr(pyramid, "_ease", lambda level, z, *how: (z, 0.0))
-    joined = pyramid.mosaic(0, [depth + np.where(here, 2.0, 0.0) for here in (west, ~west)])[0]
+    starts = Starts(Multigrid(pyramid), 0)
+    monkeypatch.setattr(starts.multigrid, "relax", lambda level, z, *how: (z, 0.0))
+    joined = starts.mosaic(0, [depth + np.where(here, 2.0, 0.0) for here in (west, ~west)])[0]
     away = np.abs(np.arange(SMALL) - (SMALL - 1) / 2) > 4
     assert rms((joined - depth)[:, away]) < 0.1 and rms(joined - depth) < 0.5
 
 
-def test_what_is_polished_does_not_lean_on_what_was_tried_last(fast):
-    """With noise, smoothness leans on a coarser surface: of the answer, not of another start."""
+def test_what_is_polished_has_no_prior_of_what_was_tried_last(fast):
+    """With noise, smoothness has a coarser surface as its prior: of the answer, not of another start."""
     depth, image = pair("egg-crate", "sky")
     image = np.maximum(image + 0.03 * image.max() * np.random.default_rng(3).normal(size=image.shape), 0)
     pyramid = _pyramid(fast, image, "sky")
-    pyramid._lean(0, depth[::-1])
-    assert rms(pyramid.polish(0, depth)[0] - depth) < 0.5
+    pyramid.set_prior(0, depth[::-1])
+    assert rms(Multigrid(pyramid).polish(0, depth).depth - depth) < 0.5
 
 
 @pytest.mark.parametrize(
@@ -142,7 +146,7 @@ def test_large_images_begin_on_a_grid_that_sees_their_relief(fast, shape, begins
     there is a coarser one.
     """
     pyramid = _pyramid(fast, np.ones(shape), "sky")
-    assert pyramid.images[pyramid.first][0].shape == begins
+    assert pyramid.images[pyramid.start][0].shape == begins
 
 
 @pytest.mark.parametrize(
@@ -219,8 +223,9 @@ def test_steps_end_where_scipy_ends(fast):
 
     def objective(z):
         value = problem.value(z.reshape(image.shape), weight)
-        problem.gradient(weight)
-        return value, -problem.backend.download(problem.r[0]).astype(float)
+        solver = problem.gradients
+        solver.gradient(problem.here, sum(problem.misfits), weight)
+        return value, -problem.backend.download(solver.r[0]).astype(float)
 
     theirs = minimize(
         objective,
@@ -239,7 +244,9 @@ def test_steps_end_where_scipy_ends(fast):
     [("noise 1 %", 0.5, 5), ("noise 3 %", 0.5, 5), ("8 bits", 1.5, 20), ("albedo 5 %", 1.5, 5)],
 )
 def test_stable_where_carving_is_not(fast, what, most, carving):
-    """Change of depth by change of image, both as shares of their range: small, where carving multiplies it."""
+    """Change of depth by change of image, both as shares of their range: small, where carving multiplies
+    it.
+    """
     depth, image = surfaces.pair("bumps", "sky")
     noise = np.random.default_rng(7).normal(size=image.shape)
     other = {
@@ -424,14 +431,14 @@ def test_two_lights_of_different_strength(fast):
     """Each image in the unit of its own source: the same depth, and the same albedo, which is not known."""
     got = [
         sl.recover(
-            [k * lit_by("sky", fast), l * lit_by("lamp", fast)],
-            [SHINE["sky"](k), SHINE["lamp"](l)],
+            [sky * lit_by("sky", fast), lamp * lit_by("lamp", fast)],
+            [SHINE["sky"](sky), SHINE["lamp"](lamp)],
             None,
             "dark",
             layers=32,
             backend=fast,
         )
-        for k, l in ((1.0, 1.0), (100.0, 0.25))
+        for sky, lamp in ((1.0, 1.0), (100.0, 0.25))
     ]
     np.testing.assert_allclose(got[1].depth, got[0].depth, atol=1e-3)
     np.testing.assert_allclose(got[1].albedo, got[0].albedo, atol=1e-4)
@@ -494,7 +501,7 @@ def test_time_may_end_anywhere(fast, monkeypatch):
     for seconds in (1, 25, 80, 130, 180, 230, 280, 330, 380):
         ticks = itertools.count()
         with monkeypatch.context() as patch:
-            patch.setattr(recover.time, "perf_counter", lambda: next(ticks))
+            patch.setattr(recover.time, "perf_counter", lambda ticks=ticks: next(ticks))
             got = sl.recover(image, sl.Sky(), ALBEDO, "dark", backend=fast, max_seconds=seconds)
         cut += any("Out of time" in warning for warning in got.warnings)
         assert got.depth.shape == image.shape and rms(got.depth - depth) < (8 if seconds > 25 else 16)
@@ -520,6 +527,19 @@ def test_an_interrupt_gives_the_best_so_far(fast):
     )
 
 
+def test_an_interrupt_before_the_first_level_gives_a_flat_surface(fast, monkeypatch):
+    """Ctrl-C while flat surfaces are compared: the one halfway between the bounds, and no error."""
+
+    def interrupt(starts):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Starts, "nearest_flat", interrupt)
+    depth, image = pair("bumps", "sky")
+    got = sl.recover(image, sl.Sky(), ALBEDO, "dark", layers=LAYERS, backend=fast)
+    np.testing.assert_allclose(got.depth, LAYERS / 2, rtol=1e-3)
+    assert any("Interrupted" in warning for warning in got.warnings) and got.levels == ()
+
+
 def test_an_interrupted_cycle_leaves_the_targets_as_they_were(fast):
     """Ctrl-C while a coarse grid works for a finer one: what is done with that grid afterwards is about its
     own image again.
@@ -532,7 +552,7 @@ def test_an_interrupted_cycle_leaves_the_targets_as_they_were(fast):
 
     pyramid.stop = stop
     with pytest.raises(KeyboardInterrupt):
-        pyramid._cycled(0, np.full((96, 96), 30.0))
+        Multigrid(pyramid).cycles(0, np.full((96, 96), 30.0))
     assert 1 in pyramid.problems
     for level, problem in pyramid.problems.items():
         target = problem.backend.download(problem.images[0].target).reshape(problem.shape)
@@ -561,14 +581,20 @@ def test_levels_and_their_residuals(fast, caplog):
     assert 0 <= got.confidence.min() and got.confidence.max() <= 1
 
 
-@pytest.mark.parametrize(("arguments", "says"), [
-    ({"image": [np.ones((8, 8))] * 2, "source": [sl.Sky()]}, "as many sources as images"),
-    ({"image": [np.ones((8, 8)), np.ones((8, 9))], "source": [sl.Sky()] * 2}, "one shape"),
-    ({"near": 5, "far": 4}, "near < far"), ({"near": np.ones((3, 3))}, "near: wrong shape"), ({"far": np.nan}, "far"),
-    ({"max_seconds": 0}, "max_seconds"), ({"source": sl.Lamp(volume=np.ones((1, 8, 8), bool))}, "method='paper'"),
-    ({"source": sl.Lamp(center=(4, 4, -4), radius=2), "sides": "periodic"}, "periodic"),
-    ({"method": "paper", "near": 1}, "method='robust'"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        ({"image": [np.ones((8, 8))] * 2, "source": [sl.Sky()]}, "as many sources as images"),
+        ({"image": [np.ones((8, 8)), np.ones((8, 9))], "source": [sl.Sky()] * 2}, "one shape"),
+        ({"near": 5, "far": 4}, "near < far"),
+        ({"near": np.ones((3, 3))}, "near: wrong shape"),
+        ({"far": np.nan}, "far"),
+        ({"max_seconds": 0}, "max_seconds"),
+        ({"source": sl.Lamp(volume=np.ones((1, 8, 8), bool))}, "method='paper'"),
+        ({"source": sl.Lamp(center=(4, 4, -4), radius=2), "sides": "periodic"}, "periodic"),
+        ({"method": "paper", "near": 1}, "method='robust'"),
+    ],
+)
 def test_bad_arguments(arguments, says):
     with pytest.raises(sl.InputError, match=says):
         sl.recover(

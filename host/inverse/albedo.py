@@ -1,0 +1,61 @@
+"""The albedo that is not given: for every pixel the one that explains all images best (variable
+projection)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .forward import DeviceArray, Image, Launcher
+
+# weight of what is expected of an albedo that is not known: an albedo off by its own size counts as much as
+# an image by this
+PRIOR_WEIGHT = 1e-3
+
+
+class AlbedoFit:
+    """The least-squares albedo of every pixel at a surface and at a trial, as a share of what the images'
+    gains stand for.
+
+    What is expected of the albedo counts as one more image, whose light is 1.
+    """
+
+    def __init__(self, launcher: Launcher, images: list[Image]):
+        self.launcher, self.images = launcher, images
+        self.pixels = launcher.pixels
+        backend = launcher.backend
+        # sums of light x target and, at both sides, of light^2; what depth and albedo share; the prior's
+        # weight and target
+        self.over, self.shared, self.weight, self.expected, *self.unders = (
+            backend.empty((self.pixels,), np.float32, PRIOR_WEIGHT) for _ in range(6)
+        )
+        self.ones, self.found = (backend.empty((1, self.pixels), np.float32, 1) for _ in range(2))
+        for image in images:
+            image.gains = [backend.empty((self.pixels,), np.float32) for _ in range(2)]
+
+    def set_prior(self, albedo: float, weight: float = PRIOR_WEIGHT) -> None:
+        """From here on the albedo is expected to be about this; at first 1."""
+        self.launcher.backend.fill(self.weight, weight)
+        self.launcher.backend.fill(self.expected, weight * albedo)
+
+    def fit(self, side: int) -> None:
+        """The albedo that is best for what was evaluated, and the images' gains with it."""
+        self._match(self.ones, self.weight, self.expected, side, True)
+        for image in self.images:
+            self._match(image.links[side][0], image.gain, image.target, side, False)
+        gains = ((image.gain, image.gains[side]) for image in self.images)
+        for gain, out in ((self.ones, self.found), *gains):
+            self.launcher.launch(
+                "reflect", self.over, self.unders[side], gain, out, self.pixels, dim=(self.pixels,)
+            )
+
+    def _match(
+        self, light: DeviceArray, gain: DeviceArray, target: DeviceArray, side: int, is_first: bool
+    ) -> None:
+        sums = self.over, self.unders[side]
+        self.launcher.launch("match", light, gain, target, *sums, is_first, self.pixels, dim=(self.pixels,))
+
+    def values(self, side: int) -> np.ndarray:
+        """(pixels,) the albedo that was fitted last at this side."""
+        image, get = self.images[0], self.launcher.backend.download
+        found: np.ndarray = get(image.gains[side]) / get(image.gain)
+        return found

@@ -1,0 +1,138 @@
+"""Warnings: what the images alone tell, and what is left when model and images are compared."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from .. import sources
+from ..scene import Scene
+from .pyramid import COARSEST, IMAGE_RMS, Pyramid
+
+OPEN_SKY = "Open sides under a sky are ill-posed: a flat surface explains a plane's image at any depth."
+POORLY = 0.03  # residual, as a share of the image, from which an image is called unexplained
+TOO_BRIGHT, TOO_MANY = (
+    0.1,
+    0.02,
+)  # share of the image's rms, and of the pixels, that the model may fall short by
+DEVIATIONS = 5  # of noise, that a pixel may be brighter than the model
+FEWEST_COUNTS = 200  # of an image's maximum: fewer are coarser than the paper's eps
+WHOLE = 1e-3  # of the greatest count, that counts may be off whole numbers
+EIGHT_BITS = 256
+AMBIGUOUS = 0.005  # share of ambiguous pixels that is told
+UNTOLD = 0.2  # of the pixels are not trusted: so many that a warning says that the albedo is not known
+
+
+def of_images(
+    images: Sequence[np.ndarray], lights: Sequence[sources.Source], scene: Scene, deepest: float
+) -> list[str]:
+    """What can be told from the images alone; lights in nodes, ``deepest`` [nodes]."""
+    found = []
+    if scene.sides == "open" and all(isinstance(light, sources.Sky) for light in lights):
+        found.append(OPEN_SKY)
+    for image in images:
+        values = np.unique(image)
+        if 2 < len(values) <= EIGHT_BITS < image.size:
+            step = float(np.median(np.diff(values)))
+            along = np.concatenate([np.abs(np.diff(image, axis=a)).ravel() for a in (0, 1)])
+            if np.median(along) < step:
+                found.append(
+                    f"8-bit steps: the image has {len(values)} values, {step:.2g} apart, and most neighbours"
+                    " differ by less; fine relief is lost in them."
+                )
+    for light in lights:
+        if isinstance(light, sources.Lamp) and light.center is not None and light.radius is not None:
+            away = deepest - light.center[2]
+            if light.radius / max(away, light.radius) < 0.5 / min(COARSEST, *scene.shape):
+                found.append(
+                    f"Small lamp: its radius of {light.radius:.3g} nodes is below the resolution of the"
+                    f" coarsest grid at depth {deepest:.3g}; its shadows are sharper than a grid shows."
+                )
+    return found
+
+
+def of_residual(pyramid: Pyramid, residual: np.ndarray) -> list[str]:
+    """What the residual of the first image tells, in the unit of the pyramid."""
+    found = []
+    rms = math.sqrt(float(np.mean(residual**2))) / IMAGE_RMS
+    too_bright = (residual < -TOO_BRIGHT * IMAGE_RMS) & (residual < -DEVIATIONS * pyramid.noise)
+    if too_bright.mean() > TOO_MANY:
+        found.append(
+            f"Image brighter than the model can make it at {too_bright.mean():.0%} of the pixels: a larger"
+            " albedo or brightness, or other sides, may be right."
+        )
+    if rms > POORLY + 2 * pyramid.noise / IMAGE_RMS:
+        why = "; wrong sides, albedo or source are suspected, or relief that this resolution does not show."
+        if _worse_at_rim(residual):
+            why = (
+                ", most of all near the border: wrong sides are suspected"
+                f" (sides={pyramid.sides!r} was given)."
+            )
+        found.append(f"Poorly explained: model and image differ by {rms:.0%} of the image (rms){why}")
+    return found
+
+
+def _worse_at_rim(residual: np.ndarray) -> bool:
+    """Whether it is twice as large (variance) in the outer eighths as inside."""
+    rim = np.ones(residual.shape, bool)
+    edge = max(1, min(residual.shape) // 8)
+    rim[edge:-edge, edge:-edge] = False
+    if rim.all():
+        return False
+    return bool(np.mean(residual[rim] ** 2) > 2 * np.mean(residual[~rim] ** 2))
+
+
+def of_confidence(confidence: np.ndarray, ambiguous: np.ndarray, albedo_given: bool) -> list[str]:
+    """What the pixels that are not trusted tell."""
+    found = []
+    if ambiguous.mean() >= AMBIGUOUS:
+        found.append(
+            f"Ambiguous: {ambiguous.mean():.0%} of the pixels have several depths that explain them; give"
+            " near= and far=, or a second image."
+        )
+    untold = (confidence < 0.5).mean()
+    if not albedo_given and untold > UNTOLD:
+        found.append(
+            f"Depth hangs on the albedo at {untold:.0%} of the pixels: these images hardly"
+            " tell the two apart; another under a lamp, or a known albedo, would."
+        )
+    return found
+
+
+def of_carving(
+    image: np.ndarray, source: sources.Source, sides: str, drilled: np.ndarray, stop: str
+) -> list[str]:
+    """What the paper's method tells."""
+    found = []
+    if drilled.any():
+        found.append(
+            f"Drilled: {drilled.mean():.1%} of the columns never matched the image and were carved through to"
+            " the back"
+            + (
+                "; one that stops early shadows the rest. stop='sign' often drills fewer."
+                if stop == "eps"
+                else "; the image is darker there than any depth explains."
+            )
+        )
+    if sides == "open" and isinstance(source, sources.Sky):
+        found.append(OPEN_SKY)
+    if count := count_of(image):
+        found.append(
+            f"Few counts: the image's values are multiples of {count:.2g} of its maximum, so depth can be no"
+            " finer than what changes it by that."
+        )
+    return found
+
+
+def count_of(image: np.ndarray) -> float:
+    """The count of a coarsely quantized image, over its maximum; 0 where its values are no multiples of
+    one.
+    """
+    steps = np.diff(np.unique(image))
+    if not steps.size or steps.min() < 1 / FEWEST_COUNTS * image.max():
+        return 0.0
+    number = np.append(steps, image.max()) / steps.min()
+    is_whole = np.abs(number - np.rint(number)).max() < WHOLE * number.max()
+    return float(steps.min() / image.max()) if is_whole else 0.0

@@ -1,0 +1,160 @@
+"""The forward model on a device: irradiance of a depth map, and its derivatives by depth."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from ..backends.base import Backend
+from ..constants import BESIDE, NONE, ROOM, SIDES, SUMMED, TILE
+from ..errors import CapacityError
+from .lights import Light
+
+MARGIN = 16  # nodes left and right of the map of heights
+BYTES_PER_LINK, BYTES_PER_NODE, BYTES_PER_SUM = 40, 80, 16  # of an image and what solves for it, about
+
+DeviceArray = Any  # each backend has its own
+
+
+class Launcher:
+    """Launches of the kernels of adjoint over the nodes of a grid."""
+
+    def __init__(self, backend: Backend, shape: tuple[int, int]):
+        self.backend, self.shape, self.pixels = backend, shape, shape[0] * shape[1]
+        self.blocks = -(-self.pixels // SUMMED)  # a work-item of a sum owns one
+        self.each, self.teams = backend.each, backend.teams
+        self._recorded: dict[tuple[str, int], Callable[[], None] | None] = {}
+
+    def launch(self, kernel: str, *args: Any, dim: tuple[int, ...] | None = None) -> None:
+        """Runs a kernel, over all nodes unless ``dim`` says otherwise."""
+        self.backend.launch("adjoint", kernel, dim or (-(-self.pixels // self.each),), *args)
+
+    def repeat(self, work: Callable[[int], None], side: int, times: int = 1) -> None:
+        """Does work(side), ``times`` times; from the second call on as the backend has recorded it."""
+        key = work.__name__, side
+        if key not in self._recorded:
+            for _ in range(times):
+                work(side)
+            self._recorded[key] = None
+            return
+        recorded = self._recorded[key] or self.backend.record(lambda: work(side), times)
+        self._recorded[key] = recorded
+        recorded()
+
+
+class Surface:
+    """A depth map for rays: heights with a margin, tilts, the greatest heights of tiles and of all."""
+
+    def __init__(self, launcher: Launcher, sides: str):
+        rows, cols = launcher.shape
+        backend, self.launcher, self.sides = launcher.backend, launcher, SIDES[sides]
+        self.heights = backend.empty((rows * (cols + 2 * MARGIN),), np.float32, NONE)
+        self.tilts, self.top = backend.empty((2, rows * cols), np.float32), backend.empty((1,), np.int32)
+        self.across = -(-cols // TILE), -(-rows // TILE)
+        self.tiles = backend.empty((self.across[1] * self.across[0],), np.float32)
+
+    def set_depth(self, z: DeviceArray) -> None:
+        rows, cols = self.launcher.shape
+        heights = self.heights, self.tilts, self.top, rows, cols, MARGIN, self.sides
+        self.launcher.launch("surface", z, *heights, dim=(cols, rows))
+        self.launcher.launch("tiles", z, self.tiles, self.top, rows, cols, dim=self.across)
+
+
+class Image:
+    """One image of the surface on the device: what a source makes of a depth map, and how that changes with
+    it.
+    """
+
+    def __init__(
+        self,
+        backend: Backend,
+        light: Light,
+        shape: tuple[int, int],
+        sides: str,
+        gain: np.ndarray,
+        target: np.ndarray,
+    ):
+        self.backend, self.shape, self.sides = backend, shape, SIDES[sides]
+        self.count = len(light.directions)
+        pixels = shape[0] * shape[1]
+        if (pixels + ROOM) * self.count >= 2**31:
+            raise CapacityError(
+                f"An image of {pixels:,} pixels along {self.count} azimuths: more than 2^31 links. Cut it"
+                " into tiles."
+            )
+        backend.reserve(
+            pixels * (BYTES_PER_LINK * self.count + BYTES_PER_NODE + BYTES_PER_SUM * backend.teams),
+            f"Recovering {pixels:,} nodes along {self.count} azimuths",
+            "Recover a smaller image.",
+        )
+
+        def put(array: np.ndarray | None) -> DeviceArray:
+            return backend.upload(np.ascontiguousarray(array, np.float32))
+
+        self.is_sky, self.is_ball = light.azimuths is not None, int(light.ball)
+        self.directions = put(light.directions)
+        self.table = put(np.zeros((1, 4)) if light.table is None else light.table)
+        self.knots, self.rows_of_table = (0, 1) if light.table is None else light.table.shape[1::-1]
+        if self.is_sky:
+            self.numbers, self.slopes = (
+                backend.empty((self.count, pixels + ROOM), kind) for kind in (np.int32, np.float32)
+            )
+        else:
+            self.frames, self.solid = put(light.frames), put(light.solid)
+        self.gain = put(np.broadcast_to(gain, shape).ravel())
+        self.gains = [self.gain] * 2  # with the albedo of the surface and of a trial
+        self.target = put(target.ravel())
+        room = -(-pixels // BESIDE), self.count, BESIDE
+        # light, held, first, second, near, far: of the surface and of a trial
+        arrays = (
+            ((4, pixels), np.float32),
+            ((pixels,), np.int32),
+            (room, np.int32),
+            (room, np.int32),
+            (room, np.float32),
+            (room, np.float32),
+        )
+        self.links = [tuple(backend.empty(*array) for array in arrays) for _ in range(2)]
+
+    def evaluate(self, side: int, surface: Surface) -> None:
+        """Irradiance and its derivatives at a surface."""
+        if self.is_sky:
+            self._evaluate_sky(side, surface)
+        else:
+            self._evaluate_lamp(side, surface)
+
+    def _evaluate_sky(self, side: int, surface: Surface) -> None:
+        rows, cols = self.shape
+        each = self.count if self.backend.each > 1 else 1  # azimuths of a work-item
+        across = -(-cols // self.backend.lanes)
+        seen = surface.heights, surface.tilts, surface.top
+        size = rows, cols, MARGIN, self.count
+        self.backend.launch(
+            "adjoint",
+            "look",
+            (across, rows, -(-self.count // each)),
+            *(surface.heights, surface.tilts, surface.tiles, surface.top),
+            *(self.directions, self.numbers, self.slopes, *size, self.sides, each),
+        )
+        self.backend.launch(
+            "adjoint",
+            "sky",
+            (across, rows),
+            *(*seen, self.numbers, self.slopes, self.directions, self.table),
+            *(*self.links[side], *size, self.knots, self.sides),
+        )
+
+    def _evaluate_lamp(self, side: int, surface: Surface) -> None:
+        rows, cols = self.shape
+        self.backend.launch(
+            "adjoint",
+            "lamp",
+            (cols, rows),
+            *(surface.heights, surface.tilts, surface.tiles, surface.top),
+            *(self.frames, self.directions, self.solid, self.table),
+            *(*self.links[side], rows, cols, MARGIN, self.count),
+            *(self.knots, self.rows_of_table, self.is_ball, self.sides),
+            lanes=1,
+        )

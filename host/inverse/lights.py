@@ -1,0 +1,128 @@
+"""Sources as the kernels of the inverse take them: azimuths of a sky, slices of a lamp or window."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from .. import sources
+from ..directions import Azimuths
+
+SLICES = 24  # of a lamp or window
+TABLE_AZIMUTHS = 128  # of a lamp's table of brightness
+KNOTS, SECTOR_KNOTS = 256, 1024  # of a sky's table per azimuth: even sectors, sectors of equal light
+ON_GRID = 1e-12  # component of an azimuth below which the ray is along the grid: roundings of cos and sin
+
+Brightness = tuple[np.ndarray | None, np.ndarray | None]
+
+
+@dataclass(frozen=True, eq=False)
+class Light:
+    """A source as the kernels take it, lengths in nodes of this grid.
+
+    azimuths (count, 4): of a sky; nodes (count, 4), frames (pixels, 4), solid: of a lamp or window. table:
+    its brightness, (n, knots, 4), or None for 1 everywhere. ball: whether the solid is one.
+    """
+
+    table: np.ndarray | None
+    azimuths: np.ndarray | None = None
+    nodes: np.ndarray | None = None
+    frames: np.ndarray | None = None
+    solid: np.ndarray | None = None
+    ball: bool = False
+
+    @property
+    def directions(self) -> np.ndarray:
+        """(count, 4) azimuths or nodes of slices."""
+        found = self.azimuths if self.nodes is None else self.nodes
+        assert found is not None, "a light has azimuths or slices"
+        return found
+
+
+def brightness_of(source: sources.Source, azimuths: int) -> Brightness:
+    """(a sky's azimuths or None, the table of brightness or None for a number, which is part of the gains),
+    as in Light: the same for every grid.
+    """
+    if isinstance(source, sources.Sky):
+        sectors, table = Azimuths(azimuths), None
+        if callable(source.brightness):
+            profile = sources.azimuth_profile(source)
+            sectors = sectors if profile is None else Azimuths.placed(azimuths, profile)
+            knots = KNOTS if profile is None else SECTOR_KNOTS
+            table = sources.elevation_table(source, sectors.angles, sectors.widths, knots)
+        angles = sectors.angles
+        directions = np.stack([np.cos(angles), np.sin(angles), sectors.widths, 0 * angles], 1)
+        directions[np.abs(directions) < ON_GRID] = 0
+        return directions, table
+    if not callable(source.brightness):
+        return None, None
+    place = 4 * np.arange(TABLE_AZIMUTHS) / TABLE_AZIMUTHS  # the diamond angle
+    cosine = np.where(place < 2, 1 - place, place - 3)
+    sine = np.where(place < 1, place, np.where(place < 3, 2 - place, place - 4))
+    angles = np.arctan2(sine, cosine)
+    return None, sources.elevation_table(source, angles, np.zeros(TABLE_AZIMUTHS), TABLE_AZIMUTHS)
+
+
+def light_of(source: sources.Source, shape: tuple[int, int], scale: float, brightness: Brightness) -> Light:
+    """A source, with what brightness_of says of it, for a grid whose node i stands at (i + 1/2) / scale - 1/2
+    nodes of the unit in which the source is given.
+    """
+    azimuths, table = brightness
+    if isinstance(source, sources.Sky):
+        return Light(table, azimuths=azimuths)
+    share = (np.arange(SLICES) + 0.5) / SLICES
+    theta, azimuth = np.pi * (share - 0.5), 2 * np.pi * share
+    nodes = np.stack([np.sin(theta), np.cos(theta), np.cos(azimuth), np.sin(azimuth)], 1)
+    if isinstance(source, sources.Lamp) and source.center is not None:
+        assert source.radius is not None, "a sphere has a radius"
+        center = _on_grid(source.center, scale)
+        frames = _ball_frames(center, shape)
+        return Light(
+            table, nodes=nodes, frames=frames, solid=np.array([*center, source.radius * scale]), ball=True
+        )
+    corners = np.array([_on_grid(corner, scale) for corner in _corners(source)])
+    return Light(table, nodes=nodes, frames=_quadrangle_frames(corners, shape), solid=corners.ravel())
+
+
+def _on_grid(point: Sequence[float] | np.ndarray, scale: float) -> np.ndarray:
+    """x, y [nodes] and height [nodes] of a point on a grid."""
+    return np.array([(point[0] + 0.5) * scale - 0.5, (point[1] + 0.5) * scale - 0.5, -point[2] * scale])
+
+
+def _corners(source: sources.Lamp | sources.Window) -> Sequence[Sequence[float] | np.ndarray]:
+    """The corners of a window or rectangular lamp, in turn."""
+    if isinstance(source, sources.Window):
+        assert source.x is not None and source.y is not None, "apertures are for method='paper'"
+        (x0, x1), (y0, y1) = source.x, source.y
+        return [(x0, y0, 0), (x1, y0, 0), (x1, y1, 0), (x0, y1, 0)]
+    assert source.corner is not None and source.edges is not None, "volumes are for method='paper'"
+    corner, u, v = (np.array(part) for part in (source.corner, *source.edges))
+    return [corner, corner + u, corner + u + v, corner + v]
+
+
+def _ball_frames(center: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
+    """(pixels, 4): the unit vector from each node towards the centre in the plane, and the distance there."""
+    y, x = np.indices(shape).astype(float)
+    dx, dy = center[0] - x, center[1] - y
+    distance = np.hypot(dx, dy)
+    safe = np.where(distance > 0, distance, 1)
+    frames = np.stack([np.where(distance > 0, dx / safe, 1), dy / safe, distance, 0 * distance], -1)
+    return frames.reshape(-1, 4)
+
+
+def _quadrangle_frames(corners: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
+    """(pixels, 4): the unit vector from each node towards the middle of the azimuths that the quadrangle
+    spans, and the tangent of a quarter of the span, 0 from below the quadrangle.
+    """
+    y, x = np.indices(shape).astype(float)
+    to = corners[:, :2, None, None] - np.stack([x, y])
+    middle = np.arctan2(*to.mean(0)[::-1])
+    off = np.angle(np.exp(1j * (np.arctan2(to[:, 1], to[:, 0]) - middle)))
+    turn = np.stack([to[i, 0] * to[(i + 1) % 4, 1] - to[i, 1] * to[(i + 1) % 4, 0] for i in range(4)])
+    within = (turn >= 0).all(0) | (turn <= 0).all(0)
+    middle = middle + (off.min(0) + off.max(0)) / 2
+    quarter = np.where(within, 0, np.tan((off.max(0) - off.min(0)) / 4))
+    frames = np.stack([np.cos(middle), np.sin(middle), quarter, 0 * middle], -1)
+    return frames.reshape(-1, 4)
