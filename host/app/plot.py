@@ -7,9 +7,12 @@ it with :func:`save`, or ``figure.savefig``.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from .. import oracle, sources
 from ..errors import bad, lacking
@@ -17,15 +20,24 @@ from ..horizon import horizons
 from ..inverse.recover import Recovery
 from ..io.paths import StrPath, destination, replacing
 from ..scene import Scene, is_scene
+from ..sources.cie import CieSky
 from ..visibility import View, VisibilityField
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+    from matplotlib.projections.polar import PolarAxes
 
 SUFFIXES = (".png", ".svg", ".pdf")
 DISCS = 12  # along the longer side of a section, unless asked otherwise
+RADIUS = 0.42  # of a disc, as a share of the distance between discs
 GREYS = "0.2", "0.72"  # black, and the brightest surface; the source is white
 GROUND = "#6b5b4b"
 
 
-def field(field: VisibilityField, row: int | None = None, every: int | None = None, backend: str = "auto"):
+def field(
+    field: VisibilityField, row: int | None = None, every: int | None = None, backend: str = "auto"
+) -> Figure:
     """The paper's Fig. 1: a section of the visibility field along ``row`` (the middle one unless given).
 
     A disc stands for the rays through a point of free space that lie in the plane of the drawing. White
@@ -36,34 +48,15 @@ def field(field: VisibilityField, row: int | None = None, every: int | None = No
     Raises InputError for a row outside the map, or if matplotlib is not installed.
     """
     matplotlib = _matplotlib()
-    from matplotlib.collections import PatchCollection
-    from matplotlib.patches import Circle, Wedge
-
     rows, cols = field.scene.shape
-    row = rows // 2 if row is None else row
-    if isinstance(row, bool) or not isinstance(row, (int, np.integer)) or not 0 <= row < rows:
-        raise bad("plot.field: row", repr(row), f"a whole number from 0 to {rows - 1}")
+    row = _index("plot.field: row", rows // 2 if row is None else row, rows)
     if every is None:
         every = max(2, round(max(cols, field.layers) / DISCS))
     if isinstance(every, bool) or not isinstance(every, (int, np.integer)) or every < 2:
         raise bad("plot.field: every", repr(every), "a whole number of nodes, at least 2")
-    depth, radius = field.depth[row], 0.42 * every
-    rim = every // 2
-    start = rim + (cols - 1 - 2 * rim) % every // 2  # as much room on the left as on the right
-    points = [
-        (x, row, z)
-        for z in range(rim, field.layers, every)
-        for x in range(start, cols - rim, every)
-        if z + radius < (depth[max(0, int(x - radius)) : int(x + radius) + 2]).min()
-    ]  # the disc keeps clear of the ground
-    if not points:
-        raise bad(
-            "plot.field: every",
-            every,
-            "a distance at which at least one disc fits above the ground",
-            "Give a smaller one.",
-        )
-    views = [field.view(point, backend=backend) for point in points]
+    depth, radius = field.depth[row], RADIUS * every
+    points = _disc_centres(depth, field.layers, every, radius)
+    views = [field.view((x, row, z), backend=backend) for x, z in points]
     brightest = max(max(view.brightness[~view.visible].max() for view in views), 1e-30)
     floor = np.where(np.isfinite(depth), depth, field.layers)
     bottom = max(field.layers, floor.max()) + 0.03 * cols
@@ -71,21 +64,10 @@ def field(field: VisibilityField, row: int | None = None, every: int | None = No
     axes = figure.add_subplot()
     shades = matplotlib.colors.LinearSegmentedColormap.from_list("surface", list(GREYS))
     axes.set_facecolor("#cdd8e3")
-    axes.fill_between(
-        np.linspace(-0.5, cols - 0.5, 8 * cols),
-        np.interp(np.linspace(-0.5, cols - 0.5, 8 * cols), np.arange(cols), floor),
-        bottom,
-        color=GROUND,
-        lw=0,
-    )
-    for (x, _, z), view in zip(points, views):
-        low, high, which = sectors(view)
-        colours = np.where(view.visible[which, None], 1.0, shades(view.brightness[which] / brightest))
-        wedges = [
-            Wedge((x, z), radius, -b, -a) for a, b in zip(low, high)
-        ]  # depth is drawn downwards, which turns angles round
-        axes.add_collection(PatchCollection(wedges, facecolors=colours, edgecolors=colours, linewidths=0.3))
-        axes.add_patch(Circle((x, z), radius, fill=False, ec="0.2", lw=0.6))
+    along = np.linspace(-0.5, cols - 0.5, 8 * cols)
+    axes.fill_between(along, np.interp(along, np.arange(cols), floor), bottom, color=GROUND, lw=0)
+    for point, view in zip(points, views):
+        _draw_disc(axes, point, radius, view, shades(view.brightness / brightest))
     axes.set(
         xlim=(-0.5, cols - 0.5),
         ylim=(bottom, -0.02 * cols),
@@ -94,19 +76,47 @@ def field(field: VisibilityField, row: int | None = None, every: int | None = No
         ylabel="depth [nodes]",
         title=f"Rays through points of row {row}: white sees the {type(field.source).__name__.lower()}",
     )
-    bar = figure.colorbar(
-        matplotlib.cm.ScalarMappable(matplotlib.colors.Normalize(0, brightest), shades),
-        ax=axes,
-        shrink=0.8,
-        pad=0.015,
-    )
+    mappable = matplotlib.cm.ScalarMappable(matplotlib.colors.Normalize(0, brightest), shades)
+    bar = figure.colorbar(mappable, ax=axes, shrink=0.8, pad=0.015)
     bar.set_label("brightness of what else is seen")
     return figure
 
 
+def _disc_centres(depth: np.ndarray, layers: int, every: int, radius: float) -> list[tuple[int, int]]:
+    """(x, layer) of discs ``every`` nodes apart that keep clear of the ground below a row of the map."""
+    cols, rim = len(depth), every // 2
+    start = rim + (cols - 1 - 2 * rim) % every // 2  # as much room on the left as on the right
+    points = [
+        (x, z)
+        for z in range(rim, layers, every)
+        for x in range(start, cols - rim, every)
+        if z + radius < (depth[max(0, int(x - radius)) : int(x + radius) + 2]).min()
+    ]
+    if not points:
+        raise bad(
+            "plot.field: every",
+            every,
+            "a distance at which at least one disc fits above the ground",
+            "Give a smaller one.",
+        )
+    return points
+
+
+def _draw_disc(axes: Axes, centre: tuple[int, int], radius: float, view: View, surface: np.ndarray) -> None:
+    """One disc; ``surface``: (directions, 4) colours of what is not the source."""
+    from matplotlib.collections import PatchCollection
+    from matplotlib.patches import Circle, Wedge
+
+    low, high, which = sectors(view)
+    colours = np.where(view.visible[which, None], 1.0, surface[which])
+    # depth is drawn downwards, which turns angles round
+    wedges = [Wedge(centre, radius, -b, -a) for a, b in zip(low, high)]
+    axes.add_collection(PatchCollection(wedges, facecolors=colours, edgecolors=colours, linewidths=0.3))
+    axes.add_patch(Circle(centre, radius, fill=False, ec="0.2", lw=0.6))
+
+
 def sectors(view: View) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(angle [degree] at which each sector starts, ends; which directions) of the directions in the plane y =
-    const.
+    """(angle [degree] at which each sector starts, ends; index of its direction), in the plane y = const.
 
     Angles run from +x towards the viewer's side, -z. A sector reaches halfway to the neighbouring directions.
     """
@@ -127,7 +137,7 @@ def horizon(
     source: sources.Sky | None = None,
     azimuths: int = 360,
     backend: str = "auto",
-):
+) -> Figure:
     """The sky above one node: the horizon and, above it, the brightness of what the node sees, as a polar
     plot.
 
@@ -140,62 +150,81 @@ def horizon(
     """
     _matplotlib()
     is_scene(scene)
-    node = []
-    for name, value, size in (("row", row, scene.shape[0]), ("col", col, scene.shape[1])):
-        if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or not 0 <= value < size:
-            raise bad(f"plot.horizon: {name}", repr(value), f"a whole number from 0 to {size - 1}")
-        node.append(int(value))
-    row, col = node
+    row = _index("plot.horizon: row", row, scene.shape[0])
+    col = _index("plot.horizon: col", col, scene.shape[1])
     if not scene.valid[row, col]:
         raise bad("plot.horizon: node", (row, col), "a node that is not masked")
     source = sources.Sky() if source is None else source
     if not isinstance(source, sources.Sky):
         raise bad("plot.horizon: source", type(source).__name__, "a Sky")
     sun = None
-    if getattr(source.brightness, "direct", 0):
-        from dataclasses import replace
-
+    if isinstance(source.brightness, CieSky) and source.brightness.direct:
         sun, source = source.brightness.sun, sources.Sky(replace(source.brightness, direct=0.0))
     turn = 2 * np.pi * (np.arange(azimuths) + 0.5) / azimuths
     slopes = np.asarray(horizons(scene, azimuths, backend)[:, row, col], float)
     elevation = np.degrees(np.arctan(np.maximum(slopes, 0)))
     compass = turn + np.pi / 2  # from north, clockwise
 
-    edges = np.linspace(0, 2 * np.pi, azimuths + 1), np.linspace(0, 90, 181)
-    heights = 90 - (edges[1][:-1] + edges[1][1:]) / 2
-    light = sources.radiance(source, sources.directions_of(turn[None], np.sin(np.radians(heights))[:, None]))
-    light = np.where(heights[:, None] >= elevation, light, np.nan)
     figure = _figure(6.4, 5.6)
-    axes = figure.add_subplot(projection="polar")
-    axes.set_theta_zero_location("N")
-    axes.set_theta_direction(-1)
-    axes.set_facecolor(GROUND)
-    top = np.nanmax(light) if np.isfinite(light).any() else 1.0
-    even = np.isfinite(light).any() and np.nanmin(light) >= 0.999 * top
-    mesh = axes.pcolormesh(
-        edges[0] + np.pi / 2,
-        edges[1],
-        light,
-        cmap="YlGnBu_r",
-        vmin=0 if even else None,
-        vmax=top or 1.0,
-        rasterized=True,
-    )
+    axes: Any = figure.add_subplot(projection="polar")  # PolarAxes: add_subplot promises no more than Axes
+    mesh = _draw_sky(axes, source, turn, elevation)
     ring = np.append(compass, compass[0] + 2 * np.pi)
     axes.plot(ring, np.append(90 - elevation, 90 - elevation[0]), color="k", lw=1.5, label="horizon")
-    near = slice(max(0, row - 1), row + 2), slice(max(0, col - 1), col + 2)
-    gradient = [
-        g[min(row, 1), min(col, 1)]
-        for g in oracle.gradient(scene.depth[near], scene.spacing, scene.valid[near])
-    ]
-    plane = np.degrees(
-        np.arctan(-(gradient[0] * np.cos(turn) + gradient[1] * np.sin(turn)))
-    )  # the ground rises where depth falls
+    plane = _tangent_plane(scene, row, col, turn)
     plane = np.where(plane > 0, 90 - plane, np.nan)
     if np.isfinite(plane).any():
         axes.plot(ring, np.append(plane, plane[0]), color="w", lw=1.2, ls="--", label="tangent plane")
     if sun is not None:
         axes.plot(np.radians(sun[0]), 90 - sun[1], "o", ms=9, mfc="#ffd54a", mec="k", label="sun")
+    _label_compass(axes)
+    figure.colorbar(mesh, ax=axes, shrink=0.7, pad=0.1, label="brightness of the visible sky")
+    handles, labels = axes.get_legend_handles_labels()
+    figure.legend(handles, labels, loc="lower right", ncols=3, fontsize=9, facecolor=GROUND, labelcolor="w")
+    seen = float((np.cos(np.radians(elevation)) ** 2).mean())
+    figure.suptitle(
+        f"Row {row}, column {col}: horizon to {elevation.max():.0f}°, sky-view factor of level ground"
+        f" {seen:.2f}",
+        fontsize=11,
+    )
+    return figure
+
+
+def _draw_sky(axes: PolarAxes, source: sources.Sky, turn: np.ndarray, elevation: np.ndarray) -> Any:
+    """The sky's brightness above the horizon ``elevation`` [degree] of the azimuths ``turn`` [rad]."""
+    edges = np.linspace(0, 2 * np.pi, len(turn) + 1), np.linspace(0, 90, 181)
+    heights = 90 - (edges[1][:-1] + edges[1][1:]) / 2
+    light = sources.radiance(source, sources.directions_of(turn[None], np.sin(np.radians(heights))[:, None]))
+    light = np.where(heights[:, None] >= elevation, light, np.nan)
+    axes.set_theta_zero_location("N")
+    axes.set_theta_direction(-1)
+    axes.set_facecolor(GROUND)
+    top = np.nanmax(light) if np.isfinite(light).any() else 1.0
+    uniform = np.isfinite(light).any() and np.nanmin(light) >= 0.999 * top
+    return axes.pcolormesh(
+        edges[0] + np.pi / 2,
+        edges[1],
+        light,
+        cmap="YlGnBu_r",
+        vmin=0 if uniform else None,
+        vmax=top or 1.0,
+        rasterized=True,
+    )
+
+
+def _tangent_plane(scene: Scene, row: int, col: int, turn: np.ndarray) -> np.ndarray:
+    """Elevation [degree] of the surface's tangent plane at a node, in the azimuths ``turn`` [rad]."""
+    near = slice(max(0, row - 1), row + 2), slice(max(0, col - 1), col + 2)
+    gx, gy = (
+        g[min(row, 1), min(col, 1)]
+        for g in oracle.gradient(scene.depth[near], scene.spacing, scene.valid[near])
+    )
+    # the ground rises where depth falls
+    elevation: np.ndarray = np.degrees(np.arctan(-(gx * np.cos(turn) + gy * np.sin(turn))))
+    return elevation
+
+
+def _label_compass(axes: PolarAxes) -> None:
+    """Directions of the compass along the rim, elevations along a radius."""
     axes.set_xticks(np.radians(np.arange(0, 360, 45)), ["N", "NE", "E", "SE", "S", "SW", "W", "NW"])
     axes.set_yticks(
         [30, 60, 90],
@@ -206,50 +235,29 @@ def horizon(
     axes.set_rlabel_position(112)
     axes.set_rlim(0, 90)
     axes.grid(color="0.5", lw=0.5, alpha=0.6)
-    figure.colorbar(mesh, ax=axes, shrink=0.7, pad=0.1, label="brightness of the visible sky")
-    figure.legend(
-        *axes.get_legend_handles_labels(),
-        loc="lower right",
-        ncols=3,
-        fontsize=9,
-        facecolor=GROUND,
-        labelcolor="w",
-    )
-    seen = float((np.cos(np.radians(elevation)) ** 2).mean())
-    figure.suptitle(
-        f"Row {row}, column {col}: horizon to {elevation.max():.0f}°, sky-view factor of level ground"
-        f" {seen:.2f}",
-        fontsize=11,
-    )
-    return figure
 
 
-def recovery(image, found: Recovery, truth=None):
+def recovery(image: ArrayLike, found: Recovery, truth: ArrayLike | None = None) -> Figure:
     """The image, the depth recovered from it, its confidence, and the albedo if it was found, side by side;
     ``truth``: the true depth, beside them.
 
     Raises InputError where shapes differ, or if matplotlib is not installed.
     """
     _matplotlib()
-    panels = [("image", np.asarray(image), dict(cmap="gray", vmin=0), "radiance")]
     depth = np.asarray(found.depth)
-    if truth is not None:
-        panels.append(("true depth", np.asarray(truth), dict(cmap="viridis_r"), "depth"))
-    low, high = (
-        np.nanmin([np.nanmin(depth)] + [np.nanmin(p[1]) for p in panels[1:]]),
-        np.nanmax([np.nanmax(depth)] + [np.nanmax(p[1]) for p in panels[1:]]),
+    depths = [depth] if truth is None else [depth, np.asarray(truth)]
+    scale = dict(
+        cmap="viridis_r",
+        vmin=np.nanmin([np.nanmin(z) for z in depths]),
+        vmax=np.nanmax([np.nanmax(z) for z in depths]),
     )
-    panels.insert(1, ("recovered depth", depth, dict(cmap="viridis_r"), "depth, near is bright"))
-    for _, _, style, _ in panels[1:]:
-        style.update(vmin=low, vmax=high)
-    panels.append(
-        (
-            "confidence",
-            np.asarray(found.confidence),
-            dict(cmap="magma", vmin=0, vmax=1),
-            "below 0.5: do not trust",
-        )
-    )
+    sure = dict(cmap="magma", vmin=0, vmax=1)
+    panels: list[tuple[str, np.ndarray, dict[str, Any], str]] = [
+        ("image", np.asarray(image), dict(cmap="gray", vmin=0), "radiance"),
+        ("recovered depth", depth, scale, "depth, near is bright"),
+        *(("true depth", true, scale, "depth") for true in depths[1:]),
+        ("confidence", np.asarray(found.confidence), sure, "below 0.5: do not trust"),
+    ]
     if found.albedo is not None:
         panels.append(("albedo", np.asarray(found.albedo), dict(cmap="gray", vmin=0), ""))
     for name, values, _, _ in panels:
@@ -267,24 +275,23 @@ def recovery(image, found: Recovery, truth=None):
     return figure
 
 
-def save(figure, path, dpi: int = 120) -> Path:
-    """Write a figure as .png, .svg or .pdf, whole or not at all. Raises InputError for another extension or
-    no such folder.
+def save(figure: Figure, path: StrPath, dpi: int = 120) -> Path:
+    """Write a figure as .png, .svg or .pdf, whole or not at all.
+
+    Raises InputError for another extension or no such folder.
     """
     path = drawable(path)
+    suffix = path.suffix.lower()
+    options: dict[str, Any] = {"pil_kwargs": {"optimize": True}} if suffix == ".png" else {}
     with replacing(path) as file:
-        figure.savefig(
-            file,
-            format=path.suffix[1:].lower(),
-            dpi=dpi,
-            **({"pil_kwargs": {"optimize": True}} if path.suffix.lower() == ".png" else {}),
-        )
+        figure.savefig(file, format=suffix[1:], dpi=dpi, **options)
     return path
 
 
-def drawable(path) -> Path:
-    """``path`` if a picture can be put there; InputError for another extension, no such folder, or without
-    matplotlib.
+def drawable(path: StrPath) -> Path:
+    """``path`` if a picture can be put there.
+
+    Raises InputError for another extension, no such folder, or without matplotlib.
     """
     path = Path(path)
     if path.suffix.lower() not in SUFFIXES:
@@ -293,7 +300,14 @@ def drawable(path) -> Path:
     return destination(path)
 
 
-def _matplotlib():
+def _index(what: str, value: int, size: int) -> int:
+    """``value`` if it is an index of one of ``size`` rows or columns; else InputError."""
+    if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or not 0 <= value < size:
+        raise bad(what, repr(value), f"a whole number from 0 to {size - 1}")
+    return int(value)
+
+
+def _matplotlib() -> Any:
     try:
         import matplotlib
         import matplotlib.cm
@@ -304,7 +318,7 @@ def _matplotlib():
         raise lacking("a picture", "matplotlib", "plot") from error
 
 
-def _figure(width, height):
+def _figure(width: float, height: float) -> Figure:
     from matplotlib.figure import Figure
 
     return Figure(figsize=(width, height), layout="constrained")
