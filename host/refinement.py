@@ -1,18 +1,18 @@
-"""One loop: choose a method, render, estimate the error, refine until it is within the tolerance. The record
-of it is the Plan.
+"""Choose a light method, render, estimate the error, and refine until it is within the tolerance.
 
-Light at some hundred samples by exact rays chooses how much is rendered (samples.py); half the difference of
-two halves of it estimates the error over all nodes (light/base.py); the samples audit the image, for what
-both halves share. Nothing here reads a clock to decide.
+Exact rays at some hundred samples choose how much is rendered at first (samples.py). Half the difference of
+two halves of an image estimates its error over all nodes (light/base.py); the samples audit the image for
+error that both halves share. The Plan records every choice. No decision reads a clock.
 """
 
 from __future__ import annotations
 
 import math
 import time
-from collections.abc import Iterator
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -22,8 +22,12 @@ from .backends.base import Backend
 from .checks import positive_number
 from .errors import CapacityError, bad
 from .light import lattice, unoccluded
+<<<<<<< host/refinement.py
+from .light.base import Estimate, LightMethod
+=======
 from .light.base import LightMethod
 from .light.finite import RAYS, Sliced
+>>>>>>> /work/main/host/refinement.py
 from .light.horizon import OFFSET, Horizons
 from .light.lattice import Lattice, lacking
 from .light.slices import outline, widened
@@ -32,82 +36,61 @@ from .radiometry import point_error
 from .reflectance import Lambertian
 from .samples import CLIFF, COUNT, FAINT, Errors, Samples
 from .scene import Scene, is_scene
-from .sources.integrals import Integrals, even
+from .sources.integrals import Integrals, Sun, even
 from .sources.solids import Ball, Quad, aperture, rectangle
 
+# -- tolerance and estimates
 TAIL = 10.0  # bound on the 99.9th percentile of the error, in tolerances, unless given
 # share of the tolerance that an estimate may take; chosen: samples know an RMS to some 10 %, and with 0.95
 # one image in twelve at 0.3 % was 1 to 1.4 tolerances off
 MARGIN = 0.85
-EVEN = (4, 6, 8, 12, 16, 24, 32, 48, 64, 96, 128, 192, 256, 384, 512, 768, 1024)  # azimuths
-GRIDS = {
-    36: 6,
-    72: 12,
-    144: 24,
-    288: 48,
-}  # azimuths of the exact light, each grid within the next, and how many azimuths it can judge: a sixth
-LANES, FINER = (
-    8,
-    (
-        1,
-        3,
-        9,
-    ),
-    # sectors of azimuth that small bright parts have together at least, as many as a CPU takes at a time; times
-    # as many are tried
-)
-SUN = 0.25  # error over the difference of two halves of sectors: about LEAST of half of it, as for azimuths
-SLICES, JUDGES = (
-    (
-        8,
-        16,
-        32,
-        64,
-        128,
-        256,
-    ),
-    4,
-)  # slices of a source that stands all round; times as many judge them
-MOST = {Horizons: 1024, Sliced: 1024, Lattice: 33}  # units up to which is refined
+# error over half the difference of halves if nothing else is known, and at least; measured, docs/model.md
+FIRST_SHARE, LEAST_SHARE = 0.9, 0.45
+LEAST_SAMPLED_SHARE = 0.3  # the least share that the samples may tell; chosen
+BALL_SHARE = 0.5  # the same of the alternating sum of a ball's slices: at most 0.61 on 114 pairs
+BEYOND = 1e-3  # share of nodes whose error may pass the tail, which bounds a 99.9th percentile
+# times the estimate from which on an audit tells of what both halves share: more near rows are tried before
+# more azimuths
+DISAGREE = 1.3
+MOST_UNITS = {Horizons: 1024, Sliced: 1024, Lattice: 33}  # up to which is refined
+MOST_STEPS = 2**40  # nodes x azimuths of a call: some three hours on two cores, ten seconds on an H200
+
+# -- skies
+AZIMUTHS = (4, 6, 8, 12, 16, 24, 32, 48, 64, 96, 128, 192, 256, 384, 512, 768, 1024)  # among which is chosen
+# azimuths of the exact light, each grid within the next, and how many azimuths it can judge: a sixth
+GRIDS = {36: 6, 72: 12, 144: 24, 288: 48}
+# sectors of azimuth that small bright parts have together at least, as many as a CPU takes at a time; times
+# as many are tried
+LEAST_SECTORS, FINER = 8, (1, 3, 9)
+# error over the difference of two halves of sectors: about LEAST_SHARE of half of it, as for azimuths
+SECTOR_SHARE = 0.25
 ORDER = 1.2  # of convergence in the number of azimuths, on rough ground: performance/horizon.py
-FIRST, LEAST = (
-    0.9,
-    0.45,
-    # error over half the difference of two halves, if nothing else is known, and at least: measured,
-    # docs/model.md
-)
-LOW = 0.3  # the least share that the samples may tell; chosen
-BALL = 0.5  # the same of the alternating sum of a ball's slices: at most 0.61 on 114 pairs
-BEHIND = {
-    None: 0.028,
-    24: 0.0085,
-    # RMS error of sweeps behind cliffs, over the root of their share of the neighbours, with 6 near rows and with
-    # 24: measured
-}
-# tolerance below which shadows of suns take 24 near rows: with 6 they cost 0.1 to 0.9 %, with 24 0.01 to 0.35
-# % (fractals, terrain)
+FINE_ROWS = 24  # near rows within which every crossing is tested, where the usual 6 do not do
+# RMS error of sweeps behind cliffs, over the root of their share of the neighbours, with 6 near rows and with
+# FINE_ROWS: measured
+BEHIND_CLIFFS = {None: 0.028, FINE_ROWS: 0.0085}
+# tolerance below which shadows of suns take FINE_ROWS: with 6 near rows they cost 0.1 to 0.9 %, with 24 0.01
+# to 0.35 % (fractals, terrain)
 SHARP = 0.01
 UNIFORM = 0.1  # tolerances by which a brightness may vary that is taken as a number
-REACHES = (0.8, 0.4, 0.2, 0.1, 0.05, 0.025)  # slopes over which a map that repeats is searched
+SLOPES = (0.8, 0.4, 0.2, 0.1, 0.05, 0.025)  # over which a map that repeats is searched
 SHORT = 0.3  # tolerances that a shorter search may cost
 WINDOWED = 2.5  # times as many steps as a sweep without a search radius
-MOST_STEPS = 2**40  # nodes x azimuths of a call: some three hours on two cores, ten seconds on an H200
-SMALL = math.radians(
-    5
-    # azimuth that a small bright part behind a window may span: slices, which stand within the window, resolve
-    # what is wider
-)
-PATCHES = 16  # of one where nodes are looked for that it lights through a window; chosen
+
+# -- lamps and windows
+SLICES = (8, 16, 32, 64, 128, 256)  # of a source that stands all round
+JUDGES = 4  # times as many slices judge them
+# azimuth that a small bright part behind a window may span: slices, which stand within the window, resolve
+# what is wider
+SMALL = math.radians(5)
+PATCHES = 16  # of a small bright part where nodes are looked for that it lights through a window; chosen
 # sectors of a small bright part behind a window, to judge by: its edges cut the part wherever they like. No
 # multiple of what is judged, so that their errors differ
 BEHIND_WINDOW = 1021
 # apparent radius [rad] of a lamp, six cells of a table of brightness, up to which rays tell its brightness
 NARROW = 0.02
-MOST_LOOKS = 2**25  # evaluations of a brightness for the sake of rays, some ten seconds
+MOST_EVALUATIONS = 2**25  # of a brightness for the sake of rays, some ten seconds
 POINT = 0.1  # share of the tolerance by which a lamp that is called a point may be off as one
-# times the estimate from which on an audit tells of what both halves share: more near rows are tried before
-# more azimuths
-DISAGREE = 1.3
 
 
 @dataclass(frozen=True)
@@ -120,8 +103,10 @@ class Choice:
 
 
 class Step(NamedTuple):
-    """An image on the way: azimuths, slices or the hemicube's size; estimate of its relative RMS error over
-    all nodes, and what the samples' audit found.
+    """One image of a refinement.
+
+    units: azimuths, slices or the hemicube's size; estimate of its relative RMS error over all nodes; audit:
+    its relative RMS error at the samples.
     """
 
     units: int
@@ -164,9 +149,8 @@ class Plan:
     def line(self) -> str:
         """The plan in one line."""
         if self.method == "lattice":
-            return (
-                f"lattice, hemicube {self.hemicube}, {'filled' if self.filled else 'stride'}: {self.reason}"
-            )
+            step = "filled" if self.filled else "stride"
+            return f"lattice, hemicube {self.hemicube}, {step}: {self.reason}"
         return f"{self.method}{'' if self.azimuths is None else f', {self.azimuths} azimuths'}: {self.reason}"
 
     def __str__(self) -> str:
@@ -178,8 +162,10 @@ class Plan:
 
 
 class Refined(NamedTuple):
-    """An irradiance (rows, cols) float32, half the difference of its two halves or None, their share that is
-    the error, what all halves share of error [brightness x sr], the plan and warnings.
+    """A refined irradiance (rows, cols) float32 and its error.
+
+    half: half the difference of its two halves, or None; share: of half that is the error; floor: error that
+    both halves share [brightness x sr]; the plan, and warnings.
     """
 
     irradiance: np.ndarray
@@ -198,11 +184,11 @@ def plan(
     *,
     tail: float | None = None,
 ) -> Plan:
-    """How :func:`skylamp.render` will begin on ``scene`` under ``source`` to be within ``tolerance``, with
-    reasons; print it.
+    """How :func:`skylamp.render` will begin on ``scene`` under ``source`` to be within ``tolerance``.
 
-    What it says of the error is what the samples expect; a render refines on where its image proves to be
-    worse. The light left out between surfaces is no part of the error; ``Plan.beyond`` bounds it.
+    Print it: it gives its reasons. What it says of the error is what the samples expect; a render refines on
+    where its image proves to be worse. The light left out between surfaces is no part of the error;
+    ``Plan.beyond`` bounds it.
 
     Parameters
     ----------
@@ -220,381 +206,412 @@ def plan(
     is_scene(scene)
     engine = select(backend)
     with engine.lock:
-        start, compiled = time.perf_counter(), engine.compile_seconds
-        chosen = choose(scene, source, tolerance, engine, tail)
-        seconds = time.perf_counter() - start - (engine.compile_seconds - compiled)
-        return replace(chosen.plan(), planning_seconds=seconds)
+        seconds = _stopwatch(engine)
+        planner = choose(scene, source, tolerance, engine, tail)
+        planning = seconds()
+        return replace(planner.plan(), planning_seconds=planning)
 
 
 def refined(
     scene: Scene, source: sources.Source, tolerance: float, engine: Backend, tail: float | None = None
 ) -> Refined:
     """The irradiance of a grey source within the tolerance, or as near as can be and a warning."""
-    start, compiled = time.perf_counter(), engine.compile_seconds
-    now = lambda: time.perf_counter() - start - (engine.compile_seconds - compiled)
-    chosen = choose(scene, source, tolerance, engine, tail)
-    planned, method, steps, before = now(), chosen.begin(), [], None
+    seconds = _stopwatch(engine)
+    planner = choose(scene, source, tolerance, engine, tail)
+    planning = seconds()
+    method, steps, before = planner.begin(), [], None
     while True:
         image = method.irradiance()
-        audit = chosen.audit(image, method.units)
-        share = chosen.share if before is None else LEAST
-        found = method.estimate(chosen.tail * chosen.mean / share)
-        if (
-            before is not None and found
-            # errors of sets that share no ray: that of their mean follows from how fast their differences fall
-        ):
-            share = max(LEAST, 1 / math.sqrt(max((before / max(found.rms, 1e-30)) ** 2 - 1, FIRST**-2)))
-        expected = math.hypot(share * found.rms, chosen.floor) if found else audit
-        off = expected if audit is None or audit <= DISAGREE * expected else audit
-        steps.append(Step(method.units, expected if found else None, audit))
-        within = (
-            off is None
-            or max(off, audit or 0.0) <= MARGIN * tolerance
-            and (found is None or found.beyond <= 1e-3)
-        )
-        if within or not chosen.refine(method, alike=audit is not None and (found is None or off == audit)):
+        found = assess(planner, method, image, before)
+        steps.append(Step(method.units, found.expected if found.estimate else None, found.audit))
+        if found.within(tolerance) or not planner.refine(found.is_shared):
             break
-        before, method = found.rms if found and method is chosen.method else None, chosen.method
-    made, warnings = chosen.plan(), []
-    worst = max(off or 0.0, audit or 0.0)
-    if worst > tolerance:
-        warnings.append(
-            f"Tolerance: the image is estimated to be {100 * worst:.2g} % off (RMS over the mean), more than"
-            f" the {100 * tolerance:.2g} % asked for."
-        )
-    shared = (
-        max(chosen.floor, math.sqrt(max(0.0, off**2 - (share * found.rms) ** 2))) if found else off or 0.0
-    )
-    units = {
-        "hemicube" if made.method == "lattice" else "azimuths": (
-            None if made.method == "unoccluded" else method.units
-        )
-    }
+        before = found.estimate if planner.method is method else None
+        method = planner.method
+    made = planner.plan()
     made = replace(
         made,
-        **units,
-        error=made.error if off is None else off,
-        measured=audit,
+        hemicube=method.units if made.method == "lattice" else None,
+        azimuths=method.units if made.method == "horizon" else None,
+        error=made.error if found.error is None else found.error,
+        measured=found.audit,
         steps=tuple(steps),
-        seconds=now(),
-        planning_seconds=planned,
+        seconds=seconds(),
+        planning_seconds=planning,
     )
-    return Refined(
-        image,
-        method.half(),
-        share,
-        shared * (chosen.mean if math.isfinite(chosen.mean) else 0.0),
-        made,
-        warnings,
-    )
+    floor = found.floor(planner) * (planner.mean if math.isfinite(planner.mean) else 0.0)
+    return Refined(image, method.half(), found.share, floor, made, found.warnings(tolerance))
+
+
+class Assessment(NamedTuple):
+    """What is known of the relative RMS error of an image.
+
+    estimate: of half the difference of its two halves, or None where there are not two; share: of it that is
+    the error; audit: the error at the samples, or None where their light is not known; expected: the error by
+    the two halves, or by the audit without them; error: the same, or the audit where it is clearly larger.
+    """
+
+    estimate: Estimate | None
+    share: float
+    audit: float | None
+    expected: float | None
+    error: float | None
+
+    @property
+    def is_shared(self) -> bool:
+        """Whether the samples find an error that both halves share."""
+        return self.audit is not None and (self.estimate is None or self.error == self.audit)
+
+    @property
+    def worst(self) -> float:
+        return max(self.error or 0.0, self.audit or 0.0)
+
+    def within(self, tolerance: float) -> bool:
+        """Whether nothing speaks against the tolerance."""
+        if self.error is None:
+            return True
+        few = self.estimate is None or self.estimate.beyond <= BEYOND
+        return self.worst <= MARGIN * tolerance and few
+
+    def floor(self, planner: _Planner) -> float:
+        """Error that both halves share."""
+        if self.estimate is None or self.error is None:
+            return self.error or 0.0
+        halves = self.share * self.estimate.rms
+        return max(planner.floor, math.sqrt(max(0.0, self.error**2 - halves**2)))
+
+    def warnings(self, tolerance: float) -> list[str]:
+        if self.worst <= tolerance:
+            return []
+        return [
+            f"Tolerance: the image is estimated to be {100 * self.worst:.2g} % off (RMS over the mean), more"
+            f" than the {100 * tolerance:.2g} % asked for."
+        ]
+
+
+def assess(planner: _Planner, method: LightMethod, image: np.ndarray, before: Estimate | None) -> Assessment:
+    """The error of an image; ``before``: the estimate of the same method with half as many units."""
+    audit = planner.audit(image, method.units)
+    share = planner.share if before is None else LEAST_SHARE
+    estimate = method.estimate(planner.tail * planner.mean / share)
+    if estimate is None:
+        return Assessment(None, share, audit, audit, audit)
+    if before is not None:
+        # errors of sets that share no ray: that of their mean follows from how fast their differences fall
+        fall = (before.rms / max(estimate.rms, 1e-30)) ** 2
+        share = max(LEAST_SHARE, 1 / math.sqrt(max(fall - 1, FIRST_SHARE**-2)))
+    expected = math.hypot(share * estimate.rms, planner.floor)
+    error = expected if audit is None or audit <= DISAGREE * expected else audit
+    return Assessment(estimate, share, audit, expected, error)
 
 
 def choose(
     scene: Scene, source: sources.Source, tolerance: float, engine: Backend, tail: float | None = None
-) -> _Chosen:
-    """What to begin with."""
+) -> _Planner:
+    """A planner that has chosen what to begin with."""
     tolerance = positive_number(tolerance, "tolerance")
     tail = TAIL * tolerance if tail is None else positive_number(tail, "tail")
     if not isinstance(source, sources.Source):
         raise bad("source", type(source).__name__, "Sky, Lamp or Window")
     if getattr(source, "corner", None) is None or scene.sides == "periodic":
         sources.geometry(source, scene, 1.0)  # checks that they fit
-    kind = _Lattice if lacking(scene, source) else _Sky if isinstance(source, sources.Sky) else _Slices
-    chosen = kind(scene, source, tolerance, tail, engine)
-    chosen.choose()
-    return chosen
+    planner_class: type[_Planner] = _SlicePlanner
+    if lacking(scene, source):
+        planner_class = _LatticePlanner
+    elif isinstance(source, sources.Sky):
+        planner_class = _SkyPlanner
+    elif solid_of(scene, source, 1 / scene.spacing, 1.0) is None:
+        planner_class = _HiddenWindowPlanner
+    planner = planner_class(scene, source, tolerance, tail, engine)
+    planner.choose()
+    return planner
 
 
-def solid_of(scene: Scene, source: sources.Source, unit: float, step: float) -> Ball | Quad | None:
-    """The shape of a lamp or window, lengths times ``unit`` so that the spacing is ``step``; None for a
-    window outside a dark box.
+def solid_of(
+    scene: Scene, source: sources.Lamp | sources.Window, unit: float, step: float
+) -> Ball | Quad | None:
+    """The shape of a lamp or window, lengths times ``unit`` so that the spacing is ``step``.
+
+    None for a window outside a dark box.
     """
     if isinstance(source, sources.Window):
-        return aperture(np.array(source.x) * unit, np.array(source.y) * unit, scene.shape, step, scene.sides)
-    if source.corner is not None:
+        (x0, x1), (y0, y1) = np.array(source.x) * unit, np.array(source.y) * unit
+        return aperture((x0, x1), (y0, y1), scene.shape, step, scene.sides)
+    if source.corner is not None and source.edges is not None:
         return rectangle(*(np.array(v) * unit for v in (source.corner, *source.edges)))
-    return Ball(tuple(np.array(source.center) * unit), source.radius * unit)
+    assert source.center is not None and source.radius is not None, "the lattice alone renders a volume"
+    x, y, z = np.array(source.center) * unit
+    return Ball((x, y, z), source.radius * unit)
 
 
 def upright(solid: Ball | Quad | None) -> Ball | Quad | None:
     """The same with heights for depths."""
-    if solid is None or isinstance(solid, Quad):
-        return solid and Quad(np.asarray(solid.corners, float) * (1, 1, -1))
-    return Ball((*solid.center[:2], -solid.center[2]), solid.radius)
+    if solid is None:
+        return None
+    if isinstance(solid, Quad):
+        return Quad(np.asarray(solid.corners, float) * (1, 1, -1))
+    x, y, z = solid.center
+    return Ball((x, y, -z), solid.radius)
 
 
 class _ClosedForm(LightMethod):
-    """An image that nothing need refine."""
+    """An image in closed form, which nothing refines."""
 
     units = 0
 
-    def __init__(self, image):
+    def __init__(self, image: np.ndarray):
         self.image = image
 
-    def refine(self):
+    def refine(self) -> None:
         """There is nothing finer."""
 
-    def irradiance(self):
+    def irradiance(self) -> np.ndarray:
         return self.image
 
 
-class _Chosen:
-    """What is chosen for a kind of source, and why."""
+class _Planner(ABC):
+    """Chooses a light method and its units for a kind of source, says why, and refines.
 
-    kind: type = _ClosedForm
-    units = 0
-    errors = Errors(math.nan, math.nan, math.nan)
-    exact: np.ndarray | None = None  # light at the samples
-    uniform: np.ndarray | None = None  # of a uniform sky of brightness 1
-    share, floor, max_distance = FIRST, 0.0, None
+    Subclasses set ``method_class``, ``units``, ``expected`` (errors at the samples) and ``exact`` (light at
+    the samples) in :meth:`choose`.
+    """
+
+    sample_count = COUNT
+    method_class: type[LightMethod] = _ClosedForm
     method: LightMethod
-    unknown = ""
+    units = 0
+    expected = Errors(math.nan, math.nan, math.nan)
+    exact: np.ndarray | None = None  # light at the samples
+    uniform: np.ndarray | None = None  # that of a uniform sky of brightness 1
+    share = FIRST_SHARE  # error over half the difference of two halves
+    floor = 0.0  # error that both halves share
+    max_distance: float | None = None
+    unknown = ""  # why the error is not known
 
-    def __init__(self, scene, source, tolerance, tail, engine):
-        self.scene, self.source, self.tolerance, self.tail, self.engine = (
-            scene,
-            source,
-            tolerance,
-            tail,
-            engine,
-        )
-        self.samples = Samples(engine, scene, self.count)
+    def __init__(self, scene: Scene, source: Any, tolerance: float, tail: float, engine: Backend):
+        self.scene, self.source, self.engine = scene, source, engine
+        self.tolerance, self.tail = tolerance, tail
+        self.samples = Samples(engine, scene, self.sample_count)
         if scene.sides == "periodic" and self.samples.relief / FAINT * len(self.samples) > MOST_STEPS / 512:
             raise CapacityError(
                 f"A relief of {self.samples.relief:.3g} spacings on a map that repeats must be followed over"
                 f" {self.samples.relief / FAINT:.2g} nodes; give depth and spacing in one unit."
             )
 
-    count = COUNT
+    @abstractmethod
+    def choose(self) -> None:
+        """Choose what to begin with."""
 
-    def fits(self, found: Errors, besides: float = 0.0) -> bool:
-        return math.hypot(found.bound, besides) <= MARGIN * self.tolerance and found.tail <= self.tail
+    @abstractmethod
+    def make(self) -> LightMethod:
+        """The chosen method, with its first image."""
 
-    @property
-    def mean(self) -> float:
-        """Exact light over the lit samples."""
-        lit = None if self.exact is None else self.exact[self.exact > 0]
-        return float(lit.mean()) if lit is not None and lit.size else math.inf
+    @abstractmethod
+    def choices(self) -> Iterator[Choice]:
+        """Lines of the plan on what is chosen for this kind of source."""
 
     def begin(self) -> LightMethod:
         self.method = self.make()
         return self.method
 
-    def audit(self, image, units) -> float | None:
+    def audit(self, image: np.ndarray, units: int) -> float | None:
         """The image's relative RMS error at the samples."""
-        return None if self.exact is None else self.samples.errors(self.samples.of(image), self.exact).rms
+        if self.exact is None:
+            return None
+        return self.samples.errors(self.samples.of(image), self.exact).rms
 
-    def refine(self, method, alike: bool) -> bool:
-        """Whether the method could be refined. ``alike``: its halves agree and yet are off."""
-        if self.kind not in MOST or 2 * method.units > MOST[self.kind]:
+    def refine(self, is_shared: bool) -> bool:
+        """Whether the method could be refined. ``is_shared``: its two halves share the error."""
+        most = MOST_UNITS.get(self.method_class)
+        if most is None or 2 * self.method.units > most:
             return False
-        method.refine()
+        self.method.refine()
         return True
 
+    def fits(self, found: Errors, floor: float = 0.0) -> bool:
+        """Whether errors at the samples, with a floor besides, are within the tolerance and its tail."""
+        return math.hypot(found.bound, floor) <= MARGIN * self.tolerance and found.tail <= self.tail
+
+    @property
+    def closed(self) -> bool:
+        """Whether the image is a closed form."""
+        return self.method_class is _ClosedForm
+
+    @property
+    def mean(self) -> float:
+        """Mean of the exact light over the lit samples, inf where it is not known."""
+        lit = None if self.exact is None else self.exact[self.exact > 0]
+        return float(lit.mean()) if lit is not None and lit.size else math.inf
+
     def plan(self) -> Plan:
-        latticed, closed = self.kind is Lattice, self.kind is _ClosedForm
-        known = lambda value: float(value) if math.isfinite(value) else None
-        rms = math.hypot(self.errors.rms, self.floor)
-        verdict = (
-            "within tolerance"
-            if math.hypot(self.errors.bound, self.floor) <= MARGIN * self.tolerance
-            else "the best there is for tolerance"
-        )
-        reason = (
-            f"relative RMS error {rms:.2g} expected, {verdict} {self.tolerance:g}"
-            if known(rms) is not None
-            else self.unknown
-        )
+        """The plan, with the errors that the samples expect."""
+        latticed = self.method_class is Lattice
+        rms, bound = (math.hypot(value, self.floor) for value in (self.expected.rms, self.expected.bound))
+        fits = bound <= MARGIN * self.tolerance
+        verdict = "within tolerance" if fits else "the best there is for tolerance"
         return Plan(
-            "lattice" if latticed else "unoccluded" if closed else "horizon",
+            "lattice" if latticed else "unoccluded" if self.closed else "horizon",
             self.units if latticed else None,
             True if latticed else None,
-            reason,
-            None if latticed or closed else self.units,
+            f"relative RMS error {rms:.2g} expected, {verdict} {self.tolerance:g}"
+            if math.isfinite(rms)
+            else self.unknown,
+            None if latticed or self.closed else self.units,
             self.max_distance,
             self.tolerance,
             self.tail,
-            known(rms),
-            known(self.errors.tail),
-            choices=(*self.choices(), *self._common()),
-            beyond=tuple(self._beyond()),
+            float(rms) if math.isfinite(rms) else None,
+            float(self.expected.tail) if math.isfinite(self.expected.tail) else None,
+            choices=(*self.choices(), *self._common_choices()),
+            beyond=tuple(beyond_model(self)),
         )
 
-    def _common(self) -> Iterator[Choice]:
-        if self.kind is not _ClosedForm:
+    def _common_choices(self) -> Iterator[Choice]:
+        """Lines of the plan that every kind of source has."""
+        if not self.closed:
+            serves = "sweeps and slices serve every sky, sphere, rectangle and window"
             yield Choice(
                 "method",
-                "lattice" if self.kind is Lattice else "horizons",
-                lacking(self.scene, self.source)
-                or "sweeps and slices serve every sky, sphere, rectangle and window",
+                "lattice" if self.method_class is Lattice else "horizons",
+                lacking(self.scene, self.source) or serves,
             )
-        kind = self.scene.reflectance
-        lobe = (
-            ("none", "the surface is Lambertian")
-            if isinstance(kind, Lambertian)
-            else (type(kind).__name__, "summed beside the irradiance, to which the error given here belongs")
-        )
-        yield Choice("specular lobe", *lobe)
-        yield Choice("precision", "float32", f"depths are rounded by {self._rounding:.1g} spacings")
-        if math.isfinite(self.errors.rms):
-            yield Choice(
-                "error",
-                _percent(math.hypot(self.errors.rms, self.floor)),
-                f"RMS over the mean, expected from {len(self.samples)} samples; at most"
-                f" {_percent(math.hypot(self.errors.bound, self.floor))} over all nodes, asked for"
-                f" {_percent(self.tolerance)}",
-            )
-            yield Choice("99.9th percentile", _percent(self.errors.tail), f"asked for {_percent(self.tail)}")
+        surface = self.scene.reflectance
+        if isinstance(surface, Lambertian):
+            yield Choice("specular lobe", "none", "the surface is Lambertian")
         else:
+            why = "summed beside the irradiance, to which the error given here belongs"
+            yield Choice("specular lobe", type(surface).__name__, why)
+        yield Choice("precision", "float32", f"depths are rounded by {self.rounding:.1g} spacings")
+        if not math.isfinite(self.expected.rms):
             yield Choice("error", "not known", self.unknown)
+            return
+        yield Choice(
+            "error",
+            _percent(math.hypot(self.expected.rms, self.floor)),
+            f"RMS over the mean, expected from {len(self.samples)} samples; at most"
+            f" {_percent(math.hypot(self.expected.bound, self.floor))} over all nodes, asked for"
+            f" {_percent(self.tolerance)}",
+        )
+        yield Choice("99.9th percentile", _percent(self.expected.tail), f"asked for {_percent(self.tail)}")
 
     @property
-    def _rounding(self):
-        return abs(float(self.samples.own.min())) * 2.0**-24  # heights are none above 0
+    def rounding(self) -> float:
+        """By how much float32 rounds depths [spacings]."""
+        return abs(float(self.samples.own.min())) * 2.0**-24  # no height is above 0
 
-    def _beyond(self) -> Iterator[str]:
-        """What the scene needs and the model lacks, with numbers."""
-        scene, source, samples = self.scene, self.source, self.samples
-        if self.exact is not None and self.exact.any() and self.uniform is not None:
-            yield from between_surfaces(scene, self.uniform, self.exact, self.tolerance)
-        if isinstance(source, sources.Lamp) and source.center is not None:
-            gap = _gap(scene, samples.highest, *(v / scene.spacing for v in (*source.center, source.radius)))
-            if gap < 1:
-                yield (
-                    "The lamp touches the surface:"
-                    f" {'it reaches %.2g spacings into it' % -gap if gap < 0 else f'it ends {gap:.2g} spacings from it'},"
-                    " and the grid holds nothing finer than 1."
-                )
-        if samples.cliffs > 0:
-            yield (
-                f"Slopes are steeper than the grid holds: {_percent(samples.cliffs)} of neighbouring nodes"
-                f" lie more than {CLIFF:g} spacings apart in depth."
-            )
-        if scene.mask is not None and not scene.mask.all():
-            yield (
-                f"Nodata: {_percent(1 - scene.mask.mean())} of the nodes are masked; they hide nothing, so"
-                " light may come through holes."
-            )
-        if self._rounding > 0.1 * self.tolerance:
-            yield (
-                f"Depths are rounded by {self._rounding:.2g} spacings, more than the tolerance allows: take"
-                " the least depth off."
-            )
-
-    def _seen_of_sky(self):
+    def _uniform_light(self) -> np.ndarray:
+        """Light at the samples of a uniform sky of brightness 1, by 12 azimuths."""
         azimuths = 2 * np.pi * (np.arange(12) + 0.5) / 12
-        return self.samples.ring(azimuths, self.samples.horizons(azimuths)).mean(0) * 2 * np.pi
+        light: np.ndarray = self.samples.ring(azimuths, self.samples.horizons(azimuths)).mean(0) * 2 * np.pi
+        return light
 
 
-class _Sky(_Chosen):
+class _SkyPlanner(_Planner):
     """Skies: closed forms where ground hides next to nothing, else horizons in even azimuths."""
 
-    near: int | None = None
-    sectors = number = 0
-    slopes: np.ndarray | None = None
-    rays = False
+    light: float | Integrals  # a brightness, or what Integrals found
+    suns: tuple[Sun, ...] = ()  # small bright parts
+    near_rows: int | None = None
+    sectors = 0  # of azimuth, of every small bright part
+    has_rays = False  # exact horizons for small bright parts
+    grid = 0  # azimuths of the exact light
+    slopes: np.ndarray  # exact horizons in these azimuths
+    exact: np.ndarray
+    uniform: np.ndarray
 
-    def choose(self):
-        samples, brightness = self.samples, self.source.brightness
-        self.light = float(brightness) if not callable(brightness) else Integrals(self.source, self.tolerance)
-        self.varies = isinstance(self.light, Integrals)
-        if self.varies and not self.light.suns and self.light.variation <= UNIFORM * self.tolerance:
-            self.light, self.varies = float(self.light.mean), False
-        suns = self.light.suns if self.varies else ()
-        rest = self.light.rest / max(self.light.level, 1e-30) if self.varies else 1.0
+    def choose(self) -> None:
+        samples = self.samples
+        self._integrate()
+        rest = self.light.rest / max(self.light.level, 1e-30) if isinstance(self.light, Integrals) else 1.0
         cliffs = math.sqrt(samples.cliffs) * rest
-        self.rays = (
-            bool(suns)
-            and samples.cliffs > 0
-            and self.scene.sides != "periodic"
-            and self.scene.resident is None
-        )
-        self.near = (
-            24
-            if BEHIND[None] * cliffs > 0.5 * self.tolerance
-            or suns
-            and not self.rays
-            and self.tolerance < SHARP
-            else None
-        )
-        floor = BEHIND[self.near] * cliffs
+        steep = BEHIND_CLIFFS[None] * cliffs > 0.5 * self.tolerance
+        if steep or self.suns and not self.has_rays and self.tolerance < SHARP:
+            self.near_rows = FINE_ROWS
+        floor = BEHIND_CLIFFS[self.near_rows] * cliffs
         planes = even(unoccluded.AZIMUTHS, 0.5)
         self.free = (
-            self._above_planes(planes.angles, planes.widths, planes.widths)
-            if self.varies
+            _above_planes(self.samples, self.light, planes.angles, planes.widths, planes.widths)
+            if isinstance(self.light, Integrals)
             else np.pi / 2 * self.light * (1 + 1 / samples.length)
         )
-        self.bright = self._bright(suns)
-        self._look(min(GRIDS))
-        if self._closed(suns):
+        self.bright = self._bright_light()
+        self._trace(min(GRIDS))
+        if self._fits_closed_form():
             return
-        self.bright = self._bright(suns, floor)
-        measured = {}
-        for number, most in GRIDS.items():
-            self._look(number)
-            measured = {
-                count: self._measured(count) for count in EVEN if count <= most and number % (3 * count) == 0
-            }
+        self.bright = self._bright_light(floor)
+        self._choose_azimuths(floor)
+        self.hidden = samples.errors(self.uniform, np.pi / 2 * (1 + 1 / samples.length)).rms
+        self.method_class, self.floor = Horizons, floor
+        self._choose_search()
+        self._check_work()
+
+    def _integrate(self) -> None:
+        """The brightness: a number where it varies too little to matter, else its integrals and its suns."""
+        scene, brightness = self.scene, self.source.brightness
+        if not callable(brightness):
+            self.light = float(brightness)
+            return
+        self.light = sky = Integrals(self.source, self.tolerance)
+        if not sky.suns and sky.variation <= UNIFORM * self.tolerance:
+            self.light = float(sky.mean)
+            return
+        self.suns = sky.suns
+        self.has_rays = (
+            bool(self.suns)
+            and self.samples.cliffs > 0
+            and scene.sides != "periodic"
+            and scene.resident is None
+        )
+
+    def _trace(self, grid: int) -> None:
+        """Exact light at the samples in ``grid`` azimuths or more, each time twice as many as before.
+
+        ``doubt``: relative RMS error of that light itself.
+        """
+        samples = self.samples
+        while self.grid < grid:
+            first = not self.grid
+            angles: np.ndarray
+            self.grid = 2 * self.grid or min(GRIDS)
+            angles = 2 * np.pi * np.arange(self.grid) / self.grid
+            new = samples.horizons(angles if first else angles[1::2])
+            self.slopes = new if first else np.stack([self.slopes, new], 1).reshape(self.grid, -1)
+        width = 2 * np.pi / self.grid
+        angles = self.angles = width * np.arange(self.grid)
+        self.uniform = samples.ring(angles, self.slopes).sum(0) * width
+        half = self.grid // 2
+        one, other = (
+            self._corrected(
+                angles[odd::2], self.slopes[odd::2], np.full(half, 2 * width), np.full(half, width)
+            )
+            for odd in (0, 1)
+        )
+        self.rest = (one + other) / 2
+        self.exact = self.rest + self.bright
+        self.doubt = LEAST_SHARE * samples.errors(self.exact + (other - one) / 2, self.exact).rms
+
+    def _choose_azimuths(self, floor: float) -> None:
+        """The fewest azimuths whose errors at the samples, with the floor, are within the tolerance."""
+        for grid, most in GRIDS.items():
+            self._trace(grid)
+            counts = [n for n in AZIMUTHS if n <= most and grid % (3 * n) == 0]
+            measured = {count: self._measured(count) for count in counts}
             fitting = [count for count, (found, _) in measured.items() if self.fits(found, floor)]
             if fitting:
                 break
-        count = min(fitting, default=max(measured))
-        self.errors, share = measured[count]
-        if not fitting:
-            last, judged = self.errors, count
-            for count in (count for count in EVEN if count > judged):
-                self.errors = Errors(*(value * (judged / count) ** ORDER for value in last))
-                if self.fits(self.errors, floor):
-                    break
-        self.hidden = samples.errors(self.uniform, np.pi / 2 * (1 + 1 / samples.length)).rms
-        self.kind, self.units, self.floor, self.share = Horizons, count, floor, min(max(share, LOW), 1.5)
-        self._search()
-        warm = (
-            0
-            if self.scene.sides != "periodic"
-            else min(
-                samples.relief / FAINTEST,
-                math.inf if self.max_distance is None else self.max_distance / self.scene.spacing,
-            )
-        )
-        steps = count * math.prod(self.scene.shape) * (1 + warm / min(self.scene.shape))
-        if steps > MOST_STEPS:
-            raise CapacityError(
-                f"A tolerance of {self.tolerance:g} takes some {steps:.2g} nodes x azimuths here; at most"
-                f" {MOST_STEPS:,}. Take a larger tolerance or a smaller map."
-            )
+        self.units = min(fitting, default=max(measured))
+        self.expected, share = measured[self.units]
+        self.share = min(max(share, LEAST_SAMPLED_SHARE), 1.5)
+        if fitting:
+            return
+        last, judged = self.expected, self.units
+        for self.units in (count for count in AZIMUTHS if count > judged):
+            self.expected = Errors(*(value * (judged / self.units) ** ORDER for value in last))
+            if self.fits(self.expected, floor):
+                break
 
-    def _look(self, number):
-        """Exact light at the samples in so many azimuths, twice as many as before or as often; ``doubt``:
-        what it is off itself.
-        """
-        samples = self.samples
-        while self.number < number:
-            self.number = 2 * self.number or min(GRIDS)
-            angles = 2 * np.pi * np.arange(self.number) / self.number
-            new = samples.horizons(angles if self.slopes is None else angles[1::2])
-            self.slopes = (
-                new if self.slopes is None else np.stack([self.slopes, new], 1).reshape(self.number, -1)
-            )
-        width = 2 * np.pi / self.number
-        angles = self.angles = width * np.arange(self.number)
-        self.uniform = samples.ring(angles, self.slopes).sum(0) * width
-        halves = [
-            self._corrected(
-                angles[odd::2],
-                self.slopes[odd::2],
-                np.full(self.number // 2, 2 * width),
-                np.full(self.number // 2, width),
-            )
-            for odd in (0, 1)
-        ]
-        self.rest = (halves[0] + halves[1]) / 2
-        self.exact = self.rest + self.bright
-        self.doubt = LEAST * samples.errors(self.exact + (halves[1] - halves[0]) / 2, self.exact).rms
-
-    def _measured(self, count) -> tuple[Errors, float]:
-        """Errors at the samples of so many azimuths, and over half the difference of their halves."""
-        at = [(self.number * (3 * np.arange(odd, count, 2) + 1)) // (3 * count) for odd in (0, 1)]
+    def _measured(self, count: int) -> tuple[Errors, float]:
+        """Errors at the samples of ``count`` azimuths; their RMS over half the difference of two halves."""
         first, second = (
             self._corrected(
                 self.angles[n],
@@ -602,85 +619,78 @@ class _Sky(_Chosen):
                 np.full(count // 2, 4 * np.pi / count),
                 np.full(count // 2, 2 * np.pi / count),
             )
-            for n in at
+            for n in ((self.grid * (3 * np.arange(odd, count, 2) + 1)) // (3 * count) for odd in (0, 1))
         )
         found = self.samples.errors((first + second) / 2 + self.bright, self.exact)
         half = self.samples.errors((second - first) / 2 + self.exact, self.exact).rms
-        return found, found.rms / half if half > 0 else FIRST
+        return found, found.rms / half if half > 0 else FIRST_SHARE
 
-    def _above_planes(self, angles, widths, windows):
-        """Light at the samples above tangent planes and the level alone, suns apart."""
-        planes = np.maximum(0, self.samples.plane(np.cos(angles)[:, None], np.sin(angles)[:, None]))
-        return widths @ self.samples.ring(angles, planes, self.light.table(angles, windows))
-
-    def _corrected(self, angles, slopes, widths, windows):
-        """Light above ``slopes`` with what tangent planes alone would let through put right; see Horizons."""
-        if not self.varies:
-            return self.light * (widths @ self.samples.ring(angles, slopes))
-        return (
+    def _corrected(
+        self, angles: np.ndarray, slopes: np.ndarray, widths: np.ndarray, windows: np.ndarray
+    ) -> np.ndarray:
+        """Light above ``slopes``, with that above tangent planes as a control variate; see Horizons."""
+        if not isinstance(self.light, Integrals):
+            uniform: np.ndarray = self.light * (widths @ self.samples.ring(angles, slopes))
+            return uniform
+        light: np.ndarray = (
             widths @ self.samples.ring(angles, slopes, self.light.table(angles, windows))
             + self.free
-            - self._above_planes(angles, widths, windows)
+            - _above_planes(self.samples, self.light, angles, widths, windows)
         )
+        return light
 
-    def _bright(self, suns, floor=None):
-        """Light of the small bright parts at the samples, in the fewest sectors whose two halves agree;
-        without ``floor``, the error besides, in the fewest that are tried.
+    def _bright_light(self, floor: float | None = None) -> float | np.ndarray:
+        """Light of the suns at the samples, in the fewest sectors whose two halves agree.
+
+        They agree within the tolerance with ``floor``, the error besides. Without it the first number is
+        taken.
         """
-        if not suns:
-            return 0.0
-        for self.sectors in (times * max(1, -(-LANES // len(suns))) for times in FINER):
-            halves = [
-                sum(self.samples.sectors(*sun.sectors(self.sectors, odd)) for sun in suns)
+        light: float | np.ndarray = 0.0
+        if not self.suns:
+            return light
+        for times in FINER:
+            self.sectors = times * max(1, -(-LEAST_SECTORS // len(self.suns)))
+            one, other = (
+                sum(self.samples.sectors(*sun.sectors(self.sectors, odd)) for sun in self.suns)
                 for odd in (False, True)
-            ]
-            light = (halves[0] + halves[1]) / 2
+            )
+            light = (one + other) / 2
             if floor is None:
                 break
-            found = self.samples.errors(self.rest + light + SUN * (halves[1] - halves[0]), self.rest + light)
+            found = self.samples.errors(self.rest + light + SECTOR_SHARE * (other - one), self.rest + light)
             if math.hypot(found.bound, floor) <= 0.7 * self.tolerance and found.tail <= 0.7 * self.tail:
                 break
         return light
 
-    def _closed(self, suns) -> bool:
-        """Whether closed forms do: over all samples, also where ground is rare; of a small bright part no
-        node may miss any, which normals tell of all nodes.
+    def _fits_closed_form(self) -> bool:
+        """Whether closed forms are within the tolerance at all samples, also where ground is rare.
+
+        Of a sun no node may miss any part, which the normals tell of all nodes.
         """
         samples = self.samples
         light = self.free + sum(
             np.maximum(0, samples.gx * x + samples.gy * y + z) / samples.length
-            for x, y, z in (sun.moment for sun in suns)
+            for x, y, z in (sun.moment for sun in self.suns)
         )
         found = samples.errors(light, self.exact)
-        if not self.fits(found) or (
-            samples.rare.any()
-            and samples.errors(np.where(samples.rare, light, self.exact), self.exact).rms
-            / math.sqrt(samples.weights[samples.rare].sum())
-            > self.tail
+        if not self.fits(found):
+            return False
+        if samples.rare.any():
+            assert samples.weights is not None, "samples where ground is rare are weighted"
+            rare = samples.errors(np.where(samples.rare, light, self.exact), self.exact)
+            if rare.rms / math.sqrt(samples.weights[samples.rare].sum()) > self.tail:
+                return False
+        if self.suns and (
+            self.scene.sides == "dark"
+            or self.scene.resident is not None
+            or not _faces_suns(self.scene, samples, self.suns)
         ):
             return False
-        if suns and (
-            self.scene.sides == "dark" or self.scene.resident is not None or not self._all_look(suns)
-        ):
-            return False
-        self.errors, self.kind, self.hidden = found, _ClosedForm, found.rms
+        self.expected, self.method_class, self.hidden = found, _ClosedForm, found.rms
         return True
 
-    def _all_look(self, suns) -> bool:
-        at = self.samples
-        if not all(
-            unoccluded.looks_at_all(at.gx, at.gy, *middle, sine).all()
-            for middle, sine in (sun.cone for sun in suns)
-        ):
-            return False
-        gx, gy = unoccluded.gradients(self.scene)
-        return all(
-            unoccluded.looks_at_all(gx, gy, *middle.astype(np.float32), np.float32(sine)).all()
-            for middle, sine in (sun.cone for sun in suns)
-        )
-
-    def _search(self):
-        """On a map that repeats: how far must be looked."""
+    def _choose_search(self) -> None:
+        """The search radius, on a map that repeats."""
         self.why_far = "a sweep costs the same however far it looks"
         if self.scene.sides != "periodic":
             return
@@ -689,7 +699,7 @@ class _Sky(_Chosen):
         angles = 2 * np.pi * (np.arange(24) + OFFSET) / 24
         full = samples.ring(angles, samples.horizons(angles)).sum(0)
         self.why_far = f"on a map that repeats, as far as its relief makes a slope of {FAINTEST}"
-        for slope in REACHES:
+        for slope in SLOPES:
             reach = max(2.0, math.ceil(samples.relief / slope))
             if WINDOWED * (1 + reach / side) > 0.8 * whole:
                 return
@@ -699,181 +709,213 @@ class _Sky(_Chosen):
                 self.why_far = f"what lies farther away costs {_percent(cut.rms)}"
                 return
 
-    def make(self):
-        if self.kind is not _ClosedForm:
-            return Horizons(
-                self.engine,
-                self.scene,
-                self.light,
-                self.units,
-                self.sectors,
-                self.near,
-                self.max_distance,
-                self.rays,
+    def _check_work(self) -> None:
+        """CapacityError where the azimuths, on a map that repeats with its search, are too much work."""
+        lap = 0.0
+        if self.scene.sides == "periodic":
+            reach = math.inf if self.max_distance is None else self.max_distance / self.scene.spacing
+            lap = min(self.samples.relief / FAINTEST, reach)
+        steps = self.units * math.prod(self.scene.shape) * (1 + lap / min(self.scene.shape))
+        if steps > MOST_STEPS:
+            raise CapacityError(
+                f"A tolerance of {self.tolerance:g} takes some {steps:.2g} nodes x azimuths here; at most"
+                f" {MOST_STEPS:,}. Take a larger tolerance or a smaller map."
             )
-        if (
-            self.scene.resident is not None
-            and self.scene.resident.backend is self.engine
-            and not (self.varies and self.light.suns)
-        ):
+
+    def make(self) -> LightMethod:
+        if not self.closed:
+            return self._horizons(self.units)
+        resident = self.scene.resident
+        if resident is not None and resident.backend is self.engine and not self.suns:
             return Horizons(self.engine, self.scene, self.light, 0)
         return _ClosedForm(unoccluded.sky(self.scene, self.light).astype(np.float32, copy=False))
 
-    def audit(self, image, units):
-        if 3 * units > self.number:
-            self._look(max(GRIDS))
-        found = super().audit(image, units)
-        return found if 3 * units <= self.number else math.sqrt(max(0.0, found**2 - self.doubt**2))
+    def _horizons(self, units: int) -> Horizons:
+        return Horizons(
+            self.engine,
+            self.scene,
+            self.light,
+            units,
+            self.sectors,
+            self.near_rows,
+            self.max_distance,
+            self.has_rays,
+        )
 
-    def refine(self, method, alike):
-        if self.kind is Horizons and alike and self.near is None:
-            self.near = 24
-            self.method = Horizons(
-                self.engine,
-                self.scene,
-                self.light,
-                method.units,
-                self.sectors,
-                self.near,
-                self.max_distance,
-                self.rays,
-            )
-            self.floor *= BEHIND[24] / BEHIND[None]
+    def audit(self, image: np.ndarray, units: int) -> float | None:
+        if 3 * units > self.grid:
+            self._trace(max(GRIDS))
+        found = self.samples.errors(self.samples.of(image), self.exact).rms
+        return found if 3 * units <= self.grid else math.sqrt(max(0.0, found**2 - self.doubt**2))
+
+    def refine(self, is_shared: bool) -> bool:
+        if self.method_class is Horizons and is_shared and self.near_rows is None:
+            self.near_rows = FINE_ROWS
+            self.method = self._horizons(self.method.units)
+            self.floor *= BEHIND_CLIFFS[FINE_ROWS] / BEHIND_CLIFFS[None]
             return True
-        return super().refine(method, alike)
+        return super().refine(is_shared)
 
-    def choices(self):
-        closed = self.kind is _ClosedForm
-        yield Choice(
-            "occlusion",
-            "none" if closed else "by ground",
-            f"ground takes {_percent(self.hidden)} of the light (RMS)",
-        )
-        yield Choice(
-            "brightness",
-            "a table per azimuth" if self.varies else "constant",
-            (
-                f"integrated to {_percent(self.light.error)}"
-                if self.varies
-                else "it is a number, or varies too little to matter"
-            ),
-        )
-        if self.varies and self.light.suns:
-            yield Choice(
-                "bright parts",
-                f"{len(self.light.suns)},"
-                f" {'as directions' if closed else f'{2 * self.sectors + 1} azimuths each'}",
-                "small and bright: suns, lights and spots have azimuths of their own",
-            )
-        if not closed:
-            yield Choice(
-                "azimuths", f"{self.units} evenly", "the fewest whose light at the samples is that of many"
-            )
-            yield Choice(
-                "search radius",
-                "whole map" if self.max_distance is None else f"{self.max_distance:g}",
-                self.why_far,
-            )
-            if self.near:
-                yield Choice(
-                    "near rows", f"{self.near}", "there are cliffs: every crossing so near is tested"
-                )
-
-
-class _Slices(_Chosen):
-    """Lamps and windows of simple shape: a closed form where every node looks at all of the source, else
-    slices.
-    """
-
-    count = 256  # shadows are sharper than a sky's, and rays cost more
-    rays = 0
-    sky: Integrals | None = None
-
-    def choose(self):
-        scene, source, samples = self.scene, self.source, self.samples
-        self.kind, self.apparent = _ClosedForm, 0.0
-        self.solid = upright(solid_of(scene, source, 1 / scene.spacing, 1.0))
-        if self.solid is None:
-            self.exact, self.errors = np.zeros(len(samples)), Errors(0.0, 0.0, 0.0)
+    def choices(self) -> Iterator[Choice]:
+        hidden = f"ground takes {_percent(self.hidden)} of the light (RMS)"
+        yield Choice("occlusion", "none" if self.closed else "by ground", hidden)
+        if isinstance(self.light, Integrals):
+            yield Choice("brightness", "a table per azimuth", f"integrated to {_percent(self.light.error)}")
+        else:
+            yield Choice("brightness", "constant", "it is a number, or varies too little to matter")
+        if self.suns:
+            taken = "as directions" if self.closed else f"{2 * self.sectors + 1} azimuths each"
+            why = "small and bright: suns, lights and spots have azimuths of their own"
+            yield Choice("bright parts", f"{len(self.suns)}, {taken}", why)
+        if self.closed:
             return
-        corners = None if isinstance(self.solid, Ball) else np.asarray(self.solid.corners, float)
-        self.middle, self.radius = (
-            (np.array(self.solid.center), self.solid.radius)
-            if corners is None
-            else (corners.mean(0), float(np.linalg.norm(corners - corners.mean(0), axis=1).max()))
+        yield Choice(
+            "azimuths", f"{self.units} evenly", "the fewest whose light at the samples is that of many"
         )
-        away = self.middle[:, None] - np.stack([samples.x, samples.y, samples.own])
-        self.apparent = float(
-            np.arcsin(np.minimum(1, self.radius / np.maximum(np.sqrt((away**2).sum(0)), 1e-9))).mean()
-        )
-        bright, brightness = 0.0, source.brightness
-        if isinstance(source, sources.Window) and callable(brightness):
-            self.sky = Integrals(sources.Sky(brightness), self.tolerance, True, SMALL)
-            depth, step = scene.lattice()
-            wide, scale = widened(solid_of(scene, source, step / scene.spacing, step), depth, step)
-            self.outline = outline(wide, step)
+        radius = "whole map" if self.max_distance is None else f"{self.max_distance:g}"
+        yield Choice("search radius", radius, self.why_far)
+        if self.near_rows:
+            yield Choice(
+                "near rows", f"{self.near_rows}", "there are cliffs: every crossing so near is tested"
+            )
+
+
+def _above_planes(
+    samples: Samples, sky: Integrals, angles: np.ndarray, widths: np.ndarray, windows: np.ndarray
+) -> np.ndarray:
+    """Light at the samples above tangent planes and the level alone, without the suns'."""
+    planes = np.maximum(0, samples.plane(np.cos(angles)[:, None], np.sin(angles)[:, None]))
+    light: np.ndarray = widths @ samples.ring(angles, planes, sky.table(angles, windows))
+    return light
+
+
+def _faces_suns(scene: Scene, samples: Samples, suns: tuple[Sun, ...]) -> bool:
+    """Whether every node's tangent plane lies below all of every sun: the samples' first, then all."""
+    cones = [sun.cone for sun in suns]
+    for (x, y, z), sine in cones:
+        if not unoccluded.looks_at_all(samples.gx, samples.gy, x, y, z, sine).all():
+            return False
+    gx, gy = unoccluded.gradients(scene)
+    for middle, sine in cones:
+        x, y, z = middle.astype(np.float32)
+        if not unoccluded.looks_at_all(gx, gy, x, y, z, np.float32(sine)).all():
+            return False
+    return True
+
+
+class _HiddenWindowPlanner(_Planner):
+    """A window of which a dark box leaves nothing."""
+
+    sample_count = 256
+
+    def choose(self) -> None:
+        self.exact, self.expected = np.zeros(len(self.samples)), Errors(0.0, 0.0, 0.0)
+
+    def make(self) -> LightMethod:
+        return _ClosedForm(np.zeros(self.scene.shape, np.float32))
+
+    def choices(self) -> Iterator[Choice]:
+        yield Choice("occlusion", "none", "every node looks at all of the source")
+        yield Choice("window", "nothing to see", "")
+        if callable(self.source.brightness):
+            yield Choice("brightness", "none", "nothing is seen of it")
+        else:
+            yield Choice("brightness", "constant", "it is a number")
+        yield Choice("search radius", "up to the source", "what lies behind it hides nothing")
+
+
+class _SlicePlanner(_Planner):
+    """Lamps and windows of simple shape: a closed form where every node looks at all of it, else slices."""
+
+    sample_count = 256  # shadows are sharper than a sky's, and rays cost more
+    solid: Ball | Quad  # [spacings], heights third
+    sky: Integrals | None = None  # of a brightness that varies
+    rays = 0  # along which the brightness of slices is taken, 0: along their chords
+    points = 0  # rays of the closed form
+    bright: float | np.ndarray = 0.0  # light of small bright parts behind a window
+    exact: np.ndarray
+
+    def choose(self) -> None:
+        brightness = self.source.brightness
+        self._place()
         if callable(brightness):
-            samples.look_where(scene, self._open_light)
+<<<<<<< host/refinement.py
+            if isinstance(self.source, sources.Window):
+                self._integrate_sky()
+            self.samples.look_where(self.scene, self._open_light)
+        self.uniform = self._uniform_light()
+=======
+            samples.oversample_lit(scene, self._open_light)
         self.uniform = self._seen_of_sky()
+>>>>>>> /work/main/host/refinement.py
         if self.sky is not None and self.sky.suns:
-            bright = scale * sum(
-                samples.sectors(*sun.sectors(BEHIND_WINDOW), self.outline) for sun in self.sky.suns
+            self.bright = self.scale * sum(
+                self.samples.sectors(*sun.sectors(BEHIND_WINDOW), self.outline) for sun in self.sky.suns
             )
             brightness = self._without_suns
-        light = lambda count: samples.through_slices(self.solid, brightness, count) + bright
-        by_count = {count: light(count) for count in SLICES[:3]}
-        self.exact = by_count[SLICES[2]]
-        if self._closed():
+        light = {count: self._through_slices(brightness, count) for count in SLICES[:3]}
+        self.exact = light[SLICES[2]]
+        if self._fits_closed_form():
             return
-        self.kind = Sliced
-        if callable(source.brightness):
-            even = samples.through_slices(self.solid, 1.0, SLICES[2]) / np.maximum(
-                self._formed(1, 1.0), 1e-30
-            )
-            for rays in RAYS if isinstance(source, sources.Lamp) and self.apparent < NARROW else ():
-                if samples.errors(self._formed(rays) * even, self.exact).bound <= 0.5 * self.tolerance:
-                    self.rays = rays
-                    break
-            if not self.rays and self.sky is None:
-                self.sky = Integrals(sources.Sky(source.brightness), math.inf, True)
-        for finest in SLICES[2:]:
-            self.exact = by_count[finest] = by_count[finest] if finest in by_count else light(finest)
-            for self.units in SLICES[
-                isinstance(self.solid, Quad) :
-            ]:  # a quadrangle has four sectors to share them
-                number, through = self._taken(self.units), by_count[SLICES[0]]
-                for count in by_count:
-                    through = np.where(number >= count, by_count[count], through)
-                self.errors = samples.errors(through, self.exact)
-                if self.fits(Errors(self.errors.rms, 2 * self.errors.bound, 2 * self.errors.tail)):
-                    break
-            if JUDGES * number.max() <= finest:
-                break
-        self.share = BALL
+        self.method_class, self.share = Sliced, BALL_SHARE
+        if callable(self.source.brightness):
+            self._choose_rays()
+        self._choose_slices(brightness, light)
 
-    def _open_light(self, at):
-        """What nodes would have if nothing stood before the source: by its middle, and the small bright parts
-        that shine through a window.
-        """
-        light = self._formed(1, at=at)
+    def _place(self) -> None:
+        """The solid, its middle, the radius of a sphere round it, and the mean apparent radius [rad]."""
+        scene, samples = self.scene, self.samples
+        solid = upright(solid_of(scene, self.source, 1 / scene.spacing, 1.0))
+        assert solid is not None, "_HiddenWindowPlanner takes a window of which nothing is left"
+        self.solid = solid
+        if isinstance(self.solid, Ball):
+            self.middle, self.radius = np.array(self.solid.center), self.solid.radius
+        else:
+            corners = np.asarray(self.solid.corners, float)
+            self.middle = corners.mean(0)
+            self.radius = float(np.linalg.norm(corners - self.middle, axis=1).max())
+        away = self.middle[:, None] - np.stack([samples.x, samples.y, samples.own])
+        distance = np.maximum(np.sqrt((away**2).sum(0)), 1e-9)
+        self.apparent = float(np.arcsin(np.minimum(1, self.radius / distance)).mean())
+
+    def _integrate_sky(self) -> None:
+        """Integrals of the sky behind a window, and the window's outline for its small bright parts."""
+        self.sky = Integrals(sources.Sky(self.source.brightness), self.tolerance, True, SMALL)
+        depth, step = self.scene.lattice()
+        window = solid_of(self.scene, self.source, step / self.scene.spacing, step)
+        assert isinstance(window, Quad), "a window of which something is left is a quadrangle"
+        wide, self.scale = widened(window, depth, step)
+        assert isinstance(wide, Quad), "widening keeps the kind of solid"
+        self.outline = outline(wide, step)
+
+    def _open_light(self, at: Samples) -> np.ndarray:
+        """Light at nodes if nothing stood before the source: by its middle, and by suns behind a window."""
+        light = self._unoccluded(1, at=at)
         if self.sky is not None and self.sky.suns:
             light = light + sum(
                 at.sectors(*sun.sectors(PATCHES), self.outline, occluded=False) for sun in self.sky.suns
             )
         return light
 
-    def _without_suns(self, L):
-        """The brightness that is left where small bright parts are taken out: no more than where these begin."""
+    def _without_suns(self, L: np.ndarray) -> np.ndarray:
+        """The brightness without small bright parts: there no more than where these begin."""
+        assert self.sky is not None, "suns are parts of an integrated sky"
         values = sources.radiance(sources.Sky(self.source.brightness), L)
         for sun in self.sky.suns:
             middle, sine = sun.cone
-            inside = (L[..., 0] * middle[0] + L[..., 1] * middle[1] - L[..., 2] * middle[2]) > math.sqrt(
-                1 - sine * sine
-            )
+            cosine = L[..., 0] * middle[0] + L[..., 1] * middle[1] - L[..., 2] * middle[2]
+            inside = cosine > math.sqrt(1 - sine * sine)
             values = np.where(inside, np.minimum(values, sun.limit), values)
         return values
 
-    def _formed(self, points, brightness=None, at=None):
+    def _through_slices(self, brightness: sources.Brightness, count: int) -> np.ndarray:
+        """Light at the samples through ``count`` slices, and that of small bright parts."""
+        return self.samples.through_slices(self.solid, brightness, count) + self.bright
+
+    def _unoccluded(
+        self, points: int, brightness: sources.Brightness | None = None, at: Samples | None = None
+    ) -> np.ndarray:
+        """Light at the samples in closed form, its brightness along ``points`` rays."""
         at = at or self.samples
         return unoccluded.lamp(
             at.gx,
@@ -886,10 +928,8 @@ class _Slices(_Chosen):
             points,
         ).astype(float)
 
-    def _closed(self) -> bool:
-        """The closed form, where every node looks at all of the source and no wall of a dark box stands
-        between.
-        """
+    def _fits_closed_form(self) -> bool:
+        """Whether every node looks at all of the source, and no wall of a dark box stands between."""
         if self.scene.sides == "dark":
             corners = (
                 [self.middle - self.radius, self.middle + self.radius]
@@ -900,16 +940,17 @@ class _Slices(_Chosen):
             if not ((low >= -0.5).all() and (high <= np.array(self.scene.shape[::-1]) - 0.5).all()):
                 return False
         for points in (1, *RAYS) if callable(self.source.brightness) else (1,):
-            found = self.samples.errors(self._formed(points), self.exact)
-            if self.fits(found) and self._all_look():
-                self.errors, self.points = found, points
+            found = self.samples.errors(self._unoccluded(points), self.exact)
+            if self.fits(found) and self._faces_source():
+                self.expected, self.points = found, points
                 return True
         return False
 
-    def _all_look(self) -> bool:
+    def _faces_source(self) -> bool:
+        """Whether every node's tangent plane lies below all of the source: the samples' first, then all."""
         at, radius = self.samples, self.radius if isinstance(self.solid, Ball) else 0.0
-        far = self.middle[:, None] - np.stack([at.x, at.y, at.own])
-        if self.scene.mask is not None or not unoccluded.looks_at_all(at.gx, at.gy, *far, radius).all():
+        x, y, z = self.middle[:, None] - np.stack([at.x, at.y, at.own])
+        if self.scene.mask is not None or not unoccluded.looks_at_all(at.gx, at.gy, x, y, z, radius).all():
             return False
         rows, cols = self.scene.shape
         (gx, gy), deep = unoccluded.gradients(self.scene), self.scene.depth / np.float32(self.scene.spacing)
@@ -926,151 +967,184 @@ class _Slices(_Chosen):
             for x, y, z in points
         )
 
-    def _taken(self, most):
-        """As many slices at every sample as the kernel would take."""
-        least = max(most // (4 if isinstance(self.solid, Ball) else 2) // 8, 1) * 8
-        return (least + self.samples.turn(self.solid) * (most - least)).astype(int) // 8 * 8
+    def _choose_rays(self) -> None:
+        """How a brightness that varies is taken: along few rays to a small lamp, else along every chord."""
+        if isinstance(self.source, sources.Lamp) and self.apparent < NARROW:
+            whole = np.maximum(self._unoccluded(1, 1.0), 1e-30)
+            seen = self.samples.through_slices(self.solid, 1.0, SLICES[2]) / whole
+            for rays in RAYS:
+                if (
+                    self.samples.errors(self._unoccluded(rays) * seen, self.exact).bound
+                    <= 0.5 * self.tolerance
+                ):
+                    self.rays = rays
+                    return
+        if self.sky is None:
+            self.sky = Integrals(sources.Sky(self.source.brightness), math.inf, True)
 
-    def refine(self, method, alike):
-        if (
-            self.kind is Sliced
-            and alike
-            and not self.rays
-            and isinstance(self.source, sources.Lamp)
-            and self.apparent < NARROW
-            and self.sky is not None
-            and math.prod(self.scene.shape) * RAYS[-1] <= MOST_LOOKS
-        ):
+    def _choose_slices(self, brightness: sources.Brightness, light: dict[int, np.ndarray]) -> None:
+        """The fewest slices whose light at the samples is within the tolerance of JUDGES times as many.
+
+        ``light``: by numbers of slices, what is known already.
+        """
+        fewest = int(isinstance(self.solid, Quad))  # a quadrangle has four sectors to share them
+        for finest in SLICES[2:]:
+            if finest not in light:
+                light[finest] = self._through_slices(brightness, finest)
+            self.exact = light[finest]
+            for units in SLICES[fewest:]:
+                number, through = _slices_taken(self.samples, self.solid, units), light[SLICES[0]]
+                for count in light:
+                    through = np.where(number >= count, light[count], through)
+                self.units, self.expected = units, self.samples.errors(through, self.exact)
+                rms, bound, tail = self.expected
+                if self.fits(Errors(rms, 2 * bound, 2 * tail)):
+                    break
+            if JUDGES * number.max() <= finest:
+                break
+
+    def make(self) -> LightMethod:
+        scene, source = self.scene, self.source
+        if self.closed:
+            image = unoccluded.image(scene, self.solid, source.brightness, self.points)
+            return _ClosedForm(image.astype(np.float32, copy=False))
+        step = scene.lattice()[1]
+        solid = solid_of(scene, source, step / scene.spacing, step)
+        assert solid is not None, "_HiddenWindowPlanner takes a window of which nothing is left"
+        sky = None if self.rays else self.sky
+        return Sliced(self.engine, scene, source, solid, self.units, self.rays, sky)
+
+    def refine(self, is_shared: bool) -> bool:
+        if self.closed:
+            if self.points == max(RAYS):
+                return False
+            self.points = 4 * max(1, self.points)
+        elif is_shared and self._may_take_rays():
             self.rays, self.sky = RAYS[-1], None  # what a table of the sky is too coarse for
-            self.method = self.make()
-            return True
-        if self.kind is not _ClosedForm or self.solid is None or self.points == max(RAYS):
-            return super().refine(method, alike)
-        self.points = 4 * max(1, self.points)
+        else:
+            return super().refine(is_shared)
         self.method = self.make()
         return True
 
-    def make(self):
-        if self.solid is None:
-            return _ClosedForm(np.zeros(self.scene.shape, np.float32))
-        if self.kind is _ClosedForm:
-            return _ClosedForm(
-                unoccluded.image(self.scene, self.solid, self.source.brightness, self.points).astype(
-                    np.float32, copy=False
-                )
-            )
-        step = self.scene.lattice()[1]
-        return Sliced(
-            self.engine,
-            self.scene,
-            self.source,
-            solid_of(self.scene, self.source, step / self.scene.spacing, step),
-            self.units,
-            self.rays,
-            None if self.rays else self.sky,
-        )
+    def _may_take_rays(self) -> bool:
+        """Whether a small lamp's brightness, taken along chords, may be taken along rays."""
+        small = isinstance(self.source, sources.Lamp) and self.apparent < NARROW
+        evaluations = math.prod(self.scene.shape) * RAYS[-1]
+        return small and not self.rays and self.sky is not None and evaluations <= MOST_EVALUATIONS
 
-    def choices(self):
-        closed = self.kind is _ClosedForm
+    def choices(self) -> Iterator[Choice]:
+        closed, source = self.closed, self.source
         yield Choice(
             "occlusion",
             "none" if closed else "by ground",
             "every node looks at all of the source" if closed else "ground may stand before the source",
         )
-        kind = "lamp" if isinstance(self.source, sources.Lamp) else "window"
-        off = 0.0 if self.solid is None else float(point_error(np.sin(self.apparent), 1.0))
-        taken = (
-            "nothing to see"
-            if self.solid is None
-            else (
-                "a point"
-                if off <= POINT * self.tolerance
-                else "a sphere, closed form"
-                if isinstance(self.solid, Ball)
-                else "a polygon, closed form"
-            )
+        off = float(point_error(np.sin(self.apparent), 1.0))
+        taken, why = (
+            f"{self.units} slices",
+            f"its radius seems {np.degrees(self.apparent):.2g} degrees on average",
         )
-        yield Choice(
-            kind,
-            taken if closed else f"{self.units} slices",
-            (
-                ""
-                if self.solid is None
-                else f"its radius seems {np.degrees(self.apparent):.2g} degrees on average"
-                + (f"; as a point, a disc of that size is off by {_percent(off)}" if closed else "")
-            ),
-        )
-        if callable(self.source.brightness):
-            yield Choice(
-                "brightness",
-                (
-                    f"along {self.points if closed else self.rays} rays"
-                    if closed or self.rays
-                    else "along every chord"
-                ),
-                "it varies little across the source" if closed or self.rays else "integrated",
-            )
-            if not closed and self.sky is not None and self.sky.suns:
-                yield Choice(
-                    "bright parts",
-                    f"{len(self.sky.suns)}",
-                    "seen through the window in azimuths of their own",
-                )
-        else:
+        if closed:
+            shape = "a sphere, closed form" if isinstance(self.solid, Ball) else "a polygon, closed form"
+            taken = "a point" if off <= POINT * self.tolerance else shape
+            why += f"; as a point, a disc of that size is off by {_percent(off)}"
+        yield Choice("lamp" if isinstance(source, sources.Lamp) else "window", taken, why)
+        rays = self.points if closed else self.rays
+        if not callable(source.brightness):
             yield Choice("brightness", "constant", "it is a number")
+        elif rays:
+            yield Choice("brightness", f"along {rays} rays", "it varies little across the source")
+        else:
+            yield Choice("brightness", "along every chord", "integrated")
+        if not closed and callable(source.brightness) and self.sky is not None and self.sky.suns:
+            why = "seen through the window in azimuths of their own"
+            yield Choice("bright parts", f"{len(self.sky.suns)}", why)
         yield Choice("search radius", "up to the source", "what lies behind it hides nothing")
 
 
-class _Lattice(_Chosen):
+def _slices_taken(samples: Samples, solid: Ball | Quad, most: int) -> np.ndarray:
+    """As many slices at every sample as the kernel takes, which takes ``most`` for a source all round."""
+    least = max(most // (4 if isinstance(solid, Ball) else 2) // 8, 1) * 8
+    return (least + samples.turn(solid) * (most - least)).astype(int) // 8 * 8
+
+
+class _LatticePlanner(_Planner):
     """What horizons cannot render: lattice directions, filled."""
 
-    kind, count = Lattice, 64
+    method_class, sample_count = Lattice, 64
 
-    def choose(self):
-        self.why = lacking(self.scene, self.source)
-        if isinstance(self.source, sources.Lamp):  # a volume: nothing but the lattice knows it
+    def choose(self) -> None:
+        scene, source, samples = self.scene, self.source, self.samples
+        self.why = lacking(scene, source)
+        if isinstance(source, sources.Lamp):  # a volume: nothing but the lattice knows it
             known = lattice.ERRORS
             self.unknown = (
                 f"{self.why}; its error was not measured, on rough ground under a sky it is"
                 f" {min(known.values())} to {max(known.values())} of pi"
             )
-            self.units = next((size for size, error in known.items() if error <= self.tolerance), max(known))
+            fitting = (size for size, error in known.items() if error <= self.tolerance)
+            self.units = next(fitting, max(known))
             return
-        self.exact, self.uniform = (
-            lattice.through_window(self.samples, self.scene, self.source),
-            self._seen_of_sky(),
-        )
+        self.exact = lattice.through_window(samples, scene, source)
+        self.uniform = self._uniform_light()
         for self.units in lattice.ERRORS:
-            self.errors = self.samples.errors(
-                lattice.at_samples(self.samples, self.scene, self.source, self.units), self.exact
-            )
-            if self.fits(self.errors):
+            light = lattice.at_samples(samples, scene, source, self.units)
+            self.expected = samples.errors(light, self.exact)
+            if self.fits(self.expected):
                 break
 
-    def make(self):
+    def make(self) -> LightMethod:
         return Lattice(self.engine, self.scene, self.source, self.units)
 
-    def refine(self, method, alike):
-        if method.units >= max(lattice.ERRORS):
+    def refine(self, is_shared: bool) -> bool:
+        if self.method.units >= max(lattice.ERRORS):
             return False
-        method.refine()
+        self.method.refine()
         return True
 
-    def choices(self):
+    def choices(self) -> Iterator[Choice]:
         yield Choice("occlusion", "by ground", self.why)
-        yield Choice(
-            "directions",
-            f"hemicube {self.units}, filled",
-            self.unknown or "the smallest whose light at the samples is that of many directions",
+        why = self.unknown or "the smallest whose light at the samples is that of many directions"
+        yield Choice("directions", f"hemicube {self.units}, filled", why)
+
+
+def beyond_model(planner: _Planner) -> Iterator[str]:
+    """What the scene needs and the model lacks, with numbers."""
+    scene, source, samples = planner.scene, planner.source, planner.samples
+    if planner.exact is not None and planner.exact.any() and planner.uniform is not None:
+        yield from between_surfaces(scene, planner.uniform, planner.exact, planner.tolerance)
+    if isinstance(source, sources.Lamp) and source.center is not None and source.radius is not None:
+        x, y, z, radius = (value / scene.spacing for value in (*source.center, source.radius))
+        gap = _gap(scene, samples.highest, x, y, z, radius)
+        if gap < 1:
+            touches = (
+                f"reaches {-gap:.2g} spacings into it" if gap < 0 else f"ends {gap:.2g} spacings from it"
+            )
+            yield f"The lamp touches the surface: it {touches}, and the grid holds nothing finer than 1."
+    if samples.cliffs > 0:
+        yield (
+            f"Slopes are steeper than the grid holds: {_percent(samples.cliffs)} of neighbouring nodes"
+            f" lie more than {CLIFF:g} spacings apart in depth."
+        )
+    if scene.mask is not None and not scene.mask.all():
+        yield (
+            f"Nodata: {_percent(1 - scene.mask.mean())} of the nodes are masked; they hide nothing, so"
+            " light may come through holes."
+        )
+    if planner.rounding > 0.1 * planner.tolerance:
+        yield (
+            f"Depths are rounded by {planner.rounding:.2g} spacings, more than the tolerance allows: take"
+            " the least depth off."
         )
 
 
-def between_surfaces(scene, uniform, exact, tolerance):
-    """What light between surfaces may add to the irradiance ``exact`` at some nodes, if it passes the
-    tolerance; ``uniform``: that of a sky of brightness 1.
+def between_surfaces(scene: Scene, uniform: np.ndarray, exact: np.ndarray, tolerance: float) -> Iterator[str]:
+    """A bound on interreflection at the nodes whose irradiance is ``exact``, if it passes the tolerance.
+
+    ``uniform``: their irradiance by a sky of brightness 1.
     """
-    rho = np.asarray(scene.albedo, float)
-    rho = float((rho[scene.valid] if rho.ndim > 1 else rho).max())
+    albedo = np.asarray(scene.albedo, float)
+    rho = float((albedo[scene.valid] if albedo.ndim > 1 else albedo).max())
     sky = np.clip(uniform / np.pi, 0, 1)
     bound = rho * (1 - sky) * exact.max() / (1 - rho * (1 - sky.min()))
     share = float(np.sqrt(np.mean(bound**2)) / exact[exact > 0].mean())
@@ -1081,7 +1155,7 @@ def between_surfaces(scene, uniform, exact, tolerance):
         )
 
 
-def _gap(scene, highest, x, y, z, radius):
+def _gap(scene: Scene, highest: float, x: float, y: float, z: float, radius: float) -> float:
     """Least distance [spacings] from a ball to the nodes, where it is less than 1."""
     if -z - radius >= highest + 1:
         return math.inf
@@ -1092,10 +1166,15 @@ def _gap(scene, highest, x, y, z, radius):
         max(0, j - reach) : min(j + reach + 1, rows), max(0, i - reach) : min(i + reach + 1, cols)
     ]
     values, step = scene.lattice()
-    return (
-        math.sqrt(((u - x) ** 2 + (v - y) ** 2 + (values[v, u].astype(float) / step - z) ** 2).min()) - radius
-    )
+    square = (u - x) ** 2 + (v - y) ** 2 + (values[v, u].astype(float) / step - z) ** 2
+    return math.sqrt(square.min()) - radius
 
 
-def _percent(value) -> str:
+def _stopwatch(engine: Backend) -> Callable[[], float]:
+    """Seconds from here on, without those of compiling."""
+    start, compiled = time.perf_counter(), engine.compile_seconds
+    return lambda: time.perf_counter() - start - (engine.compile_seconds - compiled)
+
+
+def _percent(value: float) -> str:
     return f"{100 * value:.2g} %"

@@ -495,6 +495,16 @@ def test_thin_sources(fast, ground, kind):
         np.testing.assert_allclose(samples.of(out.image), exact, rtol=0.01)
 
 
+@pytest.mark.parametrize("brightness", [1.0, sl.cie_overcast()], ids=["number", "function"])
+def test_a_window_outside_a_dark_box_is_planned(fast, brightness):
+    """Nothing of it is seen: the plan says so and the image is 0, also where its brightness is a function."""
+    scene, window = SCENES["dark"], sl.Window((-20, -16), (2, 7), brightness)
+    assert ("window", "nothing to see") in [
+        (choice.what, choice.taken) for choice in sl.plan(scene, window, 0.01, fast).choices
+    ]
+    assert not irradiance(scene, window, fast, tolerance=0.01).image.any()
+
+
 def test_a_window_over_a_map_that_repeats_returns(fast):
     """The largest hemicube, and a warning that says by how much it may be off."""
     scene = sl.Scene(10 + 3 * np.sin(2 * np.pi * np.mgrid[:8, :8][1] / 8), sides="periodic")
@@ -561,13 +571,13 @@ def test_the_error_map_has_the_images_shape_and_unit(fast):
 @pytest.fixture
 def four(monkeypatch):
     """Whatever a sky needs, four azimuths are begun with, and said to be exact."""
-    make = refinement._Sky.make
+    make = refinement._SkyPlanner.make
 
     def poor(self):
-        self.units, self.errors, self.share = 4, Errors(0.0, 0.0, 0.0), 0.9
+        self.units, self.expected, self.share = 4, Errors(0.0, 0.0, 0.0), 0.9
         return make(self)
 
-    monkeypatch.setattr(refinement._Sky, "make", poor)
+    monkeypatch.setattr(refinement._SkyPlanner, "make", poor)
 
 
 @pytest.mark.parametrize("source", [sl.Sky(), GLOW, SUN], ids=["uniform", "glow", "sun"])
