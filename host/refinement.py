@@ -22,12 +22,8 @@ from .backends.base import Backend
 from .checks import positive_number
 from .errors import CapacityError, bad
 from .light import lattice, unoccluded
-<<<<<<< host/refinement.py
 from .light.base import Estimate, LightMethod
-=======
-from .light.base import LightMethod
 from .light.finite import RAYS, Sliced
->>>>>>> /work/main/host/refinement.py
 from .light.horizon import OFFSET, Horizons
 from .light.lattice import Lattice, lacking
 from .light.slices import outline, widened
@@ -839,15 +835,10 @@ class _SlicePlanner(_Planner):
         brightness = self.source.brightness
         self._place()
         if callable(brightness):
-<<<<<<< host/refinement.py
             if isinstance(self.source, sources.Window):
                 self._integrate_sky()
-            self.samples.look_where(self.scene, self._open_light)
+            self.samples.oversample_lit(self.scene, self._open_light)
         self.uniform = self._uniform_light()
-=======
-            samples.oversample_lit(scene, self._open_light)
-        self.uniform = self._seen_of_sky()
->>>>>>> /work/main/host/refinement.py
         if self.sky is not None and self.sky.suns:
             self.bright = self.scale * sum(
                 self.samples.sectors(*sun.sectors(BEHIND_WINDOW), self.outline) for sun in self.sky.suns
