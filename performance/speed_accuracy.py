@@ -44,7 +44,7 @@ def peers_rows(python: str, size: int) -> list[dict]:
     """Points of the peers that the interpreter has, on the classes under a uniform sky."""
     rows, engine = [], select("auto")
     for kind in ("smooth", "rough", "urban"):
-        scene, _, pilots, exact = chart.judged(kind, size, engine)
+        scene, _, pilots, exact = chart.reference(kind, size, engine)
         border = size // 8
         inside = (
             (pilots.x >= border)
