@@ -1,8 +1,7 @@
-"""Sample nodes: some hundred nodes of a map whose light is found by exact rays, to choose by and to audit
-images with.
+"""Samples: some hundred nodes whose light is computed by exact rays, to choose methods and audit images.
 
 Lengths are in spacings, heights grow towards the viewer. A slope is the tangent of an elevation. Rays test
-every crossing with a grid line (kernel ``pilot``); what follows is NumPy, on (rays of a node, nodes).
+every crossing with a grid line (kernel ``pilot``); the rest is NumPy, on (rays of a node, nodes).
 """
 
 from __future__ import annotations
@@ -10,12 +9,12 @@ from __future__ import annotations
 import copy
 import math
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from . import sources
-from .backends.base import Backend, scratch
+from .backends.base import Array, Backend, scratch
 from .scene import Scene
 from .sources.integrals import Integrals, even
 from .sources.solids import Ball, Quad
@@ -24,20 +23,15 @@ from .sources.solids import Ball, Quad
 # their rays take time in proportion
 COUNT = 384
 CLOSER = 256  # more nodes where ground is rare
-MANY, FEW = (
-    4096,
-    0.1,
-)  # nodes among which light is looked for; share of them that has to have it all before more are taken
-RARE, COMMON = (
-    3.0,
-    0.25,
-    # times the median relief of blocks from which on one is rare; share of the map from which on what is rare is
-    # met often enough
-)
+# nodes among which light is searched for; share of them that has all of it before more are taken
+MANY, FEW = 4096, 0.1
+# times the median relief of blocks from which on one is rare; share of the map from which on rare blocks hold
+# enough samples
+RARE, COMMON = 3.0, 0.25
 NONE = np.float32(-1e30)  # height where masked
-FAINT = 0.005  # slope below which ground of a map that repeats is not looked for: 1.3e-5 of E / pi
+FAINT = 0.005  # slope below which ground of a periodic map is not searched for: 1.3e-5 of E / pi
 # spacings that neighbouring nodes may lie apart before two crossings are too few behind them
-# (host/backends/horizon.py)
+# (host/backends/numpy/horizon.py)
 CLIFF = 4.0
 STEEP = 1e6  # tangent as good as the zenith's
 POINTS = 48  # of brightness along a chord; chosen
@@ -47,10 +41,11 @@ SPREAD = 0.7548776662466927, 0.5698402909980532  # steps of a low-discrepancy se
 SPREAD_3 = 0.8191725133961645, 0.6710436067037893, 0.5497004779019703  # and in three
 
 
+Values = Any  # numbers or arrays that broadcast
+
+
 class Errors(NamedTuple):
-    """Relative errors of a sample of nodes: RMS, what the RMS over all nodes hardly passes, and 99.9th
-    percentile.
-    """
+    """Relative errors of a sample of nodes: RMS, a bound of the RMS over all nodes, and 99.9th percentile."""
 
     rms: float
     bound: float
@@ -58,11 +53,11 @@ class Errors(NamedTuple):
 
 
 def errors(found: np.ndarray, exact: np.ndarray, weights: np.ndarray | None = None) -> Errors:
-    """Errors over the mean of ``exact`` where it is lit, nodes by their ``weights``, even unless given.
+    """Errors over the mean of ``exact`` where it is positive, nodes by their ``weights``, even by default.
 
-    ``bound``: RMS and SIGMAS standard errors of it, from the sample's own spread. The percentile is
-    extrapolated from the tenth of largest errors, whose excess is taken as exponential, unless TAIL nodes
-    pass it.
+    ``bound``: RMS and SIGMAS standard errors of it, by the sample's own spread. The percentile is
+    extrapolated from the tenth of largest errors, whose excess is assumed exponential, unless TAIL nodes are
+    beyond it.
     """
     lit = exact > 0
     if not lit.any():
@@ -82,16 +77,19 @@ def errors(found: np.ndarray, exact: np.ndarray, weights: np.ndarray | None = No
 
 
 class Samples:
-    """Nodes spread over the valid part of a map by a low-discrepancy sequence, from its number ``first`` on;
-    the same for the same scene.
+    """Nodes spread over the valid part of a map by a low-discrepancy sequence, from its number ``first`` on.
 
-    Where a few blocks of nodes have far more relief than the others (a trench in a plain), CLOSER nodes more
-    among these: ``weights`` (nodes,) are then the nodes' shares of the map, else None; ``rare`` tells which
-    these are. Blocks are found by a reduction over all nodes, so that no such place is missed.
+    They are the same for the same scene. Where a few blocks of nodes have far more relief than the others (a
+    trench in a plain), CLOSER nodes are added in these: ``weights`` (nodes,) are then the nodes' shares of
+    the map, else None; ``rare``: which nodes lie in such blocks. A reduction over all nodes finds the blocks,
+    so that none is missed.
     """
+
+    weights: np.ndarray | None
 
     def __init__(self, engine: Backend, scene: Scene, count: int = COUNT, first: int = 1):
         self.engine, self.sides, self.first = engine, scene.sides, first
+        self.periodic = scene.sides == "periodic"
         self.rows, self.cols = rows, cols = scene.shape
         self.heights = heights_on(engine, scene)
         self.shift = 5 if min(scene.shape) >= 512 else 4 if min(scene.shape) >= 64 else 3
@@ -128,12 +126,12 @@ class Samples:
         self.cliffs = float(cliffs.sum(dtype=np.float64)) / max(1, pairs)
         self.x, self.y = _spread(scene, count, first)
         self.weights, self.rare = None, np.zeros(len(self.x), bool)
-        if len(self.x) == count:  # else these are all there are
-            self._look_closer(scene, np.where(highest > NONE, highest - np.minimum(lowest, highest), 0))
-        self._place(self.x, self.y)
+        if len(self.x) == count:  # else these are all nodes
+            _add_rare_blocks(self, scene, np.where(highest > NONE, highest - np.minimum(lowest, highest), 0))
+        self._set_nodes(self.x, self.y)
 
-    def _place(self, x, y):
-        """Stand at these nodes."""
+    def _set_nodes(self, x: np.ndarray, y: np.ndarray) -> None:
+        """Move the samples to these nodes."""
         self.x, self.y = x, y
         moved = [
             np.where(
@@ -143,16 +141,17 @@ class Samples:
             )
             for i, j in ((0, 0), (-1, 0), (1, 0), (0, -1), (0, 1))
         ]
-        self.own, left, right, above, below = self.pick(self.heights, np.stack(moved), NONE)
+        self.own, left, right, above, below = _gather(self.engine, self.heights, np.stack(moved), float(NONE))
         self.gx, self.gy = (_slope(low, self.own, high) for low, high in ((left, right), (above, below)))
         self.length = np.sqrt(1 + self.gx**2 + self.gy**2)
 
-    def look_where(self, scene: Scene, light: Callable[[Samples], np.ndarray]) -> None:
-        """Take up to CLOSER nodes more, where ``light`` says that there is any, if most of it falls on few
-        nodes; each sample then stands for as many nodes as it was one of to be drawn (Horvitz and Thompson).
+    def oversample_lit(self, scene: Scene, light: Callable[[Samples], np.ndarray]) -> None:
+        """Add up to CLOSER nodes in proportion to ``light``, if most of it falls on few nodes.
+
+        Samples are then weighted by their probability of being drawn (Horvitz and Thompson).
         """
         many = copy.copy(self)
-        many._place(*_spread(scene, MANY, self.first))
+        many._set_nodes(*_spread(scene, MANY, self.first))
         if self.weights is not None or len(many) < MANY:
             return
         found = np.maximum(light(many), 0)
@@ -163,73 +162,33 @@ class Samples:
         picked = np.concatenate([np.arange(len(self)), picked[(picked >= len(self)) & (picked < MANY)]])
         self.weights = 1 / np.maximum(len(self) / MANY, np.minimum(1, drawn[picked]))
         self.rare = np.zeros(len(picked), bool)
-        self._place(many.x[picked], many.y[picked])
+        self._set_nodes(many.x[picked], many.y[picked])
 
     def __len__(self) -> int:
         return len(self.x)
 
-    @property
-    def periodic(self) -> bool:
-        return self.sides == "periodic"
-
-    def pick(self, values, at: np.ndarray, missing: float = 0.0) -> np.ndarray:
-        """Elements of a device array; ``missing`` where the number is negative."""
-        given, found = (
-            self.engine.upload(at.astype(np.int32).ravel()),
-            self.engine.empty((at.size,), np.float32),
-        )
-        self.engine.launch(
-            "pilot", "pick", (at.size,), values, given, found, at.size, float(missing), lanes=1
-        )
-        return self.engine.download(found).reshape(at.shape)
-
     def of(self, image: np.ndarray) -> np.ndarray:
         """An image (rows, cols) at the samples, float64."""
-        return image[self.y, self.x].astype(float)
+        values: np.ndarray = image[self.y, self.x]
+        return values.astype(float)
 
     def errors(self, found: np.ndarray, exact: np.ndarray) -> Errors:
         return errors(found, exact, self.weights)
 
-    def _look_closer(self, scene, relief):
-        """Adds nodes where blocks are rare, and weights."""
-        size, mask = 1 << self.shift, scene.mask
-        rare = relief > RARE * np.median(relief)
-        rare |= np.roll(rare, 1, 0)  # relief reaches into the row and the column after a block
-        rare |= np.roll(rare, 1, 1)
-        high, wide = (
-            np.minimum(size, length - size * np.arange(n))
-            for length, n in zip((self.rows, self.cols), rare.shape)
-        )
-        row, col = np.nonzero(rare)
-        nodes = np.cumsum(high[row] * wide[col])
-        if not rare.any() or nodes[-1] > COMMON * self.rows * self.cols:
-            return
-        which, *inside = (0.5 + np.outer(SPREAD_3, np.arange(CLOSER))) % 1
-        block = np.searchsorted(nodes, which * nodes[-1], "right")
-        x, y = (
-            (size * n[block] + part * length[n[block]]).astype(int)
-            for n, part, length in zip((col, row), inside, (wide, high))
-        )
-        share = nodes[-1] / (self.rows * self.cols)
-        if mask is not None:
-            x, y = x[mask[y, x]], y[mask[y, x]]
-            share = np.count_nonzero(
-                mask & rare.repeat(size, 0).repeat(size, 1)[: self.rows, : self.cols]
-            ) / np.count_nonzero(mask)
-        self.x, self.y = np.concatenate([self.x, x]), np.concatenate([self.y, y])
-        self.rare = rare[self.y // size, self.x // size]
-        self.weights = np.where(
-            self.rare, share / max(1, self.rare.sum()), (1 - share) / max(1, (~self.rare).sum())
-        )
-
-    # -- rays
-    # ----------------------------------------------------------------------------------------------------------------
-
     def slopes(
-        self, cosine, sine, least, along=0.0, up=0.0, limit=1.0, reach: float = math.inf, node=np.s_[:]
+        self,
+        cosine: Values,
+        sine: Values,
+        least: Values,
+        along: Values = 0.0,
+        up: Values = 0.0,
+        limit: Values = 1.0,
+        reach: float = math.inf,
+        node: Any = np.s_[:],
     ) -> np.ndarray:
-        """Horizon slopes, from ``least`` on, along azimuths that broadcast with the nodes, all or those of
-        ``node``: (n, nodes) float64.
+        """Horizon slopes, at least ``least``: (n, nodes) float64.
+
+        Along azimuths that broadcast with the nodes, all or those of ``node``.
         """
         engine, x, y = self.engine, self.x[node], self.y[node]
         shape = np.broadcast_shapes(np.shape(cosine), np.shape(least), (1, len(x)))
@@ -239,10 +198,8 @@ class Samples:
         count = rays.size // 8
         if not count:
             return np.zeros(shape)
-        given, found = (
-            engine.upload(rays.reshape(-1, 8)),
-            engine.empty((count,), np.float32),
-        )  # both held until the kernel is done
+        # both held until the kernel is done
+        given, found = engine.upload(rays.reshape(-1, 8)), engine.empty((count,), np.float32)
         far = self.relief / FAINT if self.periodic else math.hypot(self.rows, self.cols)
         across = ((self.cols - 1) >> self.shift) + 1
         engine.launch(
@@ -265,44 +222,42 @@ class Samples:
         )
         return engine.download(found).reshape(shape).astype(float)
 
-    def plane(self, cosine, sine):
+    def plane(self, cosine: Values, sine: Values) -> np.ndarray:
         """Slope of the tangent plane."""
-        return -(self.gx * cosine + self.gy * sine)
+        slope: np.ndarray = -(self.gx * cosine + self.gy * sine)
+        return slope
 
-    def wall(self, cosine, sine):
-        """Distance of the wall of a dark box."""
-        with np.errstate(divide="ignore", invalid="ignore"):
-            out = [
-                np.where(a > 1e-9, (n - 0.5 - at) / a, np.where(a < -1e-9, (-0.5 - at) / a, np.inf))
-                for a, n, at in ((cosine, self.cols, self.x), (sine, self.rows, self.y))
-            ]
-        return np.minimum(*out)
-
-    def free(self, cosine, sine) -> np.ndarray:
-        """What hides the sky whatever the ground: the level, the tangent plane, and the wall of a dark box."""
-        least = np.maximum(FAINT if self.periodic else 0.0, self.plane(cosine, sine))
-        return least if self.sides != "dark" else np.maximum(least, -self.own / self.wall(cosine, sine))
-
-    # -- skies
-    # ---------------------------------------------------------------------------------------------------------------
+    def free(self, cosine: Values, sine: Values) -> np.ndarray:
+        """Horizon slope without the ground: of the level, the tangent plane, and the wall of a dark box."""
+        least: np.ndarray = np.maximum(FAINT if self.periodic else 0.0, self.plane(cosine, sine))
+        return least if self.sides != "dark" else np.maximum(least, -self.own / _wall(self, cosine, sine))
 
     def horizons(self, azimuths: np.ndarray, reach: float = math.inf) -> np.ndarray:
-        """(azimuths, nodes)."""
+        """Horizon slopes (azimuths, nodes) float64."""
         cosine, sine = np.cos(azimuths)[:, None], np.sin(azimuths)[:, None]
         return self.slopes(cosine, sine, self.free(cosine, sine), reach=reach)
 
     def ring(self, azimuths: np.ndarray, slopes: np.ndarray, table: np.ndarray | None = None) -> np.ndarray:
-        """Irradiance per radian of azimuth above ``slopes``, of brightness 1 or by ``table`` (azimuths,
-        knots, >= 2): (azimuths, nodes).
+        """Irradiance per radian of azimuth above ``slopes``: (azimuths, nodes).
+
+        Of brightness 1, or by ``table`` (azimuths, knots, >= 2).
         """
         return ring(self.gx, self.gy, azimuths, slopes, table)
 
-    def sectors(self, ways: np.ndarray, table: np.ndarray, window=None, occluded: bool = True) -> np.ndarray:
-        """Irradiance (nodes,) by small bright parts of a sky; arguments as of
-        :meth:`skylamp.backends.slices.Slices.sectors`.
+    def sectors(
+        self,
+        ways: np.ndarray,
+        table: np.ndarray,
+        window: tuple[float, float, float, float] | None = None,
+        occluded: bool = True,
+    ) -> np.ndarray:
+        """Irradiance (nodes,) by small bright parts of a sky.
+
+        Arguments as of :meth:`skylamp.light.slices.Slices.sectors`; ``occluded``: by the ground, too.
         """
         cosine, sine, width, first, scale = (v[:, None].astype(float) for v in ways)
-        low, high = first / np.sqrt(np.maximum(1 - first**2, 1e-12)), STEEP
+        low: np.ndarray = first / np.sqrt(np.maximum(1 - first**2, 1e-12))
+        high: Values = STEEP
         if window is not None:
             x0, x1, y0, y1 = window
             with np.errstate(divide="ignore", invalid="ignore"):
@@ -331,19 +286,20 @@ class Samples:
         along, up = (self.gx * cosine + self.gy * sine) / self.length, 1 / self.length
         row = np.arange(len(table))[:, None]
 
-        def above(slope):
+        def above(slope: np.ndarray) -> Any:
             at = np.clip((slope / np.sqrt(1 + slope**2) - first) * scale, 0, table.shape[1] - 1)
             knot = np.minimum(at.astype(int), table.shape[1] - 2)
             c1, c2 = (table[row, knot, k] + (at - knot) * table[row, knot, k + 2] for k in (0, 1))
             return along * c1 + up * c2
 
-        return (width * (above(slopes) - (above(np.maximum(slopes, high)) if window is not None else 0))).sum(
-            0
-        )
+        light = above(slopes) - (above(np.maximum(slopes, high)) if window is not None else 0)
+        irradiance: np.ndarray = (width * light).sum(0)
+        return irradiance
 
     def exact(self, source: sources.Source, solid: Ball | Quad | None = None) -> np.ndarray:
-        """Irradiance by far more rays than any plan would take, to judge by: 720 azimuths and 120 sectors of
-        every small bright part, or 256 slices through ``solid``.
+        """Irradiance by far more rays than any plan has, as a reference.
+
+        720 azimuths and 120 sectors of every small bright part, or 256 slices through ``solid``.
         """
         if solid is not None:
             return self.through_slices(solid, source.brightness, 256)
@@ -354,52 +310,50 @@ class Samples:
             total += widths @ self.ring(
                 angles, self.horizons(angles), None if sky is None else sky.table(angles, widths, 1025)
             )
-        return (
-            total * float(source.brightness)
-            if sky is None
-            else total + sum(self.sectors(*sun.sectors(120)) for sun in sky.suns)
-        )
-
-    # -- lamps and windows
-    # ---------------------------------------------------------------------------------------------------
+        if sky is not None:
+            return total + sum(self.sectors(*sun.sectors(120)) for sun in sky.suns)
+        assert isinstance(source.brightness, (int, float)), "channels are rendered one by one"
+        return total * float(source.brightness)
 
     def turn(self, solid: Ball | Quad) -> np.ndarray:
-        """Share of the circle of azimuths that a source takes up, as kernels reckon it: (nodes,)."""
+        """Share of the circle of azimuths that a source spans, as the kernels compute it: (nodes,)."""
         if isinstance(solid, Quad):
-            return _outline(self, solid)[-1].sum(0) / (2 * np.pi)
+            share: np.ndarray = _outline(self, solid)[-1].sum(0) / (2 * np.pi)
+            return share
         widest = solid.radius / np.maximum(np.hypot(solid.center[0] - self.x, solid.center[1] - self.y), 1e-9)
         return np.where(widest >= 1, 1.0, widest * (0.318 + 0.182 * np.minimum(1, widest) ** 2))
 
-    def through_slices(self, solid: Ball | Quad, brightness, count: int, occluded: bool = True) -> np.ndarray:
-        """Irradiance through ``count`` azimuth slices of a source, (nodes,) float64; solid in spacings,
-        heights third.
+    def through_slices(
+        self, solid: Ball | Quad, brightness: sources.Brightness, count: int, occluded: bool = True
+    ) -> np.ndarray:
+        """Irradiance through ``count`` azimuth slices of a source, (nodes,) float64.
+
+        ``solid``: in spacings, heights third; ``occluded``: by the ground, too.
         """
-        cosine, sine, share, low, high, along, up, limit = (_ball if isinstance(solid, Ball) else _quad)(
-            self, solid, count
-        )
+        slices = _ball(self, solid, count) if isinstance(solid, Ball) else _quad(self, solid, count)
+        cosine, sine, share, low, high, along, up, limit = slices
         least = np.clip(np.maximum(low, self.plane(cosine, sine)), 0, STEEP)
         if self.sides == "dark":
-            wall = self.wall(cosine, sine)
+            wall = _wall(self, cosine, sine)
             with np.errstate(divide="ignore", invalid="ignore"):
-                beyond = (
-                    wall * (along + np.maximum(low, 0) * up) < limit
-                )  # the source stands behind the wall: only what rises above its top
+                # the source lies behind the wall: visible is the part above its top
+                beyond = wall * (along + np.maximum(low, 0) * up) < limit
             least = np.where(beyond, np.maximum(least, -self.own / wall), least)
         shows = (low < high) & (least < high)
         slope = np.where(shows, least, STEEP)
         if occluded:
             n, node = np.nonzero(shows)
-            pick = lambda v: np.broadcast_to(v, shows.shape)[n, node]
-            slope[n, node] = self.slopes(
-                pick(cosine), pick(sine), least[n, node], pick(along), pick(up), pick(limit), node=node
-            ).ravel()
+            c, s, at_least, a, u, bound = (
+                np.broadcast_to(v, shows.shape)[n, node] for v in (cosine, sine, least, along, up, limit)
+            )
+            slope[n, node] = self.slopes(c, s, at_least, a, u, bound, node=node).ravel()
         low, high = np.arctan(np.maximum(slope, low)), np.arctan(np.minimum(high, STEEP))
         tilt = self.gx * cosine + self.gy * sine
         if not callable(brightness):  # no ray lies below the tangent plane
-            up_to = lambda e: tilt * (e + np.sin(2 * e) / 2) + np.sin(e) ** 2
-            return (share * brightness * np.where(low < high, up_to(high) - up_to(low), 0) / 2).sum(
-                0
-            ) / self.length
+            at_low, at_high = (tilt * (e + np.sin(2 * e) / 2) + np.sin(e) ** 2 for e in (low, high))
+            uniform = (share * brightness * np.where(low < high, at_high - at_low, 0) / 2).sum(0)
+            irradiance: np.ndarray = uniform / self.length
+            return irradiance
         light, span = np.zeros(shows.shape), np.maximum(0, high - low)
         n, node = np.nonzero(span > 0)
         azimuth = np.arctan2(sine, cosine)[n, node]
@@ -412,12 +366,64 @@ class Samples:
                     sources.Sky(brightness), sources.directions_of(azimuth, np.maximum(np.sin(e), 0))
                 )
             )
-        return (share * light * span / POINTS).sum(0) / self.length
+        irradiance = (share * light * span / POINTS).sum(0) / self.length
+        return irradiance
 
 
-def heights_on(engine: Backend, scene: Scene):
-    """Heights (rows, cols) float32 [spacing] above the viewer's plane on a device, NONE where masked; a map
-    that lies there stays there.
+def _gather(engine: Backend, values: Array, at: np.ndarray, missing: float) -> np.ndarray:
+    """Elements of a device array; ``missing`` where the number is negative."""
+    given, found = engine.upload(at.astype(np.int32).ravel()), engine.empty((at.size,), np.float32)
+    engine.launch("pilot", "pick", (at.size,), values, given, found, at.size, missing, lanes=1)
+    return engine.download(found).reshape(at.shape)
+
+
+def _wall(samples: Samples, cosine: Values, sine: Values) -> np.ndarray:
+    """Distance of the wall of a dark box."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        x, y = (
+            np.where(a > 1e-9, (n - 0.5 - at) / a, np.where(a < -1e-9, (-0.5 - at) / a, np.inf))
+            for a, n, at in ((cosine, samples.cols, samples.x), (sine, samples.rows, samples.y))
+        )
+    distance: np.ndarray = np.minimum(x, y)
+    return distance
+
+
+def _add_rare_blocks(samples: Samples, scene: Scene, relief: np.ndarray) -> None:
+    """Add nodes where blocks of much ``relief`` are rare, and weights."""
+    rows, cols = scene.shape
+    size, mask = 1 << samples.shift, scene.mask
+    rare = relief > RARE * np.median(relief)
+    rare |= np.roll(rare, 1, 0)  # relief reaches into the row and the column after a block
+    rare |= np.roll(rare, 1, 1)
+    high, wide = (
+        np.minimum(size, length - size * np.arange(n)) for length, n in zip((rows, cols), rare.shape)
+    )
+    row, col = np.nonzero(rare)
+    nodes = np.cumsum(high[row] * wide[col])
+    if not rare.any() or nodes[-1] > COMMON * rows * cols:
+        return
+    which, *inside = (0.5 + np.outer(SPREAD_3, np.arange(CLOSER))) % 1
+    block = np.searchsorted(nodes, which * nodes[-1], "right")
+    x, y = (
+        (size * n[block] + part * length[n[block]]).astype(int)
+        for n, part, length in zip((col, row), inside, (wide, high))
+    )
+    share = nodes[-1] / (rows * cols)
+    if mask is not None:
+        x, y = x[mask[y, x]], y[mask[y, x]]
+        valid = mask & rare.repeat(size, 0).repeat(size, 1)[:rows, :cols]
+        share = np.count_nonzero(valid) / np.count_nonzero(mask)
+    samples.x, samples.y = np.concatenate([samples.x, x]), np.concatenate([samples.y, y])
+    samples.rare = rare[samples.y // size, samples.x // size]
+    samples.weights = np.where(
+        samples.rare, share / max(1, samples.rare.sum()), (1 - share) / max(1, (~samples.rare).sum())
+    )
+
+
+def heights_on(engine: Backend, scene: Scene) -> Array:
+    """Heights (rows, cols) float32 [spacing] above the viewer's plane on a device, NONE where masked.
+
+    A map that is resident there is not copied to the host.
     """
     if scene.resident is not None and scene.resident.backend is engine:
         count = math.prod(scene.shape)
@@ -431,37 +437,49 @@ def heights_on(engine: Backend, scene: Scene):
     return engine.upload(heights if scene.mask is None else np.maximum(heights, NONE, out=heights))
 
 
-def ring(gx, gy, azimuths, slopes, table=None):
-    """Irradiance per radian of azimuth of elements of slope (gx, gy) (nodes,) above ``slopes`` (azimuths,
-    nodes).
+def ring(
+    gx: np.ndarray,
+    gy: np.ndarray,
+    azimuths: np.ndarray,
+    slopes: np.ndarray,
+    table: np.ndarray | None = None,
+) -> np.ndarray:
+    """Irradiance per radian of azimuth of elements of slope (gx, gy) (nodes,) above ``slopes``.
+
+    ``slopes`` and the result: (azimuths, nodes); ``table``: see :meth:`Samples.ring`.
     """
     length = np.sqrt(1 + gx**2 + gy**2)
-    along = (gx * np.cos(azimuths)[:, None] + gy * np.sin(azimuths)[:, None]) / length
+    along: np.ndarray = (gx * np.cos(azimuths)[:, None] + gy * np.sin(azimuths)[:, None]) / length
+    light: np.ndarray
     up, secant = 1 / length, 1 / (1 + slopes**2)
     if table is None:
-        return along * (np.pi / 2 - np.arctan(slopes) - slopes * secant) / 2 + up * secant / 2
+        light = along * (np.pi / 2 - np.arctan(slopes) - slopes * secant) / 2 + up * secant / 2
+        return light
     at = np.clip(slopes * np.sqrt(secant), 0, 1) * (table.shape[1] - 1)
     low = np.minimum(at.astype(int), table.shape[1] - 2)
     part, row = at - low, np.arange(len(table))[:, None]
-    value = lambda k: (1 - part) * table[row, low, k] + part * table[row, low + 1, k]
-    return along * value(0) + up * value(1)
+    values = [(1 - part) * table[row, low, k] + part * table[row, low + 1, k] for k in (0, 1)]
+    light = along * values[0] + up * values[1]
+    return light
 
 
-def _slope(low, here, high):
+def _slope(low: np.ndarray, here: np.ndarray, high: np.ndarray) -> np.ndarray:
     """d depth between neighbours: central differences, one-sided at the border and beside masked nodes."""
     has_low, has_high = low > NONE, high > NONE
-    return (
-        (np.where(has_low, low, here) - np.where(has_high, high, here))
-        / np.maximum(1, has_low.astype(int) + has_high)
-    ).astype(np.float64)
+    slope: np.ndarray = (np.where(has_low, low, here) - np.where(has_high, high, here)) / np.maximum(
+        1, has_low.astype(int) + has_high
+    )
+    return slope.astype(np.float64)
 
 
-def _spread(scene, count, first):
+def _spread(scene: Scene, count: int, first: int) -> tuple[np.ndarray, np.ndarray]:
     """(columns, rows) of nodes; all valid ones if they are few."""
     rows, cols = scene.shape
-    at = lambda n: tuple(
-        np.floor((0.5 + step * n) % 1 * size).astype(int) for step, size in zip(SPREAD, (cols, rows))
-    )
+
+    def at(n: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        x, y = (np.floor((0.5 + step * n) % 1 * size).astype(int) for step, size in zip(SPREAD, (cols, rows)))
+        return x, y
+
     if scene.mask is None and rows * cols > 2 * count:
         return at(np.arange(first, first + count))
     if scene.mask is not None:
@@ -478,7 +496,7 @@ def _spread(scene, count, first):
     return valid % cols, valid // cols
 
 
-def _ball(samples, ball, count):
+def _ball(samples: Samples, ball: Ball, count: int) -> tuple[np.ndarray, ...]:
     """Slices through a ball, as the kernel ``ball`` places them: (count, nodes) each."""
     x0, y0, z0 = ball.center
     dx, dy, dz = x0 - samples.x, y0 - samples.y, z0 - samples.own.astype(float)
@@ -513,9 +531,10 @@ def _ball(samples, ball, count):
     return ux * cos_d - uy * sin_d, uy * cos_d + ux * sin_d, share, low, high, flat * cos_d, dz, beyond
 
 
-def _quad(samples, quad, count):
-    """Slices through a quadrangle: Gauss-Legendre in each sector between the azimuths of neighbouring
-    corners.
+def _quad(samples: Samples, quad: Quad, count: int) -> tuple[np.ndarray, ...]:
+    """Slices through a quadrangle: (count, nodes) each.
+
+    Gauss-Legendre nodes in each sector between the azimuths of neighbouring corners.
     """
     to, within, base, edges, widths = _outline(samples, quad)
     corners = np.asarray(quad.corners, float)
@@ -529,7 +548,8 @@ def _quad(samples, quad, count):
     phi = (base + edges[:, None] + half * (1 + point[:, None])).reshape(4 * per, -1)
     share = (half * weight[:, None]).reshape(4 * per, -1)
     cosine, sine = np.cos(phi), np.sin(phi)
-    found, hits = [], 0
+    found: list[np.ndarray] = []
+    hits: Values = 0
     for i in range(4):
         a, b = to[i], to[(i + 1) % 4]
         side_a, side_b = cosine * a[1] - sine * a[0], cosine * b[1] - sine * b[0]
@@ -541,7 +561,7 @@ def _quad(samples, quad, count):
         found.append(np.where(crosses, slope, np.nan))
         hits = hits + crosses
     low, high = np.fmin.reduce(found), np.fmax.reduce(found)
-    above = sense * normal[2] > 0  # the node looks at it from below
+    above = sense * normal[2] > 0  # the node lies below it
     low, high = np.where(within & ~above, -STEEP, low), np.where(within & above, STEEP, high)
     low, high = (np.where((hits > 0) & (apart != 0), np.clip(v, -STEEP, STEEP), -STEEP) for v in (low, high))
     return (
@@ -556,9 +576,12 @@ def _quad(samples, quad, count):
     )
 
 
-def _outline(samples, quad):
-    """Corners (4, 3, nodes) from every node, whether the zenith lies within, and the sectors between their
-    azimuths: base (nodes,), where they begin (4, nodes) and how wide they are.
+def _outline(samples: Samples, quad: Quad) -> tuple[np.ndarray, ...]:
+    """(corners, within, base, edges, widths) of a quadrangle from every node.
+
+    Corners (4, 3, nodes); whether the zenith lies within (nodes,); of the sectors between the corners'
+    azimuths, the reference azimuth (nodes,), and from it where they begin (4, nodes), and their widths (4,
+    nodes).
     """
     to = np.asarray(quad.corners, float)[:, :, None] - np.stack([samples.x, samples.y, samples.own]).astype(
         float

@@ -6,7 +6,8 @@ import math
 
 import numpy as np
 
-from ..backends.base import Backend
+from ..backends.base import Array, Backend
+from ..directions import Azimuths
 from ..scene import Scene
 from ..sources.integrals import KNOTS, Integrals, even
 from ..sources.solids import Dome
@@ -15,23 +16,22 @@ from .base import Estimate, LightMethod
 from .slices import Slices
 from .sweeps import Rays, Sweeps, ground_of
 
-OFFSET = (
-    1 / 3
-    # of a sector: doubling turns it into 2/3 and back, so that no set of azimuths looks along a grid line; at
-    # 1/2 errors double there
-)
+# of a sector: doubling turns it into 2/3 and back, so that no azimuth runs along a grid line; at 1/2 errors
+# double there
+OFFSET = 1 / 3
 FINE_KNOTS = 1025  # of a table that holds small bright parts too: a knot is 0.06 degrees at the horizon
 
 
 class Horizons(LightMethod):
-    """``sky``: a brightness, or what Integrals found. ``count``: azimuths, even in number, 0 for tangent
-    planes alone; ``sectors`` of every small bright part; ``near`` rows within which every crossing is tested.
-    ``rays``: the small parts are seen above exact horizons, which behind cliffs a sweep's are not; of a map
-    that ends, searched whole.
+    """``sky``: a brightness, or Integrals. ``count``: azimuths, even in number, 0 for tangent planes alone.
 
-    Each of the two images has half of the azimuths, every other one, and all light: what the tangent planes
-    alone would let through is exact (a control variate: added exactly, and taken off as these azimuths have
-    it).
+    ``sectors`` of every small bright part; ``near`` rows within which every crossing is tested. ``rays``: the
+    small parts are above exact horizons, which behind cliffs a sweep's are not; of a map that does not
+    repeat.
+
+    Each of the two images has half of the azimuths, every other one, and all light. The light above the
+    tangent planes alone is a control variate: its exact value is added, and its estimate by these azimuths
+    subtracted.
     """
 
     def __init__(
@@ -52,58 +52,49 @@ class Horizons(LightMethod):
         self.sweeps = Sweeps(engine, ground_of(scene, max_distance, engine), near=near)
         self.total, self.turned = (engine.empty(size, np.int32) for _ in range(2))
         self.slices = Slices(engine, *scene.lattice(), scene.sides, Dome()) if rays and self.suns else None
-        self.exact = (
-            None
-            if isinstance(sky, float)
-            else self._by_normals(unoccluded.AZIMUTHS, 0.5, 2 * math.pi / unoccluded.AZIMUTHS)
-        )
-        self.difference = None
+        self.exact = None
+        if isinstance(sky, Integrals):
+            azimuths = unoccluded.AZIMUTHS
+            self.exact = _by_normals(sky, even(azimuths, 0.5), 2 * math.pi / azimuths)
+        self.difference: Array = None
         if not count:
             self.mean = engine.empty(shape, np.float32, 0)
             self.sweeps.aim(Rays(np.zeros(0), np.zeros(0)))
-            self.sweeps.light(self.total, self.turned)  # for the tilts
-            self.sweeps.add_light(
-                self.exact if self.exact is not None else unoccluded.by_normals(None), self.mean
-            )
+            self.sweeps.light(self.total, self.turned)  # computes the tilts
+            table = unoccluded.by_normals(None) if self.exact is None else self.exact
+            self.sweeps.add_light(table, self.mean)
             return
         self.offset = OFFSET / 2
         self.mean = self._image(count // 2, 2 * math.pi / count, False)
         self._halve(self._image(count // 2, 2 * math.pi / count, True))
 
     def refine(self) -> None:
-        """The azimuths between those that were swept."""
+        """Add the azimuths between the present ones."""
         count, self.sectors = self.units, 2 * self.sectors
         self.units *= 2
         self._halve(self._image(count, math.pi / count, True))
 
-    def _halve(self, image):
-        """Join a set of azimuths with the one between, which ``image`` is of."""
+    def _halve(self, image: Array) -> None:
+        """Average with ``image``, of the azimuths between the present ones."""
         self.offset = 2 * self.offset % 1
         self.engine.launch(
             "ground", "halves", (math.prod(self.scene.shape),), self.mean, image, math.prod(self.scene.shape)
         )
         self.difference = image
 
-    def _by_normals(self, count, offset, window):
-        """Light (side, side) by normal that ``count`` azimuths make of tangent planes, brightness being that
-        within ``window`` round each.
-        """
-        azimuths = even(count, offset)
-        return unoccluded.by_normals(
-            self.sky.table(azimuths.angles, np.full(count, window)), azimuths.angles, azimuths.widths
-        )
+    def _image(self, count: int, window: float, between: bool) -> Array:
+        """The light of ``count`` azimuths, brightness averaged over ``window`` round each, and of sectors.
 
-    def _image(self, count, window, between):
-        """The light of ``count`` azimuths and of as many sectors of the small parts as they are worth."""
+        ``between``: of those half a step on.
+        """
         offset = self.offset + between / 2
         azimuths = even(count, offset)
         rays, table = Rays(azimuths.angles, azimuths.widths), None
         suns = [sun.sectors(self.sectors, between) for sun in self.suns]
-        if not isinstance(self.sky, float):
-            table = self.sky.table(
-                rays.angles, np.full(count, window), FINE_KNOTS if suns and not self.slices else KNOTS
-            )
-            if suns and not self.slices:
+        swept = suns and self.slices is None
+        if isinstance(self.sky, Integrals):
+            table = self.sky.table(rays.angles, np.full(count, window), FINE_KNOTS if swept else KNOTS)
+            if swept:
                 angles, parts = zip(*(_as_azimuths(*sun) for sun in suns))
                 rays = Rays(
                     np.concatenate([rays.angles, *angles]),
@@ -113,11 +104,12 @@ class Horizons(LightMethod):
         image = self.engine.empty(self.scene.shape, np.float32)
         self.sweeps.aim(rays, table)
         self.sweeps.light(self.total, self.turned, image)
-        if self.exact is not None:
-            self.sweeps.add_light(self.exact - self._by_normals(count, offset, window), image)
-        if self.slices:
+        if isinstance(self.sky, Integrals):
+            self.sweeps.add_light(self.exact - _by_normals(self.sky, azimuths, window), image)
+        if self.slices is not None:
+            ways, tables = zip(*suns)
             self.slices.image = image
-            self.slices.sectors(*(np.concatenate(parts, axis) for parts, axis in zip(zip(*suns), (1, 0))))
+            self.slices.sectors(np.concatenate(ways, 1), np.concatenate(tables, 0))
         return image
 
     def irradiance(self) -> np.ndarray:
@@ -126,8 +118,8 @@ class Horizons(LightMethod):
     def half(self) -> np.ndarray | None:
         return None if self.difference is None else self._download(self.difference)
 
-    def _download(self, image):
-        found = self.engine.download(image).reshape(self.scene.shape)
+    def _download(self, image: Array) -> np.ndarray:
+        found: np.ndarray = self.engine.download(image).reshape(self.scene.shape)
         return found if self.scale == 1.0 else found * np.float32(self.scale)
 
     def estimate(self, limit: float) -> Estimate | None:
@@ -140,8 +132,17 @@ class Horizons(LightMethod):
         return Estimate(math.sqrt(square / valid) / mean, beyond / valid)
 
 
-def _as_azimuths(ways, table):
-    """(angles, table (K, FINE_KNOTS, 4)) as sweeps take it, of sectors of a small part."""
+def _by_normals(sky: Integrals, azimuths: Azimuths, window: float) -> np.ndarray:
+    """Light (side, side) by normal, over ``azimuths``, that the tangent planes leave.
+
+    Brightness is averaged over ``window`` round each azimuth.
+    """
+    table = sky.table(azimuths.angles, np.full(len(azimuths), window))
+    return unoccluded.by_normals(table, azimuths.angles, azimuths.widths)
+
+
+def _as_azimuths(ways: np.ndarray, table: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(angles, table (K, FINE_KNOTS, 4)) for sweeps, of sectors of a small part."""
     cosine, sine, _, first, scale = ways.astype(float)
     knots = np.linspace(0, 1, FINE_KNOTS)
     found = np.zeros((len(table), FINE_KNOTS, 4), np.float32)

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import functools
 import math
+from typing import Any
 
 import numpy as np
 
@@ -72,7 +73,7 @@ def blurred(source: Source, spread: float) -> tuple[float | np.ndarray, np.ndarr
     nothing falls between the lobe's samples. Brightness beyond SUNNY times the mean is not in it; it is given
     as up to SUNS unit vectors with brightness x solid angle each.
     """
-    suns = np.zeros((0, 3)), np.zeros(0)
+    suns: tuple[np.ndarray, np.ndarray] = np.zeros((0, 3)), np.zeros(0)
     fine = brightness_of(source, FINEST)
     if not isinstance(fine, np.ndarray):
         return fine, *suns
@@ -90,7 +91,8 @@ def blurred(source: Source, spread: float) -> tuple[float | np.ndarray, np.ndarr
             count, block = which.max() + 1, block + 1
         total = np.bincount(which, flux)
         middle = np.stack([np.bincount(which, flux * part) for part in L.T], -1)
-        suns = middle / np.linalg.norm(middle, axis=1, keepdims=True), total
+        units: np.ndarray = middle / np.linalg.norm(middle, axis=1, keepdims=True)
+        suns = units, total
         fine = np.minimum(fine, limit)
     side = min(max(math.ceil(8 / spread), 16), FINEST // 2)
     share = np.arange(FINEST) * ((side - 1) / (FINEST - 1))
@@ -142,15 +144,14 @@ class Slices:
         lobe: Lobe | None = None,
         shift: float = 0.5,
     ):
-        """depth (rows, cols) float32, +inf where masked, in a unit in which the spacing is ``step``;
-        ``sides``: open or dark.
+        """``depth`` (rows, cols) float32, +inf where masked; the spacing in its unit is ``step``.
 
-        ``brightness``: a number; else what :func:`brightness_of` gives for a lobe, and
-        :func:`skylamp.brightness.chords` for none. ``most``: slices of a source that stands all round, a
-        multiple of 8; one that looks small has a quarter of them, half if it is a quadrangle, but at least 8,
-        and others what is between. ``lobe``: light is weighted by it; then there are as many slices as it
-        needs. A Dome has a lobe. ``shift``: where in its step every slice of a ball stands, 0..1; the slices
-        of 0 stand between those of 0.5.
+        ``sides``: open or dark. ``brightness``: a number; else the result of :func:`brightness_of` with a
+        lobe, and of :func:`skylamp.sources.integrals.chords` without one. ``most``: slices of a source that
+        surrounds a node, a multiple of 8; one that looks small has a quarter of them, half if it is a
+        quadrangle, but at least 8, and others a number between. ``lobe``: light is weighted by it, and its
+        width gives the number of slices. A Dome has a lobe. ``shift``: where in its step every slice of a
+        ball lies, 0..1; the slices of 0 lie between those of 0.5.
         """
         if depth.size > MOST_PIXELS:
             raise CapacityError(
@@ -168,93 +169,86 @@ class Slices:
             f"A map of {depth.size:,} nodes",
             "Cut it into tiles.",
         )
-
         heights = np.full((rows + 2) * (cols + 1) + 1, NONE, np.float32)
         ground = heights[:-1].reshape(rows + 2, cols + 1)[1:-1, 1:]
         np.divide(depth, -step, out=ground, where=np.isfinite(depth), casting="same_kind")
         known = ground[ground > NONE]
-        low, high = (float(known.min()), float(known.max())) if known.size else (0.0, 0.0)
-        self.heights, self.highest = backend.upload(heights), high
+        lowest, self.highest = (float(known.min()), float(known.max())) if known.size else (0.0, 0.0)
+        self.heights = backend.upload(heights)
         self.tops = backend.empty((cells, self.width), np.float32)
         self.image, self.coarsened = backend.empty((rows, cols), np.float32), False
-        if isinstance(solid, Ball):
-            self.alternating = backend.empty(
-                (rows, cols), np.float32
-            )  # light of the even slices less that of the odd ones
-
+        if isinstance(solid, Ball):  # light of the even slices minus that of the odd ones
+            self.alternating = backend.empty((rows, cols), np.float32)
         self.lobe, self.dark, self.walls, self.coarse = lobe, sides == "dark", sides == "dark", 0.0
         if isinstance(solid, Dome):
-            apparent, self.least, self.most = 1.0, LOBE_LEAST, LOBE_ROUND
+            self.least, self.most = LOBE_LEAST, LOBE_ROUND
         else:
-            center, radius, extent = self._place(step)
-            away = np.maximum(
-                0,
-                np.maximum(
-                    [0 - center[0], 0 - center[1], low - center[2]],
-                    [center[0] - (cols - 1), center[1] - (rows - 1), center[2] - high],
-                ),
-            )
-            apparent = radius / max(float(np.linalg.norm(away)), radius)
-            beyond = (extent[0] < -0.5 - 1e-6).any() or (
-                extent[1] > np.array([cols, rows]) - 0.5 + 1e-6
-            ).any()
-            self.walls = self.walls and beyond
-            if lobe:
-                most = min(
-                    max(math.ceil(2 * math.pi / (LOBE_APART * lobe.spread * SLICES)) * SLICES, most),
-                    LOBE_MOST,
-                )
-            self.most = most * (WALLED if self.walls else 1)
-            self.least = (
-                LOBE_LEAST
-                if lobe
-                else max(self.most // (4 if isinstance(solid, Ball) else 2) // SLICES, 1) * SLICES
-            )
-            if lobe:
-                turn = apparent * (0.318 + 0.182 * apparent**2)
-                self.coarse = (
-                    2 * math.pi * turn / (self.least + turn * (self.most - self.least)) / lobe.spread
-                )
-        varies = np.ndim(brightness) > 0
-        self.unit = 1.0 if varies else float(brightness)
-        nothing = [[1.0, 1.0]] * 2  # a lobe weights a brightness, if only 1
-        self.sky = backend.upload(np.asarray(brightness if varies and lobe else nothing, np.float32))
-        self.side = len(brightness) if varies and lobe else 2
-        self.n_points = (LOBE_VARIES if varies else LOBE_POINTS) if lobe else 0
-        self.points = backend.upload(_on_unit(max(self.n_points, 1)))
-        self.turns, self.knots, _ = brightness.shape if varies and not lobe else (0, 0, 2)
-        self.chords = backend.upload(
-            np.asarray(brightness if varies and not lobe else np.zeros((1, 1, 2)), np.float32)
-        )
-        self.nodes = backend.upload(
-            _quad_nodes(self.most) if isinstance(solid, Quad) else ball_nodes(self.most, shift)
-        )
-        self.table = backend.upload(lobe.table if lobe else np.zeros(2, np.float32))
+            self._count_slices(solid, lowest, most)
+        self._upload_tables(brightness, shift)
 
-    def _place(self, step):
-        """Centre and radius round the source, and its extent over the map ((x, y) lowest, highest), in
-        spacings; heights third.
+    def _count_slices(self, solid: Ball | Quad, lowest: float, most: int) -> None:
+        """Set the least and largest number of slices per node."""
+        rows, cols = self.shape
+        center, radius, extent = self._place(solid)
+        away = np.maximum(
+            0,
+            np.maximum(
+                [0 - center[0], 0 - center[1], lowest - center[2]],
+                [center[0] - (cols - 1), center[1] - (rows - 1), center[2] - self.highest],
+            ),
+        )
+        apparent = radius / max(float(np.linalg.norm(away)), radius)
+        below, above = extent[0] < -0.5 - 1e-6, extent[1] > np.array([cols, rows]) - 0.5 + 1e-6
+        self.walls = self.walls and bool(below.any() or above.any())
+        walled = WALLED if self.walls else 1
+        if self.lobe is None:
+            self.most = most * walled
+            self.least = max(self.most // (4 if isinstance(solid, Ball) else 2) // SLICES, 1) * SLICES
+            return
+        resolved = math.ceil(2 * math.pi / (LOBE_APART * self.lobe.spread * SLICES)) * SLICES
+        self.most, self.least = min(max(resolved, most), LOBE_MOST) * walled, LOBE_LEAST
+        turn = apparent * (0.318 + 0.182 * apparent**2)
+        self.coarse = 2 * math.pi * turn / (self.least + turn * (self.most - self.least)) / self.lobe.spread
+
+    def _upload_tables(self, brightness: float | np.ndarray, shift: float) -> None:
+        backend, lobe = self.backend, self.lobe
+        varies = isinstance(brightness, np.ndarray)
+        self.unit = 1.0 if isinstance(brightness, np.ndarray) else float(brightness)
+        sky: Any = [[1.0, 1.0]] * 2  # a lobe weights a brightness, if only 1
+        chords = np.zeros((1, 1, 2))
+        self.side, self.turns, self.knots = 2, 0, 0
+        if isinstance(brightness, np.ndarray) and lobe is not None:
+            sky, self.side = brightness, len(brightness)
+        elif isinstance(brightness, np.ndarray):
+            chords, (self.turns, self.knots, _) = brightness, brightness.shape
+        self.sky = backend.upload(np.asarray(sky, np.float32))
+        self.n_points = (LOBE_VARIES if varies else LOBE_POINTS) if lobe is not None else 0
+        self.points = backend.upload(_on_unit(max(self.n_points, 1)))
+        self.chords = backend.upload(np.asarray(chords, np.float32))
+        self.nodes = backend.upload(
+            _quad_nodes(self.most) if isinstance(self.solid, Quad) else ball_nodes(self.most, shift)
+        )
+        self.table = backend.upload(np.zeros(2, np.float32) if lobe is None else lobe.table)
+
+    def _place(self, solid: Ball | Quad) -> tuple[np.ndarray, float, tuple[np.ndarray, np.ndarray]]:
+        """(centre, radius of a sphere round the source, extent over the map as lowest and highest (x, y)).
+
+        In spacings; heights third.
         """
-        if isinstance(self.solid, Ball):
-            self.center, self.radius = (
-                np.array(self.solid.center) / step * (1, 1, -1),
-                self.solid.radius / step,
-            )
+        if isinstance(solid, Ball):
+            self.center: np.ndarray = np.array(solid.center) / self.step * (1, 1, -1)
+            self.radius = solid.radius / self.step
             return self.center, self.radius, (self.center[:2] - self.radius, self.center[:2] + self.radius)
-        corners = np.asarray(self.solid.corners, float) / step * (1, 1, -1)
+        corners: np.ndarray = np.asarray(solid.corners, float) / self.step * (1, 1, -1)
         middle = corners.mean(0)
         normal = np.cross(corners[2] - corners[0], corners[3] - corners[1])
-        normal *= (1 if normal[2] >= 0 else -1) / np.linalg.norm(
-            normal
-        )  # upwards, which decides for nodes in its own plane
+        # upwards, which decides for nodes in its own plane
+        normal *= (1 if normal[2] >= 0 else -1) / np.linalg.norm(normal)
         self.corners = self.backend.upload(
             np.concatenate([corners - middle, [middle, normal]]).astype(np.float32)
         )
-        return (
-            middle,
-            np.linalg.norm(corners - middle, axis=1).max(),
-            (corners[:, :2].min(0), corners[:, :2].max(0)),
-        )
+        radius = np.linalg.norm(corners - middle, axis=1).max()
+        return middle, radius, (corners[:, :2].min(0), corners[:, :2].max(0))
 
     def coarsen(self) -> None:
         """The highest ground of all cells, computed once."""
@@ -279,7 +273,7 @@ class Slices:
         rows, cols = self.shape
         launch = self.backend.launch
         self.coarsen()
-        n_lobe, rim = (len(self.lobe.table), self.lobe.rim) if self.lobe else (0, 1.0)
+        n_lobe, rim = (len(self.lobe.table), self.lobe.rim) if self.lobe is not None else (0, 1.0)
         lit = self.sky, self.points, self.table
         size = rows, cols, self.width, self.levels, self.least, self.most, self.side, self.n_points, n_lobe
         table = self.turns, self.knots, int(self.walls), rim

@@ -1,16 +1,15 @@
-"""Sweeps for horizons, and for the light of a sky above them: the tables that kernels are handed, and their
-sequence.
-"""
+"""Launch sequence of sweeps, for horizons and for the light of a sky above them, and the kernels' tables."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
 
 from ..backends import select
-from ..backends.base import Backend, scratch
+from ..backends.base import Array, Backend, scratch
 from ..backends.resident import Resident
 from ..checks import positive_number
 from ..constants import MOST_PIXELS, SIDES
@@ -23,17 +22,16 @@ FINE, MANY = 12, 128
 LADDER = 16  # slopes of the ladder, as in opencl/horizon.cl
 OUTSIDE, MASKED = np.float32(-1e30), np.float32(-2e30)  # heights where there is no ground
 NEVER = 1 << 30  # a window that no line fills
-SLOPES, UNIFORM, TABLE = range(3)  # what a sweep does with the horizon
+SLOPES, UNIFORM, TABLE = range(3)  # result of a sweep: slopes, light of a uniform sky, light by a table
 BLOCK = 64  # rows of a column that are summed in float32 before they are in float64
-PROBED = 1024  # nodes from which the steepest rise and fall are looked for
-FAINTEST = 0.01  # slope below which ground of a map that repeats is not looked for: at most 5e-5 of E / pi
+PROBED = 1024  # nodes from which the steepest rise and fall are searched for
+FAINTEST = 0.01  # slope below which ground of a periodic map is not searched for: at most 5e-5 of E / pi
 
 
 class Ground(NamedTuple):
-    """A map as sweeps see it: heights (rows, cols) float32 in spacings above z = 0, -inf where masked; reach
-    in spacings.
+    """A map for sweeps: heights (rows, cols) float32 in spacings above z = 0, -inf where masked.
 
-    Or a depth map that lies on the device, and ``step``, the spacing in its unit.
+    Or a depth map on the device, and ``step``, the spacing in its unit. ``reach``: in spacings.
     """
 
     heights: np.ndarray | Resident
@@ -50,8 +48,9 @@ class Rays(NamedTuple):
 
 
 class Half(NamedTuple):
-    """One of the two maps, as it lies or turned, with the azimuths that go from row to row in it; sorted by
-    window.
+    """One of the two maps, as it lies or turned, with the azimuths that go from row to row in it.
+
+    Azimuths are in order of their windows.
     """
 
     turned: bool
@@ -61,14 +60,20 @@ class Half(NamedTuple):
     windows: np.ndarray
     warm: int
     shears: np.ndarray
-    tables: list  # on the device: azimuths, ways, near_at, near_weight
-    heights: object
-    tilts: object
-    table: object
+    tables: list[Array]  # on the device: azimuths, ways, near_at, near_weight
+    heights: Array
+    tilts: Array
+    table: Array
 
 
 class Sweeps:
-    """A map on a device, ready to be swept; ``light`` and ``slopes`` may be repeated (and timed)."""
+    """A map on a device, to be swept; ``light`` and ``slopes`` may be repeated."""
+
+    rays: Rays
+    what: int
+    knots: int
+    unit: float
+    halves: list[Half]
 
     def __init__(
         self,
@@ -79,12 +84,13 @@ class Sweeps:
         near: int | None = None,
         level: bool = False,
     ):
-        """``table`` (K, knots, 4) float32: brightness, see opencl/horizon.cl; uniform, of brightness 1,
-        unless given. ``level``: light falls on a level element at every node, not on the surface. Without
-        ``rays`` it waits for ``aim``, and what all aims share is made once and kept.
+        """``table`` (K, knots, 4) float32: brightness, see opencl/horizon.cl; uniform, of brightness 1, by
+        default. ``level``: light falls on a level element at every node, not on the surface. Without
+        ``rays``, ``aim`` sets them, and the arrays that all sets of azimuths share are computed once.
         """
-        self.level, self.kept, self.made = level, rays is None, set()
-        self.backend, self.ground = backend, ground._replace(heights=None)  # the device has the heights
+        self.level, self.kept = level, rays is None
+        self.map_turned, self.tilted = False, [False, False]  # which of these arrays have been computed
+        self.backend, self.sides, self.reach = backend, ground.sides, ground.reach
         rows, cols = self.shape = ground.heights.shape
         if rows * cols > MOST_PIXELS:
             raise CapacityError(
@@ -103,7 +109,7 @@ class Sweeps:
         if isinstance(ground.heights, Resident):
             here, step = ground.heights, np.float32(ground.step)
             self.lowest, highest = (float(-(np.float32(depth) / step)) for depth in (here.most, here.least))
-            self.heights = here.padded(self.margin, ground.step, ground.sides, OUTSIDE)
+            self.heights = here.padded(self.margin, ground.step, ground.sides, float(OUTSIDE))
             self.steepest = _steepest(here.probe(self.heights, self.margin, every, first))
         else:
             self.lowest, highest = float(ground.heights.min()), float(ground.heights.max())
@@ -114,34 +120,26 @@ class Sweeps:
         self.relief = highest - self.lowest
         self.turned = backend.empty((self.room,), np.float32)
         level_ground = 0 if level else None  # else the kernel `tilt` writes them
-        self.tilts = [
-            backend.empty((2, self.room), np.float32, level_ground)
-        ]  # on a GPU both maps are swept at the same time
-        self.tilts.append(
-            backend.empty((2, self.room), np.float32, level_ground)
-            if backend.lines > 1 or self.kept
-            else self.tilts[0]
-        )
+        # on a GPU both maps are swept at the same time
+        separate = 2 if backend.lines > 1 or self.kept else 1
+        tilts = [backend.empty((2, self.room), np.float32, level_ground) for _ in range(separate)]
+        self.tilts = tilts[0], tilts[-1]
         self.nothing = backend.empty((4,), np.float32)
         if rays is not None:
             self.aim(rays, table)
 
-    # -- what is asked of it
-
     def aim(self, rays: Rays, table: np.ndarray | None = None) -> None:
-        """Sweep along other azimuths from now on, with other brightness."""
-        self.rays, self.what, self.knots = (
-            rays,
-            UNIFORM if table is None else TABLE,
-            2 if table is None else table.shape[1],
-        )
+        """Set the azimuths and the brightness of the next sweeps."""
+        self.rays = rays
+        self.what, self.knots = (UNIFORM, 2) if table is None else (TABLE, table.shape[1])
         self.unit = self._unit(table)
         self.halves = [self._half(turned, table) for turned in (False, True)]
 
-    def add_light(self, table: np.ndarray, image) -> None:
-        """Add to an irradiance on the device what ``table`` (side, side) float32 [brightness x sr] has for
-        every node's normal; see the kernel ``correct``. After ``light``, which leaves the tilts of the map as
-        it lies.
+    def add_light(self, table: np.ndarray, image: Array) -> None:
+        """Add to an irradiance on the device the value of ``table`` for every node's normal.
+
+        ``table`` (side, side) float32 [brightness x sr], see the kernel ``correct``. ``light`` comes before
+        it and computes the tilts.
         """
         rows, cols = self.shape
         given = self.backend.upload(table)
@@ -159,11 +157,13 @@ class Sweeps:
             len(table),
             1.0,
         )
-        self.backend.finish()  # the table may go
+        self.backend.finish()  # the table may be freed
 
-    def judge(self, image, half, limit: float) -> tuple[float, float, int, int, int]:
-        """(sum of an image, sum of the squares of half a difference, valid nodes, lit nodes, nodes where half
-        the difference passes ``limit``).
+    def judge(self, image: Array, half: Array, limit: float) -> tuple[float, float, int, int, int]:
+        """Sums for an estimate of the error, ``half`` being half the difference of two images.
+
+        (Sum of ``image``, sum of the squares of ``half``, valid nodes, lit nodes, nodes where the absolute
+        value of ``half`` is beyond ``limit``).
         """
         rows, cols = self.shape
         blocks = -(-rows // BLOCK)
@@ -183,11 +183,13 @@ class Sweeps:
             float(limit),
         )
         light, square, *counts = self.backend.download(found).reshape(5, -1).sum(1, dtype=np.float64).tolist()
-        return light, square, *map(int, counts)
+        valid, lit, beyond = map(int, counts)
+        return light, square, valid, lit, beyond
 
-    def light(self, total, turned, image=None) -> None:
-        """Irradiance float32 [brightness x sr] into the device array ``image``, or into ``total``; both
-        others (rows x cols) int32, for sums on the way.
+    def light(self, total: Array, turned: Array, image: Array = None) -> None:
+        """Irradiance float32 [brightness x sr] into the device array ``image``, or into ``total``.
+
+        ``total`` and ``turned`` (rows x cols) int32 hold the sums of the two maps.
         """
         backend = self.backend
         self._turn()
@@ -199,13 +201,13 @@ class Sweeps:
         backend.join()
         self._gather(total, turned, total if image is None else image)
 
-    def _gather(self, total, turned, image):
+    def _gather(self, total: Array, turned: Array, image: Array) -> None:
         rows, cols = self.shape
         self.backend.launch("ground", "gather", (cols, rows), total, turned, image, rows, cols, 1 / self.unit)
 
-    def _light_of(self, half: Half, sums) -> None:
+    def _light_of(self, half: Half, sums: Array) -> None:
         backend, around = self.backend, 2 * self.margin
-        if not self.level and half.turned not in self.made:
+        if not self.level and not self.tilted[half.turned]:
             backend.launch(
                 "ground",
                 "tilt",
@@ -216,11 +218,10 @@ class Sweeps:
                 half.cols,
                 self.margin,
                 self.room,
-                int(self.ground.sides == "periodic"),
+                int(self.sides == "periodic"),
             )
-        if self.kept:
-            self.made.add(half.turned)
-        for first, count in self._batches(half, 1 if backend.lines == 1 else NEVER):
+        self.tilted[half.turned] = self.kept
+        for first, count in _batches(half, 1 if backend.lines == 1 else NEVER):
             scratch = self.nothing
             if half.windows[first] < NEVER:
                 scratch = backend.empty((count, half.rows * half.cols), np.float32)
@@ -228,9 +229,7 @@ class Sweeps:
             self._sweep(half, first, count, self.what, half.windows[first] < NEVER, False, scratch, sums)
 
     def irradiance(self, last: bool = False) -> np.ndarray:
-        """Irradiance (rows, cols) float32 [brightness x sr]. ``last``: nothing is asked afterwards, so what
-        has been swept may go.
-        """
+        """Irradiance (rows, cols) float32 [brightness x sr]. ``last``: arrays are released after use."""
         backend, size = self.backend, (math.prod(self.shape),)
         turned = backend.empty(size, np.int32, 0)
         if backend.lines > 1 or not last:
@@ -255,16 +254,14 @@ class Sweeps:
             out[numbers] = found
         return out
 
-    def planes(self):
-        """Yields (numbers of azimuths, their horizon slopes (n, rows, cols) float32), a few azimuths at a
-        time.
-        """
+    def planes(self) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+        """Yield (numbers of azimuths, their horizon slopes (n, rows, cols) float32), a few at a time."""
         backend = self.backend
         rows, cols = self.shape
         most = max(1, int(min(backend.memory // 4, 2**30) // (8 * rows * cols)))
         self._turn()
         for half in self.halves:
-            for first, count in self._batches(half, most):
+            for first, count in _batches(half, most):
                 planes = backend.empty((count, half.rows * half.cols), np.float32)
                 known = False
                 for falling in (False, True):
@@ -276,23 +273,12 @@ class Sweeps:
                 found = backend.download(planes).reshape(count, half.rows, half.cols)
                 yield half.numbers[first : first + count], found.transpose(0, 2, 1) if half.turned else found
 
-    # -- how
-
-    def _turn(self):
-        if "map" in self.made:
+    def _turn(self) -> None:
+        if self.map_turned:
             return
-        if self.kept:
-            self.made.add("map")
+        self.map_turned = self.kept
         rows, cols = (n + 2 * self.margin for n in self.shape)
         self.backend.launch("ground", "turn", (rows, cols), self.heights, self.turned, rows, cols)
-
-    def _batches(self, half: Half, most: int):
-        """(first, count) of azimuths that are swept together: those of one window, at most ``most``."""
-        first = 0
-        while first < len(half.numbers):
-            count = min(most, int((half.windows[first:] == half.windows[first]).sum()))
-            yield first, count
-            first += count
 
     def _sweep(
         self,
@@ -302,17 +288,18 @@ class Sweeps:
         what: int,
         known: bool,
         backward: bool,
-        slopes,
-        sums,
-        falling=False,
-    ):
+        slopes: Array,
+        sums: Array,
+        falling: bool = False,
+    ) -> None:
+        """``known``, ``backward``: see opencl/horizon.cl; ``falling``: search slopes below the level."""
         backend = self.backend
         comes_at = int(half.windows[first]) if backward else self.near + 1
         span = half.rows + half.warm + self.near + 2
         bits, unit, steps, rises = ladder(self.steepest[falling], self.relief, span, comes_at)
         overhang = (
             0
-            if self.ground.sides == "periodic"
+            if self.sides == "periodic"
             else math.ceil(np.abs(half.shears[first : first + count]).max() * half.rows) + 1
         )
         lines = backend.lanes * backend.strips * backend.lines
@@ -343,88 +330,41 @@ class Sweeps:
             int(backward),
             group=backend.lines,
             NEAR=self.near,
-            SIDES=SIDES[self.ground.sides],
+            SIDES=SIDES[self.sides],
             WHAT=what,
             BLOCKS=int(half.windows[first] < NEVER),
         )
 
-    def _unit(self, table) -> float:
-        """What one of irradiance counts in fixed point: no sum passes 2^30."""
+    def _unit(self, table: np.ndarray | None) -> float:
+        """Fixed-point units of an irradiance of 1: no sum exceeds 2^30."""
         most = np.ones(len(self.rays.widths)) if table is None else np.hypot(table[:, 0, 0], table[:, 0, 1])
-        return 2.0**30 / max(
-            float(most @ self.rays.widths), 1e-20
-        )  # what a float32 still holds under a black sky
+        return 2.0**30 / max(float(most @ self.rays.widths), 1e-20)  # within float32 also under a black sky
 
-    def _half(self, turned: bool, table) -> Half:
-        ground, near, put = self.ground, self.near, self.backend.upload
+    def _half(self, turned: bool, table: np.ndarray | None) -> Half:
+        upload = self.backend.upload
         rows, cols = self.shape[:: -1 if turned else 1]
         cosine, sine = np.cos(self.rays.angles), np.sin(self.rays.angles)
         numbers = np.flatnonzero((np.abs(cosine) > np.abs(sine)) == turned)
         across, along = (sine, cosine) if turned else (cosine, sine)
-        reach = np.maximum(ground.reach * np.abs(along[numbers]), 1e-3)
+        reach = np.maximum(self.reach * np.abs(along[numbers]), 1e-3)
+        periodic = self.sides == "periodic"
         windows = np.where(
-            (reach < rows + cols) | ((ground.sides == "periodic") & np.isfinite(reach)),
+            (reach < rows + cols) | (periodic & np.isfinite(reach)),
             np.maximum(reach, 1),
             NEVER,
         ).astype(np.int64)
         order = np.argsort(windows, kind="stable")
         numbers, windows, reach = numbers[order], windows[order], reach[order]
         warm = 0
-        if ground.sides == "periodic":
-            warm = (
-                math.ceil(max(rows, cols, self.relief / FAINTEST))
-                if math.isinf(ground.reach)
-                else math.ceil(ground.reach) + 1
-            )
-        azimuths, ways = np.zeros((len(numbers), 8)), np.zeros((len(numbers), 8), np.int32)
-        columns = near - 1  # as in opencl/horizon.cl
-        near_at, near_weight = (
-            np.zeros((len(numbers), near + columns, 2), np.int32),
-            np.zeros((len(numbers), near + columns)),
-        )
-        shears = np.zeros(len(numbers))
-        for n, (k, far) in enumerate(zip(numbers, reach)):
-            a, b = across[k], along[k]
-            towards, shear = (1 if b < 0 else -1), a / abs(b)
-            shear = (
-                0.0
-                if abs(shear) < 1e-8
-                else math.copysign(1.0, shear)
-                if abs(abs(shear) - 1) < 1e-12
-                else shear
-            )
-            steepness, shears[n] = abs(shear), shear
-            near_columns = min(columns, math.floor(min(near, far) * steepness + 1e-9))
-            ways[n, :5] = towards, math.floor(min(near, far) + 1e-9), near_columns, warm, windows[n]
-            azimuths[n, :7] = (
-                shear,
-                a,
-                b,
-                abs(b),
-                self.rays.widths[k] * self.unit,
-                1 / steepness if steepness else 1e9,
-                min(far, 1e30),
-            )
-            for e in range(near):
-                x = math.floor((e + 1) * shear)
-                near_at[n, e], near_weight[n, e] = (x, e + 1), (e + 1) * shear - x
-                if e < near_columns:
-                    y = math.floor((e + 1) / steepness)
-                    near_at[n, near + e], near_weight[n, near + e] = (
-                        (math.copysign(e + 1, shear), y),
-                        (e + 1) / steepness - y,
-                    )
-        near_weight = near_weight.astype(np.float32)
-        tables = (
-            [put(array) for array in (azimuths.astype(np.float32), ways, near_at, near_weight)]
-            if len(numbers)
-            else []
-        )
-        table = (
-            self.nothing
-            if table is None or not len(numbers)
-            else put(np.ascontiguousarray(table[numbers], np.float32))
-        )
+        if periodic and math.isinf(self.reach):
+            warm = math.ceil(max(rows, cols, self.relief / FAINTEST))
+        elif periodic:
+            warm = math.ceil(self.reach) + 1
+        shears, tables = self._shear_tables(numbers, windows, reach, warm, across, along)
+        if table is not None and len(numbers):
+            brightness = upload(np.ascontiguousarray(table[numbers], np.float32))
+        else:
+            brightness = self.nothing
         return Half(
             turned,
             rows,
@@ -433,21 +373,72 @@ class Sweeps:
             windows,
             warm,
             shears,
-            tables,
+            [upload(array) for array in tables] if len(numbers) else [],
             self.turned if turned else self.heights,
             self.tilts[turned],
-            table,
+            brightness,
         )
+
+    def _shear_tables(
+        self,
+        numbers: np.ndarray,
+        windows: np.ndarray,
+        reach: np.ndarray,
+        warm: int,
+        across: np.ndarray,
+        along: np.ndarray,
+    ) -> tuple[np.ndarray, tuple[np.ndarray, ...]]:
+        """(shears of the azimuths, the kernel's azimuths, ways, near_at and near_weight).
+
+        ``across``, ``along``: components of every azimuth along a row of the map, and from row to row.
+        """
+        near, columns = self.near, self.near - 1  # as in opencl/horizon.cl
+        azimuths, ways = np.zeros((len(numbers), 8)), np.zeros((len(numbers), 8), np.int32)
+        near_at = np.zeros((len(numbers), near + columns, 2), np.int32)
+        near_weight = np.zeros((len(numbers), near + columns))
+        shears = np.zeros(len(numbers))
+        for n, (k, far) in enumerate(zip(numbers, reach)):
+            a, b = across[k], along[k]
+            shear = _whole_shear(a / abs(b))
+            steepness, shears[n] = abs(shear), shear
+            near_columns = min(columns, math.floor(min(near, far) * steepness + 1e-9))
+            near_rows = math.floor(min(near, far) + 1e-9)
+            ways[n, :5] = 1 if b < 0 else -1, near_rows, near_columns, warm, windows[n]
+            width, inverse = self.rays.widths[k] * self.unit, 1 / steepness if steepness else 1e9
+            azimuths[n, :7] = shear, a, b, abs(b), width, inverse, min(far, 1e30)
+            for e in range(near):
+                x = math.floor((e + 1) * shear)
+                near_at[n, e], near_weight[n, e] = (x, e + 1), (e + 1) * shear - x
+            for e in range(near_columns):
+                y = math.floor((e + 1) / steepness)
+                near_at[n, near + e] = math.copysign(e + 1, shear), y
+                near_weight[n, near + e] = (e + 1) / steepness - y
+        return shears, (azimuths.astype(np.float32), ways, near_at, near_weight.astype(np.float32))
+
+
+def _batches(half: Half, most: int) -> Iterator[tuple[int, int]]:
+    """(first, count) of azimuths that are swept together: those of one window, at most ``most``."""
+    first = 0
+    while first < len(half.numbers):
+        count = min(most, int((half.windows[first:] == half.windows[first]).sum()))
+        yield first, count
+        first += count
+
+
+def _whole_shear(shear: float) -> float:
+    """0 or +-1 where rounding alone makes a difference."""
+    if abs(shear) < 1e-8:
+        return 0.0
+    return math.copysign(1.0, shear) if abs(abs(shear) - 1) < 1e-12 else shear
 
 
 def ladder(
     steepest: float, relief: float, span: int, comes_at: int
 ) -> tuple[int, float, list[int], list[int]]:
-    """(bits, unit, steps, rises): slopes from level to ``steepest`` [per row], denser near level, in the
-    kernels' integers.
+    """(bits, unit, steps, rises): slopes from level to ``steepest`` [per row], denser near level; integers.
 
-    An integer holds a height above a ray in units of 1 / unit, and below it in ``bits`` bits a distance up to
-    ``span`` rows.
+    An integer holds a height above a ray in units of 1 / unit, and in its ``bits`` lowest bits a distance up
+    to ``span`` rows.
     """
     bits = max(1, math.ceil(math.log2(max(span, comes_at) + 2)))
     slopes = np.tan(np.linspace(0, 1, LADDER) ** 1.5 * math.atan(steepest))
@@ -459,18 +450,21 @@ def ladder(
 
 
 def _padded(ground: Ground, margin: int) -> np.ndarray:
+    """Heights with a margin, flat: the map repeated where it is periodic, else OUTSIDE."""
+    heights = ground.heights
+    assert isinstance(heights, np.ndarray), "a resident map is padded on its device"
     if ground.sides == "periodic":
-        heights = np.pad(np.maximum(ground.heights, np.float32(MASKED)), margin, "wrap")
-    else:
-        heights = scratch(tuple(n + 2 * margin for n in ground.heights.shape))
-        heights.fill(OUTSIDE)
-        np.maximum(ground.heights, np.float32(MASKED), out=heights[margin:-margin, margin:-margin])
-    return heights.ravel()
+        return np.pad(np.maximum(heights, np.float32(MASKED)), margin, mode="wrap").ravel()
+    padded = scratch(tuple(n + 2 * margin for n in heights.shape))
+    padded.fill(OUTSIDE)
+    np.maximum(heights, np.float32(MASKED), out=padded[margin:-margin, margin:-margin])
+    return padded.ravel()
 
 
 def _probe(heights: np.ndarray, every: int, distance: int) -> np.ndarray:
-    """Steepest slopes (8, samples) to ground at ``distance`` and farther, from every ``every``-th node; -inf
-    where none lies.
+    """Steepest slopes (8, samples) to ground at ``distance`` and farther, from every ``every``-th node.
+
+    -inf where there is none.
     """
     own = heights[::every, ::every]
     down, across = own.shape
@@ -480,9 +474,8 @@ def _probe(heights: np.ndarray, every: int, distance: int) -> np.ndarray:
         for found, (i, j) in zip(
             best, ((1, 0), (1, 1), (0, 1), (-1, 1), (-1, 0), (-1, -1), (0, -1), (1, -1))
         ):
-            y, x = (
-                -(min(0, move * distance) // every) for move in (j, i)
-            )  # the first node whose neighbour lies on the map
+            # the first node whose neighbour lies on the map
+            y, x = (-(min(0, move * distance) // every) for move in (j, i))
             there = heights[y * every + j * distance :: every, x * every + i * distance :: every][
                 : max(0, down - y), : max(0, across - x)
             ]
@@ -493,9 +486,7 @@ def _probe(heights: np.ndarray, every: int, distance: int) -> np.ndarray:
 
 
 def _steepest(best: np.ndarray) -> tuple[float, float]:
-    """Slopes [per row] of the steepest rise and fall to ground that is not near, but for one node in a
-    thousand.
-    """
+    """Slopes [per row] of the steepest rise and fall to ground that is not near, of 99.9 % of the nodes."""
     best = best[np.isfinite(best)].astype(np.float64)
     if not best.size:
         return 0.1, -0.1
@@ -510,8 +501,9 @@ def engine_of(scene: Scene, backend: str) -> Backend:
 
 
 def ground_of(scene: Scene, max_distance: float | None, engine: Backend) -> Ground:
-    """The map that sweeps on ``engine`` need, heights in spacings above the viewer's plane; where it lies
-    there, it stays there.
+    """The map for sweeps on ``engine``, heights in spacings above the viewer's plane.
+
+    A map that is resident there is not copied to the host.
     """
     reach = np.inf if max_distance is None else positive_number(max_distance, "max_distance") / scene.spacing
     if reach < 1:

@@ -146,7 +146,8 @@ def lamp(
         )
         total = total + weight * sources.radiance(sources.Sky(brightness), direction)
         whole = whole + weight
-    return (light * (total / whole)).astype(np.float32)
+    image: np.ndarray = (light * (total / whole)).astype(np.float32)
+    return image
 
 
 def _ball(gx: Values, gy: Values, to: Vector, up: Values, ball: Ball) -> np.ndarray:
@@ -174,8 +175,7 @@ def _ball(gx: Values, gy: Values, to: Vector, up: Values, ball: Ball) -> np.ndar
     )
     light = light.ravel()
     light[cut] = np.pi * np.maximum(part, 0)
-    lit: np.ndarray = light.reshape(far.shape)
-    return lit
+    return light.reshape(far.shape)
 
 
 def _quadrangle(

@@ -242,7 +242,7 @@ class Integrals:
     """
 
     def __init__(
-        self, source: sources.Sky, tolerance: float = 0.01, fine: bool = False, widest: float = WIDEST
+        self, source: sources.Source, tolerance: float = 0.01, fine: bool = False, widest: float = WIDEST
     ):
         """``fine``: cells are small also where narrow features are named, for sources that see little of the
         sky at a time. ``tolerance`` inf: no small bright parts. ``widest``: azimuth that one may span [rad].
@@ -460,7 +460,7 @@ def even(count: int, offset: float) -> Azimuths:
     return Azimuths(count, tuple(2 * math.pi * (np.arange(count + 1) + offset - 0.5) / count))
 
 
-def _peaks(source: sources.Sky) -> Peaks | None:
+def _peaks(source: sources.Source) -> Peaks | None:
     """The narrow features that a sky names; None if it names none, () if it states that there are none."""
     named = [*getattr(source, "suns", ()), *(getattr(source.brightness, "peaks", None) or ())]
     if not named and getattr(source.brightness, "peaks", None) is None:
@@ -592,11 +592,9 @@ def _near_base(band: Band, peaks: Peaks) -> np.ndarray:
     found = np.zeros(band.light.shape, bool)
     height = np.diff(band.borders)[:, None]
     middle: np.ndarray = (band.borders[1:, None] + band.borders[:-1, None]) / 2
-    columns: np.ndarray = np.arange(found.shape[1])
+    azimuths: np.ndarray = band.start[:, None] + np.arange(found.shape[1]) * band.width
     for azimuth, elevation in peaks:
-        turned = np.abs(
-            (band.start[:, None] + columns * band.width - azimuth + math.pi) % (2 * math.pi) - math.pi
-        )
+        turned = np.abs(np.mod(azimuths - azimuth + math.pi, 2 * math.pi) - math.pi)
         near = turned * math.cos(elevation) <= 1.5 * np.maximum(
             band.width * np.cos(band.borders[:-1, None]), height
         )
