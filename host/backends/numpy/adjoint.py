@@ -1,6 +1,9 @@
-"""The kernels of adjoint.cl in NumPy: same names, arguments and bits, on all nodes at a time."""
+"""The kernels of `adjoint` in NumPy, on all nodes at a time: twin of opencl/adjoint.cl."""
 
 from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -26,6 +29,8 @@ from ...constants import (
 )
 
 f32 = np.float32
+Values = Any  # one per node, or one for all
+Ways = tuple[Any, ...]  # (c, s, columns, rise, rows, run) of a slice, numbers or one per node
 NONE, STEEP, LEVEL, ALONG, SLACK, PI, HALF_PI, TWO_PI = map(
     f32,
     (
@@ -42,7 +47,7 @@ NONE, STEEP, LEVEL, ALONG, SLACK, PI, HALF_PI, TWO_PI = map(
 ARC_TANGENT = [f32(factor) for factor in constants.ARC_TANGENT]
 
 
-def _arc_tangent(v):
+def _arc_tangent(v: np.ndarray) -> np.ndarray:
     r = np.where(v > 1, 1 / v, v)
     q = r * r
     p = np.full_like(v, ARC_TANGENT[0])
@@ -51,7 +56,9 @@ def _arc_tangent(v):
     return np.where(v > 1, HALF_PI - p * r, p * r)
 
 
-def _above(t, table, row, after, share, knots):
+def _above(
+    t: np.ndarray, table: np.ndarray, row: Any, after: Any, share: Any, knots: int
+) -> tuple[np.ndarray, ...]:
     """c1, c2, d1, d2 as there; row, after, share: numbers or one per node."""
     square = 1 + t * t
     cosine = 1 / square
@@ -73,12 +80,25 @@ def _above(t, table, row, after, share, knots):
     return v[:, 1] + part * v[:, 3], v[:, 0] + part * v[:, 2], v[:, 3] * per, v[:, 2] * per
 
 
-def _over(a, b):
+def _over(a: Any, b: Any) -> np.ndarray:
     """a / b in float32, 0 where b is 0."""
     return np.where(b != 0, a / np.where(b != 0, b, f32(1)), f32(0)).astype(f32)
 
 
-def _horizon(heights, ways, x, y, own, best, top, reach, rows, cols, margin, sides):
+def _horizon(
+    heights: np.ndarray,
+    ways: Ways,
+    x: np.ndarray,
+    y: np.ndarray,
+    own: np.ndarray,
+    best: np.ndarray,
+    top: np.float32,
+    reach: np.ndarray,
+    rows: int,
+    cols: int,
+    margin: int,
+    sides: int,
+) -> tuple[np.ndarray, np.ndarray]:
     """Slope and crossing number for nodes (n,); ``ways``: (c, s, columns, rise, rows, run), numbers or one
     per node.
     """
@@ -130,7 +150,7 @@ def _horizon(heights, ways, x, y, own, best, top, reach, rows, cols, margin, sid
     return best, number
 
 
-def _wall(ways, x, y, rows, cols):
+def _wall(ways: Ways, x: np.ndarray, y: np.ndarray, rows: int, cols: int) -> np.ndarray:
     c, s, _, rise, _, run = ways
     half = f32(0.5)
     to_x = np.where(c > 0, f32(cols) - half - x.astype(f32), x.astype(f32) + half)
@@ -140,13 +160,25 @@ def _wall(ways, x, y, rows, cols):
     ).astype(f32)
 
 
-def _ways(c, s):
+def _ways(c: Any, s: Any) -> Ways:
     c, s = (np.where(np.abs(part) > ALONG, part, f32(0)) for part in (c, s))
     across, along = np.abs(c), np.abs(s)
     return c, s, _over(c, along), along, _over(s, across), across
 
 
-def _note(links, some, ways, number, x, y, rows, cols, sides, per_slope, inverse):
+def _note(
+    links: tuple[np.ndarray, ...],
+    some: np.ndarray,
+    ways: Ways,
+    number: np.ndarray,
+    x: np.ndarray,
+    y: np.ndarray,
+    rows: int,
+    cols: int,
+    sides: int,
+    per_slope: np.ndarray,
+    inverse: np.ndarray,
+) -> Values:
     """Notes the crossings ``number`` of the nodes ``some`` as links, and gives their pulls."""
     held, first, second, near, far = links
     c, s, columns, rise, per_column, run = (np.broadcast_to(way, held.shape)[some] for way in ways)
@@ -172,7 +204,16 @@ def _note(links, some, ways, number, x, y, rows, cols, sides, per_slope, inverse
     return pull
 
 
-def surface(z, heights, tilts, top, rows, cols, margin, sides):
+def surface(
+    z: np.ndarray,
+    heights: np.ndarray,
+    tilts: np.ndarray,
+    top: np.ndarray,
+    rows: int,
+    cols: int,
+    margin: int,
+    sides: int,
+) -> None:
     z = z.reshape(rows, cols)
     padded = heights.reshape(rows, cols + 2 * margin)
     padded[:, margin : margin + cols] = -z
@@ -184,30 +225,51 @@ def surface(z, heights, tilts, top, rows, cols, margin, sides):
         out[...] = (v[:, high] - v[:, low]) / np.maximum(high - low, 1).astype(f32)
 
 
-def tiles(z, tiles, top, rows, cols):
+def tiles(z: np.ndarray, tiles: np.ndarray, top: np.ndarray, rows: int, cols: int) -> None:
     high = np.float32(-z.min())
     tiles[:] = high  # the same in every tile: here nothing is skipped by them
     bits = high.view(np.int32)
     top[0] = bits ^ 0x7FFFFFFF if bits < 0 else bits
 
 
-def _highest(top):
+def _highest(top: np.ndarray) -> Values:
     return (top[:1] ^ 0x7FFFFFFF if top[0] < 0 else top[:1]).view(np.float32)[0]
 
 
-def _finish(light, gx, gy, inverse, total, by_own, by_x, by_y):
+def _finish(
+    light: np.ndarray,
+    gx: np.ndarray,
+    gy: np.ndarray,
+    inverse: np.ndarray,
+    total: np.ndarray,
+    by_own: np.ndarray,
+    by_x: np.ndarray,
+    by_y: np.ndarray,
+) -> None:
     drop = total * inverse * inverse * inverse
     light[:] = total * inverse, by_own * inverse, by_x * inverse - drop * gx, by_y * inverse - drop * gy
 
 
-def _limits(azimuth, own, gx, gy, x, y, rows, cols, sides):
-    """(way, slope along it, what limits it before the ground does, derivative of that by the own depth if it
-    is the wall).
+def _limits(
+    azimuth: np.ndarray,
+    own: np.ndarray,
+    gx: np.ndarray,
+    gy: np.ndarray,
+    x: np.ndarray,
+    y: np.ndarray,
+    rows: int,
+    cols: int,
+    sides: int,
+) -> tuple[Ways, np.ndarray, np.ndarray, Any]:
+    """(way, slope along it, what limits it before the ground does, derivative of that by the own depth).
+
+    The derivative is 0 unless the wall is the limit.
     """
     c, s, _, _ = azimuth
     ways = _ways(c, s)
     tilt = gx * c + gy * s
-    slope, by_wall = np.maximum(-tilt, f32(0)), f32(0)
+    slope = np.maximum(-tilt, f32(0))
+    by_wall: Values = f32(0)
     if sides == DARK:
         closeness = 1 / _wall(ways, x, y, rows, cols)
         wall = -own * closeness
@@ -216,12 +278,26 @@ def _limits(azimuth, own, gx, gy, x, y, rows, cols, sides):
     return ways, tilt, slope, by_wall
 
 
-def look(heights, tilts, tiles, top, azimuths, numbers, slopes, rows, cols, margin, count, sides, ways):
+def look(
+    heights: np.ndarray,
+    tilts: np.ndarray,
+    tiles: np.ndarray,
+    top: np.ndarray,
+    azimuths: np.ndarray,
+    numbers: np.ndarray,
+    slopes: np.ndarray,
+    rows: int,
+    cols: int,
+    margin: int,
+    count: int,
+    sides: int,
+    ways: int,
+) -> None:
     y, x = (v.ravel() for v in np.indices((rows, cols)))
     own = heights.reshape(rows, cols + 2 * margin)[:, margin : margin + cols].ravel()
     reach = np.full(own.shape, 1e30, f32)
     for k in range(count):
-        way, _, slope, _ = _limits(azimuths[k], own, *tilts, x, y, rows, cols, sides)
+        way, _, slope, _ = _limits(azimuths[k], own, tilts[0], tilts[1], x, y, rows, cols, sides)
         least = np.maximum(slope, LEVEL) if sides == PERIODIC else slope
         slopes[k, : own.size], numbers[k, : own.size] = _horizon(
             heights, way, x, y, own, least, _highest(top), reach, rows, cols, margin, sides
@@ -229,26 +305,26 @@ def look(heights, tilts, tiles, top, azimuths, numbers, slopes, rows, cols, marg
 
 
 def sky(
-    heights,
-    tilts,
-    top,
-    numbers,
-    slopes,
-    azimuths,
-    table,
-    light,
-    held,
-    first,
-    second,
-    near,
-    far,
-    rows,
-    cols,
-    margin,
-    count,
-    knots,
-    sides,
-):
+    heights: np.ndarray,
+    tilts: np.ndarray,
+    top: np.ndarray,
+    numbers: np.ndarray,
+    slopes: np.ndarray,
+    azimuths: np.ndarray,
+    table: np.ndarray,
+    light: np.ndarray,
+    held: np.ndarray,
+    first: np.ndarray,
+    second: np.ndarray,
+    near: np.ndarray,
+    far: np.ndarray,
+    rows: int,
+    cols: int,
+    margin: int,
+    count: int,
+    knots: int,
+    sides: int,
+) -> None:
     y, x = (v.ravel() for v in np.indices((rows, cols)))
     own = heights.reshape(rows, cols + 2 * margin)[:, margin : margin + cols].ravel()
     gx, gy = tilts
@@ -274,147 +350,190 @@ def sky(
     _finish(light, gx, gy, inverse, total, by_own, by_x, by_y)
 
 
+class Slices(NamedTuple):
+    """One slice of a lamp per node, and the slopes between which the lamp stands in it.
+
+    Each field is a number or one per node. ``low_by`` and ``high_by`` are derivatives by the own depth.
+    Ground counts as far as ``reach``; the lamp ends at ``end``.
+    """
+
+    c: np.ndarray
+    s: np.ndarray
+    width: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
+    low_by: np.ndarray
+    high_by: np.ndarray
+    reach: np.ndarray
+    end: np.ndarray
+
+
+def _ball_slices(
+    node: np.ndarray, frames: np.ndarray, solid: np.ndarray, own: np.ndarray, count: int
+) -> Slices:
+    """The slices of a ball; ``node``: sine and cosine of a midpoint of -pi/2..pi/2, and of one all round."""
+    sine, cosine, c, s = node
+    ux, uy, extent, _ = frames.T
+    radius, rise = solid[3], solid[2] - own
+    beyond = extent * extent + rise * rise - radius * radius
+    around = extent <= radius
+    off = extent * (s * ux - c * uy)
+    along, half = extent * (c * ux + s * uy), np.sqrt(np.maximum(radius * radius - off * off, f32(0)))
+    off = radius / extent * sine
+    on = np.sqrt((1 - off) * (1 + off))
+    c, s = np.where(around, c, ux * on - uy * off), np.where(around, s, uy * on + ux * off)
+    width = np.where(around, TWO_PI / f32(count), radius / extent * cosine * (PI / f32(count)) / on)
+    along, half = np.where(around, along, extent * on), np.where(around, half, radius * cosine)
+    inside = beyond <= 0
+    tangent, square = np.sqrt(beyond), along * along + rise * rise
+    low_c, low_s = along * tangent + rise * half, rise * tangent - along * half
+    high_c, high_s = along * tangent - rise * half, rise * tangent + along * half
+    low = np.where(low_c > 0, low_s / low_c, np.where(low_s > 0, STEEP, -STEEP))
+    high = np.where(high_c > 0, high_s / high_c, np.where(rise > 0, STEEP, -STEEP))
+    low_by = np.where(~inside & (low_c > 0), square / (low_c * tangent), f32(0))
+    high_by = np.where(~inside & (high_c > 0), square / (high_c * tangent), f32(0))
+    low, high = np.where(inside, -STEEP, low), np.where(inside, STEEP, high)
+    return Slices(c, s, width, low, high, low_by, high_by, np.maximum(along, half), along + half)
+
+
+def _quadrangle_slices(
+    k: int,
+    node: np.ndarray,
+    frames: np.ndarray,
+    solid: np.ndarray,
+    own: np.ndarray,
+    x: np.ndarray,
+    y: np.ndarray,
+    count: int,
+) -> Slices:
+    """The slices number ``k`` of a quadrangle with the corners ``solid``; ``node`` as for a ball."""
+    ux, uy, extent, _ = frames.T
+    t = extent * (f32(2 * k + 1) / f32(count) - 1)
+    scale = 1 / (1 + t * t)
+    on, off, aside = (1 - t * t) * scale, 2 * t * scale, extent > 0
+    c, s = np.where(aside, ux * on - uy * off, node[2]), np.where(aside, uy * on + ux * off, node[3])
+    width = np.where(aside, 4 * extent / f32(count) * scale, TWO_PI / f32(count))
+    zero = np.zeros(own.shape, f32)
+    least, most, least_by, most_by, reach = zero + STEEP, zero - STEEP, zero, zero, zero
+    met = np.zeros(own.shape, int)
+    for i in range(4):
+        j = (i + 1) % 4
+        (px, py, pz), (qx, qy, qz) = solid[3 * i : 3 * i + 3], solid[3 * j : 3 * j + 3]
+        ax, ay = px - x.astype(f32), py - y.astype(f32)
+        bx, by = qx - x.astype(f32), qy - y.astype(f32)
+        start, stop = c * ay - s * ax, c * by - s * bx
+        share = start / (start - stop)
+        r = c * (ax + share * (bx - ax)) + s * (ay + share * (by - ay))
+        meets = ((start <= 0) != (stop <= 0)) & (r > 0)
+        slant = (pz + share * (qz - pz) - own) / r
+        under, over = meets & (slant < least), meets & (slant > most)
+        least, least_by = np.where(under, slant, least), np.where(under, 1 / r, least_by)
+        most, most_by = np.where(over, slant, most), np.where(over, 1 / r, most_by)
+        reach = np.where(meets, np.maximum(r, reach), reach)
+        met += meets
+    zenith = (met == 1) & (least > 0)
+    most, most_by = np.where(zenith, STEEP, most), np.where(zenith, f32(0), most_by)
+    some = met > 0
+    low, high = np.where(some, least, f32(1)), np.where(some, most, f32(0))
+    low_by, high_by = np.where(some, least_by, f32(0)), np.where(some, most_by, f32(0))
+    return Slices(c, s, width, low, high, low_by, high_by, reach, reach)
+
+
+def _lower_limit(
+    slices: Slices,
+    ways: Ways,
+    tilt: np.ndarray,
+    own: np.ndarray,
+    x: np.ndarray,
+    y: np.ndarray,
+    rows: int,
+    cols: int,
+    sides: int,
+) -> tuple[np.ndarray, np.ndarray]:
+    """The slope that limits a lamp from below before the ground does, and its derivative by the own depth."""
+    slope, by_limit = np.maximum(-tilt, f32(0)), np.zeros(own.shape, f32)
+    if sides == DARK:
+        wall = _wall(ways, x, y, rows, cols)
+        closeness = 1 / wall
+        limits = (slices.end > wall) & (-own * closeness > slope)
+        slope, by_limit = np.where(limits, -own * closeness, slope), np.where(limits, closeness, by_limit)
+    limits = slices.low > slope
+    return np.where(limits, slices.low, slope), np.where(limits, slices.low_by, by_limit)
+
+
+def _table_rows(c: np.ndarray, s: np.ndarray, n_rows: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(row, row after it, share of the latter) of a table that is even in the diamond angle of (c, s)."""
+    down, left = s < 0, c < 0
+    diamond = np.where(
+        ~down,
+        np.where(~left, s / (c + s), 1 - c / (s - c)),
+        np.where(left, 2 - s / (-c - s), 3 + c / (c - s)),
+    )
+    place = f32(0.25) * diamond * f32(n_rows)
+    row = np.minimum(place.astype(np.int32), n_rows - 1)
+    return row, np.where(row + 1 < n_rows, row + 1, 0), place - row.astype(f32)
+
+
 def lamp(
-    heights,
-    tilts,
-    tiles,
-    top,
-    frames,
-    nodes,
-    solid,
-    table,
-    light,
-    held,
-    first,
-    second,
-    near,
-    far,
-    rows,
-    cols,
-    margin,
-    count,
-    knots,
-    n_rows,
-    ball,
-    sides,
-):
+    heights: np.ndarray,
+    tilts: np.ndarray,
+    tiles: np.ndarray,
+    top: np.ndarray,
+    frames: np.ndarray,
+    nodes: np.ndarray,
+    solid: np.ndarray,
+    table: np.ndarray,
+    light: np.ndarray,
+    held: np.ndarray,
+    first: np.ndarray,
+    second: np.ndarray,
+    near: np.ndarray,
+    far: np.ndarray,
+    rows: int,
+    cols: int,
+    margin: int,
+    count: int,
+    knots: int,
+    n_rows: int,
+    ball: int,
+    sides: int,
+) -> None:
     y, x = (v.ravel() for v in np.indices((rows, cols)))
     own = heights.reshape(rows, cols + 2 * margin)[:, margin : margin + cols].ravel()
     gx, gy = tilts
-    ux, uy, extent, _ = frames.T
-    zero = np.zeros(own.shape, f32)
-    total, by_own, by_x, by_y = (zero.copy() for _ in range(4))
+    total, by_own, by_x, by_y = (np.zeros(own.shape, f32) for _ in range(4))
     inverse = 1 / np.sqrt(1 + gx * gx + gy * gy)
     held[:] = 0
     for k in range(count):
-        # 1. the slice, and the slopes between which the source stands in it, with their derivatives by the
-        # own depth
-        sine, cosine, c, s = nodes[k]
-        width = TWO_PI / f32(count)
+        # 1. the slice, and the slopes between which the source stands in it
         if ball:
-            radius, rise = solid[3], solid[2] - own
-            beyond = extent * extent + rise * rise - radius * radius
-            around = extent <= radius
-            off = extent * (s * ux - c * uy)
-            along, half = extent * (c * ux + s * uy), np.sqrt(np.maximum(radius * radius - off * off, f32(0)))
-            off = radius / extent * sine
-            on = np.sqrt((1 - off) * (1 + off))
-            c, s = np.where(around, c, ux * on - uy * off), np.where(around, s, uy * on + ux * off)
-            width = np.where(around, width, radius / extent * cosine * (PI / f32(count)) / on)
-            along, half = np.where(around, along, extent * on), np.where(around, half, radius * cosine)
-            reach, end = np.maximum(along, half), along + half
-            inside = beyond <= 0
-            tangent, square = np.sqrt(beyond), along * along + rise * rise
-            low_c, low_s = along * tangent + rise * half, rise * tangent - along * half
-            high_c, high_s = along * tangent - rise * half, rise * tangent + along * half
-            low = np.where(
-                inside, -STEEP, np.where(low_c > 0, low_s / low_c, np.where(low_s > 0, STEEP, -STEEP))
-            )
-            high = np.where(
-                inside, STEEP, np.where(high_c > 0, high_s / high_c, np.where(rise > 0, STEEP, -STEEP))
-            )
-            low_by = np.where(~inside & (low_c > 0), square / (low_c * tangent), f32(0))
-            high_by = np.where(~inside & (high_c > 0), square / (high_c * tangent), f32(0))
+            slices = _ball_slices(nodes[k], frames, solid, own, count)
         else:
-            t = extent * (f32(2 * k + 1) / f32(count) - 1)
-            scale = 1 / (1 + t * t)
-            on, off, aside = (1 - t * t) * scale, 2 * t * scale, extent > 0
-            c, s = np.where(aside, ux * on - uy * off, c), np.where(aside, uy * on + ux * off, s)
-            width = np.where(aside, 4 * extent / f32(count) * scale, width)
-            least, most, least_by, most_by, reach = zero + STEEP, zero - STEEP, zero, zero, zero
-            met = np.zeros(own.shape, int)
-            for i in range(4):
-                j = (i + 1) % 4
-                (px, py, pz), (qx, qy, qz) = solid[3 * i : 3 * i + 3], solid[3 * j : 3 * j + 3]
-                ax, ay, bx, by = (
-                    px - x.astype(f32),
-                    py - y.astype(f32),
-                    qx - x.astype(f32),
-                    qy - y.astype(f32),
-                )
-                start, stop = c * ay - s * ax, c * by - s * bx
-                share = start / (start - stop)
-                r = c * (ax + share * (bx - ax)) + s * (ay + share * (by - ay))
-                meets = ((start <= 0) != (stop <= 0)) & (r > 0)
-                slant = (pz + share * (qz - pz) - own) / r
-                under, over = meets & (slant < least), meets & (slant > most)
-                least, least_by = np.where(under, slant, least), np.where(under, 1 / r, least_by)
-                most, most_by = np.where(over, slant, most), np.where(over, 1 / r, most_by)
-                reach = np.where(meets, np.maximum(r, reach), reach)
-                met += meets
-            zenith = (met == 1) & (least > 0)
-            most, most_by, end = np.where(zenith, STEEP, most), np.where(zenith, f32(0), most_by), reach
-            some = met > 0
-            low, high = np.where(some, least, f32(1)), np.where(some, most, f32(0))
-            low_by, high_by = np.where(some, least_by, f32(0)), np.where(some, most_by, f32(0))
+            slices = _quadrangle_slices(k, nodes[k], frames, solid, own, x, y, count)
+        c, s, width, high = slices.c, slices.s, slices.width, slices.high
 
         # 2. what limits it from below
         ways = _ways(c, s)
         tilt = gx * c + gy * s
-        slope, by_limit = np.maximum(-tilt, f32(0)), zero
-        if sides == DARK:
-            wall = _wall(ways, x, y, rows, cols)
-            closeness = 1 / wall
-            limits = (end > wall) & (-own * closeness > slope)
-            slope, by_limit = np.where(limits, -own * closeness, slope), np.where(limits, closeness, by_limit)
-        limits = low > slope
-        slope, by_limit = np.where(limits, low, slope), np.where(limits, low_by, by_limit)
+        slope, by_limit = _lower_limit(slices, ways, tilt, own, x, y, rows, cols, sides)
         on = np.flatnonzero(slope < high)
         number = np.zeros(own.shape, np.int32)
+        way = tuple(np.broadcast_to(part, own.shape)[on] for part in ways)
+        reach = np.broadcast_to(slices.reach, own.shape)[on]
         slope[on], number[on] = _horizon(
-            heights,
-            tuple(np.broadcast_to(way, own.shape)[on] for way in ways),
-            x[on],
-            y[on],
-            own[on],
-            slope[on],
-            _highest(top),
-            np.broadcast_to(reach, own.shape)[on],
-            rows,
-            cols,
-            margin,
-            OPEN,
+            heights, way, x[on], y[on], own[on], slope[on], _highest(top), reach, rows, cols, margin, OPEN
         )
 
         # 3. the light between
         lit = slope < high
         number = np.where(lit, number, 0)
-        down, left = s < 0, c < 0
-        diamond = np.where(
-            ~down,
-            np.where(~left, s / (c + s), 1 - c / (s - c)),
-            np.where(left, 2 - s / (-c - s), 3 + c / (c - s)),
-        )
-        place = f32(0.25) * diamond * f32(n_rows)
-        row = np.minimum(place.astype(np.int32), n_rows - 1)
-        after = np.where(row + 1 < n_rows, row + 1, 0)
-        share = place - row.astype(f32)
-        c1, c2, d1, d2 = _above(np.where(lit, slope, f32(0)), table, row, after, share, knots)
+        place = _table_rows(c, s, n_rows)
+        c1, c2, d1, d2 = _above(np.where(lit, slope, f32(0)), table, *place, knots)
         per_slope = width * (d1 + tilt * d2)
         cut = lit & (high < STEEP)
-        o1, o2, e1, e2 = _above(np.where(cut, high, f32(0)), table, row, after, share, knots)
+        o1, o2, e1, e2 = _above(np.where(cut, high, f32(0)), table, *place, knots)
         c1, c2 = np.where(cut, c1 - o1, c1), np.where(cut, c2 - o2, c2)
-        by_own = np.where(cut, by_own - width * (e1 + tilt * e2) * high_by, by_own)
+        by_own = np.where(cut, by_own - width * (e1 + tilt * e2) * slices.high_by, by_own)
         by = per_slope * by_limit
         some = np.flatnonzero(number)
         by[some] = _note(
@@ -427,7 +546,7 @@ def lamp(
     _finish(light, gx, gy, inverse, total, by_own, by_x, by_y)
 
 
-def _neighbours(light, rows, cols):
+def _neighbours(light: np.ndarray, rows: int, cols: int) -> Iterator[tuple[np.ndarray, ...]]:
     """For the derivatives along x and y: by them, node after, node before, 1 over their distance."""
     y, x = (v.ravel() for v in np.indices((rows, cols)))
     for by, i, size, step in ((light[2], x, cols, 1), (light[3], y, rows, cols)):
@@ -441,14 +560,24 @@ def _neighbours(light, rows, cols):
             )
 
 
-def _links(held, *arrays):
+def _links(held: np.ndarray, *arrays: np.ndarray) -> Iterator[tuple[np.ndarray, ...]]:
     """The nodes that have a k-th link, and what the arrays tell of it, for every k."""
     for k in range(held.max()):
         some = np.flatnonzero(held > k)
         yield some, *(array[some // BESIDE, k, some % BESIDE] for array in arrays)
 
 
-def _change(light, held, first, second, near, far, v, rows, cols):
+def _change(
+    light: np.ndarray,
+    held: np.ndarray,
+    first: np.ndarray,
+    second: np.ndarray,
+    near: np.ndarray,
+    far: np.ndarray,
+    v: np.ndarray,
+    rows: int,
+    cols: int,
+) -> Values:
     total = light[1] * v
     for by, after, before, half in _neighbours(light, rows, cols):
         total += by * ((v[after] - v[before]) * half)
@@ -457,8 +586,20 @@ def _change(light, held, first, second, near, far, v, rows, cols):
     return total
 
 
-def _spread(light, held, first, second, near, far, sum, u, squared, rows, cols):
-    def add(to, part, u):
+def _spread(
+    light: np.ndarray,
+    held: np.ndarray,
+    first: np.ndarray,
+    second: np.ndarray,
+    near: np.ndarray,
+    far: np.ndarray,
+    sum: np.ndarray,
+    u: np.ndarray,
+    squared: bool,
+    rows: int,
+    cols: int,
+) -> None:
+    def add(to: np.ndarray, part: np.ndarray, u: np.ndarray) -> None:
         np.add.at(sum, to, ((part * part if squared else part) * u).astype(np.int64))
 
     add(np.arange(rows * cols), light[1], u)
@@ -470,33 +611,43 @@ def _spread(light, held, first, second, near, far, sum, u, squared, rows, cols):
         add(two, by_two, u[some])
 
 
-def _by_blocks(values):
+def _by_blocks(values: np.ndarray) -> np.ndarray:
     """Sums of SUMMED values each, added one after another."""
     padded = np.zeros(-(-len(values) // SUMMED) * SUMMED)
     padded[: len(values)] = values
     return np.cumsum(padded.reshape(-1, SUMMED), 1)[:, -1]
 
 
-def _put(part, block, values):
+def _put(part: np.ndarray, block: int, values: np.ndarray) -> None:
     sums = _by_blocks(values)
     part.reshape(-1)[block : block + len(sums)] = sums
 
 
-def match(light, gain, target, over, under, is_first, pixels):
+def match(
+    light: np.ndarray,
+    gain: np.ndarray,
+    target: np.ndarray,
+    over: np.ndarray,
+    under: np.ndarray,
+    is_first: int,
+    pixels: int,
+) -> None:
     e = gain * light[0]
     over[:] = (f32(0) if is_first else over) + e * target
     under[:] = (f32(0) if is_first else under) + e * e
 
 
-def reflect(over, under, gain, out, pixels):
+def reflect(over: np.ndarray, under: np.ndarray, gain: np.ndarray, out: np.ndarray, pixels: int) -> None:
     out[:] = over / under * gain
 
 
-def misfit(light, gain, target, part, block, pixels):
+def misfit(
+    light: np.ndarray, gain: np.ndarray, target: np.ndarray, part: np.ndarray, block: int, pixels: int
+) -> None:
     _put(part, block, (gain * light[0] - target).astype(np.float64) ** 2)
 
 
-def _bend(v):
+def _bend(v: np.ndarray) -> np.ndarray:
     """Second differences along rows of v, 0 at the ends."""
     out = np.zeros_like(v)
     if v.shape[1] > 2:
@@ -504,69 +655,72 @@ def _bend(v):
     return out
 
 
-def _unbend(v, rows, cols):
-    v, total = v.reshape(rows, cols), None
-    for z in (v, v.T):
-        bent = _bend(z)
-        out = f32(-2) * bent
-        out[:, 2:] += bent[:, 1:-1]
-        out[:, :-2] += bent[:, 1:-1]
-        total = out if total is None else total + out.T
-    return total.ravel()
+def _unbend(v: np.ndarray, rows: int, cols: int) -> np.ndarray:
+    v = v.reshape(rows, cols)
+    along_rows, along_columns = (_unbent(_bend(z)) for z in (v, v.T))
+    return (along_rows + along_columns.T).ravel()
 
 
-def bending(z, rest, part, block, rows, cols):
+def _unbent(bent: np.ndarray) -> np.ndarray:
+    """The transpose of _bend."""
+    out: np.ndarray = f32(-2) * bent
+    out[:, 2:] += bent[:, 1:-1]
+    out[:, :-2] += bent[:, 1:-1]
+    return out
+
+
+def bending(z: np.ndarray, rest: np.ndarray, part: np.ndarray, block: int, rows: int, cols: int) -> None:
     z, rest = z.reshape(rows, cols), rest.reshape(rows, cols)
     a, b = (v.ravel().astype(np.float64) for v in (_bend(z) - _bend(rest), (_bend(z.T) - _bend(rest.T)).T))
     _put(part, block, a * a + b * b)
 
 
 def downhill(
-    light,
-    held,
-    first,
-    second,
-    near,
-    far,
-    gain,
-    target,
-    sum,
-    squares,
-    unit,
-    fine,
-    rows,
-    cols,
-    count,
-    each,
-    teams,
-):
+    light: np.ndarray,
+    held: np.ndarray,
+    first: np.ndarray,
+    second: np.ndarray,
+    near: np.ndarray,
+    far: np.ndarray,
+    gain: np.ndarray,
+    target: np.ndarray,
+    sum: np.ndarray,
+    squares: np.ndarray,
+    unit: float,
+    fine: float,
+    rows: int,
+    cols: int,
+    count: int,
+    each: int,
+    teams: int,
+) -> None:
     links = light, held, first, second, near, far
     _spread(*links, sum[0], gain * (gain * light[0] - target) * f32(unit), False, rows, cols)
     _spread(*links, squares[0], gain * gain * f32(fine), True, rows, cols)
 
 
 def begin(
-    z,
-    rest,
-    low,
-    high,
-    sum,
-    squares,
-    scale,
-    r,
-    x,
-    p,
-    s,
-    is_free,
-    unit,
-    fine,
-    least,
-    lambda_,
-    rows,
-    cols,
-    each,
-    teams,
-):
+    z: np.ndarray,
+    rest: np.ndarray,
+    low: np.ndarray,
+    high: np.ndarray,
+    sum: np.ndarray,
+    squares: np.ndarray,
+    scale: np.ndarray,
+    r: np.ndarray,
+    x: np.ndarray,
+    p: np.ndarray,
+    s: np.ndarray,
+    is_free: np.ndarray,
+    unit: float,
+    fine: float,
+    least: float,
+    lambda_: float,
+    rows: int,
+    cols: int,
+    each: int,
+    teams: int,
+) -> None:
     down = -(
         sum[0].astype(f32) * f32(unit) + f32(lambda_) * (_unbend(z, rows, cols) - _unbend(rest, rows, cols))
     )
@@ -582,7 +736,7 @@ HAT = (2 * np.minimum(np.arange(2 * FOUR), 2 * FOUR - 1 - np.arange(2 * FOUR)) +
 )
 
 
-def _lowered(v):
+def _lowered(v: np.ndarray) -> np.ndarray:
     """Rows of v, brought down to a line of nodes FOUR times as coarse."""
     size, few = len(v), (len(v) - 1) // FOUR + 1
     total = np.zeros((few, *v.shape[1:]), f32)
@@ -595,13 +749,15 @@ def _lowered(v):
     return total
 
 
-def down(fine, scale, to, times, divides, rows, cols):
+def down(
+    fine: np.ndarray, scale: np.ndarray, to: np.ndarray, times: float, divides: int, rows: int, cols: int
+) -> None:
     to[:] = f32(times) * _lowered(_lowered(fine.reshape(rows, cols)).T).T.ravel()
     if divides:
         to /= scale
 
 
-def _raised(v, size):
+def _raised(v: np.ndarray, size: int) -> Values:
     """Rows of v, brought up by linear interpolation to so many."""
     at, k = np.divmod(np.arange(size), FOUR)
     beside = np.clip(np.where(k < 2, at - 1, at + 1), 0, len(v) - 1)
@@ -609,18 +765,42 @@ def _raised(v, size):
     return (1 - share) * v[at] + share * v[beside]
 
 
-def up(r, scale, is_free, coarse, v, rows, cols):
+def up(
+    r: np.ndarray,
+    scale: np.ndarray,
+    is_free: np.ndarray,
+    coarse: np.ndarray,
+    v: np.ndarray,
+    rows: int,
+    cols: int,
+) -> None:
     v[:] = is_free * (
         r / scale + _raised(_raised(coarse.reshape((rows - 1) // FOUR + 1, -1), rows).T, cols).T.ravel()
     )
 
 
-def lengths(r, v, part, pixels):
+def lengths(r: np.ndarray, v: np.ndarray, part: np.ndarray, pixels: int) -> None:
     a, b = (array.astype(np.float64) for array in (r, v))
     part.reshape(-1)[:] = np.concatenate([_by_blocks(b * b), _by_blocks(a * b)])
 
 
-def product(light, held, first, second, near, far, gain, v, sum, state, rows, cols, count, each, teams):
+def product(
+    light: np.ndarray,
+    held: np.ndarray,
+    first: np.ndarray,
+    second: np.ndarray,
+    near: np.ndarray,
+    far: np.ndarray,
+    gain: np.ndarray,
+    v: np.ndarray,
+    sum: np.ndarray,
+    state: np.ndarray,
+    rows: int,
+    cols: int,
+    count: int,
+    each: int,
+    teams: int,
+) -> None:
     if state[LEFT] > 0:
         links = light, held, first, second, near, far
         _spread(
@@ -634,40 +814,68 @@ def product(light, held, first, second, near, far, gain, v, sum, state, rows, co
 
 
 def change(
-    light, held, first, second, near, far, gain, bare, v, share, state, rows, cols, count, is_first, each
-):
+    light: np.ndarray,
+    held: np.ndarray,
+    first: np.ndarray,
+    second: np.ndarray,
+    near: np.ndarray,
+    far: np.ndarray,
+    gain: np.ndarray,
+    bare: np.ndarray,
+    v: np.ndarray,
+    share: np.ndarray,
+    state: np.ndarray,
+    rows: int,
+    cols: int,
+    count: int,
+    is_first: int,
+    each: int,
+) -> None:
     if state[LEFT] > 0:
         own = bare * light[0] * (gain * _change(light, held, first, second, near, far, v, rows, cols))
         share[:] = own if is_first else share + own
 
 
 def product_beside(
-    light,
-    held,
-    first,
-    second,
-    near,
-    far,
-    gain,
-    bare,
-    share,
-    under,
-    v,
-    sum,
-    state,
-    rows,
-    cols,
-    count,
-    each,
-    teams,
-):
+    light: np.ndarray,
+    held: np.ndarray,
+    first: np.ndarray,
+    second: np.ndarray,
+    near: np.ndarray,
+    far: np.ndarray,
+    gain: np.ndarray,
+    bare: np.ndarray,
+    share: np.ndarray,
+    under: np.ndarray,
+    v: np.ndarray,
+    sum: np.ndarray,
+    state: np.ndarray,
+    rows: int,
+    cols: int,
+    count: int,
+    each: int,
+    teams: int,
+) -> None:
     if state[LEFT] > 0:
         links = light, held, first, second, near, far
         left = gain * _change(*links, v, rows, cols) - bare * light[0] * (share / under)
         _spread(*links, sum[0], gain * left * f32(state[SCATTERED]), False, rows, cols)
 
 
-def curve(r, v, scale, is_free, sum, w, totals, state, rows, cols, each, teams):
+def curve(
+    r: np.ndarray,
+    v: np.ndarray,
+    scale: np.ndarray,
+    is_free: np.ndarray,
+    sum: np.ndarray,
+    w: np.ndarray,
+    totals: np.ndarray,
+    state: np.ndarray,
+    rows: int,
+    cols: int,
+    each: int,
+    teams: int,
+) -> None:
     if state[LEFT] > 0:
         bent = f32(state[LAMBDA]) * _unbend(v, rows, cols)
         w[:] = is_free * (
@@ -679,7 +887,22 @@ def curve(r, v, scale, is_free, sum, w, totals, state, rows, cols, each, teams):
             totals[n, 0] = values.astype(np.int64).sum()
 
 
-def go(v, w, r, x, p, s, totals, next_totals, state, next, fixed, exact, pixels, each):
+def go(
+    v: np.ndarray,
+    w: np.ndarray,
+    r: np.ndarray,
+    x: np.ndarray,
+    p: np.ndarray,
+    s: np.ndarray,
+    totals: np.ndarray,
+    next_totals: np.ndarray,
+    state: np.ndarray,
+    next: np.ndarray,
+    fixed: float,
+    exact: float,
+    pixels: int,
+    each: int,
+) -> None:
     next[:] = state
     if state[LEFT] <= 0:
         return
@@ -705,14 +928,25 @@ def go(v, w, r, x, p, s, totals, next_totals, state, next, fixed, exact, pixels,
         product / curvature,
         state[GAIN] + 0.5 * (product / curvature) * product,
     )
-    alpha, beta = f32(product / curvature), f32(beta)
-    p[:] = v + beta * p
-    s[:] = w + beta * s
+    alpha, share = f32(product / curvature), f32(beta)
+    p[:] = v + share * p
+    s[:] = w + share * s
     x += alpha * p
     r -= alpha * s
 
 
-def ready(state, totals, square, product, lambda_, damping, least, fixed, exact, most):
+def ready(
+    state: np.ndarray,
+    totals: np.ndarray,
+    square: float,
+    product: float,
+    lambda_: float,
+    damping: float,
+    least: float,
+    fixed: float,
+    exact: float,
+    most: int,
+) -> None:
     totals[:] = 0
     state[:] = (
         most,
@@ -729,5 +963,7 @@ def ready(state, totals, square, product, lambda_, damping, least, fixed, exact,
     )
 
 
-def move(z, x, low, high, to, pixels, each):
+def move(
+    z: np.ndarray, x: np.ndarray, low: np.ndarray, high: np.ndarray, to: np.ndarray, pixels: int, each: int
+) -> None:
     to[:] = np.minimum(np.maximum(z + x, low), high)

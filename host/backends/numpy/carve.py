@@ -1,4 +1,4 @@
-"""The kernels of `carve` in NumPy: names, arguments and bits as in opencl/carve.cl and warp_kernels/carve.py."""
+"""The kernels of `carve` in NumPy: twin of opencl/carve.cl and warp_kernels/carve.py."""
 
 from __future__ import annotations
 
@@ -6,23 +6,23 @@ import numpy as np
 
 
 def carve(
-    planes,
-    weights,
-    light,
-    low,
-    high,
-    side,
-    depth,
-    active,
-    pixels,
-    room,
-    n_walks,
-    is_first,
-    is_last,
-    layer,
-    by_sign,
-    BITS,
-):
+    planes: np.ndarray,
+    weights: np.ndarray,
+    light: np.ndarray,
+    low: np.ndarray,
+    high: np.ndarray,
+    side: np.ndarray,
+    depth: np.ndarray,
+    active: np.ndarray,
+    pixels: int,
+    room: int,
+    n_walks: int,
+    is_first: int,
+    is_last: int,
+    layer: int,
+    by_sign: int,
+    BITS: int,
+) -> None:
     depth = depth.reshape(pixels)
     here = np.flatnonzero(depth == layer)
     total = np.zeros(len(here), np.int32) if is_first else light[here]

@@ -1,6 +1,4 @@
-"""The kernels of `filled` in NumPy: names, arguments and bits as in opencl/filled.cl and
-warp_kernels/filled.py.
-"""
+"""The kernels of `filled` in NumPy: twin of opencl/filled.cl and warp_kernels/filled.py."""
 
 from __future__ import annotations
 
@@ -10,26 +8,32 @@ from .scan import map_of, scan_walk
 
 
 def scan_filled(
-    maps,
-    walks,
-    rise,
-    lap,
-    crossings,
-    climbs,
-    spans,
-    planes,
-    map_rows,
-    map_cols,
-    room,
-    lap_lines,
-    periodic,
-    BITS,
-):
+    maps: np.ndarray,
+    walks: np.ndarray,
+    rise: np.ndarray,
+    lap: np.ndarray,
+    crossings: np.ndarray,
+    climbs: np.ndarray,
+    spans: np.ndarray,
+    planes: np.ndarray,
+    map_rows: int,
+    map_cols: int,
+    room: int,
+    lap_lines: int,
+    periodic: int,
+    BITS: int,
+) -> None:
     for w, walk in enumerate(walks):
         begin, end = spans[w, 0], spans[w].sum() - 1
         depth = map_of(maps, walk[6], (map_rows, map_cols))
 
-        def lower(ceiling, row, begin=begin, end=end, depth=depth):
+        def lower(
+            ceiling: np.ndarray,
+            row: int,
+            begin: int = begin,
+            end: int = end,
+            depth: np.ndarray = depth,
+        ) -> None:
             for c in range(begin, end):
                 np.minimum(
                     ceiling, _ground(depth, crossings[c], row, periodic) + climbs[c][:, None], out=ceiling
@@ -38,7 +42,7 @@ def scan_filled(
         scan_walk(maps, walk, rise[w], lap[w], planes, (map_rows, map_cols), periodic, lower)
 
 
-def _ground(depth, crossing, row, periodic):
+def _ground(depth: np.ndarray, crossing: np.ndarray, row: int, periodic: int) -> np.ndarray:
     """Depth x parts at a crossing next to every node of a row; +inf where it is unknown."""
     rows, cols = depth.shape
     x, y = np.arange(cols), np.full(cols, row)

@@ -1,12 +1,8 @@
-"""Horizons, and the light of a sky above them, in NumPy: twins of opencl/horizon.cl and opencl/ground.cl.
-
-Float32 and int32 operations in the order of the OpenCL kernels, a product and its sum rounded one after the
-other, so that slopes are the same bits as on a CPU. What is done for one node there is done for the whole map
-here, and what is done for one line for all lines of an azimuth; only the ladder goes from row to row. Steps
-are numbered as in opencl/horizon.cl.
-"""
+"""What sweeps need besides, in NumPy: twin of opencl/ground.cl, in float32 operations of the same order."""
 
 from __future__ import annotations
+
+from typing import Any
 
 import numpy as np
 
@@ -16,7 +12,7 @@ NONE, MASKED = np.float32(constants.NONE), np.float32(constants.MASKED)
 ONE, HALF = np.float32(1), np.float32(0.5)
 
 
-def _difference(z):
+def _difference(z: np.ndarray) -> np.ndarray:
     """d depth/dx of padded heights: of nodes (rows, cols) with one more all around."""
     here, low, high = z[1:-1, 1:-1], z[1:-1, :-2].copy(), z[1:-1, 2:].copy()
     low[:, 0], high[:, -1] = here[:, 0], here[:, -1]  # one-sided at the border, also where the map repeats
@@ -26,7 +22,9 @@ def _difference(z):
     return np.where(here > NONE, rise * np.where(alone | last, ONE, HALF), np.float32(0))
 
 
-def tilt(heights, tilts, rows, cols, margin, room, periodic):
+def tilt(
+    heights: np.ndarray, tilts: np.ndarray, rows: int, cols: int, margin: int, room: int, periodic: int
+) -> None:
     inner = heights.reshape(rows + 2 * margin, cols + 2 * margin)[
         margin - 1 : 1 - margin, margin - 1 : 1 - margin
     ]
@@ -36,16 +34,28 @@ def tilt(heights, tilts, rows, cols, margin, room, periodic):
         )
 
 
-def turn(map, turned, rows, cols):
+def turn(map: np.ndarray, turned: np.ndarray, rows: int, cols: int) -> None:
     turned.reshape(cols, rows)[...] = map.reshape(rows, cols).T
 
 
-def gather(sum, turned, irradiance, rows, cols, unit):
+def gather(
+    sum: np.ndarray, turned: np.ndarray, irradiance: np.ndarray, rows: int, cols: int, unit: float
+) -> None:
     light = (sum.reshape(rows, cols) + turned.reshape(cols, rows).T).astype(np.float32) * np.float32(unit)
     irradiance.view(np.float32).reshape(rows, cols)[...] = light  # the same memory as ``sum``
 
 
-def correct(tilts, table, irradiance, rows, cols, margin, room, side, unit):
+def correct(
+    tilts: np.ndarray,
+    table: np.ndarray,
+    irradiance: np.ndarray,
+    rows: int,
+    cols: int,
+    margin: int,
+    room: int,
+    side: int,
+    unit: float,
+) -> None:
     inner = np.s_[:, margin : margin + rows, margin : margin + cols]
     gx, gy = tilts.reshape(2, -1)[:, :room].reshape(2, rows + 2 * margin, cols + 2 * margin)[inner]
     up = ONE / np.sqrt(ONE + gx * gx + gy * gy)
@@ -59,12 +69,22 @@ def correct(tilts, table, irradiance, rows, cols, margin, room, side, unit):
     irradiance.view(np.float32).reshape(rows, cols)[...] += np.float32(unit) * (low + along * (high - low))
 
 
-def halves(a, b, count):
+def halves(a: np.ndarray, b: np.ndarray, count: int) -> None:
     a, b = (image.view(np.float32).reshape(-1)[:count] for image in (a, b))
     a[...], b[...] = (a + b) * HALF, (b - a) * HALF
 
 
-def judge(heights, image, half_, found, rows, cols, margin, block, limit):
+def judge(
+    heights: np.ndarray,
+    image: np.ndarray,
+    half_: np.ndarray,
+    found: np.ndarray,
+    rows: int,
+    cols: int,
+    margin: int,
+    block: int,
+    limit: float,
+) -> None:
     blocks = -(-rows // block)
     image, half_ = (values.view(np.float32).reshape(rows, cols) for values in (image, half_))
     known = (
@@ -73,10 +93,10 @@ def judge(heights, image, half_, found, rows, cols, margin, block, limit):
     )
     found = found.reshape(5, blocks, cols)
     found[:] = 0
-    for first in range(
-        min(block, rows)
-    ):  # the first rows of all blocks, then their second: each sum in the order of its rows
+    # the first rows of all blocks, then their second: each sum in the order of its rows
+    for first in range(min(block, rows)):
         rest = np.s_[first::block]
         some, here, apart = known[rest], image[rest], half_[rest]
-        for sums, terms in zip(found, (here, apart * apart, ONE, here > 0, abs(apart) > np.float32(limit))):
+        counted: tuple[Any, ...] = ONE, here > 0, abs(apart) > np.float32(limit)
+        for sums, terms in zip(found, (here, apart * apart, *counted)):
             sums[: len(some)] += np.where(some, terms, np.float32(0))

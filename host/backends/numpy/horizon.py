@@ -1,4 +1,4 @@
-"""Horizons, and the light of a sky above them, in NumPy: twins of opencl/horizon.cl and opencl/ground.cl.
+"""Horizons, and the light of a sky above them, in NumPy: twin of opencl/horizon.cl.
 
 Float32 and int32 operations in the order of the OpenCL kernels, a product and its sum rounded one after the
 other, so that slopes are the same bits as on a CPU. What is done for one node there is done for the whole map
@@ -8,220 +8,203 @@ are numbered as in opencl/horizon.cl.
 
 from __future__ import annotations
 
+from typing import Any, NamedTuple
+
 import numpy as np
 
 from ... import constants
-from ...constants import DARK, PERIODIC, SLOPES, TABLE, UNIFORM, UNSEEN
+from ...constants import DARK, LADDER, PERIODIC, SLOPES, TABLE, UNSEEN
 
 NONE, MASKED = np.float32(constants.NONE), np.float32(constants.MASKED)
 ONE, HALF, HALF_PI = np.float32(1), np.float32(0.5), np.float32(constants.HALF_PI)
 
+Values = Any  # one per node, or one for all
+
 
 def sweep(
-    heights,
-    tilts,
-    azimuths,
-    ways,
-    near_at,
-    near_weight,
-    table,
-    slopes,
-    sum,
-    steps,
-    rises,
-    first,
-    group,
-    rows,
-    cols,
-    margin,
-    room,
-    knots,
-    bits,
-    lowest,
-    unit,
-    known,
-    backward,
+    heights: np.ndarray,
+    tilts: np.ndarray,
+    azimuths: np.ndarray,
+    ways: np.ndarray,
+    near_at: np.ndarray,
+    near_weight: np.ndarray,
+    table: np.ndarray,
+    slopes: np.ndarray,
+    sum: np.ndarray,
+    steps: tuple[int, ...],
+    rises: tuple[int, ...],
+    first: int,
+    group: int,
+    rows: int,
+    cols: int,
+    margin: int,
+    room: int,
+    knots: int,
+    bits: int,
+    lowest: float,
+    unit: float,
+    known: int,
+    backward: int,
     *,
-    NEAR,
-    SIDES,
-    WHAT,
-    BLOCKS,
-):
+    NEAR: int,
+    SIDES: int,
+    WHAT: int,
+    BLOCKS: int,
+) -> None:
     """``group`` is how devices share out the lines; here all lines go together, azimuth by azimuth."""
-    for plane in range(
-        len(slopes) if slopes.ndim == 2 else 1
-    ):  # without slopes light is summed, azimuth by azimuth
-        _sweep(
-            heights,
-            tilts,
-            azimuths[first + plane],
-            ways[first + plane],
-            near_at[first + plane],
-            near_weight[first + plane],
-            None if WHAT != TABLE else table[first + plane],
-            slopes[plane : plane + 1],
-            sum,
-            np.array(steps, np.int32),
-            np.array(rises, np.int32),
-            rows,
-            cols,
-            margin,
-            room,
-            knots,
-            bits,
-            np.float32(lowest),
-            np.float32(unit),
-            known,
-            backward,
-            NEAR,
-            SIDES,
-            WHAT,
-            BLOCKS,
-        )
+    ladder = Ladder(
+        np.array(steps, np.int32), np.array(rises, np.int32), bits, np.float32(lowest), np.float32(unit)
+    )
+    # without slopes light is summed, azimuth by azimuth
+    for plane in range(len(slopes) if slopes.ndim == 2 else 1):
+        a = first + plane
+        rays = Rays(heights, azimuths[a], ways[a], rows, cols, margin, NEAR, SIDES, BLOCKS)
+        lower, upper = _ladder(rays, ladder, bool(BLOCKS and backward))
+        slope = np.fmax(_far(rays, lower, upper), _near(rays, near_at[a], near_weight[a])) * azimuths[a, 3]
+        if SIDES == DARK:
+            slope = np.maximum(slope, _wall(rays, azimuths[a, 3]))
+        if WHAT == SLOPES or BLOCKS:
+            out = slopes[plane : plane + 1].reshape(rows, cols)[:: rays.towards]
+            slope = np.maximum(slope, out) if known else slope
+        if WHAT == SLOPES:
+            out[...] = np.where(slope < np.float32(-1e20), -np.inf, slope)
+        else:
+            light = _light(rays, tilts, slope, azimuths[a], table[a] if WHAT == TABLE else None, knots)
+            sum.reshape(rows, cols)[:: rays.towards] += (light + HALF).astype(np.int32)
 
 
-def _sweep(
-    heights,
-    tilts,
-    azimuth,
-    way,
-    near_at,
-    near_weight,
-    table,
-    slopes,
-    sum,
-    steps,
-    rises,
-    rows,
-    cols,
-    margin,
-    room,
-    knots,
-    bits,
-    lowest,
-    unit,
-    known,
-    backward,
-    NEAR,
-    SIDES,
-    WHAT,
-    BLOCKS,
-):
-    shear, cosine, sine, tangent, width, reciprocal, reach = azimuth[:7]
-    towards, near_rows, near_columns, warm, window = (int(v) for v in way[:5])
-    steepness = abs(shear)
-    periodic, oblique = SIDES == PERIODIC, bool(reciprocal < 1e8)
-    stride = cols + 2 * margin
+class Ladder(NamedTuple):
+    """The slopes of the ladder, as heights per row and from the first, and how heights are quantized."""
 
-    # all nodes: u rows from where rays go to, column x, row y of the map, element p of heights
-    u, x = np.arange(rows, dtype=np.int32)[:, None], np.arange(cols, dtype=np.int32)
-    y = u if towards > 0 else rows - 1 - u
-    p = (y + margin) * stride + margin + x
-    own = heights[p]
+    steps: np.ndarray
+    rises: np.ndarray
+    bits: int
+    lowest: np.float32
+    unit: np.float32
 
-    def rise(at, beyond, weight, distance):
+    def quantized(self, ground: np.ndarray) -> np.ndarray:
+        whole: np.ndarray = (np.maximum(ground - self.lowest, np.float32(0)) * self.unit).astype(np.int32)
+        return whole << self.bits
+
+
+class Rays:
+    """The rays of one azimuth, from u rows on and column x: row y of the map, element p of heights."""
+
+    def __init__(
+        self,
+        heights: np.ndarray,
+        azimuth: np.ndarray,
+        way: np.ndarray,
+        rows: int,
+        cols: int,
+        margin: int,
+        NEAR: int,
+        SIDES: int,
+        BLOCKS: int,
+    ) -> None:
+        self.heights, self.rows, self.cols, self.margin = heights, rows, cols, margin
+        self.shear, self.reciprocal, self.reach = azimuth[0], azimuth[5], azimuth[6]
+        self.steepness = abs(self.shear)
+        self.towards, self.near_rows, self.near_columns, self.warm, self.window = (int(v) for v in way[:5])
+        self.periodic, self.oblique = SIDES == PERIODIC, bool(self.reciprocal < 1e8)
+        self.stride, self.nearest, self.blocks = cols + 2 * margin, NEAR, BLOCKS
+        self.u, self.x = np.arange(rows, dtype=np.int32)[:, None], np.arange(cols, dtype=np.int32)
+        self.y = self.u if self.towards > 0 else rows - 1 - self.u
+        self.p = (self.y + margin) * self.stride + margin + self.x
+        self.own = heights[self.p]
+
+    def place(self, x: np.ndarray, y: np.ndarray) -> Values:
+        if self.periodic:
+            x, y = x % self.cols, y % self.rows
+        return (y + self.margin) * self.stride + self.margin + x
+
+    def rise(self, at: np.ndarray, beyond: int, weight: Any, distance: Any) -> np.ndarray:
         """Slope from every node to its ray's crossing between elements ``at`` and ``at + beyond``."""
-        a, b = heights[at], heights[at + beyond]
-        return (weight * (b - a) + (a - own)) * (ONE / distance)
+        a, b = self.heights[at], self.heights[at + beyond]
+        slope: np.ndarray = (weight * (b - a) + (a - self.own)) * (ONE / distance)
+        return slope
 
-    def place(x, y):
-        if periodic:
-            x, y = x % cols, y % rows
-        return (y + margin) * stride + margin + x
-
-    def on_row(t):
+    def on_row(self, t: np.ndarray) -> np.ndarray:
         """The crossing with the row t rows on; nan for t = 0, which fmax drops."""
         distance = t.astype(np.float32)
-        across = shear * distance
+        across = self.shear * distance
         n = np.floor(across)
-        slope = rise(place(x + n.astype(np.int32), y - towards * t), 1, across - n, distance)
-        return np.where(distance <= reach, slope, NONE) if BLOCKS else slope
+        at = self.place(self.x + n.astype(np.int32), self.y - self.towards * t)
+        slope = self.rise(at, 1, across - n, distance)
+        return np.where(distance <= self.reach, slope, NONE) if self.blocks else slope
 
-    def on_column(m):
+    def on_column(self, m: np.ndarray) -> np.ndarray:
         """The crossing with the column m columns on, if it is within reach."""
-        distance = m.astype(np.float32) * reciprocal
+        distance = m.astype(np.float32) * self.reciprocal
         n = distance.astype(np.int32)
-        before = n if periodic else np.minimum(n, u + 1)
-        slope = rise(
-            place(x + m if shear > 0 else x - m, y - towards * before),
-            -towards * stride,
-            distance - n.astype(np.float32),
-            distance,
-        )
-        return np.where(distance <= reach, slope, NONE) if BLOCKS else slope
+        before = n if self.periodic else np.minimum(n, self.u + 1)
+        at = self.place(self.x + m if self.shear > 0 else self.x - m, self.y - self.towards * before)
+        slope = self.rise(at, -self.towards * self.stride, distance - n.astype(np.float32), distance)
+        return np.where(distance <= self.reach, slope, NONE) if self.blocks else slope
 
-    # 4. every near crossing
-    near_at = near_at[:, 0] - towards * stride * near_at[:, 1]
-    near, beside = np.full((2, rows, cols), NONE)
-    for e in range(near_rows if BLOCKS else NEAR):
-        near = np.fmax(near, rise(p + near_at[e], 1, near_weight[e], np.float32(e + 1)))
-    for e in range(near_columns):
-        beside = np.fmax(
-            beside, rise(p + near_at[NEAR + e], -towards * stride, near_weight[NEAR + e], np.float32(e + 1))
-        )
-    near = np.fmax(near, beside * np.maximum(steepness, np.float32(1e-6)))
 
-    # 3. and 5. distances of the two crossings that the ladder gives
-    level = (np.maximum(own - lowest, np.float32(0)) * unit).astype(np.int32) << bits
-    lower, upper = _ladder(
-        heights,
-        level,
-        steps,
-        rises,
-        shear,
-        reciprocal,
-        towards,
-        warm,
-        window,
-        rows,
-        cols,
-        margin,
-        lowest,
-        unit,
-        bits,
-        backward,
-        NEAR,
-        periodic,
-        BLOCKS,
-    )
+def _near(rays: Rays, near_at: np.ndarray, near_weight: np.ndarray) -> np.ndarray:
+    """4. every near crossing"""
+    near_at = near_at[:, 0] - rays.towards * rays.stride * near_at[:, 1]
+    on_rows, on_columns = np.full((2, rays.rows, rays.cols), NONE)
+    for e in range(rays.near_rows if rays.blocks else rays.nearest):
+        on_rows = np.fmax(on_rows, rays.rise(rays.p + near_at[e], 1, near_weight[e], np.float32(e + 1)))
+    for e in range(rays.near_columns):
+        at, weight = rays.p + near_at[rays.nearest + e], near_weight[rays.nearest + e]
+        slope = rays.rise(at, -rays.towards * rays.stride, weight, np.float32(e + 1))
+        on_columns = np.fmax(on_columns, slope)
+    slopes: np.ndarray = np.fmax(on_rows, on_columns * np.maximum(rays.steepness, np.float32(1e-6)))
+    return slopes
 
+
+def _far(rays: Rays, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
+    """6. and 7. the crossings at the distances that the ladder gives, and the column crossings beside them"""
+    u, x, cols, reciprocal = rays.u, rays.x, rays.cols, rays.reciprocal
     # 6. both on the node's own ray, no farther than the map or the window goes
-    last = np.broadcast_to(np.minimum(u + warm, window), p.shape)
-    if not periodic and oblique:
-        room_beside = (cols - 1 - x if shear > 0 else x).astype(np.float32) * reciprocal
-        last = np.where(
-            room_beside < np.minimum(u, window).astype(np.float32), room_beside.astype(np.int32), last
-        )
+    last = np.broadcast_to(np.minimum(u + rays.warm, rays.window), rays.p.shape)
+    if not rays.periodic and rays.oblique:
+        to_side = (cols - 1 - x if rays.shear > 0 else x).astype(np.float32) * reciprocal
+        before = to_side < np.minimum(u, rays.window).astype(np.float32)
+        last = np.where(before, to_side.astype(np.int32), last)
     last = np.maximum(last, 1)
     t1, t2 = np.maximum(np.minimum(lower, last), 1), np.maximum(np.minimum(upper, last), 1)
-    far = np.fmax(on_row(t1), on_row(t2))
+    far: np.ndarray = np.fmax(rays.on_row(t1), rays.on_row(t2))
     # 7. and the column crossings beside them: the nearer one's before, the farther one's behind
-    if oblique:
-        m = (steepness * t1.astype(np.float32)).astype(np.int32)
-        far = np.fmax(far, np.fmax(on_column(np.maximum(m, 1)), on_column(m + 1)))
-    if BLOCKS:  # downhill the end of the window is the horizon
-        far = np.fmax(far, on_row(last))
-        if oblique:
-            m = (steepness * np.minimum(reach, (u + warm).astype(np.float32))).astype(np.int32)
-            m = m if periodic else np.minimum(m, cols - 1 - x if shear > 0 else x)
-            far = np.fmax(far, on_column(np.maximum(m, 1)))
+    if rays.oblique:
+        m = (rays.steepness * t1.astype(np.float32)).astype(np.int32)
+        far = np.fmax(far, np.fmax(rays.on_column(np.maximum(m, 1)), rays.on_column(m + 1)))
+    if rays.blocks:  # downhill the end of the window is the horizon
+        far = np.fmax(far, rays.on_row(last))
+        if rays.oblique:
+            end = np.minimum(rays.reach, (u + rays.warm).astype(np.float32))
+            m = (rays.steepness * end).astype(np.int32)
+            m = m if rays.periodic else np.minimum(m, cols - 1 - x if rays.shear > 0 else x)
+            far = np.fmax(far, rays.on_column(np.maximum(m, 1)))
+    return far
 
-    slope = np.fmax(far, near) * tangent
-    if SIDES == DARK:  # a wall half a node outside, up to height 0
-        wall = (2 * (cols - x) - 1 if shear > 0 else 2 * x + 1).astype(np.float32) * (HALF * reciprocal)
-        slope = np.maximum(slope, -own * tangent / np.minimum(wall, u.astype(np.float32) + HALF))
-    if WHAT == SLOPES or BLOCKS:
-        out = slopes.reshape(rows, cols)[::towards]
-        slope = np.maximum(slope, out) if known else slope
-    if WHAT == SLOPES:
-        out[...] = np.where(slope < np.float32(-1e20), -np.inf, slope)
-        return
 
-    # 8. the light between the horizon, or the tangent plane, and the zenith
-    gx, gy = tilts[0][p], tilts[1][p]
+def _wall(rays: Rays, tangent: np.float32) -> np.ndarray:
+    """The slope to the top, at height 0, of a wall half a node outside the map."""
+    to_side = 2 * (rays.cols - rays.x) - 1 if rays.shear > 0 else 2 * rays.x + 1
+    wall = to_side.astype(np.float32) * (HALF * rays.reciprocal)
+    slope: np.ndarray = -rays.own * tangent / np.minimum(wall, rays.u.astype(np.float32) + HALF)
+    return slope
+
+
+def _light(
+    rays: Rays,
+    tilts: np.ndarray,
+    slope: np.ndarray,
+    azimuth: np.ndarray,
+    table: np.ndarray | None,
+    knots: int,
+) -> np.ndarray:
+    """8. the light between the horizon or the tangent plane and the zenith; no table: of a uniform sky"""
+    cosine, sine, width = azimuth[1], azimuth[2], azimuth[4]
+    gx, gy = tilts[0][rays.p], tilts[1][rays.p]
     along = gx * cosine + gy * sine
     limit = np.maximum(np.maximum(slope, -along), np.float32(0))
-    if WHAT == UNIFORM:
+    if table is None:
         c2 = ONE / (limit * limit + ONE)
         c1 = HALF * (HALF_PI - np.arctan(limit) - limit * c2)
         c2 = c2 * HALF
@@ -230,90 +213,76 @@ def _sweep(
         knot = np.minimum(at.astype(np.int32), knots - 2)
         part, entry = at - knot.astype(np.float32), table[knot]
         c1, c2 = part * entry[..., 2] + entry[..., 0], part * entry[..., 3] + entry[..., 1]
-    light = (along * c1 + c2) * (width * (ONE / np.sqrt(gx * gx + (gy * gy + ONE))))
-    sum.reshape(rows, cols)[::towards] += (light + HALF).astype(np.int32)
+    light: np.ndarray = (along * c1 + c2) * (width * (ONE / np.sqrt(gx * gx + (gy * gy + ONE))))
+    return light
 
 
-def _ladder(
-    heights,
-    level,
-    steps,
-    rises,
-    shear,
-    reciprocal,
-    towards,
-    warm,
-    window,
-    rows,
-    cols,
-    margin,
-    lowest,
-    unit,
-    bits,
-    backward,
-    NEAR,
-    periodic,
-    BLOCKS,
-):
-    """Distances [rows] of the crossings that the ladder's two steps give between which a node lies; each
-    (rows, cols).
-    """
-    grid = heights.reshape(rows + 2 * margin, cols + 2 * margin)
-    x = np.arange(cols)
-    backward = bool(BLOCKS and backward)
-
-    # 1. lines, and from which row to which each is on the map
-    overhang = 0 if periodic else int(abs(shear) * np.float32(rows)) + 1
-    origin = -overhang if shear < 0 else 0
-    line = np.arange(origin, cols + (overhang if shear > 0 else 0), dtype=np.int32)
-    start, stop = np.full_like(line, -warm), np.full_like(line, rows)
-    if not periodic and reciprocal < 1e8:
-        enters, leaves = (line - cols, line + 1) if shear > 0 else (-line - 1, cols - line)
-        start = np.maximum(np.floor(enters.astype(np.float32) * reciprocal).astype(np.int32), 0)
-        stop = np.minimum((leaves.astype(np.float32) * reciprocal).astype(np.int32) + 2, rows)
+def _lines(rays: Rays, backward: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """1. the lines that pass the map, and from which row to which each is on the map"""
+    cols = rays.cols
+    overhang = 0 if rays.periodic else int(abs(rays.shear) * np.float32(rays.rows)) + 1
+    origin = -overhang if rays.shear < 0 else 0
+    line = np.arange(origin, cols + (overhang if rays.shear > 0 else 0), dtype=np.int32)
+    start, stop = np.full_like(line, -rays.warm), np.full_like(line, rays.rows)
+    if not rays.periodic and rays.oblique:
+        enters, leaves = (line - cols, line + 1) if rays.shear > 0 else (-line - 1, cols - line)
+        start = np.maximum(np.floor(enters.astype(np.float32) * rays.reciprocal).astype(np.int32), 0)
+        stop = np.minimum((leaves.astype(np.float32) * rays.reciprocal).astype(np.int32) + 2, rays.rows)
     if backward:
+        warm, window = rays.warm, rays.window
         start, stop = start - (start + warm) % window, stop + window - 1 - (stop - 1 + warm) % window
+    return line, start, stop
+
+
+def _row_of(rays: Rays, ladder: Ladder, line: np.ndarray, comes: int, comes_at: int) -> np.ndarray:
+    """3. the row that comes in, where the lines cross it: quantized, with the distance at which it comes"""
+    grid = rays.heights.reshape(rays.rows + 2 * rays.margin, rays.cols + 2 * rays.margin)
+    across = -rays.shear * np.float32(comes)
+    column = np.floor(across)
+    at = line + int(column)
+    # beyond the margin there is only what is not there
+    at = at % rays.cols if rays.periodic else np.clip(at, -2, rays.cols)
+    row = comes % rays.rows if rays.towards > 0 else (rays.rows - 1 - comes) % rays.rows
+    a, b = grid[rays.margin + row, rays.margin + at], grid[rays.margin + row, rays.margin + at + 1]
+    ground = np.where(a == NONE, b, np.where(b == NONE, a, a + (across - column) * (b - a)))
+    return np.where(ground < np.float32(-1e20), np.int32(UNSEEN), ladder.quantized(ground) | comes_at)
+
+
+def _ladder(rays: Rays, ladder: Ladder, backward: bool) -> tuple[np.ndarray, np.ndarray]:
+    """Distances [rows] of the crossings of the two steps of the ladder between which each node lies."""
+    rows, cols, x, warm, window = rays.rows, rays.cols, np.arange(rays.cols), rays.warm, rays.window
+    line, start, stop = _lines(rays, backward)
+    level = ladder.quantized(rays.own)
 
     # 2. nothing seen yet
-    above = np.full((16, len(line)), UNSEEN, np.int32)
-    steps, rises, mask = (steps if backward else -steps)[:, None], rises[:, None], (1 << bits) - 1
-    comes_at = window if backward else NEAR + 1
+    above = np.full((LADDER, len(line)), UNSEEN, np.int32)
+    steps, rises = (ladder.steps if backward else -ladder.steps)[:, None], ladder.rises[:, None]
+    mask = (1 << ladder.bits) - 1
+    comes_at = window if backward else rays.nearest + 1
     lower, upper = np.empty((2, rows, cols), np.int32)
     for i in range(start.min(), stop.max()):
         u, into = i, 1
-        if BLOCKS:
+        if rays.blocks:
             into = (i + warm) % window
             u = i - 2 * into + window - 1 if backward else i
-        # 3. the row that comes in, quantized; then every ray climbs (or, backward, falls) by one row
+        # 3. the row that comes in; then every ray climbs (or, backward, falls) by one row
         if into == 0:
             above[...] = UNSEEN
         comes = u - comes_at
         seen = np.full(len(line), UNSEEN, np.int32)
-        if (periodic or 0 <= comes < rows) and (not BLOCKS or backward or into > NEAR):
-            across = -shear * np.float32(comes)
-            column = np.floor(across)
-            at = line + int(column)
-            at = (
-                at % cols if periodic else np.clip(at, -2, cols)
-            )  # beyond that there is only what is not there
-            ground = grid[margin + (comes % rows if towards > 0 else (rows - 1 - comes) % rows)]
-            a, b = ground[margin + at], ground[margin + at + 1]
-            ground = np.where(a == NONE, b, np.where(b == NONE, a, a + (across - column) * (b - a)))
-            quantized = (np.maximum(ground - lowest, np.float32(0)) * unit).astype(
-                np.int32
-            ) << bits | comes_at
-            seen = np.where(ground < np.float32(-1e20), seen, quantized)
+        if (rays.periodic or 0 <= comes < rows) and (not rays.blocks or backward or into > rays.nearest):
+            seen = _row_of(rays, ladder, line, comes, comes_at)
         going = (start <= i) & (i < stop)
         above = np.where(going, np.maximum(above + steps, seen), above)
         if not 0 <= u < rows:
             continue
         # 5. the two steps of the ladder between which each node lies, by bisection; above[s] is rises[s] too
         # high
-        of = x - int(np.floor(HALF - shear * np.float32(u)))
-        heard = above[:, of % cols if periodic else of - origin]
+        of = x - int(np.floor(HALF - rays.shear * np.float32(u)))
+        heard = above[:, of % cols if rays.periodic else of - line[0]]
         test = heard >= level[u] + rises
         s = np.zeros(cols, np.int32)
         for half in (8, 4, 2, 1):
             s += half * test[s + half, x]
-        lower[u], upper[u] = heard[s, x] & mask, heard[np.minimum(s + 1, 15), x] & mask
+        lower[u], upper[u] = heard[s, x] & mask, heard[np.minimum(s + 1, LADDER - 1), x] & mask
     return lower, upper

@@ -1,14 +1,13 @@
-"""The kernels of `luminance` in NumPy: names, arguments and bits as in opencl/luminance.cl and
-warp_kernels/luminance.py.
-"""
+"""The kernels of `luminance` in NumPy: twin of opencl/luminance.cl and warp_kernels/luminance.py."""
 
 from __future__ import annotations
 
 import numpy as np
 
 
-def gradient(depth, slopes, rows, cols, room, half, one):
-    half, one = np.float32(half), np.float32(one)
+def gradient(
+    depth: np.ndarray, slopes: np.ndarray, rows: int, cols: int, room: int, half: float, one: float
+) -> None:
     for out, z in (
         (slopes[0, : depth.size].reshape(depth.shape), depth),
         (slopes[1, : depth.size].reshape(depth.shape).T, depth.T),
@@ -19,11 +18,22 @@ def gradient(depth, slopes, rows, cols, room, half, one):
         low, high = z.copy(), z.copy()
         low[:, 1:] = np.where(before[:, 1:], z[:, :-1], z[:, 1:])
         high[:, :-1] = np.where(after[:, :-1], z[:, 1:], z[:, :-1])
-        scale = np.where(before & after, half, one)
+        scale = np.where(before & after, np.float32(half), np.float32(one))
         out[...] = np.where(known & (before | after), (high - low) * scale, np.float32(0))
 
 
-def luminance(planes, slopes, moments, irradiance, pixels, room, n_walks, is_first, is_last, BITS):
+def luminance(
+    planes: np.ndarray,
+    slopes: np.ndarray,
+    moments: np.ndarray,
+    irradiance: np.ndarray,
+    pixels: int,
+    room: int,
+    n_walks: int,
+    is_first: int,
+    is_last: int,
+    BITS: int,
+) -> None:
     gx, gy = slopes[0, :pixels], slopes[1, :pixels]
     total = np.zeros(pixels, np.float32) if is_first else irradiance[:pixels]
     for w in range(n_walks):

@@ -2,6 +2,8 @@
 opencl/pilot.cl.
 """
 
+from typing import Any
+
 import numpy as np
 
 from ... import constants
@@ -9,13 +11,26 @@ from ... import constants
 NONE, MASKED = np.float32(constants.NONE), np.float32(constants.MASKED)
 
 
-def _steps_out(at, move, low, high):
+def _steps_out(at: np.ndarray, move: np.ndarray, low: Any, high: Any) -> np.ndarray:
     with np.errstate(divide="ignore", invalid="ignore"):
         out = np.where(move > 0, (high - at) / move, (at - low) / -move)
     return np.where(move == 0, 2.0**30, np.minimum(out, 1e9)).astype(np.int64) + 1
 
 
-def pilot(heights, tops, rays, slopes, count, rows, cols, across, shift, periodic, highest, reach):
+def pilot(
+    heights: np.ndarray,
+    tops: np.ndarray,
+    rays: np.ndarray,
+    slopes: np.ndarray,
+    count: int,
+    rows: int,
+    cols: int,
+    across: int,
+    shift: int,
+    periodic: int,
+    highest: float,
+    reach: float,
+) -> None:
     heights, tops = heights.reshape(-1), tops.reshape(-1)
     x, y = rays[:, 0].astype(np.int64), rays[:, 1].astype(np.int64)
     own, slope = heights[y * cols + x], rays[:, 4].copy()
@@ -67,7 +82,17 @@ def pilot(heights, tops, rays, slopes, count, rows, cols, across, shift, periodi
     slopes[...] = slope
 
 
-def pool(heights, found, rows, cols, across, down, shift, periodic, cliff):
+def pool(
+    heights: np.ndarray,
+    found: np.ndarray,
+    rows: int,
+    cols: int,
+    across: int,
+    down: int,
+    shift: int,
+    periodic: int,
+    cliff: float,
+) -> None:
     size, found = 1 << shift, found.reshape(3, down, across)
     heights = heights.reshape(rows, cols)
     known = heights > MASKED
@@ -93,6 +118,6 @@ def pool(heights, found, rows, cols, across, down, shift, periodic, cliff):
     found[:] = top, low.reshape(blocks).min((1, 3)), cliffs.reshape(blocks).sum((1, 3))
 
 
-def pick(values, at, found, n_found, missing):
+def pick(values: np.ndarray, at: np.ndarray, found: np.ndarray, n_found: int, missing: float) -> None:
     at = at[:n_found]
     found[:n_found] = np.where(at >= 0, values.reshape(-1)[np.maximum(at, 0)], np.float32(missing))

@@ -1,6 +1,4 @@
-"""The kernels of `propagate` in NumPy: names, arguments and bits as in opencl/propagate.cl and
-warp_kernels/propagate.py.
-"""
+"""The kernels of `propagate` in NumPy: twin of opencl/propagate.cl and warp_kernels/propagate.py."""
 
 from __future__ import annotations
 
@@ -9,13 +7,22 @@ import numpy as np
 from .scan import sweep_lines
 
 
-def reaches(depth, ways, lap, levels, rows, cols, lap_lines, periodic):
+def reaches(
+    depth: np.ndarray,
+    ways: np.ndarray,
+    lap: np.ndarray,
+    levels: np.ndarray,
+    rows: int,
+    cols: int,
+    lap_lines: int,
+    periodic: int,
+) -> None:
     nothing = np.zeros((1, 1), np.float32)
     for w, (i, j) in enumerate(ways.tolist()):
         z, out = (depth, levels[w]) if j else (depth.T, levels[w].T)
         i, j = (i, j) if j else (0, i)
 
-        def first_ceiling(line, w=w, cols=z.shape[1]):
+        def first_ceiling(line: int, w: int = w, cols: int = z.shape[1]) -> np.ndarray:
             return (
                 lap[w, None, line : line + cols].copy()
                 if periodic
@@ -28,7 +35,19 @@ def reaches(depth, ways, lap, levels, rows, cols, lap_lines, periodic):
             out[row] = ceiling[0]
 
 
-def propagate(depth, levels, offsets, field, rows, cols, reach, n_words, n_directions, n_level, layer):
+def propagate(
+    depth: np.ndarray,
+    levels: np.ndarray,
+    offsets: np.ndarray,
+    field: np.ndarray,
+    rows: int,
+    cols: int,
+    reach: int,
+    n_words: int,
+    n_directions: int,
+    n_level: int,
+    layer: int,
+) -> None:
     here = field[layer + reach]
     width = cols + 2 * reach
     lit = np.zeros((n_words, rows, cols), np.uint32)
@@ -46,6 +65,6 @@ def propagate(depth, levels, offsets, field, rows, cols, reach, n_words, n_direc
     here[:, reach : reach + rows, reach : reach + cols] = np.where(depth >= layer, lit, np.uint32(0))
 
 
-def wrap(field, rows, cols, reach, n_words, layer):
+def wrap(field: np.ndarray, rows: int, cols: int, reach: int, n_words: int, layer: int) -> None:
     y, x = (np.arange(n + 2 * reach) - reach for n in (rows, cols))
     field[layer + reach] = field[layer + reach][:, (y % rows + reach)[:, None], (x % cols + reach)[None]]

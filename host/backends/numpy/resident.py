@@ -7,23 +7,42 @@ import numpy as np
 WAYS = (1, 0), (1, 1), (0, 1), (-1, 1), (-1, 0), (-1, -1), (0, -1), (1, -1)
 
 
-def take(values, depth, top, sign, count):
+def take(values: np.ndarray, depth: np.ndarray, top: float, sign: float, count: int) -> None:
     depth.reshape(-1)[:count] = np.float32(top) + np.float32(sign) * values.reshape(-1)[:count]
 
 
-def survey(values, found, rows, cols):
+def survey(values: np.ndarray, found: np.ndarray, rows: int, cols: int) -> None:
     values = values.reshape(rows, cols)
     known, most = np.isfinite(values), np.finfo(np.float32).max
     found[0], found[1] = np.where(known, values, most).min(0), np.where(known, values, -most).max(0)
     found[2] = (~known).sum(0)
 
 
-def pad(depth, heights, rows, cols, margin, step, outside, periodic):
+def pad(
+    depth: np.ndarray,
+    heights: np.ndarray,
+    rows: int,
+    cols: int,
+    margin: int,
+    step: float,
+    outside: float,
+    periodic: int,
+) -> None:
     mode = {"mode": "wrap"} if periodic else {"constant_values": np.float32(outside)}
     heights[:] = np.pad(-depth.reshape(rows, cols) / np.float32(step), margin, **mode).ravel()
 
 
-def probe(heights, best, rows, cols, margin, every, across, count, first):
+def probe(
+    heights: np.ndarray,
+    best: np.ndarray,
+    rows: int,
+    cols: int,
+    margin: int,
+    every: int,
+    across: int,
+    count: int,
+    first: int,
+) -> None:
     stride = cols + 2 * margin
     sample = np.arange(count)
     x, y = sample % across * every, sample // across * every

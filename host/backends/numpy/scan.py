@@ -1,6 +1,8 @@
-"""The kernels of `scan` in NumPy: names, arguments and bits as in opencl/scan.cl and warp_kernels/scan.py."""
+"""The kernels of `scan` in NumPy: twin of opencl/scan.cl and warp_kernels/scan.py."""
 
 from __future__ import annotations
+
+from collections.abc import Callable, Iterator
 
 import numpy as np
 
@@ -8,10 +10,20 @@ from ... import constants
 
 NOTHING = np.float32(constants.NOTHING)  # finite, so that a masked node never passes
 
+Lowering = Callable[[np.ndarray, int], None]  # of the ceilings at a row
 
-def sweep_lines(depth, i, j, warm, first_ceiling, periodic, lower, climb):
-    """Yields (row, depths, ceilings) of the nodes of one walk (i, j), j not 0, row by row from the source's
-    side.
+
+def sweep_lines(
+    depth: np.ndarray,
+    i: int,
+    j: int,
+    warm: int,
+    first_ceiling: Callable[[int], np.ndarray],
+    periodic: int,
+    lower: Lowering,
+    climb: np.ndarray,
+) -> Iterator[tuple[int, np.ndarray, np.ndarray]]:
+    """Yields (row, depths, ceilings) of one walk (i, j), j not 0, row by row from the source's side.
 
     ``lower(ceiling, row)`` lowers the ceilings first.
     """
@@ -32,12 +44,21 @@ def sweep_lines(depth, i, j, warm, first_ceiling, periodic, lower, climb):
                 ceiling[:, slice(-i, None) if i > 0 else slice(0, -i)] = NOTHING
 
 
-def scan_walk(maps, walk, climb, lap, planes, shape, periodic, lower=None):
+def scan_walk(
+    maps: np.ndarray,
+    walk: np.ndarray,
+    climb: np.ndarray,
+    lap: np.ndarray,
+    planes: np.ndarray,
+    shape: tuple[int, int],
+    periodic: int,
+    lower: Lowering | None = None,
+) -> None:
     i, j, warm, _, _, parts, turned, plane = walk.tolist()
     depth = map_of(maps, turned, shape)
     bits = len(climb)
 
-    def first_ceiling(line):
+    def first_ceiling(line: int) -> np.ndarray:
         ceiling = np.full((bits, depth.shape[1]), NOTHING)
         if periodic and climb[0] == 0:
             ceiling[0] = np.roll(
@@ -54,27 +75,48 @@ def scan_walk(maps, walk, climb, lap, planes, shape, periodic, lower=None):
         out[row] = ((z <= ceiling) * weights).sum(0, dtype=np.uint8)
 
 
-def map_of(maps, turned, shape):
+def map_of(maps: np.ndarray, turned: int, shape: tuple[int, int]) -> np.ndarray:
     shape = shape[::-1] if turned else shape
     return maps[turned, : shape[0] * shape[1]].reshape(shape)
 
 
-def scan(maps, walks, rise, lap, planes, map_rows, map_cols, room, lap_lines, periodic, BITS):
+def scan(
+    maps: np.ndarray,
+    walks: np.ndarray,
+    rise: np.ndarray,
+    lap: np.ndarray,
+    planes: np.ndarray,
+    map_rows: int,
+    map_cols: int,
+    room: int,
+    lap_lines: int,
+    periodic: int,
+    BITS: int,
+) -> None:
     for w, walk in enumerate(walks):
         scan_walk(maps, walk, rise[w], lap[w], planes, (map_rows, map_cols), periodic)
 
 
-def turn_map(maps, rows, cols, room):
+def turn_map(maps: np.ndarray, rows: int, cols: int, room: int) -> None:
     map_of(maps, 1, (rows, cols))[...] = map_of(maps, 0, (rows, cols)).T
 
 
-def turn_planes(planes, pairs, rows, cols, room):
+def turn_planes(planes: np.ndarray, pairs: np.ndarray, rows: int, cols: int, room: int) -> None:
     n = rows * cols
     for turned, plane in pairs:
         planes[plane, :n].reshape(rows, cols)[...] = planes[turned, :n].reshape(cols, rows).T
 
 
-def pack(planes, order, words, pixels, room, n_words, n_walks, BITS):
+def pack(
+    planes: np.ndarray,
+    order: np.ndarray,
+    words: np.ndarray,
+    pixels: int,
+    room: int,
+    n_words: int,
+    n_walks: int,
+    BITS: int,
+) -> None:
     words = words.reshape(pixels, n_words)
     for w in range(n_walks):
         lit = planes[w, :pixels]

@@ -1,10 +1,9 @@
-"""The kernels of slices in NumPy: same names, arguments and steps as in Warp and OpenCL, on many slices at a
-time.
-"""
+"""The kernels of `slices` in NumPy, on many slices at a time: twin of opencl/slices.cl."""
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -19,8 +18,14 @@ CHORD_TANGENT, TURN_BY_SINE, TURN_BY_TANGENT = (
 )
 AT_ONCE = 2**15  # slices
 
+Values = Any  # one per node, or one for all
+Nodes = TypeVar("Nodes", "Disc", "Frame")
+Surface = tuple[
+    np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray
+]  # x, y, height, tilt_x, tilt_y, mirror_x, mirror_y, mirror_z
 
-def coarser(heights, tops, rows, cols, width, level):
+
+def coarser(heights: np.ndarray, tops: np.ndarray, rows: int, cols: int, width: int, level: int) -> None:
     wide, tall = width >> level, ((rows - 1) >> level) + 1
     out = tops[:tall, width - (width >> (level - 1)) :][:, :wide]
     out[...] = NONE
@@ -68,21 +73,25 @@ class Pixels(NamedTuple):
     reach: np.ndarray
     radius: np.float32
 
-    def of(self, which):
-        return Pixels(*(value[which] for value in self[:-1]), self.radius)
+    def of(self, which: np.ndarray) -> Pixels:
+        return Pixels._make((*(value[which] for value in self[:10]), self.radius))
 
 
-def _slope_between(low, here, high):
+def _slope_between(low: np.ndarray, here: np.ndarray, high: np.ndarray) -> np.ndarray:
     one_side = np.where(low > NONE, low - here, np.where(high > NONE, here - high, F(0)))
     return np.where((low > NONE) & (high > NONE), (low - high) * F(0.5), one_side)
 
 
-def _pixels(heights, rows, cols):
+def _pixels(heights: np.ndarray, rows: int, cols: int) -> Surface:
     """x, y, height, tilt_x, tilt_y, mirror_x, mirror_y, mirror_z of every node with ground, flat."""
     grid = heights[: (rows + 2) * (cols + 1)].reshape(rows + 2, cols + 1)
     y, x = np.nonzero(grid[1:-1, 1:] > NONE)
     here = (y + 1) * (cols + 1) + x + 1
-    pick = lambda step: heights[here + step]
+
+    def pick(step: int) -> np.ndarray:
+        there: np.ndarray = heights[here + step]
+        return there
+
     tilt_x, tilt_y = (
         _slope_between(pick(-1), pick(0), pick(1)),
         _slope_between(pick(-cols - 1), pick(0), pick(cols + 1)),
@@ -100,7 +109,7 @@ def _pixels(heights, rows, cols):
     )
 
 
-def _under_source(pixels, along, aside, t):
+def _under_source(pixels: Pixels, along: np.ndarray, aside: np.ndarray, t: np.ndarray) -> np.ndarray:
     if pixels.radius > 0:
         off = t - along
         square = pixels.radius * pixels.radius - aside * aside - off * off
@@ -108,7 +117,16 @@ def _under_source(pixels, along, aside, t):
     return np.where(pixels.up > 0, (pixels.reach / t - along) / pixels.up, ENDLESS)
 
 
-def _horizon(ground, pixels, c, s, slope, high, along, aside):
+def _horizon(
+    ground: Map,
+    pixels: Pixels,
+    c: np.ndarray,
+    s: np.ndarray,
+    slope: np.ndarray,
+    high: np.ndarray,
+    along: np.ndarray,
+    aside: np.ndarray,
+) -> np.ndarray:
     """All arrays flat, one element per slice; pixels spread likewise."""
     stride, width = ground.cols + 1, ground.tops.shape[1]
     tops = ground.tops.ravel()
@@ -175,22 +193,31 @@ def _horizon(ground, pixels, c, s, slope, high, along, aside):
     return found
 
 
-def _in_lobe(ground, pixels, c, s, cosine, sine):
+def _in_lobe(
+    ground: Map, pixels: Pixels, c: np.ndarray, s: np.ndarray, cosine: np.ndarray, sine: np.ndarray
+) -> Values:
     x, y, z = (
         cosine - (pixels.mirror_x * c + pixels.mirror_y * s),
         pixels.mirror_y * c - pixels.mirror_x * s,
         sine - pixels.mirror_z,
     )
     most = F(len(ground.lobe) - 1)
-    at = np.minimum(
-        (x * x + y * y + z * z) * (F(0.5) * most / ground.rim), most
-    )  # 1 - cos is half of |L - R|^2
+    # 1 - cos is half of |L - R|^2
+    at = np.minimum((x * x + y * y + z * z) * (F(0.5) * most / ground.rim), most)
     i = np.minimum(at.astype(np.int32), len(ground.lobe) - 2)
     first = ground.lobe[i]
     return first + (at - i.astype(F)) * (ground.lobe[i + 1] - first)
 
 
-def _brightness_of(ground, pixels, c, s, tilt, low, high):
+def _brightness_of(
+    ground: Map,
+    pixels: Pixels,
+    c: np.ndarray,
+    s: np.ndarray,
+    tilt: np.ndarray,
+    low: np.ndarray,
+    high: np.ndarray,
+) -> Values:
     side = ground.sky.shape[1]
     sky, half, most = ground.sky.ravel(), F(0.5) * F(side - 1), side - 2
     low_c, high_c = F(1) / np.sqrt(low * low + F(1)), F(1) / np.sqrt(high * high + F(1))
@@ -214,7 +241,7 @@ def _brightness_of(ground, pixels, c, s, tilt, low, high):
     return total / np.maximum(everything, F(1) / ENDLESS)
 
 
-def _arctan(x):
+def _arctan(x: np.ndarray) -> Values:
     y = x * x
     total = np.full_like(x, CHORD_TANGENT[0])
     for factor in CHORD_TANGENT[1:]:
@@ -222,14 +249,24 @@ def _arctan(x):
     return x * total
 
 
-def _mean_cosine(a, b):
-    """Mean of the cosine over the sines between two near directions with cosines a and b, to second order
-    even at the zenith.
+def _mean_cosine(a: np.ndarray, b: np.ndarray) -> Values:
+    """Mean of the cosine over the sines between two near directions with cosines a and b.
+
+    It is right to second order even at the zenith.
     """
     return (a * a + a * b + b * b) / np.maximum(F(1.5) * (a + b), F(1) / ENDLESS)
 
 
-def _of_chords(chords, c, s, tilt, low, high, by_cosine, by_sine):
+def _of_chords(
+    chords: np.ndarray,
+    c: np.ndarray,
+    s: np.ndarray,
+    tilt: np.ndarray,
+    low: np.ndarray,
+    high: np.ndarray,
+    by_cosine: np.ndarray,
+    by_sine: np.ndarray,
+) -> Values:
     turns, knots = chords.shape[:2]
     # 1. the cells of azimuth beside
     ratio = s / (np.abs(c) + np.abs(s))
@@ -238,18 +275,25 @@ def _of_chords(chords, c, s, tilt, low, high, by_cosine, by_sine):
     after = np.minimum(place.astype(np.int32), turns)
     turn = (place - after.astype(F))[:, None]
     before, after = np.where(after > 0, after - 1, turns - 1), np.where(after < turns, after, 0)
-    blended = lambda knot: chords[before, knot] * (F(1) - turn) + chords[after, knot] * turn
+
+    def blended(knot: np.ndarray) -> Values:
+        return chords[before, knot] * (F(1) - turn) + chords[after, knot] * turn
+
     # 2. the knots below the ends
     steps = knots - 1
     low_c, high_c = F(steps) / np.sqrt(low * low + F(1)), F(steps) / np.sqrt(high * high + F(1))
     low_s, high_s = low * low_c, high * high_c
     i, j = (np.clip(sine.astype(np.int32), 0, steps - 1) for sine in (low_s, high_s))
     low_0, low_1, high_0, high_1 = (blended(knot) for knot in (i, i + 1, j, j + 1))
-    cosine_at = lambda knot: np.sqrt(((steps - knot) * (steps + knot)).astype(F))
+
+    def cosine_at(knot: np.ndarray) -> Values:
+        return np.sqrt(((steps - knot) * (steps + knot)).astype(F))
+
     # 3. the even integrals: of both cells, and what of them lies below the ends
-    below = lambda knot, sine, cosine: np.stack(
-        [_mean_cosine(cosine_at(knot), cosine), F(0.5) * (sine + knot.astype(F))], -1
-    )
+    def below(knot: np.ndarray, sine: np.ndarray, cosine: np.ndarray) -> np.ndarray:
+        by_sine = F(0.5) * (sine + knot.astype(F))
+        return np.stack([_mean_cosine(cosine_at(knot), cosine), by_sine], -1)
+
     low_all, high_all = (below(knot, (knot + 1).astype(F), cosine_at(knot + 1)) for knot in (i, j))
     low_part, high_part = (
         (sine - knot.astype(F))[:, None] * below(knot, sine, cosine)
@@ -263,7 +307,15 @@ def _of_chords(chords, c, s, tilt, low, high, by_cosine, by_sine):
     return tilt * light[:, 0] + light[:, 1]
 
 
-def _chord(ground, pixels, c, s, low, high, rise):
+def _chord(
+    ground: Map,
+    pixels: Pixels,
+    c: np.ndarray,
+    s: np.ndarray,
+    low: np.ndarray,
+    high: np.ndarray,
+    rise: np.ndarray,
+) -> np.ndarray:
     out = np.zeros_like(low)
     n = np.flatnonzero(low < high)
     pixels, c, s, low, high, rise = pixels.of(n), c[n], s[n], low[n], high[n], rise[n]
@@ -280,7 +332,7 @@ def _chord(ground, pixels, c, s, low, high, rise):
     return out
 
 
-def _to_wall(ends, at, along):
+def _to_wall(ends: int, at: np.ndarray, along: Any) -> np.ndarray:
     return np.where(
         along == 0,
         ENDLESS,
@@ -288,7 +340,15 @@ def _to_wall(ends, at, along):
     )
 
 
-def _to_rim(ground, pixels, c, s, before, after, rise):
+def _to_rim(
+    ground: Map,
+    pixels: Pixels,
+    c: np.ndarray,
+    s: np.ndarray,
+    before: np.ndarray,
+    after: np.ndarray,
+    rise: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     least, up = F(1) - ground.rim, pixels.mirror_z
     in_plane = pixels.mirror_x * c + pixels.mirror_y * s
     square = in_plane * in_plane + up * up - least * least
@@ -301,7 +361,17 @@ def _to_rim(ground, pixels, c, s, before, after, rise):
     return low, high, np.where((start > before) | (stop < after), high - low, rise)
 
 
-def _light(ground, pixels, c, s, along, aside, low, high, rise):
+def _light(
+    ground: Map,
+    pixels: Pixels,
+    c: np.ndarray,
+    s: np.ndarray,
+    along: np.ndarray,
+    aside: np.ndarray,
+    low: np.ndarray,
+    high: np.ndarray,
+    rise: np.ndarray,
+) -> np.ndarray:
     if len(ground.lobe):
         low, high, rise = _to_rim(ground, pixels, c, s, low, high, rise)
     # 1. the tangent plane and the level
@@ -317,7 +387,10 @@ def _light(ground, pixels, c, s, along, aside, low, high, rise):
         off = wall - along
         square = pixels.radius * pixels.radius - aside * aside - off * off
         half = np.sqrt(np.maximum(square, F(0)))  # of where the wall cuts the ball
-        before = lambda tangent: (pixels.reach > 0) & (wall * (along + tangent * pixels.up) < pixels.reach)
+
+        def before(tangent: np.ndarray) -> Values:
+            return (pixels.reach > 0) & (wall * (along + tangent * pixels.up) < pixels.reach)
+
         under = np.where(before(slope), np.where(square > 0, (pixels.up - half) / wall, ENDLESS), -ENDLESS)
         over = np.where(before(high) & (square > 0), (pixels.up + half) / wall, ENDLESS)
     else:
@@ -338,9 +411,19 @@ def _light(ground, pixels, c, s, along, aside, low, high, rise):
     return total + np.where(split, _chord(ground, pixels, c, s, above, high, high - above), F(0))
 
 
-def _sum(ground, pixels, blocks, most, unit, irradiance, slices_of, alternating=None):
-    """Fill irradiance: slices_of(indices of pixels, their number of slices) -> (share, along, aside, low,
-    high, rise, c, s), 2-D.
+def _sum(
+    ground: Map,
+    pixels: Pixels,
+    blocks: np.ndarray,
+    most: int,
+    unit: float,
+    irradiance: np.ndarray,
+    slices_of: Callable[[np.ndarray, int], tuple[Any, ...]],
+    alternating: np.ndarray | None = None,
+) -> None:
+    """Fill irradiance from slices_of(indices of pixels, their number of slices).
+
+    That gives (share, along, aside, low, high, rise, c, s), (pixels, slices) or what broadcasts.
     """
     irradiance[...] = 0
     if alternating is not None:
@@ -351,14 +434,14 @@ def _sum(ground, pixels, blocks, most, unit, irradiance, slices_of, alternating=
         for part in np.array_split(some, -(-len(some) * count // AT_ONCE)):
             here = pixels.of(part)
             share, along, aside, low, high, rise, c, s = slices_of(part, count)
-            flat = lambda value: np.ascontiguousarray(np.broadcast_to(value, share.shape)).ravel()
+            shape = len(part), count
             light = _light(
                 ground,
                 here.of(np.repeat(np.arange(len(part)), count)),
-                *map(flat, (c, s, along, aside, low, high, rise)),
+                *(np.broadcast_to(value, shape).ravel() for value in (c, s, along, aside, low, high, rise)),
             )
             scale = np.sqrt(F(1) + here.tilt_x * here.tilt_x + here.tilt_y * here.tilt_y)
-            light = share * light.reshape(share.shape)
+            light = share * light.reshape(shape)
             irradiance[here.y, here.x] = F(unit) * light.sum(1, dtype=F) / scale
             if alternating is not None:
                 alternating[here.y, here.x] = (
@@ -366,114 +449,120 @@ def _sum(ground, pixels, blocks, most, unit, irradiance, slices_of, alternating=
                 )
 
 
+def _columns(values: Nodes, part: np.ndarray) -> Nodes:
+    """The nodes ``part`` of a tuple of arrays, as columns: a row per node, a column per slice."""
+    return values._make(value[part, None] for value in values)
+
+
+def _turned(axes: Disc | Frame, cos_d: np.ndarray, sin_d: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Cosine and sine of azimuths that lie an angle (cos_d, sin_d) beside the axes of the nodes."""
+    return axes.ux * cos_d - axes.uy * sin_d, axes.uy * cos_d + axes.ux * sin_d
+
+
+class Disc(NamedTuple):
+    """The disc of directions that a ball covers, one element per node.
+
+    Its middle: azimuth (ux, uy), elevation (sin_e, cos_e), distance along the ground. Its half angle (sin_a,
+    cos_a). ``widest``: the sine of the greatest angle of azimuth beside the middle. Flags.
+    """
+
+    ux: np.ndarray
+    uy: np.ndarray
+    sin_e: np.ndarray
+    cos_e: np.ndarray
+    distance: np.ndarray
+    sin_a: np.ndarray
+    cos_a: np.ndarray
+    widest: np.ndarray
+    all_round: np.ndarray
+    inside: np.ndarray
+    seen: np.ndarray
+
+
+def _disc_slices(disc: Disc, nodes: np.ndarray, part: np.ndarray, count: int) -> tuple[Any, ...]:
+    """What _sum asks for: ``count`` slices of the discs of the nodes ``part``."""
+    here = _columns(disc, part)
+    step = F(np.pi) / F(count)
+    row = nodes[count // SLICES - 1, :, :count]
+    sin_d = np.where(here.all_round, row[2], here.widest * row[0])
+    cos_d = np.where(here.all_round, row[3], np.sqrt((F(1) - sin_d) * (F(1) + sin_d)))
+    square = here.sin_a * here.sin_a - here.cos_e * here.cos_e * (sin_d * sin_d)
+    half = np.where(here.all_round, np.sqrt(np.maximum(square, F(0))), here.sin_a * row[1])
+    # the cosine is no less but where there is no chord
+    narrow = here.widest * step * row[1] / np.maximum(cos_d, F(1e-6))
+    share = np.where(here.all_round, F(2) * step, narrow)
+    in_plane = here.cos_e * cos_d
+    square = in_plane * in_plane + here.sin_e * here.sin_e
+    low_c, low_s = in_plane * here.cos_a + here.sin_e * half, here.sin_e * here.cos_a - in_plane * half
+    high_c, high_s = in_plane * here.cos_a - here.sin_e * half, here.sin_e * here.cos_a + in_plane * half
+    low = np.where(low_c > 0, low_s / low_c, np.where(low_s > 0, STEEP, -STEEP))
+    high = np.where(high_c > 0, high_s / high_c, np.where(here.sin_e > 0, STEEP, -STEEP))
+    low = np.where(here.inside, -STEEP, low)
+    high = np.where(here.inside | (high > STEEP), STEEP, high)
+    rise = np.where(
+        (low_c > 0) & (high < STEEP), F(2) * here.cos_a * half * square / (low_c * high_c), high - low
+    )
+    high = np.where(here.seen, high, -STEEP)
+    along, aside = here.distance * cos_d, here.distance * sin_d
+    return share, along, aside, low, high, rise, *_turned(here, cos_d, sin_d)
+
+
 def ball(
-    heights,
-    tops,
-    nodes,
-    sky,
-    points,
-    lobe,
-    chords,
-    irradiance,
-    alternating,
-    rows,
-    cols,
-    width,
-    levels,
-    least,
-    most,
-    side,
-    n_points,
-    n_lobe,
-    n_turns,
-    n_knots,
-    dark,
-    rim,
-    x0,
-    y0,
-    z0,
-    radius,
-    unit,
-):
-    x0, y0, z0, radius = F(x0), F(y0), F(z0), F(radius)
+    heights: np.ndarray,
+    tops: np.ndarray,
+    nodes: np.ndarray,
+    sky: np.ndarray,
+    points: np.ndarray,
+    lobe: np.ndarray,
+    chords: np.ndarray,
+    irradiance: np.ndarray,
+    alternating: np.ndarray,
+    rows: int,
+    cols: int,
+    width: int,
+    levels: int,
+    least: int,
+    most: int,
+    side: int,
+    n_points: int,
+    n_lobe: int,
+    n_turns: int,
+    n_knots: int,
+    dark: int,
+    rim: float,
+    x0: float,
+    y0: float,
+    z0: float,
+    radius: float,
+    unit: float,
+) -> None:
+    radius_ = F(radius)
     nodes_with_ground = x, y, height, *_ = _pixels(heights, rows, cols)
     # 1. where the ball stands, and how many slices it is worth
-    dx, dy, dz = x0 - x.astype(F), y0 - y.astype(F), z0 - height
+    dx, dy, dz = F(x0) - x.astype(F), F(y0) - y.astype(F), F(z0) - height
     flat = np.sqrt(dx * dx + dy * dy)
     far = np.sqrt(flat * flat + dz * dz)
-    inside = far <= radius
+    inside = far <= radius_
     ux, uy = np.where(flat > 0, dx / flat, F(1)), np.where(flat > 0, dy / flat, F(0))
     sin_e, cos_e = np.where(far > 0, dz / far, F(1)), np.where(far > 0, flat / far, F(0))
-    beyond = np.where(inside, F(0), (far - radius) * (far + radius))
-    sin_a, cos_a = np.where(inside, F(1), radius / far), np.where(inside, F(0), np.sqrt(beyond) / far)
+    beyond = np.where(inside, F(0), (far - radius_) * (far + radius_))
+    sin_a, cos_a = np.where(inside, F(1), radius_ / far), np.where(inside, F(0), np.sqrt(beyond) / far)
     all_round = sin_a >= cos_e
     widest = np.where(all_round, F(1), sin_a / cos_e)
-    turn = np.where(
-        all_round, F(1), widest * (TURN_BY_SINE[0] + TURN_BY_SINE[1] * widest * widest)
-    )  # share of the circle, nearly
+    turn = np.where(all_round, F(1), _turn_by_sine(widest))
     blocks = np.minimum((least + (turn * F(most - least)).astype(np.int32)) // SLICES, most // SLICES)
-    pixels = Pixels(*nodes_with_ground, dz, beyond, radius)
-    seen = inside | (dz + radius > 0)
+    pixels = Pixels(*nodes_with_ground, dz, beyond, radius_)
+    seen = inside | (dz + radius_ > 0)
 
-    def slices_of(part, count):
-        step = F(np.pi) / F(count)
-        row = nodes[count // SLICES - 1, :, :count]
-        column = lambda value: value[part, None]
-        all_round_, inside_ = column(all_round), column(inside)
-        sin_d = np.where(all_round_, row[2], column(widest) * row[0])
-        cos_d = np.where(all_round_, row[3], np.sqrt((F(1) - sin_d) * (F(1) + sin_d)))
-        square = column(sin_a) * column(sin_a) - column(cos_e) * column(cos_e) * (sin_d * sin_d)
-        half = np.where(all_round_, np.sqrt(np.maximum(square, F(0))), column(sin_a) * row[1])
-        share = np.where(
-            all_round_, F(2) * step, column(widest) * step * row[1] / np.maximum(cos_d, F(1e-6))
-        )  # no less but where there is no chord
-        in_plane = column(cos_e) * cos_d
-        square = in_plane * in_plane + column(sin_e) * column(sin_e)
-        low_c, low_s = (
-            in_plane * column(cos_a) + column(sin_e) * half,
-            column(sin_e) * column(cos_a) - in_plane * half,
-        )
-        high_c, high_s = (
-            in_plane * column(cos_a) - column(sin_e) * half,
-            column(sin_e) * column(cos_a) + in_plane * half,
-        )
-        low = np.where(low_c > 0, low_s / low_c, np.where(low_s > 0, STEEP, -STEEP))
-        high = np.where(high_c > 0, high_s / high_c, np.where(column(sin_e) > 0, STEEP, -STEEP))
-        low = np.where(inside_, -STEEP, low)
-        high = np.where(inside_ | (high > STEEP), STEEP, high)
-        rise = np.where(
-            (low_c > 0) & (high < STEEP), F(2) * column(cos_a) * half * square / (low_c * high_c), high - low
-        )
-        high = np.where(column(seen), high, -STEEP)
-        flat_ = column(flat)
-        return (
-            share,
-            flat_ * cos_d,
-            flat_ * sin_d,
-            low,
-            high,
-            rise,
-            column(ux) * cos_d - column(uy) * sin_d,
-            column(uy) * cos_d + column(ux) * sin_d,
-        )
-
-    ground = Map(
-        heights,
-        tops,
-        sky,
-        points[:n_points],
-        lobe[:n_lobe],
-        chords[:n_turns, :n_knots],
-        F(rim),
-        rows,
-        cols,
-        levels,
-        dark,
-    )
+    # 2. its slices
+    disc = Disc(ux, uy, sin_e, cos_e, flat, sin_a, cos_a, widest, all_round, inside, seen)
+    shown = points[:n_points], lobe[:n_lobe], chords[:n_turns, :n_knots], F(rim)
+    ground = Map(heights, tops, sky, *shown, rows, cols, levels, dark)
+    slices_of = lambda part, count: _disc_slices(disc, nodes, part, count)
     _sum(ground, pixels, blocks, most, unit, irradiance, slices_of, alternating)
 
 
-def _sector_between(ax, ay, bx, by):
+def _sector_between(ax: np.ndarray, ay: np.ndarray, bx: np.ndarray, by: np.ndarray) -> np.ndarray:
     """Azimuths between two directions: the bisector c, s, and the tangent of a quarter of the angle."""
     square = ax * ax + ay * ay
     product = np.sqrt(square * (bx * bx + by * by))
@@ -488,36 +577,173 @@ def _sector_between(ax, ay, bx, by):
     return np.stack([(ax - ay * half) * scale, (ay + ax * half) * scale, half / (F(1) + r)])
 
 
-def _share_of(quarter):
-    """The angle by its quarter's tangent: share of the circle, nearly, up to half of it."""
+def _turn_by_sine(sine: np.ndarray) -> Values:
+    """About the share of the circle of an angle, by the sine of its half."""
+    return sine * (TURN_BY_SINE[0] + TURN_BY_SINE[1] * sine * sine)
+
+
+def _turn_by_tangent(quarter: np.ndarray) -> Values:
+    """About the share of the circle of an angle, by the tangent of its quarter; up to half the circle."""
     return quarter * (TURN_BY_TANGENT[0] - TURN_BY_TANGENT[1] * quarter * quarter)
 
 
+class Outline(NamedTuple):
+    """A quadrangle as the nodes see it, in the frame that points below its middle.
+
+    One element per node, except ``up``. ``away``, ``ax``, ``ay`` (4, nodes): the corners from the middle
+    along the frame, and from the node along and across it. ``up`` (4): above the middle.
+    """
+
+    away: np.ndarray
+    ax: np.ndarray
+    ay: np.ndarray
+    up: np.ndarray
+    left: np.ndarray
+    within: np.ndarray
+
+
+class Frame(NamedTuple):
+    """Where the middle of a quadrangle stands, one element per node.
+
+    Azimuth (ux, uy), distance along the ground, height. The plane's normal along the frame and across it,
+    and upwards, turned away from the node by ``sense``. ``seen``: the node sees a face of it.
+    """
+
+    ux: np.ndarray
+    uy: np.ndarray
+    distance: np.ndarray
+    dz: np.ndarray
+    normal_x: np.ndarray
+    normal_y: np.ndarray
+    normal_z: np.ndarray
+    sense: np.ndarray
+    seen: np.ndarray
+
+
+def _sectors_of(outline: Outline, right: np.ndarray) -> np.ndarray:
+    """(4, 3, nodes): the sectors of azimuth between the corners, as _sector_between gives them."""
+    within = outline.within
+    back = right & within
+    px, py = np.where(back, outline.ax[::-1], outline.ax), np.where(back, outline.ay[::-1], outline.ay)
+    for i, j in ((0, 1), (2, 3), (0, 2), (1, 3), (1, 2)):
+        swap = ~within & (px[i] * py[j] - py[i] * px[j] < 0)
+        for p in (px, py):
+            p[i], p[j] = np.where(swap, p[j], p[i]), np.where(swap, p[i], p[j])
+    sectors = np.stack([_sector_between(px[k], py[k], px[(k + 1) % 4], py[(k + 1) % 4]) for k in range(4)])
+    sectors[3, 2] = np.where(within, sectors[3, 2], F(0))
+    return sectors
+
+
+def _shared_out(sectors: np.ndarray, least: int, most: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(blocks of slices, (3, nodes) where sectors end among them, whether there is any) per node."""
+    to = np.cumsum(_turn_by_tangent(sectors[:, 2]), 0, dtype=F)
+    blocks = np.minimum((least + (to[3] * F(most - least)).astype(np.int32)) // SLICES, most // SLICES)
+    narrow = F(1e-4) * to[3]  # a sector below that is left out
+    used = np.cumsum(np.concatenate([to[:1], to[1:] - to[:-1]]) > narrow, 0)
+    more = np.where(to[3] > 0, (blocks * SLICES - used[3]).astype(F) / to[3], F(0))
+    return blocks, used[:3] + (to[:3] * more + F(0.5)).astype(np.int32), to[3] > 0
+
+
+def _sector_slices(
+    sectors: np.ndarray, ends: np.ndarray, nodes: np.ndarray, part: np.ndarray, count: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(cosine, sine, share) of the slices of the nodes ``part``, about the frame's axis."""
+    number = np.arange(count)[None]
+    bounds = np.concatenate([np.zeros((1, len(part)), int), ends[:, part], np.full((1, len(part)), count)])
+    which = (number[None] >= bounds[1:4, :, None]).sum(0)
+    axis_c, axis_s, quarter = (np.take_along_axis(sectors[:, k, part].T, which, 1) for k in range(3))
+    first = np.take_along_axis(bounds[:4].T, which, 1)
+    many = np.take_along_axis(bounds[1:].T, which, 1) - first
+    node, weight = np.moveaxis(nodes[many - 1, number - first], -1, 0)
+    tangent = quarter * node  # of half the angle from the bisector
+    scale = F(1) / (F(1) + tangent * tangent)
+    cos_t, sin_t = (F(1) - tangent * tangent) * scale, F(2) * tangent * scale
+    cos_d, sin_d = axis_c * cos_t - axis_s * sin_t, axis_s * cos_t + axis_c * sin_t
+    return cos_d, sin_d, F(2) * quarter * weight * scale
+
+
+def _crossings(
+    outline: Outline, part: np.ndarray, cos_d: np.ndarray, sin_d: np.ndarray
+) -> tuple[tuple[np.ndarray, ...], tuple[np.ndarray, ...]]:
+    """Where slices cross the outline: (distance, height, whether they do) to the left, and to the right.
+
+    Distance and height are from the middle.
+    """
+    shape = cos_d.shape
+    left_r, left_z, right_r, right_z = (np.zeros(shape, F) for _ in range(4))
+    has_left, has_right = np.zeros(shape, bool), np.zeros(shape, bool)
+    away, ax, ay = (corners[:, part, None] for corners in outline[:3])
+    side_of = [cos_d * ay[i] - sin_d * ax[i] for i in range(4)]
+    r_of = [cos_d * away[i] + sin_d * ay[i] for i in range(4)]
+    for i in range(4):
+        j = (i + 1) % 4
+        f = side_of[i] / (side_of[i] - side_of[j])
+        r = r_of[i] + f * (r_of[j] - r_of[i])
+        z = outline.up[i] + f * (outline.up[j] - outline.up[i])
+        to_left, to_right = (side_of[i] <= 0) & (side_of[j] > 0), (side_of[j] <= 0) & (side_of[i] > 0)
+        left_r, left_z = np.where(to_left, r, left_r), np.where(to_left, z, left_z)
+        right_r, right_z = np.where(to_right, r, right_r), np.where(to_right, z, right_z)
+        has_left |= to_left
+        has_right |= to_right
+    return (left_r, left_z, has_left), (right_r, right_z, has_right)
+
+
+def _quadrangle_slices(
+    outline: Outline,
+    frame: Frame,
+    sectors: np.ndarray,
+    ends: np.ndarray,
+    nodes: np.ndarray,
+    part: np.ndarray,
+    count: int,
+) -> tuple[Any, ...]:
+    """What _sum asks for: ``count`` slices of the quadrangle as the nodes ``part`` see it."""
+    cos_d, sin_d, share = _sector_slices(sectors, ends, nodes, part, count)
+    (left_r, left_z, has_left), (right_r, right_z, has_right) = _crossings(outline, part, cos_d, sin_d)
+    here = _columns(frame, part)
+    within, left = outline.within[part, None], outline.left[part, None]
+    in_plane, dz, over = here.distance * cos_d, here.dz, here.sense * here.normal_z > 0
+    to_left, to_right = np.maximum(in_plane + left_r, F(1e-10)), np.maximum(in_plane + right_r, F(1e-10))
+    steep_left, steep_right = (dz + left_z) / to_left, (dz + right_z) / to_right
+    edge = np.where(left, steep_left, steep_right)
+    wide = dz * (right_r - left_r) + in_plane * (left_z - right_z) + left_z * right_r - right_z * left_r
+    low = np.where(wide > 0, steep_right, steep_left)
+    low = np.where(within, np.where(over, np.minimum(edge, STEEP), -STEEP), low)
+    high = np.where(wide > 0, steep_left, steep_right)
+    high = np.where(within, np.where(over, STEEP, edge), high)
+    rise = np.where(high < STEEP, np.abs(wide) / (to_left * to_right), STEEP - low)
+    rise = np.where(within, high - low, rise)
+    has = np.where(within, np.where(left, has_left, has_right), has_left & has_right)
+    high = np.where(has & here.seen, np.minimum(high, STEEP), -STEEP)
+    along = here.sense * (here.normal_x * cos_d + here.normal_y * sin_d)
+    return np.where(here.seen, share, F(0)), along, F(0), low, high, rise, *_turned(here, cos_d, sin_d)
+
+
 def quad(
-    heights,
-    tops,
-    corners,
-    nodes,
-    sky,
-    points,
-    lobe,
-    chords,
-    irradiance,
-    rows,
-    cols,
-    width,
-    levels,
-    least,
-    most,
-    side,
-    n_points,
-    n_lobe,
-    n_turns,
-    n_knots,
-    dark,
-    rim,
-    unit,
-):
+    heights: np.ndarray,
+    tops: np.ndarray,
+    corners: np.ndarray,
+    nodes: np.ndarray,
+    sky: np.ndarray,
+    points: np.ndarray,
+    lobe: np.ndarray,
+    chords: np.ndarray,
+    irradiance: np.ndarray,
+    rows: int,
+    cols: int,
+    width: int,
+    levels: int,
+    least: int,
+    most: int,
+    side: int,
+    n_points: int,
+    n_lobe: int,
+    n_turns: int,
+    n_knots: int,
+    dark: int,
+    rim: float,
+    unit: float,
+) -> None:
     nodes_with_ground = x, y, height, *_ = _pixels(heights, rows, cols)
     # 1. the corners, in the frame that points below the middle
     dx, dy, dz = corners[4, 0] - x.astype(F), corners[4, 1] - y.astype(F), corners[4, 2] - height
@@ -536,136 +762,64 @@ def quad(
     apart = flat * normal_x + dz * corners[5, 2]
     sense = np.where(apart < 0, F(-1), F(1))
     pixels = Pixels(*nodes_with_ground, sense * corners[5, 2], sense * apart, F(0))
+    outline = Outline(away, ax, ay, up, left, within)
 
     # 2. sectors, and how many slices they are worth
-    back = right & within
-    px, py = np.where(back, ax[::-1], ax), np.where(back, ay[::-1], ay)
-    for i, j in ((0, 1), (2, 3), (0, 2), (1, 3), (1, 2)):
-        swap = ~within & (px[i] * py[j] - py[i] * px[j] < 0)
-        for p in (px, py):
-            p[i], p[j] = np.where(swap, p[j], p[i]), np.where(swap, p[i], p[j])
-    sectors = np.stack([_sector_between(px[k], py[k], px[(k + 1) % 4], py[(k + 1) % 4]) for k in range(4)])
-    sectors[3, 2] = np.where(within, sectors[3, 2], F(0))
-    to = np.cumsum(_share_of(sectors[:, 2]), 0, dtype=F)
-    blocks = np.minimum((least + (to[3] * F(most - least)).astype(np.int32)) // SLICES, most // SLICES)
-    narrow = F(1e-4) * to[3]  # a sector below that is left out
-    used = np.cumsum(np.concatenate([to[:1], to[1:] - to[:-1]]) > narrow, 0)
-    more = np.where(to[3] > 0, (blocks * SLICES - used[3]).astype(F) / to[3], F(0))
-    ends = used[:3] + (to[:3] * more + F(0.5)).astype(np.int32)
-    seen = (to[3] > 0) & (top >= 0) & (within | (apart != 0))  # from its own plane it is a line
+    sectors = _sectors_of(outline, right)
+    blocks, ends, some = _shared_out(sectors, least, most)
+    seen = some & (top >= 0) & (within | (apart != 0))  # from its own plane it is a line
 
     # 3. the slices
-    def slices_of(part, count):
-        number = np.arange(count)[None]
-        column = lambda value: value[part, None]
-        bounds = np.concatenate(
-            [np.zeros((1, len(part)), int), ends[:, part], np.full((1, len(part)), count)]
-        )
-        which = (number[None] >= bounds[1:4, :, None]).sum(0)
-        axis_c, axis_s, quarter = (np.take_along_axis(sectors[:, k, part].T, which, 1) for k in range(3))
-        first = np.take_along_axis(bounds[:4].T, which, 1)
-        many = np.take_along_axis(bounds[1:].T, which, 1) - first
-        node, weight = np.moveaxis(nodes[many - 1, number - first], -1, 0)
-        tangent = quarter * node  # of half the angle from the bisector
-        scale = F(1) / (F(1) + tangent * tangent)
-        cos_t, sin_t = (F(1) - tangent * tangent) * scale, F(2) * tangent * scale
-        cos_d, sin_d = axis_c * cos_t - axis_s * sin_t, axis_s * cos_t + axis_c * sin_t
-        share = F(2) * quarter * weight * scale
-        # where the outline goes through the slice to the left, and to the right: distance and height from the
-        # middle
-        left_r, left_z, right_r, right_z = (np.zeros_like(share) for _ in range(4))
-        has_left, has_right = np.zeros(share.shape, bool), np.zeros(share.shape, bool)
-        side_of = [cos_d * column(ay[i]) - sin_d * column(ax[i]) for i in range(4)]
-        r_of = [cos_d * column(away[i]) + sin_d * column(ay[i]) for i in range(4)]
-        for i in range(4):
-            j = (i + 1) % 4
-            f = side_of[i] / (side_of[i] - side_of[j])
-            r, z = r_of[i] + f * (r_of[j] - r_of[i]), up[i] + f * (up[j] - up[i])
-            to_left, to_right = (side_of[i] <= 0) & (side_of[j] > 0), (side_of[j] <= 0) & (side_of[i] > 0)
-            left_r, left_z = np.where(to_left, r, left_r), np.where(to_left, z, left_z)
-            right_r, right_z = np.where(to_right, r, right_r), np.where(to_right, z, right_z)
-            has_left |= to_left
-            has_right |= to_right
-        in_plane, dz_, over = column(flat) * cos_d, column(dz), column(pixels.up) > 0
-        to_left, to_right = np.maximum(in_plane + left_r, F(1e-10)), np.maximum(in_plane + right_r, F(1e-10))
-        steep_left, steep_right = (dz_ + left_z) / to_left, (dz_ + right_z) / to_right
-        edge = np.where(column(left), steep_left, steep_right)
-        wide = dz_ * (right_r - left_r) + in_plane * (left_z - right_z) + left_z * right_r - right_z * left_r
-        low = np.where(
-            column(within),
-            np.where(over, np.minimum(edge, STEEP), -STEEP),
-            np.where(wide > 0, steep_right, steep_left),
-        )
-        high = np.where(
-            column(within), np.where(over, STEEP, edge), np.where(wide > 0, steep_left, steep_right)
-        )
-        rise = np.where(
-            column(within),
-            high - low,
-            np.where(high < STEEP, np.abs(wide) / (to_left * to_right), STEEP - low),
-        )
-        has = np.where(column(within), np.where(column(left), has_left, has_right), has_left & has_right)
-        high = np.where(has & column(seen), np.minimum(high, STEEP), -STEEP)
-        along = column(sense) * (column(normal_x) * cos_d + column(normal_y) * sin_d)
-        c, s = column(ux) * cos_d - column(uy) * sin_d, column(uy) * cos_d + column(ux) * sin_d
-        return np.where(column(seen), share, F(0)), along, F(0), low, high, rise, c, s
-
-    ground = Map(
-        heights,
-        tops,
-        sky,
-        points[:n_points],
-        lobe[:n_lobe],
-        chords[:n_turns, :n_knots],
-        F(rim),
-        rows,
-        cols,
-        levels,
-        dark,
-    )
+    normal_z = np.broadcast_to(corners[5, 2], flat.shape)
+    frame = Frame(ux, uy, flat, dz, normal_x, normal_y, normal_z, sense, seen)
+    shown = points[:n_points], lobe[:n_lobe], chords[:n_turns, :n_knots], F(rim)
+    ground = Map(heights, tops, sky, *shown, rows, cols, levels, dark)
+    slices_of = lambda part, count: _quadrangle_slices(outline, frame, sectors, ends, nodes, part, count)
     _sum(ground, pixels, blocks, most, unit, irradiance, slices_of)
 
 
 def gloss(
-    heights,
-    tops,
-    nodes,
-    sky,
-    points,
-    lobe,
-    irradiance,
-    rows,
-    cols,
-    width,
-    levels,
-    least,
-    most,
-    side,
-    n_points,
-    n_lobe,
-    dark,
-    rim,
-    reach,
-    unit,
-):
-    rim = F(rim)
+    heights: np.ndarray,
+    tops: np.ndarray,
+    nodes: np.ndarray,
+    sky: np.ndarray,
+    points: np.ndarray,
+    lobe: np.ndarray,
+    irradiance: np.ndarray,
+    rows: int,
+    cols: int,
+    width: int,
+    levels: int,
+    least: int,
+    most: int,
+    side: int,
+    n_points: int,
+    n_lobe: int,
+    dark: int,
+    rim: float,
+    reach: float,
+    unit: float,
+) -> None:
     ground = _pixels(heights, rows, cols)
     mirror_x, mirror_y = ground[5:7]
     # 1. where the disc stands, and how many slices it is worth
     flat = np.sqrt(mirror_x * mirror_x + mirror_y * mirror_y)
     ux, uy = np.where(flat > 0, mirror_x / flat, F(1)), np.where(flat > 0, mirror_y / flat, F(0))
-    sin_a = np.sqrt(rim * (F(2) - rim))
+    sin_a = np.sqrt(F(rim) * (F(2) - F(rim)))
     all_round = sin_a >= flat
     widest = np.where(all_round, F(1), sin_a / flat)
-    turn = np.where(all_round, F(1), widest * (TURN_BY_SINE[0] + TURN_BY_SINE[1] * widest * widest))
+    turn = np.where(all_round, F(1), _turn_by_sine(widest))
     blocks = np.minimum((least + (turn * F(most - least)).astype(np.int32)) // SLICES, most // SLICES)
     pixels = Pixels(*ground, np.zeros_like(flat), np.full_like(flat, reach), F(-1))
 
     # 2. its slices
-    def slices_of(part, count):
+    def slices_of(part: np.ndarray, count: int) -> tuple[Any, ...]:
         step = F(np.pi) / F(count)
         row = nodes[count // SLICES - 1, :, :count]
-        column = lambda value: value[part, None]
+
+        def column(value: np.ndarray) -> np.ndarray:
+            return np.asarray(value[part, None])
+
         sin_d = np.where(column(all_round), row[2], column(widest) * row[0])
         cos_d = np.where(column(all_round), row[3], np.sqrt((F(1) - sin_d) * (F(1) + sin_d)))
         share = np.where(column(all_round), F(2) * step, column(widest) * step * row[1] / cos_d)
@@ -688,7 +842,7 @@ def gloss(
             points[:n_points],
             lobe[:n_lobe],
             np.zeros((0, 0, 2), F),
-            rim,
+            F(rim),
             rows,
             cols,
             levels,
@@ -703,17 +857,26 @@ def gloss(
     )
 
 
-def _bare(heights, tops, rows, cols, levels):
+def _bare(heights: np.ndarray, tops: np.ndarray, rows: int, cols: int, levels: int) -> Map:
     nothing = np.zeros(0, F)
     return Map(heights, tops, nothing, nothing, nothing, nothing, F(0), rows, cols, levels, 0)
 
 
-def rays(heights, tops, ways, seen, rows, cols, width, levels, count):
+def rays(
+    heights: np.ndarray,
+    tops: np.ndarray,
+    ways: np.ndarray,
+    seen: np.ndarray,
+    rows: int,
+    cols: int,
+    width: int,
+    levels: int,
+    count: int,
+) -> None:
     ground = _pixels(heights, rows, cols)
     y, x = ground[1], ground[0]
-    pixels = Pixels(
-        *ground, np.zeros(len(x), F), np.ones(len(x), F), F(-1)
-    )  # along a ray ground counts up to t / reach = 1
+    # along a ray ground counts up to t / reach = 1
+    pixels = Pixels(*ground, np.zeros(len(x), F), np.ones(len(x), F), F(-1))
     for j in range(count):
         c, s, tangent, reach = (np.ascontiguousarray(ways[y, x, k, j]) for k in range(4))
         above = tangent + F(1e-6) * (F(1) + np.abs(tangent))  # so that one obstacle is enough
@@ -730,8 +893,10 @@ def rays(heights, tops, ways, seen, rows, cols, width, levels, count):
         seen[y, x, j] = np.where(slope > tangent, F(0), F(1))
 
 
-def _between(at, low, high, along):
-    """Between which distances a way from ``at`` is within low..high, ``along`` its part in their direction."""
+def _between(
+    at: np.ndarray, low: np.float32, high: np.float32, along: np.float32
+) -> tuple[np.ndarray, np.ndarray]:
+    """The distances between which a way from ``at``, ``along`` its part there, is within low..high."""
     ends = (low - at.astype(F)) / along, (high - at.astype(F)) / along
     if along == 0:
         nowhere = np.where((low <= at) & (at < high), -ENDLESS, ENDLESS)
@@ -739,7 +904,9 @@ def _between(at, low, high, along):
     return ends if along > 0 else ends[::-1]
 
 
-def _light_above(table, first, scale, tangent, tilt):
+def _light_above(
+    table: np.ndarray, first: np.float32, scale: np.float32, tangent: np.ndarray, tilt: np.ndarray
+) -> Values:
     """The light of a sector above a tangent."""
     at = np.maximum((tangent / np.sqrt(tangent * tangent + F(1)) - first) * scale, F(0))
     knot = np.minimum(at.astype(np.int32), len(table) - 2)
@@ -749,45 +916,46 @@ def _light_above(table, first, scale, tangent, tilt):
 
 
 def sectors(
-    heights,
-    tops,
-    ways,
-    table,
-    irradiance,
-    rows,
-    cols,
-    width,
-    levels,
-    count,
-    knots,
-    dark,
-    highest,
-    x0,
-    x1,
-    y0,
-    y1,
-):
-    x0, x1, y0, y1 = map(F, (x0, x1, y0, y1))
+    heights: np.ndarray,
+    tops: np.ndarray,
+    ways: np.ndarray,
+    table: np.ndarray,
+    irradiance: np.ndarray,
+    rows: int,
+    cols: int,
+    width: int,
+    levels: int,
+    count: int,
+    knots: int,
+    dark: int,
+    highest: float,
+    x0: float,
+    x1: float,
+    y0: float,
+    y1: float,
+) -> None:
+    frame_x, frame_y = (F(x0), F(x1)), (F(y0), F(y1))
     ground = x, y, height, tilt_x, tilt_y, *_ = _pixels(heights, rows, cols)
-    pixels = Pixels(
-        *ground, np.zeros(len(x), F), np.ones(len(x), F), F(-1)
-    )  # ground counts up to t x along = 1
-    framed = x0 > -ENDLESS or x1 < ENDLESS or y0 > -ENDLESS or y1 < ENDLESS
-    flat = lambda value: np.full(len(x), value, F)
+    # ground counts up to t x along = 1
+    pixels = Pixels(*ground, np.zeros(len(x), F), np.ones(len(x), F), F(-1))
+    framed = any(low > -ENDLESS or high < ENDLESS for low, high in (frame_x, frame_y))
+
+    def flat(value: float | np.float32) -> np.ndarray:
+        return np.full(len(x), value, F)
+
     total = np.zeros(len(x), F)
     for j, (c, s, share, first, scale) in enumerate(ways.T):
         last = first + F(knots - 1) / scale
         low, high = (sine / np.sqrt(max(F(1) - sine * sine, F(1e-12))) for sine in (first, last))
-        along = max(low, F(1e-6)) / np.maximum(
-            F(highest) - height, F(1e-6)
-        )  # farther on, a ray is above all ground
+        # farther on, a ray is above all ground
+        along = max(low, F(1e-6)) / np.maximum(F(highest) - height, F(1e-6))
         tilt = tilt_x * c + tilt_y * s
         # 1. the tangent plane, the level, the wall, the window, and the ground
         slope, end = np.maximum(-tilt, low), flat(STEEP)
         if dark:
             slope = np.maximum(slope, -height / np.minimum(_to_wall(cols, x, c), _to_wall(rows, y, s)))
         if framed:
-            by_x, by_y = _between(x, x0, x1, c), _between(y, y0, y1, s)
+            by_x, by_y = _between(x, *frame_x, c), _between(y, *frame_y, s)
             near, far = np.maximum(np.maximum(by_x[0], by_y[0]), F(0)), np.minimum(by_x[1], by_y[1])
             passes = (near < far) & (height < 0)
             slope = np.where(passes, np.maximum(slope, -height / far), slope)

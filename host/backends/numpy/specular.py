@@ -1,13 +1,13 @@
-"""The kernels of `specular` in NumPy: names, arguments and bits as in opencl/specular.cl and
-warp_kernels/specular.py.
-"""
+"""The kernels of `specular` in NumPy: twin of opencl/specular.cl and warp_kernels/specular.py."""
 
 from __future__ import annotations
 
 import numpy as np
 
 
-def _gloss(gx, gy, L, lobe, rim, where):
+def _gloss(
+    gx: np.ndarray, gy: np.ndarray, L: np.ndarray, lobe: np.ndarray, rim: float, where: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """What |(dz/dx, dz/dy, -1)| x max(0, N.L) x lobe is for one direction: (pixels among ``where`` in which
     it shows, values).
     """
@@ -22,7 +22,20 @@ def _gloss(gx, gy, L, lobe, rim, where):
     return where[shows], cosine[shows] * (lobe[i] + (at - i.astype(np.float32)) * (lobe[i + 1] - lobe[i]))
 
 
-def specular(planes, slopes, directions, lobe, radiance, room, n_walks, n_lobe, is_first, is_last, rim, BITS):
+def specular(
+    planes: np.ndarray,
+    slopes: np.ndarray,
+    directions: np.ndarray,
+    lobe: np.ndarray,
+    radiance: np.ndarray,
+    room: int,
+    n_walks: int,
+    n_lobe: int,
+    is_first: int,
+    is_last: int,
+    rim: float,
+    BITS: int,
+) -> None:
     gx, gy = slopes
     total = np.zeros(room, np.float32) if is_first else radiance[:room]
     for w in range(n_walks):
@@ -32,10 +45,19 @@ def specular(planes, slopes, directions, lobe, radiance, room, n_walks, n_lobe, 
     radiance[:room] = total / np.sqrt(gx * gx + gy * gy + np.float32(1)) if is_last else total
 
 
-def bound(slopes, directions, lobe, radiance, room, n, n_lobe, rim):
+def bound(
+    slopes: np.ndarray,
+    directions: np.ndarray,
+    lobe: np.ndarray,
+    radiance: np.ndarray,
+    room: int,
+    n: int,
+    n_lobe: int,
+    rim: float,
+) -> None:
     gx, gy = slopes
     total = np.zeros(room, np.float32)
     for L in directions:
-        n, light = _gloss(gx, gy, L, lobe, rim, np.arange(room))
-        total[n] += L[3] * light
+        where, light = _gloss(gx, gy, L, lobe, rim, np.arange(room))
+        total[where] += L[3] * light
     radiance[:room] /= np.maximum(total / np.sqrt(gx * gx + gy * gy + np.float32(1)), np.float32(1))
