@@ -56,7 +56,7 @@ def test_test_command_is_what_ci_runs():
     """pip install '.[test]' && pytest -n 2, here and there."""
     assert "pip install '.[test]' && pytest -n 2\n" in README
     ci = (ROOT / ".ci" / "run").read_text(encoding="utf-8")
-    assert "'.[test]'\n" in ci and re.search(r"^timeout .* pytest -n 2$", ci, re.MULTILINE)
+    assert "'.[test]'\n" in ci and re.search(r"^timeout .* pytest -n 2( --durations=\d+)?$", ci, re.MULTILINE)
 
 
 def test_scripts_that_it_names_are_there():
