@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import pytest
+
 import skylamp as sl
 from skylamp import sources
 from skylamp.backends import select
@@ -67,7 +68,7 @@ def of_map(image):
 
 
 def striped(count):
-    """(sky function, irradiance of level ground) of stripes along y: the integral over a unit disc (Nusselt)."""
+    """(sky function, irradiance of level ground) of stripes along y: integrals over a unit disc (Nusselt)."""
     until = lambda x: x * np.sqrt(1 - x * x) + np.arcsin(x)
     low = np.arange(-count, count) / count
     return lambda L: ((count * L[..., 0]) % 1 < 0.5).astype(float), float(
@@ -83,8 +84,7 @@ def held(sky, level, fast, within=1e-4):
     assert not out.warnings
 
 
-# -- level ground
-# ----------------------------------------------------------------------------------------------------------------
+# --- level ground
 
 
 @pytest.mark.parametrize(
@@ -149,14 +149,14 @@ def test_level_ground_under_borders(fast):
     """Sharp ones, along an elevation and along azimuths."""
     for e in np.radians((11.25, 30, 45.3)):
         held(
-            sl.Sky(lambda L: np.where(L[..., 2] < -np.sin(e), 3.0, 0.2)),
+            sl.Sky(lambda L, e=e: np.where(L[..., 2] < -np.sin(e), 3.0, 0.2)),
             np.pi * (3 * np.cos(e) ** 2 + 0.2 * np.sin(e) ** 2),
             fast,
         )
     for low, high in ((0.0, np.pi), (0.7, 1.9), (1.0, 1.1), (np.pi / 4, np.pi / 2)):
         held(
             sl.Sky(
-                lambda L: np.where(
+                lambda L, low=low, high=high: np.where(
                     (np.arctan2(L[..., 1], L[..., 0]) >= low) & (np.arctan2(L[..., 1], L[..., 0]) < high),
                     4.0,
                     1.0,
@@ -195,8 +195,7 @@ def test_few_azimuths_are_right_on_planes(fast, seed):
     )
 
 
-# -- features that are named
-# -----------------------------------------------------------------------------------------------------
+# --- features that are named
 
 
 def test_a_spot_is_found_where_it_is_named(fast):
@@ -205,9 +204,9 @@ def test_a_spot_is_found_where_it_is_named(fast):
     for _ in range(4):
         axis, r = towards(rng.uniform(0, 360), rng.uniform(2, 88)), np.radians(0.01)
         k = 5 / (np.pi * np.sin(r) ** 2)
-        spot = lambda L: 1 + k * (((L - axis) ** 2).sum(-1) < 4 * np.sin(r / 2) ** 2)
+        spot = lambda L, k=k, axis=axis, r=r: 1 + k * (((L - axis) ** 2).sum(-1) < 4 * np.sin(r / 2) ** 2)
         level = np.pi + 5 * -axis[2]
-        spot_with = lambda L: spot(L)
+        spot_with = lambda L, spot=spot: spot(L)
         spot_with.peaks = (tuple(axis),)
         for sky in (sl.Sky(spot, suns=[axis]), sl.Sky(spot, suns=[tuple(7 * axis)]), sl.Sky(spot_with)):
             assert Integrals(sky).level == pytest.approx(level, rel=2e-4) and len(Integrals(sky).suns) == 1
@@ -239,7 +238,7 @@ def test_suns_that_are_none(suns):
 
 
 def test_a_sky_with_a_disc_is_its_parts(fast):
-    """On level ground, also on a map that repeats; an explicit number of azimuths still refuses the latter."""
+    """On level ground, also of a periodic map; an explicit number of azimuths still refuses the latter."""
     for sun in ((0, 90), (123.4, 35), (300, 3)):
         sky = sl.cie_clear(sun, horizontal=1.0, direct=10.0)
         for sides in ("open", "periodic"):
@@ -250,8 +249,7 @@ def test_a_sky_with_a_disc_is_its_parts(fast):
             sl.render(scene, sl.Sky(sky), "horizon", backend=fast)
 
 
-# -- what is found of a sky
-# ------------------------------------------------------------------------------------------------------
+# --- what is found of a sky
 
 
 def test_suns_have_all_their_light(fast):
@@ -295,9 +293,7 @@ def test_suns_have_all_their_light(fast):
 
 
 def test_what_is_no_sun():
-    """Even skies have none; nor has what spans much azimuth, or brings a tenth of the tolerance; a table of
-    azimuths has it then.
-    """
+    """Even skies have none; nor do parts that span much azimuth or give a tenth of the tolerance."""
     assert (
         Integrals(sl.Sky(sl.cie_overcast())).suns
         == ()
@@ -305,7 +301,7 @@ def test_what_is_no_sun():
     )
     axis = towards(40, 40)
     for k, found in ((4e4, 1), (20.0, 0)):
-        light = Integrals(sl.Sky(lambda L: 1 + k * (L @ axis > np.sqrt(1 - DISC))), 0.01)
+        light = Integrals(sl.Sky(lambda L, k=k: 1 + k * (L @ axis > np.sqrt(1 - DISC))), 0.01)
         assert len(light.suns) == found and light.level == pytest.approx(
             np.pi * (1 + k * DISC * -axis[2]), rel=1e-4
         )
@@ -381,7 +377,7 @@ def test_faint_skies_scale(fast):
     """A function times 1e-12 gives the image times 1e-12: nothing is compared with absolute numbers."""
     scene = sl.Scene(10 + np.random.default_rng(0).random((24, 31)) * 4)
     one, faint = (
-        sl.render(scene, sl.Sky(lambda L: k * (1 - L[..., 2])), backend=fast).image.astype(float) / k
+        sl.render(scene, sl.Sky(lambda L, k=k: k * (1 - L[..., 2])), backend=fast).image.astype(float) / k
         for k in (1.0, 1e-12)
     )
     np.testing.assert_allclose(faint, one, rtol=1e-4)

@@ -11,9 +11,10 @@ import re
 
 import numpy as np
 import pytest
+from scenes import rough
+
 import skylamp as sl
 import skylamp.opencl
-from scenes import rough
 from skylamp import oracle
 from skylamp.backends import select
 from skylamp.light.sweeps import FINE, MANY, NEAR, Ground, Rays, Sweeps
@@ -56,10 +57,13 @@ def _noise(rows, cols):
 
 MAPS = {
     "rough": lambda: -rough(96, 120, 1.0, 1, 2.0), "smooth": lambda: -rough(96, 120, 0.5, 1, 2.5),
-    "rough with holes": lambda: _masked((96, 120), 1.0, 2.0, 1), "smooth with holes": lambda: _masked((96, 120), 0.5, 2.5, 1),
-    "small": lambda: -rough(29, 37, 1.0, 3, 2.0), "small with holes": lambda: _masked((37, 30), 1.0, 2.0, 4), "wide": lambda: -rough(9, 70, 1.0, 4, 2.0),
-    "flat enough": lambda: -rough(20, 26, 0.2, 6, 2.5),  # a map that repeats is swept 500 times its relief
-    "one": lambda: _noise(1, 1), "row": lambda: _noise(1, 9), "column": lambda: _noise(9, 1), "tiny": lambda: _noise(3, 5),
+    "rough with holes": lambda: _masked((96, 120), 1.0, 2.0, 1),
+    "smooth with holes": lambda: _masked((96, 120), 0.5, 2.5, 1),
+    "small": lambda: -rough(29, 37, 1.0, 3, 2.0), "small with holes": lambda: _masked((37, 30), 1.0, 2.0, 4),
+    "wide": lambda: -rough(9, 70, 1.0, 4, 2.0),
+    "flat enough": lambda: -rough(20, 26, 0.2, 6, 2.5),  # a periodic map is swept 500 times its relief
+    "one": lambda: _noise(1, 1), "row": lambda: _noise(1, 9),
+    "column": lambda: _noise(9, 1), "tiny": lambda: _noise(3, 5),
 }  # fmt: skip
 
 
@@ -121,8 +125,7 @@ def assert_agree(got, expected, bound=AGREE):
     )
 
 
-# -- backends
-# ----------------------------------------------------------------------------------------------------------------
+# --- backends
 
 
 @pytest.mark.parametrize("stem", ["horizon", "ground"])
@@ -149,10 +152,15 @@ CASES = [
     ("small", "dark", 7, "even"),
     ("flat enough", "periodic", math.inf, "few"), ("flat enough", "periodic", math.inf, "axes"),
     *(("small", "periodic", reach, "even") for reach in (1, 2.5, 7, 20, 90)),
-    ("small with holes", "open", math.inf, "even"), ("small with holes", "dark", math.inf, "uneven"), ("small with holes", "open", 7, "axes"),
-    ("small with holes", "periodic", 7, "even"),
-    ("wide", "open", math.inf, "even"), ("wide", "open", 20, "uneven"), ("wide", "open", 45, "even"), ("wide", "dark", math.inf, "uneven"), ("wide", "periodic", 7, "uneven"),
-    *((name, sides, reach, "uneven") for name in ("one", "row", "column", "tiny") for sides, reach in (("open", math.inf), ("dark", math.inf), ("periodic", 7), ("open", 2.5))),
+    ("small with holes", "open", math.inf, "even"), ("small with holes", "dark", math.inf, "uneven"),
+    ("small with holes", "open", 7, "axes"), ("small with holes", "periodic", 7, "even"),
+    ("wide", "open", math.inf, "even"), ("wide", "open", 20, "uneven"), ("wide", "open", 45, "even"),
+    ("wide", "dark", math.inf, "uneven"), ("wide", "periodic", 7, "uneven"),
+    *(
+        (name, sides, reach, "uneven")
+        for name in ("one", "row", "column", "tiny")
+        for sides, reach in (("open", math.inf), ("dark", math.inf), ("periodic", 7), ("open", 2.5))
+    ),
     *((name, "open", math.inf, "axes") for name in ("one", "row", "column", "tiny")),
 ]  # fmt: skip
 
@@ -213,8 +221,7 @@ def test_a_repeat_gives_the_same_bytes(backend, sides, reach):
     assert again.irradiance().tobytes() == sweeps.irradiance().tobytes()
 
 
-# -- horizons against the oracle
-# ---------------------------------------------------------------------------------------------
+# --- horizons against the oracle
 
 
 def test_every_backend_is_near_the_oracle(backend):
@@ -306,8 +313,7 @@ def test_a_broken_table_is_seen(fast, monkeypatch, broken):
     assert rms(errors[np.isfinite(errors)]) > 1.5 * HORIZON
 
 
-# -- light
-# -------------------------------------------------------------------------------------------------------------------
+# --- light
 
 
 def _from_oracle(height, rays, nodes, sides="open", brightness=None):
@@ -401,8 +407,7 @@ def test_accuracy_of_a_uniform_sky(fast, slope, falloff, limits):
         assert size[count] <= 0.00015 or size[2 * count] <= max(size[count] / 1.5, 0.00015), size
 
 
-# -- closed forms
-# ------------------------------------------------------------------------------------------------------------
+# --- closed forms
 
 
 @pytest.mark.parametrize("sides", ["open", "periodic"])

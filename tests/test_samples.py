@@ -3,8 +3,10 @@
 import numpy as np
 import pytest
 import scenes
-import skylamp as sl
 from compare import assert_bits_equal
+from test_refinement import HIGH, LOW, PANEL, SCENES, SIZE, WINDOW, truth
+
+import skylamp as sl
 from skylamp import oracle
 from skylamp.backends import select
 from skylamp.light.slices import Slices
@@ -12,7 +14,6 @@ from skylamp.refinement import solid_of, upright
 from skylamp.samples import COUNT, NONE, Errors, Samples, errors
 from skylamp.sources.integrals import Integrals
 from skylamp.sources.solids import Dome
-from test_refinement import HIGH, LOW, PANEL, SCENES, SIZE, WINDOW, truth
 
 
 @pytest.mark.parametrize("name", ["rough", "dark", "periodic", "holes", "metres", "tiny"])

@@ -5,6 +5,7 @@ import sys
 
 import numpy as np
 import pytest
+
 import skylamp as sl
 from skylamp.app import cli
 from skylamp.sources import cie as skies
@@ -13,10 +14,11 @@ FLAT = sl.Scene(np.full((5, 6), 3.0), albedo=1.0)
 # Zenith luminance over diffuse horizontal illuminance, (B sin^C g / cos^D g + E sin g) / (133.8 sin g) for a
 # sun at elevation g: B, C, D, E as Kittler, Perez and Darula published them with the fifteen types
 PUBLISHED = {
-    1: (54.63, 1, 0, 0), 2: (12.35, 3.68, 0.59, 50.47), 3: (48.30, 1, 0, 0), 4: (12.23, 3.57, 0.57, 44.27), 5: (42.59, 1, 0, 0),
-    6: (11.84, 3.53, 0.55, 38.78), 7: (21.72, 4.52, 0.64, 34.56), 8: (29.35, 4.94, 0.70, 30.41), 9: (10.34, 3.45, 0.50, 27.47),
-    10: (18.41, 4.27, 0.63, 24.04), 11: (24.41, 4.60, 0.72, 20.76), 12: (23.00, 4.43, 0.74, 18.52), 13: (27.45, 4.61, 0.76, 16.59),
-    14: (25.54, 4.40, 0.79, 14.56), 15: (28.08, 4.13, 0.79, 13.23),
+    1: (54.63, 1, 0, 0), 2: (12.35, 3.68, 0.59, 50.47), 3: (48.30, 1, 0, 0),
+    4: (12.23, 3.57, 0.57, 44.27), 5: (42.59, 1, 0, 0), 6: (11.84, 3.53, 0.55, 38.78),
+    7: (21.72, 4.52, 0.64, 34.56), 8: (29.35, 4.94, 0.70, 30.41), 9: (10.34, 3.45, 0.50, 27.47),
+    10: (18.41, 4.27, 0.63, 24.04), 11: (24.41, 4.60, 0.72, 20.76), 12: (23.00, 4.43, 0.74, 18.52),
+    13: (27.45, 4.61, 0.76, 16.59), 14: (25.54, 4.40, 0.79, 14.56), 15: (28.08, 4.13, 0.79, 13.23),
 }  # fmt: skip
 
 
@@ -149,7 +151,7 @@ def test_disc_beside_a_mask(fast):
 
 
 def test_disc_that_nothing_is_said_to_hide(fast):
-    """method="unoccluded": a wall across the sun's way hides neither sky nor disc; the floor has all of both."""
+    """method="unoccluded": a wall before the sun hides neither sky nor disc; the floor has all of both."""
     depth = np.full((24, 24), 40.0)
     depth[:, 12] = 5.0
     sky = sl.cie_clear((90, 30), direct=3.0)

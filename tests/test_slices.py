@@ -9,9 +9,10 @@ import math
 import numpy as np
 import pytest
 import scenes
-import skylamp as sl
 from compare import assert_bits_equal
 from scenes import rough
+
+import skylamp as sl
 from skylamp import oracle
 from skylamp.backends import select
 from skylamp.radiometry import disc_moment, polygon_moment, rectangle_solid_angle
@@ -99,8 +100,7 @@ def of_polygon(corners, eyes, *planes):
     return np.array(out)
 
 
-# -- balls
-# -------------------------------------------------------------------------------------------------------------------
+# --- balls
 
 
 @pytest.mark.parametrize(("gx", "gy"), [(0, 0), (0.5, -0.3)])
@@ -233,13 +233,13 @@ def test_two_halves_of_a_balls_slices(backend):
         assert apart[free].max() < 1e-4 and 1e-3 < apart[partly].max() < 0.01
 
 
-# -- rectangles and windows
-# --------------------------------------------------------------------------------------------------
+# --- rectangles and windows
 
 
 RECTANGLES = {
-    "above": ((4, 3, 12), (8, 0, 0), (0, 6, 0)), "slanted": ((3, 9, 4), (9, 2, 1), (0, -1, 2)), "aside": ((30, -4, 2), (0, 20, 0), (6, 0, -8)),
-    "on edge": ((20, 6, 3), (0, 7, 0), (0, 0, 5)), "small and far": ((200, 300, -400), (0.3, 0, 0), (0, 0.1, 0.2)),
+    "above": ((4, 3, 12), (8, 0, 0), (0, 6, 0)), "slanted": ((3, 9, 4), (9, 2, 1), (0, -1, 2)),
+    "aside": ((30, -4, 2), (0, 20, 0), (6, 0, -8)), "on edge": ((20, 6, 3), (0, 7, 0), (0, 0, 5)),
+    "small and far": ((200, 300, -400), (0.3, 0, 0), (0, 0.1, 0.2)),
 }  # fmt: skip
 
 
@@ -320,8 +320,7 @@ def test_the_shadow_of_an_edge_in_a_window(backend):
     assert wanted[0] > 0 and wanted[-1] == 0
 
 
-# -- brightness
-# --------------------------------------------------------------------------------------------------------------
+# --- brightness
 
 
 def test_a_small_lamp_shines_with_the_brightness_of_its_direction(backend):
@@ -494,8 +493,7 @@ def test_the_cumulative_table():
     np.testing.assert_allclose(table[:, :, 0], np.outer([3, 2, 1], wanted), atol=5e-7)
 
 
-# -- walls and masks
-# ---------------------------------------------------------------------------------------------------------
+# --- walls and masks
 
 
 def test_a_light_and_the_walls_of_a_dark_box(backend):
@@ -574,8 +572,7 @@ def test_masked_ground_neither_hides_nor_is_lit(backend):
     assert nothing.shape == (4, 5) and not nothing.any()
 
 
-# -- rough ground
-# ------------------------------------------------------------------------------------------------------------
+# --- rough ground
 
 
 def _shifted(source, x, y):
@@ -594,7 +591,8 @@ def _shifted(source, x, y):
 
 
 SOURCES = {
-    "large and near": sl.Lamp(center=(200, 170, -30), radius=25), "small and far": sl.Lamp(center=(600, -200, -250), radius=14),
+    "large and near": sl.Lamp(center=(200, 170, -30), radius=25),
+    "small and far": sl.Lamp(center=(600, -200, -250), radius=14),
     "spot": sl.Lamp(center=(250, 120, -80), radius=10, brightness=sl.cosine_power(16, axis=(-0.4, 0.3, 1))),
     "rectangle": ((120.0, 150.0, -20.0), (80.0, 0.0, 0.0), (0.0, 0.0, -30.0), 1.0),
     "slab": ((160.0, 120.0, -15.0), (60.0, 20.0, 0.0), (-15.0, 45.0, 0.0), sl.cosine_power(2)),
@@ -686,8 +684,7 @@ def test_the_tops_of_the_cells(backend):
                 )
 
 
-# -- suns
-# --------------------------------------------------------------------------------------------------------------------
+# --- suns
 
 
 def sunny(radius, height=60.0):
@@ -846,7 +843,9 @@ def test_suns_are_found_wherever_they_stand():
         return np.array([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), -np.sin(e)]), np.cos(r)
 
     for discs in ([disc(89.9, 10)], [disc(30, 0.05)], [disc(20, 40), disc(50, 250, 2)], [disc(0.2, 300)]):
-        sky = Integrals(sl.Sky(lambda L: 1 + sum(5e3 * (L @ axis >= edge) for axis, edge in discs)))
+        sky = Integrals(
+            sl.Sky(lambda L, discs=discs: 1 + sum(5e3 * (L @ axis >= edge) for axis, edge in discs))
+        )
         assert len(sky.suns) == len(discs)
         if discs[0][0][2] < -0.1:
             level = 5e3 * np.pi * sum((1 - edge**2) * -axis[2] for axis, edge in discs)

@@ -589,7 +589,7 @@ def _band_steps(bands: list[Band], n: int) -> tuple[np.ndarray, np.ndarray]:
 
 def _near_base(band: Band, peaks: Peaks) -> np.ndarray:
     """Which cells of a band (rows, cols) hold a peak, or touch one that does: it may lie across borders."""
-    found = np.zeros(band.light.shape, bool)
+    found: np.ndarray = np.zeros(band.light.shape, bool)
     height = np.diff(band.borders)[:, None]
     middle: np.ndarray = (band.borders[1:, None] + band.borders[:-1, None]) / 2
     azimuths: np.ndarray = band.start[:, None] + np.arange(found.shape[1]) * band.width
