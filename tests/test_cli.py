@@ -241,9 +241,7 @@ def test_recover(here, capsys):
 
 
 def test_recover_writes_a_picture(here, capsys):
-    """By default: image, relief, confidence and residual beside the result, and what they were made of in an
-    .npz; not to stdout.
-    """
+    """A picture of image, relief, confidence and residual; an .npz holds what it was made of."""
     code, out, err = run(
         capsys,
         "recover",
@@ -549,9 +547,7 @@ def test_demo(tmp_path, capsys):
 
 
 def test_render_takes_colour_and_gloss(here, capsys):
-    """--albedo R,G,B, --specular and --exponent are the library's; three channels go into .npy, .tif and
-    .png.
-    """
+    """--albedo R,G,B, --specular and --exponent are the library's; .npy, .tif and .png hold colour."""
     import imageio.v3 as imageio
 
     render = lambda out, *arguments: run(
@@ -599,9 +595,7 @@ def test_render_takes_colour_and_gloss(here, capsys):
 
 
 def test_render_writes_the_error(here, capsys):
-    """--error: the estimate of every pixel in the image's unit, in any format; refused where no tolerance
-    decides.
-    """
+    """--error writes the estimate of every pixel in any format; refused where no tolerance decides."""
     assert (
         run(
             capsys,

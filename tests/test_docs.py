@@ -24,9 +24,7 @@ PAGES = sorted(page.stem for page in DOCS.glob("*.md"))
     "name", [name for name in PAGES if pictures.blocks((DOCS / f"{name}.md").read_text(encoding="utf-8"))]
 )
 def test_page_runs(name, tmp_path):
-    """Every block in order, as a reader would paste them; and a page's code makes each picture that it shows,
-    as it is in the repository.
-    """
+    """Every block runs, in order; a tutorial's code makes each picture that the page shows."""
     page = DOCS / f"{name}.md"
     pictures.run(page, tmp_path)
     if name not in pictures.TUTORIALS:
@@ -57,9 +55,7 @@ def test_every_tutorial_is_there_and_shows_pictures():
 
 
 def test_a_block_that_fails_is_seen(tmp_path):
-    """The runner is no comparator that cannot fail: a raising block, a failing command and an unknown
-    language.
-    """
+    """The runner fails at a block that raises, a command that fails and an unknown language."""
     for text, error in (
         ("```python\n1 / 0\n```\n", ZeroDivisionError),
         ("```sh\npip install x && false\n```\n", RuntimeError),

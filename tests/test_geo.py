@@ -199,9 +199,7 @@ def test_units(tmp_path):
 
 
 def test_depth_and_spacing_can_be_told(tmp_path, fast):
-    """--depth and --spacing overrule what a GeoTIFF is taken for; --resample needs one; a plain TIFF stays
-    plain.
-    """
+    """--depth and --spacing overrule a GeoTIFF; --resample needs one; a plain TIFF stays plain."""
     path = make(tmp_path / "dem.tif")
     assert (
         run("render", path, "--depth", "--spacing", "2", "--out", tmp_path / "a.npy", "--backend", fast) == 0
@@ -267,9 +265,7 @@ def test_not_a_geotiff(tmp_path):
     ids=["plain", "deflate", "lzw", "tiles"],
 )
 def test_truncated_and_damaged(tmp_path, options):
-    """Cut anywhere: an error, or all of the values; changed bytes: an InputError or a raster, never anything
-    else.
-    """
+    """Cut anywhere: an error, or all values; with changed bytes: an InputError or a raster."""
     path = make(tmp_path / "a.tif", **options)
     whole, data = geo.read(path).values, path.read_bytes()
     for length in sorted({1, 8, 100, *np.linspace(10, len(data) - 1, 25).astype(int).tolist()}):

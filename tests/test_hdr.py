@@ -59,9 +59,7 @@ def test_exr_of_other_types(tmp_path):
 
 
 def test_exr_is_read_by_others(tmp_path):
-    """Red is R: what OpenEXR itself finds in our file, and what we find in one of theirs, with alpha and one
-    named channel.
-    """
+    """OpenEXR reads our channels, and we read its files with alpha and with one named channel."""
     io.write(tmp_path / "a.exr", LIGHT)
     channels = OpenEXR.File(str(tmp_path / "a.exr"), separate_channels=True).channels()
     for n, name in enumerate("RGB"):
@@ -136,9 +134,7 @@ def test_environment_lights_a_scene(tmp_path, fast):
 
 @pytest.mark.parametrize("suffix", HDR)
 def test_truncated_and_damaged(tmp_path, suffix):
-    """Cut anywhere or with bytes changed: one InputError, or a picture; never anything else, never a half one
-    from a cut file.
-    """
+    """Cut: one InputError; with bytes changed: one InputError, or a picture."""
     path = tmp_path / f"a{suffix}"
     io.write(path, LIGHT)
     data = path.read_bytes()
@@ -207,9 +203,7 @@ def test_failing_write_leaves_no_trace(tmp_path, monkeypatch, suffix):
 
 
 def test_command_line_stays_one_line(tmp_path):
-    """OpenEXR and OpenCV print about damaged files themselves: a process's stdout stays clean and stderr one
-    line.
-    """
+    """What OpenEXR and OpenCV print about damage is kept off stdout and stderr."""
     np.save(tmp_path / "d.npy", np.ones((3, 3)))
     for suffix in HDR:
         io.write(tmp_path / f"a{suffix}", LIGHT)
@@ -239,9 +233,7 @@ def test_command_line_stays_one_line(tmp_path):
 
 
 def test_tone_mapping(tmp_path, capsys):
-    """sRGB's curve: 0.5 is count 188 and 0.001 is 3; a stop doubles; NaN is black, above white is white;
-    --exposure does it.
-    """
+    """sRGB's curve: 0.5 is count 188, 0.001 is 3, NaN is black; a stop doubles; --exposure does it."""
     image = np.array([[0.0, 0.001, 0.5], [1.0, 7.0, np.nan]], np.float32)
     assert io.tone_mapped(image).tolist() == [[0, 3, 188], [255, 255, 0]]
     assert io.tone_mapped(image / 4, 2).tolist() == io.tone_mapped(image).tolist()

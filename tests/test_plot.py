@@ -31,9 +31,7 @@ def discs(figure):
 
 
 def test_discs_show_the_field(valley, fast):
-    """Every disc stands in free space of the row and inside the map; its white share is the share of angle
-    that sees the lamp.
-    """
+    """Discs stand in free space; the white share of each is the share of angle that sees the lamp."""
     figure = plot.field(valley, row=15, every=6, backend=fast)
     circles, wedges = discs(figure), figure.axes[0].collections[1:]
     assert len(circles) == len(wedges) >= 10
@@ -55,9 +53,7 @@ def test_discs_show_the_field(valley, fast):
 
 
 def test_sectors_lie_as_the_ray_goes(valley, fast):
-    """A lamp overhead lights the upper sectors: depth runs downwards in the picture, and the angle of -z is
-    90 degrees.
-    """
+    """A lamp overhead lights the upper sectors: depth runs downwards, the angle of -z is 90 degrees."""
     view = valley.view((24, 15, 2), backend=fast)
     low, high, which = plot.sectors(view)
     white = view.visible[which]
@@ -68,9 +64,7 @@ def test_sectors_lie_as_the_ray_goes(valley, fast):
 
 
 def test_sky_above_a_pixel(fast):
-    """The line is the horizon that sl.horizons finds, north up; only sky above it has colour; the title's
-    factor is the library's.
-    """
+    """The line is sl.horizons', north up; only sky above it has colour; the factor is the library's."""
     scene = sl.Scene.from_height(HILLS.max() - HILLS, sides="open")
     sky = sl.Sky(sl.cie_clear((90, 40), direct=3.0))
     figure = plot.horizon(scene, 12, 30, sky, azimuths=90, backend=fast)

@@ -1,6 +1,4 @@
-"""The README does what it says: its Python runs, its pictures are there, its test command is the one that CI
-runs.
-"""
+"""The README's Python runs, its pictures are there, and its test command is the one that CI runs."""
 
 import os
 import re

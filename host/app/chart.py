@@ -1,6 +1,4 @@
-"""Speed against accuracy: every method, setting and backend that is here as a point, and where the plan's
-choices stand among them.
-"""
+"""Speed against accuracy: a point for every method, setting and backend, and where plans stand among them."""
 
 from __future__ import annotations
 
@@ -56,9 +54,7 @@ Row = dict[str, Any]  # a point of the chart: class, size, backend, method, unit
 
 
 def scene_of(kind: str, size: int) -> tuple[Scene, sources.Source]:
-    """A scene of the class and its source: fractal ground of rms slope 0.5 or 1, blocks of houses, or the
-    rough ground under a lamp.
-    """
+    """A scene and its source: fractal ground of rms slope 0.5 or 1, houses, or that ground under a lamp."""
     if kind == "urban":
         rng = np.random.default_rng(2)
         depth = np.full((size, size), 40.0)
@@ -212,10 +208,11 @@ def frontier(points: list[tuple[float, float]]) -> list[tuple[float, float]]:
 
 
 def behind(rows: list[Row], time: str = "seconds", as_accurate: bool = False) -> dict[str, list[float]]:
-    """Where the default stands: by class, for each tolerance, its ``time`` ("again": of a scene that was
-    rendered before) over that of the quickest setting of any method and backend that is within the tolerance,
-    or, ``as_accurate``, no less accurate than the default's own image, on the largest maps; nan where none
-    is. The default is the plan on the backend where it is quickest.
+    """By class and tolerance: the time of the default over that of the quickest setting within it; else nan.
+
+    Only the largest maps count. The default is the plan on the backend where it is quickest. ``time``:
+    "seconds", or "again", of a scene that was rendered before. ``as_accurate``: the other settings must be no
+    less accurate than the default's own image, instead of within the tolerance.
     """
     largest = max(row["size"] for row in rows)
     found: dict[str, list[float]] = {}

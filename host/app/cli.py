@@ -462,7 +462,7 @@ def demo(out: opt.DemoFolder, backend: opt.Backend = "auto", as_json: opt.Json =
 
 def main(arguments: list[str] | None = None) -> NoReturn:
     """Run the command line and exit; ``arguments`` default to the process's own."""
-    # what these libraries log would stand beside our one line
+    # these libraries log what the one line of an error says
     for library, level in (("tifffile", logging.ERROR), ("rasterio", logging.CRITICAL)):
         logging.getLogger(library).setLevel(level)
     try:

@@ -148,9 +148,7 @@ def relief() -> np.ndarray:
 
 
 def compared(scene: Scene) -> list[dict[str, Any]]:
-    """Every backend on one small scene: seconds of compiling and of a second call, and its difference from
-    NumPy.
-    """
+    """Every backend on a small scene: seconds to compile, seconds of a second call, difference from NumPy."""
     image = render(scene, Sky(), method="lattice", hemicube=9, backend="numpy").image
     bits = visibility(scene, Sky(), hemicube=9, backend="numpy")
     table = []

@@ -33,8 +33,10 @@ def of_six(pictures: list[np.ndarray]) -> np.ndarray:
 
 
 def of_recovery(image: np.ndarray, found: Recovery, spacing: float) -> np.ndarray:
-    """Side by side: the image, the depth as a relief under a low lamp, the confidence, and |model - image|
-    from 0 to a tenth of the image.
+    """Side by side: image, relief, confidence and residual.
+
+    The relief is the depth under a low lamp; the residual is |model - image|, white at a tenth of the image's
+    maximum.
     """
     assert found.confidence is not None and found.residual is not None, "recover() gives both"
     rows, cols = found.depth.shape

@@ -239,7 +239,7 @@ def _label_compass(axes: PolarAxes) -> None:
 
 def recovery(image: ArrayLike, found: Recovery, truth: ArrayLike | None = None) -> Figure:
     """The image, the depth recovered from it, its confidence, and the albedo if it was found, side by side;
-    ``truth``: the true depth, beside them.
+    ``truth``: the true depth, for comparison.
 
     Raises InputError where shapes differ, or if matplotlib is not installed.
     """

@@ -26,9 +26,7 @@ STEEPER = 3.0  # heights are multiplied by this, so that a good part of the grou
 
 @dataclass(frozen=True)
 class Case:
-    """One quantity: its name, how a backend computes it, and the difference that is allowed (0: equal
-    bytes).
-    """
+    """One quantity: its name, how a backend computes it, and the difference allowed (0: equal bytes)."""
 
     name: str
     make: Callable[[str], np.ndarray]
@@ -37,8 +35,9 @@ class Case:
 
 @dataclass(frozen=True)
 class Comparison:
-    """Two backends on one case: the largest difference, relative to the case's largest value (for bits, the
-    share of words that differ), or the error of the one that failed.
+    """Two backends on one case, with their largest difference or the error of the one that failed.
+
+    The difference is relative to the case's largest value; for bits it is the share of words that differ.
     """
 
     case: str
@@ -54,9 +53,7 @@ class Comparison:
 
 
 def cases() -> list[Case]:
-    """One of each kind of kernel: visibility bits, irradiance by the lattice and by horizons, horizons, a
-    lamp.
-    """
+    """One of each kind of kernel: visibility, lattice, horizons, azimuths of a sky, slices of a lamp."""
     height, spacing = io.terrain()
     scene = Scene.from_height(STEEPER * height[CROP], spacing)
     box = Scene.from_height(STEEPER * height[CROP], spacing, sides="dark")
