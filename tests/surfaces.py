@@ -65,9 +65,7 @@ SOURCES = {
 
 @functools.cache
 def pair(name, kind, size=SIZE):
-    """(depth, image), (size, size) float64: the truth at the nodes and its radiance, in a box with dark
-    sides.
-    """
+    """(depth, image), (size, size) float64: the truth at the nodes and its radiance, in a dark box."""
     at = (np.arange(size * FINER) + 0.5) / FINER - 0.5
     x, y = np.meshgrid(at * SIZE / size, at * SIZE / size)
     depth = SURFACES[name](x, y) * size / SIZE
@@ -106,9 +104,7 @@ def source_of(kind, size=SIZE):
 
 
 def terrain(size, heights=1.0, row=40, col=60):
-    """Depth [nodes] of a crop of the Jacksboro fault, its heights so many times as high; mirrored where the
-    map ends.
-    """
+    """Depth [nodes] of a crop of the Jacksboro fault with scaled heights; mirrored where the map ends."""
     height, spacing = io.terrain()
     height = np.asarray(height, float)
     if size > 512:
@@ -128,9 +124,7 @@ def lamp_over(size):
 
 
 def image_of(depth, source):
-    """Radiance (rows, cols) float64 in a box with dark sides, by 128 azimuths on the grid of the depth
-    itself.
-    """
+    """Radiance (rows, cols) float64 in a dark box, by 128 azimuths on the grid of the depth itself."""
     return sl.render(
         sl.Scene(depth, albedo=ALBEDO, sides="dark"), source, method="horizon", azimuths=128
     ).image.astype(float)

@@ -359,6 +359,7 @@ def test_a_solid_is_the_oracles(fast, monkeypatch, name, sides):
 @pytest.mark.parametrize("shape", [(1, 1), (1, 29), (31, 1), (2, 2), (17, 33)])
 @pytest.mark.parametrize("sides", ["open", "dark"])
 def test_maps_of_any_shape(fast, shape, sides):
+    """One node, one row, one column, sides that are no multiples of a tile: as in float64."""
     z = ground(shape)
     made = problem(fast, sl.Sky(), shape, sides)
     np.testing.assert_allclose(
@@ -498,9 +499,7 @@ def test_the_gradient_is_that_of_the_objective(fast, name):
 
 
 def lit_twice(backend, shape, known=False, seed=7):
-    """A surface under a sky and a lamp whose images are not those of any albedo, and the two images at albedo
-    1.
-    """
+    """A surface whose images under a sky and a lamp are those of no albedo, and its images of albedo 1."""
     rng, z = np.random.default_rng(seed), ground(shape, 2)
     gain = rng.uniform(0.3, 0.6, shape).astype(np.float32)
     made = problem(
@@ -524,9 +523,7 @@ def lit_twice(backend, shape, known=False, seed=7):
 
 
 def test_the_albedo_is_the_best_there_is(backend):
-    """Pixel by pixel the least-squares solution of both images and of what is expected, and the objective is
-    with it.
-    """
+    """Pixel by pixel the least-squares solution of both images and the prior; so is the objective."""
     made, z, bright = lit_twice(backend, (9, 11))
     pull, expected = 0.3, 0.7
     made.albedo.set_prior(expected, pull)
@@ -651,7 +648,7 @@ def test_a_step_is_that_of_the_dense_matrices(backend, name, sides):
         made.depths.high,
         made.depths.z[1],
         made.pixels,
-        made.launcher.each,
+        made.launcher.nodes_per_item,
     )
     np.testing.assert_allclose(
         get(made.depths.z[1]),
@@ -698,7 +695,7 @@ def test_what_preconditions_is_that_of_dense_matrices(backend, shape):
 
 
 def test_coarse_grids_make_conjugate_gradients_quick(fast, monkeypatch):
-    """Where a broad part of a surface is wrong, ten iterations leave less than a fifth of what they leave
+    """Where a broad part of a surface is wrong, ten iterations leave less than a fifth of what is left
     without coarse grids.
     """
     shape, gains = (48, 48), []
@@ -713,9 +710,7 @@ def test_coarse_grids_make_conjugate_gradients_quick(fast, monkeypatch):
 
 
 def test_descent_finds_the_surface(fast):
-    """From a blurred start to the surface whose image it is; the objective that it tells is the one it
-    reached.
-    """
+    """From a blurred start to the surface whose image it is; the objective returned is the one there."""
     shape = (16, 16)
     z = ground(shape, 6, 0.5)
     rng = np.random.default_rng(1)
@@ -810,9 +805,7 @@ def test_backends_agree_to_the_bit_and_repeat_themselves(backend, fast, name, si
 
 
 def test_descents_agree_to_the_bit(backend, fast):
-    """Three whole steps from the same start under a sky and a lamp together, also where the albedo is not
-    known.
-    """
+    """Three whole steps under a sky and a lamp together, with a known and an unknown albedo."""
     shape = (16, 19)
     start, target = ground(shape, 3, 0.4), 0.3 + 0.1 * ground(shape, 5, 0.1)
     for known in (True, False):
@@ -864,6 +857,7 @@ def test_more_work_items_than_nodes(fast, monkeypatch):
 
 
 def test_a_map_with_too_many_links(backend):
+    """More than 2^31 links are a CapacityError."""
     light = lights.Light(None, azimuths=np.zeros((2**22, 4), np.float32))
     with pytest.raises(CapacityError, match="links"):
         Descent(select(backend), (16, 32), "open", [(light, np.ones((16, 32)), np.ones((16, 32)))], 0, 1)
@@ -966,9 +960,7 @@ def test_light_above_a_slope_has_the_derivative_of_the_tape(taped, knots):
 
 
 def test_the_pull_of_a_crossing_is_that_of_the_tape(taped):
-    """What a link makes of a pull: -1 to the node's own height, 1 - share and share to the two beside the
-    crossing.
-    """
+    """A link's parts of a pull: -1 to the node's own height, 1 - share and share to the crossing's nodes."""
     wp, _, of_nodes = taped
     share, closeness, tilt, width = 0.3, 0.25, -0.2, 0.7
     heights = wp.array(

@@ -84,9 +84,7 @@ ALBEDO = {
     ],
 )
 def test_recovery_equals_the_oracle(backend, kind, sides, stop):
-    """Every source and side, both stops: every column of the same depth, and drilled means carved to the
-    back.
-    """
+    """Every source and side, both stops: the same depth in every column; drilled means carved to the back."""
     expected = _carved(kind, sides, stop, 0.05)
     layers = FEW if kind == "volume" else LAYERS
     got = paper(
@@ -123,9 +121,7 @@ def test_recovery_with_an_albedo_map_and_spacing_equals_the_oracle(backend, eps)
 
 
 def test_drilled_columns_are_named_and_the_sign_drills_fewer(backend):
-    """docs/model.md, The inverse: with a narrow eps most columns never match; the stop at the sign change is
-    monotone.
-    """
+    """With a narrow eps most columns never match; the stop at the sign change is monotone."""
     image = _image("sky", "dark")
     by_eps, by_sign = (
         paper(image, sl.Sky(), 0.6, "dark", 1.0, LAYERS, 5, eps=0.002, stop=stop, backend=backend)

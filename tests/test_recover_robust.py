@@ -85,9 +85,7 @@ def _amplification(change, image, other, clean):
 
 @pytest.mark.parametrize("name", SURFACES)
 def test_noise_is_damped(fast, name):
-    """White noise of 3 % of the maximum changes depth by less than half of that share of its range, on every
-    surface.
-    """
+    """White noise of 3 % of the maximum changes depth by less than half of that share of its range."""
     image = surfaces.pair(name, "sky")[1]
     other = np.maximum(image + 0.03 * image.max() * np.random.default_rng(5).normal(size=image.shape), 0)
     noisy = sl.recover(other, sl.Sky(), ALBEDO, "dark", backend=fast)
@@ -244,9 +242,7 @@ def test_steps_end_where_scipy_ends(fast):
     [("noise 1 %", 0.5, 5), ("noise 3 %", 0.5, 5), ("8 bits", 1.5, 20), ("albedo 5 %", 1.5, 5)],
 )
 def test_stable_where_carving_is_not(fast, what, most, carving):
-    """Change of depth by change of image, both as shares of their range: small, where carving multiplies
-    it.
-    """
+    """Change of depth over change of image, as shares of their ranges: small, where carving multiplies it."""
     depth, image = surfaces.pair("bumps", "sky")
     noise = np.random.default_rng(7).normal(size=image.shape)
     other = {
@@ -272,9 +268,7 @@ def test_nothing_is_drilled(fast):
 
 
 def test_a_second_image_settles_a_spotlight(fast):
-    """Spotlight alone: wrong by many layers, and its wrong pixels are marked. With the sky's image beside it,
-    right.
-    """
+    """A spotlight's image is wrong by many layers; together with the sky's image it is right."""
     depth, image = pair("egg-crate", "spot")
     alone = found("egg-crate", "spot", fast, SMALL)
     both = sl.recover(
@@ -330,6 +324,7 @@ def test_an_albedo_that_two_images_do_not_tell_is_not_trusted(fast):
 
 
 def test_one_image_cannot_tell_the_albedo():
+    """albedo=None with one image, or with method='paper', is an error that names several images."""
     for more in (
         {"image": np.ones((8, 8)), "source": sl.Sky()},
         {"image": [np.ones((8, 8))], "source": [sl.Sky()]},
@@ -421,6 +416,7 @@ def test_light_so_many_times_as_strong(fast, kind):
 
 
 def test_carving_under_light_so_many_times_as_strong(fast):
+    """A brightness that is a number: carving finds the depth of brightness 1."""
     for k in (0.5, 100.0):
         np.testing.assert_array_equal(
             under("sky", fast, k, method="paper").depth, under("sky", fast, method="paper").depth
@@ -448,6 +444,7 @@ def test_two_lights_of_different_strength(fast):
 @pytest.mark.parametrize("kind", SHINE)
 @pytest.mark.parametrize("method", ["robust", "paper"])
 def test_nothing_is_recovered_from_darkness(kind, method):
+    """A source of brightness 0 is an error, for both methods."""
     with pytest.raises(sl.InputError, match="brightness: got 0;.*darkness"):
         sl.recover(np.ones((8, 8)), SHINE[kind](0), sides="dark", method=method, backend="numpy")
 
@@ -596,6 +593,7 @@ def test_levels_and_their_residuals(fast, caplog):
     ],
 )
 def test_bad_arguments(arguments, says):
+    """Each is an InputError that says what is allowed."""
     with pytest.raises(sl.InputError, match=says):
         sl.recover(
             **{"image": np.ones((8, 8)), "source": sl.Sky(), "sides": "dark", "backend": "numpy", **arguments}

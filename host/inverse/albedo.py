@@ -1,5 +1,4 @@
-"""The albedo that is not given: for every pixel the one that explains all images best (variable
-projection)."""
+"""Variable projection: the albedo of every pixel that explains all images best, where none is given."""
 
 from __future__ import annotations
 

@@ -1,6 +1,4 @@
-"""The paper's method: columns are carved a layer at a time (Langer and Zucker, section 6, inverse algorithm,
-Eq. 4).
-"""
+"""The paper's method: columns are carved a layer at a time (Langer and Zucker, section 6, Eq. 4)."""
 
 from __future__ import annotations
 

@@ -40,8 +40,7 @@ class Depths(NamedTuple):
 class ConjugateGradients:
     """Solves for steps x of one grid, from depths at which the images were evaluated.
 
-    The preconditioner is the diagonal, and the same on two coarser grids. Sides are those of the images'
-    links.
+    The preconditioner is the diagonal, and the same on two coarser grids.
     """
 
     def __init__(self, launcher: Launcher, images: list[Image], albedo: AlbedoFit | None, depths: Depths):
@@ -56,14 +55,18 @@ class ConjugateGradients:
         self.r, self.free = (
             [backend.empty((size,), np.float32, fill) for size in sizes[:-1]] for fill in (None, 1)
         )
-        self.sum, self.squares = (backend.empty((launcher.teams, pixels), np.int64, 0) for _ in range(2))
+        self.sum, self.squares = (
+            backend.empty((launcher.partial_sums, pixels), np.int64, 0) for _ in range(2)
+        )
         self.lengths = backend.empty((2, launcher.blocks), np.float64)
         self.states, self.totals = [
             [backend.empty(shape, dtype) for _ in range(2)]
             for shape, dtype in (((STATE,), np.float64), ((3, SLOTS), np.int64))
         ]
         # nodes of a work-item that scatters, and work-items
-        self.scattered = launcher.each if launcher.teams == 1 else -(-pixels // launcher.teams)
+        self.scattered = (
+            launcher.nodes_per_item if launcher.partial_sums == 1 else -(-pixels // launcher.partial_sums)
+        )
         self.scatterers = (-(-pixels // self.scattered),)
 
     def gradient(self, side: int, misfit: float, smoothness: float) -> tuple[float, float]:
@@ -84,7 +87,7 @@ class ConjugateGradients:
             *(z[side], rest, low, high, self.sum, self.squares, self.scale[0]),
             *(self.r[0], self.x, self.p, self.s, self.free[0]),
             *(1 / unit, 1 / FINE, SECOND_DIFFERENCES * smoothness + LEAST_CURVATURE, smoothness),
-            *(*self.shape, self.launcher.each, self.launcher.teams),
+            *(*self.shape, self.launcher.nodes_per_item, self.launcher.partial_sums),
         )
         self.launcher.repeat(self._start, 0)  # the same for both sides
         square, product = self.backend.download(self.lengths).sum(1).tolist()
@@ -131,13 +134,13 @@ class ConjugateGradients:
                 "curve",
                 *(self.r[0], self.v[0], self.scale[0], self.free[0], self.sum, self.w),
                 *(self.totals[now], self.states[now]),
-                *(*self.shape, self.launcher.each, self.launcher.teams),
+                *(*self.shape, self.launcher.nodes_per_item, self.launcher.partial_sums),
             )
             self.launcher.launch(
                 "go",
                 *(self.v[0], self.w, self.r[0], self.x, self.p, self.s),
                 *(self.totals[now], self.totals[then], self.states[now], self.states[then]),
-                *(FIXED, EXACT, self.pixels, self.launcher.each),
+                *(FIXED, EXACT, self.pixels, self.launcher.nodes_per_item),
             )
             self._precondition()
 
@@ -156,14 +159,14 @@ class ConjugateGradients:
             self.launcher.launch(
                 "change",
                 *(*image.links[side], *gains, self.v[0], shared, state, *self.shape, image.count),
-                *(number == 0, self.launcher.each),
+                *(number == 0, self.launcher.nodes_per_item),
             )
         for image in self.images:
             gains = image.gains[side], image.gain
             self._scatter("product_beside", *image.links[side], *gains, shared, under, *rest, image.count)
 
     def _scatter(self, kernel: str, *args: Any) -> None:
-        self.launcher.launch(kernel, *args, self.scattered, self.launcher.teams, dim=self.scatterers)
+        self.launcher.launch(kernel, *args, self.scattered, self.launcher.partial_sums, dim=self.scatterers)
 
     def _start(self, side: int) -> None:
         """The scales of the coarser grids, and the first v with its lengths."""

@@ -109,7 +109,9 @@ class Descent:
         """Evaluates a step from the other side."""
         z, _, low, high = self.depths
         step = self.gradients.x
-        self.launcher.launch("move", z[1 - side], step, low, high, z[side], self.pixels, self.launcher.each)
+        self.launcher.launch(
+            "move", z[1 - side], step, low, high, z[side], self.pixels, self.launcher.nodes_per_item
+        )
         self._trace(side)
 
     def _evaluate(self, side: int, smoothness: float, work: Callable[[int], None]) -> float:

@@ -127,9 +127,7 @@ def of_carving(
 
 
 def count_of(image: np.ndarray) -> float:
-    """The count of a coarsely quantized image, over its maximum; 0 where its values are no multiples of
-    one.
-    """
+    """The count of a coarsely quantized image, over its maximum; 0 if the values are no multiples of one."""
     steps = np.diff(np.unique(image))
     if not steps.size or steps.min() < 1 / FEWEST_COUNTS * image.max():
         return 0.0

@@ -24,12 +24,13 @@ class Launcher:
     def __init__(self, backend: Backend, shape: tuple[int, int]):
         self.backend, self.shape, self.pixels = backend, shape, shape[0] * shape[1]
         self.blocks = -(-self.pixels // SUMMED)  # a work-item of a sum owns one
-        self.each, self.teams = backend.each, backend.teams
+        # nodes of a work-item, and sums that work-items of their own scatter into
+        self.nodes_per_item, self.partial_sums = backend.each, backend.teams
         self._recorded: dict[tuple[str, int], Callable[[], None] | None] = {}
 
     def launch(self, kernel: str, *args: Any, dim: tuple[int, ...] | None = None) -> None:
         """Runs a kernel, over all nodes unless ``dim`` says otherwise."""
-        self.backend.launch("adjoint", kernel, dim or (-(-self.pixels // self.each),), *args)
+        self.backend.launch("adjoint", kernel, dim or (-(-self.pixels // self.nodes_per_item),), *args)
 
     def repeat(self, work: Callable[[int], None], side: int, times: int = 1) -> None:
         """Does work(side), ``times`` times; from the second call on as the backend has recorded it."""
@@ -63,9 +64,7 @@ class Surface:
 
 
 class Image:
-    """One image of the surface on the device: what a source makes of a depth map, and how that changes with
-    it.
-    """
+    """One image of the surface on the device: the irradiance of a depth map, and its derivatives."""
 
     def __init__(
         self,
@@ -127,16 +126,16 @@ class Image:
 
     def _evaluate_sky(self, side: int, surface: Surface) -> None:
         rows, cols = self.shape
-        each = self.count if self.backend.each > 1 else 1  # azimuths of a work-item
+        azimuths = self.count if self.backend.each > 1 else 1  # of a work-item
         across = -(-cols // self.backend.lanes)
         seen = surface.heights, surface.tilts, surface.top
         size = rows, cols, MARGIN, self.count
         self.backend.launch(
             "adjoint",
             "look",
-            (across, rows, -(-self.count // each)),
+            (across, rows, -(-self.count // azimuths)),
             *(surface.heights, surface.tilts, surface.tiles, surface.top),
-            *(self.directions, self.numbers, self.slopes, *size, self.sides, each),
+            *(self.directions, self.numbers, self.slopes, *size, self.sides, azimuths),
         )
         self.backend.launch(
             "adjoint",

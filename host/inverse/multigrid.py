@@ -54,9 +54,7 @@ class Multigrid:
         steps: int = STEPS,
         accuracy: tuple[float, float] | None = None,
     ) -> Solution:
-        """From z on one grid: by those of these weights of smoothness that are above its own, then by its
-        own.
-        """
+        """From z on one grid, with those of these weights of smoothness above its own, then with its own."""
         problem = self.pyramid.problem(level)
         least = self.pyramid.smoothness(level)
         tolerance, settled = accuracy or self.accuracy

@@ -45,8 +45,8 @@ CROSS_NORM = 6  # root of the sum of squares of the cross of second differences
 
 
 class Level(NamedTuple):
-    """What was reached on one grid: its shape, rms of model - image as a share of the image's rms, seconds
-    since the start.
+    """What was reached on one grid: its shape, the rms of model - image as a share of the image's, and the
+    seconds since the start.
     """
 
     shape: tuple[int, ...]
@@ -81,8 +81,8 @@ def number_of(source: sources.Source) -> float:
 
 
 def grid_of_starts(shapes: list[tuple[int, ...]]) -> int:
-    """The level to start from: of small images the coarsest, of others the first below their own that is not
-    too large.
+    """The level to start from: of small images the coarsest, of others the first below their own on which
+    the image has at most LARGEST_START nodes.
     """
     coarsest = len(shapes) - 1
     if max(shapes[0]) <= SMALL:
@@ -205,8 +205,8 @@ class Pyramid:
         ]
 
     def set_shading_gain(self, gain: float, above: int) -> None:
-        """Divides the targets of the grids coarser than grid ``above`` by a gain: the coarsest's by this,
-        others' by less.
+        """Divides the targets of the grids coarser than grid ``above`` by a gain: the coarsest grid's by this
+        one, those between by gains nearer to 1.
         """
         for level in range(above + 1, self.coarsest + 1):
             self.gains[level] = 1 - (1 - gain) * (level - above) / (self.coarsest - above)
@@ -220,8 +220,8 @@ class Pyramid:
             problem.set_bounds(*bounds[level])
 
     def set_prior(self, level: int, z: np.ndarray) -> None:
-        """Lets what stands for noise in the smoothness be of the difference to z, and the rest of the whole
-        surface.
+        """Makes the part of the smoothness that stands for noise act on the difference to z. The rest still
+        acts on the whole surface.
         """
         self.problem(level).set_prior((1 - self.least_smoothness(level) / self.smoothness(level)) * z)
 

@@ -59,8 +59,8 @@ class Search:
         return rivals
 
     def _sorted_out(self, share: float) -> list[Solution]:
-        """The answer from the nearest flat surface, or from a shallower one if that is lost, and others that
-        begin there.
+        """The answers of the nearest flat surface and of starts around it; or those of a shallower surface,
+        if the first ones are far from the images.
         """
         pyramid, starts = self.pyramid, self.starts
         flat = starts.flat(share, pyramid.start)

@@ -44,8 +44,8 @@ class Starts:
             raise OutOfTime
 
     def nearest_flat(self) -> float:
-        """The flat surface that explains the images best on the coarsest grid: its share of the way between
-        the bounds.
+        """The share of the way between the bounds of the flat surface that explains the images best on the
+        coarsest grid.
         """
         problem = self.pyramid.problem(self.pyramid.coarsest)
         shares, (low, high) = (np.arange(FLATS) + 0.5) / FLATS, self.pyramid.bounds[self.pyramid.coarsest]
@@ -81,8 +81,8 @@ class Starts:
         self.pyramid.set_shading_gain(best if values[best] < BETTER * values[1.0] else 1.0, 0)
 
     def around(self, first: Solution, begun: np.ndarray, level: int) -> list[Solution]:
-        """This answer, which began with that surface on that grid, shallower ones that begin there, and their
-        mosaic.
+        """This answer, which began with that surface on that grid; shallower answers that begin there; and
+        the mosaic of all.
         """
         answers = [first]
         for share in CONFINED:
@@ -142,9 +142,7 @@ class Starts:
             answers.append(self.mosaic(level, [answer.depth for answer in answers]))
 
     def mosaic(self, level: int, surfaces: list[np.ndarray]) -> Solution:
-        """From a surface that is everywhere the one of these that explains the images best in the
-        neighbourhood.
-        """
+        """From a surface that takes each place from the one of these whose image is best round it."""
         problem, images = self.pyramid.problem(level), self.pyramid.images[level]
         misfits = []
         for z in surfaces:
