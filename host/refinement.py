@@ -789,12 +789,12 @@ def _faces_suns(scene: Scene, samples: Samples, suns: tuple[Sun, ...]) -> bool:
     """Whether every node's tangent plane lies below all of every sun: the samples' first, then all."""
     cones = [sun.cone for sun in suns]
     for (x, y, z), sine in cones:
-        if not unoccluded.looks_at_all(samples.gx, samples.gy, x, y, z, sine).all():
+        if not unoccluded.above_plane(samples.gx, samples.gy, x, y, z, sine).all():
             return False
     gx, gy = unoccluded.gradients(scene)
     for middle, sine in cones:
         x, y, z = middle.astype(np.float32)
-        if not unoccluded.looks_at_all(gx, gy, x, y, z, np.float32(sine)).all():
+        if not unoccluded.above_plane(gx, gy, x, y, z, np.float32(sine)).all():
             return False
     return True
 
@@ -941,13 +941,13 @@ class _SlicePlanner(_Planner):
         """Whether every node's tangent plane lies below all of the source: the samples' first, then all."""
         at, radius = self.samples, self.radius if isinstance(self.solid, Ball) else 0.0
         x, y, z = self.middle[:, None] - np.stack([at.x, at.y, at.own])
-        if self.scene.mask is not None or not unoccluded.looks_at_all(at.gx, at.gy, x, y, z, radius).all():
+        if self.scene.mask is not None or not unoccluded.above_plane(at.gx, at.gy, x, y, z, radius).all():
             return False
         rows, cols = self.scene.shape
         (gx, gy), deep = unoccluded.gradients(self.scene), self.scene.depth / np.float32(self.scene.spacing)
         points = [self.middle] if isinstance(self.solid, Ball) else self.solid.corners
         return all(
-            unoccluded.looks_at_all(
+            unoccluded.above_plane(
                 gx,
                 gy,
                 np.float32(x) - np.arange(cols, dtype=np.float32),

@@ -22,12 +22,12 @@ from .sources.solids import Ball, Quad
 # nodes; chosen: their standard error of an RMS is some 1 / sqrt(2 x 384), 4 %, if errors are normal, and
 # their rays take time in proportion
 COUNT = 384
-CLOSER = 256  # more nodes where ground is rare
+EXTRA = 256  # more nodes where ground is rare
 # nodes among which light is searched for; share of them that has all of it before more are taken
-MANY, FEW = 4096, 0.1
+CANDIDATES, CONCENTRATED = 4096, 0.1
 # times the median relief of blocks from which on one is rare; share of the map from which on rare blocks hold
 # enough samples
-RARE, COMMON = 3.0, 0.25
+RARE, FREQUENT = 3.0, 0.25
 NONE = np.float32(-1e30)  # height where masked
 FAINT = 0.005  # slope below which ground of a periodic map is not searched for: 1.3e-5 of E / pi
 # spacings that neighbouring nodes may lie apart before two crossings are too few behind them
@@ -80,7 +80,7 @@ class Samples:
     """Nodes spread over the valid part of a map by a low-discrepancy sequence, from its number ``first`` on.
 
     They are the same for the same scene. Where a few blocks of nodes have far more relief than the others (a
-    trench in a plain), CLOSER nodes are added in these: ``weights`` (nodes,) are then the nodes' shares of
+    trench in a plain), EXTRA nodes are added in these: ``weights`` (nodes,) are then the nodes' shares of
     the map, else None; ``rare``: which nodes lie in such blocks. A reduction over all nodes finds the blocks,
     so that none is missed.
     """
@@ -124,7 +124,7 @@ class Samples:
             )
         )
         self.cliffs = float(cliffs.sum(dtype=np.float64)) / max(1, pairs)
-        self.x, self.y = _spread(scene, count, first)
+        self.x, self.y = _sequence_nodes(scene, count, first)
         self.weights, self.rare = None, np.zeros(len(self.x), bool)
         if len(self.x) == count:  # else these are all nodes
             _add_rare_blocks(self, scene, np.where(highest > NONE, highest - np.minimum(lowest, highest), 0))
@@ -146,21 +146,21 @@ class Samples:
         self.length = np.sqrt(1 + self.gx**2 + self.gy**2)
 
     def oversample_lit(self, scene: Scene, light: Callable[[Samples], np.ndarray]) -> None:
-        """Add up to CLOSER nodes in proportion to ``light``, if most of it falls on few nodes.
+        """Add up to EXTRA nodes in proportion to ``light``, if most of it falls on few nodes.
 
         Samples are then weighted by their probability of being drawn (Horvitz and Thompson).
         """
         many = copy.copy(self)
-        many._set_nodes(*_spread(scene, MANY, self.first))
-        if self.weights is not None or len(many) < MANY:
+        many._set_nodes(*_sequence_nodes(scene, CANDIDATES, self.first))
+        if self.weights is not None or len(many) < CANDIDATES:
             return
         found = np.maximum(light(many), 0)
-        if found.sum() ** 2 >= FEW * MANY * (found**2).sum():
+        if found.sum() ** 2 >= CONCENTRATED * CANDIDATES * (found**2).sum():
             return
-        drawn = CLOSER * found / found.sum()
-        picked = np.unique(np.searchsorted(np.cumsum(drawn), np.arange(CLOSER) + 0.5))
-        picked = np.concatenate([np.arange(len(self)), picked[(picked >= len(self)) & (picked < MANY)]])
-        self.weights = 1 / np.maximum(len(self) / MANY, np.minimum(1, drawn[picked]))
+        drawn = EXTRA * found / found.sum()
+        picked = np.unique(np.searchsorted(np.cumsum(drawn), np.arange(EXTRA) + 0.5))
+        picked = np.concatenate([np.arange(len(self)), picked[(picked >= len(self)) & (picked < CANDIDATES)]])
+        self.weights = 1 / np.maximum(len(self) / CANDIDATES, np.minimum(1, drawn[picked]))
         self.rare = np.zeros(len(picked), bool)
         self._set_nodes(many.x[picked], many.y[picked])
 
@@ -400,9 +400,9 @@ def _add_rare_blocks(samples: Samples, scene: Scene, relief: np.ndarray) -> None
     )
     row, col = np.nonzero(rare)
     nodes = np.cumsum(high[row] * wide[col])
-    if not rare.any() or nodes[-1] > COMMON * rows * cols:
+    if not rare.any() or nodes[-1] > FREQUENT * rows * cols:
         return
-    which, *inside = (0.5 + np.outer(SPREAD_3, np.arange(CLOSER))) % 1
+    which, *inside = (0.5 + np.outer(SPREAD_3, np.arange(EXTRA))) % 1
     block = np.searchsorted(nodes, which * nodes[-1], "right")
     x, y = (
         (size * n[block] + part * length[n[block]]).astype(int)
@@ -472,7 +472,7 @@ def _slope(low: np.ndarray, here: np.ndarray, high: np.ndarray) -> np.ndarray:
     return slope.astype(np.float64)
 
 
-def _spread(scene: Scene, count: int, first: int) -> tuple[np.ndarray, np.ndarray]:
+def _sequence_nodes(scene: Scene, count: int, first: int) -> tuple[np.ndarray, np.ndarray]:
     """(columns, rows) of nodes; all valid ones if they are few."""
     rows, cols = scene.shape
 

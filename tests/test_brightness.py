@@ -1,6 +1,4 @@
-"""A sky's brightness as integrals: level ground to 1e-4 whatever the sky, small bright parts found and named,
-tables against quadrature.
-"""
+"""A sky's brightness as integrals: level ground to 1e-4, small bright parts, tables against quadrature."""
 
 import math
 
@@ -24,9 +22,7 @@ def towards(azimuth, elevation):
 
 
 def discs(seed, count, base=0.7, least=0.1, most=3.0):
-    """(sky function, irradiance of level ground, directions): discs of random place, radius and brightness,
-    each wholly above the horizon.
-    """
+    """(sky function, irradiance of level ground, directions) of random discs wholly above the horizon."""
     rng = np.random.default_rng(seed)
     parts = []
     for _ in range(count):
@@ -113,9 +109,7 @@ def test_level_ground_under_an_environment_map(fast, rows, count):
 
 
 def test_level_ground_under_a_coarse_map(fast):
-    """Pixels 11 degrees wide, all different; one of the zenith, one at the horizon, and one beside column 0
-    alone.
-    """
+    """Pixels 11 degrees wide: all different; one at the zenith, at the horizon, or next to column 0."""
     rng = np.random.default_rng(5)
     image = rng.random((16, 32))
     held(sl.Sky(sl.environment_map(image)), of_map(image), fast)
@@ -176,9 +170,7 @@ def test_level_ground_under_cosine_powers(fast, power):
 
 @pytest.mark.parametrize("seed", range(3))
 def test_few_azimuths_are_right_on_planes(fast, seed):
-    """Four azimuths, two sectors of every sun, no closed form: what tangent planes let through is added
-    exactly.
-    """
+    """Four azimuths, two sectors of every sun, no closed form: the light above tangent planes is exact."""
     function, level, _ = discs(20 + seed, 4)
     np.testing.assert_allclose(
         Horizons(select(fast), FLAT, Integrals(sl.Sky(function)), 4, 2).irradiance(), level, rtol=1e-4
@@ -253,9 +245,7 @@ def test_a_sky_with_a_disc_is_its_parts(fast):
 
 
 def test_suns_have_all_their_light(fast):
-    """Directions, flux and cones of three discs; together with the rest they are the whole; sectors have what
-    their sun has, shifted ones too.
-    """
+    """Directions, flux and cones of three discs; with the rest they are the whole; so are their sectors."""
     places = [
         (towards(10, 20), 0.5, 900.0),
         (towards(140, 50), 1.5, 300.0),
@@ -334,9 +324,7 @@ def test_errors_of_integrals_are_told(fast):
 
 
 def test_tables_hold_integrals():
-    """B cos^2 and B sin cos above every knot, by sectors of azimuth, against quadrature; widths that lie
-    across azimuth 0; the steps lead from knot to knot.
-    """
+    """B cos^2 and B sin cos above every knot against quadrature; across azimuth 0; steps between knots."""
     function = lambda L: 1 + L[..., 0] ** 2 + 0.5 * L[..., 1] - 0.3 * L[..., 2]
     light, azimuths = Integrals(sl.Sky(function), math.inf), even(6, 0.1)
     table = light.table(azimuths.angles, azimuths.widths, 9)

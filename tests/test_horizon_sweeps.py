@@ -245,8 +245,9 @@ def test_horizons(fast, name, sides, rays):
 
 
 def _but_a_few(errors):
-    """Without the worst of a thousand: what a line sees beside a hole may be in the hole for a node half a
-    step away, and far ground is lost to that node then. RMS over all of them is up to 0.006 rad.
+    """Errors without the largest thousandth; the RMS of all is up to 0.006 rad.
+
+    Ground that is visible along a line next to a hole may lie in the hole for a node half a step away.
     """
     assert rms(errors) <= 0.006
     return np.sort(abs(errors))[: len(errors) * 999 // 1000]
@@ -288,9 +289,7 @@ def test_reach_beyond_a_map_that_repeats(fast):
 
 @pytest.mark.parametrize("broken", ["near", "azimuths", "ladder"])
 def test_a_broken_table_is_seen(fast, monkeypatch, broken):
-    """The comparison with the oracle turns red when a table is wrong: by a tenth of a node, by a degree, with
-    one slope for all.
-    """
+    """The comparison with the oracle fails if a table is wrong by a tenth of a node or by a degree."""
     module = importlib.import_module("skylamp.light.sweeps")
     if broken == "ladder":
         original = module.ladder
@@ -360,9 +359,7 @@ def _table(rays, knots):
 
 
 def test_light_by_tables(backend):
-    """A brightness that depends on elevation and azimuth, against the oracle's quadrature; NumPy's sums as
-    everywhere.
-    """
+    """Brightness that depends on elevation and azimuth, against the oracle's quadrature and NumPy's sums."""
     height, rays = heights("small with holes"), RAYS["even"]
     valid = np.isfinite(height)
     table = _table(rays, 257)
@@ -389,9 +386,7 @@ def _sampled(slope, falloff):
     ids=["rough", "smooth"],
 )
 def test_accuracy_of_a_uniform_sky(fast, slope, falloff, limits):
-    """E / pi against 2048 exact azimuths: within limits, never worse with more azimuths, and 1.5 times better
-    per doubling.
-    """
+    """E / pi against 2048 exact azimuths: within limits, 1.5 times better for twice the azimuths."""
     height, nodes, expected = _sampled(slope, falloff)
     errors = {
         count: (
@@ -466,9 +461,7 @@ def test_a_bowl(fast, degrees):
 
 
 def test_arrays_last_as_long_as_kernels_need_them(fast):
-    """A large map that repeats is swept through scratch arrays, which are let go while kernels may still run
-    on them.
-    """
+    """A large periodic map is swept through scratch arrays, released while kernels may still run."""
     depth = np.tile(rough(64, 64, 0.3), (17, 17))
     options = dict(method="horizon", azimuths=4, max_distance=9, backend=fast)
     image = sl.render(sl.Scene(depth, sides="periodic"), sl.Sky(), **options).image

@@ -18,9 +18,7 @@ from skylamp.sources.solids import Dome
 
 @pytest.mark.parametrize("name", ["rough", "dark", "periodic", "holes", "metres", "tiny"])
 def test_samples_see_the_oracles_horizons(backend, name):
-    """On every backend, every crossing: horizons clamped at the level, the tangent plane and the wall agree
-    to float32.
-    """
+    """Horizons of every crossing, not below the level, the tangent plane and the wall, agree to float32."""
     scene = SCENES[name]
     samples = Samples(select(backend), scene, 24)
     azimuths = np.array([0, 0.3, 1.1, np.pi / 4, np.pi / 2, 2.2, 3.6, 4.9, 6.1])
@@ -52,9 +50,7 @@ def test_samples_see_lamps_as_shadow_rays_do(fast, source):
 
 @pytest.mark.parametrize("sides", ["open", "dark"])
 def test_samples_see_suns_as_images_do(fast, sides):
-    """Small bright parts in sectors: as the kernel has them at the same nodes, also through a window, some
-    dark and some not.
-    """
+    """Small bright parts in sectors agree with the kernel at the same nodes, also through a window."""
     axis = np.array([0.5, 0.4, -0.6]) / np.sqrt(0.77)
     sun = Integrals(sl.Sky(lambda L: 1 + 1e3 * (L @ axis > np.cos(0.02)))).suns[0].sectors(16)
     scene = SCENES["dark"] if sides == "dark" else SCENES["rough"]
@@ -72,9 +68,7 @@ def test_samples_see_suns_as_images_do(fast, sides):
 
 
 def test_samples_are_spread_and_the_same_again(fast):
-    """Over all quarters of a map, on a few valid nodes among many masked, and all nodes of a small map;
-    numbers from elsewhere are other nodes.
-    """
+    """Over all quarters of a map, few valid nodes, or a whole small map; other numbers are other nodes."""
     of = lambda scene, *more: Samples(select(fast), scene, *more)
     one, other = of(SCENES["rough"]), of(sl.Scene(SCENES["rough"].depth.copy()))
     assert_bits_equal(one.x.astype(np.int64), other.x.astype(np.int64))
@@ -91,9 +85,7 @@ def test_samples_are_spread_and_the_same_again(fast):
 
 
 def test_errors_by_hand():
-    """RMS over all nodes, mean over the lit ones; exponential errors have their 99.9th percentile at ln 1000
-    of their mean.
-    """
+    """RMS over all nodes, mean over lit ones; the 99.9th percentile of exponential errors: ln 1000 means."""
     exact = np.array([0.0, 0.0, 1.0, 3.0])
     assert errors(exact + [0.2, 0, 0, -0.2], exact).rms == pytest.approx(np.sqrt(0.08 / 4) / 2)
     rng = np.random.default_rng(0)
@@ -114,9 +106,7 @@ def test_errors_by_hand():
 
 
 def test_weights_by_hand():
-    """Ten nodes in forty that stand for two thousandths of the map, of whose error five make the last
-    thousandth; weights are shares whatever their sum.
-    """
+    """Ten nodes in forty are two thousandths of the map, five of them the last thousandth of the error."""
     weights, off = (np.repeat(pair, (30, 10)) for pair in ((0.998 / 30, 0.0002), (0.01, 0.4)))
     found = errors(1 + off, np.ones(40), weights)
     assert found.rms == pytest.approx(
@@ -136,10 +126,8 @@ def test_holes_are_no_cliffs(fast):
     )
 
 
-def test_samples_look_closer_where_ground_is_rare(fast):
-    """Nodes are added where a few blocks have most of the relief, none that is masked, below a cliff between
-    two blocks too; weighted, they tell the features' shares.
-    """
+def test_samples_are_added_where_relief_is_rare(fast):
+    """Nodes are added where a few blocks have most of the relief; weights give the features' shares."""
     y, x = np.mgrid[:600, :600]
     holes, of = (x + y) % 3 > 0, lambda scene: Samples(select(fast), scene)
     for lower, mask in (

@@ -23,9 +23,7 @@ PUBLISHED = {
 
 
 def integral(brightness, n=600):
-    """Irradiance of level ground by the midpoint rule in elevation and azimuth: no part of it is the
-    library's.
-    """
+    """Irradiance of level ground by the midpoint rule in elevation and azimuth, without the library."""
     e = np.pi / 2 * (np.arange(n) + 0.5) / n
     a = 2 * np.pi * (np.arange(2 * n) + 0.5) / (2 * n)
     L = np.stack(
@@ -41,9 +39,7 @@ def integral(brightness, n=600):
 
 @pytest.mark.parametrize("type", range(1, 16))
 def test_horizontal_illuminance(type, fast):
-    """The fit that was published with the types to 5 % (it is a fit), a converged integral to 1e-4, a render
-    to 1e-3.
-    """
+    """The published fit of the types to 5 %, a converged integral to 1e-4, a render to 1e-3."""
     for elevation in (20, 40, 60):
         sky = sl.cie_sky(type, (123, elevation))
         B, C, D, E = PUBLISHED[type]
@@ -100,9 +96,7 @@ def test_sun_side(sun, fast):
 
 @pytest.mark.parametrize("elevation", [1, 25, 85, 90])
 def test_disc_has_its_irradiance(elevation, fast):
-    """direct x sin(elevation) on level ground, at any azimuth, beside the sky's own light; and twice that for
-    two.
-    """
+    """direct x sin(elevation) on level ground, at any azimuth, plus the sky's light; twice for two."""
     for azimuth in (0, 123.4):
         sky = sl.cie_clear((azimuth, elevation), horizontal=1.0, direct=10.0)
         image = sl.render(FLAT, sl.Sky(sky), azimuths=64, quantity="irradiance", backend=fast).image
@@ -110,9 +104,7 @@ def test_disc_has_its_irradiance(elevation, fast):
 
 
 def test_disc_has_its_size(fast):
-    """Behind a wall 300 high the shadow of a sun at 45 degrees ends at 300, over a penumbra of 300 x 2 x 2
-    sin(radius).
-    """
+    """Behind a wall 300 high, the shadow of a sun at 45 degrees ends at 300, over a penumbra."""
     depth = np.full((15, 460), 300.0)  # rows enough that no ray passes the wall beside the map
     depth[:, :101] = 0  # a step: its edge stands at column 100; the sun is in the west
     sky = sl.cie_sky(5, (270, 45), zenith=0.0, direct=np.sqrt(2))
@@ -127,9 +119,7 @@ def test_disc_has_its_size(fast):
 
 
 def test_disc_over_walls(fast):
-    """In a dark box 10 deep the east wall, half a node outside, shadows 10 nodes under a sun at 45 degrees in
-    the east.
-    """
+    """In a dark box 10 deep, the east wall shadows 10 nodes under a sun at 45 degrees in the east."""
     sky = sl.Sky(sl.cie_sky(5, (90, 45), zenith=0.0, direct=np.sqrt(2)))
     light = sl.render(
         sl.Scene(np.full((9, 30), 10.0), sides="dark"), sky, quantity="irradiance", backend=fast
@@ -164,9 +154,7 @@ def test_disc_that_nothing_is_said_to_hide(fast):
 
 
 def test_disc_where_it_would_be_lost(fast):
-    """The lattice, carving, and explicit azimuths of maps that repeat or end early refuse the disc instead of
-    dropping or overrating it.
-    """
+    """Lattice, carving, and explicit azimuths of periodic or limited maps refuse the disc."""
     sky = sl.cie_clear((10, 50), direct=3.0)
     for work in (
         lambda: sl.render(FLAT, sl.Sky(sky), method="lattice", backend=fast),
@@ -208,9 +196,7 @@ def test_bad_arguments(make, says):
 
 
 def test_sun_position():
-    """Greenwich at noon of the solstice: in the south, 90 - 51.48 + 23.44 high; and the same instant told in
-    another zone.
-    """
+    """Greenwich, noon of the solstice: in the south, 90 - 51.48 + 23.44 high; the same in another zone."""
     azimuth, elevation = sl.sun_position("2026-06-21T12:02:00Z", 51.48, 0)
     assert azimuth == pytest.approx(180, abs=1) and elevation == pytest.approx(61.96, abs=0.05)
     there = datetime.datetime(2026, 6, 21, 14, 2, tzinfo=datetime.timezone(datetime.timedelta(hours=2)))
@@ -228,9 +214,7 @@ def test_without_pvlib(monkeypatch):
 
 
 def test_command_line(tmp_path, capsys, fast):
-    """--source clear and cie1 to cie15, the sun by angles or by time and place, the disc; what does not go
-    together is refused.
-    """
+    """--source clear and cie1 to cie15, the sun by angles or by time and place; conflicts are refused."""
     np.save(tmp_path / "d.npy", FLAT.depth)
 
     def run(*options):

@@ -1,6 +1,4 @@
-"""Light of balls, rectangles and windows through slices: closed forms, the oracle's shadow rays, and the
-backends side by side.
-"""
+"""Light of balls, rectangles and windows through slices: closed forms, oracle's shadow rays, all backends."""
 
 import functools
 import importlib
@@ -88,9 +86,7 @@ def cut(polygon, normal):
 
 
 def of_polygon(corners, eyes, *planes):
-    """Lambert's formula for what stands above every plane through each eye; the first one is the surface's
-    own.
-    """
+    """Lambert's formula for the part above every plane through each eye; the first is the surface's own."""
     out = []
     for eye in eyes:
         part = np.asarray(corners, float) - eye
@@ -105,9 +101,7 @@ def of_polygon(corners, eyes, *planes):
 
 @pytest.mark.parametrize(("gx", "gy"), [(0, 0), (0.5, -0.3)])
 def test_a_ball_above_the_plane(backend, gx, gy):
-    """pi (R / d)^2 cos: close by, overhead, behind the viewer, and as small as a star; in spacings and in
-    lengths.
-    """
+    """pi (R / d)^2 cos: close by, overhead, behind the viewer, and as small as a star; in any unit."""
     for lamp in (
         (8, 6, 5, 4),
         (9, 7, 2, 9),
@@ -155,9 +149,7 @@ def test_a_node_inside_the_ball(backend):
 
 
 def test_the_penumbra_of_a_ball(backend):
-    """Behind a straight edge: the disc's part above the plane through node and edge, smooth from dark to
-    light.
-    """
+    """Behind a straight edge: the disc's part above the plane through node and edge, from dark to light."""
     spacing = 0.5
     lamp = np.array([34.0, 20.0, -4.0, 3.0]) * spacing
     depth = walled() * spacing
@@ -183,9 +175,7 @@ def test_the_penumbra_of_a_ball(backend):
 
 
 def test_ground_in_and_behind_a_ball(backend):
-    """A ball stands through a wall: its part before the wall shines as if there were none, and nothing comes
-    from beyond it.
-    """
+    """A ball through a wall: its part before the wall shines as without it, and that behind does not."""
     depth = walled(floor=12.0, top=2.0)
     nodes = ([20], [8])
     for ball in (slices.Ball((20, 20, 6), 4.0), slices.Ball((14, 20, 7), 2.0)):
@@ -195,12 +185,7 @@ def test_ground_in_and_behind_a_ball(backend):
 
 
 def test_two_halves_of_a_balls_slices(backend):
-    """Where nothing hides the ball they agree, and so do slices between; in a penumbra they do not, and in
-    the umbra nothing is left.
-
-    Slices of shift 0.5 are in mirror pairs of an even and an odd one, those of shift 0 in pairs of a kind:
-    what lies mirrored before a node is seen by the halves of the latter alone.
-    """
+    """The two images agree where nothing hides the ball, differ in a penumbra, and are 0 in the umbra."""
     lamp, floor, depth = slices.Ball((34.0, 20.0, -4.0), 3.0), np.full((41, 45), 12.0), walled()
     clear = image(backend, floor, lamp)
     for row in (12, 20):
@@ -273,9 +258,7 @@ def test_a_rectangle_seen_on_edge(backend):
     [((4.25, 9), (3, 8.5)), ((-30, -12), (5, 60)), ((-5000, 6000), (-3000, 9000)), ((8, 8.01), (6, 6.01))],
 )
 def test_a_window_over_the_plane(backend, x, y):
-    """Parallel and tilted, above, across, far larger than the map, and a pinhole; a plane that cuts it asks
-    for more slices.
-    """
+    """Parallel, tilted, above, across, very large, a pinhole; a plane that cuts it needs more slices."""
     for gx, gy in ((0, 0), (0.3, -0.4)):
         depth, normal = slanted((13, 17), gx, gy, z=9.0)
         window = solids.aperture(x, y, depth.shape, 1.0, "open")
@@ -324,9 +307,7 @@ def test_the_shadow_of_an_edge_in_a_window(backend):
 
 
 def test_a_small_lamp_shines_with_the_brightness_of_its_direction(backend):
-    """B(L) pi (R / d)^2 cos for a spot cos^16; overhead, where knots are half a degree and more apart, a lamp
-    a tenth of that has their mean.
-    """
+    """B(L) pi (R / d)^2 cos for a spot cos^16; overhead, where knots are far apart, their mean."""
     depth = np.full((13, 17), 30.0)
     spot = sl.cosine_power(16, axis=(0.3, 0.1, 1), brightness=2.0)
     for center, radius, bound in (((4, 5, -20), 0.05, 0.015), ((14, 9, 10), 0.1, 2e-3)):
@@ -371,9 +352,7 @@ def stripes(L):
 
 
 def test_a_window_with_stripes(backend):
-    """Stripes far narrower than the window, against quadrature over it: what samples along a chord would
-    miss.
-    """
+    """Stripes far narrower than the window, against quadrature: samples along a chord would miss them."""
     depth = np.full((13, 17), 9.0)
     x, y = (4.0, 15.0), (3.0, 12.0)
     u, v = (a + (b - a) * (np.arange(1500) + 0.5) / 1500 for a, b in (x, y))
@@ -388,9 +367,7 @@ def test_a_window_with_stripes(backend):
 
 
 def test_a_beam_narrower_than_its_lamp(backend):
-    """cos^900 from a ball, in the beam's middle and on its flank, on level and on slanting ground, against
-    quadrature over the disc.
-    """
+    """cos^900 from a ball, in the beam's middle and on its flank, against quadrature over the disc."""
     ball = slices.Ball((14.0, 9.0, -16.0), 4.0)
     for gx, gy in ((0, 0), (0.3, -0.2)):
         depth, normal = slanted((13, 17), gx, gy, z=20.0)
@@ -431,9 +408,7 @@ def test_the_table_of_chords():
 
 
 def test_brightness_goes_evenly_from_turn_to_turn(backend):
-    """Each row of the table counts at the middle of its cell, the last one and the first are neighbours: by a
-    lamp as small as a star.
-    """
+    """Rows of the table count at the middles of their cells, the last next to the first: by a tiny lamp."""
     depth, turns, knots = np.full((13, 17), 30.0), 8, 33
     even = table_of(lambda L: np.ones(L.shape[:-1]), turns, knots)
     middle = (np.arange(turns) + 0.5) * 4 / turns
@@ -633,9 +608,7 @@ def test_real_terrain_against_shadow_rays(fast, name):
 
 @pytest.mark.parametrize("sides", ["open", "dark"])
 def test_backends_agree_and_repeat_themselves(backend, fast, sides):
-    """To 1e-5 of the maximum, and each gives the same bytes again; with masked ground, over walls, balls and
-    rectangles.
-    """
+    """To 1e-5 of the maximum, and each gives the same bytes again; masked ground, walls, all sources."""
     depth = _terrain()[100:172, 150:254].copy()
     depth[20:26, 40:43] = np.inf
     for source in SOURCES.values():
@@ -707,9 +680,7 @@ def by_suns(backend, depth, launches, window=None, sides="open"):
 
 @pytest.mark.parametrize("sides", ["open", "dark"])
 def test_a_sun_in_sectors_is_the_disc_that_it_is(backend, sides):
-    """As a far lamp through slices, which have the disc in closed form; what it stands above is the sky and a
-    little of the disc.
-    """
+    """As a far lamp through slices, whose disc is in closed form."""
     depth = _terrain()[100:160, 150:230].copy()
     depth[20:26, 40:43] = np.inf
     sky, lamp = sunny(2.0)
@@ -741,9 +712,7 @@ def test_backends_agree_on_suns_and_repeat_themselves(backend, fast, sides):
 
 
 def a_sun(elevation, azimuth, radius, count=64, knots=129):
-    """(ways, table) of a disc of brightness 1, in closed form along the middle of every sector; angles in
-    degrees.
-    """
+    """(ways, table) of a disc of brightness 1, in closed form along the middle of every sector; degrees."""
     e, a, r = np.radians((elevation, azimuth, radius))
     widest = np.arcsin(np.sin(r) / np.cos(e))
     d = widest * (2 * (np.arange(count) + 0.5) / count - 1)
@@ -775,9 +744,7 @@ def a_sun(elevation, azimuth, radius, count=64, knots=129):
 
 @pytest.mark.parametrize("sides", ["open", "dark"])
 def test_two_suns_at_once(backend, sides):
-    """Sectors with tables over other ranges of elevation in one launch are the sum of two; a window without
-    edges is none.
-    """
+    """Sectors with tables over other elevations in one launch are the sum; a window without edges is none."""
     depth = _terrain()[100:150, 150:210].copy()
     depth[20:26, 40:43] = np.inf
     depth[3, 3] = -1.0  # above the plane of windows
@@ -799,9 +766,7 @@ def test_two_suns_at_once(backend, sides):
 
 
 def test_a_sun_through_a_window(backend, fast):
-    """Over a level floor: all of the disc, none of it, or the part that looks through, counted direction by
-    direction.
-    """
+    """Over a level floor: all of the disc, none of it, or a part, counted direction by direction."""
     depth = np.full((33, 41), 20.0)
     elevation, radius, window = 50, 3, (18.0, 33.5, 9.0, 24.25)
     for azimuth in (0, 35, 200):

@@ -16,7 +16,7 @@ from . import unoccluded
 from .base import Estimate, LightMethod
 from .slices import KNOTS, TURNS, Slices, ball_nodes, outline, widened
 
-# where in its step a slice of a ball stands; at 1/2 and 0 even and odd slices are mirror images, and their
+# where in its step a slice of a ball lies; at 1/2 and 0 even and odd slices are mirror images, and their
 # difference does not show half of the error
 SHIFT = 0.25
 RAYS = 4, 16, 64  # to a small lamp, along which its brightness is taken

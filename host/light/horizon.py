@@ -59,7 +59,7 @@ class Horizons(LightMethod):
         self.difference: Array = None
         if not count:
             self.mean = engine.empty(shape, np.float32, 0)
-            self.sweeps.aim(Rays(np.zeros(0), np.zeros(0)))
+            self.sweeps.set_azimuths(Rays(np.zeros(0), np.zeros(0)))
             self.sweeps.light(self.total, self.turned)  # computes the tilts
             table = unoccluded.by_normals(None) if self.exact is None else self.exact
             self.sweeps.add_light(table, self.mean)
@@ -102,7 +102,7 @@ class Horizons(LightMethod):
                 )
                 table = np.concatenate([table, *parts])
         image = self.engine.empty(self.scene.shape, np.float32)
-        self.sweeps.aim(rays, table)
+        self.sweeps.set_azimuths(rays, table)
         self.sweeps.light(self.total, self.turned, image)
         if isinstance(self.sky, Integrals):
             self.sweeps.add_light(self.exact - _by_normals(self.sky, azimuths, window), image)

@@ -105,11 +105,10 @@ def blurred(source: Source, spread: float) -> tuple[float | np.ndarray, np.ndarr
 
 
 def cumulative(source: Source, azimuths: np.ndarray, knots: int) -> np.ndarray:
-    """Integrals of B cos^2 and B sin cos over elevation, from knot i to the zenith: (azimuths, knots, 2)
-    float32.
+    """Integrals of B cos^2 and B sin cos over elevation, from each knot to the zenith.
 
-    Knot i stands where the sine of elevation is i / (knots - 1); Gauss-Legendre quadrature in elevation
-    between knots.
+    (azimuths, knots, 2) float32. The sine of elevation of knot i is i / (knots - 1); Gauss-Legendre
+    quadrature in elevation between knots.
     """
     azimuths = np.asarray(azimuths, float)
     out = np.zeros((len(azimuths), knots, 2), np.float32)

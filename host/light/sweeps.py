@@ -84,9 +84,10 @@ class Sweeps:
         near: int | None = None,
         level: bool = False,
     ):
-        """``table`` (K, knots, 4) float32: brightness, see opencl/horizon.cl; uniform, of brightness 1, by
-        default. ``level``: light falls on a level element at every node, not on the surface. Without
-        ``rays``, ``aim`` sets them, and the arrays that all sets of azimuths share are computed once.
+        """``table`` (K, knots, 4) float32: brightness, see opencl/horizon.cl; by default uniform, 1.
+
+        ``level``: light falls on a level element at every node, not on the surface. Without ``rays``,
+        ``set_azimuths`` gives them, and the arrays that all sets of azimuths share are computed once.
         """
         self.level, self.kept = level, rays is None
         self.map_turned, self.tilted = False, [False, False]  # which of these arrays have been computed
@@ -126,9 +127,9 @@ class Sweeps:
         self.tilts = tilts[0], tilts[-1]
         self.nothing = backend.empty((4,), np.float32)
         if rays is not None:
-            self.aim(rays, table)
+            self.set_azimuths(rays, table)
 
-    def aim(self, rays: Rays, table: np.ndarray | None = None) -> None:
+    def set_azimuths(self, rays: Rays, table: np.ndarray | None = None) -> None:
         """Set the azimuths and the brightness of the next sweeps."""
         self.rays = rays
         self.what, self.knots = (UNIFORM, 2) if table is None else (TABLE, table.shape[1])

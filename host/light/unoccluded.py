@@ -95,7 +95,7 @@ def sky(scene: Scene, light: Integrals | float) -> np.ndarray:
     return image
 
 
-def looks_at_all(gx: Values, gy: Values, x: Values, y: Values, z: Values, sine: Values) -> np.ndarray:
+def above_plane(gx: Values, gy: Values, x: Values, y: Values, z: Values, sine: Values) -> np.ndarray:
     """Whether the tangent plane of a surface of slope (gx, gy) hides no part of a disc.
 
     The disc is round the direction (x, y, z), z upwards, and ``sine`` is that of its angular radius. Where

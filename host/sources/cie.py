@@ -27,7 +27,7 @@ PARAMETERS = {
     12: (-1.0, -0.32, 10.0, -3.0, 0.45), 13: (-1.0, -0.32, 16.0, -3.0, 0.30),
     14: (-1.0, -0.15, 16.0, -3.0, 0.30), 15: (-1.0, -0.15, 24.0, -2.8, 0.15),
 }  # fmt: skip
-WITHOUT_SUN = (1, 3, 5)  # whose brightness does not depend on where the sun stands
+WITHOUT_SUN = (1, 3, 5)  # whose brightness does not depend on the sun
 
 
 @dataclass(frozen=True)
@@ -105,8 +105,7 @@ def cie_sky(
     horizontal: float | None = None,
     direct: float = 0.0,
 ) -> CieSky:
-    """A sky of the CIE standard general sky (ISO 15469:2004), as a brightness function for
-    :class:`skylamp.Sky`.
+    """A sky of the CIE standard general sky (ISO 15469:2004), as a brightness function for ``Sky``.
 
     B(L) / B(zenith) = f(chi) phi(Z) / (f(Z_sun) phi(0)), with Z the angle from the zenith, chi the angle from
     the sun, phi(Z) = 1 + a exp(b / cos Z) and f(chi) = 1 + c (exp(d chi) - exp(d pi / 2)) + e cos^2 chi.

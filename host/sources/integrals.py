@@ -1,11 +1,9 @@
-"""A sky's brightness as integrals over sectors of azimuth and bands of elevation, with its small bright parts
-apart.
+"""Integrals of a sky's brightness over sectors of azimuth and bands of elevation; small bright parts apart.
 
-The hemisphere is divided into cells about 0.15 degrees wide. A function is evaluated once in every cell;
-where it differs between neighbours the cell is divided, again and again, until what is left to divide carries
-less than SHARE of the light. An environment map is integrated pixel by pixel. What is small and bright (suns,
-lights, spots; any number) is found from the cells and gets azimuths of its own. Everything here is float64
-and on the host.
+The hemisphere is divided into cells about 0.15 degrees wide. A function is evaluated once in every cell.
+Where its second difference is more than SHARE of the light, the cell is divided, adaptively. An environment
+map is integrated pixel by pixel. Small bright parts (suns, lights, spots; any number) are found from the
+cells and get azimuths of their own. All is float64 and on the host.
 """
 
 from __future__ import annotations
@@ -249,7 +247,7 @@ class Integrals:
         """
         function: Any
         function, peaks = source.brightness, _peaks(source)
-        if getattr(function, "direct", 0):  # the disc is part of this sky, and stands where it says
+        if getattr(function, "direct", 0):  # the disc is part of this sky
             function = function.with_disc
         image = getattr(function, "image", None)
         bands = (
@@ -286,7 +284,7 @@ class Integrals:
             []
             if math.isinf(tolerance)
             else sorted(
-                _small(_joined(bright), limit, widest),
+                _suns(_joined(bright), limit, widest),
                 key=lambda sun: -sun.power,
             )
         )
@@ -617,7 +615,7 @@ def _joined(groups: Iterable[Cells]) -> Cells:
     return Cells(*(np.concatenate(values) for values in zip(*groups)))
 
 
-def _small(cells: Cells, limit: float, widest: float, depth: int = 12) -> Iterator[Sun]:
+def _suns(cells: Cells, limit: float, widest: float, depth: int = 12) -> Iterator[Sun]:
     """Groups of bright cells that span little azimuth, with their light above ``limit``.
 
     Wider groups are split at a higher limit.
@@ -632,7 +630,7 @@ def _small(cells: Cells, limit: float, widest: float, depth: int = 12) -> Iterat
             yield from _nested(sun, part, widest)
         elif depth:
             limit_here = max(4 * limit, DARK * float(part.light.max()))
-            yield from _small(part.pick(part.light > limit_here), limit_here, widest, depth - 1)
+            yield from _suns(part.pick(part.light > limit_here), limit_here, widest, depth - 1)
 
 
 def _nested(sun: Sun, cells: Cells, widest: float) -> Iterator[Sun]:
@@ -649,7 +647,7 @@ def _nested(sun: Sun, cells: Cells, widest: float) -> Iterator[Sun]:
         inner = cells.pick(inside)
         if _extent(inner) <= 0.5 * extent or all(_extent(part) <= 0.5 * extent for part in _groups(inner)):
             yield Sun(cells._replace(light=np.minimum(cells.light, limit) - sun.limit), sun.limit)
-            yield from _small(inner, limit, widest, 0)
+            yield from _suns(inner, limit, widest, 0)
             return
     yield sun
 

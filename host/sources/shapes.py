@@ -23,9 +23,9 @@ class Sky:
     Parameters
     ----------
     brightness : number; RGB as three; or a function of unit vectors (..., 3) to (...), or to RGB (..., 3)
-        A function is integrated: whatever is at least 0.2 degrees across is found, wherever it stands, and so
-        is all of an environment map. A function may say where its narrow features stand by an attribute
-        ``peaks``, as ``suns`` does.
+        A function is integrated: features of at least 0.2 degrees are found in any direction, and all pixels
+        of an environment map. The attribute ``peaks`` of a function may hold the directions of its narrow
+        features, as ``suns`` does.
     suns : unit vectors (x, y, z), optional
         Directions towards all features of ``brightness`` that are narrower than a degree. They may then be of
         any size, and no others are searched for.
