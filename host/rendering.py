@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -17,30 +18,31 @@ from .directions import Azimuths, Hemicube
 from .errors import bad
 from .light import propagation, unoccluded
 from .light.lattice import ERRORS, lacking
-from .light.propagation import Problem
+from .light.propagation import Lobe, Problem
 from .light.slices import KNOTS, MOST, SLICES, TURNS, Slices, blurred, brightness_of, widened
 from .light.sweeps import FINE, Rays, Sweeps, engine_of, ground_of
 from .refinement import Plan, Refined, refined, solid_of, upright
-from .reflectance import BRDF
+from .reflectance import BRDF, Phong
 from .scene import Scene, is_scene
-from .sources import cie as skies
+from .sources import cie
 from .sources.integrals import Integrals, chords
 from .sources.solids import Dome
 
 METHODS = ("auto", "lattice", "horizon", "unoccluded")
 QUANTITIES = ("radiance", "irradiance")
+AZIMUTHS = 64  # of method "horizon", unless given
+SIZE = 9  # of the hemicube of method "lattice", unless given
 FAR = 1e5  # extents of the map at which the sun stands: a hundred-thousandth of a radian across it
 BOX = 4  # nodes round a node over which the error map is a mean: halves tell of regions, not of nodes
-MAP = np.float32(
-    1.25
-    # what the error map is more than the RMS error; chosen: with it 84, 93 and 95 % of all nodes keep to one, two
-    # and three times the map (performance/refinement.py)
-)
-COARSE = (
-    1.2  # half widths of a lobe between directions, from which on its sum may be too large by 1 in a thousand
-)
+# what the error map is more than the RMS error; chosen: with it 84, 93 and 95 % of all nodes keep to one, two
+# and three times the map (performance/refinement.py)
+MAP = np.float32(1.25)
+# half widths of a lobe between directions, from which on its sum may be too large by 1 in a thousand
+COARSE = 1.2
 LEAK_SLOPE = 0.7  # rms slope from which the unfilled step leaks from M = 7 on (README, Limits)
 REPEATED_LOBE = "a lobe over a map that repeats"
+
+Result = TypeVar("Result")
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,18 +66,19 @@ class Rendering:
 
     @cached_property
     def error(self) -> np.ndarray | None:
-        """Estimated error of every node, in the unit of image and of its shape, nan where masked; None where
-        no tolerance was asked.
+        """Estimated error of every node, in the unit and shape of image, nan where masked.
 
-        The root mean square, over 9 x 9 nodes, of half the difference of the image's two halves, times the
-        share of it that is error, and besides what both halves share. It shows regions, not nodes: of nodes,
-        84, 93 and 95 % were within one, two and three times it on random scenes. What a lobe or a mirror adds
-        has no part in it.
+        None where no tolerance was asked. The root mean square, over 9 x 9 nodes, of half the difference of
+        the image's two halves, times the share of it that is error, and besides what both halves share. It
+        shows regions, not nodes: of nodes, 84, 93 and 95 % were within one, two and three times it on random
+        scenes. What a lobe or a mirror adds has no part in it.
         """
-        if not self._parts:
+        scene = self._scene
+        if scene is None:
             return None
-        spread = [np.float32(factor) * _spread(found, self._scene) for found, factor in self._parts]
-        return labelled(_image(self._scene, spread, [], self._quantity), self._scene.labels)
+        errors = [np.float32(factor) * _error_map(found, scene) for found, factor in self._parts]
+        found: np.ndarray = labelled(_image(scene, errors, [], self._quantity), scene.labels)
+        return found
 
 
 def render(
@@ -112,8 +115,7 @@ def render(
         each node's own tangent plane; the brightness of a lamp or window is that towards its middle.
     tolerance, tail : float
         Of ``auto``: relative RMS error of the irradiance, that over all valid nodes divided by the mean over
-        the lit ones, and a bound on the
-        99.9th percentile of the relative error, ten tolerances unless given.
+        the lit ones, and a bound on the 99.9th percentile of the relative error, ten tolerances unless given.
     backend : str
         See :func:`skylamp.backends`.
     quantity : "radiance" or "irradiance"
@@ -140,225 +142,364 @@ def render(
     >>> out = render(Scene(depth), Sky(), tolerance=0.003)
     >>> print(out.plan, out.error.max())
     """
-    is_scene(scene)
-    one_of(method, METHODS, "method")
-    one_of(quantity, QUANTITIES, "quantity")
-    one_of(weights, ("moment", "printed"), "weights")
-    if not isinstance(filled, (bool, type(None))):
-        raise bad("filled", repr(filled), "True, False or None")
-    if not isinstance(source, sources.Source):
-        raise bad("source", type(source).__name__, "Sky, Lamp or Window")
-    tolerance = positive_number(tolerance, "tolerance")
-    lattice = hemicube is not None or filled is not None or weights != "moment"
-    horizon = azimuths is not None or max_distance is not None
-    if horizon and (lattice or method == "lattice"):
-        raise bad(
-            "render: arguments of two methods",
-            "azimuths or max_distance with the lattice's",
-            "azimuths and max_distance with method='horizon'; hemicube, filled and weights with 'lattice'",
-        )
-    if method == "horizon" and lattice:
-        raise bad("method 'horizon' with hemicube, filled or weights", "both", "azimuths and max_distance")
-    if method == "unoccluded" and (lattice or horizon):
-        raise bad(
-            "method 'unoccluded' with arguments of another",
-            "both",
-            "neither azimuths and max_distance nor hemicube, filled and weights",
-        )
-    missing, lobe = lacking(scene, source), shading.lobe_of(scene) if quantity == "radiance" else None
-    if scene.sides == "periodic" and lobe:
-        missing = REPEATED_LOBE
-    if missing and (method in ("horizon", "unoccluded") or horizon):
-        raise bad(
-            f"method '{'horizon' if horizon else method}'",
-            missing,
-            "a sky, a rectangular window, or a lamp given by its centre and radius, the last two with"
-            " sides='open' or 'dark'",
-            "Use method='lattice'.",
-        )
-    shines = lobe or _is_brdf(scene, quantity) or quantity == "radiance" and shading.has_mirror(scene)
-    if method == "unoccluded" and shines:
-        raise bad("method 'unoccluded'", type(scene.reflectance).__name__, "a Lambertian surface")
-    planned = method == "auto" and not lattice and not horizon and missing != REPEATED_LOBE
-    if tail is not None and not planned:
-        raise bad("tail", tail, "a bound for method='auto' without arguments of a method")
-    engine, greys = engine_of(scene, backend), sources.channels(source)
-    sun = None if lattice or missing or planned and not shines else _sun_of(scene, source, max_distance)
-    plans, warnings, parts = [], [], []
+    options = _Options(method, tolerance, quantity, hemicube, filled, weights, azimuths, max_distance, tail)
+    options.check(scene, source)
+    return _Renderer(scene, source, engine_of(scene, backend), options).render()
 
-    def within():
+
+@dataclass(frozen=True)
+class _Options:
+    """What :func:`render` was asked for, but for scene, source and backend."""
+
+    method: str
+    tolerance: float
+    quantity: str
+    hemicube: int | Hemicube | None
+    filled: bool | None
+    weights: str
+    azimuths: int | Azimuths | None
+    max_distance: float | None
+    tail: float | None
+
+    @property
+    def lattice(self) -> bool:
+        """Whether arguments of the lattice are given."""
+        return self.hemicube is not None or self.filled is not None or self.weights != "moment"
+
+    @property
+    def horizon(self) -> bool:
+        """Whether arguments of horizons are given."""
+        return self.azimuths is not None or self.max_distance is not None
+
+    def lobe(self, scene: Scene) -> Lobe | None:
+        return shading.lobe_of(scene) if self.quantity == "radiance" else None
+
+    def brdf(self, scene: Scene) -> bool:
+        return self.quantity == "radiance" and isinstance(scene.reflectance, BRDF)
+
+    def mirror(self, scene: Scene) -> bool:
+        return self.quantity == "radiance" and shading.has_mirror(scene)
+
+    def shines(self, scene: Scene) -> bool:
+        """Whether there is more to show than rho E / pi."""
+        return self.lobe(scene) is not None or self.brdf(scene) or self.mirror(scene)
+
+    def missing(self, scene: Scene, source: sources.Source) -> str:
+        """Why horizons, slices and closed forms cannot render this, or nothing."""
+        if scene.sides == "periodic" and self.lobe(scene):
+            return REPEATED_LOBE
+        return lacking(scene, source)
+
+    def planned(self, scene: Scene, source: sources.Source) -> bool:
+        """Whether the method is chosen, and refined until it is within the tolerance."""
+        asked = self.method != "auto" or self.lattice or self.horizon
+        return not asked and self.missing(scene, source) != REPEATED_LOBE
+
+    def check(self, scene: Scene, source: sources.Source) -> None:
+        """InputError unless all arguments go together."""
+        is_scene(scene)
+        one_of(self.method, METHODS, "method")
+        one_of(self.quantity, QUANTITIES, "quantity")
+        one_of(self.weights, ("moment", "printed"), "weights")
+        if not isinstance(self.filled, (bool, type(None))):
+            raise bad("filled", repr(self.filled), "True, False or None")
+        if not isinstance(source, sources.Source):
+            raise bad("source", type(source).__name__, "Sky, Lamp or Window")
+        positive_number(self.tolerance, "tolerance")
+        self._check_method()
+        missing = self.missing(scene, source)
+        if missing and (self.method in ("horizon", "unoccluded") or self.horizon):
+            raise bad(
+                f"method '{'horizon' if self.horizon else self.method}'",
+                missing,
+                "a sky, a rectangular window, or a lamp given by its centre and radius, the last two with"
+                " sides='open' or 'dark'",
+                "Use method='lattice'.",
+            )
+        if self.method == "unoccluded" and self.shines(scene):
+            raise bad("method 'unoccluded'", type(scene.reflectance).__name__, "a Lambertian surface")
+        if self.tail is not None and not self.planned(scene, source):
+            raise bad("tail", self.tail, "a bound for method='auto' without arguments of a method")
+
+    def _check_method(self) -> None:
+        """InputError where arguments of another method are given."""
+        if self.horizon and (self.lattice or self.method == "lattice"):
+            raise bad(
+                "render: arguments of two methods",
+                "azimuths or max_distance with the lattice's",
+                "azimuths and max_distance with method='horizon'; hemicube, filled and weights with"
+                " 'lattice'",
+            )
+        if self.method == "horizon" and self.lattice:
+            raise bad(
+                "method 'horizon' with hemicube, filled or weights", "both", "azimuths and max_distance"
+            )
+        if self.method == "unoccluded" and (self.lattice or self.horizon):
+            raise bad(
+                "method 'unoccluded' with arguments of another",
+                "both",
+                "neither azimuths and max_distance nor hemicube, filled and weights",
+            )
+
+
+class _Renderer:
+    """One call of :func:`render`, and what it finds on the way: plans, warnings and refined irradiances."""
+
+    def __init__(self, scene: Scene, source: sources.Source, engine: Backend, options: _Options):
+        self.scene, self.source, self.engine, self.options = scene, source, engine, options
+        self.greys = sources.channels(source)
+        self.lobe, self.planned = options.lobe(scene), options.planned(scene, source)
+        missing, shines = options.missing(scene, source), options.shines(scene)
+        self.by_lattice = (
+            options.lattice or options.method == "lattice" or bool(missing and (not self.planned or shines))
+        )
+        no_disc = options.lattice or missing or self.planned and not shines
+        self.sun = None if no_disc else _sun_of(scene, source, options.max_distance)
+        self.plans: list[Plan] = []
+        self.warnings: list[str] = []
+        self.parts: list[tuple[Refined, float]] = []  # refined irradiances, times factors
+
+    def render(self) -> Rendering:
+        """All of it, timed."""
+        (irradiances, reflected), seconds, compiling = timed(self.engine, self._light)
+        scene, quantity = self.scene, self.options.quantity
+        return Rendering(
+            labelled(_image(scene, irradiances, reflected, quantity), scene.labels),
+            self.plans[0],
+            self.engine.name,
+            seconds,
+            compiling,
+            self.warnings,
+            tuple(self.parts),
+            scene if self.parts else None,
+            quantity,
+        )
+
+    def _light(self) -> tuple[list[np.ndarray], list[np.ndarray]]:
+        """Irradiances, and what the surface reflects besides rho E / pi: one array per colour each."""
+        if self.by_lattice:
+            return self._lattice()
+        if self.options.brdf(self.scene):
+            return [], self._brdf()
+        irradiances = self._irradiances() if self._needs_irradiance() else []
+        if not self.plans:
+            self._plan_as_asked()
+        if self.sun is not None and not self.planned:
+            self.plans[0] = replace(self.plans[0], reason=f"{self.plans[0].reason}; the sun's disc by itself")
+        if self.lobe:
+            lobe_of = self._sky_lobe if isinstance(self.source, sources.Sky) else self._solid_lobe
+            return irradiances, _per_colour(self.greys, lobe_of)
+        return irradiances, self._mirrored(self.options.max_distance)
+
+    def _needs_irradiance(self) -> bool:
+        """Whether irradiance is asked for, or reflected: a surface that only shines needs none."""
+        if self.options.quantity == "irradiance" or bool(np.any(self.scene.albedo)):
+            return True
+        return not (shading.lobe_of(self.scene) or shading.has_mirror(self.scene))
+
+    def _irradiances(self) -> list[np.ndarray]:
+        if self.planned:
+            return self._within_tolerance()
+        options = self.options
+        found = _per_colour(
+            [sources.without_disc(grey) for grey in self.greys],
+            lambda grey: self._as_asked(grey, options.azimuths),
+        )
+        if self.sun is not None:
+            found[0] += self._as_asked(self.sun, None)  # the azimuths that were asked for are the sky's
+        return found
+
+    def _within_tolerance(self) -> list[np.ndarray]:
         """Irradiances of all colours; where they differ by a factor alone, of one and times that factor."""
-        alike = not any(callable(grey.brightness) for grey in greys)
-        for grey in greys:
-            found = (
-                parts[0][0]
-                if alike and parts
-                else refined(scene, replace(grey, brightness=1.0) if alike else grey, tolerance, engine, tail)
-            )
-            parts.append((found, float(grey.brightness) if alike else 1.0))
-            plans.append(found.plan)
-            warnings.extend(text for text in found.warnings if text not in warnings)
-        return [
-            found.irradiance if factor == 1.0 else found.irradiance * np.float32(factor)
-            for found, factor in parts
-        ]
+        factors, options = _numbers(self.greys), self.options
+        tolerance = float(options.tolerance)
+        for n, grey in enumerate(self.greys):
+            if factors is None:
+                found = refined(self.scene, grey, tolerance, self.engine, options.tail)
+            elif n == 0:
+                unit = replace(grey, brightness=1.0)
+                found = refined(self.scene, unit, tolerance, self.engine, options.tail)
+            self.parts.append((found, 1.0 if factors is None else factors[n]))
+            self.plans.append(found.plan)
+            self.warnings.extend(text for text in found.warnings if text not in self.warnings)
+        return [_times(found.irradiance, factor) for found, factor in self.parts]
 
-    def irradiance(grey, azimuths=azimuths):
-        image, plan = _asked(scene, grey, engine, method, azimuths, max_distance)
-        plans.append(plan)
-        return image
+    def _as_asked(self, grey: sources.Source, azimuths: int | Azimuths | None) -> np.ndarray:
+        """Irradiance (rows, cols) float32 of a grey source by the method and as many units as were asked."""
+        scene, engine, max_distance = self.scene, self.engine, self.options.max_distance
+        if self.options.method == "unoccluded":
+            self.plans.append(Plan("unoccluded", None, None, "as asked"))
+            return _unoccluded(scene, grey)
+        plan = _plan_of(scene, grey, azimuths, max_distance)
+        self.plans.append(plan)
+        if isinstance(grey, sources.Sky):
+            return _sky_above_horizons(scene, grey, engine, azimuths, max_distance)
+        return _by_slices(scene, grey, engine, plan)
 
-    def light():
-        if lattice or method == "lattice" or missing and (not planned or shines):
-            plans.append(_lattice_plan(hemicube, filled, method, tolerance if not lattice else None))
-            plan = plans[0]
-            cube = hemicube if isinstance(hemicube, Hemicube) else Hemicube(plan.hemicube)
-            return _by_lattice(scene, source, greys, engine, cube, plan.filled, weights, quantity, warnings)
-        if _is_brdf(scene, quantity):
-            plans.append(_plan_of(scene, greys[0], azimuths, max_distance)[0])
-            if not isinstance(source, sources.Sky):
-                return [], shading.by_brdf(scene, greys, engine, max_distance)
-            sectors = azimuths if isinstance(azimuths, Azimuths) else Azimuths(azimuths or 64)
-            return [], shading.by_brdf_under_sky(
-                scene,
-                greys,
-                Sweeps(
-                    engine,
-                    ground_of(scene, max_distance, engine),
-                    Rays(sectors.angles, sectors.widths),
-                    near=FINE,
-                ).planes(),
-                sectors,
-            )
-        irradiances = []
-        if _is_dull(scene, quantity) and planned:
-            irradiances = within()
-        elif _is_dull(scene, quantity):
-            irradiances = _each([sources.without_disc(grey) for grey in greys], irradiance)
-        if irradiances and sun is not None and not planned:
-            irradiances[0] += irradiance(sun, None)  # the azimuths that were asked for are the sky's
-        if not plans:
-            plans.append(_plan_of(scene, greys[0], azimuths, max_distance)[0])
-        if sun is not None and not planned:
-            plans[0] = replace(plans[0], reason=f"{plans[0].reason}; the sun's disc by itself")
-        if lobe and isinstance(source, sources.Sky):
-            return irradiances, _each(
-                greys, lambda grey: _gloss(scene, grey, engine, lobe, sun is not None, max_distance)
-            )
-        if lobe:
-            return irradiances, _each(
-                greys, lambda grey: _lamp_lobe(scene, grey, engine, lobe, azimuths, warnings)
-            )
-        return irradiances, _mirrored(scene, greys, engine, quantity, max_distance)
+    def _plan_as_asked(self) -> Plan:
+        options = self.options
+        self.plans.append(_plan_of(self.scene, self.greys[0], options.azimuths, options.max_distance))
+        return self.plans[-1]
 
-    (irradiances, shown), seconds, compiling = timed(engine, light)
-    image = labelled(_image(scene, irradiances, shown, quantity), scene.labels)
-    return Rendering(
-        image,
-        plans[0],
-        engine.name,
-        seconds,
-        compiling,
-        warnings,
-        tuple(parts),
-        scene if parts else None,
-        quantity,
-    )
+    def _brdf(self) -> list[np.ndarray]:
+        """Radiance of a BRDF."""
+        scene, options = self.scene, self.options
+        self._plan_as_asked()
+        if not isinstance(self.source, sources.Sky):
+            return shading.by_brdf(scene, self.greys, self.engine, options.max_distance)
+        sectors = _sectors(options.azimuths)
+        ground = ground_of(scene, options.max_distance, self.engine)
+        sweeps = Sweeps(self.engine, ground, Rays(sectors.angles, sectors.widths), near=FINE)
+        return shading.by_brdf_under_sky(scene, self.greys, sweeps.planes(), sectors)
 
+    def _sky_lobe(self, grey: sources.Source) -> np.ndarray:
+        assert self.lobe is not None, "called for surfaces with a lobe"
+        has_sun, max_distance = self.sun is not None, self.options.max_distance
+        return _lobe_of_sky(self.scene, grey, self.engine, self.lobe, has_sun, max_distance)
 
-def _spread(found: Refined, scene: Scene) -> np.ndarray:
-    """Estimated error (rows, cols) float32 of a refined irradiance."""
-    if found.half is None:
-        return np.full(scene.shape, found.floor, np.float32)
-    square, count = np.where(scene.valid, found.half.astype(float) ** 2, 0), scene.valid.astype(float)
-    for axis in (0, 1):
-        square, count = (_boxes(values, axis) for values in (square, count))
-    return MAP * np.sqrt(found.share**2 * square / np.maximum(count, 1) + found.floor**2).astype(np.float32)
+    def _solid_lobe(self, grey: sources.Source) -> np.ndarray:
+        assert self.lobe is not None, "called for surfaces with a lobe"
+        most = _plan_of(self.scene, grey, self.options.azimuths, None).azimuths
+        assert most is not None, "a plan of slices says how many"
+        return _lobe_of_solid(self.scene, grey, self.engine, self.lobe, most, self.warnings)
 
+    def _mirrored(self, max_distance: float | None) -> list[np.ndarray]:
+        if not self.options.mirror(self.scene):
+            return []
+        return shading.mirrored(self.scene, self.greys, self.engine, max_distance)
 
-def _boxes(values, axis):
-    """Sums over up to 2 BOX + 1 neighbours along an axis."""
-    ends = np.concatenate([np.zeros_like(np.take(values, [0], axis)), np.cumsum(values, axis)], axis)
-    at = np.arange(values.shape[axis])
-    return np.take(ends, np.minimum(at + BOX + 1, len(at)), axis) - np.take(
-        ends, np.maximum(at - BOX, 0), axis
-    )
-
-
-def _asked(scene, source, engine, method, azimuths, max_distance) -> tuple[np.ndarray, Plan]:
-    """(irradiance (rows, cols) float32, plan) of a grey source as the caller asked for it."""
-    is_sky = isinstance(source, sources.Sky)
-    if method == "unoccluded":
-        if is_sky:
-            image = unoccluded.sky(
-                scene, Integrals(source) if callable(source.brightness) else float(source.brightness)
-            )
+    def _lattice(self) -> tuple[list[np.ndarray], list[np.ndarray]]:
+        """:meth:`_light` over the directions of a hemicube."""
+        options, scene, source = self.options, self.scene, self.source
+        plan = _lattice_plan(options)
+        self.plans.append(plan)
+        if isinstance(options.hemicube, Hemicube):
+            cube = options.hemicube
         else:
-            solid = upright(solid_of(scene, source, 1 / scene.spacing, 1.0))
-            image = (
-                np.zeros(scene.shape, np.float32)
-                if solid is None
-                else unoccluded.image(scene, solid, source.brightness)
+            assert plan.hemicube is not None, "a plan of the lattice says which hemicube"
+            cube = Hemicube(plan.hemicube)
+        problem = lattice_problem(scene, source, cube, bool(plan.filled))  # checks that the source fits
+        self.warnings.extend(warnings_of(scene, source, cube, bool(plan.filled)))
+        brightness = np.stack([sources.radiance(grey, cube.directions) for grey in self.greys])
+        lobe, shares, whole = (
+            shading.lobe_of(scene, 1e-6) if options.quantity == "radiance" else None,
+            None,
+            None,
+        )
+        if lobe:
+            angles = cube.solid_angles * _norm(scene)
+            shares, whole = (
+                np.concatenate([np.broadcast_to(cube.directions, (*share.shape, 3)), share[..., None]], -1)
+                for share in (brightness * angles, angles)
             )
-        return image.astype(np.float32, copy=False), Plan("unoccluded", None, None, "as asked")
-    plan, sectors = _plan_of(scene, source, azimuths, max_distance)
-    if is_sky:
-        table = None
-        if callable(source.brightness):
-            profile = sources.azimuth_profile(source)
-            if profile is not None and not isinstance(azimuths, Azimuths):
-                sectors = Azimuths.placed(len(sectors), profile)
-            table = Integrals(source, np.inf).table(sectors.angles, sectors.widths, 1025)
-        image = Sweeps(
-            engine, ground_of(scene, max_distance, engine), Rays(sectors.angles, sectors.widths), table
-        ).irradiance(last=True)
-        return (
-            image if table is not None or source.brightness == 1 else image * np.float32(source.brightness)
-        ), plan
+            spacing = np.sqrt(2 * np.pi / len(cube))
+            if spacing <= COARSE * lobe.spread:
+                whole = None  # the sum is exact enough
+            else:
+                self.warnings.append(_narrow_lobe(lobe, spacing, "method='horizon' or a larger hemicube"))
+        if options.brdf(scene):
+            bits = propagation.visibility(self.engine, problem)
+            return [], shading.by_brdf_on_lattice(scene, self.greys, bits, cube)
+        moments = (
+            cube.moments if options.weights == "moment" else cube.directions * cube.solid_angles[:, None]
+        )
+        irradiances, reflected = propagation.light(
+            self.engine, problem, moments * brightness[..., None], lobe, shares, whole
+        )
+        return irradiances, reflected + self._mirrored(None)
+
+
+# -- irradiance of a grey source, as asked
+
+
+def _plan_of(
+    scene: Scene, source: sources.Source, azimuths: int | Azimuths | None, max_distance: float | None
+) -> Plan:
+    """Horizons or slices, as many as the caller asked for, checked."""
+    if getattr(source, "corner", None) is None:
+        sources.geometry(source, scene, 1.0)  # checks that they fit
+    if isinstance(source, sources.Sky):
+        return Plan("horizon", None, None, "as asked", len(_sectors(azimuths)), max_distance)
+    if max_distance is not None or isinstance(azimuths, Azimuths):
+        raise bad(
+            "method 'horizon' with a lamp or window",
+            "max_distance, or azimuths of the caller's",
+            "azimuths as a whole number: slices of a source that stands all round",
+        )
+    most = MOST if azimuths is None else -(-len(Azimuths(azimuths)) // SLICES) * SLICES
+    why = "slices through the source as every node sees it, fewer where it looks small"
+    return Plan("horizon", None, None, why, most)
+
+
+def _sectors(azimuths: int | Azimuths | None) -> Azimuths:
+    """Sectors of azimuth, as asked."""
+    if isinstance(azimuths, Azimuths):
+        return azimuths
+    return Azimuths(AZIMUTHS if azimuths is None else azimuths)
+
+
+def _unoccluded(scene: Scene, source: sources.Source) -> np.ndarray:
+    """Closed forms: (rows, cols) float32."""
+    if isinstance(source, sources.Sky):
+        varies = callable(source.brightness)
+        image = unoccluded.sky(scene, Integrals(source) if varies else _number(source))
+    else:
+        solid = upright(solid_of(scene, source, 1 / scene.spacing, 1.0))
+        if solid is None:
+            return np.zeros(scene.shape, np.float32)
+        image = unoccluded.image(scene, solid, source.brightness)
+    return image.astype(np.float32, copy=False)
+
+
+def _sky_above_horizons(
+    scene: Scene,
+    sky: sources.Sky,
+    engine: Backend,
+    azimuths: int | Azimuths | None,
+    max_distance: float | None,
+) -> np.ndarray:
+    """A sky above the horizons of as many azimuths as asked: (rows, cols) float32."""
+    sectors, table = _sectors(azimuths), None
+    if callable(sky.brightness):
+        profile = sources.azimuth_profile(sky)
+        if profile is not None and not isinstance(azimuths, Azimuths):
+            sectors = Azimuths.placed(len(sectors), profile)
+        table = Integrals(sky, np.inf).table(sectors.angles, sectors.widths, 1025)
+    ground, rays = ground_of(scene, max_distance, engine), Rays(sectors.angles, sectors.widths)
+    image = Sweeps(engine, ground, rays, table).irradiance(last=True)
+    return image if table is not None else _times(image, _number(sky))
+
+
+def _by_slices(
+    scene: Scene, source: sources.Lamp | sources.Window, engine: Backend, plan: Plan
+) -> np.ndarray:
+    """A lamp or window in as many slices as planned: (rows, cols) float32."""
+    assert plan.azimuths is not None, "a plan of slices says how many"
     brightness = (
         chords(Integrals(sources.Sky(source.brightness), np.inf, True), TURNS, KNOTS)
         if callable(source.brightness)
-        else float(source.brightness)
+        else _number(source)
     )
     slices, scale = _slices(scene, source, engine, plan.azimuths, brightness)
     if slices is None:
-        return np.zeros(scene.shape, np.float32), plan
+        return np.zeros(scene.shape, np.float32)
     slices.run()
-    return (
-        np.maximum(slices.download(), 0) * np.float32(scale),
-        plan,
-    )  # a difference of sums of brightness may round to less
+    # a difference of sums of brightness may round to less than 0
+    image: np.ndarray = np.maximum(slices.download(), 0) * np.float32(scale)
+    return image
 
 
-def _plan_of(scene, source, azimuths, max_distance) -> tuple[Plan, Azimuths | None]:
-    """Horizons or slices, as many as the caller asked for."""
-    if getattr(source, "corner", None) is None:
-        sources.geometry(source, scene, 1.0)  # checks that they fit
-    if not isinstance(source, sources.Sky):
-        if max_distance is not None or isinstance(azimuths, Azimuths):
-            raise bad(
-                "method 'horizon' with a lamp or window",
-                "max_distance, or azimuths of the caller's",
-                "azimuths as a whole number: slices of a source that stands all round",
-            )
-        most = MOST if azimuths is None else -(-len(Azimuths(azimuths)) // SLICES) * SLICES
-        return (
-            Plan(
-                "horizon",
-                None,
-                None,
-                "slices through the source as every node sees it, fewer where it looks small",
-                most,
-            ),
-            None,
-        )
-    sectors = azimuths if isinstance(azimuths, Azimuths) else Azimuths(64 if azimuths is None else azimuths)
-    return Plan("horizon", None, None, "as asked", len(sectors), max_distance), sectors
+def _slices(
+    scene: Scene,
+    source: sources.Lamp | sources.Window,
+    engine: Backend,
+    most: int,
+    brightness: float | np.ndarray,
+    lobe: Lobe | None = None,
+) -> tuple[Slices | None, float]:
+    """Slices placed within a lamp or window as every node sees it, and the factor of their light.
 
-
-def _slices(scene, source, engine, most, brightness, lobe=None) -> tuple[Slices | None, float]:
-    """(azimuth slices placed within a lamp or window as every node sees it, what their light is to be
-    multiplied by); None for a window outside the box.
+    None for a window outside a dark box.
     """
     depth, step = scene.lattice()
     solid = solid_of(scene, source, step / scene.spacing, step)
@@ -368,141 +509,10 @@ def _slices(scene, source, engine, most, brightness, lobe=None) -> tuple[Slices 
     return Slices(engine, depth, step, scene.sides, solid, brightness, most, lobe), scale
 
 
-def _by_lattice(scene, source, greys, engine, cube, filled, weights, quantity, found) -> tuple[list, list]:
-    """(irradiances, what the surface shows besides) over the directions of a hemicube; warnings go into
-    ``found``.
-    """
-    problem = lattice_problem(scene, source, cube, filled)  # first: it checks that the source fits
-    found += warnings_of(scene, source, cube, filled)
-    brightness = np.stack([sources.radiance(grey, cube.directions) for grey in greys])
-    moments = cube.moments if weights == "moment" else cube.directions * cube.solid_angles[:, None]
-    lobe, shares, whole = shading.lobe_of(scene, 1e-6) if quantity == "radiance" else None, None, None
-    if lobe:
-        angles = cube.solid_angles * scene.reflectance.norm
-        shares, whole = (
-            np.concatenate([np.broadcast_to(cube.directions, (*share.shape, 3)), share[..., None]], -1)
-            for share in (brightness * angles, angles)
-        )
-        spacing = np.sqrt(2 * np.pi / len(cube))
-        if spacing <= COARSE * lobe.spread:
-            whole = None  # the sum is exact enough
-        else:
-            found.append(_narrow(lobe, spacing, "method='horizon' or a larger hemicube"))
-    if _is_brdf(scene, quantity):
-        return [], shading.by_brdf_on_lattice(scene, greys, propagation.visibility(engine, problem), cube)
-    irradiances, shown = propagation.light(
-        engine, problem, moments * brightness[..., None], lobe, shares, whole
-    )
-    return irradiances, shown + _mirrored(scene, greys, engine, quantity, None)
-
-
-def _gloss(scene, grey, engine, lobe, has_sun, max_distance):
-    """What a lobe makes of a sky: (rows, cols) float32."""
-    depth, step = scene.lattice()
-    reach = np.inf if max_distance is None else max_distance * (step / scene.spacing)
-    table, suns, flux = blurred(sources.without_disc(grey), lobe.spread)
-    if has_sun:
-        suns, flux = (
-            np.concatenate([suns.reshape(-1, 3), [skies.towards(*grey.brightness.sun)]]),
-            np.append(flux, grey.brightness.direct),
-        )
-    slices = Slices(engine, depth, step, scene.sides, Dome(reach), table, lobe=lobe)
-    slices.run()
-    image = slices.download()
-    if len(suns):
-        image += shading.suns(scene, engine, lobe, suns, flux, max_distance)
-    return image * np.float32(scene.reflectance.norm)
-
-
-def _lamp_lobe(scene, grey, engine, lobe, azimuths, found):
-    """What a lobe makes of a lamp or window: (rows, cols) float32."""
-    brightness = brightness_of(grey)
-    slices, scale = _slices(
-        scene, grey, engine, _plan_of(scene, grey, azimuths, None)[0].azimuths, brightness, lobe
-    )
-    if slices is None:
-        return np.zeros(scene.shape, np.float32)
-    slices.run()
-    image = slices.download() * np.float32(scene.reflectance.norm * scale)
-    if slices.coarse > COARSE:
-        text = _narrow(lobe, slices.coarse * lobe.spread, "a smaller lamp, or Mirror")
-        found.extend([text] if text not in found else [])
-        np.minimum(image, np.float32(np.max(brightness)), out=image)  # no lobe shows more than there is
-    return image
-
-
-def _image(scene: Scene, irradiances: list[np.ndarray], shown: list[np.ndarray], quantity: str) -> np.ndarray:
-    """What was asked for, made in place of irradiance and, per unit of specular albedo, of what the surface
-    shows besides; a list has one array per colour.
-    """
-    if quantity == "radiance":
-        albedo, specular = (
-            np.asarray(getattr(scene.reflectance, name, 1.0), np.float32) for name in ("albedo", "specular")
-        )
-        count = max([len(irradiances), len(shown), *(3 for share in (albedo, specular) if _in_colour(share))])
-        of = lambda arrays, n: arrays[n % len(arrays)].copy() if count > len(arrays) else arrays[n]
-        channels = []
-        for n in range(count):
-            pick = lambda share: share[..., n] if _in_colour(share) else share
-            image = 0
-            if irradiances:
-                image = of(irradiances, n)
-                image *= pick(albedo) * np.float32(1 / np.pi)
-            if shown:
-                image = image + pick(specular) * of(shown, n)
-            channels.append(image)
-        irradiances = channels
-    image = irradiances[0] if len(irradiances) == 1 else np.stack(irradiances, -1)
-    if scene.mask is not None:
-        image[~scene.mask] = np.nan
-    return image
-
-
-def _in_colour(share: np.ndarray) -> bool:
-    return share.ndim in (1, 3)
-
-
-def _is_brdf(scene: Scene, quantity: str) -> bool:
-    return quantity == "radiance" and isinstance(scene.reflectance, BRDF)
-
-
-def _mirrored(scene, greys, engine, quantity, max_distance) -> list[np.ndarray]:
-    return (
-        shading.mirrored(scene, greys, engine, max_distance)
-        if quantity == "radiance" and shading.has_mirror(scene)
-        else []
-    )
-
-
-def _is_dull(scene: Scene, quantity: str) -> bool:
-    """Whether irradiance is asked for, or reflected: a surface that only shines needs none."""
-    return (
-        quantity == "irradiance"
-        or np.any(scene.albedo)
-        or not (shading.lobe_of(scene) or shading.has_mirror(scene))
-    )
-
-
-def _narrow(lobe, apart: float, fix: str) -> str:
-    return (
-        f"Narrow lobe: it is {np.degrees(lobe.spread):.1f} degrees wide and the directions stand up to"
-        f" {np.degrees(apart):.1f} degrees apart, so highlights break up into dots or are lost; use {fix}."
-    )
-
-
-def _each(greys: list, work: Callable) -> list[np.ndarray]:
-    """``work`` (source) for every colour; where colours differ by a factor alone, once, and times that
-    factor.
-    """
-    if any(callable(grey.brightness) for grey in greys):
-        return [work(grey) for grey in greys]
-    one = work(replace(greys[0], brightness=1.0))
-    return [one if grey.brightness == 1 else one * np.float32(grey.brightness) for grey in greys]
-
-
-def _sun_of(scene, source, max_distance) -> sources.Lamp | None:
+def _sun_of(scene: Scene, source: sources.Source, max_distance: float | None) -> sources.Lamp | None:
     """The disc of a sky's sun, as a lamp so far away that it stands in one direction for the whole map."""
-    if not isinstance(source, sources.Sky) or not getattr(source.brightness, "direct", 0):
+    brightness: Any = source.brightness
+    if not isinstance(source, sources.Sky) or not getattr(brightness, "direct", 0):
         return None
     if scene.sides == "periodic" or max_distance is not None:
         raise bad(
@@ -518,7 +528,172 @@ def _sun_of(scene, source, max_distance) -> sources.Lamp | None:
             "Give the sun as a Lamp of its own.",
         )
     extent = max(max(scene.shape) * scene.spacing, float(scene.depth[scene.valid].max()))
-    return source.brightness.disc(FAR * extent)
+    disc: sources.Lamp = brightness.disc(FAR * extent)
+    return disc
+
+
+# -- lobes
+
+
+def _lobe_of_sky(
+    scene: Scene,
+    grey: sources.Source,
+    engine: Backend,
+    lobe: Lobe,
+    has_sun: bool,
+    max_distance: float | None,
+) -> np.ndarray:
+    """A sky reflected by a lobe: (rows, cols) float32."""
+    depth, step = scene.lattice()
+    reach = np.inf if max_distance is None else max_distance * (step / scene.spacing)
+    table, suns, flux = blurred(sources.without_disc(grey), lobe.spread)
+    if has_sun:
+        brightness: Any = grey.brightness
+        suns = np.concatenate([suns.reshape(-1, 3), [cie.towards(*brightness.sun)]])
+        flux = np.append(flux, brightness.direct)
+    slices = Slices(engine, depth, step, scene.sides, Dome(reach), table, lobe=lobe)
+    slices.run()
+    image = slices.download()
+    if len(suns):
+        image += shading.suns(scene, engine, lobe, suns, flux, max_distance)
+    return image * np.float32(_norm(scene))
+
+
+def _lobe_of_solid(
+    scene: Scene, grey: sources.Source, engine: Backend, lobe: Lobe, most: int, warnings: list[str]
+) -> np.ndarray:
+    """A lamp or window reflected by a lobe: (rows, cols) float32; a warning where slices are too coarse."""
+    assert not isinstance(grey, sources.Sky), "a sky has no slices through a solid"
+    brightness = brightness_of(grey)
+    slices, scale = _slices(scene, grey, engine, most, brightness, lobe)
+    if slices is None:
+        return np.zeros(scene.shape, np.float32)
+    slices.run()
+    image = slices.download() * np.float32(_norm(scene) * scale)
+    if slices.coarse > COARSE:
+        text = _narrow_lobe(lobe, slices.coarse * lobe.spread, "a smaller lamp, or Mirror")
+        warnings.extend([text] if text not in warnings else [])
+        np.minimum(image, np.float32(np.max(brightness)), out=image)  # no lobe shows more than there is
+    return image
+
+
+def _norm(scene: Scene) -> float:
+    assert isinstance(scene.reflectance, Phong), "Phong alone has a lobe"
+    return scene.reflectance.norm
+
+
+def _narrow_lobe(lobe: Lobe, apart: float, fix: str) -> str:
+    return (
+        f"Narrow lobe: it is {np.degrees(lobe.spread):.1f} degrees wide and the directions stand up to"
+        f" {np.degrees(apart):.1f} degrees apart, so highlights break up into dots or are lost; use {fix}."
+    )
+
+
+# -- colours, images and error maps
+
+
+def _number(source: sources.Source) -> float:
+    """The brightness of a grey source whose brightness is a number."""
+    value: Any = source.brightness
+    return float(value)
+
+
+def _numbers(greys: Sequence[sources.Source]) -> list[float] | None:
+    """Brightnesses where all are numbers, so that colours differ by a factor alone; else None."""
+    return None if any(callable(grey.brightness) for grey in greys) else [_number(grey) for grey in greys]
+
+
+def _times(image: np.ndarray, factor: float) -> np.ndarray:
+    return image if factor == 1 else image * np.float32(factor)
+
+
+def _per_colour(
+    greys: Sequence[sources.Source], work: Callable[[sources.Source], np.ndarray]
+) -> list[np.ndarray]:
+    """``work`` (source) for every colour; where colours differ by a factor alone, once, times that factor."""
+    factors = _numbers(greys)
+    if factors is None:
+        return [work(grey) for grey in greys]
+    one = work(replace(greys[0], brightness=1.0))
+    return [_times(one, factor) for factor in factors]
+
+
+def _image(
+    scene: Scene, irradiances: list[np.ndarray], reflected: list[np.ndarray], quantity: str
+) -> np.ndarray:
+    """The image of a quantity, made in place of the irradiances; the lists have one array per colour."""
+    colours = _radiances(scene, irradiances, reflected) if quantity == "radiance" else irradiances
+    image = colours[0] if len(colours) == 1 else np.stack(colours, -1)
+    if scene.mask is not None:
+        image[~scene.mask] = np.nan
+    return image
+
+
+def _radiances(scene: Scene, irradiances: list[np.ndarray], reflected: list[np.ndarray]) -> list[np.ndarray]:
+    """albedo E / pi + specular albedo x what else is reflected, per colour; made in place of E."""
+    albedo, specular = (
+        np.asarray(getattr(scene.reflectance, name, 1.0), np.float32) for name in ("albedo", "specular")
+    )
+    in_colour = [share for share in (albedo, specular) if _in_colour(share)]
+    count = max(len(irradiances), len(reflected), 3 if in_colour else 0)
+    found = []
+    for n in range(count):
+        image = np.zeros((), np.float32)
+        if irradiances:
+            image = _channel(irradiances, n, count)
+            image *= _share(albedo, n) * np.float32(1 / np.pi)
+        if reflected:
+            image = image + _share(specular, n) * _channel(reflected, n, count)
+        found.append(image)
+    return found
+
+
+def _channel(colours: list[np.ndarray], n: int, count: int) -> np.ndarray:
+    """Channel ``n`` of ``count``; a copy where one array serves several channels."""
+    found = colours[n % len(colours)]
+    shared = count > len(colours) or sum(other is found for other in colours) > 1
+    return found.copy() if shared else found
+
+
+def _share(share: np.ndarray, n: int) -> np.ndarray:
+    """Channel ``n`` of an albedo."""
+    return share[..., n] if _in_colour(share) else share
+
+
+def _in_colour(share: np.ndarray) -> bool:
+    return share.ndim in (1, 3)
+
+
+def _error_map(found: Refined, scene: Scene) -> np.ndarray:
+    """Estimated error (rows, cols) float32 of a refined irradiance."""
+    if found.half is None:
+        return np.full(scene.shape, found.floor, np.float32)
+    square, count = np.where(scene.valid, found.half.astype(float) ** 2, 0), scene.valid.astype(float)
+    for axis in (0, 1):
+        square, count = (_box_sums(values, axis) for values in (square, count))
+    error = np.sqrt(found.share**2 * square / np.maximum(count, 1) + found.floor**2).astype(np.float32)
+    return np.asarray(MAP * error)
+
+
+def _box_sums(values: np.ndarray, axis: int) -> np.ndarray:
+    """Sums over up to 2 BOX + 1 neighbours along an axis."""
+    ends = np.concatenate([np.zeros_like(np.take(values, [0], axis)), np.cumsum(values, axis)], axis)
+    at = np.arange(values.shape[axis])
+    high, low = np.minimum(at + BOX + 1, len(at)), np.maximum(at - BOX, 0)
+    sums: np.ndarray = np.take(ends, high, axis) - np.take(ends, low, axis)
+    return sums
+
+
+def timed(engine: Backend, work: Callable[[], Result]) -> tuple[Result, float, float]:
+    """(result, seconds without compiling, seconds of compiling) of ``work``, once the engine is free."""
+    with engine.lock:
+        compiled, start = engine.compile_seconds, time.perf_counter()
+        result = work()
+        compiling = engine.compile_seconds - compiled
+        return result, time.perf_counter() - start - compiling, compiling
+
+
+# -- the lattice
 
 
 def lattice_problem(scene: Scene, source: sources.Source, cube: Hemicube, filled: bool) -> Problem:
@@ -528,51 +703,55 @@ def lattice_problem(scene: Scene, source: sources.Source, cube: Hemicube, filled
     return Problem(values, step, scene.sides, cube.steps, sources.geometry(source, scene, step), filled)
 
 
-def timed(engine: Backend, work: Callable[[], tuple]) -> tuple[tuple, float, float]:
-    """(result, seconds without compiling, seconds of compiling) of ``work``, once the engine is free."""
-    with engine.lock:
-        compiled, start = engine.compile_seconds, time.perf_counter()
-        result = work()
-        compiling = engine.compile_seconds - compiled
-        return result, time.perf_counter() - start - compiling, compiling
-
-
-def _lattice_plan(hemicube, filled, method, tolerance) -> Plan:
-    given = hemicube.size if isinstance(hemicube, Hemicube) else hemicube
-    filled = filled is not False if method == "auto" else bool(filled)
-    if method == "auto" and given is None and tolerance is not None:
-        given = next((m for m, error in ERRORS.items() if error <= tolerance), max(ERRORS))
-        return Plan("lattice", given, filled, f"RMS error {ERRORS[given]} of E / pi on rough ground")
-    return Plan("lattice", 9 if given is None else given, filled, "as asked")
+def _lattice_plan(options: _Options) -> Plan:
+    """The lattice as asked; by "auto" without its arguments, a size whose error was measured to be small."""
+    size = options.hemicube.size if isinstance(options.hemicube, Hemicube) else options.hemicube
+    filled = options.filled is not False if options.method == "auto" else bool(options.filled)
+    if options.method == "auto" and not options.lattice:
+        fitting = (m for m, error in ERRORS.items() if error <= float(options.tolerance))
+        size = next(fitting, max(ERRORS))
+        return Plan("lattice", size, filled, f"RMS error {ERRORS[size]} of E / pi on rough ground")
+    return Plan("lattice", SIZE if size is None else size, filled, "as asked")
 
 
 def warnings_of(scene: Scene, source: sources.Source, cube: Hemicube, filled: bool) -> list[str]:
     """What the lattice is known to get wrong for this scene and source, one sentence each."""
-    found = []
+    return [*_leak(scene, cube, filled), *_small_lamp(scene, source, cube)]
+
+
+def _leak(scene: Scene, cube: Hemicube, filled: bool) -> list[str]:
+    """A warning where unfilled steps jump over ridges."""
+    if filled or cube.size < 7:
+        return []
+    z = np.where(scene.valid, scene.depth, np.nan).astype(float)
+    slopes = [np.diff(z, axis=a) / scene.spacing for a in (0, 1) if z.shape[a] > 1]
+    square = sum(np.nanmean(s**2) if np.isfinite(s).any() else 0.0 for s in slopes)
+    if square > LEAK_SLOPE**2:
+        return [
+            f"Leak: the rms slope is {np.sqrt(square):.2f}, and steps of {cube.reach} nodes jump over"
+            " ridges, so light leaks through; use filled=True."
+        ]
+    return []
+
+
+def _small_lamp(scene: Scene, source: sources.Source, cube: Hemicube) -> list[str]:
+    """A warning where a sphere is narrower than the gaps between directions."""
+    if not isinstance(source, sources.Lamp) or source.center is None or source.radius is None:
+        return []
+    rows, cols = scene.shape
+    x, y, z = source.center
     depth = scene.depth[scene.valid].astype(float)
-    if not filled and cube.size >= 7:
-        z = np.where(scene.valid, scene.depth, np.nan).astype(float)
-        slopes = [np.diff(z, axis=a) / scene.spacing for a in (0, 1) if z.shape[a] > 1]
-        square = sum(np.nanmean(s**2) if np.isfinite(s).any() else 0.0 for s in slopes)
-        if square > LEAK_SLOPE**2:
-            found.append(
-                f"Leak: the rms slope is {np.sqrt(square):.2f}, and steps of {cube.reach} nodes jump over"
-                " ridges, so light leaks through; use filled=True."
-            )
-    if isinstance(source, sources.Lamp) and source.center is not None:
-        rows, cols = scene.shape
-        x, y, z = source.center
-        far = np.sqrt(
-            (max(abs(x), abs((cols - 1) * scene.spacing - x))) ** 2
-            + max(abs(y), abs((rows - 1) * scene.spacing - y)) ** 2
-            + (depth.max() - z) ** 2
-        )
-        spacing = np.sqrt(2 * np.pi / len(cube))
-        apparent = 2 * np.arcsin(min(1.0, source.radius / far))
-        if apparent < 2 * spacing:
-            found.append(
-                f"Small lamp: from the farthest ground it is {np.degrees(apparent):.1f} degrees wide and the"
-                f" directions stand {np.degrees(spacing):.1f} degrees apart, so some nodes see it in few"
-                " directions or none; use a larger hemicube."
-            )
-    return found
+    far = np.sqrt(
+        (max(abs(x), abs((cols - 1) * scene.spacing - x))) ** 2
+        + max(abs(y), abs((rows - 1) * scene.spacing - y)) ** 2
+        + (depth.max() - z) ** 2
+    )
+    spacing = np.sqrt(2 * np.pi / len(cube))
+    apparent = 2 * np.arcsin(min(1.0, source.radius / far))
+    if apparent < 2 * spacing:
+        return [
+            f"Small lamp: from the farthest ground it is {np.degrees(apparent):.1f} degrees wide and the"
+            f" directions stand {np.degrees(spacing):.1f} degrees apart, so some nodes see it in few"
+            " directions or none; use a larger hemicube."
+        ]
+    return []

@@ -1,4 +1,4 @@
-"""Reflection by surfaces that are not Lambertian: lobes by slices, mirrors and BRDFs by rays (docs/model.md)."""
+"""Reflection that is not Lambertian (docs/model.md): lobes by slices, mirrors and BRDFs by rays."""
 
 from __future__ import annotations
 

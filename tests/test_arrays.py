@@ -6,8 +6,9 @@ import sys
 import numpy as np
 import pytest
 import scenes
-import skylamp as sl
 from compare import assert_bits_equal
+
+import skylamp as sl
 from skylamp.arrays import host_array
 
 DEPTH = scenes.rough(18, 23, 0.8, seed=4).astype(np.float32)
@@ -253,7 +254,7 @@ def stays(monkeypatch):
 @pytest.mark.parametrize("sides", scenes.SIDES)
 @pytest.mark.parametrize("other", [warp_array, OnGpu])
 def test_a_map_on_the_device_stays_there(other, sides, stays):
-    """Sky, horizons, sky-view factor, openness, and heights: the bytes of the host's way, without the host."""
+    """Sky, horizons, sky-view factor, openness, heights: the same bytes as from the host, without it."""
     kinds = [(sl.Scene, DEPTH), (sl.Scene.from_height, DEPTH.max() - DEPTH)]
     for make, values in kinds:
         plain, there = make(values, albedo=0.5, sides=sides), make(other(values), albedo=0.5, sides=sides)
@@ -317,7 +318,7 @@ def test_what_must_have_it_on_the_host_gets_it(fast):
     got, expected = (sl.render(s, sl.Sky(), azimuths=16, backend="warp:cpu").image for s in (there, plain))
     np.testing.assert_allclose(got, expected, rtol=1e-5)
     with pytest.raises(AttributeError, match="no attribute 'height'"):
-        there.height
+        _ = there.height
 
 
 def test_the_scene_keeps_its_own_copy():

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+
 import skylamp as sl
 from skylamp.errors import BackendError, InputError
 

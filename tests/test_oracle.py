@@ -4,8 +4,9 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
-import skylamp as sl
 from compare import assert_bits_equal
+
+import skylamp as sl
 from skylamp import oracle
 from skylamp.sources.shapes import APERTURE, BALL, RECTANGLE, SKY, VOLUME, Geometry
 
@@ -61,7 +62,7 @@ def test_a_step_of_two_jumps_over_a_wall_of_one():
 
 
 def test_level_rays_run_in_order_from_the_source():
-    """k = 0: a higher node anywhere on the line blocks, an equal one does not, whichever way the loop runs."""
+    """k = 0: a higher node anywhere on the line blocks, an equal one does not, in both orders of the loop."""
     depth = np.array([[3, 3, 2, 3, 4, 3]])
     lit = visible(depth)
     assert lit[1, 0, 0][0].tolist() == [False, False, True, True, False, True]
@@ -164,7 +165,6 @@ def test_masked_nodes_neither_block_nor_are_lit():
 
 
 # -- lamps
-# -------------------------------------------------------------------------------------------------------------------
 
 
 def _free_segment(depth, x, y, step, end):
@@ -258,7 +258,6 @@ def test_a_volume_shines_from_its_nodes():
 
 
 # -- filled
-# ------------------------------------------------------------------------------------------------------------------
 
 
 def _crossed(depth, x, y, step):
@@ -307,13 +306,12 @@ def test_filled_and_stride_are_the_same_where_steps_are_of_one_node():
 
 
 # -- luminance, normals
-# ------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("size", [3, 9])
 @pytest.mark.parametrize("slope", [(0, 0), (1, 0), (0.5, -2)])
 def test_luminance_of_an_open_plane_is_the_closed_form(size, slope):
-    """pi (1 + cos a) / 2: exact where level, and within the cells that the tangent plane cuts where tilted."""
+    """pi (1 + cos a) / 2: exact where level, within the cells that the tangent plane cuts where tilted."""
     normal = np.array([*slope, -1.0]) / np.sqrt(1 + slope[0] ** 2 + slope[1] ** 2)
     cube = sl.Hemicube(size)
     everything = np.ones((2, 3, len(cube)), bool)
@@ -340,7 +338,6 @@ def test_gradient_by_hand():
 
 
 # -- carving
-# -----------------------------------------------------------------------------------------------------------------
 
 
 def _carve_row(low, high, stop="eps", layers=6):

@@ -13,8 +13,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import scenes
-import skylamp as sl
 from compare import assert_bits_equal
+
+import skylamp as sl
 from skylamp import oracle, refinement, sources
 from skylamp.backends import select
 from skylamp.light import unoccluded
@@ -30,10 +31,17 @@ HOUSES = np.where((X % 18 < 8) & (Y % 15 < 7), 20 - (X // 18 * 5 + Y // 15 * 3) 
 HOLES = np.ones(ROUGH.shape, bool)
 HOLES[20:30, 30:50] = HOLES[60:, :9] = False
 SCENES = {
-    "flat": sl.Scene(np.full((SIZE, SIZE), 5.0)), "ramp": sl.Scene(0.6 * X + 0.3 * Y), "dome": sl.Scene(0.004 * AWAY**2), "rough": sl.Scene(ROUGH), "houses": sl.Scene(HOUSES),
-    "dark": sl.Scene(ROUGH + 6, sides="dark"), "periodic": sl.Scene(scenes.rough(SIZE, SIZE, 0.6, 9), sides="periodic"), "holes": sl.Scene(np.where(HOLES, ROUGH, np.nan), mask=HOLES),
-    "metres": sl.Scene(30 * ROUGH, 30.0), "tiny": sl.Scene(ROUGH[:9, :13]),
-}  # fmt: skip
+    "flat": sl.Scene(np.full((SIZE, SIZE), 5.0)),
+    "ramp": sl.Scene(0.6 * X + 0.3 * Y),
+    "dome": sl.Scene(0.004 * AWAY**2),
+    "rough": sl.Scene(ROUGH),
+    "houses": sl.Scene(HOUSES),
+    "dark": sl.Scene(ROUGH + 6, sides="dark"),
+    "periodic": sl.Scene(scenes.rough(SIZE, SIZE, 0.6, 9), sides="periodic"),
+    "holes": sl.Scene(np.where(HOLES, ROUGH, np.nan), mask=HOLES),
+    "metres": sl.Scene(30 * ROUGH, 30.0),
+    "tiny": sl.Scene(ROUGH[:9, :13]),
+}
 GLOW = sl.Sky(lambda L: 1 + 5 * np.maximum(0, L @ np.array([0.6, 0.48, -0.64])) ** 6)
 SUN = sl.Sky(
     lambda L: 1 + 600 * np.exp((L @ np.array([0.6, 0.48, -0.64]) - 1) / 0.001)
@@ -107,7 +115,6 @@ def irradiance(scene, source, fast, *args, **more):
 
 
 # -- promises
-# --------------------------------------------------------------------------------------------------------------------
 
 
 def named(value):
@@ -115,10 +122,28 @@ def named(value):
     return re.sub(r" at 0x\w+", "", str(value))
 
 
-@pytest.mark.parametrize(("name", "source"), [
-    ("rough", sl.Sky()), ("rough", GLOW), ("rough", SUN), ("houses", sl.Sky()), ("houses", SUN), ("houses", HIGH), ("dark", sl.Sky(sl.cie_overcast())), ("periodic", sl.Sky()),
-    ("holes", LOW), ("metres", sl.Sky(2.0)), ("rough", WINDOW), ("rough", PANEL), ("dark", WINDOW), ("dome", GLOW), ("dome", HIGH), ("tiny", GLOW),
-], ids=named)  # fmt: skip
+@pytest.mark.parametrize(
+    ("name", "source"),
+    [
+        ("rough", sl.Sky()),
+        ("rough", GLOW),
+        ("rough", SUN),
+        ("houses", sl.Sky()),
+        ("houses", SUN),
+        ("houses", HIGH),
+        ("dark", sl.Sky(sl.cie_overcast())),
+        ("periodic", sl.Sky()),
+        ("holes", LOW),
+        ("metres", sl.Sky(2.0)),
+        ("rough", WINDOW),
+        ("rough", PANEL),
+        ("dark", WINDOW),
+        ("dome", GLOW),
+        ("dome", HIGH),
+        ("tiny", GLOW),
+    ],
+    ids=named,
+)
 def test_tolerances_are_kept(fast, name, source):
     """Against the oracle at nodes that no plan has seen; a plan's word and the audit agree."""
     scene = SCENES[name]
@@ -193,12 +218,23 @@ def test_a_map_that_repeats_is_not_searched_farther_than_need_be(fast):
 
 
 # -- no more model than the scene needs
-# ----------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("name", "source"), [
-    *[(name, source) for name in ("flat", "ramp", "dome") for source in (sl.Sky(3.0), sl.Sky(sl.cie_overcast()), HIGH)], ("flat", PANEL), ("flat", WINDOW), ("ramp", SUN), ("flat", LOW),
-], ids=named)  # fmt: skip
+@pytest.mark.parametrize(
+    ("name", "source"),
+    [
+        *[
+            (name, source)
+            for name in ("flat", "ramp", "dome")
+            for source in (sl.Sky(3.0), sl.Sky(sl.cie_overcast()), HIGH)
+        ],
+        ("flat", PANEL),
+        ("flat", WINDOW),
+        ("ramp", SUN),
+        ("flat", LOW),
+    ],
+    ids=named,
+)
 def test_what_nothing_hides_is_not_swept(fast, launched, name, source):
     """Flat, slanted and convex ground, and lamps that stand clear: closed forms, and right."""
     scene = SCENES[name]
@@ -229,11 +265,18 @@ HOLED[50:64, 45:60] = HOLED[150:170, 23:40] = False  # beside two of them
 MOUND = 80 - 30 * np.exp(-((np.mgrid[:240, :240] - np.array([60, 200])[:, None, None]) ** 2).sum(0) / 40)
 
 
-@pytest.mark.parametrize(("scene", "lamp"), [
-    (sl.Scene(POLES), sl.Lamp((150, 90, -100), 12)), (sl.Scene(POLES), sl.Lamp((-60, 130, -60), 5)), (sl.Scene(np.where(HOLED, POLES, np.nan), mask=HOLED), sl.Lamp((150, 90, -100), 12)), (sl.Scene(MOUND), sl.Lamp((-60, 130, -60), 5)),
-], ids=["above", "aside", "holes", "mound"])  # fmt: skip
+@pytest.mark.parametrize(
+    ("scene", "lamp"),
+    [
+        (sl.Scene(POLES), sl.Lamp((150, 90, -100), 12)),
+        (sl.Scene(POLES), sl.Lamp((-60, 130, -60), 5)),
+        (sl.Scene(np.where(HOLED, POLES, np.nan), mask=HOLED), sl.Lamp((150, 90, -100), 12)),
+        (sl.Scene(MOUND), sl.Lamp((-60, 130, -60), 5)),
+    ],
+    ids=["above", "aside", "holes", "mound"],
+)
 def test_thin_shadows_are_not_overlooked(fast, scene, lamp):
-    """Poles and a mound, whose shadows hardly any sample meets: the RMS over all nodes is within tolerance."""
+    """Poles and a mound, whose shadows few samples meet: the RMS over all nodes is within tolerance."""
     fine = irradiance(scene, lamp, fast, "horizon", azimuths=256).image
     for tolerance in (0.03, 0.003):
         out = irradiance(scene, lamp, fast, tolerance=tolerance)
@@ -321,7 +364,6 @@ def test_unoccluded_closed_forms(fast):
 
 
 # -- suns
-# ------------------------------------------------------------------------------------------------------------------------
 
 
 def within_cone(axis, radius, rings=12, spokes=24):
@@ -380,11 +422,10 @@ def test_suns_over_ground_that_hides_them(fast, name, discs):
 
 
 # -- lamps and windows whose brightness varies
-# -----------------------------------------------------------------------------------
 
 
 def through(samples, points, areas, normal, brightness):
-    """Irradiance at samples by points (n, 3) [depth downwards] of a flat source above all ground, one by one."""
+    """Irradiance at samples by points (n, 3) [depth downwards] of a flat source above all ground."""
     azimuths = 2 * np.pi * np.arange(2880) / 2880
     slopes = np.concatenate([samples.horizons(some) for some in np.array_split(azimuths, 12)])
     found = []
@@ -417,8 +458,17 @@ def stripes(L):
 
 
 @pytest.mark.parametrize("ground", ["level", "rough"])
-@pytest.mark.parametrize("light", [sl.cosine_power(64, (0.2, 0.1, 1)), sl.cosine_power(300, (0.2, 0.1, 1)), sl.cosine_power(900, (0.1, 0.2, 1)), stripes, sl.environment_map(PANORAMA)],
-                         ids=["cos^64", "cos^300", "cos^900", "stripes", "map"])  # fmt: skip
+@pytest.mark.parametrize(
+    "light",
+    [
+        sl.cosine_power(64, (0.2, 0.1, 1)),
+        sl.cosine_power(300, (0.2, 0.1, 1)),
+        sl.cosine_power(900, (0.1, 0.2, 1)),
+        stripes,
+        sl.environment_map(PANORAMA),
+    ],
+    ids=["cos^64", "cos^300", "cos^900", "stripes", "map"],
+)
 def test_windows_with_patterns(fast, ground, light):
     """Point by point over the window, and every warning names a number."""
     depth = SMALL if ground == "rough" else np.full((48, 48), 15.0)
@@ -514,7 +564,6 @@ def test_a_window_over_a_map_that_repeats_returns(fast):
 
 
 # -- the error of every node
-# -----------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("tolerance", [0.01, 0.003])
@@ -565,7 +614,6 @@ def test_the_error_map_has_the_images_shape_and_unit(fast):
 
 
 # -- refinement
-# ------------------------------------------------------------------------------------------------------------------
 
 
 @pytest.fixture
@@ -632,7 +680,6 @@ def test_the_audit_tells_what_halves_share(fast, monkeypatch):
 
 
 # -- the same bytes
-# --------------------------------------------------------------------------------------------------------------
 
 
 CALLS = [
@@ -727,7 +774,6 @@ def test_what_is_planned_is_what_is_done(fast, name, source, tolerance):
 
 
 # -- maps that lie on a device
-# ---------------------------------------------------------------------------------------------------
 
 
 def on_device(depth):
@@ -773,7 +819,6 @@ def test_a_map_on_a_device_is_not_fetched(monkeypatch, name):
 
 
 # -- maps that repeat, masks and dark boxes
-# --------------------------------------------------------------------------------------
 
 
 SUNNY = sl.Sky(lambda L: 0.5 + 3e4 * (L @ towards(70, 35) > np.cos(np.radians(0.27))))
@@ -833,14 +878,20 @@ def test_more_rows_are_tested_among_cliffs_where_the_tolerance_needs_it(fast):
 
 
 # -- what is beyond the model
-# ----------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("scene", "source", "says"), [
-    (sl.Scene(ROUGH, albedo=0.8), sl.Sky(), "Light between surfaces is left out: at most"), (SCENES["rough"], sl.Lamp((36, 36, float(ROUGH[36, 36]) - 1.5), 1.2), "The lamp touches the surface"),
-    (SCENES["flat"], sl.Lamp((30, 40, -20), 24.5), "The lamp touches the surface: it ends 0.5 spacings"),
-    (SCENES["houses"], sl.Sky(), "Slopes are steeper than the grid holds"), (SCENES["holes"], sl.Sky(), "Nodata"), (sl.Scene(ROUGH + 3e5), sl.Sky(), "Depths are rounded by"),
-], ids=["between surfaces", "touching lamp", "large lamp", "cliffs", "holes", "rounding"])  # fmt: skip
+@pytest.mark.parametrize(
+    ("scene", "source", "says"),
+    [
+        (sl.Scene(ROUGH, albedo=0.8), sl.Sky(), "Light between surfaces is left out: at most"),
+        (SCENES["rough"], sl.Lamp((36, 36, float(ROUGH[36, 36]) - 1.5), 1.2), "The lamp touches the surface"),
+        (SCENES["flat"], sl.Lamp((30, 40, -20), 24.5), "The lamp touches the surface: it ends 0.5 spacings"),
+        (SCENES["houses"], sl.Sky(), "Slopes are steeper than the grid holds"),
+        (SCENES["holes"], sl.Sky(), "Nodata"),
+        (sl.Scene(ROUGH + 3e5), sl.Sky(), "Depths are rounded by"),
+    ],
+    ids=["between surfaces", "touching lamp", "large lamp", "cliffs", "holes", "rounding"],
+)
 def test_what_a_scene_needs_beyond_the_model(fast, scene, source, says):
     """Each is said with a number, and not of a scene that lacks it."""
     found = [text for text in sl.plan(scene, source, backend=fast).beyond if text.startswith(says)]
@@ -895,27 +946,35 @@ def test_what_the_lattice_must_do_is_planned_too(fast):
     assert unknown.method == "lattice" and unknown.error is None and "was not measured" in str(unknown)
 
 
-@pytest.mark.parametrize(("call", "says"), [
-    (lambda: sl.plan(SCENES["flat"], sl.Sky(), 0), "tolerance"), (lambda: sl.plan(SCENES["flat"], sl.Sky(), "x"), "tolerance"), (lambda: sl.plan(SCENES["flat"], sl.Sky(), tail=-1), "tail"),
-    (lambda: sl.plan(np.ones((3, 3)), sl.Sky()), "skylamp.Scene"), (lambda: sl.plan(SCENES["flat"], 3.0), "Sky, Lamp or Window"), (lambda: sl.render(SCENES["flat"], sl.Sky(), "horizon", tail=0.1), "tail"),
-    (lambda: sl.render(SCENES["flat"], sl.Sky(), "unoccluded", azimuths=3), "unoccluded"), (lambda: sl.render(SCENES["periodic"], HIGH, tolerance=0.01), "periodic"),
-    (lambda: sl.plan(SCENES["rough"], sl.Lamp((36, 36, 500), 2)), "below the surface"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("call", "says"),
+    [
+        (lambda: sl.plan(SCENES["flat"], sl.Sky(), 0), "tolerance"),
+        (lambda: sl.plan(SCENES["flat"], sl.Sky(), "x"), "tolerance"),
+        (lambda: sl.plan(SCENES["flat"], sl.Sky(), tail=-1), "tail"),
+        (lambda: sl.plan(np.ones((3, 3)), sl.Sky()), "skylamp.Scene"),
+        (lambda: sl.plan(SCENES["flat"], 3.0), "Sky, Lamp or Window"),
+        (lambda: sl.render(SCENES["flat"], sl.Sky(), "horizon", tail=0.1), "tail"),
+        (lambda: sl.render(SCENES["flat"], sl.Sky(), "unoccluded", azimuths=3), "unoccluded"),
+        (lambda: sl.render(SCENES["periodic"], HIGH, tolerance=0.01), "periodic"),
+        (lambda: sl.plan(SCENES["rough"], sl.Lamp((36, 36, 500), 2)), "below the surface"),
+    ],
+)
 def test_bad_input_is_named(call, says):
     with pytest.raises(sl.InputError, match=says):
         call()
 
 
 # -- command line and chart
-# --------------------------------------------------------------------------------------------------------
 
 
 def test_the_command_line_prints_plans(fast, tmp_path):
     """A table with reasons, or one JSON object; the tolerance as a share or in percent; a bad one is a usage
     error.
     """
-    from skylamp.app.cli import app
     from typer.testing import CliRunner
+
+    from skylamp.app.cli import app
 
     np.save(tmp_path / "depth.npy", ROUGH)
     ask = lambda *more: CliRunner().invoke(

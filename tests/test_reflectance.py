@@ -5,9 +5,10 @@ each other.
 import numpy as np
 import pytest
 import scenes
-import skylamp as sl
 from compare import assert_bits_equal, assert_close
 from scenes import rough
+
+import skylamp as sl
 from skylamp import oracle
 from skylamp.backends import select
 from skylamp.radiometry import directional_hemispheric, patch_solid_angle
@@ -54,7 +55,6 @@ def launches(monkeypatch, name, work):
 
 
 # -- the models
-# ----------------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("exponent", [0, 0.5, 1, 4, 20, 150])
@@ -180,7 +180,6 @@ def test_grooves_against_points_on_their_faces():
 
 
 # -- white furnace
-# ---------------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("exponent", [0, 3, 40, 1000])
@@ -232,7 +231,6 @@ def test_white_furnace_of_the_rest(fast):
 
 
 # -- lobes
-# -----------------------------------------------------------------------------------------------------------------------
 
 
 def test_the_oracle_of_lobes():
@@ -427,7 +425,6 @@ def test_distance_counts_in_lobes_and_mirrors_too(fast):
 
 
 # -- colour
-# ------------------------------------------------------------------------------------------------------------------------
 
 
 COLOURS = np.random.default_rng(3).uniform(0.1, 0.5, (*GROUND.shape, 3))
@@ -464,9 +461,9 @@ def test_colour_is_three_grey_renders(backend, fast, surface, options):
                 **{name: pick(value, n) if name != "exponent" else value for name, value in shares.items()}
             )
             grey_source = {
-                sl.Sky: lambda: sl.Sky(light),
-                sl.Lamp: lambda: sl.Lamp(center=LAMP.center, radius=5, brightness=light),
-                sl.Window: lambda: sl.Window(x=(2, 20), y=(3, 20), brightness=light),
+                sl.Sky: lambda light=light: sl.Sky(light),
+                sl.Lamp: lambda light=light: sl.Lamp(center=LAMP.center, radius=5, brightness=light),
+                sl.Window: lambda light=light: sl.Window(x=(2, 20), y=(3, 20), brightness=light),
             }[type(source)]()
             alone = sl.render(
                 sl.Scene(GROUND, reflectance=grey), grey_source, backend=backend, **options
@@ -490,8 +487,19 @@ def test_colour_where_only_one_side_has_it(fast):
     ).image.shape == (*GROUND.shape, 3)
 
 
+@pytest.mark.parametrize("method", ["auto", "horizon", "unoccluded", "lattice"])
+def test_colours_of_one_brightness_are_reflected_once(fast, method):
+    """Channels whose brightness is the same number 1, which may share an array, equal the grey render."""
+    scene = sl.Scene(GROUND, albedo=0.5)
+    grey, image = (
+        sl.render(scene, sl.Sky(light), method, 0.05, fast).image for light in (1.0, (1.0, 1.0, 0.5))
+    )
+    for n in range(2):
+        assert_bits_equal(np.ascontiguousarray(image[..., n]), grey)
+
+
 def test_colour_takes_one_pass_over_visibility(monkeypatch, fast):
-    """The lattice scans once for three colours, and horizons are swept once where colours differ by a factor."""
+    """The lattice scans once for three colours; horizons are swept once where colours differ by a factor."""
     count = lambda source, kernel, **options: sum(
         name == kernel
         for name, _ in launches(
@@ -533,7 +541,6 @@ def test_a_lambertian_scene_starts_no_specular_kernel(monkeypatch, fast):
 
 
 # -- mirrors
-# -----------------------------------------------------------------------------------------------------------------------
 
 
 def test_a_mirror_shows_the_pixel_of_the_environment_map(backend):
@@ -606,7 +613,6 @@ def test_mirrors_see_lamps_and_windows(fast):
 
 
 # -- any BRDF
-# ----------------------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(

@@ -7,8 +7,9 @@ import functools
 import numpy as np
 import pytest
 import scenes
-import skylamp as sl
 from compare import assert_bits_equal, assert_close
+
+import skylamp as sl
 from skylamp import oracle
 from skylamp.radiometry import polygon_moment
 from skylamp.sources.shapes import BALL, RECTANGLE, Geometry
@@ -26,7 +27,6 @@ def irradiance(scene, source, size, backend, filled=True, **more):
 
 
 # -- the oracle
-# ----------------------------------------------------------------------------------------------------------------
 
 
 SOURCES = {
@@ -64,10 +64,22 @@ def _expected(name, source, sides, size, weights):
     )
 
 
-@pytest.mark.parametrize(("name", "source", "sides", "size"), [
-    ("fractal", "uniform", "open", 9), ("walls", "overcast", "periodic", 9), ("spikes", "any function", "dark", 5), ("masked", "uniform", "open", 7), ("masked", "window", "dark", 9),
-    ("terrain", "window", "open", 9), ("plateaus", "spotlight", "open", 9), ("noise", "spotlight", "dark", 7), ("row", "overcast", "periodic", 3), ("tiny", "uniform", "dark", 9), ("one", "overcast", "open", 3),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("name", "source", "sides", "size"),
+    [
+        ("fractal", "uniform", "open", 9),
+        ("walls", "overcast", "periodic", 9),
+        ("spikes", "any function", "dark", 5),
+        ("masked", "uniform", "open", 7),
+        ("masked", "window", "dark", 9),
+        ("terrain", "window", "open", 9),
+        ("plateaus", "spotlight", "open", 9),
+        ("noise", "spotlight", "dark", 7),
+        ("row", "overcast", "periodic", 3),
+        ("tiny", "uniform", "dark", 9),
+        ("one", "overcast", "open", 3),
+    ],
+)
 @pytest.mark.parametrize("weights", ["moment", "printed"])
 def test_radiance_agrees_with_the_oracle(backend, name, source, sides, size, weights):
     """Eq. 3 in float32 against float64, to 1e-5 of the value itself down to a hundredth of the brightness;
@@ -113,8 +125,7 @@ def test_printed_weights_differ(backend):
     assert np.abs(moment / np.pi - 1).max() < 1e-6 < 0.005 < np.abs(printed / np.pi - 1).min()
 
 
-# -- closed forms (MODEL.md, section 4)
-# ----------------------------------------------------------------------------------------
+# -- closed forms (docs/model.md)
 
 
 @pytest.mark.parametrize("size", [3, 5, 9, 17, 33])
@@ -241,11 +252,10 @@ def test_the_penumbra_has_the_width_of_similar_triangles(backend):
 
 
 # -- what goes wrong, by name
-# --------------------------------------------------------------------------------------------------
 
 
 def test_longer_strides_leak_light_and_filling_stops_it(fast):
-    """MODEL.md 3.3: on rough ground the paper's step gets worse from M = 9 on, since it jumps over ridges;
+    """docs/model.md: on rough ground the paper's step gets worse from M = 9 on, since it jumps over ridges;
     filled, the error falls.
     """
     scene = sl.Scene(scenes.rough(96, 96, 1.0, 2, 1.4))
@@ -309,7 +319,6 @@ def test_a_directed_lamp_moves_the_maximum_towards_the_centre(backend):
 
 
 # -- brightness, albedo, plan
-# --------------------------------------------------------------------------------------------------
 
 
 UNIT = np.array([[0, 0, -1], [1, 0, 0], [0, 1, 0], [-0.6, 0, -0.8], [0, -0.8, -0.6]])
