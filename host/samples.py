@@ -312,8 +312,9 @@ class Samples:
             )
         if sky is not None:
             return total + sum(self.sectors(*sun.sectors(120)) for sun in sky.suns)
-        assert isinstance(source.brightness, (int, float)), "channels are rendered one by one"
-        return total * float(source.brightness)
+        brightness = source.brightness
+        assert not isinstance(brightness, tuple) and not callable(brightness), "of one channel"
+        return total * float(brightness)
 
     def turn(self, solid: Ball | Quad) -> np.ndarray:
         """Share of the circle of azimuths that a source spans, as the kernels compute it: (nodes,)."""
@@ -579,9 +580,8 @@ def _quad(samples: Samples, quad: Quad, count: int) -> tuple[np.ndarray, ...]:
 def _outline(samples: Samples, quad: Quad) -> tuple[np.ndarray, ...]:
     """(corners, within, base, edges, widths) of a quadrangle from every node.
 
-    Corners (4, 3, nodes); whether the zenith lies within (nodes,); of the sectors between the corners'
-    azimuths, the reference azimuth (nodes,), and from it where they begin (4, nodes), and their widths (4,
-    nodes).
+    Corners (4, 3, nodes); whether the zenith lies within (nodes,). Of the sectors between the corners'
+    azimuths: the reference azimuth (nodes,), from it where they begin, and their widths, (4, nodes) each.
     """
     to = np.asarray(quad.corners, float)[:, :, None] - np.stack([samples.x, samples.y, samples.own]).astype(
         float

@@ -28,8 +28,7 @@ class Sliced(LightMethod):
     ``rays``: the brightness is the mean along so many rays from every node to the lamp; else its integral
     along the chord of each slice, and the small bright parts of what is visible through a window have
     azimuths of their own. The slices of a ball are two images that share none; refining puts as many slices
-    between them. Those of a quadrangle are at Gauss-Legendre nodes, so that rules of different size share
-    none.
+    between them. Those of a quadrangle are Gauss-Legendre nodes: rules of different size share none.
     """
 
     def __init__(

@@ -30,8 +30,7 @@ class Horizons(LightMethod):
     repeat.
 
     Each of the two images has half of the azimuths, every other one, and all light. The light above the
-    tangent planes alone is a control variate: its exact value is added, and its estimate by these azimuths
-    subtracted.
+    tangent planes alone is a control variate: its value by these azimuths is replaced by the exact one.
     """
 
     def __init__(

@@ -62,8 +62,9 @@ def brightness_of(source: Source, side: int = SIDE) -> float | np.ndarray:
 
 def _number(source: Source) -> float:
     """A brightness that is no function."""
-    assert isinstance(source.brightness, (int, float)), "channels are rendered one by one"
-    return float(source.brightness)
+    brightness = source.brightness
+    assert not isinstance(brightness, tuple) and not callable(brightness), "channels are rendered one by one"
+    return float(brightness)
 
 
 def blurred(source: Source, spread: float) -> tuple[float | np.ndarray, np.ndarray, np.ndarray]:
@@ -211,15 +212,16 @@ class Slices:
 
     def _upload_tables(self, brightness: float | np.ndarray, shift: float) -> None:
         backend, lobe = self.backend, self.lobe
-        varies = isinstance(brightness, np.ndarray)
-        self.unit = 1.0 if isinstance(brightness, np.ndarray) else float(brightness)
+        values = np.asarray(brightness)
+        varies = values.ndim > 0
+        self.unit = 1.0 if varies else float(values)
         sky: Any = [[1.0, 1.0]] * 2  # a lobe weights a brightness, if only 1
         chords = np.zeros((1, 1, 2))
         self.side, self.turns, self.knots = 2, 0, 0
-        if isinstance(brightness, np.ndarray) and lobe is not None:
-            sky, self.side = brightness, len(brightness)
-        elif isinstance(brightness, np.ndarray):
-            chords, (self.turns, self.knots, _) = brightness, brightness.shape
+        if varies and lobe is not None:
+            sky, self.side = values, len(values)
+        elif varies:
+            chords, (self.turns, self.knots, _) = values, values.shape
         self.sky = backend.upload(np.asarray(sky, np.float32))
         self.n_points = (LOBE_VARIES if varies else LOBE_POINTS) if lobe is not None else 0
         self.points = backend.upload(_on_unit(max(self.n_points, 1)))

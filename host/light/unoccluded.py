@@ -99,8 +99,7 @@ def above_plane(gx: Values, gy: Values, x: Values, y: Values, z: Values, sine: V
     """Whether the tangent plane of a surface of slope (gx, gy) hides no part of a disc.
 
     The disc is round the direction (x, y, z), z upwards, and ``sine`` is that of its angular radius. Where
-    this holds at all nodes, the ground occludes the disc at none: a ray to it leaves the ground and does not
-    return.
+    this holds at all nodes, the ground occludes the disc at none: no ray to it meets ground again.
     """
     clear: np.ndarray = gx * x + gy * y + z >= sine * np.sqrt(1 + gx * gx + gy * gy)
     return clear

@@ -25,8 +25,7 @@ COARSE_ROWS, COARSE_COLS = 180, 576  # the same where narrow features are named:
 # of a cell: every row starts so much farther on, so that no border in azimuth runs along cells
 GOLDEN = 0.6180339887498949
 PLACES = 0.7548776662466927, 0.5698402909980532  # steps of a low-discrepancy sequence in two dimensions
-# second difference over the brightness from which a cell is not smooth; chosen above the 0.006 of a spot of
-# cos^900
+# second difference over the brightness from which a cell is not smooth; chosen above the 0.006 of cos^900
 ROUGH = 0.05
 # of all light: a cell with a larger second difference is divided. Level ground under ten suns is then 2e-5 to
 # 7e-5 off (tests/test_brightness.py)
