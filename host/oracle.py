@@ -57,8 +57,7 @@ def meets_source(
     sides: str,
     source: Geometry,
 ) -> np.ndarray:
-    """Whether rays from nodes (x, y, n), which leave the volume along ``step`` without meeting ground, meet
-    the source.
+    """Whether rays from nodes (x, y, n) that leave the volume along ``step`` unblocked meet the source.
 
     x, y, n: integer arrays; step (i, j, -k). The crossing with z = 0 is compared multiplied out by k, never
     divided.
@@ -131,8 +130,7 @@ def propagate(
     layers: int,
     free: Callable[[int], np.ndarray] | None = None,
 ) -> Iterator[tuple[int, np.ndarray]]:
-    """The forward algorithm: yields (n, V) for n = 0 .. layers - 1, V (D, rows, cols) bool, the visibility
-    field.
+    """The forward algorithm: yields (n, V), V (D, rows, cols) bool the visibility field, n = 0 .. layers - 1.
 
     ``surface``: (rows, cols) int, the depth z in layers, -1 where masked. ``free(n)`` replaces the test n <=
     z for carving, where free space F* grows while the layers go down; it is asked once per layer, in order.
@@ -228,9 +226,7 @@ def _in_layer(
 
 
 def surface_visibility(surface: np.ndarray, steps: np.ndarray, sides: str, source: Geometry) -> np.ndarray:
-    """V(x) at the surface's own nodes: (rows, cols, D) bool, by propagation through all layers down to the
-    deepest.
-    """
+    """V(x) at the surface's own nodes, (rows, cols, D) bool, by propagation down to the deepest of them."""
     out = np.zeros((*surface.shape, len(steps)), bool)
     for n, visible in propagate(surface, steps, sides, source, int(surface.max()) + 1):
         here = surface == n
@@ -239,8 +235,7 @@ def surface_visibility(surface: np.ndarray, steps: np.ndarray, sides: str, sourc
 
 
 def filled_visibility(depth: np.ndarray, spacing: float, steps: np.ndarray, sides: str) -> np.ndarray:
-    """Surface visibility under a sky, testing every crossing with a grid line: (rows, cols, D) bool, by brute
-    force.
+    """Surface visibility under a sky by brute force, every crossing with a grid line: (rows, cols, D) bool.
 
     Along each direction every crossing of the ray's vertical plane with a row or a column is compared, until
     the map ends; heights between nodes are linear. Multiplied out, so that whole numbers are compared
@@ -298,8 +293,7 @@ def filled_visibility(depth: np.ndarray, spacing: float, steps: np.ndarray, side
 def luminance(
     visible: np.ndarray, normal: np.ndarray, brightness: np.ndarray, moments: np.ndarray
 ) -> np.ndarray:
-    """Irradiance of Eq. 3: sum over visible L of B(L) max(0, N . w_L), in float64; radiance is rho / pi times
-    it.
+    """Irradiance of Eq. 3, float64: sum over visible L of B(L) max(0, N . w_L); radiance: rho / pi times it.
 
     visible (rows, cols, D) bool; normal (rows, cols, 3); brightness (D,); moments (D, 3), L dL for the
     printed form.
@@ -319,8 +313,7 @@ def carve(
     layers: int,
     stop: str = "eps",
 ) -> np.ndarray:
-    """The inverse algorithm: depth in layers (rows, cols) int64; ``layers`` where a column was drilled
-    through.
+    """The inverse algorithm: depth in layers (rows, cols) int64, ``layers`` where it was drilled through.
 
     ``weights`` (D,) int: rho B dOmega / (2 pi) of Eq. 4; ``low``, ``high`` (rows, cols) int: image - eps,
     image + eps, all in one unit. stop "eps": at the first layer with low <= B <= high. "sign": at the first
@@ -386,8 +379,7 @@ def horizons(
     max_distance: float | None = None,
     nodes: Node | None = None,
 ) -> np.ndarray:
-    """Raw tangent of the horizon's elevation by brute force: (azimuths, rows, cols), or (azimuths, n) at
-    ``nodes``.
+    """Tangent of the horizon's elevation by brute force: (azimuths, rows, cols), or (azimuths, n) at nodes.
 
     depth (rows, cols) [length], not finite where masked; ``azimuths`` [rad] from +x (columns) towards +y
     (rows); ``nodes``: (row indices, column indices). Every crossing of the azimuth's vertical plane with a
@@ -487,8 +479,7 @@ def unblocked(
     ends: np.ndarray,
     sides: str = "open",
 ) -> np.ndarray:
-    """Whether rays from node (row, col) along unit vectors (n, 3) meet no ground before ``ends`` (n,)
-    [length]: (n,) bool.
+    """Whether rays from node (row, col) along unit vectors (n, 3) meet no ground before ``ends``: (n,) bool.
 
     Every crossing with a column and with a row is looked at; blocked where the ground is strictly higher than
     the ray.
@@ -524,8 +515,7 @@ def lamp_irradiance(
     seed: int = 0,
     sides: str = "open",
 ) -> np.ndarray:
-    """Irradiance of a lamp at ``nodes`` (row indices, column indices) by stratified shadow rays: (n,)
-    float64.
+    """Irradiance of a lamp at ``nodes`` (rows, columns) by stratified shadow rays: (n,) float64.
 
     ``lamp``: a sphere, anything with center, radius [length] and brightness, whose rays are uniform in the
     cone in which it is seen; or a rectangle (corner, edge_u, edge_v, brightness), its edges at right angles,
@@ -567,8 +557,7 @@ def window_irradiance(
     seed: int = 0,
     sides: str = "open",
 ) -> np.ndarray:
-    """Irradiance at ``nodes`` of the sky behind a rectangle in z = 0, by stratified shadow rays: (n,)
-    float64.
+    """Irradiance at ``nodes`` of the sky behind a rectangle in z = 0, by shadow rays: (n,) float64.
 
     ``window``: anything with x = (x0, x1), y = (y0, y1) [length] and brightness. Over a map that repeats so
     does the window.

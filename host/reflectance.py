@@ -43,8 +43,10 @@ class Lambertian:
 
 @dataclass(frozen=True, eq=False)
 class Phong:
-    """Lambertian and a lobe about the mirror direction: L = albedo E / pi + specular (n + 2) / (2 pi) x the
-    integral of B cos^n(angle to the mirror direction) cos(theta_i) domega.
+    """Lambertian and a lobe about the mirror direction.
+
+    L = albedo E / pi + specular (n + 2) / (2 pi) x the integral of B cos^n(angle to the mirror direction)
+    cos(theta_i) domega.
 
     Parameters
     ----------
@@ -85,9 +87,7 @@ class Phong:
         return float(1 / np.sqrt(self.exponent + 1))
 
     def rim(self, lost: float) -> float:
-        """1 - cosine of the angle from the mirror direction within which all but a share ``lost`` of the
-        lobe's light lies.
-        """
+        """1 - cosine of the angle from the mirror direction that holds all but a share ``lost`` of light."""
         return float(1 - lost ** (1 / (self.exponent + 1)))
 
     def table(self, rim: float) -> np.ndarray:
@@ -105,8 +105,9 @@ class Phong:
 
 @dataclass(frozen=True, eq=False)
 class Mirror:
-    """Ideal mirror: a pixel shows ``specular`` x the radiance along its mirror direction, if nothing stands
-    there; and a Lambertian part.
+    """Ideal mirror: a pixel shows ``specular`` x the radiance along its mirror direction.
+
+    It shows none where something is in the way, and a Lambertian part besides.
 
     Its f is no function but a delta; as a mapping of rays it is reciprocal, and bounded for albedo + specular
     <= 1.
@@ -191,8 +192,9 @@ Reflectance = Lambertian | Phong | Mirror | BRDF
 
 
 def grooves(white: float = 0.9, black: float = 0.0, steepness: float = 45.0) -> BRDF:
-    """The notes' example of a reflectance that varies sharply: fine triangular grooves along y, white on one
-    face and black on the other.
+    """The notes' example of a reflectance that varies sharply: fine triangular grooves along y.
+
+    Their faces are white on one side and black on the other.
 
     The white faces look towards -x and the black ones towards +x, each ``steepness`` [degrees] from level and
     Lambertian with the given albedo; light that goes from face to face is left out. A face is lit, and seen,

@@ -39,9 +39,7 @@ class WithDlpack:
 
 
 class OnGpu:
-    """What PyTorch and CuPy do for a GPU's array: numpy is refused, Warp gets the memory. The memory here is
-    the CPU's.
-    """
+    """As PyTorch and CuPy do for a GPU's array, numpy is refused and Warp gets the memory, here the CPU's."""
 
     def __init__(self, values):
         self.values = values
@@ -158,9 +156,7 @@ def test_what_is_no_array():
 
 @pytest.fixture
 def labelled():
-    """A DEM as rioxarray reads one: dimensions y and x, coordinates, one that is no dimension, attributes, a
-    name.
-    """
+    """A DEM as rioxarray reads one: dimensions y and x, coordinates, attributes, a name."""
     xarray = pytest.importorskip("xarray")
     return xarray.DataArray(
         100 - DEPTH,
@@ -278,9 +274,7 @@ def test_a_map_on_the_device_stays_there(other, sides, stays):
 @pytest.mark.gpu
 @pytest.mark.parametrize("library", ["cupy", "torch", "warp"])
 def test_a_map_on_a_gpu_stays_there(library, stays):
-    """As the last, with a map that another library made on cuda:0: on its own stream, float32; another type
-    comes by the host.
-    """
+    """As the last, with a map on cuda:0 of another library, on its own stream; other types go by the host."""
     name = "warp:cuda:0"
     if missing := {info.name: info.why for info in sl.backends() if not info.available}.get(name):
         pytest.skip(f"{name}: {missing}")

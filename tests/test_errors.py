@@ -1,6 +1,4 @@
-"""Bad input at the door: one clear error each, that says what was got and what is allowed; and what importing
-skylamp does not do.
-"""
+"""Bad input: one clear error each that says what was got and what is allowed; what an import does not do."""
 
 import os
 import subprocess
@@ -321,9 +319,7 @@ def test_a_backend_that_is_no_name_is_an_error(name):
 
 
 def test_a_backend_that_is_not_here_says_why():
-    """A GPU that is missing is named with the reason, and every entry of backends() that is not available has
-    one.
-    """
+    """A missing GPU is named with the reason, as is every entry of backends() that is not available."""
     for info in sl.backends():
         assert info.available != bool(info.why)
         if not info.available:

@@ -33,9 +33,7 @@ def test_a_flat_plane_sees_every_direction(sides):
 
 
 def test_the_shadow_of_a_wall_one_node_wide():
-    """Floor at depth 4, wall at column 6 up to z = 0, step (1, 0, -1): the ray from column x is at depth 4 -
-    (6 - x) over the wall, so it is blocked while 6 - x < 4; at 6 - x = 4 it touches the edge and is lit.
-    """
+    """Floor at 4, wall up to 0 at column 6, step (1, 0, -1): column x is blocked while 6 - x < 4."""
     depth = np.full((3, 12), 4)
     depth[:, 6] = 0
     lit = visible(depth)
@@ -73,9 +71,7 @@ def test_level_rays_run_in_order_from_the_source():
 
 
 def test_the_corner_of_a_dark_box():
-    """Dark: lit iff -k <= 2 (x k + i n) < (2 cols - 1) k, in both axes; the low wall belongs to the box and
-    the high does not.
-    """
+    """Dark: lit iff -k <= 2 (x k + i n) < (2 cols - 1) k, in both axes; the low wall belongs to the box."""
     for depth in (1, 2, 3):
         lit = visible(np.full((4, 6), depth), 5, "dark")
         for (i, j, k), got in lit.items():
@@ -118,9 +114,7 @@ def test_a_window_over_a_periodic_map_repeats():
 
 
 def test_an_aperture_takes_the_nearest_node():
-    """floor(x + 1/2) of the crossing: at exactly half way the higher node counts; off the map nothing is
-    open.
-    """
+    """floor(x + 1/2) of the crossing: half way the higher node counts; off the map nothing is open."""
     flags = np.array([[[1, 0, 0, 1, 1]]], np.uint8)
     lit = visible(np.full((1, 5), 1), 5, "open", Geometry(APERTURE, np.zeros(4), flags))
     assert lit[1, 0, 2][0].tolist() == [False, False, True, True, False]  # x + 1/2 -> x + 1
@@ -129,9 +123,7 @@ def test_an_aperture_takes_the_nearest_node():
 
 
 def test_level_rays_of_a_periodic_map_follow_their_cycle():
-    """Lit iff no node of the cycle is higher: on a 4 x 6 torus a diagonal meets every second node, and so not
-    every wall.
-    """
+    """Lit iff no node of the cycle is higher: on a 4 x 6 torus a diagonal meets every second node."""
     depth = np.full((4, 6), 2)
     depth[1, 2] = 1
     lit = visible(depth, 3, "periodic")
@@ -143,9 +135,7 @@ def test_level_rays_of_a_periodic_map_follow_their_cycle():
 
 
 def test_a_periodic_ray_climbs_past_the_edge():
-    """What stands on the left edge shades the right one: the ray from column 6 meets the wall of column 0 as
-    column 7.
-    """
+    """The left edge shades the right one: the ray from column 6 meets the wall of column 0 as column 7."""
     depth = np.full((1, 7), 3)
     depth[0, 0] = 0
     assert visible(depth, 3, "periodic")[1, 0, 1][0].tolist() == [True, True, True, True, True, False, False]
@@ -185,9 +175,7 @@ def _free_segment(depth, x, y, step, end):
     "lamp", [(5, 4, -6, 3), (3, 3, 1, 1.5), (6.25, 2.5, 0.5, 1.25), (-4, 3, 0, 2), (4, 4, 3, 2)], ids=str
 )
 def test_a_ball_is_seen_where_the_ray_meets_it_first(lamp):
-    """Ray and ball by the distance of the centre from the ray, then a walk to the near side; independent of
-    propagation.
-    """
+    """Ray and ball by the distance of the centre from the ray, then a walk to the near side."""
     depth = np.random.default_rng(6).integers(2, 6, (8, 10))
     depth[4, 4] = 3
     centre, radius = np.array(lamp[:3], float), lamp[3]
@@ -228,9 +216,7 @@ def test_ground_behind_a_lamp_does_not_hide_it():
 
 
 def test_a_lamp_outside_a_dark_box_is_seen_through_its_opening_only():
-    """A ball behind the viewer's plane, wide of the map: open sides see it, a box only where the ray leaves
-    through z = 0.
-    """
+    """A ball behind z = 0, off the map: open sides see it, a box only where rays leave through z = 0."""
     depth = np.full((1, 9), 2)
     lamp = ball(12, 0, -4, 0.5)  # on the ray (1, 0, -1) from column 6: 6 steps of 1 up
     assert visible(depth, 3, "open", lamp)[1, 0, 1][0].tolist() == [x == 6 for x in range(9)]
@@ -341,9 +327,7 @@ def test_gradient_by_hand():
 
 
 def _carve_row(low, high, stop="eps", layers=6):
-    """A row under light from straight above and from both sides at 45 degrees, weights 1, 2 and 4, dark
-    sides.
-    """
+    """A row under light from above and from both sides at 45 degrees, weights 1, 2 and 4, dark sides."""
     steps = np.array([[-1, 0, -1], [0, 0, -1], [1, 0, -1]])
     return oracle.carve(
         np.array([low]), np.array([high]), np.array([2, 1, 4]), steps, "dark", OPEN_SKY, layers, stop
@@ -377,8 +361,7 @@ def test_carving_a_trench_by_hand():
 
 
 def test_carving_a_box_by_hand():
-    """All five ask to go down: the walls of the box shade the outer columns first, and what was carved is
-    free for the rest.
+    """All five ask to go down: walls shade the outer columns first; what was carved is free for the rest.
 
     At depth n the ray (1, 0, -1) leaves the box from columns x + n < 4.5: at n = 1 column 4 loses weight 4
     and column 0 weight 2; at n = 2 columns 3 and 4 lose 4, columns 0 and 1 lose 2.

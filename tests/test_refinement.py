@@ -1,6 +1,4 @@
-"""The loop: promises kept on scenes and skies of every kind, what is flat is not swept, refinements, the
-error map, the same bytes, and every warning.
-"""
+"""The loop of refinement: promises kept, closed forms, refinements, the error map, every warning."""
 
 import json
 import os
@@ -197,9 +195,7 @@ def test_a_tighter_tolerance_or_tail_takes_more(fast):
 
 @pytest.mark.parametrize("elevation", [12, 70, 89.9])
 def test_a_sun_of_its_real_size_brings_all_its_light(fast, elevation):
-    """On open level ground, also near the zenith, where no azimuth stands out; among houses see
-    tests/test_slices.py.
-    """
+    """On open level ground, also near the zenith, where no azimuth stands out (houses: test_slices.py)."""
     e, r = np.radians((elevation, 0.2665))
     axis = np.array([np.cos(e) * np.cos(1.0), np.cos(e) * np.sin(1.0), -np.sin(e)])
     sun = sl.Sky(lambda L: 1 + 2e4 * (L @ axis >= np.cos(r)))
@@ -295,9 +291,7 @@ def test_a_spotlight_over_holes_has_a_closed_form(fast):
 
 
 def test_a_spike_on_a_plain_is_not_overlooked(fast):
-    """Ground that is flat but for one tall node in each quarter is not taken for flat under a lamp at its
-    side.
-    """
+    """Flat ground with one tall node in each quarter is not taken for flat under a lamp at its side."""
     depth = np.full((SIZE, SIZE), 30.0)
     depth[18::36, 18::36] = 0
     assert sl.plan(sl.Scene(depth), sl.Lamp((-40, 36, 5), 3), backend=fast).method == "horizon"
@@ -315,9 +309,7 @@ def test_a_trench_in_a_plain_is_not_overlooked(fast):
 
 
 def test_a_bowl_in_a_plain_needs_no_sweep(fast, launched):
-    """It hides what the tolerance allows, which few samples would not know: closed forms, and within
-    tolerance over all of the map.
-    """
+    """It hides what the tolerance allows: closed forms are taken, and are within tolerance over all nodes."""
     y, x = np.mgrid[:600, :600]
     scene = sl.Scene(20 - np.minimum(20, 0.02 * np.hypot(x - 300, y - 300) ** 2))
     out = sl.render(scene, sl.Sky(), tolerance=0.03, backend=fast, quantity="irradiance")
@@ -329,9 +321,7 @@ def test_a_bowl_in_a_plain_needs_no_sweep(fast, launched):
 
 
 def test_unoccluded_closed_forms(fast):
-    """Asked for by name: a tilted plane's view factor, Lambert's polygon, and balls that the tangent plane
-    cuts.
-    """
+    """Asked for by name: a tilted plane's view factor, Lambert's polygon, balls cut by the tangent plane."""
     tilted = sl.render(SCENES["ramp"], sl.Sky(2.0), "unoccluded", quantity="irradiance", backend=fast).image
     np.testing.assert_allclose(tilted, np.pi * (1 + 1 / np.sqrt(1.45)), rtol=1e-5)
     by_table = sl.render(
@@ -844,9 +834,7 @@ def test_maps_of_every_kind_keep_the_tolerance(fast, name, source):
 
 
 def test_brightness_is_looked_at(fast):
-    """A sky that hardly varies is a number; one that does has a table per azimuth; suns have azimuths of
-    their own, more where the tolerance is tight, on a map that repeats too.
-    """
+    """A sky that hardly varies is a number, else a table per azimuth; suns have their own azimuths."""
     line = lambda name, sky, t, what: next(
         (c.taken for c in sl.plan(SCENES[name], sky, t, fast).choices if c.what == what), ""
     )
@@ -904,9 +892,7 @@ def test_what_a_scene_needs_beyond_the_model(fast, scene, source, says):
 
 
 def test_the_light_between_surfaces_bounds_what_a_bowl_adds(fast):
-    """In a bowl of rim angle a every point sees sky by (1 + cos a) / 2, and all bounces add E rho (1 - f) /
-    (1 - rho (1 - f)) exactly.
-    """
+    """In a bowl of rim angle a, bounces add E rho (1 - f) / (1 - rho (1 - f)) with f = (1 + cos a) / 2."""
     radius, rim = 150.0, np.radians(50)
     size = 2 * int(radius * np.sin(rim)) + 9
     y, x = np.mgrid[:size, :size] - size // 2
@@ -926,9 +912,7 @@ def test_the_light_between_surfaces_bounds_what_a_bowl_adds(fast):
 
 
 def test_what_the_lattice_must_do_is_planned_too(fast):
-    """A window as an aperture, a window over a map that repeats, a lamp as a volume: hemicubes, measured
-    where there is a reference.
-    """
+    """An aperture, a window over a map that repeats, a volume: hemicubes, measured where possible."""
     aperture = np.zeros((SIZE, SIZE), bool)
     aperture[10:50, 20:60] = True
     made = sl.plan(SCENES["rough"], sl.Window(aperture=aperture), 0.05, fast)
@@ -969,9 +953,7 @@ def test_bad_input_is_named(call, says):
 
 
 def test_the_command_line_prints_plans(fast, tmp_path):
-    """A table with reasons, or one JSON object; the tolerance as a share or in percent; a bad one is a usage
-    error.
-    """
+    """A table with reasons, or one JSON object; a tolerance as a share or in percent; else a usage error."""
     from typer.testing import CliRunner
 
     from skylamp.app.cli import app

@@ -1,6 +1,4 @@
-"""Reflectance: energy, reciprocity, colour, lobes, mirrors and any BRDF, against closed forms, the oracle and
-each other.
-"""
+"""Reflectance: energy, reciprocity, colour, lobes, mirrors and BRDFs, against closed forms and the oracle."""
 
 import numpy as np
 import pytest
@@ -59,9 +57,7 @@ def launches(monkeypatch, name, work):
 
 @pytest.mark.parametrize("exponent", [0, 0.5, 1, 4, 20, 150])
 def test_phong_gives_no_more_than_it_gets(exponent):
-    """Its directional-hemispheric reflectance is albedo + specular along the normal, and less than that from
-    elsewhere.
-    """
+    """Its directional-hemispheric reflectance is albedo + specular along the normal, elsewhere less."""
     incoming = np.array([[np.sin(t), 0, np.cos(t)] for t in np.radians([0, 20, 40, 60, 75, 88])])
     found = directional_hemispheric(sl.Phong(0.3, 0.7, exponent).brdf, incoming, 512, 256)
     assert abs(found[0] - 1) < 1e-3 and (found <= 1 + 1e-3).all() and found[-1] < 0.9
@@ -89,9 +85,7 @@ def test_what_is_not_reciprocal_is_said():
 
 
 def test_the_printed_formula_gives_more_than_it_gets():
-    """rho_d E without 1 / pi: a white surface under a uniform sky of radiance 1, where E = pi, would shine at
-    pi.
-    """
+    """rho_d E without 1 / pi: a white surface under a uniform sky of radiance 1, E = pi, would show pi."""
     assert phong_printed(np.pi, 0.0, 0.0, albedo=1.0) == pytest.approx(np.pi)
     assert phong_printed(0.0, 2.0, np.radians(60), specular=0.5, exponent=3) == pytest.approx(0.5 * 2 / 8)
 
@@ -151,9 +145,7 @@ def test_a_map_is_bounded_where_it_is_valid_alone():
 
 
 def test_grooves_against_points_on_their_faces():
-    """Each point of a groove's profile lit and seen by brute force, and where the notes say that they are
-    bright and dark.
-    """
+    """Each point of a groove's profile lit and seen by brute force, bright and dark where the notes say."""
     steepness, white = 50, 0.9
     rise = np.tan(np.radians(steepness))
     x = (np.arange(4000) + 0.5) / 2000 - 1
@@ -199,9 +191,7 @@ def test_white_furnace(backend, exponent):
 
 
 def test_the_lattice_gives_no_more_than_it_gets(backend):
-    """Where a lobe is far narrower than the directions stand apart, one direction would count up to 38 times
-    its share.
-    """
+    """Where a lobe is far narrower than the directions' spacing, one would count up to 38 times its share."""
     y, x = np.mgrid[:40, :40]
     bowl = 30 - 0.012 * ((x - 20) ** 2 + (y - 20) ** 2)  # tilts up to 0.5 either way
     for exponent, hemicube in ((1000, 5), (200, 9), (15, 5)):
@@ -234,9 +224,7 @@ def test_white_furnace_of_the_rest(fast):
 
 
 def test_the_oracle_of_lobes():
-    """(n + 2) / (n + k + 2) for a level plane under cos^k of the zenith angle; half of it for one at 45
-    degrees, whose lobe is half set.
-    """
+    """(n + 2) / (n + k + 2) on a level plane under cos^k of the zenith angle; half of it at 45 degrees."""
     level = np.full((5, 5), 2.0)
     for n, k in ((0, 0), (6, 0), (6, 3), (200, 1)):
         sky = sl.Sky(lambda L, k=k: np.maximum(0, -L[..., 2]) ** k)
@@ -340,9 +328,7 @@ def test_the_highlight_of_a_sphere(fast, x, y, z):
 
 
 def test_the_sun_in_a_lobe(fast):
-    """A sun half a degree wide is not missed between directions: radiance B Omega (n + 2) / (2 pi) cos^n cos,
-    to 5 % up to three half widths away.
-    """
+    """A sun half a degree wide gives B Omega (n + 2) / (2 pi) cos^n cos, to 5 % within three half widths."""
     sun, half = np.array([0.5, -0.3, -0.9]) / np.linalg.norm([0.5, -0.3, -0.9]), np.radians(0.27)
     sky = sl.Sky(lambda L: 1e4 * (L @ sun > np.cos(half)))
     y, x = np.mgrid[:12, :14]
@@ -578,9 +564,7 @@ def test_mirrors_on_rough_ground(fast):
 
 
 def test_mirrors_see_lamps_and_windows(fast):
-    """A level mirror looks straight up: a window stands where it is, half open, and a lamp is a disc; a wall
-    hides what is behind it.
-    """
+    """A level mirror shows a window where it is, half open, and a lamp as a disc; walls hide them."""
     depth = np.full((20, 24), 6.0)
     y, x = np.mgrid[:20, :24]
     scene = sl.Scene(depth, reflectance=sl.Mirror(0.5))
@@ -619,9 +603,7 @@ def test_mirrors_see_lamps_and_windows(fast):
     "source", [sl.Sky(2.0), sl.Sky(clear), LAMP, WINDOW], ids=["sky", "clear sky", "lamp", "window"]
 )
 def test_phong_given_as_a_function(fast, source):
-    """The host's sum over rays and the kernels' sum over slices are two roads to one image; on the lattice as
-    well.
-    """
+    """The host's sum over rays and the kernels' sum over slices give one image; on the lattice as well."""
     surface = sl.Phong(0.3, 0.6, 6)
     for sides in ("open", "dark"):
         for options, within in (
@@ -639,9 +621,7 @@ def test_phong_given_as_a_function(fast, source):
 
 
 def test_grooves_turn_with_the_light(fast):
-    """A level plane of grooves is bright where the lamp stands before the white faces, dark on the other
-    side; in its own frame x is along columns.
-    """
+    """A level plane of grooves is bright where the lamp lights the white faces, dark on the other side."""
     scene = sl.Scene(np.full((6, 7), 5.0), reflectance=sl.grooves(0.9, 0.0, 45))
     left, right, across = (
         sl.render(scene, sl.Lamp(center=c, radius=4), backend=fast, method="horizon").image[3, 3]

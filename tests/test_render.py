@@ -1,6 +1,4 @@
-"""render(): every backend against the float64 oracle, the lattice against closed forms, and what is known to
-go wrong, by name.
-"""
+"""render(): every backend against the oracle, the lattice against closed forms, and its known errors."""
 
 import functools
 
@@ -82,9 +80,7 @@ def _expected(name, source, sides, size, weights):
 )
 @pytest.mark.parametrize("weights", ["moment", "printed"])
 def test_radiance_agrees_with_the_oracle(backend, name, source, sides, size, weights):
-    """Eq. 3 in float32 against float64, to 1e-5 of the value itself down to a hundredth of the brightness;
-    masked pixels are NaN.
-    """
+    """Eq. 3 in float32 against float64, to 1e-5 of the value down to 0.01 of the brightness; masked: NaN."""
     light, valid = _expected(name, source, sides, size, weights)
     rho = np.linspace(0.1, 1, light.size).reshape(light.shape)
     depth, mask = scenes.whole_layers(name)
@@ -102,9 +98,7 @@ def test_radiance_agrees_with_the_oracle(backend, name, source, sides, size, wei
 
 
 def test_spacing_scales_slopes_not_light(backend):
-    """A relief in metres, 30 to the layer, and one between layers: normals from depth / spacing, visibility
-    in metres.
-    """
+    """A relief in metres, 30 to the layer, and one between layers: lengths in metres change nothing."""
     depth = np.random.default_rng(9).uniform(0, 90, (12, 15)).astype(np.float32)
     cube = sl.Hemicube(5)
     scene = sl.Scene(depth, 30.0)
@@ -140,9 +134,7 @@ def test_a_level_plane_gets_the_whole_sky_at_every_size(backend, size, filled, s
 
 @pytest.mark.parametrize("slope", [(1, 0), (0.5, -0.25), (-2, 1)], ids=str)
 def test_a_tilted_plane_converges_to_its_view_factor(backend, slope):
-    """E = pi B (1 + cos a) / 2; only the cells that the tangent plane cuts are in error, so it falls as 1 /
-    M^2.
-    """
+    """E = pi B (1 + cos a) / 2; the error, of cells that the tangent plane cuts, falls as 1 / M^2."""
     y, x = np.mgrid[:5, :7]
     z = slope[0] * x + slope[1] * y
     wanted = np.pi * (1 + 1 / np.sqrt(1 + slope[0] ** 2 + slope[1] ** 2)) / 2
@@ -226,10 +218,9 @@ def test_a_sphere_converges_to_its_closed_form(fast):
 
 
 def test_the_penumbra_has_the_width_of_similar_triangles(backend):
-    """A floor at depth 24, an edge at column 40 and depth 12, a window of x = 44 to 56 above the far side:
-    all of it is seen from x <= 24, nothing from x > 36, and from between the part beyond the edge's shadow, X
-    <= x + 2 (40 - x).
-    """
+    """A window behind an edge is seen whole from x <= 24, in part up to x = 36, and not beyond."""
+    # floor at depth 24, edge at column 40 and depth 12, window from x = 44 to 56: from between, the part
+    # beyond the edge's shadow is seen, X <= x + 2 (40 - x)
     depth = np.full((25, 60), 24.0)
     depth[:, 40:] = 12
     window = sl.Window(x=(44, 56), y=(2, 22))  # rays from row 12 to the window stay on the map
@@ -255,9 +246,7 @@ def test_the_penumbra_has_the_width_of_similar_triangles(backend):
 
 
 def test_longer_strides_leak_light_and_filling_stops_it(fast):
-    """docs/model.md: on rough ground the paper's step gets worse from M = 9 on, since it jumps over ridges;
-    filled, the error falls.
-    """
+    """docs/model.md: on rough ground the stride's error grows from M = 9 on; filled, it falls."""
     scene = sl.Scene(scenes.rough(96, 96, 1.0, 2, 1.4))
     reference = irradiance(scene, sl.Sky(), 65, fast).astype(float)
     stride, filled = (
@@ -280,9 +269,7 @@ def test_longer_strides_leak_light_and_filling_stops_it(fast):
 
 
 def test_a_lamp_between_the_directions_is_named(fast):
-    """A lamp narrower than the directions' spacing leaves pixels dark, and a warning says so; a large one
-    does not.
-    """
+    """A lamp narrower than the directions' spacing leaves pixels dark, with a warning; others do not."""
     scene = sl.Scene(np.full((24, 24), 24.0))
     small, large = (
         sl.render(scene, sl.Lamp(center=(11.5, 11.5, 0), radius=r), "lattice", backend=fast) for r in (1, 11)
@@ -294,8 +281,7 @@ def test_a_lamp_between_the_directions_is_named(fast):
 
 
 def test_a_directed_lamp_moves_the_maximum_towards_the_centre(backend):
-    """The paper's Fig. 2: a slanted plane under a sphere at the viewer; isotropic, weakly and strongly
-    directed.
+    """The paper's Fig. 2: a slanted plane under a sphere at the viewer, isotropic to strongly directed.
 
     The maxima stand where N.L (R / d)^2 cos^k, the closed form of a sphere, has them.
     """
