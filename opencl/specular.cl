@@ -1,4 +1,4 @@
-/* What a lobe about the mirror direction makes of the light from the visible directions (MODEL.md, 6).
+/* What a lobe about the mirror direction makes of the light from the visible directions (docs/model.md).
 
 specular: radiance += sum over set bits of weight x max(0, N.L) x lobe(1 - R.L), R = 2 (N.V) N - V the mirror
 direction of the viewer's V = (0, 0, -1).

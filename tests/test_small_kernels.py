@@ -54,7 +54,6 @@ def _close(got, expected):
 
 
 # -- pool
-# ----------------------------------------------------------------------------------------------------------------------
 
 
 def _pooled(heights, shift, periodic, cliff):
@@ -163,7 +162,6 @@ def test_pool_counts_a_cliff_once_and_not_round_the_map(engine):
 
 
 # -- pick
-# ----------------------------------------------------------------------------------------------------------------------
 
 
 def test_pick_takes_values_or_what_stands_for_none(engine):
@@ -177,7 +175,6 @@ def test_pick_takes_values_or_what_stands_for_none(engine):
 
 
 # -- correct
-# -------------------------------------------------------------------------------------------------------------------
 
 
 def _correct(engine, gx, gy, table, before, unit, margin=3):
@@ -217,7 +214,7 @@ def _slopes():
 
 @pytest.mark.parametrize("side", [2, 9, 32])
 def test_correct_adds_a_table_by_normal(engine, side):
-    """A table that is linear in u and v is met exactly between its elements too, up to its corners and rims."""
+    """A table that is linear in u and v is met exactly between its elements, up to its corners and rims."""
     gx, gy = _slopes()
     before = _rng(5).random(SHAPE).astype(np.float32)
     v, u = np.mgrid[:side, :side]
@@ -294,7 +291,6 @@ def test_correct_writes_into_sums_that_hold_irradiance(engine):
 
 
 # -- halves, judge
-# -------------------------------------------------------------------------------------------------------------
 
 
 def test_halves_are_mean_and_half_difference(engine):

@@ -1,4 +1,4 @@
-"""Warp and OpenCL kernels are twins, and a broken kernel makes the suite red."""
+"""Kernels in Warp, OpenCL and NumPy are triplets, and a broken kernel makes the suite red."""
 
 import importlib
 import inspect
@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 import scenes
 from compare import assert_bits_equal
-from skylamp.constants import LADDER
 
 import skylamp as sl
 import skylamp.opencl
 import skylamp.warp_kernels
+from skylamp.constants import LADDER
 
 STEMS = sorted(f.name[:-3] for f in files(skylamp.opencl).iterdir() if f.name.endswith(".cl"))
 C_TYPES = {
@@ -29,6 +29,7 @@ C_TYPES = {
     "Ladder": "int32",
 }  # vectors by their elements
 C_NAMES = {"half_": "half"}  # half is a type in OpenCL
+NOT_IN_NUMPY = {("adjoint", "solve")}  # one work-item takes all steps, which NumPy is never asked for
 CONSTANTS = {
     "BITS": (3, 4),
     "NEAR": (6, 12),
@@ -79,14 +80,13 @@ def _type(kind):
     return getattr(kind, "_wp_scalar_type_", kind).__name__, is_array
 
 
-def test_every_opencl_file_has_a_warp_twin():
-    """The same stems in both rooms."""
-    warp = sorted(
-        f.name[:-3]
-        for f in files(skylamp.warp_kernels).iterdir()
-        if f.name.endswith(".py") and not f.name.startswith("_")
+def test_every_opencl_file_has_a_warp_and_a_numpy_twin():
+    """The same stems in all three packages."""
+    warp, in_numpy = (
+        sorted(f.name[:-3] for f in files(package).iterdir() if f.name.endswith(".py") and f.name[0] != "_")
+        for package in ("skylamp.warp_kernels", "skylamp.backends.numpy")
     )
-    assert STEMS == warp and {"scan", "propagate", "luminance", "carve"} <= set(STEMS)
+    assert STEMS == warp == in_numpy and {"scan", "propagate", "luminance", "carve"} <= set(STEMS)
 
 
 @pytest.mark.parametrize("stem", STEMS)
@@ -114,6 +114,23 @@ def test_kernels_have_the_same_names_and_arguments(stem):
             for label, kind, is_buffer in arguments
         ]
         assert [(a.label, *_type(a.type)) for a in kernel.adj.args] == expected, f"{stem}.{name}"
+
+
+@pytest.mark.parametrize("stem", STEMS)
+def test_numpy_kernels_have_the_same_names_and_arguments(stem):
+    """Names and order as in OpenCL, then the constants that the Warp twin is asked for."""
+    module = importlib.import_module(f"skylamp.backends.numpy.{stem}")
+    warp_module = importlib.import_module(f"skylamp.warp_kernels.{stem}")
+    for name, arguments in _signatures(stem).items():
+        if (stem, name) in NOT_IN_NUMPY:
+            assert not hasattr(module, name)
+            continue
+        parameters = [*inspect.signature(getattr(module, name)).parameters]
+        twin = getattr(warp_module, name)
+        constants = [] if not hasattr(twin, "cache_info") else [*inspect.signature(twin).parameters]
+        expected = [label for label, _, _ in arguments]
+        assert parameters[: len(expected)] == expected, f"{stem}.{name}"
+        assert sorted(parameters[len(expected) :]) == sorted(constants), f"{stem}.{name}"
 
 
 @pytest.mark.parametrize("stem", STEMS)

@@ -12,16 +12,7 @@ def carve(BITS: int):
     """light += sum over set bits of the weights; after the last group of walks a column that is still carved
     (its depth is `layer`) stops if its light agrees with the image, or else goes one layer down.
 
-      planes   (walks, room)       uint8
-      weights  (walks, BITS)       int32    rho B dOmega / (2 pi), in the image's unit
-      light    (pixels)            int32    in, out
-      low      (pixels)            int32    image - eps
-      high     (pixels)            int32    image + eps
-      side     (pixels)            int32    in, out: 1 where the light exceeded the image at layer 0; used
-      where by_sign is 1 depth    (rows, cols)        float32  in, out [layers] active   (1)
-      int32    in, out: how many columns went down (a sum of ones: order-free)
-
-    Thread p owns pixel p.
+    Arguments as in opencl/carve.cl. Thread p owns pixel p.
     """
 
     @wp.kernel(module="unique", module_options=OPTIONS)

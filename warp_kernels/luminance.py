@@ -74,14 +74,8 @@ def gradient(
 def luminance(BITS: int):
     """irradiance += sum over set bits of max(0, N . moment) x brightness; the moments come multiplied by it.
 
-      planes      (walks, room)  uint8
-      slopes      (2, room)      float32
-      moments     (walks, BITS)  vec4     [sr x brightness]  x, y, z, 0
-      irradiance  (room)         float32  in, out: the sum x |(dz/dx, dz/dy, -1)|, and after the last group
-      the sum itself
-
-    Thread g owns pixels GPU_PIXELS g to GPU_PIXELS g + GPU_PIXELS - 1. Order of summation: walks, within a walk
-    elevations.
+    Arguments as in opencl/luminance.cl. Thread g owns pixels GPU_PIXELS g to GPU_PIXELS g + GPU_PIXELS - 1.
+    Order of summation: walks, within a walk elevations.
     """
 
     @wp.kernel(module="unique", module_options=OPTIONS)
@@ -106,13 +100,15 @@ def luminance(BITS: int):
             lit = planes[w, g]
             for b in range(BITS):
                 moment = moments[w, b]
-                for l in range(GPU_PIXELS):
-                    cosine = gx[l] * moment[0] + gy[l] * moment[1] - moment[2]
-                    if (lit[l // 4] & wp.uint32(1 << (8 * (l % 4) + b))) != wp.uint32(0) and cosine > 0.0:
-                        total[l] += cosine
+                for lane in range(GPU_PIXELS):
+                    cosine = gx[lane] * moment[0] + gy[lane] * moment[1] - moment[2]
+                    if (lit[lane // 4] & wp.uint32(1 << (8 * (lane % 4) + b))) != wp.uint32(
+                        0
+                    ) and cosine > 0.0:
+                        total[lane] += cosine
         if is_last != 0:
-            for l in range(GPU_PIXELS):
-                total[l] /= wp.sqrt(gx[l] * gx[l] + gy[l] * gy[l] + 1.0)
+            for lane in range(GPU_PIXELS):
+                total[lane] /= wp.sqrt(gx[lane] * gx[lane] + gy[lane] * gy[lane] + 1.0)
         irradiance[g] = total
 
     return luminance

@@ -1,4 +1,4 @@
-"""A depth map that lies on the device already: checked, padded and probed there. Twin of opencl/resident.cl."""
+"""A depth map on the device: checked, padded and probed there. Twin of opencl/resident.cl."""
 
 import warp as wp
 

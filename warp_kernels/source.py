@@ -1,19 +1,7 @@
 """Where the source shines from: dark walls, windows and lamps, by geometry, in double precision.
 
-Shared arguments
-  depth      (rows, cols)       float32  [length]  +inf where masked
-  steps      (walks, BITS, 4)   int32    i, j, k, direction number
-  crossings  (n, 8)             int32    where a ray meets grid lines within one step, in order: x, y of a
-  node, x, y to
-                                         the next node on that line, the weights of both, when (per step:
-                                         parts), parts
-  spans      (walks, 2)         int32    first crossing of a walk and how many; the last one is the lattice
-  node itself numbers    (4)                float64  [length]  x0, x1, y0, y1 of a rectangle, or x, y, z,
-  radius of a ball flags      (layers, rows, cols) uint8  aperture (one layer) or volume kind       0 sky, 1
-  rectangle, 2 aperture, 3 ball, 4 volume (skylamp.sources); sides: 0 open, 1 dark, 2 periodic step
-  float64 [length]  the spacing in the unit of depth
-
-Every formula is one rounding per operation, so every device decides alike. Twin of opencl/source.cl.
+Arguments as in opencl/source.cl. Every formula is one rounding per operation, so every device decides alike.
+Twin of opencl/source.cl.
 """
 
 import functools
@@ -73,7 +61,6 @@ def meets_plane(
     j: wp.int32,
     k: wp.int32,
     numbers: wp.array[wp.float64],
-    # fmt: skip
     flags: wp.array3d[wp.uint8],
     rows: wp.int32,
     cols: wp.int32,
@@ -81,7 +68,7 @@ def meets_plane(
     sides: wp.int32,
     step: wp.float64,
 ):
-    """Whether an unblocked ray through (x, y, z) along (i, j, -k) comes from the sky or through the window."""
+    """Whether a free ray through (x, y, z) along (i, j, -k) comes from the sky or through the window."""
     if k == 0:
         return kind == SKY and sides != DARK
     climb = wp.float64(k) * step
@@ -156,10 +143,26 @@ def on_map(x: wp.int64, y: wp.int64, rows: wp.int32, cols: wp.int32):
 
 
 @wp.func
-def meets_lamp(depth: wp.array2d[wp.float32], x: wp.int32, y: wp.int32, z: wp.float64, i: wp.int32, j: wp.int32, k: wp.int32,
-               crossings: wp.array2d[wp.int32], first: wp.int32, n_crossings: wp.int32, numbers: wp.array[wp.float64],
-               flags: wp.array3d[wp.uint8], rows: wp.int32, cols: wp.int32, layers: wp.int32, kind: wp.int32, sides: wp.int32,
-               step: wp.float64):  # fmt: skip
+def meets_lamp(
+    depth: wp.array2d[wp.float32],
+    x: wp.int32,
+    y: wp.int32,
+    z: wp.float64,
+    i: wp.int32,
+    j: wp.int32,
+    k: wp.int32,
+    crossings: wp.array2d[wp.int32],
+    first: wp.int32,
+    n_crossings: wp.int32,
+    numbers: wp.array[wp.float64],
+    flags: wp.array3d[wp.uint8],
+    rows: wp.int32,
+    cols: wp.int32,
+    layers: wp.int32,
+    kind: wp.int32,
+    sides: wp.int32,
+    step: wp.float64,
+):
     """Whether the lamp is visible from (x, y, z) along the step: the ray meets it, and neither ground nor
     wall comes before.
     """
@@ -394,7 +397,25 @@ def beam(
         lit = wp.uint32(0)
         if wp.float32(n) <= depth[y, x]:
             for d in range(32 * word, wp.min(32 * word + 32, n_directions)):
-                if meets_lamp(depth, x, y, wp.float64(n), steps[d, 0], steps[d, 1], steps[d, 2], crossings, spans[d, 0], spans[d, 1], numbers, flags,
-                              rows, cols, layers, kind, sides, wp.float64(1.0)):  # fmt: skip
+                if meets_lamp(
+                    depth,
+                    x,
+                    y,
+                    wp.float64(n),
+                    steps[d, 0],
+                    steps[d, 1],
+                    steps[d, 2],
+                    crossings,
+                    spans[d, 0],
+                    spans[d, 1],
+                    numbers,
+                    flags,
+                    rows,
+                    cols,
+                    layers,
+                    kind,
+                    sides,
+                    wp.float64(1.0),
+                ):
                     lit |= wp.uint32(1) << wp.uint32(d % 32)
         field[n, word, y, x] = lit

@@ -1,4 +1,4 @@
-"""What a lobe about the mirror direction makes of the light from the visible directions (MODEL.md, 6). Twin
+"""What a lobe about the mirror direction makes of the light from the visible directions (docs/model.md). Twin
 of opencl/specular.cl.
 """
 
@@ -44,15 +44,9 @@ def specular(BITS: int):
     """radiance += sum over set bits of weight x max(0, N.L) x lobe(1 - R.L), R = 2 (N.V) N - V the mirror
     direction of the viewer's V = (0, 0, -1).
 
-      planes      (walks, room)  uint8
-      slopes      (2, room)      float32  dz/dx, dz/dy
-      directions  (walks, BITS)  vec4     L, x, y, z, and its weight: brightness x solid angle x the lobe's
-      norm lobe        (n_lobe)       float32  by even steps of 1 - cosine from 0 to rim, beyond which there
-      is none radiance    (room)         float32  in, out: the sum x |(dz/dx, dz/dy, -1)|, and after the last
-      group the sum itself
-
-    Thread g owns pixels GPU_PIXELS g to GPU_PIXELS g + GPU_PIXELS - 1. Order of summation: walks, within a walk
-    elevations. 1 - R.L is taken as |L - R|^2 / 2, which loses no digits where the lobe is narrow.
+    Arguments as in opencl/specular.cl. Thread g owns pixels GPU_PIXELS g to GPU_PIXELS g + GPU_PIXELS - 1.
+    Order of summation: walks, within a walk elevations. 1 - R.L is taken as |L - R|^2 / 2, which loses no
+    digits where the lobe is narrow.
     """
 
     @wp.kernel(module="unique", module_options=OPTIONS)
@@ -80,12 +74,12 @@ def specular(BITS: int):
             lit = planes[w, g]
             for b in range(BITS):
                 L = directions[w, b]
-                for l in range(GPU_PIXELS):
-                    if (lit[l // 4] & wp.uint32(1 << (8 * (l % 4) + b))) != wp.uint32(0):
-                        total[l] += L[3] * gloss(gx[l], gy[l], L, lobe, n_lobe, per_step)
+                for lane in range(GPU_PIXELS):
+                    if (lit[lane // 4] & wp.uint32(1 << (8 * (lane % 4) + b))) != wp.uint32(0):
+                        total[lane] += L[3] * gloss(gx[lane], gy[lane], L, lobe, n_lobe, per_step)
         if is_last != 0:
-            for l in range(GPU_PIXELS):
-                total[l] /= wp.sqrt(gx[l] * gx[l] + gy[l] * gy[l] + 1.0)
+            for lane in range(GPU_PIXELS):
+                total[lane] /= wp.sqrt(gx[lane] * gx[lane] + gy[lane] * gy[lane] + 1.0)
         radiance[g] = total
 
     return specular

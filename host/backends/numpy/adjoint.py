@@ -898,7 +898,7 @@ def go(
     next_totals: np.ndarray,
     state: np.ndarray,
     next: np.ndarray,
-    fixed: float,
+    fixed_: float,
     exact: float,
     pixels: int,
     each: int,
@@ -919,7 +919,7 @@ def go(
         return
     next[[LEFT, SCATTERED, UNIT_RV, UNIT_VV]] = (
         state[LEFT] - 1,
-        fixed / np.sqrt(square),
+        fixed_ / np.sqrt(square),
         exact / product,
         exact / square,
     )
@@ -943,14 +943,14 @@ def ready(
     lambda_: float,
     damping: float,
     least: float,
-    fixed: float,
+    fixed_: float,
     exact: float,
     most: int,
 ) -> None:
     totals[:] = 0
     state[:] = (
         most,
-        fixed / np.sqrt(square),
+        fixed_ / np.sqrt(square),
         exact / product,
         exact / square,
         0,

@@ -77,7 +77,7 @@ def halves(a: np.ndarray, b: np.ndarray, count: int) -> None:
 def judge(
     heights: np.ndarray,
     image: np.ndarray,
-    half_: np.ndarray,
+    half: np.ndarray,
     found: np.ndarray,
     rows: int,
     cols: int,
@@ -86,7 +86,7 @@ def judge(
     limit: float,
 ) -> None:
     blocks = -(-rows // block)
-    image, half_ = (values.view(np.float32).reshape(rows, cols) for values in (image, half_))
+    image, half = (values.view(np.float32).reshape(rows, cols) for values in (image, half))
     known = (
         heights.reshape(rows + 2 * margin, cols + 2 * margin)[margin : margin + rows, margin : margin + cols]
         > MASKED
@@ -96,7 +96,7 @@ def judge(
     # the first rows of all blocks, then their second: each sum in the order of its rows
     for first in range(min(block, rows)):
         rest = np.s_[first::block]
-        some, here, apart = known[rest], image[rest], half_[rest]
+        some, here, apart = known[rest], image[rest], half[rest]
         counted: tuple[Any, ...] = ONE, here > 0, abs(apart) > np.float32(limit)
         for sums, terms in zip(found, (here, apart * apart, *counted)):
             sums[: len(some)] += np.where(some, terms, np.float32(0))
