@@ -112,7 +112,9 @@ def recover(
         Called with (levels or layers done, their number). The residual of every level goes to the logger
         "skylamp".
 
-    Raises InputError, BackendError, CapacityError.
+    Raises
+    ------
+    InputError, BackendError, CapacityError
     """
     one_of(method, METHODS, "method")
     one_of(stop, STOPS, "stop")
