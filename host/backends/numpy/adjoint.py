@@ -138,9 +138,8 @@ def _horizon(
             else:
                 there = (row >= 0) & (row < rows) & ~((over >= rows) & (share > 0))
                 over = np.minimum(over, rows - 1)
-            left, closeness, share, column, row, over = (
-                v[there] for v in (left, closeness, share, column, row, over)
-            )
+            left, closeness, share = left[there], closeness[there], share[there]
+            column, row, over = column[there], row[there], over[there]
             a = padded[row, margin + column]
             b = padded[over, margin + column + on_rows]
             slope = (a + share * (b - a) - own[left]) * closeness
@@ -658,7 +657,8 @@ def _bend(v: np.ndarray) -> np.ndarray:
 def _unbend(v: np.ndarray, rows: int, cols: int) -> np.ndarray:
     v = v.reshape(rows, cols)
     along_rows, along_columns = (_unbent(_bend(z)) for z in (v, v.T))
-    return (along_rows + along_columns.T).ravel()
+    total: np.ndarray = (along_rows + along_columns.T).ravel()
+    return total
 
 
 def _unbent(bent: np.ndarray) -> np.ndarray:

@@ -451,7 +451,7 @@ def _sum(
 
 def _columns(values: Nodes, part: np.ndarray) -> Nodes:
     """The nodes ``part`` of a tuple of arrays, as columns: a row per node, a column per slice."""
-    return values._make(value[part, None] for value in values)
+    return type(values)._make(value[part, None] for value in values)
 
 
 def _turned(axes: Disc | Frame, cos_d: np.ndarray, sin_d: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -21,7 +21,7 @@ def _within(w: np.ndarray, k: int, low: float, high: float, period: float, sides
 
 def _leaves_box(
     x: np.ndarray, y: np.ndarray, z: np.ndarray, i: int, j: int, climb: float, rows: int, cols: int
-) -> np.ndarray:
+) -> Values:
     u, v = 2 * (x * climb + i * z), 2 * (y * climb + j * z)
     return (-climb <= u) & (u < (2 * cols - 1) * climb) & (-climb <= v) & (v < (2 * rows - 1) * climb)
 
@@ -72,7 +72,7 @@ class Lamp(NamedTuple):
     sides: int
     step: float
 
-    def inside(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    def inside(self, x: np.ndarray, y: np.ndarray) -> Values:
         rows, cols = self.depth.shape
         return (x >= 0) & (x < cols) & (y >= 0) & (y < rows)
 
@@ -105,7 +105,7 @@ def _starts(
 
 def _in_volume(lamp: Lamp, x: np.ndarray, y: np.ndarray, n: np.ndarray) -> np.ndarray:
     """Whether nodes (x, y, n) are on the map and in the volume."""
-    there = (n >= 0) & (n < len(lamp.flags)) & lamp.inside(x, y)
+    there: np.ndarray = (n >= 0) & (n < len(lamp.flags)) & lamp.inside(x, y)
     there[there] = lamp.flags[n[there], y[there], x[there]] != 0
     return there
 
