@@ -314,7 +314,7 @@ def model64(source, sides, azimuths=8):
     if isinstance(source, sl.Sky):
         light = light_of(source, SHAPE, azimuths)  # of any shape
         return lambda z: sky64(z, light, sides)
-    return lambda z: solid64(z, source, sides, lights.SLICES)
+    return lambda z: solid64(z, source, sides, lights.LAMP_SLICES)
 
 
 @pytest.mark.parametrize(("name", "sides"), [case for case in CASES if case[0] not in SPOTS])
@@ -826,8 +826,8 @@ def test_one_kernel_solves_as_many_do(fast, monkeypatch):
     start, target = ground(shape, 3, 0.4), 0.3 + 0.1 * ground(shape, 5, 0.1)
     for alone, ahead in ((0, 1), (0, 7), (8192, 1)):
         made = problem(fast, sl.Sky(), shape, "dark", 0.3, target)
-        monkeypatch.setattr(made.backend, "alone", alone, raising=False)
-        monkeypatch.setattr(made.backend, "ahead", ahead, raising=False)
+        monkeypatch.setattr(made.backend, "single_item_nodes", alone, raising=False)
+        monkeypatch.setattr(made.backend, "iterations_ahead", ahead, raising=False)
         found.append(made.run(start, 1e-3, 3, 41, 1e-3))
     for z, value in found[1:]:
         assert value == found[0][1] and np.ptp(z - start) > 0.1

@@ -23,7 +23,7 @@ from numpy.typing import DTypeLike
 from ..constants import ROOM
 from ..errors import CapacityError
 
-CPU_ALONE, CPU_EACH, GPU_AHEAD = 8192, 64, 8  # Backend.alone, each and ahead of compiled backends
+CPU_ALONE, CPU_EACH, GPU_AHEAD = 8192, 64, 8  # of compiled backends
 
 Array = Any  # of a device: NumPy's, Warp's or pyopencl's
 
@@ -99,12 +99,12 @@ class Backend(ABC):
     strips = 1  # strips of such lines that a sweep takes side by side
     # nodes up to which one work-item takes all steps of conjugate gradients, since starting kernels would
     # take longer
-    alone = 0
-    ahead = 1  # pairs of such steps that are started before one looks whether to stop
-    each = 1  # nodes that a work-item of a loop over all owns
+    single_item_nodes = 0
+    iterations_ahead = 1  # pairs of such steps that are started before the host reads whether to stop
+    nodes_per_item = 1  # nodes that a work-item of a loop over all owns
     # work-items that have sums of their own to scatter into, where adding to one that is shared would take
     # longer
-    teams = 1
+    partial_sums = 1
     lines = 1  # adjacent work-items that share cache lines, where work-items of a group run together
     pixel_lanes = 1  # adjacent pixels per work-item where there are no lines; divides ROOM
     compile_seconds = 0.0
@@ -177,12 +177,12 @@ class Backend(ABC):
 
         return again
 
-    def beside(self) -> contextlib.AbstractContextManager[None]:
-        """A context in which launches may run beside those that come after it, until ``join``."""
+    def overlapped(self) -> contextlib.AbstractContextManager[None]:
+        """A context in which launches may overlap those that come after it, until ``join``."""
         return contextlib.nullcontext()
 
     def join(self) -> None:  # noqa: B027  nothing to do where launches never overlap
-        """Launches from here on come after those that were made ``beside``."""
+        """Launches from here on come after those that were made ``overlapped``."""
 
     @abstractmethod
     def finish(self) -> None:

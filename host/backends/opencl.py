@@ -78,8 +78,10 @@ class OpenclBackend(Backend):
         self._exact = ("-cl-fp32-correctly-rounded-divide-sqrt",) if exact else ()
         self.on_cpu = bool(self._device.type & cl.device_type.CPU)
         self.lanes = CPU_LANES if self.on_cpu else 1
-        self.teams = min(CPU_TEAMS, 2 * self._device.max_compute_units) if self.on_cpu else 1
-        self.alone, self.each, self.ahead = (CPU_ALONE, CPU_EACH, 1) if self.on_cpu else (0, 1, GPU_AHEAD)
+        self.partial_sums = min(CPU_TEAMS, 2 * self._device.max_compute_units) if self.on_cpu else 1
+        self.single_item_nodes, self.nodes_per_item, self.iterations_ahead = (
+            (CPU_ALONE, CPU_EACH, 1) if self.on_cpu else (0, 1, GPU_AHEAD)
+        )
         self.strips = CPU_STRIPS if self.on_cpu else 1
         self.lines = 1 if self.on_cpu else GPU_LINES
         self.pixel_lanes = CPU_LANES if self.on_cpu else GPU_PIXELS
@@ -122,7 +124,7 @@ class OpenclBackend(Backend):
         return array  # a kernel is given a pointer
 
     @contextlib.contextmanager
-    def beside(self) -> Iterator[None]:
+    def overlapped(self) -> Iterator[None]:
         if self.on_cpu:
             yield
             return

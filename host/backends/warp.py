@@ -61,7 +61,9 @@ class WarpBackend(Backend):
         self.device = self._device.name if cuda else "Warp on the CPU, 1 thread"
         self.lines = GPU_LINES if cuda else 1
         self.pixel_lanes = GPU_PIXELS
-        self.alone, self.each, self.ahead = (0, 1, GPU_AHEAD) if cuda else (CPU_ALONE, CPU_EACH, 1)
+        self.single_item_nodes, self.nodes_per_item, self.iterations_ahead = (
+            (0, 1, GPU_AHEAD) if cuda else (CPU_ALONE, CPU_EACH, 1)
+        )
         self._loaded: set[tuple[Any, int]] = set()  # modules, each with a size of block
         self._side: Any = None  # the stream of launches beside others
 
@@ -94,7 +96,7 @@ class WarpBackend(Backend):
         return self.wp.array(ptr=array.ptr, dtype=array.dtype, shape=shape, device=array.device)
 
     @contextlib.contextmanager
-    def beside(self) -> Iterator[None]:
+    def overlapped(self) -> Iterator[None]:
         if not self._device.is_cuda:
             yield
             return

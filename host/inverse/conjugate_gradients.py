@@ -106,11 +106,11 @@ class ConjugateGradients:
             *(state, self.totals[0], square, product, smoothness, damping, tolerance**2, FIXED, EXACT, most),
             dim=(1,),
         )
-        if len(self.images) == 1 and self.pixels <= self.backend.alone:
+        if len(self.images) == 1 and self.pixels <= self.backend.single_item_nodes:
             return self._solve_by_one(side, state)
         left, gain = float(most), 0.0
         while left > 0:
-            self.launcher.repeat(self._two_iterations, side, self.backend.ahead)
+            self.launcher.repeat(self._two_iterations, side, self.backend.iterations_ahead)
             left, gain = self.backend.download(state)[[LEFT, GAIN]].tolist()
         return gain
 

@@ -25,7 +25,7 @@ class Launcher:
         self.backend, self.shape, self.pixels = backend, shape, shape[0] * shape[1]
         self.blocks = -(-self.pixels // SUMMED)  # a work-item of a sum owns one
         # nodes of a work-item, and sums that work-items of their own scatter into
-        self.nodes_per_item, self.partial_sums = backend.each, backend.teams
+        self.nodes_per_item, self.partial_sums = backend.nodes_per_item, backend.partial_sums
         self._recorded: dict[tuple[str, int], Callable[[], None] | None] = {}
 
     def launch(self, kernel: str, *args: Any, dim: tuple[int, ...] | None = None) -> None:
@@ -84,7 +84,7 @@ class Image:
                 " into tiles."
             )
         backend.reserve(
-            pixels * (BYTES_PER_LINK * self.count + BYTES_PER_NODE + BYTES_PER_SUM * backend.teams),
+            pixels * (BYTES_PER_LINK * self.count + BYTES_PER_NODE + BYTES_PER_SUM * backend.partial_sums),
             f"Recovering {pixels:,} nodes along {self.count} azimuths",
             "Recover a smaller image.",
         )
@@ -126,7 +126,7 @@ class Image:
 
     def _evaluate_sky(self, side: int, surface: Surface) -> None:
         rows, cols = self.shape
-        azimuths = self.count if self.backend.each > 1 else 1  # of a work-item
+        azimuths = self.count if self.backend.nodes_per_item > 1 else 1  # of a work-item
         across = -(-cols // self.backend.lanes)
         seen = surface.heights, surface.tilts, surface.top
         size = rows, cols, MARGIN, self.count

@@ -12,17 +12,15 @@ from ..backends import select
 from ..backends.base import Array, Backend, scratch
 from ..backends.resident import Resident
 from ..checks import positive_number
-from ..constants import MOST_PIXELS, SIDES
+from ..constants import LADDER, MOST_PIXELS, SIDES, SLOPES, TABLE, UNIFORM
 from ..errors import CapacityError, bad
 from ..scene import Scene, is_scene
 
 # rows within which every crossing is tested; with 12 from MANY azimuths on, where the sum is that exact
 NEAR = 6
 FINE, MANY = 12, 128
-LADDER = 16  # slopes of the ladder, as in opencl/horizon.cl
 OUTSIDE, MASKED = np.float32(-1e30), np.float32(-2e30)  # heights where there is no ground
 NEVER = 1 << 30  # a window that no line fills
-SLOPES, UNIFORM, TABLE = range(3)  # result of a sweep: slopes, light of a uniform sky, light by a table
 BLOCK = 64  # rows of a column that are summed in float32 before they are in float64
 PROBED = 1024  # nodes from which the steepest rise and fall are searched for
 FAINTEST = 0.01  # slope below which ground of a periodic map is not searched for: at most 5e-5 of E / pi
@@ -196,7 +194,7 @@ class Sweeps:
         self._turn()
         backend.fill(total, 0)
         backend.fill(turned, 0)
-        with backend.beside():
+        with backend.overlapped():
             self._light_of(self.halves[1], turned)
         self._light_of(self.halves[0], total)
         backend.join()
