@@ -69,12 +69,12 @@ BEHIND_CLIFFS = {None: 0.028, FINE_ROWS: 0.0085}
 # to 0.35 % (fractals, terrain)
 SHARP = 0.01
 UNIFORM = 0.1  # tolerances by which a brightness may vary that is taken as a number
-SLOPES = (0.8, 0.4, 0.2, 0.1, 0.05, 0.025)  # over which a map that repeats is searched
+SEARCHED_SLOPES = (0.8, 0.4, 0.2, 0.1, 0.05, 0.025)  # over which a map that repeats is searched
 SHORT = 0.3  # tolerances that a shorter search may cost
 WINDOWED = 2.5  # times as many steps as a sweep without a search radius
 
 # -- lamps and windows
-SLICES = (8, 16, 32, 64, 128, 256)  # of a source that stands all round
+SLICE_COUNTS = (8, 16, 32, 64, 128, 256)  # of a source that stands all round
 JUDGES = 4  # times as many slices judge them
 # azimuth that a small bright part behind a window may span: slices, which stand within the window, resolve
 # what is wider
@@ -695,7 +695,7 @@ class _SkyPlanner(_Planner):
         angles = 2 * np.pi * (np.arange(24) + OFFSET) / 24
         full = samples.ring(angles, samples.horizons(angles)).sum(0)
         self.why_far = f"on a map that repeats, as far as its relief makes a slope of {FAINTEST}"
-        for slope in SLOPES:
+        for slope in SEARCHED_SLOPES:
             reach = max(2.0, math.ceil(samples.relief / slope))
             if WINDOWED * (1 + reach / side) > 0.8 * whole:
                 return
@@ -844,8 +844,8 @@ class _SlicePlanner(_Planner):
                 self.samples.sectors(*sun.sectors(BEHIND_WINDOW), self.outline) for sun in self.sky.suns
             )
             brightness = self._without_suns
-        light = {count: self._through_slices(brightness, count) for count in SLICES[:3]}
-        self.exact = light[SLICES[2]]
+        light = {count: self._through_slices(brightness, count) for count in SLICE_COUNTS[:3]}
+        self.exact = light[SLICE_COUNTS[2]]
         if self._fits_closed_form():
             return
         self.method_class, self.share = Sliced, BALL_SHARE
@@ -962,7 +962,7 @@ class _SlicePlanner(_Planner):
         """How a brightness that varies is taken: along few rays to a small lamp, else along every chord."""
         if isinstance(self.source, sources.Lamp) and self.apparent < NARROW:
             whole = np.maximum(self._unoccluded(1, 1.0), 1e-30)
-            seen = self.samples.through_slices(self.solid, 1.0, SLICES[2]) / whole
+            seen = self.samples.through_slices(self.solid, 1.0, SLICE_COUNTS[2]) / whole
             for rays in RAYS:
                 if (
                     self.samples.errors(self._unoccluded(rays) * seen, self.exact).bound
@@ -979,12 +979,12 @@ class _SlicePlanner(_Planner):
         ``light``: by numbers of slices, what is known already.
         """
         fewest = int(isinstance(self.solid, Quad))  # a quadrangle has four sectors to share them
-        for finest in SLICES[2:]:
+        for finest in SLICE_COUNTS[2:]:
             if finest not in light:
                 light[finest] = self._through_slices(brightness, finest)
             self.exact = light[finest]
-            for units in SLICES[fewest:]:
-                number, through = _slices_taken(self.samples, self.solid, units), light[SLICES[0]]
+            for units in SLICE_COUNTS[fewest:]:
+                number, through = _slices_taken(self.samples, self.solid, units), light[SLICE_COUNTS[0]]
                 for count in light:
                     through = np.where(number >= count, light[count], through)
                 self.units, self.expected = units, self.samples.errors(through, self.exact)

@@ -14,12 +14,13 @@ from . import shading, sources
 from .arrays import labelled
 from .backends.base import Backend
 from .checks import one_of, positive_number
+from .constants import SLICES
 from .directions import Azimuths, Hemicube
 from .errors import bad
 from .light import propagation, unoccluded
 from .light.lattice import ERRORS, lacking
 from .light.propagation import Lobe, Problem
-from .light.slices import KNOTS, MOST, SLICES, TURNS, Slices, blurred, brightness_of, widened
+from .light.slices import KNOTS, MOST, TURNS, Slices, blurred, brightness_of, widened
 from .light.sweeps import FINE, Rays, Sweeps, engine_of, ground_of
 from .refinement import Plan, Refined, refined, solid_of, upright
 from .reflectance import BRDF, Phong

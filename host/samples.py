@@ -15,6 +15,7 @@ import numpy as np
 
 from . import sources
 from .backends.base import Array, Backend, scratch
+from .constants import NONE, STEEP
 from .scene import Scene
 from .sources.integrals import Integrals, even
 from .sources.solids import Ball, Quad
@@ -28,12 +29,10 @@ CANDIDATES, CONCENTRATED = 4096, 0.1
 # times the median relief of blocks from which on one is rare; share of the map from which on rare blocks hold
 # enough samples
 RARE, FREQUENT = 3.0, 0.25
-NONE = np.float32(-1e30)  # height where masked
 FAINT = 0.005  # slope below which ground of a periodic map is not searched for: 1.3e-5 of E / pi
 # spacings that neighbouring nodes may lie apart before two crossings are too few behind them
 # (host/backends/numpy/horizon.py)
 CLIFF = 4.0
-STEEP = 1e6  # tangent as good as the zenith's
 POINTS = 48  # of brightness along a chord; chosen
 TAIL = 3  # samples beyond the 99.9th percentile from which on it is read off
 SIGMAS = 1.5  # standard errors by which the RMS error over all nodes may pass that of the samples

@@ -9,6 +9,7 @@ import numpy as np
 from . import sources
 from .backends.base import Backend
 from .backends.numpy.luminance import gradient
+from .constants import STEEP
 from .directions import Azimuths, Hemicube
 from .errors import bad
 from .light.propagation import Lobe
@@ -19,7 +20,6 @@ from .sources.solids import Dome
 
 ELEVATIONS = 12  # Gauss-Legendre nodes between horizon and zenith, of a BRDF under a sky
 ACROSS = 12  # rays across a lamp or window, of a BRDF; its square in all
-STEEP = 1e6  # tangent of the zenith, as in slices
 AT_ONCE = 2**18  # directions that a BRDF function is given at a time
 
 

@@ -11,7 +11,7 @@ from compare import assert_bits_equal
 from scenes import rough
 
 import skylamp as sl
-from skylamp import oracle
+from skylamp import constants, oracle
 from skylamp.backends import select
 from skylamp.radiometry import disc_moment, polygon_moment, rectangle_solid_angle
 from skylamp.sources import solids
@@ -645,7 +645,7 @@ def test_the_tops_of_the_cells(backend):
     depth[5, 6] = np.inf
     run = made(backend, depth, slices.Ball((5, 5, -5), 1.0))
     tops = run.backend.download(run.tops)
-    height = np.where(np.isfinite(depth), -depth, slices.NONE)
+    height = np.where(np.isfinite(depth), -depth, constants.NONE)
     assert run.levels >= 3
     for level in range(1, run.levels + 1):
         size, first = 2**level, run.width - (run.width >> level - 1)

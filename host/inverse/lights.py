@@ -10,7 +10,7 @@ import numpy as np
 from .. import sources
 from ..directions import Azimuths
 
-SLICES = 24  # of a lamp or window
+LAMP_SLICES = 24  # of a lamp or window
 TABLE_AZIMUTHS = 128  # of a lamp's table of brightness
 KNOTS, SECTOR_KNOTS = 256, 1024  # of a sky's table per azimuth: even sectors, sectors of equal light
 ON_GRID = 1e-12  # component of an azimuth below which the ray is along the grid: roundings of cos and sin
@@ -72,7 +72,7 @@ def light_of(source: sources.Source, shape: tuple[int, int], scale: float, brigh
     azimuths, table = brightness
     if isinstance(source, sources.Sky):
         return Light(table, azimuths=azimuths)
-    share = (np.arange(SLICES) + 0.5) / SLICES
+    share = (np.arange(LAMP_SLICES) + 0.5) / LAMP_SLICES
     theta, azimuth = np.pi * (share - 0.5), 2 * np.pi * share
     nodes = np.stack([np.sin(theta), np.cos(theta), np.cos(azimuth), np.sin(azimuth)], 1)
     if isinstance(source, sources.Lamp) and source.center is not None:

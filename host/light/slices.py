@@ -12,15 +12,12 @@ from typing import Any
 import numpy as np
 
 from ..backends.base import Backend
-from ..constants import MOST_PIXELS
+from ..constants import ENDLESS, MOST_PIXELS, NONE, SLICES
 from ..errors import CapacityError
 from ..sources import Source, radiance
 from ..sources.solids import Ball, Dome, Quad
 from .propagation import Lobe
 
-NONE = np.float32(-1e30)  # height where there is no ground
-ENDLESS = 1e30
-SLICES = 8  # that a CPU computes at a time
 MOST = 32  # of a source that surrounds a node, by default
 WALLED = 2  # times as many where a wall cuts the source
 LEVELS = 9  # cells of 2 to 512 nodes
