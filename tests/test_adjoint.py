@@ -58,7 +58,7 @@ CASES = [
 
 @pytest.fixture(autouse=True)
 def few_slices(monkeypatch):
-    monkeypatch.setattr(lights, "SLICES", 10)
+    monkeypatch.setattr(lights, "LAMP_SLICES", 10)
 
 
 def ground(shape=SHAPE, seed=0, slope=0.8):
@@ -317,6 +317,7 @@ def model64(source, sides, azimuths=8):
     return lambda z: solid64(z, source, sides, lights.LAMP_SLICES)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "sides"), [case for case in CASES if case[0] not in SPOTS])
 def test_irradiance_and_its_derivative(fast, name, sides):
     """E within 1e-5, J v within 3e-4 of finite differences in float64, relative to the maximum."""
@@ -338,7 +339,7 @@ def test_irradiance_and_its_derivative(fast, name, sides):
 @pytest.mark.parametrize("sides", ["open", "dark"])
 def test_a_solid_is_the_oracles(fast, monkeypatch, name, sides):
     """With many slices, shadow rays within 1.5 % RMS of the mean that is lit."""
-    monkeypatch.setattr(lights, "SLICES", 96)
+    monkeypatch.setattr(lights, "LAMP_SLICES", 96)
     monkeypatch.setattr(lights, "TABLE_AZIMUTHS", 16)  # so that what is between rows of the table counts
     z, source = ground(), SOURCES[name]
     nodes = tuple(np.random.default_rng(0).permutation(np.indices(SHAPE).reshape(2, -1).T)[:30].T)
@@ -390,10 +391,11 @@ def spikes():
     )
 
 
+@pytest.mark.slow
 def test_spikes_at_the_edges_of_tiles(backend, spikes, monkeypatch):
     """What is left out by the highest ground of tiles never stands above."""
     z, lamp, by_sky, by_lamp = spikes
-    monkeypatch.setattr(lights, "SLICES", 6)
+    monkeypatch.setattr(lights, "LAMP_SLICES", 6)
     np.testing.assert_allclose(
         image(problem(backend, sl.Sky(), z.shape, azimuths=20), z), by_sky, rtol=0, atol=1e-5 * math.pi
     )
@@ -789,6 +791,7 @@ def everything(made, z):
     ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "sides"), CASES)
 def test_backends_agree_to_the_bit_and_repeat_themselves(backend, fast, name, sides):
     """Image, derivatives, crossings, and eight conjugate gradients with their scattered sums."""

@@ -66,6 +66,7 @@ def warp_array(values):
     return wp.array(values, dtype=wp.dtype_from_numpy(values.dtype), device="cpu")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "other", [WithArray, WithDlpack, OnGpu, warp_array, np.ndarray.tolist, np.asfortranarray]
 )
@@ -247,6 +248,7 @@ def stays(monkeypatch):
     monkeypatch.setattr(Resident, "download", never)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sides", scenes.SIDES)
 @pytest.mark.parametrize("other", [warp_array, OnGpu])
 def test_a_map_on_the_device_stays_there(other, sides, stays):

@@ -83,6 +83,7 @@ def held(sky, level, fast, within=1e-4):
 # --- level ground
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("count", "seed"), [(count, seed) for seed, count in enumerate((1, 1, 1, 2, 2, 2, 10, 10, 10, 1, 3, 5))]
 )
@@ -119,6 +120,7 @@ def test_level_ground_under_a_coarse_map(fast):
         held(sl.Sky(sl.environment_map(image)), of_map(image), fast)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("elevation", "radius"), [(90, 0.1), (89.95, 0.1), (90, 2), (47, 0.1), (0.2, 0.1), (12.3, 0.15), (88, 5)]
 )
@@ -132,6 +134,7 @@ def test_level_ground_under_a_spot(fast, elevation, radius):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("count", "within"), [(3, 1e-4), (20, 1e-4), (57, 1e-3)])
 def test_level_ground_under_stripes(fast, count, within):
     """Of ten degrees and more, of 1.5, and of half a degree: borders all over the sky."""
@@ -139,6 +142,7 @@ def test_level_ground_under_stripes(fast, count, within):
     held(sl.Sky(function), level, fast, within)
 
 
+@pytest.mark.slow
 def test_level_ground_under_borders(fast):
     """Sharp ones, along an elevation and along azimuths."""
     for e in np.radians((11.25, 30, 45.3)):
@@ -161,6 +165,7 @@ def test_level_ground_under_borders(fast):
         )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("power", [1, 6, 64, 300, 900])
 def test_level_ground_under_cosine_powers(fast, power):
     """2 pi / (n + 2) about the zenith, whether it says that nothing of it is narrow or not."""
@@ -312,6 +317,7 @@ def test_what_a_sky_varies_by():
     assert Integrals(sl.Sky(sl.uniform(0.0))).level == 0
 
 
+@pytest.mark.slow
 def test_errors_of_integrals_are_told(fast):
     """What is too rugged to integrate says by how much it may be off; what is smooth is known well."""
     assert (

@@ -240,6 +240,7 @@ def test_recover(here, capsys):
     np.testing.assert_array_equal(io.read("a.png") * 2.0, expected.depth)
 
 
+@pytest.mark.slow
 def test_recover_writes_a_picture(here, capsys):
     """A picture of image, relief, confidence and residual; an .npz holds what it was made of."""
     code, out, err = run(
@@ -453,6 +454,7 @@ def test_what_libraries_print_stays_off_stdout(here, capsys, monkeypatch):
     assert code == 0 and json.loads(out) and "Warp 9.9" in err
 
 
+@pytest.mark.slow
 def test_as_a_process(here):
     """Version, data on stdout through a pipe, exit codes as the shell sees them, no bar off a terminal."""
     skylamp = lambda *arguments: subprocess.run(
@@ -532,6 +534,7 @@ def test_import_is_light():
     assert (done.returncode, done.stdout.split()) == (0, []), done
 
 
+@pytest.mark.slow
 def test_demo(tmp_path, capsys):
     """Pictures, their tones and the comparison of backends."""
     code, out, err = run(capsys, "demo", "--out", tmp_path / "new" / "demo", "--json")

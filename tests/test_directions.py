@@ -53,6 +53,7 @@ def test_cells_have_the_symmetry_of_the_cube(size):
         assert np.allclose(cube.moments[order], change(cube.moments), rtol=0, atol=1e-14)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("size", [3, 5, 9])
 def test_every_cell_agrees_with_quadrature_over_the_nearest_node(size):
     """Midpoint quadrature of dOmega and L dOmega over the cube's faces, by the nearest node."""

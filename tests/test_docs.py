@@ -20,6 +20,7 @@ _spec.loader.exec_module(pictures)
 PAGES = sorted(page.stem for page in DOCS.glob("*.md"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name", [name for name in PAGES if pictures.blocks((DOCS / f"{name}.md").read_text(encoding="utf-8"))]
 )
@@ -66,6 +67,7 @@ def test_a_block_that_fails_is_seen(tmp_path):
             pictures.run(tmp_path / "page.md", tmp_path)
 
 
+@pytest.mark.slow
 def test_pages_build_without_a_warning(tmp_path):
     """mkdocs build --strict, as CI does it; every public name has its entry."""
     (tmp_path / "packages").mkdir()

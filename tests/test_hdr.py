@@ -202,6 +202,7 @@ def test_failing_write_leaves_no_trace(tmp_path, monkeypatch, suffix):
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.slow
 def test_command_line_stays_one_line(tmp_path):
     """What OpenEXR and OpenCV print about damage is kept off stdout and stderr."""
     np.save(tmp_path / "d.npy", np.ones((3, 3)))

@@ -55,6 +55,7 @@ def test_no_ground_is_minus_infinity(backend):
     assert (slopes[0][:-1, :-1] == 0).all()
 
 
+@pytest.mark.slow
 def test_sky_view_factor_by_its_definitions(fast):
     """In a trench of known shape, in its middle: closed forms of all three."""
     half, deep = 20, 15
@@ -156,6 +157,7 @@ def test_a_table_of_brightness_is_the_mean_of_its_looks():
         )
 
 
+@pytest.mark.slow
 def test_auto_takes_horizons_where_it_can_and_says_so(backend):
     scene = sl.Scene(scenes.rough(24, 24, 1.0))
     plan = sl.plan(scene, sl.Sky(), 0.01, backend)

@@ -131,14 +131,14 @@ def assert_agree(got, expected, bound=AGREE):
 @pytest.mark.parametrize("stem", ["horizon", "ground"])
 def test_numpy_kernels_take_the_same_arguments(stem):
     """Names and order as in OpenCL; constants by keyword."""
-    module = importlib.import_module("skylamp.backends.numpy.horizon")
+    module = importlib.import_module(f"skylamp.backends.numpy.{stem}")
     text = re.sub(r"/\*.*?\*/", "", skylamp.opencl.source(stem), flags=re.S)
     kernels = re.findall(r"__kernel void (\w+)\((.*?)\)", text, re.S)
     assert kernels
     for name, arguments in kernels:
         parameters = inspect.signature(getattr(module, name)).parameters.values()
         assert [p.name for p in parameters if p.kind == p.POSITIONAL_OR_KEYWORD] == [
-            re.search(r"\w+$", a.strip()).group() for a in arguments.split(",")
+            re.search(r"\w+$", a.strip()).group().rstrip("_") for a in arguments.split(",")
         ]
         assert {p.name for p in parameters if p.kind == p.KEYWORD_ONLY} == (
             {"NEAR", "SIDES", "WHAT", "BLOCKS"} if name == "sweep" else set()
@@ -165,6 +165,7 @@ CASES = [
 ]  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", CASES, ids=lambda case: "-".join(map(str, case)))
 def test_backends_agree(backend, case):
     """With NumPy's sweep, and that with OpenCL's."""
@@ -192,6 +193,7 @@ def test_agreement_can_fail():
             assert_agree(changed, whole)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("count", "near"), [(MANY - 1, NEAR), (MANY, FINE)])
 def test_many_azimuths_take_more_near_rows(backend, count, near):
     """Both numbers of near rows, and the same light by every backend."""
@@ -232,6 +234,7 @@ def test_every_backend_is_near_the_oracle(backend):
     assert rms(off(got, expected)) <= HORIZON
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rays", ["even", "axes", "uneven"])
 @pytest.mark.parametrize("sides", ["open", "dark"])
 @pytest.mark.parametrize("name", ["rough", "smooth", "rough with holes", "smooth with holes"])
@@ -253,6 +256,7 @@ def _but_a_few(errors):
     return np.sort(abs(errors))[: len(errors) * 999 // 1000]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rays", ["few", "axes"])
 @pytest.mark.parametrize("name", ["rough", "smooth"])
 def test_horizons_of_maps_that_repeat(fast, name, rays):
@@ -261,6 +265,7 @@ def test_horizons_of_maps_that_repeat(fast, name, rays):
     assert abs(errors).max() <= 0.25 and rms(errors) <= HORIZON
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("reach", "bound"), [(1, 1e-5), (2.5, 1e-5), (7, 1e-3), (20, 0.004), (60, 0.004)])
 @pytest.mark.parametrize("sides", ["open", "dark", "periodic"])
 @pytest.mark.parametrize("name", ["rough", "smooth with holes"])
@@ -380,6 +385,7 @@ def _sampled(slope, falloff):
     return height, nodes, _from_oracle(height, even(2048), nodes) / np.pi
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("slope", "falloff", "limits"),
     [(1.0, 2.0, {32: 0.0015, 64: 0.0007}), (0.5, 2.5, {32: 0.0005, 64: 0.0002})],

@@ -162,6 +162,7 @@ def run(capsys, *arguments):
     return (ended.value.code or 0, *capsys.readouterr())
 
 
+@pytest.mark.slow
 def test_command_line(tmp_path, monkeypatch, capsys, fast):
     """Each picture by its verb, alone or beside the array; mistakes leave nothing behind."""
     monkeypatch.chdir(tmp_path)

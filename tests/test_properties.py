@@ -30,6 +30,7 @@ def same(got, expected):
     assert_bits_equal(np.array(got, order="C"), np.array(expected, order="C"))
 
 
+@pytest.mark.slow
 @given(depth=WHOLE, sides=SIDES, filled=st.booleans(), data=st.data())
 def test_raising_an_occluder_never_reveals_another_node(backend, depth, sides, filled, data):
     """A node that comes nearer can only take light from the others."""
@@ -92,6 +93,7 @@ def test_a_periodic_map_may_be_cut_anywhere(backend, depth, filled, down, right)
     same(np.roll(rolled, (-down, -right), (0, 1)), flags(depth, backend, "periodic", filled=filled))
 
 
+@pytest.mark.slow
 @given(
     shape=SHAPES,
     level=st.floats(0, 1e6, width=32),
@@ -128,6 +130,7 @@ KINDS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", list(KINDS))
 @given(depth=WHOLE)
 def test_layout_and_type_of_the_input_do_not_matter(fast, kind, depth):

@@ -73,6 +73,7 @@ ALBEDO = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stop", ["eps", "sign"])
 @pytest.mark.parametrize(
     ("kind", "sides"),

@@ -48,6 +48,7 @@ def off(name, kind, backend, size=SIZE):
     return rms(found(name, kind, backend, size).depth - surfaces.pair(name, kind, size)[0])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SURFACES)
 def test_uniform_sky(fast, name):
     """At most one layer off, and five times nearer than carving at its best eps."""
@@ -55,6 +56,7 @@ def test_uniform_sky(fast, name):
     assert off(name, "sky", fast) < min(1.0, best / 5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "kind", "most"),
     [("egg-crate", "sky", 0.5), ("face", "sky", 0.2), ("egg-crate", "sun", 3.0), ("bumps", "sun", 2.0)],
@@ -64,6 +66,7 @@ def test_hard_ones_at_full_size(fast, name, kind, most):
     assert off(name, kind, fast, 64) < most
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["bumps", "egg-crate", "fractal"])
 def test_isotropic_lamp(fast, name):
     """At most half a layer off, forty times nearer than carving."""
@@ -83,6 +86,7 @@ def _amplification(change, image, other, clean):
     return (rms(change - clean) / 64) / (rms(other - image) / image.max())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SURFACES)
 def test_noise_is_damped(fast, name):
     """White noise of 3 % of the maximum changes depth by less than half of that share of its range."""
@@ -147,6 +151,7 @@ def test_large_images_begin_on_a_grid_that_sees_their_relief(fast, shape, begins
     assert pyramid.images[pyramid.start][0].shape == begins
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("shape", "method"),
     [
@@ -173,6 +178,7 @@ def test_the_confident_half_is_the_better_one(fast, name):
     assert rms((got.depth - depth)[sure]) < 0.5 * rms((got.depth - depth)[~sure])
 
 
+@pytest.mark.slow
 def test_a_spotlights_wrong_pixels_are_marked(fast):
     """Over all five surfaces: most of what is wrong by more than five layers is ambiguous or not trusted,
     little of what is right within two.
@@ -237,6 +243,7 @@ def test_steps_end_where_scipy_ends(fast):
     assert abs(ours - theirs.fun) < 0.01 * problem.value(start, weight)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("what", "most", "carving"),
     [("noise 1 %", 0.5, 5), ("noise 3 %", 0.5, 5), ("8 bits", 1.5, 20), ("albedo 5 %", 1.5, 5)],
@@ -267,6 +274,7 @@ def test_nothing_is_drilled(fast):
     assert (carved("bumps", "sky", 0.002, fast) >= LAYERS).mean() > 0.3
 
 
+@pytest.mark.slow
 def test_a_second_image_settles_a_spotlight(fast):
     """A spotlight's image is wrong by many layers; together with the sky's image it is right."""
     depth, image = pair("egg-crate", "spot")
@@ -295,6 +303,7 @@ def both_lit(name, kinds, backend, brighter=1.0):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SURFACES)
 def test_two_images_tell_the_albedo(fast, name):
     """A chequered surface under a sky and under a lamp: depth and albedo of every pixel."""
@@ -303,6 +312,7 @@ def test_two_images_tell_the_albedo(fast, name):
     assert (got.confidence > 0.5).mean() > 0.8 and got.warnings == []
 
 
+@pytest.mark.slow
 def test_an_albedo_in_any_unit(fast):
     """Images 50 times as bright: the albedo is 50 times as large, and depth the same."""
     (depth, albedo, got), (*_, other) = (
@@ -334,6 +344,7 @@ def test_one_image_cannot_tell_the_albedo():
             sl.recover(albedo=None, sides="dark", backend="numpy", **more)
 
 
+@pytest.mark.slow
 def test_a_prior_is_kept_and_helps(fast):
     """near and far, as maps: depth lies between them, and nearer to the truth."""
     depth, image = pair("egg-crate", "spot")
@@ -354,6 +365,7 @@ def test_a_prior_is_kept_and_helps(fast):
     )
 
 
+@pytest.mark.slow
 def test_all_backends_find_the_same_depth(backend):
     """To the last bit, over all levels and both starts."""
     expected = found("bumps", "sky", "numpy", 16)
@@ -400,6 +412,7 @@ def under(kind, backend, k=1.0, **more):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", SHINE)
 def test_light_so_many_times_as_strong(fast, kind):
     """A brightness that is a number: depth, confidence and warnings are those of brightness 1, and the
@@ -423,6 +436,7 @@ def test_carving_under_light_so_many_times_as_strong(fast):
         )
 
 
+@pytest.mark.slow
 def test_two_lights_of_different_strength(fast):
     """Each image in the unit of its own source: the same depth, and the same albedo, which is not known."""
     got = [
@@ -449,6 +463,7 @@ def test_nothing_is_recovered_from_darkness(kind, method):
         sl.recover(np.ones((8, 8)), SHINE[kind](0), sides="dark", method=method, backend="numpy")
 
 
+@pytest.mark.slow
 def test_wrong_sides_are_suspected(fast):
     """An image from a dark box, taken to be open: the walls' shade has no other cause, and a warning says so;
     with the right sides none does.
@@ -488,6 +503,7 @@ def test_time_is_kept_and_the_best_so_far_is_given(fast):
     )
 
 
+@pytest.mark.slow
 def test_time_may_end_anywhere(fast, monkeypatch):
     """A clock that goes on by a second whenever it is asked ends the search in every part of it: a whole
     surface each time, and none that is worse than a flat one.

@@ -120,6 +120,7 @@ def named(value):
     return re.sub(r" at 0x\w+", "", str(value))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "source"),
     [
@@ -216,6 +217,7 @@ def test_a_map_that_repeats_is_not_searched_farther_than_need_be(fast):
 # -- no more model than the scene needs
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "source"),
     [
@@ -386,6 +388,7 @@ def under(samples, base, discs):
     return total
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["rough", "houses"])
 @pytest.mark.parametrize(
     "discs",
@@ -447,6 +450,7 @@ def stripes(L):
     return ((8 * L[..., 0]) % 1 < 0.5) * 1.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ground", ["level", "rough"])
 @pytest.mark.parametrize(
     "light",
@@ -469,6 +473,7 @@ def test_windows_with_patterns(fast, ground, light):
     assert error <= 1.2 * max(0.01, said(out)), (error, out.plan.steps, out.warnings)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("power", [64, 300, 900])
 @pytest.mark.parametrize("radius", [1.0, 5.0])
 def test_spotlights_over_ground_that_hides_them(fast, power, radius):
@@ -487,6 +492,7 @@ def test_spotlights_over_ground_that_hides_them(fast, power, radius):
     assert off <= 0.02 or said(out) and off <= said(out), (off, out.plan.steps, out.warnings)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("radius", [0.27, 1, 3, 10])
 def test_a_sun_through_a_window_lights_a_patch(fast, radius):
     """A level floor of a dark box: all of the disc well inside the patch, none of it outside."""
@@ -618,6 +624,7 @@ def four(monkeypatch):
     monkeypatch.setattr(refinement._SkyPlanner, "make", poor)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("source", [sl.Sky(), GLOW, SUN], ids=["uniform", "glow", "sun"])
 def test_a_bad_choice_is_refined(fast, four, source):
     """By the azimuths between, again and again, until image and estimate are within tolerance."""
@@ -682,6 +689,7 @@ CALLS = [
 ]
 
 
+@pytest.mark.slow
 def test_the_same_call_gives_the_same_bytes(fast):
     """Again, after other renders, of a scene that is equal, and while another thread works."""
     call = lambda name, source, tolerance: irradiance(
@@ -707,6 +715,7 @@ def test_the_same_call_gives_the_same_bytes(fast):
         busy.join()
 
 
+@pytest.mark.slow
 def test_the_same_bytes_in_another_process(tmp_path):
     """With an empty folder of caches."""
     code = (
@@ -733,6 +742,7 @@ def test_the_same_bytes_in_another_process(tmp_path):
     assert text.strip() == str(out.plan)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "source", "tolerance"),
     [
@@ -772,6 +782,7 @@ def on_device(depth):
     return sl.Scene(wp.array(depth.astype(np.float32), device="cpu"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["rough", "houses"])
 @pytest.mark.parametrize(
     "source", [sl.Sky(), sl.Sky(sl.cie_overcast()), GLOW], ids=["uniform", "overcast", "glow"]
@@ -814,6 +825,7 @@ def test_a_map_on_a_device_is_not_fetched(monkeypatch, name):
 SUNNY = sl.Sky(lambda L: 0.5 + 3e4 * (L @ towards(70, 35) > np.cos(np.radians(0.27))))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["periodic", "holes", "dark"])
 @pytest.mark.parametrize(
     "source", [sl.Sky(), sl.Sky(sl.cie_overcast()), SUNNY], ids=["uniform", "overcast", "sunny"]
@@ -833,6 +845,7 @@ def test_maps_of_every_kind_keep_the_tolerance(fast, name, source):
     )
 
 
+@pytest.mark.slow
 def test_brightness_is_looked_at(fast):
     """A sky that hardly varies is a number, else a table per azimuth; suns have their own azimuths."""
     line = lambda name, sky, t, what: next(
@@ -972,6 +985,7 @@ def test_the_command_line_prints_plans(fast, tmp_path):
     assert ask("--tolerance", "much").exit_code == 2
 
 
+@pytest.mark.slow
 def test_the_chart_has_a_point_for_every_setting(fast, tmp_path):
     """All classes, the plan's three choices, a picture; the frontier is what nothing beats."""
     from skylamp.app import chart

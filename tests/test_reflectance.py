@@ -55,6 +55,7 @@ def launches(monkeypatch, name, work):
 # -- the models
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("exponent", [0, 0.5, 1, 4, 20, 150])
 def test_phong_gives_no_more_than_it_gets(exponent):
     """Its directional-hemispheric reflectance is albedo + specular along the normal, elsewhere less."""
@@ -205,6 +206,7 @@ def test_the_lattice_gives_no_more_than_it_gets(backend):
         assert 0.9 < image.max() <= 1 + 1e-3, (exponent, hemicube, image.max())
 
 
+@pytest.mark.slow
 def test_white_furnace_of_the_rest(fast):
     """Lobes on the lattice, sums of both parts, mirrors, and BRDFs."""
     for surface in (
@@ -241,6 +243,7 @@ def test_the_oracle_of_lobes():
     np.testing.assert_allclose(got, 1, rtol=2e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sides", ["open", "dark"])
 @pytest.mark.parametrize("kind", ["sky", "clear sky", "lamp", "window"])
 def test_lobes_through_slices(backend, kind, sides):
@@ -266,6 +269,7 @@ def test_lobes_through_slices(backend, kind, sides):
     np.testing.assert_allclose(got, wanted, atol=0.012 * wanted.max(), rtol=0.012)
 
 
+@pytest.mark.slow
 def test_backends_agree_on_lobes_and_rays(backend):
     """With NumPy, to what sums in another order may differ by."""
     scene = lambda surface: sl.Scene(GROUND + 3, sides="dark", reflectance=surface)
@@ -416,6 +420,7 @@ def test_distance_counts_in_lobes_and_mirrors_too(fast):
 COLOURS = np.random.default_rng(3).uniform(0.1, 0.5, (*GROUND.shape, 3))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "options", [{"method": "horizon"}, {"method": "lattice", "hemicube": 5}], ids=["horizon", "lattice"]
 )
@@ -599,6 +604,7 @@ def test_mirrors_see_lamps_and_windows(fast):
 # -- any BRDF
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "source", [sl.Sky(2.0), sl.Sky(clear), LAMP, WINDOW], ids=["sky", "clear sky", "lamp", "window"]
 )

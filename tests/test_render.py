@@ -62,6 +62,7 @@ def _expected(name, source, sides, size, weights):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "source", "sides", "size"),
     [
@@ -122,6 +123,7 @@ def test_printed_weights_differ(backend):
 # -- closed forms (docs/model.md)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("size", [3, 5, 9, 17, 33])
 @pytest.mark.parametrize("filled", [False, True], ids=["stride", "filled"])
 @pytest.mark.parametrize("sides", ["open", "periodic"])
@@ -132,6 +134,7 @@ def test_a_level_plane_gets_the_whole_sky_at_every_size(backend, size, filled, s
     assert_close(out.image, np.full((5, 9), 2.0), relative=2e-6 if size < 17 else 1e-5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("slope", [(1, 0), (0.5, -0.25), (-2, 1)], ids=str)
 def test_a_tilted_plane_converges_to_its_view_factor(backend, slope):
     """E = pi B (1 + cos a) / 2; the error, of cells that the tangent plane cuts, falls as 1 / M^2."""
@@ -148,6 +151,7 @@ def _rms(values):
     return float(np.sqrt(np.mean(np.square(values))))
 
 
+@pytest.mark.slow
 def test_infinite_trenches_converge_to_their_view_factor(fast):
     """Middle of a trench of half-width a and depth d: E = pi B a / sqrt(a^2 + d^2), over thirty trenches.
 
@@ -169,6 +173,7 @@ def test_infinite_trenches_converge_to_their_view_factor(fast):
     assert errors[2] < 0.012, errors
 
 
+@pytest.mark.slow
 def test_a_trench_is_the_same_on_every_backend(backend):
     """a = 10, d = 4 at M = 17: within one cell of the closed form, along rows and along columns."""
     depth = np.full((1, 24), 4.0)
@@ -217,6 +222,7 @@ def test_a_sphere_converges_to_its_closed_form(fast):
     assert errors[2] < 0.04, errors
 
 
+@pytest.mark.slow
 def test_the_penumbra_has_the_width_of_similar_triangles(backend):
     """A window behind an edge is seen whole from x <= 24, in part up to x = 36, and not beyond."""
     # floor at depth 24, edge at column 40 and depth 12, window from x = 44 to 56: from between, the part
@@ -245,6 +251,7 @@ def test_the_penumbra_has_the_width_of_similar_triangles(backend):
 # -- what goes wrong, by name
 
 
+@pytest.mark.slow
 def test_longer_strides_leak_light_and_filling_stops_it(fast):
     """docs/model.md: on rough ground the stride's error grows from M = 9 on; filled, it falls."""
     scene = sl.Scene(scenes.rough(96, 96, 1.0, 2, 1.4))
@@ -280,6 +287,7 @@ def test_a_lamp_between_the_directions_is_named(fast):
     assert (large.image > 0).all() and large.warnings == []
 
 
+@pytest.mark.slow
 def test_a_directed_lamp_moves_the_maximum_towards_the_centre(backend):
     """The paper's Fig. 2: a slanted plane under a sphere at the viewer, isotropic to strongly directed.
 

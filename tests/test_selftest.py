@@ -19,6 +19,7 @@ def run(capsys, *arguments):
     return (ended.value.code or 0, *capsys.readouterr())
 
 
+@pytest.mark.slow
 def test_every_pair_agrees(capsys):
     """Every pair of backends on every case, the bits equal to the bit, and the cases are no dark pictures."""
     code, out, err = run(capsys, "--json")

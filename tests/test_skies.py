@@ -37,6 +37,7 @@ def integral(brightness, n=600):
     return (brightness(L) * np.sin(e) * np.cos(e)).sum() * (np.pi / n) * (np.pi / 2 / n)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("type", range(1, 16))
 def test_horizontal_illuminance(type, fast):
     """The published fit of the types to 5 %, a converged integral to 1e-4, a render to 1e-3."""

@@ -351,6 +351,7 @@ def stripes(L):
     return ((20 * L[..., 0]) % 1 < 0.5).astype(float)
 
 
+@pytest.mark.slow
 def test_a_window_with_stripes(backend):
     """Stripes far narrower than the window, against quadrature: samples along a chord would miss them."""
     depth = np.full((13, 17), 9.0)
@@ -366,6 +367,7 @@ def test_a_window_with_stripes(backend):
         assert value == pytest.approx(light.mean() * 11 * 9, rel=5e-3)
 
 
+@pytest.mark.slow
 def test_a_beam_narrower_than_its_lamp(backend):
     """cos^900 from a ball, in the beam's middle and on its flank, against quadrature over the disc."""
     ball = slices.Ball((14.0, 9.0, -16.0), 4.0)
@@ -589,6 +591,7 @@ def _solid(source, shape):
     return solids.rectangle(*source[:3]), source[3]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SOURCES)
 def test_real_terrain_against_shadow_rays(fast, name):
     """Within 0.5 % RMS of the mean lit irradiance, measured 0.03 to 0.27; with twice the slices no worse."""
@@ -606,6 +609,7 @@ def test_real_terrain_against_shadow_rays(fast, name):
     assert 0.2 < (wanted > 0).mean() < 0.95, "nothing is shaded"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sides", ["open", "dark"])
 def test_backends_agree_and_repeat_themselves(backend, fast, sides):
     """To 1e-5 of the maximum, and each gives the same bytes again; masked ground, walls, all sources."""
@@ -678,6 +682,7 @@ def by_suns(backend, depth, launches, window=None, sides="open"):
     return run.download()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sides", ["open", "dark"])
 def test_a_sun_in_sectors_is_the_disc_that_it_is(backend, sides):
     """As a far lamp through slices, whose disc is in closed form."""
@@ -695,6 +700,7 @@ def test_a_sun_in_sectors_is_the_disc_that_it_is(backend, sides):
         assert np.sqrt(np.mean((got - wanted) ** 2)) < 0.003 * wanted.max() and 0.2 < (got > 0).mean() < 0.95
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sides", ["open", "dark"])
 def test_backends_agree_on_suns_and_repeat_themselves(backend, fast, sides):
     """To 1e-5 of the maximum, and the same bytes again; a map of one row too."""
@@ -742,6 +748,7 @@ def a_sun(elevation, azimuth, radius, count=64, knots=129):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sides", ["open", "dark"])
 def test_two_suns_at_once(backend, sides):
     """Sectors with tables over other elevations in one launch are the sum; a window without edges is none."""

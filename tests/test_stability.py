@@ -24,6 +24,7 @@ def test_the_atlas_is_whole():
         assert failure.good or failure.warns, "nothing is done about it"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", stability.FAILURES)
 def test_the_failure_is_there_and_seen_to(fast, name):
     """Beyond the limit at the harmful value only; there the default is good, or a warning names it."""

@@ -65,6 +65,7 @@ def together(jobs):
         return [future.result() for future in [pool.submit(run, job) for job in jobs]]
 
 
+@pytest.mark.slow
 def test_threads_get_the_bytes_of_calls_one_by_one(backend):
     """Eight threads, each with maps and sources of its own, each going through all work from another end."""
     each = lambda number: [
@@ -77,6 +78,7 @@ def test_threads_get_the_bytes_of_calls_one_by_one(backend):
         assert together(jobs) == expected
 
 
+@pytest.mark.slow
 def test_the_same_work_on_threads(backend):
     """Eight threads at the same kernels on different maps."""
     jobs = [functools.partial(WORK[0], depth_of(number), backend) for number in range(THREADS)]
@@ -143,6 +145,7 @@ def test_threads_that_ask_first_get_one_backend(monkeypatch, what):
     assert len(made) == 1 and len({id(engine) for engine in found}) == 1
 
 
+@pytest.mark.slow
 def test_waiting_for_a_device_is_not_counted_and_others_are_free(backend):
     """A call waits while its device is taken and does not count the wait; another device's call runs on."""
     render = lambda name: sl.render(sl.Scene(depth_of(1)), sl.Sky(), azimuths=8, backend=name)

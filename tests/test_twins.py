@@ -195,6 +195,7 @@ def _broken_bits(monkeypatch, old, new):
     return sl.visibility(scenes.scene("plateaus"), sl.Sky(), 5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("old", "new"),
     [("<= ceiling", "< ceiling"), ("1 << b", "1 << (b ^ 1)")],

@@ -17,6 +17,7 @@ NOTHING = np.zeros((1, 1, 1), np.uint8)
 SKY = sl.Sky()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sides", scenes.SIDES)
 @pytest.mark.parametrize("size", [3, 5, 7, 9])
 @pytest.mark.parametrize("name", list(scenes.MAPS))
@@ -27,6 +28,7 @@ def test_scan_and_propagation_equal_the_oracle(backend, name, size, sides):
     assert_bits_equal(sl.visibility(scene, SKY, size, backend, algorithm="propagate"), expected)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sides", scenes.SIDES)
 @pytest.mark.parametrize(
     ("name", "size"),
@@ -80,6 +82,7 @@ def _through(name, kind, size, sides):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sides", scenes.SIDES)
 @pytest.mark.parametrize("kind", ["rectangle", "beside", "aperture"])
 @pytest.mark.parametrize(("name", "size"), [("fractal", 9), ("masked", 7), ("walls", 5), ("row", 9)])
@@ -116,6 +119,7 @@ def _lamplight(name, kind, size, sides):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sides", ["open", "dark"])
 @pytest.mark.parametrize("kind", list(LAMPS))
 @pytest.mark.parametrize(("name", "size"), [("fractal", 9), ("spikes", 7), ("masked", 5)])
@@ -151,6 +155,7 @@ def _volume_truth(name, size, sides):
     return cube.pack(oracle.surface_visibility(scenes.layers(name), cube.steps, sides, geometry))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sides", scenes.SIDES)
 @pytest.mark.parametrize(("name", "size"), [("fractal", 9), ("spikes", 5), ("masked", 7)])
 def test_lamps_of_any_shape_equal_the_oracle(backend, name, size, sides):
@@ -208,6 +213,7 @@ SOURCES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("filled", [False, True], ids=["stride", "filled"])
 @pytest.mark.parametrize("sides", scenes.SIDES)
 @pytest.mark.parametrize("name", ["rough", "near ties", "real terrain"])
@@ -328,6 +334,7 @@ def _with_memory(monkeypatch, engine, size):
         monkeypatch.setitem(vars(engine), "memory", size)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("filled", [False, True], ids=["stride", "filled"])
 def test_work_that_goes_in_groups_gives_the_same_bytes(backend, filled, monkeypatch):
     """With memory for a few walks at a time: bits, light and carving are the same to the byte."""

@@ -94,7 +94,7 @@ class OpenclBackend(Backend):
         return int(self._device.max_mem_alloc_size)
 
     def upload(self, array: np.ndarray) -> Array:
-        device = self.empty(array.shape, array.dtype)
+        device = self._array(array.shape, array.dtype)
         device.set(np.ascontiguousarray(array))
         return device
 
@@ -102,15 +102,19 @@ class OpenclBackend(Backend):
         array.set(np.ascontiguousarray(values))
 
     def empty(self, shape: tuple[int, ...], dtype: DTypeLike, fill: float | None = None) -> Array:
+        array = self._array(shape, dtype)
+        if fill is not None:
+            scalar: Any = np.dtype(dtype).type
+            array.fill(scalar(fill))
+        return array
+
+    def _array(self, shape: tuple[int, ...], dtype: DTypeLike) -> Array:
         size = math.prod(shape) * np.dtype(dtype).itemsize
         large = self.on_cpu and size >= 2 * HUGE and hasattr(mmap, "MADV_HUGEPAGE")
         data = _on_huge_pages(self.context, size) if large else None
         array = self.cl.array.Array(self.queue, shape, dtype, data=data)
         if large:  # the memory is the host's: kernels that were started must be done with it first
             weakref.finalize(array, self.queue.finish).atexit = False
-        if fill is not None:
-            scalar: Any = np.dtype(dtype).type
-            array.fill(scalar(fill))
         return array
 
     def fill(self, array: Array, value: float) -> None:
