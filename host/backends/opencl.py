@@ -94,7 +94,7 @@ class OpenclBackend(Backend):
         return int(self._device.max_mem_alloc_size)
 
     def upload(self, array: np.ndarray) -> Array:
-        device = self._array(array.shape, array.dtype)
+        device = _new(self, array.shape, array.dtype)
         device.set(np.ascontiguousarray(array))
         return device
 
@@ -102,19 +102,10 @@ class OpenclBackend(Backend):
         array.set(np.ascontiguousarray(values))
 
     def empty(self, shape: tuple[int, ...], dtype: DTypeLike, fill: float | None = None) -> Array:
-        array = self._array(shape, dtype)
+        array = _new(self, shape, dtype)
         if fill is not None:
             scalar: Any = np.dtype(dtype).type
             array.fill(scalar(fill))
-        return array
-
-    def _array(self, shape: tuple[int, ...], dtype: DTypeLike) -> Array:
-        size = math.prod(shape) * np.dtype(dtype).itemsize
-        large = self.on_cpu and size >= 2 * HUGE and hasattr(mmap, "MADV_HUGEPAGE")
-        data = _on_huge_pages(self.context, size) if large else None
-        array = self.cl.array.Array(self.queue, shape, dtype, data=data)
-        if large:  # the memory is the host's: kernels that were started must be done with it first
-            weakref.finalize(array, self.queue.finish).atexit = False
         return array
 
     def fill(self, array: Array, value: float) -> None:
@@ -226,6 +217,16 @@ class OpenclBackend(Backend):
             raise BackendError(f"{self.name}: {stem}.cl does not build on {self.device}: {error}") from error
         self.compile_seconds += time.perf_counter() - start
         return program
+
+
+def _new(backend: OpenclBackend, shape: tuple[int, ...], dtype: DTypeLike) -> Array:
+    size = math.prod(shape) * np.dtype(dtype).itemsize
+    large = backend.on_cpu and size >= 2 * HUGE and hasattr(mmap, "MADV_HUGEPAGE")
+    data = _on_huge_pages(backend.context, size) if large else None
+    array = backend.cl.array.Array(backend.queue, shape, dtype, data=data)
+    if large:  # the memory is the host's: kernels that were started must be done with it first
+        weakref.finalize(array, backend.queue.finish).atexit = False
+    return array
 
 
 def _on_huge_pages(context: Any, size: int) -> Any:
