@@ -431,6 +431,156 @@ def horizons(
     return out.reshape(-1, *surface.shape) if nodes is None else out
 
 
+# -- light between surfaces: strips of ground, the same surface
+
+
+Crossing = tuple[float, tuple[int, int], tuple[int, int], float]
+
+
+def _crossings(x: float, y: float, reach: float) -> list[Crossing]:
+    """Crossings of an azimuth (x, y) with columns and rows, by distance [nodes], up to ``reach``.
+
+    (distance, (dx, dy) of the node at or before the crossing on its line, (dx, dy) of the next, its weight).
+    """
+    found = []
+    for a, b, on_row in ((x, y, False), (y, x, True)):
+        if a == 0:
+            continue
+        step = np.arange(1, int(reach * abs(a)) + 1)
+        low, weight = _split(step * (b / abs(a)))
+        for n, before, part in zip(step if a > 0 else -step, low, weight):
+            ends = [(int(n), int(before + at)) for at in (0, part > 0)]
+            one, other = ((v, u) if on_row else (u, v) for u, v in ends)
+            found.append((float(abs(n / a)), one, other, float(part)))
+    found.sort()
+    return found
+
+
+def _above(along: np.ndarray, up: np.ndarray, slope: np.ndarray) -> np.ndarray:
+    """Integral of N.L over the elevations from ``slope`` to the zenith, per radian of azimuth."""
+    e = np.arctan(slope)
+    light: np.ndarray = along * (np.pi / 2 - e - np.sin(e) * np.cos(e)) / 2 + up * np.cos(e) ** 2 / 2
+    return light
+
+
+def strips(
+    depth: np.ndarray,
+    spacing: float,
+    valid: np.ndarray,
+    azimuths: Sequence[float] | np.ndarray,
+    sides: str = "open",
+    nodes: Node | None = None,
+) -> tuple[np.ndarray, np.ndarray]:
+    """What nodes see of the ground and of the sky: (shares (n, rows x cols), sky (n,)), float64.
+
+    ``shares @ g`` is the irradiance over pi that ground of radiance g (rows x cols) sends; ``sky`` the same
+    of a sky of radiance 1. Azimuths are even, each of its share of the circle. In each, every crossing with a
+    column or a row is met in order of distance. One that stands higher, seen from the node, than the tangent
+    plane and all before it opens a strip of elevations, whose N.L is integrated in closed form.
+
+    - Along the stretch between two crossings the radiance is linear. A strip's is the mean of that at its far
+      end, the crossing, and at its near end, where the line of sight over all ground before meets the
+      stretch.
+    - The first stretch bends from the tangent plane up to the first crossing, at a cliff as well: that
+      strip's radiance is the mean of the node's own and the crossing's.
+    - A masked node is bottomless: behind it the first strip has the crossing's radiance alone.
+    - Below the level, past all ground, it is black (open, dark), as is the wall of a dark box. On a map that
+      repeats, strips are followed as horizons are, and scaled so that they and the sky make 1.
+    """
+    rows, cols = valid.shape
+    height = np.where(valid, -depth / spacing, -1e30)
+    row, col = (np.ravel(index) for index in (np.indices(valid.shape) if nodes is None else nodes))
+    own, normal, top = height[row, col], normals(depth, spacing, valid)[row, col], height.max()
+    reach = math.hypot(rows, cols)
+    if sides == "periodic":
+        reach = max(reach, (top - height[valid].min()) / LEVEL)
+    shares, sky = np.zeros((len(row), rows * cols)), np.zeros(len(row))
+    share = 2 / len(azimuths)
+    for azimuth in azimuths:
+        x, y = (0.0 if abs(part) < 1e-12 else part for part in (math.cos(azimuth), math.sin(azimuth)))
+        along, up = normal[:, 0] * x + normal[:, 1] * y, -normal[:, 2]
+        highest = -along / up
+        before = (0.0, own, row * cols + col, row * cols + col, np.zeros(len(row)))
+        for crossing in _crossings(x, y, reach):
+            distance = crossing[0]
+            if not (own + highest * distance < top).any():
+                break
+            here = (distance, *_ground(height, row, col, crossing, sides))
+            slope = (here[1] - own) / distance
+            seen = np.flatnonzero(slope > highest)
+            weight = share * (_above(along, up, highest) - _above(along, up, slope))[seen]
+            near, far = _ends(own, highest, before, here, seen)
+            for part, (_, _, a, b, w) in ((near, before), (far, here)):
+                shares[seen, a[seen]] += weight * part * (1 - w[seen])
+                shares[seen, b[seen]] += weight * part * w[seen]
+            highest, before = np.maximum(highest, slope), here
+        if sides == "dark":
+            across, down = (
+                (n - 0.5 - at if a > 0 else at + 0.5) / abs(a) if a else np.full(len(row), np.inf)
+                for a, at, n in ((x, col, cols), (y, row, rows))
+            )
+            highest = np.maximum(highest, -own / np.minimum(across, down))
+        sky += share * _above(along, up, np.maximum(highest, 0))
+    if sides == "periodic":
+        shares *= ((1 - sky) / np.maximum(shares.sum(1), 1e-300))[:, None]
+    known = valid[row, col]
+    shares[~known], sky[~known] = 0, 0
+    return shares, sky
+
+
+Ground = tuple[float, np.ndarray, np.ndarray, np.ndarray, np.ndarray]  # distance, height, nodes, weight
+
+
+def _ground(
+    height: np.ndarray,
+    row: np.ndarray,
+    col: np.ndarray,
+    crossing: Crossing,
+    sides: str,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Height of the ground at a crossing, the nodes before and after it and the weight of the latter, (n,).
+
+    Off the map the ground is bottomless.
+    """
+    rows, cols = height.shape
+    _, one, other, part = crossing
+    ends, inside = [], np.ones(len(row), bool)
+    for dx, dy in (one, other):
+        u, v = col + dx, row + dy
+        if sides != "periodic":
+            inside &= (0 <= u) & (u < cols) & (0 <= v) & (v < rows)
+        ends.append((v % rows) * cols + u % cols)
+    a, b = ends
+    ground = height.ravel()[a] + part * (height.ravel()[b] - height.ravel()[a])
+    return np.where(inside, ground, -1e30), a, b, np.full(len(row), part)
+
+
+def _ends(
+    own: np.ndarray, highest: np.ndarray, before: Ground, here: Ground, seen: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Shares of the crossings before and here in the radiance of the strips ``seen``."""
+    past = np.zeros(len(seen))
+    if before[0] > 0:
+        low, high = ((end[1] - own - highest * end[0])[seen] for end in (before, here))
+        past = np.where(low >= 0, 0.0, -low / np.where(low < 0, high - low, 1.0))
+    return (1 - past) / 2, (1 + past) / 2
+
+
+def interreflection(direct: np.ndarray, albedo: np.ndarray, shares: np.ndarray) -> np.ndarray:
+    """Irradiance of direct light and all light between surfaces: E = E_d + shares @ (albedo E), converged.
+
+    All (rows x cols,), ``shares`` as from :func:`strips`; rounds until none changes a node by 1e-9 of the
+    mean, or 1000.
+    """
+    total = direct.astype(float)
+    for _ in range(1000):
+        after: np.ndarray = direct + shares @ (albedo * total)
+        if np.abs(after - total).max() <= 1e-9 * direct.mean():
+            break
+        total = after
+    return after
+
+
 def sky_irradiance(
     depth: np.ndarray,
     spacing: float,
