@@ -8,7 +8,7 @@ from .arrays import labelled
 from .checks import one_of
 from .directions import Azimuths
 from .errors import bad
-from .light.sweeps import FINE, Rays, Sweeps, engine_of, ground_of
+from .light.sweeps import FINE_NEAR_ROWS, Rays, Sweeps, engine_of, ground_of
 from .scene import Scene, is_scene
 
 DEFINITIONS = ("tilted", "horizontal", "solid_angle")
@@ -34,7 +34,10 @@ def horizons(
     engine = engine_of(scene, backend)
     with engine.lock:
         slopes = Sweeps(
-            engine, ground_of(scene, max_distance, engine), Rays(azimuths.angles, azimuths.widths), near=FINE
+            engine,
+            ground_of(scene, max_distance, engine),
+            Rays(azimuths.angles, azimuths.widths),
+            near=FINE_NEAR_ROWS,
         ).slopes()
     slopes[:, ~scene.valid] = np.nan
     found: np.ndarray = labelled(slopes, scene.labels, azimuth=azimuths.angles)
@@ -102,7 +105,10 @@ def openness(
     total = np.zeros(scene.shape)
     with engine.lock:
         sweeps = Sweeps(
-            engine, ground_of(scene, max_distance, engine), Rays(azimuths.angles, azimuths.widths), near=FINE
+            engine,
+            ground_of(scene, max_distance, engine),
+            Rays(azimuths.angles, azimuths.widths),
+            near=FINE_NEAR_ROWS,
         )
         for numbers, slopes in sweeps.planes():
             for width, slope in zip(azimuths.widths[numbers], slopes):

@@ -20,6 +20,7 @@ from . import sources
 from .backends import select
 from .backends.base import Backend
 from .checks import positive_number
+from .constants import LEAST_SEARCHED_SLOPE
 from .errors import CapacityError, bad
 from .light import lattice, unoccluded
 from .light.base import Estimate, LightMethod
@@ -27,19 +28,18 @@ from .light.finite import RAYS, Sliced
 from .light.horizon import OFFSET, Horizons
 from .light.lattice import Lattice, lacking
 from .light.slices import outline, widened
-from .light.sweeps import FAINTEST
 from .radiometry import point_error
 from .reflectance import Lambertian
-from .samples import CLIFF, COUNT, FAINT, Errors, Samples
+from .samples import CLIFF, SAMPLE_COUNT, SAMPLED_SLOPE, Errors, Samples
 from .scene import Scene, is_scene
 from .sources.integrals import Integrals, Sun, even
 from .sources.solids import Ball, Quad, aperture, rectangle
 
 # -- tolerance and estimates
-TAIL = 10.0  # bound on the 99.9th percentile of the error, in tolerances, unless given
+DEFAULT_TAIL = 10.0  # bound on the 99.9th percentile of the error, in tolerances, unless given
 # share of the tolerance that an estimate may take; chosen: samples know an RMS to some 10 %, and with 0.95
 # one image in twelve at 0.3 % was 1 to 1.4 tolerances off
-MARGIN = 0.85
+ESTIMATE_SHARE = 0.85
 # error over half the difference of halves if nothing else is known, and at least; measured, docs/model.md
 FIRST_SHARE, LEAST_SHARE = 0.9, 0.45
 LEAST_SAMPLED_SHARE = 0.3  # the least share that the samples may tell; chosen
@@ -52,41 +52,42 @@ MOST_UNITS = {Horizons: 1024, Sliced: 1024, Lattice: 33}  # up to which is refin
 MOST_STEPS = 2**40  # nodes x azimuths of a call: some three hours on two cores, ten seconds on an H200
 
 # -- skies
-AZIMUTHS = (4, 6, 8, 12, 16, 24, 32, 48, 64, 96, 128, 192, 256, 384, 512, 768, 1024)  # among which is chosen
+# among which a number of azimuths is chosen: powers of two, and 3/2 of them
+AZIMUTH_COUNTS = (4, 6, 8, 12, 16, 24, 32, 48, 64, 96, 128, 192, 256, 384, 512, 768, 1024)
 # azimuths of the exact light, each grid within the next, and how many azimuths it can judge: a sixth
-GRIDS = {36: 6, 72: 12, 144: 24, 288: 48}
+EXACT_GRIDS = {36: 6, 72: 12, 144: 24, 288: 48}
 # sectors of azimuth that small bright parts have together at least, as many as a CPU takes at a time; times
 # as many are tried
-LEAST_SECTORS, FINER = 8, (1, 3, 9)
+LEAST_SECTORS, SECTOR_MULTIPLES = 8, (1, 3, 9)
 # error over the difference of two halves of sectors: about LEAST_SHARE of half of it, as for azimuths
 SECTOR_SHARE = 0.25
-ORDER = 1.2  # of convergence in the number of azimuths, on rough ground: performance/horizon.py
-FINE_ROWS = 24  # near rows within which every crossing is tested, where the usual 6 do not do
+CONVERGENCE_ORDER = 1.2  # of convergence in the number of azimuths, on rough ground: performance/horizon.py
+CLIFF_NEAR_ROWS = 24  # near rows within which every crossing is tested, where the usual 6 do not do
 # RMS error of sweeps behind cliffs, over the root of their share of the neighbours, with 6 near rows and with
-# FINE_ROWS: measured
-BEHIND_CLIFFS = {None: 0.028, FINE_ROWS: 0.0085}
-# tolerance below which shadows of suns take FINE_ROWS: with 6 near rows they cost 0.1 to 0.9 %, with 24 0.01
-# to 0.35 % (fractals, terrain)
-SHARP = 0.01
-UNIFORM = 0.1  # tolerances by which a brightness may vary that is taken as a number
+# CLIFF_NEAR_ROWS: measured
+BEHIND_CLIFFS = {None: 0.028, CLIFF_NEAR_ROWS: 0.0085}
+# tolerance below which shadows of suns take CLIFF_NEAR_ROWS: with 6 near rows they cost 0.1 to 0.9 %, with 24
+# 0.01 to 0.35 % (fractals, terrain)
+SHARP_SHADOWS = 0.01
+NEARLY_UNIFORM = 0.1  # tolerances by which a brightness may vary that is taken as a number
 SEARCHED_SLOPES = (0.8, 0.4, 0.2, 0.1, 0.05, 0.025)  # over which a map that repeats is searched
-SHORT = 0.3  # tolerances that a shorter search may cost
-WINDOWED = 2.5  # times as many steps as a sweep without a search radius
+SHORTER_SEARCH_SHARE = 0.3  # tolerances that a shorter search may cost
+WINDOWED_COST = 2.5  # times as many steps as a sweep without a search radius
 
 # -- lamps and windows
 SLICE_COUNTS = (8, 16, 32, 64, 128, 256)  # of a source that stands all round
-JUDGES = 4  # times as many slices judge them
+JUDGING_SLICES = 4  # times as many slices judge them
 # azimuth that a small bright part behind a window may span: slices, which stand within the window, resolve
 # what is wider
-SMALL = math.radians(5)
+WINDOWED_PART = math.radians(5)
 PATCHES = 16  # of a small bright part where nodes are looked for that it lights through a window; chosen
 # sectors of a small bright part behind a window, to judge by: its edges cut the part wherever they like. No
 # multiple of what is judged, so that their errors differ
 BEHIND_WINDOW = 1021
 # apparent radius [rad] of a lamp, six cells of a table of brightness, up to which rays tell its brightness
-NARROW = 0.02
-MOST_EVALUATIONS = 2**25  # of a brightness for the sake of rays, some ten seconds
-POINT = 0.1  # share of the tolerance by which a lamp that is called a point may be off as one
+NARROW_RADIUS = 0.02
+MOST_RAY_EVALUATIONS = 2**25  # of a brightness for the sake of rays, some ten seconds
+POINT_SHARE = 0.1  # share of the tolerance by which a lamp that is called a point may be off as one
 
 
 @dataclass(frozen=True)
@@ -267,7 +268,7 @@ class Assessment(NamedTuple):
         if self.error is None:
             return True
         few = self.estimate is None or self.estimate.beyond <= BEYOND
-        return self.worst <= MARGIN * tolerance and few
+        return self.worst <= ESTIMATE_SHARE * tolerance and few
 
     def floor(self, planner: _Planner) -> float:
         """Error that both halves share."""
@@ -306,7 +307,7 @@ def choose(
 ) -> _Planner:
     """A planner that has chosen what to begin with."""
     tolerance = positive_number(tolerance, "tolerance")
-    tail = TAIL * tolerance if tail is None else positive_number(tail, "tail")
+    tail = DEFAULT_TAIL * tolerance if tail is None else positive_number(tail, "tail")
     if not isinstance(source, sources.Source):
         raise bad("source", type(source).__name__, "Sky, Lamp or Window")
     if getattr(source, "corner", None) is None or scene.sides == "periodic":
@@ -372,7 +373,7 @@ class _Planner(ABC):
     the samples) in :meth:`choose`.
     """
 
-    sample_count = COUNT
+    sample_count = SAMPLE_COUNT
     method_class: type[LightMethod] = _ClosedForm
     method: LightMethod
     units = 0
@@ -388,10 +389,11 @@ class _Planner(ABC):
         self.scene, self.source, self.engine = scene, source, engine
         self.tolerance, self.tail = tolerance, tail
         self.samples = Samples(engine, scene, self.sample_count)
-        if scene.sides == "periodic" and self.samples.relief / FAINT * len(self.samples) > MOST_STEPS / 512:
+        lap = self.samples.relief / SAMPLED_SLOPE
+        if scene.sides == "periodic" and lap * len(self.samples) > MOST_STEPS / 512:
             raise CapacityError(
                 f"A relief of {self.samples.relief:.3g} spacings on a map that repeats must be followed over"
-                f" {self.samples.relief / FAINT:.2g} nodes; give depth and spacing in one unit."
+                f" {lap:.2g} nodes; give depth and spacing in one unit."
             )
 
     @abstractmethod
@@ -426,7 +428,7 @@ class _Planner(ABC):
 
     def fits(self, found: Errors, floor: float = 0.0) -> bool:
         """Whether errors at the samples, with a floor besides, are within the tolerance and its tail."""
-        return math.hypot(found.bound, floor) <= MARGIN * self.tolerance and found.tail <= self.tail
+        return math.hypot(found.bound, floor) <= ESTIMATE_SHARE * self.tolerance and found.tail <= self.tail
 
     @property
     def closed(self) -> bool:
@@ -443,7 +445,7 @@ class _Planner(ABC):
         """The plan, with the errors that the samples expect."""
         latticed = self.method_class is Lattice
         rms, bound = (math.hypot(value, self.floor) for value in (self.expected.rms, self.expected.bound))
-        fits = bound <= MARGIN * self.tolerance
+        fits = bound <= ESTIMATE_SHARE * self.tolerance
         verdict = "within tolerance" if fits else "the best there is for tolerance"
         return Plan(
             "lattice" if latticed else "unoccluded" if self.closed else "horizon",
@@ -521,17 +523,17 @@ class _SkyPlanner(_Planner):
         rest = self.light.rest / max(self.light.level, 1e-30) if isinstance(self.light, Integrals) else 1.0
         cliffs = math.sqrt(samples.cliffs) * rest
         steep = BEHIND_CLIFFS[None] * cliffs > 0.5 * self.tolerance
-        if steep or self.suns and not self.has_rays and self.tolerance < SHARP:
-            self.near_rows = FINE_ROWS
+        if steep or self.suns and not self.has_rays and self.tolerance < SHARP_SHADOWS:
+            self.near_rows = CLIFF_NEAR_ROWS
         floor = BEHIND_CLIFFS[self.near_rows] * cliffs
-        planes = even(unoccluded.AZIMUTHS, 0.5)
+        planes = even(unoccluded.INTEGRATED_AZIMUTHS, 0.5)
         self.free = (
             _above_planes(self.samples, self.light, planes.angles, planes.widths, planes.widths)
             if isinstance(self.light, Integrals)
             else np.pi / 2 * self.light * (1 + 1 / samples.length)
         )
         self.bright = self._bright_light()
-        self._trace(min(GRIDS))
+        self._trace(min(EXACT_GRIDS))
         if self._fits_closed_form():
             return
         self.bright = self._bright_light(floor)
@@ -548,7 +550,7 @@ class _SkyPlanner(_Planner):
             self.light = float(brightness)
             return
         self.light = sky = Integrals(self.source, self.tolerance)
-        if not sky.suns and sky.variation <= UNIFORM * self.tolerance:
+        if not sky.suns and sky.variation <= NEARLY_UNIFORM * self.tolerance:
             self.light = float(sky.mean)
             return
         self.suns = sky.suns
@@ -568,7 +570,7 @@ class _SkyPlanner(_Planner):
         while self.grid < grid:
             first = not self.grid
             angles: np.ndarray
-            self.grid = 2 * self.grid or min(GRIDS)
+            self.grid = 2 * self.grid or min(EXACT_GRIDS)
             angles = 2 * np.pi * np.arange(self.grid) / self.grid
             new = samples.horizons(angles if first else angles[1::2])
             self.slopes = new if first else np.stack([self.slopes, new], 1).reshape(self.grid, -1)
@@ -588,9 +590,9 @@ class _SkyPlanner(_Planner):
 
     def _choose_azimuths(self, floor: float) -> None:
         """The fewest azimuths whose errors at the samples, with the floor, are within the tolerance."""
-        for grid, most in GRIDS.items():
+        for grid, most in EXACT_GRIDS.items():
             self._trace(grid)
-            counts = [n for n in AZIMUTHS if n <= most and grid % (3 * n) == 0]
+            counts = [n for n in AZIMUTH_COUNTS if n <= most and grid % (3 * n) == 0]
             measured = {count: self._measured(count) for count in counts}
             fitting = [count for count, (found, _) in measured.items() if self.fits(found, floor)]
             if fitting:
@@ -601,8 +603,8 @@ class _SkyPlanner(_Planner):
         if fitting:
             return
         last, judged = self.expected, self.units
-        for self.units in (count for count in AZIMUTHS if count > judged):
-            self.expected = Errors(*(value * (judged / self.units) ** ORDER for value in last))
+        for self.units in (count for count in AZIMUTH_COUNTS if count > judged):
+            self.expected = Errors(*(value * (judged / self.units) ** CONVERGENCE_ORDER for value in last))
             if self.fits(self.expected, floor):
                 break
 
@@ -644,7 +646,7 @@ class _SkyPlanner(_Planner):
         light: float | np.ndarray = 0.0
         if not self.suns:
             return light
-        for times in FINER:
+        for times in SECTOR_MULTIPLES:
             self.sectors = times * max(1, -(-LEAST_SECTORS // len(self.suns)))
             one, other = (
                 sum(self.samples.sectors(*sun.sectors(self.sectors, odd)) for sun in self.suns)
@@ -691,16 +693,16 @@ class _SkyPlanner(_Planner):
         if self.scene.sides != "periodic":
             return
         samples, side = self.samples, math.sqrt(math.prod(self.scene.shape))
-        whole = 1 + max(*self.scene.shape, samples.relief / FAINTEST) / side
+        whole = 1 + max(*self.scene.shape, samples.relief / LEAST_SEARCHED_SLOPE) / side
         angles = 2 * np.pi * (np.arange(24) + OFFSET) / 24
         full = samples.ring(angles, samples.horizons(angles)).sum(0)
-        self.why_far = f"on a map that repeats, as far as its relief makes a slope of {FAINTEST}"
+        self.why_far = f"on a map that repeats, as far as its relief makes a slope of {LEAST_SEARCHED_SLOPE}"
         for slope in SEARCHED_SLOPES:
             reach = max(2.0, math.ceil(samples.relief / slope))
-            if WINDOWED * (1 + reach / side) > 0.8 * whole:
+            if WINDOWED_COST * (1 + reach / side) > 0.8 * whole:
                 return
             cut = samples.errors(samples.ring(angles, samples.horizons(angles, reach)).sum(0), full)
-            if cut.bound <= SHORT * self.tolerance and cut.tail <= 0.5 * self.tail:
+            if cut.bound <= SHORTER_SEARCH_SHARE * self.tolerance and cut.tail <= 0.5 * self.tail:
                 self.max_distance, self.floor = reach * self.scene.spacing, math.hypot(self.floor, cut.rms)
                 self.why_far = f"what lies farther away costs {_percent(cut.rms)}"
                 return
@@ -710,7 +712,7 @@ class _SkyPlanner(_Planner):
         lap = 0.0
         if self.scene.sides == "periodic":
             reach = math.inf if self.max_distance is None else self.max_distance / self.scene.spacing
-            lap = min(self.samples.relief / FAINTEST, reach)
+            lap = min(self.samples.relief / LEAST_SEARCHED_SLOPE, reach)
         steps = self.units * math.prod(self.scene.shape) * (1 + lap / min(self.scene.shape))
         if steps > MOST_STEPS:
             raise CapacityError(
@@ -740,15 +742,15 @@ class _SkyPlanner(_Planner):
 
     def audit(self, image: np.ndarray, units: int) -> float | None:
         if 3 * units > self.grid:
-            self._trace(max(GRIDS))
+            self._trace(max(EXACT_GRIDS))
         found = self.samples.errors(self.samples.of(image), self.exact).rms
         return found if 3 * units <= self.grid else math.sqrt(max(0.0, found**2 - self.doubt**2))
 
     def refine(self, is_shared: bool) -> bool:
         if self.method_class is Horizons and is_shared and self.near_rows is None:
-            self.near_rows = FINE_ROWS
+            self.near_rows = CLIFF_NEAR_ROWS
             self.method = self._horizons(self.method.units)
-            self.floor *= BEHIND_CLIFFS[FINE_ROWS] / BEHIND_CLIFFS[None]
+            self.floor *= BEHIND_CLIFFS[CLIFF_NEAR_ROWS] / BEHIND_CLIFFS[None]
             return True
         return super().refine(is_shared)
 
@@ -871,7 +873,7 @@ class _SlicePlanner(_Planner):
 
     def _integrate_sky(self) -> None:
         """Integrals of the sky behind a window, and the window's outline for its small bright parts."""
-        self.sky = Integrals(sources.Sky(self.source.brightness), self.tolerance, True, SMALL)
+        self.sky = Integrals(sources.Sky(self.source.brightness), self.tolerance, True, WINDOWED_PART)
         depth, step = self.scene.lattice()
         window = solid_of(self.scene, self.source, step / self.scene.spacing, step)
         assert isinstance(window, Quad), "a window of which something is left is a quadrangle"
@@ -960,7 +962,7 @@ class _SlicePlanner(_Planner):
 
     def _choose_rays(self) -> None:
         """How a brightness that varies is taken: along few rays to a small lamp, else along every chord."""
-        if isinstance(self.source, sources.Lamp) and self.apparent < NARROW:
+        if isinstance(self.source, sources.Lamp) and self.apparent < NARROW_RADIUS:
             whole = np.maximum(self._unoccluded(1, 1.0), 1e-30)
             seen = self.samples.through_slices(self.solid, 1.0, SLICE_COUNTS[2]) / whole
             for rays in RAYS:
@@ -974,7 +976,8 @@ class _SlicePlanner(_Planner):
             self.sky = Integrals(sources.Sky(self.source.brightness), math.inf, True)
 
     def _choose_slices(self, brightness: sources.Brightness, light: dict[int, np.ndarray]) -> None:
-        """The fewest slices whose light at the samples is within the tolerance of JUDGES times as many.
+        """The fewest slices whose light at the samples is within the tolerance of JUDGING_SLICES times as
+        many.
 
         ``light``: by numbers of slices, what is known already.
         """
@@ -991,7 +994,7 @@ class _SlicePlanner(_Planner):
                 rms, bound, tail = self.expected
                 if self.fits(Errors(rms, 2 * bound, 2 * tail)):
                     break
-            if JUDGES * number.max() <= finest:
+            if JUDGING_SLICES * number.max() <= finest:
                 break
 
     def make(self) -> LightMethod:
@@ -1019,9 +1022,9 @@ class _SlicePlanner(_Planner):
 
     def _may_take_rays(self) -> bool:
         """Whether a small lamp's brightness, taken along chords, may be taken along rays."""
-        small = isinstance(self.source, sources.Lamp) and self.apparent < NARROW
+        small = isinstance(self.source, sources.Lamp) and self.apparent < NARROW_RADIUS
         evaluations = math.prod(self.scene.shape) * RAYS[-1]
-        return small and not self.rays and self.sky is not None and evaluations <= MOST_EVALUATIONS
+        return small and not self.rays and self.sky is not None and evaluations <= MOST_RAY_EVALUATIONS
 
     def choices(self) -> Iterator[Choice]:
         closed, source = self.closed, self.source
@@ -1037,7 +1040,7 @@ class _SlicePlanner(_Planner):
         )
         if closed:
             shape = "a sphere, closed form" if isinstance(self.solid, Ball) else "a polygon, closed form"
-            taken = "a point" if off <= POINT * self.tolerance else shape
+            taken = "a point" if off <= POINT_SHARE * self.tolerance else shape
             why += f"; as a point, a disc of that size is off by {_percent(off)}"
         yield Choice("lamp" if isinstance(source, sources.Lamp) else "window", taken, why)
         rays = self.points if closed else self.rays
@@ -1068,7 +1071,7 @@ class _LatticePlanner(_Planner):
         scene, source, samples = self.scene, self.source, self.samples
         self.why = lacking(scene, source)
         if isinstance(source, sources.Lamp):  # a volume: nothing but the lattice knows it
-            known = lattice.ERRORS
+            known = lattice.HEMICUBE_ERRORS
             self.unknown = (
                 f"{self.why}; its error was not measured, on rough ground under a sky it is"
                 f" {min(known.values())} to {max(known.values())} of pi"
@@ -1078,7 +1081,7 @@ class _LatticePlanner(_Planner):
             return
         self.exact = lattice.through_window(samples, scene, source)
         self.uniform = self._uniform_light()
-        for self.units in lattice.ERRORS:
+        for self.units in lattice.HEMICUBE_ERRORS:
             light = lattice.at_samples(samples, scene, source, self.units)
             self.expected = samples.errors(light, self.exact)
             if self.fits(self.expected):
@@ -1088,7 +1091,7 @@ class _LatticePlanner(_Planner):
         return Lattice(self.engine, self.scene, self.source, self.units)
 
     def refine(self, is_shared: bool) -> bool:
-        if self.method.units >= max(lattice.ERRORS):
+        if self.method.units >= max(lattice.HEMICUBE_ERRORS):
             return False
         self.method.refine()
         return True

@@ -21,7 +21,7 @@ from .radiometry import directional_hemispheric
 
 BOUND = 1e-3  # by which a reflectance may seem to give more than it gets: the numeric integral's own error
 MOST_EXPONENT = 1e5  # a lobe half a degree wide; beyond it a mirror
-KNOTS = 2048  # of a lobe's table
+LOBE_KNOTS = 2048  # of a lobe's table
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,7 +92,7 @@ class Phong:
 
     def table(self, rim: float) -> np.ndarray:
         """cos^n, (2048,) float32, by even steps of 1 - cos from 0 to ``rim``, as kernels read it."""
-        return ((1 - np.linspace(0, rim, KNOTS)) ** self.exponent).astype(np.float32)
+        return ((1 - np.linspace(0, rim, LOBE_KNOTS)) ** self.exponent).astype(np.float32)
 
     def brdf(self, incoming: np.ndarray, outgoing: np.ndarray) -> np.ndarray:
         """f [sr^-1]: (..., 3), (..., 3) -> (...); the albedos must be numbers."""

@@ -18,10 +18,10 @@ from .constants import SLICES
 from .directions import Azimuths, Hemicube
 from .errors import bad
 from .light import propagation, unoccluded
-from .light.lattice import ERRORS, lacking
+from .light.lattice import HEMICUBE_ERRORS, lacking
 from .light.propagation import Lobe, Problem
-from .light.slices import KNOTS, MOST, TURNS, Slices, blurred, brightness_of, widened
-from .light.sweeps import FINE, Rays, Sweeps, engine_of, ground_of
+from .light.slices import CHORD_AZIMUTHS, CHORD_KNOTS, MOST, Slices, blurred, brightness_of, widened
+from .light.sweeps import FINE_NEAR_ROWS, Rays, Sweeps, engine_of, ground_of
 from .refinement import Plan, Refined, refined, solid_of, upright
 from .reflectance import BRDF, Phong
 from .scene import Scene, is_scene
@@ -29,17 +29,18 @@ from .sources import cie
 from .sources.integrals import Integrals, chords
 from .sources.solids import Dome
 
-METHODS = ("auto", "lattice", "horizon", "unoccluded")
+RENDER_METHODS = ("auto", "lattice", "horizon", "unoccluded")
 QUANTITIES = ("radiance", "irradiance")
-AZIMUTHS = 64  # of method "horizon", unless given
-SIZE = 9  # of the hemicube of method "lattice", unless given
-FAR = 1e5  # extents of the map at which the sun stands: a hundred-thousandth of a radian across it
-BOX = 4  # nodes round a node over which the error map is a mean: halves tell of regions, not of nodes
+DEFAULT_AZIMUTHS = 64  # of method "horizon", unless given
+DEFAULT_HEMICUBE = 9  # of the hemicube of method "lattice", unless given
+SUN_DISTANCE = 1e5  # extents of the map at which the sun stands: a hundred-thousandth of a radian across it
+# nodes to each side of a node over which the error map is a mean: halves tell of regions, not of nodes
+ERROR_MAP_RADIUS = 4
 # what the error map is more than the RMS error; chosen: with it 84, 93 and 95 % of all nodes keep to one, two
 # and three times the map (performance/refinement.py)
-MAP = np.float32(1.25)
+ERROR_MAP_FACTOR = np.float32(1.25)
 # half widths of a lobe between directions, from which on its sum may be too large by 1 in a thousand
-COARSE = 1.2
+COARSE_LOBE = 1.2
 LEAK_SLOPE = 0.7  # rms slope from which the unfilled step leaks from M = 7 on (README, Limits)
 REPEATED_LOBE = "a lobe over a map that repeats"
 
@@ -199,7 +200,7 @@ class _Options:
     def check(self, scene: Scene, source: sources.Source) -> None:
         """InputError unless all arguments go together."""
         is_scene(scene)
-        one_of(self.method, METHODS, "method")
+        one_of(self.method, RENDER_METHODS, "method")
         one_of(self.quantity, QUANTITIES, "quantity")
         one_of(self.weights, ("moment", "printed"), "weights")
         if not isinstance(self.filled, (bool, type(None))):
@@ -350,7 +351,7 @@ class _Renderer:
             return shading.by_brdf(scene, self.greys, self.engine, options.max_distance)
         sectors = _sectors(options.azimuths)
         ground = ground_of(scene, options.max_distance, self.engine)
-        sweeps = Sweeps(self.engine, ground, Rays(sectors.angles, sectors.widths), near=FINE)
+        sweeps = Sweeps(self.engine, ground, Rays(sectors.angles, sectors.widths), near=FINE_NEAR_ROWS)
         return shading.by_brdf_under_sky(scene, self.greys, sweeps.planes(), sectors)
 
     def _sky_lobe(self, grey: sources.Source) -> np.ndarray:
@@ -394,7 +395,7 @@ class _Renderer:
                 for share in (brightness * angles, angles)
             )
             spacing = np.sqrt(2 * np.pi / len(cube))
-            if spacing <= COARSE * lobe.spread:
+            if spacing <= COARSE_LOBE * lobe.spread:
                 whole = None  # the sum is exact enough
             else:
                 self.warnings.append(_narrow_lobe(lobe, spacing, "method='horizon' or a larger hemicube"))
@@ -436,7 +437,7 @@ def _sectors(azimuths: int | Azimuths | None) -> Azimuths:
     """Sectors of azimuth, as asked."""
     if isinstance(azimuths, Azimuths):
         return azimuths
-    return Azimuths(AZIMUTHS if azimuths is None else azimuths)
+    return Azimuths(DEFAULT_AZIMUTHS if azimuths is None else azimuths)
 
 
 def _unoccluded(scene: Scene, source: sources.Source) -> np.ndarray:
@@ -477,7 +478,7 @@ def _by_slices(
     """A lamp or window in as many slices as planned: (rows, cols) float32."""
     assert plan.azimuths is not None, "a plan of slices says how many"
     brightness = (
-        chords(Integrals(sources.Sky(source.brightness), np.inf, True), TURNS, KNOTS)
+        chords(Integrals(sources.Sky(source.brightness), np.inf, True), CHORD_AZIMUTHS, CHORD_KNOTS)
         if callable(source.brightness)
         else _number(source)
     )
@@ -529,7 +530,7 @@ def _sun_of(scene: Scene, source: sources.Source, max_distance: float | None) ->
             "Give the sun as a Lamp of its own.",
         )
     extent = max(max(scene.shape) * scene.spacing, float(scene.depth[scene.valid].max()))
-    disc: sources.Lamp = brightness.disc(FAR * extent)
+    disc: sources.Lamp = brightness.disc(SUN_DISTANCE * extent)
     return disc
 
 
@@ -571,7 +572,7 @@ def _lobe_of_solid(
         return np.zeros(scene.shape, np.float32)
     slices.run()
     image = slices.download() * np.float32(_norm(scene) * scale)
-    if slices.coarse > COARSE:
+    if slices.coarse > COARSE_LOBE:
         text = _narrow_lobe(lobe, slices.coarse * lobe.spread, "a smaller lamp, or Mirror")
         warnings.extend([text] if text not in warnings else [])
         np.minimum(image, np.float32(np.max(brightness)), out=image)  # no lobe shows more than there is
@@ -673,14 +674,14 @@ def _error_map(found: Refined, scene: Scene) -> np.ndarray:
     for axis in (0, 1):
         square, count = (_box_sums(values, axis) for values in (square, count))
     error = np.sqrt(found.share**2 * square / np.maximum(count, 1) + found.floor**2).astype(np.float32)
-    return np.asarray(MAP * error)
+    return np.asarray(ERROR_MAP_FACTOR * error)
 
 
 def _box_sums(values: np.ndarray, axis: int) -> np.ndarray:
-    """Sums over up to 2 BOX + 1 neighbours along an axis."""
+    """Sums over up to 2 ERROR_MAP_RADIUS + 1 neighbours along an axis."""
     ends = np.concatenate([np.zeros_like(np.take(values, [0], axis)), np.cumsum(values, axis)], axis)
     at = np.arange(values.shape[axis])
-    high, low = np.minimum(at + BOX + 1, len(at)), np.maximum(at - BOX, 0)
+    high, low = np.minimum(at + ERROR_MAP_RADIUS + 1, len(at)), np.maximum(at - ERROR_MAP_RADIUS, 0)
     sums: np.ndarray = np.take(ends, high, axis) - np.take(ends, low, axis)
     return sums
 
@@ -709,10 +710,10 @@ def _lattice_plan(options: _Options) -> Plan:
     size = options.hemicube.size if isinstance(options.hemicube, Hemicube) else options.hemicube
     filled = options.filled is not False if options.method == "auto" else bool(options.filled)
     if options.method == "auto" and not options.lattice:
-        fitting = (m for m, error in ERRORS.items() if error <= float(options.tolerance))
-        size = next(fitting, max(ERRORS))
-        return Plan("lattice", size, filled, f"RMS error {ERRORS[size]} of E / pi on rough ground")
-    return Plan("lattice", SIZE if size is None else size, filled, "as asked")
+        fitting = (m for m, error in HEMICUBE_ERRORS.items() if error <= float(options.tolerance))
+        size = next(fitting, max(HEMICUBE_ERRORS))
+        return Plan("lattice", size, filled, f"RMS error {HEMICUBE_ERRORS[size]} of E / pi on rough ground")
+    return Plan("lattice", DEFAULT_HEMICUBE if size is None else size, filled, "as asked")
 
 
 def warnings_of(scene: Scene, source: sources.Source, cube: Hemicube, filled: bool) -> list[str]:

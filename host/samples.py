@@ -17,27 +17,28 @@ from . import sources
 from .backends.base import Array, Backend, scratch
 from .constants import NONE, STEEP
 from .scene import Scene
-from .sources.integrals import Integrals, even
+from .sources.integrals import R2_STEPS, Integrals, even
 from .sources.solids import Ball, Quad
 
 # nodes; chosen: their standard error of an RMS is some 1 / sqrt(2 x 384), 4 %, if errors are normal, and
 # their rays take time in proportion
-COUNT = 384
-EXTRA = 256  # more nodes where ground is rare
+SAMPLE_COUNT = 384
+EXTRA_NODES = 256  # more nodes where ground is rare
 # nodes among which light is searched for; share of them that has all of it before more are taken
-CANDIDATES, CONCENTRATED = 4096, 0.1
+SEARCHED_NODES, CONCENTRATED = 4096, 0.1
 # times the median relief of blocks from which on one is rare; share of the map from which on rare blocks hold
 # enough samples
 RARE, FREQUENT = 3.0, 0.25
-FAINT = 0.005  # slope below which ground of a periodic map is not searched for: 1.3e-5 of E / pi
+# slope below which the samples' rays do not search for ground of a periodic map: 1.3e-5 of E / pi
+SAMPLED_SLOPE = 0.005
 # spacings that neighbouring nodes may lie apart before two crossings are too few behind them
 # (host/backends/numpy/horizon.py)
 CLIFF = 4.0
-POINTS = 48  # of brightness along a chord; chosen
-TAIL = 3  # samples beyond the 99.9th percentile from which on it is read off
+CHORD_POINTS = 48  # of brightness along a chord; chosen
+TAIL_SAMPLES = 3  # samples beyond the 99.9th percentile from which on it is read off
 SIGMAS = 1.5  # standard errors by which the RMS error over all nodes may pass that of the samples
-SPREAD = 0.7548776662466927, 0.5698402909980532  # steps of a low-discrepancy sequence in two dimensions
-SPREAD_3 = 0.8191725133961645, 0.6710436067037893, 0.5497004779019703  # and in three
+# steps of R2_STEPS' sequence in three dimensions: 1 / g, 1 / g^2, 1 / g^3 with g^4 = g + 1
+R3_STEPS = 0.8191725133961645, 0.6710436067037893, 0.5497004779019703
 
 
 Values = Any  # numbers or arrays that broadcast
@@ -55,8 +56,8 @@ def errors(found: np.ndarray, exact: np.ndarray, weights: np.ndarray | None = No
     """Errors over the mean of ``exact`` where it is positive, nodes by their ``weights``, even by default.
 
     ``bound``: RMS and SIGMAS standard errors of it, by the sample's own spread. The percentile is
-    extrapolated from the tenth of largest errors, whose excess is assumed exponential, unless TAIL nodes are
-    beyond it.
+    extrapolated from the tenth of largest errors, whose excess is assumed exponential, unless TAIL_SAMPLES
+    nodes are beyond it.
     """
     lit = exact > 0
     if not lit.any():
@@ -69,7 +70,7 @@ def errors(found: np.ndarray, exact: np.ndarray, weights: np.ndarray | None = No
     off, weights = off[order], weights[order]
     tenth, last = np.searchsorted(np.cumsum(weights), (0.9 - 1e-9, 0.999))
     threshold, tail = off[tenth], off[min(last, len(off) - 1)]
-    if len(off) - last < TAIL:
+    if len(off) - last < TAIL_SAMPLES:
         excess, share = off[tenth:] - threshold, weights[tenth:] * (off[tenth:] > threshold)
         tail = threshold + (share @ excess / share.sum() * math.log(100) if share.any() else 0.0)
     return Errors(math.sqrt(square), bound, float(tail))
@@ -79,14 +80,14 @@ class Samples:
     """Nodes spread over the valid part of a map by a low-discrepancy sequence, from its number ``first`` on.
 
     They are the same for the same scene. Where a few blocks of nodes have far more relief than the others (a
-    trench in a plain), EXTRA nodes are added in these: ``weights`` (nodes,) are then the nodes' shares of
-    the map, else None; ``rare``: which nodes lie in such blocks. A reduction over all nodes finds the blocks,
-    so that none is missed.
+    trench in a plain), EXTRA_NODES nodes are added in these: ``weights`` (nodes,) are then the nodes' shares
+    of the map, else None; ``rare``: which nodes lie in such blocks. A reduction over all nodes finds the
+    blocks, so that none is missed.
     """
 
     weights: np.ndarray | None
 
-    def __init__(self, engine: Backend, scene: Scene, count: int = COUNT, first: int = 1):
+    def __init__(self, engine: Backend, scene: Scene, count: int = SAMPLE_COUNT, first: int = 1):
         self.engine, self.sides, self.first = engine, scene.sides, first
         self.periodic = scene.sides == "periodic"
         self.rows, self.cols = rows, cols = scene.shape
@@ -145,21 +146,22 @@ class Samples:
         self.length = np.sqrt(1 + self.gx**2 + self.gy**2)
 
     def oversample_lit(self, scene: Scene, light: Callable[[Samples], np.ndarray]) -> None:
-        """Add up to EXTRA nodes in proportion to ``light``, if most of it falls on few nodes.
+        """Add up to EXTRA_NODES nodes in proportion to ``light``, if most of it falls on few nodes.
 
         Samples are then weighted by their probability of being drawn (Horvitz and Thompson).
         """
         many = copy.copy(self)
-        many._set_nodes(*_sequence_nodes(scene, CANDIDATES, self.first))
-        if self.weights is not None or len(many) < CANDIDATES:
+        many._set_nodes(*_sequence_nodes(scene, SEARCHED_NODES, self.first))
+        if self.weights is not None or len(many) < SEARCHED_NODES:
             return
         found = np.maximum(light(many), 0)
-        if found.sum() ** 2 >= CONCENTRATED * CANDIDATES * (found**2).sum():
+        if found.sum() ** 2 >= CONCENTRATED * SEARCHED_NODES * (found**2).sum():
             return
-        drawn = EXTRA * found / found.sum()
-        picked = np.unique(np.searchsorted(np.cumsum(drawn), np.arange(EXTRA) + 0.5))
-        picked = np.concatenate([np.arange(len(self)), picked[(picked >= len(self)) & (picked < CANDIDATES)]])
-        self.weights = 1 / np.maximum(len(self) / CANDIDATES, np.minimum(1, drawn[picked]))
+        drawn = EXTRA_NODES * found / found.sum()
+        picked = np.unique(np.searchsorted(np.cumsum(drawn), np.arange(EXTRA_NODES) + 0.5))
+        picked = picked[(picked >= len(self)) & (picked < SEARCHED_NODES)]
+        picked = np.concatenate([np.arange(len(self)), picked])
+        self.weights = 1 / np.maximum(len(self) / SEARCHED_NODES, np.minimum(1, drawn[picked]))
         self.rare = np.zeros(len(picked), bool)
         self._set_nodes(many.x[picked], many.y[picked])
 
@@ -199,7 +201,7 @@ class Samples:
             return np.zeros(shape)
         # both held until the kernel is done
         given, found = engine.upload(rays.reshape(-1, 8)), engine.empty((count,), np.float32)
-        far = self.relief / FAINT if self.periodic else math.hypot(self.rows, self.cols)
+        far = self.relief / SAMPLED_SLOPE if self.periodic else math.hypot(self.rows, self.cols)
         across = ((self.cols - 1) >> self.shift) + 1
         engine.launch(
             "pilot",
@@ -228,7 +230,7 @@ class Samples:
 
     def free(self, cosine: Values, sine: Values) -> np.ndarray:
         """Horizon slope without the ground: of the level, the tangent plane, and the wall of a dark box."""
-        least: np.ndarray = np.maximum(FAINT if self.periodic else 0.0, self.plane(cosine, sine))
+        least: np.ndarray = np.maximum(SAMPLED_SLOPE if self.periodic else 0.0, self.plane(cosine, sine))
         return least if self.sides != "dark" else np.maximum(least, -self.own / _wall(self, cosine, sine))
 
     def horizons(self, azimuths: np.ndarray, reach: float = math.inf) -> np.ndarray:
@@ -357,7 +359,7 @@ class Samples:
         light, span = np.zeros(shows.shape), np.maximum(0, high - low)
         n, node = np.nonzero(span > 0)
         azimuth = np.arctan2(sine, cosine)[n, node]
-        for point in (np.arange(POINTS) + 0.5) / POINTS:
+        for point in (np.arange(CHORD_POINTS) + 0.5) / CHORD_POINTS:
             e = low[n, node] + point * span[n, node]
             light[n, node] += (
                 np.cos(e)
@@ -366,7 +368,7 @@ class Samples:
                     sources.Sky(brightness), sources.directions_of(azimuth, np.maximum(np.sin(e), 0))
                 )
             )
-        irradiance = (share * light * span / POINTS).sum(0) / self.length
+        irradiance = (share * light * span / CHORD_POINTS).sum(0) / self.length
         return irradiance
 
 
@@ -402,7 +404,7 @@ def _add_rare_blocks(samples: Samples, scene: Scene, relief: np.ndarray) -> None
     nodes = np.cumsum(high[row] * wide[col])
     if not rare.any() or nodes[-1] > FREQUENT * rows * cols:
         return
-    which, *inside = (0.5 + np.outer(SPREAD_3, np.arange(EXTRA))) % 1
+    which, *inside = (0.5 + np.outer(R3_STEPS, np.arange(EXTRA_NODES))) % 1
     block = np.searchsorted(nodes, which * nodes[-1], "right")
     x, y = (
         (size * n[block] + part * length[n[block]]).astype(int)
@@ -477,7 +479,8 @@ def _sequence_nodes(scene: Scene, count: int, first: int) -> tuple[np.ndarray, n
     rows, cols = scene.shape
 
     def at(n: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        x, y = (np.floor((0.5 + step * n) % 1 * size).astype(int) for step, size in zip(SPREAD, (cols, rows)))
+        share = ((0.5 + step * n) % 1 for step in R2_STEPS)
+        x, y = (np.floor(part * size).astype(int) for part, size in zip(share, (cols, rows)))
         return x, y
 
     if scene.mask is None and rows * cols > 2 * count:

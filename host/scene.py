@@ -10,10 +10,10 @@ import numpy as np
 from .arrays import Labels, host_array, labels_of, on_device
 from .backends.resident import Resident, find
 from .checks import at, one_of, positive_number, real_array
+from .constants import SIDES
 from .errors import bad
 from .reflectance import Lambertian, Reflectance, fit
 
-SIDES = ("open", "dark", "periodic")
 ALBEDO = 0.8
 STEEPEST = 1e15  # spacings of depth, so that squares of slopes stay in float32
 
@@ -73,7 +73,7 @@ class Scene:
             return
         depth = real_array(self.depth, "depth")
         _set(self, spacing=positive_number(self.spacing, "spacing"))
-        one_of(self.sides, SIDES, "sides")
+        one_of(self.sides, tuple(SIDES), "sides")
         _set(self, mask=_mask(self.mask, depth.shape))
         valid = np.ones(depth.shape, bool) if self.mask is None else self.mask
         if not valid.any():
@@ -118,7 +118,7 @@ class Scene:
     def _keep(self, found: Resident) -> None:
         """Keep a depth map on its device; the host's copies are made on first use."""
         _set(self, spacing=positive_number(self.spacing, "spacing"))
-        one_of(self.sides, SIDES, "sides")
+        one_of(self.sides, tuple(SIDES), "sides")
         if found.broken:
             raise bad(
                 f"depth: {found.broken} values are NaN or infinite",

@@ -18,9 +18,9 @@ from .reflectance import BRDF, Mirror, Phong, frames, mirror_directions
 from .scene import Scene
 from .sources.solids import Dome
 
-ELEVATIONS = 12  # Gauss-Legendre nodes between horizon and zenith, of a BRDF under a sky
-ACROSS = 12  # rays across a lamp or window, of a BRDF; its square in all
-AT_ONCE = 2**18  # directions that a BRDF function is given at a time
+BRDF_ELEVATIONS = 12  # Gauss-Legendre nodes between horizon and zenith, of a BRDF under a sky
+BRDF_RAYS = 12  # rays across a lamp or window, of a BRDF; its square in all
+BRDF_BATCH = 2**18  # directions that a BRDF function is given at a time
 
 
 def lobe_of(scene: Scene, lost: float = 1e-4) -> Lobe | None:
@@ -100,7 +100,7 @@ def by_brdf(
     """Radiance of a BRDF under a lamp or window, by rays spread evenly over its solid angle or area."""
     rays, reflect = _Rays(scene, engine, max_distance), _Reflection(scene)
     images = [np.zeros(scene.shape) for _ in greys]
-    u = (np.arange(ACROSS) + 0.5) / ACROSS
+    u = (np.arange(BRDF_RAYS) + 0.5) / BRDF_RAYS
     for a in u:
         L, ends, weights = _aim(scene, greys[0], a, u)
         lit = rays.free(L, ends) & (weights > 0)
@@ -121,7 +121,7 @@ def by_brdf_under_sky(
     """
     reflect = _Reflection(scene)
     images = [np.zeros(scene.shape) for _ in greys]
-    node, weight = np.polynomial.legendre.leggauss(ELEVATIONS)
+    node, weight = np.polynomial.legendre.leggauss(BRDF_ELEVATIONS)
     gx, gy = reflect.tilts
     for numbers, slopes in planes:
         for number, slope in zip(numbers, slopes):
@@ -167,7 +167,7 @@ class _Reflection:
         """L (rows, cols, n, 3), weights (rows, cols, n) [sr] -> (rows, cols) for each grey source."""
         out = [np.zeros(L.shape[:2]) for _ in greys]
         rows, cols, n = weights.shape
-        for some in np.array_split(np.arange(rows), -(-rows * cols * n // AT_ONCE)):
+        for some in np.array_split(np.arange(rows), -(-rows * cols * n // BRDF_BATCH)):
             incoming = np.einsum("rcij,rcnj->rcni", self.frames[some], L[some])
             cosine = np.maximum(0.0, incoming[..., 2])
             f = (

@@ -13,11 +13,11 @@ Lengths are in spacings. z is depth, heights are -z. `pixels` is rows x cols.
   tilts    (2, pixels)              float  dz/dx, dz/dy by central differences, one-sided at the border
   tiles    (down x across)          float  the greatest height of every TILE x TILE nodes
   top      (1)                      int    that of all, as ordered() gives it
-  numbers, slopes  (count, pixels + ROOM)  under a sky: what look finds
+  numbers, slopes  (count, pixels + PIXEL_PADDING)  under a sky: what look finds
   light    (4, pixels)              float  out: E; dE by own depth, by dz/dx, by dz/dy
   held     (pixels)                 int    out: slices of a node that another node limits, or two: its links
-  first, second                     int    out: these nodes; (pixels / BESIDE, count, BESIDE): node by node,
-                                           their links
+  first, second                     int    out: these nodes; (pixels / LINK_BLOCK, count, LINK_BLOCK): node by
+                                           node, their links
   near, far                         float  out: dE by the depth of the first, of the second; likewise
   table    (n, knots, 4)            float  integrals of B cos^2 and of B sin cos from sin(elevation) = i /
                                            (knots - 1) to the zenith, and what to add up to the next knot;
@@ -29,7 +29,7 @@ same bits. Twin of warp_kernels/adjoint.py. */
 #include "lanes.h"
 #pragma OPENCL EXTENSION cl_khr_int64_base_atomics : enable
 #pragma OPENCL EXTENSION cl_khr_fp64 : enable
-#define LINK(p, k) (((p) / BESIDE * count + (k)) * BESIDE + (p) % BESIDE)
+#define LINK(p, k) (((p) / LINK_BLOCK * count + (k)) * LINK_BLOCK + (p) % LINK_BLOCK)
 
 #if LANES == 1
 #define TO_FLOATS convert_float
@@ -114,8 +114,8 @@ typedef struct { float c, s, columns, rise, rows, run; } Way;
 
 Way way_of(float c, float s)
 {
-  c = fabs(c) > ALONG ? c : 0;
-  s = fabs(s) > ALONG ? s : 0;
+  c = fabs(c) > PARALLEL ? c : 0;
+  s = fabs(s) > PARALLEL ? s : 0;
   const float across = fabs(c), along = fabs(s);
   const Way way = {c, s, along > 0 ? c / along : 0, along, across > 0 ? s / across : 0, across};
   return way;
@@ -155,13 +155,13 @@ ints horizon(__global const float *heights, __global const float *tiles, Way way
     } else if (column >= cols || column + LANES < 0)
       break;
     if (n % TILE == 1) {
-      if (ALL((top - own) * (SLACK * closeness) <= *best))
+      if (ALL((top - own) * (ROUNDING * closeness) <= *best))
         break;
       if (sides != PERIODIC && fabs(way.columns) <= 2) {
         const int last = x + (int)floor((n + TILE - 1) * way.columns), end = y + up * (n + TILE - 1);
         const float high = highest_in(tiles, min(column, last), max(column, last) + LANES, min(row, end),
                                       max(row, end), rows, cols);
-        if (ALL((high - own) * (SLACK * closeness) <= *best)) {
+        if (ALL((high - own) * (ROUNDING * closeness) <= *best)) {
           n += TILE - 1;
           continue;
         }
@@ -191,13 +191,13 @@ ints horizon(__global const float *heights, __global const float *tiles, Way way
     else
       next = min(next, rows - 1);
     if (n % TILE == 1) {
-      if (ALL((top - own) * (SLACK * closeness) <= *best))
+      if (ALL((top - own) * (ROUNDING * closeness) <= *best))
         break;
       if (sides != PERIODIC && fabs(way.rows) <= 2) {
         const int last = column + on * (TILE - 1), end = y + (int)floor((n + TILE - 1) * way.rows);
         const float high = highest_in(tiles, min(column, last), max(column, last) + LANES - 1, min(row, end),
                                       max(row, end) + 1, rows, cols);
-        if (ALL((high - own) * (SLACK * closeness) <= *best)) {
+        if (ALL((high - own) * (ROUNDING * closeness) <= *best)) {
           n += TILE - 1;
           continue;
         }
@@ -382,11 +382,11 @@ __kernel void look(__global const float *restrict heights, __global const float 
   for (int k = from; k < min(count, from + ways); ++k) {
     const Way way = way_of(azimuths[4 * k], azimuths[4 * k + 1]);
     const floats least = limit_of(way, nodes, x, y, rows, cols, sides).slope;
-    floats found = sides == PERIODIC ? MORE(least, LEVEL) : least;
+    floats found = sides == PERIODIC ? MORE(least, LEAST_SEARCHED_SLOPE) : least;
     const ints number =
         horizon(heights, tiles, way, x, y, nodes.own, &found, highest, 1e30f, rows, cols, margin, sides);
-    put_ints(numbers + k * (rows * cols + ROOM) + y * cols + x, number, cols - x);
-    put_floats(slopes + k * (rows * cols + ROOM) + y * cols + x, found, cols - x);
+    put_ints(numbers + k * (rows * cols + PIXEL_PADDING) + y * cols + x, number, cols - x);
+    put_floats(slopes + k * (rows * cols + PIXEL_PADDING) + y * cols + x, found, cols - x);
   }
 }
 
@@ -416,8 +416,9 @@ __kernel void sky(__global const float *restrict heights, __global const float *
     const float width = azimuths[4 * k + 2];
     const floats s = gx * way.c + gy * way.s;
     const Limit limit = limit_of(way, nodes, x, y, rows, cols, sides);
-    const ints number = here ? READ_INTS(k * (pixels + ROOM) + p, numbers) : 0;
-    const floats found = READ(k * (pixels + ROOM) + p, slopes), slope = number != 0 ? found : limit.slope;
+    const ints number = here ? READ_INTS(k * (pixels + PIXEL_PADDING) + p, numbers) : 0;
+    const floats found = READ(k * (pixels + PIXEL_PADDING) + p, slopes),
+                 slope = number != 0 ? found : limit.slope;
     const Above sky = above(slope, table, k, k, 0, knots);
     const floats per_slope = width * (sky.d1 + s * sky.d2);
     sum += width * (sky.c1 + s * sky.c2);
@@ -693,15 +694,15 @@ __kernel void reflect(__global const float *over, __global const float *under, _
 }
 
 /* misfit: in part (blocks) the sums of (gain E - target)^2. Work-item g of this, of bending and of begin owns
-   SUMMED nodes and adds them in order. */
+   NODES_PER_SUM nodes and adds them in order. */
 __kernel void misfit(__global const float *light, __global const float *gain, __global const float *target,
                      __global double *part, int block, int pixels)
 {
   const int g = get_global_id(0);
-  if (g * SUMMED >= pixels)
+  if (g * NODES_PER_SUM >= pixels)
     return;
   double square = 0;
-  for (int p = g * SUMMED; p < min(pixels, g * SUMMED + SUMMED); ++p) {
+  for (int p = g * NODES_PER_SUM; p < min(pixels, g * NODES_PER_SUM + NODES_PER_SUM); ++p) {
     const float r = gain[p] * light[p] - target[p];
     square += (double)r * (double)r;
   }
@@ -732,10 +733,10 @@ __kernel void bending(__global const float *z, __global const float *rest, __glo
                       int rows, int cols)
 {
   const int g = get_global_id(0), pixels = rows * cols;
-  if (g * SUMMED >= pixels)
+  if (g * NODES_PER_SUM >= pixels)
     return;
   double sum = 0;
-  for (int p = g * SUMMED; p < min(pixels, g * SUMMED + SUMMED); ++p) {
+  for (int p = g * NODES_PER_SUM; p < min(pixels, g * NODES_PER_SUM + NODES_PER_SUM); ++p) {
     const float a = bend(z + p, p % cols, cols, 1) - bend(rest + p, p % cols, cols, 1);
     const float b = bend(z + p, p / cols, rows, cols) - bend(rest + p, p / cols, rows, cols);
     sum += (double)a * (double)a + (double)b * (double)b;
@@ -798,10 +799,10 @@ __kernel void begin(__global const float *z, __global const float *rest, __globa
   }
 }
 
-/* What preconditions: v = r / scale, and the same on grids FOUR and FOUR^2 times as coarse, brought up by
-   linear interpolation (Bramble, Pasciak and Xu 1990); r is brought down by its transpose. */
+/* What preconditions: v = r / scale, and the same on grids COARSENING and COARSENING^2 times as coarse,
+   brought up by linear interpolation (Bramble, Pasciak and Xu 1990); r is brought down by its transpose. */
 
-/* Node j of a coarse line of n: its share in node FOUR j - 2 + a of the fine one. */
+/* Node j of a coarse line of n: its share in node COARSENING j - 2 + a of the fine one. */
 float hat(int a, int j, int n)
 {
   return (a < 4 ? j == 0 : j == n - 1) ? 1 : (a < 4 ? 2 * a + 1 : 15 - 2 * a) * 0.125f;
@@ -810,10 +811,10 @@ float hat(int a, int j, int n)
 /* Node (x, y) of what is brought down to a coarse grid from one of rows x cols. */
 float lowered(__global const float *fine, int rows, int cols, int x, int y)
 {
-  const int n_rows = (rows - 1) / FOUR + 1, n_cols = (cols - 1) / FOUR + 1;
-  const int a_0 = max(0, 2 - FOUR * x), a_1 = min(2 * FOUR, cols + 2 - FOUR * x), b_0 = max(0, 2 - FOUR * y),
-            b_1 = min(2 * FOUR, rows + 2 - FOUR * y);
-  fine += (FOUR * y - 2) * cols + FOUR * x - 2;
+  const int n_rows = (rows - 1) / COARSENING + 1, n_cols = (cols - 1) / COARSENING + 1;
+  const int a_0 = max(0, 2 - COARSENING * x), a_1 = min(2 * COARSENING, cols + 2 - COARSENING * x),
+            b_0 = max(0, 2 - COARSENING * y), b_1 = min(2 * COARSENING, rows + 2 - COARSENING * y);
+  fine += (COARSENING * y - 2) * cols + COARSENING * x - 2;
   float sum = 0;
 #if LANES == 8
   if (a_1 - a_0 == LANES) {
@@ -838,8 +839,8 @@ float lowered(__global const float *fine, int rows, int cols, int x, int y)
 __kernel void down(__global const float *fine, __global const float *scale, __global float *to, float times,
                    int divides, int rows, int cols)
 {
-  const int x = get_global_id(0), y = get_global_id(1), n_rows = (rows - 1) / FOUR + 1,
-            n_cols = (cols - 1) / FOUR + 1;
+  const int x = get_global_id(0), y = get_global_id(1), n_rows = (rows - 1) / COARSENING + 1,
+            n_cols = (cols - 1) / COARSENING + 1;
   if (x >= n_cols || y >= n_rows)
     return;
   const float sum = times * lowered(fine, rows, cols, x, y);
@@ -851,17 +852,17 @@ __kernel void down(__global const float *fine, __global const float *scale, __gl
 void up_at(__global const float *r, __global const float *scale, __global const float *is_free,
            __global const float *coarse, __global float *v, int rows, int cols, int x, int y)
 {
-  const int n_rows = (rows - 1) / FOUR + 1, n_cols = (cols - 1) / FOUR + 1, k = y % FOUR,
-            i = y * cols + FOUR * x;
+  const int n_rows = (rows - 1) / COARSENING + 1, n_cols = (cols - 1) / COARSENING + 1, k = y % COARSENING,
+            i = y * cols + COARSENING * x;
   const float share = (k < 2 ? 3 - 2 * k : 2 * k - 3) * 0.125f, own = 1 - share;
-  __global const float *here = coarse + y / FOUR * n_cols,
-                       *beside = coarse + clamp(k < 2 ? y / FOUR - 1 : y / FOUR + 1, 0, n_rows - 1) * n_cols;
+  const int row = y / COARSENING, other = clamp(k < 2 ? row - 1 : row + 1, 0, n_rows - 1);
+  __global const float *here = coarse + row * n_cols, *beside = coarse + other * n_cols;
   const int left = max(x - 1, 0), right = min(x + 1, n_cols - 1);
   const float a = own * here[left] + share * beside[left], b = own * here[x] + share * beside[x],
               c = own * here[right] + share * beside[right];
   const float4 raised = (float4)(0.625f * b + 0.375f * a, 0.875f * b + 0.125f * a, 0.875f * b + 0.125f * c,
                                  0.625f * b + 0.375f * c);
-  for (int l = 0; l < min(FOUR, cols - FOUR * x); ++l)
+  for (int l = 0; l < min(COARSENING, cols - COARSENING * x); ++l)
     v[i + l] = is_free[i + l] * (r[i + l] / scale[i + l] + raised[l]);
 }
 
@@ -869,18 +870,18 @@ __kernel void up(__global const float *r, __global const float *scale, __global 
                  __global const float *coarse, __global float *v, int rows, int cols)
 {
   const int x = get_global_id(0), y = get_global_id(1);
-  if (x * FOUR < cols && y < rows)
+  if (x * COARSENING < cols && y < rows)
     up_at(r, scale, is_free, coarse, v, rows, cols, x, y);
 }
 
 /* lengths: in part (2, blocks) the sums of v v and of r v. */
 __kernel void lengths(__global const float *r, __global const float *v, __global double *part, int pixels)
 {
-  const int g = get_global_id(0), blocks = (pixels - 1) / SUMMED + 1;
+  const int g = get_global_id(0), blocks = (pixels - 1) / NODES_PER_SUM + 1;
   if (g >= blocks)
     return;
   double square = 0, product = 0;
-  for (int i = g * SUMMED; i < min(pixels, g * SUMMED + SUMMED); ++i) {
+  for (int i = g * NODES_PER_SUM; i < min(pixels, g * NODES_PER_SUM + NODES_PER_SUM); ++i) {
     square += (double)v[i] * (double)v[i];
     product += (double)r[i] * (double)v[i];
   }
@@ -891,7 +892,7 @@ __kernel void lengths(__global const float *r, __global const float *v, __global
 /* The state of conjugate gradients (double): iterations left, 0 once it has stopped; units of the scattered
    sum and of r v, v w and v v, from the last ones' size; alpha, 0 before the first step; the first r v; what
    the quadratic model has gained; and what was asked for: lambda, damping, share of the first r v at which to
-   stop. Two of them take turns, and so do the totals (3, SLOTS) of r v, v w and v v. */
+   stop. Two of them take turns, and so do the totals (3, SUM_SLOTS) of r v, v w and v v. */
 
 /* product: sum += unit transpose(J) gain^2 J v. */
 void product_at(Links links, __global const float *gain, __global const float *v, __global long *sum,
@@ -982,9 +983,9 @@ __kernel void curve(__global const float *r, __global const float *v, __global c
   for (int i = g * each; i < min(pixels, g * each + each); ++i)
     part += curve_at(r, v, scale, is_free, sum, w, unit, lambda_, damping, state[UNIT_RV], state[UNIT_VV],
                      rows, cols, teams, i);
-  atom_add(totals + g % SLOTS, part.x);
-  atom_add(totals + SLOTS + g % SLOTS, part.y);
-  atom_add(totals + 2 * SLOTS + g % SLOTS, part.z);
+  atom_add(totals + g % SUM_SLOTS, part.x);
+  atom_add(totals + SUM_SLOTS + g % SUM_SLOTS, part.y);
+  atom_add(totals + 2 * SUM_SLOTS + g % SUM_SLOTS, part.z);
 }
 
 /* The state after an iteration that found these totals, whether it takes a step, and beta. */
@@ -1003,7 +1004,7 @@ Turn turn_of(__global const double *state, long3 total, double fixed_, double ex
     curvature -= turn.beta * product / state[ALPHA];
   } else
     turn.next[START] = product;
-  turn.goes = product > state[LEAST] * turn.next[START] && curvature > 0;
+  turn.goes = product > state[STOP_RATIO] * turn.next[START] && curvature > 0;
   if (turn.goes) {
     turn.next[LEFT] = state[LEFT] - 1;
     turn.next[SCATTERED] = fixed_ / sqrt(square);
@@ -1037,13 +1038,13 @@ __kernel void go(__global const float *v, __global const float *w, __global floa
   if (g * each >= pixels || (g > 0 && state[LEFT] <= 0))
     return;
   long3 total = 0;
-  for (int i = 0; i < SLOTS; ++i)
-    total += (long3)(totals[i], totals[SLOTS + i], totals[2 * SLOTS + i]);
+  for (int i = 0; i < SUM_SLOTS; ++i)
+    total += (long3)(totals[i], totals[SUM_SLOTS + i], totals[2 * SUM_SLOTS + i]);
   const Turn turn = turn_of(state, total, fixed_, exact);
   if (g == 0) {
     for (int i = 0; i < STATE; ++i)
       next[i] = state[LEFT] > 0 ? turn.next[i] : state[i];
-    for (int i = 0; i < 3 * SLOTS; ++i)
+    for (int i = 0; i < 3 * SUM_SLOTS; ++i)
       next_totals[i] = 0;
   }
   if (state[LEFT] > 0 && turn.goes)
@@ -1058,7 +1059,7 @@ __kernel void ready(__global double *state, __global long *totals, double square
 {
   if (get_global_id(0) > 0)
     return;
-  for (int i = 0; i < 3 * SLOTS; ++i)
+  for (int i = 0; i < 3 * SUM_SLOTS; ++i)
     totals[i] = 0;
   for (int i = 0; i < STATE; ++i)
     state[i] = 0;
@@ -1068,7 +1069,7 @@ __kernel void ready(__global double *state, __global long *totals, double square
   state[UNIT_VV] = exact / square;
   state[LAMBDA] = lambda_;
   state[DAMPING] = damping;
-  state[LEAST] = least;
+  state[STOP_RATIO] = least;
 }
 
 /* solve: product, curve, go, down and up until they stop, by one work-item: on a small grid a CPU takes
@@ -1086,8 +1087,8 @@ __kernel void solve(__global const float *restrict light, __global const int *re
                     int rows, int cols, int count)
 {
   const Links links = {light, held, first, second, near, far, count};
-  const int pixels = rows * cols, rows_4 = (rows - 1) / FOUR + 1, cols_4 = (cols - 1) / FOUR + 1;
-  const int rows_16 = (rows_4 - 1) / FOUR + 1, cols_16 = (cols_4 - 1) / FOUR + 1;
+  const int pixels = rows * cols, rows_4 = (rows - 1) / COARSENING + 1, cols_4 = (cols - 1) / COARSENING + 1;
+  const int rows_16 = (rows_4 - 1) / COARSENING + 1, cols_16 = (cols_4 - 1) / COARSENING + 1;
   if (get_global_id(0) > 0)
     return;
   while (state[LEFT] > 0) {

@@ -116,7 +116,7 @@ __kernel void judge(__global const float *heights, __global const float *image, 
   float light = 0, square = 0;
   int valid = 0, lit = 0, off = 0;
   for (int y = b * block; y < min((b + 1) * block, rows); ++y) {
-    if (!(heights[(y + margin) * (cols + 2 * margin) + margin + x] > MASKED))
+    if (!(heights[(y + margin) * (cols + 2 * margin) + margin + x] > HIGHEST_MASKED))
       continue;
     const float here = image[y * cols + x], apart = half_[y * cols + x];
     light += here;

@@ -109,7 +109,7 @@ __kernel void pool(__global const float *heights, __global float *found, int row
       if (x == cols && !periodic)
         break;
       const float here = heights[row + (x < cols ? x : 0)];
-      if (here <= MASKED)
+      if (here <= HIGHEST_MASKED)
         continue;
       highest = max(highest, here);
       if (x == end_x || y == end_y)
@@ -117,8 +117,8 @@ __kernel void pool(__global const float *heights, __global float *found, int row
       lowest = min(lowest, here);
       const float right = x + 1 < cols ? heights[row + x + 1] : NONE,
                   below = y + 1 < rows ? heights[row + cols + x] : NONE;
-      cliffs +=
-          (right > MASKED && fabs(right - here) > cliff) + (below > MASKED && fabs(below - here) > cliff);
+      cliffs += (right > HIGHEST_MASKED && fabs(right - here) > cliff) +
+                (below > HIGHEST_MASKED && fabs(below - here) > cliff);
     }
   }
   const int at = by * across + bx, blocks = down * across;

@@ -120,26 +120,28 @@ __kernel void scan(__global const float *maps, __global const int *walks, __glob
 walks along columns. turn_planes: planes of the turned map, (cols, rows), to planes of the map; the pairs
 (from, to) are given.
 
-Work-item (g, w) owns SIDE x SIDE nodes; 32 neighbours own a patch of 8 x 4 such blocks, so that both sides of
-the copy stay within few cache lines. */
+Work-item (g, w) owns COPY_SIDE x COPY_SIDE nodes; 32 neighbours own a patch of 8 x 4 such blocks, so that
+both sides of the copy stay within few cache lines. */
 
 int block_x(int g, int cols)
 {
-  const int patches = (cols + PATCH_X * SIDE - 1) / (PATCH_X * SIDE), patch = g / (PATCH_X * PATCH_Y);
-  return ((patch % patches) * PATCH_X + g % PATCH_X) * SIDE;
+  const int patches = (cols + PATCH_X * COPY_SIDE - 1) / (PATCH_X * COPY_SIDE),
+            patch = g / (PATCH_X * PATCH_Y);
+  return ((patch % patches) * PATCH_X + g % PATCH_X) * COPY_SIDE;
 }
 
 int block_y(int g, int cols)
 {
-  const int patches = (cols + PATCH_X * SIDE - 1) / (PATCH_X * SIDE), patch = g / (PATCH_X * PATCH_Y);
-  return ((patch / patches) * PATCH_Y + g / PATCH_X % PATCH_Y) * SIDE;
+  const int patches = (cols + PATCH_X * COPY_SIDE - 1) / (PATCH_X * COPY_SIDE),
+            patch = g / (PATCH_X * PATCH_Y);
+  return ((patch / patches) * PATCH_Y + g / PATCH_X % PATCH_Y) * COPY_SIDE;
 }
 
 __kernel void turn_map(__global float *maps, int rows, int cols, int room)
 {
   const int x0 = block_x(get_global_id(0), cols), y0 = block_y(get_global_id(0), cols);
-  for (int y = y0; y < min(y0 + SIDE, rows); ++y)
-    for (int x = x0; x < min(x0 + SIDE, cols); ++x)
+  for (int y = y0; y < min(y0 + COPY_SIDE, rows); ++y)
+    for (int x = x0; x < min(x0 + COPY_SIDE, cols); ++x)
       maps[room + x * rows + y] = maps[y * cols + x];
 }
 
@@ -148,8 +150,8 @@ __kernel void turn_planes(__global uchar *planes, __global const int *pairs, int
   const int x0 = block_x(get_global_id(0), cols), y0 = block_y(get_global_id(0), cols), w = get_global_id(1);
   __global const uchar *turned = planes + (size_t)pairs[2 * w] * room;
   __global uchar *plane = planes + (size_t)pairs[2 * w + 1] * room;
-  for (int x = x0; x < min(x0 + SIDE, cols); ++x)
-    for (int y = y0; y < min(y0 + SIDE, rows); ++y)
+  for (int x = x0; x < min(x0 + COPY_SIDE, cols); ++x)
+    for (int y = y0; y < min(y0 + COPY_SIDE, rows); ++y)
       plane[y * cols + x] = turned[x * rows + y];
 }
 
@@ -162,12 +164,12 @@ __kernel void turn_planes_by_fours(__global uint *planes, __global const int *pa
     return;
   __global const uint *turned = planes + (size_t)pairs[2 * w] * (room / 4);
   __global uint *plane = planes + (size_t)pairs[2 * w + 1] * (room / 4);
-  uint column[SIDE];
-  for (int x = 0; x < SIDE; ++x)
+  uint column[COPY_SIDE];
+  for (int x = 0; x < COPY_SIDE; ++x)
     column[x] = turned[((x0 + x) * rows + y0) / 4];
-  for (int y = 0; y < SIDE; ++y) {
+  for (int y = 0; y < COPY_SIDE; ++y) {
     uint row = 0;
-    for (int x = 0; x < SIDE; ++x)
+    for (int x = 0; x < COPY_SIDE; ++x)
       row |= (column[x] >> 8 * y & 255u) << 8 * x;
     plane[((y0 + y) * cols + x0) / 4] = row;
   }

@@ -17,7 +17,7 @@ import skylamp as sl
 import skylamp.opencl
 from skylamp import oracle
 from skylamp.backends import select
-from skylamp.light.sweeps import FINE, MANY, NEAR, Ground, Rays, Sweeps
+from skylamp.light.sweeps import FINE_NEAR_ROWS, MANY_AZIMUTHS, NEAR_ROWS, Ground, Rays, Sweeps
 
 AGREE = 1e-5  # rad, and of the largest irradiance: what backends may differ by
 HORIZON = 0.002  # rad, RMS against the oracle
@@ -194,7 +194,7 @@ def test_agreement_can_fail():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("count", "near"), [(MANY - 1, NEAR), (MANY, FINE)])
+@pytest.mark.parametrize(("count", "near"), [(MANY_AZIMUTHS - 1, NEAR_ROWS), (MANY_AZIMUTHS, FINE_NEAR_ROWS)])
 def test_many_azimuths_take_more_near_rows(backend, count, near):
     """Both numbers of near rows, and the same light by every backend."""
     ground = Ground(heights("small with holes"), "open")

@@ -12,7 +12,7 @@ from PIL.PngImagePlugin import PngInfo
 
 from skylamp import io
 from skylamp.errors import InputError
-from skylamp.io.paths import SUFFIXES
+from skylamp.io.paths import MAP_SUFFIXES
 
 RNG = np.random.default_rng(7)
 GREY8 = RNG.integers(0, 256, (13, 17), dtype=np.uint8)
@@ -255,7 +255,7 @@ def test_paths_that_cannot_be_read(tmp_path):
     refused(io.read, tmp_path / "no.npy", says=("no.npy", "no such file"))
     (tmp_path / "dir.npy").mkdir()
     refused(io.read, tmp_path / "dir.npy", says="a folder")
-    for suffix in SUFFIXES:
+    for suffix in MAP_SUFFIXES:
         (tmp_path / f"empty{suffix}").write_bytes(b"")
         refused(io.read, tmp_path / f"empty{suffix}", says="an empty file")
     (tmp_path / "a.jpg").write_bytes(b"x")
@@ -263,12 +263,12 @@ def test_paths_that_cannot_be_read(tmp_path):
     refused(io.read, tmp_path / ("x" * 300 + ".npy"), says="cannot read")
 
 
-@pytest.mark.parametrize("suffix", SUFFIXES)
+@pytest.mark.parametrize("suffix", MAP_SUFFIXES)
 def test_wrong_content(tmp_path, suffix):
     """Noise, text, and another format's bytes under the name."""
     path = tmp_path / f"a{suffix}"
     others = {}
-    for other in SUFFIXES:
+    for other in MAP_SUFFIXES:
         io.write(tmp_path / f"other{other}", GREY8)
         others[other] = (tmp_path / f"other{other}").read_bytes()
     kin = {".tif", ".tiff"} if suffix.startswith(".tif") else {suffix}
@@ -353,7 +353,7 @@ def test_damaged_files_never_crash(tmp_path, kind):
             assert not kind.startswith("png")
 
 
-@pytest.mark.parametrize("suffix", SUFFIXES)
+@pytest.mark.parametrize("suffix", MAP_SUFFIXES)
 @pytest.mark.parametrize("older", [False, True], ids=["new", "replacing"])
 def test_failing_write_leaves_no_trace(tmp_path, monkeypatch, suffix, older):
     """Disk full at the last moment: the older file is as it was, and no temporary file stays."""

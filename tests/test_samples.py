@@ -11,7 +11,7 @@ from skylamp import oracle
 from skylamp.backends import select
 from skylamp.light.slices import Slices
 from skylamp.refinement import solid_of, upright
-from skylamp.samples import COUNT, NONE, Errors, Samples, errors
+from skylamp.samples import NONE, SAMPLE_COUNT, Errors, Samples, errors
 from skylamp.sources.integrals import Integrals
 from skylamp.sources.solids import Dome
 
@@ -73,7 +73,7 @@ def test_samples_are_spread_and_the_same_again(fast):
     one, other = of(SCENES["rough"]), of(sl.Scene(SCENES["rough"].depth.copy()))
     assert_bits_equal(one.x.astype(np.int64), other.x.astype(np.int64))
     quarters = np.bincount(2 * (one.x > SIZE / 2) + (one.y > SIZE / 2), minlength=4)
-    assert len(one) == COUNT and quarters.min() > 0.2 * COUNT
+    assert len(one) == SAMPLE_COUNT and quarters.min() > 0.2 * SAMPLE_COUNT
     few = np.zeros((40, 50), bool)
     few[3:5, 7:30] = True
     assert len(of(sl.Scene(np.zeros((40, 50)), mask=few))) == 46 and len(of(SCENES["tiny"])) == 9 * 13
@@ -138,7 +138,7 @@ def test_samples_are_added_where_relief_is_rare(fast):
     ):
         samples = of(sl.Scene(np.where(lower, 25.0, 0.0), mask=mask))
         assert (
-            len(samples) > COUNT + 64
+            len(samples) > SAMPLE_COUNT + 64
             and samples.weights.sum() == pytest.approx(1)
             and samples.rare.sum() > 64
         )

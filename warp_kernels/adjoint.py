@@ -13,31 +13,31 @@ so that every backend finds the same bits.
 import warp as wp
 
 from skylamp.constants import (
-    ALONG,
     ALPHA,
     ARC_TANGENT,
-    BESIDE,
+    COARSENING,
     DAMPING,
     DARK,
-    FOUR,
     GAIN,
     HALF_PI,
     LAMBDA,
-    LEAST,
+    LEAST_SEARCHED_SLOPE,
     LEFT,
-    LEVEL,
+    LINK_BLOCK,
+    NODES_PER_SUM,
     NONE,
     OPEN,
+    PARALLEL,
     PERIODIC,
     PI,
+    PIXEL_PADDING,
     PRODUCT,
-    ROOM,
+    ROUNDING,
     SCATTERED,
-    SLACK,
-    SLOTS,
     START,
     STEEP,
-    SUMMED,
+    STOP_RATIO,
+    SUM_SLOTS,
     TILE,
     TWO_PI,
     UNIT_RV,
@@ -123,8 +123,8 @@ class Way:
 @wp.func
 def way_of(c: wp.float32, s: wp.float32):
     way = Way()
-    way.c = wp.where(wp.abs(c) > ALONG, c, 0.0)
-    way.s = wp.where(wp.abs(s) > ALONG, s, 0.0)
+    way.c = wp.where(wp.abs(c) > PARALLEL, c, 0.0)
+    way.s = wp.where(wp.abs(s) > PARALLEL, s, 0.0)
     across = wp.abs(way.c)
     along = wp.abs(way.s)
     way.columns = wp.float32(0.0)
@@ -222,7 +222,7 @@ def horizon(
             break
         leave = wp.int32(0)
         if n % TILE == 1:
-            if (top - own) * (SLACK * closeness) <= best:
+            if (top - own) * (ROUNDING * closeness) <= best:
                 break
             if sides != PERIODIC and wp.abs(way.columns) <= 2.0:
                 last = x + wp.int32(wp.floor(wp.float32(n + TILE - 1) * way.columns))
@@ -236,7 +236,7 @@ def horizon(
                     rows,
                     cols,
                 )
-                if (high - own) * (SLACK * closeness) <= best:
+                if (high - own) * (ROUNDING * closeness) <= best:
                     leave = 1
         if leave == 1:
             n += TILE - 1
@@ -270,7 +270,7 @@ def horizon(
             next = wp.min(next, rows - 1)
         leave = wp.int32(0)
         if n % TILE == 1:
-            if (top - own) * (SLACK * closeness) <= best:
+            if (top - own) * (ROUNDING * closeness) <= best:
                 break
             if sides != PERIODIC and wp.abs(way.rows) <= 2.0:
                 last = column + on * (TILE - 1)
@@ -284,7 +284,7 @@ def horizon(
                     rows,
                     cols,
                 )
-                if (high - own) * (SLACK * closeness) <= best:
+                if (high - own) * (ROUNDING * closeness) <= best:
                     leave = 1
         if leave == 1:
             n += TILE - 1
@@ -354,7 +354,7 @@ def crossing_of(
 
 @wp.func
 def link(p: wp.int32, k: wp.int32, count: wp.int32):
-    return (p / BESIDE * count + k) * BESIDE + p % BESIDE
+    return (p / LINK_BLOCK * count + k) * LINK_BLOCK + p % LINK_BLOCK
 
 
 @wp.func
@@ -485,12 +485,12 @@ def look(
         way = way_of(azimuths[4 * k], azimuths[4 * k + 1])
         least, _by_wall = limit_of(way, own, tilts[p], tilts[rows * cols + p], x, y, rows, cols, sides)
         if sides == PERIODIC:
-            least = wp.max(least, LEVEL)
+            least = wp.max(least, LEAST_SEARCHED_SLOPE)
         found, number = horizon(
             heights, tiles, way, x, y, own, least, unordered(top[0]), 1e30, rows, cols, margin, sides
         )
-        numbers[k * (rows * cols + ROOM) + p] = number
-        slopes[k * (rows * cols + ROOM) + p] = found
+        numbers[k * (rows * cols + PIXEL_PADDING) + p] = number
+        slopes[k * (rows * cols + PIXEL_PADDING) + p] = found
 
 
 @wp.kernel
@@ -535,9 +535,9 @@ def sky(
         width = azimuths[4 * k + 2]
         s = gx * way.c + gy * way.s
         slope, by_wall = limit_of(way, own, gx, gy, x, y, rows, cols, sides)
-        number = numbers[k * (pixels + ROOM) + p]
+        number = numbers[k * (pixels + PIXEL_PADDING) + p]
         if number != 0:
-            slope = slopes[k * (pixels + ROOM) + p]
+            slope = slopes[k * (pixels + PIXEL_PADDING) + p]
         lit = above(slope, table, k, k, 0.0, knots)
         per_slope = width * (lit[2] + s * lit[3])
         sum += width * (lit[0] + s * lit[1])
@@ -925,10 +925,10 @@ def misfit(
 ):
     """In part (blocks), from ``block`` on, the sums of (gain E - target)^2.
 
-    Thread g of this, of bending and of begin owns SUMMED nodes and adds them in order."""
+    Thread g of this, of bending and of begin owns NODES_PER_SUM nodes and adds them in order."""
     g = wp.tid()
     square = wp.float64(0.0)
-    for p in range(g * SUMMED, wp.min(pixels, g * SUMMED + SUMMED)):
+    for p in range(g * NODES_PER_SUM, wp.min(pixels, g * NODES_PER_SUM + NODES_PER_SUM)):
         r = gain[p] * light[p] - target[p]
         square += wp.float64(r) * wp.float64(r)
     part[block + g] = square
@@ -970,7 +970,7 @@ def bending(
     g = wp.tid()
     pixels = rows * cols
     sum = wp.float64(0.0)
-    for p in range(g * SUMMED, wp.min(pixels, g * SUMMED + SUMMED)):
+    for p in range(g * NODES_PER_SUM, wp.min(pixels, g * NODES_PER_SUM + NODES_PER_SUM)):
         a = bend(z, p, p % cols, cols, 1) - bend(rest, p, p % cols, cols, 1)
         b = bend(z, p, p / cols, rows, cols) - bend(rest, p, p / cols, rows, cols)
         sum += wp.float64(a) * wp.float64(a) + wp.float64(b) * wp.float64(b)
@@ -1068,15 +1068,15 @@ def begin(
         s[i] = 0.0
 
 
-# What preconditions: v = r / scale, and the same on grids FOUR and FOUR^2 times as coarse, brought up by
-# linear interpolation (Bramble, Pasciak and Xu 1990); r is brought down by its transpose.
+# What preconditions: v = r / scale, and the same on grids COARSENING and COARSENING^2 times as coarse,
+# brought up by linear interpolation (Bramble, Pasciak and Xu 1990); r is brought down by its transpose.
 
 
 @wp.func
 def hat(a: wp.int32, j: wp.int32, n: wp.int32):
-    """Node j of a coarse line of n: its share in node FOUR j - 2 + a of the fine one."""
+    """Node j of a coarse line of n: its share in node COARSENING j - 2 + a of the fine one."""
     share = wp.float32(wp.min(2 * a + 1, 15 - 2 * a)) * 0.125
-    if (a < FOUR and j == 0) or (a >= FOUR and j == n - 1):
+    if (a < COARSENING and j == 0) or (a >= COARSENING and j == n - 1):
         share = 1.0
     return share
 
@@ -1084,13 +1084,13 @@ def hat(a: wp.int32, j: wp.int32, n: wp.int32):
 @wp.func
 def lowered(fine: wp.array[wp.float32], rows: wp.int32, cols: wp.int32, x: wp.int32, y: wp.int32):
     """Node (x, y) of what is brought down to a coarse grid from one of rows x cols."""
-    n_rows = (rows - 1) / FOUR + 1
-    n_cols = (cols - 1) / FOUR + 1
+    n_rows = (rows - 1) / COARSENING + 1
+    n_cols = (cols - 1) / COARSENING + 1
     sum = wp.float32(0.0)
-    for a in range(wp.max(0, 2 - FOUR * x), wp.min(2 * FOUR, cols + 2 - FOUR * x)):
+    for a in range(wp.max(0, 2 - COARSENING * x), wp.min(2 * COARSENING, cols + 2 - COARSENING * x)):
         column = wp.float32(0.0)
-        for b in range(wp.max(0, 2 - FOUR * y), wp.min(2 * FOUR, rows + 2 - FOUR * y)):
-            column += hat(b, y, n_rows) * fine[(FOUR * y - 2 + b) * cols + FOUR * x - 2 + a]
+        for b in range(wp.max(0, 2 - COARSENING * y), wp.min(2 * COARSENING, rows + 2 - COARSENING * y)):
+            column += hat(b, y, n_rows) * fine[(COARSENING * y - 2 + b) * cols + COARSENING * x - 2 + a]
         sum += hat(a, x, n_cols) * column
     return sum
 
@@ -1108,7 +1108,7 @@ def down(
     """to = times what is brought down; over ``scale``, if asked to divide."""
     y, x = wp.tid()
     sum = times * lowered(fine, rows, cols, x, y)
-    j = y * ((cols - 1) / FOUR + 1) + x
+    j = y * ((cols - 1) / COARSENING + 1) + x
     if divides != 0:
         sum = sum / scale[j]
     to[j] = sum
@@ -1118,15 +1118,15 @@ def down(
 def beside(i: wp.int32, n: wp.int32):
     """The coarse node that has a share in fine node i and is not its own."""
     step = wp.int32(-1)
-    if i % FOUR > 1:
+    if i % COARSENING > 1:
         step = 1
-    return wp.clamp(i / FOUR + step, 0, n - 1)
+    return wp.clamp(i / COARSENING + step, 0, n - 1)
 
 
 @wp.func
 def share_of(i: wp.int32):
     """Its share."""
-    return wp.float32(wp.abs(2 * (i % FOUR) - 3)) * 0.125
+    return wp.float32(wp.abs(2 * (i % COARSENING) - 3)) * 0.125
 
 
 @wp.func
@@ -1142,11 +1142,11 @@ def up_at(
     y: wp.int32,
 ):
     """v = free (r / scale + what is brought up from a coarse grid) at node (x, y)."""
-    n_cols = (cols - 1) / FOUR + 1
-    here = y / FOUR * n_cols
-    there = beside(y, (rows - 1) / FOUR + 1) * n_cols
+    n_cols = (cols - 1) / COARSENING + 1
+    here = y / COARSENING * n_cols
+    there = beside(y, (rows - 1) / COARSENING + 1) * n_cols
     along = share_of(y)
-    own = (1.0 - along) * coarse[here + x / FOUR] + along * coarse[there + x / FOUR]
+    own = (1.0 - along) * coarse[here + x / COARSENING] + along * coarse[there + x / COARSENING]
     other = (1.0 - along) * coarse[here + beside(x, n_cols)] + along * coarse[there + beside(x, n_cols)]
     across = share_of(x)
     i = y * cols + x
@@ -1165,7 +1165,7 @@ def up(
 ):
     """See up_at, for the nodes of row y that lie in a coarse one."""
     y, j = wp.tid()
-    for x in range(FOUR * j, wp.min(cols, FOUR * j + FOUR)):
+    for x in range(COARSENING * j, wp.min(cols, COARSENING * j + COARSENING)):
         up_at(r, scale, is_free, coarse, v, rows, cols, x, y)
 
 
@@ -1175,17 +1175,17 @@ def lengths(r: wp.array[wp.float32], v: wp.array[wp.float32], part: wp.array[wp.
     g = wp.tid()
     square = wp.float64(0.0)
     product = wp.float64(0.0)
-    for i in range(g * SUMMED, wp.min(pixels, g * SUMMED + SUMMED)):
+    for i in range(g * NODES_PER_SUM, wp.min(pixels, g * NODES_PER_SUM + NODES_PER_SUM)):
         square += wp.float64(v[i]) * wp.float64(v[i])
         product += wp.float64(r[i]) * wp.float64(v[i])
     part[g] = square
-    part[(pixels - 1) / SUMMED + 1 + g] = product
+    part[(pixels - 1) / NODES_PER_SUM + 1 + g] = product
 
 
 # The state of conjugate gradients (float64): iterations left, 0 once it has stopped; units of the scattered
 # sum and of r v, v w and v v, from the last ones' size; alpha, 0 before the first step; the first r v; what
 # the quadratic model has gained; and what was asked for: lambda, damping, share of the first r v at which to
-# stop. Two of them take turns, and so do the totals (3, SLOTS)
+# stop. Two of them take turns, and so do the totals (3, SUM_SLOTS)
 # of r v, v w and v v.
 State = wp.types.vector(11, wp.float64)
 Sums = wp.types.vector(3, wp.int64)
@@ -1404,9 +1404,9 @@ def curve(
                 cols,
                 i,
             )
-        wp.atomic_add(totals, g % SLOTS, part[0])
-        wp.atomic_add(totals, SLOTS + g % SLOTS, part[1])
-        wp.atomic_add(totals, 2 * SLOTS + g % SLOTS, part[2])
+        wp.atomic_add(totals, g % SUM_SLOTS, part[0])
+        wp.atomic_add(totals, SUM_SLOTS + g % SUM_SLOTS, part[1])
+        wp.atomic_add(totals, 2 * SUM_SLOTS + g % SUM_SLOTS, part[2])
 
 
 @wp.func
@@ -1425,7 +1425,7 @@ def turn_of(state: wp.array[wp.float64], total: Sums, fixed_: wp.float64, exact:
         curvature -= beta * product / state[ALPHA]
     else:
         next[START] = product
-    if product > state[LEAST] * next[START] and curvature > wp.float64(0.0):
+    if product > state[STOP_RATIO] * next[START] and curvature > wp.float64(0.0):
         goes = 1
         next[LEFT] = state[LEFT] - wp.float64(1.0)
         next[SCATTERED] = fixed_ / wp.sqrt(square)
@@ -1481,13 +1481,13 @@ def go(
     g = wp.tid()
     if state[LEFT] > wp.float64(0.0):
         total = Sums()
-        for i in range(SLOTS):
-            total += Sums(totals[i], totals[SLOTS + i], totals[2 * SLOTS + i])
+        for i in range(SUM_SLOTS):
+            total += Sums(totals[i], totals[SUM_SLOTS + i], totals[2 * SUM_SLOTS + i])
         after_, beta, goes = turn_of(state, total, fixed_, exact)
         if g == 0:
             for i in range(11):
                 next[i] = after_[i]
-            for i in range(3 * SLOTS):
+            for i in range(3 * SUM_SLOTS):
                 next_totals[i] = wp.int64(0)
         if goes != 0:
             for i in range(g * each, wp.min(pixels, g * each + each)):
@@ -1511,7 +1511,7 @@ def ready(
     most: wp.int32,
 ):
     """The state and the totals before the first iteration; square and product: v v and r v. One thread."""
-    for i in range(3 * SLOTS):
+    for i in range(3 * SUM_SLOTS):
         totals[i] = wp.int64(0)
     for i in range(11):
         state[i] = wp.float64(0.0)
@@ -1521,7 +1521,7 @@ def ready(
     state[UNIT_VV] = exact / square
     state[LAMBDA] = lambda_
     state[DAMPING] = damping
-    state[LEAST] = least
+    state[STOP_RATIO] = least
 
 
 @wp.kernel
@@ -1559,10 +1559,10 @@ def solve(
     start a kernel than to run it. 4 and 16: of the coarse grids.
     """
     pixels = rows * cols
-    rows_4 = (rows - 1) / FOUR + 1
-    cols_4 = (cols - 1) / FOUR + 1
-    rows_16 = (rows_4 - 1) / FOUR + 1
-    cols_16 = (cols_4 - 1) / FOUR + 1
+    rows_4 = (rows - 1) / COARSENING + 1
+    cols_4 = (cols - 1) / COARSENING + 1
+    rows_16 = (rows_4 - 1) / COARSENING + 1
+    cols_16 = (cols_4 - 1) / COARSENING + 1
     while state[LEFT] > wp.float64(0.0):
         total = Sums()
         unit = wp.float32(wp.float64(1.0) / state[SCATTERED])

@@ -8,7 +8,7 @@ import functools
 
 import warp as wp
 
-from skylamp.constants import NOTHING
+from skylamp.constants import NO_CEILING
 
 from . import OPTIONS
 
@@ -98,7 +98,7 @@ def scan_filled(BITS: int):
         # 2. nothing above yet, or the whole cycle
         ceiling = floats()
         for b in range(BITS):
-            ceiling[b] = NOTHING
+            ceiling[b] = NO_CEILING
         if periodic != 0 and rise[w, 0] == 0.0:
             ceiling[0] = lap[w, line]
 
@@ -106,7 +106,7 @@ def scan_filled(BITS: int):
             # 3. a line that has just entered the map has open sky beyond it
             if periodic == 0 and (x + i < 0 or x + i >= cols):
                 for b in range(BITS):
-                    ceiling[b] = NOTHING
+                    ceiling[b] = NO_CEILING
             # 4. the crossings between this node and the next one towards the source
             for c in range(spans[w, 0], spans[w, 0] + spans[w, 1] - 1):
                 nx = x + crossings[c, 0]

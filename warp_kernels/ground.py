@@ -4,7 +4,7 @@ off. Twin of opencl/ground.cl.
 
 import warp as wp
 
-from skylamp.constants import MASKED, NONE
+from skylamp.constants import HIGHEST_MASKED, NONE
 
 from . import OPTIONS
 
@@ -166,7 +166,7 @@ def judge(
     lit = wp.int32(0)
     off = wp.int32(0)
     for y in range(b * block, wp.min((b + 1) * block, rows)):
-        if heights[(y + margin) * (cols + 2 * margin) + margin + x] > MASKED:
+        if heights[(y + margin) * (cols + 2 * margin) + margin + x] > HIGHEST_MASKED:
             here = image[y * cols + x]
             apart = half[y * cols + x]
             light += here

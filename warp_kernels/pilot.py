@@ -4,7 +4,7 @@ picked. Twin of opencl/pilot.cl.
 
 import warp as wp
 
-from skylamp.constants import MASKED, NONE
+from skylamp.constants import HIGHEST_MASKED, NONE
 
 from . import OPTIONS
 
@@ -161,17 +161,17 @@ def pool(
         row = wp.where(y < rows, y, 0) * cols
         for x in range(bx << shift, last_x + 1):
             here = heights[row + wp.where(x < cols, x, 0)]
-            if here > MASKED:
+            if here > HIGHEST_MASKED:
                 highest = wp.max(highest, here)
                 if x < end_x and y < end_y:
                     lowest = wp.min(lowest, here)
                     if x + 1 < cols:
                         right = heights[row + x + 1]
-                        if right > MASKED and wp.abs(right - here) > cliff:
+                        if right > HIGHEST_MASKED and wp.abs(right - here) > cliff:
                             cliffs += 1
                     if y + 1 < rows:
                         below = heights[row + cols + x]
-                        if below > MASKED and wp.abs(below - here) > cliff:
+                        if below > HIGHEST_MASKED and wp.abs(below - here) > cliff:
                             cliffs += 1
     at = by * across + bx
     found[0, at] = highest

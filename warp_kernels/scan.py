@@ -7,7 +7,7 @@ import functools
 
 import warp as wp
 
-from skylamp.constants import NOTHING, PATCH_X, PATCH_Y, SIDE
+from skylamp.constants import COPY_SIDE, NO_CEILING, PATCH_X, PATCH_Y
 
 from . import AHEAD, GROUP, OPTIONS
 
@@ -77,7 +77,7 @@ def scan(BITS: int):
         ceiling = floats()
         climb = floats()
         for b in range(BITS):
-            ceiling[b] = NOTHING
+            ceiling[b] = NO_CEILING
             climb[b] = rise[w, b]
         if periodic != 0 and climb[0] == 0.0:
             ceiling[0] = lap[w, line]
@@ -123,7 +123,7 @@ def scan(BITS: int):
                     # sky there
                     if periodic == 0 and wp.uint32(x + i) >= wp.uint32(cols):
                         for b in range(BITS):
-                            ceiling[b] = NOTHING
+                            ceiling[b] = NO_CEILING
                     here = maps[turned, y * cols + x]
                     bits = wp.int32(0)
                     for b in range(BITS):
@@ -144,16 +144,16 @@ def scan(BITS: int):
 
 @wp.func
 def block_x(g: wp.int32, cols: wp.int32):
-    patches = (cols + PATCH_X * SIDE - 1) // (PATCH_X * SIDE)
+    patches = (cols + PATCH_X * COPY_SIDE - 1) // (PATCH_X * COPY_SIDE)
     patch = g // (PATCH_X * PATCH_Y)
-    return ((patch % patches) * PATCH_X + g % PATCH_X) * SIDE
+    return ((patch % patches) * PATCH_X + g % PATCH_X) * COPY_SIDE
 
 
 @wp.func
 def block_y(g: wp.int32, cols: wp.int32):
-    patches = (cols + PATCH_X * SIDE - 1) // (PATCH_X * SIDE)
+    patches = (cols + PATCH_X * COPY_SIDE - 1) // (PATCH_X * COPY_SIDE)
     patch = g // (PATCH_X * PATCH_Y)
-    return ((patch // patches) * PATCH_Y + g // PATCH_X % PATCH_Y) * SIDE
+    return ((patch // patches) * PATCH_Y + g // PATCH_X % PATCH_Y) * COPY_SIDE
 
 
 @wp.kernel
@@ -161,14 +161,14 @@ def turn_map(maps: wp.array2d[wp.float32], rows: wp.int32, cols: wp.int32, room:
     """The second of `maps`, (cols, rows), from the first, (rows, cols), so that walks along rows become walks
     along columns.
 
-    Thread g owns SIDE x SIDE nodes; 32 neighbours own a patch of 8 x 4 such blocks, so that both sides of the
-    copy stay within few cache lines.
+    Thread g owns COPY_SIDE x COPY_SIDE nodes; 32 neighbours own a patch of 8 x 4 such blocks, so that both
+    sides of the copy stay within few cache lines.
     """
     g = wp.tid()
     x0 = block_x(g, cols)
     y0 = block_y(g, cols)
-    for y in range(y0, wp.min(y0 + SIDE, rows)):
-        for x in range(x0, wp.min(x0 + SIDE, cols)):
+    for y in range(y0, wp.min(y0 + COPY_SIDE, rows)):
+        for x in range(x0, wp.min(x0 + COPY_SIDE, cols)):
             maps[1, x * rows + y] = maps[0, y * cols + x]
 
 
@@ -184,8 +184,8 @@ def turn_planes(
     plane = pairs[w, 1]
     x0 = block_x(g, cols)
     y0 = block_y(g, cols)
-    for x in range(x0, wp.min(x0 + SIDE, cols)):
-        for y in range(y0, wp.min(y0 + SIDE, rows)):
+    for x in range(x0, wp.min(x0 + COPY_SIDE, cols)):
+        for y in range(y0, wp.min(y0 + COPY_SIDE, rows)):
             planes[plane, y * cols + x] = planes[turned, x * rows + y]
 
 

@@ -26,28 +26,21 @@ if TYPE_CHECKING:
 CLASSES = ("smooth", "rough", "urban", "lamp")
 TOLERANCES = (0.03, 0.01, 0.003)
 NODES, FIRST = 300, 100_003  # at which errors are taken; other nodes than a plan's samples
-SKY = (
+SKY_METHODS = (
     [("horizon", k) for k in (4, 6, 8, 12, 16, 24, 32, 64, 128)]
     + [("filled", m) for m in (5, 9, 17, 33)]
     + [("stride", m) for m in (5, 9, 17, 33)]
     + [("unoccluded", 0)]
 )
-LAMP = (
+LAMP_METHODS = (
     [("slices", s) for s in (8, 16, 32, 64, 128)]
     + [("filled", m) for m in (9, 17, 33)]
     + [("stride", m) for m in (9, 17, 33)]
     + [("unoccluded", 0)]
 )
 RUNS = 3
-COLOURS = {
-    "horizon": "C0",
-    "slices": "C0",
-    "filled": "C1",
-    "stride": "C3",
-    "unoccluded": "C2",
-    "plan": "k",
-}
-LEAST = 2e-5  # errors below are drawn here
+COLOURS = {"horizon": "C0", "slices": "C0", "filled": "C1", "stride": "C3", "unoccluded": "C2", "plan": "k"}
+LEAST_DRAWN_ERROR = 2e-5  # errors below are drawn here
 PEER = "peer "  # methods of other packages begin with it
 
 Row = dict[str, Any]  # a point of the chart: class, size, backend, method, units, error, seconds ...
@@ -86,7 +79,7 @@ def options_of(method: str, units: int) -> Row:
 
 def settings(kind: str) -> Iterator[tuple[str, float, Row]]:
     """(method, units, arguments of render()) of every point of a class; coarse before fine."""
-    for method, units in LAMP if kind == "lamp" else SKY:
+    for method, units in LAMP_METHODS if kind == "lamp" else SKY_METHODS:
         yield method, units, options_of(method, units)
     for tolerance in TOLERANCES:
         yield "plan", tolerance, {"tolerance": tolerance}
@@ -278,7 +271,7 @@ def draw(rows: list[Row], path: StrPath, title: str = "") -> None:
 
 def _place(row: Row) -> tuple[float, float]:
     """Where a row stands on the chart: (time of the whole call [ns per node], error)."""
-    return 1e9 * row["seconds"] / row["size"] ** 2, max(row["error"], LEAST)
+    return 1e9 * row["seconds"] / row["size"] ** 2, max(row["error"], LEAST_DRAWN_ERROR)
 
 
 def _draw_points(axes: Axes, rows: list[Row], largest: int, marks: dict[str, str], peers: list[str]) -> None:

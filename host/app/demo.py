@@ -22,8 +22,8 @@ from . import mosaic, output
 
 # Real ground is gentle: heights are exaggerated so that valleys lose sky.
 EXAGGERATION = 4
-LAMP = (215, 150, -45, 40)  # x, y, z, radius [nodes]
-CROP = slice(100, 228), slice(130, 258)  # of the sample terrain, for the comparison of backends
+DEMO_LAMP = (215, 150, -45, 40)  # x, y, z, radius [nodes]
+COMPARED_AREA = slice(100, 228), slice(130, 258)  # of the sample terrain, for the comparison of backends
 STAGES = 6  # the comparison, three renderings, the relief, its recovery
 
 
@@ -65,7 +65,7 @@ def demo(folder: Path, backend: str, progress: Callable[[int, int], None] | None
     pictures = Pictures(folder)
     height, spacing = io.terrain()
     # before the rest: it tells what compiling takes
-    comparison = compared(Scene.from_height(height[CROP], spacing=spacing))
+    comparison = compared(Scene.from_height(height[COMPARED_AREA], spacing=spacing))
     step()
     renderings = _mountains(
         Scene.from_height(EXAGGERATION * height, spacing=spacing), backend, pictures, step
@@ -84,13 +84,14 @@ def demo(folder: Path, backend: str, progress: Callable[[int, int], None] | None
 
 def _mountains(scene: Scene, backend: str, pictures: Pictures, step: Callable[[], None]) -> list[Rendering]:
     """The terrain under a uniform sky, an overcast one and a low lamp."""
-    x, y, z, radius = (scene.spacing * v for v in LAMP)
+    x, y, z, radius = (scene.spacing * v for v in DEMO_LAMP)
     lamp = Lamp(center=(x, y, z), radius=radius)
+    lamp_text = f"a lamp, radius {DEMO_LAMP[3]} nodes, {-DEMO_LAMP[2]} nodes above the highest peak"
     renderings = []
     for name, source, hemicube, text in (
         ("uniform_sky", Sky(), 9, "uniform sky"),
         ("overcast_sky", Sky(cie_overcast()), 9, "CIE overcast sky"),
-        ("low_lamp", lamp, 33, f"a lamp, radius {LAMP[3]} nodes, {-LAMP[2]} nodes above the highest peak"),
+        ("low_lamp", lamp, 33, lamp_text),
     ):
         done = render(scene, source, method="lattice", hemicube=hemicube, filled=True, backend=backend)
         renderings.append(done)

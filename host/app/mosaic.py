@@ -10,7 +10,7 @@ from ..scene import Scene
 from ..sources import Lamp
 
 GREY = 0.5
-GAP = 10  # pixels between pictures and along the edge
+BORDER = 10  # pixels between pictures and along the edge
 ROW = 256  # pixels: pictures of a recovery are enlarged towards this side
 
 
@@ -22,12 +22,12 @@ def enlarged(picture: np.ndarray, times: int) -> np.ndarray:
 def of_six(pictures: list[np.ndarray]) -> np.ndarray:
     """Two rows of three, the small ones enlarged to whole multiples."""
     rows, cols = pictures[0].shape
-    sheet = np.full((2 * rows + 3 * GAP, 3 * cols + 4 * GAP), GREY)
+    sheet = np.full((2 * rows + 3 * BORDER, 3 * cols + 4 * BORDER), GREY)
     for number, picture in enumerate(pictures):
         times = min(rows // picture.shape[0], cols // picture.shape[1])
         picture = enlarged(picture, times)
-        top = GAP + (rows + GAP) * (number // 3) + (rows - picture.shape[0]) // 2
-        left = GAP + (cols + GAP) * (number % 3) + (cols - picture.shape[1]) // 2
+        top = BORDER + (rows + BORDER) * (number // 3) + (rows - picture.shape[0]) // 2
+        left = BORDER + (cols + BORDER) * (number % 3) + (cols - picture.shape[1]) // 2
         sheet[top : top + picture.shape[0], left : left + picture.shape[1]] = picture
     return sheet
 
@@ -50,10 +50,10 @@ def of_recovery(image: np.ndarray, found: Recovery, spacing: float) -> np.ndarra
         _scaled(np.abs(found.residual), 0.1 * image.max()),
     ]
     times = max(1, ROW // max(rows, cols))
-    sheet = np.full((rows * times + 2 * GAP, 4 * (cols * times + GAP) + GAP), GREY)
+    sheet = np.full((rows * times + 2 * BORDER, 4 * (cols * times + BORDER) + BORDER), GREY)
     for number, values in enumerate(pictures):
-        left = GAP + number * (cols * times + GAP)
-        sheet[GAP : GAP + rows * times, left : left + cols * times] = enlarged(values, times)
+        left = BORDER + number * (cols * times + BORDER)
+        sheet[BORDER : BORDER + rows * times, left : left + cols * times] = enlarged(values, times)
     return sheet
 
 

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from matplotlib.projections.polar import PolarAxes
 
-SUFFIXES = (".png", ".svg", ".pdf")
+FIGURE_SUFFIXES = (".png", ".svg", ".pdf")
 DISCS = 12  # along the longer side of a section, unless asked otherwise
 RADIUS = 0.42  # of a disc, as a share of the distance between discs
 GREYS = "0.2", "0.72"  # black, and the brightest surface; the source is white
@@ -294,8 +294,8 @@ def drawable(path: StrPath) -> Path:
     Raises InputError for another extension, no such folder, or without matplotlib.
     """
     path = Path(path)
-    if path.suffix.lower() not in SUFFIXES:
-        raise bad(f"{path}: unknown extension of a picture", repr(path.suffix), " ".join(SUFFIXES))
+    if path.suffix.lower() not in FIGURE_SUFFIXES:
+        raise bad(f"{path}: unknown extension of a picture", repr(path.suffix), " ".join(FIGURE_SUFFIXES))
     _matplotlib()
     return destination(path)
 

@@ -20,7 +20,7 @@ from ..sources import Lamp, Sky, Source
 from ..sources.cie import cie_clear
 from ..visibility import visibility
 
-CROP = slice(120, 168), slice(150, 214)  # of the sample terrain: 48 x 64 nodes
+TEST_AREA = slice(120, 168), slice(150, 214)  # of the sample terrain: 48 x 64 nodes
 STEEPER = 3.0  # heights are multiplied by this, so that a good part of the ground is in shadow
 
 
@@ -55,8 +55,8 @@ class Comparison:
 def cases() -> list[Case]:
     """One of each kind of kernel: visibility, lattice, horizons, azimuths of a sky, slices of a lamp."""
     height, spacing = io.terrain()
-    scene = Scene.from_height(STEEPER * height[CROP], spacing)
-    box = Scene.from_height(STEEPER * height[CROP], spacing, sides="dark")
+    scene = Scene.from_height(STEEPER * height[TEST_AREA], spacing)
+    box = Scene.from_height(STEEPER * height[TEST_AREA], spacing, sides="dark")
     x, y = (spacing * (n // 2) for n in scene.shape[::-1])
     lamp = Lamp(center=(x, y, -8 * spacing), radius=3 * spacing)
     clear = Sky(cie_clear((135.0, 35.0)))

@@ -1,7 +1,7 @@
-"""The protocol of a backend, and the sequences of kernels that are the same on all of them.
+"""The protocol of a backend: arrays on one device, and launches of kernels by their name.
 
 A backend knows arrays and kernels, not scenes. A kernel has the same stem, name and arguments in
-warp_kernels/, in opencl/ and in numpy/; what is here launches them by name.
+warp_kernels/, in opencl/ and in numpy/. Which kernels make an image is said in host/light/.
 """
 
 from __future__ import annotations
@@ -20,10 +20,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import DTypeLike
 
-from ..constants import ROOM
+from ..constants import PIXEL_PADDING
 from ..errors import CapacityError
 
-CPU_ALONE, CPU_EACH, GPU_AHEAD = 8192, 64, 8  # of compiled backends
+# values of ``single_item_nodes`` and ``nodes_per_item`` on a CPU, and of ``iterations_ahead`` on a GPU
+CPU_SINGLE_ITEM_NODES, CPU_NODES_PER_ITEM, GPU_ITERATIONS_AHEAD = 8192, 64, 8
+DEFAULT_GROUP = 256  # work-items of a group of any kernel but scan, at most
 
 Array = Any  # of a device: NumPy's, Warp's or pyopencl's
 
@@ -57,7 +59,7 @@ def available_memory() -> int:
 
 def rounded_up(pixels: int) -> int:
     """Elements of a pixel array that kernels read in whole vectors."""
-    return -(-pixels // ROOM) * ROOM
+    return -(-pixels // PIXEL_PADDING) * PIXEL_PADDING
 
 
 # methods of a backend that take its lock
@@ -106,7 +108,7 @@ class Backend(ABC):
     # longer
     partial_sums = 1
     lines = 1  # adjacent work-items that share cache lines, where work-items of a group run together
-    pixel_lanes = 1  # adjacent pixels per work-item where there are no lines; divides ROOM
+    pixel_lanes = 1  # adjacent pixels per work-item where there are no lines; divides PIXEL_PADDING
     compile_seconds = 0.0
 
     def __init__(self) -> None:

@@ -19,16 +19,23 @@ import skylamp.opencl
 
 from ..constants import GPU_LINES, GPU_PIXELS
 from ..errors import BackendError
-from .base import CPU_ALONE, CPU_EACH, GPU_AHEAD, Array, Backend, BackendInfo
+from .base import (
+    CPU_NODES_PER_ITEM,
+    CPU_SINGLE_ITEM_NODES,
+    DEFAULT_GROUP,
+    GPU_ITERATIONS_AHEAD,
+    Array,
+    Backend,
+    BackendInfo,
+)
 
 OPTIONS = ("-cl-std=CL1.2",)
-HUGE = 2**21  # bytes of a huge page
-CPU_LANES = 8
+HUGE_PAGE = 2**21  # [byte], of Linux on x86-64 and, with pages of 4 KiB, on ARM
+CPU_LANES = 8  # float32 of a vector register of 256 bits
 CPU_STRIPS = 8  # strips of lines that a sweep takes side by side
-CPU_TEAMS = 16  # most sets of sums that are scattered into side by side
-GPU_GROUP = 1024  # work-items of a group of scan
-USUAL_GROUP = 256  # most work-items of a group of other kernels
-FETCHED = 6  # depths that a scan on a GPU fetches before it uses them; a CPU does so by itself
+CPU_PARTIAL_SUMS = 16  # most copies of a sum that work-items scatter into
+SCAN_GROUP = 1024  # work-items of a group of scan on a GPU
+PREFETCHED_DEPTHS = 6  # depths that a scan on a GPU fetches before it uses them; a CPU does so by itself
 
 
 def probe() -> list[BackendInfo]:
@@ -78,9 +85,9 @@ class OpenclBackend(Backend):
         self._exact = ("-cl-fp32-correctly-rounded-divide-sqrt",) if exact else ()
         self.on_cpu = bool(self._device.type & cl.device_type.CPU)
         self.lanes = CPU_LANES if self.on_cpu else 1
-        self.partial_sums = min(CPU_TEAMS, 2 * self._device.max_compute_units) if self.on_cpu else 1
+        self.partial_sums = min(CPU_PARTIAL_SUMS, 2 * self._device.max_compute_units) if self.on_cpu else 1
         self.single_item_nodes, self.nodes_per_item, self.iterations_ahead = (
-            (CPU_ALONE, CPU_EACH, 1) if self.on_cpu else (0, 1, GPU_AHEAD)
+            (CPU_SINGLE_ITEM_NODES, CPU_NODES_PER_ITEM, 1) if self.on_cpu else (0, 1, GPU_ITERATIONS_AHEAD)
         )
         self.strips = CPU_STRIPS if self.on_cpu else 1
         self.lines = 1 if self.on_cpu else GPU_LINES
@@ -191,18 +198,18 @@ class OpenclBackend(Backend):
             function = self.cl.Kernel(self._programs[stem, lanes, constants], kernel)
             info = self.cl.kernel_work_group_info
             demanded = function.get_work_group_info(info.COMPILE_WORK_GROUP_SIZE, self._device)[0]
-            most = min(USUAL_GROUP, function.get_work_group_info(info.WORK_GROUP_SIZE, self._device))
+            most = min(DEFAULT_GROUP, function.get_work_group_info(info.WORK_GROUP_SIZE, self._device))
             usual = demanded or (1 if self.on_cpu else most)
             self._kernels[key] = function, _scalar_kinds(stem, kernel), usual
         return self._kernels[key]
 
     def _program(self, stem: str, lanes: int, constants: tuple[tuple[str, int], ...]) -> Any:
         start = time.perf_counter()
-        group = 1 if self.on_cpu else min(GPU_GROUP, self._device.max_work_group_size)
+        group = 1 if self.on_cpu else min(SCAN_GROUP, self._device.max_work_group_size)
         known = {
             "LANES": lanes,
             "BITS": 0,
-            "AHEAD": 1 if self.on_cpu else FETCHED,
+            "AHEAD": 1 if self.on_cpu else PREFETCHED_DEPTHS,
             "GROUP": group,
             "STRIPS": self.strips,
             "LINES": self.lines,
@@ -221,7 +228,7 @@ class OpenclBackend(Backend):
 
 def _new(backend: OpenclBackend, shape: tuple[int, ...], dtype: DTypeLike) -> Array:
     size = math.prod(shape) * np.dtype(dtype).itemsize
-    large = backend.on_cpu and size >= 2 * HUGE and hasattr(mmap, "MADV_HUGEPAGE")
+    large = backend.on_cpu and size >= 2 * HUGE_PAGE and hasattr(mmap, "MADV_HUGEPAGE")
     data = _on_huge_pages(backend.context, size) if large else None
     array = backend.cl.array.Array(backend.queue, shape, dtype, data=data)
     if large:  # the memory is the host's: kernels that were started must be done with it first
@@ -233,11 +240,11 @@ def _on_huge_pages(context: Any, size: int) -> Any:
     """A buffer in main memory for a large array: kernels that step from row to row touch a page a row."""
     import pyopencl as cl
 
-    room = mmap.mmap(-1, size + HUGE, flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)
+    room = mmap.mmap(-1, size + HUGE_PAGE, flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)
     memory = np.frombuffer(room, np.uint8)
-    start = -memory.ctypes.data % HUGE
+    start = -memory.ctypes.data % HUGE_PAGE
     # not the rest, which would take a whole page
-    room.madvise(mmap.MADV_HUGEPAGE, start, size // HUGE * HUGE)
+    room.madvise(mmap.MADV_HUGEPAGE, start, size // HUGE_PAGE * HUGE_PAGE)
     flags = cl.mem_flags.READ_WRITE | cl.mem_flags.USE_HOST_PTR
     return cl.Buffer(context, flags, hostbuf=memory[start : start + size])
 

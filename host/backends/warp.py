@@ -15,9 +15,16 @@ from numpy.typing import DTypeLike
 from skylamp.warp_kernels import GROUP
 
 from ..constants import GPU_LINES, GPU_PIXELS
-from .base import CPU_ALONE, CPU_EACH, GPU_AHEAD, Array, Backend, BackendInfo, available_memory
-
-USUAL_GROUP = 256  # threads of a block of other kernels than scan
+from .base import (
+    CPU_NODES_PER_ITEM,
+    CPU_SINGLE_ITEM_NODES,
+    DEFAULT_GROUP,
+    GPU_ITERATIONS_AHEAD,
+    Array,
+    Backend,
+    BackendInfo,
+    available_memory,
+)
 
 
 def probe() -> list[BackendInfo]:
@@ -62,7 +69,7 @@ class WarpBackend(Backend):
         self.lines = GPU_LINES if cuda else 1
         self.pixel_lanes = GPU_PIXELS
         self.single_item_nodes, self.nodes_per_item, self.iterations_ahead = (
-            (0, 1, GPU_AHEAD) if cuda else (CPU_ALONE, CPU_EACH, 1)
+            (0, 1, GPU_ITERATIONS_AHEAD) if cuda else (CPU_SINGLE_ITEM_NODES, CPU_NODES_PER_ITEM, 1)
         )
         self._loaded: set[tuple[Any, int]] = set()  # modules, each with a size of block
         self._side: Any = None  # the stream of launches beside others
@@ -134,7 +141,7 @@ class WarpBackend(Backend):
         function = getattr(importlib.import_module(f"skylamp.warp_kernels.{stem}"), kernel)
         if not isinstance(function, self.wp.Kernel):
             function = function(**constants)
-        group = group or (GROUP if kernel == "scan" else USUAL_GROUP)
+        group = group or (GROUP if kernel == "scan" else DEFAULT_GROUP)
         if (function.module, group) not in self._loaded:  # Warp compiles for every size of block
             start = time.perf_counter()
             with _quiet(self.wp):

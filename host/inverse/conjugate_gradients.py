@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..constants import FOUR, GAIN, LEFT, SLOTS, STATE
+from ..constants import COARSENING, GAIN, LEFT, STATE, SUM_SLOTS
 from .albedo import AlbedoFit
 from .forward import DeviceArray, Image, Launcher
 
@@ -48,7 +48,7 @@ class ConjugateGradients:
         self.backend, self.shape, self.pixels = backend, launcher.shape, pixels
         self.launcher, self.images, self.albedo, self.depths = launcher, images, albedo, depths
         # of the grid and of those that precondition
-        self.shapes = [tuple(-(-size // FOUR**times) for size in self.shape) for times in range(3)]
+        self.shapes = [tuple(-(-size // COARSENING**times) for size in self.shape) for times in range(3)]
         sizes = [rows * cols for rows, cols in self.shapes]
         self.w, self.p, self.s, self.x = (backend.empty((pixels,), np.float32) for _ in range(4))
         self.v, self.scale = ([backend.empty((size,), np.float32) for size in sizes] for _ in range(2))
@@ -61,7 +61,7 @@ class ConjugateGradients:
         self.lengths = backend.empty((2, launcher.blocks), np.float64)
         self.states, self.totals = [
             [backend.empty(shape, dtype) for _ in range(2)]
-            for shape, dtype in (((STATE,), np.float64), ((3, SLOTS), np.int64))
+            for shape, dtype in (((STATE,), np.float64), ((3, SUM_SLOTS), np.int64))
         ]
         # nodes of a work-item that scatters, and work-items
         self.scattered = (

@@ -17,11 +17,8 @@ FIRST_DAMPING = 1e-4  # of the first step, in the diagonal's unit
 SETTLED = 3e-3  # share of the objective below which a step is the last
 # of the gain that the quadratic model promised: above it damping falls, below the second one it grows
 WELL, BADLY = 0.5, 0.2
-EASED, TIGHTENED, REJECTED = (
-    0.3,
-    3,
-    4,
-)  # times the damping of the next step: after such a gain, and after none
+# factors of the damping for the next step: after a gain above WELL, below BADLY, and after none
+EASED, TIGHTENED, REJECTED = 0.3, 3, 4
 LEAST_DAMPING, MOST_DAMPING = 1e-6, 1e4
 
 

@@ -13,10 +13,8 @@ from .pyramid import COARSEST, IMAGE_RMS, Pyramid
 
 OPEN_SKY = "Open sides under a sky are ill-posed: a flat surface explains a plane's image at any depth."
 POORLY = 0.03  # residual, as a share of the image, from which an image is called unexplained
-TOO_BRIGHT, TOO_MANY = (
-    0.1,
-    0.02,
-)  # share of the image's rms, and of the pixels, that the model may fall short by
+# by how much the model may fall short of the image: share of the image's rms, and of the pixels
+TOO_BRIGHT, TOO_MANY = 0.1, 0.02
 DEVIATIONS = 5  # of noise, that a pixel may be brighter than the model
 FEWEST_COUNTS = 200  # of an image's maximum: fewer are coarser than the paper's eps
 WHOLE = 1e-3  # of the greatest count, that counts may be off whole numbers

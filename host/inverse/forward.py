@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from ..backends.base import Backend
-from ..constants import BESIDE, NONE, ROOM, SIDES, SUMMED, TILE
+from ..constants import LINK_BLOCK, NODES_PER_SUM, NONE, PIXEL_PADDING, SIDES, TILE
 from ..errors import CapacityError
 from .lights import Light
 
@@ -23,7 +23,7 @@ class Launcher:
 
     def __init__(self, backend: Backend, shape: tuple[int, int]):
         self.backend, self.shape, self.pixels = backend, shape, shape[0] * shape[1]
-        self.blocks = -(-self.pixels // SUMMED)  # a work-item of a sum owns one
+        self.blocks = -(-self.pixels // NODES_PER_SUM)  # a work-item of a sum owns one
         # nodes of a work-item, and sums that work-items of their own scatter into
         self.nodes_per_item, self.partial_sums = backend.nodes_per_item, backend.partial_sums
         self._recorded: dict[tuple[str, int], Callable[[], None] | None] = {}
@@ -78,7 +78,7 @@ class Image:
         self.backend, self.shape, self.sides = backend, shape, SIDES[sides]
         self.count = len(light.directions)
         pixels = shape[0] * shape[1]
-        if (pixels + ROOM) * self.count >= 2**31:
+        if (pixels + PIXEL_PADDING) * self.count >= 2**31:
             raise CapacityError(
                 f"An image of {pixels:,} pixels along {self.count} azimuths: more than 2^31 links. Cut it"
                 " into tiles."
@@ -98,14 +98,14 @@ class Image:
         self.knots, self.rows_of_table = (0, 1) if light.table is None else light.table.shape[1::-1]
         if self.is_sky:
             self.numbers, self.slopes = (
-                backend.empty((self.count, pixels + ROOM), kind) for kind in (np.int32, np.float32)
+                backend.empty((self.count, pixels + PIXEL_PADDING), kind) for kind in (np.int32, np.float32)
             )
         else:
             self.frames, self.solid = put(light.frames), put(light.solid)
         self.gain = put(np.broadcast_to(gain, shape).ravel())
         self.gains = [self.gain] * 2  # with the albedo of the surface and of a trial
         self.target = put(target.ravel())
-        room = -(-pixels // BESIDE), self.count, BESIDE
+        room = -(-pixels // LINK_BLOCK), self.count, LINK_BLOCK
         # light, held, first, second, near, far: of the surface and of a trial
         arrays = (
             ((4, pixels), np.float32),

@@ -29,7 +29,7 @@ from .resampling import doubled
 from .search import Rival, Search
 from .starts import OutOfTime
 
-METHODS = ("robust", "paper")
+RECOVER_METHODS = ("robust", "paper")
 STOPS = ("eps", "sign")
 MOST_LAYERS = 2**20
 
@@ -116,7 +116,7 @@ def recover(
     ------
     InputError, BackendError, CapacityError
     """
-    one_of(method, METHODS, "method")
+    one_of(method, RECOVER_METHODS, "method")
     one_of(stop, STOPS, "stop")
     given = _checked(image, source, albedo, sides, spacing, layers, method)
     eps, cube = (

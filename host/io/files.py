@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 
 from ..errors import bad
 from . import hdr, png, tiff
-from .paths import HDR, SUFFIXES, StrPath, destination, folder, readable, reading, replacing
+from .paths import HDR, MAP_SUFFIXES, StrPath, destination, folder, readable, reading, replacing
 
 __all__ = [
     "folder",
@@ -111,8 +111,8 @@ def writable(path: StrPath) -> Path:
     Raises InputError for an unknown extension or a parent folder that is missing.
     """
     path = Path(path)
-    if path.suffix.lower() not in SUFFIXES + HDR:
-        raise bad(f"{path}: unknown extension", repr(path.suffix), " ".join(SUFFIXES + HDR))
+    if path.suffix.lower() not in MAP_SUFFIXES + HDR:
+        raise bad(f"{path}: unknown extension", repr(path.suffix), " ".join(MAP_SUFFIXES + HDR))
     if path.suffix.lower() in HDR:
         hdr.module(path)
     return destination(path)

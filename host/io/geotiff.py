@@ -14,19 +14,14 @@ from typing import Any
 
 import numpy as np
 
+from ..constants import MOST_PIXELS
 from ..errors import bad, lacking
 from ..scene import Scene
 from .paths import StrPath, destination, readable, reading, replacing
 
 SQUARE = 0.01  # by how much of its length a cell's other side may differ: that much the slopes are off
-MOST_CELLS = 2**30  # a header that asks for more is damaged or hostile
-FEET = {
-    "ft": 0.3048,
-    "foot": 0.3048,
-    "feet": 0.3048,
-    "us-ft": 1200 / 3937,
-    "us survey foot": 1200 / 3937,
-}  # [metre]
+FOOT, SURVEY_FOOT = 0.3048, 1200 / 3937  # [metre], by definition
+FEET = {"ft": FOOT, "foot": FOOT, "feet": FOOT, "us-ft": SURVEY_FOOT, "us survey foot": SURVEY_FOOT}
 GEO_TAGS = (33550, 33922, 34264, 34735)  # pixel scale, tie points, transformation, keys
 
 
@@ -86,11 +81,11 @@ def read(path: StrPath, *, resample: bool = False) -> Raster:
         with rasterio.open(path, driver="GTiff") as file:
             if file.count != 1:
                 raise bad(f"{path}: bands", file.count, "one band of heights, depths or values")
-            if file.width * file.height > MOST_CELLS:
+            if file.width * file.height > MOST_PIXELS:
                 raise bad(
                     f"{path}: size",
                     f"{file.height} x {file.width}",
-                    f"at most {MOST_CELLS:,} cells",
+                    f"at most {MOST_PIXELS:,} cells",
                     "Cut it into tiles.",
                 )
             values, mask = file.read(1), file.read_masks(1) > 0

@@ -8,10 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from ..constants import MOST_PIXELS
 from ..errors import bad, lacking
 from .paths import replacing
-
-MOST_PIXELS = 2**30  # a header that asks for more is damaged or hostile
 
 
 def module(path: Path) -> Any:

@@ -11,7 +11,7 @@ from typing import BinaryIO
 
 from ..errors import InputError, bad
 
-SUFFIXES = (".npy", ".npz", ".png", ".tif", ".tiff")
+MAP_SUFFIXES = (".npy", ".npz", ".png", ".tif", ".tiff")
 HDR = (".exr", ".hdr")  # with the extra of that name
 
 StrPath = str | os.PathLike[str]
@@ -25,8 +25,8 @@ def readable(path: StrPath) -> Path:
             raise bad(f"{path}: cannot read", "a folder", "a file")
         if not path.exists():
             raise bad(f"{path}: cannot read", "no such file", "an existing file")
-        if path.suffix.lower() not in SUFFIXES + HDR:
-            raise bad(f"{path}: unknown extension", repr(path.suffix), " ".join(SUFFIXES + HDR))
+        if path.suffix.lower() not in MAP_SUFFIXES + HDR:
+            raise bad(f"{path}: unknown extension", repr(path.suffix), " ".join(MAP_SUFFIXES + HDR))
         if path.stat().st_size == 0:
             raise bad(f"{path}: cannot read", "an empty file", "a file with data")
     return path

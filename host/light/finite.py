@@ -14,7 +14,7 @@ from ..sources.integrals import Integrals, chords
 from ..sources.solids import Ball, Dome, Quad
 from . import unoccluded
 from .base import Estimate, LightMethod
-from .slices import KNOTS, TURNS, Slices, ball_nodes, outline, widened
+from .slices import CHORD_AZIMUTHS, CHORD_KNOTS, Slices, ball_nodes, outline, widened
 
 # where in its step a slice of a ball lies; at 1/2 and 0 even and odd slices are mirror images, and their
 # difference does not show half of the error
@@ -48,7 +48,7 @@ class Sliced(LightMethod):
         self.factor = None
         self.brightness: Any = 1.0 if rays else source.brightness
         if sky is not None and not rays:
-            self.brightness = chords(sky, TURNS, KNOTS)
+            self.brightness = chords(sky, CHORD_AZIMUTHS, CHORD_KNOTS)
         if rays:
             self.factor = self._factor()
         self.shifts = [SHIFT]

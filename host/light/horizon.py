@@ -9,7 +9,7 @@ import numpy as np
 from ..backends.base import Array, Backend
 from ..directions import Azimuths
 from ..scene import Scene
-from ..sources.integrals import KNOTS, Integrals, even
+from ..sources.integrals import SKY_KNOTS, Integrals, even
 from ..sources.solids import Dome
 from . import unoccluded
 from .base import Estimate, LightMethod
@@ -53,7 +53,7 @@ class Horizons(LightMethod):
         self.slices = Slices(engine, *scene.lattice(), scene.sides, Dome()) if rays and self.suns else None
         self.exact = None
         if isinstance(sky, Integrals):
-            azimuths = unoccluded.AZIMUTHS
+            azimuths = unoccluded.INTEGRATED_AZIMUTHS
             self.exact = _by_normals(sky, even(azimuths, 0.5), 2 * math.pi / azimuths)
         self.difference: Array = None
         if not count:
@@ -92,7 +92,7 @@ class Horizons(LightMethod):
         suns = [sun.sectors(self.sectors, between) for sun in self.suns]
         swept = suns and self.slices is None
         if isinstance(self.sky, Integrals):
-            table = self.sky.table(rays.angles, np.full(count, window), FINE_KNOTS if swept else KNOTS)
+            table = self.sky.table(rays.angles, np.full(count, window), FINE_KNOTS if swept else SKY_KNOTS)
             if swept:
                 angles, parts = zip(*(_as_azimuths(*sun) for sun in suns))
                 rays = Rays(

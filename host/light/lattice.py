@@ -17,8 +17,8 @@ from .propagation import Problem
 
 # RMS error of E / pi under a uniform sky on rough ground (rms slope 1), of the hemicubes that may be chosen:
 # performance/lattice_error.py. The tables of a larger one take minutes
-ERRORS = {5: 0.0376, 7: 0.0188, 9: 0.0119, 17: 0.0039, 33: 0.0012}
-AZIMUTHS, ELEVATIONS = 96, 192  # directions of the exact light through a window
+HEMICUBE_ERRORS = {5: 0.0376, 7: 0.0188, 9: 0.0119, 17: 0.0039, 33: 0.0012}
+WINDOW_AZIMUTHS, WINDOW_ELEVATIONS = 96, 192  # directions of the exact light through a window
 
 
 class Lattice(LightMethod):
@@ -38,7 +38,7 @@ class Lattice(LightMethod):
 
     def refine(self) -> None:
         """The next larger hemicube: no direction is shared."""
-        self.units = next(size for size in ERRORS if size > self.units)
+        self.units = next(size for size in HEMICUBE_ERRORS if size > self.units)
         self.image = self._image()
 
     def irradiance(self) -> np.ndarray:
@@ -57,10 +57,13 @@ def lacking(scene: Scene, source: sources.Source) -> str:
 
 
 def through_window(samples: Samples, scene: Scene, source: sources.Window) -> np.ndarray:
-    """Irradiance at the samples through a window of any kind, by AZIMUTHS x ELEVATIONS directions."""
-    azimuths = 2 * np.pi * (np.arange(AZIMUTHS) + 0.5) / AZIMUTHS
+    """Irradiance at the samples through a window of any kind.
+
+    By WINDOW_AZIMUTHS x WINDOW_ELEVATIONS directions.
+    """
+    azimuths = 2 * np.pi * (np.arange(WINDOW_AZIMUTHS) + 0.5) / WINDOW_AZIMUTHS
     total, deep = np.zeros(len(samples)), -samples.own.astype(float)
-    e = (np.arange(ELEVATIONS)[:, None] + 0.5) / ELEVATIONS * np.pi / 2
+    e = (np.arange(WINDOW_ELEVATIONS)[:, None] + 0.5) / WINDOW_ELEVATIONS * np.pi / 2
     for azimuth, slope in zip(azimuths, samples.horizons(azimuths)):
         c, s = math.cos(azimuth), math.sin(azimuth)
         away = deep / np.tan(e)
@@ -72,7 +75,7 @@ def through_window(samples: Samples, scene: Scene, source: sources.Window) -> np
             * np.cos(e)
             * np.maximum(0, along * np.cos(e) + np.sin(e) / samples.length)
         ).sum(0)
-    irradiance: np.ndarray = total * (np.pi / 2 / ELEVATIONS) * (2 * np.pi / AZIMUTHS)
+    irradiance: np.ndarray = total * (np.pi / 2 / WINDOW_ELEVATIONS) * (2 * np.pi / WINDOW_AZIMUTHS)
     return irradiance
 
 

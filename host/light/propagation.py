@@ -11,13 +11,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..backends.base import Array, Backend, rounded_up
-from ..constants import MOST_PIXELS, SIDES, SKY
+from ..constants import COPY_SIDE, MOST_PIXELS, PATCH_X, PATCH_Y, SIDES, SKY
 from ..errors import CapacityError
 from ..sources import Geometry
 from .walks import Group, crossings_of, lap_table, walk_groups
-
-# nodes on a side of a block that a work-item turns, blocks (across, down) of a patch; as in opencl/scan.cl
-SIDE, PATCH = 4, (8, 4)
 
 Progress = Callable[[int, int], None]
 
@@ -164,8 +161,8 @@ class Surface:
 
     def _blocks(self) -> int:
         rows, cols = self.problem.depth.shape
-        down, across = -(-rows // (SIDE * PATCH[1])), -(-cols // (SIDE * PATCH[0]))
-        return int(down * across * PATCH[0] * PATCH[1])
+        down, across = -(-rows // (COPY_SIDE * PATCH_Y)), -(-cols // (COPY_SIDE * PATCH_X))
+        return int(down * across * PATCH_X * PATCH_Y)
 
     def find_laps(self, depth: np.ndarray) -> None:
         """Of a periodic map: the first ceilings of the level rays for these depths."""

@@ -21,23 +21,23 @@ from .propagation import Lobe
 MOST = 32  # of a source that surrounds a node, by default
 WALLED = 2  # times as many where a wall cuts the source
 LEVELS = 9  # cells of 2 to 512 nodes
-SIDE = 512  # samples of the brightness across the sky
+BRIGHTNESS_SIDE = 512  # samples of the brightness across the sky
 GAUSS = 8  # points between two knots of a cumulative table
 LOBE_POINTS, LOBE_VARIES = 10, 14  # samples of a lobe along a chord within its rim; where brightness varies
 # slices of a lobe: least, where the zenith lies within it, and through a lamp
 LOBE_LEAST, LOBE_ROUND, LOBE_MOST = 16, 32, 256
 LOBE_APART = 1.1  # half widths of a lobe between two slices of a lamp
-FINEST = 2048  # samples across the sky that a lobe's means are made of
+LOBE_SAMPLES = 2048  # samples across the sky that a lobe's means are made of
 SUNNY, SUNS = 4.0, 64  # times the mean brightness from which on light is a sun's; rays to suns
 # apparent width [rad] of what is widened: of its light a square over 12 is lost, 3e-7, and float32 holds its
 # width to 5e-5; derived
 THIN = 2e-3
 # cells of azimuth and of the sine of elevation of a brightness, 8 bytes each: 0.35 degrees round the horizon,
 # and 0.16 at an elevation of 85
-TURNS, KNOTS = 1024, 4097
+CHORD_AZIMUTHS, CHORD_KNOTS = 1024, 4097
 
 
-def brightness_of(source: Source, side: int = SIDE) -> float | np.ndarray:
+def brightness_of(source: Source, side: int = BRIGHTNESS_SIDE) -> float | np.ndarray:
     """A source's brightness as Slices takes it for a lobe: a number where it is uniform, else (side, side).
 
     Row j, column i: the direction whose stereographic projection x / (1 - z), y / (1 - z) is 2 i / (side - 1)
@@ -50,7 +50,7 @@ def brightness_of(source: Source, side: int = SIDE) -> float | np.ndarray:
     u, v = u / over, v / over
     square = u * u + v * v
     parts = []
-    for some in (slice(first, first + SIDE) for first in range(0, side, SIDE)):
+    for some in (slice(first, first + BRIGHTNESS_SIDE) for first in range(0, side, BRIGHTNESS_SIDE)):
         along = np.stack([2 * u[some], 2 * v[some], np.minimum(square[some] - 1, 0)], -1)
         parts.append(radiance(source, along / (1 + square[some])[..., None]))
     values = np.concatenate(parts)
@@ -72,10 +72,10 @@ def blurred(source: Source, spread: float) -> tuple[float | np.ndarray, np.ndarr
     as up to SUNS unit vectors with brightness x solid angle each.
     """
     suns: tuple[np.ndarray, np.ndarray] = np.zeros((0, 3)), np.zeros(0)
-    fine = brightness_of(source, FINEST)
+    fine = brightness_of(source, LOBE_SAMPLES)
     if not isinstance(fine, np.ndarray):
         return fine, *suns
-    u = np.linspace(-1, 1, FINEST)
+    u = np.linspace(-1, 1, LOBE_SAMPLES)
     square = u * u + u[:, None] ** 2
     angle = np.where(square <= 1, (2 * (u[1] - u[0]) / (1 + square)) ** 2, 0.0)  # of the plane's cells
     limit = SUNNY * float((fine * angle).sum() / angle.sum())
@@ -85,19 +85,19 @@ def blurred(source: Source, spread: float) -> tuple[float | np.ndarray, np.ndarr
         L = np.stack([2 * u[x], 2 * u[y], square[y, x] - 1], -1) / (1 + square[y, x, None])
         block, count = 0, SUNS + 1
         while count > SUNS:  # neighbours are merged until they are few
-            which = np.unique((y >> block) * FINEST + (x >> block), return_inverse=True)[1]
+            which = np.unique((y >> block) * LOBE_SAMPLES + (x >> block), return_inverse=True)[1]
             count, block = which.max() + 1, block + 1
         total = np.bincount(which, flux)
         middle = np.stack([np.bincount(which, flux * part) for part in L.T], -1)
         units: np.ndarray = middle / np.linalg.norm(middle, axis=1, keepdims=True)
         suns = units, total
         fine = np.minimum(fine, limit)
-    side = min(max(math.ceil(8 / spread), 16), FINEST // 2)
-    share = np.arange(FINEST) * ((side - 1) / (FINEST - 1))
+    side = min(max(math.ceil(8 / spread), 16), LOBE_SAMPLES // 2)
+    share = np.arange(LOBE_SAMPLES) * ((side - 1) / (LOBE_SAMPLES - 1))
     first = np.minimum(share.astype(int), side - 2)
-    blend = np.zeros((side, FINEST))
-    blend[first, np.arange(FINEST)] = 1 - (share - first)
-    blend[first + 1, np.arange(FINEST)] = share - first
+    blend = np.zeros((side, LOBE_SAMPLES))
+    blend[first, np.arange(LOBE_SAMPLES)] = 1 - (share - first)
+    blend[first + 1, np.arange(LOBE_SAMPLES)] = share - first
     blend /= blend.sum(1, keepdims=True)
     return blend @ fine @ blend.T, *suns
 

@@ -12,18 +12,18 @@ from ..backends import select
 from ..backends.base import Array, Backend, scratch
 from ..backends.resident import Resident
 from ..checks import positive_number
-from ..constants import LADDER, MOST_PIXELS, SIDES, SLOPES, TABLE, UNIFORM
+from ..constants import LADDER, LEAST_SEARCHED_SLOPE, MOST_PIXELS, NONE, SIDES, SLOPES, TABLE, UNIFORM
 from ..errors import CapacityError, bad
 from ..scene import Scene, is_scene
 
-# rows within which every crossing is tested; with 12 from MANY azimuths on, where the sum is that exact
-NEAR = 6
-FINE, MANY = 12, 128
-OUTSIDE, MASKED = np.float32(-1e30), np.float32(-2e30)  # heights where there is no ground
-NEVER = 1 << 30  # a window that no line fills
-BLOCK = 64  # rows of a column that are summed in float32 before they are in float64
+# rows within which every crossing is tested; FINE_NEAR_ROWS from MANY_AZIMUTHS on, where the sum over all
+# azimuths is that exact
+NEAR_ROWS, FINE_NEAR_ROWS, MANY_AZIMUTHS = 6, 12, 128
+# [spacing], height of masked nodes: not above NONE, and finite, since kernels interpolate and 0 x inf is NaN
+MASKED_HEIGHT = np.float32(-2e30)
+ENDLESS_WINDOW = 1 << 30  # [rows], a window longer than any line
+SUMMED_ROWS = 64  # rows of a column that are summed in float32 before they are in float64
 PROBED = 1024  # nodes from which the steepest rise and fall are searched for
-FAINTEST = 0.01  # slope below which ground of a periodic map is not searched for: at most 5e-5 of E / pi
 
 
 class Ground(NamedTuple):
@@ -96,7 +96,8 @@ class Sweeps:
                 f"A map of {rows * cols:,} nodes; at most {MOST_PIXELS:,}, since kernels count nodes in 32"
                 " bits. Cut it into tiles."
             )
-        self.near = near or (FINE if rays is not None and len(rays.angles) >= MANY else NEAR)
+        many = rays is not None and len(rays.angles) >= MANY_AZIMUTHS
+        self.near = near or (FINE_NEAR_ROWS if many else NEAR_ROWS)
         self.margin = self.near + backend.lanes + 3
         backend.reserve(
             32 * (rows + 2 * self.margin) * (cols + 2 * self.margin),
@@ -108,7 +109,7 @@ class Sweeps:
         if isinstance(ground.heights, Resident):
             here, step = ground.heights, np.float32(ground.step)
             self.lowest, highest = (float(-(np.float32(depth) / step)) for depth in (here.most, here.least))
-            self.heights = here.padded(self.margin, ground.step, ground.sides, float(OUTSIDE))
+            self.heights = here.padded(self.margin, ground.step, ground.sides, NONE)
             self.steepest = _steepest(here.probe(self.heights, self.margin, every, first))
         else:
             self.lowest, highest = float(ground.heights.min()), float(ground.heights.max())
@@ -165,7 +166,7 @@ class Sweeps:
         value of ``half`` is beyond ``limit``).
         """
         rows, cols = self.shape
-        blocks = -(-rows // BLOCK)
+        blocks = -(-rows // SUMMED_ROWS)
         found = self.backend.empty((5, blocks, cols), np.float32)
         self.backend.launch(
             "ground",
@@ -178,7 +179,7 @@ class Sweeps:
             rows,
             cols,
             self.margin,
-            BLOCK,
+            SUMMED_ROWS,
             float(limit),
         )
         light, square, *counts = self.backend.download(found).reshape(5, -1).sum(1, dtype=np.float64).tolist()
@@ -220,12 +221,12 @@ class Sweeps:
                 int(self.sides == "periodic"),
             )
         self.tilted[half.turned] = self.kept
-        for first, count in _batches(half, 1 if backend.lines == 1 else NEVER):
-            scratch = self.nothing
-            if half.windows[first] < NEVER:
+        for first, count in _batches(half, 1 if backend.lines == 1 else ENDLESS_WINDOW):
+            scratch, windowed = self.nothing, half.windows[first] < ENDLESS_WINDOW
+            if windowed:
                 scratch = backend.empty((count, half.rows * half.cols), np.float32)
                 self._sweep(half, first, count, SLOPES, False, True, scratch, sums)
-            self._sweep(half, first, count, self.what, half.windows[first] < NEVER, False, scratch, sums)
+            self._sweep(half, first, count, self.what, windowed, False, scratch, sums)
 
     def irradiance(self, last: bool = False) -> np.ndarray:
         """Irradiance (rows, cols) float32 [brightness x sr]. ``last``: arrays are released after use."""
@@ -264,7 +265,7 @@ class Sweeps:
                 planes = backend.empty((count, half.rows * half.cols), np.float32)
                 known = False
                 for falling in (False, True):
-                    for backward in (True, False) if half.windows[first] < NEVER else (False,):
+                    for backward in (True, False) if half.windows[first] < ENDLESS_WINDOW else (False,):
                         self._sweep(
                             half, first, count, SLOPES, known, backward, planes, self.nothing, falling
                         )
@@ -331,7 +332,7 @@ class Sweeps:
             NEAR=self.near,
             SIDES=SIDES[self.sides],
             WHAT=what,
-            BLOCKS=int(half.windows[first] < NEVER),
+            BLOCKS=int(half.windows[first] < ENDLESS_WINDOW),
         )
 
     def _unit(self, table: np.ndarray | None) -> float:
@@ -350,13 +351,13 @@ class Sweeps:
         windows = np.where(
             (reach < rows + cols) | (periodic & np.isfinite(reach)),
             np.maximum(reach, 1),
-            NEVER,
+            ENDLESS_WINDOW,
         ).astype(np.int64)
         order = np.argsort(windows, kind="stable")
         numbers, windows, reach = numbers[order], windows[order], reach[order]
         warm = 0
         if periodic and math.isinf(self.reach):
-            warm = math.ceil(max(rows, cols, self.relief / FAINTEST))
+            warm = math.ceil(max(rows, cols, self.relief / LEAST_SEARCHED_SLOPE))
         elif periodic:
             warm = math.ceil(self.reach) + 1
         shears, tables = self._shear_tables(numbers, windows, reach, warm, across, along)
@@ -449,14 +450,14 @@ def ladder(
 
 
 def _padded(ground: Ground, margin: int) -> np.ndarray:
-    """Heights with a margin, flat: the map repeated where it is periodic, else OUTSIDE."""
+    """Heights with a margin, flat: the map repeated where it is periodic, else NONE."""
     heights = ground.heights
     assert isinstance(heights, np.ndarray), "a resident map is padded on its device"
     if ground.sides == "periodic":
-        return np.pad(np.maximum(heights, np.float32(MASKED)), margin, mode="wrap").ravel()
+        return np.pad(np.maximum(heights, MASKED_HEIGHT), margin, mode="wrap").ravel()
     padded = scratch(tuple(n + 2 * margin for n in heights.shape))
-    padded.fill(OUTSIDE)
-    np.maximum(heights, np.float32(MASKED), out=padded[margin:-margin, margin:-margin])
+    padded.fill(NONE)
+    np.maximum(heights, MASKED_HEIGHT, out=padded[margin:-margin, margin:-margin])
     return padded.ravel()
 
 

@@ -16,8 +16,8 @@ from ..sources.solids import Ball, Quad
 
 # normals along an axis of the table of a sky's light: a uniform sky's is 2e-4 off between them (step^2 / 8 x
 # curvature), none at level ground
-ACROSS = 65
-AZIMUTHS = 96  # that tables are made of; chosen
+NORMALS_PER_AXIS = 65
+INTEGRATED_AZIMUTHS = 96  # that tables are made of; chosen
 
 Values = Any  # numbers or arrays that broadcast
 Vector = tuple[Values, Values, Values]
@@ -46,13 +46,14 @@ def gradients(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
 def by_normals(
     table: np.ndarray | None, azimuths: np.ndarray | None = None, widths: np.ndarray | None = None
 ) -> np.ndarray:
-    """A sky's light by normal, (ACROSS, ACROSS) float32, where the tangent plane and the level alone occlude.
+    """A sky's light by normal, (n, n) float32, n = NORMALS_PER_AXIS, where only the tangent plane and the
+    level occlude.
 
-    Row j, column i: the normal whose stereographic projection is 2 i / (ACROSS - 1) - 1 along x and so on,
-    see the kernel ``correct``. ``table`` (azimuths, knots, 4) as sweeps take it, with the ``azimuths`` and
+    Row j, column i: the normal whose stereographic projection is 2 i / (n - 1) - 1 along x and so on, see the
+    kernel ``correct``. ``table`` (azimuths, knots, 4) as sweeps take it, with the ``azimuths`` and
     ``widths`` of its sectors; None: a uniform sky of brightness 1, pi (1 + cos a) / 2.
     """
-    side = np.linspace(-1, 1, ACROSS)
+    side = np.linspace(-1, 1, NORMALS_PER_AXIS)
     u, v = (a.ravel() for a in np.meshgrid(side, side))
     over = np.maximum(1.0, np.hypot(u, v) * 1.001)
     u, v = u / over, v / over
@@ -66,7 +67,7 @@ def by_normals(
             assert azimuths is not None and widths is not None, "a table has azimuths"
             least = np.maximum(0, -(sx * np.cos(azimuths)[:, None] + sy * np.sin(azimuths)[:, None]))
             light[some] = widths @ ring(sx, sy, azimuths, least, table)
-    return light.reshape(ACROSS, ACROSS).astype(np.float32)
+    return light.reshape(NORMALS_PER_AXIS, NORMALS_PER_AXIS).astype(np.float32)
 
 
 def sky(scene: Scene, light: Integrals | float) -> np.ndarray:
@@ -80,10 +81,10 @@ def sky(scene: Scene, light: Integrals | float) -> np.ndarray:
     if isinstance(light, float):
         uniform: np.ndarray = (1 + up) * np.float32(np.pi / 2 * light)
         return uniform
-    sectors = even(AZIMUTHS, 0.5)
+    sectors = even(INTEGRATED_AZIMUTHS, 0.5)
     table = by_normals(light.table(sectors.angles, sectors.widths), sectors.angles, sectors.widths)
-    at = [np.nan_to_num((g * up / (1 + up) + 1) * np.float32((ACROSS - 1) / 2)) for g in (gx, gy)]
-    low = [np.minimum(a.astype(np.int32), ACROSS - 2) for a in at]
+    at = [np.nan_to_num((g * up / (1 + up) + 1) * np.float32((NORMALS_PER_AXIS - 1) / 2)) for g in (gx, gy)]
+    low = [np.minimum(a.astype(np.int32), NORMALS_PER_AXIS - 2) for a in at]
     p, q = (a - whole for a, whole in zip(at, low))
     i, j = low
     image: np.ndarray = (1 - q) * ((1 - p) * table[j, i] + p * table[j, i + 1]) + q * (

@@ -18,13 +18,15 @@ import numpy as np
 
 from .. import sources
 from ..directions import Azimuths
+from .tables import EVALUATION_BATCH
 
 # cells from the horizon to the zenith, and round the horizon: a disc of 0.1 degrees radius holds a sample
 ROWS, COLS = 640, 2304
 COARSE_ROWS, COARSE_COLS = 180, 576  # the same where narrow features are named: cells of half a degree
-# of a cell: every row starts so much farther on, so that no border in azimuth runs along cells
+# [cell], 1 / golden ratio: every row starts so much farther on, so that no border in azimuth runs along cells
 GOLDEN = 0.6180339887498949
-PLACES = 0.7548776662466927, 0.5698402909980532  # steps of a low-discrepancy sequence in two dimensions
+# [turn], steps of the low-discrepancy sequence R2: 1 / g and 1 / g^2 with g^3 = g + 1 (M. Roberts, 2018)
+R2_STEPS = 0.7548776662466927, 0.5698402909980532
 # second difference over the brightness from which a cell is not smooth; chosen above the 0.006 of cos^900
 ROUGH = 0.05
 # of all light: a cell with a larger second difference is divided. Level ground under ten suns is then 2e-5 to
@@ -38,17 +40,17 @@ PARTS = 4  # into which a cell is divided along each side
 MOST_DIVISIONS = 9  # 0.15 degrees / 4^9 = 2e-6 degrees
 # evaluations in divided cells, as many as in the first ones: those with the largest second differences are
 # divided first, and `error` holds what is left
-MOST_EVALUATIONS = 2**20
+MOST_CELL_EVALUATIONS = 2**20
 CONVERGED = 2e-5  # relative error at which no cell is divided any more: a fifth of level ground's tolerance
-AT_ONCE = 2**13  # directions that are evaluated at a time; chosen: what stays in a cache is quicker
 BRIGHT = 4.0  # times the median brightness from which on light may belong to a small part; chosen
-DARK = 1e-6  # of the brightest, from which on levels are tried where the sky is dark; chosen
-FAINT = 0.1  # tolerances that small parts may give together and stay with the rest; chosen
+LEAST_LEVEL = 1e-6  # of the brightest, from which on levels are tried where the sky is dark; chosen
+FAINT_PARTS_SHARE = 0.1  # tolerances that small parts may give together and stay with the rest; chosen
 WIDEST = math.pi / 6  # azimuth that a small part may span, 30 degrees: even azimuths resolve what is wider
 INNER = 0.1  # share of a small part's light from which on far brighter cells in it form another; chosen
-FINEST = 16  # parts that a cell is cut into for narrow sectors
-GAP = math.radians(1)  # of darkness between two small parts; chosen: parts nearer than that share azimuths
-KNOTS, SUN_KNOTS = 257, 65  # of the tables of a sky and of a small part, evenly in the sine of elevation
+SECTOR_CELL_PARTS = 16  # parts that a cell is cut into for narrow sectors
+# [rad] of darkness between two small parts; chosen: parts nearer than that share azimuths
+DARK_GAP = math.radians(1)
+SKY_KNOTS, SUN_KNOTS = 257, 65  # of the tables of a sky and of a small part, evenly in the sine of elevation
 
 
 class Cells(NamedTuple):
@@ -125,7 +127,7 @@ class Sun:
         cells, (ends, row) = self.cells, self._rows
         span = float(np.ptp(cells.azimuth)) + float(cells.width.max())
         # no cell wider than half a sector
-        times = np.clip(np.ceil(2 * count * cells.width / span), 1, FINEST).astype(int)
+        times = np.clip(np.ceil(2 * count * cells.width / span), 1, SECTOR_CELL_PARTS).astype(int)
         if times.max() > 1:
             part = np.arange(times.sum()) - np.repeat(np.cumsum(times) - times, times)
             which, times = np.repeat(np.arange(len(times)), times), np.repeat(times, times)
@@ -288,7 +290,8 @@ class Integrals:
             )
         )
         left = np.cumsum([sun.power for sun in suns][::-1])[::-1]
-        self.suns = tuple(sun for sun, power in zip(suns, left) if power > FAINT * tolerance * total)
+        least = FAINT_PARTS_SHARE * tolerance * total
+        self.suns = tuple(sun for sun, power in zip(suns, left) if power > least)
         for sun in self.suns:
             for n, part in enumerate(parts):
                 inside = (sun.cells.base >= sizes[n]) & (sun.cells.base < sizes[n + 1])
@@ -320,7 +323,7 @@ class Integrals:
         total = max(total, 1e-300)
         cells, step, variance = self._rough_cells(bands, sizes, solid, total, peaks)
         leaves = _Leaves([], total - float(cells.light @ cells.solid_angle), variance)
-        evaluations, each = MOST_EVALUATIONS, (PARTS + 2) ** 2
+        evaluations, each = MOST_CELL_EVALUATIONS, (PARTS + 2) ** 2
         for _ in range(MOST_DIVISIONS):
             error = math.sqrt(leaves.variance + float(np.sum(step**2)) / 12)
             converged = error <= CONVERGED * leaves.light_with(cells) and not peaks
@@ -371,7 +374,7 @@ class Integrals:
         edges = cells.low[:, None] + (cells.high - cells.low)[:, None] * (np.arange(PARTS + 1) / PARTS)
         sine = np.sin(np.clip(cells.low[:, None] + (cells.high - cells.low)[:, None] * place, 0, math.pi / 2))
         sampled = np.empty((len(sine), PARTS + 2, PARTS + 2))
-        for some in np.array_split(np.arange(len(sine)), sampled.size // AT_ONCE + 1):
+        for some in np.array_split(np.arange(len(sine)), sampled.size // EVALUATION_BATCH + 1):
             sampled[some] = self._radiance(azimuth[some, None, :], sine[some, :, None])
         step, correction = _second_differences(sampled)
         light, azimuth = sampled[:, 1:-1, 1:-1], azimuth[:, 1:-1]
@@ -403,9 +406,9 @@ class Integrals:
 
         An edge that runs along cells is then met at all places of it.
         """
-        u, v = np.outer(PLACES, np.arange(len(cells.light))) % 1
+        u, v = np.outer(R2_STEPS, np.arange(len(cells.light))) % 1
         total = np.zeros(len(u))
-        for some in np.array_split(np.arange(len(u)), len(u) // AT_ONCE + 1):
+        for some in np.array_split(np.arange(len(u)), len(u) // EVALUATION_BATCH + 1):
             for i in range(samples):
                 for j in range(samples):
                     azimuth = cells.azimuth[some] + ((u[some] + i) / samples - 0.5) * cells.width[some]
@@ -415,7 +418,7 @@ class Integrals:
                     )
         return total / samples**2
 
-    def table(self, angles: np.ndarray, widths: np.ndarray, knots: int = KNOTS) -> np.ndarray:
+    def table(self, angles: np.ndarray, widths: np.ndarray, knots: int = SKY_KNOTS) -> np.ndarray:
         """Brightness as sweeps take it, without the suns: (K, knots, 4) float32.
 
         Integrals of B cos^2 and of B sin cos over elevation, from sin(elevation) = i / (knots - 1) to the
@@ -482,7 +485,7 @@ def _of_function(function: Any, named: bool) -> list[Band]:
         out, sine = np.cos(middle[rows])[:, None], np.sin(middle[rows])[:, None]
         c, s, cosines, sines = np.cos(start)[:, None], np.sin(start)[:, None], np.cos(turned), np.sin(turned)
         light = np.empty((len(rows), cols))
-        for some in np.array_split(np.arange(len(rows)), max(1, len(rows) * cols // AT_ONCE)):
+        for some in np.array_split(np.arange(len(rows)), max(1, len(rows) * cols // EVALUATION_BATCH)):
             L = np.empty((len(some), cols, 3))
             L[..., 0], L[..., 1], L[..., 2] = (
                 out[some] * (c[some] * cosines - s[some] * sines),
@@ -628,7 +631,7 @@ def _suns(cells: Cells, limit: float, widest: float, depth: int = 12) -> Iterato
         ):  # or round the zenith
             yield from _nested(sun, part, widest)
         elif depth:
-            limit_here = max(4 * limit, DARK * float(part.light.max()))
+            limit_here = max(4 * limit, LEAST_LEVEL * float(part.light.max()))
             yield from _suns(part.pick(part.light > limit_here), limit_here, widest, depth - 1)
 
 
@@ -639,7 +642,7 @@ def _nested(sun: Sun, cells: Cells, widest: float) -> Iterator[Sun]:
     """
     power, extent, brightest = sun.power, _extent(cells), float(cells.light.max())
     limit = sun.limit
-    while (limit := max(4 * limit, DARK * brightest)) < brightest:
+    while (limit := max(4 * limit, LEAST_LEVEL * brightest)) < brightest:
         inside = cells.light > limit
         if (cells.light - limit)[inside] @ cells.solid_angle[inside] < INNER * power:
             break
@@ -680,7 +683,7 @@ def _groups(cells: Cells, axis: int = 0, whole: bool = False) -> Iterator[Cells]
             azimuth=np.where(azimuth < azimuth[0], azimuth + 2 * math.pi, azimuth)
         )
         sizes = cells.width
-    cuts = np.flatnonzero(gaps > np.maximum(GAP, 2 * sizes[:-1])) + 1
+    cuts = np.flatnonzero(gaps > np.maximum(DARK_GAP, 2 * sizes[:-1])) + 1
     if not len(cuts) and whole and not axis:
         yield cells
     else:

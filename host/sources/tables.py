@@ -7,11 +7,12 @@ import numpy as np
 from .brightness import directions_of
 from .shapes import Source, radiance
 
-AZIMUTHS, ELEVATIONS = 2048, 192  # of the samples of a sky: a sun half a degree wide gets two or three
-KNOTS = 1024  # of a table of brightness, evenly in the sine of the elevation
+# samples of a sky: a sun half a degree wide gets two or three
+SAMPLE_AZIMUTHS, SAMPLE_ELEVATIONS = 2048, 192
+TABLE_KNOTS = 1024  # of a table of brightness, evenly in the sine of the elevation
 UNEVEN = 2.0  # brightest azimuth over the mean from which azimuths are placed by brightness
 # directions whose brightness is evaluated at a time: more would leave the cache, fewer need more calls
-AT_ONCE = 2**13
+EVALUATION_BATCH = 2**13
 
 
 def sky_samples(source: Source) -> tuple[np.ndarray, np.ndarray]:
@@ -19,9 +20,10 @@ def sky_samples(source: Source) -> tuple[np.ndarray, np.ndarray]:
 
     Evenly in azimuth and elevation; of a coarser environment map, four along each side of a pixel.
     """
-    rows, cols = getattr(source.brightness, "pixels", (ELEVATIONS, AZIMUTHS))
+    rows, cols = getattr(source.brightness, "pixels", (SAMPLE_ELEVATIONS, SAMPLE_AZIMUTHS))
     azimuths, elevations = (
-        min(most, max(most // 4, n)) for most, n in zip((AZIMUTHS, ELEVATIONS), (4 * cols, 2 * rows))
+        min(most, max(most // 4, n))
+        for most, n in zip((SAMPLE_AZIMUTHS, SAMPLE_ELEVATIONS), (4 * cols, 2 * rows))
     )
     azimuth = 2 * np.pi * (np.arange(azimuths) + 0.5) / azimuths
     shift = 0.6180339887498949 * np.arange(azimuths) % 1  # so that no small sun slips between rows of samples
@@ -29,7 +31,7 @@ def sky_samples(source: Source) -> tuple[np.ndarray, np.ndarray]:
     part, whole = (np.pi / 2 / elevations * a for a in (shift[:, None], np.arange(elevations)))
     sine = np.cos(part) * np.sin(whole) + np.sin(part) * np.cos(whole)
     light = np.empty_like(sine)
-    for some in np.array_split(np.arange(azimuths), -(-sine.size // AT_ONCE)):
+    for some in np.array_split(np.arange(azimuths), -(-sine.size // EVALUATION_BATCH)):
         light[some] = radiance(source, directions_of(azimuth[some, None], sine[some]))
     return light, sine
 
@@ -50,7 +52,7 @@ def elevation_table(
     angles: np.ndarray,
     widths: np.ndarray,
     samples: int = 256,
-    knots: int = KNOTS,
+    knots: int = TABLE_KNOTS,
     points: int = 4,
 ) -> np.ndarray:
     """Brightness as sweeps take it, (K, knots, 4) float32.
@@ -66,7 +68,7 @@ def elevation_table(
     sine = ((low + (nodes + 1) / 2) / (knots - 1)).ravel()
     total = np.empty((len(angles), sine.size))
     for some in np.array_split(
-        np.arange(len(angles)), min(len(angles), -(-azimuth.size * sine.size // AT_ONCE))
+        np.arange(len(angles)), min(len(angles), -(-azimuth.size * sine.size // EVALUATION_BATCH))
     ):
         total[some] = radiance(source, directions_of(azimuth[some, :, None], sine)).mean(1)
     light = total.reshape(len(angles), knots - 1, points) * weights / 2 / (knots - 1)

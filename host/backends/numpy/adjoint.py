@@ -10,20 +10,20 @@ import numpy as np
 from ... import constants
 from ...constants import (
     ALPHA,
-    BESIDE,
+    COARSENING,
     DAMPING,
     DARK,
-    FOUR,
     GAIN,
     LAMBDA,
-    LEAST,
     LEFT,
+    LINK_BLOCK,
+    NODES_PER_SUM,
     OPEN,
     PERIODIC,
     PRODUCT,
     SCATTERED,
     START,
-    SUMMED,
+    STOP_RATIO,
     UNIT_RV,
     UNIT_VV,
 )
@@ -31,19 +31,9 @@ from ...constants import (
 f32 = np.float32
 Values = Any  # one per node, or one for all
 Ways = tuple[Any, ...]  # (c, s, columns, rise, rows, run) of a slice, numbers or one per node
-NONE, STEEP, LEVEL, ALONG, SLACK, PI, HALF_PI, TWO_PI = map(
-    f32,
-    (
-        constants.NONE,
-        constants.STEEP,
-        constants.LEVEL,
-        constants.ALONG,
-        constants.SLACK,
-        constants.PI,
-        constants.HALF_PI,
-        constants.TWO_PI,
-    ),
-)
+NONE, STEEP, ROUNDING = map(f32, (constants.NONE, constants.STEEP, constants.ROUNDING))
+PARALLEL, LEAST_SEARCHED_SLOPE = f32(constants.PARALLEL), f32(constants.LEAST_SEARCHED_SLOPE)
+PI, HALF_PI, TWO_PI = map(f32, (constants.PI, constants.HALF_PI, constants.TWO_PI))
 ARC_TANGENT = [f32(factor) for factor in constants.ARC_TANGENT]
 
 
@@ -119,7 +109,7 @@ def _horizon(
             going = (
                 (n <= last[left])
                 & ~(reach[left] * closeness < 1)
-                & ~((top - own[left]) * (SLACK * closeness) <= best[left])
+                & ~((top - own[left]) * (ROUNDING * closeness) <= best[left])
             )
             left, closeness = left[going], closeness[going]
             across = f32(n) * shear[left]
@@ -160,7 +150,7 @@ def _wall(ways: Ways, x: np.ndarray, y: np.ndarray, rows: int, cols: int) -> np.
 
 
 def _ways(c: Any, s: Any) -> Ways:
-    c, s = (np.where(np.abs(part) > ALONG, part, f32(0)) for part in (c, s))
+    c, s = (np.where(np.abs(part) > PARALLEL, part, f32(0)) for part in (c, s))
     across, along = np.abs(c), np.abs(s)
     return c, s, _over(c, along), along, _over(s, across), across
 
@@ -194,7 +184,7 @@ def _note(
     whole, share, e = (
         -pull * inverse[some],
         place - low.astype(f32),
-        (some // BESIDE, held[some], some % BESIDE),
+        (some // LINK_BLOCK, held[some], some % LINK_BLOCK),
     )
     first[e] = row * cols + column
     second[e] = np.where(on_row, row * cols + (column + 1) % cols, (row + 1) % rows * cols + column)
@@ -297,7 +287,7 @@ def look(
     reach = np.full(own.shape, 1e30, f32)
     for k in range(count):
         way, _, slope, _ = _limits(azimuths[k], own, tilts[0], tilts[1], x, y, rows, cols, sides)
-        least = np.maximum(slope, LEVEL) if sides == PERIODIC else slope
+        least = np.maximum(slope, LEAST_SEARCHED_SLOPE) if sides == PERIODIC else slope
         slopes[k, : own.size], numbers[k, : own.size] = _horizon(
             heights, way, x, y, own, least, _highest(top), reach, rows, cols, margin, sides
         )
@@ -563,7 +553,7 @@ def _links(held: np.ndarray, *arrays: np.ndarray) -> Iterator[tuple[np.ndarray, 
     """The nodes that have a k-th link, and what the arrays tell of it, for every k."""
     for k in range(held.max()):
         some = np.flatnonzero(held > k)
-        yield some, *(array[some // BESIDE, k, some % BESIDE] for array in arrays)
+        yield some, *(array[some // LINK_BLOCK, k, some % LINK_BLOCK] for array in arrays)
 
 
 def _change(
@@ -611,10 +601,10 @@ def _spread(
 
 
 def _by_blocks(values: np.ndarray) -> np.ndarray:
-    """Sums of SUMMED values each, added one after another."""
-    padded = np.zeros(-(-len(values) // SUMMED) * SUMMED)
+    """Sums of NODES_PER_SUM values each, added one after another."""
+    padded = np.zeros(-(-len(values) // NODES_PER_SUM) * NODES_PER_SUM)
     padded[: len(values)] = values
-    return np.cumsum(padded.reshape(-1, SUMMED), 1)[:, -1]
+    return np.cumsum(padded.reshape(-1, NODES_PER_SUM), 1)[:, -1]
 
 
 def _put(part: np.ndarray, block: int, values: np.ndarray) -> None:
@@ -731,19 +721,19 @@ def begin(
         array[:] = 0
 
 
-HAT = (2 * np.minimum(np.arange(2 * FOUR), 2 * FOUR - 1 - np.arange(2 * FOUR)) + 1).astype(f32) / f32(
-    2 * FOUR
-)
+# shares of a coarse node in the fine ones about it: a hat, 1, 3, 5, 7, 7, 5, 3, 1 eighths
+HAT_NODES = 2 * COARSENING
+HAT = np.array([2 * min(a, HAT_NODES - 1 - a) + 1 for a in range(HAT_NODES)], f32) / f32(HAT_NODES)
 
 
 def _lowered(v: np.ndarray) -> np.ndarray:
-    """Rows of v, brought down to a line of nodes FOUR times as coarse."""
-    size, few = len(v), (len(v) - 1) // FOUR + 1
+    """Rows of v, brought down to a line of nodes COARSENING times as coarse."""
+    size, few = len(v), (len(v) - 1) // COARSENING + 1
     total = np.zeros((few, *v.shape[1:]), f32)
     for a, share in enumerate(HAT):
-        at = FOUR * np.arange(few) - 2 + a
+        at = COARSENING * np.arange(few) - 2 + a
         shares = np.full(few, share)
-        shares[0 if a < FOUR else -1] = 1
+        shares[0 if a < COARSENING else -1] = 1
         some = (at >= 0) & (at < size)
         total[some] += shares[some, None] * v[at[some]]
     return total
@@ -759,9 +749,9 @@ def down(
 
 def _raised(v: np.ndarray, size: int) -> Values:
     """Rows of v, brought up by linear interpolation to so many."""
-    at, k = np.divmod(np.arange(size), FOUR)
+    at, k = np.divmod(np.arange(size), COARSENING)
     beside = np.clip(np.where(k < 2, at - 1, at + 1), 0, len(v) - 1)
-    share = (np.where(k < 2, 3 - 2 * k, 2 * k - 3).astype(f32) / f32(2 * FOUR))[:, None]
+    share = (np.where(k < 2, 3 - 2 * k, 2 * k - 3).astype(f32) / f32(2 * COARSENING))[:, None]
     return (1 - share) * v[at] + share * v[beside]
 
 
@@ -775,7 +765,7 @@ def up(
     cols: int,
 ) -> None:
     v[:] = is_free * (
-        r / scale + _raised(_raised(coarse.reshape((rows - 1) // FOUR + 1, -1), rows).T, cols).T.ravel()
+        r / scale + _raised(_raised(coarse.reshape((rows - 1) // COARSENING + 1, -1), rows).T, cols).T.ravel()
     )
 
 
@@ -914,7 +904,7 @@ def go(
         curvature -= beta * product / state[ALPHA]
     else:
         next[START] = product
-    if not (product > state[LEAST] * next[START] and curvature > 0):
+    if not (product > state[STOP_RATIO] * next[START] and curvature > 0):
         next[LEFT] = 0
         return
     next[[LEFT, SCATTERED, UNIT_RV, UNIT_VV]] = (

@@ -8,7 +8,7 @@ import numpy as np
 
 from ... import constants
 
-NONE, MASKED = np.float32(constants.NONE), np.float32(constants.MASKED)
+NONE, HIGHEST_MASKED = np.float32(constants.NONE), np.float32(constants.HIGHEST_MASKED)
 ONE, HALF = np.float32(1), np.float32(0.5)
 
 
@@ -89,7 +89,7 @@ def judge(
     image, half = (values.view(np.float32).reshape(rows, cols) for values in (image, half))
     known = (
         heights.reshape(rows + 2 * margin, cols + 2 * margin)[margin : margin + rows, margin : margin + cols]
-        > MASKED
+        > HIGHEST_MASKED
     )
     found = found.reshape(5, blocks, cols)
     found[:] = 0

@@ -15,7 +15,7 @@ import numpy as np
 from ... import constants
 from ...constants import DARK, LADDER, PERIODIC, SLOPES, TABLE, UNSEEN
 
-NONE, MASKED = np.float32(constants.NONE), np.float32(constants.MASKED)
+NONE, HIGHEST_MASKED = np.float32(constants.NONE), np.float32(constants.HIGHEST_MASKED)
 ONE, HALF, HALF_PI = np.float32(1), np.float32(0.5), np.float32(constants.HALF_PI)
 
 Values = Any  # one per node, or one for all

@@ -8,7 +8,7 @@ import numpy as np
 
 from ... import constants
 
-NONE, MASKED = np.float32(constants.NONE), np.float32(constants.MASKED)
+NONE, HIGHEST_MASKED = np.float32(constants.NONE), np.float32(constants.HIGHEST_MASKED)
 
 
 def _steps_out(at: np.ndarray, move: np.ndarray, low: Any, high: Any) -> np.ndarray:
@@ -95,7 +95,7 @@ def pool(
 ) -> None:
     size, found = 1 << shift, found.reshape(3, down, across)
     heights = heights.reshape(rows, cols)
-    known = heights > MASKED
+    known = heights > HIGHEST_MASKED
     heights = np.where(known, heights, NONE)
     top = np.full((down * size + 1, across * size + 1), NONE)
     top[:rows, :cols] = heights

@@ -8,7 +8,7 @@ import numpy as np
 
 from ... import constants
 
-NOTHING = np.float32(constants.NOTHING)  # finite, so that a masked node never passes
+NO_CEILING = np.float32(constants.NO_CEILING)  # finite, so that a masked node never passes
 
 Lowering = Callable[[np.ndarray, int], None]  # of the ceilings at a row
 
@@ -41,7 +41,7 @@ def sweep_lines(
             # the next node of a line lies i columns back; what comes in from outside the map has open sky
             ceiling = np.roll(ceiling, -i, 1)
             if not periodic and i:
-                ceiling[:, slice(-i, None) if i > 0 else slice(0, -i)] = NOTHING
+                ceiling[:, slice(-i, None) if i > 0 else slice(0, -i)] = NO_CEILING
 
 
 def scan_walk(
@@ -59,7 +59,7 @@ def scan_walk(
     bits = len(climb)
 
     def first_ceiling(line: int) -> np.ndarray:
-        ceiling = np.full((bits, depth.shape[1]), NOTHING)
+        ceiling = np.full((bits, depth.shape[1]), NO_CEILING)
         if periodic and climb[0] == 0:
             ceiling[0] = np.roll(
                 lap[line : line + depth.shape[1]], warm * i

@@ -16,7 +16,7 @@ CHORD_TANGENT, TURN_BY_SINE, TURN_BY_TANGENT = (
     np.array(factors, F)
     for factors in (constants.CHORD_TANGENT, constants.TURN_BY_SINE, constants.TURN_BY_TANGENT)
 )
-AT_ONCE = 2**15  # slices
+SLICES_PER_BATCH = 2**15  # slices
 
 Values = Any  # one per node, or one for all
 Nodes = TypeVar("Nodes", "Disc", "Frame")
@@ -431,7 +431,7 @@ def _sum(
     for block in np.unique(blocks):
         some = np.flatnonzero(blocks == block)
         count = int(block) * SLICES
-        for part in np.array_split(some, -(-len(some) * count // AT_ONCE)):
+        for part in np.array_split(some, -(-len(some) * count // SLICES_PER_BATCH)):
             here = pixels.of(part)
             share, along, aside, low, high, rise, c, s = slices_of(part, count)
             shape = len(part), count
