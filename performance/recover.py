@@ -2,10 +2,11 @@
 
     python performance/recover.py [--backend NAME] [--what accuracy,stability,albedo,terrain,speed]
         [--sizes 64,256] [--out FOLDER]
+    python performance/recover.py --without NAME[,NAME...]|all [--backend NAME] [--out FOLDER]
 
 Surfaces and images are those of tests/surfaces.py: continuous surfaces, rendered five times as finely in a
 box with dark sides. RMSE in layers (nodes), of a range of 64. "paper" is method="paper" at the eps that is
-best for each surface with the truth in hand.
+best for each surface with the truth in hand. --without: see performance/recover_without.py.
 """
 
 import argparse
@@ -17,6 +18,7 @@ from pathlib import Path
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parent.parent / "tests"))
+import recover_without
 import surfaces
 from surfaces import ALBEDO, LAYERS, SURFACES, pair, rms, source_of
 
@@ -214,9 +216,13 @@ def main():
     parser.add_argument("--what", default="accuracy,stability,albedo,terrain,speed")
     parser.add_argument("--sizes", default="64,256")
     parser.add_argument("--out", default="recover")
+    parser.add_argument("--without", help="what an ingredient is worth: its name, names, or all")
     options = parser.parse_args()
     out = Path(options.out)
     out.mkdir(parents=True, exist_ok=True)
+    if options.without:
+        recover_without.main(options.without, options.backend, out)
+        return
     done = {}
     for what in options.what.split(","):
         work = {

@@ -53,6 +53,26 @@ SURFACES = {
     "fractal": _fractal,
     "face": _face,
 }
+_RNG = np.random.default_rng(11)
+_WAVES = [(w, _RNG.uniform(0, 2 * np.pi), _RNG.uniform(0, 2 * np.pi)) for w in range(1, 12) for _ in range(3)]
+# ten that no constant was chosen by: performance/recover.py --without
+OTHERS = {
+    "pits": lambda x, y: sum(
+        h * np.exp(-((x - u) ** 2 + (y - v) ** 2) / (2 * w * w))
+        for u, v, w, h in ((16, 44, 6, 14), (40, 18, 8, 20), (50, 50, 5, 12))
+    ),
+    "ripples": lambda x, y: 10 + 5 * np.cos(2 * np.pi * np.hypot(x - 32, y - 32) / 14),
+    "folds": lambda x, y: 20 * np.sin(x / 9.6 + 1.2 * np.sin(y / 15)) ** 2,
+    "scarp": lambda x, y: 9 * np.tanh((x - 32 + 6 * np.sin(y / 10)) / 3),
+    "cone": lambda x, y: 20 * np.minimum(np.hypot(x - 30, y - 34) / 26, 1),
+    "saddle": lambda x, y: 9 * (((x - 32) / 32) ** 2 - ((y - 32) / 32) ** 2),
+    "valley": lambda x, y: 20 - 20 * np.abs(x - 32 - 0.3 * (y - 32)) / 42,
+    "bowl": lambda x, y: 20 * np.maximum(1 - ((x - 32) ** 2 + (y - 30) ** 2) / 28**2, 0),
+    "crater": lambda x, y: 16 - 16 * np.exp(-(((np.hypot(x - 33, y - 31) - 17) / 5) ** 2)),
+    "hills": lambda x, y: (
+        2.5 * sum(np.cos(w * (x * np.cos(a) + y * np.sin(a)) / 18 + p) / w for w, a, p in _WAVES)
+    ),
+}
 SUN = np.array([0.5, 0.3, -0.81]) / np.linalg.norm([0.5, 0.3, 0.81])
 MIDDLE = (SIZE - 1) / 2
 SOURCES = {
@@ -68,7 +88,7 @@ def pair(name, kind, size=SIZE):
     """(depth, image), (size, size) float64: the truth at the nodes and its radiance, in a dark box."""
     at = (np.arange(size * FINER) + 0.5) / FINER - 0.5
     x, y = np.meshgrid(at * SIZE / size, at * SIZE / size)
-    depth = SURFACES[name](x, y) * size / SIZE
+    depth = (SURFACES | OTHERS)[name](x, y) * size / SIZE
     depth = depth - depth.min() + 20 * size / SIZE
     source = SOURCES[kind]
     if isinstance(source, sl.Lamp):  # seen from the fine grid's first node, which lies outside the image's

@@ -13,6 +13,7 @@ from surfaces import ALBEDO, SURFACES, rms
 
 import skylamp as sl
 from skylamp.backends import select
+from skylamp.inverse import confidence
 from skylamp.inverse.multigrid import Multigrid
 from skylamp.inverse.pyramid import Pyramid
 from skylamp.inverse.starts import Starts
@@ -96,12 +97,12 @@ def test_noise_is_damped(fast, name):
     assert _amplification(noisy.depth, image, other, found(name, "sky", fast, 64).depth) < 0.5
 
 
-def _pyramid(fast, image, kind):
+def _pyramid(fast, image, kind, albedo=ALBEDO):
     return Pyramid(
         select(fast),
         [image],
         [source_of(kind)],
-        np.array(ALBEDO),
+        albedo,
         "dark",
         np.full(image.shape, 1e-3),
         np.full(image.shape, 32.0),
@@ -128,6 +129,21 @@ def test_what_is_polished_has_no_prior_of_what_was_tried_last(fast):
     pyramid = _pyramid(fast, image, "sky")
     pyramid.set_prior(0, depth[::-1])
     assert rms(Multigrid(pyramid).polish(0, depth).depth - depth) < 0.5
+
+
+@pytest.mark.parametrize("albedo_found", [False, True])
+def test_without_noise_nothing_is_left_undecided_by_it(fast, monkeypatch, albedo_found):
+    """The posterior standard deviation is 0 where noise and model error are: smoothness, however large, does
+    not move a surface that is its own prior. Also where the albedo was not given.
+    """
+    depth, image = pair("egg-crate", "sky")
+    pyramid = _pyramid(fast, image, "sky", None if albedo_found else ALBEDO)
+    if albedo_found:
+        pyramid.fix_albedo(0, depth)
+    pyramid.noise = 0.0
+    monkeypatch.setattr(confidence, "MODEL_ERROR", 0.0)
+    monkeypatch.setattr(pyramid, "smoothness", lambda level: 1.0)
+    np.testing.assert_array_equal(confidence.posterior_deviation(pyramid, 0, depth), np.zeros(depth.shape))
 
 
 @pytest.mark.parametrize(

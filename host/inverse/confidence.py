@@ -123,12 +123,14 @@ def finer_model_depth(pyramid: Pyramid, level: int, z: np.ndarray) -> np.ndarray
 
 def posterior_deviation(pyramid: Pyramid, level: int, z: np.ndarray, seed: int = 0) -> np.ndarray:
     """Posterior standard deviation of depth at z by the linear model, in nodes of this grid: what noise as
-    large as the image's own and MODEL_ERROR of the image's rms would make of it.
+    large as the image's own and MODEL_ERROR of the image's rms would make of it. z itself is the prior, so
+    that noise alone moves it.
     """
     problem, rng = pyramid.problem(level), np.random.default_rng(seed)
     sigma = math.hypot(pyramid.noise * 0.5**level, MODEL_ERROR * IMAGE_RMS)
     total = np.zeros(z.shape)
     images = problem.irradiances(z)
+    problem.set_prior(z)
     for _ in range(PROBES):
         problem.set_targets([image + sigma * rng.normal(size=z.shape) for image in images])
         problem.value(z, 0.0)
