@@ -13,7 +13,9 @@ Lengths are in spacings. z is depth, heights are -z. `pixels` is rows x cols.
   tilts    (2, pixels)              float  dz/dx, dz/dy by central differences, one-sided at the border
   tiles    (down x across)          float  the greatest height of every TILE x TILE nodes
   top      (1)                      int    that of all, as ordered() gives it
-  numbers, slopes  (count, pixels + PIXEL_PADDING)  under a sky: what look finds
+  numbers  (count, room)            int    under a sky: number of the crossing that is the horizon, by look;
+                                           0 where the ground is no limit; room = pixels + PIXEL_PADDING
+  slopes   (count, room)            float  and the slope to it
   light    (4, pixels)              float  out: E; dE by own depth, by dz/dx, by dz/dy
   held     (pixels)                 int    out: slices of a node that another node limits, or two: its links
   first, second                     int    out: these nodes; (pixels / LINK_BLOCK, count, LINK_BLOCK): node by

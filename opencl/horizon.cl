@@ -20,17 +20,17 @@ turned map.
   ways         (count, 8)      int    1 if the source lies towards row 0, else -1; near rows; near columns;
                                       rows before the first from which a map that repeats is swept; window
                                       [rows]; 0, 0, 0
-  near_at      (count, NEAR + NEAR_COLUMNS, 2) int  the first node of each near row (column) crossing: columns
-                                                    on, rows on
-  near_weight  likewise        float  weight of the farther node of each
+  near_at      (count, n, 2)   int    the first node of each near row (column) crossing: columns on, rows on;
+                                      n = NEAR + NEAR_COLUMNS
+  near_weight  (count, n)      float  weight of the farther node of each
   table        (count, knots)  float4 brightness: integrals over elevation of B cos^2 and B sin cos from
                                sin(elevation) = i / (knots - 1) to the zenith, and what to add up to the next
                                knot
   slopes       (count, rows x cols) float  in, out: horizon slopes [1]
   sum          (rows x cols)   int    in, out: irradiance in fixed point, so that no order of summation
                                       matters
-  steps, rises                        the ladder: (s << bits) - 1, and s times the distance at which a
-                                      crossing comes in
+  steps        (LADDER)        int    the ladder: (s << bits) - 1
+  rises        (LADDER)        int    and s times the distance at which a crossing comes in
 
 WHAT: SLOPES writes slopes, UNIFORM adds the light of a uniform sky, TABLE that of `table`. SIDES: OPEN, DARK
 or PERIODIC. known: slopes holds what is known already. BLOCKS: the window is not endless. backward: rows at

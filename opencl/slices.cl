@@ -6,10 +6,10 @@ the normal's part along phi. Elevations go by their tangents. Lengths are in uni
 grow towards the viewer.
 
 Shared arguments
-  heights     (rows + 2, cols + 1) and one more  float  -depth; NONE where masked, in column 0, in the first
-                                                        and the last row: node (x, y) stands at (y + 1) (cols
-                                                        + 1) + x + 1, and every neighbour of a node can be
-                                                        read
+  heights     (rows + 2, cols + 1)  float  -depth, and one element more; NONE where masked, in column 0, in
+                                           the first and the last row: node (x, y) stands at
+                                           (y + 1) (cols + 1) + x + 1, and every neighbour of a node can be
+                                           read
   tops        (cells, width)  float  highest node of square cells, corners included: level l = 1, 2.. has
                                      cells 2^l wide, from column width - (width >> l - 1) on; width is a
                                      multiple of 2^levels
@@ -26,9 +26,9 @@ Shared arguments
                                             2 - q, 4 + q of the azimuth's cosine c and sine s, 0..4; n_knots
                                             0: B is 1
   irradiance  (rows, cols)    float  out; unit: its factor
-  least, most slices of a source that is a point, and of one that stands all round: multiples of SLICES, as
-  what is between
-  dark        whether walls stand half a node outside the map, up to height 0
+  least, most                       int    slices of a source that is a point, and of one that stands all
+                                           round: multiples of SLICES, as what is between
+  dark                              int    whether walls stand half a node outside the map, up to height 0
 
 Work-item (x, y) owns one node and takes LANES of its slices at a time. Order of summation: slices of a lane,
 then lanes. Twin of warp_kernels/slices.py. */

@@ -3,11 +3,36 @@ opencl/adjoint.cl.
 
 E = (1 + |grad z|^2)^(-1/2) sum over slices of width x [C1(T) + s C2(T)], s = e . grad z, C1 and C2 the
 integrals of B sin cos and of B cos^2 above the slope T: the largest of the level, the tangent plane, the
-wall, the source's own lower edge and the horizon. Where the horizon is the limit, dE/dT goes to the two nodes
-beside its crossing, over its distance.
+wall, the source's own lower edge and the horizon. The horizon is the largest (height - own height) / distance
+over every crossing of the slice with a row or a column of the grid; where it is the limit, dE/dT goes to the
+two nodes beside that crossing, over its distance. Where the tangent plane is the limit the integrand is 0 and
+so is the derivative.
 
-Arguments as in opencl/adjoint.cl. All arithmetic is +, -, x, / and sqrt, correctly rounded and in one order,
-so that every backend finds the same bits.
+Lengths are in spacings. z is depth, heights are -z. `pixels` is rows x cols.
+
+  heights        (rows, cols + 2 margin)  float32  -z; in the margins -1e30, or the other side of a map that
+                                                   repeats
+  tilts          (2, pixels)              float32  dz/dx, dz/dy by central differences, one-sided at the
+                                                   border
+  tiles          (down x across)          float32  the greatest height of every TILE x TILE nodes
+  top            (1)                      int32    that of all, as ordered() gives it
+  numbers        (count, room)            int32    under a sky: number of the crossing that is the horizon, by
+                                                   look; 0 where the ground is no limit; room = pixels +
+                                                   PIXEL_PADDING
+  slopes         (count, room)            float32  and the slope to it
+  light          (4, pixels)              float32  out: E; dE by own depth, by dz/dx, by dz/dy
+  held           (pixels)                 int32    out: slices of a node that another node limits, or two: its
+                                                   links
+  first, second                           int32    out: these nodes; (pixels / LINK_BLOCK, count, LINK_BLOCK):
+                                                   node by node, their links
+  near, far                               float32  out: dE by the depth of the first, of the second; likewise
+  table          (n, knots, 4)            float32  integrals of B cos^2 and of B sin cos from sin(elevation) =
+                                                   i / (knots - 1) to the zenith, and what to add up to the
+                                                   next knot; knots 0: brightness 1, closed form
+  sides                                   int32    0 open, 1 dark, 2 periodic
+
+All arithmetic is +, -, x, / and sqrt, correctly rounded and in one order, so that every backend finds the
+same bits.
 """
 
 import warp as wp
@@ -592,7 +617,16 @@ def lamp(
     """The same for a finite source, through slices within it as every node sees it. A ball, ``solid`` its
     centre (x, y, height) and radius; or a flat, convex quadrangle, ``solid`` its four corners in turn.
 
-    Arguments as in opencl/adjoint.cl. Thread (y, x) owns a node. Order of summation: slices."""
+      frames  (pixels, 4)  float32  cosine and sine of the azimuth of the source's middle; ball: distance to
+                                    the centre along the ground; quadrangle: tangent of a quarter of the angle
+                                    it takes up, 0 where it stands all round
+      nodes   (count, 4)   float32  sine and cosine of midpoints of -pi/2..pi/2, cosine and sine of midpoints
+                                    all round
+      n_rows  rows of table, evenly in the diamond angle (c, s) -> s / (|c| + |s|), -1..1 over the half c > 0
+              and on
+
+    Thread (y, x) owns a node. Order of summation: slices.
+    """
     y, x = wp.tid()
     pixels = rows * cols
     p = y * cols + x

@@ -12,7 +12,17 @@ def carve(BITS: int):
     """light += sum over set bits of the weights; after the last group of walks a column that is still carved
     (its depth is `layer`) stops if its light agrees with the image, or else goes one layer down.
 
-    Arguments as in opencl/carve.cl. Thread p owns pixel p.
+      planes   (walks, room)  uint8
+      weights  (walks, BITS)  int32    rho B dOmega / (2 pi), in the image's unit
+      light    (rows, cols)   int32    in, out
+      low      (rows, cols)   int32    image - eps
+      high     (rows, cols)   int32    image + eps
+      side     (rows, cols)   int32    in, out: 1 where the light exceeded the image at layer 0; used where
+                                       by_sign is 1
+      depth    (rows, cols)   float32  in, out [layers]
+      active   (1)            int32    in, out: how many columns went down (a sum of ones: order-free)
+
+    Thread p owns pixel p.
     """
 
     @wp.kernel(module="unique", module_options=OPTIONS)

@@ -42,8 +42,15 @@ def scan_filled(BITS: int):
     between two nodes, lower the ceiling too. All depths are multiplied by the walk's `parts`, so that whole
     layers stay exact.
 
-    Arguments as in opencl/filled.cl. A crossing with a masked end, or off the map, does not block. Thread (w,
-    line) owns one line of walk w.
+      maps, walks, lap, planes, map_rows, map_cols, room, lap_lines, periodic  as in scan
+      rise       (walks, BITS)  float32  [length x parts] per step
+      crossings  (n, 8)         int32    x, y of a node, x, y to the next node on that line, the weights of
+                                         both, when, parts
+      climbs     (n, BITS)      float32  [length x parts] what the ray climbs until the crossing
+      spans      (walks, 2)     int32    first crossing of a walk and how many; the last is the lattice node
+                                         itself
+
+    A crossing with a masked end, or off the map, does not block. Thread (w, line) owns one line of walk w.
     """
     floats = wp.types.vector(BITS, wp.float32)
 

@@ -156,8 +156,14 @@ def judge(
 ):
     """Sums for an estimate of the error, over the valid nodes of each column of a few rows.
 
-    Arguments as in opencl/ground.cl. Thread (b, x) owns column x of rows b block .. min((b + 1) block, rows)
-    - 1, summed in this order.
+      heights  (room)             float32 [spacing]  as for sweep; a node is valid where > -1e29
+      image    (rows x cols)      float32
+      half     (rows x cols)      float32 [image]    half a difference, as halves makes it
+      found    (5, blocks, cols)  float32            out: sum of image, sum of half^2, and numbers of nodes
+                                                     that are valid, whose image is > 0, and whose abs(half)
+                                                     is > limit; blocks = ceil(rows / block)
+
+    Thread (b, x) owns column x of rows b block .. min((b + 1) block, rows) - 1, summed in this order.
     """
     b, x = wp.tid()
     light = wp.float32(0.0)

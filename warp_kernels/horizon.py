@@ -1,7 +1,39 @@
 """Horizons, and the light of a sky above them, by sweeps along lines that pass the map in one azimuth.
 
-The method and the arguments are told in opencl/horizon.cl, whose steps have the same numbers. Twin of
-opencl/horizon.cl.
+The horizon's slope at a node is the largest (height - own height) / distance over every crossing of the
+azimuth's vertical plane with a row or column of the grid. Nearer than NEAR rows all crossings are tested,
+exactly. Farther away a line that passes within half a node carries, for each slope s of a ladder, the
+crossing that stands highest above a ray of that slope, max (height - s distance), as one integer: quantized
+height above the ray, and the distance in its lowest bits. The two steps of the ladder between which the
+node's own height lies give the two crossings between which the true one lies; both, and a column crossing
+beside each, are then looked up on the node's own ray, exactly.
+
+The map is seen so that rays go from row to row: azimuths nearer to the columns' direction belong to the
+turned map.
+
+  heights      (room)                float32 [spacing]  the padded map, (rows + 2 margin, cols + 2 margin);
+                                                        -1e30 outside, -2e30 masked
+  tilts        (2, room)             float32 [1]        d depth/dx and d depth/dy, padded likewise
+  azimuths     (count, 8)            float32            columns per row towards the source, cosine and sine of
+                                                        the azimuth in this map, the slope's unit (rows per
+                                                        spacing), width [rad x unit of the sum], 1 / |columns
+                                                        per row| or 1e9, reach [rows], 0
+  ways         (count, 8)            int32              1 if the source lies towards row 0, else -1; near
+                                                        rows; near columns; rows before the first from which a
+                                                        map that repeats is swept; window [rows]; 0, 0, 0
+  near_at      (count, n, 2)         int32              the first node of each near row (column) crossing:
+                                                        columns on, rows on; n = NEAR + NEAR_COLUMNS
+  near_weight  (count, n)            float32            weight of the farther node of each
+  table        (count, knots)        vec4               brightness: integrals over elevation of B cos^2 and B
+                                                        sin cos from sin(elevation) = i / (knots - 1) to the
+                                                        zenith, and what to add up to the next knot
+  slopes       (count, rows x cols)  float32            in, out: horizon slopes [1]
+  sum          (rows x cols)         int32              in, out: irradiance in fixed point, so that no order
+                                                        of summation matters
+  steps        (LADDER)              int32              the ladder: (s << bits) - 1
+  rises        (LADDER)              int32              and s times the distance at which a crossing comes in
+
+Steps have the same numbers as in its twin, opencl/horizon.cl.
 """
 
 import functools
@@ -308,8 +340,10 @@ def rays(SIDES: int, BLOCKS: int):
 
 @functools.cache
 def sweep(NEAR: int, SIDES: int, WHAT: int, BLOCKS: int):
-    """WHAT: SLOPES writes horizon slopes, UNIFORM adds the light of a uniform sky, TABLE that of ``table``;
-    see opencl/horizon.cl.
+    """WHAT: SLOPES writes slopes, UNIFORM adds the light of a uniform sky, TABLE that of ``table``. SIDES: OPEN,
+    DARK or PERIODIC. BLOCKS: the window is not endless. known: slopes holds what is known already. backward:
+    rows at the far end of the window come in, and blocks of one window are swept from the last row to the
+    first; with a forward sweep by blocks it covers exactly one window before every node.
 
     Thread (g, k, j) owns one line of azimuth k; long lines start first.
     """

@@ -74,8 +74,14 @@ def gradient(
 def luminance(BITS: int):
     """irradiance += sum over set bits of max(0, N . moment) x brightness; the moments come multiplied by it.
 
-    Arguments as in opencl/luminance.cl. Thread g owns pixels GPU_PIXELS g to GPU_PIXELS g + GPU_PIXELS - 1.
-    Order of summation: walks, within a walk elevations.
+      planes      (walks, room)  uint8
+      slopes      (2, room)      float32
+      moments     (walks, BITS)  vec4 [sr x brightness]  x, y, z, 0
+      irradiance  (room)         float32                 in, out: the sum x |(dz/dx, dz/dy, -1)|, and after
+                                                         the last group the sum itself
+
+    Thread g owns pixels GPU_PIXELS g to GPU_PIXELS g + GPU_PIXELS - 1. Order of summation: walks, within a
+    walk elevations.
     """
 
     @wp.kernel(module="unique", module_options=OPTIONS)

@@ -40,7 +40,15 @@ def pilot(
     or a column of the grid, from `least` >= 0 on; blocks whose highest node stays below the line so far are
     left as a whole.
 
-    Arguments as in opencl/pilot.cl. reach [spacing]: as far as is looked. Thread n owns a ray.
+      heights  (rows, cols)  float32 [spacing]  -1e30 where masked
+      tops     (.., across)  float32 [spacing]  highest node of every block of 2^shift x 2^shift nodes, and of
+                                                the row and column after
+      rays     (count, 8)    float32            column, row, cosine and sine of the azimuth, least; along, up,
+                                                limit: a point t away with slope s stands before the source
+                                                iff t (along + s up) < limit
+      slopes   (count)       float32            out
+
+    reach [spacing]: as far as is looked. Thread n owns a ray.
     """
     number = wp.tid()
     if number >= count:
@@ -142,7 +150,19 @@ def pool(
     """Of every square block of 2^shift x 2^shift nodes the highest node, with the row and the column after
     it; the lowest node; and how many steps are cliffs.
 
-    Arguments as in opencl/pilot.cl. Thread (by, bx) owns one block; its nodes along rows, from its first on.
+      heights   (rows, cols)       float32 [spacing]  <= -1e29 where masked
+      found     (3, down, across)  float32            out: the three that follow
+      found[0]                     float32 [spacing]  highest valid node of the block, of the row and the
+                                                      column after it and of the node where these meet: round
+                                                      the map where that is periodic, else as far as it goes;
+                                                      -1e30 if there is none
+      found[1]                     float32 [spacing]  lowest valid node of the block itself; 1e30 if there is
+                                                      none
+      found[2]                     float32 [1]        steps from a valid node of the block to its right and to
+                                                      its lower neighbour, valid and on the map (never round
+                                                      it), that rise or fall by more than cliff
+
+    Thread (by, bx) owns one block; its nodes along rows, from its first on.
     """
     by, bx = wp.tid()
     if bx >= across or by >= down:

@@ -86,7 +86,10 @@ def propagate(
     """L in V(x) iff x + L in F and L in V(x + L); the first n_level directions have k = 0 and are read off
     `levels`.
 
-    Arguments as in opencl/propagate.cl. Thread (word, y, x) owns one node, 32 directions.
+      offsets  (directions, 2)  int32  k, and j x (cols + 2 reach) + i: from a node to the one its ray comes
+                                       from
+
+    Thread (word, y, x) owns one node, 32 directions.
     """
     word, y, x = wp.tid()
     node = (y + reach) * (cols + 2 * reach) + x + reach

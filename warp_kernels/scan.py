@@ -24,8 +24,20 @@ def scan(BITS: int):
     is lit iff depth <= ceiling. A line that leaves the map goes on at its other side, as a new line (open,
     dark) or as itself (periodic).
 
-    Arguments as in opencl/scan.cl. Thread (w, line) owns one line of walk w; AHEAD depths are fetched before
-    they are used. No sums, only min and + in the order of the line: every bit is exact.
+      maps    (2, room)           float32 [length]  depth (rows, cols) and the same turned, (cols, rows); +inf
+                                                    where masked: blocks nothing, never lit; room: pixels,
+                                                    rounded up for whole vectors
+      walks   (walks, 8)          int32             i, j (not 0, and |i| less than the map is wide), warm-up
+                                                    steps, their x and y offset, parts, which map, which
+                                                    plane; those of the turned map are the turned ones
+      rise    (walks, BITS)       float32 [length]  k step, what the ray climbs per step
+      lap     (walks, lap_lines)  float32 [length]  periodic: first ceiling of the k = 0 ray, the least depth
+                                                    of its cycle
+      planes  (planes, room)      uint8             out: bit b is set where the walk's b-th elevation is lit
+      map_rows, map_cols, room, lap_lines, periodic (0 or 1)
+
+    Thread (w, line) owns one line of walk w; AHEAD depths are fetched before they are used. No sums, only min
+    and + in the order of the line: every bit is exact.
     """
     floats = wp.types.vector(BITS, wp.float32)
 

@@ -6,7 +6,31 @@ leave of it gives E = sum over slices of share x (n_c integral of B cos^2 + n_z 
 the normal's part along phi. Elevations go by their tangents. Lengths are in units of the spacing; heights
 grow towards the viewer.
 
-Arguments as in opencl/slices.cl. Thread (y, x) owns one node. Order of summation: slices.
+  heights      (rows + 2, cols + 1)   float32  -depth, and one element more; NONE where masked, in column 0,
+                                               in the first and the last row: node (x, y) stands at
+                                               (y + 1) (cols + 1) + x + 1, and every neighbour of a node can
+                                               be read
+  tops         (cells, width)         float32  highest node of square cells, corners included: level l = 1,
+                                               2.. has cells 2^l wide, from column width - (width >> l - 1)
+                                               on; width is a multiple of 2^levels
+  sky          (side, side)           float32  of light in a lobe: brightness over the stereographic plane, x
+                                               / (1 - z) and y / (1 - z) from -1 to 1
+  points       (n_points, 2)          float32  where along a chord that brightness is taken, 0..1, and
+                                               weights; none: it is 1
+  lobe         (n_lobe)               float32  weight of light by 1 - cosine of its angle to the mirror
+                                               direction, even steps from 0 to rim, beyond which there is
+                                               none; n_lobe 0: all light counts alike
+  chords       (n_turns, n_knots, 2)  float32  of light in no lobe: integrals of B cos^2 and B sin cos over
+                                               elevation, from the sine k / (n_knots - 1) to the zenith, means
+                                               over n_turns even cells of the diamond angle q = s / (|c| +
+                                               |s|), 2 - q, 4 + q of the azimuth's cosine c and sine s, 0..4;
+                                               n_knots 0: B is 1
+  irradiance   (rows, cols)           float32  out; unit: its factor
+  least, most                         int32    slices of a source that is a point, and of one that stands all
+                                               round: multiples of SLICES, as what is between
+  dark                                int32    whether walls stand half a node outside the map, up to height 0
+
+Thread (y, x) owns one node. Order of summation: slices.
 """
 
 import warp as wp
@@ -526,10 +550,16 @@ def ball(
 ):
     """x0, y0, z0: its centre (z0 a height), and its radius.
 
-    Arguments as in opencl/slices.cl. The slice at the azimuth offset d from the centre, sin d = (sin a / cos
-    e) sin theta, a the ball's angular radius and e its centre's elevation, sees a chord of half width w, sin
-    w = sin a cos theta / r, r^2 = 1 - cos^2 e sin^2 d. Where the zenith lies within the disc, slices go all
-    round.
+      nodes        (most / SLICES, 4, most)  float32  for SLICES, 2 SLICES.. slices: sine and cosine of theta,
+                                                      midpoints of -pi/2..pi/2, and of the azimuths of
+                                                      midpoints all round; or other places in the same even
+                                                      steps
+      alternating  (rows, cols)              float32  out: the even slices' light less that of the odd ones,
+                                                      which tells how far the slices are from enough
+
+    The slice at the azimuth offset d from the centre, sin d = (sin a / cos e) sin theta, a the ball's angular
+    radius and e its centre's elevation, sees a chord of half width w, sin w = sin a cos theta / r, r^2 = 1 -
+    cos^2 e sin^2 d. Where the zenith lies within the disc, slices go all round.
     """
     y, x = wp.tid()
     here = (y + 1) * (cols + 1) + x + 1
@@ -719,9 +749,13 @@ def quad(
 ):
     """A flat, convex quadrangle, which shines from both faces.
 
-    Arguments as in opencl/slices.cl. Between the azimuths of neighbouring corners the chord's ends run along
-    one edge each: every such sector gets its share of the slices, at least one. All is reckoned from the
-    quadrangle's middle, so that small far sources lose no digits.
+      corners  (6, 3)           float32  four corners round it, from their middle; the middle; the unit
+                                         normal. Third: heights
+      nodes    (most, most, 2)  float32  row n - 1: Gauss-Legendre nodes, -1..1, and weights of n slices
+
+    Between the azimuths of neighbouring corners the chord's ends run along one edge each: every such sector
+    gets its share of the slices, at least one. All is reckoned from the quadrangle's middle, so that small
+    far sources lose no digits.
     """
     y, x = wp.tid()
     here = (y + 1) * (cols + 1) + x + 1
@@ -1041,7 +1075,10 @@ def rays(
 ):
     """Whether the ground leaves rays free.
 
-    Arguments as in opencl/slices.cl.
+    ways  (rows, cols, 4, count)  float32  azimuth's cosine and sine, tangent of the elevation, and how far
+                                           [spacing] ground counts
+    seen  (rows, cols, count)     float32  out: 1 where no ground stands higher than the ray, else 0; count:
+                                           a multiple of LANES
     """
     y, x = wp.tid()
     own = (y + 1) * (cols + 1) + x + 1
@@ -1128,8 +1165,16 @@ def sectors(
     """The light of a sky in a few sectors of azimuth, each above the exact horizon along one azimuth, added
     to what is there.
 
-    Arguments as in opencl/slices.cl. highest: node of the map. x0 <= x < x1, y0 <= y < y1 [spacing]: window
-    at height 0 through which the light comes; -ENDLESS..ENDLESS: there is none.
+      ways        (5, count)         float32  azimuth's cosine and sine, width [rad], and of its table: the
+                                              sine of elevation at which it begins, `first`, and knots per
+                                              unit of sine, `scale`; count: a multiple of LANES
+      table       (count, knots, 4)  float32  integrals over elevation of B cos^2 and B sin cos, from the sine
+                                              first + i / scale on, and what to add up to the next knot; below
+                                              the first knot and above the last there is no light
+      irradiance  (rows, cols)       float32  in, out
+
+    highest: node of the map. x0 <= x < x1, y0 <= y < y1 [spacing]: window at height 0 through which the light
+    comes; -ENDLESS..ENDLESS: there is none.
     """
     y, x = wp.tid()
     here = (y + 1) * (cols + 1) + x + 1

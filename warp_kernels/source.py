@@ -1,7 +1,21 @@
 """Where the source shines from: dark walls, windows and lamps, by geometry, in double precision.
 
-Arguments as in opencl/source.cl. Every formula is one rounding per operation, so every device decides alike.
-Twin of opencl/source.cl.
+  depth      (rows, cols)          float32 [length]  +inf where masked
+  steps      (walks, BITS, 4)      int32             i, j, k, direction number
+  crossings  (n, 8)                int32             where a ray meets grid lines within one step, in order:
+                                                     x, y of a node, x, y to the next node on that line, the
+                                                     weights of both, when (per STEP_PARTS), parts
+  spans      (walks, 2)            int32             first crossing of a walk and how many; the last one is
+                                                     the lattice node itself
+  numbers    (4)                   float64 [length]  x0, x1, y0, y1 of a rectangle, or x, y, z, radius of a
+                                                     ball
+  flags      (layers, rows, cols)  uint8             aperture (one layer) or volume
+  kind                             int32             0 sky, 1 rectangle, 2 aperture, 3 ball, 4 volume
+                                                     (skylamp.sources)
+  sides                            int32             0 open, 1 dark, 2 periodic
+  step                             float64 [length]  the spacing in the unit of depth
+
+Every formula is one rounding per operation, so every device decides alike. Twin of opencl/source.cl.
 """
 
 import functools

@@ -44,9 +44,17 @@ def specular(BITS: int):
     """radiance += sum over set bits of weight x max(0, N.L) x lobe(1 - R.L), R = 2 (N.V) N - V the mirror
     direction of the viewer's V = (0, 0, -1).
 
-    Arguments as in opencl/specular.cl. Thread g owns pixels GPU_PIXELS g to GPU_PIXELS g + GPU_PIXELS - 1.
-    Order of summation: walks, within a walk elevations. 1 - R.L is taken as |L - R|^2 / 2, which loses no
-    digits where the lobe is narrow.
+      planes      (walks, room)  uint8
+      slopes      (2, room)      float32  dz/dx, dz/dy
+      directions  (walks, BITS)  vec4     L, x, y, z, and its weight: brightness x solid angle x the lobe's
+                                          norm
+      lobe        (n_lobe)       float32  by even steps of 1 - cosine from 0 to rim, beyond which there is
+                                          none
+      radiance    (room)         float32  in, out: the sum x |(dz/dx, dz/dy, -1)|, and after the last group
+                                          the sum itself
+
+    Thread g owns pixels GPU_PIXELS g to GPU_PIXELS g + GPU_PIXELS - 1. Order of summation: walks, within a
+    walk elevations. 1 - R.L is taken as |L - R|^2 / 2, which loses no digits where the lobe is narrow.
     """
 
     @wp.kernel(module="unique", module_options=OPTIONS)
