@@ -748,30 +748,30 @@ __kernel void bending(__global const float *z, __global const float *rest, __glo
 
 /* downhill: sum += unit transpose(J) gain (gain E - target), and squares += fine x the diagonal of
    transpose(J) gain^2 J, or what it is where no two links of a node lead to the same one. Work-item g of this
-   and of all below owns `each` nodes; if there is more than one team, it is one, and adds to sums of its own:
-   sum and squares (teams, pixels). */
+   and of all below owns `per_item` nodes; if there is more than one copy of the sums, it adds to a copy of
+   its own: sum and squares (copies, pixels). */
 __kernel void downhill(__global const float *restrict light, __global const int *restrict held,
                        __global const int *restrict first, __global const int *restrict second,
                        __global const float *restrict near, __global const float *restrict far,
                        __global const float *restrict gain, __global const float *restrict target,
                        __global long *sum, __global long *squares, float unit, float fine, int rows, int cols,
-                       int count, int each, int teams)
+                       int count, int per_item, int copies)
 {
   const Links links = {light, held, first, second, near, far, count};
   const int g = get_global_id(0);
-  const size_t own = teams > 1 ? (size_t)g * rows * cols : 0;
-  for (int p = g * each; p < min(rows * cols, g * each + each); ++p) {
+  const size_t own = copies > 1 ? (size_t)g * rows * cols : 0;
+  for (int p = g * per_item; p < min(rows * cols, g * per_item + per_item); ++p) {
     spread_at(links, sum + own, gain[p] * (gain[p] * light[p] - target[p]) * unit, 0, rows, cols, p,
-              teams > 1);
-    spread_at(links, squares + own, gain[p] * gain[p] * fine, 1, rows, cols, p, teams > 1);
+              copies > 1);
+    spread_at(links, squares + own, gain[p] * gain[p] * fine, 1, rows, cols, p, copies > 1);
   }
 }
 
-/* What all teams have in a sum for node i; there is 0 then. */
-long taken(__global long *sum, int i, int pixels, int teams)
+/* The sum for node i over all copies; they are 0 then. */
+long taken(__global long *sum, int i, int pixels, int copies)
 {
   long all_ = 0;
-  for (int t = 0; t < teams; ++t) {
+  for (int t = 0; t < copies; ++t) {
     all_ += sum[(size_t)t * pixels + i];
     sum[(size_t)t * pixels + i] = 0;
   }
@@ -784,15 +784,15 @@ __kernel void begin(__global const float *z, __global const float *rest, __globa
                     __global const float *high, __global long *sum, __global long *squares,
                     __global float *scale, __global float *r, __global float *x, __global float *p,
                     __global float *s, __global float *is_free, float unit, float fine, float least,
-                    float lambda_, int rows, int cols, int each, int teams)
+                    float lambda_, int rows, int cols, int per_item, int copies)
 {
   const int g = get_global_id(0), pixels = rows * cols;
-  for (int i = g * each; i < min(pixels, g * each + each); ++i) {
+  for (int i = g * per_item; i < min(pixels, g * per_item + per_item); ++i) {
     const float smooth = (unbend(z + i, i % cols, cols, 1) + unbend(z + i, i / cols, rows, cols))
                          - (unbend(rest + i, i % cols, cols, 1) + unbend(rest + i, i / cols, rows, cols));
-    const float down = -(convert_float(taken(sum, i, pixels, teams)) * unit + lambda_ * smooth);
+    const float down = -(convert_float(taken(sum, i, pixels, copies)) * unit + lambda_ * smooth);
     const float moves = (z[i] <= low[i] && down < 0) || (z[i] >= high[i] && down > 0) ? 0 : 1;
-    scale[i] = convert_float(taken(squares, i, pixels, teams)) * fine + least;
+    scale[i] = convert_float(taken(squares, i, pixels, copies)) * fine + least;
     is_free[i] = moves;
     r[i] = moves * down;
     x[i] = 0;
@@ -909,14 +909,14 @@ __kernel void product(__global const float *restrict light, __global const int *
                       __global const float *restrict near, __global const float *restrict far,
                       __global const float *restrict gain, __global const float *restrict v,
                       __global long *sum, __global const double *state, int rows, int cols, int count,
-                      int each, int teams)
+                      int per_item, int copies)
 {
   const Links links = {light, held, first, second, near, far, count};
   const int g = get_global_id(0);
-  const size_t own = teams > 1 ? (size_t)g * rows * cols : 0;
+  const size_t own = copies > 1 ? (size_t)g * rows * cols : 0;
   if (state[LEFT] > 0)
-    for (int p = g * each; p < min(rows * cols, g * each + each); ++p)
-      product_at(links, gain, v, sum + own, (float)state[SCATTERED], rows, cols, p, teams > 1);
+    for (int p = g * per_item; p < min(rows * cols, g * per_item + per_item); ++p)
+      product_at(links, gain, v, sum + own, (float)state[SCATTERED], rows, cols, p, copies > 1);
 }
 
 /* change: in (or added to) share, what an image says of the change of its pixels' albedo by v: bright gain J
@@ -926,12 +926,12 @@ __kernel void change(__global const float *restrict light, __global const int *r
                      __global const float *restrict near, __global const float *restrict far,
                      __global const float *restrict gain, __global const float *restrict bare,
                      __global const float *restrict v, __global float *restrict share,
-                     __global const double *state, int rows, int cols, int count, int is_first, int each)
+                     __global const double *state, int rows, int cols, int count, int is_first, int per_item)
 {
   const Links links = {light, held, first, second, near, far, count};
   const int g = get_global_id(0);
   if (state[LEFT] > 0)
-    for (int p = g * each; p < min(rows * cols, g * each + each); ++p)
+    for (int p = g * per_item; p < min(rows * cols, g * per_item + per_item); ++p)
       share[p] =
           (is_first ? 0 : share[p]) + bare[p] * light[p] * (gain[p] * change_at(links, v, rows, cols, p));
 }
@@ -943,16 +943,17 @@ __kernel void product_beside(__global const float *restrict light, __global cons
                              __global const float *restrict gain, __global const float *restrict bare,
                              __global const float *restrict share, __global const float *restrict under,
                              __global const float *restrict v, __global long *sum,
-                             __global const double *state, int rows, int cols, int count, int each, int teams)
+                             __global const double *state, int rows, int cols, int count, int per_item,
+                             int copies)
 {
   const Links links = {light, held, first, second, near, far, count};
   const int g = get_global_id(0);
-  const size_t own = teams > 1 ? (size_t)g * rows * cols : 0;
+  const size_t own = copies > 1 ? (size_t)g * rows * cols : 0;
   if (state[LEFT] > 0)
-    for (int p = g * each; p < min(rows * cols, g * each + each); ++p) {
+    for (int p = g * per_item; p < min(rows * cols, g * per_item + per_item); ++p) {
       const float left =
           gain[p] * change_at(links, v, rows, cols, p) - bare[p] * light[p] * (share[p] / under[p]);
-      spread_at(links, sum + own, gain[p] * left * (float)state[SCATTERED], 0, rows, cols, p, teams > 1);
+      spread_at(links, sum + own, gain[p] * left * (float)state[SCATTERED], 0, rows, cols, p, copies > 1);
     }
 }
 
@@ -961,10 +962,10 @@ __kernel void product_beside(__global const float *restrict light, __global cons
 long3 curve_at(__global const float *r, __global const float *v, __global const float *scale,
                __global const float *is_free, __global long *sum, __global float *w, float unit,
                float lambda_, float damping, double by_product, double by_square, int rows, int cols,
-               int teams, int i)
+               int copies, int i)
 {
   const float smooth = unbend(v + i, i % cols, cols, 1) + unbend(v + i, i / cols, rows, cols);
-  w[i] = is_free[i] * (convert_float(taken(sum, i, rows * cols, teams)) * unit + lambda_ * smooth +
+  w[i] = is_free[i] * (convert_float(taken(sum, i, rows * cols, copies)) * unit + lambda_ * smooth +
                        damping * scale[i] * v[i]);
   const double product = (double)r[i] * (double)v[i], curvature = (double)v[i] * (double)w[i],
                square = (double)v[i] * (double)v[i];
@@ -974,17 +975,17 @@ long3 curve_at(__global const float *r, __global const float *v, __global const 
 
 __kernel void curve(__global const float *r, __global const float *v, __global const float *scale,
                     __global const float *is_free, __global long *sum, __global float *w,
-                    __global long *totals, __global const double *state, int rows, int cols, int each,
-                    int teams)
+                    __global long *totals, __global const double *state, int rows, int cols, int per_item,
+                    int copies)
 {
   const int g = get_global_id(0), pixels = rows * cols;
-  if (g * each >= pixels || state[LEFT] <= 0)
+  if (g * per_item >= pixels || state[LEFT] <= 0)
     return;
   const float unit = 1 / state[SCATTERED], lambda_ = state[LAMBDA], damping = state[DAMPING];
   long3 part = 0;
-  for (int i = g * each; i < min(pixels, g * each + each); ++i)
+  for (int i = g * per_item; i < min(pixels, g * per_item + per_item); ++i)
     part += curve_at(r, v, scale, is_free, sum, w, unit, lambda_, damping, state[UNIT_RV], state[UNIT_VV],
-                     rows, cols, teams, i);
+                     rows, cols, copies, i);
   atom_add(totals + g % SUM_SLOTS, part.x);
   atom_add(totals + SUM_SLOTS + g % SUM_SLOTS, part.y);
   atom_add(totals + 2 * SUM_SLOTS + g % SUM_SLOTS, part.z);
@@ -1034,10 +1035,10 @@ void go_at(__global const float *v, __global const float *w, __global float *r, 
 __kernel void go(__global const float *v, __global const float *w, __global float *r, __global float *x,
                  __global float *p, __global float *s, __global const long *totals,
                  __global long *next_totals, __global const double *state, __global double *next,
-                 double fixed_, double exact, int pixels, int each)
+                 double fixed_, double exact, int pixels, int per_item)
 {
   const int g = get_global_id(0);
-  if (g * each >= pixels || (g > 0 && state[LEFT] <= 0))
+  if (g * per_item >= pixels || (g > 0 && state[LEFT] <= 0))
     return;
   long3 total = 0;
   for (int i = 0; i < SUM_SLOTS; ++i)
@@ -1050,7 +1051,7 @@ __kernel void go(__global const float *v, __global const float *w, __global floa
       next_totals[i] = 0;
   }
   if (state[LEFT] > 0 && turn.goes)
-    for (int i = g * each; i < min(pixels, g * each + each); ++i)
+    for (int i = g * per_item; i < min(pixels, g * per_item + per_item); ++i)
       go_at(v, w, r, x, p, s, (float)turn.next[ALPHA], (float)turn.beta, i);
 }
 
@@ -1127,9 +1128,9 @@ __kernel void solve(__global const float *restrict light, __global const int *re
 
 /* move: to = z + x, within its bounds. */
 __kernel void move(__global const float *z, __global const float *x, __global const float *low,
-                   __global const float *high, __global float *to, int pixels, int each)
+                   __global const float *high, __global float *to, int pixels, int per_item)
 {
   const int g = get_global_id(0);
-  for (int i = g * each; i < min(pixels, g * each + each); ++i)
+  for (int i = g * per_item; i < min(pixels, g * per_item + per_item); ++i)
     to[i] = LESS(MORE(z[i] + x[i], low[i]), high[i]);
 }

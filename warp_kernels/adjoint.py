@@ -1028,15 +1028,15 @@ def downhill(
     rows: wp.int32,
     cols: wp.int32,
     count: wp.int32,
-    each: wp.int32,
-    teams: wp.int32,
+    per_item: wp.int32,
+    copies: wp.int32,
 ):
     """sum += unit transpose(J) gain (gain E - target), and squares += fine x the diagonal of transpose(J)
     gain^2 J, or what it is where no two links of a node lead to the same one. Thread g of this and of all
-    below owns ``each`` nodes. Here there is one team, whose sums are added to as one.
+    below owns ``per_item`` nodes. Here there is one copy of the sums.
     """
     g = wp.tid()
-    for p in range(g * each, wp.min(rows * cols, g * each + each)):
+    for p in range(g * per_item, wp.min(rows * cols, g * per_item + per_item)):
         spread_at(
             light,
             held,
@@ -1077,14 +1077,14 @@ def begin(
     lambda_: wp.float32,
     rows: wp.int32,
     cols: wp.int32,
-    each: wp.int32,
-    teams: wp.int32,
+    per_item: wp.int32,
+    copies: wp.int32,
 ):
     """The downhill direction r = -(sum unit + lambda unbend (z - rest)), 0 where a bound holds z (free 0);
     scale = squares fine + least; x = p = s = sum = squares = 0 for conjugate gradients.
     """
     g = wp.tid()
-    for i in range(g * each, wp.min(rows * cols, g * each + each)):
+    for i in range(g * per_item, wp.min(rows * cols, g * per_item + per_item)):
         smooth = (unbend(z, i, i % cols, cols, 1) + unbend(z, i, i / cols, rows, cols)) - (
             unbend(rest, i, i % cols, cols, 1) + unbend(rest, i, i / cols, rows, cols)
         )
@@ -1264,13 +1264,13 @@ def product(
     rows: wp.int32,
     cols: wp.int32,
     count: wp.int32,
-    each: wp.int32,
-    teams: wp.int32,
+    per_item: wp.int32,
+    copies: wp.int32,
 ):
     """sum += unit transpose(J) gain^2 J v."""
     g = wp.tid()
     if state[LEFT] > wp.float64(0.0):
-        for p in range(g * each, wp.min(rows * cols, g * each + each)):
+        for p in range(g * per_item, wp.min(rows * cols, g * per_item + per_item)):
             product_at(
                 light,
                 held,
@@ -1306,14 +1306,14 @@ def change(
     cols: wp.int32,
     count: wp.int32,
     is_first: wp.int32,
-    each: wp.int32,
+    per_item: wp.int32,
 ):
     """In (or added to) share, what an image says of the change of its pixels' albedo by v: bright gain J v,
     bright = the image at albedo 1.
     """
     g = wp.tid()
     if state[LEFT] > wp.float64(0.0):
-        for p in range(g * each, wp.min(rows * cols, g * each + each)):
+        for p in range(g * per_item, wp.min(rows * cols, g * per_item + per_item)):
             own = (
                 bare[p]
                 * light[p]
@@ -1343,13 +1343,13 @@ def product_beside(
     rows: wp.int32,
     cols: wp.int32,
     count: wp.int32,
-    each: wp.int32,
-    teams: wp.int32,
+    per_item: wp.int32,
+    copies: wp.int32,
 ):
     """As product, less what a change of the albedo makes up for."""
     g = wp.tid()
     if state[LEFT] > wp.float64(0.0):
-        for p in range(g * each, wp.min(rows * cols, g * each + each)):
+        for p in range(g * per_item, wp.min(rows * cols, g * per_item + per_item)):
             left = gain[p] * change_at(light, held, first, second, near, far, v, rows, cols, count, p) - bare[
                 p
             ] * light[p] * (share[p] / under[p])
@@ -1413,15 +1413,15 @@ def curve(
     state: wp.array[wp.float64],
     rows: wp.int32,
     cols: wp.int32,
-    each: wp.int32,
-    teams: wp.int32,
+    per_item: wp.int32,
+    copies: wp.int32,
 ):
     """See curve_at."""
     g = wp.tid()
     if state[LEFT] > wp.float64(0.0):
         part = Sums()
         unit = wp.float32(wp.float64(1.0) / state[SCATTERED])
-        for i in range(g * each, wp.min(rows * cols, g * each + each)):
+        for i in range(g * per_item, wp.min(rows * cols, g * per_item + per_item)):
             part += curve_at(
                 r,
                 v,
@@ -1507,7 +1507,7 @@ def go(
     fixed_: wp.float64,
     exact: wp.float64,
     pixels: wp.int32,
-    each: wp.int32,
+    per_item: wp.int32,
 ):
     """A step of conjugate gradients with one sum (Chronopoulos and Gear 1989): p = v + beta p, s = w + beta
     s, x += alpha p, r -= alpha s.
@@ -1524,7 +1524,7 @@ def go(
             for i in range(3 * SUM_SLOTS):
                 next_totals[i] = wp.int64(0)
         if goes != 0:
-            for i in range(g * each, wp.min(pixels, g * each + each)):
+            for i in range(g * per_item, wp.min(pixels, g * per_item + per_item)):
                 go_at(v, w, r, x, p, s, wp.float32(after_[ALPHA]), wp.float32(beta), i)
     elif g == 0:
         for i in range(11):
@@ -1659,9 +1659,9 @@ def move(
     high: wp.array[wp.float32],
     to: wp.array[wp.float32],
     pixels: wp.int32,
-    each: wp.int32,
+    per_item: wp.int32,
 ):
     """to = z + x, within its bounds."""
     g = wp.tid()
-    for i in range(g * each, wp.min(pixels, g * each + each)):
+    for i in range(g * per_item, wp.min(pixels, g * per_item + per_item)):
         to[i] = wp.min(wp.max(z[i] + x[i], low[i]), high[i])

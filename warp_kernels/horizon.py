@@ -340,10 +340,10 @@ def rays(SIDES: int, BLOCKS: int):
 
 @functools.cache
 def sweep(NEAR: int, SIDES: int, WHAT: int, BLOCKS: int):
-    """WHAT: SLOPES writes slopes, UNIFORM adds the light of a uniform sky, TABLE that of ``table``. SIDES: OPEN,
-    DARK or PERIODIC. BLOCKS: the window is not endless. known: slopes holds what is known already. backward:
-    rows at the far end of the window come in, and blocks of one window are swept from the last row to the
-    first; with a forward sweep by blocks it covers exactly one window before every node.
+    """WHAT: SLOPES writes slopes, UNIFORM adds the light of a uniform sky, TABLE that of ``table``. SIDES:
+    OPEN, DARK or PERIODIC. BLOCKS: the window is not endless. known: slopes holds what is known already.
+    backward: rows at the far end of the window come in, and blocks of one window are swept from the last row
+    to the first; with a forward sweep by blocks it covers exactly one window before every node.
 
     Thread (g, k, j) owns one line of azimuth k; long lines start first.
     """

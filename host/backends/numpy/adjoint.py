@@ -681,8 +681,8 @@ def downhill(
     rows: int,
     cols: int,
     count: int,
-    each: int,
-    teams: int,
+    per_item: int,
+    copies: int,
 ) -> None:
     links = light, held, first, second, near, far
     _spread(*links, sum[0], gain * (gain * light[0] - target) * f32(unit), False, rows, cols)
@@ -708,8 +708,8 @@ def begin(
     lambda_: float,
     rows: int,
     cols: int,
-    each: int,
-    teams: int,
+    per_item: int,
+    copies: int,
 ) -> None:
     down = -(
         sum[0].astype(f32) * f32(unit) + f32(lambda_) * (_unbend(z, rows, cols) - _unbend(rest, rows, cols))
@@ -788,8 +788,8 @@ def product(
     rows: int,
     cols: int,
     count: int,
-    each: int,
-    teams: int,
+    per_item: int,
+    copies: int,
 ) -> None:
     if state[LEFT] > 0:
         links = light, held, first, second, near, far
@@ -819,7 +819,7 @@ def change(
     cols: int,
     count: int,
     is_first: int,
-    each: int,
+    per_item: int,
 ) -> None:
     if state[LEFT] > 0:
         own = bare * light[0] * (gain * _change(light, held, first, second, near, far, v, rows, cols))
@@ -843,8 +843,8 @@ def product_beside(
     rows: int,
     cols: int,
     count: int,
-    each: int,
-    teams: int,
+    per_item: int,
+    copies: int,
 ) -> None:
     if state[LEFT] > 0:
         links = light, held, first, second, near, far
@@ -863,8 +863,8 @@ def curve(
     state: np.ndarray,
     rows: int,
     cols: int,
-    each: int,
-    teams: int,
+    per_item: int,
+    copies: int,
 ) -> None:
     if state[LEFT] > 0:
         bent = f32(state[LAMBDA]) * _unbend(v, rows, cols)
@@ -891,7 +891,7 @@ def go(
     fixed_: float,
     exact: float,
     pixels: int,
-    each: int,
+    per_item: int,
 ) -> None:
     next[:] = state
     if state[LEFT] <= 0:
@@ -954,6 +954,12 @@ def ready(
 
 
 def move(
-    z: np.ndarray, x: np.ndarray, low: np.ndarray, high: np.ndarray, to: np.ndarray, pixels: int, each: int
+    z: np.ndarray,
+    x: np.ndarray,
+    low: np.ndarray,
+    high: np.ndarray,
+    to: np.ndarray,
+    pixels: int,
+    per_item: int,
 ) -> None:
     to[:] = np.minimum(np.maximum(z + x, low), high)
