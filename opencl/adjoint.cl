@@ -351,7 +351,7 @@ Nodes nodes_at(__global const float *heights, __global const float *tilts, float
   return nodes;
 }
 
-/* What limits a slice of a sky before the ground does: the level, the tangent plane or the wall, then with
+/* The limit of a slice of a sky without the ground: the level, the tangent plane or the wall, then with
    its derivative. */
 typedef struct { floats slope, by_wall; } Limit;
 
@@ -490,15 +490,15 @@ __kernel void lamp(__global const float *heights, __global const float *tilts, _
                   beyond = extent * extent + rise * rise - radius * radius;
       float along, half_;
       if (extent <= radius) {
-        const float off = extent * (s * ux - c * uy);
+        const float offset = extent * (s * ux - c * uy);
         along = extent * (c * ux + s * uy);
-        half_ = sqrt(MORE(radius * radius - off * off, 0));
+        half_ = sqrt(MORE(radius * radius - offset * offset, 0));
       } else {
-        const float off = radius / extent * nodes[4 * k], on = sqrt((1 - off) * (1 + off));
-        c = ux * on - uy * off;
-        s = uy * on + ux * off;
-        width = radius / extent * nodes[4 * k + 1] * (PI / count) / on;
-        along = extent * on;
+        const float sin_d = radius / extent * nodes[4 * k], cos_d = sqrt((1 - sin_d) * (1 + sin_d));
+        c = ux * cos_d - uy * sin_d;
+        s = uy * cos_d + ux * sin_d;
+        width = radius / extent * nodes[4 * k + 1] * (PI / count) / cos_d;
+        along = extent * cos_d;
         half_ = radius * nodes[4 * k + 1];
       }
       reach = MORE(along, half_);
@@ -518,9 +518,9 @@ __kernel void lamp(__global const float *heights, __global const float *tilts, _
       if (extent > 0) {
         /* of half the angle from the middle */
         const float t = extent * ((2 * k + 1.0f) / count - 1), scale = 1 / (1 + t * t);
-        const float on = (1 - t * t) * scale, off = 2 * t * scale;
-        c = ux * on - uy * off;
-        s = uy * on + ux * off;
+        const float cos_d = (1 - t * t) * scale, sin_d = 2 * t * scale;
+        c = ux * cos_d - uy * sin_d;
+        s = uy * cos_d + ux * sin_d;
         width = 4 * extent / count * scale;
       }
       float least = STEEP, most = -STEEP, least_by = 0, most_by = 0;
@@ -637,9 +637,9 @@ float change_at(Links links, __global const float *v, int rows, int cols, int p)
   return sum;
 }
 
-void add(__global long *sum, long value, int alone)
+void add(__global long *sum, long value, int exclusive)
 {
-  if (alone)
+  if (exclusive)
     *sum += value;
   else if (value != 0)
     atom_add(sum, value);
@@ -647,13 +647,14 @@ void add(__global long *sum, long value, int alone)
 
 /* sum += row p of J times u, in whole numbers, so that no order of summation matters; its elements squared if
    asked for. */
-void spread_at(Links links, __global long *sum, float u, int squared, int rows, int cols, int p, int alone)
+void spread_at(Links links, __global long *sum, float u, int squared, int rows, int cols, int p,
+               int exclusive)
 {
   const int pixels = rows * cols, x = p % cols, y = p / cols, count = links.count;
 #define SPREAD(to, part)                                                                                     \
   {                                                                                                          \
     const float part_ = part;                                                                                \
-    add(sum + (to), convert_long_rtz((squared ? part_ * part_ : part_) * u), alone);                         \
+    add(sum + (to), convert_long_rtz((squared ? part_ * part_ : part_) * u), exclusive);                     \
   }
   SPREAD(p, links.light[pixels + p])
   if (cols > 1) {
@@ -801,7 +802,7 @@ __kernel void begin(__global const float *z, __global const float *rest, __globa
   }
 }
 
-/* What preconditions: v = r / scale, and the same on grids COARSENING and COARSENING^2 times as coarse,
+/* The preconditioner: v = r / scale, and the same on grids COARSENING and COARSENING^2 times as coarse,
    brought up by linear interpolation (Bramble, Pasciak and Xu 1990); r is brought down by its transpose. */
 
 /* Node j of a coarse line of n: its share in node COARSENING j - 2 + a of the fine one. */
@@ -858,10 +859,10 @@ void up_at(__global const float *r, __global const float *scale, __global const 
             i = y * cols + COARSENING * x;
   const float share = (k < 2 ? 3 - 2 * k : 2 * k - 3) * 0.125f, own = 1 - share;
   const int row = y / COARSENING, other = clamp(k < 2 ? row - 1 : row + 1, 0, n_rows - 1);
-  __global const float *here = coarse + row * n_cols, *beside = coarse + other * n_cols;
+  __global const float *here = coarse + row * n_cols, *neighbour = coarse + other * n_cols;
   const int left = max(x - 1, 0), right = min(x + 1, n_cols - 1);
-  const float a = own * here[left] + share * beside[left], b = own * here[x] + share * beside[x],
-              c = own * here[right] + share * beside[right];
+  const float a = own * here[left] + share * neighbour[left], b = own * here[x] + share * neighbour[x],
+              c = own * here[right] + share * neighbour[right];
   const float4 raised = (float4)(0.625f * b + 0.375f * a, 0.875f * b + 0.125f * a, 0.875f * b + 0.125f * c,
                                  0.625f * b + 0.375f * c);
   for (int l = 0; l < min(COARSENING, cols - COARSENING * x); ++l)
@@ -898,10 +899,10 @@ __kernel void lengths(__global const float *r, __global const float *v, __global
 
 /* product: sum += unit transpose(J) gain^2 J v. */
 void product_at(Links links, __global const float *gain, __global const float *v, __global long *sum,
-                float unit, int rows, int cols, int p, int alone)
+                float unit, int rows, int cols, int p, int exclusive)
 {
   spread_at(links, sum, gain[p] * gain[p] * change_at(links, v, rows, cols, p) * unit, 0, rows, cols, p,
-            alone);
+            exclusive);
 }
 
 __kernel void product(__global const float *restrict light, __global const int *restrict held,

@@ -1,5 +1,5 @@
-/* What sweeps need besides: slopes of a padded map, a map turned, sums as irradiance, and how far that is
-off. Twin of warp_kernels/ground.py. */
+/* Kernels about a sweep: slopes of a padded map, a map turned, sums as irradiance, and their error.
+Twin of warp_kernels/ground.py. */
 #include "lanes.h"
 
 /* tilt: d depth/dx and d depth/dy of a padded map, by central differences; one-sided at the border and beside
@@ -114,7 +114,7 @@ __kernel void judge(__global const float *heights, __global const float *image, 
   if (x >= cols || b >= blocks)
     return;
   float light = 0, square = 0;
-  int valid = 0, lit = 0, off = 0;
+  int valid = 0, lit = 0, beyond = 0;
   for (int y = b * block; y < min((b + 1) * block, rows); ++y) {
     if (!(heights[(y + margin) * (cols + 2 * margin) + margin + x] > HIGHEST_MASKED))
       continue;
@@ -123,12 +123,12 @@ __kernel void judge(__global const float *heights, __global const float *image, 
     square += apart * apart;
     valid += 1;
     lit += here > 0;
-    off += fabs(apart) > limit;
+    beyond += fabs(apart) > limit;
   }
   const int at = b * cols + x, all = blocks * cols;
   found[at] = light;
   found[all + at] = square;
   found[2 * all + at] = (float)valid;
   found[3 * all + at] = (float)lit;
-  found[4 * all + at] = (float)off;
+  found[4 * all + at] = (float)beyond;
 }

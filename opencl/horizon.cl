@@ -111,7 +111,7 @@ floats arctan(floats v)
 
 /* Where the node dx columns and dy rows beside the nodes at p, (x, y), lies: on a map that repeats, round its
    sides. */
-ints beside_of(int p, int x, int y, ints dx, ints dy, int rows, int cols, int margin)
+ints neighbour_of(int p, int x, int y, ints dx, ints dy, int rows, int cols, int margin)
 {
   if (SIDES != PERIODIC)
     return p + COUNT + (cols + 2 * margin) * dy + dx;
@@ -165,7 +165,7 @@ floats on_row(__global const float *heights, floats own, int p, int x, int y, in
   const floats distance = TO_FLOATS(t), across = shear * distance;
   ints n = TO_INTS(across);
   n -= across < TO_FLOATS(n) ? (ints)1 : (ints)0;
-  const ints at = beside_of(p, x, y, n, -towards * t, rows, cols, margin);
+  const ints at = neighbour_of(p, x, y, n, -towards * t, rows, cols, margin);
   return rise(heights, at, at + 1, across - TO_FLOATS(n), distance, reach, own);
 }
 
@@ -175,7 +175,7 @@ floats on_column(__global const float *heights, floats own, int p, int x, int y,
 {
   const floats distance = TO_FLOATS(m) * reciprocal;
   const ints n = TO_INTS(distance), before = SIDES == PERIODIC ? n : less(n, u + 1);
-  const ints at = beside_of(p, x, y, shear > 0 ? m : -m, -towards * before, rows, cols, margin);
+  const ints at = neighbour_of(p, x, y, shear > 0 ? m : -m, -towards * before, rows, cols, margin);
   return rise(heights, at, at - towards * (cols + 2 * margin), distance - TO_FLOATS(n), distance, reach, own);
 }
 
@@ -307,7 +307,7 @@ __kernel void sweep(__global const float *restrict heights, __global const float
       const floats own = NODE(0);
       /* asked for early */
       const floats gx = WHAT == SLOPES ? 0 : READ(p, tilts), gy = WHAT == SLOPES ? 0 : READ(room + p, tilts);
-      floats near = NONE, beside = NONE;
+      floats near = NONE, by_column = NONE;
       for (int e = 0; e < NEAR; ++e) {
         const floats a = NODE(row_at[e]), b = NODE(row_at[e] + 1);
         const floats found = higher(near, FMA((floats)row_weight[e], b - a, a - own) * (1.0f / (e + 1)));
@@ -315,10 +315,11 @@ __kernel void sweep(__global const float *restrict heights, __global const float
       }
       for (int e = 0; e < NEAR_COLUMNS; ++e) {
         const floats a = NODE(column_at[e]), b = NODE(column_at[e] + back);
-        const floats found = higher(beside, FMA((floats)column_weight[e], b - a, a - own) * (1.0f / (e + 1)));
-        beside = e < near_columns ? found : beside;
+        const floats found =
+            higher(by_column, FMA((floats)column_weight[e], b - a, a - own) * (1.0f / (e + 1)));
+        by_column = e < near_columns ? found : by_column;
       }
-      floats slope = higher(near, beside * max(steepness, 1e-6f));
+      floats slope = higher(near, by_column * max(steepness, 1e-6f));
 
       /* 5. the two steps of the ladder between which the node lies, by bisection; above[s] is rise[s] too
          high */
@@ -351,8 +352,8 @@ __kernel void sweep(__global const float *restrict heights, __global const float
       const ints xs = x + COUNT;
       ints last = min(u + warm, window);
       if (SIDES != PERIODIC && reciprocal < 1e8f) {
-        const floats room_beside = TO_FLOATS(shear > 0 ? cols - 1 - xs : xs) * reciprocal;
-        last = room_beside < (float)min(u, window) ? TO_INTS(room_beside) : last;
+        const floats room_across = TO_FLOATS(shear > 0 ? cols - 1 - xs : xs) * reciprocal;
+        last = room_across < (float)min(u, window) ? TO_INTS(room_across) : last;
       }
       last = more(last, 1);
       const ints t1 = more(less(lower & mask, last), 1), t2 = more(less(upper & mask, last), 1);
@@ -379,8 +380,8 @@ __kernel void sweep(__global const float *restrict heights, __global const float
       slope *= tangent;
       if (SIDES == DARK) { /* a wall half a node outside, up to height 0 */
         const floats wall = TO_FLOATS(shear > 0 ? 2 * (cols - xs) - 1 : 2 * xs + 1) * (0.5f * reciprocal),
-                     ahead = u + 0.5f;
-        slope = higher(slope, -own * tangent / (wall < ahead ? wall : ahead));
+                     to_row = u + 0.5f;
+        slope = higher(slope, -own * tangent / (wall < to_row ? wall : to_row));
       }
       __global float *plane = slopes + ((size_t)get_group_id(1) * rows + y) * cols;
       if (known && (BLOCKS || WHAT == SLOPES))

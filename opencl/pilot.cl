@@ -12,7 +12,7 @@ stays below the line so far are left as a whole.
                                  t away with slope s stands before the source iff t (along + s up) < limit
   slopes   (count)        float  out
 
-reach [spacing]: as far as is looked. Work-item n owns a ray. Twin of warp_kernels/pilot.py. */
+reach [spacing]: the search radius. Work-item n owns a ray. Twin of warp_kernels/pilot.py. */
 #include "lanes.h"
 
 /* The steps after which a line that moves by `move` a step has left the block [low, high) it is in. */

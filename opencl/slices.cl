@@ -90,8 +90,8 @@ __kernel void coarser(__global const float *heights, __global float *tops, int r
   tops[y * width + width - (width >> (level - 1)) + x] = top;
 }
 
-/* What all slices of a pixel share. A point (c t, s t, v) from the pixel stands before the source iff along t
-+ up v < reach, `along` the slice's own. */
+/* Values that all slices of a pixel share. A point (c t, s t, v) from the pixel stands before the source iff
+along t + up v < reach, `along` the slice's own. */
 typedef struct {
   __global const float *heights, *tops, *sky, *points, *lobe, *chords;
   int rows, cols, width, levels, side, n_points, n_lobe, n_turns, n_knots, dark, x, y;
@@ -128,7 +128,8 @@ Pixel pixel_at(__global const float *heights, __global const float *tops, __glob
 floats under_source(const Pixel *pixel, floats along, floats aside, floats t)
 {
   if (pixel->radius > 0) {
-    const floats off = t - along, square = pixel->radius * pixel->radius - aside * aside - off * off;
+    const floats offset = t - along,
+                 square = pixel->radius * pixel->radius - aside * aside - offset * offset;
     return square > 0 ? (pixel->up - sqrt(MORE(square, 0))) / t : ENDLESS;
   }
   return pixel->up > 0 ? (pixel->reach / t - along) / pixel->up : ALL(ENDLESS);
@@ -348,8 +349,8 @@ floats chord(const Pixel *pixel, floats c, floats s, floats low, floats high, fl
   return shows ? light * (tilt * by_cosine + by_sine) : 0;
 }
 
-/* What a slice along (c, s) leaves of the chord between two tangents within the lobe's rim; gives how far
-   they are apart. */
+/* The part of the chord between two tangents that a slice along (c, s) leaves within the lobe's rim; gives
+   how far they are apart. */
 floats to_rim(const Pixel *pixel, floats c, floats s, floats *low, floats *high, floats rise)
 {
   const float least = 1 - pixel->rim, up = pixel->mirror_z;
@@ -394,7 +395,8 @@ floats slice(const Pixel *pixel, floats c, floats s, floats along, floats aside,
   const floats wall = LESS(wall_x, wall_y), top = -pixel->height / wall;
   floats under, over;
   if (pixel->radius > 0) {
-    const floats off = wall - along, square = pixel->radius * pixel->radius - aside * aside - off * off;
+    const floats offset = wall - along,
+                 square = pixel->radius * pixel->radius - aside * aside - offset * offset;
     const floats half_ = sqrt(MORE(square, 0)); /* of where the wall cuts the ball */
     under = square > 0 ? (pixel->up - half_) / wall : ENDLESS;
     over = square > 0 ? (pixel->up + half_) / wall : ENDLESS;
@@ -539,7 +541,7 @@ void in_order(float *px, float *py, int i, int j)
   nodes    (most, most, 2) float  row n - 1: Gauss-Legendre nodes, -1..1, and weights of n slices
 
 Between the azimuths of neighbouring corners the chord's ends run along one edge each: every such sector gets
-its share of the slices, at least one. All is reckoned from the quadrangle's middle, so that small far sources
+its share of the slices, at least one. All is computed from the quadrangle's middle, so that small far sources
 lose no digits. */
 __kernel void quad(__global const float *heights, __global const float *tops, __global const float *corners,
                    __global const float *nodes, __global const float *sky, __global const float *points,

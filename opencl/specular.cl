@@ -1,4 +1,4 @@
-/* What a lobe about the mirror direction makes of the light from the visible directions (docs/model.md).
+/* Light of the visible directions that a lobe about the mirror direction reflects (docs/model.md).
 
 specular: radiance += sum over set bits of weight x max(0, N.L) x lobe(1 - R.L), R = 2 (N.V) N - V the mirror
 direction of the viewer's V = (0, 0, -1).
@@ -24,7 +24,7 @@ warp_kernels/specular.py. */
 #define TO_FLOATS convert_float8
 #endif
 
-/* What |(dz/dx, dz/dy, -1)| x max(0, N.L) x lobe is for one direction; where it shows. */
+/* |(dz/dx, dz/dy, -1)| x max(0, N.L) x lobe for one direction; where it shows. */
 floats gloss(floats gx, floats gy, floats twice, float4 L, __global const float *lobe, int n_lobe,
              float per_step, ints lit)
 {

@@ -470,7 +470,7 @@ def limit_of(
     cols: wp.int32,
     sides: wp.int32,
 ):
-    """What limits a slice of a sky before the ground does: the level, the tangent plane or the wall, then
+    """The limit of a slice of a sky without the ground: the level, the tangent plane or the wall, then
     with its derivative.
     """
     slope = wp.max(-(gx * way.c + gy * way.s), 0.0)
@@ -661,16 +661,16 @@ def lamp(
             along = wp.float32(0.0)
             half = wp.float32(0.0)
             if extent <= radius:
-                off = extent * (s * ux - c * uy)
+                offset = extent * (s * ux - c * uy)
                 along = extent * (c * ux + s * uy)
-                half = wp.sqrt(wp.max(radius * radius - off * off, 0.0))
+                half = wp.sqrt(wp.max(radius * radius - offset * offset, 0.0))
             else:
-                off = radius / extent * nodes[4 * k]
-                on = wp.sqrt((1.0 - off) * (1.0 + off))
-                c = ux * on - uy * off
-                s = uy * on + ux * off
-                width = radius / extent * nodes[4 * k + 1] * (PI / wp.float32(count)) / on
-                along = extent * on
+                sin_d = radius / extent * nodes[4 * k]
+                cos_d = wp.sqrt((1.0 - sin_d) * (1.0 + sin_d))
+                c = ux * cos_d - uy * sin_d
+                s = uy * cos_d + ux * sin_d
+                width = radius / extent * nodes[4 * k + 1] * (PI / wp.float32(count)) / cos_d
+                along = extent * cos_d
                 half = radius * nodes[4 * k + 1]
             reach = wp.max(along, half)
             end = along + half
@@ -702,10 +702,10 @@ def lamp(
                     wp.float32(2 * k + 1) / wp.float32(count) - 1.0
                 )  # of half the angle from the middle
                 scale = 1.0 / (1.0 + t * t)
-                on = (1.0 - t * t) * scale
-                off = 2.0 * t * scale
-                c = ux * on - uy * off
-                s = uy * on + ux * off
+                cos_d = (1.0 - t * t) * scale
+                sin_d = 2.0 * t * scale
+                c = ux * cos_d - uy * sin_d
+                s = uy * cos_d + ux * sin_d
                 width = 4.0 * extent / wp.float32(count) * scale
             least = wp.float32(STEEP)
             most = wp.float32(-STEEP)
@@ -1102,7 +1102,7 @@ def begin(
         s[i] = 0.0
 
 
-# What preconditions: v = r / scale, and the same on grids COARSENING and COARSENING^2 times as coarse,
+# The preconditioner: v = r / scale, and the same on grids COARSENING and COARSENING^2 times as coarse,
 # brought up by linear interpolation (Bramble, Pasciak and Xu 1990); r is brought down by its transpose.
 
 
@@ -1149,7 +1149,7 @@ def down(
 
 
 @wp.func
-def beside(i: wp.int32, n: wp.int32):
+def neighbour(i: wp.int32, n: wp.int32):
     """The coarse node that has a share in fine node i and is not its own."""
     step = wp.int32(-1)
     if i % COARSENING > 1:
@@ -1178,10 +1178,10 @@ def up_at(
     """v = free (r / scale + what is brought up from a coarse grid) at node (x, y)."""
     n_cols = (cols - 1) / COARSENING + 1
     here = y / COARSENING * n_cols
-    there = beside(y, (rows - 1) / COARSENING + 1) * n_cols
+    there = neighbour(y, (rows - 1) / COARSENING + 1) * n_cols
     along = share_of(y)
     own = (1.0 - along) * coarse[here + x / COARSENING] + along * coarse[there + x / COARSENING]
-    other = (1.0 - along) * coarse[here + beside(x, n_cols)] + along * coarse[there + beside(x, n_cols)]
+    other = (1.0 - along) * coarse[here + neighbour(x, n_cols)] + along * coarse[there + neighbour(x, n_cols)]
     across = share_of(x)
     i = y * cols + x
     v[i] = is_free[i] * (r[i] / scale[i] + ((1.0 - across) * own + across * other))

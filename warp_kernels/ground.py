@@ -1,5 +1,6 @@
-"""What sweeps need besides: slopes of a padded map, a map turned, sums as irradiance, and how far that is
-off. Twin of opencl/ground.cl.
+"""Kernels about a sweep: slopes of a padded map, a map turned, sums as irradiance, and their error.
+
+Twin of opencl/ground.cl.
 """
 
 import warp as wp
@@ -170,7 +171,7 @@ def judge(
     square = wp.float32(0.0)
     valid = wp.int32(0)
     lit = wp.int32(0)
-    off = wp.int32(0)
+    beyond = wp.int32(0)
     for y in range(b * block, wp.min((b + 1) * block, rows)):
         if heights[(y + margin) * (cols + 2 * margin) + margin + x] > HIGHEST_MASKED:
             here = image[y * cols + x]
@@ -181,10 +182,10 @@ def judge(
             if here > wp.float32(0.0):
                 lit += 1
             if wp.abs(apart) > limit:
-                off += 1
+                beyond += 1
     at = b * cols + x
     found[0, at] = light
     found[1, at] = square
     found[2, at] = wp.float32(valid)
     found[3, at] = wp.float32(lit)
-    found[4, at] = wp.float32(off)
+    found[4, at] = wp.float32(beyond)

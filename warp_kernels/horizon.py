@@ -242,7 +242,7 @@ return (int)__cvta_generic_to_shared(tile);
 #else
 return 0;
 #endif
-"""  # what a native function of sweep does: it tells the byte where a block's tile lies
+"""  # body of a native function of sweep: the byte at which a block's tile lies
 
 
 @functools.cache
@@ -250,7 +250,7 @@ def rays(SIDES: int, BLOCKS: int):
     """(on_row, on_column): slopes along a node's own ray."""
 
     @wp.func
-    def beside_of(
+    def neighbour_of(
         p: wp.int32,
         x: wp.int32,
         y: wp.int32,
@@ -304,7 +304,7 @@ def rays(SIDES: int, BLOCKS: int):
         n = wp.int32(across)
         if across < wp.float32(n):
             n -= 1
-        at = beside_of(p, x, y, n, -towards * t, rows, cols, margin)
+        at = neighbour_of(p, x, y, n, -towards * t, rows, cols, margin)
         return rise(heights, at, at + 1, across - wp.float32(n), distance, reach, own)
 
     @wp.func
@@ -330,7 +330,7 @@ def rays(SIDES: int, BLOCKS: int):
         before = n
         if wp.static(SIDES != PERIODIC):
             before = wp.min(n, u + 1)
-        at = beside_of(p, x, y, wp.where(shear > 0.0, m, -m), -towards * before, rows, cols, margin)
+        at = neighbour_of(p, x, y, wp.where(shear > 0.0, m, -m), -towards * before, rows, cols, margin)
         return rise(
             heights, at, at - towards * (cols + 2 * margin), distance - wp.float32(n), distance, reach, own
         )
@@ -573,18 +573,18 @@ def sweep(NEAR: int, SIDES: int, WHAT: int, BLOCKS: int):
                         * wp.static(wp.float32(1.0 / (e + 1))),
                     )
                     near = wp.where(wp.static(BLOCKS == 0) or e < near_rows, found, near)
-                beside = NONE
+                by_column = NONE
                 for e in range(NEAR_COLUMNS):
                     at_column = spot + column_at[e]
                     found = wp.max(
-                        beside,
+                        by_column,
                         stands(
                             node(heights, at_column), node(heights, at_column + back), column_weight[e], own
                         )
                         * wp.static(wp.float32(1.0 / (e + 1))),
                     )
-                    beside = wp.where(e < near_columns, found, beside)
-                slope = wp.max(near, beside * wp.max(steepness, wp.float32(1e-6)))
+                    by_column = wp.where(e < near_columns, found, by_column)
+                slope = wp.max(near, by_column * wp.max(steepness, wp.float32(1e-6)))
 
                 # 5. the two steps of the ladder between which the node lies, by bisection; above[s] is
                 # rises[s] too high
@@ -613,9 +613,9 @@ def sweep(NEAR: int, SIDES: int, WHAT: int, BLOCKS: int):
                 # 6. both distances on the node's own ray, no farther than the map or the window goes
                 last = wp.min(u + warm, window)
                 if wp.static(SIDES != PERIODIC) and reciprocal < 1e8:
-                    room_beside = wp.float32(wp.where(shear > 0.0, cols - 1 - x, x)) * reciprocal
-                    if room_beside < wp.float32(wp.min(u, window)):
-                        last = wp.int32(room_beside)
+                    room_across = wp.float32(wp.where(shear > 0.0, cols - 1 - x, x)) * reciprocal
+                    if room_across < wp.float32(wp.min(u, window)):
+                        last = wp.int32(room_across)
                 last = wp.max(last, 1)
                 t1 = wp.max(wp.min(lower & mask, last), 1)
                 t2 = wp.max(wp.min(upper & mask, last), 1)

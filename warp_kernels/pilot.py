@@ -48,7 +48,7 @@ def pilot(
                                                 iff t (along + s up) < limit
       slopes   (count)       float32            out
 
-    reach [spacing]: as far as is looked. Thread n owns a ray.
+    reach [spacing]: the search radius. Thread n owns a ray.
     """
     number = wp.tid()
     if number >= count:

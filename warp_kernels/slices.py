@@ -82,9 +82,9 @@ def coarser(
 
 @wp.struct
 class Pixel:
-    """What all slices of a pixel share. A point (c t, s t, v) from the pixel stands before the source iff
-    along t + up v < reach, ``along`` the slice's own. radius: of a ball, 0 for a quadrangle, below 0 for the
-    sky.
+    """Values that all slices of a pixel share. A point (c t, s t, v) from the pixel stands before the source
+    iff along t + up v < reach, ``along`` the slice's own. radius: of a ball, 0 for a quadrangle, below 0 for
+    the sky.
     """
 
     heights: wp.array[wp.float32]
@@ -134,8 +134,8 @@ def under_source(pixel: Pixel, along: wp.float32, aside: wp.float32, t: wp.float
     than what is below.
     """
     if pixel.radius > 0.0:
-        off = t - along
-        square = pixel.radius * pixel.radius - aside * aside - off * off
+        offset = t - along
+        square = pixel.radius * pixel.radius - aside * aside - offset * offset
         if square > 0.0:
             return (pixel.up - wp.sqrt(square)) / t
         return wp.float32(ENDLESS)
@@ -417,8 +417,8 @@ def to_wall(ends: wp.int32, at: wp.int32, along: wp.float32):
 def to_rim(
     pixel: Pixel, c: wp.float32, s: wp.float32, before: wp.float32, after: wp.float32, rise: wp.float32
 ):
-    """What a slice along (c, s) leaves of the chord between two tangents within the lobe's rim, and how far
-    they are apart.
+    """The part of the chord between two tangents that a slice along (c, s) leaves within the lobe's rim, and
+    how far they are apart.
     """
     least = 1.0 - pixel.rim
     up = pixel.mirror_z
@@ -475,8 +475,8 @@ def slice_light(
     under = -ENDLESS
     over = wp.float32(ENDLESS)
     if pixel.radius > 0.0:
-        off = wall - along
-        square = pixel.radius * pixel.radius - aside * aside - off * off
+        offset = wall - along
+        square = pixel.radius * pixel.radius - aside * aside - offset * offset
         half = wp.sqrt(wp.max(square, 0.0))  # of where the wall cuts the ball
         if pixel.reach > 0.0 and wall * (along + slope * pixel.up) < pixel.reach:
             under = wp.where(square > 0.0, (pixel.up - half) / wall, ENDLESS)
@@ -754,7 +754,7 @@ def quad(
       nodes    (most, most, 2)  float32  row n - 1: Gauss-Legendre nodes, -1..1, and weights of n slices
 
     Between the azimuths of neighbouring corners the chord's ends run along one edge each: every such sector
-    gets its share of the slices, at least one. All is reckoned from the quadrangle's middle, so that small
+    gets its share of the slices, at least one. All is computed from the quadrangle's middle, so that small
     far sources lose no digits.
     """
     y, x = wp.tid()

@@ -1,4 +1,4 @@
-"""What a lobe about the mirror direction makes of the light from the visible directions (docs/model.md). Twin
+"""Light of the visible directions that a lobe about the mirror direction reflects (docs/model.md). Twin
 of opencl/specular.cl.
 """
 
@@ -25,7 +25,7 @@ def gloss(
     n_lobe: wp.int32,
     per_step: wp.float32,
 ):
-    """What |(dz/dx, dz/dy, -1)| x max(0, N.L) x lobe is for one direction."""
+    """|(dz/dx, dz/dy, -1)| x max(0, N.L) x lobe for one direction."""
     twice = 2.0 / (gx * gx + gy * gy + 1.0)
     cosine = gx * L[0] + gy * L[1] - L[2]
     x = L[0] - twice * gx

@@ -1,1 +1,1 @@
-"""What people run: the command line, pictures, the selftest."""
+"""The commands: the command line, pictures, the selftest."""

@@ -1,4 +1,4 @@
-"""What commands write: arrays to files or stdout, progress and messages to stderr, JSON to stdout."""
+"""Output of commands: arrays to files or stdout, progress and messages to stderr, JSON to stdout."""
 
 from __future__ import annotations
 

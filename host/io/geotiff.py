@@ -19,7 +19,8 @@ from ..errors import bad, lacking
 from ..scene import Scene
 from .paths import StrPath, destination, readable, reading, replacing
 
-SQUARE = 0.01  # by how much of its length a cell's other side may differ: that much the slopes are off
+# share of its length by which a cell's other side may differ; slopes then have this relative error
+SQUARE = 0.01
 FOOT, SURVEY_FOOT = 0.3048, 1200 / 3937  # [metre], by definition
 FEET = {"ft": FOOT, "foot": FOOT, "feet": FOOT, "us-ft": SURVEY_FOOT, "us survey foot": SURVEY_FOOT}
 GEO_TAGS = (33550, 33922, 34264, 34735)  # pixel scale, tie points, transformation, keys
@@ -31,7 +32,7 @@ class Raster:
 
     values (rows, cols), in the file's own type; mask (rows, cols) bool, True where there are data; spacing:
     side of a cell in the unit of the values (metres, unless the band says feet); crs and transform as
-    rasterio has them; nodata, the file's value or None; point: the transform was told for cells' centres.
+    rasterio has them; nodata, the file's value or None; point: the transform is that of cells' centres.
     """
 
     values: np.ndarray
@@ -51,7 +52,7 @@ class Raster:
 
 
 def is_geotiff(path: StrPath) -> bool:
-    """Whether ``path`` is a TIFF with a georeference; told by its tags, without rasterio."""
+    """Whether ``path`` is a TIFF with a georeference, by its tags, without rasterio."""
     path = readable(path)
     if path.suffix.lower() not in (".tif", ".tiff"):
         return False

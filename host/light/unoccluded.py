@@ -14,8 +14,8 @@ from ..scene import Scene
 from ..sources.integrals import Integrals, even
 from ..sources.solids import Ball, Quad
 
-# normals along an axis of the table of a sky's light: a uniform sky's is 2e-4 off between them (step^2 / 8 x
-# curvature), none at level ground
+# normals along an axis of the table of a sky's light: a uniform sky's has an error of 2e-4 between them
+# (step^2 / 8 x curvature), none at level ground
 NORMALS_PER_AXIS = 65
 INTEGRATED_AZIMUTHS = 96  # that tables are made of; chosen
 

@@ -29,12 +29,13 @@ GOLDEN = 0.6180339887498949
 R2_STEPS = 0.7548776662466927, 0.5698402909980532
 # second difference over the brightness from which a cell is not smooth; chosen above the 0.006 of cos^900
 ROUGH = 0.05
-# of all light: a cell with a larger second difference is divided. Level ground under ten suns is then 2e-5 to
-# 7e-5 off (tests/test_brightness.py)
+# of all light: a cell with a larger second difference is divided. Level ground under ten suns then has an
+# error of 2e-5 to 7e-5 (tests/test_brightness.py)
 SHARE = 2e-6
-NEGLIGIBLE = 1e-9  # of all light: smaller second differences do not matter, a million cells are 1e-6 off
-# samples along each side of a rough cell that is not divided; chosen: with 3, twenty stripes are 2e-4 off,
-# with 1 six times that
+# of all light: smaller second differences do not matter; a million cells make an error of 1e-6
+NEGLIGIBLE = 1e-9
+# samples along each side of a rough cell that is not divided; chosen: with 3, twenty stripes have an
+# error of 2e-4, with 1 six times that
 JITTERED = 5
 PARTS = 4  # into which a cell is divided along each side
 MOST_DIVISIONS = 9  # 0.15 degrees / 4^9 = 2e-6 degrees

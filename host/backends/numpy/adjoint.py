@@ -250,7 +250,7 @@ def _limits(
     cols: int,
     sides: int,
 ) -> tuple[Ways, np.ndarray, np.ndarray, Any]:
-    """(way, slope along it, what limits it before the ground does, derivative of that by the own depth).
+    """(way, slope along it, its limit without the ground, derivative of that by the own depth).
 
     The derivative is 0 unless the wall is the limit.
     """
@@ -366,13 +366,13 @@ def _ball_slices(
     radius, rise = solid[3], solid[2] - own
     beyond = extent * extent + rise * rise - radius * radius
     around = extent <= radius
-    off = extent * (s * ux - c * uy)
-    along, half = extent * (c * ux + s * uy), np.sqrt(np.maximum(radius * radius - off * off, f32(0)))
-    off = radius / extent * sine
-    on = np.sqrt((1 - off) * (1 + off))
-    c, s = np.where(around, c, ux * on - uy * off), np.where(around, s, uy * on + ux * off)
-    width = np.where(around, TWO_PI / f32(count), radius / extent * cosine * (PI / f32(count)) / on)
-    along, half = np.where(around, along, extent * on), np.where(around, half, radius * cosine)
+    offset = extent * (s * ux - c * uy)
+    along, half = extent * (c * ux + s * uy), np.sqrt(np.maximum(radius * radius - offset * offset, f32(0)))
+    sin_d = radius / extent * sine
+    cos_d = np.sqrt((1 - sin_d) * (1 + sin_d))
+    c, s = np.where(around, c, ux * cos_d - uy * sin_d), np.where(around, s, uy * cos_d + ux * sin_d)
+    width = np.where(around, TWO_PI / f32(count), radius / extent * cosine * (PI / f32(count)) / cos_d)
+    along, half = np.where(around, along, extent * cos_d), np.where(around, half, radius * cosine)
     inside = beyond <= 0
     tangent, square = np.sqrt(beyond), along * along + rise * rise
     low_c, low_s = along * tangent + rise * half, rise * tangent - along * half
@@ -399,8 +399,9 @@ def _quadrangle_slices(
     ux, uy, extent, _ = frames.T
     t = extent * (f32(2 * k + 1) / f32(count) - 1)
     scale = 1 / (1 + t * t)
-    on, off, aside = (1 - t * t) * scale, 2 * t * scale, extent > 0
-    c, s = np.where(aside, ux * on - uy * off, node[2]), np.where(aside, uy * on + ux * off, node[3])
+    cos_d, sin_d, aside = (1 - t * t) * scale, 2 * t * scale, extent > 0
+    c = np.where(aside, ux * cos_d - uy * sin_d, node[2])
+    s = np.where(aside, uy * cos_d + ux * sin_d, node[3])
     width = np.where(aside, 4 * extent / f32(count) * scale, TWO_PI / f32(count))
     zero = np.zeros(own.shape, f32)
     least, most, least_by, most_by, reach = zero + STEEP, zero - STEEP, zero, zero, zero
@@ -439,7 +440,7 @@ def _lower_limit(
     cols: int,
     sides: int,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The slope that limits a lamp from below before the ground does, and its derivative by the own depth."""
+    """The slope that limits a lamp from below without the ground, and its derivative by the own depth."""
     slope, by_limit = np.maximum(-tilt, f32(0)), np.zeros(own.shape, f32)
     if sides == DARK:
         wall = _wall(ways, x, y, rows, cols)
@@ -750,9 +751,9 @@ def down(
 def _raised(v: np.ndarray, size: int) -> Values:
     """Rows of v, brought up by linear interpolation to so many."""
     at, k = np.divmod(np.arange(size), COARSENING)
-    beside = np.clip(np.where(k < 2, at - 1, at + 1), 0, len(v) - 1)
+    neighbour = np.clip(np.where(k < 2, at - 1, at + 1), 0, len(v) - 1)
     share = (np.where(k < 2, 3 - 2 * k, 2 * k - 3).astype(f32) / f32(2 * COARSENING))[:, None]
-    return (1 - share) * v[at] + share * v[beside]
+    return (1 - share) * v[at] + share * v[neighbour]
 
 
 def up(

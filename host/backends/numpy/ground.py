@@ -1,4 +1,4 @@
-"""What sweeps need besides, in NumPy: twin of opencl/ground.cl, in float32 operations of the same order."""
+"""Kernels about a sweep, in NumPy: twin of opencl/ground.cl, in float32 operations of the same order."""
 
 from __future__ import annotations
 

@@ -43,7 +43,7 @@ def coarser(heights: np.ndarray, tops: np.ndarray, rows: int, cols: int, width: 
 
 
 class Map(NamedTuple):
-    """What all pixels share."""
+    """Arguments that all pixels share."""
 
     heights: np.ndarray
     tops: np.ndarray
@@ -59,7 +59,7 @@ class Map(NamedTuple):
 
 
 class Pixels(NamedTuple):
-    """What the slices of each pixel share, one column each; fields as in the other kernels."""
+    """Values that the slices of each pixel share, one column each; fields as in the other kernels."""
 
     x: np.ndarray
     y: np.ndarray
@@ -111,8 +111,8 @@ def _pixels(heights: np.ndarray, rows: int, cols: int) -> Surface:
 
 def _under_source(pixels: Pixels, along: np.ndarray, aside: np.ndarray, t: np.ndarray) -> np.ndarray:
     if pixels.radius > 0:
-        off = t - along
-        square = pixels.radius * pixels.radius - aside * aside - off * off
+        offset = t - along
+        square = pixels.radius * pixels.radius - aside * aside - offset * offset
         return np.where(square > 0, (pixels.up - np.sqrt(np.maximum(square, F(0)))) / t, ENDLESS)
     return np.where(pixels.up > 0, (pixels.reach / t - along) / pixels.up, ENDLESS)
 
@@ -384,8 +384,8 @@ def _light(
     wall = np.minimum(_to_wall(ground.cols, pixels.x, c), _to_wall(ground.rows, pixels.y, s))
     top = -pixels.height / wall
     if pixels.radius > 0:
-        off = wall - along
-        square = pixels.radius * pixels.radius - aside * aside - off * off
+        offset = wall - along
+        square = pixels.radius * pixels.radius - aside * aside - offset * offset
         half = np.sqrt(np.maximum(square, F(0)))  # of where the wall cuts the ball
 
         def before(tangent: np.ndarray) -> Values:
@@ -480,7 +480,7 @@ class Disc(NamedTuple):
 
 
 def _disc_slices(disc: Disc, nodes: np.ndarray, part: np.ndarray, count: int) -> tuple[Any, ...]:
-    """What _sum asks for: ``count`` slices of the discs of the nodes ``part``."""
+    """The slices that _sum adds: ``count`` of the discs of the nodes ``part``."""
     here = _columns(disc, part)
     step = F(np.pi) / F(count)
     row = nodes[count // SLICES - 1, :, :count]
@@ -697,7 +697,7 @@ def _quadrangle_slices(
     part: np.ndarray,
     count: int,
 ) -> tuple[Any, ...]:
-    """What _sum asks for: ``count`` slices of the quadrangle as the nodes ``part`` see it."""
+    """The slices that _sum adds: ``count`` of the quadrangle as the nodes ``part`` see it."""
     cos_d, sin_d, share = _sector_slices(sectors, ends, nodes, part, count)
     (left_r, left_z, has_left), (right_r, right_z, has_right) = _crossings(outline, part, cos_d, sin_d)
     here = _columns(frame, part)

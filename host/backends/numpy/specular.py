@@ -8,7 +8,7 @@ import numpy as np
 def _gloss(
     gx: np.ndarray, gy: np.ndarray, L: np.ndarray, lobe: np.ndarray, rim: float, where: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """What |(dz/dx, dz/dy, -1)| x max(0, N.L) x lobe is for one direction: (pixels among ``where`` in which
+    """|(dz/dx, dz/dy, -1)| x max(0, N.L) x lobe for one direction: (pixels among ``where`` in which
     it shows, values).
     """
     gx, gy = gx[where], gy[where]
