@@ -617,15 +617,17 @@ def test_levels_and_their_residuals(fast, caplog):
         ({"image": [np.ones((8, 8)), np.ones((8, 9))], "source": [sl.Sky()] * 2}, "one shape"),
         ({"near": 5, "far": 4}, "near < far"),
         ({"near": np.ones((3, 3))}, "near: wrong shape"),
-        ({"far": np.nan}, "far"),
+        ({"far": np.nan}, "far: got nan; allowed: finite depth >= 0"),
+        ({"near": np.where(np.eye(8) > 0, -2.0, 1.0)}, "near: got -2; allowed"),
         ({"max_seconds": 0}, "max_seconds"),
         ({"source": sl.Lamp(volume=np.ones((1, 8, 8), bool))}, "method='paper'"),
         ({"source": sl.Lamp(center=(4, 4, -4), radius=2), "sides": "periodic"}, "periodic"),
         ({"method": "paper", "near": 1}, "method='robust'"),
     ],
 )
+@pytest.mark.filterwarnings("error")
 def test_bad_arguments(arguments, says):
-    """Each is an InputError that says what is allowed."""
+    """Each is an InputError that says what is allowed, without a warning of NumPy's before it."""
     with pytest.raises(sl.InputError, match=says):
         sl.recover(
             **{"image": np.ones((8, 8)), "source": sl.Sky(), "sides": "dark", "backend": "numpy", **arguments}

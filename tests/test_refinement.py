@@ -322,6 +322,11 @@ def test_a_bowl_in_a_plain_needs_no_sweep(fast, launched):
     assert sl.plan(scene, sl.Sky(), 0.01, fast).method == "horizon"
 
 
+def test_a_number_of_any_type_is_a_uniform_sky():
+    """A brightness of NumPy's float32 is a number, and no table of a brightness that varies."""
+    assert_bits_equal(unoccluded.sky(SCENES["ramp"], np.float32(2)), unoccluded.sky(SCENES["ramp"], 2.0))
+
+
 def test_unoccluded_closed_forms(fast):
     """Asked for by name: a tilted plane's view factor, Lambert's polygon, balls cut by the tangent plane."""
     tilted = sl.render(SCENES["ramp"], sl.Sky(2.0), "unoccluded", quantity="irradiance", backend=fast).image

@@ -133,7 +133,7 @@ def _relief_recovered(backend: str, pictures: Pictures, step: Callable[[], None]
         (
             "relief_recovered.png",
             found.depth,
-            f"depth recovered from that picture, near is bright; off by {error:.2g} RMS in a relief"
+            f"depth recovered from that picture, near is bright; RMS error {error:.2g} in a relief"
             f" of {np.ptp(depth):.0f}",
         ),
         ("relief_true.png", depth, "its true depth, same scale"),
@@ -193,7 +193,7 @@ def print_tables(facts: dict[str, Any]) -> None:
         "compile [s]",
         "run [s]",
         "bits as numpy",
-        "radiance off by",
+        "radiance error",
         title="128 x 128 nodes, 209 directions, beside NumPy",
     )
     for row in facts["backends"]:

@@ -142,7 +142,7 @@ def horizon(
     plot.
 
     The zenith is in the middle, the level horizon at the rim, north (-y) up and east (+x) to the right, as on
-    the map (a view from above, not one of somebody who looks up). The dashed line is where the surface's own
+    the map (a view from above, not from below). The dashed line is where the surface's own
     tangent plane ends. ``source``: a Sky, uniform unless given.
 
     Raises InputError for a node that is outside or masked, a source that is no sky, or if matplotlib is not

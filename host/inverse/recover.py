@@ -338,8 +338,9 @@ def _bound(value: Any, usual: float, what: str, shape: tuple[int, int]) -> np.nd
     bound = real_array(usual if value is None else value, what, None)
     if bound.ndim and bound.shape != shape:
         raise bad(f"{what}: wrong shape", bound.shape, f"a number or an array of shape {shape}")
-    if not np.isfinite(bound).all() or bound.min() < 0:
-        raise bad(what, f"{np.nanmin(bound)} to {np.nanmax(bound)}", "finite depth >= 0")
+    allowed = np.isfinite(bound) & (bound >= 0)
+    if not allowed.all():
+        raise bad(what, f"{bound[~allowed][0]:g}", "finite depth >= 0")
     return np.broadcast_to(bound, shape)
 
 

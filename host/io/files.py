@@ -131,7 +131,7 @@ def write(
 
     .npy and .tif keep the values and their type (bool becomes 0 and 255 in .tif). .exr keeps float16, float32
     and uint32, as channel Y, or R, G and B for (rows, cols, 3). .hdr holds (rows, cols) or (rows, cols, 3) of
-    floats >= 0 with 8 bits of mantissa, so it is off by up to 1 in 256 of a pixel's largest channel. .npz
+    floats >= 0 with 8 bits of mantissa: an error of up to 1 in 256 of a pixel's largest channel. .npz
     holds the array as ``name`` and the arrays in ``more``, which other formats do not take. An "image" (rows,
     cols, 3) is RGB in .tif and in .png, there with 8 bits. .png holds (rows, cols): uint8, uint16 and bool as
     they are (True is 255), anything else as counts of ``bits`` (8 or 16): rint((value - low) / (high - low) *

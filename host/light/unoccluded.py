@@ -78,7 +78,7 @@ def sky(scene: Scene, light: Integrals | float) -> np.ndarray:
     """
     gx, gy = gradients(scene)
     up = 1 / np.sqrt(1 + gx * gx + gy * gy)
-    if isinstance(light, float):
+    if not isinstance(light, Integrals):
         uniform: np.ndarray = (1 + up) * np.float32(np.pi / 2 * light)
         return uniform
     sectors = even(INTEGRATED_AZIMUTHS, 0.5)

@@ -551,7 +551,7 @@ def _neighbours(light: np.ndarray, rows: int, cols: int) -> Iterator[tuple[np.nd
 
 
 def _links(held: np.ndarray, *arrays: np.ndarray) -> Iterator[tuple[np.ndarray, ...]]:
-    """The nodes that have a k-th link, and what the arrays tell of it, for every k."""
+    """The nodes that have a k-th link, and the arrays' values of it, for every k."""
     for k in range(held.max()):
         some = np.flatnonzero(held > k)
         yield some, *(array[some // LINK_BLOCK, k, some % LINK_BLOCK] for array in arrays)
