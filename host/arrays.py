@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import functools
 import importlib
+import math
+import mmap
+import os
 import sys
-from collections.abc import Hashable
-from typing import Any, NamedTuple
+from collections.abc import Callable, Hashable
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -20,6 +25,44 @@ class Labels(NamedTuple):
 
 
 ON_CUDA = 2, 13  # DLPack's kDLCUDA and kDLCUDAManaged
+# elements that a thread takes at a time: 1 MiB of float32, which the caches of a core hold; chosen
+BAND = 2**18
+
+Result = TypeVar("Result")
+
+
+@functools.cache
+def threads() -> ThreadPoolExecutor:
+    """Threads for passes over large arrays, as many as there are cores; NumPy releases its lock in them."""
+    return ThreadPoolExecutor(os.cpu_count(), "skylamp")
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=threads.cache_clear)  # a child has none of its parent's threads
+
+
+def scratch(shape: tuple[int, ...]) -> np.ndarray:
+    """Zeros, float32, whose memory the system gets back when they are dropped.
+
+    malloc would keep some 30 MB of what is freed.
+    """
+    count = math.prod(shape)
+    if count < BAND:
+        return np.zeros(shape, np.float32)
+    if hasattr(mmap, "MADV_HUGEPAGE"):  # to touch every small page first would take longer than to fill them
+        room = mmap.mmap(-1, 4 * count, flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)
+        room.madvise(mmap.MADV_HUGEPAGE)
+    else:
+        room = mmap.mmap(-1, 4 * count)
+    return np.frombuffer(room, np.float32, count).reshape(shape)
+
+
+def by_bands(work: Callable[[slice], Result], shape: tuple[int, ...]) -> list[Result]:
+    """``work`` (rows of a band) for all bands of an array, on all cores; the results in order."""
+    rows = shape[0]
+    width = max(1, BAND * rows // max(1, np.prod(shape, dtype=int)))
+    bands = [slice(first, min(first + width, rows)) for first in range(0, rows, width)]
+    return [work(bands[0])] if len(bands) == 1 else list(threads().map(work, bands))
 
 
 def on_device(values: Any) -> Any:

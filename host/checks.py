@@ -13,6 +13,11 @@ from .errors import InputError, bad
 
 def real_array(values: Any, what: str, ndim: int | None = 2) -> np.ndarray:
     """``values`` as a real float64 array of ``ndim`` axes, not empty; always a copy."""
+    return as_real(values, what, ndim).astype(np.float64)
+
+
+def as_real(values: Any, what: str, ndim: int | None = 2) -> np.ndarray:
+    """``values`` as a real array of its own type and ``ndim`` axes, not empty; a copy only if need be."""
     if isinstance(values, np.ma.MaskedArray):
         raise bad(
             f"{what}: a numpy masked array",
@@ -32,7 +37,7 @@ def real_array(values: Any, what: str, ndim: int | None = 2) -> np.ndarray:
         )
     if array.size == 0:
         raise bad(f"{what}: empty array", f"shape {array.shape}", "at least one element")
-    return array.astype(np.float64)
+    return array
 
 
 def one_of(value: object, allowed: tuple[str, ...], what: str) -> None:

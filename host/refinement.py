@@ -874,12 +874,12 @@ class _SlicePlanner(_Planner):
     def _integrate_sky(self) -> None:
         """Integrals of the sky behind a window, and the window's outline for its small bright parts."""
         self.sky = Integrals(sources.Sky(self.source.brightness), self.tolerance, True, WINDOWED_PART)
-        depth, step = self.scene.lattice()
-        window = solid_of(self.scene, self.source, step / self.scene.spacing, step)
+        there = self.scene.on(self.engine)
+        window = solid_of(self.scene, self.source, there.step / self.scene.spacing, there.step)
         assert isinstance(window, Quad), "a window of which something is left is a quadrangle"
-        wide, self.scale = widened(window, depth, step)
+        wide, self.scale = widened(window, there)
         assert isinstance(wide, Quad), "widening keeps the kind of solid"
-        self.outline = outline(wide, step)
+        self.outline = outline(wide, there.step)
 
     def _open_light(self, at: Samples) -> np.ndarray:
         """Light at nodes if nothing stood before the source: by its middle, and by suns behind a window."""
@@ -1002,7 +1002,7 @@ class _SlicePlanner(_Planner):
         if self.closed:
             image = unoccluded.image(scene, self.solid, source.brightness, self.points)
             return _ClosedForm(image.astype(np.float32, copy=False))
-        step = scene.lattice()[1]
+        step = scene.on(self.engine).step
         solid = solid_of(scene, source, step / scene.spacing, step)
         assert solid is not None, "_HiddenWindowPlanner takes a window of which nothing is left"
         sky = None if self.rays else self.sky
@@ -1109,7 +1109,7 @@ def beyond_model(planner: _Planner) -> Iterator[str]:
         yield from between_surfaces(scene, planner.uniform, planner.exact, planner.tolerance)
     if isinstance(source, sources.Lamp) and source.center is not None and source.radius is not None:
         x, y, z, radius = (value / scene.spacing for value in (*source.center, source.radius))
-        gap = _gap(scene, samples.highest, x, y, z, radius)
+        gap = _gap(scene, planner.engine, samples.highest, x, y, z, radius)
         if gap < 1:
             touches = (
                 f"reaches {-gap:.2g} spacings into it" if gap < 0 else f"ends {gap:.2g} spacings from it"
@@ -1149,7 +1149,7 @@ def between_surfaces(scene: Scene, uniform: np.ndarray, exact: np.ndarray, toler
         )
 
 
-def _gap(scene: Scene, highest: float, x: float, y: float, z: float, radius: float) -> float:
+def _gap(scene: Scene, engine: Backend, highest: float, x: float, y: float, z: float, radius: float) -> float:
     """Least distance [spacings] from a ball to the nodes, where it is less than 1."""
     if -z - radius >= highest + 1:
         return math.inf
@@ -1159,8 +1159,8 @@ def _gap(scene: Scene, highest: float, x: float, y: float, z: float, radius: flo
     v, u = np.mgrid[
         max(0, j - reach) : min(j + reach + 1, rows), max(0, i - reach) : min(i + reach + 1, cols)
     ]
-    values, step = scene.lattice()
-    square = (u - x) ** 2 + (v - y) ** 2 + (values[v, u].astype(float) / step - z) ** 2
+    there = scene.on(engine)
+    square = (u - x) ** 2 + (v - y) ** 2 + (there.pick(v * cols + u).astype(float) / there.step - z) ** 2
     return math.sqrt(square.min()) - radius
 
 

@@ -291,7 +291,7 @@ def share(values: Any, what: str) -> float | np.ndarray:
     return array
 
 
-def fit(reflectance: Reflectance, shape: tuple[int, int], valid: np.ndarray) -> None:
+def fit(reflectance: Reflectance, shape: tuple[int, int], mask: np.ndarray | None) -> None:
     """InputError unless the maps of ``reflectance`` fit a scene of this shape and are bounded where valid."""
     total: np.ndarray = np.zeros(())
     for name in ("albedo", "specular"):
@@ -303,8 +303,8 @@ def fit(reflectance: Reflectance, shape: tuple[int, int], valid: np.ndarray) -> 
                 f"a number, an array of shape {shape}, or RGB as (3,) or {(*shape, 3)}",
             )
         wrong = ~((values >= 0) & (values <= 1))
-        if values.ndim >= 2:
-            wrong &= valid if values.ndim == 2 else valid[..., None]
+        if values.ndim >= 2 and mask is not None:
+            wrong &= mask if values.ndim == 2 else mask[..., None]
         if wrong.any():
             raise bad(
                 f"{name}: out of range" + (f" {at(wrong)}" if values.ndim >= 2 else ""),
@@ -312,7 +312,7 @@ def fit(reflectance: Reflectance, shape: tuple[int, int], valid: np.ndarray) -> 
                 "finite, 0 to 1",
             )
         total = total + (values if values.ndim in (0, 1, 3) else values[..., None])
-    bounded(np.where(valid[..., None], total, 0.0) if total.ndim == 3 else total)
+    bounded(np.where(mask[..., None], total, 0.0) if total.ndim == 3 and mask is not None else total)
 
 
 def bounded(total: float | np.ndarray) -> None:

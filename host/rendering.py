@@ -13,6 +13,7 @@ import numpy as np
 from . import shading, sources
 from .arrays import labelled
 from .backends.base import Backend
+from .backends.resident import Resident
 from .checks import one_of, positive_number
 from .constants import SLICES
 from .directions import Azimuths, Hemicube
@@ -380,8 +381,10 @@ class _Renderer:
         else:
             assert plan.hemicube is not None, "a plan of the lattice says which hemicube"
             cube = Hemicube(plan.hemicube)
-        problem = lattice_problem(scene, source, cube, bool(plan.filled))  # checks that the source fits
-        self.warnings.extend(warnings_of(scene, source, cube, bool(plan.filled)))
+        problem = lattice_problem(
+            self.engine, scene, source, cube, bool(plan.filled)
+        )  # checks that the source fits
+        self.warnings.extend(warnings_of(problem, scene, source, cube))
         brightness = np.stack([sources.radiance(grey, cube.directions) for grey in self.greys])
         lobe, shares, whole = (
             shading.lobe_of(scene, 1e-6) if options.quantity == "radiance" else None,
@@ -503,12 +506,12 @@ def _slices(
 
     None for a window outside a dark box.
     """
-    depth, step = scene.lattice()
-    solid = solid_of(scene, source, step / scene.spacing, step)
+    there = scene.on(engine)
+    solid = solid_of(scene, source, there.step / scene.spacing, there.step)
     if solid is None:
         return None, 1.0
-    solid, scale = widened(solid, depth, step)
-    return Slices(engine, depth, step, scene.sides, solid, brightness, most, lobe), scale
+    solid, scale = widened(solid, there)
+    return Slices(there, scene.sides, solid, brightness, most, lobe), scale
 
 
 def _sun_of(scene: Scene, source: sources.Source, max_distance: float | None) -> sources.Lamp | None:
@@ -529,7 +532,7 @@ def _sun_of(scene: Scene, source: sources.Source, max_distance: float | None) ->
             "Lambertian or Phong",
             "Give the sun as a Lamp of its own.",
         )
-    extent = max(max(scene.shape) * scene.spacing, float(scene.depth[scene.valid].max()))
+    extent = max(max(scene.shape) * scene.spacing, scene.deepest)
     disc: sources.Lamp = brightness.disc(SUN_DISTANCE * extent)
     return disc
 
@@ -546,14 +549,14 @@ def _lobe_of_sky(
     max_distance: float | None,
 ) -> np.ndarray:
     """A sky reflected by a lobe: (rows, cols) float32."""
-    depth, step = scene.lattice()
-    reach = np.inf if max_distance is None else max_distance * (step / scene.spacing)
+    there = scene.on(engine)
+    reach = np.inf if max_distance is None else max_distance * (there.step / scene.spacing)
     table, suns, flux = blurred(sources.without_disc(grey), lobe.spread)
     if has_sun:
         brightness: Any = grey.brightness
         suns = np.concatenate([suns.reshape(-1, 3), [cie.towards(*brightness.sun)]])
         flux = np.append(flux, brightness.direct)
-    slices = Slices(engine, depth, step, scene.sides, Dome(reach), table, lobe=lobe)
+    slices = Slices(there, scene.sides, Dome(reach), table, lobe=lobe)
     slices.run()
     image = slices.download()
     if len(suns):
@@ -698,11 +701,14 @@ def timed(engine: Backend, work: Callable[[], Result]) -> tuple[Result, float, f
 # -- the lattice
 
 
-def lattice_problem(scene: Scene, source: sources.Source, cube: Hemicube, filled: bool) -> Problem:
+def lattice_problem(
+    engine: Backend, scene: Scene, source: sources.Source, cube: Hemicube, filled: bool
+) -> Problem:
     """The arrays that a backend needs, from a scene and a source."""
     is_scene(scene)
-    values, step = scene.lattice()
-    return Problem(values, step, scene.sides, cube.steps, sources.geometry(source, scene, step), filled)
+    there = scene.on(engine)
+    geometry = sources.geometry(source, scene, there.step)
+    return Problem(there, there.step, scene.sides, cube.steps, geometry, filled)
 
 
 def _lattice_plan(options: _Options) -> Plan:
@@ -716,18 +722,18 @@ def _lattice_plan(options: _Options) -> Plan:
     return Plan("lattice", DEFAULT_HEMICUBE if size is None else size, filled, "as asked")
 
 
-def warnings_of(scene: Scene, source: sources.Source, cube: Hemicube, filled: bool) -> list[str]:
+def warnings_of(problem: Problem, scene: Scene, source: sources.Source, cube: Hemicube) -> list[str]:
     """What the lattice is known to get wrong for this scene and source, one sentence each."""
-    return [*_leak(scene, cube, filled), *_small_lamp(scene, source, cube)]
+    return [*_leak(problem, cube), *_small_lamp(scene, source, cube)]
 
 
-def _leak(scene: Scene, cube: Hemicube, filled: bool) -> list[str]:
+def _leak(problem: Problem, cube: Hemicube) -> list[str]:
     """A warning where unfilled steps jump over ridges."""
-    if filled or cube.size < 7:
+    if problem.filled or cube.size < 7:
         return []
-    z = np.where(scene.valid, scene.depth, np.nan).astype(float)
-    slopes = [np.diff(z, axis=a) / scene.spacing for a in (0, 1) if z.shape[a] > 1]
-    square = sum(np.nanmean(s**2) if np.isfinite(s).any() else 0.0 for s in slopes)
+    assert isinstance(problem.depth, Resident), "a scene's map lies on the device"
+    found = problem.depth.survey()
+    square = sum(total / max(1, count) for total, count in zip(found.squares, found.pairs)) / problem.step**2
     if square > LEAK_SLOPE**2:
         return [
             f"Leak: the rms slope is {np.sqrt(square):.2f}, and steps of {cube.reach} nodes jump over"
@@ -742,11 +748,10 @@ def _small_lamp(scene: Scene, source: sources.Source, cube: Hemicube) -> list[st
         return []
     rows, cols = scene.shape
     x, y, z = source.center
-    depth = scene.depth[scene.valid].astype(float)
     far = np.sqrt(
         (max(abs(x), abs((cols - 1) * scene.spacing - x))) ** 2
         + max(abs(y), abs((rows - 1) * scene.spacing - y)) ** 2
-        + (depth.max() - z) ** 2
+        + (scene.deepest - z) ** 2
     )
     spacing = np.sqrt(2 * np.pi / len(cube))
     apparent = 2 * np.arcsin(min(1.0, source.radius / far))

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from . import sources
-from .backends.base import Array, Backend, scratch
+from .backends.base import Array, Backend
 from .constants import NONE, STEEP
 from .scene import Scene
 from .sources.integrals import R2_STEPS, Integrals, even
@@ -91,7 +91,7 @@ class Samples:
         self.engine, self.sides, self.first = engine, scene.sides, first
         self.periodic = scene.sides == "periodic"
         self.rows, self.cols = rows, cols = scene.shape
-        self.heights = heights_on(engine, scene)
+        self.heights = scene.on(engine).heights()
         self.shift = 5 if min(scene.shape) >= 512 else 4 if min(scene.shape) >= 64 else 3
         down, across = (((n - 1) >> self.shift) + 1 for n in (rows, cols))
         self.tops = engine.empty((3, down, across), np.float32)
@@ -420,23 +420,6 @@ def _add_rare_blocks(samples: Samples, scene: Scene, relief: np.ndarray) -> None
     samples.weights = np.where(
         samples.rare, share / max(1, samples.rare.sum()), (1 - share) / max(1, (~samples.rare).sum())
     )
-
-
-def heights_on(engine: Backend, scene: Scene) -> Array:
-    """Heights (rows, cols) float32 [spacing] above the viewer's plane on a device, NONE where masked.
-
-    A map that is resident there is not copied to the host.
-    """
-    if scene.resident is not None and scene.resident.backend is engine:
-        count = math.prod(scene.shape)
-        heights = engine.empty((count,), np.float32)
-        engine.launch(
-            "resident", "take", (count,), scene.resident.depth, heights, 0.0, -1.0 / scene.spacing, count
-        )
-        return heights
-    values, step = scene.lattice()
-    heights = np.divide(values, np.float32(-step), out=scratch(values.shape))
-    return engine.upload(heights if scene.mask is None else np.maximum(heights, NONE, out=heights))
 
 
 def ring(

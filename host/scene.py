@@ -2,20 +2,25 @@
 
 from __future__ import annotations
 
+import math
+import weakref
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from .arrays import Labels, host_array, labels_of, on_device
-from .backends.resident import Resident, find
-from .checks import at, one_of, positive_number, real_array
+from .arrays import Labels, by_bands, host_array, labels_of, on_device, scratch
+from .backends import resident, select
+from .backends.base import Array, Backend
+from .backends.resident import Resident
+from .checks import as_real, at, one_of, positive_number
 from .constants import SIDES
 from .errors import bad
 from .reflectance import Lambertian, Reflectance, fit
 
 ALBEDO = 0.8
 STEEPEST = 1e15  # spacings of depth, so that squares of slopes stay in float32
+KEPT = 0.25  # share of a device's memory that maps of scenes may take between calls; chosen
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,99 +65,87 @@ class Scene:
     mask: np.ndarray | None = None
     sides: str = "open"
     reflectance: Reflectance | None = None
-    _values: np.ndarray = field(init=False, repr=False)
-    _step: float = field(init=False, repr=False)
     labels: Labels | None = field(init=False, repr=False, default=None)
     # the depth on a device of Warp's, if it was given there
     resident: Resident | None = field(init=False, repr=False, default=None)
+    # what the lattice methods compare, see lattice(); made when it is first asked for
+    _values: np.ndarray = field(init=False, repr=False)
+    _step: float = field(init=False, repr=False)
+    _range: tuple[float, float] = field(init=False, repr=False)  # least and greatest valid depth [length]
 
     def __post_init__(self) -> None:
-        _set(self, labels=labels_of(self.depth))
-        if self.mask is None and (found := resident_map(self.depth)) is not None:
-            self._keep(found)
-            return
-        depth = real_array(self.depth, "depth")
-        _set(self, spacing=positive_number(self.spacing, "spacing"))
+        given, height = (self.depth.values, True) if isinstance(self.depth, _Heights) else (self.depth, False)
+        what = "height" if height else "depth"
+        _set(self, labels=labels_of(given), spacing=positive_number(self.spacing, "spacing"))
         one_of(self.sides, tuple(SIDES), "sides")
-        _set(self, mask=_mask(self.mask, depth.shape))
-        valid = np.ones(depth.shape, bool) if self.mask is None else self.mask
-        if not valid.any():
+        there = _on_device(given)
+        values: Any = as_real(given, what) if there is None else None
+        shape = there.shape if there is not None else values.shape
+        _set(self, mask=_mask(self.mask, shape))
+        if self.mask is not None and not self.mask.any():
             raise bad("mask: no valid node", "False everywhere", "at least one True")
-        broken = valid & ~np.isfinite(depth)
-        if broken.any():
+        if values is None:
+            self._keep(there, height)
+        else:
+            _set(self, **_checked(values, self.mask, what))
+            for array in (self.depth, self.mask):
+                if array is not None:
+                    array.flags.writeable = False
+        least, most = self._range
+        if not height and least < 0:
             raise bad(
-                f"depth: {broken.sum()} values are NaN or infinite, first {at(broken)}",
-                depth[broken][0],
-                "finite depth wherever the mask is True",
-                "Pass mask=numpy.isfinite(depth) to leave them out.",
-            )
-        low = valid & (depth < 0)
-        if low.any():
-            raise bad(
-                f"depth: negative {at(low)}",
-                depth[low][0],
+                "depth: negative" + ("" if values is None else f" {at(self.depth < 0)}"),
+                least,
                 "depth >= 0 (0 is the viewer's plane)",
                 "For terrain heights use Scene.from_height.",
             )
-        depth[~valid] = np.nan
-        with np.errstate(over="ignore"):
-            depth = depth.astype(np.float32)
-        if np.isinf(depth).any():
-            raise bad(
-                f"depth: too large for float32 {at(np.isinf(depth))}", "more than 3.4e38", "a smaller unit"
-            )
-        if depth[valid].max() / self.spacing > STEEPEST:
+        if most / self.spacing > STEEPEST:
             raise bad(
                 "depth: too deep for its spacing",
-                f"{depth[valid].max()} at spacing {self.spacing}",
+                f"{most} at spacing {self.spacing}",
                 f"at most {STEEPEST:g} spacings",
                 "Give both in one unit.",
             )
-        surface = _reflectance(self.albedo, self.reflectance, depth.shape, valid)
-        values, step = _lattice(np.where(valid, depth, np.float32(np.inf)), self.spacing)
-        _set(self, depth=depth, reflectance=surface, albedo=surface.albedo, _values=values, _step=step)
-        for array in (self.depth, self.mask, values):
-            if isinstance(array, np.ndarray):
-                array.flags.writeable = False
+        surface = _reflectance(self.albedo, self.reflectance, shape, self.mask)
+        _set(self, reflectance=surface, albedo=surface.albedo)
 
-    def _keep(self, found: Resident) -> None:
-        """Keep a depth map on its device; the host's copies are made on first use."""
-        _set(self, spacing=positive_number(self.spacing, "spacing"))
-        one_of(self.sides, tuple(SIDES), "sides")
-        if found.broken:
-            raise bad(
-                f"depth: {found.broken} values are NaN or infinite",
-                f"a map on {found.backend.name}",
-                "finite depth",
-                "Bring it to the host and pass mask=numpy.isfinite(depth) to leave them out.",
-            )
-        if found.least < 0:
-            raise bad(
-                "depth: negative",
-                found.least,
-                "depth >= 0 (0 is the viewer's plane)",
-                "For terrain heights use Scene.from_height.",
-            )
-        if found.most / self.spacing > STEEPEST:
-            raise bad(
-                "depth: too deep for its spacing",
-                f"{found.most} at spacing {self.spacing}",
-                f"at most {STEEPEST:g} spacings",
-                "Give both in one unit.",
-            )
-        surface = _reflectance(self.albedo, self.reflectance, found.shape, np.ones(found.shape, bool))
-        _set(self, reflectance=surface, albedo=surface.albedo, resident=found)
+    def _keep(self, values: Array, height: bool) -> None:
+        """Keep a map on its device; the host's copies are made when they are first asked for."""
+        backend = select(f"warp:{values.device.alias}")
+        with backend.lock:
+            depth, found = resident.adopt(backend, values.flatten(), values.shape, self.mask, height)
+            if found.broken:
+                raise bad(
+                    f"{'height' if height else 'depth'}: {found.broken} values are NaN or infinite",
+                    f"a map on {backend.name}",
+                    "finite values wherever the mask is True",
+                    "Pass a mask that is False there.",
+                )
+            kept = resident.in_layers(backend, depth, values.shape, self.spacing, found)
+        _set(self, resident=kept, _range=(found.least, found.most))
         object.__delattr__(self, "depth")
 
     def __getattr__(self, name: str) -> Any:
-        """The host's copies of a depth map on a device, downloaded when they are first asked for."""
-        resident: Resident | None = self.__dict__.get("resident")
-        if name not in ("depth", "_values", "_step") or resident is None:
+        """What is made when it is first asked for: the lattice's values, and the host's copies of a map that
+        lies on a device."""
+        if name not in ("depth", "_values", "_step") or "_range" not in self.__dict__:
             raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
-        depth = resident.download()
-        values, step = _lattice(depth, self.spacing)
-        _set(self, depth=depth, _values=values, _step=step)
-        depth.flags.writeable = values.flags.writeable = False
+        kept: Resident | None = self.__dict__.get("resident")
+        if kept is None:
+            values, step = _lattice(self.depth, self.mask, self.spacing, self._range[1])
+        else:
+            values, step = kept.download(), kept.step
+            depth = (
+                values
+                if step == self.spacing
+                else (values.astype(np.float64) * self.spacing).astype(np.float32)
+            )
+            if self.mask is not None:
+                depth = np.where(self.mask, depth, np.float32(np.nan))
+            depth.flags.writeable = False
+            _set(self, depth=depth)
+        values.flags.writeable = False
+        _set(self, _values=values, _step=step)
         return self.__dict__[name]
 
     @classmethod
@@ -167,32 +160,51 @@ class Scene:
     ) -> Scene:
         """A scene from terrain height [length]: depth = max(valid height) - height.
 
-        ``height``: (rows, cols); the other arguments and errors as for :class:`Scene`.
+        ``height``: (rows, cols); the other arguments and errors as for :class:`Scene`. The difference is
+        taken in the type of ``height`` before it is rounded to float32, so heights far above zero keep their
+        relief.
         """
-        labels = labels_of(height)
-        if mask is None and (found := resident_map(height, height=True)) is not None:
-            resident: Any = found
-            return cls(resident, spacing, albedo, None, sides, reflectance)
-        height = real_array(height, "height")
-        mask = _mask(mask, height.shape)
-        valid = np.ones(height.shape, bool) if mask is None else mask
-        broken = valid & ~np.isfinite(height)
-        if broken.any():
-            raise bad(
-                f"height: {broken.sum()} values are NaN or infinite, first {at(broken)}",
-                height[broken][0],
-                "finite height wherever the mask is True",
-                "Pass mask=numpy.isfinite(height) to leave them out.",
-            )
-        top = height[valid].max() if valid.any() else 0.0
-        scene = cls(np.where(valid, top - height, np.nan), spacing, albedo, mask, sides, reflectance)
-        _set(scene, labels=labels)
-        return scene
+        heights: Any = _Heights(height)
+        return cls(heights, spacing, albedo, mask, sides, reflectance)
+
+    def on(self, backend: Backend) -> Resident:
+        """The values of :meth:`lattice` on a backend: uploaded once, and kept while the scene lives.
+
+        A backend keeps the scenes that were used last, up to KEPT of its memory; :meth:`release` ends it.
+        """
+        if self.resident is not None and self.resident.backend is backend:
+            return self.resident
+        kept, key = backend.kept, id(self)
+        if key in kept:
+            kept.move_to_end(key)
+            known: Resident = kept[key]
+            return known
+        values, step = self.lattice()
+        least, most = self._range if step == self.spacing else np.rint(np.array(self._range) / self.spacing)
+        found: Resident = resident.upload(backend, values, step, float(least), float(most))
+        kept[key] = found
+        weakref.finalize(self, kept.pop, key, None)
+        while len(kept) > 1 and sum(there.nbytes for there in list(kept.values())) > KEPT * backend.memory:
+            kept.popitem(last=False)
+        return found
+
+    def release(self, backend: str = "auto") -> None:
+        """Free the copy of the map that a backend keeps; the next call uploads it again.
+
+        Raises BackendError.
+        """
+        select(backend).kept.pop(id(self), None)
 
     @property
     def shape(self) -> tuple[int, int]:
         """(rows, cols)."""
-        return self.depth.shape if self.resident is None else self.resident.shape
+        rows, cols = self.depth.shape if self.resident is None else self.resident.shape
+        return rows, cols
+
+    @property
+    def deepest(self) -> float:
+        """The greatest valid depth [length]."""
+        return self._range[1]
 
     @property
     def valid(self) -> np.ndarray:
@@ -212,17 +224,74 @@ class Scene:
         return np.rint(self._values.astype(np.float64) / self._step).astype(np.float32), 1.0
 
 
-def resident_map(values: Any, height: bool = False) -> Resident | None:
-    """``values`` as a Resident where they lie on a device of Warp's as float32, else None."""
+class _Heights(NamedTuple):
+    """Heights in place of depths, as :meth:`Scene.from_height` hands them over."""
+
+    values: Any
+
+
+def _on_device(values: Any) -> Array | None:
+    """``values`` as a Warp array (rows, cols) where they lie on a device of Warp's as float32, else None.
+
+    What is not contiguous there counts as None too: the host converts it first.
+    """
     if isinstance(values, (np.ndarray, list, int, float)):
         return None
-    if isinstance(values, Resident):
-        return values
     try:
         found = on_device(values)
-    except Exception:  # real_array meets the same, and says so
+    except Exception:  # as_real meets the same, and says so
         return None
-    return None if found is None else find(found, height)
+    if found is None or found.dtype.__name__ != "float32" or found.ndim != 2:
+        return None
+    return found if found.size and found.is_contiguous else None
+
+
+def _checked(values: np.ndarray, mask: np.ndarray | None, what: str) -> dict[str, Any]:
+    """``depth``, a float32 copy of a host's map that is nan where masked, and ``_range`` of it [length].
+
+    One pass finds the range, one copies; ``what`` is "depth" or "height". InputError for values that are no
+    length.
+    """
+    least, most = _range_of(values, mask)
+    if not (math.isfinite(least) and math.isfinite(most)):
+        broken = ~np.isfinite(values) if mask is None else mask & ~np.isfinite(values)
+        raise bad(
+            f"{what}: {broken.sum()} values are NaN or infinite, first {at(broken)}",
+            values[broken][0],
+            f"finite {what} wherever the mask is True",
+            "Pass mask=numpy.isfinite(depth) to leave them out.".replace("depth", what),
+        )
+    # of the map's own type where that is at least float32, so that what is rounded is the difference
+    top: Any = None
+    if what == "height":
+        top = np.float32(most) if values.dtype == np.float32 else np.float64(most)
+        least, most = 0.0, float(top - np.asarray(least, top.dtype))
+    if most > np.finfo(np.float32).max:
+        raise bad(f"{what}: too large for float32", most, "at most 3.4e38", "Use a smaller unit.")
+    depth = scratch(values.shape)
+
+    def copy(rows: slice) -> None:
+        if top is None:
+            np.copyto(depth[rows], values[rows], casting="unsafe")
+        else:
+            np.subtract(top, values[rows], out=depth[rows], casting="same_kind")
+        if mask is not None:
+            depth[rows][~mask[rows]] = np.nan
+
+    with np.errstate(over="ignore", invalid="ignore"):  # where masked
+        by_bands(copy, values.shape)
+    return {"depth": depth, "_range": (float(np.float32(least)), float(np.float32(most)))}
+
+
+def _range_of(values: np.ndarray, mask: np.ndarray | None) -> tuple[float, float]:
+    """Least and greatest valid value; nan or infinite if one is."""
+
+    def of(rows: slice) -> tuple[float, float] | None:
+        some = values[rows] if mask is None else values[rows][mask[rows]]
+        return (float(some.min()), float(some.max())) if some.size else None
+
+    found = np.array([ends for ends in by_bands(of, values.shape) if ends is not None])
+    return float(found[:, 0].min()), float(found[:, 1].max())
 
 
 def is_scene(scene: object) -> None:
@@ -253,7 +322,7 @@ def _mask(mask: Any, shape: tuple[int, ...]) -> np.ndarray | None:
 
 
 def _reflectance(
-    albedo: float | np.ndarray, given: Any, shape: tuple[int, int], valid: np.ndarray
+    albedo: float | np.ndarray, given: Any, shape: tuple[int, int], mask: np.ndarray | None
 ) -> Reflectance:
     """The reflectance of a scene, from one of its two arguments, checked."""
     if given is None:
@@ -268,16 +337,34 @@ def _reflectance(
             "The diffuse albedo is an argument of the reflectance.",
         )
     surface: Reflectance = given
-    fit(surface, shape, valid)
+    fit(surface, shape, mask)
     return surface
 
 
-def _lattice(depth: np.ndarray, spacing: float) -> tuple[np.ndarray, float]:
+def _lattice(
+    depth: np.ndarray, mask: np.ndarray | None, spacing: float, most: float
+) -> tuple[np.ndarray, float]:
     """What :meth:`Scene.lattice` gives."""
+
+    def layers(rows: slice) -> tuple[np.ndarray, np.ndarray]:
+        whole = np.rint(depth[rows].astype(np.float64) / spacing)
+        same: np.ndarray = (whole * spacing).astype(np.float32) == depth[rows]
+        return whole, same if mask is None else same | ~mask[rows]
+
     # Whole layers compare exactly as integers; dividing anything else by the spacing would flip bits.
+    in_layers = most / spacing < resident.LAYERS and bool(layers(slice(0, 1))[1].all())
+    if in_layers and spacing != 1:
+        in_layers = all(by_bands(lambda rows: bool(layers(rows)[1].all()), depth.shape))
+    step = 1.0 if in_layers else spacing
+    if mask is None and (spacing == 1 or not in_layers):
+        return depth, step
+    values = scratch(depth.shape)
+
+    def copy(rows: slice) -> None:
+        values[rows] = layers(rows)[0] if in_layers and spacing != 1 else depth[rows]
+        if mask is not None:
+            values[rows][~mask[rows]] = np.inf
+
     with np.errstate(invalid="ignore"):
-        layers = np.rint(depth.astype(np.float64) / spacing)
-        whole = (layers * spacing).astype(np.float32) == depth
-    if whole.all() and layers[np.isfinite(layers)].max() < 2**20:
-        return layers.astype(np.float32), 1.0
-    return depth, spacing
+        by_bands(copy, depth.shape)
+    return values, step

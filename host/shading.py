@@ -188,8 +188,7 @@ class _Rays:
 
     def __init__(self, scene: Scene, engine: Backend, max_distance: float | None):
         self.scene = scene
-        depth, step = scene.lattice()
-        self.slices = Slices(engine, depth, step, scene.sides, Dome())
+        self.slices = Slices(scene.on(engine), scene.sides, Dome())
         self.slices.coarsen()
         self.reach = np.inf if max_distance is None else max_distance / scene.spacing
 

@@ -47,9 +47,10 @@ def visibility(
                 "filled=False: propagation goes from node to node",
             )
         return visibility_field(scene, source, cube, backend=backend).surface()
-    engine, problem = select(backend), lattice_problem(scene, source, cube, filled)
+    is_scene(scene)
+    engine = select(backend)
     with engine.lock:
-        return propagation.visibility(engine, problem)
+        return propagation.visibility(engine, lattice_problem(engine, scene, source, cube, filled))
 
 
 def visibility_field(

@@ -1,69 +1,115 @@
-/* A depth map that lies on the device already: checked, padded and probed there. Twin of
+/* A depth map that lies on a device: copied, surveyed, padded and probed there. Twin of
    warp_kernels/resident.py. */
 #pragma OPENCL FP_CONTRACT OFF
 
-/* take: depth = top + sign x value: a copy (0, 1), or the depth of heights (highest, -1).
+/* adopt: depth = top + sign x value: a copy (0, 1), or the depth of heights (highest, -1).
 
-  values, depth  (count)  float  [length]
+  values, depth  (count)  float  [length]   nan for a value of +inf
+  mask           (count)  uchar  where it is 0 the depth is +inf; read if masked is not 0
 
 Work-item p owns one node. */
-__kernel void take(__global const float *values, __global float *depth, float top, float sign, int count)
+__kernel void adopt(__global const float *values, __global const uchar *mask, __global float *depth,
+                    float top, float sign, int masked, int count)
+{
+  const int p = get_global_id(0);
+  if (p >= count)
+    return;
+  const float value = values[p];
+  depth[p] = masked && !mask[p] ? INFINITY : value == INFINITY ? NAN : top + sign * value;
+}
+
+/* survey: what a map is like, over each column of some rows. +inf is masked.
+
+  values  (rows x cols)      float  [length]
+  found   (8, blocks, cols)  float  out: the smallest and the largest value; numbers of values that are -inf
+                                    or nan, and of those that are no whole number of steps; sums of the
+                                    squares of differences [length^2] to the neighbour at the right and below,
+                                    where neither is masked; and how many these are; blocks = ceil(rows /
+                                    block)
+  step                      double [length]
+
+Work-item (x, b) owns column x of rows b block .. min((b + 1) block, rows) - 1, summed in this order. */
+__kernel void survey(__global const float *values, __global float *found, int rows, int cols, int block,
+                     double step)
+{
+  const int x = get_global_id(0), b = get_global_id(1), blocks = (rows + block - 1) / block;
+  if (x >= cols || b >= blocks)
+    return;
+  float low = MAXFLOAT, high = -MAXFLOAT, across = 0, down = 0;
+  int broken = 0, fractional = 0, pairs_across = 0, pairs_down = 0;
+  for (int y = b * block; y < min((b + 1) * block, rows); ++y) {
+    const float z = values[y * cols + x];
+    if (z == INFINITY)
+      continue;
+    if (!isfinite(z)) {
+      broken += 1;
+      continue;
+    }
+    low = fmin(low, z);
+    high = fmax(high, z);
+    fractional += (float)(rint(z / step) * step) != z;
+    const float right = x + 1 < cols ? values[y * cols + x + 1] : INFINITY,
+                below = y + 1 < rows ? values[y * cols + cols + x] : INFINITY;
+    if (isfinite(right)) {
+      across += (right - z) * (right - z);
+      pairs_across += 1;
+    }
+    if (isfinite(below)) {
+      down += (below - z) * (below - z);
+      pairs_down += 1;
+    }
+  }
+  const int at = b * cols + x, all = blocks * cols;
+  found[at] = low;
+  found[all + at] = high;
+  found[2 * all + at] = (float)broken;
+  found[3 * all + at] = (float)fractional;
+  found[4 * all + at] = across;
+  found[5 * all + at] = down;
+  found[6 * all + at] = (float)pairs_across;
+  found[7 * all + at] = (float)pairs_down;
+}
+
+/* layers: depth in whole steps, in place.
+
+  depth  (count)  float   [length] in, [step] out
+  step            double  [length]
+
+Work-item p owns one node. */
+__kernel void layers(__global float *depth, double step, int count)
 {
   const int p = get_global_id(0);
   if (p < count)
-    depth[p] = top + sign * values[p];
+    depth[p] = (float)rint(depth[p] / step);
 }
 
-/* survey: per column the smallest and the largest value that is finite, and how many are not.
+/* heights: -depth / step with margins round the map: the map again where it repeats, else NONE.
 
-  values  (rows x cols)  float  [length]
-  found   (3, cols)      float  out
+  depth    (rows x cols)      float  [length]   +inf where masked
+  heights  (height x width)   float  [spacing]  out; masked where masked
 
-Work-item x owns one column, from row 0 on. */
-__kernel void survey(__global const float *values, __global float *found, int rows, int cols)
-{
-  const int x = get_global_id(0);
-  if (x >= cols)
-    return;
-  float low = MAXFLOAT, high = -MAXFLOAT;
-  int broken = 0;
-  for (int y = 0; y < rows; y++) {
-    const float z = values[y * cols + x];
-    if (isfinite(z)) {
-      low = fmin(low, z);
-      high = fmax(high, z);
-    } else
-      broken++;
-  }
-  found[x] = low;
-  found[cols + x] = high;
-  found[2 * cols + x] = (float)broken;
-}
-
-/* pad: heights as sweep wants them, -depth / step with a margin round them: the map again where it repeats,
-else outside.
-
-  depth    (rows x cols)                          float  [length]
-  heights  (rows + 2 margin) x (cols + 2 margin)  float  [spacing]  out
-
-Work-item (x, y) owns one element of the padded map. */
-__kernel void pad(__global const float *depth, __global float *heights, int rows, int cols, int margin,
-                  float step, float outside, int periodic)
+The map begins in column left of row above. Work-item (x, y) owns one element. */
+__kernel void heights(__global const float *depth, __global float *heights, int rows, int cols, int left,
+                      int above, int width, int height, float step, float masked, int periodic)
 {
   const int column = get_global_id(0), row = get_global_id(1);
-  int x = column - margin, y = row - margin;
-  if (x >= cols + margin || y >= rows + margin)
+  if (column >= width || row >= height)
     return;
+  int x = column - left, y = row - above;
   if (periodic) {
     x = (x % cols + cols) % cols;
     y = (y % rows + rows) % rows;
   }
-  heights[row * (cols + 2 * margin) + column] =
-      x >= 0 && x < cols && y >= 0 && y < rows ? -depth[y * cols + x] / step : outside;
+  float value = NONE;
+  if (x >= 0 && x < cols && y >= 0 && y < rows) {
+    const float z = depth[y * cols + x];
+    value = z == INFINITY ? masked : -z / step;
+  }
+  heights[row * width + column] = value;
 }
 
 /* probe: the steepest slope to ground in eight directions from every `every`-th node, at growing distances
-from first on; -inf where none lies.
+from first on; -inf where none lies, or the node is masked.
 
   heights  (room)      float  [spacing]  as for sweep
   best     (8, count)  float  [1]        out
@@ -80,10 +126,17 @@ __kernel void probe(__global const float *heights, __global float *best, int row
   const int x = sample % across * every, y = sample / across * every, stride = cols + 2 * margin;
   const float own = heights[(y + margin) * stride + margin + x];
   float steepest = -INFINITY;
+  if (own <= HIGHEST_MASKED) {
+    best[way * count + sample] = steepest;
+    return;
+  }
   for (int distance = first; distance < max(rows, cols); distance = distance * 5 / 4 + 1) {
     const int u = x + i * distance, v = y + j * distance;
-    if (u >= 0 && u < cols && v >= 0 && v < rows)
-      steepest = fmax(steepest, (heights[(v + margin) * stride + margin + u] - own) / (float)distance);
+    if (u >= 0 && u < cols && v >= 0 && v < rows) {
+      const float there = heights[(v + margin) * stride + margin + u];
+      if (there > HIGHEST_MASKED)
+        steepest = fmax(steepest, (there - own) / (float)distance);
+    }
   }
   best[way * count + sample] = steepest;
 }

@@ -10,6 +10,7 @@ import numpy as np
 
 import skylamp as sl
 from skylamp import oracle
+from skylamp.backends import resident, select
 from skylamp.io import files as io
 from skylamp.sources.shapes import Geometry
 
@@ -26,6 +27,14 @@ def rough(rows, cols, slope, seed=0, falloff=1.6):
     height = np.fft.irfft2(np.fft.rfft2(rng.normal(size=(rows, cols))) * frequency**-falloff, (rows, cols))
     rms = np.sqrt(sum(np.mean(np.diff(height, axis=a) ** 2) for a in (0, 1)))
     return (height.max() - height) * (slope / rms)
+
+
+def resident_map(backend, depth, step=1.0):
+    """A depth map (rows, cols), inf where masked, on a backend; the spacing in its unit is ``step``."""
+    depth = np.ascontiguousarray(depth, np.float32)
+    valid = depth[np.isfinite(depth)]
+    least, most = (float(valid.min()), float(valid.max())) if valid.size else (0.0, 0.0)
+    return resident.upload(select(backend), depth, step, least, most)
 
 
 def _slanted():

@@ -1,5 +1,6 @@
 """Arrays of other libraries in: the same bytes as NumPy's. xarray in, xarray out."""
 
+import gc
 import subprocess
 import sys
 
@@ -10,6 +11,8 @@ from compare import assert_bits_equal
 
 import skylamp as sl
 from skylamp.arrays import host_array
+from skylamp.backends import resident, select
+from skylamp.constants import NONE
 
 DEPTH = scenes.rough(18, 23, 0.8, seed=4).astype(np.float32)
 
@@ -339,39 +342,139 @@ def test_bad_maps_on_the_device(stays):
             sl.Scene(warp_array(values.astype(np.float32)))
 
 
-def test_maps_that_the_host_must_straighten(fast):
-    """Masks, other types and strides take the host's way, with the same result."""
+def test_maps_that_the_host_must_straighten():
+    """Other types and strides take the host's way, a mask does not; all with the same result."""
     import warp as wp
 
-    mask = DEPTH > 0.2
-    for values, options in (
-        (warp_array(DEPTH), {"mask": mask}),
-        (warp_array(DEPTH.astype(np.float64)), {}),
-        (wp.array(np.ascontiguousarray(DEPTH.T), device="cpu").transpose(), {}),
+    for values, mask, stays in (
+        (warp_array(DEPTH), DEPTH > 0.2, True),
+        (warp_array(DEPTH.astype(np.float64)), None, False),
+        (wp.array(np.ascontiguousarray(DEPTH.T), device="cpu").transpose(), None, False),
     ):
-        scene = sl.Scene(values, **options)
-        assert scene.resident is None
-        np.testing.assert_array_equal(scene.depth, np.where(options.get("mask", True), DEPTH, np.nan))
+        scene = sl.Scene(values, mask=mask)
+        assert (scene.resident is not None) == stays
+        np.testing.assert_array_equal(scene.depth, np.where(True if mask is None else mask, DEPTH, np.nan))
+
+
+HOLES = DEPTH.copy()
+HOLES[3:6, 7:9] = HOLES[0, 0] = np.inf
+
+
+@pytest.mark.parametrize("height", [False, True])
+@pytest.mark.parametrize("mask", [None, np.isfinite(HOLES)], ids=["whole", "masked"])
+def test_a_map_is_adopted_and_surveyed(backend, height, mask):
+    """On every backend: depth of depths and of heights, the range, and the squares of differences."""
+    engine = select(backend)
+    given = DEPTH.max() - DEPTH if height else DEPTH
+    depth, found = resident.adopt(engine, engine.upload(given.ravel()), DEPTH.shape, mask, height)
+    valid = np.ones(DEPTH.shape, bool) if mask is None else mask
+    expected = np.where(valid, np.float32(given[valid].max()) - given if height else DEPTH, np.inf)
+    assert_bits_equal(engine.download(depth).reshape(DEPTH.shape), expected)
+    assert found[:3] == (expected[valid].min(), expected[valid].max(), 0)
+    for total, count, axis in zip(found.squares, found.pairs, (1, 0)):
+        with np.errstate(invalid="ignore"):
+            steps = np.diff(expected.astype(float), axis=axis)
+        steps = steps[np.isfinite(steps)]
+        assert count == len(steps) and total == pytest.approx((steps**2).sum(), rel=1e-5)
+
+
+def test_values_that_are_no_length_are_counted(backend):
+    """nan, and both infinities where they are not masked; parts of a step."""
+    engine, values = select(backend), np.arange(12, dtype=np.float32).reshape(3, 4)
+    values[0, 1], values[1, 2], values[2, 0] = np.nan, np.inf, -np.inf
+    mask = np.ones(values.shape, bool)
+    mask[2, 3] = False
+    found = resident.adopt(engine, engine.upload(values.ravel()), values.shape, mask, False)[1]
+    assert (found.broken, found.least, found.most) == (3, 0, 10)
+    mask[0, 1] = mask[1, 2] = mask[2, 0] = False
+    depth, found = resident.adopt(engine, engine.upload(values.ravel()), values.shape, mask, False)
+    assert found.broken == 0
+    fractions = resident.survey(engine, depth, values.shape, 2.0).fractional
+    assert fractions == np.count_nonzero(values[mask] % 2)
+    there = resident.in_layers(engine, engine.upload(np.float32([0.1, 0.3, np.inf, 0.5])), (2, 2), 0.1, found)
+    assert there.step == 1 and there.download().tolist() == [[1, 3], [np.inf, 5]]
 
 
 @pytest.mark.parametrize("sides", scenes.SIDES)
-def test_kernels_of_resident_maps(backend, sides):
-    """On every backend: the checks, the padded map and the slopes are those of the host."""
-    from skylamp.backends import select
-    from skylamp.backends.resident import adopt
-    from skylamp.light import sweeps as horizon
+def test_heights_with_margins(backend, sides):
+    """-depth / step on every backend, the map again where it repeats; and the slopes to far ground."""
+    there = scenes.resident_map(backend, HOLES, 2.0)
+    heights = there.heights(2, 1, 3, 4, -7.0, sides == "periodic")
+    ground = np.where(np.isfinite(HOLES), -HOLES / np.float32(2), np.float32(-7))
+    mode = {"mode": "wrap"} if sides == "periodic" else {"constant_values": np.float32(NONE)}
+    padded = np.pad(ground, ((1, 4), (2, 3)), **mode)
+    zero = np.float32(0)  # -0.0 becomes 0.0: nothing that is made of heights tells them apart
+    assert_bits_equal(there.backend.download(heights).reshape(padded.shape) + zero, padded + zero)
+    assert there.heights_range == (ground[np.isfinite(HOLES)].min(), ground[np.isfinite(HOLES)].max())
+    copy = there.backend.empty((HOLES.size,), np.float32)
+    there.copy_into(copy)
+    assert_bits_equal(there.backend.download(copy).reshape(HOLES.shape) + zero, HOLES + zero)
 
-    engine = select(backend)
-    heights = DEPTH.max() - DEPTH
-    for height, depth in ((False, DEPTH), (True, np.float32(heights.max()) - heights)):
-        here = adopt(engine, engine.upload((heights if height else DEPTH).ravel()), DEPTH.shape, height)
-        assert (here.least, here.most, here.broken) == (depth.min(), depth.max(), 0)
-        assert_bits_equal(here.download(), depth)
-        padded = here.padded(5, 2.0, sides, horizon.NONE)
-        zero = np.float32(0)  # -0.0 becomes 0.0: nothing that is made of heights tells them apart
-        assert_bits_equal(
-            engine.download(padded) + zero,
-            horizon._padded(horizon.Ground(-depth / np.float32(2), sides), 5) + zero,
-        )
-        got = here.probe(padded, 5, 2, 3)
-        np.testing.assert_allclose(got, horizon._probe(-depth / np.float32(2), 2, 3), rtol=1e-6)
+
+def test_probe(backend):
+    """The steepest slopes from every second node, in eight directions, to ground three and more rows away."""
+    there = scenes.resident_map(backend, HOLES, 2.0)
+    got = there.probe(there.heights(5, 5, 5, 5, -2e30), 5, 2, 3)
+    height, (rows, cols) = -HOLES / np.float32(2), HOLES.shape
+    ways = (1, 0), (1, 1), (0, 1), (-1, 1), (-1, 0), (-1, -1), (0, -1), (1, -1)
+    for n, (i, j) in enumerate(ways):
+        expected = np.full((-(-rows // 2), -(-cols // 2)), -np.inf)
+        for y, x in np.ndindex(expected.shape):
+            for away in (3, 4, 6, 8, 11, 14, 18, 23):
+                row, col = 2 * y + j * away, 2 * x + i * away
+                if (
+                    0 <= row < rows
+                    and 0 <= col < cols
+                    and np.isfinite(HOLES[[row, 2 * y], [col, 2 * x]]).all()
+                ):
+                    slope = (height[row, col] - height[2 * y, 2 * x]) / away
+                    expected[y, x] = max(expected[y, x], slope)
+        np.testing.assert_allclose(got[n], expected.ravel(), rtol=1e-6)
+
+
+def test_a_map_is_uploaded_once_and_released(fast):
+    """A backend keeps it while the scene lives, or until it is released."""
+    engine, scene = select(fast), sl.Scene(DEPTH)
+    assert scene.on(engine) is scene.on(engine) and id(scene) in engine.kept
+    scene.release(fast)
+    assert id(scene) not in engine.kept
+    scene.on(engine)
+    key = id(scene)
+    del scene
+    gc.collect()
+    assert key not in engine.kept
+
+
+def test_a_backend_keeps_few_maps(fast, monkeypatch):
+    """Those used last, as far as a quarter of its memory goes."""
+    engine = select(fast)
+    monkeypatch.setattr(type(engine), "memory", property(lambda self: 9 * DEPTH.nbytes))
+    monkeypatch.setattr(engine, "shares", False)
+    made = [sl.Scene(DEPTH + n) for n in range(3)]
+    for n in (0, 1, 0, 2):
+        made[n].on(engine)
+    assert [id(scene) in engine.kept for scene in made] == [True, False, True]
+
+
+def test_relief_far_above_zero(fast):
+    """Heights at 1e7 with a relief of 1 in float64 render like the same without the offset."""
+    height = DEPTH.max() - DEPTH.astype(float)
+    plain, far = (
+        sl.render(sl.Scene.from_height(height / height.max() + offset), sl.Sky(), azimuths=12, backend=fast)
+        for offset in (0.0, 1e7)
+    )
+    np.testing.assert_allclose(far.image, plain.image, rtol=0, atol=1e-6)
+
+
+@pytest.mark.parametrize("size", [(3, 5), (700, 900)])
+def test_a_scene_of_any_type_of_numbers(size):
+    """Integers, halves, doubles, in bands and whole: depths to the nearest float32, nan where masked."""
+    rng = np.random.default_rng(1)
+    values = rng.integers(0, 200, size)
+    mask = rng.random(size) < 0.7
+    for kind in (np.uint8, np.int64, np.float16, np.float32, np.float64):
+        scene = sl.Scene.from_height(values.astype(kind), mask=mask)
+        expected = values[mask].max() - values.astype(float)
+        np.testing.assert_array_equal(scene.depth, np.where(mask, expected, np.nan).astype(np.float32))
+        depth, step = scene.lattice()
+        assert step == 1 and np.isposinf(depth[~mask]).all() and (depth[mask] == expected[mask]).all()

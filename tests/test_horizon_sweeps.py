@@ -11,7 +11,7 @@ import re
 
 import numpy as np
 import pytest
-from scenes import rough
+from scenes import resident_map, rough
 
 import skylamp as sl
 import skylamp.opencl
@@ -74,6 +74,11 @@ def heights(name):
     return made
 
 
+def ground(backend, height, sides="open", reach=math.inf):
+    """Heights [spacing] above the viewer's plane, -inf where masked, on a backend."""
+    return Ground(resident_map(backend, -height), sides, reach)
+
+
 @functools.cache
 def truth(name, sides, reach, rays):
     """The oracle's horizons at the valid nodes (K, n)."""
@@ -91,7 +96,7 @@ def truth(name, sides, reach, rays):
 @functools.cache
 def found(backend, name, sides, reach, rays):
     """Horizons (K, n) and irradiance (n,) of the valid nodes, by a backend."""
-    sweeps = Sweeps(select(backend), Ground(heights(name), sides, reach), RAYS[rays])
+    sweeps = Sweeps(select(backend), ground(backend, heights(name), sides, reach), RAYS[rays])
     valid = np.isfinite(heights(name))
     return sweeps.slopes()[:, valid], sweeps.irradiance()[valid]
 
@@ -197,9 +202,9 @@ def test_agreement_can_fail():
 @pytest.mark.parametrize(("count", "near"), [(MANY_AZIMUTHS - 1, NEAR_ROWS), (MANY_AZIMUTHS, FINE_NEAR_ROWS)])
 def test_many_azimuths_take_more_near_rows(backend, count, near):
     """Both numbers of near rows, and the same light by every backend."""
-    ground = Ground(heights("small with holes"), "open")
-    valid = np.isfinite(ground.heights)
-    sweeps = Sweeps(select(backend), ground, even(count))
+    height = heights("small with holes")
+    valid = np.isfinite(height)
+    sweeps = Sweeps(select(backend), ground(backend, height), even(count))
     assert sweeps.near == near
     got = sweeps.irradiance()[valid].astype(float)
     expected = _light("numpy" if backend != "numpy" else "opencl", "small with holes", count)[valid]
@@ -208,7 +213,7 @@ def test_many_azimuths_take_more_near_rows(backend, count, near):
 
 @functools.cache
 def _light(backend, name, count):
-    return Sweeps(select(backend), Ground(heights(name), "open"), even(count)).irradiance()
+    return Sweeps(select(backend), ground(backend, heights(name), "open"), even(count)).irradiance()
 
 
 @pytest.mark.parametrize(
@@ -216,10 +221,10 @@ def _light(backend, name, count):
 )
 def test_a_repeat_gives_the_same_bytes(backend, sides, reach):
     """Sums in fixed point do not depend on who adds first."""
-    sweeps = Sweeps(select(backend), Ground(heights("small with holes"), sides, reach), RAYS["even"])
+    sweeps = Sweeps(select(backend), ground(backend, heights("small with holes"), sides, reach), RAYS["even"])
     assert sweeps.irradiance().tobytes() == sweeps.irradiance().tobytes()
     assert sweeps.slopes().tobytes() == sweeps.slopes().tobytes()
-    again = Sweeps(select(backend), Ground(heights("small with holes"), sides, reach), RAYS["even"])
+    again = Sweeps(select(backend), ground(backend, heights("small with holes"), sides, reach), RAYS["even"])
     assert again.irradiance().tobytes() == sweeps.irradiance().tobytes()
 
 
@@ -304,7 +309,7 @@ def test_a_broken_table_is_seen(fast, monkeypatch, broken):
             lambda *args: (*original(*args)[:2], original(*args)[2][:1] * 16, original(*args)[3][:1] * 16),
         )
     engine = select(fast)
-    sweeps = Sweeps(engine, Ground(heights("rough"), "open"), RAYS["even"])
+    sweeps = Sweeps(engine, ground(engine.name, heights("rough"), "open"), RAYS["even"])
     for half in sweeps.halves:
         azimuths, _, _, weights = (engine.download(table) for table in half.tables)
         if broken == "near":
@@ -343,7 +348,7 @@ def test_light_of_the_same_azimuths(backend, name, sides):
     height, rays = heights(name), RAYS["uneven"]
     rng = np.random.default_rng(0)
     nodes = tuple(rng.permutation(np.argwhere(np.isfinite(height)))[:200].T)
-    got = Sweeps(select(backend), Ground(height, sides), rays).irradiance()[nodes]
+    got = Sweeps(select(backend), ground(backend, height, sides), rays).irradiance()[nodes]
     errors = (got - _from_oracle(height, rays, nodes, sides)) / np.pi
     assert rms(errors) <= 0.001 and abs(errors).max() <= 0.01
 
@@ -368,12 +373,11 @@ def test_light_by_tables(backend):
     height, rays = heights("small with holes"), RAYS["even"]
     valid = np.isfinite(height)
     table = _table(rays, 257)
-    got = Sweeps(select(backend), Ground(height, "open"), rays, table).irradiance()[valid]
+    got = Sweeps(select(backend), ground(backend, height, "open"), rays, table).irradiance()[valid]
     errors = (got - _from_oracle(height, rays, np.nonzero(valid), brightness=overcast)) / np.pi
     assert rms(errors) <= 0.0005 and abs(errors).max() <= 0.01
-    same = Sweeps(
-        select("numpy" if backend != "numpy" else "opencl"), Ground(height, "open"), rays, table
-    ).irradiance()[valid]
+    other = "numpy" if backend != "numpy" else "opencl"
+    same = Sweeps(select(other), ground(other, height, "open"), rays, table).irradiance()[valid]
     assert abs(got.astype(float) - same).max() <= AGREE * same.max()
 
 
@@ -396,7 +400,8 @@ def test_accuracy_of_a_uniform_sky(fast, slope, falloff, limits):
     height, nodes, expected = _sampled(slope, falloff)
     errors = {
         count: (
-            Sweeps(select(fast), Ground(height, "open"), even(count)).irradiance()[nodes] / np.pi - expected
+            Sweeps(select(fast), ground(fast, height, "open"), even(count)).irradiance()[nodes] / np.pi
+            - expected
         )
         for count in (8, 16, 32, 64, 128, 256)
     }
@@ -417,7 +422,7 @@ def test_a_plane_is_lit_by_all_the_sky(backend, sides):
     height = np.full((23, 31), -5, np.float32)
     height[4:9, 6:14] = -np.inf
     for rays in ("even", "uneven", "axes"):
-        light = Sweeps(select(backend), Ground(height, sides), RAYS[rays]).irradiance()
+        light = Sweeps(select(backend), ground(backend, height, sides), RAYS[rays]).irradiance()
         assert abs(light[np.isfinite(height)] / np.pi - 1).max() <= 1e-6
 
 
@@ -426,7 +431,7 @@ def test_a_tilted_plane(backend, gx, gy):
     """E = pi B (1 + cos a) / 2 everywhere: its own ground is no higher than its tangent plane."""
     y, x = np.mgrid[:28, :33]
     height = (gx * x + gy * y - 100).astype(np.float32)
-    light = Sweeps(select(backend), Ground(height, "open"), even(64)).irradiance()
+    light = Sweeps(select(backend), ground(backend, height, "open"), even(64)).irradiance()
     exact = np.pi * (1 + 1 / math.sqrt(1 + gx * gx + gy * gy)) / 2
     assert abs(light / exact - 1).max() <= 0.002
 
@@ -439,7 +444,7 @@ def test_the_middle_of_a_trench(backend, half, deep, along):
     assert len(height[5:-5]) == 2 * half - 1
     height = height if along == "rows" else np.ascontiguousarray(height.T)
     middle = (half + 4, 200) if along == "rows" else (200, half + 4)
-    light = Sweeps(select(backend), Ground(height, "open"), even(32)).irradiance()[middle]
+    light = Sweeps(select(backend), ground(backend, height, "open"), even(32)).irradiance()[middle]
     assert abs(light / (np.pi * half / math.hypot(half, deep)) - 1) <= 0.002
 
 
@@ -450,7 +455,9 @@ def _bowl(backend, degrees, count):
     y, x = np.mgrid[-size : size + 1, -size : size + 1]
     away = np.hypot(x, y)
     height = radius * math.cos(rim) - np.sqrt(np.maximum(radius**2 - away**2, (radius * math.cos(rim)) ** 2))
-    light = Sweeps(select(backend), Ground(height.astype(np.float32), "open"), even(count)).irradiance()
+    light = Sweeps(
+        select(backend), ground(backend, height.astype(np.float32), "open"), even(count)
+    ).irradiance()
     inside = away <= radius * math.sin(rim) - 2
     return abs(light[inside] / (np.pi * (1 + math.cos(rim)) / 2) - 1).max()
 

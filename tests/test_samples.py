@@ -56,7 +56,7 @@ def test_samples_see_suns_as_images_do(fast, sides):
     scene = SCENES["dark"] if sides == "dark" else SCENES["rough"]
     samples = Samples(select(fast), scene, 200)
     for window in (None, (10.3, 51.0, 20.0, 66.6)):
-        run = Slices(select(fast), *scene.lattice(), sides, Dome())
+        run = Slices(scene.on(select(fast)), sides, Dome())
         run.clear()
         run.sectors(*sun, *([window] if window else []))
         wanted = samples.of(run.download())

@@ -8,11 +8,10 @@ import numpy as np
 import pytest
 import scenes
 from compare import assert_bits_equal
-from scenes import rough
+from scenes import resident_map, rough
 
 import skylamp as sl
 from skylamp import constants, oracle
-from skylamp.backends import select
 from skylamp.radiometry import disc_moment, polygon_moment, rectangle_solid_angle
 from skylamp.sources import solids
 from skylamp.sources.integrals import Integrals, chords
@@ -36,9 +35,7 @@ def table_of(light, turns, knots):
 def made(backend, depth, solid, light=1.0, step=1.0, sides="open", **options):
     """Slices that have run; ``light``: a number, a function of directions, or a table of chords."""
     run = slices.Slices(
-        select(backend),
-        np.asarray(depth, np.float32),
-        step,
+        resident_map(backend, depth, step),
         sides,
         solid,
         lit(light) if callable(light) else light,
@@ -618,12 +615,12 @@ def test_backends_agree_and_repeat_themselves(backend, fast, sides):
     for source in SOURCES.values():
         solid, light = _solid(_shifted(source, 150, 100), depth.shape)
         brightness = table_of(light, 128, 65) if callable(light) else light
-        one = slices.Slices(select(backend), depth, 1.0, sides, solid, brightness)
+        one = slices.Slices(resident_map(backend, depth), sides, solid, brightness)
         one.run()
         got = one.download()
         one.run()
         assert_bits_equal(one.download(), got)
-        reference = slices.Slices(select(fast), depth, 1.0, sides, solid, brightness)
+        reference = slices.Slices(resident_map(fast, depth), sides, solid, brightness)
         reference.run()
         assert got.max() > 0
         np.testing.assert_allclose(got, reference.download(), rtol=0, atol=1e-5 * got.max())
@@ -675,7 +672,7 @@ def sunny(radius, height=60.0):
 
 def by_suns(backend, depth, launches, window=None, sides="open"):
     """Irradiance by sectors, (ways, table) of each launch."""
-    run = slices.Slices(select(backend), np.asarray(depth, np.float32), 1.0, sides, slices.Dome())
+    run = slices.Slices(resident_map(backend, depth), sides, slices.Dome())
     run.clear()
     for ways, table in launches:
         run.sectors(ways, table, window)

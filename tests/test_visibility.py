@@ -354,7 +354,7 @@ def test_work_that_goes_in_groups_gives_the_same_bytes(backend, filled, monkeypa
             from skylamp.light.propagation import Surface
             from skylamp.rendering import lattice_problem
 
-            groups = Surface(engine, lattice_problem(scene, SKY, sl.Hemicube(9), filled)).groups
+            groups = Surface(engine, lattice_problem(engine, scene, SKY, sl.Hemicube(9), filled)).groups
             assert len(groups) > 4, "the work was not split, so this test says nothing"
             for got, expected in zip(lit(), whole):
                 assert_bits_equal(got, expected)

@@ -1,6 +1,8 @@
-"""A depth map on the device: checked, padded and probed there. Twin of opencl/resident.cl."""
+"""A depth map on a device: copied, surveyed, padded and probed there. Twin of opencl/resident.cl."""
 
 import warp as wp
+
+from skylamp.constants import HIGHEST_MASKED, NO_CEILING, NONE
 
 from . import OPTIONS
 
@@ -8,80 +10,152 @@ wp.set_module_options(OPTIONS)
 
 
 @wp.kernel
-def take(
+def adopt(
     values: wp.array[wp.float32],
+    mask: wp.array[wp.uint8],
     depth: wp.array[wp.float32],
     top: wp.float32,
     sign: wp.float32,
+    masked: wp.int32,
     count: wp.int32,
 ):
     """depth = top + sign x value: a copy (0, 1), or the depth of heights (highest, -1).
 
-      values, depth  (count)  float32 [length]
+      values, depth  (count)  float32 [length]  nan for a value of +inf
+      mask           (count)  uint8   where it is 0 the depth is +inf; read if masked is not 0
+
+    Thread p owns one node.
+    """
+    p = wp.tid()
+    if p >= count:
+        return
+    infinity = wp.float32(wp.inf)
+    value = top + sign * values[p]
+    if values[p] == infinity:
+        value = wp.float32(wp.nan)
+    if masked != 0:
+        if mask[p] == wp.uint8(0):
+            value = infinity
+    depth[p] = value
+
+
+@wp.kernel
+def survey(
+    values: wp.array[wp.float32],
+    found: wp.array3d[wp.float32],
+    rows: wp.int32,
+    cols: wp.int32,
+    block: wp.int32,
+    step: wp.float64,
+):
+    """What a map is like, over each column of some rows. +inf is masked.
+
+      values  (rows x cols)      float32 [length]
+      found   (8, blocks, cols)  float32  out: the smallest and the largest value; numbers of values that are
+                                          -inf or nan, and of those that are no whole number of steps; sums of
+                                          the squares of differences [length^2] to the neighbour at the right
+                                          and below, where neither is masked; and how many these are; blocks =
+                                          ceil(rows / block)
+      step                       float64 [length]
+
+    Thread (b, x) owns column x of rows b block .. min((b + 1) block, rows) - 1, summed in this order.
+    """
+    b, x = wp.tid()
+    if x >= cols or b * block >= rows:
+        return
+    low = wp.float32(NO_CEILING)
+    high = wp.float32(-NO_CEILING)
+    across = wp.float32(0.0)
+    down = wp.float32(0.0)
+    broken = wp.int32(0)
+    fractional = wp.int32(0)
+    pairs_across = wp.int32(0)
+    pairs_down = wp.int32(0)
+    infinity = wp.float32(wp.inf)
+    for y in range(b * block, wp.min((b + 1) * block, rows)):
+        z = values[y * cols + x]
+        if z == infinity:
+            continue
+        if not wp.isfinite(z):
+            broken += 1
+            continue
+        low = wp.min(low, z)
+        high = wp.max(high, z)
+        if wp.float32(wp.rint(wp.float64(z) / step) * step) != z:
+            fractional += 1
+        right = infinity
+        below = infinity
+        if x + 1 < cols:
+            right = values[y * cols + x + 1]
+        if y + 1 < rows:
+            below = values[y * cols + cols + x]
+        if wp.isfinite(right):
+            across += (right - z) * (right - z)
+            pairs_across += 1
+        if wp.isfinite(below):
+            down += (below - z) * (below - z)
+            pairs_down += 1
+    found[0, b, x] = low
+    found[1, b, x] = high
+    found[2, b, x] = wp.float32(broken)
+    found[3, b, x] = wp.float32(fractional)
+    found[4, b, x] = across
+    found[5, b, x] = down
+    found[6, b, x] = wp.float32(pairs_across)
+    found[7, b, x] = wp.float32(pairs_down)
+
+
+@wp.kernel
+def layers(depth: wp.array[wp.float32], step: wp.float64, count: wp.int32):
+    """Depth in whole steps, in place.
+
+      depth  (count)  float32 [length] in, [step] out
+      step            float64 [length]
 
     Thread p owns one node.
     """
     p = wp.tid()
     if p < count:
-        depth[p] = top + sign * values[p]
+        depth[p] = wp.float32(wp.rint(wp.float64(depth[p]) / step))
 
 
 @wp.kernel
-def survey(values: wp.array[wp.float32], found: wp.array2d[wp.float32], rows: wp.int32, cols: wp.int32):
-    """Per column the smallest and the largest value that is finite, and how many are not.
-
-      values  (rows x cols)  float32 [length]
-      found   (3, cols)      float32  out
-
-    Thread x owns one column, from row 0 on.
-    """
-    x = wp.tid()
-    if x >= cols:
-        return
-    low = wp.float32(3.4028235e38)
-    high = wp.float32(-3.4028235e38)
-    broken = wp.int32(0)
-    for y in range(rows):
-        z = values[y * cols + x]
-        if wp.isfinite(z):
-            low = wp.min(low, z)
-            high = wp.max(high, z)
-        else:
-            broken += 1
-    found[0, x] = low
-    found[1, x] = high
-    found[2, x] = wp.float32(broken)
-
-
-@wp.kernel
-def pad(
+def heights(
     depth: wp.array[wp.float32],
     heights: wp.array[wp.float32],
     rows: wp.int32,
     cols: wp.int32,
-    margin: wp.int32,
+    left: wp.int32,
+    above: wp.int32,
+    width: wp.int32,
+    height: wp.int32,
     step: wp.float32,
-    outside: wp.float32,
+    masked: wp.float32,
     periodic: wp.int32,
 ):
-    """Heights as sweep wants them, -depth / step with a margin round them: the map again where it repeats,
-    else ``outside``.
+    """-depth / step with margins round the map: the map again where it repeats, else NONE.
 
-      depth    (rows x cols)                              float32 [length]
-      heights  (rows + 2 margin) x (cols + 2 margin)      float32 [spacing]  out
+      depth    (rows x cols)     float32 [length]   +inf where masked
+      heights  (height x width)  float32 [spacing]  out; masked where masked
 
-    Thread (y, x) owns one element of the padded map.
+    The map begins in column left of row above. Thread (y, x) owns one element.
     """
     row, column = wp.tid()
-    x = column - margin
-    y = row - margin
-    value = outside
+    if column >= width or row >= height:
+        return
+    x = column - left
+    y = row - above
     if periodic != 0:
         x = (x % cols + cols) % cols
         y = (y % rows + rows) % rows
+    value = wp.float32(NONE)
     if x >= 0 and x < cols and y >= 0 and y < rows:
-        value = -depth[y * cols + x] / step
-    heights[row * (cols + 2 * margin) + column] = value
+        z = depth[y * cols + x]
+        if z == wp.float32(wp.inf):
+            value = masked
+        else:
+            value = -z / step
+    heights[row * width + column] = value
 
 
 @wp.kernel
@@ -97,7 +171,7 @@ def probe(
     first: wp.int32,
 ):
     """The steepest slope to ground in eight directions from every ``every``-th node, at growing distances
-    from ``first`` on; -inf where none lies.
+    from ``first`` on; -inf where none lies, or the node is masked.
 
       heights  (room)      float32 [spacing]  as for sweep
       best     (8, count)  float32 [1]        out
@@ -115,12 +189,15 @@ def probe(
     own = heights[(y + margin) * stride + margin + x]
     steepest = wp.float32(-wp.inf)
     distance = wp.int32(first)
+    if own <= HIGHEST_MASKED:
+        best[way, sample] = steepest
+        return
     while distance < wp.max(rows, cols):
         u = x + i * distance
         v = y + j * distance
         if u >= 0 and u < cols and v >= 0 and v < rows:
-            steepest = wp.max(
-                steepest, (heights[(v + margin) * stride + margin + u] - own) / wp.float32(distance)
-            )
+            there = heights[(v + margin) * stride + margin + u]
+            if there > HIGHEST_MASKED:
+                steepest = wp.max(steepest, (there - own) / wp.float32(distance))
         distance = distance * 5 // 4 + 1
     best[way, sample] = steepest

@@ -8,11 +8,10 @@ from __future__ import annotations
 
 import contextlib
 import functools
-import math
-import mmap
 import os
 import threading
 from abc import ABC, abstractmethod
+from collections import OrderedDict
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -28,20 +27,6 @@ CPU_SINGLE_ITEM_NODES, CPU_NODES_PER_ITEM, GPU_ITERATIONS_AHEAD = 8192, 64, 8
 DEFAULT_GROUP = 256  # work-items of a group of any kernel but scan, at most
 
 Array = Any  # of a device: NumPy's, Warp's or pyopencl's
-
-
-def scratch(shape: tuple[int, ...]) -> np.ndarray:
-    """Zeros, float32, whose memory the system gets back when they are dropped.
-
-    malloc would keep some 30 MB of what is freed.
-    """
-    count = math.prod(shape)
-    if hasattr(mmap, "MADV_HUGEPAGE"):  # to touch every small page first would take longer than to fill them
-        room = mmap.mmap(-1, max(4, 4 * count), flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)
-        room.madvise(mmap.MADV_HUGEPAGE)
-    else:
-        room = mmap.mmap(-1, max(4, 4 * count))
-    return np.frombuffer(room, np.float32, count).reshape(shape)
 
 
 def available_memory() -> int:
@@ -111,8 +96,15 @@ class Backend(ABC):
     pixel_lanes = 1  # adjacent pixels per work-item where there are no lines; divides PIXEL_PADDING
     compile_seconds = 0.0
 
+    shares = False  # whether ``share`` takes no memory of its own
+
     def __init__(self) -> None:
         self.lock = threading.RLock()  # a call makes others
+
+    @functools.cached_property
+    def kept(self) -> OrderedDict[int, Any]:
+        """Maps of scenes by the scenes' ids, the one that was used last at the end; see Scene.on."""
+        return OrderedDict()
 
     def __init_subclass__(cls) -> None:
         super().__init_subclass__()
@@ -127,6 +119,10 @@ class Backend(ABC):
     @abstractmethod
     def upload(self, array: np.ndarray) -> Array:
         """A copy of ``array`` on the device."""
+
+    def share(self, array: np.ndarray) -> Array:
+        """``array``, which nobody changes, on the device: itself where the device's memory is the host's."""
+        return self.upload(array)
 
     @abstractmethod
     def put(self, array: Array, values: np.ndarray) -> None:

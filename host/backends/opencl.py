@@ -85,6 +85,7 @@ class OpenclBackend(Backend):
         self._exact = ("-cl-fp32-correctly-rounded-divide-sqrt",) if exact else ()
         self.on_cpu = bool(self._device.type & cl.device_type.CPU)
         self.lanes = CPU_LANES if self.on_cpu else 1
+        self.shares = self.on_cpu
         self.partial_sums = min(CPU_PARTIAL_SUMS, 2 * self._device.max_compute_units) if self.on_cpu else 1
         self.single_item_nodes, self.nodes_per_item, self.iterations_ahead = (
             (CPU_SINGLE_ITEM_NODES, CPU_NODES_PER_ITEM, 1) if self.on_cpu else (0, 1, GPU_ITERATIONS_AHEAD)
@@ -104,6 +105,13 @@ class OpenclBackend(Backend):
         device = _new(self, array.shape, array.dtype)
         device.set(np.ascontiguousarray(array))
         return device
+
+    def share(self, array: np.ndarray) -> Array:
+        if not self.shares:
+            return self.upload(array)
+        flags = self.cl.mem_flags.READ_ONLY | self.cl.mem_flags.USE_HOST_PTR
+        data = self.cl.Buffer(self.context, flags, hostbuf=array)
+        return self.cl.array.Array(self.queue, array.shape, array.dtype, data=data)
 
     def put(self, array: Array, values: np.ndarray) -> None:
         array.set(np.ascontiguousarray(values))

@@ -1,48 +1,93 @@
-"""Depth maps that lie on a backend's device already: checked, padded and probed there."""
+"""Depth maps that lie on a device: checked, padded and probed there."""
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 
+from ..constants import NONE
 from .base import Array, Backend
-from .registry import select
+
+BLOCK = 512  # rows of a column that a work-item of ``survey`` owns; chosen: 32 k items on 4096 x 4096 nodes
+LAYERS = 2**20  # up to which whole layers are compared in place of depths: their sums are exact in float32
+
+
+class Survey(NamedTuple):
+    """What a pass over a map found of its valid nodes.
+
+    Least and greatest value; numbers of values that are not finite, and of those that are no whole number of
+    steps; sums of the squares of differences between neighbours, and how many there are, along rows and down
+    columns.
+    """
+
+    least: float
+    most: float
+    broken: int
+    fractional: int
+    squares: tuple[float, float]
+    pairs: tuple[int, int]
 
 
 class Resident(NamedTuple):
-    """A depth map on a device: the device's backend, depth (rows x cols) float32 there, and its range."""
+    """A depth map on a device.
+
+    The device's backend; depth (rows x cols) float32 there, +inf where masked, in a unit in which the spacing
+    is ``step``; least and greatest valid depth; the bytes that it takes besides the host's.
+    """
 
     backend: Backend
     depth: Array
     shape: tuple[int, int]
+    step: float
     least: float
     most: float
-    broken: int  # values that are not finite
+    nbytes: int
 
     def download(self) -> np.ndarray:
         """The map (rows, cols) on the host."""
         return self.backend.download(self.depth).reshape(self.shape)
 
-    def padded(self, margin: int, step: float, sides: str, outside: float) -> Array:
-        """Heights [spacing] with a margin, as sweeps take them, on the device."""
+    @property
+    def heights_range(self) -> tuple[float, float]:
+        """The lowest and the highest ground [spacing], rounded as :meth:`heights` rounds them."""
+        low, high = (-np.float32(depth) / np.float32(self.step) for depth in (self.most, self.least))
+        return float(low), float(high)
+
+    def heights(
+        self,
+        left: int = 0,
+        above: int = 0,
+        right: int = 0,
+        below: int = 0,
+        masked: float = NONE,
+        periodic: bool = False,
+    ) -> Array:
+        """Heights [spacing] with margins, flat, on the device; ``masked`` where masked, NONE beside the map.
+
+        A map that is ``periodic`` goes on in the margins.
+        """
         rows, cols = self.shape
-        size = cols + 2 * margin, rows + 2 * margin
-        heights = self.backend.empty((size[0] * size[1],), np.float32)
+        width, height = cols + left + right, rows + above + below
+        found = self.backend.empty((width * height,), np.float32)
         self.backend.launch(
             "resident",
-            "pad",
-            size,
+            "heights",
+            (width, height),
             self.depth,
-            heights,
+            found,
             rows,
             cols,
-            margin,
-            float(step),
-            float(outside),
-            int(sides == "periodic"),
+            left,
+            above,
+            width,
+            height,
+            float(self.step),
+            float(masked),
+            int(periodic),
         )
-        return heights
+        return found
 
     def probe(self, heights: Array, margin: int, every: int, first: int) -> np.ndarray:
         """Steepest slopes (8, samples) from every ``every``-th node to ground at least ``first`` rows away.
@@ -58,43 +103,76 @@ class Resident(NamedTuple):
         )
         return self.backend.download(best)
 
+    def pick(self, nodes: np.ndarray) -> np.ndarray:
+        """Depths at nodes, numbered row by row."""
+        given = self.backend.upload(nodes.astype(np.int32).ravel())
+        found = self.backend.empty((nodes.size,), np.float32)
+        missing = math.inf
+        self.backend.launch(
+            "pilot", "pick", (nodes.size,), self.depth, given, found, nodes.size, missing, lanes=1
+        )
+        return self.backend.download(found).reshape(nodes.shape)
 
-def adopt(backend: Backend, values: Array, shape: tuple[int, int], height: bool = False) -> Resident:
-    """A copy, on the same device, of device array ``values`` (rows x cols) float32 [length].
+    def copy_into(self, depth: Array) -> None:
+        """Copy the map to the first elements of a device array."""
+        rows, cols = self.shape
+        size = rows, cols, 0, 0, cols, rows
+        self.backend.launch("resident", "heights", (cols, rows), self.depth, depth, *size, -1.0, math.inf, 0)
 
-    The values are depth, or heights, which are turned into depth.
+    def survey(self) -> Survey:
+        """One pass over the map."""
+        return survey(self.backend, self.depth, self.shape, self.step)
+
+
+def adopt(
+    backend: Backend, values: Array, shape: tuple[int, int], mask: np.ndarray | None, height: bool
+) -> tuple[Array, Survey]:
+    """A copy of device array ``values`` (rows x cols) float32 [length] as depth, and what it is like.
+
+    ``values`` are depth, or with ``height`` heights, which are turned into depth: the highest valid one minus
+    each. Where ``mask`` is False the depth is +inf, and where it is True and a value is +inf it is nan.
     """
+    count = math.prod(shape)
+    depth = backend.empty((count,), np.float32)
+    valid = backend.empty((1,), np.uint8) if mask is None else backend.upload(mask.view(np.uint8).ravel())
+
+    def take(top: float, sign: float) -> Survey:
+        masked = int(mask is not None)
+        backend.launch("resident", "adopt", (count,), values, valid, depth, top, sign, masked, count)
+        return survey(backend, depth, shape)
+
+    found = take(0.0, 1.0)
+    if height and not found.broken and found.least <= found.most:
+        found = take(found.most, -1.0)
+    return depth, found
+
+
+def survey(backend: Backend, depth: Array, shape: tuple[int, int], step: float = 1.0) -> Survey:
+    """A pass over a map (rows x cols) float32 [length] on a device, +inf where masked."""
     rows, cols = shape
-    least, most, broken = _survey(backend, values, rows, cols)
-    depth = backend.empty((rows * cols,), np.float32)
-    backend.launch(
-        "resident",
-        "take",
-        (rows * cols,),
-        values,
-        depth,
-        most if height else 0.0,
-        -1.0 if height else 1.0,
-        rows * cols,
-    )
-    backend.finish()  # the caller's array may go
-    if height:
-        least, most = 0.0, float(np.float32(most) - np.float32(least))
-    return Resident(backend, depth, (rows, cols), least, most, broken)
+    blocks = -(-rows // BLOCK)
+    found = backend.empty((8, blocks, cols), np.float32)
+    backend.launch("resident", "survey", (cols, blocks), depth, found, rows, cols, BLOCK, float(step))
+    low, high, *sums = backend.download(found).reshape(8, -1)
+    broken, fractional, *rest = (float(part.sum(dtype=np.float64)) for part in sums)
+    squares, pairs = (rest[0], rest[1]), (int(rest[2]), int(rest[3]))
+    return Survey(float(low.min()), float(high.max()), int(broken), int(fractional), squares, pairs)
 
 
-def find(values: Array, height: bool = False) -> Resident | None:
-    """A Warp array as a Resident of its device's backend if it is a contiguous float32 map (rows, cols).
+def in_layers(
+    backend: Backend, depth: Array, shape: tuple[int, int], spacing: float, found: Survey
+) -> Resident:
+    """A map of depths [length]; whole layers in place of depths where all are such, as for a host's map."""
+    count, step = math.prod(shape), spacing
+    least, most = found.least, found.most
+    if spacing != 1 and most / spacing < LAYERS and not survey(backend, depth, shape, spacing).fractional:
+        backend.launch("resident", "layers", (count,), depth, float(spacing), count)
+        step, least, most = 1.0, float(np.rint(least / spacing)), float(np.rint(most / spacing))
+    return Resident(backend, depth, shape, step, least, most, 4 * count)
 
-    None of any other array, which the host must convert first.
-    """
-    if values.dtype.__name__ != "float32" or values.ndim != 2 or not values.size or not values.is_contiguous:
-        return None
-    return adopt(select(f"warp:{values.device.alias}"), values.flatten(), values.shape, height)
 
-
-def _survey(backend: Backend, values: Array, rows: int, cols: int) -> tuple[float, float, int]:
-    found = backend.empty((3, cols), np.float32)
-    backend.launch("resident", "survey", (cols,), values, found, rows, cols)
-    low, high, broken = backend.download(found).reshape(3, cols)
-    return float(low.min()), float(high.max()), int(broken.sum(dtype=np.float64))
+def upload(backend: Backend, depth: np.ndarray, step: float, least: float, most: float) -> Resident:
+    """A host's map (rows, cols) float32, +inf where masked, which nobody changes, on a device."""
+    rows, cols = depth.shape
+    nbytes = 0 if backend.shares else depth.nbytes
+    return Resident(backend, backend.share(depth), (rows, cols), step, least, most, nbytes)

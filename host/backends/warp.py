@@ -68,6 +68,7 @@ class WarpBackend(Backend):
         self.device = self._device.name if cuda else "Warp on the CPU, 1 thread"
         self.lines = GPU_LINES if cuda else 1
         self.pixel_lanes = GPU_PIXELS
+        self.shares = not cuda
         self.single_item_nodes, self.nodes_per_item, self.iterations_ahead = (
             (0, 1, GPU_ITERATIONS_AHEAD) if cuda else (CPU_SINGLE_ITEM_NODES, CPU_NODES_PER_ITEM, 1)
         )
@@ -82,6 +83,18 @@ class WarpBackend(Backend):
 
     def upload(self, array: np.ndarray) -> Array:
         return self.wp.array(np.ascontiguousarray(array), device=self._device)
+
+    def share(self, array: np.ndarray) -> Array:
+        if not self.shares:
+            return self.upload(array)
+        found = self.wp.array(
+            ptr=array.ctypes.data,
+            dtype=self.wp.dtype_from_numpy(array.dtype),
+            shape=array.shape,
+            device="cpu",
+        )
+        found.shared = array  # held as long
+        return found
 
     def put(self, array: Array, values: np.ndarray) -> None:
         array.assign(np.ascontiguousarray(values))

@@ -42,8 +42,9 @@ class Sliced(LightMethod):
         sky: Integrals | None = None,
     ):
         self.engine, self.scene, self.units, self.rays = engine, scene, units, rays
-        self.depth, self.step = scene.lattice()
-        self.solid, self.scale = widened(solid, self.depth, self.step)
+        self.there = scene.on(engine)
+        self.step = self.there.step
+        self.solid, self.scale = widened(solid, self.there)
         self.source, self.sky = source, sky
         self.factor = None
         self.brightness: Any = 1.0 if rays else source.brightness
@@ -73,9 +74,7 @@ class Sliced(LightMethod):
 
     def _run(self) -> None:
         slices = Slices(
-            self.engine,
-            self.depth,
-            self.step,
+            self.there,
             self.scene.sides,
             self.solid,
             self.brightness,
@@ -89,7 +88,7 @@ class Sliced(LightMethod):
         if self.sky is not None and self.sky.suns:
             assert isinstance(self.solid, Quad), "small bright parts are seen through windows"
             found = [sun.sectors(max(8, self.units)) for sun in self.sky.suns]
-            bright = Slices(self.engine, self.depth, self.step, self.scene.sides, Dome())
+            bright = Slices(self.there, self.scene.sides, Dome())
             bright.clear()
             ways, tables = zip(*found)
             bright.sectors(np.concatenate(ways, 1), np.concatenate(tables, 0), outline(self.solid, self.step))

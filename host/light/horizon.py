@@ -50,7 +50,7 @@ class Horizons(LightMethod):
         shape, size = scene.shape, (math.prod(scene.shape),)
         self.sweeps = Sweeps(engine, ground_of(scene, max_distance, engine), near=near)
         self.total, self.turned = (engine.empty(size, np.int32) for _ in range(2))
-        self.slices = Slices(engine, *scene.lattice(), scene.sides, Dome()) if rays and self.suns else None
+        self.slices = Slices(scene.on(engine), scene.sides, Dome()) if rays and self.suns else None
         self.exact = None
         if isinstance(sky, Integrals):
             azimuths = unoccluded.INTEGRATED_AZIMUTHS

@@ -29,9 +29,9 @@ class Lattice(LightMethod):
         self.image = self._image()
 
     def _image(self) -> np.ndarray:
-        values, step = self.scene.lattice()
-        cube, geometry = Hemicube(self.units), sources.geometry(self.source, self.scene, step)
-        problem = Problem(values, step, self.scene.sides, cube.steps, geometry, True)
+        there, cube = self.scene.on(self.engine), Hemicube(self.units)
+        geometry = sources.geometry(self.source, self.scene, there.step)
+        problem = Problem(there, there.step, self.scene.sides, cube.steps, geometry, True)
         return propagation.irradiance(
             self.engine, problem, cube.moments * sources.radiance(self.source, cube.directions)[:, None]
         )

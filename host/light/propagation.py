@@ -5,12 +5,14 @@ The sequences of kernels are the same on every backend.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from ..backends.base import Array, Backend, rounded_up
+from ..backends.resident import Resident
 from ..constants import COPY_SIDE, MOST_PIXELS, PATCH_X, PATCH_Y, SIDES, SKY
 from ..errors import CapacityError
 from ..sources import Geometry
@@ -31,12 +33,12 @@ class Lobe(NamedTuple):
 
 
 class Problem(NamedTuple):
-    """The input of a backend: depth (rows, cols) float32, +inf where masked.
+    """The input of a backend: depth (rows, cols) float32, +inf where masked, on the host or on the device.
 
     Depth is in a unit in which the spacing is ``step``; ``steps`` (D, 3): the directions.
     """
 
-    depth: np.ndarray
+    depth: np.ndarray | Resident
     step: float
     sides: str
     steps: np.ndarray
@@ -45,10 +47,17 @@ class Problem(NamedTuple):
 
     @property
     def pixels(self) -> int:
-        return self.depth.size
+        return math.prod(self.depth.shape)
+
+    @property
+    def host_depth(self) -> np.ndarray:
+        """Depth on the host, where it is brought if need be."""
+        return self.depth.download() if isinstance(self.depth, Resident) else self.depth
 
     @property
     def relief(self) -> float:
+        if isinstance(self.depth, Resident):
+            return self.depth.most - self.depth.least
         finite = self.depth[np.isfinite(self.depth)]
         return float(finite.max()) - float(finite.min())
 
@@ -107,16 +116,25 @@ class Surface:
         groups = walk_groups(
             problem.steps, problem.depth.shape, relief, problem.step, self.periodic, problem.filled, most
         )
-        maps = np.zeros((2, self.room), np.float32)
-        maps[0, : problem.pixels] = problem.depth.ravel()
-        self.maps = backend.upload(maps)
+        self.maps = self._maps()
         self.depth = backend.view(self.maps, problem.depth.shape)
         self.planes = backend.empty((max(g.n_walks + len(g.pairs) for g in groups), self.room), np.uint8)
         self.numbers = backend.upload(problem.geometry.numbers)
         self.flags = backend.upload(problem.geometry.flags)
         self.groups = [self._upload(group) for group in groups]
         self.turn()
-        self.find_laps(problem.depth)
+        self.find_laps(problem.host_depth if self.periodic else None)
+
+    def _maps(self) -> Array:
+        """The map and room for the same turned, (2, room) float32."""
+        depth, backend = self.problem.depth, self.backend
+        if isinstance(depth, Resident):
+            found = backend.empty((2, self.room), np.float32, 0)
+            depth.copy_into(found)
+            return found
+        maps = np.zeros((2, self.room), np.float32)
+        maps[0, : depth.size] = depth.ravel()
+        return backend.upload(maps)
 
     @property
     def periodic(self) -> bool:
@@ -164,12 +182,12 @@ class Surface:
         down, across = -(-rows // (COPY_SIDE * PATCH_Y)), -(-cols // (COPY_SIDE * PATCH_X))
         return int(down * across * PATCH_X * PATCH_Y)
 
-    def find_laps(self, depth: np.ndarray) -> None:
-        """Of a periodic map: the first ceilings of the level rays for these depths."""
+    def find_laps(self, depth: np.ndarray | None) -> None:
+        """Of a periodic map: the first ceilings of the level rays for these depths; None where it ends."""
         self.laps = []
         for group in self.groups:
             lap = np.zeros((group.n_walks, 1), np.float32)
-            if self.periodic and not group.host.rise[:, 0].all():
+            if depth is not None and not group.host.rise[:, 0].all():
                 turned = group.host.walks[:, 6] != 0
                 ways = self.problem.steps[group.order[:, 0], :2].tolist()
                 tables = [
@@ -386,7 +404,7 @@ class FieldByLayers:
         self.offsets = backend.upload(
             np.stack([steps[:, 2], steps[:, 1] * self.width + steps[:, 0]], 1).astype(np.int32)
         )
-        self.depth = backend.upload(problem.depth)
+        self.depth = backend.upload(problem.host_depth)
         # A sky fills what lies outside the map; level rays end at walls and in a window's plane.
         self.field = backend.empty(
             (layers + self.reach, self.words, self.height, self.width),
@@ -396,7 +414,7 @@ class FieldByLayers:
         self.levels = backend.empty((self.n_level, rows, cols), np.float32, -1 if problem.clips else None)
         ways = problem.steps[level, :2].tolist()
         lap = (
-            lap_table(problem.depth, ways, False)
+            lap_table(problem.host_depth, ways, False)
             if problem.sides == "periodic"
             else np.zeros((1, 1), np.float32)
         )
@@ -495,7 +513,14 @@ class FieldOfLamp:
         spans = np.stack([np.arange(len(steps)), np.ones(len(steps))], 1).astype(np.int32)
         self.tables = [
             backend.upload(a)
-            for a in (problem.depth, steps, nodes, spans, problem.geometry.numbers, problem.geometry.flags)
+            for a in (
+                problem.host_depth,
+                steps,
+                nodes,
+                spans,
+                problem.geometry.numbers,
+                problem.geometry.flags,
+            )
         ]
         self.field = backend.empty((layers, self.words, *problem.depth.shape), np.uint32)
 

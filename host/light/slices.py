@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from ..backends.base import Backend
+from ..backends.resident import Resident
 from ..constants import ENDLESS, MOST_PIXELS, NONE, SLICES
 from ..errors import CapacityError
 from ..sources import Source, radiance
@@ -32,6 +32,7 @@ SUNNY, SUNS = 4.0, 64  # times the mean brightness from which on light is a sun'
 # apparent width [rad] of what is widened: of its light a square over 12 is lost, 3e-7, and float32 holds its
 # width to 5e-5; derived
 THIN = 2e-3
+MEDIAN_NODES = 32  # along each side of the map, over which the median distance of a source is taken; chosen
 # cells of azimuth and of the sine of elevation of a brightness, 8 bytes each: 0.35 degrees round the horizon,
 # and 0.16 at an elevation of 85
 CHORD_AZIMUTHS, CHORD_KNOTS = 1024, 4097
@@ -131,9 +132,7 @@ class Slices:
 
     def __init__(
         self,
-        backend: Backend,
-        depth: np.ndarray,
-        step: float,
+        there: Resident,
         sides: str,
         solid: Ball | Quad | Dome,
         brightness: float | np.ndarray = 1.0,
@@ -141,7 +140,7 @@ class Slices:
         lobe: Lobe | None = None,
         shift: float = 0.5,
     ):
-        """``depth`` (rows, cols) float32, +inf where masked; the spacing in its unit is ``step``.
+        """``there``: the map; ``solid`` is in its unit, in which the spacing is ``there.step``.
 
         ``sides``: open or dark. ``brightness``: a number; else the result of :func:`brightness_of` with a
         lobe, and of :func:`skylamp.sources.integrals.chords` without one. ``most``: slices of a source that
@@ -150,28 +149,26 @@ class Slices:
         width gives the number of slices. A Dome has a lobe. ``shift``: where in its step every slice of a
         ball lies, 0..1; the slices of 0 lie between those of 0.5.
         """
-        if depth.size > MOST_PIXELS:
+        count = math.prod(there.shape)
+        if count > MOST_PIXELS:
             raise CapacityError(
-                f"A map of {depth.size:,} nodes; at most {MOST_PIXELS:,}, since kernels count nodes in 32"
+                f"A map of {count:,} nodes; at most {MOST_PIXELS:,}, since kernels count nodes in 32"
                 " bits. Cut it into tiles."
             )
-        rows, cols = self.shape = depth.shape
-        self.backend, self.solid, self.step = backend, solid, step
+        rows, cols = self.shape = there.shape
+        backend = there.backend
+        self.backend, self.solid, self.step = backend, solid, there.step
         self.levels = min(max(round(math.log2(cols)) - 2, 1), LEVELS)
         self.width = -(-cols >> self.levels) << self.levels
         cells = (rows + 1) // 2
         images = 2 if isinstance(solid, Ball) else 1
         backend.reserve(
             4 * ((rows + 2) * (cols + 1) + cells * self.width + images * rows * cols),
-            f"A map of {depth.size:,} nodes",
+            f"A map of {count:,} nodes",
             "Cut it into tiles.",
         )
-        heights = np.full((rows + 2) * (cols + 1) + 1, NONE, np.float32)
-        ground = heights[:-1].reshape(rows + 2, cols + 1)[1:-1, 1:]
-        np.divide(depth, -step, out=ground, where=np.isfinite(depth), casting="same_kind")
-        known = ground[ground > NONE]
-        lowest, self.highest = (float(known.min()), float(known.max())) if known.size else (0.0, 0.0)
-        self.heights = backend.upload(heights)
+        lowest, self.highest = there.heights_range
+        self.heights = there.heights(1, 1, 0, 2)
         self.tops = backend.empty((cells, self.width), np.float32)
         self.image, self.coarsened = backend.empty((rows, cols), np.float32), False
         if isinstance(solid, Ball):  # light of the even slices minus that of the odd ones
@@ -463,19 +460,20 @@ def outline(window: Quad, step: float) -> tuple[float, float, float, float]:
     return x0, x1, y0, y1
 
 
-def widened(solid: Ball | Quad, depth: np.ndarray, step: float) -> tuple[Ball | Quad, float]:
+def widened(solid: Ball | Quad, there: Resident) -> tuple[Ball | Quad, float]:
     """(A quadrangle whose thin sides are widened to what float32 can resolve, factor of its light).
 
-    Across so little, light is in proportion to the width. ``depth`` (rows, cols) in a unit in which the
-    spacing is ``step``.
+    Across so little, light is in proportion to the width. ``solid`` is in the unit of the map.
     """
     if isinstance(solid, Ball):
         return solid, 1.0
     corners = np.asarray(solid.corners, float)
-    rows, cols = depth.shape
-    middle, finite = corners.mean(0), depth[:: max(1, rows // 32), :: max(1, cols // 32)]
-    y, x = np.mgrid[0 : rows : max(1, rows // 32), 0 : cols : max(1, cols // 32)] * step
-    away = np.sqrt((x - middle[0]) ** 2 + (y - middle[1]) ** 2 + (finite - middle[2]) ** 2)
+    rows, cols = there.shape
+    y, x = np.mgrid[0 : rows : max(1, rows // MEDIAN_NODES), 0 : cols : max(1, cols // MEDIAN_NODES)]
+    middle, depth = corners.mean(0), there.pick(y * cols + x)
+    away = np.sqrt(
+        (x * there.step - middle[0]) ** 2 + (y * there.step - middle[1]) ** 2 + (depth - middle[2]) ** 2
+    )
     known = away[np.isfinite(away)]
     least = THIN * float(np.median(known)) if known.size else 0.0
     edges, scale = [corners[1] - corners[0], corners[3] - corners[0]], 1.0

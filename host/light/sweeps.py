@@ -9,10 +9,10 @@ from typing import NamedTuple
 import numpy as np
 
 from ..backends import select
-from ..backends.base import Array, Backend, scratch
+from ..backends.base import Array, Backend
 from ..backends.resident import Resident
 from ..checks import positive_number
-from ..constants import LADDER, LEAST_SEARCHED_SLOPE, MOST_PIXELS, NONE, SIDES, SLOPES, TABLE, UNIFORM
+from ..constants import LADDER, LEAST_SEARCHED_SLOPE, MOST_PIXELS, SIDES, SLOPES, TABLE, UNIFORM
 from ..errors import CapacityError, bad
 from ..scene import Scene, is_scene
 
@@ -20,22 +20,18 @@ from ..scene import Scene, is_scene
 # azimuths is that exact
 NEAR_ROWS, FINE_NEAR_ROWS, MANY_AZIMUTHS = 6, 12, 128
 # [spacing], height of masked nodes: not above NONE, and finite, since kernels interpolate and 0 x inf is NaN
-MASKED_HEIGHT = np.float32(-2e30)
+MASKED_HEIGHT = -2e30
 ENDLESS_WINDOW = 1 << 30  # [rows], a window longer than any line
 SUMMED_ROWS = 64  # rows of a column that are summed in float32 before they are in float64
 PROBED = 1024  # nodes from which the steepest rise and fall are searched for
 
 
 class Ground(NamedTuple):
-    """A map for sweeps: heights (rows, cols) float32 in spacings above z = 0, -inf where masked.
+    """A map on a device for sweeps, and how far they look [spacing]."""
 
-    Or a depth map on the device, and ``step``, the spacing in its unit. ``reach``: in spacings.
-    """
-
-    heights: np.ndarray | Resident
+    map: Resident
     sides: str
     reach: float = math.inf
-    step: float = 1.0
 
 
 class Rays(NamedTuple):
@@ -90,7 +86,7 @@ class Sweeps:
         self.level, self.kept = level, rays is None
         self.map_turned, self.tilted = False, [False, False]  # which of these arrays have been computed
         self.backend, self.sides, self.reach = backend, ground.sides, ground.reach
-        rows, cols = self.shape = ground.heights.shape
+        rows, cols = self.shape = ground.map.shape
         if rows * cols > MOST_PIXELS:
             raise CapacityError(
                 f"A map of {rows * cols:,} nodes; at most {MOST_PIXELS:,}, since kernels count nodes in 32"
@@ -106,17 +102,10 @@ class Sweeps:
         )
         self.room = (rows + 2 * self.margin) * (cols + 2 * self.margin)
         every, first = max(1, math.isqrt(rows * cols // PROBED)), self.near + 1
-        if isinstance(ground.heights, Resident):
-            here, step = ground.heights, np.float32(ground.step)
-            self.lowest, highest = (float(-(np.float32(depth) / step)) for depth in (here.most, here.least))
-            self.heights = here.padded(self.margin, ground.step, ground.sides, NONE)
-            self.steepest = _steepest(here.probe(self.heights, self.margin, every, first))
-        else:
-            self.lowest, highest = float(ground.heights.min()), float(ground.heights.max())
-            if self.lowest == -np.inf:  # masked somewhere
-                self.lowest = float(ground.heights.min(where=ground.heights > -np.inf, initial=np.inf))
-            self.heights = backend.upload(_padded(ground, self.margin))
-            self.steepest = _steepest(_probe(ground.heights, every, first))
+        here, m = ground.map, self.margin
+        self.lowest, highest = here.heights_range
+        self.heights = here.heights(m, m, m, m, MASKED_HEIGHT, self.sides == "periodic")
+        self.steepest = _steepest(here.probe(self.heights, m, every, first))
         self.relief = highest - self.lowest
         self.turned = backend.empty((self.room,), np.float32)
         level_ground = 0 if level else None  # else the kernel `tilt` writes them
@@ -449,42 +438,6 @@ def ladder(
     return bits, unit, steps.tolist(), ((steps + 1) * comes_at).tolist()
 
 
-def _padded(ground: Ground, margin: int) -> np.ndarray:
-    """Heights with a margin, flat: the map repeated where it is periodic, else NONE."""
-    heights = ground.heights
-    assert isinstance(heights, np.ndarray), "a resident map is padded on its device"
-    if ground.sides == "periodic":
-        return np.pad(np.maximum(heights, MASKED_HEIGHT), margin, mode="wrap").ravel()
-    padded = scratch(tuple(n + 2 * margin for n in heights.shape))
-    padded.fill(NONE)
-    np.maximum(heights, MASKED_HEIGHT, out=padded[margin:-margin, margin:-margin])
-    return padded.ravel()
-
-
-def _probe(heights: np.ndarray, every: int, distance: int) -> np.ndarray:
-    """Steepest slopes (8, samples) to ground at ``distance`` and farther, from every ``every``-th node.
-
-    -inf where there is none.
-    """
-    own = heights[::every, ::every]
-    down, across = own.shape
-    own = np.where(np.isfinite(own), own, np.inf)  # to masked ground all falls
-    best = np.full((8, down, across), -np.inf)
-    while distance < max(heights.shape):
-        for found, (i, j) in zip(
-            best, ((1, 0), (1, 1), (0, 1), (-1, 1), (-1, 0), (-1, -1), (0, -1), (1, -1))
-        ):
-            # the first node whose neighbour lies on the map
-            y, x = (-(min(0, move * distance) // every) for move in (j, i))
-            there = heights[y * every + j * distance :: every, x * every + i * distance :: every][
-                : max(0, down - y), : max(0, across - x)
-            ]
-            some = np.s_[y : y + there.shape[0], x : x + there.shape[1]]
-            found[some] = np.fmax(found[some], (there - own[some]) / distance)
-        distance = distance * 5 // 4 + 1
-    return best.reshape(8, -1)
-
-
 def _steepest(best: np.ndarray) -> tuple[float, float]:
     """Slopes [per row] of the steepest rise and fall to ground that is not near, of 99.9 % of the nodes."""
     best = best[np.isfinite(best)].astype(np.float64)
@@ -501,14 +454,8 @@ def engine_of(scene: Scene, backend: str) -> Backend:
 
 
 def ground_of(scene: Scene, max_distance: float | None, engine: Backend) -> Ground:
-    """The map for sweeps on ``engine``, heights in spacings above the viewer's plane.
-
-    A map that is resident there is not copied to the host.
-    """
+    """The map for sweeps on ``engine``, and how far they look."""
     reach = np.inf if max_distance is None else positive_number(max_distance, "max_distance") / scene.spacing
     if reach < 1:
         raise bad("max_distance", max_distance, f"at least one spacing, {scene.spacing:g}")
-    if scene.resident is not None and scene.resident.backend is engine:
-        return Ground(scene.resident, scene.sides, reach, scene.spacing)
-    values, step = scene.lattice()
-    return Ground(np.divide(values, np.float32(-step), out=scratch(values.shape)), scene.sides, reach)
+    return Ground(scene.on(engine), scene.sides, reach)

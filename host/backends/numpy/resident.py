@@ -1,35 +1,71 @@
-"""A depth map that lies on the device already, in NumPy: twin of opencl/resident.cl."""
+"""A depth map that lies on a device, in NumPy: twin of opencl/resident.cl."""
 
 from __future__ import annotations
 
 import numpy as np
 
+from ...constants import HIGHEST_MASKED, NO_CEILING, NONE
+
 WAYS = (1, 0), (1, 1), (0, 1), (-1, 1), (-1, 0), (-1, -1), (0, -1), (1, -1)
 
 
-def take(values: np.ndarray, depth: np.ndarray, top: float, sign: float, count: int) -> None:
-    depth.reshape(-1)[:count] = np.float32(top) + np.float32(sign) * values.reshape(-1)[:count]
+def adopt(
+    values: np.ndarray, mask: np.ndarray, depth: np.ndarray, top: float, sign: float, masked: int, count: int
+) -> None:
+    given = values.reshape(-1)[:count]
+    found = np.where(given == np.inf, np.float32(np.nan), np.float32(top) + np.float32(sign) * given)
+    if masked:
+        found[mask.reshape(-1)[:count] == 0] = np.inf
+    depth.reshape(-1)[:count] = found
 
 
-def survey(values: np.ndarray, found: np.ndarray, rows: int, cols: int) -> None:
-    values = values.reshape(rows, cols)
-    known, most = np.isfinite(values), np.finfo(np.float32).max
-    found[0], found[1] = np.where(known, values, most).min(0), np.where(known, values, -most).max(0)
-    found[2] = (~known).sum(0)
+def survey(values: np.ndarray, found: np.ndarray, rows: int, cols: int, block: int, step: float) -> None:
+    values = values.reshape(-1)[: rows * cols].reshape(rows, cols)
+    room = np.full((rows + 1, cols + 1), np.inf, np.float32)
+    room[:-1, :-1] = values
+    for b in range(-(-rows // block)):
+        some = slice(b * block, min((b + 1) * block, rows))
+        z = values[some]
+        known = np.isfinite(z)
+        found[0, b], found[1, b] = (
+            np.where(known, z, NO_CEILING).min(0),
+            np.where(known, z, -NO_CEILING).max(0),
+        )
+        found[2, b] = (~known & (z != np.inf)).sum(0)
+        with np.errstate(invalid="ignore", over="ignore"):
+            found[3, b] = (known & ((np.rint(z.astype(float) / step) * step).astype(np.float32) != z)).sum(0)
+            for n, there in enumerate((room[some, 1:], room[some.start + 1 : some.stop + 1, :-1])):
+                pair = known & np.isfinite(there)
+                # in the order of the rows, as the kernels add
+                found[4 + n, b] = np.cumsum(np.where(pair, (there - z) ** 2, 0), 0, np.float32)[-1]
+                found[6 + n, b] = pair.sum(0)
 
 
-def pad(
+def layers(depth: np.ndarray, step: float, count: int) -> None:
+    some = depth.reshape(-1)[:count]
+    some[:] = np.rint(some.astype(float) / step)
+
+
+def heights(
     depth: np.ndarray,
     heights: np.ndarray,
     rows: int,
     cols: int,
-    margin: int,
+    left: int,
+    above: int,
+    width: int,
+    height: int,
     step: float,
-    outside: float,
+    masked: float,
     periodic: int,
 ) -> None:
-    mode = {"mode": "wrap"} if periodic else {"constant_values": np.float32(outside)}
-    heights[:] = np.pad(-depth.reshape(rows, cols) / np.float32(step), margin, **mode).ravel()
+    depth = depth.reshape(-1)[: rows * cols].reshape(rows, cols)
+    ground = np.where(depth == np.inf, np.float32(masked), -depth / np.float32(step))
+    margins = (above, height - rows - above), (left, width - cols - left)
+    padded = (
+        np.pad(ground, margins, mode="wrap") if periodic else np.pad(ground, margins, constant_values=NONE)
+    )
+    heights.reshape(-1)[: width * height] = padded.ravel()
 
 
 def probe(
@@ -54,5 +90,6 @@ def probe(
             u, v = x + i * distance, y + j * distance
             inside = (u >= 0) & (u < cols) & (v >= 0) & (v < rows)
             there = heights[np.where(inside, (v + margin) * stride + margin + u, 0)]
-            best[way] = np.maximum(best[way], np.where(inside, (there - own) / np.float32(distance), -np.inf))
+            seen = inside & (there > HIGHEST_MASKED) & (own > HIGHEST_MASKED)
+            best[way] = np.maximum(best[way], np.where(seen, (there - own) / np.float32(distance), -np.inf))
         distance = distance * 5 // 4 + 1
