@@ -33,7 +33,7 @@ from .reflectance import Lambertian
 from .samples import CLIFF, SAMPLE_COUNT, SAMPLED_SLOPE, Errors, Samples
 from .scene import Scene, is_scene
 from .sources.integrals import Integrals, Sun, even
-from .sources.solids import Ball, Quad, aperture, rectangle
+from .sources.solids import Ball, Quad, aperture, rectangle, upright
 
 # -- tolerance and estimates
 DEFAULT_TAIL = 10.0  # bound on the 99.9th percentile of the error, in tolerances, unless given
@@ -339,16 +339,6 @@ def solid_of(
     assert source.center is not None and source.radius is not None, "the lattice alone renders a volume"
     x, y, z = np.array(source.center) * unit
     return Ball((x, y, z), source.radius * unit)
-
-
-def upright(solid: Ball | Quad | None) -> Ball | Quad | None:
-    """The same with heights for depths."""
-    if solid is None:
-        return None
-    if isinstance(solid, Quad):
-        return Quad(np.asarray(solid.corners, float) * (1, 1, -1))
-    x, y, z = solid.center
-    return Ball((x, y, -z), solid.radius)
 
 
 class _ClosedForm(LightMethod):

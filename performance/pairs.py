@@ -14,8 +14,9 @@ from plans import fractal, in_length
 
 import skylamp as sl
 from skylamp import sources
-from skylamp.refinement import solid_of, upright
+from skylamp.refinement import solid_of
 from skylamp.sources.cie import SUN_RADIUS, towards
+from skylamp.sources.solids import upright
 
 AZIMUTHS, CELLS = 1440, 1024  # of the smooth part of a sky; cells of elevation
 WITHIN = 4  # places within an azimuth's width at which brightness is taken

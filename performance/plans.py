@@ -21,8 +21,9 @@ from skylamp import sources
 from skylamp.backends import select
 from skylamp.io import files as io
 from skylamp.light.lattice import lacking
-from skylamp.refinement import solid_of, upright
+from skylamp.refinement import solid_of
 from skylamp.samples import Samples
+from skylamp.sources.solids import upright
 
 TOLERANCES = (0.03, 0.01, 0.003)
 NODES = 600  # at which an image is judged

@@ -10,10 +10,10 @@ import skylamp as sl
 from skylamp import oracle
 from skylamp.backends import select
 from skylamp.light.slices import Slices
-from skylamp.refinement import solid_of, upright
+from skylamp.refinement import solid_of
 from skylamp.samples import NONE, SAMPLE_COUNT, Errors, Samples, errors
 from skylamp.sources.integrals import Integrals
-from skylamp.sources.solids import Dome
+from skylamp.sources.solids import Ball, Dome, Quad, upright
 
 
 @pytest.mark.parametrize("name", ["rough", "dark", "periodic", "holes", "metres", "tiny"])
@@ -103,6 +103,13 @@ def test_errors_by_hand():
         errors(np.zeros(3), np.zeros(3)) == Errors(0, 0, 0) and errors(np.ones(3), np.zeros(3)).rms == np.inf
     )
     assert errors(exact[:1], exact[:1] + 1).rms == 1.0, "one node has an error too"
+
+
+def test_an_upright_shape_by_hand():
+    """Depths become heights, lengths are in units of the step; the shape itself stays."""
+    ball, quad = Ball((2.0, 4.0, -6.0), 1.0), Quad(np.arange(12.0).reshape(4, 3))
+    assert upright(ball, 2.0) == Ball((1.0, 2.0, 3.0), 0.5) and upright(None) is None
+    np.testing.assert_array_equal(upright(quad, 2.0).corners, quad.corners * (0.5, 0.5, -0.5))
 
 
 def test_weights_by_hand():

@@ -449,24 +449,6 @@ def test_the_rules_of_quadrature():
         assert not table[count - 1, count:].any()
 
 
-def test_the_cumulative_table():
-    """Closed forms for a uniform and an overcast sky; the azimuth's own brightness."""
-    knots = 33
-    s = np.arange(knots) / (knots - 1)
-    t = np.arcsin(s)
-    for brightness, wanted in ((2.0, 1 - s**2), (sl.cie_overcast(3.0), (1 - s**2) / 2 + 2 * (1 - s**3) / 3)):
-        table = slices.cumulative(sl.Sky(brightness=brightness), [0.3, 2.0, 5.0], knots)
-        assert table.shape == (3, knots, 2) and table.dtype == np.float32
-        np.testing.assert_allclose(table[:, :, 1], np.tile(wanted, (3, 1)), atol=2e-7)
-    table = slices.cumulative(
-        sl.Sky(brightness=lambda L: 2 + L[..., 0] / np.hypot(L[..., 0], L[..., 1])),
-        [0.0, np.pi / 2, np.pi],
-        knots,
-    )
-    wanted = (np.pi / 2 - t - np.sin(t) * np.cos(t)) / 2
-    np.testing.assert_allclose(table[:, :, 0], np.outer([3, 2, 1], wanted), atol=5e-7)
-
-
 # --- walls and masks
 
 

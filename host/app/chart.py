@@ -14,10 +14,11 @@ from ..backends import backends, select
 from ..backends.base import Backend
 from ..errors import bad
 from ..io.paths import StrPath
-from ..refinement import solid_of, upright
+from ..refinement import solid_of
 from ..rendering import Rendering, render
 from ..samples import Samples
 from ..scene import Scene
+from ..sources.solids import upright
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -11,7 +11,7 @@ from .. import sources
 from ..backends.base import Array, Backend
 from ..scene import Scene
 from ..sources.integrals import Integrals, chords
-from ..sources.solids import Ball, Dome, Quad
+from ..sources.solids import Ball, Dome, Quad, upright
 from . import unoccluded
 from .base import Estimate, LightMethod
 from .slices import CHORD_AZIMUTHS, CHORD_KNOTS, Slices, ball_nodes, outline, widened
@@ -57,14 +57,9 @@ class Sliced(LightMethod):
 
     def _factor(self) -> np.ndarray:
         """The mean brightness of the source from every node (rows, cols) float32, by rays."""
-        upright: Ball | Quad
-        if isinstance(self.solid, Ball):
-            x, y, z = np.array(self.solid.center) / self.step * (1, 1, -1)
-            upright = Ball((x, y, z), self.solid.radius / self.step)
-        else:
-            upright = Quad(np.asarray(self.solid.corners) / self.step * (1, 1, -1))
+        solid = upright(self.solid, self.step)
         light, uniform = (
-            unoccluded.image(self.scene, upright, brightness, self.rays)
+            unoccluded.image(self.scene, solid, brightness, self.rays)
             for brightness in (self.source.brightness, 1.0)
         )
         factor: np.ndarray = np.divide(

@@ -45,8 +45,7 @@ class Horizons(LightMethod):
         rays: bool = False,
     ):
         self.engine, self.scene, self.sky, self.units, self.sectors = engine, scene, sky, count, sectors
-        self.scale = sky if isinstance(sky, float) else 1.0
-        self.suns = () if isinstance(sky, float) else sky.suns
+        self.scale, self.suns = (1.0, sky.suns) if isinstance(sky, Integrals) else (sky, ())
         shape, size = scene.shape, (math.prod(scene.shape),)
         self.sweeps = Sweeps(engine, ground_of(scene, max_distance, engine), near=near)
         self.total, self.turned = (engine.empty(size, np.int32) for _ in range(2))

@@ -22,7 +22,6 @@ MOST = 32  # of a source that surrounds a node, by default
 WALLED = 2  # times as many where a wall cuts the source
 LEVELS = 9  # cells of 2 to 512 nodes
 BRIGHTNESS_SIDE = 512  # samples of the brightness across the sky
-GAUSS = 8  # points between two knots of a cumulative table
 LOBE_POINTS, LOBE_VARIES = 10, 14  # samples of a lobe along a chord within its rim; where brightness varies
 # slices of a lobe: least, where the zenith lies within it, and through a lamp
 LOBE_LEAST, LOBE_ROUND, LOBE_MOST = 16, 32, 256
@@ -101,30 +100,6 @@ def blurred(source: Source, spread: float) -> tuple[float | np.ndarray, np.ndarr
     blend[first + 1, np.arange(LOBE_SAMPLES)] = share - first
     blend /= blend.sum(1, keepdims=True)
     return blend @ fine @ blend.T, *suns
-
-
-def cumulative(source: Source, azimuths: np.ndarray, knots: int) -> np.ndarray:
-    """Integrals of B cos^2 and B sin cos over elevation, from each knot to the zenith.
-
-    (azimuths, knots, 2) float32. The sine of elevation of knot i is i / (knots - 1); Gauss-Legendre
-    quadrature in elevation between knots.
-    """
-    azimuths = np.asarray(azimuths, float)
-    out = np.zeros((len(azimuths), knots, 2), np.float32)
-    ends = np.arcsin(np.arange(knots) / (knots - 1))
-    node, weight = np.polynomial.legendre.leggauss(GAUSS)
-    half = np.diff(ends)[:, None] / 2
-    e = ends[:-1, None] + half * (1 + node)
-    c, s = np.cos(e), np.sin(e)
-    share = np.stack([half * weight * c * c, half * weight * s * c], -1)
-    for some in np.array_split(np.arange(len(azimuths)), -(-len(azimuths) * e.size // 2**18)):
-        a = azimuths[some, None, None]
-        light = radiance(
-            source, np.stack([c * np.cos(a), c * np.sin(a), np.broadcast_to(-s, (len(some), *s.shape))], -1)
-        )
-        parts = (light[..., None] * share).sum(2)
-        out[some, :-1] = np.cumsum(parts[:, ::-1], 1)[:, ::-1]
-    return out
 
 
 class Slices:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import NamedTuple, overload
 
 import numpy as np
 
@@ -31,6 +31,20 @@ class Dome(NamedTuple):
     """The sky, seen in a mirror. Ground farther away than ``reach`` [unit of depth] does not occlude it."""
 
     reach: float = math.inf
+
+
+@overload
+def upright(solid: Ball | Quad, step: float = 1.0) -> Ball | Quad: ...
+@overload
+def upright(solid: Ball | Quad | None, step: float = 1.0) -> Ball | Quad | None: ...
+def upright(solid: Ball | Quad | None, step: float = 1.0) -> Ball | Quad | None:
+    """The shape with heights for depths, lengths in units of ``step`` [unit of depth]."""
+    if solid is None:
+        return None
+    if isinstance(solid, Quad):
+        return Quad(np.asarray(solid.corners, float) / step * (1, 1, -1))
+    x, y, z = solid.center
+    return Ball((x / step, y / step, -z / step), solid.radius / step)
 
 
 def rectangle(corner: Vector, edge_u: Vector, edge_v: Vector) -> Quad:
