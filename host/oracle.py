@@ -431,6 +431,114 @@ def horizons(
     return out.reshape(-1, *surface.shape) if nodes is None else out
 
 
+def overviews(height: np.ndarray, share: float) -> Iterator[np.ndarray]:
+    """Level 0, 1, 2 ... of a map: cells of 2^f nodes along a side, nan where none has data.
+
+    A cell's mean is that of the four cells it is made of, as far as they have data, its maximum likewise; the
+    height is mean + share (maximum - mean). Cells at the last rows and columns may be smaller.
+    """
+    mean = high = np.asarray(height, float)
+    while True:
+        yield mean + share * (high - mean)
+        if mean.shape == (1, 1):
+            return
+        quarters = []
+        for values in (mean, high):
+            room = np.pad(values, [(0, n % 2) for n in values.shape], constant_values=np.nan)
+            quarters.append(np.stack([room[i::2, j::2] for i in (0, 1) for j in (0, 1)]))
+        count = np.isfinite(quarters[0]).sum(0)
+        with np.errstate(invalid="ignore"):
+            mean = np.nansum(quarters[0], 0) / count
+        high = np.where(count > 0, np.fmax.reduce(quarters[1]), np.nan)
+
+
+def far_horizons(
+    height: np.ndarray,
+    azimuths: Sequence[float] | np.ndarray,
+    halo: int,
+    rule: int,
+    spread: int,
+    share: float,
+    repeats: bool = False,
+    farthest: float = math.inf,
+    drop: float = 0.0,
+) -> np.ndarray:
+    """Tangent of the elevation of the horizon beyond ``halo`` nodes, from overviews: (azimuths, rows, cols).
+
+    height (rows, cols) [nodes], nan where masked. From distance ``halo`` [nodes] on up to ``farthest`` there
+    is a sample every 2^f nodes, f the level from rule 2^f nodes on, bilinear between the centres of its cells
+    (on the border that of the border's cells), as far as they have data. Slopes are less by drop x distance.
+    They are known at every ``spread``-th node and the last of each axis, as that of the sample that stands
+    highest; nodes between them take all four, each moved to their own height, bilinearly. -inf: no ground so
+    far away; nan: masked. A node without data looks from the lowest height.
+    """
+    rows, cols = height.shape
+    levels = list(overviews(height, share))
+    row, col = (np.unique(np.append(np.arange(0, n, spread), n - 1)) for n in (rows, cols))
+    y, x = (index.astype(float) for index in np.meshgrid(row, col, indexing="ij"))
+    own = height[np.ix_(row, col)]
+    own = np.where(np.isnan(own), np.nanmin(height), own)
+    out = np.empty((len(azimuths), rows, cols))
+    for found, azimuth in zip(out, azimuths):
+        best, where = np.full(own.shape, -np.inf), np.full(own.shape, np.inf)
+        distance = float(halo)
+        while distance <= min(farthest, math.inf if repeats else math.hypot(rows, cols)):
+            f = min(math.floor(math.log2(distance / rule)), len(levels) - 1)
+            v, u = y + distance * math.sin(azimuth), x + distance * math.cos(azimuth)
+            on_map = repeats | ((v >= 0) & (v <= rows - 1) & (u >= 0) & (u <= cols - 1))
+            ground = _between_cells(levels[f], v, u, 2**f, repeats)
+            slope = np.where(on_map, (ground - own) / distance - drop * distance, np.nan)
+            higher = slope > best
+            best, where = np.where(higher, slope, best), np.where(higher, distance, where)
+            distance += 2**f
+        found[:] = _moved(best, where, own, height, row, col)
+    return out
+
+
+def _between_cells(cells: np.ndarray, v: np.ndarray, u: np.ndarray, size: int, repeats: bool) -> np.ndarray:
+    """Height at row v, column u [nodes]: bilinear between those cells' centres that have data."""
+    total, weights = np.zeros(v.shape), np.zeros(v.shape)
+    v, u = ((at - (size - 1) / 2) / size for at in (v, u))
+    for i in (0, 1):
+        for j in (0, 1):
+            r, q = np.floor(v).astype(int) + i, np.floor(u).astype(int) + j
+            weight = (1 - abs(v - r)) * (1 - abs(u - q))
+            if repeats:
+                r, q = r % cells.shape[0], q % cells.shape[1]
+            here = cells[np.clip(r, 0, cells.shape[0] - 1), np.clip(q, 0, cells.shape[1] - 1)]
+            total += np.where(np.isnan(here), 0, weight * here)
+            weights += np.where(np.isnan(here), 0, weight)
+    with np.errstate(invalid="ignore"):
+        return total / weights
+
+
+def _moved(
+    slope: np.ndarray,
+    distance: np.ndarray,
+    own: np.ndarray,
+    height: np.ndarray,
+    row: np.ndarray,
+    col: np.ndarray,
+) -> np.ndarray:
+    """Slopes at all nodes from those at rows ``row`` and columns ``col``, each moved to the node's height."""
+    out = np.full(height.shape, np.nan)
+    for (y, x), h in np.ndenumerate(height):
+        if np.isnan(h):
+            continue
+        ends = []
+        for at, known in ((y, row), (x, col)):
+            high = min(max(1, int(np.searchsorted(known, at))), len(known) - 1)
+            low = max(0, high - 1)
+            part = (at - known[low]) / max(1, known[high] - known[low])
+            ends.append([(low, 1 - part), (high, part)])
+        out[y, x] = 0.0
+        for r, a in ends[0]:
+            for q, b in ends[1]:
+                if a * b > 0:
+                    out[y, x] += a * b * (slope[r, q] + (own[r, q] - h) / distance[r, q])
+    return out
+
+
 # -- light between surfaces: strips of ground, the same surface
 
 

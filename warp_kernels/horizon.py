@@ -701,7 +701,7 @@ def sweep(NEAR: int, SIDES: int, WHAT: int, BLOCKS: int):
 
                 # 8. the light between the horizon, or the tangent plane, and the zenith
                 if x >= 0 and x < cols:
-                    if wp.static(BLOCKS != 0 or WHAT == SLOPES) and known != 0:
+                    if known != 0:
                         slope = wp.max(slope, slopes[plane, y * cols + x])
                     if wp.static(WHAT == SLOPES):
                         if slope < -1e20:

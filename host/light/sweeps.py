@@ -15,6 +15,7 @@ from ..checks import positive_number
 from ..constants import LADDER, LEAST_SEARCHED_SLOPE, MOST_PIXELS, SIDES, SLOPES, TABLE, UNIFORM
 from ..errors import CapacityError, bad
 from ..scene import Scene, is_scene
+from .far import BATCH, Far, Marched
 
 # rows within which every crossing is tested; FINE_NEAR_ROWS from MANY_AZIMUTHS on, where the sum over all
 # azimuths is that exact
@@ -77,11 +78,13 @@ class Sweeps:
         table: np.ndarray | None = None,
         near: int | None = None,
         level: bool = False,
+        far: Far | None = None,
     ):
         """``table`` (K, knots, 4) float32: brightness, see opencl/horizon.cl; by default uniform, 1.
 
         ``level``: light falls on a level element at every node, not on the surface. Without ``rays``,
         ``set_azimuths`` gives them, and the arrays that all sets of azimuths share are computed once.
+        ``far``: the map is a tile of a larger one, with ground around it; slopes are known from there.
         """
         self.level, self.kept = level, rays is None
         self.map_turned, self.tilted = False, [False, False]  # which of these arrays have been computed
@@ -107,6 +110,7 @@ class Sweeps:
         self.heights = here.heights(m, m, m, m, MASKED_HEIGHT, self.sides == "periodic")
         self.steepest = _steepest(here.probe(self.heights, m, every, first))
         self.relief = highest - self.lowest
+        self.far = None if far is None else Marched(backend, far)
         self.turned = backend.empty((self.room,), np.float32)
         level_ground = 0 if level else None  # else the kernel `tilt` writes them
         # on a GPU both maps are swept at the same time
@@ -210,12 +214,14 @@ class Sweeps:
                 int(self.sides == "periodic"),
             )
         self.tilted[half.turned] = self.kept
-        for first, count in _batches(half, 1 if backend.lines == 1 else ENDLESS_WINDOW):
-            scratch, windowed = self.nothing, half.windows[first] < ENDLESS_WINDOW
-            if windowed:
-                scratch = backend.empty((count, half.rows * half.cols), np.float32)
-                self._sweep(half, first, count, SLOPES, False, True, scratch, sums)
-            self._sweep(half, first, count, self.what, windowed, False, scratch, sums)
+        for first, count in _batches(half, _at_once(self)):
+            scratch, known = _far_slopes(self, half, first, count)
+            if half.windows[first] < ENDLESS_WINDOW:
+                if not known:
+                    scratch = backend.empty((count, half.rows * half.cols), np.float32)
+                self._sweep(half, first, count, SLOPES, known, True, scratch, sums)
+                known = True
+            self._sweep(half, first, count, self.what, known, False, scratch, sums)
 
     def irradiance(self, last: bool = False) -> np.ndarray:
         """Irradiance (rows, cols) float32 [brightness x sr]. ``last``: arrays are released after use."""
@@ -251,8 +257,9 @@ class Sweeps:
         self._turn()
         for half in self.halves:
             for first, count in _batches(half, most):
-                planes = backend.empty((count, half.rows * half.cols), np.float32)
-                known = False
+                planes, known = _far_slopes(self, half, first, count)
+                if not known:
+                    planes = backend.empty((count, half.rows * half.cols), np.float32)
                 for falling in (False, True):
                     for backward in (True, False) if half.windows[first] < ENDLESS_WINDOW else (False,):
                         self._sweep(
@@ -412,6 +419,22 @@ def _batches(half: Half, most: int) -> Iterator[tuple[int, int]]:
         count = min(most, int((half.windows[first:] == half.windows[first]).sum()))
         yield first, count
         first += count
+
+
+def _at_once(sweeps: Sweeps) -> int:
+    """Azimuths whose light is swept together."""
+    if sweeps.backend.lines == 1:
+        return 1
+    return ENDLESS_WINDOW if sweeps.far is None else max(1, BATCH // (4 * math.prod(sweeps.shape)))
+
+
+def _far_slopes(sweeps: Sweeps, half: Half, first: int, count: int) -> tuple[Array, bool]:
+    """(Slopes (count, rows x cols) float32 of ground far from a tile, True), or (nothing, False)."""
+    if sweeps.far is None:
+        return sweeps.nothing, False
+    angles = sweeps.rays.angles[half.numbers[first : first + count]]
+    shape = half.rows, half.cols
+    return sweeps.far.planes(shape, sweeps.margin, half.heights, angles, half.turned), True
 
 
 def _whole_shear(shear: float) -> float:

@@ -63,7 +63,7 @@ def sweep(
         slope = np.fmax(_far(rays, lower, upper), _near(rays, near_at[a], near_weight[a])) * azimuths[a, 3]
         if SIDES == DARK:
             slope = np.maximum(slope, _wall(rays, azimuths[a, 3]))
-        if WHAT == SLOPES or BLOCKS:
+        if WHAT == SLOPES or known:
             out = slopes[plane : plane + 1].reshape(rows, cols)[:: rays.towards]
             slope = np.maximum(slope, out) if known else slope
         if WHAT == SLOPES:

@@ -1,0 +1,309 @@
+"""Ground far from a tile: overviews of the whole map, and the horizons that tiles take from them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from ..backends.base import Array, Backend
+from ..constants import NONE
+from ..errors import bad
+
+# how far from a cell's mean to its maximum its height lies; measured (performance/scale.py): with means alone
+# crests are lost, with maxima alone valleys close
+SHARE = np.float32(0.4)
+# the halo over the distance of nodes whose far horizons are marched; measured (performance/scale.py): at 2
+# errors are 1.5 to 2 times as large, at 8 0.6 to 0.8 times, for a quarter and four times the work
+SPARSE = 4
+# halos beyond a tile up to which overviews are its neighbours'; chosen: at 4 the levels that every tile is
+# given have four times as many cells, at 16 neighbours give four times as many
+NEIGHBOURS = 8
+# of slopes that are known before a sweep [byte]; chosen: an azimuth of 8448 x 8448 nodes takes 285 MB
+BATCH = 2**29
+
+
+@dataclass(frozen=True)
+class Tiling:
+    """How maps beyond one device are cut, counted from the map's first node, whatever their chunks are.
+
+    Parameters
+    ----------
+    tile : int
+        Nodes along a side of a tile; a multiple of ``halo``.
+    halo : int
+        Nodes of the map around each tile that are swept with it; ground farther away is taken from overviews.
+        A power of two.
+    rule : int
+        Cells of an overview between the nearest ground that it stands for and the tile's node: level f, cells
+        of 2^f nodes, serves distances from rule 2^f to rule 2^(f + 1) nodes. A power of two, at most halo.
+
+    Raises
+    ------
+    InputError
+    """
+
+    tile: int = 8192
+    halo: int = 128
+    rule: int = 32
+
+    def __post_init__(self) -> None:
+        for name, least in (("halo", SPARSE), ("rule", 4)):
+            value = getattr(self, name)
+            if not isinstance(value, (int, np.integer)) or value < least or value & (value - 1):
+                raise bad(f"Tiling: {name}", repr(value), f"a power of two, at least {least}")
+        if self.rule > self.halo:
+            raise bad("Tiling: rule", self.rule, f"at most halo, {self.halo}")
+        if not isinstance(self.tile, (int, np.integer)) or self.tile < self.halo or self.tile % self.halo:
+            raise bad("Tiling: tile", repr(self.tile), f"a multiple of halo, {self.halo}")
+
+    @property
+    def first(self) -> int:
+        """The first level that is looked at, which serves distance ``halo``."""
+        return (self.halo // self.rule).bit_length() - 1
+
+    @property
+    def top(self) -> int:
+        """The first level that is one array for the whole map; below, tiles are given parts."""
+        return self.first + (min(NEIGHBOURS, self.tile // self.halo)).bit_length() - 1
+
+    @property
+    def reach(self) -> int:
+        """Nodes beyond a tile up to which levels below ``top`` are looked at."""
+        return self.rule << self.top if self.top > self.first else 0
+
+    @property
+    def spread(self) -> int:
+        """Nodes between those whose far horizons are marched."""
+        return self.halo // SPARSE
+
+    @property
+    def least(self) -> int:
+        """Nodes along a side of the smallest tile; what is left of a map belongs to the tile before it."""
+        return max(self.halo, self.reach)
+
+    def starts(self, nodes: int) -> list[int]:
+        """First nodes of all tiles along an axis of so many nodes."""
+        return list(range(0, max(1, nodes - self.least + 1), self.tile))
+
+
+class Cells(NamedTuple):
+    """A part of a level: heights (rows, cols) float32, nan without data; its first cell; nodes along one."""
+
+    heights: np.ndarray
+    row: int
+    col: int
+    size: int
+
+
+class Far(NamedTuple):
+    """What a tile must know of a map to see it all.
+
+    ``shape`` of the map; ``at``: row and column of the tile's first node; ``tile``: its rows and columns;
+    ``before``: rows and columns of the swept window before it; ``own``: heights float32 of the nodes that
+    :func:`marched_nodes` lists; ``levels``: from ``tiling.first`` on, heights likewise in spacings as the
+    window has them; ``farthest`` [nodes] ground to be seen; ``periodic``: the map repeats; ``drop``
+    [1 / spacing]: by how much ground falls off with distance^2.
+    """
+
+    tiling: Tiling
+    shape: tuple[int, int]
+    at: tuple[int, int]
+    tile: tuple[int, int]
+    before: tuple[int, int]
+    own: np.ndarray
+    levels: list[Cells]
+    farthest: float
+    periodic: bool = False
+    drop: float = 0.0
+
+
+def coarser(low: np.ndarray, times: int = 1) -> np.ndarray:
+    """Means and maxima (2, rows, cols) float32 of blocks of 2 x 2 cells, ``times`` over.
+
+    Cells without data, nan, have no part in either; blocks at the last row and column may be smaller.
+    """
+    for _ in range(times):
+        if any(n % 2 for n in low.shape[1:]):
+            low = np.pad(low, [(0, 0), *((0, n % 2) for n in low.shape[1:])], constant_values=np.nan)
+        a, b, c, d = low[:, ::2, ::2], low[:, ::2, 1::2], low[:, 1::2, ::2], low[:, 1::2, 1::2]
+        mean = ((a[0] + b[0]) + (c[0] + d[0])) * np.float32(0.25)
+        gaps = np.isnan(mean)
+        if gaps.any():
+            parts = np.stack([part[0][gaps] for part in (a, b, c, d)])
+            count = np.isfinite(parts).sum(0, dtype=np.float32)
+            sums = np.where(np.isfinite(parts), parts, np.float32(0))
+            with np.errstate(invalid="ignore"):
+                mean[gaps] = ((sums[0] + sums[1]) + (sums[2] + sums[3])) / count
+        low = np.stack([mean, np.fmax(np.fmax(a[1], b[1]), np.fmax(c[1], d[1]))])
+    return low
+
+
+def from_heights(heights: np.ndarray) -> np.ndarray:
+    """Level 0 for :func:`coarser`: heights (rows, cols) [length], nan without data."""
+    values = heights.astype(np.float32, copy=False)
+    return np.broadcast_to(values, (2, *values.shape))
+
+
+def mixed(low: np.ndarray) -> np.ndarray:
+    """Heights of cells from their means and maxima."""
+    heights: np.ndarray = low[0] + SHARE * (low[1] - low[0])
+    return heights
+
+
+class Top(NamedTuple):
+    """The levels from ``tiling.top`` on, whole maps (rows, cols) float32 [length]; the range."""
+
+    levels: list[np.ndarray]
+    lowest: float
+    highest: float
+
+
+def top_of(low: np.ndarray) -> Top:
+    """From means and maxima (2, rows, cols) of the whole map at ``tiling.top``."""
+    levels, lowest = [mixed(low)], float(np.nanmin(low[0], initial=math.inf))
+    highest = float(np.nanmax(low[1], initial=-math.inf))
+    while max(low.shape[1:]) > 1:
+        low = coarser(low)
+        levels.append(mixed(low))
+    return Top(levels, lowest, highest)
+
+
+def around(
+    tiling: Tiling,
+    shape: tuple[int, int],
+    at: tuple[int, int],
+    tile: tuple[int, int],
+    low: np.ndarray,
+    top: Top,
+    periodic: bool,
+) -> list[Cells]:
+    """All levels about a tile, [length], in as small windows as are looked at.
+
+    ``low``: means and maxima at level ``tiling.first`` of the tile and up to ``tiling.reach`` nodes around;
+    not needed where that is 0.
+    """
+    found = []
+    begin = [first - (tiling.reach if periodic else min(first, tiling.reach)) for first in at]
+    for level in range(tiling.first, tiling.top + len(top.levels)):
+        size = 1 << level
+        room = 2 * tiling.rule + 2  # cells that rays pass in a level, and the next for interpolation
+        if level < tiling.top:
+            found.append(Cells(mixed(low), begin[0] // size, begin[1] // size, size))
+            low = coarser(low)
+            continue
+        heights = top.levels[level - tiling.top]
+        picks = []
+        for first, count, cells in zip(at, tile, heights.shape):
+            pick = np.arange(first // size - room, (first + count - 1) // size + room + 1)
+            picks.append(pick if periodic else pick[(pick >= 0) & (pick < cells)])
+        window = heights[np.ix_(*(pick % cells for pick, cells in zip(picks, heights.shape)))]
+        found.append(Cells(window, int(picks[0][0]), int(picks[1][0]), size))
+    return found
+
+
+def marched_nodes(
+    tiling: Tiling, shape: tuple[int, int], at: tuple[int, int], tile: tuple[int, int]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Rows and columns of the map whose nodes' far horizons a tile interpolates."""
+    rows, cols = (
+        np.minimum(first + np.arange(0, count + tiling.spread, tiling.spread), most - 1)
+        for first, count, most in zip(at, tile, shape)
+    )
+    return rows, cols
+
+
+class Marched:
+    """Far horizons of a tile on a device."""
+
+    def __init__(self, backend: Backend, far: Far):
+        self.backend, self.far = backend, far
+        rows, cols = marched_nodes(far.tiling, far.shape, far.at, far.tile)
+        self.nodes = far.own.shape
+        table, level_of = self._steps()
+        described, offset = np.zeros((len(far.levels), 8), np.int32), 0
+        for line, level in zip(described, far.levels):
+            line[:6] = offset, level.row, level.col, *level.heights.shape, level.size.bit_length() - 1
+            offset += level.heights.size
+        cells = np.concatenate([np.nan_to_num(level.heights, nan=NONE).ravel() for level in far.levels])
+        self.highest = float(max(cells.max(), far.own.max()))
+        upload = backend.upload
+        self.tables = [upload(cells.astype(np.float32)), upload(described), upload(table), upload(level_of)]
+        self.steps = len(level_of)
+        self.own = [upload(far.own), *(upload(at.astype(np.int32)) for at in (rows, cols))]
+
+    def _steps(self) -> tuple[np.ndarray, np.ndarray]:
+        """Distances of the samples [nodes] and their reciprocals (steps, 2), and the level of each."""
+        far, found, levels = self.far, [], []
+        end = far.farthest if far.periodic else min(far.farthest, math.hypot(*far.shape))
+        distance, level = far.tiling.halo, 0
+        while distance <= end:
+            while level + 1 < len(far.levels) and distance >= far.tiling.rule * far.levels[level + 1].size:
+                level += 1
+            found.append((distance, 1 / distance))
+            levels.append(level)
+            distance += far.levels[level].size
+        return np.array(found, np.float32).reshape(-1, 2), np.array(levels, np.int32)
+
+    def planes(
+        self, shape: tuple[int, int], margin: int, heights: Array, angles: np.ndarray, turned: bool
+    ) -> Array:
+        """Slopes (azimuths, rows x cols) float32 on the device, of the window as it lies or turned.
+
+        ``shape`` and ``heights``, padded by ``margin``, are those of the window as it is swept.
+        """
+        backend, far, count = self.backend, self.far, len(angles)
+        rows, cols = shape
+        found = backend.empty((2, count, math.prod(self.nodes)), np.float32)
+        ways = backend.upload(np.stack([np.cos(angles), np.sin(angles)], 1).astype(np.float32))
+        backend.launch(
+            "far",
+            "march",
+            (math.prod(self.nodes), count),
+            *self.tables,
+            ways,
+            *self.own,
+            found,
+            self.steps,
+            count,
+            *self.nodes,
+            *far.shape,
+            self.highest,
+            far.drop,
+            int(far.periodic),
+        )
+        planes = backend.empty((count, rows * cols), np.float32)
+        last = [most - 1 - first for most, first in zip(far.shape, far.at)]
+        across_then_along = (self.nodes[1], 1), far.before, far.tile, last
+        places = [pair[:: 1 if turned else -1] for pair in across_then_along]  # along first
+        run = backend.nodes_per_item
+        backend.launch(
+            "far",
+            "interpolate",
+            (-(-cols // run), rows, count),
+            found,
+            heights,
+            planes,
+            count,
+            math.prod(self.nodes),
+            far.tiling.spread,
+            rows,
+            cols,
+            margin,
+            *(n for pair in places for n in pair),
+            run,
+        )
+        return planes
+
+
+def in_spacings(levels: list[Cells], base: float, spacing: float) -> list[Cells]:
+    """Heights [length] as a window has them: in spacings above ``base``."""
+    return [level._replace(heights=scaled(level.heights, base, spacing)) for level in levels]
+
+
+def scaled(heights: np.ndarray, base: float, spacing: float) -> np.ndarray:
+    """(heights - base) / spacing, float32, rounded once each."""
+    found: np.ndarray = (heights - base).astype(np.float32) / np.float32(spacing)
+    return found
