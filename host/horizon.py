@@ -39,7 +39,8 @@ def horizons(
             Rays(azimuths.angles, azimuths.widths),
             near=FINE_NEAR_ROWS,
         ).slopes()
-    slopes[:, ~scene.valid] = np.nan
+    if scene.mask is not None:
+        slopes[:, ~scene.mask] = np.nan
     found: np.ndarray = labelled(slopes, scene.labels, azimuth=azimuths.angles)
     return found
 
@@ -93,27 +94,14 @@ def openness(
     if not isinstance(negative, (bool, np.bool_)):
         raise bad("openness: negative", repr(negative), "True or False")
     if negative:
-        depth = np.where(scene.valid, scene.depth, 0)
-        scene = Scene(
-            np.where(scene.valid, depth.max() - depth, np.nan),
-            scene.spacing,
-            mask=scene.mask,
-            sides=scene.sides,
-        )
+        scene = Scene.from_height(scene.depth, scene.spacing, mask=scene.mask, sides=scene.sides)
     azimuths = as_azimuths(azimuths)
     engine = engine_of(scene, backend)
-    total = np.zeros(scene.shape)
     with engine.lock:
-        sweeps = Sweeps(
-            engine,
-            ground_of(scene, max_distance, engine),
-            Rays(azimuths.angles, azimuths.widths),
-            near=FINE_NEAR_ROWS,
-        )
-        for numbers, slopes in sweeps.planes():
-            for width, slope in zip(azimuths.widths[numbers], slopes):
-                total += width * (np.pi / 2 - np.arctan(np.where(np.isfinite(slope), slope, 0)))
-    image = np.where(scene.valid, total / (2 * np.pi), np.nan).astype(np.float32)
+        rays = Rays(azimuths.angles, azimuths.widths)
+        image = Sweeps(engine, ground_of(scene, max_distance, engine), rays, near=FINE_NEAR_ROWS).openness()
+    if scene.mask is not None:
+        image[~scene.mask] = np.nan
     found: np.ndarray = labelled(image, labels)
     return found
 
@@ -148,5 +136,6 @@ def _sum(
             table,
             level=share is not None,
         ).irradiance(last=True)
-    image[~scene.valid] = np.nan
+    if scene.mask is not None:
+        image[~scene.mask] = np.nan
     return image

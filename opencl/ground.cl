@@ -54,6 +54,27 @@ __kernel void gather(__global const int *sum, __global const int *turned, __glob
     irradiance[y * cols + x] = (float)(sum[y * cols + x] + turned[x * rows + y]) * unit;
 }
 
+/* openness: the angles from the zenith to the horizons of some azimuths, summed.
+
+  slopes  (count, pixels)  float  [1]    tangent of the horizon's elevation; -inf counts as level
+  widths  (count)          float  [rad]  of the azimuths
+  sums    (pixels)         float  [rad^2]  in and out: += width x (pi / 2 - arctan slope), in order
+
+Work-item p owns one node. */
+__kernel void openness(__global const float *slopes, __global const float *widths, __global float *sums,
+                       int count, int pixels)
+{
+  const int p = get_global_id(0);
+  if (p >= pixels)
+    return;
+  float sum = sums[p];
+  for (int n = 0; n < count; n++) {
+    const float slope = slopes[(size_t)n * pixels + p];
+    sum += widths[n] * (HALF_PI - (isfinite(slope) ? atan(slope) : 0.0f));
+  }
+  sums[p] = sum;
+}
+
 /* correct: irradiance += unit x table, by normal.
 
   tilts       (2, room)      float  [1]                  gx and gy, as tilt makes them

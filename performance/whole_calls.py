@@ -238,9 +238,8 @@ def main() -> None:
     rows = []
     cards = {name: select(name).device for name in args.backends.split(",")}
     print(f"{platform.machine()}, {os.cpu_count()} cores; {cards}; NumPy {np.__version__}")
-    print(
-        f"{'call':24} {'size':>5} {'backend':12} {'input':6} {'new':>9} {'known':>9} {'kernels':>9} {'floor':>8}"
-    )
+    heads = "call", "size", "backend", "input", "new, ms", "known", "kernels", "floor"
+    print("{:24} {:>5} {:12} {:6} {:>9} {:>9} {:>9} {:>8}".format(*heads))
     for size in map(int, args.sizes.split(",")):
         for call in args.calls or CALLS:
             for name in cards:

@@ -5,7 +5,7 @@ Twin of opencl/ground.cl.
 
 import warp as wp
 
-from skylamp.constants import HIGHEST_MASKED, NONE
+from skylamp.constants import HALF_PI, HIGHEST_MASKED, NONE
 
 from . import OPTIONS
 
@@ -83,6 +83,35 @@ def gather(
     """
     y, x = wp.tid()
     irradiance[y * cols + x] = wp.float32(sum[y * cols + x] + turned[x * rows + y]) * unit
+
+
+@wp.kernel
+def openness(
+    slopes: wp.array2d[wp.float32],
+    widths: wp.array[wp.float32],
+    sums: wp.array[wp.float32],
+    count: wp.int32,
+    pixels: wp.int32,
+):
+    """The angles from the zenith to the horizons of some azimuths, summed.
+
+      slopes  (count, pixels)  float32 [1]    tangent of the horizon's elevation; -inf counts as level
+      widths  (count)          float32 [rad]  of the azimuths
+      sums    (pixels)         float32 [rad^2]  in and out: += width x (pi / 2 - arctan slope), in order
+
+    Thread p owns one node.
+    """
+    p = wp.tid()
+    if p >= pixels:
+        return
+    total = sums[p]
+    for n in range(count):
+        slope = slopes[n, p]
+        if wp.isfinite(slope):
+            total += widths[n] * (HALF_PI - wp.atan(slope))
+        else:
+            total += widths[n] * HALF_PI
+    sums[p] = total
 
 
 @wp.kernel

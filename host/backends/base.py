@@ -96,15 +96,12 @@ class Backend(ABC):
     pixel_lanes = 1  # adjacent pixels per work-item where there are no lines; divides PIXEL_PADDING
     compile_seconds = 0.0
 
-    shares = False  # whether ``share`` takes no memory of its own
+    shares = False  # whether the device's memory is the host's
 
     def __init__(self) -> None:
         self.lock = threading.RLock()  # a call makes others
-
-    @functools.cached_property
-    def kept(self) -> OrderedDict[int, Any]:
-        """Maps of scenes by the scenes' ids, the one that was used last at the end; see Scene.on."""
-        return OrderedDict()
+        # maps of scenes by the scenes' ids, the one that was used last at the end; see Scene.on
+        self.kept: OrderedDict[int, Any] = OrderedDict()
 
     def __init_subclass__(cls) -> None:
         super().__init_subclass__()
@@ -117,12 +114,8 @@ class Backend(ABC):
         """Bytes that may be taken at once."""
 
     @abstractmethod
-    def upload(self, array: np.ndarray) -> Array:
-        """A copy of ``array`` on the device."""
-
-    def share(self, array: np.ndarray) -> Array:
-        """``array``, which nobody changes, on the device: itself where the device's memory is the host's."""
-        return self.upload(array)
+    def upload(self, array: np.ndarray, constant: bool = False) -> Array:
+        """A copy of ``array`` on the device; of a ``constant`` none if ``shares``."""
 
     @abstractmethod
     def put(self, array: Array, values: np.ndarray) -> None:

@@ -19,6 +19,7 @@ import skylamp.opencl
 
 from ..constants import GPU_LINES, GPU_PIXELS
 from ..errors import BackendError
+from . import staging
 from .base import (
     CPU_NODES_PER_ITEM,
     CPU_SINGLE_ITEM_NODES,
@@ -101,17 +102,18 @@ class OpenclBackend(Backend):
     def memory(self) -> int:
         return int(self._device.max_mem_alloc_size)
 
-    def upload(self, array: np.ndarray) -> Array:
+    def upload(self, array: np.ndarray, constant: bool = False) -> Array:
+        array = np.ascontiguousarray(array)
+        if constant and self.shares:
+            flags = self.cl.mem_flags.READ_ONLY | self.cl.mem_flags.USE_HOST_PTR
+            data = self.cl.Buffer(self.context, flags, hostbuf=array)
+            return self.cl.array.Array(self.queue, array.shape, array.dtype, data=data)
         device = _new(self, array.shape, array.dtype)
-        device.set(np.ascontiguousarray(array))
+        if self.shares or array.nbytes < staging.LEAST:
+            device.set(array)
+        else:
+            self._staging.upload(array, device)
         return device
-
-    def share(self, array: np.ndarray) -> Array:
-        if not self.shares:
-            return self.upload(array)
-        flags = self.cl.mem_flags.READ_ONLY | self.cl.mem_flags.USE_HOST_PTR
-        data = self.cl.Buffer(self.context, flags, hostbuf=array)
-        return self.cl.array.Array(self.queue, array.shape, array.dtype, data=data)
 
     def put(self, array: Array, values: np.ndarray) -> None:
         array.set(np.ascontiguousarray(values))
@@ -127,8 +129,31 @@ class OpenclBackend(Backend):
         array.fill(array.dtype.type(value))
 
     def download(self, array: Array) -> np.ndarray:
-        found: np.ndarray = array.get()
-        return found
+        if self.shares or array.nbytes < staging.LEAST:
+            found: np.ndarray = array.get()
+            return found
+        return self._staging.download(array, array.shape, array.dtype)
+
+    @functools.cached_property
+    def _staging(self) -> staging.Staging:
+        """Transfers follow the launches before them; drivers of GPUs hold mapped buffers in place."""
+        cl, access = self.cl, self.cl.map_flags.READ | self.cl.map_flags.WRITE
+        flags = cl.mem_flags.READ_WRITE | cl.mem_flags.ALLOC_HOST_PTR
+        self._held = [cl.Buffer(self.context, flags, staging.ROOM) for _ in range(staging.ROOMS)]
+        rooms = [
+            cl.enqueue_map_buffer(self.queue, buffer, access, 0, staging.ROOM, np.uint8)[0]
+            for buffer in self._held
+        ]
+
+        def copy(array: Any, start: int, part: np.ndarray, fetch: bool) -> Callable[[], None]:
+            if fetch:
+                event = cl.enqueue_copy(self.queue, part, array.data, src_offset=start, is_blocking=False)
+            else:
+                event = cl.enqueue_copy(self.queue, array.data, part, dst_offset=start, is_blocking=False)
+            wait: Callable[[], None] = event.wait
+            return wait
+
+        return staging.Staging(rooms, copy)
 
     def view(self, array: Array, shape: tuple[int, ...]) -> Array:
         return array  # a kernel is given a pointer

@@ -175,4 +175,4 @@ def upload(backend: Backend, depth: np.ndarray, step: float, least: float, most:
     """A host's map (rows, cols) float32, +inf where masked, which nobody changes, on a device."""
     rows, cols = depth.shape
     nbytes = 0 if backend.shares else depth.nbytes
-    return Resident(backend, backend.share(depth), (rows, cols), step, least, most, nbytes)
+    return Resident(backend, backend.upload(depth, constant=True), (rows, cols), step, least, most, nbytes)

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 import importlib
 import threading
 import time
+from collections import OrderedDict
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -15,6 +17,7 @@ from numpy.typing import DTypeLike
 from skylamp.warp_kernels import GROUP
 
 from ..constants import GPU_LINES, GPU_PIXELS
+from . import staging
 from .base import (
     CPU_NODES_PER_ITEM,
     CPU_SINGLE_ITEM_NODES,
@@ -62,6 +65,7 @@ class WarpBackend(Backend):
 
     def __init__(self, alias: str) -> None:
         self.wp: Any = importlib.import_module("warp")
+        self.kept = OrderedDict()
         self.name = f"warp:{alias}"
         self._device = self.wp.get_device(alias)
         cuda = self._device.is_cuda
@@ -81,19 +85,17 @@ class WarpBackend(Backend):
             return int(self._device.free_memory) * 9 // 10
         return available_memory() // 2
 
-    def upload(self, array: np.ndarray) -> Array:
-        return self.wp.array(np.ascontiguousarray(array), device=self._device)
-
-    def share(self, array: np.ndarray) -> Array:
-        if not self.shares:
-            return self.upload(array)
-        found = self.wp.array(
-            ptr=array.ctypes.data,
-            dtype=self.wp.dtype_from_numpy(array.dtype),
-            shape=array.shape,
-            device="cpu",
-        )
-        found.shared = array  # held as long
+    def upload(self, array: np.ndarray, constant: bool = False) -> Array:
+        array = np.ascontiguousarray(array)
+        if constant and self.shares:
+            kind = self.wp.dtype_from_numpy(array.dtype)
+            found = self.wp.array(ptr=array.ctypes.data, dtype=kind, shape=array.shape, device="cpu")
+            found.memory = array  # held as long
+            return found
+        if self.shares or array.nbytes < staging.LEAST:
+            return self.wp.array(array, device=self._device)
+        found = self.empty(array.shape, array.dtype)
+        self._staging.upload(array, found)
         return found
 
     def put(self, array: Array, values: np.ndarray) -> None:
@@ -110,7 +112,26 @@ class WarpBackend(Backend):
         array.fill_(value)
 
     def download(self, array: Array) -> np.ndarray:
-        return np.array(array.numpy())
+        kind = np.dtype(self.wp.dtype_to_numpy(array.dtype))
+        if self.shares or array.size * kind.itemsize < staging.LEAST:
+            return np.array(array.numpy())
+        return self._staging.download(array, array.shape, kind)
+
+    @functools.cached_property
+    def _staging(self) -> staging.Staging:
+        """Transfers follow the launches before them."""
+        wp = self.wp
+        held = [wp.empty(staging.ROOM, wp.uint8, device="cpu", pinned=True) for _ in range(staging.ROOMS)]
+        rooms = {room.ptr: room for room in held}
+
+        def copy(array: Any, start: int, part: np.ndarray, fetch: bool) -> Callable[[], None]:
+            there = wp.array(ptr=array.ptr + start, dtype=wp.uint8, shape=part.size, device=array.device)
+            here = rooms[part.ctypes.data]
+            wp.copy(*((here, there) if fetch else (there, here)), count=part.size)
+            event = self._device.stream.record_event()
+            return lambda: wp.synchronize_event(event)
+
+        return staging.Staging([room.numpy() for room in held], copy)
 
     def view(self, array: Array, shape: tuple[int, ...]) -> Array:
         return self.wp.array(ptr=array.ptr, dtype=array.dtype, shape=shape, device=array.device)

@@ -251,23 +251,43 @@ class Sweeps:
 
     def planes(self) -> Iterator[tuple[np.ndarray, np.ndarray]]:
         """Yield (numbers of azimuths, their horizon slopes (n, rows, cols) float32), a few at a time."""
+        for half, numbers, planes in self._planes():
+            found = self.backend.download(planes).reshape(len(numbers), half.rows, half.cols)
+            yield numbers, found.transpose(0, 2, 1) if half.turned else found
+
+    def openness(self) -> np.ndarray:
+        """The mean over azimuth of the angle from the zenith to the horizon [rad]: (rows, cols) float32."""
+        backend, (rows, cols) = self.backend, self.shape
+        pixels = rows * cols
+        natural, turned, back = (backend.empty((pixels,), np.float32, 0) for _ in range(3))
+        for half, numbers, planes in self._planes():
+            widths = backend.upload(self.rays.widths[numbers].astype(np.float32))
+            sums = turned if half.turned else natural
+            backend.launch("ground", "openness", (pixels,), planes, widths, sums, len(numbers), pixels)
+            backend.finish()  # the planes may be freed
+        backend.launch("ground", "turn", (cols, rows), turned, back, cols, rows)
+        backend.launch("ground", "halves", (pixels,), natural, back, pixels)  # half the sum of both
+        image: np.ndarray = backend.download(natural).reshape(self.shape)
+        image *= np.float32(2 / self.rays.widths.sum())
+        return image
+
+    def _planes(self) -> Iterator[tuple[Half, np.ndarray, Array]]:
+        """Yield (half, numbers of azimuths, their horizon slopes on the device), a few at a time."""
         backend = self.backend
         rows, cols = self.shape
         most = max(1, int(min(backend.memory // 4, 2**30) // (8 * rows * cols)))
         self._turn()
         for half in self.halves:
             for first, count in _batches(half, most):
-                planes, known = _far_slopes(self, half, first, count)
-                if not known:
-                    planes = backend.empty((count, half.rows * half.cols), np.float32)
+                planes = backend.empty((count, half.rows * half.cols), np.float32)
+                known = False
                 for falling in (False, True):
                     for backward in (True, False) if half.windows[first] < ENDLESS_WINDOW else (False,):
                         self._sweep(
                             half, first, count, SLOPES, known, backward, planes, self.nothing, falling
                         )
                         known = True
-                found = backend.download(planes).reshape(count, half.rows, half.cols)
-                yield half.numbers[first : first + count], found.transpose(0, 2, 1) if half.turned else found
+                yield half, half.numbers[first : first + count], planes
 
     def _turn(self) -> None:
         if self.map_turned:

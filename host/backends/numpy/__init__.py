@@ -25,11 +25,8 @@ class NumpyBackend(Backend):
     def memory(self) -> int:
         return available_memory() // 2
 
-    def upload(self, array: np.ndarray) -> Array:
-        return np.array(array, order="C")
-
-    def share(self, array: np.ndarray) -> Array:
-        return array
+    def upload(self, array: np.ndarray, constant: bool = False) -> Array:
+        return array if constant else np.array(array, order="C")
 
     def put(self, array: Array, values: np.ndarray) -> None:
         array[...] = values

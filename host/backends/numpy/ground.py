@@ -100,3 +100,9 @@ def judge(
         counted: tuple[Any, ...] = ONE, here > 0, abs(apart) > np.float32(limit)
         for sums, terms in zip(found, (here, apart * apart, *counted)):
             sums[: len(some)] += np.where(some, terms, np.float32(0))
+
+
+def openness(slopes: np.ndarray, widths: np.ndarray, sums: np.ndarray, count: int, pixels: int) -> None:
+    for width, slope in zip(widths[:count], slopes.reshape(-1)[: count * pixels].reshape(count, pixels)):
+        angle = np.arctan(np.where(np.isfinite(slope), slope, np.float32(0)))
+        sums.reshape(-1)[:pixels] += width * (np.float32(constants.HALF_PI) - angle)

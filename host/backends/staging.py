@@ -1,0 +1,69 @@
+"""Transfers between ordinary memory and a GPU through memory that the driver holds in place (pinned).
+
+A GPU reads and writes pinned memory at the speed of its bus, and ordinary memory at a fraction of it. Pieces
+of an array go through a few pinned rooms: threads copy one piece while another is on the bus.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future
+from typing import Any
+
+import numpy as np
+
+from ..arrays import scratch, threads
+
+# [byte], and how many. Chosen: pinned memory is taken from the whole machine, so it stays small
+ROOM, ROOMS = 2**22, 4
+LEAST = 2 * ROOM  # arrays from this size on are sent in pieces
+
+
+class Staging:
+    """``rooms``: pinned arrays (ROOM,) uint8; ``copy`` starts a transfer and returns what waits for it.
+
+    It is given an array on the device, an offset in it [byte], the first part of a room, and whether the room
+    is written.
+    """
+
+    def __init__(
+        self, rooms: Sequence[np.ndarray], copy: Callable[[Any, int, np.ndarray, bool], Callable[[], None]]
+    ):
+        self.rooms, self.copy = rooms, copy
+
+    def upload(self, values: np.ndarray, array: Any) -> None:
+        """Copy contiguous ``values`` to a device array of as many bytes."""
+        given, pool = values.reshape(-1).view(np.uint8), threads()
+        starts = range(0, given.size, ROOM)
+
+        def filled(n: int) -> np.ndarray:
+            part = given[starts[n] : starts[n] + ROOM]
+            room = self.rooms[n % ROOMS][: part.size]
+            np.copyto(room, part)
+            return room
+
+        copies = [pool.submit(filled, n) for n in range(min(ROOMS, len(starts)))]
+        for n, start in enumerate(starts):
+            self.copy(array, start, copies[n].result(), False)()  # the other rooms are filled meanwhile
+            if n + ROOMS < len(starts):
+                copies.append(pool.submit(filled, n + ROOMS))
+
+    def download(self, array: Any, shape: tuple[int, ...], dtype: np.dtype[Any]) -> np.ndarray:
+        """A device array in new memory of the host."""
+        count = int(np.prod(shape)) * dtype.itemsize
+        found = scratch((-(-count // 4),)).view(np.uint8)[:count]
+        pool, copies = threads(), dict[int, Future[None]]()
+
+        def emptied(start: int, room: np.ndarray) -> None:
+            np.copyto(found[start : start + room.size], room)
+
+        for n, start in enumerate(range(0, count, ROOM)):
+            if n >= ROOMS:
+                copies.pop(n - ROOMS).result()
+            room = self.rooms[n % ROOMS][: min(ROOM, count - start)]
+            self.copy(array, start, room, True)()
+            copies[n] = pool.submit(emptied, start, room)
+        for copy in copies.values():
+            copy.result()
+        result: np.ndarray = found.view(dtype).reshape(shape)
+        return result
