@@ -51,6 +51,11 @@ UNSEEN = 1 - (1 << 30)  # quantized height far below all ground, one row away
 # Slices of lamps and windows, opencl/slices.cl
 SLICES = 8  # slices of a node come in multiples of this: lanes of a vector on a CPU
 
+# Light between surfaces, opencl/interreflection.cl
+# second difference of the ground [spacing] from which on the light of a node is not interpolated: at the edge
+# of a slope of 45 degrees it is 1, at that of a wall more than 2; chosen
+KINK = 2.0
+
 # The inverse, opencl/adjoint.cl
 ROUNDING = 1.00001  # a block is left out if its slope is lower by this factor, more than float32 rounds by
 # component of a unit vector below which it is parallel to the grid: n times -1e-9 would be a crossing all but

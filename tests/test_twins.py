@@ -36,6 +36,7 @@ CONSTANTS = {
     "SIDES": (0, 2),
     "WHAT": (0, 1),
     "BLOCKS": (0, 1),
+    "LIGHTS": (1, 3),
 }  # known when compiling: two values of each
 WARP_WORDS = {
     ("luminance", "planes"),

@@ -1,0 +1,403 @@
+"""Light between surfaces in NumPy: twin of opencl/interreflection.cl, all receivers or all rays at once."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ... import constants
+from ...constants import DARK, PERIODIC
+
+HIGHEST_MASKED, KINK = np.float32(constants.HIGHEST_MASKED), np.float32(constants.KINK)
+PI, HALF_PI, ENDLESS = (np.float32(v) for v in (constants.PI, constants.HALF_PI, constants.ENDLESS))
+ARC_TANGENT = np.array(constants.ARC_TANGENT, np.float32)
+ZERO, HALF, ONE = np.float32(0), np.float32(0.5), np.float32(1)
+
+
+def _arctan(v: np.ndarray) -> np.ndarray:
+    a = np.abs(v)
+    r = np.where(a > 1, ONE / np.where(a > 1, a, ONE), a)
+    q = r * r
+    p: Any = ARC_TANGENT[0]
+    for factor in ARC_TANGENT[1:]:
+        p = p * q + factor
+    p = p * r
+    p = np.where(a > 1, HALF_PI - p, p)
+    angle: np.ndarray = np.where(v < 0, -p, p)
+    return angle
+
+
+def _below(slope: np.ndarray, plane: np.ndarray) -> np.ndarray:
+    q = ONE / (slope * slope + ONE)
+    shares: np.ndarray = -plane * (_arctan(slope) + slope * q) - q
+    return shares
+
+
+class _Layout(NamedTuple):
+    """Where nodes lie in planes."""
+
+    rows: int
+    cols: int
+    across: int
+    margin: int
+    shift: int
+
+    @property
+    def pitch(self) -> int:
+        return self.across + 2 * self.margin
+
+    @property
+    def size(self) -> int:
+        """Elements of a map."""
+        return (1 << self.shift) * (self.rows + 2) * self.pitch
+
+    def place(self, c: Any, r: Any) -> Any:
+        phase = c & ((1 << self.shift) - 1)
+        return (phase * (self.rows + 2) + r + 1) * self.pitch + self.margin + (c >> self.shift)
+
+    def around(self, heights: np.ndarray, c: Any, r: Any) -> list[np.ndarray]:
+        """Heights of nodes and of their neighbours at the left, at the right, above and beneath."""
+        moves = ((0, 0), (-1, 0), (1, 0), (0, -1), (0, 1))
+        return [heights[self.place(c + i, r + j)] for i, j in moves]
+
+
+def _tilt(low: np.ndarray, own: np.ndarray, high: np.ndarray) -> np.ndarray:
+    alone, last = low <= HIGHEST_MASKED, high <= HIGHEST_MASKED
+    slope = (np.where(alone, own, low) - np.where(last, own, high)) * np.where(alone | last, ONE, HALF)
+    return np.where(own <= HIGHEST_MASKED, ZERO, slope)
+
+
+def _bent(low: np.ndarray, own: np.ndarray, high: np.ndarray) -> np.ndarray:
+    bends = np.abs(low + high - np.float32(2) * own) > KINK
+    found: np.ndarray = (low > HIGHEST_MASKED) & (high > HIGHEST_MASKED) & bends
+    return found
+
+
+def _to_wall(at: np.ndarray, along: Any, count: int) -> np.ndarray:
+    with np.errstate(divide="ignore"):
+        way = np.where(along > 0, np.float32(count) - HALF - at, at + HALF)
+        return np.where(np.abs(along) < np.float32(1e-6), ENDLESS, way * (ONE / np.abs(along)))
+
+
+class _Strips:
+    """Sums of the strips of nodes at columns c and rows y, (n,) each, in one azimuth after another."""
+
+    def __init__(
+        self,
+        heights: np.ndarray,
+        light: np.ndarray,
+        layout: _Layout,
+        sides: int,
+        lights: int,
+        c: np.ndarray,
+        y: np.ndarray,
+        highest: float,
+    ):
+        self.heights, self.light = heights, light.reshape(lights, -1)
+        self.layout, self.sides, self.c, self.y = layout, sides, c, y
+        own, left, right, above, beneath = layout.around(heights, c, y)
+        self.gx, self.gy = _tilt(left, own, right), _tilt(above, own, beneath)
+        self.own = np.where(own > HIGHEST_MASKED, own, np.float32(highest))
+        self.num, self.den = np.zeros((lights, len(c)), np.float32), np.zeros(len(c), np.float32)
+
+    def begin(self, cosine: Any, sine: Any) -> None:
+        self.cosine, self.sine = cosine, sine
+        self.plane = -(self.gx * cosine + self.gy * sine)
+        self.start = self.past = _below(self.plane, self.plane)
+        self.slope = self.plane
+        at = self.layout.place(self.c, self.y)
+        self.was: tuple[Any, ...] = ZERO, ZERO, at, at, ZERO
+
+    def meet(
+        self, at: np.ndarray, next: np.ndarray, weight: Any, distance: Any, rises_by: Any = None
+    ) -> None:
+        """Crossings at a distance; all (n,), at -1 where there is none."""
+        before, was_distance, was, was_next, was_weight = self.was
+        a = self.heights[at]
+        stands = a + weight * (self.heights[next] - a) - self.own
+        rises = stands / distance if rises_by is None else stands * rises_by
+        seen = (at >= 0) & (rises > self.slope)
+        low, high = before - self.slope * was_distance, stands - self.slope * distance
+        past_near = seen & (low < 0) & (was_distance > 0)
+        part = np.where(past_near, -low / np.where(past_near, high - low, ONE), ZERO)
+        here = _below(rises, self.plane)
+        share = np.where(seen, (here - self.past) * HALF, ZERO)
+        for num, light in zip(self.num, self.light):
+            near = light[was] + was_weight * (light[was_next] - light[was])
+            far = light[at] + weight * (light[next] - light[at])
+            num += share * (near * (ONE - part) + far * (ONE + part))
+        self.past, self.slope = np.where(seen, here, self.past), np.where(seen, rises, self.slope)
+        self.was = stands, distance, at, next, weight
+
+    def end(self) -> None:
+        """All that is not sky."""
+        if self.sides != PERIODIC:
+            self.slope = np.maximum(self.slope, ZERO)
+        if self.sides == DARK:
+            x, y = self.c.astype(np.float32), self.y.astype(np.float32)
+            walls = _to_wall(x, self.cosine, self.layout.cols), _to_wall(y, self.sine, self.layout.rows)
+            self.slope = np.maximum(self.slope, -self.own / np.minimum(*walls))
+        self.sky = _below(self.slope, self.plane)
+        self.den += self.sky - self.start
+
+
+def _gathered(
+    strips: _Strips, ways: np.ndarray, places: np.ndarray, crossings: np.ndarray, azimuths: int, count: int
+) -> None:
+    """All azimuths and crossings of the tables."""
+    layout, phases = strips.layout, 1 << strips.layout.shift
+    ways, places, crossings = (
+        ways.reshape(-1, 4),
+        places.reshape(-1, count, 2),
+        crossings.reshape(-1, count, 3),
+    )
+    for k in range(azimuths):
+        strips.begin(ways[k, 0], ways[k, 1])
+        for (dx, dy), (weight, distance, per_distance) in zip(places[k].tolist(), crossings[k]):
+            u, v = strips.c + dx, strips.y + dy
+            if strips.sides == PERIODIC:
+                u = (((u >> layout.shift) % layout.across) << layout.shift) + (u & (phases - 1))
+                v = v % layout.rows
+            else:  # what is off the map lies at its corner before, where there is no ground
+                off = (v < -1) | (v >= layout.rows) | (u < 0) | (u >= phases * layout.across)
+                if off.all():
+                    break
+                u, v = np.where(off, -1, u), np.where(off, -1, v)
+            at = layout.place(u, v)
+            next = at + layout.pitch if ways[k, 2] > 0 else layout.place(u + 1, v)
+            strips.meet(at, next, weight, distance, per_distance)
+        strips.end()
+
+
+def spread(
+    maps: np.ndarray,
+    albedo: np.ndarray,
+    planes: np.ndarray,
+    n: int,
+    rows: int,
+    cols: int,
+    across: int,
+    margin: int,
+    shift: int,
+    periodic: int,
+    each: int,
+    scale: float,
+    outside: float,
+) -> None:
+    factor = albedo.reshape(n, rows, cols) if each else albedo.reshape(n, 1, 1)
+    c = np.arange(-margin << shift, (across + margin) << shift)
+    r = np.arange(-1, rows + 1)
+    found = np.full((n, len(r), len(c)), outside, np.float32)
+    on_map = np.ix_(np.arange(n), (r >= 0) & (r < rows), (c >= 0) & (c < cols))
+    values = maps.reshape(n, rows, cols) * (factor * np.float32(scale))
+    if periodic:
+        found[...] = values[:, (r % rows)[:, None], c % cols]
+    else:
+        found[on_map] = values
+    out = planes.reshape(n, 1 << shift, rows + 2, across + 2 * margin)
+    out[...] = found.reshape(n, rows + 2, -1, 1 << shift).transpose(0, 3, 1, 2)
+
+
+def gather(
+    heights: np.ndarray,
+    light: np.ndarray,
+    ways: np.ndarray,
+    places: np.ndarray,
+    crossings: np.ndarray,
+    sums: np.ndarray,
+    azimuths: int,
+    count: int,
+    rows: int,
+    cols: int,
+    across: int,
+    margin: int,
+    shift: int,
+    sides: int,
+    stride: int,
+    phases: int,
+    width: int,
+    kinks: int,
+    highest: float,
+    LIGHTS: int,
+) -> None:
+    layout, step = _Layout(rows, cols, across, margin, shift), min(stride, 1 << shift)
+    row, phase, x = (index.ravel() for index in np.mgrid[: (rows + stride - 1) // stride, :phases, :across])
+    c, y = (x << shift) + phase * step, row * stride
+    own, left, right, above, beneath = layout.around(heights, c, y)
+    receives = own > HIGHEST_MASKED
+    if kinks:
+        receives &= ~(_bent(left, own, right) | _bent(above, own, beneath))
+    strips = _Strips(heights, light, layout, sides, LIGHTS, c[receives], y[receives], highest)
+    _gathered(strips, ways, places, crossings, azimuths, count)
+    out = sums.reshape(LIGHTS + 1, -1, phases, width)
+    out[:LIGHTS], out[LIGHTS] = 0, -1
+    there = row[receives], phase[receives], x[receives]
+    for found, values in zip(out, [*strips.num, strips.den]):
+        found[there] = values
+
+
+def fill(
+    heights: np.ndarray,
+    sums: np.ndarray,
+    direct: np.ndarray,
+    sky: np.ndarray,
+    irradiance: np.ndarray,
+    rows: int,
+    cols: int,
+    across: int,
+    margin: int,
+    shift: int,
+    sides: int,
+    stride: int,
+    phases: int,
+    width: int,
+    kinks: int,
+    LIGHTS: int,
+) -> None:
+    layout, step = _Layout(rows, cols, across, margin, shift), min(stride, 1 << shift)
+    sums = sums.reshape(LIGHTS + 1, -1, phases, width)
+    y, x = np.arange(rows), np.arange(cols)
+    (row, down), (column, right) = (
+        _between(at, apart, sides == PERIODIC) for at, apart in ((y, stride), (x, step))
+    )
+    num: list[Any] = []
+    den: list[Any] = []
+    whole: list[Any] = []
+    for col in column:
+        c = col * step
+        at = (c & ((1 << shift) - 1)) // step, c >> shift
+        ends = [sums[(slice(None), r[:, None], *at)] for r in row]
+        weights = [
+            np.where(end[LIGHTS] < 0, ZERO, part[:, None]) for end, part in zip(ends, (ONE - down, down))
+        ]
+        whole.append(weights[0] + weights[1])
+        den.append(weights[0] * ends[0][LIGHTS] + weights[1] * ends[1][LIGHTS])
+        num.append([weights[0] * a + weights[1] * b for a, b in zip(ends[0][:LIGHTS], ends[1][:LIGHTS])])
+    left = ONE - right
+    known, shares = whole[0] * left + whole[1] * right, den[0] * left + den[1] * right
+    own, west, east, above, beneath = layout.around(heights, x[None], y[:, None])
+    alone = np.zeros(own.shape, bool)
+    if kinks:
+        alone = _bent(west, own, east) | _bent(above, own, beneath)
+    for light in range(LIGHTS):
+        mean = (num[0][light] * left + num[1][light] * right) / np.where(shares > 0, shares, ONE)
+        mean = np.where(shares > 0, mean, ZERO)
+        found = direct.reshape(LIGHTS, rows, cols)[light] + PI * (ONE - sky.reshape(rows, cols)) * mean
+        found = np.where(alone | ~(known > 0), -ONE, found)
+        irradiance.reshape(LIGHTS, rows, cols)[light] = np.where(own <= HIGHEST_MASKED, ZERO, found)
+
+
+def _between(at: np.ndarray, apart: int, periodic: bool) -> tuple[tuple[np.ndarray, np.ndarray], np.ndarray]:
+    """(receivers before and after, weight of the latter) of nodes along an axis."""
+    before = at // apart
+    last = before == before[-1]
+    past = (at - before * apart).astype(np.float32)
+    span = np.float32(len(at) - before[-1] * apart)
+    weight = np.where(last, past / span * np.float32(periodic), past / np.float32(apart))
+    return (before, np.where(last, 0, before + 1)), weight
+
+
+def gather_nodes(
+    heights: np.ndarray,
+    light: np.ndarray,
+    ways: np.ndarray,
+    places: np.ndarray,
+    crossings: np.ndarray,
+    direct: np.ndarray,
+    sky: np.ndarray,
+    irradiance: np.ndarray,
+    azimuths: int,
+    count: int,
+    rows: int,
+    cols: int,
+    across: int,
+    margin: int,
+    shift: int,
+    sides: int,
+    every: int,
+    highest: float,
+    LIGHTS: int,
+) -> None:
+    layout = _Layout(rows, cols, across, margin, shift)
+    first = irradiance.reshape(LIGHTS, rows, cols)[0]
+    y, c = np.nonzero(np.ones_like(first) if every else first < 0)
+    strips = _Strips(heights, light, layout, sides, LIGHTS, c, y, highest)
+    _gathered(strips, ways, places, crossings, azimuths, count)
+    own, p = heights[layout.place(c, y)], y * cols + c
+    for light_of, num in zip(range(LIGHTS), strips.num):
+        mean = np.where(strips.den > 0, num / np.where(strips.den > 0, strips.den, ONE), ZERO)
+        found = direct.reshape(LIGHTS, -1)[light_of, p] + PI * (ONE - sky.ravel()[p]) * mean
+        irradiance.reshape(LIGHTS, -1)[light_of, p] = np.where(own <= HIGHEST_MASKED, ZERO, found)
+
+
+def strips(
+    heights: np.ndarray,
+    light: np.ndarray,
+    rays: np.ndarray,
+    found: np.ndarray,
+    n_rays: int,
+    rows: int,
+    cols: int,
+    across: int,
+    margin: int,
+    shift: int,
+    sides: int,
+    highest: float,
+    reach: float,
+    LIGHTS: int,
+) -> None:
+    layout, rays, out = (
+        _Layout(rows, cols, across, margin, shift),
+        rays.reshape(-1, 4),
+        found.reshape(-1, n_rays),
+    )
+    for some in np.array_split(np.arange(n_rays), n_rays // 2**16 + 1):  # so that memory stays small
+        x, y = (rays[some, k].astype(np.int64) for k in (0, 1))
+        this = _Strips(heights, light, layout, sides, LIGHTS, x, y, highest)
+        this.begin(rays[some, 2], rays[some, 3])
+        _walk(this, np.float32(highest), np.float32(reach))
+        this.end()
+        up = ONE / np.sqrt(ONE + this.gx * this.gx + this.gy * this.gy)
+        out[:LIGHTS, some], out[LIGHTS, some] = up * this.num, up * this.den
+        out[LIGHTS + 1, some] = up * (-this.plane * HALF_PI - this.sky)
+
+
+def _walk(this: _Strips, highest: np.float32, reach: np.float32) -> None:
+    """Every crossing of single rays with a column or a row."""
+    layout, cosine, sine = this.layout, this.cosine, this.sine
+    with np.errstate(divide="ignore"):
+        per_column, per_row = (
+            np.where(np.abs(along) > np.float32(1e-6), ONE / np.abs(along), ENDLESS)
+            for along in (cosine, sine)
+        )
+    columns, lines = np.ones(len(this.c), np.int64), np.ones(len(this.c), np.int64)
+    going = np.ones(len(this.c), bool)
+    while True:
+        to_column, to_row = columns.astype(np.float32) * per_column, lines.astype(np.float32) * per_row
+        distance = np.minimum(to_column, to_row)
+        going &= (distance <= reach) & (highest - this.own > this.slope * distance)
+        if not going.any():
+            return
+        on_column = to_column <= to_row
+        at_line = np.where(
+            on_column,
+            this.y.astype(np.float32) + sine * distance,
+            this.c.astype(np.float32) + cosine * distance,
+        )
+        low = np.floor(at_line).astype(np.int64)
+        weight = at_line - low.astype(np.float32)
+        at_next = weight > ONE - np.float32(1e-4)
+        low, weight = low + at_next, np.where(at_next | (weight < np.float32(1e-4)), ZERO, weight)
+        u = np.where(on_column, np.where(cosine > 0, this.c + columns, this.c - columns), low)
+        v = np.where(on_column, low, np.where(sine > 0, this.y + lines, this.y - lines))
+        columns, lines = columns + on_column, lines + ~on_column
+        if this.sides == PERIODIC:
+            u, v = u % layout.cols, v % layout.rows
+        else:
+            going &= (u >= 0) & (u < layout.cols) & (v >= 0) & (v < layout.rows)
+            going &= (weight <= 0) | np.where(on_column, v + 1 < layout.rows, u + 1 < layout.cols)
+            u, v = np.where(going, u, 0), np.where(going, v, 0)
+        at = layout.place(u, v)
+        next = np.where(on_column, at + layout.pitch, layout.place(u + 1, v))
+        this.meet(np.where(going, at, -1), np.where(going, next, -1), weight, distance)

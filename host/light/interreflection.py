@@ -1,0 +1,253 @@
+"""Launch sequence of the light between surfaces: rounds of gathering, and exact strips at some nodes."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ..backends.base import Array, Backend
+from ..constants import NONE, SIDES
+from ..errors import CapacityError
+from ..samples import SAMPLED_SLOPE, Samples
+from ..scene import Scene
+
+# of a step between azimuths; as of horizons, so that no set looks along a grid line
+OFFSET = 1 / 3
+GROUP = 64  # work-items of a group of kernels that own a node each: PoCL runs a group in one loop
+Values = Any  # numbers or arrays
+SHIFT = 2  # columns 2^SHIFT apart are neighbours in planes: the widest stride of receivers
+
+
+class Round(NamedTuple):
+    """One gather: azimuths, stride of the receivers, crossings met one by one, growth of steps past them.
+
+    ``kinks``: nodes where the ground bends gather by themselves.
+    """
+
+    azimuths: int
+    stride: int
+    near: int
+    growth: float
+    kinks: bool = False
+
+
+class Bounces:
+    """Irradiance of a scene by direct light and by all light between its surfaces, made better by rounds.
+
+    ``direct``: irradiance (rows, cols) float32 of each light, one or one per colour; ``albedo`` of each, a
+    number or (rows, cols); ``sky`` (rows, cols) float32: share of sky that every node sees, cosine-weighted.
+    """
+
+    def __init__(
+        self,
+        engine: Backend,
+        scene: Scene,
+        samples: Samples,
+        direct: Sequence[np.ndarray],
+        albedo: Sequence[Values],
+        sky: np.ndarray,
+    ):
+        self.engine, self.samples, self.sides, self.shape = engine, samples, scene.sides, scene.shape
+        rows, cols = scene.shape
+        self.lights, self.valid, self.highest = len(direct), scene.mask, samples.highest
+        # along an axis; on a map that repeats, to where its relief makes a slope of SAMPLED_SLOPE
+        self.far = max(rows, cols, samples.relief / SAMPLED_SLOPE if scene.sides == "periodic" else 0)
+        self.shift = SHIFT
+        if scene.sides == "periodic":  # planes repeat only if the columns are shared out evenly
+            self.shift = min(SHIFT, (cols & -cols).bit_length() - 1)
+        self.margin = engine.lanes + 1
+        self.across = -(-cols // (1 << self.shift))
+        self.plane_map = (1 << self.shift) * (rows + 2) * (self.across + 2 * self.margin)
+        if self.lights * max(self.plane_map, rows * cols) >= 2**31:
+            raise CapacityError(
+                f"A map of {rows * cols:,} nodes in {self.lights} colours: cut it into tiles."
+            )
+        engine.reserve(
+            4 * (1 + 4 * self.lights) * self.plane_map,
+            f"Light between {rows} x {cols} nodes",
+            "Cut it into tiles.",
+        )
+        self.heights = engine.empty((self.plane_map,), np.float32)
+        self.light = engine.empty((self.lights * self.plane_map,), np.float32)
+        self.each = any(np.ndim(share) for share in albedo)
+        self.albedo = engine.upload(
+            np.stack([np.broadcast_to(share, scene.shape if self.each else ()) for share in albedo])
+            .astype(np.float32)
+            .ravel()
+        )
+        one = engine.upload(np.ones(1, np.float32))
+        self._spread(samples.heights, one, self.heights, 1, False, 1.0, NONE)
+        self.sky = engine.upload(sky.astype(np.float32, copy=False).ravel())
+        self.direct = engine.upload(self._known(direct).ravel())
+        start = [light / (1 - share * (1 - sky)) for light, share in zip(direct, albedo)]
+        self.total = engine.upload(self._known(start).ravel())
+        engine.finish()  # what was uploaded for one launch may be freed
+
+    def _known(self, lights: Sequence[np.ndarray]) -> np.ndarray:
+        """(lights, rows, cols) float32, 0 where masked."""
+        found = np.stack(lights).astype(np.float32, copy=False)
+        return found if self.valid is None else np.where(self.valid, found, np.float32(0))
+
+    @property
+    def _layout(self) -> tuple[int, ...]:
+        return *self.shape, self.across, self.margin, self.shift
+
+    def _spread(
+        self, maps: Array, albedo: Array, planes: Array, count: int, each: bool, scale: float, outside: float
+    ) -> None:
+        self.engine.launch(
+            "interreflection",
+            "spread",
+            (self.across + 2 * self.margin, self.shape[0] + 2, count),
+            maps,
+            albedo,
+            planes,
+            count,
+            *self._layout,
+            int(self.sides == "periodic"),
+            int(each),
+            scale,
+            outside,
+            group=GROUP,
+        )
+
+    def _send(self) -> None:
+        """The radiance of the ground by the present irradiance."""
+        self._spread(self.total, self.albedo, self.light, self.lights, self.each, 1 / math.pi, 0.0)
+
+    def run(self, rounds: Sequence[Round]) -> None:
+        """One gather after another, each by the light that the one before has found."""
+        for each in rounds:
+            self._send()
+            self._gather(each)
+
+    def _gather(self, this: Round) -> None:
+        engine, (rows, cols) = self.engine, self.shape
+        tables = [engine.upload(table) for table in self._tables(this)]
+        count = tables[1].shape[1]
+        common = (*self._layout, SIDES[self.sides])
+        if this.stride > 1:
+            phases, width = (
+                max(1, (1 << self.shift) // this.stride),
+                -(-self.across // engine.lanes) * engine.lanes,
+            )
+            lines = -(-rows // this.stride)
+            sums = engine.empty(((self.lights + 1) * lines * phases * width,), np.float32)
+            grid = this.stride, phases, width, int(this.kinks)
+            engine.launch(
+                "interreflection",
+                "gather",
+                (width // engine.lanes, phases, lines),
+                self.heights,
+                self.light,
+                *tables,
+                sums,
+                this.azimuths,
+                count,
+                *common,
+                *grid,
+                self.highest,
+                LIGHTS=self.lights,
+            )
+            engine.launch(
+                "interreflection",
+                "fill",
+                (-(-cols // min(this.stride, 1 << self.shift)), rows),
+                self.heights,
+                sums,
+                self.direct,
+                self.sky,
+                self.total,
+                *common,
+                *grid,
+                group=GROUP,
+                LIGHTS=self.lights,
+            )
+        if this.stride == 1 or this.kinks or self.valid is not None:
+            engine.launch(
+                "interreflection",
+                "gather_nodes",
+                (-(-self.across // engine.lanes), 1 << self.shift, rows),
+                self.heights,
+                self.light,
+                *tables,
+                self.direct,
+                self.sky,
+                self.total,
+                this.azimuths,
+                count,
+                *common,
+                int(this.stride == 1),
+                self.highest,
+                LIGHTS=self.lights,
+            )
+        engine.finish()  # the tables may be freed
+
+    def _tables(self, this: Round) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """(ways, places, crossings) of the kernels."""
+        angles = 2 * np.pi * (np.arange(this.azimuths) + OFFSET) / this.azimuths
+        across, along = np.cos(angles), np.sin(angles)
+        by_columns = np.abs(across) >= np.abs(along)
+        major = np.where(by_columns, across, along)
+        minor = np.where(by_columns, along, across)
+        step = np.array(steps(this.near, this.growth, self.far))
+        aside = np.outer(minor / np.abs(major), step)
+        low = np.floor(aside + 1e-9)
+        straight = np.sign(major)[:, None] * step
+        places = np.where(
+            by_columns[:, None, None], np.stack([straight, low], -1), np.stack([low, straight], -1)
+        )
+        distance = step / np.abs(major)[:, None]
+        crossings = np.stack([np.maximum(aside - low, 0), distance, 1 / distance], -1)
+        ways = np.stack([across, along, by_columns, np.zeros(len(angles))], -1)
+        return ways.astype(np.float32), places.astype(np.int32), crossings.astype(np.float32)
+
+    def irradiance(self) -> list[np.ndarray]:
+        """(rows, cols) float32 [brightness x sr] of each light; 0 where masked."""
+        return list(self.engine.download(self.total).reshape(self.lights, *self.shape))
+
+    def at_samples(self, azimuths: int) -> tuple[np.ndarray, np.ndarray]:
+        """(light, sky) at the samples by exact strips: (lights, nodes) [brightness x sr], (nodes,).
+
+        What the present light of the ground sends, over every crossing in so many azimuths, and the share of
+        sky.
+        """
+        self._send()
+        samples, engine = self.samples, self.engine
+        angles = 2 * np.pi * (np.arange(azimuths) + OFFSET) / azimuths
+        rays = np.empty((azimuths, len(samples), 4), np.float32)
+        rays[..., 0], rays[..., 1] = samples.x, samples.y
+        rays[..., 2], rays[..., 3] = np.cos(angles)[:, None], np.sin(angles)[:, None]
+        count = azimuths * len(samples)
+        given = engine.upload(rays.reshape(-1, 4))
+        found = engine.empty(((self.lights + 2) * count,), np.float32)
+        engine.launch(
+            "interreflection",
+            "strips",
+            (count,),
+            self.heights,
+            self.light,
+            given,
+            found,
+            count,
+            *self._layout,
+            SIDES[self.sides],
+            self.highest,
+            math.sqrt(2) * self.far,
+            lanes=1,
+            LIGHTS=self.lights,
+        )
+        sums = engine.download(found).reshape(self.lights + 2, azimuths, -1).mean(1, dtype=np.float64)
+        return np.pi * sums[: self.lights], sums[-1]
+
+
+def steps(near: int, growth: float, far: float) -> list[int]:
+    """Steps along an azimuth's major axis up to ``far``: one by one up to ``near``, then growing."""
+    found, step = [], 1
+    while step <= far:
+        found.append(step)
+        step += max(1, round(growth * step)) if step >= near else 1
+    return found
