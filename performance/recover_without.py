@@ -5,8 +5,9 @@
 An ingredient is switched off from outside, by another value of a module's function or constant for the time
 of a call; the library has no switch for it. Cases: the five surfaces of tests/surfaces.py under four sources,
 under a sky with 3 % of noise, and chequered with an albedo that is not given; ten other surfaces under two
-sources; terrain. A case that never reaches an ingredient is not run again without it. Results stand in
-OUT/recover_without.json, and what stands there is not run again. The whole takes about an hour on two cores.
+sources; terrain and six larger ones. A case that never reaches an ingredient is not run again without it.
+Results stand in OUT/recover_without.json, and what stands there is not run again. The whole takes about an
+hour on two cores.
 """
 
 from __future__ import annotations
@@ -32,7 +33,8 @@ import surfaces
 from surfaces import ALBEDO, LAYERS, OTHERS, SURFACES, pair, rms, source_of
 
 import skylamp as sl
-from skylamp.inverse import confidence, multigrid, pyramid, search, starts
+from skylamp.inverse import confidence, conjugate_gradients, lights, multigrid, pyramid, search, starts
+from skylamp.inverse.conjugate_gradients import ConjugateGradients
 from skylamp.inverse.descent import Solution
 from skylamp.inverse.multigrid import Multigrid
 from skylamp.inverse.pyramid import Pyramid
@@ -41,7 +43,7 @@ from skylamp.inverse.starts import Starts
 
 recover = sys.modules["skylamp.inverse.recover"]
 
-TERRAIN = 96  # nodes a side: the smallest of tests and script that is solved by cycles
+LARGE = 96  # nodes a side: the smallest of tests and script that is solved by cycles
 WORSE = 1.1  # times the RMSE, or the error of confidence, from which an ingredient pays on a surface
 LEAST = {"rmse": 0.01, "brier": 0.005, "half": 0.01}  # changes of a figure below these are no changes
 
@@ -65,7 +67,7 @@ class Ingredient(NamedTuple):
         if self.only:
             return self.only(case)
         if self.effect == DEPTH:
-            return tells_depth(case) or is_noisy(case)
+            return tells_depth(case)
         return self.effect == CONFIDENCE or tells_depth(case) or is_spot(case)
 
 
@@ -97,6 +99,16 @@ def _as_it_was(self: Multigrid, level: int, z: np.ndarray) -> Solution:
 
 
 EXPECT = Pyramid._expect_albedo
+
+
+def _albedo_held(self: ConjugateGradients, side: int, state: Any) -> None:
+    """The product for an albedo that does not follow the step."""
+    with mock.patch.object(self, "albedo", None):
+        MULTIPLY(self, side, state)
+
+
+MULTIPLY = ConjugateGradients.multiply
+ADD = Starts.add_mosaic
 NOTHING = lambda *args, **more: None
 
 
@@ -107,11 +119,9 @@ def _expect_first(self: Pyramid, level: int, z: np.ndarray) -> None:
 
 is_spot = lambda case: case.endswith("spot")
 has_no_albedo = lambda case: case.startswith("albedo")
-is_large = lambda case: case.startswith("terrain")
+is_large = lambda case: case.startswith(("terrain", "large"))
 is_noisy = lambda case: case.startswith("noise")
-tells_depth = lambda case: (
-    case.endswith(" sun") or is_large(case) or case.startswith("five") and case.endswith("sky")
-)
+tells_depth = lambda case: case.endswith(" sun") and not has_no_albedo(case) or case.startswith("large")
 of_cycles = Multigrid, "cycles"
 of_gain = Pyramid, "set_shading_gain"
 
@@ -120,6 +130,20 @@ INGREDIENTS = {
     # the search; those that decide which other answers there are, with their effect on confidence
     "starts from elsewhere": Ingredient([(starts, "CONFINED", ())], (Starts, "confined"), BOTH),
     "mosaic": Ingredient([(Starts, "add_mosaic", NOTHING)], (Starts, "mosaic"), BOTH),
+    "mosaic before answers are compared": Ingredient(
+        [
+            (
+                Starts,
+                "add_mosaic",
+                lambda self, level, answers: level == self.last or ADD(self, level, answers),
+            )
+        ],
+        (Starts, "mosaic"),
+    ),
+    "mosaic after answers were compared": Ingredient(
+        [(Starts, "add_mosaic", lambda self, level, answers: level < self.last or ADD(self, level, answers))],
+        (Starts, "mosaic"),
+    ),
     "shading gain": Ingredient([(Pyramid, "set_shading_gain", NOTHING)], of_gain),
     "strong relief": Ingredient([(search, "LOST", math.inf)], (Starts, "strong_relief")),
     "several compared": Ingredient([(Search, "_compared", _best_alone)], None, BOTH),
@@ -133,10 +157,12 @@ INGREDIENTS = {
         [(module, "cubic", _linear) for module in (pyramid, multigrid, confidence)]
     ),
     "last accuracy": Ingredient([(multigrid, "LAST", multigrid.CLOSE)]),
-    "cycles": Ingredient([(Multigrid, "cycles", _relaxed)], of_cycles),
-    "least on large": Ingredient([(pyramid, "LEAST_ON_LARGE", pyramid.LEAST_SMOOTHNESS)], of_cycles),
-    "more cycles under skies": Ingredient([(multigrid, "MORE_UNDER_SKIES", 0)], of_cycles),
-    "stiff cycles": Ingredient([(multigrid, "CYCLE_SMOOTHNESS", 1e-9)], of_cycles),
+    "cycles": Ingredient([(Multigrid, "cycles", _relaxed)], of_cycles, DEPTH, is_large),
+    "least on large": Ingredient(
+        [(pyramid, "LEAST_ON_LARGE", pyramid.LEAST_SMOOTHNESS)], of_cycles, DEPTH, is_large
+    ),
+    "more cycles under skies": Ingredient([(multigrid, "MORE_UNDER_SKIES", 0)], of_cycles, DEPTH, is_large),
+    "stiff cycles": Ingredient([(multigrid, "CYCLE_SMOOTHNESS", 1e-9)], of_cycles, DEPTH, is_large),
     "unseen shading": Ingredient([(pyramid, "UNEVEN_SHADING", 0.0)], of_gain),
     "close accuracy": Ingredient([(multigrid, "CLOSE", multigrid.LOOSE)], None, DEPTH, is_spot),
     "start on a large grid": Ingredient(
@@ -145,6 +171,15 @@ INGREDIENTS = {
     "noise": Ingredient([(pyramid, "noise_of", lambda image: 0.0)], None, DEPTH, is_noisy),
     "albedo expected anew": Ingredient(
         [(Pyramid, "_expect_albedo", _expect_first)], None, DEPTH, has_no_albedo
+    ),
+    "albedo projected": Ingredient(
+        [(ConjugateGradients, "multiply", _albedo_held)], None, DEPTH, has_no_albedo
+    ),
+    "preconditioner's coarse grids": Ingredient(
+        [(conjugate_gradients, name, 1e30) for name in ("BROAD", "BROADER")]
+    ),
+    "azimuths of equal light": Ingredient(
+        [(lights.sources, "azimuth_profile", NOTHING)], None, DEPTH, lambda case: case.endswith("sun")
     ),
     "nearest flat": Ingredient([(Starts, "nearest_flat", lambda self: 0.5)]),
     "continuation at the start": Ingredient([(multigrid, "FROM_STIFF", ()), (starts, "FROM_STIFF", ())]),
@@ -178,11 +213,18 @@ def case_of(name: str) -> Case:
     """By "group surface source"."""
     group, surface, kind = name.split(" ", 2)
     if group == "terrain":
-        depth = surfaces.terrain(TERRAIN, int(surface[1:]))
-        light = surfaces.lamp_over(TERRAIN) if kind == "lamp" else source_of(kind)
+        depth = surfaces.terrain(LARGE, int(surface[1:]))
+        light = surfaces.lamp_over(LARGE) if kind == "lamp" else source_of(kind)
         return Case(
             depth, [surfaces.image_of(depth, light)], [light], ALBEDO, math.ceil(1.2 * float(depth.max()))
         )
+    if group == "large" and surface == "steep":  # that of tests/test_recover_robust.py
+        y, x = np.indices((LARGE, LARGE))
+        depth = 16 + 24 * np.sin(x / 9.6 + 1.2 * np.sin(y / 15)) ** 2
+        return Case(depth, [surfaces.image_of(depth, sl.Sky())], [sl.Sky()], ALBEDO, LAYERS)
+    if group == "large":
+        depth, image = pair(surface, kind, LARGE)
+        return Case(depth, [image], [source_of(kind, LARGE)], ALBEDO, LARGE)
     kinds = kind.split(" ")
     depth, images = pair(surface, kinds[0])[0], [pair(surface, one)[1] for one in kinds]
     albedo: float | None = ALBEDO
@@ -201,6 +243,7 @@ NAMES = [
     *(f"five {name} {kind}" for kind in surfaces.SOURCES for name in SURFACES),
     *(f"ten {name} {kind}" for kind in ("sky", "sun") for name in OTHERS),
     *(f"terrain x{heights} {kind}" for heights in (1, 4) for kind in ("lamp", "sun", "sky")),
+    *(f"large {name} sky" for name in ("egg-crate", "fractal", "face", "folds", "cone", "steep")),
     *(f"noise {name} sky" for name in SURFACES),
     *(f"albedo {name} {kinds}" for kinds in ("sky lamp", "sky sun") for name in SURFACES),
 ]
@@ -310,16 +353,17 @@ def measure(names: list[str], backend: str, path: Path) -> dict[str, dict[str, d
             patches = list(ingredient.patches)
             if ingredient.effect == DEPTH:
                 patches.append((recover, "confidence_of", _no_confidence))
+            known = case_of(case)  # its images are made with everything on
             with without(patches):
-                found = run(case_of(case), backend)
-            row = figures(case_of(case), found.depth, found.confidence)
+                found = run(known, backend)
+            row = figures(known, found.depth, found.confidence)
             keep(name, case, {"rmse": row["rmse"]} if ingredient.effect == DEPTH else row)
     return done
 
 
 def surface_of(case: str) -> str:
     group, surface, _ = case.split(" ", 2)
-    return group + " " + surface if group == "terrain" else surface
+    return f"{group} {surface}" if group in ("terrain", "large") else surface
 
 
 def changes(done: dict[str, dict[str, dict]], name: str, what: str, least: float) -> tuple[list, list, float]:
