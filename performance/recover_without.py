@@ -5,7 +5,7 @@
 An ingredient is switched off from outside, by another value of a module's function or constant for the time
 of a call; the library has no switch for it. Cases: the five surfaces of tests/surfaces.py under four sources,
 under a sky with 3 % of noise, and chequered with an albedo that is not given; ten other surfaces under two
-sources; terrain and six larger ones. A case that never reaches an ingredient is not run again without it.
+sources; terrain and six larger ones.
 Results stand in OUT/recover_without.json, and what stands there is not run again. The whole takes about an
 hour on two cores.
 """
@@ -16,6 +16,7 @@ import contextlib
 import copy
 import datetime
 import functools
+import itertools
 import json
 import math
 import os
@@ -33,19 +34,24 @@ import surfaces
 from surfaces import ALBEDO, LAYERS, OTHERS, SURFACES, pair, rms, source_of
 
 import skylamp as sl
-from skylamp.inverse import confidence, conjugate_gradients, lights, multigrid, pyramid, search, starts
+from skylamp.inverse import confidence, conjugate_gradients, lights, multigrid, pyramid, search
 from skylamp.inverse.conjugate_gradients import ConjugateGradients
 from skylamp.inverse.descent import Solution
 from skylamp.inverse.multigrid import Multigrid
 from skylamp.inverse.pyramid import Pyramid
 from skylamp.inverse.search import Search
-from skylamp.inverse.starts import Starts
 
 recover = sys.modules["skylamp.inverse.recover"]
 
 LARGE = 96  # nodes a side: the smallest of tests and script that is solved by cycles
 WORSE = 1.1  # times the RMSE, or the error of confidence, from which an ingredient pays on a surface
-LEAST = {"rmse": 0.01, "brier": 0.005, "half": 0.01}  # changes of a figure below these are no changes
+FAR = 5.0  # nodes
+LEAST = {
+    "rmse": 0.01,
+    "brier": 0.005,
+    "half": 0.01,
+    "missed": 0.01,
+}  # changes of a figure below these are no changes
 
 Patch = tuple[object, str, Any]
 
@@ -54,21 +60,29 @@ DEPTH, CONFIDENCE, BOTH = "depth", "confidence", "both"
 
 
 class Ingredient(NamedTuple):
-    """patches: what stands for it when it is off. reached: what is called only where it matters. effect:
-    what is measured; if that is confidence alone, the search is not run again. only: the cases.
+    """patches: what stands for it when it is off. effect: what is measured; if that is confidence alone, the
+    search is not run again. only: the cases.
     """
 
     patches: list[Patch]
-    reached: tuple[object, str] | None = None
     effect: str = DEPTH
     only: Callable[[str], bool] | None = None
 
     def concerns(self, case: str) -> bool:
         if self.only:
             return self.only(case)
-        if self.effect == DEPTH:
-            return tells_depth(case)
-        return self.effect == CONFIDENCE or tells_depth(case) or is_spot(case)
+        return self.effect == CONFIDENCE or tells_depth(case) or self.effect == BOTH and is_spot(case)
+
+
+def without_stage(stage: Callable[[Search], None], instead: Callable[[Search], None] | None = None) -> Patch:
+    """Leaves a stage of the search out, or puts another one in its place."""
+    put = [instead] if instead else []
+    found = [put if own is stage else [own] for own in search.STAGES]
+    return search, "STAGES", tuple(itertools.chain(*found))
+
+
+def without_doubt(doubt: Callable) -> Patch:
+    return confidence, "DOUBTS", tuple(own for own in confidence.DOUBTS if own is not doubt)
 
 
 def _linear(values: np.ndarray, times: int) -> np.ndarray:
@@ -85,17 +99,19 @@ def _relaxed(self: Multigrid, level: int, z: np.ndarray) -> Solution:
     return self.relax(level, z, multigrid.FROM_COARSER)
 
 
-def _best_alone(self: Search, answers: list[Solution]) -> list[Solution]:
+def _best_alone(work: Search) -> None:
     """Only the best answer goes to the finer grid."""
-    best = min(answers, key=lambda answer: answer.objective)
-    if self.comparing == self.sorting:
-        return [best]
-    return [self.multigrid.refine(best.depth, self.sorting, self.comparing)]
+    work.answers = [min(work.answers, key=lambda answer: answer.objective)]
+    search.compare(work)
 
 
-def _as_it_was(self: Multigrid, level: int, z: np.ndarray) -> Solution:
-    self.pyramid.accept(level, z)
-    return Solution(z, 0.0)
+def _accepted(work: Search) -> None:
+    work.pyramid.accept(work.level, work.answers[0].depth)
+
+
+def _from_halfway(work: Search) -> None:
+    work.begun = work.flat(work.share, work.pyramid.start), work.pyramid.start
+    work.answers = [work.multigrid.solve(*work.begun, work.level)]
 
 
 EXPECT = Pyramid._expect_albedo
@@ -108,7 +124,6 @@ def _albedo_held(self: ConjugateGradients, side: int, state: Any) -> None:
 
 
 MULTIPLY = ConjugateGradients.multiply
-ADD = Starts.add_mosaic
 NOTHING = lambda *args, **more: None
 
 
@@ -122,80 +137,49 @@ has_no_albedo = lambda case: case.startswith("albedo")
 is_large = lambda case: case.startswith(("terrain", "large"))
 is_noisy = lambda case: case.startswith("noise")
 tells_depth = lambda case: case.endswith(" sun") and not has_no_albedo(case) or case.startswith("large")
-of_cycles = Multigrid, "cycles"
-of_gain = Pyramid, "set_shading_gain"
-
-RIVALS = "rivals"
 INGREDIENTS = {
-    # the search; those that decide which other answers there are, with their effect on confidence
-    "starts from elsewhere": Ingredient([(starts, "CONFINED", ())], (Starts, "confined"), BOTH),
-    "mosaic": Ingredient([(Starts, "add_mosaic", NOTHING)], (Starts, "mosaic"), BOTH),
-    "mosaic before answers are compared": Ingredient(
-        [
-            (
-                Starts,
-                "add_mosaic",
-                lambda self, level, answers: level == self.last or ADD(self, level, answers),
-            )
-        ],
-        (Starts, "mosaic"),
+    # the search; where other answers come and go, with the effect on confidence
+    "starts from elsewhere": Ingredient([without_stage(search.start_shallower)], BOTH),
+    "mosaic": Ingredient([without_stage(search.join)], BOTH),
+    "several compared": Ingredient([without_stage(search.compare, _best_alone)], BOTH),
+    "directed": Ingredient([(recover, "_directed", lambda light: False)], BOTH, is_spot),
+    "strong relief": Ingredient([without_stage(search.start_stronger)], DEPTH, is_large),
+    "polish": Ingredient([without_stage(search.polish, _accepted)]),
+    "nearest flat": Ingredient([without_stage(search.start_flat, _from_halfway)]),
+    "start on a large grid": Ingredient(
+        [(pyramid, "grid_of_starts", lambda shapes: len(shapes) - 1)], DEPTH, is_large
     ),
-    "mosaic after answers were compared": Ingredient(
-        [(Starts, "add_mosaic", lambda self, level, answers: level < self.last or ADD(self, level, answers))],
-        (Starts, "mosaic"),
-    ),
-    "shading gain": Ingredient([(Pyramid, "set_shading_gain", NOTHING)], of_gain),
-    "strong relief": Ingredient([(search, "LOST", math.inf)], (Starts, "strong_relief")),
-    "several compared": Ingredient([(Search, "_compared", _best_alone)], None, BOTH),
-    "directed": Ingredient([(recover, "_directed", lambda light: False)], None, BOTH, is_spot),
-    "polish": Ingredient([(Multigrid, "polish", _as_it_was)]),
+    "continuation at the start": Ingredient([(multigrid, "FROM_STIFF", ())]),
     "continuation on finer grids": Ingredient(
-        [(multigrid, "FROM_COARSER", ()), (starts, "FROM_COARSER", ())]
+        [(multigrid, "FROM_COARSER", ()), (search, "FROM_COARSER", ())]
     ),
-    "prior of the coarser grid": Ingredient([(Pyramid, "set_prior", NOTHING)], None, DEPTH, is_noisy),
+    "cycles": Ingredient([(Multigrid, "cycles", _relaxed)], DEPTH, is_large),
+    "stiff cycles": Ingredient([(multigrid, "CYCLE_SMOOTHNESS", 1e-9)], DEPTH, is_large),
+    "least on large": Ingredient([(pyramid, "LEAST_ON_LARGE", pyramid.LEAST_SMOOTHNESS)], DEPTH, is_large),
+    "noise": Ingredient([(pyramid, "noise_of", lambda image: 0.0)], DEPTH, is_noisy),
+    "prior of the coarser grid": Ingredient([(Pyramid, "set_prior", NOTHING)], DEPTH, is_noisy),
     "cubic interpolation": Ingredient(
         [(module, "cubic", _linear) for module in (pyramid, multigrid, confidence)]
     ),
+    "azimuths of equal light": Ingredient(
+        [(lights.sources, "azimuth_profile", NOTHING)], DEPTH, lambda case: case.endswith("sun")
+    ),
+    "albedo projected": Ingredient([(ConjugateGradients, "multiply", _albedo_held)], DEPTH, has_no_albedo),
+    "albedo expected anew": Ingredient([(Pyramid, "_expect_albedo", _expect_first)], DEPTH, has_no_albedo),
+    "close accuracy": Ingredient([(multigrid, "CLOSE", multigrid.LOOSE)], DEPTH, is_spot),
     "last accuracy": Ingredient([(multigrid, "LAST", multigrid.CLOSE)]),
-    "cycles": Ingredient([(Multigrid, "cycles", _relaxed)], of_cycles, DEPTH, is_large),
-    "least on large": Ingredient(
-        [(pyramid, "LEAST_ON_LARGE", pyramid.LEAST_SMOOTHNESS)], of_cycles, DEPTH, is_large
-    ),
-    "more cycles under skies": Ingredient([(multigrid, "MORE_UNDER_SKIES", 0)], of_cycles, DEPTH, is_large),
-    "stiff cycles": Ingredient([(multigrid, "CYCLE_SMOOTHNESS", 1e-9)], of_cycles, DEPTH, is_large),
-    "unseen shading": Ingredient([(pyramid, "UNEVEN_SHADING", 0.0)], of_gain),
-    "close accuracy": Ingredient([(multigrid, "CLOSE", multigrid.LOOSE)], None, DEPTH, is_spot),
-    "start on a large grid": Ingredient(
-        [(pyramid, "grid_of_starts", lambda shapes: len(shapes) - 1)], None, DEPTH, is_large
-    ),
-    "noise": Ingredient([(pyramid, "noise_of", lambda image: 0.0)], None, DEPTH, is_noisy),
-    "albedo expected anew": Ingredient(
-        [(Pyramid, "_expect_albedo", _expect_first)], None, DEPTH, has_no_albedo
-    ),
-    "albedo projected": Ingredient(
-        [(ConjugateGradients, "multiply", _albedo_held)], None, DEPTH, has_no_albedo
-    ),
     "preconditioner's coarse grids": Ingredient(
         [(conjugate_gradients, name, 1e30) for name in ("BROAD", "BROADER")]
     ),
-    "azimuths of equal light": Ingredient(
-        [(lights.sources, "azimuth_profile", NOTHING)], None, DEPTH, lambda case: case.endswith("sun")
-    ),
-    "nearest flat": Ingredient([(Starts, "nearest_flat", lambda self: 0.5)]),
-    "continuation at the start": Ingredient([(multigrid, "FROM_STIFF", ()), (starts, "FROM_STIFF", ())]),
     # confidence
-    RIVALS: Ingredient([], None, CONFIDENCE),  # none are handed over
-    "posterior deviation": Ingredient(
-        [(confidence, "posterior_deviation", lambda pyramid, level, z: 0 * z)], None, CONFIDENCE
-    ),
-    "finer model": Ingredient(
-        [(confidence, "finer_model_depth", lambda pyramid, level, z: z)], None, CONFIDENCE
-    ),
-    "second refit": Ingredient([(confidence, "REFITS", 1)], None, CONFIDENCE),
+    "rivals": Ingredient([without_doubt(confidence.by_rivals)], CONFIDENCE),
+    "posterior deviation": Ingredient([without_doubt(confidence.by_noise)], CONFIDENCE),
+    "finer model": Ingredient([without_doubt(confidence.by_finer_model)], CONFIDENCE),
+    "second refit": Ingredient([(confidence, "REFITS", 1)], CONFIDENCE),
     "even albedo": Ingredient(
-        [(confidence, "even_albedo_depth", lambda pyramid, level, z: z)], None, CONFIDENCE, has_no_albedo
+        [(confidence, "even_albedo_depth", lambda pyramid, level, z: z)], CONFIDENCE, has_no_albedo
     ),
-    "poor fit": Ingredient([(confidence, "POOR", math.inf)], None, CONFIDENCE),
+    "poor fit": Ingredient([without_doubt(confidence.by_misfit)], CONFIDENCE),
 }
 ALL = "nothing"  # left out
 
@@ -249,20 +233,22 @@ NAMES = [
 ]
 
 
-def _no_confidence(solver: Multigrid, level: int, z: np.ndarray, *rest: Any) -> tuple:
-    shape = solver.pyramid.shape(0)
+def _no_confidence(solved: Pyramid, level: int, z: np.ndarray, *rest: Any) -> tuple:
+    shape = solved.shape(0)
     return np.zeros(shape), np.full((1, *shape), np.nan)
 
 
 def figures(case: Case, depth: np.ndarray, sure: np.ndarray) -> dict[str, float]:
     """RMSE [nodes]; the mean squared difference between confidence and whether a pixel is within the depth
-    that is worth half of it (Brier's score); RMSE of the confident half over that of all.
+    that is worth half of it (Brier's score); of the pixels that are FAR off, the share that is trusted; RMSE
+    of the confident half over that of all.
     """
     error = np.abs(depth - case.truth)
     within = error < max(confidence.DOUBT * case.layers, confidence.LEAST_DOUBT)
     half = np.argsort(-sure.ravel(), kind="stable")[: sure.size // 2]
     return {
         "rmse": rms(error),
+        "missed": float(np.mean(sure[error > FAR] >= 0.5)) if (error > FAR).any() else 0.0,
         "brier": float(np.mean((sure - within) ** 2)),
         "half": rms(error.ravel()[half]) / rms(error),
     }
@@ -289,43 +275,23 @@ def run(case: Case, backend: str) -> sl.Recovery:
 
 
 def run_with_all(name: str, backend: str) -> dict[str, dict]:
-    """By ingredient: figures with all, and without each ingredient of confidence; with all, also which
-    ingredients were reached.
-    """
-    case, reached, sure = case_of(name), set(), {}
+    """By ingredient: figures with all, and without each ingredient of confidence."""
+    case, sure = case_of(name), {}
     own = recover.confidence_of
 
-    def spied(key: str, function: Callable) -> Callable:
-        def called(*args: Any, **more: Any) -> Any:
-            if not (function.__name__ == "set_shading_gain" and args[1] >= 1):
-                reached.add(key)
-            return function(*args, **more)
-
-        return called
-
-    def several_confidences(solver: Multigrid, level, z, rivals, rivals_at, depth_range):
-        rest = level, z, rivals, rivals_at, depth_range
+    def several_confidences(solved: Pyramid, *rest: Any) -> tuple[np.ndarray, np.ndarray]:
         for key, ingredient in INGREDIENTS.items():
             if ingredient.effect == CONFIDENCE and ingredient.concerns(name):
-                clone = copy.copy(solver)
-                clone.pyramid = copy.copy(solver.pyramid)
-                clone.pyramid.problems = dict(solver.pyramid.problems)
-                clone.pyramid.albedo = list(solver.pyramid.albedo)
+                clone = copy.copy(solved)
+                clone.problems, clone.albedo = dict(solved.problems), list(solved.albedo)
                 with without(ingredient.patches):
-                    given = (level, z, [], rivals_at, depth_range) if key == RIVALS else rest
-                    sure[key] = own(clone, *given)[0]
-        return own(solver, *rest)
+                    sure[key] = own(clone, *rest)[0]
+        return own(solved, *rest)
 
-    spies: dict[tuple[object, str], set] = {}
-    for key, ingredient in INGREDIENTS.items():
-        if ingredient.reached:
-            spies.setdefault(ingredient.reached, set()).add(key)
-    patches: list[Patch] = [(place, what, spied(what, getattr(place, what))) for place, what in spies]
-    with without([*patches, (recover, "confidence_of", several_confidences)]):
+    with without([(recover, "confidence_of", several_confidences)]):
         found = run(case, backend)
-    done = {key: figures(case, found.depth, each) for key, each in sure.items()}
-    called = sorted(key for spy, keys in spies.items() if spy[1] in reached for key in keys)
-    return {ALL: figures(case, found.depth, found.confidence) | {"reached": called}, **done}
+    sure[ALL] = found.confidence
+    return {key: figures(case, found.depth, each) for key, each in sure.items()}
 
 
 def measure(names: list[str], backend: str, path: Path) -> dict[str, dict[str, dict]]:
@@ -347,8 +313,6 @@ def measure(names: list[str], backend: str, path: Path) -> dict[str, dict[str, d
             continue
         for case in NAMES:
             if case in done.get(name, {}) or not ingredient.concerns(case):
-                continue
-            if ingredient.reached and name not in done[ALL][case]["reached"]:
                 continue
             patches = list(ingredient.patches)
             if ingredient.effect == DEPTH:

@@ -13,10 +13,10 @@ from surfaces import ALBEDO, SURFACES, rms
 
 import skylamp as sl
 from skylamp.backends import select
-from skylamp.inverse import confidence
+from skylamp.inverse import confidence, search
+from skylamp.inverse.descent import Solution
 from skylamp.inverse.multigrid import Multigrid
 from skylamp.inverse.pyramid import Pyramid
-from skylamp.inverse.starts import Starts
 
 SMALL = SIZE = 32  # half the size of performance/recover.py: a layer here is two there
 LAYERS = 32
@@ -114,11 +114,13 @@ def test_a_mosaic_takes_every_place_from_the_surface_that_fits_there(fast, monke
     they meet.
     """
     depth, image = pair("egg-crate", "lamp")
-    pyramid, west = _pyramid(fast, image, "lamp"), np.arange(SMALL) < SMALL // 2
-    starts = Starts(Multigrid(pyramid), 0)
-    monkeypatch.setattr(starts.multigrid, "relax", lambda level, z, *how: (z, 0.0))
-    joined = starts.mosaic(0, [depth + np.where(here, 2.0, 0.0) for here in (west, ~west)])[0]
-    away = np.abs(np.arange(SMALL) - (SMALL - 1) / 2) > 4
+    west = np.arange(SMALL) < SMALL // 2
+    work = search.Search(Multigrid(_pyramid(fast, image, "lamp")), False)
+    work.level = 0
+    work.answers = [Solution(depth + np.where(here, 2.0, 0.0), np.inf) for here in (west, ~west)]
+    monkeypatch.setattr(work.multigrid, "relax", lambda level, z, *how: Solution(z, 0.0))
+    search.join(work)
+    joined, away = work.answers[2].depth, np.abs(np.arange(SMALL) - (SMALL - 1) / 2) > 4
     assert rms((joined - depth)[:, away]) < 0.1 and rms(joined - depth) < 0.5
 
 
@@ -559,10 +561,10 @@ def test_an_interrupt_gives_the_best_so_far(fast):
 def test_an_interrupt_before_the_first_level_gives_a_flat_surface(fast, monkeypatch):
     """Ctrl-C while flat surfaces are compared: the one halfway between the bounds, and no error."""
 
-    def interrupt(starts):
+    def interrupt(work):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(Starts, "nearest_flat", interrupt)
+    monkeypatch.setattr(search, "STAGES", (interrupt,))
     depth, image = pair("bumps", "sky")
     got = sl.recover(image, sl.Sky(), ALBEDO, "dark", layers=LAYERS, backend=fast)
     np.testing.assert_allclose(got.depth, LAYERS / 2, rtol=1e-3)

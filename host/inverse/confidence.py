@@ -1,18 +1,19 @@
 """How far the depth that was found is to be trusted, and which other depths explain a pixel.
 
-Doubt [nodes^2] adds up the squared distances to other starts' surfaces, to the surface that a finer model
-finds, to that of a more even albedo where it is not known, and what noise could do.
+Each doubt is a map that counts 1 where it alone would halve the confidence; they add up.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 
 from .albedo import PRIOR_WEIGHT
 from .descent import Descent
-from .multigrid import CLOSE, ITERATIONS, STEPS, Multigrid
+from .multigrid import CLOSE, ITERATIONS, STEPS
 from .pyramid import IMAGE_RMS, SMALL, Pyramid, on_coarser_grid
 from .resampling import blurred, cubic, doubled, halved, halved_depth
 from .search import Rival
@@ -34,34 +35,46 @@ SHIFTS = 33  # by which the surface goes up and down as a whole
 NEAREST = 1e-3  # depth [nodes] of a surface that would lie at the viewer's plane or before it
 
 
+@dataclass(frozen=True, eq=False)
+class Judged:
+    """The surface that is judged: z (rows, cols) [nodes of its grid] on grid ``level``, where it has at most
+    SMALL nodes a side.
+
+    limit: how far off [nodes of this grid] is worth half the confidence. coarser: how many grids this one is
+    coarser than the answer's. misfit (rows, cols): mean squares of model - first image around every node of
+    the answer. rivals: other answers, on this grid.
+    """
+
+    pyramid: Pyramid
+    level: int
+    z: np.ndarray
+    limit: float
+    coarser: int
+    misfit: np.ndarray
+    rivals: list[Rival]
+
+
 def confidence_of(
-    multigrid: Multigrid, level: int, z: np.ndarray, rivals: list[Rival], rivals_at: int, depth_range: float
+    pyramid: Pyramid, level: int, z: np.ndarray, rivals: list[Rival], rivals_at: int, depth_range: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """(confidence, other candidates (n, rows, cols) [nodes]), on the finest grid, for the surface z of grid
     ``level`` whose rivals are of grid ``rivals_at``.
 
     An albedo that was not known is taken for known on the way.
     """
-    pyramid = multigrid.pyramid
-    misfit = pyramid.problem(level).irradiances(z)[0] - pyramid.images[level][0]
-    small, grid, poor = z, level, blurred(misfit**2)
+    misfit = blurred((pyramid.problem(level).irradiances(z)[0] - pyramid.images[level][0]) ** 2)
+    small, grid = z, level
     while max(small.shape) > SMALL and grid < pyramid.coarsest:
-        small, poor, grid = halved_depth(small), halved(poor), grid + 1
+        small, misfit, grid = halved_depth(small), halved(misfit), grid + 1
+    for _ in range(grid - rivals_at):
+        rivals = [Rival(halved_depth(difference), weight) for difference, weight in rivals]
     limit = max(DOUBT * depth_range, LEAST_DOUBT) / 2**grid
-    by_albedo: np.ndarray | float = 0.0
+    judged = Judged(pyramid, grid, small, limit, grid - level, misfit, rivals)
+    total = np.zeros(small.shape)
     if not pyramid.albedo_known:
-        by_albedo = (UNEVEN_WEIGHT * blurred(np.abs(even_albedo_depth(pyramid, grid, small) - small))) ** 2
+        total = total + by_even_albedo(judged)
         pyramid.fix_albedo(level, z)
-    # sharp, since what noise could do is a bound; what is really off is ordered by the rest
-    by_noise = (POSTERIOR_WEIGHT * posterior_deviation(pyramid, grid, small)) ** 4 / limit**2
-    off = (finer_model_depth(pyramid, grid, small) - small) / 2 ** (grid - level)
-    doubt = by_noise + FINER_WEIGHT * blurred(off**2) + by_albedo
-    for difference, weight in rivals:
-        for _ in range(grid - rivals_at):
-            difference = halved_depth(difference)
-        doubt = doubt + (weight * blurred(np.abs(difference))) ** 2
-    noise = pyramid.noise * 0.5**level
-    confidence = 1 / (1 + doubt / limit**2 + poor / (POOR * IMAGE_RMS + 3 * noise) ** 2)
+    confidence = 1 / (1 + sum((doubt(judged) for doubt in DOUBTS), total))
     others = other_depths(pyramid, grid, small, APART * depth_range)
     while grid:
         grid -= 1
@@ -69,6 +82,43 @@ def confidence_of(
         confidence = np.clip(doubled(confidence, (rows, cols)), 0, 1)
         others = others.repeat(2, 1).repeat(2, 2)[:, :rows, :cols]
     return confidence, others
+
+
+def by_even_albedo(judged: Judged) -> np.ndarray:
+    """How far off a more even albedo, which is not known, would be."""
+    off = even_albedo_depth(judged.pyramid, judged.level, judged.z) - judged.z
+    doubt: np.ndarray = (UNEVEN_WEIGHT * blurred(np.abs(off)) / judged.limit) ** 2
+    return doubt
+
+
+def by_rivals(judged: Judged) -> np.ndarray:
+    """How far off the other answers are."""
+    distances = (weight * blurred(np.abs(difference)) for difference, weight in judged.rivals)
+    return sum(((off / judged.limit) ** 2 for off in distances), np.zeros(judged.z.shape))
+
+
+def by_noise(judged: Judged) -> np.ndarray:
+    """How far off noise could leave the surface. To the fourth power, since it is a bound: what is really off
+    is ordered by the rest.
+    """
+    deviation = posterior_deviation(judged.pyramid, judged.level, judged.z)
+    return (POSTERIOR_WEIGHT * deviation / judged.limit) ** 4
+
+
+def by_finer_model(judged: Judged) -> np.ndarray:
+    """How far off the answer to a finer model would be; that is about the same in nodes on every grid."""
+    off = finer_model_depth(judged.pyramid, judged.level, judged.z) - judged.z
+    return FINER_WEIGHT * blurred((off / 2**judged.coarser) ** 2) / judged.limit**2
+
+
+def by_misfit(judged: Judged) -> np.ndarray:
+    """How poorly the first image is explained, beyond its noise on the answer's grid."""
+    noise = judged.pyramid.noise * 0.5 ** (judged.level - judged.coarser)
+    doubt: np.ndarray = judged.misfit / (POOR * IMAGE_RMS + 3 * noise) ** 2
+    return doubt
+
+
+DOUBTS: tuple[Callable[[Judged], np.ndarray], ...] = (by_rivals, by_noise, by_finer_model, by_misfit)
 
 
 def even_albedo_depth(pyramid: Pyramid, level: int, z: np.ndarray) -> np.ndarray:

@@ -13,7 +13,6 @@ import math
 
 import numpy as np
 
-from .. import sources
 from .descent import Solution
 from .pyramid import Pyramid, on_coarser_grid
 from .resampling import cubic, doubled, halved, halved_depth
@@ -29,7 +28,7 @@ LOOSE, CLOSE, LAST = (0.05, 5e-3), (0.02, 1e-3), (0.01, 2e-4)
 SMOOTHING, COARSEST_SOLUTION = (3, 30, 0.05), (8, 60, 0.03)
 CYCLE_DAMPING = 1e-2  # of the first step
 CYCLE_SETTLED = 1e-4  # share of the objective below which a step of a cycle is the last
-CYCLES, MORE_UNDER_SKIES = 8, 2  # of a large grid; as many more under a sky, which tells less of depth
+CYCLES = 8  # of the finest grid if it is large; half as many of other large grids
 CYCLE_SMOOTHNESS = 3e-4  # of the first cycle
 SLOW = 0.01  # fall of the objective in a cycle below which it is the last
 
@@ -101,8 +100,7 @@ class Multigrid:
         pyramid, found = self.pyramid, Solution(z, math.inf)
         least = pyramid.smoothness(level)
         self.damping = {}
-        count = CYCLES + MORE_UNDER_SKIES * any(isinstance(s, sources.Sky) for s in pyramid.sources)
-        count = count if level == 0 else count // 2
+        count = CYCLES if level == 0 else CYCLES // 2
         for number in range(count):
             smoothness = max(least, CYCLE_SMOOTHNESS * (least / CYCLE_SMOOTHNESS) ** (number / (count // 2)))
             before = found.objective

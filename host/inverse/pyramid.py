@@ -1,7 +1,6 @@
 """The problem of recover(method="robust") on all grids: images, bounds, albedo and smoothness of each.
 
-Grids are box means of the images, coarser by factors of two. A coarse grid does not see fine relief, which
-shades itself and darkens the image; a shading gain stands for that.
+Grids are box means of the images, coarser by factors of two.
 """
 
 from __future__ import annotations
@@ -32,8 +31,6 @@ SMALL = 64  # nodes on the longer side of grids on which continuation is cheap; 
 # would mislead it
 LARGEST_START = 128
 GOOD_RESIDUAL = 0.0025  # share of the image below which no other surface is looked for
-# residual on a coarse grid, over what its gain lacks to 1: shading by fine relief is not the same everywhere
-UNEVEN_SHADING = 0.35
 # of what relief leaves in second differences of the light: variance on half as fine a grid, over that on a
 # grid
 TEXTURE = 16.0
@@ -126,14 +123,12 @@ class Pyramid:
             low, high = self.bounds[-1]
             self.bounds.append((halved(low) / 2, halved(high) / 2))
             self.albedo.append(halved(self.albedo[-1]))
-        self.unscaled = list(self.images)  # images as they are; those of coarse grids may get a shading gain
         self.coarsest = len(self.images) - 1
         self.start = grid_of_starts([level[0].shape for level in self.images])
         self.noise = math.sqrt(float(np.mean([noise_of(image) ** 2 for image in self.images[0]])))
         # by number, since a source may hold what cannot be hashed
         self.brightness = functools.cache(lambda number, azimuths: brightness_of(lights[number], azimuths))
         self.problems: dict[int, Descent] = {}
-        self.gains = [1.0] * (self.coarsest + 1)
         self.expected_albedo = 0.0
         if not self.albedo_known:  # from here on as shares of what a flat surface would have
             low, high = self.bounds[self.coarsest]
@@ -159,24 +154,17 @@ class Pyramid:
             problem.albedo.set_prior(self.expected_albedo)
 
     def smoothness(self, level: int) -> float:
-        """Weight of squared second differences: what noise and the shading by unseen relief leave on a grid
-        against how much surfaces bend.
-        """
+        """Weight of squared second differences: what noise leaves on a grid, against how surfaces bend."""
         variance = PRIOR_VARIANCE if level >= self.start else ADDED_VARIANCE
-        noise = (self.noise * 0.5**level) ** 2 + self.unseen_shading(level) ** 2
-        return self.least_smoothness(level) + noise / variance
+        return self.least_smoothness(level) + (self.noise * 0.5**level) ** 2 / variance
 
     def least_smoothness(self, level: int) -> float:
         return LEAST_SMOOTHNESS if self.is_small(level) or level >= self.start else LEAST_ON_LARGE
 
     def good_objective(self, level: int) -> float:
         """The objective below which another minimum is not looked for."""
-        deviation = GOOD_RESIDUAL * IMAGE_RMS + self.unseen_shading(level) + self.noise * 0.5**level
+        deviation = GOOD_RESIDUAL * IMAGE_RMS + self.noise * 0.5**level
         return float(0.5 * self.images[level][0].size * len(self.sources) * deviation**2)
-
-    def unseen_shading(self, level: int) -> float:
-        """rms by which the model is off on a coarse grid for relief that it does not see."""
-        return UNEVEN_SHADING * (1 - self.gains[level]) * IMAGE_RMS
 
     def problem(self, level: int) -> Descent:
         if level not in self.problems:
@@ -203,16 +191,6 @@ class Pyramid:
             light_of(source, shape, scale, self.brightness(number, azimuths))
             for number, source in enumerate(self.sources)
         ]
-
-    def set_shading_gain(self, gain: float, above: int) -> None:
-        """Divides the targets of the grids coarser than grid ``above`` by a gain: the coarsest grid's by this
-        one, those between by gains nearer to 1.
-        """
-        for level in range(above + 1, self.coarsest + 1):
-            self.gains[level] = 1 - (1 - gain) * (level - above) / (self.coarsest - above)
-            self.images[level] = [image / self.gains[level] for image in self.unscaled[level]]
-            if level in self.problems:
-                self.problems[level].set_targets(self.images[level])
 
     def set_bounds(self, bounds: list[tuple[np.ndarray, np.ndarray]]) -> None:
         self.bounds = bounds

@@ -26,8 +26,7 @@ from .confidence import NEAREST, confidence_of
 from .multigrid import Multigrid
 from .pyramid import Level, Pyramid, number_of
 from .resampling import doubled
-from .search import Rival, Search
-from .starts import OutOfTime
+from .search import OutOfTime, Search
 
 RECOVER_METHODS = ("robust", "paper")
 STOPS = ("eps", "sign")
@@ -272,12 +271,11 @@ def _robust(
     pyramid.stop, pyramid.report = lambda: spent() > seconds_left, report
     several = any(map(_directed, lights))  # answers: then the lower objective need not be the right one's
     search = Search(Multigrid(pyramid, several), several)
-    rivals, cut = _searched(search, seconds_left)
-    warnings += cut
+    warnings += _searched(search, seconds_left)
     level, z = pyramid.best or (pyramid.coarsest, _halfway(pyramid))
 
     depth_range = float((high - low).mean())
-    confidence, others = confidence_of(search.multigrid, level, z, rivals, search.comparing, depth_range)
+    confidence, others = confidence_of(pyramid, level, z, search.rivals, search.comparing, depth_range)
     ambiguous = np.isfinite(others).any(0) & (confidence < 0.5)
 
     for finer in range(level - 1, -1, -1):
@@ -304,14 +302,15 @@ def _robust(
     )
 
 
-def _searched(search: Search, seconds: float) -> tuple[list[Rival], list[str]]:
-    """The rivals of what was found, and a warning if the search was cut short."""
+def _searched(search: Search, seconds: float) -> list[str]:
+    """Runs the search; a warning if it was cut short."""
     try:
-        return search.run(), []
+        search.run()
     except OutOfTime:
-        return [], [f"Out of time after {seconds:g} s: this is the best so far."]
+        return [f"Out of time after {seconds:g} s: this is the best so far."]
     except KeyboardInterrupt:
-        return [], ["Interrupted: this is the best so far."]
+        return ["Interrupted: this is the best so far."]
+    return []
 
 
 def _halfway(pyramid: Pyramid) -> np.ndarray:

@@ -1,22 +1,41 @@
-"""The search for the surface that explains the images, stage by stage: recover(method="robust") between its
-checks and its answer.
+"""The search for the surface that explains the images: the stages of recover(method="robust") between its
+checks and its confidence, in order.
+
+Different starts are right in different places: where none of their surfaces is good, a mosaic takes each
+place from the one that is best there. Large images begin on a grid that sees their relief. They begin on the
+coarsest grid, as small ones do, only if their relief is too strong to be found from there.
 """
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 
 from .descent import Solution
-from .multigrid import Multigrid
-from .starts import BETTER, Starts
+from .multigrid import FROM_COARSER, Multigrid
+from .pyramid import SMALL, on_coarser_grid
+from .resampling import blurred
 
-# share of the objective below which another start's answer is taken, where one answer is expected
-CLEARLY = 0.9
-FOLLOWED = 8.0  # times the objective on a coarser grid up to which a start is followed
+FLATS = 40  # flat surfaces between the bounds that are compared
 LOST = 100.0  # times the objective of a good surface, from which strong relief is looked for
+FOUND = 16.0  # times the objective of a good surface, below which strong relief is found
+# shares of the depth of the best flat surface, from which strong relief is looked for
+SHALLOW_STARTS = (1.0, 0.85, 0.7, 0.5, 0.35)
+BETTER = 0.5  # share of the objective below which another start is believed instead of the first
+CLEARLY = 0.9  # the same where one answer is expected, once answers are compared
+CONFINED = (0.9, 0.75)  # shares of the pixels whose depth the first answer leaves to the others
+ALIKE = 0.05  # nodes (rms) between surfaces that are one answer
+LEAST_RANGE = 0.5  # nodes between the bounds of depth
+FOLLOWED = 8.0  # times the objective on a coarser grid up to which a start is followed
+LEAST_MISFIT = 1e-12  # of a neighbourhood, where the weights of a mosaic would divide by zero
 RIVAL = 6.0  # times the objective up to which another start counts as an answer
+
+
+class OutOfTime(Exception):
+    """max_seconds are over."""
 
 
 class Rival(NamedTuple):
@@ -29,82 +48,176 @@ class Rival(NamedTuple):
 
 
 class Search:
-    """Coarse to fine: starts are sorted out on grid ``sorting``, their answers compared on grid
-    ``comparing``, and the best one is refined from there.
+    """What one stage leaves to the next. ``several``: whether there may be several answers.
+
+    share: of the way between the bounds of depth, where the best flat surface lies. answers: on grid
+    ``level``; the first is believed unless another one is clearly better. begun: the surface that it began
+    with, and that surface's grid. rivals: of the answer, on grid ``comparing``.
     """
 
     def __init__(self, multigrid: Multigrid, several: bool):
         pyramid = multigrid.pyramid
         self.multigrid, self.pyramid, self.several = multigrid, pyramid, several
         self.comparing = 0 if pyramid.is_small(0) else pyramid.start
-        self.sorting = max(self.comparing, pyramid.start - 1)
-        self.starts = Starts(multigrid, self.sorting)
+        self.level = max(self.comparing, pyramid.start - 1)
+        self.share = 0.5
+        self.begun = self.flat(self.share, pyramid.start), pyramid.start
+        self.answers: list[Solution] = []
+        self.rivals: list[Rival] = []
 
-    def run(self) -> list[Rival]:
-        """Leaves the answer, and what was best on the way, in ``pyramid.best``; gives its rivals.
+    def run(self) -> None:
+        """All stages. Leaves the answer, and what was best on the way, in ``pyramid.best``.
 
         Raises OutOfTime.
         """
-        share = self.starts.nearest_flat()
-        if self.pyramid.start == self.pyramid.coarsest:
-            self.starts.find_shading_gain(self.starts.flat(share, self.pyramid.coarsest))
-        answers = self._sorted_out(share)
-        answers = self._compared(answers)
-        answer = self._chosen(answers)
-        rivals = self._rivals(answer, answers)
-        answer = self.multigrid.polish(self.comparing, answer.depth)
-        if self.comparing:
-            self.multigrid.refine(answer.depth, self.comparing, 0)
-        self.starts.check_time()
-        return rivals
+        for stage in STAGES:
+            stage(self)
+            self.check_time()
 
-    def _sorted_out(self, share: float) -> list[Solution]:
-        """The answers of the nearest flat surface and of starts around it; or those of a shallower surface,
-        if the first ones are far from the images.
-        """
-        pyramid, starts = self.pyramid, self.starts
-        flat = starts.flat(share, pyramid.start)
-        answers = starts.around(self.multigrid.solve(flat, pyramid.start, self.sorting), flat, pyramid.start)
-        best = _best(answers).objective
-        if best > LOST * pyramid.good_objective(self.sorting):
-            begun, strong = starts.strong_relief(share)
-            starts.check_time()
-            if strong.objective < BETTER * best:
-                pyramid.accept(self.sorting, strong.depth)
-                answers = starts.around(strong, begun, pyramid.coarsest)
-        return answers
+    def check_time(self) -> None:
+        """Raises OutOfTime; what was found until then may be of a coarser grid."""
+        if self.pyramid.stop():
+            raise OutOfTime
 
-    def _compared(self, answers: list[Solution]) -> list[Solution]:
-        """The answers on the grid where they are compared, but for hopeless ones."""
-        first, *others = answers
-        if self.comparing == self.sorting:
-            self.starts.check_time()
-            return answers
-        refine = self.multigrid.refine
-        followed = FOLLOWED * max(first.objective, self.pyramid.good_objective(self.sorting))
-        found = [refine(first.depth, self.sorting, self.comparing)]
-        self.starts.check_time()
-        found += [
-            refine(other.depth, self.sorting, self.comparing, accept=False)
-            for other in others
-            if other.objective < followed
+    def flat(self, share: float, level: int) -> np.ndarray:
+        """The flat surface that is so much of the way between the bounds."""
+        low, high = self.pyramid.bounds[level]
+        z: np.ndarray = low + share * (high - low)
+        return z
+
+
+def start_flat(search: Search) -> None:
+    """From the flat surface that explains the images best on the coarsest grid."""
+    pyramid, coarsest = search.pyramid, search.pyramid.coarsest
+    problem, shares = pyramid.problem(coarsest), (np.arange(FLATS) + 0.5) / FLATS
+    values = [problem.value(search.flat(share, coarsest), 0) for share in shares]
+    search.share = float(shares[np.argmin(values)])
+    search.begun = search.flat(search.share, pyramid.start), pyramid.start
+    search.answers = [search.multigrid.solve(*search.begun, search.level)]
+
+
+def start_stronger(search: Search) -> None:
+    """From shallower flat surfaces on the coarsest grid, if the first answer is far from the images.
+
+    Strong relief shades itself so much that the flat surface nearest to the images is far too deep to start
+    from.
+    """
+    pyramid, coarsest, first = search.pyramid, search.pyramid.coarsest, search.answers[0]
+    if first.objective <= LOST * pyramid.good_objective(search.level):
+        return
+    levels = range(search.level, coarsest)
+    cheap = next((n for n in levels if pyramid.images[n][0].size <= SMALL**2), coarsest)
+    tried = []
+    for part in SHALLOW_STARTS:
+        flat = search.flat(part * search.share, coarsest)
+        tried.append((search.multigrid.solve(flat, coarsest, cheap, accept=False), flat))
+        search.check_time()
+        if tried[-1][0].objective < FOUND * pyramid.good_objective(cheap):
+            break
+    found, flat = min(tried, key=lambda one: one[0].objective)
+    if search.level < cheap:
+        found = search.multigrid.refine(found.depth, cheap, search.level, accept=False)
+    if found.objective < BETTER * first.objective:
+        pyramid.accept(search.level, found.depth)
+        search.answers, search.begun = [found], (flat, coarsest)
+
+
+def start_shallower(search: Search) -> None:
+    """From the same surface, with the deepest of the first answer kept shallower until the end: the shallow
+    answer, where there are several.
+    """
+    for share in CONFINED:
+        other = _confined(search, float(np.quantile(search.answers[0].depth, share)))
+        search.check_time()
+        if all(np.sqrt(np.mean((other.depth - answer.depth) ** 2)) > ALIKE for answer in search.answers):
+            search.answers.append(other)
+
+
+def _confined(search: Search, deepest: float) -> Solution:
+    """With no depth beyond ``deepest`` [nodes of the answers' grid] until the end."""
+    pyramid, level = search.pyramid, search.level
+    free = pyramid.bounds
+    pyramid.set_bounds(
+        [
+            (low, np.clip(deepest * 2.0 ** (level - grid), low + LEAST_RANGE, high))
+            for grid, (low, high) in enumerate(free)
         ]
-        self.starts.check_time()
-        self.starts.add_mosaic(self.comparing, found)
-        return found
+    )
+    try:
+        z = search.multigrid.solve(*search.begun, level, accept=False).depth
+    finally:
+        pyramid.set_bounds(free)
+    return Solution(z, math.inf) if pyramid.stop() else search.multigrid.relax(level, z, ())
 
-    def _chosen(self, answers: list[Solution]) -> Solution:
-        """The first answer, unless another one explains the images clearly better."""
-        first, best = answers[0], _best(answers)
-        return best if best.objective < (BETTER if self.several else CLEARLY) * first.objective else first
 
-    def _rivals(self, answer: Solution, answers: list[Solution]) -> list[Rival]:
-        power = 1 if self.several else 2
-        return [
-            Rival(other.depth - answer.depth, min(1, answer.objective / other.objective) ** power)
-            for other in answers
-            if other is not answer and other.objective < RIVAL * answer.objective
-        ]
+def join(search: Search) -> None:
+    """From the mosaic of all answers, if there are several and none is good: another answer.
+
+    The mosaic takes each place from the answer whose image is best round it.
+    """
+    pyramid, level, answers = search.pyramid, search.level, search.answers
+    if len(answers) < 2 or _best(answers).objective <= pyramid.good_objective(level):
+        return
+    problem, images, misfits = pyramid.problem(level), pyramid.images[level], []
+    for answer in answers:
+        squares = [(light - t) ** 2 for light, t in zip(problem.irradiances(answer.depth), images)]
+        misfits.append(blurred(blurred(np.sum(squares, 0))) + LEAST_MISFIT)
+    least = np.min(misfits, 0)
+    shares = [blurred((least / misfit) ** 2) for misfit in misfits]
+    mosaic = np.sum([share * answer.depth for share, answer in zip(shares, answers)], 0) / np.sum(shares, 0)
+    pyramid.set_prior(level, on_coarser_grid(mosaic))
+    answers.append(search.multigrid.relax(level, mosaic, FROM_COARSER))
+
+
+def compare(search: Search) -> None:
+    """Brings the answers to the grid where they are compared, but for hopeless ones."""
+    level, (first, *others) = search.level, search.answers
+    if search.comparing == level:
+        return
+    refine, search.level = search.multigrid.refine, search.comparing
+    followed = FOLLOWED * max(first.objective, search.pyramid.good_objective(level))
+    search.answers = [refine(first.depth, level, search.level)]
+    for other in others:
+        search.check_time()
+        if other.objective < followed:
+            search.answers.append(refine(other.depth, level, search.level, accept=False))
+
+
+def choose(search: Search) -> None:
+    """The first answer, unless another one explains the images clearly better; the rest are its rivals."""
+    first, best = search.answers[0], _best(search.answers)
+    answer = best if best.objective < (BETTER if search.several else CLEARLY) * first.objective else first
+    power = 1 if search.several else 2
+    search.rivals = [
+        Rival(other.depth - answer.depth, min(1, answer.objective / other.objective) ** power)
+        for other in search.answers
+        if other is not answer and other.objective < RIVAL * answer.objective
+    ]
+    search.answers = [answer]
+
+
+def polish(search: Search) -> None:
+    """Works the answer out on its grid."""
+    search.answers = [search.multigrid.polish(search.level, search.answers[0].depth)]
+
+
+def refine(search: Search) -> None:
+    """Brings the answer to the finest grid."""
+    if search.level:
+        search.answers = [search.multigrid.refine(search.answers[0].depth, search.level, 0)]
+        search.level = 0
+
+
+STAGES: tuple[Callable[[Search], None], ...] = (
+    start_flat,
+    start_stronger,
+    start_shallower,
+    join,
+    compare,
+    choose,
+    polish,
+    refine,
+)
 
 
 def _best(answers: list[Solution]) -> Solution:
