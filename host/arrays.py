@@ -25,8 +25,9 @@ class Labels(NamedTuple):
 
 
 ON_CUDA = 2, 13  # DLPack's kDLCUDA and kDLCUDAManaged
-# elements that a thread takes at a time: 1 MiB of float32, which the caches of a core hold; chosen
-BAND = 2**18
+# elements that a thread takes at a time: 4 MiB of float32, some 0.2 ms; chosen: with a
+# quarter of it starting the work takes as long as the work
+BAND = 2**20
 
 Result = TypeVar("Result")
 
@@ -39,6 +40,16 @@ def threads() -> ThreadPoolExecutor:
 
 if hasattr(os, "register_at_fork"):
     os.register_at_fork(after_in_child=threads.cache_clear)  # a child has none of its parent's threads
+
+
+def multiply(image: np.ndarray, factor: float | np.ndarray) -> None:
+    """``image`` times a number, or a map of its rows and columns, in place; in float32, on all cores."""
+    factor = np.asarray(factor, np.float32)
+
+    def scale(rows: slice) -> None:
+        np.multiply(image[rows], factor[rows] if factor.ndim > 1 else factor, out=image[rows])
+
+    by_bands(scale, image.shape)
 
 
 def scratch(shape: tuple[int, ...]) -> np.ndarray:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from .arrays import labelled
+from .arrays import labelled, multiply
 from .checks import one_of
 from .directions import Azimuths
 from .errors import bad
@@ -69,7 +69,8 @@ def sky_view_factor(
     sine = np.linspace(0, 1, RUNGS)
     share = {"tilted": None, "horizontal": (1 - sine**2) / 2, "solid_angle": 1 - sine}[definition]
     scale = 1 / np.pi if definition != "solid_angle" else 1 / (2 * np.pi)
-    image = _sum(scene, share, azimuths, backend, max_distance) * np.float32(scale)
+    image = _sum(scene, share, azimuths, backend, max_distance)
+    multiply(image, scale)
     found: np.ndarray = labelled(image, scene.labels)
     return found
 

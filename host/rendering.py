@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from . import shading, sources
-from .arrays import labelled
+from .arrays import by_bands, labelled, multiply, scratch
 from .backends.base import Backend
 from .backends.resident import Resident
 from .checks import one_of, positive_number
@@ -489,9 +489,10 @@ def _by_slices(
     if slices is None:
         return np.zeros(scene.shape, np.float32)
     slices.run()
-    # a difference of sums of brightness may round to less than 0
-    image: np.ndarray = np.maximum(slices.download(), 0) * np.float32(scale)
-    return image
+    image = slices.download()
+    if callable(source.brightness):  # a difference of sums may round to less than 0
+        by_bands(lambda rows: np.maximum(image[rows], 0, out=image[rows]), image.shape)
+    return _times(image, scale)
 
 
 def _slices(
@@ -609,7 +610,11 @@ def _numbers(greys: Sequence[sources.Source]) -> list[float] | None:
 
 
 def _times(image: np.ndarray, factor: float) -> np.ndarray:
-    return image if factor == 1 else image * np.float32(factor)
+    if factor == 1:
+        return image
+    found = scratch(image.shape)
+    by_bands(lambda rows: np.multiply(image[rows], np.float32(factor), out=found[rows]), image.shape)
+    return found
 
 
 def _per_colour(
@@ -646,7 +651,7 @@ def _radiances(scene: Scene, irradiances: list[np.ndarray], reflected: list[np.n
         image = np.zeros((), np.float32)
         if irradiances:
             image = _channel(irradiances, n, count)
-            image *= _share(albedo, n) * np.float32(1 / np.pi)
+            multiply(image, _share(albedo, n) * np.float32(1 / np.pi))
         if reflected:
             image = image + _share(specular, n) * _channel(reflected, n, count)
         found.append(image)

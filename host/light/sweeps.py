@@ -409,26 +409,29 @@ class Sweeps:
         ``across``, ``along``: components of every azimuth along a row of the map, and from row to row.
         """
         near, columns = self.near, self.near - 1  # as in opencl/horizon.cl
+        a, b = across[numbers], along[numbers]
+        shears = _whole_shears(a / np.abs(b))
+        steepness = np.abs(shears)
+        flat = steepness == 0
+        inverse = np.where(flat, 1e9, 1 / np.where(flat, 1, steepness))
+        within = np.minimum(near, reach)
+        near_columns = np.minimum(columns, np.floor(within * steepness + 1e-9)).astype(int)
+        near_rows = np.floor(within + 1e-9)
         azimuths, ways = np.zeros((len(numbers), 8)), np.zeros((len(numbers), 8), np.int32)
+        widths = self.rays.widths[numbers] * self.unit
+        azimuths[:, :7] = np.stack([shears, a, b, np.abs(b), widths, inverse, np.minimum(reach, 1e30)], 1)
+        warms = np.full(len(numbers), warm)
+        ways[:, :5] = np.stack([np.where(b < 0, 1, -1), near_rows, near_columns, warms, windows], 1)
         near_at = np.zeros((len(numbers), near + columns, 2), np.int32)
         near_weight = np.zeros((len(numbers), near + columns))
-        shears = np.zeros(len(numbers))
-        for n, (k, far) in enumerate(zip(numbers, reach)):
-            a, b = across[k], along[k]
-            shear = _whole_shear(a / abs(b))
-            steepness, shears[n] = abs(shear), shear
-            near_columns = min(columns, math.floor(min(near, far) * steepness + 1e-9))
-            near_rows = math.floor(min(near, far) + 1e-9)
-            ways[n, :5] = 1 if b < 0 else -1, near_rows, near_columns, warm, windows[n]
-            width, inverse = self.rays.widths[k] * self.unit, 1 / steepness if steepness else 1e9
-            azimuths[n, :7] = shear, a, b, abs(b), width, inverse, min(far, 1e30)
-            for e in range(near):
-                x = math.floor((e + 1) * shear)
-                near_at[n, e], near_weight[n, e] = (x, e + 1), (e + 1) * shear - x
-            for e in range(near_columns):
-                y = math.floor((e + 1) / steepness)
-                near_at[n, near + e] = math.copysign(e + 1, shear), y
-                near_weight[n, near + e] = (e + 1) / steepness - y
+        rows = np.arange(1, near + 1) * shears[:, None]
+        near_at[:, :near, 0], near_at[:, :near, 1] = np.floor(rows), np.arange(1, near + 1)
+        near_weight[:, :near] = rows - np.floor(rows)
+        e = np.arange(1, columns + 1)
+        used = e <= near_columns[:, None]
+        down = np.where(used, e / np.where(flat, 1, steepness)[:, None], 0)
+        near_at[:, near:, 0] = np.where(used, np.copysign(e, shears[:, None]), 0)
+        near_at[:, near:, 1], near_weight[:, near:] = np.floor(down), down - np.floor(down)
         return shears, (azimuths.astype(np.float32), ways, near_at, near_weight.astype(np.float32))
 
 
@@ -457,11 +460,11 @@ def _far_slopes(sweeps: Sweeps, half: Half, first: int, count: int) -> tuple[Arr
     return sweeps.far.planes(shape, sweeps.margin, half.heights, angles, half.turned), True
 
 
-def _whole_shear(shear: float) -> float:
+def _whole_shears(shears: np.ndarray) -> np.ndarray:
     """0 or +-1 where rounding alone makes a difference."""
-    if abs(shear) < 1e-8:
-        return 0.0
-    return math.copysign(1.0, shear) if abs(abs(shear) - 1) < 1e-12 else shear
+    found = np.where(np.abs(shears) < 1e-8, 0.0, shears)
+    whole: np.ndarray = np.where(np.abs(np.abs(found) - 1) < 1e-12, np.copysign(1.0, found), found)
+    return whole
 
 
 def ladder(
