@@ -11,7 +11,7 @@ from compare import assert_bits_equal
 
 import skylamp as sl
 from skylamp.arrays import host_array
-from skylamp.backends import resident, select
+from skylamp.backends import base, resident, select
 from skylamp.constants import NONE
 
 DEPTH = scenes.rough(18, 23, 0.8, seed=4).astype(np.float32)
@@ -454,6 +454,24 @@ def test_a_backend_keeps_few_maps(fast, monkeypatch):
     for n in (0, 1, 0, 2):
         made[n].on(engine)
     assert [id(scene) in engine.kept for scene in made] == [True, False, True]
+
+
+def test_equal_tables_are_uploaded_once(backend, monkeypatch):
+    """By type, shape and bytes; large ones always; the oldest goes when there are many."""
+    engine = select(backend)
+    one, other = np.arange(6, dtype=np.float32), np.arange(6, dtype=np.int32)
+    first = engine.table(one)
+    assert engine.table(one.copy()) is first
+    assert engine.table(other) is not first and engine.table(one.reshape(2, 3)) is not first
+    assert_bits_equal(engine.download(engine.table(one)), one)
+    large = np.zeros(base.TABLE_BYTES + 1, np.uint8)
+    assert engine.table(large) is not engine.table(large)
+    monkeypatch.setattr(base, "TABLES", 2)
+    engine.tables.clear()
+    kept = engine.table(one), engine.table(other)
+    assert engine.table(one) is kept[0]
+    engine.table(one + 1)
+    assert engine.table(one) is kept[0] and engine.table(other) is not kept[1]
 
 
 def test_relief_far_above_zero(fast):

@@ -26,6 +26,10 @@ from ..errors import CapacityError
 CPU_SINGLE_ITEM_NODES, CPU_NODES_PER_ITEM, GPU_ITERATIONS_AHEAD = 8192, 64, 8
 DEFAULT_GROUP = 256  # work-items of a group of any kernel but scan, at most
 
+# tables that a backend keeps, and the bytes of one at most; chosen: together they stay below 32 MiB, and a
+# call has some 30 of them
+TABLES, TABLE_BYTES = 512, 2**16
+
 Array = Any  # of a device: NumPy's, Warp's or pyopencl's
 
 
@@ -71,6 +75,14 @@ class BackendInfo:
     gpu: bool = False
 
 
+def reserve(backend: Backend, bytes_needed: int, what: str, fix: str) -> None:
+    """Raise a CapacityError if ``bytes_needed`` is more than the device may give."""
+    if bytes_needed > backend.memory:
+        raise CapacityError(
+            f"{what} needs {bytes_needed:,} bytes; {backend.name} may take {backend.memory:,}. {fix}"
+        )
+
+
 class Backend(ABC):
     """One device. Subclasses give ``name``, ``device``, ``lanes``, ``memory`` and the abstract methods.
 
@@ -102,6 +114,7 @@ class Backend(ABC):
         self.lock = threading.RLock()  # a call makes others
         # maps of scenes by the scenes' ids, the one that was used last at the end; see Scene.on
         self.kept: OrderedDict[int, Any] = OrderedDict()
+        self.tables: OrderedDict[tuple[Any, ...], Any] = OrderedDict()  # by type, shape and bytes
 
     def __init_subclass__(cls) -> None:
         super().__init_subclass__()
@@ -116,6 +129,19 @@ class Backend(ABC):
     @abstractmethod
     def upload(self, array: np.ndarray, constant: bool = False) -> Array:
         """A copy of ``array`` on the device; of a ``constant`` none if ``shares``."""
+
+    def table(self, array: np.ndarray) -> Array:
+        """``array``, which kernels only read, on the device; equal small ones are uploaded once."""
+        if array.nbytes > TABLE_BYTES:
+            return self.upload(array)
+        key = array.dtype.str, array.shape, array.tobytes()
+        with self.lock:
+            if key not in self.tables:
+                self.tables[key] = self.upload(array)
+            self.tables.move_to_end(key)
+            if len(self.tables) > TABLES:
+                self.tables.popitem(last=False)
+            return self.tables[key]
 
     @abstractmethod
     def put(self, array: Array, values: np.ndarray) -> None:
@@ -178,10 +204,3 @@ class Backend(ABC):
     @abstractmethod
     def finish(self) -> None:
         """Wait until all launches are done."""
-
-    def reserve(self, bytes_needed: int, what: str, fix: str) -> None:
-        """Raise a CapacityError if ``bytes_needed`` is more than the device may give."""
-        if bytes_needed > self.memory:
-            raise CapacityError(
-                f"{what} needs {bytes_needed:,} bytes; {self.name} may take {self.memory:,}. {fix}"
-            )

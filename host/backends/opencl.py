@@ -107,7 +107,9 @@ class OpenclBackend(Backend):
         if constant and self.shares:
             flags = self.cl.mem_flags.READ_ONLY | self.cl.mem_flags.USE_HOST_PTR
             data = self.cl.Buffer(self.context, flags, hostbuf=array)
-            return self.cl.array.Array(self.queue, array.shape, array.dtype, data=data)
+            shared = self.cl.array.Array(self.queue, array.shape, array.dtype, data=data)
+            _finish_before_release(self, shared)
+            return shared
         device = _new(self, array.shape, array.dtype)
         if self.shares or array.nbytes < staging.LEAST:
             device.set(array)
@@ -264,9 +266,14 @@ def _new(backend: OpenclBackend, shape: tuple[int, ...], dtype: DTypeLike) -> Ar
     large = backend.on_cpu and size >= 2 * HUGE_PAGE and hasattr(mmap, "MADV_HUGEPAGE")
     data = _on_huge_pages(backend.context, size) if large else None
     array = backend.cl.array.Array(backend.queue, shape, dtype, data=data)
-    if large:  # the memory is the host's: kernels that were started must be done with it first
-        weakref.finalize(array, backend.queue.finish).atexit = False
+    if large:
+        _finish_before_release(backend, array)
     return array
+
+
+def _finish_before_release(backend: OpenclBackend, array: Array) -> None:
+    """Kernels that were started must be done with memory of the host's before it is freed."""
+    weakref.finalize(array, backend.queue.finish).atexit = False
 
 
 def _on_huge_pages(context: Any, size: int) -> Any:

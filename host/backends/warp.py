@@ -65,7 +65,7 @@ class WarpBackend(Backend):
 
     def __init__(self, alias: str) -> None:
         self.wp: Any = importlib.import_module("warp")
-        self.kept = OrderedDict()
+        self.kept, self.tables = OrderedDict(), OrderedDict()
         self.name = f"warp:{alias}"
         self._device = self.wp.get_device(alias)
         cuda = self._device.is_cuda

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ..backends.base import Backend
+from ..backends.base import Backend, reserve
 from ..constants import LINK_BLOCK, NODES_PER_SUM, NONE, PIXEL_PADDING, SIDES, TILE
 from ..errors import CapacityError
 from .lights import Light
@@ -83,7 +83,8 @@ class Image:
                 f"An image of {pixels:,} pixels along {self.count} azimuths: more than 2^31 links. Cut it"
                 " into tiles."
             )
-        backend.reserve(
+        reserve(
+            backend,
             pixels * (BYTES_PER_LINK * self.count + BYTES_PER_NODE + BYTES_PER_SUM * backend.partial_sums),
             f"Recovering {pixels:,} nodes along {self.count} azimuths",
             "Recover a smaller image.",

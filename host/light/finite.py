@@ -98,7 +98,7 @@ class Sliced(LightMethod):
         between = [(shift + 0.5 / len(self.shifts)) % 1 for shift in self.shifts]
         slices, first = self.slices, None
         for n, shift in enumerate(between):
-            slices.nodes = self.engine.upload(ball_nodes(slices.most, shift))
+            slices.nodes = self.engine.table(ball_nodes(slices.most, shift))
             slices.image = self.engine.empty(self.scene.shape, np.float32)
             slices.run()
             first = slices.image if first is None else self._mean(first, slices.image, n)

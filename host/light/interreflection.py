@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..backends.base import Array, Backend
+from ..backends.base import Array, Backend, reserve
 from ..constants import NONE, SIDES
 from ..errors import CapacityError
 from ..samples import SAMPLED_SLOPE, Samples
@@ -65,7 +65,8 @@ class Bounces:
             raise CapacityError(
                 f"A map of {rows * cols:,} nodes in {self.lights} colours: cut it into tiles."
             )
-        engine.reserve(
+        reserve(
+            engine,
             4 * (1 + 4 * self.lights) * self.plane_map,
             f"Light between {rows} x {cols} nodes",
             "Cut it into tiles.",

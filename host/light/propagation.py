@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..backends.base import Array, Backend, rounded_up
+from ..backends.base import Array, Backend, reserve, rounded_up
 from ..backends.resident import Resident
 from ..constants import COPY_SIDE, MOST_PIXELS, PATCH_X, PATCH_Y, SIDES, SKY
 from ..errors import CapacityError
@@ -110,8 +110,8 @@ class Surface:
             )
         self.room = rounded_up(problem.pixels)
         # two maps, two slopes, the sum, and a plane with its turned twin
-        backend.reserve(22 * self.room, f"A map of {problem.pixels:,} nodes", "Cut it into tiles.")
-        most = max(1, int(backend.memory // 3 // self.room))
+        reserve(backend, 22 * self.room, f"A map of {problem.pixels:,} nodes", "Cut it into tiles.")
+        most = min(max(1, int(backend.memory // 3 // self.room)), len(problem.steps))
         relief = problem.relief if relief is None else relief
         groups = walk_groups(
             problem.steps, problem.depth.shape, relief, problem.step, self.periodic, problem.filled, most
@@ -119,8 +119,8 @@ class Surface:
         self.maps = self._maps()
         self.depth = backend.view(self.maps, problem.depth.shape)
         self.planes = backend.empty((max(g.n_walks + len(g.pairs) for g in groups), self.room), np.uint8)
-        self.numbers = backend.upload(problem.geometry.numbers)
-        self.flags = backend.upload(problem.geometry.flags)
+        self.numbers = backend.table(problem.geometry.numbers)
+        self.flags = backend.table(problem.geometry.flags)
         self.groups = [self._upload(group) for group in groups]
         self.turn()
         self.find_laps(problem.host_depth if self.periodic else None)
@@ -145,7 +145,7 @@ class Surface:
         return self.backend.download(self.maps)[0, : self.problem.pixels].reshape(self.problem.depth.shape)
 
     def _upload(self, group: Group) -> OnDevice:
-        upload = self.backend.upload
+        upload = self.backend.table
         lines = 0
         for _, j, _, _, _, _, turned, _ in group.walks.tolist():
             rows, cols = self.problem.depth.shape[:: -1 if turned else 1]
@@ -197,7 +197,7 @@ class Surface:
                 lap = np.zeros((group.n_walks, max(map(len, tables))), np.float32)
                 for row, table in zip(lap, tables):
                     row[: len(table)] = table
-            self.laps.append((self.backend.upload(lap), lap.shape[1]))
+            self.laps.append((self.backend.table(lap), lap.shape[1]))
 
     def scan(self, number: int) -> Array:
         """The planes of a group, its walks first: (walks and more, room) uint8, overwritten by the next."""
@@ -298,7 +298,7 @@ class Light:
 
         def by_group(values: np.ndarray) -> list[list[Array]]:
             return [
-                [backend.upload(one.astype(np.float32)[group.order]) for one in values]
+                [backend.table(one.astype(np.float32)[group.order]) for one in values]
                 for group in surface.groups
             ]
 
@@ -391,7 +391,8 @@ class FieldByLayers:
         self.width, self.height = cols + 2 * self.reach, rows + 2 * self.reach
         level = problem.steps[:, 2] == 0
         self.n_level = int(level.sum())
-        backend.reserve(
+        reserve(
+            backend,
             4 * self.words * (layers + self.reach) * self.width * self.height
             + 4 * self.n_level * problem.pixels,
             "The visibility field",
@@ -503,7 +504,8 @@ class FieldOfLamp:
     def __init__(self, backend: Backend, problem: Problem, layers: int):
         self.backend, self.problem, self.layers = backend, problem, layers
         self.words = -(-len(problem.steps) // 32)
-        backend.reserve(
+        reserve(
+            backend,
             4 * self.words * layers * problem.pixels,
             "The visibility field",
             "Ask for fewer layers, a smaller hemicube or map.",
@@ -550,7 +552,7 @@ class FieldOfLamp:
 def visibility(backend: Backend, problem: Problem) -> np.ndarray:
     """Packed surface visibility (rows, cols, words) uint32."""
     words = -(-len(problem.steps) // 32)
-    backend.reserve(4 * words * problem.pixels, "Packed visibility", "Use a smaller hemicube or map.")
+    reserve(backend, 4 * words * problem.pixels, "Packed visibility", "Use a smaller hemicube or map.")
     surface = Surface(backend, problem)
     out = backend.empty((*problem.depth.shape, words), np.uint32, 0)
     for number, group in enumerate(surface.groups):

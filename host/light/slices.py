@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from ..backends.base import reserve
 from ..backends.resident import Resident
 from ..constants import ENDLESS, MOST_PIXELS, NONE, SLICES
 from ..errors import CapacityError
@@ -137,7 +138,8 @@ class Slices:
         self.width = -(-cols >> self.levels) << self.levels
         cells = (rows + 1) // 2
         images = 2 if isinstance(solid, Ball) else 1
-        backend.reserve(
+        reserve(
+            backend,
             4 * ((rows + 2) * (cols + 1) + cells * self.width + images * rows * cols),
             f"A map of {count:,} nodes",
             "Cut it into tiles.",
@@ -191,14 +193,14 @@ class Slices:
             sky, self.side = values, len(values)
         elif varies:
             chords, (self.turns, self.knots, _) = values, values.shape
-        self.sky = backend.upload(np.asarray(sky, np.float32))
+        self.sky = backend.table(np.asarray(sky, np.float32))
         self.n_points = (LOBE_VARIES if varies else LOBE_POINTS) if lobe is not None else 0
-        self.points = backend.upload(_on_unit(max(self.n_points, 1)))
-        self.chords = backend.upload(np.asarray(chords, np.float32))
-        self.nodes = backend.upload(
+        self.points = backend.table(_on_unit(max(self.n_points, 1)))
+        self.chords = backend.table(np.asarray(chords, np.float32))
+        self.nodes = backend.table(
             _quad_nodes(self.most) if isinstance(self.solid, Quad) else ball_nodes(self.most, shift)
         )
-        self.table = backend.upload(np.zeros(2, np.float32) if lobe is None else lobe.table)
+        self.table = backend.table(np.zeros(2, np.float32) if lobe is None else lobe.table)
 
     def _place(self, solid: Ball | Quad) -> tuple[np.ndarray, float, tuple[np.ndarray, np.ndarray]]:
         """(centre, radius of a sphere round the source, extent over the map as lowest and highest (x, y)).
@@ -214,7 +216,7 @@ class Slices:
         normal = np.cross(corners[2] - corners[0], corners[3] - corners[1])
         # upwards, which decides for nodes in its own plane
         normal *= (1 if normal[2] >= 0 else -1) / np.linalg.norm(normal)
-        self.corners = self.backend.upload(
+        self.corners = self.backend.table(
             np.concatenate([corners - middle, [middle, normal]]).astype(np.float32)
         )
         radius = np.linalg.norm(corners - middle, axis=1).max()

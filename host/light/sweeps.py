@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..backends import select
-from ..backends.base import Array, Backend
+from ..backends.base import Array, Backend, reserve
 from ..backends.resident import Resident
 from ..checks import positive_number
 from ..constants import LADDER, LEAST_SEARCHED_SLOPE, MOST_PIXELS, SIDES, SLOPES, TABLE, UNIFORM
@@ -98,7 +98,8 @@ class Sweeps:
         many = rays is not None and len(rays.angles) >= MANY_AZIMUTHS
         self.near = near or (FINE_NEAR_ROWS if many else NEAR_ROWS)
         self.margin = self.near + backend.lanes + 3
-        backend.reserve(
+        reserve(
+            backend,
             32 * (rows + 2 * self.margin) * (cols + 2 * self.margin),
             f"A map of {rows} x {cols} nodes",
             "Cut it into tiles.",
@@ -135,7 +136,7 @@ class Sweeps:
         it and computes the tilts.
         """
         rows, cols = self.shape
-        given = self.backend.upload(table)
+        given = self.backend.table(table)
         self.backend.launch(
             "ground",
             "correct",
@@ -261,7 +262,7 @@ class Sweeps:
         pixels = rows * cols
         natural, turned, back = (backend.empty((pixels,), np.float32, 0) for _ in range(3))
         for half, numbers, planes in self._planes():
-            widths = backend.upload(self.rays.widths[numbers].astype(np.float32))
+            widths = backend.table(self.rays.widths[numbers].astype(np.float32))
             sums = turned if half.turned else natural
             backend.launch("ground", "openness", (pixels,), planes, widths, sums, len(numbers), pixels)
             backend.finish()  # the planes may be freed
@@ -357,7 +358,7 @@ class Sweeps:
         return 2.0**30 / max(float(most @ self.rays.widths), 1e-20)  # within float32 also under a black sky
 
     def _half(self, turned: bool, table: np.ndarray | None) -> Half:
-        upload = self.backend.upload
+        keep = self.backend.table
         rows, cols = self.shape[:: -1 if turned else 1]
         cosine, sine = np.cos(self.rays.angles), np.sin(self.rays.angles)
         numbers = np.flatnonzero((np.abs(cosine) > np.abs(sine)) == turned)
@@ -378,7 +379,7 @@ class Sweeps:
             warm = math.ceil(self.reach) + 1
         shears, tables = self._shear_tables(numbers, windows, reach, warm, across, along)
         if table is not None and len(numbers):
-            brightness = upload(np.ascontiguousarray(table[numbers], np.float32))
+            brightness = keep(np.ascontiguousarray(table[numbers], np.float32))
         else:
             brightness = self.nothing
         return Half(
@@ -389,7 +390,7 @@ class Sweeps:
             windows,
             warm,
             shears,
-            [upload(array) for array in tables] if len(numbers) else [],
+            [keep(array) for array in tables] if len(numbers) else [],
             self.turned if turned else self.heights,
             self.tilts[turned],
             brightness,

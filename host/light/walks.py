@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from typing import NamedTuple
 
@@ -48,13 +49,27 @@ def walk_groups(
     periodic: bool,
     filled: bool,
     most: int,
-) -> list[Group]:
+) -> tuple[Group, ...]:
     """The directions ``steps`` (D, 3) over a map of ``shape``, at most ``most`` walks per group.
 
     ``relief`` and ``step``, the spacing, in the unit of depth.
     """
+    directions = tuple(map(tuple, steps.tolist()))
+    return _walk_groups(directions, shape, relief if periodic else 0.0, step, periodic, filled, most)
+
+
+@functools.lru_cache(16)
+def _walk_groups(
+    steps: tuple[tuple[int, int, int], ...],
+    shape: tuple[int, int],
+    relief: float,
+    step: float,
+    periodic: bool,
+    filled: bool,
+    most: int,
+) -> tuple[Group, ...]:
     ways: dict[tuple[int, int], list[tuple[int, int]]] = {}
-    for d, (i, j, up) in enumerate(steps.tolist()):
+    for d, (i, j, up) in enumerate(steps):
         ways.setdefault((i, j), []).append((-up, d))
     chunks = []
     for way, members in ways.items():
@@ -69,7 +84,7 @@ def walk_groups(
         count = min(most, sum(len(c[1]) == len(chunks[0][1]) for c in chunks))
         groups.append(_group(chunks[:count], shape, relief, step, periodic, filled))
         chunks = chunks[count:]
-    return groups
+    return tuple(groups)
 
 
 def _group(
