@@ -132,7 +132,7 @@ def labels_of(values: Any) -> Labels | None:
     )
 
 
-def labelled(array: np.ndarray | None, labels: Labels | None, **leading: Any) -> Any:
+def labelled(array: Any, labels: Labels | None, **leading: Any) -> Any:
     """``array`` as an xarray.DataArray with ``labels``, or as it is where there are none.
 
     ``leading``: axes before theirs, with coordinates.

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from .arrays import labelled, multiply
+from .backends.resident import DeviceImage
 from .checks import one_of
 from .directions import Azimuths
 from .errors import bad
@@ -69,8 +70,7 @@ def sky_view_factor(
     sine = np.linspace(0, 1, RUNGS)
     share = {"tilted": None, "horizontal": (1 - sine**2) / 2, "solid_angle": 1 - sine}[definition]
     scale = 1 / np.pi if definition != "solid_angle" else 1 / (2 * np.pi)
-    image = _sum(scene, share, azimuths, backend, max_distance)
-    multiply(image, scale)
+    image = _sum(scene, share, azimuths, backend, max_distance, float(scale))
     found: np.ndarray = labelled(image, scene.labels)
     return found
 
@@ -117,10 +117,11 @@ def _sum(
     azimuths: int | Azimuths,
     backend: str,
     max_distance: float | None,
-) -> np.ndarray:
-    """Sum over azimuths of ``share``, a function of the horizon's sine, on level elements; None: light.
+    scale: float,
+) -> np.ndarray | DeviceImage:
+    """Sum over azimuths of ``share``, a function of the horizon's sine, on level elements, times ``scale``.
 
-    That light is the irradiance of a uniform sky of brightness 1 on the tilted surface.
+    None: light, the irradiance of a uniform sky of brightness 1 on the tilted surface.
     """
     azimuths = as_azimuths(azimuths)
     table = None
@@ -130,13 +131,14 @@ def _sum(
         table[:, :-1, 3] = np.diff(share)
     engine = engine_of(scene, backend)
     with engine.lock:
-        image = Sweeps(
-            engine,
-            ground_of(scene, max_distance, engine),
-            Rays(azimuths.angles, azimuths.widths),
-            table,
-            level=share is not None,
-        ).irradiance(last=True)
+        rays = Rays(azimuths.angles, azimuths.widths)
+        sweeps = Sweeps(engine, ground_of(scene, max_distance, engine), rays, table, level=share is not None)
+        if scene.stays_on(engine):
+            found = sweeps.image()
+            found.shade(scene.on(engine), 1.0, scale)
+            return found
+        image = sweeps.irradiance(last=True)
+    multiply(image, scale)
     if scene.mask is not None:
         image[~scene.mask] = np.nan
     return image

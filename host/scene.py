@@ -188,6 +188,10 @@ class Scene:
             kept.popitem(last=False)
         return found
 
+    def stays_on(self, backend: Backend) -> bool:
+        """Whether the map was given on this GPU, so that images stay there too."""
+        return self.resident is not None and self.resident.backend is backend and not backend.shares
+
     def release(self, backend: str = "auto") -> None:
         """Free the copy of the map that a backend keeps; the next call uploads it again.
 

@@ -108,6 +108,23 @@ __kernel void heights(__global const float *depth, __global float *heights, int 
   heights[row * width + column] = value;
 }
 
+/* shade: image = max(image, least) x (albedo x unit), nan where masked.
+
+  image   (count)       float  in and out
+  depth   (count)       float  [length]  +inf where masked
+  albedo  (count or 1)  float  [1]       of every node if varies, else of all
+
+Work-item p owns one node. */
+__kernel void shade(__global float *image, __global const float *depth, __global const float *albedo,
+                    int varies, float unit, float least, int count)
+{
+  const int p = get_global_id(0);
+  if (p >= count)
+    return;
+  const float share = albedo[varies ? p : 0] * unit;
+  image[p] = depth[p] == INFINITY ? NAN : fmax(image[p], least) * share;
+}
+
 /* probe: the steepest slope to ground in eight directions from every `every`-th node, at growing distances
 from first on; -inf where none lies, or the node is masked.
 

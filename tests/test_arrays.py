@@ -496,3 +496,29 @@ def test_a_scene_of_any_type_of_numbers(size):
         np.testing.assert_array_equal(scene.depth, np.where(mask, expected, np.nan).astype(np.float32))
         depth, step = scene.lattice()
         assert step == 1 and np.isposinf(depth[~mask]).all() and (depth[mask] == expected[mask]).all()
+
+
+def test_shade(backend):
+    """A map of albedos or a number, a unit, no less than asked, and nan where masked; fetched by asarray."""
+    there, rng = scenes.resident_map(backend, HOLES), np.random.default_rng(3)
+    engine, values = there.backend, rng.normal(size=HOLES.shape).astype(np.float32)
+    albedo = rng.random(HOLES.shape, np.float32)
+    for share in (albedo, 0.25):
+        image = resident.DeviceImage(engine, engine.upload(values.ravel()), HOLES.shape)
+        image.shade(there, share, 0.5, -0.1)
+        expected = np.maximum(values, np.float32(-0.1)) * (np.float32(share) * np.float32(0.5))
+        np.testing.assert_array_equal(np.asarray(image), np.where(np.isfinite(HOLES), expected, np.nan))
+
+
+def test_a_sky_view_factor_stays_where_the_map_is(monkeypatch):
+    """On a GPU, here Warp's CPU that passes for one: the same numbers, and CUDA libraries find the memory."""
+    engine = select("warp:cpu")
+    monkeypatch.setattr(engine, "shares", False)
+    given = warp_array(DEPTH)
+    found = sl.sky_view_factor(sl.Scene(given, mask=np.isfinite(HOLES)), backend="warp:cpu")
+    assert isinstance(found, resident.DeviceImage)
+    plain = sl.sky_view_factor(sl.Scene(DEPTH, mask=np.isfinite(HOLES)), backend="warp:cpu")
+    np.testing.assert_array_equal(np.asarray(found), plain)
+    described = found.__cuda_array_interface__
+    assert described["shape"] == DEPTH.shape and described["typestr"] == "<f4"
+    np.testing.assert_array_equal(np.from_dlpack(found), plain)

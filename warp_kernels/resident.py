@@ -159,6 +159,36 @@ def heights(
 
 
 @wp.kernel
+def shade(
+    image: wp.array[wp.float32],
+    depth: wp.array[wp.float32],
+    albedo: wp.array[wp.float32],
+    varies: wp.int32,
+    unit: wp.float32,
+    least: wp.float32,
+    count: wp.int32,
+):
+    """image = max(image, least) x (albedo x unit), nan where masked.
+
+      image   (count)       float32  in and out
+      depth   (count)       float32 [length]  +inf where masked
+      albedo  (count or 1)  float32 [1]       of every node if varies, else of all
+
+    Thread p owns one node.
+    """
+    p = wp.tid()
+    if p >= count:
+        return
+    q = wp.int32(0)
+    if varies != 0:
+        q = p
+    value = wp.max(image[p], least) * (albedo[q] * unit)
+    if depth[p] == wp.float32(wp.inf):
+        value = wp.float32(wp.nan)
+    image[p] = value
+
+
+@wp.kernel
 def probe(
     heights: wp.array[wp.float32],
     best: wp.array2d[wp.float32],

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -12,6 +12,63 @@ from .base import Array, Backend
 
 BLOCK = 512  # rows of a column that a work-item of ``survey`` owns; chosen: 32 k items on 4096 x 4096 nodes
 LAYERS = 2**20  # up to which whole layers are compared in place of depths: their sums are exact in float32
+
+
+class DeviceImage:
+    """An image (rows, cols) float32 that lies on a backend.
+
+    ``numpy.asarray`` fetches a copy. Where it lies on a GPU, libraries that know ``__cuda_array_interface__``
+    or DLPack (CuPy, PyTorch, JAX, Warp) take it in place.
+    """
+
+    dtype, ndim = np.dtype(np.float32), 2
+
+    def __init__(self, backend: Backend, values: Array, shape: tuple[int, int]):
+        self.backend, self.values, self.shape = backend, values, shape
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> np.ndarray:
+        found = self.backend.download(self.values).reshape(-1)[: math.prod(self.shape)].reshape(self.shape)
+        return found if dtype is None else found.astype(dtype, copy=False)
+
+    def shade(
+        self, there: Resident, albedo: float | np.ndarray, unit: float, least: float = -math.inf
+    ) -> None:
+        """Multiply by albedo, a number or a map, and ``unit``, in place; nan where the map is masked.
+
+        What is below ``least`` becomes that before.
+        """
+        values, count = np.asarray(albedo, np.float32), math.prod(self.shape)
+        given = self.backend.table(values.reshape(-1))
+        numbers = int(values.ndim > 0), float(unit), float(least), count
+        self.backend.launch("resident", "shade", (count,), self.values, there.depth, given, *numbers)
+        if values.ndim:
+            self.backend.finish()  # the albedo may be freed
+
+    def __len__(self) -> int:
+        return self.shape[0]
+
+    def __repr__(self) -> str:
+        return f"DeviceImage({self.shape[0]} x {self.shape[1]}, float32, on {self.backend.name})"
+
+    @property
+    def __cuda_array_interface__(self) -> dict[str, Any]:
+        if self.backend.shares:
+            raise AttributeError(f"the image lies on {self.backend.name}, which is no CUDA device")
+        self.backend.finish()  # whoever reads it may do so on a stream of its own
+        address = int(self.values.ptr), False
+        return {
+            "shape": self.shape,
+            "typestr": self.dtype.str,
+            "data": address,
+            "strides": None,
+            "version": 3,
+        }
+
+    def __dlpack__(self, **options: Any) -> Any:
+        return self.backend.view(self.values, self.shape).__dlpack__(**options)
+
+    def __dlpack_device__(self) -> Any:
+        return self.values.__dlpack_device__()
 
 
 class Survey(NamedTuple):

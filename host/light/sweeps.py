@@ -10,7 +10,7 @@ import numpy as np
 
 from ..backends import select
 from ..backends.base import Array, Backend, reserve
-from ..backends.resident import Resident
+from ..backends.resident import DeviceImage, Resident
 from ..checks import positive_number
 from ..constants import LADDER, LEAST_SEARCHED_SLOPE, MOST_PIXELS, SIDES, SLOPES, TABLE, UNIFORM
 from ..errors import CapacityError, bad
@@ -223,6 +223,14 @@ class Sweeps:
                 self._sweep(half, first, count, SLOPES, known, True, scratch, sums)
                 known = True
             self._sweep(half, first, count, self.what, known, False, scratch, sums)
+
+    def image(self) -> DeviceImage:
+        """Irradiance (rows, cols) float32 [brightness x sr] on the device."""
+        size = (math.prod(self.shape),)
+        total, turned = (self.backend.empty(size, np.int32) for _ in range(2))
+        image = self.backend.empty(size, np.float32)
+        self.light(total, turned, image)
+        return DeviceImage(self.backend, image, self.shape)
 
     def irradiance(self, last: bool = False) -> np.ndarray:
         """Irradiance (rows, cols) float32 [brightness x sr]. ``last``: arrays are released after use."""

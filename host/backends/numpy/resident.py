@@ -68,6 +68,20 @@ def heights(
     heights.reshape(-1)[: width * height] = padded.ravel()
 
 
+def shade(
+    image: np.ndarray,
+    depth: np.ndarray,
+    albedo: np.ndarray,
+    varies: int,
+    unit: float,
+    least: float,
+    count: int,
+) -> None:
+    share = albedo.reshape(-1)[: count if varies else 1] * np.float32(unit)
+    found = np.maximum(image.reshape(-1)[:count], np.float32(least)) * share
+    image.reshape(-1)[:count] = np.where(depth.reshape(-1)[:count] == np.inf, np.float32(np.nan), found)
+
+
 def probe(
     heights: np.ndarray,
     best: np.ndarray,
