@@ -22,6 +22,7 @@ from .backends.base import Backend
 from .checks import positive_number
 from .constants import LEAST_SEARCHED_SLOPE
 from .errors import CapacityError, bad
+from .interreflection import check_choice, choice, expected, is_needed
 from .light import lattice, unoccluded
 from .light.base import Estimate, LightMethod
 from .light.finite import RAYS, Sliced
@@ -120,9 +121,10 @@ class Plan:
     map. tolerance, tail: what was asked for, relative RMS error and 99.9th percentile; error, error_tail:
     what they are expected to be, by the samples before an image is made, and by the two halves of it
     afterwards; measured: the RMS error of the image at the samples, once rendered. choices, line by line;
-    steps: every image that was made; beyond: what the scene needs and the model lacks, with numbers. seconds
-    of the whole call and planning_seconds until the first image was begun were measured; no decision depends
-    on them. Fields that do not apply are None or empty.
+    steps: every image that was made; beyond: what the scene needs and the model lacks, with numbers;
+    interreflection: RMS of the light between surfaces over the mean of the direct light, as estimated.
+    seconds of the whole call and planning_seconds until the first image was begun were measured; no decision
+    depends on them. Fields that do not apply are None or empty.
     """
 
     method: str
@@ -141,6 +143,7 @@ class Plan:
     choices: tuple[Choice, ...] = ()
     steps: tuple[Step, ...] = ()
     beyond: tuple[str, ...] = ()
+    interreflection: float | None = None
 
     @property
     def line(self) -> str:
@@ -180,12 +183,12 @@ def plan(
     backend: str = "auto",
     *,
     tail: float | None = None,
+    interreflection: bool | str = "auto",
 ) -> Plan:
     """How :func:`skylamp.render` will begin on ``scene`` under ``source`` to be within ``tolerance``.
 
     Print it: it gives its reasons. What it says of the error is what the samples expect; a render refines on
-    where its image proves to be worse. The light left out between surfaces is no part of the error;
-    ``Plan.beyond`` bounds it.
+    where its image proves to be worse. One line says whether the light between surfaces will be included.
 
     Parameters
     ----------
@@ -195,26 +198,37 @@ def plan(
         Bound on the 99.9th percentile of the absolute error, over the same mean; ten tolerances unless given.
     backend : str
         See :func:`skylamp.backends`.
+    interreflection : "auto", True or False
+        As of :func:`skylamp.render`.
 
     Raises
     ------
     InputError, BackendError, CapacityError
     """
     is_scene(scene)
+    check_choice(interreflection)
     engine = select(backend)
     with engine.lock:
         seconds = _stopwatch(engine)
-        planner = choose(scene, source, tolerance, engine, tail)
+        planner = choose(scene, source, tolerance, engine, tail, interreflection)
         planning = seconds()
         return replace(planner.plan(), planning_seconds=planning)
 
 
 def refined(
-    scene: Scene, source: sources.Source, tolerance: float, engine: Backend, tail: float | None = None
+    scene: Scene,
+    source: sources.Source,
+    tolerance: float,
+    engine: Backend,
+    tail: float | None = None,
+    interreflection: bool | str = "auto",
 ) -> Refined:
-    """The irradiance of a grey source within the tolerance, or as near as can be and a warning."""
+    """The irradiance of a grey source within the tolerance, or as near as can be and a warning.
+
+    It is that of direct light; ``interreflection``: as of :func:`skylamp.render`, for the plan to tell of.
+    """
     seconds = _stopwatch(engine)
-    planner = choose(scene, source, tolerance, engine, tail)
+    planner = choose(scene, source, tolerance, engine, tail, interreflection)
     planning = seconds()
     method, steps, before = planner.begin(), [], None
     while True:
@@ -225,7 +239,7 @@ def refined(
             break
         before = found.estimate if planner.method is method else None
         method = planner.method
-    made = planner.plan()
+    made = planner.plan(planner.samples.of(image) if planner.exact is None else None)
     made = replace(
         made,
         hemicube=method.units if made.method == "lattice" else None,
@@ -303,7 +317,12 @@ def assess(planner: _Planner, method: LightMethod, image: np.ndarray, before: Es
 
 
 def choose(
-    scene: Scene, source: sources.Source, tolerance: float, engine: Backend, tail: float | None = None
+    scene: Scene,
+    source: sources.Source,
+    tolerance: float,
+    engine: Backend,
+    tail: float | None = None,
+    interreflection: bool | str = "auto",
 ) -> _Planner:
     """A planner that has chosen what to begin with."""
     tolerance = positive_number(tolerance, "tolerance")
@@ -320,6 +339,7 @@ def choose(
     elif solid_of(scene, source, 1 / scene.spacing, 1.0) is None:
         planner_class = _HiddenWindowPlanner
     planner = planner_class(scene, source, tolerance, tail, engine)
+    planner.interreflection = interreflection
     planner.choose()
     return planner
 
@@ -374,6 +394,7 @@ class _Planner(ABC):
     floor = 0.0  # error that both halves share
     max_distance: float | None = None
     unknown = ""  # why the error is not known
+    interreflection: bool | str = "auto"  # whether the light between surfaces is asked for
 
     def __init__(self, scene: Scene, source: Any, tolerance: float, tail: float, engine: Backend):
         self.scene, self.source, self.engine = scene, source, engine
@@ -431,8 +452,20 @@ class _Planner(ABC):
         lit = None if self.exact is None else self.exact[self.exact > 0]
         return float(lit.mean()) if lit is not None and lit.size else math.inf
 
-    def plan(self) -> Plan:
-        """The plan, with the errors that the samples expect."""
+    def between_surfaces(self, direct: np.ndarray | None) -> float | None:
+        """RMS of the light between surfaces over the mean of the direct light, None where that is not known.
+
+        ``direct``: at the samples.
+        """
+        if direct is None or not direct.any() or not np.any(self.scene.albedo):
+            return None if direct is None else 0.0
+        if self.uniform is None:
+            self.uniform = self._uniform_light()
+        return expected(self.scene, self.samples, direct, self.uniform / np.pi)
+
+    def plan(self, direct: np.ndarray | None = None) -> Plan:
+        """The plan, with the errors that the samples expect; ``direct`` light there, if it was unknown."""
+        between = self.between_surfaces(self.exact if direct is None else direct)
         latticed = self.method_class is Lattice
         rms, bound = (math.hypot(value, self.floor) for value in (self.expected.rms, self.expected.bound))
         fits = bound <= ESTIMATE_SHARE * self.tolerance
@@ -450,11 +483,12 @@ class _Planner(ABC):
             self.tail,
             float(rms) if math.isfinite(rms) else None,
             float(self.expected.tail) if math.isfinite(self.expected.tail) else None,
-            choices=(*self.choices(), *self._common_choices()),
-            beyond=tuple(beyond_model(self)),
+            choices=(*self.choices(), *self._common_choices(between)),
+            beyond=tuple(beyond_model(self, between)),
+            interreflection=between,
         )
 
-    def _common_choices(self) -> Iterator[Choice]:
+    def _common_choices(self, between: float | None) -> Iterator[Choice]:
         """Lines of the plan that every kind of source has."""
         if not self.closed:
             serves = "sweeps and slices serve every sky, sphere, rectangle and window"
@@ -469,6 +503,7 @@ class _Planner(ABC):
         else:
             why = "summed beside the irradiance, to which the error given here belongs"
             yield Choice("specular lobe", type(surface).__name__, why)
+        yield Choice("interreflection", *choice(self.interreflection, between, self.tolerance))
         yield Choice("precision", "float32", f"depths are rounded by {self.rounding:.1g} spacings")
         if not math.isfinite(self.expected.rms):
             yield Choice("error", "not known", self.unknown)
@@ -1092,11 +1127,14 @@ class _LatticePlanner(_Planner):
         yield Choice("directions", f"hemicube {self.units}, filled", why)
 
 
-def beyond_model(planner: _Planner) -> Iterator[str]:
+def beyond_model(planner: _Planner, between: float | None) -> Iterator[str]:
     """What the scene needs and the model lacks, with numbers."""
     scene, source, samples = planner.scene, planner.source, planner.samples
-    if planner.exact is not None and planner.exact.any() and planner.uniform is not None:
-        yield from between_surfaces(scene, planner.uniform, planner.exact, planner.tolerance)
+    if planner.interreflection is False and between is not None and is_needed(between, planner.tolerance):
+        yield (
+            f"Light between surfaces is left out: it is about {_percent(between)} of the direct light (RMS"
+            " over the mean)."
+        )
     if isinstance(source, sources.Lamp) and source.center is not None and source.radius is not None:
         x, y, z, radius = (value / scene.spacing for value in (*source.center, source.radius))
         gap = _gap(scene, planner.engine, samples.highest, x, y, z, radius)
@@ -1119,23 +1157,6 @@ def beyond_model(planner: _Planner) -> Iterator[str]:
         yield (
             f"Depths are rounded by {planner.rounding:.2g} spacings, more than the tolerance allows: take"
             " the least depth off."
-        )
-
-
-def between_surfaces(scene: Scene, uniform: np.ndarray, exact: np.ndarray, tolerance: float) -> Iterator[str]:
-    """A bound on interreflection at the nodes whose irradiance is ``exact``, if it passes the tolerance.
-
-    ``uniform``: their irradiance by a sky of brightness 1.
-    """
-    albedo = np.asarray(scene.albedo, float)
-    rho = float((albedo[scene.valid] if albedo.ndim > 1 else albedo).max())
-    sky = np.clip(uniform / np.pi, 0, 1)
-    bound = rho * (1 - sky) * exact.max() / (1 - rho * (1 - sky.min()))
-    share = float(np.sqrt(np.mean(bound**2)) / exact[exact > 0].mean())
-    if share > tolerance:
-        yield (
-            f"Light between surfaces is left out: at most {_percent(share)} of the mean (RMS) at albedo"
-            f" {rho:g}."
         )
 
 

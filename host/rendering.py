@@ -18,6 +18,7 @@ from .checks import one_of, positive_number
 from .constants import SLICES
 from .directions import Azimuths, Hemicube
 from .errors import bad
+from .interreflection import Interreflection, check_choice, included, is_needed, reason
 from .light import propagation, unoccluded
 from .light.lattice import HEMICUBE_ERRORS, lacking
 from .light.propagation import Lobe, Problem
@@ -54,7 +55,8 @@ class Rendering:
 
     image (rows, cols) float32, or (rows, cols, 3) in colour, nan where masked, an xarray.DataArray if the
     scene was made from one; plan; backend (its name); seconds of the call without compiling, compile_seconds;
-    warnings (one sentence each). error: see there.
+    warnings (one sentence each). interreflection: what was done about the light between surfaces. direct,
+    reflected: with ``parts=True``, the image by direct light alone, and the rest of it. error: see there.
     """
 
     image: np.ndarray
@@ -66,6 +68,10 @@ class Rendering:
     _parts: tuple[tuple[Refined, float], ...] = field(default=(), repr=False)
     _scene: Scene | None = field(default=None, repr=False)
     _quantity: str = field(default="radiance", repr=False)
+    interreflection: Interreflection | None = None
+    direct: np.ndarray | None = field(default=None, repr=False)
+    reflected: np.ndarray | None = field(default=None, repr=False)
+    _between: tuple[float, ...] = field(default=(0.0,), repr=False)
 
     @cached_property
     def error(self) -> np.ndarray | None:
@@ -74,12 +80,16 @@ class Rendering:
         None where no tolerance was asked. The root mean square, over 9 x 9 nodes, of half the difference of
         the image's two halves, times the share of it that is error, and besides what both halves share. It
         shows regions, not nodes: of nodes, 83, 94 and 96 % were within one, two and three times it on random
-        scenes. What a lobe or a mirror adds has no part in it.
+        scenes. To it comes the error of the light between surfaces, one number for all nodes. What a lobe or
+        a mirror adds has no part in it.
         """
         scene = self._scene
         if scene is None:
             return None
-        errors = [np.float32(factor) * _error_map(found, scene) for found, factor in self._parts]
+        errors = [
+            np.hypot(np.float32(factor) * _error_map(found, scene), np.float32(between))
+            for (found, factor), between in zip(self._parts, self._between)
+        ]
         found: np.ndarray = labelled(_image(scene, errors, [], self._quantity), scene.labels)
         return found
 
@@ -98,13 +108,14 @@ def render(
     azimuths: int | Azimuths | None = None,
     max_distance: float | None = None,
     tail: float | None = None,
+    interreflection: bool | str = "auto",
+    parts: bool = False,
 ) -> Rendering:
     """The image of ``scene`` under ``source``, seen orthographically along +z (Langer and Zucker, Eq. 3).
 
     In colour, (rows, cols, 3), where the source's brightness or the scene's reflectance is; each channel is
     what a grey render of it gives, bit for bit. To rho E / pi comes what the scene's reflectance adds: the
-    integral of f B cos(theta_i) over the visible directions, f a lobe or any BRDF, or what an ideal mirror
-    shows.
+    integral of f B cos(theta_i) over the visible directions, f a lobe or any BRDF, or what a mirror shows.
 
     Parameters
     ----------
@@ -135,6 +146,12 @@ def render(
         of azimuths is placed half evenly, half by brightness.
     max_distance : float [unit of spacing]
         Of horizons under a sky: ground farther away does not count; the whole map does unless given.
+    interreflection : "auto", True or False
+        Light between surfaces, to any number of bounces. ``auto``: where a tolerance chooses the method it is
+        included if it is more than a third of the tolerance, which then holds for all light; methods that are
+        asked for are of direct light. ``True``: within ``tolerance``. Lobes and mirrors reflect direct light.
+    parts : bool
+        Give ``direct`` and ``reflected`` besides.
 
     Raises
     ------
@@ -145,7 +162,8 @@ def render(
     >>> out = render(Scene(depth), Sky(), tolerance=0.003)
     >>> print(out.plan, out.error.max())
     """
-    options = _Options(method, tolerance, quantity, hemicube, filled, weights, azimuths, max_distance, tail)
+    asked = method, tolerance, quantity, hemicube, filled, weights, azimuths, max_distance, tail
+    options = _Options(*asked, interreflection, parts)
     options.check(scene, source)
     return _Renderer(scene, source, engine_of(scene, backend), options).render()
 
@@ -163,6 +181,8 @@ class _Options:
     azimuths: int | Azimuths | None
     max_distance: float | None
     tail: float | None
+    interreflection: bool | str
+    parts: bool
 
     @property
     def lattice(self) -> bool:
@@ -209,6 +229,9 @@ class _Options:
         if not isinstance(source, sources.Source):
             raise bad("source", type(source).__name__, "Sky, Lamp or Window")
         positive_number(self.tolerance, "tolerance")
+        check_choice(self.interreflection)
+        if not isinstance(self.parts, bool):
+            raise bad("parts", repr(self.parts), "True or False")
         self._check_method()
         missing = self.missing(scene, source)
         if missing and (self.method in ("horizon", "unoccluded") or self.horizon):
@@ -261,13 +284,21 @@ class _Renderer:
         self.plans: list[Plan] = []
         self.warnings: list[str] = []
         self.parts: list[tuple[Refined, float]] = []  # refined irradiances, times factors
+        self.interreflection: Interreflection | None = None
+        self.between: list[float] = []  # error of the light between surfaces, of every part
 
     def render(self) -> Rendering:
         """All of it, timed."""
-        (irradiances, reflected), seconds, compiling = timed(self.engine, self._light)
+        (direct, irradiances, shine), seconds, compiling = timed(self.engine, self._all_light)
         scene, quantity = self.scene, self.options.quantity
+        first = rest = None
+        if self.options.parts:
+            first = _image(scene, [light.copy() for light in direct], shine, quantity)
+        image = _image(scene, irradiances, shine, quantity)
+        if first is not None:
+            first, rest = (labelled(values, scene.labels) for values in (first, image - first))
         return Rendering(
-            labelled(_image(scene, irradiances, reflected, quantity), scene.labels),
+            labelled(image, scene.labels),
             self.plans[0],
             self.engine.name,
             seconds,
@@ -276,7 +307,53 @@ class _Renderer:
             tuple(self.parts),
             scene if self.parts else None,
             quantity,
+            self.interreflection,
+            first,
+            rest,
+            tuple(self.between),
         )
+
+    def _all_light(self) -> tuple[list[np.ndarray], list[np.ndarray], list[np.ndarray]]:
+        """Direct irradiances, irradiances of all light, and what else is reflected: an array per colour."""
+        direct, shine = self._light()
+        why = _left_out(self.scene, self.options, self.plans if self.planned else None)
+        if why or not direct:
+            why = why or "there is no Lambertian reflection to show"
+            self.interreflection = Interreflection(False, why, _share_between(self.plans))
+            self.between = [0.0] * len(direct)
+            coloured = (
+                self.planned and self.options.interreflection == "auto" and _has_coloured_albedo(self.scene)
+            )
+            return direct, list(direct) * (3 if coloured and len(direct) == 1 else 1), shine
+        return direct, self._interreflected(direct), shine
+
+    def _interreflected(self, direct: list[np.ndarray]) -> list[np.ndarray]:
+        """Irradiances of all light; where colours differ by a factor alone, of one and times that factor."""
+        scene, options, factors = self.scene, self.options, _numbers(self.greys)
+        tolerance = float(options.tolerance)
+        brightest = 0 if factors is None else int(np.argmax(factors))
+        alike = factors is not None and factors[brightest] > 0 and np.ndim(scene.albedo) in (0, 2)
+        lights, sky = direct, None
+        if alike and factors is not None:  # that of brightness 1, as it is for a grey source
+            unit = np.float32(factors[brightest])
+            lights = [self.parts[0][0].irradiance if self.parts else direct[brightest] / unit]
+        whole_sky = isinstance(self.source, sources.Sky) and options.max_distance is None
+        if alike and factors is not None and whole_sky and not self.by_lattice:
+            sky = lights[0] * np.float32(1 / np.pi)
+        error = max((plan.error or 0.0 for plan in self.plans), default=0.0)
+        why = "as asked"
+        if options.interreflection == "auto":
+            why = reason(_share_between(self.plans), tolerance)
+        found = included(scene, self.engine, lights, tolerance, why, error, sky)
+        self.interreflection = found.record
+        self.warnings.extend(found.warnings)
+        if self.planned:
+            self.plans[0] = replace(self.plans[0], error=found.record.error)
+        if not alike or factors is None:
+            self.between = [max(found.errors)] if len(direct) == 1 else found.errors
+            return found.irradiances
+        self.between = [factor * found.errors[0] for factor in factors]
+        return [_times(found.irradiances[0], factor) for factor in factors]
 
     def _light(self) -> tuple[list[np.ndarray], list[np.ndarray]]:
         """Irradiances, and what the surface reflects besides rho E / pi: one array per colour each."""
@@ -318,10 +395,14 @@ class _Renderer:
         tolerance = float(options.tolerance)
         for n, grey in enumerate(self.greys):
             if factors is None:
-                found = refined(self.scene, grey, tolerance, self.engine, options.tail)
+                found = refined(
+                    self.scene, grey, tolerance, self.engine, options.tail, options.interreflection
+                )
             elif n == 0:
                 unit = replace(grey, brightness=1.0)
-                found = refined(self.scene, unit, tolerance, self.engine, options.tail)
+                found = refined(
+                    self.scene, unit, tolerance, self.engine, options.tail, options.interreflection
+                )
             self.parts.append((found, 1.0 if factors is None else factors[n]))
             self.plans.append(found.plan)
             self.warnings.extend(text for text in found.warnings if text not in self.warnings)
@@ -412,6 +493,36 @@ class _Renderer:
             self.engine, problem, moments * brightness[..., None], lobe, shares, whole
         )
         return irradiances, reflected + self._mirrored(None)
+
+
+# -- light between surfaces
+
+
+def _left_out(scene: Scene, options: _Options, plans: list[Plan] | None) -> str:
+    """Why light between surfaces is left out, or nothing. ``plans``: None where the method was asked for."""
+    if options.interreflection is False:
+        return "as asked"
+    if not np.any(scene.albedo):
+        return "the surface has no diffuse albedo"
+    if options.interreflection is True:
+        return ""
+    if plans is None:
+        return "the method that was asked for is of direct light"
+    share, tolerance = _share_between(plans), float(options.tolerance)
+    needed = share is None or is_needed(share, tolerance)
+    return "" if needed else reason(share, tolerance)
+
+
+def _has_coloured_albedo(scene: Scene) -> bool:
+    """Whether light between surfaces, included or not, is in colour."""
+    return _in_colour(np.asarray(scene.albedo))
+
+
+def _share_between(plans: list[Plan]) -> float | None:
+    """The largest estimate of the light between surfaces, None where one is not known."""
+    shares = [plan.interreflection for plan in plans]
+    known = [share for share in shares if share is not None]
+    return max(known) if known and len(known) == len(shares) else None
 
 
 # -- irradiance of a grey source, as asked

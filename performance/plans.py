@@ -313,7 +313,9 @@ def run(scene_name, light, size, backend, times, tolerances=TOLERANCES):
     scene, source = pair(scene_name, light, size)
     samples, exact = truth(scene, source, backend)
     ours = [
-        lambda t=t: sl.render(replace(scene), source, tolerance=t, quantity="irradiance", backend=backend)
+        lambda t=t: sl.render(
+            replace(scene), source, tolerance=t, quantity="irradiance", backend=backend, interreflection=False
+        )
         for t in tolerances
     ]
     if times:

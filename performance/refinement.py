@@ -53,7 +53,9 @@ def measure(seed, number, size, backend, times, twice):
         mean = exact[exact > 0].mean() if (exact > 0).any() else 1.0
         finer = truth(samples, ground, source, light, 2) - exact
         finer = float(np.sqrt(np.mean(finer**2)) / mean)
-    work = lambda t: sl.render(replace(ground), source, tolerance=t, quantity="irradiance", backend=backend)
+    work = lambda t: sl.render(
+        replace(ground), source, tolerance=t, quantity="irradiance", backend=backend, interreflection=False
+    )
     if times:
         longest = 2 * max(work(t).seconds for t in TOLERANCES)
         others = tried(ground, source, samples, exact, backend, longest)

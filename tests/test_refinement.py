@@ -50,6 +50,11 @@ PANEL = sl.Lamp(corner=(20, 22, -15), edges=((18, 0, 0), (0, 12, 0)))
 WINDOW = sl.Window(x=(20.3, 45.1), y=(12, 50.7))
 
 
+def render(*args, **options):
+    """Direct light alone: what is compared with here knows no other."""
+    return sl.render(*args, **{"interreflection": False, **options})
+
+
 def some_nodes(scene, count):
     valid = np.argwhere(scene.valid)
     return tuple(valid[np.random.default_rng(3).permutation(len(valid))[:count]].T)
@@ -109,7 +114,7 @@ def said(out):
 
 
 def irradiance(scene, source, fast, *args, **more):
-    return sl.render(scene, source, *args, backend=fast, quantity="irradiance", **more)
+    return render(scene, source, *args, backend=fast, quantity="irradiance", **more)
 
 
 # -- promises
@@ -151,7 +156,7 @@ def test_tolerances_are_kept(fast, name, source):
         source.brightness if isinstance(source, sl.Sky) and not callable(source.brightness) else 1
     )
     for tolerance in (0.03, 0.006):
-        out = sl.render(scene, source, tolerance=tolerance, backend=fast, quantity="irradiance")
+        out = render(scene, source, tolerance=tolerance, backend=fast, quantity="irradiance")
         error = errors(out.image[nodes].astype(float), exact).rms
         assert error <= 1.15 * tolerance, (tolerance, error, out.plan)
         assert out.plan.tolerance == tolerance and out.plan.tail == pytest.approx(10 * tolerance)
@@ -182,6 +187,7 @@ def test_a_tighter_tolerance_or_tail_takes_more(fast):
         "search radius",
         "method",
         "specular lobe",
+        "interreflection",
         "precision",
         "error",
         "99.9th percentile",
@@ -200,7 +206,7 @@ def test_a_sun_of_its_real_size_brings_all_its_light(fast, elevation):
     e, r = np.radians((elevation, 0.2665))
     axis = np.array([np.cos(e) * np.cos(1.0), np.cos(e) * np.sin(1.0), -np.sin(e)])
     sun = sl.Sky(lambda L: 1 + 2e4 * (L @ axis >= np.cos(r)))
-    image = sl.render(SCENES["flat"], sun, tolerance=0.01, backend=fast, quantity="irradiance").image
+    image = render(SCENES["flat"], sun, tolerance=0.01, backend=fast, quantity="irradiance").image
     np.testing.assert_allclose(image, np.pi * (1 + 2e4 * np.sin(r) ** 2 * np.sin(e)), rtol=1e-4)
 
 
@@ -210,7 +216,7 @@ def test_a_map_that_repeats_is_not_searched_farther_than_need_be(fast):
     made = sl.plan(scene, sl.Sky(), 0.03, fast)
     assert made.max_distance is not None and "farther away" in str(made)
     nodes = some_nodes(scene, 100)
-    out = sl.render(scene, sl.Sky(), tolerance=0.03, backend=fast, quantity="irradiance")
+    out = render(scene, sl.Sky(), tolerance=0.03, backend=fast, quantity="irradiance")
     assert errors(out.image[nodes].astype(float), truth(scene, sl.Sky(), nodes)).rms < 0.03
 
 
@@ -236,7 +242,7 @@ def test_a_map_that_repeats_is_not_searched_farther_than_need_be(fast):
 def test_what_nothing_hides_is_not_swept(fast, launched, name, source):
     """Flat, slanted and convex ground, and lamps that stand clear: closed forms, and right."""
     scene = SCENES[name]
-    out = sl.render(scene, source, backend=fast, quantity="irradiance")
+    out = render(scene, source, backend=fast, quantity="irradiance")
     assert set(launched) <= {"pilot"} and out.plan.method == "unoccluded" and "none" in str(out.plan)
     nodes = some_nodes(scene, 40)
     exact = truth(scene, source, nodes) * (
@@ -248,11 +254,9 @@ def test_what_nothing_hides_is_not_swept(fast, launched, name, source):
 def test_a_clear_lamp_over_gentle_ground_launches_nothing_that_looks_for_shadows(fast, launched):
     """Every node looks at the lamp, so nothing can hide it; under a sky rough ground is swept."""
     scene = sl.Scene(20 + scenes.rough(SIZE, SIZE, 0.08, 6, 2.2))
-    assert (
-        sl.render(scene, sl.Lamp((36, 36, -50), 4), tolerance=0.01, backend=fast).plan.method == "unoccluded"
-    )
+    assert render(scene, sl.Lamp((36, 36, -50), 4), tolerance=0.01, backend=fast).plan.method == "unoccluded"
     assert set(launched) <= {"pilot"}
-    sl.render(sl.Scene(ROUGH), sl.Sky(), backend=fast)
+    render(sl.Scene(ROUGH), sl.Sky(), backend=fast)
     assert set(launched) <= {"pilot", "ground", "horizon", "scan"} and "horizon" in launched
 
 
@@ -285,7 +289,7 @@ def test_a_spotlight_over_holes_has_a_closed_form(fast):
     """Its brightness is asked in no direction from what is not there."""
     spot = sl.Lamp((36, 30, -60), 4, brightness=sl.cosine_power(6))
     whole, holed = (
-        sl.render(scene, spot, "unoccluded", backend=fast, quantity="irradiance").image
+        render(scene, spot, "unoccluded", backend=fast, quantity="irradiance").image
         for scene in (sl.Scene(0.1 * X + 20), sl.Scene(np.where(HOLES, 0.1 * X + 20, np.nan), mask=HOLES))
     )
     np.testing.assert_allclose(holed[HOLES], whole[HOLES], rtol=1e-4)
@@ -303,7 +307,7 @@ def test_a_trench_in_a_plain_is_not_overlooked(fast):
     """Under a sky, where few samples or none would lie in it."""
     y, x = np.mgrid[:600, :600].astype(float)
     trench = sl.Scene(np.where(np.abs(x - 300) < 4, 25.0, 0.0) + 0.01 * y)
-    out = sl.render(trench, sl.Sky(), tolerance=0.03, backend=fast, quantity="irradiance")
+    out = render(trench, sl.Sky(), tolerance=0.03, backend=fast, quantity="irradiance")
     assert out.plan.method == "horizon"
     nodes = np.full(200, 300), np.arange(200, 400)  # across it
     wrong = out.image[nodes] - truth(trench, sl.Sky(), nodes)
@@ -314,9 +318,9 @@ def test_a_bowl_in_a_plain_needs_no_sweep(fast, launched):
     """It hides what the tolerance allows: closed forms are taken, and are within tolerance over all nodes."""
     y, x = np.mgrid[:600, :600]
     scene = sl.Scene(20 - np.minimum(20, 0.02 * np.hypot(x - 300, y - 300) ** 2))
-    out = sl.render(scene, sl.Sky(), tolerance=0.03, backend=fast, quantity="irradiance")
+    out = render(scene, sl.Sky(), tolerance=0.03, backend=fast, quantity="irradiance")
     assert out.plan.method == "unoccluded" and set(launched) == {"pilot"}
-    fine = sl.render(scene, sl.Sky(), azimuths=64, backend=fast, quantity="irradiance").image
+    fine = render(scene, sl.Sky(), azimuths=64, backend=fast, quantity="irradiance").image
     error = np.sqrt(np.mean((out.image - fine) ** 2)) / fine.mean()
     assert 0.01 < error < 0.03 and out.plan.error == pytest.approx(error, rel=0.2)
     assert sl.plan(scene, sl.Sky(), 0.01, fast).method == "horizon"
@@ -329,13 +333,13 @@ def test_a_number_of_any_type_is_a_uniform_sky():
 
 def test_unoccluded_closed_forms(fast):
     """Asked for by name: a tilted plane's view factor, Lambert's polygon, balls cut by the tangent plane."""
-    tilted = sl.render(SCENES["ramp"], sl.Sky(2.0), "unoccluded", quantity="irradiance", backend=fast).image
+    tilted = render(SCENES["ramp"], sl.Sky(2.0), "unoccluded", quantity="irradiance", backend=fast).image
     np.testing.assert_allclose(tilted, np.pi * (1 + 1 / np.sqrt(1.45)), rtol=1e-5)
-    by_table = sl.render(
+    by_table = render(
         SCENES["ramp"], sl.Sky(sl.uniform(2.0)), "unoccluded", quantity="irradiance", backend=fast
     ).image
     np.testing.assert_allclose(by_table, tilted, rtol=3e-3)
-    window = sl.render(SCENES["flat"], WINDOW, "unoccluded", quantity="irradiance", backend=fast).image
+    window = render(SCENES["flat"], WINDOW, "unoccluded", quantity="irradiance", backend=fast).image
     corners = np.stack(
         [
             np.stack([u - X, v - Y, np.full(X.shape, -5.0)], -1)
@@ -559,7 +563,7 @@ def test_a_window_outside_a_dark_box_is_planned(fast, brightness):
 def test_a_window_over_a_map_that_repeats_returns(fast):
     """The largest hemicube, and a warning that says by how much it may be off."""
     scene = sl.Scene(10 + 3 * np.sin(2 * np.pi * np.mgrid[:8, :8][1] / 8), sides="periodic")
-    out = sl.render(scene, sl.Window((3, 6), (3, 6)), backend=fast)
+    out = render(scene, sl.Window((3, 6), (3, 6)), backend=fast)
     assert out.plan.method == "lattice" and out.plan.hemicube == 33 and np.isfinite(out.image).all()
     assert any(re.match(r"Tolerance:.*\d %", w) for w in out.warnings) and out.plan.steps[-1].units == 33
 
@@ -586,16 +590,14 @@ def test_the_error_map_has_the_images_shape_and_unit(fast):
     """Radiance and irradiance, colour, masks; none where no tolerance was asked."""
     albedo = np.array([0.2, 0.4, 0.8])
     scene = sl.Scene(SCENES["holes"].depth, mask=HOLES, albedo=0.3)
-    light, shine = (
-        sl.render(scene, sl.Sky(2.0), backend=fast, quantity=q) for q in ("irradiance", "radiance")
-    )
+    light, shine = (render(scene, sl.Sky(2.0), backend=fast, quantity=q) for q in ("irradiance", "radiance"))
     assert light.error.shape == light.image.shape and light.error.dtype == np.float32
     np.testing.assert_allclose(shine.error[HOLES], light.error[HOLES] * 0.3 / np.pi, rtol=1e-5)
     assert np.isnan(light.error[~HOLES]).all() and (light.error[HOLES] > 0).all()
     np.testing.assert_allclose(
         light.error[HOLES], 2 * irradiance(scene, sl.Sky(), fast).error[HOLES], rtol=1e-5
     )
-    colour = sl.render(
+    colour = render(
         sl.Scene(ROUGH, albedo=np.broadcast_to(albedo, (SIZE, SIZE, 3))),
         sl.Sky((1.0, 2.0, 3.0)),
         backend=fast,
@@ -610,8 +612,8 @@ def test_the_error_map_has_the_images_shape_and_unit(fast):
         {"hemicube": 5},
         {"method": "unoccluded"},
     ):
-        assert sl.render(SCENES["rough"], sl.Sky(), backend=fast, **more).error is None
-    assert sl.render(SCENES["flat"], sl.Sky(), backend=fast).error.max() < 1e-3
+        assert render(SCENES["rough"], sl.Sky(), backend=fast, **more).error is None
+    assert render(SCENES["flat"], sl.Sky(), backend=fast).error.max() < 1e-3
 
 
 # -- refinement
@@ -666,7 +668,7 @@ def test_a_tolerance_that_cannot_be_had(fast):
 def test_what_cannot_be_worked_off_is_an_error(fast):
     """Depth in another unit than spacing on a map that repeats: said before anything is begun."""
     with pytest.raises(sl.errors.CapacityError, match="relief"):
-        sl.render(sl.Scene(1e9 * SCENES["periodic"].depth, sides="periodic"), sl.Sky(), backend=fast)
+        render(sl.Scene(1e9 * SCENES["periodic"].depth, sides="periodic"), sl.Sky(), backend=fast)
 
 
 def test_the_audit_tells_what_halves_share(fast, monkeypatch):
@@ -724,7 +726,7 @@ def test_the_same_call_gives_the_same_bytes(fast):
 def test_the_same_bytes_in_another_process(tmp_path):
     """With an empty folder of caches."""
     code = (
-        "import sys, numpy as np, skylamp as sl; z = np.load(sys.argv[1]); out = sl.render(sl.Scene(z),"
+        "import sys, numpy as np, skylamp as sl; z = np.load(sys.argv[1]); out = render(sl.Scene(z),"
         " sl.Sky(sl.cie_clear((30, 40), direct=2.0)), tolerance=0.01, backend='numpy'); np.save(sys.argv[2],"
         " out.image); print(out.plan)"
     )
@@ -740,7 +742,7 @@ def test_the_same_bytes_in_another_process(tmp_path):
         ).stdout
     )
     text = run(0)
-    out = sl.render(
+    out = render(
         sl.Scene(ROUGH[:40, :40]), sl.Sky(sl.cie_clear((30, 40), direct=2.0)), tolerance=0.01, backend="numpy"
     )
     assert_bits_equal(out.image, np.load(tmp_path / "0.npy"))
@@ -889,7 +891,7 @@ def test_more_rows_are_tested_among_cliffs_where_the_tolerance_needs_it(fast):
 @pytest.mark.parametrize(
     ("scene", "source", "says"),
     [
-        (sl.Scene(ROUGH, albedo=0.8), sl.Sky(), "Light between surfaces is left out: at most"),
+        (sl.Scene(ROUGH, albedo=0.8), sl.Sky(), "Light between surfaces is left out: it is about"),
         (SCENES["rough"], sl.Lamp((36, 36, float(ROUGH[36, 36]) - 1.5), 1.2), "The lamp touches the surface"),
         (SCENES["flat"], sl.Lamp((30, 40, -20), 24.5), "The lamp touches the surface: it ends 0.5 spacings"),
         (SCENES["houses"], sl.Sky(), "Slopes are steeper than the grid holds"),
@@ -900,33 +902,31 @@ def test_more_rows_are_tested_among_cliffs_where_the_tolerance_needs_it(fast):
 )
 def test_what_a_scene_needs_beyond_the_model(fast, scene, source, says):
     """Each is said with a number, and not of a scene that lacks it."""
-    found = [text for text in sl.plan(scene, source, backend=fast).beyond if text.startswith(says)]
+    direct = {"backend": fast, "interreflection": False}
+    found = [text for text in sl.plan(scene, source, **direct).beyond if text.startswith(says)]
     assert len(found) == 1 and any(c.isdigit() for c in found[0]), found
     assert sl.plan(SCENES["flat"], sl.Sky(), backend=fast).beyond == ()
     assert not any(
         text.startswith("Light between")
-        for text in sl.plan(sl.Scene(ROUGH, albedo=0.0), sl.Sky(), backend=fast).beyond
+        for scene, asked in ((sl.Scene(ROUGH, albedo=0.0), False), (sl.Scene(ROUGH), "auto"))
+        for text in sl.plan(scene, sl.Sky(), backend=fast, interreflection=asked).beyond
     )
 
 
-def test_the_light_between_surfaces_bounds_what_a_bowl_adds(fast):
+def test_a_plan_tells_the_light_between_surfaces_in_a_bowl(fast):
     """In a bowl of rim angle a, bounces add E rho (1 - f) / (1 - rho (1 - f)) with f = (1 + cos a) / 2."""
     radius, rim = 150.0, np.radians(50)
     size = 2 * int(radius * np.sin(rim)) + 9
     y, x = np.mgrid[:size, :size] - size // 2
     depth = np.maximum(0, np.sqrt(np.maximum(0, radius**2 - x**2 - y**2)) - radius * np.cos(rim))
     rho, sky = 0.6, (1 + np.cos(rim)) / 2
-    text = next(
-        t
-        for t in sl.plan(sl.Scene(depth, albedo=rho), sl.Sky(), backend=fast).beyond
-        if t.startswith("Light")
-    )
-    bound = float(text.split("at most ")[1].split(" %")[0]) / 100
+    made = sl.plan(sl.Scene(depth, albedo=rho), sl.Sky(), backend=fast)
     exact = rho * (1 - sky) / (1 - rho * (1 - sky))
-    assert 0.8 * exact < bound < 2.5 * exact, (
-        bound,
-        exact,
-    )  # the flat corners see more, the rim's slopes less
+    inside = np.pi * (radius * np.sin(rim)) ** 2 / size**2  # the flat corners add nothing
+    direct = sky * inside + 1 - inside
+    assert made.interreflection == pytest.approx(exact * sky * np.sqrt(inside) / direct, rel=0.05)
+    (line,) = (choice for choice in made.choices if choice.what == "interreflection")
+    assert line.taken == "included" and f"{100 * made.interreflection:.2g} %" in line.why
 
 
 def test_what_the_lattice_must_do_is_planned_too(fast):
@@ -956,9 +956,9 @@ def test_what_the_lattice_must_do_is_planned_too(fast):
         (lambda: sl.plan(SCENES["flat"], sl.Sky(), tail=-1), "tail"),
         (lambda: sl.plan(np.ones((3, 3)), sl.Sky()), "skylamp.Scene"),
         (lambda: sl.plan(SCENES["flat"], 3.0), "Sky, Lamp or Window"),
-        (lambda: sl.render(SCENES["flat"], sl.Sky(), "horizon", tail=0.1), "tail"),
-        (lambda: sl.render(SCENES["flat"], sl.Sky(), "unoccluded", azimuths=3), "unoccluded"),
-        (lambda: sl.render(SCENES["periodic"], HIGH, tolerance=0.01), "periodic"),
+        (lambda: render(SCENES["flat"], sl.Sky(), "horizon", tail=0.1), "tail"),
+        (lambda: render(SCENES["flat"], sl.Sky(), "unoccluded", azimuths=3), "unoccluded"),
+        (lambda: render(SCENES["periodic"], HIGH, tolerance=0.01), "periodic"),
         (lambda: sl.plan(SCENES["rough"], sl.Lamp((36, 36, 500), 2)), "below the surface"),
     ],
 )
@@ -985,8 +985,9 @@ def test_the_command_line_prints_plans(fast, tmp_path):
         percent["tolerance"] == share["tolerance"] == pytest.approx(0.004)
         and percent["azimuths"] == share["azimuths"] > 8
     )
-    text = ask("--tolerance", "1%").stdout
+    text = ask("--tolerance", "1%", "--interreflection", "off").stdout
     assert "azimuths" in text and "within 1%" in text and "Beyond the model" in text
+    assert "interreflection" in text and ask("--interreflection", "perhaps").exit_code == 2
     assert ask("--tolerance", "much").exit_code == 2
 
 

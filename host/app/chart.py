@@ -140,7 +140,9 @@ class _Case:
     def render(self, backend: str, options: Row, new: bool = False) -> Rendering:
         """The irradiance; ``new``: of a copy of the scene, which holds nothing that was computed before."""
         scene = replace(self.scene) if new else self.scene
-        return render(scene, self.source, backend=backend, quantity="irradiance", **options)
+        return render(
+            scene, self.source, backend=backend, quantity="irradiance", interreflection=False, **options
+        )
 
     def error(self, done: Rendering) -> float:
         """Relative RMS error at the samples."""

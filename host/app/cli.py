@@ -83,6 +83,7 @@ def render(
     hemicube: opt.LatticeHemicube = None,
     filled: opt.Filled = None,
     quantity: opt.Quantity = "radiance",
+    interreflection: opt.Interreflection = "auto",
     white: opt.PngWhite = None,
     bits: opt.Bits = 8,
     exposure: opt.Exposure = None,
@@ -112,6 +113,7 @@ def render(
             quantity=quantity,
             hemicube=hemicube,
             filled=filled,
+            interreflection=parsing.interreflection(interreflection),
         )
     if error is not None and done.error is None:
         raise typer.BadParameter(
@@ -143,6 +145,7 @@ def plan(
     sides: opt.Sides = "open",
     tolerance: opt.Tolerance = "1%",
     tail: opt.Tail = None,
+    interreflection: opt.Interreflection = "auto",
     backend: opt.Backend = "auto",
     as_json: opt.Json = False,
 ) -> None:
@@ -156,6 +159,7 @@ def plan(
             parsing.tolerance(tolerance),
             backend,
             tail=None if tail is None else parsing.tolerance(tail, "--tail"),
+            interreflection=parsing.interreflection(interreflection),
         )
     if as_json:
         output.print_json(made)

@@ -137,6 +137,7 @@ Filled = Annotated[
     ),
 ]
 Quantity = Annotated[str, typer.Option(help="radiance | irradiance")]
+Interreflection = Annotated[str, typer.Option(help="Light between surfaces: auto | on | off")]
 PngWhite = Annotated[
     float | None,
     typer.Option(

@@ -1,0 +1,287 @@
+"""Light between surfaces: whether a scene needs it, and rounds of gathering until it is within the tolerance.
+
+A node of albedo rho that sees a share f of the sky sends light to itself by way of its neighbours; if these
+were all like it, its irradiance would be E_d / (1 - rho (1 - f)). What that adds tells, from samples alone,
+whether the light between surfaces counts. Where it does, light/interreflection.py gathers it, and exact
+strips at some nodes tell the error.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from .backends.base import Backend
+from .errors import bad
+from .light.interreflection import Bounces, Round
+from .light.sweeps import Rays, Sweeps, ground_of
+from .samples import Samples
+from .scene import Scene
+from .sources.integrals import even
+
+NEEDED = 1 / 3  # of the tolerance: what may be left out
+# nodes whose light is computed by exact strips, and their azimuths; chosen: the RMS of 192 errors is known to
+# some 5 %, and 48 azimuths are off by 0.1 % of a uniform sky's light on rough ground
+CHECKED, CHECKED_AZIMUTHS = 192, 48
+ESTIMATE_SHARE = 0.85  # of the tolerance that the estimated error of all light may take; as in refinement.py
+LEAST_SHARE = 1 / 3  # of the tolerance that the first level's error may be for the sake of the light alone
+UNFINISHED = 0.1  # of the tolerance: light that bounces more often than there are rounds
+MOST_ROUNDS = 8  # coarse ones
+# RMS error of a uniform sky's light over pi by even azimuths, on rough ground (performance/horizon.py)
+SKY_AZIMUTHS = {16: 0.0031, 32: 0.0011, 64: 0.00037, 128: 0.00013}
+COARSE = Round(8, 4, 4, 0.25)
+# error of the first level over the light between surfaces, at most (performance/interreflection.py)
+FIRST_LEVEL_ERROR = 0.07
+# a round of each level, after the coarse ones
+LEVELS = (
+    Round(8, 2, 4, 0.25, True),
+    Round(16, 2, 4, 0.18, True),
+    Round(16, 1, 4, 0.18),
+    Round(32, 1, 16, 0.125),
+    Round(64, 1, 32, 0.1),
+)
+# among cliffs, where most light bounces often and edges hide much: crossings met one by one at least, and
+# rounds of the second level and of all that follow
+CLIFF_NEAR, CLIFF_ROUNDS = 16, 3
+
+
+@dataclass(frozen=True)
+class Interreflection:
+    """What was done about the light between surfaces.
+
+    included: whether it is in the image; reason: why, or why not; share: RMS of this light over the mean of
+    the direct light, None where nobody asked; rounds of gathering, the last in ``azimuths`` at every
+    ``stride``-th node; error: of all light, RMS over its mean, by exact strips at some nodes. Where this
+    light is left out, rounds is 0, and azimuths, stride and error are None.
+    """
+
+    included: bool
+    reason: str
+    share: float | None = None
+    rounds: int = 0
+    azimuths: int | None = None
+    stride: int | None = None
+    error: float | None = None
+
+    def __str__(self) -> str:
+        if not self.included:
+            return f"left out: {self.reason}"
+        nodes = "every node" if self.stride == 1 else f"every {self.stride}nd node and at kinks"
+        return f"{self.rounds} rounds, the last in {self.azimuths} azimuths at {nodes}: {self.reason}"
+
+
+class Included(NamedTuple):
+    """Irradiances (rows, cols) float32 of all light, one per colour, the record and warnings.
+
+    ``errors``: RMS error of each [brightness x sr].
+    """
+
+    irradiances: list[np.ndarray]
+    record: Interreflection
+    errors: list[float]
+    warnings: list[str]
+
+
+def local_share(
+    direct: np.ndarray, sky: np.ndarray, albedo: Any, weights: np.ndarray | None = None, after: int = 0
+) -> float:
+    """RMS of E_d q^(n + 1) / (1 - q) over the mean of E_d, q = albedo (1 - f), n = ``after`` bounces.
+
+    That is what nodes send to themselves if all ground is like them: an estimate of the light between
+    surfaces, or of what is left of it after some bounces.
+    """
+    q = albedo * (1 - np.clip(sky, 0, 1))
+    q = np.minimum(q, 1 - 1e-3)  # albedo 1 where no sky is seen
+    light = float(np.average(direct, weights=weights))
+    if not light > 0:
+        return 0.0
+    return math.sqrt(np.average((direct * q ** (after + 1) / (1 - q)) ** 2, weights=weights)) / light
+
+
+def albedos(scene: Scene) -> list[Any]:
+    """The diffuse albedo, one or one per colour: numbers or arrays (rows, cols)."""
+    albedo = np.asarray(scene.albedo, np.float32)
+    if albedo.ndim in (1, 3):
+        return [albedo[..., n] for n in range(3)]
+    return [albedo]
+
+
+def expected(scene: Scene, samples: Samples, direct: np.ndarray, sky: np.ndarray) -> float:
+    """Estimated RMS of the light between surfaces over the mean of the direct light, of the worst colour.
+
+    ``direct`` and ``sky`` (share of sky, 0 to 1): at the samples.
+    """
+    at = [share[samples.y, samples.x] if np.ndim(share) else share for share in albedos(scene)]
+    return max(local_share(direct, sky, share, samples.weights) for share in at)
+
+
+def is_needed(share: float, tolerance: float) -> bool:
+    """Whether leaving out that much costs more than NEEDED of the tolerance."""
+    return share > NEEDED * tolerance
+
+
+def check_choice(interreflection: Any) -> None:
+    """InputError unless it is "auto", True or False."""
+    if not (interreflection == "auto" or isinstance(interreflection, bool)):
+        raise bad("interreflection", repr(interreflection), '"auto", True or False')
+
+
+def choice(interreflection: bool | str, share: float | None, tolerance: float) -> tuple[str, str]:
+    """(what is done about it, why), for a plan."""
+    why = reason(share, tolerance)
+    if isinstance(interreflection, bool):
+        return ("included" if interreflection and share != 0 else "left out"), f"as asked; {why}"
+    if share is not None and not is_needed(share, tolerance):
+        return "left out", why
+    last = LEVELS[_first_level(share or 0.0, tolerance)]
+    return "included", f"{why}; coarse rounds, then {last.azimuths} azimuths at every 2nd node"
+
+
+def reason(share: float | None, tolerance: float) -> str:
+    """Why light between surfaces is included, or left out, by the estimate of how much it is."""
+    if share is None:
+        return "how much it is was not estimated before"
+    compared = "more" if is_needed(share, tolerance) else "no more"
+    return (
+        f"it is about {100 * share:.2g} % of the direct light (RMS over the mean), {compared} than a third of"
+        " the tolerance"
+    )
+
+
+def _first_level(share: float, tolerance: float) -> int:
+    return 0 if FIRST_LEVEL_ERROR * share <= LEAST_SHARE * tolerance else 1
+
+
+def sky_share(scene: Scene, engine: Backend, tolerance: float) -> np.ndarray:
+    """Share of sky that every node sees, cosine-weighted, (rows, cols) float32, by a sweep."""
+    allowed = 0.25 * tolerance
+    count = next((n for n, error in SKY_AZIMUTHS.items() if error <= allowed), max(SKY_AZIMUTHS))
+    sectors = even(count, 1 / 3)
+    ground = ground_of(scene, None, engine)
+    found: np.ndarray = Sweeps(engine, ground, Rays(sectors.angles, sectors.widths)).irradiance(last=True)
+    return found * np.float32(1 / np.pi)
+
+
+def included(
+    scene: Scene,
+    engine: Backend,
+    direct: Sequence[np.ndarray],
+    tolerance: float,
+    why: str,
+    error: float = 0.0,
+    sky: np.ndarray | None = None,
+) -> Included:
+    """All light within the tolerance, from the direct light of each colour.
+
+    ``error``: RMS of that of ``direct`` over its mean; ``sky``: share of sky at every node, if that is what
+    ``direct`` is proportional to.
+    """
+    samples = Samples(engine, scene, CHECKED)
+    is_uniform = sky is not None
+    sky = sky_share(scene, engine, tolerance) if sky is None else sky
+    shares = albedos(scene)
+    count = max(len(direct), len(shares))
+    lights, shares = ([values[n % len(values)] for n in range(count)] for values in (direct, shares))
+    check = _Check(
+        Bounces(engine, scene, samples, lights, shares, sky), lights, shares, sky, error, is_uniform
+    )
+    coarse = check.coarse_rounds(tolerance)
+    check.bounces.run([COARSE] * coarse)
+    done, level = coarse, _first_level(check.share, tolerance)
+    while True:
+        rounds = _rounds(level, samples.cliffs > 0)
+        check.bounces.run(rounds)
+        done += len(rounds)
+        total, errors = check.errors()
+        if total <= ESTIMATE_SHARE * tolerance or level + 1 == len(LEVELS):
+            break
+        level += 1
+    last = rounds[-1]
+    record = Interreflection(True, why, check.share, done, last.azimuths, last.stride, total)
+    warnings = []
+    if total > tolerance:
+        warnings.append(
+            f"Tolerance: with the light between surfaces the image is estimated to be {100 * total:.2g} % off"
+            f" (RMS over the mean), more than the {100 * tolerance:.2g} % asked for."
+        )
+    return Included(check.bounces.irradiance(), record, errors, warnings)
+
+
+def _rounds(level: int, has_cliffs: bool) -> tuple[Round, ...]:
+    """Rounds of a level."""
+    this = LEVELS[level]
+    if not has_cliffs:
+        return (this,)
+    near = this._replace(near=max(this.near, CLIFF_NEAR))
+    return (near,) * (CLIFF_ROUNDS if level else 1)
+
+
+class _Check:
+    """Light at some nodes, by which the rounds are chosen and their error is estimated."""
+
+    def __init__(
+        self,
+        bounces: Bounces,
+        direct: Sequence[np.ndarray],
+        albedo: Sequence[Any],
+        sky: np.ndarray,
+        error: float,
+        is_uniform: bool,
+    ):
+        self.bounces, self.error, self.is_uniform = bounces, error, is_uniform
+        self.samples = samples = bounces.samples
+        self.sky, self.direct = samples.of(sky), [samples.of(light) for light in direct]
+        self.albedo = [share[samples.y, samples.x] if np.ndim(share) else share for share in albedo]
+        self.share = self._left(0)
+
+    def _left(self, rounds: int) -> float:
+        """What bounces more often than ``rounds`` times, of the worst colour."""
+        return max(
+            local_share(light, self.sky, share, self.samples.weights, rounds)
+            for light, share in zip(self.direct, self.albedo)
+        )
+
+    def coarse_rounds(self, tolerance: float) -> int:
+        """Rounds of the coarse gather until what bounces more often is UNFINISHED of the tolerance.
+
+        The start is the light of a node among its like, and one round more is at least that of the first
+        level.
+        """
+        rounds = range(1, MOST_ROUNDS)
+        return next((n for n in rounds if self._left(n + 1) <= UNFINISHED * tolerance), MOST_ROUNDS)
+
+    def errors(self) -> tuple[float, list[float]]:
+        """(RMS error over the mean of all light, of the worst colour; RMS error of every colour).
+
+        By exact strips of the present light. The residual is what one more bounce changes; all bounces more
+        change it by 1 / (1 - q), if all ground is alike. The direct light's own error is part of it under a
+        uniform sky, whose strips are known as well: where less sky is seen there is more ground. Under other
+        sources it is independent.
+        """
+        samples, found = self.samples, self.bounces.irradiance()
+        light, sky = self.bounces.at_samples(CHECKED_AZIMUTHS)
+        worst, errors = 0.0, []
+        for image, direct, share, sent in zip(found, self.direct, self.albedo, light):
+            total = samples.of(image)
+            mean, first = _mean(samples, total), _mean(samples, direct)
+            exact, shared = direct, self.error * first
+            if self.is_uniform and self.sky.any():
+                exact, shared = sky * (direct.sum() / self.sky.sum()), 0.0
+            q = np.minimum(share * (1 - np.clip(self.sky, 0, 1)), 1 - 1e-3)
+            off = (exact + sent - total) / (1 - q)
+            rms = math.hypot(math.sqrt(float(np.average(off**2, weights=samples.weights))), shared)
+            errors.append(rms)
+            worst = max(worst, rms / mean if mean > 0 else 0.0)
+        return worst, errors
+
+
+def _mean(samples: Samples, values: np.ndarray) -> float:
+    """Mean over the samples where there is light, by their weights."""
+    lit = values > 0
+    if not lit.any():
+        return 0.0
+    return float(np.average(values[lit], weights=None if samples.weights is None else samples.weights[lit]))
