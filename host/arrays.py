@@ -14,6 +14,8 @@ from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
+from .errors import bad
+
 
 class Labels(NamedTuple):
     """What an xarray.DataArray has besides its values."""
@@ -119,6 +121,19 @@ def host_array(values: Any) -> np.ndarray:
     return np.asarray(values)
 
 
+def chunked(values: Any) -> Any:
+    """The dask.array that ``values`` is, or is an xarray.DataArray of; None of anything else.
+
+    Dask is not imported for it.
+    """
+    dask: Any = sys.modules.get("dask.array")
+    if dask is None:
+        return None
+    if labels_of(values) is not None and values.chunks is not None:
+        values = values.data
+    return values if isinstance(values, dask.Array) else None
+
+
 def labels_of(values: Any) -> Labels | None:
     """The labels of an xarray.DataArray, None of anything else; xarray is not imported for it."""
     xarray: Any = sys.modules.get("xarray")
@@ -130,6 +145,46 @@ def labels_of(values: Any) -> Labels | None:
         values.name,
         dict(values.attrs),
     )
+
+
+DEGREES = ("degree", "degrees", "degrees_north", "degrees_east", "degree_north", "degree_east")
+UNEVEN = 0.01  # by how much of the spacing it may differ along an axis, or between both: slopes are so far off
+
+
+def spacing_of(labels: Labels | None) -> float:
+    """The distance of neighbouring nodes by the coordinates of an xarray.DataArray; 1 where there are none.
+
+    InputError for coordinates that are uneven, not square, or degrees.
+    """
+    if labels is None:
+        return 1.0
+    steps: list[np.ndarray] = []
+    told = [coordinate.attrs for coordinate in labels.coords.values()]
+    geographic = any(str(attrs.get("crs_wkt", "")).startswith(("GEOGCS", "GEOGCRS")) for attrs in told)
+    for name in labels.dims:
+        coordinate = labels.coords.get(name)
+        if coordinate is None or coordinate.ndim != 1 or coordinate.dtype.kind not in "iuf":
+            continue
+        unit = str(coordinate.attrs.get("units", "")).lower()
+        if geographic or unit in DEGREES or str(name).lower() in ("lat", "lon", "latitude", "longitude"):
+            raise bad(
+                f"spacing by the coordinate {name!r}",
+                "degrees",
+                "lengths in the unit of height",
+                "Reproject the map (dem.rio.reproject), or give spacing in the unit of height.",
+            )
+        steps.append(np.abs(np.diff(coordinate.values.astype(np.float64))))
+    found = np.concatenate([*steps, np.zeros(0)])
+    if not found.size:
+        return 1.0
+    if not found.max() * (1 - UNEVEN) <= found.min() or not found.min() > 0:
+        raise bad(
+            "spacing by coordinates",
+            f"steps of {found.min():g} to {found.max():g}",
+            "even steps, the same along both axes",
+            "Resample the map, or give spacing.",
+        )
+    return float(np.mean([step.mean() for step in steps if step.size]))
 
 
 def labelled(array: Any, labels: Labels | None, **leading: Any) -> Any:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import math
 import weakref
 from dataclasses import dataclass, field
@@ -9,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from .arrays import Labels, by_bands, host_array, labels_of, on_device, scratch
+from .arrays import Labels, by_bands, chunked, host_array, labels_of, on_device, scratch, spacing_of
 from .backends import resident, select
 from .backends.base import Array, Backend
 from .backends.resident import Resident
@@ -59,13 +60,15 @@ class Scene:
         reflectance that gives more than it gets.
     """
 
-    depth: np.ndarray
+    depth: np.ndarray = field(repr=False)
     spacing: float = 1.0
     albedo: float | np.ndarray = ALBEDO
     mask: np.ndarray | None = None
     sides: str = "open"
     reflectance: Reflectance | None = None
     labels: Labels | None = field(init=False, repr=False, default=None)
+    # heights [length] of a map that is not computed yet, a dask.array (rows, cols), nan where masked
+    lazy: Any = field(init=False, repr=False, default=None)
     # the depth on a device of Warp's, if it was given there
     resident: Resident | None = field(init=False, repr=False, default=None)
     # what the lattice methods compare, see lattice(); made when it is first asked for
@@ -78,6 +81,9 @@ class Scene:
         what = "height" if height else "depth"
         _set(self, labels=labels_of(given), spacing=positive_number(self.spacing, "spacing"))
         one_of(self.sides, tuple(SIDES), "sides")
+        if chunked(given) is not None:
+            self._hold(chunked(given), height)
+            return
         there = _on_device(given)
         values: Any = as_real(given, what) if there is None else None
         shape = there.shape if there is not None else values.shape
@@ -109,6 +115,24 @@ class Scene:
         surface = _reflectance(self.albedo, self.reflectance, shape, self.mask)
         _set(self, reflectance=surface, albedo=surface.albedo)
 
+    def _hold(self, values: Any, height: bool) -> None:
+        """Keep a dask.array; only its type and shape are looked at."""
+        if not height:
+            raise bad("depth: a lazy map", "a dask.array of depth", "heights", "Use Scene.from_height.")
+        shape = values.shape
+        if values.dtype.kind not in "iuf" or len(shape) != 2 or not all(n > 0 for n in shape):
+            raise bad("height", f"{values.dtype}, shape {shape}", "real numbers (rows, cols), of known size")
+        if values.dtype.kind != "f":
+            values = values.astype(np.float32)
+        if self.mask is not None:
+            mask: Any = getattr(self.mask, "data", self.mask) if labels_of(self.mask) else self.mask
+            if mask.dtype != bool or mask.shape != shape:
+                raise bad("mask: wrong type or shape", f"{mask.dtype}, {mask.shape}", f"bool, shape {shape}")
+            values = importlib.import_module("dask.array").where(mask, values, np.nan).astype(values.dtype)
+        surface = _reflectance(self.albedo, self.reflectance, shape, None)
+        _set(self, lazy=values, mask=None, reflectance=surface, albedo=surface.albedo)
+        object.__delattr__(self, "depth")
+
     def _keep(self, values: Array, height: bool) -> None:
         """Keep a map on its device; the host's copies are made when they are first asked for."""
         backend = select(f"warp:{values.device.alias}")
@@ -128,6 +152,13 @@ class Scene:
     def __getattr__(self, name: str) -> Any:
         """What is made when it is first asked for: the lattice's values, and the host's copies of a map that
         lies on a device."""
+        if name in ("depth", "_values", "_step", "_range") and self.__dict__.get("lazy") is not None:
+            raise bad(
+                "a lazy map",
+                f"a call that needs all of its {self.shape[0]} x {self.shape[1]} nodes",
+                "horizons, sky_view_factor, openness and render, which are lazy too",
+                "For other calls compute() it first.",
+            )
         if name not in ("depth", "_values", "_step") or "_range" not in self.__dict__:
             raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
         kept: Resident | None = self.__dict__.get("resident")
@@ -152,7 +183,7 @@ class Scene:
     def from_height(
         cls,
         height: Any,
-        spacing: float = 1.0,
+        spacing: float | None = None,
         albedo: float | np.ndarray = ALBEDO,
         mask: np.ndarray | None = None,
         sides: str = "open",
@@ -162,8 +193,13 @@ class Scene:
 
         ``height``: (rows, cols); the other arguments and errors as for :class:`Scene`. The difference is
         taken in the type of ``height`` before it is rounded to float32, so heights far above zero keep their
-        relief.
+        relief. ``spacing``: unless given, that of an xarray.DataArray's coordinates, which must be even, square
+        and no degrees, in the unit of ``height``; 1 of what has no coordinates.
+
+        A dask.array, or a DataArray with Dask's chunks, makes a lazy scene: nan is where it has no data, and
+        horizons, sky_view_factor, openness and render give lazy results of the same chunks.
         """
+        spacing = spacing_of(labels_of(height)) if spacing is None else spacing
         heights: Any = _Heights(height)
         return cls(heights, spacing, albedo, mask, sides, reflectance)
 
@@ -202,7 +238,8 @@ class Scene:
     @property
     def shape(self) -> tuple[int, int]:
         """(rows, cols)."""
-        rows, cols = self.depth.shape if self.resident is None else self.resident.shape
+        held = self.lazy if self.lazy is not None else self.resident
+        rows, cols = self.depth.shape if held is None else held.shape
         return rows, cols
 
     @property
@@ -212,7 +249,8 @@ class Scene:
 
     @property
     def valid(self) -> np.ndarray:
-        """(rows, cols) bool: where data are valid."""
+        """(rows, cols) bool: where data are valid; not of a lazy map."""
+        assert self.lazy is None, "whoever takes lazy scenes looks at their tiles"
         return np.ones(self.shape, bool) if self.mask is None else self.mask
 
     def lattice(self) -> tuple[np.ndarray, float]:

@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..backends.base import Array, Backend
+from ..checks import positive_number
 from ..constants import NONE
 from ..errors import bad
 
@@ -39,6 +40,9 @@ class Tiling:
     rule : int
         Cells of an overview between the nearest ground that it stands for and the tile's node: level f, cells
         of 2^f nodes, serves distances from rule 2^f to rule 2^(f + 1) nodes. A power of two, at most halo.
+    earth : float [unit of spacing], optional
+        Radius of the Earth, if ground farther than the halo shall fall off with its curvature, less what the
+        air refracts: 0.87 distance^2 / (2 radius). Within the halo ground is taken as flat.
 
     Raises
     ------
@@ -48,6 +52,7 @@ class Tiling:
     tile: int = 8192
     halo: int = 128
     rule: int = 32
+    earth: float | None = None
 
     def __post_init__(self) -> None:
         for name, least in (("halo", SPARSE), ("rule", 4)):
@@ -58,6 +63,8 @@ class Tiling:
             raise bad("Tiling: rule", self.rule, f"at most halo, {self.halo}")
         if not isinstance(self.tile, (int, np.integer)) or self.tile < self.halo or self.tile % self.halo:
             raise bad("Tiling: tile", repr(self.tile), f"a multiple of halo, {self.halo}")
+        if self.earth is not None:
+            positive_number(self.earth, "Tiling: earth")
 
     @property
     def first(self) -> int:

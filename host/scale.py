@@ -1,0 +1,392 @@
+"""Maps beyond one device: canonical tiles, each with a halo of the map and overviews of the rest.
+
+A tile's bytes depend on the heights, the tiling, the azimuths and the backend. They do not depend on the
+chunks of the map, nor on how many workers compute tiles, or in which order.
+"""
+
+from __future__ import annotations
+
+import importlib
+import math
+from collections.abc import Iterator
+from functools import partial
+from types import ModuleType
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+
+from .arrays import labelled
+from .backends.base import Backend
+from .checks import positive_number
+from .constants import MOST_PIXELS
+from .errors import bad, lacking
+from .light.far import (
+    Far,
+    Tiling,
+    Top,
+    around,
+    coarser,
+    from_heights,
+    in_spacings,
+    marched_nodes,
+    scaled,
+    top_of,
+)
+from .light.sweeps import LEAST_SEARCHED_SLOPE
+from .scene import Scene
+
+NODE_BYTES = 36  # that a sweep takes on a device, see Sweeps
+REFRACTED = 0.87  # of the Earth's curvature that light, which bends with the air, leaves; Corripio 2003
+GROUP_BYTES = 2**30  # of the horizons of one tile that are in memory at a time; chosen
+
+Box = tuple[tuple[int, int], tuple[int, int]]  # a tile's first row and its rows, first column and columns
+
+
+class Work(Protocol):
+    """What is computed of a map, or of a tile of it with its halo and what it knows of the rest."""
+
+    def __call__(
+        self, scene: Scene, max_distance: float | None, far: Far | None, part: slice = ...
+    ) -> np.ndarray:
+        """(rows, cols) float32; or ``part`` of an axis before these."""
+
+
+class Layout(NamedTuple):
+    """A map in tiles: what a tile is computed from besides heights.
+
+    ``spacing`` [length]; ``max_distance`` [length] or None; ``albedo`` and the like are no part of it.
+    """
+
+    tiling: Tiling
+    shape: tuple[int, int]
+    spacing: float
+    periodic: bool
+    max_distance: float | None
+
+    @property
+    def starts(self) -> tuple[list[int], list[int]]:
+        """First rows and first columns of the tiles."""
+        return self.tiling.starts(self.shape[0]), self.tiling.starts(self.shape[1])
+
+    @property
+    def sizes(self) -> tuple[tuple[int, ...], tuple[int, ...]]:
+        """Rows and columns of the tiles."""
+        rows, cols = (
+            tuple(np.diff([*starts, nodes]).tolist()) for starts, nodes in zip(self.starts, self.shape)
+        )
+        return rows, cols
+
+    @property
+    def single(self) -> bool:
+        """Whether the map is one tile: no part of it is far."""
+        return all(len(starts) == 1 for starts in self.starts)
+
+    @property
+    def needs_overviews(self) -> bool:
+        """Whether ground beyond the halo counts."""
+        return self.max_distance is None or self.max_distance / self.spacing > self.tiling.halo
+
+    @property
+    def depths(self) -> list[int]:
+        """Rows and columns around every tile; none along an axis that has one tile."""
+        return [self.tiling.halo if len(starts) > 1 or self.periodic else 0 for starts in self.starts]
+
+    def boxes(self) -> Iterator[Box]:
+        """All tiles, row by row."""
+        (rows, cols), (heights, widths) = self.starts, self.sizes
+        for r, n in zip(rows, heights):
+            for c, m in zip(cols, widths):
+                yield (r, n), (c, m)
+
+
+def layout_of(scene: Scene, tiling: Tiling | None, max_distance: float | None) -> Layout:
+    """The layout of a scene's map, checked."""
+    tiling = Tiling() if tiling is None else tiling
+    if not isinstance(tiling, Tiling):
+        raise bad("tiling", type(tiling).__name__, "a skylamp.Tiling")
+    if max_distance is not None and positive_number(max_distance, "max_distance") < scene.spacing:
+        raise bad("max_distance", max_distance, f"at least one spacing, {scene.spacing:g}")
+    layout = Layout(tiling, scene.shape, scene.spacing, scene.sides == "periodic", max_distance)
+    if layout.single:
+        return layout
+    if scene.sides == "dark":
+        raise bad(
+            "sides 'dark' over several tiles",
+            f"{scene.shape[0]} x {scene.shape[1]} nodes in tiles of {tiling.tile}",
+            "sides 'open' or 'periodic'",
+            "A box's walls reach up to the highest ground of the whole map.",
+        )
+    if layout.periodic and min(scene.shape) < tiling.least:
+        raise bad("a map that repeats, over several tiles", scene.shape, f"at least {tiling.least} nodes a side")
+    return layout
+
+
+def over_tiles(
+    work: Work,
+    scene: Scene,
+    tiling: Tiling | None,
+    max_distance: float | None,
+    engine: Backend,
+    **leading: np.ndarray,
+) -> Any:
+    """``work`` of a whole scene, labelled as its map is.
+
+    At once where that can be; else tile by tile: with a ``tiling``, where the map is beyond the device, and
+    lazily where the map is lazy. ``leading``: a coordinate, by its name, of an axis before rows and columns.
+    """
+    if scene.lazy is None and tiling is None and fits(scene, engine):
+        return labelled(work(scene, max_distance, None), scene.labels, **leading)
+    layout = layout_of(scene, tiling, max_distance)
+    lengths = [len(values) for values in leading.values()]
+    if scene.lazy is not None:
+        found = lazily(work, scene, layout, *lengths)
+    elif layout.single:
+        found = work(scene, max_distance, None)
+    else:
+        found = _in_memory(work, scene, layout, *lengths)
+    return labelled(found, scene.labels, **leading)
+
+
+def fits(scene: Scene, engine: Backend) -> bool:
+    """Whether a whole map can be swept at once."""
+    nodes = math.prod(scene.shape)
+    return nodes <= MOST_PIXELS and NODE_BYTES * nodes <= engine.memory
+
+
+def tile_of(
+    work: Work,
+    layout: Layout,
+    box: Box,
+    window: np.ndarray,
+    low: np.ndarray | None,
+    top: Top | None,
+    part: slice | None = None,
+) -> np.ndarray:
+    """``work`` of one tile, or ``part`` of its leading axis.
+
+    ``window``: heights [length] of the tile and its halo, clipped at the map's border unless that repeats,
+    nan without data. ``low``, ``top``: overviews, as :func:`skylamp.light.far.around` takes them; None where
+    nothing beyond the halo counts.
+    """
+    (row, rows), (col, cols) = box
+    valid = np.isfinite(window)
+    before = [depth if layout.periodic else min(first, depth) for first, depth in zip((row, col), layout.depths)]
+    inner = (..., slice(before[0], before[0] + rows), slice(before[1], before[1] + cols))
+    if not valid.any():
+        return _nothing(part, rows, cols)
+    heights = np.where(valid, window, np.nan)
+    scene = Scene.from_height(
+        np.where(valid, window, 0), layout.spacing, mask=None if valid.all() else valid
+    )
+    far, max_distance = None, layout.max_distance
+    if top is not None:
+        assert low is not None, "there are overviews of all levels, or of none"
+        far = _far(layout, box, (before[0], before[1]), heights, low, top)
+    if layout.tiling.earth is not None:  # what is nearer is nearly flat
+        near = layout.tiling.halo * layout.spacing
+        max_distance = near if max_distance is None else min(near, max_distance)
+    found = (work(scene, max_distance, far) if part is None else work(scene, max_distance, far, part))[inner]
+    return np.where(valid[inner[1:]], found, np.float32(np.nan))
+
+
+def _nothing(part: slice | None, *shape: int) -> np.ndarray:
+    """Nodes without data."""
+    return np.full(shape if part is None else (part.stop - part.start, *shape), np.nan, np.float32)
+
+
+def _far(
+    layout: Layout, box: Box, before: tuple[int, int], heights: np.ndarray, low: np.ndarray, top: Top
+) -> Far:
+    (row, rows), (col, cols) = box
+    at, tile, spacing, tiling = (row, col), (rows, cols), layout.spacing, layout.tiling
+    base = np.nanmax(heights)
+    levels = around(tiling, layout.shape, at, tile, low, top, layout.periodic)
+    nodes = marched_nodes(tiling, layout.shape, at, tile)
+    within = np.ix_(*(lines - first + room for lines, first, room in zip(nodes, at, before)))
+    own = heights[within]
+    own = scaled(np.where(np.isnan(own), np.nanmin(heights), own), base, spacing)
+    farthest = math.inf if layout.max_distance is None else layout.max_distance / spacing
+    if layout.periodic and math.isinf(farthest):
+        relief = (top.highest - top.lowest) / spacing
+        farthest = max(*layout.shape, relief / LEAST_SEARCHED_SLOPE)
+    drop = 0.0 if tiling.earth is None else REFRACTED * spacing / (2 * tiling.earth)
+    return Far(
+        tiling,
+        layout.shape,
+        at,
+        tile,
+        before,
+        own,
+        in_spacings(levels, float(base), spacing),
+        farthest,
+        layout.periodic,
+        drop,
+    )
+
+
+def _around(first: int, count: int, depth: int, nodes: int, periodic: bool) -> np.ndarray | slice:
+    """Indices along an axis of a tile and ``depth`` nodes (or cells) around it."""
+    if not periodic:
+        return slice(max(0, first - depth), min(nodes, first + count + depth))
+    return np.arange(first - depth, first + count + depth) % nodes
+
+
+def window_of(values: np.ndarray, box: Box, depths: list[int], periodic: bool) -> np.ndarray:
+    """The part of an array (..., rows, cols) about a box, see :func:`_around`."""
+    for axis, ((first, count), depth) in enumerate(zip(box, depths), values.ndim - 2):
+        pick = _around(first, count, depth, values.shape[axis], periodic)
+        values = values[(slice(None),) * axis + (pick,)]
+    return values
+
+
+def low_box(layout: Layout, box: Box) -> tuple[Box, list[int]]:
+    """(box, depths) of a tile in cells of level ``tiling.first``, for :func:`window_of`."""
+    size, reach = 1 << layout.tiling.first, layout.tiling.reach
+    (row, rows), (col, cols) = box
+    cells = (row // size, -(-rows // size)), (col // size, -(-cols // size))
+    return cells, [reach // size, reach // size]
+
+
+def _in_memory(work: Work, scene: Scene, layout: Layout, *leading: int) -> np.ndarray:
+    """All tiles of a scene, one after another: (*leading, rows, cols) float32."""
+    heights = np.negative(scene.depth)
+    low: np.ndarray | None = None
+    top: Top | None = None
+    if layout.needs_overviews:
+        tiling = layout.tiling
+        size = 1 << tiling.first
+        low = np.empty((2, *(-(-nodes // size) for nodes in layout.shape)), np.float32)
+        for box in layout.boxes():
+            cells, _ = low_box(layout, box)
+            part = window_of(heights, box, [0, 0], False)
+            window_of(low, cells, [0, 0], False)[...] = coarser(from_heights(part), tiling.first)
+        top = top_of(coarser(low, tiling.top - tiling.first))
+    out = np.empty((*leading, *layout.shape), np.float32)
+    for box in layout.boxes():
+        near = window_of(heights, box, layout.depths, layout.periodic)
+        cells, depths = low_box(layout, box)
+        far = None if low is None else window_of(low, cells, depths, layout.periodic)
+        for part in _parts(layout, *leading):
+            found = tile_of(work, layout, box, near, far, top, part)
+            window_of(out if part is None else out[part], box, [0, 0], False)[...] = found
+    return out
+
+
+# -- on Dask
+
+
+def dask_array() -> ModuleType:
+    """dask.array, or an error that says how to get it."""
+    try:
+        return importlib.import_module("dask.array")
+    except ImportError as error:
+        raise lacking("A lazy map", "Dask", "dask") from error
+
+
+def lazily(work: Work, scene: Scene, layout: Layout, *leading: int) -> Any:
+    """A dask.array of what ``work`` gives, in the map's own chunks; nothing is computed yet.
+
+    Heights are computed twice: for the overviews, and, once these are known, for the tiles. So they are never
+    all in memory.
+    """
+    da = dask_array()
+    heights = scene.lazy
+    assert heights is not None, "the map is lazy"
+    parts = _parts(layout, *leading)
+    axes = "aij"[1 - len(leading) :]
+    numbers = [da.from_array(np.arange(len(parts)), chunks=1), "a"] if leading else [0, None]
+    options: dict[str, Any] = dict(
+        adjust_chunks={"a": tuple(part.stop - part.start for part in parts if part is not None)},
+        align_arrays=False,
+        concatenate=True,
+        dtype=np.float32,
+        meta=np.empty((0,) * len(axes), np.float32),
+    )
+    if layout.single:
+        call = partial(_whole, work, scene.spacing, scene.sides, layout.max_distance, parts)
+        found = da.blockwise(call, axes, heights.rechunk(-1), "ij", *numbers, **options)
+    else:
+        low, top, again = _overviews(da, heights.rechunk(layout.sizes), layout)
+        boundary = "periodic" if layout.periodic else "none"
+        windows = da.overlap.overlap(again, dict(enumerate(layout.depths)), boundary, allow_rechunk=False)
+        rows, cols = (da.from_array(np.arange(len(sizes)), chunks=1) for sizes in layout.sizes)
+        options["adjust_chunks"] |= dict(zip("ij", layout.sizes))
+        call = partial(_block, work, layout, parts)
+        places = rows, "i", cols, "j", low, None if low is None else "kij"
+        found = da.blockwise(call, axes, windows, "ij", *numbers, *places, top=top, **options)
+    return found.rechunk({axis + len(leading): chunks for axis, chunks in enumerate(heights.chunks)})
+
+
+def _parts(layout: Layout, *leading: int) -> list[slice | None]:
+    """Parts of the leading axis that a task computes; one, None, where there is no such axis."""
+    if not leading:
+        return [None]
+    most = max(1, GROUP_BYTES // (4 * max(layout.sizes[0]) * max(layout.sizes[1])))
+    return [slice(first, min(first + most, leading[0])) for first in range(0, leading[0], most)]
+
+
+def _overviews(da: Any, tiles: Any, layout: Layout) -> tuple[Any, Any, Any]:
+    """(Overviews about every tile, the levels that all tiles see, the tiles once these are known); lazy.
+
+    (None, None, tiles) where nothing beyond the halo counts.
+    """
+    if not layout.needs_overviews:
+        return None, None, tiles
+    from dask import delayed
+    from dask.graph_manipulation import bind
+
+    tiling = layout.tiling
+    low, size = tiles, 1
+    meta = np.empty((0, 0, 0), np.float32)
+    for number, level in enumerate((tiling.first, tiling.top)):
+        times, size = level - (size.bit_length() - 1), 1 << level
+        chunks = ((2,), *(tuple(-(-n // size) for n in sizes) for sizes in layout.sizes))
+        call = partial(_coarser, times=times)
+        low = da.map_blocks(
+            call, low, chunks=chunks, new_axis=0 if number == 0 else None, dtype=np.float32, meta=meta
+        )
+        lowest = low if number == 0 else lowest
+    top = delayed(top_of)(low.rechunk(-1).to_delayed().item())
+    depth = [tiling.reach >> tiling.first if halo else 0 for halo in layout.depths]
+    if any(depth):
+        boundary = {0: "none", 1: "periodic", 2: "periodic"} if layout.periodic else "none"
+        lowest = da.overlap.overlap(lowest, {0: 0, 1: depth[0], 2: depth[1]}, boundary, allow_rechunk=False)
+    return lowest, top, bind(tiles, top, seed="skylamp")
+
+
+def _coarser(block: np.ndarray, times: int) -> np.ndarray:
+    return coarser(block if block.ndim == 3 else from_heights(block), times)
+
+
+def _whole(
+    work: Work,
+    spacing: float,
+    sides: str,
+    max_distance: float | None,
+    parts: list[slice | None],
+    window: np.ndarray,
+    number: np.ndarray | int,
+) -> np.ndarray:
+    """``work`` of a map that is one tile."""
+    valid, part = np.isfinite(window), parts[int(np.sum(number))]
+    if not valid.any():
+        return _nothing(part, *window.shape)
+    mask = None if valid.all() else valid
+    scene = Scene.from_height(np.where(valid, window, 0), spacing, mask=mask, sides=sides)
+    return work(scene, max_distance, None) if part is None else work(scene, max_distance, None, part)
+
+
+def _block(
+    work: Work,
+    layout: Layout,
+    parts: list[slice | None],
+    window: np.ndarray,
+    number: np.ndarray | int,
+    i: np.ndarray,
+    j: np.ndarray,
+    low: np.ndarray | None,
+    top: Top | None = None,
+) -> np.ndarray:
+    (rows, cols), (heights, widths) = layout.starts, layout.sizes
+    box = (rows[int(i[0])], heights[int(i[0])]), (cols[int(j[0])], widths[int(j[0])])
+    return tile_of(work, layout, box, window, low, top, parts[int(np.sum(number))])
