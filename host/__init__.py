@@ -8,6 +8,7 @@ from .directions import Azimuths, Hemicube
 from .errors import BackendError, CapacityError, InputError, SkylampError
 from .horizon import horizons, openness, sky_view_factor
 from .inverse.recover import Recovery, recover
+from .light.far import Tiling
 from .refinement import Plan, plan
 from .reflectance import BRDF, Lambertian, Mirror, Phong, grooves
 from .rendering import Rendering, render
@@ -45,6 +46,7 @@ __all__ = [
     "Scene",
     "Sky",
     "SkylampError",
+    "Tiling",
     "View",
     "VisibilityField",
     "Window",

@@ -148,7 +148,9 @@ def labels_of(values: Any) -> Labels | None:
 
 
 DEGREES = ("degree", "degrees", "degrees_north", "degrees_east", "degree_north", "degree_east")
-UNEVEN = 0.01  # by how much of the spacing it may differ along an axis, or between both: slopes are so far off
+UNEVEN = (
+    0.01  # by how much of the spacing it may differ along an axis, or between both: slopes are so far off
+)
 
 
 def spacing_of(labels: Labels | None) -> float:

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from functools import partial
+from typing import Any
+
 import numpy as np
 
 from .arrays import labelled, multiply
-from .backends.resident import DeviceImage
 from .checks import one_of
 from .directions import Azimuths
 from .errors import bad
+from .light.far import Far, Tiling
 from .light.sweeps import FINE_NEAR_ROWS, Rays, Sweeps, engine_of, ground_of
+from .scale import over_tiles
 from .scene import Scene, is_scene
 
 DEFINITIONS = ("tilted", "horizontal", "solid_angle")
@@ -17,7 +21,12 @@ RUNGS = 1025  # of the tables that turn slopes into sums
 
 
 def horizons(
-    scene: Scene, azimuths: int | Azimuths = 64, backend: str = "auto", *, max_distance: float | None = None
+    scene: Scene,
+    azimuths: int | Azimuths = 64,
+    backend: str = "auto",
+    *,
+    max_distance: float | None = None,
+    tiling: Tiling | None = None,
 ) -> np.ndarray:
     """The horizon's slope, tangent of its elevation, at every node: (azimuths, rows, cols) float32.
 
@@ -29,21 +38,36 @@ def horizons(
     given (on a map that repeats, as far as its relief makes a slope of 0.01). With dark sides the wall counts
     as ground.
 
+    A lazy scene gives a lazy array of the map's own chunks. It is computed in tiles, as is a map beyond the
+    device's memory, and any map with a ``tiling``: ground beyond a tile's halo comes from overviews, which
+    moves horizons by 0.002 rad and sky-view factors by 0.0002 RMS on mountains (docs/scale.md).
+
     Raises InputError, BackendError or CapacityError.
     """
-    azimuths = as_azimuths(azimuths)
+    azimuths, engine = as_azimuths(azimuths), engine_of(scene, backend)
+    work = partial(_slopes, azimuths=azimuths, backend=backend)
+    found: np.ndarray = over_tiles(work, scene, tiling, max_distance, engine, azimuth=azimuths.angles)
+    return found
+
+
+def _slopes(
+    scene: Scene,
+    max_distance: float | None,
+    far: Far | None,
+    part: slice = slice(None),
+    *,
+    azimuths: Azimuths,
+    backend: str,
+) -> np.ndarray:
+    """Slopes of ``part`` of the azimuths; every azimuth's are the same whatever the others are."""
     engine = engine_of(scene, backend)
     with engine.lock:
-        slopes = Sweeps(
-            engine,
-            ground_of(scene, max_distance, engine),
-            Rays(azimuths.angles, azimuths.widths),
-            near=FINE_NEAR_ROWS,
-        ).slopes()
+        rays = Rays(azimuths.angles[part], azimuths.widths[part])
+        ground = ground_of(scene, max_distance, engine)
+        slopes = Sweeps(engine, ground, rays, near=FINE_NEAR_ROWS, far=far).slopes()
     if scene.mask is not None:
         slopes[:, ~scene.mask] = np.nan
-    found: np.ndarray = labelled(slopes, scene.labels, azimuth=azimuths.angles)
-    return found
+    return slopes
 
 
 def sky_view_factor(
@@ -53,6 +77,7 @@ def sky_view_factor(
     backend: str = "auto",
     *,
     max_distance: float | None = None,
+    tiling: Tiling | None = None,
 ) -> np.ndarray:
     """Share of the sky that every node sees: (rows, cols) float32, 0 to 1, nan where the scene is masked.
 
@@ -67,63 +92,25 @@ def sky_view_factor(
     Other arguments and errors as for :func:`horizons`.
     """
     one_of(definition, DEFINITIONS, "definition")
+    engine = engine_of(scene, backend)
+    work = partial(_view, definition=definition, azimuths=as_azimuths(azimuths), backend=backend)
+    found: np.ndarray = over_tiles(work, scene, tiling, max_distance, engine)
+    return found
+
+
+def _view(
+    scene: Scene,
+    max_distance: float | None,
+    far: Far | None,
+    part: slice = slice(None),
+    *,
+    definition: str,
+    azimuths: Azimuths,
+    backend: str,
+) -> Any:
+    """The sky-view factor, a sum over azimuths of a function of the horizon's sine, or of light."""
     sine = np.linspace(0, 1, RUNGS)
     share = {"tilted": None, "horizontal": (1 - sine**2) / 2, "solid_angle": 1 - sine}[definition]
-    scale = 1 / np.pi if definition != "solid_angle" else 1 / (2 * np.pi)
-    image = _sum(scene, share, azimuths, backend, max_distance, float(scale))
-    found: np.ndarray = labelled(image, scene.labels)
-    return found
-
-
-def openness(
-    scene: Scene,
-    azimuths: int | Azimuths = 64,
-    backend: str = "auto",
-    *,
-    negative: bool = False,
-    max_distance: float | None = None,
-) -> np.ndarray:
-    """Topographic openness (Yokoyama, Shirasawa and Pike 2002) [rad].
-
-    The mean over azimuth of the angle from the zenith to the horizon: (rows, cols) float32; more than pi / 2
-    on peaks, nan where masked. ``negative``: of the surface turned upside down, the mean angle from the
-    nadir. Where no ground lies along an azimuth the horizon counts as level. Other arguments and errors as
-    for :func:`horizons`.
-    """
-    is_scene(scene)
-    labels = scene.labels
-    if not isinstance(negative, (bool, np.bool_)):
-        raise bad("openness: negative", repr(negative), "True or False")
-    if negative:
-        scene = Scene.from_height(scene.depth, scene.spacing, mask=scene.mask, sides=scene.sides)
-    azimuths = as_azimuths(azimuths)
-    engine = engine_of(scene, backend)
-    with engine.lock:
-        rays = Rays(azimuths.angles, azimuths.widths)
-        image = Sweeps(engine, ground_of(scene, max_distance, engine), rays, near=FINE_NEAR_ROWS).openness()
-    if scene.mask is not None:
-        image[~scene.mask] = np.nan
-    found: np.ndarray = labelled(image, labels)
-    return found
-
-
-def as_azimuths(azimuths: int | Azimuths) -> Azimuths:
-    return azimuths if isinstance(azimuths, Azimuths) else Azimuths(azimuths)
-
-
-def _sum(
-    scene: Scene,
-    share: np.ndarray | None,
-    azimuths: int | Azimuths,
-    backend: str,
-    max_distance: float | None,
-    scale: float,
-) -> np.ndarray | DeviceImage:
-    """Sum over azimuths of ``share``, a function of the horizon's sine, on level elements, times ``scale``.
-
-    None: light, the irradiance of a uniform sky of brightness 1 on the tilted surface.
-    """
-    azimuths = as_azimuths(azimuths)
     table = None
     if share is not None:
         table = np.zeros((len(azimuths), len(share), 4), np.float32)
@@ -131,8 +118,9 @@ def _sum(
         table[:, :-1, 3] = np.diff(share)
     engine = engine_of(scene, backend)
     with engine.lock:
-        rays = Rays(azimuths.angles, azimuths.widths)
-        sweeps = Sweeps(engine, ground_of(scene, max_distance, engine), rays, table, level=share is not None)
+        ground, rays = ground_of(scene, max_distance, engine), Rays(azimuths.angles, azimuths.widths)
+        sweeps = Sweeps(engine, ground, rays, table, level=share is not None, far=far)
+        scale = float(1 / (2 * np.pi) if definition == "solid_angle" else 1 / np.pi)
         if scene.stays_on(engine):
             found = sweeps.image()
             found.shade(scene.on(engine), 1.0, scale)
@@ -142,3 +130,53 @@ def _sum(
     if scene.mask is not None:
         image[~scene.mask] = np.nan
     return image
+
+
+def openness(
+    scene: Scene,
+    azimuths: int | Azimuths = 64,
+    backend: str = "auto",
+    *,
+    negative: bool = False,
+    max_distance: float | None = None,
+    tiling: Tiling | None = None,
+) -> np.ndarray:
+    """Topographic openness (Yokoyama, Shirasawa and Pike 2002) [rad].
+
+    The mean over azimuth of the angle from the zenith to the horizon: (rows, cols) float32; more than pi / 2
+    on peaks, nan where masked. ``negative``: of the surface turned upside down, the mean angle from the
+    nadir. Where no ground lies along an azimuth the horizon counts as level. Other arguments and errors as
+    for :func:`horizons`.
+    """
+    is_scene(scene)
+    if not isinstance(negative, (bool, np.bool_)):
+        raise bad("openness: negative", repr(negative), "True or False")
+    if negative:
+        turned = scene.depth if scene.lazy is None else -scene.lazy
+        labelled_so = labelled(turned, scene.labels)
+        scene = Scene.from_height(labelled_so, scene.spacing, mask=scene.mask, sides=scene.sides)
+    work = partial(_openness, azimuths=as_azimuths(azimuths), backend=backend)
+    found: np.ndarray = over_tiles(work, scene, tiling, max_distance, engine_of(scene, backend))
+    return found
+
+
+def _openness(
+    scene: Scene,
+    max_distance: float | None,
+    far: Far | None,
+    part: slice = slice(None),
+    *,
+    azimuths: Azimuths,
+    backend: str,
+) -> np.ndarray:
+    engine = engine_of(scene, backend)
+    with engine.lock:
+        ground, rays = ground_of(scene, max_distance, engine), Rays(azimuths.angles, azimuths.widths)
+        image = Sweeps(engine, ground, rays, near=FINE_NEAR_ROWS, far=far).openness()
+    if scene.mask is not None:
+        image[~scene.mask] = np.nan
+    return image
+
+
+def as_azimuths(azimuths: int | Azimuths) -> Azimuths:
+    return azimuths if isinstance(azimuths, Azimuths) else Azimuths(azimuths)

@@ -481,10 +481,11 @@ def far_horizons(
     out = np.empty((len(azimuths), rows, cols))
     for found, azimuth in zip(out, azimuths):
         best, where = np.full(own.shape, -np.inf), np.full(own.shape, np.inf)
+        sine, cosine = (0.0 if abs(part) < 1e-9 else part for part in (math.sin(azimuth), math.cos(azimuth)))
         distance = float(halo)
         while distance <= min(farthest, math.inf if repeats else math.hypot(rows, cols)):
             f = min(math.floor(math.log2(distance / rule)), len(levels) - 1)
-            v, u = y + distance * math.sin(azimuth), x + distance * math.cos(azimuth)
+            v, u = y + distance * sine, x + distance * cosine
             on_map = repeats | ((v >= 0) & (v <= rows - 1) & (u >= 0) & (u <= cols - 1))
             ground = _between_cells(levels[f], v, u, 2**f, repeats)
             slope = np.where(on_map, (ground - own) / distance - drop * distance, np.nan)

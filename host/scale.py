@@ -10,7 +10,6 @@ import importlib
 import math
 from collections.abc import Iterator
 from functools import partial
-from types import ModuleType
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
@@ -18,8 +17,8 @@ import numpy as np
 from .arrays import labelled
 from .backends.base import Backend
 from .checks import positive_number
-from .constants import MOST_PIXELS
-from .errors import bad, lacking
+from .constants import LEAST_SEARCHED_SLOPE, MOST_PIXELS
+from .errors import bad
 from .light.far import (
     Far,
     Tiling,
@@ -32,12 +31,13 @@ from .light.far import (
     scaled,
     top_of,
 )
-from .light.sweeps import LEAST_SEARCHED_SLOPE
 from .scene import Scene
 
 NODE_BYTES = 36  # that a sweep takes on a device, see Sweeps
 REFRACTED = 0.87  # of the Earth's curvature that light, which bends with the air, leaves; Corripio 2003
 GROUP_BYTES = 2**30  # of the horizons of one tile that are in memory at a time; chosen
+
+USUAL = Tiling()  # of maps that are given none
 
 Box = tuple[tuple[int, int], tuple[int, int]]  # a tile's first row and its rows, first column and columns
 
@@ -101,7 +101,7 @@ class Layout(NamedTuple):
 
 def layout_of(scene: Scene, tiling: Tiling | None, max_distance: float | None) -> Layout:
     """The layout of a scene's map, checked."""
-    tiling = Tiling() if tiling is None else tiling
+    tiling = USUAL if tiling is None else tiling
     if not isinstance(tiling, Tiling):
         raise bad("tiling", type(tiling).__name__, "a skylamp.Tiling")
     if max_distance is not None and positive_number(max_distance, "max_distance") < scene.spacing:
@@ -117,7 +117,9 @@ def layout_of(scene: Scene, tiling: Tiling | None, max_distance: float | None) -
             "A box's walls reach up to the highest ground of the whole map.",
         )
     if layout.periodic and min(scene.shape) < tiling.least:
-        raise bad("a map that repeats, over several tiles", scene.shape, f"at least {tiling.least} nodes a side")
+        raise bad(
+            "a map that repeats, over several tiles", scene.shape, f"at least {tiling.least} nodes a side"
+        )
     return layout
 
 
@@ -170,14 +172,14 @@ def tile_of(
     """
     (row, rows), (col, cols) = box
     valid = np.isfinite(window)
-    before = [depth if layout.periodic else min(first, depth) for first, depth in zip((row, col), layout.depths)]
+    before = [
+        depth if layout.periodic else min(first, depth) for first, depth in zip((row, col), layout.depths)
+    ]
     inner = (..., slice(before[0], before[0] + rows), slice(before[1], before[1] + cols))
     if not valid.any():
         return _nothing(part, rows, cols)
     heights = np.where(valid, window, np.nan)
-    scene = Scene.from_height(
-        np.where(valid, window, 0), layout.spacing, mask=None if valid.all() else valid
-    )
+    scene = Scene.from_height(np.where(valid, window, 0), layout.spacing, mask=None if valid.all() else valid)
     far, max_distance = None, layout.max_distance
     if top is not None:
         assert low is not None, "there are overviews of all levels, or of none"
@@ -249,7 +251,7 @@ def low_box(layout: Layout, box: Box) -> tuple[Box, list[int]]:
 
 def _in_memory(work: Work, scene: Scene, layout: Layout, *leading: int) -> np.ndarray:
     """All tiles of a scene, one after another: (*leading, rows, cols) float32."""
-    heights = np.negative(scene.depth)
+    heights, parts = np.negative(scene.depth), _parts(layout, *leading)
     low: np.ndarray | None = None
     top: Top | None = None
     if layout.needs_overviews:
@@ -258,15 +260,15 @@ def _in_memory(work: Work, scene: Scene, layout: Layout, *leading: int) -> np.nd
         low = np.empty((2, *(-(-nodes // size) for nodes in layout.shape)), np.float32)
         for box in layout.boxes():
             cells, _ = low_box(layout, box)
-            part = window_of(heights, box, [0, 0], False)
-            window_of(low, cells, [0, 0], False)[...] = coarser(from_heights(part), tiling.first)
+            tile = window_of(heights, box, [0, 0], False)
+            window_of(low, cells, [0, 0], False)[...] = coarser(from_heights(tile), tiling.first)
         top = top_of(coarser(low, tiling.top - tiling.first))
     out = np.empty((*leading, *layout.shape), np.float32)
     for box in layout.boxes():
         near = window_of(heights, box, layout.depths, layout.periodic)
         cells, depths = low_box(layout, box)
         far = None if low is None else window_of(low, cells, depths, layout.periodic)
-        for part in _parts(layout, *leading):
+        for part in parts:
             found = tile_of(work, layout, box, near, far, top, part)
             window_of(out if part is None else out[part], box, [0, 0], False)[...] = found
     return out
@@ -275,21 +277,13 @@ def _in_memory(work: Work, scene: Scene, layout: Layout, *leading: int) -> np.nd
 # -- on Dask
 
 
-def dask_array() -> ModuleType:
-    """dask.array, or an error that says how to get it."""
-    try:
-        return importlib.import_module("dask.array")
-    except ImportError as error:
-        raise lacking("A lazy map", "Dask", "dask") from error
-
-
 def lazily(work: Work, scene: Scene, layout: Layout, *leading: int) -> Any:
     """A dask.array of what ``work`` gives, in the map's own chunks; nothing is computed yet.
 
     Heights are computed twice: for the overviews, and, once these are known, for the tiles. So they are never
     all in memory.
     """
-    da = dask_array()
+    da = importlib.import_module("dask.array")
     heights = scene.lazy
     assert heights is not None, "the map is lazy"
     parts = _parts(layout, *leading)
@@ -306,9 +300,10 @@ def lazily(work: Work, scene: Scene, layout: Layout, *leading: int) -> Any:
         call = partial(_whole, work, scene.spacing, scene.sides, layout.max_distance, parts)
         found = da.blockwise(call, axes, heights.rechunk(-1), "ij", *numbers, **options)
     else:
-        low, top, again = _overviews(da, heights.rechunk(layout.sizes), layout)
+        low, top, again = _overviews(da, heights, layout)
         boundary = "periodic" if layout.periodic else "none"
-        windows = da.overlap.overlap(again, dict(enumerate(layout.depths)), boundary, allow_rechunk=False)
+        tiles = again.rechunk(layout.sizes)
+        windows = da.overlap.overlap(tiles, dict(enumerate(layout.depths)), boundary, allow_rechunk=False)
         rows, cols = (da.from_array(np.arange(len(sizes)), chunks=1) for sizes in layout.sizes)
         options["adjust_chunks"] |= dict(zip("ij", layout.sizes))
         call = partial(_block, work, layout, parts)
@@ -325,33 +320,37 @@ def _parts(layout: Layout, *leading: int) -> list[slice | None]:
     return [slice(first, min(first + most, leading[0])) for first in range(0, leading[0], most)]
 
 
-def _overviews(da: Any, tiles: Any, layout: Layout) -> tuple[Any, Any, Any]:
-    """(Overviews about every tile, the levels that all tiles see, the tiles once these are known); lazy.
+def _overviews(da: Any, heights: Any, layout: Layout) -> tuple[Any, Any, Any]:
+    """(Overviews about every tile, the levels that all tiles see, heights once these are known); lazy.
 
-    (None, None, tiles) where nothing beyond the halo counts.
+    (None, None, heights) where nothing beyond the halo counts.
     """
     if not layout.needs_overviews:
-        return None, None, tiles
-    from dask import delayed
+        return None, None, heights
+    from dask.delayed import delayed
     from dask.graph_manipulation import bind
 
     tiling = layout.tiling
-    low, size = tiles, 1
-    meta = np.empty((0, 0, 0), np.float32)
-    for number, level in enumerate((tiling.first, tiling.top)):
-        times, size = level - (size.bit_length() - 1), 1 << level
-        chunks = ((2,), *(tuple(-(-n // size) for n in sizes) for sizes in layout.sizes))
-        call = partial(_coarser, times=times)
-        low = da.map_blocks(
-            call, low, chunks=chunks, new_axis=0 if number == 0 else None, dtype=np.float32, meta=meta
+    levels: list[Any] = []
+    for level, times in ((tiling.first, tiling.first), (tiling.top, tiling.top - tiling.first)):
+        cells = [tuple(-(-n // (1 << level)) for n in sizes) for sizes in layout.sizes]
+        levels.append(
+            da.map_blocks(
+                partial(_coarser, times=times),
+                levels[-1] if levels else heights.rechunk(layout.sizes),
+                chunks=((2,), *cells),
+                new_axis=None if levels else 0,
+                dtype=np.float32,
+                meta=np.empty((0, 0, 0), np.float32),
+            )
         )
-        lowest = low if number == 0 else lowest
-    top = delayed(top_of)(low.rechunk(-1).to_delayed().item())
+    lowest, highest = levels
+    top = delayed(top_of)(highest.rechunk(-1).to_delayed(optimize_graph=False).item())
     depth = [tiling.reach >> tiling.first if halo else 0 for halo in layout.depths]
     if any(depth):
         boundary = {0: "none", 1: "periodic", 2: "periodic"} if layout.periodic else "none"
         lowest = da.overlap.overlap(lowest, {0: 0, 1: depth[0], 2: depth[1]}, boundary, allow_rechunk=False)
-    return lowest, top, bind(tiles, top, seed="skylamp")
+    return lowest, top, bind(heights, top, seed="skylamp")
 
 
 def _coarser(block: np.ndarray, times: int) -> np.ndarray:

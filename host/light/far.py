@@ -264,7 +264,9 @@ class Marched:
         backend, far, count = self.backend, self.far, len(angles)
         rows, cols = shape
         found = backend.empty((2, count, math.prod(self.nodes)), np.float32)
-        ways = backend.upload(np.stack([np.cos(angles), np.sin(angles)], 1).astype(np.float32))
+        ways = np.stack([np.cos(angles), np.sin(angles)], 1)
+        # a ray along the border stays on the map
+        ways = backend.upload(np.where(np.abs(ways) < 1e-9, 0, ways).astype(np.float32))
         backend.launch(
             "far",
             "march",

@@ -288,8 +288,9 @@ class Sweeps:
         self._turn()
         for half in self.halves:
             for first, count in _batches(half, most):
-                planes = backend.empty((count, half.rows * half.cols), np.float32)
-                known = False
+                planes, known = _far_slopes(self, half, first, count)
+                if not known:
+                    planes = backend.empty((count, half.rows * half.cols), np.float32)
                 for falling in (False, True):
                     for backward in (True, False) if half.windows[first] < ENDLESS_WINDOW else (False,):
                         self._sweep(

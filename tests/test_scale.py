@@ -1,0 +1,347 @@
+"""Maps in tiles: lazily on Dask and in memory. The same bytes however a map is cut."""
+
+import os
+import pickle
+
+import numpy as np
+import pytest
+from compare import assert_bits_equal
+
+import skylamp as sl
+from skylamp.errors import InputError
+
+da = pytest.importorskip("dask.array")
+xr = pytest.importorskip("xarray")
+dask = pytest.importorskip("dask")
+
+SPACING = 30.0
+SMALL = sl.Tiling(tile=64, halo=16, rule=8)  # tiles of some hundred nodes, for maps of some thousand
+
+
+def mountains(rows, cols, relief, seed=1, roughness=1.85):
+    """Fractal heights [nodes] float32; the spectrum falls off with frequency^roughness."""
+    size = 1 << (max(rows, cols) - 1).bit_length()
+    rng = np.random.default_rng(seed)
+    frequency = np.hypot(np.fft.fftfreq(size)[:, None], np.fft.rfftfreq(size))
+    frequency[0, 0] = 1
+    waves = rng.normal(size=(2, *frequency.shape))
+    spectrum = (waves[0] + 1j * waves[1]) * frequency**-roughness
+    spectrum[0, 0] = 0
+    heights = np.fft.irfft2(spectrum, s=(size, size))[:rows, :cols]
+    return (relief * (heights - heights.min()) / np.ptp(heights)).astype(np.float32)
+
+
+@pytest.fixture(scope="module")
+def dem():
+    """Mountains as rioxarray reads them: coordinates in metres, a CRS, attributes, a name."""
+    return xr.DataArray(
+        SPACING * mountains(230, 290, 25),
+        {"y": 4000.0 - SPACING * np.arange(230), "x": 500.0 + SPACING * np.arange(290), "spatial_ref": 0},
+        ("y", "x"),
+        "elevation",
+        {"units": "m", "_FillValue": -9999},
+    )
+
+
+def svf(heights, fast, tiling=SMALL, **options):
+    return sl.sky_view_factor(
+        sl.Scene.from_height(heights, sides=options.pop("sides", "open")),
+        azimuths=8,
+        backend=fast,
+        tiling=tiling,
+        **options,
+    )
+
+
+def rms(values):
+    return float(np.sqrt(np.nanmean(np.square(values))))
+
+
+def test_a_lazy_map_gives_a_lazy_one_like_it(dem, fast):
+    """Dimensions, chunks, coordinates, name and attributes are the map's, and nothing of it is computed."""
+
+    def never(block):
+        pytest.fail("a chunk was computed")
+
+    chunks = ((100, 130), (290,))
+    lazy = dem.copy(
+        data=da.map_blocks(
+            never,
+            dem.chunk(dict(zip(dem.dims, chunks))).data,
+            dtype=np.float32,
+            meta=np.empty((0, 0), np.float32),
+        )
+    )
+    scene = sl.Scene.from_height(lazy)
+    assert scene.spacing == SPACING and scene.shape == dem.shape and "lazy" not in repr(scene.labels)
+    for found in (
+        sl.sky_view_factor(scene, azimuths=8, backend=fast, tiling=SMALL),
+        sl.openness(scene, azimuths=8, backend=fast, tiling=SMALL, negative=True),
+        sl.sky_view_factor(scene, azimuths=8, backend=fast),
+    ):
+        assert (found.dims, found.chunks, found.dtype) == (lazy.dims, chunks, np.float32)
+        assert (found.name, found.attrs) == (lazy.name, lazy.attrs)
+        assert all(found.coords[name].identical(lazy.coords[name]) for name in lazy.coords)
+    slopes = sl.horizons(scene, azimuths=8, backend=fast, tiling=SMALL)
+    assert slopes.dims == ("azimuth", "y", "x") and slopes.chunks[1:] == chunks and slopes.shape[0] == 8
+
+
+def test_a_coordinate_reference_system_stays(dem, fast):
+    """What rioxarray reads of the map it reads of the result."""
+    pytest.importorskip("rioxarray")
+    found = svf(dem.rio.write_crs(32633).chunk(), fast)
+    assert found.rio.crs.to_epsg() == 32633 and found.rio.transform() == dem.rio.transform()
+
+
+@pytest.mark.parametrize(
+    "chunks", [(64, 64), (230, 290), (50, 290), (10, 130), ((3, 200, 27), (100, 1, 189))], ids=str
+)
+def test_bytes_do_not_depend_on_chunks(dem, fast, chunks):
+    """Tiles as chunks, one chunk, one chunk wide, chunks smaller than the halo, unequal ones."""
+    expected = svf(dem.chunk({"y": 100, "x": 100}), fast).compute(scheduler="sync")
+    found = svf(dem.chunk(dict(zip(dem.dims, chunks))), fast).compute(scheduler="sync")
+    assert_bits_equal(found.values, expected.values)
+
+
+def test_bytes_do_not_depend_on_schedulers(dem, fast):
+    """One thread, four threads, a part of the map computed alone."""
+    lazy = svf(dem.chunk({"y": 100, "x": 100}), fast)
+    expected = lazy.compute(scheduler="sync").values
+    assert_bits_equal(lazy.compute(scheduler="threads", num_workers=4).values, expected)
+    assert_bits_equal(lazy[100:170, 60:80].compute(scheduler="sync").values, expected[100:170, 60:80])
+
+
+def test_tiles_in_memory_are_those_of_a_lazy_map(dem, fast):
+    """A map at once, its tiles one by one, and lazily: the same but for roundings of heights."""
+    for work, limit in (
+        (sl.sky_view_factor, 1e-3),
+        (sl.openness, 3e-3),
+        (sl.horizons, 8e-3),
+        (lambda scene, **o: sl.sky_view_factor(scene, "solid_angle", **o), 1e-3),
+        (lambda scene, **o: sl.sky_view_factor(scene, max_distance=10 * SPACING, **o), 2e-4),
+        (lambda scene, **o: sl.sky_view_factor(scene, max_distance=50 * SPACING, **o), 1e-3),
+    ):
+        scene = sl.Scene.from_height(dem)
+        whole, tiles = (work(scene, azimuths=8, backend=fast, tiling=tiling) for tiling in (None, SMALL))
+        lazy = work(sl.Scene.from_height(dem.chunk(y=90)), azimuths=8, backend=fast, tiling=SMALL).compute()
+        assert lazy.dims == tiles.dims == whole.dims
+        assert 0 < rms(tiles.values - whole.values) < limit
+        assert rms(lazy.values - tiles.values) < 1e-5
+
+
+def test_a_map_within_one_tile_is_swept_as_a_whole(dem, fast):
+    """The bytes of the whole map, of every kind of sides."""
+    for sides in ("open", "dark", "periodic"):
+        scene = sl.Scene.from_height(dem, sides=sides)
+        expected = sl.sky_view_factor(scene, azimuths=8, backend=fast).values
+        assert_bits_equal(svf(dem.chunk(y=90), fast, None, sides=sides).compute().values, expected)
+        assert_bits_equal(svf(dem, fast, sl.Tiling(), sides=sides).values, expected)
+
+
+def test_ground_far_beyond_the_halo_counts(fast):
+    """A plain below a cliff ten tiles away: a tile sees it, and does not with a halo alone."""
+    heights = np.zeros((128, 1024), np.float32)
+    heights[:, 760:] = 200
+    east = sl.Azimuths(2, tuple(0.001 + np.pi * np.array([-0.5, 0.5, 1.5])))
+    near, far = (
+        sl.horizons(sl.Scene.from_height(heights), east, fast, tiling=SMALL, max_distance=reach)[0, 60, 200]
+        for reach in (16.0, None)
+    )
+    assert near <= 0
+    assert far == pytest.approx(200 / 560, rel=0.15)  # cells are an eighth of their distance
+
+
+def test_the_round_earth_hides_far_ground(fast):
+    """A radius of the Earth of 10,000 nodes lowers the cliff's horizon by 0.87 d / 2 R."""
+    heights = np.zeros((128, 1024), np.float32)
+    heights[:, 760:] = 200
+    east = sl.Azimuths(2, tuple(0.001 + np.pi * np.array([-0.5, 0.5, 1.5])))
+    flat, round_ = (
+        sl.horizons(sl.Scene.from_height(heights), east, fast, tiling=sl.Tiling(64, 16, 8, earth=earth))[
+            0, 60, 200
+        ]
+        for earth in (None, 1e4)
+    )
+    assert flat - round_ == pytest.approx(0.87 * 560 / 2e4, rel=0.15)
+
+
+def test_no_data_is_nan_and_casts_no_shadow(dem, fast):
+    """Gaps, a tile without data, and the same by a mask; what is left is as if there were no ground there."""
+    heights = dem.values.copy()
+    heights[64:128, 128:192] = np.nan
+    heights[:70, 250:] = np.nan
+    lazy = dem.copy(data=heights).chunk(y=50)
+    found = svf(lazy, fast).compute(scheduler="sync").values
+    assert np.array_equal(np.isnan(found), np.isnan(heights))
+    masked = sl.Scene.from_height(dem.values, SPACING, mask=np.isfinite(heights))
+    expected = sl.sky_view_factor(masked, azimuths=8, backend=fast)
+    assert rms(found - expected) < 1e-3
+    by_mask = sl.Scene.from_height(dem.chunk(y=50), mask=np.isfinite(heights))
+    again = sl.sky_view_factor(by_mask, azimuths=8, backend=fast, tiling=SMALL).compute(scheduler="sync")
+    assert_bits_equal(np.nan_to_num(again.values), np.nan_to_num(found))
+    empty = svf(xr.full_like(dem, np.nan).chunk(y=50), fast)
+    assert np.isnan(empty.compute(scheduler="sync")).all()
+
+
+def test_a_map_that_repeats_in_tiles(fast):
+    """Tiles at the border see what comes round, near what the whole map gives."""
+    heights = mountains(256, 256, 40)
+    repeats = sl.sky_view_factor(sl.Scene.from_height(heights, sides="periodic"), azimuths=8, backend=fast)
+    still = sl.sky_view_factor(sl.Scene.from_height(heights), azimuths=8, backend=fast)
+    lazy = svf(da.from_array(heights, chunks=100), fast, sides="periodic").compute()
+    tiles = svf(heights, fast, sides="periodic")
+    inner = np.s_[1:-1, 1:-1]
+    assert rms((tiles - repeats)[inner]) < 1.5e-3 < 0.3 * rms((still - repeats)[inner])
+    assert rms(lazy - tiles) < 1e-5
+
+
+def test_axes_shorter_than_the_halo(fast):
+    """Ten rows, one row, one column: peers' halos are deeper than these, and fail."""
+    for shape in ((10, 400), (1, 300), (300, 1)):
+        heights = mountains(*shape, 20)
+        whole = sl.sky_view_factor(sl.Scene.from_height(heights), azimuths=8, backend=fast)
+        lazy = svf(da.from_array(heights, chunks=70), fast).compute()
+        assert rms(lazy - whole) < 2e-3
+
+
+def test_heights_are_read_twice_and_never_before_the_overviews_are_done(dem, fast):
+    """Every chunk is computed for the overviews, then once more: else all would be in memory at a time."""
+    order = []
+
+    def read(block, block_info=None):
+        order.append(block_info[0]["chunk-location"])
+        return block
+
+    source = da.from_array(dem.values, chunks=(64, 64))
+    lazy = da.map_blocks(read, source, dtype=np.float32, meta=np.empty((0, 0), np.float32))
+    scene = sl.Scene.from_height(lazy, SPACING)
+    sl.sky_view_factor(scene, azimuths=4, backend=fast, tiling=SMALL).compute(scheduler="sync")
+    count = source.npartitions
+    assert len(order) == 2 * count and set(order[:count]) == set(order[count:])
+
+
+def test_whole_numbers_of_metres(dem, fast):
+    """A map of int16 gives what the same heights in float32 give."""
+    whole = dem.round().astype(np.int16)
+    found, expected = (svf(heights.chunk(y=100), fast).compute() for heights in (whole, whole.astype("f4")))
+    assert_bits_equal(found.values, expected.values)
+
+
+def test_zarr_takes_the_result_as_it_is(dem, fast, tmp_path):
+    """Chunks are those of the map, so that writes are aligned; the store holds the computed bytes."""
+    pytest.importorskip("zarr")
+    found = svf(dem.chunk({"y": 100, "x": 100}), fast)
+    found.to_dataset().to_zarr(tmp_path / "svf.zarr", consolidated=False)
+    kept = xr.open_zarr(tmp_path / "svf.zarr", consolidated=False)["elevation"]
+    assert_bits_equal(kept.values, found.compute().values)
+
+
+def test_horizons_are_computed_a_few_azimuths_at_a_time(dem, fast, monkeypatch):
+    """Where all would not be held at once; the bytes stay."""
+    scene = sl.Scene.from_height(dem.chunk(y=100))
+    expected = sl.horizons(scene, azimuths=7, backend=fast, tiling=SMALL).compute(scheduler="sync")
+    monkeypatch.setattr("skylamp.scale.GROUP_BYTES", 3 * 4 * 80 * 80)
+    found = sl.horizons(scene, azimuths=7, backend=fast, tiling=SMALL)
+    assert max(found.chunks[0]) < 7
+    assert_bits_equal(found.compute(scheduler="sync").values, expected.values)
+
+
+def test_a_map_beyond_the_device_goes_by_tiles(dem, fast, monkeypatch):
+    """Without a tiling: where nodes are too many for one sweep, the default tiles are taken."""
+    scene = sl.Scene.from_height(dem.values, SPACING)
+    expected = sl.sky_view_factor(scene, azimuths=8, backend=fast, tiling=SMALL)
+    monkeypatch.setattr("skylamp.scale.MOST_PIXELS", 10_000)
+    monkeypatch.setattr("skylamp.scale.USUAL", SMALL)
+    found = sl.sky_view_factor(scene, azimuths=8, backend=fast)
+    assert_bits_equal(found, expected)
+
+
+@pytest.mark.parametrize(
+    ("make", "what"),
+    [
+        (lambda d: svf(d.chunk(), "numpy", sides="dark"), "dark"),
+        (lambda d: svf(d.chunk(), "numpy", tiling=64), "tiling"),
+        (lambda d: svf(d.chunk(), "numpy", max_distance=1.0), "max_distance"),
+        (lambda d: svf(d.chunk(), "numpy", max_distance=-1), "max_distance"),
+        (lambda d: svf(d[:40].chunk(), "numpy", sides="periodic"), "repeats"),
+        (lambda d: sl.Scene(d.chunk()), "lazy map"),
+        (lambda d: sl.Scene.from_height(d.chunk() > 3), "bool"),
+        (lambda d: sl.Scene.from_height(d.chunk()[0]), "shape"),
+        (lambda d: sl.Scene.from_height(d.chunk(), mask=np.ones((2, 2), bool)), "mask"),
+        (lambda d: sl.Scene.from_height(d.chunk().rename(x="lon")), "degrees"),
+        (lambda d: sl.Scene.from_height(d.assign_coords(x=2 * d.x)), "even steps"),
+        (lambda d: sl.visibility(sl.Scene.from_height(d.chunk()), sl.Sky()), "lazy map"),
+    ],
+)
+def test_what_lazy_maps_cannot_be_is_said_at_once(dem, make, what):
+    """One error each, before anything is computed."""
+    with pytest.raises(InputError, match=what):
+        make(dem)
+
+
+def test_degrees_of_a_reference_system_are_refused(dem):
+    """Also where the coordinates are called x and y, as rioxarray calls them."""
+    pytest.importorskip("rioxarray")
+    with pytest.raises(InputError, match="degrees"):
+        sl.Scene.from_height(dem.rio.write_crs(4326))
+    assert sl.Scene.from_height(dem.rio.write_crs(4326), 25.0).spacing == 25.0
+
+
+def test_a_graph_can_be_sent_to_workers(dem, fast):
+    """All that tiles are computed from can be pickled."""
+    scene = sl.Scene.from_height(dem.chunk(y=100))
+    for found in (
+        sl.sky_view_factor(scene, azimuths=sl.Azimuths(8), backend=fast, tiling=SMALL),
+        sl.horizons(scene, azimuths=4, backend=fast, tiling=SMALL),
+    ):
+        graph = pickle.loads(pickle.dumps(dict(found.__dask_graph__())))
+        assert len(graph) > 20
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("roughness", [1.7, 2.1])
+def test_error_of_tiles_on_mountains(fast, roughness):
+    """Added to that of the whole map, mountains of a relief of 103 nodes on 1,536 x 1,536: what the
+    documentation says of sky-view factors and horizons, and no seams.
+    """
+    heights = mountains(1536, 1536, 103, roughness=roughness)
+    tiling, options = sl.Tiling(tile=512), dict(azimuths=16, backend=fast)
+    scene = sl.Scene.from_height(heights)
+    error = sl.sky_view_factor(scene, **options, tiling=tiling) - sl.sky_view_factor(scene, **options)
+    assert rms(error) < 3e-4 and abs(error.mean()) < 1e-4 and np.quantile(np.abs(error), 0.999) < 3e-3
+    jumps = np.abs(np.diff(error, axis=1)).mean(0)
+    seams, inside = jumps[[511, 1023]].mean(), jumps[[255, 767, 1279]].mean()
+    assert seams < 4e-4 and seams < 4 * inside
+    few = dict(options, azimuths=2)
+    slopes = sl.horizons(scene, **few, tiling=tiling), sl.horizons(scene, **few)
+    known = np.isfinite(slopes[1])
+    apart = np.arctan(slopes[0][known]) - np.arctan(slopes[1][known])
+    assert rms(apart) < 3e-3
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("processes", [1, 2])
+def test_bytes_do_not_depend_on_workers(dem, fast, processes, tmp_path):
+    """Processes of dask.distributed, one of which dies in the middle, give the bytes of one thread."""
+    distributed = pytest.importorskip("distributed")
+    died = tmp_path / "died"
+
+    def deadly(block, block_info=None):
+        if block_info[0]["chunk-location"] == (2, 1) and not died.exists():
+            died.touch()
+            os._exit(9)
+        return block
+
+    lazy = dem.chunk({"y": 60, "x": 100})
+    expected = svf(lazy, fast).compute(scheduler="sync").values
+    meta = np.empty((0, 0), np.float32)
+    lazy = lazy.copy(data=da.map_blocks(deadly, lazy.data, dtype=np.float32, meta=meta))
+    with (
+        distributed.LocalCluster(
+            processes, threads_per_worker=2, processes=True, dashboard_address=None
+        ) as cluster,
+        distributed.Client(cluster) as client,
+    ):
+        found = client.compute(svf(lazy, fast)).result(timeout=300).values
+    assert died.exists()
+    assert_bits_equal(found, expected)
