@@ -84,7 +84,8 @@ def on_device(values: Any) -> Any:
     On a GPU lie arrays of PyTorch, CuPy, JAX and Numba.
     """
     warp: Any = sys.modules.get("warp")
-    if warp is not None and isinstance(values, warp.array):
+    # another thread may be importing it
+    if warp is not None and isinstance(values, getattr(warp, "array", ())):
         return values
     dlpack = hasattr(values, "__dlpack__") and hasattr(values, "__dlpack_device__")
     if isinstance(values, np.ndarray) or not (
@@ -131,13 +132,14 @@ def chunked(values: Any) -> Any:
         return None
     if labels_of(values) is not None and values.chunks is not None:
         values = values.data
-    return values if isinstance(values, dask.Array) else None
+    return values if isinstance(values, getattr(dask, "Array", ())) else None
 
 
 def labels_of(values: Any) -> Labels | None:
     """The labels of an xarray.DataArray, None of anything else; xarray is not imported for it."""
     xarray: Any = sys.modules.get("xarray")
-    if xarray is None or not isinstance(values, xarray.DataArray):
+    kind: Any = getattr(xarray, "DataArray", None)  # another thread may be importing it
+    if kind is None or not isinstance(values, kind):
         return None
     return Labels(
         values.dims,
