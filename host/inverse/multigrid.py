@@ -13,6 +13,7 @@ import math
 
 import numpy as np
 
+from .. import sources
 from .descent import Solution
 from .pyramid import Pyramid, on_coarser_grid
 from .resampling import cubic, doubled, halved, halved_depth
@@ -28,7 +29,7 @@ LOOSE, CLOSE, LAST = (0.05, 5e-3), (0.02, 1e-3), (0.01, 2e-4)
 SMOOTHING, COARSEST_SOLUTION = (3, 30, 0.05), (8, 60, 0.03)
 CYCLE_DAMPING = 1e-2  # of the first step
 CYCLE_SETTLED = 1e-4  # share of the objective below which a step of a cycle is the last
-CYCLES = 8  # of the finest grid if it is large; half as many of other large grids
+CYCLES, MORE_UNDER_SKIES = 8, 2  # of a large grid; as many more under a sky, which tells less of depth
 CYCLE_SMOOTHNESS = 3e-4  # of the first cycle
 SLOW = 0.01  # fall of the objective in a cycle below which it is the last
 
@@ -56,11 +57,10 @@ class Multigrid:
         """From z on one grid, with those of these weights of smoothness above its own, then with its own."""
         problem = self.pyramid.problem(level)
         least = self.pyramid.smoothness(level)
-        tolerance, settled = accuracy or self.accuracy
         found = Solution(np.clip(z, *self.pyramid.bounds[level]), math.inf)
         for smoothness in (*(s for s in stiffness if s > least), least):
             found = problem.run(
-                found.depth, smoothness, steps, ITERATIONS, tolerance, settled, self.pyramid.stop
+                found.depth, smoothness, steps, ITERATIONS, *(accuracy or self.accuracy), self.pyramid.stop
             )
         return found
 
@@ -100,7 +100,8 @@ class Multigrid:
         pyramid, found = self.pyramid, Solution(z, math.inf)
         least = pyramid.smoothness(level)
         self.damping = {}
-        count = CYCLES if level == 0 else CYCLES // 2
+        count = CYCLES + MORE_UNDER_SKIES * any(isinstance(s, sources.Sky) for s in pyramid.sources)
+        count = count if level == 0 else count // 2
         for number in range(count):
             smoothness = max(least, CYCLE_SMOOTHNESS * (least / CYCLE_SMOOTHNESS) ** (number / (count // 2)))
             before = found.objective

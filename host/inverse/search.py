@@ -170,7 +170,7 @@ def join(search: Search) -> None:
 
 
 def compare(search: Search) -> None:
-    """Brings the answers to the grid where they are compared, but for hopeless ones."""
+    """Brings the answers, but for hopeless ones, to the grid where they are compared; joins them there."""
     level, (first, *others) = search.level, search.answers
     if search.comparing == level:
         return
@@ -181,6 +181,7 @@ def compare(search: Search) -> None:
         search.check_time()
         if other.objective < followed:
             search.answers.append(refine(other.depth, level, search.level, accept=False))
+    join(search)
 
 
 def choose(search: Search) -> None:
