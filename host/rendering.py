@@ -13,7 +13,7 @@ import numpy as np
 from . import shading, sources
 from .arrays import by_bands, labelled, multiply, scratch
 from .backends.base import Backend
-from .backends.resident import Resident
+from .backends.resident import DeviceImage, Resident
 from .checks import one_of, positive_number
 from .constants import SLICES
 from .directions import Azimuths, Hemicube
@@ -47,6 +47,7 @@ LEAK_SLOPE = 0.7  # rms slope from which the unfilled step leaks from M = 7 on (
 REPEATED_LOBE = "a lobe over a map that repeats"
 
 Result = TypeVar("Result")
+Irradiance = np.ndarray | DeviceImage  # (rows, cols) float32 [brightness x sr]
 
 
 @dataclass(frozen=True, eq=False)
@@ -281,6 +282,9 @@ class _Renderer:
         )
         no_disc = options.lattice or missing or self.planned and not shines
         self.sun = None if no_disc else _sun_of(scene, source, options.max_distance)
+        # an image of one channel, rho E / pi alone, stays where the map was given
+        grey = len(self.greys) == 1 and np.ndim(scene.albedo) in (0, 2) and not shines
+        self.stays = scene.stays_on(engine) and grey and not options.parts
         self.plans: list[Plan] = []
         self.warnings: list[str] = []
         self.parts: list[tuple[Refined, float]] = []  # refined irradiances, times factors
@@ -293,8 +297,8 @@ class _Renderer:
         scene, quantity = self.scene, self.options.quantity
         first = rest = None
         if self.options.parts:
-            first = _image(scene, [light.copy() for light in direct], shine, quantity)
-        image = _image(scene, irradiances, shine, quantity)
+            first = _image(scene, [light.copy() for light in _on_host(direct)], shine, quantity)
+        image = self._image(irradiances, shine)
         if first is not None:
             first, rest = (labelled(values, scene.labels) for values in (first, image - first))
         return Rendering(
@@ -313,7 +317,20 @@ class _Renderer:
             tuple(self.between),
         )
 
-    def _all_light(self) -> tuple[list[np.ndarray], list[np.ndarray], list[np.ndarray]]:
+    def _image(self, irradiances: list[Irradiance], shine: list[np.ndarray]) -> np.ndarray | DeviceImage:
+        """The image of the quantity that was asked for, where the irradiances lie, or the map if it stays."""
+        scene, engine, quantity = self.scene, self.engine, self.options.quantity
+        light = irradiances[0] if irradiances else None
+        if isinstance(light, DeviceImage):
+            share = (scene.albedo, 1 / np.pi) if quantity == "radiance" else (1.0, 1.0)
+            light.shade(scene.on(engine), *share)
+            return light
+        image = _image(scene, _on_host(irradiances), shine, quantity)
+        if not self.stays or image.ndim > 2:
+            return image
+        return DeviceImage(engine, engine.upload(image.reshape(-1)), scene.shape)
+
+    def _all_light(self) -> tuple[list[Irradiance], list[Irradiance], list[np.ndarray]]:
         """Direct irradiances, irradiances of all light, and what else is reflected: an array per colour."""
         direct, shine = self._light()
         why = _left_out(self.scene, self.options, self.plans if self.planned else None)
@@ -325,7 +342,8 @@ class _Renderer:
                 self.planned and self.options.interreflection == "auto" and _has_coloured_albedo(self.scene)
             )
             return direct, list(direct) * (3 if coloured and len(direct) == 1 else 1), shine
-        return direct, self._interreflected(direct), shine
+        known = _on_host(direct)
+        return list(known), list(self._interreflected(known)), shine
 
     def _interreflected(self, direct: list[np.ndarray]) -> list[np.ndarray]:
         """Irradiances of all light; where colours differ by a factor alone, of one and times that factor."""
@@ -353,9 +371,9 @@ class _Renderer:
             self.between = [max(found.errors)] if len(direct) == 1 else found.errors
             return found.irradiances
         self.between = [factor * found.errors[0] for factor in factors]
-        return [_times(found.irradiances[0], factor) for factor in factors]
+        return _on_host([_times(found.irradiances[0], factor) for factor in factors])
 
-    def _light(self) -> tuple[list[np.ndarray], list[np.ndarray]]:
+    def _light(self) -> tuple[list[Any], list[np.ndarray]]:
         """Irradiances, and what the surface reflects besides rho E / pi: one array per colour each."""
         if self.by_lattice:
             return self._lattice()
@@ -377,7 +395,7 @@ class _Renderer:
             return True
         return not (shading.lobe_of(self.scene) or shading.has_mirror(self.scene))
 
-    def _irradiances(self) -> list[np.ndarray]:
+    def _irradiances(self) -> list[Irradiance]:
         if self.planned:
             return self._within_tolerance()
         options = self.options
@@ -386,10 +404,11 @@ class _Renderer:
             lambda grey: self._as_asked(grey, options.azimuths),
         )
         if self.sun is not None:
-            found[0] += self._as_asked(self.sun, None)  # the azimuths that were asked for are the sky's
+            # the azimuths that were asked for are the sky's
+            found = [np.asarray(found[0]) + np.asarray(self._as_asked(self.sun, None)), *found[1:]]
         return found
 
-    def _within_tolerance(self) -> list[np.ndarray]:
+    def _within_tolerance(self) -> list[Irradiance]:
         """Irradiances of all colours; where they differ by a factor alone, of one and times that factor."""
         factors, options = _numbers(self.greys), self.options
         tolerance = float(options.tolerance)
@@ -408,7 +427,7 @@ class _Renderer:
             self.warnings.extend(text for text in found.warnings if text not in self.warnings)
         return [_times(found.irradiance, factor) for found, factor in self.parts]
 
-    def _as_asked(self, grey: sources.Source, azimuths: int | Azimuths | None) -> np.ndarray:
+    def _as_asked(self, grey: sources.Source, azimuths: int | Azimuths | None) -> Irradiance:
         """Irradiance (rows, cols) float32 of a grey source by the method and as many units as were asked."""
         scene, engine, max_distance = self.scene, self.engine, self.options.max_distance
         if self.options.method == "unoccluded":
@@ -417,8 +436,8 @@ class _Renderer:
         plan = _plan_of(scene, grey, azimuths, max_distance)
         self.plans.append(plan)
         if isinstance(grey, sources.Sky):
-            return _sky_above_horizons(scene, grey, engine, azimuths, max_distance)
-        return _by_slices(scene, grey, engine, plan)
+            return _sky_above_horizons(scene, grey, engine, azimuths, max_distance, self.stays)
+        return _by_slices(scene, grey, engine, plan, self.stays)
 
     def _plan_as_asked(self) -> Plan:
         options = self.options
@@ -452,7 +471,7 @@ class _Renderer:
             return []
         return shading.mirrored(self.scene, self.greys, self.engine, max_distance)
 
-    def _lattice(self) -> tuple[list[np.ndarray], list[np.ndarray]]:
+    def _lattice(self) -> tuple[list[Any], list[np.ndarray]]:
         """:meth:`_light` over the directions of a hemicube."""
         options, scene, source = self.options, self.scene, self.source
         plan = _lattice_plan(options)
@@ -490,7 +509,7 @@ class _Renderer:
             cube.moments if options.weights == "moment" else cube.directions * cube.solid_angles[:, None]
         )
         irradiances, reflected = propagation.light(
-            self.engine, problem, moments * brightness[..., None], lobe, shares, whole
+            self.engine, problem, moments * brightness[..., None], lobe, shares, whole, self.stays
         )
         return irradiances, reflected + self._mirrored(None)
 
@@ -573,8 +592,12 @@ def _sky_above_horizons(
     engine: Backend,
     azimuths: int | Azimuths | None,
     max_distance: float | None,
-) -> np.ndarray:
-    """A sky above the horizons of as many azimuths as asked: (rows, cols) float32."""
+    stays: bool,
+) -> Irradiance:
+    """A sky above the horizons of as many azimuths as asked: (rows, cols) float32.
+
+    ``stays``: on the device.
+    """
     sectors, table = _sectors(azimuths), None
     if callable(sky.brightness):
         profile = sources.azimuth_profile(sky)
@@ -582,14 +605,15 @@ def _sky_above_horizons(
             sectors = Azimuths.placed(len(sectors), profile)
         table = Integrals(sky, np.inf).table(sectors.angles, sectors.widths, 1025)
     ground, rays = ground_of(scene, max_distance, engine), Rays(sectors.angles, sectors.widths)
-    image = Sweeps(engine, ground, rays, table).irradiance(last=True)
+    sweeps = Sweeps(engine, ground, rays, table)
+    image: Irradiance = sweeps.image() if stays else sweeps.irradiance(last=True)
     return image if table is not None else _times(image, _number(sky))
 
 
 def _by_slices(
-    scene: Scene, source: sources.Lamp | sources.Window, engine: Backend, plan: Plan
-) -> np.ndarray:
-    """A lamp or window in as many slices as planned: (rows, cols) float32."""
+    scene: Scene, source: sources.Lamp | sources.Window, engine: Backend, plan: Plan, stays: bool
+) -> Irradiance:
+    """A lamp or window in as many slices as planned: (rows, cols) float32; ``stays``: on the device."""
     assert plan.azimuths is not None, "a plan of slices says how many"
     brightness = (
         chords(Integrals(sources.Sky(source.brightness), np.inf, True), CHORD_AZIMUTHS, CHORD_KNOTS)
@@ -600,6 +624,10 @@ def _by_slices(
     if slices is None:
         return np.zeros(scene.shape, np.float32)
     slices.run()
+    if stays:
+        found = DeviceImage(engine, slices.image, scene.shape)
+        found.shade(slices.there, 1.0, scale, 0.0)
+        return found
     image = slices.download()
     if callable(source.brightness):  # a difference of sums may round to less than 0
         by_bands(lambda rows: np.maximum(image[rows], 0, out=image[rows]), image.shape)
@@ -720,17 +748,22 @@ def _numbers(greys: Sequence[sources.Source]) -> list[float] | None:
     return None if any(callable(grey.brightness) for grey in greys) else [_number(grey) for grey in greys]
 
 
-def _times(image: np.ndarray, factor: float) -> np.ndarray:
+def _on_host(images: Sequence[Irradiance]) -> list[np.ndarray]:
+    return [np.asarray(image) for image in images]
+
+
+def _times(image: Irradiance, factor: float) -> Irradiance:
     if factor == 1:
+        return image
+    if isinstance(image, DeviceImage):
+        image.scale(factor)
         return image
     found = scratch(image.shape)
     by_bands(lambda rows: np.multiply(image[rows], np.float32(factor), out=found[rows]), image.shape)
     return found
 
 
-def _per_colour(
-    greys: Sequence[sources.Source], work: Callable[[sources.Source], np.ndarray]
-) -> list[np.ndarray]:
+def _per_colour(greys: Sequence[sources.Source], work: Callable[[sources.Source], Irradiance]) -> list[Any]:
     """``work`` (source) for every colour; where colours differ by a factor alone, once, times that factor."""
     factors = _numbers(greys)
     if factors is None:

@@ -242,6 +242,14 @@ class Scene:
         rows, cols = self.depth.shape if held is None else held.shape
         return rows, cols
 
+    def depth_at(self, row: int, col: int) -> np.float32:
+        """Depth of one node [length]; what lies on a device stays there. Not finite where masked."""
+        if self.resident is None:
+            found: np.float32 = self.depth[row, col]
+            return found
+        depth = self.resident.pick(np.array([row * self.shape[1] + col]))[0]
+        return np.float32(depth * (self.spacing / self.resident.step))
+
     @property
     def deepest(self) -> float:
         """The greatest valid depth [length]."""

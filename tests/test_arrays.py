@@ -1,5 +1,6 @@
 """Arrays of other libraries in: the same bytes as NumPy's. xarray in, xarray out."""
 
+import contextlib
 import gc
 import subprocess
 import sys
@@ -510,15 +511,52 @@ def test_shade(backend):
         np.testing.assert_array_equal(np.asarray(image), np.where(np.isfinite(HOLES), expected, np.nan))
 
 
-def test_a_sky_view_factor_stays_where_the_map_is(monkeypatch):
-    """On a GPU, here Warp's CPU that passes for one: the same numbers, and CUDA libraries find the memory."""
+WIDE = scenes.rough(150, 160, 0.8, seed=5).astype(np.float32)
+WIDE_MASK = scenes.rough(150, 160, 1.0, seed=6) > 1
+
+
+@contextlib.contextmanager
+def passing_for_a_gpu():
+    """Warp's CPU as if it were a GPU; the test fails where a whole map is fetched from it or sent to it."""
     engine = select("warp:cpu")
-    monkeypatch.setattr(engine, "shares", False)
-    given = warp_array(DEPTH)
-    found = sl.sky_view_factor(sl.Scene(given, mask=np.isfinite(HOLES)), backend="warp:cpu")
-    assert isinstance(found, resident.DeviceImage)
-    plain = sl.sky_view_factor(sl.Scene(DEPTH, mask=np.isfinite(HOLES)), backend="warp:cpu")
+
+    def counted(transfer):
+        def work(array, *args, **more):
+            if array.size >= WIDE.size and getattr(array, "dtype", None) != np.uint8:
+                pytest.fail(f"a map crossed: {transfer.__name__}")
+            return transfer(array, *args, **more)
+
+        return work
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(engine, "shares", False)
+        for name in ("download", "upload", "put"):
+            patch.setattr(engine, name, counted(getattr(engine, name)))
+        yield
+
+
+STAYS = {
+    "sky by horizons": lambda s, b: sl.render(s, sl.Sky(0.7), "horizon", backend=b, azimuths=8).image,
+    "lamp by slices": lambda s, b: (
+        sl.render(s, sl.Lamp(center=(9, 9, -4), radius=2), "horizon", backend=b).image
+    ),
+    "window by slices": lambda s, b: sl.render(s, sl.Window(x=(3, 12), y=(2, 9)), "horizon", backend=b).image,
+    "lattice": lambda s, b: sl.render(s, sl.Sky(), "lattice", backend=b, hemicube=7).image,
+    "irradiance": lambda s, b: sl.render(s, sl.Sky(), "horizon", backend=b, quantity="irradiance").image,
+    "sky-view factor": lambda s, b: sl.sky_view_factor(s, backend=b),
+}
+
+
+@pytest.mark.parametrize("name", STAYS)
+@pytest.mark.parametrize("masked", [False, True])
+def test_maps_and_images_stay_on_a_gpu(name, masked):
+    """The same numbers as from the host; CUDA libraries find the image where it lies."""
+    mask = WIDE_MASK if masked else None
+    with passing_for_a_gpu():
+        found = STAYS[name](sl.Scene(warp_array(WIDE), mask=mask), "warp:cpu")
+        assert isinstance(found, resident.DeviceImage)
+        described = found.__cuda_array_interface__
+        assert described["shape"] == WIDE.shape and described["typestr"] == "<f4"
+    plain = STAYS[name](sl.Scene(WIDE, mask=mask), "warp:cpu")
     np.testing.assert_array_equal(np.asarray(found), plain)
-    described = found.__cuda_array_interface__
-    assert described["shape"] == DEPTH.shape and described["typestr"] == "<f4"
     np.testing.assert_array_equal(np.from_dlpack(found), plain)

@@ -44,6 +44,13 @@ class DeviceImage:
         if values.ndim:
             self.backend.finish()  # the albedo may be freed
 
+    def scale(self, factor: float) -> None:
+        """Multiply by a number, in place."""
+        count = math.prod(self.shape)
+        one = self.backend.table(np.ones(1, np.float32))
+        numbers = 0, float(factor), -math.inf, count
+        self.backend.launch("resident", "shade", (count,), self.values, self.values, one, *numbers)
+
     def __len__(self) -> int:
         return self.shape[0]
 

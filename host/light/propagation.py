@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..backends.base import Array, Backend, reserve, rounded_up
-from ..backends.resident import Resident
+from ..backends.resident import DeviceImage, Resident
 from ..constants import COPY_SIDE, MOST_PIXELS, PATCH_X, PATCH_Y, SIDES, SKY
 from ..errors import CapacityError
 from ..sources import Geometry
@@ -588,10 +588,16 @@ def light(
     lobe: Lobe | None = None,
     weights: np.ndarray | None = None,
     whole: np.ndarray | None = None,
-) -> tuple[list[np.ndarray], list[np.ndarray]]:
-    """Irradiance, and what a lobe reflects, (rows, cols) float32 per colour; arguments: see Light."""
+    stays: bool = False,
+) -> tuple[list[Any], list[np.ndarray]]:
+    """Irradiance, and what a lobe reflects, (rows, cols) float32 per colour; arguments: see Light.
+
+    ``stays``: irradiances are DeviceImages.
+    """
     light = Light(Surface(backend, problem), moments, lobe, weights, whole)
     light.run()
+    if stays:
+        return [DeviceImage(backend, array, problem.depth.shape) for array in light.sums], []
     irradiances, glosses = (
         [backend.download(array)[: problem.pixels].reshape(problem.depth.shape) for array in arrays]
         for arrays in (light.sums, light.glosses)

@@ -132,7 +132,7 @@ class Slices:
                 " bits. Cut it into tiles."
             )
         rows, cols = self.shape = there.shape
-        backend = there.backend
+        self.there, backend = there, there.backend
         self.backend, self.solid, self.step = backend, solid, there.step
         self.levels = min(max(round(math.log2(cols)) - 2, 1), LEVELS)
         self.width = -(-cols >> self.levels) << self.levels

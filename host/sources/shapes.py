@@ -207,11 +207,12 @@ def geometry(source: Source, scene: Scene, step: float) -> Geometry:
     assert source.center is not None and source.radius is not None, "any other lamp is a sphere"
     x, y, z = source.center
     col, row = (int(np.floor(v / scene.spacing + 0.5)) for v in (x, y))
-    if 0 <= row < scene.shape[0] and 0 <= col < scene.shape[1] and z > scene.depth[row, col]:
+    on_map = 0 <= row < scene.shape[0] and 0 <= col < scene.shape[1]
+    if on_map and z > (depth := scene.depth_at(row, col)):
         raise bad(
             "lamp below the surface",
             f"center z = {z} at (row, col) = ({row}, {col})",
-            f"z <= {scene.depth[row, col]}, the depth of the surface there",
+            f"z <= {depth}, the depth of the surface there",
         )
     return Geometry(BALL, np.array([x, y, z, source.radius]) * step / scene.spacing, nothing)
 
