@@ -208,6 +208,12 @@ class _Options:
         """Whether there is more to show than rho E / pi."""
         return self.lobe(scene) is not None or self.brdf(scene) or self.mirror(scene)
 
+    def needs_irradiance(self, scene: Scene) -> bool:
+        """Whether irradiance is asked for, or reflected: a surface that only shines needs none."""
+        if self.quantity == "irradiance" or bool(np.any(scene.albedo)):
+            return True
+        return not (shading.lobe_of(scene) or shading.has_mirror(scene))
+
     def missing(self, scene: Scene, source: sources.Source) -> str:
         """Why horizons, slices and closed forms cannot render this, or nothing."""
         if scene.sides == "periodic" and self.lobe(scene):
@@ -379,7 +385,7 @@ class _Renderer:
             return self._lattice()
         if self.options.brdf(self.scene):
             return [], self._brdf()
-        irradiances = self._irradiances() if self._needs_irradiance() else []
+        irradiances = self._irradiances() if self.options.needs_irradiance(self.scene) else []
         if not self.plans:
             self._plan_as_asked()
         if self.sun is not None and not self.planned:
@@ -388,12 +394,6 @@ class _Renderer:
             lobe_of = self._sky_lobe if isinstance(self.source, sources.Sky) else self._solid_lobe
             return irradiances, _per_colour(self.greys, lobe_of)
         return irradiances, self._mirrored(self.options.max_distance)
-
-    def _needs_irradiance(self) -> bool:
-        """Whether irradiance is asked for, or reflected: a surface that only shines needs none."""
-        if self.options.quantity == "irradiance" or bool(np.any(self.scene.albedo)):
-            return True
-        return not (shading.lobe_of(self.scene) or shading.has_mirror(self.scene))
 
     def _irradiances(self) -> list[Irradiance]:
         if self.planned:

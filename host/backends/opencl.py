@@ -229,7 +229,7 @@ class OpenclBackend(Backend):
         key = stem, kernel, lanes, constants
         if key not in self._kernels:
             if (stem, lanes, constants) not in self._programs:
-                self._programs[stem, lanes, constants] = self._program(stem, lanes, constants)
+                self._programs[stem, lanes, constants] = _program(self, stem, lanes, constants)
             function = self.cl.Kernel(self._programs[stem, lanes, constants], kernel)
             info = self.cl.kernel_work_group_info
             demanded = function.get_work_group_info(info.COMPILE_WORK_GROUP_SIZE, self._device)[0]
@@ -238,27 +238,30 @@ class OpenclBackend(Backend):
             self._kernels[key] = function, _scalar_kinds(stem, kernel), usual
         return self._kernels[key]
 
-    def _program(self, stem: str, lanes: int, constants: tuple[tuple[str, int], ...]) -> Any:
-        start = time.perf_counter()
-        group = 1 if self.on_cpu else min(SCAN_GROUP, self._device.max_work_group_size)
-        known = {
-            "LANES": lanes,
-            "BITS": 0,
-            "AHEAD": 1 if self.on_cpu else PREFETCHED_DEPTHS,
-            "GROUP": group,
-            "STRIPS": self.strips,
-            "LINES": self.lines,
-            "ON_CPU": int(self.on_cpu),
-            **dict(constants),
-        }
-        defines = [*skylamp.opencl.defines(stem), *(f"-D{name}={value}" for name, value in known.items())]
-        try:
-            program = self.cl.Program(self.context, skylamp.opencl.source(stem))
-            program.build([*OPTIONS, *self._exact, *defines])
-        except self.cl.Error as error:
-            raise BackendError(f"{self.name}: {stem}.cl does not build on {self.device}: {error}") from error
-        self.compile_seconds += time.perf_counter() - start
-        return program
+
+def _program(backend: OpenclBackend, stem: str, lanes: int, constants: tuple[tuple[str, int], ...]) -> Any:
+    start = time.perf_counter()
+    group = 1 if backend.on_cpu else min(SCAN_GROUP, backend._device.max_work_group_size)
+    known = {
+        "LANES": lanes,
+        "BITS": 0,
+        "AHEAD": 1 if backend.on_cpu else PREFETCHED_DEPTHS,
+        "GROUP": group,
+        "STRIPS": backend.strips,
+        "LINES": backend.lines,
+        "ON_CPU": int(backend.on_cpu),
+        **dict(constants),
+    }
+    defines = [*skylamp.opencl.defines(stem), *(f"-D{name}={value}" for name, value in known.items())]
+    try:
+        program = backend.cl.Program(backend.context, skylamp.opencl.source(stem))
+        program.build([*OPTIONS, *backend._exact, *defines])
+    except backend.cl.Error as error:
+        raise BackendError(
+            f"{backend.name}: {stem}.cl does not build on {backend.device}: {error}"
+        ) from error
+    backend.compile_seconds += time.perf_counter() - start
+    return program
 
 
 def _new(backend: OpenclBackend, shape: tuple[int, ...], dtype: DTypeLike) -> Array:

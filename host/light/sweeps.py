@@ -126,7 +126,7 @@ class Sweeps:
         """Set the azimuths and the brightness of the next sweeps."""
         self.rays = rays
         self.what, self.knots = (UNIFORM, 2) if table is None else (TABLE, table.shape[1])
-        self.unit = self._unit(table)
+        self.unit = _unit(rays, table)
         self.halves = [self._half(turned, table) for turned in (False, True)]
 
     def add_light(self, table: np.ndarray, image: Array) -> None:
@@ -361,11 +361,6 @@ class Sweeps:
             BLOCKS=int(half.windows[first] < ENDLESS_WINDOW),
         )
 
-    def _unit(self, table: np.ndarray | None) -> float:
-        """Fixed-point units of an irradiance of 1: no sum exceeds 2^30."""
-        most = np.ones(len(self.rays.widths)) if table is None else np.hypot(table[:, 0, 0], table[:, 0, 1])
-        return 2.0**30 / max(float(most @ self.rays.widths), 1e-20)  # within float32 also under a black sky
-
     def _half(self, turned: bool, table: np.ndarray | None) -> Half:
         keep = self.backend.table
         rows, cols = self.shape[:: -1 if turned else 1]
@@ -386,7 +381,9 @@ class Sweeps:
             warm = math.ceil(max(rows, cols, self.relief / LEAST_SEARCHED_SLOPE))
         elif periodic:
             warm = math.ceil(self.reach) + 1
-        shears, tables = self._shear_tables(numbers, windows, reach, warm, across, along)
+        shears, tables = _shear_tables(
+            self.near, self.rays, self.unit, numbers, windows, reach, warm, across, along
+        )
         if table is not None and len(numbers):
             brightness = keep(np.ascontiguousarray(table[numbers], np.float32))
         else:
@@ -405,44 +402,54 @@ class Sweeps:
             brightness,
         )
 
-    def _shear_tables(
-        self,
-        numbers: np.ndarray,
-        windows: np.ndarray,
-        reach: np.ndarray,
-        warm: int,
-        across: np.ndarray,
-        along: np.ndarray,
-    ) -> tuple[np.ndarray, tuple[np.ndarray, ...]]:
-        """(shears of the azimuths, the kernel's azimuths, ways, near_at and near_weight).
 
-        ``across``, ``along``: components of every azimuth along a row of the map, and from row to row.
-        """
-        near, columns = self.near, self.near - 1  # as in opencl/horizon.cl
-        a, b = across[numbers], along[numbers]
-        shears = _whole_shears(a / np.abs(b))
-        steepness = np.abs(shears)
-        flat = steepness == 0
-        inverse = np.where(flat, 1e9, 1 / np.where(flat, 1, steepness))
-        within = np.minimum(near, reach)
-        near_columns = np.minimum(columns, np.floor(within * steepness + 1e-9)).astype(int)
-        near_rows = np.floor(within + 1e-9)
-        azimuths, ways = np.zeros((len(numbers), 8)), np.zeros((len(numbers), 8), np.int32)
-        widths = self.rays.widths[numbers] * self.unit
-        azimuths[:, :7] = np.stack([shears, a, b, np.abs(b), widths, inverse, np.minimum(reach, 1e30)], 1)
-        warms = np.full(len(numbers), warm)
-        ways[:, :5] = np.stack([np.where(b < 0, 1, -1), near_rows, near_columns, warms, windows], 1)
-        near_at = np.zeros((len(numbers), near + columns, 2), np.int32)
-        near_weight = np.zeros((len(numbers), near + columns))
-        rows = np.arange(1, near + 1) * shears[:, None]
-        near_at[:, :near, 0], near_at[:, :near, 1] = np.floor(rows), np.arange(1, near + 1)
-        near_weight[:, :near] = rows - np.floor(rows)
-        e = np.arange(1, columns + 1)
-        used = e <= near_columns[:, None]
-        down = np.where(used, e / np.where(flat, 1, steepness)[:, None], 0)
-        near_at[:, near:, 0] = np.where(used, np.copysign(e, shears[:, None]), 0)
-        near_at[:, near:, 1], near_weight[:, near:] = np.floor(down), down - np.floor(down)
-        return shears, (azimuths.astype(np.float32), ways, near_at, near_weight.astype(np.float32))
+def _unit(rays: Rays, table: np.ndarray | None) -> float:
+    """Fixed-point units of an irradiance of 1: no sum exceeds 2^30."""
+    most = np.ones(len(rays.widths)) if table is None else np.hypot(table[:, 0, 0], table[:, 0, 1])
+    return 2.0**30 / max(float(most @ rays.widths), 1e-20)  # within float32 also under a black sky
+
+
+def _shear_tables(
+    near: int,
+    rays: Rays,
+    unit: float,
+    numbers: np.ndarray,
+    windows: np.ndarray,
+    reach: np.ndarray,
+    warm: int,
+    across: np.ndarray,
+    along: np.ndarray,
+) -> tuple[np.ndarray, tuple[np.ndarray, ...]]:
+    """(shears of the azimuths, the kernel's azimuths, ways, near_at and near_weight).
+
+    ``unit``: of the fixed-point sum. ``across``, ``along``: components of every azimuth along a row of the
+    map, and from row to row.
+    """
+    columns = near - 1  # as in opencl/horizon.cl
+    a, b = across[numbers], along[numbers]
+    shears = _whole_shears(a / np.abs(b))
+    steepness = np.abs(shears)
+    flat = steepness == 0
+    inverse = np.where(flat, 1e9, 1 / np.where(flat, 1, steepness))
+    within = np.minimum(near, reach)
+    near_columns = np.minimum(columns, np.floor(within * steepness + 1e-9)).astype(int)
+    near_rows = np.floor(within + 1e-9)
+    azimuths, ways = np.zeros((len(numbers), 8)), np.zeros((len(numbers), 8), np.int32)
+    widths = rays.widths[numbers] * unit
+    azimuths[:, :7] = np.stack([shears, a, b, np.abs(b), widths, inverse, np.minimum(reach, 1e30)], 1)
+    warms = np.full(len(numbers), warm)
+    ways[:, :5] = np.stack([np.where(b < 0, 1, -1), near_rows, near_columns, warms, windows], 1)
+    near_at = np.zeros((len(numbers), near + columns, 2), np.int32)
+    near_weight = np.zeros((len(numbers), near + columns))
+    rows = np.arange(1, near + 1) * shears[:, None]
+    near_at[:, :near, 0], near_at[:, :near, 1] = np.floor(rows), np.arange(1, near + 1)
+    near_weight[:, :near] = rows - np.floor(rows)
+    e = np.arange(1, columns + 1)
+    used = e <= near_columns[:, None]
+    down = np.where(used, e / np.where(flat, 1, steepness)[:, None], 0)
+    near_at[:, near:, 0] = np.where(used, np.copysign(e, shears[:, None]), 0)
+    near_at[:, near:, 1], near_weight[:, near:] = np.floor(down), down - np.floor(down)
+    return shears, (azimuths.astype(np.float32), ways, near_at, near_weight.astype(np.float32))
 
 
 def _batches(half: Half, most: int) -> Iterator[tuple[int, int]]:
