@@ -43,7 +43,9 @@ ERROR_MAP_RADIUS = 4
 ERROR_MAP_FACTOR = np.float32(1.25)
 # half widths of a lobe between directions, from which on its sum may be too large by 1 in a thousand
 COARSE_LOBE = 1.2
-LEAK_SLOPE = 0.7  # rms slope from which the unfilled step leaks from M = 7 on (README, Limits)
+# rms slope, of steps between neighbours, and hemicube from which on unfilled steps leak light. Chosen: on
+# ground of slope 1 they do from M = 7 on, of slope 0.5 only from M = 33 on (performance/lattice_error.py)
+LEAK_SLOPE, LEAK_SIZE = 0.7, 7
 REPEATED_LOBE = "a lobe over a map that repeats"
 
 Result = TypeVar("Result")
@@ -484,7 +486,7 @@ class _Renderer:
         problem = lattice_problem(
             self.engine, scene, source, cube, bool(plan.filled)
         )  # checks that the source fits
-        self.warnings.extend(warnings_of(problem, scene, source, cube))
+        self.warnings.extend(lattice_warnings(problem, scene, source, cube))
         brightness = np.stack([sources.radiance(grey, cube.directions) for grey in self.greys])
         lobe, shares, whole = (
             shading.lobe_of(scene, 1e-6) if options.quantity == "radiance" else None,
@@ -871,14 +873,14 @@ def _lattice_plan(options: _Options) -> Plan:
     return Plan("lattice", DEFAULT_HEMICUBE if size is None else size, filled, "as asked")
 
 
-def warnings_of(problem: Problem, scene: Scene, source: sources.Source, cube: Hemicube) -> list[str]:
+def lattice_warnings(problem: Problem, scene: Scene, source: sources.Source, cube: Hemicube) -> list[str]:
     """What the lattice is known to get wrong for this scene and source, one sentence each."""
     return [*_leak(problem, cube), *_small_lamp(scene, source, cube)]
 
 
 def _leak(problem: Problem, cube: Hemicube) -> list[str]:
     """A warning where unfilled steps jump over ridges."""
-    if problem.filled or cube.size < 7:
+    if problem.filled or cube.size < LEAK_SIZE:
         return []
     assert isinstance(problem.depth, Resident), "a scene's map lies on the device"
     found = problem.depth.survey()

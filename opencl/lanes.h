@@ -1,4 +1,4 @@
-/* LANES adjacent lines or pixels per work-item: 1 on a GPU, 8 or 16 on a CPU, where they fill one vector
+/* LANES adjacent lines or pixels per work-item: 1 on a GPU; 8 on a CPU, in some stems 16, which fill one vector
    register. */
 #pragma OPENCL FP_CONTRACT OFF
 #define JOIN_(a, b) a##b

@@ -1,6 +1,7 @@
 """The kernels in NumPy, a file per stem.
 
-Names, arguments and bits are those of Warp and OpenCL; each kernel works on whole rows at a time.
+Names, arguments and visibility bits are those of Warp and OpenCL, and sums are theirs but for rounding. Each
+kernel works on whole rows at a time.
 """
 
 from __future__ import annotations
