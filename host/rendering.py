@@ -451,11 +451,13 @@ class _Renderer:
         scene, options = self.scene, self.options
         self._plan_as_asked()
         if not isinstance(self.source, sources.Sky):
-            return shading.by_brdf(scene, self.greys, self.engine, options.max_distance)
+            rays = shading.through_solid(scene, self.greys[0], self.engine, options.max_distance)
+            return shading.by_brdf(scene, self.greys, rays)
         sectors = _sectors(options.azimuths)
         ground = ground_of(scene, options.max_distance, self.engine)
         sweeps = Sweeps(self.engine, ground, Rays(sectors.angles, sectors.widths), near=FINE_NEAR_ROWS)
-        return shading.by_brdf_under_sky(scene, self.greys, sweeps.planes(), sectors)
+        parts = shading.above_horizons(scene, sweeps.planes(), sectors)
+        return shading.by_brdf(scene, self.greys, parts)
 
     def _sky_lobe(self, grey: sources.Source) -> np.ndarray:
         assert self.lobe is not None, "called for surfaces with a lobe"
@@ -506,7 +508,7 @@ class _Renderer:
                 self.warnings.append(_narrow_lobe(lobe, spacing, "method='horizon' or a larger hemicube"))
         if options.brdf(scene):
             bits = propagation.visibility(self.engine, problem)
-            return [], shading.by_brdf_on_lattice(scene, self.greys, bits, cube)
+            return [], shading.by_brdf(scene, self.greys, shading.of_lattice(bits, cube))
         moments = (
             cube.moments if options.weights == "moment" else cube.directions * cube.solid_angles[:, None]
         )

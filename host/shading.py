@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
 
@@ -94,35 +94,37 @@ def mirrored(
     return out
 
 
-def by_brdf(
-    scene: Scene, greys: Sequence[sources.Source], engine: Backend, max_distance: float | None
-) -> list[np.ndarray]:
-    """Radiance of a BRDF under a lamp or window, by rays spread evenly over its solid angle or area."""
-    rays, reflect = _Rays(scene, engine, max_distance), _Reflection(scene)
+# Light that reaches the nodes, a part at a time: L (rows, cols, n, 3) unit vectors, weights (rows, cols, n)
+# [sr], 0 where the source is not visible
+Parts = Iterator[tuple[np.ndarray, np.ndarray]]
+
+
+def by_brdf(scene: Scene, greys: Sequence[sources.Source], parts: Parts) -> list[np.ndarray]:
+    """Radiance of a BRDF under all parts of the light, (rows, cols) float32 for each grey source."""
+    reflect = _Reflection(scene)
     images = [np.zeros(scene.shape) for _ in greys]
-    u = (np.arange(BRDF_RAYS) + 0.5) / BRDF_RAYS
-    for a in u:
-        L, ends, weights = _aim(scene, greys[0], a, u)
-        lit = rays.free(L, ends) & (weights > 0)
-        for image, light in zip(images, reflect(greys, L, np.where(lit, weights, 0.0))):
+    for L, weights in parts:
+        for image, light in zip(images, reflect(greys, L, weights)):
             image += light
     return [image.astype(np.float32) for image in images]
 
 
-def by_brdf_under_sky(
-    scene: Scene,
-    greys: Sequence[sources.Source],
-    planes: Iterable[tuple[np.ndarray, np.ndarray]],
-    sectors: Azimuths,
-) -> list[np.ndarray]:
-    """Radiance of a BRDF under a sky above horizons.
+def through_solid(scene: Scene, source: sources.Source, engine: Backend, max_distance: float | None) -> Parts:
+    """Rays to a lamp or window, spread evenly over its solid angle or area."""
+    rays = _Rays(scene, engine, max_distance)
+    u = (np.arange(BRDF_RAYS) + 0.5) / BRDF_RAYS
+    for a in u:
+        L, ends, weights = _aim(scene, source, a, u)
+        yield L, np.where(rays.free(L, ends) & (weights > 0), weights, 0.0)
+
+
+def above_horizons(scene: Scene, planes: Iterable[tuple[np.ndarray, np.ndarray]], sectors: Azimuths) -> Parts:
+    """Directions between the horizons and the zenith, azimuth by azimuth.
 
     ``planes`` yields (numbers of azimuths (n,), their horizons' slopes (n, rows, cols)), a few at a time.
     """
-    reflect = _Reflection(scene)
-    images = [np.zeros(scene.shape) for _ in greys]
     node, weight = np.polynomial.legendre.leggauss(BRDF_ELEVATIONS)
-    gx, gy = reflect.tilts
+    gx, gy = tilts(scene).astype(float)
     for numbers, slopes in planes:
         for number, slope in zip(numbers, slopes):
             c, s = np.cos(sectors.angles[number]), np.sin(sectors.angles[number])
@@ -131,24 +133,15 @@ def by_brdf_under_sky(
             half = (np.pi / 2 - low) / 2
             e = low + half * (1 + node)
             L = np.stack([np.cos(e) * c, np.cos(e) * s, -np.sin(e)], -1)
-            weights = half * weight * np.cos(e) * sectors.widths[number]
-            for image, light in zip(images, reflect(greys, L, weights)):
-                image += light
-    return [image.astype(np.float32) for image in images]
+            yield L, half * weight * np.cos(e) * sectors.widths[number]
 
 
-def by_brdf_on_lattice(
-    scene: Scene, greys: Sequence[sources.Source], bits: np.ndarray, cube: Hemicube
-) -> list[np.ndarray]:
-    """Radiance of a BRDF over the directions of a hemicube that ``bits`` (rows, cols, words) has visible."""
-    reflect = _Reflection(scene)
-    images = [np.zeros(scene.shape) for _ in greys]
+def of_lattice(bits: np.ndarray, cube: Hemicube) -> Parts:
+    """The directions of a hemicube that ``bits`` (rows, cols, words) has visible."""
     for some in np.array_split(np.arange(len(cube)), -(-len(cube) // 16)):
         lit = np.stack([bits[..., d // 32] >> np.uint32(d % 32) & np.uint32(1) for d in some], -1)
-        L = np.broadcast_to(cube.directions[some], (*scene.shape, len(some), 3))
-        for image, light in zip(images, reflect(greys, L, lit * cube.solid_angles[some])):
-            image += light
-    return [image.astype(np.float32) for image in images]
+        L = np.broadcast_to(cube.directions[some], (*bits.shape[:2], len(some), 3))
+        yield L, lit * cube.solid_angles[some]
 
 
 class _Reflection:
