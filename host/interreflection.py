@@ -17,25 +17,27 @@ import numpy as np
 
 from .backends.base import Backend
 from .errors import bad
-from .light.interreflection import Bounces, Round
+from .light.interreflection import OFFSET, Bounces, Round
 from .light.sweeps import Rays, Sweeps, ground_of
 from .samples import Samples
 from .scene import Scene
 from .sources.integrals import even
 
 NEEDED = 1 / 3  # of the tolerance: what may be left out
-# nodes whose light is computed by exact strips, and their azimuths; chosen: the RMS of 192 errors is known to
-# some 5 %, and 48 azimuths are off by 0.1 % of a uniform sky's light on rough ground
-CHECKED, CHECKED_AZIMUTHS = 192, 48
+# nodes whose light is computed by exact strips; chosen: they tell an RMS to 1 / sqrt(2 x 144), 6 %, and their
+# strips take time in proportion
+CHECKED = 144
 ESTIMATE_SHARE = 0.85  # of the tolerance that the estimated error of all light may take; as in refinement.py
-LEAST_SHARE = 1 / 3  # of the tolerance that the first level's error may be for the sake of the light alone
-UNFINISHED = 0.1  # of the tolerance: light that bounces more often than there are rounds
-MOST_ROUNDS = 8  # coarse ones
+UNFINISHED = 0.1  # of the tolerance: light that bounces more often than there are rounds; chosen
+MOST_COARSE_ROUNDS = 8
 # RMS error of a uniform sky's light over pi by even azimuths, on rough ground (performance/horizon.py)
-SKY_AZIMUTHS = {16: 0.0031, 32: 0.0011, 64: 0.00037, 128: 0.00013}
+AZIMUTH_ERRORS = {16: 0.0031, 32: 0.0011, 64: 0.00037, 128: 0.00013}
+# of the tolerance that azimuths may take where they tell the share of sky, and at checked nodes; chosen
+SKY_ERROR, CHECK_ERROR = 0.4, 0.15
 COARSE = Round(8, 4, 4, 0.25)
-# error of the first level over the light between surfaces, at most (performance/interreflection.py)
-FIRST_LEVEL_ERROR = 0.07
+# error of the first level over the light between surfaces, at most (performance/interreflection.py), and of
+# the tolerance that it may be expected to take; from a level that does not suffice the next goes on
+FIRST_LEVEL_ERROR, FIRST_LEVEL_SHARE = 0.07, 0.6
 # a round of each level, after the coarse ones
 LEVELS = (
     Round(8, 2, 4, 0.25, True),
@@ -44,9 +46,11 @@ LEVELS = (
     Round(32, 1, 16, 0.125),
     Round(64, 1, 32, 0.1),
 )
-# among cliffs, where most light bounces often and edges hide much: crossings met one by one at least, and
-# rounds of the second level and of all that follow
-CLIFF_NEAR, CLIFF_ROUNDS = 16, 3
+# among cliffs edges hide much: crossings met one by one at least, and rounds of each level but the first
+CLIFF_NEAR, CLIFF_ROUNDS = 16, 2
+# from this level on, one that leaves more than this share of the error is the last: what is left is not what
+# more azimuths mend
+GAINED_FROM, GAIN = 3, 0.9
 
 
 @dataclass(frozen=True)
@@ -153,17 +157,20 @@ def reason(share: float | None, tolerance: float) -> str:
 
 
 def _first_level(share: float, tolerance: float) -> int:
-    return 0 if FIRST_LEVEL_ERROR * share <= LEAST_SHARE * tolerance else 1
+    return 0 if FIRST_LEVEL_ERROR * share <= FIRST_LEVEL_SHARE * tolerance else 1
 
 
 def sky_share(scene: Scene, engine: Backend, tolerance: float) -> np.ndarray:
     """Share of sky that every node sees, cosine-weighted, (rows, cols) float32, by a sweep."""
-    allowed = 0.25 * tolerance
-    count = next((n for n, error in SKY_AZIMUTHS.items() if error <= allowed), max(SKY_AZIMUTHS))
-    sectors = even(count, 1 / 3)
+    sectors = even(_azimuths(SKY_ERROR * tolerance), OFFSET)
     ground = ground_of(scene, None, engine)
     found: np.ndarray = Sweeps(engine, ground, Rays(sectors.angles, sectors.widths)).irradiance(last=True)
     return found * np.float32(1 / np.pi)
+
+
+def _azimuths(allowed: float) -> int:
+    """The fewest azimuths whose error is no more than ``allowed``, or the most."""
+    return next((n for n, error in AZIMUTH_ERRORS.items() if error <= allowed), max(AZIMUTH_ERRORS))
 
 
 def included(
@@ -190,16 +197,17 @@ def included(
         Bounces(engine, scene, samples, lights, shares, sky), lights, shares, sky, error, is_uniform
     )
     coarse = check.coarse_rounds(tolerance)
-    check.bounces.run([COARSE] * coarse)
-    done, level = coarse, _first_level(check.share, tolerance)
+    check.bounces.run([COARSE._replace(kinks=samples.cliffs > 0)] * coarse)
+    done, level, before = coarse, _first_level(check.share, tolerance), math.inf
     while True:
         rounds = _rounds(level, samples.cliffs > 0)
         check.bounces.run(rounds)
         done += len(rounds)
-        total, errors = check.errors()
-        if total <= ESTIMATE_SHARE * tolerance or level + 1 == len(LEVELS):
+        total, errors = check.errors(_azimuths(CHECK_ERROR * tolerance))
+        useless = level >= GAINED_FROM and total > GAIN * before
+        if total <= ESTIMATE_SHARE * tolerance or level + 1 == len(LEVELS) or useless:
             break
-        level += 1
+        before, level = total, level + 1
     last = rounds[-1]
     record = Interreflection(True, why, check.share, done, last.azimuths, last.stride, total)
     warnings = []
@@ -251,19 +259,19 @@ class _Check:
         The start is the light of a node among its like, and one round more is at least that of the first
         level.
         """
-        rounds = range(1, MOST_ROUNDS)
-        return next((n for n in rounds if self._left(n + 1) <= UNFINISHED * tolerance), MOST_ROUNDS)
+        rounds = range(1, MOST_COARSE_ROUNDS)
+        return next((n for n in rounds if self._left(n + 1) <= UNFINISHED * tolerance), MOST_COARSE_ROUNDS)
 
-    def errors(self) -> tuple[float, list[float]]:
+    def errors(self, azimuths: int) -> tuple[float, list[float]]:
         """(RMS error over the mean of all light, of the worst colour; RMS error of every colour).
 
-        By exact strips of the present light. The residual is what one more bounce changes; all bounces more
-        change it by 1 / (1 - q), if all ground is alike. The direct light's own error is part of it under a
-        uniform sky, whose strips are known as well: where less sky is seen there is more ground. Under other
-        sources it is independent.
+        By exact strips of the present light in so many azimuths. The residual is what one more bounce
+        changes; all bounces more change it by 1 / (1 - q), if all ground is alike. The direct light's own
+        error is part of it under a uniform sky, whose strips are known as well: where less sky is seen there
+        is more ground. Under other sources it is independent.
         """
         samples, found = self.samples, self.bounces.irradiance()
-        light, sky = self.bounces.at_samples(CHECKED_AZIMUTHS)
+        light, sky = self.bounces.at_samples(azimuths)
         worst, errors = 0.0, []
         for image, direct, share, sent in zip(found, self.direct, self.albedo, light):
             total = samples.of(image)

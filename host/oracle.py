@@ -671,7 +671,8 @@ def _ends(
     past = np.zeros(len(seen))
     if before[0] > 0:
         low, high = ((end[1] - own - highest * end[0])[seen] for end in (before, here))
-        past = np.where(low >= 0, 0.0, -low / np.where(low < 0, high - low, 1.0))
+        crosses = (low < 0) & (high > low)  # on a plane rounding alone may raise a crossing
+        past = np.minimum(1.0, np.where(crosses, -low / np.where(crosses, high - low, 1.0), 0.0))
     return (1 - past) / 2, (1 + past) / 2
 
 

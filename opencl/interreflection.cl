@@ -153,8 +153,10 @@ void gathered(__global const float *restrict heights, __global const float *rest
       /* 3. the strip that it opens: its share, and the mean of the light at both ends */
       if (ANY(seen)) {
         const floats low = before - slope * was_distance, high = stands - slope * distance;
-        const ints past_near = seen & WHERE(low < 0) & WHERE((floats)was_distance > 0);
-        const floats part = past_near ? -low / (high - low) : (floats)0;
+        /* on a plane rounding alone may raise a crossing, and then high may be below 0, or below low */
+        const ints past_near = seen & WHERE(low < 0) & WHERE(high > low) & WHERE((floats)was_distance > 0);
+        floats part = past_near ? -low / (high - low) : (floats)0;
+        part = part < 1 ? part : (floats)1;
         const floats here = below(rises, plane), share = seen ? (here - past) * 0.5f : (floats)0;
         for (int l = 0; l < LIGHTS; ++l) {
           __global const float *map = light + (size_t)l * phases * plane_size;
@@ -418,8 +420,9 @@ __kernel void strips(__global const float *heights, __global const float *light,
     /* 3. the strip that it opens */
     if (rises > slope) {
       const float below_line = before - slope * was_distance, above_line = stands - slope * distance;
-      const float part =
-          was_distance > 0 && below_line < 0 ? -below_line / (above_line - below_line) : 0.0f;
+      float part = 0;
+      if (was_distance > 0 && below_line < 0 && above_line > below_line)
+        part = min(-below_line / (above_line - below_line), 1.0f);
       const float here = below(rises, plane), share = (here - past) * 0.5f;
       for (int l = 0; l < LIGHTS; ++l) {
         __global const float *map = light + (size_t)l * (1 << shift) * plane_size;

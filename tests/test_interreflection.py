@@ -120,6 +120,20 @@ def test_rounds_come_to_the_oracles_light(fast):
     assert error(found.irradiance()[0]) < 0.01 < 0.1 < error(direct)
 
 
+def test_planes_that_rounding_bends(backend):
+    """Two slanted planes that meet: crossings of one height but for rounding; light is finite and bounded."""
+    y, x = np.mgrid[:24, :40]
+    depth = (1.1 * (12 - np.minimum(np.abs(0.9 * (x - 19.5) + 0.436 * (y - 11.5)), 12))).astype(np.float32)
+    depth -= depth.min()
+    sky = np.full(depth.shape, 0.8, np.float32)
+    found = bounces(backend, depth, np.ones(depth.shape, bool), "open", [np.pi * sky], [0.8], sky)
+    found.run([Round(36, 4, 8, 0.125, True), Round(36, 2, 8, 0.125), Round(36, 1, 8, 0.125)])
+    got = found.irradiance()[0]
+    assert (got >= np.float32(np.pi) * sky).all() and (got <= np.pi).all()
+    light, _ = found.at_samples(72)
+    assert (light >= 0).all() and (light <= np.pi).all()
+
+
 @pytest.mark.parametrize("stride, bound", [(4, 0.003), (2, 0.003), (1, 0.003)])
 def test_bowl(fast, stride, bound):
     """In a spherical bowl E = E_d / (1 - albedo (1 - f)), f = (1 + cos a) / 2."""

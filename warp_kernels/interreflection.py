@@ -190,8 +190,9 @@ def gathered_by(LIGHTS: int):
                     low = before - slope * was_distance
                     high = stands - slope * distance
                     part = wp.float32(0.0)
-                    if low < wp.float32(0.0) and was_distance > wp.float32(0.0):
-                        part = -low / (high - low)
+                    # on a plane rounding alone may raise a crossing; high may then be below 0, or below low
+                    if low < wp.float32(0.0) and high > low and was_distance > wp.float32(0.0):
+                        part = wp.min(-low / (high - low), wp.float32(1.0))
                     here = below(rises, plane)
                     share = (here - past) * wp.float32(0.5)
                     for m in range(LIGHTS):
@@ -613,8 +614,12 @@ def strips(LIGHTS: int):
                 below_line = before - slope * was_distance
                 above_line = stands - slope * distance
                 part = wp.float32(0.0)
-                if was_distance > wp.float32(0.0) and below_line < wp.float32(0.0):
-                    part = -below_line / (above_line - below_line)
+                if (
+                    was_distance > wp.float32(0.0)
+                    and below_line < wp.float32(0.0)
+                    and above_line > below_line
+                ):
+                    part = wp.min(-below_line / (above_line - below_line), wp.float32(1.0))
                 here = below(rises, plane)
                 share = (here - past) * wp.float32(0.5)
                 for m in range(LIGHTS):

@@ -119,8 +119,9 @@ class _Strips:
         rises = stands / distance if rises_by is None else stands * rises_by
         seen = (at >= 0) & (rises > self.slope)
         low, high = before - self.slope * was_distance, stands - self.slope * distance
-        past_near = seen & (low < 0) & (was_distance > 0)
-        part = np.where(past_near, -low / np.where(past_near, high - low, ONE), ZERO)
+        # on a plane rounding alone may raise a crossing, and then high may be below 0, or below low
+        past_near = seen & (low < 0) & (high > low) & (was_distance > 0)
+        part = np.minimum(np.where(past_near, -low / np.where(past_near, high - low, ONE), ZERO), ONE)
         here = _below(rises, self.plane)
         share = np.where(seen, (here - self.past) * HALF, ZERO)
         for num, light in zip(self.num, self.light):
