@@ -34,6 +34,9 @@ MOST_COARSE_ROUNDS = 8
 AZIMUTH_ERRORS = {16: 0.0031, 32: 0.0011, 64: 0.00037, 128: 0.00013}
 # of the tolerance that azimuths may take where they tell the share of sky, and at checked nodes; chosen
 SKY_ERROR, CHECK_ERROR = 0.4, 0.15
+# the same of the share of sky among cliffs, where the error of azimuths is some three times that on rough
+# ground, and rows within which every crossing is tested there, as for the direct light
+CLIFF_SKY_ERROR, FINE_NEAR = 0.12, 24
 COARSE = Round(8, 4, 4, 0.25)
 # error of the first level over the light between surfaces, at most (performance/interreflection.py), and of
 # the tolerance that it may be expected to take; from a level that does not suffice the next goes on
@@ -160,12 +163,13 @@ def _first_level(share: float, tolerance: float) -> int:
     return 0 if FIRST_LEVEL_ERROR * share <= FIRST_LEVEL_SHARE * tolerance else 1
 
 
-def sky_share(scene: Scene, engine: Backend, tolerance: float) -> np.ndarray:
+def sky_share(scene: Scene, engine: Backend, tolerance: float, has_cliffs: bool = False) -> np.ndarray:
     """Share of sky that every node sees, cosine-weighted, (rows, cols) float32, by a sweep."""
-    sectors = even(_azimuths(SKY_ERROR * tolerance), OFFSET)
+    sectors = even(_azimuths((CLIFF_SKY_ERROR if has_cliffs else SKY_ERROR) * tolerance), OFFSET)
     ground = ground_of(scene, None, engine)
-    found: np.ndarray = Sweeps(engine, ground, Rays(sectors.angles, sectors.widths)).irradiance(last=True)
-    return found * np.float32(1 / np.pi)
+    near = FINE_NEAR if has_cliffs else None
+    sweeps = Sweeps(engine, ground, Rays(sectors.angles, sectors.widths), near=near)
+    return sweeps.irradiance(last=True) * np.float32(1 / np.pi)
 
 
 def _azimuths(allowed: float) -> int:
@@ -189,7 +193,7 @@ def included(
     """
     samples = Samples(engine, scene, CHECKED)
     is_uniform = sky is not None
-    sky = sky_share(scene, engine, tolerance) if sky is None else sky
+    sky = sky_share(scene, engine, tolerance, samples.cliffs > 0) if sky is None else sky
     shares = albedos(scene)
     count = max(len(direct), len(shares))
     lights, shares = ([values[n % len(values)] for n in range(count)] for values in (direct, shares))

@@ -4,8 +4,8 @@
 
 Some 20 minutes on two idle cores. On eight surfaces, at albedo 0.8, under a uniform sky, a gradient, a sky
 with a sun and a spherical lamp, images within 1 % and 0.3 % are compared at 300 nodes with exact light: that
-of the source by exact rays, and light between surfaces by exact strips over every crossing of 180 azimuths, of
-a solution that 64 azimuths at every node have made (one more exact bounce makes that as exact as the strips).
+of the source by exact rays, that between surfaces by exact strips over every crossing of 180 azimuths, of a
+solution that 64 azimuths at every node have made (one more exact bounce makes that as exact as the strips).
 
 Writes interreflection.csv: error (RMS, largest, bias; over the mean), the share that is left out without it,
 its estimate, and processor time beside that of direct light; and interreflection.png, one scene at three
