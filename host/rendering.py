@@ -353,34 +353,6 @@ class _Renderer:
         known = _on_host(direct)
         return list(known), list(self._interreflected(known)), shine
 
-    def _interreflected(self, direct: list[np.ndarray]) -> list[np.ndarray]:
-        """Irradiances of all light; where colours differ by a factor alone, of one and times that factor."""
-        scene, options, factors = self.scene, self.options, _numbers(self.greys)
-        tolerance = float(options.tolerance)
-        brightest = 0 if factors is None else int(np.argmax(factors))
-        alike = factors is not None and factors[brightest] > 0 and np.ndim(scene.albedo) in (0, 2)
-        lights, sky = direct, None
-        if alike and factors is not None:  # that of brightness 1, as it is for a grey source
-            unit = np.float32(factors[brightest])
-            lights = [self.parts[0][0].irradiance if self.parts else direct[brightest] / unit]
-        whole_sky = isinstance(self.source, sources.Sky) and options.max_distance is None
-        if alike and factors is not None and whole_sky and not self.by_lattice:
-            sky = lights[0] * np.float32(1 / np.pi)
-        error = max((plan.error or 0.0 for plan in self.plans), default=0.0)
-        why = "as asked"
-        if options.interreflection == "auto":
-            why = reason(_share_between(self.plans), tolerance)
-        found = included(scene, self.engine, lights, tolerance, why, error, sky)
-        self.interreflection = found.record
-        self.warnings.extend(found.warnings)
-        if self.planned:
-            self.plans[0] = replace(self.plans[0], error=found.record.error)
-        if not alike or factors is None:
-            self.between = [max(found.errors)] if len(direct) == 1 else found.errors
-            return found.irradiances
-        self.between = [factor * found.errors[0] for factor in factors]
-        return _on_host([_times(found.irradiances[0], factor) for factor in factors])
-
     def _light(self) -> tuple[list[Any], list[np.ndarray]]:
         """Irradiances, and what the surface reflects besides rho E / pi: one array per colour each."""
         if self.by_lattice:
@@ -519,6 +491,35 @@ class _Renderer:
 
 
 # -- light between surfaces
+
+
+def _interreflected(call: _Renderer, direct: list[np.ndarray]) -> list[np.ndarray]:
+    """Irradiances of all light; where colours differ by a factor alone, of one and times that factor."""
+    scene, options, factors = call.scene, call.options, _numbers(call.greys)
+    tolerance = float(options.tolerance)
+    brightest = 0 if factors is None else int(np.argmax(factors))
+    alike = factors is not None and factors[brightest] > 0 and np.ndim(scene.albedo) in (0, 2)
+    lights, sky = direct, None
+    if alike and factors is not None:  # that of brightness 1, as it is for a grey source
+        unit = np.float32(factors[brightest])
+        lights = [call.parts[0][0].irradiance if call.parts else direct[brightest] / unit]
+    whole_sky = isinstance(call.source, sources.Sky) and options.max_distance is None
+    if alike and factors is not None and whole_sky and not call.by_lattice:
+        sky = lights[0] * np.float32(1 / np.pi)
+    error = max((plan.error or 0.0 for plan in call.plans), default=0.0)
+    why = "as asked"
+    if options.interreflection == "auto":
+        why = reason(_share_between(call.plans), tolerance)
+    found = included(scene, call.engine, lights, tolerance, why, error, sky)
+    call.interreflection = found.record
+    call.warnings.extend(found.warnings)
+    if call.planned:
+        call.plans[0] = replace(call.plans[0], error=found.record.error)
+    if not alike or factors is None:
+        call.between = [max(found.errors)] if len(direct) == 1 else found.errors
+        return found.irradiances
+    call.between = [factor * found.errors[0] for factor in factors]
+    return _on_host([_times(found.irradiances[0], factor) for factor in factors])
 
 
 def _left_out(scene: Scene, options: _Options, plans: list[Plan] | None) -> str:
