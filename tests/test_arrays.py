@@ -295,11 +295,21 @@ def test_a_map_on_a_gpu_stays_there(library, stays):
         sl.Scene(there(DEPTH), albedo=there(np.full(DEPTH.shape, 0.5, np.float32))),
     )
     assert scene.resident.backend.name == name
-    assert_bits_equal(
-        sl.render(scene, sl.Sky(), azimuths=12, backend=name).image,
-        sl.render(plain, sl.Sky(), azimuths=12, backend=name).image,
-    )
-    assert_bits_equal(sl.sky_view_factor(scene, backend=name), sl.sky_view_factor(plain, backend=name))
+    lamp = sl.Lamp(center=(9, 9, -4), radius=2)
+    for work in (
+        lambda s: sl.render(s, sl.Sky(), azimuths=12, backend=name).image,
+        lambda s: sl.render(s, lamp, "horizon", backend=name).image,
+        lambda s: sl.render(s, sl.Sky(), "lattice", hemicube=5, backend=name).image,
+        lambda s: sl.render(s, sl.Sky(), tolerance=0.03, interreflection=False, backend=name).image,
+        lambda s: sl.sky_view_factor(s, backend=name),
+    ):
+        found, expected = work(scene), work(plain)
+        assert isinstance(found, resident.DeviceImage)
+        assert_bits_equal(np.asarray(found), expected)
+        if library == "cupy":
+            assert_bits_equal(made.asnumpy(made.asarray(found)), expected)
+        elif library == "torch":
+            assert_bits_equal(made.from_dlpack(found).cpu().numpy(), expected)
     assert_bits_equal(host_array(there(DEPTH.astype(np.float64))), DEPTH.astype(np.float64))
 
 
