@@ -351,7 +351,7 @@ class _Renderer:
             )
             return direct, list(direct) * (3 if coloured and len(direct) == 1 else 1), shine
         known = _on_host(direct)
-        return list(known), list(self._interreflected(known)), shine
+        return list(known), list(_interreflected(self, known)), shine
 
     def _light(self) -> tuple[list[Any], list[np.ndarray]]:
         """Irradiances, and what the surface reflects besides rho E / pi: one array per colour each."""
