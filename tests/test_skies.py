@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import skylamp as sl
+from skylamp import sources
 from skylamp.app import cli
 from skylamp.sources import cie as skies
 
@@ -162,7 +163,7 @@ def test_disc_where_it_would_be_lost(fast):
         lambda: sl.recover(np.ones((4, 4)), sl.Sky(sky), backend=fast),
         lambda: sl.render(FLAT, sl.Window(x=(0, 3), y=(0, 3), brightness=sky), backend=fast),
     ):
-        with pytest.raises(sl.InputError, match=r"sun's disc \(direct\).*method='horizon'"):
+        with pytest.raises(sl.InputError, match=r"sun's disc \(direct\).*by default, or by 'horizon'"):
             work()
     with pytest.raises(sl.InputError, match="sides='periodic'"):
         sl.render(sl.Scene(np.ones((4, 4)), sides="periodic"), sl.Sky(sky), method="horizon", backend=fast)
@@ -260,3 +261,10 @@ def test_command_line(tmp_path, capsys, fast):
     ):
         got, err = run(*options)
         assert got == code and says in err, (options, err)
+
+
+def test_a_sky_without_its_disc_keeps_named_features():
+    """Only the disc goes; the directions that the caller named stay."""
+    sky = sl.Sky(sl.cie_clear((180, 40), direct=1.0), suns=[(0, 0, -1)])
+    without = sources.without_disc(sky)
+    assert without.brightness.direct == 0 and len(without.suns) == 1

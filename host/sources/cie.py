@@ -36,7 +36,8 @@ class CieSky:
 
     ``sun`` (azimuth, elevation) [degree] or None; ``zenith``: brightness of the zenith; ``direct``:
     irradiance by the sun's disc of a surface that faces it. The function itself is the sky without the disc,
-    which :func:`skylamp.render` adds by slices: no set of directions is fine enough for it.
+    which :func:`skylamp.render` adds: as a part of the integrated sky, or, where a method is asked for, as a
+    lamp far away, in slices. No set of directions is fine enough for it.
     """
 
     type: int
@@ -125,8 +126,9 @@ def cie_sky(
         Instead of ``zenith``: the diffuse irradiance of open level ground, which the sky is scaled to.
     direct : float [unit of brightness x sr]
         Irradiance by the sun's disc of a surface that faces it; 0, no disc, unless given. The disc has a
-        radius of 0.2665 degrees and the uniform brightness direct / (pi sin^2 radius). It needs ``render``
-        with method="horizon" and sides "open" or "dark"; everything else raises InputError.
+        radius of 0.2665 degrees and the uniform brightness direct / (pi sin^2 radius). It goes with
+        ``render``: by default on any sides, with method="horizon" or "unoccluded" on sides "open" or "dark".
+        The lattice, windows, mirrors, BRDFs, ``max_distance`` and ``recover`` raise InputError.
 
     Raises
     ------

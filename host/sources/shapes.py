@@ -24,8 +24,9 @@ class Sky:
     ----------
     brightness : number; RGB as three; or a function of unit vectors (..., 3) to (...), or to RGB (..., 3)
         A function is integrated: features of at least 0.2 degrees are found in any direction, and all pixels
-        of an environment map. The attribute ``peaks`` of a function may hold the directions of its narrow
-        features, as ``suns`` does.
+        of an environment map. The attribute ``peaks`` of a function may hold the directions of all its
+        features that are narrower than a degree, as ``suns`` does; others are then not searched for, and ()
+        says that there are none.
     suns : unit vectors (x, y, z), optional
         Directions towards all features of ``brightness`` that are narrower than a degree. They may then be of
         any size, and no others are searched for.
@@ -234,7 +235,7 @@ def without_disc(source: Source) -> Source:
     """A sky without its sun's disc; anything else as it is."""
     brightness: Any = source.brightness
     if isinstance(source, Sky) and getattr(brightness, "direct", False):
-        return Sky(replace(brightness, direct=0.0))
+        return replace(source, brightness=replace(brightness, direct=0.0))
     return source
 
 
@@ -259,8 +260,8 @@ def radiance(source: Source, directions: np.ndarray) -> np.ndarray:
         raise bad(
             "brightness: a sky with the sun's disc (direct)",
             "a method, source or sides without it",
-            "Sky with render's method 'horizon' and sides 'open' or 'dark'",
-            "Leave direct out, or render with method='horizon'.",
+            "render of a Sky by default, or by 'horizon' or 'unoccluded' on sides 'open' or 'dark'",
+            "Leave direct out.",
         )
     values = np.asarray(brightness(directions.copy()))
     if values.dtype.kind not in "iuf" or values.shape not in ((), directions.shape[:-1]):
