@@ -194,12 +194,13 @@ def spacing_of(labels: Labels | None) -> float:
 def labelled(array: Any, labels: Labels | None, **leading: Any) -> Any:
     """``array`` as an xarray.DataArray with ``labels``, or as it is where there are none.
 
-    ``leading``: axes before theirs, with coordinates.
+    ``leading``: axes before theirs, with coordinates. Colours are an axis ``channel`` after theirs.
     """
     if labels is None or array is None:
         return array
     import xarray
 
-    return xarray.DataArray(
-        array, {**leading, **labels.coords}, (*leading, *labels.dims), labels.name, labels.attrs
-    )
+    dims = *leading, *labels.dims
+    if array.ndim > len(dims):
+        dims = *dims, "channel"
+    return xarray.DataArray(array, {**leading, **labels.coords}, dims, labels.name, labels.attrs)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any, TypeVar
 
 import numpy as np
@@ -20,12 +20,15 @@ from .directions import Azimuths, Hemicube
 from .errors import bad
 from .interreflection import Interreflection, check_choice, included, is_needed, reason
 from .light import propagation, unoccluded
+from .light.far import Far, Tiling
+from .light.horizon import FINE_KNOTS, with_suns
 from .light.lattice import HEMICUBE_ERRORS, lacking
 from .light.propagation import Lobe, Problem
 from .light.slices import CHORD_AZIMUTHS, CHORD_KNOTS, MOST, Slices, blurred, brightness_of, widened
 from .light.sweeps import FINE_NEAR_ROWS, Rays, Sweeps, engine_of, ground_of
 from .refinement import Plan, Refined, refined, solid_of
 from .reflectance import BRDF, Phong
+from .scale import fits, tiled
 from .scene import Scene, is_scene
 from .sources import cie
 from .sources.integrals import Integrals, chords
@@ -46,6 +49,10 @@ COARSE_LOBE = 1.2
 # rms slope, of steps between neighbours, and hemicube from which on unfilled steps leak light. Chosen: on
 # ground of slope 1 they do from M = 7 on, of slope 0.5 only from M = 33 on (performance/lattice_error.py)
 LEAK_SLOPE, LEAK_SIZE = 0.7, 7
+# azimuths of a small part of a sky on a map in tiles; chosen: 8 are 0.06 % off, cliffs apart
+SUN_SECTORS = 16
+# relative RMS error that 64 azimuths keep to: 0.0004 of E / pi on rough ground (performance/refinement.py)
+LEAST_TILED_TOLERANCE = 0.002
 REPEATED_LOBE = "a lobe over a map that repeats"
 
 Result = TypeVar("Result")
@@ -113,6 +120,7 @@ def render(
     tail: float | None = None,
     interreflection: bool | str = "auto",
     parts: bool = False,
+    tiling: Tiling | None = None,
 ) -> Rendering:
     """The image of ``scene`` under ``source``, seen orthographically along +z (Langer and Zucker, Eq. 3).
 
@@ -155,6 +163,9 @@ def render(
         asked for are of direct light. ``True``: within ``tolerance``. Lobes and mirrors reflect direct light.
     parts : bool
         Give ``direct`` and ``reflected`` besides.
+    tiling : Tiling
+        Tile by tile, as lazy scenes, which give lazy images, and maps beyond the device's memory: see
+        :func:`skylamp.horizons`. Skies alone, in 64 azimuths unless given, suns in their own; no refinement.
 
     Raises
     ------
@@ -168,7 +179,77 @@ def render(
     asked = method, tolerance, quantity, hemicube, filled, weights, azimuths, max_distance, tail
     options = _Options(*asked, interreflection, parts)
     options.check(scene, source)
-    return _Renderer(scene, source, engine_of(scene, backend), options).render()
+    engine = engine_of(scene, backend)
+    if scene.lazy is not None or tiling is not None or not fits(scene, engine):
+        options.check_tiles(scene, source)
+        return _in_tiles(scene, source, options, engine, backend, tiling)
+    return _Renderer(scene, source, engine, options).render()
+
+
+def _in_tiles(
+    scene: Scene,
+    source: sources.Source,
+    options: _Options,
+    engine: Backend,
+    backend: str,
+    tiling: Tiling | None,
+) -> Rendering:
+    """A sky on a map in tiles: lazy, if the scene is."""
+    assert isinstance(source, sources.Sky), "checked"
+    greys, sectors = sources.channels(source), _sectors(options.azimuths)
+
+    factors = _numbers(greys)
+
+    def light_of(grey: sources.Source) -> np.ndarray:
+        assert isinstance(grey, sources.Sky), "channels of a sky are skies"
+        rays, table = _rays_of(grey, sectors)
+        work = partial(_daylight, rays=rays, table=table, backend=backend)
+        image: np.ndarray = tiled(work, scene, tiling, options.max_distance)
+        return image
+
+    def light() -> list[np.ndarray]:
+        if factors is None:
+            return [light_of(grey) for grey in greys]
+        one = light_of(greys[0])
+        return [one * np.float32(factor) for factor in factors]
+
+    found, seconds, compiling = timed(engine, light)
+    plan = Plan("horizon", None, None, "a map in tiles is not refined", len(sectors), options.max_distance)
+    image = labelled(_image(scene, found, [], options.quantity), scene.labels)
+    left_out = Interreflection(False, "a map in tiles is lit directly", None)
+    return Rendering(
+        image, plan, engine.name, seconds, compiling, _quantity=options.quantity, interreflection=left_out
+    )
+
+
+def _rays_of(sky: sources.Sky, sectors: Azimuths) -> tuple[Rays, np.ndarray | None]:
+    """Azimuths and the table of a sky's brightness, its small bright parts in azimuths of their own."""
+    rays = Rays(sectors.angles, sectors.widths)
+    if not callable(sky.brightness):
+        return rays, None
+    light = Integrals(sky)
+    table = light.table(sectors.angles, sectors.widths, FINE_KNOTS)
+    suns = [sun.sectors(SUN_SECTORS) for sun in light.suns]
+    return with_suns(rays, table, suns) if suns else (rays, table)
+
+
+def _daylight(
+    scene: Scene,
+    max_distance: float | None,
+    far: Far | None,
+    part: slice = slice(None),
+    *,
+    rays: Rays,
+    table: np.ndarray | None,
+    backend: str,
+) -> np.ndarray:
+    """Irradiance of a tile under a sky."""
+    engine = engine_of(scene, backend)
+    with engine.lock:
+        image = Sweeps(engine, ground_of(scene, max_distance, engine), rays, table, far=far).irradiance(
+            last=True
+        )
+    return image
 
 
 @dataclass(frozen=True)
@@ -255,6 +336,32 @@ class _Options:
             raise bad("method 'unoccluded'", type(scene.reflectance).__name__, "a Lambertian surface")
         if self.tail is not None and not self.planned(scene, source):
             raise bad("tail", self.tail, "a bound for method='auto' without arguments of a method")
+
+    def check_tiles(self, scene: Scene, source: sources.Source) -> None:
+        """InputError for what is not rendered in tiles."""
+        refused = [
+            (not isinstance(source, sources.Sky), "a lamp or a window", "a Sky, whose light comes from afar"),
+            (
+                self.lattice or self.method not in ("auto", "horizon"),
+                "the lattice or closed forms",
+                "horizons",
+            ),
+            (self.shines(scene), "a lobe or a mirror", "a Lambertian surface, or quantity='irradiance'"),
+            (
+                self.parts or self.interreflection is True,
+                "light between surfaces",
+                "interreflection 'auto' or False, which leave it out, without parts",
+            ),
+            (self.tail is not None, "a tail", "as many azimuths as asked: nothing is refined"),
+            (
+                self.azimuths is None and float(self.tolerance) < LEAST_TILED_TOLERANCE,
+                f"a tolerance of {self.tolerance:g}",
+                f"at least {LEAST_TILED_TOLERANCE}, or azimuths: nothing is refined",
+            ),
+        ]
+        for is_so, what, allowed in refused:
+            if is_so:
+                raise bad("render: a map in tiles", what, allowed)
 
     def _check_method(self) -> None:
         """InputError where arguments of another method are given."""

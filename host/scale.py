@@ -138,15 +138,16 @@ def over_tiles(
     """
     if scene.lazy is None and tiling is None and fits(scene, engine):
         return labelled(work(scene, max_distance, None), scene.labels, **leading)
-    layout = layout_of(scene, tiling, max_distance)
-    lengths = [len(values) for values in leading.values()]
-    if scene.lazy is not None:
-        found = lazily(work, scene, layout, *lengths)
-    elif layout.single:
-        found = work(scene, max_distance, None)
-    else:
-        found = _in_memory(work, scene, layout, *lengths)
+    found = tiled(work, scene, tiling, max_distance, *(len(values) for values in leading.values()))
     return labelled(found, scene.labels, **leading)
+
+
+def tiled(work: Work, scene: Scene, tiling: Tiling | None, max_distance: float | None, *leading: int) -> Any:
+    """``work`` tile by tile: a dask.array where the map is lazy, else (*leading, rows, cols) float32."""
+    layout = layout_of(scene, tiling, max_distance)
+    if scene.lazy is not None:
+        return lazily(work, scene, layout, *leading)
+    return work(scene, max_distance, None) if layout.single else _in_memory(work, scene, layout, *leading)
 
 
 def fits(scene: Scene, engine: Backend) -> bool:

@@ -256,6 +256,66 @@ def test_a_map_beyond_the_device_goes_by_tiles(dem, fast, monkeypatch):
     assert_bits_equal(found, expected)
 
 
+SUNNY = sl.Sky(sl.cie_sky(12, (135.0, 30.0), direct=5.0))
+
+
+@pytest.mark.parametrize(
+    ("sky", "limit"),
+    [
+        (sl.Sky(), 3e-3),
+        (sl.Sky(2.5), 3e-3),
+        (sl.Sky(sl.cie_overcast()), 3e-3),
+        (SUNNY, 0.03),
+        (sl.Sky((1.0, 2.0, 0.5)), 3e-3),
+    ],
+    ids=["uniform", "brighter", "overcast", "sun", "colour"],
+)
+def test_skies_are_rendered_in_tiles(dem, fast, sky, limit):
+    """Lazily and in memory, near what the whole map's rendering gives; the sun's edges of shadows differ."""
+    whole = sl.render(sl.Scene.from_height(dem), sky, backend=fast, method="horizon", azimuths=32)
+    options = dict(backend=fast, azimuths=32, tiling=SMALL)
+    tiles = sl.render(sl.Scene.from_height(dem), sky, **options)
+    lazy = sl.render(sl.Scene.from_height(dem.chunk({"y": 70, "x": 290})), sky, **options)
+    assert lazy.image.chunks[:2] == ((70, 70, 70, 20), (290,)) and lazy.image.dims == whole.image.dims
+    assert lazy.image.coords["x"].identical(dem.x) and "tiles" in lazy.plan.line and lazy.error is None
+    assert not lazy.interreflection.included
+    mean = float(whole.image.mean())
+    assert rms(tiles.image.values - whole.image.values) < limit * mean
+    assert rms(lazy.image.compute().values - tiles.image.values) < 2e-3 * limit * mean
+    assert lazy.image.dtype == np.float32
+
+
+def test_albedo_and_irradiance_of_tiles(dem, fast):
+    """Radiance is albedo E / pi, in colour where the albedo is."""
+    options = dict(backend=fast, azimuths=8, tiling=SMALL)
+    lazy = dem.chunk(y=100)
+    light = sl.render(sl.Scene.from_height(lazy), sl.Sky(), quantity="irradiance", **options).image.compute()
+    albedo = np.array([0.2, 0.5, 0.9])
+    image = sl.render(sl.Scene.from_height(lazy, albedo=albedo), sl.Sky(), **options).image.compute()
+    assert image.dims == ("y", "x", "channel")
+    np.testing.assert_allclose(image, light.values[..., None] * albedo / np.pi, rtol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("source", "options", "what"),
+    [
+        (sl.Lamp(center=(0, 0, -10), radius=3), {}, "a lamp or a window"),
+        (sl.Window(x=(0, 10), y=(0, 10)), {}, "a lamp or a window"),
+        (sl.Sky(), dict(method="lattice"), "lattice"),
+        (sl.Sky(), dict(hemicube=5), "lattice"),
+        (sl.Sky(), dict(method="unoccluded"), "closed forms"),
+        (sl.Sky(), dict(interreflection=True), "between surfaces"),
+        (sl.Sky(), dict(parts=True), "between surfaces"),
+        (sl.Sky(), dict(tail=0.1), "tail"),
+        (sl.Sky(), dict(tolerance=1e-4), "tolerance"),
+    ],
+)
+def test_what_is_not_rendered_in_tiles_is_refused(dem, source, options, what):
+    """With the reason, before anything is computed."""
+    with pytest.raises(InputError, match=f"tiles: got .*{what}"):
+        sl.render(sl.Scene.from_height(dem.chunk()), source, backend="numpy", **options)
+
+
 @pytest.mark.parametrize(
     ("make", "what"),
     [

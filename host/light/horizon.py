@@ -93,12 +93,7 @@ class Horizons(LightMethod):
         if isinstance(self.sky, Integrals):
             table = self.sky.table(rays.angles, np.full(count, window), FINE_KNOTS if swept else SKY_KNOTS)
             if swept:
-                angles, parts = zip(*(_as_azimuths(*sun) for sun in suns))
-                rays = Rays(
-                    np.concatenate([rays.angles, *angles]),
-                    np.concatenate([rays.widths, np.ones(sum(map(len, angles)))]),
-                )
-                table = np.concatenate([table, *parts])
+                rays, table = with_suns(rays, table, suns)
         image = self.engine.empty(self.scene.shape, np.float32)
         self.sweeps.set_azimuths(rays, table)
         self.sweeps.light(self.total, self.turned, image)
@@ -137,6 +132,16 @@ def _by_normals(sky: Integrals, azimuths: Azimuths, window: float) -> np.ndarray
     """
     table = sky.table(azimuths.angles, np.full(len(azimuths), window))
     return unoccluded.by_normals(table, azimuths.angles, azimuths.widths)
+
+
+def with_suns(
+    rays: Rays, table: np.ndarray, suns: list[tuple[np.ndarray, np.ndarray]]
+) -> tuple[Rays, np.ndarray]:
+    """Azimuths and their table (K, FINE_KNOTS, 4), and with them the sectors of small bright parts."""
+    angles, parts = zip(*(_as_azimuths(*sun) for sun in suns))
+    widths = np.ones(sum(map(len, angles)))
+    rays = Rays(np.concatenate([rays.angles, *angles]), np.concatenate([rays.widths, widths]))
+    return rays, np.concatenate([table, *parts])
 
 
 def _as_azimuths(ways: np.ndarray, table: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
