@@ -12,6 +12,7 @@ from .light.far import Tiling
 from .refinement import Plan, plan
 from .reflectance import BRDF, Lambertian, Mirror, Phong, grooves
 from .rendering import Rendering, render
+from .scale import devices
 from .scene import Scene
 from .sources.brightness import cie_overcast, cosine_power, environment_map, uniform
 from .sources.cie import CieSky, cie_clear, cie_sky, sun_position
@@ -55,6 +56,7 @@ __all__ = [
     "cie_overcast",
     "cie_sky",
     "cosine_power",
+    "devices",
     "environment_map",
     "grooves",
     "horizons",

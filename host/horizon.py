@@ -93,12 +93,12 @@ def sky_view_factor(
     """
     one_of(definition, DEFINITIONS, "definition")
     engine = engine_of(scene, backend)
-    work = partial(_view, definition=definition, azimuths=as_azimuths(azimuths), backend=backend)
+    work = partial(sky_view, definition=definition, azimuths=as_azimuths(azimuths), backend=backend)
     found: np.ndarray = over_tiles(work, scene, tiling, max_distance, engine)
     return found
 
 
-def _view(
+def sky_view(
     scene: Scene,
     max_distance: float | None,
     far: Far | None,
@@ -155,12 +155,12 @@ def openness(
         turned = scene.depth if scene.lazy is None else -scene.lazy
         labelled_so = labelled(turned, scene.labels)
         scene = Scene.from_height(labelled_so, scene.spacing, mask=scene.mask, sides=scene.sides)
-    work = partial(_openness, azimuths=as_azimuths(azimuths), backend=backend)
+    work = partial(mean_openness, azimuths=as_azimuths(azimuths), backend=backend)
     found: np.ndarray = over_tiles(work, scene, tiling, max_distance, engine_of(scene, backend))
     return found
 
 
-def _openness(
+def mean_openness(
     scene: Scene,
     max_distance: float | None,
     far: Far | None,

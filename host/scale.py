@@ -15,10 +15,11 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 
 from .arrays import labelled
+from .backends import backends, prefer
 from .backends.base import Backend
 from .checks import positive_number
 from .constants import LEAST_SEARCHED_SLOPE, MOST_PIXELS
-from .errors import bad
+from .errors import bad, lacking
 from .light.far import (
     Far,
     Tiling,
@@ -104,9 +105,7 @@ def layout_of(scene: Scene, tiling: Tiling | None, max_distance: float | None) -
     tiling = USUAL if tiling is None else tiling
     if not isinstance(tiling, Tiling):
         raise bad("tiling", type(tiling).__name__, "a skylamp.Tiling")
-    if max_distance is not None and positive_number(max_distance, "max_distance") < scene.spacing:
-        raise bad("max_distance", max_distance, f"at least one spacing, {scene.spacing:g}")
-    layout = Layout(tiling, scene.shape, scene.spacing, scene.sides == "periodic", max_distance)
+    layout = layout_of_map(tiling, scene.shape, scene.spacing, scene.sides == "periodic", max_distance)
     if layout.single:
         return layout
     if scene.sides == "dark":
@@ -121,6 +120,15 @@ def layout_of(scene: Scene, tiling: Tiling | None, max_distance: float | None) -
             "a map that repeats, over several tiles", scene.shape, f"at least {tiling.least} nodes a side"
         )
     return layout
+
+
+def layout_of_map(
+    tiling: Tiling, shape: tuple[int, int], spacing: float, periodic: bool, max_distance: float | None
+) -> Layout:
+    """The layout of a map, its ``max_distance`` checked."""
+    if max_distance is not None and positive_number(max_distance, "max_distance") < spacing:
+        raise bad("max_distance", max_distance, f"at least one spacing, {spacing:g}")
+    return Layout(tiling, shape, spacing, periodic, max_distance)
 
 
 def over_tiles(
@@ -227,27 +235,37 @@ def _far(
     )
 
 
-def _around(first: int, count: int, depth: int, nodes: int, periodic: bool) -> np.ndarray | slice:
+def _around(first: int, count: int, depth: int, nodes: int, periodic: bool) -> Any:
     """Indices along an axis of a tile and ``depth`` nodes (or cells) around it."""
     if not periodic:
         return slice(max(0, first - depth), min(nodes, first + count + depth))
     return np.arange(first - depth, first + count + depth) % nodes
 
 
-def window_of(values: np.ndarray, box: Box, depths: list[int], periodic: bool) -> np.ndarray:
+def window_of(values: Any, box: Box, depths: list[int], periodic: bool) -> np.ndarray:
     """The part of an array (..., rows, cols) about a box, see :func:`_around`."""
-    for axis, ((first, count), depth) in enumerate(zip(box, depths), values.ndim - 2):
-        pick = _around(first, count, depth, values.shape[axis], periodic)
-        values = values[(slice(None),) * axis + (pick,)]
-    return values
+    picks = [
+        _around(first, count, depth, nodes, periodic)
+        for (first, count), depth, nodes in zip(box, depths, values.shape[-2:])
+    ]
+    if periodic:
+        picks[0] = picks[0][:, None]
+    part: np.ndarray = values[(..., *picks)]
+    return part
 
 
-def low_box(layout: Layout, box: Box) -> tuple[Box, list[int]]:
-    """(box, depths) of a tile in cells of level ``tiling.first``, for :func:`window_of`."""
-    size, reach = 1 << layout.tiling.first, layout.tiling.reach
+def around_tile(low: Any, layout: Layout, box: Box) -> np.ndarray:
+    """The part of the overviews (2, rows, cols) at level ``tiling.first`` that a tile is given."""
+    reach = layout.tiling.reach >> layout.tiling.first
+    part: np.ndarray = window_of(low, _cells_of(layout, box), [reach, reach], layout.periodic)
+    return part
+
+
+def _cells_of(layout: Layout, box: Box) -> Box:
+    """A tile in cells of level ``tiling.first``."""
+    size = 1 << layout.tiling.first
     (row, rows), (col, cols) = box
-    cells = (row // size, -(-rows // size)), (col // size, -(-cols // size))
-    return cells, [reach // size, reach // size]
+    return (row // size, -(-rows // size)), (col // size, -(-cols // size))
 
 
 def _in_memory(work: Work, scene: Scene, layout: Layout, *leading: int) -> np.ndarray:
@@ -260,15 +278,14 @@ def _in_memory(work: Work, scene: Scene, layout: Layout, *leading: int) -> np.nd
         size = 1 << tiling.first
         low = np.empty((2, *(-(-nodes // size) for nodes in layout.shape)), np.float32)
         for box in layout.boxes():
-            cells, _ = low_box(layout, box)
+            cells = _cells_of(layout, box)
             tile = window_of(heights, box, [0, 0], False)
             window_of(low, cells, [0, 0], False)[...] = coarser(from_heights(tile), tiling.first)
         top = top_of(coarser(low, tiling.top - tiling.first))
     out = np.empty((*leading, *layout.shape), np.float32)
     for box in layout.boxes():
         near = window_of(heights, box, layout.depths, layout.periodic)
-        cells, depths = low_box(layout, box)
-        far = None if low is None else window_of(low, cells, depths, layout.periodic)
+        far = None if low is None else around_tile(low, layout, box)
         for part in parts:
             found = tile_of(work, layout, box, near, far, top, part)
             window_of(out if part is None else out[part], box, [0, 0], False)[...] = found
@@ -390,3 +407,30 @@ def _block(
     (rows, cols), (heights, widths) = layout.starts, layout.sizes
     box = (rows[int(i[0])], heights[int(i[0])]), (cols[int(j[0])], widths[int(j[0])])
     return tile_of(work, layout, box, window, low, top, parts[int(np.sum(number))])
+
+
+def devices(*names: str) -> Any:
+    """A plugin for dask.distributed that gives each worker process a device of its own machine.
+
+    ``client.register_plugin(skylamp.devices())``: worker n takes GPU n, round the GPUs that it sees, or round
+    the backends that are named; ``backend="auto"`` is then that. A worker without a GPU takes what it would
+    take anyway. Under dask-cuda every worker sees one GPU, and takes it.
+
+    Raises InputError without dask.distributed.
+    """
+    try:
+        from distributed import WorkerPlugin
+    except ImportError as error:
+        raise lacking("Workers", "dask.distributed", "dask") from error
+
+    class Devices(WorkerPlugin):
+        name = "skylamp-devices"
+
+        def setup(self, worker: Any) -> None:
+            found = names or tuple(info.name for info in backends() if info.gpu and info.available)
+            found = tuple(name for name in found if name.startswith("warp")) or found
+            number = int(worker.name) if str(worker.name).isdigit() else 0
+            if found:
+                prefer(found[number % len(found)])
+
+    return Devices()

@@ -405,3 +405,22 @@ def test_bytes_do_not_depend_on_workers(dem, fast, processes, tmp_path):
         found = client.compute(svf(lazy, fast)).result(timeout=300).values
     assert died.exists()
     assert_bits_equal(found, expected)
+
+
+@pytest.mark.slow
+def test_every_worker_takes_a_device_of_its_own(dem, fast):
+    """The plugin hands devices out by turns; "auto" is then each worker's own."""
+    distributed = pytest.importorskip("distributed")
+    options = dict(threads_per_worker=1, processes=True, dashboard_address=None)
+
+    def taken():
+        from skylamp.backends import select
+
+        return select("auto").name
+
+    with distributed.LocalCluster(2, **options) as cluster, distributed.Client(cluster) as client:
+        client.register_plugin(sl.devices("numpy", fast))
+        assert sorted(client.run(taken).values()) == sorted(["numpy", fast])
+        client.register_plugin(sl.devices("numpy"), name="again")
+        found = svf(dem.chunk(y=100), "auto").compute()
+    assert_bits_equal(found.values, svf(dem.chunk(y=100), "numpy").compute(scheduler="sync").values)

@@ -27,7 +27,7 @@ from ..errors import BackendError, InputError, SkylampError, bad
 from ..sources import Sky
 from . import chart as charts
 from . import demo as demos
-from . import mosaic, output, parsing, plot
+from . import mosaic, out_of_core, output, parsing, plot
 from . import options as opt
 from .selftest import Comparison
 from .selftest import selftest as run_selftest
@@ -262,6 +262,12 @@ def horizon(
     picture: opt.Plot = None,
     source: opt.PlotSky = "sky",
     sun: opt.Sun = None,
+    memory: opt.Memory = None,
+    workers: opt.Workers = 1,
+    scheduler: opt.Scheduler = None,
+    tile: opt.Tile = None,
+    resume: opt.Resume = False,
+    cog: opt.Cog = False,
     backend: opt.Backend = "auto",
     as_json: opt.Json = False,
 ) -> None:
@@ -273,6 +279,16 @@ def horizon(
         raise typer.BadParameter(
             "a node and its picture go together: --at ROW,COL --plot FILE", param_hint="--at"
         )
+    machines = out_of_core.Machines(memory, workers, scheduler, tile, resume, cog)
+    if machines.asked:
+        others = picture, height is False, spacing, nodata, resample, sides != "open"
+        if not out or any(others):
+            raise typer.BadParameter(out_of_core.ALONE, param_hint="--memory")
+        with output.progress_bar("looking for horizons") as progress:
+            asked = what, definition, azimuths, max_distance, backend
+            size = out_of_core.horizon(file, out, asked, machines, progress)
+        output.report_array_or_picture(out, None, as_json, backend, shape=size, what=what)
+        return
     quantities = {
         "sky-view-factor": partial(sl.sky_view_factor, definition=definition),
         "openness": sl.openness,

@@ -225,6 +225,30 @@ MaxDistance = Annotated[
         show_default=False,
     ),
 ]
+Memory = Annotated[
+    str | None,
+    typer.Option(
+        help="A GeoTIFF of any size, tile by tile, in so much memory, such as 8GB, that the workers share",
+        show_default=False,
+    ),
+]
+Workers = Annotated[int, typer.Option(help="With --memory: processes; one a GPU, or one")]
+Scheduler = Annotated[
+    str | None,
+    typer.Option(
+        metavar="ADDRESS",
+        help="Workers of a Dask cluster, tcp://host:port, in place of --memory",
+        show_default=False,
+    ),
+]
+Tile = Annotated[
+    int | None,
+    typer.Option(
+        help="With --memory: nodes along a side of a tile  [default: 8192, or what fits]", show_default=False
+    ),
+]
+Resume = Annotated[bool, typer.Option("--resume", help="With --memory: go on where a run was interrupted")]
+Cog = Annotated[bool, typer.Option("--cog", help="With --memory: write a cloud-optimized GeoTIFF")]
 At = Annotated[
     str | None, typer.Option(metavar="ROW,COL", help="The node that --plot shows", show_default=False)
 ]

@@ -140,6 +140,27 @@ def tolerance(text: str, option: str = "--tolerance") -> float:
         ) from None
 
 
+def byte_count(text: str, option: str = "--memory") -> int:
+    """Bytes: 8GB, 512MB, 6.5e9."""
+    found = re.fullmatch(r"([0-9.]+(?:e[0-9]+)?)\s*([kMGT]?i?B?)", text.strip())
+    units = {
+        "": 1,
+        "k": 1e3,
+        "M": 1e6,
+        "G": 1e9,
+        "T": 1e12,
+        "ki": 2**10,
+        "Mi": 2**20,
+        "Gi": 2**30,
+        "Ti": 2**40,
+    }
+    try:
+        assert found is not None
+        return int(float(found[1]) * units[found[2].removesuffix("B")])
+    except (AssertionError, ValueError, KeyError):
+        raise typer.BadParameter(f"got {text!r}; allowed: bytes, such as 8GB", param_hint=option) from None
+
+
 def numbers(text: str, option: str, form: str) -> tuple[float, ...]:
     """As many numbers, with commas between, as ``form`` has names."""
     try:

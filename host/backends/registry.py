@@ -9,6 +9,7 @@ import threading
 from ..errors import BackendError
 from .base import Backend, BackendInfo
 
+_preferred = ""  # what "auto" takes in this process, see prefer()
 _lock = threading.RLock()  # devices are looked for, and a backend is made, by one thread
 
 
@@ -37,7 +38,7 @@ def select(name: str = "auto") -> Backend:
         raise BackendError(f"backend: got {name!r}; allowed: a name, one of {', '.join(_names())}, auto.")
     found = {info.name: info for info in backends()}
     if name == "auto":
-        name = next(info.name for info in found.values() if info.available)
+        name = _preferred or next(info.name for info in found.values() if info.available)
     if name == "opencl":
         devices = [n for n, info in found.items() if n.startswith("opencl:") and info.available]
         name = devices[0] if devices else name
@@ -52,6 +53,15 @@ def select(name: str = "auto") -> Backend:
         )
     with _lock:
         return _make(name)
+
+
+def prefer(name: str) -> None:
+    """``auto`` takes this backend in this process from now on; "" for the usual choice.
+
+    For workers that share a machine's devices. Raises BackendError.
+    """
+    global _preferred
+    _preferred = select(name).name if name else ""
 
 
 def _names() -> list[str]:

@@ -7,7 +7,9 @@ never are off the equator, are resampled when that is asked for, else refused.
 
 from __future__ import annotations
 
+import contextlib
 import warnings
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -75,6 +77,50 @@ def read(path: StrPath, *, resample: bool = False) -> Raster:
     2 %; or without rasterio.
     """
     path = readable(path)
+    with _opened(path) as file:
+        if file.width * file.height > MOST_PIXELS:
+            raise bad(
+                f"{path}: size",
+                f"{file.height} x {file.width}",
+                f"at most {MOST_PIXELS:,} cells",
+                "Give --memory, or cut it into tiles.",
+            )
+        values, mask = file.read(1), file.read_masks(1) > 0
+        found, unit = _described(path, file, values, mask)
+        scale, offset = file.scales[0], file.offsets[0]
+    if (scale, offset) != (1.0, 0.0):
+        found = replace(found, values=values * np.float64(scale) + offset)
+    return _spaced(path, found, unit, resample)
+
+
+def header(path: StrPath) -> Raster:
+    """What :func:`read` gives of a file of any size, but for its values and mask, which take no memory here.
+
+    Cells must be square.
+    """
+    path = readable(path)
+    with _opened(path) as file:
+        shape = file.height, file.width
+        nothing = np.broadcast_to(np.zeros((), file.dtypes[0]), shape)
+        found, unit = _described(path, file, nothing, np.broadcast_to(np.True_, shape))
+    return _spaced(path, found, unit, False)
+
+
+def window(path: StrPath, rows: slice, cols: slice) -> np.ndarray:
+    """Values (rows, cols) float32 of a part of a GeoTIFF, nan without data."""
+    path = readable(path)
+    with _opened(path) as file:
+        part = (rows.start, rows.stop), (cols.start, cols.stop)
+        values, mask = file.read(1, window=part), file.read_masks(1, window=part) > 0
+        scale, offset = file.scales[0], file.offsets[0]
+    if (scale, offset) != (1.0, 0.0):
+        values = values * np.float64(scale) + offset
+    return np.where(mask, values, np.nan).astype(np.float32)
+
+
+@contextlib.contextmanager
+def _opened(path: Path) -> Iterator[Any]:
+    """The file by rasterio; it has one band."""
     rasterio = _rasterio(path)
     with reading(path), warnings.catch_warnings():
         warnings.simplefilter("error", rasterio.errors.NotGeoreferencedWarning)
@@ -82,28 +128,20 @@ def read(path: StrPath, *, resample: bool = False) -> Raster:
         with rasterio.open(path, driver="GTiff") as file:
             if file.count != 1:
                 raise bad(f"{path}: bands", file.count, "one band of heights, depths or values")
-            if file.width * file.height > MOST_PIXELS:
-                raise bad(
-                    f"{path}: size",
-                    f"{file.height} x {file.width}",
-                    f"at most {MOST_PIXELS:,} cells",
-                    "Cut it into tiles.",
-                )
-            values, mask = file.read(1), file.read_masks(1) > 0
-            scale, offset, unit = file.scales[0], file.offsets[0], (file.units[0] or "").strip().lower()
-            found = Raster(
-                values,
-                mask,
-                0.0,
-                file.crs,
-                file.transform,
-                file.nodata,
-                file.tags().get("AREA_OR_POINT") == "Point",
-            )
+            yield file
+
+
+def _described(path: Path, file: Any, values: np.ndarray, mask: np.ndarray) -> tuple[Raster, str]:
+    """(The raster without its spacing, the unit of its values)."""
     if values.dtype.kind not in "iuf":
         raise bad(f"{path}: wrong type", values.dtype, "real numbers (integer or floating)")
-    if (scale, offset) != (1.0, 0.0):
-        found = replace(found, values=values * np.float64(scale) + offset)
+    point = file.tags().get("AREA_OR_POINT") == "Point"
+    found = Raster(values, mask, 0.0, file.crs, file.transform, file.nodata, point)
+    return found, (file.units[0] or "").strip().lower()
+
+
+def _spaced(path: Path, found: Raster, unit: str, resample: bool) -> Raster:
+    """The raster with its spacing; checked to lie north up in square cells, or made so."""
     t = found.transform
     if t.b or t.d or t.a <= 0 or t.e >= 0:
         raise bad(
@@ -123,7 +161,7 @@ def read(path: StrPath, *, resample: bool = False) -> Raster:
                 "Pass resample=True (--resample), or warp it to a metric system: rio warp IN.tif OUT.tif"
                 " --dst-crs EPSG:NNNN",
             )
-        found = _squared(rasterio, found, east, north)
+        found = _squared(_rasterio(path), found, east, north)
         east = north = min(east, north)
     return replace(found, spacing=float(np.sqrt(east * north) / vertical))
 

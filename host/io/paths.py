@@ -81,6 +81,19 @@ def folder(path: StrPath) -> Path:
 
 
 @contextlib.contextmanager
+def replacing_file(path: StrPath) -> Iterator[Path]:
+    """A path that becomes ``path`` when the block ends well, and is gone when it does not."""
+    path = destination(Path(path)).resolve()  # through a symbolic link, not over it
+    temporary = path.with_name(f".{secrets.token_hex(8)}.tmp")  # a rename must not cross file systems
+    try:
+        yield temporary
+        os.replace(temporary, path)
+    except BaseException:
+        temporary.unlink(missing_ok=True)
+        raise
+
+
+@contextlib.contextmanager
 def replacing(path: StrPath) -> Iterator[BinaryIO]:
     """A binary file that becomes ``path`` when the block ends well, and leaves no trace when it does not."""
     path = destination(Path(path)).resolve()  # through a symbolic link, not over it

@@ -1,0 +1,330 @@
+"""A GeoTIFF of any size, tile by tile, to another: what is done is kept when a run is interrupted.
+
+Tiles are computed by processes of dask.distributed; each reads its own window of the file. Overviews, tiles
+and which of them are done lie in a Zarr group beside the output until that is written.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import importlib
+import json
+import shutil
+from collections.abc import Callable, Iterator
+from functools import partial
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import typer
+
+import skylamp
+
+from ..errors import CapacityError, InputError, bad, lacking
+from ..horizon import as_azimuths, mean_openness, sky_view
+from ..io import geotiff as geo
+from ..io.paths import replacing_file
+from ..light.far import Tiling, Top, coarser, from_heights, top_of
+from ..scale import Layout, Work, around_tile, devices, layout_of_map, tile_of
+from . import parsing
+
+Progress = Callable[[int, int], None]
+
+# that a process takes of a tile and its halo, per node [byte], and besides [byte]; measured: the peak of
+# 2,304 x 2,304 to 8,448 x 8,448 nodes on PoCL (performance/scale.py --memory)
+PER_NODE, BESIDES = 64, 6 * 10**8
+TILES = 8192, 4096, 2048, 1024  # sides of tiles of which the largest is taken that fits
+# what is said where these options meet others
+ALONE = (
+    "a GeoTIFF to a GeoTIFF, with open sides: it goes with --out, --what, --definition, --azimuths,"
+    " --max-distance and --backend alone"
+)
+BLOCK = 512  # [node], blocks of the GeoTIFF that is written
+
+
+class Machines(NamedTuple):
+    """Where tiles are computed: what `skylamp horizon` is told of memory and workers."""
+
+    memory: str | None
+    workers: int
+    scheduler: str | None
+    tile: int | None
+    resume: bool
+    cog: bool
+
+    @property
+    def asked(self) -> bool:
+        """Whether to go tile by tile; BadParameter for what goes with that alone."""
+        if self.memory is not None or self.scheduler is not None:
+            return True
+        if self.tile is not None or self.resume or self.cog or self.workers != 1:
+            raise typer.BadParameter(
+                "--tile, --resume, --cog and --workers go with it", param_hint="--memory"
+            )
+        return False
+
+    @property
+    def share(self) -> int | None:
+        """Bytes of a worker, if that was said."""
+        return None if self.memory is None else parsing.byte_count(self.memory) // self.workers
+
+    @property
+    def side(self) -> int:
+        """Side of the tiles: as given, or the largest that fits."""
+        if self.tile is not None:
+            return self.tile
+        return TILES[0] if self.share is None else tile_that_fits(self.share)
+
+
+def horizon(
+    file: Path,
+    out: str,
+    asked: tuple[str, str, int, float | None, str],
+    machines: Machines,
+    progress: Progress | None,
+) -> tuple[int, int]:
+    """Compute one quantity of a GeoTIFF and write it; (rows, cols).
+
+    ``asked``: what, definition, azimuths, max_distance and backend of `skylamp horizon`.
+    """
+    if not out.lower().endswith((".tif", ".tiff")):
+        raise bad("--out with --memory", repr(out), "a .tif")
+    if machines.workers < 1:
+        raise bad("--workers", machines.workers, "at least 1")
+    job, header = _job(file, out, *asked, machines.side)
+    settings = dict(zip(("what", "definition", "azimuths", "max_distance", "backend"), asked))
+    with workers_of(machines) as client:
+        group = run(job, settings, client, machines.resume, progress)
+    write(out, group["found"], header, machines.cog)
+    shutil.rmtree(job.scratch)
+    rows, cols = job.layout.shape
+    return rows, cols
+
+
+class Job(NamedTuple):
+    """What is computed of which file: all that a task needs."""
+
+    file: Path
+    scratch: Path
+    layout: Layout
+    work: Work
+    sign: float  # -1: of the surface upside down
+
+
+def _job(
+    file: Path,
+    out: str,
+    what: str,
+    definition: str,
+    azimuths: int,
+    max_distance: float | None,
+    backend: str,
+    tile: int,
+) -> tuple[Job, geo.Raster]:
+    """(job, the file's header) of one quantity of `skylamp horizon`."""
+    header = geo.header(file)
+    options: dict[str, Any] = dict(azimuths=as_azimuths(azimuths), backend=backend)
+    works: dict[str, Work] = {
+        "sky-view-factor": partial(sky_view, definition=definition, **options),
+        "openness": partial(mean_openness, **options),
+        "negative-openness": partial(mean_openness, **options),
+    }
+    if what not in works:
+        raise bad("--what with --memory", repr(what), " | ".join(works))
+    layout = layout_of_map(Tiling(tile), header.values.shape, header.spacing, False, max_distance)
+    scratch = Path(out).with_name(Path(out).name + ".scratch")
+    return Job(file.resolve(), scratch, layout, works[what], -1.0 if what.startswith("neg") else 1.0), header
+
+
+def tile_that_fits(share: int) -> int:
+    """Side of the largest tile that a worker of so many bytes can hold with its halo."""
+    needed = [PER_NODE * (tile + 2 * Tiling().halo) ** 2 + BESIDES for tile in TILES]
+    for tile, least in zip(TILES, needed):
+        if least <= share:
+            return tile
+    raise CapacityError(f"--memory: {share:,} bytes a worker; one needs at least {needed[-1]:,}.")
+
+
+def run(job: Job, settings: dict[str, Any], client: Any, resume: bool, progress: Progress | None) -> Any:
+    """Compute all tiles that are not done yet; the scratch group that holds them."""
+    group, layout = scratch_of(job, settings, resume), job.layout
+    boxes = list(layout.boxes())
+    steps = 2 * len(boxes) if layout.needs_overviews and not layout.single else len(boxes)
+    done = int(np.count_nonzero(group["low_done"][:]) + np.count_nonzero(group["done"][:]))
+    tell = (lambda n: progress(n, steps)) if progress else (lambda n: None)
+    top: Any = None
+    if steps > len(boxes):
+        done = _each(client, partial(_reduce, job), group["low_done"], done, tell)
+        top = client.scatter(_top(group, layout), broadcast=True, hash=False)
+    _each(client, partial(_compute, job), group["done"], done, tell, top)
+    return group
+
+
+def _each(
+    client: Any, task: Callable[..., None], flags: Any, done: int, tell: Callable[[int], None], *more: Any
+) -> int:
+    """Run ``task`` (number, ...) for every tile that has no flag; how many are done then."""
+    distributed = importlib.import_module("distributed")
+    left = np.flatnonzero(flags[:] == 0).tolist()
+    futures = [client.submit(task, number, *more, pure=False) for number in left]
+    tell(done)
+    try:
+        for future in distributed.as_completed(futures):
+            future.result()
+            done += 1
+            tell(done)
+    except BaseException:
+        client.cancel(futures)
+        raise
+    return done
+
+
+def _window(job: Job, box: Any, depths: list[int]) -> np.ndarray:
+    rows, cols = (
+        slice(max(0, first - depth), min(nodes, first + count + depth))
+        for (first, count), depth, nodes in zip(box, depths, job.layout.shape)
+    )
+    return np.float32(job.sign) * geo.window(job.file, rows, cols)
+
+
+def _reduce(job: Job, number: int) -> None:
+    """Overviews of a tile at the first level that is looked at."""
+    group, box = _group(job.scratch, "r+"), list(job.layout.boxes())[number]
+    first = job.layout.tiling.first
+    low = coarser(from_heights(_window(job, box, [0, 0])), first)
+    row, col = (start >> first for start, _ in box)
+    group["low"][:, row : row + low.shape[1], col : col + low.shape[2]] = low
+    group["low_done"][number] = 1
+
+
+def _compute(job: Job, number: int, top: Top | None) -> None:
+    """The quantity itself."""
+    group, layout = _group(job.scratch, "r+"), job.layout
+    box = list(layout.boxes())[number]
+    low = None if top is None else around_tile(group["low"], layout, box)
+    found = tile_of(job.work, layout, box, _window(job, box, layout.depths), low, top)
+    (row, rows), (col, cols) = box
+    group["found"][row : row + rows, col : col + cols] = found
+    group["done"][number] = 1
+
+
+def _top(group: Any, layout: Layout) -> Top:
+    """The levels that all tiles see, from the overviews of all tiles."""
+    tiling, low = layout.tiling, group["low"]
+    times = tiling.top - tiling.first
+    rows = layout.tiling.tile >> tiling.first
+    return top_of(
+        np.concatenate([coarser(low[:, r : r + rows], times) for r in range(0, low.shape[1], rows)], 1)
+    )
+
+
+# -- the scratch group
+
+
+def scratch_of(job: Job, settings: dict[str, Any], resume: bool) -> Any:
+    """The Zarr group of a job: the one that was begun, with ``resume``, or a new one."""
+    state = job.file.stat()
+    told = dict(file=str(job.file), bytes=state.st_size, changed=state.st_mtime_ns, **settings)
+    text = json.dumps(
+        {**told, "tiling": str(job.layout.tiling), "skylamp": skylamp.__version__}, sort_keys=True
+    )
+    mark = hashlib.sha256(text.encode()).hexdigest()
+    if job.scratch.exists():
+        kept = _group(job.scratch, "r+")
+        if kept is None or "skylamp" not in kept.attrs:
+            raise bad(f"{job.scratch}", "something that skylamp did not write", "a free name for scratch")
+        if resume and kept.attrs["skylamp"] != mark:
+            raise bad(
+                f"--resume: {job.scratch}",
+                f"the scratch of {kept.attrs['settings']}",
+                f"the same file and settings, {text}",
+                "Run it without --resume to begin anew.",
+            )
+        if resume:
+            return kept
+        shutil.rmtree(job.scratch)
+    group = _group(job.scratch, "w")
+    tiling, tiles = job.layout.tiling, len(list(job.layout.boxes()))
+    cells, side = [-(-n // (1 << tiling.first)) for n in job.layout.shape], tiling.tile >> tiling.first
+    kind: dict[str, Any] = dict(dtype="float32", fill_value=float("nan"))
+    group.create_array("low", shape=(2, *cells), chunks=(2, side, side), **kind)
+    group.create_array("found", shape=job.layout.shape, chunks=(tiling.tile // 2,) * 2, **kind)
+    for name in ("low_done", "done"):
+        group.create_array(name, shape=(tiles,), chunks=(1,), dtype="uint8", fill_value=0)
+    group.attrs.update({"skylamp": mark, "settings": text})
+    return group
+
+
+def _group(path: Path, mode: str) -> Any:
+    zarr = importlib.import_module("zarr")
+    try:
+        return zarr.open_group(path, mode=mode)
+    except (FileNotFoundError, ValueError, KeyError):
+        return None
+
+
+# -- workers and the file that is written
+
+
+@contextlib.contextmanager
+def workers_of(machines: Machines) -> Iterator[Any]:
+    """A client of a running scheduler, or of processes of this machine that share its memory."""
+    try:
+        distributed: Any = importlib.import_module("distributed")
+        importlib.import_module("zarr")
+    except ImportError as error:
+        raise lacking("--memory", "dask.distributed and zarr", "dask") from error
+    with contextlib.ExitStack() as stack:
+        at: Any = machines.scheduler
+        if at is None:
+            limit = "auto" if machines.share is None else machines.share
+            options: dict[str, Any] = dict(threads_per_worker=2, processes=True, dashboard_address=None)
+            cluster = distributed.LocalCluster(
+                machines.workers, memory_limit=limit, silence_logs=50, **options
+            )
+            at = stack.enter_context(cluster)
+        try:
+            client = stack.enter_context(distributed.Client(at, timeout=30))
+        except OSError as error:
+            raise InputError(f"--scheduler {at}: no scheduler answers there ({error}).") from error
+        client.register_plugin(devices())
+        yield client
+
+
+def write(out: str, found: Any, header: geo.Raster, cog: bool) -> None:
+    """Write a Zarr array as a GeoTIFF, by blocks of rows; ``cog``: one for the cloud, with overviews."""
+    rasterio = importlib.import_module("rasterio")
+    importlib.import_module("rasterio.shutil")
+    rows, cols = found.shape
+    with replacing_file(out) as path:
+        plain = path.with_suffix(".plain") if cog else path
+        with rasterio.open(
+            plain,
+            "w",
+            driver="GTiff",
+            width=cols,
+            height=rows,
+            count=1,
+            dtype="float32",
+            crs=header.crs,
+            transform=header.transform,
+            nodata=np.nan,
+            compress="zstd",
+            predictor=3,
+            tiled=True,
+            blockxsize=BLOCK,
+            blockysize=BLOCK,
+            bigtiff="if_safer",
+            num_threads="all_cpus",
+        ) as file:
+            file.update_tags(AREA_OR_POINT="Point" if header.point else "Area")
+            for row in range(0, rows, found.chunks[0]):
+                part = found[row : row + found.chunks[0]]
+                file.write(part, 1, window=((row, row + len(part)), (0, cols)))
+        if cog:
+            options = dict(
+                compress="ZSTD", predictor="YES", bigtiff="IF_SAFER", overview_resampling="AVERAGE"
+            )
+            rasterio.shutil.copy(plain, path, driver="COG", **options)
+            plain.unlink()

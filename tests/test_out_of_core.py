@@ -1,0 +1,153 @@
+"""`skylamp horizon --memory`: a file of any size to a file, by processes, interrupted and resumed."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+from compare import assert_bits_equal
+from test_scale import mountains
+
+import skylamp as sl
+from skylamp.app import out_of_core
+from skylamp.errors import CapacityError
+
+rasterio = pytest.importorskip("rasterio")
+da = pytest.importorskip("dask.array")
+zarr = pytest.importorskip("zarr")
+pytest.importorskip("distributed")
+
+pytestmark = pytest.mark.slow  # processes start, and import
+NODATA, TILE = -9999.0, 256
+OPTIONS = ["--azimuths", "8", "--memory", "3GB", "--tile", str(TILE)]
+
+
+@pytest.fixture(scope="module")
+def dem(tmp_path_factory):
+    """(path, heights with nan) of a GeoTIFF of 30 m cells with a gap."""
+    path, heights = tmp_path_factory.mktemp("dem") / "dem.tif", 30 * mountains(600, 900, 40)
+    heights[100:300, 500:560] = NODATA
+    with rasterio.open(
+        path,
+        "w",
+        driver="GTiff",
+        width=900,
+        height=600,
+        count=1,
+        dtype="float32",
+        crs="EPSG:32633",
+        transform=rasterio.transform.from_origin(5e5, 5e6, 30, 30),
+        nodata=NODATA,
+    ) as file:
+        file.write(heights, 1)
+    return path, np.where(heights == NODATA, np.nan, heights)
+
+
+def command(path, out, *more):
+    return [sys.executable, "-m", "skylamp", "horizon", str(path), "--out", str(out), *OPTIONS, *more]
+
+
+def run(path, out, *more):
+    done = subprocess.run(command(path, out, *more), capture_output=True, text=True, timeout=500)
+    return done.returncode, done.stderr
+
+
+def lazily(heights, work=sl.sky_view_factor, **options):
+    scene = sl.Scene.from_height(da.from_array(heights, chunks=300), 30.0)
+    return work(scene, azimuths=8, tiling=sl.Tiling(TILE), **options).compute(scheduler="sync")
+
+
+def test_a_file_is_computed_as_a_lazy_map_is(dem, tmp_path):
+    """The bytes of Dask's arrays; georeference, gaps, blocks; nothing else is left. Two processes, a COG."""
+    path, heights = dem
+    for more, work, options in (
+        ((), sl.sky_view_factor, {}),
+        (("--workers", "2", "--cog"), sl.sky_view_factor, {}),
+        (
+            ("--what", "negative-openness", "--max-distance", "900"),
+            sl.openness,
+            dict(negative=True, max_distance=900.0),
+        ),
+    ):
+        code, said = run(path, tmp_path / "out.tif", *more)
+        assert code == 0, said
+        with rasterio.open(tmp_path / "out.tif") as file, rasterio.open(path) as given:
+            found = file.read(1)
+            assert (file.crs, file.transform, file.shape) == (given.crs, given.transform, given.shape)
+            assert np.isnan(file.nodata) and file.profile["tiled"]
+            assert bool(file.overviews(1)) == ("--cog" in more)
+        assert np.array_equal(np.isnan(found), np.isnan(heights))
+        assert_bits_equal(np.nan_to_num(found), np.nan_to_num(lazily(heights, work, **options)))
+        assert sorted(os.listdir(tmp_path)) == ["out.tif"]
+
+
+def test_an_interrupted_run_goes_on(dem, tmp_path):
+    """Ctrl-C keeps the scratch and writes no file; --resume computes what is left, and gives the same bytes.
+
+    Other settings do not go on from it.
+    """
+    path, heights = dem
+    out, scratch = tmp_path / "out.tif", tmp_path / "out.tif.scratch"
+    process = subprocess.Popen(command(path, out), stderr=subprocess.PIPE, text=True)
+    done = 0
+    for _ in range(3000):
+        time.sleep(0.05)
+        if process.poll() is not None or done:
+            break
+        if (scratch / "done" / "c").exists():
+            done = len(os.listdir(scratch / "done" / "c"))
+    process.send_signal(signal.SIGINT)
+    process.communicate(timeout=100)
+    assert process.returncode != 0 and done and scratch.exists() and not out.exists()
+    flags = zarr.open_group(scratch, mode="r")["done"][:]
+    assert flags.any()
+    first = scratch / "done" / "c" / str(int(flags.argmax()))
+    written = first.stat().st_mtime_ns
+    code, said = run(path, out, "--resume", "--max-distance", "2000")
+    assert code == 3 and "--resume" in said
+    assert first.stat().st_mtime_ns == written
+    code, said = run(path, out, "--resume")
+    assert code == 0, said
+    with rasterio.open(out) as file:
+        assert_bits_equal(np.nan_to_num(file.read(1)), np.nan_to_num(lazily(heights)))
+    assert not scratch.exists()
+
+
+@pytest.mark.parametrize(
+    ("more", "code", "what"),
+    [
+        (["--memory", "many"], 2, "bytes"),
+        (["--memory", "300MB", "--azimuths", "4"], 1, "memory"),
+        (["--memory", "3GB", "--sides", "dark"], 2, "open sides"),
+        (["--memory", "3GB", "--what", "slopes"], 3, "openness"),
+        (["--memory", "3GB", "--workers", "0"], 3, "workers"),
+        (["--memory", "3GB", "--tile", "1000"], 3, "tile"),
+        (["--resume"], 2, "--memory"),
+    ],
+)
+def test_what_does_not_go_with_memory(dem, tmp_path, more, code, what):
+    """One error, before a worker is started."""
+    told = [sys.executable, "-m", "skylamp", "horizon", str(dem[0]), "--out", str(tmp_path / "o.tif"), *more]
+    done = subprocess.run(told, capture_output=True, text=True, timeout=200)
+    assert (done.returncode, what in done.stderr) == (code, True), done.stderr
+    assert os.listdir(tmp_path) == []
+
+
+def test_a_folder_that_is_no_scratch_stays(dem, tmp_path):
+    """What somebody else keeps under the scratch's name is not removed."""
+    kept = tmp_path / "out.tif.scratch"
+    kept.mkdir()
+    (kept / "theirs.txt").write_text("kept")
+    code, said = run(dem[0], tmp_path / "out.tif")
+    assert code == 3 and "scratch" in said and (kept / "theirs.txt").read_text() == "kept"
+
+
+def test_tiles_fit_the_memory_of_a_worker():
+    """The largest that does, and an error where none does."""
+    assert out_of_core.tile_that_fits(8 * 10**9) == 8192
+    assert out_of_core.tile_that_fits(2 * 10**9) == 4096
+    with pytest.raises(CapacityError, match="memory"):
+        out_of_core.tile_that_fits(10**8)
