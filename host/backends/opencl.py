@@ -32,7 +32,7 @@ from .base import (
 
 OPTIONS = ("-cl-std=CL1.2",)
 HUGE_PAGE = 2**21  # [byte], of Linux on x86-64 and, with pages of 4 KiB, on ARM
-# registers a work-item on NVIDIA, of stems that wait for memory: with 64 more items run at once. Measured on an
+# registers a work-item on NVIDIA, of stems that wait for memory: with 64 more run at once. Measured on an
 # H200, 4096 x 4096 nodes: sweeps of 64 azimuths took 27.2 ms with 64, 31.5 as the compiler chose (86), about 33
 # with 48 and 35 with 80; slices of a sphere 37.2 ms with 64 or 48, and 40.8 as it chose (110)
 REGISTERS = {"horizon": 64, "slices": 64}
