@@ -23,26 +23,35 @@ Aim = Callable[[np.ndarray, np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarra
 FAR = np.iinfo(np.int64).max // 4  # depth of a masked column: free space without end
 
 
-def gradient(depth: np.ndarray, spacing: float, valid: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """dz/dx and dz/dy at the nodes: central differences, one-sided at the border and beside masked nodes."""
+def gradient(
+    depth: np.ndarray, spacing: float, valid: np.ndarray, sides: str = "open"
+) -> tuple[np.ndarray, np.ndarray]:
+    """dz/dx and dz/dy at the nodes: central differences.
+
+    They are one-sided beside masked nodes and at the border, but go round the border of a map that repeats.
+    """
 
     def along_columns(z: np.ndarray, ok: np.ndarray) -> np.ndarray:
         out = np.zeros(z.shape)
         for row in range(z.shape[0]):
             for col in range(z.shape[1]):
-                left = col - 1 if col > 0 and ok[row, col - 1] else col
-                right = col + 1 if col + 1 < z.shape[1] and ok[row, col + 1] else col
+                left, right = col - 1, col + 1  # may lie off the map
+                if sides != "periodic":
+                    left, right = max(left, 0), min(right, z.shape[1] - 1)
+                left = left if ok[row, left % z.shape[1]] else col
+                right = right if ok[row, right % z.shape[1]] else col
                 if right > left and ok[row, col]:
-                    out[row, col] = (z[row, right] - z[row, left]) / ((right - left) * spacing)
+                    rise = z[row, right % z.shape[1]] - z[row, left % z.shape[1]]
+                    out[row, col] = rise / ((right - left) * spacing)
         return out
 
     z = np.where(valid, depth, 0.0).astype(float)
     return along_columns(z, valid), along_columns(z.T, valid.T).T
 
 
-def normals(depth: np.ndarray, spacing: float, valid: np.ndarray) -> np.ndarray:
+def normals(depth: np.ndarray, spacing: float, valid: np.ndarray, sides: str = "open") -> np.ndarray:
     """Unit normals (rows, cols, 3) = (dz/dx, dz/dy, -1) / |.|, towards the viewer's side."""
-    gx, gy = gradient(depth, spacing, valid)
+    gx, gy = gradient(depth, spacing, valid, sides)
     normal = np.stack([gx, gy, -np.ones_like(gx)], -1)
     unit: np.ndarray = normal / np.linalg.norm(normal, axis=-1, keepdims=True)
     return unit
@@ -700,6 +709,7 @@ def sky_irradiance(
     horizon: np.ndarray,
     brightness: Any = None,
     nodes: Node | None = None,
+    sides: str = "open",
 ) -> np.ndarray:
     """Irradiance of a sky above ``horizon``, as from :func:`horizons`: (rows, cols), or (n,) at ``nodes``.
 
@@ -708,7 +718,7 @@ def sky_irradiance(
     horizon and zenith.
     """
     row, col = (np.ravel(index) for index in (np.indices(valid.shape) if nodes is None else nodes))
-    normal = normals(depth, spacing, valid)[row, col]
+    normal = normals(depth, spacing, valid, sides)[row, col]
     point, share = np.polynomial.legendre.leggauss(200)
     out = np.zeros(len(row))
     for azimuth, width, tangent in zip(azimuths, widths, np.reshape(horizon, (len(azimuths), -1))):
@@ -884,7 +894,7 @@ def lobe_radiance(
     Under a sky rays are as dense as the lobe, cos^n about the mirror direction; towards lamps and windows as
     for irradiance.
     """
-    normal = normals(depth, spacing, valid)
+    normal = normals(depth, spacing, valid, sides)
     out = np.full(len(nodes[0]), np.nan)
     for node, (row, col) in enumerate(zip(*nodes)):
         N = normal[row, col]
@@ -940,7 +950,7 @@ def mirror_radiance(
 
     It is 0 where ground is in the way.
     """
-    normal = normals(depth, spacing, valid)
+    normal = normals(depth, spacing, valid, sides)
     R = -2 * normal[..., 2:] * normal - [0.0, 0.0, -1.0]
     return np.array(
         [
@@ -968,7 +978,7 @@ def _gather(
     aim(origin, u, v) -> (L (n, 3), ends (n,), weights [sr]).
     """
     rows, cols = valid.shape
-    normal = normals(depth, spacing, valid)
+    normal = normals(depth, spacing, valid, sides)
     surface = np.where(valid, depth, np.nan).astype(float)
     side = math.isqrt(rays)
     out = np.full(len(nodes[0]), np.nan)

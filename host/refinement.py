@@ -26,7 +26,7 @@ from .interreflection import check_choice, choice, expected, is_needed
 from .light import lattice, unoccluded
 from .light.base import Estimate, LightMethod
 from .light.finite import RAYS, Sliced
-from .light.horizon import OFFSET, Horizons
+from .light.horizon import OFFSET, Horizons, margin_of
 from .light.lattice import Lattice, lacking
 from .light.slices import outline, widened
 from .radiometry import point_error
@@ -536,7 +536,7 @@ class _SkyPlanner(_Planner):
     suns: tuple[Sun, ...] = ()  # small bright parts
     near_rows: int | None = None
     sectors = 0  # of azimuth, of every small bright part
-    has_rays = False  # exact horizons for small bright parts
+    rays: int | None = None  # margin of the map for exact horizons of small bright parts, or None
     grid = 0  # azimuths of the exact light
     slopes: np.ndarray  # exact horizons in these azimuths
     exact: np.ndarray
@@ -548,7 +548,7 @@ class _SkyPlanner(_Planner):
         rest = self.light.rest / max(self.light.level, 1e-30) if isinstance(self.light, Integrals) else 1.0
         cliffs = math.sqrt(samples.cliffs) * rest
         steep = BEHIND_CLIFFS[None] * cliffs > 0.5 * self.tolerance
-        if steep or self.suns and not self.has_rays and self.tolerance < SHARP_SHADOWS:
+        if steep or self.suns and self.rays is None and self.tolerance < SHARP_SHADOWS:
             self.near_rows = CLIFF_NEAR_ROWS
         floor = BEHIND_CLIFFS[self.near_rows] * cliffs
         planes = even(unoccluded.INTEGRATED_AZIMUTHS, 0.5)
@@ -579,12 +579,8 @@ class _SkyPlanner(_Planner):
             self.light = float(sky.mean)
             return
         self.suns = sky.suns
-        self.has_rays = (
-            bool(self.suns)
-            and self.samples.cliffs > 0
-            and scene.sides != "periodic"
-            and scene.resident is None
-        )
+        if self.suns and self.samples.cliffs > 0 and scene.resident is None:
+            self.rays = margin_of(scene, self.suns, self.samples.relief)
 
     def _trace(self, grid: int) -> None:
         """Exact light at the samples in ``grid`` azimuths or more, each time twice as many as before.
@@ -762,7 +758,7 @@ class _SkyPlanner(_Planner):
             self.sectors,
             self.near_rows,
             self.max_distance,
-            self.has_rays,
+            self.rays,
         )
 
     def audit(self, image: np.ndarray, units: int) -> float | None:

@@ -133,14 +133,11 @@ class Samples:
     def _set_nodes(self, x: np.ndarray, y: np.ndarray) -> None:
         """Move the samples to these nodes."""
         self.x, self.y = x, y
-        moved = [
-            np.where(
-                (x + i >= 0) & (x + i < self.cols) & (y + j >= 0) & (y + j < self.rows),
-                (y + j) * self.cols + x + i,
-                -1,
-            )
-            for i, j in ((0, 0), (-1, 0), (1, 0), (0, -1), (0, 1))
-        ]
+        moved = []
+        for i, j in ((0, 0), (-1, 0), (1, 0), (0, -1), (0, 1)):
+            col, row = (x + i) % self.cols, (y + j) % self.rows
+            on_map = self.periodic | ((col == x + i) & (row == y + j))
+            moved.append(np.where(on_map, row * self.cols + col, -1))
         self.own, left, right, above, below = _gather(self.engine, self.heights, np.stack(moved), float(NONE))
         self.gx, self.gy = (_slope(low, self.own, high) for low, high in ((left, right), (above, below)))
         self.length = np.sqrt(1 + self.gx**2 + self.gy**2)
@@ -449,7 +446,7 @@ def ring(
 
 
 def _slope(low: np.ndarray, here: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """d depth between neighbours: central differences, one-sided at the border and beside masked nodes."""
+    """d depth between neighbours: central differences, one-sided beside what is no ground."""
     has_low, has_high = low > NONE, high > NONE
     slope: np.ndarray = (np.where(has_low, low, here) - np.where(has_high, high, here)) / np.maximum(
         1, has_low.astype(int) + has_high

@@ -41,7 +41,8 @@ def tilts(scene: Scene) -> np.ndarray:
     depth, step = scene.lattice()
     out = np.zeros((2, depth.size), np.float32)
     with np.errstate(invalid="ignore"):
-        gradient(depth, out, *scene.shape, depth.size, 0.5 / step, 1 / step)
+        periodic = int(scene.sides == "periodic")
+        gradient(depth, out, *scene.shape, depth.size, 0.5 / step, 1 / step, periodic)
     return out.reshape(2, *scene.shape)
 
 

@@ -10,7 +10,8 @@ so is the derivative.
 Lengths are in spacings. z is depth, heights are -z. `pixels` is rows x cols.
 
   heights  (rows, cols + 2 margin)  float  -z; in the margins -1e30, or the other side of a map that repeats
-  tilts    (2, pixels)              float  dz/dx, dz/dy by central differences, one-sided at the border
+  tilts    (2, pixels)              float  dz/dx, dz/dy by central differences, one-sided at the border unless
+                                           the map repeats
   tiles    (down x across)          float  the greatest height of every TILE x TILE nodes
   top      (1)                      int    that of all, as ordered() gives it
   numbers  (count, room)            int    under a sky: number of the crossing that is the horizon, by look;
@@ -264,6 +265,24 @@ float unordered(int bits)
   return as_float(bits < 0 ? bits ^ 0x7fffffff : bits);
 }
 
+/* Node i of a line of n, which may lie one beyond its ends. */
+int on_line(int i, int n, int sides)
+{
+  return sides == PERIODIC ? (i + n) % n : clamp(i, 0, n - 1);
+}
+
+/* 1 over the distance of the nodes on both sides of node i of n, or of it and its one neighbour. */
+float half_within(int i, int n, int sides)
+{
+  return sides == PERIODIC || (i > 0 && i < n - 1) ? 0.5f : 1.0f;
+}
+
+/* Central difference of v along a line of n nodes, `step` apart in memory, about node i of it. */
+float rise_at(__global const float *v, int i, int n, int step, int sides)
+{
+  return (v[on_line(i + 1, n, sides) * step] - v[on_line(i - 1, n, sides) * step]) * half_within(i, n, sides);
+}
+
 /* surface: heights and tilts of the depths z (pixels), and a top for tiles to raise. Work-item (x, y) owns a
    node. */
 __kernel void surface(__global const float *z, __global float *heights, __global float *tilts,
@@ -283,10 +302,8 @@ __kernel void surface(__global const float *z, __global float *heights, __global
     for (int to = x - cols; to >= -margin; to -= cols)
       heights[y * stride + margin + to] = h;
   }
-  const int left = max(x - 1, 0), right = min(x + 1, cols - 1), over = max(y - 1, 0),
-            under = min(y + 1, rows - 1);
-  tilts[p] = right > left ? (z[y * cols + right] - z[y * cols + left]) / (right - left) : 0;
-  tilts[rows * cols + p] = under > over ? (z[under * cols + x] - z[over * cols + x]) / (under - over) : 0;
+  tilts[p] = rise_at(z + y * cols, x, cols, 1, sides);
+  tilts[rows * cols + p] = rise_at(z + x, y, rows, cols, sides);
 }
 
 /* tiles: the greatest height of every TILE x TILE nodes, and of all. Work-item (i, j) owns a tile. */
@@ -616,20 +633,18 @@ typedef struct {
   __global const float *light;
   __global const int *held, *first, *second;
   __global const float *near, *far;
-  int count;
+  int count, sides;
 } Links;
 
 /* Row p of J times v: by how much E changes there. */
 float change_at(Links links, __global const float *v, int rows, int cols, int p)
 {
-  const int pixels = rows * cols, x = p % cols, y = p / cols, count = links.count;
+  const int pixels = rows * cols, x = p % cols, y = p / cols, count = links.count, sides = links.sides;
   float sum = links.light[pixels + p] * v[p];
   if (cols > 1)
-    sum += links.light[2 * pixels + p] *
-           ((v[p + (x < cols - 1)] - v[p - (x > 0)]) * (x > 0 && x < cols - 1 ? 0.5f : 1.0f));
+    sum += links.light[2 * pixels + p] * rise_at(v + y * cols, x, cols, 1, sides);
   if (rows > 1)
-    sum += links.light[3 * pixels + p] * ((v[p + (y < rows - 1 ? cols : 0)] - v[p - (y > 0 ? cols : 0)]) *
-                                          (y > 0 && y < rows - 1 ? 0.5f : 1.0f));
+    sum += links.light[3 * pixels + p] * rise_at(v + x, y, rows, cols, sides);
   for (int k = 0; k < links.held[p]; ++k) {
     const int e = LINK(p, k);
     sum += links.near[e] * v[links.first[e]] + links.far[e] * v[links.second[e]];
@@ -650,7 +665,7 @@ void add(__global long *sum, long value, int exclusive)
 void spread_at(Links links, __global long *sum, float u, int squared, int rows, int cols, int p,
                int exclusive)
 {
-  const int pixels = rows * cols, x = p % cols, y = p / cols, count = links.count;
+  const int pixels = rows * cols, x = p % cols, y = p / cols, count = links.count, sides = links.sides;
 #define SPREAD(to, part)                                                                                     \
   {                                                                                                          \
     const float part_ = part;                                                                                \
@@ -658,14 +673,14 @@ void spread_at(Links links, __global long *sum, float u, int squared, int rows, 
   }
   SPREAD(p, links.light[pixels + p])
   if (cols > 1) {
-    const float part = links.light[2 * pixels + p] * (x > 0 && x < cols - 1 ? 0.5f : 1.0f);
-    SPREAD(p + (x < cols - 1), part)
-    SPREAD(p - (x > 0), -part)
+    const float part = links.light[2 * pixels + p] * half_within(x, cols, sides);
+    SPREAD(y * cols + on_line(x + 1, cols, sides), part)
+    SPREAD(y * cols + on_line(x - 1, cols, sides), -part)
   }
   if (rows > 1) {
-    const float part = links.light[3 * pixels + p] * (y > 0 && y < rows - 1 ? 0.5f : 1.0f);
-    SPREAD(p + (y < rows - 1 ? cols : 0), part)
-    SPREAD(p - (y > 0 ? cols : 0), -part)
+    const float part = links.light[3 * pixels + p] * half_within(y, rows, sides);
+    SPREAD(on_line(y + 1, rows, sides) * cols + x, part)
+    SPREAD(on_line(y - 1, rows, sides) * cols + x, -part)
   }
   for (int k = 0; k < links.held[p]; ++k) {
     const int e = LINK(p, k);
@@ -756,9 +771,9 @@ __kernel void downhill(__global const float *restrict light, __global const int 
                        __global const float *restrict near, __global const float *restrict far,
                        __global const float *restrict gain, __global const float *restrict target,
                        __global long *sum, __global long *squares, float unit, float fine, int rows, int cols,
-                       int count, int per_item, int copies)
+                       int count, int sides, int per_item, int copies)
 {
-  const Links links = {light, held, first, second, near, far, count};
+  const Links links = {light, held, first, second, near, far, count, sides};
   const int g = get_global_id(0);
   const size_t own = copies > 1 ? (size_t)g * rows * cols : 0;
   for (int p = g * per_item; p < min(rows * cols, g * per_item + per_item); ++p) {
@@ -910,9 +925,10 @@ __kernel void product(__global const float *restrict light, __global const int *
                       __global const float *restrict near, __global const float *restrict far,
                       __global const float *restrict gain, __global const float *restrict v,
                       __global long *sum, __global const double *state, int rows, int cols, int count,
+                      int sides,
                       int per_item, int copies)
 {
-  const Links links = {light, held, first, second, near, far, count};
+  const Links links = {light, held, first, second, near, far, count, sides};
   const int g = get_global_id(0);
   const size_t own = copies > 1 ? (size_t)g * rows * cols : 0;
   if (state[LEFT] > 0)
@@ -927,9 +943,10 @@ __kernel void change(__global const float *restrict light, __global const int *r
                      __global const float *restrict near, __global const float *restrict far,
                      __global const float *restrict gain, __global const float *restrict bare,
                      __global const float *restrict v, __global float *restrict share,
-                     __global const double *state, int rows, int cols, int count, int is_first, int per_item)
+                     __global const double *state, int rows, int cols, int count,
+                     int sides, int is_first, int per_item)
 {
-  const Links links = {light, held, first, second, near, far, count};
+  const Links links = {light, held, first, second, near, far, count, sides};
   const int g = get_global_id(0);
   if (state[LEFT] > 0)
     for (int p = g * per_item; p < min(rows * cols, g * per_item + per_item); ++p)
@@ -944,10 +961,10 @@ __kernel void product_beside(__global const float *restrict light, __global cons
                              __global const float *restrict gain, __global const float *restrict bare,
                              __global const float *restrict share, __global const float *restrict under,
                              __global const float *restrict v, __global long *sum,
-                             __global const double *state, int rows, int cols, int count, int per_item,
-                             int copies)
+                             __global const double *state, int rows, int cols, int count,
+                             int sides, int per_item, int copies)
 {
-  const Links links = {light, held, first, second, near, far, count};
+  const Links links = {light, held, first, second, near, far, count, sides};
   const int g = get_global_id(0);
   const size_t own = copies > 1 ? (size_t)g * rows * cols : 0;
   if (state[LEFT] > 0)
@@ -1088,9 +1105,9 @@ __kernel void solve(__global const float *restrict light, __global const int *re
                     __global float *restrict v, __global float *restrict v_4, __global float *restrict v_16,
                     __global float *restrict w, __global float *restrict x, __global float *restrict p,
                     __global float *restrict s, __global double *restrict state, double fixed_, double exact,
-                    int rows, int cols, int count)
+                    int rows, int cols, int count, int sides)
 {
-  const Links links = {light, held, first, second, near, far, count};
+  const Links links = {light, held, first, second, near, far, count, sides};
   const int pixels = rows * cols, rows_4 = (rows - 1) / COARSENING + 1, cols_4 = (cols - 1) / COARSENING + 1;
   const int rows_16 = (rows_4 - 1) / COARSENING + 1, cols_16 = (cols_4 - 1) / COARSENING + 1;
   if (get_global_id(0) > 0)

@@ -2,8 +2,8 @@
 Twin of warp_kernels/ground.py. */
 #include "lanes.h"
 
-/* tilt: d depth/dx and d depth/dy of a padded map, by central differences; one-sided at the border and beside
-masked nodes, 0 where alone or masked.
+/* tilt: d depth/dx and d depth/dy of a padded map, by central differences; one-sided beside what is no
+ground: masked nodes, and the border of a map that does not repeat. 0 where alone or masked.
 
   heights  (room)     float  [spacing]  as for sweep
   tilts    (2, room)  float  [1]        out
@@ -30,9 +30,8 @@ __kernel void tilt(__global const float *heights, __global float *tilts, int row
   }
   const int p = (y + margin) * stride + margin + x,
             known = x >= 0 && x < cols && y >= 0 && y < rows && heights[p] > NONE;
-  tilts[at] = known ? difference(heights, p, p - (x > 0), p + (x < cols - 1)) : 0.0f;
-  tilts[room + at] =
-      known ? difference(heights, p, p - (y > 0 ? stride : 0), p + (y < rows - 1 ? stride : 0)) : 0.0f;
+  tilts[at] = known ? difference(heights, p, p - 1, p + 1) : 0.0f;
+  tilts[room + at] = known ? difference(heights, p, p - stride, p + stride) : 0.0f;
 }
 
 /* turn: a map (rows, cols) and the same turned, (cols, rows). Work-item (x, y) owns one node of the turned

@@ -1,11 +1,12 @@
 /* The sum of brightness x cosine x solid angle over the visible directions (Eq. 3).
 
-gradient: dz/dx and dz/dy by central differences, one-sided at the border and beside masked nodes, 0 where
-alone.
+gradient: dz/dx and dz/dy by central differences, one-sided beside masked nodes and, unless the map repeats,
+at the border; 0 where alone.
 
   depth   (rows, cols)  float [length]  +inf where masked
   slopes  (2, room)     float [1]       out: dz/dx, dz/dy; room: pixels rounded up for whole vectors
   half, one             float [1/length]  1 / (2 step) and 1 / step
+  periodic              int               1 where the map repeats
 
 Work-item (x, y) owns one node. Twin of warp_kernels/luminance.py. */
 #include "lanes.h"
@@ -20,17 +21,25 @@ float difference(__global const float *depth, size_t here, size_t low, size_t hi
   return low == here && high == here ? 0.0f : rise * (low == here || high == here ? one : half_);
 }
 
+/* Node i of a line of n, which may lie one beyond its ends. */
+int on_line(int i, int n, int periodic)
+{
+  return periodic ? (i + n) % n : clamp(i, 0, n - 1);
+}
+
 __kernel void gradient(__global const float *depth, __global float *slopes, int rows, int cols, int room,
-                       float half_, float one)
+                       float half_, float one, int periodic)
 {
   const int x = get_global_id(0), y = get_global_id(1);
   if (x >= cols || y >= rows)
     return;
-  const size_t p = (size_t)y * cols + x;
+  const size_t p = (size_t)y * cols + x, row = (size_t)y * cols;
   const int known = !isinf(depth[p]);
-  slopes[p] = known ? difference(depth, p, p - (x > 0), p + (x < cols - 1), half_, one) : 0.0f;
+  const int left = on_line(x - 1, cols, periodic), right = on_line(x + 1, cols, periodic),
+            over = on_line(y - 1, rows, periodic), under = on_line(y + 1, rows, periodic);
+  slopes[p] = known ? difference(depth, p, row + left, row + right, half_, one) : 0.0f;
   slopes[room + p] =
-      known ? difference(depth, p, y > 0 ? p - cols : p, y < rows - 1 ? p + cols : p, half_, one) : 0.0f;
+      known ? difference(depth, p, (size_t)over * cols + x, (size_t)under * cols + x, half_, one) : 0.0f;
 }
 
 /* luminance: irradiance += sum over set bits of max(0, N . moment) x brightness; the moments come multiplied

@@ -109,9 +109,9 @@ float slope_between(float low, float here, float high)
 Pixel pixel_at(__global const float *heights, __global const float *tops, __global const float *sky,
                __global const float *points, __global const float *lobe, __global const float *chords,
                int rows, int cols, int width, int levels, int side, int n_points, int n_lobe, int n_turns,
-               int n_knots, int dark, float rim)
+               int n_knots, int dark, float rim, int x, int y)
 {
-  const int x = get_global_id(0), y = get_global_id(1), stride = cols + 1;
+  const int stride = cols + 1;
   __global const float *here = heights + (y + 1) * stride + x + 1;
   const float tilt_x = slope_between(here[-1], here[0], here[1]),
               tilt_y = slope_between(here[-stride], here[0], here[stride]);
@@ -442,7 +442,8 @@ __kernel void ball(__global const float *heights, __global const float *tops, __
   if (get_global_id(0) >= cols || get_global_id(1) >= rows)
     return;
   Pixel pixel = pixel_at(heights, tops, sky, points, lobe, chords, rows, cols, width, levels, side, n_points,
-                         n_lobe, n_turns, n_knots, dark, rim);
+                         n_lobe, n_turns, n_knots, dark, rim, get_global_id(0),
+                         get_global_id(1));
 
   /* 1. where the ball stands, and how many slices it is worth */
   const float dx = x0 - pixel.x, dy = y0 - pixel.y, dz = z0 - pixel.height;
@@ -552,7 +553,8 @@ __kernel void quad(__global const float *heights, __global const float *tops, __
   if (get_global_id(0) >= cols || get_global_id(1) >= rows)
     return;
   Pixel pixel = pixel_at(heights, tops, sky, points, lobe, chords, rows, cols, width, levels, side, n_points,
-                         n_lobe, n_turns, n_knots, dark, rim);
+                         n_lobe, n_turns, n_knots, dark, rim, get_global_id(0),
+                         get_global_id(1));
 
   /* 1. the corners, in the frame that points below the middle */
   const float dx = corners[12] - pixel.x, dy = corners[13] - pixel.y, dz = corners[14] - pixel.height;
@@ -693,7 +695,7 @@ __kernel void gloss(__global const float *heights, __global const float *tops, _
   if (get_global_id(0) >= cols || get_global_id(1) >= rows)
     return;
   Pixel pixel = pixel_at(heights, tops, sky, points, lobe, sky, rows, cols, width, levels, side, n_points,
-                         n_lobe, 0, 0, dark, rim);
+                         n_lobe, 0, 0, dark, rim, get_global_id(0), get_global_id(1));
 
   /* 1. where the disc stands, and how many slices it is worth */
   const float flat = sqrt(pixel.mirror_x * pixel.mirror_x + pixel.mirror_y * pixel.mirror_y);
@@ -743,7 +745,7 @@ __kernel void rays(__global const float *heights, __global const float *tops, __
   if (get_global_id(0) >= cols || get_global_id(1) >= rows)
     return;
   Pixel pixel = pixel_at(heights, tops, heights, heights, heights, heights, rows, cols, width, levels, 0, 0,
-                         0, 0, 0, 0, 0);
+                         0, 0, 0, 0, 0, get_global_id(0), get_global_id(1));
   const size_t here = ((size_t)pixel.y * cols + pixel.x) * count;
   pixel.up = 0;
   pixel.radius = -1;
@@ -790,19 +792,21 @@ added to what is there.
   table       (count, knots, 4)  float  integrals over elevation of B cos^2 and B sin cos, from the sine first
                                         + i / scale on, and what to add up to the next knot; below the first
                                         knot and above the last there is no light
-  irradiance  (rows, cols)       float  in, out
+  irradiance  (rows - 2 margin, cols - 2 margin)  float  in, out
 
-highest: node of the map. x0 <= x < x1, y0 <= y < y1 [spacing]: window at height 0 through which the light
-comes; -ENDLESS..ENDLESS: there is none. */
+margin: nodes on all sides of the map that are there to occlude, a map that repeats being wrapped; 0 with a
+wall or a window. highest: node of the map. x0 <= x < x1, y0 <= y < y1 [spacing]: window at height 0 through
+which the light comes; -ENDLESS..ENDLESS: there is none. */
 __kernel void sectors(__global const float *heights, __global const float *tops, __global const float *ways,
                       __global const float *table, __global float *irradiance, int rows, int cols, int width,
-                      int levels, int count, int knots, int dark, float highest, float x0, float x1, float y0,
-                      float y1)
+                      int levels, int count, int knots, int dark, int margin, float highest, float x0,
+                      float x1, float y0, float y1)
 {
-  if (get_global_id(0) >= cols || get_global_id(1) >= rows)
+  const int x = get_global_id(0), y = get_global_id(1);
+  if (x >= cols - 2 * margin || y >= rows - 2 * margin)
     return;
   Pixel pixel = pixel_at(heights, tops, heights, heights, heights, heights, rows, cols, width, levels, 0, 0,
-                         0, 0, 0, dark, 0);
+                         0, 0, 0, dark, 0, x + margin, y + margin);
   pixel.up = 0;
   pixel.reach = 1; /* ground counts up to t x along = 1 */
   pixel.radius = -1;
@@ -846,6 +850,6 @@ __kernel void sectors(__global const float *heights, __global const float *tops,
       }
       sum += AT(ways, 2 * count + j) * light;
     }
-  irradiance[pixel.y * cols + pixel.x] +=
+  irradiance[y * (cols - 2 * margin) + x] +=
       TOTAL(sum) / sqrt(1 + pixel.tilt_x * pixel.tilt_x + pixel.tilt_y * pixel.tilt_y);
 }

@@ -13,6 +13,7 @@ from scenes import rough
 import skylamp as sl
 from skylamp import oracle
 from skylamp.backends import select
+from skylamp.constants import SIDES
 from skylamp.errors import CapacityError
 from skylamp.inverse import conjugate_gradients, lights, resampling
 from skylamp.inverse.descent import Descent
@@ -115,8 +116,11 @@ def push(made, v, number=0):
     _, own, by_x, by_y = made.backend.download(made.images[number].links[made.here][0]).astype(float)
     held, first, second, near, far = links(made, number)
     v, total = np.asarray(v, float), own * np.ravel(v)
+    periodic = made.images[number].sides == SIDES["periodic"]
     for axis, by in ((1, by_x), (0, by_y)):
-        if v.shape[axis] > 1:
+        if periodic:
+            total += by * ((np.roll(v, -1, axis) - np.roll(v, 1, axis)) / 2).ravel()
+        elif v.shape[axis] > 1:
             total += by * np.gradient(v, axis=axis).ravel()
     for k in range(int(held.max())):
         some = np.flatnonzero(held > k)
@@ -159,8 +163,8 @@ def product(made, v):
 # -- float64
 
 
-def tilts_of(z):
-    gx, gy = oracle.gradient(z, 1.0, np.ones(z.shape, bool))
+def tilts_of(z, sides):
+    gx, gy = oracle.gradient(z, 1.0, np.ones(z.shape, bool), sides)
     return gx, gy, np.sqrt(1 + gx**2 + gy**2)
 
 
@@ -171,8 +175,8 @@ def sky64(z, light, sides):
     if sides == "periodic":  # what is lower is not looked for
         tangent = np.where(tangent > 0.01, tangent, -np.inf)
     if light.table is None:
-        return oracle.sky_irradiance(z, 1.0, np.ones(z.shape, bool), angles, widths, tangent)
-    gx, gy, length = tilts_of(z)
+        return oracle.sky_irradiance(z, 1.0, np.ones(z.shape, bool), angles, widths, tangent, sides=sides)
+    gx, gy, length = tilts_of(z, sides)
     knots, total = np.linspace(0, 1, light.table.shape[1]), 0.0
     for k, angle in enumerate(angles):
         along = gx * math.cos(angle) + gy * math.sin(angle)
@@ -282,7 +286,7 @@ def in_quadrangle(corners, x, y, own, k, count):
 def solid64(z, source, sides, count):
     """E of a ball or quadrangle of brightness 1, node by node and slice by slice, in angles."""
     rows, cols = z.shape
-    gx, gy, length = tilts_of(z)
+    gx, gy, length = tilts_of(z, sides)
     out = np.zeros(z.shape)
     for y, x in np.ndindex(*z.shape):
         for k in range(count):
@@ -627,8 +631,13 @@ def test_a_step_is_that_of_the_dense_matrices(backend, name, sides):
         g = float(gain[i, j])
         parts = [(p, own[p])]
         for by, place, size, step in ((by_x, j, 7, 1), (by_y, i, 6, 7)):
-            half = 0.5 if 0 < place < size - 1 else 1
-            parts += [(p + step * (place < size - 1), half * by[p]), (p - step * (place > 0), half * by[p])]
+            half = 0.5 if 0 < place < size - 1 or sides == "periodic" else 1
+            for neighbour in (place + 1, place - 1):
+                if sides == "periodic":
+                    neighbour %= size
+                else:
+                    neighbour = min(max(neighbour, 0), size - 1)
+                parts.append((p + step * (neighbour - place), half * by[p]))
         parts += [
             (to[k, p], part[k, p]) for k in range(held[p]) for to, part in ((first, near), (second, far))
         ]

@@ -323,6 +323,18 @@ def test_gradient_by_hand():
     assert np.allclose(normal, np.array([1, 4, -1]) / np.sqrt(18))
 
 
+def test_gradient_goes_round_a_map_that_repeats():
+    """By hand: at the border as inside, one-sided only beside a hole; zero for two nodes alone."""
+    z = np.array([[0.0, 2.0, 6.0, 1.0], [5.0, 5.0, 5.0, 5.0], [3.0, 9.0, 4.0, 7.0]])
+    valid = np.array([[True, True, True, True], [True, False, True, True], [True, True, True, True]])
+    gx, gy = oracle.gradient(z, 2.0, valid, "periodic")
+    assert gx.tolist() == [[0.25, 1.5, -0.25, -1.5], [0.0, 0.0, 0.0, 0.0], [0.5, 0.25, -0.5, -0.25]]
+    assert gy.tolist() == [[0.5, -3.5, 0.25, -0.5], [0.75, 0.0, -0.5, 1.5], [-1.25, -3.5, 0.25, -1.0]]
+    two = np.array([[1.0, 4.0]])
+    assert not np.any(oracle.gradient(two, 1.0, two > 0, "periodic"))
+    assert oracle.gradient(two, 1.0, two > 0)[0].tolist() == [[3.0, 3.0]]
+
+
 # -- carving
 
 

@@ -39,6 +39,7 @@ def sky(depth, spacing=1.0, count=64, brightness=None, nodes=None, **options):
         oracle.horizons(depth, spacing, azimuths, nodes=nodes, **options),
         brightness,
         nodes,
+        options.get("sides", "open"),
     )
 
 

@@ -46,7 +46,7 @@ def _image(kind, sides, size=5):
     depth = scenes.layers("fractal")
     lit = oracle.surface_visibility(depth, cube.steps, sides, geometry)
     light = oracle.luminance(
-        lit, oracle.normals(depth, 1.0, depth >= 0), radiance(source, cube.directions), cube.moments
+        lit, oracle.normals(depth, 1.0, depth >= 0, sides), radiance(source, cube.directions), cube.moments
     )
     noise = 1 + 0.02 * np.random.default_rng(4).normal(size=depth.shape)
     return 0.6 / np.pi * light * noise + 1e-4

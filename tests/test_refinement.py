@@ -76,6 +76,7 @@ def truth(scene, source, nodes):
             horizon,
             source.brightness if callable(source.brightness) else None,
             nodes,
+            scene.sides,
         )
     if isinstance(source, sl.Window):
         return oracle.window_irradiance(depth, scene.spacing, valid, source, nodes, 4096, sides=scene.sides)

@@ -299,7 +299,7 @@ def test_lobes_on_the_lattice(backend, sides):
     visible = cube.unpack(scenes.truth("bumps", 9, sides))
     wanted = oracle.specular(
         visible,
-        oracle.normals(depth, 1.0, scene.valid),
+        oracle.normals(depth, 1.0, scene.valid, sides),
         clear(cube.directions),
         cube.directions,
         cube.solid_angles,

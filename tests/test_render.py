@@ -57,7 +57,9 @@ def _expected(name, source, sides, size, weights):
     visible = oracle.surface_visibility(scenes.layers(name), cube.steps, sides, geometry)
     moments = cube.moments if weights == "moment" else cube.directions * cube.solid_angles[:, None]
     return (
-        oracle.luminance(visible, oracle.normals(depth, 1.0, valid), brightness(cube.directions), moments),
+        oracle.luminance(
+            visible, oracle.normals(depth, 1.0, valid, sides), brightness(cube.directions), moments
+        ),
         valid,
     )
 
@@ -96,6 +98,32 @@ def test_radiance_agrees_with_the_oracle(backend, name, source, sides, size, wei
     assert np.isnan(bright.image[~valid]).all() and np.isnan(lit.image[~valid]).all()
     assert_close(bright.image[valid], (rho * light / np.pi)[valid], floor=0.01)
     assert_close(lit.image[valid], light[valid], floor=0.01)
+
+
+@pytest.mark.parametrize(
+    "model",
+    [
+        dict(method="lattice", hemicube=9),
+        dict(method="lattice", hemicube=9, filled=True),
+        dict(method="horizon", azimuths=16, max_distance=4.0),
+    ],
+    ids=["stride", "filled", "near horizons"],
+)
+def test_a_map_that_repeats_has_no_seam(backend, model):
+    """Moved by rows and columns round its border, a map has the same image moved, normals and all."""
+    y, x = np.mgrid[:23, :29]
+    depth = 6 + 2 * np.cos(2 * np.pi * x / 29) + 3 * np.sin(2 * np.pi * (y / 23 + 2 * x / 29))
+    depth = np.round(depth * 16) / 16  # so that float32 holds every sum of four of them
+
+    def image(z):
+        scene = sl.Scene(z, sides="periodic")
+        return sl.render(scene, sl.Sky(sl.cie_overcast()), backend=backend, **model).image
+
+    moved, expected = image(np.roll(depth, (7, 11), (0, 1))), np.roll(image(depth), (7, 11), (0, 1))
+    if model["method"] == "lattice":
+        assert_bits_equal(moved, expected)
+    else:  # crossings round differently in other columns
+        np.testing.assert_allclose(moved, expected, rtol=1e-6)
 
 
 def test_spacing_scales_slopes_not_light(backend):

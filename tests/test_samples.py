@@ -29,9 +29,9 @@ def test_samples_see_the_oracles_horizons(backend, name):
     free = samples.free(np.cos(azimuths)[:, None], np.sin(azimuths)[:, None])
     np.testing.assert_allclose(found, np.maximum(free, raw), atol=2e-4, rtol=2e-5)
     assert (raw > free).mean() > 0.2, "nothing stands in the way"
-    normal = oracle.normals(np.nan_to_num(scene.depth.astype(float)), scene.spacing, scene.valid)[
-        samples.y, samples.x
-    ]
+    normal = oracle.normals(
+        np.nan_to_num(scene.depth.astype(float)), scene.spacing, scene.valid, scene.sides
+    )[samples.y, samples.x]
     np.testing.assert_allclose(
         np.stack([samples.gx, samples.gy]), (normal[:, :2] / -normal[:, 2:]).T, atol=1e-5
     )

@@ -661,6 +661,19 @@ def by_suns(backend, depth, launches, window=None, sides="open"):
     return run.download()
 
 
+def test_a_sun_over_a_map_with_a_margin(backend):
+    """Over a map that is repeated all round it, the same bits as in the middle of five by five maps."""
+    depth = _terrain()[100:140, 150:190].astype(np.float32)
+    depth[20:26, 30:33] = np.inf
+    ways, table = Integrals(sunny(2.0)[0]).suns[0].sectors(8)
+    run = slices.Slices(select(backend), depth, 1.0, "periodic", slices.Dome(), margin=80)
+    run.clear()
+    run.sectors(ways, table)
+    middle = by_suns(backend, np.tile(depth, (5, 5)), [(ways, table)])[80:120, 80:120]
+    assert_bits_equal(run.download(), middle)
+    assert (abs(middle - by_suns(backend, depth, [(ways, table)])) > 0.1 * middle.max()).any()
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("sides", ["open", "dark"])
 def test_a_sun_in_sectors_is_the_disc_that_it_is(backend, sides):

@@ -398,6 +398,33 @@ def unordered(bits: wp.int32):
     return wp.cast(bits, wp.float32)
 
 
+@wp.func
+def on_line(i: wp.int32, n: wp.int32, sides: wp.int32):
+    """Node i of a line of n, which may lie one beyond its ends."""
+    if sides == PERIODIC:
+        return (i + n) % n
+    return wp.clamp(i, 0, n - 1)
+
+
+@wp.func
+def half_within(i: wp.int32, n: wp.int32, sides: wp.int32):
+    """1 over the distance of the nodes on both sides of node i of n, or of it and its one neighbour."""
+    if sides == PERIODIC or (i > 0 and i < n - 1):
+        return wp.float32(0.5)
+    return wp.float32(1.0)
+
+
+@wp.func
+def rise_at(
+    v: wp.array[wp.float32], start: wp.int32, i: wp.int32, n: wp.int32, step: wp.int32, sides: wp.int32
+):
+    """Central difference of v along a line of n nodes, ``step`` apart in memory from ``start`` on, about node
+    i of it.
+    """
+    after = v[start + on_line(i + 1, n, sides) * step]
+    return (after - v[start + on_line(i - 1, n, sides) * step]) * half_within(i, n, sides)
+
+
 @wp.kernel
 def surface(
     z: wp.array[wp.float32],
@@ -426,18 +453,8 @@ def surface(
         while to >= -margin:
             heights[y * stride + margin + to] = h
             to -= cols
-    left = wp.max(x - 1, 0)
-    right = wp.min(x + 1, cols - 1)
-    over = wp.max(y - 1, 0)
-    under = wp.min(y + 1, rows - 1)
-    gx = wp.float32(0.0)
-    gy = wp.float32(0.0)
-    if right > left:
-        gx = (z[y * cols + right] - z[y * cols + left]) / wp.float32(right - left)
-    if under > over:
-        gy = (z[under * cols + x] - z[over * cols + x]) / wp.float32(under - over)
-    tilts[p] = gx
-    tilts[rows * cols + p] = gy
+    tilts[p] = rise_at(z, y * cols, x, cols, 1, sides)
+    tilts[rows * cols + p] = rise_at(z, x, y, rows, cols, sides)
 
 
 @wp.kernel
@@ -814,28 +831,6 @@ def lamp(
 
 
 @wp.func
-def half_within(i: wp.int32, n: wp.int32):
-    """1 over the distance of the nodes on both sides of node i of n, or of it and its one neighbour."""
-    if i > 0 and i < n - 1:
-        return wp.float32(0.5)
-    return wp.float32(1.0)
-
-
-@wp.func
-def after(i: wp.int32, n: wp.int32, step: wp.int32):
-    if i < n - 1:
-        return step
-    return 0
-
-
-@wp.func
-def before(i: wp.int32, step: wp.int32):
-    if i > 0:
-        return step
-    return 0
-
-
-@wp.func
 def change_at(
     light: wp.array[wp.float32],
     held: wp.array[wp.int32],
@@ -847,6 +842,7 @@ def change_at(
     rows: wp.int32,
     cols: wp.int32,
     count: wp.int32,
+    sides: wp.int32,
     p: wp.int32,
 ):
     """Row p of J, the derivative of E by depth, times v: by how much E changes there."""
@@ -855,13 +851,9 @@ def change_at(
     y = p / cols
     sum = light[pixels + p] * v[p]
     if cols > 1:
-        sum += light[2 * pixels + p] * (
-            (v[p + after(x, cols, 1)] - v[p - before(x, 1)]) * half_within(x, cols)
-        )
+        sum += light[2 * pixels + p] * rise_at(v, y * cols, x, cols, 1, sides)
     if rows > 1:
-        sum += light[3 * pixels + p] * (
-            (v[p + after(y, rows, cols)] - v[p - before(y, cols)]) * half_within(y, rows)
-        )
+        sum += light[3 * pixels + p] * rise_at(v, x, y, rows, cols, sides)
     for k in range(held[p]):
         e = link(p, k, count)
         sum += near[e] * v[first[e]] + far[e] * v[second[e]]
@@ -890,6 +882,7 @@ def spread_at(
     rows: wp.int32,
     cols: wp.int32,
     count: wp.int32,
+    sides: wp.int32,
     p: wp.int32,
 ):
     """sum += row p of J times u, in whole numbers, so that no order of summation matters; its elements
@@ -900,13 +893,13 @@ def spread_at(
     y = p / cols
     add(sum, p, light[pixels + p], u, squared)
     if cols > 1:
-        part = light[2 * pixels + p] * half_within(x, cols)
-        add(sum, p + after(x, cols, 1), part, u, squared)
-        add(sum, p - before(x, 1), -part, u, squared)
+        part = light[2 * pixels + p] * half_within(x, cols, sides)
+        add(sum, y * cols + on_line(x + 1, cols, sides), part, u, squared)
+        add(sum, y * cols + on_line(x - 1, cols, sides), -part, u, squared)
     if rows > 1:
-        part = light[3 * pixels + p] * half_within(y, rows)
-        add(sum, p + after(y, rows, cols), part, u, squared)
-        add(sum, p - before(y, cols), -part, u, squared)
+        part = light[3 * pixels + p] * half_within(y, rows, sides)
+        add(sum, on_line(y + 1, rows, sides) * cols + x, part, u, squared)
+        add(sum, on_line(y - 1, rows, sides) * cols + x, -part, u, squared)
     for k in range(held[p]):
         e = link(p, k, count)
         add(sum, first[e], near[e], u, squared)
@@ -1028,6 +1021,7 @@ def downhill(
     rows: wp.int32,
     cols: wp.int32,
     count: wp.int32,
+    sides: wp.int32,
     per_item: wp.int32,
     copies: wp.int32,
 ):
@@ -1050,10 +1044,24 @@ def downhill(
             rows,
             cols,
             count,
+            sides,
             p,
         )
         spread_at(
-            light, held, first, second, near, far, squares, gain[p] * gain[p] * fine, 1, rows, cols, count, p
+            light,
+            held,
+            first,
+            second,
+            near,
+            far,
+            squares,
+            gain[p] * gain[p] * fine,
+            1,
+            rows,
+            cols,
+            count,
+            sides,
+            p,
         )
 
 
@@ -1240,12 +1248,26 @@ def product_at(
     rows: wp.int32,
     cols: wp.int32,
     count: wp.int32,
+    sides: wp.int32,
     p: wp.int32,
 ):
     """See product."""
-    change = change_at(light, held, first, second, near, far, v, rows, cols, count, p)
+    change = change_at(light, held, first, second, near, far, v, rows, cols, count, sides, p)
     spread_at(
-        light, held, first, second, near, far, sum, gain[p] * gain[p] * change * unit, 0, rows, cols, count, p
+        light,
+        held,
+        first,
+        second,
+        near,
+        far,
+        sum,
+        gain[p] * gain[p] * change * unit,
+        0,
+        rows,
+        cols,
+        count,
+        sides,
+        p,
     )
 
 
@@ -1264,6 +1286,7 @@ def product(
     rows: wp.int32,
     cols: wp.int32,
     count: wp.int32,
+    sides: wp.int32,
     per_item: wp.int32,
     copies: wp.int32,
 ):
@@ -1285,6 +1308,7 @@ def product(
                 rows,
                 cols,
                 count,
+                sides,
                 p,
             )
 
@@ -1305,6 +1329,7 @@ def change(
     rows: wp.int32,
     cols: wp.int32,
     count: wp.int32,
+    sides: wp.int32,
     is_first: wp.int32,
     per_item: wp.int32,
 ):
@@ -1317,7 +1342,7 @@ def change(
             own = (
                 bare[p]
                 * light[p]
-                * (gain[p] * change_at(light, held, first, second, near, far, v, rows, cols, count, p))
+                * (gain[p] * change_at(light, held, first, second, near, far, v, rows, cols, count, sides, p))
             )
             if is_first != 0:
                 share[p] = own
@@ -1343,6 +1368,7 @@ def product_beside(
     rows: wp.int32,
     cols: wp.int32,
     count: wp.int32,
+    sides: wp.int32,
     per_item: wp.int32,
     copies: wp.int32,
 ):
@@ -1350,9 +1376,9 @@ def product_beside(
     g = wp.tid()
     if state[LEFT] > wp.float64(0.0):
         for p in range(g * per_item, wp.min(rows * cols, g * per_item + per_item)):
-            left = gain[p] * change_at(light, held, first, second, near, far, v, rows, cols, count, p) - bare[
-                p
-            ] * light[p] * (share[p] / under[p])
+            left = gain[p] * change_at(
+                light, held, first, second, near, far, v, rows, cols, count, sides, p
+            ) - bare[p] * light[p] * (share[p] / under[p])
             spread_at(
                 light,
                 held,
@@ -1366,6 +1392,7 @@ def product_beside(
                 rows,
                 cols,
                 count,
+                sides,
                 p,
             )
 
@@ -1588,6 +1615,7 @@ def solve(
     rows: wp.int32,
     cols: wp.int32,
     count: wp.int32,
+    sides: wp.int32,
 ):
     """product, curve, go, down and up until they stop, by one thread: on a small grid a CPU takes longer to
     start a kernel than to run it. 4 and 16: of the coarse grids.
@@ -1615,6 +1643,7 @@ def solve(
                 rows,
                 cols,
                 count,
+                sides,
                 i,
             )
         for i in range(pixels):

@@ -36,8 +36,8 @@ def tilt(
     room: wp.int32,
     periodic: wp.int32,
 ):
-    """d depth/dx and d depth/dy of a padded map, by central differences; one-sided at the border and beside
-    masked nodes, 0 where alone or masked.
+    """d depth/dx and d depth/dy of a padded map, by central differences; one-sided beside what is no ground:
+    masked nodes, and the border of a map that does not repeat. 0 where alone or masked.
 
       heights  (room)     float32 [spacing]  as for sweep
       tilts    (2, room)  float32 [1]        out
@@ -56,8 +56,8 @@ def tilt(
     if x >= 0 and x < cols and y >= 0 and y < rows:
         p = (y + margin) * stride + margin + x
         if heights[p] > NONE:
-            gx = difference(heights, p, wp.where(x > 0, p - 1, p), wp.where(x < cols - 1, p + 1, p))
-            gy = difference(heights, p, wp.where(y > 0, p - stride, p), wp.where(y < rows - 1, p + stride, p))
+            gx = difference(heights, p, p - 1, p + 1)
+            gy = difference(heights, p, p - stride, p + stride)
     tilts[0, row * stride + column] = gx
     tilts[1, row * stride + column] = gy
 

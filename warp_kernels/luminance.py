@@ -17,17 +17,30 @@ words = wp.types.vector(GPU_PIXELS // 4, wp.uint32)  # four pixels' bytes each, 
 
 
 @wp.func
+def on_line(i: wp.int32, n: wp.int32, periodic: wp.int32):
+    """Node i of a line of n, which may lie one beyond its ends."""
+    if periodic != 0:
+        return (i + n) % n
+    return wp.clamp(i, 0, n - 1)
+
+
+@wp.func
 def difference(
-    here: wp.float32,
-    low: wp.float32,
-    high: wp.float32,
-    has_low: wp.bool,
-    has_high: wp.bool,
+    depth: wp.array2d[wp.float32],
+    y: wp.int32,
+    x: wp.int32,
+    low_y: wp.int32,
+    low_x: wp.int32,
+    high_y: wp.int32,
+    high_x: wp.int32,
     half: wp.float32,
     one: wp.float32,
 ):
-    below = has_low and low < wp.inf
-    above = has_high and high < wp.inf
+    low = depth[low_y, low_x]
+    high = depth[high_y, high_x]
+    here = depth[y, x]
+    below = (low_y != y or low_x != x) and low < wp.inf
+    above = (high_y != y or high_x != x) and high < wp.inf
     if below and above:
         return (high - low) * half
     if above:
@@ -46,26 +59,28 @@ def gradient(
     room: wp.int32,
     half: wp.float32,
     one: wp.float32,
+    periodic: wp.int32,
 ):
-    """dz/dx and dz/dy by central differences, one-sided at the border and beside masked nodes, 0 where alone.
+    """dz/dx and dz/dy by central differences, one-sided beside masked nodes and, unless the map repeats, at
+    the border; 0 where alone.
 
       depth   (rows, cols)  float32 [length]  +inf where masked
       slopes  (2, room)     float32 [1]       out: dz/dx, dz/dy; room: pixels rounded up for whole vectors
       half, one             float32 [1/length]  1 / (2 step) and 1 / step
+      periodic              int32               1 where the map repeats
 
     Thread (y, x) owns one node.
     """
     y, x = wp.tid()
-    z = depth[y, x]
     gx = wp.float32(0.0)
     gy = wp.float32(0.0)
-    if z < wp.inf:
-        gx = difference(
-            z, depth[y, wp.max(x - 1, 0)], depth[y, wp.min(x + 1, cols - 1)], x > 0, x < cols - 1, half, one
-        )
-        gy = difference(
-            z, depth[wp.max(y - 1, 0), x], depth[wp.min(y + 1, rows - 1), x], y > 0, y < rows - 1, half, one
-        )
+    if depth[y, x] < wp.inf:
+        left = on_line(x - 1, cols, periodic)
+        right = on_line(x + 1, cols, periodic)
+        over = on_line(y - 1, rows, periodic)
+        under = on_line(y + 1, rows, periodic)
+        gx = difference(depth, y, x, y, left, y, right, half, one)
+        gy = difference(depth, y, x, over, x, under, x, half, one)
     slopes[0, y * cols + x] = gx
     slopes[1, y * cols + x] = gy
 

@@ -1156,6 +1156,7 @@ def sectors(
     count: wp.int32,
     knots: wp.int32,
     dark: wp.int32,
+    margin: wp.int32,
     highest: wp.float32,
     x0: wp.float32,
     x1: wp.float32,
@@ -1171,12 +1172,15 @@ def sectors(
       table       (count, knots, 4)  float32  integrals over elevation of B cos^2 and B sin cos, from the sine
                                               first + i / scale on, and what to add up to the next knot; below
                                               the first knot and above the last there is no light
-      irradiance  (rows, cols)       float32  in, out
+      irradiance  (rows - 2 margin, cols - 2 margin)  float32  in, out
 
+    margin: nodes on all sides of the map that are there to occlude, a map that repeats being wrapped.
     highest: node of the map. x0 <= x < x1, y0 <= y < y1 [spacing]: window at height 0 through which the light
     comes; -ENDLESS..ENDLESS: there is none.
     """
-    y, x = wp.tid()
+    row, column = wp.tid()
+    y = row + margin
+    x = column + margin
     here = (y + 1) * (cols + 1) + x + 1
     tilt_xy = tilt_of(heights, here, cols + 1)
     pixel = Pixel()
@@ -1230,6 +1234,5 @@ def sectors(
                 if end < STEEP:
                     light -= light_above(table, j * knots, knots, first, scale, end, tilt)
             total += ways[2 * count + j] * light
-    irradiance[y * cols + x] = irradiance[y * cols + x] + total / wp.sqrt(
-        1.0 + tilt_xy[0] * tilt_xy[0] + tilt_xy[1] * tilt_xy[1]
-    )
+    at = row * (cols - 2 * margin) + column
+    irradiance[at] = irradiance[at] + total / wp.sqrt(1.0 + tilt_xy[0] * tilt_xy[0] + tilt_xy[1] * tilt_xy[1])

@@ -79,7 +79,7 @@ class ConjugateGradients:
             self._scatter(
                 "downhill",
                 *(*image.links[side], image.gains[side], image.target),
-                *(self.sum, self.squares, unit, FINE, *self.shape, image.count),
+                *(self.sum, self.squares, unit, FINE, *self.shape, image.count, image.sides),
             )
         z, rest, low, high = self.depths
         self.launcher.launch(
@@ -121,7 +121,7 @@ class ConjugateGradients:
             "solve",
             *(*image.links[side], image.gains[side], *self.scale, *self.free, self.sum),
             *(*self.r, *self.v, self.w, self.x, self.p, self.s, state, FIXED, EXACT),
-            *(*self.shape, image.count),
+            *(*self.shape, image.count, image.sides),
             dim=(1,),
         )
         return float(self.backend.download(state)[GAIN])
@@ -151,19 +151,32 @@ class ConjugateGradients:
         rest = self.v[0], self.sum, state, *self.shape
         if self.albedo is None:
             for image in self.images:
-                self._scatter("product", *image.links[side], image.gains[side], *rest, image.count)
+                self._scatter(
+                    "product", *image.links[side], image.gains[side], *rest, image.count, image.sides
+                )
             return
         shared, under = self.albedo.shared, self.albedo.unders[side]
         for number, image in enumerate(self.images):
             gains = image.gains[side], image.gain
             self.launcher.launch(
                 "change",
-                *(*image.links[side], *gains, self.v[0], shared, state, *self.shape, image.count),
+                *(
+                    *image.links[side],
+                    *gains,
+                    self.v[0],
+                    shared,
+                    state,
+                    *self.shape,
+                    image.count,
+                    image.sides,
+                ),
                 *(number == 0, self.launcher.nodes_per_item),
             )
         for image in self.images:
             gains = image.gains[side], image.gain
-            self._scatter("product_beside", *image.links[side], *gains, shared, under, *rest, image.count)
+            self._scatter(
+                "product_beside", *image.links[side], *gains, shared, under, *rest, image.count, image.sides
+            )
 
     def _scatter(self, kernel: str, *args: Any) -> None:
         self.launcher.launch(kernel, *args, self.scattered, self.launcher.partial_sums, dim=self.scatterers)

@@ -7,9 +7,10 @@ import math
 import numpy as np
 
 from ..backends.base import Array, Backend
+from ..constants import LEAST_SEARCHED_SLOPE
 from ..directions import Azimuths
 from ..scene import Scene
-from ..sources.integrals import SKY_KNOTS, Integrals, even
+from ..sources.integrals import SKY_KNOTS, Integrals, Sun, even
 from ..sources.solids import Dome
 from . import unoccluded
 from .base import Estimate, LightMethod
@@ -19,6 +20,8 @@ from .sweeps import Rays, Sweeps, ground_of
 # of a sector: doubling turns it into 2/3 and back, so that no azimuth runs along a grid line; at 1/2 errors
 # double there
 OFFSET = 1 / 3
+# nodes of a map with its margin, or four times the map's; chosen: 64 MB, and a quarter of a second to wrap
+WRAPPED = 2**24
 FINE_KNOTS = 1025  # of a table that holds small bright parts too: a knot is 0.06 degrees at the horizon
 
 
@@ -26,8 +29,8 @@ class Horizons(LightMethod):
     """``sky``: a brightness, or Integrals. ``count``: azimuths, even in number, 0 for tangent planes alone.
 
     ``sectors`` of every small bright part; ``near`` rows within which every crossing is tested. ``rays``: the
-    small parts are above exact horizons, which behind cliffs a sweep's are not; of a map that does not
-    repeat.
+    small parts are above exact horizons, which behind cliffs a sweep's are not; ``rays`` is then the margin
+    of a map that repeats, see :func:`margin_of`, else 0.
 
     Each of the two images has half of the azimuths, every other one, and all light. The light above the
     tangent planes alone is a control variate: its value by these azimuths is replaced by the exact one.
@@ -42,14 +45,16 @@ class Horizons(LightMethod):
         sectors: int = 8,
         near: int | None = None,
         max_distance: float | None = None,
-        rays: bool = False,
+        rays: int | None = None,
     ):
         self.engine, self.scene, self.sky, self.units, self.sectors = engine, scene, sky, count, sectors
         self.scale, self.suns = (1.0, sky.suns) if isinstance(sky, Integrals) else (sky, ())
         shape, size = scene.shape, (math.prod(scene.shape),)
         self.sweeps = Sweeps(engine, ground_of(scene, max_distance, engine), near=near)
         self.total, self.turned = (engine.empty(size, np.int32) for _ in range(2))
-        self.slices = Slices(scene.on(engine), scene.sides, Dome()) if rays and self.suns else None
+        self.slices = None
+        if rays is not None and self.suns:
+            self.slices = Slices(scene.on(engine), scene.sides, Dome(), margin=rays)
         self.exact = None
         if isinstance(sky, Integrals):
             azimuths = unoccluded.INTEGRATED_AZIMUTHS
@@ -123,6 +128,20 @@ class Horizons(LightMethod):
         )
         mean = light / lit if lit and light > 0 else 1e-30
         return Estimate(math.sqrt(square / valid) / mean, beyond / valid)
+
+
+def margin_of(scene: Scene, suns: tuple[Sun, ...], relief: float) -> int | None:
+    """Nodes round a map that repeats in which its ``relief`` [spacing] may hide a sun; 0 of other maps.
+
+    None where a map with that margin would be too large. Ground that rises less than LEAST_SEARCHED_SLOPE is not looked
+    for, as in a sweep.
+    """
+    if scene.sides != "periodic":
+        return 0
+    lowest = min(float(sun.cells.low.min()) for sun in suns)
+    margin = math.ceil(relief / max(LEAST_SEARCHED_SLOPE, math.tan(max(0.0, lowest)))) + 1
+    wrapped, nodes = math.prod(n + 2 * margin for n in scene.shape), math.prod(scene.shape)
+    return margin if wrapped <= max(WRAPPED, 4 * nodes) else None
 
 
 def _by_normals(sky: Integrals, azimuths: Azimuths, window: float) -> np.ndarray:

@@ -325,6 +325,7 @@ class Light:
             surface.room,
             0.5 / problem.step,
             1 / problem.step,
+            int(problem.sides == "periodic"),
         )
         last = len(surface.groups) - 1
 

@@ -115,15 +115,17 @@ class Slices:
         most: int = MOST,
         lobe: Lobe | None = None,
         shift: float = 0.5,
+        margin: int = 0,
     ):
         """``there``: the map; ``solid`` is in its unit, in which the spacing is ``there.step``.
 
-        ``sides``: open or dark. ``brightness``: a number; else the result of :func:`brightness_of` with a
-        lobe, and of :func:`skylamp.sources.integrals.chords` without one. ``most``: slices of a source that
-        surrounds a node, a multiple of 8; one that looks small has a quarter of them, half if it is a
-        quadrangle, but at least 8, and others a number between. ``lobe``: light is weighted by it, and its
-        width gives the number of slices. A Dome has a lobe. ``shift``: where in its step every slice of a
-        ball lies, 0..1; the slices of 0 lie between those of 0.5.
+        ``sides``: open or dark, or periodic with a ``margin`` [nodes] all round, in which the map is repeated
+        and beyond which nothing occludes; a Dome alone takes one. ``brightness``: a number; else the result
+        of :func:`brightness_of` with a lobe, and of :func:`skylamp.sources.integrals.chords` without one.
+        ``most``: slices of a source that surrounds a node, a multiple of 8; one that looks small has a
+        quarter of them, half if it is a quadrangle, but at least 8, and others a number between. ``lobe``:
+        light is weighted by it, and its width gives the number of slices. A Dome has a lobe. ``shift``: where
+        in its step every slice of a ball lies, 0..1; the slices of 0 lie between those of 0.5.
         """
         count = math.prod(there.shape)
         if count > MOST_PIXELS:
@@ -131,8 +133,8 @@ class Slices:
                 f"A map of {count:,} nodes; at most {MOST_PIXELS:,}, since kernels count nodes in 32"
                 " bits. Cut it into tiles."
             )
-        rows, cols = self.shape = there.shape
-        self.there, backend = there, there.backend
+        rows, cols = self.shape = there.shape[0] + 2 * margin, there.shape[1] + 2 * margin
+        self.there, backend, self.margin = there, there.backend, margin
         self.backend, self.solid, self.step = backend, solid, there.step
         self.levels = min(max(round(math.log2(cols)) - 2, 1), LEVELS)
         self.width = -(-cols >> self.levels) << self.levels
@@ -145,9 +147,9 @@ class Slices:
             "Cut it into tiles.",
         )
         lowest, self.highest = there.heights_range
-        self.heights = there.heights(1, 1, 0, 2)
+        self.heights = there.heights(margin + 1, margin + 1, margin, margin + 2, periodic=margin > 0)
         self.tops = backend.empty((cells, self.width), np.float32)
-        self.image, self.coarsened = backend.empty((rows, cols), np.float32), False
+        self.image, self.coarsened = backend.empty(there.shape, np.float32), False
         if isinstance(solid, Ball):  # light of the even slices minus that of the odd ones
             self.alternating = backend.empty((rows, cols), np.float32)
         self.lobe, self.dark, self.walls, self.coarse = lobe, sides == "dark", sides == "dark", 0.0
@@ -348,6 +350,7 @@ class Slices:
         = 0, through which the light comes.
         """
         rows, cols = self.shape
+        around = 2 * self.margin
         self.coarsen()
         found, knots = table.shape[:2]
         count = -(-found // SLICES) * SLICES  # the rest have no width
@@ -359,7 +362,7 @@ class Slices:
         self.backend.launch(
             "slices",
             "sectors",
-            (cols, rows),
+            (cols - around, rows - around),
             self.heights,
             self.tops,
             *given,
@@ -371,6 +374,7 @@ class Slices:
             count,
             knots,
             int(self.dark),
+            self.margin,
             self.highest,
             x0,
             x1,

@@ -26,15 +26,17 @@ Vector = tuple[Values, Values, Values]
 def gradients(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
     """d depth/dx and d depth/dy (rows, cols) float32.
 
-    Central differences, one-sided at the border and beside masked nodes.
+    Central differences, one-sided beside masked nodes and, unless the map repeats, at the border.
     """
     z = scene.depth / np.float32(scene.spacing)
-    if scene.mask is None:
+    periodic = scene.sides == "periodic"
+    if scene.mask is None and not periodic:
         across = [np.gradient(z, axis=a) if z.shape[a] > 1 else np.zeros_like(z) for a in (1, 0)]
         return across[0], across[1]
     found = []
     for axis in (1, 0):
-        room = np.pad(z, [(int(a == axis),) * 2 for a in (0, 1)], constant_values=np.nan)
+        one = [(int(a == axis),) * 2 for a in (0, 1)]
+        room = np.pad(z, one, "wrap") if periodic else np.pad(z, one, constant_values=np.nan)
         low, high = (np.take(room, np.arange(n, n + z.shape[axis]), axis) for n in (0, 2))
         steps = np.maximum(1, np.isfinite(low).astype(np.float32) + np.isfinite(high))
         found.append(

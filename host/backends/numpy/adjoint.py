@@ -193,6 +193,13 @@ def _note(
     return pull
 
 
+def _beside(i: np.ndarray, n: int, sides: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The nodes before and after nodes i of a line of n, and 1 over their distance."""
+    before, after = ((i + step) % n if sides == PERIODIC else np.clip(i + step, 0, n - 1) for step in (-1, 1))
+    within = (i > 0) & (i < n - 1) | (sides == PERIODIC)
+    return before, after, np.where(within, f32(0.5), f32(1))
+
+
 def surface(
     z: np.ndarray,
     heights: np.ndarray,
@@ -209,9 +216,8 @@ def surface(
     if sides == PERIODIC:
         padded[:] = -z[:, np.arange(-margin, cols + margin) % cols]
     for out, v in ((tilts[0].reshape(rows, cols), z), (tilts[1].reshape(rows, cols).T, z.T)):
-        i = np.arange(v.shape[1])
-        low, high = np.maximum(i - 1, 0), np.minimum(i + 1, v.shape[1] - 1)
-        out[...] = (v[:, high] - v[:, low]) / np.maximum(high - low, 1).astype(f32)
+        before, after, half = _beside(np.arange(v.shape[1]), v.shape[1], sides)
+        out[...] = (v[:, after] - v[:, before]) * half
 
 
 def tiles(z: np.ndarray, tiles: np.ndarray, top: np.ndarray, rows: int, cols: int) -> None:
@@ -536,18 +542,15 @@ def lamp(
     _finish(light, gx, gy, inverse, total, by_own, by_x, by_y)
 
 
-def _neighbours(light: np.ndarray, rows: int, cols: int) -> Iterator[tuple[np.ndarray, ...]]:
-    """For the derivatives along x and y: by them, node after, node before, 1 over their distance."""
+def _neighbours(light: np.ndarray, rows: int, cols: int, sides: int) -> Iterator[tuple[np.ndarray, ...]]:
+    """For the derivatives along x and y: by them, node before, node after, 1 over their distance."""
     y, x = (v.ravel() for v in np.indices((rows, cols)))
-    for by, i, size, step in ((light[2], x, cols, 1), (light[3], y, rows, cols)):
-        if size > 1:
-            here = y * cols + x
-            yield (
-                by,
-                here + step * (i < size - 1),
-                here - step * (i > 0),
-                np.where((i > 0) & (i < size - 1), f32(0.5), f32(1)),
-            )
+    if cols > 1:
+        before, after, half = _beside(x, cols, sides)
+        yield light[2], y * cols + before, y * cols + after, half
+    if rows > 1:
+        before, after, half = _beside(y, rows, sides)
+        yield light[3], before * cols + x, after * cols + x, half
 
 
 def _links(held: np.ndarray, *arrays: np.ndarray) -> Iterator[tuple[np.ndarray, ...]]:
@@ -567,9 +570,10 @@ def _change(
     v: np.ndarray,
     rows: int,
     cols: int,
+    sides: int,
 ) -> Values:
     total = light[1] * v
-    for by, after, before, half in _neighbours(light, rows, cols):
+    for by, before, after, half in _neighbours(light, rows, cols, sides):
         total += by * ((v[after] - v[before]) * half)
     for some, one, two, by_one, by_two in _links(held, first, second, near, far):
         total[some] += by_one * v[one] + by_two * v[two]
@@ -588,12 +592,13 @@ def _spread(
     squared: bool,
     rows: int,
     cols: int,
+    sides: int,
 ) -> None:
     def add(to: np.ndarray, part: np.ndarray, u: np.ndarray) -> None:
         np.add.at(sum, to, ((part * part if squared else part) * u).astype(np.int64))
 
     add(np.arange(rows * cols), light[1], u)
-    for by, after, before, half in _neighbours(light, rows, cols):
+    for by, before, after, half in _neighbours(light, rows, cols, sides):
         add(after, by * half, u)
         add(before, -(by * half), u)
     for some, one, two, by_one, by_two in _links(held, first, second, near, far):
@@ -682,12 +687,13 @@ def downhill(
     rows: int,
     cols: int,
     count: int,
+    sides: int,
     per_item: int,
     copies: int,
 ) -> None:
     links = light, held, first, second, near, far
-    _spread(*links, sum[0], gain * (gain * light[0] - target) * f32(unit), False, rows, cols)
-    _spread(*links, squares[0], gain * gain * f32(fine), True, rows, cols)
+    _spread(*links, sum[0], gain * (gain * light[0] - target) * f32(unit), False, rows, cols, sides)
+    _spread(*links, squares[0], gain * gain * f32(fine), True, rows, cols, sides)
 
 
 def begin(
@@ -789,6 +795,7 @@ def product(
     rows: int,
     cols: int,
     count: int,
+    sides: int,
     per_item: int,
     copies: int,
 ) -> None:
@@ -797,10 +804,11 @@ def product(
         _spread(
             *links,
             sum[0],
-            gain * gain * _change(*links, v, rows, cols) * f32(state[SCATTERED]),
+            gain * gain * _change(*links, v, rows, cols, sides) * f32(state[SCATTERED]),
             False,
             rows,
             cols,
+            sides,
         )
 
 
@@ -819,11 +827,12 @@ def change(
     rows: int,
     cols: int,
     count: int,
+    sides: int,
     is_first: int,
     per_item: int,
 ) -> None:
     if state[LEFT] > 0:
-        own = bare * light[0] * (gain * _change(light, held, first, second, near, far, v, rows, cols))
+        own = bare * light[0] * (gain * _change(light, held, first, second, near, far, v, rows, cols, sides))
         share[:] = own if is_first else share + own
 
 
@@ -844,13 +853,14 @@ def product_beside(
     rows: int,
     cols: int,
     count: int,
+    sides: int,
     per_item: int,
     copies: int,
 ) -> None:
     if state[LEFT] > 0:
         links = light, held, first, second, near, far
-        left = gain * _change(*links, v, rows, cols) - bare * light[0] * (share / under)
-        _spread(*links, sum[0], gain * left * f32(state[SCATTERED]), False, rows, cols)
+        left = gain * _change(*links, v, rows, cols, sides) - bare * light[0] * (share / under)
+        _spread(*links, sum[0], gain * left * f32(state[SCATTERED]), False, rows, cols, sides)
 
 
 def curve(

@@ -14,12 +14,10 @@ ONE, HALF = np.float32(1), np.float32(0.5)
 
 def _difference(z: np.ndarray) -> np.ndarray:
     """d depth/dx of padded heights: of nodes (rows, cols) with one more all around."""
-    here, low, high = z[1:-1, 1:-1], z[1:-1, :-2].copy(), z[1:-1, 2:].copy()
-    low[:, 0], high[:, -1] = here[:, 0], here[:, -1]  # one-sided at the border, also where the map repeats
-    alone, last = low <= NONE, high <= NONE
-    alone[:, 0] = last[:, -1] = True
-    rise = np.where(low <= NONE, here, low) - np.where(high <= NONE, here, high)
-    return np.where(here > NONE, rise * np.where(alone | last, ONE, HALF), np.float32(0))
+    here, low, high = z[1:-1, 1:-1], z[1:-1, :-2], z[1:-1, 2:]
+    first, last = low <= NONE, high <= NONE
+    rise = np.where(first, here, low) - np.where(last, here, high)
+    return np.where(here > NONE, rise * np.where(first | last, ONE, HALF), np.float32(0))
 
 
 def tilt(

@@ -6,20 +6,27 @@ import numpy as np
 
 
 def gradient(
-    depth: np.ndarray, slopes: np.ndarray, rows: int, cols: int, room: int, half: float, one: float
+    depth: np.ndarray,
+    slopes: np.ndarray,
+    rows: int,
+    cols: int,
+    room: int,
+    half: float,
+    one: float,
+    periodic: int,
 ) -> None:
     for out, z in (
         (slopes[0, : depth.size].reshape(depth.shape), depth),
         (slopes[1, : depth.size].reshape(depth.shape).T, depth.T),
     ):
-        known = np.isfinite(z)
-        before, after = np.zeros_like(known), np.zeros_like(known)
-        before[:, 1:], after[:, :-1] = known[:, :-1], known[:, 1:]
-        low, high = z.copy(), z.copy()
-        low[:, 1:] = np.where(before[:, 1:], z[:, :-1], z[:, 1:])
-        high[:, :-1] = np.where(after[:, :-1], z[:, 1:], z[:, :-1])
-        scale = np.where(before & after, np.float32(half), np.float32(one))
-        out[...] = np.where(known & (before | after), (high - low) * scale, np.float32(0))
+        n = z.shape[1]
+        places = [np.arange(n) + step for step in (-1, 1)]
+        left, right = (at % n if periodic else np.clip(at, 0, n - 1) for at in places)
+        low, high = z[:, left], z[:, right]
+        first, last = (~np.isfinite(side) | (at == np.arange(n)) for side, at in ((low, left), (high, right)))
+        rise = np.where(last, z, high) - np.where(first, z, low)
+        scale = np.where(first | last, np.float32(one), np.float32(half))
+        out[...] = np.where(np.isfinite(z) & ~(first & last), rise * scale, np.float32(0))
 
 
 def luminance(

@@ -928,6 +928,7 @@ def sectors(
     count: int,
     knots: int,
     dark: int,
+    margin: int,
     highest: float,
     x0: float,
     x1: float,
@@ -935,9 +936,11 @@ def sectors(
     y1: float,
 ) -> None:
     frame_x, frame_y = (F(x0), F(x1)), (F(y0), F(y1))
-    ground = x, y, height, tilt_x, tilt_y, *_ = _pixels(heights, rows, cols)
+    every = x, y, *_ = _pixels(heights, rows, cols)
     # ground counts up to t x along = 1
-    pixels = Pixels(*ground, np.zeros(len(x), F), np.ones(len(x), F), F(-1))
+    pixels = Pixels(*every, np.zeros(len(x), F), np.ones(len(x), F), F(-1))
+    pixels = pixels.of((x >= margin) & (x < cols - margin) & (y >= margin) & (y < rows - margin))
+    x, y, height, tilt_x, tilt_y = pixels[:5]
     framed = any(low > -ENDLESS or high < ENDLESS for low, high in (frame_x, frame_y))
 
     def flat(value: float | np.float32) -> np.ndarray:
@@ -976,4 +979,4 @@ def sectors(
             past = np.where(end < STEEP, _light_above(table[j], first, scale, end, tilt), F(0))
             light = np.where(slope < end, light - past, F(0))
         total += share * light
-    irradiance[y, x] += total / np.sqrt(F(1) + tilt_x * tilt_x + tilt_y * tilt_y)
+    irradiance[y - margin, x - margin] += total / np.sqrt(F(1) + tilt_x * tilt_x + tilt_y * tilt_y)
