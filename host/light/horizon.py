@@ -133,8 +133,8 @@ class Horizons(LightMethod):
 def margin_of(scene: Scene, suns: tuple[Sun, ...], relief: float) -> int | None:
     """Nodes round a map that repeats in which its ``relief`` [spacing] may hide a sun; 0 of other maps.
 
-    None where a map with that margin would be too large. Ground that rises less than LEAST_SEARCHED_SLOPE is not looked
-    for, as in a sweep.
+    None where a map with that margin would be too large. Ground that rises less than LEAST_SEARCHED_SLOPE is
+    not looked for, as in a sweep.
     """
     if scene.sides != "periodic":
         return 0
