@@ -579,7 +579,7 @@ class _SkyPlanner(_Planner):
             self.light = float(sky.mean)
             return
         self.suns = sky.suns
-        if self.suns and self.samples.cliffs > 0 and scene.resident is None:
+        if self.suns and self.samples.cliffs > 0:
             self.rays = margin_of(scene, self.suns, self.samples.relief)
 
     def _trace(self, grid: int) -> None:

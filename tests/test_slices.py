@@ -666,7 +666,7 @@ def test_a_sun_over_a_map_with_a_margin(backend):
     depth = _terrain()[100:140, 150:190].astype(np.float32)
     depth[20:26, 30:33] = np.inf
     ways, table = Integrals(sunny(2.0)[0]).suns[0].sectors(8)
-    run = slices.Slices(select(backend), depth, 1.0, "periodic", slices.Dome(), margin=80)
+    run = slices.Slices(resident_map(backend, depth), "periodic", slices.Dome(), margin=80)
     run.clear()
     run.sectors(ways, table)
     middle = by_suns(backend, np.tile(depth, (5, 5)), [(ways, table)])[80:120, 80:120]

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from ..backends.base import Array, Backend
-from ..constants import LEAST_SEARCHED_SLOPE
+from ..constants import LEAST_SEARCHED_SLOPE, MOST_PIXELS
 from ..directions import Azimuths
 from ..scene import Scene
 from ..sources.integrals import SKY_KNOTS, Integrals, Sun, even
@@ -141,7 +141,7 @@ def margin_of(scene: Scene, suns: tuple[Sun, ...], relief: float) -> int | None:
     lowest = min(float(sun.cells.low.min()) for sun in suns)
     margin = math.ceil(relief / max(LEAST_SEARCHED_SLOPE, math.tan(max(0.0, lowest)))) + 1
     wrapped, nodes = math.prod(n + 2 * margin for n in scene.shape), math.prod(scene.shape)
-    return margin if wrapped <= max(WRAPPED, 4 * nodes) else None
+    return margin if wrapped <= min(max(WRAPPED, 4 * nodes), MOST_PIXELS) else None
 
 
 def _by_normals(sky: Integrals, azimuths: Azimuths, window: float) -> np.ndarray:

@@ -127,13 +127,13 @@ class Slices:
         light is weighted by it, and its width gives the number of slices. A Dome has a lobe. ``shift``: where
         in its step every slice of a ball lies, 0..1; the slices of 0 lie between those of 0.5.
         """
-        count = math.prod(there.shape)
+        rows, cols = self.shape = there.shape[0] + 2 * margin, there.shape[1] + 2 * margin
+        count = rows * cols
         if count > MOST_PIXELS:
             raise CapacityError(
                 f"A map of {count:,} nodes; at most {MOST_PIXELS:,}, since kernels count nodes in 32"
                 " bits. Cut it into tiles."
             )
-        rows, cols = self.shape = there.shape[0] + 2 * margin, there.shape[1] + 2 * margin
         self.there, backend, self.margin = there, there.backend, margin
         self.backend, self.solid, self.step = backend, solid, there.step
         self.levels = min(max(round(math.log2(cols)) - 2, 1), LEVELS)
