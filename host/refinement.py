@@ -24,7 +24,7 @@ from .constants import LEAST_SEARCHED_SLOPE
 from .errors import CapacityError, bad
 from .interreflection import check_choice, choice, expected, is_needed
 from .light import lattice, unoccluded
-from .light.base import Estimate, LightMethod
+from .light.base import Estimate, Later, LightMethod, estimated
 from .light.finite import RAYS, Sliced
 from .light.horizon import OFFSET, Horizons, margin_of
 from .light.lattice import Lattice, lacking
@@ -169,7 +169,7 @@ class Refined(NamedTuple):
     """
 
     irradiance: np.ndarray
-    half: np.ndarray | None
+    half: Later | None
     share: float
     floor: float
     plan: Plan
@@ -232,12 +232,11 @@ def refined(
     planning = seconds()
     method, steps, before = planner.begin(), [], None
     while True:
-        image = method.irradiance()
-        found = assess(planner, method, image, before)
+        found = assess(planner, method, before)
         steps.append(Step(method.units, found.expected if found.estimate else None, found.audit))
         if found.within(tolerance) or not planner.refine(found.is_shared):
             break
-        before = found.estimate if planner.method is method else None
+        before = found.estimate if planner.method is method and method.interleaves else None
         method = planner.method
     made = planner.plan(planner.samples.of(image) if planner.exact is None else None)
     made = replace(
@@ -251,7 +250,7 @@ def refined(
         planning_seconds=planning,
     )
     floor = found.floor(planner) * (planner.mean if math.isfinite(planner.mean) else 0.0)
-    return Refined(image, method.half(), found.share, floor, made, found.warnings(tolerance))
+    return Refined(method.irradiance(), method.half(), found.share, floor, made, found.warnings(tolerance))
 
 
 class Assessment(NamedTuple):
@@ -300,9 +299,9 @@ class Assessment(NamedTuple):
         ]
 
 
-def assess(planner: _Planner, method: LightMethod, image: np.ndarray, before: Estimate | None) -> Assessment:
+def assess(planner: _Planner, method: LightMethod, before: Estimate | None) -> Assessment:
     """The error of an image; ``before``: the estimate of the same method with half as many units."""
-    audit = planner.audit(image, method.units)
+    audit = planner.audit(method)
     share = planner.share if before is None else LEAST_SHARE
     estimate = method.estimate(planner.tail * planner.mean / share)
     if estimate is None:
@@ -362,18 +361,31 @@ def solid_of(
 
 
 class _ClosedForm(LightMethod):
-    """An image in closed form, which nothing refines."""
+    """An image in closed form, which nothing refines.
 
-    units = 0
+    ``coarse``: the same by a quarter of the rays to a source whose brightness varies.
+    """
 
-    def __init__(self, image: np.ndarray):
-        self.image = image
+    units, interleaves = 0, False
+
+    def __init__(self, scene: Scene, image: np.ndarray, coarse: np.ndarray | None = None):
+        self.scene, self.image, self.difference = scene, image, None
+        if coarse is not None:
+            self.difference = (image - coarse) / 2
 
     def refine(self) -> None:
         """There is nothing finer."""
 
     def irradiance(self) -> np.ndarray:
         return self.image
+
+    def half(self) -> Later | None:
+        half = self.difference
+        return None if half is None else Later(lambda: half)
+
+    def estimate(self, limit: float) -> Estimate | None:
+        half = self.difference
+        return None if half is None else estimated(self.image, half, self.scene.mask, limit)
 
 
 class _Planner(ABC):
@@ -423,11 +435,11 @@ class _Planner(ABC):
         self.method = self.make()
         return self.method
 
-    def audit(self, image: np.ndarray, units: int) -> float | None:
+    def audit(self, method: LightMethod) -> float | None:
         """The image's relative RMS error at the samples."""
         if self.exact is None:
             return None
-        return self.samples.errors(self.samples.of(image), self.exact).rms
+        return self.samples.errors(method.at(self.samples), self.exact).rms
 
     def refine(self, is_shared: bool) -> bool:
         """Whether the method could be refined. ``is_shared``: its two halves share the error."""
@@ -747,7 +759,7 @@ class _SkyPlanner(_Planner):
         resident = self.scene.resident
         if resident is not None and resident.backend is self.engine and not self.suns:
             return Horizons(self.engine, self.scene, self.light, 0)
-        return _ClosedForm(unoccluded.sky(self.scene, self.light).astype(np.float32, copy=False))
+        return _ClosedForm(self.scene, unoccluded.sky(self.scene, self.light).astype(np.float32, copy=False))
 
     def _horizons(self, units: int) -> Horizons:
         return Horizons(
@@ -761,10 +773,11 @@ class _SkyPlanner(_Planner):
             self.rays,
         )
 
-    def audit(self, image: np.ndarray, units: int) -> float | None:
+    def audit(self, method: LightMethod) -> float | None:
+        units = method.units
         if 3 * units > self.grid:
             self._trace(max(EXACT_GRIDS))
-        found = self.samples.errors(self.samples.of(image), self.exact).rms
+        found = self.samples.errors(method.at(self.samples), self.exact).rms
         return found if 3 * units <= self.grid else math.sqrt(max(0.0, found**2 - self.doubt**2))
 
     def refine(self, is_shared: bool) -> bool:
@@ -831,7 +844,7 @@ class _HiddenWindowPlanner(_Planner):
         self.exact, self.expected = np.zeros(len(self.samples)), Errors(0.0, 0.0, 0.0)
 
     def make(self) -> LightMethod:
-        return _ClosedForm(np.zeros(self.scene.shape, np.float32))
+        return _ClosedForm(self.scene, np.zeros(self.scene.shape, np.float32))
 
     def choices(self) -> Iterator[Choice]:
         yield Choice("occlusion", "none", "every node looks at all of the source")
@@ -871,7 +884,9 @@ class _SlicePlanner(_Planner):
         self.exact = light[SLICE_COUNTS[2]]
         if self._fits_closed_form():
             return
-        self.method_class, self.share = Sliced, BALL_SHARE
+        self.method_class = Sliced
+        if isinstance(self.solid, Ball):
+            self.share = BALL_SHARE
         if callable(self.source.brightness):
             self._choose_rays()
         self._choose_slices(brightness, light)
@@ -1002,7 +1017,7 @@ class _SlicePlanner(_Planner):
 
         ``light``: by numbers of slices, what is known already.
         """
-        fewest = int(isinstance(self.solid, Quad))  # a quadrangle has four sectors to share them
+        fewest = 2 * int(isinstance(self.solid, Quad))  # four sectors share them, and half as many judge them
         for finest in SLICE_COUNTS[2:]:
             if finest not in light:
                 light[finest] = self._through_slices(brightness, finest)
@@ -1021,8 +1036,9 @@ class _SlicePlanner(_Planner):
     def make(self) -> LightMethod:
         scene, source = self.scene, self.source
         if self.closed:
-            image = unoccluded.image(scene, self.solid, source.brightness, self.points)
-            return _ClosedForm(image.astype(np.float32, copy=False))
+            counts = (self.points, self.points // 4) if self.points > 1 else (1,)
+            images = (unoccluded.image(scene, self.solid, source.brightness, n) for n in counts)
+            return _ClosedForm(scene, *images)
         step = scene.on(self.engine).step
         solid = solid_of(scene, source, step / scene.spacing, step)
         assert solid is not None, "_HiddenWindowPlanner takes a window of which nothing is left"

@@ -934,7 +934,7 @@ def _error_map(found: Refined, scene: Scene) -> np.ndarray:
     """Estimated error (rows, cols) float32 of a refined irradiance."""
     if found.half is None:
         return np.full(scene.shape, found.floor, np.float32)
-    square, count = np.where(scene.valid, found.half.astype(float) ** 2, 0), scene.valid.astype(float)
+    square, count = np.where(scene.valid, found.half().astype(float) ** 2, 0), scene.valid.astype(float)
     for axis in (0, 1):
         square, count = (_box_sums(values, axis) for values in (square, count))
     error = np.sqrt(found.share**2 * square / np.maximum(count, 1) + found.floor**2).astype(np.float32)

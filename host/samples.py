@@ -170,6 +170,10 @@ class Samples:
         values: np.ndarray = image[self.y, self.x]
         return values.astype(float)
 
+    def pick(self, image: Array) -> np.ndarray:
+        """An image (rows, cols) float32 on the device at the samples, float32."""
+        return _gather(self.engine, image, self.y * self.cols + self.x, math.nan)
+
     def errors(self, found: np.ndarray, exact: np.ndarray) -> Errors:
         return errors(found, exact, self.weights)
 

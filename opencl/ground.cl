@@ -102,18 +102,19 @@ __kernel void correct(__global const float *tilts, __global const float *table, 
 
 /* halves: of two images of the same light, in place, their mean and half their difference.
 
-  a  (count)  float  in and out: (a + b) / 2
-  b  (count)  float  in and out: (b - a) / 2
+  a     (count)  float  in and out: (a + b) / 2, or (b - a) / 2 if b is kept
+  b     (count)  float  in and out: (b - a) / 2, or b if it is kept
+  keep  int      1 to keep b
 
 Work-item p owns one node of both. */
-__kernel void halves(__global float *a, __global float *b, int count)
+__kernel void halves(__global float *a, __global float *b, int count, int keep)
 {
   const int p = get_global_id(0);
   if (p >= count)
     return;
   const float first = a[p], second = b[p];
-  a[p] = (first + second) * 0.5f;
-  b[p] = (second - first) * 0.5f;
+  a[p] = (keep ? second - first : first + second) * 0.5f;
+  b[p] = keep ? second : (second - first) * 0.5f;
 }
 
 /* judge: sums for an estimate of the error, over the valid nodes of each column of a few rows.

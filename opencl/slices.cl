@@ -610,8 +610,9 @@ __kernel void quad(__global const float *heights, __global const float *tops, __
   const int blocks = min((least + (int)(all * (most - least))) / SLICES, most / SLICES),
             n_slices = blocks * SLICES;
   const float narrow = 1e-4f * all; /* a sector below that is left out */
-  const int used_a = to_a > narrow, used_b = used_a + (to_b - to_a > narrow),
-            used_c = used_b + (to_c - to_b > narrow), used = used_c + (all - to_c > narrow);
+  /* an eighth of the slices for every sector, the rest by width: below a slit narrow sectors have most light */
+  const int used_a = blocks * (to_a > narrow), used_b = used_a + blocks * (to_b - to_a > narrow),
+            used_c = used_b + blocks * (to_c - to_b > narrow), used = used_c + blocks * (all - to_c > narrow);
   const float more = all > 0 ? (n_slices - used) / all : 0;
   const int end_a = used_a + (int)(to_a * more + 0.5f), end_b = used_b + (int)(to_b * more + 0.5f),
             end_c = used_c + (int)(to_c * more + 0.5f);

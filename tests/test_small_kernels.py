@@ -286,7 +286,7 @@ def test_correct_writes_into_sums_that_hold_irradiance(engine):
         "ground", "correct", (COLS, ROWS), tilts, table, a, ROWS, COLS, 0, ROWS * COLS, 3, 2.0, lanes=1
     )
     np.testing.assert_array_equal(engine.download(a).view(np.float32), before + np.float32(2))
-    engine.launch("ground", "halves", (ROWS * COLS,), a, b, ROWS * COLS, lanes=1)
+    engine.launch("ground", "halves", (ROWS * COLS,), a, b, ROWS * COLS, 0, lanes=1)
     np.testing.assert_array_equal(engine.download(b).view(np.float32), (other - (before + np.float32(2))) / 2)
 
 
@@ -297,11 +297,18 @@ def test_halves_are_mean_and_half_difference(engine):
     """Exactly, and nothing past count is touched."""
     a, b = _rng().normal(size=(2, ROWS * COLS)).astype(np.float32)
     on = engine.upload(a), engine.upload(b)
-    engine.launch("ground", "halves", (ROWS * COLS - 7,), *on, ROWS * COLS - 7, lanes=1)
+    count = ROWS * COLS - 7
+    engine.launch("ground", "halves", (count,), *on, count, 0, lanes=1)
     mean, half = (engine.download(v) for v in on)
     np.testing.assert_array_equal(mean[:-7], ((a + b) / 2)[:-7])
     np.testing.assert_array_equal(half[:-7], ((b - a) / 2)[:-7])
     np.testing.assert_array_equal(np.stack([mean, half])[:, -7:], np.stack([a, b])[:, -7:])
+    on = engine.upload(a), engine.upload(b)
+    engine.launch("ground", "halves", (count,), *on, count, 1, lanes=1)
+    half, kept = (engine.download(v) for v in on)
+    np.testing.assert_array_equal(half[:-7], ((b - a) / 2)[:-7])
+    np.testing.assert_array_equal(kept, b)
+    np.testing.assert_array_equal(half[-7:], a[-7:])
 
 
 @pytest.mark.parametrize("block", [1, 8, 10, 37, 64])

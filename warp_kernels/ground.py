@@ -155,11 +155,12 @@ def correct(
 
 
 @wp.kernel
-def halves(a: wp.array[wp.float32], b: wp.array[wp.float32], count: wp.int32):
+def halves(a: wp.array[wp.float32], b: wp.array[wp.float32], count: wp.int32, keep: wp.int32):
     """Of two images of the same light, in place, their mean and half their difference.
 
-      a  (count)  float32  in and out: (a + b) / 2
-      b  (count)  float32  in and out: (b - a) / 2
+      a     (count)  float32  in and out: (a + b) / 2, or (b - a) / 2 if b is kept
+      b     (count)  float32  in and out: (b - a) / 2, or b if it is kept
+      keep  int32    1 to keep b
 
     Thread p owns one node of both.
     """
@@ -168,8 +169,11 @@ def halves(a: wp.array[wp.float32], b: wp.array[wp.float32], count: wp.int32):
         return
     first = a[p]
     second = b[p]
-    a[p] = (first + second) * wp.float32(0.5)
-    b[p] = (second - first) * wp.float32(0.5)
+    if keep != 0:
+        a[p] = (second - first) * wp.float32(0.5)
+    else:
+        a[p] = (first + second) * wp.float32(0.5)
+        b[p] = (second - first) * wp.float32(0.5)
 
 
 @wp.kernel

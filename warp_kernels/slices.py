@@ -854,10 +854,11 @@ def quad(
     blocks = wp.min((least + wp.int32(all * wp.float32(most - least))) // SLICES, most // SLICES)
     n_slices = blocks * SLICES
     narrow = 1e-4 * all  # a sector below that is left out
-    used_a = wp.where(to_a > narrow, 1, 0)
-    used_b = used_a + wp.where(to_b - to_a > narrow, 1, 0)
-    used_c = used_b + wp.where(to_c - to_b > narrow, 1, 0)
-    used = used_c + wp.where(all - to_c > narrow, 1, 0)
+    # an eighth of the slices for every sector, the rest by width: below a slit narrow sectors have most light
+    used_a = wp.where(to_a > narrow, blocks, 0)
+    used_b = used_a + wp.where(to_b - to_a > narrow, blocks, 0)
+    used_c = used_b + wp.where(to_c - to_b > narrow, blocks, 0)
+    used = used_c + wp.where(all - to_c > narrow, blocks, 0)
     more = wp.float32(0.0)
     if all > 0.0:
         more = wp.float32(n_slices - used) / all

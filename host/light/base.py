@@ -5,10 +5,20 @@ A method computes and never decides; the loop that drives it (refinement.py) dec
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+
+from ..backends.base import Array, Backend
+
+if TYPE_CHECKING:
+    from ..samples import Samples
+
+
+SUMMED_ROWS = 64  # rows of a column that are summed in float32 before they are in float64
 
 
 class Estimate(NamedTuple):
@@ -18,15 +28,33 @@ class Estimate(NamedTuple):
     beyond: float
 
 
+class Later:
+    """An image that is made when it is called; pickled as the image."""
+
+    def __init__(self, work: Callable[[], np.ndarray]):
+        self.work = work
+
+    def __call__(self) -> np.ndarray:
+        return self.work()
+
+    def __reduce__(self) -> tuple[Callable[[np.ndarray], Later], tuple[np.ndarray]]:
+        return _made, (self(),)
+
+
+def _made(image: np.ndarray) -> Later:
+    return Later(lambda: image)
+
+
 class LightMethod(ABC):
     """Irradiance of one grey source on one map by one method.
 
     ``units``: azimuths, slices or the size of the hemicube that the image is made of. An image is the mean of
-    two that share no ray, where the method can have that; half their difference then estimates its error at
-    every node.
+    two that share no ray, or the better of two, where the method can have that; half their difference then
+    estimates its error at every node.
     """
 
     units: int
+    interleaves = True  # the image is the mean of the two: each refinement adds as many rays between
 
     @abstractmethod
     def refine(self) -> None:
@@ -36,13 +64,64 @@ class LightMethod(ABC):
     def irradiance(self) -> np.ndarray:
         """(rows, cols) float32 [brightness x sr]; undefined where masked."""
 
-    def half(self) -> np.ndarray | None:
+    def at(self, samples: Samples) -> np.ndarray:
+        """The irradiance at samples, (nodes,) float64."""
+        return samples.of(self.irradiance())
+
+    def half(self) -> Later | None:
         """Half the difference of the two images, (rows, cols) float32 in the irradiance's unit.
 
-        None where there is one image only.
+        It is downloaded when it is called. None where there is one image only.
         """
         return None
 
     def estimate(self, limit: float) -> Estimate | None:
         """Of :meth:`half`; ``limit`` in the irradiance's unit."""
         return None
+
+
+def estimated(image: np.ndarray, half: np.ndarray, mask: np.ndarray | None, limit: float) -> Estimate:
+    """The estimate by an image and half a difference (rows, cols) on the host; ``limit`` in their unit."""
+    if mask is not None:
+        image, half = image[mask], half[mask]
+    lit = image > 0
+    mean = float(image.sum(dtype=np.float64)) / lit.sum() if lit.any() else 1e-30
+    rms = math.sqrt(float(np.square(half, dtype=np.float64).mean()))
+    return Estimate(rms / mean, np.count_nonzero(np.abs(half) > limit) / half.size)
+
+
+def judged(
+    engine: Backend,
+    shape: tuple[int, int],
+    heights: Array,
+    margin: int,
+    image: Array,
+    half: Array,
+    limit: float,
+) -> Estimate:
+    """The estimate by an image and half a difference (rows x cols) on a device; ``limit`` in their unit.
+
+    ``heights``: with ``margin`` nodes on all sides; they tell the valid nodes.
+    """
+    rows, cols = shape
+    blocks = -(-rows // SUMMED_ROWS)
+    found = engine.empty((5, blocks, cols), np.float32)
+    engine.launch(
+        "ground",
+        "judge",
+        (cols, blocks),
+        heights,
+        image,
+        half,
+        found,
+        rows,
+        cols,
+        margin,
+        SUMMED_ROWS,
+        float(limit),
+    )
+    light, square, valid, lit, beyond = (
+        engine.download(found).reshape(5, -1).sum(1, dtype=np.float64).tolist()
+    )
+    mean = light / lit if lit and light > 0 else 1e-30
+    return Estimate(math.sqrt(square / valid) / mean, beyond / valid)

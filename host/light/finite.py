@@ -9,11 +9,12 @@ import numpy as np
 
 from .. import sources
 from ..backends.base import Array, Backend
+from ..samples import Samples
 from ..scene import Scene
 from ..sources.integrals import Integrals, chords
-from ..sources.solids import Ball, Dome, Quad, upright
+from ..sources.solids import Ball, Quad, upright
 from . import unoccluded
-from .base import Estimate, LightMethod
+from .base import Estimate, Later, LightMethod, estimated, judged
 from .slices import CHORD_AZIMUTHS, CHORD_KNOTS, Slices, ball_nodes, outline, widened
 
 # where in its step a slice of a ball lies; at 1/2 and 0 even and odd slices are mirror images, and their
@@ -28,7 +29,9 @@ class Sliced(LightMethod):
     ``rays``: the brightness is the mean along so many rays from every node to the lamp; else its integral
     along the chord of each slice, and the small bright parts of what is visible through a window have
     azimuths of their own. The slices of a ball are two images that share none; refining puts as many slices
-    between them. Those of a quadrangle are Gauss-Legendre nodes: rules of different size share none.
+    between them. Those of a quadrangle are Gauss-Legendre nodes: rules of different size share none, and the
+    image is that of the larger of two. Where there are rays, half the difference includes what a quarter of
+    them would change.
     """
 
     def __init__(
@@ -46,109 +49,106 @@ class Sliced(LightMethod):
         self.step = self.there.step
         self.solid, self.scale = widened(solid, self.there)
         self.source, self.sky = source, sky
-        self.factor = None
+        self.factors: tuple[np.ndarray, np.ndarray] | None = None
         self.brightness: Any = 1.0 if rays else source.brightness
         if sky is not None and not rays:
             self.brightness = chords(sky, CHORD_AZIMUTHS, CHORD_KNOTS)
         if rays:
-            self.factor = self._factor()
+            self._take_rays(rays)
         self.shifts = [SHIFT]
-        self._run()
+        self.interleaves = isinstance(self.solid, Ball)
+        if isinstance(self.solid, Ball):
+            self.slices, self.mean = self._image(units)
+            self.difference = self.slices.alternating
+        else:
+            self._compare(self._image(units // 2)[1])
 
-    def _factor(self) -> np.ndarray:
-        """The mean brightness of the source from every node (rows, cols) float32, by rays."""
+    def _take_rays(self, rays: int) -> None:
+        """Set the source's mean brightness from every node, and half of what a quarter of the rays change.
+
+        Both (rows, cols) float32.
+        """
         solid = upright(self.solid, self.step)
-        light, uniform = (
-            unoccluded.image(self.scene, solid, brightness, self.rays)
-            for brightness in (self.source.brightness, 1.0)
+        light, coarse, uniform = (
+            unoccluded.image(self.scene, solid, brightness, count)
+            for brightness, count in (
+                (self.source.brightness, rays),
+                (self.source.brightness, rays // 4),
+                (1.0, 1),
+            )
         )
-        factor: np.ndarray = np.divide(
-            light, uniform, out=np.zeros(self.scene.shape, np.float32), where=uniform > 0
-        )
-        return factor
+        self.rays, none = rays, np.zeros(self.scene.shape, np.float32)
+        change = np.divide((light - coarse) / 2, uniform, out=none.copy(), where=uniform > 0)
+        self.factors = np.divide(light, uniform, out=none, where=uniform > 0), change
 
-    def _run(self) -> None:
-        slices = Slices(
-            self.there,
-            self.scene.sides,
-            self.solid,
-            self.brightness,
-            self.units,
-            shift=SHIFT,
-        )
+    def _image(self, units: int) -> tuple[Slices, Array]:
+        """The light through ``units`` slices, and of small bright parts in as many sectors."""
+        slices = Slices(self.there, self.scene.sides, self.solid, self.brightness, units, shift=SHIFT)
         slices.run()
-        self.slices, self.mean = slices, slices.image
-        self.difference: Array = slices.alternating if isinstance(self.solid, Ball) else None
-        self.suns: Array = None
         if self.sky is not None and self.sky.suns:
             assert isinstance(self.solid, Quad), "small bright parts are seen through windows"
-            found = [sun.sectors(max(8, self.units)) for sun in self.sky.suns]
-            bright = Slices(self.there, self.scene.sides, Dome())
-            bright.clear()
-            ways, tables = zip(*found)
-            bright.sectors(np.concatenate(ways, 1), np.concatenate(tables, 0), outline(self.solid, self.step))
-            self.suns = bright.image
+            ways, tables = zip(*(sun.sectors(units) for sun in self.sky.suns))
+            slices.sectors(np.concatenate(ways, 1), np.concatenate(tables, 0), outline(self.solid, self.step))
+        return slices, slices.image
+
+    def _compare(self, coarse: Array) -> None:
+        """Set the image of ``units`` slices, and half its difference from ``coarse``."""
+        self.mean, self.difference = self._image(self.units)[1], coarse
+        self._halve(self.difference, self.mean, keep=True)
 
     def refine(self) -> None:
-        """Of a ball, the slices between the present ones; of a quadrangle, twice as many slices."""
+        """Of a ball, the slices between the present ones; of a quadrangle, twice as many; and more rays."""
+        if self.rays and 4 * self.rays <= RAYS[-1]:
+            self._take_rays(4 * self.rays)
         if not isinstance(self.solid, Ball):
             self.units *= 2
-            self._run()
+            self._compare(self.mean)
             return
         between = [(shift + 0.5 / len(self.shifts)) % 1 for shift in self.shifts]
-        slices, first = self.slices, None
+        slices, means = self.slices, []
         for n, shift in enumerate(between):
             slices.nodes = self.engine.table(ball_nodes(slices.most, shift))
             slices.image = self.engine.empty(self.scene.shape, np.float32)
             slices.run()
-            first = slices.image if first is None else self._mean(first, slices.image, n)
+            means.append(slices.image)
+            while n % 2:  # the mean of two images, of two such means, and so on
+                self._halve(means[-2], means.pop())
+                n //= 2
         self.shifts += between
         self.units *= 2
-        self.difference = first
-        self.engine.launch(
-            "ground",
-            "halves",
-            (math.prod(self.scene.shape),),
-            self.mean,
-            self.difference,
-            math.prod(self.scene.shape),
-        )
+        (self.difference,) = means
+        self._halve(self.mean, self.difference)
 
-    def _mean(self, image: Array, other: Array, count: int) -> Array:
-        """``image``, the mean of ``count`` images, updated with one more."""
-        values = self.engine.download(image) * (count / (count + 1)) + self.engine.download(other) / (
-            count + 1
-        )
-        return self.engine.upload(values.astype(np.float32))
+    def _halve(self, image: Array, other: Array, keep: bool = False) -> None:
+        """Make ``image`` the mean and ``other`` half the difference; or keep ``other``, half in ``image``."""
+        count = math.prod(self.scene.shape)
+        self.engine.launch("ground", "halves", (count,), image, other, count, int(keep))
 
     def irradiance(self) -> np.ndarray:
-        image = self._scaled(self.mean)
-        if self.sky is not None:
-            image = np.maximum(image, 0)  # a difference of sums may round to less
-        return (
-            image
-            if self.suns is None
-            else image + np.float32(self.scale) * self.engine.download(self.suns).reshape(image.shape)
-        )
+        image = self.engine.download(self.mean).reshape(self.scene.shape)
+        return self._scaled(image, self.factors and self.factors[0])
 
-    def half(self) -> np.ndarray | None:
-        return None if self.difference is None else self._scaled(self.difference)
+    def at(self, samples: Samples) -> np.ndarray:
+        factor = self.factors and self.factors[0][samples.y, samples.x]
+        return self._scaled(samples.pick(self.mean), factor).astype(float)
 
-    def _scaled(self, image: Array) -> np.ndarray:
-        found: np.ndarray = self.engine.download(image).reshape(self.scene.shape)
-        if self.factor is not None:
-            found = found * self.factor
-        return found if self.scale == 1.0 else found * np.float32(self.scale)
+    def _scaled(self, image: np.ndarray, factor: np.ndarray | None) -> np.ndarray:
+        """In the irradiance's unit; a difference of sums of brightness may round to less than 0."""
+        image = np.maximum(image, 0) if self.sky is not None else image if factor is None else image * factor
+        return image if self.scale == 1.0 else image * np.float32(self.scale)
+
+    def half(self) -> Later:
+        engine, images, shape = self.engine, (self.mean, self.difference), self.scene.shape
+        scale, factors = np.float32(self.scale), self.factors
+
+        def work() -> np.ndarray:
+            mean, half = (engine.download(image).reshape(shape) * scale for image in images)
+            return np.hypot(half * factors[0], mean * factors[1]) if factors else half
+
+        return Later(work)
 
     def estimate(self, limit: float) -> Estimate | None:
-        if self.difference is None:
-            return None
-        image, half = self.irradiance(), np.abs(self._scaled(self.difference))
-        if self.scene.mask is not None:
-            image, half = image[self.scene.mask], half[self.scene.mask]
-        lit = image > 0
-        mean = float(image.sum(dtype=np.float64)) / lit.sum() if lit.any() else 1e-30
-        return Estimate(
-            math.sqrt(float(np.square(half, dtype=np.float64).mean())) / mean,
-            np.count_nonzero(half > limit) / half.size,
-        )
+        if not self.factors:
+            images = self.mean, self.difference
+            return judged(self.engine, self.scene.shape, self.there.heights(), 0, *images, limit / self.scale)
+        return estimated(self.irradiance(), self.half()(), self.scene.mask, limit)

@@ -9,11 +9,12 @@ import numpy as np
 from ..backends.base import Array, Backend
 from ..constants import LEAST_SEARCHED_SLOPE, MOST_PIXELS
 from ..directions import Azimuths
+from ..samples import Samples
 from ..scene import Scene
 from ..sources.integrals import SKY_KNOTS, Integrals, Sun, even
 from ..sources.solids import Dome
 from . import unoccluded
-from .base import Estimate, LightMethod
+from .base import Estimate, Later, LightMethod, judged
 from .slices import Slices
 from .sweeps import Rays, Sweeps, ground_of
 
@@ -80,9 +81,8 @@ class Horizons(LightMethod):
     def _halve(self, image: Array) -> None:
         """Average with ``image``, of the azimuths between the present ones."""
         self.offset = 2 * self.offset % 1
-        self.engine.launch(
-            "ground", "halves", (math.prod(self.scene.shape),), self.mean, image, math.prod(self.scene.shape)
-        )
+        count = math.prod(self.scene.shape)
+        self.engine.launch("ground", "halves", (count,), self.mean, image, count, 0)
         self.difference = image
 
     def _image(self, count: int, window: float, between: bool) -> Array:
@@ -111,23 +111,29 @@ class Horizons(LightMethod):
         return image
 
     def irradiance(self) -> np.ndarray:
-        return self._download(self.mean)
+        return _scaled(self.engine.download(self.mean).reshape(self.scene.shape), self.scale)
 
-    def half(self) -> np.ndarray | None:
-        return None if self.difference is None else self._download(self.difference)
+    def at(self, samples: Samples) -> np.ndarray:
+        return _scaled(samples.pick(self.mean), self.scale).astype(float)
 
-    def _download(self, image: Array) -> np.ndarray:
-        found: np.ndarray = self.engine.download(image).reshape(self.scene.shape)
-        return found if self.scale == 1.0 else found * np.float32(self.scale)
+    def half(self) -> Later | None:
+        if self.difference is None:
+            return None
+        engine, image, shape, scale = self.engine, self.difference, self.scene.shape, self.scale
+        return Later(lambda: _scaled(engine.download(image).reshape(shape), scale))
 
     def estimate(self, limit: float) -> Estimate | None:
         if self.difference is None:
             return None
-        light, square, valid, lit, beyond = self.sweeps.judge(
-            self.mean, self.difference, limit / self.scale if self.scale else math.inf
+        limit = limit / self.scale if self.scale else math.inf
+        sweeps = self.sweeps
+        return judged(
+            self.engine, self.scene.shape, sweeps.heights, sweeps.margin, self.mean, self.difference, limit
         )
-        mean = light / lit if lit and light > 0 else 1e-30
-        return Estimate(math.sqrt(square / valid) / mean, beyond / valid)
+
+
+def _scaled(image: np.ndarray, scale: float) -> np.ndarray:
+    return image if scale == 1.0 else image * np.float32(scale)
 
 
 def margin_of(scene: Scene, suns: tuple[Sun, ...], relief: float) -> int | None:

@@ -23,7 +23,6 @@ NEAR_ROWS, FINE_NEAR_ROWS, MANY_AZIMUTHS = 6, 12, 128
 # [spacing], height of masked nodes: not above NONE, and finite, since kernels interpolate and 0 x inf is NaN
 MASKED_HEIGHT = -2e30
 ENDLESS_WINDOW = 1 << 30  # [rows], a window longer than any line
-SUMMED_ROWS = 64  # rows of a column that are summed in float32 before they are in float64
 PROBED = 1024  # nodes from which the steepest rise and fall are searched for
 
 
@@ -152,33 +151,6 @@ class Sweeps:
             1.0,
         )
         self.backend.finish()  # the table may be freed
-
-    def judge(self, image: Array, half: Array, limit: float) -> tuple[float, float, int, int, int]:
-        """Sums for an estimate of the error, ``half`` being half the difference of two images.
-
-        (Sum of ``image``, sum of the squares of ``half``, valid nodes, lit nodes, nodes where the absolute
-        value of ``half`` is beyond ``limit``).
-        """
-        rows, cols = self.shape
-        blocks = -(-rows // SUMMED_ROWS)
-        found = self.backend.empty((5, blocks, cols), np.float32)
-        self.backend.launch(
-            "ground",
-            "judge",
-            (cols, blocks),
-            self.heights,
-            image,
-            half,
-            found,
-            rows,
-            cols,
-            self.margin,
-            SUMMED_ROWS,
-            float(limit),
-        )
-        light, square, *counts = self.backend.download(found).reshape(5, -1).sum(1, dtype=np.float64).tolist()
-        valid, lit, beyond = map(int, counts)
-        return light, square, valid, lit, beyond
 
     def light(self, total: Array, turned: Array, image: Array = None) -> None:
         """Irradiance float32 [brightness x sr] into the device array ``image``, or into ``total``.

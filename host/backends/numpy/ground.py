@@ -67,9 +67,10 @@ def correct(
     irradiance.view(np.float32).reshape(rows, cols)[...] += np.float32(unit) * (low + along * (high - low))
 
 
-def halves(a: np.ndarray, b: np.ndarray, count: int) -> None:
+def halves(a: np.ndarray, b: np.ndarray, count: int, keep: int) -> None:
     a, b = (image.view(np.float32).reshape(-1)[:count] for image in (a, b))
-    a[...], b[...] = (a + b) * HALF, (b - a) * HALF
+    mean, half = (a + b) * HALF, (b - a) * HALF
+    a[...], b[...] = (half, b) if keep else (mean, half)
 
 
 def judge(

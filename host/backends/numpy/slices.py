@@ -639,7 +639,8 @@ def _shared_out(sectors: np.ndarray, least: int, most: int) -> tuple[np.ndarray,
     to = np.cumsum(_turn_by_tangent(sectors[:, 2]), 0, dtype=F)
     blocks = np.minimum((least + (to[3] * F(most - least)).astype(np.int32)) // SLICES, most // SLICES)
     narrow = F(1e-4) * to[3]  # a sector below that is left out
-    used = np.cumsum(np.concatenate([to[:1], to[1:] - to[:-1]]) > narrow, 0)
+    # an eighth of the slices for every sector, the rest by width: below a slit narrow sectors have most light
+    used = blocks * np.cumsum(np.concatenate([to[:1], to[1:] - to[:-1]]) > narrow, 0)
     more = np.where(to[3] > 0, (blocks * SLICES - used[3]).astype(F) / to[3], F(0))
     return blocks, used[:3] + (to[:3] * more + F(0.5)).astype(np.int32), to[3] > 0
 
