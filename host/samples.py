@@ -170,10 +170,6 @@ class Samples:
         values: np.ndarray = image[self.y, self.x]
         return values.astype(float)
 
-    def pick(self, image: Array) -> np.ndarray:
-        """An image (rows, cols) float32 on the device at the samples, float32."""
-        return _gather(self.engine, image, self.y * self.cols + self.x, math.nan)
-
     def errors(self, found: np.ndarray, exact: np.ndarray) -> Errors:
         return errors(found, exact, self.weights)
 
@@ -371,6 +367,11 @@ class Samples:
             )
         irradiance = (share * light * span / CHORD_POINTS).sum(0) / self.length
         return irradiance
+
+
+def picked(samples: Samples, image: Array) -> np.ndarray:
+    """An image (rows, cols) float32 on the device at the samples, float32."""
+    return _gather(samples.engine, image, samples.y * samples.cols + samples.x, math.nan)
 
 
 def _gather(engine: Backend, values: Array, at: np.ndarray, missing: float) -> np.ndarray:

@@ -610,7 +610,7 @@ __kernel void quad(__global const float *heights, __global const float *tops, __
   const int blocks = min((least + (int)(all * (most - least))) / SLICES, most / SLICES),
             n_slices = blocks * SLICES;
   const float narrow = 1e-4f * all; /* a sector below that is left out */
-  /* an eighth of the slices for every sector, the rest by width: below a slit narrow sectors have most light */
+  /* an eighth of the slices for every sector, the rest by width: narrow ones below a slit have most light */
   const int used_a = blocks * (to_a > narrow), used_b = used_a + blocks * (to_b - to_a > narrow),
             used_c = used_b + blocks * (to_c - to_b > narrow), used = used_c + blocks * (all - to_c > narrow);
   const float more = all > 0 ? (n_slices - used) / all : 0;

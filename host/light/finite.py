@@ -9,7 +9,7 @@ import numpy as np
 
 from .. import sources
 from ..backends.base import Array, Backend
-from ..samples import Samples
+from ..samples import Samples, picked
 from ..scene import Scene
 from ..sources.integrals import Integrals, chords
 from ..sources.solids import Ball, Quad, upright
@@ -130,7 +130,7 @@ class Sliced(LightMethod):
 
     def at(self, samples: Samples) -> np.ndarray:
         factor = self.factors and self.factors[0][samples.y, samples.x]
-        return self._scaled(samples.pick(self.mean), factor).astype(float)
+        return self._scaled(picked(samples, self.mean), factor).astype(float)
 
     def _scaled(self, image: np.ndarray, factor: np.ndarray | None) -> np.ndarray:
         """In the irradiance's unit; a difference of sums of brightness may round to less than 0."""

@@ -9,7 +9,7 @@ import numpy as np
 from ..backends.base import Array, Backend
 from ..constants import LEAST_SEARCHED_SLOPE, MOST_PIXELS
 from ..directions import Azimuths
-from ..samples import Samples
+from ..samples import Samples, picked
 from ..scene import Scene
 from ..sources.integrals import SKY_KNOTS, Integrals, Sun, even
 from ..sources.solids import Dome
@@ -114,7 +114,7 @@ class Horizons(LightMethod):
         return _scaled(self.engine.download(self.mean).reshape(self.scene.shape), self.scale)
 
     def at(self, samples: Samples) -> np.ndarray:
-        return _scaled(samples.pick(self.mean), self.scale).astype(float)
+        return _scaled(picked(samples, self.mean), self.scale).astype(float)
 
     def half(self) -> Later | None:
         if self.difference is None:
