@@ -25,7 +25,7 @@ from .errors import CapacityError, bad
 from .interreflection import check_choice, choice, expected, is_needed
 from .light import lattice, unoccluded
 from .light.base import Estimate, Later, LightMethod, estimated
-from .light.finite import RAYS, Sliced
+from .light.finite import RAYS, Sliced, most_rays
 from .light.horizon import OFFSET, Horizons, margin_of
 from .light.lattice import Lattice, lacking
 from .light.slices import outline, widened
@@ -44,6 +44,8 @@ ESTIMATE_SHARE = 0.85
 # error over half the difference of halves if nothing else is known, and at least; measured, docs/model.md
 FIRST_SHARE, LEAST_SHARE = 0.9, 0.45
 LEAST_SAMPLED_SHARE = 0.3  # the least share that the samples may tell; chosen
+# the same of half the difference to a quarter of the rays, where errors fall in proportion to the number
+RAYS_SHARE = 2 / 3
 BALL_SHARE = 0.5  # the same of the alternating sum of a ball's slices: at most 0.61 on 114 pairs
 BEYOND = 1e-3  # share of nodes whose error may pass the tail, which bounds a 99.9th percentile
 # times the estimate from which on an audit tells of what both halves share: more near rows are tried before
@@ -82,12 +84,11 @@ JUDGING_SLICES = 4  # times as many slices judge them
 # what is wider
 WINDOWED_PART = math.radians(5)
 PATCHES = 16  # of a small bright part where nodes are looked for that it lights through a window; chosen
-# sectors of a small bright part behind a window, to judge by: its edges cut the part wherever they like. No
-# multiple of what is judged, so that their errors differ
-BEHIND_WINDOW = 1021
+# sectors of a small bright part behind a window, to judge by, where the window holds all of it; as many times
+# more as the part is wider than the window, and at most. Odd, so no multiple of what is judged
+JUDGING_SECTORS, MOST_JUDGING_SECTORS = 127, 1021
 # apparent radius [rad] of a lamp, six cells of a table of brightness, up to which rays tell its brightness
 NARROW_RADIUS = 0.02
-MOST_RAY_EVALUATIONS = 2**25  # of a brightness for the sake of rays, some ten seconds
 POINT_SHARE = 0.1  # share of the tolerance by which a lamp that is called a point may be off as one
 
 
@@ -865,6 +866,8 @@ class _SlicePlanner(_Planner):
     rays = 0  # along which the brightness of slices is taken, 0: along their chords
     points = 0  # rays of the closed form
     bright: float | np.ndarray = 0.0  # light of small bright parts behind a window
+    smooth: sources.Brightness  # brightness without these
+    through: dict[int, np.ndarray]  # light at the samples by numbers of slices
     exact: np.ndarray
 
     def choose(self) -> None:
@@ -877,19 +880,23 @@ class _SlicePlanner(_Planner):
         self.uniform = self._uniform_light()
         if self.sky is not None and self.sky.suns:
             self.bright = self.scale * sum(
-                self.samples.sectors(*sun.sectors(BEHIND_WINDOW), self.outline) for sun in self.sky.suns
+                self.samples.sectors(*sun.sectors(self._judging_sectors(sun)), self.outline)
+                for sun in self.sky.suns
             )
             brightness = self._without_suns
-        light = {count: self._through_slices(brightness, count) for count in SLICE_COUNTS[:3]}
-        self.exact = light[SLICE_COUNTS[2]]
-        if self._fits_closed_form():
-            return
+        self.smooth = brightness
+        self.through = {count: self._through_slices(brightness, count) for count in SLICE_COUNTS[:3]}
+        self.exact = self.through[SLICE_COUNTS[2]]
+        if not self._fits_closed_form():
+            self._take_slices()
+
+    def _take_slices(self) -> None:
+        """Choose slices, and how brightness is taken."""
         self.method_class = Sliced
-        if isinstance(self.solid, Ball):
-            self.share = BALL_SHARE
+        self.share = BALL_SHARE if isinstance(self.solid, Ball) else FIRST_SHARE
         if callable(self.source.brightness):
             self._choose_rays()
-        self._choose_slices(brightness, light)
+        self._choose_slices(self.smooth, self.through)
 
     def _place(self) -> None:
         """The solid, its middle, the radius of a sphere round it, and the mean apparent radius [rad]."""
@@ -916,6 +923,14 @@ class _SlicePlanner(_Planner):
         wide, self.scale = widened(window, there)
         assert isinstance(wide, Quad), "widening keeps the kind of solid"
         self.outline = outline(wide, there.step)
+
+    def _judging_sectors(self, sun: Sun) -> int:
+        """By how many sectors a small bright part behind a window is judged."""
+        (_, _, up), sine = sun.cone
+        x0, x1, y0, y1 = self.outline
+        across = 2 * sine * float(np.median(np.maximum(0, -self.samples.own))) / max(up, sine)
+        times = math.ceil(across / min(x1 - x0, y1 - y0))
+        return int(min(JUDGING_SECTORS * times | 1, MOST_JUDGING_SECTORS))
 
     def _open_light(self, at: Samples) -> np.ndarray:
         """Light at nodes if nothing stood before the source: by its middle, and by suns behind a window."""
@@ -968,10 +983,11 @@ class _SlicePlanner(_Planner):
             low, high = np.min(corners, 0)[:2], np.max(corners, 0)[:2]
             if not ((low >= -0.5).all() and (high <= np.array(self.scene.shape[::-1]) - 0.5).all()):
                 return False
-        for points in (1, *RAYS) if callable(self.source.brightness) else (1,):
+        most = most_rays(self.scene) if callable(self.source.brightness) else 0
+        for points in (1, *(rays for rays in RAYS if rays <= most)):
             found = self.samples.errors(self._unoccluded(points), self.exact)
             if self.fits(found) and self._faces_source():
-                self.expected, self.points = found, points
+                self.expected, self.points, self.share = found, points, RAYS_SHARE
                 return True
         return False
 
@@ -1047,11 +1063,12 @@ class _SlicePlanner(_Planner):
 
     def refine(self, is_shared: bool) -> bool:
         if self.closed:
-            if self.points == max(RAYS):
-                return False
-            self.points = 4 * max(1, self.points)
+            self.points *= 4
+            if self.points > most_rays(self.scene):
+                self._take_slices()
         elif is_shared and self._may_take_rays():
-            self.rays, self.sky = RAYS[-1], None  # what a table of the sky is too coarse for
+            # what a table of the sky is too coarse for
+            self.rays, self.sky = min(RAYS[2], most_rays(self.scene)), None
         else:
             return super().refine(is_shared)
         self.method = self.make()
@@ -1060,8 +1077,7 @@ class _SlicePlanner(_Planner):
     def _may_take_rays(self) -> bool:
         """Whether a small lamp's brightness, taken along chords, may be taken along rays."""
         small = isinstance(self.source, sources.Lamp) and self.apparent < NARROW_RADIUS
-        evaluations = math.prod(self.scene.shape) * RAYS[-1]
-        return small and not self.rays and self.sky is not None and evaluations <= MOST_RAY_EVALUATIONS
+        return small and not self.rays and self.sky is not None and most_rays(self.scene) > 0
 
     def choices(self) -> Iterator[Choice]:
         closed, source = self.closed, self.source

@@ -20,7 +20,14 @@ from .slices import CHORD_AZIMUTHS, CHORD_KNOTS, Slices, ball_nodes, outline, wi
 # where in its step a slice of a ball lies; at 1/2 and 0 even and odd slices are mirror images, and their
 # difference does not show half of the error
 SHIFT = 0.25
-RAYS = 4, 16, 64  # to a small lamp, along which its brightness is taken
+RAYS = 4, 16, 64, 256, 1024  # to a small lamp, along which its brightness is taken
+MOST_RAY_EVALUATIONS = 2**25  # of a brightness for the sake of rays, some ten seconds
+
+
+def most_rays(scene: Scene) -> int:
+    """Of RAYS, the most that can be taken to every node."""
+    nodes = math.prod(scene.shape)
+    return max((rays for rays in RAYS if rays * nodes <= MOST_RAY_EVALUATIONS), default=0)
 
 
 class Sliced(LightMethod):
@@ -97,9 +104,16 @@ class Sliced(LightMethod):
         self._halve(self.difference, self.mean, keep=True)
 
     def refine(self) -> None:
-        """Of a ball, the slices between the present ones; of a quadrangle, twice as many; and more rays."""
-        if self.rays and 4 * self.rays <= RAYS[-1]:
-            self._take_rays(4 * self.rays)
+        """Of a ball, the slices between the present ones; of a quadrangle, twice as many.
+
+        More rays in their place where the brightness along them errs more than the slices.
+        """
+        if self.factors and 4 * self.rays <= most_rays(self.scene):
+            mean, half = (self.engine.download(image) for image in (self.mean, self.difference))
+            factor, change = (np.nan_to_num(values).ravel() for values in self.factors)
+            if np.linalg.norm(mean.ravel() * change) > np.linalg.norm(half.ravel() * factor):
+                self._take_rays(4 * self.rays)
+                return
         if not isinstance(self.solid, Ball):
             self.units *= 2
             self._compare(self.mean)

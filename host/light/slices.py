@@ -415,20 +415,24 @@ def _quad_nodes(most: int) -> np.ndarray:
 
     All Gauss-Legendre rules at once, by Newton's method on Legendre polynomials.
     """
-    n, k = np.arange(1, most + 1)[:, None], np.arange(most)
-    used = k < n
-    x = np.where(used, -np.cos(np.pi * (k + 0.75) / (n + 0.5)), 0.0)
-    for _ in range(5):
-        before, value, last = np.ones_like(x), x, np.ones_like(x)  # P_0, P_1; P_(n-1)
-        polynomial = np.where(n == 1, value, 0.0)
-        for degree in range(2, most + 1):
-            before, value = value, ((2 * degree - 1) * x * value - (degree - 1) * before) / degree
-            polynomial = np.where(n == degree, value, polynomial)
-            last = np.where(n == degree, before, last)
-        slope = np.where(used, n * (last - x * polynomial) / (1 - x * x), 1.0)
-        x = np.where(used, x - polynomial / slope, 0.0)
-    weight = np.where(used, 2 / ((1 - x * x) * slope**2), 0.0)
-    table = np.stack([x, weight], -1).astype(np.float32)
+    table = np.zeros((most, most, 2), np.float32)
+    for n in np.array_split(np.arange(1, most + 1)[:, None], -(-most // 64)):  # rules of similar size
+        k = np.arange(int(n[-1, 0]))
+        used = k < n
+        # Tricomi's approximation, to 1e-4 of the distance between nodes but for n below 4
+        x = -(1 - (n - 1) / (8.0 * n**3)) * np.where(used, np.cos(np.pi * (k + 0.75) / (n + 0.5)), 0.0)
+        for _ in range(3):
+            before, value, last = np.ones_like(x), x, np.ones_like(x)  # P_0, P_1; P_(n-1)
+            polynomial = np.where(n == 1, value, 0.0)
+            for degree in range(2, len(k) + 1):
+                before, value = value, ((2 * degree - 1) * x * value - (degree - 1) * before) / degree
+                if degree >= n[0, 0]:
+                    at = degree - n[0, 0]
+                    polynomial[at], last[at] = value[at], before[at]
+            slope = np.where(used, n * (last - x * polynomial) / (1 - x * x), 1.0)
+            x = np.where(used, x - polynomial / slope, 0.0)
+        weight = np.where(used, 2 / ((1 - x * x) * slope**2), 0.0)
+        table[n[:, 0] - 1, : len(k)] = np.stack([x, weight], -1)
     table.flags.writeable = False
     return table
 
