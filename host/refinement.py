@@ -239,7 +239,7 @@ def refined(
             break
         before = found.estimate if planner.method is method and method.interleaves else None
         method = planner.method
-    made = planner.plan(planner.samples.of(image) if planner.exact is None else None)
+    made = planner.plan(method.at(planner.samples) if planner.exact is None else None)
     made = replace(
         made,
         hemicube=method.units if made.method == "lattice" else None,
