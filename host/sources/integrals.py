@@ -43,6 +43,7 @@ MOST_DIVISIONS = 9  # 0.15 degrees / 4^9 = 2e-6 degrees
 # divided first, and `error` holds what is left
 MOST_CELL_EVALUATIONS = 2**20
 CONVERGED = 2e-5  # relative error at which no cell is divided any more: a fifth of level ground's tolerance
+SHARPEST = 3.0  # ratio of the light of neighbouring cells from which on an edge lies between them
 BRIGHT = 4.0  # times the median brightness from which on light may belong to a small part; chosen
 LEAST_LEVEL = 1e-6  # of the brightest, from which on levels are tried where the sky is dark; chosen
 FAINT_PARTS_SHARE = 0.1  # tolerances that small parts may give together and stay with the rest; chosen
@@ -428,11 +429,23 @@ class Integrals:
         """
         return _with_steps(self.above(angles - widths / 2, angles + widths / 2, knots) / widths[:, None])
 
-    def above(self, begin: np.ndarray, end: np.ndarray, knots: int) -> np.ndarray:
-        """Integrals of B cos^2, B sin cos above every knot and between azimuths: (2, K, knots) float64."""
-        found = np.concatenate([_between(sums, begin, end) for sums in self._sums], 1)
+    def above(self, begin: np.ndarray, end: np.ndarray, knots: int, unbiased: bool = False) -> np.ndarray:
+        """Integrals of B cos^2, B sin cos above every knot and between azimuths: (2, K, knots) float64.
+
+        ``unbiased``: of sectors all round, what interpolation between means of cells adds where brightness is
+        convex is taken off.
+        """
+        sums = self._sums
+        if unbiased:  # of base cells: 1/24 by the mean, 1/24 since they are even
+            cells = (_sharpened(np.diff(part, axis=2), 1 / 12) for part in sums)
+            sums = [np.concatenate([np.zeros_like(c[..., :1]), np.cumsum(c, 2)], 2) for c in cells]
+        found = np.concatenate([_between(part, begin, end) for part in sums], 1)
+        if unbiased:  # 1/24 by the mean, 1/12 by interpolation
+            found = _sharpened(found, 1 / 8)
         # from the zenith to the rows' lower edges
         down = np.concatenate([np.cumsum(found[:, ::-1], 1)[:, ::-1], np.zeros_like(found[:, :1])], 1)
+        if unbiased:
+            down[:, 1:-1] -= _gentle_steps(found[:, 1:], found[:, :-1]) / 12
         at = np.interp(np.linspace(0, 1, knots), np.sin(self._edges), np.arange(len(self._edges)))
         low = np.minimum(at.astype(int), len(self._edges) - 2)
         part = (at - low)[:, None]
@@ -451,9 +464,22 @@ def chords(sky: Integrals, turns: int, knots: int) -> np.ndarray:
     sine = np.where(place < 1, place, np.where(place < 3, 2 - place, place - 4))
     azimuth = np.append(np.arctan2(sine, cosine)[:-1] % (2 * math.pi), 2 * math.pi)
     return np.ascontiguousarray(
-        (sky.above(azimuth[:-1], azimuth[1:], knots) / np.diff(azimuth)[:, None]).transpose(1, 2, 0),
+        (sky.above(azimuth[:-1], azimuth[1:], knots, True) / np.diff(azimuth)[:, None]).transpose(1, 2, 0),
         np.float32,
     )
+
+
+def _gentle_steps(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """other - one, 0 where one is more than SHARPEST times the other: an edge, which nothing sharpens."""
+    gentle = np.maximum(one, other) <= SHARPEST * np.minimum(one, other)
+    return np.where(gentle, other - one, 0.0)
+
+
+def _sharpened(cells: np.ndarray, share: float) -> np.ndarray:
+    """Cells (2, rows, K) all round less a share of their second differences, but for edges; sums stay."""
+    steps = _gentle_steps(cells, np.roll(cells, -1, 2))
+    sharp: np.ndarray = cells - share * (steps - np.roll(steps, 1, 2))
+    return sharp
 
 
 def even(count: int, offset: float) -> Azimuths:
