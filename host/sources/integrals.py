@@ -441,7 +441,7 @@ class Integrals:
             sums = [np.concatenate([np.zeros_like(c[..., :1]), np.cumsum(c, 2)], 2) for c in cells]
         found = np.concatenate([_between(part, begin, end) for part in sums], 1)
         if unbiased:  # 1/24 by the mean, 1/12 by interpolation
-            found = _sharpened(found, 1 / 8)
+            found = _sharpened(found / (end - begin), 1 / 8) * (end - begin)
         # from the zenith to the rows' lower edges
         down = np.concatenate([np.cumsum(found[:, ::-1], 1)[:, ::-1], np.zeros_like(found[:, :1])], 1)
         if unbiased:
