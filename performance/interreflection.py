@@ -111,7 +111,6 @@ def sources(size):
 def truth(scene, source, engine):
     """(samples, direct light there, all light there), exactly."""
     samples = Samples(engine, scene, NODES)
-    samples.weights = None
     solid = None if isinstance(source, sl.Sky) else upright(solid_of(scene, source, 1.0, 1.0))
     direct = samples.exact(source, solid)
     image = sl.render(
@@ -142,7 +141,8 @@ def measure(name, size, kind, engine):
     scene = sl.Scene(SURFACES[name](size).astype(np.float32), albedo=ALBEDO)
     source = sources(size)[kind]
     samples, direct, exact = truth(scene, source, engine)
-    true_share = float(np.sqrt(np.mean((exact - direct) ** 2)) / direct.mean())
+    mean = lambda values: float(np.average(values, weights=samples.weights))
+    rms = lambda values: math.sqrt(mean(values**2))
     for tolerance in TOLERANCES:
         ask = lambda t=tolerance, **more: sl.render(
             scene, source, tolerance=t, backend=engine.name, quantity="irradiance", **more
@@ -156,12 +156,14 @@ def measure(name, size, kind, engine):
             "size": size,
             "source": kind,
             "tolerance": tolerance,
-            "error": float(np.sqrt(np.mean(off**2)) / exact.mean()),
-            "largest": float(np.abs(off).max() / exact.mean()),
-            "bias": float(off.mean() / exact.mean()),
+            "error": rms(off) / mean(exact),
+            "largest": float(np.abs(off).max()) / mean(exact),
+            "bias": mean(off) / mean(exact),
             "estimated error": record.error,
-            "left out": float(np.sqrt(np.mean((exact - direct) ** 2)) / exact.mean()),
-            "estimated share over the true one": out.plan.interreflection / true_share,
+            "left out": rms(exact - direct) / mean(exact),
+            "estimated share over the true one": out.plan.interreflection
+            * mean(direct)
+            / rms(exact - direct),
             "rounds": record.rounds,
             "azimuths": record.azimuths,
             "stride": record.stride,
