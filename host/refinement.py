@@ -880,7 +880,9 @@ class _SlicePlanner(_Planner):
         self.uniform = self._uniform_light()
         if self.sky is not None and self.sky.suns:
             self.bright = self.scale * sum(
-                self.samples.sectors(*sun.sectors(self._judging_sectors(sun)), self.outline)
+                self.samples.sectors(
+                    *sun.sectors(_judging_sectors(sun, self.outline, self.samples)), self.outline
+                )
                 for sun in self.sky.suns
             )
             brightness = self._without_suns
@@ -913,6 +915,7 @@ class _SlicePlanner(_Planner):
         away = self.middle[:, None] - np.stack([samples.x, samples.y, samples.own])
         distance = np.maximum(np.sqrt((away**2).sum(0)), 1e-9)
         self.apparent = float(np.arcsin(np.minimum(1, self.radius / distance)).mean())
+        self.is_small = isinstance(self.source, sources.Lamp) and self.apparent < NARROW_RADIUS
 
     def _integrate_sky(self) -> None:
         """Integrals of the sky behind a window, and the window's outline for its small bright parts."""
@@ -923,14 +926,6 @@ class _SlicePlanner(_Planner):
         wide, self.scale = widened(window, there)
         assert isinstance(wide, Quad), "widening keeps the kind of solid"
         self.outline = outline(wide, there.step)
-
-    def _judging_sectors(self, sun: Sun) -> int:
-        """By how many sectors a small bright part behind a window is judged."""
-        (_, _, up), sine = sun.cone
-        x0, x1, y0, y1 = self.outline
-        across = 2 * sine * float(np.median(np.maximum(0, -self.samples.own))) / max(up, sine)
-        times = math.ceil(across / min(x1 - x0, y1 - y0))
-        return int(min(JUDGING_SECTORS * times | 1, MOST_JUDGING_SECTORS))
 
     def _open_light(self, at: Samples) -> np.ndarray:
         """Light at nodes if nothing stood before the source: by its middle, and by suns behind a window."""
@@ -1014,7 +1009,7 @@ class _SlicePlanner(_Planner):
 
     def _choose_rays(self) -> None:
         """How a brightness that varies is taken: along few rays to a small lamp, else along every chord."""
-        if isinstance(self.source, sources.Lamp) and self.apparent < NARROW_RADIUS:
+        if self.is_small:
             whole = np.maximum(self._unoccluded(1, 1.0), 1e-30)
             seen = self.samples.through_slices(self.solid, 1.0, SLICE_COUNTS[2]) / whole
             for rays in RAYS:
@@ -1066,18 +1061,13 @@ class _SlicePlanner(_Planner):
             self.points *= 4
             if self.points > most_rays(self.scene):
                 self._take_slices()
-        elif is_shared and self._may_take_rays():
+        elif is_shared and self.is_small and self.sky is not None and most_rays(self.scene):
             # what a table of the sky is too coarse for
             self.rays, self.sky = min(RAYS[2], most_rays(self.scene)), None
         else:
             return super().refine(is_shared)
         self.method = self.make()
         return True
-
-    def _may_take_rays(self) -> bool:
-        """Whether a small lamp's brightness, taken along chords, may be taken along rays."""
-        small = isinstance(self.source, sources.Lamp) and self.apparent < NARROW_RADIUS
-        return small and not self.rays and self.sky is not None and most_rays(self.scene) > 0
 
     def choices(self) -> Iterator[Choice]:
         closed, source = self.closed, self.source
@@ -1107,6 +1097,15 @@ class _SlicePlanner(_Planner):
             why = "seen through the window in azimuths of their own"
             yield Choice("bright parts", f"{len(self.sky.suns)}", why)
         yield Choice("search radius", "up to the source", "what lies behind it hides nothing")
+
+
+def _judging_sectors(sun: Sun, outline: tuple[float, float, float, float], samples: Samples) -> int:
+    """By how many sectors a small bright part behind a window of this ``outline`` [spacings] is judged."""
+    (_, _, up), sine = sun.cone
+    x0, x1, y0, y1 = outline
+    across = 2 * sine * float(np.median(np.maximum(0, -samples.own))) / max(up, sine)
+    times = math.ceil(across / min(x1 - x0, y1 - y0))
+    return int(min(JUDGING_SECTORS * times | 1, MOST_JUDGING_SECTORS))
 
 
 def _slices_taken(samples: Samples, solid: Ball | Quad, most: int) -> np.ndarray:

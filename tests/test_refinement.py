@@ -2,6 +2,7 @@
 
 import json
 import os
+import pickle
 import re
 import subprocess
 import sys
@@ -587,6 +588,15 @@ def test_the_error_map_tells_the_error(fast, tolerance, seed):
     shares = [(off <= k * out.error).mean() for k in (1, 2, 3)]
     assert shares[0] >= 0.70 and shares[1] >= 0.93 and shares[2] >= 0.98, shares
     assert 0.3 < np.sqrt(np.mean(off**2)) / np.sqrt(np.mean(out.error.astype(float) ** 2)) < 1.3
+
+
+@pytest.mark.parametrize("source", [sl.Sky(), HIGH, WINDOW], ids=["sky", "ball", "window"])
+def test_the_error_map_outlives_its_process(fast, source):
+    """It lies on the device until it is asked for; a rendering that was pickled has the same."""
+    out = irradiance(SCENES["houses"], source, fast, tolerance=0.01)
+    again = pickle.loads(pickle.dumps(out))
+    assert out.error.max() > 0
+    np.testing.assert_array_equal(again.error, out.error)
 
 
 def test_the_error_map_has_the_images_shape_and_unit(fast):
