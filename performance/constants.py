@@ -58,7 +58,14 @@ def judge(pairs, backend):
     """(errors over the tolerance, how many are beyond 1.5 without a warning, seconds)."""
     over, silent, start = [], 0, time.perf_counter()
     for ground, source, samples, exact in pairs:
-        out = sl.render(replace(ground), source, tolerance=TOLERANCE, quantity="irradiance", backend=backend)
+        out = sl.render(
+            replace(ground),
+            source,
+            tolerance=TOLERANCE,
+            quantity="irradiance",
+            backend=backend,
+            interreflection=False,
+        )
         over.append(relative_errors(samples, out.image, exact)[0] / TOLERANCE)
         silent += over[-1] > 1.5 and np.isnan(estimated(out.warnings))
     return np.array(over), silent, time.perf_counter() - start
