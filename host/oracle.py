@@ -608,7 +608,7 @@ def strips(
     rows, cols = valid.shape
     height = np.where(valid, -depth / spacing, -1e30)
     row, col = (np.ravel(index) for index in (np.indices(valid.shape) if nodes is None else nodes))
-    own, normal, top = height[row, col], normals(depth, spacing, valid)[row, col], height.max()
+    own, normal, top = height[row, col], normals(depth, spacing, valid, sides)[row, col], height.max()
     reach = math.hypot(rows, cols)
     if sides == "periodic":
         reach = max(reach, (top - height[valid].min()) / LEVEL)
