@@ -274,11 +274,10 @@ class _Check:
         error is part of it under a uniform sky, whose strips are known as well: where less sky is seen there
         is more ground. Under other sources it is independent.
         """
-        samples, found = self.samples, self.bounces.irradiance()
+        samples, found = self.samples, self.bounces.total_at_samples()
         light, sky = self.bounces.at_samples(azimuths)
         worst, errors = 0.0, []
-        for image, direct, share, sent in zip(found, self.direct, self.albedo, light):
-            total = samples.of(image)
+        for total, direct, share, sent in zip(found, self.direct, self.albedo, light):
             mean, first = _mean(samples, total), _mean(samples, direct)
             exact, shared = direct, self.error * first
             if self.is_uniform and self.sky.any():

@@ -369,9 +369,10 @@ class Samples:
         return irradiance
 
 
-def picked(samples: Samples, image: Array) -> np.ndarray:
-    """An image (rows, cols) float32 on the device at the samples, float32."""
-    return _gather(samples.engine, image, samples.y * samples.cols + samples.x, math.nan)
+def picked(samples: Samples, images: Array, number: int = 0) -> np.ndarray:
+    """Image ``number`` of some (rows, cols) float32 on the device at the samples, float32."""
+    at = (number * samples.rows + samples.y) * samples.cols + samples.x
+    return _gather(samples.engine, images, at, math.nan)
 
 
 def _gather(engine: Backend, values: Array, at: np.ndarray, missing: float) -> np.ndarray:

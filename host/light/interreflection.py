@@ -11,7 +11,7 @@ import numpy as np
 from ..backends.base import Array, Backend, reserve
 from ..constants import NONE, SIDES
 from ..errors import CapacityError
-from ..samples import SAMPLED_SLOPE, Samples
+from ..samples import SAMPLED_SLOPE, Samples, picked
 from ..scene import Scene
 
 # of a step between azimuths; as of horizons, so that no set looks along a grid line
@@ -209,6 +209,10 @@ class Bounces:
     def irradiance(self) -> list[np.ndarray]:
         """(rows, cols) float32 [brightness x sr] of each light; 0 where masked."""
         return list(self.engine.download(self.total).reshape(self.lights, *self.shape))
+
+    def total_at_samples(self) -> np.ndarray:
+        """The present irradiance of each light at the samples, (lights, nodes) float64."""
+        return np.stack([picked(self.samples, self.total, n) for n in range(self.lights)]).astype(float)
 
     def at_samples(self, azimuths: int) -> tuple[np.ndarray, np.ndarray]:
         """(light, sky) at the samples by exact strips: (lights, nodes) [brightness x sr], (nodes,).
