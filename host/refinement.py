@@ -119,9 +119,10 @@ class Plan:
 
     method: "unoccluded", "horizon" or "lattice". hemicube, filled: of the lattice, else None. azimuths: of
     horizons, or slices of a lamp or window. max_distance [unit of spacing] of the search, None: the whole
-    map. tolerance, tail: what was asked for, relative RMS error and 99.9th percentile; error, error_tail:
-    what they are expected to be, by the samples before an image is made, and by the two halves of it
-    afterwards; measured: the RMS error of the image at the samples, once rendered. choices, line by line;
+    map. tolerance, tail: what was asked for, relative RMS error and 99.9th percentile. error: what the first
+    is expected to be, by the samples before an image is made, and by the two halves of it afterwards;
+    error_tail: the second, by the samples; measured: the RMS error of the image at the samples, once
+    rendered. reason and choices, line by line: of what was begun with, and how it was refined;
     steps: every image that was made; beyond: what the scene needs and the model lacks, with numbers;
     interreflection: RMS of the light between surfaces over the mean of the direct light, as estimated.
     seconds of the whole call and planning_seconds until the first image was begun were measured; no decision
@@ -169,7 +170,7 @@ class Refined(NamedTuple):
     both halves share [brightness x sr]; the plan, and warnings.
     """
 
-    irradiance: np.ndarray
+    irradiance: Any  # np.ndarray, or a DeviceImage where it stays on the device
     half: Later | None
     share: float
     floor: float
@@ -223,10 +224,12 @@ def refined(
     engine: Backend,
     tail: float | None = None,
     interreflection: bool | str = "auto",
+    stays: bool = False,
 ) -> Refined:
     """The irradiance of a grey source within the tolerance, or as near as can be and a warning.
 
     It is that of direct light; ``interreflection``: as of :func:`skylamp.render`, for the plan to tell of.
+    ``stays``: the irradiance stays on the device if it is made there.
     """
     seconds = _stopwatch(engine)
     planner = choose(scene, source, tolerance, engine, tail, interreflection)
@@ -240,6 +243,11 @@ def refined(
         before = found.estimate if planner.method is method and method.interleaves else None
         method = planner.method
     made = planner.plan(method.at(planner.samples) if planner.exact is None else None)
+    if len(steps) > 1:
+        begun, last = (f"{step.units} {_units_of(made.method)}" for step in (steps[0], steps[-1]))
+        why = f"{begun} at first: the image was estimated to be {_percent(found.worst)} off in the end"
+        reason = f"refined {len(steps) - 1} times, relative RMS error {found.worst:.2g} estimated"
+        made = replace(made, reason=reason, choices=(*made.choices, Choice("refined to", last, why)))
     made = replace(
         made,
         hemicube=method.units if made.method == "lattice" else None,
@@ -251,7 +259,15 @@ def refined(
         planning_seconds=planning,
     )
     floor = found.floor(planner) * (planner.mean if math.isfinite(planner.mean) else 0.0)
-    return Refined(method.irradiance(), method.half(), found.share, floor, made, found.warnings(tolerance))
+    light = method.device_image() if stays else None
+    irradiance = method.irradiance() if light is None else light
+    return Refined(
+        irradiance, method.half(), found.share, floor, made, found.warnings(tolerance, planner.tail)
+    )
+
+
+def _units_of(method: str) -> str:
+    return {"lattice": "nodes of a hemicube's side", "unoccluded": "rays"}.get(method, "azimuths or slices")
 
 
 class Assessment(NamedTuple):
@@ -275,6 +291,7 @@ class Assessment(NamedTuple):
 
     @property
     def worst(self) -> float:
+        """What is held against the tolerance, and the number of the warning."""
         return max(self.error or 0.0, self.audit or 0.0)
 
     def within(self, tolerance: float) -> bool:
@@ -291,13 +308,20 @@ class Assessment(NamedTuple):
         halves = self.share * self.estimate.rms
         return max(planner.floor, math.sqrt(max(0.0, self.error**2 - halves**2)))
 
-    def warnings(self, tolerance: float) -> list[str]:
-        if self.worst <= tolerance:
-            return []
-        return [
-            f"Tolerance: the image is estimated to be {100 * self.worst:.2g} % off (RMS over the mean), more"
-            f" than the {100 * tolerance:.2g} % asked for."
-        ]
+    def warnings(self, tolerance: float, tail: float) -> list[str]:
+        """What was asked for and is not had, with its number."""
+        found = []
+        if self.worst > tolerance:
+            found.append(
+                f"Tolerance: the image is estimated to be {100 * self.worst:.3g} % off (RMS over the mean),"
+                f" more than the {100 * tolerance:.3g} % asked for."
+            )
+        if self.estimate is not None and self.estimate.beyond > BEYOND:
+            found.append(
+                f"Tail: the error is estimated to pass {100 * tail:.3g} % of the mean at"
+                f" {100 * self.estimate.beyond:.2g} % of the nodes; {100 * BEYOND:.2g} % of them may."
+            )
+        return found
 
 
 def assess(planner: _Planner, method: LightMethod, before: Estimate | None) -> Assessment:

@@ -496,12 +496,24 @@ class _Renderer:
         for n, grey in enumerate(self.greys):
             if factors is None:
                 found = refined(
-                    self.scene, grey, tolerance, self.engine, options.tail, options.interreflection
+                    self.scene,
+                    grey,
+                    tolerance,
+                    self.engine,
+                    options.tail,
+                    options.interreflection,
+                    self.stays,
                 )
             elif n == 0:
                 unit = replace(grey, brightness=1.0)
                 found = refined(
-                    self.scene, unit, tolerance, self.engine, options.tail, options.interreflection
+                    self.scene,
+                    unit,
+                    tolerance,
+                    self.engine,
+                    options.tail,
+                    options.interreflection,
+                    self.stays,
                 )
             self.parts.append((found, 1.0 if factors is None else factors[n]))
             self.plans.append(found.plan)
@@ -609,7 +621,7 @@ def _interreflected(call: _Renderer, direct: list[np.ndarray]) -> list[np.ndarra
     lights, sky = direct, None
     if alike and factors is not None:  # that of brightness 1, as it is for a grey source
         unit = np.float32(factors[brightest])
-        lights = [call.parts[0][0].irradiance if call.parts else direct[brightest] / unit]
+        lights = [np.asarray(call.parts[0][0].irradiance) if call.parts else direct[brightest] / unit]
     whole_sky = isinstance(call.source, sources.Sky) and options.max_distance is None
     if alike and factors is not None and whole_sky and not call.by_lattice:
         sky = lights[0] * np.float32(1 / np.pi)

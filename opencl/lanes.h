@@ -1,5 +1,5 @@
-/* LANES adjacent lines or pixels per work-item: 1 on a GPU; 8 on a CPU, in some stems 16, which fill one vector
-   register. */
+/* LANES adjacent lines or pixels per work-item: 1 on a GPU; 8 on a CPU, in some stems 16, which fill one
+   vector register. */
 #pragma OPENCL FP_CONTRACT OFF
 #define JOIN_(a, b) a##b
 #define JOIN(a, b) JOIN_(a, b)

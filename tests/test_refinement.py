@@ -1043,3 +1043,26 @@ def test_the_chart_has_a_point_for_every_setting(fast, tmp_path):
     assert chart.frontier([(1, 5), (2, 6), (3, 1), (2.5, 2)]) == [(1, 5), (2.5, 2), (3, 1)]
     with pytest.raises(sl.InputError, match="sizes"):
         chart.measure([fast], (4,))
+
+
+@pytest.mark.parametrize("tail", [None, 1e-4])
+def test_a_tail_that_is_not_had_is_a_warning(fast, tail):
+    """The share of nodes beyond it, and nothing where the usual one is had."""
+    out = irradiance(
+        SCENES["rough"], sl.Sky(), fast, tolerance=0.05, **({} if tail is None else {"tail": tail})
+    )
+    said = [text for text in out.warnings if text.startswith("Tail: the error is estimated to pass 0.01 %")]
+    assert bool(said) == (tail is not None)
+
+
+def test_a_plan_says_how_it_was_refined(fast, monkeypatch):
+    """With the number that was taken in the end, not the one that was begun with."""
+    from skylamp import refinement
+
+    monkeypatch.setattr(
+        refinement._SkyPlanner, "_choose_azimuths", lambda self, floor: setattr(self, "units", 4)
+    )
+    out = irradiance(SCENES["rough"], sl.Sky(), fast, tolerance=0.01)
+    assert len(out.plan.steps) > 1 and out.plan.azimuths == out.plan.steps[-1].units > 4
+    taken = {choice.what: choice.taken for choice in out.plan.choices}
+    assert taken["refined to"].startswith(str(out.plan.azimuths)) and "refined" in out.plan.line

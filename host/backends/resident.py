@@ -44,11 +44,18 @@ class DeviceImage:
         if values.ndim:
             self.backend.finish()  # the albedo may be freed
 
-    def scale(self, factor: float) -> None:
-        """Multiply by a number, in place."""
+    def copy(self) -> DeviceImage:
+        """The same values in memory of their own."""
+        count = math.prod(self.shape)
+        found, none = self.backend.empty((count,), np.float32), self.backend.table(np.zeros(1, np.uint8))
+        self.backend.launch("resident", "adopt", (count,), self.values, none, found, 0.0, 1.0, 0, count)
+        return DeviceImage(self.backend, found, self.shape)
+
+    def scale(self, factor: float, least: float = -math.inf) -> None:
+        """Multiply what is at least ``least`` by a number, in place."""
         count = math.prod(self.shape)
         one = self.backend.table(np.ones(1, np.float32))
-        numbers = 0, float(factor), -math.inf, count
+        numbers = 0, float(factor), float(least), count
         self.backend.launch("resident", "shade", (count,), self.values, self.values, one, *numbers)
 
     def __len__(self) -> int:

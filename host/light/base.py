@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from ..backends.base import Array, Backend
+from ..backends.resident import DeviceImage
 
 if TYPE_CHECKING:
     from ..samples import Samples
@@ -63,6 +64,10 @@ class LightMethod(ABC):
     @abstractmethod
     def irradiance(self) -> np.ndarray:
         """(rows, cols) float32 [brightness x sr]; undefined where masked."""
+
+    def device_image(self) -> DeviceImage | None:
+        """A copy of the irradiance on the device, or None where it is made on the host."""
+        return None
 
     def at(self, samples: Samples) -> np.ndarray:
         """The irradiance at samples, (nodes,) float64."""

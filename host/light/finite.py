@@ -9,6 +9,7 @@ import numpy as np
 
 from .. import sources
 from ..backends.base import Array, Backend
+from ..backends.resident import DeviceImage
 from ..samples import Samples, picked
 from ..scene import Scene
 from ..sources.integrals import Integrals, chords
@@ -141,6 +142,13 @@ class Sliced(LightMethod):
     def irradiance(self) -> np.ndarray:
         image = self.engine.download(self.mean).reshape(self.scene.shape)
         return self._scaled(image, self.factors and self.factors[0])
+
+    def device_image(self) -> DeviceImage | None:
+        if self.factors is not None:
+            return None
+        found = DeviceImage(self.engine, self.mean, self.scene.shape).copy()
+        found.scale(self.scale, -math.inf if self.sky is None else 0.0)
+        return found
 
     def at(self, samples: Samples) -> np.ndarray:
         factor = self.factors and self.factors[0][samples.y, samples.x]

@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from ..backends.base import Array, Backend
+from ..backends.resident import DeviceImage
 from ..constants import LEAST_SEARCHED_SLOPE, MOST_PIXELS
 from ..directions import Azimuths
 from ..samples import Samples, picked
@@ -112,6 +113,11 @@ class Horizons(LightMethod):
 
     def irradiance(self) -> np.ndarray:
         return _scaled(self.engine.download(self.mean).reshape(self.scene.shape), self.scale)
+
+    def device_image(self) -> DeviceImage:
+        found = DeviceImage(self.engine, self.mean, self.scene.shape).copy()
+        found.scale(self.scale)
+        return found
 
     def at(self, samples: Samples) -> np.ndarray:
         return _scaled(picked(samples, self.mean), self.scale).astype(float)
