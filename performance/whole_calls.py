@@ -3,6 +3,8 @@
     python performance/whole_calls.py --out docs [--sizes 256,1024,4096] [--backends opencl,warp:cuda:0]
         [--inputs numpy,cupy] [--calls "lattice, M = 9"] [--repeats 7] [--memory]
 
+A map of CuPy's is measured on warp:cuda alone, where it stays on the GPU.
+
 Medians over repeated calls as a user makes them, compiled before. "new": the scene is made in the call, of an
 array that the library has not seen; "known": the scene was rendered before. "kernels": the sum of the seconds
 of every launch of the call, each with the device idle before and after, so it holds no transfer and no host
@@ -53,12 +55,17 @@ CALLS = {
     "render, 64 azimuths": Call(
         lambda scene, name: sl.render(scene, sl.Sky(), "horizon", backend=name, azimuths=64)
     ),
-    "render, tolerance 0.01": Call(lambda scene, name: sl.render(scene, sl.Sky(), backend=name)),
+    "tolerance 0.01, direct": Call(
+        lambda scene, name: sl.render(scene, sl.Sky(), backend=name, interreflection=False)
+    ),
+    "tolerance 0.01, all light": Call(lambda scene, name: sl.render(scene, sl.Sky(), backend=name), 4096),
     "lattice, M = 9": Call(
         lambda scene, name: sl.render(scene, sl.Sky(), "lattice", backend=name, hemicube=9), 8192
     ),
     "lamp": Call(lambda scene, name: sl.render(scene, _lamp(scene), "horizon", backend=name)),
-    "lamp, tolerance 0.01": Call(lambda scene, name: sl.render(scene, _lamp(scene), backend=name), 4096),
+    "lamp, tolerance 0.01": Call(
+        lambda scene, name: sl.render(scene, _lamp(scene), backend=name, interreflection=False), 4096
+    ),
     "visibility, M = 9": Call(lambda scene, name: sl.visibility(scene, sl.Sky(), 9, name), 4096),
 }
 
@@ -244,7 +251,7 @@ def main() -> None:
         for call in args.calls or CALLS:
             for name in cards:
                 for where in args.inputs.split(","):
-                    if size > CALLS[call].most:
+                    if size > CALLS[call].most or (where == "cupy" and not name.startswith("warp:cuda")):
                         continue
                     row = measure(call, size, name, where, args.repeats, args.memory)
                     rows.append(row | {"device": cards[name], "cores": os.cpu_count()})
