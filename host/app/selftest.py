@@ -53,7 +53,7 @@ class Comparison:
 
 
 def cases() -> list[Case]:
-    """One of each kind of kernel: visibility, lattice, horizons, azimuths of a sky, slices of a lamp."""
+    """One of each kind of kernel: visibility, lattice, horizons, skies, slices, light between surfaces."""
     height, spacing = io.terrain()
     scene = Scene.from_height(STEEPER * height[TEST_AREA], spacing)
     box = Scene.from_height(STEEPER * height[TEST_AREA], spacing, sides="dark")
@@ -69,6 +69,7 @@ def cases() -> list[Case]:
         Case("horizons", lambda name: horizons(scene, azimuths=16, backend=name), 1e-5),
         Case("clear sky, horizons", _irradiance(box, clear, azimuths=32), 1e-5),
         Case("lamp, slices", _irradiance(scene, lamp, method="horizon"), 1e-5),
+        Case("light between surfaces", _irradiance(scene, Sky(), azimuths=16, interreflection=True), 1e-5),
     ]
 
 
