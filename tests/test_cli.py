@@ -126,6 +126,19 @@ def test_height_is_depth_upside_down(here, capsys):
         np.testing.assert_allclose(io.read(out), io.read("a.npy"), rtol=1e-6)
 
 
+def test_light_between_surfaces(here, capsys):
+    """--interreflection off is direct light, on and auto are brighter in a bowl; another word is an error."""
+    images = []
+    for word in ("off", "on", "auto"):
+        taken = "--interreflection", word, "--out", f"{word}.npy", "--backend", "numpy"
+        assert run(capsys, "render", "depth.npy", *taken)[0] == 0
+        images.append(io.read(f"{word}.npy"))
+    assert (images[1] >= images[0]).all() and images[1].mean() > 1.01 * images[0].mean()
+    assert images[2].mean() > 1.01 * images[0].mean()
+    taken = "--interreflection", "maybe", "--out", "x.npy"
+    assert run(capsys, "render", "depth.npy", *taken)[0] == 2
+
+
 def test_sources(here, capsys):
     """Lamp, window and environment map, and that --lamp alone means a lamp."""
     environment = np.random.default_rng(3).random((6, 12), dtype=np.float32)

@@ -150,6 +150,19 @@ def test_bowl(fast, stride, bound):
     assert got.mean() == pytest.approx(np.pi * f[64, 64] / (1 - 0.8 * (1 - f[64, 64])), rel=bound)
 
 
+def test_no_light_is_negative(fast):
+    """Where direct light is, by rounding or a control variate, a little below 0, it counts as 0."""
+    depth = rough(12, 20, 1.0).astype(np.float32)
+    valid, sky = np.ones(depth.shape, bool), np.full(depth.shape, 0.7)
+    direct = lights(depth.shape, 1)
+    low, none = ([np.where(direct[0] < 0.3, value, direct[0]).astype(np.float32)] for value in (-0.1, 0.0))
+    one, other = (bounces(fast, depth, valid, "open", light, [0.8], sky) for light in (low, none))
+    for found in (one, other):
+        found.run(ROUNDS)
+    np.testing.assert_array_equal(one.irradiance()[0], other.irradiance()[0])
+    assert (one.irradiance()[0] >= 0).all()
+
+
 def test_colours_are_grey_lights(backend):
     """Each of three lights comes out as it does alone, bit for bit."""
     depth = rough(12, 20, 1.0).astype(np.float32)

@@ -88,8 +88,8 @@ class Bounces:
         engine.finish()  # what was uploaded for one launch may be freed
 
     def _known(self, lights: Sequence[np.ndarray]) -> np.ndarray:
-        """(lights, rows, cols) float32, 0 where masked."""
-        found = np.stack(lights).astype(np.float32, copy=False)
+        """(lights, rows, cols) float32, 0 where masked, and where a control variate has made it negative."""
+        found = np.maximum(np.stack(lights).astype(np.float32, copy=False), np.float32(0))
         return found if self.valid is None else np.where(self.valid, found, np.float32(0))
 
     @property
