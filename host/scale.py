@@ -30,6 +30,7 @@ from .light.far import (
     in_spacings,
     marched_nodes,
     scaled,
+    spread_of,
     top_of,
 )
 from .scene import Scene
@@ -187,8 +188,11 @@ def tile_of(
     inner = (..., slice(before[0], before[0] + rows), slice(before[1], before[1] + cols))
     if not valid.any():
         return _nothing(part, rows, cols)
-    heights = np.where(valid, window, np.nan)
-    scene = Scene.from_height(np.where(valid, window, 0), layout.spacing, mask=None if valid.all() else valid)
+    if valid.all():
+        heights, scene = window, Scene.from_height(window, layout.spacing)
+    else:
+        heights = np.where(valid, window, np.nan)
+        scene = Scene.from_height(np.where(valid, window, 0), layout.spacing, mask=valid)
     far, max_distance = None, layout.max_distance
     if top is not None:
         assert low is not None, "there are overviews of all levels, or of none"
@@ -212,7 +216,9 @@ def _far(
     at, tile, spacing, tiling = (row, col), (rows, cols), layout.spacing, layout.tiling
     base = np.nanmax(heights)
     levels = around(tiling, layout.shape, at, tile, low, top, layout.periodic)
-    nodes = marched_nodes(tiling, layout.shape, at, tile)
+    inner = heights[before[0] : before[0] + rows, before[1] : before[1] + cols]
+    spread = spread_of(tiling, inner, spacing)
+    nodes = marched_nodes(spread, layout.shape, at, tile)
     within = np.ix_(*(lines - first + room for lines, first, room in zip(nodes, at, before)))
     own = heights[within]
     own = scaled(np.where(np.isnan(own), np.nanmin(heights), own), base, spacing)
@@ -227,6 +233,7 @@ def _far(
         at,
         tile,
         before,
+        spread,
         own,
         in_spacings(levels, float(base), spacing),
         farthest,

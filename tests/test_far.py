@@ -48,11 +48,13 @@ def far_of(heights, tiling, at, tile, periodic=False, farthest=math.inf, drop=0.
     levels = around(tiling, heights.shape, at, tile, part, top_of(whole), periodic)
     base = np.nanmax(window)
     own = np.where(np.isnan(window), -np.inf, scaled(window, base, 1.0)).astype(np.float32)
-    nodes = fields.marched_nodes(tiling, heights.shape, at, tile)
+    nodes = fields.marched_nodes(tiling.spread, heights.shape, at, tile)
     marched = own[np.ix_(*(lines - first + room for lines, first, room in zip(nodes, at, before)))]
     marched = np.where(np.isneginf(marched), own[np.isfinite(own)].min(initial=0), marched)
     levels = in_spacings(levels, base, 1.0)
-    return own, Far(tiling, heights.shape, at, tile, before, marched, levels, farthest, periodic, drop)
+    return own, Far(
+        tiling, heights.shape, at, tile, before, tiling.spread, marched, levels, farthest, periodic, drop
+    )
 
 
 def planes_of(engine, window, far, angles, turned=False):
@@ -264,3 +266,14 @@ def test_what_is_left_of_a_map_belongs_to_the_tile_before():
     usual = Tiling()
     assert (usual.first, usual.top, usual.reach) == (2, 5, 1024)
     assert usual.starts(65536) == list(range(0, 65536, 8192))
+
+
+def test_among_cliffs_more_nodes_are_marched():
+    """Ramps are marched as ever; houses, steps of five spacings, more closely, with gaps too."""
+    tiling, ramp = Tiling(), np.outer(np.ones(64), 3.9 * 30 * np.arange(64))
+    town = np.kron(np.arange(256).reshape(16, 16) % 2, np.ones((4, 4))) * 5 * 30
+    assert fields.spread_of(tiling, ramp, 30.0) == tiling.spread == 32
+    assert fields.spread_of(tiling, town, 30.0) == 8
+    town[:, ::3] = np.nan
+    assert fields.spread_of(tiling, town, 30.0) == 8
+    assert fields.spread_of(tiling, np.full((9, 9), np.nan), 30.0) == 32

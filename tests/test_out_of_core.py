@@ -148,6 +148,6 @@ def test_a_folder_that_is_no_scratch_stays(dem, tmp_path):
 def test_tiles_fit_the_memory_of_a_worker():
     """The largest that does, and an error where none does."""
     assert out_of_core.tile_that_fits(8 * 10**9) == 8192
-    assert out_of_core.tile_that_fits(2 * 10**9) == 4096
+    assert out_of_core.tile_that_fits(3 * 10**9) == 4096
     with pytest.raises(CapacityError, match="memory"):
         out_of_core.tile_that_fits(10**8)

@@ -13,7 +13,8 @@ import numpy as np
 from .. import io
 from ..backends import backends, select
 from ..errors import SkylampError
-from ..horizon import horizons
+from ..horizon import horizons, sky_view_factor
+from ..light.far import Tiling
 from ..rendering import render
 from ..scene import Scene
 from ..sources import Lamp, Sky, Source
@@ -67,6 +68,7 @@ def cases() -> list[Case]:
         Case("visibility bits, filled, lamp", lambda name: bits_filled(backend=name), 0.0),
         Case("sky, lattice", _irradiance(scene, Sky(), method="lattice"), 1e-5),
         Case("horizons", lambda name: horizons(scene, azimuths=16, backend=name), 1e-5),
+        Case("sky-view factor in tiles", _in_tiles(scene), 1e-5),
         Case("clear sky, horizons", _irradiance(box, clear, azimuths=32), 1e-5),
         Case("lamp, slices", _irradiance(scene, lamp, method="horizon"), 1e-5),
         Case("light between surfaces", _irradiance(scene, Sky(), azimuths=16, interreflection=True), 1e-5),
@@ -75,6 +77,11 @@ def cases() -> list[Case]:
 
 def _irradiance(scene: Scene, source: Source, **options: Any) -> Callable[[str], np.ndarray]:
     return lambda name: render(scene, source, backend=name, quantity="irradiance", **options).image
+
+
+def _in_tiles(scene: Scene) -> Callable[[str], np.ndarray]:
+    tiling = Tiling(tile=16, halo=8, rule=4)
+    return lambda name: sky_view_factor(scene, azimuths=16, backend=name, tiling=tiling)
 
 
 def selftest(progress: Callable[[int, int], None] | None = None) -> list[Comparison]:

@@ -1,0 +1,246 @@
+"""What tiles add to the error of a whole map, how much memory they take, and how fast large maps go.
+
+    python performance/scale.py --out docs                            # the table of errors
+    python performance/scale.py --exact                               # houses, against exact rays
+    python performance/scale.py --memory 8192                         # bytes of a process for one tile
+    python performance/scale.py --big 65536 --tile 4096 --workers 4   # time of a map that is generated lazily
+
+Errors are those of tiles against the same call on the whole map, which has the sweeps' own error besides.
+Maps are made from fixed seeds; the table takes ten minutes with --size 2048 --tile 512 on two cores that
+others share, and four times as long with the usual ones. --big reduces the sky-view factor of generated hills
+to its mean, so that no disk is measured, and leaves the start of the workers out.
+"""
+
+import argparse
+import csv
+import os
+import platform
+import resource
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+
+import skylamp as sl
+from skylamp import oracle
+from skylamp.io import files as io
+from skylamp.light import far
+
+AZIMUTHS, SLOPE_AZIMUTHS = 16, 4  # of sky-view factors, and of horizons
+COLUMNS = "map", "tiles", "rms", "max", "p999", "bias", "seams", "inside", "horizon_rms"
+
+
+def mountains(size, relief, roughness=1.85, seed=1):
+    """Fractal heights [nodes] float32; the spectrum falls off with frequency^roughness."""
+    rng = np.random.default_rng(seed)
+    frequency = np.hypot(np.fft.fftfreq(size)[:, None], np.fft.rfftfreq(size))
+    frequency[0, 0] = 1
+    waves = rng.normal(size=(2, *frequency.shape))
+    spectrum = (waves[0] + 1j * waves[1]) * frequency**-roughness
+    spectrum[0, 0] = 0
+    heights = np.fft.irfft2(spectrum, s=(size, size))
+    return (relief * (heights - heights.min()) / np.ptp(heights)).astype(np.float32)
+
+
+def terrain(size):
+    """The Jacksboro fault [nodes], mirrored until it fills the map, its finest cells interpolated."""
+    heights, spacing = io.terrain()
+    heights = np.asarray(heights, np.float64) / spacing
+    times = 4
+    at = [np.arange(times * (n - 1) + 1) / times for n in heights.shape]
+    for axis, where in enumerate(at):
+        low = np.minimum(where.astype(int), heights.shape[axis] - 2)
+        a, b = np.take(heights, low, axis), np.take(heights, low + 1, axis)
+        part = (where - low)[:, None] if axis == 0 else where - low
+        heights = a + part * (b - a)
+    heights = times * heights
+    rows, cols = (-(-size // n) for n in heights.shape)
+    band = np.concatenate([heights[:, :: (-1) ** n] for n in range(cols)], 1)
+    whole = np.concatenate([band[:: (-1) ** n] for n in range(rows)], 0)
+    return whole[:size, :size].astype(np.float32)
+
+
+def houses(size, seed=2):
+    """A city on a slope [nodes]: blocks of 12 to 40 nodes and 6 to 25 high, and a tower now and then."""
+    rng = np.random.default_rng(seed)
+    heights = np.add.outer(np.zeros(size), 0.01 * np.arange(size))
+    for _ in range(size * size // 1200):
+        row, col = rng.integers(0, size, 2)
+        rows, cols = rng.integers(12, 40, 2)
+        top = rng.uniform(6, 25) if rng.random() < 0.97 else rng.uniform(60, 120)
+        part = heights[row : row + rows, col : col + cols]
+        np.maximum(part, part.min() + top, out=part)
+    return heights.astype(np.float32)
+
+
+def maps(size):
+    high = mountains(size, 103)
+    yield "mountains", high
+    yield "rough mountains", mountains(size, 103, 1.7)
+    yield "terrain", terrain(size)
+    yield "coast", np.maximum(high - np.median(high), 0)
+    yield "houses", houses(size)
+
+
+def tilings(tile):
+    """(name, tiling, whether far ground counts)."""
+    for halo in (128, 256):
+        yield f"halo {halo} alone", sl.Tiling(tile, halo), False
+    yield "halo 128, rule 32", sl.Tiling(tile), True
+    yield "halo 128, rule 64", sl.Tiling(tile, 128, 64), True
+    yield "halo 64, rule 32", sl.Tiling(tile, 64, 32), True
+
+
+def errors(name, heights, tile, backend):
+    """Rows of the table for one map."""
+    scene = sl.Scene.from_height(heights)
+    options = dict(azimuths=AZIMUTHS, backend=backend)
+    few = dict(options, azimuths=SLOPE_AZIMUTHS)
+    whole, slopes = sl.sky_view_factor(scene, **options), sl.horizons(scene, **few)
+    variants = [(text, tiling, counts, far.SHARE, far.SPARSE) for text, tiling, counts in tilings(tile)]
+    usual = sl.Tiling(tile)
+    variants += [(f"means + {share:g} (maxima - means)", usual, True, share, far.SPARSE) for share in (0, 1)]
+    variants += [
+        (f"marched every {128 // sparse} nodes", usual, True, far.SHARE, sparse) for sparse in (2, 8)
+    ]
+    kept = far.SHARE, far.SPARSE
+    for text, tiling, counts, share, sparse in variants:
+        far.SHARE, far.SPARSE = np.float32(share), sparse
+        reach = dict() if counts else dict(max_distance=float(tiling.halo))
+        error = sl.sky_view_factor(scene, tiling=tiling, **options, **reach) - whole
+        apart = np.arctan(sl.horizons(scene, tiling=tiling, **few, **reach)) - np.arctan(slopes)
+        far.SHARE, far.SPARSE = kept
+        jumps = np.abs(np.diff(error, axis=1)).mean(0)
+        seams = np.arange(tile, heights.shape[1], tile) - 1
+        row = (
+            rms(error),
+            np.abs(error).max(),
+            np.quantile(np.abs(error), 0.999),
+            error.mean(),
+            jumps[seams].mean(),
+            jumps[seams - tile // 2].mean(),
+            rms(apart[np.isfinite(slopes)]),
+        )
+        print(f"{name:16} {text:32}", *(f"{value:9.5f}" for value in row), flush=True)
+        yield dict(zip(COLUMNS, (name, text, *(f"{value:.6f}" for value in row))))
+
+
+def exact(size, tile, backend):
+    """Errors of houses at 600 nodes against exact rays in the same azimuths, of level elements."""
+    heights, rng = houses(size), np.random.default_rng(0)
+    scene, nodes = sl.Scene.from_height(heights), rng.integers(0, size, (2, 600))
+    angles = sl.Azimuths(AZIMUTHS).angles
+    slopes = oracle.horizons((heights.max() - heights).astype(float), 1.0, angles, nodes=nodes)
+    truth = (1 / (1 + np.maximum(slopes, 0) ** 2)).mean(0)
+    options = dict(azimuths=AZIMUTHS, backend=backend)
+    for text, more in (
+        ("whole map", {}),
+        ("halo 128", dict(tiling=sl.Tiling(tile))),
+        ("halo 256, rule 64", dict(tiling=sl.Tiling(tile, 256, 64))),
+        ("halo 128 alone", dict(tiling=sl.Tiling(tile), max_distance=128.0)),
+    ):
+        found = sl.sky_view_factor(scene, "horizontal", **options, **more)[*nodes]
+        print(
+            f"houses, {text:20} RMS {rms(found - truth):.5f}, bias {(found - truth).mean():+.5f}", flush=True
+        )
+
+
+def rms(values):
+    return float(np.sqrt(np.mean(np.square(values, dtype=np.float64))))
+
+
+def memory(tile, backend):
+    """Peak of this process for one tile [byte], and what it takes without one."""
+    small = sl.Scene.from_height(mountains(256, 20))
+    sl.sky_view_factor(small, tiling=sl.Tiling(128, 16, 8), backend=backend, azimuths=8)
+    before = 1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    side = 2 * tile
+    dask_array = __import__("dask.array").array
+    heights = dask_array.map_blocks(
+        lambda block_info=None: np.add.outer(
+            *(np.sin(np.arange(*ends) / 50, dtype=np.float32) for ends in block_info[None]["array-location"])
+        ),
+        chunks=dask_array.core.normalize_chunks(tile, (side, side)),
+        dtype=np.float32,
+        meta=np.empty((0, 0), np.float32),
+    )
+    found = sl.sky_view_factor(
+        sl.Scene.from_height(heights), azimuths=8, backend=backend, tiling=sl.Tiling(tile)
+    )
+    found[:tile, :tile].sum().compute(scheduler="sync")
+    peak = 1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    print(f"tile {tile}: {peak / 1e9:.2f} GB, of which {before / 1e9:.2f} GB before it")
+
+
+def hills(block_info=None):
+    """A block of hills without end, from its place alone."""
+    (r0, r1), (c0, c1) = block_info[None]["array-location"]
+    y, x = np.arange(r0, r1, dtype=np.float32)[:, None], np.arange(c0, c1, dtype=np.float32)
+    heights = np.zeros((r1 - r0, c1 - c0), np.float32)
+    for n, length in enumerate((3001.0, 1213.0, 557.0, 211.0, 83.0, 31.0)):
+        a, b = np.float32(np.cos(1.7 * n) / length), np.float32(np.sin(1.7 * n) / length)
+        heights += np.float32(length / 60) * np.sin(6.2831853 * (a * x + b * y))
+    return heights
+
+
+def big(side, tile, workers, azimuths, backend):
+    """Time of a lazy map of side x side nodes, reduced to its mean."""
+    import dask.array as da
+    from distributed import Client, LocalCluster
+
+    options = dict(threads_per_worker=2, processes=True, dashboard_address=None)
+    with LocalCluster(workers, **options) as cluster, Client(cluster) as client:
+        client.register_plugin(sl.devices())
+        for size in (2 * tile, side):  # the first compiles, and starts the devices
+            chunks = da.core.normalize_chunks(tile, (size, size))
+            meta = np.empty((0, 0), np.float32)
+            heights = da.map_blocks(hills, chunks=chunks, dtype=np.float32, meta=meta)
+            scene = sl.Scene.from_height(heights)
+            found = sl.sky_view_factor(scene, azimuths=azimuths, backend=backend, tiling=sl.Tiling(tile))
+            mean = found.mean()
+            start = time.perf_counter()
+            value = float(mean.compute())
+            seconds = time.perf_counter() - start
+            rate = size * size / seconds / 1e6
+            told = f"{size} x {size}, {workers} workers, tiles of {tile}, {azimuths} azimuths"
+            print(f"{told}: {seconds:.1f} s, {rate:.1f} million nodes a second, mean {value:.5f}", flush=True)
+
+
+def main():
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--out", type=Path, help="folder of scale.csv")
+    parser.add_argument("--size", type=int, default=4096, help="nodes along a side of the maps of the table")
+    parser.add_argument("--tile", type=int, default=1024)
+    parser.add_argument("--maps", default="", help="some of them, with commas between")
+    parser.add_argument("--exact", action="store_true")
+    parser.add_argument("--memory", type=int, metavar="TILE")
+    parser.add_argument("--big", type=int, metavar="SIDE")
+    parser.add_argument("--workers", type=int, default=1)
+    parser.add_argument("--azimuths", type=int, default=64)
+    parser.add_argument("--backend", default="auto")
+    given = parser.parse_args()
+    if given.memory:
+        memory(given.memory, given.backend)
+    elif given.exact:
+        exact(given.size, given.tile, given.backend)
+    elif given.big:
+        big(given.big, given.tile, given.workers, given.azimuths, given.backend)
+    else:
+        print(f"{platform.machine()}, {os.cpu_count()} cores, Python {sys.version.split()[0]}, {given.size}")
+        wanted = given.maps.split(",") if given.maps else []
+        rows = []
+        for name, heights in maps(given.size):
+            if not wanted or name in wanted:
+                rows += errors(name, heights, given.tile, given.backend)
+        if given.out:
+            with open(given.out / "scale.csv", "w", newline="") as file:
+                writer = csv.DictWriter(file, COLUMNS, lineterminator="\n")
+                writer.writeheader()
+                writer.writerows(rows)
+
+
+if __name__ == "__main__":
+    main()
