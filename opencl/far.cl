@@ -103,16 +103,16 @@ Along is the direction of x, across that of y. stride_along, stride_across: betw
 before_along, before_across: nodes of the map before the tile's first. along, across: nodes of the tile.
 last_along, last_across: the whole map's last node, from the tile's first, where the nodes of `found` end too.
 Work-item (i, y, k) owns nodes i run .. (i + 1) run - 1 of row y, azimuth k. */
-__kernel void interpolate(__global const float *found, __global const float *heights, __global float *planes,
-                          int count, int nodes, int spread, int rows, int cols, int margin, int stride_along,
-                          int stride_across, int before_along, int before_across, int along, int across,
-                          int last_along, int last_across, int run)
+__kernel void interpolate(__global const float *restrict found, __global const float *restrict heights,
+                          __global float *restrict planes, int count, int nodes, int spread, int rows,
+                          int cols, int margin, int stride_along, int stride_across, int before_along,
+                          int before_across, int along, int across, int last_along, int last_across, int run)
 {
   const int y = get_global_id(1), k = get_global_id(2), v = y - before_across;
   if (y >= rows || k >= count)
     return;
-  __global const float *own = heights + (y + margin) * (cols + 2 * margin) + margin;
-  __global float *plane = planes + ((size_t)k * rows + y) * cols;
+  __global const float *restrict own = heights + (y + margin) * (cols + 2 * margin) + margin;
+  __global float *restrict plane = planes + ((size_t)k * rows + y) * cols;
   const int r = v / spread, down = min(spread, last_across - r * spread);
   const float a = down > 0 ? (float)(v - r * spread) / (float)down : 0.0f;
   int x = (int)get_global_id(0) * run;

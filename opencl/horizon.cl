@@ -384,7 +384,9 @@ __kernel void sweep(__global const float *restrict heights, __global const float
         slope = higher(slope, -own * tangent / (wall < to_row ? wall : to_row));
       }
       __global float *plane = slopes + ((size_t)get_group_id(1) * rows + y) * cols;
-      if (known)
+      if (known && LANES > 1 && x >= 0 && column_of(x, strip, LANES - 1, cols) == x + LANES - 1)
+        slope = higher(slope, READ(x, plane));
+      else if (known)
         for (int l = 0; l < LANES; ++l) {
           const int c = column_of(x, strip, l, cols);
           if (c >= 0)

@@ -247,7 +247,7 @@ class Sweeps:
             backend.launch("ground", "openness", (pixels,), planes, widths, sums, len(numbers), pixels)
             backend.finish()  # the planes may be freed
         backend.launch("ground", "turn", (cols, rows), turned, back, cols, rows)
-        backend.launch("ground", "halves", (pixels,), natural, back, pixels)  # half the sum of both
+        backend.launch("ground", "halves", (pixels,), natural, back, pixels, 0)  # half the sum
         image: np.ndarray = backend.download(natural).reshape(self.shape)
         image *= np.float32(2 / self.rays.widths.sum())
         return image
