@@ -280,7 +280,7 @@ class Marched:
         found = backend.empty((2, count, math.prod(self.nodes)), np.float32)
         ways = np.stack([np.cos(angles), np.sin(angles)], 1)
         # a ray along the border stays on the map
-        ways = backend.upload(np.where(np.abs(ways) < 1e-9, 0, ways).astype(np.float32))
+        ways = backend.table(np.where(np.abs(ways) < 1e-9, 0, ways).astype(np.float32))
         backend.launch(
             "far",
             "march",
