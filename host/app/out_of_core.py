@@ -32,8 +32,8 @@ from . import parsing
 Progress = Callable[[int, int], None]
 
 # that a process takes per node of a tile and its halo, and besides [byte]; measured: 57, 48 and 41 at the
-# peak of tiles of 2048, 4096 and 8192 nodes on PoCL, whose device is the host (performance/scale.py --memory), and
-# half as much again for the window that the other thread reads meanwhile
+# peak of tiles of 2048, 4096 and 8192 nodes on PoCL, whose device is the host (performance/scale.py
+# --memory), and half as much again for the window that the other thread reads meanwhile
 PER_NODE, BESIDES = 80, 6 * 10**8
 TILES = 8192, 4096, 2048, 1024  # sides of tiles of which the largest is taken that fits
 # what is said where these options meet others
