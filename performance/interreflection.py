@@ -177,7 +177,7 @@ def picture(path, backend):
     """One scene at three albedos, without and with."""
     figure, axes = plt.subplots(2, 3, figsize=(9, 6.2), constrained_layout=True)
     for column, albedo in zip(axes.T, (0.2, 0.5, 0.8)):
-        scene = sl.Scene(smooth(256, 1.0, 9, 23), albedo=albedo)
+        scene = sl.Scene(folds(160), albedo=albedo)
         out = sl.render(scene, sl.Sky(), backend=backend, parts=True, interreflection=True)
         for axis, image, title in zip(column, (out.direct, out.image), ("direct light", "all light")):
             axis.imshow(image, cmap="gray", vmin=0, vmax=albedo)
