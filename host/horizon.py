@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from .arrays import labelled, multiply
+from .arrays import labelled, labels_of, multiply
 from .checks import one_of
 from .directions import Azimuths
 from .errors import bad
@@ -32,11 +32,11 @@ def horizons(
 
     Azimuth a looks along 2 pi (a + 1/2) / azimuths [rad] from +x (columns) towards +y (rows). Slopes may be
     negative; they are -inf where no ground lies that way, and nan where the scene is masked. A scene made
-    from an xarray.DataArray gives a DataArray with the coordinate ``azimuth`` [rad]; this holds for
-    sky_view_factor and openness too. The surface is linear between neighbouring nodes along rows and along
-    columns. ``max_distance`` [unit of spacing]: ground farther away does not count; the whole map does unless
-    given (on a map that repeats, as far as its relief makes a slope of 0.01). With dark sides the wall counts
-    as ground.
+    from an xarray.DataArray gives a DataArray with the coordinate ``azimuth`` [rad], and a DataArray of
+    heights may be given in its place; this holds for sky_view_factor and openness too. The surface is linear
+    between neighbouring nodes along rows and along columns. ``max_distance`` [unit of spacing]: ground
+    farther away does not count; the whole map does unless given (on a map that repeats, as far as its relief
+    makes a slope of 0.01). With dark sides the wall counts as ground.
 
     A lazy scene gives a lazy array of the map's own chunks. It is computed in tiles, as is a map beyond the
     device's memory, and any map with a ``tiling``: ground beyond a tile's halo comes from overviews, which
@@ -44,6 +44,7 @@ def horizons(
 
     Raises InputError, BackendError or CapacityError.
     """
+    scene = _scene_of(scene)
     azimuths, engine = as_azimuths(azimuths), engine_of(scene, backend)
     work = partial(_slopes, azimuths=azimuths, backend=backend)
     found: np.ndarray = over_tiles(work, scene, tiling, max_distance, engine, azimuth=azimuths.angles)
@@ -92,6 +93,7 @@ def sky_view_factor(
     Other arguments and errors as for :func:`horizons`.
     """
     one_of(definition, DEFINITIONS, "definition")
+    scene = _scene_of(scene)
     engine = engine_of(scene, backend)
     work = partial(sky_view, definition=definition, azimuths=as_azimuths(azimuths), backend=backend)
     found: np.ndarray = over_tiles(work, scene, tiling, max_distance, engine)
@@ -148,6 +150,7 @@ def openness(
     nadir. Where no ground lies along an azimuth the horizon counts as level. Other arguments and errors as
     for :func:`horizons`.
     """
+    scene = _scene_of(scene)
     is_scene(scene)
     if not isinstance(negative, (bool, np.bool_)):
         raise bad("openness: negative", repr(negative), "True or False")
@@ -176,6 +179,11 @@ def mean_openness(
     if scene.mask is not None:
         image[~scene.mask] = np.nan
     return image
+
+
+def _scene_of(given: Any) -> Any:
+    """A scene of heights that an xarray.DataArray holds; what is given, of anything else."""
+    return given if labels_of(given) is None else Scene.from_height(given)
 
 
 def as_azimuths(azimuths: int | Azimuths) -> Azimuths:

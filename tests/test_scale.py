@@ -86,6 +86,16 @@ def test_a_lazy_map_gives_a_lazy_one_like_it(dem, fast):
     assert slopes.dims == ("azimuth", "y", "x") and slopes.chunks[1:] == chunks and slopes.shape[0] == 8
 
 
+def test_a_dataarray_of_heights_stands_for_its_scene(dem, fast):
+    """Lazy or not, with the spacing of its coordinates."""
+    for heights in (dem, dem.chunk(y=100)):
+        for work in (sl.sky_view_factor, sl.openness, sl.horizons):
+            found = work(heights, azimuths=4, backend=fast, tiling=SMALL)
+            expected = work(sl.Scene.from_height(heights, SPACING), azimuths=4, backend=fast, tiling=SMALL)
+            assert found.chunks == expected.chunks
+            assert_bits_equal(np.nan_to_num(found.values), np.nan_to_num(expected.values))
+
+
 def test_a_coordinate_reference_system_stays(dem, fast):
     """What rioxarray reads of the map it reads of the result."""
     pytest.importorskip("rioxarray")
