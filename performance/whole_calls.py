@@ -200,34 +200,30 @@ def draw(rows: list[dict[str, Any]], path: Path) -> None:
     from matplotlib import pyplot as plt
 
     calls = [call for call in CALLS if any(row["call"] == call for row in rows)]
-    figure, axes = plt.subplots(
-        2,
-        -(-len(calls) // 2),
-        figsize=(3.2 * -(-len(calls) // 2), 6.4),
-        sharex=True,
-        sharey=True,
-        squeeze=False,
-    )
+    columns = -(-(len(calls) + 1) // 2)  # one panel is the legend's
+    figure, axes = plt.subplots(2, columns, figsize=(3.2 * columns, 6.4), sharey=True, squeeze=False)
     kinds = sorted({(row["backend"], row["input"]) for row in rows})
-    colours = ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9"]
+    sizes = sorted({row["size"] for row in rows})
     for axis, call in zip(axes.flat, calls):
-        for colour, (name, where) in zip(colours, kinds):
+        for colour, (name, where) in zip(("#0072b2", "#d55e00", "#009e73", "#cc79a7"), kinds):
             some = [row for row in rows if (row["call"], row["backend"], row["input"]) == (call, name, where)]
-            sizes = [row["size"] for row in some]
+            at = [row["size"] for row in some]
             for field, style in (("new", "-o"), ("known", "--s"), ("kernels", ":^")):
                 values = [1e3 * row.get(field, np.nan) for row in some]
-                label = f"{name}, {where}: {field}"
-                axis.plot(sizes, values, style, color=colour, markersize=3, label=label)
-            if where == "numpy":
-                axis.plot(sizes, [1e3 * row["floor"] for row in some], color="0.6", label="transfer's floor")
+                axis.plot(at, values, style, color=colour, markersize=3, label=f"{name}, {where}: {field}")
+        floor = {row["size"]: 1e3 * row["floor"] for row in rows if row["call"] == call and row["floor"]}
+        axis.plot(list(floor), list(floor.values()), color="0.5", label="transfer's floor")
         axis.set(title=call, xscale="log", yscale="log", xlabel="rows = columns")
+        axis.set_xticks(sizes, map(str, sizes))
+        axis.minorticks_off()
         axis.grid(alpha=0.3)
     for axis in axes[:, 0]:
         axis.set_ylabel("ms")
-    handles = {label: line for line, label in zip(*axes[0, -1].get_legend_handles_labels())}
-    figure.legend(handles.values(), handles.keys(), loc="outside lower center", ncols=4, fontsize=7)
-    figure.tight_layout(rect=(0, 0.08 + 0.02 * (len(handles) // 4), 1, 1))
-    figure.savefig(path, dpi=150)
+    for axis in axes.flat[len(calls) :]:
+        axis.axis("off")
+    axes.flat[-1].legend(*axes.flat[len(calls) - 1].get_legend_handles_labels(), loc="center", fontsize=7)
+    figure.tight_layout()
+    figure.savefig(path, dpi=110)
 
 
 def main() -> None:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
 
+from ..arrays import by_bands, scratch
 from ..backends import select
 from ..backends.base import Array, Backend, reserve
 from ..backends.resident import DeviceImage, Resident
@@ -225,9 +227,10 @@ class Sweeps:
 
     def slopes(self) -> np.ndarray:
         """Horizon slopes (K, rows, cols) float32."""
-        out = np.empty((len(self.rays.angles), *self.shape), np.float32)
+        out = scratch((len(self.rays.angles), *self.shape))
         for numbers, found in self.planes():
-            out[numbers] = found
+            for number, plane in zip(numbers, found):  # on all cores: half of the planes are turned back here
+                by_bands(functools.partial(_copy_rows, out[number], plane), self.shape)
         return out
 
     def planes(self) -> Iterator[tuple[np.ndarray, np.ndarray]]:
@@ -422,6 +425,10 @@ def _shear_tables(
     near_at[:, near:, 0] = np.where(used, np.copysign(e, shears[:, None]), 0)
     near_at[:, near:, 1], near_weight[:, near:] = np.floor(down), down - np.floor(down)
     return shears, (azimuths.astype(np.float32), ways, near_at, near_weight.astype(np.float32))
+
+
+def _copy_rows(to: np.ndarray, values: np.ndarray, rows: slice) -> None:
+    np.copyto(to[rows], values[rows])
 
 
 def _batches(half: Half, most: int) -> Iterator[tuple[int, int]]:
