@@ -41,7 +41,7 @@ DEFAULT_HEMICUBE = 9  # of the hemicube of method "lattice", unless given
 SUN_DISTANCE = 1e5  # extents of the map at which the sun stands: a hundred-thousandth of a radian across it
 # nodes to each side of a node over which the error map is a mean: halves tell of regions, not of nodes
 ERROR_MAP_RADIUS = 4
-# what the error map is more than the RMS error; chosen: with it 83, 94 and 96 % of all nodes keep to one, two
+# what the error map is more than the RMS error; chosen: with it 82, 93 and 96 % of all nodes keep to one, two
 # and three times the map (performance/refinement.py)
 ERROR_MAP_FACTOR = np.float32(1.25)
 # half widths of a lobe between directions, from which on its sum may be too large by 1 in a thousand
@@ -89,7 +89,7 @@ class Rendering:
 
         None where no tolerance was asked. The root mean square, over 9 x 9 nodes, of half the difference of
         the image's two halves, times the share of it that is error, and besides what both halves share. It
-        shows regions, not nodes: of nodes, 83, 94 and 96 % were within one, two and three times it on random
+        shows regions, not nodes: of nodes, 82, 93 and 96 % were within one, two and three times it on random
         scenes. To it comes the error of the light between surfaces, one number for all nodes. What a lobe or
         a mirror adds has no part in it.
         """
