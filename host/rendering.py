@@ -64,9 +64,10 @@ class Rendering:
     """What render() gives.
 
     image (rows, cols) float32, or (rows, cols, 3) in colour, nan where masked, an xarray.DataArray if the
-    scene was made from one, a DeviceImage if its map lies on a GPU; plan; backend (its name); seconds of the call without compiling, compile_seconds;
-    warnings (one sentence each). interreflection: what was done about the light between surfaces. direct,
-    reflected: with ``parts=True``, the image by direct light alone, and the rest of it. error: see there.
+    scene was made from one, a DeviceImage if its map lies on a GPU; plan; backend (its name); seconds of the
+    call without compiling, compile_seconds; warnings (one sentence each). interreflection: what was done
+    about the light between surfaces. direct, reflected: with ``parts=True``, the image by direct light alone,
+    and the rest of it. error: see there.
     """
 
     image: np.ndarray

@@ -31,10 +31,12 @@ class Scene:
     Arrays may be NumPy's, or have ``__array__``, ``__dlpack__`` or ``__cuda_array_interface__``. They are
     copied; the caller's are never changed. A depth (or height) that is an xarray.DataArray is remembered as
     ``labels``, and what has the scene's rows and columns comes back as one: with its dimensions, coordinates,
-    name and attributes. A contiguous float32 depth or height that lies on a GPU (or in a Warp array) stays
-    there, on that device's backend, which ``auto`` takes then; a mask is uploaded once. Of other types, and on
-    other backends, the host makes a copy first. So do lobes, mirrors, BRDFs, light between surfaces, and
-    brightness that is taken along rays. ``on`` gives the copy that a backend keeps, ``release`` frees it.
+    name and attributes.
+
+    A contiguous float32 depth or height that lies on a GPU (or in a Warp array) stays there, on that device's
+    backend, which ``auto`` takes then; a mask is uploaded once. Of other types, and on other backends, the
+    host makes a copy first. So do lobes, mirrors, BRDFs, light between surfaces, and brightness that is taken
+    along rays. ``on`` gives the copy that a backend keeps, ``release`` frees it.
 
     Parameters
     ----------
