@@ -181,8 +181,11 @@ def render(
     options = _Options(*asked, interreflection, parts)
     options.check(scene, source)
     engine = engine_of(scene, backend)
-    if scene.lazy is not None or tiling is not None or not fits(scene, engine):
-        options.check_tiles(scene, source)
+    in_tiles = scene.lazy is not None or tiling is not None
+    refused = options.refused_in_tiles(scene, source)
+    if in_tiles and refused:
+        raise bad("render: a map in tiles", *refused)
+    if in_tiles or not refused and not fits(scene, engine):
         return _in_tiles(scene, source, options, engine, backend, tiling)
     return _Renderer(scene, source, engine, options).render()
 
@@ -338,8 +341,8 @@ class _Options:
         if self.tail is not None and not self.planned(scene, source):
             raise bad("tail", self.tail, "a bound for method='auto' without arguments of a method")
 
-    def check_tiles(self, scene: Scene, source: sources.Source) -> None:
-        """InputError for what is not rendered in tiles."""
+    def refused_in_tiles(self, scene: Scene, source: sources.Source) -> tuple[str, str] | None:
+        """The first thing that is not rendered in tiles, and what is; None where there is none."""
         refused = [
             (not isinstance(source, sources.Sky), "a lamp or a window", "a Sky, whose light comes from afar"),
             (
@@ -360,9 +363,7 @@ class _Options:
                 f"at least {LEAST_TILED_TOLERANCE}, or azimuths: nothing is refined",
             ),
         ]
-        for is_so, what, allowed in refused:
-            if is_so:
-                raise bad("render: a map in tiles", what, allowed)
+        return next(((what, allowed) for is_so, what, allowed in refused if is_so), None)
 
     def _check_method(self) -> None:
         """InputError where arguments of another method are given."""

@@ -320,7 +320,11 @@ def relief(kind="egg crate"):
 @functools.cache
 def picture(backend, albedo=0.8, kind="egg crate"):
     return sl.render(
-        sl.Scene(relief(kind), albedo=albedo, sides="dark"), sl.Sky(), tolerance=0.003, backend=backend
+        sl.Scene(relief(kind), albedo=albedo, sides="dark"),
+        sl.Sky(),
+        tolerance=0.003,
+        backend=backend,
+        **DIRECT,
     ).image.astype(float)
 
 
