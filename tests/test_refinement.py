@@ -738,9 +738,8 @@ def test_the_same_bytes_in_another_process(tmp_path):
     """With an empty folder of caches."""
     code = (
         "import sys, numpy as np, skylamp as sl; z = np.load(sys.argv[1]); out = sl.render(sl.Scene(z),"
-        " sl.Sky(sl.cie_clear((30, 40), direct=2.0)), tolerance=0.01, backend='numpy', interreflection=False);"
-        " np.save(sys.argv[2],"
-        " out.image); print(out.plan)"
+        " sl.Sky(sl.cie_clear((30, 40), direct=2.0)), tolerance=0.01, backend='numpy',"
+        " interreflection=False); np.save(sys.argv[2], out.image); print(out.plan)"
     )
     np.save(tmp_path / "z.npy", ROUGH[:40, :40])
     run = lambda n: (
