@@ -30,7 +30,7 @@ R2_STEPS = 0.7548776662466927, 0.5698402909980532
 # second difference over the brightness from which a cell is not smooth; chosen above the 0.006 of cos^900
 ROUGH = 0.05
 # of all light: a cell with a larger second difference is divided. Level ground under ten suns then has an
-# error of 2e-5 to 7e-5 (tests/test_brightness.py)
+# error of 2e-5 to 7e-5 (tests/test_integrals.py)
 SHARE = 2e-6
 # of all light: smaller second differences do not matter; a million cells make an error of 1e-6
 NEGLIGIBLE = 1e-9
