@@ -181,11 +181,7 @@ def render(
     options = _Options(*asked, interreflection, parts)
     options.check(scene, source)
     engine = engine_of(scene, backend)
-    in_tiles = scene.lazy is not None or tiling is not None
-    refused = options.refused_in_tiles(scene, source)
-    if in_tiles and refused:
-        raise bad("render: a map in tiles", *refused)
-    if in_tiles or not refused and not fits(scene, engine):
+    if options.goes_in_tiles(scene, source, engine, tiling):
         return _in_tiles(scene, source, options, engine, backend, tiling)
     return _Renderer(scene, source, engine, options).render()
 
@@ -340,6 +336,15 @@ class _Options:
             raise bad("method 'unoccluded'", type(scene.reflectance).__name__, "a Lambertian surface")
         if self.tail is not None and not self.planned(scene, source):
             raise bad("tail", self.tail, "a bound for method='auto' without arguments of a method")
+
+    def goes_in_tiles(
+        self, scene: Scene, source: sources.Source, engine: Backend, tiling: Tiling | None
+    ) -> bool:
+        """Whether tiles are asked for, or the map is too large for what can go by tiles; InputError if not."""
+        asked, refused = scene.lazy is not None or tiling is not None, self.refused_in_tiles(scene, source)
+        if asked and refused:
+            raise bad("render: a map in tiles", *refused)
+        return asked or not refused and not fits(scene, engine)
 
     def refused_in_tiles(self, scene: Scene, source: sources.Source) -> tuple[str, str] | None:
         """The first thing that is not rendered in tiles, and what is; None where there is none."""
