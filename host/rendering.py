@@ -340,7 +340,7 @@ class _Options:
     def goes_in_tiles(
         self, scene: Scene, source: sources.Source, engine: Backend, tiling: Tiling | None
     ) -> bool:
-        """Whether tiles are asked for, or the map is too large for what can go by tiles; InputError if not."""
+        """Whether tiles are asked for, which may be an InputError, or are needed and possible."""
         asked, refused = scene.lazy is not None or tiling is not None, self.refused_in_tiles(scene, source)
         if asked and refused:
             raise bad("render: a map in tiles", *refused)
