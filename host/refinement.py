@@ -22,7 +22,7 @@ from .backends.base import Backend
 from .checks import positive_number
 from .constants import LEAST_SEARCHED_SLOPE
 from .errors import CapacityError, bad
-from .interreflection import check_choice, choice, expected, is_needed
+from .interreflection import ESTIMATE_SHARE, check_choice, choice, expected, is_needed
 from .light import lattice, unoccluded
 from .light.base import Estimate, Later, LightMethod, estimated
 from .light.finite import RAYS, Sliced, most_rays
@@ -38,9 +38,6 @@ from .sources.solids import Ball, Quad, aperture, rectangle, upright
 
 # -- tolerance and estimates
 DEFAULT_TAIL = 10.0  # bound on the 99.9th percentile of the error, in tolerances, unless given
-# share of the tolerance that an estimate may take; chosen: samples know an RMS to some 10 %, and with 0.95
-# one image in twelve at 0.3 % was 1 to 1.4 tolerances off
-ESTIMATE_SHARE = 0.85
 # error over half the difference of halves if nothing else is known, and at least; measured, docs/model.md
 FIRST_SHARE, LEAST_SHARE = 0.9, 0.45
 LEAST_SAMPLED_SHARE = 0.3  # the least share that the samples may tell; chosen

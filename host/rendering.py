@@ -341,10 +341,13 @@ class _Options:
         self, scene: Scene, source: sources.Source, engine: Backend, tiling: Tiling | None
     ) -> bool:
         """Whether tiles are asked for, which may be an InputError, or are needed and possible."""
-        asked, refused = scene.lazy is not None or tiling is not None, self.refused_in_tiles(scene, source)
+        asked = scene.lazy is not None or tiling is not None
+        if not asked and fits(scene, engine):
+            return False
+        refused = self.refused_in_tiles(scene, source)
         if asked and refused:
             raise bad("render: a map in tiles", *refused)
-        return asked or not refused and not fits(scene, engine)
+        return refused is None
 
     def refused_in_tiles(self, scene: Scene, source: sources.Source) -> tuple[str, str] | None:
         """The first thing that is not rendered in tiles, and what is; None where there is none."""
@@ -501,27 +504,10 @@ class _Renderer:
         factors, options = _numbers(self.greys), self.options
         tolerance = float(options.tolerance)
         for n, grey in enumerate(self.greys):
-            if factors is None:
-                found = refined(
-                    self.scene,
-                    grey,
-                    tolerance,
-                    self.engine,
-                    options.tail,
-                    options.interreflection,
-                    self.stays,
-                )
-            elif n == 0:
-                unit = replace(grey, brightness=1.0)
-                found = refined(
-                    self.scene,
-                    unit,
-                    tolerance,
-                    self.engine,
-                    options.tail,
-                    options.interreflection,
-                    self.stays,
-                )
+            if factors is None or n == 0:
+                source = grey if factors is None else replace(grey, brightness=1.0)
+                how = tolerance, self.engine, options.tail, options.interreflection, self.stays
+                found = refined(self.scene, source, *how)
             self.parts.append((found, 1.0 if factors is None else factors[n]))
             self.plans.append(found.plan)
             self.warnings.extend(text for text in found.warnings if text not in self.warnings)
@@ -886,9 +872,10 @@ def _on_host(images: Sequence[Irradiance]) -> list[np.ndarray]:
 def _times(image: Irradiance, factor: float) -> Irradiance:
     if factor == 1:
         return image
-    if isinstance(image, DeviceImage):
-        image.scale(factor)
-        return image
+    if isinstance(image, DeviceImage):  # a copy, as on the host: the image is used again
+        times = image.copy()
+        times.scale(factor)
+        return times
     found = scratch(image.shape)
     by_bands(lambda rows: np.multiply(image[rows], np.float32(factor), out=found[rows]), image.shape)
     return found

@@ -216,15 +216,14 @@ class Scene:
         kept, key = backend.kept, id(self)
         if key in kept:
             kept.move_to_end(key)
-            known: Resident = kept[key]
+            known: Resident = kept[key][0]
             return known
         values, step = self.lattice()
         least, most = self._range if step == self.spacing else np.rint(np.array(self._range) / self.spacing)
         found: Resident = resident.upload(backend, values, step, float(least), float(most))
-        kept[key] = found
-        weakref.finalize(self, kept.pop, key, None)
-        while len(kept) > 1 and sum(there.nbytes for there in list(kept.values())) > KEPT * backend.memory:
-            kept.popitem(last=False)
+        kept[key] = found, weakref.finalize(self, kept.pop, key, None)
+        while len(kept) > 1 and sum(there.nbytes for there, _ in list(kept.values())) > KEPT * backend.memory:
+            kept.popitem(last=False)[1][1].detach()
         return found
 
     def stays_on(self, backend: Backend) -> bool:
@@ -236,7 +235,9 @@ class Scene:
 
         Raises BackendError.
         """
-        select(backend).kept.pop(id(self), None)
+        found = select(backend).kept.pop(id(self), None)
+        if found is not None:
+            found[1].detach()
 
     @property
     def shape(self) -> tuple[int, int]:

@@ -190,12 +190,12 @@ void gathered(__global const float *restrict heights, __global const float *rest
 /* spread: maps as planes, each times a factor.
 
   maps    (n, rows x cols)                   float
-  albedo  (n, rows x cols) or (n)            float  of every node where `each`, else of every map
+  albedo  (n, rows x cols) or (n)            float  of every node where it `varies`, else of every map
   planes  (n, 2^shift, rows + 2, pitch)      float  out; `outside` where there is no map
 
 Work-item (x, r, l) owns elements x of row r of all planes of map l. */
 __kernel void spread(__global const float *maps, __global const float *albedo, __global float *planes, int n,
-                     int rows, int cols, int across, int margin, int shift, int periodic, int each,
+                     int rows, int cols, int across, int margin, int shift, int periodic, int varies,
                      float scale, float outside)
 {
   const int x = get_global_id(0), r = get_global_id(1), l = get_global_id(2), pitch = across + 2 * margin;
@@ -209,7 +209,7 @@ __kernel void spread(__global const float *maps, __global const float *albedo, _
     }
     const int on_map = c >= 0 && c < cols && y >= 0 && y < rows, p = (l * rows + y) * cols + c;
     planes[(((l << shift) + phase) * (rows + 2) + r) * pitch + x] =
-        on_map ? maps[p] * (albedo[each ? p : l] * scale) : outside;
+        on_map ? maps[p] * (albedo[varies ? p : l] * scale) : outside;
   }
 }
 

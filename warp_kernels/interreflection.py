@@ -234,7 +234,7 @@ def spread(
     margin: wp.int32,
     shift: wp.int32,
     periodic: wp.int32,
-    each: wp.int32,
+    varies: wp.int32,
     scale: wp.float32,
     outside: wp.float32,
 ):
@@ -252,7 +252,7 @@ def spread(
         value = outside
         if c >= 0 and c < cols and y >= 0 and y < rows:
             p = (m * rows + y) * cols + c
-            value = maps[p] * (albedo[wp.where(each != 0, p, m)] * scale)
+            value = maps[p] * (albedo[wp.where(varies != 0, p, m)] * scale)
         planes[(((m << shift) + phase) * (rows + 2) + r) * pitch + x] = value
 
 

@@ -112,7 +112,7 @@ class Backend(ABC):
 
     def __init__(self) -> None:
         self.lock = threading.RLock()  # a call makes others
-        # maps of scenes by the scenes' ids, the one that was used last at the end; see Scene.on
+        # by the ids of scenes, the one that was used last at the end: the map, and what ends it; see Scene.on
         self.kept: OrderedDict[int, Any] = OrderedDict()
         self.tables: OrderedDict[tuple[Any, ...], Any] = OrderedDict()  # by type, shape and bytes
 

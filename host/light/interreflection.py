@@ -13,9 +13,8 @@ from ..constants import NONE, SIDES
 from ..errors import CapacityError
 from ..samples import SAMPLED_SLOPE, Samples, picked
 from ..scene import Scene
+from .horizon import OFFSET
 
-# of a step between azimuths; as of horizons, so that no set looks along a grid line
-OFFSET = 1 / 3
 GROUP = 64  # work-items of a group of kernels that own a node each: PoCL runs a group in one loop
 Values = Any  # numbers or arrays
 SHIFT = 2  # columns 2^SHIFT apart are neighbours in planes: the widest stride of receivers
@@ -73,9 +72,9 @@ class Bounces:
         )
         self.heights = engine.empty((self.plane_map,), np.float32)
         self.light = engine.empty((self.lights * self.plane_map,), np.float32)
-        self.each = any(np.ndim(share) for share in albedo)
+        self.varies = any(np.ndim(share) for share in albedo)
         self.albedo = engine.upload(
-            np.stack([np.broadcast_to(share, scene.shape if self.each else ()) for share in albedo])
+            np.stack([np.broadcast_to(share, scene.shape if self.varies else ()) for share in albedo])
             .astype(np.float32)
             .ravel()
         )
@@ -97,7 +96,14 @@ class Bounces:
         return *self.shape, self.across, self.margin, self.shift
 
     def _spread(
-        self, maps: Array, albedo: Array, planes: Array, count: int, each: bool, scale: float, outside: float
+        self,
+        maps: Array,
+        albedo: Array,
+        planes: Array,
+        count: int,
+        varies: bool,
+        scale: float,
+        outside: float,
     ) -> None:
         self.engine.launch(
             "interreflection",
@@ -109,7 +115,7 @@ class Bounces:
             count,
             *self._layout,
             int(self.sides == "periodic"),
-            int(each),
+            int(varies),
             scale,
             outside,
             group=GROUP,
@@ -117,13 +123,13 @@ class Bounces:
 
     def _send(self) -> None:
         """The radiance of the ground by the present irradiance."""
-        self._spread(self.total, self.albedo, self.light, self.lights, self.each, 1 / math.pi, 0.0)
+        self._spread(self.total, self.albedo, self.light, self.lights, self.varies, 1 / math.pi, 0.0)
 
     def run(self, rounds: Sequence[Round]) -> None:
         """One gather after another, each by the light that the one before has found."""
-        for each in rounds:
+        for this in rounds:
             self._send()
-            self._gather(each)
+            self._gather(this)
 
     def _gather(self, this: Round) -> None:
         engine, (rows, cols) = self.engine, self.shape

@@ -182,11 +182,11 @@ def spread(
     margin: int,
     shift: int,
     periodic: int,
-    each: int,
+    varies: int,
     scale: float,
     outside: float,
 ) -> None:
-    factor = albedo.reshape(n, rows, cols) if each else albedo.reshape(n, 1, 1)
+    factor = albedo.reshape(n, rows, cols) if varies else albedo.reshape(n, 1, 1)
     c = np.arange(-margin << shift, (across + margin) << shift)
     r = np.arange(-1, rows + 1)
     found = np.full((n, len(r), len(c)), outside, np.float32)
