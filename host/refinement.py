@@ -207,6 +207,8 @@ def plan(
     is_scene(scene)
     check_choice(interreflection)
     engine = select(backend)
+    if isinstance(source, sources.Source):
+        source, _ = sources.in_range(source)
     with engine.lock:
         seconds = _stopwatch(engine)
         planner = choose(scene, source, tolerance, engine, tail, interreflection)
@@ -370,11 +372,11 @@ def solid_of(
 ) -> Ball | Quad | None:
     """The shape of a lamp or window, lengths times ``unit`` so that the spacing is ``step``.
 
-    None for a window outside a dark box.
+    None for a window outside a dark box, or too far away to light anything.
     """
     if isinstance(source, sources.Window):
         (x0, x1), (y0, y1) = np.array(source.x) * unit, np.array(source.y) * unit
-        return aperture((x0, x1), (y0, y1), scene.shape, step, scene.sides)
+        return aperture((x0, x1), (y0, y1), scene.shape, step, scene.sides, scene.deepest * unit)
     if source.corner is not None and source.edges is not None:
         return rectangle(*(np.array(v) * unit for v in (source.corner, *source.edges)))
     assert source.center is not None and source.radius is not None, "the lattice alone renders a volume"
@@ -858,7 +860,7 @@ def _faces_suns(scene: Scene, samples: Samples, suns: tuple[Sun, ...]) -> bool:
 
 
 class _HiddenWindowPlanner(_Planner):
-    """A window of which a dark box leaves nothing."""
+    """A window of which a dark box, or its distance, leaves nothing."""
 
     sample_count = 256
 

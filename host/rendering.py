@@ -104,6 +104,19 @@ class Rendering:
         found: np.ndarray = labelled(_image(scene, errors, [], self._quantity), scene.labels)
         return found
 
+    def _times(self, unit: float) -> Rendering:
+        """This in light of ``unit`` times the brightness."""
+        if unit == 1:
+            return self
+        return replace(
+            self,
+            image=_in_unit(self.image, unit),
+            direct=_in_unit(self.direct, unit),
+            reflected=_in_unit(self.reflected, unit),
+            _parts=tuple((found, factor * unit) for found, factor in self._parts),
+            _between=tuple(error * unit for error in self._between),
+        )
+
 
 def render(
     scene: Scene,
@@ -181,9 +194,10 @@ def render(
     options = _Options(*asked, interreflection, parts)
     options.check(scene, source)
     engine = engine_of(scene, backend)
+    source, unit = sources.in_range(source)
     if options.goes_in_tiles(scene, source, engine, tiling):
-        return _in_tiles(scene, source, options, engine, backend, tiling)
-    return _Renderer(scene, source, engine, options).render()
+        return _in_tiles(scene, source, options, engine, backend, tiling)._times(unit)
+    return _Renderer(scene, source, engine, options).render()._times(unit)
 
 
 def _in_tiles(
@@ -879,6 +893,14 @@ def _times(image: Irradiance, factor: float) -> Irradiance:
     found = scratch(image.shape)
     by_bands(lambda rows: np.multiply(image[rows], np.float32(factor), out=found[rows]), image.shape)
     return found
+
+
+def _in_unit(image: Any, unit: float) -> Any:
+    """A result times a number: an array of any kind that render() gives, or None."""
+    if image is None or isinstance(image, DeviceImage):
+        return image if image is None else _times(image, unit)
+    times = image * np.float32(unit)
+    return times if isinstance(image, np.ndarray) else image.copy(data=times.data)
 
 
 def _per_colour(greys: Sequence[sources.Source], work: Callable[[sources.Source], Irradiance]) -> list[Any]:

@@ -321,7 +321,7 @@ def _checked(values: np.ndarray, mask: np.ndarray | None, what: str) -> dict[str
     if what == "height":
         top = np.float32(most) if values.dtype == np.float32 else np.float64(most)
         least, most = 0.0, float(top - np.asarray(least, top.dtype))
-    if most > np.finfo(np.float32).max:
+    if most > float(np.finfo(np.float32).max):
         where = at(values == deepest)
         raise bad(f"{what}: too large for float32 {where}", deepest, "at most 3.4e38", "Use a smaller unit.")
     depth = scratch(values.shape)

@@ -281,9 +281,10 @@ CASES = [
 ]
 
 
+@pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize(("call", "parts"), [case[1:] for case in CASES], ids=[case[0] for case in CASES])
 def test_bad_input_is_one_clear_error(call, parts):
-    """An InputError of one line that names what was got and what is allowed."""
+    """An InputError of one line that names what was got and what is allowed, and no warning before it."""
     with pytest.raises(InputError) as caught:
         call()
     text = str(caught.value)
@@ -401,3 +402,15 @@ def test_without_an_opencl_driver_opencl_is_missing_with_a_reason():
     lines = [line for line in out.splitlines() if line.startswith(("1 ", "warp", "numpy", "backend"))]
     assert lines[0] == "1 False True" and lines[1] in ("warp", "numpy")
     assert "'opencl' is not available" in lines[2] and "OpenCL" in lines[2]
+
+
+def test_ctrl_c_while_a_driver_is_imported_is_ctrl_c(monkeypatch):
+    """And no UnboundLocalError of a module that is not there yet."""
+    from skylamp.backends import opencl
+
+    def interrupt(name, *args, **more):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("builtins.__import__", interrupt)
+    with pytest.raises(KeyboardInterrupt):
+        opencl.probe()

@@ -367,11 +367,25 @@ def test_brightness_that_is_wrong_is_an_input_error(fast):
             sl.render(FLAT, sl.Sky(function), backend=fast)
 
 
-def test_faint_skies_scale(fast):
-    """A function times 1e-12 gives the image times 1e-12: nothing is compared with absolute numbers."""
+@pytest.mark.parametrize("k", [1e-34, 1e-28, 1e-12, 1e25], ids=str)
+@pytest.mark.parametrize("how", [{"tolerance": 0.01}, {"azimuths": 24}], ids=["tolerance", "azimuths"])
+def test_faint_and_glaring_skies_scale(fast, how, k):
+    """A function times k gives the image and its error times k: no absolute number stands in the way."""
     scene = sl.Scene(10 + np.random.default_rng(0).random((24, 31)) * 4)
-    one, faint = (
-        sl.render(scene, sl.Sky(lambda L, k=k: k * (1 - L[..., 2])), backend=fast).image.astype(float) / k
-        for k in (1.0, 1e-12)
+    one, other = (
+        sl.render(scene, sl.Sky(lambda L, k=k: k * (1 - L[..., 2])), backend=fast, **how) for k in (1.0, k)
     )
-    np.testing.assert_allclose(faint, one, rtol=1e-4)
+    np.testing.assert_allclose(other.image / np.float64(k), one.image.astype(float), rtol=1e-4)
+    assert [text[:30] for text in other.warnings] == [text[:30] for text in one.warnings]
+    if one.error is not None:
+        np.testing.assert_allclose(other.error.mean() / k, one.error.mean(dtype=float), rtol=0.05)
+
+
+def test_a_faint_sky_with_a_disc_scales(fast):
+    """So do CIE's skies, whose disc is no part of the function, and the maps of environments."""
+    scene = sl.Scene(10 + np.random.default_rng(0).random((24, 31)) * 4)
+    clear = lambda k: sl.cie_sky(12, (135, 40), zenith=k, direct=3 * k)
+    panorama = lambda k: sl.environment_map(k * np.random.default_rng(1).random((8, 16)))
+    for make in (clear, panorama):
+        one, other = (sl.render(scene, sl.Sky(make(k)), backend=fast, azimuths=16) for k in (1.0, 1e-30))
+        np.testing.assert_allclose(other.image / np.float64(1e-30), one.image.astype(float), rtol=1e-4)

@@ -259,7 +259,7 @@ def test_a_window_over_the_plane(backend, x, y):
     """Parallel, tilted, above, across, very large, a pinhole; a plane that cuts it needs more slices."""
     for gx, gy in ((0, 0), (0.3, -0.4)):
         depth, normal = slanted((13, 17), gx, gy, z=9.0)
-        window = solids.aperture(x, y, depth.shape, 1.0, "open")
+        window = solids.aperture(x, y, depth.shape, 1.0, "open", 30.0)
         wanted = of_polygon(window.corners, places(depth), normal)
         np.testing.assert_allclose(
             image(backend, depth, window)[NODES], wanted, rtol=2e-3, atol=0.02 * wanted.max() if gx else 0
@@ -270,7 +270,7 @@ def test_a_window_over_the_plane(backend, x, y):
 def test_a_node_in_the_window(backend):
     """In its plane the whole sky or none; a hair below it, half the sky on an edge, a quarter on a corner."""
     nodes = (np.array([7, 7, 7, 8, 6]), np.array([3, 8, 9, 5, 5]))
-    window = lambda x, y: solids.aperture(x, y, (13, 17), 1.0, "open")
+    window = lambda x, y: solids.aperture(x, y, (13, 17), 1.0, "open", 30.0)
     near(
         image(backend, np.zeros((13, 17)), window((2.5, 8.5), (6.5, 7.5)))[nodes],
         np.pi * np.array([1.0, 1, 0, 0, 0]),
@@ -287,7 +287,7 @@ def test_the_shadow_of_an_edge_in_a_window(backend):
     """Lambert's polygon, cut by the plane through node and edge."""
     depth = walled()
     nodes = (np.full(10, 20), np.arange(0, 20, 2))
-    window = solids.aperture((25, 44), (12, 31), depth.shape, 1.0, "open")
+    window = solids.aperture((25, 44), (12, 31), depth.shape, 1.0, "open", 30.0)
     wanted = np.array(
         [
             of_polygon(window.corners, [eye], UP, np.array([4.0 - 12, 0, -(22 - eye[0])]))[0]
@@ -328,7 +328,7 @@ def test_the_brightness_of_a_window(backend):
     got = image(
         backend,
         depth,
-        solids.aperture((3, 10), (2, 11), depth.shape, 1.0, "open"),
+        solids.aperture((3, 10), (2, 11), depth.shape, 1.0, "open", 30.0),
         lambda L: 1 / np.maximum(-L[..., 2], 0.01),
     )[NODES]
     near(got, wanted, 2e-3)
@@ -355,7 +355,7 @@ def test_a_window_with_stripes(backend):
     depth = np.full((13, 17), 9.0)
     x, y = (4.0, 15.0), (3.0, 12.0)
     u, v = (a + (b - a) * (np.arange(1500) + 0.5) / 1500 for a, b in (x, y))
-    got = image(backend, depth, solids.aperture(x, y, depth.shape, 1.0, "open"), stripes, most=256)[
+    got = image(backend, depth, solids.aperture(x, y, depth.shape, 1.0, "open", 30.0), stripes, most=256)[
         NODES
     ]  # half as many leave 2 % near a node below
     for value, eye in zip(got, places(depth)):
@@ -496,7 +496,7 @@ def test_a_light_and_the_walls_of_a_dark_box(backend):
 def test_a_window_in_a_dark_box(backend):
     """Only what lies over the box; one beside it is nothing."""
     depth, spacing = np.full((13, 17), 9.0), 0.5
-    window = solids.aperture((5, 40), (-7, 3), depth.shape, spacing, "dark")
+    window = solids.aperture((5, 40), (-7, 3), depth.shape, spacing, "dark", 30.0)
     assert window.corners[:, :2].min(0).tolist() == [5, -0.25] and window.corners[:, :2].max(0).tolist() == [
         8.25,
         3,
@@ -506,7 +506,7 @@ def test_a_window_in_a_dark_box(backend):
         of_polygon(window.corners, places(depth, spacing), UP),
         2e-3,
     )
-    assert solids.aperture((8.25, 9), (0, 3), depth.shape, spacing, "dark") is None
+    assert solids.aperture((8.25, 9), (0, 3), depth.shape, spacing, "dark", 30.0) is None
 
 
 def test_masked_ground_neither_hides_nor_is_lit(backend):
@@ -568,7 +568,7 @@ def _solid(source, shape):
     if isinstance(source, sl.Lamp):
         return slices.Ball(source.center, source.radius), source.brightness
     if isinstance(source, sl.Window):
-        return solids.aperture(source.x, source.y, shape, 1.0, "open"), source.brightness
+        return solids.aperture(source.x, source.y, shape, 1.0, "open", 30.0), source.brightness
     return solids.rectangle(*source[:3]), source[3]
 
 
@@ -831,3 +831,24 @@ def test_suns_are_found_wherever_they_stand():
                 )
             assert not sky.suns or sky.rest < np.pi + 2e-3 * level
     assert Integrals(sl.Sky(sl.cie_overcast())).suns == ()
+
+
+@pytest.mark.parametrize(
+    "how", [{"tolerance": 0.01}, {"method": "horizon"}, {"method": "unoccluded"}], ids=str
+)
+def test_a_window_without_end_is_one_of_a_thousand_maps(fast, how):
+    """From some distance on a window's edge makes no difference, however far it is."""
+    depth = 10 + np.random.default_rng(0).random((20, 25))
+    for ends in (lambda far: ((-far, far), (-far, far)), lambda far: ((5, far), (0, 20))):
+        near, far, farthest = (
+            sl.render(sl.Scene(depth), sl.Window(*ends(away)), backend=fast, **how).image
+            for away in (2e3, 1e6, 1e30)
+        )
+        np.testing.assert_allclose(far, near, rtol=0.01)
+        np.testing.assert_allclose(farthest, far, rtol=1e-4)
+
+
+def test_a_window_far_away_lights_nothing(fast):
+    """It is too far to be told from none, and its place does not overflow."""
+    out = sl.render(sl.Scene(np.ones((8, 9))), sl.Window((1e30, 2e30), (0, 5)), backend=fast)
+    assert (out.image == 0).all() and not out.warnings

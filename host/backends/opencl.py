@@ -8,6 +8,7 @@ import math
 import mmap
 import re
 import time
+import warnings
 import weakref
 from collections.abc import Callable, Iterator
 from typing import Any
@@ -47,10 +48,10 @@ def probe() -> list[BackendInfo]:
     """A BackendInfo for every OpenCL device, or one that says why there is none."""
     try:
         import pyopencl as cl
-
-        platforms = cl.get_platforms()
     except ImportError as error:
         return [BackendInfo("opencl", "", False, f"pyopencl cannot be imported ({error})")]
+    try:
+        platforms = cl.get_platforms()
     except cl.Error as error:
         why = f"no OpenCL platform ({error}); pocl-binary-distribution brings one for the CPU"
         return [BackendInfo("opencl", "", False, why)]
@@ -259,7 +260,10 @@ def _program(backend: OpenclBackend, stem: str, lanes: int, constants: tuple[tup
     defines = [*skylamp.opencl.defines(stem), *(f"-D{name}={value}" for name, value in known.items())]
     try:
         program = backend.cl.Program(backend.context, skylamp.opencl.source(stem))
-        program.build([*OPTIONS, *backend._exact, *_registers(backend, stem), *defines])
+        with warnings.catch_warnings():
+            # a compiler's remarks on kernels are not the caller's, who may have made warnings errors
+            warnings.simplefilter("ignore", backend.cl.CompilerWarning)
+            program.build([*OPTIONS, *backend._exact, *_registers(backend, stem), *defines])
     except backend.cl.Error as error:
         raise BackendError(
             f"{backend.name}: {stem}.cl does not build on {backend.device}: {error}"

@@ -2,7 +2,7 @@
 
 from ..constants import APERTURE, BALL, RECTANGLE, SKY, VOLUME
 from .brightness import Brightness, cie_overcast, cosine_power, directions_of, environment_map, uniform
-from .shapes import Geometry, Lamp, Sky, Source, Window, channels, geometry, radiance, without_disc
+from .shapes import Geometry, Lamp, Sky, Source, Window, channels, geometry, in_range, radiance, without_disc
 from .tables import azimuth_profile, elevation_table
 
 __all__ = [
@@ -25,6 +25,7 @@ __all__ = [
     "elevation_table",
     "environment_map",
     "geometry",
+    "in_range",
     "radiance",
     "uniform",
     "without_disc",

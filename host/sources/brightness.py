@@ -18,6 +18,9 @@ from ..errors import bad
 
 WIDE_POWER, NARROW_POWER = 64, 1e5  # of spots that are wider than 12 degrees, and narrower than 0.4
 BRIGHTEST = 1e30  # so that sums stay in float32
+# greatest values of functions that are taken as they are, so that squares stay in float32; others are scaled
+# by a power of two, which is exact
+LEAST_UNIT, MOST_UNIT = 2.0**-40, 2.0**40
 
 BrightnessFunction = Callable[[np.ndarray], np.ndarray]
 Brightness = float | tuple[float, float, float] | BrightnessFunction
@@ -134,6 +137,24 @@ class Channel:
                 f"RGB of shape {directions.shape}, as before",
             )
         return values[..., self.number]
+
+
+@dataclass(frozen=True)
+class Scaled:
+    """A brightness function times a number."""
+
+    function: BrightnessFunction
+    factor: float
+
+    def __getattr__(self, name: str) -> Any:
+        """What integration knows of some functions; absent where the function lacks it."""
+        if name not in ("image", "peaks", "pixels"):
+            raise AttributeError(name)
+        value: Any = getattr(self.function, name)
+        return value * self.factor if name == "image" and value is not None else value
+
+    def __call__(self, directions: np.ndarray) -> np.ndarray:
+        return np.asarray(self.function(directions)) * self.factor
 
 
 def directions_of(azimuth: Any, sine: Any) -> np.ndarray:

@@ -8,7 +8,7 @@ take unit vectors L, as all brightness functions here do.
 from __future__ import annotations
 
 import datetime
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -61,6 +61,10 @@ class CieSky:
             chi = np.arccos(np.clip(L @ towards(*self.sun), -1, 1))
             light = light * scattered(chi) / scattered(np.radians(90 - self.sun[1]))
         return np.where(up >= 0, light, 0.0)
+
+    def scaled(self, factor: float) -> CieSky:
+        """This sky and its disc, ``factor`` times as bright."""
+        return replace(self, zenith=self.zenith * factor, direct=self.direct * factor)
 
     def disc(self, distance: float) -> Lamp:
         """The sun's disc as a ball at this distance [unit of spacing], uniform.

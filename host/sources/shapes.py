@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -10,10 +12,22 @@ import numpy as np
 from ..arrays import host_array
 from ..constants import APERTURE, BALL, RECTANGLE, SKY, VOLUME
 from ..errors import InputError, bad
-from .brightness import BRIGHTEST, Brightness, Channel, checked, directions_of, numbers
+from .brightness import (
+    BRIGHTEST,
+    LEAST_UNIT,
+    MOST_UNIT,
+    Brightness,
+    Channel,
+    Scaled,
+    checked,
+    directions_of,
+    numbers,
+)
 
 if TYPE_CHECKING:
     from ..scene import Scene
+
+PROBED = 12  # azimuths, and elevations, in which the size of a brightness is looked at; chosen
 
 
 @dataclass(frozen=True)
@@ -229,6 +243,29 @@ def channels(source: Source) -> list[Source]:
     if np.shape(brightness(probe.copy())) != (2, 3):
         return [source]
     return [replace(source, brightness=Channel(brightness, number)) for number in range(3)]
+
+
+def in_range(source: Source) -> tuple[Source, float]:
+    """A source whose brightness is far from the limits of float32, and the number that its light is to be
+    multiplied by: a power of two, 1 where the brightness is a number or its greatest value is moderate.
+
+    Functions are looked at in PROBED azimuths and elevations, and towards their suns.
+    """
+    brightness: Any = source.brightness
+    if not callable(brightness):
+        return source, 1.0
+    azimuths, sines = 2 * np.pi * np.arange(PROBED) / PROBED, (np.arange(PROBED) + 0.5) / PROBED
+    suns = np.reshape([*getattr(source, "suns", ()), *(getattr(brightness, "peaks", None) or ())], (-1, 3))
+    around = directions_of(azimuths[:, None], sines).reshape(-1, 3)
+    values = np.asarray(brightness(np.concatenate([around, suns])))
+    if values.dtype.kind not in "iuf":
+        return source, 1.0  # radiance() says what is wrong
+    most = float(np.max(values, initial=0.0, where=np.isfinite(values) & (values <= BRIGHTEST)))
+    if most == 0 or LEAST_UNIT <= most <= MOST_UNIT:
+        return source, 1.0
+    unit = 2.0 ** math.floor(math.log2(most))
+    scaled = brightness.scaled if hasattr(brightness, "scaled") else partial(Scaled, brightness)
+    return replace(source, brightness=scaled(1 / unit)), unit
 
 
 def without_disc(source: Source) -> Source:
