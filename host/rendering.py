@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property, partial
+from functools import cached_property
 from typing import Any, TypeVar
 
 import numpy as np
@@ -209,30 +209,81 @@ def _in_tiles(
     tiling: Tiling | None,
 ) -> Rendering:
     """A sky on a map in tiles: lazy, if the scene is."""
-    assert isinstance(source, sources.Sky), "checked"
-    greys, sectors = sources.channels(source), _sectors(options.azimuths)
+    work = _tile_image(scene, source, options, backend)
 
-    factors = _numbers(greys)
-
-    def light_of(grey: sources.Source) -> np.ndarray:
-        assert isinstance(grey, sources.Sky), "channels of a sky are skies"
-        rays, table = _rays_of(grey, sectors)
-        work = partial(_daylight, rays=rays, table=table, backend=backend)
-        image: np.ndarray = tiled(work, scene, tiling, options.max_distance)
-        return image
-
-    def light() -> list[np.ndarray]:
-        if factors is None:
-            return [light_of(grey) for grey in greys]
-        one = light_of(greys[0])
-        return [one * np.float32(factor) for factor in factors]
+    def light() -> Any:
+        leading = [3] if work.in_colour else []
+        found = tiled(work, scene, tiling, options.max_distance, *leading)
+        if not leading:
+            return found
+        return found.transpose(1, 2, 0) if scene.lazy is not None else np.moveaxis(found, 0, -1)
 
     found, seconds, compiling = timed(engine, light)
-    plan = Plan("horizon", None, None, "a map in tiles is not refined", len(sectors), options.max_distance)
-    image = labelled(_image(scene, found, [], options.quantity), scene.labels)
+    count = len(_sectors(options.azimuths))
+    plan = Plan("horizon", None, None, "a map in tiles is not refined", count, options.max_distance)
+    image = labelled(found, scene.labels)
     left_out = Interreflection(False, "a map in tiles is lit directly", None)
     return Rendering(
         image, plan, engine.name, seconds, compiling, _quantity=options.quantity, interreflection=left_out
+    )
+
+
+@dataclass(frozen=True)
+class TileImage:
+    """The image of a tile under a sky, as :func:`skylamp.scale.tiled` asks for it.
+
+    rays, and tables of brightness, of every colour; factors of the colours that differ by these alone, of
+    which there is one ray and no table. in_colour: the image is (3, rows, cols).
+    """
+
+    lights: tuple[tuple[Rays, np.ndarray | None], ...]
+    factors: tuple[float, ...] | None
+    quantity: str
+    in_colour: bool
+    backend: str
+
+    def __call__(
+        self, scene: Scene, max_distance: float | None, far: Far | None, part: slice = slice(None)
+    ) -> np.ndarray:
+        """(rows, cols) float32, or ``part`` of the colours (3, rows, cols); nan where masked."""
+        engine = engine_of(scene, self.backend)
+        with engine.lock:
+            ground = ground_of(scene, max_distance, engine)
+            direct = [
+                Sweeps(engine, ground, rays, table, far=far).irradiance(last=True)
+                for rays, table in self.lights
+            ]
+        if self.factors is not None:
+            direct = [direct[0] * np.float32(factor) for factor in self.factors]
+        image = _image(scene, direct, [], self.quantity)
+        return np.moveaxis(image, -1, 0)[part] if self.in_colour else image
+
+
+def tile_image(scene: Scene, source: sources.Source, backend: str, **asked: Any) -> TileImage:
+    """The image of a tile of a lazy scene; ``asked``: quantity and other options of :func:`render`.
+
+    Raises InputError for what is not rendered in tiles.
+    """
+    options = _Options(**asked)
+    options.check(scene, source)
+    refused = options.refused_in_tiles(scene, source)
+    if refused:
+        raise bad("render: a map in tiles", *refused)
+    return _tile_image(scene, source, options, backend)
+
+
+def _tile_image(scene: Scene, source: sources.Source, options: _Options, backend: str) -> TileImage:
+    assert isinstance(source, sources.Sky), "checked"
+    greys, sectors = sources.channels(source), _sectors(options.azimuths)
+    factors = _numbers(greys)
+    skies = [grey for grey in greys if isinstance(grey, sources.Sky)][: None if factors is None else 1]
+    coloured = options.quantity == "radiance" and np.ndim(scene.albedo) in (1, 3)
+    return TileImage(
+        tuple(_rays_of(sky, sectors) for sky in skies),
+        None if factors is None else tuple(factors),
+        options.quantity,
+        len(greys) > 1 or coloured,
+        backend,
     )
 
 
@@ -247,40 +298,21 @@ def _rays_of(sky: sources.Sky, sectors: Azimuths) -> tuple[Rays, np.ndarray | No
     return with_suns(rays, table, suns) if suns else (rays, table)
 
 
-def _daylight(
-    scene: Scene,
-    max_distance: float | None,
-    far: Far | None,
-    part: slice = slice(None),
-    *,
-    rays: Rays,
-    table: np.ndarray | None,
-    backend: str,
-) -> np.ndarray:
-    """Irradiance of a tile under a sky."""
-    engine = engine_of(scene, backend)
-    with engine.lock:
-        image = Sweeps(engine, ground_of(scene, max_distance, engine), rays, table, far=far).irradiance(
-            last=True
-        )
-    return image
-
-
 @dataclass(frozen=True)
 class _Options:
     """What :func:`render` was asked for, but for scene, source and backend."""
 
-    method: str
-    tolerance: float
-    quantity: str
-    hemicube: int | Hemicube | None
-    filled: bool | None
-    weights: str
-    azimuths: int | Azimuths | None
-    max_distance: float | None
-    tail: float | None
-    interreflection: bool | str
-    parts: bool
+    method: str = "auto"
+    tolerance: float = 0.01
+    quantity: str = "radiance"
+    hemicube: int | Hemicube | None = None
+    filled: bool | None = None
+    weights: str = "moment"
+    azimuths: int | Azimuths | None = None
+    max_distance: float | None = None
+    tail: float | None = None
+    interreflection: bool | str = "auto"
+    parts: bool = False
 
     @property
     def lattice(self) -> bool:

@@ -33,7 +33,7 @@ from .light.far import (
     spread_of,
     top_of,
 )
-from .scene import Scene
+from .scene import ALBEDO, Scene
 
 NODE_BYTES = 36  # that a sweep takes on a device, see Sweeps
 REFRACTED = 0.87  # of the Earth's curvature that light, which bends with the air, leaves; Corripio 2003
@@ -56,7 +56,8 @@ class Work(Protocol):
 class Layout(NamedTuple):
     """A map in tiles: what a tile is computed from besides heights.
 
-    ``spacing`` [length]; ``max_distance`` [length] or None; ``albedo`` and the like are no part of it.
+    ``spacing`` [length]; ``max_distance`` [length] or None; ``room``: nodes around every tile that are
+    computed with it, besides the halo.
     """
 
     tiling: Tiling
@@ -64,6 +65,7 @@ class Layout(NamedTuple):
     spacing: float
     periodic: bool
     max_distance: float | None
+    room: int = 0
 
     @property
     def starts(self) -> tuple[list[int], list[int]]:
@@ -91,7 +93,14 @@ class Layout(NamedTuple):
     @property
     def depths(self) -> list[int]:
         """Rows and columns around every tile; none along an axis that has one tile."""
-        return [self.tiling.halo if len(starts) > 1 or self.periodic else 0 for starts in self.starts]
+        depth = self.tiling.halo + self.room
+        return [depth if len(starts) > 1 or self.periodic else 0 for starts in self.starts]
+
+    def roomy(self, box: Box) -> Box:
+        """A tile and ``room`` nodes around it, as far as the map goes."""
+        begin = [max(0, first - self.room) for first, _ in box]
+        end = [min(nodes, first + count + self.room) for (first, count), nodes in zip(box, self.shape)]
+        return (begin[0], end[0] - begin[0]), (begin[1], end[1] - begin[1])
 
     def boxes(self) -> Iterator[Box]:
         """All tiles, row by row."""
@@ -101,12 +110,16 @@ class Layout(NamedTuple):
                 yield (r, n), (c, m)
 
 
-def layout_of(scene: Scene, tiling: Tiling | None, max_distance: float | None) -> Layout:
-    """The layout of a scene's map, checked."""
+def layout_of(
+    scene: Scene, tiling: Tiling | None, max_distance: float | None, between: bool = False
+) -> Layout:
+    """The layout of a scene's map, checked; ``between``: of light between surfaces."""
     tiling = USUAL if tiling is None else tiling
     if not isinstance(tiling, Tiling):
         raise bad("tiling", type(tiling).__name__, "a skylamp.Tiling")
-    layout = layout_of_map(tiling, scene.shape, scene.spacing, scene.sides == "periodic", max_distance)
+    layout = layout_of_map(
+        tiling, scene.shape, scene.spacing, scene.sides == "periodic", max_distance, between
+    )
     if layout.single:
         return layout
     if scene.sides == "dark":
@@ -124,12 +137,27 @@ def layout_of(scene: Scene, tiling: Tiling | None, max_distance: float | None) -
 
 
 def layout_of_map(
-    tiling: Tiling, shape: tuple[int, int], spacing: float, periodic: bool, max_distance: float | None
+    tiling: Tiling,
+    shape: tuple[int, int],
+    spacing: float,
+    periodic: bool,
+    max_distance: float | None,
+    between: bool = False,
 ) -> Layout:
-    """The layout of a map, its ``max_distance`` checked."""
+    """The layout of a map, its ``max_distance`` checked; ``between``: of light between surfaces."""
     if max_distance is not None and positive_number(max_distance, "max_distance") < spacing:
         raise bad("max_distance", max_distance, f"at least one spacing, {spacing:g}")
-    return Layout(tiling, shape, spacing, periodic, max_distance)
+    layout = Layout(tiling, shape, spacing, periodic, max_distance)
+    if not between or layout.single:
+        return layout
+    if periodic or tiling.tile < 2 * tiling.halo:
+        raise bad(
+            "light between surfaces in tiles",
+            "a map that repeats" if periodic else f"tiles of {tiling.tile} nodes",
+            f"sides 'open', and tiles of at least two halos, {2 * tiling.halo} nodes",
+            "What a tile's ground sends is known of a halo around it too.",
+        )
+    return layout._replace(room=tiling.halo)
 
 
 def over_tiles(
@@ -151,12 +179,33 @@ def over_tiles(
     return labelled(found, scene.labels, **leading)
 
 
-def tiled(work: Work, scene: Scene, tiling: Tiling | None, max_distance: float | None, *leading: int) -> Any:
-    """``work`` tile by tile: a dask.array where the map is lazy, else (*leading, rows, cols) float32."""
-    layout = layout_of(scene, tiling, max_distance)
+def tiled(
+    work: Work,
+    scene: Scene,
+    tiling: Tiling | None,
+    max_distance: float | None,
+    *leading: int,
+    between: bool = False,
+) -> Any:
+    """``work`` tile by tile: a dask.array where the map is lazy, else (*leading, rows, cols) float32.
+
+    ``between``: tiles are computed with a halo of their own, for the light between their surfaces.
+    """
+    layout = layout_of(scene, tiling, max_distance, between)
     if scene.lazy is not None:
         return lazily(work, scene, layout, *leading)
     return work(scene, max_distance, None) if layout.single else _in_memory(work, scene, layout, *leading)
+
+
+def albedo_of(scene: Scene) -> tuple[Any, Any]:
+    """(The albedo where it is one number or colour, None), or (None, the map of it).
+
+    The map is (rows, cols) or (3, rows, cols), a dask.array where the scene is lazy.
+    """
+    albedo: Any = scene.albedo
+    if np.ndim(albedo) < 2:
+        return albedo, None
+    return None, albedo if albedo.ndim == 2 else albedo.transpose(2, 0, 1)
 
 
 def fits(scene: Scene, engine: Backend) -> bool:
@@ -173,35 +222,43 @@ def tile_of(
     low: np.ndarray | None,
     top: Top | None,
     part: slice | None = None,
+    albedo: Any = ALBEDO,
 ) -> np.ndarray:
     """``work`` of one tile, or ``part`` of its leading axis.
 
     ``window``: heights [length] of the tile and its halo, clipped at the map's border unless that repeats,
     nan without data. ``low``, ``top``: overviews, as :func:`skylamp.light.far.around` takes them; None where
-    nothing beyond the halo counts.
+    nothing beyond the halo counts. ``albedo``: one, or that of the window, (rows, cols) or (3, rows, cols).
     """
     (row, rows), (col, cols) = box
-    valid = np.isfinite(window)
     before = [
         depth if layout.periodic else min(first, depth) for first, depth in zip((row, col), layout.depths)
     ]
     inner = (..., slice(before[0], before[0] + rows), slice(before[1], before[1] + cols))
+    valid = np.isfinite(window)
     if not valid.any():
         return _nothing(part, rows, cols)
-    if valid.all():
-        heights, scene = window, Scene.from_height(window, layout.spacing)
-    else:
-        heights = np.where(valid, window, np.nan)
-        scene = Scene.from_height(np.where(valid, window, 0), layout.spacing, mask=valid)
+    scene = _scene_of(window, valid, layout.spacing, albedo)
     far, max_distance = None, layout.max_distance
     if top is not None:
         assert low is not None, "there are overviews of all levels, or of none"
+        heights = window if scene.mask is None else np.where(valid, window, np.nan)
         far = _far(layout, box, (before[0], before[1]), heights, low, top)
     if layout.tiling.earth is not None:  # what is nearer is nearly flat
         near = layout.tiling.halo * layout.spacing
         max_distance = near if max_distance is None else min(near, max_distance)
     found = (work(scene, max_distance, far) if part is None else work(scene, max_distance, far, part))[inner]
     return np.where(valid[inner[1:]], found, np.float32(np.nan))
+
+
+def _scene_of(
+    window: np.ndarray, valid: np.ndarray, spacing: float, albedo: Any, sides: str = "open"
+) -> Scene:
+    """The scene of a window; where it is not ``valid`` it is masked."""
+    mask, albedo = None if valid.all() else valid, np.asarray(albedo)
+    heights = window if mask is None else np.where(valid, window, 0)
+    surface = np.moveaxis(albedo, 0, -1) if albedo.ndim == 3 else albedo
+    return Scene.from_height(heights, spacing, surface, mask, sides)
 
 
 def _nothing(part: slice | None, *shape: int) -> np.ndarray:
@@ -212,10 +269,18 @@ def _nothing(part: slice | None, *shape: int) -> np.ndarray:
 def _far(
     layout: Layout, box: Box, before: tuple[int, int], heights: np.ndarray, low: np.ndarray, top: Top
 ) -> Far:
+    begin = box[0][0] - before[0], box[1][0] - before[1]
+    # overviews about the room of a tile are those about the tile, so that they are within its neighbours
+    low_begin = [
+        first - (layout.tiling.reach if layout.periodic else min(first, layout.tiling.reach))
+        for first, _ in box
+    ]
+    box = layout.roomy(box)
     (row, rows), (col, cols) = box
+    before = row - begin[0], col - begin[1]
     at, tile, spacing, tiling = (row, col), (rows, cols), layout.spacing, layout.tiling
     base = np.nanmax(heights)
-    levels = around(tiling, layout.shape, at, tile, low, top, layout.periodic)
+    levels = around(tiling, (low_begin[0], low_begin[1]), at, tile, low, top, layout.periodic)
     inner = heights[before[0] : before[0] + rows, before[1] : before[1] + cols]
     spread = spread_of(tiling, inner, spacing)
     nodes = marched_nodes(spread, layout.shape, at, tile)
@@ -278,6 +343,7 @@ def _cells_of(layout: Layout, box: Box) -> Box:
 def _in_memory(work: Work, scene: Scene, layout: Layout, *leading: int) -> np.ndarray:
     """All tiles of a scene, one after another: (*leading, rows, cols) float32."""
     heights, parts = np.negative(scene.depth), _parts(layout, *leading)
+    one, varying = albedo_of(scene)
     low: np.ndarray | None = None
     top: Top | None = None
     if layout.needs_overviews:
@@ -293,8 +359,9 @@ def _in_memory(work: Work, scene: Scene, layout: Layout, *leading: int) -> np.nd
     for box in layout.boxes():
         near = window_of(heights, box, layout.depths, layout.periodic)
         far = None if low is None else around_tile(low, layout, box)
+        albedo = one if varying is None else window_of(varying, box, layout.depths, layout.periodic)
         for part in parts:
-            found = tile_of(work, layout, box, near, far, top, part)
+            found = tile_of(work, layout, box, near, far, top, part, albedo)
             window_of(out if part is None else out[part], box, [0, 0], False)[...] = found
     return out
 
@@ -321,20 +388,33 @@ def lazily(work: Work, scene: Scene, layout: Layout, *leading: int) -> Any:
         dtype=np.float32,
         meta=np.empty((0,) * len(axes), np.float32),
     )
+    albedo, varying = albedo_of(scene)
     if layout.single:
+        surface = (albedo, None) if varying is None else (varying.rechunk(-1), "cij"[3 - varying.ndim :])
         call = partial(_whole, work, scene.spacing, scene.sides, layout.max_distance, parts)
-        found = da.blockwise(call, axes, heights.rechunk(-1), "ij", *numbers, **options)
+        found = da.blockwise(call, axes, heights.rechunk(-1), "ij", *numbers, *surface, **options)
     else:
         low, top, again = _overviews(da, heights, layout)
-        boundary = "periodic" if layout.periodic else "none"
-        tiles = again.rechunk(layout.sizes)
-        windows = da.overlap.overlap(tiles, dict(enumerate(layout.depths)), boundary, allow_rechunk=False)
+        surface = (albedo, None)
+        if varying is not None:
+            surface = _windows(da, varying, layout), "cij"[3 - varying.ndim :]
         rows, cols = (da.from_array(np.arange(len(sizes)), chunks=1) for sizes in layout.sizes)
         options["adjust_chunks"] |= dict(zip("ij", layout.sizes))
         call = partial(_block, work, layout, parts)
         places = rows, "i", cols, "j", low, None if low is None else "kij"
-        found = da.blockwise(call, axes, windows, "ij", *numbers, *places, top=top, **options)
+        windows = _windows(da, again, layout)
+        found = da.blockwise(call, axes, windows, "ij", *numbers, *surface, *places, top=top, **options)
     return found.rechunk({axis + len(leading): chunks for axis, chunks in enumerate(heights.chunks)})
+
+
+def _windows(da: Any, values: Any, layout: Layout) -> Any:
+    """A dask.array (..., rows, cols) in tiles, each with what is around it."""
+    before = values.ndim - 2
+    tiles = values.rechunk({n: -1 for n in range(before)} | dict(enumerate(layout.sizes, before)))
+    depths = {n: 0 for n in range(before)} | dict(enumerate(layout.depths, before))
+    kind = "periodic" if layout.periodic else "none"
+    boundary = {n: kind if n >= before else "none" for n in range(values.ndim)}
+    return da.overlap.overlap(tiles, depths, boundary, allow_rechunk=False)
 
 
 def _parts(layout: Layout, *leading: int) -> list[slice | None]:
@@ -390,13 +470,13 @@ def _whole(
     parts: list[slice | None],
     window: np.ndarray,
     number: np.ndarray | int,
+    albedo: Any,
 ) -> np.ndarray:
     """``work`` of a map that is one tile."""
     valid, part = np.isfinite(window), parts[int(np.sum(number))]
     if not valid.any():
         return _nothing(part, *window.shape)
-    mask = None if valid.all() else valid
-    scene = Scene.from_height(np.where(valid, window, 0), spacing, mask=mask, sides=sides)
+    scene = _scene_of(window, valid, spacing, albedo, sides)
     return work(scene, max_distance, None) if part is None else work(scene, max_distance, None, part)
 
 
@@ -406,6 +486,7 @@ def _block(
     parts: list[slice | None],
     window: np.ndarray,
     number: np.ndarray | int,
+    albedo: Any,
     i: np.ndarray,
     j: np.ndarray,
     low: np.ndarray | None,
@@ -413,7 +494,7 @@ def _block(
 ) -> np.ndarray:
     (rows, cols), (heights, widths) = layout.starts, layout.sizes
     box = (rows[int(i[0])], heights[int(i[0])]), (cols[int(j[0])], widths[int(j[0])])
-    return tile_of(work, layout, box, window, low, top, parts[int(np.sum(number))])
+    return tile_of(work, layout, box, window, low, top, parts[int(np.sum(number))], albedo)
 
 
 def devices(*names: str) -> Any:

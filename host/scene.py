@@ -132,8 +132,21 @@ class Scene:
             if mask.dtype != bool or mask.shape != shape:
                 raise bad("mask: wrong type or shape", f"{mask.dtype}, {mask.shape}", f"bool, shape {shape}")
             values = importlib.import_module("dask.array").where(mask, values, np.nan).astype(values.dtype)
-        surface = _reflectance(self.albedo, self.reflectance, shape, None)
-        _set(self, lazy=values, mask=None, reflectance=surface, albedo=surface.albedo)
+        albedo = chunked(self.albedo)
+        if albedo is None and np.ndim(self.albedo) > 1:  # where the map has no data it need not be an albedo
+            albedo = importlib.import_module("dask.array").from_array(np.asarray(self.albedo), chunks=-1)
+        if albedo is None:
+            surface = _reflectance(self.albedo, self.reflectance, shape, None)
+            albedo = surface.albedo
+        elif self.reflectance is not None or albedo.shape not in (shape, (*shape, 3)):
+            raise bad(
+                "albedo: a map of a lazy scene",
+                f"shape {albedo.shape}" + ("" if self.reflectance is None else " and a reflectance"),
+                f"shape {shape} or {(*shape, 3)}, without a reflectance",
+            )
+        else:
+            surface = Lambertian()
+        _set(self, lazy=values, mask=None, reflectance=surface, albedo=albedo)
         object.__delattr__(self, "depth")
 
     def _keep(self, values: Array, height: bool) -> None:
@@ -200,7 +213,8 @@ class Scene:
         square and no degrees, in the unit of ``height``; 1 of what has no coordinates.
 
         A dask.array, or a DataArray with Dask's chunks, makes a lazy scene: nan is where it has no data, and
-        horizons, sky_view_factor, openness and render give lazy results of the same chunks.
+        horizons, sky_view_factor, openness and render give lazy results of the same chunks. A map of its
+        albedo may be lazy too, in chunks of its own; what is outside 0 to 1 is found when it is computed.
         """
         spacing = spacing_of(labels_of(height)) if spacing is None else spacing
         heights: Any = _Heights(height)

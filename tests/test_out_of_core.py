@@ -1,4 +1,4 @@
-"""`skylamp horizon --memory`: a file of any size to a file, by processes, interrupted and resumed."""
+"""`skylamp horizon` and `render --memory`: a file of any size to a file, interrupted and resumed."""
 
 import os
 import signal
@@ -22,7 +22,8 @@ pytest.importorskip("distributed")
 
 pytestmark = pytest.mark.slow  # processes start, and import
 NODATA, TILE = -9999.0, 256
-OPTIONS = ["--azimuths", "8", "--memory", "3GB", "--tile", str(TILE)]
+MEMORY = ["--memory", "3GB", "--tile", str(TILE)]
+OPTIONS = ["--azimuths", "8", *MEMORY]
 
 
 @pytest.fixture(scope="module")
@@ -46,13 +47,29 @@ def dem(tmp_path_factory):
     return path, np.where(heights == NODATA, np.nan, heights)
 
 
-def command(path, out, *more):
-    return [sys.executable, "-m", "skylamp", "horizon", str(path), "--out", str(out), *OPTIONS, *more]
+def command(path, out, *more, of="horizon"):
+    options = OPTIONS if of == "horizon" else MEMORY
+    return [sys.executable, "-m", "skylamp", of, str(path), "--out", str(out), *options, *more]
 
 
-def run(path, out, *more):
-    done = subprocess.run(command(path, out, *more), capture_output=True, text=True, timeout=500)
+def run(path, out, *more, of="horizon"):
+    done = subprocess.run(command(path, out, *more, of=of), capture_output=True, text=True, timeout=500)
     return done.returncode, done.stderr
+
+
+def interrupted(told, scratch):
+    """Exit code of a command that gets Ctrl-C once a tile is done."""
+    process, done = subprocess.Popen(told, stderr=subprocess.PIPE, text=True), 0
+    for _ in range(3000):
+        time.sleep(0.05)
+        if process.poll() is not None or done:
+            break
+        if (scratch / "done" / "c").exists():
+            done = len(os.listdir(scratch / "done" / "c"))
+    process.send_signal(signal.SIGINT)
+    process.communicate(timeout=100)
+    assert done
+    return process.returncode
 
 
 def lazily(heights, work=sl.sky_view_factor, **options):
@@ -91,17 +108,7 @@ def test_an_interrupted_run_goes_on(dem, tmp_path):
     """
     path, heights = dem
     out, scratch = tmp_path / "out.tif", tmp_path / "out.tif.scratch"
-    process = subprocess.Popen(command(path, out), stderr=subprocess.PIPE, text=True)
-    done = 0
-    for _ in range(3000):
-        time.sleep(0.05)
-        if process.poll() is not None or done:
-            break
-        if (scratch / "done" / "c").exists():
-            done = len(os.listdir(scratch / "done" / "c"))
-    process.send_signal(signal.SIGINT)
-    process.communicate(timeout=100)
-    assert process.returncode != 0 and done and scratch.exists() and not out.exists()
+    assert interrupted(command(path, out), scratch) != 0 and scratch.exists() and not out.exists()
     flags = zarr.open_group(scratch, mode="r")["done"][:]
     assert flags.any()
     first = scratch / "done" / "c" / str(int(flags.argmax()))
@@ -114,6 +121,44 @@ def test_an_interrupted_run_goes_on(dem, tmp_path):
     with rasterio.open(out) as file:
         assert_bits_equal(np.nan_to_num(file.read(1)), np.nan_to_num(lazily(heights)))
     assert not scratch.exists()
+
+
+def test_an_image_is_rendered_as_in_tiles(dem, tmp_path):
+    """In colour under a sky with a sun, interrupted and resumed by two processes: the bytes of a lazy map."""
+    path, heights = dem
+    out, scratch = tmp_path / "out.tif", tmp_path / "out.tif.scratch"
+    told = ["--source", "clear", "--sun", "135,20", "--direct", "4", "--albedo", ".2,.5,.8"]
+    assert interrupted(command(path, out, *told, of="render"), scratch) != 0 and not out.exists()
+    code, said = run(path, out, *told, "--quantity", "irradiance", "--resume", of="render")
+    assert code == 3 and "--resume" in said
+    code, said = run(path, out, *told, "--resume", "--workers", "2", "--cog", of="render")
+    assert code == 0, said
+    scene = sl.Scene.from_height(da.from_array(heights, chunks=300), 30.0, albedo=np.array([0.2, 0.5, 0.8]))
+    sky = sl.Sky(sl.cie_sky(12, (135.0, 20.0), direct=4.0))
+    image = sl.render(scene, sky, tiling=sl.Tiling(TILE)).image.compute(scheduler="sync")
+    with rasterio.open(out) as file:
+        assert_bits_equal(np.nan_to_num(file.read()), np.nan_to_num(image.transpose(2, 0, 1)))
+        assert file.overviews(1) and file.crs.to_epsg() == 32633
+    assert sorted(os.listdir(tmp_path)) == ["out.tif"]
+
+
+@pytest.mark.parametrize(
+    ("more", "code", "what"),
+    [
+        (["--memory", "3GB", "--lamp", "0,0,0,9"], 3, "lamp"),
+        (["--memory", "3GB", "--specular", ".1"], 3, "lobe"),
+        (["--memory", "3GB", "--tolerance", ".1%"], 3, "tolerance"),
+        (["--memory", "3GB", "--nodata", "0"], 2, "goes with"),
+        (["--memory", "3GB", "--exposure", "1"], 2, "--exposure"),
+        (["--cog"], 2, "--memory"),
+    ],
+)
+def test_what_an_image_in_tiles_does_not_go_with(dem, tmp_path, more, code, what):
+    """One error, before a worker is started."""
+    told = [sys.executable, "-m", "skylamp", "render", str(dem[0]), "--out", str(tmp_path / "o.tif"), *more]
+    done = subprocess.run(told, capture_output=True, text=True, timeout=200)
+    assert (done.returncode, what in done.stderr) == (code, True), done.stderr
+    assert os.listdir(tmp_path) == []
 
 
 @pytest.mark.parametrize(

@@ -306,6 +306,30 @@ def test_albedo_and_irradiance_of_tiles(dem, fast):
     np.testing.assert_allclose(image, light.values[..., None] * albedo / np.pi, rtol=1e-5)
 
 
+def test_maps_of_albedo_in_tiles(dem, fast):
+    """Of one colour and of three, computed or lazy in chunks of their own; nan where the ground is."""
+    options = dict(backend=fast, azimuths=4, tiling=SMALL)
+    heights = dem.copy(data=np.where(np.arange(290) < 20, np.nan, dem.values)).chunk(y=100)
+    light = sl.render(sl.Scene.from_height(heights), sl.Sky(), quantity="irradiance", **options).image
+    for shape in (dem.shape, (*dem.shape, 3)):
+        albedo = np.random.default_rng(3).random(shape, np.float32)
+        albedo[:, :20] = np.nan  # not looked at
+        expected = albedo * (light.values if len(shape) == 2 else light.values[..., None]) / np.pi
+        images = [
+            sl.render(sl.Scene.from_height(heights, albedo=given), sl.Sky(), **options).image
+            for given in (albedo, da.from_array(albedo, chunks=130))
+        ]
+        assert images[0].chunks[:2] == heights.chunks
+        for image in images:
+            np.testing.assert_allclose(image.values, expected, rtol=1e-5)
+    wrong = da.from_array(np.full(dem.shape, 1.5, np.float32))
+    lazy = sl.render(sl.Scene.from_height(heights, albedo=wrong), sl.Sky(), **options).image
+    with pytest.raises(InputError, match="albedo"):
+        lazy.compute(scheduler="sync")
+    with pytest.raises(InputError, match="albedo"):
+        sl.Scene.from_height(heights, albedo=wrong[:9])
+
+
 @pytest.mark.parametrize(
     ("source", "options", "what"),
     [

@@ -12,7 +12,7 @@ import sys
 import traceback
 from functools import partial
 from pathlib import Path
-from typing import Annotated, NoReturn
+from typing import Annotated, Any, NoReturn
 
 import numpy as np
 import typer
@@ -88,6 +88,12 @@ def render(
     bits: opt.Bits = 8,
     exposure: opt.Exposure = None,
     error: opt.ErrorFile = None,
+    memory: opt.Memory = None,
+    workers: opt.Workers = 1,
+    scheduler: opt.Scheduler = None,
+    tile: opt.Tile = None,
+    resume: opt.Resume = False,
+    cog: opt.Cog = False,
     backend: opt.Backend = "auto",
     as_json: opt.Json = False,
 ) -> None:
@@ -95,26 +101,28 @@ def render(
     output.check(out, as_json)
     if error is not None:
         output.check(error, as_json)
-    if exposure is not None and (not out.lower().endswith(".png") or white is not None or bits != 8):
-        raise typer.BadParameter(
-            "makes an 8-bit .png for the eye: it goes without --white and --bits 16, and with no other"
-            " format",
-            param_hint="--exposure",
-        )
+    machines = out_of_core.Machines(memory, workers, scheduler, tile, resume, cog)
+    _check_exposure(exposure, out, white, bits)
     surface = parsing.reflectance(albedo, specular, exponent)
+    light = parsing.source(source, lamp, window, sun, direct)
+    options: dict[str, Any] = dict(
+        method=method,
+        tolerance=parsing.tolerance(tolerance),
+        quantity=quantity,
+        hemicube=hemicube,
+        filled=filled,
+        interreflection=parsing.interreflection(interreflection),
+    )
+    if machines.asked:
+        to_read = height is False, spacing, nodata, resample, sides != "open"
+        others = *to_read, white, bits != 8, exposure, error
+        out_of_core.alone("--albedo, --source, --sun, --direct, --quantity", out, others)
+        words = dict(albedo=albedo, source=source, sun=sun, direct=direct)
+        work = out_of_core.image(file, surface, light, backend, words, **options)
+        return _by_tiles(file, out, work, machines, as_json)
     scene, raster = parsing.scene(file, height, spacing, surface, nodata, sides, resample)
     with output.progress_bar("rendering"):
-        done = sl.render(
-            scene,
-            parsing.source(source, lamp, window, sun, direct),
-            method=method,
-            tolerance=parsing.tolerance(tolerance),
-            backend=backend,
-            quantity=quantity,
-            hemicube=hemicube,
-            filled=filled,
-            interreflection=parsing.interreflection(interreflection),
-        )
+        done = sl.render(scene, light, backend=backend, **options)
     if error is not None and done.error is None:
         raise typer.BadParameter(
             "an error is estimated where a tolerance decides: it goes with --method auto, and without"
@@ -126,6 +134,30 @@ def render(
     if error is not None:
         output.write(error, done.error, raster)
     output.report(done, out, as_json, shape=done.image.shape, range=scale)
+
+
+def _check_exposure(exposure: float | None, out: str, white: float | None, bits: int) -> None:
+    if exposure is not None and (not out.lower().endswith(".png") or white is not None or bits != 8):
+        raise typer.BadParameter(
+            "makes an 8-bit .png for the eye: it goes without --white and --bits 16, and with no other"
+            " format",
+            param_hint="--exposure",
+        )
+
+
+def _by_tiles(
+    file: Path,
+    out: str,
+    work: out_of_core.Quantity,
+    machines: out_of_core.Machines,
+    as_json: bool,
+    **facts: Any,
+) -> None:
+    """Compute and write a quantity of a GeoTIFF tile by tile, and report it."""
+    with output.progress_bar("computing tiles") as progress:
+        shape = out_of_core.write_quantity(file, out, work, machines, progress)
+    backend = work.settings["backend"]
+    output.report_array_or_picture(out, None, as_json, backend, shape=shape, **facts)
 
 
 @app.command()
@@ -282,13 +314,9 @@ def horizon(
     machines = out_of_core.Machines(memory, workers, scheduler, tile, resume, cog)
     if machines.asked:
         others = picture, height is False, spacing, nodata, resample, sides != "open"
-        if not out or any(others):
-            raise typer.BadParameter(out_of_core.ALONE, param_hint="--memory")
-        with output.progress_bar("looking for horizons") as progress:
-            asked = what, definition, azimuths, max_distance, backend
-            size = out_of_core.horizon(file, out, asked, machines, progress)
-        output.report_array_or_picture(out, None, as_json, backend, shape=size, what=what)
-        return
+        out = out_of_core.alone("--what, --definition, --azimuths, --max-distance", out, others)
+        work = out_of_core.horizon(what, definition, azimuths, max_distance, backend)
+        return _by_tiles(file, out, work, machines, as_json, what=what)
     quantities = {
         "sky-view-factor": partial(sl.sky_view_factor, definition=definition),
         "openness": sl.openness,

@@ -11,7 +11,7 @@ import hashlib
 import importlib
 import json
 import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -26,7 +26,11 @@ from ..horizon import as_azimuths, mean_openness, sky_view
 from ..io import geotiff as geo
 from ..io.paths import replacing_file
 from ..light.far import Tiling, Top, coarser, from_heights, top_of
+from ..reflectance import Reflectance
+from ..rendering import tile_image
 from ..scale import Layout, Work, around_tile, devices, layout_of_map, tile_of
+from ..scene import ALBEDO, Scene
+from ..sources import Source
 from . import parsing
 
 Progress = Callable[[int, int], None]
@@ -37,15 +41,12 @@ Progress = Callable[[int, int], None]
 PER_NODE, BESIDES = 80, 6 * 10**8
 TILES = 8192, 4096, 2048, 1024  # sides of tiles of which the largest is taken that fits
 # what is said where these options meet others
-ALONE = (
-    "a GeoTIFF to a GeoTIFF, with open sides: it goes with --out, --what, --definition, --azimuths,"
-    " --max-distance and --backend alone"
-)
+ALONE = "a GeoTIFF of heights to a GeoTIFF, with open sides: it goes with --out, --backend and {} alone"
 BLOCK = 512  # [node], blocks of the GeoTIFF that is written
 
 
 class Machines(NamedTuple):
-    """Where tiles are computed: what `skylamp horizon` is told of memory and workers."""
+    """Where tiles are computed: what the command line is told of memory and workers."""
 
     memory: str | None
     workers: int
@@ -78,29 +79,25 @@ class Machines(NamedTuple):
         return TILES[0] if self.share is None else tile_that_fits(self.share)
 
 
-def horizon(
-    file: Path,
-    out: str,
-    asked: tuple[str, str, int, float | None, str],
-    machines: Machines,
-    progress: Progress | None,
-) -> tuple[int, int]:
-    """Compute one quantity of a GeoTIFF and write it; (rows, cols).
+def alone(goes: str, out: str | None, others: Iterable[Any]) -> str:
+    """The output's name; BadParameter unless it is given, and none of the other options is."""
+    if not out or any(other is not None and other is not False for other in others):
+        raise typer.BadParameter(ALONE.format(goes), param_hint="--memory")
+    return out
 
-    ``asked``: what, definition, azimuths, max_distance and backend of `skylamp horizon`.
+
+class Quantity(NamedTuple):
+    """What is computed, in how many bands; ``sign`` -1: of the surface upside down.
+
+    ``settings``: what was asked for, in words; all that the bytes depend on besides the file and the tiles.
     """
-    if not out.lower().endswith((".tif", ".tiff")):
-        raise bad("--out with --memory", repr(out), "a .tif")
-    if machines.workers < 1:
-        raise bad("--workers", machines.workers, "at least 1")
-    job, header = _job(file, out, *asked, machines.side)
-    settings = dict(zip(("what", "definition", "azimuths", "max_distance", "backend"), asked))
-    with workers_of(machines) as client:
-        group = run(job, settings, client, machines.resume, progress)
-    write(out, group["found"], header, machines.cog)
-    shutil.rmtree(job.scratch)
-    rows, cols = job.layout.shape
-    return rows, cols
+
+    work: Work
+    settings: dict[str, Any]
+    max_distance: float | None = None
+    sign: float = 1.0
+    bands: int = 1
+    albedo: Any = ALBEDO
 
 
 class Job(NamedTuple):
@@ -109,22 +106,11 @@ class Job(NamedTuple):
     file: Path
     scratch: Path
     layout: Layout
-    work: Work
-    sign: float  # -1: of the surface upside down
+    quantity: Quantity
 
 
-def _job(
-    file: Path,
-    out: str,
-    what: str,
-    definition: str,
-    azimuths: int,
-    max_distance: float | None,
-    backend: str,
-    tile: int,
-) -> tuple[Job, geo.Raster]:
-    """(job, the file's header) of one quantity of `skylamp horizon`."""
-    header = geo.header(file)
+def horizon(what: str, definition: str, azimuths: int, max_distance: float | None, backend: str) -> Quantity:
+    """One quantity of `skylamp horizon`."""
     options: dict[str, Any] = dict(azimuths=as_azimuths(azimuths), backend=backend)
     works: dict[str, Work] = {
         "sky-view-factor": partial(sky_view, definition=definition, **options),
@@ -133,9 +119,62 @@ def _job(
     }
     if what not in works:
         raise bad("--what with --memory", repr(what), " | ".join(works))
-    layout = layout_of_map(Tiling(tile), header.values.shape, header.spacing, False, max_distance)
-    scratch = Path(out).with_name(Path(out).name + ".scratch")
-    return Job(file.resolve(), scratch, layout, works[what], -1.0 if what.startswith("neg") else 1.0), header
+    settings = dict(
+        what=what, definition=definition, azimuths=azimuths, max_distance=max_distance, backend=backend
+    )
+    return Quantity(works[what], settings, max_distance, -1.0 if what.startswith("neg") else 1.0)
+
+
+def image(
+    file: Path, surface: Reflectance, source: Source, backend: str, words: dict[str, Any], **options: Any
+) -> Quantity:
+    """The image of `skylamp render`.
+
+    ``words``: how the command line describes surface and source; ``options`` of :func:`skylamp.render`.
+    """
+    dask_array = _imported("dask.array")
+    header = geo.header(file)
+    scene = Scene.from_height(
+        dask_array.zeros(header.values.shape, chunks=-1, dtype=np.float32),
+        header.spacing,
+        reflectance=surface,
+    )
+    work = tile_image(scene, source, backend, **options)
+    kind = words.get("source")
+    if kind is not None and Path(kind).exists():  # an environment map
+        state = Path(kind).stat()
+        words = {**words, "source": [str(Path(kind).resolve()), state.st_size, state.st_mtime_ns]}
+    settings = dict(words, backend=backend, **options)
+    return Quantity(work, settings, bands=3 if work.in_colour else 1, albedo=scene.albedo)
+
+
+def write_quantity(
+    file: Path, out: str, quantity: Quantity, machines: Machines, progress: Progress | None
+) -> tuple[int, ...]:
+    """Compute one quantity of a GeoTIFF and write it; its shape, (rows, cols) or (bands, rows, cols)."""
+    if not out.lower().endswith((".tif", ".tiff")):
+        raise bad("--out with --memory", repr(out), "a .tif")
+    if machines.workers < 1:
+        raise bad("--workers", machines.workers, "at least 1")
+    header = geo.header(file)
+    layout = layout_of_map(
+        Tiling(machines.side), header.values.shape, header.spacing, False, quantity.max_distance
+    )
+    job = Job(file.resolve(), Path(out).with_name(Path(out).name + ".scratch"), layout, quantity)
+    with workers_of(machines) as client:
+        group = run(job, client, machines.resume, progress)
+    write(out, group["found"], header, machines.cog)
+    shutil.rmtree(job.scratch)
+    return layout.shape if quantity.bands == 1 else (quantity.bands, *layout.shape)
+
+
+def _imported(module: str) -> Any:
+    """A module of the extra ``dask``."""
+    try:
+        importlib.import_module("zarr")
+        return importlib.import_module(module)
+    except ImportError as error:
+        raise lacking("--memory", "dask.distributed and zarr", "dask") from error
 
 
 def tile_that_fits(share: int) -> int:
@@ -147,28 +186,40 @@ def tile_that_fits(share: int) -> int:
     raise CapacityError(f"--memory: {share:,} bytes a worker; one needs at least {needed[-1]:,}.")
 
 
-def run(job: Job, settings: dict[str, Any], client: Any, resume: bool, progress: Progress | None) -> Any:
+def run(job: Job, client: Any, resume: bool, progress: Progress | None) -> Any:
     """Compute all tiles that are not done yet; the scratch group that holds them."""
-    group, layout = scratch_of(job, settings, resume), job.layout
+    group, layout = scratch_of(job, resume), job.layout
     boxes = list(layout.boxes())
     steps = 2 * len(boxes) if layout.needs_overviews and not layout.single else len(boxes)
     done = int(np.count_nonzero(group["low_done"][:]) + np.count_nonzero(group["done"][:]))
     tell = (lambda n: progress(n, steps)) if progress else (lambda n: None)
+    # results of tasks, which are computed again where a worker that held them dies
+    there = client.submit(_same, job, pure=False)
     top: Any = None
     if steps > len(boxes):
-        done = _each(client, partial(_reduce, job), group["low_done"], done, tell)
-        top = client.scatter(_top(group, layout), broadcast=True, hash=False)
-    _each(client, partial(_compute, job), group["done"], done, tell, top)
+        done = _each(client, _reduce, there, group["low_done"], done, tell)
+        top = client.submit(_top, there, pure=False)
+    _each(client, _compute, there, group["done"], done, tell, top)
     return group
 
 
+def _same(job: Job) -> Job:
+    return job
+
+
 def _each(
-    client: Any, task: Callable[..., None], flags: Any, done: int, tell: Callable[[int], None], *more: Any
+    client: Any,
+    task: Callable[..., None],
+    job: Any,
+    flags: Any,
+    done: int,
+    tell: Callable[[int], None],
+    *more: Any,
 ) -> int:
-    """Run ``task`` (number, ...) for every tile that has no flag; how many are done then."""
+    """Run ``task`` (job, number, ...) for every tile that has no flag; how many are done then."""
     distributed = importlib.import_module("distributed")
     left = np.flatnonzero(flags[:] == 0).tolist()
-    futures = [client.submit(task, number, *more, pure=False) for number in left]
+    futures = [client.submit(task, job, number, *more, pure=False) for number in left]
     tell(done)
     try:
         for future in distributed.as_completed(futures):
@@ -186,7 +237,7 @@ def _window(job: Job, box: Any, depths: list[int]) -> np.ndarray:
         slice(max(0, first - depth), min(nodes, first + count + depth))
         for (first, count), depth, nodes in zip(box, depths, job.layout.shape)
     )
-    return np.float32(job.sign) * geo.window(job.file, rows, cols)
+    return np.float32(job.quantity.sign) * geo.window(job.file, rows, cols)
 
 
 def _reduce(job: Job, number: int) -> None:
@@ -204,17 +255,19 @@ def _compute(job: Job, number: int, top: Top | None) -> None:
     group, layout = _group(job.scratch, "r+"), job.layout
     box = list(layout.boxes())[number]
     low = None if top is None else around_tile(group["low"], layout, box)
-    found = tile_of(job.work, layout, box, _window(job, box, layout.depths), low, top)
+    window, (work, *_, bands, albedo) = _window(job, box, layout.depths), job.quantity
+    part = None if bands == 1 else slice(0, bands)
+    found = tile_of(work, layout, box, window, low, top, part, albedo)
     (row, rows), (col, cols) = box
-    group["found"][row : row + rows, col : col + cols] = found
+    group["found"][:, row : row + rows, col : col + cols] = found.reshape(bands, rows, cols)
     group["done"][number] = 1
 
 
-def _top(group: Any, layout: Layout) -> Top:
+def _top(job: Job) -> Top:
     """The levels that all tiles see, from the overviews of all tiles."""
-    tiling, low = layout.tiling, group["low"]
+    tiling, low = job.layout.tiling, _group(job.scratch, "r")["low"]
     times = tiling.top - tiling.first
-    rows = layout.tiling.tile >> tiling.first
+    rows = tiling.tile >> tiling.first
     return top_of(
         np.concatenate([coarser(low[:, r : r + rows], times) for r in range(0, low.shape[1], rows)], 1)
     )
@@ -223,10 +276,10 @@ def _top(group: Any, layout: Layout) -> Top:
 # -- the scratch group
 
 
-def scratch_of(job: Job, settings: dict[str, Any], resume: bool) -> Any:
+def scratch_of(job: Job, resume: bool) -> Any:
     """The Zarr group of a job: the one that was begun, with ``resume``, or a new one."""
     state = job.file.stat()
-    told = dict(file=str(job.file), bytes=state.st_size, changed=state.st_mtime_ns, **settings)
+    told = dict(file=str(job.file), bytes=state.st_size, changed=state.st_mtime_ns, **job.quantity.settings)
     text = json.dumps(
         {**told, "tiling": str(job.layout.tiling), "skylamp": skylamp.__version__}, sort_keys=True
     )
@@ -250,7 +303,10 @@ def scratch_of(job: Job, settings: dict[str, Any], resume: bool) -> Any:
     cells, side = [-(-n // (1 << tiling.first)) for n in job.layout.shape], tiling.tile >> tiling.first
     kind: dict[str, Any] = dict(dtype="float32", fill_value=float("nan"))
     group.create_array("low", shape=(2, *cells), chunks=(2, side, side), **kind)
-    group.create_array("found", shape=job.layout.shape, chunks=(tiling.tile // 2,) * 2, **kind)
+    bands = job.quantity.bands
+    group.create_array(
+        "found", shape=(bands, *job.layout.shape), chunks=(bands, *(tiling.tile // 2,) * 2), **kind
+    )
     for name in ("low_done", "done"):
         group.create_array(name, shape=(tiles,), chunks=(1,), dtype="uint8", fill_value=0)
     group.attrs.update({"skylamp": mark, "settings": text})
@@ -271,11 +327,7 @@ def _group(path: Path, mode: str) -> Any:
 @contextlib.contextmanager
 def workers_of(machines: Machines) -> Iterator[Any]:
     """A client of a running scheduler, or of processes of this machine that share its memory."""
-    try:
-        distributed: Any = importlib.import_module("distributed")
-        importlib.import_module("zarr")
-    except ImportError as error:
-        raise lacking("--memory", "dask.distributed and zarr", "dask") from error
+    distributed = _imported("distributed")
     with contextlib.ExitStack() as stack:
         at: Any = machines.scheduler
         if at is None:
@@ -294,10 +346,13 @@ def workers_of(machines: Machines) -> Iterator[Any]:
 
 
 def write(out: str, found: Any, header: geo.Raster, cog: bool) -> None:
-    """Write a Zarr array as a GeoTIFF, by blocks of rows; ``cog``: one for the cloud, with overviews."""
+    """Write a Zarr array (bands, rows, cols) as a GeoTIFF, by blocks of rows.
+
+    ``cog``: one for the cloud, with overviews.
+    """
     rasterio = importlib.import_module("rasterio")
     importlib.import_module("rasterio.shutil")
-    rows, cols = found.shape
+    bands, rows, cols = found.shape
     with replacing_file(out) as path:
         plain = path.with_suffix(".plain") if cog else path
         with rasterio.open(
@@ -306,7 +361,7 @@ def write(out: str, found: Any, header: geo.Raster, cog: bool) -> None:
             driver="GTiff",
             width=cols,
             height=rows,
-            count=1,
+            count=bands,
             dtype="float32",
             crs=header.crs,
             transform=header.transform,
@@ -320,9 +375,10 @@ def write(out: str, found: Any, header: geo.Raster, cog: bool) -> None:
             num_threads="all_cpus",
         ) as file:
             file.update_tags(AREA_OR_POINT="Point" if header.point else "Area")
-            for row in range(0, rows, found.chunks[0]):
-                part = found[row : row + found.chunks[0]]
-                file.write(part, 1, window=((row, row + len(part)), (0, cols)))
+            step = found.chunks[1]
+            for row in range(0, rows, step):
+                part = found[:, row : row + step]
+                file.write(part, window=((row, row + part.shape[1]), (0, cols)))
         if cog:
             options = dict(
                 compress="ZSTD", predictor="YES", bigtiff="IF_SAFER", overview_resampling="AVERAGE"

@@ -67,6 +67,8 @@ class Tiling:
             raise bad("Tiling: rule", self.rule, f"at most halo, {self.halo}")
         if not isinstance(self.tile, (int, np.integer)) or self.tile < self.halo or self.tile % self.halo:
             raise bad("Tiling: tile", repr(self.tile), f"a multiple of halo, {self.halo}")
+        if self.tile % (1 << self.top):  # else cells of overviews would lie across tiles
+            raise bad("Tiling: tile", self.tile, f"a multiple of {1 << self.top}, or a rule of at least 8")
         if self.earth is not None:
             positive_number(self.earth, "Tiling: earth")
 
@@ -186,7 +188,7 @@ def top_of(low: np.ndarray) -> Top:
 
 def around(
     tiling: Tiling,
-    shape: tuple[int, int],
+    begin: tuple[int, int],
     at: tuple[int, int],
     tile: tuple[int, int],
     low: np.ndarray,
@@ -195,11 +197,10 @@ def around(
 ) -> list[Cells]:
     """All levels about a tile, [length], in as small windows as are looked at.
 
-    ``low``: means and maxima at level ``tiling.first`` of the tile and up to ``tiling.reach`` nodes around;
-    not needed where that is 0.
+    ``low``: means and maxima at level ``tiling.first`` from node ``begin`` on, of the tile and up to
+    ``tiling.reach`` nodes around; not needed where that is 0.
     """
     found = []
-    begin = [first - (tiling.reach if periodic else min(first, tiling.reach)) for first in at]
     for level in range(tiling.first, tiling.top + len(top.levels)):
         size = 1 << level
         room = 2 * tiling.rule + 2  # cells that rays pass in a level, and the next for interpolation
