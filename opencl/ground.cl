@@ -43,14 +43,15 @@ __kernel void turn(__global const float *map, __global float *turned, int rows, 
     turned[y * rows + x] = map[x * cols + y];
 }
 
-/* gather: the sums of both maps, (rows, cols) and (cols, rows), as irradiance [unit]. Work-item (x, y) owns
-   one node. */
+/* gather: sum n of each of both maps, (rows, cols) and (cols, rows), as irradiance [unit]. Work-item (x, y)
+   owns one node. */
 __kernel void gather(__global const int *sum, __global const int *turned, __global float *irradiance,
-                     int rows, int cols, float unit)
+                     int rows, int cols, int n, float unit)
 {
   const int x = get_global_id(0), y = get_global_id(1);
+  const size_t before = (size_t)n * rows * cols;
   if (x < cols && y < rows)
-    irradiance[y * cols + x] = (float)(sum[y * cols + x] + turned[x * rows + y]) * unit;
+    irradiance[y * cols + x] = (float)(sum[before + y * cols + x] + turned[before + x * rows + y]) * unit;
 }
 
 /* openness: the angles from the zenith to the horizons of some azimuths, summed.

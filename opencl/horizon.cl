@@ -19,7 +19,7 @@ turned map.
                                       sum], 1 / |columns per row| or 1e9, reach [rows], 0
   ways         (count, 8)      int    1 if the source lies towards row 0, else -1; near rows; near columns;
                                       rows before the first from which a map that repeats is swept; window
-                                      [rows]; 0, 0, 0
+                                      [rows]; number of its sum; 0, 0
   near_at      (count, n, 2)   int    the first node of each near row (column) crossing: columns on, rows on;
                                       n = NEAR + NEAR_COLUMNS
   near_weight  (count, n)      float  weight of the farther node of each
@@ -27,7 +27,7 @@ turned map.
                                sin(elevation) = i / (knots - 1) to the zenith, and what to add up to the next
                                knot
   slopes       (count, rows x cols) float  in, out: horizon slopes [1]
-  sum          (rows x cols)   int    in, out: irradiance in fixed point, so that no order of summation
+  sum          (sums, rows x cols) int  in, out: irradiance in fixed point, so that no order of summation
                                       matters
   steps        (LADDER)        int    the ladder: (s << bits) - 1
   rises        (LADDER)        int    and s times the distance at which a crossing comes in
@@ -193,6 +193,7 @@ __kernel void sweep(__global const float *restrict heights, __global const float
   const int towards = ways[8 * k], near_rows = ways[8 * k + 1], near_columns = ways[8 * k + 2],
             warm = ways[8 * k + 3];
   const int window = ways[8 * k + 4];
+  sum += (size_t)ways[8 * k + 5] * rows * cols;
 
   const int stride = cols + 2 * margin, back = TILED ? -PITCH : -towards * stride, mask = (1 << bits) - 1;
 
@@ -314,10 +315,10 @@ __kernel void sweep(__global const float *restrict heights, __global const float
         near = !BLOCKS || e < near_rows ? found : near;
       }
       for (int e = 0; e < NEAR_COLUMNS; ++e) {
+        if (e >= near_columns)
+          break;
         const floats a = NODE(column_at[e]), b = NODE(column_at[e] + back);
-        const floats found =
-            higher(by_column, FMA((floats)column_weight[e], b - a, a - own) * (1.0f / (e + 1)));
-        by_column = e < near_columns ? found : by_column;
+        by_column = higher(by_column, FMA((floats)column_weight[e], b - a, a - own) * (1.0f / (e + 1)));
       }
       floats slope = higher(near, by_column * max(steepness, 1e-6f));
 

@@ -71,18 +71,19 @@ def turn(map: wp.array[wp.float32], turned: wp.array[wp.float32], rows: wp.int32
 
 @wp.kernel
 def gather(
-    sum: wp.array[wp.int32],
-    turned: wp.array[wp.int32],
+    sum: wp.array2d[wp.int32],
+    turned: wp.array2d[wp.int32],
     irradiance: wp.array[wp.float32],
     rows: wp.int32,
     cols: wp.int32,
+    n: wp.int32,
     unit: wp.float32,
 ):
-    """The sums of both maps, (rows, cols) and (cols, rows), as irradiance [unit]. Thread (y, x) owns one
-    node.
+    """Sum n of each of both maps, (rows, cols) and (cols, rows), as irradiance [unit]. Thread (y, x) owns
+    one node.
     """
     y, x = wp.tid()
-    irradiance[y * cols + x] = wp.float32(sum[y * cols + x] + turned[x * rows + y]) * unit
+    irradiance[y * cols + x] = wp.float32(sum[n, y * cols + x] + turned[n, x * rows + y]) * unit
 
 
 @wp.kernel

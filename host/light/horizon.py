@@ -51,7 +51,7 @@ class Horizons(LightMethod):
     ):
         self.engine, self.scene, self.sky, self.units, self.sectors = engine, scene, sky, count, sectors
         self.scale, self.suns = (1.0, sky.suns) if isinstance(sky, Integrals) else (sky, ())
-        shape, size = scene.shape, (math.prod(scene.shape),)
+        shape, size = scene.shape, (2, math.prod(scene.shape))
         self.sweeps = Sweeps(engine, ground_of(scene, max_distance, engine), near=near)
         self.total, self.turned = (engine.empty(size, np.int32) for _ in range(2))
         self.slices = None
@@ -70,14 +70,14 @@ class Horizons(LightMethod):
             self.sweeps.add_light(table, self.mean)
             return
         self.offset = OFFSET / 2
-        self.mean = self._image(count // 2, 2 * math.pi / count, False)
-        self._halve(self._image(count // 2, 2 * math.pi / count, True))
+        self.mean, other = self._images(count // 2, 2 * math.pi / count, False, True)
+        self._halve(other)
 
     def refine(self) -> None:
         """Add the azimuths between the present ones."""
         count, self.sectors = self.units, 2 * self.sectors
         self.units *= 2
-        self._halve(self._image(count, math.pi / count, True))
+        self._halve(*self._images(count, math.pi / count, True))
 
     def _halve(self, image: Array) -> None:
         """Average with ``image``, of the azimuths between the present ones."""
@@ -86,30 +86,47 @@ class Horizons(LightMethod):
         self.engine.launch("ground", "halves", (count,), self.mean, image, count, 0)
         self.difference = image
 
-    def _image(self, count: int, window: float, between: bool) -> Array:
+    def _images(self, count: int, window: float, *between: bool) -> list[Array]:
         """The light of ``count`` azimuths, brightness averaged over ``window`` round each, and of sectors.
 
-        ``between``: of those half a step on.
+        An image for each of ``between``: of the azimuths half a step on, or not. All are swept together: a
+        GPU takes as long for some azimuths as for a few more.
         """
-        offset = self.offset + between / 2
-        azimuths = even(count, offset)
-        rays, table = Rays(azimuths.angles, azimuths.widths), None
-        suns = [sun.sectors(self.sectors, between) for sun in self.suns]
-        swept = suns and self.slices is None
-        if isinstance(self.sky, Integrals):
-            table = self.sky.table(rays.angles, np.full(count, window), FINE_KNOTS if swept else SKY_KNOTS)
-            if swept:
-                rays, table = with_suns(rays, table, suns)
-        image = self.engine.empty(self.scene.shape, np.float32)
-        self.sweeps.set_azimuths(rays, table)
-        self.sweeps.light(self.total, self.turned, image)
-        if isinstance(self.sky, Integrals):
-            self.sweeps.add_light(self.exact - _by_normals(self.sky, azimuths, window), image)
-        if self.slices is not None:
-            ways, tables = zip(*suns)
-            self.slices.image = image
-            self.slices.sectors(np.concatenate(ways, 1), np.concatenate(tables, 0))
-        return image
+        grids = [even(count, self.offset + half / 2) for half in between]
+        suns = [[sun.sectors(self.sectors, half) for sun in self.suns] for half in between]
+        images = [self.engine.empty(self.scene.shape, np.float32) for _ in between]
+        self.sweeps.set_azimuths(*self._rays(grids, window, suns))
+        self.sweeps.light(self.total, self.turned, *images)
+        for azimuths, sectors, image in zip(grids, suns, images):
+            if isinstance(self.sky, Integrals):
+                self.sweeps.add_light(self.exact - _by_normals(self.sky, azimuths, window), image)
+            if self.slices is not None:
+                ways, tables = zip(*sectors)
+                self.slices.image = image
+                self.slices.sectors(np.concatenate(ways, 1), np.concatenate(tables, 0))
+        return images
+
+    def _rays(
+        self, grids: list[Azimuths], window: float, suns: list[list[tuple[np.ndarray, np.ndarray]]]
+    ) -> tuple[Rays, np.ndarray | None]:
+        """The azimuths of all ``grids``, a sum each, with those of small bright parts that are swept; and
+        their brightness.
+        """
+        rays, tables = [], []
+        for azimuths, sectors in zip(grids, suns):
+            found, swept = Rays(azimuths.angles, azimuths.widths), bool(sectors) and self.slices is None
+            if isinstance(self.sky, Integrals):
+                knots = FINE_KNOTS if swept else SKY_KNOTS
+                table = self.sky.table(found.angles, np.full(len(azimuths), window), knots)
+                if swept:
+                    found, table = with_suns(found, table, sectors)
+                tables.append(table)
+            rays.append(found)
+        angles, widths = (
+            np.concatenate([getattr(one, name) for one in rays]) for name in ("angles", "widths")
+        )
+        numbers = np.repeat(np.arange(len(rays)), [len(one.angles) for one in rays])
+        return Rays(angles, widths, numbers), np.concatenate(tables) if tables else None
 
     def irradiance(self) -> np.ndarray:
         return _scaled(self.engine.download(self.mean).reshape(self.scene.shape), self.scale)

@@ -37,10 +37,19 @@ class Ground(NamedTuple):
 
 
 class Rays(NamedTuple):
-    """Azimuths [rad] and their widths [rad], each (K,)."""
+    """Azimuths [rad], their widths [rad], and the number of the sum to which each adds; each (K,).
+
+    Without ``numbers`` there is one sum.
+    """
 
     angles: np.ndarray
     widths: np.ndarray
+    numbers: np.ndarray | None = None
+
+    @property
+    def sums(self) -> np.ndarray:
+        """The number of the sum of every azimuth."""
+        return np.zeros(len(self.angles), int) if self.numbers is None else self.numbers
 
 
 class Half(NamedTuple):
@@ -68,7 +77,7 @@ class Sweeps:
     rays: Rays
     what: int
     knots: int
-    unit: float
+    units: list[float]  # of every sum
     halves: list[Half]
 
     def __init__(
@@ -127,7 +136,7 @@ class Sweeps:
         """Set the azimuths and the brightness of the next sweeps."""
         self.rays = rays
         self.what, self.knots = (UNIFORM, 2) if table is None else (TABLE, table.shape[1])
-        self.unit = _unit(rays, table)
+        self.units = _units(rays, table)
         self.halves = [self._half(turned, table) for turned in (False, True)]
 
     def add_light(self, table: np.ndarray, image: Array) -> None:
@@ -154,10 +163,10 @@ class Sweeps:
         )
         self.backend.finish()  # the table may be freed
 
-    def light(self, total: Array, turned: Array, image: Array = None) -> None:
-        """Irradiance float32 [brightness x sr] into the device array ``image``, or into ``total``.
+    def light(self, total: Array, turned: Array, *images: Array) -> None:
+        """Irradiance float32 [brightness x sr] of every sum into a device array, or of one into ``total``.
 
-        ``total`` and ``turned`` (rows x cols) int32 hold the sums of the two maps.
+        ``total`` and ``turned`` (sums, rows x cols) int32 hold the sums of the two maps.
         """
         backend = self.backend
         self._turn()
@@ -167,11 +176,14 @@ class Sweeps:
             self._light_of(self.halves[1], turned)
         self._light_of(self.halves[0], total)
         backend.join()
-        self._gather(total, turned, total if image is None else image)
+        self._gather(total, turned, *images or (total,))
 
-    def _gather(self, total: Array, turned: Array, image: Array) -> None:
+    def _gather(self, total: Array, turned: Array, *images: Array) -> None:
         rows, cols = self.shape
-        self.backend.launch("ground", "gather", (cols, rows), total, turned, image, rows, cols, 1 / self.unit)
+        for n, (image, unit) in enumerate(zip(images, self.units)):
+            self.backend.launch(
+                "ground", "gather", (cols, rows), total, turned, image, rows, cols, n, 1 / unit
+            )
 
     def _light_of(self, half: Half, sums: Array) -> None:
         backend, around = self.backend, 2 * self.margin
@@ -200,15 +212,15 @@ class Sweeps:
 
     def image(self) -> DeviceImage:
         """Irradiance (rows, cols) float32 [brightness x sr] on the device."""
-        size = (math.prod(self.shape),)
-        total, turned = (self.backend.empty(size, np.int32) for _ in range(2))
-        image = self.backend.empty(size, np.float32)
+        pixels = math.prod(self.shape)
+        total, turned = (self.backend.empty((1, pixels), np.int32) for _ in range(2))
+        image = self.backend.empty((pixels,), np.float32)
         self.light(total, turned, image)
         return DeviceImage(self.backend, image, self.shape)
 
     def irradiance(self, last: bool = False) -> np.ndarray:
         """Irradiance (rows, cols) float32 [brightness x sr]. ``last``: arrays are released after use."""
-        backend, size = self.backend, (math.prod(self.shape),)
+        backend, size = self.backend, (1, math.prod(self.shape))
         turned = backend.empty(size, np.int32, 0)
         if backend.lines > 1 or not last:
             total = backend.empty(size, np.int32, 0)
@@ -357,7 +369,7 @@ class Sweeps:
         elif periodic:
             warm = math.ceil(self.reach) + 1
         shears, tables = _shear_tables(
-            self.near, self.rays, self.unit, numbers, windows, reach, warm, across, along
+            self.near, self.rays, self.units, numbers, windows, reach, warm, across, along
         )
         if table is not None and len(numbers):
             brightness = keep(np.ascontiguousarray(table[numbers], np.float32))
@@ -378,16 +390,18 @@ class Sweeps:
         )
 
 
-def _unit(rays: Rays, table: np.ndarray | None) -> float:
-    """Fixed-point units of an irradiance of 1: no sum exceeds 2^30."""
+def _units(rays: Rays, table: np.ndarray | None) -> list[float]:
+    """Fixed-point units of an irradiance of 1, of every sum: none exceeds 2^30."""
     most = np.ones(len(rays.widths)) if table is None else np.hypot(table[:, 0, 0], table[:, 0, 1])
-    return 2.0**30 / max(float(most @ rays.widths), 1e-20)  # within float32 also under a black sky
+    of_sums = (rays.sums == n for n in range(rays.sums.max(initial=0) + 1))
+    # within float32 also under a black sky
+    return [2.0**30 / max(float(most[some] @ rays.widths[some]), 1e-20) for some in of_sums]
 
 
 def _shear_tables(
     near: int,
     rays: Rays,
-    unit: float,
+    units: list[float],
     numbers: np.ndarray,
     windows: np.ndarray,
     reach: np.ndarray,
@@ -397,7 +411,7 @@ def _shear_tables(
 ) -> tuple[np.ndarray, tuple[np.ndarray, ...]]:
     """(shears of the azimuths, the kernel's azimuths, ways, near_at and near_weight).
 
-    ``unit``: of the fixed-point sum. ``across``, ``along``: components of every azimuth along a row of the
+    ``units``: of the fixed-point sums. ``across``, ``along``: components of every azimuth along a row of the
     map, and from row to row.
     """
     columns = near - 1  # as in opencl/horizon.cl
@@ -410,10 +424,11 @@ def _shear_tables(
     near_columns = np.minimum(columns, np.floor(within * steepness + 1e-9)).astype(int)
     near_rows = np.floor(within + 1e-9)
     azimuths, ways = np.zeros((len(numbers), 8)), np.zeros((len(numbers), 8), np.int32)
-    widths = rays.widths[numbers] * unit
+    sums = rays.sums[numbers]
+    widths = rays.widths[numbers] * np.array(units)[sums]
     azimuths[:, :7] = np.stack([shears, a, b, np.abs(b), widths, inverse, np.minimum(reach, 1e30)], 1)
     warms = np.full(len(numbers), warm)
-    ways[:, :5] = np.stack([np.where(b < 0, 1, -1), near_rows, near_columns, warms, windows], 1)
+    ways[:, :6] = np.stack([np.where(b < 0, 1, -1), near_rows, near_columns, warms, windows, sums], 1)
     near_at = np.zeros((len(numbers), near + columns, 2), np.int32)
     near_weight = np.zeros((len(numbers), near + columns))
     rows = np.arange(1, near + 1) * shears[:, None]

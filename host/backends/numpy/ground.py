@@ -37,9 +37,10 @@ def turn(map: np.ndarray, turned: np.ndarray, rows: int, cols: int) -> None:
 
 
 def gather(
-    sum: np.ndarray, turned: np.ndarray, irradiance: np.ndarray, rows: int, cols: int, unit: float
+    sum: np.ndarray, turned: np.ndarray, irradiance: np.ndarray, rows: int, cols: int, n: int, unit: float
 ) -> None:
-    light = (sum.reshape(rows, cols) + turned.reshape(cols, rows).T).astype(np.float32) * np.float32(unit)
+    light = sum[n].reshape(rows, cols) + turned[n].reshape(cols, rows).T
+    light = light.astype(np.float32) * np.float32(unit)
     irradiance.view(np.float32).reshape(rows, cols)[...] = light  # the same memory as ``sum``
 
 

@@ -70,7 +70,7 @@ def sweep(
             out[...] = np.where(slope < np.float32(-1e20), -np.inf, slope)
         else:
             light = _light(rays, tilts, slope, azimuths[a], table[a] if WHAT == TABLE else None, knots)
-            sum.reshape(rows, cols)[:: rays.towards] += (light + HALF).astype(np.int32)
+            sum[ways[a, 5]].reshape(rows, cols)[:: rays.towards] += (light + HALF).astype(np.int32)
 
 
 class Ladder(NamedTuple):
