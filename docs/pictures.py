@@ -13,7 +13,7 @@ import tempfile
 from pathlib import Path
 
 DOCS = Path(__file__).resolve().parent
-TUTORIALS = ("vision", "terrain", "relief")
+TUTORIALS = ("vision", "terrain", "relief", "year")
 
 
 def blocks(text: str) -> list[tuple[str, str]]:

@@ -16,6 +16,7 @@ from .scale import devices
 from .scene import Scene
 from .sources.brightness import cie_overcast, cosine_power, environment_map, uniform
 from .sources.cie import CieSky, cie_clear, cie_sky, sun_position
+from .sources.over_time import SkyOverTime, sky_over_time
 from .sources.shapes import Lamp, Sky, Window
 from .visibility import View, VisibilityField, visibility, visibility_field
 
@@ -46,6 +47,7 @@ __all__ = [
     "Rendering",
     "Scene",
     "Sky",
+    "SkyOverTime",
     "SkylampError",
     "Tiling",
     "View",
@@ -64,6 +66,7 @@ __all__ = [
     "plan",
     "recover",
     "render",
+    "sky_over_time",
     "sky_view_factor",
     "sun_position",
     "uniform",

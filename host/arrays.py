@@ -26,6 +26,19 @@ class Labels(NamedTuple):
     attrs: dict[Any, Any]
 
 
+class Quantity(NamedTuple):
+    """What the values of a map are: its name, its unit (None: that of the source), and a description."""
+
+    name: str
+    units: str | None
+    long_name: str
+
+
+# attributes of a map that describe its values, and so not those of a result (CF conventions, GDAL)
+OF_VALUES = (
+    "units", "long_name", "standard_name", "description", "_FillValue", "missing_value", "scale_factor",
+    "add_offset", "valid_min", "valid_max", "valid_range", "actual_range", "cell_methods",
+)  # fmt: skip
 ON_CUDA = 2, 13  # DLPack's kDLCUDA and kDLCUDAManaged
 # elements that a thread takes at a time: 4 MiB of float32, some 0.2 ms; chosen: with a
 # quarter of it starting the work takes as long as the work
@@ -191,10 +204,11 @@ def spacing_of(labels: Labels | None) -> float:
     return float(np.mean([step.mean() for step in steps if step.size]))
 
 
-def labelled(array: Any, labels: Labels | None, **leading: Any) -> Any:
-    """``array`` as an xarray.DataArray with ``labels``, or as it is where there are none.
+def labelled(array: Any, labels: Labels | None, quantity: Quantity, **leading: Any) -> Any:
+    """``array`` as an xarray.DataArray with the coordinates of ``labels``, or as it is where there are none.
 
-    ``leading``: axes before theirs, with coordinates. Colours are an axis ``channel`` after theirs.
+    Name, units and description are those of ``quantity``; other attributes stay. ``leading``: axes before
+    theirs, with coordinates. Colours are an axis ``channel`` after theirs.
     """
     if labels is None or array is None:
         return array
@@ -203,4 +217,7 @@ def labelled(array: Any, labels: Labels | None, **leading: Any) -> Any:
     dims = *leading, *labels.dims
     if array.ndim > len(dims):
         dims = *dims, "channel"
-    return xarray.DataArray(array, {**leading, **labels.coords}, dims, labels.name, labels.attrs)
+    attrs = {key: value for key, value in labels.attrs.items() if key not in OF_VALUES}
+    told = {"units": quantity.units, "long_name": quantity.long_name}
+    attrs |= {key: value for key, value in told.items() if value is not None}
+    return xarray.DataArray(array, {**leading, **labels.coords}, dims, quantity.name, attrs)

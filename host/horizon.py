@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from .arrays import labelled, labels_of, multiply
+from .arrays import Quantity, labelled, labels_of, multiply
 from .checks import one_of
 from .directions import Azimuths
 from .errors import bad
@@ -17,6 +17,19 @@ from .scale import over_tiles
 from .scene import Scene, is_scene
 
 DEFINITIONS = ("tilted", "horizontal", "solid_angle")
+SLOPE = Quantity("horizon_slope", "1", "tangent of the elevation of the horizon")
+VIEW = {
+    "tilted": Quantity("sky_view_factor", "1", "sky-view factor of the tilted surface, cosine-weighted"),
+    "horizontal": Quantity(
+        "sky_view_factor", "1", "sky-view factor of a horizontal element, cosine-weighted"
+    ),
+    "solid_angle": Quantity("sky_view_factor", "1", "visible share of the hemisphere's solid angle"),
+}
+OPENNESS = {
+    False: Quantity("openness", "rad", "mean angle from the zenith to the horizon"),
+    True: Quantity("negative_openness", "rad", "mean angle from the nadir to the horizon, seen from below"),
+}
+AZIMUTH_ATTRIBUTES = {"units": "rad", "long_name": "azimuth from +x (columns) towards +y (rows)"}
 RUNGS = 1025  # of the tables that turn slopes into sums
 
 
@@ -31,12 +44,14 @@ def horizons(
     """The horizon's slope, tangent of its elevation, at every node: (azimuths, rows, cols) float32.
 
     Azimuth a looks along 2 pi (a + 1/2) / azimuths [rad] from +x (columns) towards +y (rows). Slopes may be
-    negative; they are -inf where no ground lies that way, and nan where the scene is masked. A scene made
-    from an xarray.DataArray gives a DataArray with the coordinate ``azimuth`` [rad], and a DataArray of
-    heights may be given in its place; this holds for sky_view_factor and openness too. The surface is linear
-    between neighbouring nodes along rows and along columns. ``max_distance`` [unit of spacing]: ground
+    negative; they are -inf where no ground lies that way, and nan where the scene is masked. The surface is
+    linear between neighbouring nodes along rows and along columns. ``max_distance`` [unit of spacing]: ground
     farther away does not count; the whole map does unless given (on a map that repeats, as far as its relief
     makes a slope of 0.01). With dark sides the wall counts as ground.
+
+    A scene made from an xarray.DataArray gives a DataArray with the coordinate ``azimuth`` [rad]. A DataArray
+    of heights may be given in place of a scene: the spacing is that of its coordinates, and nan are masked.
+    Results have their own name, ``units`` and ``long_name``. This holds for sky_view_factor and openness too.
 
     A lazy scene gives a lazy array of the map's own chunks. It is computed in tiles, as is a map beyond the
     device's memory, and any map with a ``tiling``: ground beyond a tile's halo comes from overviews, which
@@ -47,8 +62,11 @@ def horizons(
     scene = _scene_of(scene)
     azimuths, engine = as_azimuths(azimuths), engine_of(scene, backend)
     work = partial(_slopes, azimuths=azimuths, backend=backend)
-    found: np.ndarray = over_tiles(work, scene, tiling, max_distance, engine, azimuth=azimuths.angles)
-    return found
+    found: Any = over_tiles(work, scene, tiling, max_distance, engine, SLOPE, azimuth=azimuths.angles)
+    if scene.labels is not None:
+        found.coords["azimuth"].attrs.update(AZIMUTH_ATTRIBUTES)
+    slopes: np.ndarray = found
+    return slopes
 
 
 def _slopes(
@@ -96,7 +114,7 @@ def sky_view_factor(
     scene = _scene_of(scene)
     engine = engine_of(scene, backend)
     work = partial(sky_view, definition=definition, azimuths=as_azimuths(azimuths), backend=backend)
-    found: np.ndarray = over_tiles(work, scene, tiling, max_distance, engine)
+    found: np.ndarray = over_tiles(work, scene, tiling, max_distance, engine, VIEW[definition])
     return found
 
 
@@ -156,10 +174,12 @@ def openness(
         raise bad("openness: negative", repr(negative), "True or False")
     if negative:
         turned = scene.depth if scene.lazy is None else -scene.lazy
-        labelled_so = labelled(turned, scene.labels)
-        scene = Scene.from_height(labelled_so, scene.spacing, mask=scene.mask, sides=scene.sides)
+        turned = labelled(turned, scene.labels, OPENNESS[True])
+        scene = Scene.from_height(turned, scene.spacing, mask=scene.mask, sides=scene.sides)
     work = partial(mean_openness, azimuths=as_azimuths(azimuths), backend=backend)
-    found: np.ndarray = over_tiles(work, scene, tiling, max_distance, engine_of(scene, backend))
+    found: np.ndarray = over_tiles(
+        work, scene, tiling, max_distance, engine_of(scene, backend), OPENNESS[bool(negative)]
+    )
     return found
 
 

@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from . import shading, sources
-from .arrays import by_bands, labelled, multiply, scratch
+from .arrays import Quantity, by_bands, labelled, multiply, scratch
 from .backends.base import Backend
 from .backends.resident import DeviceImage, Resident
 from .checks import one_of, positive_number
@@ -36,6 +36,12 @@ from .sources.solids import Dome, upright
 
 RENDER_METHODS = ("auto", "lattice", "horizon", "unoccluded")
 QUANTITIES = ("radiance", "irradiance")
+# of DataArrays; their unit is that of the source's brightness, or of brightness x sr
+IMAGES = {
+    "radiance": Quantity("radiance", None, "radiance, in the unit of the source's brightness"),
+    "irradiance": Quantity("irradiance", None, "irradiance, in the unit of the source's brightness times sr"),
+}
+ERRORS = {name: Quantity(f"{name}_error", None, f"estimated error of the {name}") for name in QUANTITIES}
 DEFAULT_AZIMUTHS = 64  # of method "horizon", unless given
 DEFAULT_HEMICUBE = 9  # of the hemicube of method "lattice", unless given
 SUN_DISTANCE = 1e5  # extents of the map at which the sun stands: a hundred-thousandth of a radian across it
@@ -101,7 +107,9 @@ class Rendering:
             np.hypot(np.float32(factor) * _error_map(found, scene), np.float32(between))
             for (found, factor), between in zip(self._parts, self._between)
         ]
-        found: np.ndarray = labelled(_image(scene, errors, [], self._quantity), scene.labels)
+        found: np.ndarray = labelled(
+            _image(scene, errors, [], self._quantity), scene.labels, ERRORS[self._quantity]
+        )
         return found
 
     def _times(self, unit: float) -> Rendering:
@@ -221,7 +229,7 @@ def _in_tiles(
     found, seconds, compiling = timed(engine, light)
     count = len(_sectors(options.azimuths))
     plan = Plan("horizon", None, None, "a map in tiles is not refined", count, options.max_distance)
-    image = labelled(found, scene.labels)
+    image = labelled(found, scene.labels, IMAGES[options.quantity])
     left_out = Interreflection(False, "a map in tiles is lit directly", None)
     return Rendering(
         image, plan, engine.name, seconds, compiling, _quantity=options.quantity, interreflection=left_out
@@ -471,9 +479,11 @@ class _Renderer:
             first = _image(scene, [light.copy() for light in _on_host(direct)], shine, quantity)
         image = self._image(irradiances, shine)
         if first is not None:
-            first, rest = (labelled(values, scene.labels) for values in (first, image - first))
+            first, rest = (
+                labelled(values, scene.labels, IMAGES[quantity]) for values in (first, image - first)
+            )
         return Rendering(
-            labelled(image, scene.labels),
+            labelled(image, scene.labels, IMAGES[quantity]),
             self.plans[0],
             self.engine.name,
             seconds,

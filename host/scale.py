@@ -14,7 +14,7 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-from .arrays import labelled
+from .arrays import Quantity, labelled
 from .backends import backends, prefer
 from .backends.base import Backend
 from .checks import positive_number
@@ -166,17 +166,18 @@ def over_tiles(
     tiling: Tiling | None,
     max_distance: float | None,
     engine: Backend,
-    **leading: np.ndarray,
+    quantity: Quantity,
+    **leading: Any,
 ) -> Any:
-    """``work`` of a whole scene, labelled as its map is.
+    """``work`` of a whole scene, labelled as its map is, its values being ``quantity``.
 
     At once where that can be; else tile by tile: with a ``tiling``, where the map is beyond the device, and
     lazily where the map is lazy. ``leading``: a coordinate, by its name, of an axis before rows and columns.
     """
     if scene.lazy is None and tiling is None and fits(scene, engine):
-        return labelled(work(scene, max_distance, None), scene.labels, **leading)
+        return labelled(work(scene, max_distance, None), scene.labels, quantity, **leading)
     found = tiled(work, scene, tiling, max_distance, *(len(values) for values in leading.values()))
-    return labelled(found, scene.labels, **leading)
+    return labelled(found, scene.labels, quantity, **leading)
 
 
 def tiled(

@@ -210,13 +210,18 @@ class Scene:
         ``height``: (rows, cols); the other arguments and errors as for :class:`Scene`. The difference is
         taken in the type of ``height`` before it is rounded to float32, so heights far above zero keep their
         relief. ``spacing``: unless given, that of an xarray.DataArray's coordinates, which must be even,
-        square and no degrees, in the unit of ``height``; 1 of what has no coordinates.
+        square and no degrees, in the unit of ``height``; 1 of what has no coordinates. The nan of a
+        DataArray are masked unless a mask is given.
 
         A dask.array, or a DataArray with Dask's chunks, makes a lazy scene: nan is where it has no data, and
         horizons, sky_view_factor, openness and render give lazy results of the same chunks. A map of its
         albedo may be lazy too, in chunks of its own; what is outside 0 to 1 is found when it is computed.
         """
-        spacing = spacing_of(labels_of(height)) if spacing is None else spacing
+        labels = labels_of(height)
+        spacing = spacing_of(labels) if spacing is None else spacing
+        if mask is None and labels is not None and height.dtype.kind == "f" and chunked(height) is None:
+            missing = np.isnan(height.values)
+            mask = ~missing if missing.any() else None
         heights: Any = _Heights(height)
         return cls(heights, spacing, albedo, mask, sides, reflectance)
 

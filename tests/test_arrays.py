@@ -168,42 +168,62 @@ def labelled():
         {"y": 4000.0 - 30 * np.arange(18), "x": 500.0 + 30 * np.arange(23), "spatial_ref": 0},
         ("y", "x"),
         "elevation",
-        {"units": "m", "_FillValue": -9999},
+        {"units": "m", "_FillValue": -9999, "AREA_OR_POINT": "Area"},
     )
 
 
-def same_labels(got, like, leading=()):
-    assert (
-        type(got) is type(like)
-        and got.dims == (*leading, *like.dims)
-        and got.name == like.name
-        and got.attrs == like.attrs
-    )
+def same_labels(got, like, name, units, leading=()):
+    """Coordinates of ``like``, but a result's own name and unit; attributes of the old values are gone."""
+    assert type(got) is type(like) and got.dims == (*leading, *like.dims) and got.name == name
+    assert got.attrs.get("units") == units and got.attrs["long_name"]
+    assert set(got.attrs) - {"units", "long_name"} == {"AREA_OR_POINT"}
     assert set(got.coords) == {*like.coords, *leading}
-    for name in like.coords:
-        assert got.coords[name].identical(like.coords[name]), name
+    for coordinate in like.coords:
+        assert got.coords[coordinate].identical(like.coords[coordinate]), coordinate
 
 
 def test_dataarray_in_dataarray_out(labelled, fast):
-    """Every map that a scene gives carries the labels, with the values that NumPy gets."""
+    """Every map that a scene gives carries its coordinates, name and unit, with the values of NumPy's."""
     before = labelled.copy(deep=True)
     scene, plain = sl.Scene.from_height(labelled, spacing=2), sl.Scene.from_height(labelled.values, spacing=2)
     lamp = sl.Lamp(center=(10, 10, -20), radius=4)
-    for work in (
-        lambda s: sl.render(s, sl.Sky(), backend=fast).image,
-        lambda s: sl.render(s, lamp, method="lattice", backend=fast).image,
-        lambda s: sl.sky_view_factor(s, backend=fast),
-        lambda s: sl.openness(s, backend=fast),
-        lambda s: sl.openness(s, backend=fast, negative=True),
+    for work, name, units in (
+        (lambda s: sl.render(s, sl.Sky(), backend=fast).image, "radiance", None),
+        (lambda s: sl.render(s, sl.Sky(), backend=fast).error, "radiance_error", None),
+        (lambda s: sl.render(s, sl.Sky(), backend=fast, parts=True).reflected, "radiance", None),
+        (
+            lambda s: sl.render(s, lamp, "lattice", backend=fast, quantity="irradiance").image,
+            "irradiance",
+            None,
+        ),
+        (lambda s: sl.sky_view_factor(s, backend=fast), "sky_view_factor", "1"),
+        (lambda s: sl.openness(s, backend=fast), "openness", "rad"),
+        (lambda s: sl.openness(s, backend=fast, negative=True), "negative_openness", "rad"),
     ):
-        same_labels(work(scene), labelled)
+        same_labels(work(scene), labelled, name, units)
         assert_bits_equal(work(scene).values, work(plain))
     slopes = sl.horizons(scene, azimuths=8, backend=fast)
-    same_labels(slopes, labelled, ("azimuth",))
+    same_labels(slopes, labelled, "horizon_slope", "1", ("azimuth",))
     np.testing.assert_allclose(slopes.azimuth, 2 * np.pi * (np.arange(8) + 0.5) / 8)
+    assert slopes.azimuth.attrs["units"] == "rad"
     assert isinstance(sl.sky_view_factor(plain, backend=fast), np.ndarray)
     assert labelled.identical(before)
-    same_labels(sl.render(sl.Scene(labelled), sl.Sky(), backend=fast).image, labelled)
+    same_labels(sl.render(sl.Scene(labelled), sl.Sky(), backend=fast).image, labelled, "radiance", None)
+
+
+def test_a_dataarray_brings_spacing_and_holes(labelled, fast):
+    """Spacing by its coordinates, 30; nan is masked there, as xarray has it, and an error in other arrays."""
+    labelled = labelled.astype(float)
+    labelled[3, 4] = np.nan
+    scene = sl.Scene.from_height(labelled.values, 30.0, mask=np.isfinite(labelled.values))
+    for work in (sl.sky_view_factor, sl.openness, sl.horizons):
+        found, expected = work(labelled, azimuths=4, backend=fast), work(scene, azimuths=4, backend=fast)
+        np.testing.assert_array_equal(found.values, expected)
+    image = sl.render(sl.Scene.from_height(labelled), sl.Sky(), azimuths=4, backend=fast).image
+    np.testing.assert_array_equal(image, sl.render(scene, sl.Sky(), azimuths=4, backend=fast).image)
+    assert np.isnan(image.values[3, 4]) and np.isfinite(image.values).sum() == image.size - 1
+    with pytest.raises(sl.InputError, match="NaN"):
+        sl.Scene.from_height(labelled.values)
 
 
 def test_labels_are_a_copy(labelled, fast):
@@ -212,7 +232,7 @@ def test_labels_are_a_copy(labelled, fast):
     labelled.attrs["units"] = "ft"
     labelled.coords["spatial_ref"] = 7
     labelled.values[:] = 0
-    same_labels(sl.sky_view_factor(scene, backend=fast), before)
+    same_labels(sl.sky_view_factor(scene, backend=fast), before, "sky_view_factor", "1")
 
 
 def test_recover_from_a_dataarray(labelled, fast):
@@ -220,8 +240,8 @@ def test_recover_from_a_dataarray(labelled, fast):
     image = labelled / labelled.max()
     image.attrs, image.name = labelled.attrs, "image"
     found = sl.recover(image, sl.Sky(), layers=5, hemicube=3, backend=fast)
-    same_labels(found.depth, image)
-    same_labels(found.drilled, image)
+    same_labels(found.depth, image, "depth", None)
+    same_labels(found.drilled, image, "drilled", "1")
     field = sl.visibility_field(sl.Scene(labelled), sl.Sky(), hemicube=3, layers=4, backend=fast)
     assert isinstance(field.view((3, 3, 0), backend=fast).brightness, np.ndarray)
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from .. import sources
-from ..arrays import Labels, labelled, labels_of
+from ..arrays import Labels, Quantity, labelled, labels_of
 from ..backends import select
 from ..backends.base import Backend
 from ..checks import at, one_of, positive_number, real_array
@@ -31,6 +31,15 @@ from .search import OutOfTime, Search
 RECOVER_METHODS = ("robust", "paper")
 STOPS = ("eps", "sign")
 MOST_LAYERS = 2**20
+CANDIDATES = Quantity("depth_candidate", None, "depth that fits the image too, in the unit of spacing")
+MAPS = (  # fields of Recovery that are maps
+    Quantity("depth", None, "depth, in the unit of spacing"),
+    Quantity("confidence", "1", "confidence in the depth"),
+    Quantity("ambiguous", "1", "whether other depths fit the image too"),
+    Quantity("albedo", "1", "diffuse reflectance"),
+    Quantity("drilled", "1", "whether carving went through to the back"),
+    Quantity("residual", None, "model less image, in the unit of the image"),
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -216,10 +225,9 @@ def _labelled(done: Recovery, labels: Labels | None) -> Recovery:
     """With the coordinates of the image's DataArray, if it was one."""
     if labels is None or done.candidates is None:
         return done
-    names = ("depth", "confidence", "ambiguous", "albedo", "drilled", "residual")
-    maps: dict[str, Any] = {name: labelled(getattr(done, name), labels) for name in names}
+    maps: dict[str, Any] = {kind.name: labelled(getattr(done, kind.name), labels, kind) for kind in MAPS}
     numbers = np.arange(len(done.candidates))
-    return replace(done, **maps, candidates=labelled(done.candidates, labels, candidate=numbers))
+    return replace(done, **maps, candidates=labelled(done.candidates, labels, CANDIDATES, candidate=numbers))
 
 
 def _carved(

@@ -48,18 +48,10 @@ class CieSky:
     def __call__(self, L: np.ndarray) -> np.ndarray:
         L = np.asarray(L, float)
         up = -L[..., 2]
-        a, b, c, d, e = PARAMETERS[self.type]
-
-        def gradation(sine: Any) -> Any:
-            return 1 + a * np.exp(b / np.maximum(sine, 1e-9))
-
-        def scattered(chi: Any) -> Any:
-            return 1 + c * (np.exp(d * chi) - np.exp(d * np.pi / 2)) + e * np.cos(chi) ** 2
-
-        light = self.zenith * gradation(up) / gradation(1.0)
+        light = self.zenith * gradation(self.type, up) / gradation(self.type, 1.0)
         if self.sun is not None:
             chi = np.arccos(np.clip(L @ towards(*self.sun), -1, 1))
-            light = light * scattered(chi) / scattered(np.radians(90 - self.sun[1]))
+            light = light * scattered(self.type, chi) / scattered(self.type, np.radians(90 - self.sun[1]))
         return np.where(up >= 0, light, 0.0)
 
     def scaled(self, factor: float) -> CieSky:
@@ -198,16 +190,7 @@ def sun_position(
             "a time that knows its zone",
             "Append Z for universal time, or +02:00.",
         )
-    try:
-        numbers = [float(v) for v in (latitude, longitude, altitude)]
-    except (TypeError, ValueError):
-        numbers = [np.nan]
-    if not (np.isfinite(numbers).all() and abs(numbers[0]) <= 90 and abs(numbers[1]) <= 360):
-        raise bad(
-            "sun_position: place",
-            (latitude, longitude, altitude),
-            "latitude -90 to 90, longitude -360 to 360 [degree], altitude [metre]",
-        )
+    numbers = check_place("sun_position", latitude, longitude, altitude)
     try:
         import pandas
         import pvlib
@@ -217,6 +200,33 @@ def sun_position(
         pandas.DatetimeIndex([when]), numbers[0], numbers[1], altitude=numbers[2]
     )
     return float(found["azimuth"].iloc[0]), float(found["apparent_elevation"].iloc[0])
+
+
+def gradation(type: int, sine: Any) -> Any:
+    """phi of a CIE type, by the sine of the elevation."""
+    a, b, *_ = PARAMETERS[type]
+    return 1 + a * np.exp(b / np.maximum(sine, 1e-9))
+
+
+def scattered(type: int, chi: Any) -> Any:
+    """f of a CIE type, by the angle [rad] from the sun."""
+    c, d, e = PARAMETERS[type][2:]
+    return 1 + c * (np.exp(d * chi) - np.exp(d * np.pi / 2)) + e * np.cos(chi) ** 2
+
+
+def check_place(what: str, *place: Any) -> list[float]:
+    """Latitude, longitude and altitude as numbers; InputError for a place that is not on Earth."""
+    try:
+        numbers = [float(v) for v in place]
+    except (TypeError, ValueError):
+        numbers = [np.nan]
+    if not (np.isfinite(numbers).all() and abs(numbers[0]) <= 90 and abs(numbers[1]) <= 360):
+        raise bad(
+            f"{what}: place",
+            place,
+            "latitude -90 to 90, longitude -360 to 360 [degree], altitude [metre]",
+        )
+    return numbers
 
 
 def towards(azimuth: float, elevation: float) -> np.ndarray:

@@ -1,0 +1,367 @@
+"""Suns and skies of many times, summed into one brightness, with pvlib.
+
+The sum is a table of cells, as fine as those that :class:`~skylamp.sources.integrals.Integrals` divides any
+sky into, so it is integrated and refined once, however many times it holds. Each sun's disc is shared out
+among the cells that it covers. Skies of one CIE type and one elevation of the sun are one pattern, turned:
+their sum is a convolution over azimuth.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from ..checks import real_array
+from ..errors import InputError, bad, lacking
+from .brightness import BrightnessFunction, directions_of, environment_map
+from .cie import PARAMETERS, SUN_RADIUS, check_place, gradation, scattered
+from .integrals import COLS, ROWS
+
+CELL, TURN = math.pi / 2 / ROWS, 2 * math.pi / COLS  # [rad] height and width of a cell
+# points of equal light in a sun's disc, 0.08 degrees apart: half a cell
+DISC_POINTS = 37
+SUNS_AT_ONCE = 2**14  # whose points are shared out together: some 60 MB
+GOLDEN_ANGLE = math.pi * (3 - math.sqrt(5))  # [rad] from point to point of a sunflower's pattern
+SUN_CLASSES = (
+    91  # elevations of the sun, a degree apart, whose skies are computed; between them is interpolated
+)
+COARSE = 4  # cells along each side of a cell of scattered light: half a degree, a tenth of its finest feature
+# [rad] height of the band at the horizon (Perez et al. 1987: 6.5 degrees)
+PEREZ_BAND = math.radians(6.5)
+PEREZ_LEAST_COSINE = math.cos(math.radians(85))  # of the sun's angle from the zenith, in circumsolar light
+
+
+@dataclass(frozen=True, eq=False)
+class SkyOverTime:
+    """A brightness function, made by :func:`sky_over_time`: (..., 3) unit vectors -> (...) [kWh m^-2 sr^-1].
+
+    image: the sum as an equirectangular map (1280, 2304), laid out as for :func:`environment_map`. ghi, dhi:
+    irradiation of open level ground [kWh m^-2] by all light, and the diffuse part of it that was given or
+    computed. suns: number of positions of the sun above the horizon.
+    """
+
+    image: np.ndarray
+    ghi: float
+    dhi: float
+    suns: int
+
+    @property
+    def pixels(self) -> tuple[int, ...]:
+        """Shape of the image."""
+        return self.image.shape
+
+    @cached_property
+    def _function(self) -> BrightnessFunction:
+        return environment_map(self.image)
+
+    def __call__(self, L: np.ndarray) -> np.ndarray:
+        return self._function(L)
+
+
+def sky_over_time(
+    times: Any,
+    latitude: float,
+    longitude: float,
+    altitude: float = 0.0,
+    *,
+    dni: Any = None,
+    dhi: Any = None,
+    model: Any = "perez",
+    hours: Any = None,
+    substeps: int = 1,
+) -> SkyOverTime:
+    """The suns and skies of many times as one brightness, for ``Sky``: a day, a season, a year of light.
+
+    One ``render(scene, Sky(sky_over_time(...)), quantity="irradiance")`` gives the irradiation in kWh m^-2:
+    the sum of what a render of every time would give [W m^-2], times its hours, over 1000.
+
+    Parameters
+    ----------
+    times : pandas.DatetimeIndex, or what makes one
+        With a time zone. The sun stands where it is at these times: of values that are means over an hour,
+        give the middle of the hour.
+    latitude, longitude, altitude : float [degree, north and east positive; metre]
+        Of the map. One sun and one sky serve all of it.
+    dni, dhi : (times,) [W m^-2], optional
+        Measured direct normal and diffuse horizontal irradiance, both or neither. Without them those of a
+        clear sky (Ineichen and Perez 2002, with pvlib's monthly Linke turbidity). Of times at which the sun
+        is down dni has no effect, and dhi comes evenly from the sky.
+    model : "perez", 1 to 15, or (times,) of these numbers
+        How dhi is spread over the sky. "perez": Perez et al. 1990 as in ``pvlib.irradiance.perez``: even
+        light, circumsolar light, which comes from the sun's disc, and a band of 6.5 degrees at the horizon.
+        A number: that type of the CIE standard general sky, see :func:`cie_sky`, say 12 for clear days and 1
+        for overcast ones.
+    hours : float or (times,), optional
+        Hours that each time stands for; the step of ``times`` where that is even.
+    substeps : int
+        Positions of the sun, evenly over the hours of each time and around it; 1 unless given. With 12 for
+        times an hour apart the discs follow one another along the sun's track without a gap of more than 1.3
+        degrees, and shadows are no longer those of separate hours.
+
+    Returns
+    -------
+    SkyOverTime
+        Brightness in kWh m^-2 sr^-1, with ``ghi`` and ``dhi`` of open level ground [kWh m^-2].
+
+    Raises
+    ------
+    InputError
+        For times without a zone or without an even step and hours, a place that is not on Earth, dni or dhi
+        that do not fit or are not finite and >= 0 by day, or if pvlib is not installed.
+
+    Examples
+    --------
+    >>> import pandas
+    >>> hours = pandas.date_range("2026-01-01", "2027-01-01", freq="h", inclusive="left", tz="UTC")
+    >>> year = sky_over_time(hours, 36.6, -84.2, altitude=500)
+    >>> irradiation = render(scene, Sky(year), quantity="irradiance").image   # kWh m^-2
+    """
+    place = check_place("sky_over_time", latitude, longitude, altitude)
+    try:
+        import pandas
+        import pvlib
+    except ImportError as error:
+        raise lacking("sky_over_time", "pvlib", "sun") from error
+    index = _index(times, pandas)
+    step = _hours(index, hours)
+    measured = _measured(dni, dhi, len(index))
+    types = _types(model, len(index))
+    if isinstance(substeps, bool) or not isinstance(substeps, (int, np.integer)) or substeps < 1:
+        raise bad("sky_over_time: substeps", repr(substeps), "a whole number >= 1")
+    shift = (np.arange(substeps) + 0.5) / substeps - 0.5
+    index = index.repeat(substeps) + pandas.to_timedelta(np.outer(step, shift).ravel(), "h")
+    location = pvlib.location.Location(place[0], place[1], altitude=place[2])
+    sun = location.get_solarposition(index)
+    if measured is None:
+        clear = location.get_clearsky(index, solar_position=sun)
+        light = np.stack([clear["dni"].to_numpy(), clear["dhi"].to_numpy()])
+    else:
+        light = np.repeat(measured, substeps, 1)
+    azimuth, elevation = sun["azimuth"].to_numpy(), sun["apparent_elevation"].to_numpy()
+    light = _checked(light, elevation > 0, index)
+    up = np.flatnonzero(elevation > 0)
+    weight = np.repeat(step / substeps / 1000, substeps)
+    night = np.delete(weight * light[1], up).sum()
+    azimuth, elevation, index, weight = azimuth[up], elevation[up], index[up], weight[up]
+    types, (beam, diffuse) = np.repeat(types, substeps)[up], light[:, up]
+    sky = np.full((ROWS, COLS), night / math.pi)
+    perez = types == 0
+    if perez.any():
+        even, band, circumsolar = _perez(
+            index[perez], azimuth[perez], elevation[perez], beam[perez], diffuse[perez], pvlib
+        )
+        beam[perez] += circumsolar
+        sky += weight[perez] @ even
+        sky[: round(PEREZ_BAND / CELL)] += weight[perez] @ band
+    for kind in np.unique(types[~perez]):
+        of = types == kind
+        sky += _scattered(int(kind), azimuth[of], elevation[of], weight[of] * diffuse[of])
+    sky += _discs(azimuth, elevation, weight * beam)
+    # below the horizon only what interpolation needs
+    image = np.concatenate([sky[::-1], sky[:1], np.zeros((ROWS - 1, COLS))])
+    return SkyOverTime(image, _level(sky), float(night + weight @ diffuse), len(up))
+
+
+def _index(times: Any, pandas: Any) -> Any:
+    """``times`` as a pandas.DatetimeIndex with a zone."""
+    try:
+        index = pandas.DatetimeIndex(times)
+    except (TypeError, ValueError) as error:
+        raise bad(
+            "sky_over_time: times", f"{type(times).__name__} ({error})", "a pandas.DatetimeIndex"
+        ) from None
+    if not len(index) or index.hasnans:
+        raise bad(
+            "sky_over_time: times",
+            f"{len(index)} times, missing ones: {index.hasnans}",
+            "at least one, none missing",
+        )
+    if index.tz is None:
+        raise bad(
+            "sky_over_time: times without a zone",
+            str(index[0]),
+            "times with a time zone",
+            'Use times.tz_localize("UTC").',
+        )
+    return index
+
+
+def _hours(index: Any, hours: Any) -> np.ndarray:
+    """(times,) [hour] that each time stands for."""
+    if hours is None:
+        steps = np.diff(index.asi8 if hasattr(index, "asi8") else index.astype("int64"))
+        if not len(steps) or steps[0] <= 0 or (steps != steps[0]).any():
+            raise bad(
+                "sky_over_time: times without an even step",
+                f"{len(index)} times, {len(np.unique(steps))} different steps",
+                "times that are evenly spaced, or hours",
+                "Pass hours=1.0 for values of an hour each.",
+            )
+        hours = (index[1] - index[0]).total_seconds() / 3600
+    found = real_array(hours, "sky_over_time: hours", None)
+    if found.shape not in ((), (len(index),)) or not (np.isfinite(found) & (found > 0)).all():
+        raise bad("sky_over_time: hours", f"shape {found.shape}", f"finite numbers > 0, one or {len(index)}")
+    return np.broadcast_to(found, len(index))
+
+
+def _measured(dni: Any, dhi: Any, count: int) -> np.ndarray | None:
+    """(2, times) [W m^-2], or None."""
+    if dni is None and dhi is None:
+        return None
+    if dni is None or dhi is None:
+        raise InputError(
+            f"sky_over_time: {'dni' if dhi is None else 'dhi'} is given without the other;"
+            " allowed: both, or neither for a clear sky."
+        )
+    found = [real_array(values, f"sky_over_time: {name}", 1) for name, values in (("dni", dni), ("dhi", dhi))]
+    for name, values in zip(("dni", "dhi"), found):
+        if len(values) != count:
+            raise bad(f"sky_over_time: {name}", f"{len(values)} values", f"{count}, one for every time")
+    return np.stack(found)
+
+
+def _types(model: Any, count: int) -> np.ndarray:
+    """(times,) CIE types, 0 for Perez."""
+    if isinstance(model, str) and model == "perez":
+        return np.zeros(count, int)
+    found = np.asarray(model)
+    if (
+        found.dtype.kind not in "iu"
+        or found.shape not in ((), (count,))
+        or not np.isin(found, list(PARAMETERS)).all()
+    ):
+        raise bad(
+            "sky_over_time: model", repr(model), f'"perez", a CIE type from 1 to 15, or {count} such types'
+        )
+    return np.broadcast_to(found, count)
+
+
+def _checked(light: np.ndarray, up: np.ndarray, index: Any) -> np.ndarray:
+    """dni and dhi (2, times): by night no dni, and dhi where there is any."""
+    light = np.where(up, light, np.stack([np.zeros(len(up)), np.fmax(light[1], 0)]))
+    wrong = ~(np.isfinite(light) & (light >= 0)).all(0)
+    if wrong.any():
+        n = int(np.argmax(wrong))
+        raise bad(
+            f"sky_over_time: dni and dhi of {wrong.sum()} times",
+            f"{light[0, n]} and {light[1, n]} at {index[n]}",
+            "finite numbers >= 0 [W m^-2] while the sun is up",
+            "Fill gaps, or leave these times out and pass hours.",
+        )
+    return light
+
+
+def _moments() -> np.ndarray:
+    """Integrals of sin cos over the cells of every row, from the horizon up: (ROWS,)."""
+    found: np.ndarray = TURN * np.diff(np.sin(CELL * np.arange(ROWS + 1)) ** 2) / 2
+    return found
+
+
+def _level(sky: np.ndarray) -> float:
+    """Irradiance of level ground under cells (ROWS, COLS)."""
+    return float(_moments() @ sky.sum(1))
+
+
+def _perez(
+    index: Any, azimuth: np.ndarray, elevation: np.ndarray, dni: np.ndarray, dhi: np.ndarray, pvlib: Any
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Brightness of the even sky and what the band adds [W m^-2 sr^-1], circumsolar light [W m^-2]: (times,).
+
+    The first two have the light of pvlib's model on level ground and on a wall. Where that asks for a band
+    darker than black, it is black.
+    """
+    zenith = 90 - elevation
+    there = dhi > 0
+    arguments = (
+        dhi[there],
+        dni[there],
+        pvlib.irradiance.get_extra_radiation(index[there]).to_numpy(),
+        zenith[there],
+        azimuth[there],
+        pvlib.atmosphere.get_relative_airmass(zenith[there]),
+    )
+    even, wall = np.zeros((2, len(dhi)))
+    even[there] = pvlib.irradiance.perez(0, 0, *arguments, return_components=True)["poa_isotropic"]
+    wall[there] = pvlib.irradiance.perez(90, azimuth[there], *arguments, return_components=True)[
+        "poa_horizon"
+    ]
+    circumsolar = (dhi - even) / np.maximum(np.cos(np.radians(zenith)), PEREZ_LEAST_COSINE)
+    # of a band of brightness 1, on level ground and on a wall
+    edge = round(PEREZ_BAND / CELL) * CELL
+    on_level, on_wall = math.pi * math.sin(edge) ** 2, edge + math.sin(2 * edge) / 2
+    band = np.maximum(wall / (on_wall - on_level / 2), -even / (math.pi - on_level))
+    return (even - on_level * band) / math.pi, band, circumsolar
+
+
+def _scattered(kind: int, azimuth: np.ndarray, elevation: np.ndarray, energy: np.ndarray) -> np.ndarray:
+    """The sum of skies of a CIE type (ROWS, COLS), whose light on level ground is ``energy`` (times,)."""
+    rows, cols = ROWS // COARSE, COLS // COARSE
+    middle = COARSE * CELL * (np.arange(rows) + 0.5)
+    relative = COARSE * TURN * np.arange(cols)
+    L = directions_of(relative, np.sin(middle)[:, None])
+    fine = gradation(kind, np.sin(CELL * (np.arange(ROWS) + 0.5)))
+    moments = COARSE * (_moments() * fine).reshape(rows, COARSE).sum(1)
+    turned = np.radians(azimuth - 90) / (COARSE * TURN) - 0.5
+    suns = _shared(elevation / 90 * (SUN_CLASSES - 1), turned, energy, (SUN_CLASSES, cols))
+    spectrum = np.zeros((rows, cols // 2 + 1), complex)
+    for n in np.flatnonzero(suns.any(1)):
+        e = math.pi / 2 * n / (SUN_CLASSES - 1)
+        chi = np.arccos(np.clip(L @ [math.cos(e), 0.0, -math.sin(e)], -1, 1))
+        pattern = scattered(kind, chi)
+        spectrum += np.fft.rfft(suns[n]) * np.fft.rfft(pattern / (moments @ pattern.sum(1)))
+    found = fine[:, None] * _finer(np.fft.irfft(spectrum, cols))
+    return np.asarray(found * (energy.sum() / max(_level(found), 1e-300)))
+
+
+def _finer(cells: np.ndarray) -> np.ndarray:
+    """Cells (rows, cols) all round in cells COARSE times as fine, interpolated bilinearly."""
+    for axis, around in ((0, False), (1, True)):
+        count = cells.shape[axis]
+        place = (np.arange(COARSE * count) + 0.5) / COARSE - 0.5
+        low = np.floor(place).astype(int)
+        part = np.expand_dims(place - low, 1 - axis)
+        ends = (
+            [low % count, (low + 1) % count] if around else [np.clip(low + n, 0, count - 1) for n in (0, 1)]
+        )
+        cells = (1 - part) * cells.take(ends[0], axis) + part * cells.take(ends[1], axis)
+    return cells
+
+
+def _shared(row: np.ndarray, col: np.ndarray, values: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
+    """``values`` at fractional places, shared out among the four cells round each; columns run all round."""
+    found = np.zeros(math.prod(shape))
+    low, left = np.floor(row), np.floor(col)
+    for i, part in ((0, 1 - row + low), (1, row - low)):
+        at = np.clip(low + i, 0, shape[0] - 1).astype(int) * shape[1]
+        for j, share in ((0, 1 - col + left), (1, col - left)):
+            cell = at + (left + j).astype(int) % shape[1]
+            found += np.bincount(cell, part * share * values, len(found))
+    return found.reshape(shape)
+
+
+def _discs(azimuth: np.ndarray, elevation: np.ndarray, energy: np.ndarray) -> np.ndarray:
+    """The sum of suns' discs (ROWS, COLS), ``energy`` (times,) on surfaces that face them."""
+    a, e = np.radians(azimuth - 90), np.radians(elevation)
+    out = math.radians(SUN_RADIUS) * np.sqrt((np.arange(DISC_POINTS) + 0.5) / DISC_POINTS)
+    turn = GOLDEN_ANGLE * np.arange(DISC_POINTS)
+    across, along = out * np.cos(turn), out * np.sin(turn)
+    across, along = across - across.mean(), along - along.mean()  # their middle is the sun's
+    found = np.zeros((ROWS, COLS))
+    for some in np.array_split(np.arange(len(a)), -(-len(a) // SUNS_AT_ONCE) or 1):
+        c, s, cosine, sine = (f(v)[some, None] for v in (a, e) for f in (np.cos, np.sin))
+        # the disc's plane is spanned by the vectors to the right and upwards
+        x = c * (cosine - along * sine) - across * s
+        y = s * (cosine - along * sine) + across * c
+        z = sine + along * cosine
+        row = np.arctan2(z, np.hypot(x, y)) / CELL - 0.5
+        col = np.arctan2(y, x) / TURN - 0.5
+        light = np.broadcast_to(energy[some, None] / DISC_POINTS, row.shape)
+        above = row > -0.5
+        found += _shared(row[above], col[above], light[above], (ROWS, COLS))
+    solid_angles = TURN * np.diff(np.sin(CELL * np.arange(ROWS + 1)))
+    whole: np.ndarray = found / solid_angles[:, None]
+    return whole
