@@ -134,26 +134,32 @@ def sky_over_time(
         raise bad("sky_over_time: substeps", repr(substeps), "a whole number >= 1")
     shift = (np.arange(substeps) + 0.5) / substeps - 0.5
     index = index.repeat(substeps) + pandas.to_timedelta(np.outer(step, shift).ravel(), "h")
+    step, types = (np.repeat(values, substeps) for values in (step / substeps, types))
+    return _summed(index, place, step / 1000, types, measured, pvlib)
+
+
+def _summed(
+    index: Any, place: list[float], weight: np.ndarray, types: np.ndarray, measured: Any, pvlib: Any
+) -> SkyOverTime:
+    """The sum of light [W m^-2] times ``weight``; ``measured`` (2, times), each for equally many of index."""
     location = pvlib.location.Location(place[0], place[1], altitude=place[2])
     sun = location.get_solarposition(index)
     if measured is None:
         clear = location.get_clearsky(index, solar_position=sun)
         light = np.stack([clear["dni"].to_numpy(), clear["dhi"].to_numpy()])
     else:
-        light = np.repeat(measured, substeps, 1)
+        light = np.repeat(measured, len(index) // measured.shape[1], 1)
     azimuth, elevation = sun["azimuth"].to_numpy(), sun["apparent_elevation"].to_numpy()
     light = _checked(light, elevation > 0, index)
     up = np.flatnonzero(elevation > 0)
-    weight = np.repeat(step / substeps / 1000, substeps)
     night = np.delete(weight * light[1], up).sum()
     azimuth, elevation, index, weight = azimuth[up], elevation[up], index[up], weight[up]
-    types, (beam, diffuse) = np.repeat(types, substeps)[up], light[:, up]
+    types, (beam, diffuse) = types[up], light[:, up]
     sky = np.full((ROWS, COLS), night / math.pi)
     perez = types == 0
     if perez.any():
-        even, band, circumsolar = _perez(
-            index[perez], azimuth[perez], elevation[perez], beam[perez], diffuse[perez], pvlib
-        )
+        at = azimuth[perez], elevation[perez]
+        even, band, circumsolar = _perez(index[perez], *at, beam[perez], diffuse[perez], pvlib)
         beam[perez] += circumsolar
         sky += weight[perez] @ even
         sky[: round(PEREZ_BAND / CELL)] += weight[perez] @ band
