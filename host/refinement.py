@@ -38,16 +38,13 @@ from .sources.solids import Ball, Quad, aperture, rectangle, upright
 
 # -- tolerance and estimates
 DEFAULT_TAIL = 10.0  # bound on the 99.9th percentile of the error, in tolerances, unless given
-# error over half the difference of halves if nothing else is known, and at least; measured, docs/model.md
-FIRST_SHARE, LEAST_SHARE = 0.9, 0.45
-LEAST_SAMPLED_SHARE = 0.3  # the least share that the samples may tell; chosen
-# the same of half the difference to a quarter of the rays, where errors fall in proportion to the number
-RAYS_SHARE = 2 / 3
-BALL_SHARE = 0.5  # the same of the alternating sum of a ball's slices: at most 0.61 on 114 pairs
+# error over half the difference of two images: bounds of what the samples may tell, and what it is where they
+# cannot. It is 1 where the two err independently and their mean is the image; more says that they share an
+# error, which no more azimuths mend. On 60 lamps and windows (96 x 96) 0.1 to 1.4, median 0.5
+LEAST_SHARE, MOST_SHARE, FIRST_SHARE = 0.1, 1.3, 0.9
+# the same of the exact light at the samples, of which the finest two are compared; measured, docs/model.md
+JUDGE_SHARE = 0.45
 BEYOND = 1e-3  # share of nodes whose error may pass the tail, which bounds a 99.9th percentile
-# times the estimate from which on an audit tells of what both halves share: more near rows are tried before
-# more azimuths
-DISAGREE = 1.3
 MOST_UNITS = {Horizons: 1024, Sliced: 1024, Lattice: 33}  # up to which is refined
 MOST_STEPS = 2**40  # nodes x azimuths of a call: some three hours on two cores, ten seconds on an H200
 
@@ -59,15 +56,16 @@ EXACT_GRIDS = {36: 6, 72: 12, 144: 24, 288: 48}
 # sectors of azimuth that small bright parts have together at least, as many as a CPU takes at a time; times
 # as many are tried
 LEAST_SECTORS, SECTOR_MULTIPLES = 8, (1, 3, 9)
-# error over the difference of two halves of sectors: about LEAST_SHARE of half of it, as for azimuths
+# error over the difference of two halves of sectors: about JUDGE_SHARE of half of it, as for azimuths
 SECTOR_SHARE = 0.25
 CONVERGENCE_ORDER = 1.2  # of convergence in the number of azimuths, on rough ground: performance/horizon.py
-CLIFF_NEAR_ROWS = 24  # near rows within which every crossing is tested, where the usual 6 do not do
+# near rows within which every crossing is tested, where the usual 6 do not do; the next, where these do not
+CLIFF_NEAR_ROWS = 24, 96
 # RMS error of sweeps behind cliffs, over the root of their share of the neighbours, with 6 near rows and with
-# CLIFF_NEAR_ROWS: measured
-BEHIND_CLIFFS = {None: 0.028, CLIFF_NEAR_ROWS: 0.0085}
-# tolerance below which shadows of suns take CLIFF_NEAR_ROWS: with 6 near rows they cost 0.1 to 0.9 %, with 24
-# 0.01 to 0.35 % (fractals, terrain)
+# 24: measured
+BEHIND_CLIFFS = {None: 0.028, 24: 0.0085}
+# tolerance below which shadows of suns take 24 near rows: with 6 they cost 0.1 to 0.9 %, with 24 0.01 to
+# 0.35 % (fractals, terrain)
 SHARP_SHADOWS = 0.01
 NEARLY_UNIFORM = 0.1  # tolerances by which a brightness may vary that is taken as a number
 SEARCHED_SLOPES = (0.8, 0.4, 0.2, 0.1, 0.05, 0.025)  # over which a map that repeats is searched
@@ -233,19 +231,18 @@ def refined(
     seconds = _stopwatch(engine)
     planner = choose(scene, source, tolerance, engine, tail, interreflection)
     planning = seconds()
-    method, steps, before = planner.begin(), [], None
+    method, steps = planner.begin(), []
     while True:
-        found = assess(planner, method, before)
-        steps.append(Step(method.units, found.expected if found.estimate else None, found.audit))
+        found = assess(planner, method)
+        steps.append(Step(method.units, found.estimated, found.audit))
         if found.within(tolerance) or not planner.refine(found.is_shared):
             break
-        before = found.estimate if planner.method is method and method.interleaves else None
         method = planner.method
     made = planner.plan(method.at(planner.samples) if planner.exact is None else None)
     if len(steps) > 1:
         begun, last = (f"{step.units} {_units_of(made.method)}" for step in (steps[0], steps[-1]))
-        why = f"{begun} at first: the image was estimated to be {_percent(found.worst)} off in the end"
-        reason = f"refined {len(steps) - 1} times, relative RMS error {found.worst:.2g} estimated"
+        why = f"{begun} at first: the image was estimated to be {_percent(found.error or 0)} off in the end"
+        reason = f"refined {len(steps) - 1} times, relative RMS error {found.error or 0:.2g} estimated"
         made = replace(made, reason=reason, choices=(*made.choices, Choice("refined to", last, why)))
     made = replace(
         made,
@@ -257,7 +254,7 @@ def refined(
         seconds=seconds(),
         planning_seconds=planning,
     )
-    floor = found.floor(planner) * (planner.mean if math.isfinite(planner.mean) else 0.0)
+    floor = found.floor * (planner.mean if math.isfinite(planner.mean) else 0.0)
     light = method.device_image() if stays else None
     irradiance = method.irradiance() if light is None else light
     return Refined(
@@ -272,47 +269,42 @@ def _units_of(method: str) -> str:
 class Assessment(NamedTuple):
     """What is known of the relative RMS error of an image.
 
-    estimate: of half the difference of its two halves, or None where there are not two; share: of it that is
-    the error; audit: the error at the samples, or None where their light is not known; expected: the error by
-    the two halves, or by the audit without them; error: the same, or the audit where it is clearly larger.
+    estimate: of half the difference of its two images, or None where there are not two; share: of it that is
+    the error; audit: the error at the samples, or None where their light is not known; floor: the part of it
+    that both images share.
     """
 
     estimate: Estimate | None
     share: float
     audit: float | None
-    expected: float | None
-    error: float | None
+    floor: float
+
+    @property
+    def estimated(self) -> float | None:
+        """The error over all nodes by the two images, and what they share."""
+        return None if self.estimate is None else math.hypot(self.share * self.estimate.rms, self.floor)
+
+    @property
+    def error(self) -> float | None:
+        """The larger of both, which is held against the tolerance; None where neither is known."""
+        return max((value for value in (self.estimated, self.audit) if value is not None), default=None)
 
     @property
     def is_shared(self) -> bool:
-        """Whether the samples find an error that both halves share."""
-        return self.audit is not None and (self.estimate is None or self.error == self.audit)
-
-    @property
-    def worst(self) -> float:
-        """What is held against the tolerance, and the number of the warning."""
-        return max(self.error or 0.0, self.audit or 0.0)
+        """Whether most of the error is what both images share."""
+        return self.audit is not None and self.floor > 0.5 * self.audit
 
     def within(self, tolerance: float) -> bool:
         """Whether nothing speaks against the tolerance."""
-        if self.error is None:
-            return True
         few = self.estimate is None or self.estimate.beyond <= BEYOND
-        return self.worst <= ESTIMATE_SHARE * tolerance and few
-
-    def floor(self, planner: _Planner) -> float:
-        """Error that both halves share."""
-        if self.estimate is None or self.error is None:
-            return self.error or 0.0
-        halves = self.share * self.estimate.rms
-        return max(planner.floor, math.sqrt(max(0.0, self.error**2 - halves**2)))
+        return self.error is None or self.error <= ESTIMATE_SHARE * tolerance and few
 
     def warnings(self, tolerance: float, tail: float) -> list[str]:
         """What was asked for and is not had, with its number."""
         found = []
-        if self.worst > tolerance:
+        if self.error is not None and self.error > tolerance:
             found.append(
-                f"Tolerance: the image is estimated to be {100 * self.worst:.3g} % off (RMS over the mean),"
+                f"Tolerance: the image is estimated to be {100 * self.error:.3g} % off (RMS over the mean),"
                 f" more than the {100 * tolerance:.3g} % asked for."
             )
         if self.estimate is not None and self.estimate.beyond > BEYOND:
@@ -323,20 +315,23 @@ class Assessment(NamedTuple):
         return found
 
 
-def assess(planner: _Planner, method: LightMethod, before: Estimate | None) -> Assessment:
-    """The error of an image; ``before``: the estimate of the same method with half as many units."""
+def assess(planner: _Planner, method: LightMethod) -> Assessment:
+    """The error of an image.
+
+    The samples tell which share of half the difference of the two images is the error; it is kept from the
+    last image that the exact light there could judge. What is more than MOST_SHARE of it, both images share.
+    """
+    samples, exact = planner.samples, planner.exact
     audit = planner.audit(method)
-    share = planner.share if before is None else LEAST_SHARE
-    estimate = method.estimate(planner.tail * planner.mean / share)
-    if estimate is None:
-        return Assessment(None, share, audit, audit, audit)
-    if before is not None:
-        # errors of sets that share no ray: that of their mean follows from how fast their differences fall
-        fall = (before.rms / max(estimate.rms, 1e-30)) ** 2
-        share = max(LEAST_SHARE, 1 / math.sqrt(max(fall - 1, FIRST_SHARE**-2)))
-    expected = math.hypot(share * estimate.rms, planner.floor)
-    error = expected if audit is None or audit <= DISAGREE * expected else audit
-    return Assessment(estimate, share, audit, expected, error)
+    half = None if exact is None else method.half_at(samples)
+    if exact is None or half is None or audit is None:
+        return Assessment(None, 0.0, audit, audit or 0.0)
+    by_half = samples.errors(exact + half, exact).rms
+    if by_half > 0 and audit > planner.doubt:
+        planner.share = min(max(audit / by_half, LEAST_SHARE), MOST_SHARE)
+    share = planner.share
+    floor = math.sqrt(max(0.0, audit**2 - (share * by_half) ** 2))
+    return Assessment(method.estimate(planner.tail * planner.mean / share), share, audit, floor)
 
 
 def choose(
@@ -390,7 +385,7 @@ class _ClosedForm(LightMethod):
     ``coarse``: the same by a quarter of the rays to a source whose brightness varies.
     """
 
-    units, interleaves = 0, False
+    units = 0
 
     def __init__(self, scene: Scene, image: np.ndarray, coarse: np.ndarray | None = None):
         self.scene, self.image, self.difference = scene, image, None
@@ -426,8 +421,9 @@ class _Planner(ABC):
     expected = Errors(math.nan, math.nan, math.nan)
     exact: np.ndarray | None = None  # light at the samples
     uniform: np.ndarray | None = None  # that of a uniform sky of brightness 1
-    share = FIRST_SHARE  # error over half the difference of two halves
-    floor = 0.0  # error that both halves share
+    share = FIRST_SHARE  # error over half the difference of two images
+    floor = 0.0  # error that both images are expected to share
+    doubt = 0.0  # relative RMS error of the exact light at the samples
     max_distance: float | None = None
     unknown = ""  # why the error is not known
     interreflection: bool | str = "auto"  # whether the light between surfaces is asked for
@@ -460,10 +456,11 @@ class _Planner(ABC):
         return self.method
 
     def audit(self, method: LightMethod) -> float | None:
-        """The image's relative RMS error at the samples."""
+        """The image's relative RMS error at the samples, less that of the exact light there."""
         if self.exact is None:
             return None
-        return self.samples.errors(method.at(self.samples), self.exact).rms
+        found = self.samples.errors(method.at(self.samples), self.exact).rms
+        return math.sqrt(max(0.0, found**2 - self.doubt**2))
 
     def refine(self, is_shared: bool) -> bool:
         """Whether the method could be refined. ``is_shared``: its two halves share the error."""
@@ -585,7 +582,7 @@ class _SkyPlanner(_Planner):
         cliffs = math.sqrt(samples.cliffs) * rest
         steep = BEHIND_CLIFFS[None] * cliffs > 0.5 * self.tolerance
         if steep or self.suns and self.rays is None and self.tolerance < SHARP_SHADOWS:
-            self.near_rows = CLIFF_NEAR_ROWS
+            self.near_rows = CLIFF_NEAR_ROWS[0]
         floor = BEHIND_CLIFFS[self.near_rows] * cliffs
         planes = even(unoccluded.INTEGRATED_AZIMUTHS, 0.5)
         self.free = (
@@ -619,10 +616,7 @@ class _SkyPlanner(_Planner):
             self.rays = margin_of(scene, self.suns, self.samples.relief)
 
     def _trace(self, grid: int) -> None:
-        """Exact light at the samples in ``grid`` azimuths or more, each time twice as many as before.
-
-        ``doubt``: relative RMS error of that light itself.
-        """
+        """Exact light at the samples in ``grid`` azimuths or more, each time twice as many as before."""
         samples = self.samples
         while self.grid < grid:
             first = not self.grid
@@ -643,7 +637,7 @@ class _SkyPlanner(_Planner):
         )
         self.rest = (one + other) / 2
         self.exact = self.rest + self.bright
-        self.doubt = LEAST_SHARE * samples.errors(self.exact + (other - one) / 2, self.exact).rms
+        self.doubt = JUDGE_SHARE * samples.errors(self.exact + (other - one) / 2, self.exact).rms
 
     def _choose_azimuths(self, floor: float) -> None:
         """The fewest azimuths whose errors at the samples, with the floor, are within the tolerance."""
@@ -651,12 +645,11 @@ class _SkyPlanner(_Planner):
             self._trace(grid)
             counts = [n for n in AZIMUTH_COUNTS if n <= most and grid % (3 * n) == 0]
             measured = {count: self._measured(count) for count in counts}
-            fitting = [count for count, (found, _) in measured.items() if self.fits(found, floor)]
+            fitting = [count for count, found in measured.items() if self.fits(found, floor)]
             if fitting:
                 break
         self.units = min(fitting, default=max(measured))
-        self.expected, share = measured[self.units]
-        self.share = min(max(share, LEAST_SAMPLED_SHARE), 1.5)
+        self.expected = measured[self.units]
         if fitting:
             return
         last, judged = self.expected, self.units
@@ -665,8 +658,8 @@ class _SkyPlanner(_Planner):
             if self.fits(self.expected, floor):
                 break
 
-    def _measured(self, count: int) -> tuple[Errors, float]:
-        """Errors at the samples of ``count`` azimuths; their RMS over half the difference of two halves."""
+    def _measured(self, count: int) -> Errors:
+        """Errors at the samples of ``count`` azimuths."""
         first, second = (
             self._corrected(
                 self.angles[n],
@@ -676,9 +669,7 @@ class _SkyPlanner(_Planner):
             )
             for n in ((self.grid * (3 * np.arange(odd, count, 2) + 1)) // (3 * count) for odd in (0, 1))
         )
-        found = self.samples.errors((first + second) / 2 + self.bright, self.exact)
-        half = self.samples.errors((second - first) / 2 + self.exact, self.exact).rms
-        return found, found.rms / half if half > 0 else FIRST_SHARE
+        return self.samples.errors((first + second) / 2 + self.bright, self.exact)
 
     def _corrected(
         self, angles: np.ndarray, slopes: np.ndarray, widths: np.ndarray, windows: np.ndarray
@@ -751,14 +742,18 @@ class _SkyPlanner(_Planner):
             return
         samples, side = self.samples, math.sqrt(math.prod(self.scene.shape))
         whole = 1 + max(*self.scene.shape, samples.relief / LEAST_SEARCHED_SLOPE) / side
-        angles = 2 * np.pi * (np.arange(24) + OFFSET) / 24
-        full = samples.ring(angles, samples.horizons(angles)).sum(0)
+        angles, widths = 2 * np.pi * (np.arange(24) + OFFSET) / 24, np.full(24, np.pi / 12)
+
+        def seen(reach: float) -> np.ndarray:
+            return self._corrected(angles, samples.horizons(angles, reach), widths, widths) + self.bright
+
+        full = seen(math.inf)
         self.why_far = f"on a map that repeats, as far as its relief makes a slope of {LEAST_SEARCHED_SLOPE}"
         for slope in SEARCHED_SLOPES:
             reach = max(2.0, math.ceil(samples.relief / slope))
             if WINDOWED_COST * (1 + reach / side) > 0.8 * whole:
                 return
-            cut = samples.errors(samples.ring(angles, samples.horizons(angles, reach)).sum(0), full)
+            cut = samples.errors(seen(reach), full)
             if cut.bound <= SHORTER_SEARCH_SHARE * self.tolerance and cut.tail <= 0.5 * self.tail:
                 self.max_distance, self.floor = reach * self.scene.spacing, math.hypot(self.floor, cut.rms)
                 self.why_far = f"what lies farther away costs {_percent(cut.rms)}"
@@ -798,18 +793,17 @@ class _SkyPlanner(_Planner):
         )
 
     def audit(self, method: LightMethod) -> float | None:
-        units = method.units
-        if 3 * units > self.grid:
+        if 3 * method.units > self.grid:
             self._trace(max(EXACT_GRIDS))
-        found = self.samples.errors(method.at(self.samples), self.exact).rms
-        return found if 3 * units <= self.grid else math.sqrt(max(0.0, found**2 - self.doubt**2))
+        return super().audit(method)
 
     def refine(self, is_shared: bool) -> bool:
-        if self.method_class is Horizons and is_shared and self.near_rows is None:
-            self.near_rows = CLIFF_NEAR_ROWS
-            self.method = self._horizons(self.method.units)
-            self.floor *= BEHIND_CLIFFS[CLIFF_NEAR_ROWS] / BEHIND_CLIFFS[None]
-            return True
+        if self.method_class is Horizons and is_shared and self.samples.cliffs:
+            near = next((near for near in CLIFF_NEAR_ROWS if near > (self.near_rows or 0)), None)
+            if near is not None:
+                self.near_rows = near
+                self.method = self._horizons(self.method.units)
+                return True
         return super().refine(is_shared)
 
     def choices(self) -> Iterator[Choice]:
@@ -918,7 +912,6 @@ class _SlicePlanner(_Planner):
     def _take_slices(self) -> None:
         """Choose slices, and how brightness is taken."""
         self.method_class = Sliced
-        self.share = BALL_SHARE if isinstance(self.solid, Ball) else FIRST_SHARE
         if callable(self.source.brightness):
             self._choose_rays()
         self._choose_slices(self.smooth, self.through)
@@ -1005,7 +998,7 @@ class _SlicePlanner(_Planner):
         for points in (1, *(rays for rays in RAYS if rays <= most)):
             found = self.samples.errors(self._unoccluded(points), self.exact)
             if self.fits(found) and self._faces_source():
-                self.expected, self.points, self.share = found, points, RAYS_SHARE
+                self.expected, self.points = found, points
                 return True
         return False
 
@@ -1056,13 +1049,13 @@ class _SlicePlanner(_Planner):
             if finest not in light:
                 light[finest] = self._through_slices(brightness, finest)
             self.exact = light[finest]
+            self.doubt = JUDGE_SHARE / 2 * self.samples.errors(light[finest // 2], self.exact).rms
             for units in SLICE_COUNTS[fewest:]:
                 number, through = _slices_taken(self.samples, self.solid, units), light[SLICE_COUNTS[0]]
                 for count in light:
                     through = np.where(number >= count, light[count], through)
                 self.units, self.expected = units, self.samples.errors(through, self.exact)
-                rms, bound, tail = self.expected
-                if self.fits(Errors(rms, 2 * bound, 2 * tail)):
+                if self.fits(self.expected):
                     break
             if JUDGING_SLICES * number.max() <= finest:
                 break

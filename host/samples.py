@@ -29,7 +29,8 @@ SEARCHED_NODES, CONCENTRATED = 4096, 0.1
 # times the median relief of blocks from which on one is rare; share of the map from which on rare blocks hold
 # enough samples
 RARE, FREQUENT = 3.0, 0.25
-# slope below which the samples' rays do not search for ground of a periodic map: 1.3e-5 of E / pi
+# slope that the relief of a periodic map makes where samples' rays end: what lies farther hides 1.3e-5 of
+# E / pi of a uniform sky at most
 SAMPLED_SLOPE = 0.005
 # spacings that neighbouring nodes may lie apart before two crossings are too few behind them
 # (host/backends/numpy/horizon.py)
@@ -227,7 +228,7 @@ class Samples:
 
     def free(self, cosine: Values, sine: Values) -> np.ndarray:
         """Horizon slope without the ground: of the level, the tangent plane, and the wall of a dark box."""
-        least: np.ndarray = np.maximum(SAMPLED_SLOPE if self.periodic else 0.0, self.plane(cosine, sine))
+        least: np.ndarray = np.maximum(0.0, self.plane(cosine, sine))
         return least if self.sides != "dark" else np.maximum(least, -self.own / _wall(self, cosine, sine))
 
     def horizons(self, azimuths: np.ndarray, reach: float = math.inf) -> np.ndarray:

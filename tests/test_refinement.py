@@ -222,6 +222,15 @@ def test_a_map_that_repeats_is_not_searched_farther_than_need_be(fast):
     assert errors(out.image[nodes].astype(float), truth(scene, sl.Sky(), nodes)).rms < 0.03
 
 
+@pytest.mark.slow
+def test_a_low_band_of_light_is_searched_as_far_as_it_needs(fast):
+    """The search radius follows the brightness: ground that hides little of an even sky may hide a band."""
+    scene = sl.Scene(10 * (1 + np.sin(2 * np.pi * X / SIZE * 4)), sides="periodic")
+    band = sl.Sky(lambda L: 1 + 340 * (L[..., 2] > -0.045))
+    fine = irradiance(scene, band, fast, "horizon", azimuths=256).image
+    assert rms(irradiance(scene, band, fast, tolerance=0.03).image, fine) < 0.045
+
+
 # -- no more model than the scene needs
 
 
@@ -588,6 +597,14 @@ def test_the_error_map_tells_the_error(fast, tolerance, seed):
     shares = [(off <= k * out.error).mean() for k in (1, 2, 3)]
     assert shares[0] >= 0.70 and shares[1] >= 0.93 and shares[2] >= 0.98, shares
     assert 0.3 < np.sqrt(np.mean(off**2)) / np.sqrt(np.mean(out.error.astype(float) ** 2)) < 1.3
+
+
+@pytest.mark.parametrize("source", [HIGH, PANEL, WINDOW], ids=["ball", "panel", "window"])
+def test_the_estimate_of_slices_is_the_error(fast, source):
+    """Neither half of it nor three times: the samples tell what share of the difference is the error."""
+    out = irradiance(SCENES["houses"], source, fast, tolerance=0.003)
+    fine = irradiance(SCENES["houses"], source, fast, "horizon", azimuths=512).image
+    assert 0.5 < rms(out.image, fine) / out.plan.error < 3
 
 
 @pytest.mark.parametrize("source", [sl.Sky(), HIGH, WINDOW], ids=["sky", "ball", "window"])

@@ -55,7 +55,6 @@ class LightMethod(ABC):
     """
 
     units: int
-    interleaves = True  # the image is the mean of the two: each refinement adds as many rays between
 
     @abstractmethod
     def refine(self) -> None:
@@ -72,6 +71,11 @@ class LightMethod(ABC):
     def at(self, samples: Samples) -> np.ndarray:
         """The irradiance at samples, (nodes,) float64."""
         return samples.of(self.irradiance())
+
+    def half_at(self, samples: Samples) -> np.ndarray | None:
+        """:meth:`half` at samples, (nodes,) float64."""
+        half = self.half()
+        return None if half is None else samples.of(half())
 
     def half(self) -> Later | None:
         """Half the difference of the two images, (rows, cols) float32 in the irradiance's unit.

@@ -64,7 +64,6 @@ class Sliced(LightMethod):
         if rays:
             self._take_rays(rays)
         self.shifts = [SHIFT]
-        self.interleaves = isinstance(self.solid, Ball)
         if isinstance(self.solid, Ball):
             self.slices, self.mean = self._image(units)
             self.difference = self.slices.alternating
@@ -158,6 +157,11 @@ class Sliced(LightMethod):
         """In the irradiance's unit; a difference of sums of brightness may round to less than 0."""
         image = np.maximum(image, 0) if self.sky is not None else image if factor is None else image * factor
         return image if self.scale == 1.0 else image * np.float32(self.scale)
+
+    def half_at(self, samples: Samples) -> np.ndarray | None:
+        if self.factors is not None:
+            return super().half_at(samples)
+        return picked(samples, self.difference).astype(float) * self.scale
 
     def half(self) -> Later:
         engine, images, shape = self.engine, (self.mean, self.difference), self.scene.shape

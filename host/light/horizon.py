@@ -139,6 +139,11 @@ class Horizons(LightMethod):
     def at(self, samples: Samples) -> np.ndarray:
         return _scaled(picked(samples, self.mean), self.scale).astype(float)
 
+    def half_at(self, samples: Samples) -> np.ndarray | None:
+        if self.difference is None:
+            return None
+        return _scaled(picked(samples, self.difference), self.scale).astype(float)
+
     def half(self) -> Later | None:
         if self.difference is None:
             return None
