@@ -50,6 +50,9 @@ TILE_ROWS = 16  # rows of heights that a work-group holds in local memory
 UNSEEN = 1 - (1 << 30)  # quantized height far below all ground, one row away
 
 # Slices of lamps and windows, opencl/slices.cl
+# [node], side of the squares of nodes whose work-items run together on a GPU, as their rays meet the same
+# ground: on an H200 8 x 8 take 31.6 ms (sphere) and 72.6 ms (rectangle), rows of 64 take 36.5 and 90
+SQUARE = 8
 SLICES = 8  # slices of a node come in multiples of this: lanes of a vector on a CPU
 
 # Light between surfaces, opencl/interreflection.cl

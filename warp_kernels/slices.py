@@ -30,7 +30,7 @@ grow towards the viewer.
                                                round: multiples of SLICES, as what is between
   dark                                int32    whether walls stand half a node outside the map, up to height 0
 
-Thread (y, x) owns one node. Order of summation: slices.
+A thread owns one node, and a block of threads a square of nodes. Order of summation: slices.
 """
 
 import warp as wp
@@ -38,9 +38,9 @@ import warp as wp
 from skylamp.constants import (
     CHORD_TANGENT,
     ENDLESS,
-    GPU_LINES,
     NONE,
     SLICES,
+    SQUARE,
     STEEP,
     TURN_BY_SINE,
     TURN_BY_TANGENT,
@@ -53,7 +53,16 @@ wp.set_module_options(OPTIONS)
 B0, B1, B2, B3, B4, B5, B6, B7 = CHORD_TANGENT
 SINE_1, SINE_3 = TURN_BY_SINE
 TANGENT_1, TANGENT_3 = TURN_BY_TANGENT
-BOUNDS = (GPU_LINES, 16)  # threads of a block, and blocks that a multiprocessor shall hold: 64 registers each
+# threads of a block, and blocks that a multiprocessor shall hold: 64 registers each
+BOUNDS = (SQUARE * SQUARE, 16)
+
+
+@wp.func
+def node_of(squares: wp.int32, i: wp.int32):
+    """(x, y) of thread i of a row of squares of SQUARE x SQUARE nodes."""
+    x = i // (SQUARE * SQUARE) * SQUARE + i % SQUARE
+    y = squares * SQUARE + i % (SQUARE * SQUARE) // SQUARE
+    return x, y
 
 
 @wp.kernel
@@ -561,7 +570,10 @@ def ball(
     radius and e its centre's elevation, sees a chord of half width w, sin w = sin a cos theta / r, r^2 = 1 -
     cos^2 e sin^2 d. Where the zenith lies within the disc, slices go all round.
     """
-    y, x = wp.tid()
+    squares, thread = wp.tid()
+    x, y = node_of(squares, thread)
+    if x >= cols or y >= rows:
+        return
     here = (y + 1) * (cols + 1) + x + 1
     tilt = tilt_of(heights, here, cols + 1)
     mirror = mirror_of(tilt)
@@ -757,7 +769,10 @@ def quad(
     gets its share of the slices, at least one. All is computed from the quadrangle's middle, so that small
     far sources lose no digits.
     """
-    y, x = wp.tid()
+    squares, thread = wp.tid()
+    x, y = node_of(squares, thread)
+    if x >= cols or y >= rows:
+        return
     here = (y + 1) * (cols + 1) + x + 1
     tilt = tilt_of(heights, here, cols + 1)
     mirror = mirror_of(tilt)
@@ -989,7 +1004,10 @@ def gloss(
     Slices go through the disc within the rim about the mirror direction, or all round where the zenith lies
     within it.
     """
-    y, x = wp.tid()
+    squares, thread = wp.tid()
+    x, y = node_of(squares, thread)
+    if x >= cols or y >= rows:
+        return
     here = (y + 1) * (cols + 1) + x + 1
     tilt = tilt_of(heights, here, cols + 1)
     mirror = mirror_of(tilt)
@@ -1081,7 +1099,10 @@ def rays(
     seen  (rows, cols, count)     float32  out: 1 where no ground stands higher than the ray, else 0; count:
                                            a multiple of LANES
     """
-    y, x = wp.tid()
+    squares, thread = wp.tid()
+    x, y = node_of(squares, thread)
+    if x >= cols or y >= rows:
+        return
     own = (y + 1) * (cols + 1) + x + 1
     pixel = Pixel()
     pixel.heights = heights
@@ -1179,7 +1200,10 @@ def sectors(
     highest: node of the map. x0 <= x < x1, y0 <= y < y1 [spacing]: window at height 0 through which the light
     comes; -ENDLESS..ENDLESS: there is none.
     """
-    row, column = wp.tid()
+    squares, thread = wp.tid()
+    column, row = node_of(squares, thread)
+    if column >= cols - 2 * margin or row >= rows - 2 * margin:
+        return
     y = row + margin
     x = column + margin
     here = (y + 1) * (cols + 1) + x + 1

@@ -172,13 +172,15 @@ class Backend(ABC):
         *args: Any,
         lanes: int | None = None,
         group: int | None = None,
+        squares: bool = False,
         **constants: int,
     ) -> None:
         """Run ``kernel`` of module ``stem`` over ``dim`` work-items; scalars and vectors are passed as the
         kernel declares them.
 
         ``lanes``: lines or pixels per work-item, the backend's own number of lines unless given. ``group``:
-        work-items of a group, where it matters. ``constants``: what must be known when the kernel is
+        work-items of a group, where it matters. ``squares``: of the two dimensions of ``dim``, squares of
+        SQUARE x SQUARE work-items run together on a GPU. ``constants``: what must be known when the kernel is
         compiled, such as BITS, elevations per walk.
         """
 

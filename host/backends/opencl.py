@@ -18,7 +18,7 @@ from numpy.typing import DTypeLike
 
 import skylamp.opencl
 
-from ..constants import GPU_LINES, GPU_PIXELS
+from ..constants import GPU_LINES, GPU_PIXELS, SQUARE
 from ..errors import BackendError
 from . import staging
 from .base import (
@@ -196,6 +196,7 @@ class OpenclBackend(Backend):
         *args: Any,
         lanes: int | None = None,
         group: int | None = None,
+        squares: bool = False,
         **constants: int,
     ) -> None:
         function, kinds, usual = self._kernel(
@@ -206,6 +207,8 @@ class OpenclBackend(Backend):
             for arg, kind in zip(args, kinds, strict=True)
         ]
         local = (group or usual,) + (1,) * (len(dim) - 1)
+        if squares and not self.on_cpu:
+            local = SQUARE, SQUARE
         size = tuple(-(-whole // part) * part for whole, part in zip(dim, local))
         if self._recorded is not None:
             function = self.cl.Kernel(function.program, kernel)

@@ -16,7 +16,7 @@ from numpy.typing import DTypeLike
 
 from skylamp.warp_kernels import GROUP
 
-from ..constants import GPU_LINES, GPU_PIXELS
+from ..constants import GPU_LINES, GPU_PIXELS, SQUARE
 from . import staging
 from .base import (
     CPU_NODES_PER_ITEM,
@@ -170,12 +170,16 @@ class WarpBackend(Backend):
         *args: Any,
         lanes: int | None = None,
         group: int | None = None,
+        squares: bool = False,
         **constants: int,
     ) -> None:
         function = getattr(importlib.import_module(f"skylamp.warp_kernels.{stem}"), kernel)
         if not isinstance(function, self.wp.Kernel):
             function = function(**constants)
         group = group or (GROUP if kernel == "scan" else DEFAULT_GROUP)
+        if squares:  # a square is a block of threads, and a run of the last dimension
+            group = SQUARE * SQUARE
+            dim = -(-dim[0] // SQUARE) * group, -(-dim[1] // SQUARE)
         if (function.module, group) not in self._loaded:  # Warp compiles for every size of block
             start = time.perf_counter()
             with _quiet(self.wp):

@@ -329,7 +329,7 @@ class Light:
         )
         last = len(surface.groups) - 1
 
-        def launch(stem: str, kernel: str, *args: Any, **constants: int) -> None:
+        def launch(stem: str, kernel: str, *args: Any, **constants: Any) -> None:
             dim = (surface.room // backend.pixel_lanes,)
             backend.launch(stem, kernel, dim, *args, lanes=backend.pixel_lanes, **constants)
 

@@ -251,7 +251,6 @@ class Slices:
         lit = self.sky, self.points, self.table
         size = rows, cols, self.width, self.levels, self.least, self.most, self.side, self.n_points, n_lobe
         table = self.turns, self.knots, int(self.walls), rim
-        group = self.backend.lines if self.backend.lines > 1 else None
         if isinstance(self.solid, Dome):
             launch(
                 "slices",
@@ -267,7 +266,7 @@ class Slices:
                 rim,
                 min(self.solid.reach / self.step, -float(NONE)),
                 self.unit,
-                group=group,
+                squares=True,
             )
         elif isinstance(self.solid, Ball):
             launch(
@@ -286,7 +285,7 @@ class Slices:
                 *map(float, self.center),
                 float(self.radius),
                 self.unit,
-                group=group,
+                squares=True,
             )
         else:
             launch(
@@ -303,7 +302,7 @@ class Slices:
                 *size,
                 *table,
                 self.unit,
-                group=group,
+                squares=True,
             )
 
     def rays(self, ways: np.ndarray) -> np.ndarray:
@@ -331,6 +330,7 @@ class Slices:
             self.levels,
             count,
             lanes=lanes,
+            squares=True,
         )
         visible: np.ndarray = self.backend.download(seen) > 0
         return visible
@@ -380,7 +380,7 @@ class Slices:
             x1,
             y0,
             y1,
-            group=self.backend.lines if self.backend.lines > 1 else None,
+            squares=True,
         )
         self.backend.finish()
 

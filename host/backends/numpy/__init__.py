@@ -52,6 +52,7 @@ class NumpyBackend(Backend):
         *args: Any,
         lanes: int | None = None,
         group: int | None = None,
+        squares: bool = False,
         **constants: int,
     ) -> None:
         with np.errstate(invalid="ignore", divide="ignore", over="ignore"):  # masked nodes are +inf
