@@ -1,6 +1,9 @@
 """Files: exact round trips, bit depths, damaged files, and outputs that are whole or absent."""
 
+import pickle
 import struct
+import tracemalloc
+import zipfile
 import zlib
 
 import imageio.v3 as imageio
@@ -10,6 +13,7 @@ import tifffile
 from PIL import Image
 from PIL.PngImagePlugin import PngInfo
 
+import skylamp as sl
 from skylamp import io
 from skylamp.errors import InputError
 from skylamp.io.paths import MAP_SUFFIXES
@@ -239,15 +243,78 @@ def test_tiff_that_is_not_plain_grey(tmp_path):
 def test_pickles_and_other_types(tmp_path):
     """A pickle is code; complex, text and structures are not heights."""
     np.save(tmp_path / "a.npy", np.array([{}], object), allow_pickle=True)
-    refused(io.read, tmp_path / "a.npy", says=("a.npy", "allow_pickle=False"))
+    refused(io.read, tmp_path / "a.npy", says=("a.npy", "pickles, which are never read"))
     np.savez(tmp_path / "a.npz", np.array([{}], object))
-    refused(io.read, tmp_path / "a.npz", says="allow_pickle=False")
+    refused(io.read, tmp_path / "a.npz", says="pickles, which are never read")
     for array in (np.ones((2, 2), complex), np.array([["a"]]), np.zeros((2, 2), "f4,f4")):
         np.save(tmp_path / "a.npy", array)
         refused(io.read, tmp_path / "a.npy", says=("wrong type", "real numbers"))
         refused(io.write, tmp_path / "b.npy", array, says="cannot write the array")
     np.save(tmp_path / "a.npy", np.zeros((0, 5)))
     refused(io.read, tmp_path / "a.npy", says=("empty array", "(0, 5)"))
+
+
+class Opened:
+    """A pickle of it leaves a trace where it is read."""
+
+    def __reduce__(self):
+        return open, ("read", "w")
+
+
+@pytest.mark.parametrize("name", ["a.npy", "a.npz", "a.png", "a.tif", "a.exr", "a.hdr"])
+def test_no_pickle_is_read(tmp_path, monkeypatch, name):
+    """Whatever the extension says, and inside an array as well."""
+    monkeypatch.chdir(tmp_path)
+    plain = pickle.dumps(Opened())
+    (np.savez if name.endswith("z") else np.save)(tmp_path / "b", np.array([Opened()], object))
+    for data in (plain, next(tmp_path.glob("b.np?")).read_bytes()):
+        (tmp_path / name).write_bytes(data)
+        for read in (io.read, io.read_environment):
+            refused(read, tmp_path / name, says="cannot read")
+    assert not (tmp_path / "read").exists()
+
+
+def promising(tmp_path):
+    """Small files whose headers promise 4 TiB and more: path of each."""
+    large = np.broadcast_to(np.float32(0), (2**20, 2**20))
+    header = np.lib.format.header_data_from_array_1_0(large)
+    with open(tmp_path / "a.npy", "wb") as file:
+        np.lib.format.write_array_header_1_0(file, header)
+        file.write(bytes(1000))
+    with zipfile.ZipFile(tmp_path / "a.npz", "w") as archive:
+        archive.write(tmp_path / "a.npy", "depth.npy")
+    chunk = lambda kind, body: (
+        struct.pack(">I", len(body)) + kind + body + struct.pack(">I", zlib.crc32(kind + body))
+    )
+    start = chunk(b"IHDR", struct.pack(">IIBBBBB", 2**20, 2**21, 16, 0, 0, 0, 0))
+    body = chunk(b"IDAT", zlib.compress(bytes(10**6))) + chunk(b"IEND", b"")
+    (tmp_path / "a.png").write_bytes(b"\x89PNG\r\n\x1a\n" + start + body)
+    tifffile.imwrite(tmp_path / "a.tif", GREY16)
+    with tifffile.TiffFile(tmp_path / "a.tif", mode="r+") as file:
+        for tag in ("ImageWidth", "ImageLength"):
+            file.pages[0].tags[tag].overwrite(2**20)
+    (tmp_path / "a.hdr").write_bytes(
+        b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 1048576 +X 1048576\n" + bytes(99)
+    )
+    return sorted(path for path in tmp_path.iterdir())
+
+
+def test_headers_that_promise_terabytes(tmp_path):
+    """They are refused by what they say, before memory is taken."""
+    for path in promising(tmp_path):
+        tracemalloc.start()
+        refused(io.read_environment if path.suffix == ".hdr" else io.read, path, says=path.name)
+        assert tracemalloc.get_traced_memory()[1] < 2**24, path
+        tracemalloc.stop()
+
+
+def test_a_file_that_does_not_fit_into_memory(tmp_path, monkeypatch):
+    """Is a CapacityError that names the bytes, not an abort."""
+    monkeypatch.setattr("skylamp.io.paths.available_memory", lambda: 100)
+    for name in ("a.npy", "a.npz", "a.png", "a.tif"):
+        io.write(tmp_path / name, GREY16)
+        with pytest.raises(sl.CapacityError, match="100 are free"):
+            io.read(tmp_path / name)
 
 
 def test_paths_that_cannot_be_read(tmp_path):

@@ -490,3 +490,19 @@ def test_a_view_shows_source_and_ground_where_they_are(backend):
         view.visible[number[-2, 0, 0]]
         and view.brightness[number[-2, 0, 2]] == image[tuple(view.hit[number[-2, 0, 2]])]
     )
+
+
+def test_a_lamp_far_above_a_pit_takes_no_steps(backend):
+    """Straight up nothing stands in the way of a sphere, however many layers lie between."""
+    scene = sl.Scene(np.full((3, 4), 3e7), sides="dark")
+    bits = sl.visibility(scene, sl.Lamp((1.5, 1.0, -50.0), 20.0), 3, backend)
+    cube = sl.Hemicube(3)
+    up = [n for n, step in enumerate(cube.steps.tolist()) if step == [0, 0, -1]]
+    assert cube.unpack(bits)[..., up].all()
+
+
+def test_a_volume_far_above_the_ground_is_too_much_work(fast):
+    """Its rays go from node to node; that is said before they do."""
+    lamp = sl.Lamp(volume=np.ones((2, 3, 4), bool))
+    with pytest.raises(sl.CapacityError, match="steps"):
+        sl.visibility(sl.Scene(np.full((3, 4), 1e7)), lamp, 3, fast)

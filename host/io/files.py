@@ -10,16 +10,17 @@ packed bits, palettes, pickles) is an error that names the fix. What is written 
 from __future__ import annotations
 
 import json
+import math
 import zipfile
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from ..errors import bad
 from . import hdr, png, tiff
-from .paths import HDR, MAP_SUFFIXES, StrPath, destination, folder, readable, reading, replacing
+from .paths import HDR, MAP_SUFFIXES, StrPath, destination, folder, readable, reading, replacing, reserve
 
 __all__ = [
     "folder",
@@ -32,6 +33,7 @@ __all__ = [
     "writable",
     "write",
 ]
+NPY_HEADERS = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
 ROLES = ("depth", "height", "image")
 LUMINANCE = (0.2126, 0.7152, 0.0722)  # of linear red, green, blue: ITU-R BT.709
 
@@ -52,7 +54,7 @@ def read(path: StrPath, name: str | None = None) -> np.ndarray:
     with reading(path):
         if path.suffix.lower() == ".npy":
             with open(path, "rb") as file:
-                array = np.lib.format.read_array(file, allow_pickle=False)
+                array = _read_npy(path, file, path.stat().st_size)
         elif path.suffix.lower() == ".npz":
             array = _read_npz(path, name)
         elif path.suffix.lower() == ".png":
@@ -203,8 +205,8 @@ def terrain() -> tuple[np.ndarray, float]:
 def _read_npz(path: Path, name: str | None) -> np.ndarray:
     if not zipfile.is_zipfile(path):
         raise ValueError("not a zip archive, or a truncated one")
-    with np.load(path, allow_pickle=False) as arrays:
-        found = arrays.files
+    with zipfile.ZipFile(path) as arrays:
+        found = [entry.removesuffix(".npy") for entry in arrays.namelist()]
         chosen = [n for n in found if n in ((name,) if name else ROLES)]
         if not chosen and len(found) == 1 and not (name and found[0] in ROLES):
             chosen = found
@@ -214,5 +216,20 @@ def _read_npz(path: Path, name: str | None) -> np.ndarray:
                 f"arrays {', '.join(found) or 'none'}",
                 f"an array named {name or ' or '.join(ROLES)}, or a single array under a name of its own",
             )
-        array: np.ndarray = arrays[chosen[0]]
-        return array
+        entry = arrays.infolist()[found.index(chosen[0])]
+        with arrays.open(entry) as file:
+            return _read_npy(path, file, entry.file_size)
+
+
+def _read_npy(path: Path, file: IO[bytes], size: int) -> np.ndarray:
+    """The array of an open .npy of ``size`` bytes. A pickle is refused, never read."""
+    version = np.lib.format.read_magic(file)
+    if version not in NPY_HEADERS:
+        raise ValueError(f".npy of version {version}, which no array of numbers needs")
+    shape, _, dtype = NPY_HEADERS[version](file)
+    if dtype.hasobject:
+        raise ValueError("Object arrays are pickles, which are never read")
+    reserve(path, math.prod(shape) * dtype.itemsize, size)
+    file.seek(0)
+    array: np.ndarray = np.lib.format.read_array(file, allow_pickle=False)
+    return array

@@ -19,7 +19,7 @@ import numpy as np
 from ..constants import MOST_PIXELS
 from ..errors import bad, lacking
 from ..scene import Scene
-from .paths import StrPath, destination, readable, reading, replacing
+from .paths import StrPath, destination, readable, reading, replacing, reserve
 
 # share of its length by which a cell's other side may differ; slopes then have this relative error
 SQUARE = 0.01
@@ -85,6 +85,7 @@ def read(path: StrPath, *, resample: bool = False) -> Raster:
                 f"at most {MOST_PIXELS:,} cells",
                 "Give --memory, or cut it into tiles.",
             )
+        reserve(path, file.width * file.height * (np.dtype(file.dtypes[0]).itemsize + 1))
         values, mask = file.read(1), file.read_masks(1) > 0
         found, unit = _described(path, file, values, mask)
         scale, offset = file.scales[0], file.offsets[0]

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..constants import MOST_PIXELS
 from ..errors import bad, lacking
-from .paths import replacing
+from .paths import replacing, reserve
 
 
 def module(path: Path) -> Any:
@@ -58,6 +58,7 @@ def _read_openexr(path: Path) -> np.ndarray:
         raise bad(
             f"{path}: part of a picture", "a data window that is not the display window", "a whole picture"
         )
+    reserve(path, 4 * len(header["channels"]) * int(size.prod()))
     file = OpenEXR.File(str(path), separate_channels=True)
     if not file.parts:
         raise ValueError("truncated or damaged")
@@ -95,6 +96,10 @@ def _read_radiance(path: Path) -> np.ndarray:
     header = data[: data.find(b"\n\n") + 1]
     if not header.startswith(b"#?"):
         raise ValueError("not a Radiance picture")
+    size = re.search(rb"^[-+][XY] (\d+) [-+][XY] (\d+)$", data, re.MULTILINE)
+    if size is None:
+        raise ValueError("its size is not told")
+    reserve(path, 12 * int(size[1]) * int(size[2]), 12 * MOST_PIXELS)
     array: np.ndarray | None = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
     if array is None or array.dtype != np.float32 or array.ndim != 3:
         raise ValueError("truncated or damaged")

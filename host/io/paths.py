@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import os
 import secrets
 from collections.abc import Iterator
 from pathlib import Path
 from typing import BinaryIO
 
-from ..errors import InputError, bad
+from ..backends.base import available_memory
+from ..errors import CapacityError, InputError, bad
 
 MAP_SUFFIXES = (".npy", ".npz", ".png", ".tif", ".tiff")
 HDR = (".exr", ".hdr")  # with the extra of that name
@@ -37,7 +39,7 @@ def reading(path: Path) -> Iterator[None]:
     """Whatever a reader raises at a damaged or hostile file becomes one InputError that names the file."""
     try:
         yield
-    except InputError:
+    except (InputError, CapacityError):
         raise
     # the libraries raise OSError, ValueError, struct.error, zlib.error, SyntaxError, MemoryError ...
     except Exception as error:
@@ -47,6 +49,20 @@ def reading(path: Path) -> Iterator[None]:
             f"{type(error).__name__}: {text}",
             f"a whole {path.suffix.lower()} file of real numbers",
         ) from error
+
+
+def reserve(path: Path, bytes_needed: int, promised: float = math.inf) -> None:
+    """Called with what a header says, before memory is taken.
+
+    ``promised``: bytes that the file can hold at most. ValueError if it is less; CapacityError if they do not
+    fit into memory.
+    """
+    if bytes_needed > promised:
+        raise ValueError(f"truncated: its header promises {bytes_needed:,} bytes, {promised:,.0f} are there")
+    if bytes_needed > available_memory():
+        raise CapacityError(
+            f"{path} holds {bytes_needed:,} bytes; {available_memory():,} are free. Cut it into tiles."
+        )
 
 
 def destination(path: Path) -> Path:

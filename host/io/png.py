@@ -9,19 +9,24 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import bad
-from .paths import replacing
+from .paths import replacing, reserve
 
 GREY_FIX = "Convert it to one grey channel first, so that the weights of the colours are your choice."
+MOST_DEFLATED = 1032  # bytes that a byte of a deflated stream can stand for: 258 of two bits
 _RANGE = "skylamp:range"  # key of the text chunk that holds the range
 _COLOURS = {0: "grey", 2: "RGB", 3: "palette", 4: "grey with alpha", 6: "RGB with alpha"}
 
 
-def header(path: Path) -> tuple[int, int, int, int]:
-    """(width, height, bit depth, colour type); ValueError unless all chunks and their checksums are right."""
+def header(path: Path) -> tuple[int, int, int, int, int]:
+    """(width, height, bit depth, colour type, bytes of compressed data).
+
+    ValueError unless all chunks and their checksums are right.
+    """
     with open(path, "rb") as file:
         if file.read(8) != b"\x89PNG\r\n\x1a\n":
             raise ValueError("not a PNG: wrong signature")
         found: tuple[int, int, int, int] | None = None
+        data = 0
         while True:
             start = file.read(8)
             if len(start) < 8:
@@ -35,19 +40,22 @@ def header(path: Path) -> tuple[int, int, int, int]:
                     raise ValueError("not a PNG: no IHDR chunk first")
                 width, height, depth, colour = struct.unpack(">IIBB", body[:10])
                 found = width, height, depth, colour
+            data += length * (kind == b"IDAT")
             if kind == b"IEND":
-                return found
+                return *found, data
 
 
 def read(path: Path, colours: tuple[int, ...]) -> np.ndarray:
     """(rows, cols) or (rows, cols, 3), uint8 or uint16, of a PNG of one of these colour types (0 or 2)."""
-    width, height, depth, colour = header(path)
+    width, height, depth, colour, data = header(path)
     what = f"{depth}-bit {_COLOURS.get(colour, 'unknown colour type')} PNG"
     allowed = "grey PNG of 8 or 16 bits" + (" or RGB of 8 bits" if 2 in colours else "")
     if colour not in colours:
         raise bad(f"{path}: not grey", what, allowed, GREY_FIX)
     if depth not in ((8, 16) if colour == 0 else (8,)):
         raise bad(f"{path}: bit depth", what, allowed)
+    channels = 3 if colour == 2 else 1
+    reserve(path, width * height * channels * depth // 8, MOST_DEFLATED * data)
     import imageio.v3 as imageio
 
     array: np.ndarray = imageio.imread(path, plugin="pillow")

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import bad
-from .paths import replacing
+from .paths import replacing, reserve
 from .png import GREY_FIX
 
 
@@ -39,9 +39,12 @@ def read(path: Path) -> np.ndarray:
             # tifffile fills such strips with zeros
             if any(n <= 0 or at + n > size for at, n in zip(page.dataoffsets, page.databytecounts)):
                 raise ValueError("truncated: a strip or tile is missing or lies beyond the end of the file")
-        array = file.asarray()
-        if array.dtype.itemsize * 8 != page.bitspersample:
-            raise bad(f"{path}: bit depth", f"{page.bitspersample} bits per sample", "8, 16, 32 or 64")
+            if page.dtype is None or page.dtype.itemsize * 8 != page.bitspersample:
+                raise bad(f"{path}: bit depth", f"{page.bitspersample} bits per sample", "8, 16, 32 or 64")
+            if page.compression == tifffile.COMPRESSION.NONE:
+                reserve(path, page.nbytes, sum(page.databytecounts))
+        reserve(path, len(file.pages) * file.pages[0].aspage().nbytes)
+        array: np.ndarray = file.asarray()
         return array
 
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from ..arrays import host_array
 from ..constants import APERTURE, BALL, RECTANGLE, SKY, VOLUME
-from ..errors import InputError, bad
+from ..errors import CapacityError, InputError, bad
 from .brightness import (
     BRIGHTEST,
     LEAST_UNIT,
@@ -27,6 +27,8 @@ from .brightness import (
 if TYPE_CHECKING:
     from ..scene import Scene
 
+# of a ray that goes from node to node up to a volume; chosen: some minutes for 209 directions in NumPy
+MOST_STEPS_UP = 2**16
 PROBED = 12  # azimuths, and elevations, in which the size of a brightness is looked at; chosen
 
 
@@ -192,20 +194,7 @@ def geometry(source: Source, scene: Scene, step: float) -> Geometry:
     if not isinstance(source, Lamp):
         raise bad("source", type(source).__name__, "Sky, Lamp or Window")
     if source.volume is not None:
-        if source.volume.shape[1:] != scene.shape:
-            raise bad(
-                "lamp volume: wrong shape",
-                source.volume.shape,
-                f"(layers, rows, cols) with the scene's rows and cols {scene.shape}",
-            )
-        free = np.arange(len(source.volume))[:, None, None] <= scene.layers()[0]
-        if not (source.volume & free).any():
-            raise bad(
-                "lamp volume: no node of it lies in free space",
-                f"{source.volume.sum()} nodes",
-                "at least one True node at or above the surface",
-            )
-        return Geometry(VOLUME, no_numbers, (source.volume & free).view(np.uint8))
+        return Geometry(VOLUME, no_numbers, _volume(source.volume, scene))
     if source.corner is not None:
         raise bad(
             "method 'lattice' with a rectangular lamp",
@@ -230,6 +219,29 @@ def geometry(source: Source, scene: Scene, step: float) -> Geometry:
             f"z <= {depth}, the depth of the surface there",
         )
     return Geometry(BALL, np.array([x, y, z, source.radius]) * step / scene.spacing, nothing)
+
+
+def _volume(volume: np.ndarray, scene: Scene) -> np.ndarray:
+    """The nodes of a volume in free space, (layers, rows, cols) uint8, checked."""
+    if volume.shape[1:] != scene.shape:
+        raise bad(
+            "lamp volume: wrong shape",
+            volume.shape,
+            f"(layers, rows, cols) with the scene's rows and cols {scene.shape}",
+        )
+    if scene.deepest > MOST_STEPS_UP * scene.spacing:
+        raise CapacityError(
+            f"A lamp volume over ground {scene.deepest / scene.spacing:.3g} spacings deep: rays would take"
+            f" more than {MOST_STEPS_UP:,} steps up to it. Take the least depth off, or give a sphere."
+        )
+    free = np.arange(len(volume))[:, None, None] <= scene.layers()[0]
+    if not (volume & free).any():
+        raise bad(
+            "lamp volume: no node of it lies in free space",
+            f"{volume.sum()} nodes",
+            "at least one True node at or above the surface",
+        )
+    return (volume & free).view(np.uint8)
 
 
 def channels(source: Source) -> list[Source]:

@@ -117,6 +117,9 @@ def _meets_lamp(lamp: Lamp, x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.n
     climb = lamp.k * lamp.step
     level = np.rint(z / lamp.step).astype(np.int64)
     lit, going, hit = _starts(lamp, x, y, z, level)
+    if is_ball and not (lamp.i or lamp.j):  # straight up nothing is in the way, however deep the node lies
+        lit |= going
+        return lit
     who = np.flatnonzero(going)
     crossings = enumerate(itertools.cycle(lamp.crossings.tolist()))
     for number, (to_x, to_y, next_x, next_y, near_weight, far_weight, moment, parts) in crossings:
