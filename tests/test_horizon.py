@@ -193,3 +193,11 @@ def test_auto_takes_horizons_where_it_can_and_says_so(backend):
 def test_bad_input_is_named(call, says):
     with pytest.raises(sl.InputError, match=says.replace("|", r"\|")):
         call(spike())
+
+
+def test_a_relief_beyond_all_search_is_a_capacity_error(backend):
+    """On a map that repeats it would be followed over more rows than an integer counts."""
+    depth = np.where(np.eye(5, 7) > 0, 2.4e6, 1.0)
+    for work in (sl.sky_view_factor, sl.horizons, sl.openness):
+        with pytest.raises(sl.CapacityError, match="repeats"):
+            work(sl.Scene(depth, sides="periodic"), azimuths=4, backend=backend)

@@ -1083,3 +1083,12 @@ def test_a_plan_says_how_it_was_refined(fast, monkeypatch):
     assert len(out.plan.steps) > 1 and out.plan.azimuths == out.plan.steps[-1].units > 4
     taken = {choice.what: choice.taken for choice in out.plan.choices}
     assert taken["refined to"].startswith(str(out.plan.azimuths)) and "refined" in out.plan.line
+
+
+def test_where_nothing_is_lit_the_error_is_a_number(fast):
+    """At the bottom of a box a million times as deep as it is wide no error is nan."""
+    depth = np.full((8, 10), 1e7)
+    depth[2:5, 3:7] += 1
+    source = sl.Sky(sl.cie_sky(12, (200, 60), direct=2.0))
+    out = sl.render(sl.Scene(depth, sides="dark"), source, backend=fast)
+    assert np.isfinite(out.error).all() and np.isfinite(out.image).all()

@@ -24,6 +24,7 @@ from .far import BATCH, Far, Marched
 NEAR_ROWS, FINE_NEAR_ROWS, MANY_AZIMUTHS = 6, 12, 128
 # [spacing], height of masked nodes: not above NONE, and finite, since kernels interpolate and 0 x inf is NaN
 MASKED_HEIGHT = -2e30
+MOST_DISTANCE_BITS = 24  # of a ladder's integers; six are left for heights then
 ENDLESS_WINDOW = 1 << 30  # [rows], a window longer than any line
 PROBED = 1024  # nodes from which the steepest rise and fall are searched for
 
@@ -484,9 +485,14 @@ def ladder(
     """(bits, unit, steps, rises): slopes from level to ``steepest`` [per row], denser near level; integers.
 
     An integer holds a height above a ray in units of 1 / unit, and in its ``bits`` lowest bits a distance up
-    to ``span`` rows.
+    to ``span`` rows. Raises CapacityError where that leaves no room for heights.
     """
     bits = max(1, math.ceil(math.log2(max(span, comes_at) + 2)))
+    if bits > MOST_DISTANCE_BITS:
+        raise CapacityError(
+            f"A relief of {relief:.3g} on a map that repeats must be followed over {max(span, comes_at):,}"
+            f" rows, at most {2**MOST_DISTANCE_BITS:,}; give depth and spacing in one unit, or max_distance."
+        )
     slopes = np.tan(np.linspace(0, 1, LADDER) ** 1.5 * math.atan(steepest))
     slopes = slopes if steepest > 0 else slopes[::-1]
     high = relief + (steepest * comes_at if steepest > 0 else -steepest * span)
