@@ -55,7 +55,7 @@ def horizons(
 
     A lazy scene gives a lazy array of the map's own chunks. It is computed in tiles, as is a map beyond the
     device's memory, and any map with a ``tiling``: ground beyond a tile's halo comes from overviews, which
-    moves horizons by 0.002 rad and sky-view factors by 0.0002 RMS on mountains (docs/scale.md).
+    moves horizons by 0.002 rad and sky-view factors by 0.0002 RMS on mountains (docs/howto/large-maps.md).
 
     Raises InputError, BackendError or CapacityError.
     """

@@ -864,7 +864,7 @@ def specular(
     solid_angles: np.ndarray,
     exponent: float,
 ) -> np.ndarray:
-    """Radiance of Phong's lobe (docs/model.md) over the visible directions, float64.
+    """Radiance of Phong's lobe (docs/explanation) over the visible directions, float64.
 
     (n + 2) / (2 pi) x sum of B (R.L)^n N.L dL.
 

@@ -42,7 +42,7 @@ DEFAULT_TAIL = 10.0  # bound on the 99.9th percentile of the error, in tolerance
 # cannot. It is 1 where the two err independently and their mean is the image; more says that they share an
 # error, which no more azimuths mend. On 60 lamps and windows (96 x 96) 0.1 to 1.4, median 0.5
 LEAST_SHARE, MOST_SHARE, FIRST_SHARE = 0.1, 1.3, 0.9
-# the same of the exact light at the samples, of which the finest two are compared; measured, docs/model.md
+# the same of the exact light at the samples, of which the finest two are compared; measured, docs/explanation
 JUDGE_SHARE = 0.45
 BEYOND = 1e-3  # share of nodes whose error may pass the tail, which bounds a 99.9th percentile
 MOST_UNITS = {Horizons: 1024, Sliced: 1024, Lattice: 33}  # up to which is refined

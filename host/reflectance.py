@@ -1,4 +1,4 @@
-"""Reflectance: what a surface makes of the light that it gets (docs/model.md; the notes on radiometry).
+"""Reflectance: what a surface makes of the light that it gets (docs/explanation; the notes on radiometry).
 
 A BRDF f [sr^-1] is the ratio of outgoing radiance to incident irradiance. Here directions are unit vectors
 (..., 3) in the surface's own frame: z along the normal, x along the map's columns and y along its rows, both

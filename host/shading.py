@@ -1,4 +1,4 @@
-"""Reflection that is not Lambertian (docs/model.md): lobes by slices, mirrors and BRDFs by rays."""
+"""Reflection that is not Lambertian (docs/explanation): lobes by slices, mirrors and BRDFs by rays."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-/* Irradiance of a depth map and its derivatives, for the inverse problem (docs/model.md).
+/* Irradiance of a depth map and its derivatives, for the inverse problem (docs/explanation).
 
 E = (1 + |grad z|^2)^(-1/2) sum over slices of width x [C1(T) + s C2(T)], s = e . grad z, C1 and C2 the
 integrals of B sin cos and of B cos^2 above the slope T: the largest of the level, the tangent plane, the

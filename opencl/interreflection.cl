@@ -1,4 +1,4 @@
-/* Light between surfaces: what ground sends to ground (docs/model.md, Light between surfaces).
+/* Light between surfaces: what ground sends to ground (docs/explanation, Light between surfaces).
 
 In every azimuth a node sees strips of ground. A crossing of the azimuth's vertical plane with a grid line
 opens one where it stands higher, seen from the node, than the tangent plane and all crossings before it. Its

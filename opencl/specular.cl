@@ -1,4 +1,4 @@
-/* Light of the visible directions that a lobe about the mirror direction reflects (docs/model.md).
+/* Light of the visible directions that a lobe about the mirror direction reflects (docs/explanation).
 
 specular: radiance += sum over set bits of weight x max(0, N.L) x lobe(1 - R.L), R = 2 (N.V) N - V the mirror
 direction of the viewer's V = (0, 0, -1).

@@ -3,8 +3,8 @@
     python performance/backends.py --out docs [--size 1024] [--field 256] [--backends numpy,warp:cpu,opencl]
 
 Times are medians over repeated runs with input and output resident on the device; compiling is apart; the
-time of the whole sl.render call on NumPy arrays stands beside them. Writes backends.json, backends.md and,
-with matplotlib, backends.png.
+time of the whole sl.render call on NumPy arrays stands beside them. Writes backends.json and, with
+matplotlib, backends.png.
 """
 
 import argparse
@@ -119,7 +119,6 @@ def main() -> None:
         "rows": rows,
     }
     (args.out / "backends.json").write_text(json.dumps(facts, indent=1) + "\n")
-    (args.out / "backends.md").write_text(HEAD + "".join(line(row) + "\n" for row in rows))
     chart(rows, args.out / "backends.png", args.size)
 
 

@@ -11,7 +11,7 @@ reference, each on the quantity that it claims; nodes near the border are left o
 mirror the map. Lamps (--lamps) against shadow rays. Memory (--memory): peak of the render call in a process
 of its own (Linux). The first backend does all but the speed, which is that of every one. Cores are those that
 were busy with the work: fewer than there are, on a crowded machine. Prints its tables, and writes
-horizon.json, horizon.md and, with matplotlib, horizon.png.
+horizon.json and, with matplotlib, horizon.png.
 """
 
 import argparse
@@ -520,7 +520,7 @@ def main() -> None:
         rows = lamps(names[0], args.size, 150, args.budget)
         put("lamps", rows, lamp_table(rows, args.size))
     args.out.mkdir(parents=True, exist_ok=True)
-    (args.out / "horizon.md").write_text(facts.pop("text").lstrip())
+    facts.pop("text")
     (args.out / "horizon.json").write_text(json.dumps(facts, indent=1) + "\n")
     lattices = [row for row in facts["side by side"] if "hemicube" in row]
     chart(args.out / "horizon.png", args.size, [*side.known.values(), *lattices], others)

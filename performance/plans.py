@@ -3,7 +3,7 @@
     python performance/plans.py --out docs [--size 192] [--backend opencl]
     python performance/plans.py --out docs --times --size 1024 --name plans_times
 
-Errors are against exact rays at nodes that no choice has seen: relative RMS (docs/model.md) and the 99.9th
+Errors are against exact rays at nodes that no choice has seen: relative RMS (docs/explanation) and the 99.9th
 percentile. With --times fewer pairs, whose time, of a scene that was not rendered before, is compared with
 that of the cheapest setting that would have done, found by trying all (half an hour). Prints a table and
 writes plans.csv, or what --name says.

@@ -1,4 +1,4 @@
-"""Depth from images: how accurate, how stable, how fast. Writes OUT.md and OUT.json.
+"""Depth from images: how accurate, how stable, how fast. Writes recover.json.
 
     python performance/recover.py [--backend NAME] [--what accuracy,stability,albedo,terrain,speed]
         [--sizes 64,256] [--out FOLDER]
@@ -18,6 +18,7 @@ from pathlib import Path
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parent.parent / "tests"))
+import record
 import recover_without
 import surfaces
 from surfaces import ALBEDO, LAYERS, SURFACES, pair, rms, source_of
@@ -196,18 +197,6 @@ def albedos(backend):
             }
 
 
-def table(rows):
-    names = list(dict.fromkeys(name for row in rows for name in row))
-    shown = lambda value: "" if value is None else f"{value:.3g}" if isinstance(value, float) else str(value)
-    return "\n".join(
-        [
-            "| " + " | ".join(names) + " |",
-            "|" + "---|" * len(names),
-            *("| " + " | ".join(shown(row.get(name)) for name in names) + " |" for row in rows),
-        ]
-    )
-
-
 def main():
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
@@ -215,7 +204,7 @@ def main():
     parser.add_argument("--backend", default="auto")
     parser.add_argument("--what", default="accuracy,stability,albedo,terrain,speed")
     parser.add_argument("--sizes", default="64,256")
-    parser.add_argument("--out", default="recover")
+    parser.add_argument("--out", default="docs")
     parser.add_argument("--without", help="what an ingredient is worth: its name, names, or all")
     options = parser.parse_args()
     out = Path(options.out)
@@ -236,10 +225,8 @@ def main():
         for row in work(options.backend):
             done[what].append(row)
             print(what, row, flush=True)
-            (out / "recover.json").write_text(json.dumps(done, indent=1))
-            (out / "recover.md").write_text(
-                "\n\n".join(f"## {name}\n\n{table(rows)}" for name, rows in done.items() if rows) + "\n"
-            )
+            facts = {"measured": record.facts(options.backend), **done}
+            (out / "recover.json").write_text(json.dumps(facts, indent=1) + "\n")
 
 
 if __name__ == "__main__":

@@ -2,9 +2,9 @@
 
     python performance/stability.py --out docs [--backend opencl] [--only leak,sun]
 
-Writes stability.md, stability.csv and stability-*.png (matplotlib). tests/test_stability.py measures the same
-failures at two values each. Errors of images are relative RMS against exact rays, unless a failure says
-otherwise; those of depth are RMS in layers.
+Writes evidence/stability.md, stability.csv and stability-*.png (matplotlib). tests/test_stability.py
+measures the same failures at two values each. Errors of images are relative RMS against exact rays, unless a
+failure says otherwise; those of depth are RMS in layers.
 """
 
 import argparse
@@ -791,7 +791,7 @@ def main():
                 f" {failure.parameter}."
             ),
             "",
-            f"![{failure.title}]({picture_file})",
+            f"![{failure.title}](../{picture_file})",
             "",
         ]
         rows += [
@@ -801,7 +801,7 @@ def main():
         ]
         print(name, {line: [round(v, 4) for v in values] for line, values in found.items()}, flush=True)
     if not args.only:
-        (args.out / "stability.md").write_text("\n".join(text))
+        (args.out / "evidence" / "stability.md").write_text("\n".join(text))
     with open(args.out / "stability.csv", "w", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(("failure", "parameter", "value", "line", "error"))

@@ -98,11 +98,12 @@ def test_tangent_plane(fast):
 
 
 def test_panels(fast):
-    """Image, depth, truth and confidence, each with its own values, both depths on one scale."""
+    """Image, depth, truth, error and confidence with their own values, both depths on one scale."""
     image = sl.render(sl.Scene(HILLS, sides="dark"), sl.Sky(), backend=fast).image
     found = sl.recover(image, sl.Sky(), sides="dark", layers=30, hemicube=5, backend=fast)
     shown = [axes.images[0] for axes in plot.recovery(image, found, HILLS).axes if axes.images]
-    for picture, values in zip(shown, (image, found.depth, HILLS, found.confidence), strict=True):
+    error = found.depth - HILLS
+    for picture, values in zip(shown, (image, found.depth, HILLS, error, found.confidence), strict=True):
         np.testing.assert_array_equal(picture.get_array(), values)
     assert shown[1].get_clim() == shown[2].get_clim()
     painted = dataclasses.replace(
@@ -245,3 +246,19 @@ def test_horizons_by_command(tmp_path, capsys, fast, what, make):
     expected = make(sl.Scene(HILLS, 2.0), 8, fast, max_distance=20)
     assert facts["what"] == what and facts["shape"] == list(expected.shape) and facts["plot"] is None
     np.testing.assert_array_equal(io.read(tmp_path / "a.npy"), expected)
+
+
+def test_terrain_has_north_and_a_scale_bar_of_a_round_length():
+    """On 100 nodes of 30 m the bar is 500 m long, at most a quarter of the map; the values are the map's."""
+    values = np.arange(8000.0).reshape(80, 100)
+    axes = plot.terrain(values, 30.0, "title", "height [m]").axes[0]
+    np.testing.assert_array_equal(axes.images[0].get_array(), values)
+    assert {"N", "500 m"} <= {text.get_text() for text in axes.texts}
+    x = axes.lines[-1].get_xdata()
+    assert x[1] - x[0] == pytest.approx(500 / 30)
+    north = next(text for text in axes.texts if text.get_text() == "N")
+    assert north.xy[1] < north.xyann[1], "the arrow points up, to row 0"
+    with pytest.raises(sl.InputError, match="terrain: spacing"):
+        plot.terrain(values, 0.0)
+    with pytest.raises(sl.InputError, match="terrain: values"):
+        plot.terrain(values[0], 1.0)

@@ -148,7 +148,7 @@ def test_printed_weights_differ(backend):
     assert np.abs(moment / np.pi - 1).max() < 1e-6 < 0.005 < np.abs(printed / np.pi - 1).min()
 
 
-# -- closed forms (docs/model.md)
+# -- closed forms (docs/explanation)
 
 
 @pytest.mark.slow
@@ -281,7 +281,7 @@ def test_the_penumbra_has_the_width_of_similar_triangles(backend):
 
 @pytest.mark.slow
 def test_longer_strides_leak_light_and_filling_stops_it(fast):
-    """docs/model.md: on rough ground the stride's error grows from M = 9 on; filled, it falls."""
+    """docs/explanation: on rough ground the stride's error grows from M = 9 on; filled, it falls."""
     scene = sl.Scene(scenes.rough(96, 96, 1.0, 2, 1.4))
     reference = irradiance(scene, sl.Sky(), 65, fast).astype(float)
     stride, filled = (

@@ -1,4 +1,4 @@
-"""The stability atlas (docs/stability.md): each failure is there in the method that has it.
+"""The stability atlas (docs/evidence/stability.md): each failure is there in the method that has it.
 
 In the default it is gone, or a warning names it.
 """

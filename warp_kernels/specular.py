@@ -1,4 +1,4 @@
-"""Light of the visible directions that a lobe about the mirror direction reflects (docs/model.md). Twin
+"""Light of the visible directions that a lobe about the mirror direction reflects (docs/explanation). Twin
 of opencl/specular.cl.
 """
 

@@ -1,5 +1,5 @@
-"""Pictures (extra ``plot``, matplotlib): the visibility field's discs, the sky above a pixel, an image with
-what was found in it.
+"""Pictures (extra ``plot``, matplotlib): the visibility field's discs, the sky above a node, recovered depth,
+and maps with a scale bar.
 
 Each function returns a matplotlib Figure, made without pyplot: no window opens, no global state changes. Save
 it with :func:`save`, or ``figure.savefig``.
@@ -239,9 +239,12 @@ def _label_compass(axes: PolarAxes) -> None:
 
 def recovery(image: ArrayLike, found: Recovery, truth: ArrayLike | None = None) -> Figure:
     """The image, the depth recovered from it, its confidence, and the albedo if it was found, side by side;
-    ``truth``: the true depth, for comparison.
+    ``truth``: the true depth, for comparison, with the error (recovered minus true depth).
 
-    Raises InputError where shapes differ, or if matplotlib is not installed.
+    image, truth: (rows, cols). Axes are in nodes. Raises InputError where shapes differ, or if matplotlib is
+    not installed.
+
+    Example: ``plot.save(plot.recovery(image, sl.recover(image, sky)), "recovered.png")``
     """
     _matplotlib()
     depth = np.asarray(found.depth)
@@ -251,28 +254,113 @@ def recovery(image: ArrayLike, found: Recovery, truth: ArrayLike | None = None) 
         vmin=np.nanmin([np.nanmin(z) for z in depths]),
         vmax=np.nanmax([np.nanmax(z) for z in depths]),
     )
-    sure = dict(cmap="magma", vmin=0, vmax=1)
+    sure = dict(cmap="cividis", vmin=0, vmax=1)
     panels: list[tuple[str, np.ndarray, dict[str, Any], str]] = [
         ("image", np.asarray(image), dict(cmap="gray", vmin=0), "radiance"),
-        ("recovered depth", depth, scale, "depth, near is bright"),
-        *(("true depth", true, scale, "depth") for true in depths[1:]),
-        ("confidence", np.asarray(found.confidence), sure, "below 0.5: do not trust"),
+        ("recovered depth", depth, scale, "depth"),
     ]
+    for true in depths[1:]:
+        if true.shape != depth.shape:
+            raise bad("plot.recovery: true depth", true.shape, f"the depth's shape {depth.shape}")
+        error = depth - true
+        most = max(float(np.nanmax(np.abs(error))), 1e-6)
+        name = f"error, RMS {np.sqrt(np.nanmean(error**2)):.2g}"
+        panels.append(("true depth", true, scale, "depth"))
+        panels.append((name, error, dict(cmap="PuOr", vmin=-most, vmax=most), "recovered - true"))
+    panels.append(("confidence", np.asarray(found.confidence), sure, "doubtful below 0.5"))
     if found.albedo is not None:
-        panels.append(("albedo", np.asarray(found.albedo), dict(cmap="gray", vmin=0), ""))
+        panels.append(("albedo", np.asarray(found.albedo), dict(cmap="gray", vmin=0), "albedo"))
     for name, values, _, _ in panels:
         if values.shape != depth.shape:
             raise bad(f"plot.recovery: {name}", values.shape, f"the depth's shape {depth.shape}")
     rows, cols = depth.shape
-    figure = _figure(3.3 * len(panels), float(np.clip(0.9 + 2.6 * rows / cols, 1.8, 8)))
-    for axes, (name, values, style, label) in zip(figure.subplots(1, len(panels), squeeze=False)[0], panels):
+    across = min(len(panels), 3)
+    down = -(-len(panels) // across)
+    figure = _figure(3.5 * across, float(np.clip(0.6 + 2.7 * rows / cols, 1.8, 8)) * down)
+    places = figure.subplots(down, across, squeeze=False).flat
+    for (name, values, style, label), axes in zip(panels, places):
         shown = axes.imshow(values, interpolation="nearest", **style)
         axes.set_title(name, fontsize=11)
-        axes.set_xticks([])
-        axes.set_yticks([])
-        if label:
-            figure.colorbar(shown, ax=axes, shrink=0.8, pad=0.03, label=label)
+        axes.set_xticks([0, cols - 1])
+        axes.set_yticks([0, rows - 1])
+        figure.colorbar(shown, ax=axes, shrink=0.8, pad=0.03, label=label)
+    for axes in places:
+        axes.set_axis_off()
     return figure
+
+
+def terrain(
+    values: ArrayLike,
+    spacing: float,
+    title: str = "",
+    label: str = "",
+    vmin: float | None = None,
+    vmax: float | None = None,
+) -> Figure:
+    """A map of values (rows, cols) with north, a scale bar and a scale of the values.
+
+    spacing: distance of neighbouring nodes [m]. north is up, the direction -y. title, label: texts of the map
+    and of its scale, with the unit. vmin, vmax: the values of black and white; the least and the largest
+    unless given.
+
+    Returns a matplotlib Figure. Raises InputError for another shape or spacing, or if matplotlib is not
+    installed.
+
+    Example: ``plot.save(plot.terrain(sl.sky_view_factor(scene), 30.0, label="sky-view factor"), "svf.png")``
+    """
+    _matplotlib()
+    values = np.asarray(values)
+    if values.ndim != 2:
+        raise bad("plot.terrain: values", f"shape {values.shape}", "(rows, cols)")
+    if not (np.isfinite(spacing) and spacing > 0):
+        raise bad("plot.terrain: spacing", spacing, "a positive number of metres")
+    rows, cols = values.shape
+    figure = _figure(6.2, float(np.clip(5.2 * rows / cols + 0.4, 2, 9)))
+    draw_terrain(figure.add_subplot(), values, spacing, title, label, vmin, vmax)
+    return figure
+
+
+def draw_terrain(
+    axes: Axes,
+    values: np.ndarray,
+    spacing: float,
+    title: str = "",
+    label: str = "",
+    vmin: float | None = None,
+    vmax: float | None = None,
+) -> None:
+    """:func:`terrain` in axes of a figure of one's own."""
+    rows, cols = values.shape
+    shown = axes.imshow(values, cmap="gray", vmin=vmin, vmax=vmax, interpolation="nearest")
+    axes.set_xticks([])
+    axes.set_yticks([])
+    axes.set_title(title, fontsize=11)
+    if label:
+        axes.figure.colorbar(shown, ax=axes, shrink=0.85, pad=0.02, label=label)
+    length = _round_length(cols * spacing / 4)
+    words = f"{length / 1000:g} km" if length >= 1000 else f"{length:g} m"
+    x, y, wide = 0.05 * cols, 0.93 * rows, length / spacing
+    outline: dict[str, Any] = dict(bbox=dict(facecolor="white", edgecolor="none", alpha=0.8, pad=1.5), fontsize=9)
+    axes.plot([x, x + wide], [y, y], color="black", lw=5, solid_capstyle="butt")
+    axes.plot([x, x + wide], [y, y], color="white", lw=2.5, solid_capstyle="butt")
+    axes.text(x + wide / 2, y - 0.03 * rows, words, ha="center", va="bottom", color="black", **outline)
+    x, y = 0.95 * cols, 0.17 * rows
+    axes.annotate(
+        "N",
+        (x, y - 0.12 * rows),
+        (x, y),
+        ha="center",
+        va="center",
+        color="black",
+        arrowprops=dict(facecolor="black", edgecolor="white", width=3, headwidth=9, headlength=9),
+        **outline,
+    )
+
+
+def _round_length(most: float) -> float:
+    """The largest of 1, 2 and 5 times a power of ten that is not beyond ``most``."""
+    power = 10.0 ** np.floor(np.log10(most))
+    return float(power * max(step for step in (1, 2, 5) if step * power <= most))
 
 
 def save(figure: Figure, path: StrPath, dpi: int = 120) -> Path:

@@ -1,4 +1,4 @@
-"""The least-squares problem of one grid on a device, and Gauss-Newton on it (docs/model.md, The inverse)."""
+"""The least-squares problem of one grid on a device, and Gauss-Newton on it (docs/explanation, The inverse)."""
 
 from __future__ import annotations
 

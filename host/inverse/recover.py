@@ -105,7 +105,7 @@ def recover(
         The deepest depth in spacings, unless ``far`` says otherwise; the lattice's depth.
     method : "robust" or "paper"
         ``robust``: the surface whose image, by horizons and with normals, is nearest to the given one, coarse
-        to fine (docs/model.md). ``paper``: carving (Langer and Zucker, section 6, inverse algorithm, Eq. 4):
+        to fine (docs/explanation). ``paper``: carving (Langer and Zucker, section 6, inverse algorithm, Eq. 4):
         all columns start at depth 0 and go down a layer at a time while their luminance, with N.L replaced by
         1/2, does not match the image.
     hemicube, eps, stop
