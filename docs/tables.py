@@ -59,8 +59,7 @@ def _ratio(peer: dict) -> float:
 
 
 def peers_least() -> str:
-    """The least factor over packages that search the whole map or 100 nodes."""
-    return digits(min(_ratio(peer) for peer in _peers() if peer["radius"] != 10))
+    return f"{min(map(_ratio, _peers())):.0f}"
 
 
 def peers_most() -> str:
@@ -359,13 +358,6 @@ def tiles() -> str:
 
 # -- depth from images: performance/recover.py -----------------------------------------------------------
 
-SURFACES = {
-    "plane": "plane",
-    "bumps": "bumps",
-    "egg-crate": "egg-crate",
-    "fractal": "fractal",
-    "face": "face",
-}
 SOURCES = {
     "sky": "uniform sky",
     "sun": "sky with sun",
@@ -390,6 +382,8 @@ def recover() -> str:
     by = {(one["source"], one["surface"]): one for one in _recovered()}
     body = []
     for source, words in SOURCES.items():
+        if not all((source, name) in by for name in names):
+            continue
         carved = [by[source, name].get("paper") for name in names if (source, name) in by]
         span = "" if None in carved else f"{digits(min(carved))} to {digits(max(carved))}"
         body.append((words, *(f"{by[source, name]['robust']:.2f}" for name in names), span))

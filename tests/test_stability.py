@@ -17,7 +17,7 @@ spec.loader.exec_module(stability)
 def test_the_atlas_is_whole():
     """At least twelve failures, each with a section and a figure in the document."""
     assert len(stability.FAILURES) >= 12
-    text = (PATH.parents[1] / "docs" / "stability.md").read_text()
+    text = (PATH.parents[1] / "docs" / "evidence" / "stability.md").read_text()
     for name, failure in stability.FAILURES.items():
         assert f"## {failure.title}\n" in text
         assert (PATH.parents[1] / "docs" / f"stability-{name.replace(' ', '-')}.png").exists()

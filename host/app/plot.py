@@ -340,7 +340,9 @@ def draw_terrain(
     length = _round_length(cols * spacing / 4)
     words = f"{length / 1000:g} km" if length >= 1000 else f"{length:g} m"
     x, y, wide = 0.05 * cols, 0.93 * rows, length / spacing
-    outline: dict[str, Any] = dict(bbox=dict(facecolor="white", edgecolor="none", alpha=0.8, pad=1.5), fontsize=9)
+    outline: dict[str, Any] = dict(
+        bbox=dict(facecolor="white", edgecolor="none", alpha=0.8, pad=1.5), fontsize=9
+    )
     axes.plot([x, x + wide], [y, y], color="black", lw=5, solid_capstyle="butt")
     axes.plot([x, x + wide], [y, y], color="white", lw=2.5, solid_capstyle="butt")
     axes.text(x + wide / 2, y - 0.03 * rows, words, ha="center", va="bottom", color="black", **outline)

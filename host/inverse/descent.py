@@ -1,4 +1,4 @@
-"""The least-squares problem of one grid on a device, and Gauss-Newton on it (docs/explanation, The inverse)."""
+"""The least-squares problem of one grid on a device, and Gauss-Newton on it (docs/explanation/inverse.md)."""
 
 from __future__ import annotations
 

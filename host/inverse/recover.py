@@ -105,9 +105,9 @@ def recover(
         The deepest depth in spacings, unless ``far`` says otherwise; the lattice's depth.
     method : "robust" or "paper"
         ``robust``: the surface whose image, by horizons and with normals, is nearest to the given one, coarse
-        to fine (docs/explanation). ``paper``: carving (Langer and Zucker, section 6, inverse algorithm, Eq. 4):
-        all columns start at depth 0 and go down a layer at a time while their luminance, with N.L replaced by
-        1/2, does not match the image.
+        to fine (docs/explanation). ``paper``: carving (Langer and Zucker, section 6, inverse algorithm, Eq.
+        4): all columns start at depth 0 and go down a layer at a time while their luminance, with N.L
+        replaced by 1/2, does not match the image.
     hemicube, eps, stop
         Of method="paper". stop="eps": a column stops where |B - I| <= eps x max(image); "sign": at the first
         layer where B equals I or has passed it; on most scenes this drills fewer columns.
