@@ -319,7 +319,7 @@ def test_a_file_that_does_not_fit_into_memory(tmp_path, monkeypatch):
 
 def test_paths_that_cannot_be_read(tmp_path):
     """Missing, folder, empty, unknown extension, too long a name."""
-    refused(io.read, tmp_path / "no.npy", says=("no.npy", "no such file"))
+    refused(io.read, tmp_path / "no.npy", says=("File not found", "no.npy"))
     (tmp_path / "dir.npy").mkdir()
     refused(io.read, tmp_path / "dir.npy", says="a folder")
     for suffix in MAP_SUFFIXES:

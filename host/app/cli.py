@@ -29,13 +29,14 @@ from . import chart as charts
 from . import demo as demos
 from . import mosaic, out_of_core, output, parsing, plot
 from . import options as opt
+from .examples import epilog
 from .selftest import Comparison
 from .selftest import selftest as run_selftest
 
 app = typer.Typer(
     name="skylamp",
     no_args_is_help=True,
-    add_completion=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
     help="Light from skies, lamps and windows on depth maps, forward and inverse.",
@@ -58,13 +59,14 @@ def _options(
     debug: Annotated[bool, typer.Option("--debug", help="Print the traceback of an error")] = False,
 ) -> None:
     global _debug
-    _debug = debug
+    _debug, output.quiet, output.verbose = debug, False, False
 
 
-@app.command()
+@app.command(epilog=epilog("render"))
 def render(
     file: opt.File,
-    out: opt.Out,
+    target: opt.Target = None,
+    out: opt.Out = None,
     height: opt.Height = None,
     spacing: opt.Spacing = None,
     albedo: opt.Albedos = "0.8",
@@ -96,8 +98,11 @@ def render(
     cog: opt.Cog = False,
     backend: opt.Backend = "auto",
     as_json: opt.Json = False,
+    quiet: opt.Quiet = False,
+    verbose: opt.Verbose = False,
 ) -> None:
     """Render a depth map under a source."""
+    out = output.needed(target, out)
     output.check(out, as_json)
     if error is not None:
         output.check(error, as_json)
@@ -160,7 +165,7 @@ def _by_tiles(
     output.report_array_or_picture(out, None, as_json, backend, shape=shape, **facts)
 
 
-@app.command()
+@app.command(epilog=epilog("plan"))
 def plan(
     file: opt.File,
     height: opt.Height = None,
@@ -180,6 +185,8 @@ def plan(
     interreflection: opt.Interreflection = "auto",
     backend: opt.Backend = "auto",
     as_json: opt.Json = False,
+    quiet: opt.Quiet = False,
+    verbose: opt.Verbose = False,
 ) -> None:
     """Print the cheapest model of a scene within a tolerance, with a reason for every choice."""
     surface = parsing.reflectance(albedo, specular, exponent)
@@ -205,10 +212,11 @@ def plan(
         console.print(f"Beyond the model: {escape(text)}")
 
 
-@app.command()
+@app.command(epilog=epilog("recover"))
 def recover(
     file: opt.Image,
-    out: opt.Out,
+    target: opt.Target = None,
+    out: opt.Out = None,
     albedo: opt.Albedo = 0.8,
     spacing: opt.NodeSpacing = 1.0,
     source: opt.Source = None,
@@ -229,11 +237,14 @@ def recover(
     figure: opt.Plot = None,
     backend: opt.Backend = "auto",
     as_json: opt.Json = False,
+    quiet: opt.Quiet = False,
+    verbose: opt.Verbose = False,
 ) -> None:
     """Recover depth from an image, with a picture of how far it is to be trusted. An .npz also holds
     confidence, candidates and the masks of ambiguous pixels and drilled columns; a .png holds depth in whole
     layers, 16 bit.
     """
+    out = output.needed(target, out)
     output.check(out, as_json, figure)
     if picture is None and out != "-" and method == "robust":
         picture = str(Path(out).with_name(Path(out).stem + "_picture.png"))
@@ -277,9 +288,10 @@ def recover(
     )
 
 
-@app.command()
+@app.command(epilog=epilog("horizon"))
 def horizon(
     file: opt.File,
+    target: opt.Target = None,
     out: opt.MaybeOut = None,
     height: opt.Height = None,
     spacing: opt.Spacing = None,
@@ -302,10 +314,13 @@ def horizon(
     cog: opt.Cog = False,
     backend: opt.Backend = "auto",
     as_json: opt.Json = False,
+    quiet: opt.Quiet = False,
+    verbose: opt.Verbose = False,
 ) -> None:
     """Horizons: sky-view factor, openness [rad] or slopes of the whole map, and the sky above one node as a
     picture.
     """
+    out = output.either(target, out)
     output.check_array_or_picture(out, picture, as_json)
     if bool(at) != bool(picture):
         raise typer.BadParameter(
@@ -323,8 +338,6 @@ def horizon(
         "negative-openness": partial(sl.openness, negative=True),
         "slopes": sl.horizons,
     }
-    if what not in quantities:
-        raise bad("--what", repr(what), " | ".join(quantities))
     node = parsing.numbers(at, "--at", "ROW,COL") if at else ()
     scene, raster = parsing.scene(file, height, spacing, None, nodata, sides, resample)
     name = select(backend).name
@@ -349,9 +362,10 @@ def horizon(
     )
 
 
-@app.command()
+@app.command(epilog=epilog("field"))
 def field(
     file: opt.File,
+    target: opt.Target = None,
     out: opt.MaybeOut = None,
     height: opt.Height = None,
     spacing: opt.Spacing = None,
@@ -370,10 +384,13 @@ def field(
     row: opt.Row = None,
     backend: opt.Backend = "auto",
     as_json: opt.Json = False,
+    quiet: opt.Quiet = False,
+    verbose: opt.Verbose = False,
 ) -> None:
     """The visibility field: the solid angle [sr] of the source in sight, for every point of free space,
     (layers, rows, cols); as a picture, the rays through points of one row.
     """
+    out = output.either(target, out)
     output.check_array_or_picture(out, picture, as_json)
     if out and layer is None and out.lower().endswith(".png"):
         raise typer.BadParameter(
@@ -403,12 +420,14 @@ def field(
     output.report_array_or_picture(out, picture, as_json, done.backend, shape=shape, range=scale)
 
 
-@app.command()
+@app.command(epilog=epilog("chart"))
 def chart(
     out: opt.ChartFolder,
     backend: opt.Backends = "",
     sizes: opt.Sizes = "128,512",
     as_json: opt.Json = False,
+    quiet: opt.Quiet = False,
+    verbose: opt.Verbose = False,
 ) -> None:
     """Speed against accuracy of every method and backend on this machine, and where plans stand."""
     many = parsing.whole_numbers(sizes, "--sizes")
@@ -435,11 +454,11 @@ def chart(
             + " times as long as the quickest setting within its tolerance",
             file=sys.stderr,
         )
-    print(f"{folder / 'chart.png'}: {len(rows)} points", file=sys.stderr)
+    output.message(f"{folder / 'chart.png'}: {len(rows)} points")
 
 
-@app.command()
-def backends(as_json: opt.Json = False) -> None:
+@app.command(epilog=epilog("backends"))
+def backends(as_json: opt.Json = False, quiet: opt.Quiet = False, verbose: opt.Verbose = False) -> None:
     """List the backends: name, device, and why one is not available."""
     with output.progress_bar("looking for devices"):
         found = sl.backends()
@@ -452,8 +471,8 @@ def backends(as_json: opt.Json = False) -> None:
     output.console().print(table)
 
 
-@app.command()
-def selftest(as_json: opt.Json = False) -> None:
+@app.command(epilog=epilog("selftest"))
+def selftest(as_json: opt.Json = False, quiet: opt.Quiet = False, verbose: opt.Verbose = False) -> None:
     """Compare every available backend with every other on a built-in case; exit 1 if two differ."""
     with output.progress_bar("comparing") as progress:
         compared = run_selftest(progress)
@@ -493,19 +512,26 @@ def _difference(c: Comparison) -> str:
     return shown + ("" if c.passed else "  DIFFERS")
 
 
-@app.command()
-def demo(out: opt.DemoFolder, backend: opt.Backend = "auto", as_json: opt.Json = False) -> None:
+@app.command(epilog=epilog("demo"))
+def demo(
+    out: opt.DemoFolder,
+    backend: opt.Backend = "auto",
+    as_json: opt.Json = False,
+    quiet: opt.Quiet = False,
+    verbose: opt.Verbose = False,
+) -> None:
     """Real mountains under two skies and a lamp, depth recovered from a picture, and every backend beside the
     others.
     """
     select(backend)  # a name that is not there shall leave nothing behind
     folder = io.folder(out)
     with output.progress_bar("demo") as progress:
-        facts = demos.demo(folder, backend, progress)
+        facts = demos.demo(folder, backend, progress, as_json)
     if as_json:
         output.print_json(facts)
     else:
         demos.print_tables(facts)
+        output.message(f"Next: open {folder / 'panel.png'}, then try: skylamp render YOUR_MAP image.png")
 
 
 def main(arguments: list[str] | None = None) -> NoReturn:

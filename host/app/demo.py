@@ -24,7 +24,7 @@ from . import mosaic, output
 EXAGGERATION = 4
 DEMO_LAMP = (215, 150, -45, 40)  # x, y, z, radius [nodes]
 COMPARED_AREA = slice(100, 228), slice(130, 258)  # of the sample terrain, for the comparison of backends
-STAGES = 6  # the comparison, three renderings, the relief, its recovery
+STAGES = 6  # three renderings, the relief, its recovery, the comparison
 
 
 @dataclass
@@ -32,6 +32,7 @@ class Pictures:
     """The pictures of the demo: a file each, what it shows, and its tones for the panel of all."""
 
     folder: Path
+    silent: bool = False  # whether files are not reported as they are written
     facts: list[dict[str, Any]] = field(default_factory=list)
     tones: list[np.ndarray] = field(default_factory=list)
 
@@ -43,6 +44,8 @@ class Pictures:
         self.facts.append(
             {"file": name, "shows": text, "black": float(low), "white": float(high), "gamma": gamma}
         )
+        if not self.silent:
+            output.message(f"{self.folder / name}: {text}")
 
     def add_panel(self) -> None:
         """All pictures on one sheet."""
@@ -50,8 +53,13 @@ class Pictures:
         self.facts.append({"file": "panel.png", "shows": "all of them"})
 
 
-def demo(folder: Path, backend: str, progress: Callable[[int, int], None] | None = None) -> dict[str, Any]:
-    """Write the pictures into ``folder``.
+def demo(
+    folder: Path,
+    backend: str,
+    progress: Callable[[int, int], None] | None = None,
+    silent: bool = False,
+) -> dict[str, Any]:
+    """Write the pictures into ``folder``, each reported at once unless ``silent``.
 
     Returns {out, backend, pictures, seconds, compile_seconds, backends}: what is in the pictures, how long
     the three renderings took, and :func:`compared`.
@@ -62,16 +70,15 @@ def demo(folder: Path, backend: str, progress: Callable[[int, int], None] | None
         if progress:
             progress(next(stages), STAGES)
 
-    pictures = Pictures(folder)
+    pictures = Pictures(folder, silent)
     height, spacing = io.terrain()
-    # before the rest: it tells what compiling takes
-    comparison = compared(Scene.from_height(height[COMPARED_AREA], spacing=spacing))
-    step()
     renderings = _mountains(
         Scene.from_height(EXAGGERATION * height, spacing=spacing), backend, pictures, step
     )
     _relief_recovered(backend, pictures, step)
     pictures.add_panel()
+    comparison = compared(Scene.from_height(height[COMPARED_AREA], spacing=spacing))
+    step()
     return {
         "out": str(folder),
         "backend": renderings[0].backend,
@@ -149,18 +156,15 @@ def relief() -> np.ndarray:
 
 
 def compared(scene: Scene) -> list[dict[str, Any]]:
-    """Every backend on a small scene: seconds to compile, seconds of a second call, difference from NumPy."""
+    """Every backend on a small scene: seconds of a second call, difference from NumPy."""
     image = render(scene, Sky(), method="lattice", hemicube=9, backend="numpy").image
     bits = visibility(scene, Sky(), hemicube=9, backend="numpy")
     table = []
     for b in backends():
         row = {"name": b.name, "device": b.device, "available": b.available, "why": b.why}
         if b.available:
-            first, again = (
-                render(scene, Sky(), method="lattice", hemicube=9, backend=b.name) for _ in range(2)
-            )
+            _, again = (render(scene, Sky(), method="lattice", hemicube=9, backend=b.name) for _ in range(2))
             row |= {
-                "compile_seconds": first.compile_seconds,
                 "seconds": again.seconds,
                 "bits_equal": np.array_equal(visibility(scene, Sky(), hemicube=9, backend=b.name), bits),
                 "difference": float(np.abs(again.image - image).max()),
@@ -190,7 +194,6 @@ def print_tables(facts: dict[str, Any]) -> None:
     table = Table(
         "backend",
         "device",
-        "compile [s]",
         "run [s]",
         "bits as numpy",
         "radiance error",
@@ -201,7 +204,6 @@ def print_tables(facts: dict[str, Any]) -> None:
             table.add_row(
                 row["name"],
                 row["device"],
-                f"{row['compile_seconds']:.2f}",
                 f"{row['seconds']:.4f}",
                 "all" if row["bits_equal"] else "NO",
                 f"{row['difference']:.1e}",

@@ -3,21 +3,29 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
+
+from . import output
 
 # -- of several commands
 File = Annotated[
     Path,
     typer.Argument(
+        metavar="INPUT",
         help="Depth, or height with --height: .npy, .npz, grey .png, .tif or .exr; a GeoTIFF holds height",
         show_default=False,
     ),
 ]
+Target = Annotated[
+    str | None,
+    typer.Argument(metavar="OUTPUT", help="Where to write: as --out", show_default=False),
+]
 Out = Annotated[
-    str,
+    str | None,
     typer.Option(
+        "--out",
         help=".npy, .npz, .tif, .png, .exr or .hdr; - writes .npy to stdout; a .tif from a GeoTIFF is one",
         show_default=False,
     ),
@@ -107,7 +115,7 @@ Sun = Annotated[
         show_default=False,
     ),
 ]
-Sides = Annotated[str, typer.Option(help="open | dark | periodic")]
+Sides = Annotated[Literal["open", "dark", "periodic"], typer.Option(help="What stands round the map")]
 Backend = Annotated[str, typer.Option(help="auto, or a name from `skylamp backends`")]
 Hemicube = Annotated[int, typer.Option(help="Nodes along an edge of the cube of directions, odd")]
 Tolerance = Annotated[str, typer.Option(help="Relative RMS error that auto may make: 0.01 or 1%")]
@@ -115,6 +123,21 @@ Plot = Annotated[
     Path | None, typer.Option("--plot", help="Draw a picture: .png, .svg or .pdf", show_default=False)
 ]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout")]
+Quiet = Annotated[
+    bool,
+    typer.Option(
+        "--quiet",
+        "-q",
+        callback=output.be_quiet,
+        help="No progress and no report; warnings and errors stay",
+    ),
+]
+Verbose = Annotated[
+    bool,
+    typer.Option(
+        "--verbose", "-v", callback=output.be_verbose, help="Print what compilers and drivers print too"
+    ),
+]
 
 # -- of render
 Direct = Annotated[
@@ -123,7 +146,9 @@ Direct = Annotated[
         help="Irradiance by the sun's disc of a surface that faces it, beside a zenith of brightness 1"
     ),
 ]
-Method = Annotated[str, typer.Option(help="auto | lattice | horizon | unoccluded")]
+Method = Annotated[
+    Literal["auto", "lattice", "horizon", "unoccluded"], typer.Option(help="How light is computed")
+]
 LatticeHemicube = Annotated[
     int | None,
     typer.Option(help="Lattice: nodes along an edge of the cube of directions, odd", show_default=False),
@@ -136,8 +161,8 @@ Filled = Annotated[
         show_default=False,
     ),
 ]
-Quantity = Annotated[str, typer.Option(help="radiance | irradiance")]
-Interreflection = Annotated[str, typer.Option(help="Light between surfaces: auto | on | off")]
+Quantity = Annotated[Literal["radiance", "irradiance"], typer.Option(help="What the image holds")]
+Interreflection = Annotated[Literal["auto", "on", "off"], typer.Option(help="Light between surfaces")]
 PngWhite = Annotated[
     float | None,
     typer.Option(
@@ -174,11 +199,15 @@ Tail = Annotated[
 
 # -- of recover
 Image = Annotated[
-    Path, typer.Argument(help="Image of radiance: .npy, .npz, grey .png or .tif", show_default=False)
+    Path,
+    typer.Argument(
+        metavar="INPUT", help="Image of radiance: .npy, .npz, grey .png or .tif", show_default=False
+    ),
 ]
 NodeSpacing = Annotated[float, typer.Option(help="Distance between neighbouring nodes")]
 RecoverMethod = Annotated[
-    str, typer.Option(help="robust: the surface whose image is nearest to this one | paper: carving")
+    Literal["robust", "paper"],
+    typer.Option(help="robust: the surface whose image is nearest to this one | paper: carving"),
 ]
 Near = Annotated[float | None, typer.Option(help="robust: the least depth  [default: 0]", show_default=False)]
 Far = Annotated[
@@ -202,7 +231,10 @@ Eps = Annotated[
         help="paper: stop a column when it is this close to the image, as a share of the image's maximum"
     ),
 ]
-Stop = Annotated[str, typer.Option(help="paper: eps | sign: when the column becomes darker than the image")]
+Stop = Annotated[
+    Literal["eps", "sign"],
+    typer.Option(help="paper: when a column is within eps, or when it becomes darker than the image (sign)"),
+]
 CountWhite = Annotated[
     float | None,
     typer.Option(
@@ -213,10 +245,12 @@ CountWhite = Annotated[
 
 # -- of horizon
 What = Annotated[
-    str,
-    typer.Option(help="sky-view-factor | openness | negative-openness | slopes, (azimuths, rows, cols)"),
+    Literal["sky-view-factor", "openness", "negative-openness", "slopes"],
+    typer.Option(help="What the map holds; slopes are (azimuths, rows, cols)"),
 ]
-Definition = Annotated[str, typer.Option(help="Of the sky-view factor: tilted | horizontal | solid_angle")]
+Definition = Annotated[
+    Literal["tilted", "horizontal", "solid_angle"], typer.Option(help="Of the sky-view factor")
+]
 Azimuths = Annotated[int, typer.Option(help="Directions along which horizons are looked for")]
 MaxDistance = Annotated[
     float | None,

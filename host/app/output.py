@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import importlib
 import json
 import os
 import sys
+import warnings
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -22,12 +24,52 @@ from ..io.paths import HDR
 from . import plot
 
 WIDTH = 160  # characters in a line of a table, off a terminal
+quiet = verbose = False  # what --quiet and --verbose of the running command ask for
+
+
+def be_quiet(asked: bool) -> None:
+    """What --quiet does."""
+    global quiet
+    quiet = quiet or asked
+
+
+def be_verbose(asked: bool) -> None:
+    """What --verbose does."""
+    global verbose
+    verbose = verbose or asked
+
+
+def message(text: str) -> None:
+    """A line on stderr, unless --quiet."""
+    if not quiet:
+        print(text, file=sys.stderr)
+
+
+def either(target: str | None, out: str | None) -> str | None:
+    """The output, given as OUTPUT or as --out."""
+    if target and out:
+        raise typer.BadParameter(
+            f"OUTPUT and --out are both given: {target} and {out}. Give one of them.", param_hint="--out"
+        )
+    return target or out
+
+
+def needed(target: str | None, out: str | None) -> str:
+    """:func:`either`, which must be given."""
+    found = either(target, out)
+    if not found:
+        raise typer.BadParameter(
+            "no output is given. Give OUTPUT after the input, or --out FILE; - is stdout.", param_hint="--out"
+        )
+    return found
 
 
 def check_array_or_picture(out: str | None, picture: Path | None, as_json: bool) -> None:
     """:func:`check` for commands that may write an array, a picture or both."""
     if not out and not picture:
-        raise typer.BadParameter("nothing to do: give --out FILE, --plot FILE or both", param_hint="--out")
+        raise typer.BadParameter(
+            "no output is given. Give OUTPUT after the input, --plot FILE, or both.", param_hint="--out"
+        )
     check(out or "-", as_json and bool(out), picture)
 
 
@@ -67,9 +109,13 @@ def native_stderr_silenced(path: Path | str) -> Iterator[None]:
 
     OpenEXR and OpenCV write there about damage, which the error of the command names too.
     """
-    if not str(path).lower().endswith(HDR):
+    with _silenced() if str(path).lower().endswith(HDR) else contextlib.nullcontext():
         yield
-        return
+
+
+@contextlib.contextmanager
+def _silenced() -> Iterator[None]:
+    """No native output to stderr."""
     sys.stderr.flush()
     kept = os.dup(2)
     null = os.open(os.devnull, os.O_WRONLY)
@@ -82,19 +128,30 @@ def native_stderr_silenced(path: Path | str) -> Iterator[None]:
         os.close(null)
 
 
+def _start_libraries() -> None:
+    """Warp without its banner, and unless --verbose without what it says of missing drivers, nor PyOpenCL's
+    of compilers; here, because a library must not decide that for its user.
+    """
+    warp: Any = importlib.import_module("warp")
+    if hasattr(warp, "LOG_WARNING"):  # older Warps have no levels
+        warp.config.log_level = warp.LOG_WARNING
+    if verbose:
+        warp.init()
+        return
+    warnings.filterwarnings("ignore", "Non-empty compiler output")
+    with _silenced():
+        warp.init()
+
+
 @contextlib.contextmanager
 def progress_bar(title: str) -> Iterator[Callable[[int, int], None] | None]:
     """A progress(done, total) that draws a bar on stderr if that is a terminal, else None.
 
     What libraries print goes to stderr too.
     """
-    import warp
-
-    # No banner, no line per module: here, because a library must not decide that for its user.
-    if hasattr(warp, "LOG_WARNING"):  # older Warps have no levels
-        warp.config.log_level = warp.LOG_WARNING
     with contextlib.redirect_stdout(sys.stderr):
-        if not sys.stderr.isatty():
+        _start_libraries()
+        if quiet or not sys.stderr.isatty():
             yield None
             return
         with Progress(console=Console(stderr=True), transient=True) as bar:
@@ -123,9 +180,7 @@ def report(done: Any, out: str, as_json: bool, **facts: Any) -> None:
     else:
         scale = f", white is {facts['range'][1]:.6g}" if facts.get("range") else ""
         plan = f"; {done.plan.line}" if "plan" in facts else ""
-        print(
-            f"{out}: {' x '.join(map(str, facts['shape']))} by {done.backend}{scale}{plan}", file=sys.stderr
-        )
+        message(f"{out}: {' x '.join(map(str, facts['shape']))} by {done.backend}{scale}{plan}")
 
 
 def report_array_or_picture(
@@ -152,9 +207,9 @@ def report_array_or_picture(
         return
     if out:
         scale = f", white is {range[1]:.6g}" if range else ""
-        print(f"{out}: {' x '.join(map(str, shape))} by {backend}{scale}", file=sys.stderr)
+        message(f"{out}: {' x '.join(map(str, shape))} by {backend}{scale}")
     if picture:
-        print(f"{picture}: drawn, by {backend}", file=sys.stderr)
+        message(f"{picture}: drawn, by {backend}")
 
 
 def print_json(value: object) -> None:

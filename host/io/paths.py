@@ -26,7 +26,7 @@ def readable(path: StrPath) -> Path:
         if path.is_dir():
             raise bad(f"{path}: cannot read", "a folder", "a file")
         if not path.exists():
-            raise bad(f"{path}: cannot read", "no such file", "an existing file")
+            raise InputError(f"File not found: {path}. The path is looked up from {Path.cwd()}.")
         if path.suffix.lower() not in MAP_SUFFIXES + HDR:
             raise bad(f"{path}: unknown extension", repr(path.suffix), " ".join(MAP_SUFFIXES + HDR))
         if path.stat().st_size == 0:
