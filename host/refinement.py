@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from . import sources
+from .arrays import by_bands
 from .backends import select
 from .backends.base import Backend
 from .checks import positive_number
@@ -845,12 +846,13 @@ def _faces_suns(scene: Scene, samples: Samples, suns: tuple[Sun, ...]) -> bool:
     for (x, y, z), sine in cones:
         if not unoccluded.above_plane(samples.gx, samples.gy, x, y, z, sine).all():
             return False
-    gx, gy = unoccluded.gradients(scene)
-    for middle, sine in cones:
-        x, y, z = middle.astype(np.float32)
-        if not unoccluded.above_plane(gx, gy, x, y, z, np.float32(sine)).all():
-            return False
-    return True
+    rounded = [np.array([*middle, sine], np.float32) for middle, sine in cones]
+
+    def face(rows: slice) -> bool:
+        gx, gy = unoccluded.gradients(scene, rows)
+        return all(unoccluded.above_plane(gx, gy, *sun).all() for sun in rounded)
+
+    return all(by_bands(face, scene.shape))
 
 
 class _HiddenWindowPlanner(_Planner):
@@ -1008,20 +1010,20 @@ class _SlicePlanner(_Planner):
         x, y, z = self.middle[:, None] - np.stack([at.x, at.y, at.own])
         if self.scene.mask is not None or not unoccluded.above_plane(at.gx, at.gy, x, y, z, radius).all():
             return False
-        rows, cols = self.scene.shape
-        (gx, gy), deep = unoccluded.gradients(self.scene), self.scene.depth / np.float32(self.scene.spacing)
-        points = [self.middle] if isinstance(self.solid, Ball) else self.solid.corners
-        return all(
-            unoccluded.above_plane(
-                gx,
-                gy,
-                np.float32(x) - np.arange(cols, dtype=np.float32),
-                np.float32(y) - np.arange(rows, dtype=np.float32)[:, None],
-                np.float32(z) + deep,
-                np.float32(radius),
-            ).all()
-            for x, y, z in points
-        )
+        across, down = (np.arange(n, dtype=np.float32) for n in self.scene.shape[::-1])
+        points = np.asarray([self.middle] if isinstance(self.solid, Ball) else self.solid.corners, np.float32)
+
+        def face(rows: slice) -> bool:
+            gx, gy = unoccluded.gradients(self.scene, rows)
+            deep = self.scene.depth[rows] / np.float32(self.scene.spacing)
+            return all(
+                unoccluded.above_plane(
+                    gx, gy, x - across, y - down[rows, None], z + deep, np.float32(radius)
+                ).all()
+                for x, y, z in points
+            )
+
+        return all(by_bands(face, self.scene.shape))
 
     def _choose_rays(self) -> None:
         """How a brightness that varies is taken: along few rays to a small lamp, else along every chord."""

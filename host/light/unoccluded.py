@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from .. import sources
+from ..arrays import by_bands, scratch
 from ..samples import ring
 from ..scene import Scene
 from ..sources.integrals import Integrals, even
@@ -23,21 +24,31 @@ Values = Any  # numbers or arrays that broadcast
 Vector = tuple[Values, Values, Values]
 
 
-def gradients(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
-    """d depth/dx and d depth/dy (rows, cols) float32.
+def gradients(scene: Scene, rows: slice = slice(None)) -> tuple[np.ndarray, np.ndarray]:
+    """d depth/dx and d depth/dy of some ``rows``, (n, cols) float32.
 
     Central differences, one-sided beside masked nodes and, unless the map repeats, at the border.
     """
-    z = scene.depth / np.float32(scene.spacing)
+    first, stop, _ = rows.indices(scene.shape[0])
     periodic = scene.sides == "periodic"
     if scene.mask is None and not periodic:
-        across = [np.gradient(z, axis=a) if z.shape[a] > 1 else np.zeros_like(z) for a in (1, 0)]
+        above = min(first, 1)
+        around = scene.depth[first - above : stop + 1] / np.float32(scene.spacing)
+        across = [
+            np.gradient(around, axis=a)[above : above + stop - first]
+            if scene.shape[a] > 1
+            else np.zeros((stop - first, scene.shape[1]), np.float32)
+            for a in (1, 0)
+        ]
         return across[0], across[1]
+    at = np.arange(first - 1, stop + 1)
+    around = scene.depth[at % scene.shape[0]] / np.float32(scene.spacing)
+    if not periodic:
+        around[(at < 0) | (at >= scene.shape[0])] = np.nan
+    z, beside = around[1:-1], ((0, 0), (1, 1))
+    wide = np.pad(z, beside, "wrap") if periodic else np.pad(z, beside, constant_values=np.nan)
     found = []
-    for axis in (1, 0):
-        one = [(int(a == axis),) * 2 for a in (0, 1)]
-        room = np.pad(z, one, "wrap") if periodic else np.pad(z, one, constant_values=np.nan)
-        low, high = (np.take(room, np.arange(n, n + z.shape[axis]), axis) for n in (0, 2))
+    for low, high in ((wide[:, :-2], wide[:, 2:]), (around[:-2], around[2:])):
         steps = np.maximum(1, np.isfinite(low).astype(np.float32) + np.isfinite(high))
         found.append(
             np.nan_to_num((np.where(np.isfinite(high), high, z) - np.where(np.isfinite(low), low, z)) / steps)
@@ -78,13 +89,25 @@ def sky(scene: Scene, light: Integrals | float) -> np.ndarray:
     A number: pi B (1 + cos a) / 2. Else by :func:`by_normals`, bilinearly, and every small bright part as if
     it lay in one direction.
     """
-    gx, gy = gradients(scene)
+    found, table = scratch(scene.shape), np.zeros((0, 0))
+    if isinstance(light, Integrals):
+        sectors = even(INTEGRATED_AZIMUTHS, 0.5)
+        table = by_normals(light.table(sectors.angles, sectors.widths), sectors.angles, sectors.widths)
+
+    def band(rows: slice) -> None:
+        gx, gy = gradients(scene, rows)
+        if isinstance(light, Integrals):
+            found[rows] = _of_normals(gx, gy, table, light)
+        else:
+            found[rows] = (1 + 1 / np.sqrt(1 + gx * gx + gy * gy)) * np.float32(np.pi / 2 * light)
+
+    by_bands(band, scene.shape)
+    return found
+
+
+def _of_normals(gx: np.ndarray, gy: np.ndarray, table: np.ndarray, light: Integrals) -> np.ndarray:
+    """Irradiance of elements of these slopes, by a table of :func:`by_normals`, and by small bright parts."""
     up = 1 / np.sqrt(1 + gx * gx + gy * gy)
-    if not isinstance(light, Integrals):
-        uniform: np.ndarray = (1 + up) * np.float32(np.pi / 2 * light)
-        return uniform
-    sectors = even(INTEGRATED_AZIMUTHS, 0.5)
-    table = by_normals(light.table(sectors.angles, sectors.widths), sectors.angles, sectors.widths)
     at = [np.nan_to_num((g * up / (1 + up) + 1) * np.float32((NORMALS_PER_AXIS - 1) / 2)) for g in (gx, gy)]
     low = [np.minimum(a.astype(np.int32), NORMALS_PER_AXIS - 2) for a in at]
     p, q = (a - whole for a, whole in zip(at, low))
@@ -257,9 +280,18 @@ def _rays_to_ball(ball: Ball, to: Vector, points: int) -> Iterator[tuple[Vector,
 
 def image(scene: Scene, solid: Ball | Quad, brightness: sources.Brightness, points: int = 1) -> np.ndarray:
     """(rows, cols) float32, see :func:`lamp`; lengths of ``solid`` in spacings, heights third."""
-    gx, gy = gradients(scene)
-    rows, cols = scene.shape
-    x, y = np.arange(cols, dtype=np.float32), np.arange(rows, dtype=np.float32)[:, None]
-    # a brightness function is given no NaN
-    depth = scene.depth if scene.mask is None else np.nan_to_num(scene.depth)
-    return lamp(gx, gy, x, y, depth / np.float32(-scene.spacing), solid, brightness, points)
+    x, y = (np.arange(n, dtype=np.float32) for n in scene.shape[::-1])
+    found = scratch(scene.shape)
+
+    def band(rows: slice) -> None:
+        gx, gy = gradients(scene, rows)
+        # a brightness function is given no NaN
+        depth = scene.depth[rows] if scene.mask is None else np.nan_to_num(scene.depth[rows])
+        height = depth / np.float32(-scene.spacing)
+        found[rows] = lamp(gx, gy, x, y[rows, None], height, solid, brightness, points)
+
+    if callable(brightness):  # the user's, which may not be called by several threads
+        band(slice(None))
+    else:
+        by_bands(band, scene.shape)
+    return found
