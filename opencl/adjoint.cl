@@ -628,6 +628,65 @@ __kernel void lamp(__global const float *heights, __global const float *tilts, _
 }
 #endif
 
+/* add_ground: light and links of an image with the light that ground sends. Ground of mean radiance m fills
+   what is not sky: E + (pi - U) m, U the irradiance by a sky of brightness 1. Where a horizon rises, ground
+   takes the place of sky: the derivatives have the radiance of the ground there times those of U. How m
+   itself hangs on depth is left out of them.
+
+  sky_light .. sky_far  as light .. far, of the sky of brightness 1; is_sky: this is the image's own source
+  mean                  (images, pixels)  float  pi m
+  radiance              (images, pixels)  float  of the ground; this is image `number`
+  all_light .. all_far            out: as light .. far; room for count + sky_count links of a node, or for
+                                  count if it is_sky
+
+Work-item p owns node p. */
+int link_at(int p, int k, int count)
+{
+  return (p / LINK_BLOCK * count + k) * LINK_BLOCK + p % LINK_BLOCK;
+}
+
+__kernel void add_ground(__global const float *light, __global const int *held, __global const int *first,
+                         __global const int *second, __global const float *near, __global const float *far,
+                         __global const float *sky_light, __global const int *sky_held,
+                         __global const int *sky_first, __global const int *sky_second,
+                         __global const float *sky_near, __global const float *sky_far,
+                         __global const float *mean, __global const float *radiance,
+                         __global float *all_light, __global int *all_held, __global int *all_first,
+                         __global int *all_second, __global float *all_near, __global float *all_far,
+                         int number, int pixels, int count, int sky_count, int is_sky)
+{
+  const int p = get_global_id(0), room = is_sky ? count : count + sky_count;
+  if (p >= pixels)
+    return;
+  const int own = is_sky ? 0 : held[p];
+  __global const float *sent = radiance + number * pixels;
+  for (int k = 0; k < own; ++k) {
+    const int from = link_at(p, k, count), to = link_at(p, k, room);
+    all_first[to] = first[from];
+    all_second[to] = second[from];
+    all_near[to] = near[from];
+    all_far[to] = far[from];
+  }
+  float by_own = light[pixels + p];
+  for (int k = 0; k < sky_held[p]; ++k) {
+    const int from = link_at(p, k, sky_count), to = link_at(p, own + k, room);
+    const float one = sky_near[from], other = sky_far[from], both = one + other;
+    const float weighed = one * sent[sky_first[from]] + other * sent[sky_second[from]],
+                ground = both != 0 ? weighed / both : 0.0f, left = is_sky ? 1 - ground : -ground;
+    all_first[to] = sky_first[from];
+    all_second[to] = sky_second[from];
+    all_near[to] = left * one;
+    all_far[to] = left * other;
+    by_own += ground * both;
+  }
+  all_held[p] = own + sky_held[p];
+  const float m = mean[number * pixels + p] / PI;
+  all_light[p] = light[p] + (PI - sky_light[p]) * m;
+  all_light[pixels + p] = by_own;
+  all_light[2 * pixels + p] = light[2 * pixels + p] - m * sky_light[2 * pixels + p];
+  all_light[3 * pixels + p] = light[3 * pixels + p] - m * sky_light[3 * pixels + p];
+}
+
 /* An image's derivative J by depth: rows of it are applied to a change of depths, and added up. */
 typedef struct {
   __global const float *light;

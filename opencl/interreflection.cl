@@ -213,6 +213,25 @@ __kernel void spread(__global const float *maps, __global const float *albedo, _
   }
 }
 
+/* begin: light before the first gather: that of a node among its like, E_d / (1 - albedo (1 - f)).
+
+  direct      (n, rows x cols)         float  in and out: what is not above 0, nan too, becomes 0
+  albedo      (n, rows x cols) or (n)  float  as for spread
+  sky         (rows x cols)            float  f, the share of sky that a node sees, cosine-weighted
+  irradiance  (n, rows x cols)         float  out
+
+Work-item (p, l) owns node p of light l. */
+__kernel void begin(__global float *direct, __global const float *albedo, __global const float *sky,
+                    __global float *irradiance, int n, int pixels, int varies)
+{
+  const int p = get_global_id(0), l = get_global_id(1), q = l * pixels + p;
+  if (p >= pixels || l >= n)
+    return;
+  const float light = direct[q] > 0 ? direct[q] : 0.0f;
+  direct[q] = light;
+  irradiance[q] = light / (1 - albedo[varies ? q : l] * (1 - sky[p]));
+}
+
 /* gather: sums of strips at every stride-th node of every stride-th row, or every 2^shift-th if that is less.
    `kinks`: nodes where the ground bends by more than KINK are no receivers, since nothing is interpolated
    across a kink; masked nodes never are. Work-item (g, phase, r) owns LANES receivers of row r. */

@@ -1,6 +1,6 @@
 """Depth from images: how accurate, how stable, how fast. Writes recover.json.
 
-    python performance/recover.py [--backend NAME] [--what accuracy,stability,albedo,terrain,speed]
+    python performance/recover.py [--backend NAME] [--what accuracy,stability,albedo,between,terrain,speed]
         [--sizes 64,256] [--out FOLDER]
     python performance/recover.py --without NAME[,NAME...]|all [--backend NAME] [--out FOLDER]
 
@@ -29,6 +29,7 @@ EPS = (0.002, 0.01, 0.02, 0.05, 0.1)
 
 
 def robust(image, source, backend, **more):
+    more = {"interreflection": False, **more}
     return sl.recover(image, source, ALBEDO, "dark", layers=LAYERS, backend=backend, **more)
 
 
@@ -197,6 +198,25 @@ def albedos(backend):
             }
 
 
+def between(backend):
+    """Images with light between surfaces, against direct light by its own model."""
+    for kind in ("sky", "sun", "lamp"):
+        for name in (*SURFACES, "pits", "ripples", "folds", "scarp", "saddle"):
+            depth, image = pair(name, kind, interreflection=True)
+            alone = robust(pair(name, kind)[1], source_of(kind), backend).depth
+            found = robust(image, source_of(kind), backend, interreflection="auto")
+            yield {
+                "source": kind,
+                "surface": name,
+                "RMSE, direct light": rms(alone - depth),
+                "RMSE, all light": rms(found.depth - depth),
+                "as direct light": rms(robust(image, source_of(kind), backend).depth - depth),
+                "taken": found.interreflection,
+                "residual": found.levels[-1].residual,
+                "seconds": found.seconds,
+            }
+
+
 def main():
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
@@ -219,6 +239,7 @@ def main():
             "stability": stability,
             "albedo": albedos,
             "terrain": real,
+            "between": between,
             "speed": lambda backend: speed(backend, map(int, options.sizes.split(","))),
         }[what]
         done[what] = []

@@ -84,7 +84,7 @@ SOURCES = {
 
 
 @functools.cache
-def pair(name, kind, size=SIZE):
+def pair(name, kind, size=SIZE, interreflection=False):
     """(depth, image), (size, size) float64: the truth at the nodes and its radiance, in a dark box."""
     at = (np.arange(size * FINER) + 0.5) / FINER - 0.5
     x, y = np.meshgrid(at * SIZE / size, at * SIZE / size)
@@ -106,6 +106,7 @@ def pair(name, kind, size=SIZE):
         method="horizon",
         azimuths=azimuths,
         backend="auto",
+        interreflection=interreflection,
     ).image
     pick = slice(FINER // 2, None, FINER)
     return depth[pick, pick], image[pick, pick].astype(float)

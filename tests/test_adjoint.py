@@ -1002,3 +1002,31 @@ def test_the_pull_of_a_crossing_is_that_of_the_tape(taped):
     np.testing.assert_allclose(
         heights.grad.numpy(), pull[:, None] * [-1, 1 - share, share], rtol=1e-3, atol=1e-7
     )
+
+
+@pytest.mark.parametrize("name", ["uniform", "sun"])
+def test_ground_as_bright_as_the_sky_tells_nothing_of_depth(backend, name):
+    """Radiance 1 all round: E is what the source adds to a sky of 1, and that of a uniform sky has no
+    derivative.
+    """
+    source, z = SKIES[name], ground(slope=2.0)
+    alone = problem(backend, source, sides="periodic", azimuths=24)
+    made = problem(backend, source, sides="periodic", azimuths=24, radiances=[np.ones(SHAPE)])
+    sky = problem(backend, sl.Sky(), sides="periodic", azimuths=24)
+    np.testing.assert_allclose(image(made, z), image(alone, z) + math.pi - image(sky, z), rtol=2e-6)
+    v = np.random.default_rng(4).normal(size=SHAPE)
+    difference = push(made, v) - push(alone, v) + push(sky, v)
+    assert np.abs(difference).max() < 1e-5 * max(1, np.abs(push(sky, v)).max())
+
+
+def test_ground_is_seen_alike_on_all_backends(backend):
+    """Two images, one of a lamp: light and derivatives against the NumPy kernels."""
+    z, sent = ground(slope=1.5), [1 + np.sin(np.arange(99)).reshape(SHAPE), np.full(SHAPE, 0.3)]
+    sources = [SKIES["glow"], SOLIDS["ball"]]
+    made, expected = (problem(name, sources, sides="dark", radiances=sent) for name in (backend, "numpy"))
+    v = np.random.default_rng(4).normal(size=SHAPE)
+    image(made, z), image(expected, z)
+    for number in range(2):
+        lights = [each.backend.download(each.images[number].links[each.here][0]) for each in (made, expected)]
+        np.testing.assert_allclose(*lights, atol=2e-5)
+        np.testing.assert_allclose(push(made, v, number), push(expected, v, number), atol=2e-5)

@@ -20,13 +20,15 @@ from skylamp.inverse.pyramid import Pyramid
 
 SMALL = SIZE = 32  # half the size of performance/recover.py: a layer here is two there
 LAYERS = 32
+# surfaces.pair renders direct light
+recover = functools.partial(sl.recover, interreflection=False)
 pair, source_of = (functools.partial(f, size=SMALL) for f in (surfaces.pair, surfaces.source_of))
 
 
 @functools.cache
 def found(name, kind, backend, size=SIZE, **more):
     depth, image = surfaces.pair(name, kind, size)
-    return sl.recover(
+    return recover(
         image,
         surfaces.source_of(kind, size),
         ALBEDO,
@@ -40,7 +42,7 @@ def found(name, kind, backend, size=SIZE, **more):
 @functools.cache
 def carved(name, kind, eps, backend):
     depth, image = pair(name, kind)
-    return sl.recover(
+    return recover(
         image, source_of(kind), ALBEDO, "dark", layers=LAYERS, method="paper", eps=eps, backend=backend
     ).depth
 
@@ -93,7 +95,7 @@ def test_noise_is_damped(fast, name):
     """White noise of 3 % of the maximum changes depth by less than half of that share of its range."""
     image = surfaces.pair(name, "sky")[1]
     other = np.maximum(image + 0.03 * image.max() * np.random.default_rng(5).normal(size=image.shape), 0)
-    noisy = sl.recover(other, sl.Sky(), ALBEDO, "dark", backend=fast)
+    noisy = recover(other, sl.Sky(), ALBEDO, "dark", backend=fast)
     assert _amplification(noisy.depth, image, other, found(name, "sky", fast, 64).depth) < 0.5
 
 
@@ -185,7 +187,7 @@ def test_strong_relief_in_a_large_image(fast, shape, method):
     y, x = np.indices(shape)
     depth = 16 + 24 * np.sin(x / 9.6 + 1.2 * np.sin(y / 15)) ** 2
     image = sl.render(sl.Scene(depth, albedo=0.3, sides="dark"), sl.Sky(), backend=fast, **method).image
-    assert rms(sl.recover(image, sl.Sky(), 0.3, "dark", backend=fast).depth - depth) < 0.5
+    assert rms(recover(image, sl.Sky(), 0.3, "dark", backend=fast).depth - depth) < 0.5
 
 
 @pytest.mark.parametrize("name", SURFACES)
@@ -220,7 +222,7 @@ def test_real_terrain_under_a_lamp(fast):
     """
     depth = surfaces.terrain(96)
     image = surfaces.image_of(depth, surfaces.lamp_over(96))
-    got = sl.recover(
+    got = recover(
         image, surfaces.lamp_over(96), ALBEDO, "dark", layers=int(np.ceil(1.2 * depth.max())), backend=fast
     )
     correlation, angle = surfaces.compared(depth, got.depth)
@@ -277,10 +279,10 @@ def test_stable_where_carving_is_not(fast, what, most, carving):
         "8 bits": lambda: np.rint(image / image.max() * 255) / 255 * image.max(),
         "albedo 5 %": lambda: 1.05 * image,
     }[what]()
-    robust = sl.recover(other, sl.Sky(), ALBEDO, "dark", backend=fast)
+    robust = recover(other, sl.Sky(), ALBEDO, "dark", backend=fast)
     assert _amplification(robust.depth, image, other, found("bumps", "sky", fast, 64).depth) < most
     clean, again = (
-        sl.recover(picture, sl.Sky(), ALBEDO, "dark", method="paper", backend=fast).depth
+        recover(picture, sl.Sky(), ALBEDO, "dark", method="paper", backend=fast).depth
         for picture in (image, other)
     )
     assert _amplification(again, image, other, clean) > carving
@@ -297,7 +299,7 @@ def test_a_second_image_settles_a_spotlight(fast):
     """A spotlight's image is wrong by many layers; together with the sky's image it is right."""
     depth, image = pair("egg-crate", "spot")
     alone = found("egg-crate", "spot", fast, SMALL)
-    both = sl.recover(
+    both = recover(
         [image, pair("egg-crate", "sky")[1]],
         [source_of("spot"), sl.Sky()],
         ALBEDO,
@@ -317,7 +319,7 @@ def both_lit(name, kinds, backend, brighter=1.0):
     return (
         pair(name, kinds[0])[0],
         albedo,
-        sl.recover(images, [source_of(kind) for kind in kinds], None, "dark", layers=LAYERS, backend=backend),
+        recover(images, [source_of(kind) for kind in kinds], None, "dark", layers=LAYERS, backend=backend),
     )
 
 
@@ -359,14 +361,14 @@ def test_one_image_cannot_tell_the_albedo():
         {"image": np.ones((8, 8)), "source": sl.Sky(), "method": "paper"},
     ):
         with pytest.raises(sl.InputError, match="several images"):
-            sl.recover(albedo=None, sides="dark", backend="numpy", **more)
+            recover(albedo=None, sides="dark", backend="numpy", **more)
 
 
 @pytest.mark.slow
 def test_a_prior_is_kept_and_helps(fast):
     """near and far, as maps: depth lies between them, and nearer to the truth."""
     depth, image = pair("egg-crate", "spot")
-    got = sl.recover(
+    got = recover(
         image,
         source_of("spot"),
         ALBEDO,
@@ -398,7 +400,7 @@ def test_spacing_is_a_unit(fast):
     depth, image = pair("bumps", "lamp")
     lamp = source_of("lamp")
     double = sl.Lamp(center=tuple(2 * c for c in lamp.center), radius=2 * lamp.radius)
-    got = sl.recover(image, double, ALBEDO, "dark", spacing=2.0, layers=32, backend=fast)
+    got = recover(image, double, ALBEDO, "dark", spacing=2.0, layers=32, backend=fast)
     np.testing.assert_allclose(got.depth, 2 * found("bumps", "lamp", fast, SMALL).depth, atol=1e-3)
 
 
@@ -425,9 +427,7 @@ def lit_by(kind, backend):
 
 @functools.cache
 def under(kind, backend, k=1.0, **more):
-    return sl.recover(
-        k * lit_by(kind, backend), SHINE[kind](k), 0.3, "dark", layers=32, backend=backend, **more
-    )
+    return recover(k * lit_by(kind, backend), SHINE[kind](k), 0.3, "dark", layers=32, backend=backend, **more)
 
 
 @pytest.mark.slow
@@ -458,7 +458,7 @@ def test_carving_under_light_so_many_times_as_strong(fast):
 def test_two_lights_of_different_strength(fast):
     """Each image in the unit of its own source: the same depth, and the same albedo, which is not known."""
     got = [
-        sl.recover(
+        recover(
             [sky * lit_by("sky", fast), lamp * lit_by("lamp", fast)],
             [SHINE["sky"](sky), SHINE["lamp"](lamp)],
             None,
@@ -478,7 +478,7 @@ def test_two_lights_of_different_strength(fast):
 def test_nothing_is_recovered_from_darkness(kind, method):
     """A source of brightness 0 is an error, for both methods."""
     with pytest.raises(sl.InputError, match="brightness: got 0;.*darkness"):
-        sl.recover(np.ones((8, 8)), SHINE[kind](0), sides="dark", method=method, backend="numpy")
+        recover(np.ones((8, 8)), SHINE[kind](0), sides="dark", method=method, backend="numpy")
 
 
 @pytest.mark.slow
@@ -487,9 +487,9 @@ def test_wrong_sides_are_suspected(fast):
     with the right sides none does.
     """
     image = pair("bumps", "sky")[1]
-    wrong = sl.recover(image, sl.Sky(), ALBEDO, "open", layers=32, backend=fast).warnings
+    wrong = recover(image, sl.Sky(), ALBEDO, "open", layers=32, backend=fast).warnings
     assert any("ill-posed" in warning for warning in wrong)
-    bright = sl.recover(3 * image, sl.Sky(), ALBEDO, "dark", layers=32, backend=fast).warnings
+    bright = recover(3 * image, sl.Sky(), ALBEDO, "dark", layers=32, backend=fast).warnings
     assert any("brighter than the model" in warning for warning in bright)
     assert found("bumps", "sky", fast, SMALL).warnings == []
 
@@ -497,7 +497,7 @@ def test_wrong_sides_are_suspected(fast):
 def test_a_small_lamp_is_named(fast):
     """Smaller than a node of the coarsest grid at the deepest depth."""
     image = pair("plane", "lamp")[1]
-    got = sl.recover(
+    got = recover(
         image,
         sl.Lamp(center=(15.5, 15.5, -3), radius=0.5),
         ALBEDO,
@@ -513,7 +513,7 @@ def test_time_is_kept_and_the_best_so_far_is_given(fast):
     """A hundredth of a second: a whole map, a warning, no error."""
     depth, image = pair("bumps", "sky")
     found("bumps", "sky", fast, SMALL)  # compiled before
-    got = sl.recover(image, sl.Sky(), ALBEDO, "dark", layers=LAYERS, max_seconds=0.01, backend=fast)
+    got = recover(image, sl.Sky(), ALBEDO, "dark", layers=LAYERS, max_seconds=0.01, backend=fast)
     assert (
         got.depth.shape == depth.shape
         and np.isfinite(got.depth).all()
@@ -533,7 +533,7 @@ def test_time_may_end_anywhere(fast, monkeypatch):
         ticks = itertools.count()
         with monkeypatch.context() as patch:
             patch.setattr(recover.time, "perf_counter", lambda ticks=ticks: next(ticks))
-            got = sl.recover(image, sl.Sky(), ALBEDO, "dark", backend=fast, max_seconds=seconds)
+            got = recover(image, sl.Sky(), ALBEDO, "dark", backend=fast, max_seconds=seconds)
         cut += any("Out of time" in warning for warning in got.warnings)
         assert got.depth.shape == image.shape and rms(got.depth - depth) < (8 if seconds > 25 else 16)
     assert cut > 6
@@ -549,7 +549,7 @@ def test_an_interrupt_gives_the_best_so_far(fast):
         if len(calls) == 1:
             raise KeyboardInterrupt
 
-    got = sl.recover(image, sl.Sky(), ALBEDO, "dark", layers=LAYERS, backend=fast, progress=progress)
+    got = recover(image, sl.Sky(), ALBEDO, "dark", layers=LAYERS, backend=fast, progress=progress)
     assert calls == [(1, 2)] and len(got.levels) == 1
     assert (
         got.depth.shape == depth.shape
@@ -566,7 +566,7 @@ def test_an_interrupt_before_the_first_level_gives_a_flat_surface(fast, monkeypa
 
     monkeypatch.setattr(search, "STAGES", (interrupt,))
     depth, image = pair("bumps", "sky")
-    got = sl.recover(image, sl.Sky(), ALBEDO, "dark", layers=LAYERS, backend=fast)
+    got = recover(image, sl.Sky(), ALBEDO, "dark", layers=LAYERS, backend=fast)
     np.testing.assert_allclose(got.depth, LAYERS / 2, rtol=1e-3)
     assert any("Interrupted" in warning for warning in got.warnings) and got.levels == ()
 
@@ -596,7 +596,7 @@ def test_levels_and_their_residuals(fast, caplog):
     """
     with caplog.at_level(logging.INFO, "skylamp"):
         depth, image = pair("fractal", "lamp")
-        got = sl.recover(image, source_of("lamp"), ALBEDO, "dark", layers=32, backend=fast)
+        got = recover(image, source_of("lamp"), ALBEDO, "dark", layers=32, backend=fast)
     shapes = [level.shape for level in got.levels]
     assert shapes == [(16, 16), (32, 32)], "each once, as it was left"
     told = [record.getMessage() for record in caplog.records]
@@ -631,7 +631,7 @@ def test_levels_and_their_residuals(fast, caplog):
 def test_bad_arguments(arguments, says):
     """Each is an InputError that says what is allowed, without a warning of NumPy's before it."""
     with pytest.raises(sl.InputError, match=says):
-        sl.recover(
+        recover(
             **{"image": np.ones((8, 8)), "source": sl.Sky(), "sides": "dark", "backend": "numpy", **arguments}
         )
 
@@ -645,3 +645,29 @@ def test_surfaces_are_what_they_are_said_to_be():
             sl.Scene(depth, albedo=ALBEDO, sides="dark"), sl.Sky(), method="horizon", azimuths=64
         ).image
         assert rms(own - image) < 0.03 * rms(image)
+
+
+@pytest.mark.slow
+def test_light_between_surfaces_is_told_from_direct_light(fast):
+    """Pits, albedo 0.8: an image with light between surfaces and one without give the same depth, each by its
+    own model, and direct light alone is wrong by layers in the first.
+    """
+    size = 32
+    depth = surfaces.pair("pits", "sky", size)[0]
+    scene = sl.Scene(depth, albedo=ALBEDO, sides="dark")
+    out = sl.render(scene, sl.Sky(), "horizon", azimuths=64, interreflection=True, parts=True, backend=fast)
+    ask = functools.partial(
+        sl.recover, source=sl.Sky(), albedo=ALBEDO, sides="dark", layers=SMALL, backend=fast
+    )
+    both, alone = ask(out.image), ask(out.image, interreflection=False)
+    assert both.interreflection and not alone.interreflection
+    assert rms(both.depth - depth) < 0.15 and rms(alone.depth - depth) > 1
+    direct = ask(out.direct)
+    assert not direct.interreflection and rms(direct.depth - depth) < 0.15
+
+
+def test_a_carving_has_no_light_between_surfaces():
+    with pytest.raises(sl.InputError, match="interreflection"):
+        sl.recover(np.ones((4, 4)), sl.Sky(), method="paper", interreflection=True, backend="numpy")
+    with pytest.raises(sl.InputError, match="interreflection"):
+        sl.recover(np.ones((4, 4)), sl.Sky(), interreflection="yes", backend="numpy")

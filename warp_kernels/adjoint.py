@@ -830,6 +830,75 @@ def lamp(
     held[p] = links
 
 
+@wp.kernel
+def add_ground(
+    light: wp.array[wp.float32],
+    held: wp.array[wp.int32],
+    first: wp.array[wp.int32],
+    second: wp.array[wp.int32],
+    near: wp.array[wp.float32],
+    far: wp.array[wp.float32],
+    sky_light: wp.array[wp.float32],
+    sky_held: wp.array[wp.int32],
+    sky_first: wp.array[wp.int32],
+    sky_second: wp.array[wp.int32],
+    sky_near: wp.array[wp.float32],
+    sky_far: wp.array[wp.float32],
+    mean: wp.array[wp.float32],
+    radiance: wp.array[wp.float32],
+    all_light: wp.array[wp.float32],
+    all_held: wp.array[wp.int32],
+    all_first: wp.array[wp.int32],
+    all_second: wp.array[wp.int32],
+    all_near: wp.array[wp.float32],
+    all_far: wp.array[wp.float32],
+    number: wp.int32,
+    pixels: wp.int32,
+    count: wp.int32,
+    sky_count: wp.int32,
+    is_sky: wp.int32,
+):
+    """Light and links of an image with the light that ground sends. Thread p owns node p."""
+    p = wp.tid()
+    room = count + sky_count
+    own = wp.where(is_sky != 0, 0, held[p])
+    sent = number * pixels
+    if is_sky != 0:
+        room = count
+    for k in range(own):
+        source = link(p, k, count)
+        to = link(p, k, room)
+        all_first[to] = first[source]
+        all_second[to] = second[source]
+        all_near[to] = near[source]
+        all_far[to] = far[source]
+    by_own = light[pixels + p]
+    for k in range(sky_held[p]):
+        source = link(p, k, sky_count)
+        to = link(p, own + k, room)
+        one = sky_near[source]
+        other = sky_far[source]
+        both = one + other
+        weighed = one * radiance[sent + sky_first[source]] + other * radiance[sent + sky_second[source]]
+        ground = wp.float32(0.0)
+        if both != 0.0:
+            ground = weighed / both
+        left = -ground
+        if is_sky != 0:
+            left = wp.float32(1.0) - ground
+        all_first[to] = sky_first[source]
+        all_second[to] = sky_second[source]
+        all_near[to] = left * one
+        all_far[to] = left * other
+        by_own += ground * both
+    all_held[p] = own + sky_held[p]
+    m = mean[sent + p] / wp.float32(PI)
+    all_light[p] = light[p] + (wp.float32(PI) - sky_light[p]) * m
+    all_light[pixels + p] = by_own
+    all_light[2 * pixels + p] = light[2 * pixels + p] - m * sky_light[2 * pixels + p]
+    all_light[3 * pixels + p] = light[3 * pixels + p] - m * sky_light[3 * pixels + p]
+
+
 @wp.func
 def change_at(
     light: wp.array[wp.float32],

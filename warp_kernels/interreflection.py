@@ -223,6 +223,29 @@ def gathered_by(LIGHTS: int):
 
 
 @wp.kernel
+def begin(
+    direct: wp.array[wp.float32],
+    albedo: wp.array[wp.float32],
+    sky: wp.array[wp.float32],
+    irradiance: wp.array[wp.float32],
+    n: wp.int32,
+    pixels: wp.int32,
+    varies: wp.int32,
+):
+    """Light before the first gather: that of a node among its like. Thread (m, p) owns node p of light m."""
+    m, p = wp.tid()
+    if p >= pixels or m >= n:
+        return
+    q = m * pixels + p
+    share = albedo[wp.where(varies != 0, q, m)]
+    light = wp.float32(0.0)
+    if direct[q] > 0.0:
+        light = direct[q]
+    direct[q] = light
+    irradiance[q] = light / (1.0 - share * (1.0 - sky[p]))
+
+
+@wp.kernel
 def spread(
     maps: wp.array[wp.float32],
     albedo: wp.array[wp.float32],

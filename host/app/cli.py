@@ -230,6 +230,7 @@ def recover(
     max_seconds: opt.MaxSeconds = None,
     picture: opt.RecoveryPicture = None,
     layers: opt.Layers = 64,
+    interreflection: opt.Interreflection = "auto",
     hemicube: opt.Hemicube = 9,
     eps: opt.Eps = 0.02,
     stop: opt.Stop = "eps",
@@ -267,6 +268,7 @@ def recover(
             far=far,
             max_seconds=max_seconds,
             backend=backend,
+            interreflection=parsing.interreflection(interreflection),
             progress=progress,
         )
     in_npz = ("drilled", "confidence", "candidates", "ambiguous") if out.lower().endswith(".npz") else ()

@@ -146,6 +146,7 @@ def finer_model_depth(pyramid: Pyramid, level: int, z: np.ndarray) -> np.ndarray
     shape = FINER * rows, FINER * cols
     repeated = np.repeat(np.repeat(pyramid.albedo[level], FINER, 0), FINER, 1)
     lights = pyramid.lights(shape, FINER * 0.5**level, FINER_AZIMUTHS)
+    sent = pyramid.radiances(level)
     model = Descent(
         pyramid.engine,
         shape,
@@ -155,7 +156,8 @@ def finer_model_depth(pyramid: Pyramid, level: int, z: np.ndarray) -> np.ndarray
             for light, scale in zip(lights, pyramid.scales)
         ],
         np.zeros(shape),
-        np.full(shape, np.inf),
+        np.full(shape, FINER * pyramid.bounds[level][1].max()),
+        radiances=sent and [np.maximum(cubic(image, FINER), 0) for image in sent],
     )
     middle, found = slice(FINER // 2, None, FINER), z
     smoothness = pyramid.smoothness(level)

@@ -11,6 +11,7 @@ from ..backends.base import Backend
 from .albedo import AlbedoFit
 from .conjugate_gradients import ConjugateGradients, Depths
 from .forward import Image, Launcher, Surface
+from .ground import Ground
 from .lights import Light
 
 FIRST_DAMPING = 1e-4  # of the first step, in the diagonal's unit
@@ -49,6 +50,7 @@ class Descent:
         low: np.ndarray | float,
         high: np.ndarray | float,
         albedo_known: bool = True,
+        radiances: list[np.ndarray] | None = None,
     ):
         self.backend, self.shape = backend, shape
         self.launcher = Launcher(backend, shape)
@@ -56,6 +58,10 @@ class Descent:
         self.images = [Image(backend, light, shape, sides, gain, target) for light, gain, target in images]
         self.albedo = None if albedo_known else AlbedoFit(self.launcher, self.images)
         self.surface = Surface(self.launcher, sides)
+        self.ground = None
+        if radiances is not None:
+            relief = float(np.max(high) - np.min(low))
+            self.ground = Ground(self.launcher, sides, self.images, radiances, relief)
         self.depths = Depths(
             [backend.empty((pixels,), np.float32) for _ in range(2)],
             backend.empty((pixels,), np.float32, 0),
@@ -83,6 +89,8 @@ class Descent:
         self.surface.set_depth(self.depths.z[side])
         for image in self.images:
             image.evaluate(side, self.surface)
+        if self.ground is not None:
+            self.ground.add(side, self.surface, self.depths.z[side])
         self._compare(side)
 
     def _compare(self, side: int) -> None:

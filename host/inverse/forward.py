@@ -63,6 +63,20 @@ class Surface:
         self.launcher.launch("tiles", z, self.tiles, self.top, rows, cols, dim=self.across)
 
 
+def links_of(backend: Backend, pixels: int, count: int) -> tuple[DeviceArray, ...]:
+    """light, held, first, second, near, far (opencl/adjoint.cl), with room for so many links of a node."""
+    room = -(-pixels // LINK_BLOCK), count, LINK_BLOCK
+    arrays = (
+        ((4, pixels), np.float32),
+        ((pixels,), np.int32),
+        (room, np.int32),
+        (room, np.int32),
+        (room, np.float32),
+        (room, np.float32),
+    )
+    return tuple(backend.empty(*array) for array in arrays)
+
+
 class Image:
     """One image of the surface on the device: the irradiance of a depth map, and its derivatives."""
 
@@ -76,7 +90,8 @@ class Image:
         target: np.ndarray,
     ):
         self.backend, self.shape, self.sides = backend, shape, SIDES[sides]
-        self.count = len(light.directions)
+        # slices of the source, and links of a node that there is room for
+        self.slices = self.count = len(light.directions)
         pixels = shape[0] * shape[1]
         if (pixels + PIXEL_PADDING) * self.count >= 2**31:
             raise CapacityError(
@@ -106,17 +121,9 @@ class Image:
         self.gain = put(np.broadcast_to(gain, shape).ravel())
         self.gains = [self.gain] * 2  # with the albedo of the surface and of a trial
         self.target = put(target.ravel())
-        room = -(-pixels // LINK_BLOCK), self.count, LINK_BLOCK
-        # light, held, first, second, near, far: of the surface and of a trial
-        arrays = (
-            ((4, pixels), np.float32),
-            ((pixels,), np.int32),
-            (room, np.int32),
-            (room, np.int32),
-            (room, np.float32),
-            (room, np.float32),
-        )
-        self.links = [tuple(backend.empty(*array) for array in arrays) for _ in range(2)]
+        # of the surface and of a trial
+        self.links = [links_of(backend, pixels, self.count) for _ in range(2)]
+        self.direct = self.links  # those of direct light, by which an evaluation begins
 
     def evaluate(self, side: int, surface: Surface) -> None:
         """Irradiance and its derivatives at a surface."""
@@ -127,14 +134,14 @@ class Image:
 
     def _evaluate_sky(self, side: int, surface: Surface) -> None:
         rows, cols = self.shape
-        azimuths = self.count if self.backend.nodes_per_item > 1 else 1  # of a work-item
+        azimuths = self.slices if self.backend.nodes_per_item > 1 else 1  # of a work-item
         across = -(-cols // self.backend.lanes)
         seen = surface.heights, surface.tilts, surface.top
-        size = rows, cols, MARGIN, self.count
+        size = rows, cols, MARGIN, self.slices
         self.backend.launch(
             "adjoint",
             "look",
-            (across, rows, -(-self.count // azimuths)),
+            (across, rows, -(-self.slices // azimuths)),
             *(surface.heights, surface.tilts, surface.tiles, surface.top),
             *(self.directions, self.numbers, self.slopes, *size, self.sides, azimuths),
         )
@@ -143,7 +150,7 @@ class Image:
             "sky",
             (across, rows),
             *(*seen, self.numbers, self.slopes, self.directions, self.table),
-            *(*self.links[side], *size, self.knots, self.sides),
+            *(*self.direct[side], *size, self.knots, self.sides),
         )
 
     def _evaluate_lamp(self, side: int, surface: Surface) -> None:
@@ -154,7 +161,7 @@ class Image:
             (cols, rows),
             *(surface.heights, surface.tilts, surface.tiles, surface.top),
             *(self.frames, self.directions, self.solid, self.table),
-            *(*self.links[side], rows, cols, MARGIN, self.count),
+            *(*self.direct[side], rows, cols, MARGIN, self.slices),
             *(self.knots, self.rows_of_table, self.is_ball, self.sides),
             lanes=1,
         )

@@ -91,8 +91,8 @@ class Pyramid:
     """The problem on all grids. Lengths in nodes of the finest grid outside, in each grid's own inside.
 
     images (rows, cols) radiance; albedo a number or (rows, cols), or None: to be found; near, far (rows,
-    cols) bounds. ``stop``: asked after every step whether to end; ``report``: called with every level that
-    was reached.
+    cols) bounds; interreflection: whether ground lights ground. ``stop``: asked after every step whether to
+    end; ``report``: called with every level that was reached.
     """
 
     def __init__(
@@ -104,11 +104,12 @@ class Pyramid:
         sides: str,
         near: np.ndarray,
         far: np.ndarray,
+        interreflection: bool = False,
         stop: Callable[[], bool] = lambda: False,
         report: Callable[[Level], None] = lambda level: None,
     ):
         self.engine, self.sources, self.sides, self.stop, self.report = engine, lights, sides, stop, report
-        self.began = time.perf_counter()
+        self.began, self.interreflection = time.perf_counter(), interreflection
         self.units = [math.sqrt(float(np.mean(np.square(image)))) / IMAGE_RMS for image in images]
         # where brightness is a number, models are of 1: light so many times as strong is a unit so many times
         # as small
@@ -179,11 +180,18 @@ class Pyramid:
                 ],
                 *self.bounds[level],
                 self.albedo_known,
+                self.radiances(level),
             )
             if problem.albedo is not None:
                 problem.albedo.set_prior(self.expected_albedo)
             self.problems[level] = problem
         return self.problems[level]
+
+    def radiances(self, level: int) -> list[np.ndarray] | None:
+        """What the ground sends to ground, in each model's unit; None where that is left out."""
+        if not self.interreflection:
+            return None
+        return [image * scale for image, scale in zip(self.images[level], self.scales)]
 
     def lights(self, shape: tuple[int, int], scale: float, azimuths: int) -> list[Light]:
         """The sources for a grid, see light_of."""

@@ -6,7 +6,7 @@ import math
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -17,6 +17,7 @@ from ..backends.base import Backend
 from ..checks import at, one_of, positive_number, real_array
 from ..directions import Hemicube
 from ..errors import bad
+from ..interreflection import check_choice
 from ..light.propagation import Progress
 from ..rendering import timed
 from ..scene import Scene
@@ -40,6 +41,10 @@ MAPS = (  # fields of Recovery that are maps
     Quantity("drilled", "1", "whether carving went through to the back"),
     Quantity("residual", None, "model less image, in the unit of the image"),
 )
+# residual, as a share of the image, up to which direct light alone is not tried; and how much smaller its
+# residual must be to be believed, since images have light between surfaces unless it was left out; chosen:
+# the other model leaves 0.01 to 0.016 of images of direct light, and less where the two hardly differ
+EXPLAINED, CLEARLY = 0.006, 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,7 +58,8 @@ class Recovery:
     (rows, cols) bool: columns that carving went through to the back; residual (rows, cols) float32: model -
     image of the first image (0 for the paper's method); albedo (rows, cols) float32: that which was found,
     None if it was given; levels: shape, residual and seconds of every grid; backend (its name); seconds
-    without compiling, compile_seconds; warnings. Arrays of an image that is an xarray.DataArray are some too.
+    without compiling, compile_seconds; warnings; interreflection: whether the model of the images has light
+    between surfaces. Arrays of an image that is an xarray.DataArray are some too.
     """
 
     depth: np.ndarray
@@ -68,6 +74,7 @@ class Recovery:
     albedo: np.ndarray | None = None
     residual: np.ndarray | None = None
     levels: tuple[Level, ...] = ()
+    interreflection: bool = False
 
 
 def recover(
@@ -86,6 +93,7 @@ def recover(
     max_seconds: float | None = None,
     backend: str = "auto",
     *,
+    interreflection: bool | str = "auto",
     progress: Progress | None = None,
 ) -> Recovery:
     """Depth from one image, or from several of the same surface.
@@ -116,6 +124,10 @@ def recover(
     max_seconds : float, optional
         Of method="robust": the best surface found so far is given when they are over, or on
         KeyboardInterrupt, with a warning.
+    interreflection : "auto", True or False
+        Of method="robust": whether ground lights ground in the images, as in photographs and in what
+        :func:`skylamp.render` makes by default. "auto": it does, unless direct light alone explains the
+        images twice as well, which is tried where they are not explained well.
     progress : callable, optional
         Called with (levels or layers done, their number). The residual of every level goes to the logger
         "skylamp".
@@ -126,18 +138,20 @@ def recover(
     """
     one_of(method, RECOVER_METHODS, "method")
     one_of(stop, STOPS, "stop")
+    check_choice(interreflection)
     given = _checked(image, source, albedo, sides, spacing, layers, method)
-    eps, cube = (
-        positive_number(eps, "eps"),
-        hemicube if isinstance(hemicube, Hemicube) else Hemicube(hemicube),
-    )
+    eps = positive_number(eps, "eps")
+    cube = hemicube if isinstance(hemicube, Hemicube) else Hemicube(hemicube)
     if method == "robust":
         engine = select(backend)
         with engine.lock:
-            return _labelled(_robust(given, near, far, max_seconds, engine, progress), given.labels)
-    if given.several or near is not None or far is not None or max_seconds is not None:
+            limits = _limits(near, far, max_seconds, given)
+            found = _chosen(given, limits, engine, progress, interreflection)
+        return _labelled(found, given.labels)
+    limited = near is not None or far is not None or max_seconds is not None
+    if given.several or limited or interreflection is True:
         raise bad(
-            "method 'paper' with several images, near, far or max_seconds",
+            "method 'paper' with several images, near, far, max_seconds or interreflection=True",
             "what it cannot use",
             "one image and one source",
             "Use method='robust'.",
@@ -252,21 +266,58 @@ def _carved(
     )
 
 
+class _Limits(NamedTuple):
+    """Between which depths (rows, cols) [nodes] the surface lies, and how long it may take."""
+
+    low: np.ndarray
+    high: np.ndarray
+    seconds: float
+
+
+def _limits(near: Any, far: Any, max_seconds: float | None, given: _Given) -> _Limits:
+    seconds = math.inf if max_seconds is None else positive_number(max_seconds, "max_seconds")
+    return _Limits(*_bounds(near, far, given), seconds)
+
+
+def _chosen(
+    given: _Given,
+    limits: _Limits,
+    engine: Backend,
+    progress: Progress | None,
+    interreflection: bool | str,
+) -> Recovery:
+    """As asked; for "auto" with light between surfaces, or without if that explains the images better."""
+    if isinstance(interreflection, bool):
+        return _robust(given, limits, engine, progress, interreflection)
+    first = _robust(given, limits, engine, progress, True)
+    left = limits.seconds - first.seconds
+    if not first.levels or first.levels[-1].residual <= EXPLAINED or left <= 0:
+        return first
+    other = _robust(given, limits._replace(seconds=left), engine, progress, False)
+    is_direct = other.levels and other.levels[-1].residual < CLEARLY * first.levels[-1].residual
+    best = other if is_direct else first
+    return replace(
+        best,
+        seconds=first.seconds + other.seconds,
+        compile_seconds=first.compile_seconds + other.compile_seconds,
+    )
+
+
 def _robust(
-    given: _Given, near: Any, far: Any, max_seconds: float | None, engine: Backend, progress: Progress | None
+    given: _Given, limits: _Limits, engine: Backend, progress: Progress | None, interreflection: bool
 ) -> Recovery:
     """Stages: the problem on all grids, the search, confidence, the finest grid, warnings."""
     scene, levels = given.scene, list[Level]()
-    low, high = _bounds(near, far, given)
+    low, high, seconds_left = limits
     for light in given.lights:
         _check_shape(light, scene.sides)
-    seconds_left = math.inf if max_seconds is None else positive_number(max_seconds, "max_seconds")
     lights = [_in_nodes(light, scene.spacing) for light in given.lights]
     warnings = diagnostics.of_images(given.images, lights, scene, float(high.max()))
 
     albedo = scene.albedo if given.albedo_given else None
     compiled = engine.compile_seconds
-    pyramid = Pyramid(engine, given.images, lights, albedo, scene.sides, np.maximum(low, NEAREST), high)
+    bounds = np.maximum(low, NEAREST), high
+    pyramid = Pyramid(engine, given.images, lights, albedo, scene.sides, *bounds, interreflection)
 
     def spent() -> float:
         return time.perf_counter() - pyramid.began - (engine.compile_seconds - compiled)
@@ -307,6 +358,7 @@ def _robust(
         albedo=None if given.albedo_given else pyramid.albedo[0].astype(np.float32),
         residual=(residual * pyramid.units[0]).astype(np.float32),
         levels=tuple(levels),
+        interreflection=interreflection,
     )
 
 

@@ -33,63 +33,33 @@ class Round(NamedTuple):
     kinks: bool = False
 
 
-class Bounces:
-    """Irradiance of a scene by direct light and by all light between its surfaces, made better by rounds.
+class Planes:
+    """How maps of a shape lie in planes, as the kernels read them, and the steps of rays over them.
 
-    ``direct``: irradiance (rows, cols) float32 of each light, one or one per colour; ``albedo`` of each, a
-    number or (rows, cols); ``sky`` (rows, cols) float32: share of sky that every node sees, cosine-weighted.
+    ``relief`` [spacing]: of a map that repeats, which says how far its ground is seen.
     """
 
-    def __init__(
-        self,
-        engine: Backend,
-        scene: Scene,
-        samples: Samples,
-        direct: Sequence[np.ndarray],
-        albedo: Sequence[Values],
-        sky: np.ndarray,
-    ):
-        self.engine, self.samples, self.sides, self.shape = engine, samples, scene.sides, scene.shape
-        rows, cols = scene.shape
-        self.lights, self.valid, self.highest = len(direct), scene.mask, samples.highest
+    def __init__(self, engine: Backend, shape: tuple[int, int], sides: str, lights: int, relief: float):
+        self.engine, self.sides, self.shape, self.lights = engine, sides, shape, lights
+        rows, cols = shape
         # along an axis; on a map that repeats, to where its relief makes a slope of SAMPLED_SLOPE
-        self.far = max(rows, cols, samples.relief / SAMPLED_SLOPE if scene.sides == "periodic" else 0)
+        self.far = max(rows, cols, relief / SAMPLED_SLOPE if sides == "periodic" else 0)
         self.shift = SHIFT
-        if scene.sides == "periodic":  # planes repeat only if the columns are shared out evenly
+        if sides == "periodic":  # planes repeat only if the columns are shared out evenly
             self.shift = min(SHIFT, (cols & -cols).bit_length() - 1)
         self.margin = engine.lanes + 1
         self.across = -(-cols // (1 << self.shift))
         self.plane_map = (1 << self.shift) * (rows + 2) * (self.across + 2 * self.margin)
-        if self.lights * max(self.plane_map, rows * cols) >= 2**31:
-            raise CapacityError(
-                f"A map of {rows * cols:,} nodes in {self.lights} colours: cut it into tiles."
-            )
+        if lights * max(self.plane_map, rows * cols) >= 2**31:
+            raise CapacityError(f"A map of {rows * cols:,} nodes in {lights} colours: cut it into tiles.")
         reserve(
             engine,
-            4 * (1 + 4 * self.lights) * self.plane_map,
+            4 * (1 + 4 * lights) * self.plane_map,
             f"Light between {rows} x {cols} nodes",
             "Cut it into tiles.",
         )
         self.heights = engine.empty((self.plane_map,), np.float32)
-        self.light = engine.empty((self.lights * self.plane_map,), np.float32)
-        self.varies = any(np.ndim(share) for share in albedo)
-        self.albedo = engine.upload(
-            np.stack([np.broadcast_to(share, scene.shape if self.varies else ()) for share in albedo])
-            .astype(np.float32)
-            .ravel()
-        )
-        one = engine.upload(np.ones(1, np.float32))
-        self._spread(samples.heights, one, self.heights, 1, False, 1.0, NONE)
-        self.sky = engine.upload(sky.astype(np.float32, copy=False).ravel())
-        self.direct = engine.upload(self._known(direct).ravel())
-        start = [light / (1 - share * (1 - sky)) for light, share in zip(direct, albedo)]
-        self.total = engine.upload(self._known(start).ravel())
-        engine.finish()  # what was uploaded for one launch may be freed
-
-    def _known(self, lights: Sequence[np.ndarray]) -> np.ndarray:
-        """(lights, rows, cols) float32, 0 where masked, and where a control variate has made it negative."""
-        found = np.maximum(np.stack(lights).astype(np.float32, copy=False), np.float32(0))
-        return found if self.valid is None else np.where(self.valid, found, np.float32(0))
+        self.light = engine.empty((lights * self.plane_map,), np.float32)
 
     @property
     def _layout(self) -> tuple[int, ...]:
@@ -120,6 +90,124 @@ class Bounces:
             outside,
             group=GROUP,
         )
+
+    def _tables(self, this: Round) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """(ways, places, crossings) of the kernels."""
+        angles = 2 * np.pi * (np.arange(this.azimuths) + OFFSET) / this.azimuths
+        across, along = np.cos(angles), np.sin(angles)
+        by_columns = np.abs(across) >= np.abs(along)
+        major = np.where(by_columns, across, along)
+        minor = np.where(by_columns, along, across)
+        step = np.array(steps(this.near, this.growth, self.far))
+        aside = np.outer(minor / np.abs(major), step)
+        low = np.floor(aside + 1e-9)
+        straight = np.sign(major)[:, None] * step
+        places = np.where(
+            by_columns[:, None, None], np.stack([straight, low], -1), np.stack([low, straight], -1)
+        )
+        distance = step / np.abs(major)[:, None]
+        crossings = np.stack([np.maximum(aside - low, 0), distance, 1 / distance], -1)
+        ways = np.stack([across, along, by_columns, np.zeros(len(angles))], -1)
+        return ways.astype(np.float32), places.astype(np.int32), crossings.astype(np.float32)
+
+    def _gather_nodes(
+        self,
+        azimuths: int,
+        tables: Sequence[Array],
+        known: tuple[Array, Array, Array],
+        every: bool,
+        highest: float,
+    ) -> None:
+        """``known``: direct light, share of sky, and the irradiance that is found."""
+        self.engine.launch(
+            "interreflection",
+            "gather_nodes",
+            (-(-self.across // self.engine.lanes), 1 << self.shift, self.shape[0]),
+            self.heights,
+            self.light,
+            *tables,
+            *known,
+            azimuths,
+            tables[1].shape[1],
+            *self._layout,
+            SIDES[self.sides],
+            int(every),
+            highest,
+            LIGHTS=self.lights,
+        )
+
+
+class MeanRadiance(Planes):
+    """Mean radiance of the ground that every node of a surface sees, for ground of known radiance.
+
+    ``radiances`` (lights, rows, cols): of the ground; ``found`` (lights x rows x cols) float32 on the device:
+    pi times the mean over all that is not sky, 0 where a node sees sky alone. Surfaces have depths of 0 at
+    least; ``relief`` [spacing] at most.
+    """
+
+    def __init__(self, engine: Backend, sides: str, radiances: np.ndarray, relief: float, rays: Round):
+        super().__init__(engine, radiances.shape[1:], sides, len(radiances), relief)
+        self.azimuths = rays.azimuths
+        self.one, ones = (engine.upload(np.ones(count, np.float32)) for count in (1, self.lights))
+        self.tables = [engine.upload(table) for table in self._tables(rays)]
+        pixels = radiances[0].size
+        self.none, self.found = (engine.empty((self.lights * pixels,), np.float32, 0) for _ in range(2))
+        given = engine.upload(radiances.astype(np.float32).ravel())
+        self._spread(given, ones, self.light, self.lights, False, 1.0, 0.0)
+        engine.finish()
+
+    def find(self, z: Array) -> None:
+        """Of the surface of depths z (rows x cols) on the device."""
+        self._spread(z, self.one, self.heights, 1, False, -1.0, NONE)
+        self._gather_nodes(self.azimuths, self.tables, (self.none, self.none, self.found), True, 0.0)
+
+
+class Bounces(Planes):
+    """Irradiance of a scene by direct light and by all light between its surfaces, made better by rounds.
+
+    ``direct``: irradiance (rows, cols) float32 of each light, one or one per colour; ``albedo`` of each, a
+    number or (rows, cols); ``sky`` (rows, cols) float32: share of sky that every node sees, cosine-weighted.
+    """
+
+    def __init__(
+        self,
+        engine: Backend,
+        scene: Scene,
+        samples: Samples,
+        direct: Sequence[np.ndarray],
+        albedo: Sequence[Values],
+        sky: np.ndarray,
+    ):
+        super().__init__(engine, scene.shape, scene.sides, len(direct), samples.relief)
+        self.samples, self.valid, self.highest = samples, scene.mask, samples.highest
+        self.varies = any(np.ndim(share) for share in albedo)
+        self.albedo = engine.upload(
+            np.stack([np.broadcast_to(share, scene.shape if self.varies else ()) for share in albedo])
+            .astype(np.float32)
+            .ravel()
+        )
+        one = engine.upload(np.ones(1, np.float32))
+        self._spread(samples.heights, one, self.heights, 1, False, 1.0, NONE)
+        self.sky = engine.upload(sky.astype(np.float32, copy=False).ravel())
+        known = [light if self.valid is None else np.where(self.valid, light, 0) for light in direct]
+        self.direct = engine.upload(
+            (known[0] if len(known) == 1 else np.stack(known)).astype(np.float32, copy=False).ravel()
+        )
+        self.total = engine.empty((self.lights * sky.size,), np.float32)
+        engine.launch(
+            "interreflection",
+            "begin",
+            (sky.size, self.lights),
+            self.direct,
+            self.albedo,
+            self.sky,
+            self.total,
+            self.lights,
+            sky.size,
+            int(self.varies),
+            group=GROUP,
+        )
+        engine.finish()  # what was uploaded for one launch may be freed
 
     def _send(self) -> None:
         """The radiance of the ground by the present irradiance."""
@@ -174,43 +262,9 @@ class Bounces:
                 LIGHTS=self.lights,
             )
         if this.stride == 1 or this.kinks or self.valid is not None:
-            engine.launch(
-                "interreflection",
-                "gather_nodes",
-                (-(-self.across // engine.lanes), 1 << self.shift, rows),
-                self.heights,
-                self.light,
-                *tables,
-                self.direct,
-                self.sky,
-                self.total,
-                this.azimuths,
-                count,
-                *common,
-                int(this.stride == 1),
-                self.highest,
-                LIGHTS=self.lights,
-            )
+            known = self.direct, self.sky, self.total
+            self._gather_nodes(this.azimuths, tables, known, this.stride == 1, self.highest)
         engine.finish()  # the tables may be freed
-
-    def _tables(self, this: Round) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """(ways, places, crossings) of the kernels."""
-        angles = 2 * np.pi * (np.arange(this.azimuths) + OFFSET) / this.azimuths
-        across, along = np.cos(angles), np.sin(angles)
-        by_columns = np.abs(across) >= np.abs(along)
-        major = np.where(by_columns, across, along)
-        minor = np.where(by_columns, along, across)
-        step = np.array(steps(this.near, this.growth, self.far))
-        aside = np.outer(minor / np.abs(major), step)
-        low = np.floor(aside + 1e-9)
-        straight = np.sign(major)[:, None] * step
-        places = np.where(
-            by_columns[:, None, None], np.stack([straight, low], -1), np.stack([low, straight], -1)
-        )
-        distance = step / np.abs(major)[:, None]
-        crossings = np.stack([np.maximum(aside - low, 0), distance, 1 / distance], -1)
-        ways = np.stack([across, along, by_columns, np.zeros(len(angles))], -1)
-        return ways.astype(np.float32), places.astype(np.int32), crossings.astype(np.float32)
 
     def irradiance(self) -> list[np.ndarray]:
         """(rows, cols) float32 [brightness x sr] of each light; 0 where masked."""

@@ -560,6 +560,56 @@ def _links(held: np.ndarray, *arrays: np.ndarray) -> Iterator[tuple[np.ndarray, 
         yield some, *(array[some // LINK_BLOCK, k, some % LINK_BLOCK] for array in arrays)
 
 
+def add_ground(
+    light: np.ndarray,
+    held: np.ndarray,
+    first: np.ndarray,
+    second: np.ndarray,
+    near: np.ndarray,
+    far: np.ndarray,
+    sky_light: np.ndarray,
+    sky_held: np.ndarray,
+    sky_first: np.ndarray,
+    sky_second: np.ndarray,
+    sky_near: np.ndarray,
+    sky_far: np.ndarray,
+    mean: np.ndarray,
+    radiance: np.ndarray,
+    all_light: np.ndarray,
+    all_held: np.ndarray,
+    all_first: np.ndarray,
+    all_second: np.ndarray,
+    all_near: np.ndarray,
+    all_far: np.ndarray,
+    number: int,
+    pixels: int,
+    count: int,
+    sky_count: int,
+    is_sky: int,
+) -> None:
+    mean, radiance = (values.reshape(-1, pixels)[number] for values in (mean, radiance))
+    own = 0 * held if is_sky else held
+    if not is_sky:
+        for k, (some, *values) in enumerate(_links(held, first, second, near, far)):
+            for to, value in zip((all_first, all_second, all_near, all_far), values):
+                to[some // LINK_BLOCK, k, some % LINK_BLOCK] = value
+    by_own = light[1].copy()
+    for k, (some, i, j, one, other) in enumerate(_links(sky_held, sky_first, sky_second, sky_near, sky_far)):
+        both = one + other
+        weighed = one * radiance[i] + other * radiance[j]
+        ground = np.where(both != 0, weighed / np.where(both != 0, both, f32(1)), f32(0))
+        left = 1 - ground if is_sky else -ground
+        at = some // LINK_BLOCK, own[some] + k, some % LINK_BLOCK
+        for to, value in zip((all_first, all_second, all_near, all_far), (i, j, left * one, left * other)):
+            to[at] = value
+        by_own[some] += ground * both
+    all_held[:] = own + sky_held
+    m = mean / PI
+    all_light[0] = light[0] + (PI - sky_light[0]) * m
+    all_light[1] = by_own
+    all_light[2:] = light[2:] - m * sky_light[2:]
+
+
 def _change(
     light: np.ndarray,
     held: np.ndarray,

@@ -200,6 +200,20 @@ def spread(
     out[...] = found.reshape(n, rows + 2, -1, 1 << shift).transpose(0, 3, 1, 2)
 
 
+def begin(
+    direct: np.ndarray,
+    albedo: np.ndarray,
+    sky: np.ndarray,
+    irradiance: np.ndarray,
+    n: int,
+    pixels: int,
+    varies: int,
+) -> None:
+    light = direct.reshape(n, pixels)
+    light[...] = np.where(light > 0, light, ZERO)
+    irradiance.reshape(n, pixels)[...] = light / (ONE - albedo.reshape(n, -1) * (ONE - sky))
+
+
 def gather(
     heights: np.ndarray,
     light: np.ndarray,
