@@ -60,9 +60,9 @@ def horizons(
     Raises InputError, BackendError or CapacityError.
     """
     scene = _scene_of(scene)
-    azimuths, engine = as_azimuths(azimuths), engine_of(scene, backend)
+    azimuths = as_azimuths(azimuths)
     work = partial(_slopes, azimuths=azimuths, backend=backend)
-    found: Any = over_tiles(work, scene, tiling, max_distance, engine, SLOPE, azimuth=azimuths.angles)
+    found: Any = over_tiles(work, scene, tiling, max_distance, backend, SLOPE, azimuth=azimuths.angles)
     if scene.labels is not None:
         found.coords["azimuth"].attrs.update(AZIMUTH_ATTRIBUTES)
     slopes: np.ndarray = found
@@ -112,9 +112,8 @@ def sky_view_factor(
     """
     one_of(definition, DEFINITIONS, "definition")
     scene = _scene_of(scene)
-    engine = engine_of(scene, backend)
     work = partial(sky_view, definition=definition, azimuths=as_azimuths(azimuths), backend=backend)
-    found: np.ndarray = over_tiles(work, scene, tiling, max_distance, engine, VIEW[definition])
+    found: np.ndarray = over_tiles(work, scene, tiling, max_distance, backend, VIEW[definition])
     return found
 
 
@@ -177,9 +176,7 @@ def openness(
         turned = labelled(turned, scene.labels, OPENNESS[True])
         scene = Scene.from_height(turned, scene.spacing, mask=scene.mask, sides=scene.sides)
     work = partial(mean_openness, azimuths=as_azimuths(azimuths), backend=backend)
-    found: np.ndarray = over_tiles(
-        work, scene, tiling, max_distance, engine_of(scene, backend), OPENNESS[bool(negative)]
-    )
+    found: np.ndarray = over_tiles(work, scene, tiling, max_distance, backend, OPENNESS[bool(negative)])
     return found
 
 

@@ -33,6 +33,8 @@ CHECKED = 144
 ESTIMATE_SHARE = 0.85
 UNFINISHED = 0.1  # of the tolerance: light that bounces more often than there are rounds; chosen
 MOST_COARSE_ROUNDS = 8
+# share of ground below which a node sees none, and gets no light from it: rounding; chosen
+LEAST_GROUND = 1e-6
 # RMS error of a uniform sky's light over pi by even azimuths, on rough ground (performance/horizon.py)
 AZIMUTH_ERRORS = {16: 0.0031, 32: 0.0011, 64: 0.00037, 128: 0.00013}
 # of the tolerance that azimuths may take where they tell the share of sky, and at checked nodes; chosen
@@ -66,7 +68,8 @@ class Interreflection:
     included: whether it is in the image; reason: why, or why not; share: RMS of this light over the mean of
     the direct light, None where nobody asked; rounds of gathering, the last in ``azimuths`` at every
     ``stride``-th node; error: of all light, RMS over its mean, by exact strips at some nodes. Where this
-    light is left out, rounds is 0, and azimuths, stride and error are None.
+    light is left out, and where every tile has rounds of its own, rounds is 0, and azimuths, stride and error
+    are None.
     """
 
     included: bool
@@ -80,6 +83,8 @@ class Interreflection:
     def __str__(self) -> str:
         if not self.included:
             return f"left out: {self.reason}"
+        if self.azimuths is None:
+            return f"included: {self.reason}"
         nodes = "every node" if self.stride == 1 else f"every {self.stride}nd node and at kinks"
         return f"{self.rounds} rounds, the last in {self.azimuths} azimuths at {nodes}: {self.reason}"
 
@@ -188,20 +193,22 @@ def included(
     why: str,
     error: float = 0.0,
     sky: np.ndarray | None = None,
+    beyond: bool = False,
 ) -> Included:
     """All light within the tolerance, from the direct light of each colour.
 
     ``error``: RMS of that of ``direct`` over its mean; ``sky``: share of sky at every node, if that is what
-    ``direct`` is proportional to.
+    ``direct`` is proportional to. ``beyond``: ``sky`` is that of a part of a map, beyond which ground
+    hides sky too. A node takes it to be as bright as the ground of the part that it sees.
     """
     samples = Samples(engine, scene, CHECKED)
-    is_uniform = sky is not None
+    is_uniform = sky is not None and not beyond
     sky = sky_share(scene, engine, tolerance, samples.cliffs > 0) if sky is None else sky
     shares = albedos(scene)
     count = max(len(direct), len(shares))
     lights, shares = ([values[n % len(values)] for n in range(count)] for values in (direct, shares))
     check = _Check(
-        Bounces(engine, scene, samples, lights, shares, sky), lights, shares, sky, error, is_uniform
+        Bounces(engine, scene, samples, lights, shares, sky), lights, shares, sky, error, is_uniform, beyond
     )
     coarse = check.coarse_rounds(tolerance)
     check.bounces.run([COARSE._replace(kinks=samples.cliffs > 0)] * coarse)
@@ -222,6 +229,11 @@ def included(
         warnings.append(
             f"Tolerance: with the light between surfaces the image is estimated to be {100 * total:.2g} % off"
             f" (RMS over the mean), more than the {100 * tolerance:.2g} % asked for."
+        )
+    if check.guessed > tolerance:
+        warnings.append(
+            f"Tolerance: about {100 * check.guessed:.1g} % of the light (RMS over the mean) comes from ground"
+            " beyond a tile's halo, which is taken to be as bright as the ground within."
         )
     return Included(check.bounces.irradiance(), record, errors, warnings)
 
@@ -246,8 +258,10 @@ class _Check:
         sky: np.ndarray,
         error: float,
         is_uniform: bool,
+        beyond: bool,
     ):
-        self.bounces, self.error, self.is_uniform = bounces, error, is_uniform
+        self.bounces, self.error, self.is_uniform, self.beyond = bounces, error, is_uniform, beyond
+        self.guessed = 0.0  # RMS over the mean of the light that comes from beyond the map
         self.samples = samples = bounces.samples
         self.sky, self.direct = samples.of(sky), [samples.of(light) for light in direct]
         self.albedo = [share[samples.y, samples.x] if np.ndim(share) else share for share in albedo]
@@ -280,8 +294,14 @@ class _Check:
         samples, found = self.samples, self.bounces.total_at_samples()
         light, sky = self.bounces.at_samples(azimuths)
         worst, errors = 0.0, []
+        self.guessed = 0.0
         for total, direct, share, sent in zip(found, self.direct, self.albedo, light):
             mean, first = _mean(samples, total), _mean(samples, direct)
+            if self.beyond:
+                more = sent * ((1 - self.sky) / np.maximum(1 - sky, LEAST_GROUND) - 1)
+                sent = sent + more
+                guessed = math.sqrt(float(np.average(np.maximum(more, 0) ** 2, weights=samples.weights)))
+                self.guessed = max(self.guessed, guessed / mean if mean > 0 else 0.0)
             exact, shared = direct, self.error * first
             if self.is_uniform and self.sky.any():
                 exact, shared = sky * (direct.sum() / self.sky.sum()), 0.0

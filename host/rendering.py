@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
@@ -28,7 +29,7 @@ from .light.slices import CHORD_AZIMUTHS, CHORD_KNOTS, MOST, Slices, blurred, br
 from .light.sweeps import FINE_NEAR_ROWS, Rays, Sweeps, engine_of, ground_of
 from .refinement import Plan, Refined, refined, solid_of
 from .reflectance import BRDF, Phong
-from .scale import fits, tiled
+from .scale import Audit, fits, holds, over_area, tiled, warn
 from .scene import Scene, is_scene
 from .sources import cie
 from .sources.integrals import Integrals, chords
@@ -216,24 +217,101 @@ def _in_tiles(
     backend: str,
     tiling: Tiling | None,
 ) -> Rendering:
-    """A sky on a map in tiles: lazy, if the scene is."""
-    work = _tile_image(scene, source, options, backend)
+    """A sky or a lamp on a map in tiles: lazy, if the scene is."""
+    leading = [3] if _in_colour_in_tiles(scene, source, options) else []
+    warnings, between = [], options.interreflection is True and bool(np.ndim(scene.albedo) or scene.albedo)
+    why = "as asked, in every tile for itself" if between else "a map in tiles is lit directly"
 
     def light() -> Any:
-        leading = [3] if work.in_colour else []
-        found = tiled(work, scene, tiling, options.max_distance, *leading)
+        if isinstance(source, sources.Lamp):
+            area = _lit_area(scene, source, options.max_distance)
+            lamp = LampImage(source, replace(options, max_distance=None), backend, bool(leading))
+            found = over_area(lamp, scene, *area, *leading)
+        else:
+            work = _tile_image(scene, source, options, backend)
+            found = tiled(work, scene, tiling, options.max_distance, work.audit, *leading, between=between)
         if not leading:
             return found
         return found.transpose(1, 2, 0) if scene.lazy is not None else np.moveaxis(found, 0, -1)
 
     found, seconds, compiling = timed(engine, light)
-    count = len(_sectors(options.azimuths))
-    plan = Plan("horizon", None, None, "a map in tiles is not refined", count, options.max_distance)
-    image = labelled(found, scene.labels, IMAGES[options.quantity])
-    left_out = Interreflection(False, "a map in tiles is lit directly", None)
+    count: int | None = len(_sectors(options.azimuths))
+    reason = "a map in tiles is not refined"
+    if isinstance(source, sources.Lamp):
+        count, reason = None, "what is within reach of the lamp is rendered at once"
+        why = "as in every image" if options.interreflection else "as asked"
+        between = options.interreflection is not False
+        warnings = _beyond_reach(source, options.max_distance)
+    plan = Plan("horizon", None, None, reason, count, options.max_distance)
     return Rendering(
-        image, plan, engine.name, seconds, compiling, _quantity=options.quantity, interreflection=left_out
+        labelled(found, scene.labels, IMAGES[options.quantity]),
+        plan,
+        engine.name,
+        seconds,
+        compiling,
+        warnings,
+        _quantity=options.quantity,
+        interreflection=Interreflection(between, why),
     )
+
+
+def _in_colour_in_tiles(scene: Scene, source: sources.Source, options: _Options) -> bool:
+    """Whether images of tiles are in colour."""
+    coloured = np.ndim(scene.albedo) in (1, 3)
+    may_bounce = options.interreflection is True or isinstance(source, sources.Lamp)
+    return len(sources.channels(source)) > 1 or coloured and (options.quantity == "radiance" or may_bounce)
+
+
+def _lit_area(scene: Scene, lamp: sources.Lamp, reach: float | None) -> tuple[slice, slice]:
+    """Rows and columns of the nodes that a lamp of some reach [unit of spacing] lights."""
+    assert lamp.center is not None, "checked"
+    ends = []
+    for at, nodes in zip(lamp.center[1::-1], scene.shape):
+        first, last = (0, nodes) if reach is None else (at - reach, at + reach)
+        if reach is not None:
+            first, last = (math.ceil(first / scene.spacing), math.floor(last / scene.spacing) + 1)
+        ends.append(slice(min(max(first, 0), nodes), max(0, min(last, nodes))))
+    return ends[0], ends[1]
+
+
+def _beyond_reach(lamp: sources.Lamp, reach: float | None) -> list[str]:
+    """A warning with the light that is left out beyond a lamp's reach."""
+    if reach is None or lamp.radius is None:
+        return []
+    return [
+        f"Reach: nodes more than {reach:g} from the lamp along rows or columns get none of its light; that"
+        f" would be an irradiance of up to {math.pi * min(1.0, lamp.radius / reach) ** 2:.2g} times its"
+        " brightness."
+    ]
+
+
+@dataclass(frozen=True)
+class LampImage:
+    """The image of the part of a map that a lamp lights, as :func:`skylamp.scale.over_area` asks for it."""
+
+    lamp: sources.Lamp
+    options: _Options
+    backend: str
+    in_colour: bool
+
+    def __call__(self, scene: Scene, row: int, col: int, below: float) -> np.ndarray:
+        """(rows, cols) float32, or (3, rows, cols) in colour.
+
+        ``row``, ``col``: of the scene's first node in the map; ``below``: depth [length] of its plane z = 0.
+        """
+        assert self.lamp.center is not None, "checked"
+        x, y, z = self.lamp.center
+        center = x - col * scene.spacing, y - row * scene.spacing, z - below
+        lamp = replace(self.lamp, center=center)
+        engine = engine_of(scene, self.backend)
+        lamp_in_range, unit = sources.in_range(lamp)
+        done = _Renderer(scene, lamp_in_range, engine, self.options).render()._times(unit)
+        for text in done.warnings:
+            warn(text)
+        image = np.asarray(done.image)
+        if not self.in_colour:
+            return image
+        return np.broadcast_to(image, (3, *image.shape)) if image.ndim == 2 else np.moveaxis(image, -1, 0)
 
 
 @dataclass(frozen=True)
@@ -241,7 +319,8 @@ class TileImage:
     """The image of a tile under a sky, as :func:`skylamp.scale.tiled` asks for it.
 
     rays, and tables of brightness, of every colour; factors of the colours that differ by these alone, of
-    which there is one ray and no table. in_colour: the image is (3, rows, cols).
+    which there is one ray and no table. in_colour: the image is (3, rows, cols). between: with the light
+    between surfaces, within ``tolerance``. The light is ``unit`` times that of the tables.
     """
 
     lights: tuple[tuple[Rays, np.ndarray | None], ...]
@@ -249,6 +328,14 @@ class TileImage:
     quantity: str
     in_colour: bool
     backend: str
+    tolerance: float
+    between: bool
+    unit: float
+
+    @property
+    def audit(self) -> Audit:
+        """Within which tolerance far ground must be taken."""
+        return Audit(self.backend, self.tolerance)
 
     def __call__(
         self, scene: Scene, max_distance: float | None, far: Far | None, part: slice = slice(None)
@@ -257,13 +344,23 @@ class TileImage:
         engine = engine_of(scene, self.backend)
         with engine.lock:
             ground = ground_of(scene, max_distance, engine)
-            direct = [
-                Sweeps(engine, ground, rays, table, far=far).irradiance(last=True)
-                for rays, table in self.lights
-            ]
-        if self.factors is not None:
-            direct = [direct[0] * np.float32(factor) for factor in self.factors]
-        image = _image(scene, direct, [], self.quantity)
+
+            def swept(rays: Rays, table: np.ndarray | None) -> np.ndarray:
+                return Sweeps(engine, ground, rays, table, far=far).irradiance(last=True)
+
+            light = [swept(*given) for given in self.lights]
+            if self.factors is not None:
+                light = [light[0] * np.float32(factor) for factor in self.factors]
+            if self.between:
+                sectors = Azimuths(DEFAULT_AZIMUTHS)
+                sky = swept(Rays(sectors.angles, sectors.widths), None) * np.float32(1 / np.pi)
+                found = included(scene, engine, light, self.tolerance, "as asked", sky=sky, beyond=True)
+                light = found.irradiances
+                for text in found.warnings:
+                    warn(text)
+        if self.unit != 1:
+            light = [image * np.float32(self.unit) for image in light]
+        image = _image(scene, light, [], self.quantity)
         return np.moveaxis(image, -1, 0)[part] if self.in_colour else image
 
 
@@ -274,24 +371,26 @@ def tile_image(scene: Scene, source: sources.Source, backend: str, **asked: Any)
     """
     options = _Options(**asked)
     options.check(scene, source)
-    refused = options.refused_in_tiles(scene, source)
+    refused = options.refused_in_tiles(scene, source, None)
     if refused:
         raise bad("render: a map in tiles", *refused)
     return _tile_image(scene, source, options, backend)
 
 
 def _tile_image(scene: Scene, source: sources.Source, options: _Options, backend: str) -> TileImage:
-    assert isinstance(source, sources.Sky), "checked"
+    source, unit = sources.in_range(source)
     greys, sectors = sources.channels(source), _sectors(options.azimuths)
     factors = _numbers(greys)
     skies = [grey for grey in greys if isinstance(grey, sources.Sky)][: None if factors is None else 1]
-    coloured = options.quantity == "radiance" and np.ndim(scene.albedo) in (1, 3)
     return TileImage(
         tuple(_rays_of(sky, sectors) for sky in skies),
         None if factors is None else tuple(factors),
         options.quantity,
-        len(greys) > 1 or coloured,
+        _in_colour_in_tiles(scene, source, options),
         backend,
+        float(options.tolerance),
+        options.interreflection is True,
+        unit,
     )
 
 
@@ -398,26 +497,34 @@ class _Options:
         asked = scene.lazy is not None or tiling is not None
         if not asked and fits(scene, engine):
             return False
-        refused = self.refused_in_tiles(scene, source)
+        refused = self.refused_in_tiles(scene, source, engine)
         if asked and refused:
             raise bad("render: a map in tiles", *refused)
         return refused is None
 
-    def refused_in_tiles(self, scene: Scene, source: sources.Source) -> tuple[str, str] | None:
-        """The first thing that is not rendered in tiles, and what is; None where there is none."""
+    def refused_in_tiles(
+        self, scene: Scene, source: sources.Source, engine: Backend | None
+    ) -> tuple[str, str] | None:
+        """The first thing that is not rendered in tiles, and what is; None where there is none.
+
+        ``engine``: where what a lamp lights is rendered at once; None where no lamp can be.
+        """
+        if self.parts:
+            return "parts", "all light, or interreflection=False and direct light"
+        if isinstance(source, sources.Lamp) and engine is not None:
+            return self._refused_lamp(scene, source, engine)
         refused = [
-            (not isinstance(source, sources.Sky), "a lamp or a window", "a Sky, whose light comes from afar"),
+            (
+                not isinstance(source, sources.Sky),
+                "a lamp or a window",
+                "a Sky, whose light comes from afar; what lies before a window may be in any tile",
+            ),
             (
                 self.lattice or self.method not in ("auto", "horizon"),
                 "the lattice or closed forms",
                 "horizons",
             ),
             (self.shines(scene), "a lobe or a mirror", "a Lambertian surface, or quantity='irradiance'"),
-            (
-                self.parts or self.interreflection is True,
-                "light between surfaces",
-                "interreflection 'auto' or False, which leave it out, without parts",
-            ),
             (self.tail is not None, "a tail", "as many azimuths as asked: nothing is refined"),
             (
                 self.azimuths is None and float(self.tolerance) < LEAST_TILED_TOLERANCE,
@@ -426,6 +533,22 @@ class _Options:
             ),
         ]
         return next(((what, allowed) for is_so, what, allowed in refused if is_so), None)
+
+    def _refused_lamp(self, scene: Scene, lamp: sources.Lamp, engine: Backend) -> tuple[str, str] | None:
+        """Why the nodes that a lamp lights cannot be rendered at once, and what can."""
+        if lamp.center is None:
+            return "a lamp without a centre", "a sphere, by its center and radius"
+        if scene.sides != "open":
+            return f"a lamp with sides {scene.sides!r}", "sides 'open'"
+        rows, cols = (area.stop - area.start for area in _lit_area(scene, lamp, self.max_distance))
+        if rows < 1 or cols < 1:
+            return "a lamp beyond whose reach the whole map lies", "a larger max_distance"
+        if not holds(rows * cols, engine):
+            return (
+                f"a lamp that lights {rows} x {cols} nodes, which are rendered at once",
+                "max_distance, its reach: nodes farther away get none of its light",
+            )
+        return None
 
     def _check_method(self) -> None:
         """InputError where arguments of another method are given."""

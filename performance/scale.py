@@ -2,6 +2,8 @@
 
     python performance/scale.py --out docs                            # the table of errors
     python performance/scale.py --exact                               # houses, against exact rays
+    python performance/scale.py --cities                              # error and audit among houses
+    python performance/scale.py --between                             # light between surfaces
     python performance/scale.py --memory 8192                         # bytes of a process for one tile
     python performance/scale.py --big 65536 --tile 4096 --workers 4   # time of a map that is generated lazily
 
@@ -18,12 +20,13 @@ import platform
 import resource
 import sys
 import time
+import warnings
 from pathlib import Path
 
 import numpy as np
 
 import skylamp as sl
-from skylamp import oracle
+from skylamp import oracle, scale
 from skylamp.io import files as io
 from skylamp.light import far
 
@@ -61,14 +64,17 @@ def terrain(size):
     return whole[:size, :size].astype(np.float32)
 
 
-def houses(size, seed=2):
-    """A city on a slope [nodes]: blocks of 12 to 40 nodes and 6 to 25 high, and a tower now and then."""
+def houses(size, seed=2, area=1200, low=6, high=25, towers=0.03, tower_low=60, tower_high=120):
+    """A city on a slope [nodes]: a block an ``area``, of 12 to 40 nodes and ``low`` to ``high`` high, and a
+    tower now and then.
+    """
     rng = np.random.default_rng(seed)
     heights = np.add.outer(np.zeros(size), 0.01 * np.arange(size))
-    for _ in range(size * size // 1200):
+    for _ in range(size * size // area):
         row, col = rng.integers(0, size, 2)
         rows, cols = rng.integers(12, 40, 2)
-        top = rng.uniform(6, 25) if rng.random() < 0.97 else rng.uniform(60, 120)
+        is_low = rng.random() < 1 - towers
+        top = rng.uniform(low, high) if is_low else rng.uniform(tower_low, tower_high)
         part = heights[row : row + rows, col : col + cols]
         np.maximum(part, part.min() + top, out=part)
     return heights.astype(np.float32)
@@ -146,6 +152,55 @@ def exact(size, tile, backend):
         )
 
 
+# of cities: area [node^2] that has a block; heights of blocks; share and heights of towers [nodes]
+CITIES = {
+    "city": (1200, 6, 25, 0.03, 60, 120),
+    "few blocks": (8000, 6, 25, 0.03, 60, 120),
+    "fewer": (30000, 6, 25, 0.1, 60, 120),
+    "low": (1200, 5, 9, 0, 0, 1),
+    "low, few": (8000, 5, 12, 0, 0, 1),
+    "towers": (1200, 20, 60, 0.3, 60, 250),
+    "skyline": (600, 30, 100, 0.3, 150, 400),
+}
+
+
+def cities(size, tile, backend):
+    """Added RMS error of sky-view factors of level elements, and what the audit of every tile says."""
+    scale.WORTH_SAYING = 0.0
+    options = dict(definition="horizontal", azimuths=AZIMUTHS, backend=backend)
+    grounds = {name: houses(size, 5, *args) for name, args in CITIES.items()}
+    grounds |= {name: heights for name, heights in maps(size) if name != "houses"}
+    for name, heights in grounds.items():
+        scene = sl.Scene.from_height(heights)
+        whole = sl.sky_view_factor(scene, **options)
+        for tiling in (sl.Tiling(tile), sl.Tiling(tile, 256, 64)):
+            with warnings.catch_warnings(record=True) as said:
+                warnings.simplefilter("always")
+                error = rms(sl.sky_view_factor(scene, tiling=tiling, **options) - whole)
+            told = [float(str(warning.message).split()[5]) for warning in said]
+            print(f"{name:16} halo {tiling.halo}: RMS {error:.5f}, audit {rms(told):.5f}", flush=True)
+
+
+def between(size, tile, backend):
+    """RMS error that tiles add to all light under a uniform sky, albedo 0.8, over its mean."""
+    options = dict(azimuths=AZIMUTHS, backend=backend, quantity="irradiance")
+    for name, heights in maps(size):
+        scene, sky = sl.Scene.from_height(heights), sl.Sky()
+        images = [sl.render(scene, sky, interreflection=among, **options).image for among in (False, True)]
+        mean = images[1].mean()
+        for tiling in (sl.Tiling(tile), sl.Tiling(tile, 256, 64)):
+            with warnings.catch_warnings(record=True) as said:
+                warnings.simplefilter("always")
+                found = sl.render(scene, sky, interreflection=True, tiling=tiling, **options).image
+            print(
+                f"{name:16} halo {tiling.halo}:",
+                f"light between surfaces {rms(images[1] - images[0]) / mean:.4f},",
+                f"error of tiles {rms(found - images[1]) / mean:.5f}",
+                *{str(warning.message) for warning in said},
+                flush=True,
+            )
+
+
 def rms(values):
     return float(np.sqrt(np.mean(np.square(values, dtype=np.float64))))
 
@@ -216,6 +271,8 @@ def main():
     parser.add_argument("--tile", type=int, default=1024)
     parser.add_argument("--maps", default="", help="some of them, with commas between")
     parser.add_argument("--exact", action="store_true")
+    parser.add_argument("--cities", action="store_true")
+    parser.add_argument("--between", action="store_true")
     parser.add_argument("--memory", type=int, metavar="TILE")
     parser.add_argument("--big", type=int, metavar="SIDE")
     parser.add_argument("--workers", type=int, default=1)
@@ -224,6 +281,8 @@ def main():
     given = parser.parse_args()
     if given.memory:
         memory(given.memory, given.backend)
+    elif given.cities or given.between:
+        (cities if given.cities else between)(given.size, given.tile, given.backend)
     elif given.exact:
         exact(given.size, given.tile, given.backend)
     elif given.big:

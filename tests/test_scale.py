@@ -2,6 +2,8 @@
 
 import os
 import pickle
+import time
+import warnings
 
 import numpy as np
 import pytest
@@ -334,16 +336,110 @@ def test_maps_of_albedo_in_tiles(dem, fast):
         sl.Scene.from_height(heights, albedo=wrong[:9])
 
 
+def houses(size, seed=2):
+    """Blocks of 6 to 25 nodes high on level ground [nodes] float32."""
+    rng, heights = np.random.default_rng(seed), np.zeros((size, size), np.float32)
+    for row, col, top in zip(*rng.integers(0, size, (2, size * size // 1200)), rng.uniform(6, 25, size**2)):
+        heights[row : row + 15, col : col + 20] = top
+    return heights
+
+
+def test_far_ground_among_houses_is_said(fast):
+    """An audit of every tile tells the error that overviews add, where it is large or beyond a tolerance."""
+    heights, options = houses(256), dict(azimuths=16, backend=fast)
+    scene, tiling = sl.Scene.from_height(heights), sl.Tiling(128, 16, 8)
+    with pytest.warns(UserWarning, match="sky-view factors are about .* off") as said:
+        tiles = sl.sky_view_factor(scene, "horizontal", tiling=tiling, **options)
+    told = np.array([float(str(warning.message).split()[5]) for warning in said])
+    error = rms(tiles - sl.sky_view_factor(scene, "horizontal", **options))
+    assert 0.5 < rms(told) / error < 4  # of nodes at a tile's edge; what lies inside is swept
+    lazy = sl.Scene.from_height(da.from_array(heights, chunks=100))
+    image = sl.render(lazy, sl.Sky(), tolerance=0.003, tiling=tiling, backend=fast).image
+    with pytest.warns(UserWarning, match="Tolerance: light is about .* % off .* more than the 0.3 %"):
+        image.compute(scheduler="sync")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", UserWarning)
+        wide = sl.render(lazy, sl.Sky(), azimuths=8, tolerance=0.5, tiling=tiling, backend=fast).image
+        wide.compute(scheduler="sync")
+        svf(mountains(128, 128, 4), fast)
+
+
+@pytest.mark.slow
+def test_light_between_surfaces_in_tiles(fast):
+    """Near that of the whole map, lazily too; ground beyond the halo counts as what is seen of it within."""
+    heights, options = mountains(150, 170, 40), dict(backend=fast, azimuths=16, quantity="irradiance")
+    albedo = np.where(np.arange(170) < 90, 0.9, 0.3) * np.ones((150, 1), np.float32)
+    scene, sky = sl.Scene.from_height(heights, albedo=albedo), sl.Sky()
+    direct, whole = (sl.render(scene, sky, interreflection=b, **options).image for b in (False, True))
+    assert rms(whole - direct) > 0.04 * direct.mean()
+    tiles = sl.render(scene, sky, interreflection=True, tiling=SMALL, **options)
+    assert rms(tiles.image - whole) < 0.006 * direct.mean() and tiles.interreflection.included
+    lazy = sl.Scene.from_height(da.from_array(heights, chunks=60), albedo=da.from_array(albedo, chunks=70))
+    image = sl.render(lazy, sky, interreflection=True, tiling=SMALL, **options).image
+    assert rms(image.compute(scheduler="sync") - tiles.image) < 1e-5
+    for given, tiling, sides in (
+        (heights, sl.Tiling(16, 16, 8), "open"),
+        (np.pad(heights, 9), SMALL, "periodic"),
+    ):
+        with pytest.raises(InputError, match="between surfaces in tiles"):
+            there = sl.Scene.from_height(given, sides=sides)
+            sl.render(there, sky, interreflection=True, tiling=tiling, backend=fast)
+
+
+def test_light_that_is_guessed_is_said(fast):
+    """Between two ridges of a bright valley most light comes from beyond a halo of 16 nodes."""
+    heights = np.abs(np.arange(-96.0, 96.0))[None] * np.ones((130, 1))
+    scene = sl.Scene.from_height(da.from_array(heights.astype(np.float32)), albedo=0.9)
+    image = sl.render(scene, sl.Sky(), interreflection=True, azimuths=8, backend=fast, tiling=SMALL).image
+    with pytest.warns(UserWarning, match="about .* % of the light .* beyond a tile's halo"):
+        image.compute(scheduler="sync")
+
+
+def test_lamps_light_what_is_within_their_reach(dem, fast):
+    """As the whole map's rendering within it, from a map whose highest ground is elsewhere; 0 beyond; nan
+    without data. The warning has the number, and so has the error where too much would be lit.
+    """
+    heights = np.where(np.arange(290) < 150, np.nan, dem.values)
+    heights[5, 200] = 2000.0  # a mast
+    options = dict(backend=fast, tolerance=0.02, interreflection=False)
+    highest = float(np.nanmax(dem.values[:, 150:]))  # where the mast is not
+    depth = highest - float(dem.values[100, 240])
+    lamp, below = (
+        sl.Lamp(center=(240 * SPACING, 100 * SPACING, z - 300.0), radius=60.0)
+        for z in (depth, depth + 2000.0 - highest)
+    )
+    whole = sl.render(sl.Scene.from_height(dem.values, SPACING, mask=np.isfinite(heights)), lamp, **options)
+    albedo = np.array([0.2, 0.5, 0.8])
+    lazy = sl.Scene.from_height(dem.copy(data=heights).chunk(y=70), albedo=albedo)
+    done = sl.render(lazy, below, max_distance=1200.0, **options)
+    assert done.image.chunks[0] == (70, 70, 70, 20) and "0.0079 times" in done.warnings[0]
+    image = done.image.compute(scheduler="sync").values
+    assert np.array_equal(np.isnan(image[..., 0]), np.isnan(heights))
+    area = np.s_[60:141, 200:281]
+    expected = whole.image[area][..., None] * albedo / 0.8
+    assert rms(image[area] - expected) < 0.02 * expected.mean()
+    image[area] = np.nan
+    assert np.nanmax(image) == 0
+
+
+def test_a_lamp_that_lights_too_much_is_refused(dem, fast, monkeypatch):
+    """Its area is rendered at once; the error says what bounds it."""
+    monkeypatch.setattr("skylamp.scale.MOST_PIXELS", 10_000)
+    lamp = sl.Lamp(center=(0, 0, -10), radius=3)
+    with pytest.raises(InputError, match="230 x 290 nodes.*max_distance"):
+        sl.render(sl.Scene.from_height(dem.chunk()), lamp, backend=fast)
+
+
 @pytest.mark.parametrize(
     ("source", "options", "what"),
     [
-        (sl.Lamp(center=(0, 0, -10), radius=3), {}, "a lamp or a window"),
-        (sl.Window(x=(0, 10), y=(0, 10)), {}, "a lamp or a window"),
+        (sl.Window(x=(0, 10), y=(0, 10)), {}, "a window"),
+        (sl.Lamp(corner=(0, 0, -9), edges=((3, 0, 0), (0, 3, 0))), {}, "a centre"),
+        (sl.Lamp(center=(-90, 0, -10), radius=3), dict(max_distance=60.0), "whole map lies"),
         (sl.Sky(), dict(method="lattice"), "lattice"),
         (sl.Sky(), dict(hemicube=5), "lattice"),
         (sl.Sky(), dict(method="unoccluded"), "closed forms"),
-        (sl.Sky(), dict(interreflection=True), "between surfaces"),
-        (sl.Sky(), dict(parts=True), "between surfaces"),
+        (sl.Sky(), dict(parts=True), "parts"),
         (sl.Sky(), dict(tail=0.1), "tail"),
         (sl.Sky(), dict(tolerance=1e-4), "tolerance"),
     ],
@@ -443,6 +539,20 @@ def test_bytes_do_not_depend_on_workers(dem, fast, processes, tmp_path):
         found = client.compute(svf(lazy, fast)).result(timeout=300).values
     assert died.exists()
     assert_bits_equal(found, expected)
+
+
+@pytest.mark.slow
+def test_warnings_of_workers_reach_the_client(fast):
+    """What a tile is audited to be off is said where the result is asked for."""
+    distributed = pytest.importorskip("distributed")
+    lazy = sl.Scene.from_height(da.from_array(houses(128), chunks=64))
+    found = sl.sky_view_factor(lazy, azimuths=8, backend=fast, tiling=SMALL)
+    options = dict(threads_per_worker=1, processes=True, dashboard_address=None)
+    with distributed.LocalCluster(1, **options) as cluster, distributed.Client(cluster):
+        with pytest.warns(UserWarning, match="sky-view factors are about") as said:
+            found.compute()
+            for _ in range(100):
+                time.sleep(0 if said else 0.05)
 
 
 @pytest.mark.slow

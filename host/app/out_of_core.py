@@ -28,7 +28,7 @@ from ..io.paths import replacing_file
 from ..light.far import Tiling, Top, coarser, from_heights, top_of
 from ..reflectance import Reflectance
 from ..rendering import tile_image
-from ..scale import Layout, Work, around_tile, devices, layout_of_map, tile_of
+from ..scale import Audit, Layout, Work, around_tile, devices, layout_of_map, tile_of
 from ..scene import ALBEDO, Scene
 from ..sources import Source
 from . import parsing
@@ -93,11 +93,13 @@ class Quantity(NamedTuple):
     """
 
     work: Work
+    audit: Audit
     settings: dict[str, Any]
     max_distance: float | None = None
     sign: float = 1.0
     bands: int = 1
     albedo: Any = ALBEDO
+    between: bool = False  # with light between surfaces
 
 
 class Job(NamedTuple):
@@ -122,7 +124,9 @@ def horizon(what: str, definition: str, azimuths: int, max_distance: float | Non
     settings = dict(
         what=what, definition=definition, azimuths=azimuths, max_distance=max_distance, backend=backend
     )
-    return Quantity(works[what], settings, max_distance, -1.0 if what.startswith("neg") else 1.0)
+    return Quantity(
+        works[what], Audit(backend), settings, max_distance, -1.0 if what.startswith("neg") else 1.0
+    )
 
 
 def image(
@@ -145,7 +149,8 @@ def image(
         state = Path(kind).stat()
         words = {**words, "source": [str(Path(kind).resolve()), state.st_size, state.st_mtime_ns]}
     settings = dict(words, backend=backend, **options)
-    return Quantity(work, settings, bands=3 if work.in_colour else 1, albedo=scene.albedo)
+    bands, between = 3 if work.in_colour else 1, work.between
+    return Quantity(work, work.audit, settings, bands=bands, albedo=scene.albedo, between=between)
 
 
 def write_quantity(
@@ -158,7 +163,13 @@ def write_quantity(
         raise bad("--workers", machines.workers, "at least 1")
     header = geo.header(file)
     layout = layout_of_map(
-        Tiling(machines.side), header.values.shape, header.spacing, False, quantity.max_distance
+        Tiling(machines.side),
+        header.values.shape,
+        header.spacing,
+        False,
+        quantity.max_distance,
+        quantity.audit,
+        quantity.between,
     )
     job = Job(file.resolve(), Path(out).with_name(Path(out).name + ".scratch"), layout, quantity)
     with workers_of(machines) as client:
@@ -255,9 +266,10 @@ def _compute(job: Job, number: int, top: Top | None) -> None:
     group, layout = _group(job.scratch, "r+"), job.layout
     box = list(layout.boxes())[number]
     low = None if top is None else around_tile(group["low"], layout, box)
-    window, (work, *_, bands, albedo) = _window(job, box, layout.depths), job.quantity
+    window, quantity = _window(job, box, layout.depths), job.quantity
+    bands = quantity.bands
     part = None if bands == 1 else slice(0, bands)
-    found = tile_of(work, layout, box, window, low, top, part, albedo)
+    found = tile_of(quantity.work, layout, box, window, low, top, part, quantity.albedo)
     (row, rows), (col, cols) = box
     group["found"][:, row : row + rows, col : col + cols] = found.reshape(bands, rows, cols)
     group["done"][number] = 1

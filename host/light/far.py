@@ -278,26 +278,7 @@ class Marched:
         """
         backend, far, count = self.backend, self.far, len(angles)
         rows, cols = shape
-        found = backend.empty((2, count, math.prod(self.nodes)), np.float32)
-        ways = np.stack([np.cos(angles), np.sin(angles)], 1)
-        # a ray along the border stays on the map
-        ways = backend.table(np.where(np.abs(ways) < 1e-9, 0, ways).astype(np.float32))
-        backend.launch(
-            "far",
-            "march",
-            (math.prod(self.nodes), count),
-            *self.tables,
-            ways,
-            *self.own,
-            found,
-            self.steps,
-            count,
-            *self.nodes,
-            *far.shape,
-            self.highest,
-            far.drop,
-            int(far.periodic),
-        )
+        found = self._march(angles)
         planes = backend.empty((count, rows * cols), np.float32)
         last = [most - 1 - first for most, first in zip(far.shape, far.at)]
         across_then_along = (self.nodes[1], 1), far.before, far.tile, last
@@ -320,6 +301,53 @@ class Marched:
             run,
         )
         return planes
+
+    def seen_from(
+        self, rows: np.ndarray, cols: np.ndarray, own: np.ndarray, angles: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """(slopes, distances [nodes]) of far horizons (azimuths, nodes) at some nodes, as `interpolate` has
+        them.
+
+        ``rows``, ``cols``: from the tile's first node; ``own``: heights [spacing].
+        """
+        far, count = self.far, len(angles)
+        found = self.backend.download(self._march(angles)).reshape(2, count, *self.nodes).astype(np.float64)
+        at, weights = [], []
+        for places, most, first in zip((rows, cols), far.shape, far.at):
+            low = places // far.spread
+            step = np.minimum(far.spread, most - 1 - first - low * far.spread)
+            at.append(low)
+            weights.append(np.where(step > 0, (places - low * far.spread) / np.maximum(step, 1), 0))
+        (r, c), (a, b) = at, weights
+        upper, lower = (found[..., r + i, c] * (1 - b) + found[..., r + i, c + 1] * b for i in (0, 1))
+        slope, inverse = upper * (1 - a) + lower * a
+        with np.errstate(divide="ignore"):
+            return slope - own * inverse, 1 / inverse
+
+    def _march(self, angles: np.ndarray) -> Array:
+        """What the kernel `march` finds in these azimuths, (2, azimuths, nodes) float32 on the device."""
+        backend, far, count = self.backend, self.far, len(angles)
+        found = backend.empty((2, count, math.prod(self.nodes)), np.float32)
+        ways = np.stack([np.cos(angles), np.sin(angles)], 1)
+        # a ray along the border stays on the map
+        ways = backend.table(np.where(np.abs(ways) < 1e-9, 0, ways).astype(np.float32))
+        backend.launch(
+            "far",
+            "march",
+            (math.prod(self.nodes), count),
+            *self.tables,
+            ways,
+            *self.own,
+            found,
+            self.steps,
+            count,
+            *self.nodes,
+            *far.shape,
+            self.highest,
+            far.drop,
+            int(far.periodic),
+        )
+        return found
 
 
 def in_spacings(levels: list[Cells], base: float, spacing: float) -> list[Cells]:
