@@ -390,34 +390,6 @@ def recover() -> str:
     return table(("source", *names, "carving at its best eps"), body)
 
 
-def recover_albedo() -> str:
-    found = facts("recover")["albedo"]
-    names = list(dict.fromkeys(one["surface"] for one in found))
-    body = []
-    for kinds in dict.fromkeys(one["sources"] for one in found):
-        here = {one["surface"]: one for one in found if one["sources"] == kinds}
-        errors = [one["albedo off, RMS"] for one in here.values()]
-        cells = (f"{here[name]['RMSE']:.2f} ({here[name]['RMSE, albedo given']:.2f})" for name in names)
-        body.append((kinds.replace(" ", ", "), *cells, f"{min(errors):.2f} to {max(errors):.2f}"))
-    return table(("sources", *names, "error of the albedo, RMS"), body)
-
-
-def recover_terrain() -> str:
-    return table(
-        ("source", "heights", "correlation", "median error of the normal [degrees]", "s"),
-        (
-            (
-                SOURCES[one["source"]],
-                f"x {one['heights']}",
-                f"{one['correlation']:.3f}",
-                f"{one['median normal error, degrees']:.1f}",
-                digits(one["seconds"]),
-            )
-            for one in facts("recover")["terrain"]
-        ),
-    )
-
-
 def recover_machine() -> str:
     measured = facts("recover")["measured"]
     return f"{measured['machine']}, {measured['cores']} cores, {measured['backend']}, {measured['date']}"

@@ -5,7 +5,7 @@
 
 ``--peers``: an interpreter that has the packages (see peers.py; this one unless given). They claim sky-view
 factors, which are compared at the same nodes with exact ones of their own definition. ``--rows``: points
-measured before, drawn again with peers. Writes speed_accuracy.csv and speed_accuracy.png.
+measured before, drawn again. Writes speed_accuracy.csv, .svg and .png; largest maps alone are drawn.
 """
 
 import argparse
@@ -23,6 +23,14 @@ from skylamp.app import chart
 from skylamp.backends import select
 
 HERE = Path(__file__).parent
+MEAN_ELSEWHERE = 0.78  # mean sky-view factor of the rough map of performance/horizon.py
+LABELS = {
+    "peer rvt-py": "rvt-py, radius 100 and 10 nodes, 1 core",
+    "peer xarray-spatial": "xarray-spatial, radius 100 and 10, 1 core",
+    "peer topocalc": "topocalc, whole map, 1 core",
+    "peer trimesh + embreex": "trimesh + embreex, 256 rays, 1 core",
+    "peer HORAYZON": "HORAYZON, 2 cores, from a reader, another map",
+}
 CHILD = """
 import json, sys
 import numpy as np
@@ -88,6 +96,27 @@ def peers_rows(python: str, size: int) -> list[dict]:
     return rows
 
 
+def elsewhere(folder: Path, size: int) -> list[dict]:
+    """Points that were not measured here, from peers_elsewhere.csv: on rough ground of 1024 x 1024 nodes."""
+    path = folder / "peers_elsewhere.csv"
+    if not path.exists():
+        return []
+    with open(path, newline="") as file:
+        found = list(csv.DictReader(line for line in file if not line.startswith("#")))
+    return [
+        {
+            "class": "rough",
+            "size": size,
+            "backend": "peer",
+            "method": f"peer {row['package']}",
+            "units": float(row["azimuths"]),
+            "error": float(row["error"]) / MEAN_ELSEWHERE,
+            "seconds": float(row["seconds"]) * (size / 1024) ** 2,
+        }
+        for row in found
+    ]
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--out", type=Path, default=Path("."))
@@ -95,6 +124,8 @@ def main():
     parser.add_argument("--sizes", default="128,512")
     parser.add_argument("--rows", type=Path)
     parser.add_argument("--peers", nargs="?", const=sys.executable)
+    parser.add_argument("--drawn", default="opencl", help="the backend that is drawn")
+    parser.add_argument("--title", default="", help="machine and date, above the chart")
     args = parser.parse_args()
     args.out.mkdir(parents=True, exist_ok=True)
     sizes = [int(size) for size in args.sizes.split(",")]
@@ -111,16 +142,22 @@ def main():
                 }
                 for row in csv.DictReader(file)
             ]
-        rows = [row for row in rows if row["backend"] != "peer"]
+        if args.peers:
+            rows = [row for row in rows if row["backend"] != "peer"]
     else:
         rows = chart.measure([name for name in args.backends.split(",") if name] or None, sizes)
     if args.peers:
         rows += peers_rows(args.peers, max(row["size"] for row in rows))
-    with open(args.out / "speed_accuracy.csv", "w", newline="") as file:
-        writer = csv.DictWriter(file, rows[0], lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(rows)
-    chart.draw(rows, args.out / "speed_accuracy.png")
+    if not args.rows or args.peers:
+        with open(args.out / "speed_accuracy.csv", "w", newline="") as file:
+            writer = csv.DictWriter(file, rows[0], lineterminator="\n")
+            writer.writeheader()
+            writer.writerows(rows)
+    largest = max(row["size"] for row in rows)
+    drawn = [row for row in rows if row["backend"] == "peer" or row["backend"].startswith(args.drawn)]
+    drawn += elsewhere(args.out, largest)
+    for suffix in (".svg", ".png"):
+        chart.draw(drawn, args.out / f"speed_accuracy{suffix}", args.title, LABELS)
     for time in ("seconds", "again"):
         for what, as_accurate in (("within the tolerance", False), ("as accurate as its own image", True)):
             for kind, times in chart.behind(rows, time, as_accurate).items():

@@ -1,6 +1,7 @@
 """The stability atlas: for each known failure, error against the parameter that provokes it, for each method.
 
     python performance/stability.py --out docs [--backend opencl] [--only leak,sun]
+    python performance/stability.py --out docs --draw        # the page and its figures from stability.csv
 
 Writes evidence/stability.md, stability.csv and stability-*.png (matplotlib). tests/test_stability.py
 measures the same failures at two values each. Errors of images are relative RMS against exact rays, unless a
@@ -19,6 +20,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parent))
 import plans
+import record
 
 import skylamp as sl
 
@@ -598,7 +600,7 @@ FAILURES = {
         limit=0.1,
         measure=sides,
         bad="sides given as open",
-        does="Nothing in a map tells what stands at its sides: give the ones that are there.",
+        does="A map does not contain what surrounds it: give the sides that it has.",
         good="sides given as dark",
     ),
     "drilled": Failure(
@@ -719,93 +721,201 @@ def sets_in(failure, found) -> str:
     return "not in this range"
 
 
+# Okabe and Ito (2008); told apart in the three kinds of colour blindness (tests/test_charts.py)
+DEFAULT_COLOUR, BAD_COLOUR, OTHER_COLOURS = "#0072B2", "#D55E00", ("#E69F00", "#009E73")
+STATES = {"solved": "#0072B2", "warned": "#F0E442", "open": "#D55E00"}
+# lines that are the default, or that the default cannot avoid: of holes, lamps that touch and depths far away
+DEFAULTS = (
+    "default",
+    "robust",
+    "against the ground without holes",
+    "nodes against the mean of their cells",
+    "float32 depth",
+    "sides given as open",
+    "tolerance 0.3 %",
+)
+ABOUT_THE_PAPER = ("leak", "small lamp", "drilled", "two values", "noise", "bits", "albedo")  # warnings there
+COLUMNS = ("lattice, or carving", "fixed settings", "default")
+
+
+def default_of(found) -> str | None:
+    """The line of the default."""
+    return next((name for name in DEFAULTS if name in found), None)
+
+
 def draw(path, failure, found):
+    """Error against the parameter: the default thick and blue, the failing method dashed."""
     import matplotlib
 
     matplotlib.use("Agg")
     import matplotlib.pyplot as plt
 
     figure, axes = plt.subplots(figsize=(5.2, 3.2), layout="constrained")
-    for number, (name, values) in enumerate(found.items()):
-        axes.plot(
-            range(len(values)),
-            values,
-            "o-",
-            color=f"C{number}",
-            lw=2.2 if name == failure.bad else 1.5,
-            label=name,
-        )
-    axes.axhline(failure.limit, color="0.6", lw=1, ls="--")
-    axes.set_xticks(range(len(failure.values)), [f"{v:g}" for v in failure.values])
+    ours, others = default_of(found), iter(OTHER_COLOURS)
+    for (name, values), marker in zip(found.items(), "osD^"):
+        if name == ours and name != failure.bad:
+            style = {"color": DEFAULT_COLOUR, "lw": 3, "zorder": 3}
+        elif name == failure.bad:
+            style = {"color": BAD_COLOUR, "lw": 1.6, "ls": "--"}
+        else:
+            style = {"color": next(others), "lw": 1.2}
+        axes.plot(failure.values, values, marker=marker, ms=5, label=name, **style)
+    axes.axhline(failure.limit, color="0.4", lw=1, ls=":")
+    low, high = min(failure.values), max(failure.values)
+    if low > 0 and high / low >= 12:
+        axes.set_xscale("log")
+        axes.minorticks_off()
+    axes.set_xticks(failure.values, tick_labels(failure.values, axes.get_xscale() == "log"))
+    if failure.values[0] > failure.values[-1]:
+        axes.invert_xaxis()
     smallest = min((v for values in found.values() for v in values if v > 0), default=1)
-    (
+    if smallest < failure.limit / 5:
         axes.set_yscale("symlog", linthresh=max(smallest, failure.limit / 300))
-        if smallest < failure.limit / 5
-        else None
-    )
     axes.set_ylim(bottom=0)
+    axes.annotate(
+        f"counts as failed above {failure.limit:g}",
+        (0.02, failure.limit),
+        (0, 2),
+        xycoords=("axes fraction", "data"),
+        textcoords="offset points",
+        fontsize=7,
+        color="0.3",
+    )
     axes.set_xlabel(failure.parameter)
     axes.set_ylabel(failure.unit)
     axes.set_title(failure.title, fontsize=10)
     axes.grid(alpha=0.3)
-    axes.legend(fontsize=8, frameon=False)
+    axes.legend(fontsize=7, frameon=False)
     figure.savefig(path, dpi=90)
     plt.close(figure)
+
+
+def tick_labels(values, logarithmic) -> list[str]:
+    """The values, but for those that would touch the label before them."""
+    at = np.log(values) if logarithmic else np.asarray(values, float)
+    labels, last = [], -np.inf
+    for place, value in zip(np.abs(at - at[0]) / np.ptp(at), values):
+        labels.append(f"{value:g}" if place - last > 0.06 else "")
+        last = place if labels[-1] else last
+    return labels
+
+
+def states(name, failure, found) -> dict[str, str]:
+    """By column of the matrix: solved, warned or open at the most harmful value; no entry without a line.
+
+    The worst line of a column counts.
+    """
+    ours, by = default_of(found), {}
+    for line, errors in found.items():
+        is_paper = line.startswith(("stride", "filled", "lattice", "paper"))
+        column = COLUMNS[2] if line == ours else COLUMNS[0] if is_paper else COLUMNS[1]
+        by[column] = max(by.get(column, 0.0), errors[-1])
+    result = {}
+    for column, error in by.items():
+        spoken = failure.warns and (column == COLUMNS[0] if name in ABOUT_THE_PAPER else column == COLUMNS[2])
+        spoken = spoken or (name == "ill-posed" and failure.warns)
+        result[column] = "solved" if error <= failure.limit else "warned" if spoken else "open"
+    return result
+
+
+def draw_matrix(path, results):
+    """Failures by methods: solved, warned, open, by colour and word."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    figure, axes = plt.subplots(figsize=(7.2, 0.27 * len(results) + 0.7), layout="constrained")
+    for row, by in enumerate(results.values()):
+        for column, state in by.items():
+            x = COLUMNS.index(column)
+            axes.add_patch(plt.Rectangle((x - 0.48, row - 0.44), 0.96, 0.88, color=STATES[state]))
+            dark = state != "warned"
+            axes.text(x, row, state, ha="center", va="center", fontsize=8, color="white" if dark else "black")
+    axes.set_xlim(-0.5, len(COLUMNS) - 0.5)
+    axes.set_ylim(len(results) - 0.5, -0.5)
+    axes.set_xticks(range(len(COLUMNS)), COLUMNS)
+    axes.set_yticks(range(len(results)), [FAILURES[name].title for name in results], fontsize=8)
+    axes.xaxis.tick_top()
+    axes.tick_params(length=0)
+    for side in axes.spines.values():
+        side.set_visible(False)
+    figure.savefig(path, dpi=100)
+    plt.close(figure)
+
+
+def kept(folder) -> dict[str, dict[str, list[float]]]:
+    """Errors by failure and line, as stability.csv has them."""
+    found: dict[str, dict[str, list[float]]] = {}
+    with open(folder / "stability.csv", newline="") as file:
+        for row in csv.DictReader(line for line in file if not line.startswith("#")):
+            found.setdefault(row["failure"], {}).setdefault(row["line"], []).append(float(row["error"]))
+    return found
+
+
+HEAD = [
+    "# Where methods fail, and what skylamp does about it",
+    "",
+    "Each failure is provoked by a parameter, from harmless to harmful (`performance/stability.py`)."
+    " The matrix has the state at the most harmful value: *solved*, the error stays below the threshold;"
+    " *warned*, a warning names it; *open*, it fails without a warning. Empty: the method was not measured.",
+    "",
+    "![Failures by methods: solved, warned or open](../stability-matrix.png)",
+    "",
+    "In the figures the default is the thick blue line, the failing method is dashed, and the dotted line is"
+    " the threshold. `tests/test_stability.py` asserts that each failure occurs in the method that has it,"
+    " and that the remedy in the text solves it or a warning names it.",
+    "",
+]
+
+
+def write_page(folder, found) -> None:
+    """evidence/stability.md, its figures and its matrix."""
+    text = list(HEAD)
+    for name, errors in found.items():
+        failure = FAILURES[name]
+        picture_file = f"stability-{name.replace(' ', '-')}.png"
+        draw(folder / picture_file, failure, errors)
+        text += [f"## {failure.title}", "", failure.does, ""]
+        text += [f"Sets in ({failure.bad}, above {failure.limit:g}): {sets_in(failure, errors)},"]
+        text[-1] += f" {failure.parameter}."
+        text += ["", f"![{failure.title}](../{picture_file})", ""]
+    draw_matrix(folder / "stability-matrix.png", {n: states(n, FAILURES[n], e) for n, e in found.items()})
+    (folder / "evidence").mkdir(exist_ok=True)
+    (folder / "evidence" / "stability.md").write_text("\n".join(text))
 
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--out", type=Path, default=Path("."))
     parser.add_argument("--backend", default="auto")
-    parser.add_argument("--only", default="", help="names, comma-separated")
+    parser.add_argument("--only", default="", help="names, comma-separated; the page is not written")
+    parser.add_argument("--draw", action="store_true", help="measure nothing: the page from stability.csv")
     args = parser.parse_args()
     args.out.mkdir(parents=True, exist_ok=True)
-    text, rows = (
-        [
-            "# Where methods fail, and what skylamp does about it",
-            "",
-            (
-                "Made by `performance/stability.py`. Each figure shows error against the parameter that"
-                " provokes a failure; the dashed line is where it counts as one. `tests/test_stability.py`"
-                " holds that each failure is there in the method that has it, and gone, or warned about, in"
-                " the default."
-            ),
-            "",
-        ],
-        [],
-    )
+    if args.draw:
+        write_page(args.out, kept(args.out))
+        return
+    found, rows = {}, []
     for name, failure in FAILURES.items():
         if args.only and name not in args.only.split(","):
             continue
         each = [failure.measure(value, args.backend) for value in failure.values]
-        found = {line: [errors[line] for errors in each] for line in each[0]}
-        picture_file = f"stability-{name.replace(' ', '-')}.png"
-        draw(args.out / picture_file, failure, found)
-        text += [
-            f"## {failure.title}",
-            "",
-            failure.does,
-            "",
-            (
-                f"Sets in ({failure.bad}, above {failure.limit:g}): {sets_in(failure, found)},"
-                f" {failure.parameter}."
-            ),
-            "",
-            f"![{failure.title}](../{picture_file})",
-            "",
-        ]
+        found[name] = {line: [errors[line] for errors in each] for line in each[0]}
         rows += [
             (name, failure.parameter, value, line, errors[line])
             for value, errors in zip(failure.values, each)
             for line in errors
         ]
-        print(name, {line: [round(v, 4) for v in values] for line, values in found.items()}, flush=True)
-    if not args.only:
-        (args.out / "evidence" / "stability.md").write_text("\n".join(text))
+        shown = {line: [round(v, 4) for v in values] for line, values in found[name].items()}
+        print(name, shown, flush=True)
     with open(args.out / "stability.csv", "w", newline="") as file:
+        file.write(record.comment(backend=args.backend) + "\n")
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(("failure", "parameter", "value", "line", "error"))
         writer.writerows(rows)
+    if not args.only:
+        write_page(args.out, found)
 
 
 if __name__ == "__main__":

@@ -210,4 +210,4 @@ def test_pages_build_without_a_warning(tmp_path):
     assert (tmp_path / "site" / "assets" / "mathjax" / "tex-chtml.js").stat().st_size > 1e6
     assert any((tmp_path / "site" / "assets" / "mathjax").rglob("*.woff"))
     for command in ("render", "recover", "plan", "horizon", "field", "backends"):
-        assert f"skylamp {command}" in (tmp_path / "site" / "reference" / "cli" / "index.html").read_text()
+        assert f"skylamp {command}" in (tmp_path / "site" / "reference" / "cli.html").read_text()

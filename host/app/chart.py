@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from html import escape
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -40,9 +42,32 @@ LAMP_METHODS = (
     + [("unoccluded", 0)]
 )
 RUNS = 3
-COLOURS = {"horizon": "C0", "slices": "C0", "filled": "C1", "stride": "C3", "unoccluded": "C2", "plan": "k"}
+TITLES = {
+    "smooth": "smooth ground, uniform sky",
+    "rough": "rough ground, uniform sky",
+    "urban": "houses, uniform sky",
+    "lamp": "rough ground, spherical lamp",
+}
 LEAST_DRAWN_ERROR = 2e-5  # errors below are drawn here
 PEER = "peer "  # methods of other packages begin with it
+# by method; Okabe and Ito (2008), told apart in the three kinds of colour blindness (tests/test_charts.py)
+COLOURS = {
+    "horizon": "#0072B2",
+    "slices": "#0072B2",
+    "filled": "#E69F00",
+    "stride": "#D55E00",
+    "unoccluded": "#009E73",
+    "plan": "#F0E442",
+    "peer trimesh + embreex": "#56B4E9",
+}
+PEER_COLOUR = "#CC79A7"  # horizon searches of other packages
+MARKERS = {
+    "peer rvt-py": "X",
+    "peer xarray-spatial": "P",
+    "peer topocalc": "D",
+    "peer trimesh + embreex": "v",
+    "peer HORAYZON": "s",
+}
 
 Row = dict[str, Any]  # a point of the chart: class, size, backend, method, units, error, seconds ...
 
@@ -236,40 +261,39 @@ def behind(rows: list[Row], time: str = "seconds", as_accurate: bool = False) ->
     return found
 
 
-def draw(rows: list[Row], path: StrPath, title: str = "") -> None:
-    """The chart as PNG: a panel a class, error against time per node; needs matplotlib."""
+def draw(rows: list[Row], path: StrPath, title: str = "", labels: Mapping[str, str] | None = None) -> None:
+    """The chart: a panel a class, error against time, all with the same axes; needs matplotlib.
+
+    Only the largest maps are drawn. Colours stand for methods, markers for packages, and points of other
+    backends than the quickest are hollow. ``labels``: words for methods of other packages, by their name.
+    A path that ends in .svg has the setting of every point as the text that appears on hover.
+    """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(12.5, 9.5), layout="constrained")
+    largest = max(row["size"] for row in rows)
+    rows = [row for row in rows if row["size"] == largest]
+    ours = [row for row in rows if not row["method"].startswith(PEER)]
+    quickest = min(ours, key=lambda row: float(row["seconds"]))["backend"]
+    figure = Figure(figsize=(11.5, 9), layout="constrained")
     FigureCanvasAgg(figure)
-    names = sorted({row["backend"] for row in rows if not row["method"].startswith(PEER)})
-    peers = sorted({row["method"] for row in rows if row["method"].startswith(PEER)})
-    sizes = sorted({row["size"] for row in rows})
-    marks = dict(zip(names, "osD^v<>"))
-    for axes, kind in zip(figure.subplots(2, 2).flat, CLASSES):
+    hints: dict[str, str] = {}
+    panels = figure.subplots(2, 2, sharex=True, sharey=True)
+    for axes, kind in zip(panels.flat, CLASSES):
         here = [row for row in rows if row["class"] == kind]
-        largest = [row for row in here if row["size"] == max(sizes)]
-        _draw_points(axes, here, max(sizes), marks, peers)
-        edge = frontier([_place(row) for row in largest if row["method"] != "plan"])
-        axes.plot(*zip(*edge), color="0.4", lw=1.2, zorder=1)
-        _draw_plans(axes, [row for row in largest if row["method"] == "plan"])
-        axes.margins(0.06, 0.08)
-        axes.set_xscale("log")
-        axes.set_yscale("log")
-        axes.set_title(
-            {"lamp": "rough ground, spherical lamp", "urban": "urban steps, uniform sky"}.get(
-                kind, f"{kind} ground, uniform sky"
-            ),
-            fontsize=11,
-        )
-        axes.set_xlabel("time of the whole call [ns per node]")
-        axes.set_ylabel("relative RMS error")
-        axes.grid(which="both", alpha=0.15)
-    _draw_legend(figure, marks, sizes, peers)
+        for row in here:
+            _draw_point(axes, row, quickest, hints)
+        settings = [row for row in here if row["method"] != "plan" and not row["method"].startswith(PEER)]
+        _draw_frontier(axes, [_place(row) for row in settings])
+        axes.set_title(TITLES[kind], fontsize=11)
+        axes.grid(which="major", alpha=0.25)
+    _draw_axes(panels, largest)
+    _draw_legend(figure, rows, quickest, labels or {})
     if title:
         figure.suptitle(title, fontsize=10)
-    figure.savefig(path, dpi=100)
+    figure.savefig(path, dpi=100, metadata={"Date": None} if str(path).endswith(".svg") else None)
+    if str(path).endswith(".svg"):
+        _add_hints(Path(path), hints)
 
 
 def _place(row: Row) -> tuple[float, float]:
@@ -277,72 +301,110 @@ def _place(row: Row) -> tuple[float, float]:
     return 1e9 * row["seconds"] / row["size"] ** 2, max(row["error"], LEAST_DRAWN_ERROR)
 
 
-def _draw_points(axes: Axes, rows: list[Row], largest: int, marks: dict[str, str], peers: list[str]) -> None:
-    """Settings by colour of method and mark of backend, filled on the largest maps; peers by crosses."""
-    for row in rows:
-        x, y = _place(row)
-        if row["method"] in peers:
-            axes.scatter(x, y, s=50, marker="X", color=f"C{4 + peers.index(row['method'])}", zorder=3)
-        elif row["method"] != "plan":
-            colour = COLOURS[row["method"]]
-            axes.scatter(
-                x,
-                y,
-                s=42 if row["size"] == largest else 14,
-                marker=marks[row["backend"]],
-                facecolor=colour if row["size"] == largest else "none",
-                edgecolor=colour,
-                lw=0.8,
-                alpha=0.8,
-            )
-
-
-def _draw_plans(axes: Axes, plans: list[Row]) -> None:
-    """Stars of the plans on the backend where they are quickest; to the left of each, its planning."""
-    if not plans:
+def _draw_point(axes: Axes, row: Row, quickest: str, hints: dict[str, str]) -> None:
+    """One setting, with its words for the hover; plans are stars with their tolerance beside them."""
+    x, y = _place(row)
+    method, planned = row["method"], row["method"] == "plan"
+    if planned and row["backend"] != quickest:
         return
-    quickest = min(plans, key=lambda row: float(row["seconds"]))
-    level = {tolerance: number for number, tolerance in enumerate(TOLERANCES)}
-    for row in plans:
-        if row["backend"] != quickest["backend"]:
-            continue
-        x, y = _place(row)
-        begin = x * (1 - float(row.get("planning") or 0) / row["seconds"])
-        axes.plot([begin, x], [y, y], color="k", lw=1.1, zorder=4)
-        axes.scatter(x, y, s=190, marker="*", color="gold", edgecolor="k", lw=0.9, zorder=5)
+    peer = method.startswith(PEER)
+    colour = COLOURS.get(method, PEER_COLOUR)
+    marker = "*" if planned else MARKERS.get(method, "X") if peer else "o"
+    point = axes.scatter(
+        x,
+        y,
+        s=190 if planned else 45,
+        marker=marker,
+        facecolor=colour if peer or planned or row["backend"] == quickest else "none",
+        edgecolor="black" if planned or peer else colour,
+        lw=0.8,
+        zorder=5 if planned else 3,
+    )
+    words = f"{method.removeprefix(PEER)}, {row['units']:g}"
+    if planned:
+        share = float(row.get("planning") or 0) / row["seconds"]
+        words = f"default at a tolerance of {row['units']:.1%}; planning is {share:.0%} of the time"
+        offset = (8, -11 + 9 * TOLERANCES.index(row["units"])) if row["units"] in TOLERANCES else (8, 0)
+        name = f"{100 * row['units']:g} %"
+        axes.annotate(name, (x, y), offset, textcoords="offset points", fontsize=8, zorder=6)
+    gid = f"point-{len(hints)}"
+    point.set_gid(gid)
+    backend = "" if peer else f" ({row['backend']})"
+    hints[gid] = f"{words}{backend}: {row['seconds']:.3g} s, error {row['error']:.2g}"
+
+
+def _draw_frontier(axes: Axes, points: list[tuple[float, float]]) -> None:
+    edge = frontier(points)
+    axes.plot(*zip(*edge), color="0.35", lw=1.2, zorder=1)
+    x, y = edge[-1]
+    axes.annotate(
+        "frontier", (x, y), (8, -10), textcoords="offset points", ha="left", fontsize=8, color="0.35"
+    )
+
+
+def _draw_axes(panels: Any, size: int) -> None:
+    """Logarithmic axes, time in ns per node below and in s per megapixel above; where better lies."""
+    for axes in panels.flat:
+        axes.set_xscale("log")
+        axes.set_yscale("log")
         axes.annotate(
-            f"{100 * row['units']:g} %",
-            (x, y),
-            (9, 10 - 13 * level.get(row["units"], 0)),
-            textcoords="offset points",
-            fontsize=8,
-            zorder=6,
+            "better",
+            (0.015, 0.02),
+            (0.09, 0.1),
+            xycoords="axes fraction",
+            fontsize=9,
+            color="0.3",
+            arrowprops={"arrowstyle": "->", "color": "0.3"},
         )
+    for axes in panels[-1]:
+        axes.set_xlabel(f"time of the whole call, {size} x {size} nodes [ns per node]")
+    for axes in panels[:, 0]:
+        axes.set_ylabel("RMS error over the mean")
+    for axes in panels[0]:
+        above = axes.secondary_xaxis("top", functions=(lambda ns: ns / 1000, lambda s: s * 1000))
+        above.set_xlabel("[s per megapixel]", fontsize=9)
 
 
-def _draw_legend(figure: Figure, marks: dict[str, str], sizes: list[int], peers: list[str]) -> None:
+def _draw_legend(figure: Figure, rows: list[Row], quickest: str, labels: Mapping[str, str]) -> None:
     from matplotlib.lines import Line2D
 
-    def dot(colour: str, mark: str = "o", label: str = "", fill: bool = True, size: int = 7) -> Line2D:
+    def mark(
+        colour: str, marker: str, label: str, edge: str = "none", size: int = 7, fill: bool = True
+    ) -> Line2D:
         face = colour if fill else "none"
+        edge = edge if fill else colour
         return Line2D(
-            [], [], ls="", marker=mark, color=colour, markerfacecolor=face, label=label, markersize=size
+            [], [], ls="", marker=marker, color=face, markeredgecolor=edge, label=label, markersize=size
         )
 
-    largest = max(sizes)
-    star: dict[str, Any] = dict(marker="*", color="gold", markeredgecolor="k", markersize=13)
+    backends = {row["backend"] for row in rows if not row["method"].startswith(PEER)}
+    peers = sorted({row["method"] for row in rows if row["method"].startswith(PEER)})
+    names = {
+        "horizon": "horizons; slices under a lamp",
+        "filled": "lattice, filled",
+        "stride": "lattice, stride (the paper)",
+        "unoccluded": "closed form, occlusion left out",
+    }
     handles = [
-        dot("C0", label="horizon (lamp: slices)"),
-        dot("C1", label="lattice, filled"),
-        dot("C3", label="lattice, stride (the paper)"),
-        dot("C2", label="unoccluded"),
-        *(dot("0.3", mark, name) for name, mark in marks.items()),
+        *(mark(COLOURS[method], "o", label) for method, label in names.items()),
+        mark(COLOURS["plan"], "*", "the default, by tolerance", "black", 13),
+        *([mark("0.3", "o", f"hollow: not on {quickest}", fill=False)] if len(backends) > 1 else []),
         *(
-            dot("0.3", label=f"{size} x {size} nodes", fill=size == largest, size=7 if size == largest else 4)
-            for size in sizes
+            mark(
+                COLOURS.get(peer, PEER_COLOUR),
+                MARKERS.get(peer, "X"),
+                labels.get(peer, peer[len(PEER) :]),
+                "black",
+            )
+            for peer in peers
         ),
-        Line2D([], [], color="0.4", lw=1.2, label=f"frontier, {largest} x {largest}"),
-        Line2D([], [], ls="", label="the default, by tolerance; to its left, planning", **star),
-        *(dot(f"C{4 + number}", "X", peer[len(PEER) :]) for number, peer in enumerate(peers)),
     ]
-    figure.legend(handles=handles, loc="outside lower center", ncols=5, frameon=False, fontsize=9)
+    figure.legend(handles=handles, loc="outside lower center", ncols=3, frameon=False, fontsize=9)
+
+
+def _add_hints(path: Path, hints: Mapping[str, str]) -> None:
+    """Texts that appear on hover over the points of an SVG."""
+    text = path.read_text(encoding="utf-8")
+    for gid, words in hints.items():
+        text = text.replace(f'<g id="{gid}">', f'<g id="{gid}"><title>{escape(words)}</title>', 1)
+    path.write_text(text, encoding="utf-8")
