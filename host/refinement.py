@@ -24,9 +24,9 @@ from .checks import positive_number
 from .constants import LEAST_SEARCHED_SLOPE
 from .errors import CapacityError, bad
 from .interreflection import ESTIMATE_SHARE, check_choice, choice, expected, is_needed
-from .light import lattice, unoccluded
+from .light import lattice, line, unoccluded
 from .light.base import Estimate, Later, LightMethod, estimated
-from .light.finite import RAYS, Sliced, most_rays
+from .light.finite import MOST_RAY_EVALUATIONS, RAYS, Sliced, most_rays
 from .light.horizon import OFFSET, Horizons, margin_of
 from .light.lattice import Lattice, lacking
 from .light.slices import outline, widened
@@ -68,6 +68,8 @@ BEHIND_CLIFFS = {None: 0.028, 24: 0.0085}
 # tolerance below which shadows of suns take 24 near rows: with 6 they cost 0.1 to 0.9 %, with 24 0.01 to
 # 0.35 % (fractals, terrain)
 SHARP_SHADOWS = 0.01
+# of level ground under any brightness, relative: its tables' knots and normals (tests/test_integrals.py)
+TABLES_ERROR = 1e-4
 NEARLY_UNIFORM = 0.1  # tolerances by which a brightness may vary that is taken as a number
 SEARCHED_SLOPES = (0.8, 0.4, 0.2, 0.1, 0.05, 0.025)  # over which a map that repeats is searched
 SHORTER_SEARCH_SHARE = 0.3  # tolerances that a shorter search may cost
@@ -75,6 +77,9 @@ WINDOWED_COST = 2.5  # times as many steps as a sweep without a search radius
 
 # -- lamps and windows
 SLICE_COUNTS = (8, 16, 32, 64, 128, 256)  # of a source that stands all round
+# points along a thin source, and its apparent width [rad] up to which a line has its light, 0.3 degrees: what
+# brightness does across it is lost, its curvature times a square over 24; chosen
+LINE_COUNTS, LINE_WIDTH = (32, 64, 128, 256, 512, 1024, 2048), 5e-3
 JUDGING_SLICES = 4  # times as many slices judge them
 # azimuth that a small bright part behind a window may span: slices, which stand within the window, resolve
 # what is wider
@@ -332,6 +337,7 @@ def assess(planner: _Planner, method: LightMethod) -> Assessment:
         planner.share = min(max(audit / by_half, LEAST_SHARE), MOST_SHARE)
     share = planner.share
     floor = math.sqrt(max(0.0, audit**2 - (share * by_half) ** 2))
+    floor = math.hypot(floor, planner.tables)
     return Assessment(method.estimate(planner.tail * planner.mean / share), share, audit, floor)
 
 
@@ -425,6 +431,7 @@ class _Planner(ABC):
     share = FIRST_SHARE  # error over half the difference of two images
     floor = 0.0  # error that both images are expected to share
     doubt = 0.0  # relative RMS error of the exact light at the samples
+    tables = 0.0  # error of tables of brightness, which that light and the image share
     max_distance: float | None = None
     unknown = ""  # why the error is not known
     interreflection: bool | str = "auto"  # whether the light between surfaces is asked for
@@ -612,7 +619,7 @@ class _SkyPlanner(_Planner):
         if not sky.suns and sky.variation <= NEARLY_UNIFORM * self.tolerance:
             self.light = float(sky.mean)
             return
-        self.suns = sky.suns
+        self.suns, self.tables = sky.suns, math.hypot(TABLES_ERROR, sky.error)
         if self.suns and self.samples.cliffs > 0:
             self.rays = margin_of(scene, self.suns, self.samples.relief)
 
@@ -884,6 +891,8 @@ class _SlicePlanner(_Planner):
     sky: Integrals | None = None  # of a brightness that varies
     rays = 0  # along which the brightness of slices is taken, 0: along their chords
     points = 0  # rays of the closed form
+    is_thin = False  # its light is taken along the line through its middle
+    counts: tuple[int, ...] = SLICE_COUNTS
     bright: float | np.ndarray = 0.0  # light of small bright parts behind a window
     smooth: sources.Brightness  # brightness without these
     through: dict[int, np.ndarray]  # light at the samples by numbers of slices
@@ -893,7 +902,10 @@ class _SlicePlanner(_Planner):
         brightness = self.source.brightness
         self._place()
         if callable(brightness):
-            if isinstance(self.source, sources.Window):
+            self.is_thin = _looks_thin(self)
+            if self.is_thin:
+                self.counts = LINE_COUNTS
+            elif isinstance(self.source, sources.Window):
                 self._integrate_sky()
             self.samples.oversample_lit(self.scene, self._open_light)
         self.uniform = self._uniform_light()
@@ -906,15 +918,15 @@ class _SlicePlanner(_Planner):
             )
             brightness = self._without_suns
         self.smooth = brightness
-        self.through = {count: self._through_slices(brightness, count) for count in SLICE_COUNTS[:3]}
-        self.exact = self.through[SLICE_COUNTS[2]]
-        if not self._fits_closed_form():
+        self.through = {count: self._through_slices(brightness, count) for count in self.counts[:3]}
+        self.exact = self.through[self.counts[2]]
+        if self.is_thin or not self._fits_closed_form():
             self._take_slices()
 
     def _take_slices(self) -> None:
         """Choose slices, and how brightness is taken."""
         self.method_class = Sliced
-        if callable(self.source.brightness):
+        if callable(self.source.brightness) and not self.is_thin:
             self._choose_rays()
         self._choose_slices(self.smooth, self.through)
 
@@ -966,7 +978,10 @@ class _SlicePlanner(_Planner):
         return values
 
     def _through_slices(self, brightness: sources.Brightness, count: int) -> np.ndarray:
-        """Light at the samples through ``count`` slices, and that of small bright parts."""
+        """Light at the samples through ``count`` slices, and that of small bright parts; or along a line."""
+        if self.is_thin:
+            assert isinstance(self.solid, Quad), "balls are not thin"
+            return line.at_samples(self.samples, self.solid, brightness, count)
         return self.samples.through_slices(self.solid, brightness, count) + self.bright
 
     def _unoccluded(
@@ -1046,14 +1061,20 @@ class _SlicePlanner(_Planner):
 
         ``light``: by numbers of slices, what is known already.
         """
-        fewest = 2 * int(isinstance(self.solid, Quad))  # four sectors share them, and half as many judge them
-        for finest in SLICE_COUNTS[2:]:
+        # four sectors share them, and half as many judge them
+        fewest = 2 * int(isinstance(self.solid, Quad) and not self.is_thin)
+        for finest in self.counts[2:]:
             if finest not in light:
                 light[finest] = self._through_slices(brightness, finest)
             self.exact = light[finest]
             self.doubt = JUDGE_SHARE / 2 * self.samples.errors(light[finest // 2], self.exact).rms
-            for units in SLICE_COUNTS[fewest:]:
-                number, through = _slices_taken(self.samples, self.solid, units), light[SLICE_COUNTS[0]]
+            for units in self.counts[fewest:]:
+                through = light[self.counts[0]]
+                number = (
+                    np.full(through.shape, units)
+                    if self.is_thin
+                    else _slices_taken(self.samples, self.solid, units)
+                )
                 for count in light:
                     through = np.where(number >= count, light[count], through)
                 self.units, self.expected = units, self.samples.errors(through, self.exact)
@@ -1072,7 +1093,7 @@ class _SlicePlanner(_Planner):
         solid = solid_of(scene, source, step / scene.spacing, step)
         assert solid is not None, "_HiddenWindowPlanner takes a window of which nothing is left"
         sky = None if self.rays else self.sky
-        return Sliced(self.engine, scene, source, solid, self.units, self.rays, sky)
+        return Sliced(self.engine, scene, source, solid, self.units, self.rays, sky, self.is_thin)
 
     def refine(self, is_shared: bool) -> bool:
         if self.closed:
@@ -1082,6 +1103,8 @@ class _SlicePlanner(_Planner):
         elif is_shared and self.is_small and self.sky is not None and most_rays(self.scene):
             # what a table of the sky is too coarse for
             self.rays, self.sky = min(RAYS[2], most_rays(self.scene)), None
+        elif self.is_thin and 2 * self.method.units * math.prod(self.scene.shape) > MOST_RAY_EVALUATIONS:
+            return False
         else:
             return super().refine(is_shared)
         self.method = self.make()
@@ -1107,6 +1130,8 @@ class _SlicePlanner(_Planner):
         rays = self.points if closed else self.rays
         if not callable(source.brightness):
             yield Choice("brightness", "constant", "it is a number")
+        elif self.is_thin:
+            yield Choice("brightness", f"along {self.units} rays", "the source is a line to every node")
         elif rays:
             yield Choice("brightness", f"along {rays} rays", "it varies little across the source")
         else:
@@ -1115,6 +1140,18 @@ class _SlicePlanner(_Planner):
             why = "seen through the window in azimuths of their own"
             yield Choice("bright parts", f"{len(self.sky.suns)}", why)
         yield Choice("search radius", "up to the source", "what lies behind it hides nothing")
+
+
+def _looks_thin(planner: _SlicePlanner) -> bool:
+    """Whether a line has its light, the map is on the host, and few enough nodes look at it."""
+    scene, samples = planner.scene, planner.samples
+    walled = isinstance(planner.source, sources.Lamp) and scene.sides == "dark"
+    if isinstance(planner.solid, Ball) or walled or scene.resident is not None:
+        return False
+    away = planner.middle[:, None] - np.stack([samples.x, samples.y, samples.own])
+    distance = float(np.median(np.sqrt((away**2).sum(0))))
+    few = LINE_COUNTS[2] * math.prod(scene.shape) <= MOST_RAY_EVALUATIONS
+    return few and line.line_of(planner.solid).width < LINE_WIDTH * distance
 
 
 def _judging_sectors(sun: Sun, outline: tuple[float, float, float, float], samples: Samples) -> int:

@@ -22,6 +22,9 @@ AZIMUTHS, CELLS = 1440, 1024  # of the smooth part of a sky; cells of elevation
 WITHIN = 4  # places within an azimuth's width at which brightness is taken
 NARROW, NARROW_CELLS = 192, 256  # azimuths and cells of elevation of a feature
 SLICES, POINTS = 1024, 64  # of a lamp or window; points of a slice at which brightness is taken
+# times as many for slits and tubes whose brightness varies: without, nodes that nearly lie below one are off,
+# by 0.2 to 4 % of the mean in all
+THIN_DENSITY = 3
 
 
 def primitives(e):
@@ -534,6 +537,14 @@ def through_solid(samples, solid, light, density):
     return total
 
 
+def is_thin(solid):
+    """Whether a solid is a quadrangle that is far longer than wide."""
+    if not hasattr(solid, "corners"):
+        return False
+    sides = [np.linalg.norm(solid.corners[n] - solid.corners[0]) for n in (1, 3)]
+    return min(sides) < 0.02 * max(sides)
+
+
 def truth(samples, scene, source, light, density=1):
     """Irradiance (nodes,) of a pair at the samples; ``density``: times as many azimuths, slices and cells."""
     if isinstance(source, sl.Sky):
@@ -546,5 +557,7 @@ def truth(samples, scene, source, light, density=1):
     bounds = None
     if isinstance(source, sl.Window):
         bounds = (*np.array(source.x) / scene.spacing, *np.array(source.y) / scene.spacing)
+    if callable(light.smooth) or light.features:
+        density *= THIN_DENSITY if is_thin(solid) else 1
     total = through_solid(samples, solid, light.smooth, density)
     return total + of_features(samples, light, density, bounds) if light.features else total

@@ -563,6 +563,16 @@ def test_thin_sources(fast, ground, kind):
         np.testing.assert_allclose(samples.of(out.image), exact, rtol=0.01)
 
 
+def test_a_slit_before_a_sharp_map(fast):
+    """Pixels of one degree and a half, which no table of chords holds that well, point by point."""
+    light = sl.environment_map(np.random.default_rng(1).gamma(0.5, size=(128, 256)))
+    scene, (corner, u, v) = sl.Scene(SMALL), ((12.2, 3.0, 0.0), (0, 26.0, 0), (5e-4, 0, 0))
+    samples = Samples(select(fast), scene, 80, 100_003)
+    out = irradiance(scene, sl.Window((12.2, 12.2005), (3.0, 29.0), light), fast)
+    assert errors(samples.of(out.image), through(samples, *sheet(corner, u, v, 4000, 1), light)).rms <= 0.01
+    assert not out.warnings and "line to every node" in str(out.plan)
+
+
 @pytest.mark.parametrize("brightness", [1.0, sl.cie_overcast()], ids=["number", "function"])
 def test_a_window_outside_a_dark_box_is_planned(fast, brightness):
     """Nothing of it is seen: the plan says so and the image is 0, also where its brightness is a function."""

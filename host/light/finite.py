@@ -14,7 +14,7 @@ from ..samples import Samples, picked
 from ..scene import Scene
 from ..sources.integrals import Integrals, chords
 from ..sources.solids import Ball, Quad, upright
-from . import unoccluded
+from . import line, unoccluded
 from .base import Estimate, Later, LightMethod, estimated, judged
 from .slices import CHORD_AZIMUTHS, CHORD_KNOTS, Slices, ball_nodes, outline, widened
 
@@ -39,7 +39,7 @@ class Sliced(LightMethod):
     azimuths of their own. The slices of a ball are two images that share none; refining puts as many slices
     between them. Those of a quadrangle are Gauss-Legendre nodes: rules of different size share none, and the
     image is that of the larger of two. Where there are rays, half the difference includes what a quarter of
-    them would change.
+    them would change. ``thin``: of a quadrangle, ``units`` points along its middle instead of slices.
     """
 
     def __init__(
@@ -51,15 +51,17 @@ class Sliced(LightMethod):
         units: int,
         rays: int = 0,
         sky: Integrals | None = None,
+        thin: bool = False,
     ):
         self.engine, self.scene, self.units, self.rays = engine, scene, units, rays
         self.there = scene.on(engine)
         self.step = self.there.step
-        self.solid, self.scale = widened(solid, self.there)
+        self.solid, self.scale = (solid, 1.0) if thin else widened(solid, self.there)
+        self.thin = thin
         self.source, self.sky = source, sky
         self.factors: tuple[np.ndarray, np.ndarray] | None = None
         self.brightness: Any = 1.0 if rays else source.brightness
-        if sky is not None and not rays:
+        if sky is not None and not rays and not thin:
             self.brightness = chords(sky, CHORD_AZIMUTHS, CHORD_KNOTS)
         if rays:
             self._take_rays(rays)
@@ -90,6 +92,11 @@ class Sliced(LightMethod):
 
     def _image(self, units: int) -> tuple[Slices, Array]:
         """The light through ``units`` slices, and of small bright parts in as many sectors."""
+        if self.thin:
+            slices, quad = Slices(self.there, self.scene.sides, self.solid), upright(self.solid, self.step)
+            assert isinstance(quad, Quad), "balls are not thin"
+            found = line.image(slices, self.scene, quad, self.source.brightness, units)
+            return slices, self.engine.upload(found)
         slices = Slices(self.there, self.scene.sides, self.solid, self.brightness, units, shift=SHIFT)
         slices.run()
         if self.sky is not None and self.sky.suns:
