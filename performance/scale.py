@@ -229,14 +229,22 @@ def memory(tile, backend):
 
 
 def hills(block_info=None):
-    """A block of hills without end, from its place alone."""
-    (r0, r1), (c0, c1) = block_info[None]["array-location"]
-    y, x = np.arange(r0, r1, dtype=np.float32)[:, None], np.arange(c0, c1, dtype=np.float32)
-    heights = np.zeros((r1 - r0, c1 - c0), np.float32)
-    for n, length in enumerate((3001.0, 1213.0, 557.0, 211.0, 83.0, 31.0)):
-        a, b = np.float32(np.cos(1.7 * n) / length), np.float32(np.sin(1.7 * n) / length)
-        heights += np.float32(length / 60) * np.sin(6.2831853 * (a * x + b * y))
-    return heights
+    """A block of hills without end, from its place alone.
+
+    A sum of plane waves, sin(u + v) = sin u cos v + cos u sin v: a product of two thin matrices, so that
+    making the map takes little of the time that is measured.
+    """
+    waves = []
+    for axis, (first, last) in enumerate(block_info[None]["array-location"]):
+        at = np.arange(first, last)[:, None]
+        lengths = np.array([3001.0, 1213.0, 557.0, 211.0, 83.0, 31.0])
+        turn = 1.7 * np.arange(6)
+        phase = 2 * np.pi * at * (np.sin(turn) if axis == 0 else np.cos(turn)) / lengths
+        parts = np.sin(phase), np.cos(phase)
+        waves.append(
+            np.concatenate(parts if axis == 0 else parts[::-1], 1) * np.sqrt(np.tile(lengths / 60, 2))
+        )
+    return (waves[0].astype(np.float32) @ waves[1].T.astype(np.float32)).astype(np.float32, copy=False)
 
 
 def big(side, tile, workers, azimuths, backend):
