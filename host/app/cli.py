@@ -29,6 +29,7 @@ from . import chart as charts
 from . import demo as demos
 from . import mosaic, out_of_core, output, parsing, plot
 from . import options as opt
+from . import view as views
 from .examples import epilog
 from .selftest import Comparison
 from .selftest import selftest as run_selftest
@@ -534,6 +535,26 @@ def demo(
     else:
         demos.print_tables(facts)
         output.message(f"Next: open {folder / 'panel.png'}, then try: skylamp render YOUR_MAP image.png")
+
+
+@app.command(epilog=epilog("view"))
+def view(
+    file: opt.File,
+    height: opt.Height = None,
+    spacing: opt.Spacing = None,
+    resample: opt.Resample = False,
+    port: opt.Port = 8080,
+    browser: opt.Browser = True,
+    backend: opt.Backend = "auto",
+    quiet: opt.Quiet = False,
+    verbose: opt.Verbose = False,
+) -> None:
+    """Open a page that shows the map rendered while the sun or a lamp is dragged over it."""
+    with output.progress_bar("reading"):
+        viewer = views.Viewer(views.read(file, height, spacing, resample), select(backend).name)
+        viewer.scene(views.Settings())  # checks the map
+    output.message(f"http://127.0.0.1:{port} shows {file}; Ctrl-C ends it.")
+    views.serve(viewer, port, browser)
 
 
 def main(arguments: list[str] | None = None) -> NoReturn:

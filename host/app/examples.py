@@ -25,6 +25,7 @@ _OF = {
     "backends": ("skylamp backends", "skylamp backends --json"),
     "selftest": ("skylamp selftest",),
     "demo": ("skylamp demo --out demo",),
+    "view": ("skylamp view dem.tif", "skylamp view height.npy --height --port 8081 --no-browser"),
 }
 
 

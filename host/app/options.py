@@ -318,3 +318,7 @@ Sizes = Annotated[str, typer.Option(help="Rows and columns of the maps")]
 DemoFolder = Annotated[
     Path, typer.Option(help="Folder for the pictures; created if need be", show_default=False)
 ]
+
+# -- of view
+Port = Annotated[int, typer.Option(min=1, max=65535, help="Port of this machine")]
+Browser = Annotated[bool, typer.Option("--browser/--no-browser", help="Open the page in the browser")]

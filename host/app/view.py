@@ -1,0 +1,347 @@
+"""`skylamp view`: a page on which one drags the sun or the lamp over a map and sees it rendered.
+
+By NiceGUI: its image reports where the mouse is, and each frame goes back through the same connection, where
+Panel would draw a Bokeh figure anew. While the mouse moves every few nodes are rendered in few azimuths; when
+it rests the whole map is, within the tolerance.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import base64
+import importlib
+import io as streams
+import math
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import imageio.v3 as imageio
+import numpy as np
+
+from .. import io
+from ..errors import lacking
+from ..io import geotiff as geo
+from ..rendering import Rendering, render
+from ..scene import Scene
+from ..sources import Lamp, Sky, Source, cie_overcast
+from ..sources.cie import cie_clear
+from . import plot
+from .output import native_stderr_silenced
+
+COARSE_SIDE = 160  # [node] of the map that is rendered while the mouse moves; twice takes four times as long
+COARSE_AZIMUTHS = 8  # in which it is; half of it shows as stripes
+REST = 0.35  # [second] without a change after which the whole map is rendered; chosen
+CLICK = 4.0  # [pixel] by which the mouse may move in a click; chosen
+WHITE_PERCENTILE = 99.5  # of an image, which becomes white
+GAMMA = 2.2
+SOURCES = ("uniform sky", "overcast sky", "clear sky", "lamp")
+SUN_LIGHT = 3.0  # irradiance by the sun's disc, beside a zenith of brightness 1; chosen for the eye
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What the page's controls say: lengths in shares of the map's longer side, angles in degrees."""
+
+    source: str = "clear sky"
+    azimuth: float = 135.0
+    elevation: float = 35.0
+    lamp: tuple[float, float] = (0.5, 0.5)
+    lamp_height: float = 0.15
+    lamp_radius: float = 0.05
+    albedo: float = 0.5
+    exaggeration: float = 1.0
+    tolerance: float = 0.01
+    interreflection: str = "off"
+
+
+@dataclass(frozen=True, eq=False)
+class Map:
+    """A map of depth or height and the Python lines that read it as ``values``, ``mask`` and ``spacing``."""
+
+    values: np.ndarray
+    is_height: bool
+    spacing: float
+    mask: np.ndarray | None
+    lines: tuple[str, ...]
+
+    @cached_property
+    def stride(self) -> int:
+        """Nodes from one to the next of the coarse map."""
+        return max(1, int(max(self.values.shape)) // COARSE_SIDE)
+
+
+def read(file: Path, height: bool | None, spacing: float | None, resample: bool) -> Map:
+    """The map in a file. Raises InputError."""
+    if geo.is_geotiff(file):
+        raster = geo.read(file, resample=resample)
+        step = raster.spacing if spacing is None else spacing
+        call = f"raster = geo.read({str(file)!r}{', resample=True' * resample})"
+        lines = (
+            "from skylamp import geo",
+            call,
+            f"values, mask, spacing = raster.values, raster.mask, {step!r}",
+        )
+        return Map(raster.values, height is not False, step, raster.mask, lines)
+    kind, step = "height" if height else "depth", 1.0 if spacing is None else spacing
+    with native_stderr_silenced(file):
+        values = io.read(file, kind)
+    call = f"values, mask, spacing = io.read({str(file)!r}, {kind!r}), None, {step!r}"
+    return Map(values, bool(height), step, None, ("from skylamp import io", call))
+
+
+class Viewer:
+    """Renders a map as settings say; nothing here belongs to a page."""
+
+    def __init__(self, ground: Map, backend: str = "auto"):
+        self.ground, self.backend = ground, backend
+        self._scenes: dict[tuple[Any, ...], Scene] = {}
+
+    def scene(self, settings: Settings, coarse: bool = False) -> Scene:
+        """The scene, of every few nodes alone if ``coarse``; the last two are kept."""
+        key = settings.exaggeration, settings.albedo, coarse
+        if key not in self._scenes:
+            ground, step = self.ground, self.ground.stride if coarse else 1
+            make = Scene.from_height if ground.is_height else Scene
+            mask = None if ground.mask is None else ground.mask[::step, ::step]
+            values = settings.exaggeration * ground.values[::step, ::step]
+            kept = [(k, s) for k, s in self._scenes.items() if k[2] != coarse]
+            self._scenes = dict(kept)
+            self._scenes[key] = make(values, step * ground.spacing, settings.albedo, mask)
+        return self._scenes[key]
+
+    def source(self, settings: Settings) -> Source:
+        """The source, over the scene of these settings."""
+        if settings.source == "uniform sky":
+            return Sky()
+        if settings.source == "overcast sky":
+            return Sky(cie_overcast())
+        if settings.source == "clear sky":
+            return Sky(cie_clear((settings.azimuth, settings.elevation), direct=SUN_LIGHT))
+        return Lamp(center=self._center(settings), radius=self._length(settings.lamp_radius))
+
+    def _length(self, share: float) -> float:
+        """[unit of spacing]."""
+        return round(share * float(max(self.ground.values.shape)) * self.ground.spacing, 6)
+
+    def _center(self, settings: Settings) -> tuple[float, float, float]:
+        """The lamp's centre, so far above the highest node that it stands clear of it."""
+        rows, cols = self.ground.values.shape
+        x, y = (round(at * n * self.ground.spacing, 6) for at, n in zip(settings.lamp, (cols, rows)))
+        above = 0.0 if self.ground.is_height else self._least(settings)
+        return x, y, above - self._length(settings.lamp_height + settings.lamp_radius)
+
+    def _least(self, settings: Settings) -> float:
+        return round(settings.exaggeration * float(np.nanmin(self.ground.values)), 6)
+
+    def coarse(self, settings: Settings) -> Rendering:
+        """A quick image of every few nodes."""
+        scene, source = self.scene(settings, True), self.source(settings)
+        return render(scene, source, "horizon", backend=self.backend, azimuths=COARSE_AZIMUTHS)
+
+    def refined(self, settings: Settings) -> Rendering:
+        """The image within the tolerance."""
+        between: Any = {"off": False, "on": True}.get(settings.interreflection, "auto")
+        scene, source = self.scene(settings), self.source(settings)
+        return render(scene, source, "auto", settings.tolerance, self.backend, interreflection=between)
+
+    def tones(self, image: np.ndarray) -> np.ndarray:
+        """(rows, cols) uint8 of the whole map's shape."""
+        rows, cols = self.ground.values.shape
+        step = math.ceil(rows / image.shape[0])
+        white = float(np.nanpercentile(image, WHITE_PERCENTILE)) or 1.0
+        shown = np.nan_to_num(np.clip(image / white, 0, 1)) ** (1 / GAMMA)
+        whole = np.rint(255 * shown).astype(np.uint8).repeat(step, 0).repeat(step, 1)
+        return np.ascontiguousarray(whole[:rows, :cols])
+
+    def code(self, settings: Settings) -> str:
+        """Python lines that make the refined image."""
+        make = "sl.Scene.from_height" if self.ground.is_height else "sl.Scene"
+        if settings.source == "lamp":
+            source = f"sl.Lamp(center={self._center(settings)}, radius={self._length(settings.lamp_radius)})"
+        elif settings.source == "clear sky":
+            sun = f"({settings.azimuth}, {settings.elevation})"
+            source = f"sl.Sky(sl.cie_clear({sun}, direct={SUN_LIGHT}))"
+        else:
+            source = "sl.Sky()" if settings.source == "uniform sky" else "sl.Sky(sl.cie_overcast())"
+        between = {"off": "False", "on": "True"}.get(settings.interreflection, '"auto"')
+        call = f"tolerance={settings.tolerance}, interreflection={between}, backend={self.backend!r}"
+        return "\n".join(
+            [
+                "import skylamp as sl",
+                *self.ground.lines,
+                f"scene = {make}({settings.exaggeration} * values, spacing, {settings.albedo}, mask)",
+                f"source = {source}",
+                f"image = sl.render(scene, source, {call}).image",
+            ]
+        )
+
+    def horizon_plot(self, settings: Settings, row: int, col: int) -> bytes:
+        """A PNG of the sky above a node."""
+        source = self.source(settings)
+        sky = source if isinstance(source, Sky) else Sky()
+        buffer = streams.BytesIO()
+        plot.horizon(self.scene(settings), row, col, sky, backend=self.backend).savefig(buffer, dpi=80)
+        return buffer.getvalue()
+
+
+def data_url(content: bytes, kind: str) -> str:
+    """``content`` as a source of an image element."""
+    return f"data:image/{kind};base64,{base64.b64encode(content).decode()}"
+
+
+class Page:
+    """One visitor's page: controls, picture and text, and the loop that renders what they ask for."""
+
+    def __init__(self, viewer: Viewer, ui: Any, run: Any):
+        self.viewer, self.ui, self.run = viewer, ui, run
+        self.settings, self.image = Settings(), np.zeros((1, 1), np.uint8)
+        self.changed = asyncio.Event()
+        self.pressed: tuple[float, float] | None = None
+        self.frames = 0
+        rows, cols = viewer.ground.values.shape
+        with ui.row().classes("w-full no-wrap"):
+            with ui.column():
+                self.picture = (
+                    ui.interactive_image(
+                        size=(cols, rows),
+                        on_mouse=self._mouse,
+                        events=["mousedown", "mousemove", "mouseup"],
+                        cross=False,
+                    )
+                    .classes("picture")
+                    .style("width: 512px; touch-action: none")
+                )
+                self.status = ui.label("rendering").classes("status")
+                self.plan = ui.label("").style("max-width: 512px")
+                self.horizon = ui.image().style("width: 512px")
+                self.horizon.set_visibility(False)
+            with ui.column().style("min-width: 22em"):
+                self._controls()
+                self.code = ui.code("", language="python").classes("w-full")
+        ui.context.client.on_connect(self._loop)
+
+    def _controls(self) -> None:
+        ui, settings = self.ui, self.settings
+        ui.label("Drag over the map: the sun or the lamp. Click a node: its horizon.")
+        ui.select(
+            list(SOURCES), value=settings.source, label="source", on_change=self._set("source")
+        ).classes("w-full")
+        for name, low, high, step in (
+            ("albedo", 0.05, 1.0, 0.05),
+            ("exaggeration", 0.5, 8.0, 0.5),
+            ("lamp_height", 0.01, 0.5, 0.01),
+            ("lamp_radius", 0.01, 0.3, 0.01),
+        ):
+            ui.label(name.replace("_", " "))
+            value = getattr(settings, name)
+            ui.slider(min=low, max=high, step=step, value=value, on_change=self._set(name)).props("label")
+        tolerances = {0.03: "3 %", 0.01: "1 %", 0.003: "0.3 %"}
+        ui.select(tolerances, value=0.01, label="tolerance", on_change=self._set("tolerance")).classes(
+            "w-full"
+        )
+        between = ["off", "auto", "on"]
+        ui.select(
+            between, value="off", label="light between surfaces", on_change=self._set("interreflection")
+        ).classes("w-full")
+        ui.button("Save image", on_click=self._save).classes("save")
+        ui.button("Save Python", on_click=self._save_code)
+
+    def _set(self, name: str) -> Any:
+        def change(event: Any) -> None:
+            self._ask(replace(self.settings, **{name: event.value}))
+
+        return change
+
+    def _ask(self, settings: Settings) -> None:
+        self.settings = settings
+        self.changed.set()
+
+    def _mouse(self, event: Any) -> None:
+        """Press and move: the sun or the lamp follows. Press and release at one place: the node's horizon."""
+        at = event.image_x, event.image_y
+        if event.type == "mousedown":
+            self.pressed = at
+        elif self.pressed is None:
+            return
+        elif event.type == "mouseup":
+            moved, self.pressed = math.dist(at, self.pressed), None
+            if moved <= CLICK:
+                self.ui.timer(0.01, lambda: self._show_horizon(*at), once=True)
+        elif event.buttons and math.dist(at, self.pressed) > CLICK:
+            self._ask(self._moved(*at))
+
+    def _moved(self, x: float, y: float) -> Settings:
+        """With the lamp at a place, or the sun in its direction from the middle, in the zenith there."""
+        rows, cols = self.viewer.ground.values.shape
+        if self.settings.source == "lamp":
+            return replace(self.settings, lamp=(round(x / cols, 4), round(y / rows, 4)))
+        east, north = x - cols / 2, rows / 2 - y
+        away = math.hypot(east, north) / (min(rows, cols) / 2)
+        return replace(
+            self.settings,
+            azimuth=round(math.degrees(math.atan2(east, north)) % 360, 1),
+            elevation=round(90 * max(0.01, 1 - away), 1),
+        )
+
+    async def _loop(self) -> None:
+        """Frames while settings change, the refined image when they rest."""
+        await self._refine(self.settings)
+        while True:
+            await self.changed.wait()
+            self.changed.clear()
+            await self._frame(self.settings)
+            try:
+                await asyncio.wait_for(self.changed.wait(), REST)
+            except TimeoutError:
+                await self._refine(self.settings)
+
+    async def _frame(self, settings: Settings) -> None:
+        done = await self.run.io_bound(self.viewer.coarse, settings)
+        self.frames += 1
+        self._show(done, settings, f"frame {self.frames}: {1000 * done.seconds:.0f} ms, every"
+                   f" {self.viewer.ground.stride} nodes")  # fmt: skip
+
+    async def _refine(self, settings: Settings) -> None:
+        done = await self.run.io_bound(self.viewer.refined, settings)
+        error = float(np.sqrt(np.nanmean(np.square(done.error)))) / float(np.nanmean(done.image))
+        self._show(done, settings, f"refined: {1000 * done.seconds:.0f} ms by {done.backend}, estimated error"
+                   f" {100 * error:.2g} %")  # fmt: skip
+        self.plan.set_text("; ".join([done.plan.line, *done.warnings]))
+
+    def _show(self, done: Rendering, settings: Settings, text: str) -> None:
+        self.image = self.viewer.tones(np.asarray(done.image))
+        encoded = imageio.imwrite("<bytes>", self.image, extension=".jpg", quality=85)
+        self.picture.set_source(data_url(encoded, "jpeg"))
+        self.status.set_text(text)
+        self.code.set_content(self.viewer.code(settings))
+
+    async def _show_horizon(self, x: float, y: float) -> None:
+        rows, cols = self.viewer.ground.values.shape
+        row, col = min(rows - 1, max(0, int(y))), min(cols - 1, max(0, int(x)))
+        drawn = await self.run.io_bound(self.viewer.horizon_plot, self.settings, row, col)
+        self.horizon.set_source(data_url(drawn, "png"))
+        self.horizon.set_visibility(True)
+
+    def _save(self) -> None:
+        self.ui.download(imageio.imwrite("<bytes>", self.image, extension=".png"), "skylamp.png")
+
+    def _save_code(self) -> None:
+        self.ui.download(self.viewer.code(self.settings).encode(), "skylamp_image.py")
+
+
+def serve(viewer: Viewer, port: int, opens: bool) -> None:
+    """Serve the page on this machine until it is interrupted. Raises InputError without NiceGUI."""
+    try:
+        nicegui: Any = importlib.import_module("nicegui")
+    except ImportError as error:
+        raise lacking("skylamp view", "nicegui", "view") from error
+
+    @nicegui.ui.page("/")  # type: ignore[untyped-decorator]
+    def page() -> None:
+        Page(viewer, nicegui.ui, nicegui.run)
+
+    nicegui.ui.run(
+        host="127.0.0.1", port=port, show=opens, reload=False, title="skylamp", show_welcome_message=False
+    )

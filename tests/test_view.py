@@ -1,0 +1,147 @@
+"""`skylamp view`: what its page renders, and the page itself in headless Chromium."""
+
+import os
+import socket
+import subprocess
+import sys
+import time
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+
+import imageio.v3 as imageio
+import numpy as np
+import pytest
+
+from skylamp.app import view
+
+pytest.importorskip("nicegui")
+CHROMIUM, DRIVER = "/usr/bin/chromium", "/usr/bin/chromedriver"
+
+
+@pytest.fixture
+def file(tmp_path):
+    y, x = np.mgrid[:48, :64]
+    np.save(tmp_path / "height.npy", (6 * np.sin(x / 7) * np.cos(y / 5) + 0.1 * x).astype(np.float32))
+    return tmp_path / "height.npy"
+
+
+@pytest.mark.parametrize("settings", [
+    view.Settings(), view.Settings("lamp", lamp=(0.2, 0.7), exaggeration=2.0, interreflection="on"),
+    view.Settings("overcast sky", albedo=0.2, tolerance=0.03),
+], ids=lambda s: s.source)  # fmt: skip
+@pytest.mark.parametrize("height", [True, False])
+def test_the_python_lines_make_the_image(file, settings, height, fast):
+    """What the page saves as Python gives the page's image, bit for bit."""
+    if not height:
+        np.save(file, 20 - np.load(file))
+    viewer = view.Viewer(view.read(file, height, 2.0, False), fast)
+    names = {}
+    exec(viewer.code(settings), names)
+    np.testing.assert_array_equal(names["image"], viewer.refined(settings).image)
+    assert viewer.coarse(settings).image.shape == (48, 64)
+
+
+@pytest.mark.slow
+def test_settings_reach_the_image(file, fast):
+    """Each control changes the image, and the coarse map is every few nodes of the whole one."""
+    viewer = view.Viewer(view.read(file, True, None, False), fast)
+    start = view.Settings()
+    image = viewer.refined(start).image
+    for changes in (
+        {"azimuth": 200.0}, {"elevation": 60.0}, {"source": "lamp"}, {"albedo": 0.9}, {"exaggeration": 3.0},
+        {"tolerance": 1e-4}, {"interreflection": "on"},
+    ):  # fmt: skip
+        assert not np.array_equal(viewer.refined(replace(start, **changes)).image, image), changes
+    large = view.Map(np.zeros((400, 330)), True, 3.0, None, ())
+    assert large.stride == 2
+    coarse = view.Viewer(large, fast).coarse(view.Settings())
+    assert coarse.image.shape == (200, 165) and view.Viewer(large, fast).tones(coarse.image).shape == (
+        400,
+        330,
+    )
+
+
+@contextmanager
+def page(file):
+    """The address of a page that serves ``file``."""
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    # pytest's own environment variables would put NiceGUI into its test mode
+    clean = {k: v for k, v in os.environ.items() if not k.startswith(("PYTEST", "NICEGUI"))}
+    words = "view", str(file), "--height", "--port", str(port), "--no-browser"
+    served = subprocess.Popen([sys.executable, "-m", "skylamp", *words], env=clean, stderr=subprocess.PIPE)
+    try:
+        for _ in range(600):
+            with socket.socket() as there:
+                if there.connect_ex(("127.0.0.1", port)) == 0:
+                    break
+            assert served.poll() is None, served.stderr.read()
+            time.sleep(0.1)
+        yield f"http://127.0.0.1:{port}"
+    finally:
+        served.terminate()
+        served.wait(30)
+
+
+def until(found, what, seconds=120):
+    """The first true value of ``found()``."""
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        value = found()
+        if value:
+            return value
+        time.sleep(0.1)
+    pytest.fail(f"not within {seconds} s: {what}")
+
+
+@pytest.mark.slow
+def test_drag_change_click_and_save_in_a_browser(file, tmp_path):
+    """Headless Chromium, Debian's: the picture follows the mouse, is refined at rest, and is saved."""
+    assert Path(CHROMIUM).exists() and Path(DRIVER).exists(), "apt-get install chromium chromium-driver"
+    from selenium import webdriver
+    from selenium.webdriver.common.action_chains import ActionChains
+    from selenium.webdriver.common.by import By
+    from selenium.webdriver.common.keys import Keys
+
+    options = webdriver.ChromeOptions()
+    options.binary_location = CHROMIUM
+    for word in ("--headless=new", "--no-sandbox", "--disable-dev-shm-usage", "--window-size=1280,1000"):
+        options.add_argument(word)
+    options.add_experimental_option("prefs", {"download.default_directory": str(tmp_path)})
+    with page(file) as address:
+        browser = webdriver.Chrome(options, webdriver.ChromeService(DRIVER))
+        try:
+            browser.get(address)
+            status = lambda: browser.find_element(By.CSS_SELECTOR, ".status").text
+            picture = lambda: browser.find_element(By.CSS_SELECTOR, ".picture img")
+            refined = lambda: status().startswith("refined") and "estimated error" in status()
+            until(refined, "the first image")
+            first = picture().get_attribute("src")
+            ActionChains(browser).move_to_element(picture()).click_and_hold().move_by_offset(90, 40).perform()
+            until(lambda: status().startswith(("frame", "refined")), "a frame")
+            ActionChains(browser).move_by_offset(60, 30).release().perform()
+            until(lambda: refined() and picture().get_attribute("src") != first, "the sun elsewhere")
+            assert "135.0, 35.0" not in (text := browser.find_element(By.CSS_SELECTOR, "code").text)
+            assert "sl.cie_clear(" in text
+            second = picture().get_attribute("src")
+            slider = browser.find_elements(By.CSS_SELECTOR, ".q-slider")[1]  # the exaggeration
+            ActionChains(browser).move_to_element(slider).click().send_keys(Keys.ARROW_RIGHT).perform()
+            until(lambda: refined() and picture().get_attribute("src") != second, "other heights")
+            ActionChains(browser).move_to_element(picture()).click().perform()
+            plots = lambda: [
+                e for e in browser.find_elements(By.CSS_SELECTOR, ".q-img img") if e.is_displayed()
+            ]
+            until(plots, "the horizon of a node")
+            browser.find_element(By.CSS_SELECTOR, ".save").click()
+            until((tmp_path / "skylamp.png").exists, "the saved image")
+            if os.environ.get("SKYLAMP_SCREENSHOT"):
+                browser.save_screenshot(os.environ["SKYLAMP_SCREENSHOT"])
+            names = {}
+            exec(browser.find_element(By.CSS_SELECTOR, "code").text.replace("\u00a0", " "), names)
+        finally:
+            browser.quit()
+    saved = imageio.imread(tmp_path / "skylamp.png")
+    viewer = view.Viewer(view.read(file, True, None, False))
+    np.testing.assert_array_equal(saved, viewer.tones(np.asarray(names["image"])))
