@@ -227,8 +227,8 @@ def included(
     warnings = []
     if total > tolerance:
         warnings.append(
-            f"Tolerance: with the light between surfaces the image is estimated to be {100 * total:.2g} % off"
-            f" (RMS over the mean), more than the {100 * tolerance:.2g} % asked for."
+            f"Tolerance: with the light between surfaces the estimated error is {100 * total:.2g} %"
+            f" of the mean (RMS), more than the {100 * tolerance:.2g} % asked for."
         )
     if check.guessed > tolerance:
         warnings.append(

@@ -190,8 +190,8 @@ def plan(
 ) -> Plan:
     """How :func:`skylamp.render` will begin on ``scene`` under ``source`` to be within ``tolerance``.
 
-    Print it: it gives its reasons. What it says of the error is what the samples expect; a render refines on
-    where its image proves to be worse. One line says whether the light between surfaces will be included.
+    Printed, it is a table with a reason per choice. Its error is the one expected at the samples; a render
+    refines further where its image has a larger one. One line gives the share of light between surfaces.
 
     Parameters
     ----------
@@ -247,7 +247,7 @@ def refined(
     made = planner.plan(method.at(planner.samples) if planner.exact is None else None)
     if len(steps) > 1:
         begun, last = (f"{step.units} {_units_of(made.method)}" for step in (steps[0], steps[-1]))
-        why = f"{begun} at first: the image was estimated to be {_percent(found.error or 0)} off in the end"
+        why = f"{begun} at first: the estimated error was {_percent(found.error or 0)} in the end"
         reason = f"refined {len(steps) - 1} times, relative RMS error {found.error or 0:.2g} estimated"
         made = replace(made, reason=reason, choices=(*made.choices, Choice("refined to", last, why)))
     made = replace(
@@ -310,7 +310,7 @@ class Assessment(NamedTuple):
         found = []
         if self.error is not None and self.error > tolerance:
             found.append(
-                f"Tolerance: the image is estimated to be {100 * self.error:.3g} % off (RMS over the mean),"
+                f"Tolerance: the estimated error is {100 * self.error:.3g} % of the mean (RMS),"
                 f" more than the {100 * tolerance:.3g} % asked for."
             )
         if self.estimate is not None and self.estimate.beyond > BEYOND:
@@ -1125,7 +1125,7 @@ class _SlicePlanner(_Planner):
         if closed:
             shape = "a sphere, closed form" if isinstance(self.solid, Ball) else "a polygon, closed form"
             taken = "a point" if off <= POINT_SHARE * self.tolerance else shape
-            why += f"; as a point, a disc of that size is off by {_percent(off)}"
+            why += f"; as a point, a disc of that size has an error of {_percent(off)}"
         yield Choice("lamp" if isinstance(source, sources.Lamp) else "window", taken, why)
         rays = self.points if closed else self.rays
         if not callable(source.brightness):
@@ -1237,8 +1237,8 @@ def beyond_model(planner: _Planner, between: float | None) -> Iterator[str]:
         )
     if planner.rounding > 0.1 * planner.tolerance:
         yield (
-            f"Depths are rounded by {planner.rounding:.2g} spacings, more than the tolerance allows: take"
-            " the least depth off."
+            f"Depths are rounded by {planner.rounding:.2g} spacings, more than the tolerance allows:"
+            " subtract the least depth."
         )
 
 

@@ -322,10 +322,13 @@ def _audit(audit: Audit, scene: Scene, far: Far) -> None:
     off = math.sqrt(float(np.mean((found - true).mean(0) ** 2)))
     share = off / float(true.mean())
     if audit.tolerance is None and off > WORTH_SAYING:
-        warn(f"Tiles: sky-view factors are about {off:.1g} off (RMS) by ground beyond the halo; {CLOSER}.")
+        warn(
+            f"Tiles: ground beyond the halo adds about {off:.1g} (RMS) to the error of sky-view factors;"
+            f" {CLOSER}."
+        )
     elif audit.tolerance is not None and share > audit.tolerance:
         warn(
-            f"Tolerance: light is about {100 * share:.1g} % off (RMS) by ground beyond the halo of tiles,"
+            f"Tolerance: ground beyond the halo of tiles adds about {100 * share:.1g} % (RMS) to the error,"
             f" more than the {100 * audit.tolerance:.2g} % asked for; {CLOSER}."
         )
 

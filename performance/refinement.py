@@ -40,7 +40,7 @@ COLOURS = {  # Okabe and Ito
 
 def estimated(warnings):
     """Largest error that the warnings name, relative; nan where they name none."""
-    pattern = r"estimated to be ([\d.e+-]+|inf) %"
+    pattern = r"estimated error is ([\d.e+-]+|inf) %"
     said = [float(value) for text in warnings for value in re.findall(pattern, text)]
     return max(said, default=np.nan) / 100
 

@@ -107,7 +107,7 @@ def said(out):
     """By how much a rendering says that it is off, 0 if it says nothing."""
     return max(
         [
-            float(re.search(r"estimated to be ([\d.e+-]+) % off", w)[1]) / 100
+            float(re.search(r"estimated error is ([\d.e+-]+) %", w)[1]) / 100
             for w in out.warnings
             if w.startswith("Tolerance:")
         ],

@@ -348,14 +348,14 @@ def test_far_ground_among_houses_is_said(fast):
     """An audit of every tile tells the error that overviews add, where it is large or beyond a tolerance."""
     heights, options = houses(256), dict(azimuths=16, backend=fast)
     scene, tiling = sl.Scene.from_height(heights), sl.Tiling(128, 16, 8)
-    with pytest.warns(UserWarning, match="sky-view factors are about .* off") as said:
+    with pytest.warns(UserWarning, match="adds about .* to the error of sky-view factors") as said:
         tiles = sl.sky_view_factor(scene, "horizontal", tiling=tiling, **options)
-    told = np.array([float(str(warning.message).split()[5]) for warning in said])
+    told = np.array([float(str(warning.message).split()[7]) for warning in said])
     error = rms(tiles - sl.sky_view_factor(scene, "horizontal", **options))
     assert 0.5 < rms(told) / error < 4  # of nodes at a tile's edge; what lies inside is swept
     lazy = sl.Scene.from_height(da.from_array(heights, chunks=100))
     image = sl.render(lazy, sl.Sky(), tolerance=0.003, tiling=tiling, backend=fast).image
-    with pytest.warns(UserWarning, match="Tolerance: light is about .* % off .* more than the 0.3 %"):
+    with pytest.warns(UserWarning, match="Tolerance: ground beyond the halo .* % .* more than the 0.3 %"):
         image.compute(scheduler="sync")
     with warnings.catch_warnings():
         warnings.simplefilter("error", UserWarning)
@@ -549,7 +549,7 @@ def test_warnings_of_workers_reach_the_client(fast):
     found = sl.sky_view_factor(lazy, azimuths=8, backend=fast, tiling=SMALL)
     options = dict(threads_per_worker=1, processes=True, dashboard_address=None)
     with distributed.LocalCluster(1, **options) as cluster, distributed.Client(cluster):
-        with pytest.warns(UserWarning, match="sky-view factors are about") as said:
+        with pytest.warns(UserWarning, match="to the error of sky-view factors") as said:
             found.compute()
             for _ in range(100):
                 time.sleep(0 if said else 0.05)

@@ -1,4 +1,4 @@
-"""Warnings: what the images alone tell, and what is left when model and images are compared."""
+"""Warnings that follow from the images alone, and from the difference of model and images."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ UNTOLD = 0.2  # of the pixels are not trusted: so many that a warning says that 
 def of_images(
     images: Sequence[np.ndarray], lights: Sequence[sources.Source], scene: Scene, deepest: float
 ) -> list[str]:
-    """What can be told from the images alone; lights in nodes, ``deepest`` [nodes]."""
+    """Warnings that follow from the images alone; lights in nodes, ``deepest`` [nodes]."""
     found = []
     if scene.sides == "open" and all(isinstance(light, sources.Sky) for light in lights):
         found.append(OPEN_SKY)
@@ -52,7 +52,7 @@ def of_images(
 
 
 def of_residual(pyramid: Pyramid, residual: np.ndarray) -> list[str]:
-    """What the residual of the first image tells, in the unit of the pyramid."""
+    """Warnings that follow from the residual of the first image, in the unit of the pyramid."""
     found = []
     rms = math.sqrt(float(np.mean(residual**2))) / IMAGE_RMS
     too_bright = (residual < -TOO_BRIGHT * IMAGE_RMS) & (residual < -DEVIATIONS * pyramid.noise)
@@ -83,7 +83,7 @@ def _worse_at_rim(residual: np.ndarray) -> bool:
 
 
 def of_confidence(confidence: np.ndarray, ambiguous: np.ndarray, albedo_given: bool) -> list[str]:
-    """What the pixels that are not trusted tell."""
+    """Warnings that follow from the doubtful pixels."""
     found = []
     if ambiguous.mean() >= AMBIGUOUS:
         found.append(
@@ -93,8 +93,8 @@ def of_confidence(confidence: np.ndarray, ambiguous: np.ndarray, albedo_given: b
     untold = (confidence < 0.5).mean()
     if not albedo_given and untold > UNTOLD:
         found.append(
-            f"Depth hangs on the albedo at {untold:.0%} of the pixels: these images hardly"
-            " tell the two apart; another under a lamp, or a known albedo, would."
+            f"Depth depends on the albedo at {untold:.0%} of the pixels: these images hardly"
+            " separate the two; another image under a lamp, or a known albedo, would."
         )
     return found
 
@@ -102,7 +102,7 @@ def of_confidence(confidence: np.ndarray, ambiguous: np.ndarray, albedo_given: b
 def of_carving(
     image: np.ndarray, source: sources.Source, sides: str, drilled: np.ndarray, stop: str
 ) -> list[str]:
-    """What the paper's method tells."""
+    """Warnings of the paper's method."""
     found = []
     if drilled.any():
         found.append(

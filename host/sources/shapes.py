@@ -232,7 +232,7 @@ def _volume(volume: np.ndarray, scene: Scene) -> np.ndarray:
     if scene.deepest > MOST_STEPS_UP * scene.spacing:
         raise CapacityError(
             f"A lamp volume over ground {scene.deepest / scene.spacing:.3g} spacings deep: rays would take"
-            f" more than {MOST_STEPS_UP:,} steps up to it. Take the least depth off, or give a sphere."
+            f" more than {MOST_STEPS_UP:,} steps up to it. Subtract the least depth, or give a sphere."
         )
     free = np.arange(len(volume))[:, None, None] <= scene.layers()[0]
     if not (volume & free).any():
