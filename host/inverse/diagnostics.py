@@ -13,6 +13,9 @@ from .pyramid import COARSEST, IMAGE_RMS, Pyramid
 
 OPEN_SKY = "Open sides under a sky are ill-posed: a flat surface explains a plane's image at any depth."
 POORLY = 0.03  # residual, as a share of the image, from which an image is called unexplained
+# the same from which light between surfaces counts as not explained to the end: in performance/recover.py
+# --what between depth was 1.5 to 2 layers off beyond 0.016, and 0.4 at most below 0.007
+UNSETTLED = 0.008
 # by how much the model may fall short of the image: share of the image's rms, and of the pixels
 TOO_BRIGHT, TOO_MANY = 0.1, 0.02
 DEVIATIONS = 5  # of noise, that a pixel may be brighter than the model
@@ -70,6 +73,16 @@ def of_residual(pyramid: Pyramid, residual: np.ndarray) -> list[str]:
             )
         found.append(f"Poorly explained: model and image differ by {rms:.0%} of the image (rms){why}")
     return found
+
+
+def of_ground(pyramid: Pyramid, residual: float) -> list[str]:
+    """What the residual of all images, a share of their rms, tells of light between surfaces in the model."""
+    if not pyramid.interreflection or residual <= UNSETTLED + 2 * pyramid.noise / IMAGE_RMS:
+        return []
+    return [
+        f"Light between surfaces: model and image still differ by {residual:.1%} (rms). Its derivatives are"
+        " approximate, and deep bright places may be layers off; near= and far=, or a second image, help."
+    ]
 
 
 def _worse_at_rim(residual: np.ndarray) -> bool:

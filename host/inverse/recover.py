@@ -25,7 +25,7 @@ from . import diagnostics
 from .carving import carved_layers
 from .confidence import NEAREST, confidence_of
 from .multigrid import Multigrid
-from .pyramid import Level, Pyramid, number_of
+from .pyramid import Level, Pyramid, noise_of, number_of
 from .resampling import doubled
 from .search import OutOfTime, Search
 
@@ -41,9 +41,10 @@ MAPS = (  # fields of Recovery that are maps
     Quantity("drilled", "1", "whether carving went through to the back"),
     Quantity("residual", None, "model less image, in the unit of the image"),
 )
-# residual, as a share of the image, up to which direct light alone is not tried; and how much smaller its
-# residual must be to be believed, since images have light between surfaces unless it was left out; chosen:
-# the other model leaves 0.01 to 0.016 of images of direct light, and less where the two hardly differ
+# residual beyond the noise, as a share of the image, up to which a model explains images; and how much
+# smaller that of direct light alone must be to be believed, since images have light between surfaces unless
+# it was left out; chosen: that light in the model leaves 0.01 to 0.016 of images of direct light, and direct
+# light alone 0.010 of an egg-crate's with that light, of which its own model leaves 0.025
 EXPLAINED, CLEARLY = 0.006, 0.5
 
 
@@ -291,11 +292,12 @@ def _chosen(
         return _robust(given, limits, engine, progress, interreflection)
     first = _robust(given, limits, engine, progress, True)
     left = limits.seconds - first.seconds
-    if not first.levels or first.levels[-1].residual <= EXPLAINED or left <= 0:
+    noise = max(noise_of(image) / math.sqrt(float(np.mean(image**2))) for image in given.images)
+    if not first.levels or first.levels[-1].residual <= EXPLAINED + noise or left <= 0:
         return first
     other = _robust(given, limits._replace(seconds=left), engine, progress, False)
-    is_direct = other.levels and other.levels[-1].residual < CLEARLY * first.levels[-1].residual
-    best = other if is_direct else first
+    believed = min(EXPLAINED + noise, CLEARLY * first.levels[-1].residual)
+    best = other if other.levels and other.levels[-1].residual < believed else first
     return replace(
         best,
         seconds=first.seconds + other.seconds,
@@ -342,6 +344,7 @@ def _robust(
     z = np.clip(z, low, high)
     residual = pyramid.problem(0).irradiances(z)[0] - pyramid.images[0][0]
     warnings += diagnostics.of_residual(pyramid, residual)
+    warnings += diagnostics.of_ground(pyramid, levels[-1].residual if levels else 0.0)
     warnings += diagnostics.of_confidence(confidence, ambiguous, given.albedo_given)
 
     depth = (z * scene.spacing).astype(np.float32)
