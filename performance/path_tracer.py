@@ -4,12 +4,13 @@
     python performance/path_tracer.py [--out DIR] [--nodes 96] [--samples 1024] [--backend NAME]
 
 Some minutes on two idle cores. Mitsuba's LLVM variant needs a libLLVM (DRJIT_LIBLLVM_PATH names it). Paths
-begin above every node, so both give the light of a point, not of a pixel. A constant emitter shines from
-below as well; a black rectangle below the mesh, much larger than it, keeps that out, as open sides do.
+begin above every node, so both give the light of a point, not of a pixel. Nodes of the border, where rays
+miss the mesh, are not compared. A constant emitter shines from below as well; a black rectangle below the
+mesh, much larger than it, keeps that out, as open sides do.
 
 Writes path_tracer.csv: for three surfaces at albedo 0.2, 0.5 and 0.8 under a uniform sky the RMS difference
-over the mean, what of it is the path tracer's noise (from its samples), and the share of light between
-surfaces; and path_tracer.png, one scene at three albedos: direct light, all light, the path tracer's.
+over the mean, what of it is the path tracer's noise (from its samples), and what direct light alone is off;
+and path_tracer.png, one scene at three albedos: direct light, all light, the path tracer's.
 """
 
 from __future__ import annotations
@@ -31,6 +32,7 @@ import skylamp as sl
 
 ALBEDOS, DENSER, LONGEST, PATHS = (0.2, 0.5, 0.8), 3, 64, 2**20
 TOLERANCE = 0.003
+INSIDE = np.s_[1:-1, 1:-1]
 
 
 def hills(x, y, size):
@@ -77,7 +79,7 @@ def write_mesh(mi, path, x, y, depth):
 
 
 def traced(mi, surface, nodes, albedo, samples):
-    """(radiance, its standard deviation) (nodes, nodes), by paths from above every node."""
+    """(radiance, its standard deviation) of the inner nodes, by paths from above each."""
     fine = on_grid(surface, nodes, DENSER)
     reflects = lambda share: {"type": "diffuse", "reflectance": {"type": "rgb", "value": [share] * 3}}
     with tempfile.TemporaryDirectory() as folder:
@@ -98,10 +100,9 @@ def traced(mi, surface, nodes, albedo, samples):
                 "sky": {"type": "constant", "radiance": 1.0},
             }
         )
-    x, y, depth = on_grid(surface, nodes)
-    count, some = nodes * nodes, max(1, PATHS // (nodes * nodes))
-    # off the edges of the mesh and of its triangles by next to nothing
-    at = [np.repeat(np.clip(v, 1e-3, nodes - 1 - 1e-3).ravel(), some).astype(np.float32) for v in (x, y)]
+    x, y, depth = (values[INSIDE] for values in on_grid(surface, nodes))
+    count, some = x.size, max(1, PATHS // x.size)
+    at = [np.repeat(v.ravel(), some).astype(np.float32) for v in (x, y)]
     above = np.full(count * some, 1 - float(depth.min()), np.float32)
     rays = mi.RayDifferential3f(mi.Ray3f(mi.Point3f(*at, above), mi.Vector3f(0, 0, -1)))
     sampler, total, square = mi.load_dict({"type": "independent"}), 0.0, 0.0
@@ -113,7 +114,7 @@ def traced(mi, surface, nodes, albedo, samples):
     n = times * some
     mean = total / n
     deviation = np.sqrt(np.maximum(square / n - mean**2, 0) / n)
-    return mean.reshape(nodes, nodes), deviation.reshape(nodes, nodes)
+    return mean.reshape(x.shape), deviation.reshape(x.shape)
 
 
 def main():
@@ -145,21 +146,22 @@ def main():
                 parts=True,
             )
             light, deviation = traced(mi, surface, arguments.nodes, albedo, arguments.samples)
-            off, mean = out.image - light, float(light.mean())
+            direct, image = out.direct[INSIDE], out.image[INSIDE]
+            off, mean = image - light, float(light.mean())
             row = {
                 "surface": name,
                 "albedo": albedo,
                 "difference": rms(off) / mean,
                 "noise": rms(deviation) / mean,
                 "bias": float(off.mean()) / mean,
-                "direct light alone": rms(out.direct - light) / mean,
+                "direct light alone": rms(direct - light) / mean,
                 "samples": arguments.samples,
                 "mitsuba": mi.__version__,
             }
             rows.append(row)
             print(row, flush=True)
             if name == "folds":
-                shown.append((albedo, out.direct, out.image, light))
+                shown.append((albedo, direct, image, light))
     arguments.out.mkdir(parents=True, exist_ok=True)
     with open(arguments.out / "path_tracer.csv", "w", newline="") as file:
         table = csv.DictWriter(file, rows[0])
