@@ -594,7 +594,12 @@ class _SkyPlanner(_Planner):
         floor = BEHIND_CLIFFS[self.near_rows] * cliffs
         planes = even(unoccluded.INTEGRATED_AZIMUTHS, 0.5)
         self.free = (
-            _above_planes(self.samples, self.light, planes.angles, planes.widths, planes.widths)
+            planes.widths
+            @ samples.ring(
+                planes.angles,
+                _open_slopes(samples, planes.angles),
+                self.light.table(planes.angles, planes.widths),
+            )
             if isinstance(self.light, Integrals)
             else np.pi / 2 * self.light * (1 + 1 / samples.length)
         )
@@ -686,12 +691,11 @@ class _SkyPlanner(_Planner):
         if not isinstance(self.light, Integrals):
             uniform: np.ndarray = self.light * (widths @ self.samples.ring(angles, slopes))
             return uniform
-        light: np.ndarray = (
-            widths @ self.samples.ring(angles, slopes, self.light.table(angles, windows))
-            + self.free
-            - _above_planes(self.samples, self.light, angles, widths, windows)
-        )
-        return light
+        table = self.light.table(angles, windows)
+        hidden = _open_slopes(self.samples, angles), slopes
+        planes, light = (widths @ self.samples.ring(angles, some, table) for some in hidden)
+        total: np.ndarray = light + self.free - planes
+        return total
 
     def _bright_light(self, floor: float | None = None) -> float | np.ndarray:
         """Light of the suns at the samples, in the fewest sectors whose two halves agree.
@@ -757,7 +761,9 @@ class _SkyPlanner(_Planner):
 
         full = seen(math.inf)
         self.why_far = f"on a map that repeats, as far as its relief makes a slope of {LEAST_SEARCHED_SLOPE}"
-        for slope in SEARCHED_SLOPES:
+        # what hides a sun's lower edge is searched for
+        lowest = min((float(sun.cells.low.min()) for sun in self.suns), default=math.pi / 2)
+        for slope in (slope for slope in SEARCHED_SLOPES if slope <= math.tan(max(0.0, lowest))):
             reach = max(2.0, math.ceil(samples.relief / slope))
             if WINDOWED_COST * (1 + reach / side) > 0.8 * whole:
                 return
@@ -806,7 +812,7 @@ class _SkyPlanner(_Planner):
         return super().audit(method)
 
     def refine(self, is_shared: bool) -> bool:
-        if self.method_class is Horizons and is_shared and self.samples.cliffs:
+        if self.method_class is Horizons and is_shared:
             near = next((near for near in CLIFF_NEAR_ROWS if near > (self.near_rows or 0)), None)
             if near is not None:
                 self.near_rows = near
@@ -838,13 +844,10 @@ class _SkyPlanner(_Planner):
             )
 
 
-def _above_planes(
-    samples: Samples, sky: Integrals, angles: np.ndarray, widths: np.ndarray, windows: np.ndarray
-) -> np.ndarray:
-    """Light at the samples above tangent planes and the level alone, without the suns'."""
-    planes = np.maximum(0, samples.plane(np.cos(angles)[:, None], np.sin(angles)[:, None]))
-    light: np.ndarray = widths @ samples.ring(angles, planes, sky.table(angles, windows))
-    return light
+def _open_slopes(samples: Samples, angles: np.ndarray) -> np.ndarray:
+    """Horizon slopes at the samples of tangent planes and the level alone."""
+    slopes: np.ndarray = np.maximum(0, samples.plane(np.cos(angles)[:, None], np.sin(angles)[:, None]))
+    return slopes
 
 
 def _faces_suns(scene: Scene, samples: Samples, suns: tuple[Sun, ...]) -> bool:

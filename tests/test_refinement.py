@@ -231,6 +231,15 @@ def test_a_low_band_of_light_is_searched_as_far_as_it_needs(fast):
     assert rms(irradiance(scene, band, fast, tolerance=0.03).image, fine) < 0.045
 
 
+def test_ground_that_hides_a_low_sun_is_searched_for(fast):
+    """The search radius reaches what may hide a sun 6 degrees high; without suns a shorter one does."""
+    scene = sl.Scene(20 * (1 + np.sin(2 * np.pi * X / SIZE * 8)), sides="periodic")
+    sun = sl.Sky(lambda L: 1 + 3000 * (L @ [np.cos(0.1), 0, -np.sin(0.1)] > np.cos(0.02)))
+    assert sl.plan(scene, sl.Sky(), 0.03, fast).max_distance < 400
+    reach = sl.plan(scene, sun, 0.03, fast).max_distance
+    assert reach is None or reach >= 40 / np.tan(0.08)
+
+
 # -- no more model than the scene needs
 
 
