@@ -5,7 +5,7 @@ from types import ModuleType
 
 from .backends import backends
 from .directions import Azimuths, Hemicube
-from .errors import BackendError, CapacityError, InputError, SkylampError
+from .errors import BackendError, CapacityError, InputError, OutOfTimeError, SkylampError
 from .horizon import horizons, openness, sky_view_factor
 from .inverse.recover import Recovery, recover
 from .light.far import Tiling
@@ -41,6 +41,7 @@ __all__ = [
     "Lambertian",
     "Lamp",
     "Mirror",
+    "OutOfTimeError",
     "Phong",
     "Plan",
     "Recovery",

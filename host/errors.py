@@ -17,6 +17,10 @@ class CapacityError(SkylampError, MemoryError):
     """The work does not fit into the available memory."""
 
 
+class OutOfTimeError(SkylampError, TimeoutError):
+    """The seconds that a call was given are over."""
+
+
 def bad(what: str, got: object, allowed: str, fix: str = "") -> InputError:
     """An InputError that says what is wrong, what was got, what is allowed, and how to mend it."""
     return InputError(f"{what}: got {got}; allowed: {allowed}." + (f" {fix}" if fix else ""))

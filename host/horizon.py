@@ -13,7 +13,7 @@ from .directions import Azimuths
 from .errors import bad
 from .light.far import Far, Tiling
 from .light.sweeps import FINE_NEAR_ROWS, Rays, Sweeps, engine_of, ground_of
-from .scale import over_tiles
+from .scale import limited, over_tiles
 from .scene import Scene, is_scene
 
 DEFINITIONS = ("tilted", "horizontal", "solid_angle")
@@ -40,6 +40,7 @@ def horizons(
     *,
     max_distance: float | None = None,
     tiling: Tiling | None = None,
+    max_seconds: float | None = None,
 ) -> np.ndarray:
     """The horizon's slope, tangent of its elevation, at every node: (azimuths, rows, cols) float32.
 
@@ -57,12 +58,16 @@ def horizons(
     device's memory, and any map with a ``tiling``: ground beyond a tile's halo comes from overviews, which
     moves horizons by 0.002 rad and sky-view factors by 0.0002 RMS on mountains (docs/howto/large-maps.md).
 
-    Raises InputError, BackendError or CapacityError.
+    ``max_seconds``: OutOfTimeError once they are over, compiling apart; they are looked at before each launch
+    of a kernel. Not of a lazy scene.
+
+    Raises InputError, BackendError, CapacityError or OutOfTimeError.
     """
     scene = _scene_of(scene)
     azimuths = as_azimuths(azimuths)
     work = partial(_slopes, azimuths=azimuths, backend=backend)
-    found: Any = over_tiles(work, scene, tiling, max_distance, backend, SLOPE, azimuth=azimuths.angles)
+    with limited(max_seconds, "horizons", scene, backend):
+        found: Any = over_tiles(work, scene, tiling, max_distance, backend, SLOPE, azimuth=azimuths.angles)
     if scene.labels is not None:
         found.coords["azimuth"].attrs.update(AZIMUTH_ATTRIBUTES)
     slopes: np.ndarray = found
@@ -97,6 +102,7 @@ def sky_view_factor(
     *,
     max_distance: float | None = None,
     tiling: Tiling | None = None,
+    max_seconds: float | None = None,
 ) -> np.ndarray:
     """Share of the sky that every node sees: (rows, cols) float32, 0 to 1, nan where the scene is masked.
 
@@ -113,7 +119,8 @@ def sky_view_factor(
     one_of(definition, DEFINITIONS, "definition")
     scene = _scene_of(scene)
     work = partial(sky_view, definition=definition, azimuths=as_azimuths(azimuths), backend=backend)
-    found: np.ndarray = over_tiles(work, scene, tiling, max_distance, backend, VIEW[definition])
+    with limited(max_seconds, "sky_view_factor", scene, backend):
+        found: np.ndarray = over_tiles(work, scene, tiling, max_distance, backend, VIEW[definition])
     return found
 
 
@@ -159,6 +166,7 @@ def openness(
     negative: bool = False,
     max_distance: float | None = None,
     tiling: Tiling | None = None,
+    max_seconds: float | None = None,
 ) -> np.ndarray:
     """Topographic openness (Yokoyama, Shirasawa and Pike 2002) [rad].
 
@@ -176,7 +184,8 @@ def openness(
         turned = labelled(turned, scene.labels, OPENNESS[True])
         scene = Scene.from_height(turned, scene.spacing, mask=scene.mask, sides=scene.sides)
     work = partial(mean_openness, azimuths=as_azimuths(azimuths), backend=backend)
-    found: np.ndarray = over_tiles(work, scene, tiling, max_distance, backend, OPENNESS[bool(negative)])
+    with limited(max_seconds, "openness", scene, backend):
+        found: np.ndarray = over_tiles(work, scene, tiling, max_distance, backend, OPENNESS[bool(negative)])
     return found
 
 

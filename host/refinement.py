@@ -90,6 +90,9 @@ PATCHES = 16  # of a small bright part where nodes are looked for that it lights
 JUDGING_SECTORS, MOST_JUDGING_SECTORS = 127, 1021
 # apparent radius [rad] of a lamp, six cells of a table of brightness, up to which rays tell its brightness
 NARROW_RADIUS = 0.02
+# extents of a map to which a rectangular lamp may reach: there a node is a quarter of float32's resolution
+MOST_PANEL_EXTENTS = 2.0**22
+MOST_BALL_EXTENTS = 2.0**40  # the same of a sphere, whose squares stay in float32; suns stand at 1e5
 POINT_SHARE = 0.1  # share of the tolerance by which a lamp that is called a point may be off as one
 
 
@@ -260,7 +263,8 @@ def refined(
         seconds=seconds(),
         planning_seconds=planning,
     )
-    floor = found.floor * (planner.mean if math.isfinite(planner.mean) else 0.0)
+    mean = planner.mean if math.isfinite(planner.mean) else 0.0
+    floor = found.floor * mean if math.isfinite(found.floor) else math.inf
     light = method.device_image() if stays else None
     irradiance = method.irradiance() if light is None else light
     return Refined(
@@ -333,10 +337,10 @@ def assess(planner: _Planner, method: LightMethod) -> Assessment:
     if exact is None or half is None or audit is None:
         return Assessment(None, 0.0, audit, audit or 0.0)
     by_half = samples.errors(exact + half, exact).rms
-    if by_half > 0 and audit > planner.doubt:
+    if by_half > 0 and planner.doubt < audit < math.inf:  # inf where nothing is lit by exact rays
         planner.share = min(max(audit / by_half, LEAST_SHARE), MOST_SHARE)
     share = planner.share
-    floor = math.sqrt(max(0.0, audit**2 - (share * by_half) ** 2))
+    floor = math.sqrt(max(0.0, audit**2 - (share * by_half) ** 2)) if audit < math.inf else audit
     floor = math.hypot(floor, planner.tables)
     return Assessment(method.estimate(planner.tail * planner.mean / share), share, audit, floor)
 
@@ -379,11 +383,29 @@ def solid_of(
     if isinstance(source, sources.Window):
         (x0, x1), (y0, y1) = np.array(source.x) * unit, np.array(source.y) * unit
         return aperture((x0, x1), (y0, y1), scene.shape, step, scene.sides, scene.deepest * unit)
+    _check_reach(scene, source)
     if source.corner is not None and source.edges is not None:
         return rectangle(*(np.array(v) * unit for v in (source.corner, *source.edges)))
     assert source.center is not None and source.radius is not None, "the lattice alone renders a volume"
     x, y, z = np.array(source.center) * unit
     return Ball((x, y, z), source.radius * unit)
+
+
+def _check_reach(scene: Scene, lamp: sources.Lamp) -> None:
+    """InputError for a lamp so far away, or so large, that float32 cannot tell the nodes' views apart."""
+    numbers: list[Any] = [lamp.center, lamp.radius]
+    most = MOST_BALL_EXTENTS
+    if lamp.corner is not None:
+        numbers, most = [lamp.corner, lamp.edges], MOST_PANEL_EXTENTS
+    far = max(float(np.abs(part).max()) for part in numbers if part is not None)
+    extent = max(max(scene.shape) * scene.spacing, scene.deepest)
+    if far > most * extent:
+        raise bad(
+            "lamp: of such size or so far away",
+            f"{far:.3g} for a map of {extent:.3g}",
+            f"{most:g} times the map's extent, which float32 resolves",
+            "Give a Sky, or a Window.",
+        )
 
 
 class _ClosedForm(LightMethod):

@@ -29,7 +29,7 @@ from .light.slices import CHORD_AZIMUTHS, CHORD_KNOTS, MOST, Slices, blurred, br
 from .light.sweeps import FINE_NEAR_ROWS, Rays, Sweeps, engine_of, ground_of
 from .refinement import Plan, Refined, refined, solid_of
 from .reflectance import BRDF, Phong
-from .scale import Audit, fits, holds, over_area, tiled, warn
+from .scale import Audit, fits, holds, limited, over_area, tiled, warn
 from .scene import Scene, is_scene
 from .sources import cie
 from .sources.integrals import Integrals, chords
@@ -144,6 +144,7 @@ def render(
     interreflection: bool | str = "auto",
     parts: bool = False,
     tiling: Tiling | None = None,
+    max_seconds: float | None = None,
 ) -> Rendering:
     """The image of ``scene`` under ``source``, seen orthographically along +z (Langer and Zucker, Eq. 3).
 
@@ -189,13 +190,11 @@ def render(
     tiling : Tiling
         Tile by tile, as lazy scenes, which give lazy images, and maps beyond the device's memory: see
         :func:`skylamp.horizons`. Skies alone, in 64 azimuths unless given, suns in their own; no refinement.
+    max_seconds : float
+        OutOfTimeError once they are over, compiling apart; looked at before each launch. Not of lazy scenes.
 
-    Raises
-    ------
-    InputError, BackendError, CapacityError
+    Raises InputError, BackendError, CapacityError or OutOfTimeError.
 
-    Examples
-    --------
     >>> out = render(Scene(depth), Sky(), tolerance=0.003)
     >>> print(out.plan, out.error.max())
     """
@@ -204,9 +203,10 @@ def render(
     options.check(scene, source)
     engine = engine_of(scene, backend)
     source, unit = sources.in_range(source)
-    if options.goes_in_tiles(scene, source, engine, tiling):
-        return _in_tiles(scene, source, options, engine, backend, tiling)._times(unit)
-    return _Renderer(scene, source, engine, options).render()._times(unit)
+    with limited(max_seconds, "render", scene, backend):
+        if options.goes_in_tiles(scene, source, engine, tiling):
+            return _in_tiles(scene, source, options, engine, backend, tiling)._times(unit)
+        return _Renderer(scene, source, engine, options).render()._times(unit)
 
 
 def _in_tiles(

@@ -6,6 +6,7 @@ chunks of the map, nor on how many workers compute tiles, or in which order.
 
 from __future__ import annotations
 
+import contextlib
 import importlib
 import math
 import sys
@@ -18,7 +19,7 @@ import numpy as np
 
 from .arrays import Quantity, labelled
 from .backends import backends, prefer
-from .backends.base import Backend
+from .backends.base import Backend, within
 from .checks import positive_number
 from .constants import LEAST_SEARCHED_SLOPE, MOST_PIXELS
 from .directions import Azimuths
@@ -184,6 +185,15 @@ def layout_of_map(
             "What a tile's ground sends is known of a halo around it too.",
         )
     return layout._replace(room=tiling.halo)
+
+
+def limited(
+    seconds: float | None, what: str, scene: Scene, backend: str
+) -> contextlib.AbstractContextManager[None]:
+    """:func:`skylamp.backends.base.within`; InputError where the work is done later."""
+    if seconds is not None and scene.lazy is not None:
+        raise bad("max_seconds", "a lazy map, whose work is done when it is computed", "None")
+    return within(seconds, what, engine_of(scene, backend))
 
 
 def over_tiles(

@@ -9,6 +9,7 @@ import numpy as np
 
 from . import sources
 from .backends import select
+from .backends.base import within
 from .checks import one_of
 from .directions import Hemicube
 from .errors import CapacityError, bad
@@ -26,6 +27,7 @@ def visibility(
     *,
     filled: bool = False,
     algorithm: str = "scan",
+    max_seconds: float | None = None,
 ) -> np.ndarray:
     """In which directions of the hemicube every surface node sees the source.
 
@@ -35,7 +37,10 @@ def visibility(
     for depths rounded to layers; the same bits where depths are whole layers). ``Hemicube.unpack`` makes
     booleans of the bits.
 
-    Raises InputError, BackendError or CapacityError.
+    ``max_seconds``: OutOfTimeError once they are over, compiling apart; they are looked at before each launch
+    of a kernel.
+
+    Raises InputError, BackendError, CapacityError or OutOfTimeError.
     """
     cube = hemicube if isinstance(hemicube, Hemicube) else Hemicube(hemicube)
     one_of(algorithm, ("scan", "propagate"), "algorithm")
@@ -46,10 +51,10 @@ def visibility(
                 "both",
                 "filled=False: propagation goes from node to node",
             )
-        return visibility_field(scene, source, cube, backend=backend).surface()
+        return visibility_field(scene, source, cube, backend=backend, max_seconds=max_seconds).surface()
     is_scene(scene)
     engine = select(backend)
-    with engine.lock:
+    with engine.lock, within(max_seconds, "visibility", engine):
         return propagation.visibility(engine, lattice_problem(engine, scene, source, cube, filled))
 
 
@@ -62,6 +67,7 @@ def visibility_field(
     *,
     max_bytes: int | None = None,
     progress: Progress | None = None,
+    max_seconds: float | None = None,
 ) -> VisibilityField:
     """The visibility field over free space, by the paper's forward algorithm (section 6).
 
@@ -69,7 +75,10 @@ def visibility_field(
     to the deepest node. ``max_bytes``: what the field may take (half of what is free unless given).
     ``progress``: called with (layers done, layers).
 
-    Raises InputError, BackendError, and CapacityError before anything is allocated if the field is too large.
+    ``max_seconds``: as of :func:`visibility`.
+
+    Raises InputError, BackendError, OutOfTimeError, and CapacityError before anything is allocated if the
+    field is too large.
     """
     cube = hemicube if isinstance(hemicube, Hemicube) else Hemicube(hemicube)
     is_scene(scene)
@@ -87,7 +96,7 @@ def visibility_field(
         )
     engine = select(backend)
     problem = Problem(depth, step, scene.sides, cube.steps, sources.geometry(source, scene, step))
-    with engine.lock:
+    with engine.lock, within(max_seconds, "visibility_field", engine):
         words = propagation.field(engine, problem, int(layers), progress)
     return VisibilityField(words, cube, scene, source, depth, engine.name)
 

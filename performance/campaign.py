@@ -1,6 +1,7 @@
 """Generated cases against all that must hold of them, on every backend; docs/trust.md tells what was found.
 
     python performance/campaign.py --cases 10000 --seed 1 --seconds 2400 --out campaign
+    python performance/campaign.py --kills 300 --calls 200 --out surroundings
     python performance/campaign.py --replay "mirrors" --case "Case(...)" --backend opencl
 
 Writes OUT.json: machine, versions, seed, cases by relation and backend, seconds, the share of cases that kept
@@ -26,7 +27,7 @@ import hypothesis
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
-from fuzz import cases, odd, relations  # noqa: E402  after the path
+from fuzz import cases, environment, odd, relations  # noqa: E402  after the path
 
 import skylamp as sl  # noqa: E402
 
@@ -144,6 +145,19 @@ def report(options, start, counts, failures):
     temporary.replace(f"{options.out}.json")
 
 
+def surroundings(options):
+    """Killed writers and threads; the numbers go to OUT.json."""
+    found = {**machine(), "seed": options.seed, "kills": options.kills, "calls": options.calls}
+    if options.kills:
+        half, left = environment.killed_writers(options.kills, seed=options.seed)
+        found["half files"], found["temporary files left"] = half, left
+    for info in sl.backends() if options.calls else []:
+        if info.available and options.backend in (None, info.name.split(":")[0], info.name):
+            wrong = environment.wrong_on_threads(info.name, calls=options.calls)
+            found[f"wrong of {8 * options.calls} calls on 8 threads, {info.name}"] = wrong
+    Path(f"{options.out}.json").write_text(json.dumps(found, indent=1))
+
+
 def replay(options):
     """Makes one case again, and shows what it raises."""
     names = {"nan": float("nan"), "inf": float("inf"), **vars(cases), **vars(odd)}
@@ -164,12 +178,17 @@ def main():
     parser.add_argument("--without", nargs="*", choices=list(relations.RELATIONS), default=[])
     parser.add_argument("--backend", choices=[name for name, _ in SHARES])
     parser.add_argument("--out", default="campaign")
+    parser.add_argument("--kills", type=int, default=0, help="kill -9 of a writer so often, instead of cases")
+    parser.add_argument("--calls", type=int, default=0, help="calls of 8 threads each, instead of cases")
     parser.add_argument("--replay", choices=list(relations.RELATIONS))
     parser.add_argument("--case", help="what a failure says of its case")
     options = parser.parse_args()
     faulthandler.enable()
     if options.replay:
         replay(options)
+        return
+    if options.kills or options.calls:
+        surroundings(options)
         return
     sys.exit(1 if campaign(options) else 0)
 

@@ -198,6 +198,16 @@ RENDER = {
         ),
         ["periodic", "volume"],
     ),
+    "sphere without end": (
+        lambda: sl.render(SCENE, sl.Lamp((0, 0, -4e26), 1e26), method="unoccluded", backend="numpy"),
+        ["lamp: of such size", "4e+26", "extent"],
+    ),
+    "rectangular lamp without end": (
+        lambda: sl.render(
+            SCENE, sl.Lamp(corner=(0, 0, -1e13), edges=((1e13, 0, 0), (0, 1, 0))), backend="numpy"
+        ),
+        ["lamp: of such size", "1e+13", "extent"],
+    ),
     "rectangular lamp by the lattice": (
         lambda: sl.render(
             SCENE, sl.Lamp(corner=(1, 1, -1), edges=((2, 0, 0), (0, 1, 0))), "lattice", backend="numpy"

@@ -1111,3 +1111,11 @@ def test_where_nothing_is_lit_the_error_is_a_number(fast):
     source = sl.Sky(sl.cie_sky(12, (200, 60), direct=2.0))
     out = sl.render(sl.Scene(depth, sides="dark"), source, backend=fast)
     assert np.isfinite(out.error).all() and np.isfinite(out.image).all()
+
+
+def test_light_where_exact_rays_find_none_is_warned_of(fast):
+    """A shaft a million times as deep as it is wide: no estimate is nan, which passes every tolerance."""
+    sky = sl.Window((-1e9, 1e9), (-1e9, 1e9), brightness=lambda L: np.stack([1 - L[..., 2]] * 3, -1))
+    out = sl.render(sl.Scene(np.full((10, 12), 1e7), sides="dark"), sky, backend=fast)
+    assert not np.isnan(out.error).any()
+    assert any(text.startswith("Tolerance") for text in out.warnings) or out.image.max() < 1e-9

@@ -852,3 +852,11 @@ def test_a_window_far_away_lights_nothing(fast):
     """It is too far to be told from none, and its place does not overflow."""
     out = sl.render(sl.Scene(np.ones((8, 9))), sl.Window((1e30, 2e30), (0, 5)), backend=fast)
     assert (out.image == 0).all() and not out.warnings
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_node_in_the_plane_of_a_window_has_a_number(fast):
+    """At the very middle of it, where a direction to it is not defined."""
+    window = sl.Window((-4, 4), (-3, 3), brightness=lambda L: 1 - L[..., 2])
+    scene = sl.Scene(np.zeros((1, 1)))
+    assert np.isfinite(sl.render(scene, window, method="unoccluded", backend=fast).image).all()

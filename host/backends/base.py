@@ -8,19 +8,22 @@ from __future__ import annotations
 
 import contextlib
 import functools
+import math
 import os
 import threading
+import time
 from abc import ABC, abstractmethod
 from collections import OrderedDict
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import DTypeLike
 
+from ..checks import positive_number
 from ..constants import PIXEL_PADDING
-from ..errors import CapacityError
+from ..errors import CapacityError, OutOfTimeError
 
 # values of ``single_item_nodes`` and ``nodes_per_item`` on a CPU, and of ``iterations_ahead`` on a GPU
 CPU_SINGLE_ITEM_NODES, CPU_NODES_PER_ITEM, GPU_ITERATIONS_AHEAD = 8192, 64, 8
@@ -34,7 +37,32 @@ Array = Any  # of a device: NumPy's, Warp's or pyopencl's
 
 
 def available_memory() -> int:
-    """Bytes of main memory that could be taken now, where the system tells; else a cautious 2 GiB."""
+    """Bytes of main memory that could be taken now, where the system tells; else a cautious 2 GiB.
+
+    No more than the limits of this process leave (ulimit -v, memory of a control group).
+    """
+    return int(max(0, min(_free_memory(), *_left_by_limits())))
+
+
+def _left_by_limits() -> Iterator[float]:
+    try:
+        import resource
+
+        limit = resource.getrlimit(resource.RLIMIT_AS)[0]
+        if limit != resource.RLIM_INFINITY:
+            with open("/proc/self/statm") as sizes:
+                yield limit - int(sizes.read().split()[0]) * resource.getpagesize()
+    except (ImportError, OSError):
+        pass
+    try:
+        with open("/sys/fs/cgroup/memory.max") as most, open("/sys/fs/cgroup/memory.current") as used:
+            yield int(most.read()) - int(used.read())  # "max", where there is no limit, is no number
+    except (OSError, ValueError):
+        pass
+    yield math.inf
+
+
+def _free_memory() -> int:
     try:
         with open("/proc/meminfo") as lines:
             return 1024 * next(int(line.split()[1]) for line in lines if line.startswith("MemAvailable"))
@@ -59,9 +87,51 @@ def _locked(method: Callable[..., Any]) -> Callable[..., Any]:
     @functools.wraps(method)
     def locked(self: Backend, *args: Any, **more: Any) -> Any:
         with self.lock:
+            limit: Limit | None = getattr(_call, "limit", None)
+            if limit is not None:
+                limit.check()
             return method(self, *args, **more)
 
     return locked
+
+
+_call = threading.local()  # what holds for the call that this thread is in
+
+
+class Limit:
+    """The seconds that a call may take, without those of compiling; see :func:`within`."""
+
+    def __init__(self, seconds: float, what: str, engine: Backend):
+        self.seconds, self.what, self.engine = seconds, what, engine
+        self.start, self.compiled, self.launches = time.perf_counter(), engine.compile_seconds, 0
+
+    def check(self) -> None:
+        """OutOfTimeError if they are over."""
+        self.launches += 1
+        spent = time.perf_counter() - self.start - (self.engine.compile_seconds - self.compiled)
+        if spent > self.seconds:
+            raise OutOfTimeError(
+                f"{self.what}: max_seconds={self.seconds:g} are over after {self.launches - 1} steps on"
+                f" {self.engine.name}. Give more, a larger tolerance, or fewer azimuths, directions or nodes."
+            )
+
+
+@contextlib.contextmanager
+def within(seconds: float | None, what: str, engine: Backend) -> Iterator[None]:
+    """What this thread asks of backends here raises OutOfTimeError once ``seconds`` are over.
+
+    They are looked at before each transfer and launch, so a call ends later by its longest one. What it gives
+    does not depend on them. None: no limit but that of a call around this one.
+    """
+    if seconds is None:
+        yield
+        return
+    before = getattr(_call, "limit", None)
+    _call.limit = Limit(positive_number(seconds, "max_seconds"), what, engine)
+    try:
+        yield
+    finally:
+        _call.limit = before
 
 
 @dataclass(frozen=True)

@@ -116,7 +116,8 @@ def replacing(path: StrPath) -> Iterator[BinaryIO]:
     # in the same folder: a rename must not cross file systems
     temporary = path.with_name(f".{secrets.token_hex(8)}.tmp")
     try:
-        with open(temporary, "xb") as file:
+        # read and write: numpy then writes through the file, whose errors say why, as a full disk's
+        with open(temporary, "x+b") as file:
             yield file
             file.flush()
             os.fsync(file.fileno())

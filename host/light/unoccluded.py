@@ -18,6 +18,7 @@ from ..sources.solids import Ball, Quad
 # normals along an axis of the table of a sky's light: a uniform sky's has an error of 2e-4 between them
 # (step^2 / 8 x curvature), none at level ground
 NORMALS_PER_AXIS = 65
+LEAST_SQUARE = 1e-24  # [spacing^2] of a distance: a node in the plane of a source sees none of it
 INTEGRATED_AZIMUTHS = 96  # that tables are made of; chosen
 
 Values = Any  # numbers or arrays that broadcast
@@ -163,7 +164,7 @@ def lamp(
     total: Values = 0.0
     whole: Values = 1e-30
     for way, weight in _rays(solid, to, x, y, height, points):
-        size = np.sqrt(way[0] ** 2 + way[1] ** 2 + way[2] ** 2)
+        size = np.sqrt(np.maximum(way[0] ** 2 + way[1] ** 2 + way[2] ** 2, LEAST_SQUARE))
         if points > 1:
             weight = weight * np.maximum(0, (way[0] * gx + way[1] * gy + way[2]) / size)
         direction = np.stack(
@@ -252,7 +253,8 @@ def _rays_to_quadrangle(
             )
             yield (
                 (dx, dy, dz),
-                np.abs(dx * normal[0] + dy * normal[1] + dz * normal[2]) / (dx**2 + dy**2 + dz**2) ** 1.5,
+                np.abs(dx * normal[0] + dy * normal[1] + dz * normal[2])
+                / np.maximum(dx**2 + dy**2 + dz**2, LEAST_SQUARE) ** 1.5,
             )
 
 
