@@ -94,6 +94,16 @@ def test_perez_is_that_of_pvlib():
     np.testing.assert_allclose(found.ghi, expected[0], rtol=1e-4)
 
 
+def test_overcast_light_is_nowhere_negative(fast):
+    """Perez's band at the horizon may be black, never darker, not even by rounding; all light stays."""
+    when = pandas.DatetimeIndex(["2026-04-20 14:00", "2026-02-09 08:00"], tz="UTC")
+    for n in range(2):
+        found = sl.sky_over_time(when[[n]], *PLACE, 500.0, dni=[0.0], dhi=[100.0 - 50 * n], hours=1.0)
+        assert found.image.min() == 0 and found.image[639].max() < 1e-12
+        np.testing.assert_allclose(found.ghi, 0.1 - 0.05 * n, rtol=1e-6)
+        sl.render(sl.Scene(np.ones((8, 8))), sl.Sky(found), azimuths=8, backend=fast)
+
+
 def test_the_integrals_of_a_render_have_all_of_it():
     """A render's table of the sum is its cells: no sun between samples, none twice."""
     year = sl.sky_over_time(TIMES, *PLACE, hours=2.0)

@@ -163,6 +163,7 @@ def _summed(
         beam[perez] += circumsolar
         sky += weight[perez] @ even
         sky[: round(PEREZ_BAND / CELL)] += weight[perez] @ band
+        np.maximum(sky, 0, out=sky)  # but for rounding no band is darker than black
     for kind in np.unique(types[~perez]):
         of = types == kind
         sky += _scattered(int(kind), azimuth[of], elevation[of], weight[of] * diffuse[of])
