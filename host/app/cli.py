@@ -7,6 +7,7 @@ input, 4 backend unavailable, 1 the rest. An error is one line; --debug adds the
 from __future__ import annotations
 
 import csv
+import json
 import logging
 import sys
 import traceback
@@ -30,6 +31,7 @@ from . import demo as demos
 from . import mosaic, out_of_core, output, parsing, plot
 from . import options as opt
 from . import view as views
+from .doctor import examined
 from .examples import epilog
 from .selftest import Comparison
 from .selftest import selftest as run_selftest
@@ -472,6 +474,14 @@ def backends(as_json: opt.Json = False, quiet: opt.Quiet = False, verbose: opt.V
     for b in found:
         table.add_row(b.name, b.device, "yes" if b.available else "no", b.why)
     output.console().print(table)
+
+
+@app.command(epilog=epilog("doctor"))
+def doctor(quiet: opt.Quiet = False, verbose: opt.Verbose = False) -> None:
+    """Print versions, devices, caches and free memory as JSON, to paste into a bug report."""
+    with output.progress_bar("looking for devices"):
+        found = examined()
+    print(json.dumps(found, indent=1))
 
 
 @app.command(epilog=epilog("selftest"))
