@@ -10,11 +10,13 @@
 Errors are those of tiles against the same call on the whole map, which has the sweeps' own error besides.
 Maps are made from fixed seeds; the table takes ten minutes with --size 2048 --tile 512 on two cores that
 others share, and four times as long with the usual ones. --big reduces the sky-view factor of generated hills
-to its mean, so that no disk is measured, and leaves the start of the workers out.
+to its mean, so that no disk is measured, leaves the start of the workers out, and prints a line of JSON, with
+the peak of memory of a worker.
 """
 
 import argparse
 import csv
+import json
 import os
 import platform
 import resource
@@ -27,6 +29,7 @@ import numpy as np
 
 import skylamp as sl
 from skylamp import oracle, scale
+from skylamp.backends import select
 from skylamp.io import files as io
 from skylamp.light import far
 
@@ -253,7 +256,8 @@ def big(side, tile, workers, azimuths, backend):
     from distributed import Client, LocalCluster
 
     options = dict(threads_per_worker=2, processes=True, dashboard_address=None)
-    with LocalCluster(workers, **options) as cluster, Client(cluster) as client:
+    with LocalCluster(n_workers=workers, **options) as cluster, Client(cluster) as client:
+        client.wait_for_workers(workers)
         client.register_plugin(sl.devices())
         for size in (2 * tile, side):  # the first compiles, and starts the devices
             chunks = da.core.normalize_chunks(tile, (size, size))
@@ -265,9 +269,13 @@ def big(side, tile, workers, azimuths, backend):
             start = time.perf_counter()
             value = float(mean.compute())
             seconds = time.perf_counter() - start
-            rate = size * size / seconds / 1e6
-            told = f"{size} x {size}, {workers} workers, tiles of {tile}, {azimuths} azimuths"
-            print(f"{told}: {seconds:.1f} s, {rate:.1f} million nodes a second, mean {value:.5f}", flush=True)
+        told = {"side": side, "tile": tile, "workers": workers, "azimuths": azimuths, "mean": value}
+        told |= {"seconds": round(seconds, 2), "nodes_per_second": round(side * side / seconds)}
+        told["worker_bytes"] = max(
+            client.run(lambda: 1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss).values()
+        )
+        told["devices"] = list(client.run(lambda: select(backend).name).values())
+        print(json.dumps(told), flush=True)
 
 
 def main():

@@ -190,6 +190,17 @@ def test_a_folder_that_is_no_scratch_stays(dem, tmp_path):
     assert code == 3 and "scratch" in said and (kept / "theirs.txt").read_text() == "kept"
 
 
+@pytest.mark.parametrize("workers", [1, 3])
+def test_there_are_as_many_workers_as_asked(workers):
+    """Each with its share of the memory, and two threads."""
+    machines = out_of_core.Machines("6GB", workers, None, None, False, False)
+    with out_of_core.workers_of(machines) as client:
+        client.wait_for_workers(workers, timeout=100)
+        found = client.scheduler_info(n_workers=-1)["workers"].values()
+    assert [worker["nthreads"] for worker in found] == [2] * workers
+    assert {worker["memory_limit"] for worker in found} == {6 * 10**9 // workers}
+
+
 def test_tiles_fit_the_memory_of_a_worker():
     """The largest that does, and an error where none does."""
     assert out_of_core.tile_that_fits(8 * 10**9) == 8192

@@ -532,7 +532,7 @@ def test_bytes_do_not_depend_on_workers(dem, fast, processes, tmp_path):
     lazy = lazy.copy(data=da.map_blocks(deadly, lazy.data, dtype=np.float32, meta=meta))
     with (
         distributed.LocalCluster(
-            processes, threads_per_worker=2, processes=True, dashboard_address=None
+            n_workers=processes, threads_per_worker=2, processes=True, dashboard_address=None
         ) as cluster,
         distributed.Client(cluster) as client,
     ):
@@ -548,7 +548,7 @@ def test_warnings_of_workers_reach_the_client(fast):
     lazy = sl.Scene.from_height(da.from_array(houses(128), chunks=64))
     found = sl.sky_view_factor(lazy, azimuths=8, backend=fast, tiling=SMALL)
     options = dict(threads_per_worker=1, processes=True, dashboard_address=None)
-    with distributed.LocalCluster(1, **options) as cluster, distributed.Client(cluster):
+    with distributed.LocalCluster(n_workers=1, **options) as cluster, distributed.Client(cluster):
         with pytest.warns(UserWarning, match="to the error of sky-view factors") as said:
             found.compute()
             for _ in range(100):
@@ -566,7 +566,7 @@ def test_every_worker_takes_a_device_of_its_own(dem, fast):
 
         return select("auto").name
 
-    with distributed.LocalCluster(2, **options) as cluster, distributed.Client(cluster) as client:
+    with distributed.LocalCluster(n_workers=2, **options) as cluster, distributed.Client(cluster) as client:
         client.register_plugin(sl.devices("numpy", fast))
         assert sorted(client.run(taken).values()) == sorted(["numpy", fast])
         client.register_plugin(sl.devices("numpy"), name="again")

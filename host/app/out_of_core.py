@@ -346,7 +346,7 @@ def workers_of(machines: Machines) -> Iterator[Any]:
             limit = "auto" if machines.share is None else machines.share
             options: dict[str, Any] = dict(threads_per_worker=2, processes=True, dashboard_address=None)
             cluster = distributed.LocalCluster(
-                machines.workers, memory_limit=limit, silence_logs=50, **options
+                n_workers=machines.workers, memory_limit=limit, silence_logs=50, **options
             )
             at = stack.enter_context(cluster)
         try:
