@@ -202,7 +202,7 @@ def called(case, scene, source, backend):
         out = sl.render(scene, source, backend=backend, **case.how)
         assert all(isinstance(text, str) and text for text in out.warnings) and str(out.plan)
         images = {"image": out.image, "error": out.error, "direct": out.direct}
-        images["warned"] = np.array(["Tolerance" in text for text in out.warnings])
+        images["warned"] = np.array(["Tolerance" in text for text in out.warnings], bool)
         return {name: image for name, image in images.items() if image is not None}
     if case.call == "plan":
         assert str(sl.plan(scene, source, backend=backend))

@@ -222,7 +222,7 @@ def ground_raised_elsewhere_never_brightens(case, backend):
     far = (apart[0] + apart[1] > 1) & np.isfinite(one)
     more = (np.asarray(other, float) - one)[far]
     # sweeps are off by so much behind cliffs (docs/model.md), the lattice by rounding alone
-    slack = ROUNDING if "hemicube" in case.how else max(0.03, 4 * case.how.get("tolerance", 0))
+    slack = ROUNDING if "hemicube" in case.how else 0.03
     limit = np.pi * slack
     assert more.max(initial=0.0) <= limit, f"{more.max():.3g} brighter"
 
@@ -342,10 +342,8 @@ RELATIONS = {
     "backends agree": Relation(cases(most=24), backends_agree, 2),
     "sources add": Relation(cases(how=METHODS[:1] + METHODS[2:4] * 2, most=24), sources_add, 1),
     "albedo": Relation(cases(how=EXPLICIT, most=32), albedo_is_linear, 1),
-    "raised ground": Relation(
-        cases(lights=("number",), **SKIES).filter(lambda case: "unoccluded" not in case.how.values()),
-        ground_raised_elsewhere_never_brightens,
-        2,
+    "raised ground": Relation(  # a tolerance allows single nodes ten times as much
+        cases(how=METHODS[1:4], lights=("number",), **SKIES), ground_raised_elsewhere_never_brightens, 2
     ),
     "energy": Relation(cases(), no_more_light_than_there_is, 2),
     "tiles": Relation(cases(lights=("number",), **SKIES), tiles_equal_the_whole, 1),
