@@ -62,6 +62,11 @@ def horizons(
     of a kernel. Not of a lazy scene.
 
     Raises InputError, BackendError, CapacityError or OutOfTimeError.
+
+    Returns
+    -------
+    (azimuths, rows, cols) float32 [tangent]
+        A NumPy array, DataArray or lazy array, as the scene is.
     """
     scene = _scene_of(scene)
     azimuths = as_azimuths(azimuths)
@@ -115,6 +120,11 @@ def sky_view_factor(
       2011; RVT, xarray-spatial).
 
     Other arguments and errors as for :func:`horizons`.
+
+    Returns
+    -------
+    (rows, cols) float32 [1]
+        A NumPy array, DataArray or lazy array, as the scene is.
     """
     one_of(definition, DEFINITIONS, "definition")
     scene = _scene_of(scene)
@@ -174,6 +184,11 @@ def openness(
     on peaks, nan where masked. ``negative``: of the surface turned upside down, the mean angle from the
     nadir. Where no ground lies along an azimuth the horizon counts as level. Other arguments and errors as
     for :func:`horizons`.
+
+    Returns
+    -------
+    (rows, cols) float32 [rad]
+        A NumPy array, DataArray or lazy array, as the scene is.
     """
     scene = _scene_of(scene)
     is_scene(scene)

@@ -207,6 +207,11 @@ def plan(
     interreflection : "auto", True or False
         As of :func:`skylamp.render`.
 
+    Returns
+    -------
+    Plan
+        Printed, a table with a reason per line.
+
     Raises
     ------
     InputError, BackendError, CapacityError

@@ -199,6 +199,11 @@ def grooves(white: float = 0.9, black: float = 0.0, steepness: float = 45.0) -> 
     The white faces look towards -x and the black ones towards +x, each ``steepness`` [degrees] from level and
     Lambertian with the given albedo; light that goes from face to face is left out. A face is lit, and seen,
     from its upper edge down to where the opposite edge hides it, so f is reciprocal.
+
+    Returns
+    -------
+    BRDF
+        In 1/sr, for ``Scene(..., reflectance=...)``.
     """
     white, black = (
         _number(share(white, "grooves: white"), "white"),

@@ -156,7 +156,7 @@ def render(
     ----------
     scene, source : Scene; Sky, Lamp or Window
     method : "auto", "lattice", "horizon" or "unoccluded"
-        ``auto``: begun as :func:`skylamp.plan` says and refined until the estimate of its error, over all
+        ``auto``: begun with :func:`skylamp.plan` and refined until the estimate of its error, over all
         nodes, and exact rays at some hundred samples are within ``tolerance``. ``lattice``: the paper's
         directions on a hemicube (9 unless given). ``horizon``: the source above the horizon of every node in
         a number of azimuths (64 unless given; for lamps and windows, slices through the source as every node
@@ -169,8 +169,7 @@ def render(
         See :func:`skylamp.backends`.
     quantity : "radiance" or "irradiance"
         Radiance [unit of brightness], or irradiance E [unit of brightness x sr], whatever the reflectance.
-    hemicube : odd int or Hemicube
-        M of the lattice.
+    hemicube : odd int or Hemicube, M of the lattice
     filled : bool
         Test every crossing of a ray with a grid line, not the lattice nodes alone (the paper's step).
     weights : "moment" or "printed"
@@ -193,6 +192,7 @@ def render(
     max_seconds : float
         OutOfTimeError once they are over, compiling apart; looked at before each launch. Not of lazy scenes.
 
+    Returns a Rendering. Its image is (rows, cols) or (rows, cols, 3) float32 [unit of ``quantity``].
     Raises InputError, BackendError, CapacityError or OutOfTimeError.
 
     >>> out = render(Scene(depth), Sky(), tolerance=0.003)

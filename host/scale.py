@@ -655,6 +655,11 @@ def devices(*names: str) -> Any:
     take anyway. Under dask-cuda every worker sees one GPU, and takes it.
 
     Raises InputError without dask.distributed.
+
+    Returns
+    -------
+    distributed.WorkerPlugin
+        For ``client.register_plugin``.
     """
     try:
         from distributed import WorkerPlugin

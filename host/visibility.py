@@ -79,6 +79,11 @@ def visibility_field(
 
     Raises InputError, BackendError, OutOfTimeError, and CapacityError before anything is allocated if the
     field is too large.
+
+    Returns
+    -------
+    VisibilityField
+        Its ``words`` are packed bits, (layers, words, rows, cols) uint32.
     """
     cube = hemicube if isinstance(hemicube, Hemicube) else Hemicube(hemicube)
     is_scene(scene)

@@ -1,6 +1,7 @@
 """README and the pages: code runs and prints as shown, links hold, numbers are those of the data."""
 
 import importlib.util
+import inspect
 import os
 import re
 import subprocess
@@ -152,6 +153,14 @@ def test_links_lead_somewhere(name):
         assert target.exists(), f"{name}: {link}"
         if anchor:
             assert anchor in _anchors(target.read_text(encoding="utf-8")), f"{name}: {link}"
+
+
+def test_public_functions_document_their_result():
+    """Every public function documents the value that it returns."""
+    functions = {name: getattr(sl, name) for name in sl.__all__ if inspect.isfunction(getattr(sl, name))}
+    assert len(functions) > 15
+    lacking = [name for name, function in functions.items() if "Returns" not in inspect.getdoc(function)]
+    assert not lacking, lacking
 
 
 def test_every_page_is_in_the_navigation():

@@ -14,7 +14,13 @@ _lock = threading.RLock()  # devices are looked for, and a backend is made, by o
 
 
 def backends() -> list[BackendInfo]:
-    """Every backend that was looked for, in the order in which "auto" would take them."""
+    """Every backend that was looked for, in the order in which "auto" would take them.
+
+    Returns
+    -------
+    list of BackendInfo
+        With name, device, available and, where it is not, the reason ``why``.
+    """
     with _lock:
         found = _probe()
     return sorted(

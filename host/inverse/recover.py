@@ -106,12 +106,11 @@ def recover(
     source : Sky, Lamp or Window, or a list, one per image
     sides, spacing, albedo
         As in the scene that the image shows; ``albedo`` a number or (rows, cols), > 0; or None, of several
-        images by method="robust": every pixel's is found with its depth (one image cannot tell a dark surface
-        from a deep one). It may exceed 1 if the sources' brightness is in another unit than the images. For
-        method="paper" a lamp must lie above z = 0 or be given as a volume that starts at layer 0, since
-        carving starts from a surface at z = 0.
+        images by method="robust": every pixel's is found with its depth. It may exceed 1 if the sources'
+        brightness is in another unit than the images. For method="paper" a lamp must lie above z = 0 or be
+        given as a volume that starts at layer 0, since carving starts from a surface at z = 0.
     layers : int
-        The deepest depth in spacings, unless ``far`` says otherwise; the lattice's depth.
+        The deepest depth in spacings, unless ``far`` is given; the lattice's depth.
     method : "robust" or "paper"
         ``robust``: the surface whose image, by horizons and with normals, is nearest to the given one, coarse
         to fine (docs/explanation). ``paper``: carving (Langer and Zucker, section 6, inverse algorithm, Eq.
@@ -123,8 +122,7 @@ def recover(
     near, far : number or (rows, cols) array [unit of spacing], optional
         Of method="robust": between which depth lies; 0 and layers x spacing unless given.
     max_seconds : float, optional
-        Of method="robust": the best surface found so far is given when they are over, or on
-        KeyboardInterrupt, with a warning.
+        Of method="robust": then, or on Ctrl-C, the best surface so far is returned, with a warning.
     interreflection : "auto", True or False
         Of method="robust": whether ground lights ground in the images, as in photographs and in what
         :func:`skylamp.render` makes by default. "auto": it does, unless direct light alone explains the
@@ -133,9 +131,11 @@ def recover(
         Called with (levels or layers done, their number). The residual of every level goes to the logger
         "skylamp".
 
-    Raises
-    ------
-    InputError, BackendError, CapacityError
+    Returns
+    -------
+    Recovery
+        Depth (rows, cols) float32 [unit of spacing], its confidence, candidates and warnings.
+        Raises InputError, BackendError or CapacityError.
     """
     one_of(method, RECOVER_METHODS, "method")
     one_of(stop, STOPS, "stop")

@@ -27,7 +27,13 @@ Brightness = float | tuple[float, float, float] | BrightnessFunction
 
 
 def uniform(brightness: float = 1.0) -> BrightnessFunction:
-    """The same brightness in every direction."""
+    """The same brightness in every direction.
+
+    Returns
+    -------
+    function
+        Of unit vectors (..., 3); it returns the same brightness (...) for all.
+    """
     value = brightness_number(brightness)
     return _with_peaks(lambda L: np.full(np.shape(L)[:-1], value))
 
@@ -38,6 +44,11 @@ def cosine_power(
     """A spotlight: brightness x max(0, -L . axis)^power.
 
     ``axis``: the direction in which it shines; it need not be a unit vector.
+
+    Returns
+    -------
+    function
+        Of unit vectors (..., 3); it returns their brightness (...) [unit of ``brightness``].
     """
     along = np.array(numbers(axis, 3, "cosine_power: axis", "(x, y, z)"))
     if not along.any():
@@ -60,7 +71,13 @@ def cosine_power(
 
 
 def cie_overcast(zenith: float = 1.0) -> BrightnessFunction:
-    """CIE standard overcast sky: zenith x (1 + 2 sin(elevation)) / 3 (ISO 15469, Moon and Spencer 1942)."""
+    """CIE standard overcast sky: zenith x (1 + 2 sin(elevation)) / 3 (ISO 15469, Moon and Spencer 1942).
+
+    Returns
+    -------
+    function
+        Of unit vectors (..., 3); it returns their brightness (...) [unit of ``zenith``].
+    """
     value = brightness_number(zenith)
     return _with_peaks(lambda L: value * (1.0 - 2.0 * np.asarray(L)[..., 2]) / 3.0)
 
@@ -79,6 +96,11 @@ def environment_map(array: Any) -> BrightnessFunction:
 
     ``array``: (rows, cols), or RGB (rows, cols, 3). Row 0 is the zenith, the last row the nadir; column 0 is
     towards +x, and azimuth grows towards +y.
+
+    Returns
+    -------
+    function
+        Of unit vectors (..., 3); it returns brightness (...), or (..., 3) in colour [unit of ``array``].
     """
     image = real_array(array, "environment_map", None)
     if image.ndim != 2 and (image.ndim != 3 or image.shape[2] != 3):

@@ -126,6 +126,11 @@ def cie_sky(
         ``render``: by default on any sides, with method="horizon" or "unoccluded" on sides "open" or "dark".
         The lattice, windows, mirrors, BRDFs, ``max_distance`` and ``recover`` raise InputError.
 
+    Returns
+    -------
+    CieSky
+        A function of unit vectors (..., 3) that returns their brightness (...) [unit of ``zenith``].
+
     Raises
     ------
     InputError
@@ -161,6 +166,11 @@ def cie_clear(
     """The CIE standard clear sky: type 12 of :func:`cie_sky`, or 13 where ``turbid``.
 
     Arguments and errors are those of :func:`cie_sky`.
+
+    Returns
+    -------
+    CieSky
+        A function of unit vectors (..., 3) that returns their brightness (...) [unit of ``zenith``].
     """
     return cie_sky(13 if turbid else 12, sun, zenith, horizontal=horizontal, direct=direct)
 
@@ -175,6 +185,11 @@ def sun_position(
     positive; ``altitude`` [metre]. By pvlib (NREL's algorithm, Reda and Andreas 2004).
 
     Raises InputError for a time without a zone or a place that is not on Earth, or if pvlib is not installed.
+
+    Returns
+    -------
+    (azimuth, elevation) [degree]
+        Azimuth clockwise from north (-y), elevation above the horizontal plane.
     """
     try:
         when = datetime.datetime.fromisoformat(time) if isinstance(time, str) else time
