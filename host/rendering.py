@@ -148,9 +148,10 @@ def render(
 ) -> Rendering:
     """The image of ``scene`` under ``source``, seen orthographically along +z (Langer and Zucker, Eq. 3).
 
-    In colour, (rows, cols, 3), where the source's brightness or the scene's reflectance is; each channel is
-    what a grey render of it gives, bit for bit. To rho E / pi comes what the scene's reflectance adds: the
-    integral of f B cos(theta_i) over the visible directions, f a lobe or any BRDF, or what a mirror shows.
+    Returns a Rendering, or raises InputError, BackendError, CapacityError or OutOfTimeError. In colour,
+    (rows, cols, 3), where brightness or reflectance is; each channel equals its grey render bit for bit. To
+    rho E / pi comes the integral of f B cos(theta_i) over the visible directions, f a lobe or any BRDF, or
+    the brightness in a mirror.
 
     Parameters
     ----------
@@ -192,9 +193,8 @@ def render(
     max_seconds : float
         OutOfTimeError once they are over, compiling apart; looked at before each launch. Not of lazy scenes.
 
-    Returns a Rendering. Its image is (rows, cols) or (rows, cols, 3) float32 [unit of ``quantity``].
-    Raises InputError, BackendError, CapacityError or OutOfTimeError.
-
+    Examples
+    --------
     >>> out = render(Scene(depth), Sky(), tolerance=0.003)
     >>> print(out.plan, out.error.max())
     """
