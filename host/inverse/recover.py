@@ -42,10 +42,10 @@ MAPS = (  # fields of Recovery that are maps
     Quantity("residual", None, "model less image, in the unit of the image"),
 )
 # residual beyond the noise, as a share of the image, up to which a model explains images; and how much
-# smaller that of direct light alone must be to be believed, since images have light between surfaces unless
-# it was left out; chosen: that light in the model leaves 0.01 to 0.016 of images of direct light, and direct
-# light alone 0.010 of an egg-crate's with that light, of which its own model leaves 0.025
-EXPLAINED, CLEARLY = 0.006, 0.5
+# smaller that of direct light alone must be to be believed. Images of direct light leave 0.010 to 0.016 to
+# the other model and a fiftieth to their own; of deep folds with light between surfaces direct light leaves
+# 0.002, with depths that are wrong by layers, and a surface found by approximate derivatives leaves more
+EXPLAINED, CLEARLY = 0.006, 0.05
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,8 +125,8 @@ def recover(
         Of method="robust": then, or on Ctrl-C, the best surface so far is returned, with a warning.
     interreflection : "auto", True or False
         Of method="robust": whether ground lights ground in the images, as in photographs and in what
-        :func:`skylamp.render` makes by default. "auto": it does, unless direct light alone explains the
-        images twice as well, which is tried where they are not explained well.
+        :func:`skylamp.render` makes by default. "auto": it does, unless they are not explained well so and
+        direct light alone leaves a twentieth. Say False of images that are known to hold direct light.
     progress : callable, optional
         Called with (levels or layers done, their number). The residual of every level goes to the logger
         "skylamp".
