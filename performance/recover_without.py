@@ -82,7 +82,7 @@ def without_stage(stage: Callable[[Search], None], instead: Callable[[Search], N
 
 
 def without_doubt(doubt: Callable) -> Patch:
-    return confidence, "DOUBTS", tuple(own for own in confidence.DOUBTS if own is not doubt)
+    return confidence, "PARTS", tuple(own for own in confidence.PARTS if own is not doubt)
 
 
 def _linear(values: np.ndarray, times: int) -> np.ndarray:
@@ -182,7 +182,8 @@ INGREDIENTS = {
     "even albedo": Ingredient(
         [(confidence, "even_albedo_depth", lambda pyramid, level, z: z)], CONFIDENCE, has_no_albedo
     ),
-    "poor fit": Ingredient([without_doubt(confidence.by_misfit)], CONFIDENCE),
+    "poor fit": Ingredient([(confidence, "MISFIT_WEIGHT", 0.0)], CONFIDENCE),
+    "shallower answers": Ingredient([without_doubt(confidence.by_shallower_answers)], CONFIDENCE, is_spot),
 }
 ALL = "nothing"  # left out
 
@@ -236,9 +237,9 @@ NAMES = [
 ]
 
 
-def _no_confidence(solved: Pyramid, level: int, z: np.ndarray, *rest: Any) -> tuple:
-    shape = solved.shape(0)
-    return np.zeros(shape), np.full((1, *shape), np.nan)
+def _no_deviation(solved: Multigrid, level: int, z: np.ndarray, *rest: Any) -> tuple:
+    shape = solved.pyramid.shape(0)
+    return np.ones(shape), np.full((1, *shape), np.nan)
 
 
 def figures(case: Case, depth: np.ndarray, sure: np.ndarray) -> dict[str, float]:
@@ -247,7 +248,7 @@ def figures(case: Case, depth: np.ndarray, sure: np.ndarray) -> dict[str, float]
     of the confident half over that of all.
     """
     error = np.abs(depth - case.truth)
-    within = error < max(confidence.DOUBT * case.layers, confidence.LEAST_DOUBT)
+    within = error < max(confidence.RIGHT * case.layers, confidence.LEAST_RIGHT)
     half = np.argsort(-sure.ravel(), kind="stable")[: sure.size // 2]
     return {
         "rmse": rms(error),
@@ -280,18 +281,19 @@ def run(case: Case, backend: str) -> sl.Recovery:
 def run_with_all(name: str, backend: str) -> dict[str, dict]:
     """By ingredient: figures with all, and without each ingredient of confidence."""
     case, sure = case_of(name), {}
-    own = recover.confidence_of
+    own = recover.deviation_of
 
-    def several_confidences(solved: Pyramid, *rest: Any) -> tuple[np.ndarray, np.ndarray]:
+    def several_deviations(solved: Multigrid, *rest: Any) -> tuple[np.ndarray, np.ndarray]:
         for key, ingredient in INGREDIENTS.items():
             if ingredient.effect == CONFIDENCE and ingredient.concerns(name):
-                clone = copy.copy(solved)
-                clone.problems, clone.albedo = dict(solved.problems), list(solved.albedo)
+                pyramid, clone = copy.copy(solved.pyramid), copy.copy(solved)
+                pyramid.problems, pyramid.albedo = dict(pyramid.problems), list(pyramid.albedo)
+                clone.pyramid = pyramid
                 with without(ingredient.patches):
-                    sure[key] = own(clone, *rest)[0]
+                    sure[key] = confidence.confidence_of(own(clone, *rest)[0], rest[-1])
         return own(solved, *rest)
 
-    with without([(recover, "confidence_of", several_confidences)]):
+    with without([(recover, "deviation_of", several_deviations)]):
         found = run(case, backend)
     sure[ALL] = found.confidence
     return {key: figures(case, found.depth, each) for key, each in sure.items()}
@@ -319,7 +321,7 @@ def measure(names: list[str], backend: str, path: Path) -> dict[str, dict[str, d
                 continue
             patches = list(ingredient.patches)
             if ingredient.effect == DEPTH:
-                patches.append((recover, "confidence_of", _no_confidence))
+                patches.append((recover, "deviation_of", _no_deviation))
             known = case_of(case)  # its images are made with everything on
             with without(patches):
                 found = run(known, backend)

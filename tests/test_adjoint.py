@@ -17,6 +17,7 @@ from skylamp.constants import SIDES
 from skylamp.errors import CapacityError
 from skylamp.inverse import conjugate_gradients, lights, resampling
 from skylamp.inverse.descent import Descent
+from skylamp.inverse.posterior import posterior_deviation, prior_sample
 
 SHAPE = (9, 11)
 
@@ -666,6 +667,37 @@ def test_a_step_is_that_of_the_dense_matrices(backend, name, sides):
         np.clip(z.ravel() + wanted, low.ravel(), high.ravel()),
         atol=3e-4 * abs(wanted).max(),
     )
+
+
+def test_the_posterior_is_that_of_the_dense_hessian(fast):
+    """Where the model is linear, J at a surface, the samples have the standard deviation of sigma^2 H^-1, of
+    means over neighbours; it is proportional to noise, and no smaller where a second image is left out.
+    """
+    shape, weight, sigma = (7, 8), 0.03, 0.02
+    z = ground(shape, 4)
+    both = [SOURCES["glow"], SOURCES["ball overhead"]]
+    made = problem(fast, both, shape, "dark", 0.7)
+    made.value(z, 0.0)
+    D = second_differences(shape)
+    J = 0.7 * np.concatenate([derivative(made, number) for number in (0, 1)])
+    hessian = J.T @ J + weight * D.T @ D
+    wanted = np.sqrt(resampling.blurred(np.diag(sigma**2 * np.linalg.inv(hessian)).reshape(shape)))
+    found = posterior_deviation(made, z, weight, sigma, probes=400)
+    np.testing.assert_allclose(found, wanted, rtol=0.12)
+    assert np.mean(found / wanted) == pytest.approx(1, abs=0.03)
+    again = posterior_deviation(made, z, weight, 2 * sigma, probes=20)
+    once = posterior_deviation(made, z, weight, sigma, probes=20)
+    np.testing.assert_allclose(again, 2 * once, rtol=1e-2)  # as close as conjugate gradients go
+    alone = posterior_deviation(problem(fast, both[0], shape, "dark", 0.7), z, weight, sigma, probes=100)
+    assert np.mean(alone) > 1.1 * np.mean(once)
+
+
+def test_a_sample_of_the_prior_has_its_covariance():
+    """Second differences of a sample, over many, are those of the pseudo-inverse of D^T D."""
+    shape = (5, 4)
+    samples = [prior_sample(unit.reshape(shape)).ravel() for unit in np.eye(20)]
+    D = second_differences(shape)
+    np.testing.assert_allclose(np.stack(samples, 1) @ np.stack(samples), np.linalg.pinv(D.T @ D), atol=1e-10)
 
 
 def hats(n):

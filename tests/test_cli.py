@@ -272,6 +272,8 @@ def test_recover_writes_a_picture(here, capsys):
         "numpy",
         "--max-seconds",
         20,
+        "--std",
+        "std.npy",
     )
     assert code == 0, err
     facts = json.loads(out)
@@ -283,7 +285,9 @@ def test_recover_writes_a_picture(here, capsys):
         4 * (image.shape[1] * times + 10) + 10,
     )
     with np.load("a.npz") as arrays:
-        assert {"depth", "confidence", "candidates", "ambiguous", "drilled"} <= set(arrays)
+        assert {"depth", "confidence", "candidates", "ambiguous", "drilled", "std"} <= set(arrays)
+        np.testing.assert_array_equal(io.read("std.npy"), arrays["std"])
+        assert facts["std"] == "std.npy"
         confidence = np.rint(255 * arrays["confidence"])
     left = 10 + 2 * (image.shape[1] * times + 10)
     np.testing.assert_allclose(
@@ -291,6 +295,13 @@ def test_recover_writes_a_picture(here, capsys):
         confidence,
         atol=1,
     )
+
+
+def test_carving_has_no_standard_deviation(here, capsys):
+    code, _, err = run(
+        capsys, "recover", "image.npy", "--out", "a.npy", "--std", "std.npy", "--method", "paper"
+    )
+    assert code == 2 and "--std" in err and not os.path.exists("std.npy")
 
 
 def test_counts_need_a_scale(here, capsys):

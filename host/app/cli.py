@@ -232,6 +232,7 @@ def recover(
     far: opt.Far = None,
     max_seconds: opt.MaxSeconds = None,
     picture: opt.RecoveryPicture = None,
+    std: opt.StdFile = None,
     layers: opt.Layers = 64,
     interreflection: opt.Interreflection = "auto",
     hemicube: opt.Hemicube = 9,
@@ -245,11 +246,15 @@ def recover(
     verbose: opt.Verbose = False,
 ) -> None:
     """Recover depth from an image, with a picture of how far it is to be trusted. An .npz also holds
-    confidence, candidates and the masks of ambiguous pixels and drilled columns; a .png holds depth in whole
-    layers, 16 bit.
+    confidence, standard deviation (robust), candidates and the masks of ambiguous pixels and drilled columns;
+    a .png holds depth in whole layers, 16 bit.
     """
     out = output.needed(target, out)
     output.check(out, as_json, figure)
+    if std is not None:
+        output.check(std, as_json)
+        if method != "robust":
+            raise typer.BadParameter("it goes with --method robust", param_hint="--std")
     if picture is None and out != "-" and method == "robust":
         picture = str(Path(out).with_name(Path(out).stem + "_picture.png"))
     if picture is not None:
@@ -274,9 +279,11 @@ def recover(
             interreflection=parsing.interreflection(interreflection),
             progress=progress,
         )
-    in_npz = ("drilled", "confidence", "candidates", "ambiguous") if out.lower().endswith(".npz") else ()
-    more = {name: getattr(done, name) for name in in_npz}
+    kept = ("drilled", "confidence", "candidates", "ambiguous", *(["std"] if method == "robust" else []))
+    more = {name: getattr(done, name) for name in kept if out.lower().endswith(".npz")}
     output.write(out, done.depth, range=(0.0, 65535.0 * spacing), bits=16, name="depth", **more)
+    if std is not None:
+        output.write(std, done.std)
     if picture is not None:
         io.write(picture, mosaic.of_recovery(image, done, spacing), range=(0.0, 1.0))
     if figure:
@@ -288,6 +295,7 @@ def recover(
         shape=done.depth.shape,
         drilled=int(np.count_nonzero(done.drilled)),
         picture=picture,
+        std=std,
         confident=float(np.mean(done.confidence >= 0.5)),
         levels=[level._asdict() for level in done.levels],
     )

@@ -224,6 +224,15 @@ RecoveryPicture = Annotated[
         show_default=False,
     ),
 ]
+StdFile = Annotated[
+    str | None,
+    typer.Option(
+        "--std",
+        metavar="FILE",
+        help="robust: where to write the standard deviation of every pixel's depth, in the unit of spacing",
+        show_default=False,
+    ),
+]
 Layers = Annotated[int, typer.Option(help="Greatest depth in spacings; paper: of the block that is carved")]
 Eps = Annotated[
     float,

@@ -1,6 +1,8 @@
-"""How far the depth that was found is to be trusted, and which other depths explain a pixel.
+"""How far off the depth that was found may be, how far it is to be trusted, and which other depths explain a
+pixel.
 
-Each doubt is a map that counts 1 where it alone would halve the confidence; they add up.
+The variance of depth is a sum of parts: what noise leaves undecided, what the model does not represent, and
+how far off the answers are that explain the images about as well.
 """
 
 from __future__ import annotations
@@ -13,24 +15,29 @@ import numpy as np
 
 from .albedo import PRIOR_WEIGHT
 from .descent import Descent
-from .multigrid import CLOSE, ITERATIONS, STEPS
-from .pyramid import IMAGE_RMS, SMALL, Pyramid, on_coarser_grid
+from .multigrid import CLOSE, ITERATIONS, STEPS, Multigrid
+from .posterior import posterior_deviation
+from .pyramid import NORMAL_QUARTILE, SMALL, Pyramid, on_coarser_grid
 from .resampling import blurred, cubic, doubled, halved, halved_depth
 from .search import Rival
 
-# of the range of depths, and nodes at least: two answers this far apart are worth half the confidence
-DOUBT, LEAST_DOUBT = 0.025, 1.0
-APART = 2 * DOUBT  # of the range of depths, from which another depth is a candidate
+# of the range of depths, and nodes at least: an error up to this is right, and the confidence is about how
+# likely that is. Below 0.5 the standard deviation is above 1.48 times this
+RIGHT, LEAST_RIGHT = 1 / 64, 1.0
+APART = 0.05  # of the range of depths, from which another depth is a candidate
 CANDIDATES = 2  # other depths of a pixel, at most
-POSTERIOR_WEIGHT = 4.0  # of the doubt that noise leaves, against that of another start
-UNEVEN_WEIGHT = 1.4  # of the distance to the surface with a more even albedo, where it is not known
-# of the squared distance to the surface of a finer model, which is about the same in nodes on every grid
-FINER_WEIGHT = 9.0
-POOR = 0.02  # share of the image's rms that model and image may differ by in a place that is to be believed
+PROBE = 0.01  # noise of the probes of the posterior, which is linear in it [unit of the pyramid's images]
+# noise that the model's errors count as, at least [unit of the pyramid's images], and times what the misfit
+# has beyond the image's noise
+MODEL_ERROR, MISFIT_WEIGHT = 5e-4, 2.3
+# of the distances to the answer of a finer model, to the answers of the search, to those that begin shallower
+# and to the one with a more even albedo. All but the last, and the two above, as performance/doubt.py tells
+FINER_WEIGHT, RIVAL_WEIGHT, SHALLOWER_WEIGHT, UNEVEN_WEIGHT = 1.2, 1.0, 0.6, 1.4
+SHALLOWER = (0.5, 0.25, 0.1)  # shares of the pixels whose depth those answers are first confined to
 EVEN_WEIGHT = 10.0  # times as much an even albedo is expected, to tell what hangs on it
 FINER, FINER_AZIMUTHS = 3, 64  # times as fine a grid, and azimuths, that tell how far off the model is
 REFITS, REFIT_STEPS = 2, 4  # to it, and Gauss-Newton steps of each
-MODEL_ERROR, PROBES = 0.01, 4  # share of the image's rms that the model may be wrong by; noises tried
+LEAST_STD = 2e-3  # [nodes of the answer's grid] what float32 and the end of the steps leave, about
 SHIFTS = 33  # by which the surface goes up and down as a whole
 NEAREST = 1e-3  # depth [nodes] of a surface that would lie at the viewer's plane or before it
 
@@ -40,85 +47,142 @@ class Judged:
     """The surface that is judged: z (rows, cols) [nodes of its grid] on grid ``level``, where it has at most
     SMALL nodes a side.
 
-    limit: how far off [nodes of this grid] is worth half the confidence. coarser: how many grids this one is
-    coarser than the answer's. misfit (rows, cols): mean squares of model - first image around every node of
-    the answer. rivals: other answers, on this grid.
+    misfit (rows, cols): mean squares of model - first image around every node of the answer, which is
+    ``coarser`` grids finer. rivals: other answers, on this grid.
     """
 
-    pyramid: Pyramid
+    multigrid: Multigrid
     level: int
     z: np.ndarray
-    limit: float
     coarser: int
     misfit: np.ndarray
     rivals: list[Rival]
 
+    @property
+    def pyramid(self) -> Pyramid:
+        return self.multigrid.pyramid
 
-def confidence_of(
-    pyramid: Pyramid, level: int, z: np.ndarray, rivals: list[Rival], rivals_at: int, depth_range: float
+
+def deviation_of(
+    multigrid: Multigrid, level: int, z: np.ndarray, rivals: list[Rival], rivals_at: int, depth_range: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(confidence, other candidates (n, rows, cols) [nodes]), on the finest grid, for the surface z of grid
-    ``level`` whose rivals are of grid ``rivals_at``.
+    """(posterior standard deviation (rows, cols), other candidates (n, rows, cols)) [nodes] of depth, on the
+    finest grid, for the surface z of grid ``level`` whose rivals are of grid ``rivals_at``.
 
     An albedo that was not known is taken for known on the way.
     """
+    pyramid = multigrid.pyramid
     misfit = blurred((pyramid.problem(level).irradiances(z)[0] - pyramid.images[level][0]) ** 2)
     small, grid = z, level
     while max(small.shape) > SMALL and grid < pyramid.coarsest:
         small, misfit, grid = halved_depth(small), halved(misfit), grid + 1
     for _ in range(grid - rivals_at):
         rivals = [Rival(halved_depth(difference), weight) for difference, weight in rivals]
-    limit = max(DOUBT * depth_range, LEAST_DOUBT) / 2**grid
-    judged = Judged(pyramid, grid, small, limit, grid - level, misfit, rivals)
-    total = np.zeros(small.shape)
+    judged = Judged(multigrid, grid, small, grid - level, misfit, rivals)
+    variance = np.full(small.shape, (LEAST_STD / 2 ** (grid - level)) ** 2)
     if not pyramid.albedo_known:
-        total = total + by_even_albedo(judged)
+        variance = variance + by_even_albedo(judged)
         pyramid.fix_albedo(level, z)
-    confidence = 1 / (1 + sum((doubt(judged) for doubt in DOUBTS), total))
+    std = np.sqrt(sum((part(judged) for part in PARTS), variance))
     others = other_depths(pyramid, grid, small, APART * depth_range)
     while grid:
         grid -= 1
         rows, cols = pyramid.shape(grid)
-        confidence = np.clip(doubled(confidence, (rows, cols)), 0, 1)
+        std = 2 * doubled(std, (rows, cols))
         others = others.repeat(2, 1).repeat(2, 2)[:, :rows, :cols]
-    return confidence, others
+    return std, others
+
+
+def confidence_of(std: np.ndarray, depth_range: float) -> np.ndarray:
+    """About how likely it is that depth is right, 0 to 1, where this is its standard deviation (rows, cols)
+    [nodes]: within RIGHT of the range [nodes] between the bounds, and at least LEAST_RIGHT.
+
+    1 / (1 + t^2), t the std over what makes it 1/2. By this 69, 90 and 95 % of errors are within 1, 2 and 3
+    std; 68, 95 and 99.7 % of normal ones are, and 75, 94 and 97 % in performance/doubt.py.
+    """
+    half = max(RIGHT * depth_range, LEAST_RIGHT) / NORMAL_QUARTILE
+    confidence: np.ndarray = 1 / (1 + (std / half) ** 2)
+    return confidence
+
+
+def by_noise(judged: Judged) -> np.ndarray:
+    """What noise leaves undecided; that the first image is explained worse than by its noise counts as more
+    of it.
+    """
+    pyramid, level = judged.pyramid, judged.level
+    unit = posterior_deviation(pyramid.problem(level), judged.z, pyramid.smoothness(level), PROBE) / PROBE
+    pyramid.problem(level).set_targets(pyramid.images[level])
+    noise = (pyramid.noise * 0.5**level) ** 2
+    beyond = MISFIT_WEIGHT**2 * np.maximum(judged.misfit - noise, 0)
+    variance: np.ndarray = unit**2 * (noise + beyond + MODEL_ERROR**2)
+    return variance
+
+
+def by_finer_model(judged: Judged) -> np.ndarray:
+    """How far off the answer to a finer model would be."""
+    off = finer_model_depth(judged.pyramid, judged.level, judged.z) - judged.z
+    return FINER_WEIGHT**2 * blurred(off**2)
+
+
+def by_rivals(judged: Judged) -> np.ndarray:
+    """How far off the other answers of the search are."""
+    return RIVAL_WEIGHT**2 * _apart(judged.rivals, judged.z.shape)
+
+
+def by_shallower_answers(judged: Judged) -> np.ndarray:
+    """How far off answers are that begin shallower, where one image may have several."""
+    pyramid, coarser = judged.pyramid, judged.level + 1
+    if (
+        not judged.multigrid.several
+        or len(pyramid.sources) > 1
+        or coarser > pyramid.coarsest
+        or pyramid.stop()
+    ):
+        return np.zeros(judged.z.shape)
+    rivals = shallower_answers(judged.multigrid, coarser, halved_depth(judged.z))
+    apart = 2 * doubled(np.sqrt(_apart(rivals, pyramid.shape(coarser))), judged.z.shape)
+    return (SHALLOWER_WEIGHT * apart) ** 2
+
+
+PARTS: tuple[Callable[[Judged], np.ndarray], ...] = (
+    by_noise,
+    by_finer_model,
+    by_rivals,
+    by_shallower_answers,
+)
+
+
+def _apart(rivals: list[Rival], shape: tuple[int, ...]) -> np.ndarray:
+    """The sum of the squared distances to other answers, each times its weight."""
+    return sum(((weight * blurred(np.abs(off))) ** 2 for off, weight in rivals), np.zeros(shape))
 
 
 def by_even_albedo(judged: Judged) -> np.ndarray:
     """How far off a more even albedo, which is not known, would be."""
     off = even_albedo_depth(judged.pyramid, judged.level, judged.z) - judged.z
-    doubt: np.ndarray = (UNEVEN_WEIGHT * blurred(np.abs(off)) / judged.limit) ** 2
-    return doubt
+    variance: np.ndarray = (UNEVEN_WEIGHT * blurred(np.abs(off))) ** 2
+    return variance
 
 
-def by_rivals(judged: Judged) -> np.ndarray:
-    """How far off the other answers are."""
-    distances = (weight * blurred(np.abs(difference)) for difference, weight in judged.rivals)
-    return sum(((off / judged.limit) ** 2 for off in distances), np.zeros(judged.z.shape))
+def shallower_answers(multigrid: Multigrid, level: int, z: np.ndarray) -> list[Rival]:
+    """Answers on this grid that begin shallower than z, from the coarsest grid: under a spotlight, pixels far
+    from its axis have two depths, and the smooth surfaces that a search begins with lead to the deeper one.
 
-
-def by_noise(judged: Judged) -> np.ndarray:
-    """How far off noise could leave the surface. To the fourth power, since it is a bound: what is really off
-    is ordered by the rest.
+    Each is found within a closer bound of depth, and then without it. Its weight is the residual at z over
+    its own.
     """
-    deviation = posterior_deviation(judged.pyramid, judged.level, judged.z)
-    return (POSTERIOR_WEIGHT * deviation / judged.limit) ** 4
-
-
-def by_finer_model(judged: Judged) -> np.ndarray:
-    """How far off the answer to a finer model would be; that is about the same in nodes on every grid."""
-    off = finer_model_depth(judged.pyramid, judged.level, judged.z) - judged.z
-    return FINER_WEIGHT * blurred((off / 2**judged.coarser) ** 2) / judged.limit**2
-
-
-def by_misfit(judged: Judged) -> np.ndarray:
-    """How poorly the first image is explained, beyond its noise on the answer's grid."""
-    noise = judged.pyramid.noise * 0.5 ** (judged.level - judged.coarser)
-    doubt: np.ndarray = judged.misfit / (POOR * IMAGE_RMS + 3 * noise) ** 2
-    return doubt
-
-
-DOUBTS: tuple[Callable[[Judged], np.ndarray], ...] = (by_rivals, by_noise, by_finer_model, by_misfit)
+    pyramid, found = multigrid.pyramid, list[Rival]()
+    pyramid.set_prior(level, on_coarser_grid(z))
+    own = multigrid.relax(level, z, ())
+    for share in SHALLOWER:
+        deepest = float(np.quantile(own.depth, share))
+        with pyramid.no_deeper_than(deepest, level):
+            low, high = pyramid.bounds[pyramid.coarsest]
+            start = multigrid.solve((low + high) / 2, pyramid.coarsest, level, accept=False).depth
+        pyramid.set_prior(level, on_coarser_grid(start))
+        other = multigrid.relax(level, start, ())
+        found.append(Rival(other.depth - own.depth, math.sqrt(min(1, own.objective / other.objective))))
+    return found
 
 
 def even_albedo_depth(pyramid: Pyramid, level: int, z: np.ndarray) -> np.ndarray:
@@ -171,25 +235,6 @@ def finer_model_depth(pyramid: Pyramid, level: int, z: np.ndarray) -> np.ndarray
         found = problem.run(found, smoothness, REFIT_STEPS, ITERATIONS, *CLOSE, pyramid.stop).depth
     problem.set_targets(images)
     return found
-
-
-def posterior_deviation(pyramid: Pyramid, level: int, z: np.ndarray, seed: int = 0) -> np.ndarray:
-    """Posterior standard deviation of depth at z by the linear model, in nodes of this grid: what noise as
-    large as the image's own and MODEL_ERROR of the image's rms would make of it. z itself is the prior, so
-    that noise alone moves it.
-    """
-    problem, rng = pyramid.problem(level), np.random.default_rng(seed)
-    sigma = math.hypot(pyramid.noise * 0.5**level, MODEL_ERROR * IMAGE_RMS)
-    total = np.zeros(z.shape)
-    images = problem.irradiances(z)
-    problem.set_prior(z)
-    for _ in range(PROBES):
-        problem.set_targets([image + sigma * rng.normal(size=z.shape) for image in images])
-        problem.value(z, 0.0)
-        total += problem.step(pyramid.smoothness(level), ITERATIONS, CLOSE[0]) ** 2
-    problem.set_targets(pyramid.images[level])
-    deviation: np.ndarray = np.sqrt(blurred(total / PROBES))
-    return deviation
 
 
 def other_depths(pyramid: Pyramid, level: int, z: np.ndarray, apart: float) -> np.ndarray:

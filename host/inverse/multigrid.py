@@ -42,7 +42,7 @@ class Multigrid:
     """
 
     def __init__(self, pyramid: Pyramid, several: bool = False):
-        self.pyramid = pyramid
+        self.pyramid, self.several = pyramid, several
         self.accuracy = CLOSE if several else LOOSE
         self.damping: dict[int, float] = {}  # of the cycles' last steps on each grid
 

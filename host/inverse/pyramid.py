@@ -5,11 +5,12 @@ Grids are box means of the images, coarser by factors of two.
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import logging
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -37,6 +38,7 @@ TEXTURE = 16.0
 # variance of second differences of a surface on the grid of starts, and of what a grid adds to a coarser one,
 # against which noise is weighed
 PRIOR_VARIANCE, ADDED_VARIANCE = 0.1, 0.03
+LEAST_RANGE = 0.5  # nodes between the bounds of depth, when they are brought closer
 NORMAL_QUARTILE = 0.6745  # median of the absolute value of a standard normal number
 CROSS_NORM = 6  # root of the sum of squares of the cross of second differences
 
@@ -204,6 +206,20 @@ class Pyramid:
         self.bounds = bounds
         for level, problem in self.problems.items():
             problem.set_bounds(*bounds[level])
+
+    @contextlib.contextmanager
+    def no_deeper_than(self, deepest: float, level: int) -> Iterator[None]:
+        """Closer bounds on all grids for a time: no depth beyond ``deepest`` [nodes of grid ``level``]."""
+        free = self.bounds
+        closer = (
+            (low, np.clip(deepest * 2.0 ** (level - grid), low + LEAST_RANGE, high))
+            for grid, (low, high) in enumerate(free)
+        )
+        self.set_bounds(list(closer))
+        try:
+            yield
+        finally:
+            self.set_bounds(free)
 
     def set_prior(self, level: int, z: np.ndarray) -> None:
         """Makes the part of the smoothness that stands for noise act on the difference to z. The rest still

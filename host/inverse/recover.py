@@ -23,7 +23,7 @@ from ..rendering import timed
 from ..scene import Scene
 from . import diagnostics
 from .carving import carved_layers
-from .confidence import NEAREST, confidence_of
+from .confidence import NEAREST, confidence_of, deviation_of
 from .multigrid import Multigrid
 from .pyramid import Level, Pyramid, noise_of, number_of
 from .resampling import doubled
@@ -35,6 +35,7 @@ MOST_LAYERS = 2**20
 CANDIDATES = Quantity("depth_candidate", None, "depth that fits the image too, in the unit of spacing")
 MAPS = (  # fields of Recovery that are maps
     Quantity("depth", None, "depth, in the unit of spacing"),
+    Quantity("std", None, "standard deviation of the depth, in the unit of spacing"),
     Quantity("confidence", "1", "confidence in the depth"),
     Quantity("ambiguous", "1", "whether other depths fit the image too"),
     Quantity("albedo", "1", "diffuse reflectance"),
@@ -52,15 +53,18 @@ EXPLAINED, CLEARLY = 0.006, 0.05
 class Recovery:
     """What recover() gives.
 
-    depth (rows, cols) float32 [unit of spacing]; confidence (rows, cols) float32, 0 to 1, below 0.5: do not
-    trust (1 where the paper's method did not drill, else 0); candidates (n, rows, cols) float32: the depth
-    itself, and other depths at which a pixel has its value while the surface goes up or down as a whole, nan
-    where there is none; ambiguous (rows, cols) bool: there are such, and the confidence is below 0.5; drilled
-    (rows, cols) bool: columns that carving went through to the back; residual (rows, cols) float32: model -
-    image of the first image (0 for the paper's method); albedo (rows, cols) float32: that which was found,
-    None if it was given; levels: shape, residual and seconds of every grid; backend (its name); seconds
-    without compiling, compile_seconds; warnings; interreflection: whether the model of the images has light
-    between surfaces. Arrays of an image that is an xarray.DataArray are some too.
+    depth (rows, cols) float32 [unit of spacing]; std (rows, cols) float32 [unit of spacing]: posterior
+    standard deviation of depth, of noise, model error and other answers (docs/explanation/inverse.md), finite, since no
+    pixel is masked; None by the paper's method; confidence (rows, cols) float32, 0 to 1: about how likely
+    it is that depth is within 1/64 of its range, and at least a node, 1 / (1 + (0.674 std / that)^2); below
+    0.5: do not trust (1 where the paper's method did not drill, else 0); candidates (n, rows, cols) float32:
+    the depth itself, and other depths at which a pixel has its value while the surface goes up or down as a
+    whole, nan where there is none; ambiguous (rows, cols) bool: there are such, and the confidence is below
+    0.5; drilled (rows, cols) bool: columns that carving went through to the back; residual (rows, cols)
+    float32: model - image of the first image (0 for the paper's method); albedo (rows, cols) float32: that
+    which was found, None if it was given; levels: shape, residual and seconds of every grid; backend (its
+    name); seconds without compiling, compile_seconds; warnings; interreflection: whether the model of the
+    images has light between surfaces. Arrays of an image that is an xarray.DataArray are some too.
     """
 
     depth: np.ndarray
@@ -69,6 +73,7 @@ class Recovery:
     seconds: float
     compile_seconds: float
     warnings: list[str] = field(default_factory=list)
+    std: np.ndarray | None = None
     confidence: np.ndarray | None = None
     candidates: np.ndarray | None = None
     ambiguous: np.ndarray | None = None
@@ -331,12 +336,14 @@ def _robust(
 
     pyramid.stop, pyramid.report = lambda: spent() > seconds_left, report
     several = any(map(_directed, lights))  # answers: then the lower objective need not be the right one's
-    search = Search(Multigrid(pyramid, several), several)
+    multigrid = Multigrid(pyramid, several)
+    search = Search(multigrid, several)
     warnings += _searched(search, seconds_left)
     level, z = pyramid.best or (pyramid.coarsest, _halfway(pyramid))
 
     depth_range = float((high - low).mean())
-    confidence, others = confidence_of(pyramid, level, z, search.rivals, search.comparing, depth_range)
+    std, others = deviation_of(multigrid, level, z, search.rivals, search.comparing, depth_range)
+    confidence = confidence_of(std, depth_range)
     ambiguous = np.isfinite(others).any(0) & (confidence < 0.5)
 
     for finer in range(level - 1, -1, -1):
@@ -355,6 +362,7 @@ def _robust(
         seconds=spent(),
         compile_seconds=engine.compile_seconds - compiled,
         warnings=warnings,
+        std=(std * scene.spacing).astype(np.float32),
         confidence=confidence.astype(np.float32),
         candidates=np.concatenate([depth[None], (others * scene.spacing).astype(np.float32)]),
         ambiguous=ambiguous,

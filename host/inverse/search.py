@@ -28,7 +28,6 @@ BETTER = 0.5  # share of the objective below which another start is believed ins
 CLEARLY = 0.9  # the same where one answer is expected, once answers are compared
 CONFINED = (0.9, 0.75)  # shares of the pixels whose depth the first answer leaves to the others
 ALIKE = 0.05  # nodes (rms) between surfaces that are one answer
-LEAST_RANGE = 0.5  # nodes between the bounds of depth
 FOLLOWED = 8.0  # times the objective on a coarser grid up to which a start is followed
 LEAST_MISFIT = 1e-12  # of a neighbourhood, where the weights of a mosaic would divide by zero
 RIVAL = 6.0  # times the objective up to which another start counts as an answer
@@ -136,17 +135,8 @@ def start_shallower(search: Search) -> None:
 def _confined(search: Search, deepest: float) -> Solution:
     """With no depth beyond ``deepest`` [nodes of the answers' grid] until the end."""
     pyramid, level = search.pyramid, search.level
-    free = pyramid.bounds
-    pyramid.set_bounds(
-        [
-            (low, np.clip(deepest * 2.0 ** (level - grid), low + LEAST_RANGE, high))
-            for grid, (low, high) in enumerate(free)
-        ]
-    )
-    try:
+    with pyramid.no_deeper_than(deepest, level):
         z = search.multigrid.solve(*search.begun, level, accept=False).depth
-    finally:
-        pyramid.set_bounds(free)
     return Solution(z, math.inf) if pyramid.stop() else search.multigrid.relax(level, z, ())
 
 
