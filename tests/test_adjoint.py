@@ -688,8 +688,8 @@ def test_the_posterior_is_that_of_the_dense_hessian(fast):
     again = posterior_deviation(made, z, weight, 2 * sigma, probes=20)
     once = posterior_deviation(made, z, weight, sigma, probes=20)
     np.testing.assert_allclose(again, 2 * once, rtol=1e-2)  # as close as conjugate gradients go
-    alone = posterior_deviation(problem(fast, both[0], shape, "dark", 0.7), z, weight, sigma, probes=100)
-    assert np.mean(alone) > 1.1 * np.mean(once)
+    alone = posterior_deviation(problem(fast, both[0], shape, "dark", 0.7), z, weight, sigma, probes=400)
+    assert np.mean(alone) > 1.03 * np.mean(found)
 
 
 def test_a_sample_of_the_prior_has_its_covariance():

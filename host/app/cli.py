@@ -251,10 +251,7 @@ def recover(
     """
     out = output.needed(target, out)
     output.check(out, as_json, figure)
-    if std is not None:
-        output.check(std, as_json)
-        if method != "robust":
-            raise typer.BadParameter("it goes with --method robust", param_hint="--std")
+    _check_std(std, method, as_json)
     if picture is None and out != "-" and method == "robust":
         picture = str(Path(out).with_name(Path(out).stem + "_picture.png"))
     if picture is not None:
@@ -299,6 +296,13 @@ def recover(
         confident=float(np.mean(done.confidence >= 0.5)),
         levels=[level._asdict() for level in done.levels],
     )
+
+
+def _check_std(std: str | None, method: str, as_json: bool) -> None:
+    if std is not None:
+        output.check(std, as_json)
+        if method != "robust":
+            raise typer.BadParameter("it goes with --method robust", param_hint="--std")
 
 
 @app.command(epilog=epilog("horizon"))

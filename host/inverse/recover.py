@@ -54,10 +54,10 @@ class Recovery:
     """What recover() gives.
 
     depth (rows, cols) float32 [unit of spacing]; std (rows, cols) float32 [unit of spacing]: posterior
-    standard deviation of depth, of noise, model error and other answers (docs/explanation/inverse.md), finite, since no
-    pixel is masked; None by the paper's method; confidence (rows, cols) float32, 0 to 1: about how likely
-    it is that depth is within 1/64 of its range, and at least a node, 1 / (1 + (0.674 std / that)^2); below
-    0.5: do not trust (1 where the paper's method did not drill, else 0); candidates (n, rows, cols) float32:
+    standard deviation of depth, of noise, model error and other answers (docs/explanation/inverse.md),
+    finite, since no pixel is masked; None by the paper's method; confidence (rows, cols) float32, 0 to 1:
+    about how likely it is that depth is within 1/64 of its range, and at least a node; below 0.5: do not
+    trust (1 where the paper's method did not drill, else 0); candidates (n, rows, cols) float32:
     the depth itself, and other depths at which a pixel has its value while the surface goes up or down as a
     whole, nan where there is none; ambiguous (rows, cols) bool: there are such, and the confidence is below
     0.5; drilled (rows, cols) bool: columns that carving went through to the back; residual (rows, cols)
@@ -336,13 +336,12 @@ def _robust(
 
     pyramid.stop, pyramid.report = lambda: spent() > seconds_left, report
     several = any(map(_directed, lights))  # answers: then the lower objective need not be the right one's
-    multigrid = Multigrid(pyramid, several)
-    search = Search(multigrid, several)
+    search = Search(Multigrid(pyramid, several), several)
     warnings += _searched(search, seconds_left)
     level, z = pyramid.best or (pyramid.coarsest, _halfway(pyramid))
 
     depth_range = float((high - low).mean())
-    std, others = deviation_of(multigrid, level, z, search.rivals, search.comparing, depth_range)
+    std, others = deviation_of(search.multigrid, level, z, search.rivals, search.comparing, depth_range)
     confidence = confidence_of(std, depth_range)
     ambiguous = np.isfinite(others).any(0) & (confidence < 0.5)
 
