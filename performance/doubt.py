@@ -211,7 +211,7 @@ def main() -> None:
     parser.add_argument("--backend", default="auto")
     parser.add_argument("--cache", default="build/doubt", help="folder of what was recovered")
     parser.add_argument("--only", default="", help="cases whose name holds this")
-    parser.add_argument("--out", default="docs/evidence")
+    parser.add_argument("--out", default="docs")
     options = parser.parse_args()
     cache, out = Path(options.cache), Path(options.out)
     cache.mkdir(parents=True, exist_ok=True)
