@@ -357,9 +357,9 @@ def horizon(
     }
     node = parsing.numbers(at, "--at", "ROW,COL") if at else ()
     scene, raster = parsing.scene(file, height, spacing, None, nodata, sides, resample)
-    name = select(backend).name
     found: np.ndarray | None = None
     with output.progress_bar("looking for horizons"):
+        name = select(backend).name
         if out:
             found = quantities[what](scene, azimuths=azimuths, backend=name, max_distance=max_distance)
         if picture:
@@ -548,7 +548,8 @@ def demo(
     """Real mountains under two skies and a lamp, depth recovered from a picture, and every backend beside the
     others.
     """
-    select(backend)  # a name that is not there shall leave nothing behind
+    with output.progress_bar("looking for devices"):
+        select(backend)  # a name that is not there shall leave nothing behind
     folder = io.folder(out)
     with output.progress_bar("demo") as progress:
         facts = demos.demo(folder, backend, progress, as_json)
