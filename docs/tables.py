@@ -44,7 +44,7 @@ def table(head: Iterable[str], body: Iterable[Iterable[object]]) -> str:
 def digits(value: float, count: int = 2) -> str:
     """Rounded to some significant digits, without an exponent."""
     rounded = float(f"{value:.{count}g}")
-    return f"{rounded:.0f}" if abs(rounded) >= 10 ** (count - 1) else f"{rounded:.10f}".rstrip("0")
+    return f"{rounded:.0f}" if abs(rounded) >= 10 ** (count - 1) else f"{rounded:.10f}".rstrip("0").rstrip(".")
 
 
 # -- other packages: performance/horizon.py --peers ------------------------------------------------------
@@ -209,7 +209,7 @@ def svf_h200() -> str:
 
 
 def whole_calls() -> str:
-    places = (("opencl", "numpy", ("new", "known", "kernels")), ("warp:cuda:0", "cupy", ("known", "kernels")))
+    places = tuple((name, "numpy", ("new", "known", "kernels")) for name in ("opencl", "warp:cuda:0"))
     return table(
         (
             "4096 x 4096 nodes, ms",
