@@ -44,7 +44,9 @@ def table(head: Iterable[str], body: Iterable[Iterable[object]]) -> str:
 def digits(value: float, count: int = 2) -> str:
     """Rounded to some significant digits, without an exponent."""
     rounded = float(f"{value:.{count}g}")
-    return f"{rounded:.0f}" if abs(rounded) >= 10 ** (count - 1) else f"{rounded:.10f}".rstrip("0").rstrip(".")
+    return (
+        f"{rounded:.0f}" if abs(rounded) >= 10 ** (count - 1) else f"{rounded:.10f}".rstrip("0").rstrip(".")
+    )
 
 
 # -- other packages: performance/horizon.py --peers ------------------------------------------------------
@@ -396,6 +398,37 @@ def recover_machine() -> str:
 
 
 # -------------------------------------------------------------------------------------------------------
+
+# -- generated cases: performance/campaign.py ------------------------------------------------------------
+
+
+def campaign_relations() -> str:
+    """Cases and failures of every relation, over all seeds."""
+    cases: dict[str, int] = {}
+    failures: dict[str, int] = {}
+    for run in facts("campaign")["relations"]:
+        for name, count in run["by relation and backend"].items():
+            relation = name.split(",")[0]
+            cases[relation] = cases.get(relation, 0) + count
+        for failure in run["failures"]:
+            failures[failure["relation"]] = failures.get(failure["relation"], 0) + 1
+    lines = [
+        (name, count, failures.get(name, 0)) for name, count in sorted(cases.items(), key=lambda c: -c[1])
+    ]
+    total = "all", sum(cases.values()), sum(failures.values())
+    return table(("relation", "cases", "failures"), [*lines, total])
+
+
+def campaign_tolerance() -> str:
+    """How many images were within their tolerance, of how many."""
+    runs = [run["tolerance"] for run in facts("campaign")["relations"]]
+    return f"{sum(run['kept'] for run in runs)} of {sum(run['cases'] for run in runs)}"
+
+
+def campaign_files() -> str:
+    """Damaged files that were read."""
+    return str(sum(run["cases"] for run in facts("campaign")["damaged files"]))
+
 
 MAKERS: dict[str, Callable[[], str]] = {
     name.replace("_", "-"): function

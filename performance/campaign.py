@@ -1,4 +1,4 @@
-"""Generated cases against all that must hold of them, on every backend; docs/trust.md tells what was found.
+"""Generated cases against all that must hold of them, on every backend; docs/evidence/robustness.md: results.
 
     python performance/campaign.py --cases 10000 --seed 1 --seconds 2400 --out campaign
     python performance/campaign.py --kills 300 --calls 200 --out surroundings

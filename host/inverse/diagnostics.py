@@ -14,7 +14,7 @@ from .pyramid import COARSEST, IMAGE_RMS, Pyramid
 OPEN_SKY = "Open sides under a sky are ill-posed: a flat surface explains a plane's image at any depth."
 POORLY = 0.03  # residual, as a share of the image, from which an image is called unexplained
 # the same from which light between surfaces counts as not explained to the end: in performance/recover.py
-# --what between depth was 1.5 to 2 layers off beyond 0.016, and 0.4 at most below 0.007
+# --what between the error of depth was 1.5 to 2 layers beyond 0.008, and 0.4 at most below 0.007
 UNSETTLED = 0.008
 # by how much the model may fall short of the image: share of the image's rms, and of the pixels
 TOO_BRIGHT, TOO_MANY = 0.1, 0.02
