@@ -56,6 +56,9 @@ SQUARE = 8
 SLICES = 8  # slices of a node come in multiples of this: lanes of a vector on a CPU
 
 # Light between surfaces, opencl/interreflection.cl
+# least share of a node's light that leaves its surroundings, in the light that rounds begin with: a node that
+# sees no sky among white ground would begin at infinity; chosen
+LEAST_ESCAPE = 1e-3
 # second difference of the ground [spacing] from which on the light of a node is not interpolated: at the edge
 # of a slope of 45 degrees it is 1, at that of a wall more than 2; chosen
 KINK = 2.0

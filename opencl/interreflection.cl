@@ -229,7 +229,7 @@ __kernel void begin(__global float *direct, __global const float *albedo, __glob
     return;
   const float light = direct[q] > 0 ? direct[q] : 0.0f;
   direct[q] = light;
-  irradiance[q] = light / (1 - albedo[varies ? q : l] * (1 - sky[p]));
+  irradiance[q] = light / fmax(1 - albedo[varies ? q : l] * (1 - sky[p]), LEAST_ESCAPE);
 }
 
 /* gather: sums of strips at every stride-th node of every stride-th row, or every 2^shift-th if that is less.

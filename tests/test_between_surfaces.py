@@ -241,3 +241,13 @@ def test_bad_arguments(call, says):
     """One clear error that names the argument."""
     with pytest.raises(sl.InputError, match=says):
         call()
+
+
+@pytest.mark.parametrize("sides", ["dark", "periodic"])
+def test_white_ground_with_holes(backend, sides):
+    """Masked nodes send nothing: what stands in them spoils no other node."""
+    depth = np.array([[0.625, 0, 0.03125], [0, 0.796875, 0.890625]])
+    mask = np.array([[True, False, True], [False, True, True]])
+    scene = sl.Scene(depth, mask=mask, albedo=1.0, sides=sides)
+    image = sl.render(scene, sl.Sky(), tolerance=0.05, backend=backend, interreflection=True).image
+    np.testing.assert_array_equal(np.isfinite(image), mask)

@@ -205,7 +205,7 @@ def test_command_line(tmp_path, monkeypatch, capsys, fast):
         (2, ["field", "d.npy"]),
         (3, ["field", "d.npy", "--plot", "a.jpg"]),
         (3, ["field", "d.npy", "--plot", "no/a.png"]),
-        (3, ["horizon", "d.npy", "--what", "joy", "--out", "a.npy"]),
+        (2, ["horizon", "d.npy", "--what", "joy", "--out", "a.npy"]),
         (3, ["horizon", "d.npy", "--at", "1,2", "--plot", "a.png", "--source", "lamp.exr"]),
     ):
         assert run(capsys, *command)[0] == code, command

@@ -248,7 +248,7 @@ def test_zarr_takes_the_result_as_it_is(dem, fast, tmp_path):
     pytest.importorskip("zarr")
     found = svf(dem.chunk({"y": 100, "x": 100}), fast)
     found.to_dataset().to_zarr(tmp_path / "svf.zarr", consolidated=False)
-    kept = xr.open_zarr(tmp_path / "svf.zarr", consolidated=False)["elevation"]
+    kept = xr.open_zarr(tmp_path / "svf.zarr", consolidated=False)["sky_view_factor"]
     assert_bits_equal(kept.values, found.compute().values)
 
 

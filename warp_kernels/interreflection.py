@@ -15,6 +15,7 @@ from skylamp.constants import (
     HALF_PI,
     HIGHEST_MASKED,
     KINK,
+    LEAST_ESCAPE,
     PERIODIC,
     PI,
 )
@@ -242,7 +243,10 @@ def begin(
     if direct[q] > 0.0:
         light = direct[q]
     direct[q] = light
-    irradiance[q] = light / (1.0 - share * (1.0 - sky[p]))
+    escapes = 1.0 - share * (1.0 - sky[p])
+    if not escapes > LEAST_ESCAPE:
+        escapes = wp.float32(LEAST_ESCAPE)
+    irradiance[q] = light / escapes
 
 
 @wp.kernel

@@ -24,7 +24,7 @@ _OF = {
     "chart": ("skylamp chart --out chart --sizes 128,512",),
     "backends": ("skylamp backends", "skylamp backends --json"),
     "selftest": ("skylamp selftest",),
-    "doctor": ("skylamp doctor > doctor.json",),
+    "doctor": ("skylamp doctor",),
     "demo": ("skylamp demo --out demo",),
     "view": ("skylamp view dem.tif", "skylamp view height.npy --height --port 8081 --no-browser"),
 }

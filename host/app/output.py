@@ -104,10 +104,10 @@ def write(
 
 
 @contextlib.contextmanager
-def native_stderr_silenced(path: Path | str) -> Iterator[None]:
-    """No native output to stderr while an .exr or .hdr is read.
+def native_output_silenced(path: Path | str) -> Iterator[None]:
+    """No native output while an .exr or .hdr is read.
 
-    OpenEXR and OpenCV write there about damage, which the error of the command names too.
+    OpenEXR and OpenCV write to stdout and stderr about damage, which the error of the command names too.
     """
     with _silenced() if str(path).lower().endswith(HDR) else contextlib.nullcontext():
         yield
@@ -115,16 +115,20 @@ def native_stderr_silenced(path: Path | str) -> Iterator[None]:
 
 @contextlib.contextmanager
 def _silenced() -> Iterator[None]:
-    """No native output to stderr."""
-    sys.stderr.flush()
-    kept = os.dup(2)
+    """No native output to stdout and stderr."""
+    kept: dict[int, int] = {}
     null = os.open(os.devnull, os.O_WRONLY)
+    for stream, number in ((sys.stdout, 1), (sys.stderr, 2)):
+        with contextlib.suppress(OSError, ValueError):  # of a stream that is closed
+            stream.flush()
+            kept[number] = os.dup(number)
+            os.dup2(null, number)
     try:
-        os.dup2(null, 2)
         yield
     finally:
-        os.dup2(kept, 2)
-        os.close(kept)
+        for number, copy in kept.items():
+            os.dup2(copy, number)
+            os.close(copy)
         os.close(null)
 
 

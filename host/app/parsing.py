@@ -15,7 +15,7 @@ from ..reflectance import Lambertian, Mirror, Phong, Reflectance
 from ..scene import Scene
 from ..sources import Lamp, Sky, Source, Window, cie_overcast, environment_map
 from ..sources.cie import cie_sky, sun_position
-from .output import native_stderr_silenced
+from .output import native_output_silenced
 
 CLEAR = 12  # the CIE's number of the clear sky
 
@@ -34,7 +34,7 @@ def scene(
     if resample and raster is None:
         raise typer.BadParameter(f"{file} is not a GeoTIFF", param_hint="--resample")
     height = raster is not None if height is None else height
-    with native_stderr_silenced(file):
+    with native_output_silenced(file):
         values = io.read(file, "height" if height else "depth") if raster is None else raster.values
     mask = None if raster is None or raster.mask.all() else raster.mask
     if nodata is not None:
@@ -105,7 +105,7 @@ def _sky(kind: str) -> Sky:
             repr(kind),
             "sky, overcast, clear, cie1 to cie15, lamp, window, or an existing file (an environment map)",
         )
-    with native_stderr_silenced(kind):
+    with native_output_silenced(kind):
         return Sky(environment_map(io.read_environment(kind)))
 
 
@@ -189,7 +189,7 @@ def radiance(file: Path, white: float | None) -> np.ndarray:
 
     Counts need a scale, the file's own or --white; floating values are radiance already.
     """
-    with native_stderr_silenced(file):
+    with native_output_silenced(file):
         image = io.read(file, "image")
     if image.dtype.kind == "f":
         if white is not None:

@@ -29,7 +29,7 @@ from ..scene import Scene
 from ..sources import Lamp, Sky, Source, cie_overcast
 from ..sources.cie import cie_clear
 from . import plot
-from .output import native_stderr_silenced
+from .output import native_output_silenced
 
 COARSE_SIDE = 160  # [node] of the map that is rendered while the mouse moves; twice takes four times as long
 COARSE_AZIMUTHS = 8  # in which it is; half of it shows as stripes
@@ -86,7 +86,7 @@ def read(file: Path, height: bool | None, spacing: float | None, resample: bool)
         )
         return Map(raster.values, height is not False, step, raster.mask, lines)
     kind, step = "height" if height else "depth", 1.0 if spacing is None else spacing
-    with native_stderr_silenced(file):
+    with native_output_silenced(file):
         values = io.read(file, kind)
     call = f"values, mask, spacing = io.read({str(file)!r}, {kind!r}), None, {step!r}"
     return Map(values, bool(height), step, None, ("from skylamp import io", call))

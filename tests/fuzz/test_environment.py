@@ -33,7 +33,7 @@ def test_killed_writers_leave_no_half_file():
     """kill -9 at random moments: the file is the one before or the one after."""
     for suffix in (".npy", ".png", ".tif"):
         half, _ = environment.killed_writers(5, suffix)
-        assert half == 0
+        assert half == 0, suffix
 
 
 @pytest.mark.slow

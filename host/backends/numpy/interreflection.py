@@ -211,7 +211,8 @@ def begin(
 ) -> None:
     light = direct.reshape(n, pixels)
     light[...] = np.where(light > 0, light, ZERO)
-    irradiance.reshape(n, pixels)[...] = light / (ONE - albedo.reshape(n, -1) * (ONE - sky))
+    escapes = np.fmax(ONE - albedo.reshape(n, -1) * (ONE - sky), np.float32(constants.LEAST_ESCAPE))
+    irradiance.reshape(n, pixels)[...] = light / escapes
 
 
 def gather(
