@@ -55,6 +55,7 @@ def launched(monkeypatch):
     return watch
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("tolerance", [0.01, 0.003])
 def test_all_light_is_within_the_tolerance(backend, tolerance):
     """Under a uniform sky, at albedo 0.8, against the oracle; direct light alone is far off."""

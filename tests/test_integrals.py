@@ -195,6 +195,7 @@ def test_few_azimuths_are_right_on_planes(fast, seed):
 # --- features that are named
 
 
+@pytest.mark.slow
 def test_a_spot_is_found_where_it_is_named(fast):
     """Of 0.01 degrees radius, named by the sky, by a vector of any length, or by the function."""
     rng = np.random.default_rng(11)

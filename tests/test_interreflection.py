@@ -49,6 +49,7 @@ def lights(shape, count=3):
     return list(np.random.default_rng(0).random((count, *shape)).astype(np.float32))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sides", ["open", "dark", "periodic"])
 @pytest.mark.parametrize("has_mask", [False, True], ids=["whole", "masked"])
 def test_strips_are_the_oracles(backend, sides, has_mask):

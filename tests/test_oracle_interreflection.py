@@ -50,6 +50,7 @@ def test_bowl(angle, bound):
     assert abs(total.mean() / alone - 1) > 0.07
 
 
+@pytest.mark.slow
 def test_white_furnace():
     """Albedo 1 on a map that repeats: E = pi everywhere, whatever the ground."""
     shares, sky = strips(rough(12, 16, 1.0), 16, "periodic")
@@ -71,6 +72,7 @@ def test_nothing_comes_from_nowhere(sides):
     )
 
 
+@pytest.mark.slow
 def test_facing_walls():
     """Two endless walls that meet in a groove: the view factor of parallel strips, weighted by brightness.
 

@@ -97,6 +97,7 @@ def test_tangent_plane(fast):
     assert np.isnan(radius[(angle > 185) & (angle < 355)]).all()
 
 
+@pytest.mark.slow
 def test_panels(fast):
     """Image, depth, truth, error and confidence with their own values, both depths on one scale."""
     image = sl.render(sl.Scene(HILLS, sides="dark"), sl.Sky(), backend=fast).image

@@ -14,6 +14,7 @@ SHELL = re.findall(r"^```sh\n(.*?)^```", README, re.DOTALL | re.MULTILINE)
 BLOCKS = re.findall(r"^```python\n(.*?)^```", README, re.DOTALL | re.MULTILINE)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", range(len(SHELL)))
 def test_shell_blocks_run(number, tmp_path):
     """Every command as written; installing and the suite itself are what .ci/run does."""

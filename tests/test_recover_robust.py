@@ -273,6 +273,7 @@ def test_a_spotlights_wrong_pixels_are_marked(fast):
     assert np.concatenate(wrong).mean() > 0.9 and np.concatenate(right).mean() < 0.15
 
 
+@pytest.mark.slow
 def test_real_terrain_under_a_lamp(fast):
     """A crop of real terrain, larger than the grid on which confidence is worked out: shape and normals, and
     most of it is trusted.

@@ -127,6 +127,7 @@ def test_bytes_do_not_depend_on_schedulers(dem, fast):
     assert_bits_equal(lazy[100:170, 60:80].compute(scheduler="sync").values, expected[100:170, 60:80])
 
 
+@pytest.mark.slow
 def test_tiles_in_memory_are_those_of_a_lazy_map(dem, fast):
     """A map at once, its tiles one by one, and lazily: the same but for roundings of heights."""
     for work, limit in (
@@ -344,6 +345,7 @@ def houses(size, seed=2):
     return heights
 
 
+@pytest.mark.slow
 def test_far_ground_among_houses_is_said(fast):
     """An audit of every tile tells the error that overviews add, where it is large or beyond a tolerance."""
     heights, options = houses(256), dict(azimuths=16, backend=fast)

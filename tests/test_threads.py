@@ -101,6 +101,7 @@ def test_recover_on_threads(fast):
     assert [found.tobytes() for found in together(jobs)] == expected
 
 
+@pytest.mark.slow
 def test_one_scene_on_all_backends_at_once():
     """They share what is remembered of a scene, and nothing else."""
     scene = sl.Scene(depth_of(5))

@@ -240,6 +240,7 @@ def test_backends_agree_on_lamps_and_windows_where_rounding_decides(backend, sou
     )
 
 
+@pytest.mark.slow
 def test_the_whole_real_terrain_is_the_same_everywhere(backend, fast):
     """344 x 403 nodes in metres, against the quickest backend here, and the oracle's rule on a row."""
     if backend == fast:
@@ -374,6 +375,7 @@ def test_what_cannot_fit_is_an_error_that_names_the_bytes(backend, monkeypatch):
         sl.visibility_field(scene, SKY, 9, backend=backend, max_bytes=1000)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sides", scenes.SIDES)
 def test_garbage_in_new_arrays_does_not_show(backend, sides, monkeypatch):
     """Device arrays that a kernel should fill start out full of 0xA5: what it leaves out would be seen."""
@@ -492,6 +494,7 @@ def test_a_view_shows_source_and_ground_where_they_are(backend):
     )
 
 
+@pytest.mark.slow
 def test_a_lamp_far_above_a_pit_takes_no_steps(backend):
     """Straight up nothing stands in the way of a sphere, however many layers lie between."""
     scene = sl.Scene(np.full((3, 4), 3e7), sides="dark")
