@@ -31,7 +31,6 @@ from .refinement import Plan, Refined, refined, solid_of
 from .reflectance import BRDF, Phong
 from .scale import Audit, fits, holds, limited, over_area, tiled, warn
 from .scene import Scene, is_scene
-from .sources import cie
 from .sources.integrals import Integrals, chords
 from .sources.solids import Dome, upright
 
@@ -724,8 +723,7 @@ class _Renderer:
 
     def _sky_lobe(self, grey: sources.Source) -> np.ndarray:
         assert self.lobe is not None, "called for surfaces with a lobe"
-        has_sun, max_distance = self.sun is not None, self.options.max_distance
-        return _lobe_of_sky(self.scene, grey, self.engine, self.lobe, has_sun, max_distance)
+        return _lobe_of_sky(self.scene, grey, self.engine, self.lobe, self.options.max_distance)
 
     def _solid_lobe(self, grey: sources.Source) -> np.ndarray:
         assert self.lobe is not None, "called for surfaces with a lobe"
@@ -847,7 +845,7 @@ def _plan_of(
     scene: Scene, source: sources.Source, azimuths: int | Azimuths | None, max_distance: float | None
 ) -> Plan:
     """Horizons or slices, as many as the caller asked for, checked."""
-    if getattr(source, "corner", None) is None:
+    if not (isinstance(source, sources.Lamp) and source.corner is not None):
         sources.geometry(source, scene, 1.0)  # checks that they fit
     if isinstance(source, sources.Sky):
         return Plan("horizon", None, None, "as asked", len(_sectors(azimuths)), max_distance)
@@ -952,8 +950,8 @@ def _slices(
 
 def _sun_of(scene: Scene, source: sources.Source, max_distance: float | None) -> sources.Lamp | None:
     """The disc of a sky's sun, as a lamp so far away that it stands in one direction for the whole map."""
-    brightness: Any = source.brightness
-    if not isinstance(source, sources.Sky) or not getattr(brightness, "direct", 0):
+    brightness = sources.distribution_of(source)
+    if not isinstance(source, sources.Sky) or brightness is None or (disc := brightness.disc()) is None:
         return None
     if scene.sides == "periodic" or max_distance is not None:
         raise bad(
@@ -969,8 +967,9 @@ def _sun_of(scene: Scene, source: sources.Source, max_distance: float | None) ->
             "Give the sun as a Lamp of its own.",
         )
     extent = max(max(scene.shape) * scene.spacing, scene.deepest)
-    disc: sources.Lamp = brightness.disc(SUN_DISTANCE * extent)
-    return disc
+    distance = SUN_DISTANCE * extent
+    x, y, z = distance * np.array(disc.direction)
+    return sources.Lamp((x, y, z), distance * math.sin(disc.radius), disc.brightness)
 
 
 # -- lobes
@@ -981,17 +980,16 @@ def _lobe_of_sky(
     grey: sources.Source,
     engine: Backend,
     lobe: Lobe,
-    has_sun: bool,
     max_distance: float | None,
 ) -> np.ndarray:
     """A sky reflected by a lobe: (rows, cols) float32."""
     there = scene.on(engine)
     reach = np.inf if max_distance is None else max_distance * (there.step / scene.spacing)
     table, suns, flux = blurred(sources.without_disc(grey), lobe.spread)
-    if has_sun:
-        brightness: Any = grey.brightness
-        suns = np.concatenate([suns.reshape(-1, 3), [cie.towards(*brightness.sun)]])
-        flux = np.append(flux, brightness.direct)
+    brightness = sources.distribution_of(grey)
+    if brightness is not None and (disc := brightness.disc()) is not None:
+        suns = np.concatenate([suns.reshape(-1, 3), [disc.direction]])
+        flux = np.append(flux, disc.irradiance)
     slices = Slices(there, scene.sides, Dome(reach), table, lobe=lobe)
     slices.run()
     image = slices.download()

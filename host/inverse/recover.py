@@ -415,7 +415,9 @@ def _bound(value: Any, usual: float, what: str, shape: tuple[int, int]) -> np.nd
 
 def _check_shape(light: sources.Source, sides: str) -> None:
     """Refuses sources that slices cannot represent."""
-    if getattr(light, "volume", None) is not None or getattr(light, "aperture", None) is not None:
+    if (isinstance(light, sources.Lamp) and light.volume is not None) or (
+        isinstance(light, sources.Window) and light.aperture is not None
+    ):
         raise bad(
             "method 'robust' with a lamp given as a volume or a window given as an aperture",
             "a shape of nodes",

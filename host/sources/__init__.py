@@ -1,8 +1,31 @@
 """Sources of light: their shapes, their brightness, and its integrals over the sky."""
 
 from ..constants import APERTURE, BALL, RECTANGLE, SKY, VOLUME
-from .brightness import Brightness, cie_overcast, cosine_power, directions_of, environment_map, uniform
-from .shapes import Geometry, Lamp, Sky, Source, Window, channels, geometry, in_range, radiance, without_disc
+from .brightness import (
+    Brightness,
+    BrightnessFunction,
+    Disc,
+    Distribution,
+    cie_overcast,
+    cosine_power,
+    directions_of,
+    environment_map,
+    uniform,
+)
+from .shapes import (
+    Geometry,
+    Lamp,
+    Sky,
+    Source,
+    Window,
+    channels,
+    distribution_of,
+    geometry,
+    in_range,
+    narrow_features,
+    radiance,
+    without_disc,
+)
 from .tables import azimuth_profile, elevation_table
 
 __all__ = [
@@ -12,6 +35,9 @@ __all__ = [
     "SKY",
     "VOLUME",
     "Brightness",
+    "BrightnessFunction",
+    "Disc",
+    "Distribution",
     "Geometry",
     "Lamp",
     "Sky",
@@ -22,10 +48,12 @@ __all__ = [
     "cie_overcast",
     "cosine_power",
     "directions_of",
+    "distribution_of",
     "elevation_table",
     "environment_map",
     "geometry",
     "in_range",
+    "narrow_features",
     "radiance",
     "uniform",
     "without_disc",

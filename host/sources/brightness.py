@@ -7,9 +7,11 @@ section 4).
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from functools import cached_property
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -24,6 +26,80 @@ LEAST_UNIT, MOST_UNIT = 2.0**-40, 2.0**40
 
 BrightnessFunction = Callable[[np.ndarray], np.ndarray]
 Brightness = float | tuple[float, float, float] | BrightnessFunction
+Directions = tuple[tuple[float, ...], ...]  # unit vectors (x, y, z)
+
+
+class Disc(NamedTuple):
+    """A sun's disc of uniform brightness."""
+
+    direction: tuple[float, ...]  # unit vector (x, y, z) towards it
+    irradiance: float  # of a surface that faces it [brightness x sr]
+    radius: float  # [rad]
+
+    @property
+    def brightness(self) -> float:
+        """B of irradiance = pi B sin^2(radius)."""
+        return float(self.irradiance / (np.pi * np.sin(self.radius) ** 2))
+
+
+class Distribution(ABC):
+    """A brightness function that tells what its values in some directions cannot show.
+
+    Whatever integrates, scales or refuses a brightness asks these methods and no other attribute;
+    :func:`distribution` makes one of any function. A disc is not part of the values.
+    """
+
+    @abstractmethod
+    def __call__(self, L: np.ndarray) -> np.ndarray:
+        """Brightness (...), or RGB (..., 3), along unit vectors (..., 3)."""
+
+    def narrow(self) -> Directions | None:
+        """Directions of all features narrower than a degree; None where they are not known."""
+        return None
+
+    def equirectangular(self) -> np.ndarray | None:
+        """The map (rows, cols), or RGB (rows, cols, 3), of which the values are interpolated, if any."""
+        return None
+
+    def disc(self) -> Disc | None:
+        """The sun's disc that ``render`` adds, if any."""
+        return None
+
+    def without_disc(self) -> Distribution:
+        """The same function without a disc."""
+        return self
+
+    def scaled(self, factor: float) -> Distribution:
+        """The same, ``factor`` times as bright."""
+        return Scaled(self, factor)
+
+
+@runtime_checkable
+class NamesPeaks(Protocol):
+    """A caller's function that names its narrow features, see ``Sky``."""
+
+    peaks: Directions | None
+
+
+@dataclass(frozen=True)
+class Function(Distribution):
+    """Any function of directions, with the directions of its narrow features where they are known."""
+
+    function: BrightnessFunction
+    peaks: Directions | None = None
+
+    def narrow(self) -> Directions | None:
+        return self.peaks
+
+    def __call__(self, L: np.ndarray) -> np.ndarray:
+        return self.function(L)
+
+
+def distribution(function: BrightnessFunction) -> Distribution:
+    """``function`` itself if it is a ``Distribution``, else with what its attribute ``peaks`` names."""
+    if isinstance(function, Distribution):
+        return function
+    return Function(function, function.peaks if isinstance(function, NamesPeaks) else None)
 
 
 def uniform(brightness: float = 1.0) -> BrightnessFunction:
@@ -35,7 +111,7 @@ def uniform(brightness: float = 1.0) -> BrightnessFunction:
         Of unit vectors (..., 3); it returns the same brightness (...) for all.
     """
     value = brightness_number(brightness)
-    return _with_peaks(lambda L: np.full(np.shape(L)[:-1], value))
+    return Function(lambda L: np.full(np.shape(L)[:-1], value), ())
 
 
 def cosine_power(
@@ -61,13 +137,9 @@ def cosine_power(
         light: np.ndarray = value * np.maximum(0.0, -(np.asarray(L) @ unit)) ** power
         return light
 
-    return (
-        _with_peaks(spot)
-        if power <= WIDE_POWER
-        else spot
-        if power <= NARROW_POWER
-        else _with_peaks(spot, -unit)
-    )
+    if power <= WIDE_POWER:
+        return Function(spot, ())
+    return spot if power <= NARROW_POWER else Function(spot, (tuple(-unit),))
 
 
 def cie_overcast(zenith: float = 1.0) -> BrightnessFunction:
@@ -79,16 +151,7 @@ def cie_overcast(zenith: float = 1.0) -> BrightnessFunction:
         Of unit vectors (..., 3); it returns their brightness (...) [unit of ``zenith``].
     """
     value = brightness_number(zenith)
-    return _with_peaks(lambda L: value * (1.0 - 2.0 * np.asarray(L)[..., 2]) / 3.0)
-
-
-def _with_peaks(function: BrightnessFunction, *peaks: np.ndarray) -> BrightnessFunction:
-    """``function`` with the attribute ``peaks``, the directions of all its features narrower than a degree.
-
-    Integration searches for no others.
-    """
-    vars(function)["peaks"] = peaks
-    return function
+    return Function(lambda L: value * (1.0 - 2.0 * np.asarray(L)[..., 2]) / 3.0, ())
 
 
 def environment_map(array: Any) -> BrightnessFunction:
@@ -111,12 +174,28 @@ def environment_map(array: Any) -> BrightnessFunction:
             f"{np.nanmin(image)} to {np.nanmax(image)}, finite: {np.isfinite(image).all()}",
             "finite, >= 0",
         )
-    rows, cols = image.shape[:2]
-    pixels = np.pad(image, ((0, 0), (0, 1), *((0, 0),) * (image.ndim - 2)), mode="wrap").reshape(
-        rows * (cols + 1), *image.shape[2:]
-    )
+    return EnvironmentMap(image)
 
-    def brightness(L: np.ndarray) -> np.ndarray:
+
+@dataclass(frozen=True, eq=False)
+class EnvironmentMap(Distribution):
+    """A brightness function, made by :func:`environment_map`: (..., 3) unit vectors -> (...) or (..., 3)."""
+
+    image: np.ndarray
+
+    def equirectangular(self) -> np.ndarray:
+        return self.image
+
+    @cached_property
+    def _pixels(self) -> np.ndarray:
+        """The map, its first column once more behind the last, (rows x (cols + 1), ...)."""
+        image = self.image
+        around = np.pad(image, ((0, 0), (0, 1), *((0, 0),) * (image.ndim - 2)), mode="wrap")
+        return around.reshape(-1, *image.shape[2:])
+
+    def __call__(self, L: np.ndarray) -> np.ndarray:
+        image, pixels = self.image, self._pixels
+        rows, cols = image.shape[:2]
         x, y, z = np.moveaxis(np.asarray(L, float), -1, 0)
         row = np.arccos(np.clip(-z, -1, 1)) / np.pi * rows - 0.5
         col = np.arctan2(y, x) / (2 * np.pi) * cols - 0.5
@@ -129,26 +208,20 @@ def environment_map(array: Any) -> BrightnessFunction:
         )
         return light
 
-    vars(brightness).update(pixels=(rows, cols), image=image)
-    return brightness
-
 
 @dataclass(frozen=True)
-class Channel:
+class Channel(Distribution):
     """One channel of an RGB brightness function."""
 
-    function: BrightnessFunction
+    function: Distribution
     number: int
 
-    @property
-    def image(self) -> np.ndarray | None:
-        """One channel of an environment map."""
-        image: np.ndarray | None = getattr(self.function, "image", None)
-        return None if image is None else image[..., self.number]
+    def narrow(self) -> Directions | None:
+        return self.function.narrow()
 
-    @property
-    def peaks(self) -> Any:
-        return getattr(self.function, "peaks", None)
+    def equirectangular(self) -> np.ndarray | None:
+        image = self.function.equirectangular()
+        return None if image is None else image[..., self.number]
 
     def __call__(self, directions: np.ndarray) -> np.ndarray:
         values = np.asarray(self.function(directions))
@@ -162,18 +235,18 @@ class Channel:
 
 
 @dataclass(frozen=True)
-class Scaled:
+class Scaled(Distribution):
     """A brightness function times a number."""
 
-    function: BrightnessFunction
+    function: Distribution
     factor: float
 
-    def __getattr__(self, name: str) -> Any:
-        """What integration knows of some functions; absent where the function lacks it."""
-        if name not in ("image", "peaks", "pixels"):
-            raise AttributeError(name)
-        value: Any = getattr(self.function, name)
-        return value * self.factor if name == "image" and value is not None else value
+    def narrow(self) -> Directions | None:
+        return self.function.narrow()
+
+    def equirectangular(self) -> np.ndarray | None:
+        image = self.function.equirectangular()
+        return None if image is None else image * self.factor
 
     def __call__(self, directions: np.ndarray) -> np.ndarray:
         return np.asarray(self.function(directions)) * self.factor

@@ -8,14 +8,14 @@ take unit vectors L, as all brightness functions here do.
 from __future__ import annotations
 
 import datetime
+import math
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from ..errors import bad, lacking
-from .brightness import brightness_number
-from .shapes import Lamp
+from .brightness import Directions, Disc, Distribution, brightness_number
 
 SUN_RADIUS = 0.2665  # [degree], the mean apparent radius of the sun
 # ISO 15469:2004 / CIE S 011:2003, table 1: gradation a, b; indicatrix c, d, e
@@ -31,7 +31,7 @@ WITHOUT_SUN = (1, 3, 5)  # whose brightness does not depend on the sun
 
 
 @dataclass(frozen=True)
-class CieSky:
+class CieSky(Distribution):
     """A brightness function, made by :func:`cie_sky`: (..., 3) unit vectors -> (...), 0 below the horizon.
 
     ``sun`` (azimuth, elevation) [degree] or None; ``zenith``: brightness of the zenith; ``direct``:
@@ -58,36 +58,19 @@ class CieSky:
         """This sky and its disc, ``factor`` times as bright."""
         return replace(self, zenith=self.zenith * factor, direct=self.direct * factor)
 
-    def disc(self, distance: float) -> Lamp:
-        """The sun's disc as a ball at this distance [unit of spacing], uniform.
-
-        Its brightness B follows from direct = pi B sin^2(SUN_RADIUS).
-        """
-        share = np.sin(np.radians(SUN_RADIUS))
-        x, y, z = distance * self._towards_sun()
-        return Lamp(
-            center=(x, y, z),
-            radius=distance * share,
-            brightness=self.direct / (np.pi * share**2),
-        )
-
-    @property
-    def peaks(self) -> tuple[tuple[float, ...], ...]:
-        """Directions of features narrower than a degree: the disc's, if there is one."""
-        return (tuple(self._towards_sun()),) if self.direct else ()
-
-    def _towards_sun(self) -> np.ndarray:
+    def disc(self) -> Disc | None:
+        if not self.direct:
+            return None
         assert self.sun is not None, "cie_sky requires a sun where there is a disc"
-        return towards(*self.sun)
+        return Disc(tuple(towards(*self.sun)), self.direct, math.radians(SUN_RADIUS))
 
-    def with_disc(self, L: np.ndarray) -> np.ndarray:
-        """The brightness with the sun's disc, direct / (pi sin^2 SUN_RADIUS) within it."""
-        radius = np.radians(SUN_RADIUS)
-        return self(L) + np.where(
-            np.asarray(L, float) @ self._towards_sun() > np.cos(radius),
-            self.direct / (np.pi * np.sin(radius) ** 2),
-            0.0,
-        )
+    def without_disc(self) -> CieSky:
+        return replace(self, direct=0.0)
+
+    def narrow(self) -> Directions:
+        """The direction of the disc, if there is one."""
+        disc = self.disc()
+        return () if disc is None else (disc.direction,)
 
     def horizontal(self) -> float:
         """Irradiance of an open level surface by the sky without the disc [unit of brightness x sr]."""

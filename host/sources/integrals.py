@@ -248,11 +248,11 @@ class Integrals:
         """``fine``: cells are small also where narrow features are named, for sources that see little of the
         sky at a time. ``tolerance`` inf: no small bright parts. ``widest``: azimuth that one may span [rad].
         """
-        function: Any
         function, peaks = source.brightness, _peaks(source)
-        if getattr(function, "direct", 0):  # the disc is part of this sky
-            function = function.with_disc
-        image = getattr(function, "image", None)
+        brightness = sources.distribution_of(source)
+        image = None if brightness is None else brightness.equirectangular()
+        if brightness is not None and (disc := brightness.disc()) is not None:  # part of this sky
+            function = _with_disc(brightness, disc)
         bands = (
             _of_map(image) if image is not None else _of_function(function, peaks is not None and not fine)
         )
@@ -489,14 +489,26 @@ def even(count: int, offset: float) -> Azimuths:
 
 def _peaks(source: sources.Source) -> Peaks | None:
     """The narrow features that a sky names; None if it names none, () if it states that there are none."""
-    named = [*getattr(source, "suns", ()), *(getattr(source.brightness, "peaks", None) or ())]
-    if not named and getattr(source.brightness, "peaks", None) is None:
-        return None
-    return tuple(
-        (math.atan2(y, x) % (2 * math.pi), math.asin(min(1.0, -z / math.sqrt(x * x + y * y + z * z))))
-        for x, y, z in named
-        if z <= 0
+    named = sources.narrow_features(source)
+    return (
+        None
+        if named is None
+        else tuple(
+            (math.atan2(y, x) % (2 * math.pi), math.asin(min(1.0, -z / math.sqrt(x * x + y * y + z * z))))
+            for x, y, z in named
+            if z <= 0
+        )
     )
+
+
+def _with_disc(sky: sources.Distribution, disc: sources.Disc) -> sources.BrightnessFunction:
+    """The brightness of a sky with its sun's disc."""
+
+    def brightness(L: np.ndarray) -> np.ndarray:
+        inside = np.asarray(L, float) @ np.array(disc.direction) > np.cos(disc.radius)
+        return sky(L) + np.where(inside, disc.brightness, 0.0)
+
+    return brightness
 
 
 def _of_function(function: Any, named: bool) -> list[Band]:

@@ -17,7 +17,7 @@ import numpy as np
 
 from ..checks import real_array
 from ..errors import InputError, bad, lacking
-from .brightness import BrightnessFunction, directions_of, environment_map
+from .brightness import Distribution, EnvironmentMap, directions_of
 from .cie import PARAMETERS, SUN_RADIUS, check_place, gradation, scattered
 from .integrals import COLS, ROWS
 
@@ -36,7 +36,7 @@ PEREZ_LEAST_COSINE = math.cos(math.radians(85))  # of the sun's angle from the z
 
 
 @dataclass(frozen=True, eq=False)
-class SkyOverTime:
+class SkyOverTime(Distribution):
     """A brightness function, made by :func:`sky_over_time`: (..., 3) unit vectors -> (...) [kWh m^-2 sr^-1].
 
     image: the sum as an equirectangular map (1280, 2304), laid out as for :func:`environment_map`. ghi, dhi:
@@ -49,14 +49,12 @@ class SkyOverTime:
     dhi: float
     suns: int
 
-    @property
-    def pixels(self) -> tuple[int, ...]:
-        """Shape of the image."""
-        return self.image.shape
+    def equirectangular(self) -> np.ndarray:
+        return self.image
 
     @cached_property
-    def _function(self) -> BrightnessFunction:
-        return environment_map(self.image)
+    def _function(self) -> EnvironmentMap:
+        return EnvironmentMap(self.image)
 
     def __call__(self, L: np.ndarray) -> np.ndarray:
         return self._function(L)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -18,9 +17,10 @@ from .brightness import (
     MOST_UNIT,
     Brightness,
     Channel,
-    Scaled,
+    Distribution,
     checked,
     directions_of,
+    distribution,
     numbers,
 )
 
@@ -254,38 +254,53 @@ def channels(source: Source) -> list[Source]:
     probe = directions_of(np.array([0.3, 2.0]), np.array([0.2, 0.9]))
     if np.shape(brightness(probe.copy())) != (2, 3):
         return [source]
-    return [replace(source, brightness=Channel(brightness, number)) for number in range(3)]
+    return [replace(source, brightness=Channel(distribution(brightness), number)) for number in range(3)]
+
+
+def distribution_of(source: Source) -> Distribution | None:
+    """The brightness of ``source`` where it depends on the direction, None where it is a number or RGB."""
+    return distribution(source.brightness) if callable(source.brightness) else None
+
+
+def narrow_features(source: Source) -> tuple[tuple[float, ...], ...] | None:
+    """Directions (x, y, z) of all features of its brightness below a degree; None where none are named.
+
+    () where the brightness says that there are none.
+    """
+    brightness = distribution_of(source)
+    narrow = None if brightness is None else brightness.narrow()
+    suns = source.suns if isinstance(source, Sky) else ()
+    return None if narrow is None and not suns else (*suns, *(narrow or ()))
 
 
 def in_range(source: Source) -> tuple[Source, float]:
     """A source whose brightness is far from the limits of float32, and the number that its light is to be
     multiplied by: a power of two, 1 where the brightness is a number or its greatest value is moderate.
 
-    Functions are looked at in PROBED azimuths and elevations, and towards their suns.
+    Functions are looked at in PROBED azimuths and elevations, and towards their narrow features.
     """
-    brightness: Any = source.brightness
-    if not callable(brightness):
+    brightness = distribution_of(source)
+    if brightness is None:
         return source, 1.0
     azimuths, sines = 2 * np.pi * np.arange(PROBED) / PROBED, (np.arange(PROBED) + 0.5) / PROBED
-    suns = np.reshape([*getattr(source, "suns", ()), *(getattr(brightness, "peaks", None) or ())], (-1, 3))
+    narrow = np.reshape(narrow_features(source) or (), (-1, 3))
     around = directions_of(azimuths[:, None], sines).reshape(-1, 3)
-    values = np.asarray(brightness(np.concatenate([around, suns])))
+    values = np.asarray(brightness(np.concatenate([around, narrow])))
     if values.dtype.kind not in "iuf":
         return source, 1.0  # radiance() says what is wrong
     most = float(np.max(values, initial=0.0, where=np.isfinite(values) & (values <= BRIGHTEST)))
     if most == 0 or LEAST_UNIT <= most <= MOST_UNIT:
         return source, 1.0
     unit = 2.0 ** math.floor(math.log2(most))
-    scaled = brightness.scaled if hasattr(brightness, "scaled") else partial(Scaled, brightness)
-    return replace(source, brightness=scaled(1 / unit)), unit
+    return replace(source, brightness=brightness.scaled(1 / unit)), unit
 
 
 def without_disc(source: Source) -> Source:
     """A sky without its sun's disc; anything else as it is."""
-    brightness: Any = source.brightness
-    if isinstance(source, Sky) and getattr(brightness, "direct", False):
-        return replace(source, brightness=replace(brightness, direct=0.0))
-    return source
+    brightness = distribution_of(source)
+    if not isinstance(source, Sky) or brightness is None or brightness.disc() is None:
+        return source
+    return replace(source, brightness=brightness.without_disc())
 
 
 def radiance(source: Source, directions: np.ndarray) -> np.ndarray:
@@ -305,7 +320,9 @@ def radiance(source: Source, directions: np.ndarray) -> np.ndarray:
         )
     if not callable(brightness):
         return np.full(directions.shape[:-1], float(brightness))
-    if getattr(brightness, "direct", 0):  # half a degree wide: samples would miss it, or overrate it
+    if (
+        distribution(brightness).disc() is not None
+    ):  # half a degree wide: samples would miss it, or overrate it
         raise bad(
             "brightness: a sky with the sun's disc (direct)",
             "a method, source or sides without it",

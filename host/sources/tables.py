@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from .brightness import directions_of
-from .shapes import Source, radiance
+from .shapes import Source, distribution_of, radiance
 
 # samples of a sky: a sun half a degree wide gets two or three
 SAMPLE_AZIMUTHS, SAMPLE_ELEVATIONS = 2048, 192
@@ -20,7 +20,9 @@ def sky_samples(source: Source) -> tuple[np.ndarray, np.ndarray]:
 
     Evenly in azimuth and elevation; of a coarser environment map, four along each side of a pixel.
     """
-    rows, cols = getattr(source.brightness, "pixels", (SAMPLE_ELEVATIONS, SAMPLE_AZIMUTHS))
+    brightness = distribution_of(source)
+    image = None if brightness is None else brightness.equirectangular()
+    rows, cols = (SAMPLE_ELEVATIONS, SAMPLE_AZIMUTHS) if image is None else image.shape[:2]
     azimuths, elevations = (
         min(most, max(most // 4, n))
         for most, n in zip((SAMPLE_AZIMUTHS, SAMPLE_ELEVATIONS), (4 * cols, 2 * rows))
