@@ -1,43 +1,69 @@
 /* Horizons of ground far from a tile, from overviews of the whole map. Twin of warp_kernels/far.py. */
-#pragma OPENCL FP_CONTRACT OFF
+#include "lanes.h"
+#if LANES == 1
+#define TO_FLOATS convert_float
+#define ALL(tests) (tests)
+#define ANY(tests) (tests)
+#else
+#define TO_FLOATS JOIN(convert_float, LANES)
+#define ALL(tests) all(tests)
+#define ANY(tests) any(tests)
+#endif
 
 /* floor and clamp, inline also where builtins are calls */
-int down(float v)
+ints down(floats v)
 {
-  const int n = (int)v;
-  return v < (float)n ? n - 1 : n;
+  const ints n = TO_INTS(v);
+  return n + WHERE(v < TO_FLOATS(n));
 }
-int within(int n, int count) { return n < 0 ? 0 : n < count ? n : count - 1; }
+ints within(ints n, int count) { return min(max(n, 0), count - 1); }
 
-/* Height of a level at the point (x, y) nodes from node (x0, y0): bilinear between the centres of four cells,
-   on the map's border that of the border's cells. Cells without data have no
-   weight; NONE where all lack them. */
-float overview(__global const float *cells, __global const int *levels, int number, int x0, int y0, float x,
-               float y)
+/* Cells at some places. */
+floats taken(__global const float *cells, ints at)
 {
-  __global const int *level = levels + 8 * number;
+#if LANES == 1
+  return cells[at];
+#else
+  int places[LANES];
+  float found[LANES];
+  STORE(at, 0, places);
+  for (int l = 0; l < LANES; ++l)
+    found[l] = cells[places[l]];
+  return LOAD(0, found);
+#endif
+}
+
+/* Height of a level at the points (x, y) nodes from nodes (x0, y0): bilinear between the centres of four
+   cells, on the map's border that of the border's cells. Cells without data have no weight; NONE where all
+   lack them. */
+floats overview(__global const float *cells, __global const int *level, ints x0, ints y0, float x, float y)
+{
   const int rows = level[3], cols = level[4], f = level[5], size = 1 << f;
   const float reciprocal = 1.0f / (float)size, half_cell = 0.5f * (float)(size - 1);
-  const float u = ((float)(x0 & (size - 1)) - half_cell + x) * reciprocal,
-              v = ((float)(y0 & (size - 1)) - half_cell + y) * reciprocal;
-  const int left = down(u), upper = down(v);
-  const int q = (x0 >> f) + left - level[2], r = (y0 >> f) + upper - level[1];
-  const float b = u - (float)left, a = v - (float)upper;
-  const int q0 = within(q, cols), q1 = within(q + 1, cols);
-  const int r0 = within(r, rows), r1 = within(r + 1, rows);
+  const floats u = (TO_FLOATS(x0 & (size - 1)) - half_cell + x) * reciprocal,
+               v = (TO_FLOATS(y0 & (size - 1)) - half_cell + y) * reciprocal;
+  const ints left = down(u), upper = down(v);
+  const ints q = (x0 >> f) + left - level[2], r = (y0 >> f) + upper - level[1];
+  const floats b = u - TO_FLOATS(left), a = v - TO_FLOATS(upper);
+  const ints q0 = within(q, cols), q1 = within(q + 1, cols);
+  const ints r0 = within(r, rows) * cols, r1 = within(r + 1, rows) * cols;
   __global const float *window = cells + level[0];
-  const float h00 = window[r0 * cols + q0], h01 = window[r0 * cols + q1];
-  const float h10 = window[r1 * cols + q0], h11 = window[r1 * cols + q1];
-  if (h00 > HIGHEST_MASKED && h01 > HIGHEST_MASKED && h10 > HIGHEST_MASKED && h11 > HIGHEST_MASKED) {
-    const float high = h00 + b * (h01 - h00), low = h10 + b * (h11 - h10);
-    return high + a * (low - high);
-  }
-  const float w00 = h00 > HIGHEST_MASKED ? (1 - a) * (1 - b) : 0;
-  const float w01 = h01 > HIGHEST_MASKED ? (1 - a) * b : 0;
-  const float w10 = h10 > HIGHEST_MASKED ? a * (1 - b) : 0;
-  const float w11 = h11 > HIGHEST_MASKED ? a * b : 0;
-  const float all = w00 + w01 + w10 + w11;
-  return all > 0 ? (w00 * h00 + w01 * h01 + w10 * h10 + w11 * h11) / all : NONE;
+  const floats h00 = taken(window, r0 + q0), h01 = taken(window, r0 + q1);
+  const floats h10 = taken(window, r1 + q0), h11 = taken(window, r1 + q1);
+  const ints there_00 = WHERE(h00 > HIGHEST_MASKED), there_01 = WHERE(h01 > HIGHEST_MASKED);
+  const ints there_10 = WHERE(h10 > HIGHEST_MASKED), there_11 = WHERE(h11 > HIGHEST_MASKED);
+  const ints whole = there_00 & there_01 & there_10 & there_11;
+  const floats high = h00 + b * (h01 - h00), low = h10 + b * (h11 - h10);
+  const floats between = high + a * (low - high);
+  if (ALL(whole))
+    return between;
+  const floats w00 = there_00 ? (1 - a) * (1 - b) : 0;
+  const floats w01 = there_01 ? (1 - a) * b : 0;
+  const floats w10 = there_10 ? a * (1 - b) : 0;
+  const floats w11 = there_11 ? a * b : 0;
+  const floats every = w00 + w01 + w10 + w11;
+  const floats part = (w00 * h00 + w01 * h01 + w10 * h10 + w11 * h11) / every;
+  return whole ? between : every > 0 ? part : NONE;
 }
 
 /* march: the far horizon at some nodes, as a line in the height it is seen from: slope = found[0] - height x
@@ -59,37 +85,54 @@ found[1]. Of all samples of the overviews along the azimuth's ray it is the one 
   highest   no ground is higher: what cannot stand above the horizon is not looked at
   drop      [1 / spacing]  by how much ground falls off with distance^2, the Earth being round
 
-rows, cols: of the map, at whose border rays end unless it repeats (periodic). Work-item (p, k) owns node p of
-azimuth k. */
+rows, cols: of the map, at whose border rays end unless it repeats (periodic). Work-item (p, k) owns LANES
+nodes from p LANES on of azimuth k. */
 __kernel void march(__global const float *cells, __global const int *levels, __global const float *steps,
                     __global const int *level_of, __global const float *azimuths, __global const float *own,
                     __global const int *at_row, __global const int *at_col, __global float *found,
                     int n_steps, int count, int n_rows, int n_cols, int rows, int cols, float highest,
                     float drop, int periodic)
 {
-  const int p = get_global_id(0), k = get_global_id(1), nodes = n_rows * n_cols;
+  const int p = get_global_id(0) * LANES, k = get_global_id(1), nodes = n_rows * n_cols;
   if (p >= nodes)
     return;
-  const int x0 = at_col[p % n_cols], y0 = at_row[p / n_cols];
-  const float dx = azimuths[2 * k], dy = azimuths[2 * k + 1], h = own[p];
-  const float first_x = (float)-x0, last_x = (float)(cols - 1 - x0), first_y = (float)-y0,
-              last_y = (float)(rows - 1 - y0);
-  float best = NONE, inverse = 0;
+  int places[2][LANES];
+  float heights[LANES];
+  for (int l = 0; l < LANES; ++l) { /* lanes beyond the last node repeat it */
+    const int node = min(p + l, nodes - 1);
+    places[0][l] = at_col[node % n_cols];
+    places[1][l] = at_row[node / n_cols];
+    heights[l] = own[node];
+  }
+  const ints x0 = LOAD(0, places[0]), y0 = LOAD(0, places[1]);
+  const floats h = LOAD(0, heights);
+  const float dx = azimuths[2 * k], dy = azimuths[2 * k + 1];
+  const floats first_x = TO_FLOATS(-x0), last_x = TO_FLOATS(cols - 1 - x0), first_y = TO_FLOATS(-y0),
+               last_y = TO_FLOATS(rows - 1 - y0);
+  floats best = NONE, inverse = 0;
+  ints goes_on = -1;
   for (int s = 0; s < n_steps; ++s) {
     const float distance = steps[2 * s], reciprocal = steps[2 * s + 1];
     const float x = dx * distance, y = dy * distance;
-    if ((highest - h) * reciprocal <= best ||
-        (!periodic && (x < first_x || x > last_x || y < first_y || y > last_y)))
+    goes_on &= WHERE((highest - h) * reciprocal > best);
+    if (!periodic)
+      goes_on &= WHERE(first_x <= x) & WHERE(last_x >= x) & WHERE(first_y <= y) & WHERE(last_y >= y);
+    if (!ANY(goes_on))
       break;
-    const float ground = overview(cells, levels, level_of[s], x0, y0, x, y);
-    const float slope = ground > HIGHEST_MASKED ? (ground - h) * reciprocal - drop * distance : NONE;
-    if (slope > best) {
-      best = slope;
-      inverse = reciprocal;
-    }
+    const floats ground = overview(cells, levels + 8 * level_of[s], x0, y0, x, y);
+    const floats slope = (ground - h) * reciprocal - drop * distance;
+    const ints higher = goes_on & WHERE(ground > HIGHEST_MASKED) & WHERE(slope > best);
+    best = higher ? slope : best;
+    inverse = higher ? reciprocal : inverse;
   }
-  found[(size_t)k * nodes + p] = best > HIGHEST_MASKED ? best + h * inverse : NONE;
-  found[((size_t)count + k) * nodes + p] = inverse;
+  const floats seen = best > HIGHEST_MASKED ? best + h * inverse : NONE;
+  float out[2][LANES];
+  STORE(seen, 0, out[0]);
+  STORE(inverse, 0, out[1]);
+  for (int l = 0; l < LANES && p + l < nodes; ++l) {
+    found[(size_t)k * nodes + p + l] = out[0][l];
+    found[((size_t)count + k) * nodes + p + l] = out[1][l];
+  }
 }
 
 /* interpolate: far horizons at every node of a map that is seen as sweeps see it, from four nodes of `march`

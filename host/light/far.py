@@ -270,16 +270,25 @@ class Marched:
         return np.array(found, np.float32).reshape(-1, 2), np.array(levels, np.int32)
 
     def planes(
-        self, shape: tuple[int, int], margin: int, heights: Array, angles: np.ndarray, turned: bool
+        self,
+        shape: tuple[int, int],
+        margin: int,
+        heights: Array,
+        angles: np.ndarray,
+        turned: bool,
+        room: Array | None = None,
     ) -> Array:
         """Slopes (azimuths, rows x cols) float32 on the device, of the window as it lies or turned.
 
-        ``shape`` and ``heights``, padded by ``margin``, are those of the window as it is swept.
+        ``shape`` and ``heights``, padded by ``margin``, are those of the window as it is swept. ``room``: of
+        the result, where there is one of this shape.
         """
         backend, far, count = self.backend, self.far, len(angles)
         rows, cols = shape
         found = self._march(angles)
-        planes = backend.empty((count, rows * cols), np.float32)
+        planes = room
+        if room is None or room.shape != (count, rows * cols):
+            planes = backend.empty((count, rows * cols), np.float32)
         last = [most - 1 - first for most, first in zip(far.shape, far.at)]
         across_then_along = (self.nodes[1], 1), far.before, far.tile, last
         places = [pair[:: 1 if turned else -1] for pair in across_then_along]  # along first
@@ -334,7 +343,7 @@ class Marched:
         backend.launch(
             "far",
             "march",
-            (math.prod(self.nodes), count),
+            (-(-math.prod(self.nodes) // backend.lanes), count),
             *self.tables,
             ways,
             *self.own,

@@ -202,8 +202,9 @@ class Sweeps:
                 int(self.sides == "periodic"),
             )
         self.tilted[half.turned] = self.kept
+        scratch = None  # the next azimuths' slopes where these are: the launches come one after another
         for first, count in _batches(half, _at_once(self)):
-            scratch, known = _far_slopes(self, half, first, count)
+            scratch, known = _far_slopes(self, half, first, count, scratch)
             if half.windows[first] < ENDLESS_WINDOW:
                 if not known:
                     scratch = backend.empty((count, half.rows * half.cols), np.float32)
@@ -463,13 +464,18 @@ def _at_once(sweeps: Sweeps) -> int:
     return ENDLESS_WINDOW if sweeps.far is None else max(1, BATCH // (4 * math.prod(sweeps.shape)))
 
 
-def _far_slopes(sweeps: Sweeps, half: Half, first: int, count: int) -> tuple[Array, bool]:
-    """(Slopes (count, rows x cols) float32 of ground far from a tile, True), or (nothing, False)."""
+def _far_slopes(
+    sweeps: Sweeps, half: Half, first: int, count: int, room: Array | None = None
+) -> tuple[Array, bool]:
+    """(Slopes (count, rows x cols) float32 of ground far from a tile, True), or (nothing, False).
+
+    ``room``: for the slopes, if its shape is theirs.
+    """
     if sweeps.far is None:
         return sweeps.nothing, False
     angles = sweeps.rays.angles[half.numbers[first : first + count]]
     shape = half.rows, half.cols
-    return sweeps.far.planes(shape, sweeps.margin, half.heights, angles, half.turned), True
+    return sweeps.far.planes(shape, sweeps.margin, half.heights, angles, half.turned, room), True
 
 
 def _whole_shears(shears: np.ndarray) -> np.ndarray:
