@@ -32,7 +32,7 @@ from .light.lattice import Lattice, lacking
 from .light.slices import outline, widened
 from .radiometry import point_error
 from .reflectance import Lambertian
-from .samples import CLIFF, SAMPLE_COUNT, SAMPLED_SLOPE, Errors, Samples
+from .samples import CLIFF, SAMPLE_COUNT, SAMPLED_SLOPE, Errors, Samples, samples_of, turn
 from .scene import Scene, is_scene
 from .sources.integrals import Integrals, Sun, even
 from .sources.solids import Ball, Quad, aperture, rectangle, upright
@@ -54,6 +54,9 @@ MOST_STEPS = 2**40  # nodes x azimuths of a call: some three hours on two cores,
 AZIMUTH_COUNTS = (4, 6, 8, 12, 16, 24, 32, 48, 64, 96, 128, 192, 256, 384, 512, 768, 1024)
 # azimuths of the exact light, each grid within the next, and how many azimuths it can judge: a sixth
 EXACT_GRIDS = {36: 6, 72: 12, 144: 24, 288: 48}
+# the first of them on a device with memory of its own, which traces so many as fast as 36 (line
+# "tolerance 0.01" of performance/whole_calls.py, H200: 31 ms, with 36 at first 34; 8.1 and 9.1 on 256 x 256)
+GPU_GRID = 144
 # sectors of azimuth that small bright parts have together at least, as many as a CPU takes at a time; times
 # as many are tried
 LEAST_SECTORS, SECTOR_MULTIPLES = 8, (1, 3, 9)
@@ -466,7 +469,7 @@ class _Planner(ABC):
     def __init__(self, scene: Scene, source: Any, tolerance: float, tail: float, engine: Backend):
         self.scene, self.source, self.engine = scene, source, engine
         self.tolerance, self.tail = tolerance, tail
-        self.samples = Samples(engine, scene, self.sample_count)
+        self.samples = samples_of(engine, scene, self.sample_count)
         lap = self.samples.relief / SAMPLED_SLOPE
         if scene.sides == "periodic" and lap * len(self.samples) > MOST_STEPS / 512:
             raise CapacityError(
@@ -607,6 +610,8 @@ class _SkyPlanner(_Planner):
     rays: int | None = None  # margin of the map for exact horizons of small bright parts, or None
     grid = 0  # azimuths of the exact light
     slopes: np.ndarray  # exact horizons in these azimuths
+    lit: np.ndarray  # light of brightness 1 above them, per radian
+    rest: np.ndarray  # exact light without that of small bright parts
     exact: np.ndarray
     uniform: np.ndarray
 
@@ -635,6 +640,7 @@ class _SkyPlanner(_Planner):
         if self._fits_closed_form():
             return
         self.bright = self._bright_light(floor)
+        self.exact = self.rest + self.bright
         self._choose_azimuths(floor)
         self.hidden = samples.errors(self.uniform, np.pi / 2 * (1 + 1 / samples.length)).rms
         self.method_class, self.floor = Horizons, floor
@@ -658,20 +664,32 @@ class _SkyPlanner(_Planner):
     def _trace(self, grid: int) -> None:
         """Exact light at the samples in ``grid`` azimuths or more, each time twice as many as before."""
         samples = self.samples
+        if self.grid >= grid:
+            return
         while self.grid < grid:
             first = not self.grid
             angles: np.ndarray
-            self.grid = 2 * self.grid or min(EXACT_GRIDS)
+            self.grid = 2 * self.grid or (min(EXACT_GRIDS) if self.engine.shares else GPU_GRID)
             angles = 2 * np.pi * np.arange(self.grid) / self.grid
-            new = samples.horizons(angles if first else angles[1::2])
-            self.slopes = new if first else np.stack([self.slopes, new], 1).reshape(self.grid, -1)
+            if not first:
+                angles = angles[1::2]
+            slopes = samples.horizons(angles)
+            lit = samples.ring(angles, slopes)
+            if not first:
+                slopes, lit = (
+                    np.stack(both, 1).reshape(self.grid, -1)
+                    for both in ((self.slopes, slopes), (self.lit, lit))
+                )
+            self.slopes, self.lit = slopes, lit
         width = 2 * np.pi / self.grid
         angles = self.angles = width * np.arange(self.grid)
-        self.uniform = samples.ring(angles, self.slopes).sum(0) * width
+        self.uniform = self.lit.sum(0) * width
         half = self.grid // 2
         one, other = (
             self._corrected(
-                angles[odd::2], self.slopes[odd::2], np.full(half, 2 * width), np.full(half, width)
+                np.full(half, 2 * width),
+                np.full(half, width),
+                *(every[odd::2] for every in (angles, self.slopes, self.lit)),
             )
             for odd in (0, 1)
         )
@@ -681,18 +699,17 @@ class _SkyPlanner(_Planner):
 
     def _choose_azimuths(self, floor: float) -> None:
         """The fewest azimuths whose errors at the samples, with the floor, are within the tolerance."""
+        judged = 0
         for grid, most in EXACT_GRIDS.items():
+            if grid < self.grid:
+                continue
             self._trace(grid)
-            counts = [n for n in AZIMUTH_COUNTS if n <= most and grid % (3 * n) == 0]
-            measured = {count: self._measured(count) for count in counts}
-            fitting = [count for count, found in measured.items() if self.fits(found, floor)]
-            if fitting:
-                break
-        self.units = min(fitting, default=max(measured))
-        self.expected = measured[self.units]
-        if fitting:
-            return
-        last, judged = self.expected, self.units
+            for self.units in (n for n in AZIMUTH_COUNTS if judged < n <= most and grid % (3 * n) == 0):
+                self.expected = self._measured(self.units)
+                if self.fits(self.expected, floor):
+                    return
+            judged = self.units
+        last = self.expected
         for self.units in (count for count in AZIMUTH_COUNTS if count > judged):
             self.expected = Errors(*(value * (judged / self.units) ** CONVERGENCE_ORDER for value in last))
             if self.fits(self.expected, floor):
@@ -702,21 +719,28 @@ class _SkyPlanner(_Planner):
         """Errors at the samples of ``count`` azimuths."""
         first, second = (
             self._corrected(
-                self.angles[n],
-                self.slopes[n],
                 np.full(count // 2, 4 * np.pi / count),
                 np.full(count // 2, 2 * np.pi / count),
+                *(every[n] for every in (self.angles, self.slopes, self.lit)),
             )
             for n in ((self.grid * (3 * np.arange(odd, count, 2) + 1)) // (3 * count) for odd in (0, 1))
         )
         return self.samples.errors((first + second) / 2 + self.bright, self.exact)
 
     def _corrected(
-        self, angles: np.ndarray, slopes: np.ndarray, widths: np.ndarray, windows: np.ndarray
+        self,
+        widths: np.ndarray,
+        windows: np.ndarray,
+        angles: np.ndarray,
+        slopes: np.ndarray,
+        lit: np.ndarray,
     ) -> np.ndarray:
-        """Light above ``slopes``, with that above tangent planes as a control variate; see Horizons."""
+        """Light above ``slopes``, with that above tangent planes as a control variate; see Horizons.
+
+        ``lit``: of brightness 1 above them, per radian.
+        """
         if not isinstance(self.light, Integrals):
-            uniform: np.ndarray = self.light * (widths @ self.samples.ring(angles, slopes))
+            uniform: np.ndarray = self.light * (widths @ lit)
             return uniform
         table = self.light.table(angles, windows)
         hidden = _open_slopes(self.samples, angles), slopes
@@ -784,7 +808,9 @@ class _SkyPlanner(_Planner):
         angles, widths = 2 * np.pi * (np.arange(24) + OFFSET) / 24, np.full(24, np.pi / 12)
 
         def seen(reach: float) -> np.ndarray:
-            return self._corrected(angles, samples.horizons(angles, reach), widths, widths) + self.bright
+            slopes = samples.horizons(angles, reach)
+            lit = samples.ring(angles, slopes)
+            return self._corrected(widths, widths, angles, slopes, lit) + self.bright
 
         full = seen(math.inf)
         self.why_far = f"on a map that repeats, as far as its relief makes a slope of {LEAST_SEARCHED_SLOPE}"
@@ -1196,7 +1222,7 @@ def _judging_sectors(sun: Sun, outline: tuple[float, float, float, float], sampl
 def _slices_taken(samples: Samples, solid: Ball | Quad, most: int) -> np.ndarray:
     """As many slices at every sample as the kernel takes, which takes ``most`` for a source all round."""
     least = max(most // (4 if isinstance(solid, Ball) else 2) // 8, 1) * 8
-    return (least + samples.turn(solid) * (most - least)).astype(int) // 8 * 8
+    return (least + turn(samples, solid) * (most - least)).astype(int) // 8 * 8
 
 
 class _LatticePlanner(_Planner):

@@ -7,6 +7,7 @@ every crossing with a grid line (kernel ``pilot``); the rest is NumPy, on (rays 
 from __future__ import annotations
 
 import copy
+import functools
 import math
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -37,6 +38,7 @@ SAMPLED_SLOPE = 0.005
 CLIFF = 4.0
 CHORD_POINTS = 48  # of brightness along a chord; chosen
 TAIL_SAMPLES = 3  # samples beyond the 99.9th percentile from which on it is read off
+KEPT_TRACES = 8  # sets of azimuths whose slopes are kept: with 288 azimuths of 640 nodes each, 12 MB
 SIGMAS = 1.5  # standard errors by which the RMS error over all nodes may pass that of the samples
 # steps of R2_STEPS' sequence in three dimensions: 1 / g, 1 / g^2, 1 / g^3 with g^4 = g + 1
 R3_STEPS = 0.8191725133961645, 0.6710436067037893, 0.5497004779019703
@@ -87,12 +89,13 @@ class Samples:
     """
 
     weights: np.ndarray | None
+    traced: dict[tuple[bytes, float], np.ndarray]  # horizon slopes by azimuths and search radius
 
     def __init__(self, engine: Backend, scene: Scene, count: int = SAMPLE_COUNT, first: int = 1):
         self.engine, self.sides, self.first = engine, scene.sides, first
         self.periodic = scene.sides == "periodic"
         self.rows, self.cols = rows, cols = scene.shape
-        self.heights = scene.on(engine).heights()
+        self.there, self.traced = scene.on(engine), {}
         self.shift = 5 if min(scene.shape) >= 512 else 4 if min(scene.shape) >= 64 else 3
         down, across = (((n - 1) >> self.shift) + 1 for n in (rows, cols))
         self.tops = engine.empty((3, down, across), np.float32)
@@ -131,9 +134,14 @@ class Samples:
             _add_rare_blocks(self, scene, np.where(highest > NONE, highest - np.minimum(lowest, highest), 0))
         self._set_nodes(self.x, self.y)
 
+    @functools.cached_property
+    def heights(self) -> Array:
+        """Those of the map [spacing], on the device."""
+        return self.there.heights()
+
     def _set_nodes(self, x: np.ndarray, y: np.ndarray) -> None:
         """Move the samples to these nodes."""
-        self.x, self.y = x, y
+        self.x, self.y, self.traced = x, y, {}
         moved = []
         for i, j in ((0, 0), (-1, 0), (1, 0), (0, -1), (0, 1)):
             col, row = (x + i) % self.cols, (y + j) % self.rows
@@ -232,9 +240,15 @@ class Samples:
         return least if self.sides != "dark" else np.maximum(least, -self.own / _wall(self, cosine, sine))
 
     def horizons(self, azimuths: np.ndarray, reach: float = math.inf) -> np.ndarray:
-        """Horizon slopes (azimuths, nodes) float64."""
-        cosine, sine = np.cos(azimuths)[:, None], np.sin(azimuths)[:, None]
-        return self.slopes(cosine, sine, self.free(cosine, sine), reach=reach)
+        """Horizon slopes (azimuths, nodes) float64, not to be changed."""
+        key = azimuths.tobytes(), reach
+        if key not in self.traced:
+            cosine, sine = np.cos(azimuths)[:, None], np.sin(azimuths)[:, None]
+            found = self.slopes(cosine, sine, self.free(cosine, sine), reach=reach)
+            if len(self.traced) >= KEPT_TRACES:
+                self.traced.pop(next(iter(self.traced)))
+            self.traced[key] = found
+        return self.traced[key]
 
     def ring(self, azimuths: np.ndarray, slopes: np.ndarray, table: np.ndarray | None = None) -> np.ndarray:
         """Irradiance per radian of azimuth above ``slopes``: (azimuths, nodes).
@@ -315,14 +329,6 @@ class Samples:
         assert not isinstance(brightness, tuple) and not callable(brightness), "of one channel"
         return total * float(brightness)
 
-    def turn(self, solid: Ball | Quad) -> np.ndarray:
-        """Share of the circle of azimuths that a source spans, as the kernels compute it: (nodes,)."""
-        if isinstance(solid, Quad):
-            share: np.ndarray = _outline(self, solid)[-1].sum(0) / (2 * np.pi)
-            return share
-        widest = solid.radius / np.maximum(np.hypot(solid.center[0] - self.x, solid.center[1] - self.y), 1e-9)
-        return np.where(widest >= 1, 1.0, widest * (0.318 + 0.182 * np.minimum(1, widest) ** 2))
-
     def through_slices(
         self, solid: Ball | Quad, brightness: sources.Brightness, count: int, occluded: bool = True
     ) -> np.ndarray:
@@ -368,6 +374,28 @@ class Samples:
             )
         irradiance = (share * light * span / CHORD_POINTS).sum(0) / self.length
         return irradiance
+
+
+def samples_of(engine: Backend, scene: Scene, count: int = SAMPLE_COUNT) -> Samples:
+    """Samples of a scene, which are kept with its map on the backend, as are the slopes that they traced."""
+    there, key = scene.on(engine), (scene.sides, count)
+    if key not in there.samples:
+        made = there.samples[key] = Samples(engine, scene, count)
+        del made.heights, made.there  # as large as the map; what keeps the samples
+    found: Samples = copy.copy(there.samples[key])
+    found.there = there
+    return found
+
+
+def turn(samples: Samples, solid: Ball | Quad) -> np.ndarray:
+    """Share of the circle of azimuths that a source spans, as the kernels compute it: (nodes,)."""
+    if isinstance(solid, Quad):
+        share: np.ndarray = _outline(samples, solid)[-1].sum(0) / (2 * np.pi)
+        return share
+    widest = solid.radius / np.maximum(
+        np.hypot(solid.center[0] - samples.x, solid.center[1] - samples.y), 1e-9
+    )
+    return np.where(widest >= 1, 1.0, widest * (0.318 + 0.182 * np.minimum(1, widest) ** 2))
 
 
 def picked(samples: Samples, images: Array, number: int = 0) -> np.ndarray:

@@ -11,7 +11,7 @@ from skylamp import oracle
 from skylamp.backends import select
 from skylamp.light.slices import Slices
 from skylamp.refinement import solid_of
-from skylamp.samples import NONE, SAMPLE_COUNT, Errors, Samples, errors
+from skylamp.samples import NONE, SAMPLE_COUNT, Errors, Samples, errors, samples_of
 from skylamp.sources.integrals import Integrals
 from skylamp.sources.solids import Ball, Dome, Quad, upright
 
@@ -82,6 +82,28 @@ def test_samples_are_spread_and_the_same_again(fast):
     assert len(both) < 0.25 * len(there)
     image = np.arange(SIZE * SIZE, dtype=np.float32).reshape(SIZE, SIZE)
     assert_bits_equal(one.of(image), (one.y * SIZE + one.x).astype(float))
+
+
+def test_samples_are_kept_with_their_map(fast):
+    """A known scene's samples are not traced again, are those of a new scene, and end with its map."""
+    engine, scene = select(fast), sl.Scene(SCENES["rough"].depth, SCENES["rough"].spacing)
+    azimuths = np.linspace(0, 6, 5)
+    first = samples_of(engine, scene, 24)
+    slopes = first.horizons(azimuths)
+    again = samples_of(engine, scene, 24)
+    assert again is not first and again.horizons(azimuths) is slopes
+    assert again.horizons(azimuths, 3.0) is not slopes
+    np.testing.assert_array_equal(Samples(engine, scene, 24).horizons(azimuths), slopes)
+    assert (
+        samples_of(engine, sl.Scene(scene.depth + scene.depth, scene.spacing), 24).horizons(azimuths)
+        is not slopes
+    )
+    moved = samples_of(engine, scene, 24)
+    moved._set_nodes(moved.x[::-1].copy(), moved.y)
+    assert not np.array_equal(moved.horizons(azimuths), slopes)
+    assert samples_of(engine, scene, 24).horizons(azimuths) is slopes
+    scene.release(fast)
+    assert samples_of(engine, scene, 24).horizons(azimuths) is not slopes
 
 
 def test_errors_by_hand():

@@ -105,7 +105,8 @@ class Resident(NamedTuple):
     """A depth map on a device.
 
     The device's backend; depth (rows x cols) float32 there, +inf where masked, in a unit in which the spacing
-    is ``step``; least and greatest valid depth; the bytes that it takes besides the host's.
+    is ``step``; least and greatest valid depth; the bytes that it takes besides the host's; ``samples`` of it
+    that were taken, by sides and number.
     """
 
     backend: Backend
@@ -115,6 +116,7 @@ class Resident(NamedTuple):
     least: float
     most: float
     nbytes: int
+    samples: dict[tuple[str, int], Any]
 
     def download(self) -> np.ndarray:
         """The map (rows, cols) on the host."""
@@ -239,11 +241,13 @@ def in_layers(
     if spacing != 1 and most / spacing < LAYERS and not survey(backend, depth, shape, spacing).fractional:
         backend.launch("resident", "layers", (count,), depth, float(spacing), count)
         step, least, most = 1.0, float(np.rint(least / spacing)), float(np.rint(most / spacing))
-    return Resident(backend, depth, shape, step, least, most, 4 * count)
+    return Resident(backend, depth, shape, step, least, most, 4 * count, {})
 
 
 def upload(backend: Backend, depth: np.ndarray, step: float, least: float, most: float) -> Resident:
     """A host's map (rows, cols) float32, +inf where masked, which nobody changes, on a device."""
     rows, cols = depth.shape
     nbytes = 0 if backend.shares else depth.nbytes
-    return Resident(backend, backend.upload(depth, constant=True), (rows, cols), step, least, most, nbytes)
+    return Resident(
+        backend, backend.upload(depth, constant=True), (rows, cols), step, least, most, nbytes, {}
+    )
