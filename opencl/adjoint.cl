@@ -476,14 +476,15 @@ __kernel void sky(__global const float *restrict heights, __global const float *
    frames  (pixels, 4)  float  cosine and sine of the azimuth of the source's middle; ball: distance to the
                                centre along the ground; quadrangle: tangent of a quarter of the angle it takes
                                up, 0 where it stands all round
-   nodes   (count, 4)   float  sine and cosine of midpoints of -pi/2..pi/2, cosine and sine of midpoints all
-                               round
+   quadrature  (count, 4)  float  sine and cosine of midpoints of -pi/2..pi/2, cosine and sine of midpoints
+                               all round
    n_rows  rows of table, evenly in the diamond angle (c, s) -> s / (|c| + |s|), -1..1 over the half c > 0 and
            on
    Work-item (x, y) owns a node. Order of summation: slices. */
 __kernel void lamp(__global const float *heights, __global const float *tilts, __global const float *tiles,
-                   __global const int *top, __global const float *frames, __global const float *nodes,
-                   __global const float *solid, __global const float *table, __global float *light,
+                   __global const int *top, __global const float *frames,
+                   __global const float *quadrature, __global const float *solid, __global const float *table,
+                   __global float *light,
                    __global int *held, __global int *first, __global int *second, __global float *near,
                    __global float *far, int rows, int cols, int margin, int count, int knots, int n_rows,
                    int ball, int sides)
@@ -499,7 +500,7 @@ __kernel void lamp(__global const float *heights, __global const float *tilts, _
   for (int k = 0; k < count; ++k) {
     /* 1. the slice, and the slopes between which the source stands in it, with their derivatives by the own
        depth */
-    float c = nodes[4 * k + 2], s = nodes[4 * k + 3], width = TWO_PI / count;
+    float c = quadrature[4 * k + 2], s = quadrature[4 * k + 3], width = TWO_PI / count;
     /* ground counts as far as reach; the source's end */
     float low = 1, high = 0, low_by = 0, high_by = 0, reach = 0, end = 0;
     if (ball) {
@@ -511,12 +512,12 @@ __kernel void lamp(__global const float *heights, __global const float *tilts, _
         along = extent * (c * ux + s * uy);
         half_ = sqrt(MORE(radius * radius - offset * offset, 0));
       } else {
-        const float sin_d = radius / extent * nodes[4 * k], cos_d = sqrt((1 - sin_d) * (1 + sin_d));
+        const float sin_d = radius / extent * quadrature[4 * k], cos_d = sqrt((1 - sin_d) * (1 + sin_d));
         c = ux * cos_d - uy * sin_d;
         s = uy * cos_d + ux * sin_d;
-        width = radius / extent * nodes[4 * k + 1] * (PI / count) / cos_d;
+        width = radius / extent * quadrature[4 * k + 1] * (PI / count) / cos_d;
         along = extent * cos_d;
-        half_ = radius * nodes[4 * k + 1];
+        half_ = radius * quadrature[4 * k + 1];
       }
       reach = MORE(along, half_);
       end = along + half_;

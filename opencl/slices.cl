@@ -25,7 +25,7 @@ Shared arguments
                                             over n_turns even cells of the diamond angle q = s / (|c| + |s|),
                                             2 - q, 4 + q of the azimuth's cosine c and sine s, 0..4; n_knots
                                             0: B is 1
-  irradiance  (rows, cols)    float  out; unit: its factor
+  irradiance  (rows, cols)    float  out; factor: of it
   least, most                       int    slices of a source that is a point, and of one that stands all
                                            round: multiples of SLICES, as what is between
   dark                              int    whether walls stand half a node outside the map, up to height 0
@@ -423,21 +423,22 @@ floats slice(const Pixel *pixel, floats c, floats s, floats along, floats aside,
 
 /* ball: x0, y0, z0 its centre (z0 a height) and its radius.
 
-  nodes  (most / SLICES, 4, most)  float  for SLICES, 2 SLICES.. slices: sine and cosine of theta, midpoints
-                                          of -pi/2..pi/2, and of the azimuths of midpoints all round; or other
-                                          places in the same even steps
+  quadrature  (most / SLICES, 4, most)  float  for SLICES, 2 SLICES.. slices: sine and cosine of theta,
+                                          midpoints of -pi/2..pi/2, and of the azimuths of midpoints all
+                                          round; or other places in the same even steps
   alternating  (rows, cols)        float  out: the even slices' light less that of the odd ones, which tells
                                           how far the slices are from enough
 
 The slice at the azimuth offset d from the centre, sin d = (sin a / cos e) sin theta, a the ball's angular
 radius and e its centre's elevation, sees a chord of half width w, sin w = sin a cos theta / r, r^2 = 1 -
 cos^2 e sin^2 d. Where the zenith lies within the disc, slices go all round. */
-__kernel void ball(__global const float *heights, __global const float *tops, __global const float *nodes,
-                   __global const float *sky, __global const float *points, __global const float *lobe,
-                   __global const float *chords, __global float *irradiance, __global float *alternating,
+__kernel void ball(__global const float *heights, __global const float *tops,
+                   __global const float *quadrature, __global const float *sky, __global const float *points,
+                   __global const float *lobe, __global const float *chords, __global float *irradiance,
+                   __global float *alternating,
                    int rows, int cols, int width, int levels, int least, int most, int side, int n_points,
                    int n_lobe, int n_turns, int n_knots, int dark, float rim, float x0, float y0, float z0,
-                   float radius, float unit)
+                   float radius, float factor)
 {
   if (get_global_id(0) >= cols || get_global_id(1) >= rows)
     return;
@@ -460,7 +461,7 @@ __kernel void ball(__global const float *heights, __global const float *tops, __
   const int blocks = min((least + (int)(turn * (most - least))) / SLICES, most / SLICES),
             n_slices = blocks * SLICES;
   const float step = M_PI_F / n_slices;
-  __global const float *own = nodes + (blocks - 1) * 4 * most;
+  __global const float *own = quadrature + (blocks - 1) * 4 * most;
   pixel.up = dz;
   pixel.reach = beyond;
   pixel.radius = radius;
@@ -498,8 +499,8 @@ __kernel void ball(__global const float *heights, __global const float *tops, __
       other += TO_FLOATS(1 - 2 * ((j + LANE) & 1)) * light;
     }
   const float slant = sqrt(1 + pixel.tilt_x * pixel.tilt_x + pixel.tilt_y * pixel.tilt_y);
-  irradiance[pixel.y * cols + pixel.x] = unit * TOTAL(sum) / slant;
-  alternating[pixel.y * cols + pixel.x] = unit * TOTAL(other) / slant;
+  irradiance[pixel.y * cols + pixel.x] = factor * TOTAL(sum) / slant;
+  alternating[pixel.y * cols + pixel.x] = factor * TOTAL(other) / slant;
 }
 
 /* Azimuths between two directions: the bisector, and the tangent of a quarter of the angle. */
@@ -539,16 +540,16 @@ void in_order(float *px, float *py, int i, int j)
 
   corners  (6, 3)          float  four corners round it, from their middle; the middle; the unit normal.
                                   Third: heights
-  nodes    (most, most, 2) float  row n - 1: Gauss-Legendre nodes, -1..1, and weights of n slices
+  quadrature  (most, most, 2)  float  row n - 1: Gauss-Legendre nodes, -1..1, and weights of n slices
 
 Between the azimuths of neighbouring corners the chord's ends run along one edge each: every such sector gets
 its share of the slices, at least one. All is computed from the quadrangle's middle, so that small far sources
 lose no digits. */
 __kernel void quad(__global const float *heights, __global const float *tops, __global const float *corners,
-                   __global const float *nodes, __global const float *sky, __global const float *points,
+                   __global const float *quadrature, __global const float *sky, __global const float *points,
                    __global const float *lobe, __global const float *chords, __global float *irradiance,
                    int rows, int cols, int width, int levels, int least, int most, int side, int n_points,
-                   int n_lobe, int n_turns, int n_knots, int dark, float rim, float unit)
+                   int n_lobe, int n_turns, int n_knots, int dark, float rim, float factor)
 {
   if (get_global_id(0) >= cols || get_global_id(1) >= rows)
     return;
@@ -630,10 +631,10 @@ __kernel void quad(__global const float *heights, __global const float *tops, __
                  count = OF_SECTOR(end_a, end_b, end_c, (ints)n_slices) - first;
       const ints at = 2 * ((count - 1) * most + number - first);
       /* of half the angle from the bisector */
-      const floats tangent = quarter * GATHER(nodes, at), scale = 1 / (1 + tangent * tangent);
+      const floats tangent = quarter * GATHER(quadrature, at), scale = 1 / (1 + tangent * tangent);
       const floats cos_t = (1 - tangent * tangent) * scale, sin_t = 2 * tangent * scale;
       const floats cos_d = axis_c * cos_t - axis_s * sin_t, sin_d = axis_s * cos_t + axis_c * sin_t;
-      const floats share = 2 * quarter * GATHER(nodes, at + 1) * scale;
+      const floats share = 2 * quarter * GATHER(quadrature, at + 1) * scale;
       /* where the outline goes through the slice to the left, and to the right: distance and height from the
          middle */
       floats left_r = 0, left_z = 0, right_r = 0, right_z = 0;
@@ -678,20 +679,20 @@ __kernel void quad(__global const float *heights, __global const float *tops, __
                            high, rise);
     }
   irradiance[pixel.y * cols + pixel.x] =
-      unit * TOTAL(sum) / sqrt(1 + pixel.tilt_x * pixel.tilt_x + pixel.tilt_y * pixel.tilt_y);
+      factor * TOTAL(sum) / sqrt(1 + pixel.tilt_x * pixel.tilt_x + pixel.tilt_y * pixel.tilt_y);
 }
 
-/* gloss: the light of the sky within the lobe; nodes as for a ball.
+/* gloss: the light of the sky within the lobe; quadrature as for a ball.
 
   reach  float [spacing]  ground farther away does not count
 
 Slices go through the disc within the rim about the mirror direction, or all round where the zenith lies
 within it. */
-__kernel void gloss(__global const float *heights, __global const float *tops, __global const float *nodes,
-                    __global const float *sky, __global const float *points, __global const float *lobe,
-                    __global float *irradiance, int rows, int cols, int width, int levels, int least,
-                    int most, int side, int n_points, int n_lobe, int dark, float rim, float reach,
-                    float unit)
+__kernel void gloss(__global const float *heights, __global const float *tops,
+                    __global const float *quadrature, __global const float *sky, __global const float *points,
+                    __global const float *lobe, __global float *irradiance, int rows, int cols, int width,
+                    int levels, int least, int most, int side, int n_points, int n_lobe, int dark, float rim,
+                    float reach, float factor)
 {
   if (get_global_id(0) >= cols || get_global_id(1) >= rows)
     return;
@@ -708,7 +709,7 @@ __kernel void gloss(__global const float *heights, __global const float *tops, _
   const int blocks = min((least + (int)(turn * (most - least))) / SLICES, most / SLICES),
             n_slices = blocks * SLICES;
   const float step = M_PI_F / n_slices;
-  __global const float *own = nodes + (blocks - 1) * 4 * most;
+  __global const float *own = quadrature + (blocks - 1) * 4 * most;
   pixel.up = 0;
   pixel.reach = reach;
   pixel.radius = -1;
@@ -731,7 +732,7 @@ __kernel void gloss(__global const float *heights, __global const float *tops, _
              slice(&pixel, ux * cos_d - uy * sin_d, uy * cos_d + ux * sin_d, 1, 0, -STEEP, STEEP, 2 * STEEP);
     }
   irradiance[pixel.y * cols + pixel.x] =
-      unit * TOTAL(sum) / sqrt(1 + pixel.tilt_x * pixel.tilt_x + pixel.tilt_y * pixel.tilt_y);
+      factor * TOTAL(sum) / sqrt(1 + pixel.tilt_x * pixel.tilt_x + pixel.tilt_y * pixel.tilt_y);
 }
 
 /* rays: whether the ground leaves rays free.

@@ -443,7 +443,7 @@ def test_the_map_of_brightness():
 
 def test_the_rules_of_quadrature():
     """Gauss-Legendre for every number of slices."""
-    table = slices._quad_nodes(40)
+    table = slices._quad_quadrature(40)
     for count in (1, 2, 3, 7, 40):
         np.testing.assert_allclose(
             table[count - 1, :count].T, np.polynomial.legendre.leggauss(count), atol=1e-7

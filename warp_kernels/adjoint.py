@@ -613,7 +613,7 @@ def lamp(
     tiles: wp.array[wp.float32],
     top: wp.array[wp.int32],
     frames: wp.array[wp.float32],
-    nodes: wp.array[wp.float32],
+    quadrature: wp.array[wp.float32],
     solid: wp.array[wp.float32],
     table: wp.array[wp.float32],
     light: wp.array[wp.float32],
@@ -637,8 +637,8 @@ def lamp(
       frames  (pixels, 4)  float32  cosine and sine of the azimuth of the source's middle; ball: distance to
                                     the centre along the ground; quadrangle: tangent of a quarter of the angle
                                     it takes up, 0 where it stands all round
-      nodes   (count, 4)   float32  sine and cosine of midpoints of -pi/2..pi/2, cosine and sine of midpoints
-                                    all round
+      quadrature  (count, 4)  float32  sine and cosine of midpoints of -pi/2..pi/2, cosine and sine of
+                                    midpoints all round
       n_rows  rows of table, evenly in the diamond angle (c, s) -> s / (|c| + |s|), -1..1 over the half c > 0
               and on
 
@@ -662,8 +662,8 @@ def lamp(
     for k in range(count):
         # 1. the slice, and the slopes between which the source stands in it, with their derivatives by the
         # own depth
-        c = nodes[4 * k + 2]
-        s = nodes[4 * k + 3]
+        c = quadrature[4 * k + 2]
+        s = quadrature[4 * k + 3]
         width = TWO_PI / wp.float32(count)
         low = wp.float32(1.0)
         high = wp.float32(0.0)
@@ -682,13 +682,13 @@ def lamp(
                 along = extent * (c * ux + s * uy)
                 half = wp.sqrt(wp.max(radius * radius - offset * offset, 0.0))
             else:
-                sin_d = radius / extent * nodes[4 * k]
+                sin_d = radius / extent * quadrature[4 * k]
                 cos_d = wp.sqrt((1.0 - sin_d) * (1.0 + sin_d))
                 c = ux * cos_d - uy * sin_d
                 s = uy * cos_d + ux * sin_d
-                width = radius / extent * nodes[4 * k + 1] * (PI / wp.float32(count)) / cos_d
+                width = radius / extent * quadrature[4 * k + 1] * (PI / wp.float32(count)) / cos_d
                 along = extent * cos_d
-                half = radius * nodes[4 * k + 1]
+                half = radius * quadrature[4 * k + 1]
             reach = wp.max(along, half)
             end = along + half
             if beyond <= 0.0:

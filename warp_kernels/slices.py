@@ -25,7 +25,7 @@ grow towards the viewer.
                                                over n_turns even cells of the diamond angle q = s / (|c| +
                                                |s|), 2 - q, 4 + q of the azimuth's cosine c and sine s, 0..4;
                                                n_knots 0: B is 1
-  irradiance   (rows, cols)           float32  out; unit: its factor
+  irradiance   (rows, cols)           float32  out; factor: of it
   least, most                         int32    slices of a source that is a point, and of one that stands all
                                                round: multiples of SLICES, as what is between
   dark                                int32    whether walls stand half a node outside the map, up to height 0
@@ -531,7 +531,7 @@ def mirror_of(tilt: wp.vec2):
 def ball(
     heights: wp.array[wp.float32],
     tops: wp.array[wp.float32],
-    nodes: wp.array[wp.float32],
+    quadrature: wp.array[wp.float32],
     sky: wp.array[wp.float32],
     points: wp.array[wp.float32],
     lobe: wp.array[wp.float32],
@@ -555,11 +555,11 @@ def ball(
     y0: wp.float32,
     z0: wp.float32,
     radius: wp.float32,
-    unit: wp.float32,
+    factor: wp.float32,
 ):
     """x0, y0, z0: its centre (z0 a height), and its radius.
 
-      nodes        (most / SLICES, 4, most)  float32  for SLICES, 2 SLICES.. slices: sine and cosine of theta,
+      quadrature   (most / SLICES, 4, most)  float32  for SLICES, 2 SLICES.. slices: sine and cosine of theta,
                                                       midpoints of -pi/2..pi/2, and of the azimuths of
                                                       midpoints all round; or other places in the same even
                                                       steps
@@ -650,15 +650,15 @@ def ball(
     other = wp.float32(0.0)
     if pixel.height > NONE and (inside or dz + radius > 0.0):
         for j in range(n_slices):
-            sin_d = widest * nodes[own + j]
-            half = sin_a * nodes[own + most + j]
+            sin_d = widest * quadrature[own + j]
+            half = sin_a * quadrature[own + most + j]
             cos_d = wp.sqrt((1.0 - sin_d) * (1.0 + sin_d))
             share = (
-                widest * step * nodes[own + most + j] / wp.max(cos_d, 1e-6)
+                widest * step * quadrature[own + most + j] / wp.max(cos_d, 1e-6)
             )  # no less but where there is no chord
             if all_round:
-                sin_d = nodes[own + 2 * most + j]
-                cos_d = nodes[own + 3 * most + j]
+                sin_d = quadrature[own + 2 * most + j]
+                cos_d = quadrature[own + 3 * most + j]
                 half = wp.sqrt(wp.max(sin_a * sin_a - cos_e * cos_e * (sin_d * sin_d), 0.0))
                 share = 2.0 * step
             in_plane = cos_e * cos_d
@@ -693,8 +693,8 @@ def ball(
             total += light
             other += wp.where((j & 1) == 0, light, -light)
     slant = wp.sqrt(1.0 + pixel.tilt_x * pixel.tilt_x + pixel.tilt_y * pixel.tilt_y)
-    irradiance[y * cols + x] = unit * total / slant
-    alternating[y * cols + x] = unit * other / slant
+    irradiance[y * cols + x] = factor * total / slant
+    alternating[y * cols + x] = factor * other / slant
 
 
 @wp.func
@@ -738,7 +738,7 @@ def quad(
     heights: wp.array[wp.float32],
     tops: wp.array[wp.float32],
     corners: wp.array[wp.float32],
-    nodes: wp.array[wp.float32],
+    quadrature: wp.array[wp.float32],
     sky: wp.array[wp.float32],
     points: wp.array[wp.float32],
     lobe: wp.array[wp.float32],
@@ -757,13 +757,13 @@ def quad(
     n_knots: wp.int32,
     dark: wp.int32,
     rim: wp.float32,
-    unit: wp.float32,
+    factor: wp.float32,
 ):
     """A flat, convex quadrangle, which shines from both faces.
 
       corners  (6, 3)           float32  four corners round it, from their middle; the middle; the unit
                                          normal. Third: heights
-      nodes    (most, most, 2)  float32  row n - 1: Gauss-Legendre nodes, -1..1, and weights of n slices
+      quadrature  (most, most, 2)  float32  row n - 1: Gauss-Legendre nodes, -1..1, and weights of n slices
 
     Between the azimuths of neighbouring corners the chord's ends run along one edge each: every such sector
     gets its share of the slices, at least one. All is computed from the quadrangle's middle, so that small
@@ -903,13 +903,13 @@ def quad(
                 first = end_b
                 count = end_c - end_b
             at = 2 * ((count - 1) * most + k - first)
-            tangent = sector[2] * nodes[at]  # of half the angle from the bisector
+            tangent = sector[2] * quadrature[at]  # of half the angle from the bisector
             scale = 1.0 / (1.0 + tangent * tangent)
             cos_t = (1.0 - tangent * tangent) * scale
             sin_t = 2.0 * tangent * scale
             cos_d = sector[0] * cos_t - sector[1] * sin_t
             sin_d = sector[1] * cos_t + sector[0] * sin_t
-            share = 2.0 * sector[2] * nodes[at + 1] * scale
+            share = 2.0 * sector[2] * quadrature[at + 1] * scale
             # where the outline goes through the slice to the left, and to the right: distance and height from
             # the middle
             left_r = wp.float32(0.0)
@@ -970,7 +970,7 @@ def quad(
                 pixel, ux * cos_d - uy * sin_d, uy * cos_d + ux * sin_d, along, 0.0, low, high, rise
             )
     irradiance[y * cols + x] = (
-        unit * total / wp.sqrt(1.0 + pixel.tilt_x * pixel.tilt_x + pixel.tilt_y * pixel.tilt_y)
+        factor * total / wp.sqrt(1.0 + pixel.tilt_x * pixel.tilt_x + pixel.tilt_y * pixel.tilt_y)
     )
 
 
@@ -978,7 +978,7 @@ def quad(
 def gloss(
     heights: wp.array[wp.float32],
     tops: wp.array[wp.float32],
-    nodes: wp.array[wp.float32],
+    quadrature: wp.array[wp.float32],
     sky: wp.array[wp.float32],
     points: wp.array[wp.float32],
     lobe: wp.array[wp.float32],
@@ -995,9 +995,9 @@ def gloss(
     dark: wp.int32,
     rim: wp.float32,
     reach: wp.float32,
-    unit: wp.float32,
+    factor: wp.float32,
 ):
-    """The light of the sky within the lobe; nodes as for a ball.
+    """The light of the sky within the lobe; quadrature as for a ball.
 
       reach  float32 [spacing]  ground farther away does not count
 
@@ -1065,18 +1065,18 @@ def gloss(
     total = wp.float32(0.0)
     if pixel.height > NONE:
         for j in range(n_slices):
-            sin_d = widest * nodes[own + j]
+            sin_d = widest * quadrature[own + j]
             cos_d = wp.sqrt((1.0 - sin_d) * (1.0 + sin_d))
-            share = widest * step * nodes[own + most + j] / cos_d
+            share = widest * step * quadrature[own + most + j] / cos_d
             if all_round:
-                sin_d = nodes[own + 2 * most + j]
-                cos_d = nodes[own + 3 * most + j]
+                sin_d = quadrature[own + 2 * most + j]
+                cos_d = quadrature[own + 3 * most + j]
                 share = 2.0 * step
             total += share * slice_light(
                 pixel, ux * cos_d - uy * sin_d, uy * cos_d + ux * sin_d, 1.0, 0.0, -STEEP, STEEP, 2.0 * STEEP
             )
     irradiance[y * cols + x] = (
-        unit * total / wp.sqrt(1.0 + pixel.tilt_x * pixel.tilt_x + pixel.tilt_y * pixel.tilt_y)
+        factor * total / wp.sqrt(1.0 + pixel.tilt_x * pixel.tilt_x + pixel.tilt_y * pixel.tilt_y)
     )
 
 

@@ -16,7 +16,7 @@ from ..sources.integrals import Integrals, chords
 from ..sources.solids import Ball, Quad, upright
 from . import line, unoccluded
 from .base import Estimate, Later, LightMethod, estimated, judged
-from .slices import CHORD_AZIMUTHS, CHORD_KNOTS, Slices, ball_nodes, outline, widened
+from .slices import CHORD_AZIMUTHS, CHORD_KNOTS, Slices, ball_quadrature, outline, widened
 
 # where in its step a slice of a ball lies; at 1/2 and 0 even and odd slices are mirror images, and their
 # difference does not show half of the error
@@ -128,7 +128,7 @@ class Sliced(LightMethod):
         between = [(shift + 0.5 / len(self.shifts)) % 1 for shift in self.shifts]
         slices, means = self.slices, []
         for n, shift in enumerate(between):
-            slices.nodes = self.engine.table(ball_nodes(slices.most, shift))
+            slices.quadrature = self.engine.table(ball_quadrature(slices.most, shift))
             slices.image = self.engine.empty(self.scene.shape, np.float32)
             slices.run()
             means.append(slices.image)

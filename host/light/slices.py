@@ -187,7 +187,7 @@ class Slices:
         backend, lobe = self.backend, self.lobe
         values = np.asarray(brightness)
         varies = values.ndim > 0
-        self.unit = 1.0 if varies else float(values)
+        self.factor = 1.0 if varies else float(values)
         sky: Any = [[1.0, 1.0]] * 2  # a lobe weights a brightness, if only 1
         chords = np.zeros((1, 1, 2))
         self.side, self.turns, self.knots = 2, 0, 0
@@ -199,8 +199,8 @@ class Slices:
         self.n_points = (LOBE_VARIES if varies else LOBE_POINTS) if lobe is not None else 0
         self.points = backend.table(_on_unit(max(self.n_points, 1)))
         self.chords = backend.table(np.asarray(chords, np.float32))
-        self.nodes = backend.table(
-            _quad_nodes(self.most) if isinstance(self.solid, Quad) else ball_nodes(self.most, shift)
+        self.quadrature = backend.table(
+            _quad_quadrature(self.most) if isinstance(self.solid, Quad) else ball_quadrature(self.most, shift)
         )
         self.table = backend.table(np.zeros(2, np.float32) if lobe is None else lobe.table)
 
@@ -258,14 +258,14 @@ class Slices:
                 (cols, rows),
                 self.heights,
                 self.tops,
-                self.nodes,
+                self.quadrature,
                 *lit,
                 self.image,
                 *size,
                 int(self.walls),
                 rim,
                 min(self.solid.reach / self.step, -float(NONE)),
-                self.unit,
+                self.factor,
                 squares=True,
             )
         elif isinstance(self.solid, Ball):
@@ -275,7 +275,7 @@ class Slices:
                 (cols, rows),
                 self.heights,
                 self.tops,
-                self.nodes,
+                self.quadrature,
                 *lit,
                 self.chords,
                 self.image,
@@ -284,7 +284,7 @@ class Slices:
                 *table,
                 *map(float, self.center),
                 float(self.radius),
-                self.unit,
+                self.factor,
                 squares=True,
             )
         else:
@@ -295,13 +295,13 @@ class Slices:
                 self.heights,
                 self.tops,
                 self.corners,
-                self.nodes,
+                self.quadrature,
                 *lit,
                 self.chords,
                 self.image,
                 *size,
                 *table,
-                self.unit,
+                self.factor,
                 squares=True,
             )
 
@@ -395,7 +395,7 @@ def _on_unit(count: int) -> np.ndarray:
     return np.stack([(1 + node) / 2, weight / 2], 1).astype(np.float32)
 
 
-def ball_nodes(most: int, shift: float = 0.5) -> np.ndarray:
+def ball_quadrature(most: int, shift: float = 0.5) -> np.ndarray:
     """(most / SLICES, 4, most) float32, as the kernel ``ball`` reads it.
 
     ``shift``: where in its step a slice lies.
@@ -410,7 +410,7 @@ def ball_nodes(most: int, shift: float = 0.5) -> np.ndarray:
 
 
 @functools.cache
-def _quad_nodes(most: int) -> np.ndarray:
+def _quad_quadrature(most: int) -> np.ndarray:
     """(most, most, 2) float32, as the kernel ``quad`` reads it.
 
     All Gauss-Legendre rules at once, by Newton's method on Legendre polynomials.

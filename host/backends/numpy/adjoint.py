@@ -476,7 +476,7 @@ def lamp(
     tiles: np.ndarray,
     top: np.ndarray,
     frames: np.ndarray,
-    nodes: np.ndarray,
+    quadrature: np.ndarray,
     solid: np.ndarray,
     table: np.ndarray,
     light: np.ndarray,
@@ -503,9 +503,9 @@ def lamp(
     for k in range(count):
         # 1. the slice, and the slopes between which the source stands in it
         if ball:
-            slices = _ball_slices(nodes[k], frames, solid, own, count)
+            slices = _ball_slices(quadrature[k], frames, solid, own, count)
         else:
-            slices = _quadrangle_slices(k, nodes[k], frames, solid, own, x, y, count)
+            slices = _quadrangle_slices(k, quadrature[k], frames, solid, own, x, y, count)
         c, s, width, high = slices.c, slices.s, slices.width, slices.high
 
         # 2. what limits it from below

@@ -416,7 +416,7 @@ def _sum(
     pixels: Pixels,
     blocks: np.ndarray,
     most: int,
-    unit: float,
+    factor: float,
     irradiance: np.ndarray,
     slices_of: Callable[[np.ndarray, int], tuple[Any, ...]],
     alternating: np.ndarray | None = None,
@@ -442,10 +442,10 @@ def _sum(
             )
             scale = np.sqrt(F(1) + here.tilt_x * here.tilt_x + here.tilt_y * here.tilt_y)
             light = share * light.reshape(shape)
-            irradiance[here.y, here.x] = F(unit) * light.sum(1, dtype=F) / scale
+            irradiance[here.y, here.x] = F(factor) * light.sum(1, dtype=F) / scale
             if alternating is not None:
                 alternating[here.y, here.x] = (
-                    F(unit) * (light[:, ::2] - light[:, 1::2]).sum(1, dtype=F) / scale
+                    F(factor) * (light[:, ::2] - light[:, 1::2]).sum(1, dtype=F) / scale
                 )
 
 
@@ -479,11 +479,11 @@ class Disc(NamedTuple):
     seen: np.ndarray
 
 
-def _disc_slices(disc: Disc, nodes: np.ndarray, part: np.ndarray, count: int) -> tuple[Any, ...]:
+def _disc_slices(disc: Disc, quadrature: np.ndarray, part: np.ndarray, count: int) -> tuple[Any, ...]:
     """The slices that _sum adds: ``count`` of the discs of the nodes ``part``."""
     here = _columns(disc, part)
     step = F(np.pi) / F(count)
-    row = nodes[count // SLICES - 1, :, :count]
+    row = quadrature[count // SLICES - 1, :, :count]
     sin_d = np.where(here.all_round, row[2], here.widest * row[0])
     cos_d = np.where(here.all_round, row[3], np.sqrt((F(1) - sin_d) * (F(1) + sin_d)))
     square = here.sin_a * here.sin_a - here.cos_e * here.cos_e * (sin_d * sin_d)
@@ -510,7 +510,7 @@ def _disc_slices(disc: Disc, nodes: np.ndarray, part: np.ndarray, count: int) ->
 def ball(
     heights: np.ndarray,
     tops: np.ndarray,
-    nodes: np.ndarray,
+    quadrature: np.ndarray,
     sky: np.ndarray,
     points: np.ndarray,
     lobe: np.ndarray,
@@ -534,7 +534,7 @@ def ball(
     y0: float,
     z0: float,
     radius: float,
-    unit: float,
+    factor: float,
 ) -> None:
     radius_ = F(radius)
     nodes_with_ground = x, y, height, *_ = _pixels(heights, rows, cols)
@@ -558,8 +558,8 @@ def ball(
     disc = Disc(ux, uy, sin_e, cos_e, flat, sin_a, cos_a, widest, all_round, inside, seen)
     shown = points[:n_points], lobe[:n_lobe], chords[:n_turns, :n_knots], F(rim)
     ground = Map(heights, tops, sky, *shown, rows, cols, levels, dark)
-    slices_of = lambda part, count: _disc_slices(disc, nodes, part, count)
-    _sum(ground, pixels, blocks, most, unit, irradiance, slices_of, alternating)
+    slices_of = lambda part, count: _disc_slices(disc, quadrature, part, count)
+    _sum(ground, pixels, blocks, most, factor, irradiance, slices_of, alternating)
 
 
 def _sector_between(ax: np.ndarray, ay: np.ndarray, bx: np.ndarray, by: np.ndarray) -> np.ndarray:
@@ -646,7 +646,7 @@ def _shared_out(sectors: np.ndarray, least: int, most: int) -> tuple[np.ndarray,
 
 
 def _sector_slices(
-    sectors: np.ndarray, ends: np.ndarray, nodes: np.ndarray, part: np.ndarray, count: int
+    sectors: np.ndarray, ends: np.ndarray, quadrature: np.ndarray, part: np.ndarray, count: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """(cosine, sine, share) of the slices of the nodes ``part``, about the frame's axis."""
     number = np.arange(count)[None]
@@ -655,7 +655,7 @@ def _sector_slices(
     axis_c, axis_s, quarter = (np.take_along_axis(sectors[:, k, part].T, which, 1) for k in range(3))
     first = np.take_along_axis(bounds[:4].T, which, 1)
     many = np.take_along_axis(bounds[1:].T, which, 1) - first
-    node, weight = np.moveaxis(nodes[many - 1, number - first], -1, 0)
+    node, weight = np.moveaxis(quadrature[many - 1, number - first], -1, 0)
     tangent = quarter * node  # of half the angle from the bisector
     scale = F(1) / (F(1) + tangent * tangent)
     cos_t, sin_t = (F(1) - tangent * tangent) * scale, F(2) * tangent * scale
@@ -694,12 +694,12 @@ def _quadrangle_slices(
     frame: Frame,
     sectors: np.ndarray,
     ends: np.ndarray,
-    nodes: np.ndarray,
+    quadrature: np.ndarray,
     part: np.ndarray,
     count: int,
 ) -> tuple[Any, ...]:
     """The slices that _sum adds: ``count`` of the quadrangle as the nodes ``part`` see it."""
-    cos_d, sin_d, share = _sector_slices(sectors, ends, nodes, part, count)
+    cos_d, sin_d, share = _sector_slices(sectors, ends, quadrature, part, count)
     (left_r, left_z, has_left), (right_r, right_z, has_right) = _crossings(outline, part, cos_d, sin_d)
     here = _columns(frame, part)
     within, left = outline.within[part, None], outline.left[part, None]
@@ -724,7 +724,7 @@ def quad(
     heights: np.ndarray,
     tops: np.ndarray,
     corners: np.ndarray,
-    nodes: np.ndarray,
+    quadrature: np.ndarray,
     sky: np.ndarray,
     points: np.ndarray,
     lobe: np.ndarray,
@@ -743,7 +743,7 @@ def quad(
     n_knots: int,
     dark: int,
     rim: float,
-    unit: float,
+    factor: float,
 ) -> None:
     nodes_with_ground = x, y, height, *_ = _pixels(heights, rows, cols)
     # 1. the corners, in the frame that points below the middle
@@ -775,14 +775,14 @@ def quad(
     frame = Frame(ux, uy, flat, dz, normal_x, normal_y, normal_z, sense, seen)
     shown = points[:n_points], lobe[:n_lobe], chords[:n_turns, :n_knots], F(rim)
     ground = Map(heights, tops, sky, *shown, rows, cols, levels, dark)
-    slices_of = lambda part, count: _quadrangle_slices(outline, frame, sectors, ends, nodes, part, count)
-    _sum(ground, pixels, blocks, most, unit, irradiance, slices_of)
+    slices_of = lambda part, count: _quadrangle_slices(outline, frame, sectors, ends, quadrature, part, count)
+    _sum(ground, pixels, blocks, most, factor, irradiance, slices_of)
 
 
 def gloss(
     heights: np.ndarray,
     tops: np.ndarray,
-    nodes: np.ndarray,
+    quadrature: np.ndarray,
     sky: np.ndarray,
     points: np.ndarray,
     lobe: np.ndarray,
@@ -799,7 +799,7 @@ def gloss(
     dark: int,
     rim: float,
     reach: float,
-    unit: float,
+    factor: float,
 ) -> None:
     ground = _pixels(heights, rows, cols)
     mirror_x, mirror_y = ground[5:7]
@@ -816,7 +816,7 @@ def gloss(
     # 2. its slices
     def slices_of(part: np.ndarray, count: int) -> tuple[Any, ...]:
         step = F(np.pi) / F(count)
-        row = nodes[count // SLICES - 1, :, :count]
+        row = quadrature[count // SLICES - 1, :, :count]
 
         def column(value: np.ndarray) -> np.ndarray:
             return np.asarray(value[part, None])
@@ -852,7 +852,7 @@ def gloss(
         pixels,
         blocks,
         most,
-        unit,
+        factor,
         irradiance,
         slices_of,
     )
