@@ -204,6 +204,31 @@ def spacing_of(labels: Labels | None) -> float:
     return float(np.mean([step.mean() for step in steps if step.size]))
 
 
+ALONG_X = ("x", "lon", "longitude", "easting")
+
+
+def axes_of(labels: Labels | None) -> tuple[float, float]:
+    """1 where columns run east, and where rows run south, else -1: by coordinates, which grow east and north.
+
+    (1, 1) where there are none. InputError where rows are x.
+    """
+    if labels is None or len(labels.dims) < 2:
+        return 1.0, 1.0
+    rows, cols = labels.dims[:2]
+    if str(rows).lower() in ALONG_X:
+        raise bad("dimensions of a DataArray", labels.dims, f"rows first, {(cols, rows)}", "Use transpose().")
+    return (-1.0 if _grows(labels, cols) < 0 else 1.0), (-1.0 if _grows(labels, rows) > 0 else 1.0)
+
+
+def _grows(labels: Labels, name: Hashable) -> float:
+    """Last coordinate less the first, 0 where there are none."""
+    coordinate = labels.coords.get(name)
+    if coordinate is None or coordinate.ndim != 1 or coordinate.dtype.kind not in "iuf":
+        return 0.0
+    first, last = coordinate.values[[0, -1]].tolist()
+    return float(last - first)
+
+
 def labelled(array: Any, labels: Labels | None, quantity: Quantity, **leading: Any) -> Any:
     """``array`` as an xarray.DataArray with the coordinates of ``labels``, or as it is where there are none.
 

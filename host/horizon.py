@@ -29,7 +29,7 @@ OPENNESS = {
     False: Quantity("openness", "rad", "mean angle from the zenith to the horizon"),
     True: Quantity("negative_openness", "rad", "mean angle from the nadir to the horizon, seen from below"),
 }
-AZIMUTH_ATTRIBUTES = {"units": "rad", "long_name": "azimuth from +x (columns) towards +y (rows)"}
+AZIMUTH_ATTRIBUTES = {"units": "rad", "long_name": "azimuth from east towards south"}
 RUNGS = 1025  # of the tables that turn slopes into sums
 
 
@@ -50,7 +50,8 @@ def horizons(
     farther away does not count; the whole map does unless given (on a map that repeats, as far as its relief
     makes a slope of 0.01). With dark sides the wall counts as ground.
 
-    A scene made from an xarray.DataArray gives a DataArray with the coordinate ``azimuth`` [rad]. A DataArray
+    A scene made from an xarray.DataArray gives a DataArray with the coordinate ``azimuth`` [rad], from east,
+    where its x grows, towards south, where its y falls, whatever the order of its rows. A DataArray
     of heights may be given in place of a scene: the spacing is that of its coordinates, and nan are masked.
     Results have their own name, ``units`` and ``long_name``. This holds for sky_view_factor and openness too.
 
@@ -70,7 +71,7 @@ def horizons(
     """
     scene = _scene_of(scene)
     azimuths = as_azimuths(azimuths)
-    work = partial(_slopes, azimuths=azimuths, backend=backend)
+    work = partial(_slopes, azimuths=azimuths, backend=backend, axes=scene.axes)
     with limited(max_seconds, "horizons", scene, backend):
         found: Any = over_tiles(work, scene, tiling, max_distance, backend, SLOPE, azimuth=azimuths.angles)
     if scene.labels is not None:
@@ -87,11 +88,12 @@ def _slopes(
     *,
     azimuths: Azimuths,
     backend: str,
+    axes: tuple[float, float],
 ) -> np.ndarray:
     """Slopes of ``part`` of the azimuths; every azimuth's are the same whatever the others are."""
     engine = engine_of(scene, backend)
     with engine.lock:
-        rays = Rays(azimuths.angles[part], azimuths.widths[part])
+        rays = _rays(azimuths, axes, part)
         ground = ground_of(scene, max_distance, engine)
         slopes = Sweeps(engine, ground, rays, near=FINE_NEAR_ROWS, far=far).slopes()
     if scene.mask is not None:
@@ -128,7 +130,8 @@ def sky_view_factor(
     """
     one_of(definition, DEFINITIONS, "definition")
     scene = _scene_of(scene)
-    work = partial(sky_view, definition=definition, azimuths=as_azimuths(azimuths), backend=backend)
+    how: dict[str, Any] = dict(azimuths=as_azimuths(azimuths), backend=backend, axes=scene.axes)
+    work = partial(sky_view, definition=definition, **how)
     with limited(max_seconds, "sky_view_factor", scene, backend):
         found: np.ndarray = over_tiles(work, scene, tiling, max_distance, backend, VIEW[definition])
     return found
@@ -143,6 +146,7 @@ def sky_view(
     definition: str,
     azimuths: Azimuths,
     backend: str,
+    axes: tuple[float, float] = (1.0, 1.0),
 ) -> Any:
     """The sky-view factor, a sum over azimuths of a function of the horizon's sine, or of light."""
     sine = np.linspace(0, 1, RUNGS)
@@ -154,7 +158,7 @@ def sky_view(
         table[:, :-1, 3] = np.diff(share)
     engine = engine_of(scene, backend)
     with engine.lock:
-        ground, rays = ground_of(scene, max_distance, engine), Rays(azimuths.angles, azimuths.widths)
+        ground, rays = ground_of(scene, max_distance, engine), _rays(azimuths, axes)
         sweeps = Sweeps(engine, ground, rays, table, level=share is not None, far=far)
         scale = float(1 / (2 * np.pi) if definition == "solid_angle" else 1 / np.pi)
         if scene.stays_on(engine):
@@ -193,14 +197,13 @@ def openness(
         A NumPy array, DataArray or lazy array, as the scene is.
     """
     scene = _scene_of(scene)
-    is_scene(scene)
     if not isinstance(negative, (bool, np.bool_)):
         raise bad("openness: negative", repr(negative), "True or False")
     if negative:
         turned = scene.depth if scene.lazy is None else -scene.lazy
         turned = labelled(turned, scene.labels, OPENNESS[True])
         scene = Scene.from_height(turned, scene.spacing, mask=scene.mask, sides=scene.sides)
-    work = partial(mean_openness, azimuths=as_azimuths(azimuths), backend=backend)
+    work = partial(mean_openness, azimuths=as_azimuths(azimuths), backend=backend, axes=scene.axes)
     with limited(max_seconds, "openness", scene, backend):
         found: np.ndarray = over_tiles(work, scene, tiling, max_distance, backend, OPENNESS[bool(negative)])
     return found
@@ -214,19 +217,29 @@ def mean_openness(
     *,
     azimuths: Azimuths,
     backend: str,
+    axes: tuple[float, float] = (1.0, 1.0),
 ) -> np.ndarray:
     engine = engine_of(scene, backend)
     with engine.lock:
-        ground, rays = ground_of(scene, max_distance, engine), Rays(azimuths.angles, azimuths.widths)
+        ground, rays = ground_of(scene, max_distance, engine), _rays(azimuths, axes)
         image = Sweeps(engine, ground, rays, near=FINE_NEAR_ROWS, far=far).openness()
     if scene.mask is not None:
         image[~scene.mask] = np.nan
     return image
 
 
-def _scene_of(given: Any) -> Any:
+def _rays(azimuths: Azimuths, axes: tuple[float, float], part: slice = slice(None)) -> Rays:
+    """``part`` of the azimuths, in the axes of a map, see ``Scene.axes``."""
+    angles = azimuths.angles[part]
+    angles = np.pi - angles if axes[0] < 0 else angles
+    return Rays(-angles if axes[1] < 0 else angles, azimuths.widths[part])
+
+
+def _scene_of(given: Any) -> Scene:
     """A scene of heights that an xarray.DataArray holds; what is given, of anything else."""
-    return given if labels_of(given) is None else Scene.from_height(given)
+    scene = given if labels_of(given) is None else Scene.from_height(given)
+    is_scene(scene)
+    return scene
 
 
 def as_azimuths(azimuths: int | Azimuths) -> Azimuths:

@@ -223,7 +223,7 @@ def plan(
     check_choice(interreflection)
     engine = select(backend)
     if isinstance(source, sources.Source):
-        source, _ = sources.in_range(source)
+        source, _ = sources.in_range(sources.on_axes(source, scene.axes))
     with engine.lock:
         seconds = _stopwatch(engine)
         planner = choose(scene, source, tolerance, engine, tail, interreflection)

@@ -201,7 +201,7 @@ def render(
     options = _Options(*asked, interreflection, parts)
     options.check(scene, source)
     engine = engine_of(scene, backend)
-    source, unit = sources.in_range(source)
+    source, unit = sources.in_range(sources.on_axes(source, scene.axes))
     with limited(max_seconds, "render", scene, backend):
         if options.goes_in_tiles(scene, source, engine, tiling):
             return _in_tiles(scene, source, options, engine, backend, tiling)._times(unit)

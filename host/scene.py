@@ -10,7 +10,17 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from .arrays import Labels, by_bands, chunked, host_array, labels_of, on_device, scratch, spacing_of
+from .arrays import (
+    Labels,
+    axes_of,
+    by_bands,
+    chunked,
+    host_array,
+    labels_of,
+    on_device,
+    scratch,
+    spacing_of,
+)
 from .backends import resident, select
 from .backends.base import Array, Backend
 from .backends.resident import Resident
@@ -31,7 +41,9 @@ class Scene:
     Arrays may be NumPy's, or have ``__array__``, ``__dlpack__`` or ``__cuda_array_interface__``. They are
     copied; the caller's are never changed. A depth (or height) that is an xarray.DataArray is remembered as
     ``labels``, and what has the scene's rows and columns comes back as one: with its dimensions, coordinates,
-    name and attributes.
+    name and attributes. Where its y grows with the rows, or its x falls along them, skies and the azimuths
+    of horizons are turned to it: north is where y grows, east where x does. Lamps and windows stand where
+    columns and rows say.
 
     A contiguous float32 depth or height that lies on a GPU (or in a Warp array) stays there, on that device's
     backend, which ``auto`` takes then; a mask is uploaded once. Of other types, and on other backends, the
@@ -70,6 +82,8 @@ class Scene:
     sides: str = "open"
     reflectance: Reflectance | None = None
     labels: Labels | None = field(init=False, repr=False, default=None)
+    # 1 where columns run east and rows south, -1 where they run west and north, by the labels
+    axes: tuple[float, float] = field(init=False, repr=False, default=(1.0, 1.0))
     # heights [length] of a map that is not computed yet, a dask.array (rows, cols), nan where masked
     lazy: Any = field(init=False, repr=False, default=None)
     # the depth on a device of Warp's, if it was given there
@@ -82,7 +96,8 @@ class Scene:
     def __post_init__(self) -> None:
         given, height = (self.depth.values, True) if isinstance(self.depth, _Heights) else (self.depth, False)
         what = "height" if height else "depth"
-        _set(self, labels=labels_of(given), spacing=positive_number(self.spacing, "spacing"))
+        labels = labels_of(given)
+        _set(self, labels=labels, spacing=positive_number(self.spacing, "spacing"), axes=axes_of(labels))
         one_of(self.sides, tuple(SIDES), "sides")
         if chunked(given) is not None:
             self._hold(chunked(given), height)

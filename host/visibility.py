@@ -218,7 +218,8 @@ class VisibilityField:
         above = np.where(level, 2, 1) * cube.solid_angles  # a whole cell again, where the horizon had cut it
         visible = np.concatenate([visible, np.zeros(down.sum(), bool)])
         brightness, hit = np.zeros(len(steps)), np.full((len(steps), 2), -1)
-        brightness[visible] = sources.radiance(self.source, directions[visible])
+        source = sources.on_axes(self.source, self.scene.axes)
+        brightness[visible] = sources.radiance(source, directions[visible])
         for d in np.flatnonzero(~visible):
             where = self._first_hit(np.array([x, y, layer]), steps[d])
             if where is not None:

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from .. import sources
-from ..arrays import Labels, Quantity, labelled, labels_of
+from ..arrays import Labels, Quantity, axes_of, labelled, labels_of
 from ..backends import select
 from ..backends.base import Backend
 from ..checks import at, one_of, positive_number, real_array
@@ -215,6 +215,7 @@ def _checked(
         raise bad("albedo", 0.0, "> 0: a black surface tells nothing of its depth")
     for light in lights:
         _check_light(light)
+    lights = [sources.on_axes(light, axes_of(labels)) for light in lights]
     return _Given(images, lights, several, labels, scene, albedo is not None, int(layers))
 
 

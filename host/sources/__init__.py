@@ -23,6 +23,7 @@ from .shapes import (
     geometry,
     in_range,
     narrow_features,
+    on_axes,
     radiance,
     without_disc,
 )
@@ -54,6 +55,7 @@ __all__ = [
     "geometry",
     "in_range",
     "narrow_features",
+    "on_axes",
     "radiance",
     "uniform",
     "without_disc",

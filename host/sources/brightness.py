@@ -252,6 +252,43 @@ class Scaled(Distribution):
         return np.asarray(self.function(directions)) * self.factor
 
 
+@dataclass(frozen=True)
+class Mirrored(Distribution):
+    """A brightness function in the axes of a map whose columns or rows run the other way.
+
+    ``axes``: 1 or -1 that x and y of a direction are multiplied by.
+    """
+
+    function: Distribution
+    axes: tuple[float, float]
+
+    def _turned(self, L: Any) -> np.ndarray:
+        turned: np.ndarray = np.asarray(L, float) * (*self.axes, 1.0)
+        return turned
+
+    def narrow(self) -> Directions | None:
+        narrow = self.function.narrow()
+        return None if narrow is None else tuple(tuple(self._turned(L).tolist()) for L in narrow)
+
+    def equirectangular(self) -> np.ndarray | None:
+        """None where no column of the map is the mirror of another: x turned, of an odd number."""
+        image, (x, y) = self.function.equirectangular(), self.axes
+        if image is None or x < 0 and image.shape[1] % 2:
+            return None
+        image = image if x * y > 0 else image[:, ::-1]
+        return np.roll(image, image.shape[1] // 2, 1) if x < 0 else image
+
+    def disc(self) -> Disc | None:
+        disc = self.function.disc()
+        return None if disc is None else disc._replace(direction=tuple(self._turned(disc.direction).tolist()))
+
+    def without_disc(self) -> Distribution:
+        return Mirrored(self.function.without_disc(), self.axes)
+
+    def __call__(self, L: np.ndarray) -> np.ndarray:
+        return self.function(self._turned(L))
+
+
 def directions_of(azimuth: Any, sine: Any) -> np.ndarray:
     """Unit vectors (..., 3) of azimuths [rad] and sines of elevation, which broadcast."""
     azimuth, sine = np.asarray(azimuth, float), np.asarray(sine, float)

@@ -18,6 +18,7 @@ from .brightness import (
     Brightness,
     Channel,
     Distribution,
+    Mirrored,
     checked,
     directions_of,
     distribution,
@@ -293,6 +294,20 @@ def in_range(source: Source) -> tuple[Source, float]:
         return source, 1.0
     unit = 2.0 ** math.floor(math.log2(most))
     return replace(source, brightness=brightness.scaled(1 / unit)), unit
+
+
+def on_axes(source: Source, axes: tuple[float, float]) -> Source:
+    """A sky, or the sky behind a window, in the axes of a map; lamps stand in these.
+
+    ``axes``: 1 where columns run east and rows south, -1 where they run west and north.
+    """
+    brightness = distribution_of(source)
+    if axes == (1.0, 1.0) or isinstance(source, Lamp):
+        return source
+    turned = source if brightness is None else replace(source, brightness=Mirrored(brightness, axes))
+    if isinstance(turned, Sky):
+        turned = replace(turned, suns=tuple((x * axes[0], y * axes[1], z) for x, y, z in turned.suns))
+    return turned
 
 
 def without_disc(source: Source) -> Source:

@@ -1,0 +1,157 @@
+"""DataArrays whose rows run north, or whose columns run west, are lit as the same map in the usual order."""
+
+import numpy as np
+import pytest
+
+import skylamp as sl
+from skylamp.sources import on_axes
+from skylamp.sources.brightness import distribution
+
+xr = pytest.importorskip("xarray")
+
+ORDERS = [(1, 1), (-1, 1), (1, -1), (-1, -1)]  # steps through rows and columns of the usual order
+SUN = 150.0, 25.0  # azimuth from north and elevation [degree]: in the south, and a little east
+
+
+@pytest.fixture(scope="module")
+def dem():
+    """Hills, north up and west first, in metres."""
+    y, x = np.mgrid[:28, :36]
+    heights = 60 * np.sin(x / 5.0 + 0.3 * y) * np.cos(y / 4.0) + 40 * np.exp(-((x - 20) ** 2 + y**2) / 60)
+    coordinates = {"y": 4000.0 - 30 * np.arange(28), "x": 500.0 + 30 * np.arange(36)}
+    return xr.DataArray(heights.astype(np.float32), coordinates, ("y", "x"))
+
+
+def panorama(cols):
+    """An environment map that is bright in the south-south-east."""
+    rng = np.random.default_rng(3)
+    image = rng.random((16, cols)) / 2
+    image[5:8, cols // 5] = 30
+    return sl.environment_map(image)
+
+
+SKIES = {
+    "sun": sl.Sky(sl.cie_clear(SUN, direct=3.0)),
+    "map": sl.Sky(panorama(64)),
+    "map of an odd number of columns": sl.Sky(panorama(63)),
+    "colours": sl.Sky(lambda L: np.maximum(L[..., 1:2], 0) * [1.0, 0.5, 0.2] + 0.1),
+    "a named sun": sl.Sky(
+        lambda L: 0.2 + 5e3 * (L @ [0.3, 0.8, -0.52] > 0.99995 * np.sqrt(1.0004)), suns=[(0.3, 0.8, -0.52)]
+    ),
+}
+
+
+def alike(found, expected, share):
+    """The same coordinates in the order of ``found``, and values to a share of their mean."""
+    like = expected.sel(y=found.y, x=found.x)
+    assert found.dims == expected.dims and found.coords.keys() == expected.coords.keys()
+    off = np.sqrt(np.mean((found.values - like.values) ** 2)) / np.abs(like.values).mean()
+    assert off < share, off
+
+
+@pytest.mark.parametrize("order", ORDERS[1:])
+@pytest.mark.parametrize("sky", SKIES)
+def test_skies_light_each_order_alike(dem, fast, order, sky):
+    """Suns, environment maps, functions and named suns: north is where y grows, east where x does."""
+    turned = dem[:: order[0], :: order[1]]
+    options = dict(backend=fast, azimuths=32, quantity="irradiance")
+    expected = sl.render(sl.Scene.from_height(dem), SKIES[sky], **options).image
+    found = sl.render(sl.Scene.from_height(turned), SKIES[sky], **options).image
+    assert found.y.identical(turned.y) and found.x.identical(turned.x)
+    alike(found, expected, 0.004)
+
+
+def test_a_southern_slope_faces_a_southern_sun(fast):
+    """By hand: of a ridge from west to east, the side with the smaller y is lit by a sun in the south."""
+    y = np.arange(20.0)
+    ridge = xr.DataArray(np.broadcast_to(-np.abs(y[:, None] - 10), (20, 12)), {"y": y}, ("y", "x"))
+    sun = sl.Sky(sl.cie_sky(5, (180.0, 20.0), direct=50.0))
+    for dem in (ridge, ridge[::-1]):
+        image = sl.render(sl.Scene.from_height(dem), sun, azimuths=16, backend=fast).image
+        assert float(image.sel(y=4)[6]) > 5 * float(image.sel(y=16)[6])
+    west = xr.DataArray(ridge.values.T, {"y": -np.arange(12.0), "x": y}, ("y", "x"))
+    sun = sl.Sky(sl.cie_sky(5, (90.0, 20.0), direct=50.0))
+    for dem in (west, west[:, ::-1]):
+        image = sl.render(sl.Scene.from_height(dem), sun, azimuths=16, backend=fast).image
+        assert float(image.sel(x=16)[6]) > 5 * float(image.sel(x=4)[6])
+
+
+@pytest.mark.parametrize("order", ORDERS[1:])
+@pytest.mark.parametrize("chunks", [None, 13])
+def test_horizons_of_each_order(dem, fast, order, chunks):
+    """Azimuths count from east to south; sky-view factors and openness are those of the same nodes."""
+    turned = dem[:: order[0], :: order[1]]
+    if chunks:
+        pytest.importorskip("dask.array")
+        turned = turned.chunk(chunks)
+    expected, found = (sl.horizons(heights, azimuths=12, backend=fast) for heights in (dem, turned))
+    assert found.azimuth.identical(expected.azimuth) and found.y.identical(turned.y)
+    like = expected.sel(y=found.y, x=found.x).values
+    there = np.isfinite(like)
+    np.testing.assert_array_equal(np.isfinite(found.values), there)
+    np.testing.assert_allclose(found.values[there], like[there], atol=0.02)
+    uneven = sl.Azimuths(5, (0, 0.5, 1.5, 3, 5, 2 * np.pi))
+    for work in (sl.sky_view_factor, sl.openness):
+        alike(work(turned, azimuths=uneven, backend=fast), work(dem, azimuths=uneven, backend=fast), 0.004)
+
+
+def test_a_lazy_map_of_each_order_is_rendered(dem, fast):
+    """In the input's chunks, and with the light of the same map in the usual order."""
+    pytest.importorskip("dask.array")
+    options = dict(backend=fast, azimuths=16, quantity="irradiance", tiling=sl.Tiling(16, 8, 8))
+    expected = sl.render(sl.Scene.from_height(dem.chunk(10)), SKIES["sun"], **options).image
+    turned = dem[::-1].chunk({"y": (5, 23), "x": 36})
+    found = sl.render(sl.Scene.from_height(turned), SKIES["sun"], **options).image
+    assert found.chunks == turned.chunks
+    alike(found.compute(), expected.compute(), 0.02)
+
+
+@pytest.mark.slow
+def test_plans_and_windows_and_lamps(dem, fast):
+    """The sky behind a window is turned; lamps and windows stand where rows and columns say."""
+    turned = dem[::-1]
+    rows = dem.shape[0] * 30.0
+    usual, mirrored = sl.Scene.from_height(dem), sl.Scene.from_height(turned)
+    sky = sl.cie_clear(SUN)
+    window = sl.Window(x=(200, 800), y=(300.0, 700.0), brightness=sky)
+    there = sl.Window(x=(200, 800), y=(rows - 730.0, rows - 330.0), brightness=sky)
+    options = dict(backend=fast, azimuths=32, quantity="irradiance")
+    alike(sl.render(mirrored, there, **options).image, sl.render(usual, window, **options).image, 0.02)
+    lamps = [sl.Lamp(center=(500.0, at, -200.0), radius=40.0) for at in (240.0, rows - 30 - 240.0)]
+    alike(sl.render(mirrored, lamps[1], **options).image, sl.render(usual, lamps[0], **options).image, 0.01)
+    plans = [sl.plan(scene, SKIES["sun"], backend=fast) for scene in (usual, mirrored)]
+    assert plans[1].interreflection == pytest.approx(plans[0].interreflection, rel=0.1)
+
+
+@pytest.mark.slow
+def test_recover_takes_light_from_where_it_comes(dem, fast):
+    """The same depth from an image in each order, under a sky that is bright in the south."""
+    sky = sl.Sky(lambda L: 0.3 + np.maximum(L[..., 1], 0) ** 2)
+    small = dem[:16, :16]
+    image = sl.render(sl.Scene.from_height(small), sky, backend=fast, interreflection=False).image
+    options = dict(layers=8, spacing=30.0, backend=fast, interreflection=False)
+    expected, found = (sl.recover(picture, sky, **options).depth for picture in (image, image[::-1]))
+    alike(found, expected, 0.1)
+
+
+def test_what_a_mirrored_brightness_tells():
+    """Its disc, its named features and its map are where its own values are."""
+    for axes in ((-1.0, 1.0), (1.0, -1.0), (-1.0, -1.0)):
+        sun = distribution(on_axes(SKIES["sun"], axes).brightness)
+        toward = np.array(sun.disc().direction)
+        assert np.allclose(toward * [*axes, 1], distribution(SKIES["sun"].brightness).disc().direction)
+        assert np.allclose(sun.narrow(), [toward]) and sun.without_disc().disc() is None
+        painted = distribution(on_axes(SKIES["map"], axes).brightness)
+        around = np.random.default_rng(0).normal(size=(50, 3))
+        around /= np.linalg.norm(around, axis=1)[:, None]
+        again = sl.environment_map(painted.equirectangular())
+        np.testing.assert_allclose(again(around), painted(around), rtol=1e-9, atol=1e-9)
+        assert on_axes(SKIES["a named sun"], axes).suns[0] == (0.3 * axes[0], 0.8 * axes[1], -0.52)
+    odd = distribution(on_axes(SKIES["map of an odd number of columns"], (-1.0, 1.0)).brightness)
+    assert odd.equirectangular() is None
+
+
+def test_rows_along_x_are_refused(dem):
+    """A map whose rows are x would be lit mirrored."""
+    with pytest.raises(sl.InputError, match="transpose"):
+        sl.Scene.from_height(dem.transpose("x", "y"))
