@@ -68,6 +68,27 @@ def peers_most() -> str:
     return digits(max(map(_ratio, _peers())))
 
 
+def _case(peer: dict, name: str) -> str:
+    """One comparison in words; ``name``: what the package is called there."""
+    reach = (
+        f"{peer['azimuths']} rays per node"
+        if "embree" in peer["peer"]
+        else "the whole map searched"
+        if peer["radius"] is None
+        else f"a search radius of {peer['radius']} nodes"
+    )
+    ours = digits(peer["skylamp"]["seconds"])
+    return f"{name} with {reach}: {digits(peer['seconds'])} s, skylamp {ours} s"
+
+
+def peers_least_case() -> str:
+    return _case(_peers()[0], _peers()[0]["peer"])
+
+
+def peers_most_case() -> str:
+    return _case(_peers()[-1], "embree" if "embree" in _peers()[-1]["peer"] else _peers()[-1]["peer"])
+
+
 def peers() -> str:
     """Packages beside the cheapest skylamp that is no less accurate, and what was measured elsewhere."""
     body = [
@@ -145,13 +166,22 @@ def pairs() -> str:
     return str(len(_pairs(0.01)))
 
 
-def pairs_within() -> str:
+def pairs_kept() -> str:
     found = _pairs(0.01)
-    return f"{100 * sum(float(row['over']) <= 1 for row in found) / len(found):.1f}"
+    return f"{sum(float(row['over']) <= 1 for row in found)} of {len(found)}"
+
+
+def pairs_warned() -> str:
+    return str(sum(float(row["over"]) > 1 and row["warned"] == "True" for row in _pairs(0.01)))
 
 
 def pairs_silent() -> str:
     return str(_silent(_pairs(0.01), 1))
+
+
+def pairs_silent_worst() -> str:
+    """The largest error without a warning at a tolerance of 1 % [%]."""
+    return digits(max(float(row["over"]) for row in _pairs(0.01) if row["warned"] != "True"))
 
 
 def tolerances() -> str:
@@ -374,9 +404,23 @@ def _recovered() -> list[dict]:
     return facts("recover")["accuracy"]
 
 
-def recover_ratio() -> str:
-    """Median over surfaces and single images of the RMSE of carving over that of the default."""
-    return digits(median(one["paper"] / one["robust"] for one in _recovered() if "paper" in one))
+def _compared() -> list[dict]:
+    """Single images whose depth was recovered in both ways."""
+    return [one for one in _recovered() if "paper" in one]
+
+
+def recover_count() -> str:
+    return str(len(_compared()))
+
+
+def recover_ours() -> str:
+    """Median RMSE of the default [node spacings]."""
+    return digits(median(one["robust"] for one in _compared()))
+
+
+def recover_carving() -> str:
+    """Median RMSE of carving at its best eps [node spacings]."""
+    return digits(median(one["paper"] for one in _compared()))
 
 
 def recover() -> str:
