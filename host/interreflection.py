@@ -65,14 +65,14 @@ GAINED_FROM, GAIN = 3, 0.9
 class Interreflection:
     """What was done about the light between surfaces.
 
-    included: whether it is in the image; reason: why, or why not; share: RMS of this light over the mean of
-    the direct light, None where nobody asked; rounds of gathering, the last in ``azimuths`` at every
-    ``stride``-th node; error: of all light, RMS over its mean, by exact strips at some nodes. Where this
-    light is left out, and where every tile has rounds of its own, rounds is 0, and azimuths, stride and error
-    are None.
+    included: whether it is in the image, None where that is told while a lazy image is computed; reason: why,
+    or why not; share: RMS of this light over the mean of the direct light, None where it was not estimated;
+    rounds of gathering, the last in ``azimuths`` at every ``stride``-th node; error: of all light, RMS over
+    its mean, by exact strips at some nodes. Where this light is left out, and where every tile has rounds of
+    its own, rounds is 0, and azimuths, stride and error are None.
     """
 
-    included: bool
+    included: bool | None
     reason: str
     share: float | None = None
     rounds: int = 0
@@ -81,6 +81,8 @@ class Interreflection:
     error: float | None = None
 
     def __str__(self) -> str:
+        if self.included is None:
+            return f"included {self.reason}"
         if not self.included:
             return f"left out: {self.reason}"
         if self.azimuths is None:
@@ -109,12 +111,33 @@ def local_share(
     That is what nodes send to themselves if all ground is like them: an estimate of the light between
     surfaces, or of what is left of it after some bounces.
     """
-    q = albedo * (1 - np.clip(sky, 0, 1))
-    q = np.minimum(q, 1 - 1e-3)  # albedo 1 where no sky is seen
     light = float(np.average(direct, weights=weights))
     if not light > 0:
         return 0.0
-    return math.sqrt(np.average((direct * q ** (after + 1) / (1 - q)) ** 2, weights=weights)) / light
+    return math.sqrt(np.average(_sent(direct, sky, albedo, after) ** 2, weights=weights)) / light
+
+
+def _sent(direct: np.ndarray, sky: np.ndarray, albedo: Any, after: int = 0) -> np.ndarray:
+    """E_d q^(n + 1) / (1 - q) of every node, see :func:`local_share`."""
+    q = albedo * (1 - np.clip(sky, 0, 1))
+    q = np.minimum(q, 1 - 1e-3)  # albedo 1 where no sky is seen
+    found: np.ndarray = direct * q ** (after + 1) / (1 - q)
+    return found
+
+
+def local_sums(direct: np.ndarray, sky: np.ndarray, albedo: Any) -> np.ndarray:
+    """What :func:`share_of` takes of some nodes of a map: their number, and the sums of the direct light and
+    of the square of what they send to themselves, (3,) float64.
+    """
+    sent = _sent(direct.astype(float), sky, albedo)
+    return np.array([direct.size, direct.sum(dtype=float), np.square(sent).sum()])
+
+
+def share_of(sums: np.ndarray) -> float:
+    """:func:`local_share` of all nodes, the worst colour's, from the :func:`local_sums` (colours, 3)."""
+    return max(
+        math.sqrt(square / count) / (light / count) if light > 0 else 0.0 for count, light, square in sums
+    )
 
 
 def albedos(scene: Scene) -> list[Any]:

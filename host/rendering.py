@@ -19,17 +19,26 @@ from .checks import one_of, positive_number
 from .constants import SLICES
 from .directions import Azimuths, Hemicube
 from .errors import bad
-from .interreflection import Interreflection, check_choice, included, is_needed, reason
+from .interreflection import (
+    Interreflection,
+    albedos,
+    check_choice,
+    included,
+    is_needed,
+    local_sums,
+    reason,
+    share_of,
+)
 from .light import propagation, unoccluded
 from .light.far import Far, Tiling
 from .light.horizon import FINE_KNOTS, with_suns
 from .light.lattice import HEMICUBE_ERRORS, lacking
 from .light.propagation import Lobe, Problem
 from .light.slices import CHORD_AZIMUTHS, CHORD_KNOTS, MOST, Slices, blurred, brightness_of, widened
-from .light.sweeps import FINE_NEAR_ROWS, Rays, Sweeps, engine_of, ground_of
+from .light.sweeps import FINE_NEAR_ROWS, Ground, Rays, Sweeps, engine_of, ground_of
 from .refinement import Plan, Refined, refined, solid_of
 from .reflectance import BRDF, Phong
-from .scale import Audit, fits, holds, limited, over_area, tiled, warn
+from .scale import Audit, decided, fits, holds, limited, over_area, tiled, warn
 from .scene import Scene, is_scene
 from .sources.integrals import Integrals, chords
 from .sources.solids import Dome, upright
@@ -57,6 +66,9 @@ COARSE_LOBE = 1.2
 LEAK_SLOPE, LEAK_SIZE = 0.7, 7
 # azimuths of a small part of a sky on a map in tiles; chosen: 8 are 0.06 % off, cliffs apart
 SUN_SECTORS = 16
+# azimuths in which windows of tiles tell how much light between surfaces there is, 0.003 off in the share of
+# sky; and what part of a window at each of its sides sees too little ground to tell; chosen
+WINDOW_AZIMUTHS, WINDOW_EDGE = 16, 8
 # relative RMS error that 64 azimuths keep to: 0.0004 of E / pi on rough ground (performance/refinement.py)
 LEAST_TILED_TOLERANCE = 0.002
 REPEATED_LOBE = "a lobe over a map that repeats"
@@ -183,7 +195,8 @@ def render(
     interreflection : "auto", True or False
         Light between surfaces, to any number of bounces. ``auto``: where a tolerance chooses the method it is
         included if it is more than a third of the tolerance, which then holds for all light; methods that are
-        asked for are of direct light. ``True``: within ``tolerance``. Lobes and mirrors reflect direct light.
+        asked for are of direct light. ``True``: within ``tolerance``. In tiles, windows of all
+        tiles tell ``auto``. Lobes and mirrors reflect direct light.
     parts : bool
         Give ``direct`` and ``reflected`` besides.
     tiling : Tiling
@@ -218,16 +231,22 @@ def _in_tiles(
 ) -> Rendering:
     """A sky or a lamp on a map in tiles: lazy, if the scene is."""
     leading = [3] if _in_colour_in_tiles(scene, source, options) else []
-    warnings, between = [], options.interreflection is True and bool(np.ndim(scene.albedo) or scene.albedo)
-    why = "as asked, in every tile for itself" if between else "a map in tiles is lit directly"
+    warnings: list[str] = []
+    between, why = _between_in_tiles(scene, source, options)
+    share: float | None = None
 
     def light() -> Any:
+        nonlocal between, why, share
         if isinstance(source, sources.Lamp):
             area = _lit_area(scene, source, options.max_distance)
             lamp = LampImage(source, replace(options, max_distance=None), backend, bool(leading))
             found = over_area(lamp, scene, *area, *leading)
         else:
-            work = _tile_image(scene, source, options, backend)
+            work = _tile_image(scene, source, options, backend, between)
+            if between is None and scene.lazy is None:
+                work = decided(work, scene, tiling, options.max_distance, work.audit)
+                between, share = work.between, work.share
+                why = reason(share, work.tolerance)
             found = tiled(work, scene, tiling, options.max_distance, work.audit, *leading, between=between)
         if not leading:
             return found
@@ -235,13 +254,13 @@ def _in_tiles(
 
     found, seconds, compiling = timed(engine, light)
     count: int | None = len(_sectors(options.azimuths))
-    reason = "a map in tiles is not refined"
+    how = "a map in tiles is not refined"
     if isinstance(source, sources.Lamp):
-        count, reason = None, "what is within reach of the lamp is rendered at once"
+        count, how = None, "what is within reach of the lamp is rendered at once"
         why = "as in every image" if options.interreflection else "as asked"
         between = options.interreflection is not False
         warnings = _beyond_reach(source, options.max_distance)
-    plan = Plan("horizon", None, None, reason, count, options.max_distance)
+    plan = Plan("horizon", None, None, how, count, options.max_distance)
     return Rendering(
         labelled(found, scene.labels, IMAGES[options.quantity]),
         plan,
@@ -250,14 +269,28 @@ def _in_tiles(
         compiling,
         warnings,
         _quantity=options.quantity,
-        interreflection=Interreflection(between, why),
+        interreflection=Interreflection(between, why, share),
     )
+
+
+def _between_in_tiles(scene: Scene, source: sources.Source, options: _Options) -> tuple[bool | None, str]:
+    """(Whether tiles have light between surfaces, None where the whole map tells; why)."""
+    if options.interreflection is False:
+        return False, "as asked"
+    if not (np.ndim(scene.albedo) or scene.albedo):
+        return False, "the surface has no diffuse albedo"
+    if options.interreflection is True:
+        return True, "as asked, in every tile for itself"
+    if not options.planned(scene, source):
+        return False, "the method that was asked for is of direct light"
+    return None, "if windows of all tiles have more of it than a third of the tolerance"
 
 
 def _in_colour_in_tiles(scene: Scene, source: sources.Source, options: _Options) -> bool:
     """Whether images of tiles are in colour."""
     coloured = np.ndim(scene.albedo) in (1, 3)
-    may_bounce = options.interreflection is True or isinstance(source, sources.Lamp)
+    between, _ = _between_in_tiles(scene, source, options)
+    may_bounce = between is not False or isinstance(source, sources.Lamp)
     return len(sources.channels(source)) > 1 or coloured and (options.quantity == "radiance" or may_bounce)
 
 
@@ -319,7 +352,8 @@ class TileImage:
 
     rays, and tables of brightness, of every colour; factors of the colours that differ by these alone, of
     which there is one ray and no table. in_colour: the image is (3, rows, cols). between: with the light
-    between surfaces, within ``tolerance``. The light is ``unit`` times that of the tables.
+    between surfaces, within ``tolerance``, or None where the whole map decides by ``fewer``: the same lights
+    in fewer azimuths. The light is ``unit`` times that of the tables.
     """
 
     lights: tuple[tuple[Rays, np.ndarray | None], ...]
@@ -328,8 +362,11 @@ class TileImage:
     in_colour: bool
     backend: str
     tolerance: float
-    between: bool
+    between: bool | None
     unit: float
+    colours: int
+    fewer: tuple[tuple[Rays, np.ndarray | None], ...]
+    share: float | None = None  # estimate of the light between surfaces
 
     @property
     def audit(self) -> Audit:
@@ -343,16 +380,9 @@ class TileImage:
         engine = engine_of(scene, self.backend)
         with engine.lock:
             ground = ground_of(scene, max_distance, engine)
-
-            def swept(rays: Rays, table: np.ndarray | None) -> np.ndarray:
-                return Sweeps(engine, ground, rays, table, far=far).irradiance(last=True)
-
-            light = [swept(*given) for given in self.lights]
-            if self.factors is not None:
-                light = [light[0] * np.float32(factor) for factor in self.factors]
+            light = self._swept(engine, ground, self.lights, far)
             if self.between:
-                sectors = Azimuths(DEFAULT_AZIMUTHS)
-                sky = swept(Rays(sectors.angles, sectors.widths), None) * np.float32(1 / np.pi)
+                sky = _share_of_sky(engine, ground, DEFAULT_AZIMUTHS, far)
                 found = included(scene, engine, light, self.tolerance, "as asked", sky=sky, beyond=True)
                 light = found.irradiances
                 for text in found.warnings:
@@ -361,6 +391,63 @@ class TileImage:
             light = [image * np.float32(self.unit) for image in light]
         image = _image(scene, light, [], self.quantity)
         return np.moveaxis(image, -1, 0)[part] if self.in_colour else image
+
+    def _swept(
+        self,
+        engine: Backend,
+        ground: Ground,
+        lights: tuple[tuple[Rays, np.ndarray | None], ...],
+        far: Far | None,
+    ) -> list[np.ndarray]:
+        """Direct irradiance of every colour of the source."""
+        light = [Sweeps(engine, ground, rays, table, far=far).irradiance(last=True) for rays, table in lights]
+        if self.factors is None:
+            return light
+        return [light[0] * np.float32(factor) for factor in self.factors]
+
+    def sums(self, scene: Scene) -> np.ndarray:
+        """What tells how much light between surfaces there is, (colours, 3); the border's nodes, which see
+        too little ground, have no part in it."""
+        engine, edge = engine_of(scene, self.backend), [n // WINDOW_EDGE for n in scene.shape]
+        with engine.lock:
+            ground = ground_of(scene, None, engine)
+            light = self._swept(engine, ground, self.fewer, None)
+            sky = _share_of_sky(engine, ground, len(self.fewer[0][0].angles), None)
+        inner = np.zeros(scene.shape, bool)
+        inner[edge[0] : scene.shape[0] - edge[0], edge[1] : scene.shape[1] - edge[1]] = True
+        inner &= scene.valid
+        shares, count = albedos(scene), self.colours
+        return np.stack(
+            [
+                local_sums(
+                    light[n % len(light)][inner],
+                    sky[inner],
+                    shares[n % len(shares)][inner]
+                    if np.ndim(shares[n % len(shares)])
+                    else shares[n % len(shares)],
+                )
+                for n in range(count)
+            ]
+        )
+
+    def decided(self, sums: np.ndarray, possible: bool) -> TileImage:
+        """This image with or without light between surfaces; a warning where it counts and cannot be."""
+        share = share_of(sums)
+        needed = is_needed(share, self.tolerance)
+        if needed and not possible:
+            warn(
+                f"Tolerance: light between surfaces is left out, since it needs open sides and tiles of at"
+                f" least two halos; it is about {100 * share:.2g} % of the direct light (RMS over the mean),"
+                f" more than a third of the {100 * self.tolerance:.2g} % asked for."
+            )
+        return replace(self, between=bool(needed and possible), share=share)
+
+
+def _share_of_sky(engine: Backend, ground: Ground, azimuths: int, far: Far | None) -> np.ndarray:
+    """Share of sky that every node of a tile sees, cosine-weighted, (rows, cols) float32."""
+    sectors = Azimuths(azimuths)
+    rays = Rays(sectors.angles, sectors.widths)
+    return Sweeps(engine, ground, rays, far=far).irradiance(last=True) * np.float32(1 / np.pi)
 
 
 def tile_image(scene: Scene, source: sources.Source, backend: str, **asked: Any) -> TileImage:
@@ -373,10 +460,12 @@ def tile_image(scene: Scene, source: sources.Source, backend: str, **asked: Any)
     refused = options.refused_in_tiles(scene, source, None)
     if refused:
         raise bad("render: a map in tiles", *refused)
-    return _tile_image(scene, source, options, backend)
+    return _tile_image(scene, source, options, backend, _between_in_tiles(scene, source, options)[0])
 
 
-def _tile_image(scene: Scene, source: sources.Source, options: _Options, backend: str) -> TileImage:
+def _tile_image(
+    scene: Scene, source: sources.Source, options: _Options, backend: str, between: bool | None
+) -> TileImage:
     source, unit = sources.in_range(source)
     greys, sectors = sources.channels(source), _sectors(options.azimuths)
     factors = _numbers(greys)
@@ -388,8 +477,10 @@ def _tile_image(scene: Scene, source: sources.Source, options: _Options, backend
         _in_colour_in_tiles(scene, source, options),
         backend,
         float(options.tolerance),
-        options.interreflection is True,
+        between,
         unit,
+        max(len(greys), 3 if np.ndim(scene.albedo) in (1, 3) else 1),
+        tuple(_rays_of(sky, Azimuths(WINDOW_AZIMUTHS)) for sky in skies),
     )
 
 

@@ -388,6 +388,46 @@ def test_light_between_surfaces_in_tiles(fast):
             sl.render(there, sky, interreflection=True, tiling=tiling, backend=fast)
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize(("albedo", "counts"), [(0.9, True), (0.02, False)])
+def test_the_whole_map_decides_on_light_between_surfaces(fast, albedo, counts):
+    """Once for all tiles, as if True or False had been asked for; one half of the map is flat."""
+    heights = np.concatenate([np.zeros((130, 70), np.float32), mountains(130, 80, 25)], 1)
+    options = dict(backend=fast, tiling=SMALL, tolerance=0.02)
+    expected = sl.render(
+        sl.Scene.from_height(heights, albedo=albedo), sl.Sky(), interreflection=counts, **options
+    )
+    tiles = sl.render(sl.Scene.from_height(heights, albedo=albedo), sl.Sky(), **options)
+    assert_bits_equal(tiles.image, expected.image)
+    assert tiles.interreflection.included is counts and tiles.interreflection.reason.startswith("it is about")
+    whole = sl.plan(sl.Scene.from_height(heights, albedo=albedo), sl.Sky(), backend=fast)
+    assert 0.5 < tiles.interreflection.share / whole.interreflection < 1.5
+    varying = da.full((130, 150), albedo, dtype=np.float32, chunks=(130, 40))
+    for chunks, surface in ((50, albedo), ((130, 31), varying)):
+        lazy = sl.Scene.from_height(da.from_array(heights, chunks=chunks), albedo=surface)
+        found = sl.render(lazy, sl.Sky(), **options)
+        assert found.interreflection.included is None and "windows" in str(found.interreflection)
+        lit = sl.render(lazy, sl.Sky(), interreflection=counts, **options).image
+        assert_bits_equal(*(image.compute(scheduler="sync") for image in (found.image, lit)))
+    one = da.from_array(heights[:60, 70:130], chunks=30)  # a map within one tile
+    images = [
+        sl.render(sl.Scene.from_height(one, albedo=albedo), sl.Sky(), interreflection=asked, **options).image
+        for asked in ("auto", counts)
+    ]
+    assert_bits_equal(*(image.compute(scheduler="sync") for image in images))
+
+
+def test_light_between_surfaces_that_cannot_be_in_tiles_is_said(fast):
+    """On a map that repeats: a warning with how much it is, and direct light."""
+    heights = np.pad(mountains(118, 118, 40), 5)
+    scene = sl.Scene.from_height(heights, albedo=0.9, sides="periodic")
+    with pytest.warns(
+        UserWarning, match="Tolerance: light between surfaces .* about [0-9.]+ % of the direct"
+    ):
+        found = sl.render(scene, sl.Sky(), backend=fast, tiling=SMALL)
+    assert not found.interreflection.included and found.interreflection.share > 0.01
+
+
 def test_light_that_is_guessed_is_said(fast):
     """Between two ridges of a bright valley most light comes from beyond a halo of 16 nodes."""
     heights = np.abs(np.arange(-96.0, 96.0))[None] * np.ones((130, 1))

@@ -28,7 +28,7 @@ from ..io.paths import replacing_file
 from ..light.far import Tiling, Top, coarser, from_heights, top_of
 from ..reflectance import Reflectance
 from ..rendering import tile_image
-from ..scale import Audit, Layout, Work, around_tile, devices, layout_of_map, tile_of
+from ..scale import Audit, Layout, around_tile, devices, layout_of_map, settled, sums_of_tile, tile_of
 from ..scene import ALBEDO, Scene
 from ..sources import Source
 from . import parsing
@@ -92,14 +92,14 @@ class Quantity(NamedTuple):
     ``settings``: what was asked for, in words; all that the bytes depend on besides the file and the tiles.
     """
 
-    work: Work
+    work: Any  # see scale.Work and scale.Undecided
     audit: Audit
     settings: dict[str, Any]
     max_distance: float | None = None
     sign: float = 1.0
     bands: int = 1
     albedo: Any = ALBEDO
-    between: bool = False  # with light between surfaces
+    between: bool | None = False  # with light between surfaces; None: as all tiles tell
 
 
 class Job(NamedTuple):
@@ -114,7 +114,7 @@ class Job(NamedTuple):
 def horizon(what: str, definition: str, azimuths: int, max_distance: float | None, backend: str) -> Quantity:
     """One quantity of `skylamp horizon`."""
     options: dict[str, Any] = dict(azimuths=as_azimuths(azimuths), backend=backend)
-    works: dict[str, Work] = {
+    works: dict[str, Any] = {
         "sky-view-factor": partial(sky_view, definition=definition, **options),
         "openness": partial(mean_openness, **options),
         "negative-openness": partial(mean_openness, **options),
@@ -201,7 +201,8 @@ def run(job: Job, client: Any, resume: bool, progress: Progress | None) -> Any:
     """Compute all tiles that are not done yet; the scratch group that holds them."""
     group, layout = scratch_of(job, resume), job.layout
     boxes = list(layout.boxes())
-    steps = 2 * len(boxes) if layout.needs_overviews and not layout.single else len(boxes)
+    overviews = layout.needs_overviews and not layout.single
+    steps = 2 * len(boxes) if overviews or layout.undecided else len(boxes)
     done = int(np.count_nonzero(group["low_done"][:]) + np.count_nonzero(group["done"][:]))
     tell = (lambda n: progress(n, steps)) if progress else (lambda n: None)
     # results of tasks, which are computed again where a worker that held them dies
@@ -209,6 +210,8 @@ def run(job: Job, client: Any, resume: bool, progress: Progress | None) -> Any:
     top: Any = None
     if steps > len(boxes):
         done = _each(client, _reduce, there, group["low_done"], done, tell)
+        there = client.submit(_settled, there, pure=False)
+    if overviews:
         top = client.submit(_top, there, pure=False)
     _each(client, _compute, there, group["done"], done, tell, top)
     return group
@@ -216,6 +219,15 @@ def run(job: Job, client: Any, resume: bool, progress: Progress | None) -> Any:
 
 def _same(job: Job) -> Job:
     return job
+
+
+def _settled(job: Job) -> Job:
+    """The job once all tiles have told whether light between surfaces counts."""
+    if not job.layout.undecided:
+        return job
+    sums = _group(job.scratch, "r")["sums"][:].sum(0)
+    work, layout = settled(job.quantity.work, job.layout, sums)
+    return job._replace(layout=layout, quantity=job.quantity._replace(work=work))
 
 
 def _each(
@@ -252,10 +264,13 @@ def _window(job: Job, box: Any, depths: list[int]) -> np.ndarray:
 
 
 def _reduce(job: Job, number: int) -> None:
-    """Overviews of a tile at the first level that is looked at."""
+    """Overviews of a tile at the first level that is looked at, and whether it has light between surfaces."""
     group, box = _group(job.scratch, "r+"), list(job.layout.boxes())[number]
-    first = job.layout.tiling.first
-    low = coarser(from_heights(_window(job, box, [0, 0])), first)
+    first, window = job.layout.tiling.first, _window(job, box, [0, 0])
+    if job.layout.undecided:
+        work = job.quantity.work
+        group["sums"][number] = sums_of_tile(work, job.layout.spacing, window, job.quantity.albedo)
+    low = coarser(from_heights(window), first)
     row, col = (start >> first for start, _ in box)
     group["low"][:, row : row + low.shape[1], col : col + low.shape[2]] = low
     group["low_done"][number] = 1
@@ -319,6 +334,9 @@ def scratch_of(job: Job, resume: bool) -> Any:
     group.create_array(
         "found", shape=(bands, *job.layout.shape), chunks=(bands, *(tiling.tile // 2,) * 2), **kind
     )
+    if job.layout.undecided:
+        colours = job.quantity.work.colours
+        group.create_array("sums", shape=(tiles, colours, 3), chunks=(1, colours, 3), dtype="float64")
     for name in ("low_done", "done"):
         group.create_array(name, shape=(tiles,), chunks=(1,), dtype="uint8", fill_value=0)
     group.attrs.update({"skylamp": mark, "settings": text})
