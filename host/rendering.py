@@ -194,9 +194,8 @@ def render(
         Of horizons under a sky: ground farther away does not count; the whole map does unless given.
     interreflection : "auto", True or False
         Light between surfaces, to any number of bounces. ``auto``: where a tolerance chooses the method it is
-        included if it is more than a third of the tolerance, which then holds for all light; methods that are
-        asked for are of direct light. ``True``: within ``tolerance``. In tiles, windows of all
-        tiles tell ``auto``. Lobes and mirrors reflect direct light.
+        included if it is more than a third of the tolerance (in tiles, by windows of all), which then holds
+        for all light; methods asked for are of direct light. Lobes and mirrors reflect direct light.
     parts : bool
         Give ``direct`` and ``reflected`` besides.
     tiling : Tiling
