@@ -32,7 +32,7 @@ from .light.lattice import Lattice, lacking
 from .light.slices import outline, widened
 from .radiometry import point_error
 from .reflectance import Lambertian
-from .samples import CLIFF, SAMPLE_COUNT, SAMPLED_SLOPE, Errors, Samples, samples_of, turn
+from .samples import CLIFF, SAMPLE_COUNT, SAMPLED_SLOPE, Errors, Samples, oversample_lit, samples_of, turn
 from .scene import Scene, is_scene
 from .sources.integrals import Integrals, Sun, even
 from .sources.solids import Ball, Quad, aperture, rectangle, upright
@@ -596,7 +596,7 @@ class _Planner(ABC):
     def _uniform_light(self) -> np.ndarray:
         """Light at the samples of a uniform sky of brightness 1, by 12 azimuths."""
         azimuths = 2 * np.pi * (np.arange(12) + 0.5) / 12
-        light: np.ndarray = self.samples.ring(azimuths, self.samples.horizons(azimuths)).mean(0) * 2 * np.pi
+        light: np.ndarray = self.samples.uniform(azimuths).mean(0) * 2 * np.pi
         return light
 
 
@@ -674,7 +674,7 @@ class _SkyPlanner(_Planner):
             if not first:
                 angles = angles[1::2]
             slopes = samples.horizons(angles)
-            lit = samples.ring(angles, slopes)
+            lit = samples.uniform(angles)
             if not first:
                 slopes, lit = (
                     np.stack(both, 1).reshape(self.grid, -1)
@@ -809,7 +809,7 @@ class _SkyPlanner(_Planner):
 
         def seen(reach: float) -> np.ndarray:
             slopes = samples.horizons(angles, reach)
-            lit = samples.ring(angles, slopes)
+            lit = samples.uniform(angles, reach)
             return self._corrected(widths, widths, angles, slopes, lit) + self.bright
 
         full = seen(math.inf)
@@ -963,7 +963,7 @@ class _SlicePlanner(_Planner):
                 self.counts = LINE_COUNTS
             elif isinstance(self.source, sources.Window):
                 self._integrate_sky()
-            self.samples.oversample_lit(self.scene, self._open_light)
+            oversample_lit(self.samples, self.scene, self._open_light)
         self.uniform = self._uniform_light()
         if self.sky is not None and self.sky.suns:
             self.bright = self.scale * sum(

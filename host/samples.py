@@ -38,7 +38,8 @@ SAMPLED_SLOPE = 0.005
 CLIFF = 4.0
 CHORD_POINTS = 48  # of brightness along a chord; chosen
 TAIL_SAMPLES = 3  # samples beyond the 99.9th percentile from which on it is read off
-KEPT_TRACES = 8  # sets of azimuths whose slopes are kept: with 288 azimuths of 640 nodes each, 12 MB
+# arrays (azimuths, nodes) that are kept; chosen: four sets of azimuths with slopes and light, at most 12 MB
+KEPT_TRACES = 8
 SIGMAS = 1.5  # standard errors by which the RMS error over all nodes may pass that of the samples
 # steps of R2_STEPS' sequence in three dimensions: 1 / g, 1 / g^2, 1 / g^3 with g^4 = g + 1
 R3_STEPS = 0.8191725133961645, 0.6710436067037893, 0.5497004779019703
@@ -89,7 +90,7 @@ class Samples:
     """
 
     weights: np.ndarray | None
-    traced: dict[tuple[bytes, float], np.ndarray]  # horizon slopes by azimuths and search radius
+    traced: dict[tuple[str, bytes, float], np.ndarray]  # by kind, azimuths and search radius
 
     def __init__(self, engine: Backend, scene: Scene, count: int = SAMPLE_COUNT, first: int = 1):
         self.engine, self.sides, self.first = engine, scene.sides, first
@@ -150,26 +151,6 @@ class Samples:
         self.own, left, right, above, below = _gather(self.engine, self.heights, np.stack(moved), float(NONE))
         self.gx, self.gy = (_slope(low, self.own, high) for low, high in ((left, right), (above, below)))
         self.length = np.sqrt(1 + self.gx**2 + self.gy**2)
-
-    def oversample_lit(self, scene: Scene, light: Callable[[Samples], np.ndarray]) -> None:
-        """Add up to EXTRA_NODES nodes in proportion to ``light``, if most of it falls on few nodes.
-
-        Samples are then weighted by their probability of being drawn (Horvitz and Thompson).
-        """
-        many = copy.copy(self)
-        many._set_nodes(*_sequence_nodes(scene, SEARCHED_NODES, self.first))
-        if self.weights is not None or len(many) < SEARCHED_NODES:
-            return
-        found = np.maximum(light(many), 0)
-        if found.sum() ** 2 >= CONCENTRATED * SEARCHED_NODES * (found**2).sum():
-            return
-        drawn = EXTRA_NODES * found / found.sum()
-        picked = np.unique(np.searchsorted(np.cumsum(drawn), np.arange(EXTRA_NODES) + 0.5))
-        picked = picked[(picked >= len(self)) & (picked < SEARCHED_NODES)]
-        picked = np.concatenate([np.arange(len(self)), picked])
-        self.weights = 1 / np.maximum(len(self) / SEARCHED_NODES, np.minimum(1, drawn[picked]))
-        self.rare = np.zeros(len(picked), bool)
-        self._set_nodes(many.x[picked], many.y[picked])
 
     def __len__(self) -> int:
         return len(self.x)
@@ -241,14 +222,20 @@ class Samples:
 
     def horizons(self, azimuths: np.ndarray, reach: float = math.inf) -> np.ndarray:
         """Horizon slopes (azimuths, nodes) float64, not to be changed."""
-        key = azimuths.tobytes(), reach
-        if key not in self.traced:
-            cosine, sine = np.cos(azimuths)[:, None], np.sin(azimuths)[:, None]
-            found = self.slopes(cosine, sine, self.free(cosine, sine), reach=reach)
-            if len(self.traced) >= KEPT_TRACES:
-                self.traced.pop(next(iter(self.traced)))
-            self.traced[key] = found
-        return self.traced[key]
+        cosine, sine = np.cos(azimuths)[:, None], np.sin(azimuths)[:, None]
+        return _kept(
+            self,
+            ("slopes", azimuths.tobytes(), reach),
+            lambda: self.slopes(cosine, sine, self.free(cosine, sine), reach=reach),
+        )
+
+    def uniform(self, azimuths: np.ndarray, reach: float = math.inf) -> np.ndarray:
+        """Irradiance per radian of azimuth of a sky of brightness 1: (azimuths, nodes), not to be changed."""
+        return _kept(
+            self,
+            ("light", azimuths.tobytes(), reach),
+            lambda: self.ring(azimuths, self.horizons(azimuths, reach)),
+        )
 
     def ring(self, azimuths: np.ndarray, slopes: np.ndarray, table: np.ndarray | None = None) -> np.ndarray:
         """Irradiance per radian of azimuth above ``slopes``: (azimuths, nodes).
@@ -378,13 +365,34 @@ class Samples:
 
 def samples_of(engine: Backend, scene: Scene, count: int = SAMPLE_COUNT) -> Samples:
     """Samples of a scene, which are kept with its map on the backend, as are the slopes that they traced."""
-    there, key = scene.on(engine), (scene.sides, count)
-    if key not in there.samples:
-        made = there.samples[key] = Samples(engine, scene, count)
+    there, key = scene.on(engine), ("samples", scene.sides, count)
+    if key not in there.derived:
+        made = there.derived[key] = Samples(engine, scene, count)
         del made.heights, made.there  # as large as the map; what keeps the samples
-    found: Samples = copy.copy(there.samples[key])
+    found: Samples = copy.copy(there.derived[key])
     found.there = there
     return found
+
+
+def oversample_lit(samples: Samples, scene: Scene, light: Callable[[Samples], np.ndarray]) -> None:
+    """Add up to EXTRA_NODES nodes in proportion to ``light``, if most of it falls on few nodes.
+
+    Samples are then weighted by their probability of being drawn (Horvitz and Thompson).
+    """
+    many = copy.copy(samples)
+    many._set_nodes(*_sequence_nodes(scene, SEARCHED_NODES, samples.first))
+    if samples.weights is not None or len(many) < SEARCHED_NODES:
+        return
+    found = np.maximum(light(many), 0)
+    if found.sum() ** 2 >= CONCENTRATED * SEARCHED_NODES * (found**2).sum():
+        return
+    drawn = EXTRA_NODES * found / found.sum()
+    picked = np.unique(np.searchsorted(np.cumsum(drawn), np.arange(EXTRA_NODES) + 0.5))
+    picked = picked[(picked >= len(samples)) & (picked < SEARCHED_NODES)]
+    picked = np.concatenate([np.arange(len(samples)), picked])
+    samples.weights = 1 / np.maximum(len(samples) / SEARCHED_NODES, np.minimum(1, drawn[picked]))
+    samples.rare = np.zeros(len(picked), bool)
+    samples._set_nodes(many.x[picked], many.y[picked])
 
 
 def turn(samples: Samples, solid: Ball | Quad) -> np.ndarray:
@@ -402,6 +410,17 @@ def picked(samples: Samples, images: Array, number: int = 0) -> np.ndarray:
     """Image ``number`` of some (rows, cols) float32 on the device at the samples, float32."""
     at = (number * samples.rows + samples.y) * samples.cols + samples.x
     return _gather(samples.engine, images, at, math.nan)
+
+
+def _kept(samples: Samples, key: tuple[str, bytes, float], made: Callable[[], np.ndarray]) -> np.ndarray:
+    """What was ``made`` of the samples before, or is now."""
+    traced = samples.traced
+    if key not in traced:
+        found = made()
+        while len(traced) >= KEPT_TRACES:
+            traced.pop(next(iter(traced)))
+        traced[key] = found
+    return traced[key]
 
 
 def _gather(engine: Backend, values: Array, at: np.ndarray, missing: float) -> np.ndarray:

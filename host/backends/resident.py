@@ -105,8 +105,8 @@ class Resident(NamedTuple):
     """A depth map on a device.
 
     The device's backend; depth (rows x cols) float32 there, +inf where masked, in a unit in which the spacing
-    is ``step``; least and greatest valid depth; the bytes that it takes besides the host's; ``samples`` of it
-    that were taken, by sides and number.
+    is ``step``; least and greatest valid depth; the bytes that it takes besides the host's; what was
+    ``derived`` of it, which a later call finds.
     """
 
     backend: Backend
@@ -116,7 +116,7 @@ class Resident(NamedTuple):
     least: float
     most: float
     nbytes: int
-    samples: dict[tuple[str, int], Any]
+    derived: dict[tuple[Any, ...], Any]
 
     def download(self) -> np.ndarray:
         """The map (rows, cols) on the host."""

@@ -120,7 +120,10 @@ class Sweeps:
         here, m = ground.map, self.margin
         self.lowest, highest = here.heights_range
         self.heights = here.heights(m, m, m, m, MASKED_HEIGHT, self.sides == "periodic")
-        self.steepest = _steepest(here.probe(self.heights, m, every, first))
+        probed = "steepest", self.sides, m
+        if probed not in here.derived:
+            here.derived[probed] = _steepest(here.probe(self.heights, m, every, first))
+        self.steepest = here.derived[probed]
         self.relief = highest - self.lowest
         self.far = None if far is None else Marched(backend, far)
         self.turned = backend.empty((self.room,), np.float32)
