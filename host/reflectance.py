@@ -234,27 +234,6 @@ def grooves(white: float = 0.9, black: float = 0.0, steepness: float = 45.0) -> 
     return BRDF(function)
 
 
-def phong_printed(
-    irradiance: float | np.ndarray,
-    radiance: float | np.ndarray,
-    offset: float | np.ndarray,
-    albedo: float = 0.5,
-    specular: float = 0.3,
-    exponent: float = 20.0,
-) -> np.ndarray:
-    """The notes' last formula as printed: rho_d E + rho_s L(theta_s) cos^n(theta_s - theta_o).
-
-    ``irradiance`` E, ``radiance`` L of the source in the specular direction, ``offset`` theta_s - theta_o
-    [rad]. It is neither normalised nor reciprocal: it lacks the 1 / pi of a Lambertian surface, so that an
-    albedo above 1 / pi gives more than it gets, and its lobe reflects a share that depends on n and has no
-    cos(theta_i). Use :class:`Phong`.
-    """
-    return (
-        albedo * np.asarray(irradiance)
-        + specular * np.asarray(radiance) * np.maximum(0.0, np.cos(offset)) ** exponent
-    )
-
-
 def mirror_directions(tilt_x: np.ndarray, tilt_y: np.ndarray) -> np.ndarray:
     """Where a viewer along (0, 0, 1) looks by way of the surface: unit vectors (..., 3) from dz/dx and dz/dy.
 

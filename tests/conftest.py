@@ -63,14 +63,6 @@ def backend(request):
     return select(name).name  # raises with the reason where a backend that must be there is not
 
 
-@pytest.fixture(scope="session", autouse=True)
-def cache(tmp_path_factory):
-    """What is kept between runs is kept apart from the user's."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
-        yield
-
-
 @pytest.fixture(scope="session")
 def fast():
     """One backend for tests of the model itself: OpenCL, or else the first that is named."""

@@ -11,6 +11,12 @@ def unit(*v):
     return np.array(v, float) / np.linalg.norm(v)
 
 
+def test_foreshortening():
+    """cos(theta) of unit vectors that broadcast, 0 from behind."""
+    directions = [(0, 0, 1), unit(0, 3, 4), unit(1, 0, -1)]
+    np.testing.assert_allclose(r.foreshortening((0, 0, 1), directions), [1, 0.8, 0])
+
+
 def test_angle_of_a_curve():
     """dphi = dl cos / r, summed: half a circle whatever the curve between its ends; a line by arctangents."""
     line = np.stack([np.linspace(-3, 5, 2001), np.full(2001, 2.0)], -1)

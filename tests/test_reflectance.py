@@ -12,7 +12,7 @@ import skylamp as sl
 from skylamp import oracle
 from skylamp.backends import select
 from skylamp.radiometry import directional_hemispheric, patch_solid_angle
-from skylamp.reflectance import frames, mirror_directions, phong_printed
+from skylamp.reflectance import frames, mirror_directions
 
 GROUND = rough(26, 31, 0.6, seed=4)
 NODES = (np.array([3, 9, 14, 20, 24]), np.array([4, 22, 12, 27, 8]))
@@ -87,10 +87,16 @@ def test_what_is_not_reciprocal_is_said():
     assert sl.BRDF(printed).asymmetry > 0.3 and sl.BRDF(GLOSSY.brdf).asymmetry < 1e-12
 
 
-def test_the_printed_formula_gives_more_than_it_gets():
-    """rho_d E without 1 / pi: a white surface under a uniform sky of radiance 1, E = pi, would show pi."""
-    assert phong_printed(np.pi, 0.0, 0.0, albedo=1.0) == pytest.approx(np.pi)
-    assert phong_printed(0.0, 2.0, np.radians(60), specular=0.5, exponent=3) == pytest.approx(0.5 * 2 / 8)
+def test_the_printed_formula_gives_more_than_it_gets(fast):
+    """The notes' rho_d E lacks 1 / pi: white ground under a uniform sky of radiance 1 would show pi, not 1."""
+    scene = sl.Scene(np.ones((4, 4)), albedo=1.0)
+    irradiance = sl.render(scene, sl.Sky(), method="horizon", quantity="irradiance", backend=fast).image
+    np.testing.assert_allclose(irradiance, np.pi, rtol=1e-5)
+    np.testing.assert_allclose(sl.render(scene, sl.Sky(), method="horizon", backend=fast).image, 1, rtol=1e-5)
+    # its lobe, rho_s L cos^n, has no (n + 2) / (2 pi) either
+    assert sl.Phong(0.0, 0.5, 3).brdf(np.array([0.0, 0, 1]), np.array([0.0, 0, 1])) == pytest.approx(
+        0.5 * (3 + 2) / (2 * np.pi)
+    )
 
 
 @pytest.mark.parametrize(
