@@ -455,7 +455,8 @@ def _batches(half: Half, most: int) -> Iterator[tuple[int, int]]:
     """(first, count) of azimuths that are swept together: those of one window, at most ``most``."""
     first = 0
     while first < len(half.numbers):
-        count = min(most, int((half.windows[first:] == half.windows[first]).sum()))
+        ahead = half.windows[first : first + most]
+        count = int((ahead == ahead[0]).sum()) if most > 1 else 1
         yield first, count
         first += count
 
@@ -488,9 +489,10 @@ def _whole_shears(shears: np.ndarray) -> np.ndarray:
     return whole
 
 
+@functools.lru_cache(64)  # it is the same for all azimuths of a window
 def ladder(
     steepest: float, relief: float, span: int, comes_at: int
-) -> tuple[int, float, list[int], list[int]]:
+) -> tuple[int, float, tuple[int, ...], tuple[int, ...]]:
     """(bits, unit, steps, rises): slopes from level to ``steepest`` [per row], denser near level; integers.
 
     An integer holds a height above a ray in units of 1 / unit, and in its ``bits`` lowest bits a distance up
@@ -507,7 +509,7 @@ def ladder(
     high = relief + (steepest * comes_at if steepest > 0 else -steepest * span)
     unit = (2.0 ** (30 - bits) - 2 * LADDER) / max(high, 1e-6)
     steps = (np.rint(slopes * unit).astype(np.int64) << bits) - 1
-    return bits, unit, steps.tolist(), ((steps + 1) * comes_at).tolist()
+    return bits, unit, tuple(steps.tolist()), tuple(((steps + 1) * comes_at).tolist())
 
 
 def _steepest(best: np.ndarray) -> tuple[float, float]:
