@@ -88,7 +88,7 @@ def test_what_is_not_reciprocal_is_said():
 
 
 def test_the_printed_formula_gives_more_than_it_gets(fast):
-    """The notes' rho_d E lacks 1 / pi: white ground under a uniform sky of radiance 1 would show pi, not 1."""
+    """The notes' rho_d E lacks 1 / pi: white ground under a uniform sky of 1 would show pi, not 1."""
     scene = sl.Scene(np.ones((4, 4)), albedo=1.0)
     irradiance = sl.render(scene, sl.Sky(), method="horizon", quantity="irradiance", backend=fast).image
     np.testing.assert_allclose(irradiance, np.pi, rtol=1e-5)
