@@ -42,7 +42,7 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
-    help="Light from skies, lamps and windows on depth maps, forward and inverse.",
+    help="Render depth and height maps under skies, lamps and windows, and recover depth from images.",
 )
 _debug = False
 
@@ -245,7 +245,7 @@ def recover(
     quiet: opt.Quiet = False,
     verbose: opt.Verbose = False,
 ) -> None:
-    """Recover depth from an image, with a picture of how far it is to be trusted. An .npz also holds
+    """Recover depth from an image, with a picture of its confidence. An .npz also holds
     confidence, standard deviation (robust), candidates and the masks of ambiguous pixels and drilled columns;
     a .png holds depth in whole layers, 16 bit.
     """
@@ -334,9 +334,7 @@ def horizon(
     quiet: opt.Quiet = False,
     verbose: opt.Verbose = False,
 ) -> None:
-    """Horizons: sky-view factor, openness [rad] or slopes of the whole map, and the sky above one node as a
-    picture.
-    """
+    """Compute horizons: sky-view factor, openness [rad] or slopes of the map; draw the sky above one node."""
     out = output.either(target, out)
     output.check_array_or_picture(out, picture, as_json)
     if bool(at) != bool(picture):
@@ -404,8 +402,8 @@ def field(
     quiet: opt.Quiet = False,
     verbose: opt.Verbose = False,
 ) -> None:
-    """The visibility field: the solid angle [sr] of the source in sight, for every point of free space,
-    (layers, rows, cols); as a picture, the rays through points of one row.
+    """Compute the visibility field: the visible solid angle [sr] of the source at every point of free space,
+    (layers, rows, cols); draw the rays through points of one row.
     """
     out = output.either(target, out)
     output.check_array_or_picture(out, picture, as_json)
@@ -446,7 +444,7 @@ def chart(
     quiet: opt.Quiet = False,
     verbose: opt.Verbose = False,
 ) -> None:
-    """Speed against accuracy of every method and backend on this machine, and where plans stand."""
+    """Measure speed and accuracy of every method, backend and plan on this machine, and draw a chart."""
     many = parsing.whole_numbers(sizes, "--sizes")
     folder = io.folder(out)
     with output.progress_bar("measuring") as progress:
@@ -476,7 +474,7 @@ def chart(
 
 @app.command(epilog=epilog("backends"))
 def backends(as_json: opt.Json = False, quiet: opt.Quiet = False, verbose: opt.Verbose = False) -> None:
-    """List the backends: name, device, and why one is not available."""
+    """List the backends: name, device, and the reason if one is not available."""
     with output.progress_bar("looking for devices"):
         found = sl.backends()
     if as_json:
@@ -490,7 +488,7 @@ def backends(as_json: opt.Json = False, quiet: opt.Quiet = False, verbose: opt.V
 
 @app.command(epilog=epilog("doctor"))
 def doctor(quiet: opt.Quiet = False, verbose: opt.Verbose = False) -> None:
-    """Print versions, devices, caches and free memory as JSON, to paste into a bug report."""
+    """Print versions, devices, caches and free memory as JSON, for bug reports."""
     with output.progress_bar("looking for devices"):
         found = examined()
     print(json.dumps(found, indent=1))
@@ -545,9 +543,7 @@ def demo(
     quiet: opt.Quiet = False,
     verbose: opt.Verbose = False,
 ) -> None:
-    """Real mountains under two skies and a lamp, depth recovered from a picture, and every backend beside the
-    others.
-    """
+    """Render mountains under two skies and a lamp, recover depth from an image, and compare the backends."""
     with output.progress_bar("looking for devices"):
         select(backend)  # a name that is not there shall leave nothing behind
     folder = io.folder(out)
@@ -572,7 +568,7 @@ def view(
     quiet: opt.Quiet = False,
     verbose: opt.Verbose = False,
 ) -> None:
-    """Open a page that shows the map rendered while the sun or a lamp is dragged over it."""
+    """Open a page in the browser to render the map while the sun or a lamp is dragged with the mouse."""
     with output.progress_bar("reading"):
         viewer = views.Viewer(views.read(file, height, spacing, resample), select(backend).name)
         viewer.scene(views.Settings())  # checks the map

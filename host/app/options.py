@@ -20,7 +20,7 @@ File = Annotated[
 ]
 Target = Annotated[
     str | None,
-    typer.Argument(metavar="OUTPUT", help="Where to write: as --out", show_default=False),
+    typer.Argument(metavar="OUTPUT", help="Output file, the same as --out", show_default=False),
 ]
 Out = Annotated[
     str | None,
@@ -43,7 +43,7 @@ Height = Annotated[
     typer.Option(
         "--height/--depth",
         help=(
-            "What the file holds: height (larger is nearer to the viewer) or depth  [default: depth, height"
+            "Content of the file: height (larger is nearer to the viewer) or depth  [default: depth, height"
             " in a GeoTIFF]"
         ),
         show_default=False,
@@ -52,12 +52,13 @@ Height = Annotated[
 Spacing = Annotated[
     float | None,
     typer.Option(
-        help="Distance between neighbouring nodes, in the unit of depth  [default: 1, a GeoTIFF's own]",
+        help="Distance between neighbouring nodes, in the unit of depth  [default: 1, a GeoTIFF: its own]",
         show_default=False,
     ),
 ]
 Resample = Annotated[
-    bool, typer.Option("--resample", help="GeoTIFF: make cells square that are not, such as cells of degrees")
+    bool,
+    typer.Option("--resample", help="GeoTIFF: resample to square cells, for example from cells in degrees"),
 ]
 Albedo = Annotated[float, typer.Option(help="Diffuse reflectance, 0 to 1")]
 Albedos = Annotated[
@@ -109,16 +110,16 @@ Sun = Annotated[
     typer.Option(
         metavar="AZ,EL | TIME,LAT,LON",
         help=(
-            "Where the sun stands, for clear and cie skies: degrees clockwise from north and above the"
+            "Position of the sun, for clear and cie skies: degrees clockwise from north and above the"
             " horizon, or 2026-06-21T12:00Z and degrees north and east"
         ),
         show_default=False,
     ),
 ]
-Sides = Annotated[Literal["open", "dark", "periodic"], typer.Option(help="What stands round the map")]
+Sides = Annotated[Literal["open", "dark", "periodic"], typer.Option(help="Surroundings of the map")]
 Backend = Annotated[str, typer.Option(help="auto, or a name from `skylamp backends`")]
 Hemicube = Annotated[int, typer.Option(help="Nodes along an edge of the cube of directions, odd")]
-Tolerance = Annotated[str, typer.Option(help="Relative RMS error that auto may make: 0.01 or 1%")]
+Tolerance = Annotated[str, typer.Option(help="Largest relative RMS error, with --method auto: 0.01 or 1%")]
 Plot = Annotated[
     Path | None, typer.Option("--plot", help="Draw a picture: .png, .svg or .pdf", show_default=False)
 ]
@@ -129,25 +130,23 @@ Quiet = Annotated[
         "--quiet",
         "-q",
         callback=output.be_quiet,
-        help="No progress and no report; warnings and errors stay",
+        help="Print warnings and errors only",
     ),
 ]
 Verbose = Annotated[
     bool,
     typer.Option(
-        "--verbose", "-v", callback=output.be_verbose, help="Print what compilers and drivers print too"
+        "--verbose", "-v", callback=output.be_verbose, help="Print messages of compilers and drivers too"
     ),
 ]
 
 # -- of render
 Direct = Annotated[
     float,
-    typer.Option(
-        help="Irradiance by the sun's disc of a surface that faces it, beside a zenith of brightness 1"
-    ),
+    typer.Option(help="Direct normal irradiance of the sun, for a sky with brightness 1 at the zenith"),
 ]
 Method = Annotated[
-    Literal["auto", "lattice", "horizon", "unoccluded"], typer.Option(help="How light is computed")
+    Literal["auto", "lattice", "horizon", "unoccluded"], typer.Option(help="Method of rendering")
 ]
 LatticeHemicube = Annotated[
     int | None,
@@ -157,23 +156,23 @@ Filled = Annotated[
     bool | None,
     typer.Option(
         "--filled/--stride",
-        help="Lattice: test between the nodes, or step over them as the paper does",
+        help="Lattice: test the surface between the nodes too, or only at the nodes, as in the paper",
         show_default=False,
     ),
 ]
-Quantity = Annotated[Literal["radiance", "irradiance"], typer.Option(help="What the image holds")]
+Quantity = Annotated[Literal["radiance", "irradiance"], typer.Option(help="Quantity of the image")]
 Interreflection = Annotated[Literal["auto", "on", "off"], typer.Option(help="Light between surfaces")]
 PngWhite = Annotated[
     float | None,
     typer.Option(
-        help="PNG: the value that becomes white  [default: the image's maximum]", show_default=False
+        help="PNG: the value that becomes white  [default: the maximum of the image]", show_default=False
     ),
 ]
 Bits = Annotated[int, typer.Option(help="PNG: 8 or 16")]
 Exposure = Annotated[
     float | None,
     typer.Option(
-        help="PNG for the eye: 8 bits in sRGB's tones, image x 2^exposure, white at 1", show_default=False
+        help="PNG for display: image x 2^exposure in 8-bit sRGB; 1 becomes white", show_default=False
     ),
 ]
 ErrorFile = Annotated[
@@ -181,10 +180,7 @@ ErrorFile = Annotated[
     typer.Option(
         "--error",
         metavar="FILE",
-        help=(
-            "Where to write the estimated error of every pixel, in the image's unit, of a render within a"
-            " tolerance"
-        ),
+        help=("File for the estimated error of every pixel, in the unit of the image; requires a tolerance"),
         show_default=False,
     ),
 ]
@@ -215,7 +211,8 @@ Far = Annotated[
     typer.Option(help="robust: the greatest depth  [default: layers x spacing]", show_default=False),
 ]
 MaxSeconds = Annotated[
-    float | None, typer.Option(help="robust: stop with the best so far", show_default=False)
+    float | None,
+    typer.Option(help="robust: stop after this time and return the best surface so far", show_default=False),
 ]
 RecoveryPicture = Annotated[
     str | None,
@@ -229,20 +226,22 @@ StdFile = Annotated[
     typer.Option(
         "--std",
         metavar="FILE",
-        help="robust: where to write the standard deviation of every pixel's depth, in the unit of spacing",
+        help="robust: file for the standard deviation of depth at every pixel, in the unit of spacing",
         show_default=False,
     ),
 ]
-Layers = Annotated[int, typer.Option(help="Greatest depth in spacings; paper: of the block that is carved")]
+Layers = Annotated[int, typer.Option(help="Greatest depth, in spacings; with paper, the layers to carve")]
 Eps = Annotated[
     float,
     typer.Option(
-        help="paper: stop a column when it is this close to the image, as a share of the image's maximum"
+        help="paper: a column stops within this difference of the image, as a share of the image's maximum"
     ),
 ]
 Stop = Annotated[
     Literal["eps", "sign"],
-    typer.Option(help="paper: when a column is within eps, or when it becomes darker than the image (sign)"),
+    typer.Option(
+        help="paper: a column stops within eps of the image, or when it becomes darker than the image (sign)"
+    ),
 ]
 CountWhite = Annotated[
     float | None,
@@ -255,48 +254,47 @@ CountWhite = Annotated[
 # -- of horizon
 What = Annotated[
     Literal["sky-view-factor", "openness", "negative-openness", "slopes"],
-    typer.Option(help="What the map holds; slopes are (azimuths, rows, cols)"),
+    typer.Option(help="Quantity of the map; slopes are (azimuths, rows, cols)"),
 ]
 Definition = Annotated[
-    Literal["tilted", "horizontal", "solid_angle"], typer.Option(help="Of the sky-view factor")
+    Literal["tilted", "horizontal", "solid_angle"], typer.Option(help="Definition of the sky-view factor")
 ]
-Azimuths = Annotated[int, typer.Option(help="Directions along which horizons are looked for")]
+Azimuths = Annotated[int, typer.Option(help="Number of directions in which horizons are searched")]
 MaxDistance = Annotated[
     float | None,
     typer.Option(
-        help="Ground farther away does not count, in the unit of spacing  [default: the whole map]",
+        help="Radius of the search for horizons, in the unit of spacing  [default: the whole map]",
         show_default=False,
     ),
 ]
 Memory = Annotated[
     str | None,
     typer.Option(
-        help="A GeoTIFF of any size, tile by tile, in so much memory, such as 8GB, that the workers share",
+        help="Compute a GeoTIFF tile by tile, in this much memory for all workers together, such as 8GB",
         show_default=False,
     ),
 ]
-Workers = Annotated[int, typer.Option(help="With --memory: processes; one a GPU, or one")]
+Workers = Annotated[int, typer.Option(help="With --memory: number of processes, for example one per GPU")]
 Scheduler = Annotated[
     str | None,
     typer.Option(
         metavar="ADDRESS",
-        help="Workers of a Dask cluster, tcp://host:port, in place of --memory",
+        help="Workers of a Dask cluster, tcp://host:port, instead of --memory",
         show_default=False,
     ),
 ]
 Tile = Annotated[
     int | None,
     typer.Option(
-        help="With --memory: nodes along a side of a tile  [default: 8192, or what fits]", show_default=False
+        help="With --memory: nodes along a side of a tile  [default: 8192, or fewer if memory requires it]",
+        show_default=False,
     ),
 ]
-Resume = Annotated[bool, typer.Option("--resume", help="With --memory: go on where a run was interrupted")]
+Resume = Annotated[bool, typer.Option("--resume", help="With --memory: continue an interrupted run")]
 Cog = Annotated[bool, typer.Option("--cog", help="With --memory: write a cloud-optimized GeoTIFF")]
-At = Annotated[
-    str | None, typer.Option(metavar="ROW,COL", help="The node that --plot shows", show_default=False)
-]
+At = Annotated[str | None, typer.Option(metavar="ROW,COL", help="Node that --plot shows", show_default=False)]
 PlotSky = Annotated[
-    str, typer.Option(help="The sky that --plot shows: sky | overcast | clear | cie1 to cie15 | FILE")
+    str, typer.Option(help="Sky that --plot shows: sky | overcast | clear | cie1 to cie15 | FILE")
 ]
 
 # -- of field
@@ -306,26 +304,26 @@ FieldLayers = Annotated[
         help="Layers of free space, from z = 0  [default: down to the deepest node]", show_default=False
     ),
 ]
-Layer = Annotated[int | None, typer.Option(help="Write this layer alone, (rows, cols)", show_default=False)]
+Layer = Annotated[int | None, typer.Option(help="Write only this layer, (rows, cols)", show_default=False)]
 Row = Annotated[
     int | None,
-    typer.Option(help="The row that --plot cuts along  [default: the middle one]", show_default=False),
+    typer.Option(help="Row of the section that --plot shows  [default: the middle one]", show_default=False),
 ]
 
 # -- of chart and demo
 ChartFolder = Annotated[
     Path,
     typer.Option(
-        help="Folder for chart.png (needs matplotlib) and chart.csv; created if need be",
+        help="Folder for chart.png (needs matplotlib) and chart.csv; created if missing",
         show_default=False,
     ),
 ]
 Backends = Annotated[
-    str, typer.Option(help="Names with commas between  [default: all that are here]", show_default=False)
+    str, typer.Option(help="Names, separated by commas  [default: all available]", show_default=False)
 ]
 Sizes = Annotated[str, typer.Option(help="Rows and columns of the maps")]
 DemoFolder = Annotated[
-    Path, typer.Option(help="Folder for the pictures; created if need be", show_default=False)
+    Path, typer.Option(help="Folder for the pictures; created if missing", show_default=False)
 ]
 
 # -- of view
