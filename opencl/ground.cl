@@ -34,13 +34,13 @@ __kernel void tilt(__global const float *heights, __global float *tilts, int row
   tilts[room + at] = known ? difference(heights, p, p - stride, p + stride) : 0.0f;
 }
 
-/* turn: a map (rows, cols) and the same turned, (cols, rows). Work-item (x, y) owns one node of the turned
-   map. */
-__kernel void turn(__global const float *map, __global float *turned, int rows, int cols)
+/* turn: maps (count, rows, cols) and the same turned, (count, cols, rows). Work-item (x, y, n) owns one node
+   of the turned map n. */
+__kernel void turn(__global const float *maps, __global float *turned, int rows, int cols, int count)
 {
-  const int x = get_global_id(0), y = get_global_id(1);
-  if (x < rows && y < cols)
-    turned[y * rows + x] = map[x * cols + y];
+  const int x = get_global_id(0), y = get_global_id(1), n = get_global_id(2), first = n * rows * cols;
+  if (x < rows && y < cols && n < count)
+    turned[first + y * rows + x] = maps[first + x * cols + y];
 }
 
 /* gather: sum n of each of both maps, (rows, cols) and (cols, rows), as irradiance [unit]. Work-item (x, y)

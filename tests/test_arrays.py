@@ -12,7 +12,7 @@ from compare import assert_bits_equal
 
 import skylamp as sl
 from skylamp.arrays import host_array
-from skylamp.backends import base, resident, select
+from skylamp.backends import base, resident, select, staging
 from skylamp.constants import NONE
 
 DEPTH = scenes.rough(18, 23, 0.8, seed=4).astype(np.float32)
@@ -616,3 +616,34 @@ def test_light_between_surfaces_of_a_map_on_a_gpu(monkeypatch, factor):
     monkeypatch.setattr(select("warp:cpu"), "shares", False)
     there = work(sl.Scene(warp_array(ground)))
     np.testing.assert_allclose(np.asarray(there.image), plain.image, rtol=1e-5)
+
+
+def test_horizons_come_from_a_gpu_as_from_a_cpu(backend, monkeypatch):
+    """Planes that were swept on the turned map are turned back on a device with memory of its own."""
+    scene = sl.Scene(WIDE[:24, :41].copy())
+    plain = sl.horizons(scene, 6, backend)
+    monkeypatch.setattr(select(backend), "shares", False)
+    assert_bits_equal(sl.horizons(scene, 6, backend), plain)
+
+
+def test_pieces_of_a_device_array_go_to_their_parts():
+    """Parts of any size take their elements in turn, through rooms that are used again."""
+    values = np.arange(3 * staging.ROOM, dtype=np.uint8)
+    order = []
+
+    def copy(array, start, room, fetch):
+        order.append((start, room.size))
+        room[:] = array[start : start + room.size] if fetch else room
+        return lambda: None
+
+    rooms = [np.zeros(staging.ROOM, np.uint8) for _ in range(staging.ROOMS)]
+    parts = [np.zeros(size, np.uint8) for size in (7, 2 * staging.ROOM + 1, 0, staging.ROOM - 8)]
+    staging.Staging(rooms, copy).fetch(values, parts)
+    np.testing.assert_array_equal(np.concatenate(parts), values)
+    assert order == [
+        (0, 7),
+        (7, staging.ROOM),
+        (7 + staging.ROOM, staging.ROOM),
+        (7 + 2 * staging.ROOM, 1),
+        (8 + 2 * staging.ROOM, staging.ROOM - 8),
+    ]

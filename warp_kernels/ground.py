@@ -63,10 +63,20 @@ def tilt(
 
 
 @wp.kernel
-def turn(map: wp.array[wp.float32], turned: wp.array[wp.float32], rows: wp.int32, cols: wp.int32):
-    """A map (rows, cols) and the same turned, (cols, rows). Thread (y, x) owns one node of the turned map."""
-    y, x = wp.tid()
-    turned[y * rows + x] = map[x * cols + y]
+def turn(
+    maps: wp.array[wp.float32],
+    turned: wp.array[wp.float32],
+    rows: wp.int32,
+    cols: wp.int32,
+    count: wp.int32,
+):
+    """Maps (count, rows, cols) and the same turned, (count, cols, rows).
+
+    Thread (n, y, x) owns one node of the turned map n.
+    """
+    n, y, x = wp.tid()
+    first = n * rows * cols
+    turned[first + y * rows + x] = maps[first + x * cols + y]
 
 
 @wp.kernel

@@ -10,7 +10,7 @@ import re
 import time
 import warnings
 import weakref
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -140,6 +140,12 @@ class OpenclBackend(Backend):
             found: np.ndarray = array.get()
             return found
         return self._staging.download(array, array.shape, array.dtype)
+
+    def fetch(self, array: Array, parts: Sequence[np.ndarray]) -> None:
+        if self.shares or array.nbytes < staging.LEAST:
+            super().fetch(array, parts)
+        else:
+            self._staging.fetch(array, parts)
 
     @functools.cached_property
     def _staging(self) -> staging.Staging:

@@ -52,18 +52,21 @@ class Staging:
         """A device array in new memory of the host."""
         count = int(np.prod(shape)) * dtype.itemsize
         found = scratch((-(-count // 4),)).view(np.uint8)[:count]
-        pool, copies = threads(), dict[int, Future[None]]()
-
-        def emptied(start: int, room: np.ndarray) -> None:
-            np.copyto(found[start : start + room.size], room)
-
-        for n, start in enumerate(range(0, count, ROOM)):
-            if n >= ROOMS:
-                copies.pop(n - ROOMS).result()
-            room = self.rooms[n % ROOMS][: min(ROOM, count - start)]
-            self.copy(array, start, room, True)()
-            copies[n] = pool.submit(emptied, start, room)
-        for copy in copies.values():
-            copy.result()
+        self.fetch(array, [found])
         result: np.ndarray = found.view(dtype).reshape(shape)
         return result
+
+    def fetch(self, array: Any, parts: Sequence[np.ndarray]) -> None:
+        """Copy a device array to contiguous arrays of the host, which take its elements in turn."""
+        pool, copies, first = threads(), list[Future[None]](), 0
+        for part in (part.reshape(-1).view(np.uint8) for part in parts):
+            for start in range(0, part.size, ROOM):
+                if len(copies) >= ROOMS:
+                    copies[-ROOMS].result()
+                piece = part[start : start + ROOM]
+                room = self.rooms[len(copies) % ROOMS][: piece.size]
+                self.copy(array, first + start, room, True)()
+                copies.append(pool.submit(np.copyto, piece, room))
+            first += part.size
+        for copy in copies[-ROOMS:]:
+            copy.result()

@@ -8,7 +8,7 @@ import importlib
 import threading
 import time
 from collections import OrderedDict
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -116,6 +116,12 @@ class WarpBackend(Backend):
         if self.shares or array.size * kind.itemsize < staging.LEAST:
             return np.array(array.numpy())
         return self._staging.download(array, array.shape, kind)
+
+    def fetch(self, array: Array, parts: Sequence[np.ndarray]) -> None:
+        if self.shares or sum(part.nbytes for part in parts) < staging.LEAST:
+            super().fetch(array, parts)
+        else:
+            self._staging.fetch(array, parts)
 
     @functools.cached_property
     def _staging(self) -> staging.Staging:

@@ -245,16 +245,26 @@ class Sweeps:
     def slopes(self) -> np.ndarray:
         """Horizon slopes (K, rows, cols) float32."""
         out = scratch((len(self.rays.angles), *self.shape))
-        for numbers, found in self.planes():
-            for number, plane in zip(numbers, found):  # on all cores: half of the planes are turned back here
-                by_bands(functools.partial(_copy_rows, out[number], plane), self.shape)
+        for half, numbers, planes in self._planes():
+            if self.backend.shares:  # half of the planes are turned back here, on all cores
+                for number, plane in zip(numbers, self._fetched(half, numbers, planes)):
+                    by_bands(functools.partial(_copy_rows, out[number], plane), self.shape)
+                continue
+            if half.turned:
+                size, turned = (half.rows, half.cols, len(numbers)), planes
+                planes = self.backend.empty(turned.shape, np.float32)
+                self.backend.launch("ground", "turn", size, turned, planes, *size)
+            self.backend.fetch(planes, [out[number] for number in numbers])
         return out
 
     def planes(self) -> Iterator[tuple[np.ndarray, np.ndarray]]:
         """Yield (numbers of azimuths, their horizon slopes (n, rows, cols) float32), a few at a time."""
         for half, numbers, planes in self._planes():
-            found = self.backend.download(planes).reshape(len(numbers), half.rows, half.cols)
-            yield numbers, found.transpose(0, 2, 1) if half.turned else found
+            yield numbers, self._fetched(half, numbers, planes)
+
+    def _fetched(self, half: Half, numbers: np.ndarray, planes: Array) -> np.ndarray:
+        found = self.backend.download(planes).reshape(len(numbers), half.rows, half.cols)
+        return found.transpose(0, 2, 1) if half.turned else found
 
     def openness(self) -> np.ndarray:
         """The mean over azimuth of the angle from the zenith to the horizon [rad]: (rows, cols) float32."""
@@ -266,7 +276,7 @@ class Sweeps:
             sums = turned if half.turned else natural
             backend.launch("ground", "openness", (pixels,), planes, widths, sums, len(numbers), pixels)
             backend.finish()  # the planes may be freed
-        backend.launch("ground", "turn", (cols, rows), turned, back, cols, rows)
+        backend.launch("ground", "turn", (cols, rows, 1), turned, back, cols, rows, 1)
         backend.launch("ground", "halves", (pixels,), natural, back, pixels, 0)  # half the sum
         image: np.ndarray = backend.download(natural).reshape(self.shape)
         image *= np.float32(2 / self.rays.widths.sum())
@@ -296,7 +306,7 @@ class Sweeps:
             return
         self.map_turned = self.kept
         rows, cols = (n + 2 * self.margin for n in self.shape)
-        self.backend.launch("ground", "turn", (rows, cols), self.heights, self.turned, rows, cols)
+        self.backend.launch("ground", "turn", (rows, cols, 1), self.heights, self.turned, rows, cols, 1)
 
     def _sweep(
         self,

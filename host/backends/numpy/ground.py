@@ -32,8 +32,8 @@ def tilt(
         )
 
 
-def turn(map: np.ndarray, turned: np.ndarray, rows: int, cols: int) -> None:
-    turned.reshape(cols, rows)[...] = map.reshape(rows, cols).T
+def turn(maps: np.ndarray, turned: np.ndarray, rows: int, cols: int, count: int) -> None:
+    turned.reshape(count, cols, rows)[...] = maps.reshape(count, rows, cols).transpose(0, 2, 1)
 
 
 def gather(
