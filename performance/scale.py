@@ -4,7 +4,7 @@
     python performance/scale.py --exact                               # houses, against exact rays
     python performance/scale.py --cities                              # error and audit among houses
     python performance/scale.py --between                             # light between surfaces
-    python performance/scale.py --memory 8192                         # bytes of a process for one tile
+    python performance/scale.py --memory 8192                         # bytes of a process and of its GPU
     python performance/scale.py --big 65536 --tile 4096 --workers 4   # time of a map that is generated lazily
 
 Errors are those of tiles against the same call on the whole map, which has the sweeps' own error besides.
@@ -20,7 +20,10 @@ import json
 import os
 import platform
 import resource
+import shutil
+import subprocess
 import sys
+import threading
 import time
 import warnings
 from pathlib import Path
@@ -208,12 +211,56 @@ def rms(values):
     return float(np.sqrt(np.mean(np.square(values, dtype=np.float64))))
 
 
-def memory(tile, backend):
-    """Peak of this process for one tile [byte], and what it takes without one."""
+class GpuMemory(threading.Thread):
+    """Peak of the memory taken of the first GPU [byte], as nvidia-smi tells every 20 ms; 0 where it is not.
+
+    All processes' is counted, so that no other should run there.
+    """
+
+    def __init__(self):
+        super().__init__(daemon=True)
+        self.peak, self.now, self.smi = 0, 0, None
+        if shutil.which("nvidia-smi"):
+            asked = "--query-gpu=memory.used", "--format=csv,noheader,nounits", "-i", "0", "--loop-ms=20"
+            self.smi = subprocess.Popen(["nvidia-smi", *asked], stdout=subprocess.PIPE, text=True)
+            self.start()
+
+    def run(self):
+        for line in self.smi.stdout:
+            self.now = 2**20 * int(line)
+            self.peak = max(self.peak, self.now)
+
+    def settled(self):
+        """What is taken once the last calls have shown."""
+        time.sleep(1 if self.smi else 0)
+        return self.now
+
+    def stop(self):
+        if self.smi:
+            self.smi.terminate()
+            self.smi.wait()
+
+
+def memory(tile, backend, azimuths, what):
+    """A line of JSON: peaks of this process, and of its GPU, for a tile with others all around [byte].
+
+    ``what``: "svf", "openness" or "render" (a clear sky with a sun). host: beyond what the process took
+    before, and beyond the tile's window and its result; device: beyond what was taken before the process used
+    it, of which ``driver`` is what one small map takes.
+    """
+    gpu = GpuMemory()
+    idle = gpu.settled()
+    sky = sl.Sky(sl.cie_clear((135.0, 35.0), direct=4.0))
+    works = {
+        "svf": sl.sky_view_factor,
+        "openness": sl.openness,
+        "render": lambda scene, **options: sl.render(scene, sky, **options).image,
+    }
+    options = dict(backend=backend, azimuths=azimuths)
     small = sl.Scene.from_height(mountains(256, 20))
-    sl.sky_view_factor(small, tiling=sl.Tiling(128, 16, 8), backend=backend, azimuths=8)
-    before = 1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    side = 2 * tile
+    works[what](small, tiling=sl.Tiling(128, 16, 8), **options)
+    before, driver = 1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss, gpu.settled() - idle
+    side = 3 * tile
     dask_array = __import__("dask.array").array
     heights = dask_array.map_blocks(
         lambda block_info=None: np.add.outer(
@@ -223,12 +270,16 @@ def memory(tile, backend):
         dtype=np.float32,
         meta=np.empty((0, 0), np.float32),
     )
-    found = sl.sky_view_factor(
-        sl.Scene.from_height(heights), azimuths=8, backend=backend, tiling=sl.Tiling(tile)
-    )
-    found[:tile, :tile].sum().compute(scheduler="sync")
+    tiling = sl.Tiling(tile)
+    found = works[what](sl.Scene.from_height(heights), tiling=tiling, **options)
+    found[tile : 2 * tile, tile : 2 * tile].sum().compute(scheduler="sync")
     peak = 1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    print(f"tile {tile}: {peak / 1e9:.2f} GB, of which {before / 1e9:.2f} GB before it")
+    data = 4 * (tile + 2 * tiling.halo) ** 2 + 4 * tile**2
+    gpu.stop()
+    told = {"tile": tile, "what": what, "backend": select(backend).name, "azimuths": azimuths}
+    told |= {"process": peak, "before": before, "host": peak - before - data}
+    told |= {"device": gpu.peak - idle, "driver": driver}
+    print(json.dumps(told))
 
 
 def hills(block_info=None):
@@ -290,13 +341,14 @@ def main():
     parser.add_argument("--cities", action="store_true")
     parser.add_argument("--between", action="store_true")
     parser.add_argument("--memory", type=int, metavar="TILE")
+    parser.add_argument("--what", default="svf", choices=("svf", "openness", "render"), help="of --memory")
     parser.add_argument("--big", type=int, metavar="SIDE")
     parser.add_argument("--workers", type=int, default=1)
     parser.add_argument("--azimuths", type=int, default=64)
     parser.add_argument("--backend", default="auto")
     given = parser.parse_args()
     if given.memory:
-        memory(given.memory, given.backend)
+        memory(given.memory, given.backend, given.azimuths, given.what)
     elif given.cities or given.between:
         (cities if given.cities else between)(given.size, given.tile, given.backend)
     elif given.exact:

@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ..arrays import by_bands
 from ..backends.base import Array, Backend
 from ..checks import positive_number
 from ..constants import NONE
@@ -26,8 +27,6 @@ DENSER, CLIFF, CLIFFS = 4, 4.0, 0.003
 # halos beyond a tile up to which overviews are its neighbours'; chosen: at 4 the levels that every tile is
 # given have four times as many cells, at 16 neighbours give four times as many
 NEIGHBOURS = 8
-# of slopes that are known before a sweep [byte]; chosen: an azimuth of 8448 x 8448 nodes takes 285 MB
-BATCH = 2**29
 
 
 @dataclass(frozen=True)
@@ -220,9 +219,15 @@ def around(
 
 def spread_of(tiling: Tiling, heights: np.ndarray, spacing: float) -> int:
     """Nodes between those of a tile whose far horizons are marched; ``heights`` of the tile."""
-    steps = [np.abs(np.diff(heights, axis=axis)) for axis in (0, 1)]
-    count = sum(int(np.count_nonzero(np.isfinite(step))) for step in steps)
-    cliffs = sum(int(np.count_nonzero(step > CLIFF * spacing)) for step in steps)
+
+    def counts(rows: slice) -> tuple[int, int]:
+        """Pairs of neighbours with data, and those that are steep, in or below these rows."""
+        below = heights[rows.start : rows.stop + 1]
+        steps = [np.abs(np.diff(below, axis=0)), np.abs(np.diff(heights[rows], axis=1))]
+        known = sum(int(np.count_nonzero(np.isfinite(step))) for step in steps)
+        return known, sum(int(np.count_nonzero(step > CLIFF * spacing)) for step in steps)
+
+    count, cliffs = np.sum(by_bands(counts, heights.shape), 0)
     return max(1, tiling.spread // DENSER) if cliffs > CLIFFS * count else tiling.spread
 
 

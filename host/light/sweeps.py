@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import math
 from collections.abc import Iterator
@@ -17,7 +18,7 @@ from ..checks import positive_number
 from ..constants import LADDER, LEAST_SEARCHED_SLOPE, MOST_PIXELS, SIDES, SLOPES, TABLE, UNIFORM
 from ..errors import CapacityError, bad
 from ..scene import Scene, is_scene
-from .far import BATCH, Far, Marched
+from .far import Far, Marched
 
 # rows within which every crossing is tested; FINE_NEAR_ROWS from MANY_AZIMUTHS on, where the sum over all
 # azimuths is that exact
@@ -26,6 +27,9 @@ NEAR_ROWS, FINE_NEAR_ROWS, MANY_AZIMUTHS = 6, 12, 128
 MASKED_HEIGHT = -2e30
 MOST_DISTANCE_BITS = 24  # of a ladder's integers; six are left for heights then
 ENDLESS_WINDOW = 1 << 30  # [rows], a window longer than any line
+# of a device that the sweeps of a tile take [byte], so that a tile of 8192 x 8192 nodes and the driver are
+# within 3 GB; of that, arrays of a map: the map, padded, turned, its two tilts and a sum
+TILE_BYTES, TILE_ARRAYS = 24 * 10**8, 6
 PROBED = 1024  # nodes from which the steepest rise and fall are searched for
 
 
@@ -128,8 +132,8 @@ class Sweeps:
         self.far = None if far is None else Marched(backend, far)
         self.turned = backend.empty((self.room,), np.float32)
         level_ground = 0 if level else None  # else the kernel `tilt` writes them
-        # on a GPU both maps are swept at the same time
-        separate = 2 if backend.lines > 1 or self.kept else 1
+        # on a GPU both maps are swept at the same time, but for tiles, which are short of memory
+        separate = 2 if backend.lines > 1 and far is None or self.kept else 1
         tilts = [backend.empty((2, self.room), np.float32, level_ground) for _ in range(separate)]
         self.tilts = tilts[0], tilts[-1]
         self.nothing = backend.empty((4,), np.float32)
@@ -176,7 +180,7 @@ class Sweeps:
         self._turn()
         backend.fill(total, 0)
         backend.fill(turned, 0)
-        with backend.overlapped():
+        with backend.overlapped() if self.far is None else contextlib.nullcontext():
             self._light_of(self.halves[1], turned)
         self._light_of(self.halves[0], total)
         backend.join()
@@ -227,7 +231,7 @@ class Sweeps:
         """Irradiance (rows, cols) float32 [brightness x sr]. ``last``: arrays are released after use."""
         backend, size = self.backend, (1, math.prod(self.shape))
         turned = backend.empty(size, np.int32, 0)
-        if backend.lines > 1 or not last:
+        if backend.lines > 1 and self.far is None or not last:
             total = backend.empty(size, np.int32, 0)
             self.light(total, turned)
             return backend.download(total).view(np.float32).reshape(self.shape)
@@ -475,7 +479,9 @@ def _at_once(sweeps: Sweeps) -> int:
     """Azimuths whose light is swept together."""
     if sweeps.backend.lines == 1:
         return 1
-    return ENDLESS_WINDOW if sweeps.far is None else max(1, BATCH // (4 * math.prod(sweeps.shape)))
+    if sweeps.far is None:
+        return ENDLESS_WINDOW
+    return max(1, TILE_BYTES // (4 * math.prod(sweeps.shape)) - TILE_ARRAYS)
 
 
 def _far_slopes(
