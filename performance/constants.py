@@ -22,19 +22,20 @@ from refinement import NODES, estimated
 import skylamp as sl
 from skylamp.backends import select
 from skylamp.samples import Samples
+from skylamp.sources.integrals import Integrals
 
 TOLERANCE = 0.01
-SKY, FINITE = "sky", "finite"
+SKY, LIGHTS, FINITE = "sky", "sky with small lights", "finite"
 CONSTANTS = {  # module and name: on which pairs
     "refinement.ESTIMATE_SHARE": SKY,
     "refinement.LEAST_SAMPLED_SHARE": SKY,
     "refinement.LEAST_SECTORS": SKY,
     "light.unoccluded.INTEGRATED_AZIMUTHS": SKY,
-    "sources.integrals.BRIGHT": SKY,
-    "sources.integrals.LEAST_LEVEL": SKY,
-    "sources.integrals.FAINT_PARTS_SHARE": SKY,
-    "sources.integrals.INNER": SKY,
-    "sources.integrals.DARK_GAP": SKY,
+    "sources.integrals.BRIGHT": LIGHTS,
+    "sources.integrals.LEAST_LEVEL": LIGHTS,
+    "sources.integrals.FAINT_PARTS_SHARE": LIGHTS,
+    "sources.integrals.INNER": LIGHTS,
+    "sources.integrals.DARK_GAP": LIGHTS,
     "refinement.PATCHES": FINITE,
     "refinement.JUDGING_SECTORS": FINITE,
     "samples.CHORD_POINTS": FINITE,
@@ -48,7 +49,9 @@ def known_pairs(seed, count, size, backend, kind):
     while count:
         _, ground, _, source, light = pair(seed, number, size)
         number += 1
-        if isinstance(source, sl.Sky) == (kind == SKY) and callable(source.brightness):
+        if not callable(source.brightness) or isinstance(source, sl.Sky) == (kind == FINITE):
+            continue
+        if kind != LIGHTS or len(Integrals(source).suns) > 1:
             samples = Samples(select(backend), ground, NODES, first=100_003)
             yield ground, source, samples, truth(samples, ground, source, light)
             count -= 1

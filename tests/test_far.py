@@ -156,7 +156,7 @@ def _same(found, expected):
     assert np.abs(expected[~none]).max() > 0.1  # there is something to be wrong about
 
 
-@pytest.mark.parametrize("spread", [4, 8])
+@pytest.mark.parametrize("spread", [pytest.param(4, marks=pytest.mark.slow), 8])
 def test_far_horizons_between_marched_nodes(backend, spread):
     """Bilinear between marched nodes, each moved to the node's own height, up to the last row and column."""
     engine, tiling = select(backend), Tiling(tile=64, halo=4 * spread, rule=4 * spread)

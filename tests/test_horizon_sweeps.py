@@ -217,7 +217,13 @@ def _light(backend, name, count):
 
 
 @pytest.mark.parametrize(
-    ("sides", "reach"), [("open", math.inf), ("open", 7), ("dark", math.inf), ("periodic", 7)]
+    ("sides", "reach"),
+    [
+        ("open", math.inf),
+        pytest.param("open", 7, marks=pytest.mark.slow),
+        pytest.param("dark", math.inf, marks=pytest.mark.slow),
+        ("periodic", 7),
+    ],
 )
 def test_a_repeat_gives_the_same_bytes(backend, sides, reach):
     """Sums in fixed point do not depend on who adds first."""

@@ -93,7 +93,9 @@ def test_level_ground_under_suns(fast, count, seed):
     held(sl.Sky(function), level, fast)
 
 
-@pytest.mark.parametrize("seed", range(10, 18))
+@pytest.mark.parametrize(
+    "seed", [10, 11, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(12, 18))]
+)
 def test_suns_that_are_named_have_all_their_light(seed):
     """Of any size from 0.02 degrees on, wherever they stand in the cells that are divided."""
     function, level, axes = discs(seed, 1 + seed % 3, least=0.02, most=1.0)
@@ -173,7 +175,7 @@ def test_level_ground_under_cosine_powers(fast, power):
     held(sl.Sky(lambda L: np.maximum(0, -L[..., 2]) ** power), 2 * np.pi / (power + 2), fast)
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2))])
 def test_few_azimuths_are_right_on_planes(fast, seed):
     """Four azimuths, two sectors of every sun, no closed form: the light above tangent planes is exact."""
     function, level, _ = discs(20 + seed, 4)
@@ -368,7 +370,11 @@ def test_brightness_that_is_wrong_is_an_input_error(fast):
             sl.render(FLAT, sl.Sky(function), backend=fast)
 
 
-@pytest.mark.parametrize("k", [1e-34, 1e-28, 1e-12, 1e25], ids=str)
+@pytest.mark.parametrize(
+    "k",
+    [1e-34, 1e25, *(pytest.param(k, marks=pytest.mark.slow) for k in (1e-28, 1e-12))],
+    ids=str,
+)
 @pytest.mark.parametrize("how", [{"tolerance": 0.01}, {"azimuths": 24}], ids=["tolerance", "azimuths"])
 def test_faint_and_glaring_skies_scale(fast, how, k):
     """A function times k gives the image and its error times k: no absolute number stands in the way."""

@@ -33,7 +33,7 @@ def seen(along, up, low, high):
     return float((w * (along * np.cos(e) + up * np.sin(e)) * np.cos(e)).sum() * (b - a) / 2)
 
 
-@pytest.mark.parametrize("angle, bound", [(60, 0.003), (40, 0.001)])
+@pytest.mark.parametrize("angle, bound", [pytest.param(60, 0.003, marks=pytest.mark.slow), (40, 0.001)])
 def test_bowl(angle, bound):
     """In a spherical bowl every node sees the same ground: E = E_d / (1 - albedo (1 - f))."""
     size, rim = 48, 22

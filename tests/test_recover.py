@@ -109,7 +109,7 @@ def test_recovery_equals_the_oracle(backend, kind, sides, stop):
         assert len(np.unique(expected)) > 2, "nothing was carved, so this test says little"
 
 
-@pytest.mark.parametrize("eps", [0.002, 0.3])
+@pytest.mark.parametrize("eps", [pytest.param(0.002, marks=pytest.mark.slow), 0.3])
 def test_recovery_with_an_albedo_map_and_spacing_equals_the_oracle(backend, eps):
     """The albedo divides the image, pixel by pixel; depth comes in the unit of the spacing; M = 9."""
     expected = _carved("sky", "dark", "eps", eps, 9, "map")

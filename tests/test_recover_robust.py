@@ -191,7 +191,13 @@ def test_strong_relief_in_a_large_image(fast, shape, method):
     assert rms(recover(image, sl.Sky(), 0.3, "dark", backend=fast).depth - depth) < 0.5
 
 
-@pytest.mark.parametrize("name", SURFACES)
+@pytest.mark.parametrize(
+    "name",
+    [
+        name if name in ("face", "egg-crate") else pytest.param(name, marks=pytest.mark.slow)
+        for name in SURFACES
+    ],
+)
 def test_the_confident_half_is_the_better_one(fast, name):
     """Its error is at most half that of the rest."""
     got, depth = found(name, "sky", fast, 64), surfaces.pair(name, "sky")[0]

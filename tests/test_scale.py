@@ -110,7 +110,15 @@ def test_a_coordinate_reference_system_stays(dem, fast):
 
 
 @pytest.mark.parametrize(
-    "chunks", [(64, 64), (230, 290), (50, 290), (10, 130), ((3, 200, 27), (100, 1, 189))], ids=str
+    "chunks",
+    [
+        (64, 64),
+        pytest.param((230, 290), marks=pytest.mark.slow),
+        pytest.param((50, 290), marks=pytest.mark.slow),
+        pytest.param((10, 130), marks=pytest.mark.slow),
+        ((3, 200, 27), (100, 1, 189)),
+    ],
+    ids=str,
 )
 def test_bytes_do_not_depend_on_chunks(dem, fast, chunks):
     """Tiles as chunks, one chunk, one chunk wide, chunks smaller than the halo, unequal ones."""
@@ -280,8 +288,8 @@ SUNNY = sl.Sky(sl.cie_sky(12, (135.0, 30.0), direct=5.0))
     ("sky", "limit"),
     [
         (sl.Sky(), 3e-3),
-        (sl.Sky(2.5), 3e-3),
-        (sl.Sky(sl.cie_overcast()), 3e-3),
+        pytest.param(sl.Sky(2.5), 3e-3, marks=pytest.mark.slow),
+        pytest.param(sl.Sky(sl.cie_overcast()), 3e-3, marks=pytest.mark.slow),
         (SUNNY, 0.03),
         (sl.Sky((1.0, 2.0, 0.5)), 3e-3),
     ],

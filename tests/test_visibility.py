@@ -169,7 +169,7 @@ def test_lamps_of_any_shape_equal_the_oracle(backend, name, size, sides):
     )
 
 
-@pytest.mark.parametrize("sides", ["open", "dark"])
+@pytest.mark.parametrize("sides", ["open", pytest.param("dark", marks=pytest.mark.slow)])
 def test_filled_windows_and_high_lamps_are_the_filled_sky_clipped(backend, sides):
     """Above z = 0 nothing blocks, so there a source only takes away what it does not fill."""
     name, cube = "fractal", sl.Hemicube(9)
