@@ -20,15 +20,24 @@ from skylamp import io
 WRITER = """
 import sys, numpy as np
 from skylamp import io
-print("begun", flush=True)
 while True:
-    for value in (1, 2):
-        io.write(sys.argv[1], np.full((700, 900), value, np.float32))
+    for value in (1, 2):  # uint8: what a PNG does not scale
+        io.write(sys.argv[1], np.full((700, 900), value, np.uint8))
+        print("written", flush=True)
 """
 
 
 def environment(**more):
     return {**os.environ, "PYTHONWARNINGS": "ignore", **more}
+
+
+def is_whole(path):
+    """Whether a file is one that WRITER wrote to its end."""
+    try:
+        found = io.read(path)
+    except sl.SkylampError:
+        return False
+    return found.shape == (700, 900) and found[0, 0] in (1, 2) and np.ptp(found) == 0
 
 
 def killed_writers(kills, suffix=".npy", seed=0):
@@ -48,9 +57,7 @@ def killed_writers(kills, suffix=".npy", seed=0):
             writer.send_signal(signal.SIGKILL)
             writer.wait()
             writer.stdout.close()
-            if path.exists():
-                found = io.read(path)
-                half += not (found.shape == (700, 900) and found[0, 0] in (1, 2) and np.ptp(found) == 0)
+            half += not is_whole(path)
             for other in Path(folder).iterdir():
                 if other != path:
                     left += 1

@@ -36,6 +36,17 @@ def test_killed_writers_leave_no_half_file():
         assert half == 0, suffix
 
 
+@pytest.mark.parametrize("suffix", [".npy", ".png", ".tif"])
+def test_a_half_file_is_told_from_a_whole_one(tmp_path, suffix):
+    """Also where the writers are so fast that every round finds a file."""
+    path = tmp_path / f"out{suffix}"
+    for value in (1, 2):
+        io.write(path, np.full((700, 900), value, np.uint8))
+        assert environment.is_whole(path)
+    path.write_bytes(path.read_bytes()[:200])
+    assert not environment.is_whole(path)
+
+
 @pytest.mark.slow
 def test_threads_get_the_same_bytes(backend):
     """Eight at once, all kinds of calls."""
