@@ -18,6 +18,11 @@ CALLS = {
     "sky_view_factor": lambda **more: sl.sky_view_factor(SCENE, azimuths=4, **more),
     "openness": lambda **more: sl.openness(SCENE, 4, **more),
     "visibility": lambda **more: sl.visibility(SCENE, LAMP, 5, **more),
+    "recover by carving": lambda **more: (
+        sl.recover(
+            SCENE.depth[:6, :6] + 1, sl.Sky(8.0), 0.5, "dark", layers=4, hemicube=3, method="paper", **more
+        ).depth
+    ),
     "visibility_field": lambda **more: sl.visibility_field(SCENE, LAMP, 3, **more).words,
 }
 

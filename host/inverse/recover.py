@@ -13,7 +13,7 @@ import numpy as np
 from .. import sources
 from ..arrays import Labels, Quantity, axes_of, labelled, labels_of
 from ..backends import select
-from ..backends.base import Backend
+from ..backends.base import Backend, within
 from ..checks import at, one_of, positive_number, real_array
 from ..directions import Hemicube
 from ..errors import bad
@@ -127,7 +127,8 @@ def recover(
     near, far : number or (rows, cols) array [unit of spacing], optional
         Of method="robust": between which depth lies; 0 and layers x spacing unless given.
     max_seconds : float, optional
-        Of method="robust": then, or on Ctrl-C, the best surface so far is returned, with a warning.
+        Of method="robust": then, or on Ctrl-C, the best surface so far is returned, with a warning. A surface
+        that is carved half is none: method="paper" raises OutOfTimeError.
     interreflection : "auto", True or False
         Of method="robust": whether ground lights ground in the images, as in photographs and in what
         :func:`skylamp.render` makes by default. "auto": it does, unless they are not explained well so and
@@ -140,7 +141,7 @@ def recover(
     -------
     Recovery
         Depth (rows, cols) float32 [unit of spacing], its confidence, candidates and warnings.
-        Raises InputError, BackendError or CapacityError.
+        Raises InputError, BackendError, CapacityError or OutOfTimeError.
     """
     one_of(method, RECOVER_METHODS, "method")
     one_of(stop, STOPS, "stop")
@@ -154,15 +155,16 @@ def recover(
             limits = _limits(near, far, max_seconds, given)
             found = _chosen(given, limits, engine, progress, interreflection)
         return _labelled(found, given.labels)
-    limited = near is not None or far is not None or max_seconds is not None
-    if given.several or limited or interreflection is True:
+    if given.several or near is not None or far is not None or interreflection is True:
         raise bad(
-            "method 'paper' with several images, near, far, max_seconds or interreflection=True",
+            "method 'paper' with several images, near, far or interreflection=True",
             "what it cannot use",
             "one image and one source",
             "Use method='robust'.",
         )
-    return _labelled(_carved(given, cube, eps, stop, select(backend), progress), given.labels)
+    engine = select(backend)
+    with within(max_seconds, "recover", engine):
+        return _labelled(_carved(given, cube, eps, stop, engine, progress), given.labels)
 
 
 @dataclass(frozen=True, eq=False)
