@@ -27,7 +27,7 @@ from .interreflection import ESTIMATE_SHARE, check_choice, choice, expected, is_
 from .light import lattice, line, unoccluded
 from .light.base import Estimate, Later, LightMethod, estimated
 from .light.finite import MOST_RAY_EVALUATIONS, RAYS, Sliced, most_rays
-from .light.horizon import OFFSET, Horizons, margin_of
+from .light.horizon import OFFSET, Horizons, correction, margin_of
 from .light.lattice import Lattice, lacking
 from .light.slices import outline, widened
 from .radiometry import point_error
@@ -735,7 +735,7 @@ class _SkyPlanner(_Planner):
         slopes: np.ndarray,
         lit: np.ndarray,
     ) -> np.ndarray:
-        """Light above ``slopes``, with that above tangent planes as a control variate; see Horizons.
+        """Light above ``slopes``, as a share of that above tangent planes; see Horizons.
 
         ``lit``: of brightness 1 above them, per radian.
         """
@@ -745,7 +745,7 @@ class _SkyPlanner(_Planner):
         table = self.light.table(angles, windows)
         hidden = _open_slopes(self.samples, angles), slopes
         planes, light = (widths @ self.samples.ring(angles, some, table) for some in hidden)
-        total: np.ndarray = light + self.free - planes
+        total: np.ndarray = light * correction(self.free, planes)
         return total
 
     def _bright_light(self, floor: float | None = None) -> float | np.ndarray:

@@ -75,17 +75,19 @@ __kernel void openness(__global const float *slopes, __global const float *width
   sums[p] = sum;
 }
 
-/* correct: irradiance += unit x table, by normal.
+/* correct: irradiance *= table, by normal; not below 0, where a table of brightness that is linear between
+its knots may leave some -1e-6 of a sky of which next to nothing but the zenith is seen.
 
-  tilts       (2, room)      float  [1]                  gx and gy, as tilt makes them
-  table       (side, side)   float  [irradiance / unit]  at v (row) and u (column), and bilinear between: u =
-                                                         (gx up / (1 + up) + 1) (side - 1) / 2, v so with gy,
-                                                         up = 1 / sqrt(1 + gx^2 + gy^2)
+
+  tilts       (2, room)      float  [1]  gx and gy, as tilt makes them
+  table       (side, side)   float  [1]  at v (row) and u (column), and bilinear between: u =
+                                         (gx up / (1 + up) + 1) (side - 1) / 2, v so with gy,
+                                         up = 1 / sqrt(1 + gx^2 + gy^2)
   irradiance  (rows x cols)  float  in and out
 
 side >= 2. Work-item (x, y) owns one node; a masked one is as if level. */
 __kernel void correct(__global const float *tilts, __global const float *table, __global float *irradiance,
-                      int rows, int cols, int margin, int room, int side, float unit)
+                      int rows, int cols, int margin, int room, int side)
 {
   const int x = get_global_id(0), y = get_global_id(1);
   if (x >= cols || y >= rows)
@@ -98,7 +100,7 @@ __kernel void correct(__global const float *tilts, __global const float *table, 
   __global const float *cell = table + j * side + i;
   const float low = cell[0] + (u - i) * (cell[1] - cell[0]),
               high = cell[side] + (u - i) * (cell[side + 1] - cell[side]);
-  irradiance[y * cols + x] += unit * (low + (v - j) * (high - low));
+  irradiance[y * cols + x] = max(0.0f, irradiance[y * cols + x] * (low + (v - j) * (high - low)));
 }
 
 /* halves: of two images of the same light, in place, their mean and half their difference.

@@ -1121,3 +1121,19 @@ def test_light_where_exact_rays_find_none_is_warned_of(fast):
     out = sl.render(sl.Scene(np.full((10, 12), 1e7), sides="dark"), sky, backend=fast)
     assert not np.isnan(out.error).any()
     assert any(text.startswith("Tolerance") for text in out.warnings) or out.image.max() < 1e-9
+
+
+def test_no_light_is_negative(backend):
+    """Deep dark boxes under uneven skies, in the few azimuths of a coarse tolerance, from flat ones to
+    shafts: a control variate left -15 % of the mean here.
+    """
+    rng = np.random.default_rng(0)
+    for n, sky in enumerate((sl.cie_sky(12, (263, 41), direct=2.0), sl.cie_clear((40, 8)), GLOW.brightness)):
+        for deep in (1, 30, 1e7):
+            depth = rng.random((5, 4 + n)) * deep
+            for how in ({"tolerance": 0.05}, {"method": "horizon", "azimuths": 8}):
+                scene = sl.Scene(depth, sides="dark")
+                out = render(scene, sl.Sky(sky), quantity="irradiance", backend=backend, **how)
+                assert out.image.min() >= 0, (n, deep, how)
+                free = render(scene, sl.Sky(sky), quantity="irradiance", backend=backend, method="unoccluded")
+                assert (out.image <= 1.05 * free.image + 1e-6).all(), (n, deep, how)

@@ -177,7 +177,7 @@ def test_pick_takes_values_or_what_stands_for_none(engine):
 # -- correct
 
 
-def _correct(engine, gx, gy, table, before, unit, margin=3):
+def _correct(engine, gx, gy, table, before, margin=3):
     rows, cols = before.shape
     tilts = np.stack([_padded(gx, margin), _padded(gy, margin)])
     given, light = (
@@ -195,7 +195,6 @@ def _correct(engine, gx, gy, table, before, unit, margin=3):
         margin,
         tilts.shape[1],
         len(table),
-        unit,
         lanes=1,
     )
     return engine.download(light).reshape(rows, cols)
@@ -213,7 +212,7 @@ def _slopes():
 
 
 @pytest.mark.parametrize("side", [2, 9, 32])
-def test_correct_adds_a_table_by_normal(engine, side):
+def test_correct_multiplies_by_a_table_of_normals(engine, side):
     """A table that is linear in u and v is met exactly between its elements, up to its corners and rims."""
     gx, gy = _slopes()
     before = _rng(5).random(SHAPE).astype(np.float32)
@@ -222,33 +221,33 @@ def test_correct_adds_a_table_by_normal(engine, side):
     at_u, at_v = ((g * up / (1 + up) + 1) * 0.5 * (side - 1) for g in (gx, gy))
     assert at_u.max() > (side - 1) * 0.999 and at_v.min() < 0.001 * (side - 1)
     _close(
-        _correct(engine, gx, gy, 0.5 + 2 * u - 0.75 * v, before, 0.125),
-        before + 0.125 * (0.5 + 2 * at_u - 0.75 * at_v),
+        _correct(engine, gx, gy, 0.5 + 2 * u - 0.75 * v, before),
+        np.maximum(0, before * (0.5 + 2 * at_u - 0.75 * at_v)),
     )
 
 
 def test_correct_is_bilinear(engine):
     """In a table of anything, against the four elements and their weights."""
     (gx, gy), side = _slopes(), 9
-    table = _rng(6).normal(size=(side, side)).astype(np.float32)
+    table = _rng(6).random((side, side)).astype(np.float32)
     up = 1 / np.sqrt(1 + gx.astype(float) ** 2 + gy.astype(float) ** 2)
     u, v = ((g * up / (1 + up) + 1) * 0.5 * (side - 1) for g in (gx, gy))
     i, j = np.minimum(u.astype(int), side - 2), np.minimum(v.astype(int), side - 2)
     expected = sum(
         abs(1 - a - (u - i)) * abs(1 - b - (v - j)) * table[j + b, i + a] for a in (0, 1) for b in (0, 1)
     )
-    got = _correct(engine, gx, gy, table, np.zeros(SHAPE), 1.0)
+    got = _correct(engine, gx, gy, table, np.ones(SHAPE))
     np.testing.assert_allclose(
         got, expected, rtol=0, atol=3 * CLOSE * abs(expected).max()
     )  # u, up to 8, is rounded itself
 
 
 def test_correct_takes_the_middle_where_level(engine):
-    """Exactly, and adds it to what was there."""
-    table, before = _rng(7).normal(size=(9, 9)).astype(np.float32), _rng(8).random(SHAPE).astype(np.float32)
+    """Exactly, and multiplies what was there; what is negative becomes 0."""
+    table, before = _rng(7).random((9, 9)).astype(np.float32), _rng(8).normal(size=SHAPE).astype(np.float32)
     level = np.zeros(SHAPE, np.float32)
     np.testing.assert_array_equal(
-        _correct(engine, level, level, table, before, 0.1), before + np.float32(0.1) * table[4, 4]
+        _correct(engine, level, level, table, before), np.maximum(0, before * table[4, 4])
     )
 
 
@@ -256,17 +255,17 @@ def test_correct_takes_the_rim_where_steep(engine):
     """A column is by gx and a row by gy; nothing past the last column is read, not even to be weighted with
     0.
     """
-    table = _rng(7).normal(size=(9, 9)).astype(np.float32)
+    table = _rng(7).random((9, 9)).astype(np.float32)
     level, steep = (
         np.zeros(SHAPE, np.float32),
         np.full(SHAPE, 1e8, np.float32),
     )  # whose up is nothing: u = side - 1
     table[:, 0] = np.nan
     np.testing.assert_array_equal(
-        _correct(engine, steep, level, table, np.zeros(SHAPE), 1.0), table[4, 7] + (table[4, 8] - table[4, 7])
+        _correct(engine, steep, level, table, np.ones(SHAPE)), table[4, 7] + (table[4, 8] - table[4, 7])
     )
     np.testing.assert_array_equal(
-        _correct(engine, level, steep, table, np.zeros(SHAPE), 1.0), table[7, 4] + (table[8, 4] - table[7, 4])
+        _correct(engine, level, steep, table, np.ones(SHAPE)), table[7, 4] + (table[8, 4] - table[7, 4])
     )
 
 
@@ -279,15 +278,13 @@ def test_correct_writes_into_sums_that_hold_irradiance(engine):
             before.view(np.int32),
             other.view(np.int32),
             np.zeros((2, ROWS * COLS), np.float32),
-            np.ones((3, 3), np.float32),
+            np.full((3, 3), 1.5, np.float32),
         )
     )
-    engine.launch(
-        "ground", "correct", (COLS, ROWS), tilts, table, a, ROWS, COLS, 0, ROWS * COLS, 3, 2.0, lanes=1
-    )
-    np.testing.assert_array_equal(engine.download(a).view(np.float32), before + np.float32(2))
+    engine.launch("ground", "correct", (COLS, ROWS), tilts, table, a, ROWS, COLS, 0, ROWS * COLS, 3, lanes=1)
+    np.testing.assert_array_equal(engine.download(a).view(np.float32), before * np.float32(1.5))
     engine.launch("ground", "halves", (ROWS * COLS,), a, b, ROWS * COLS, 0, lanes=1)
-    np.testing.assert_array_equal(engine.download(b).view(np.float32), (other - (before + np.float32(2))) / 2)
+    np.testing.assert_array_equal(engine.download(b).view(np.float32), (other - before * np.float32(1.5)) / 2)
 
 
 # -- halves, judge

@@ -135,14 +135,15 @@ def correct(
     margin: wp.int32,
     room: wp.int32,
     side: wp.int32,
-    unit: wp.float32,
 ):
-    """irradiance += unit x table, by normal.
+    """irradiance *= table, by normal; not below 0, where a table of brightness that is linear between its
+    knots may leave some -1e-6 of a sky of which next to nothing but the zenith is seen.
 
-      tilts       (2, room)      float32 [1]                  gx and gy, as tilt makes them
-      table       (side, side)   float32 [irradiance / unit]  at v (row) and u (column), and bilinear between:
-                                        u = (gx up / (1 + up) + 1) (side - 1) / 2, v so with gy, up = 1 /
-                                        sqrt(1 + gx^2 + gy^2)
+
+      tilts       (2, room)      float32 [1]  gx and gy, as tilt makes them
+      table       (side, side)   float32 [1]  at v (row) and u (column), and bilinear between: u =
+                                        (gx up / (1 + up) + 1) (side - 1) / 2, v so with gy,
+                                        up = 1 / sqrt(1 + gx^2 + gy^2)
       irradiance  (rows x cols)  float32  in and out
 
     side >= 2. Thread (y, x) owns one node; a masked one is as if level.
@@ -162,7 +163,8 @@ def correct(
     across = u - wp.float32(i)
     low = table[cell] + across * (table[cell + 1] - table[cell])
     high = table[cell + side] + across * (table[cell + side + 1] - table[cell + side])
-    irradiance[y * cols + x] = irradiance[y * cols + x] + unit * (low + (v - wp.float32(j)) * (high - low))
+    value = low + (v - wp.float32(j)) * (high - low)
+    irradiance[y * cols + x] = wp.max(wp.float32(0.0), irradiance[y * cols + x] * value)
 
 
 @wp.kernel

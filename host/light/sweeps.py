@@ -147,11 +147,11 @@ class Sweeps:
         self.units = _units(rays, table)
         self.halves = [self._half(turned, table) for turned in (False, True)]
 
-    def add_light(self, table: np.ndarray, image: Array) -> None:
-        """Add to an irradiance on the device the value of ``table`` for every node's normal.
+    def correct(self, table: np.ndarray, image: Array) -> None:
+        """Multiply an image on the device by the value of ``table`` for every node's normal.
 
-        ``table`` (side, side) float32 [brightness x sr], see the kernel ``correct``. ``light`` comes before
-        it and computes the tilts.
+        ``table`` (side, side) float32, see the kernel ``correct``. ``light`` comes before it and computes the
+        tilts.
         """
         rows, cols = self.shape
         given = self.backend.table(table)
@@ -167,7 +167,6 @@ class Sweeps:
             self.margin,
             self.room,
             len(table),
-            1.0,
         )
         self.backend.finish()  # the table may be freed
 

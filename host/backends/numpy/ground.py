@@ -53,7 +53,6 @@ def correct(
     margin: int,
     room: int,
     side: int,
-    unit: float,
 ) -> None:
     inner = np.s_[:, margin : margin + rows, margin : margin + cols]
     gx, gy = tilts.reshape(2, -1)[:, :room].reshape(2, rows + 2 * margin, cols + 2 * margin)[inner]
@@ -65,7 +64,8 @@ def correct(
     low, high = (
         row[0] + across * (row[1] - row[0]) for row in ((table[k, i], table[k, i + 1]) for k in (j, j + 1))
     )
-    irradiance.view(np.float32).reshape(rows, cols)[...] += np.float32(unit) * (low + along * (high - low))
+    image = irradiance.view(np.float32).reshape(rows, cols)
+    np.maximum(np.float32(0), image * (low + along * (high - low)), out=image)
 
 
 def halves(a: np.ndarray, b: np.ndarray, count: int, keep: int) -> None:
