@@ -127,8 +127,7 @@ def recover(
     near, far : number or (rows, cols) array [unit of spacing], optional
         Of method="robust": between which depth lies; 0 and layers x spacing unless given.
     max_seconds : float, optional
-        Of method="robust": then, or on Ctrl-C, the best surface so far is returned, with a warning. A surface
-        that is carved half is none: method="paper" raises OutOfTimeError.
+        Then, or on Ctrl-C, "robust" returns the best surface so far, with a warning; "paper" raises an error.
     interreflection : "auto", True or False
         Of method="robust": whether ground lights ground in the images, as in photographs and in what
         :func:`skylamp.render` makes by default. "auto": it does, unless they are not explained well so and
@@ -149,8 +148,8 @@ def recover(
     given = _checked(image, source, albedo, sides, spacing, layers, method)
     eps = positive_number(eps, "eps")
     cube = hemicube if isinstance(hemicube, Hemicube) else Hemicube(hemicube)
+    engine = select(backend)
     if method == "robust":
-        engine = select(backend)
         with engine.lock:
             limits = _limits(near, far, max_seconds, given)
             found = _chosen(given, limits, engine, progress, interreflection)
@@ -162,7 +161,6 @@ def recover(
             "one image and one source",
             "Use method='robust'.",
         )
-    engine = select(backend)
     with within(max_seconds, "recover", engine):
         return _labelled(_carved(given, cube, eps, stop, engine, progress), given.labels)
 
