@@ -127,6 +127,40 @@ def test_bytes_do_not_depend_on_chunks(dem, fast, chunks):
     assert_bits_equal(found.values, expected.values)
 
 
+@pytest.mark.parametrize("sides", ["open", "periodic"])
+def test_bytes_of_gaps_and_of_maps_that_repeat_do_not_depend_on_chunks(fast, sides):
+    """Gaps across seams; chunks of one row, one chunk wide, unequal ones, smaller than the halo."""
+    heights = mountains(130, 140, 20)
+    heights[50:70, 60:140] = heights[128] = np.nan
+    found = [
+        svf(da.from_array(heights, chunks=chunks), fast, sides=sides).compute(scheduler="sync")
+        for chunks in (64, (130, 9), ((1, 100, 29), 140))
+    ]
+    assert np.array_equal(np.isnan(found[0]), np.isnan(heights))
+    for other in found[1:]:
+        assert_bits_equal(np.nan_to_num(other), np.nan_to_num(found[0]))
+
+
+def test_renders_of_lazy_maps_compute_nothing(dem, fast):
+    """Neither heights nor a map of the albedo, whatever the light between surfaces; coordinates stay."""
+
+    def never(block):
+        pytest.fail("a chunk was computed")
+
+    kind = dict(dtype=np.float32, meta=np.empty((0, 0), np.float32))
+    heights, albedo = (da.map_blocks(never, da.zeros(dem.shape, chunks=n), **kind) for n in (100, 70))
+    scene = sl.Scene.from_height(dem.copy(data=heights), albedo=albedo)
+    for source, options in (
+        (sl.Sky(), {}),
+        (sl.Sky(sl.cie_clear((135.0, 30.0), direct=4.0)), dict(interreflection=True)),
+        (sl.Sky((1.0, 2.0, 3.0)), dict(azimuths=8)),
+        (sl.Lamp(center=(3000, 3000, -100), radius=20), dict(max_distance=600.0)),
+    ):
+        image = sl.render(scene, source, backend=fast, tiling=SMALL, **options).image
+        assert image.dims[:2] == ("y", "x") and image.chunks[:2] == heights.chunks
+        assert all(image.coords[name].identical(dem.coords[name]) for name in dem.coords)
+
+
 def test_bytes_do_not_depend_on_schedulers(dem, fast):
     """One thread, four threads, a part of the map computed alone."""
     lazy = svf(dem.chunk({"y": 100, "x": 100}), fast)
