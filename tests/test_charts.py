@@ -1,6 +1,8 @@
 """Series of the charts stay apart for people with each of the three kinds of colour blindness."""
 
 import importlib.util
+import subprocess
+import sys
 from itertools import combinations
 from pathlib import Path
 
@@ -73,6 +75,53 @@ def test_packages_have_markers_of_their_own():
     assert len(set(chart.MARKERS.values())) == len(chart.MARKERS)
 
 
+def test_every_series_has_a_tested_colour():
+    """The methods of all panels have colours in the set that is tested above; peers have one, too."""
+    methods = {method for kind in chart.CLASSES for method, *_ in chart.settings(kind)}
+    assert methods | {"robust", "paper", "peer Mitsuba 3"} <= set(chart.COLOURS)
+    assert set(chart.TITLES) == {*chart.CLASSES, chart.INVERSE}
+
+
+@pytest.mark.slow
+def test_a_panel_is_measured_and_merged(fast, tmp_path):
+    """speed_accuracy.py replaces the rows of a panel that is measured again, keeps others and draws all."""
+    script = PATH.parent / "speed_accuracy.py"
+    old = "class,size,backend,method,units,error,seconds,planning,again\n" + "".join(
+        f"{kind},32,opencl:0:0,horizon,8,0.5,1,0,1\n" for kind in ("smooth", "window")
+    )
+    (tmp_path / "speed_accuracy.csv").write_text(old)
+    words = "--out", tmp_path, "--quick", "--panels", "window", "--backends", fast, "--drawn", ""
+    subprocess.run([sys.executable, script, *words], check=True, capture_output=True)
+    lines = (tmp_path / "speed_accuracy.csv").read_text().splitlines()
+    assert lines[0].startswith("# window: date: ")
+    assert sum(line.startswith("smooth,") for line in lines) == 1
+    window = [line for line in lines if line.startswith("window,")]
+    assert len(window) > 10 and not any(",0.5,1" in line for line in window)
+    assert "tolerance of 1.0%" in (tmp_path / "speed_accuracy.svg").read_text()
+
+
+@pytest.mark.slow
+def test_all_light_is_the_truth_of_the_bright_panel(fast):
+    """Direct light alone stops at its error; within a tolerance all light is found."""
+    rows = chart.measure([fast], (32,), kinds=("albedo",))
+    error = lambda method, units: next(
+        r["error"] for r in rows if (r["method"], r["units"]) == (method, units)
+    )
+    assert 0.1 < error("horizon", 64) < 0.3 and error("plan", 0.01) < 0.01
+
+
+def test_the_inverse_has_axes_of_its_own(tmp_path):
+    """Its points are drawn whatever the size of the other maps; the best eps of the paper's is filled."""
+    row = {"class": "smooth", "size": 512, "backend": "opencl", "method": "horizon", "units": 8, "best": 0}
+    row |= {"error": 0.1, "seconds": 1.0, "surface": ""}
+    other = {"class": chart.INVERSE, "size": 64, "surface": "bumps", "units": 0.02}
+    rows = [row, {**row, **other, "method": "paper", "best": 1}, {**row, **other, "method": "robust"}]
+    chart.draw(rows, tmp_path / "chart.svg")
+    text = (tmp_path / "chart.svg").read_text()
+    assert "bumps: the paper&#x27;s carving, eps 0.02 (the best) (opencl): 1 s, RMSE in layers 0.1" in text
+    assert "bumps: the default (opencl): 1 s" in text
+
+
 def test_svg_has_the_setting_on_hover(tmp_path):
     """Every drawn point has a title with its method, its time and its error."""
     rows = [
@@ -86,5 +135,5 @@ def test_svg_has_the_setting_on_hover(tmp_path):
     rows.append({**rows[0], "size": 32, "units": 99})
     chart.draw(rows, tmp_path / "chart.svg")
     text = (tmp_path / "chart.svg").read_text()
-    assert text.count("<title>horizon, ") == 8 and "<title>horizon, 99" not in text
+    assert text.count("<title>horizon, ") == 2 * len(chart.CLASSES) and "<title>horizon, 99" not in text
     assert "tolerance of 1.0%; planning is 50% of the time" in text and "<title>rvt-py, 8: 0.008 s" in text

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,18 +15,24 @@ from .. import sources
 from ..backends import backends, select
 from ..backends.base import Backend
 from ..errors import bad
+from ..interreflection import sky_share
 from ..io.paths import StrPath
+from ..light.interreflection import Bounces, Round
 from ..refinement import solid_of
 from ..rendering import Rendering, render
 from ..samples import Samples
 from ..scene import Scene
+from ..sources.cie import cie_clear
 from ..sources.solids import upright
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-CLASSES = ("smooth", "rough", "urban", "lamp")
+CLASSES = ("smooth", "rough", "urban", "lamp", "sun", "window", "albedo")
+INVERSE = "inverse"  # the class of points of recover(): error is RMSE in layers, ``surface`` a name
+ALBEDO = 0.8  # of class "albedo", whose light between surfaces counts
+SUN = ((135.0, 35.0), 3.0)  # [degree] azimuth and elevation of class "sun"; irradiance, zenith brightness 1
 TOLERANCES = (0.03, 0.01, 0.003)
 NODES, FIRST = 300, 100_003  # at which errors are taken; other nodes than a plan's samples
 SKY_METHODS = (
@@ -35,6 +41,11 @@ SKY_METHODS = (
     + [("stride", m) for m in (5, 9, 17, 33)]
     + [("unoccluded", 0)]
 )
+SUN_METHODS = [(method, n) for method, n in SKY_METHODS if method in ("horizon", "unoccluded")]
+# with which the exact light between surfaces is found: measured on 128 x 128 nodes, twice the fine rounds and
+# twice the azimuths differ by 0.03 % of the mean
+EXACT_ROUNDS = (Round(8, 2, 8, 0.25, True),) * 8 + (Round(64, 1, 64, 0.05),) * 3
+EXACT_AZIMUTHS = 90
 LAMP_METHODS = (
     [("slices", s) for s in (8, 16, 32, 64, 128)]
     + [("filled", m) for m in (9, 17, 33)]
@@ -47,6 +58,10 @@ TITLES = {
     "rough": "rough ground, uniform sky",
     "urban": "houses, uniform sky",
     "lamp": "rough ground, spherical lamp",
+    "sun": "rough ground, clear sky with a sun",
+    "window": "rough ground, rectangular window",
+    "albedo": "rough ground of albedo 0.8, uniform sky, all light",
+    INVERSE: "depth from one image, uniform sky",
 }
 LEAST_DRAWN_ERROR = 2e-5  # errors below are drawn here
 PEER = "peer "  # methods of other packages begin with it
@@ -58,7 +73,10 @@ COLOURS = {
     "stride": "#D55E00",
     "unoccluded": "#009E73",
     "plan": "#F0E442",
+    "robust": "#F0E442",
+    "paper": "#D55E00",
     "peer trimesh + embreex": "#56B4E9",
+    "peer Mitsuba 3": "#56B4E9",
 }
 PEER_COLOUR = "#CC79A7"  # horizon searches of other packages
 MARKERS = {
@@ -67,13 +85,14 @@ MARKERS = {
     "peer topocalc": "D",
     "peer trimesh + embreex": "v",
     "peer HORAYZON": "s",
+    "peer Mitsuba 3": "^",
 }
 
 Row = dict[str, Any]  # a point of the chart: class, size, backend, method, units, error, seconds ...
 
 
 def scene_of(kind: str, size: int) -> tuple[Scene, sources.Source]:
-    """A scene and its source: fractal ground of rms slope 0.5 or 1, houses, or that ground under a lamp."""
+    """A scene and its source: fractal ground of rms slope 0.5 or 1, or houses."""
     if kind == "urban":
         rng = np.random.default_rng(2)
         depth = np.full((size, size), 40.0)
@@ -92,8 +111,15 @@ def scene_of(kind: str, size: int) -> tuple[Scene, sources.Source]:
         s=(size, size),
     )
     z *= slope / np.sqrt(sum(np.mean(np.diff(z, axis=a) ** 2) for a in (0, 1)))
-    lamp = sources.Lamp((0.3 * size, 0.6 * size, -0.15 * size), 0.04 * size)
-    return Scene(z - z.min()), lamp if kind == "lamp" else sources.Sky()
+    source: sources.Source = sources.Sky()
+    if kind == "lamp":
+        source = sources.Lamp((0.3 * size, 0.6 * size, -0.15 * size), 0.04 * size)
+    elif kind == "window":
+        source = sources.Window((0.3 * size, 0.6 * size), (0.2 * size, 0.5 * size))
+    elif kind == "sun":
+        source = sources.Sky(cie_clear(SUN[0], direct=SUN[1]))
+    depth = z - z.min()
+    return Scene(depth, albedo=ALBEDO) if kind == "albedo" else Scene(depth), source
 
 
 def options_of(method: str, units: int) -> Row:
@@ -105,10 +131,12 @@ def options_of(method: str, units: int) -> Row:
 
 def settings(kind: str) -> Iterator[tuple[str, float, Row]]:
     """(method, units, arguments of render()) of every point of a class; coarse before fine."""
-    for method, units in LAMP_METHODS if kind == "lamp" else SKY_METHODS:
+    methods = {"lamp": LAMP_METHODS, "window": LAMP_METHODS, "sun": SUN_METHODS}.get(kind, SKY_METHODS)
+    for method, units in methods:
         yield method, units, options_of(method, units)
+    more: Row = {"interreflection": True} if kind == "albedo" else {}
     for tolerance in TOLERANCES:
-        yield "plan", tolerance, {"tolerance": tolerance}
+        yield "plan", tolerance, {"tolerance": tolerance, **more}
 
 
 def reference(kind: str, size: int, engine: Backend) -> tuple[Scene, sources.Source, Samples, np.ndarray]:
@@ -116,7 +144,20 @@ def reference(kind: str, size: int, engine: Backend) -> tuple[Scene, sources.Sou
     scene, source = scene_of(kind, size)
     samples = Samples(engine, scene, NODES, FIRST)
     solid = None if isinstance(source, sources.Sky) else upright(solid_of(scene, source, 1.0, 1.0))
-    return scene, source, samples, samples.exact(source, solid)
+    exact = samples.exact(source, solid)
+    if kind == "albedo":
+        exact = exact + _between(scene, samples, engine)
+    return scene, source, samples, exact
+
+
+def _between(scene: Scene, samples: Samples, engine: Backend) -> np.ndarray:
+    """Irradiance of the samples by the ground of a scene under a uniform sky, by exact strips."""
+    options: Row = {"quantity": "irradiance", "azimuths": 128, "interreflection": False}
+    image = render(scene, sources.Sky(), "horizon", backend=engine.name, **options).image
+    found = Bounces(engine, scene, samples, [image], [ALBEDO], sky_share(scene, engine, 1e-4))
+    found.run(EXACT_ROUNDS)
+    light: np.ndarray = found.at_samples(EXACT_AZIMUTHS)[0][0]
+    return light
 
 
 def measure(
@@ -124,6 +165,7 @@ def measure(
     sizes: Sequence[int] = (128, 512),
     longest: float = 1.5,
     progress: Callable[[int, int], None] | None = None,
+    kinds: Sequence[str] = CLASSES,
 ) -> list[Row]:
     """Rows of class, size, backend, method, units, error (relative RMS), seconds of the whole call, of it to
     plan, and again; the plan's are ``method`` "plan", their units the tolerance, timed on a scene that is
@@ -141,7 +183,7 @@ def measure(
     best = select("auto")
     rows: list[Row] = []
     durations: dict[tuple[str, str, str, float], tuple[int, float]] = {}
-    jobs = [(kind, size) for kind in CLASSES for size in sorted(sizes)]
+    jobs = [(kind, size) for kind in kinds for size in sorted(sizes)]
     for number, (kind, size) in enumerate(jobs):
         case = _Case(kind, size, *reference(kind, size, best))
         for name in chosen:
@@ -163,11 +205,10 @@ class _Case:
     exact: np.ndarray
 
     def render(self, backend: str, options: Row, new: bool = False) -> Rendering:
-        """The irradiance; ``new``: of a copy of the scene, which holds nothing that was computed before."""
-        scene = replace(self.scene) if new else self.scene
-        return render(
-            scene, self.source, backend=backend, quantity="irradiance", interreflection=False, **options
-        )
+        """The irradiance; ``new``: of a scene that holds nothing that was computed before."""
+        scene = scene_of(self.kind, self.size)[0] if new else self.scene
+        options = {"interreflection": False, **options}
+        return render(scene, self.source, backend=backend, quantity="irradiance", **options)
 
     def error(self, done: Rendering) -> float:
         """Relative RMS error at the samples."""
@@ -231,18 +272,23 @@ def frontier(points: list[tuple[float, float]]) -> list[tuple[float, float]]:
 def behind(rows: list[Row], time: str = "seconds", as_accurate: bool = False) -> dict[str, list[float]]:
     """By class and tolerance: the time of the default over that of the quickest setting within it; else nan.
 
-    Only the largest maps count. The default is the plan on the backend where it is quickest. ``time``:
-    "seconds", or "again", of a scene that was rendered before. ``as_accurate``: the other settings must be no
-    less accurate than the default's own image, instead of within the tolerance.
+    Only the largest maps count, and classes of direct light. The default is the plan on the
+    backend where it is quickest. ``time``: "seconds", or "again", of a scene that was rendered before.
+    ``as_accurate``: the other settings must be no less accurate than the default's own image, instead of
+    within the tolerance.
     """
     largest = max(row["size"] for row in rows)
     found: dict[str, list[float]] = {}
     for kind in CLASSES:
+        if kind == "albedo":  # other settings have direct light alone
+            continue
         here = [
             row
             for row in rows
             if row["class"] == kind and row["size"] == largest and not row["method"].startswith(PEER)
         ]
+        if not here:
+            continue
         for tolerance in TOLERANCES:
             ours, error = min(
                 (
@@ -262,33 +308,43 @@ def behind(rows: list[Row], time: str = "seconds", as_accurate: bool = False) ->
 
 
 def draw(rows: list[Row], path: StrPath, title: str = "", labels: Mapping[str, str] | None = None) -> None:
-    """The chart: a panel a class, error against time, all with the same axes; needs matplotlib.
+    """The chart: a panel a class that has points, error against time; needs matplotlib.
 
-    Only the largest maps are drawn. Colours stand for methods, markers for packages, and points of other
-    backends than the quickest are hollow. ``labels``: words for methods of other packages, by their name.
-    A path that ends in .svg has the setting of every point as the text that appears on hover.
+    All panels but that of the inverse have the same axes. Only the largest maps are drawn. Colours stand for
+    methods, markers for packages, and points of other backends than the quickest are hollow. ``labels``:
+    words for methods of other packages, by their name. A path that ends in .svg has the setting of every
+    point as the text that appears on hover.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    largest = max(row["size"] for row in rows)
-    rows = [row for row in rows if row["size"] == largest]
+    largest = max((row["size"] for row in rows if row["class"] != INVERSE), default=0)
+    rows = [row for row in rows if row["class"] == INVERSE or row["size"] == largest]
+    kinds = [kind for kind in (*CLASSES, INVERSE) if any(row["class"] == kind for row in rows)]
     ours = [row for row in rows if not row["method"].startswith(PEER)]
     quickest = min(ours, key=lambda row: float(row["seconds"]))["backend"]
-    figure = Figure(figsize=(11.5, 9), layout="constrained")
+    cols = 3 if len(kinds) > 4 else min(2, len(kinds))
+    lines = -(-len(kinds) // cols)
+    figure = Figure(figsize=(5.6 * cols, 4.1 * lines + 0.8), layout="constrained")
     FigureCanvasAgg(figure)
     hints: dict[str, str] = {}
-    panels = figure.subplots(2, 2, sharex=True, sharey=True)
-    for axes, kind in zip(panels.flat, CLASSES):
+    panels = figure.subplots(lines, cols, squeeze=False).ravel()
+    for axes, kind in zip(panels, kinds):
+        axes.set(xscale="log", yscale="log")
+        axes.set_title(TITLES[kind], fontsize=11)
+        axes.grid(which="major", alpha=0.25)
         here = [row for row in rows if row["class"] == kind]
         for row in here:
             _draw_point(axes, row, quickest, hints)
-        settings = [row for row in here if row["method"] != "plan" and not row["method"].startswith(PEER)]
-        _draw_frontier(axes, [_place(row) for row in settings])
-        axes.set_title(TITLES[kind], fontsize=11)
-        axes.grid(which="major", alpha=0.25)
-    _draw_axes(panels, largest)
-    _draw_legend(figure, rows, quickest, labels or {})
+        settings = [row for row in here if not row["method"].startswith(PEER)]
+        if kind != "albedo":  # where no setting but a tolerance has all light
+            settings = [row for row in settings if row["method"] != "plan"]
+        if settings and kind != INVERSE:
+            _draw_frontier(axes, [_place(row) for row in settings])
+    for axes in panels[len(kinds) :]:
+        axes.axis("off")
+    _draw_axes(panels, kinds, cols, largest)
+    _draw_legend(figure, panels[len(kinds) :], rows, quickest, labels or {})
     if title:
         figure.suptitle(title, fontsize=10)
     figure.savefig(path, dpi=100, metadata={"Date": None} if str(path).endswith(".svg") else None)
@@ -297,17 +353,20 @@ def draw(rows: list[Row], path: StrPath, title: str = "", labels: Mapping[str, s
 
 
 def _place(row: Row) -> tuple[float, float]:
-    """Where a row stands on the chart: (time of the whole call [ns per node], error)."""
+    """Where a row stands on the chart: (time of the whole call [ns per node], error); [s] for the inverse."""
+    if row["class"] == INVERSE:
+        return row["seconds"], row["error"]
     return 1e9 * row["seconds"] / row["size"] ** 2, max(row["error"], LEAST_DRAWN_ERROR)
 
 
 def _draw_point(axes: Axes, row: Row, quickest: str, hints: dict[str, str]) -> None:
     """One setting, with its words for the hover; plans are stars with their tolerance beside them."""
     x, y = _place(row)
-    method, planned = row["method"], row["method"] == "plan"
-    if planned and row["backend"] != quickest:
+    method, planned = row["method"], row["method"] in ("plan", "robust")
+    if method == "plan" and row["backend"] != quickest:
         return
     peer = method.startswith(PEER)
+    solid = peer or planned or (bool(row["best"]) if method == "paper" else row["backend"] == quickest)
     colour = COLOURS.get(method, PEER_COLOUR)
     marker = "*" if planned else MARKERS.get(method, "X") if peer else "o"
     point = axes.scatter(
@@ -315,13 +374,18 @@ def _draw_point(axes: Axes, row: Row, quickest: str, hints: dict[str, str]) -> N
         y,
         s=190 if planned else 45,
         marker=marker,
-        facecolor=colour if peer or planned or row["backend"] == quickest else "none",
+        facecolor=colour if solid else "none",
         edgecolor="black" if planned or peer else colour,
         lw=0.8,
         zorder=5 if planned else 3,
     )
     words = f"{method.removeprefix(PEER)}, {row['units']:g}"
-    if planned:
+    if row["class"] == INVERSE:
+        words = f"{row['surface']}: " + (
+            f"the paper's carving, eps {row['units']:g}" if not planned else "the default"
+        )
+        words += " (the best)" * bool(row.get("best"))
+    elif planned:
         share = float(row.get("planning") or 0) / row["seconds"]
         words = f"default at a tolerance of {row['units']:.1%}; planning is {share:.0%} of the time"
         offset = (8, -11 + 9 * TOLERANCES.index(row["units"])) if row["units"] in TOLERANCES else (8, 0)
@@ -330,7 +394,8 @@ def _draw_point(axes: Axes, row: Row, quickest: str, hints: dict[str, str]) -> N
     gid = f"point-{len(hints)}"
     point.set_gid(gid)
     backend = "" if peer else f" ({row['backend']})"
-    hints[gid] = f"{words}{backend}: {row['seconds']:.3g} s, error {row['error']:.2g}"
+    error = "RMSE in layers" if row["class"] == INVERSE else "error"
+    hints[gid] = f"{words}{backend}: {row['seconds']:.3g} s, {error} {row['error']:.2g}"
 
 
 def _draw_frontier(axes: Axes, points: list[tuple[float, float]]) -> None:
@@ -342,11 +407,14 @@ def _draw_frontier(axes: Axes, points: list[tuple[float, float]]) -> None:
     )
 
 
-def _draw_axes(panels: Any, size: int) -> None:
-    """Logarithmic axes, time in ns per node below and in s per megapixel above; where better lies."""
-    for axes in panels.flat:
-        axes.set_xscale("log")
-        axes.set_yscale("log")
+def _draw_axes(panels: Any, kinds: Sequence[str], cols: int, size: int) -> None:
+    """Time in ns per node below and in s per megapixel above, same but for the inverse; where better is."""
+    forward = [axes for axes, kind in zip(panels, kinds) if kind != INVERSE]
+    limits = [(*axes.get_xlim(), *axes.get_ylim()) for axes in forward]
+    for axes in forward:
+        left, right, low, high = zip(*limits)
+        axes.set(xlim=(min(left), max(right)), ylim=(min(low), max(high)))
+    for number, (axes, kind) in enumerate(zip(panels, kinds)):
         axes.annotate(
             "better",
             (0.015, 0.02),
@@ -356,16 +424,22 @@ def _draw_axes(panels: Any, size: int) -> None:
             color="0.3",
             arrowprops={"arrowstyle": "->", "color": "0.3"},
         )
-    for axes in panels[-1]:
-        axes.set_xlabel(f"time of the whole call, {size} x {size} nodes [ns per node]")
-    for axes in panels[:, 0]:
-        axes.set_ylabel("RMS error over the mean")
-    for axes in panels[0]:
-        above = axes.secondary_xaxis("top", functions=(lambda ns: ns / 1000, lambda s: s * 1000))
-        above.set_xlabel("[s per megapixel]", fontsize=9)
+        if kind == INVERSE:
+            axes.set(xlabel="time of the whole call [s]", ylabel="RMSE of depth [layers of 64]")
+            continue
+        if number + cols >= len(kinds):
+            axes.set_xlabel(f"time of the whole call, {size} x {size} nodes [ns per node]")
+        if number % cols == 0:
+            axes.set_ylabel("RMS error over the mean")
+        if number < cols:
+            above = axes.secondary_xaxis("top", functions=(lambda ns: ns / 1000, lambda s: s * 1000))
+            above.set_xlabel("[s per megapixel]", fontsize=9)
 
 
-def _draw_legend(figure: Figure, rows: list[Row], quickest: str, labels: Mapping[str, str]) -> None:
+def _draw_legend(
+    figure: Figure, spare: Any, rows: list[Row], quickest: str, labels: Mapping[str, str]
+) -> None:
+    """What colours and markers stand for, in a ``spare`` panel or below."""
     from matplotlib.lines import Line2D
 
     def mark(
@@ -378,6 +452,7 @@ def _draw_legend(figure: Figure, rows: list[Row], quickest: str, labels: Mapping
         )
 
     backends = {row["backend"] for row in rows if not row["method"].startswith(PEER)}
+    inverse = any(row["class"] == INVERSE for row in rows)
     peers = sorted({row["method"] for row in rows if row["method"].startswith(PEER)})
     names = {
         "horizon": "horizons; slices under a lamp",
@@ -387,6 +462,7 @@ def _draw_legend(figure: Figure, rows: list[Row], quickest: str, labels: Mapping
     }
     handles = [
         *(mark(COLOURS[method], "o", label) for method, label in names.items()),
+        *([mark(COLOURS["paper"], "o", "the paper's carving; filled: its best eps")] if inverse else []),
         mark(COLOURS["plan"], "*", "the default, by tolerance", "black", 13),
         *([mark("0.3", "o", f"hollow: not on {quickest}", fill=False)] if len(backends) > 1 else []),
         *(
@@ -399,7 +475,10 @@ def _draw_legend(figure: Figure, rows: list[Row], quickest: str, labels: Mapping
             for peer in peers
         ),
     ]
-    figure.legend(handles=handles, loc="outside lower center", ncols=3, frameon=False, fontsize=9)
+    if len(spare):
+        spare[0].legend(handles=handles, loc="center", frameon=False, fontsize=10)
+    else:
+        figure.legend(handles=handles, loc="outside lower center", ncols=3, frameon=False, fontsize=9)
 
 
 def _add_hints(path: Path, hints: Mapping[str, str]) -> None:
