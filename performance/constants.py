@@ -31,6 +31,8 @@ CONSTANTS = {  # module and name: on which pairs
     "refinement.LEAST_SAMPLED_SHARE": SKY,
     "refinement.LEAST_SECTORS": SKY,
     "light.unoccluded.INTEGRATED_AZIMUTHS": SKY,
+    "sources.integrals.ROUGH": LIGHTS,
+    "sources.integrals.SECTOR_CELL_PARTS": LIGHTS,
     "sources.integrals.BRIGHT": LIGHTS,
     "sources.integrals.LEAST_LEVEL": LIGHTS,
     "sources.integrals.FAINT_PARTS_SHARE": LIGHTS,

@@ -592,7 +592,7 @@ STAYS = {
 
 
 @pytest.mark.parametrize("name", STAYS)
-@pytest.mark.parametrize("masked", [False, True])
+@pytest.mark.parametrize("masked", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_maps_and_images_stay_on_a_gpu(name, masked):
     """The same numbers as from the host; CUDA libraries find the image where it lies."""
     mask = WIDE_MASK if masked else None

@@ -193,10 +193,7 @@ def test_strong_relief_in_a_large_image(fast, shape, method):
 
 @pytest.mark.parametrize(
     "name",
-    [
-        name if name in ("face", "egg-crate") else pytest.param(name, marks=pytest.mark.slow)
-        for name in SURFACES
-    ],
+    [name if name == "face" else pytest.param(name, marks=pytest.mark.slow) for name in SURFACES],
 )
 def test_the_confident_half_is_the_better_one(fast, name):
     """Its error is at most half that of the rest."""

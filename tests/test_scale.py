@@ -325,7 +325,7 @@ SUNNY = sl.Sky(sl.cie_sky(12, (135.0, 30.0), direct=5.0))
         pytest.param(sl.Sky(2.5), 3e-3, marks=pytest.mark.slow),
         pytest.param(sl.Sky(sl.cie_overcast()), 3e-3, marks=pytest.mark.slow),
         (SUNNY, 0.03),
-        (sl.Sky((1.0, 2.0, 0.5)), 3e-3),
+        pytest.param(sl.Sky((1.0, 2.0, 0.5)), 3e-3, marks=pytest.mark.slow),
     ],
     ids=["uniform", "brighter", "overcast", "sun", "colour"],
 )

@@ -32,7 +32,9 @@ SUNNY, SUNS = 4.0, 64  # times the mean brightness from which on light is a sun'
 # apparent width [rad] of what is widened: of its light a square over 12 is lost, 3e-7, and float32 holds its
 # width to 5e-5; derived
 THIN = 2e-3
-MEDIAN_NODES = 32  # along each side of the map, over which the median distance of a source is taken; chosen
+# along each side of the map, over which the median distance of a source is taken. Chosen: half and twice give
+# four random pairs the same errors (performance/constants.py --seed 18)
+MEDIAN_NODES = 32
 # cells of azimuth and of the sine of elevation of a brightness, 8 bytes each: 0.35 degrees round the horizon,
 # and 0.16 at an elevation of 85
 CHORD_AZIMUTHS, CHORD_KNOTS = 1024, 4097

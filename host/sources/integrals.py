@@ -27,7 +27,8 @@ COARSE_ROWS, COARSE_COLS = 180, 576  # the same where narrow features are named:
 GOLDEN = 0.6180339887498949
 # [turn], steps of the low-discrepancy sequence R2: 1 / g and 1 / g^2 with g^3 = g + 1 (M. Roberts, 2018)
 R2_STEPS = 0.7548776662466927, 0.5698402909980532
-# second difference over the brightness from which a cell is not smooth; chosen above the 0.006 of cos^900
+# second difference over the brightness from which a cell is not smooth; chosen above the 0.006 of cos^900.
+# Half and twice give the same errors under skies with lights (performance/constants.py)
 ROUGH = 0.05
 # of all light: a cell with a larger second difference is divided. Level ground under ten suns then has an
 # error of 2e-5 to 7e-5 (tests/test_integrals.py)
@@ -44,13 +45,16 @@ MOST_DIVISIONS = 9  # 0.15 degrees / 4^9 = 2e-6 degrees
 MOST_CELL_EVALUATIONS = 2**20
 CONVERGED = 2e-5  # relative error at which no cell is divided any more: a fifth of level ground's tolerance
 SHARPEST = 3.0  # ratio of the light of neighbouring cells from which on an edge lies between them
-BRIGHT = 4.0  # times the median brightness from which on light may belong to a small part; chosen
-LEAST_LEVEL = 1e-6  # of the brightest, from which on levels are tried where the sky is dark; chosen
-FAINT_PARTS_SHARE = 0.1  # tolerances that small parts may give together and stay with the rest; chosen
+# The next four and DARK_GAP are chosen. Half and twice of each: the median error of four random pairs under
+# skies with lights, .561 of the tolerance, becomes .557 and .588 with BRIGHT, .561 and .566 with INNER, and
+# does not change with the others (performance/constants.py --only sources.integrals --seed 18 --size 64).
+BRIGHT = 4.0  # times the median brightness from which on light may belong to a small part
+LEAST_LEVEL = 1e-6  # of the brightest, from which on levels are tried where the sky is dark
+FAINT_PARTS_SHARE = 0.1  # tolerances that small parts may give together and stay with the rest
 WIDEST = math.pi / 6  # azimuth that a small part may span, 30 degrees: even azimuths resolve what is wider
-INNER = 0.1  # share of a small part's light from which on far brighter cells in it form another; chosen
-SECTOR_CELL_PARTS = 16  # parts that a cell is cut into for narrow sectors
-# [rad] of darkness between two small parts; chosen: parts nearer than that share azimuths
+INNER = 0.1  # share of a small part's light from which on far brighter cells in it form another
+SECTOR_CELL_PARTS = 16  # at most, that a cell is cut into for narrow sectors; 8 and 32 give the same errors
+# [rad] of darkness between two small parts: parts nearer than that share azimuths
 DARK_GAP = math.radians(1)
 SKY_KNOTS, SUN_KNOTS = 257, 65  # of the tables of a sky and of a small part, evenly in the sine of elevation
 
