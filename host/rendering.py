@@ -1113,8 +1113,8 @@ def _norm(scene: Scene) -> float:
 
 def _narrow_lobe(lobe: Lobe, apart: float, fix: str) -> str:
     return (
-        f"Narrow lobe: it is {np.degrees(lobe.spread):.1f} degrees wide and the directions stand up to"
-        f" {np.degrees(apart):.1f} degrees apart, so highlights break up into dots or are lost; use {fix}."
+        f"Narrow lobe: it is {np.degrees(lobe.spread):.1f} degrees wide and the directions are up to"
+        f" {np.degrees(apart):.1f} degrees apart, so highlights break up into dots or are missing; use {fix}."
     )
 
 
@@ -1278,8 +1278,8 @@ def _leak(problem: Problem, cube: Hemicube) -> list[str]:
     square = sum(total / max(1, count) for total, count in zip(found.squares, found.pairs)) / problem.step**2
     if square > LEAK_SLOPE**2:
         return [
-            f"Leak: the rms slope is {np.sqrt(square):.2f}, and steps of {cube.reach} nodes jump over"
-            " ridges, so light leaks through; use filled=True."
+            f"Leak: the rms slope is {np.sqrt(square):.2f}, and steps of {cube.reach} nodes pass"
+            " through ridges, so light leaks; use filled=True."
         ]
     return []
 
@@ -1300,7 +1300,7 @@ def _small_lamp(scene: Scene, source: sources.Source, cube: Hemicube) -> list[st
     if apparent < 2 * spacing:
         return [
             f"Small lamp: from the farthest ground it is {np.degrees(apparent):.1f} degrees wide and the"
-            f" directions stand {np.degrees(spacing):.1f} degrees apart, so some nodes see it in few"
-            " directions or none; use a larger hemicube."
+            f" directions are {np.degrees(spacing):.1f} degrees apart, so few or no directions of some nodes"
+            " meet it; use a larger hemicube."
         ]
     return []

@@ -11,7 +11,7 @@ from .. import sources
 from ..scene import Scene
 from .pyramid import COARSEST, IMAGE_RMS, Pyramid
 
-OPEN_SKY = "Open sides under a sky are ill-posed: a flat surface explains a plane's image at any depth."
+OPEN_SKY = "Open sides under a sky are ill-posed: the image of a flat surface is the same at any depth."
 POORLY = 0.03  # residual, as a share of the image, from which an image is called unexplained
 # the same from which light between surfaces counts as not explained to the end: in performance/recover.py
 # --what between the error of depth was 1.5 to 2 layers beyond 0.008, and 0.4 at most below 0.007
@@ -49,7 +49,7 @@ def of_images(
             if light.radius / max(away, light.radius) < 0.5 / min(COARSEST, *scene.shape):
                 found.append(
                     f"Small lamp: its radius of {light.radius:.3g} nodes is below the resolution of the"
-                    f" coarsest grid at depth {deepest:.3g}; its shadows are sharper than a grid shows."
+                    f" coarsest grid at depth {deepest:.3g}; its shadows are sharper than the grid allows."
                 )
     return found
 
@@ -65,23 +65,21 @@ def of_residual(pyramid: Pyramid, residual: np.ndarray) -> list[str]:
             " albedo or brightness, or other sides, may be right."
         )
     if rms > POORLY + 2 * pyramid.noise / IMAGE_RMS:
-        why = "; wrong sides, albedo or source are suspected, or relief that this resolution does not show."
+        why = "; check sides, albedo and source; or the relief is finer than the resolution."
         if _worse_at_rim(residual):
-            why = (
-                ", most of all near the border: wrong sides are suspected"
-                f" (sides={pyramid.sides!r} was given)."
-            )
+            why = f", mostly near the border: check the sides (sides={pyramid.sides!r} was given)."
         found.append(f"Poorly explained: model and image differ by {rms:.0%} of the image (rms){why}")
     return found
 
 
 def of_ground(pyramid: Pyramid, residual: float) -> list[str]:
-    """What the residual of all images, a share of their rms, tells of light between surfaces in the model."""
+    """Warning that light between surfaces is not explained; residual: of all images, over their rms."""
     if not pyramid.interreflection or residual <= UNSETTLED + 2 * pyramid.noise / IMAGE_RMS:
         return []
     return [
         f"Light between surfaces: model and image still differ by {residual:.1%} (rms). Its derivatives are"
-        " approximate, and deep bright places may be layers off; near= and far=, or a second image, help."
+        " approximate, and the error in deep bright places may be some layers; near= and far=, or a second"
+        " image, reduce it."
     ]
 
 
@@ -100,14 +98,14 @@ def of_confidence(confidence: np.ndarray, ambiguous: np.ndarray, albedo_given: b
     found = []
     if ambiguous.mean() >= AMBIGUOUS:
         found.append(
-            f"Ambiguous: {ambiguous.mean():.0%} of the pixels have several depths that explain them; give"
+            f"Ambiguous: {ambiguous.mean():.0%} of the pixels fit several depths; give"
             " near= and far=, or a second image."
         )
     untold = (confidence < 0.5).mean()
     if not albedo_given and untold > UNTOLD:
         found.append(
             f"Depth depends on the albedo at {untold:.0%} of the pixels: these images hardly"
-            " separate the two; another image under a lamp, or a known albedo, would."
+            " separate the two; add an image under a lamp, or give the albedo."
         )
     return found
 
@@ -122,17 +120,17 @@ def of_carving(
             f"Drilled: {drilled.mean():.1%} of the columns never matched the image and were carved through to"
             " the back"
             + (
-                "; one that stops early shadows the rest. stop='sign' often drills fewer."
+                "; columns that stop early shadow the rest. With stop='sign' fewer are drilled in most cases."
                 if stop == "eps"
-                else "; the image is darker there than any depth explains."
+                else "; the image is darker there than the model at any depth."
             )
         )
     if sides == "open" and isinstance(source, sources.Sky):
         found.append(OPEN_SKY)
     if count := count_of(image):
         found.append(
-            f"Few counts: the image's values are multiples of {count:.2g} of its maximum, so depth can be no"
-            " finer than what changes it by that."
+            f"Few counts: the image's values are multiples of {count:.2g} of its maximum, so changes of"
+            " depth below one such step are lost."
         )
     return found
 
