@@ -32,18 +32,30 @@ from .light.lattice import Lattice, lacking
 from .light.slices import outline, widened
 from .radiometry import point_error
 from .reflectance import Lambertian
-from .samples import CLIFF, SAMPLE_COUNT, SAMPLED_SLOPE, Errors, Samples, oversample_lit, samples_of, turn
+from .samples import (
+    CHORD_POINTS,
+    CLIFF,
+    SAMPLE_COUNT,
+    SAMPLED_SLOPE,
+    Errors,
+    Samples,
+    oversample_lit,
+    samples_of,
+    turn,
+)
 from .scene import Scene, is_scene
 from .sources.integrals import Integrals, Sun, even
 from .sources.solids import Ball, Quad, aperture, rectangle, upright
 
 # -- tolerance and estimates
 DEFAULT_TAIL = 10.0  # bound on the 99.9th percentile of the error, in tolerances, unless given
-# error over half the difference of two images: bounds of what the samples may tell, and what it is where they
-# cannot. It is 1 where the two err independently and their mean is the image; more says that they share an
-# error, which no more azimuths mend. On 60 lamps and windows (96 x 96) 0.1 to 1.4, median 0.5
-LEAST_SHARE, MOST_SHARE, FIRST_SHARE = 0.1, 1.3, 0.9
-# the same of the exact light at the samples, of which the finest two are compared; measured, docs/explanation
+# error over half the difference of two images: where samples cannot tell it, the median of 60 lamps and
+# windows (96 x 96); and the most, since more says that the two share an error, which no more azimuths mend
+UNSEEN_SHARE, MOST_SHARE = 0.5, 1.3
+# times the square of that half at the samples, up to which it may be over all nodes and is known; chosen: the
+# samples know a square to some 10 %, and a few nodes that they miss make it 4 to 10^6 times as large
+SEEN = 2.0
+# error of the exact light at the samples over its difference from coarser light; measured, docs/explanation
 JUDGE_SHARE = 0.45
 BEYOND = 1e-3  # share of nodes whose error may pass the tail, which bounds a 99.9th percentile
 MOST_UNITS = {Horizons: 1024, Sliced: 1024, Lattice: 33}  # up to which is refined
@@ -336,21 +348,25 @@ class Assessment(NamedTuple):
 def assess(planner: _Planner, method: LightMethod) -> Assessment:
     """The error of an image.
 
-    The samples tell which share of half the difference of the two images is the error; it is kept from the
-    last image that the exact light there could judge. What is more than MOST_SHARE of it, both images share.
+    The samples tell which share of half the difference of the two images is the error. Where the exact light
+    cannot judge, its own error is taken for that of the image, up to UNSEEN_SHARE of the half. What is more
+    than MOST_SHARE of it, both images share. Half a difference that is far larger over all nodes than at the
+    samples belongs to few nodes that these miss, of which UNSEEN_SHARE is the error.
     """
     samples, exact = planner.samples, planner.exact
     audit = planner.audit(method)
     half = None if exact is None else method.half_at(samples)
-    if exact is None or half is None or audit is None:
+    if exact is None or half is None or audit is None or math.isinf(audit):  # nothing is lit by exact rays
         return Assessment(None, 0.0, audit, audit or 0.0)
     by_half = samples.errors(exact + half, exact).rms
-    if by_half > 0 and planner.doubt < audit < math.inf:  # inf where nothing is lit by exact rays
-        planner.share = min(max(audit / by_half, LEAST_SHARE), MOST_SHARE)
-    share = planner.share
-    floor = math.sqrt(max(0.0, audit**2 - (share * by_half) ** 2)) if audit < math.inf else audit
-    floor = math.hypot(floor, planner.tables)
-    return Assessment(method.estimate(planner.tail * planner.mean / share), share, audit, floor)
+    error = max(audit, min(planner.doubt, UNSEEN_SHARE * by_half))
+    share = min(error / by_half, MOST_SHARE) if by_half > 0 else UNSEEN_SHARE
+    estimate = method.estimate(planner.tail * planner.mean / max(share, UNSEEN_SHARE))
+    assert estimate is not None, "a method with a half has an estimate"
+    seen = min(1.0, SEEN * (by_half / estimate.rms) ** 2) if estimate.rms > 0 else 1.0
+    shared = math.sqrt(max(0.0, error**2 - (share * by_half) ** 2))
+    share = math.sqrt(seen * share**2 + (1 - seen) * UNSEEN_SHARE**2)
+    return Assessment(estimate, share, audit, math.hypot(shared, planner.tables))
 
 
 def choose(
@@ -458,7 +474,6 @@ class _Planner(ABC):
     expected = Errors(math.nan, math.nan, math.nan)
     exact: np.ndarray | None = None  # light at the samples
     uniform: np.ndarray | None = None  # that of a uniform sky of brightness 1
-    share = FIRST_SHARE  # error over half the difference of two images
     floor = 0.0  # error that both images are expected to share
     doubt = 0.0  # relative RMS error of the exact light at the samples
     tables = 0.0  # error of tables of brightness, which that light and the image share
@@ -1033,12 +1048,14 @@ class _SlicePlanner(_Planner):
             values = np.where(inside, np.minimum(values, sun.limit), values)
         return values
 
-    def _through_slices(self, brightness: sources.Brightness, count: int) -> np.ndarray:
+    def _through_slices(
+        self, brightness: sources.Brightness, count: int, points: int = CHORD_POINTS
+    ) -> np.ndarray:
         """Light at the samples through ``count`` slices, and that of small bright parts; or along a line."""
         if self.is_thin:
             assert isinstance(self.solid, Quad), "balls are not thin"
             return line.at_samples(self.samples, self.solid, brightness, count)
-        return self.samples.through_slices(self.solid, brightness, count) + self.bright
+        return self.samples.through_slices(self.solid, brightness, count, points=points) + self.bright
 
     def _unoccluded(
         self, points: int, brightness: sources.Brightness | None = None, at: Samples | None = None
@@ -1123,7 +1140,10 @@ class _SlicePlanner(_Planner):
             if finest not in light:
                 light[finest] = self._through_slices(brightness, finest)
             self.exact = light[finest]
-            self.doubt = JUDGE_SHARE / 2 * self.samples.errors(light[finest // 2], self.exact).rms
+            coarse = light[finest // 2]
+            if callable(brightness) and not self.is_thin:  # points along chords meet its edges by chance
+                coarse = self._through_slices(brightness, finest // 2, CHORD_POINTS // 2)
+            self.doubt = JUDGE_SHARE * self.samples.errors(coarse, self.exact).rms
             for units in self.counts[fewest:]:
                 through = light[self.counts[0]]
                 number = (

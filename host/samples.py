@@ -317,11 +317,17 @@ class Samples:
         return total * float(brightness)
 
     def through_slices(
-        self, solid: Ball | Quad, brightness: sources.Brightness, count: int, occluded: bool = True
+        self,
+        solid: Ball | Quad,
+        brightness: sources.Brightness,
+        count: int,
+        occluded: bool = True,
+        points: int = CHORD_POINTS,
     ) -> np.ndarray:
         """Irradiance through ``count`` azimuth slices of a source, (nodes,) float64.
 
-        ``solid``: in spacings, heights third; ``occluded``: by the ground, too.
+        ``solid``: in spacings, heights third; ``occluded``: by the ground, too; ``points`` of each slice at
+        which a brightness that varies is taken.
         """
         slices = _ball(self, solid, count) if isinstance(solid, Ball) else _quad(self, solid, count)
         cosine, sine, share, low, high, along, up, limit = slices
@@ -350,7 +356,7 @@ class Samples:
         light, span = np.zeros(shows.shape), np.maximum(0, high - low)
         n, node = np.nonzero(span > 0)
         azimuth = np.arctan2(sine, cosine)[n, node]
-        for point in (np.arange(CHORD_POINTS) + 0.5) / CHORD_POINTS:
+        for point in (np.arange(points) + 0.5) / points:
             e = low[n, node] + point * span[n, node]
             light[n, node] += (
                 np.cos(e)
@@ -359,7 +365,7 @@ class Samples:
                     sources.Sky(brightness), sources.directions_of(azimuth, np.maximum(np.sin(e), 0))
                 )
             )
-        irradiance = (share * light * span / CHORD_POINTS).sum(0) / self.length
+        irradiance = (share * light * span / points).sum(0) / self.length
         return irradiance
 
 

@@ -1,6 +1,7 @@
 """The loop of refinement: promises kept, closed forms, refinements, the error map, every warning."""
 
 import json
+import math
 import os
 import pickle
 import re
@@ -8,6 +9,7 @@ import subprocess
 import sys
 import threading
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -18,6 +20,7 @@ import skylamp as sl
 from skylamp import oracle, refinement, sources
 from skylamp.backends import select
 from skylamp.light import horizon, unoccluded
+from skylamp.light.base import Estimate
 from skylamp.radiometry import polygon_moment
 from skylamp.samples import Errors, Samples, errors
 from skylamp.sources.solids import Ball, rectangle
@@ -675,10 +678,31 @@ def four(monkeypatch):
     make = refinement._SkyPlanner.make
 
     def poor(self):
-        self.units, self.expected, self.share = 4, Errors(0.0, 0.0, 0.0), 0.9
+        self.units, self.expected = 4, Errors(0.0, 0.0, 0.0)
         return make(self)
 
     monkeypatch.setattr(refinement._SkyPlanner, "make", poor)
+
+
+@pytest.mark.parametrize("missed, share", [(0.0, 0.2), (1.0, 0.5)], ids=["seen", "missed"])
+def test_error_that_samples_miss(missed, share):
+    """Samples tell the share of a half that they see; half of one that few other nodes have is the error."""
+    ones = np.ones(100)
+    planner = SimpleNamespace(
+        samples=SimpleNamespace(errors=errors),
+        exact=ones,
+        audit=lambda method: 0.002,
+        doubt=0.0,
+        tables=0.0,
+        tail=0.1,
+        mean=1.0,
+    )
+    method = SimpleNamespace(
+        half_at=lambda samples: 0.01 * ones, estimate=lambda limit: Estimate(math.hypot(0.01, missed), 0.0)
+    )
+    found = refinement.assess(planner, method)
+    assert found.share == pytest.approx(share, rel=0.01)
+    assert found.estimated == pytest.approx(share * math.hypot(0.01, missed), rel=0.01)
 
 
 @pytest.mark.slow
