@@ -2,17 +2,23 @@
 
 MathJax's files are copied from the package django-static-mathjax (extra ``docs``), so that the pages load
 nothing from another server. ``<!-- include: FILE -->`` stands for a file of the top level, and
-``<!-- command line -->`` for the help of every command.
+``<!-- command line -->`` for the help of every command. Every tutorial can be downloaded as a notebook
+that is made from its page (docs/pages.py).
 """
 
 import re
+import sys
 from importlib.metadata import files
 from pathlib import Path
 
 import typer
 from mkdocs.structure.files import File
 
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "docs"))
+import pages
+
 ROOT = Path(__file__).resolve().parent.parent
+TUTORIALS = "tutorials/"
 MATHJAX = "mathjax/static/mathjax/es5/"
 NEEDED = re.compile(re.escape(MATHJAX) + r"(tex-chtml\.js|output/chtml/fonts/woff-v2/[\w-]+\.woff)$")
 
@@ -22,11 +28,19 @@ def on_files(found, *, config):
         if NEEDED.match(str(path)):
             name = "assets/mathjax/" + str(path).removeprefix(MATHJAX)
             found.append(File.generated(config, name, abs_src_path=str(path.locate())))
+    for page in [page for page in found if page.src_uri.startswith(TUTORIALS)]:
+        name = page.src_uri.removesuffix(".md") + ".ipynb"
+        text = Path(page.abs_src_path).read_text(encoding="utf-8")
+        found.append(File.generated(config, name, content=pages.notebook(text)))
     return found
 
 
 def on_page_markdown(markdown, *, page, config, files):
     markdown = re.sub(r"^<!-- include: ([\w.]+) -->$", _include, markdown, flags=re.MULTILINE)
+    if page.file.src_uri.startswith(TUTORIALS):
+        file = Path(page.file.src_uri).stem + ".ipynb"
+        link = f'<a href="{file}" download>Download this page as a notebook</a>'
+        markdown = re.sub(r"\A(# .*\n)", rf"\1\n{link}\n", markdown)
     mark = "<!-- command line -->"
     return markdown.replace(mark, _commands()) if mark in markdown else markdown
 

@@ -57,6 +57,32 @@ def shown(text: str) -> list[str]:
     return list(dict.fromkeys(re.findall(rf"[(\"](?:\.\./|docs/)?{PICTURES}/([\w.-]+)[)\"]", text)))
 
 
+def notebook(text: str) -> str:
+    """A page as a Jupyter notebook without output, by jupytext: same code, same words.
+
+    Blocks of printed output, pictures and addresses of other pages are left out, since a notebook that was
+    downloaded prints and draws its own and stands alone.
+    """
+    import jupytext
+
+    text = re.sub(r"^```text\n.*?^```\n+", "", text, flags=re.DOTALL | re.MULTILINE)
+    prose = re.split(r"(^```.*?^```$)", text, flags=re.DOTALL | re.MULTILINE)
+    for number in range(0, len(prose), 2):
+        tables = re.sub(r"^(?:\|.*\n)+", _without_pictures, prose[number], flags=re.MULTILINE)
+        without = re.sub(r"!\[[^]]*\]\([^)]*\)(\{[^}]*\})?", "", tables)
+        prose[number] = re.sub(r"\[([^]]*)\]\((?!https:)[^)]*\)", r"\1", without)
+    made = jupytext.reads("".join(prose), "md")
+    made.metadata = {"kernelspec": {"name": "python3", "display_name": "Python 3", "language": "python"}}
+    for number, cell in enumerate(made.cells):
+        cell.id = f"cell-{number}"  # jupytext's are random
+        cell.metadata = {}
+    return jupytext.writes(made, "ipynb")
+
+
+def _without_pictures(table: re.Match[str]) -> str:
+    return "" if "![" in table[0] else table[0]
+
+
 def shell(code: str, folder) -> str:
     """What lines of shell print, run in ``folder`` with this Python; packages are installed by CI."""
     code = re.sub(r"^pip install [^&\n]*(&& )?(pytest -n 2$)?", "", code, flags=re.MULTILINE)

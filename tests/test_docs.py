@@ -2,6 +2,7 @@
 
 import importlib.util
 import inspect
+import json
 import os
 import re
 import subprocess
@@ -99,6 +100,21 @@ def test_compare_sees_differences():
     assert pages.compare("a\nx\ny\nb\n", "a\n...\nb\n") is None
     assert pages.compare("a\nx\ny\nc\n", "a\n...\nb\n")
     assert pages.compare("(64, 64)", "(64, 32)") and pages.compare("7 azimuths", "6 azimuths")
+
+
+@pytest.mark.parametrize("tutorial", sorted((DOCS / "tutorials").glob("*.md")), ids=lambda path: path.stem)
+def test_notebooks_have_the_code_of_their_page(tutorial):
+    """Cells hold the code that test_page_runs_and_prints_what_it_shows runs, and no link or picture."""
+    text = tutorial.read_text(encoding="utf-8")
+    book = json.loads(pages.notebook(text))
+    cells = {kind: ["".join(c["source"]) for c in book["cells"] if c["cell_type"] == kind]
+             for kind in ("code", "markdown")}  # fmt: skip
+    expected = [("%%sh\n" if language == "sh" else "") + code for language, code, _ in pages.blocks(text)]
+    assert [code.strip() for code in cells["code"]] == [code.strip() for code in expected]
+    assert all(
+        "![" not in words and "](.." not in words and "```" not in words for words in cells["markdown"]
+    )
+    assert pages.notebook(text) == pages.notebook(text)
 
 
 def test_output_is_written_below_its_block():
@@ -216,6 +232,10 @@ def test_pages_build_without_a_warning(tmp_path):
         loaded.feed(page)
         for address in loaded.addresses:
             assert not re.match(r"(https?:)?//", address), f"{path.name} loads {address}"
+    for tutorial in (DOCS / "tutorials").glob("*.md"):
+        book = tmp_path / "site" / "tutorials" / f"{tutorial.stem}.ipynb"
+        assert book.read_text(encoding="utf-8") == pages.notebook(tutorial.read_text(encoding="utf-8"))
+        assert f'href="{book.name}" download' in book.with_suffix(".html").read_text(encoding="utf-8")
     assert (tmp_path / "site" / "assets" / "mathjax" / "tex-chtml.js").stat().st_size > 1e6
     assert any((tmp_path / "site" / "assets" / "mathjax").rglob("*.woff"))
     for command in ("render", "recover", "plan", "horizon", "field", "backends"):
