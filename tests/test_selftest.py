@@ -2,6 +2,7 @@
 
 import itertools
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -33,6 +34,8 @@ def test_every_pair_agrees(capsys):
     )
     assert all(c["difference"] == 0 for c in facts["comparisons"] if "bits" in c["case"])
     assert all(c["allowed"] <= 1e-5 for c in facts["comparisons"])
+    checked = {(c["name"], c["backend"]) for c in facts["checks"]}
+    assert checked == {(check, name) for check in selftest.CHECKS for name in names}
     for case in selftest.cases():
         values = case.make("numpy")
         assert np.unique(values).size > 100, case.name
@@ -48,6 +51,7 @@ def test_a_difference_is_exit_1(capsys, monkeypatch):
             bits[3, 4, 0] ^= 1
         return bits
 
+    monkeypatch.setattr(selftest, "CHECKS", {})
     monkeypatch.setattr(selftest, "cases", lambda every=selftest.cases: every()[:1])
     monkeypatch.setattr(propagation, "visibility", one_bit)
     code, out, err = run(capsys, "--json")
@@ -63,6 +67,48 @@ def test_a_difference_is_exit_1(capsys, monkeypatch):
     monkeypatch.setattr(propagation, "visibility", fails)
     code, out, err = run(capsys)
     assert code == 1 and "failed" in out and "skylamp: warp:cpu: lost the device" in err
+
+
+WRONG = {  # a result that is wrong by so little, and the check that tells
+    "render": (
+        lambda out: replace(out, image=out.image * np.float32(1.01)),
+        "plane under a sky, closed form",
+    ),
+    "sky_view_factor": (lambda svf: svf + np.float32(0.01), "floor of a trench, closed form"),
+    "visibility": (lambda bits: bits ^ np.uint32(1), "visibility bits, brute force"),
+    "recover": (lambda out: replace(out, depth=out.depth + 0.2), "depth from an image [nodes, RMS]"),
+}
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_a_wrong_result_is_told(name, fast, monkeypatch):
+    """A right one passes, one that is slightly wrong does not."""
+    spoil, check = WRONG[name]
+    made, bound = selftest.CHECKS[check]
+    assert made(fast) <= bound
+    right = getattr(selftest, name)
+    monkeypatch.setattr(selftest, name, lambda *a, **more: spoil(right(*a, **more)))
+    assert not selftest.Check(check, fast, made(fast), bound).passed
+
+
+def test_a_check_that_fails_or_raises_is_exit_1(capsys, monkeypatch):
+    """It says which, on a line of its own with figure and bound, and goes on to the next."""
+
+    def lost(backend):
+        raise BackendError("lost the device")
+
+    checks = {"too far": (lambda backend: 0.5, 0.25), "lost": (lost, 1.0), "fine": (lambda backend: 0.0, 0.0)}
+    monkeypatch.setattr(selftest, "CHECKS", checks)
+    monkeypatch.setattr(selftest, "cases", lambda: [])
+    code, out, err = run(capsys)
+    assert code == 1 and "lost the device" in err
+    line = next(line for line in out.splitlines() if "too far" in line)
+    assert "5.0e-01  WRONG" in line and "2e-01" in line and "numpy" in out
+    code, out, err = run(capsys, "--json")
+    found = [c for c in json.loads(out)["checks"] if c["backend"] == "numpy"]
+    assert [c["passed"] for c in found] == [False, False, True]
+    monkeypatch.setattr(selftest, "CHECKS", {"fine": checks["fine"]})
+    assert run(capsys)[0] == 0
 
 
 @pytest.mark.parametrize(

@@ -33,7 +33,7 @@ from . import options as opt
 from . import view as views
 from .doctor import examined
 from .examples import epilog
-from .selftest import Comparison
+from .selftest import Check, Comparison, checks
 from .selftest import selftest as run_selftest
 
 app = typer.Typer(
@@ -496,22 +496,37 @@ def doctor(quiet: opt.Quiet = False, verbose: opt.Verbose = False) -> None:
 
 @app.command(epilog=epilog("selftest"))
 def selftest(as_json: opt.Json = False, quiet: opt.Quiet = False, verbose: opt.Verbose = False) -> None:
-    """Compare every available backend with every other on a built-in case; exit 1 if two differ."""
+    """Check every available backend against closed forms, brute force and each other; exit 1 if one fails."""
+    with output.progress_bar("checking") as progress:
+        checked = checks(progress)
     with output.progress_bar("comparing") as progress:
         compared = run_selftest(progress)
     names = [b.name for b in sl.backends() if b.available]
-    wrong = [c for c in compared if not c.passed]
+    every: list[Check | Comparison] = [*checked, *compared]
+    wrong = [c for c in every if not c.passed]
     if as_json:
-        comparisons = [{**output.plain(c), "passed": c.passed} for c in compared]
-        output.print_json({"backends": names, "passed": not wrong, "comparisons": comparisons})
+        each = {
+            name: [{**output.plain(c), "passed": c.passed} for c in found]
+            for name, found in (("checks", checked), ("comparisons", compared))
+        }
+        output.print_json({"backends": names, "passed": not wrong, **each})
     else:
-        output.console().print(
-            _differences(compared) if compared else f"Only {', '.join(names)} is here: nothing to compare."
-        )
+        output.console().print(_checked(checked))
+        if compared:
+            output.console().print(_differences(compared))
     for reason in dict.fromkeys(c.error for c in wrong if c.error):
         print(f"skylamp: {reason}", file=sys.stderr)
     if wrong:
         raise typer.Exit(1)
+
+
+def _checked(found: list[Check]) -> Table:
+    """A row for each check."""
+    table = Table("check", "backend", "found", "at most")
+    for c in found:
+        shown = "failed" if c.figure is None else f"{c.figure:.1e}"
+        table.add_row(c.name, c.backend, shown + ("" if c.passed else "  WRONG"), f"{c.bound:.0e}")
+    return table
 
 
 def _differences(compared: list[Comparison]) -> Table:
