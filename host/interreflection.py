@@ -54,7 +54,11 @@ LEVELS = (
     Round(32, 1, 16, 0.125),
     Round(64, 1, 32, 0.1),
 )
-# among cliffs edges hide much: crossings met one by one at least, and rounds of each level but the first
+# RMS error over the mean of rounds without regard for cliffs, over the square root of the share of cliffs
+# (performance/interreflection.py --cliffs: 0.034 to 0.042 for one house to many), and the part of the
+# tolerance from which on it counts; chosen: an estimate may take ESTIMATE_SHARE, and errors add by squares
+CLIFF_ERROR, CLIFF_SHARE = 0.04, 0.2
+# where it does, edges hide much: crossings met one by one at least, and rounds of each level but the first
 CLIFF_NEAR, CLIFF_ROUNDS = 16, 2
 # from this level on, one that leaves more than this share of the error is the last: what is left is not what
 # more azimuths mend
@@ -226,7 +230,8 @@ def included(
     """
     samples = Samples(engine, scene, CHECKED)
     is_uniform = sky is not None and not beyond
-    sky = sky_share(scene, engine, tolerance, samples.cliffs > 0) if sky is None else sky
+    has_cliffs = CLIFF_ERROR * math.sqrt(samples.cliffs) > CLIFF_SHARE * tolerance
+    sky = sky_share(scene, engine, tolerance, has_cliffs) if sky is None else sky
     shares = albedos(scene)
     count = max(len(direct), len(shares))
     lights, shares = ([values[n % len(values)] for n in range(count)] for values in (direct, shares))
@@ -234,10 +239,10 @@ def included(
         Bounces(engine, scene, samples, lights, shares, sky), lights, shares, sky, error, is_uniform, beyond
     )
     coarse = check.coarse_rounds(tolerance)
-    check.bounces.run([COARSE._replace(kinks=samples.cliffs > 0)] * coarse)
+    check.bounces.run([COARSE._replace(kinks=has_cliffs)] * coarse)
     done, level, before = coarse, _first_level(check.share, tolerance), math.inf
     while True:
-        rounds = _rounds(level, samples.cliffs > 0)
+        rounds = _rounds(level, has_cliffs)
         check.bounces.run(rounds)
         done += len(rounds)
         total, errors = check.errors(_azimuths(CHECK_ERROR * tolerance))

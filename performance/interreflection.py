@@ -1,6 +1,7 @@
 """Light between surfaces: whether render(tolerance=...) keeps its word for all light, and what that costs.
 
     python performance/interreflection.py [--out DIR] [--sizes 96 256] [--surfaces hills,...] [--backend NAME]
+    python performance/interreflection.py --cliffs [--backend NAME]
 
 Some 20 minutes on two idle cores. On eight surfaces, at albedo 0.8, under a uniform sky, a gradient, a sky
 with a sun and a spherical lamp, images within 1 % and 0.3 % are compared at 300 nodes with exact light: that
@@ -10,6 +11,8 @@ solution that 64 azimuths at every node have made (one more exact bounce makes t
 Writes interreflection.csv: error (RMS, largest, bias; over the mean), the share that is left out without it,
 its estimate, and processor time beside that of direct light; and interreflection.png, one scene at three
 albedos without and with it.
+
+--cliffs prints instead how large the error of rounds without regard for cliffs is on plains with houses.
 """
 
 from __future__ import annotations
@@ -27,6 +30,7 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 
 import skylamp as sl
+from skylamp import interreflection
 from skylamp.backends import select
 from skylamp.interreflection import sky_share
 from skylamp.light.interreflection import Bounces, Round
@@ -186,6 +190,37 @@ def picture(path, backend):
     plt.close(figure)
 
 
+def cliffs(engine):
+    """Errors of rounds up to 16 azimuths at every node without regard for cliffs, on plains with houses."""
+    levels, share = interreflection.LEVELS, interreflection.CLIFF_SHARE
+    interreflection.LEVELS, interreflection.CLIFF_SHARE = levels[:3], math.inf
+    try:
+        for count in (1, 4, 16, 64):
+            rng, height = np.random.default_rng(count), np.zeros((160, 160))
+            for _ in range(count):
+                y, x = rng.integers(0, 148, 2)
+                long, wide = rng.integers(4, 12, 2)
+                height[y : y + long, x : x + wide] += 12
+            scene = sl.Scene.from_height(height, albedo=ALBEDO)
+            light = sl.render(
+                scene,
+                sl.Sky(),
+                "horizon",
+                backend=engine.name,
+                quantity="irradiance",
+                azimuths=128,
+                interreflection=False,
+            )
+            error = interreflection.included(scene, engine, [light.image], 1e-5, "").record.error
+            seen = Samples(engine, scene, NODES).cliffs
+            ratio = error / math.sqrt(seen)
+            print(
+                f"{count:3d} houses: share of cliffs {seen:.1e}, error {error:.2%}, over its root {ratio:.3f}"
+            )
+    finally:
+        interreflection.LEVELS, interreflection.CLIFF_SHARE = levels, share
+
+
 def main():
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
@@ -195,8 +230,12 @@ def main():
     parser.add_argument("--surfaces", default=",".join(SURFACES))
     parser.add_argument("--sources", default="uniform,gradient,sunny,lamp")
     parser.add_argument("--backend", default="auto")
+    parser.add_argument("--cliffs", action="store_true")
     arguments = parser.parse_args()
     engine, rows = select(arguments.backend), []
+    if arguments.cliffs:
+        cliffs(engine)
+        return
     arguments.out.mkdir(parents=True, exist_ok=True)
     for size in arguments.sizes:
         for name in arguments.surfaces.split(","):
