@@ -44,7 +44,7 @@ from .samples import (
     turn,
 )
 from .scene import Scene, is_scene
-from .sources.integrals import Integrals, Sun, even
+from .sources.integrals import BrightPart, Integrals, even
 from .sources.solids import Ball, Quad, aperture, rectangle, upright
 
 # -- tolerance and estimates
@@ -382,7 +382,7 @@ def choose(
     tail = DEFAULT_TAIL * tolerance if tail is None else positive_number(tail, "tail")
     if not isinstance(source, sources.Source):
         raise bad("source", type(source).__name__, "Sky, Lamp or Window")
-    if getattr(source, "corner", None) is None or scene.sides == "periodic":
+    if scene.sides == "periodic" or not (isinstance(source, sources.Lamp) and source.corner is not None):
         sources.geometry(source, scene, 1.0)  # checks that they fit
     planner_class: type[_Planner] = _SlicePlanner
     if lacking(scene, source):
@@ -619,7 +619,7 @@ class _SkyPlanner(_Planner):
     """Skies: closed forms where ground hides next to nothing, else horizons in even azimuths."""
 
     light: float | Integrals  # a brightness, or what Integrals found
-    suns: tuple[Sun, ...] = ()  # small bright parts
+    bright_parts: tuple[BrightPart, ...] = ()
     near_rows: int | None = None
     sectors = 0  # of azimuth, of every small bright part
     rays: int | None = None  # margin of the map for exact horizons of small bright parts, or None
@@ -636,7 +636,7 @@ class _SkyPlanner(_Planner):
         rest = self.light.rest / max(self.light.level, 1e-30) if isinstance(self.light, Integrals) else 1.0
         cliffs = math.sqrt(samples.cliffs) * rest
         steep = BEHIND_CLIFFS[None] * cliffs > 0.5 * self.tolerance
-        if steep or self.suns and self.rays is None and self.tolerance < SHARP_SHADOWS:
+        if steep or self.bright_parts and self.rays is None and self.tolerance < SHARP_SHADOWS:
             self.near_rows = CLIFF_NEAR_ROWS[0]
         floor = BEHIND_CLIFFS[self.near_rows] * cliffs
         planes = even(unoccluded.INTEGRATED_AZIMUTHS, 0.5)
@@ -669,12 +669,12 @@ class _SkyPlanner(_Planner):
             self.light = float(brightness)
             return
         self.light = sky = Integrals(self.source, self.tolerance)
-        if not sky.suns and sky.variation <= NEARLY_UNIFORM * self.tolerance:
+        if not sky.bright_parts and sky.variation <= NEARLY_UNIFORM * self.tolerance:
             self.light = float(sky.mean)
             return
-        self.suns, self.tables = sky.suns, math.hypot(TABLES_ERROR, sky.error)
-        if self.suns and self.samples.cliffs > 0:
-            self.rays = margin_of(scene, self.suns, self.samples.relief)
+        self.bright_parts, self.tables = sky.bright_parts, math.hypot(TABLES_ERROR, sky.error)
+        if self.bright_parts and self.samples.cliffs > 0:
+            self.rays = margin_of(scene, self.bright_parts, self.samples.relief)
 
     def _trace(self, grid: int) -> None:
         """Exact light at the samples in ``grid`` azimuths or more, each time twice as many as before."""
@@ -770,12 +770,12 @@ class _SkyPlanner(_Planner):
         taken.
         """
         light: float | np.ndarray = 0.0
-        if not self.suns:
+        if not self.bright_parts:
             return light
         for times in SECTOR_MULTIPLES:
-            self.sectors = times * max(1, -(-LEAST_SECTORS // len(self.suns)))
+            self.sectors = times * max(1, -(-LEAST_SECTORS // len(self.bright_parts)))
             one, other = (
-                sum(self.samples.sectors(*sun.sectors(self.sectors, odd)) for sun in self.suns)
+                sum(self.samples.sectors(*spot.sectors(self.sectors, odd)) for spot in self.bright_parts)
                 for odd in (False, True)
             )
             light = (one + other) / 2
@@ -794,7 +794,7 @@ class _SkyPlanner(_Planner):
         samples = self.samples
         light = self.free + sum(
             np.maximum(0, samples.gx * x + samples.gy * y + z) / samples.length
-            for x, y, z in (sun.moment for sun in self.suns)
+            for x, y, z in (spot.moment for spot in self.bright_parts)
         )
         found = samples.errors(light, self.exact)
         if not self.fits(found):
@@ -804,10 +804,10 @@ class _SkyPlanner(_Planner):
             rare = samples.errors(np.where(samples.rare, light, self.exact), self.exact)
             if rare.rms / math.sqrt(samples.weights[samples.rare].sum()) > self.tail:
                 return False
-        if self.suns and (
+        if self.bright_parts and (
             self.scene.sides == "dark"
             or self.scene.resident is not None
-            or not _faces_suns(self.scene, samples, self.suns)
+            or not _faces_bright_parts(self.scene, samples, self.bright_parts)
         ):
             return False
         self.expected, self.method_class, self.hidden = found, _ClosedForm, found.rms
@@ -830,7 +830,7 @@ class _SkyPlanner(_Planner):
         full = seen(math.inf)
         self.why_far = f"on a map that repeats, as far as its relief makes a slope of {LEAST_SEARCHED_SLOPE}"
         # what hides a sun's lower edge is searched for
-        lowest = min((float(sun.cells.low.min()) for sun in self.suns), default=math.pi / 2)
+        lowest = min((float(spot.cells.low.min()) for spot in self.bright_parts), default=math.pi / 2)
         for slope in (slope for slope in SEARCHED_SLOPES if slope <= math.tan(max(0.0, lowest))):
             reach = max(2.0, math.ceil(samples.relief / slope))
             if WINDOWED_COST * (1 + reach / side) > 0.8 * whole:
@@ -858,7 +858,7 @@ class _SkyPlanner(_Planner):
         if not self.closed:
             return self._horizons(self.units)
         resident = self.scene.resident
-        if resident is not None and resident.backend is self.engine and not self.suns:
+        if resident is not None and resident.backend is self.engine and not self.bright_parts:
             return Horizons(self.engine, self.scene, self.light, 0)
         return _ClosedForm(self.scene, unoccluded.sky(self.scene, self.light).astype(np.float32, copy=False))
 
@@ -895,10 +895,10 @@ class _SkyPlanner(_Planner):
             yield Choice("brightness", "a table per azimuth", f"integrated to {_percent(self.light.error)}")
         else:
             yield Choice("brightness", "constant", "it is a number, or varies too little to matter")
-        if self.suns:
+        if self.bright_parts:
             taken = "as directions" if self.closed else f"{2 * self.sectors + 1} azimuths each"
             why = "small and bright: suns, lights and spots have azimuths of their own"
-            yield Choice("bright parts", f"{len(self.suns)}, {taken}", why)
+            yield Choice("bright parts", f"{len(self.bright_parts)}, {taken}", why)
         if self.closed:
             return
         yield Choice(
@@ -918,9 +918,9 @@ def _open_slopes(samples: Samples, angles: np.ndarray) -> np.ndarray:
     return slopes
 
 
-def _faces_suns(scene: Scene, samples: Samples, suns: tuple[Sun, ...]) -> bool:
+def _faces_bright_parts(scene: Scene, samples: Samples, bright_parts: tuple[BrightPart, ...]) -> bool:
     """Whether every node's tangent plane lies below all of every sun: the samples' first, then all."""
-    cones = [sun.cone for sun in suns]
+    cones = [spot.cone for spot in bright_parts]
     for (x, y, z), sine in cones:
         if not unoccluded.above_plane(samples.gx, samples.gy, x, y, z, sine).all():
             return False
@@ -928,7 +928,7 @@ def _faces_suns(scene: Scene, samples: Samples, suns: tuple[Sun, ...]) -> bool:
 
     def face(rows: slice) -> bool:
         gx, gy = unoccluded.gradients(scene, rows)
-        return all(unoccluded.above_plane(gx, gy, *sun).all() for sun in rounded)
+        return all(unoccluded.above_plane(gx, gy, *spot).all() for spot in rounded)
 
     return all(by_bands(face, scene.shape))
 
@@ -980,14 +980,14 @@ class _SlicePlanner(_Planner):
                 self._integrate_sky()
             oversample_lit(self.samples, self.scene, self._open_light)
         self.uniform = self._uniform_light()
-        if self.sky is not None and self.sky.suns:
+        if self.sky is not None and self.sky.bright_parts:
             self.bright = self.scale * sum(
                 self.samples.sectors(
-                    *sun.sectors(_judging_sectors(sun, self.outline, self.samples)), self.outline
+                    *spot.sectors(_judging_sectors(spot, self.outline, self.samples)), self.outline
                 )
-                for sun in self.sky.suns
+                for spot in self.sky.bright_parts
             )
-            brightness = self._without_suns
+            brightness = self._without_bright_parts
         self.smooth = brightness
         self.through = {count: self._through_slices(brightness, count) for count in self.counts[:3]}
         self.exact = self.through[self.counts[2]]
@@ -1031,21 +1031,22 @@ class _SlicePlanner(_Planner):
     def _open_light(self, at: Samples) -> np.ndarray:
         """Light at nodes if nothing stood before the source: by its middle, and by suns behind a window."""
         light = self._unoccluded(1, at=at)
-        if self.sky is not None and self.sky.suns:
+        if self.sky is not None and self.sky.bright_parts:
             light = light + sum(
-                at.sectors(*sun.sectors(PATCHES), self.outline, occluded=False) for sun in self.sky.suns
+                at.sectors(*spot.sectors(PATCHES), self.outline, occluded=False)
+                for spot in self.sky.bright_parts
             )
         return light
 
-    def _without_suns(self, L: np.ndarray) -> np.ndarray:
+    def _without_bright_parts(self, L: np.ndarray) -> np.ndarray:
         """The brightness without small bright parts: there no more than where these begin."""
         assert self.sky is not None, "suns are parts of an integrated sky"
         values = sources.radiance(sources.Sky(self.source.brightness), L)
-        for sun in self.sky.suns:
-            middle, sine = sun.cone
+        for spot in self.sky.bright_parts:
+            middle, sine = spot.cone
             cosine = L[..., 0] * middle[0] + L[..., 1] * middle[1] - L[..., 2] * middle[2]
             inside = cosine > math.sqrt(1 - sine * sine)
-            values = np.where(inside, np.minimum(values, sun.limit), values)
+            values = np.where(inside, np.minimum(values, spot.limit), values)
         return values
 
     def _through_slices(
@@ -1212,9 +1213,9 @@ class _SlicePlanner(_Planner):
             yield Choice("brightness", f"along {rays} rays", "it varies little across the source")
         else:
             yield Choice("brightness", "along every chord", "integrated")
-        if not closed and callable(source.brightness) and self.sky is not None and self.sky.suns:
+        if not closed and callable(source.brightness) and self.sky is not None and self.sky.bright_parts:
             why = "seen through the window in azimuths of their own"
-            yield Choice("bright parts", f"{len(self.sky.suns)}", why)
+            yield Choice("bright parts", f"{len(self.sky.bright_parts)}", why)
         yield Choice("search radius", "up to the source", "what lies behind it hides nothing")
 
 
@@ -1230,9 +1231,9 @@ def _looks_thin(planner: _SlicePlanner) -> bool:
     return few and line.line_of(planner.solid).width < LINE_WIDTH * distance
 
 
-def _judging_sectors(sun: Sun, outline: tuple[float, float, float, float], samples: Samples) -> int:
+def _judging_sectors(spot: BrightPart, outline: tuple[float, float, float, float], samples: Samples) -> int:
     """By how many sectors a small bright part behind a window of this ``outline`` [spacings] is judged."""
-    (_, _, up), sine = sun.cone
+    (_, _, up), sine = spot.cone
     x0, x1, y0, y1 = outline
     across = 2 * sine * float(np.median(np.maximum(0, -samples.own))) / max(up, sine)
     times = math.ceil(across / min(x1 - x0, y1 - y0))

@@ -31,7 +31,7 @@ from .interreflection import (
 )
 from .light import propagation, unoccluded
 from .light.far import Far, Tiling
-from .light.horizon import FINE_KNOTS, with_suns
+from .light.horizon import FINE_KNOTS, with_bright_parts
 from .light.lattice import HEMICUBE_ERRORS, lacking
 from .light.propagation import Lobe, Problem
 from .light.slices import CHORD_AZIMUTHS, CHORD_KNOTS, MOST, Slices, blurred, brightness_of, widened
@@ -65,7 +65,7 @@ COARSE_LOBE = 1.2
 # ground of slope 1 they do from M = 7 on, of slope 0.5 only from M = 33 on (performance/lattice_error.py)
 LEAK_SLOPE, LEAK_SIZE = 0.7, 7
 # azimuths of a small part of a sky on a map in tiles; chosen: 8 are 0.06 % off, cliffs apart
-SUN_SECTORS = 16
+PART_SECTORS = 16
 # azimuths in which windows of tiles tell how much light between surfaces there is, 0.003 off in the share of
 # sky; and what part of a window at each of its sides sees too little ground to tell; chosen
 WINDOW_AZIMUTHS, WINDOW_EDGE = 16, 8
@@ -490,8 +490,8 @@ def _rays_of(sky: sources.Sky, sectors: Azimuths) -> tuple[Rays, np.ndarray | No
         return rays, None
     light = Integrals(sky)
     table = light.table(sectors.angles, sectors.widths, FINE_KNOTS)
-    suns = [sun.sectors(SUN_SECTORS) for sun in light.suns]
-    return with_suns(rays, table, suns) if suns else (rays, table)
+    suns = [sun.sectors(PART_SECTORS) for sun in light.bright_parts]
+    return with_bright_parts(rays, table, suns) if suns else (rays, table)
 
 
 @dataclass(frozen=True)

@@ -311,7 +311,7 @@ class Samples:
                 angles, self.horizons(angles), None if sky is None else sky.table(angles, widths, 1025)
             )
         if sky is not None:
-            return total + sum(self.sectors(*sun.sectors(120)) for sun in sky.suns)
+            return total + sum(self.sectors(*spot.sectors(120)) for spot in sky.bright_parts)
         brightness = source.brightness
         assert not isinstance(brightness, tuple) and not callable(brightness), "of one channel"
         return total * float(brightness)

@@ -53,7 +53,7 @@ def known_pairs(seed, count, size, backend, kind):
         number += 1
         if not callable(source.brightness) or isinstance(source, sl.Sky) == (kind == FINITE):
             continue
-        if kind != LIGHTS or len(Integrals(source).suns) > 1:
+        if kind != LIGHTS or len(Integrals(source).bright_parts) > 1:
             samples = Samples(select(backend), ground, NODES, first=100_003)
             yield ground, source, samples, truth(samples, ground, source, light)
             count -= 1

@@ -209,7 +209,8 @@ def test_a_spot_is_found_where_it_is_named(fast):
         spot_with = lambda L, spot=spot: spot(L)
         spot_with.peaks = (tuple(axis),)
         for sky in (sl.Sky(spot, suns=[axis]), sl.Sky(spot, suns=[tuple(7 * axis)]), sl.Sky(spot_with)):
-            assert Integrals(sky).level == pytest.approx(level, rel=2e-4) and len(Integrals(sky).suns) == 1
+            assert Integrals(sky).level == pytest.approx(level, rel=2e-4)
+            assert len(Integrals(sky).bright_parts) == 1
             np.testing.assert_allclose(
                 sl.render(FLAT, sky, tolerance=0.01, backend=fast, quantity="irradiance").image,
                 level,
@@ -260,14 +261,15 @@ def test_suns_have_all_their_light(fast):
         (towards(359.9, 70), 0.3, 3000.0),
     ]
     light = Integrals(sl.Sky(lambda L: 1 + sum(k * (L @ u > np.cos(np.radians(r))) for u, r, k in places)))
-    assert len(light.suns) == 3 and [sun.power for sun in light.suns] == sorted(
-        (sun.power for sun in light.suns), reverse=True
+    assert len(light.bright_parts) == 3 and [sun.power for sun in light.bright_parts] == sorted(
+        (sun.power for sun in light.bright_parts), reverse=True
     )
-    assert light.rest + sum(sun.moment[2] for sun in light.suns) == pytest.approx(
+    assert light.rest + sum(sun.moment[2] for sun in light.bright_parts) == pytest.approx(
         light.level
     ) and light.mean == pytest.approx(light.rest / np.pi)
     for u, r, k in places:
-        sun = max(light.suns, key=lambda sun: sun.moment @ (u * (1, 1, -1)) / np.linalg.norm(sun.moment))
+        suns = light.bright_parts
+        sun = max(suns, key=lambda sun: sun.moment @ (u * (1, 1, -1)) / np.linalg.norm(sun.moment))
         flux = (k - 3) * np.pi * np.sin(np.radians(r)) ** 2
         assert np.linalg.norm(sun.moment) == pytest.approx(flux, rel=2e-3) and sun.power == pytest.approx(
             flux, rel=2e-3
@@ -293,17 +295,17 @@ def test_suns_have_all_their_light(fast):
 def test_what_is_no_sun():
     """Even skies have none; nor do parts that span much azimuth or give a tenth of the tolerance."""
     assert (
-        Integrals(sl.Sky(sl.cie_overcast())).suns
+        Integrals(sl.Sky(sl.cie_overcast())).bright_parts
         == ()
-        == Integrals(sl.Sky(lambda L: np.where(L[..., 0] > 0, 9.0, 1.0))).suns
+        == Integrals(sl.Sky(lambda L: np.where(L[..., 0] > 0, 9.0, 1.0))).bright_parts
     )
     axis = towards(40, 40)
     for k, found in ((4e4, 1), (20.0, 0)):
         light = Integrals(sl.Sky(lambda L, k=k: 1 + k * (L @ axis > np.sqrt(1 - DISC))), 0.01)
-        assert len(light.suns) == found and light.level == pytest.approx(
+        assert len(light.bright_parts) == found and light.level == pytest.approx(
             np.pi * (1 + k * DISC * -axis[2]), rel=1e-4
         )
-    assert Integrals(sl.Sky(lambda L: 1 + 4e4 * (L @ axis > np.sqrt(1 - DISC))), math.inf).suns == ()
+    assert Integrals(sl.Sky(lambda L: 1 + 4e4 * (L @ axis > np.sqrt(1 - DISC))), math.inf).bright_parts == ()
 
 
 def test_what_a_sky_varies_by():

@@ -52,7 +52,7 @@ def test_samples_see_lamps_as_shadow_rays_do(fast, source):
 def test_samples_see_suns_as_images_do(fast, sides):
     """Small bright parts in sectors agree with the kernel at the same nodes, also through a window."""
     axis = np.array([0.5, 0.4, -0.6]) / np.sqrt(0.77)
-    sun = Integrals(sl.Sky(lambda L: 1 + 1e3 * (L @ axis > np.cos(0.02)))).suns[0].sectors(16)
+    sun = Integrals(sl.Sky(lambda L: 1 + 1e3 * (L @ axis > np.cos(0.02)))).bright_parts[0].sectors(16)
     scene = SCENES["dark"] if sides == "dark" else SCENES["rough"]
     samples = Samples(select(fast), scene, 200)
     for window in (None, (10.3, 51.0, 20.0, 66.6)):

@@ -675,7 +675,7 @@ def test_a_sun_over_a_map_with_a_margin(backend):
     """Over a map that is repeated all round it, the same bits as in the middle of five by five maps."""
     depth = _terrain()[100:140, 150:190].astype(np.float32)
     depth[20:26, 30:33] = np.inf
-    ways, table = Integrals(sunny(2.0)[0]).suns[0].sectors(8)
+    ways, table = Integrals(sunny(2.0)[0]).bright_parts[0].sectors(8)
     run = slices.Slices(resident_map(backend, depth), "periodic", slices.Dome(), margin=80)
     run.clear()
     run.sectors(ways, table)
@@ -691,7 +691,7 @@ def test_a_sun_in_sectors_is_the_disc_that_it_is(backend, sides):
     depth = _terrain()[100:160, 150:230].copy()
     depth[20:26, 40:43] = np.inf
     sky, lamp = sunny(2.0)
-    (sun,) = Integrals(sky).suns
+    (sun,) = Integrals(sky).bright_parts
     assert sun.limit == pytest.approx(4) and lamp.brightness == 57
     for sectors in (sun.sectors(120), sun.sectors(40), sun.sectors(40, True)):
         got = by_suns(backend, depth, [sectors], sides=sides)
@@ -707,7 +707,7 @@ def test_a_sun_in_sectors_is_the_disc_that_it_is(backend, sides):
 def test_backends_agree_on_suns_and_repeat_themselves(backend, fast, sides):
     """To 1e-5 of the maximum, and the same bytes again; a map of one row too."""
     sky, _ = sunny(1.0)
-    sectors = Integrals(sky).suns[0].sectors(24)
+    sectors = Integrals(sky).bright_parts[0].sectors(24)
     for depth in (_terrain()[100:150, 150:204], _terrain()[100:101, 150:204]):
         images = []
         for name in (backend, backend, fast):
@@ -820,17 +820,17 @@ def test_suns_are_found_wherever_they_stand():
         sky = Integrals(
             sl.Sky(lambda L, discs=discs: 1 + sum(5e3 * (L @ axis >= edge) for axis, edge in discs))
         )
-        assert len(sky.suns) == len(discs)
+        assert len(sky.bright_parts) == len(discs)
         if discs[0][0][2] < -0.1:
             level = 5e3 * np.pi * sum((1 - edge**2) * -axis[2] for axis, edge in discs)
             assert sky.level == pytest.approx(np.pi + level, rel=1e-4)
             for count in (120, 5):
-                found = [sun.sectors(count) for sun in sky.suns]
+                found = [sun.sectors(count) for sun in sky.bright_parts]
                 assert sky.rest + sum(ways[2] @ table[:, 0, 1] for ways, table in found) == pytest.approx(
                     np.pi + level, rel=1e-4
                 )
-            assert not sky.suns or sky.rest < np.pi + 2e-3 * level
-    assert Integrals(sl.Sky(sl.cie_overcast())).suns == ()
+            assert not sky.bright_parts or sky.rest < np.pi + 2e-3 * level
+    assert Integrals(sl.Sky(sl.cie_overcast())).bright_parts == ()
 
 
 @pytest.mark.parametrize(

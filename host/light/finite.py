@@ -99,9 +99,9 @@ class Sliced(LightMethod):
             return slices, self.engine.upload(found)
         slices = Slices(self.there, self.scene.sides, self.solid, self.brightness, units, shift=SHIFT)
         slices.run()
-        if self.sky is not None and self.sky.suns:
+        if self.sky is not None and self.sky.bright_parts:
             assert isinstance(self.solid, Quad), "small bright parts are seen through windows"
-            ways, tables = zip(*(sun.sectors(units) for sun in self.sky.suns))
+            ways, tables = zip(*(spot.sectors(units) for spot in self.sky.bright_parts))
             slices.sectors(np.concatenate(ways, 1), np.concatenate(tables, 0), outline(self.solid, self.step))
         return slices, slices.image
 

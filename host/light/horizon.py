@@ -12,7 +12,7 @@ from ..constants import LEAST_SEARCHED_SLOPE, MOST_PIXELS
 from ..directions import Azimuths
 from ..samples import Samples, picked
 from ..scene import Scene
-from ..sources.integrals import SKY_KNOTS, Integrals, Sun, even
+from ..sources.integrals import SKY_KNOTS, BrightPart, Integrals, even
 from ..sources.solids import Dome
 from . import unoccluded
 from .base import Estimate, Later, LightMethod, judged
@@ -54,12 +54,12 @@ class Horizons(LightMethod):
         rays: int | None = None,
     ):
         self.engine, self.scene, self.sky, self.units, self.sectors = engine, scene, sky, count, sectors
-        self.scale, self.suns = (1.0, sky.suns) if isinstance(sky, Integrals) else (sky, ())
+        self.scale, self.bright_parts = (1.0, sky.bright_parts) if isinstance(sky, Integrals) else (sky, ())
         shape, size = scene.shape, (2, math.prod(scene.shape))
         self.sweeps = Sweeps(engine, ground_of(scene, max_distance, engine), near=near)
         self.total, self.turned = (engine.empty(size, np.int32) for _ in range(2))
         self.slices = None
-        if rays is not None and self.suns:
+        if rays is not None and self.bright_parts:
             self.slices = Slices(scene.on(engine), scene.sides, Dome(), margin=rays)
         # light (side, side) by normal that the tangent planes alone leave
         self.exact = np.zeros(0)
@@ -98,16 +98,16 @@ class Horizons(LightMethod):
         GPU takes as long for some azimuths as for a few more.
         """
         grids = [even(count, self.offset + half / 2) for half in between]
-        suns = [[sun.sectors(self.sectors, half) for sun in self.suns] for half in between]
+        parts = [[spot.sectors(self.sectors, half) for spot in self.bright_parts] for half in between]
         images = [self.engine.empty(self.scene.shape, np.float32) for _ in between]
-        self.sweeps.set_azimuths(*self._rays(grids, window, suns))
+        self.sweeps.set_azimuths(*self._rays(grids, window, parts))
         self.sweeps.light(self.total, self.turned, *images)
-        for azimuths, sectors, image in zip(grids, suns, images):
+        for azimuths, sectors, image in zip(grids, parts, images):
             if isinstance(self.sky, Integrals):
                 planes = _by_normals(self.sky, azimuths, window)
                 bright = np.zeros_like(planes)  # the suns' part of the image
-                for sun in sectors if self.slices is None else []:
-                    angles, table = _as_azimuths(*sun)
+                for spot in sectors if self.slices is None else []:
+                    angles, table = _as_azimuths(*spot)
                     bright += unoccluded.by_normals(table, angles, np.ones(len(angles)))
                 self.sweeps.correct(correction(self.exact + bright, planes + bright), image)
             if self.slices is not None:
@@ -117,19 +117,19 @@ class Horizons(LightMethod):
         return images
 
     def _rays(
-        self, grids: list[Azimuths], window: float, suns: list[list[tuple[np.ndarray, np.ndarray]]]
+        self, grids: list[Azimuths], window: float, bright_parts: list[list[tuple[np.ndarray, np.ndarray]]]
     ) -> tuple[Rays, np.ndarray | None]:
         """The azimuths of all ``grids``, a sum each, with those of small bright parts that are swept; and
         their brightness.
         """
         rays, tables = [], []
-        for azimuths, sectors in zip(grids, suns):
+        for azimuths, sectors in zip(grids, bright_parts):
             found, swept = Rays(azimuths.angles, azimuths.widths), bool(sectors) and self.slices is None
             if isinstance(self.sky, Integrals):
                 knots = FINE_KNOTS if swept else SKY_KNOTS
                 table = self.sky.table(found.angles, np.full(len(azimuths), window), knots)
                 if swept:
-                    found, table = with_suns(found, table, sectors)
+                    found, table = with_bright_parts(found, table, sectors)
                 tables.append(table)
             rays.append(found)
         angles, widths = (
@@ -184,7 +184,7 @@ def correction(exact: np.ndarray, planes: np.ndarray) -> np.ndarray:
     return ratio
 
 
-def margin_of(scene: Scene, suns: tuple[Sun, ...], relief: float) -> int | None:
+def margin_of(scene: Scene, bright_parts: tuple[BrightPart, ...], relief: float) -> int | None:
     """Nodes round a map that repeats in which its ``relief`` [spacing] may hide a sun; 0 of other maps.
 
     None where a map with that margin would be too large. Ground that rises less than LEAST_SEARCHED_SLOPE is
@@ -192,7 +192,7 @@ def margin_of(scene: Scene, suns: tuple[Sun, ...], relief: float) -> int | None:
     """
     if scene.sides != "periodic":
         return 0
-    lowest = min(float(sun.cells.low.min()) for sun in suns)
+    lowest = min(float(spot.cells.low.min()) for spot in bright_parts)
     margin = math.ceil(relief / max(LEAST_SEARCHED_SLOPE, math.tan(max(0.0, lowest)))) + 1
     wrapped, nodes = math.prod(n + 2 * margin for n in scene.shape), math.prod(scene.shape)
     return margin if wrapped <= min(max(WRAPPED, 4 * nodes), MOST_PIXELS) else None
@@ -207,11 +207,11 @@ def _by_normals(sky: Integrals, azimuths: Azimuths, window: float) -> np.ndarray
     return unoccluded.by_normals(table, azimuths.angles, azimuths.widths)
 
 
-def with_suns(
-    rays: Rays, table: np.ndarray, suns: list[tuple[np.ndarray, np.ndarray]]
+def with_bright_parts(
+    rays: Rays, table: np.ndarray, bright_parts: list[tuple[np.ndarray, np.ndarray]]
 ) -> tuple[Rays, np.ndarray]:
     """Azimuths and their table (K, FINE_KNOTS, 4), and with them the sectors of small bright parts."""
-    angles, parts = zip(*(_as_azimuths(*sun) for sun in suns))
+    angles, parts = zip(*(_as_azimuths(*spot) for spot in bright_parts))
     widths = np.ones(sum(map(len, angles)))
     rays = Rays(np.concatenate([rays.angles, *angles]), np.concatenate([rays.widths, widths]))
     return rays, np.concatenate([table, *parts])

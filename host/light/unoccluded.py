@@ -116,8 +116,8 @@ def _of_normals(gx: np.ndarray, gy: np.ndarray, table: np.ndarray, light: Integr
     image: np.ndarray = (1 - q) * ((1 - p) * table[j, i] + p * table[j, i + 1]) + q * (
         (1 - p) * table[j + 1, i] + p * table[j + 1, i + 1]
     )
-    for sun in light.suns:
-        x, y, z = sun.moment.astype(np.float32)
+    for spot in light.bright_parts:
+        x, y, z = spot.moment.astype(np.float32)
         image += np.maximum(0, gx * x + gy * y + z) * up
     return image
 

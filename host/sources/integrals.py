@@ -56,7 +56,7 @@ INNER = 0.1  # share of a small part's light from which on far brighter cells in
 SECTOR_CELL_PARTS = 16  # at most, that a cell is cut into for narrow sectors; 8 and 32 give the same errors
 # [rad] of darkness between two small parts: parts nearer than that share azimuths
 DARK_GAP = math.radians(1)
-SKY_KNOTS, SUN_KNOTS = 257, 65  # of the tables of a sky and of a small part, evenly in the sine of elevation
+SKY_KNOTS, PART_KNOTS = 257, 65  # of the tables of a sky and of a small part, evenly in the sine of elevation
 
 
 class Cells(NamedTuple):
@@ -89,7 +89,7 @@ class Cells(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Sun:
+class BrightPart:
     """A small bright part of a sky: its cells in order of azimuth, which may run past 2 pi.
 
     Their light is the excess of brightness over ``limit``.
@@ -127,7 +127,7 @@ class Sun:
     def sectors(self, count: int, shifted: bool = False) -> tuple[np.ndarray, np.ndarray]:
         """Its light in ``count`` sectors of azimuth that have equal shares of it.
 
-        ways (5, K) and table (K, SUN_KNOTS, 4), as the kernel `sectors` takes them. ``shifted``: borders half
+        ways (5, K) and table (K, PART_KNOTS, 4), as the kernel `sectors` takes them. ``shifted``: borders half
         a sector on, so that there are ``count`` + 1.
         """
         cells, (ends, row) = self.cells, self._rows
@@ -152,7 +152,7 @@ class Sun:
         first, last = math.sin(cells.low.min()), math.sin(cells.high.max())
         low, high = (np.sin(ends)[:, None] for ends in ends)
         # share of a row above every knot
-        ramp = np.clip((high - np.linspace(first, last, SUN_KNOTS)) / np.maximum(high - low, 1e-12), 0, 1)
+        ramp = np.clip((high - np.linspace(first, last, PART_KNOTS)) / np.maximum(high - low, 1e-12), 0, 1)
         ramp[:, 0] = 1  # but for rounding
         table = np.stack(
             [
@@ -169,7 +169,7 @@ class Sun:
                 np.sin(angle),
                 np.ones(len(edges)),
                 np.full(len(edges), first),
-                np.full(len(edges), (SUN_KNOTS - 1) / (last - first)),
+                np.full(len(edges), (PART_KNOTS - 1) / (last - first)),
             ]
         )
         return ways.astype(np.float32), _with_steps(table)
@@ -241,8 +241,8 @@ class _Leaves:
 class Integrals:
     """A grey sky, integrated.
 
-    ``suns``: its small bright parts, brightest first; ``level``: irradiance of open level ground [brightness
-    x sr], suns included, and ``rest`` without them; ``error``: estimate of its relative error; ``mean``:
+    ``bright_parts``: the small ones, brightest first; ``level``: irradiance of open level ground [brightness
+    x sr], these included, and ``rest`` without them; ``error``: estimate of its relative error; ``mean``:
     brightness of a uniform sky with the same rest; ``variation``: what the rest varies by, over its mean.
     """
 
@@ -287,22 +287,22 @@ class Integrals:
                 (band.light > limit) & ~divided[sizes[n] : sizes[n + 1]].reshape(band.light.shape)
             )
             bright.append(band.cells(row, col, sizes[n]))
-        suns = (
+        bright_parts = (
             []
             if math.isinf(tolerance)
             else sorted(
-                _suns(_joined(bright), limit, widest),
-                key=lambda sun: -sun.power,
+                _bright_parts(_joined(bright), limit, widest),
+                key=lambda spot: -spot.power,
             )
         )
-        left = np.cumsum([sun.power for sun in suns][::-1])[::-1]
+        left = np.cumsum([spot.power for spot in bright_parts][::-1])[::-1]
         least = FAINT_PARTS_SHARE * tolerance * total
-        self.suns = tuple(sun for sun, power in zip(suns, left) if power > least)
-        for sun in self.suns:
+        self.bright_parts = tuple(spot for spot, power in zip(bright_parts, left) if power > least)
+        for spot in self.bright_parts:
             for n, part in enumerate(parts):
-                inside = (sun.cells.base >= sizes[n]) & (sun.cells.base < sizes[n + 1])
-                for values, moment in zip(part, sun.cells.moments):
-                    np.subtract.at(values.reshape(-1), sun.cells.base[inside] - sizes[n], moment[inside])
+                inside = (spot.cells.base >= sizes[n]) & (spot.cells.base < sizes[n + 1])
+                for values, moment in zip(part, spot.cells.moments):
+                    np.subtract.at(values.reshape(-1), spot.cells.base[inside] - sizes[n], moment[inside])
         self.rest = float(sum(part[1].sum() for part in parts))
         self.mean = self.rest / math.pi
         light = [
@@ -660,41 +660,41 @@ def _joined(groups: Iterable[Cells]) -> Cells:
     return Cells(*(np.concatenate(values) for values in zip(*groups)))
 
 
-def _suns(cells: Cells, limit: float, widest: float, depth: int = 12) -> Iterator[Sun]:
+def _bright_parts(cells: Cells, limit: float, widest: float, depth: int = 12) -> Iterator[BrightPart]:
     """Groups of bright cells that span little azimuth, with their light above ``limit``.
 
     Wider groups are split at a higher limit.
     """
     for part in _groups(cells):
-        sun = Sun(part._replace(light=part.light - limit), limit)
+        spot = BrightPart(part._replace(light=part.light - limit), limit)
         if (
             part.azimuth[-1] - part.azimuth[0] + part.width.max() <= widest
             or (part.light > limit).any()
-            and sun.cone[1] <= math.sin(widest / 2)
+            and spot.cone[1] <= math.sin(widest / 2)
         ):  # or round the zenith
-            yield from _nested(sun, part, widest)
+            yield from _nested(spot, part, widest)
         elif depth:
             limit_here = max(4 * limit, LEAST_LEVEL * float(part.light.max()))
-            yield from _suns(part.pick(part.light > limit_here), limit_here, widest, depth - 1)
+            yield from _bright_parts(part.pick(part.light > limit_here), limit_here, widest, depth - 1)
 
 
-def _nested(sun: Sun, cells: Cells, widest: float) -> Iterator[Sun]:
+def _nested(spot: BrightPart, cells: Cells, widest: float) -> Iterator[BrightPart]:
     """A sun; or, where far brighter and smaller parts lie in it (a disc in its aureole), the rest and these.
 
     The sectors of one sun are of one width.
     """
-    power, extent, brightest = sun.power, _extent(cells), float(cells.light.max())
-    limit = sun.limit
+    power, extent, brightest = spot.power, _extent(cells), float(cells.light.max())
+    limit = spot.limit
     while (limit := max(4 * limit, LEAST_LEVEL * brightest)) < brightest:
         inside = cells.light > limit
         if (cells.light - limit)[inside] @ cells.solid_angle[inside] < INNER * power:
             break
         inner = cells.pick(inside)
         if _extent(inner) <= 0.5 * extent or all(_extent(part) <= 0.5 * extent for part in _groups(inner)):
-            yield Sun(cells._replace(light=np.minimum(cells.light, limit) - sun.limit), sun.limit)
-            yield from _suns(inner, limit, widest, 0)
+            yield BrightPart(cells._replace(light=np.minimum(cells.light, limit) - spot.limit), spot.limit)
+            yield from _bright_parts(inner, limit, widest, 0)
             return
-    yield sun
+    yield spot
 
 
 def _extent(cells: Cells) -> float:
