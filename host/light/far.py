@@ -297,7 +297,7 @@ class Marched:
         last = [most - 1 - first for most, first in zip(far.shape, far.at)]
         across_then_along = (self.nodes[1], 1), far.before, far.tile, last
         places = [pair[:: 1 if turned else -1] for pair in across_then_along]  # along first
-        run = backend.nodes_per_item
+        run = 1 if backend.nodes_per_item == 1 else cols  # on a CPU a row a work-item
         backend.launch(
             "far",
             "interpolate",
