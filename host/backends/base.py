@@ -14,7 +14,7 @@ import threading
 import time
 from abc import ABC, abstractmethod
 from collections import OrderedDict
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -80,7 +80,7 @@ def rounded_up(pixels: int) -> int:
 
 
 # methods of a backend that take its lock
-LOCKED = {"upload", "put", "empty", "fill", "download", "fetch", "launch", "record", "finish"}
+LOCKED = {"upload", "put", "empty", "fill", "download", "launch", "record", "finish"}
 
 
 def _locked(method: Callable[..., Any]) -> Callable[..., Any]:
@@ -228,13 +228,6 @@ class Backend(ABC):
     @abstractmethod
     def download(self, array: Array) -> np.ndarray:
         """A copy of a device array in NumPy, after all launches before it are done."""
-
-    def fetch(self, array: Array, parts: Sequence[np.ndarray]) -> None:
-        """Copy a device array to contiguous arrays of its type, which take its elements in turn."""
-        found, first = self.download(array).reshape(-1), 0
-        for part in parts:
-            part.reshape(-1)[:] = found[first : first + part.size]
-            first += part.size
 
     @abstractmethod
     def view(self, array: Array, shape: tuple[int, ...]) -> Array:

@@ -10,7 +10,7 @@ import re
 import time
 import warnings
 import weakref
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
@@ -119,7 +119,7 @@ class OpenclBackend(Backend):
         if self.shares or array.nbytes < staging.LEAST:
             device.set(array)
         else:
-            self._staging.upload(array, device)
+            self.transfers.upload(array, device)
         return device
 
     def put(self, array: Array, values: np.ndarray) -> None:
@@ -139,16 +139,10 @@ class OpenclBackend(Backend):
         if self.shares or array.nbytes < staging.LEAST:
             found: np.ndarray = array.get()
             return found
-        return self._staging.download(array, array.shape, array.dtype)
-
-    def fetch(self, array: Array, parts: Sequence[np.ndarray]) -> None:
-        if self.shares or array.nbytes < staging.LEAST:
-            super().fetch(array, parts)
-        else:
-            self._staging.fetch(array, parts)
+        return self.transfers.download(array, array.shape, array.dtype)
 
     @functools.cached_property
-    def _staging(self) -> staging.Staging:
+    def transfers(self) -> staging.Staging:
         """Transfers follow the launches before them; drivers of GPUs hold mapped buffers in place."""
         cl, access = self.cl, self.cl.map_flags.READ | self.cl.map_flags.WRITE
         flags = cl.mem_flags.READ_WRITE | cl.mem_flags.ALLOC_HOST_PTR

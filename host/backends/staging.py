@@ -19,6 +19,17 @@ ROOM, ROOMS = 2**22, 4
 LEAST = 2 * ROOM  # arrays from this size on are sent in pieces
 
 
+def fetch(backend: Any, array: Any, parts: Sequence[np.ndarray]) -> None:
+    """Copy a device array to contiguous arrays of its type, which take its elements in turn."""
+    if not backend.shares and sum(part.nbytes for part in parts) >= LEAST:
+        backend.transfers.fetch(array, parts)
+        return
+    found, first = backend.download(array).reshape(-1), 0
+    for part in parts:
+        part.reshape(-1)[:] = found[first : first + part.size]
+        first += part.size
+
+
 class Staging:
     """``rooms``: pinned arrays (ROOM,) uint8; ``copy`` starts a transfer and returns what waits for it.
 

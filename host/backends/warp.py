@@ -8,7 +8,7 @@ import importlib
 import threading
 import time
 from collections import OrderedDict
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
@@ -95,7 +95,7 @@ class WarpBackend(Backend):
         if self.shares or array.nbytes < staging.LEAST:
             return self.wp.array(array, device=self._device)
         found = self.empty(array.shape, array.dtype)
-        self._staging.upload(array, found)
+        self.transfers.upload(array, found)
         return found
 
     def put(self, array: Array, values: np.ndarray) -> None:
@@ -115,16 +115,10 @@ class WarpBackend(Backend):
         kind = np.dtype(self.wp.dtype_to_numpy(array.dtype))
         if self.shares or array.size * kind.itemsize < staging.LEAST:
             return np.array(array.numpy())
-        return self._staging.download(array, array.shape, kind)
-
-    def fetch(self, array: Array, parts: Sequence[np.ndarray]) -> None:
-        if self.shares or sum(part.nbytes for part in parts) < staging.LEAST:
-            super().fetch(array, parts)
-        else:
-            self._staging.fetch(array, parts)
+        return self.transfers.download(array, array.shape, kind)
 
     @functools.cached_property
-    def _staging(self) -> staging.Staging:
+    def transfers(self) -> staging.Staging:
         """Transfers follow the launches before them."""
         wp = self.wp
         held = [wp.empty(staging.ROOM, wp.uint8, device="cpu", pinned=True) for _ in range(staging.ROOMS)]

@@ -14,6 +14,7 @@ from ..arrays import by_bands, scratch
 from ..backends import select
 from ..backends.base import Array, Backend, reserve
 from ..backends.resident import DeviceImage, Resident
+from ..backends.staging import fetch
 from ..checks import positive_number
 from ..constants import LADDER, LEAST_SEARCHED_SLOPE, MOST_PIXELS, SIDES, SLOPES, TABLE, UNIFORM
 from ..errors import CapacityError, bad
@@ -250,24 +251,20 @@ class Sweeps:
         out = scratch((len(self.rays.angles), *self.shape))
         for half, numbers, planes in self._planes():
             if self.backend.shares:  # half of the planes are turned back here, on all cores
-                for number, plane in zip(numbers, self._fetched(half, numbers, planes)):
+                for number, plane in zip(numbers, _fetched(self, half, numbers, planes)):
                     by_bands(functools.partial(_copy_rows, out[number], plane), self.shape)
                 continue
             if half.turned:
                 size, turned = (half.rows, half.cols, len(numbers)), planes
                 planes = self.backend.empty(turned.shape, np.float32)
                 self.backend.launch("ground", "turn", size, turned, planes, *size)
-            self.backend.fetch(planes, [out[number] for number in numbers])
+            fetch(self.backend, planes, [out[number] for number in numbers])
         return out
 
     def planes(self) -> Iterator[tuple[np.ndarray, np.ndarray]]:
         """Yield (numbers of azimuths, their horizon slopes (n, rows, cols) float32), a few at a time."""
         for half, numbers, planes in self._planes():
-            yield numbers, self._fetched(half, numbers, planes)
-
-    def _fetched(self, half: Half, numbers: np.ndarray, planes: Array) -> np.ndarray:
-        found = self.backend.download(planes).reshape(len(numbers), half.rows, half.cols)
-        return found.transpose(0, 2, 1) if half.turned else found
+            yield numbers, _fetched(self, half, numbers, planes)
 
     def openness(self) -> np.ndarray:
         """The mean over azimuth of the angle from the zenith to the horizon [rad]: (rows, cols) float32."""
@@ -458,6 +455,12 @@ def _shear_tables(
     near_at[:, near:, 0] = np.where(used, np.copysign(e, shears[:, None]), 0)
     near_at[:, near:, 1], near_weight[:, near:] = np.floor(down), down - np.floor(down)
     return shears, (azimuths.astype(np.float32), ways, near_at, near_weight.astype(np.float32))
+
+
+def _fetched(sweeps: Sweeps, half: Half, numbers: np.ndarray, planes: Array) -> np.ndarray:
+    """Planes of a half as (n, rows, cols), on the host."""
+    found = sweeps.backend.download(planes).reshape(len(numbers), half.rows, half.cols)
+    return found.transpose(0, 2, 1) if half.turned else found
 
 
 def _copy_rows(to: np.ndarray, values: np.ndarray, rows: slice) -> None:
