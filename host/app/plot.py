@@ -257,7 +257,7 @@ def recovery(image: ArrayLike, found: Recovery, truth: ArrayLike | None = None) 
     sure = dict(cmap="cividis", vmin=0, vmax=1)
     panels: list[tuple[str, np.ndarray, dict[str, Any], str]] = [
         ("image", np.asarray(image), dict(cmap="gray", vmin=0), "radiance"),
-        ("recovered depth", depth, scale, "depth"),
+        ("recovered depth", depth, scale, "depth [unit of spacing]"),
     ]
     for true in depths[1:]:
         if true.shape != depth.shape:
@@ -265,7 +265,7 @@ def recovery(image: ArrayLike, found: Recovery, truth: ArrayLike | None = None) 
         error = depth - true
         most = max(float(np.nanmax(np.abs(error))), 1e-6)
         name = f"error, RMS {np.sqrt(np.nanmean(error**2)):.2g}"
-        panels.append(("true depth", true, scale, "depth"))
+        panels.append(("true depth", true, scale, "depth [unit of spacing]"))
         panels.append((name, error, dict(cmap="PuOr", vmin=-most, vmax=most), "recovered - true"))
     panels.append(("confidence", np.asarray(found.confidence), sure, "doubtful below 0.5"))
     if found.albedo is not None:
