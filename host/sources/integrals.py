@@ -127,8 +127,8 @@ class BrightPart:
     def sectors(self, count: int, shifted: bool = False) -> tuple[np.ndarray, np.ndarray]:
         """Its light in ``count`` sectors of azimuth that have equal shares of it.
 
-        ways (5, K) and table (K, PART_KNOTS, 4), as the kernel `sectors` takes them. ``shifted``: borders half
-        a sector on, so that there are ``count`` + 1.
+        ways (5, K) and table (K, PART_KNOTS, 4), as the kernel `sectors` takes them. ``shifted``: borders
+        half a sector on, so that there are ``count`` + 1.
         """
         cells, (ends, row) = self.cells, self._rows
         span = float(np.ptp(cells.azimuth)) + float(cells.width.max())
