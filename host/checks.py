@@ -47,8 +47,10 @@ def one_of(value: object, allowed: tuple[str, ...], what: str) -> None:
 
 def positive_number(value: Any, what: str) -> float:
     try:
+        if isinstance(value, (str, bytes)):
+            raise TypeError
         number = float(value)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise bad(f"{what}: not a number", repr(value), "a finite number > 0") from None
     if not (np.isfinite(number) and number > 0):
         raise bad(what, number, "a finite number > 0")

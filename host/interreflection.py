@@ -168,7 +168,9 @@ def is_needed(share: float, tolerance: float) -> bool:
 
 def check_choice(interreflection: Any) -> None:
     """InputError unless it is "auto", True or False."""
-    if not (interreflection == "auto" or isinstance(interreflection, bool)):
+    if not isinstance(interreflection, bool) and not (
+        isinstance(interreflection, str) and interreflection == "auto"
+    ):
         raise bad("interreflection", repr(interreflection), '"auto", True or False')
 
 

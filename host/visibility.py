@@ -10,7 +10,7 @@ import numpy as np
 from . import sources
 from .backends import select
 from .backends.base import within
-from .checks import one_of
+from .checks import one_of, positive_number
 from .directions import Hemicube
 from .errors import CapacityError, bad
 from .light import propagation
@@ -93,7 +93,7 @@ def visibility_field(
     if isinstance(layers, bool) or not isinstance(layers, (int, np.integer)) or layers < 1:
         raise bad("layers", repr(layers), "a whole number >= 1")
     needed = field_bytes(scene, cube, layers)
-    if max_bytes is not None and needed > max_bytes:
+    if max_bytes is not None and needed > positive_number(max_bytes, "max_bytes"):
         raise CapacityError(
             f"The visibility field of {layers} layers x {scene.shape[0]} rows x {scene.shape[1]} cols x"
             f" {cube.words} words takes {needed:,} bytes; max_bytes allows {max_bytes:,}. Ask for fewer"

@@ -424,3 +424,22 @@ def test_ctrl_c_while_a_driver_is_imported_is_ctrl_c(monkeypatch):
     monkeypatch.setattr("builtins.__import__", interrupt)
     with pytest.raises(KeyboardInterrupt):
         opencl.probe()
+
+
+SMALL = sl.Scene(np.ones((4, 5)))
+
+
+@pytest.mark.parametrize(
+    ("call", "says"),
+    [
+        (lambda: sl.Scene(np.ones((3, 3)), "1"), "spacing: not a number"),
+        (lambda: sl.horizons(SMALL, 4, "numpy", max_seconds="1"), "max_seconds: not a number"),
+        (lambda: sl.render(SMALL, sl.Sky(), interreflection=np.array([1, 2])), "interreflection"),
+        (lambda: sl.visibility_field(SMALL, sl.Sky(), 3, max_bytes="many"), "max_bytes: not a number"),
+        (lambda: sl.sky_over_time(np.array([["2026-06-21T12:00Z"]]), 40, 0), "more than one axis"),
+    ],
+)
+def test_wrong_types_are_one_error_at_the_door(call, says):
+    """Text is no number, an array no choice."""
+    with pytest.raises(InputError, match=says):
+        call()

@@ -174,6 +174,8 @@ def _summed(
 def _index(times: Any, pandas: Any) -> Any:
     """``times`` as a pandas.DatetimeIndex with a zone."""
     try:
+        if np.ndim(times) > 1:
+            raise ValueError("more than one axis")
         index = pandas.DatetimeIndex(times)
     except (TypeError, ValueError) as error:
         raise bad(
