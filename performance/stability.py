@@ -889,32 +889,40 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--out", type=Path, default=Path("."))
     parser.add_argument("--backend", default="auto")
-    parser.add_argument("--only", default="", help="names, comma-separated; the page is not written")
+    parser.add_argument(
+        "--only", default="", help="names, comma-separated; others stay as stability.csv has them"
+    )
     parser.add_argument("--draw", action="store_true", help="measure nothing: the page from stability.csv")
     args = parser.parse_args()
     args.out.mkdir(parents=True, exist_ok=True)
     if args.draw:
         write_page(args.out, kept(args.out))
         return
-    found, rows = {}, []
+    path = args.out / "stability.csv"
+    by_name: dict[str, list[tuple]] = {}
+    if args.only and path.exists():
+        with open(path, newline="") as file:
+            for row in csv.DictReader(line for line in file if not line.startswith("#")):
+                by_name.setdefault(row["failure"], []).append(tuple(row.values()))
     for name, failure in FAILURES.items():
         if args.only and name not in args.only.split(","):
             continue
         each = [failure.measure(value, args.backend) for value in failure.values]
-        found[name] = {line: [errors[line] for errors in each] for line in each[0]}
-        rows += [
+        by_name[name] = [
             (name, failure.parameter, value, line, errors[line])
             for value, errors in zip(failure.values, each)
             for line in errors
         ]
-        shown = {line: [round(v, 4) for v in values] for line, values in found[name].items()}
+        shown = {line: [round(errors[line], 4) for errors in each] for line in each[0]}
         print(name, shown, flush=True)
-    with open(args.out / "stability.csv", "w", newline="") as file:
-        file.write(record.comment(backend=args.backend) + "\n")
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(("failure", "parameter", "value", "line", "error"))
-        writer.writerows(rows)
-    if not args.only:
+        with open(path, "w", newline="") as file:  # each time, since a later one takes minutes
+            file.write(record.comment(f"last measured: {args.only or 'all'}", args.backend) + "\n")
+            writer = csv.writer(file, lineterminator="\n")
+            writer.writerow(("failure", "parameter", "value", "line", "error"))
+            for kept_name in FAILURES:
+                writer.writerows(by_name.get(kept_name, []))
+    found = kept(args.out)
+    if set(found) == set(FAILURES):
         write_page(args.out, found)
 
 
