@@ -22,6 +22,7 @@ from .backends import select
 from .backends.base import Backend
 from .checks import positive_number
 from .constants import LEAST_SEARCHED_SLOPE
+from .directions import Hemicube
 from .errors import CapacityError, bad
 from .interreflection import ESTIMATE_SHARE, check_choice, choice, expected, is_needed
 from .light import lattice, line, unoccluded
@@ -108,6 +109,9 @@ NARROW_RADIUS = 0.02
 # extents of a map to which a rectangular lamp may reach: there a node is a quarter of float32's resolution
 MOST_PANEL_EXTENTS = 2.0**22
 MOST_BALL_EXTENTS = 2.0**40  # the same of a sphere, whose squares stay in float32; suns stand at 1e5
+# of the mean light of the same source, unoccluded and in all directions as bright as in its brightest: errors
+# are relative to no less; chosen: a thousandth of what an 8-bit image shows under the beam itself
+DARK = 1e-6
 POINT_SHARE = 0.1  # share of the tolerance by which a lamp that is called a point may be off as one
 
 
@@ -363,6 +367,8 @@ def assess(planner: _Planner, method: LightMethod) -> Assessment:
     share = min(error / by_half, MOST_SHARE) if by_half > 0 else UNSEEN_SHARE
     estimate = method.estimate(planner.tail * planner.mean / max(share, UNSEEN_SHARE))
     assert estimate is not None, "a method with a half has an estimate"
+    lit = exact[exact > 0]
+    estimate = estimate._replace(rms=estimate.rms * float(lit.sum()) / max(1, lit.size) / planner.mean)
     seen = min(1.0, SEEN * (by_half / estimate.rms) ** 2) if estimate.rms > 0 else 1.0
     shared = math.sqrt(max(0.0, error**2 - (share * by_half) ** 2))
     share = math.sqrt(seen * share**2 + (1 - seen) * UNSEEN_SHARE**2)
@@ -534,9 +540,9 @@ class _Planner(ABC):
 
     @property
     def mean(self) -> float:
-        """Mean of the exact light over the lit samples, inf where it is not known."""
-        lit = None if self.exact is None else self.exact[self.exact > 0]
-        return float(lit.mean()) if lit is not None and lit.size else math.inf
+        """Mean of the exact light over the lit samples, at least the least; inf where it is not known."""
+        lit = self.exact[self.exact > 0] if self.exact is not None else np.zeros(0)
+        return max(float(lit.mean()) if lit.size else 0.0, self.samples.least) or math.inf
 
     def between_surfaces(self, direct: np.ndarray | None) -> float | None:
         """RMS of the light between surfaces over the mean of the direct light, None where that is not known.
@@ -978,6 +984,8 @@ class _SlicePlanner(_Planner):
                 self.counts = LINE_COUNTS
             elif isinstance(self.source, sources.Window):
                 self._integrate_sky()
+            most = sources.radiance(sources.Sky(brightness), Hemicube(9).directions).max()
+            self.samples.least = DARK * float(self._unoccluded(1, float(most)).mean())
             oversample_lit(self.samples, self.scene, self._open_light)
         self.uniform = self._uniform_light()
         if self.sky is not None and self.sky.bright_parts:

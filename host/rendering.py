@@ -175,8 +175,8 @@ def render(
         sees it). ``unoccluded``: closed forms from the normals, as if ground hid nothing but what lies below
         each node's own tangent plane; the brightness of a lamp or window is that towards its middle.
     tolerance, tail : float
-        Of ``auto``: relative RMS error of the irradiance, that over all valid nodes divided by the mean over
-        the lit ones, and a bound on the 99.9th percentile of the relative error, ten tolerances unless given.
+        Of ``auto``: RMS error over the mean irradiance of lit nodes (at least 1e-6 of what the source gives if
+        as bright all round: a beam may miss), and a bound on the 99.9th percentile, 10 tolerances unless given.
     backend : str
         See :func:`skylamp.backends`.
     quantity : "radiance" or "irradiance"

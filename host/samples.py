@@ -56,18 +56,22 @@ class Errors(NamedTuple):
     tail: float
 
 
-def errors(found: np.ndarray, exact: np.ndarray, weights: np.ndarray | None = None) -> Errors:
+def errors(
+    found: np.ndarray, exact: np.ndarray, weights: np.ndarray | None = None, least: float = 0.0
+) -> Errors:
     """Errors over the mean of ``exact`` where it is positive, nodes by their ``weights``, even by default.
 
+    ``least``: what the mean counts for where it is less.
     ``bound``: RMS and SIGMAS standard errors of it, by the sample's own spread. The percentile is
     extrapolated from the tenth of largest errors, whose excess is assumed exponential, unless TAIL_SAMPLES
     nodes are beyond it.
     """
     lit = exact > 0
-    if not lit.any():
+    if not lit.any() and not least > 0:
         return Errors(*(0.0 if not np.abs(found).max(initial=0) > 0 else math.inf,) * 3)
     weights = np.full(len(exact), 1 / len(exact)) if weights is None else weights / weights.sum()
-    off = np.abs(found - exact) * (weights[lit].sum() / (weights @ exact))
+    mean = (weights @ exact) / weights[lit].sum() if lit.any() else 0.0
+    off = np.abs(found - exact) / max(mean, least)
     square = float(weights @ off**2)
     bound = math.sqrt(square + SIGMAS * float(np.linalg.norm(weights * (off**2 - square))))
     order = np.argsort(off)
@@ -90,6 +94,7 @@ class Samples:
     """
 
     weights: np.ndarray | None
+    least = 0.0  # mean irradiance that errors are relative to at least
     traced: dict[tuple[str, bytes, float], np.ndarray]  # by kind, azimuths and search radius
 
     def __init__(self, engine: Backend, scene: Scene, count: int = SAMPLE_COUNT, first: int = 1):
@@ -161,7 +166,7 @@ class Samples:
         return values.astype(float)
 
     def errors(self, found: np.ndarray, exact: np.ndarray) -> Errors:
-        return errors(found, exact, self.weights)
+        return errors(found, exact, self.weights, self.least)
 
     def slopes(
         self,

@@ -684,6 +684,16 @@ def four(monkeypatch):
     monkeypatch.setattr(refinement._SkyPlanner, "make", poor)
 
 
+def test_a_beam_that_misses_the_map(fast):
+    """Errors count against the beam's own light: nothing is refined, and nothing is warned of."""
+    y, x = np.mgrid[:32, :32]
+    scene = sl.Scene(16 + 3 * np.sin(x / 4) + 2 * np.cos(y / 5))
+    beam = sl.cosine_power(300, axis=(1, 0, 0.3))
+    out = irradiance(scene, sl.Lamp((16, 16, -40), 3, beam), fast, tolerance=0.01)
+    assert not out.warnings and len(out.plan.steps) == 1 and out.image.max() < 1e-9
+    assert out.plan.error < 0.01
+
+
 @pytest.mark.parametrize("missed, share", [(0.0, 0.2), (1.0, 0.5)], ids=["seen", "missed"])
 def test_error_that_samples_miss(missed, share):
     """Samples tell the share of a half that they see; half of one that few other nodes have is the error."""
