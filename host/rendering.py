@@ -175,8 +175,8 @@ def render(
         sees it). ``unoccluded``: closed forms from the normals, as if ground hid nothing but what lies below
         each node's own tangent plane; the brightness of a lamp or window is that towards its middle.
     tolerance, tail : float
-        Of ``auto``: RMS error over the mean irradiance of lit nodes (at least 1e-6 of what the source gives if
-        as bright all round: a beam may miss), and a bound on the 99.9th percentile, 10 tolerances unless given.
+        Of ``auto``: RMS error over the mean irradiance of lit nodes (at least 1e-6 of what the source gives
+        if as bright all round: a beam may miss); bound of the 99.9th percentile, ten tolerances unless given.
     backend : str
         See :func:`skylamp.backends`.
     quantity : "radiance" or "irradiance"
