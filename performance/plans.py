@@ -247,16 +247,16 @@ def truth(scene, source, backend, nodes: int = NODES) -> tuple[Samples, np.ndarr
     return samples, samples.exact(source, solid)
 
 
-def relative_errors(samples, image, exact) -> tuple[float, float]:
+def relative_errors(samples, image, exact, least=0.0) -> tuple[float, float]:
     """(RMS, 99.9th percentile) of an image's error at the samples, over the mean lit irradiance.
 
-    Samples count by their weights.
+    Samples count by their weights. ``least``: what the mean counts as at least.
     """
     weights = np.ones(len(exact)) if samples.weights is None else samples.weights
     weights = weights / weights.sum()
     lit = exact > 0
     mean = (weights[lit] @ exact[lit]) / weights[lit].sum() if lit.any() else 1.0
-    wrong = np.abs(samples.of(np.asarray(image)) - exact) / mean
+    wrong = np.abs(samples.of(np.asarray(image)) - exact) / max(mean, least)
     order = np.argsort(wrong)
     tail = min(np.searchsorted(np.cumsum(weights[order]), 0.999), len(order) - 1)
     return float(np.sqrt(weights @ wrong**2)), float(wrong[order][tail])

@@ -24,8 +24,11 @@ from pairs import pair, truth
 from plans import TOLERANCES, cheapest, print_row, relative_errors, tried, write_rows
 
 import skylamp as sl
+from skylamp import sources
 from skylamp.backends import select
+from skylamp.refinement import solid_of
 from skylamp.samples import Samples
+from skylamp.sources.solids import upright
 
 NODES = 400  # at which an image is judged
 # relative error of the truth of a node, below which an error map is not judged: clear lamps, 1024 slices
@@ -45,11 +48,29 @@ def estimated(warnings):
     return max(said, default=np.nan) / 100
 
 
+def least_light(samples, ground, source):
+    """What a relative error counts against at least, see ``tolerance`` of skylamp.render.
+
+    A millionth of the mean light of a lamp or window that is as bright everywhere as this one in its
+    brightest direction, unoccluded.
+    """
+    if isinstance(source, sl.Sky):
+        return 0.0
+    n = np.arange(20_000) + 0.5  # a spiral over the sphere, a degree and a half between turns
+    z, turn = 1 - n / 10_000, np.pi * (1 + 5**0.5) * n
+    r = np.sqrt(1 - z * z)
+    most = sources.radiance(
+        sl.Sky(source.brightness), np.stack([r * np.cos(turn), r * np.sin(turn), z], -1)
+    ).max()
+    solid = upright(solid_of(ground, source, 1 / ground.spacing, 1.0))
+    return 1e-6 * float(samples.through_slices(solid, float(most), 64, occluded=False).mean())
+
+
 def measure(seed, number, size, backend, times, twice):
     """Rows of one pair, a tolerance each."""
     what, ground, text, source, light = pair(seed, number, size)
     samples = Samples(select(backend), ground, NODES, first=100_003)
-    exact = truth(samples, ground, source, light)
+    exact, least = truth(samples, ground, source, light), least_light(samples, ground, source)
     finer = np.nan
     if twice:
         mean = exact[exact > 0].mean() if (exact > 0).any() else 1.0
@@ -64,7 +85,7 @@ def measure(seed, number, size, backend, times, twice):
     rows = []
     for tolerance in TOLERANCES:
         out = work(tolerance)
-        error, tail = relative_errors(samples, out.image, exact)
+        error, tail = relative_errors(samples, out.image, exact, least)
         wrong = np.maximum(0, np.abs(samples.of(np.asarray(out.image)) - exact) - TRUTH_ERROR * exact)
         wrong /= np.maximum(samples.of(np.asarray(out.error)), 1e-30)
         said = estimated(out.warnings)

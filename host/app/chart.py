@@ -171,8 +171,8 @@ def measure(
     plan, and again; the plan's are ``method`` "plan", their units the tolerance, timed on a scene that is
     new, and "again" on one that was rendered before.
 
-    A setting is left out if the next coarser one of its method took longer than ``longest`` seconds a call,
-    or would have, as the next smaller map has it.
+    A setting but the plan's is left out if the next coarser one of its method took longer than ``longest``
+    seconds a call, or would have, as the next smaller map has it.
     """
     here = [info.name for info in backends() if info.available]
     for name in names or []:
@@ -237,7 +237,8 @@ def _timed(
     for method, units, options in settings(case.kind):
         key = case.kind, backend, method, units
         last, seconds = durations.get(key, (case.size, 0.0))
-        if method in slow or seconds * (case.size / last) ** 2 > longest:
+        # the default is always there: its choice takes as long on any map
+        if method != "plan" and (method in slow or seconds * (case.size / last) ** 2 > longest):
             continue
         done = case.render(backend, options)
         if done.seconds > longest:
