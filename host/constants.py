@@ -47,6 +47,7 @@ PATCH_X, PATCH_Y = 8, 4  # such squares that neighbouring work-items copy: both 
 # Sweeps, opencl/horizon.cl
 LADDER = 16  # slopes of the ladder
 TILE_ROWS = 16  # rows of heights that a work-group holds in local memory
+MOST_TILE = 12288  # floats of local memory that any GPU has, 48 KiB; larger tiles are not made
 UNSEEN = 1 - (1 << 30)  # quantized height far below all ground, one row away
 
 # Slices of lamps and windows, opencl/slices.cl

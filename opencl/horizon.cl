@@ -37,11 +37,12 @@ or PERIODIC. known: slopes holds what is known already. BLOCKS: the window is no
 the far end of the window come in, and blocks of one window are swept from the last row to the first; with a
 forward sweep by blocks it covers exactly one window before every node.
 Work-item (j, k, g) owns LANES adjacent lines of azimuth k, or STRIPS times as many on a CPU; long lines start
-first. On a GPU the LINES work-items of a group keep the rows about them in local memory (TILED). Twin of
+first. On a GPU the LINES work-items of a group keep the rows about them in local memory if they fit (TILED). Twin of
 warp_kernels/horizon.py. */
 #include "lanes.h"
-#define TILED (!ON_CPU && !BLOCKS && SIDES != PERIODIC)
 #define PITCH (LINES + TILE_ROWS + NEAR + 8)
+#define TILE_SIZE ((TILE_ROWS + NEAR + 1) * PITCH)
+#define TILED (!ON_CPU && !BLOCKS && SIDES != PERIODIC && TILE_SIZE <= MOST_TILE)
 #define ACROSS (LANES * STRIPS) /* strips of LANES lines side by side, for the sake of cache lines */
 #define NEAR_COLUMNS (NEAR - 1) /* the last one within NEAR rows lies on a row */
 
@@ -224,7 +225,7 @@ __kernel void sweep(__global const float *restrict heights, __global const float
   }
   if (line >= beyond)
     stop = start;
-  __local float tile[(TILE_ROWS + NEAR + 1) * PITCH];
+  __local float tile[TILE_SIZE];
   __local const float *here = tile;
 #endif
 
@@ -270,7 +271,7 @@ __kernel void sweep(__global const float *restrict heights, __global const float
                 left =
                     first_line + (int)floor(0.5f - shear * (shear > 0 ? i + TILE_ROWS - 1 : first_row)) - 2;
       barrier(CLK_LOCAL_MEM_FENCE);
-      for (int e = get_local_id(0); e < (TILE_ROWS + NEAR + 1) * PITCH; e += LINES) {
+      for (int e = get_local_id(0); e < TILE_SIZE; e += LINES) {
         const int r = first_row + e / PITCH, c = min(max(left + e % PITCH, -margin), cols + margin - 1);
         tile[e] =
             heights[(min(max(towards > 0 ? r : rows - 1 - r, -margin), rows + margin - 1) + margin) * stride +

@@ -275,6 +275,7 @@ def run(case: Case, backend: str) -> sl.Recovery:
         "dark",
         layers=case.layers,
         backend=backend,
+        interreflection=False,
     )
 
 

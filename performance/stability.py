@@ -29,14 +29,13 @@ LAYERS = 32
 Y, X = np.mgrid[:SIZE, :SIZE].astype(float)
 UNIFORM = sl.Sky()
 EPS = 0.1  # at which the clean image drills nothing
+DIRECT = {"interreflection": False}  # what is measured against direct light
+
 RECOVERIES = {
     "paper, eps": {"method": "paper", "stop": "eps"},
     "paper, sign": {"method": "paper", "stop": "sign"},
-    "robust": {"method": "robust"},
+    "robust": {"method": "robust", **DIRECT},
 }
-
-
-DIRECT = {"interreflection": False}  # what is measured against direct light
 
 
 class Failure(NamedTuple):

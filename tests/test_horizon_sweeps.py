@@ -212,6 +212,13 @@ def test_many_azimuths_take_more_near_rows(backend, count, near):
 
 
 @functools.cache
+def test_near_rows_that_local_memory_does_not_hold(backend):
+    """96 near rows, of which cliffs ask for, cross every line of a map of 29 rows: horizons are exact."""
+    sweeps = Sweeps(select(backend), ground(backend, heights("small")), RAYS["even"], near=96)
+    slopes = sweeps.slopes()[:, np.isfinite(heights("small"))]
+    assert abs(off(slopes, truth("small", "open", math.inf, "even"))).max() < 1e-4
+
+
 def _light(backend, name, count):
     return Sweeps(select(backend), ground(backend, heights(name), "open"), even(count)).irradiance()
 

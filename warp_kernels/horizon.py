@@ -47,6 +47,7 @@ from skylamp.constants import (
     GPU_LINES,
     HALF_PI,
     LADDER,
+    MOST_TILE,
     NONE,
     PERIODIC,
     SLOPES,
@@ -355,11 +356,11 @@ def sweep(NEAR: int, SIDES: int, WHAT: int, BLOCKS: int):
         wp.types.vector(NEAR_COLUMNS, wp.float32),
     )
     on_row, on_column = rays(SIDES, BLOCKS)
-    TILED = not BLOCKS and SIDES != PERIODIC  # on a GPU
     PITCH = GPU_LINES + TILE_ROWS + NEAR + 8
     TILE = (TILE_ROWS + NEAR + 1) * PITCH
+    TILED = not BLOCKS and SIDES != PERIODIC and TILE <= MOST_TILE  # on a GPU
 
-    @wp.func_native(SHARED % TILE)
+    @wp.func_native(SHARED % (TILE if TILED else 1))
     def tile_of() -> wp.int32: ...
 
     @wp.func
