@@ -208,6 +208,7 @@ def error_map() -> str:
 
 CALLS = {
     "Scene.from_height": "`Scene.from_height`",
+    "horizons, 8 azimuths": "`horizons`, 8 azimuths",
     "sky_view_factor, 64": "`sky_view_factor`, 64 azimuths",
     "openness, 64": "`openness`, 64 azimuths",
     "render, 64 azimuths": "`render`, 64 azimuths",
