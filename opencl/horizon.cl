@@ -37,8 +37,8 @@ or PERIODIC. known: slopes holds what is known already. BLOCKS: the window is no
 the far end of the window come in, and blocks of one window are swept from the last row to the first; with a
 forward sweep by blocks it covers exactly one window before every node.
 Work-item (j, k, g) owns LANES adjacent lines of azimuth k, or STRIPS times as many on a CPU; long lines start
-first. On a GPU the LINES work-items of a group keep the rows about them in local memory if they fit (TILED). Twin of
-warp_kernels/horizon.py. */
+first. On a GPU the LINES work-items of a group keep the rows about them in local memory if they fit
+(TILED). Twin of warp_kernels/horizon.py. */
 #include "lanes.h"
 #define PITCH (LINES + TILE_ROWS + NEAR + 8)
 #define TILE_SIZE ((TILE_ROWS + NEAR + 1) * PITCH)

@@ -158,20 +158,20 @@ def test_a_table_of_brightness_is_the_mean_of_its_looks():
 
 
 @pytest.mark.slow
-def test_auto_takes_horizons_where_it_can_and_says_so(backend):
+def test_auto_takes_horizons_where_it_can_and_says_so(fast):
     scene = sl.Scene(scenes.rough(24, 24, 1.0))
-    plan = sl.plan(scene, sl.Sky(), 0.01, backend)
+    plan = sl.plan(scene, sl.Sky(), 0.01, fast)
     assert (
         plan.method == "horizon"
         and 6 <= plan.azimuths <= 24
         and f"{plan.azimuths} evenly" in str(plan)
         and "tolerance 0.01" in plan.reason
     )
-    finer = sl.render(scene, sl.Sky(), tolerance=0.001, backend=backend).plan
+    finer = sl.render(scene, sl.Sky(), tolerance=0.001, backend=fast).plan
     assert finer.method == "horizon" and finer.azimuths > plan.azimuths
     aperture = np.ones((24, 24), bool)
-    assert sl.render(scene, sl.Window(aperture=aperture), backend=backend).plan.method == "lattice"
-    assert sl.render(scene, sl.Sky(), hemicube=5, backend=backend).plan.method == "lattice"
+    assert sl.render(scene, sl.Window(aperture=aperture), backend=fast).plan.method == "lattice"
+    assert sl.render(scene, sl.Sky(), hemicube=5, backend=fast).plan.method == "lattice"
 
 
 @pytest.mark.parametrize(

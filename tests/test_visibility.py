@@ -38,7 +38,8 @@ def test_scan_and_propagation_equal_the_oracle(backend, name, size, sides):
         ("spikes", 5),
         ("plateaus", 7),
         ("masked", 9),
-        ("terrain", 17),
+        ("terrain", 9),
+        ("column", 17),
         ("row", 9),
         ("column", 7),
         ("tiny", 9),
@@ -50,6 +51,16 @@ def test_filled_scan_equals_brute_force_over_all_crossings(backend, name, size, 
     assert_bits_equal(
         sl.visibility(scenes.scene(name, sides), SKY, size, backend, filled=True),
         scenes.filled_truth(name, size, sides),
+    )
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("sides", scenes.SIDES)
+def test_filled_scan_of_a_large_hemicube(fast, sides):
+    """M = 17 on a whole map, on the backend that takes the least time."""
+    assert_bits_equal(
+        sl.visibility(scenes.scene("terrain", sides), SKY, 17, fast, filled=True),
+        scenes.filled_truth("terrain", 17, sides),
     )
 
 
