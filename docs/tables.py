@@ -471,6 +471,23 @@ def campaign_files() -> str:
     return str(sum(run["cases"] for run in facts("campaign")["damaged files"]))
 
 
+# -- the page of skylamp view: performance/view.py -------------------------------------------------------
+
+
+def _frames(source: str) -> str:
+    return digits(next(float(r["frames_per_second"]) for r in rows("view") if r["source"] == source))
+
+
+def view_sun() -> str:
+    """Frames a second while the sun is dragged."""
+    return _frames("clear sky")
+
+
+def view_lamp() -> str:
+    """Frames a second while the lamp is dragged."""
+    return _frames("lamp")
+
+
 MAKERS: dict[str, Callable[[], str]] = {
     name.replace("_", "-"): function
     for name, function in list(globals().items())

@@ -984,8 +984,7 @@ def _sky_above_horizons(
     """
     sectors, table = _sectors(azimuths), None
     if callable(sky.brightness):
-        profile = sources.azimuth_profile(sky)
-        if profile is not None and not isinstance(azimuths, Azimuths):
+        if not isinstance(azimuths, Azimuths) and (profile := sources.azimuth_profile(sky)) is not None:
             sectors = Azimuths.placed(len(sectors), profile)
         table = Integrals(sky, np.inf).table(sectors.angles, sectors.widths, 1025)
     ground, rays = ground_of(scene, max_distance, engine), Rays(sectors.angles, sectors.widths)

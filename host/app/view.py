@@ -203,7 +203,8 @@ class Page:
         self.settings, self.image = Settings(), np.zeros((1, 1), np.uint8)
         self.changed = asyncio.Event()
         self.pressed: tuple[float, float] | None = None
-        self.frames = 0
+        self.dragged = False  # since the button was pressed: a drag may end where it began
+        self.frames, self.running = 0, False
         rows, cols = viewer.ground.values.shape
         with ui.row().classes("w-full no-wrap"):
             with ui.column():
@@ -266,14 +267,15 @@ class Page:
         """Press and move: the sun or the lamp follows. Press and release at one place: the node's horizon."""
         at = event.image_x, event.image_y
         if event.type == "mousedown":
-            self.pressed = at
+            self.pressed, self.dragged = at, False
         elif self.pressed is None:
             return
         elif event.type == "mouseup":
-            moved, self.pressed = math.dist(at, self.pressed), None
-            if moved <= CLICK:
+            self.pressed = None
+            if not self.dragged:
                 self.ui.timer(0.01, lambda: self._show_horizon(*at), once=True)
-        elif event.buttons and math.dist(at, self.pressed) > CLICK:
+        elif event.buttons and (self.dragged or math.dist(at, self.pressed) > CLICK):
+            self.dragged = True
             self._ask(self._moved(*at))
 
     def _moved(self, x: float, y: float) -> Settings:
@@ -290,7 +292,10 @@ class Page:
         )
 
     async def _loop(self) -> None:
-        """Frames while settings change, the refined image when they rest."""
+        """Frames while settings change, the refined image when they rest: one render at a time."""
+        if self.running:  # a browser that connects again
+            return
+        self.running = True
         await self._refine(self.settings)
         while True:
             await self.changed.wait()
@@ -302,29 +307,41 @@ class Page:
                 await self._refine(self.settings)
 
     async def _frame(self, settings: Settings) -> None:
-        done = await self.run.io_bound(self.viewer.coarse, settings)
+        if (done := await self._shown(self.viewer.coarse, settings)) is None:
+            return
         self.frames += 1
-        self._show(done, settings, f"frame {self.frames}: {1000 * done.seconds:.0f} ms, every"
-                   f" {self.viewer.ground.stride} nodes")  # fmt: skip
+        self.status.set_text(f"frame {self.frames}: {1000 * done.seconds:.0f} ms, every"
+                             f" {self.viewer.ground.stride} nodes")  # fmt: skip
 
     async def _refine(self, settings: Settings) -> None:
-        done = await self.run.io_bound(self.viewer.refined, settings)
+        if (done := await self._shown(self.viewer.refined, settings)) is None:
+            return
         error = float(np.sqrt(np.nanmean(np.square(done.error)))) / float(np.nanmean(done.image))
-        self._show(done, settings, f"refined: {1000 * done.seconds:.0f} ms by {done.backend}, estimated error"
-                   f" {100 * error:.2g} %")  # fmt: skip
+        self.status.set_text(f"refined: {1000 * done.seconds:.0f} ms by {done.backend}, estimated error"
+                             f" {100 * error:.2g} %")  # fmt: skip
         self.plan.set_text("; ".join([done.plan.line, *done.warnings]))
-
-    def _show(self, done: Rendering, settings: Settings, text: str) -> None:
-        self.image = self.viewer.tones(np.asarray(done.image))
-        encoded = imageio.imwrite("<bytes>", self.image, extension=".jpg", quality=85)
-        self.picture.set_source(data_url(encoded, "jpeg"))
-        self.status.set_text(text)
         self.code.set_content(self.viewer.code(settings))
+
+    async def _shown(self, rendered: Any, settings: Settings) -> Rendering | None:
+        """The rendering, once its picture is on the page; None where the server ends."""
+
+        def drawn() -> tuple[Rendering, np.ndarray, bytes]:
+            done = rendered(settings)
+            image = self.viewer.tones(np.asarray(done.image))
+            return done, image, imageio.imwrite("<bytes>", image, extension=".jpg", quality=85)
+
+        if (found := await self.run.io_bound(drawn)) is None:
+            return None
+        done, self.image, encoded = found
+        self.picture.set_source(data_url(encoded, "jpeg"))
+        return done
 
     async def _show_horizon(self, x: float, y: float) -> None:
         rows, cols = self.viewer.ground.values.shape
         row, col = min(rows - 1, max(0, int(y))), min(cols - 1, max(0, int(x)))
         drawn = await self.run.io_bound(self.viewer.horizon_plot, self.settings, row, col)
+        if drawn is None:  # the server ends
+            return
         self.horizon.set_source(data_url(drawn, "png"))
         self.horizon.set_visibility(True)
 
