@@ -316,6 +316,7 @@ class Page:
     async def _refine(self, settings: Settings) -> None:
         if (done := await self._shown(self.viewer.refined, settings)) is None:
             return
+        assert done.error is not None, "an image within a tolerance has an error"
         error = float(np.sqrt(np.nanmean(np.square(done.error)))) / float(np.nanmean(done.image))
         self.status.set_text(f"refined: {1000 * done.seconds:.0f} ms by {done.backend}, estimated error"
                              f" {100 * error:.2g} %")  # fmt: skip
@@ -330,7 +331,8 @@ class Page:
             image = self.viewer.tones(np.asarray(done.image))
             return done, image, imageio.imwrite("<bytes>", image, extension=".jpg", quality=85)
 
-        if (found := await self.run.io_bound(drawn)) is None:
+        found: tuple[Rendering, np.ndarray, bytes] | None = await self.run.io_bound(drawn)
+        if found is None:
             return None
         done, self.image, encoded = found
         self.picture.set_source(data_url(encoded, "jpeg"))
