@@ -73,6 +73,14 @@ def fast():
     ).name
 
 
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config, log):
+    """A whole file to one process, so that what the oracle says is worked out once."""
+    from xdist.scheduler import LoadFileScheduling
+
+    return LoadFileScheduling(config, log)
+
+
 def pytest_report_header(config):
     lines = [
         f"skylamp {sl.__version__}; backends under test: {', '.join(NAMED or MUST)}"

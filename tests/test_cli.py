@@ -255,7 +255,7 @@ def test_recover(here, capsys):
 
 
 @pytest.mark.slow
-def test_recover_writes_a_picture(here, capsys):
+def test_recover_writes_a_picture(here, fast, capsys):
     """A picture of image, relief, confidence and residual; an .npz holds what it was made of."""
     code, out, err = run(
         capsys,
@@ -269,7 +269,7 @@ def test_recover_writes_a_picture(here, capsys):
         "--layers",
         9,
         "--backend",
-        "numpy",
+        fast,
         "--max-seconds",
         20,
         "--std",
@@ -547,7 +547,7 @@ def test_as_a_process(here):
     )
 
 
-@pytest.mark.parametrize("module", ["skylamp", "skylamp.app.cli"])
+@pytest.mark.parametrize("module", ["skylamp", pytest.param("skylamp.app.cli", marks=pytest.mark.slow)])
 def test_as_a_module(here, module):
     """python -m runs the command line, under its own name, with its exit codes."""
     call = lambda *arguments: subprocess.run(

@@ -1,33 +1,11 @@
-"""README is short, its pictures are there, and its commands are those that CI runs."""
+"""README is short, its pictures are there, and its commands are those that CI runs; test_docs runs them."""
 
-import os
 import re
-import subprocess
-import sys
 from pathlib import Path
-
-import pytest
 
 ROOT = Path(__file__).parent.parent
 README = (ROOT / "README.md").read_text(encoding="utf-8")
-SHELL = re.findall(r"^```sh\n(.*?)^```", README, re.DOTALL | re.MULTILINE)
 BLOCKS = re.findall(r"^```python\n(.*?)^```", README, re.DOTALL | re.MULTILINE)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("number", range(len(SHELL)))
-def test_shell_blocks_run(number, tmp_path):
-    """Every command as written; installing and the suite itself are what .ci/run does."""
-    command = re.sub(r"^(pip install [^&\n]*(&& )?)?(pytest -n 2$)?", "", SHELL[number], flags=re.MULTILINE)
-    path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
-    done = subprocess.run(
-        ["bash", "-euo", "pipefail", "-c", command],
-        cwd=tmp_path,
-        env={**os.environ, "PATH": path},
-        capture_output=True,
-        text=True,
-    )
-    assert done.returncode == 0, done.stderr
 
 
 def test_it_is_short():

@@ -140,13 +140,14 @@ def cycle_length(i: int, j: int, rows: int, cols: int) -> int:
     return math.lcm(cols // math.gcd(cols, i), rows // math.gcd(rows, j))
 
 
-def crossings_of(i: int, j: int, filled: bool) -> tuple[list[tuple[int, ...]], int]:
+@functools.lru_cache(2048)  # M = 33 has 1,089 of them; some 10 MB
+def crossings_of(i: int, j: int, filled: bool) -> tuple[tuple[tuple[int, ...], ...], int]:
     """Where a step (i, j) meets grid lines, in order, as rows of the kernels' table, and the parts of a step.
 
     Not filled: the lattice node at its end alone.
     """
     if not filled or not (i or j):
-        return [(i, j, 0, 0, 1, 0, 1, 1)], 1
+        return ((i, j, 0, 0, 1, 0, 1, 1),), 1
     parts = math.lcm(abs(i) or 1, abs(j) or 1)
     points = {}
     for a in range(1, abs(i) + 1):  # columns
@@ -157,7 +158,7 @@ def crossings_of(i: int, j: int, filled: bool) -> tuple[list[tuple[int, ...]], i
         col, rest = divmod(b * i, abs(j))
         far = rest * parts // abs(j)
         points[b * parts // abs(j)] = (col, int(math.copysign(b, j)), int(rest > 0), 0, parts - far, far)
-    return [(*points[t], t, parts) for t in sorted(points)], parts
+    return tuple((*points[t], t, parts) for t in sorted(points)), parts
 
 
 def lap_table(depth: np.ndarray, ways: list[tuple[int, int]], filled: bool) -> np.ndarray:
@@ -183,19 +184,20 @@ def lap_table(depth: np.ndarray, ways: list[tuple[int, int]], filled: bool) -> n
 def _cycle_minimum(depth: np.ndarray, i: int, j: int, filled: bool) -> np.ndarray:
     """Of every node (rows, cols) float32, the least depth x parts on the cycle of steps (i, j) through it."""
     rows, cols = depth.shape
+    four = np.tile(depth, (2, 2))  # the map beside itself: what is moved is a part of it
 
-    def moved(values: np.ndarray, x: int, y: int) -> np.ndarray:
-        return np.roll(values, (-y % rows, -x % cols), (0, 1))
+    def moved(four: np.ndarray, x: int, y: int) -> np.ndarray:
+        return four[y % rows :, x % cols :][:rows, :cols]
 
     points, parts = crossings_of(i, j, filled)
     least: np.ndarray = depth * np.float32(parts)
-    for x, y, to_x, to_y, near, far, _, _ in points[:-1]:
-        a, b = moved(depth, x, y), moved(depth, x + to_x, y + to_y)
-        with np.errstate(invalid="ignore"):  # inf x 0 where masked
+    with np.errstate(invalid="ignore"):  # inf x 0 where masked
+        for x, y, to_x, to_y, near, far, _, _ in points[:-1]:
+            a, b = moved(four, x, y), moved(four, x + to_x, y + to_y)
             ground = np.float32(near + far) * a + np.float32(far) * (b - a)
-        least = np.minimum(least, np.where(np.isfinite(a) & np.isfinite(b), ground, np.float32(np.inf)))
+            least = np.minimum(least, np.where(np.isfinite(a) & np.isfinite(b), ground, np.float32(np.inf)))
     cycle, length = cycle_length(i, j, rows, cols), 1
     while length < cycle:  # the minimum over 1, 2, 4, ... nodes of the cycle
-        least = np.minimum(least, moved(least, i * length, j * length))
+        least = np.minimum(least, moved(np.tile(least, (2, 2)), i * length, j * length))
         length *= 2
     return least
