@@ -16,11 +16,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from .backends.base import Backend
+from .backends.resident import DeviceImage
 from .errors import bad
 from .light.horizon import OFFSET
 from .light.interreflection import Bounces, Round
 from .light.sweeps import Rays, Sweeps, ground_of
-from .samples import Samples
+from .samples import Samples, picked, samples_of
 from .scene import Scene
 from .sources.integrals import even
 
@@ -98,10 +99,10 @@ class Interreflection:
 class Included(NamedTuple):
     """Irradiances (rows, cols) float32 of all light, one per colour, the record and warnings.
 
-    ``errors``: RMS error of each [brightness x sr].
+    One light lies where the direct light does. ``errors``: RMS error of each [brightness x sr].
     """
 
-    irradiances: list[np.ndarray]
+    irradiances: Sequence[np.ndarray | DeviceImage]
     record: Interreflection
     errors: list[float]
     warnings: list[str]
@@ -200,13 +201,15 @@ def _first_level(share: float, tolerance: float) -> int:
     return 0 if FIRST_LEVEL_ERROR * share <= FIRST_LEVEL_SHARE * tolerance else 1
 
 
-def sky_share(scene: Scene, engine: Backend, tolerance: float, has_cliffs: bool = False) -> np.ndarray:
-    """Share of sky that every node sees, cosine-weighted, (rows, cols) float32, by a sweep."""
+def sky_share(scene: Scene, engine: Backend, tolerance: float, has_cliffs: bool = False) -> DeviceImage:
+    """Share of sky that every node sees, cosine-weighted, by a sweep."""
     sectors = even(_azimuths((CLIFF_SKY_ERROR if has_cliffs else SKY_ERROR) * tolerance), OFFSET)
     ground = ground_of(scene, None, engine)
     near = FINE_NEAR if has_cliffs else None
     sweeps = Sweeps(engine, ground, Rays(sectors.angles, sectors.widths), near=near)
-    return sweeps.irradiance(last=True) * np.float32(1 / np.pi)
+    found = sweeps.image()
+    found.scale(1 / math.pi)
+    return found
 
 
 def _azimuths(allowed: float) -> int:
@@ -217,20 +220,21 @@ def _azimuths(allowed: float) -> int:
 def included(
     scene: Scene,
     engine: Backend,
-    direct: Sequence[np.ndarray],
+    direct: Sequence[np.ndarray | DeviceImage],
     tolerance: float,
     why: str,
     error: float = 0.0,
-    sky: np.ndarray | None = None,
+    sky: np.ndarray | DeviceImage | None = None,
     beyond: bool = False,
 ) -> Included:
     """All light within the tolerance, from the direct light of each colour.
 
-    ``error``: RMS of that of ``direct`` over its mean; ``sky``: share of sky at every node, if that is what
-    ``direct`` is proportional to. ``beyond``: ``sky`` is that of a part of a map, beyond which ground
-    hides sky too. A node takes it to be as bright as the ground of the part that it sees.
+    One light may be a DeviceImage, which is used in place. ``error``: RMS of that of ``direct`` over its
+    mean; ``sky``: share of sky at every node, if that is what ``direct`` is proportional to. ``beyond``:
+    ``sky`` is that of a part of a map, beyond which ground hides sky too. A node takes it to be as bright as
+    the ground of the part that it sees.
     """
-    samples = Samples(engine, scene, CHECKED)
+    samples = samples_of(engine, scene, CHECKED)
     is_uniform = sky is not None and not beyond
     has_cliffs = CLIFF_ERROR * math.sqrt(samples.cliffs) > CLIFF_SHARE * tolerance
     sky = sky_share(scene, engine, tolerance, has_cliffs) if sky is None else sky
@@ -265,7 +269,9 @@ def included(
             f"Tolerance: about {100 * check.guessed:.1g} % of the light (RMS over the mean) comes from ground"
             " beyond a tile's halo, which is taken to be as bright as the ground within."
         )
-    return Included(check.bounces.irradiance(), record, errors, warnings)
+    on_device = count == 1 and isinstance(direct[0], DeviceImage)
+    found = [check.bounces.device_image()] if on_device else check.bounces.irradiance()
+    return Included(found, record, errors, warnings)
 
 
 def _rounds(level: int, has_cliffs: bool) -> tuple[Round, ...]:
@@ -283,9 +289,9 @@ class _Check:
     def __init__(
         self,
         bounces: Bounces,
-        direct: Sequence[np.ndarray],
+        direct: Sequence[np.ndarray | DeviceImage],
         albedo: Sequence[Any],
-        sky: np.ndarray,
+        sky: np.ndarray | DeviceImage,
         error: float,
         is_uniform: bool,
         beyond: bool,
@@ -293,7 +299,7 @@ class _Check:
         self.bounces, self.error, self.is_uniform, self.beyond = bounces, error, is_uniform, beyond
         self.guessed = 0.0  # RMS over the mean of the light that comes from beyond the map
         self.samples = samples = bounces.samples
-        self.sky, self.direct = samples.of(sky), [samples.of(light) for light in direct]
+        self.sky, *self.direct = (_at(samples, image) for image in (sky, *direct))
         self.albedo = [share[samples.y, samples.x] if np.ndim(share) else share for share in albedo]
         self.share = self._left(0)
 
@@ -341,6 +347,13 @@ class _Check:
             errors.append(rms)
             worst = max(worst, rms / mean if mean > 0 else 0.0)
         return worst, errors
+
+
+def _at(samples: Samples, image: np.ndarray | DeviceImage) -> np.ndarray:
+    """An image at the samples, (nodes,) float64."""
+    if isinstance(image, DeviceImage):
+        return picked(samples, image.values).astype(float)
+    return samples.of(image)
 
 
 def _mean(samples: Samples, values: np.ndarray) -> float:

@@ -383,7 +383,7 @@ class TileImage:
             if self.between:
                 sky = _share_of_sky(engine, ground, DEFAULT_AZIMUTHS, far)
                 found = included(scene, engine, light, self.tolerance, "as asked", sky=sky, beyond=True)
-                light = found.irradiances
+                light = _on_host(found.irradiances)
                 for text in found.warnings:
                     warn(text)
         if self.unit != 1:
@@ -673,9 +673,11 @@ class _Renderer:
         )
         no_disc = options.lattice or missing or self.planned and not shines
         self.sun = None if no_disc else _sun_of(scene, source, options.max_distance)
-        # an image of one channel, rho E / pi alone, stays where the map was given
+        # an image of one channel, rho E / pi alone, is made on the device; with arguments of a method on a
+        # GPU alone: on a CPU the memory of its arrays is freed as they are done with
         grey = len(self.greys) == 1 and np.ndim(scene.albedo) in (0, 2) and not shines
-        self.stays = scene.stays_on(engine) and grey and not options.parts
+        self.on_device = grey and not options.parts and (self.planned or not engine.shares)
+        self.stays = scene.stays_on(engine) and self.on_device  # it is left where the map was given
         self.plans: list[Plan] = []
         self.warnings: list[str] = []
         self.parts: list[tuple[Refined, float]] = []  # refined irradiances, times factors
@@ -701,7 +703,7 @@ class _Renderer:
             seconds,
             compiling,
             self.warnings,
-            tuple(self.parts),
+            tuple((found._replace(irradiance=None), factor) for found, factor in self.parts),
             scene if self.parts else None,
             quantity,
             self.interreflection,
@@ -714,10 +716,10 @@ class _Renderer:
         """The image of the quantity that was asked for, where the irradiances lie, or the map if it stays."""
         scene, engine, quantity = self.scene, self.engine, self.options.quantity
         light = irradiances[0] if irradiances else None
-        if isinstance(light, DeviceImage):
+        if isinstance(light, DeviceImage) and (self.stays or not np.ndim(scene.albedo)):
             share = (scene.albedo, 1 / np.pi) if quantity == "radiance" else (1.0, 1.0)
             light.shade(scene.on(engine), *share)
-            return light
+            return light if self.stays else np.asarray(light)
         image = _image(scene, _on_host(irradiances), shine, quantity)
         if not self.stays or image.ndim > 2:
             return image
@@ -735,7 +737,7 @@ class _Renderer:
                 self.planned and self.options.interreflection == "auto" and _has_coloured_albedo(self.scene)
             )
             return direct, list(direct) * (3 if coloured and len(direct) == 1 else 1), shine
-        known = _on_host(direct)
+        known = direct if self.on_device else _on_host(direct)
         return list(known), list(_interreflected(self, known)), shine
 
     def _light(self) -> tuple[list[Any], list[np.ndarray]]:
@@ -774,7 +776,7 @@ class _Renderer:
         for n, grey in enumerate(self.greys):
             if factors is None or n == 0:
                 source = grey if factors is None else replace(grey, brightness=1.0)
-                how = tolerance, self.engine, options.tail, options.interreflection, self.stays
+                how = tolerance, self.engine, options.tail, options.interreflection, self.on_device
                 found = refined(self.scene, source, *how)
             self.parts.append((found, 1.0 if factors is None else factors[n]))
             self.plans.append(found.plan)
@@ -790,8 +792,8 @@ class _Renderer:
         plan = _plan_of(scene, grey, azimuths, max_distance)
         self.plans.append(plan)
         if isinstance(grey, sources.Sky):
-            return _sky_above_horizons(scene, grey, engine, azimuths, max_distance, self.stays)
-        return _by_slices(scene, grey, engine, plan, self.stays)
+            return _sky_above_horizons(scene, grey, engine, azimuths, max_distance, self.on_device)
+        return _by_slices(scene, grey, engine, plan, self.on_device)
 
     def _plan_as_asked(self) -> Plan:
         options = self.options
@@ -864,7 +866,7 @@ class _Renderer:
             cube.moments if options.weights == "moment" else cube.directions * cube.solid_angles[:, None]
         )
         irradiances, reflected = propagation.light(
-            self.engine, problem, moments * brightness[..., None], lobe, shares, whole, self.stays
+            self.engine, problem, moments * brightness[..., None], lobe, shares, whole, self.on_device
         )
         return irradiances, reflected + self._mirrored(None)
 
@@ -872,19 +874,20 @@ class _Renderer:
 # -- light between surfaces
 
 
-def _interreflected(call: _Renderer, direct: list[np.ndarray]) -> list[np.ndarray]:
+def _interreflected(call: _Renderer, direct: Sequence[Irradiance]) -> Sequence[Irradiance]:
     """Irradiances of all light; where colours differ by a factor alone, of one and times that factor."""
     scene, options, factors = call.scene, call.options, _numbers(call.greys)
     tolerance = float(options.tolerance)
     brightest = 0 if factors is None else int(np.argmax(factors))
     alike = factors is not None and factors[brightest] > 0 and np.ndim(scene.albedo) in (0, 2)
-    lights, sky = direct, None
+    sky: Irradiance | None = None
+    lights = direct
     if alike and factors is not None:  # that of brightness 1, as it is for a grey source
         unit = np.float32(factors[brightest])
-        lights = [np.asarray(call.parts[0][0].irradiance) if call.parts else direct[brightest] / unit]
+        lights = [call.parts[0][0].irradiance if call.parts else np.asarray(direct[brightest]) / unit]
     whole_sky = isinstance(call.source, sources.Sky) and options.max_distance is None
     if alike and factors is not None and whole_sky and not call.by_lattice:
-        sky = lights[0] * np.float32(1 / np.pi)
+        sky = _times(lights[0], 1 / np.pi)
     error = max((plan.error or 0.0 for plan in call.plans), default=0.0)
     why = "as asked"
     if options.interreflection == "auto":
@@ -898,7 +901,7 @@ def _interreflected(call: _Renderer, direct: list[np.ndarray]) -> list[np.ndarra
         call.between = [max(found.errors)] if len(direct) == 1 else found.errors
         return found.irradiances
     call.between = [factor * found.errors[0] for factor in factors]
-    return _on_host([_times(found.irradiances[0], factor) for factor in factors])
+    return [_times(found.irradiances[0], factor) for factor in factors]
 
 
 def _left_out(scene: Scene, options: _Options, plans: list[Plan] | None) -> str:
@@ -976,11 +979,11 @@ def _sky_above_horizons(
     engine: Backend,
     azimuths: int | Azimuths | None,
     max_distance: float | None,
-    stays: bool,
+    on_device: bool,
 ) -> Irradiance:
     """A sky above the horizons of as many azimuths as asked: (rows, cols) float32.
 
-    ``stays``: on the device.
+    ``on_device``: a DeviceImage.
     """
     sectors, table = _sectors(azimuths), None
     if callable(sky.brightness):
@@ -989,14 +992,14 @@ def _sky_above_horizons(
         table = Integrals(sky, np.inf).table(sectors.angles, sectors.widths, 1025)
     ground, rays = ground_of(scene, max_distance, engine), Rays(sectors.angles, sectors.widths)
     sweeps = Sweeps(engine, ground, rays, table)
-    image: Irradiance = sweeps.image() if stays else sweeps.irradiance(last=True)
+    image: Irradiance = sweeps.image() if on_device else sweeps.irradiance(last=True)
     return image if table is not None else _times(image, _number(sky))
 
 
 def _by_slices(
-    scene: Scene, source: sources.Lamp | sources.Window, engine: Backend, plan: Plan, stays: bool
+    scene: Scene, source: sources.Lamp | sources.Window, engine: Backend, plan: Plan, on_device: bool
 ) -> Irradiance:
-    """A lamp or window in as many slices as planned: (rows, cols) float32; ``stays``: on the device."""
+    """A lamp or window in as many slices as planned: (rows, cols) float32; ``on_device``: a DeviceImage."""
     assert plan.azimuths is not None, "a plan of slices says how many"
     brightness = (
         chords(Integrals(sources.Sky(source.brightness), np.inf, True), CHORD_AZIMUTHS, CHORD_KNOTS)
@@ -1007,12 +1010,12 @@ def _by_slices(
     if slices is None:
         return np.zeros(scene.shape, np.float32)
     slices.run()
-    if stays:
+    if on_device:
         found = DeviceImage(engine, slices.image, scene.shape)
-        found.shade(slices.there, 1.0, scale, 0.0)
+        found.scale(scale, 0.0)  # a difference of sums may round to less than 0
         return found
     image = slices.download()
-    if callable(source.brightness):  # a difference of sums may round to less than 0
+    if callable(source.brightness):
         by_bands(lambda rows: np.maximum(image[rows], 0, out=image[rows]), image.shape)
     return _times(image, scale)
 

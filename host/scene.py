@@ -47,8 +47,8 @@ class Scene:
 
     A contiguous float32 depth or height that lies on a GPU (or in a Warp array) stays there, on that device's
     backend, which ``auto`` takes then; a mask is uploaded once. Of other types, and on other backends, the
-    host makes a copy first. So do lobes, mirrors, BRDFs, light between surfaces, and brightness that is taken
-    along rays. ``on`` gives the copy that a backend keeps, ``release`` frees it.
+    host makes a copy first. So do lobes, mirrors, BRDFs, light between surfaces where a method is asked for,
+    and brightness that is taken along rays. ``on`` gives the copy that a backend keeps, ``release`` frees it.
 
     Parameters
     ----------

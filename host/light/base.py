@@ -65,7 +65,7 @@ class LightMethod(ABC):
         """(rows, cols) float32 [brightness x sr]; undefined where masked."""
 
     def device_image(self) -> DeviceImage | None:
-        """A copy of the irradiance on the device, or None where it is made on the host."""
+        """The irradiance, in the memory of the method, which ends with it; None where the host makes it."""
         return None
 
     def at(self, samples: Samples) -> np.ndarray:

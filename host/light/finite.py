@@ -152,7 +152,7 @@ class Sliced(LightMethod):
     def device_image(self) -> DeviceImage | None:
         if self.factors is not None:
             return None
-        found = DeviceImage(self.engine, self.mean, self.scene.shape).copy()
+        found = DeviceImage(self.engine, self.mean, self.scene.shape)
         found.scale(self.scale, -math.inf if self.sky is None else 0.0)
         return found
 

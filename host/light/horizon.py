@@ -142,8 +142,9 @@ class Horizons(LightMethod):
         return _scaled(self.engine.download(self.mean).reshape(self.scene.shape), self.scale)
 
     def device_image(self) -> DeviceImage:
-        found = DeviceImage(self.engine, self.mean, self.scene.shape).copy()
-        found.scale(self.scale)
+        found = DeviceImage(self.engine, self.mean, self.scene.shape)
+        if self.scale != 1:
+            found.scale(self.scale)
         return found
 
     def at(self, samples: Samples) -> np.ndarray:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Sequence
 from typing import Any, NamedTuple
@@ -9,6 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..backends.base import Array, Backend, reserve
+from ..backends.resident import DeviceImage
 from ..constants import NONE, SIDES
 from ..errors import CapacityError
 from ..samples import SAMPLED_SLOPE, Samples, picked
@@ -91,24 +93,9 @@ class Planes:
             group=GROUP,
         )
 
-    def _tables(self, this: Round) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """(ways, places, crossings) of the kernels."""
-        angles = 2 * np.pi * (np.arange(this.azimuths) + OFFSET) / this.azimuths
-        across, along = np.cos(angles), np.sin(angles)
-        by_columns = np.abs(across) >= np.abs(along)
-        major = np.where(by_columns, across, along)
-        minor = np.where(by_columns, along, across)
-        step = np.array(steps(this.near, this.growth, self.far))
-        aside = np.outer(minor / np.abs(major), step)
-        low = np.floor(aside + 1e-9)
-        straight = np.sign(major)[:, None] * step
-        places = np.where(
-            by_columns[:, None, None], np.stack([straight, low], -1), np.stack([low, straight], -1)
-        )
-        distance = step / np.abs(major)[:, None]
-        crossings = np.stack([np.maximum(aside - low, 0), distance, 1 / distance], -1)
-        ways = np.stack([across, along, by_columns, np.zeros(len(angles))], -1)
-        return ways.astype(np.float32), places.astype(np.int32), crossings.astype(np.float32)
+    def _tables(self, this: Round) -> list[Array]:
+        """Those of the kernels, on the device."""
+        return [self.engine.table(table) for table in tables(this, self.far)]
 
     def _gather_nodes(
         self,
@@ -149,7 +136,7 @@ class MeanRadiance(Planes):
         super().__init__(engine, radiances.shape[1:], sides, len(radiances), relief)
         self.azimuths = rays.azimuths
         self.one, ones = (engine.upload(np.ones(count, np.float32)) for count in (1, self.lights))
-        self.tables = [engine.upload(table) for table in self._tables(rays)]
+        self.tables = self._tables(rays)
         pixels = radiances[0].size
         self.none, self.found = (engine.empty((self.lights * pixels,), np.float32, 0) for _ in range(2))
         given = engine.upload(radiances.astype(np.float32).ravel())
@@ -167,6 +154,7 @@ class Bounces(Planes):
 
     ``direct``: irradiance (rows, cols) float32 of each light, one or one per colour; ``albedo`` of each, a
     number or (rows, cols); ``sky`` (rows, cols) float32: share of sky that every node sees, cosine-weighted.
+    One light may be a DeviceImage, which is used in place, and so may ``sky``.
     """
 
     def __init__(
@@ -174,40 +162,42 @@ class Bounces(Planes):
         engine: Backend,
         scene: Scene,
         samples: Samples,
-        direct: Sequence[np.ndarray],
+        direct: Sequence[np.ndarray | DeviceImage],
         albedo: Sequence[Values],
-        sky: np.ndarray,
+        sky: np.ndarray | DeviceImage,
     ):
         super().__init__(engine, scene.shape, scene.sides, len(direct), samples.relief)
         self.samples, self.valid, self.highest = samples, scene.mask, samples.highest
         self.varies = any(np.ndim(share) for share in albedo)
-        self.albedo = engine.upload(
+        self.albedo = engine.table(
             np.stack([np.broadcast_to(share, scene.shape if self.varies else ()) for share in albedo])
-            .astype(np.float32)
+            .astype(np.float32, copy=False)
             .ravel()
         )
-        one = engine.upload(np.ones(1, np.float32))
+        one = engine.table(np.ones(1, np.float32))
         self._spread(samples.heights, one, self.heights, 1, False, 1.0, NONE)
-        self.sky = engine.upload(sky.astype(np.float32, copy=False).ravel())
-        known = [light if self.valid is None else np.where(self.valid, light, 0) for light in direct]
-        self.direct = engine.upload(
-            (known[0] if len(known) == 1 else np.stack(known)).astype(np.float32, copy=False).ravel()
-        )
-        self.total = engine.empty((self.lights * sky.size,), np.float32)
+        self.sky = _uploaded(engine, [sky])
+        light, pixels = direct[0], math.prod(scene.shape)
+        if isinstance(light, DeviceImage):
+            if self.valid is not None:
+                light.shade(scene.on(engine), 1.0, 1.0)  # nan, which `begin` makes 0
+        elif self.valid is not None:
+            direct = [np.where(self.valid, light, 0) for light in direct]
+        self.direct = _uploaded(engine, direct)
+        self.total = engine.empty((self.lights * pixels,), np.float32)
         engine.launch(
             "interreflection",
             "begin",
-            (sky.size, self.lights),
+            (pixels, self.lights),
             self.direct,
             self.albedo,
             self.sky,
             self.total,
             self.lights,
-            sky.size,
+            pixels,
             int(self.varies),
             group=GROUP,
         )
-        engine.finish()  # what was uploaded for one launch may be freed
 
     def _send(self) -> None:
         """The radiance of the ground by the present irradiance."""
@@ -221,7 +211,7 @@ class Bounces(Planes):
 
     def _gather(self, this: Round) -> None:
         engine, (rows, cols) = self.engine, self.shape
-        tables = [engine.upload(table) for table in self._tables(this)]
+        tables = self._tables(this)
         count = tables[1].shape[1]
         common = (*self._layout, SIDES[self.sides])
         if this.stride > 1:
@@ -264,11 +254,15 @@ class Bounces(Planes):
         if this.stride == 1 or this.kinks or self.valid is not None:
             known = self.direct, self.sky, self.total
             self._gather_nodes(this.azimuths, tables, known, this.stride == 1, self.highest)
-        engine.finish()  # the tables may be freed
+        engine.finish()  # sums may be freed
 
     def irradiance(self) -> list[np.ndarray]:
         """(rows, cols) float32 [brightness x sr] of each light; 0 where masked."""
         return list(self.engine.download(self.total).reshape(self.lights, *self.shape))
+
+    def device_image(self) -> DeviceImage:
+        """:meth:`irradiance` of one light, where it lies."""
+        return DeviceImage(self.engine, self.total, self.shape)
 
     def total_at_samples(self) -> np.ndarray:
         """The present irradiance of each light at the samples, (lights, nodes) float64."""
@@ -307,6 +301,35 @@ class Bounces(Planes):
         )
         sums = engine.download(found).reshape(self.lights + 2, azimuths, -1).mean(1, dtype=np.float64)
         return np.pi * sums[: self.lights], sums[-1]
+
+
+def _uploaded(engine: Backend, images: Sequence[np.ndarray | DeviceImage]) -> Array:
+    """Images (rows, cols) one after another on the device: a DeviceImage itself, or float32 copies."""
+    first = images[0]
+    if isinstance(first, DeviceImage):
+        return first.values
+    return engine.upload(
+        (first if len(images) == 1 else np.stack(images)).astype(np.float32, copy=False).ravel()
+    )
+
+
+@functools.lru_cache(32)  # rounds follow one another in the same azimuths, and so do calls
+def tables(this: Round, far: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(ways, places, crossings) of the kernels, up to ``far`` along an azimuth's major axis."""
+    angles = 2 * np.pi * (np.arange(this.azimuths) + OFFSET) / this.azimuths
+    across, along = np.cos(angles), np.sin(angles)
+    by_columns = np.abs(across) >= np.abs(along)
+    major = np.where(by_columns, across, along)
+    minor = np.where(by_columns, along, across)
+    step = np.array(steps(this.near, this.growth, far))
+    aside = np.outer(minor / np.abs(major), step)
+    low = np.floor(aside + 1e-9)
+    straight = np.sign(major)[:, None] * step
+    places = np.where(by_columns[:, None, None], np.stack([straight, low], -1), np.stack([low, straight], -1))
+    distance = step / np.abs(major)[:, None]
+    crossings = np.stack([np.maximum(aside - low, 0), distance, 1 / distance], -1)
+    ways = np.stack([across, along, by_columns, np.zeros(len(angles))], -1)
+    return ways.astype(np.float32), places.astype(np.int32), crossings.astype(np.float32)
 
 
 def steps(near: int, growth: float, far: float) -> list[int]:
