@@ -822,22 +822,23 @@ __kernel void bending(__global const float *z, __global const float *rest, __glo
   part[block + g] = sum;
 }
 
-/* downhill: sum += unit transpose(J) gain (gain E - target), and squares += fine x the diagonal of
-   transpose(J) gain^2 J, or what it is where no two links of a node lead to the same one. Work-item g of this
-   and of all below owns `per_item` nodes; if there is more than one copy of the sums, it adds to a copy of
+/* downhill: sum += quanta transpose(J) gain (gain E - target), and squares += fine x the diagonal of
+   transpose(J) gain^2 J, or what it is where no two links of a node lead to the same one. Sums are in fixed
+   point: `quanta` is how many integers make 1, `quantum` the value of one. Work-item g of this and of all
+   below owns `per_item` nodes; if there is more than one copy of the sums, it adds to a copy of
    its own: sum and squares (copies, pixels). */
 __kernel void downhill(__global const float *restrict light, __global const int *restrict held,
                        __global const int *restrict first, __global const int *restrict second,
                        __global const float *restrict near, __global const float *restrict far,
                        __global const float *restrict gain, __global const float *restrict target,
-                       __global long *sum, __global long *squares, float unit, float fine, int rows, int cols,
-                       int count, int sides, int per_item, int copies)
+                       __global long *sum, __global long *squares, float quanta, float fine, int rows,
+                       int cols, int count, int sides, int per_item, int copies)
 {
   const Links links = {light, held, first, second, near, far, count, sides};
   const int g = get_global_id(0);
   const size_t own = copies > 1 ? (size_t)g * rows * cols : 0;
   for (int p = g * per_item; p < min(rows * cols, g * per_item + per_item); ++p) {
-    spread_at(links, sum + own, gain[p] * (gain[p] * light[p] - target[p]) * unit, 0, rows, cols, p,
+    spread_at(links, sum + own, gain[p] * (gain[p] * light[p] - target[p]) * quanta, 0, rows, cols, p,
               copies > 1);
     spread_at(links, squares + own, gain[p] * gain[p] * fine, 1, rows, cols, p, copies > 1);
   }
@@ -854,19 +855,19 @@ long taken(__global long *sum, int i, int pixels, int copies)
   return all_;
 }
 
-/* begin: the downhill direction r = -(sum unit + lambda unbend (z - rest)), 0 where a bound holds z (free 0);
-   scale = squares fine + least; x = p = s = sum = squares = 0 for conjugate gradients. */
+/* begin: the downhill direction r = -(sum quantum + lambda unbend (z - rest)), 0 where a bound holds z (free
+   0); scale = squares fine + least; x = p = s = sum = squares = 0 for conjugate gradients. */
 __kernel void begin(__global const float *z, __global const float *rest, __global const float *low,
                     __global const float *high, __global long *sum, __global long *squares,
                     __global float *scale, __global float *r, __global float *x, __global float *p,
-                    __global float *s, __global float *is_free, float unit, float fine, float least,
+                    __global float *s, __global float *is_free, float quantum, float fine, float least,
                     float lambda_, int rows, int cols, int per_item, int copies)
 {
   const int g = get_global_id(0), pixels = rows * cols;
   for (int i = g * per_item; i < min(pixels, g * per_item + per_item); ++i) {
     const float smooth = (unbend(z + i, i % cols, cols, 1) + unbend(z + i, i / cols, rows, cols))
                          - (unbend(rest + i, i % cols, cols, 1) + unbend(rest + i, i / cols, rows, cols));
-    const float down = -(convert_float(taken(sum, i, pixels, copies)) * unit + lambda_ * smooth);
+    const float down = -(convert_float(taken(sum, i, pixels, copies)) * quantum + lambda_ * smooth);
     const float moves = (z[i] <= low[i] && down < 0) || (z[i] >= high[i] && down > 0) ? 0 : 1;
     scale[i] = convert_float(taken(squares, i, pixels, copies)) * fine + least;
     is_free[i] = moves;
@@ -972,11 +973,11 @@ __kernel void lengths(__global const float *r, __global const float *v, __global
    the quadratic model has gained; and what was asked for: lambda, damping, share of the first r v at which to
    stop. Two of them take turns, and so do the totals (3, SUM_SLOTS) of r v, v w and v v. */
 
-/* product: sum += unit transpose(J) gain^2 J v. */
+/* product: sum += quanta transpose(J) gain^2 J v. */
 void product_at(Links links, __global const float *gain, __global const float *v, __global long *sum,
-                float unit, int rows, int cols, int p, int exclusive)
+                float quanta, int rows, int cols, int p, int exclusive)
 {
-  spread_at(links, sum, gain[p] * gain[p] * change_at(links, v, rows, cols, p) * unit, 0, rows, cols, p,
+  spread_at(links, sum, gain[p] * gain[p] * change_at(links, v, rows, cols, p) * quanta, 0, rows, cols, p,
             exclusive);
 }
 
@@ -1035,15 +1036,15 @@ __kernel void product_beside(__global const float *restrict light, __global cons
     }
 }
 
-/* curve: w = free (sum / unit + lambda unbend v + damping scale v), the normal equations' matrix times v; sum
-   = 0; and what the node adds to r v, v w and v v. */
+/* curve: w = free (sum quantum + lambda unbend v + damping scale v), the normal equations' matrix times v;
+   sum = 0; and what the node adds to r v, v w and v v. */
 long3 curve_at(__global const float *r, __global const float *v, __global const float *scale,
-               __global const float *is_free, __global long *sum, __global float *w, float unit,
+               __global const float *is_free, __global long *sum, __global float *w, float quantum,
                float lambda_, float damping, double by_product, double by_square, int rows, int cols,
                int copies, int i)
 {
   const float smooth = unbend(v + i, i % cols, cols, 1) + unbend(v + i, i / cols, rows, cols);
-  w[i] = is_free[i] * (convert_float(taken(sum, i, rows * cols, copies)) * unit + lambda_ * smooth +
+  w[i] = is_free[i] * (convert_float(taken(sum, i, rows * cols, copies)) * quantum + lambda_ * smooth +
                        damping * scale[i] * v[i]);
   const double product = (double)r[i] * (double)v[i], curvature = (double)v[i] * (double)w[i],
                square = (double)v[i] * (double)v[i];
@@ -1059,10 +1060,10 @@ __kernel void curve(__global const float *r, __global const float *v, __global c
   const int g = get_global_id(0), pixels = rows * cols;
   if (g * per_item >= pixels || state[LEFT] <= 0)
     return;
-  const float unit = 1 / state[SCATTERED], lambda_ = state[LAMBDA], damping = state[DAMPING];
+  const float quantum = 1 / state[SCATTERED], lambda_ = state[LAMBDA], damping = state[DAMPING];
   long3 part = 0;
   for (int i = g * per_item; i < min(pixels, g * per_item + per_item); ++i)
-    part += curve_at(r, v, scale, is_free, sum, w, unit, lambda_, damping, state[UNIT_RV], state[UNIT_VV],
+    part += curve_at(r, v, scale, is_free, sum, w, quantum, lambda_, damping, state[UNIT_RV], state[UNIT_VV],
                      rows, cols, copies, i);
   atom_add(totals + g % SUM_SLOTS, part.x);
   atom_add(totals + SUM_SLOTS + g % SUM_SLOTS, part.y);
@@ -1173,14 +1174,14 @@ __kernel void solve(__global const float *restrict light, __global const int *re
   if (get_global_id(0) > 0)
     return;
   while (state[LEFT] > 0) {
-    const float to = state[SCATTERED], unit = 1 / state[SCATTERED], lambda_ = state[LAMBDA],
+    const float quanta = state[SCATTERED], quantum = 1 / state[SCATTERED], lambda_ = state[LAMBDA],
                 damping = state[DAMPING];
     const double by_product = state[UNIT_RV], by_square = state[UNIT_VV];
     long3 total = 0;
     for (int i = 0; i < pixels; ++i)
-      product_at(links, gain, v, sum, to, rows, cols, i, 1);
+      product_at(links, gain, v, sum, quanta, rows, cols, i, 1);
     for (int i = 0; i < pixels; ++i)
-      total += curve_at(r, v, scale, is_free, sum, w, unit, lambda_, damping, by_product, by_square, rows,
+      total += curve_at(r, v, scale, is_free, sum, w, quantum, lambda_, damping, by_product, by_square, rows,
                         cols, 1, i);
     const Turn turn = turn_of(state, total, fixed_, exact);
     for (int i = 0; i < STATE; ++i)

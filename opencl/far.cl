@@ -66,8 +66,8 @@ floats overview(__global const float *cells, __global const int *level, ints x0,
   return whole ? between : every > 0 ? part : NONE;
 }
 
-/* march: the far horizon at some nodes, as a line in the height it is seen from: slope = found[0] - height x
-found[1]. Of all samples of the overviews along the azimuth's ray it is the one that stands highest,
+/* march: the far horizon at some nodes, as a line in the height it is seen from: slope = lines[0] - height x
+lines[1]. Of all samples of the overviews along the azimuth's ray it is the one that stands highest,
 (sample - own height) / distance - drop x distance.
 
   cells     (total)             float  [spacing]  windows of all levels, one after another; NONE without data
@@ -80,7 +80,7 @@ found[1]. Of all samples of the overviews along the azimuth's ray it is the one 
   own       (n_rows x n_cols)   float  [spacing]  the nodes' heights
   at_row    (n_rows)            int    their rows in the map, not negative
   at_col    (n_cols)            int    their columns
-  found     (2, count, n_rows x n_cols) float  out: slope seen from height 0, and 1 / distance; NONE and 0
+  lines     (2, count, n_rows x n_cols) float  out: slope seen from height 0, and 1 / distance; NONE and 0
                                        where there is no far ground
   highest   no ground is higher: what cannot stand above the horizon is not looked at
   drop      [1 / spacing]  by how much ground falls off with distance^2, the Earth being round
@@ -89,7 +89,7 @@ rows, cols: of the map, at whose border rays end unless it repeats (periodic). W
 nodes from p LANES on of azimuth k. */
 __kernel void march(__global const float *cells, __global const int *levels, __global const float *steps,
                     __global const int *level_of, __global const float *azimuths, __global const float *own,
-                    __global const int *at_row, __global const int *at_col, __global float *found,
+                    __global const int *at_row, __global const int *at_col, __global float *lines,
                     int n_steps, int count, int n_rows, int n_cols, int rows, int cols, float highest,
                     float drop, int periodic)
 {
@@ -130,23 +130,23 @@ __kernel void march(__global const float *cells, __global const int *levels, __g
   STORE(seen, 0, out[0]);
   STORE(inverse, 0, out[1]);
   for (int l = 0; l < LANES && p + l < nodes; ++l) {
-    found[(size_t)k * nodes + p + l] = out[0][l];
-    found[((size_t)count + k) * nodes + p + l] = out[1][l];
+    lines[(size_t)k * nodes + p + l] = out[0][l];
+    lines[((size_t)count + k) * nodes + p + l] = out[1][l];
   }
 }
 
 /* interpolate: far horizons at every node of a map that is seen as sweeps see it, from four nodes of `march`
 about it, seen from the node's own height.
 
-  found    (2, count, nodes)      float  as march leaves it, nodes every `spread` rows and columns of a tile
+  lines     (2, count, nodes)      float  as march leaves it, nodes every `spread` rows and columns of a tile
   heights  (room)                 float  [spacing]  the padded map, (rows + 2 margin, cols + 2 margin)
   planes   (count, rows x cols)   float  out: slopes; NONE outside the tile and where there is no far ground
 
-Along is the direction of x, across that of y. stride_along, stride_across: between neighbours in `found`.
+Along is the direction of x, across that of y. stride_along, stride_across: between neighbours in `lines`.
 before_along, before_across: nodes of the map before the tile's first. along, across: nodes of the tile.
-last_along, last_across: the whole map's last node, from the tile's first, where the nodes of `found` end too.
+last_along, last_across: the whole map's last node, from the tile's first, where the nodes of `lines` end too.
 Work-item (i, y, k) owns nodes i run .. (i + 1) run - 1 of row y, azimuth k. */
-__kernel void interpolate(__global const float *restrict found, __global const float *restrict heights,
+__kernel void interpolate(__global const float *restrict lines, __global const float *restrict heights,
                           __global float *restrict planes, int count, int nodes, int spread, int rows,
                           int cols, int margin, int stride_along, int stride_across, int before_along,
                           int before_across, int along, int across, int last_along, int last_across, int run)
@@ -169,7 +169,7 @@ __kernel void interpolate(__global const float *restrict found, __global const f
     const int q = (x - before_along) / spread, first = before_along + q * spread,
               to_right = min(spread, last_along - q * spread);
     const int stop = min(end, min(first + spread, before_along + along));
-    __global const float *corner = found + (size_t)k * nodes + r * stride_across + q * stride_along;
+    __global const float *corner = lines + (size_t)k * nodes + r * stride_across + q * stride_along;
     const float slope_left = corner[0] + a * (corner[stride_across] - corner[0]);
     const float slope_right = corner[stride_along] +
                               a * (corner[stride_along + stride_across] - corner[stride_along]);

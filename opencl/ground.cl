@@ -43,15 +43,15 @@ __kernel void turn(__global const float *maps, __global float *turned, int rows,
     turned[first + y * rows + x] = maps[first + x * cols + y];
 }
 
-/* gather: sum n of each of both maps, (rows, cols) and (cols, rows), as irradiance [unit]. Work-item (x, y)
-   owns one node. */
+/* gather: sum n of each of both maps, (rows, cols) and (cols, rows), as irradiance, sum x quantum. Work-item
+   (x, y) owns one node. */
 __kernel void gather(__global const int *sum, __global const int *turned, __global float *irradiance,
-                     int rows, int cols, int n, float unit)
+                     int rows, int cols, int n, float quantum)
 {
   const int x = get_global_id(0), y = get_global_id(1);
   const size_t before = (size_t)n * rows * cols;
   if (x < cols && y < rows)
-    irradiance[y * cols + x] = (float)(sum[before + y * cols + x] + turned[before + x * rows + y]) * unit;
+    irradiance[y * cols + x] = (float)(sum[before + y * cols + x] + turned[before + x * rows + y]) * quantum;
 }
 
 /* openness: the angles from the zenith to the horizons of some azimuths, summed.
@@ -126,13 +126,13 @@ __kernel void halves(__global float *a, __global float *b, int count, int keep)
   image    (rows x cols)      float
   half     (rows x cols)      float  [image]    half a difference, as halves makes it; half_ here, since half
                                                 is a type
-  found    (5, blocks, cols)  float  out: sum of image, sum of half^2, and numbers of nodes that are valid,
+  sums     (5, blocks, cols)  float  out: sum of image, sum of half^2, and numbers of nodes that are valid,
                                      whose image is > 0, and whose |half| is > limit; blocks = ceil(rows /
                                      block)
 
 Work-item (x, b) owns column x of rows b block .. min((b + 1) block, rows) - 1, summed in this order. */
 __kernel void judge(__global const float *heights, __global const float *image, __global const float *half_,
-                    __global float *found, int rows, int cols, int margin, int block, float limit)
+                    __global float *sums, int rows, int cols, int margin, int block, float limit)
 {
   const int x = get_global_id(0), b = get_global_id(1), blocks = (rows + block - 1) / block;
   if (x >= cols || b >= blocks)
@@ -150,9 +150,9 @@ __kernel void judge(__global const float *heights, __global const float *image, 
     beyond += fabs(apart) > limit;
   }
   const int at = b * cols + x, all = blocks * cols;
-  found[at] = light;
-  found[all + at] = square;
-  found[2 * all + at] = (float)valid;
-  found[3 * all + at] = (float)lit;
-  found[4 * all + at] = (float)beyond;
+  sums[at] = light;
+  sums[all + at] = square;
+  sums[2 * all + at] = (float)valid;
+  sums[3 * all + at] = (float)lit;
+  sums[4 * all + at] = (float)beyond;
 }

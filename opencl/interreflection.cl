@@ -379,13 +379,13 @@ __kernel void gather_nodes(__global const float *restrict heights, __global cons
 /* strips: the sums of single rays, over every crossing with a column or a row, exactly.
 
   rays   (rays, 4)           float  column, row, cosine and sine of the azimuth
-  found  (LIGHTS + 2, rays)  float  out: sum of shares x radiance for every light, sum of shares of all that
+  sums   (LIGHTS + 2, rays)  float  out: sum of shares x radiance for every light, sum of shares of all that
                                     is not sky, and the sky's share; with the upward part of the normal: the
                                     mean over azimuths of the last two is 1
 
 reach [spacing]: as far as is looked. LANES is 1: work-item n owns a ray. */
 __kernel void strips(__global const float *heights, __global const float *light, __global const float *rays,
-                     __global float *found, int n_rays, int rows, int cols, int across, int margin, int shift,
+                     __global float *sums, int n_rays, int rows, int cols, int across, int margin, int shift,
                      int sides, float highest, float reach)
 {
 #if LANES == 1
@@ -465,8 +465,8 @@ __kernel void strips(__global const float *heights, __global const float *light,
     slope = max(slope, -own / min(to_wall(x, cosine, cols), to_wall(y, sine, rows)));
   const float up = 1 / sqrt(1 + gx * gx + gy * gy), sky = below(slope, plane);
   for (int l = 0; l < LIGHTS; ++l)
-    found[l * n_rays + n] = up * num[l];
-  found[LIGHTS * n_rays + n] = up * (sky - start);
-  found[(LIGHTS + 1) * n_rays + n] = up * (-plane * HALF_PI - sky);
+    sums[l * n_rays + n] = up * num[l];
+  sums[LIGHTS * n_rays + n] = up * (sky - start);
+  sums[(LIGHTS + 1) * n_rays + n] = up * (-plane * HALF_PI - sky);
 #endif
 }

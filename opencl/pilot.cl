@@ -84,7 +84,7 @@ __kernel void pilot(__global const float *heights, __global const float *tops, _
 it; the lowest node; and how many steps are cliffs.
 
   heights  (rows, cols)       float  [spacing]  <= -1e29 where masked
-  found    (3, down, across)  float  [spacing], [spacing], [1]  out
+  pooled   (3, down, across)  float  [spacing], [spacing], [1]  out
     [0]  highest valid node of the block, of the row and the column after it and of the node where these meet:
          round the map where that is periodic, else as far as it goes; -1e30 if there is none
     [1]  lowest valid node of the block itself; 1e30 if there is none
@@ -92,7 +92,7 @@ it; the lowest node; and how many steps are cliffs.
          (never round it), that rise or fall by more than cliff
 
 Work-item (bx, by) owns one block; its nodes along rows, from its first on. */
-__kernel void pool(__global const float *heights, __global float *found, int rows, int cols, int across,
+__kernel void pool(__global const float *heights, __global float *pooled, int rows, int cols, int across,
                    int down, int shift, int periodic, float cliff)
 {
   const int bx = get_global_id(0), by = get_global_id(1);
@@ -122,22 +122,22 @@ __kernel void pool(__global const float *heights, __global float *found, int row
     }
   }
   const int at = by * across + bx, blocks = down * across;
-  found[at] = highest;
-  found[blocks + at] = lowest;
-  found[2 * blocks + at] = (float)cliffs;
+  pooled[at] = highest;
+  pooled[blocks + at] = lowest;
+  pooled[2 * blocks + at] = (float)cliffs;
 }
 
 /* pick: some values of an array.
 
   values   (count)    float
-  at       (n_found)  int    which; below 0 for none
-  found    (n_found)  float  out; `missing` where there is none
+  at       (n_picked)  int    which; below 0 for none
+  picked   (n_picked)  float  out; `missing` where there is none
 
 Work-item n owns one that is picked. */
-__kernel void pick(__global const float *values, __global const int *at, __global float *found, int n_found,
+__kernel void pick(__global const float *values, __global const int *at, __global float *picked, int n_picked,
                    float missing)
 {
   const int n = get_global_id(0);
-  if (n < n_found)
-    found[n] = at[n] >= 0 ? values[at[n]] : missing;
+  if (n < n_picked)
+    picked[n] = at[n] >= 0 ? values[at[n]] : missing;
 }

@@ -21,7 +21,7 @@ __kernel void adopt(__global const float *values, __global const uchar *mask, __
 /* survey: what a map is like, over each column of some rows. +inf is masked.
 
   values  (rows x cols)      float  [length]
-  found   (8, blocks, cols)  float  out: the smallest and the largest value; numbers of values that are -inf
+  stats   (8, blocks, cols)  float  out: the smallest and the largest value; numbers of values that are -inf
                                     or nan, and of those that are no whole number of steps; sums of the
                                     squares of differences [length^2] to the neighbour at the right and below,
                                     where neither is masked; and how many these are; blocks = ceil(rows /
@@ -29,7 +29,7 @@ __kernel void adopt(__global const float *values, __global const uchar *mask, __
   step                      double [length]
 
 Work-item (x, b) owns column x of rows b block .. min((b + 1) block, rows) - 1, summed in this order. */
-__kernel void survey(__global const float *values, __global float *found, int rows, int cols, int block,
+__kernel void survey(__global const float *values, __global float *stats, int rows, int cols, int block,
                      double step)
 {
   const int x = get_global_id(0), b = get_global_id(1), blocks = (rows + block - 1) / block;
@@ -60,14 +60,14 @@ __kernel void survey(__global const float *values, __global float *found, int ro
     }
   }
   const int at = b * cols + x, all = blocks * cols;
-  found[at] = low;
-  found[all + at] = high;
-  found[2 * all + at] = (float)broken;
-  found[3 * all + at] = (float)fractional;
-  found[4 * all + at] = across;
-  found[5 * all + at] = down;
-  found[6 * all + at] = (float)pairs_across;
-  found[7 * all + at] = (float)pairs_down;
+  stats[at] = low;
+  stats[all + at] = high;
+  stats[2 * all + at] = (float)broken;
+  stats[3 * all + at] = (float)fractional;
+  stats[4 * all + at] = across;
+  stats[5 * all + at] = down;
+  stats[6 * all + at] = (float)pairs_across;
+  stats[7 * all + at] = (float)pairs_down;
 }
 
 /* layers: depth in whole steps, in place.
@@ -108,7 +108,7 @@ __kernel void heights(__global const float *depth, __global float *heights, int 
   heights[row * width + column] = value;
 }
 
-/* shade: image = max(image, least) x (albedo x unit), nan where masked.
+/* shade: image = max(image, least) x (albedo x factor), nan where masked.
 
   image   (count)       float  in and out
   depth   (count)       float  [length]  +inf where masked
@@ -116,12 +116,12 @@ __kernel void heights(__global const float *depth, __global float *heights, int 
 
 Work-item p owns one node. */
 __kernel void shade(__global float *image, __global const float *depth, __global const float *albedo,
-                    int varies, float unit, float least, int count)
+                    int varies, float factor, float least, int count)
 {
   const int p = get_global_id(0);
   if (p >= count)
     return;
-  const float share = albedo[varies ? p : 0] * unit;
+  const float share = albedo[varies ? p : 0] * factor;
   image[p] = depth[p] == INFINITY ? NAN : fmax(image[p], least) * share;
 }
 

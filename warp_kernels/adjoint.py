@@ -1085,7 +1085,7 @@ def downhill(
     target: wp.array[wp.float32],
     sum: wp.array[wp.int64],
     squares: wp.array[wp.int64],
-    unit: wp.float32,
+    quanta: wp.float32,
     fine: wp.float32,
     rows: wp.int32,
     cols: wp.int32,
@@ -1094,9 +1094,10 @@ def downhill(
     per_item: wp.int32,
     copies: wp.int32,
 ):
-    """sum += unit transpose(J) gain (gain E - target), and squares += fine x the diagonal of transpose(J)
-    gain^2 J, or what it is where no two links of a node lead to the same one. Thread g of this and of all
-    below owns ``per_item`` nodes. Here there is one copy of the sums.
+    """sum += quanta transpose(J) gain (gain E - target), and squares += fine x the diagonal of transpose(J)
+    gain^2 J, or what it is where no two links of a node lead to the same one. Sums are in fixed point:
+    ``quanta`` is how many integers make 1, ``quantum`` the value of one. Thread g of this and of all below
+    owns ``per_item`` nodes. Here there is one copy of the sums.
     """
     g = wp.tid()
     for p in range(g * per_item, wp.min(rows * cols, g * per_item + per_item)):
@@ -1108,7 +1109,7 @@ def downhill(
             near,
             far,
             sum,
-            gain[p] * (gain[p] * light[p] - target[p]) * unit,
+            gain[p] * (gain[p] * light[p] - target[p]) * quanta,
             0,
             rows,
             cols,
@@ -1148,7 +1149,7 @@ def begin(
     p: wp.array[wp.float32],
     s: wp.array[wp.float32],
     is_free: wp.array[wp.float32],
-    unit: wp.float32,
+    quantum: wp.float32,
     fine: wp.float32,
     least: wp.float32,
     lambda_: wp.float32,
@@ -1157,7 +1158,7 @@ def begin(
     per_item: wp.int32,
     copies: wp.int32,
 ):
-    """The downhill direction r = -(sum unit + lambda unbend (z - rest)), 0 where a bound holds z (free 0);
+    """The downhill direction r = -(sum quantum + lambda unbend (z - rest)), 0 where a bound holds z (free 0);
     scale = squares fine + least; x = p = s = sum = squares = 0 for conjugate gradients.
     """
     g = wp.tid()
@@ -1165,7 +1166,7 @@ def begin(
         smooth = (unbend(z, i, i % cols, cols, 1) + unbend(z, i, i / cols, rows, cols)) - (
             unbend(rest, i, i % cols, cols, 1) + unbend(rest, i, i / cols, rows, cols)
         )
-        down = -(wp.float32(sum[i]) * unit + lambda_ * smooth)
+        down = -(wp.float32(sum[i]) * quantum + lambda_ * smooth)
         moves = wp.float32(1.0)
         if (z[i] <= low[i] and down < 0.0) or (z[i] >= high[i] and down > 0.0):
             moves = 0.0
@@ -1313,7 +1314,7 @@ def product_at(
     gain: wp.array[wp.float32],
     v: wp.array[wp.float32],
     sum: wp.array[wp.int64],
-    unit: wp.float32,
+    quanta: wp.float32,
     rows: wp.int32,
     cols: wp.int32,
     count: wp.int32,
@@ -1330,7 +1331,7 @@ def product_at(
         near,
         far,
         sum,
-        gain[p] * gain[p] * change * unit,
+        gain[p] * gain[p] * change * quanta,
         0,
         rows,
         cols,
@@ -1359,7 +1360,7 @@ def product(
     per_item: wp.int32,
     copies: wp.int32,
 ):
-    """sum += unit transpose(J) gain^2 J v."""
+    """sum += quanta transpose(J) gain^2 J v."""
     g = wp.tid()
     if state[LEFT] > wp.float64(0.0):
         for p in range(g * per_item, wp.min(rows * cols, g * per_item + per_item)):
@@ -1474,7 +1475,7 @@ def curve_at(
     is_free: wp.array[wp.float32],
     sum: wp.array[wp.int64],
     w: wp.array[wp.float32],
-    unit: wp.float32,
+    quantum: wp.float32,
     lambda_: wp.float32,
     damping: wp.float32,
     by_product: wp.float64,
@@ -1483,11 +1484,11 @@ def curve_at(
     cols: wp.int32,
     i: wp.int32,
 ):
-    """w = free (sum unit + lambda unbend v + damping scale v), the normal equations' matrix times v; sum = 0;
-    and what the node adds to r v, v w and v v.
+    """w = free (sum quantum + lambda unbend v + damping scale v), the normal equations' matrix times v;
+    sum = 0; and what the node adds to r v, v w and v v.
     """
     smooth = unbend(v, i, i % cols, cols, 1) + unbend(v, i, i / cols, rows, cols)
-    w[i] = is_free[i] * (wp.float32(sum[i]) * unit + lambda_ * smooth + damping * scale[i] * v[i])
+    w[i] = is_free[i] * (wp.float32(sum[i]) * quantum + lambda_ * smooth + damping * scale[i] * v[i])
     sum[i] = wp.int64(0)
     product = wp.float64(r[i]) * wp.float64(v[i])
     curvature = wp.float64(v[i]) * wp.float64(w[i])
@@ -1516,7 +1517,7 @@ def curve(
     g = wp.tid()
     if state[LEFT] > wp.float64(0.0):
         part = Sums()
-        unit = wp.float32(wp.float64(1.0) / state[SCATTERED])
+        quantum = wp.float32(wp.float64(1.0) / state[SCATTERED])
         for i in range(g * per_item, wp.min(rows * cols, g * per_item + per_item)):
             part += curve_at(
                 r,
@@ -1525,7 +1526,7 @@ def curve(
                 is_free,
                 sum,
                 w,
-                unit,
+                quantum,
                 wp.float32(state[LAMBDA]),
                 wp.float32(state[DAMPING]),
                 state[UNIT_RV],
@@ -1696,7 +1697,7 @@ def solve(
     cols_16 = (cols_4 - 1) / COARSENING + 1
     while state[LEFT] > wp.float64(0.0):
         total = Sums()
-        unit = wp.float32(wp.float64(1.0) / state[SCATTERED])
+        quantum = wp.float32(wp.float64(1.0) / state[SCATTERED])
         for i in range(pixels):
             product_at(
                 light,
@@ -1723,7 +1724,7 @@ def solve(
                 is_free,
                 sum,
                 w,
-                unit,
+                quantum,
                 wp.float32(state[LAMBDA]),
                 wp.float32(state[DAMPING]),
                 state[UNIT_RV],

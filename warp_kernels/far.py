@@ -67,7 +67,7 @@ def march(
     own: wp.array[wp.float32],
     at_row: wp.array[wp.int32],
     at_col: wp.array[wp.int32],
-    found: wp.array3d[wp.float32],
+    lines: wp.array3d[wp.float32],
     n_steps: wp.int32,
     count: wp.int32,
     n_rows: wp.int32,
@@ -78,8 +78,8 @@ def march(
     drop: wp.float32,
     periodic: wp.int32,
 ):
-    """The far horizon at some nodes, as a line in the height it is seen from: slope = found[0] - height x
-    found[1]. Of all samples of the overviews along the azimuth's ray it is the one that stands highest,
+    """The far horizon at some nodes, as a line in the height it is seen from: slope = lines[0] - height x
+    lines[1]. Of all samples of the overviews along the azimuth's ray it is the one that stands highest,
     (sample - own height) / distance - drop x distance.
 
     Arguments as in opencl/far.cl. Thread (k, p) owns node p of azimuth k.
@@ -116,13 +116,13 @@ def march(
         best = best + h * inverse
     else:
         best = wp.float32(NONE)
-    found[0, k, p] = best
-    found[1, k, p] = inverse
+    lines[0, k, p] = best
+    lines[1, k, p] = inverse
 
 
 @wp.kernel
 def interpolate(
-    found: wp.array3d[wp.float32],
+    lines: wp.array3d[wp.float32],
     heights: wp.array[wp.float32],
     planes: wp.array2d[wp.float32],
     count: wp.int32,
@@ -165,14 +165,14 @@ def interpolate(
             to_right = wp.min(spread, last_along - q * spread)
             corner = r * stride_across + q * stride_along
             right = corner + stride_along
-            slope_left = found[0, k, corner]
-            slope_left += a * (found[0, k, corner + stride_across] - slope_left)
-            slope_right = found[0, k, right]
-            slope_right += a * (found[0, k, right + stride_across] - slope_right)
-            inverse_left = found[1, k, corner]
-            inverse_left += a * (found[1, k, corner + stride_across] - inverse_left)
-            inverse_right = found[1, k, right]
-            inverse_right += a * (found[1, k, right + stride_across] - inverse_right)
+            slope_left = lines[0, k, corner]
+            slope_left += a * (lines[0, k, corner + stride_across] - slope_left)
+            slope_right = lines[0, k, right]
+            slope_right += a * (lines[0, k, right + stride_across] - slope_right)
+            inverse_left = lines[1, k, corner]
+            inverse_left += a * (lines[1, k, corner + stride_across] - inverse_left)
+            inverse_right = lines[1, k, right]
+            inverse_right += a * (lines[1, k, right + stride_across] - inverse_right)
             part = zero
             if to_right > 0:
                 part = wp.float32(1.0) / wp.float32(to_right)

@@ -87,13 +87,13 @@ def gather(
     rows: wp.int32,
     cols: wp.int32,
     n: wp.int32,
-    unit: wp.float32,
+    quantum: wp.float32,
 ):
-    """Sum n of each of both maps, (rows, cols) and (cols, rows), as irradiance [unit]. Thread (y, x) owns
-    one node.
+    """Sum n of each of both maps, (rows, cols) and (cols, rows), as irradiance, sum x quantum. Thread (y, x)
+    owns one node.
     """
     y, x = wp.tid()
-    irradiance[y * cols + x] = wp.float32(sum[n, y * cols + x] + turned[n, x * rows + y]) * unit
+    irradiance[y * cols + x] = wp.float32(sum[n, y * cols + x] + turned[n, x * rows + y]) * quantum
 
 
 @wp.kernel
@@ -194,7 +194,7 @@ def judge(
     heights: wp.array[wp.float32],
     image: wp.array[wp.float32],
     half: wp.array[wp.float32],
-    found: wp.array2d[wp.float32],
+    sums: wp.array2d[wp.float32],
     rows: wp.int32,
     cols: wp.int32,
     margin: wp.int32,
@@ -206,7 +206,7 @@ def judge(
       heights  (room)             float32 [spacing]  as for sweep; a node is valid where > -1e29
       image    (rows x cols)      float32
       half     (rows x cols)      float32 [image]    half a difference, as halves makes it
-      found    (5, blocks, cols)  float32            out: sum of image, sum of half^2, and numbers of nodes
+      sums     (5, blocks, cols)  float32            out: sum of image, sum of half^2, and numbers of nodes
                                                      that are valid, whose image is > 0, and whose abs(half)
                                                      is > limit; blocks = ceil(rows / block)
 
@@ -230,8 +230,8 @@ def judge(
             if wp.abs(apart) > limit:
                 beyond += 1
     at = b * cols + x
-    found[0, at] = light
-    found[1, at] = square
-    found[2, at] = wp.float32(valid)
-    found[3, at] = wp.float32(lit)
-    found[4, at] = wp.float32(beyond)
+    sums[0, at] = light
+    sums[1, at] = square
+    sums[2, at] = wp.float32(valid)
+    sums[3, at] = wp.float32(lit)
+    sums[4, at] = wp.float32(beyond)

@@ -527,10 +527,10 @@ def gather_nodes(LIGHTS: int):
             mean = wp.float32(0.0)
             if den > wp.float32(0.0):
                 mean = num[m] / den
-            found = direct[q] + wp.float32(PI) * (wp.float32(1.0) - sky[p]) * mean
+            estimate = direct[q] + wp.float32(PI) * (wp.float32(1.0) - sky[p]) * mean
             if own <= wp.float32(HIGHEST_MASKED):
-                found = wp.float32(0.0)
-            irradiance[q] = found
+                estimate = wp.float32(0.0)
+            irradiance[q] = estimate
 
     return gather_nodes
 
@@ -545,7 +545,7 @@ def strips(LIGHTS: int):
         heights: wp.array[wp.float32],
         light: wp.array[wp.float32],
         rays: wp.array[wp.float32],
-        found: wp.array[wp.float32],
+        sums: wp.array[wp.float32],
         n_rays: wp.int32,
         rows: wp.int32,
         cols: wp.int32,
@@ -670,8 +670,8 @@ def strips(LIGHTS: int):
         up = wp.float32(1.0) / wp.sqrt(wp.float32(1.0) + gx * gx + gy * gy)
         sky = below(slope, plane)
         for m in range(LIGHTS):
-            found[m * n_rays + n] = up * num[m]
-        found[LIGHTS * n_rays + n] = up * (sky - start)
-        found[(LIGHTS + 1) * n_rays + n] = up * (-plane * wp.float32(HALF_PI) - sky)
+            sums[m * n_rays + n] = up * num[m]
+        sums[LIGHTS * n_rays + n] = up * (sky - start)
+        sums[(LIGHTS + 1) * n_rays + n] = up * (-plane * wp.float32(HALF_PI) - sky)
 
     return strips

@@ -138,7 +138,7 @@ def pilot(
 @wp.kernel
 def pool(
     heights: wp.array[wp.float32],
-    found: wp.array2d[wp.float32],
+    pooled: wp.array2d[wp.float32],
     rows: wp.int32,
     cols: wp.int32,
     across: wp.int32,
@@ -151,14 +151,14 @@ def pool(
     it; the lowest node; and how many steps are cliffs.
 
       heights   (rows, cols)       float32 [spacing]  <= -1e29 where masked
-      found     (3, down, across)  float32            out: the three that follow
-      found[0]                     float32 [spacing]  highest valid node of the block, of the row and the
+      pooled    (3, down, across)  float32            out: the three that follow
+      pooled[0]                    float32 [spacing]  highest valid node of the block, of the row and the
                                                       column after it and of the node where these meet: round
                                                       the map where that is periodic, else as far as it goes;
                                                       -1e30 if there is none
-      found[1]                     float32 [spacing]  lowest valid node of the block itself; 1e30 if there is
+      pooled[1]                    float32 [spacing]  lowest valid node of the block itself; 1e30 if there is
                                                       none
-      found[2]                     float32 [1]        steps from a valid node of the block to its right and to
+      pooled[2]                    float32 [1]        steps from a valid node of the block to its right and to
                                                       its lower neighbour, valid and on the map (never round
                                                       it), that rise or fall by more than cliff
 
@@ -194,31 +194,31 @@ def pool(
                         if below > HIGHEST_MASKED and wp.abs(below - here) > cliff:
                             cliffs += 1
     at = by * across + bx
-    found[0, at] = highest
-    found[1, at] = lowest
-    found[2, at] = wp.float32(cliffs)
+    pooled[0, at] = highest
+    pooled[1, at] = lowest
+    pooled[2, at] = wp.float32(cliffs)
 
 
 @wp.kernel
 def pick(
     values: wp.array[wp.float32],
     at: wp.array[wp.int32],
-    found: wp.array[wp.float32],
-    n_found: wp.int32,
+    picked: wp.array[wp.float32],
+    n_picked: wp.int32,
     missing: wp.float32,
 ):
     """Some values of an array.
 
       values   (count)    float32
-      at       (n_found)  int32    which; below 0 for none
-      found    (n_found)  float32  out; ``missing`` where there is none
+      at       (n_picked)  int32    which; below 0 for none
+      picked   (n_picked)  float32  out; ``missing`` where there is none
 
     Thread n owns one that is picked.
     """
     n = wp.tid()
-    if n >= n_found:
+    if n >= n_picked:
         return
     if at[n] >= 0:
-        found[n] = values[at[n]]
+        picked[n] = values[at[n]]
     else:
-        found[n] = missing
+        picked[n] = missing

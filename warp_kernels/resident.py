@@ -42,7 +42,7 @@ def adopt(
 @wp.kernel
 def survey(
     values: wp.array[wp.float32],
-    found: wp.array3d[wp.float32],
+    stats: wp.array3d[wp.float32],
     rows: wp.int32,
     cols: wp.int32,
     block: wp.int32,
@@ -51,7 +51,7 @@ def survey(
     """What a map is like, over each column of some rows. +inf is masked.
 
       values  (rows x cols)      float32 [length]
-      found   (8, blocks, cols)  float32  out: the smallest and the largest value; numbers of values that are
+      stats   (8, blocks, cols)  float32  out: the smallest and the largest value; numbers of values that are
                                           -inf or nan, and of those that are no whole number of steps; sums of
                                           the squares of differences [length^2] to the neighbour at the right
                                           and below, where neither is masked; and how many these are; blocks =
@@ -95,14 +95,14 @@ def survey(
         if wp.isfinite(below):
             down += (below - z) * (below - z)
             pairs_down += 1
-    found[0, b, x] = low
-    found[1, b, x] = high
-    found[2, b, x] = wp.float32(broken)
-    found[3, b, x] = wp.float32(fractional)
-    found[4, b, x] = across
-    found[5, b, x] = down
-    found[6, b, x] = wp.float32(pairs_across)
-    found[7, b, x] = wp.float32(pairs_down)
+    stats[0, b, x] = low
+    stats[1, b, x] = high
+    stats[2, b, x] = wp.float32(broken)
+    stats[3, b, x] = wp.float32(fractional)
+    stats[4, b, x] = across
+    stats[5, b, x] = down
+    stats[6, b, x] = wp.float32(pairs_across)
+    stats[7, b, x] = wp.float32(pairs_down)
 
 
 @wp.kernel
@@ -164,11 +164,11 @@ def shade(
     depth: wp.array[wp.float32],
     albedo: wp.array[wp.float32],
     varies: wp.int32,
-    unit: wp.float32,
+    factor: wp.float32,
     least: wp.float32,
     count: wp.int32,
 ):
-    """image = max(image, least) x (albedo x unit), nan where masked.
+    """image = max(image, least) x (albedo x factor), nan where masked.
 
       image   (count)       float32  in and out
       depth   (count)       float32 [length]  +inf where masked
@@ -182,7 +182,7 @@ def shade(
     q = wp.int32(0)
     if varies != 0:
         q = p
-    value = wp.max(image[p], least) * (albedo[q] * unit)
+    value = wp.max(image[p], least) * (albedo[q] * factor)
     if depth[p] == wp.float32(wp.inf):
         value = wp.float32(wp.nan)
     image[p] = value

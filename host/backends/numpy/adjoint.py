@@ -732,7 +732,7 @@ def downhill(
     target: np.ndarray,
     sum: np.ndarray,
     squares: np.ndarray,
-    unit: float,
+    quanta: float,
     fine: float,
     rows: int,
     cols: int,
@@ -742,7 +742,7 @@ def downhill(
     copies: int,
 ) -> None:
     links = light, held, first, second, near, far
-    _spread(*links, sum[0], gain * (gain * light[0] - target) * f32(unit), False, rows, cols, sides)
+    _spread(*links, sum[0], gain * (gain * light[0] - target) * f32(quanta), False, rows, cols, sides)
     _spread(*links, squares[0], gain * gain * f32(fine), True, rows, cols, sides)
 
 
@@ -759,7 +759,7 @@ def begin(
     p: np.ndarray,
     s: np.ndarray,
     is_free: np.ndarray,
-    unit: float,
+    quantum: float,
     fine: float,
     least: float,
     lambda_: float,
@@ -769,7 +769,8 @@ def begin(
     copies: int,
 ) -> None:
     down = -(
-        sum[0].astype(f32) * f32(unit) + f32(lambda_) * (_unbend(z, rows, cols) - _unbend(rest, rows, cols))
+        sum[0].astype(f32) * f32(quantum)
+        + f32(lambda_) * (_unbend(z, rows, cols) - _unbend(rest, rows, cols))
     )
     is_free[:] = ~(((z <= low) & (down < 0)) | ((z >= high) & (down > 0)))
     scale[:] = squares[0].astype(f32) * f32(fine) + f32(least)

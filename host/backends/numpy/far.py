@@ -49,7 +49,7 @@ def march(
     own: np.ndarray,
     at_row: np.ndarray,
     at_col: np.ndarray,
-    found: np.ndarray,
+    lines: np.ndarray,
     n_steps: int,
     count: int,
     n_rows: int,
@@ -82,12 +82,12 @@ def march(
             )
             higher = slope > best[left]
             best[left[higher]], inverse[left[higher]] = slope[higher], reciprocal
-        found[0, k] = np.where(best > HIGHEST_MASKED, best + heights * inverse, NONE)
-        found[1, k] = inverse
+        lines[0, k] = np.where(best > HIGHEST_MASKED, best + heights * inverse, NONE)
+        lines[1, k] = inverse
 
 
 def interpolate(
-    found: np.ndarray,
+    lines: np.ndarray,
     heights: np.ndarray,
     planes: np.ndarray,
     count: int,
@@ -119,7 +119,7 @@ def interpolate(
     corner = r * stride_across + q * stride_along
     for k, plane in enumerate(planes.reshape(count, rows, cols)):
         sides = []
-        for line in found[:, k]:
+        for line in lines[:, k]:
             left, right = (
                 line[at] + a * (line[at + stride_across] - line[at]) for at in (corner, corner + stride_along)
             )

@@ -37,10 +37,10 @@ def turn(maps: np.ndarray, turned: np.ndarray, rows: int, cols: int, count: int)
 
 
 def gather(
-    sum: np.ndarray, turned: np.ndarray, irradiance: np.ndarray, rows: int, cols: int, n: int, unit: float
+    sum: np.ndarray, turned: np.ndarray, irradiance: np.ndarray, rows: int, cols: int, n: int, quantum: float
 ) -> None:
     light = sum[n].reshape(rows, cols) + turned[n].reshape(cols, rows).T
-    light = light.astype(np.float32) * np.float32(unit)
+    light = light.astype(np.float32) * np.float32(quantum)
     irradiance.view(np.float32).reshape(rows, cols)[...] = light  # the same memory as ``sum``
 
 
@@ -78,7 +78,7 @@ def judge(
     heights: np.ndarray,
     image: np.ndarray,
     half: np.ndarray,
-    found: np.ndarray,
+    sums: np.ndarray,
     rows: int,
     cols: int,
     margin: int,
@@ -91,15 +91,15 @@ def judge(
         heights.reshape(rows + 2 * margin, cols + 2 * margin)[margin : margin + rows, margin : margin + cols]
         > HIGHEST_MASKED
     )
-    found = found.reshape(5, blocks, cols)
-    found[:] = 0
+    sums = sums.reshape(5, blocks, cols)
+    sums[:] = 0
     # the first rows of all blocks, then their second: each sum in the order of its rows
     for first in range(min(block, rows)):
         rest = np.s_[first::block]
         some, here, apart = known[rest], image[rest], half[rest]
         counted: tuple[Any, ...] = ONE, here > 0, abs(apart) > np.float32(limit)
-        for sums, terms in zip(found, (here, apart * apart, *counted)):
-            sums[: len(some)] += np.where(some, terms, np.float32(0))
+        for total, terms in zip(sums, (here, apart * apart, *counted)):
+            total[: len(some)] += np.where(some, terms, np.float32(0))
 
 
 def openness(slopes: np.ndarray, widths: np.ndarray, sums: np.ndarray, count: int, pixels: int) -> None:

@@ -343,15 +343,15 @@ def gather_nodes(
     own, p = heights[layout.place(c, y)], y * cols + c
     for light_of, num in zip(range(LIGHTS), strips.num):
         mean = np.where(strips.den > 0, num / np.where(strips.den > 0, strips.den, ONE), ZERO)
-        found = direct.reshape(LIGHTS, -1)[light_of, p] + PI * (ONE - sky.ravel()[p]) * mean
-        irradiance.reshape(LIGHTS, -1)[light_of, p] = np.where(own <= HIGHEST_MASKED, ZERO, found)
+        estimate = direct.reshape(LIGHTS, -1)[light_of, p] + PI * (ONE - sky.ravel()[p]) * mean
+        irradiance.reshape(LIGHTS, -1)[light_of, p] = np.where(own <= HIGHEST_MASKED, ZERO, estimate)
 
 
 def strips(
     heights: np.ndarray,
     light: np.ndarray,
     rays: np.ndarray,
-    found: np.ndarray,
+    sums: np.ndarray,
     n_rays: int,
     rows: int,
     cols: int,
@@ -366,7 +366,7 @@ def strips(
     layout, rays, out = (
         _Layout(rows, cols, across, margin, shift),
         rays.reshape(-1, 4),
-        found.reshape(-1, n_rays),
+        sums.reshape(-1, n_rays),
     )
     for some in np.array_split(np.arange(n_rays), n_rays // 2**16 + 1):  # so that memory stays small
         x, y = (rays[some, k].astype(np.int64) for k in (0, 1))

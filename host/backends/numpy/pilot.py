@@ -84,7 +84,7 @@ def pilot(
 
 def pool(
     heights: np.ndarray,
-    found: np.ndarray,
+    pooled: np.ndarray,
     rows: int,
     cols: int,
     across: int,
@@ -93,7 +93,7 @@ def pool(
     periodic: int,
     cliff: float,
 ) -> None:
-    size, found = 1 << shift, found.reshape(3, down, across)
+    size, pooled = 1 << shift, pooled.reshape(3, down, across)
     heights = heights.reshape(rows, cols)
     known = heights > HIGHEST_MASKED
     heights = np.where(known, heights, NONE)
@@ -115,9 +115,9 @@ def pool(
         known[1:] & known[:-1] & (abs(heights[1:] - heights[:-1]) > np.float32(cliff))
     )
     blocks = down, size, across, size
-    found[:] = top, low.reshape(blocks).min((1, 3)), cliffs.reshape(blocks).sum((1, 3))
+    pooled[:] = top, low.reshape(blocks).min((1, 3)), cliffs.reshape(blocks).sum((1, 3))
 
 
-def pick(values: np.ndarray, at: np.ndarray, found: np.ndarray, n_found: int, missing: float) -> None:
-    at = at[:n_found]
-    found[:n_found] = np.where(at >= 0, values.reshape(-1)[np.maximum(at, 0)], np.float32(missing))
+def pick(values: np.ndarray, at: np.ndarray, picked: np.ndarray, n_picked: int, missing: float) -> None:
+    at = at[:n_picked]
+    picked[:n_picked] = np.where(at >= 0, values.reshape(-1)[np.maximum(at, 0)], np.float32(missing))

@@ -19,7 +19,7 @@ def adopt(
     depth.reshape(-1)[:count] = found
 
 
-def survey(values: np.ndarray, found: np.ndarray, rows: int, cols: int, block: int, step: float) -> None:
+def survey(values: np.ndarray, stats: np.ndarray, rows: int, cols: int, block: int, step: float) -> None:
     values = values.reshape(-1)[: rows * cols].reshape(rows, cols)
     room = np.full((rows + 1, cols + 1), np.inf, np.float32)
     room[:-1, :-1] = values
@@ -27,18 +27,18 @@ def survey(values: np.ndarray, found: np.ndarray, rows: int, cols: int, block: i
         some = slice(b * block, min((b + 1) * block, rows))
         z = values[some]
         known = np.isfinite(z)
-        found[0, b], found[1, b] = (
+        stats[0, b], stats[1, b] = (
             np.where(known, z, NO_CEILING).min(0),
             np.where(known, z, -NO_CEILING).max(0),
         )
-        found[2, b] = (~known & (z != np.inf)).sum(0)
+        stats[2, b] = (~known & (z != np.inf)).sum(0)
         with np.errstate(invalid="ignore", over="ignore"):
-            found[3, b] = (known & ((np.rint(z.astype(float) / step) * step).astype(np.float32) != z)).sum(0)
+            stats[3, b] = (known & ((np.rint(z.astype(float) / step) * step).astype(np.float32) != z)).sum(0)
             for n, there in enumerate((room[some, 1:], room[some.start + 1 : some.stop + 1, :-1])):
                 pair = known & np.isfinite(there)
                 # in the order of the rows, as the kernels add
-                found[4 + n, b] = np.cumsum(np.where(pair, (there - z) ** 2, 0), 0, np.float32)[-1]
-                found[6 + n, b] = pair.sum(0)
+                stats[4 + n, b] = np.cumsum(np.where(pair, (there - z) ** 2, 0), 0, np.float32)[-1]
+                stats[6 + n, b] = pair.sum(0)
 
 
 def layers(depth: np.ndarray, step: float, count: int) -> None:
@@ -73,11 +73,11 @@ def shade(
     depth: np.ndarray,
     albedo: np.ndarray,
     varies: int,
-    unit: float,
+    factor: float,
     least: float,
     count: int,
 ) -> None:
-    share = albedo.reshape(-1)[: count if varies else 1] * np.float32(unit)
+    share = albedo.reshape(-1)[: count if varies else 1] * np.float32(factor)
     found = np.maximum(image.reshape(-1)[:count], np.float32(least)) * share
     image.reshape(-1)[:count] = np.where(depth.reshape(-1)[:count] == np.inf, np.float32(np.nan), found)
 
