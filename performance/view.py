@@ -4,8 +4,8 @@
 
 Serves the terrain that skylamp brings, mirrored to 512 x 512 nodes, and moves the mouse round the middle of
 the picture for three seconds, once with every frame of the screen. A frame counts when the browser has loaded
-it and draws it. Needs selenium, `pip install '.[view]'` and `apt-get install chromium chromium-driver`. Browser
-and server share the cores. Writes view.csv; a minute.
+it and draws it. Browser and server share the cores. Writes view.csv; a minute.
+Needs selenium, `pip install '.[view]'` and `apt-get install chromium chromium-driver`.
 """
 
 import argparse
