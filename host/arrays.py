@@ -18,7 +18,7 @@ from .errors import bad
 
 
 class Labels(NamedTuple):
-    """What an xarray.DataArray has besides its values."""
+    """The parts of an xarray.DataArray besides its values."""
 
     dims: tuple[Hashable, ...]
     coords: dict[Hashable, Any]
@@ -27,7 +27,7 @@ class Labels(NamedTuple):
 
 
 class Quantity(NamedTuple):
-    """What the values of a map are: its name, its unit (None: that of the source), and a description."""
+    """The quantity that a map holds: its name, its unit (None: that of the source), and a description."""
 
     name: str
     units: str | None
@@ -70,7 +70,7 @@ def multiply(image: np.ndarray, factor: float | np.ndarray) -> None:
 def scratch(shape: tuple[int, ...]) -> np.ndarray:
     """Zeros, float32, whose memory the system gets back when they are dropped.
 
-    malloc would keep some 30 MB of what is freed.
+    malloc would keep some 30 MB of freed memory.
     """
     count = math.prod(shape)
     if count < BAND:
@@ -163,9 +163,7 @@ def labels_of(values: Any) -> Labels | None:
 
 
 DEGREES = ("degree", "degrees", "degrees_north", "degrees_east", "degree_north", "degree_east")
-UNEVEN = (
-    0.01  # by how much of the spacing it may differ along an axis, or between both: slopes are so far off
-)
+UNEVEN = 0.01  # of the spacing, by which it may differ along an axis or between both: slopes have that error
 
 
 def spacing_of(labels: Labels | None) -> float:

@@ -1,4 +1,4 @@
-"""What arguments go through before anything else: one clear error each."""
+"""Checks of arguments before any work: one clear error each."""
 
 from __future__ import annotations
 

@@ -5,7 +5,7 @@ a float as a float32 literal, a tuple ``NAME`` as ``NAME_0``, ``NAME_1``, ...
 """
 
 # Numbers of kinds, in order
-OPEN, DARK, PERIODIC = range(3)  # what stands at the sides of the map
+OPEN, DARK, PERIODIC = range(3)  # surroundings of the map
 SIDES = {"open": OPEN, "dark": DARK, "periodic": PERIODIC}
 SKY, RECTANGLE, APERTURE, BALL, VOLUME = range(5)  # kinds of sources of a lattice
 SLOPES, UNIFORM, TABLE = range(3)  # WHAT the kernel `sweep` makes of horizon slopes, opencl/horizon.cl
@@ -57,8 +57,8 @@ SQUARE = 8
 SLICES = 8  # slices of a node come in multiples of this: lanes of a vector on a CPU
 
 # Light between surfaces, opencl/interreflection.cl
-# least share of a node's light that leaves its surroundings, in the light that rounds begin with: a node that
-# sees no sky among white ground would begin at infinity; chosen
+# least share of a node's light that leaves its surroundings, in the light that rounds begin with: without it
+# a node without sky among white ground would begin at infinity; chosen
 LEAST_ESCAPE = 1e-3
 # second difference of the ground [spacing] from which on the light of a node is not interpolated: at the edge
 # of a slope of 45 degrees it is 1, at that of a wall more than 2; chosen

@@ -6,7 +6,7 @@ class SkylampError(Exception):
 
 
 class InputError(SkylampError, ValueError):
-    """An argument or a file is not what it must be."""
+    """An argument or a file is not valid."""
 
 
 class BackendError(SkylampError, RuntimeError):
@@ -22,10 +22,10 @@ class OutOfTimeError(SkylampError, TimeoutError):
 
 
 def bad(what: str, got: object, allowed: str, fix: str = "") -> InputError:
-    """An InputError that says what is wrong, what was got, what is allowed, and how to mend it."""
+    """An InputError with the fault, the value got, the allowed values and the fix."""
     return InputError(f"{what}: got {got}; allowed: {allowed}." + (f" {fix}" if fix else ""))
 
 
 def lacking(what: str, package: str, extra: str) -> InputError:
-    """An InputError for what needs a package that is not installed: names the pip command."""
+    """An InputError for a package that is not installed, with the pip command that installs it."""
     return InputError(f"{what} needs {package}, which is not installed: pip install 'skylamp[{extra}]'")

@@ -111,7 +111,7 @@ def sky_view_factor(
     tiling: Tiling | None = None,
     max_seconds: float | None = None,
 ) -> np.ndarray:
-    """Share of the sky that every node sees: (rows, cols) float32, 0 to 1, nan where the scene is masked.
+    """Share of the sky visible from every node: (rows, cols) float32, 0 to 1, nan where the scene is masked.
 
     ``definition``, with h the horizon's elevation, not below 0:
 
@@ -236,7 +236,7 @@ def _rays(azimuths: Azimuths, axes: tuple[float, float], part: slice = slice(Non
 
 
 def _scene_of(given: Any) -> Scene:
-    """A scene of heights that an xarray.DataArray holds; what is given, of anything else."""
+    """The scene of an xarray.DataArray of heights; anything else is returned as it is."""
     scene = given if labels_of(given) is None else Scene.from_height(given)
     is_scene(scene)
     return scene

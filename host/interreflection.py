@@ -1,9 +1,9 @@
 """Light between surfaces: whether a scene needs it, and rounds of gathering until it is within the tolerance.
 
 A node of albedo rho that sees a share f of the sky sends light to itself by way of its neighbours; if these
-were all like it, its irradiance would be E_d / (1 - rho (1 - f)). What that adds tells, from samples alone,
-whether the light between surfaces counts. Where it does, light/interreflection.py gathers it, and exact
-strips at some nodes tell the error.
+were all like it, its irradiance would be E_d / (1 - rho (1 - f)). From samples alone, the difference to E_d
+decides whether the light between surfaces is computed. light/interreflection.py then gathers it, and exact
+strips at some nodes estimate the error.
 """
 
 from __future__ import annotations
@@ -26,19 +26,20 @@ from .scene import Scene
 from .sources.integrals import even
 
 NEEDED = 1 / 3  # of the tolerance: what may be left out
-# nodes whose light is computed by exact strips; chosen: they tell an RMS to 1 / sqrt(2 x 144), 6 %, and their
-# strips take time in proportion
+# nodes whose light is computed by exact strips; chosen: they estimate an RMS to 1 / sqrt(2 x 144), 6 %, and
+# their strips take time in proportion
 CHECKED = 144
-# share of the tolerance that an estimate may take, of direct light or all; chosen: samples know an RMS to
-# some 10 %, and with 0.95 one image in twelve at 0.3 % was 1 to 1.4 tolerances off
+# share of the tolerance that an estimate may take, of direct light or all; chosen: samples estimate an RMS to
+# some 10 %, and with 0.95 one image in twelve at 0.3 % had an error of 1 to 1.4 tolerances
 ESTIMATE_SHARE = 0.85
 UNFINISHED = 0.1  # of the tolerance: light that bounces more often than there are rounds; chosen
 MOST_COARSE_ROUNDS = 8
-# share of ground below which a node sees none, and gets no light from it: rounding; chosen
+# share of ground below which it counts as none visible from a node, and gets no light from it: rounding;
+# chosen
 LEAST_GROUND = 1e-6
 # RMS error of a uniform sky's light over pi by even azimuths, on rough ground (performance/horizon.py)
 AZIMUTH_ERRORS = {16: 0.0031, 32: 0.0011, 64: 0.00037, 128: 0.00013}
-# of the tolerance that azimuths may take where they tell the share of sky, and at checked nodes; chosen
+# of the tolerance that azimuths may take for the share of sky, and at checked nodes; chosen
 SKY_ERROR, CHECK_ERROR = 0.4, 0.15
 # the same of the share of sky among cliffs, where the error of azimuths is some three times that on rough
 # ground, and rows within which every crossing is tested there, as for the direct light
@@ -61,20 +62,20 @@ LEVELS = (
 CLIFF_ERROR, CLIFF_SHARE = 0.04, 0.2
 # where it does, edges hide much: crossings met one by one at least, and rounds of each level but the first
 CLIFF_NEAR, CLIFF_ROUNDS = 16, 2
-# from this level on, one that leaves more than this share of the error is the last: what is left is not what
-# more azimuths mend
+# from this level on, one that leaves more than this share of the error is the last: more azimuths
+# do not reduce the rest
 GAINED_FROM, GAIN = 3, 0.9
 
 
 @dataclass(frozen=True)
 class Interreflection:
-    """What was done about the light between surfaces.
+    """The decision about the light between surfaces, its reason and its error.
 
-    included: whether it is in the image, None where that is told while a lazy image is computed; reason: why,
-    or why not; share: RMS of this light over the mean of the direct light, None where it was not estimated;
-    rounds of gathering, the last in ``azimuths`` at every ``stride``-th node; error: of all light, RMS over
-    its mean, by exact strips at some nodes. Where this light is left out, and where every tile has rounds of
-    its own, rounds is 0, and azimuths, stride and error are None.
+    included: whether it is in the image, None where that is decided while a lazy image is computed; reason:
+    why, or why not; share: RMS of this light over the mean of the direct light, None where it was not
+    estimated; rounds of gathering, the last in ``azimuths`` at every ``stride``-th node; error: of all light,
+    RMS over its mean, by exact strips at some nodes. Where this light is left out, and where every tile has
+    rounds of its own, rounds is 0, and azimuths, stride and error are None.
     """
 
     included: bool | None
@@ -113,8 +114,8 @@ def local_share(
 ) -> float:
     """RMS of E_d q^(n + 1) / (1 - q) over the mean of E_d, q = albedo (1 - f), n = ``after`` bounces.
 
-    That is what nodes send to themselves if all ground is like them: an estimate of the light between
-    surfaces, or of what is left of it after some bounces.
+    That is the light that nodes send to themselves if all ground is like them: an estimate of the light
+    between surfaces, or of the rest of it after some bounces.
     """
     light = float(np.average(direct, weights=weights))
     if not light > 0:
@@ -176,7 +177,7 @@ def check_choice(interreflection: Any) -> None:
 
 
 def choice(interreflection: bool | str, share: float | None, tolerance: float) -> tuple[str, str]:
-    """(what is done about it, why), for a plan."""
+    """(decision, reason), for a plan."""
     why = reason(share, tolerance)
     if isinstance(interreflection, bool):
         return ("included" if interreflection and share != 0 else "left out"), f"as asked; {why}"
@@ -202,7 +203,7 @@ def _first_level(share: float, tolerance: float) -> int:
 
 
 def sky_share(scene: Scene, engine: Backend, tolerance: float, has_cliffs: bool = False) -> DeviceImage:
-    """Share of sky that every node sees, cosine-weighted, by a sweep."""
+    """Cosine-weighted share of the sky visible from every node, by a sweep."""
     sectors = even(_azimuths((CLIFF_SKY_ERROR if has_cliffs else SKY_ERROR) * tolerance), OFFSET)
     ground = ground_of(scene, None, engine)
     near = FINE_NEAR if has_cliffs else None
@@ -230,9 +231,9 @@ def included(
     """All light within the tolerance, from the direct light of each colour.
 
     One light may be a DeviceImage, which is used in place. ``error``: RMS of that of ``direct`` over its
-    mean; ``sky``: share of sky at every node, if that is what ``direct`` is proportional to. ``beyond``:
-    ``sky`` is that of a part of a map, beyond which ground hides sky too. A node takes it to be as bright as
-    the ground of the part that it sees.
+    mean; ``sky``: share of sky at every node, if ``direct`` is proportional to it. ``beyond``:
+    ``sky`` is that of a part of a map, beyond which ground hides sky too. That ground
+    counts as being as bright as the ground that is visible within the part.
     """
     samples = samples_of(engine, scene, CHECKED)
     is_uniform = sky is not None and not beyond
@@ -304,14 +305,14 @@ class _Check:
         self.share = self._left(0)
 
     def _left(self, rounds: int) -> float:
-        """What bounces more often than ``rounds`` times, of the worst colour."""
+        """Light that bounces more often than ``rounds`` times, of the worst colour."""
         return max(
             local_share(light, self.sky, share, self.samples.weights, rounds)
             for light, share in zip(self.direct, self.albedo)
         )
 
     def coarse_rounds(self, tolerance: float) -> int:
-        """Rounds of the coarse gather until what bounces more often is UNFINISHED of the tolerance.
+        """Rounds of the coarse gather until light that bounces more often is UNFINISHED of the tolerance.
 
         The start is the light of a node among its like, and one round more is at least that of the first
         level.

@@ -181,7 +181,7 @@ def propagate(
 
 
 def _shifted(values: np.ndarray, i: int, j: int, sides: str, leaving: np.ndarray) -> np.ndarray:
-    """values at x + l, or what a ray that leaves sideways sees."""
+    """values at x + l, or the value for a ray that leaves sideways."""
     rows, cols = values.shape
     y, x = np.mgrid[:rows, :cols]
     if sides == "periodic":
@@ -589,7 +589,8 @@ def strips(
     sides: str = "open",
     nodes: Node | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """What nodes see of the ground and of the sky: (shares (n, rows x cols), sky (n,)), float64.
+    """Shares of the ground and of the sky that are visible from nodes: (shares (n, rows x cols), sky (n,)),
+    float64.
 
     ``shares @ g`` is the irradiance over pi that ground of radiance g (rows x cols) sends; ``sky`` the same
     of a sky of radiance 1. Azimuths are even, each of its share of the circle. In each, every crossing with a
@@ -842,7 +843,7 @@ def window_irradiance(
     def aim(origin: np.ndarray, u: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         if sides != "periodic" and origin[2] > 0:
             return _to_rectangle((x0, y0, 0.0), (x1 - x0, 0.0, 0.0), (0.0, y1 - y0, 0.0), origin, u, v)
-        # every direction, and whether it passes: a node in the window's own plane sees the whole sky or none
+        # every direction, and whether it passes: from the window's own plane the whole sky is visible or none
         L = _upwards(u, v)
         ends = origin[2] / -L[:, 2]
         through = np.ones(len(L), bool)

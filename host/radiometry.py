@@ -79,9 +79,9 @@ def transfer(
 ) -> Quantity:
     """Power [W] from patch 1 to patch 2: d3E = L cos(theta_1) cos(theta_2) dA_1 dA_2 / r^2 per unit of time.
 
-    ``radiance``: of patch 1 towards patch 2. Radiance is constant along a ray, so patch 2 sees the same L,
-    and what leaves is what arrives: the formula is the same with the patches exchanged. Arguments broadcast;
-    small patches.
+    ``radiance``: of patch 1 towards patch 2. Radiance is constant along a ray, so patch 2 receives the same
+    L, and what leaves is what arrives: the formula is the same with the patches exchanged. Arguments
+    broadcast; small patches.
     """
     return np.asarray(radiance) * cosine_1 * area_1 * patch_solid_angle(area_2, cosine_2, distance)
 
@@ -274,7 +274,7 @@ def disc_moment(axis: ArrayLike, sine: ArrayLike, above: ArrayLike | None = None
     towards = above - height * axis  # across the axis, to the side that counts
     width = np.linalg.norm(towards, axis=-1, keepdims=True)
     towards = towards / np.where(width > 0, width, 1)
-    # half of what is left of the circle
+    # half of the rest of the circle
     arc = np.arccos(np.clip(-height * cosine / np.maximum(width * sine, 1e-300), -1, 1))
     chord = 2 * np.arcsin(np.clip(sine * np.sin(arc), -1, 1))  # the plane's arc between its two ends
     return arc * sine**2 * axis - cosine * sine * np.sin(arc) * towards + chord / 2 * above

@@ -1,4 +1,4 @@
-"""Reflectance: what a surface makes of the light that it gets (docs/explanation; the notes on radiometry).
+"""Reflectance of surfaces (docs/explanation; the notes on radiometry).
 
 A BRDF f [sr^-1] is the ratio of outgoing radiance to incident irradiance. Here directions are unit vectors
 (..., 3) in the surface's own frame: z along the normal, x along the map's columns and y along its rows, both
@@ -125,8 +125,8 @@ class BRDF:
     """Any reflectance, given as a function f(incoming, outgoing) [sr^-1] of two arrays (..., 3) -> (...).
 
     Its directional-hemispheric reflectance is integrated numerically for incoming directions all over the
-    hemisphere; an InputError says where it gives more than it gets, and by how much. ``largest`` is the
-    largest that was found. ``asymmetry``: the largest |f(i, o) - f(o, i)| over the largest f, near 0 where f
+    hemisphere; an InputError gives the direction for which it exceeds 1, and the excess. ``largest`` is the
+    largest value found. ``asymmetry``: the largest |f(i, o) - f(o, i)| over the largest f, near 0 where f
     is reciprocal.
     """
 
@@ -197,7 +197,7 @@ def grooves(white: float = 0.9, black: float = 0.0, steepness: float = 45.0) -> 
     Their faces are white on one side and black on the other.
 
     The white faces look towards -x and the black ones towards +x, each ``steepness`` [degrees] from level and
-    Lambertian with the given albedo; light that goes from face to face is left out. A face is lit, and seen,
+    Lambertian with the given albedo; light from face to face is left out. A face is lit, and visible,
     from its upper edge down to where the opposite edge hides it, so f is reciprocal.
 
     Returns
@@ -316,7 +316,7 @@ def _shares(reflectance: Phong | Mirror) -> None:
             reflectance, name, share(getattr(reflectance, name), f"{type(reflectance).__name__}: {name}")
         )
     values = [np.asarray(getattr(reflectance, name), float) for name in ("albedo", "specular")]
-    if all(v.ndim < 2 for v in values):  # maps are checked in their scene, where it is known what is masked
+    if all(v.ndim < 2 for v in values):  # maps are checked in their scene, where the mask is known
         if not all((v >= 0).all() and (v <= 1).all() for v in values):
             raise bad("albedo, specular: out of range", [v.tolist() for v in values], "finite, 0 to 1")
         bounded(values[0] + values[1])

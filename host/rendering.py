@@ -54,7 +54,7 @@ ERRORS = {name: Quantity(f"{name}_error", None, f"estimated error of the {name}"
 DEFAULT_AZIMUTHS = 64  # of method "horizon", unless given
 DEFAULT_HEMICUBE = 9  # of the hemicube of method "lattice", unless given
 SUN_DISTANCE = 1e5  # extents of the map at which the sun stands: a hundred-thousandth of a radian across it
-# nodes to each side of a node over which the error map is a mean: halves tell of regions, not of nodes
+# nodes to each side of a node over which the error map is a mean: halves estimate regions, not single nodes
 ERROR_MAP_RADIUS = 4
 # error map over that mean: 90, 98 and 99 % of the nodes of 53 random pairs (performance/refinement.py) are
 # within one, two and three times it
@@ -64,10 +64,11 @@ COARSE_LOBE = 1.2
 # rms slope, of steps between neighbours, and hemicube from which on unfilled steps leak light. Chosen: on
 # ground of slope 1 they do from M = 7 on, of slope 0.5 only from M = 33 on (performance/lattice_error.py)
 LEAK_SLOPE, LEAK_SIZE = 0.7, 7
-# azimuths of a small part of a sky on a map in tiles; chosen: 8 are 0.06 % off, cliffs apart
+# azimuths of a small part of a sky on a map in tiles; chosen: with 8 the error is 0.06 %, cliffs apart
 PART_SECTORS = 16
-# azimuths in which windows of tiles tell how much light between surfaces there is, 0.003 off in the share of
-# sky; and what part of a window at each of its sides sees too little ground to tell; chosen
+# azimuths in which windows of tiles estimate the light between surfaces, with an error of 0.003 in the share
+# of sky; and the part of a window at each of its sides that is left out, since ground beyond is missing;
+# chosen
 WINDOW_AZIMUTHS, WINDOW_EDGE = 16, 8
 # relative RMS error that 64 azimuths keep to: 0.0004 of E / pi on rough ground (performance/refinement.py)
 LEAST_TILED_TOLERANCE = 0.002
@@ -83,9 +84,9 @@ class Rendering:
 
     image (rows, cols) float32, or (rows, cols, 3) in colour, nan where masked, an xarray.DataArray if the
     scene was made from one, a DeviceImage if its map lies on a GPU; plan; backend (its name); seconds of the
-    call without compiling, compile_seconds; warnings (one sentence each). interreflection: what was done
+    call without compiling, compile_seconds; warnings (one sentence each). interreflection: the decision
     about the light between surfaces. direct, reflected: with ``parts=True``, the image by direct light alone,
-    and the rest of it. error: see there.
+    and the rest of it.
     """
 
     image: np.ndarray
@@ -108,9 +109,9 @@ class Rendering:
 
         None where no tolerance was asked. The root mean square, over 9 x 9 nodes, of half the difference of
         the image's two halves, times the share of it that is error, and besides what both halves share. It
-        shows regions, not nodes: of nodes, 82, 93 and 96 % were within one, two and three times it on random
-        scenes. To it comes the error of the light between surfaces, one number for all nodes. What a lobe or
-        a mirror adds has no part in it.
+        shows regions, not nodes: on random scenes 82, 93 and 96 % of the nodes had an error below one, two
+        and three times the estimate. The error of the light between surfaces is added, one number for all
+        nodes. The light of lobes and mirrors is not included.
         """
         scene = self._scene
         if scene is None:
@@ -255,7 +256,7 @@ def _in_tiles(
     count: int | None = len(_sectors(options.azimuths))
     how = "a map in tiles is not refined"
     if isinstance(source, sources.Lamp):
-        count, how = None, "what is within reach of the lamp is rendered at once"
+        count, how = None, "the part of the map within reach of the lamp is rendered at once"
         why = "as in every image" if options.interreflection else "as asked"
         between = options.interreflection is not False
         warnings = _beyond_reach(source, options.max_distance)
@@ -273,7 +274,7 @@ def _in_tiles(
 
 
 def _between_in_tiles(scene: Scene, source: sources.Source, options: _Options) -> tuple[bool | None, str]:
-    """(Whether tiles have light between surfaces, None where the whole map tells; why)."""
+    """(Whether tiles have light between surfaces, None where the whole map decides; why)."""
     if options.interreflection is False:
         return False, "as asked"
     if not (np.ndim(scene.albedo) or scene.albedo):
@@ -405,8 +406,8 @@ class TileImage:
         return [light[0] * np.float32(factor) for factor in self.factors]
 
     def sums(self, scene: Scene) -> np.ndarray:
-        """What tells how much light between surfaces there is, (colours, 3); the border's nodes, which see
-        too little ground, have no part in it."""
+        """Sums from which the light between surfaces is estimated, (colours, 3); nodes at the border are
+        left out, since ground beyond the window is missing."""
         engine, edge = engine_of(scene, self.backend), [n // WINDOW_EDGE for n in scene.shape]
         with engine.lock:
             ground = ground_of(scene, None, engine)
@@ -594,9 +595,9 @@ class _Options:
     def refused_in_tiles(
         self, scene: Scene, source: sources.Source, engine: Backend | None
     ) -> tuple[str, str] | None:
-        """The first thing that is not rendered in tiles, and what is; None where there is none.
+        """The first thing that is not rendered in tiles, and what is allowed; None where there is none.
 
-        ``engine``: where what a lamp lights is rendered at once; None where no lamp can be.
+        ``engine``: renders the part that a lamp lights at once; None where lamps are not allowed.
         """
         if self.parts:
             return "parts", "all light, or interreflection=False and direct light"
@@ -606,7 +607,7 @@ class _Options:
             (
                 not isinstance(source, sources.Sky),
                 "a lamp or a window",
-                "a Sky, whose light comes from afar; what lies before a window may be in any tile",
+                "a Sky, whose light comes from afar; ground before a window may be in any tile",
             ),
             (
                 self.lattice or self.method not in ("auto", "horizon"),
@@ -661,7 +662,7 @@ class _Options:
 
 
 class _Renderer:
-    """One call of :func:`render`, and what it finds on the way: plans, warnings and refined irradiances."""
+    """One call of :func:`render`, with its plans, warnings and refined irradiances."""
 
     def __init__(self, scene: Scene, source: sources.Source, engine: Backend, options: _Options):
         self.scene, self.source, self.engine, self.options = scene, source, engine, options
@@ -741,7 +742,7 @@ class _Renderer:
         return list(known), list(_interreflected(self, known)), shine
 
     def _light(self) -> tuple[list[Any], list[np.ndarray]]:
-        """Irradiances, and what the surface reflects besides rho E / pi: one array per colour each."""
+        """Irradiances, and the radiance that is reflected besides rho E / pi: one array per colour each."""
         if self.by_lattice:
             return self._lattice()
         if self.options.brdf(self.scene):
@@ -836,7 +837,7 @@ class _Renderer:
         if isinstance(options.hemicube, Hemicube):
             cube = options.hemicube
         else:
-            assert plan.hemicube is not None, "a plan of the lattice says which hemicube"
+            assert plan.hemicube is not None, "a plan of the lattice has a hemicube"
             cube = Hemicube(plan.hemicube)
         problem = lattice_problem(
             self.engine, scene, source, cube, bool(plan.filled)
@@ -1267,7 +1268,7 @@ def _lattice_plan(options: _Options) -> Plan:
 
 
 def lattice_warnings(problem: Problem, scene: Scene, source: sources.Source, cube: Hemicube) -> list[str]:
-    """What the lattice is known to get wrong for this scene and source, one sentence each."""
+    """Known errors of the lattice for this scene and source, one sentence each."""
     return [*_leak(problem, cube), *_small_lamp(scene, source, cube)]
 
 

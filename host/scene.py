@@ -36,14 +36,14 @@ KEPT = 0.25  # share of a device's memory that maps of scenes may take between c
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """A surface seen from above: depth map, spacing, albedo, mask and what stands at the sides.
+    """A surface seen from above: depth map, spacing, albedo, mask and surroundings.
 
     Arrays may be NumPy's, or have ``__array__``, ``__dlpack__`` or ``__cuda_array_interface__``. They are
-    copied; the caller's are never changed. A depth (or height) that is an xarray.DataArray is remembered as
-    ``labels``, and what has the scene's rows and columns comes back as one: with its dimensions, coordinates,
-    name and attributes. Where its y grows with the rows, or its x falls along them, skies and the azimuths
-    of horizons are turned to it: north is where y grows, east where x does. Lamps and windows stand where
-    columns and rows say.
+    copied; the caller's are never changed. A depth (or height) that is an xarray.DataArray is kept as
+    ``labels``, and results with the scene's rows and columns are DataArrays: with its dimensions,
+    coordinates, name and attributes. Where its y grows with the rows, or its x falls along them, skies and
+    the azimuths of horizons are turned to it: north is where y grows, east where x does. Positions of lamps
+    and windows are measured along columns and rows.
 
     A contiguous float32 depth or height that lies on a GPU (or in a Warp array) stays there, on that device's
     backend, which ``auto`` takes then; a mask is uploaded once. Of other types, and on other backends, the
@@ -65,14 +65,14 @@ class Scene:
         whose walls, half a node outside the outermost nodes, reach up to z = 0. ``periodic``: the map
         repeats.
     reflectance : Lambertian, Phong, Mirror or BRDF, in place of ``albedo``
-        What the surface makes of its light; ``albedo`` is then its diffuse part.
+        Reflectance of the surface; ``albedo`` is then its diffuse part.
 
     Raises
     ------
     InputError
-        For an array of wrong shape or type, an empty one, NaN or infinity where the mask says valid,
+        For an array of wrong shape or type, an empty one, NaN or infinity where the mask is True,
         negative depth, an albedo outside 0 to 1, a spacing that is not positive, unknown sides, or a
-        reflectance that gives more than it gets.
+        reflectance that is not energy-bounded.
     """
 
     depth: np.ndarray = field(repr=False)
@@ -88,7 +88,7 @@ class Scene:
     lazy: Any = field(init=False, repr=False, default=None)
     # the depth on a device of Warp's, if it was given there
     resident: Resident | None = field(init=False, repr=False, default=None)
-    # what the lattice methods compare, see lattice(); made when it is first asked for
+    # values that the lattice methods compare, see lattice(); made on first use
     _values: np.ndarray = field(init=False, repr=False)
     _step: float = field(init=False, repr=False)
     _range: tuple[float, float] = field(init=False, repr=False)  # least and greatest valid depth [length]
@@ -181,8 +181,7 @@ class Scene:
         object.__delattr__(self, "depth")
 
     def __getattr__(self, name: str) -> Any:
-        """What is made when it is first asked for: the lattice's values, and the host's copies of a map that
-        lies on a device."""
+        """Values made on first use: those of the lattice, and the host's copies of a map on a device."""
         if name in ("depth", "_values", "_step", "_range") and self.__dict__.get("lazy") is not None:
             raise bad(
                 "a lazy map",
@@ -225,12 +224,12 @@ class Scene:
         ``height``: (rows, cols); the other arguments and errors as for :class:`Scene`. The difference is
         taken in the type of ``height`` before it is rounded to float32, so heights far above zero keep their
         relief. ``spacing``: unless given, that of an xarray.DataArray's coordinates, which must be even,
-        square and no degrees, in the unit of ``height``; 1 of what has no coordinates. The nan of a
+        square and no degrees, in the unit of ``height``; 1 without coordinates. The nan of a
         DataArray are masked unless a mask is given.
 
         A dask.array, or a DataArray with Dask's chunks, makes a lazy scene: nan is where it has no data, and
         horizons, sky_view_factor, openness and render give lazy results of the same chunks. A map of its
-        albedo may be lazy too, in chunks of its own; what is outside 0 to 1 is found when it is computed.
+        albedo may be lazy too, in chunks of its own; values outside 0 to 1 are found when it is computed.
         """
         labels = labels_of(height)
         spacing = spacing_of(labels) if spacing is None else spacing
@@ -281,7 +280,7 @@ class Scene:
         return rows, cols
 
     def depth_at(self, row: int, col: int) -> np.float32:
-        """Depth of one node [length]; what lies on a device stays there. Not finite where masked."""
+        """Depth of one node [length]; a map on a device stays there. Not finite where masked."""
         if self.resident is None:
             found: np.float32 = self.depth[row, col]
             return found
@@ -300,7 +299,7 @@ class Scene:
         return np.ones(self.shape, bool) if self.mask is None else self.mask
 
     def lattice(self) -> tuple[np.ndarray, float]:
-        """What the lattice methods compare: (values, step).
+        """Values that the lattice methods compare, and their step: (values, step).
 
         Depth itself and the spacing, in float32; where every depth is a whole number of layers, the layers
         and 1, which is the same comparison without any rounding. Masked nodes are +inf: they never block.
@@ -321,7 +320,7 @@ class _Heights(NamedTuple):
 def _on_device(values: Any) -> Array | None:
     """``values`` as a Warp array (rows, cols) where they lie on a device of Warp's as float32, else None.
 
-    What is not contiguous there counts as None too: the host converts it first.
+    None too where they are not contiguous: the host converts them first.
     """
     if isinstance(values, (np.ndarray, list, int, float)):
         return None

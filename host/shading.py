@@ -309,7 +309,7 @@ def _aim(
 def _aim_at_sphere(
     center: np.ndarray, radius: float, origin: np.ndarray, a: float, u: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """L and weights of rays uniform in the cone in which a sphere is seen; see :func:`_aim`."""
+    """L and weights of rays uniform in the cone that a sphere subtends; see :func:`_aim`."""
     to = center - origin
     far = np.linalg.norm(to, axis=-1, keepdims=True)
     inside = far[..., 0] <= radius

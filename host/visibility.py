@@ -29,7 +29,7 @@ def visibility(
     algorithm: str = "scan",
     max_seconds: float | None = None,
 ) -> np.ndarray:
-    """In which directions of the hemicube every surface node sees the source.
+    """The directions of the hemicube in which the source is visible from every surface node.
 
     Returns packed bits (rows, cols, words) uint32: direction d, in the order of ``Hemicube.steps``, is bit d
     % 32 of word d // 32; no bit is set where the scene is masked. ``filled``: test every crossing with a grid
@@ -123,7 +123,7 @@ class VisibilityField:
     words : (layers, words, rows, cols) uint32
         Packed bits; none is set below the surface.
     hemicube, scene, source, backend
-        What it was made from.
+        The arguments that it was made from.
     depth : (rows, cols) float32
         Depth of the surface in layers, +inf where masked.
     """
@@ -173,7 +173,7 @@ class VisibilityField:
         return out
 
     def solid_angle(self) -> np.ndarray:
-        """Solid angle [sr] that sees the source: (layers, rows, cols) float32, 0 below the surface."""
+        """Visible solid angle [sr] of the source: (layers, rows, cols) float32, 0 below the surface."""
         total = np.zeros((self.layers, *self.scene.shape), np.float32)
         for d, angle in enumerate(self.hemicube.solid_angles):
             total += (self.words[:, d // 32] >> np.uint32(d % 32) & np.uint32(1)) * np.float32(angle)
@@ -184,12 +184,12 @@ class VisibilityField:
         return {}
 
     def view(self, point: tuple[int, int, int], backend: str = "auto") -> View:
-        """What the point (x, y, layer) sees in every direction of the whole cube, up and down.
+        """The view from the point (x, y, layer) in every direction of the whole cube, up and down.
 
         The source's brightness where it is visible, and elsewhere the radiance rho E / pi (Eq. 1, 3) of the
         surface that the ray hits: the white and the grey sectors of the paper's Fig. 1. A ray goes from node
-        to node, as in propagation, and hits the column that it first stands below. Walls, and what lies
-        beside an open map, are black.
+        to node, as in propagation, and hits the column that it first stands below. Walls, and the
+        surroundings of an open map, are black.
 
         Raises InputError if the point is not in the field or lies below the surface; BackendError.
         """
@@ -249,7 +249,7 @@ class VisibilityField:
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """What a point sees in every direction of the whole cube.
+    """The view from a point in every direction of the whole cube.
 
     The hemicube's directions come first, then those that look down. steps (n, 3) int; directions (n, 3) unit
     vectors from the point; solid_angles (n,) [sr], summing to 4 pi; visible (n,) bool: the source is seen;

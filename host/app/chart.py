@@ -65,7 +65,7 @@ TITLES = {
 }
 LEAST_DRAWN_ERROR = 2e-5  # errors below are drawn here
 PEER = "peer "  # methods of other packages begin with it
-# by method; Okabe and Ito (2008), told apart in the three kinds of colour blindness (tests/test_charts.py)
+# by method; Okabe and Ito (2008), distinct in the three kinds of colour blindness (tests/test_charts.py)
 COLOURS = {
     "horizon": "#0072B2",
     "slices": "#0072B2",
@@ -195,7 +195,7 @@ def measure(
 
 @dataclass(frozen=True, eq=False)
 class _Case:
-    """A class of scene at one size, with what its images are compared with."""
+    """A class of scene at one size, with the truth for its images."""
 
     kind: str
     size: int
@@ -440,7 +440,7 @@ def _draw_axes(panels: Any, kinds: Sequence[str], cols: int, size: int) -> None:
 def _draw_legend(
     figure: Figure, spare: Any, rows: list[Row], quickest: str, labels: Mapping[str, str]
 ) -> None:
-    """What colours and markers stand for, in a ``spare`` panel or below."""
+    """The legend of colours and markers, in a ``spare`` panel or below."""
     from matplotlib.lines import Line2D
 
     def mark(

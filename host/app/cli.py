@@ -133,7 +133,7 @@ def render(
         done = sl.render(scene, light, backend=backend, **options)
     if error is not None and done.error is None:
         raise typer.BadParameter(
-            "an error is estimated where a tolerance decides: it goes with --method auto, and without"
+            "an error is estimated where a tolerance is given: it requires --method auto, without"
             " --hemicube and --stride",
             param_hint="--error",
         )
@@ -593,7 +593,7 @@ def view(
 
 def main(arguments: list[str] | None = None) -> NoReturn:
     """Run the command line and exit; ``arguments`` default to the process's own."""
-    # these libraries log what the one line of an error says
+    # these libraries log the text of the error too
     for library, level in (("tifffile", logging.ERROR), ("rasterio", logging.CRITICAL)):
         logging.getLogger(library).setLevel(level)
     try:

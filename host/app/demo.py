@@ -29,7 +29,7 @@ STAGES = 6  # three renderings, the relief, its recovery, the comparison
 
 @dataclass
 class Pictures:
-    """The pictures of the demo: a file each, what it shows, and its tones for the panel of all."""
+    """The pictures of the demo: a file each, its caption, and its tones for the panel of all."""
 
     folder: Path
     silent: bool = False  # whether files are not reported as they are written
@@ -61,8 +61,8 @@ def demo(
 ) -> dict[str, Any]:
     """Write the pictures into ``folder``, each reported at once unless ``silent``.
 
-    Returns {out, backend, pictures, seconds, compile_seconds, backends}: what is in the pictures, how long
-    the three renderings took, and :func:`compared`.
+    Returns {out, backend, pictures, seconds, compile_seconds, backends}: the captions of the pictures, the
+    seconds of the three renderings, and :func:`compared`.
     """
     stages = iter(range(1, STAGES + 1))
 

@@ -1,4 +1,4 @@
-"""examined(): what a bug report needs to know of this machine, as plain values."""
+"""examined(): facts about this machine for a bug report, as plain values."""
 
 from __future__ import annotations
 

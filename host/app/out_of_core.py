@@ -1,4 +1,4 @@
-"""A GeoTIFF of any size, tile by tile, to another: what is done is kept when a run is interrupted.
+"""A GeoTIFF of any size, tile by tile, to another: finished tiles are kept when a run is interrupted.
 
 Tiles are computed by processes of dask.distributed; each reads its own window of the file. Overviews, tiles
 and which of them are done lie in a Zarr group beside the output until that is written.
@@ -40,13 +40,13 @@ Progress = Callable[[int, int], None]
 # --memory), and half as much again for the window that the other thread reads meanwhile
 PER_NODE, BESIDES = 80, 6 * 10**8
 TILES = 8192, 4096, 2048, 1024  # sides of tiles of which the largest is taken that fits
-# what is said where these options meet others
+# the error where these options are combined with others
 ALONE = "a GeoTIFF of heights to a GeoTIFF, with open sides: it goes with --out, --backend and {} alone"
 BLOCK = 512  # [node], blocks of the GeoTIFF that is written
 
 
 class Machines(NamedTuple):
-    """Where tiles are computed: what the command line is told of memory and workers."""
+    """Where tiles are computed: the options of the command line for memory and workers."""
 
     memory: str | None
     workers: int
@@ -57,18 +57,18 @@ class Machines(NamedTuple):
 
     @property
     def asked(self) -> bool:
-        """Whether to go tile by tile; BadParameter for what goes with that alone."""
+        """Whether to compute tile by tile; BadParameter for options that require it."""
         if self.memory is not None or self.scheduler is not None:
             return True
         if self.tile is not None or self.resume or self.cog or self.workers != 1:
             raise typer.BadParameter(
-                "--tile, --resume, --cog and --workers go with it", param_hint="--memory"
+                "--tile, --resume, --cog and --workers require it", param_hint="--memory"
             )
         return False
 
     @property
     def share(self) -> int | None:
-        """Bytes of a worker, if that was said."""
+        """Bytes of a worker, if they were given."""
         return None if self.memory is None else parsing.byte_count(self.memory) // self.workers
 
     @property
@@ -87,9 +87,9 @@ def alone(goes: str, out: str | None, others: Iterable[Any]) -> str:
 
 
 class Quantity(NamedTuple):
-    """What is computed, in how many bands; ``sign`` -1: of the surface upside down.
+    """The quantity to compute, in how many bands; ``sign`` -1: of the surface upside down.
 
-    ``settings``: what was asked for, in words; all that the bytes depend on besides the file and the tiles.
+    ``settings``: the options in words; all that the bytes depend on besides the file and the tiles.
     """
 
     work: Any  # see scale.Work and scale.Undecided
@@ -99,11 +99,11 @@ class Quantity(NamedTuple):
     sign: float = 1.0
     bands: int = 1
     albedo: Any = ALBEDO
-    between: bool | None = False  # with light between surfaces; None: as all tiles tell
+    between: bool | None = False  # with light between surfaces; None: as all tiles decide
 
 
 class Job(NamedTuple):
-    """What is computed of which file: all that a task needs."""
+    """A quantity of a file: all data that a task needs."""
 
     file: Path
     scratch: Path
@@ -222,7 +222,7 @@ def _same(job: Job) -> Job:
 
 
 def _settled(job: Job) -> Job:
-    """The job once all tiles have told whether light between surfaces counts."""
+    """The job once all tiles have decided whether light between surfaces counts."""
     if not job.layout.undecided:
         return job
     sums = _group(job.scratch, "r")["sums"][:].sum(0)
@@ -291,7 +291,7 @@ def _compute(job: Job, number: int, top: Top | None) -> None:
 
 
 def _top(job: Job) -> Top:
-    """The levels that all tiles see, from the overviews of all tiles."""
+    """The levels that all tiles use, from the overviews of all tiles."""
     tiling, low = job.layout.tiling, _group(job.scratch, "r")["low"]
     times = tiling.top - tiling.first
     rows = tiling.tile >> tiling.first

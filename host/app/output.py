@@ -24,17 +24,17 @@ from ..io.paths import HDR
 from . import plot
 
 WIDTH = 160  # characters in a line of a table, off a terminal
-quiet = verbose = False  # what --quiet and --verbose of the running command ask for
+quiet = verbose = False  # --quiet and --verbose of the running command
 
 
 def be_quiet(asked: bool) -> None:
-    """What --quiet does."""
+    """The effect of --quiet."""
     global quiet
     quiet = quiet or asked
 
 
 def be_verbose(asked: bool) -> None:
-    """What --verbose does."""
+    """The effect of --verbose."""
     global verbose
     verbose = verbose or asked
 
@@ -133,8 +133,8 @@ def _silenced() -> Iterator[None]:
 
 
 def _start_libraries() -> None:
-    """Warp without its banner, and unless --verbose without what it says of missing drivers, nor PyOpenCL's
-    of compilers; here, because a library must not decide that for its user.
+    """Warp without its banner and, unless --verbose, without messages about missing drivers; PyOpenCL without
+    those of compilers. Here, because a library must not decide that for its user.
     """
     warp: Any = importlib.import_module("warp")
     if hasattr(warp, "LOG_WARNING"):  # older Warps have no levels
@@ -151,7 +151,7 @@ def _start_libraries() -> None:
 def progress_bar(title: str) -> Iterator[Callable[[int, int], None] | None]:
     """A progress(done, total) that draws a bar on stderr if that is a terminal, else None.
 
-    What libraries print goes to stderr too.
+    The output of libraries goes to stderr too.
     """
     with contextlib.redirect_stdout(sys.stderr):
         _start_libraries()
@@ -196,7 +196,7 @@ def report_array_or_picture(
     range: tuple[float, float] | None = None,
     **facts: Any,
 ) -> None:
-    """What was written where, for commands that may write an array, a picture or both."""
+    """Reports the files that were written, for commands that may write an array, a picture or both."""
     if as_json:
         print_json(
             {

@@ -40,10 +40,10 @@ def field(
 ) -> Figure:
     """The paper's Fig. 1: a section of the visibility field along ``row`` (the middle one unless given).
 
-    A disc stands for the rays through a point of free space that lie in the plane of the drawing. White
-    sectors see the source; grey ones a lit surface, as bright as it is; the rest is black. ``every``: nodes
-    between discs. Only directions (i, 0, k) lie in the plane: the field's hemicube of M makes 4 (M - 1)
-    sectors.
+    A disc stands for the rays through a point of free space that lie in the plane of the drawing. In
+    white sectors the source is visible, in grey ones a lit surface with its brightness; the rest is black.
+    ``every``: nodes between discs. Only directions (i, 0, k) lie in the plane: the field's hemicube of M
+    makes 4 (M - 1) sectors.
 
     Raises InputError for a row outside the map, or if matplotlib is not installed.
     """
@@ -74,11 +74,11 @@ def field(
         aspect="equal",
         xlabel="x [nodes]",
         ylabel="depth [nodes]",
-        title=f"Rays through points of row {row}: white sees the {type(field.source).__name__.lower()}",
+        title=f"Rays through points of row {row}: white from the {type(field.source).__name__.lower()}",
     )
     mappable = matplotlib.cm.ScalarMappable(matplotlib.colors.Normalize(0, brightest), shades)
     bar = figure.colorbar(mappable, ax=axes, shrink=0.8, pad=0.015)
-    bar.set_label("brightness of what else is seen")
+    bar.set_label("brightness of visible surfaces")
     return figure
 
 
@@ -103,7 +103,7 @@ def _disc_centres(depth: np.ndarray, layers: int, every: int, radius: float) -> 
 
 
 def _draw_disc(axes: Axes, centre: tuple[int, int], radius: float, view: View, surface: np.ndarray) -> None:
-    """One disc; ``surface``: (directions, 4) colours of what is not the source."""
+    """One disc; ``surface``: (directions, 4) colours where the source is not visible."""
     from matplotlib.collections import PatchCollection
     from matplotlib.patches import Circle, Wedge
 
@@ -138,8 +138,7 @@ def horizon(
     azimuths: int = 360,
     backend: str = "auto",
 ) -> Figure:
-    """The sky above one node: the horizon and, above it, the brightness of what the node sees, as a polar
-    plot.
+    """The sky above one node: the horizon and the brightness above it, as a polar plot.
 
     The zenith is in the middle, the level horizon at the rim, north (-y) up and east (+x) to the right, as on
     the map (a view from above, not from below). The dashed line is where the surface's own
@@ -166,7 +165,7 @@ def horizon(
     compass = turn + np.pi / 2  # from north, clockwise
 
     figure = _figure(6.4, 5.6)
-    axes: Any = figure.add_subplot(projection="polar")  # PolarAxes: add_subplot promises no more than Axes
+    axes: Any = figure.add_subplot(projection="polar")  # PolarAxes: add_subplot is typed as Axes
     mesh = _draw_sky(axes, source, turn, elevation)
     ring = np.append(compass, compass[0] + 2 * np.pi)
     axes.plot(ring, np.append(90 - elevation, 90 - elevation[0]), color="k", lw=1.5, label="horizon")

@@ -71,7 +71,8 @@ class Check:
         return self.figure is not None and self.figure <= self.bound  # NaN does not pass
 
 
-# the check, what makes its figure on a backend, and its bound: three to ten times what is seen, but for bits
+# the check, the function of its figure on a backend, and its bound: three to ten times measured figures, but
+# for bits
 CHECKS: dict[str, tuple[Callable[[str], float], float]] = {}
 
 

@@ -1,8 +1,8 @@
-"""`skylamp view`: a page on which one drags the sun or the lamp over a map and sees it rendered.
+"""`skylamp view`: a page that renders a map while the sun or the lamp is dragged over it.
 
-By NiceGUI: its image reports where the mouse is, and each frame goes back through the same connection, where
-Panel would draw a Bokeh figure anew. While the mouse moves every few nodes are rendered in few azimuths; when
-it rests the whole map is, within the tolerance.
+NiceGUI's image reports the position of the mouse, and each frame returns through the same connection; Panel
+would redraw a Bokeh figure. While the mouse moves, every few nodes are rendered in few azimuths; when it
+rests, the whole map is rendered within the tolerance.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ SUN_LIGHT = 3.0  # irradiance by the sun's disc, beside a zenith of brightness 1
 
 @dataclass(frozen=True)
 class Settings:
-    """What the page's controls say: lengths in shares of the map's longer side, angles in degrees."""
+    """Values of the page's controls: lengths in shares of the map's longer side, angles in degrees."""
 
     source: str = "clear sky"
     azimuth: float = 135.0
@@ -93,7 +93,7 @@ def read(file: Path, height: bool | None, spacing: float | None, resample: bool)
 
 
 class Viewer:
-    """Renders a map as settings say; nothing here belongs to a page."""
+    """Renders a map by settings; independent of the page."""
 
     def __init__(self, ground: Map, backend: str = "auto"):
         self.ground, self.backend = ground, backend
@@ -196,7 +196,7 @@ def data_url(content: bytes, kind: str) -> str:
 
 
 class Page:
-    """One visitor's page: controls, picture and text, and the loop that renders what they ask for."""
+    """One visitor's page: controls, picture and text, and the loop that renders them."""
 
     def __init__(self, viewer: Viewer, ui: Any, run: Any):
         self.viewer, self.ui, self.run = viewer, ui, run

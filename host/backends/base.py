@@ -1,7 +1,7 @@
 """The protocol of a backend: arrays on one device, and launches of kernels by their name.
 
-A backend knows arrays and kernels, not scenes. A kernel has the same stem, name and arguments in
-warp_kernels/, in opencl/ and in numpy/. Which kernels make an image is said in host/light/.
+A backend handles arrays and kernels, not scenes. A kernel has the same stem, name and arguments in
+warp_kernels/, in opencl/ and in numpy/. The sequence of kernels for an image is in host/light/.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ Array = Any  # of a device: NumPy's, Warp's or pyopencl's
 
 
 def available_memory() -> int:
-    """Bytes of main memory that could be taken now, where the system tells; else a cautious 2 GiB.
+    """Bytes of main memory that could be taken now, where the system gives them; else a cautious 2 GiB.
 
     No more than the limits of this process leave (ulimit -v, memory of a control group).
     """
@@ -95,7 +95,7 @@ def _locked(method: Callable[..., Any]) -> Callable[..., Any]:
     return locked
 
 
-_call = threading.local()  # what holds for the call that this thread is in
+_call = threading.local()  # state of the call that this thread is in
 
 
 class Limit:
@@ -118,10 +118,11 @@ class Limit:
 
 @contextlib.contextmanager
 def within(seconds: float | None, what: str, engine: Backend) -> Iterator[None]:
-    """What this thread asks of backends here raises OutOfTimeError once ``seconds`` are over.
+    """Within this context, transfers and launches of this thread raise OutOfTimeError once ``seconds`` are
+    over.
 
-    They are looked at before each transfer and launch, so a call ends later by its longest one. What it gives
-    does not depend on them. None: no limit but that of a call around this one.
+    The clock is read before each of them, so a call ends later by its longest one. The result does not depend
+    on it. None: no limit but that of a call around this one.
     """
     if seconds is None:
         yield
@@ -157,9 +158,9 @@ class Backend(ABC):
     """One device. Subclasses give ``name``, ``device``, ``lanes``, ``memory`` and the abstract methods.
 
     ``lock``: every public call holds it from its first array to its last download, so calls from threads come
-    one after another: the arguments of kernels, queues, what is recorded and the seconds of compiling belong
-    to one call at a time. What uses the device outside of such calls, as a scene does whose map lies there,
-    waits for them in each of the methods of LOCKED.
+    one after another: the arguments of kernels, queues, recorded launches and the seconds of compiling belong
+    to one call at a time. Code that uses the device outside of such calls, as a scene does whose map lies
+    there, waits for them in each of the methods of LOCKED.
     """
 
     name: str
@@ -182,7 +183,8 @@ class Backend(ABC):
 
     def __init__(self) -> None:
         self.lock = threading.RLock()  # a call makes others
-        # by the ids of scenes, the one that was used last at the end: the map, and what ends it; see Scene.on
+        # by the ids of scenes, the one that was used last at the end: the map, and its finalizer; see
+        # Scene.on
         self.kept: OrderedDict[int, Any] = OrderedDict()
         self.tables: OrderedDict[tuple[Any, ...], Any] = OrderedDict()  # by type, shape and bytes
 
@@ -231,7 +233,7 @@ class Backend(ABC):
 
     @abstractmethod
     def view(self, array: Array, shape: tuple[int, ...]) -> Array:
-        """The first elements of a device array, seen in another shape; no copy."""
+        """The first elements of a device array in another shape; no copy."""
 
     @abstractmethod
     def launch(
@@ -255,9 +257,9 @@ class Backend(ABC):
         """
 
     def record(self, work: Callable[[], None], times: int) -> Callable[[], None]:
-        """What launches ``times`` times the kernels that ``work`` launches, on the same arrays with the same
-        numbers, and faster where starting a kernel takes long. Another kernel of each of their modules must
-        have run before.
+        """A function that launches ``times`` times the kernels that ``work`` launches, on the same arrays
+        with the same numbers, and faster where starting a kernel takes long. Another kernel of each of their
+        modules must have run before.
         """
 
         def again() -> None:

@@ -45,7 +45,7 @@ PREFETCHED_DEPTHS = 6  # depths that a scan on a GPU fetches before it uses them
 
 
 def probe() -> list[BackendInfo]:
-    """A BackendInfo for every OpenCL device, or one that says why there is none."""
+    """A BackendInfo for every OpenCL device, or one with the reason why there is none."""
     try:
         import pyopencl as cl
     except ImportError as error:

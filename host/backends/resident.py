@@ -17,7 +17,7 @@ LAYERS = 2**20  # up to which whole layers are compared in place of depths: thei
 class DeviceImage:
     """An image (rows, cols) float32 that lies on a backend.
 
-    ``numpy.asarray`` fetches a copy. Where it lies on a GPU, libraries that know ``__cuda_array_interface__``
+    ``numpy.asarray`` fetches a copy. Where it lies on a GPU, libraries that read ``__cuda_array_interface__``
     or DLPack (CuPy, PyTorch, JAX, Warp) take it in place.
     """
 
@@ -35,7 +35,7 @@ class DeviceImage:
     ) -> None:
         """Multiply by albedo, a number or a map, and ``unit``, in place; nan where the map is masked.
 
-        What is below ``least`` becomes that before.
+        Values below ``least`` become ``least`` before.
         """
         values, count = np.asarray(albedo, np.float32), math.prod(self.shape)
         given = self.backend.table(values.reshape(-1))
@@ -52,7 +52,7 @@ class DeviceImage:
         return DeviceImage(self.backend, found, self.shape)
 
     def scale(self, factor: float, least: float = -math.inf) -> None:
-        """Multiply what is at least ``least`` by a number, in place."""
+        """Multiply values of at least ``least`` by a number, in place."""
         count = math.prod(self.shape)
         one = self.backend.table(np.ones(1, np.float32))
         numbers = 0, float(factor), float(least), count
@@ -86,7 +86,7 @@ class DeviceImage:
 
 
 class Survey(NamedTuple):
-    """What a pass over a map found of its valid nodes.
+    """Properties of a map's valid nodes, from one pass over it.
 
     Least and greatest value; numbers of values that are not finite, and of those that are no whole number of
     steps; sums of the squares of differences between neighbours, and how many there are, along rows and down
@@ -200,7 +200,7 @@ class Resident(NamedTuple):
 def adopt(
     backend: Backend, values: Array, shape: tuple[int, int], mask: np.ndarray | None, height: bool
 ) -> tuple[Array, Survey]:
-    """A copy of device array ``values`` (rows x cols) float32 [length] as depth, and what it is like.
+    """A copy of device array ``values`` (rows x cols) float32 [length] as depth, and its survey.
 
     ``values`` are depth, or with ``height`` heights, which are turned into depth: the highest valid one minus
     each. Where ``mask`` is False the depth is +inf, and where it is True and a value is +inf it is nan.

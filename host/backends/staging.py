@@ -31,7 +31,8 @@ def fetch(backend: Any, array: Any, parts: Sequence[np.ndarray]) -> None:
 
 
 class Staging:
-    """``rooms``: pinned arrays (ROOM,) uint8; ``copy`` starts a transfer and returns what waits for it.
+    """``rooms``: pinned arrays (ROOM,) uint8; ``copy`` starts a transfer and returns a function that waits
+    for it.
 
     It is given an array on the device, an offset in it [byte], the first part of a room, and whether the room
     is written.

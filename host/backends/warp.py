@@ -193,7 +193,7 @@ class WarpBackend(Backend):
         )
 
     def _as(self, value: Any, kind: Any) -> Any:
-        """A device array seen with the axes and elements that the kernel declares: trailing axes run
+        """A device array with the axes and elements that the kernel declares: trailing axes run
         together, in vectors.
         """
         if not isinstance(value, self.wp.array):

@@ -1,10 +1,10 @@
 """Arrays in files: .npy, .npz, PNG (8 and 16 bit), TIFF, OpenEXR and Radiance HDR.
 
-The extension alone decides the format. GeoTIFF with its georeference is read and written by
+The format follows from the extension alone. GeoTIFF with its georeference is read and written by
 :mod:`skylamp.geo`.
 
-What is read has exactly the values that the file holds. Whatever a reader would have to change (colour,
-packed bits, palettes, pickles) is an error that names the fix. What is written is whole or not there.
+Arrays that are read have exactly the values in the file. Content that a reader would have to change (colour,
+packed bits, palettes, pickles) is an error that names the fix. A written file is complete or does not exist.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ def read(path: StrPath, name: str | None = None) -> np.ndarray:
     uint32). ``name``: which array of an .npz, "depth", "height" or "image"; without that name the only array
     is taken, unless it is named as another of the three.
 
-    Raises InputError, naming the file, what was got and what is allowed: missing, a folder, empty, truncated
+    Raises InputError with the file, the content got and that allowed: missing, a folder, empty, truncated
     or damaged files, unknown extensions, pickles, colour, and bit depths that a reader would change on the
     way.
     """
@@ -212,7 +212,7 @@ def _read_npz(path: Path, name: str | None) -> np.ndarray:
             chosen = found
         if len(chosen) != 1:
             raise bad(
-                f"{path}: cannot tell which array is the {name or 'data'}",
+                f"{path}: it is not clear which array is the {name or 'data'}",
                 f"arrays {', '.join(found) or 'none'}",
                 f"an array named {name or ' or '.join(ROLES)}, or a single array under a name of its own",
             )

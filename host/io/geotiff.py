@@ -1,8 +1,8 @@
 """GeoTIFF in and out, with its coordinate reference system, transform and nodata value, by rasterio (extra
 ``geo``).
 
-skylamp's grids are square and north is up (-y). Cells that are not square on the ground, as cells of degrees
-never are off the equator, are resampled when that is asked for, else refused.
+skylamp's grids are square and north is up (-y). Cells that are not square on the ground, such as cells of
+degrees away from the equator, are resampled on request, else refused.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ class Raster:
     """A GeoTIFF's one band and where on Earth it lies.
 
     values (rows, cols), in the file's own type; mask (rows, cols) bool, True where there are data; spacing:
-    side of a cell in the unit of the values (metres, unless the band says feet); crs and transform as
+    side of a cell in the unit of the values (metres, unless the band is in feet); crs and transform as
     rasterio has them; nodata, the file's value or None; point: the transform is that of cells' centres.
     """
 

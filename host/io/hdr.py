@@ -44,7 +44,9 @@ def _is_picture(array: np.ndarray) -> bool:
 
 
 def _read_openexr(path: Path) -> np.ndarray:
-    """(rows, cols), or (rows, cols, 3) red, green, blue; alpha is left out, since colours are what shines."""
+    """(rows, cols), or (rows, cols, 3) red, green, blue; alpha is left out, since the colours alone are
+    radiance.
+    """
     OpenEXR = module(path)
     file = OpenEXR.File(str(path), header_only=True)
     if len(file.parts) != 1:
@@ -98,7 +100,7 @@ def _read_radiance(path: Path) -> np.ndarray:
         raise ValueError("not a Radiance picture")
     size = re.search(rb"^[-+][XY] (\d+) [-+][XY] (\d+)$", data, re.MULTILINE)
     if size is None:
-        raise ValueError("its size is not told")
+        raise ValueError("its header has no size")
     reserve(path, 12 * int(size[1]) * int(size[2]), 12 * MOST_PIXELS)
     array: np.ndarray | None = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
     if array is None or array.dtype != np.float32 or array.ndim != 3:

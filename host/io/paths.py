@@ -52,13 +52,15 @@ def reading(path: Path) -> Iterator[None]:
 
 
 def reserve(path: Path, bytes_needed: int, promised: float = math.inf) -> None:
-    """Called with what a header says, before memory is taken.
+    """Checks of a header's sizes, before memory is allocated.
 
     ``promised``: bytes that the file can hold at most. ValueError if it is less; CapacityError if they do not
     fit into memory.
     """
     if bytes_needed > promised:
-        raise ValueError(f"truncated: its header promises {bytes_needed:,} bytes, {promised:,.0f} are there")
+        raise ValueError(
+            f"truncated: its header declares {bytes_needed:,} bytes, the file holds {promised:,.0f}"
+        )
     if bytes_needed > available_memory():
         raise CapacityError(
             f"{path} holds {bytes_needed:,} bytes; {available_memory():,} are free. Cut it into tiles."
@@ -116,7 +118,7 @@ def replacing(path: StrPath) -> Iterator[BinaryIO]:
     # in the same folder: a rename must not cross file systems
     temporary = path.with_name(f".{secrets.token_hex(8)}.tmp")
     try:
-        # read and write: numpy then writes through the file, whose errors say why, as a full disk's
+        # read and write: numpy then writes through the file, whose errors give the cause, such as a full disk
         with open(temporary, "x+b") as file:
             yield file
             file.flush()

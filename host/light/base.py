@@ -1,6 +1,6 @@
 """The protocol of a light method: a value, an estimate of its error, and a step that makes both better.
 
-A method computes and never decides; the loop that drives it (refinement.py) decides and never computes.
+A method computes light and contains no decision; the loop in refinement.py decides and computes no light.
 """
 
 from __future__ import annotations
@@ -110,7 +110,7 @@ def judged(
 ) -> Estimate:
     """The estimate by an image and half a difference (rows x cols) on a device; ``limit`` in their unit.
 
-    ``heights``: with ``margin`` nodes on all sides; they tell the valid nodes.
+    ``heights``: with ``margin`` nodes on all sides; masked heights mark nodes that do not count.
     """
     rows, cols = shape
     blocks = -(-rows // SUMMED_ROWS)

@@ -44,8 +44,8 @@ class Tiling:
         Cells of an overview between the nearest ground that it stands for and the tile's node: level f, cells
         of 2^f nodes, serves distances from rule 2^f to rule 2^(f + 1) nodes. A power of two, at most halo.
     earth : float [unit of spacing], optional
-        Radius of the Earth, if ground farther than the halo shall fall off with its curvature, less what the
-        air refracts: 0.87 distance^2 / (2 radius). Within the halo ground is taken as flat.
+        Radius of the Earth, if ground farther than the halo shall sink with its curvature, less the
+        refraction of the air: 0.87 distance^2 / (2 radius). Within the halo ground is taken as flat.
 
     Raises
     ------
@@ -93,7 +93,7 @@ class Tiling:
 
     @property
     def least(self) -> int:
-        """Nodes along a side of the smallest tile; what is left of a map belongs to the tile before it."""
+        """Nodes along a side of the smallest tile; the rest of a map belongs to the tile before it."""
         return max(self.halo, self.reach)
 
     def starts(self, nodes: int) -> list[int]:
@@ -111,14 +111,14 @@ class Cells(NamedTuple):
 
 
 class Far(NamedTuple):
-    """What a tile must know of a map to see it all.
+    """The part of a map that the light of one tile depends on.
 
     ``shape`` of the map; ``at``: row and column of the tile's first node; ``tile``: its rows and columns;
     ``before``: rows and columns of the swept window before it; ``spread``:
     nodes between those that are marched, ``own``: heights float32 of the nodes that
     :func:`marched_nodes` lists; ``levels``: from ``tiling.first`` on, heights likewise in spacings as the
     window has them; ``farthest`` [nodes] ground to be seen; ``periodic``: the map repeats; ``drop``
-    [1 / spacing]: by how much ground falls off with distance^2.
+    [1 / spacing]: by how much ground sinks with distance^2.
     """
 
     tiling: Tiling
@@ -339,7 +339,7 @@ class Marched:
             return slope - own * inverse, 1 / inverse
 
     def _march(self, angles: np.ndarray) -> Array:
-        """What the kernel `march` finds in these azimuths, (2, azimuths, nodes) float32 on the device."""
+        """Far horizons by the kernel `march` in these azimuths: (2, azimuths, nodes) float32 on device."""
         backend, far, count = self.backend, self.far, len(angles)
         found = backend.empty((2, count, math.prod(self.nodes)), np.float32)
         ways = np.stack([np.cos(angles), np.sin(angles)], 1)

@@ -35,11 +35,11 @@ class Sliced(LightMethod):
     """``solid`` [unit of depth] in ``units`` slices where it surrounds a node, fewer where it looks small.
 
     ``rays``: the brightness is the mean along so many rays from every node to the lamp; else its integral
-    along the chord of each slice, and the small bright parts of what is visible through a window have
-    azimuths of their own. The slices of a ball are two images that share none; refining puts as many slices
+    along the chord of each slice, and the small bright parts of the sky behind a window have azimuths of
+    their own. The slices of a ball are two images that share none; refining puts as many slices
     between them. Those of a quadrangle are Gauss-Legendre nodes: rules of different size share none, and the
-    image is that of the larger of two. Where there are rays, half the difference includes what a quarter of
-    them would change. ``thin``: of a quadrangle, ``units`` points along its middle instead of slices.
+    image is that of the larger of two. Where there are rays, half the difference includes the change that a
+    quarter of them makes. ``thin``: of a quadrangle, ``units`` points along its middle instead of slices.
     """
 
     def __init__(
@@ -73,7 +73,8 @@ class Sliced(LightMethod):
             self._compare(self._image(units // 2)[1])
 
     def _take_rays(self, rays: int) -> None:
-        """Set the source's mean brightness from every node, and half of what a quarter of the rays change.
+        """Set the source's mean brightness from every node, and half the change that a quarter of the rays
+        makes.
 
         Both (rows, cols) float32.
         """
@@ -100,7 +101,7 @@ class Sliced(LightMethod):
         slices = Slices(self.there, self.scene.sides, self.solid, self.brightness, units, shift=SHIFT)
         slices.run()
         if self.sky is not None and self.sky.bright_parts:
-            assert isinstance(self.solid, Quad), "small bright parts are seen through windows"
+            assert isinstance(self.solid, Quad), "small bright parts lie behind windows"
             ways, tables = zip(*(spot.sectors(units) for spot in self.sky.bright_parts))
             slices.sectors(np.concatenate(ways, 1), np.concatenate(tables, 0), outline(self.solid, self.step))
         return slices, slices.image

@@ -24,7 +24,7 @@ from .sweeps import Rays, Sweeps, ground_of
 OFFSET = 1 / 3
 # nodes of a map with its margin, or four times the map's; chosen: 64 MB, and a quarter of a second to wrap
 WRAPPED = 2**24
-# of light by tangent planes over what some azimuths make of it, where they see next to none; chosen: 1.5, 4
+# of light by tangent planes over the same by some azimuths, where these receive almost none; chosen: 1.5, 4
 # and no limit have the same errors within 2 %
 MOST_CORRECTION = 2.0
 FINE_KNOTS = 1025  # of a table that holds small bright parts too: a knot is 0.06 degrees at the horizon
@@ -39,7 +39,7 @@ class Horizons(LightMethod):
 
     Each of the two images has half of the azimuths, every other one, and all light. A ratio estimator makes
     the light of so few: of the light that the tangent planes alone let through, which is known exactly, each
-    node has the share that these azimuths see. So it lies between none and all of that light.
+    node has the share that these azimuths receive. So it lies between none and all of that light.
     """
 
     def __init__(
@@ -176,7 +176,7 @@ def _scaled(image: np.ndarray, scale: float) -> np.ndarray:
 
 
 def correction(exact: np.ndarray, planes: np.ndarray) -> np.ndarray:
-    """What the light of some azimuths is multiplied by: ``exact`` / ``planes``.
+    """The factor of the light of some azimuths: ``exact`` / ``planes``.
 
     All light that tangent planes alone let through, and what these azimuths make of it.
     """

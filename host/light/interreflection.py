@@ -38,7 +38,7 @@ class Round(NamedTuple):
 class Planes:
     """How maps of a shape lie in planes, as the kernels read them, and the steps of rays over them.
 
-    ``relief`` [spacing]: of a map that repeats, which says how far its ground is seen.
+    ``relief`` [spacing]: of a map that repeats; the distance of visible ground follows from it.
     """
 
     def __init__(self, engine: Backend, shape: tuple[int, int], sides: str, lights: int, relief: float):
@@ -125,10 +125,10 @@ class Planes:
 
 
 class MeanRadiance(Planes):
-    """Mean radiance of the ground that every node of a surface sees, for ground of known radiance.
+    """Mean radiance of the ground visible from every node of a surface, for ground of known radiance.
 
     ``radiances`` (lights, rows, cols): of the ground; ``found`` (lights x rows x cols) float32 on the device:
-    pi times the mean over all that is not sky, 0 where a node sees sky alone. Surfaces have depths of 0 at
+    pi times the mean over all that is not sky, 0 where only sky is visible. Surfaces have depths of 0 at
     least; ``relief`` [spacing] at most.
     """
 
@@ -153,7 +153,7 @@ class Bounces(Planes):
     """Irradiance of a scene by direct light and by all light between its surfaces, made better by rounds.
 
     ``direct``: irradiance (rows, cols) float32 of each light, one or one per colour; ``albedo`` of each, a
-    number or (rows, cols); ``sky`` (rows, cols) float32: share of sky that every node sees, cosine-weighted.
+    number or (rows, cols); ``sky`` (rows, cols) float32: cosine-weighted share of the sky at every node.
     One light may be a DeviceImage, which is used in place, and so may ``sky``.
     """
 
@@ -271,8 +271,8 @@ class Bounces(Planes):
     def at_samples(self, azimuths: int) -> tuple[np.ndarray, np.ndarray]:
         """(light, sky) at the samples by exact strips: (lights, nodes) [brightness x sr], (nodes,).
 
-        What the present light of the ground sends, over every crossing in so many azimuths, and the share of
-        sky.
+        Light that the ground sends with its present brightness, over every crossing in so many azimuths, and
+        the share of sky.
         """
         self._send()
         samples, engine = self.samples, self.engine

@@ -66,7 +66,7 @@ def _rays(
 ) -> tuple[np.ndarray, ...]:
     """(cosine and sine of the azimuth, slope, distance along the ground, light) of rays to a point.
 
-    It lies at this ``share`` of the angle that a node sees: there dl / r^2 is dangle / distance.
+    The point lies at this ``share`` of the line's angle at a node: there dl / r^2 is dangle / distance.
     """
     angle = nodes.first + nodes.span * share
     way = nodes.nearest * np.cos(angle) + np.multiply.outer(unit, np.sin(angle))

@@ -407,7 +407,7 @@ class FieldByLayers:
             np.stack([steps[:, 2], steps[:, 1] * self.width + steps[:, 0]], 1).astype(np.int32)
         )
         self.depth = backend.upload(problem.host_depth)
-        # A sky fills what lies outside the map; level rays end at walls and in a window's plane.
+        # A sky fills the space outside the map; level rays end at walls and in a window's plane.
         self.field = backend.empty(
             (layers + self.reach, self.words, self.height, self.width),
             np.uint32,
@@ -591,7 +591,7 @@ def light(
     whole: np.ndarray | None = None,
     stays: bool = False,
 ) -> tuple[list[Any], list[np.ndarray]]:
-    """Irradiance, and what a lobe reflects, (rows, cols) float32 per colour; arguments: see Light.
+    """Irradiance, and the light that a lobe reflects, (rows, cols) float32 per colour; arguments: see Light.
 
     ``stays``: irradiances are DeviceImages.
     """

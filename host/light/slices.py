@@ -29,8 +29,8 @@ LOBE_LEAST, LOBE_ROUND, LOBE_MOST = 16, 32, 256
 LOBE_APART = 1.1  # half widths of a lobe between two slices of a lamp
 LOBE_SAMPLES = 2048  # samples across the sky that a lobe's means are made of
 SUNNY, SUNS = 4.0, 64  # times the mean brightness from which on light is a sun's; rays to suns
-# apparent width [rad] of what is widened: of its light a square over 12 is lost, 3e-7, and float32 holds its
-# width to 5e-5; derived
+# apparent width [rad] of a source that is widened: of its light a square over 12 is lost, 3e-7, and float32
+# holds its width to 5e-5; derived
 THIN = 2e-3
 # along each side of the map, over which the median distance of a source is taken. Chosen: half and twice give
 # four random pairs the same errors (performance/constants.py --seed 18)

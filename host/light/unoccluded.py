@@ -18,7 +18,7 @@ from ..sources.solids import Ball, Quad
 # normals along an axis of the table of a sky's light: a uniform sky's has an error of 2e-4 between them
 # (step^2 / 8 x curvature), none at level ground
 NORMALS_PER_AXIS = 65
-LEAST_SQUARE = 1e-24  # [spacing^2] of a distance: a node in the plane of a source sees none of it
+LEAST_SQUARE = 1e-24  # [spacing^2] of a distance: a node in the plane of a source gets no light of it
 INTEGRATED_AZIMUTHS = 96  # that tables are made of; chosen
 
 Values = Any  # numbers or arrays that broadcast

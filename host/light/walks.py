@@ -19,7 +19,7 @@ class Group(NamedTuple):
     The kernels' arguments of these names, see opencl/scan.cl, source.cl and filled.cl: walks (count, 8)
     int32, rise (count, bits) float32, crossings (n, 8) int32, climbs (n, bits) float32, spans (count, 2)
     int32, and directions (count, bits) int32, the number of each direction. Walks along rows (j = 0) are
-    walks along columns of the turned map, so that neighbours in memory stay neighbours; what they write is
+    walks along columns of the turned map, so that neighbours in memory stay neighbours; their results are
     turned back, plane by plane: pairs (turned walks, 2) int32, (from, to).
     """
 

@@ -43,9 +43,9 @@ class Disc(NamedTuple):
 
 
 class Distribution(ABC):
-    """A brightness function that tells what its values in some directions cannot show.
+    """A brightness function with its properties that samples in some directions do not show.
 
-    Whatever integrates, scales or refuses a brightness asks these methods and no other attribute;
+    Code that integrates, scales or refuses a brightness uses these methods and no other attribute;
     :func:`distribution` makes one of any function. A disc is not part of the values.
     """
 
@@ -96,7 +96,7 @@ class Function(Distribution):
 
 
 def distribution(function: BrightnessFunction) -> Distribution:
-    """``function`` itself if it is a ``Distribution``, else with what its attribute ``peaks`` names."""
+    """``function`` itself if it is a ``Distribution``, else with the directions of its ``peaks``."""
     if isinstance(function, Distribution):
         return function
     return Function(function, function.peaks if isinstance(function, NamesPeaks) else None)

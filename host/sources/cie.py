@@ -185,7 +185,7 @@ def sun_position(
         raise bad(
             "sun_position: time without a zone",
             str(time),
-            "a time that knows its zone",
+            "a time with its time zone",
             "Append Z for universal time, or +02:00.",
         )
     numbers = check_place("sun_position", latitude, longitude, altitude)

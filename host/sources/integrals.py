@@ -41,7 +41,7 @@ JITTERED = 5
 PARTS = 4  # into which a cell is divided along each side
 MOST_DIVISIONS = 9  # 0.15 degrees / 4^9 = 2e-6 degrees
 # evaluations in divided cells, as many as in the first ones: those with the largest second differences are
-# divided first, and `error` holds what is left
+# divided first, and `error` holds the rest
 MOST_CELL_EVALUATIONS = 2**20
 CONVERGED = 2e-5  # relative error at which no cell is divided any more: a fifth of level ground's tolerance
 SHARPEST = 3.0  # ratio of the light of neighbouring cells from which on an edge lies between them
@@ -51,7 +51,7 @@ SHARPEST = 3.0  # ratio of the light of neighbouring cells from which on an edge
 BRIGHT = 4.0  # times the median brightness from which on light may belong to a small part
 LEAST_LEVEL = 1e-6  # of the brightest, from which on levels are tried where the sky is dark
 FAINT_PARTS_SHARE = 0.1  # tolerances that small parts may give together and stay with the rest
-WIDEST = math.pi / 6  # azimuth that a small part may span, 30 degrees: even azimuths resolve what is wider
+WIDEST = math.pi / 6  # azimuth that a small part may span, 30 degrees: even azimuths resolve wider ones
 INNER = 0.1  # share of a small part's light from which on far brighter cells in it form another
 SECTOR_CELL_PARTS = 16  # at most, that a cell is cut into for narrow sectors; 8 and 32 give the same errors
 # [rad] of darkness between two small parts: parts nearer than that share azimuths
@@ -243,14 +243,15 @@ class Integrals:
 
     ``bright_parts``: the small ones, brightest first; ``level``: irradiance of open level ground [brightness
     x sr], these included, and ``rest`` without them; ``error``: estimate of its relative error; ``mean``:
-    brightness of a uniform sky with the same rest; ``variation``: what the rest varies by, over its mean.
+    brightness of a uniform sky with the same rest; ``variation``: the range of the rest over its mean.
     """
 
     def __init__(
         self, source: sources.Source, tolerance: float = 0.01, fine: bool = False, widest: float = WIDEST
     ):
-        """``fine``: cells are small also where narrow features are named, for sources that see little of the
-        sky at a time. ``tolerance`` inf: no small bright parts. ``widest``: azimuth that one may span [rad].
+        """``fine``: cells are small also where narrow features are named, for sources through which little of
+        the sky is visible at a time. ``tolerance`` inf: no small bright parts. ``widest``: azimuth that one
+        may span [rad].
         """
         function, peaks = source.brightness, _peaks(source)
         brightness = sources.distribution_of(source)
@@ -436,8 +437,8 @@ class Integrals:
     def above(self, begin: np.ndarray, end: np.ndarray, knots: int, unbiased: bool = False) -> np.ndarray:
         """Integrals of B cos^2, B sin cos above every knot and between azimuths: (2, K, knots) float64.
 
-        ``unbiased``: of sectors all round, what interpolation between means of cells adds where brightness is
-        convex is taken off.
+        ``unbiased``: of sectors all round, the excess of interpolation between means of cells, where
+        brightness is convex, is subtracted.
         """
         sums = self._sums
         if unbiased:  # of base cells: 1/24 by the mean, 1/24 since they are even

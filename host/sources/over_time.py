@@ -75,19 +75,19 @@ def sky_over_time(
     """The suns and skies of many times as one brightness, for ``Sky``: a day, a season, a year of light.
 
     One ``render(scene, Sky(sky_over_time(...)), quantity="irradiance")`` gives the irradiation in kWh m^-2:
-    the sum of what a render of every time would give [W m^-2], times its hours, over 1000.
+    the sum of the images of all times [W m^-2], each times its hours, over 1000.
 
     Parameters
     ----------
-    times : pandas.DatetimeIndex, or what makes one
-        With a time zone. The sun stands where it is at these times: of values that are means over an hour,
-        give the middle of the hour.
+    times : pandas.DatetimeIndex, or an argument of it
+        With a time zone. The position of the sun is that at these times: for values that are means over an
+        hour, give the middle of the hour.
     latitude, longitude, altitude : float [degree, north and east positive; metre]
         Of the map. One sun and one sky serve all of it.
     dni, dhi : (times,) [W m^-2], optional
         Measured direct normal and diffuse horizontal irradiance, both or neither. Without them those of a
-        clear sky (Ineichen and Perez 2002, with pvlib's monthly Linke turbidity). Of times at which the sun
-        is down dni has no effect, and dhi comes evenly from the sky.
+        clear sky (Ineichen and Perez 2002, with pvlib's monthly Linke turbidity). While the sun is
+        down, dni has no effect, and dhi comes evenly from the sky.
     model : "perez", 1 to 15, or (times,) of these numbers
         How dhi is spread over the sky. "perez": Perez et al. 1990 as in ``pvlib.irradiance.perez``: even
         light, circumsolar light, which comes from the sun's disc, and a band of 6.5 degrees at the horizon.
@@ -276,10 +276,11 @@ def _level(sky: np.ndarray) -> float:
 def _perez(
     index: Any, azimuth: np.ndarray, elevation: np.ndarray, dni: np.ndarray, dhi: np.ndarray, pvlib: Any
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Brightness of the even sky and what the band adds [W m^-2 sr^-1], circumsolar light [W m^-2]: (times,).
+    """Brightness of the even sky and of the band above it [W m^-2 sr^-1], circumsolar light [W m^-2]:
+    (times,).
 
-    The first two have the light of pvlib's model on level ground and on a wall. Where that asks for a band
-    darker than black, it is black.
+    The first two have the light of pvlib's model on level ground and on a wall. Where that requires a
+    negative brightness of the band, it is 0.
     """
     zenith = 90 - elevation
     there = dhi > 0

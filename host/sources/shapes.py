@@ -31,8 +31,8 @@ if TYPE_CHECKING:
 # of a ray that goes from node to node up to a volume; chosen: some minutes for 209 directions in NumPy, and
 # time is in proportion
 MOST_STEPS_UP = 2**16
-# azimuths, and elevations, in which the size of a brightness is looked at. Chosen; half and twice give the
-# same image, since scaling by a power of two is exact, but for what is 2^40 times brighter between them
+# azimuths, and elevations, in which the size of a brightness is sampled. Chosen; half and twice give the same
+# image, since scaling by a power of two is exact, unless light between the samples is 2^40 times brighter
 PROBED = 12
 
 
@@ -46,7 +46,7 @@ class Sky:
         A function is integrated: features of at least 0.2 degrees are found in any direction, and all pixels
         of an environment map. The attribute ``peaks`` of a function may hold the directions of all its
         features that are narrower than a degree, as ``suns`` does; others are then not searched for, and ()
-        says that there are none.
+        means that there are none.
     suns : unit vectors (x, y, z), optional
         Directions towards all features of ``brightness`` that are narrower than a degree. They may then be of
         any size, and no others are searched for.
@@ -165,7 +165,7 @@ Source = Sky | Lamp | Window
 
 
 class Geometry(NamedTuple):
-    """Where a source shines from, as backends know it: plain numbers in the unit of the compared depths.
+    """The place of a source in the form for backends: plain numbers in the unit of the compared depths.
 
     kind: SKY, RECTANGLE, APERTURE, BALL or VOLUME. numbers (4,) float64: x0, x1, y0, y1 of a rectangle or
     x, y, z, radius of a ball. flags: uint8 aperture (1, rows, cols) or volume (layers, rows, cols).
@@ -269,7 +269,7 @@ def distribution_of(source: Source) -> Distribution | None:
 def narrow_features(source: Source) -> tuple[tuple[float, ...], ...] | None:
     """Directions (x, y, z) of all features of its brightness below a degree; None where none are named.
 
-    () where the brightness says that there are none.
+    () where the brightness has none.
     """
     brightness = distribution_of(source)
     narrow = None if brightness is None else brightness.narrow()
@@ -281,7 +281,7 @@ def in_range(source: Source) -> tuple[Source, float]:
     """A source whose brightness is far from the limits of float32, and the number that its light is to be
     multiplied by: a power of two, 1 where the brightness is a number or its greatest value is moderate.
 
-    Functions are looked at in PROBED azimuths and elevations, and towards their narrow features.
+    Functions are sampled in PROBED azimuths and elevations, and towards their narrow features.
     """
     brightness = distribution_of(source)
     if brightness is None:
@@ -291,7 +291,7 @@ def in_range(source: Source) -> tuple[Source, float]:
     around = directions_of(azimuths[:, None], sines).reshape(-1, 3)
     values = np.asarray(brightness(np.concatenate([around, narrow])))
     if values.dtype.kind not in "iuf":
-        return source, 1.0  # radiance() says what is wrong
+        return source, 1.0  # radiance() raises the error
     most = float(np.max(values, initial=0.0, where=np.isfinite(values) & (values <= BRIGHTEST)))
     if most == 0 or LEAST_UNIT <= most <= MOST_UNIT:
         return source, 1.0

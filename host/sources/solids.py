@@ -1,4 +1,4 @@
-"""Shapes of sources in the unit of depth, as kernels see them."""
+"""Shapes of sources in the unit of depth, in the form for kernels."""
 
 from __future__ import annotations
 
@@ -11,8 +11,9 @@ import numpy as np
 Vector = Sequence[float] | np.ndarray
 
 # reach of a window beyond the map, over the larger of the map's extent and the window's other side. Chosen:
-# what is cut off is 1e-4 of the light of a wall, of a window wide to both sides and of a strip alike (its
-# square, and the root of it); a strip's slices are off by 0.1 % with 300, by 14 % with 1000, by rounding
+# the part cut off is 1e-4 of the light of a wall, of a window wide to both sides and of a strip alike (its
+# square, and the root of it); a strip's slices have an error of 0.1 % with 300, of 14 % with 1000, by
+# rounding
 MOST_EXTENTS = 100.0
 
 
@@ -33,7 +34,9 @@ class Quad(NamedTuple):
 
 
 class Dome(NamedTuple):
-    """The sky, seen in a mirror. Ground farther away than ``reach`` [unit of depth] does not occlude it."""
+    """The sky as a mirror reflects it. Ground farther away than ``reach`` [unit of depth] does not occlude
+    it.
+    """
 
     reach: float = math.inf
 

@@ -508,7 +508,7 @@ def lamp(
             slices = _quadrangle_slices(k, quadrature[k], frames, solid, own, x, y, count)
         c, s, width, high = slices.c, slices.s, slices.width, slices.high
 
-        # 2. what limits it from below
+        # 2. its lower limits
         ways = _ways(c, s)
         tilt = gx * c + gy * s
         slope, by_limit = _lower_limit(slices, ways, tilt, own, x, y, rows, cols, sides)

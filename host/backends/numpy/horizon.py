@@ -1,8 +1,8 @@
 """Horizons, and the light of a sky above them, in NumPy: twin of opencl/horizon.cl.
 
 Float32 and int32 operations in the order of the OpenCL kernels, a product and its sum rounded one after the
-other, so that slopes are the same bits as on a CPU. What is done for one node there is done for the whole map
-here, and what is done for one line for all lines of an azimuth; only the ladder goes from row to row. Steps
+other, so that slopes are the same bits as on a CPU. A step for one node there is one for the whole map
+here, and a step for one line is one for all lines of an azimuth; only the ladder goes from row to row. Steps
 are numbered as in opencl/horizon.cl.
 """
 
@@ -240,7 +240,7 @@ def _row_of(rays: Rays, ladder: Ladder, line: np.ndarray, comes: int, comes_at: 
     across = -rays.shear * np.float32(comes)
     column = np.floor(across)
     at = line + int(column)
-    # beyond the margin there is only what is not there
+    # beyond the margin there is no ground
     at = at % rays.cols if rays.periodic else np.clip(at, -2, rays.cols)
     row = comes % rays.rows if rays.towards > 0 else (rays.rows - 1 - comes) % rays.rows
     a, b = grid[rays.margin + row, rays.margin + at], grid[rays.margin + row, rays.margin + at + 1]
@@ -254,7 +254,7 @@ def _ladder(rays: Rays, ladder: Ladder, backward: bool) -> tuple[np.ndarray, np.
     line, start, stop = _lines(rays, backward)
     level = ladder.quantized(rays.own)
 
-    # 2. nothing seen yet
+    # 2. nothing visible yet
     above = np.full((LADDER, len(line)), UNSEEN, np.int32)
     steps, rises = (ladder.steps if backward else -ladder.steps)[:, None], ladder.rises[:, None]
     mask = (1 << ladder.bits) - 1

@@ -160,7 +160,7 @@ def _gathered(
             if strips.sides == PERIODIC:
                 u = (((u >> layout.shift) % layout.across) << layout.shift) + (u & (phases - 1))
                 v = v % layout.rows
-            else:  # what is off the map lies at its corner before, where there is no ground
+            else:  # crossings outside the map are moved to its corner, where there is no ground
                 off = (v < -1) | (v >= layout.rows) | (u < 0) | (u >= phases * layout.across)
                 if off.all():
                     break

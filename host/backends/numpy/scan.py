@@ -38,7 +38,7 @@ def sweep_lines(
             if u >= 0:
                 yield row, z, ceiling
             ceiling = np.minimum(ceiling, z) + climb
-            # the next node of a line lies i columns back; what comes in from outside the map has open sky
+            # the next node of a line lies i columns back; a line from outside the map has open sky
             ceiling = np.roll(ceiling, -i, 1)
             if not periodic and i:
                 ceiling[:, slice(-i, None) if i > 0 else slice(0, -i)] = NO_CEILING

@@ -379,8 +379,8 @@ def _light(
     if not ground.dark:
         slope = _horizon(ground, pixels, c, s, slope, high, along, aside)
         return _chord(ground, pixels, c, s, slope, high, np.where(slope > low, high - slope, rise))
-    # 2. the wall hides what lies beyond it: tangents up to `under`, and from `over` on, but none from its top
-    # on
+    # 2. the wall hides all ground beyond it: tangents up to `under`, and from `over` on, but none from its
+    # top on
     wall = np.minimum(_to_wall(ground.cols, pixels.x, c), _to_wall(ground.rows, pixels.y, s))
     top = -pixels.height / wall
     if pixels.radius > 0:
@@ -588,7 +588,7 @@ def _turn_by_tangent(quarter: np.ndarray) -> Values:
 
 
 class Outline(NamedTuple):
-    """A quadrangle as the nodes see it, in the frame that points below its middle.
+    """A quadrangle relative to the nodes, in the frame that points below its middle.
 
     One element per node, except ``up``. ``away``, ``ax``, ``ay`` (4, nodes): the corners from the middle
     along the frame, and from the node along and across it. ``up`` (4): above the middle.
@@ -606,7 +606,7 @@ class Frame(NamedTuple):
     """Where the middle of a quadrangle stands, one element per node.
 
     Azimuth (ux, uy), distance along the ground, height. The plane's normal along the frame and across it,
-    and upwards, turned away from the node by ``sense``. ``seen``: the node sees a face of it.
+    and upwards, turned away from the node by ``sense``. ``seen``: a face of it is visible from the node.
     """
 
     ux: np.ndarray
@@ -698,7 +698,7 @@ def _quadrangle_slices(
     part: np.ndarray,
     count: int,
 ) -> tuple[Any, ...]:
-    """The slices that _sum adds: ``count`` of the quadrangle as the nodes ``part`` see it."""
+    """The slices that _sum adds: ``count`` of the quadrangle at the nodes ``part``."""
     cos_d, sin_d, share = _sector_slices(sectors, ends, quadrature, part, count)
     (left_r, left_z, has_left), (right_r, right_z, has_right) = _crossings(outline, part, cos_d, sin_d)
     here = _columns(frame, part)
