@@ -45,7 +45,7 @@ from .samples import (
     turn,
 )
 from .scene import Scene, is_scene
-from .sources.integrals import BrightPart, Integrals, even
+from .sources.integrals import BrightPart, Integrals, even, integrals
 from .sources.solids import Ball, Quad, aperture, rectangle, upright
 
 # -- tolerance and estimates
@@ -674,7 +674,7 @@ class _SkyPlanner(_Planner):
         if not callable(brightness):
             self.light = float(brightness)
             return
-        self.light = sky = Integrals(self.source, self.tolerance)
+        self.light = sky = integrals(self.source, self.tolerance)
         if not sky.bright_parts and sky.variation <= NEARLY_UNIFORM * self.tolerance:
             self.light = float(sky.mean)
             return
@@ -1028,7 +1028,7 @@ class _SlicePlanner(_Planner):
 
     def _integrate_sky(self) -> None:
         """Integrals of the sky behind a window, and the window's outline for its small bright parts."""
-        self.sky = Integrals(sources.Sky(self.source.brightness), self.tolerance, True, WINDOWED_PART)
+        self.sky = integrals(sources.Sky(self.source.brightness), self.tolerance, True, WINDOWED_PART)
         there = self.scene.on(self.engine)
         window = solid_of(self.scene, self.source, there.step / self.scene.spacing, there.step)
         assert isinstance(window, Quad), "a window of which something is left is a quadrangle"
@@ -1135,7 +1135,7 @@ class _SlicePlanner(_Planner):
                     self.rays = rays
                     return
         if self.sky is None:
-            self.sky = Integrals(sources.Sky(self.source.brightness), math.inf, True)
+            self.sky = integrals(sources.Sky(self.source.brightness), math.inf, True)
 
     def _choose_slices(self, brightness: sources.Brightness, light: dict[int, np.ndarray]) -> None:
         """The fewest slices whose light at the samples is within the tolerance of JUDGING_SLICES times as

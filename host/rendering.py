@@ -40,7 +40,7 @@ from .refinement import Plan, Refined, refined, solid_of
 from .reflectance import BRDF, Phong
 from .scale import Audit, decided, fits, holds, limited, over_area, tiled, warn
 from .scene import Scene, is_scene
-from .sources.integrals import Integrals, chords
+from .sources.integrals import chords, integrals
 from .sources.solids import Dome, upright
 
 RENDER_METHODS = ("auto", "lattice", "horizon", "unoccluded")
@@ -489,7 +489,7 @@ def _rays_of(sky: sources.Sky, sectors: Azimuths) -> tuple[Rays, np.ndarray | No
     rays = Rays(sectors.angles, sectors.widths)
     if not callable(sky.brightness):
         return rays, None
-    light = Integrals(sky)
+    light = integrals(sky)
     table = light.table(sectors.angles, sectors.widths, FINE_KNOTS)
     suns = [sun.sectors(PART_SECTORS) for sun in light.bright_parts]
     return with_bright_parts(rays, table, suns) if suns else (rays, table)
@@ -965,7 +965,7 @@ def _unoccluded(scene: Scene, source: sources.Source) -> np.ndarray:
     """Closed forms: (rows, cols) float32."""
     if isinstance(source, sources.Sky):
         varies = callable(source.brightness)
-        image = unoccluded.sky(scene, Integrals(source) if varies else _number(source))
+        image = unoccluded.sky(scene, integrals(source) if varies else _number(source))
     else:
         solid = upright(solid_of(scene, source, 1 / scene.spacing, 1.0))
         if solid is None:
@@ -990,7 +990,7 @@ def _sky_above_horizons(
     if callable(sky.brightness):
         if not isinstance(azimuths, Azimuths) and (profile := sources.azimuth_profile(sky)) is not None:
             sectors = Azimuths.placed(len(sectors), profile)
-        table = Integrals(sky, np.inf).table(sectors.angles, sectors.widths, 1025)
+        table = integrals(sky, np.inf).table(sectors.angles, sectors.widths, 1025)
     ground, rays = ground_of(scene, max_distance, engine), Rays(sectors.angles, sectors.widths)
     sweeps = Sweeps(engine, ground, rays, table)
     image: Irradiance = sweeps.image() if on_device else sweeps.irradiance(last=True)
@@ -1003,7 +1003,7 @@ def _by_slices(
     """A lamp or window in as many slices as planned: (rows, cols) float32; ``on_device``: a DeviceImage."""
     assert plan.azimuths is not None, "a plan of slices says how many"
     brightness = (
-        chords(Integrals(sources.Sky(source.brightness), np.inf, True), CHORD_AZIMUTHS, CHORD_KNOTS)
+        chords(integrals(sources.Sky(source.brightness), np.inf, True), CHORD_AZIMUTHS, CHORD_KNOTS)
         if callable(source.brightness)
         else _number(source)
     )

@@ -11,7 +11,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, NamedTuple, Protocol, runtime_checkable
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -53,6 +53,10 @@ class Distribution(ABC):
     def __call__(self, L: np.ndarray) -> np.ndarray:
         """Brightness (...), or RGB (..., 3), along unit vectors (..., 3)."""
 
+    def by_formula(self) -> bool:
+        """Whether it is made of a few numbers, so that equal ones have equal values at any time."""
+        return False
+
     def narrow(self) -> Directions | None:
         """Directions of all features narrower than a degree; None where they are not known."""
         return None
@@ -74,13 +78,6 @@ class Distribution(ABC):
         return Scaled(self, factor)
 
 
-@runtime_checkable
-class NamesPeaks(Protocol):
-    """A caller's function that names its narrow features, see ``Sky``."""
-
-    peaks: Directions | None
-
-
 @dataclass(frozen=True)
 class Function(Distribution):
     """Any function of directions, with the directions of its narrow features where they are known."""
@@ -99,7 +96,7 @@ def distribution(function: BrightnessFunction) -> Distribution:
     """``function`` itself if it is a ``Distribution``, else with the directions of its ``peaks``."""
     if isinstance(function, Distribution):
         return function
-    return Function(function, function.peaks if isinstance(function, NamesPeaks) else None)
+    return Function(function, getattr(function, "peaks", None))
 
 
 def uniform(brightness: float = 1.0) -> BrightnessFunction:
@@ -261,6 +258,9 @@ class Mirrored(Distribution):
 
     function: Distribution
     axes: tuple[float, float]
+
+    def by_formula(self) -> bool:
+        return self.function.by_formula()
 
     def _turned(self, L: Any) -> np.ndarray:
         turned: np.ndarray = np.asarray(L, float) * (*self.axes, 1.0)

@@ -45,6 +45,9 @@ class CieSky(Distribution):
     zenith: float
     direct: float = 0.0
 
+    def by_formula(self) -> bool:
+        return True
+
     def __call__(self, L: np.ndarray) -> np.ndarray:
         L = np.asarray(L, float)
         up = -L[..., 2]

@@ -8,6 +8,7 @@ cells and get azimuths of their own. All is float64 and on the host.
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
@@ -456,6 +457,18 @@ class Integrals:
         part = (at - low)[:, None]
         above: np.ndarray = ((1 - part) * down[:, low] + part * down[:, low + 1]).swapaxes(1, 2)
         return above
+
+
+_kept = functools.lru_cache(16)(Integrals)  # 1.3 MB each, 20 to 60 ms to make
+
+
+def integrals(
+    source: sources.Source, tolerance: float = 0.01, fine: bool = False, widest: float = WIDEST
+) -> Integrals:
+    """The Integrals of a sky, nothing of which is to be changed; of one by a formula they are kept."""
+    brightness = sources.distribution_of(source)
+    made = Integrals if brightness is None or not brightness.by_formula() else _kept
+    return made(source, tolerance, fine, widest)
 
 
 def chords(sky: Integrals, turns: int, knots: int) -> np.ndarray:

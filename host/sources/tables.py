@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+
 import numpy as np
 
 from .brightness import directions_of
@@ -40,6 +42,11 @@ def sky_samples(source: Source) -> tuple[np.ndarray, np.ndarray]:
 
 def azimuth_profile(source: Source) -> np.ndarray | None:
     """Light that comes from each of many even sectors of azimuth, (2048,); None where it hardly varies."""
+    brightness = distribution_of(source)
+    return (_profile if brightness is None or not brightness.by_formula() else _kept_profile)(source)
+
+
+def _profile(source: Source) -> np.ndarray | None:
     light, sine = sky_samples(source)
     profile = np.einsum("ae,ae->a", light, np.sqrt(1 - sine**2))
     if profile.max() <= UNEVEN * profile.mean():
@@ -47,6 +54,9 @@ def azimuth_profile(source: Source) -> np.ndarray | None:
     # the edge of a sun lies between samples
     widest: np.ndarray = np.maximum.reduce([np.roll(profile, n) for n in range(-2, 3)])
     return widest
+
+
+_kept_profile = functools.lru_cache(16)(_profile)  # of skies whose values never change
 
 
 def elevation_table(
