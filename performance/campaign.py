@@ -32,6 +32,7 @@ from fuzz import cases, environment, odd, relations  # noqa: E402  after the pat
 import skylamp as sl  # noqa: E402
 
 SHARES = (("opencl", 0.6), ("numpy", 0.25), ("warp:cpu", 0.15))
+SKIPPED = {"opencl": [], "numpy": ["files", "backends agree"]}  # files need no backend: once suffices
 HANGS = 10  # bounds of real time after which a case inside a library's call ends the campaign
 CHUNK = 25  # cases of a relation and a backend in a row
 
@@ -97,12 +98,12 @@ def campaign(options):
         for name, relation in relations.RELATIONS.items()
         if name not in options.without and (not options.only or name in options.only)
     }
-    backends = [(name, share) for name, share in SHARES if not options.backend or name == options.backend]
+    backends = [(options.backend, 1.0)] if options.backend else SHARES
     weights = {
         (name, backend): relation.weight * share
         for name, relation in chosen.items()
         for backend, share in backends
-        if backend == "opencl" or name != "files" and (name, backend) != ("backends agree", "numpy")
+        if name not in SKIPPED.get(backend, ["files"])
     }
     number, current = 0, Path(f"{options.out}.current")
     while sum(counts.values()) < options.cases and time.perf_counter() - start < options.seconds:
@@ -176,7 +177,7 @@ def main():
     )
     parser.add_argument("--only", nargs="*", choices=list(relations.RELATIONS))
     parser.add_argument("--without", nargs="*", choices=list(relations.RELATIONS), default=[])
-    parser.add_argument("--backend", choices=[name for name, _ in SHARES])
+    parser.add_argument("--backend", help="this one alone; else " + ", ".join(name for name, _ in SHARES))
     parser.add_argument("--out", default="campaign")
     parser.add_argument("--kills", type=int, default=0, help="kill -9 of a writer so often, instead of cases")
     parser.add_argument("--calls", type=int, default=0, help="calls of 8 threads each, instead of cases")
