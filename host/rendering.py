@@ -120,9 +120,14 @@ class Rendering:
             np.hypot(np.float32(factor) * _error_map(found, scene), np.float32(between))
             for (found, factor), between in zip(self._parts, self._between)
         ]
-        found: np.ndarray = labelled(
-            _image(scene, errors, [], self._quantity), scene.labels, ERRORS[self._quantity]
-        )
+        with np.errstate(invalid="ignore"):
+            image = _image(scene, errors, [], self._quantity)
+        # ground of albedo 0 reflects none of an irradiance whose error is not bounded, where 0 x inf is nan
+        unknown = np.isnan(image)
+        if scene.mask is not None:
+            unknown[~scene.mask] = False
+        image[unknown] = 0
+        found: np.ndarray = labelled(image, scene.labels, ERRORS[self._quantity])
         return found
 
     def _times(self, unit: float) -> Rendering:
@@ -694,6 +699,8 @@ class _Renderer:
             first = _image(scene, [light.copy() for light in _on_host(direct)], shine, quantity)
         image = self._image(irradiances, shine)
         if first is not None:
+            if image.ndim > first.ndim:  # a coloured ground alone colours an irradiance
+                first = np.repeat(first[..., None], image.shape[-1], -1)
             first, rest = (
                 labelled(values, scene.labels, IMAGES[quantity]) for values in (first, image - first)
             )

@@ -66,11 +66,11 @@ def errors(
     extrapolated from the tenth of largest errors, whose excess is assumed exponential, unless TAIL_SAMPLES
     nodes are beyond it.
     """
-    lit = exact > 0
-    if not lit.any() and not least > 0:
-        return Errors(*(0.0 if not np.abs(found).max(initial=0) > 0 else math.inf,) * 3)
     weights = np.full(len(exact), 1 / len(exact)) if weights is None else weights / weights.sum()
+    lit = (exact > 0) & (weights > 0)
     mean = (weights @ exact) / weights[lit].sum() if lit.any() else 0.0
+    if not max(mean, least) > 0:
+        return Errors(*(0.0 if not np.abs(found).max(initial=0) > 0 else math.inf,) * 3)
     off = np.abs(found - exact) / max(mean, least)
     square = float(weights @ off**2)
     bound = math.sqrt(square + SIGMAS * float(np.linalg.norm(weights * (off**2 - square))))

@@ -178,6 +178,9 @@ class Backend(ABC):
     lines = 1  # adjacent work-items that share cache lines, where work-items of a group run together
     pixel_lanes = 1  # adjacent pixels per work-item where there are no lines; divides PIXEL_PADDING
     compile_seconds = 0.0
+    # rows x azimuths over which sweeps may follow the relief of a map that repeats, besides the map itself:
+    # some minutes where rows are as short as they can be (PoCL, two cores; performance/campaign.py)
+    most_searched_rows = 2**34
 
     shares = False  # whether the device's memory is the host's
 

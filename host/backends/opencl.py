@@ -128,12 +128,12 @@ class OpenclBackend(Backend):
     def empty(self, shape: tuple[int, ...], dtype: DTypeLike, fill: float | None = None) -> Array:
         array = _new(self, shape, dtype)
         if fill is not None:
-            scalar: Any = np.dtype(dtype).type
-            array.fill(scalar(fill))
+            self.fill(array, fill)
         return array
 
     def fill(self, array: Array, value: float) -> None:
-        array.fill(array.dtype.type(value))
+        if array.nbytes:  # pyopencl's own fill would compile a kernel, with the compiler's remarks
+            self.cl.enqueue_fill_buffer(self.queue, array.data, array.dtype.type(value), 0, array.nbytes)
 
     def download(self, array: Array) -> np.ndarray:
         if self.shares or array.nbytes < staging.LEAST:

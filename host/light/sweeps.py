@@ -383,6 +383,8 @@ class Sweeps:
             warm = math.ceil(max(rows, cols, self.relief / LEAST_SEARCHED_SLOPE))
         elif periodic:
             warm = math.ceil(self.reach) + 1
+        if periodic:
+            _check_search(self.backend, self.relief, warm, len(numbers))
         shears, tables = _shear_tables(
             self.near, self.rays, self.units, numbers, windows, reach, warm, across, along
         )
@@ -516,18 +518,31 @@ def ladder(
     An integer holds a height above a ray in units of 1 / unit, and in its ``bits`` lowest bits a distance up
     to ``span`` rows. Raises CapacityError where that leaves no room for heights.
     """
-    bits = max(1, math.ceil(math.log2(max(span, comes_at) + 2)))
+    rows = max(span, comes_at)
+    bits = max(1, math.ceil(math.log2(rows + 2)))
     if bits > MOST_DISTANCE_BITS:
-        raise CapacityError(
-            f"A relief of {relief:.3g} on a map that repeats must be followed over {max(span, comes_at):,}"
-            f" rows, at most {2**MOST_DISTANCE_BITS:,}; give depth and spacing in one unit, or max_distance."
-        )
+        raise _too_far(relief, rows, 1, 2**MOST_DISTANCE_BITS)
     slopes = np.tan(np.linspace(0, 1, LADDER) ** 1.5 * math.atan(steepest))
     slopes = slopes if steepest > 0 else slopes[::-1]
     high = relief + (steepest * comes_at if steepest > 0 else -steepest * span)
     unit = (2.0 ** (30 - bits) - 2 * LADDER) / max(high, 1e-6)
     steps = (np.rint(slopes * unit).astype(np.int64) << bits) - 1
     return bits, unit, tuple(steps.tolist()), tuple(((steps + 1) * comes_at).tolist())
+
+
+def _check_search(backend: Backend, relief: float, rows: int, azimuths: int) -> None:
+    """CapacityError where a sweep over a map that repeats would follow its relief for too many rows."""
+    most = min(2**MOST_DISTANCE_BITS, backend.most_searched_rows // max(1, azimuths))
+    if rows > most:
+        raise _too_far(relief, rows, azimuths, most)
+
+
+def _too_far(relief: float, rows: int, azimuths: int, most: int) -> CapacityError:
+    return CapacityError(
+        f"A relief of {relief:.3g} spacings on a map that repeats must be followed over {rows:,} rows in"
+        f" {azimuths} azimuths; at most {most:,} rows. Give depth and spacing in one unit, or"
+        " max_distance, or choose a compiled backend."
+    )
 
 
 def _steepest(best: np.ndarray) -> tuple[float, float]:

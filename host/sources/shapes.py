@@ -115,6 +115,10 @@ class Lamp:
             lengths = np.linalg.norm(u), np.linalg.norm(v)
             if not min(lengths) > 0 or abs(np.dot(u, v)) > 1e-6 * lengths[0] * lengths[1]:
                 raise bad("lamp edges", (u, v), "two vectors that are not zero and at right angles")
+            if any(np.array_equal(np.add(self.corner, edge), self.corner) for edge in (u, v)):
+                raise bad(
+                    "lamp edges", (u, v), f"no shorter than float64 resolves at the corner {self.corner}"
+                )
             object.__setattr__(self, "edges", (u, v))
         elif self.volume is not None:
             object.__setattr__(self, "volume", _flags(self.volume, "lamp volume", 3, "(layers, rows, cols)"))

@@ -1,0 +1,60 @@
+"""Cases that a campaign found (performance/campaign.py), one for every defect."""
+
+import numpy as np
+import pytest
+from fuzz import relations
+from fuzz.cases import Ground
+from fuzz.odd import Odd
+
+import skylamp as sl
+from skylamp.backends.registry import select
+
+
+def odd(ground, call="render", **more):
+    known = {"dtype": "float64", "spoilt": None, "source": "panel", "brightness": "number", "albedo": 0.0}
+    return Odd(**{"ground": ground, "call": call, "how": {}, "seed": 13, "size": 1.0, **known, **more})
+
+
+def ground(kind, rows, cols, relief, offset=0.0, spacing=1.0, mask="none", sides="open", seed=2581):
+    return Ground(rows, cols, kind, seed, relief, offset, spacing, mask, sides, 0.8)
+
+
+FOUND = {
+    "an error that is not bounded, of ground of albedo 0": odd(ground("spikes", 3, 3, 1150.0, offset=1e7)),
+    "parts of an irradiance over coloured ground": odd(
+        ground("flat", 9, 9, 1.0), albedo="colour", how={"quantity": "irradiance", "parts": True}
+    ),
+    "an edge that rounding at the corner removes": odd(
+        ground("noise", 2, 4, 5.0, offset=1.0), brightness="zero", how={"tolerance": 0.05}, size=2e-24
+    ),
+    "only nodes without weight are lit": odd(
+        ground("rough", 6, 6, 2.13e6, 1e7, 4.68e-8, "none", "dark", seed=97),
+        dtype="float16",
+        source="sun",
+        how={"quantity": "irradiance", "parts": True},
+        seed=64,
+    ),
+    "a search over more rows than 32 bits count": odd(
+        ground("rough", 9, 16, 1.37e8, 1.0, 1.0, "islands", "periodic"), call="horizons"
+    ),
+    "three columns and three colours": odd(
+        ground("spikes", 3, 3, 1.0, 1.0, 0.0128, "one node", "dark"), albedo="colour", how={"hemicube": 3}
+    ),
+}
+
+
+@pytest.mark.parametrize("name", FOUND)
+def test_what_a_campaign_found_stays_mended(fast, name):
+    """Each raised, or gave nan, before."""
+    relations.RELATIONS["nothing breaks"].check(FOUND[name], fast)
+
+
+def test_a_search_that_takes_too_long_is_refused(fast, monkeypatch):
+    """On NumPy it took minutes: of a relief of 20 spacings, 2,000 rows in each of four azimuths."""
+    scene = sl.Scene(20 * np.random.default_rng(1).random((8, 8)), sides="periodic")
+    engine = select(fast)
+    monkeypatch.setattr(engine, "most_searched_rows", 4 * 2500, raising=False)
+    sl.horizons(scene, azimuths=8, backend=fast)
+    monkeypatch.setattr(engine, "most_searched_rows", 4 * 1500, raising=False)
+    with pytest.raises(sl.CapacityError, match="rows in 4 azimuths"):
+        sl.horizons(scene, azimuths=8, backend=fast)
