@@ -14,7 +14,7 @@ import numpy as np
 from . import shading, sources
 from .arrays import Quantity, by_bands, labelled, multiply, scratch
 from .backends.base import Backend
-from .backends.resident import DeviceImage, Resident
+from .backends.resident import DeviceImage
 from .checks import one_of, positive_number
 from .constants import SLICES
 from .directions import Azimuths, Hemicube
@@ -29,11 +29,10 @@ from .interreflection import (
     reason,
     share_of,
 )
-from .light import propagation, unoccluded
+from .light import lattice, propagation, unoccluded
 from .light.far import Far, Tiling
 from .light.horizon import FINE_KNOTS, with_bright_parts
-from .light.lattice import HEMICUBE_ERRORS, lacking
-from .light.propagation import Lobe, Problem
+from .light.propagation import Lobe
 from .light.slices import CHORD_AZIMUTHS, CHORD_KNOTS, MOST, Slices, blurred, brightness_of, widened
 from .light.sweeps import FINE_NEAR_ROWS, Ground, Rays, Sweeps, engine_of, ground_of
 from .refinement import Plan, Refined, refined, solid_of
@@ -61,9 +60,6 @@ ERROR_MAP_RADIUS = 4
 ERROR_MAP_FACTOR = np.float32(2)
 # half widths of a lobe between directions, from which on its sum may be too large by 1 in a thousand
 COARSE_LOBE = 1.2
-# rms slope, of steps between neighbours, and hemicube from which on unfilled steps leak light. Chosen: on
-# ground of slope 1 they do from M = 7 on, of slope 0.5 only from M = 33 on (performance/lattice_error.py)
-LEAK_SLOPE, LEAK_SIZE = 0.7, 7
 # azimuths of a small part of a sky on a map in tiles; chosen: with 8 the error is 0.06 %, cliffs apart
 PART_SECTORS = 16
 # azimuths in which windows of tiles estimate the light between surfaces, with an error of 0.003 in the share
@@ -549,7 +545,7 @@ class _Options:
         """Why horizons, slices and closed forms cannot render this, or nothing."""
         if scene.sides == "periodic" and self.lobe(scene):
             return REPEATED_LOBE
-        return lacking(scene, source)
+        return lattice.lacking(scene, source)
 
     def planned(self, scene: Scene, source: sources.Source) -> bool:
         """Whether the method is chosen, and refined until it is within the tolerance."""
@@ -846,10 +842,9 @@ class _Renderer:
         else:
             assert plan.hemicube is not None, "a plan of the lattice has a hemicube"
             cube = Hemicube(plan.hemicube)
-        problem = lattice_problem(
-            self.engine, scene, source, cube, bool(plan.filled)
-        )  # checks that the source fits
-        self.warnings.extend(lattice_warnings(problem, scene, source, cube))
+        # checks that the source fits
+        problem = lattice.problem_of(self.engine, scene, source, cube, bool(plan.filled))
+        self.warnings.extend(lattice.warnings_of(problem, scene, source, cube))
         brightness = np.stack([sources.radiance(grey, cube.directions) for grey in self.greys])
         lobe, shares, whole = (
             shading.lobe_of(scene, 1e-6) if options.quantity == "radiance" else None,
@@ -1250,67 +1245,12 @@ def timed(engine: Backend, work: Callable[[], Result]) -> tuple[Result, float, f
         return result, time.perf_counter() - start - compiling, compiling
 
 
-# -- the lattice
-
-
-def lattice_problem(
-    engine: Backend, scene: Scene, source: sources.Source, cube: Hemicube, filled: bool
-) -> Problem:
-    """The arrays that a backend needs, from a scene and a source."""
-    is_scene(scene)
-    there = scene.on(engine)
-    geometry = sources.geometry(source, scene, there.step)
-    return Problem(there, there.step, scene.sides, cube.steps, geometry, filled)
-
-
 def _lattice_plan(options: _Options) -> Plan:
     """The lattice as asked; by "auto" without its arguments, a size whose error was measured to be small."""
     size = options.hemicube.size if isinstance(options.hemicube, Hemicube) else options.hemicube
     filled = options.filled is not False if options.method == "auto" else bool(options.filled)
     if options.method == "auto" and not options.lattice:
-        fitting = (m for m, error in HEMICUBE_ERRORS.items() if error <= float(options.tolerance))
-        size = next(fitting, max(HEMICUBE_ERRORS))
-        return Plan("lattice", size, filled, f"RMS error {HEMICUBE_ERRORS[size]} of E / pi on rough ground")
+        errors = lattice.HEMICUBE_ERRORS
+        size = next((m for m, error in errors.items() if error <= float(options.tolerance)), max(errors))
+        return Plan("lattice", size, filled, f"RMS error {errors[size]} of E / pi on rough ground")
     return Plan("lattice", DEFAULT_HEMICUBE if size is None else size, filled, "as asked")
-
-
-def lattice_warnings(problem: Problem, scene: Scene, source: sources.Source, cube: Hemicube) -> list[str]:
-    """Known errors of the lattice for this scene and source, one sentence each."""
-    return [*_leak(problem, cube), *_small_lamp(scene, source, cube)]
-
-
-def _leak(problem: Problem, cube: Hemicube) -> list[str]:
-    """A warning where unfilled steps jump over ridges."""
-    if problem.filled or cube.size < LEAK_SIZE:
-        return []
-    assert isinstance(problem.depth, Resident), "a scene's map lies on the device"
-    found = problem.depth.survey()
-    square = sum(total / max(1, count) for total, count in zip(found.squares, found.pairs)) / problem.step**2
-    if square > LEAK_SLOPE**2:
-        return [
-            f"Leak: the rms slope is {np.sqrt(square):.2f}, and steps of {cube.reach} nodes pass"
-            " through ridges, so light leaks; use filled=True."
-        ]
-    return []
-
-
-def _small_lamp(scene: Scene, source: sources.Source, cube: Hemicube) -> list[str]:
-    """A warning where a sphere is narrower than the gaps between directions."""
-    if not isinstance(source, sources.Lamp) or source.center is None or source.radius is None:
-        return []
-    rows, cols = scene.shape
-    x, y, z = source.center
-    far = np.sqrt(
-        (max(abs(x), abs((cols - 1) * scene.spacing - x))) ** 2
-        + max(abs(y), abs((rows - 1) * scene.spacing - y)) ** 2
-        + (scene.deepest - z) ** 2
-    )
-    spacing = np.sqrt(2 * np.pi / len(cube))
-    apparent = 2 * np.arcsin(min(1.0, source.radius / far))
-    if apparent < 2 * spacing:
-        return [
-            f"Small lamp: from the farthest ground it is {np.degrees(apparent):.1f} degrees wide and the"
-            f" directions are {np.degrees(spacing):.1f} degrees apart, so few or no directions of some nodes"
-            " meet it; use a larger hemicube."
-        ]
-    return []

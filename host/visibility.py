@@ -13,9 +13,9 @@ from .backends.base import within
 from .checks import one_of, positive_number
 from .directions import Hemicube
 from .errors import CapacityError, bad
-from .light import propagation
+from .light import lattice, propagation
 from .light.propagation import Problem, Progress
-from .rendering import lattice_problem, render
+from .rendering import render
 from .scene import Scene, is_scene
 
 
@@ -55,7 +55,7 @@ def visibility(
     is_scene(scene)
     engine = select(backend)
     with engine.lock, within(max_seconds, "visibility", engine):
-        return propagation.visibility(engine, lattice_problem(engine, scene, source, cube, filled))
+        return propagation.visibility(engine, lattice.problem_of(engine, scene, source, cube, filled))
 
 
 def visibility_field(

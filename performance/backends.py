@@ -18,8 +18,8 @@ import numpy as np
 
 import skylamp as sl
 from skylamp.backends import select
+from skylamp.light import lattice
 from skylamp.light.propagation import FieldByLayers, Light, Surface
-from skylamp.rendering import lattice_problem
 
 HEMICUBE = 9
 
@@ -51,7 +51,7 @@ def median_seconds(engine, work, budget: float) -> tuple[float, float, float]:
 def measure(name: str, scene: sl.Scene, field_size: int, budget: float) -> dict:
     engine = select(name)
     cube = sl.Hemicube(HEMICUBE)
-    problem = lattice_problem(engine, scene, sl.Sky(), cube, False)
+    problem = lattice.problem_of(engine, scene, sl.Sky(), cube, False)
     surface = Surface(engine, problem)
     light = Light(surface, cube.moments)
     tests = scene.depth.size * len(cube)
@@ -80,7 +80,7 @@ def measure(name: str, scene: sl.Scene, field_size: int, budget: float) -> dict:
         y, x = np.mgrid[:field_size, :field_size]
         bumps = np.rint((field_size - 1) * (0.75 + 0.25 * np.sin(x / 9) * np.cos(y / 11)))
         deep = sl.Scene(bumps)
-        run = FieldByLayers(engine, lattice_problem(engine, deep, sl.Sky(), cube, False), field_size).run
+        run = FieldByLayers(engine, lattice.problem_of(engine, deep, sl.Sky(), cube, False), field_size).run
         seconds, low, high = median_seconds(engine, run, budget)
         row["field"] = {
             "seconds": seconds,

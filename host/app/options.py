@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -9,52 +10,41 @@ import typer
 
 from . import output
 
+argument, unset = (partial(made, show_default=False) for made in (typer.Argument, typer.Option))
+
 # -- of several commands
 File = Annotated[
     Path,
-    typer.Argument(
+    argument(
         metavar="INPUT",
         help="Depth, or height with --height: .npy, .npz, grey .png, .tif or .exr; a GeoTIFF holds height",
-        show_default=False,
     ),
 ]
-Target = Annotated[
-    str | None,
-    typer.Argument(metavar="OUTPUT", help="Output file, the same as --out", show_default=False),
-]
+Target = Annotated[str | None, argument(metavar="OUTPUT", help="Output file, the same as --out")]
 Out = Annotated[
     str | None,
-    typer.Option(
+    unset(
         "--out",
         help=".npy, .npz, .tif, .png, .exr or .hdr; - writes .npy to stdout; a .tif from a GeoTIFF is one",
-        show_default=False,
     ),
 ]
 MaybeOut = Annotated[
     str | None,
-    typer.Option(
-        "--out",
-        help=".npy, .npz, .tif or .exr, or .png for one plane; - writes .npy to stdout",
-        show_default=False,
-    ),
+    unset("--out", help=".npy, .npz, .tif or .exr, or .png for one plane; - writes .npy to stdout"),
 ]
 Height = Annotated[
     bool | None,
-    typer.Option(
+    unset(
         "--height/--depth",
         help=(
             "Content of the file: height (larger is nearer to the viewer) or depth  [default: depth, height"
             " in a GeoTIFF]"
         ),
-        show_default=False,
     ),
 ]
 Spacing = Annotated[
     float | None,
-    typer.Option(
-        help="Distance between neighbouring nodes, in the unit of depth  [default: 1, a GeoTIFF: its own]",
-        show_default=False,
-    ),
+    unset(help="Distance between neighbouring nodes, in the unit of depth  [default: 1, a GeoTIFF: its own]"),
 ]
 Resample = Annotated[
     bool,
@@ -66,72 +56,45 @@ Albedos = Annotated[
 ]
 Specular = Annotated[
     str | None,
-    typer.Option(
-        metavar="S|R,G,B",
-        help="Specular albedo of a lobe about the mirror direction, 0 to 1 - albedo",
-        show_default=False,
-    ),
+    unset(metavar="S|R,G,B", help="Specular albedo of a lobe about the mirror direction, 0 to 1 - albedo"),
 ]
 Exponent = Annotated[
-    float | None,
-    typer.Option(
-        help="Phong's exponent of that lobe; inf is an ideal mirror  [default: 20]", show_default=False
-    ),
+    float | None, unset(help="Phong's exponent of that lobe; inf is an ideal mirror  [default: 20]")
 ]
-Nodata = Annotated[
-    float | None, typer.Option(help="Leave out nodes of this value (a number, or nan)", show_default=False)
-]
+Nodata = Annotated[float | None, unset(help="Leave out nodes of this value (a number, or nan)")]
 Source = Annotated[
     str | None,
-    typer.Option(
+    unset(
         help=(
             "sky | overcast | clear | cie1 to cie15 | lamp | window | FILE, an environment map  [default:"
             " lamp with --lamp, window with --window, else sky]"
-        ),
-        show_default=False,
+        )
     ),
 ]
 Lamp = Annotated[
-    str | None,
-    typer.Option(
-        metavar="X,Y,Z,R",
-        help="Centre and radius of a spherical lamp, in the unit of spacing",
-        show_default=False,
-    ),
+    str | None, unset(metavar="X,Y,Z,R", help="Centre and radius of a spherical lamp, in the unit of spacing")
 ]
 Window = Annotated[
-    str | None,
-    typer.Option(
-        metavar="X0,X1,Y0,Y1", help="Rectangle in the plane z = 0, in the unit of spacing", show_default=False
-    ),
+    str | None, unset(metavar="X0,X1,Y0,Y1", help="Rectangle in the plane z = 0, in the unit of spacing")
 ]
 Sun = Annotated[
     str | None,
-    typer.Option(
+    unset(
         metavar="AZ,EL | TIME,LAT,LON",
         help=(
             "Position of the sun, for clear and cie skies: degrees clockwise from north and above the"
             " horizon, or 2026-06-21T12:00Z and degrees north and east"
         ),
-        show_default=False,
     ),
 ]
 Sides = Annotated[Literal["open", "dark", "periodic"], typer.Option(help="Surroundings of the map")]
 Backend = Annotated[str, typer.Option(help="auto, or a name from `skylamp backends`")]
 Hemicube = Annotated[int, typer.Option(help="Nodes along an edge of the cube of directions, odd")]
 Tolerance = Annotated[str, typer.Option(help="Largest relative RMS error, with --method auto: 0.01 or 1%")]
-Plot = Annotated[
-    Path | None, typer.Option("--plot", help="Draw a picture: .png, .svg or .pdf", show_default=False)
-]
+Plot = Annotated[Path | None, unset("--plot", help="Draw a picture: .png, .svg or .pdf")]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout")]
 Quiet = Annotated[
-    bool,
-    typer.Option(
-        "--quiet",
-        "-q",
-        callback=output.be_quiet,
-        help="Print warnings and errors only",
-    ),
+    bool, typer.Option("--quiet", "-q", callback=output.be_quiet, help="Print warnings and errors only")
 ]
 Verbose = Annotated[
     bool,
@@ -142,92 +105,68 @@ Verbose = Annotated[
 
 # -- of render
 Direct = Annotated[
-    float,
-    typer.Option(help="Direct normal irradiance of the sun, for a sky with brightness 1 at the zenith"),
+    float, typer.Option(help="Direct normal irradiance of the sun, for a sky with brightness 1 at the zenith")
 ]
 Method = Annotated[
     Literal["auto", "lattice", "horizon", "unoccluded"], typer.Option(help="Method of rendering")
 ]
 LatticeHemicube = Annotated[
-    int | None,
-    typer.Option(help="Lattice: nodes along an edge of the cube of directions, odd", show_default=False),
+    int | None, unset(help="Lattice: nodes along an edge of the cube of directions, odd")
 ]
 Filled = Annotated[
     bool | None,
-    typer.Option(
+    unset(
         "--filled/--stride",
         help="Lattice: test the surface between the nodes too, or only at the nodes, as in the paper",
-        show_default=False,
     ),
 ]
 Quantity = Annotated[Literal["radiance", "irradiance"], typer.Option(help="Quantity of the image")]
 Interreflection = Annotated[Literal["auto", "on", "off"], typer.Option(help="Light between surfaces")]
 PngWhite = Annotated[
-    float | None,
-    typer.Option(
-        help="PNG: the value that becomes white  [default: the maximum of the image]", show_default=False
-    ),
+    float | None, unset(help="PNG: the value that becomes white  [default: the maximum of the image]")
 ]
 Bits = Annotated[int, typer.Option(help="PNG: 8 or 16")]
 Exposure = Annotated[
-    float | None,
-    typer.Option(
-        help="PNG for display: image x 2^exposure in 8-bit sRGB; 1 becomes white", show_default=False
-    ),
+    float | None, unset(help="PNG for display: image x 2^exposure in 8-bit sRGB; 1 becomes white")
 ]
 ErrorFile = Annotated[
     str | None,
-    typer.Option(
+    unset(
         "--error",
         metavar="FILE",
-        help=("File for the estimated error of every pixel, in the unit of the image; requires a tolerance"),
-        show_default=False,
+        help="File for the estimated error of every pixel, in the unit of the image; requires a tolerance",
     ),
 ]
 
 # -- of plan
 Tail = Annotated[
-    str | None,
-    typer.Option(
-        help="Bound on the 99.9th percentile of the error  [default: ten tolerances]", show_default=False
-    ),
+    str | None, unset(help="Bound on the 99.9th percentile of the error  [default: ten tolerances]")
 ]
 
 # -- of recover
-Image = Annotated[
-    Path,
-    typer.Argument(
-        metavar="INPUT", help="Image of radiance: .npy, .npz, grey .png or .tif", show_default=False
-    ),
-]
+Image = Annotated[Path, argument(metavar="INPUT", help="Image of radiance: .npy, .npz, grey .png or .tif")]
 NodeSpacing = Annotated[float, typer.Option(help="Distance between neighbouring nodes")]
 RecoverMethod = Annotated[
     Literal["robust", "paper"],
     typer.Option(help="robust: the surface whose image is nearest to this one | paper: carving"),
 ]
-Near = Annotated[float | None, typer.Option(help="robust: the least depth  [default: 0]", show_default=False)]
-Far = Annotated[
-    float | None,
-    typer.Option(help="robust: the greatest depth  [default: layers x spacing]", show_default=False),
-]
+Near = Annotated[float | None, unset(help="robust: the least depth  [default: 0]")]
+Far = Annotated[float | None, unset(help="robust: the greatest depth  [default: layers x spacing]")]
 MaxSeconds = Annotated[
-    float | None,
-    typer.Option(help="robust: stop after this time and return the best surface so far", show_default=False),
+    float | None, unset(help="robust: stop after this time and return the best surface so far")
 ]
 RecoveryPicture = Annotated[
     str | None,
-    typer.Option(
-        help="robust: PNG of image, relief, confidence and residual, without scales  [default: beside OUT]",
-        show_default=False,
+    unset(
+        help="robust: PNG of image, relief, confidence and residual, without scales  [default: beside OUT]"
     ),
 ]
 StdFile = Annotated[
     str | None,
-    typer.Option(
+    unset(
         "--std",
         metavar="FILE",
         help="robust: file for the standard deviation of depth at every pixel, in the unit of spacing",
-        show_default=False,
     ),
 ]
 Layers = Annotated[int, typer.Option(help="Greatest depth, in spacings; with paper, the layers to carve")]
@@ -244,11 +183,7 @@ Stop = Annotated[
     ),
 ]
 CountWhite = Annotated[
-    float | None,
-    typer.Option(
-        help="Radiance of a full-scale count, for integer files that skylamp did not write",
-        show_default=False,
-    ),
+    float | None, unset(help="Radiance of a full-scale count, for integer files that skylamp did not write")
 ]
 
 # -- of horizon
@@ -262,69 +197,44 @@ Definition = Annotated[
 Azimuths = Annotated[int, typer.Option(help="Number of directions in which horizons are searched")]
 MaxDistance = Annotated[
     float | None,
-    typer.Option(
-        help="Radius of the search for horizons, in the unit of spacing  [default: the whole map]",
-        show_default=False,
-    ),
+    unset(help="Radius of the search for horizons, in the unit of spacing  [default: the whole map]"),
 ]
 Memory = Annotated[
     str | None,
-    typer.Option(
-        help="Compute a GeoTIFF tile by tile, in this much memory for all workers together, such as 8GB",
-        show_default=False,
-    ),
+    unset(help="Compute a GeoTIFF tile by tile, in this much memory for all workers together, such as 8GB"),
 ]
 Workers = Annotated[int, typer.Option(help="With --memory: number of processes, for example one per GPU")]
 Scheduler = Annotated[
     str | None,
-    typer.Option(
-        metavar="ADDRESS",
-        help="Workers of a Dask cluster, tcp://host:port, instead of --memory",
-        show_default=False,
-    ),
+    unset(metavar="ADDRESS", help="Workers of a Dask cluster, tcp://host:port, instead of --memory"),
 ]
 Tile = Annotated[
     int | None,
-    typer.Option(
-        help="With --memory: nodes along a side of a tile  [default: 8192, or fewer if memory requires it]",
-        show_default=False,
+    unset(
+        help="With --memory: nodes along a side of a tile  [default: 8192, or fewer if memory requires it]"
     ),
 ]
 Resume = Annotated[bool, typer.Option("--resume", help="With --memory: continue an interrupted run")]
 Cog = Annotated[bool, typer.Option("--cog", help="With --memory: write a cloud-optimized GeoTIFF")]
-At = Annotated[str | None, typer.Option(metavar="ROW,COL", help="Node that --plot shows", show_default=False)]
+At = Annotated[str | None, unset(metavar="ROW,COL", help="Node that --plot shows")]
 PlotSky = Annotated[
     str, typer.Option(help="Sky that --plot shows: sky | overcast | clear | cie1 to cie15 | FILE")
 ]
 
 # -- of field
 FieldLayers = Annotated[
-    int | None,
-    typer.Option(
-        help="Layers of free space, from z = 0  [default: down to the deepest node]", show_default=False
-    ),
+    int | None, unset(help="Layers of free space, from z = 0  [default: down to the deepest node]")
 ]
-Layer = Annotated[int | None, typer.Option(help="Write only this layer, (rows, cols)", show_default=False)]
-Row = Annotated[
-    int | None,
-    typer.Option(help="Row of the section that --plot shows  [default: the middle one]", show_default=False),
-]
+Layer = Annotated[int | None, unset(help="Write only this layer, (rows, cols)")]
+Row = Annotated[int | None, unset(help="Row of the section that --plot shows  [default: the middle one]")]
 
 # -- of chart and demo
 ChartFolder = Annotated[
-    Path,
-    typer.Option(
-        help="Folder for chart.png (needs matplotlib) and chart.csv; created if missing",
-        show_default=False,
-    ),
+    Path, unset(help="Folder for chart.png (needs matplotlib) and chart.csv; created if missing")
 ]
-Backends = Annotated[
-    str, typer.Option(help="Names, separated by commas  [default: all available]", show_default=False)
-]
+Backends = Annotated[str, unset(help="Names, separated by commas  [default: all available]")]
 Sizes = Annotated[str, typer.Option(help="Rows and columns of the maps")]
-DemoFolder = Annotated[
-    Path, typer.Option(help="Folder for the pictures; created if missing", show_default=False)
-]
+DemoFolder = Annotated[Path, unset(help="Folder for the pictures; created if missing")]
 
 # -- of view
 Port = Annotated[int, typer.Option(min=1, max=65535, help="Port of this machine")]

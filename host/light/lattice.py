@@ -8,9 +8,10 @@ import numpy as np
 
 from .. import sources
 from ..backends.base import Backend
+from ..backends.resident import Resident
 from ..directions import Hemicube
 from ..samples import Samples
-from ..scene import Scene
+from ..scene import Scene, is_scene
 from . import propagation
 from .base import LightMethod
 from .propagation import Problem
@@ -19,6 +20,19 @@ from .propagation import Problem
 # performance/lattice_error.py. The tables of a larger one take minutes
 HEMICUBE_ERRORS = {5: 0.0376, 7: 0.0188, 9: 0.0119, 17: 0.0039, 33: 0.0012}
 WINDOW_AZIMUTHS, WINDOW_ELEVATIONS = 96, 192  # directions of the exact light through a window
+# rms slope, of steps between neighbours, and hemicube from which on unfilled steps leak light. Chosen: on
+# ground of slope 1 they do from M = 7 on, of slope 0.5 only from M = 33 on (performance/lattice_error.py)
+LEAK_SLOPE, LEAK_SIZE = 0.7, 7
+
+
+def problem_of(
+    engine: Backend, scene: Scene, source: sources.Source, cube: Hemicube, filled: bool
+) -> Problem:
+    """The arrays that a backend needs, from a scene and a source."""
+    is_scene(scene)
+    there = scene.on(engine)
+    geometry = sources.geometry(source, scene, there.step)
+    return Problem(there, there.step, scene.sides, cube.steps, geometry, filled)
 
 
 class Lattice(LightMethod):
@@ -29,9 +43,8 @@ class Lattice(LightMethod):
         self.image = self._image()
 
     def _image(self) -> np.ndarray:
-        there, cube = self.scene.on(self.engine), Hemicube(self.units)
-        geometry = sources.geometry(self.source, self.scene, there.step)
-        problem = Problem(there, there.step, self.scene.sides, cube.steps, geometry, True)
+        cube = Hemicube(self.units)
+        problem = problem_of(self.engine, self.scene, self.source, cube, True)
         return propagation.irradiance(
             self.engine, problem, cube.moments * sources.radiance(self.source, cube.directions)[:, None]
         )
@@ -127,3 +140,45 @@ def at_samples(samples: Samples, scene: Scene, source: sources.Source, size: int
             )
         total += (seen * np.maximum(0, cube.moments[some] @ normal) * brightness[some, None]).sum(0)
     return total
+
+
+def warnings_of(problem: Problem, scene: Scene, source: sources.Source, cube: Hemicube) -> list[str]:
+    """Known errors of the lattice for this scene and source, one sentence each."""
+    return [*_leak(problem, cube), *_small_lamp(scene, source, cube)]
+
+
+def _leak(problem: Problem, cube: Hemicube) -> list[str]:
+    """A warning where unfilled steps jump over ridges."""
+    if problem.filled or cube.size < LEAK_SIZE:
+        return []
+    assert isinstance(problem.depth, Resident), "a scene's map lies on the device"
+    found = problem.depth.survey()
+    square = sum(total / max(1, count) for total, count in zip(found.squares, found.pairs)) / problem.step**2
+    if square > LEAK_SLOPE**2:
+        return [
+            f"Leak: the rms slope is {np.sqrt(square):.2f}, and steps of {cube.reach} nodes pass"
+            " through ridges, so light leaks; use filled=True."
+        ]
+    return []
+
+
+def _small_lamp(scene: Scene, source: sources.Source, cube: Hemicube) -> list[str]:
+    """A warning where a sphere is narrower than the gaps between directions."""
+    if not isinstance(source, sources.Lamp) or source.center is None or source.radius is None:
+        return []
+    rows, cols = scene.shape
+    x, y, z = source.center
+    far = np.sqrt(
+        (max(abs(x), abs((cols - 1) * scene.spacing - x))) ** 2
+        + max(abs(y), abs((rows - 1) * scene.spacing - y)) ** 2
+        + (scene.deepest - z) ** 2
+    )
+    spacing = np.sqrt(2 * np.pi / len(cube))
+    apparent = 2 * np.arcsin(min(1.0, source.radius / far))
+    if apparent < 2 * spacing:
+        return [
+            f"Small lamp: from the farthest ground it is {np.degrees(apparent):.1f} degrees wide and the"
+            f" directions are {np.degrees(spacing):.1f} degrees apart, so few or no directions of some nodes"
+            " meet it; use a larger hemicube."
+        ]
+    return []

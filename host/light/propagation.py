@@ -189,14 +189,14 @@ class Surface:
             lap = np.zeros((group.n_walks, 1), np.float32)
             if depth is not None and not group.host.rise[:, 0].all():
                 turned = group.host.walks[:, 6] != 0
-                ways = self.problem.steps[group.order[:, 0], :2].tolist()
+                ways = self.problem.steps[group.order[:, 0], :2]
                 tables = [
-                    lap_table(depth.T if t else depth, [way[::-1] if t else way], self.problem.filled)[0]
-                    for way, t in zip(ways, turned)
+                    lap_table(z, way.tolist(), self.problem.filled)
+                    for z, way in ((depth, ways[~turned]), (depth.T, ways[turned, ::-1]))
                 ]
-                lap = np.zeros((group.n_walks, max(map(len, tables))), np.float32)
-                for row, table in zip(lap, tables):
-                    row[: len(table)] = table
+                lap = np.zeros((group.n_walks, max(table.shape[1] for table in tables)), np.float32)
+                for which, table in zip((~turned, turned), tables):
+                    lap[which, : table.shape[1]] = table
             self.laps.append((self.backend.table(lap), lap.shape[1]))
 
     def scan(self, number: int) -> Array:

@@ -168,11 +168,12 @@ def lap_table(depth: np.ndarray, ways: list[tuple[int, int]], filled: bool) -> n
     """
     rows, cols = depth.shape
     lines = [cols * min(abs(j), rows) if j else rows * min(abs(i), cols) for i, j in ways]
-    table = np.full((len(ways), max(lines)), np.inf, np.float32)
+    table = np.full((len(ways), max(lines, default=0)), np.inf, np.float32)
     least: dict[tuple[int, int], np.ndarray] = {}
     for w, (i, j) in enumerate(ways):
-        opposite = least.get((-i, -j))  # the same cycle, walked the other way
-        least[i, j] = _cycle_minimum(depth, i, j, filled) if opposite is None else opposite
+        if (i, j) not in least:
+            opposite = least.get((-i, -j))  # the same cycle, walked the other way
+            least[i, j] = _cycle_minimum(depth, i, j, filled) if opposite is None else opposite
         across, along, stride = (cols, rows, j) if j else (rows, cols, i)
         residue, lane = np.divmod(np.arange(lines[w]), across)
         start = along - 1 - residue if stride > 0 else residue
