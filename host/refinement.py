@@ -622,10 +622,13 @@ class _Planner(ABC):
 
 
 class _SkyPlanner(_Planner):
-    """Skies: closed forms where ground hides next to nothing, else horizons in even azimuths."""
+    """Skies: horizons in even azimuths."""
+
+    method_class = Horizons
 
     light: float | Integrals  # a brightness, or what Integrals found
     bright_parts: tuple[BrightPart, ...] = ()
+    bright: float | np.ndarray = 0.0  # their light at the samples
     near_rows: int | None = None
     sectors = 0  # of azimuth, of every small bright part
     rays: int | None = None  # margin of the map for exact horizons of small bright parts, or None
@@ -656,15 +659,12 @@ class _SkyPlanner(_Planner):
             if isinstance(self.light, Integrals)
             else np.pi / 2 * self.light * (1 + 1 / samples.length)
         )
-        self.bright = self._bright_light()
         self._trace(min(EXACT_GRIDS))
-        if self._fits_closed_form():
-            return
         self.bright = self._bright_light(floor)
         self.exact = self.rest + self.bright
         self._choose_azimuths(floor)
         self.hidden = samples.errors(self.uniform, np.pi / 2 * (1 + 1 / samples.length)).rms
-        self.method_class, self.floor = Horizons, floor
+        self.floor = floor
         self._choose_search()
         self._check_work()
 
@@ -769,11 +769,10 @@ class _SkyPlanner(_Planner):
         total: np.ndarray = light * correction(self.free, planes)
         return total
 
-    def _bright_light(self, floor: float | None = None) -> float | np.ndarray:
+    def _bright_light(self, floor: float) -> float | np.ndarray:
         """Light of the suns at the samples, in the fewest sectors whose two halves agree.
 
-        They agree within the tolerance with ``floor``, the error besides. Without it the first number is
-        taken.
+        They agree within the tolerance with ``floor``, the error besides.
         """
         light: float | np.ndarray = 0.0
         if not self.bright_parts:
@@ -785,39 +784,10 @@ class _SkyPlanner(_Planner):
                 for odd in (False, True)
             )
             light = (one + other) / 2
-            if floor is None:
-                break
             found = self.samples.errors(self.rest + light + SECTOR_SHARE * (other - one), self.rest + light)
             if math.hypot(found.bound, floor) <= 0.7 * self.tolerance and found.tail <= 0.7 * self.tail:
                 break
         return light
-
-    def _fits_closed_form(self) -> bool:
-        """Whether closed forms are within the tolerance at all samples, also where ground is rare.
-
-        Of a sun no node may miss any part, which the normals tell of all nodes.
-        """
-        samples = self.samples
-        light = self.free + sum(
-            np.maximum(0, samples.gx * x + samples.gy * y + z) / samples.length
-            for x, y, z in (spot.moment for spot in self.bright_parts)
-        )
-        found = samples.errors(light, self.exact)
-        if not self.fits(found):
-            return False
-        if samples.rare.any():
-            assert samples.weights is not None, "samples where ground is rare are weighted"
-            rare = samples.errors(np.where(samples.rare, light, self.exact), self.exact)
-            if rare.rms / math.sqrt(samples.weights[samples.rare].sum()) > self.tail:
-                return False
-        if self.bright_parts and (
-            self.scene.sides == "dark"
-            or self.scene.resident is not None
-            or not _faces_bright_parts(self.scene, samples, self.bright_parts)
-        ):
-            return False
-        self.expected, self.method_class, self.hidden = found, _ClosedForm, found.rms
-        return True
 
     def _choose_search(self) -> None:
         """The search radius, on a map that repeats."""
@@ -861,12 +831,7 @@ class _SkyPlanner(_Planner):
             )
 
     def make(self) -> LightMethod:
-        if not self.closed:
-            return self._horizons(self.units)
-        resident = self.scene.resident
-        if resident is not None and resident.backend is self.engine and not self.bright_parts:
-            return Horizons(self.engine, self.scene, self.light, 0)
-        return _ClosedForm(self.scene, unoccluded.sky(self.scene, self.light).astype(np.float32, copy=False))
+        return self._horizons(self.units)
 
     def _horizons(self, units: int) -> Horizons:
         return Horizons(
@@ -896,17 +861,15 @@ class _SkyPlanner(_Planner):
 
     def choices(self) -> Iterator[Choice]:
         hidden = f"ground takes {_percent(self.hidden)} of the light (RMS)"
-        yield Choice("occlusion", "none" if self.closed else "by ground", hidden)
+        yield Choice("occlusion", "by ground", hidden)
         if isinstance(self.light, Integrals):
             yield Choice("brightness", "a table per azimuth", f"integrated to {_percent(self.light.error)}")
         else:
             yield Choice("brightness", "constant", "it is a number, or varies too little to matter")
         if self.bright_parts:
-            taken = "as directions" if self.closed else f"{2 * self.sectors + 1} azimuths each"
+            taken = f"{2 * self.sectors + 1} azimuths each"
             why = "small and bright: suns, lights and spots have azimuths of their own"
             yield Choice("bright parts", f"{len(self.bright_parts)}, {taken}", why)
-        if self.closed:
-            return
         yield Choice(
             "azimuths", f"{self.units} evenly", "the fewest whose light at the samples is that of many"
         )
@@ -922,21 +885,6 @@ def _open_slopes(samples: Samples, angles: np.ndarray) -> np.ndarray:
     """Horizon slopes at the samples of tangent planes and the level alone."""
     slopes: np.ndarray = np.maximum(0, samples.plane(np.cos(angles)[:, None], np.sin(angles)[:, None]))
     return slopes
-
-
-def _faces_bright_parts(scene: Scene, samples: Samples, bright_parts: tuple[BrightPart, ...]) -> bool:
-    """Whether every node's tangent plane lies below all of every sun: the samples' first, then all."""
-    cones = [spot.cone for spot in bright_parts]
-    for (x, y, z), sine in cones:
-        if not unoccluded.above_plane(samples.gx, samples.gy, x, y, z, sine).all():
-            return False
-    rounded = [np.array([*middle, sine], np.float32) for middle, sine in cones]
-
-    def face(rows: slice) -> bool:
-        gx, gy = unoccluded.gradients(scene, rows)
-        return all(unoccluded.above_plane(gx, gy, *spot).all() for spot in rounded)
-
-    return all(by_bands(face, scene.shape))
 
 
 class _HiddenWindowPlanner(_Planner):

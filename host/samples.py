@@ -24,12 +24,9 @@ from .sources.solids import Ball, Quad
 # nodes; chosen: their standard error of an RMS is some 1 / sqrt(2 x 384), 4 %, if errors are normal, and
 # their rays take time in proportion
 SAMPLE_COUNT = 384
-EXTRA_NODES = 256  # more nodes where ground is rare
+EXTRA_NODES = 256  # more nodes where light is rare; chosen
 # nodes among which light is searched for; share of them that has all of it before more are taken
 SEARCHED_NODES, CONCENTRATED = 4096, 0.1
-# times the median relief of blocks from which on one is rare; share of the map from which on rare blocks hold
-# enough samples
-RARE, FREQUENT = 3.0, 0.25
 # slope that the relief of a periodic map makes where samples' rays end: what lies farther hides 1.3e-5 of
 # E / pi of a uniform sky at most
 SAMPLED_SLOPE = 0.005
@@ -41,8 +38,6 @@ TAIL_SAMPLES = 3  # samples beyond the 99.9th percentile from which on it is rea
 # arrays (azimuths, nodes) that are kept; chosen: four sets of azimuths with slopes and light, at most 12 MB
 KEPT_TRACES = 8
 SIGMAS = 1.5  # standard errors by which the RMS error over all nodes may pass that of the samples
-# steps of R2_STEPS' sequence in three dimensions: 1 / g, 1 / g^2, 1 / g^3 with g^4 = g + 1
-R3_STEPS = 0.8191725133961645, 0.6710436067037893, 0.5497004779019703
 
 
 Values = Any  # numbers or arrays that broadcast
@@ -87,10 +82,8 @@ def errors(
 class Samples:
     """Nodes spread over the valid part of a map by a low-discrepancy sequence, from its number ``first`` on.
 
-    They are the same for the same scene. Where a few blocks of nodes have far more relief than the others (a
-    trench in a plain), EXTRA_NODES nodes are added in these: ``weights`` (nodes,) are then the nodes' shares
-    of the map, else None; ``rare``: which nodes lie in such blocks. A reduction over all nodes finds the
-    blocks, so that none is missed.
+    They are the same for the same scene. ``weights`` (nodes,): the nodes' shares of the map, None where they
+    are equal; see :func:`oversample_lit`.
     """
 
     weights: np.ndarray | None
@@ -134,11 +127,8 @@ class Samples:
             )
         )
         self.cliffs = float(cliffs.sum(dtype=np.float64)) / max(1, pairs)
-        self.x, self.y = _sequence_nodes(scene, count, first)
-        self.weights, self.rare = None, np.zeros(len(self.x), bool)
-        if len(self.x) == count:  # else these are all nodes
-            _add_rare_blocks(self, scene, np.where(highest > NONE, highest - np.minimum(lowest, highest), 0))
-        self._set_nodes(self.x, self.y)
+        self.weights = None
+        self._set_nodes(*_sequence_nodes(scene, count, first))
 
     @functools.cached_property
     def heights(self) -> Array:
@@ -392,7 +382,7 @@ def oversample_lit(samples: Samples, scene: Scene, light: Callable[[Samples], np
     """
     many = copy.copy(samples)
     many._set_nodes(*_sequence_nodes(scene, SEARCHED_NODES, samples.first))
-    if samples.weights is not None or len(many) < SEARCHED_NODES:
+    if len(many) < SEARCHED_NODES:
         return
     found = np.maximum(light(many), 0)
     if found.sum() ** 2 >= CONCENTRATED * SEARCHED_NODES * (found**2).sum():
@@ -402,7 +392,6 @@ def oversample_lit(samples: Samples, scene: Scene, light: Callable[[Samples], np
     picked = picked[(picked >= len(samples)) & (picked < SEARCHED_NODES)]
     picked = np.concatenate([np.arange(len(samples)), picked])
     samples.weights = 1 / np.maximum(len(samples) / SEARCHED_NODES, np.minimum(1, drawn[picked]))
-    samples.rare = np.zeros(len(picked), bool)
     samples._set_nodes(many.x[picked], many.y[picked])
 
 
@@ -450,38 +439,6 @@ def _wall(samples: Samples, cosine: Values, sine: Values) -> np.ndarray:
         )
     distance: np.ndarray = np.minimum(x, y)
     return distance
-
-
-def _add_rare_blocks(samples: Samples, scene: Scene, relief: np.ndarray) -> None:
-    """Add nodes where blocks of much ``relief`` are rare, and weights."""
-    rows, cols = scene.shape
-    size, mask = 1 << samples.shift, scene.mask
-    rare = relief > RARE * np.median(relief)
-    rare |= np.roll(rare, 1, 0)  # relief reaches into the row and the column after a block
-    rare |= np.roll(rare, 1, 1)
-    high, wide = (
-        np.minimum(size, length - size * np.arange(n)) for length, n in zip((rows, cols), rare.shape)
-    )
-    row, col = np.nonzero(rare)
-    nodes = np.cumsum(high[row] * wide[col])
-    if not rare.any() or nodes[-1] > FREQUENT * rows * cols:
-        return
-    which, *inside = (0.5 + np.outer(R3_STEPS, np.arange(EXTRA_NODES))) % 1
-    block = np.searchsorted(nodes, which * nodes[-1], "right")
-    x, y = (
-        (size * n[block] + part * length[n[block]]).astype(int)
-        for n, part, length in zip((col, row), inside, (wide, high))
-    )
-    share = nodes[-1] / (rows * cols)
-    if mask is not None:
-        x, y = x[mask[y, x]], y[mask[y, x]]
-        valid = mask & rare.repeat(size, 0).repeat(size, 1)[:rows, :cols]
-        share = np.count_nonzero(valid) / np.count_nonzero(mask)
-    samples.x, samples.y = np.concatenate([samples.x, x]), np.concatenate([samples.y, y])
-    samples.rare = rare[samples.y // size, samples.x // size]
-    samples.weights = np.where(
-        samples.rare, share / max(1, samples.rare.sum()), (1 - share) / max(1, (~samples.rare).sum())
-    )
 
 
 def ring(

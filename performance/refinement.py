@@ -56,8 +56,8 @@ def least_light(samples, ground, source):
     """
     if isinstance(source, sl.Sky):
         return 0.0
-    n = np.arange(20_000) + 0.5  # a spiral over the sphere, a degree and a half between turns
-    z, turn = 1 - n / 10_000, np.pi * (1 + 5**0.5) * n
+    n = np.arange(20_000) + 0.5  # a spiral over the upper hemisphere, a degree between turns
+    z, turn = -n / 20_000, np.pi * (1 + 5**0.5) * n
     r = np.sqrt(1 - z * z)
     most = sources.radiance(
         sl.Sky(source.brightness), np.stack([r * np.cos(turn), r * np.sin(turn), z], -1)

@@ -251,34 +251,28 @@ def test_ground_that_hides_a_low_sun_is_searched_for(fast):
 @pytest.mark.parametrize(
     ("name", "source"),
     [
-        *[
-            (name, source)
-            for name in ("flat", "ramp", "dome")
-            for source in (sl.Sky(3.0), sl.Sky(sl.cie_overcast()), HIGH)
-        ],
+        ("flat", HIGH),
+        ("ramp", HIGH),
+        ("dome", HIGH),
         ("flat", PANEL),
         ("flat", WINDOW),
-        ("ramp", SUN),
         ("flat", LOW),
     ],
     ids=named,
 )
 def test_what_nothing_hides_is_not_swept(fast, launched, name, source):
-    """Flat, slanted and convex ground, and lamps that stand clear: closed forms, and right."""
+    """Lamps that stand clear of flat, slanted and convex ground: closed forms, and right."""
     scene = SCENES[name]
     out = render(scene, source, backend=fast, quantity="irradiance")
     assert (
         set(launched) <= {"pilot", "resident"} and out.plan.method == "unoccluded" and "none" in str(out.plan)
     )
     nodes = some_nodes(scene, 40)
-    exact = truth(scene, source, nodes) * (
-        source.brightness if isinstance(source, sl.Sky) and not callable(source.brightness) else 1
-    )
-    assert errors(out.image[nodes].astype(float), exact).rms < 0.01
+    assert errors(out.image[nodes].astype(float), truth(scene, source, nodes)).rms < 0.01
 
 
 def test_a_clear_lamp_over_gentle_ground_launches_nothing_that_looks_for_shadows(fast, launched):
-    """Every node looks at the lamp, so nothing can hide it; under a sky rough ground is swept."""
+    """Every node looks at the lamp, so nothing can hide it; under a sky ground is swept."""
     scene = sl.Scene(20 + scenes.rough(SIZE, SIZE, 0.08, 6, 2.2))
     assert render(scene, sl.Lamp((36, 36, -50), 4), tolerance=0.01, backend=fast).plan.method == "unoccluded"
     assert set(launched) <= {"pilot", "resident"}
@@ -340,16 +334,13 @@ def test_a_trench_in_a_plain_is_not_overlooked(fast):
     assert np.sqrt(np.sum(wrong**2) / 600) < 0.03 * np.pi, "nothing is hidden farther away"
 
 
-def test_a_bowl_in_a_plain_needs_no_sweep(fast, launched):
-    """It hides what the tolerance allows: closed forms are taken, and are within tolerance over all nodes."""
+def test_a_bowl_in_a_plain_needs_few_azimuths(fast):
+    """It hides next to nothing: the least number is within tolerance over all nodes, and known to be."""
     y, x = np.mgrid[:600, :600]
     scene = sl.Scene(20 - np.minimum(20, 0.02 * np.hypot(x - 300, y - 300) ** 2))
-    out = render(scene, sl.Sky(), tolerance=0.03, backend=fast, quantity="irradiance")
-    assert out.plan.method == "unoccluded" and set(launched) <= {"pilot", "resident"}
-    fine = render(scene, sl.Sky(), azimuths=64, backend=fast, quantity="irradiance").image
-    error = np.sqrt(np.mean((out.image - fine) ** 2)) / fine.mean()
-    assert 0.01 < error < 0.03 and out.plan.error == pytest.approx(error, rel=0.2)
-    assert sl.plan(scene, sl.Sky(), 0.01, fast).method == "horizon"
+    out = irradiance(scene, sl.Sky(), fast, tolerance=0.01)
+    error = rms(out.image, irradiance(scene, sl.Sky(), fast, azimuths=64).image)
+    assert out.plan.azimuths == 4 and error < 0.01 and error < 2 * out.plan.error < 4 * error
 
 
 def test_a_number_of_any_type_is_a_uniform_sky():
@@ -958,7 +949,6 @@ def test_brightness_is_looked_at(fast):
     assert count == (2, 2) and each[0] < each[1]  # the disc, and what glows round it
     assert (
         line("periodic", SUN, 0.01, "bright parts")
-        and line("flat", SUN, 0.01, "bright parts") == "2, as directions"
         and not line("rough", GLOW, 0.01, "bright parts")
     )
 

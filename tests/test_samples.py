@@ -1,8 +1,7 @@
-"""Samples: exact rays against the oracle and shadow rays, nodes where ground is rare, and errors by hand."""
+"""Samples: exact rays against the oracle and shadow rays, and errors by hand."""
 
 import numpy as np
 import pytest
-import scenes
 from compare import assert_bits_equal
 from test_refinement import HIGH, LOW, PANEL, SCENES, SIZE, WINDOW, truth
 
@@ -153,33 +152,3 @@ def test_holes_are_no_cliffs(fast):
     assert Samples(select(fast), SCENES["houses"]).cliffs == pytest.approx(
         sum(s.sum() for s in steps) / sum(s.size for s in steps), rel=1e-5
     )
-
-
-def test_samples_are_added_where_relief_is_rare(fast):
-    """Nodes are added where a few blocks have most of the relief; weights give the features' shares."""
-    y, x = np.mgrid[:600, :600]
-    holes, of = (x + y) % 3 > 0, lambda scene: Samples(select(fast), scene)
-    for lower, mask in (
-        (np.abs(x - 300) < 4, None),
-        (x >= 256, None),
-        (np.hypot(x - 200, y - 300) < 25, None),
-        (np.abs(x - 300) < 4, holes),
-    ):
-        samples = of(sl.Scene(np.where(lower, 25.0, 0.0), mask=mask))
-        assert (
-            len(samples) > SAMPLE_COUNT + 64
-            and samples.weights.sum() == pytest.approx(1)
-            and samples.rare.sum() > 64
-        )
-        assert mask is None or mask[samples.y, samples.x].all()
-        there = lower[samples.y, samples.x]
-        assert there.sum() >= 8 and samples.weights[there].sum() == pytest.approx(lower.mean(), rel=0.5)
-    beside = of(sl.Scene(np.where(x >= 256, 25.0, 0.0)))
-    assert ((beside.x >= 256) & (beside.x < 288)).sum() > 30
-    for depth in (
-        scenes.rough(600, 600, 1.0, 4),
-        0.3 * y,
-        np.hypot(x, y),
-        np.where((x % 30 == 0) & (y % 30 == 0), 9.0, 0.0),
-    ):
-        assert of(sl.Scene(depth)).weights is None, "what is everywhere is met often enough"
