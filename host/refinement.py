@@ -28,7 +28,7 @@ from .interreflection import ESTIMATE_SHARE, check_choice, choice, expected, is_
 from .light import lattice, line, unoccluded
 from .light.base import Estimate, Later, LightMethod, estimated
 from .light.finite import MOST_RAY_EVALUATIONS, RAYS, Sliced, most_rays
-from .light.horizon import OFFSET, Horizons, correction, margin_of
+from .light.horizon import Horizons, correction, margin_of
 from .light.lattice import Lattice, lacking
 from .light.slices import outline, widened
 from .radiometry import point_error
@@ -87,9 +87,6 @@ SHARP_SHADOWS = 0.01
 # of level ground under any brightness, relative: its tables' knots and normals (tests/test_integrals.py)
 TABLES_ERROR = 1e-4
 NEARLY_UNIFORM = 0.1  # tolerances by which a brightness may vary that is taken as a number
-SEARCHED_SLOPES = (0.8, 0.4, 0.2, 0.1, 0.05, 0.025)  # over which a map that repeats is searched
-SHORTER_SEARCH_SHARE = 0.3  # tolerances that a shorter search may cost
-WINDOWED_COST = 2.5  # times as many steps as a sweep without a search radius
 
 # -- lamps and windows
 SLICE_COUNTS = (8, 16, 32, 64, 128, 256)  # of a source that stands all round
@@ -483,7 +480,6 @@ class _Planner(ABC):
     floor = 0.0  # error that both images are expected to share
     doubt = 0.0  # relative RMS error of the exact light at the samples
     tables = 0.0  # error of tables of brightness, which that light and the image share
-    max_distance: float | None = None
     unknown = ""  # why the error is not known
     interreflection: bool | str = "auto"  # whether the light between surfaces is asked for
 
@@ -570,11 +566,10 @@ class _Planner(ABC):
             if math.isfinite(rms)
             else self.unknown,
             None if latticed or self.closed else self.units,
-            self.max_distance,
-            self.tolerance,
-            self.tail,
-            float(rms) if math.isfinite(rms) else None,
-            float(self.expected.tail) if math.isfinite(self.expected.tail) else None,
+            tolerance=self.tolerance,
+            tail=self.tail,
+            error=float(rms) if math.isfinite(rms) else None,
+            error_tail=float(self.expected.tail) if math.isfinite(self.expected.tail) else None,
             choices=(*self.choices(), *self._common_choices(between)),
             beyond=tuple(beyond_model(self, between)),
             interreflection=between,
@@ -665,7 +660,6 @@ class _SkyPlanner(_Planner):
         self._choose_azimuths(floor)
         self.hidden = samples.errors(self.uniform, np.pi / 2 * (1 + 1 / samples.length)).rms
         self.floor = floor
-        self._choose_search()
         self._check_work()
 
     def _integrate(self) -> None:
@@ -789,40 +783,9 @@ class _SkyPlanner(_Planner):
                 break
         return light
 
-    def _choose_search(self) -> None:
-        """The search radius, on a map that repeats."""
-        self.why_far = "a sweep costs the same however far it looks"
-        if self.scene.sides != "periodic":
-            return
-        samples, side = self.samples, math.sqrt(math.prod(self.scene.shape))
-        whole = 1 + max(*self.scene.shape, samples.relief / LEAST_SEARCHED_SLOPE) / side
-        angles, widths = 2 * np.pi * (np.arange(24) + OFFSET) / 24, np.full(24, np.pi / 12)
-
-        def seen(reach: float) -> np.ndarray:
-            slopes = samples.horizons(angles, reach)
-            lit = samples.uniform(angles, reach)
-            return self._corrected(widths, widths, angles, slopes, lit) + self.bright
-
-        full = seen(math.inf)
-        self.why_far = f"on a map that repeats, as far as its relief makes a slope of {LEAST_SEARCHED_SLOPE}"
-        # what hides a sun's lower edge is searched for
-        lowest = min((float(spot.cells.low.min()) for spot in self.bright_parts), default=math.pi / 2)
-        for slope in (slope for slope in SEARCHED_SLOPES if slope <= math.tan(max(0.0, lowest))):
-            reach = max(2.0, math.ceil(samples.relief / slope))
-            if WINDOWED_COST * (1 + reach / side) > 0.8 * whole:
-                return
-            cut = samples.errors(seen(reach), full)
-            if cut.bound <= SHORTER_SEARCH_SHARE * self.tolerance and cut.tail <= 0.5 * self.tail:
-                self.max_distance, self.floor = reach * self.scene.spacing, math.hypot(self.floor, cut.rms)
-                self.why_far = f"what lies farther away costs {_percent(cut.rms)}"
-                return
-
     def _check_work(self) -> None:
         """CapacityError where the azimuths, on a map that repeats with its search, are too much work."""
-        lap = 0.0
-        if self.scene.sides == "periodic":
-            reach = math.inf if self.max_distance is None else self.max_distance / self.scene.spacing
-            lap = min(self.samples.relief / LEAST_SEARCHED_SLOPE, reach)
+        lap = self.samples.relief / LEAST_SEARCHED_SLOPE if self.scene.sides == "periodic" else 0.0
         steps = self.units * math.prod(self.scene.shape) * (1 + lap / min(self.scene.shape))
         if steps > MOST_STEPS:
             raise CapacityError(
@@ -841,7 +804,6 @@ class _SkyPlanner(_Planner):
             units,
             self.sectors,
             self.near_rows,
-            self.max_distance,
             self.rays,
         )
 
@@ -873,8 +835,12 @@ class _SkyPlanner(_Planner):
         yield Choice(
             "azimuths", f"{self.units} evenly", "the fewest whose light at the samples is that of many"
         )
-        radius = "whole map" if self.max_distance is None else f"{self.max_distance:g}"
-        yield Choice("search radius", radius, self.why_far)
+        why = f"on a map that repeats, as far as its relief makes a slope of {LEAST_SEARCHED_SLOPE}"
+        yield Choice(
+            "search radius",
+            "whole map",
+            why if self.scene.sides == "periodic" else "a sweep costs the same however far it looks",
+        )
         if self.near_rows:
             yield Choice(
                 "near rows", f"{self.near_rows}", "there are cliffs: every crossing so near is tested"

@@ -31,7 +31,7 @@ FINE_KNOTS = 1025  # of a table that holds small bright parts too: a knot is 0.0
 
 
 class Horizons(LightMethod):
-    """``sky``: a brightness, or Integrals. ``count``: azimuths, even in number, 0 for tangent planes alone.
+    """``sky``: a brightness, or Integrals. ``count``: azimuths, even in number.
 
     ``sectors`` of every small bright part; ``near`` rows within which every crossing is tested. ``rays``: the
     small parts are above exact horizons, which behind cliffs a sweep's are not; ``rays`` is then the margin
@@ -50,13 +50,12 @@ class Horizons(LightMethod):
         count: int,
         sectors: int = 8,
         near: int | None = None,
-        max_distance: float | None = None,
         rays: int | None = None,
     ):
         self.engine, self.scene, self.sky, self.units, self.sectors = engine, scene, sky, count, sectors
         self.scale, self.bright_parts = (1.0, sky.bright_parts) if isinstance(sky, Integrals) else (sky, ())
-        shape, size = scene.shape, (2, math.prod(scene.shape))
-        self.sweeps = Sweeps(engine, ground_of(scene, max_distance, engine), near=near)
+        size = (2, math.prod(scene.shape))
+        self.sweeps = Sweeps(engine, ground_of(scene, None, engine), near=near)
         self.total, self.turned = (engine.empty(size, np.int32) for _ in range(2))
         self.slices = None
         if rays is not None and self.bright_parts:
@@ -67,13 +66,6 @@ class Horizons(LightMethod):
             azimuths = unoccluded.INTEGRATED_AZIMUTHS
             self.exact = _by_normals(sky, even(azimuths, 0.5), 2 * math.pi / azimuths)
         self.difference: Array = None
-        if not count:
-            self.mean = engine.empty(shape, np.float32, 1)
-            self.sweeps.set_azimuths(Rays(np.zeros(0), np.zeros(0)))
-            self.sweeps.light(self.total, self.turned)  # computes the tilts
-            table = self.exact if self.exact.size else unoccluded.by_normals(None)
-            self.sweeps.correct(table, self.mean)
-            return
         self.offset = OFFSET / 2
         self.mean, other = self._images(count // 2, 2 * math.pi / count, False, True)
         self._halve(other)
@@ -150,20 +142,14 @@ class Horizons(LightMethod):
     def at(self, samples: Samples) -> np.ndarray:
         return _scaled(picked(samples, self.mean), self.scale).astype(float)
 
-    def half_at(self, samples: Samples) -> np.ndarray | None:
-        if self.difference is None:
-            return None
+    def half_at(self, samples: Samples) -> np.ndarray:
         return _scaled(picked(samples, self.difference), self.scale).astype(float)
 
-    def half(self) -> Later | None:
-        if self.difference is None:
-            return None
+    def half(self) -> Later:
         engine, image, shape, scale = self.engine, self.difference, self.scene.shape, self.scale
         return Later(lambda: _scaled(engine.download(image).reshape(shape), scale))
 
-    def estimate(self, limit: float) -> Estimate | None:
-        if self.difference is None:
-            return None
+    def estimate(self, limit: float) -> Estimate:
         limit = limit / self.scale if self.scale else math.inf
         sweeps = self.sweeps
         return judged(
