@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
@@ -42,7 +42,6 @@ from .samples import (
     Samples,
     oversample_lit,
     samples_of,
-    turn,
 )
 from .scene import Scene, is_scene
 from .sources.integrals import BrightPart, Integrals, even, integrals
@@ -63,10 +62,9 @@ MOST_UNITS = {Horizons: 1024, Sliced: 1024, Lattice: 33}  # up to which is refin
 MOST_STEPS = 2**40  # nodes x azimuths of a call: some three hours on two cores, ten seconds on an H200
 
 # -- skies
-# among which a number of azimuths is chosen: powers of two, and 3/2 of them
-AZIMUTH_COUNTS = (4, 6, 8, 12, 16, 24, 32, 48, 64, 96, 128, 192, 256, 384, 512, 768, 1024)
-# azimuths of the exact light, each grid within the next, and how many azimuths it can judge: a sixth
-EXACT_GRIDS = {36: 6, 72: 12, 144: 24, 288: 48}
+# among which a number of azimuths is chosen: powers of two, and 3/2 of them; more are had by refining
+AZIMUTH_COUNTS = (4, 6, 8, 12, 16, 24, 32, 48)
+EXACT_GRIDS = (36, 72, 144, 288)  # azimuths of the exact light, which judges a sixth as many
 # the first of them on a device with memory of its own, which traces so many as fast as 36 (line
 # "tolerance 0.01" of performance/whole_calls.py, H200: 31 ms, with 36 at first 34; 8.1 and 9.1 on 256 x 256)
 GPU_GRID = 144
@@ -75,24 +73,20 @@ GPU_GRID = 144
 LEAST_SECTORS, SECTOR_MULTIPLES = 8, (1, 3, 9)
 # error over the difference of two halves of sectors: about JUDGE_SHARE of half of it, as for azimuths
 SECTOR_SHARE = 0.25
-CONVERGENCE_ORDER = 1.2  # of convergence in the number of azimuths, on rough ground: performance/horizon.py
 # near rows within which every crossing is tested, where the usual 6 do not do; the next, where these do not
 CLIFF_NEAR_ROWS = 24, 96
-# RMS error of sweeps behind cliffs, over the root of their share of the neighbours, with 6 near rows and with
-# 24: measured
-BEHIND_CLIFFS = {None: 0.028, 24: 0.0085}
-# tolerance below which shadows of suns take 24 near rows: with 6 they cost 0.1 to 0.9 %, with 24 0.01 to
-# 0.35 % (fractals, terrain)
-SHARP_SHADOWS = 0.01
+# RMS error of sweeps of 6 near rows behind cliffs, over the root of their share of the neighbours: measured
+BEHIND_CLIFFS = 0.028
 # of level ground under any brightness, relative: its tables' knots and normals (tests/test_integrals.py)
 TABLES_ERROR = 1e-4
-NEARLY_UNIFORM = 0.1  # tolerances by which a brightness may vary that is taken as a number
 
 # -- lamps and windows
-SLICE_COUNTS = (8, 16, 32, 64, 128, 256)  # of a source that stands all round
+# of a source that stands all round; of a quadrangle, whose four sectors share them; more are had by refining
+BALL_SLICES, QUAD_SLICES = (8, 16, 32, 64), (32, 64)
+CLOSED_JUDGE = 32  # slices that judge closed forms
 # points along a thin source, and its apparent width [rad] up to which a line has its light, 0.3 degrees: what
 # brightness does across it is lost, its curvature times a square over 24; chosen
-LINE_COUNTS, LINE_WIDTH = (32, 64, 128, 256, 512, 1024, 2048), 5e-3
+LINE_COUNTS, LINE_WIDTH = (32, 64, 128, 256, 512), 5e-3
 JUDGING_SLICES = 4  # times as many slices judge them
 # azimuth that a small bright part behind a window may span: slices, which stand within the window, resolve
 # what is wider
@@ -477,7 +471,6 @@ class _Planner(ABC):
     expected = Errors(math.nan, math.nan, math.nan)
     exact: np.ndarray | None = None  # light at the samples
     uniform: np.ndarray | None = None  # that of a uniform sky of brightness 1
-    floor = 0.0  # error that both images are expected to share
     doubt = 0.0  # relative RMS error of the exact light at the samples
     tables = 0.0  # error of tables of brightness, which that light and the image share
     unknown = ""  # why the error is not known
@@ -525,9 +518,27 @@ class _Planner(ABC):
         self.method.refine()
         return True
 
-    def fits(self, found: Errors, floor: float = 0.0) -> bool:
-        """Whether errors at the samples, with a floor besides, are within the tolerance and its tail."""
-        return math.hypot(found.bound, floor) <= ESTIMATE_SHARE * self.tolerance and found.tail <= self.tail
+    def fits(self, found: Errors) -> bool:
+        """Whether errors at the samples are within the tolerance and its tail."""
+        return found.bound <= ESTIMATE_SHARE * self.tolerance and found.tail <= self.tail
+
+    def judge_by(self, units: int) -> None:
+        """Set the exact light at the samples, of so many units, and its doubt."""
+        raise NotImplementedError
+
+    def light_of(self, units: int) -> np.ndarray:
+        """Light at the samples of an image of so many units."""
+        raise NotImplementedError
+
+    def choose_units(self, ladder: Iterable[tuple[int, Iterable[int]]]) -> None:
+        """The first units that fit of those that each number of units of the exact light judges."""
+        for judge, counts in ladder:
+            self.judge_by(judge)
+            assert self.exact is not None, "what judges is known"
+            for self.units in counts:
+                self.expected = self.samples.errors(self.light_of(self.units), self.exact)
+                if self.fits(self.expected):
+                    return
 
     @property
     def closed(self) -> bool:
@@ -555,8 +566,8 @@ class _Planner(ABC):
         """The plan, with the errors that the samples expect; ``direct`` light there, if it was unknown."""
         between = self.between_surfaces(self.exact if direct is None else direct)
         latticed = self.method_class is Lattice
-        rms, bound = (math.hypot(value, self.floor) for value in (self.expected.rms, self.expected.bound))
-        fits = bound <= ESTIMATE_SHARE * self.tolerance
+        rms = self.expected.rms
+        fits = self.expected.bound <= ESTIMATE_SHARE * self.tolerance
         verdict = "within tolerance" if fits else "the best there is for tolerance"
         return Plan(
             "lattice" if latticed else "unoccluded" if self.closed else "horizon",
@@ -597,9 +608,9 @@ class _Planner(ABC):
             return
         yield Choice(
             "error",
-            _percent(math.hypot(self.expected.rms, self.floor)),
+            _percent(self.expected.rms),
             f"RMS over the mean, expected from {len(self.samples)} samples; at most"
-            f" {_percent(math.hypot(self.expected.bound, self.floor))} over all nodes, asked for"
+            f" {_percent(self.expected.bound)} over all nodes, asked for"
             f" {_percent(self.tolerance)}",
         )
         yield Choice("99.9th percentile", _percent(self.expected.tail), f"asked for {_percent(self.tail)}")
@@ -621,28 +632,24 @@ class _SkyPlanner(_Planner):
 
     method_class = Horizons
 
-    light: float | Integrals  # a brightness, or what Integrals found
+    light: float | Integrals  # a brightness, or its integrals
     bright_parts: tuple[BrightPart, ...] = ()
     bright: float | np.ndarray = 0.0  # their light at the samples
     near_rows: int | None = None
     sectors = 0  # of azimuth, of every small bright part
     rays: int | None = None  # margin of the map for exact horizons of small bright parts, or None
     grid = 0  # azimuths of the exact light
-    slopes: np.ndarray  # exact horizons in these azimuths
-    lit: np.ndarray  # light of brightness 1 above them, per radian
-    rest: np.ndarray  # exact light without that of small bright parts
+    angles: np.ndarray  # these azimuths
+    slopes: np.ndarray  # exact horizons in them
+    lit: np.ndarray  # light of brightness 1 above these, per radian
     exact: np.ndarray
     uniform: np.ndarray
 
     def choose(self) -> None:
         samples = self.samples
         self._integrate()
-        rest = self.light.rest / max(self.light.level, 1e-30) if isinstance(self.light, Integrals) else 1.0
-        cliffs = math.sqrt(samples.cliffs) * rest
-        steep = BEHIND_CLIFFS[None] * cliffs > 0.5 * self.tolerance
-        if steep or self.bright_parts and self.rays is None and self.tolerance < SHARP_SHADOWS:
+        if BEHIND_CLIFFS * math.sqrt(samples.cliffs) > 0.5 * self.tolerance:
             self.near_rows = CLIFF_NEAR_ROWS[0]
-        floor = BEHIND_CLIFFS[self.near_rows] * cliffs
         planes = even(unoccluded.INTEGRATED_AZIMUTHS, 0.5)
         self.free = (
             planes.widths
@@ -654,134 +661,80 @@ class _SkyPlanner(_Planner):
             if isinstance(self.light, Integrals)
             else np.pi / 2 * self.light * (1 + 1 / samples.length)
         )
-        self._trace(min(EXACT_GRIDS))
-        self.bright = self._bright_light(floor)
-        self.exact = self.rest + self.bright
-        self._choose_azimuths(floor)
-        self.hidden = samples.errors(self.uniform, np.pi / 2 * (1 + 1 / samples.length)).rms
-        self.floor = floor
+        grids = [grid for grid in EXACT_GRIDS if self.engine.shares or grid >= GPU_GRID]
+        self.judge_by(grids[0])
+        self._choose_sectors()
+        judged = [0, *(grid // 6 for grid in grids)]
+        self.choose_units(
+            (grid, [n for n in AZIMUTH_COUNTS if low < n <= high])
+            for grid, low, high in zip(grids, judged, judged[1:])
+        )
         self._check_work()
 
     def _integrate(self) -> None:
-        """The brightness: a number where it varies too little to matter, else its integrals and its suns."""
+        """The brightness: a number, or its integrals and its suns."""
         scene, brightness = self.scene, self.source.brightness
         if not callable(brightness):
             self.light = float(brightness)
             return
         self.light = sky = integrals(self.source, self.tolerance)
-        if not sky.bright_parts and sky.variation <= NEARLY_UNIFORM * self.tolerance:
-            self.light = float(sky.mean)
-            return
         self.bright_parts, self.tables = sky.bright_parts, math.hypot(TABLES_ERROR, sky.error)
         if self.bright_parts and self.samples.cliffs > 0:
             self.rays = margin_of(scene, self.bright_parts, self.samples.relief)
 
-    def _trace(self, grid: int) -> None:
-        """Exact light at the samples in ``grid`` azimuths or more, each time twice as many as before."""
-        samples = self.samples
-        if self.grid >= grid:
+    def judge_by(self, units: int) -> None:
+        """Exact light at the samples in so many azimuths, unless it is known in more."""
+        samples, width = self.samples, 2 * np.pi / units
+        if units <= self.grid:
             return
-        while self.grid < grid:
-            first = not self.grid
-            angles: np.ndarray
-            self.grid = 2 * self.grid or (min(EXACT_GRIDS) if self.engine.shares else GPU_GRID)
-            angles = 2 * np.pi * np.arange(self.grid) / self.grid
-            if not first:
-                angles = angles[1::2]
-            slopes = samples.horizons(angles)
-            lit = samples.uniform(angles)
-            if not first:
-                slopes, lit = (
-                    np.stack(both, 1).reshape(self.grid, -1)
-                    for both in ((self.slopes, slopes), (self.lit, lit))
-                )
-            self.slopes, self.lit = slopes, lit
-        width = 2 * np.pi / self.grid
-        angles = self.angles = width * np.arange(self.grid)
+        self.grid, self.angles = units, width * np.arange(units)
+        self.slopes, self.lit = samples.horizons(self.angles), samples.uniform(self.angles)
         self.uniform = self.lit.sum(0) * width
-        half = self.grid // 2
-        one, other = (
-            self._corrected(
-                np.full(half, 2 * width),
-                np.full(half, width),
-                *(every[odd::2] for every in (angles, self.slopes, self.lit)),
-            )
-            for odd in (0, 1)
-        )
-        self.rest = (one + other) / 2
-        self.exact = self.rest + self.bright
+        one, other = (self._light_in(np.arange(odd, units, 2), width) for odd in (0, 1))
+        self.exact = (one + other) / 2 + self.bright
         self.doubt = JUDGE_SHARE * samples.errors(self.exact + (other - one) / 2, self.exact).rms
 
-    def _choose_azimuths(self, floor: float) -> None:
-        """The fewest azimuths whose errors at the samples, with the floor, are within the tolerance."""
-        judged = 0
-        for grid, most in EXACT_GRIDS.items():
-            if grid < self.grid:
-                continue
-            self._trace(grid)
-            for self.units in (n for n in AZIMUTH_COUNTS if judged < n <= most and grid % (3 * n) == 0):
-                self.expected = self._measured(self.units)
-                if self.fits(self.expected, floor):
-                    return
-            judged = self.units
-        last = self.expected
-        for self.units in (count for count in AZIMUTH_COUNTS if count > judged):
-            self.expected = Errors(*(value * (judged / self.units) ** CONVERGENCE_ORDER for value in last))
-            if self.fits(self.expected, floor):
-                break
-
-    def _measured(self, count: int) -> Errors:
-        """Errors at the samples of ``count`` azimuths."""
-        first, second = (
-            self._corrected(
-                np.full(count // 2, 4 * np.pi / count),
-                np.full(count // 2, 2 * np.pi / count),
-                *(every[n] for every in (self.angles, self.slopes, self.lit)),
-            )
-            for n in ((self.grid * (3 * np.arange(odd, count, 2) + 1)) // (3 * count) for odd in (0, 1))
+    def light_of(self, units: int) -> np.ndarray:
+        one, other = (
+            self._light_in(self.grid * (3 * np.arange(odd, units, 2) + 1) // (3 * units), 2 * np.pi / units)
+            for odd in (0, 1)
         )
-        return self.samples.errors((first + second) / 2 + self.bright, self.exact)
+        light: np.ndarray = (one + other) / 2 + self.bright
+        return light
 
-    def _corrected(
-        self,
-        widths: np.ndarray,
-        windows: np.ndarray,
-        angles: np.ndarray,
-        slopes: np.ndarray,
-        lit: np.ndarray,
-    ) -> np.ndarray:
-        """Light above ``slopes``, as a share of that above tangent planes; see Horizons.
+    def _light_in(self, chosen: np.ndarray, window: float) -> np.ndarray:
+        """Light in ``chosen`` azimuths of the grid, as a share of that above tangent planes; see Horizons.
 
-        ``lit``: of brightness 1 above them, per radian.
+        Brightness is averaged over ``window`` [rad] round each.
         """
+        width = 2 * np.pi / len(chosen)
         if not isinstance(self.light, Integrals):
-            uniform: np.ndarray = self.light * (widths @ lit)
+            uniform: np.ndarray = self.light * width * self.lit[chosen].sum(0)
             return uniform
-        table = self.light.table(angles, windows)
-        hidden = _open_slopes(self.samples, angles), slopes
-        planes, light = (widths @ self.samples.ring(angles, some, table) for some in hidden)
+        angles = self.angles[chosen]
+        table = self.light.table(angles, np.full(len(chosen), window))
+        planes, light = (
+            width * self.samples.ring(angles, slopes, table).sum(0)
+            for slopes in (_open_slopes(self.samples, angles), self.slopes[chosen])
+        )
         total: np.ndarray = light * correction(self.free, planes)
         return total
 
-    def _bright_light(self, floor: float) -> float | np.ndarray:
-        """Light of the suns at the samples, in the fewest sectors whose two halves agree.
-
-        They agree within the tolerance with ``floor``, the error besides.
-        """
-        light: float | np.ndarray = 0.0
+    def _choose_sectors(self) -> None:
+        """The fewest sectors of the suns whose two halves agree, and the suns' light at the samples."""
         if not self.bright_parts:
-            return light
+            return
+        rest = self.exact
         for times in SECTOR_MULTIPLES:
             self.sectors = times * max(1, -(-LEAST_SECTORS // len(self.bright_parts)))
             one, other = (
                 sum(self.samples.sectors(*spot.sectors(self.sectors, odd)) for spot in self.bright_parts)
                 for odd in (False, True)
             )
-            light = (one + other) / 2
-            found = self.samples.errors(self.rest + light + SECTOR_SHARE * (other - one), self.rest + light)
-            if math.hypot(found.bound, floor) <= 0.7 * self.tolerance and found.tail <= 0.7 * self.tail:
+            self.bright = (one + other) / 2
+            self.exact = rest + self.bright
+            if self.fits(self.samples.errors(self.exact + SECTOR_SHARE * (other - one), self.exact)):
                 break
-        return light
 
     def _check_work(self) -> None:
         """CapacityError where the azimuths, on a map that repeats with its search, are too much work."""
@@ -809,7 +762,7 @@ class _SkyPlanner(_Planner):
 
     def audit(self, method: LightMethod) -> float | None:
         if 3 * method.units > self.grid:
-            self._trace(max(EXACT_GRIDS))
+            self.judge_by(max(EXACT_GRIDS))
         return super().audit(method)
 
     def refine(self, is_shared: bool) -> bool:
@@ -822,12 +775,12 @@ class _SkyPlanner(_Planner):
         return super().refine(is_shared)
 
     def choices(self) -> Iterator[Choice]:
-        hidden = f"ground takes {_percent(self.hidden)} of the light (RMS)"
-        yield Choice("occlusion", "by ground", hidden)
+        hidden = self.samples.errors(self.uniform, np.pi / 2 * (1 + 1 / self.samples.length)).rms
+        yield Choice("occlusion", "by ground", f"ground takes {_percent(hidden)} of the light (RMS)")
         if isinstance(self.light, Integrals):
             yield Choice("brightness", "a table per azimuth", f"integrated to {_percent(self.light.error)}")
         else:
-            yield Choice("brightness", "constant", "it is a number, or varies too little to matter")
+            yield Choice("brightness", "constant", "it is a number")
         if self.bright_parts:
             taken = f"{2 * self.sectors + 1} azimuths each"
             why = "small and bright: suns, lights and spots have azimuths of their own"
@@ -856,8 +809,6 @@ def _open_slopes(samples: Samples, angles: np.ndarray) -> np.ndarray:
 class _HiddenWindowPlanner(_Planner):
     """A window of which a dark box, or its distance, leaves nothing."""
 
-    sample_count = 256
-
     def choose(self) -> None:
         self.exact, self.expected = np.zeros(len(self.samples)), Errors(0.0, 0.0, 0.0)
 
@@ -865,13 +816,7 @@ class _HiddenWindowPlanner(_Planner):
         return _ClosedForm(self.scene, np.zeros(self.scene.shape, np.float32))
 
     def choices(self) -> Iterator[Choice]:
-        yield Choice("occlusion", "none", "every node looks at all of the source")
-        yield Choice("window", "nothing to see", "")
-        if callable(self.source.brightness):
-            yield Choice("brightness", "none", "nothing is seen of it")
-        else:
-            yield Choice("brightness", "constant", "it is a number")
-        yield Choice("search radius", "up to the source", "what lies behind it hides nothing")
+        yield Choice("window", "nothing to see", "a dark box, or its distance, leaves nothing of it")
 
 
 class _SlicePlanner(_Planner):
@@ -883,10 +828,9 @@ class _SlicePlanner(_Planner):
     rays = 0  # along which the brightness of slices is taken, 0: along their chords
     points = 0  # rays of the closed form
     is_thin = False  # its light is taken along the line through its middle
-    counts: tuple[int, ...] = SLICE_COUNTS
     bright: float | np.ndarray = 0.0  # light of small bright parts behind a window
     smooth: sources.Brightness  # brightness without these
-    through: dict[int, np.ndarray]  # light at the samples by numbers of slices
+    found: dict[tuple[int, int], np.ndarray]  # light at the samples by numbers of slices and points of each
     exact: np.ndarray
 
     def choose(self) -> None:
@@ -894,9 +838,7 @@ class _SlicePlanner(_Planner):
         self._place()
         if callable(brightness):
             self.is_thin = _looks_thin(self)
-            if self.is_thin:
-                self.counts = LINE_COUNTS
-            elif isinstance(self.source, sources.Window):
+            if not self.is_thin and isinstance(self.source, sources.Window):
                 self._integrate_sky()
             most = sources.radiance(sources.Sky(brightness), Hemicube(9).directions).max()
             self.samples.least = DARK * float(self._unoccluded(1, float(most)).mean())
@@ -910,18 +852,46 @@ class _SlicePlanner(_Planner):
                 for spot in self.sky.bright_parts
             )
             brightness = self._without_bright_parts
-        self.smooth = brightness
-        self.through = {count: self._through_slices(brightness, count) for count in self.counts[:3]}
-        self.exact = self.through[self.counts[2]]
-        if self.is_thin or not self._fits_closed_form():
-            self._take_slices()
+        self.smooth, self.found = brightness, {}
+        if not self.is_thin:
+            self.judge_by(CLOSED_JUDGE)
+            if self._fits_closed_form():
+                return
+        self._take_slices()
 
     def _take_slices(self) -> None:
-        """Choose slices, and how brightness is taken."""
+        """Choose slices, and how brightness is taken: along few rays to a small lamp, else along chords."""
         self.method_class = Sliced
+        counts = LINE_COUNTS if self.is_thin else BALL_SLICES if isinstance(self.solid, Ball) else QUAD_SLICES
         if callable(self.source.brightness) and not self.is_thin:
-            self._choose_rays()
-        self._choose_slices(self.smooth, self.through)
+            if self.is_small:
+                self.rays = RAYS[0]
+            elif self.sky is None:
+                self.sky = integrals(sources.Sky(self.source.brightness), math.inf, True)
+        self.choose_units((JUDGING_SLICES * count, [count]) for count in counts)
+
+    def judge_by(self, units: int) -> None:
+        # half of the points along chords too: they meet a brightness's edges by chance
+        coarse, self.exact = self._through(units // 2, CHORD_POINTS // 2), self.light_of(units)
+        self.doubt = JUDGE_SHARE * self.samples.errors(coarse, self.exact).rms
+
+    def light_of(self, units: int) -> np.ndarray:
+        return self._through(units, CHORD_POINTS)
+
+    def _through(self, count: int, points: int) -> np.ndarray:
+        """Light at the samples through ``count`` slices, and that of small bright parts; or along a line."""
+        if self.is_thin or not callable(self.smooth):
+            points = 0
+        if (count, points) not in self.found:
+            if self.is_thin:
+                assert isinstance(self.solid, Quad), "balls are not thin"
+                light = line.at_samples(self.samples, self.solid, self.smooth, count)
+            else:
+                light = (
+                    self.samples.through_slices(self.solid, self.smooth, count, points=points) + self.bright
+                )
+            self.found[count, points] = light
+        return self.found[count, points]
 
     def _place(self) -> None:
         """The solid, its middle, the radius of a sphere round it, and the mean apparent radius [rad]."""
@@ -970,15 +940,6 @@ class _SlicePlanner(_Planner):
             inside = cosine > math.sqrt(1 - sine * sine)
             values = np.where(inside, np.minimum(values, spot.limit), values)
         return values
-
-    def _through_slices(
-        self, brightness: sources.Brightness, count: int, points: int = CHORD_POINTS
-    ) -> np.ndarray:
-        """Light at the samples through ``count`` slices, and that of small bright parts; or along a line."""
-        if self.is_thin:
-            assert isinstance(self.solid, Quad), "balls are not thin"
-            return line.at_samples(self.samples, self.solid, brightness, count)
-        return self.samples.through_slices(self.solid, brightness, count, points=points) + self.bright
 
     def _unoccluded(
         self, points: int, brightness: sources.Brightness | None = None, at: Samples | None = None
@@ -1036,52 +997,6 @@ class _SlicePlanner(_Planner):
 
         return all(by_bands(face, self.scene.shape))
 
-    def _choose_rays(self) -> None:
-        """How a brightness that varies is taken: along few rays to a small lamp, else along every chord."""
-        if self.is_small:
-            whole = np.maximum(self._unoccluded(1, 1.0), 1e-30)
-            seen = self.samples.through_slices(self.solid, 1.0, SLICE_COUNTS[2]) / whole
-            for rays in RAYS:
-                if (
-                    self.samples.errors(self._unoccluded(rays) * seen, self.exact).bound
-                    <= 0.5 * self.tolerance
-                ):
-                    self.rays = rays
-                    return
-        if self.sky is None:
-            self.sky = integrals(sources.Sky(self.source.brightness), math.inf, True)
-
-    def _choose_slices(self, brightness: sources.Brightness, light: dict[int, np.ndarray]) -> None:
-        """The fewest slices whose light at the samples is within the tolerance of JUDGING_SLICES times as
-        many.
-
-        ``light``: by numbers of slices, what is known already.
-        """
-        # four sectors share them, and half as many judge them
-        fewest = 2 * int(isinstance(self.solid, Quad) and not self.is_thin)
-        for finest in self.counts[2:]:
-            if finest not in light:
-                light[finest] = self._through_slices(brightness, finest)
-            self.exact = light[finest]
-            coarse = light[finest // 2]
-            if callable(brightness) and not self.is_thin:  # points along chords meet its edges by chance
-                coarse = self._through_slices(brightness, finest // 2, CHORD_POINTS // 2)
-            self.doubt = JUDGE_SHARE * self.samples.errors(coarse, self.exact).rms
-            for units in self.counts[fewest:]:
-                through = light[self.counts[0]]
-                number = (
-                    np.full(through.shape, units)
-                    if self.is_thin
-                    else _slices_taken(self.samples, self.solid, units)
-                )
-                for count in light:
-                    through = np.where(number >= count, light[count], through)
-                self.units, self.expected = units, self.samples.errors(through, self.exact)
-                if self.fits(self.expected):
-                    break
-            if JUDGING_SLICES * number.max() <= finest:
-                break
-
     def make(self) -> LightMethod:
         scene, source = self.scene, self.source
         if self.closed:
@@ -1099,9 +1014,6 @@ class _SlicePlanner(_Planner):
             self.points *= 4
             if self.points > most_rays(self.scene):
                 self._take_slices()
-        elif is_shared and self.is_small and self.sky is not None and most_rays(self.scene):
-            # what a table of the sky is too coarse for
-            self.rays, self.sky = min(RAYS[2], most_rays(self.scene)), None
         elif self.is_thin and 2 * self.method.units * math.prod(self.scene.shape) > MOST_RAY_EVALUATIONS:
             return False
         else:
@@ -1162,19 +1074,13 @@ def _judging_sectors(spot: BrightPart, outline: tuple[float, float, float, float
     return int(min(JUDGING_SECTORS * times | 1, MOST_JUDGING_SECTORS))
 
 
-def _slices_taken(samples: Samples, solid: Ball | Quad, most: int) -> np.ndarray:
-    """As many slices at every sample as the kernel takes, which takes ``most`` for a source all round."""
-    least = max(most // (4 if isinstance(solid, Ball) else 2) // 8, 1) * 8
-    return (least + turn(samples, solid) * (most - least)).astype(int) // 8 * 8
-
-
 class _LatticePlanner(_Planner):
     """What horizons cannot render: lattice directions, filled."""
 
     method_class, sample_count = Lattice, 64
 
     def choose(self) -> None:
-        scene, source, samples = self.scene, self.source, self.samples
+        scene, source = self.scene, self.source
         self.why = lacking(scene, source)
         if isinstance(source, sources.Lamp):  # a volume: nothing but the lattice knows it
             known = lattice.HEMICUBE_ERRORS
@@ -1185,13 +1091,14 @@ class _LatticePlanner(_Planner):
             fitting = (size for size, error in known.items() if error <= self.tolerance)
             self.units = next(fitting, max(known))
             return
-        self.exact = lattice.through_window(samples, scene, source)
         self.uniform = self._uniform_light()
-        for self.units in lattice.HEMICUBE_ERRORS:
-            light = lattice.at_samples(samples, scene, source, self.units)
-            self.expected = samples.errors(light, self.exact)
-            if self.fits(self.expected):
-                break
+        self.choose_units([(0, lattice.HEMICUBE_ERRORS)])
+
+    def judge_by(self, units: int) -> None:
+        self.exact = lattice.through_window(self.samples, self.scene, self.source)
+
+    def light_of(self, units: int) -> np.ndarray:
+        return lattice.at_samples(self.samples, self.scene, self.source, units)
 
     def make(self) -> LightMethod:
         return Lattice(self.engine, self.scene, self.source, self.units)

@@ -395,17 +395,6 @@ def oversample_lit(samples: Samples, scene: Scene, light: Callable[[Samples], np
     samples._set_nodes(many.x[picked], many.y[picked])
 
 
-def turn(samples: Samples, solid: Ball | Quad) -> np.ndarray:
-    """Share of the circle of azimuths that a source spans, as the kernels compute it: (nodes,)."""
-    if isinstance(solid, Quad):
-        share: np.ndarray = _outline(samples, solid)[-1].sum(0) / (2 * np.pi)
-        return share
-    widest = solid.radius / np.maximum(
-        np.hypot(solid.center[0] - samples.x, solid.center[1] - samples.y), 1e-9
-    )
-    return np.where(widest >= 1, 1.0, widest * (0.318 + 0.182 * np.minimum(1, widest) ** 2))
-
-
 def picked(samples: Samples, images: Array, number: int = 0) -> np.ndarray:
     """Image ``number`` of some (rows, cols) float32 on the device at the samples, float32."""
     at = (number * samples.rows + samples.y) * samples.cols + samples.x

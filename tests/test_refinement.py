@@ -1102,7 +1102,7 @@ def test_a_plan_says_how_it_was_refined(fast, monkeypatch):
     from skylamp import refinement
 
     monkeypatch.setattr(
-        refinement._SkyPlanner, "_choose_azimuths", lambda self, floor: setattr(self, "units", 4)
+        refinement._SkyPlanner, "choose_units", lambda self, ladder: setattr(self, "units", 4)
     )
     out = irradiance(SCENES["rough"], sl.Sky(), fast, tolerance=0.01)
     assert len(out.plan.steps) > 1 and out.plan.azimuths == out.plan.steps[-1].units > 4
