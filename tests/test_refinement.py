@@ -910,15 +910,11 @@ def test_maps_of_every_kind_keep_the_tolerance(fast, name, source):
 
 @pytest.mark.slow
 def test_brightness_is_looked_at(fast):
-    """A sky that hardly varies is a number, else a table per azimuth; suns have their own azimuths."""
+    """A function is a table per azimuth; suns have their own azimuths."""
     line = lambda name, sky, t, what: next(
         (c.taken for c in sl.plan(SCENES[name], sky, t, fast).choices if c.what == what), ""
     )
-    nearly = sl.Sky(lambda L: 1 + 0.0005 * L[..., 0])
-    assert (
-        line("rough", nearly, 0.05, "brightness") == "constant"
-        and line("rough", nearly, 0.002, "brightness") == "a table per azimuth"
-    )
+    assert line("rough", sl.Sky(2.0), 0.05, "brightness") == "constant"
     assert (
         line("rough", sl.Sky(sl.cie_overcast()), 0.01, "brightness")
         == line("rough", GLOW, 0.01, "brightness")
