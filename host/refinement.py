@@ -562,7 +562,7 @@ class _Planner(ABC):
         if direct is None or not direct.any() or not np.any(self.scene.albedo):
             return None if direct is None else 0.0
         if self.uniform is None:
-            self.uniform = self._uniform_light()
+            self.uniform = _uniform_light(self.samples)
         return expected(self.scene, self.samples, direct, self.uniform / np.pi)
 
     def plan(self, direct: np.ndarray | None = None) -> Plan:
@@ -584,50 +584,52 @@ class _Planner(ABC):
             tail=self.tail,
             error=float(rms) if math.isfinite(rms) else None,
             error_tail=float(self.expected.tail) if math.isfinite(self.expected.tail) else None,
-            choices=(*self.choices(), *self._common_choices(between)),
+            choices=(*self.choices(), *_common_choices(self, between)),
             beyond=tuple(beyond_model(self, between)),
             interreflection=between,
         )
 
-    def _common_choices(self, between: float | None) -> Iterator[Choice]:
-        """Lines of the plan that every kind of source has."""
-        if not self.closed:
-            serves = "sweeps and slices serve every sky, sphere, rectangle and window"
-            yield Choice(
-                "method",
-                "lattice" if self.method_class is Lattice else "horizons",
-                lacking(self.scene, self.source) or serves,
-            )
-        surface = self.scene.reflectance
-        if isinstance(surface, Lambertian):
-            yield Choice("specular lobe", "none", "the surface is Lambertian")
-        else:
-            why = "summed beside the irradiance, to which the error given here belongs"
-            yield Choice("specular lobe", type(surface).__name__, why)
-        yield Choice("interreflection", *choice(self.interreflection, between, self.tolerance))
-        yield Choice("precision", "float32", f"depths are rounded by {self.rounding:.1g} spacings")
-        if not math.isfinite(self.expected.rms):
-            yield Choice("error", "not known", self.unknown)
-            return
+
+def _common_choices(planner: _Planner, between: float | None) -> Iterator[Choice]:
+    """Lines of the plan that every kind of source has."""
+    if not planner.closed:
+        serves = "sweeps and slices serve every sky, sphere, rectangle and window"
         yield Choice(
-            "error",
-            _percent(self.expected.rms),
-            f"RMS over the mean, expected from {len(self.samples)} samples; at most"
-            f" {_percent(self.expected.bound)} over all nodes, asked for"
-            f" {_percent(self.tolerance)}",
+            "method",
+            "lattice" if planner.method_class is Lattice else "horizons",
+            lacking(planner.scene, planner.source) or serves,
         )
-        yield Choice("99.9th percentile", _percent(self.expected.tail), f"asked for {_percent(self.tail)}")
+    surface = planner.scene.reflectance
+    if isinstance(surface, Lambertian):
+        yield Choice("specular lobe", "none", "the surface is Lambertian")
+    else:
+        why = "summed beside the irradiance, to which the error given here belongs"
+        yield Choice("specular lobe", type(surface).__name__, why)
+    yield Choice("interreflection", *choice(planner.interreflection, between, planner.tolerance))
+    yield Choice("precision", "float32", f"depths are rounded by {_rounding(planner.samples):.1g} spacings")
+    if not math.isfinite(planner.expected.rms):
+        yield Choice("error", "not known", planner.unknown)
+        return
+    yield Choice(
+        "error",
+        _percent(planner.expected.rms),
+        f"RMS over the mean, expected from {len(planner.samples)} samples; at most"
+        f" {_percent(planner.expected.bound)} over all nodes, asked for"
+        f" {_percent(planner.tolerance)}",
+    )
+    yield Choice("99.9th percentile", _percent(planner.expected.tail), f"asked for {_percent(planner.tail)}")
 
-    @property
-    def rounding(self) -> float:
-        """By how much float32 rounds depths [spacings]."""
-        return abs(float(self.samples.own.min())) * 2.0**-24  # no height is above 0
 
-    def _uniform_light(self) -> np.ndarray:
-        """Light at the samples of a uniform sky of brightness 1, by 12 azimuths."""
-        azimuths = 2 * np.pi * (np.arange(12) + 0.5) / 12
-        light: np.ndarray = self.samples.uniform(azimuths).mean(0) * 2 * np.pi
-        return light
+def _rounding(samples: Samples) -> float:
+    """By how much float32 rounds depths [spacings]."""
+    return abs(float(samples.own.min())) * 2.0**-24  # no height is above 0
+
+
+def _uniform_light(samples: Samples) -> np.ndarray:
+    """Light at the samples of a uniform sky of brightness 1, by 12 azimuths."""
+    azimuths = 2 * np.pi * (np.arange(12) + 0.5) / 12
+    light: np.ndarray = samples.uniform(azimuths).mean(0) * 2 * np.pi
+    return light
 
 
 class _SkyPlanner(_Planner):
@@ -847,7 +849,7 @@ class _SlicePlanner(_Planner):
             most = sources.radiance(sources.Sky(brightness), Hemicube(9).directions).max()
             self.samples.least = DARK * float(self._unoccluded(1, float(most)).mean())
             oversample_lit(self.samples, self.scene, self._open_light)
-        self.uniform = self._uniform_light()
+        self.uniform = _uniform_light(self.samples)
         if self.sky is not None and self.sky.bright_parts:
             self.bright = self.scale * sum(
                 self.samples.sectors(
@@ -1095,7 +1097,7 @@ class _LatticePlanner(_Planner):
             fitting = (size for size, error in known.items() if error <= self.tolerance)
             self.units = next(fitting, max(known))
             return
-        self.uniform = self._uniform_light()
+        self.uniform = _uniform_light(self.samples)
         self.choose_units([(0, lattice.HEMICUBE_ERRORS)])
 
     def judge_by(self, units: int) -> None:
@@ -1145,9 +1147,9 @@ def beyond_model(planner: _Planner, between: float | None) -> Iterator[str]:
             f"Nodata: {_percent(1 - scene.mask.mean())} of the nodes are masked; they hide nothing, so"
             " light may come through holes."
         )
-    if planner.rounding > 0.1 * planner.tolerance:
+    if _rounding(samples) > 0.1 * planner.tolerance:
         yield (
-            f"Depths are rounded by {planner.rounding:.2g} spacings, more than the tolerance allows:"
+            f"Depths are rounded by {_rounding(samples):.2g} spacings, more than the tolerance allows:"
             " subtract the least depth."
         )
 
