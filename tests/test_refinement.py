@@ -924,10 +924,7 @@ def test_brightness_is_looked_at(fast):
         *(map(int, re.findall(r"\d+", line("houses", SUN, t, "bright parts"))) for t in (0.1, 0.003))
     )
     assert count == (2, 2) and each[0] < each[1]  # the disc, and what glows round it
-    assert (
-        line("periodic", SUN, 0.01, "bright parts")
-        and not line("rough", GLOW, 0.01, "bright parts")
-    )
+    assert line("periodic", SUN, 0.01, "bright parts") and not line("rough", GLOW, 0.01, "bright parts")
 
 
 def test_more_rows_are_tested_among_cliffs_where_the_tolerance_needs_it(fast):
