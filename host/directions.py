@@ -67,12 +67,9 @@ class Hemicube:
         """32-bit words that hold one bit per direction."""
         return -(-len(self) // 32)
 
-    @cached_property
+    @property
     def steps(self) -> np.ndarray:
-        m = self.reach
-        k, j, i = np.meshgrid(np.arange(m + 1), np.arange(-m, m + 1), np.arange(-m, m + 1), indexing="ij")
-        steps = np.stack([i.ravel(), j.ravel(), -k.ravel()], 1)
-        return _frozen(steps[np.abs(steps).max(1) == m].astype(np.int32))
+        return _steps(self.size)
 
     @cached_property
     def directions(self) -> np.ndarray:
@@ -172,6 +169,15 @@ class Azimuths:
 def _frozen(array: np.ndarray) -> np.ndarray:
     array.flags.writeable = False
     return array
+
+
+@lru_cache(maxsize=8)
+def _steps(size: int) -> np.ndarray:
+    """Lattice steps to all nodes of the hemicube's faces, (D, 3) int32."""
+    m = (size - 1) // 2
+    k, j, i = np.meshgrid(np.arange(m + 1), np.arange(-m, m + 1), np.arange(-m, m + 1), indexing="ij")
+    steps = np.stack([i.ravel(), j.ravel(), -k.ravel()], 1)
+    return _frozen(steps[np.abs(steps).max(1) == m].astype(np.int32))
 
 
 @lru_cache(maxsize=8)

@@ -414,7 +414,7 @@ def _kept(samples: Samples, key: tuple[str, bytes, float], made: Callable[[], np
 
 def _gather(engine: Backend, values: Array, at: np.ndarray, missing: float) -> np.ndarray:
     """Elements of a device array; ``missing`` where the number is negative."""
-    given, found = engine.upload(at.astype(np.int32).ravel()), engine.empty((at.size,), np.float32)
+    given, found = engine.table(at.astype(np.int32).ravel()), engine.empty((at.size,), np.float32)
     engine.launch("pilot", "pick", (at.size,), values, given, found, at.size, missing, lanes=1)
     return engine.download(found).reshape(at.shape)
 

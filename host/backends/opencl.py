@@ -40,6 +40,7 @@ REGISTERS = {"horizon": 64, "slices": 64}
 CPU_LANES = 8  # float32 of a vector register of 256 bits
 CPU_STRIPS = 8  # strips of lines that a sweep takes side by side
 CPU_PARTIAL_SUMS = 16  # most copies of a sum that work-items scatter into
+MOST_FILLED = 2**31  # [byte] from which NVIDIA's driver fills wrongly (pyopencl, issue 395)
 SCAN_GROUP = 1024  # work-items of a group of scan on a GPU
 PREFETCHED_DEPTHS = 6  # depths that a scan on a GPU fetches before it uses them; a CPU does so by itself
 
@@ -132,8 +133,11 @@ class OpenclBackend(Backend):
         return array
 
     def fill(self, array: Array, value: float) -> None:
-        if array.nbytes:  # pyopencl's own fill would compile a kernel, with the compiler's remarks
-            self.cl.enqueue_fill_buffer(self.queue, array.data, array.dtype.type(value), 0, array.nbytes)
+        scalar = array.dtype.type(value)
+        if array.nbytes >= MOST_FILLED:
+            array.fill(scalar)
+        elif array.nbytes:  # pyopencl's own fill would compile a kernel, with the compiler's remarks
+            self.cl.enqueue_fill_buffer(self.queue, array.data, scalar, 0, array.nbytes)
 
     def download(self, array: Array) -> np.ndarray:
         if self.shares or array.nbytes < staging.LEAST:

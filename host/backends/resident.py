@@ -193,8 +193,11 @@ class Resident(NamedTuple):
         self.backend.launch("resident", "heights", (cols, rows), self.depth, depth, *size, -1.0, math.inf, 0)
 
     def survey(self) -> Survey:
-        """One pass over the map."""
-        return survey(self.backend, self.depth, self.shape, self.step)
+        """What one pass over the map finds, the first time."""
+        if ("survey",) not in self.derived:
+            self.derived["survey",] = survey(self.backend, self.depth, self.shape, self.step)
+        found: Survey = self.derived["survey",]
+        return found
 
 
 def adopt(

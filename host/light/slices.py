@@ -391,10 +391,13 @@ class Slices:
         return self.backend.download(self.image)
 
 
+@functools.cache
 def _on_unit(count: int) -> np.ndarray:
     """Gauss-Legendre nodes and weights on 0..1: (count, 2) float32."""
     node, weight = np.polynomial.legendre.leggauss(count)
-    return np.stack([(1 + node) / 2, weight / 2], 1).astype(np.float32)
+    table = np.stack([(1 + node) / 2, weight / 2], 1).astype(np.float32)
+    table.flags.writeable = False
+    return table
 
 
 def ball_quadrature(most: int, shift: float = 0.5) -> np.ndarray:
