@@ -137,8 +137,8 @@ float highest_in(__global const float *tiles, int left, int right, int over, int
 }
 
 /* Raises `best`, which is not below 0, to the horizon of the LANES nodes from (x, y) on, as far as `reach`,
-   and says by which crossing: n rows on, or -n columns on; 0 where nothing stands above `best`. TILE
-   crossings at a time are left out where no ground near them is high enough. */
+   and gives the number of its crossing: n rows on, or -n columns on; 0 where nothing stands above `best`.
+   TILE crossings at a time are left out where no ground near them is high enough. */
 ints horizon(__global const float *heights, __global const float *tiles, Way way, int x, int y, floats own,
              floats *best, float top, float reach, int rows, int cols, int margin, int sides)
 {
@@ -997,8 +997,8 @@ __kernel void product(__global const float *restrict light, __global const int *
       product_at(links, gain, v, sum + own, (float)state[SCATTERED], rows, cols, p, copies > 1);
 }
 
-/* change: in (or added to) share, what an image says of the change of its pixels' albedo by v: bright gain J
-   v, bright = the image at albedo 1. */
+/* change: in (or added to) share, the part of the change of the pixels' albedo by v from one image: bright
+   gain J v, bright = the image at albedo 1. */
 __kernel void change(__global const float *restrict light, __global const int *restrict held,
                      __global const int *restrict first, __global const int *restrict second,
                      __global const float *restrict near, __global const float *restrict far,

@@ -66,7 +66,7 @@ floats overview(__global const float *cells, __global const int *level, ints x0,
   return whole ? between : every > 0 ? part : NONE;
 }
 
-/* march: the far horizon at some nodes, as a line in the height it is seen from: slope = lines[0] - height x
+/* march: the far horizon at some nodes, as a line in the node's height: slope = lines[0] - height x
 lines[1]. Of all samples of the overviews along the azimuth's ray it is the one that stands highest,
 (sample - own height) / distance - drop x distance.
 
@@ -135,8 +135,8 @@ __kernel void march(__global const float *cells, __global const int *levels, __g
   }
 }
 
-/* interpolate: far horizons at every node of a map that is seen as sweeps see it, from four nodes of `march`
-about it, seen from the node's own height.
+/* interpolate: far horizons at every node of a map in the order of sweeps, from four nodes of `march` around
+it, for the node's own height.
 
   lines     (2, count, nodes)      float  as march leaves it, nodes every `spread` rows and columns of a tile
   heights  (room)                 float  [spacing]  the padded map, (rows + 2 margin, cols + 2 margin)

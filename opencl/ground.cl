@@ -76,7 +76,7 @@ __kernel void openness(__global const float *slopes, __global const float *width
 }
 
 /* correct: irradiance *= table, by normal; not below 0, where a table of brightness that is linear between
-its knots may leave some -1e-6 of a sky of which next to nothing but the zenith is seen.
+its knots may leave some -1e-6 of a sky where almost nothing but the zenith is visible.
 
 
   tilts       (2, room)      float  [1]  gx and gy, as tilt makes them

@@ -8,7 +8,7 @@ height above the ray, and the distance in its lowest bits. The two steps of the 
 node's own height lies give the two crossings between which the true one lies; both, and a column crossing
 beside each, are then looked up on the node's own ray, exactly.
 
-The map is seen so that rays go from row to row: azimuths nearer to the columns' direction belong to the
+The map is turned so that rays go from row to row: azimuths nearer to the columns' direction belong to the
 turned map.
 
   heights      (room)          float  [spacing]  the padded map, (rows + 2 margin, cols + 2 margin); -1e30
@@ -242,7 +242,7 @@ __kernel void sweep(__global const float *restrict heights, __global const float
     column_weight[e] = near_weight[n];
   }
 
-  /* 2. the ladder: nothing seen yet */
+  /* 2. the ladder: nothing visible yet */
   ints ladders[STRIPS][LADDER];
   int step[LADDER];
   for (int s = 0; s < LADDER; ++s) {

@@ -1,12 +1,12 @@
-/* Light between surfaces: what ground sends to ground (docs/explanation, Light between surfaces).
+/* Light between surfaces, which ground sends to ground (docs/explanation, Light between surfaces).
 
-In every azimuth a node sees strips of ground. A crossing of the azimuth's vertical plane with a grid line
-opens one where it stands higher, seen from the node, than the tangent plane and all crossings before it. Its
-share of the light is the integral of N.L over the strip's elevations; its radiance is the mean of that at the
-crossing and of that where the line of sight so far meets the stretch before the crossing. The sum of shares x
-radiance over the sum of the shares of all that is not sky is the mean radiance of the ground, m; a node gets
-E = E_d + pi (1 - f) m, f the share of sky that it sees. Shares come without the factor that a node's own
-normal gives all of them.
+In every azimuth strips of ground are visible from a node. A crossing of the azimuth's vertical plane with a
+grid line opens one where it stands higher, seen from the node, than the tangent plane and all crossings
+before it. Its share of the light is the integral of N.L over the strip's elevations; its radiance is the mean
+of that at the crossing and of that where the line of sight so far meets the stretch before the crossing. The
+sum of shares x radiance over the sum of the shares of all that is not sky is the mean radiance of the ground,
+m; a node gets E = E_d + pi (1 - f) m, f the share of sky visible from it. Shares come without the factor that
+a node's own normal gives all of them.
 
 Maps lie in planes: column c is element margin + (c >> shift) of plane c mod 2^shift, so that nodes 2^shift
 columns apart are neighbours; each plane has a row more before and after the map, and `margin` elements at
@@ -96,7 +96,7 @@ floats tilt(floats low, floats own, floats high)
   return own <= HIGHEST_MASKED ? (floats)0 : tilted;
 }
 
-/* Heights of nodes; of what is no ground the highest, which sees next to nothing. */
+/* Heights of nodes; where there is no ground the highest, from which almost no ground is visible. */
 floats stands_at(floats own, float highest) { return own > HIGHEST_MASKED ? own : (floats)highest; }
 
 /* Whether the ground bends by more than KINK from one stretch to the next: all bits set. */

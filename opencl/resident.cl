@@ -18,7 +18,7 @@ __kernel void adopt(__global const float *values, __global const uchar *mask, __
   depth[p] = masked && !mask[p] ? INFINITY : value == INFINITY ? NAN : top + sign * value;
 }
 
-/* survey: what a map is like, over each column of some rows. +inf is masked.
+/* survey: properties of a map over each column of some rows. +inf is masked.
 
   values  (rows x cols)      float  [length]
   stats   (8, blocks, cols)  float  out: the smallest and the largest value; numbers of values that are -inf

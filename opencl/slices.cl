@@ -426,11 +426,11 @@ floats slice(const Pixel *pixel, floats c, floats s, floats along, floats aside,
   quadrature  (most / SLICES, 4, most)  float  for SLICES, 2 SLICES.. slices: sine and cosine of theta,
                                           midpoints of -pi/2..pi/2, and of the azimuths of midpoints all
                                           round; or other places in the same even steps
-  alternating  (rows, cols)        float  out: the even slices' light less that of the odd ones, which tells
-                                          how far the slices are from enough
+  alternating  (rows, cols)        float  out: the even slices' light less that of the odd ones, a
+                                          measure of the error by too few slices
 
 The slice at the azimuth offset d from the centre, sin d = (sin a / cos e) sin theta, a the ball's angular
-radius and e its centre's elevation, sees a chord of half width w, sin w = sin a cos theta / r, r^2 = 1 -
+radius and e its centre's elevation, holds a chord of half width w, sin w = sin a cos theta / r, r^2 = 1 -
 cos^2 e sin^2 d. Where the zenith lies within the disc, slices go all round. */
 __kernel void ball(__global const float *heights, __global const float *tops,
                    __global const float *quadrature, __global const float *sky, __global const float *points,

@@ -423,8 +423,8 @@ FAILURES = {
         measure=leak,
         bad="stride",
         does=(
-            "Steps go from node to node and jump over the ridges between. `filled=True` tests between the"
-            " nodes, horizons every crossing; a warning names the leak where stride is asked for."
+            "Steps go from node to node and jump over the ridges between them. `filled=True` tests the"
+            " surface between the nodes; horizons test every crossing. `render` warns where stride leaks."
         ),
         good="default",
         warns=lambda m, b: sl.render(sl.Scene(rough()), sl.Sky(), "lattice", hemicube=m, backend=b).warnings,
@@ -439,8 +439,8 @@ FAILURES = {
         measure=razor,
         bad="stride M 17",
         does=(
-            "A ridge narrower than the step stands between its nodes. Filled lattice and horizons test every"
-            " crossing."
+            "A ridge narrower than the step stands between two nodes of a ray. The filled lattice and"
+            " horizons test every crossing."
         ),
         good="default",
     ),
@@ -453,8 +453,9 @@ FAILURES = {
         measure=valley,
         bad="lattice, M 9",
         does=(
-            "Little sky is left, and few directions meet it. The error is over the nodes at the bottom alone."
-            " A tolerance is over the whole image: name a tighter one for the bottom."
+            "Little sky is visible from the bottom, in few directions. The error is that of the nodes at"
+            " the bottom alone. A tolerance applies to the whole image: set a smaller one where the bottom"
+            " matters."
         ),
         good="64 azimuths",
     ),
@@ -467,9 +468,8 @@ FAILURES = {
         measure=small_lamp,
         bad="lattice M 9",
         does=(
-            "Rays of the lattice pass a small lamp by. Slices are laid through it as each node sees it; where"
-            " nothing hides it the default is a closed form. Where the lattice is asked for, a warning"
-            " says so."
+            "Rays of the lattice miss a small lamp. Slices are placed within its outline at every node;"
+            " where nothing hides the lamp, the default is a closed form. The lattice gives a warning."
         ),
         good="default",
         warns=small_lamp_says,
@@ -484,9 +484,9 @@ FAILURES = {
         measure=small_sun,
         bad="lattice M 17",
         does=(
-            "The lattice meets a small sun or misses it. Tables of horizons hold all of its light, since"
-            " brightness is integrated; with a number of azimuths asked for, half of them go where the light"
-            " is, and with a tolerance the sun has azimuths of its own."
+            "Directions of the lattice hit or miss a small sun. Tables of horizons contain all of its"
+            " light, since they integrate the brightness. With a given number of azimuths, half of them"
+            " are placed where the light is; with a tolerance the sun has azimuths of its own."
         ),
         good="default",
     ),
@@ -499,8 +499,8 @@ FAILURES = {
         measure=grazing,
         bad="even azimuths",
         does=(
-            "A low sun lights few nodes, and a small error of a horizon puts them out. With a tolerance the"
-            " sun has azimuths of its own, and their number follows the estimated error."
+            "A low sun lights few nodes, and a small error of a horizon darkens them. With a tolerance"
+            " the sun has azimuths of its own, and their number follows the estimated error."
         ),
         good="default",
     ),
@@ -513,10 +513,10 @@ FAILURES = {
         measure=cliff,
         bad="six near rows",
         does=(
-            "Sweeps look up the two best crossings beyond 6 rows; behind a wall a wrong one puts out the sun"
-            " for a node. With a tolerance, where neighbours lie more than 4 spacings apart, the sun has"
-            " exact horizons in azimuths of its own, and every crossing within 24 rows is tested for the"
-            " rest."
+            "Beyond 6 rows, sweeps look up the two best crossings only; behind a wall a wrong one hides"
+            " the sun from a node. With a tolerance, where neighbours lie more than 4 spacings apart, the"
+            " sun has exact horizons in azimuths of its own, and for the rest every crossing within 24"
+            " rows is tested."
         ),
         good="default",
     ),
@@ -529,8 +529,8 @@ FAILURES = {
         measure=between,
         bad="direct light",
         does=(
-            "With a tolerance it is gathered, to any number of bounces, wherever leaving it out would cost"
-            " more than a third of the tolerance. Methods that are asked for by name include it with"
+            "With a tolerance this light is computed, to any number of bounces, where leaving it out"
+            " would cost more than a third of the tolerance. Methods selected by name include it with"
             " `interreflection=True`."
         ),
         good="default",
@@ -544,8 +544,7 @@ FAILURES = {
         measure=holes,
         bad="against the ground without holes",
         does=(
-            "Masked ground hides nothing, so light comes through. Plans give the share of nodes that are"
-            " masked."
+            "Masked ground hides nothing, so light passes through it. Plans give the share of masked nodes."
         ),
         good=None,
         warns=holes_says,
@@ -560,8 +559,8 @@ FAILURES = {
         measure=touching_lamp,
         bad="nodes against the mean of their cells",
         does=(
-            "Below it the light changes within one cell. Plans say how far the lamp is from the surface when"
-            " that is less than a spacing."
+            "Below such a lamp the light changes within one cell. Plans give the distance between lamp"
+            " and surface if it is less than a spacing."
         ),
         good=None,
         warns=touching_says,
@@ -575,7 +574,7 @@ FAILURES = {
         limit=0.01,
         measure=offset,
         bad="float32 depth",
-        does="Depths are float32. Plans name the rounding when it is more than a tenth of the tolerance.",
+        does=("Depths are float32. Plans give the rounding if it is more than a tenth of the tolerance."),
         good=None,
         warns=offset_says,
         says="Depths are rounded",
@@ -588,7 +587,10 @@ FAILURES = {
         limit=0.05,
         measure=search,
         bad="as far as asked",
-        does="`max_distance` drops the ground beyond. Plans measure what it costs before they use one.",
+        does=(
+            "`max_distance` excludes the ground beyond it. Plans measure the resulting error before they"
+            " use a `max_distance`."
+        ),
         good="default",
     ),
     "sides": Failure(
@@ -599,7 +601,7 @@ FAILURES = {
         limit=0.1,
         measure=sides,
         bad="sides given as open",
-        does="A map does not contain what surrounds it: give the sides that it has.",
+        does=("A map does not contain its surroundings: set `sides` to the true ones."),
         good="sides given as dark",
     ),
     "drilled": Failure(
@@ -611,9 +613,9 @@ FAILURES = {
         measure=drilled,
         bad="paper, eps",
         does=(
-            "A column that steps past the image's value is carved through to the back, and one that stops"
-            " early shadows the rest. `drilled` marks them and a warning gives their share. The default"
-            " (`robust`) does not carve and takes no eps."
+            "A column that steps past the image's value is carved through to the back, and a column that"
+            " stops early shades the others. `drilled` marks the carved columns, and a warning gives their"
+            " share. The default (`robust`) does not carve and has no eps."
         ),
         good="robust",
         warns=lambda eps, b: first_says(picture(b), b, eps=eps),
@@ -629,9 +631,10 @@ FAILURES = {
         measure=spot_errors,
         bad="paper, sign",
         does=(
-            "Under a spotlight a column is dark near the viewer, bright below and dark again. The paper takes"
-            " the first match, or drills, and the warning gives the share. The default fits the whole"
-            " surface. Each method is given an image of its own model: N.L = 1/2, or normals."
+            "Under a spotlight a column is dark near the viewer, brighter below, and dark again. Carving"
+            " stops at the first match, or drills, and a warning gives the share of drilled columns. The"
+            " default fits the whole surface. The image of each method follows its own model: N.L = 1/2"
+            " for carving, normals for the default."
         ),
         good="robust",
         warns=spot_says,
@@ -647,9 +650,9 @@ FAILURES = {
         measure=lambda v, b: change(noisy(b, v), b),
         bad="paper, eps",
         does=(
-            "One false stop shadows its neighbours, so small noise moves whole groups of columns; drilled"
-            " ones are counted in a warning. The default moves some ten times less at 1 % of noise, and half"
-            " as much at 10 %."
+            "One false stop shades its neighbours, so small noise moves whole groups of columns; a"
+            " warning counts the drilled ones. The change of the default is 6 to 13 times smaller at 1 %"
+            " of noise, and about a fifth at 10 %."
         ),
         good=None,
         warns=lambda v, b: first_says(noisy(b, v), b, eps=EPS),
@@ -665,8 +668,8 @@ FAILURES = {
         measure=lambda v, b: change(counted(b, v), b),
         bad="paper, eps",
         does=(
-            "A step of the count is more than eps. A warning names the count. Use 16-bit files. At 2 bits the"
-            " default is worse than carving."
+            "One step of the counts is more than eps. A warning gives the number of counts. Use 16-bit"
+            " files. At 2 bits the error of the default exceeds that of carving."
         ),
         good=None,
         warns=lambda v, b: first_says(counted(b, v), b, eps=EPS),
@@ -682,10 +685,10 @@ FAILURES = {
         measure=lambda v, b: change(picture(b, 0.6), b, albedo=0.6 * v),
         bad="paper, eps",
         does=(
-            "A surface thought brighter than it is must lie deeper; the bright parts fit at no depth and"
-            ' drill. The default does not drill, but it moves too, less than carving with stop "eps" until'
-            ' 1.1 and more from 1.2 on, and no less than with "sign" from 1.05 on: one image does not tell'
-            " depth from albedo."
+            "If the given albedo is too high, the surface has to lie deeper; the bright parts fit at no"
+            " depth and are drilled. The default does not drill, but its depth changes too: less than with"
+            ' carving and stop "eps" up to 1.1 and more from 1.2 on, and no less than with "sign" from'
+            " 1.05 on. One image does not determine both depth and albedo."
         ),
         good=None,
         warns=lambda v, b: first_says(picture(b, 0.6), b, albedo=0.6 * v, eps=EPS),
@@ -701,8 +704,8 @@ FAILURES = {
         measure=flat_start,
         bad="paper, eps",
         does=(
-            "Every depth gives the same image, and no method finds the right one. A warning says so whenever"
-            " sides are open under a sky."
+            "Every depth gives the same image, and no method finds the right one. There is a warning"
+            " whenever sides are open under a sky."
         ),
         good=None,
         warns=lambda v, b: open_says("open" if v > 1 else "dark", b),
@@ -713,11 +716,12 @@ FAILURES = {
 
 
 def sets_in(failure, found) -> str:
-    """The first value at which the bad line passes the limit, in words."""
+    """The first value at which the bad line exceeds the limit, as a sentence."""
     for value, errors in zip(failure.values, found[failure.bad]):
         if errors > failure.limit:
-            return f"from {value:g} on"
-    return "not in this range"
+            place = f"from {value:g} on"
+            return f"*{failure.bad}* exceeds {failure.limit:g} {place}; parameter: {failure.parameter}."
+    return f"*{failure.bad}* does not exceed {failure.limit:g} in this range of: {failure.parameter}."
 
 
 # Okabe and Ito (2008); told apart in the three kinds of colour blindness (tests/test_charts.py)
@@ -876,8 +880,7 @@ def write_page(folder, found) -> None:
         picture_file = f"stability-{name.replace(' ', '-')}.png"
         draw(folder / picture_file, failure, errors)
         text += [f"## {failure.title}", "", failure.does, ""]
-        text += [f"Sets in ({failure.bad}, above {failure.limit:g}): {sets_in(failure, errors)},"]
-        text[-1] += f" {failure.parameter}."
+        text += [sets_in(failure, errors)]
         text += ["", f"![{failure.title}](../{picture_file})", ""]
     draw_matrix(folder / "stability-matrix.png", {n: states(n, FAILURES[n], e) for n, e in found.items()})
     (folder / "evidence").mkdir(exist_ok=True)

@@ -1403,8 +1403,8 @@ def change(
     is_first: wp.int32,
     per_item: wp.int32,
 ):
-    """In (or added to) share, what an image says of the change of its pixels' albedo by v: bright gain J v,
-    bright = the image at albedo 1.
+    """In (or added to) share, the part of the change of the pixels' albedo by v from one image: bright gain J
+    v, bright = the image at albedo 1.
     """
     g = wp.tid()
     if state[LEFT] > wp.float64(0.0):

@@ -78,7 +78,7 @@ def march(
     drop: wp.float32,
     periodic: wp.int32,
 ):
-    """The far horizon at some nodes, as a line in the height it is seen from: slope = lines[0] - height x
+    """The far horizon at some nodes, as a line in the node's height: slope = lines[0] - height x
     lines[1]. Of all samples of the overviews along the azimuth's ray it is the one that stands highest,
     (sample - own height) / distance - drop x distance.
 
@@ -141,8 +141,8 @@ def interpolate(
     last_across: wp.int32,
     run: wp.int32,
 ):
-    """Far horizons at every node of a map that is seen as sweeps see it, from four nodes of `march` about it,
-    seen from the node's own height.
+    """Far horizons at every node of a map in the order of sweeps, from four nodes of `march` around it, for
+    the node's own height.
 
     Arguments as in opencl/far.cl. Thread (k, y, i) owns nodes i run .. (i + 1) run - 1 of row y, azimuth k.
     """

@@ -137,7 +137,7 @@ def correct(
     side: wp.int32,
 ):
     """irradiance *= table, by normal; not below 0, where a table of brightness that is linear between its
-    knots may leave some -1e-6 of a sky of which next to nothing but the zenith is seen.
+    knots may leave some -1e-6 of a sky where almost nothing but the zenith is visible.
 
 
       tilts       (2, room)      float32 [1]  gx and gy, as tilt makes them

@@ -8,7 +8,7 @@ height above the ray, and the distance in its lowest bits. The two steps of the 
 node's own height lies give the two crossings between which the true one lies; both, and a column crossing
 beside each, are then looked up on the node's own ray, exactly.
 
-The map is seen so that rays go from row to row: azimuths nearer to the columns' direction belong to the
+The map is turned so that rays go from row to row: azimuths nearer to the columns' direction belong to the
 turned map.
 
   heights      (room)                float32 [spacing]  the padded map, (rows + 2 margin, cols + 2 margin);
@@ -471,7 +471,7 @@ def sweep(NEAR: int, SIDES: int, WHAT: int, BLOCKS: int):
             column_at[e] = near_at[k, NEAR + e, 0] * element + near_at[k, NEAR + e, 1] * back
             column_weight[e] = near_weight[k, NEAR + e]
 
-        # 2. the ladder: nothing seen yet
+        # 2. the ladder: nothing visible yet
         above = rungs()
         for s in range(LADDER):
             above[s] = UNSEEN

@@ -1,7 +1,7 @@
-"""Light between surfaces: what ground sends to ground.
+"""Light between surfaces, which ground sends to ground.
 
-The method and the arguments are told in opencl/interreflection.cl, whose steps have the same numbers. Twin of
-opencl/interreflection.cl.
+The method and the arguments are described in opencl/interreflection.cl, whose steps have the same numbers.
+Twin of opencl/interreflection.cl.
 """
 
 import functools
@@ -92,7 +92,7 @@ def tilt(low: wp.float32, own: wp.float32, high: wp.float32):
 
 @wp.func
 def stands_at(own: wp.float32, highest: wp.float32):
-    """Heights of nodes; of what is no ground the highest, which sees next to nothing."""
+    """Heights of nodes; where there is no ground the highest, from which almost no ground is visible."""
     if own > wp.float32(HIGHEST_MASKED):
         return own
     return highest

@@ -48,7 +48,7 @@ def survey(
     block: wp.int32,
     step: wp.float64,
 ):
-    """What a map is like, over each column of some rows. +inf is masked.
+    """Properties of a map over each column of some rows. +inf is masked.
 
       values  (rows x cols)      float32 [length]
       stats   (8, blocks, cols)  float32  out: the smallest and the largest value; numbers of values that are

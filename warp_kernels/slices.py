@@ -564,10 +564,10 @@ def ball(
                                                       midpoints all round; or other places in the same even
                                                       steps
       alternating  (rows, cols)              float32  out: the even slices' light less that of the odd ones,
-                                                      which tells how far the slices are from enough
+                                                      a measure of the error by too few slices
 
     The slice at the azimuth offset d from the centre, sin d = (sin a / cos e) sin theta, a the ball's angular
-    radius and e its centre's elevation, sees a chord of half width w, sin w = sin a cos theta / r, r^2 = 1 -
+    radius and e its centre's elevation, holds a chord of half width w, sin w = sin a cos theta / r, r^2 = 1 -
     cos^2 e sin^2 d. Where the zenith lies within the disc, slices go all round.
     """
     squares, thread = wp.tid()
