@@ -49,7 +49,9 @@ def alike(found, expected, share):
     assert off < share, off
 
 
-@pytest.mark.parametrize("sky", SKIES)
+@pytest.mark.parametrize(
+    "sky", [pytest.param(sky, marks=pytest.mark.slow) if sky == "colours" else sky for sky in SKIES]
+)
 def test_skies_light_each_order_alike(dem, fast, sky):
     """Suns, environment maps, functions and named suns: north is where y grows, east where x does."""
     options = dict(backend=fast, azimuths=32, quantity="irradiance")

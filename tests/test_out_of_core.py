@@ -29,13 +29,13 @@ OPTIONS = ["--azimuths", "8", *MEMORY]
 @pytest.fixture(scope="module")
 def dem(tmp_path_factory):
     """(path, heights with nan) of a GeoTIFF of 30 m cells with a gap."""
-    path, heights = tmp_path_factory.mktemp("dem") / "dem.tif", 30 * mountains(600, 900, 40)
+    path, heights = tmp_path_factory.mktemp("dem") / "dem.tif", 30 * mountains(600, 768, 40)
     heights[100:300, 500:560] = NODATA
     with rasterio.open(
         path,
         "w",
         driver="GTiff",
-        width=900,
+        width=768,
         height=600,
         count=1,
         dtype="float32",
