@@ -1,7 +1,7 @@
 """Whether recover()'s standard deviation is worth its name: sparsification error and calibration. Writes
 OUT/doubt.csv and OUT/doubt.png.
 
-    python performance/doubt.py [--backend NAME] [--cache FOLDER] [--only WORD] [--out FOLDER]
+    python performance/doubt.py [--backend NAME] [--cache FOLDER] [--only WORD] [--drawn N] [--out FOLDER]
 
 Fifteen surfaces of tests/surfaces.py (the five and the ten) under a sky, a sky with a sun, a lamp, a
 spotlight, and under spotlight and sky together; noise of 1 and 3 % of the image's maximum and 8 bits, each
@@ -13,7 +13,12 @@ first, and the RMSE of the rest is compared with that of the best order; the mea
 as a share of the RMSE. 0 is the best order. Errors that are all of one size in expectation have some 0.5, by
 whatever order.
 
-Constants of host/inverse/confidence.py were chosen with the surfaces of half 0; half 1 are the others.
+With --drawn N: instead of these, N surfaces that are drawn at random from eight families, under the sun, the
+lamp and the spotlight; OUT/doubt_drawn.csv.
+
+Constants of host/inverse/confidence.py were chosen with the surfaces of half 0; half 1 are the others. Those
+of by_other_answers were chosen with the drawn surfaces 0 to 15 and with regard to both halves; 16 and beyond
+were drawn afterwards.
 "before" is the confidence of commit 16f691f, of 22 November 2026, on the same recoveries; it is kept in the
 cache of whoever ran this with that commit, and in the CSV.
 """
@@ -27,6 +32,7 @@ import math
 import os
 import platform
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -58,8 +64,81 @@ def cases() -> list[tuple[int, str, str, str]]:
     return found + [(96, name, light, "0") for name, light in large]
 
 
+def drawn_cases(count: int) -> list[tuple[int, str, str, str]]:
+    surfaces.OTHERS.update({f"drawn {seed}": drawn(seed) for seed in range(count)})
+    return [(64, f"drawn {seed}", light, "0") for light in LIGHTS[1:4] for seed in range(count)]
+
+
+def drawn(seed: int) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
+    """Depth of a surface at x, y, 0 to 64: folds, bumps and pits, ripples, facets, a fractal, scarps, an
+    egg-crate or a dome.
+    """
+    r = np.random.default_rng(1000 + seed)
+    u, turn = r.uniform, 2 * np.pi
+    angle, relief = u(0, turn), u(10, 22)
+
+    def along(x: np.ndarray, y: np.ndarray, a: float = angle) -> tuple[np.ndarray, np.ndarray]:
+        return x * np.cos(a) + y * np.sin(a), y * np.cos(a) - x * np.sin(a)
+
+    def folds() -> Callable:
+        length, bend, width = u(7, 12), u(0.5, 1.5), u(10, 20)
+        wave = lambda s, t: np.sin(s / length + bend * np.sin(t / width))
+        return lambda x, y: relief * wave(*along(x, y)) ** 2
+
+    def bumps() -> Callable:
+        count = r.integers(3, 8)
+        each = [(u(8, 56), u(8, 56), u(4, 11), u(0.5, 1) * relief * r.choice([-1, 1])) for _ in range(count)]
+        return lambda x, y: sum(
+            h * np.exp(-((x - a) ** 2 + (y - b) ** 2) / (2 * w * w)) for a, b, w, h in each
+        )
+
+    def ripples() -> Callable:
+        a, b, length, phase, oval = u(15, 49), u(15, 49), u(10, 24), u(0, 6), u(0.6, 1.4)
+        return lambda x, y: relief / 2 * np.cos(turn * np.hypot(x - a, (y - b) * oval) / length + phase)
+
+    def facets() -> Callable:
+        planes = [(u(-0.7, 0.7), u(-0.7, 0.7), u(0, 8)) for _ in range(r.integers(3, 7))]
+        sign = r.choice([-1, 1])
+        return lambda x, y: sign * np.max([p * (x - 32) + q * (y - 32) + o for p, q, o in planes], 0)
+
+    def fractal() -> Callable:
+        waves = [(w, u(0, 6.3), u(0, 6.3)) for w in range(1, 24) for _ in range(3)]
+        power = u(1.4, 2)
+        return lambda x, y: (
+            0.35
+            * relief
+            * sum(w**-power * np.cos(turn * w * along(x, y, a)[0] / 90 + phase) for w, a, phase in waves)
+        )
+
+    def scarps() -> Callable:
+        each = [(u(0, 6.3), u(-15, 15), u(2, 5), u(0.3, 0.6) * relief, u(4, 8), u(8, 14)) for _ in range(2)]
+        step = lambda s, t, o, w, h, bend, width: h * np.tanh((s - o + bend * np.sin(t / width)) / w)
+        return lambda x, y: sum(
+            step(along(x - 32, y - 32, a)[0], along(x, y, a)[1], *rest) for a, *rest in each
+        )
+
+    def crate() -> Callable:
+        one, other, phase = u(22, 40), u(22, 40), u(0, 6.3)
+        wave = lambda s, t: np.sin(turn * s / one + phase) * np.sin(turn * t / other)
+        return lambda x, y: relief / 2 * wave(*along(x, y))
+
+    def dome() -> Callable:
+        a, b, radius, oval, sign = u(22, 42), u(22, 42), u(18, 32), u(0.7, 1.4), r.choice([-1, 1])
+        power = u(0.5, 2)
+        return lambda x, y: (
+            sign * relief * np.maximum(1 - ((x - a) ** 2 + oval * (y - b) ** 2) / radius**2, 0) ** power
+        )
+
+    families = (folds, bumps, ripples, facets, fractal, scarps, crate, dome)
+    return families[seed % len(families)]()
+
+
 def half_of(surface: str) -> int:
-    """0 or 1: every other surface; of the terrain, the steep one and one of three places."""
+    """0 or 1: every other surface; of the terrain, the steep one and one of three places; of those that are
+    drawn, 16 and beyond.
+    """
+    if surface.startswith("drawn"):
+        return int(int(surface.split()[1]) >= 16)
     if surface in NAMES:
         return NAMES.index(surface) % 2
     return int("x4" in surface or "200" in surface)
@@ -211,13 +290,14 @@ def main() -> None:
     parser.add_argument("--backend", default="auto")
     parser.add_argument("--cache", default="build/doubt", help="folder of what was recovered")
     parser.add_argument("--only", default="", help="cases whose name holds this")
+    parser.add_argument("--drawn", type=int, default=0, help="this many surfaces drawn at random instead")
     parser.add_argument("--out", default="docs")
     options = parser.parse_args()
     cache, out = Path(options.cache), Path(options.out)
     cache.mkdir(parents=True, exist_ok=True)
     out.mkdir(parents=True, exist_ok=True)
     rows, chosen = [], {}
-    for case in cases():
+    for case in drawn_cases(options.drawn) if options.drawn else cases():
         name = "_".join(map(str, case))
         if options.only in name:
             chosen[name] = recovered(case, options.backend, cache)
@@ -226,7 +306,7 @@ def main() -> None:
     if not rows:
         raise SystemExit(f"--only {options.only}: no case has this in its name")
     names = list(dict.fromkeys(name for row in rows for name in row))
-    with (out / "doubt.csv").open("w", newline="") as file:
+    with (out / ("doubt_drawn.csv" if options.drawn else "doubt.csv")).open("w", newline="") as file:
         machine = f"{platform.machine()}, {os.cpu_count()} cores, {options.backend}"
         versions = f"Python {platform.python_version()}, NumPy {np.__version__}"
         file.write(f"# {machine}, {versions}, {datetime.date.today()}\n")
@@ -234,7 +314,8 @@ def main() -> None:
         writer.writeheader()
         shown = lambda value: f"{value:.4g}" if isinstance(value, float) else value
         writer.writerows({name: shown(value) for name, value in row.items()} for row in rows)
-    picture(chosen, out / "doubt.png")
+    if not options.drawn:
+        picture(chosen, out / "doubt.png")
     print("\n".join(summary(rows, chosen)))
 
 

@@ -133,6 +133,7 @@ NOTHING = lambda *args, **more: None
 
 
 is_spot = lambda case: case.endswith("spot")
+is_uneven = lambda case: case.endswith(("spot", "sun"))
 has_no_albedo = lambda case: case.startswith("albedo")
 is_large = lambda case: case.startswith(("terrain", "large"))
 is_noisy = lambda case: case.startswith("noise")
@@ -183,7 +184,7 @@ INGREDIENTS = {
         [(confidence, "even_albedo_depth", lambda pyramid, level, z: z)], CONFIDENCE, has_no_albedo
     ),
     "poor fit": Ingredient([(confidence, "MISFIT_WEIGHT", 0.0)], CONFIDENCE),
-    "shallower answers": Ingredient([without_doubt(confidence.by_shallower_answers)], CONFIDENCE, is_spot),
+    "other answers": Ingredient([without_doubt(confidence.by_other_answers)], CONFIDENCE, is_uneven),
 }
 ALL = "nothing"  # left out
 

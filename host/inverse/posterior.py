@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import math
+from collections.abc import Iterator
 
 import numpy as np
 
@@ -25,21 +26,32 @@ def posterior_deviation(
     inverse(transpose(J) J + smoothness transpose(D) D), J the derivative of the images at z, D second
     differences; sigma the deviation of white noise [unit of the images].
 
-    It is the rms of ``probes`` samples, averaged over neighbours (Papandreou and Yuille 2010): the answer of
-    a linear least-squares problem whose images and prior are disturbed by their own noise is a sample of its
-    posterior. Nodes at a bound move inwards alone. z is the prior's mean, so that noise alone moves it;
-    afterwards the targets of ``problem`` are those disturbed last, and so is its prior.
+    It is the rms of ``probes`` samples, averaged over neighbours (Papandreou and Yuille 2010). What they
+    leave of ``problem``, see posterior_samples.
     """
-    images, total = problem.irradiances(z), np.zeros(z.shape)
-    generator = np.random.default_rng(SEED)
+    samples = posterior_samples(problem, z, smoothness, sigma, probes)
+    deviation: np.ndarray = np.sqrt(
+        blurred(sum((sample**2 for sample in samples), np.zeros(z.shape)) / probes)
+    )
+    return deviation
+
+
+def posterior_samples(
+    problem: Descent, z: np.ndarray, smoothness: float, sigma: float, probes: int
+) -> Iterator[np.ndarray]:
+    """Samples (rows, cols) [nodes] of the posterior of depth by the linear model, less z: answers of the
+    linear least-squares problem whose images and prior are disturbed by their own noise.
+
+    Nodes at a bound move inwards alone. z is the prior's mean, so that noise alone moves it; afterwards the
+    targets of ``problem`` are those disturbed last, and so is its prior.
+    """
+    images, generator = problem.irradiances(z), np.random.default_rng(SEED)
     for _ in range(probes):
         *noises, prior = 2.0 * generator.integers(0, 2, (len(images) + 1, *z.shape)) - 1.0
         problem.set_targets([image + sigma * noise for image, noise in zip(images, noises)])
         problem.set_prior(z + sigma / math.sqrt(smoothness) * prior_sample(prior))
         problem.value(z, 0.0)
-        total += problem.step(smoothness, ITERATIONS, CLOSE[0]) ** 2
-    deviation: np.ndarray = np.sqrt(blurred(total / probes))
-    return deviation
+        yield problem.step(smoothness, ITERATIONS, CLOSE[0])
 
 
 def prior_sample(white: np.ndarray) -> np.ndarray:

@@ -55,8 +55,9 @@ class Recovery:
 
     depth (rows, cols) float32 [unit of spacing]; std (rows, cols) float32 [unit of spacing]: posterior
     standard deviation of depth, of noise, model error and other answers (docs/explanation/inverse.md),
-    finite, since no pixel is masked; None by the paper's method; confidence (rows, cols) float32, 0 to 1:
-    about how likely it is that depth is within 1/64 of its range, and at least a node; below 0.5: do not
+    finite, since no pixel is masked; too small where no other answer contradicts a wrong one, as in some
+    regions under one sun or lamp; None by the paper's method; confidence (rows, cols) float32, 0 to 1: about
+    how likely it is that depth is within 1/64 of its range, and at least a node; below 0.5: do not
     trust (1 where the paper's method did not drill, else 0); candidates (n, rows, cols) float32:
     the depth itself, and other depths at which a pixel has its value while the surface goes up or down as a
     whole, nan where there is none; ambiguous (rows, cols) bool: there are such, and the confidence is below
