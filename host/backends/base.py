@@ -179,8 +179,8 @@ class Backend(ABC):
     pixel_lanes = 1  # adjacent pixels per work-item where there are no lines; divides PIXEL_PADDING
     compile_seconds = 0.0
     # rows x azimuths over which sweeps may follow the relief of a map that repeats, besides the map itself:
-    # some minutes where rows are as short as they can be (PoCL, two cores; performance/campaign.py)
-    most_searched_rows = 2**34
+    # chosen: some two minutes where rows are as short as they can be (0.3 us a row, PoCL, two cores)
+    most_searched_rows = 2**28
 
     shares = False  # whether the device's memory is the host's
 

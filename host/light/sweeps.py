@@ -382,7 +382,7 @@ class Sweeps:
         if periodic and math.isinf(self.reach):
             warm = math.ceil(max(rows, cols, self.relief / LEAST_SEARCHED_SLOPE))
         elif periodic:
-            warm = math.ceil(self.reach) + 1
+            warm = math.ceil(min(self.reach, max(rows, cols, self.relief / LEAST_SEARCHED_SLOPE))) + 1
         if periodic:
             _check_search(self.backend, self.relief, warm, len(numbers))
         shears, tables = _shear_tables(

@@ -137,7 +137,8 @@ class Window:
     """An aperture in the plane z = 0: rays through it inherit the brightness of the sky behind it.
 
     Either a rectangle, ``x`` = (x0, x1) and ``y`` = (y0, y1) [unit of spacing], half-open; or ``aperture``
-    (rows, cols) bool, True where node's pixel is open.
+    (rows, cols) bool, True where node's pixel is open. The surface lies behind the plane: at a node in it
+    (depth 0) the light of a rectangle is not defined.
     """
 
     x: tuple[float, float] | None = None

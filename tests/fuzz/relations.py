@@ -250,7 +250,7 @@ def no_more_light_than_there_is(case, backend):
         assert values.max() <= slack * np.pi * most + 1e-30, f"{values.max():.4g} of {np.pi * most:.4g}"
     if "tolerance" in case.how:
         error = np.asarray(out.error)[finite]
-        assert np.isfinite(error).all() and (error >= 0).all(), "error"
+        assert (error >= 0).all() and (np.isfinite(error).all() or out.warnings), "error"
 
 
 def greatest(light):
@@ -278,7 +278,10 @@ def tolerance_is_kept(case, backend):
     scene = scene_of(ground)
     depth, valid = np.asarray(scene.depth, float), scene.valid
     rng = np.random.default_rng(case.seed)
-    known = np.argwhere(valid)
+    # in the plane of a window its light is not defined
+    known = np.argwhere(valid & (depth > 0) if case.source == "window" else valid)
+    if not len(known):
+        return
     nodes = tuple(known[rng.permutation(len(known))[:48]].T)
     light, source = brightness_of(case), source_of(case)
     more = {"sides": ground.sides}
@@ -301,7 +304,8 @@ def tolerance_is_kept(case, backend):
     mean = mean_of(image)
     if mean == 0 and exact.max() <= 0:
         return
-    off = np.sqrt(np.mean((image[nodes] - exact) ** 2)) / max(mean, mean_of(exact))
+    # a mean counts as a millionth at least of the light of the brightest direction: docs, what tolerance means
+    off = np.sqrt(np.mean((image[nodes] - exact) ** 2)) / max(mean, mean_of(exact), DARK)
     noise = 0.004  # of 16384 rays, and of few nodes for the mean
     KEPT["cases"] += 1
     KEPT["kept"] += int(off <= tolerance + noise)
