@@ -304,7 +304,7 @@ def tolerance_is_kept(case, backend):
     mean = mean_of(image)
     if mean == 0 and exact.max() <= 0:
         return
-    # a mean counts as a millionth at least of the light of the brightest direction: docs, what tolerance means
+    # a mean counts as a millionth at least of the light of the brightest direction (docs on tolerance)
     off = np.sqrt(np.mean((image[nodes] - exact) ** 2)) / max(mean, mean_of(exact), DARK)
     noise = 0.004  # of 16384 rays, and of few nodes for the mean
     KEPT["cases"] += 1
