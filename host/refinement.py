@@ -842,8 +842,8 @@ class _SlicePlanner(_Planner):
     def choose(self) -> None:
         brightness = self.source.brightness
         self._place()
+        self.is_thin = _looks_thin(self)
         if callable(brightness):
-            self.is_thin = _looks_thin(self)
             if not self.is_thin and isinstance(self.source, sources.Window):
                 self._integrate_sky()
             most = sources.radiance(sources.Sky(brightness), Hemicube(9).directions).max()
@@ -878,11 +878,13 @@ class _SlicePlanner(_Planner):
 
     def judge_by(self, units: int) -> None:
         # half of the points along chords too: they meet a brightness's edges by chance
-        coarse, self.exact = self._through(units // 2, CHORD_POINTS // 2), self.light_of(units)
+        coarse, self.exact = self._through(units // 2, CHORD_POINTS // 2), self._through(units, CHORD_POINTS)
         self.doubt = JUDGE_SHARE * self.samples.errors(coarse, self.exact).rms
 
     def light_of(self, units: int) -> np.ndarray:
-        return self._through(units, CHORD_POINTS)
+        # of a quadrangle that looks small the kernel takes half of the slices
+        halved = isinstance(self.solid, Quad) and not self.is_thin
+        return self._through(units // 2 if halved else units, CHORD_POINTS)
 
     def _through(self, count: int, points: int) -> np.ndarray:
         """Light at the samples through ``count`` slices, and that of small bright parts; or along a line."""
