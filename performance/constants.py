@@ -28,8 +28,11 @@ TOLERANCE = 0.01
 SKY, LIGHTS, FINITE = "sky", "sky with small lights", "finite"
 CONSTANTS = {  # module and name: on which pairs
     "refinement.ESTIMATE_SHARE": SKY,
-    "refinement.LEAST_SAMPLED_SHARE": SKY,
-    "refinement.LEAST_SECTORS": SKY,
+    "refinement.JUDGE_SHARE": SKY,
+    "refinement.BEHIND_CLIFFS": SKY,
+    "refinement.LEAST_SECTORS": LIGHTS,
+    "refinement.SECTOR_SHARE": LIGHTS,
+    "refinement.SHARP_SHADOWS": LIGHTS,
     "light.unoccluded.INTEGRATED_AZIMUTHS": SKY,
     "sources.integrals.ROUGH": LIGHTS,
     "sources.integrals.SECTOR_CELL_PARTS": LIGHTS,
@@ -38,9 +41,16 @@ CONSTANTS = {  # module and name: on which pairs
     "sources.integrals.FAINT_PARTS_SHARE": LIGHTS,
     "sources.integrals.INNER": LIGHTS,
     "sources.integrals.DARK_GAP": LIGHTS,
+    "refinement.SEEN": FINITE,
+    "refinement.UNSEEN_SHARE": FINITE,
+    "refinement.MOST_SHARE": FINITE,
+    "refinement.DARK": FINITE,
+    "refinement.LINE_WIDTH": FINITE,
+    "refinement.NARROW_RADIUS": FINITE,
+    "refinement.WINDOWED_PART": FINITE,
     "refinement.PATCHES": FINITE,
     "refinement.JUDGING_SECTORS": FINITE,
-    "samples.CHORD_POINTS": FINITE,
+    "refinement.CHORD_POINTS": FINITE,
     "light.slices.MEDIAN_NODES": FINITE,
 }
 
