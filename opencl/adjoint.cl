@@ -629,64 +629,195 @@ __kernel void lamp(__global const float *heights, __global const float *tilts, _
 }
 #endif
 
-/* add_ground: light and links of an image with the light that ground sends. Ground of mean radiance m fills
-   what is not sky: E + (pi - U) m, U the irradiance by a sky of brightness 1. Where a horizon rises, ground
-   takes the place of sky: the derivatives have the radiance of the ground there times those of U. How m
-   itself hangs on depth is left out of them.
-
-  sky_light .. sky_far  as light .. far, of the sky of brightness 1; is_sky: this is the image's own source
-  mean                  (images, pixels)  float  pi m
-  radiance              (images, pixels)  float  of the ground; this is image `number`
-  all_light .. all_far            out: as light .. far; room for count + sky_count links of a node, or for
-                                  count if it is_sky
-
-Work-item p owns node p. */
 int link_at(int p, int k, int count)
 {
   return (p / LINK_BLOCK * count + k) * LINK_BLOCK + p % LINK_BLOCK;
 }
 
+#if LANES == 1
+/* Links of a node while they are made: how many there are, how many there may be, and room for those of a
+   node. */
+typedef struct {
+  __global int *first, *second;
+  __global float *near, *far;
+  int p, made, most, room;
+} Made;
+
+/* A link to the two nodes of a crossing, `part` the derivative by its height; the last one takes it in where
+   no more may be. */
+void add_link(Made *links, Crossing at, float part)
+{
+  const float other = part * at.share, one = part - other;
+  if (links->made < links->most) {
+    const int e = link_at(links->p, links->made++, links->room);
+    links->first[e] = at.first;
+    links->second[e] = at.second;
+    links->near[e] = -one;
+    links->far[e] = -other;
+  } else {
+    const int e = link_at(links->p, links->made - 1, links->room);
+    links->near[e] -= one;
+    links->far[e] -= other;
+  }
+}
+
+/* Arc tangent s + s / (1 + s^2) of any s. */
+float turn(float s)
+{
+  const float t = arc_tangent(fabs(s));
+  return (s < 0 ? -t : t) + s / (1 + s * s);
+}
+
+/* The share of what lies below a slope, as in opencl/interreflection.cl, and its derivative by the slope. */
+float below(float s, float plane) { return -plane * turn(s) - 1 / (1 + s * s); }
+
+float below_by(float s, float plane)
+{
+  const float q = 1 / (1 + s * s);
+  return 2 * q * q * (s - plane);
+}
+
+/* add_ground: light and links of an image with the light that ground sends. Ground of mean radiance m fills
+   what is not sky: E + (pi - U) m, U the irradiance by a sky of brightness 1. m = num / den, sums over the
+   strips of ground that a node sees, of shares x radiance and of shares (opencl/interreflection.cl); the
+   radiance is given. A strip's share hangs on the slopes to its two ends, and its light on where it begins
+   behind what hides the rest: every strip gives links to the crossings that bound it.
+
+  z                     (pixels)        float  depth
+  sky_light .. sky_far  as light .. far, of the sky of brightness 1; is_sky: this is the image's own source
+  sums                                  float  num of every image and den, by `gather` at every node
+  radiance              (images, pixels)  float  of the ground; this is image `number`
+  ways, places, crossings               as in opencl/interreflection.cl, `azimuths` of `steps` crossings
+  all_light .. all_far                  out: as light .. far, with room for `room` links of a node: its own,
+                                        the sky's and one at least for every azimuth
+
+Work-item p owns node p. */
 __kernel void add_ground(__global const float *light, __global const int *held, __global const int *first,
                          __global const int *second, __global const float *near, __global const float *far,
                          __global const float *sky_light, __global const int *sky_held,
                          __global const int *sky_first, __global const int *sky_second,
                          __global const float *sky_near, __global const float *sky_far,
-                         __global const float *mean, __global const float *radiance,
+                         __global const float *z, __global const float *tilts, __global const float *sums,
+                         __global const float *radiance, __global const float *ways,
+                         __global const int *places, __global const float *crossings,
                          __global float *all_light, __global int *all_held, __global int *all_first,
                          __global int *all_second, __global float *all_near, __global float *all_far,
-                         int number, int pixels, int count, int sky_count, int is_sky)
+                         int number, int images, int rows, int cols, int width, int shift, int azimuths,
+                         int steps, int count, int sky_count, int room, int is_sky, int sides)
 {
-  const int p = get_global_id(0), room = is_sky ? count : count + sky_count;
+  const int p = get_global_id(0), pixels = rows * cols, x = p % cols, y = p / cols;
   if (p >= pixels)
     return;
-  const int own = is_sky ? 0 : held[p];
-  __global const float *sent = radiance + number * pixels;
-  for (int k = 0; k < own; ++k) {
-    const int from = link_at(p, k, count), to = link_at(p, k, room);
+  /* 1. the mean radiance */
+  const int phases = 1 << shift, place = (y * phases + x % phases) * width + x / phases,
+            all_places = rows * phases * width;
+  const float den = sums[images * all_places + place], left = PI - sky_light[p];
+  const float m = den > 0 ? sums[number * all_places + place] / den : 0, per = den > 0 ? left / den : 0;
+  /* 2. links of the direct light, and of U */
+  Made links = {all_first, all_second, all_near, all_far, p, 0, 0, room};
+  const float own_part = is_sky ? 1 - m : 1, sky_part = is_sky ? 0 : -m;
+  for (int k = 0; k < held[p]; ++k) {
+    const int from = link_at(p, k, count), to = link_at(p, links.made++, room);
     all_first[to] = first[from];
     all_second[to] = second[from];
-    all_near[to] = near[from];
-    all_far[to] = far[from];
+    all_near[to] = own_part * near[from];
+    all_far[to] = own_part * far[from];
   }
-  float by_own = light[pixels + p];
-  for (int k = 0; k < sky_held[p]; ++k) {
-    const int from = link_at(p, k, sky_count), to = link_at(p, own + k, room);
-    const float one = sky_near[from], other = sky_far[from], both = one + other;
-    const float weighed = one * sent[sky_first[from]] + other * sent[sky_second[from]],
-                ground = both != 0 ? weighed / both : 0.0f, left = is_sky ? 1 - ground : -ground;
+  for (int k = 0; k < (is_sky ? 0 : sky_held[p]); ++k) {
+    const int from = link_at(p, k, sky_count), to = link_at(p, links.made++, room);
     all_first[to] = sky_first[from];
     all_second[to] = sky_second[from];
-    all_near[to] = left * one;
-    all_far[to] = left * other;
-    by_own += ground * both;
+    all_near[to] = sky_part * sky_near[from];
+    all_far[to] = sky_part * sky_far[from];
   }
-  all_held[p] = own + sky_held[p];
-  const float m = mean[number * pixels + p] / PI;
-  all_light[p] = light[p] + (PI - sky_light[p]) * m;
-  all_light[pixels + p] = by_own;
-  all_light[2 * pixels + p] = light[2 * pixels + p] - m * sky_light[2 * pixels + p];
-  all_light[3 * pixels + p] = light[3 * pixels + p] - m * sky_light[3 * pixels + p];
+  /* 3. those of the strips */
+  __global const float *sent = radiance + number * pixels;
+  const float gx = tilts[p], gy = tilts[pixels + p];
+  float by_own = 0, by_x = 0, by_y = 0;
+  for (int k = 0; k < (den > 0 ? azimuths : 0); ++k) {
+    const float cosine = ways[4 * k], sine = ways[4 * k + 1], plane = -(gx * cosine + gy * sine);
+    const int on_columns = ways[4 * k + 2] > 0;
+    float slope = plane, past = below(plane, plane), before = 0, was_distance = 0, by_plane = 0, by_top = 0;
+    Crossing was = {p, p, 0, 0}, top = was;
+    links.most = room - (azimuths - 1 - k); /* one at least for each azimuth that follows */
+    for (int j = k * steps; j < (k + 1) * steps; ++j) {
+      /* 3.1 the crossing, if it is on the map, and if any ground there could be seen */
+      const float weight = crossings[3 * j], distance = crossings[3 * j + 1];
+      int u = x + places[2 * j], v = y + places[2 * j + 1], u_next = on_columns ? u : u + 1,
+          v_next = on_columns ? v + 1 : v;
+      if (sides == PERIODIC) {
+        u = (u % cols + cols) % cols;
+        v = (v % rows + rows) % rows;
+        u_next = (u_next % cols + cols) % cols;
+        v_next = (v_next % rows + rows) % rows;
+      } else if (u < 0 || v < 0 || u_next >= cols || v_next >= rows)
+        break;
+      if (!(z[p] > slope * distance))
+        break;
+      const Crossing at = {v * cols + u, v_next * cols + u_next, weight, crossings[3 * j + 2]};
+      const float a = -z[at.first], stands = a + weight * (-z[at.second] - a) + z[p],
+                  rises = stands * at.closeness;
+      /* 3.2 the strip that it opens, and its derivatives by the crossing, by what bounds it below, and by the
+         crossing before */
+      if (rises > slope) {
+        const float low = before - slope * was_distance, high = stands - slope * distance, whole = high - low,
+                    here = below(rises, plane);
+        const int begins = low < 0 && whole > 0 && was_distance > 0, is_between = begins && -low < whole;
+        const float part = is_between ? -low / whole : begins ? 1.0f : 0.0f;
+        const float beside = sent[was.first] + was.share * (sent[was.second] - sent[was.first]),
+                    beyond = sent[at.first] + weight * (sent[at.second] - sent[at.first]),
+                    mean = 0.5f * (beside * (1 - part) + beyond * (1 + part));
+        const float by_part =
+            is_between ? 0.5f * (here - past) * (beyond - beside) / (whole * whole) : 0.0f;
+        const float by_slope =
+            by_part * (high * was_distance - low * distance) - mean * below_by(slope, plane);
+        if (is_between) {
+          add_link(&links, was, per * -by_part * high);
+          by_own -= by_part * high;
+        }
+        by_plane -= mean * (turn(rises) - turn(slope));
+        if (top.closeness > 0) {
+          by_top += by_slope * top.closeness;
+          add_link(&links, top, per * by_top);
+          by_own += by_top;
+        } else
+          by_plane += by_slope;
+        by_top = mean * below_by(rises, plane) * at.closeness + by_part * low;
+        top = at;
+        past = here;
+        slope = rises;
+      }
+      before = stands;
+      was = at;
+      was_distance = distance;
+    }
+    /* 3.3 all that is not sky */
+    float end = sides == PERIODIC ? slope : MORE(slope, 0.0f);
+    if (sides == DARK) {
+      const float to_x = cosine > 0 ? (cols - 0.5f - x) / cosine : (x + 0.5f) / -cosine,
+                  to_y = sine > 0 ? (rows - 0.5f - y) / sine : (y + 0.5f) / -sine,
+                  closeness = 1 / LESS(to_x, to_y), wall = z[p] * closeness;
+      if (wall > end)
+        by_own -= m * below_by(wall, plane) * closeness;
+      end = MORE(wall, end);
+    }
+    by_plane += m * (turn(end) - turn(plane));
+    if (top.closeness > 0) {
+      if (end == slope)
+        by_top -= m * below_by(end, plane) * top.closeness;
+      add_link(&links, top, per * by_top);
+      by_own += by_top;
+    }
+    by_x -= cosine * by_plane;
+    by_y -= sine * by_plane;
+  }
+  all_held[p] = links.made;
+  all_light[p] = light[p] + left * m;
+  all_light[pixels + p] = light[pixels + p] - m * sky_light[pixels + p] + per * by_own;
+  all_light[2 * pixels + p] = light[2 * pixels + p] - m * sky_light[2 * pixels + p] + per * by_x;
+  all_light[3 * pixels + p] = light[3 * pixels + p] - m * sky_light[3 * pixels + p] + per * by_y;
 }
+#endif
 
 /* An image's derivative J by depth: rows of it are applied to a change of depths, and added up. */
 typedef struct {

@@ -505,6 +505,32 @@ def test_the_gradient_is_that_of_the_objective(fast, name):
         assert abs(slope) > 1e-3 and slope == pytest.approx(-(downhill * v).sum(), rel=0.01)
 
 
+@pytest.mark.parametrize("sides", ["open", "dark", "periodic"])
+@pytest.mark.parametrize("name", ["uniform", "glow"])
+def test_the_derivative_of_what_ground_sends_is_that_of_the_light(fast, name, sides):
+    """By differences of E, on deep relief of uneven radiance; a second image has a source of its own."""
+    rng, shape, z = np.random.default_rng(7), (12, 15), ground((12, 15), 2, slope=2.0).astype(float)
+    sent = [1 + 0.9 * np.sin(np.arange(180.0)).reshape(shape), rng.uniform(0.2, 1, shape)]
+    sky = sl.Sky(lambda L: 1 + L[..., 0] / 2)
+    made = problem(fast, [SOURCES[name], sky], shape, sides, azimuths=24, radiances=sent)
+    v = resampling.doubled(resampling.doubled(rng.normal(size=(3, 4)), (6, 8)), shape)
+
+    def lights(z):
+        made.value(z, 0.0)
+        return [
+            made.backend.download(i.links[made.here][0])[0].reshape(shape).astype(float) for i in made.images
+        ]
+
+    step = 2e-3
+    slopes = [(b - a) / (2 * step) for a, b in zip(lights(z - step * v), lights(z + step * v))]
+    lights(z)
+    for number, slope in enumerate(slopes):
+        assert abs(slope).max() > 0.05
+        off = np.abs(push(made, v, number).reshape(shape) - slope)
+        assert np.quantile(off, 0.9) < 0.01 * abs(slope).max()
+        assert np.linalg.norm(off) < 0.05 * np.linalg.norm(slope)
+
+
 def lit_twice(backend, shape, known=False, seed=7):
     """A surface whose images under a sky and a lamp are those of no albedo, and its images of albedo 1."""
     rng, z = np.random.default_rng(seed), ground(shape, 2)

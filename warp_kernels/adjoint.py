@@ -830,6 +830,76 @@ def lamp(
     held[p] = links
 
 
+@wp.struct
+class Crossing:
+    """The nodes beside a crossing, the second one's weight, 1 / distance; 0 where there is none."""
+
+    first: wp.int32
+    second: wp.int32
+    share: wp.float32
+    closeness: wp.float32
+
+
+@wp.func
+def add_link(
+    first: wp.array[wp.int32],
+    second: wp.array[wp.int32],
+    near: wp.array[wp.float32],
+    far: wp.array[wp.float32],
+    p: wp.int32,
+    made: wp.int32,
+    most: wp.int32,
+    room: wp.int32,
+    at: Crossing,
+    part: wp.float32,
+):
+    """A link of node p to the two nodes of a crossing, ``part`` the derivative by its height; the last one
+    takes it in where no more than ``most`` may be. Gives how many there are.
+    """
+    other = part * at.share
+    one = part - other
+    if made < most:
+        e = link(p, made, room)
+        first[e] = at.first
+        second[e] = at.second
+        near[e] = -one
+        far[e] = -other
+        return made + 1
+    e = link(p, made - 1, room)
+    near[e] -= one
+    far[e] -= other
+    return made
+
+
+@wp.func
+def turn(s: wp.float32):
+    """Arc tangent s + s / (1 + s^2) of any s."""
+    t = arc_tangent(wp.abs(s))
+    if s < 0.0:
+        t = -t
+    return t + s / (1.0 + s * s)
+
+
+@wp.func
+def below(s: wp.float32, plane: wp.float32):
+    """The share of what lies below a slope, as in warp_kernels/interreflection.py."""
+    return -plane * turn(s) - 1.0 / (1.0 + s * s)
+
+
+@wp.func
+def below_by(s: wp.float32, plane: wp.float32):
+    """Its derivative by the slope."""
+    q = 1.0 / (1.0 + s * s)
+    return 2.0 * q * q * (s - plane)
+
+
+@wp.func
+def between(values: wp.array[wp.float32], start: wp.int32, at: Crossing):
+    """At a crossing, of the values of nodes from ``start`` on."""
+    a = values[start + at.first]
+    return a + at.share * (values[start + at.second] - a)
+
+
 @wp.kernel
 def add_ground(
     light: wp.array[wp.float32],
@@ -844,8 +914,13 @@ def add_ground(
     sky_second: wp.array[wp.int32],
     sky_near: wp.array[wp.float32],
     sky_far: wp.array[wp.float32],
-    mean: wp.array[wp.float32],
+    z: wp.array[wp.float32],
+    tilts: wp.array[wp.float32],
+    sums: wp.array[wp.float32],
     radiance: wp.array[wp.float32],
+    ways: wp.array[wp.float32],
+    places: wp.array[wp.int32],
+    crossings: wp.array[wp.float32],
     all_light: wp.array[wp.float32],
     all_held: wp.array[wp.int32],
     all_first: wp.array[wp.int32],
@@ -853,50 +928,182 @@ def add_ground(
     all_near: wp.array[wp.float32],
     all_far: wp.array[wp.float32],
     number: wp.int32,
-    pixels: wp.int32,
+    images: wp.int32,
+    rows: wp.int32,
+    cols: wp.int32,
+    width: wp.int32,
+    shift: wp.int32,
+    azimuths: wp.int32,
+    steps: wp.int32,
     count: wp.int32,
     sky_count: wp.int32,
+    room: wp.int32,
     is_sky: wp.int32,
+    sides: wp.int32,
 ):
     """Light and links of an image with the light that ground sends. Thread p owns node p."""
     p = wp.tid()
-    room = count + sky_count
-    own = wp.where(is_sky != 0, 0, held[p])
-    sent = number * pixels
+    pixels = rows * cols
+    x = p % cols
+    y = p / cols
+    # 1. the mean radiance
+    phases = 1 << shift
+    place = (y * phases + x % phases) * width + x / phases
+    all_places = rows * phases * width
+    den = sums[images * all_places + place]
+    left = wp.float32(PI) - sky_light[p]
+    m = wp.float32(0.0)
+    per = wp.float32(0.0)
+    if den > 0.0:
+        m = sums[number * all_places + place] / den
+        per = left / den
+    # 2. links of the direct light, and of U
+    made = wp.int32(0)
+    own_part = wp.float32(1.0)
     if is_sky != 0:
-        room = count
-    for k in range(own):
+        own_part = wp.float32(1.0) - m
+    for k in range(held[p]):
         source = link(p, k, count)
-        to = link(p, k, room)
+        to = link(p, made, room)
+        made += 1
         all_first[to] = first[source]
         all_second[to] = second[source]
-        all_near[to] = near[source]
-        all_far[to] = far[source]
-    by_own = light[pixels + p]
-    for k in range(sky_held[p]):
-        source = link(p, k, sky_count)
-        to = link(p, own + k, room)
-        one = sky_near[source]
-        other = sky_far[source]
-        both = one + other
-        weighed = one * radiance[sent + sky_first[source]] + other * radiance[sent + sky_second[source]]
-        ground = wp.float32(0.0)
-        if both != 0.0:
-            ground = weighed / both
-        left = -ground
-        if is_sky != 0:
-            left = wp.float32(1.0) - ground
-        all_first[to] = sky_first[source]
-        all_second[to] = sky_second[source]
-        all_near[to] = left * one
-        all_far[to] = left * other
-        by_own += ground * both
-    all_held[p] = own + sky_held[p]
-    m = mean[sent + p] / wp.float32(PI)
-    all_light[p] = light[p] + (wp.float32(PI) - sky_light[p]) * m
-    all_light[pixels + p] = by_own
-    all_light[2 * pixels + p] = light[2 * pixels + p] - m * sky_light[2 * pixels + p]
-    all_light[3 * pixels + p] = light[3 * pixels + p] - m * sky_light[3 * pixels + p]
+        all_near[to] = own_part * near[source]
+        all_far[to] = own_part * far[source]
+    if is_sky == 0:
+        for k in range(sky_held[p]):
+            source = link(p, k, sky_count)
+            to = link(p, made, room)
+            made += 1
+            all_first[to] = sky_first[source]
+            all_second[to] = sky_second[source]
+            all_near[to] = -m * sky_near[source]
+            all_far[to] = -m * sky_far[source]
+    # 3. those of the strips
+    sent = number * pixels
+    gx = tilts[p]
+    gy = tilts[pixels + p]
+    by_own = wp.float32(0.0)
+    by_x = wp.float32(0.0)
+    by_y = wp.float32(0.0)
+    for k in range(wp.where(den > 0.0, azimuths, 0)):
+        cosine = ways[4 * k]
+        sine = ways[4 * k + 1]
+        plane = -(gx * cosine + gy * sine)
+        on_columns = ways[4 * k + 2] > 0.0
+        slope = plane
+        past = below(plane, plane)
+        before = wp.float32(0.0)
+        was_distance = wp.float32(0.0)
+        by_plane = wp.float32(0.0)
+        by_top = wp.float32(0.0)
+        was = Crossing(p, p, 0.0, 0.0)
+        top = Crossing(p, p, 0.0, 0.0)
+        # one at least for each azimuth that follows
+        most = room - (azimuths - 1 - k)
+        for j in range(k * steps, (k + 1) * steps):
+            # 3.1 the crossing, if it is on the map, and if any ground there could be seen
+            weight = crossings[3 * j]
+            distance = crossings[3 * j + 1]
+            u = x + places[2 * j]
+            v = y + places[2 * j + 1]
+            u_next = u + 1
+            v_next = v
+            if on_columns:
+                u_next = u
+                v_next = v + 1
+            if sides == PERIODIC:
+                u = within(u, cols)
+                v = within(v, rows)
+                u_next = within(u_next, cols)
+                v_next = within(v_next, rows)
+            elif u < 0 or v < 0 or u_next >= cols or v_next >= rows:
+                break
+            if not (z[p] > slope * distance):
+                break
+            at = Crossing(v * cols + u, v_next * cols + u_next, weight, crossings[3 * j + 2])
+            a = -z[at.first]
+            stands = a + weight * (-z[at.second] - a) + z[p]
+            rises = stands * at.closeness
+            # 3.2 the strip that it opens, and its derivatives by the crossing, by what bounds it below, and
+            # by the crossing before
+            if rises > slope:
+                low = before - slope * was_distance
+                high = stands - slope * distance
+                whole = high - low
+                here = below(rises, plane)
+                begins = low < 0.0 and whole > 0.0 and was_distance > 0.0
+                is_between = begins and -low < whole
+                part = wp.float32(0.0)
+                if begins:
+                    part = wp.float32(1.0)
+                beside = between(radiance, sent, was)
+                beyond = between(radiance, sent, at)
+                by_part = wp.float32(0.0)
+                if is_between:
+                    part = -low / whole
+                    by_part = 0.5 * (here - past) * (beyond - beside) / (whole * whole)
+                mean = 0.5 * (beside * (1.0 - part) + beyond * (1.0 + part))
+                by_slope = by_part * (high * was_distance - low * distance) - mean * below_by(slope, plane)
+                if is_between:
+                    made = add_link(
+                        all_first,
+                        all_second,
+                        all_near,
+                        all_far,
+                        p,
+                        made,
+                        most,
+                        room,
+                        was,
+                        per * -by_part * high,
+                    )
+                    by_own -= by_part * high
+                by_plane -= mean * (turn(rises) - turn(slope))
+                if top.closeness > 0.0:
+                    by_top += by_slope * top.closeness
+                    made = add_link(
+                        all_first, all_second, all_near, all_far, p, made, most, room, top, per * by_top
+                    )
+                    by_own += by_top
+                else:
+                    by_plane += by_slope
+                by_top = mean * below_by(rises, plane) * at.closeness + by_part * low
+                top = at
+                past = here
+                slope = rises
+            before = stands
+            was = at
+            was_distance = distance
+        # 3.3 all that is not sky
+        end = slope
+        if sides != PERIODIC:
+            end = wp.max(slope, 0.0)
+        if sides == DARK:
+            to_x = (wp.float32(x) + 0.5) / -cosine
+            if cosine > 0.0:
+                to_x = (wp.float32(cols) - 0.5 - wp.float32(x)) / cosine
+            to_y = (wp.float32(y) + 0.5) / -sine
+            if sine > 0.0:
+                to_y = (wp.float32(rows) - 0.5 - wp.float32(y)) / sine
+            closeness = 1.0 / wp.min(to_x, to_y)
+            wall = z[p] * closeness
+            if wall > end:
+                by_own -= m * below_by(wall, plane) * closeness
+            end = wp.max(wall, end)
+        by_plane += m * (turn(end) - turn(plane))
+        if top.closeness > 0.0:
+            if end == slope:
+                by_top -= m * below_by(end, plane) * top.closeness
+            made = add_link(all_first, all_second, all_near, all_far, p, made, most, room, top, per * by_top)
+            by_own += by_top
+        by_x -= cosine * by_plane
+        by_y -= sine * by_plane
+    all_held[p] = made
+    all_light[p] = light[p] + left * m
+    all_light[pixels + p] = light[pixels + p] - m * sky_light[pixels + p] + per * by_own
+    all_light[2 * pixels + p] = light[2 * pixels + p] - m * sky_light[2 * pixels + p] + per * by_x
+    all_light[3 * pixels + p] = light[3 * pixels + p] - m * sky_light[3 * pixels + p] + per * by_y
 
 
 @wp.func

@@ -45,7 +45,7 @@ MAPS = (  # fields of Recovery that are maps
 # residual beyond the noise, as a share of the image, up to which a model explains images; and how much
 # smaller that of direct light alone must be to be believed. Images of direct light leave 0.010 to 0.016 to
 # the other model and a fiftieth to their own; of deep folds with light between surfaces direct light leaves
-# 0.002, with depths that are wrong by layers, and a surface found by approximate derivatives leaves more
+# 0.002, with depths that are wrong by layers, and so does all light from a wrong start
 EXPLAINED, CLEARLY = 0.006, 0.05
 
 

@@ -97,6 +97,28 @@ class Planes:
         """Those of the kernels, on the device."""
         return [self.engine.table(table) for table in tables(this, self.far)]
 
+    def _gather_receivers(
+        self, azimuths: int, tables: Sequence[Array], sums: Array, grid: tuple[int, ...], highest: float
+    ) -> None:
+        """``grid``: stride, phases and width of receivers, and whether kinks are none."""
+        stride, phases, width, _ = grid
+        self.engine.launch(
+            "interreflection",
+            "gather",
+            (width // self.engine.lanes, phases, -(-self.shape[0] // stride)),
+            self.heights,
+            self.light,
+            *tables,
+            sums,
+            azimuths,
+            tables[1].shape[1],
+            *self._layout,
+            SIDES[self.sides],
+            *grid,
+            highest,
+            LIGHTS=self.lights,
+        )
+
     def _gather_nodes(
         self,
         azimuths: int,
@@ -124,12 +146,12 @@ class Planes:
         )
 
 
-class MeanRadiance(Planes):
-    """Mean radiance of the ground visible from every node of a surface, for ground of known radiance.
+class Strips(Planes):
+    """Strips of ground visible from every node of a surface, for ground of known radiance.
 
-    ``radiances`` (lights, rows, cols): of the ground; ``found`` (lights x rows x cols) float32 on the device:
-    pi times the mean over all that is not sky, 0 where only sky is visible. Surfaces have depths of 0 at
-    least; ``relief`` [spacing] at most.
+    ``radiances`` (lights, rows, cols): of the ground; ``sums`` on the device: over the strips, of shares x
+    radiance for every light, and of shares, as the kernel gather lays them out in rows of ``width``. Surfaces
+    have depths of 0 at least; ``relief`` [spacing] at most.
     """
 
     def __init__(self, engine: Backend, sides: str, radiances: np.ndarray, relief: float, rays: Round):
@@ -137,8 +159,11 @@ class MeanRadiance(Planes):
         self.azimuths = rays.azimuths
         self.one, ones = (engine.upload(np.ones(count, np.float32)) for count in (1, self.lights))
         self.tables = self._tables(rays)
-        pixels = radiances[0].size
-        self.none, self.found = (engine.empty((self.lights * pixels,), np.float32, 0) for _ in range(2))
+        self.steps = self.tables[1].shape[1]
+        self.width = -(-self.across // engine.lanes) * engine.lanes
+        self.sums = engine.empty(
+            ((self.lights + 1) * self.shape[0] * (1 << self.shift) * self.width,), np.float32
+        )
         given = engine.upload(radiances.astype(np.float32).ravel())
         self._spread(given, ones, self.light, self.lights, False, 1.0, 0.0)
         engine.finish()
@@ -146,7 +171,9 @@ class MeanRadiance(Planes):
     def find(self, z: Array) -> None:
         """Of the surface of depths z (rows x cols) on the device."""
         self._spread(z, self.one, self.heights, 1, False, -1.0, NONE)
-        self._gather_nodes(self.azimuths, self.tables, (self.none, self.none, self.found), True, 0.0)
+        self._gather_receivers(
+            self.azimuths, self.tables, self.sums, (1, 1 << self.shift, self.width, 0), 0.0
+        )
 
 
 class Bounces(Planes):
@@ -212,7 +239,6 @@ class Bounces(Planes):
     def _gather(self, this: Round) -> None:
         engine, (rows, cols) = self.engine, self.shape
         tables = self._tables(this)
-        count = tables[1].shape[1]
         common = (*self._layout, SIDES[self.sides])
         if this.stride > 1:
             phases, width = (
@@ -222,21 +248,7 @@ class Bounces(Planes):
             lines = -(-rows // this.stride)
             sums = engine.empty(((self.lights + 1) * lines * phases * width,), np.float32)
             grid = this.stride, phases, width, int(this.kinks)
-            engine.launch(
-                "interreflection",
-                "gather",
-                (width // engine.lanes, phases, lines),
-                self.heights,
-                self.light,
-                *tables,
-                sums,
-                this.azimuths,
-                count,
-                *common,
-                *grid,
-                self.highest,
-                LIGHTS=self.lights,
-            )
+            self._gather_receivers(this.azimuths, tables, sums, grid, self.highest)
             engine.launch(
                 "interreflection",
                 "fill",

@@ -34,6 +34,7 @@ Ways = tuple[Any, ...]  # (c, s, columns, rise, rows, run) of a slice, numbers o
 NONE, STEEP, ROUNDING = map(f32, (constants.NONE, constants.STEEP, constants.ROUNDING))
 PARALLEL, LEAST_SEARCHED_SLOPE = f32(constants.PARALLEL), f32(constants.LEAST_SEARCHED_SLOPE)
 PI, HALF_PI, TWO_PI = map(f32, (constants.PI, constants.HALF_PI, constants.TWO_PI))
+ZERO, HALF, ONE = f32(0), f32(0.5), f32(1)
 ARC_TANGENT = [f32(factor) for factor in constants.ARC_TANGENT]
 
 
@@ -560,6 +561,138 @@ def _links(held: np.ndarray, *arrays: np.ndarray) -> Iterator[tuple[np.ndarray, 
         yield some, *(array[some // LINK_BLOCK, k, some % LINK_BLOCK] for array in arrays)
 
 
+Beside = tuple[np.ndarray, ...]  # of crossings: first and second node, share of the second, 1 / distance
+
+
+class _Made:
+    """Links of nodes while they are made: arrays first, second, near, far; ``made`` (pixels,) how many there
+    are, ``most`` how many there may be.
+    """
+
+    def __init__(self, held: np.ndarray, *arrays: np.ndarray):
+        self.arrays, self.made, self.most = arrays, np.zeros_like(held), 0
+
+    def copy(self, held: np.ndarray, part: np.ndarray, *arrays: np.ndarray) -> None:
+        """Those of another image, times ``part`` (pixels,)."""
+        for some, i, j, one, other in _links(held, *arrays):
+            self._put(some, i, j, part[some] * one, part[some] * other)
+
+    def add(self, some: np.ndarray, at: Beside, part: np.ndarray) -> None:
+        """Of the nodes ``some`` to the two nodes of a crossing, ``part`` the derivative by its height; the
+        last one takes it in where no more may be.
+        """
+        first, second, share = (values[some] for values in at[:3])
+        other = part[some] * share
+        one = part[some] - other
+        free = self.made[some] < self.most
+        self._put(some[free], first[free], second[free], -one[free], -other[free])
+        full = some[~free]
+        last = full // LINK_BLOCK, self.made[full] - 1, full % LINK_BLOCK
+        self.arrays[2][last] -= one[~free]
+        self.arrays[3][last] -= other[~free]
+
+    def _put(self, some: np.ndarray, *values: np.ndarray) -> None:
+        at = some // LINK_BLOCK, self.made[some], some % LINK_BLOCK
+        for array, value in zip(self.arrays, values):
+            array[at] = value
+        self.made[some] += 1
+
+
+def _turn(s: np.ndarray) -> np.ndarray:
+    t = _arc_tangent(np.abs(s))
+    angle: np.ndarray = np.where(s < 0, -t, t) + s / (ONE + s * s)
+    return angle
+
+
+def _below(s: np.ndarray, plane: np.ndarray) -> np.ndarray:
+    share: np.ndarray = -plane * _turn(s) - ONE / (ONE + s * s)
+    return share
+
+
+def _below_by(s: np.ndarray, plane: np.ndarray) -> np.ndarray:
+    q = ONE / (ONE + s * s)
+    by: np.ndarray = 2 * q * q * (s - plane)
+    return by
+
+
+class _SeenStrips:
+    """Derivatives of the strips that all nodes see, in one azimuth after another; step comments as there."""
+
+    def __init__(self, z: np.ndarray, sent: np.ndarray, m: np.ndarray, per: np.ndarray, links: _Made):
+        self.z, self.sent, self.m, self.per, self.links = z, sent, m, per, links
+        self.by_own, self.by_x, self.by_y = (np.zeros_like(z) for _ in range(3))
+
+    def begin(self, plane: np.ndarray) -> None:
+        none, own = np.zeros_like(self.z), np.arange(len(self.z))
+        self.plane, self.slope, self.past = plane, plane, _below(plane, plane)
+        self.before, self.by_plane, self.by_top = none, none.copy(), none.copy()
+        self.was: Beside = (own, own, none, none)
+        self.top = self.was
+        self.was_distance = ZERO
+
+    def meet(self, at: Beside, distance: np.float32, going: np.ndarray) -> None:
+        first, second, weight, closeness = at
+        a = -self.z[first]
+        stands = a + weight * (-self.z[second] - a) + self.z
+        rises, slope, plane = stands * closeness, self.slope, self.plane
+        seen = going & (rises > slope)
+        # 3.2 the strip that it opens
+        low, high = self.before - slope * self.was_distance, stands - slope * distance
+        whole, here = high - low, _below(rises, plane)
+        begins = (low < 0) & (whole > 0) & (self.was_distance > 0)
+        between = begins & (-low < whole)
+        part = np.where(between, _over(-low, whole), begins.astype(f32))
+        beside, beyond = (
+            self.sent[i] + share * (self.sent[j] - self.sent[i]) for i, j, share in (self.was[:3], at[:3])
+        )
+        mean = HALF * (beside * (1 - part) + beyond * (1 + part))
+        bends = HALF * (here - self.past) * (beyond - beside)
+        by_part = np.where(between, _over(bends, whole * whole), ZERO)
+        by_slope = by_part * (high * self.was_distance - low * distance) - mean * _below_by(slope, plane)
+        hides = seen & between
+        self.links.add(np.flatnonzero(hides), self.was, self.per * -by_part * high)
+        self.by_own[hides] -= (by_part * high)[hides]
+        self.by_plane[seen] -= (mean * (_turn(rises) - _turn(slope)))[seen]
+        topped = seen & (self.top[3] > 0)
+        self.by_top[topped] += (by_slope * self.top[3])[topped]
+        self.close(topped)
+        self.by_plane[seen & ~topped] += by_slope[seen & ~topped]
+        self.by_top = np.where(seen, mean * _below_by(rises, plane) * closeness + by_part * low, self.by_top)
+        self.top = tuple(np.where(seen, new, old) for new, old in zip(at, self.top))
+        self.past, self.slope = np.where(seen, here, self.past), np.where(seen, rises, slope)
+        self.before, self.was, self.was_distance = stands, at, distance
+
+    def close(self, topped: np.ndarray) -> None:
+        """A link of these nodes to the highest crossing so far."""
+        self.links.add(np.flatnonzero(topped), self.top, self.per * self.by_top)
+        self.by_own[topped] += self.by_top[topped]
+
+    def end(self, cosine: np.float32, sine: np.float32, sides: int, closeness: Any) -> None:
+        """3.3 all that is not sky; ``closeness`` (pixels,): 1 / distance of the wall."""
+        end = self.slope if sides == PERIODIC else np.maximum(self.slope, ZERO)
+        if sides == DARK:
+            wall = self.z * closeness
+            by = self.m * _below_by(wall, self.plane) * closeness
+            self.by_own -= np.where(wall > end, by, ZERO)
+            end = np.maximum(wall, end)
+        self.by_plane += self.m * (_turn(end) - _turn(self.plane))
+        topped = self.top[3] > 0
+        by_end = self.m * _below_by(end, self.plane) * self.top[3]
+        self.by_top = np.where(end == self.slope, self.by_top - by_end, self.by_top)
+        self.close(topped)
+        self.by_x -= cosine * self.by_plane
+        self.by_y -= sine * self.by_plane
+
+
+def _beside_crossing(
+    u: np.ndarray, v: np.ndarray, on_columns: bool, rows: int, cols: int, sides: int
+) -> tuple[tuple[np.ndarray, np.ndarray], np.ndarray]:
+    """The two nodes beside crossings at or after columns u and rows v, and whether both are on the map."""
+    u_next, v_next = (u, v + 1) if on_columns else (u + 1, v)
+    there = (u >= 0) & (v >= 0) & (u_next < cols) & (v_next < rows) | (sides == PERIODIC)
+    return (v % rows * cols + u % cols, v_next % rows * cols + u_next % cols), there
+
+
 def add_ground(
     light: np.ndarray,
     held: np.ndarray,
@@ -573,8 +706,13 @@ def add_ground(
     sky_second: np.ndarray,
     sky_near: np.ndarray,
     sky_far: np.ndarray,
-    mean: np.ndarray,
+    z: np.ndarray,
+    tilts: np.ndarray,
+    sums: np.ndarray,
     radiance: np.ndarray,
+    ways: np.ndarray,
+    places: np.ndarray,
+    crossings: np.ndarray,
     all_light: np.ndarray,
     all_held: np.ndarray,
     all_first: np.ndarray,
@@ -582,32 +720,50 @@ def add_ground(
     all_near: np.ndarray,
     all_far: np.ndarray,
     number: int,
-    pixels: int,
+    images: int,
+    rows: int,
+    cols: int,
+    width: int,
+    shift: int,
+    azimuths: int,
+    steps: int,
     count: int,
     sky_count: int,
+    room: int,
     is_sky: int,
+    sides: int,
 ) -> None:
-    mean, radiance = (values.reshape(-1, pixels)[number] for values in (mean, radiance))
-    own = 0 * held if is_sky else held
+    # 1. the mean radiance
+    pixels = rows * cols
+    y, x = (index.ravel() for index in np.indices((rows, cols)))
+    sums = sums.reshape(images + 1, rows, 1 << shift, width)[:, y, x % (1 << shift), x >> shift]
+    left = PI - sky_light[0]
+    m, per = _over(sums[number], sums[images]), _over(left, sums[images])
+    # 2. links of the direct light, and of U
+    links = _Made(all_held, all_first, all_second, all_near, all_far)
+    links.copy(held, 1 - m if is_sky else np.ones_like(m), first, second, near, far)
     if not is_sky:
-        for k, (some, *values) in enumerate(_links(held, first, second, near, far)):
-            for to, value in zip((all_first, all_second, all_near, all_far), values):
-                to[some // LINK_BLOCK, k, some % LINK_BLOCK] = value
-    by_own = light[1].copy()
-    for k, (some, i, j, one, other) in enumerate(_links(sky_held, sky_first, sky_second, sky_near, sky_far)):
-        both = one + other
-        weighed = one * radiance[i] + other * radiance[j]
-        ground = np.where(both != 0, weighed / np.where(both != 0, both, f32(1)), f32(0))
-        left = 1 - ground if is_sky else -ground
-        at = some // LINK_BLOCK, own[some] + k, some % LINK_BLOCK
-        for to, value in zip((all_first, all_second, all_near, all_far), (i, j, left * one, left * other)):
-            to[at] = value
-        by_own[some] += ground * both
-    all_held[:] = own + sky_held
-    m = mean / PI
-    all_light[0] = light[0] + (PI - sky_light[0]) * m
-    all_light[1] = by_own
-    all_light[2:] = light[2:] - m * sky_light[2:]
+        links.copy(sky_held, -m, sky_first, sky_second, sky_near, sky_far)
+    # 3. those of the strips
+    strips = _SeenStrips(z, radiance.reshape(images, pixels)[number], m, per, links)
+    places, crossings = places.reshape(azimuths, steps, 2), crossings.reshape(azimuths, steps, 3)
+    for k, (cosine, sine, on_columns, _) in enumerate(ways.reshape(azimuths, 4)):
+        strips.begin(-(tilts[0] * cosine + tilts[1] * sine))
+        links.most = room - (azimuths - 1 - k)
+        going = sums[images] > 0
+        for (dx, dy), (weight, distance, closeness) in zip(places[k].tolist(), crossings[k]):
+            # 3.1 the crossing, if it is on the map, and if any ground there could be seen
+            nodes, there = _beside_crossing(x + dx, y + dy, on_columns > 0, rows, cols, sides)
+            going &= there & (z > strips.slope * distance)
+            if not going.any():
+                break
+            strips.meet((*nodes, weight + 0 * z, closeness + 0 * z), distance, going)
+        walls = _wall(_ways(cosine, sine), x, y, rows, cols) if sides == DARK else ONE
+        strips.end(cosine, sine, sides, ONE / walls)
+    all_held[:] = links.made
+    all_light[0] = light[0] + left * m
+    for row, by in ((1, strips.by_own), (2, strips.by_x), (3, strips.by_y)):
+        all_light[row] = light[row] - m * sky_light[row] + per * by
 
 
 def _change(
