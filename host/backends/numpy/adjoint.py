@@ -627,7 +627,7 @@ class _SeenStrips:
         self.plane, self.slope, self.past = plane, plane, _below(plane, plane)
         self.before, self.by_plane, self.by_top = none, none.copy(), none.copy()
         self.was: Beside = (own, own, none, none)
-        self.top = self.was
+        self.top: Beside = self.was
         self.was_distance = ZERO
 
     def meet(self, at: Beside, distance: np.float32, going: np.ndarray) -> None:
