@@ -43,10 +43,11 @@ MAPS = (  # fields of Recovery that are maps
     Quantity("residual", None, "model less image, in the unit of the image"),
 )
 # residual beyond the noise, as a share of the image, up to which a model explains images; and how much
-# smaller that of direct light alone must be to be believed. Images of direct light leave 0.010 to 0.016 to
-# the other model and a fiftieth to their own; of deep folds with light between surfaces direct light leaves
-# 0.002, with depths that are wrong by layers, and so does all light from a wrong start
-EXPLAINED, CLEARLY = 0.006, 0.05
+# smaller that of direct light alone must be to be believed. Images with light between surfaces leave at most
+# 0.0016 where the surface is found, and 0.003 to 0.016 from a wrong start, where direct light leaves a fifth
+# of that at least. Images of direct light leave 0.0003 to 0.006 to the other model: small images are told
+# apart only in part. Chosen between
+EXPLAINED, CLEARLY = 0.002, 0.15
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,7 +133,7 @@ def recover(
     interreflection : "auto", True or False
         Of method="robust": whether ground lights ground in the images, as in photographs and in what
         :func:`skylamp.render` makes by default. "auto": it does, unless they are not explained well so and
-        direct light alone leaves a twentieth. Say False of images that are known to hold direct light.
+        direct light alone leaves 0.15 of that at most. Say False of images known to hold direct light.
     progress : callable, optional
         Called with (levels or layers done, their number). The residual of every level goes to the logger
         "skylamp".
