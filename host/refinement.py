@@ -50,10 +50,13 @@ from .sources.solids import Ball, Quad, aperture, rectangle, upright
 # -- tolerance and estimates
 DEFAULT_TAIL = 10.0  # bound on the 99.9th percentile of the error, in tolerances, unless given
 # error over half the difference of two images: where samples cannot tell it, the median of 60 lamps and
-# windows (96 x 96); and the most, since more says that the two share an error, which no more azimuths mend
+# windows (96 x 96); and the most, since more says that the two share an error, which no more azimuths mend.
+# Half of the first: one of 57 images of 19 lamps is 1.6 tolerances off without a word; twice: 52 % of the
+# estimates within 0.5 to 3 of the truth, not 79 %
 UNSEEN_SHARE, MOST_SHARE = 0.5, 1.3
 # times the square of that half at the samples, up to which it may be over all nodes and is known; chosen: the
-# samples know a square to some 10 %, and a few nodes that they miss make it 4 to 10^6 times as large
+# samples know a square to some 10 %, and a few nodes that they miss make it 4 to 10^6 times as large. With
+# twice as much the same of 57 images of 19 lamps are within the tolerance, and as many estimates right
 SEEN = 2.0
 # error of the exact light at the samples over its difference from coarser light; measured, docs/explanation
 JUDGE_SHARE = 0.45
