@@ -462,6 +462,7 @@ def _far(
         farthest,
         layout.periodic,
         drop,
+        layout.room > 0,
     )
 
 

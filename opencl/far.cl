@@ -77,11 +77,11 @@ lines[1]. Of all samples of the overviews along the azimuth's ray it is the one 
                                        reciprocal
   level_of  (n_steps)           int    which level it is taken from
   azimuths  (count, 2)          float  cosine and sine, towards +x (columns) and +y (rows)
-  own       (n_rows x n_cols)   float  [spacing]  the nodes' heights
-  at_row    (n_rows)            int    their rows in the map, not negative
-  at_col    (n_cols)            int    their columns
-  lines     (2, count, n_rows x n_cols) float  out: slope seen from height 0, and 1 / distance; NONE and 0
-                                       where there is no far ground
+  own       (nodes)             float  [spacing]  the nodes' heights
+  at_row    (nodes)             int    their rows in the map, not negative
+  at_col    (nodes)             int    their columns
+  lines     (2, count, nodes)   float  out: slope seen from height 0, and 1 / distance; NONE and 0 where there
+                                       is no far ground
   highest   no ground is higher: what cannot stand above the horizon is not looked at
   drop      [1 / spacing]  by how much ground falls off with distance^2, the Earth being round
 
@@ -90,18 +90,18 @@ nodes from p LANES on of azimuth k. */
 __kernel void march(__global const float *cells, __global const int *levels, __global const float *steps,
                     __global const int *level_of, __global const float *azimuths, __global const float *own,
                     __global const int *at_row, __global const int *at_col, __global float *lines,
-                    int n_steps, int count, int n_rows, int n_cols, int rows, int cols, float highest,
-                    float drop, int periodic)
+                    int n_steps, int count, int nodes, int rows, int cols, float highest, float drop,
+                    int periodic)
 {
-  const int p = get_global_id(0) * LANES, k = get_global_id(1), nodes = n_rows * n_cols;
+  const int p = get_global_id(0) * LANES, k = get_global_id(1);
   if (p >= nodes)
     return;
   int places[2][LANES];
   float heights[LANES];
   for (int l = 0; l < LANES; ++l) { /* lanes beyond the last node repeat it */
     const int node = min(p + l, nodes - 1);
-    places[0][l] = at_col[node % n_cols];
-    places[1][l] = at_row[node / n_cols];
+    places[0][l] = at_col[node];
+    places[1][l] = at_row[node];
     heights[l] = own[node];
   }
   const ints x0 = LOAD(0, places[0]), y0 = LOAD(0, places[1]);

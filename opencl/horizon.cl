@@ -35,7 +35,9 @@ turned map.
 WHAT: SLOPES writes slopes, UNIFORM adds the light of a uniform sky, TABLE that of `table`. SIDES: OPEN, DARK
 or PERIODIC. known: slopes holds what is known already. BLOCKS: the window is not endless. backward: rows at
 the far end of the window come in, and blocks of one window are swept from the last row to the first; with a
-forward sweep by blocks it covers exactly one window before every node.
+forward sweep by blocks it covers exactly one window before every node. top, bottom, left, right: what lies
+outside rows top .. bottom - 1 and columns left .. right - 1 is only seen: its slopes and light are not asked
+for, and undefined.
 Work-item (j, k, g) owns LANES adjacent lines of azimuth k, or STRIPS times as many on a CPU; long lines start
 first. On a GPU the LINES work-items of a group keep the rows about them in local memory if they fit
 (TILED). Twin of warp_kernels/horizon.py. */
@@ -140,14 +142,15 @@ ints look(floats a, floats b, float weight, float lowest, float unit, int bits, 
   return ground < -1e20f ? (ints)UNSEEN : seen;
 }
 
-/* From which row on, and up to which, one of `count` lines is on the map. */
+/* From which row on one of `count` lines is on the map, and up to which it may be in columns left to
+   right - 1. */
 int enters(int line, int count, float shear, float reciprocal, int cols)
 {
   return max((int)floor((float)(shear > 0 ? line - cols : -line - count) * reciprocal), 0);
 }
-int leaves(int line, int count, float shear, float reciprocal, int rows, int cols)
+int leaves(int line, int count, float shear, float reciprocal, int stop, int left, int right)
 {
-  return min((int)((float)(shear > 0 ? line + count : cols - line) * reciprocal) + 2, rows);
+  return min((int)((float)(shear > 0 ? line + count - left : right - line) * reciprocal) + 2, stop);
 }
 
 /* Slope to where a ray crosses the grid line between nodes i and j, at a distance. */
@@ -185,7 +188,8 @@ __kernel void sweep(__global const float *restrict heights, __global const float
                     __constant float *near_weight, __global const float4 *restrict table,
                     __global float *restrict slopes, __global int *restrict sum, const Ladder steps,
                     const Ladder rises, int first, int group, int rows, int cols, int margin, int room,
-                    int knots, int bits, float lowest, float unit, int known, int backward)
+                    int knots, int bits, float lowest, float unit, int known, int backward, int top,
+                    int bottom, int left, int right)
 {
   const int k = get_group_id(1) + first, g = get_global_id(2);
   const float shear = azimuths[8 * k], cosine = azimuths[8 * k + 1], sine = azimuths[8 * k + 2];
@@ -208,10 +212,11 @@ __kernel void sweep(__global const float *restrict heights, __global const float
             line = first_line + (int)get_local_id(0) * ACROSS;
   if (!TILED && line >= beyond)
     return;
-  int start = -warm, stop = rows;
+  const int first_asked = towards > 0 ? top : rows - bottom, end = towards > 0 ? bottom : rows - top;
+  int start = -warm, stop = end;
   if (SIDES != PERIODIC && reciprocal < 1e8f) {
     start = enters(line, ACROSS, shear, reciprocal, cols);
-    stop = leaves(line, ACROSS, shear, reciprocal, rows, cols);
+    stop = leaves(line, ACROSS, shear, reciprocal, end, left, right);
   }
   int from = start, to = stop;
   if (BLOCKS && backward) {
@@ -221,7 +226,7 @@ __kernel void sweep(__global const float *restrict heights, __global const float
 #if TILED /* the work-items of a group go together */
   if (reciprocal < 1e8f) {
     from = enters(first_line, LINES, shear, reciprocal, cols);
-    to = leaves(first_line, LINES, shear, reciprocal, rows, cols);
+    to = leaves(first_line, LINES, shear, reciprocal, end, left, right);
   }
   if (line >= beyond)
     stop = start;
@@ -268,17 +273,18 @@ __kernel void sweep(__global const float *restrict heights, __global const float
 #if TILED
     if ((i - from) % TILE_ROWS == 0) { /* TILE_ROWS rows, and those before them that are near or come in */
       const int first_row = i - NEAR - 1,
-                left =
+                first_column =
                     first_line + (int)floor(0.5f - shear * (shear > 0 ? i + TILE_ROWS - 1 : first_row)) - 2;
       barrier(CLK_LOCAL_MEM_FENCE);
       for (int e = get_local_id(0); e < TILE_SIZE; e += LINES) {
-        const int r = first_row + e / PITCH, c = min(max(left + e % PITCH, -margin), cols + margin - 1);
+        const int r = first_row + e / PITCH, 
+                  c = min(max(first_column + e % PITCH, -margin), cols + margin - 1);
         tile[e] =
             heights[(min(max(towards > 0 ? r : rows - 1 - r, -margin), rows + margin - 1) + margin) * stride +
                     margin + c];
       }
       barrier(CLK_LOCAL_MEM_FENCE);
-      here = tile - (first_row * PITCH + left);
+      here = tile - (first_row * PITCH + first_column);
     }
 #endif
 
@@ -301,7 +307,7 @@ __kernel void sweep(__global const float *restrict heights, __global const float
         seen = look(LINE(0), LINE(1), across - column, lowest, unit, bits, comes_at);
       for (int s = 0; s < LADDER; ++s)
         above[s] = more(above[s] + step[s], seen);
-      if (!on_map)
+      if (!on_map || u < first_asked || x >= right || x <= left - LANES)
         continue;
 
       /* 4. LANES neighbours from column x: every near crossing */

@@ -287,3 +287,26 @@ def test_among_cliffs_more_nodes_are_marched():
     town[:, ::3] = np.nan
     assert fields.spread_of(tiling, town, 30.0) == 8
     assert fields.spread_of(tiling, np.full((9, 9), np.nan), 30.0) == 32
+
+
+@pytest.mark.parametrize("reach", [None, 11.0])
+@pytest.mark.parametrize("what", ["light", "slopes"])
+def test_only_the_tile_is_lit(fast, what, reach):
+    """In a window around a tile its nodes have the bytes that they have if all of the window is lit; nodes of
+    the halo, but for some beside the tile, get nothing.
+    """
+    engine, heights = select(fast), ridges(90, 70)
+    rays = Rays(2 * np.pi * (np.arange(9) + 0.3) / 9, np.full(9, 2 * np.pi / 9))
+    for at, tile in (((32, 16), (32, 16)), ((0, 48), (16, 22)), ((64, 0), (26, 32))):
+        window, far = far_of(heights, FINE, at, tile)
+        scene = Scene.from_height(window)
+        found = []
+        for lit in (far, far._replace(whole=True)):
+            with engine.lock:
+                sweeps = Sweeps(engine, ground_of(scene, reach, engine), rays, far=lit)
+                found.append(sweeps.irradiance() if what == "light" else sweeps.slopes())
+        box = (..., *(slice(b, b + n) for b, n in zip(far.before, tile)))
+        assert_bits_equal(found[0][box], found[1][box])
+        if what == "light":
+            assert np.count_nonzero(found[0]) < np.count_nonzero(found[1])
+            assert found[0][box].all()

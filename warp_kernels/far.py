@@ -70,8 +70,7 @@ def march(
     lines: wp.array3d[wp.float32],
     n_steps: wp.int32,
     count: wp.int32,
-    n_rows: wp.int32,
-    n_cols: wp.int32,
+    nodes: wp.int32,
     rows: wp.int32,
     cols: wp.int32,
     highest: wp.float32,
@@ -85,8 +84,8 @@ def march(
     Arguments as in opencl/far.cl. Thread (k, p) owns node p of azimuth k.
     """
     k, p = wp.tid()
-    x0 = at_col[p % n_cols]
-    y0 = at_row[p / n_cols]
+    x0 = at_col[p]
+    y0 = at_row[p]
     dx = azimuths[k, 0]
     dy = azimuths[k, 1]
     h = own[p]

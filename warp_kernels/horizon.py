@@ -229,11 +229,17 @@ def enters(line: wp.int32, count: wp.int32, shear: wp.float32, reciprocal: wp.fl
 
 @wp.func
 def leaves(
-    line: wp.int32, count: wp.int32, shear: wp.float32, reciprocal: wp.float32, rows: wp.int32, cols: wp.int32
+    line: wp.int32,
+    count: wp.int32,
+    shear: wp.float32,
+    reciprocal: wp.float32,
+    stop: wp.int32,
+    left: wp.int32,
+    right: wp.int32,
 ):
-    """Up to which row."""
+    """Up to which row it may be in columns ``left`` to ``right`` - 1."""
     return wp.min(
-        wp.int32(wp.float32(wp.where(shear > 0.0, line + count, cols - line)) * reciprocal) + 2, rows
+        wp.int32(wp.float32(wp.where(shear > 0.0, line + count - left, right - line)) * reciprocal) + 2, stop
     )
 
 
@@ -345,7 +351,9 @@ def sweep(NEAR: int, SIDES: int, WHAT: int, BLOCKS: int):
     """WHAT: SLOPES writes slopes, UNIFORM adds the light of a uniform sky, TABLE that of ``table``. SIDES:
     OPEN, DARK or PERIODIC. BLOCKS: the window is not endless. known: slopes holds what is known already.
     backward: rows at the far end of the window come in, and blocks of one window are swept from the last row
-    to the first; with a forward sweep by blocks it covers exactly one window before every node.
+    to the first; with a forward sweep by blocks it covers exactly one window before every node. top, bottom,
+    left, right: what lies outside rows top .. bottom - 1 and columns left .. right - 1 is only seen: its
+    slopes and light are not asked for, and undefined.
 
     Thread (g, k, j) owns one line of azimuth k; long lines start first.
     """
@@ -396,6 +404,10 @@ def sweep(NEAR: int, SIDES: int, WHAT: int, BLOCKS: int):
         unit: wp.float32,
         known: wp.int32,
         backward: wp.int32,
+        top: wp.int32,
+        bottom: wp.int32,
+        left: wp.int32,
+        right: wp.int32,
     ):
         g, plane, j = wp.tid()
         k = plane + first
@@ -441,11 +453,13 @@ def sweep(NEAR: int, SIDES: int, WHAT: int, BLOCKS: int):
         elif shear > 0.0:
             beyond += overhang
         line = first_line + j
+        first_asked = wp.where(towards > 0, top, rows - bottom)
+        end = wp.where(towards > 0, bottom, rows - top)
         start = -warm
-        stop = rows
+        stop = end
         if wp.static(SIDES != PERIODIC) and reciprocal < 1e8:
             start = enters(line, 1, shear, reciprocal, cols)
-            stop = leaves(line, 1, shear, reciprocal, rows, cols)
+            stop = leaves(line, 1, shear, reciprocal, end, left, right)
         if line >= beyond:
             stop = start
         begin = start
@@ -455,10 +469,10 @@ def sweep(NEAR: int, SIDES: int, WHAT: int, BLOCKS: int):
             finish += window - 1 - (stop - 1 + warm) % window
         if wp.static(TILED) and on_gpu() != 0:  # the threads of a block go together
             begin = wp.int32(0)
-            finish = rows
+            finish = end
             if reciprocal < 1e8:
                 begin = enters(first_line, GPU_LINES, shear, reciprocal, cols)
-                finish = leaves(first_line, GPU_LINES, shear, reciprocal, rows, cols)
+                finish = leaves(first_line, GPU_LINES, shear, reciprocal, end, left, right)
 
         row_at = nears()
         row_weight = weights()
@@ -495,7 +509,7 @@ def sweep(NEAR: int, SIDES: int, WHAT: int, BLOCKS: int):
                     i - begin
                 ) % TILE_ROWS == 0:  # TILE_ROWS rows, and those before them that are near or come in
                     first_row = i - wp.static(NEAR + 1)
-                    left = (
+                    first_column = (
                         first_line
                         + wp.int32(
                             wp.floor(
@@ -513,11 +527,11 @@ def sweep(NEAR: int, SIDES: int, WHAT: int, BLOCKS: int):
                         row = wp.min(
                             wp.max(wp.where(towards > 0, r, rows - 1 - r), -margin), rows + margin - 1
                         )
-                        c = wp.min(wp.max(left + e % PITCH, -margin), cols + margin - 1)
+                        c = wp.min(wp.max(first_column + e % PITCH, -margin), cols + margin - 1)
                         keep(tile + 4 * e, read(heights, (row + margin) * stride + margin + c))
                         e += GPU_LINES
                     barrier()
-                    here = tile - 4 * (first_row * PITCH + left)
+                    here = tile - 4 * (first_row * PITCH + first_column)
 
             # 3. the row that comes in, quantized; then every ray climbs (or, backward, falls) by one row
             if into == 0:
@@ -552,11 +566,11 @@ def sweep(NEAR: int, SIDES: int, WHAT: int, BLOCKS: int):
             for s in range(LADDER):
                 above[s] = wp.max(above[s] + turn * steps[s], seen)
 
-            if u >= wp.max(start, 0) and u < stop:
+            x = line + wp.int32(wp.floor(wp.float32(0.5) - shear * wp.float32(u)))
+            if wp.static(SIDES == PERIODIC):
+                x = around(x, cols)
+            if u >= wp.max(start, first_asked) and u < stop and x >= left and x < right:
                 # 4. the node of this row: every near crossing
-                x = line + wp.int32(wp.floor(wp.float32(0.5) - shear * wp.float32(u)))
-                if wp.static(SIDES == PERIODIC):
-                    x = around(x, cols)
                 y = wp.where(towards > 0, u, rows - 1 - u)
                 p = (y + margin) * stride + margin + x
                 spot = p

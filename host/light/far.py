@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -118,7 +119,8 @@ class Far(NamedTuple):
     nodes between those that are marched, ``own``: heights float32 of the nodes that
     :func:`marched_nodes` lists; ``levels``: from ``tiling.first`` on, heights likewise in spacings as the
     window has them; ``farthest`` [nodes] ground to be seen; ``periodic``: the map repeats; ``drop``
-    [1 / spacing]: by how much ground sinks with distance^2.
+    [1 / spacing]: by how much ground sinks with distance^2; ``whole``: all of the window is lit,
+    what lies around the tile by near ground alone.
     """
 
     tiling: Tiling
@@ -132,6 +134,12 @@ class Far(NamedTuple):
     farthest: float
     periodic: bool = False
     drop: float = 0.0
+    whole: bool = False
+
+    def asked(self, shape: tuple[int, int]) -> tuple[int, int, int, int]:
+        """First row of a swept window whose light is asked for and the last's next; columns likewise."""
+        (top, left), (rows, cols) = ((0, 0), shape) if self.whole else (self.before, self.tile)
+        return top, top + rows, left, left + cols
 
 
 def coarser(low: np.ndarray, times: int = 1) -> np.ndarray:
@@ -259,7 +267,7 @@ class Marched:
         upload = backend.upload
         self.tables = [upload(cells.astype(np.float32)), upload(described), upload(table), upload(level_of)]
         self.steps = len(level_of)
-        self.own = [upload(far.own), *(upload(at.astype(np.int32)) for at in (rows, cols))]
+        self.places = far.own.ravel(), np.repeat(rows, len(cols)), np.tile(cols, len(rows))
 
     def _steps(self) -> tuple[np.ndarray, np.ndarray]:
         """Distances of the samples [nodes] and their reciprocals (steps, 2), and the level of each."""
@@ -290,7 +298,7 @@ class Marched:
         """
         backend, far, count = self.backend, self.far, len(angles)
         rows, cols = shape
-        found = self._march(angles)
+        found = self._march(angles, *self.own)
         planes = room
         if room is None or room.shape != (count, rows * cols):
             planes = backend.empty((count, rows * cols), np.float32)
@@ -325,7 +333,6 @@ class Marched:
         ``rows``, ``cols``: from the tile's first node; ``own``: heights [spacing].
         """
         far, count = self.far, len(angles)
-        found = self.backend.download(self._march(angles)).reshape(2, count, *self.nodes).astype(np.float64)
         at, weights = [], []
         for places, most, first in zip((rows, cols), far.shape, far.at):
             low = places // far.spread
@@ -333,29 +340,45 @@ class Marched:
             at.append(low)
             weights.append(np.where(step > 0, (places - low * far.spread) / np.maximum(step, 1), 0))
         (r, c), (a, b) = at, weights
-        upper, lower = (found[..., r + i, c] * (1 - b) + found[..., r + i, c + 1] * b for i in (0, 1))
+        corners = np.concatenate([(r + i) * self.nodes[1] + c + j for i in (0, 1) for j in (0, 1)])
+        some = self._uploaded(*(values[corners] for values in self.places))
+        found = self.backend.download(self._march(angles, *some)).astype(np.float64)
+        h00, h01, h10, h11 = np.moveaxis(found.reshape(2, count, 4, len(r)), 2, 0)
+        upper, lower = h00 * (1 - b) + h01 * b, h10 * (1 - b) + h11 * b
         slope, inverse = upper * (1 - a) + lower * a
         with np.errstate(divide="ignore"):
             return slope - own * inverse, 1 / inverse
 
-    def _march(self, angles: np.ndarray) -> Array:
-        """Far horizons by the kernel `march` in these azimuths: (2, azimuths, nodes) float32 on device."""
-        backend, far, count = self.backend, self.far, len(angles)
-        found = backend.empty((2, count, math.prod(self.nodes)), np.float32)
+    @functools.cached_property
+    def own(self) -> list[Array]:
+        """Heights, rows and columns of the tile's nodes on the device."""
+        return self._uploaded(*self.places)
+
+    def _uploaded(self, own: np.ndarray, rows: np.ndarray, cols: np.ndarray) -> list[Array]:
+        """What the kernel `march` must know of some nodes."""
+        upload = self.backend.upload
+        return [upload(own), upload(rows.astype(np.int32)), upload(cols.astype(np.int32))]
+
+    def _march(self, angles: np.ndarray, own: Array, rows: Array, cols: Array) -> Array:
+        """Far horizons of some nodes by the kernel `march`: (2, azimuths, nodes) float32 on the device."""
+        backend, far, count, nodes = self.backend, self.far, len(angles), own.shape[0]
+        found = backend.empty((2, count, nodes), np.float32)
         ways = np.stack([np.cos(angles), np.sin(angles)], 1)
         # a ray along the border stays on the map
         ways = backend.table(np.where(np.abs(ways) < 1e-9, 0, ways).astype(np.float32))
         backend.launch(
             "far",
             "march",
-            (-(-math.prod(self.nodes) // backend.lanes), count),
+            (-(-nodes // backend.lanes), count),
             *self.tables,
             ways,
-            *self.own,
+            own,
+            rows,
+            cols,
             found,
             self.steps,
             count,
-            *self.nodes,
+            nodes,
             *far.shape,
             self.highest,
             far.drop,

@@ -75,6 +75,7 @@ class Half(NamedTuple):
     heights: Array
     tilts: Array
     table: Array
+    asked: tuple[int, ...]  # see opencl/horizon.cl
 
 
 class Sweeps:
@@ -131,6 +132,7 @@ class Sweeps:
         self.steepest = here.derived[probed]
         self.relief = highest - self.lowest
         self.far = None if far is None else Marched(backend, far)
+        self.asked = (0, rows, 0, cols) if far is None else far.asked(self.shape)
         self.turned = backend.empty((self.room,), np.float32)
         level_ground = 0 if level else None  # else the kernel `tilt` writes them
         # on a GPU both maps are swept at the same time, but for tiles, which are short of memory
@@ -356,6 +358,7 @@ class Sweeps:
             unit,
             int(known),
             int(backward),
+            *half.asked,
             group=backend.lines,
             NEAR=self.near,
             SIDES=SIDES[self.sides],
@@ -404,6 +407,7 @@ class Sweeps:
             self.turned if turned else self.heights,
             self.tilts[turned],
             brightness,
+            self.asked[-2:] + self.asked[:2] if turned else self.asked,
         )
 
 

@@ -52,8 +52,7 @@ def march(
     lines: np.ndarray,
     n_steps: int,
     count: int,
-    n_rows: int,
-    n_cols: int,
+    nodes: int,
     rows: int,
     cols: int,
     highest: float,
@@ -61,8 +60,7 @@ def march(
     periodic: int,
 ) -> None:
     top, fall = np.float32(highest), np.float32(drop)
-    y0, x0 = (a.ravel() for a in np.meshgrid(at_row, at_col, indexing="ij"))
-    heights = own.ravel()
+    y0, x0, heights = at_row, at_col, own
     for k, (dx, dy) in enumerate(azimuths):
         best, inverse = np.full(len(heights), NONE), np.zeros(len(heights), np.float32)
         left = np.arange(len(heights))  # nodes whose rays go on

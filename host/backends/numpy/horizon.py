@@ -45,6 +45,10 @@ def sweep(
     unit: float,
     known: int,
     backward: int,
+    top: int,
+    bottom: int,
+    left: int,
+    right: int,
     *,
     NEAR: int,
     SIDES: int,
@@ -58,19 +62,21 @@ def sweep(
     # without slopes light is summed, azimuth by azimuth
     for plane in range(len(slopes) if slopes.ndim == 2 else 1):
         a = first + plane
-        rays = Rays(heights, azimuths[a], ways[a], rows, cols, margin, NEAR, SIDES, BLOCKS)
+        asked = (top, bottom, left, right)
+        rays = Rays(heights, azimuths[a], ways[a], rows, cols, asked, margin, NEAR, SIDES, BLOCKS)
         lower, upper = _ladder(rays, ladder, bool(BLOCKS and backward))
         slope = np.fmax(_far(rays, lower, upper), _near(rays, near_at[a], near_weight[a])) * azimuths[a, 3]
         if SIDES == DARK:
             slope = np.maximum(slope, _wall(rays, azimuths[a, 3]))
         if WHAT == SLOPES or known:
-            out = slopes[plane : plane + 1].reshape(rows, cols)[:: rays.towards]
+            out = slopes[plane : plane + 1].reshape(rows, cols)[:: rays.towards][rays.asked]
             slope = np.maximum(slope, out) if known else slope
         if WHAT == SLOPES:
             out[...] = np.where(slope < np.float32(-1e20), -np.inf, slope)
         else:
             light = _light(rays, tilts, slope, azimuths[a], table[a] if WHAT == TABLE else None, knots)
-            sum[ways[a, 5]].reshape(rows, cols)[:: rays.towards] += (light + HALF).astype(np.int32)
+            out = sum[ways[a, 5]].reshape(rows, cols)[:: rays.towards][rays.asked]
+            out += (light + HALF).astype(np.int32)
 
 
 class Ladder(NamedTuple):
@@ -88,7 +94,11 @@ class Ladder(NamedTuple):
 
 
 class Rays:
-    """The rays of one azimuth, from u rows on and column x: row y of the map, element p of heights."""
+    """The rays of one azimuth, from u rows on and column x: row y of the map, element p of heights.
+
+    ``asked``: of the nodes whose rays these are the first row and the last's next, and columns likewise;
+    kept as rows u and columns.
+    """
 
     def __init__(
         self,
@@ -97,6 +107,7 @@ class Rays:
         way: np.ndarray,
         rows: int,
         cols: int,
+        asked: tuple[int, int, int, int],
         margin: int,
         NEAR: int,
         SIDES: int,
@@ -108,7 +119,11 @@ class Rays:
         self.towards, self.near_rows, self.near_columns, self.warm, self.window = (int(v) for v in way[:5])
         self.periodic, self.oblique = SIDES == PERIODIC, bool(self.reciprocal < 1e8)
         self.stride, self.nearest, self.blocks = cols + 2 * margin, NEAR, BLOCKS
-        self.u, self.x = np.arange(rows, dtype=np.int32)[:, None], np.arange(cols, dtype=np.int32)
+        top, bottom, left, right = asked
+        first, self.end = (top, bottom) if self.towards > 0 else (rows - bottom, rows - top)
+        self.asked = slice(first, self.end), slice(left, right)
+        self.u = np.arange(first, self.end, dtype=np.int32)[:, None]
+        self.x = np.arange(left, right, dtype=np.int32)
         self.y = self.u if self.towards > 0 else rows - 1 - self.u
         self.p = (self.y + margin) * self.stride + margin + self.x
         self.own = heights[self.p]
@@ -146,7 +161,7 @@ class Rays:
 def _near(rays: Rays, near_at: np.ndarray, near_weight: np.ndarray) -> np.ndarray:
     """4. every near crossing"""
     near_at = near_at[:, 0] - rays.towards * rays.stride * near_at[:, 1]
-    on_rows, on_columns = np.full((2, rays.rows, rays.cols), NONE)
+    on_rows, on_columns = np.full((2, *rays.p.shape), NONE)
     for e in range(rays.near_rows if rays.blocks else rays.nearest):
         on_rows = np.fmax(on_rows, rays.rise(rays.p + near_at[e], 1, near_weight[e], np.float32(e + 1)))
     for e in range(rays.near_columns):
@@ -223,11 +238,11 @@ def _lines(rays: Rays, backward: bool) -> tuple[np.ndarray, np.ndarray, np.ndarr
     overhang = 0 if rays.periodic else int(abs(rays.shear) * np.float32(rays.rows)) + 1
     origin = -overhang if rays.shear < 0 else 0
     line = np.arange(origin, cols + (overhang if rays.shear > 0 else 0), dtype=np.int32)
-    start, stop = np.full_like(line, -rays.warm), np.full_like(line, rays.rows)
+    start, stop = np.full_like(line, -rays.warm), np.full_like(line, rays.end)
     if not rays.periodic and rays.oblique:
         enters, leaves = (line - cols, line + 1) if rays.shear > 0 else (-line - 1, cols - line)
         start = np.maximum(np.floor(enters.astype(np.float32) * rays.reciprocal).astype(np.int32), 0)
-        stop = np.minimum((leaves.astype(np.float32) * rays.reciprocal).astype(np.int32) + 2, rays.rows)
+        stop = np.minimum((leaves.astype(np.float32) * rays.reciprocal).astype(np.int32) + 2, rays.end)
     if backward:
         warm, window = rays.warm, rays.window
         start, stop = start - (start + warm) % window, stop + window - 1 - (stop - 1 + warm) % window
@@ -250,7 +265,8 @@ def _row_of(rays: Rays, ladder: Ladder, line: np.ndarray, comes: int, comes_at: 
 
 def _ladder(rays: Rays, ladder: Ladder, backward: bool) -> tuple[np.ndarray, np.ndarray]:
     """Distances [rows] of the crossings of the two steps of the ladder between which each node lies."""
-    rows, cols, x, warm, window = rays.rows, rays.cols, np.arange(rays.cols), rays.warm, rays.window
+    rows, cols, x, warm, window = rays.rows, rays.cols, rays.x, rays.warm, rays.window
+    first, here = rays.asked[0].start, np.arange(len(x))
     line, start, stop = _lines(rays, backward)
     level = ladder.quantized(rays.own)
 
@@ -259,7 +275,7 @@ def _ladder(rays: Rays, ladder: Ladder, backward: bool) -> tuple[np.ndarray, np.
     steps, rises = (ladder.steps if backward else -ladder.steps)[:, None], ladder.rises[:, None]
     mask = (1 << ladder.bits) - 1
     comes_at = window if backward else rays.nearest + 1
-    lower, upper = np.empty((2, rows, cols), np.int32)
+    lower, upper = np.empty((2, *rays.p.shape), np.int32)
     for i in range(start.min(), stop.max()):
         u, into = i, 1
         if rays.blocks:
@@ -274,15 +290,16 @@ def _ladder(rays: Rays, ladder: Ladder, backward: bool) -> tuple[np.ndarray, np.
             seen = _row_of(rays, ladder, line, comes, comes_at)
         going = (start <= i) & (i < stop)
         above = np.where(going, np.maximum(above + steps, seen), above)
-        if not 0 <= u < rows:
+        if not first <= u < rays.end:
             continue
         # 5. the two steps of the ladder between which each node lies, by bisection; above[s] is rises[s] too
         # high
         of = x - int(np.floor(HALF - rays.shear * np.float32(u)))
         heard = above[:, of % cols if rays.periodic else of - line[0]]
-        test = heard >= level[u] + rises
-        s = np.zeros(cols, np.int32)
+        test = heard >= level[u - first] + rises
+        s = np.zeros(len(x), np.int32)
         for half in (8, 4, 2, 1):
-            s += half * test[s + half, x]
-        lower[u], upper[u] = heard[s, x] & mask, heard[np.minimum(s + 1, LADDER - 1), x] & mask
+            s += half * test[s + half, here]
+        lower[u - first] = heard[s, here] & mask
+        upper[u - first] = heard[np.minimum(s + 1, LADDER - 1), here] & mask
     return lower, upper
