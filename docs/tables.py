@@ -392,7 +392,7 @@ SOURCES = {
     "sun": "sky with sun",
     "lamp": "isotropic lamp",
     "spot": "spotlight, one image",
-    "spot, depth known to 6": "spotlight, depth known to 6 layers",
+    "spot, depth known to 6": "spotlight, depth known to 6 spacings",
     "spot and sky": "spotlight and sky, two images",
 }
 
