@@ -22,10 +22,14 @@ AZIMUTHS, CELLS = 1440, 1024  # of the smooth part of a sky; cells of elevation
 WITHIN = 4  # places within an azimuth's width at which brightness is taken
 NARROW, NARROW_CELLS = 192, 256  # azimuths and cells of elevation of a feature
 SLICES, POINTS = 1024, 64  # of a lamp or window; points of a slice at which brightness is taken
-# rays of a node to a slit or tube, by the oracle; slices were wrong at nodes that nearly lie below one, by up
-# to 13 % of a node and 4 % of the mean in all. With twice as many, nodes change by up to 0.05 % where the
-# brightness is even; 4,096 are wrong by 0.7 % of the mean behind a slit before small lights
-THIN_RAYS = 32768
+# times as many for slits and tubes whose brightness varies: without, nodes that nearly lie below one are
+# wrong by 0.2 to 4 % of the mean in all
+THIN_DENSITY = 3
+# share of its length to which a source is a line, and rays of a node to it, by the oracle: slices were wrong
+# at nodes that nearly lie below one, by up to 13 % of a node and 4 % of the mean in all. With twice as many
+# rays, nodes change by up to 0.05 % where the brightness is even; 4,096 are wrong by 0.7 % of the mean behind
+# a slit before small lights. Behind wider ones a small sun asks for more rays than the oracle can follow.
+LINE_SHARE, LINE_RAYS = 0.001, 32768
 
 
 def primitives(e):
@@ -538,15 +542,15 @@ def through_solid(samples, solid, light, density):
     return total
 
 
-def is_thin(solid):
+def is_thin(solid, share=0.02):
     """Whether a solid is a quadrangle that is far longer than wide."""
     if not hasattr(solid, "corners"):
         return False
     sides = [np.linalg.norm(solid.corners[n] - solid.corners[0]) for n in (1, 3)]
-    return min(sides) < 0.02 * max(sides)
+    return min(sides) < share * max(sides)
 
 
-def through_thin(samples, scene, source, rays):
+def through_line(samples, scene, source, rays):
     """Irradiance (nodes,) by a slit or tube: the oracle's rays to points of it."""
     depth = np.asarray(scene.depth, float)
     nodes = np.asarray(samples.y).astype(int), np.asarray(samples.x).astype(int)
@@ -566,10 +570,12 @@ def truth(samples, scene, source, light, density=1):
         smooth = part_of_sky(samples, light.smooth, azimuth, width, low, high, CELLS * density, within=WITHIN)
         return of_features(samples, light, density) + smooth
     solid = upright(solid_of(scene, source, 1 / scene.spacing, 1.0))
-    if is_thin(solid):
-        return through_thin(samples, scene, source, THIN_RAYS * density)
+    if is_thin(solid, LINE_SHARE):
+        return through_line(samples, scene, source, LINE_RAYS * density)
     bounds = None
     if isinstance(source, sl.Window):
         bounds = (*np.array(source.x) / scene.spacing, *np.array(source.y) / scene.spacing)
+    if callable(light.smooth) or light.features:
+        density *= THIN_DENSITY if is_thin(solid) else 1
     total = through_solid(samples, solid, light.smooth, density)
     return total + of_features(samples, light, density, bounds) if light.features else total
