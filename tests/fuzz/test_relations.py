@@ -27,7 +27,7 @@ def test_relations_hold_of_a_few_cases(fast, name):
 @pytest.mark.parametrize("name", relations.RELATIONS)
 def test_relations_hold(backend, name):
     """On every backend."""
-    holds(name, backend, 8)
+    holds(name, backend, 4)
 
 
 def test_relations_can_fail(fast, monkeypatch):
