@@ -1042,7 +1042,7 @@ class _SlicePlanner(_Planner):
         off = float(point_error(np.sin(self.apparent), 1.0))
         taken, why = (
             f"{self.units} slices",
-            f"its radius seems {np.degrees(self.apparent):.2g} degrees on average",
+            f"its angular radius is {np.degrees(self.apparent):.2g} degrees on average",
         )
         if closed:
             shape = "a sphere, closed form" if isinstance(self.solid, Ball) else "a polygon, closed form"
