@@ -51,12 +51,13 @@ from .sources.solids import Ball, Quad, aperture, rectangle, upright
 DEFAULT_TAIL = 10.0  # bound on the 99.9th percentile of the error, in tolerances, unless given
 # error over half the difference of two images: where samples cannot tell it, the median of 60 lamps and
 # windows (96 x 96); and the most, since more says that the two share an error, which no more azimuths mend.
-# Half of the first: one of 57 images of 19 lamps is 1.6 tolerances off without a word; twice: 52 % of the
-# estimates within 0.5 to 3 of the truth, not 79 %
+# With half of the first, one of 57 images of 19 lamps and panels has an error of 1.6 tolerances without a
+# warning; with twice, 52 % of the estimates are within 0.5 to 3 of the truth instead of 79 %
 UNSEEN_SHARE, MOST_SHARE = 0.5, 1.3
 # times the square of that half at the samples, up to which it may be over all nodes and is known; chosen: the
 # samples know a square to some 10 %, and a few nodes that they miss make it 4 to 10^6 times as large. With
-# twice as much the same of 57 images of 19 lamps are within the tolerance, and as many estimates right
+# twice as much, as many of 57 images of 19 lamps and panels are within the tolerance and as many estimates
+# right
 SEEN = 2.0
 # error of the exact light at the samples over its difference from coarser light; measured, docs/explanation
 JUDGE_SHARE = 0.45
@@ -528,24 +529,6 @@ class _Planner(ABC):
         """Whether errors at the samples are within the tolerance and its tail."""
         return found.bound <= ESTIMATE_SHARE * self.tolerance and found.tail <= self.tail
 
-    def judge_by(self, units: int) -> None:
-        """Set the exact light at the samples, of so many units, and its doubt."""
-        raise NotImplementedError
-
-    def light_of(self, units: int) -> np.ndarray:
-        """Light at the samples of an image of so many units."""
-        raise NotImplementedError
-
-    def choose_units(self, ladder: Iterable[tuple[int, Iterable[int]]]) -> None:
-        """The first units that fit of those that each number of units of the exact light judges."""
-        for judge, counts in ladder:
-            self.judge_by(judge)
-            assert self.exact is not None, "what judges is known"
-            for self.units in counts:
-                self.expected = self.samples.errors(self.light_of(self.units), self.exact)
-                if self.fits(self.expected):
-                    return
-
     @property
     def closed(self) -> bool:
         """Whether the image is a closed form."""
@@ -635,7 +618,29 @@ def _uniform_light(samples: Samples) -> np.ndarray:
     return light
 
 
-class _SkyPlanner(_Planner):
+class _UnitsPlanner(_Planner):
+    """Chooses how many azimuths, slices or directions an image begins with, by exact light at the samples."""
+
+    @abstractmethod
+    def judge_by(self, units: int) -> None:
+        """Set the exact light at the samples, of so many units, and its doubt."""
+
+    @abstractmethod
+    def light_of(self, units: int) -> np.ndarray:
+        """Light at the samples of an image of so many units."""
+
+    def choose_units(self, ladder: Iterable[tuple[int, Iterable[int]]]) -> None:
+        """Take the first units that fit, of those that each number of units of the exact light judges."""
+        for judge, counts in ladder:
+            self.judge_by(judge)
+            assert self.exact is not None, "judge_by sets it"
+            for self.units in counts:
+                self.expected = self.samples.errors(self.light_of(self.units), self.exact)
+                if self.fits(self.expected):
+                    return
+
+
+class _SkyPlanner(_UnitsPlanner):
     """Skies: horizons in even azimuths."""
 
     method_class = Horizons
@@ -828,7 +833,7 @@ class _HiddenWindowPlanner(_Planner):
         yield Choice("window", "nothing to see", "a dark box, or its distance, leaves nothing of it")
 
 
-class _SlicePlanner(_Planner):
+class _SlicePlanner(_UnitsPlanner):
     """Lamps and windows of simple shape: a closed form where every node looks at all of it, else slices."""
 
     sample_count = 256  # shadows are sharper than a sky's, and rays cost more
@@ -1085,7 +1090,7 @@ def _judging_sectors(spot: BrightPart, outline: tuple[float, float, float, float
     return int(min(JUDGING_SECTORS * times | 1, MOST_JUDGING_SECTORS))
 
 
-class _LatticePlanner(_Planner):
+class _LatticePlanner(_UnitsPlanner):
     """What horizons cannot render: lattice directions, filled."""
 
     method_class, sample_count = Lattice, 64

@@ -30,6 +30,7 @@ Lengths are in spacings. z is depth, heights are -z. `pixels` is rows x cols.
 All arithmetic is +, -, x, / and sqrt, correctly rounded and in one order, so that every backend finds the
 same bits. Twin of warp_kernels/adjoint.py. */
 #include "lanes.h"
+#include "strips.h"
 #pragma OPENCL EXTENSION cl_khr_int64_base_atomics : enable
 #pragma OPENCL EXTENSION cl_khr_fp64 : enable
 #define LINK(p, k) (((p) / LINK_BLOCK * count + (k)) * LINK_BLOCK + (p) % LINK_BLOCK)
@@ -661,15 +662,21 @@ void add_link(Made *links, Crossing at, float part)
   }
 }
 
-/* Arc tangent s + s / (1 + s^2) of any s. */
-float turn(float s)
+/* Copies `held` links of node p of another image, with room for `count`, times `part`. */
+void copy_links(Made *links, int held, __global const int *first, __global const int *second,
+                __global const float *near, __global const float *far, int count, float part)
 {
-  const float t = arc_tangent(fabs(s));
-  return (s < 0 ? -t : t) + s / (1 + s * s);
+  for (int k = 0; k < held; ++k) {
+    const int from = link_at(links->p, k, count), to = link_at(links->p, links->made++, links->room);
+    links->first[to] = first[from];
+    links->second[to] = second[from];
+    links->near[to] = part * near[from];
+    links->far[to] = part * far[from];
+  }
 }
 
-/* The share of what lies below a slope, as in opencl/interreflection.cl, and its derivative by the slope. */
-float below(float s, float plane) { return -plane * turn(s) - 1 / (1 + s * s); }
+/* Derivative of `below` by the plane's slope, with the sign turned; and by the slope. */
+float turn(float s) { return arctan(s) + s / (1 + s * s); }
 
 float below_by(float s, float plane)
 {
@@ -679,9 +686,9 @@ float below_by(float s, float plane)
 
 /* add_ground: light and links of an image with the light that ground sends. Ground of mean radiance m fills
    what is not sky: E + (pi - U) m, U the irradiance by a sky of brightness 1. m = num / den, sums over the
-   strips of ground that a node sees, of shares x radiance and of shares (opencl/interreflection.cl); the
-   radiance is given. A strip's share hangs on the slopes to its two ends, and its light on where it begins
-   behind what hides the rest: every strip gives links to the crossings that bound it.
+   strips of visible ground, of shares x radiance and of shares (opencl/interreflection.cl); the radiance is
+   given. A strip's share depends on the slopes to its two ends, and its light on where it begins behind
+   nearer ground: every strip gives links to the crossings that bound it.
 
   z                     (pixels)        float  depth
   sky_light .. sky_far  as light .. far, of the sky of brightness 1; is_sky: this is the image's own source
@@ -715,21 +722,9 @@ __kernel void add_ground(__global const float *light, __global const int *held, 
   const float m = den > 0 ? sums[number * all_places + place] / den : 0, per = den > 0 ? left / den : 0;
   /* 2. links of the direct light, and of U */
   Made links = {all_first, all_second, all_near, all_far, p, 0, 0, room};
-  const float own_part = is_sky ? 1 - m : 1, sky_part = is_sky ? 0 : -m;
-  for (int k = 0; k < held[p]; ++k) {
-    const int from = link_at(p, k, count), to = link_at(p, links.made++, room);
-    all_first[to] = first[from];
-    all_second[to] = second[from];
-    all_near[to] = own_part * near[from];
-    all_far[to] = own_part * far[from];
-  }
-  for (int k = 0; k < (is_sky ? 0 : sky_held[p]); ++k) {
-    const int from = link_at(p, k, sky_count), to = link_at(p, links.made++, room);
-    all_first[to] = sky_first[from];
-    all_second[to] = sky_second[from];
-    all_near[to] = sky_part * sky_near[from];
-    all_far[to] = sky_part * sky_far[from];
-  }
+  copy_links(&links, held[p], first, second, near, far, count, is_sky ? 1 - m : 1);
+  if (!is_sky)
+    copy_links(&links, sky_held[p], sky_first, sky_second, sky_near, sky_far, sky_count, -m);
   /* 3. those of the strips */
   __global const float *sent = radiance + number * pixels;
   const float gx = tilts[p], gy = tilts[pixels + p];
@@ -794,9 +789,7 @@ __kernel void add_ground(__global const float *light, __global const int *held, 
     /* 3.3 all that is not sky */
     float end = sides == PERIODIC ? slope : MORE(slope, 0.0f);
     if (sides == DARK) {
-      const float to_x = cosine > 0 ? (cols - 0.5f - x) / cosine : (x + 0.5f) / -cosine,
-                  to_y = sine > 0 ? (rows - 0.5f - y) / sine : (y + 0.5f) / -sine,
-                  closeness = 1 / LESS(to_x, to_y), wall = z[p] * closeness;
+      const float closeness = 1 / wall_of(way_of(cosine, sine), x, y, rows, cols), wall = z[p] * closeness;
       if (wall > end)
         by_own -= m * below_by(wall, plane) * closeness;
       end = MORE(wall, end);

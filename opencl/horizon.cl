@@ -35,9 +35,9 @@ turned map.
 WHAT: SLOPES writes slopes, UNIFORM adds the light of a uniform sky, TABLE that of `table`. SIDES: OPEN, DARK
 or PERIODIC. known: slopes holds what is known already. BLOCKS: the window is not endless. backward: rows at
 the far end of the window come in, and blocks of one window are swept from the last row to the first; with a
-forward sweep by blocks it covers exactly one window before every node. top, bottom, left, right: what lies
-outside rows top .. bottom - 1 and columns left .. right - 1 is only seen: its slopes and light are not asked
-for, and undefined.
+forward sweep by blocks it covers exactly one window before every node. top, bottom, left, right: slopes and
+light are computed in rows top .. bottom - 1 and columns left .. right - 1, and undefined outside, where
+ground only occludes.
 Work-item (j, k, g) owns LANES adjacent lines of azimuth k, or STRIPS times as many on a CPU; long lines start
 first. On a GPU the LINES work-items of a group keep the rows about them in local memory if they fit
 (TILED). Twin of warp_kernels/horizon.py. */
@@ -277,7 +277,7 @@ __kernel void sweep(__global const float *restrict heights, __global const float
                     first_line + (int)floor(0.5f - shear * (shear > 0 ? i + TILE_ROWS - 1 : first_row)) - 2;
       barrier(CLK_LOCAL_MEM_FENCE);
       for (int e = get_local_id(0); e < TILE_SIZE; e += LINES) {
-        const int r = first_row + e / PITCH, 
+        const int r = first_row + e / PITCH,
                   c = min(max(first_column + e % PITCH, -margin), cols + margin - 1);
         tile[e] =
             heights[(min(max(towards > 0 ? r : rows - 1 - r, -margin), rows + margin - 1) + margin) * stride +

@@ -28,6 +28,7 @@ both ends of a row: the map repeated where it is periodic, else nothing.
 sides: OPEN, DARK or PERIODIC. A sum is in order of azimuths and crossings. Twin of
 warp_kernels/interreflection.py. */
 #include "lanes.h"
+#include "strips.h"
 #ifndef LIGHTS /* of spread, which takes any number */
 #define LIGHTS 1
 #endif
@@ -51,29 +52,6 @@ int any_lane(ints test)
 }
 #endif
 #define MOST(a, b) ((a) > (b) ? (a) : (b))
-
-/* Arc tangent of any v to 2e-7, by a polynomial fitted for least maximum error. */
-floats arctan(floats v)
-{
-  const floats a = v < 0 ? -v : v, r = a > 1 ? 1 / a : a, q = r * r;
-  floats p = (floats)ARC_TANGENT_0 * q + ARC_TANGENT_1;
-  p = p * q + ARC_TANGENT_2;
-  p = p * q + ARC_TANGENT_3;
-  p = p * q + ARC_TANGENT_4;
-  p = p * q + ARC_TANGENT_5;
-  p = p * q + ARC_TANGENT_6;
-  p = p * q + ARC_TANGENT_7;
-  p = a > 1 ? HALF_PI - p * r : p * r;
-  return v < 0 ? -p : p;
-}
-
-/* Share of what lies below a slope, up to a constant: the integral of N.L over elevations for an element
-   whose tangent plane rises by `plane`, over half the upward part of N. */
-floats below(floats slope, floats plane)
-{
-  const floats q = 1 / (slope * slope + 1);
-  return -plane * (arctan(slope) + slope * q) - q;
-}
 
 int wrapped(int v, int period)
 {

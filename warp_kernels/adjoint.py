@@ -70,6 +70,7 @@ from skylamp.constants import (
 )
 
 from . import OPTIONS
+from .interreflection import arctan, below
 
 wp.set_module_options(OPTIONS)
 
@@ -872,23 +873,44 @@ def add_link(
 
 
 @wp.func
-def turn(s: wp.float32):
-    """Arc tangent s + s / (1 + s^2) of any s."""
-    t = arc_tangent(wp.abs(s))
-    if s < 0.0:
-        t = -t
-    return t + s / (1.0 + s * s)
+def copy_links(
+    first: wp.array[wp.int32],
+    second: wp.array[wp.int32],
+    near: wp.array[wp.float32],
+    far: wp.array[wp.float32],
+    p: wp.int32,
+    made: wp.int32,
+    room: wp.int32,
+    held: wp.int32,
+    other_first: wp.array[wp.int32],
+    other_second: wp.array[wp.int32],
+    other_near: wp.array[wp.float32],
+    other_far: wp.array[wp.float32],
+    count: wp.int32,
+    part: wp.float32,
+):
+    """Copies ``held`` links of node p of another image, with room for ``count``, times ``part``. Returns the
+    number of links.
+    """
+    for k in range(held):
+        source = link(p, k, count)
+        to = link(p, made + k, room)
+        first[to] = other_first[source]
+        second[to] = other_second[source]
+        near[to] = part * other_near[source]
+        far[to] = part * other_far[source]
+    return made + held
 
 
 @wp.func
-def below(s: wp.float32, plane: wp.float32):
-    """The share of what lies below a slope, as in warp_kernels/interreflection.py."""
-    return -plane * turn(s) - 1.0 / (1.0 + s * s)
+def turn(s: wp.float32):
+    """Derivative of ``below`` by the plane's slope, with the sign turned."""
+    return arctan(s) + s / (1.0 + s * s)
 
 
 @wp.func
 def below_by(s: wp.float32, plane: wp.float32):
-    """Its derivative by the slope."""
+    """Derivative of ``below`` by the slope."""
     q = 1.0 / (1.0 + s * s)
     return 2.0 * q * q * (s - plane)
 
@@ -958,27 +980,29 @@ def add_ground(
         m = sums[number * all_places + place] / den
         per = left / den
     # 2. links of the direct light, and of U
-    made = wp.int32(0)
-    own_part = wp.float32(1.0)
+    own = wp.float32(1.0)
     if is_sky != 0:
-        own_part = wp.float32(1.0) - m
-    for k in range(held[p]):
-        source = link(p, k, count)
-        to = link(p, made, room)
-        made += 1
-        all_first[to] = first[source]
-        all_second[to] = second[source]
-        all_near[to] = own_part * near[source]
-        all_far[to] = own_part * far[source]
+        own = wp.float32(1.0) - m
+    made = copy_links(
+        all_first, all_second, all_near, all_far, p, 0, room, held[p], first, second, near, far, count, own
+    )
     if is_sky == 0:
-        for k in range(sky_held[p]):
-            source = link(p, k, sky_count)
-            to = link(p, made, room)
-            made += 1
-            all_first[to] = sky_first[source]
-            all_second[to] = sky_second[source]
-            all_near[to] = -m * sky_near[source]
-            all_far[to] = -m * sky_far[source]
+        made = copy_links(
+            all_first,
+            all_second,
+            all_near,
+            all_far,
+            p,
+            made,
+            room,
+            sky_held[p],
+            sky_first,
+            sky_second,
+            sky_near,
+            sky_far,
+            sky_count,
+            -m,
+        )
     # 3. those of the strips
     sent = number * pixels
     gx = tilts[p]
@@ -1080,13 +1104,7 @@ def add_ground(
         if sides != PERIODIC:
             end = wp.max(slope, 0.0)
         if sides == DARK:
-            to_x = (wp.float32(x) + 0.5) / -cosine
-            if cosine > 0.0:
-                to_x = (wp.float32(cols) - 0.5 - wp.float32(x)) / cosine
-            to_y = (wp.float32(y) + 0.5) / -sine
-            if sine > 0.0:
-                to_y = (wp.float32(rows) - 0.5 - wp.float32(y)) / sine
-            closeness = 1.0 / wp.min(to_x, to_y)
+            closeness = 1.0 / wall_of(way_of(cosine, sine), x, y, rows, cols)
             wall = z[p] * closeness
             if wall > end:
                 by_own -= m * below_by(wall, plane) * closeness

@@ -352,8 +352,8 @@ def sweep(NEAR: int, SIDES: int, WHAT: int, BLOCKS: int):
     OPEN, DARK or PERIODIC. BLOCKS: the window is not endless. known: slopes holds what is known already.
     backward: rows at the far end of the window come in, and blocks of one window are swept from the last row
     to the first; with a forward sweep by blocks it covers exactly one window before every node. top, bottom,
-    left, right: what lies outside rows top .. bottom - 1 and columns left .. right - 1 is only seen: its
-    slopes and light are not asked for, and undefined.
+    left, right: slopes and light are computed in rows top .. bottom - 1 and columns left .. right - 1, and
+    undefined outside, where ground only occludes.
 
     Thread (g, k, j) owns one line of azimuth k; long lines start first.
     """

@@ -52,7 +52,7 @@ class DeviceImage:
         return DeviceImage(self.backend, found, self.shape)
 
     def scale(self, factor: float, least: float = -math.inf) -> None:
-        """Multiply values of at least ``least`` by a number, in place."""
+        """Multiply by a number, in place; values below ``least`` become ``least`` before."""
         count = math.prod(self.shape)
         one = self.backend.table(np.ones(1, np.float32))
         numbers = 0, float(factor), float(least), count
@@ -193,7 +193,7 @@ class Resident(NamedTuple):
         self.backend.launch("resident", "heights", (cols, rows), self.depth, depth, *size, -1.0, math.inf, 0)
 
     def survey(self) -> Survey:
-        """What one pass over the map finds, the first time."""
+        """Properties of the valid nodes, by one pass over the map, which is kept."""
         if ("survey",) not in self.derived:
             self.derived["survey",] = survey(self.backend, self.depth, self.shape, self.step)
         found: Survey = self.derived["survey",]

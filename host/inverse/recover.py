@@ -131,8 +131,8 @@ def recover(
         Then, or on Ctrl-C, "robust" returns the best surface so far, with a warning; "paper" raises an error.
     interreflection : "auto", True or False
         Of method="robust": whether ground lights ground in the images, as in photographs and in what
-        :func:`skylamp.render` makes by default. "auto": it does, unless they are not explained well so and
-        direct light alone leaves 0.15 of that at most. Say False of images known to hold direct light.
+        :func:`skylamp.render` makes by default. "auto": both are tried, and direct light alone is used if
+        its residual is less than half of the other. It is several times as fast: False if that suffices.
     progress : callable, optional
         Called with (levels or layers done, their number). The residual of every level goes to the logger
         "skylamp".

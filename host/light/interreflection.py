@@ -94,13 +94,14 @@ class Planes:
         )
 
     def _tables(self, this: Round) -> list[Array]:
-        """Those of the kernels, on the device."""
-        return [self.engine.table(table) for table in tables(this, self.far)]
+        """The :func:`crossing_tables` of the kernels, on the device."""
+        return [self.engine.table(table) for table in crossing_tables(this, self.far)]
 
     def _gather_receivers(
         self, azimuths: int, tables: Sequence[Array], sums: Array, grid: tuple[int, ...], highest: float
     ) -> None:
-        """``grid``: stride, phases and width of receivers, and whether kinks are none."""
+        """Sums over the strips of receivers; ``grid``: their stride, phases and width, and whether kinks are
+        left out."""
         stride, phases, width, _ = grid
         self.engine.launch(
             "interreflection",
@@ -326,7 +327,7 @@ def _uploaded(engine: Backend, images: Sequence[np.ndarray | DeviceImage]) -> Ar
 
 
 @functools.lru_cache(32)  # rounds follow one another in the same azimuths, and so do calls
-def tables(this: Round, far: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def crossing_tables(this: Round, far: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """(ways, places, crossings) of the kernels, up to ``far`` along an azimuth's major axis."""
     angles = 2 * np.pi * (np.arange(this.azimuths) + OFFSET) / this.azimuths
     across, along = np.cos(angles), np.sin(angles)

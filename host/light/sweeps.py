@@ -117,7 +117,7 @@ class Sweeps:
         self.margin = self.near + backend.lanes + 3
         reserve(
             backend,
-            32 * (rows + 2 * self.margin) * (cols + 2 * self.margin),
+            36 * (rows + 2 * self.margin) * (cols + 2 * self.margin),
             f"A map of {rows} x {cols} nodes",
             "Cut it into tiles.",
         )
@@ -382,11 +382,9 @@ class Sweeps:
         order = np.argsort(windows, kind="stable")
         numbers, windows, reach = numbers[order], windows[order], reach[order]
         warm = 0
-        if periodic and math.isinf(self.reach):
-            warm = math.ceil(max(rows, cols, self.relief / LEAST_SEARCHED_SLOPE))
-        elif periodic:
-            warm = math.ceil(min(self.reach, max(rows, cols, self.relief / LEAST_SEARCHED_SLOPE))) + 1
         if periodic:
+            most = max(rows, cols, self.relief / LEAST_SEARCHED_SLOPE)
+            warm = math.ceil(min(self.reach + 1, most))
             _check_search(self.backend, self.relief, warm, len(numbers))
         shears, tables = _shear_tables(
             self.near, self.rays, self.units, numbers, windows, reach, warm, across, along
@@ -522,10 +520,12 @@ def ladder(
     An integer holds a height above a ray in units of 1 / unit, and in its ``bits`` lowest bits a distance up
     to ``span`` rows. Raises CapacityError where that leaves no room for heights.
     """
-    rows = max(span, comes_at)
-    bits = max(1, math.ceil(math.log2(rows + 2)))
+    bits = max(1, math.ceil(math.log2(max(span, comes_at) + 2)))
     if bits > MOST_DISTANCE_BITS:
-        raise _too_far(relief, rows, 1, 2**MOST_DISTANCE_BITS)
+        raise CapacityError(
+            f"A relief of {relief:.3g} on a map that repeats must be followed over {max(span, comes_at):,}"
+            f" rows, at most {2**MOST_DISTANCE_BITS:,}; give depth and spacing in one unit, or max_distance."
+        )
     slopes = np.tan(np.linspace(0, 1, LADDER) ** 1.5 * math.atan(steepest))
     slopes = slopes if steepest > 0 else slopes[::-1]
     high = relief + (steepest * comes_at if steepest > 0 else -steepest * span)
@@ -536,17 +536,12 @@ def ladder(
 
 def _check_search(backend: Backend, relief: float, rows: int, azimuths: int) -> None:
     """CapacityError where a sweep over a map that repeats would follow its relief for too many rows."""
-    most = min(2**MOST_DISTANCE_BITS, backend.most_searched_rows // max(1, azimuths))
-    if rows > most:
-        raise _too_far(relief, rows, azimuths, most)
-
-
-def _too_far(relief: float, rows: int, azimuths: int, most: int) -> CapacityError:
-    return CapacityError(
-        f"A relief of {relief:.3g} spacings on a map that repeats must be followed over {rows:,} rows in"
-        f" {azimuths} azimuths; at most {most:,} rows. Give depth and spacing in one unit, or"
-        " max_distance, or choose a compiled backend."
-    )
+    if rows * azimuths > backend.most_searched_rows:
+        raise CapacityError(
+            f"A relief of {relief:.3g} on a map that repeats must be followed over {rows:,} rows in"
+            f" {azimuths} azimuths; {backend.name} takes {backend.most_searched_rows // azimuths:,} at most."
+            " Give depth and spacing in one unit, or max_distance, or choose a compiled backend."
+        )
 
 
 def _steepest(best: np.ndarray) -> tuple[float, float]:

@@ -21,9 +21,8 @@ class NumpyBackend(Backend):
     name = "numpy"
     device = "NumPy, 1 thread"
     shares = True
-    most_searched_rows = (
-        2**19
-    )  # half a minute for both turns of a map, at 33 us a row (measured, 16 x 16 nodes)
+    # half a minute for both turns of a map, at 33 us a row (measured, 16 x 16 nodes)
+    most_searched_rows = 2**19
 
     @property
     def memory(self) -> int:

@@ -27,6 +27,7 @@ from ...constants import (
     UNIT_RV,
     UNIT_VV,
 )
+from .interreflection import _arctan, _below
 
 f32 = np.float32
 Values = Any  # one per node, or one for all
@@ -599,14 +600,8 @@ class _Made:
 
 
 def _turn(s: np.ndarray) -> np.ndarray:
-    t = _arc_tangent(np.abs(s))
-    angle: np.ndarray = np.where(s < 0, -t, t) + s / (ONE + s * s)
-    return angle
-
-
-def _below(s: np.ndarray, plane: np.ndarray) -> np.ndarray:
-    share: np.ndarray = -plane * _turn(s) - ONE / (ONE + s * s)
-    return share
+    total: np.ndarray = _arctan(s) + s / (ONE + s * s)
+    return total
 
 
 def _below_by(s: np.ndarray, plane: np.ndarray) -> np.ndarray:
@@ -615,8 +610,8 @@ def _below_by(s: np.ndarray, plane: np.ndarray) -> np.ndarray:
     return by
 
 
-class _SeenStrips:
-    """Derivatives of the strips that all nodes see, in one azimuth after another; step comments as there."""
+class _VisibleStrips:
+    """Derivatives of the strips visible from all nodes, azimuth by azimuth; steps as in opencl/adjoint.cl."""
 
     def __init__(self, z: np.ndarray, sent: np.ndarray, m: np.ndarray, per: np.ndarray, links: _Made):
         self.z, self.sent, self.m, self.per, self.links = z, sent, m, per, links
@@ -745,7 +740,7 @@ def add_ground(
     if not is_sky:
         links.copy(sky_held, -m, sky_first, sky_second, sky_near, sky_far)
     # 3. those of the strips
-    strips = _SeenStrips(z, radiance.reshape(images, pixels)[number], m, per, links)
+    strips = _VisibleStrips(z, radiance.reshape(images, pixels)[number], m, per, links)
     places, crossings = places.reshape(azimuths, steps, 2), crossings.reshape(azimuths, steps, 3)
     for k, (cosine, sine, on_columns, _) in enumerate(ways.reshape(azimuths, 4)):
         strips.begin(-(tilts[0] * cosine + tilts[1] * sine))
