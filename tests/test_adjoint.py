@@ -695,6 +695,7 @@ def test_a_step_is_that_of_the_dense_matrices(backend, name, sides):
     )
 
 
+@pytest.mark.slow
 def test_the_posterior_is_that_of_the_dense_hessian(fast):
     """Where the model is linear, J at a surface, the samples have the standard deviation of sigma^2 H^-1, of
     means over neighbours; it is proportional to noise, and no smaller where a second image is left out.

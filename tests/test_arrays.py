@@ -235,6 +235,7 @@ def test_labels_are_a_copy(labelled, fast):
     same_labels(sl.sky_view_factor(scene, backend=fast), before, "sky_view_factor", "1")
 
 
+@pytest.mark.slow
 def test_recover_from_a_dataarray(labelled, fast):
     """Depth and the mask of drilled columns."""
     image = labelled / labelled.max()
@@ -246,6 +247,7 @@ def test_recover_from_a_dataarray(labelled, fast):
     assert isinstance(field.view((3, 3, 0), backend=fast).brightness, np.ndarray)
 
 
+@pytest.mark.slow
 def test_xarray_is_not_imported():
     """Nor is anything else that a user may not have."""
     code = (

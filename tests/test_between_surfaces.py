@@ -195,6 +195,7 @@ def test_masked_nodes_send_and_get_nothing(fast):
     assert (out.reflected[HOLES] >= 0).all() and out.interreflection.included
 
 
+@pytest.mark.slow
 def test_periodic_furnace(backend):
     """Albedo 1, a map that repeats, a uniform sky: pi B everywhere to 1e-5, whatever the tolerance."""
     out = sl.render(

@@ -122,6 +122,7 @@ def test_the_inverse_has_axes_of_its_own(tmp_path):
     assert "bumps: the default (opencl): 1 s" in text
 
 
+@pytest.mark.slow
 def test_svg_has_the_setting_on_hover(tmp_path):
     """Every drawn point has a title with its method, its time and its error."""
     rows = [

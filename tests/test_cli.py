@@ -453,6 +453,7 @@ def test_help_shows_examples_that_parse(here, capsys, command):
         assert set(context.params) == {parameter.name for parameter in parser.params} - {"help"}
 
 
+@pytest.mark.slow
 def test_completion_is_offered():
     """The script of a shell is printed, and words are completed."""
     environment = {
@@ -560,6 +561,7 @@ def test_as_a_module(here, module):
     assert missing.returncode == 3 and missing.stderr.startswith("skylamp: error: File not found: no.npy")
 
 
+@pytest.mark.slow
 def test_bar_on_a_terminal(here):
     """On a terminal stderr shows what is being done, and stdout stays clean."""
     pty = pytest.importorskip("pty")  # not on Windows

@@ -397,6 +397,7 @@ def test_the_rooms_are_not_imported_twice():
     assert not {"host", "opencl", "warp_kernels"} & set(sys.modules)
 
 
+@pytest.mark.slow
 def test_without_an_opencl_driver_opencl_is_missing_with_a_reason():
     """No driver found: the rest works, a named opencl is an error, auto takes another and says which."""
     out = python(

@@ -476,6 +476,7 @@ def _bowl(backend, degrees, count):
     return abs(light[inside] / (np.pi * (1 + math.cos(rim)) / 2) - 1).max()
 
 
+@pytest.mark.slow
 def test_a_shallow_bowl(backend):
     """The same light at every point, E = pi B (1 + cos a) / 2."""
     assert _bowl(backend, 20, 64) <= 0.002

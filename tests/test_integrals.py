@@ -238,6 +238,7 @@ def test_suns_that_are_none(suns):
         sl.Sky(lambda L: L[..., 0], suns=suns)
 
 
+@pytest.mark.slow
 def test_a_sky_with_a_disc_is_its_parts(fast):
     """On level ground, also of a periodic map; an explicit number of azimuths still refuses the latter."""
     for sun in ((0, 90), (123.4, 35), (300, 3)):
@@ -292,6 +293,7 @@ def test_suns_have_all_their_light(fast):
             assert count != 4 or share[1:-1].max() < 1.6 / count
 
 
+@pytest.mark.slow
 def test_what_is_no_sun():
     """Even skies have none; nor do parts that span much azimuth or give a tenth of the tolerance."""
     assert (

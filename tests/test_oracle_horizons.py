@@ -120,6 +120,7 @@ DIRECTIONS = [(i, j) for i in range(-3, 4) for j in range(-3, 4) if math.gcd(i, 
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("masked", [False, True])
 def test_horizons_look_at_every_crossing(masked):
     """Against exact fractions, on a map wider than tall; through nodes beside masked ones too."""
@@ -145,6 +146,7 @@ def test_horizons_look_at_every_crossing(masked):
     )
 
 
+@pytest.mark.slow
 def test_horizons_of_a_map_that_repeats_look_at_every_crossing():
     """Over four laps, in fractions: 32 nodes at least, from where on a relief of 4 can only rise 1/8."""
     whole = np.random.default_rng(5).integers(0, 5, (5, 8))

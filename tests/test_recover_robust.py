@@ -80,6 +80,7 @@ def test_isotropic_lamp(fast, name):
     )
 
 
+@pytest.mark.slow
 def test_sky_with_a_sun(fast):
     """At most three layers off on a fractal, eight times nearer than carving."""
     assert off("fractal", "sun", fast) < min(
@@ -202,6 +203,7 @@ def test_the_confident_half_is_the_better_one(fast, name):
     assert rms((got.depth - depth)[sure]) < 0.5 * rms((got.depth - depth)[~sure])
 
 
+@pytest.mark.slow
 def test_the_std_is_as_large_as_the_errors(fast):
     """Of all pixels of two surfaces more than half lie within one standard deviation, most within two, and it
     is not many times too large either.
@@ -411,6 +413,7 @@ def test_an_albedo_in_any_unit(fast):
     assert rms(got.depth - other.depth) < 0.02 and rms(other.albedo / 50 - got.albedo) < 0.01
 
 
+@pytest.mark.slow
 def test_an_albedo_that_two_images_do_not_tell_is_not_trusted(fast):
     """Two skies say little of it: what is wrong by more than a layer is marked, what is trusted is far better
     than the rest, and a warning says why.
@@ -465,6 +468,7 @@ def test_all_backends_find_the_same_depth(backend):
     assert got.backend == backend and np.ptp(got.depth) > 1
 
 
+@pytest.mark.slow
 def test_spacing_is_a_unit(fast):
     """Everything twice as long: the same image, twice the depth."""
     depth, image = pair("bumps", "lamp")
@@ -564,6 +568,7 @@ def test_wrong_sides_are_suspected(fast):
     assert found("bumps", "sky", fast, SMALL).warnings == []
 
 
+@pytest.mark.slow
 def test_a_small_lamp_is_named(fast):
     """Smaller than a node of the coarsest grid at the deepest depth."""
     image = pair("plane", "lamp")[1]
@@ -641,6 +646,7 @@ def test_an_interrupt_before_the_first_level_gives_a_flat_surface(fast, monkeypa
     assert any("Interrupted" in warning for warning in got.warnings) and got.levels == ()
 
 
+@pytest.mark.slow
 def test_an_interrupted_cycle_leaves_the_targets_as_they_were(fast):
     """Ctrl-C while a coarse grid works for a finer one: what is done with that grid afterwards is about its
     own image again.
@@ -706,6 +712,7 @@ def test_bad_arguments(arguments, says):
         )
 
 
+@pytest.mark.slow
 def test_surfaces_are_what_they_are_said_to_be():
     """Relief of 15 to 22 nodes, and an image that a grid's own model nearly makes too."""
     for name in SURFACES:

@@ -304,6 +304,7 @@ def test_a_spike_on_a_plain_is_not_overlooked(fast):
     assert sl.plan(sl.Scene(depth), sl.Lamp((-40, 36, 5), 3), backend=fast).method == "horizon"
 
 
+@pytest.mark.slow
 def test_a_trench_in_a_plain_is_not_overlooked(fast):
     """Under a sky, where few samples or none would lie in it."""
     y, x = np.mgrid[:600, :600].astype(float)
@@ -549,6 +550,7 @@ def test_thin_sources(fast, ground, kind):
         np.testing.assert_allclose(samples.of(out.image), exact, rtol=0.01)
 
 
+@pytest.mark.slow
 def test_a_slit_before_a_sharp_map(fast):
     """Pixels of one degree and a half, which no table of chords holds that well, point by point."""
     light = sl.environment_map(np.random.default_rng(1).gamma(0.5, size=(128, 256)))
@@ -1103,6 +1105,7 @@ def test_a_plan_says_how_it_was_refined(fast, monkeypatch):
     assert taken["refined to"].startswith(str(out.plan.azimuths)) and "refined" in out.plan.line
 
 
+@pytest.mark.slow
 def test_where_nothing_is_lit_the_error_is_a_number(fast):
     """At the bottom of a box a million times as deep as it is wide no error is nan."""
     depth = np.full((8, 10), 1e7)
@@ -1139,6 +1142,7 @@ def no_light_is_negative(backend, deep):
             assert (out.image <= 1.05 * free + 1e-6).all(), (n, deep, how)
 
 
+@pytest.mark.slow
 def test_no_light_is_negative_in_a_shaft(fast):
     """Uneven skies in the few azimuths of a coarse tolerance: a control variate left -15 % of the mean."""
     no_light_is_negative(fast, 1e7)

@@ -356,6 +356,7 @@ def test_albedo_and_irradiance_of_tiles(dem, fast):
     np.testing.assert_allclose(image, light.values[..., None] * albedo / np.pi, rtol=1e-5)
 
 
+@pytest.mark.slow
 def test_maps_of_albedo_in_tiles(dem, fast):
     """Of one colour and of three, computed or lazy in chunks of their own; nan where the ground is."""
     options = dict(backend=fast, azimuths=4, tiling=SMALL)

@@ -304,6 +304,7 @@ def test_the_shadow_of_an_edge_in_a_window(backend):
 # --- brightness
 
 
+@pytest.mark.slow
 def test_a_small_lamp_shines_with_the_brightness_of_its_direction(backend):
     """B(L) pi (R / d)^2 cos for a spot cos^16; overhead, where knots are far apart, their mean."""
     depth = np.full((13, 17), 30.0)
@@ -809,6 +810,7 @@ def test_a_sun_through_a_window(backend, fast):
     assert not by_suns(backend, np.full_like(depth, 0.0), [sun], window).any()
 
 
+@pytest.mark.slow
 def test_suns_are_found_wherever_they_stand():
     """At the zenith, across azimuth 0, two at once; all of their light, and none where brightness is even."""
 

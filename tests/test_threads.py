@@ -87,6 +87,7 @@ def test_the_same_work_on_threads(backend):
         assert [image.tobytes() for image in together(jobs)] == expected
 
 
+@pytest.mark.slow
 def test_recover_on_threads(fast):
     """What one recovery has recorded and holds on the device is not another's."""
     jobs = [functools.partial(WORK[0], depth_of(4), fast)]
@@ -117,6 +118,7 @@ def test_one_scene_on_all_backends_at_once():
         assert together(jobs) == expected
 
 
+@pytest.mark.slow
 def test_maps_that_lie_on_a_device_on_threads():
     """Scenes of Warp arrays launch kernels before any call, and copy to the host for another backend."""
     import warp as wp

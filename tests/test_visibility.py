@@ -180,7 +180,8 @@ def test_lamps_of_any_shape_equal_the_oracle(backend, name, size, sides):
     )
 
 
-@pytest.mark.parametrize("sides", ["open", pytest.param("dark", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("sides", ["open", "dark"])
 def test_filled_windows_and_high_lamps_are_the_filled_sky_clipped(backend, sides):
     """Above z = 0 nothing blocks, so there a source only takes away what it does not fill."""
     name, cube = "fractal", sl.Hemicube(9)
@@ -309,6 +310,7 @@ def test_window_edges_on_nodes_do_not_depend_on_the_unit(backend, spacing):
 # -- promises ------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("filled", [False, True], ids=["stride", "filled"])
 def test_a_second_run_gives_the_same_bytes(backend, filled):
     """No race and no leftover of the run before; another problem runs in between."""

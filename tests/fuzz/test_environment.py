@@ -170,6 +170,7 @@ def test_a_memory_limit_is_a_capacity_error():
     assert out.startswith("CapacityError"), out
 
 
+@pytest.mark.slow
 def test_stdout_that_is_closed(tmp_path):
     """`skylamp backends | head -0` ends without a traceback."""
     call = "sys.argv = ['skylamp', 'backends', '--json']; main()"
