@@ -12,7 +12,7 @@ import typer
 
 import skylamp as sl
 from skylamp import io
-from skylamp.app import cli, examples
+from skylamp.app import cli, demo, examples
 
 BOWL = (np.hypot(*np.mgrid[-6:7, -7:8]) // 2).max() - np.hypot(*np.mgrid[-6:7, -7:8]) // 2 + 1
 
@@ -620,6 +620,29 @@ def test_demo(tmp_path, capsys):
         tones = io.read(tmp_path / "new" / "demo" / picture["file"])
         assert tones.dtype == np.uint8 and tones.std() > 20, picture
     assert all(b["bits_equal"] and b["difference"] < 1e-5 for b in facts["backends"] if b["available"])
+
+
+def test_tables_print_brackets(capsys):
+    """Units, files and devices whose names hold brackets stand in the tables as they are."""
+    device = {
+        "name": "opencl:0:0",
+        "device": "card [b]",
+        "seconds": 0.01,
+        "bits_equal": True,
+        "difference": 0,
+    }
+    missing = {"name": "warp:cuda:0", "device": "", "why": "no [driver]"}
+    demo.print_tables(
+        {
+            "out": "a [s]",
+            "backend": "numpy",
+            "pictures": [],
+            "backends": [{**device, "available": True}, {**missing, "available": False}],
+        }
+    )
+    printed = capsys.readouterr().err
+    for text in ("a [s]", "run [s]", "card [b]", "no [driver]"):
+        assert text in printed
 
 
 def test_render_takes_colour_and_gloss(here, capsys):

@@ -17,7 +17,6 @@ from typing import Annotated, Any, NoReturn
 
 import numpy as np
 import typer
-from rich.markup import escape
 from rich.table import Column, Table
 
 import skylamp as sl
@@ -208,11 +207,11 @@ def plan(
         return
     table = Table(Column("choice", no_wrap=True), "taken", "why", title=f"{file}, within {tolerance}")
     for choice in made.choices:
-        table.add_row(choice.what, choice.taken, escape(choice.why))
+        table.add_row(choice.what, choice.taken, choice.why)
     console = output.console()
     console.print(table)
     for text in made.beyond:
-        console.print(f"Beyond the model: {escape(text)}")
+        console.print(f"Beyond the model: {text}")
 
 
 @app.command(epilog=epilog("recover"))

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rich.markup import escape
 from rich.table import Column, Table
 
 from .. import io
@@ -185,7 +184,7 @@ def print_tables(facts: dict[str, Any]) -> None:
         "black",
         "white",
         "gamma",
-        title=f"Pictures in {escape(facts['out'])}, made by {facts['backend']}",
+        title=f"Pictures in {facts['out']}, made by {facts['backend']}",
     )
     for picture in facts["pictures"]:
         table.add_row(
@@ -212,5 +211,5 @@ def print_tables(facts: dict[str, Any]) -> None:
                 f"{row['difference']:.1e}",
             )
         else:
-            table.add_row(row["name"], row["device"], escape(row["why"]))
+            table.add_row(row["name"], row["why"])
     console.print(table)

@@ -164,9 +164,12 @@ def progress_bar(title: str) -> Iterator[Callable[[int, int], None] | None]:
 
 
 def console(stderr: bool = False) -> Console:
-    """A console for tables: as wide as the terminal, or of a fixed width where there is none."""
+    """A console for tables, as wide as the terminal, or of a fixed width where there is none.
+
+    It prints brackets as they are: units and names of files and devices may hold them.
+    """
     stream = sys.stderr if stderr else sys.stdout
-    return Console(stderr=stderr, width=None if stream.isatty() else WIDTH)
+    return Console(stderr=stderr, width=None if stream.isatty() else WIDTH, markup=False)
 
 
 def report(done: Any, out: str, as_json: bool, **facts: Any) -> None:
