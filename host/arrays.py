@@ -127,9 +127,9 @@ def host_array(values: Any) -> np.ndarray:
     """
     if isinstance(values, np.ndarray):
         return values
-    found = on_device(values)
-    if found is not None:
-        return np.asarray(found.numpy())
+    exported = on_device(values)
+    if exported is not None:
+        return np.asarray(exported.numpy())
     if hasattr(values, "__dlpack__") and not hasattr(values, "__array__"):
         return np.from_dlpack(values)
     return np.asarray(values)
@@ -189,13 +189,13 @@ def spacing_of(labels: Labels | None) -> float:
                 "Reproject the map (dem.rio.reproject), or give spacing in the unit of height.",
             )
         steps.append(np.abs(np.diff(coordinate.values.astype(np.float64))))
-    found = np.concatenate([*steps, np.zeros(0)])
-    if not found.size:
+    differences = np.concatenate([*steps, np.zeros(0)])
+    if not differences.size:
         return 1.0
-    if not found.max() * (1 - UNEVEN) <= found.min() or not found.min() > 0:
+    if not differences.max() * (1 - UNEVEN) <= differences.min() or not differences.min() > 0:
         raise bad(
             "spacing by coordinates",
-            f"steps of {found.min():g} to {found.max():g}",
+            f"steps of {differences.min():g} to {differences.max():g}",
             "even steps, the same along both axes",
             "Resample the map, or give spacing.",
         )

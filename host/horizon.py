@@ -73,10 +73,10 @@ def horizons(
     azimuths = as_azimuths(azimuths)
     work = partial(_slopes, azimuths=azimuths, backend=backend, axes=scene.axes)
     with limited(max_seconds, "horizons", scene, backend):
-        found: Any = over_tiles(work, scene, tiling, max_distance, backend, SLOPE, azimuth=azimuths.angles)
+        mapped: Any = over_tiles(work, scene, tiling, max_distance, backend, SLOPE, azimuth=azimuths.angles)
     if scene.labels is not None:
-        found.coords["azimuth"].attrs.update(AZIMUTH_ATTRIBUTES)
-    slopes: np.ndarray = found
+        mapped.coords["azimuth"].attrs.update(AZIMUTH_ATTRIBUTES)
+    slopes: np.ndarray = mapped
     return slopes
 
 
@@ -133,8 +133,8 @@ def sky_view_factor(
     how: dict[str, Any] = dict(azimuths=as_azimuths(azimuths), backend=backend, axes=scene.axes)
     work = partial(sky_view, definition=definition, **how)
     with limited(max_seconds, "sky_view_factor", scene, backend):
-        found: np.ndarray = over_tiles(work, scene, tiling, max_distance, backend, VIEW[definition])
-    return found
+        factor: np.ndarray = over_tiles(work, scene, tiling, max_distance, backend, VIEW[definition])
+    return factor
 
 
 def sky_view(
@@ -162,9 +162,9 @@ def sky_view(
         sweeps = Sweeps(engine, ground, rays, table, level=share is not None, far=far)
         scale = float(1 / (2 * np.pi) if definition == "solid_angle" else 1 / np.pi)
         if scene.stays_on(engine):
-            found = sweeps.image()
-            found.shade(scene.on(engine), 1.0, scale)
-            return found
+            factor = sweeps.image()
+            factor.shade(scene.on(engine), 1.0, scale)
+            return factor
         image = sweeps.irradiance(last=True)
     multiply(image, scale)
     if scene.sides == "dark":  # in deep boxes rounding leaves a little less than nothing
@@ -205,8 +205,8 @@ def openness(
         scene = Scene.from_height(turned, scene.spacing, mask=scene.mask, sides=scene.sides)
     work = partial(mean_openness, azimuths=as_azimuths(azimuths), backend=backend, axes=scene.axes)
     with limited(max_seconds, "openness", scene, backend):
-        found: np.ndarray = over_tiles(work, scene, tiling, max_distance, backend, OPENNESS[bool(negative)])
-    return found
+        angles: np.ndarray = over_tiles(work, scene, tiling, max_distance, backend, OPENNESS[bool(negative)])
+    return angles
 
 
 def mean_openness(

@@ -127,8 +127,8 @@ def _sent(direct: np.ndarray, sky: np.ndarray, albedo: Any, after: int = 0) -> n
     """E_d q^(n + 1) / (1 - q) of every node, see :func:`local_share`."""
     q = albedo * (1 - np.clip(sky, 0, 1))
     q = np.minimum(q, 1 - 1e-3)  # albedo 1 where no sky is seen
-    found: np.ndarray = direct * q ** (after + 1) / (1 - q)
-    return found
+    rest: np.ndarray = direct * q ** (after + 1) / (1 - q)
+    return rest
 
 
 def local_sums(direct: np.ndarray, sky: np.ndarray, albedo: Any) -> np.ndarray:
@@ -208,9 +208,9 @@ def sky_share(scene: Scene, engine: Backend, tolerance: float, has_cliffs: bool 
     ground = ground_of(scene, None, engine)
     near = FINE_NEAR if has_cliffs else None
     sweeps = Sweeps(engine, ground, Rays(sectors.angles, sectors.widths), near=near)
-    found = sweeps.image()
-    found.scale(1 / math.pi)
-    return found
+    image = sweeps.image()
+    image.scale(1 / math.pi)
+    return image
 
 
 def _azimuths(allowed: float) -> int:
@@ -271,8 +271,8 @@ def included(
             " beyond a tile's halo, which is taken to be as bright as the ground within."
         )
     on_device = count == 1 and isinstance(direct[0], DeviceImage)
-    found = [check.bounces.device_image()] if on_device else check.bounces.irradiance()
-    return Included(found, record, errors, warnings)
+    irradiances = [check.bounces.device_image()] if on_device else check.bounces.irradiance()
+    return Included(irradiances, record, errors, warnings)
 
 
 def _rounds(level: int, has_cliffs: bool) -> tuple[Round, ...]:
@@ -328,11 +328,11 @@ class _Check:
         error is part of it under a uniform sky, whose strips are known as well: where less sky is seen there
         is more ground. Under other sources it is independent.
         """
-        samples, found = self.samples, self.bounces.total_at_samples()
+        samples, totals = self.samples, self.bounces.total_at_samples()
         light, sky = self.bounces.at_samples(azimuths)
         worst, errors = 0.0, []
         self.guessed = 0.0
-        for total, direct, share, sent in zip(found, self.direct, self.albedo, light):
+        for total, direct, share, sent in zip(totals, self.direct, self.albedo, light):
             mean, first = _mean(samples, total), _mean(samples, direct)
             if self.beyond:
                 more = sent * ((1 - self.sky) / np.maximum(1 - sky, LEAST_GROUND) - 1)

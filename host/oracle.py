@@ -406,7 +406,7 @@ def horizons(
     elif math.isinf(reach):
         reach = max(math.hypot(*surface.shape), (bottom - top) / (LEVEL * spacing))
     out = np.full((len(azimuths), len(row)), -np.inf)
-    for found, azimuth in zip(out, azimuths):
+    for slopes, azimuth in zip(out, azimuths):
         x, y = (0.0 if abs(part) < 1e-12 else part for part in (math.cos(azimuth), math.sin(azimuth)))
         wall = np.full(len(row), np.inf)
         # crossings with columns, and of the transposed map, which are those with rows
@@ -425,18 +425,18 @@ def horizons(
             start = 0
             while start < len(step):
                 # no ground is higher than top, so from here on the other nodes' horizons cannot rise
-                left = np.flatnonzero(z - top > found * distance[start])
+                left = np.flatnonzero(z - top > slopes * distance[start])
                 stop = start + 1 + 2**16 // (len(left) + 1)
                 part = slice(start, stop)
                 ground = _between(
                     lines, own[left, None] + offset[part], across[left, None] + low[part], weight[part], sides
                 )
                 slope = (z[left, None] - ground) / distance[part]
-                found[left] = np.fmax(found[left], np.fmax.reduce(slope, axis=1))
+                slopes[left] = np.fmax(slopes[left], np.fmax.reduce(slope, axis=1))
                 start = stop
         if sides == "dark":
-            found[:] = np.fmax(found, z / (wall * spacing))
-        found[np.isnan(z)] = np.nan
+            slopes[:] = np.fmax(slopes, z / (wall * spacing))
+        slopes[np.isnan(z)] = np.nan
     return out.reshape(-1, *surface.shape) if nodes is None else out
 
 
@@ -488,7 +488,7 @@ def far_horizons(
     own = height[np.ix_(row, col)]
     own = np.where(np.isnan(own), np.nanmin(height), own)
     out = np.empty((len(azimuths), rows, cols))
-    for found, azimuth in zip(out, azimuths):
+    for slopes, azimuth in zip(out, azimuths):
         best, where = np.full(own.shape, -np.inf), np.full(own.shape, np.inf)
         sine, cosine = (0.0 if abs(part) < 1e-9 else part for part in (math.sin(azimuth), math.cos(azimuth)))
         distance = float(halo)
@@ -501,7 +501,7 @@ def far_horizons(
             higher = slope > best
             best, where = np.where(higher, slope, best), np.where(higher, distance, where)
             distance += 2**f
-        found[:] = _moved(best, where, own, height, row, col)
+        slopes[:] = _moved(best, where, own, height, row, col)
     return out
 
 
@@ -560,7 +560,7 @@ def _crossings(x: float, y: float, reach: float) -> list[Crossing]:
 
     (distance, (dx, dy) of the node at or before the crossing on its line, (dx, dy) of the next, its weight).
     """
-    found = []
+    crossings = []
     for a, b, on_row in ((x, y, False), (y, x, True)):
         if a == 0:
             continue
@@ -569,9 +569,9 @@ def _crossings(x: float, y: float, reach: float) -> list[Crossing]:
         for n, before, part in zip(step if a > 0 else -step, low, weight):
             ends = [(int(n), int(before + at)) for at in (0, part > 0)]
             one, other = ((v, u) if on_row else (u, v) for u, v in ends)
-            found.append((float(abs(n / a)), one, other, float(part)))
-    found.sort()
-    return found
+            crossings.append((float(abs(n / a)), one, other, float(part)))
+    crossings.sort()
+    return crossings
 
 
 def _above(along: np.ndarray, up: np.ndarray, slope: np.ndarray) -> np.ndarray:

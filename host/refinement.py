@@ -264,33 +264,33 @@ def refined(
     planning = seconds()
     method, steps = planner.begin(), []
     while True:
-        found = assess(planner, method)
-        steps.append(Step(method.units, found.estimated, found.audit))
-        if found.within(tolerance) or not planner.refine(found.is_shared):
+        assessment = assess(planner, method)
+        steps.append(Step(method.units, assessment.estimated, assessment.audit))
+        if assessment.within(tolerance) or not planner.refine(assessment.is_shared):
             break
         method = planner.method
     made = planner.plan(method.at(planner.samples) if planner.exact is None else None)
     if len(steps) > 1:
         begun, last = (f"{step.units} {_units_of(made.method)}" for step in (steps[0], steps[-1]))
-        why = f"{begun} at first: the estimated error was {_percent(found.error or 0)} in the end"
-        reason = f"refined {len(steps) - 1} times, relative RMS error {found.error or 0:.2g} estimated"
+        why = f"{begun} at first: the estimated error was {_percent(assessment.error or 0)} in the end"
+        reason = f"refined {len(steps) - 1} times, relative RMS error {assessment.error or 0:.2g} estimated"
         made = replace(made, reason=reason, choices=(*made.choices, Choice("refined to", last, why)))
     made = replace(
         made,
         hemicube=method.units if made.method == "lattice" else None,
         azimuths=method.units if made.method == "horizon" else None,
-        error=made.error if found.error is None else found.error,
-        measured=found.audit,
+        error=made.error if assessment.error is None else assessment.error,
+        measured=assessment.audit,
         steps=tuple(steps),
         seconds=seconds(),
         planning_seconds=planning,
     )
     mean = planner.mean if math.isfinite(planner.mean) else 0.0
-    floor = found.floor * mean if math.isfinite(found.floor) else math.inf
+    floor = assessment.floor * mean if math.isfinite(assessment.floor) else math.inf
     light = method.device_image() if stays else None
     irradiance = method.irradiance() if light is None else light
     return Refined(
-        irradiance, method.half(), found.share, floor, made, found.warnings(tolerance, planner.tail)
+        irradiance, method.half(), assessment.share, floor, made, assessment.warnings(tolerance, planner.tail)
     )
 
 
@@ -333,18 +333,18 @@ class Assessment(NamedTuple):
 
     def warnings(self, tolerance: float, tail: float) -> list[str]:
         """What was asked for and is not had, with its number."""
-        found = []
+        texts = []
         if self.error is not None and self.error > tolerance:
-            found.append(
+            texts.append(
                 f"Tolerance: the estimated error is {100 * self.error:.3g} % of the mean (RMS),"
                 f" more than the {100 * tolerance:.3g} % asked for."
             )
         if self.estimate is not None and self.estimate.beyond > BEYOND:
-            found.append(
+            texts.append(
                 f"Tail: the error is estimated to pass {100 * tail:.3g} % of the mean at"
                 f" {100 * self.estimate.beyond:.2g} % of the nodes; {100 * BEYOND:.2g} % of them may."
             )
-        return found
+        return texts
 
 
 def assess(planner: _Planner, method: LightMethod) -> Assessment:
@@ -514,8 +514,8 @@ class _Planner(ABC):
         """The image's relative RMS error at the samples, less that of the exact light there."""
         if self.exact is None:
             return None
-        found = self.samples.errors(method.at(self.samples), self.exact).rms
-        return math.sqrt(max(0.0, found**2 - self.doubt**2))
+        rms = self.samples.errors(method.at(self.samples), self.exact).rms
+        return math.sqrt(max(0.0, rms**2 - self.doubt**2))
 
     def refine(self, is_shared: bool) -> bool:
         """Whether the method could be refined. ``is_shared``: its two halves share the error."""
@@ -525,9 +525,9 @@ class _Planner(ABC):
         self.method.refine()
         return True
 
-    def fits(self, found: Errors) -> bool:
+    def fits(self, errors: Errors) -> bool:
         """Whether errors at the samples are within the tolerance and its tail."""
-        return found.bound <= ESTIMATE_SHARE * self.tolerance and found.tail <= self.tail
+        return errors.bound <= ESTIMATE_SHARE * self.tolerance and errors.tail <= self.tail
 
     @property
     def closed(self) -> bool:
@@ -844,7 +844,9 @@ class _SlicePlanner(_UnitsPlanner):
     is_thin = False  # its light is taken along the line through its middle
     bright: float | np.ndarray = 0.0  # light of small bright parts behind a window
     smooth: sources.Brightness  # brightness without these
-    found: dict[tuple[int, int], np.ndarray]  # light at the samples by numbers of slices and points of each
+    by_slices: dict[
+        tuple[int, int], np.ndarray
+    ]  # light at the samples by numbers of slices and points of each
     exact: np.ndarray
 
     def choose(self) -> None:
@@ -866,7 +868,7 @@ class _SlicePlanner(_UnitsPlanner):
                 for spot in self.sky.bright_parts
             )
             brightness = self._without_bright_parts
-        self.smooth, self.found = brightness, {}
+        self.smooth, self.by_slices = brightness, {}
         if not self.is_thin:
             self.judge_by(CLOSED_JUDGE)
             if self._fits_closed_form():
@@ -898,7 +900,7 @@ class _SlicePlanner(_UnitsPlanner):
         """Light at the samples through ``count`` slices, and that of small bright parts; or along a line."""
         if self.is_thin or not callable(self.smooth):
             points = 0
-        if (count, points) not in self.found:
+        if (count, points) not in self.by_slices:
             if self.is_thin:
                 assert isinstance(self.solid, Quad), "balls are not thin"
                 light = line.at_samples(self.samples, self.solid, self.smooth, count)
@@ -906,8 +908,8 @@ class _SlicePlanner(_UnitsPlanner):
                 light = (
                     self.samples.through_slices(self.solid, self.smooth, count, points=points) + self.bright
                 )
-            self.found[count, points] = light
-        return self.found[count, points]
+            self.by_slices[count, points] = light
+        return self.by_slices[count, points]
 
     def _place(self) -> None:
         """The solid, its middle, the radius of a sphere round it, and the mean apparent radius [rad]."""
@@ -986,9 +988,9 @@ class _SlicePlanner(_UnitsPlanner):
                 return False
         most = most_rays(self.scene) if callable(self.source.brightness) else 0
         for points in (1, *(rays for rays in RAYS if rays <= most)):
-            found = self.samples.errors(self._unoccluded(points), self.exact)
-            if self.fits(found) and self._faces_source():
-                self.expected, self.points = found, points
+            errors = self.samples.errors(self._unoccluded(points), self.exact)
+            if self.fits(errors) and self._faces_source():
+                self.expected, self.points = errors, points
                 return True
         return False
 

@@ -148,20 +148,20 @@ class BRDF:
         incoming = np.stack(
             [np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)], -1
         ).reshape(-1, 3)
-        found = directional_hemispheric(self.brdf, incoming)
-        worst = int(found.argmax())
-        if found[worst] > 1 + BOUND:
+        reflected = directional_hemispheric(self.brdf, incoming)
+        worst = int(reflected.argmax())
+        if reflected[worst] > 1 + BOUND:
             raise bad(
                 "BRDF: gives more than it gets",
-                f"a directional-hemispheric reflectance of {found[worst]:.4g} for light from"
+                f"a directional-hemispheric reflectance of {reflected[worst]:.4g} for light from"
                 f" {incoming[worst].round(3).tolist()}",
                 "at most 1 for every incoming direction",
-                f"Divide it by {found[worst]:.4g} or more.",
+                f"Divide it by {reflected[worst]:.4g} or more.",
             )
         a, b = incoming[:, None], incoming[None]
         shape = (len(incoming),) * 2 + (3,)
         values = self.brdf(np.broadcast_to(a, shape), np.broadcast_to(b, shape))
-        object.__setattr__(self, "largest", float(found[worst]))
+        object.__setattr__(self, "largest", float(reflected[worst]))
         object.__setattr__(
             self, "asymmetry", float(np.abs(values - values.T).max() / max(values.max(), 1e-300))
         )

@@ -113,8 +113,8 @@ class Rendering:
         if scene is None:
             return None
         errors = [
-            np.hypot(np.float32(factor) * _error_map(found, scene), np.float32(between))
-            for (found, factor), between in zip(self._parts, self._between)
+            np.hypot(np.float32(factor) * _error_map(result, scene), np.float32(between))
+            for (result, factor), between in zip(self._parts, self._between)
         ]
         with np.errstate(invalid="ignore"):
             image = _image(scene, errors, [], self._quantity)
@@ -123,8 +123,8 @@ class Rendering:
         if scene.mask is not None:
             unknown[~scene.mask] = False
         image[unknown] = 0
-        found: np.ndarray = labelled(image, scene.labels, ERRORS[self._quantity])
-        return found
+        result: np.ndarray = labelled(image, scene.labels, ERRORS[self._quantity])
+        return result
 
     def _times(self, unit: float) -> Rendering:
         """This in light of ``unit`` times the brightness."""
@@ -135,7 +135,7 @@ class Rendering:
             image=_in_unit(self.image, unit),
             direct=_in_unit(self.direct, unit),
             reflected=_in_unit(self.reflected, unit),
-            _parts=tuple((found, factor * unit) for found, factor in self._parts),
+            _parts=tuple((part, factor * unit) for part, factor in self._parts),
             _between=tuple(error * unit for error in self._between),
         )
 
@@ -241,19 +241,19 @@ def _in_tiles(
         if isinstance(source, sources.Lamp):
             area = _lit_area(scene, source, options.max_distance)
             lamp = LampImage(source, replace(options, max_distance=None), backend, bool(leading))
-            found = over_area(lamp, scene, *area, *leading)
+            image = over_area(lamp, scene, *area, *leading)
         else:
             work = _tile_image(scene, source, options, backend, between)
             if between is None and scene.lazy is None:
                 work = decided(work, scene, tiling, options.max_distance, work.audit)
                 between, share = work.between, work.share
                 why = reason(share, work.tolerance)
-            found = tiled(work, scene, tiling, options.max_distance, work.audit, *leading, between=between)
+            image = tiled(work, scene, tiling, options.max_distance, work.audit, *leading, between=between)
         if not leading:
-            return found
-        return found.transpose(1, 2, 0) if scene.lazy is not None else np.moveaxis(found, 0, -1)
+            return image
+        return image.transpose(1, 2, 0) if scene.lazy is not None else np.moveaxis(image, 0, -1)
 
-    found, seconds, compiling = timed(engine, light)
+    image, seconds, compiling = timed(engine, light)
     count: int | None = len(_sectors(options.azimuths))
     how = "a map in tiles is not refined"
     if isinstance(source, sources.Lamp):
@@ -263,7 +263,7 @@ def _in_tiles(
         warnings = _beyond_reach(source, options.max_distance)
     plan = Plan("horizon", None, None, how, count, options.max_distance)
     return Rendering(
-        labelled(found, scene.labels, IMAGES[options.quantity]),
+        labelled(image, scene.labels, IMAGES[options.quantity]),
         plan,
         engine.name,
         seconds,
@@ -384,9 +384,9 @@ class TileImage:
             light = self._swept(engine, ground, self.lights, far)
             if self.between:
                 sky = _share_of_sky(engine, ground, DEFAULT_AZIMUTHS, far)
-                found = included(scene, engine, light, self.tolerance, "as asked", sky=sky, beyond=True)
-                light = _on_host(found.irradiances)
-                for text in found.warnings:
+                both = included(scene, engine, light, self.tolerance, "as asked", sky=sky, beyond=True)
+                light = _on_host(both.irradiances)
+                for text in both.warnings:
                     warn(text)
         if self.unit != 1:
             light = [image * np.float32(self.unit) for image in light]
@@ -707,7 +707,7 @@ class _Renderer:
             seconds,
             compiling,
             self.warnings,
-            tuple((found._replace(irradiance=None), factor) for found, factor in self.parts),
+            tuple((part._replace(irradiance=None), factor) for part, factor in self.parts),
             scene if self.parts else None,
             quantity,
             self.interreflection,
@@ -764,14 +764,17 @@ class _Renderer:
         if self.planned:
             return self._within_tolerance()
         options = self.options
-        found = _per_colour(
+        irradiances = _per_colour(
             [sources.without_disc(grey) for grey in self.greys],
             lambda grey: self._as_asked(grey, options.azimuths),
         )
         if self.sun is not None:
             # the azimuths that were asked for are the sky's
-            found = [np.asarray(found[0]) + np.asarray(self._as_asked(self.sun, None)), *found[1:]]
-        return found
+            irradiances = [
+                np.asarray(irradiances[0]) + np.asarray(self._as_asked(self.sun, None)),
+                *irradiances[1:],
+            ]
+        return irradiances
 
     def _within_tolerance(self) -> list[Irradiance]:
         """Irradiances of all colours; where they differ by a factor alone, of one and times that factor."""
@@ -781,11 +784,11 @@ class _Renderer:
             if factors is None or n == 0:
                 source = grey if factors is None else replace(grey, brightness=1.0)
                 how = tolerance, self.engine, options.tail, options.interreflection, self.on_device
-                found = refined(self.scene, source, *how)
-            self.parts.append((found, 1.0 if factors is None else factors[n]))
-            self.plans.append(found.plan)
-            self.warnings.extend(text for text in found.warnings if text not in self.warnings)
-        return [_times(found.irradiance, factor) for found, factor in self.parts]
+                result = refined(self.scene, source, *how)
+            self.parts.append((result, 1.0 if factors is None else factors[n]))
+            self.plans.append(result.plan)
+            self.warnings.extend(text for text in result.warnings if text not in self.warnings)
+        return [_times(result.irradiance, factor) for result, factor in self.parts]
 
     def _as_asked(self, grey: sources.Source, azimuths: int | Azimuths | None) -> Irradiance:
         """Irradiance (rows, cols) float32 of a grey source by the method and as many units as were asked."""
@@ -895,16 +898,16 @@ def _interreflected(call: _Renderer, direct: Sequence[Irradiance]) -> Sequence[I
     why = "as asked"
     if options.interreflection == "auto":
         why = reason(_share_between(call.plans), tolerance)
-    found = included(scene, call.engine, lights, tolerance, why, error, sky)
-    call.interreflection = found.record
-    call.warnings.extend(found.warnings)
+    both = included(scene, call.engine, lights, tolerance, why, error, sky)
+    call.interreflection = both.record
+    call.warnings.extend(both.warnings)
     if call.planned:
-        call.plans[0] = replace(call.plans[0], error=found.record.error)
+        call.plans[0] = replace(call.plans[0], error=both.record.error)
     if not alike or factors is None:
-        call.between = [max(found.errors)] if len(direct) == 1 else found.errors
-        return found.irradiances
-    call.between = [factor * found.errors[0] for factor in factors]
-    return [_times(found.irradiances[0], factor) for factor in factors]
+        call.between = [max(both.errors)] if len(direct) == 1 else both.errors
+        return both.irradiances
+    call.between = [factor * both.errors[0] for factor in factors]
+    return [_times(both.irradiances[0], factor) for factor in factors]
 
 
 def _left_out(scene: Scene, options: _Options, plans: list[Plan] | None) -> str:
@@ -1014,9 +1017,9 @@ def _by_slices(
         return np.zeros(scene.shape, np.float32)
     slices.run()
     if on_device:
-        found = DeviceImage(engine, slices.image, scene.shape)
-        found.scale(scale, 0.0)  # a difference of sums may round to less than 0
-        return found
+        irradiance = DeviceImage(engine, slices.image, scene.shape)
+        irradiance.scale(scale, 0.0)  # a difference of sums may round to less than 0
+        return irradiance
     image = slices.download()
     if callable(source.brightness):
         by_bands(lambda rows: np.maximum(image[rows], 0, out=image[rows]), image.shape)
@@ -1148,9 +1151,9 @@ def _times(image: Irradiance, factor: float) -> Irradiance:
         times = image.copy()
         times.scale(factor)
         return times
-    found = scratch(image.shape)
-    by_bands(lambda rows: np.multiply(image[rows], np.float32(factor), out=found[rows]), image.shape)
-    return found
+    product = scratch(image.shape)
+    by_bands(lambda rows: np.multiply(image[rows], np.float32(factor), out=product[rows]), image.shape)
+    return product
 
 
 def _in_unit(image: Any, unit: float) -> Any:
@@ -1188,7 +1191,7 @@ def _radiances(scene: Scene, irradiances: list[np.ndarray], reflected: list[np.n
     )
     in_colour = [share for share in (albedo, specular) if _in_colour(share)]
     count = max(len(irradiances), len(reflected), 3 if in_colour else 0)
-    found = []
+    images = []
     for n in range(count):
         image = np.zeros((), np.float32)
         if irradiances:
@@ -1196,15 +1199,15 @@ def _radiances(scene: Scene, irradiances: list[np.ndarray], reflected: list[np.n
             multiply(image, _share(albedo, n) * np.float32(1 / np.pi))
         if reflected:
             image = image + _share(specular, n) * _channel(reflected, n, count)
-        found.append(image)
-    return found
+        images.append(image)
+    return images
 
 
 def _channel(colours: list[np.ndarray], n: int, count: int) -> np.ndarray:
     """Channel ``n`` of ``count``; a copy where one array serves several channels."""
-    found = colours[n % len(colours)]
-    shared = count > len(colours) or sum(other is found for other in colours) > 1
-    return found.copy() if shared else found
+    colour = colours[n % len(colours)]
+    shared = count > len(colours) or sum(other is colour for other in colours) > 1
+    return colour.copy() if shared else colour
 
 
 def _share(share: np.ndarray, n: int) -> np.ndarray:
@@ -1216,14 +1219,14 @@ def _in_colour(share: np.ndarray) -> bool:
     return share.ndim in (1, 3)
 
 
-def _error_map(found: Refined, scene: Scene) -> np.ndarray:
+def _error_map(result: Refined, scene: Scene) -> np.ndarray:
     """Estimated error (rows, cols) float32 of a refined irradiance."""
-    if found.half is None:
-        return np.full(scene.shape, found.floor, np.float32)
-    square, count = np.where(scene.valid, found.half().astype(float) ** 2, 0), scene.valid.astype(float)
+    if result.half is None:
+        return np.full(scene.shape, result.floor, np.float32)
+    square, count = np.where(scene.valid, result.half().astype(float) ** 2, 0), scene.valid.astype(float)
     for axis in (0, 1):
         square, count = (_box_sums(values, axis) for values in (square, count))
-    error = np.sqrt(found.share**2 * square / np.maximum(count, 1) + found.floor**2).astype(np.float32)
+    error = np.sqrt(result.share**2 * square / np.maximum(count, 1) + result.floor**2).astype(np.float32)
     return np.asarray(ERROR_MAP_FACTOR * error)
 
 

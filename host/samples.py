@@ -52,7 +52,7 @@ class Errors(NamedTuple):
 
 
 def errors(
-    found: np.ndarray, exact: np.ndarray, weights: np.ndarray | None = None, least: float = 0.0
+    image: np.ndarray, exact: np.ndarray, weights: np.ndarray | None = None, least: float = 0.0
 ) -> Errors:
     """Errors over the mean of ``exact`` where it is positive, nodes by their ``weights``, even by default.
 
@@ -65,8 +65,8 @@ def errors(
     lit = (exact > 0) & (weights > 0)
     mean = (weights @ exact) / weights[lit].sum() if lit.any() else 0.0
     if not max(mean, least) > 0:
-        return Errors(*(0.0 if not np.abs(found).max(initial=0) > 0 else math.inf,) * 3)
-    off = np.abs(found - exact) / max(mean, least)
+        return Errors(*(0.0 if not np.abs(image).max(initial=0) > 0 else math.inf,) * 3)
+    off = np.abs(image - exact) / max(mean, least)
     square = float(weights @ off**2)
     bound = math.sqrt(square + SIGMAS * float(np.linalg.norm(weights * (off**2 - square))))
     order = np.argsort(off)
@@ -155,8 +155,8 @@ class Samples:
         values: np.ndarray = image[self.y, self.x]
         return values.astype(float)
 
-    def errors(self, found: np.ndarray, exact: np.ndarray) -> Errors:
-        return errors(found, exact, self.weights, self.least)
+    def errors(self, image: np.ndarray, exact: np.ndarray) -> Errors:
+        return errors(image, exact, self.weights, self.least)
 
     def slopes(
         self,
@@ -182,7 +182,7 @@ class Samples:
         if not count:
             return np.zeros(shape)
         # both held until the kernel is done
-        given, found = engine.upload(rays.reshape(-1, 8)), engine.empty((count,), np.float32)
+        given, slopes = engine.upload(rays.reshape(-1, 8)), engine.empty((count,), np.float32)
         far = self.relief / SAMPLED_SLOPE if self.periodic else math.hypot(self.rows, self.cols)
         across = ((self.cols - 1) >> self.shift) + 1
         engine.launch(
@@ -192,7 +192,7 @@ class Samples:
             self.heights,
             self.tops,
             given,
-            found,
+            slopes,
             count,
             self.rows,
             self.cols,
@@ -203,7 +203,7 @@ class Samples:
             float(min(reach, far) + 1e-3),
             lanes=1,
         )
-        return engine.download(found).reshape(shape).astype(float)
+        return engine.download(slopes).reshape(shape).astype(float)
 
     def plane(self, cosine: Values, sine: Values) -> np.ndarray:
         """Slope of the tangent plane."""
@@ -370,9 +370,9 @@ def samples_of(engine: Backend, scene: Scene, count: int = SAMPLE_COUNT) -> Samp
     if key not in there.derived:
         made = there.derived[key] = Samples(engine, scene, count)
         del made.heights, made.there  # as large as the map; what keeps the samples
-    found: Samples = copy.copy(there.derived[key])
-    found.there = there
-    return found
+    samples: Samples = copy.copy(there.derived[key])
+    samples.there = there
+    return samples
 
 
 def oversample_lit(samples: Samples, scene: Scene, light: Callable[[Samples], np.ndarray]) -> None:
@@ -384,10 +384,10 @@ def oversample_lit(samples: Samples, scene: Scene, light: Callable[[Samples], np
     many._set_nodes(*_sequence_nodes(scene, SEARCHED_NODES, samples.first))
     if len(many) < SEARCHED_NODES:
         return
-    found = np.maximum(light(many), 0)
-    if found.sum() ** 2 >= CONCENTRATED * SEARCHED_NODES * (found**2).sum():
+    irradiance = np.maximum(light(many), 0)
+    if irradiance.sum() ** 2 >= CONCENTRATED * SEARCHED_NODES * (irradiance**2).sum():
         return
-    drawn = EXTRA_NODES * found / found.sum()
+    drawn = EXTRA_NODES * irradiance / irradiance.sum()
     picked = np.unique(np.searchsorted(np.cumsum(drawn), np.arange(EXTRA_NODES) + 0.5))
     picked = picked[(picked >= len(samples)) & (picked < SEARCHED_NODES)]
     picked = np.concatenate([np.arange(len(samples)), picked])
@@ -405,18 +405,18 @@ def _kept(samples: Samples, key: tuple[str, bytes, float], made: Callable[[], np
     """What was ``made`` of the samples before, or is now."""
     traced = samples.traced
     if key not in traced:
-        found = made()
+        values = made()
         while len(traced) >= KEPT_TRACES:
             traced.pop(next(iter(traced)))
-        traced[key] = found
+        traced[key] = values
     return traced[key]
 
 
 def _gather(engine: Backend, values: Array, at: np.ndarray, missing: float) -> np.ndarray:
     """Elements of a device array; ``missing`` where the number is negative."""
-    given, found = engine.table(at.astype(np.int32).ravel()), engine.empty((at.size,), np.float32)
-    engine.launch("pilot", "pick", (at.size,), values, given, found, at.size, missing, lanes=1)
-    return engine.download(found).reshape(at.shape)
+    given, picked = engine.table(at.astype(np.int32).ravel()), engine.empty((at.size,), np.float32)
+    engine.launch("pilot", "pick", (at.size,), values, given, picked, at.size, missing, lanes=1)
+    return engine.download(picked).reshape(at.shape)
 
 
 def _wall(samples: Samples, cosine: Values, sine: Values) -> np.ndarray:
@@ -542,7 +542,7 @@ def _quad(samples: Samples, quad: Quad, count: int) -> tuple[np.ndarray, ...]:
     phi = (base + edges[:, None] + half * (1 + point[:, None])).reshape(4 * per, -1)
     share = (half * weight[:, None]).reshape(4 * per, -1)
     cosine, sine = np.cos(phi), np.sin(phi)
-    found: list[np.ndarray] = []
+    crossings: list[np.ndarray] = []
     hits: Values = 0
     for i in range(4):
         a, b = to[i], to[(i + 1) % 4]
@@ -552,9 +552,9 @@ def _quad(samples: Samples, quad: Quad, count: int) -> tuple[np.ndarray, ...]:
             r = cosine * (a[0] + f * (b[0] - a[0])) + sine * (a[1] + f * (b[1] - a[1]))
             slope = (a[2] + f * (b[2] - a[2])) / np.maximum(r, 1e-10)
         crosses = (np.sign(side_a) != np.sign(side_b)) & (r > -1e-9)  # also an edge overhead
-        found.append(np.where(crosses, slope, np.nan))
+        crossings.append(np.where(crosses, slope, np.nan))
         hits = hits + crosses
-    low, high = np.fmin.reduce(found), np.fmax.reduce(found)
+    low, high = np.fmin.reduce(crossings), np.fmax.reduce(crossings)
     above = sense * normal[2] > 0  # the node lies below it
     low, high = np.where(within & ~above, -STEEP, low), np.where(within & above, STEEP, high)
     low, high = (np.where((hits > 0) & (apart != 0), np.clip(v, -STEEP, STEEP), -STEEP) for v in (low, high))

@@ -238,8 +238,8 @@ def over_tiles(
     engine, counts = engine_of(scene, backend), [len(values) for values in leading.values()]
     if scene.lazy is None and tiling is None and fits(scene, engine):
         return labelled(work(scene, max_distance, None), scene.labels, quantity, **leading)
-    found = tiled(work, scene, tiling, max_distance, Audit(backend), *counts)
-    return labelled(found, scene.labels, quantity, **leading)
+    mapped = tiled(work, scene, tiling, max_distance, Audit(backend), *counts)
+    return labelled(mapped, scene.labels, quantity, **leading)
 
 
 def tiled(
@@ -266,17 +266,17 @@ def decided(work: Any, scene: Scene, tiling: Tiling | None, max_distance: float 
     """:class:`Undecided` work as a map in memory tells."""
     layout = layout_of(scene, tiling, max_distance, audit, None)
     heights, (one, varying) = np.negative(scene.depth), albedo_of(scene)
-    found = [
+    sums = [
         sums_of_tile(work, layout.spacing, window_of(heights, box, [0, 0], False), albedo)
         for box in layout.boxes()
         for albedo in [one if varying is None else window_of(varying, box, [0, 0], False)]
     ]
-    return settled(work, layout, np.sum(found, 0))[0]
+    return settled(work, layout, np.sum(sums, 0))[0]
 
 
 def sums_of_tile(work: Any, spacing: float, heights: np.ndarray, albedo: Any) -> np.ndarray:
     """The same of a tile: that of some windows, as if all of the tile were like them."""
-    found, seen = np.zeros((work.colours, 3)), 0
+    sums, seen = np.zeros((work.colours, 3)), 0
     rows, cols = (_windows_along(nodes) for nodes in heights.shape)
     for part in [(..., r, c) for r in rows for c in cols]:
         window = heights[part]
@@ -284,8 +284,8 @@ def sums_of_tile(work: Any, spacing: float, heights: np.ndarray, albedo: Any) ->
         seen += window.size
         if valid.any():
             here = albedo[part] if np.ndim(albedo) > 1 else albedo
-            found += work.sums(_scene_of(window, valid, spacing, here))
-    return found * (heights.size / seen)
+            sums += work.sums(_scene_of(window, valid, spacing, here))
+    return sums * (heights.size / seen)
 
 
 def _windows_along(nodes: int) -> list[slice]:
@@ -365,8 +365,8 @@ def tile_of(
     if layout.tiling.earth is not None:  # what is nearer is nearly flat
         near = layout.tiling.halo * layout.spacing
         max_distance = near if max_distance is None else min(near, max_distance)
-    found = (work(scene, max_distance, far) if part is None else work(scene, max_distance, far, part))[inner]
-    return np.where(valid[inner[1:]], found, np.float32(np.nan))
+    values = (work(scene, max_distance, far) if part is None else work(scene, max_distance, far, part))[inner]
+    return np.where(valid[inner[1:]], values, np.float32(np.nan))
 
 
 def _audit(audit: Audit, scene: Scene, far: Far) -> None:
@@ -394,8 +394,8 @@ def _audit(audit: Audit, scene: Scene, far: Far) -> None:
         room = np.where(way[:, None] > 0, nodes - 1 - place[inner], place[inner])
         ends.append(room / np.maximum(np.abs(way[:, None]), 1e-9))
     truth = np.where(distance > np.minimum(*ends), np.maximum(exact, slopes), exact)
-    found, true = (1 / (1 + np.maximum(s, 0) ** 2) for s in (np.maximum(near, slopes), truth))
-    off = math.sqrt(float(np.mean((found - true).mean(0) ** 2)))
+    estimated, true = (1 / (1 + np.maximum(s, 0) ** 2) for s in (np.maximum(near, slopes), truth))
+    off = math.sqrt(float(np.mean((estimated - true).mean(0) ** 2)))
     share = off / float(true.mean())
     if audit.tolerance is None and off > WORTH_SAYING:
         warn(
@@ -520,8 +520,8 @@ def _in_memory(work: Work, scene: Scene, layout: Layout, *leading: int) -> np.nd
         far = None if low is None else around_tile(low, layout, box)
         albedo = one if varying is None else window_of(varying, box, layout.depths, layout.periodic)
         for part in parts:
-            found = tile_of(work, layout, box, near, far, top, part, albedo)
-            window_of(out if part is None else out[part], box, [0, 0], False)[...] = found
+            values = tile_of(work, layout, box, near, far, top, part, albedo)
+            window_of(out if part is None else out[part], box, [0, 0], False)[...] = values
     return out
 
 
@@ -535,9 +535,9 @@ def over_area(work: Any, scene: Scene, rows: slice, cols: slice, *leading: int) 
     albedo: Any = scene.albedo if varying is None else varying[part]
     if scene.lazy is None:
         heights = np.negative(scene.depth)
-        found = np.where(np.isnan(heights), heights, np.float32(0)) + np.zeros((*leading, 1, 1), np.float32)
-        found[part] = _area(work, scene.spacing, rows, cols, heights[part], np.nanmax(heights), albedo)
-        return found
+        mapped = np.where(np.isnan(heights), heights, np.float32(0)) + np.zeros((*leading, 1, 1), np.float32)
+        mapped[part] = _area(work, scene.spacing, rows, cols, heights[part], np.nanmax(heights), albedo)
+        return mapped
     da = importlib.import_module("dask.array")
     from dask.graph_manipulation import bind
 
@@ -579,8 +579,8 @@ def _area(
     if not valid.any():
         return np.full((*((3,) if work.in_colour else ()), *window.shape), np.nan, np.float32)
     below = float(highest) - float(window[valid].max())
-    found: np.ndarray = work(_scene_of(window, valid, spacing, albedo), rows.start, cols.start, below)
-    return found
+    values: np.ndarray = work(_scene_of(window, valid, spacing, albedo), rows.start, cols.start, below)
+    return values
 
 
 # -- on Dask
@@ -609,7 +609,7 @@ def lazily(work: Work, scene: Scene, layout: Layout, *leading: int) -> Any:
     if layout.single:
         surface = (albedo, None) if varying is None else (varying.rechunk(-1), "cij"[3 - varying.ndim :])
         call = partial(_whole, work, layout, scene.sides, parts)
-        found = da.blockwise(call, axes, heights.rechunk(-1), "ij", *numbers, *surface, **options)
+        mapped = da.blockwise(call, axes, heights.rechunk(-1), "ij", *numbers, *surface, **options)
     else:
         sums = _lazy_sums(da, work, heights, albedo, varying, layout) if layout.undecided else None
         low, top, again = _overviews(da, heights, layout, sums)
@@ -621,10 +621,10 @@ def lazily(work: Work, scene: Scene, layout: Layout, *leading: int) -> Any:
         call = partial(_block, work, layout, parts)
         places = rows, "i", cols, "j", low, None if low is None else "kij"
         windows = _windows(da, again, layout)
-        found = da.blockwise(
+        mapped = da.blockwise(
             call, axes, windows, "ij", *numbers, *surface, *places, top=top, sums=sums, **options
         )
-    return found.rechunk({axis + len(leading): chunks for axis, chunks in enumerate(heights.chunks)})
+    return mapped.rechunk({axis + len(leading): chunks for axis, chunks in enumerate(heights.chunks)})
 
 
 def _windows(da: Any, values: Any, layout: Layout) -> Any:
@@ -656,7 +656,7 @@ def _lazy_sums(
         colours = {0: -1} if varying.ndim == 3 else {}
         sizes = colours | dict(enumerate(layout.sizes, varying.ndim - 2))
         arrays += [varying.rechunk(sizes), "cij"[3 - varying.ndim :]]
-    found = da.blockwise(
+    sums = da.blockwise(
         partial(_block_sums, work, layout.spacing, albedo),
         "ijab",
         *arrays,
@@ -667,7 +667,7 @@ def _lazy_sums(
         dtype=np.float64,
         meta=np.empty((0, 0, 0, 0)),
     )
-    return delayed(_sum_of_tiles)(found.rechunk(-1).to_delayed(optimize_graph=False).item())
+    return delayed(_sum_of_tiles)(sums.rechunk(-1).to_delayed(optimize_graph=False).item())
 
 
 def _block_sums(
@@ -676,8 +676,8 @@ def _block_sums(
     return sums_of_tile(work, spacing, heights, one if varying is None else varying)[None, None]
 
 
-def _sum_of_tiles(found: np.ndarray) -> np.ndarray:
-    total: np.ndarray = found.sum((0, 1))
+def _sum_of_tiles(sums: np.ndarray) -> np.ndarray:
+    total: np.ndarray = sums.sum((0, 1))
     return total
 
 
@@ -798,10 +798,10 @@ def devices(*names: str) -> Any:
         name = "skylamp-devices"
 
         def setup(self, worker: Any) -> None:
-            found = names or tuple(info.name for info in backends() if info.gpu and info.available)
-            found = tuple(name for name in found if name.startswith("warp")) or found
+            chosen = names or tuple(info.name for info in backends() if info.gpu and info.available)
+            chosen = tuple(name for name in chosen if name.startswith("warp")) or chosen
             number = int(worker.name) if str(worker.name).isdigit() else 0
-            if found:
-                prefer(found[number % len(found)])
+            if chosen:
+                prefer(chosen[number % len(chosen)])
 
     return Devices()

@@ -168,16 +168,16 @@ class Scene:
         """Keep a map on its device; the host's copies are made when they are first asked for."""
         backend = select(f"warp:{values.device.alias}")
         with backend.lock:
-            depth, found = resident.adopt(backend, values.flatten(), values.shape, self.mask, height)
-            if found.broken:
+            depth, surveyed = resident.adopt(backend, values.flatten(), values.shape, self.mask, height)
+            if surveyed.broken:
                 raise bad(
-                    f"{'height' if height else 'depth'}: {found.broken} values are NaN or infinite",
+                    f"{'height' if height else 'depth'}: {surveyed.broken} values are NaN or infinite",
                     f"a map on {backend.name}",
                     "finite values wherever the mask is True",
                     "Pass a mask that is False there.",
                 )
-            kept = resident.in_layers(backend, depth, values.shape, self.spacing, found)
-        _set(self, resident=kept, _range=(found.least, found.most))
+            kept = resident.in_layers(backend, depth, values.shape, self.spacing, surveyed)
+        _set(self, resident=kept, _range=(surveyed.least, surveyed.most))
         object.__delattr__(self, "depth")
 
     def __getattr__(self, name: str) -> Any:
@@ -253,11 +253,11 @@ class Scene:
             return known
         values, step = self.lattice()
         least, most = self._range if step == self.spacing else np.rint(np.array(self._range) / self.spacing)
-        found: Resident = resident.upload(backend, values, step, float(least), float(most))
-        kept[key] = found, weakref.finalize(self, kept.pop, key, None)
+        uploaded: Resident = resident.upload(backend, values, step, float(least), float(most))
+        kept[key] = uploaded, weakref.finalize(self, kept.pop, key, None)
         while len(kept) > 1 and sum(there.nbytes for there, _ in list(kept.values())) > KEPT * backend.memory:
             kept.popitem(last=False)[1][1].detach()
-        return found
+        return uploaded
 
     def stays_on(self, backend: Backend) -> bool:
         """Whether the map was given on this GPU, so that images stay there too."""
@@ -268,9 +268,9 @@ class Scene:
 
         Raises BackendError.
         """
-        found = select(backend).kept.pop(id(self), None)
-        if found is not None:
-            found[1].detach()
+        entry = select(backend).kept.pop(id(self), None)
+        if entry is not None:
+            entry[1].detach()
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -282,8 +282,8 @@ class Scene:
     def depth_at(self, row: int, col: int) -> np.float32:
         """Depth of one node [length]; a map on a device stays there. Not finite where masked."""
         if self.resident is None:
-            found: np.float32 = self.depth[row, col]
-            return found
+            value: np.float32 = self.depth[row, col]
+            return value
         depth = self.resident.pick(np.array([row * self.shape[1] + col]))[0]
         return np.float32(depth * (self.spacing / self.resident.step))
 
@@ -325,12 +325,12 @@ def _on_device(values: Any) -> Array | None:
     if isinstance(values, (np.ndarray, list, int, float)):
         return None
     try:
-        found = on_device(values)
+        array = on_device(values)
     except Exception:  # as_real meets the same, and says so
         return None
-    if found is None or found.dtype.__name__ != "float32" or found.ndim != 2:
+    if array is None or array.dtype.__name__ != "float32" or array.ndim != 2:
         return None
-    return found if found.size and found.is_contiguous else None
+    return array if array.size and array.is_contiguous else None
 
 
 def _checked(values: np.ndarray, mask: np.ndarray | None, what: str) -> dict[str, Any]:
@@ -379,8 +379,8 @@ def _range_of(values: np.ndarray, mask: np.ndarray | None) -> tuple[float, float
         some = values[rows] if mask is None else values[rows][mask[rows]]
         return (float(some.min()), float(some.max())) if some.size else None
 
-    found = np.array([ends for ends in by_bands(of, values.shape) if ends is not None])
-    return float(found[:, 0].min()), float(found[:, 1].max())
+    ranges = np.array([ends for ends in by_bands(of, values.shape) if ends is not None])
+    return float(ranges[:, 0].min()), float(ranges[:, 1].max())
 
 
 def is_scene(scene: object) -> None:

@@ -244,14 +244,14 @@ Crossing crossing_of(Way way, ints number, int x, int y, int rows, int cols, int
     row = (row % rows + rows) % rows;
   }
   const ints next_column = column + 1 < cols ? column + 1 : 0, next_row = row + 1 < rows ? row + 1 : 0;
-  Crossing found;
-  found.first = row * cols + column;
-  found.second = on_row ? row * cols + next_column : next_row * cols + column;
-  found.share = place - TO_FLOATS(low);
-  found.closeness = number == 0
+  Crossing at;
+  at.first = row * cols + column;
+  at.second = on_row ? row * cols + next_column : next_row * cols + column;
+  at.share = place - TO_FLOATS(low);
+  at.closeness = number == 0
                         ? (floats)0
                         : (on_row ? (floats)way.rise : (floats)way.run) / (number == 0 ? (floats)1 : count);
-  return found;
+  return at;
 }
 
 /* A float as a whole number of the same order, and back. */
@@ -402,11 +402,11 @@ __kernel void look(__global const float *restrict heights, __global const float 
   for (int k = from; k < min(count, from + ways); ++k) {
     const Way way = way_of(azimuths[4 * k], azimuths[4 * k + 1]);
     const floats least = limit_of(way, nodes, x, y, rows, cols, sides).slope;
-    floats found = sides == PERIODIC ? MORE(least, LEAST_SEARCHED_SLOPE) : least;
+    floats slope = sides == PERIODIC ? MORE(least, LEAST_SEARCHED_SLOPE) : least;
     const ints number =
-        horizon(heights, tiles, way, x, y, nodes.own, &found, highest, 1e30f, rows, cols, margin, sides);
+        horizon(heights, tiles, way, x, y, nodes.own, &slope, highest, 1e30f, rows, cols, margin, sides);
     put_ints(numbers + k * (rows * cols + PIXEL_PADDING) + y * cols + x, number, cols - x);
-    put_floats(slopes + k * (rows * cols + PIXEL_PADDING) + y * cols + x, found, cols - x);
+    put_floats(slopes + k * (rows * cols + PIXEL_PADDING) + y * cols + x, slope, cols - x);
   }
 }
 
@@ -437,8 +437,8 @@ __kernel void sky(__global const float *restrict heights, __global const float *
     const floats s = gx * way.c + gy * way.s;
     const Limit limit = limit_of(way, nodes, x, y, rows, cols, sides);
     const ints number = here ? READ_INTS(k * (pixels + PIXEL_PADDING) + p, numbers) : 0;
-    const floats found = READ(k * (pixels + PIXEL_PADDING) + p, slopes),
-                 slope = number != 0 ? found : limit.slope;
+    const floats tangent = READ(k * (pixels + PIXEL_PADDING) + p, slopes),
+                 slope = number != 0 ? tangent : limit.slope;
     const Above sky = above(slope, table, k, k, 0, knots);
     const floats per_slope = width * (sky.d1 + s * sky.d2);
     sum += width * (sky.c1 + s * sky.c2);
@@ -759,11 +759,11 @@ __kernel void add_ground(__global const float *light, __global const int *held, 
                     here = below(rises, plane);
         const int begins = low < 0 && whole > 0 && was_distance > 0, is_between = begins && -low < whole;
         const float part = is_between ? -low / whole : begins ? 1.0f : 0.0f;
-        const float beside = sent[was.first] + was.share * (sent[was.second] - sent[was.first]),
-                    beyond = sent[at.first] + weight * (sent[at.second] - sent[at.first]),
-                    mean = 0.5f * (beside * (1 - part) + beyond * (1 + part));
+        const float near_light = sent[was.first] + was.share * (sent[was.second] - sent[was.first]),
+                    far_light = sent[at.first] + weight * (sent[at.second] - sent[at.first]),
+                    mean = 0.5f * (near_light * (1 - part) + far_light * (1 + part));
         const float by_part =
-            is_between ? 0.5f * (here - past) * (beyond - beside) / (whole * whole) : 0.0f;
+            is_between ? 0.5f * (here - past) * (far_light - near_light) / (whole * whole) : 0.0f;
         const float by_slope =
             by_part * (high * was_distance - low * distance) - mean * below_by(slope, plane);
         if (is_between) {

@@ -25,11 +25,11 @@ floats taken(__global const float *cells, ints at)
   return cells[at];
 #else
   int places[LANES];
-  float found[LANES];
+  float values[LANES];
   STORE(at, 0, places);
   for (int l = 0; l < LANES; ++l)
-    found[l] = cells[places[l]];
-  return LOAD(0, found);
+    values[l] = cells[places[l]];
+  return LOAD(0, values);
 #endif
 }
 

@@ -133,12 +133,12 @@ int column_of(int x, int line, int l, int cols)
 }
 
 /* Ground of the line between two nodes, quantized, with the distance at which it comes in. */
-ints look(floats a, floats b, float weight, float lowest, float unit, int bits, int distance)
+ints look(floats a, floats b, float weight, float lowest, float height_scale, int bits, int distance)
 {
   floats ground = a + weight * (b - a);
   /* beside the map the border goes on; a masked node is a gap */
   ground = a == NONE ? b : b == NONE ? a : ground;
-  const ints seen = (TO_INTS(higher(ground - lowest, 0.0f) * unit) << bits) | distance;
+  const ints seen = (TO_INTS(higher(ground - lowest, 0.0f) * height_scale) << bits) | distance;
   return ground < -1e20f ? (ints)UNSEEN : seen;
 }
 
@@ -188,7 +188,7 @@ __kernel void sweep(__global const float *restrict heights, __global const float
                     __constant float *near_weight, __global const float4 *restrict table,
                     __global float *restrict slopes, __global int *restrict sum, const Ladder steps,
                     const Ladder rises, int first, int group, int rows, int cols, int margin, int room,
-                    int knots, int bits, float lowest, float unit, int known, int backward, int top,
+                    int knots, int bits, float lowest, float height_scale, int known, int backward, int top,
                     int bottom, int left, int right)
 {
   const int k = get_group_id(1) + first, g = get_global_id(2);
@@ -304,7 +304,7 @@ __kernel void sweep(__global const float *restrict heights, __global const float
       for (int s = 0; s < LADDER && into == 0; ++s)
         above[s] = UNSEEN;
       if (arrives && (STRIPS == 1 || cx < cols && cx >= -LANES))
-        seen = look(LINE(0), LINE(1), across - column, lowest, unit, bits, comes_at);
+        seen = look(LINE(0), LINE(1), across - column, lowest, height_scale, bits, comes_at);
       for (int s = 0; s < LADDER; ++s)
         above[s] = more(above[s] + step[s], seen);
       if (!on_map || u < first_asked || x >= right || x <= left - LANES)
@@ -318,8 +318,8 @@ __kernel void sweep(__global const float *restrict heights, __global const float
       floats near = NONE, by_column = NONE;
       for (int e = 0; e < NEAR; ++e) {
         const floats a = NODE(row_at[e]), b = NODE(row_at[e] + 1);
-        const floats found = higher(near, FMA((floats)row_weight[e], b - a, a - own) * (1.0f / (e + 1)));
-        near = !BLOCKS || e < near_rows ? found : near;
+        const floats raised = higher(near, FMA((floats)row_weight[e], b - a, a - own) * (1.0f / (e + 1)));
+        near = !BLOCKS || e < near_rows ? raised : near;
       }
       for (int e = 0; e < NEAR_COLUMNS; ++e) {
         if (e >= near_columns)
@@ -331,7 +331,7 @@ __kernel void sweep(__global const float *restrict heights, __global const float
 
       /* 5. the two steps of the ladder between which the node lies, by bisection; above[s] is rise[s] too
          high */
-      const ints level = TO_INTS(higher(own - lowest, 0.0f) * unit) << bits;
+      const ints level = TO_INTS(higher(own - lowest, 0.0f) * height_scale) << bits;
       ints low[8], test = above[8] >= level + rises.s[8], lower, upper = test ? above[15] : above[8];
       for (int s = 0; s < 8; ++s)
         low[s] = test ? above[8 + s] : above[s];

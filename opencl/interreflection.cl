@@ -68,9 +68,10 @@ int place(int c, int r, int rows, int pitch, int margin, int shift)
 /* Slope of depth between neighbours: central, one-sided beside what is no ground. */
 floats tilt(floats low, floats own, floats high)
 {
-  const ints alone = WHERE(low <= HIGHEST_MASKED), last = WHERE(high <= HIGHEST_MASKED);
+  const ints low_masked = WHERE(low <= HIGHEST_MASKED), high_masked = WHERE(high <= HIGHEST_MASKED);
   const floats tilted =
-      ((alone ? own : low) - (last ? own : high)) * ((alone | last) ? (floats)1 : (floats)0.5f);
+      ((low_masked ? own : low) - (high_masked ? own : high)) *
+      ((low_masked | high_masked) ? (floats)1 : (floats)0.5f);
   return own <= HIGHEST_MASKED ? (floats)0 : tilted;
 }
 
@@ -293,12 +294,12 @@ __kernel void fill(__global const float *heights, __global const float *sums, __
   for (int x = first; x < end; ++x) {
     const int here = place(x, y, rows, pitch, margin, shift), p = y * cols + x;
     const float own = heights[here];
-    int alone = 0;
+    int is_kink = 0;
     if (kinks) {
       const float left = heights[place(x - 1, y, rows, pitch, margin, shift)],
                   right = heights[place(x + 1, y, rows, pitch, margin, shift)], above = heights[here - pitch],
                   beneath = heights[here + pitch];
-      alone = (left > HIGHEST_MASKED && right > HIGHEST_MASKED && fabs(left + right - 2 * own) > KINK) ||
+      is_kink = (left > HIGHEST_MASKED && right > HIGHEST_MASKED && fabs(left + right - 2 * own) > KINK) ||
               (above > HIGHEST_MASKED && beneath > HIGHEST_MASKED && fabs(above + beneath - 2 * own) > KINK);
     }
     const float right = last ? (float)(x - first) / (cols - first) * periodic : (float)(x - first) / step;
@@ -306,9 +307,9 @@ __kernel void fill(__global const float *heights, __global const float *sums, __
                 shares = den[0] * (1 - right) + den[1] * right;
     for (int l = 0; l < LIGHTS; ++l) {
       const float mean = shares > 0 ? (num[0][l] * (1 - right) + num[1][l] * right) / shares : 0.0f;
-      const float found = direct[l * rows * cols + p] + PI * (1 - sky[p]) * mean;
+      const float total = direct[l * rows * cols + p] + PI * (1 - sky[p]) * mean;
       irradiance[l * rows * cols + p] =
-          own <= HIGHEST_MASKED ? 0.0f : alone || !(known > 0) ? -1.0f : found;
+          own <= HIGHEST_MASKED ? 0.0f : is_kink || !(known > 0) ? -1.0f : total;
     }
   }
 }

@@ -529,11 +529,11 @@ def look(
         least, _by_wall = limit_of(way, own, tilts[p], tilts[rows * cols + p], x, y, rows, cols, sides)
         if sides == PERIODIC:
             least = wp.max(least, LEAST_SEARCHED_SLOPE)
-        found, number = horizon(
+        slope, number = horizon(
             heights, tiles, way, x, y, own, least, unordered(top[0]), 1e30, rows, cols, margin, sides
         )
         numbers[k * (rows * cols + PIXEL_PADDING) + p] = number
-        slopes[k * (rows * cols + PIXEL_PADDING) + p] = found
+        slopes[k * (rows * cols + PIXEL_PADDING) + p] = slope
 
 
 @wp.kernel
@@ -1061,13 +1061,13 @@ def add_ground(
                 part = wp.float32(0.0)
                 if begins:
                     part = wp.float32(1.0)
-                beside = between(radiance, sent, was)
-                beyond = between(radiance, sent, at)
+                near_light = between(radiance, sent, was)
+                far_light = between(radiance, sent, at)
                 by_part = wp.float32(0.0)
                 if is_between:
                     part = -low / whole
-                    by_part = 0.5 * (here - past) * (beyond - beside) / (whole * whole)
-                mean = 0.5 * (beside * (1.0 - part) + beyond * (1.0 + part))
+                    by_part = 0.5 * (here - past) * (far_light - near_light) / (whole * whole)
+                mean = 0.5 * (near_light * (1.0 - part) + far_light * (1.0 + part))
                 by_slope = by_part * (high * was_distance - low * distance) - mean * below_by(slope, plane)
                 if is_between:
                     made = add_link(

@@ -204,7 +204,7 @@ def look(
     b: wp.float32,
     weight: wp.float32,
     lowest: wp.float32,
-    unit: wp.float32,
+    height_scale: wp.float32,
     bits: wp.int32,
     distance: wp.int32,
 ):
@@ -216,7 +216,7 @@ def look(
         ground = a
     if ground < -1e20:
         return UNSEEN
-    return (wp.int32(wp.max(ground - lowest, wp.float32(0.0)) * unit) << bits) | distance
+    return (wp.int32(wp.max(ground - lowest, wp.float32(0.0)) * height_scale) << bits) | distance
 
 
 @wp.func
@@ -401,7 +401,7 @@ def sweep(NEAR: int, SIDES: int, WHAT: int, BLOCKS: int):
         knots: wp.int32,
         bits: wp.int32,
         lowest: wp.float32,
-        unit: wp.float32,
+        height_scale: wp.float32,
         known: wp.int32,
         backward: wp.int32,
         top: wp.int32,
@@ -559,7 +559,7 @@ def sweep(NEAR: int, SIDES: int, WHAT: int, BLOCKS: int):
                     node(heights, at + element),
                     across - column,
                     lowest,
-                    unit,
+                    height_scale,
                     bits,
                     comes_at,
                 )
@@ -585,12 +585,12 @@ def sweep(NEAR: int, SIDES: int, WHAT: int, BLOCKS: int):
                 near = NONE
                 for e in range(NEAR):
                     at_row = spot + row_at[e]
-                    found = wp.max(
+                    raised = wp.max(
                         near,
                         stands(node(heights, at_row), node(heights, at_row + element), row_weight[e], own)
                         * wp.static(wp.float32(1.0 / (e + 1))),
                     )
-                    near = wp.where(wp.static(BLOCKS == 0) or e < near_rows, found, near)
+                    near = wp.where(wp.static(BLOCKS == 0) or e < near_rows, raised, near)
                 by_column = NONE
                 for e in range(NEAR_COLUMNS):
                     if e < near_columns:
@@ -609,7 +609,7 @@ def sweep(NEAR: int, SIDES: int, WHAT: int, BLOCKS: int):
 
                 # 5. the two steps of the ladder between which the node lies, by bisection; above[s] is
                 # rises[s] too high
-                level = wp.int32(wp.max(own - lowest, wp.float32(0.0)) * unit) << bits
+                level = wp.int32(wp.max(own - lowest, wp.float32(0.0)) * height_scale) << bits
                 test = above[8] >= level + rises[8]
                 low = eight()
                 limits = eight()

@@ -429,9 +429,9 @@ def fill(LIGHTS: int):
             here = place(x, y, rows, pitch, margin, shift)
             p = y * cols + x
             own = heights[here]
-            alone = False
+            is_kink = False
             if kinks != 0:
-                alone = bent(
+                is_kink = bent(
                     heights[place(x - 1, y, rows, pitch, margin, shift)],
                     own,
                     heights[place(x + 1, y, rows, pitch, margin, shift)],
@@ -446,12 +446,12 @@ def fill(LIGHTS: int):
                 mean = wp.float32(0.0)
                 if shares > wp.float32(0.0):
                     mean = (num0[m] * left + num1[m] * right) / shares
-                found = direct[m * rows * cols + p] + wp.float32(PI) * (wp.float32(1.0) - sky[p]) * mean
-                if alone or not (known > wp.float32(0.0)):
-                    found = wp.float32(-1.0)
+                total = direct[m * rows * cols + p] + wp.float32(PI) * (wp.float32(1.0) - sky[p]) * mean
+                if is_kink or not (known > wp.float32(0.0)):
+                    total = wp.float32(-1.0)
                 if own <= wp.float32(HIGHEST_MASKED):
-                    found = wp.float32(0.0)
-                irradiance[m * rows * cols + p] = found
+                    total = wp.float32(0.0)
+                irradiance[m * rows * cols + p] = total
 
     return fill
 

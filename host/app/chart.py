@@ -154,9 +154,9 @@ def _between(scene: Scene, samples: Samples, engine: Backend) -> np.ndarray:
     """Irradiance of the samples by the ground of a scene under a uniform sky, by exact strips."""
     options: Row = {"quantity": "irradiance", "azimuths": 128, "interreflection": False}
     image = render(scene, sources.Sky(), "horizon", backend=engine.name, **options).image
-    found = Bounces(engine, scene, samples, [image], [ALBEDO], sky_share(scene, engine, 1e-4))
-    found.run(EXACT_ROUNDS)
-    light: np.ndarray = found.at_samples(EXACT_AZIMUTHS)[0][0]
+    bounces = Bounces(engine, scene, samples, [image], [ALBEDO], sky_share(scene, engine, 1e-4))
+    bounces.run(EXACT_ROUNDS)
+    light: np.ndarray = bounces.at_samples(EXACT_AZIMUTHS)[0][0]
     return light
 
 
@@ -279,7 +279,7 @@ def behind(rows: list[Row], time: str = "seconds", as_accurate: bool = False) ->
     within the tolerance.
     """
     largest = max(row["size"] for row in rows)
-    found: dict[str, list[float]] = {}
+    ratios: dict[str, list[float]] = {}
     for kind in CLASSES:
         if kind == "albedo":  # other settings have direct light alone
             continue
@@ -304,8 +304,8 @@ def behind(rows: list[Row], time: str = "seconds", as_accurate: bool = False) ->
                 (row["seconds"] for row in here if row["method"] != "plan" and row["error"] <= limit),
                 default=math.nan,
             )
-            found.setdefault(kind, []).append(ours / best)
-    return found
+            ratios.setdefault(kind, []).append(ours / best)
+    return ratios
 
 
 def draw(rows: list[Row], path: StrPath, title: str = "", labels: Mapping[str, str] | None = None) -> None:

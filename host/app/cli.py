@@ -354,11 +354,11 @@ def horizon(
     }
     node = parsing.numbers(at, "--at", "ROW,COL") if at else ()
     scene, raster = parsing.scene(file, height, spacing, None, nodata, sides, resample)
-    found: np.ndarray | None = None
+    maps: np.ndarray | None = None
     with output.progress_bar("looking for horizons"):
         name = select(backend).name
         if out:
-            found = quantities[what](scene, azimuths=azimuths, backend=name, max_distance=max_distance)
+            maps = quantities[what](scene, azimuths=azimuths, backend=name, max_distance=max_distance)
         if picture:
             if any(n != int(n) for n in node):
                 raise bad("--at", at, "two whole numbers")
@@ -367,10 +367,10 @@ def horizon(
             assert isinstance(sky, Sky), "lamps and windows have options of their own"
             plot.save(plot.horizon(scene, row, col, sky, backend=name), picture)
     shape, scale = (), None
-    if out and found is not None:
-        shape = found.shape
+    if out and maps is not None:
+        shape = maps.shape
         whole = (0.0, 1.0) if what == "sky-view-factor" else None
-        scale = output.write(out, found, raster, range=whole, name=what.replace("-", "_"))
+        scale = output.write(out, maps, raster, range=whole, name=what.replace("-", "_"))
     output.report_array_or_picture(
         out, picture, as_json, name, shape=shape, range=scale, what=what if out else None
     )
@@ -475,12 +475,12 @@ def chart(
 def backends(as_json: opt.Json = False, quiet: opt.Quiet = False, verbose: opt.Verbose = False) -> None:
     """List the backends: name, device, and the reason if one is not available."""
     with output.progress_bar("looking for devices"):
-        found = sl.backends()
+        infos = sl.backends()
     if as_json:
-        output.print_json({"backends": found})
+        output.print_json({"backends": infos})
         return
     table = Table("backend", "device", "available", "why not")
-    for b in found:
+    for b in infos:
         table.add_row(b.name, b.device, "yes" if b.available else "no", b.why)
     output.console().print(table)
 
@@ -489,8 +489,8 @@ def backends(as_json: opt.Json = False, quiet: opt.Quiet = False, verbose: opt.V
 def doctor(quiet: opt.Quiet = False, verbose: opt.Verbose = False) -> None:
     """Print versions, devices, caches and free memory as JSON, for bug reports."""
     with output.progress_bar("looking for devices"):
-        found = examined()
-    print(json.dumps(found, indent=1))
+        report = examined()
+    print(json.dumps(report, indent=1))
 
 
 @app.command(epilog=epilog("selftest"))
@@ -505,8 +505,8 @@ def selftest(as_json: opt.Json = False, quiet: opt.Quiet = False, verbose: opt.V
     wrong = [c for c in every if not c.passed]
     if as_json:
         each = {
-            name: [{**output.plain(c), "passed": c.passed} for c in found]
-            for name, found in (("checks", checked), ("comparisons", compared))
+            name: [{**output.plain(c), "passed": c.passed} for c in results]
+            for name, results in (("checks", checked), ("comparisons", compared))
         }
         output.print_json({"backends": names, "passed": not wrong, **each})
     else:
@@ -519,10 +519,10 @@ def selftest(as_json: opt.Json = False, quiet: opt.Quiet = False, verbose: opt.V
         raise typer.Exit(1)
 
 
-def _checked(found: list[Check]) -> Table:
+def _checked(checks: list[Check]) -> Table:
     """A row for each check."""
     table = Table("check", "backend", "found", "at most")
-    for c in found:
+    for c in checks:
         shown = "failed" if c.figure is None else f"{c.figure:.1e}"
         table.add_row(c.name, c.backend, shown + ("" if c.passed else "  WRONG"), f"{c.bound:.0e}")
     return table

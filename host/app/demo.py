@@ -127,9 +127,9 @@ def _relief_recovered(backend: str, pictures: Pictures, step: Callable[[], None]
     depth = relief()
     seen = render(Scene(depth, sides="dark"), Sky(), interreflection=False, backend=backend)
     step()
-    found = recover(seen.image, Sky(), sides="dark", interreflection=False, backend=backend)
+    recovered = recover(seen.image, Sky(), sides="dark", interreflection=False, backend=backend)
     step()
-    error = float(np.sqrt(np.mean((found.depth - depth) ** 2)))
+    error = float(np.sqrt(np.mean((recovered.depth - depth) ** 2)))
     pictures.add(
         "relief_rendered.png",
         seen.image,
@@ -141,7 +141,7 @@ def _relief_recovered(backend: str, pictures: Pictures, step: Callable[[], None]
     for name, z, text in (
         (
             "relief_recovered.png",
-            found.depth,
+            recovered.depth,
             f"depth recovered from that picture, near is bright; RMS error {error:.2g} in a relief"
             f" of {np.ptp(depth):.0f}",
         ),

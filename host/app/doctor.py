@@ -38,14 +38,14 @@ def _version(name: str) -> str | None:
 def _caches() -> dict[str, Path]:
     """Where compiled kernels are kept."""
     home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-    found = {"pocl": Path(os.environ.get("POCL_CACHE_DIR") or home / "pocl")}
+    folders = {"pocl": Path(os.environ.get("POCL_CACHE_DIR") or home / "pocl")}
     try:
         import warp
 
-        found["warp"] = Path(warp.config.kernel_cache_dir or home / "warp")
+        folders["warp"] = Path(warp.config.kernel_cache_dir or home / "warp")
     except ImportError:
         pass
-    return found
+    return folders
 
 
 def _cache(path: Path) -> dict[str, Any]:

@@ -32,22 +32,22 @@ def of_six(pictures: list[np.ndarray]) -> np.ndarray:
     return sheet
 
 
-def of_recovery(image: np.ndarray, found: Recovery, spacing: float) -> np.ndarray:
+def of_recovery(image: np.ndarray, recovered: Recovery, spacing: float) -> np.ndarray:
     """Side by side: image, relief, confidence and residual.
 
     The relief is the depth under a low lamp; the residual is |model - image|, white at a tenth of the image's
     maximum.
     """
-    assert found.confidence is not None and found.residual is not None, "recover() gives both"
-    rows, cols = found.depth.shape
-    size, depth = max(rows, cols) * spacing, found.depth - found.depth.min()
+    assert recovered.confidence is not None and recovered.residual is not None, "recover() gives both"
+    rows, cols = recovered.depth.shape
+    size, depth = max(rows, cols) * spacing, recovered.depth - recovered.depth.min()
     lamp = Lamp(center=(-size, -size, -1.5 * size), radius=size / 4)
-    relief = render(Scene(depth, spacing), lamp, backend=found.backend).image
+    relief = render(Scene(depth, spacing), lamp, backend=recovered.backend).image
     pictures = [
         _scaled(image, image.max()),
         _scaled(relief, np.percentile(relief, 99)),
-        found.confidence,
-        _scaled(np.abs(found.residual), 0.1 * image.max()),
+        recovered.confidence,
+        _scaled(np.abs(recovered.residual), 0.1 * image.max()),
     ]
     times = max(1, ROW // max(rows, cols))
     sheet = np.full((rows * times + 2 * BORDER, 4 * (cols * times + BORDER) + BORDER), GREY)

@@ -174,7 +174,7 @@ def write_quantity(
     job = Job(file.resolve(), Path(out).with_name(Path(out).name + ".scratch"), layout, quantity)
     with workers_of(machines) as client:
         group = run(job, client, machines.resume, progress)
-    write(out, group["found"], header, machines.cog)
+    write(out, group["values"], header, machines.cog)
     shutil.rmtree(job.scratch)
     return layout.shape if quantity.bands == 1 else (quantity.bands, *layout.shape)
 
@@ -284,9 +284,9 @@ def _compute(job: Job, number: int, top: Top | None) -> None:
     window, quantity = _window(job, box, layout.depths), job.quantity
     bands = quantity.bands
     part = None if bands == 1 else slice(0, bands)
-    found = tile_of(quantity.work, layout, box, window, low, top, part, quantity.albedo)
+    values = tile_of(quantity.work, layout, box, window, low, top, part, quantity.albedo)
     (row, rows), (col, cols) = box
-    group["found"][:, row : row + rows, col : col + cols] = found.reshape(bands, rows, cols)
+    group["values"][:, row : row + rows, col : col + cols] = values.reshape(bands, rows, cols)
     group["done"][number] = 1
 
 
@@ -332,7 +332,7 @@ def scratch_of(job: Job, resume: bool) -> Any:
     group.create_array("low", shape=(2, *cells), chunks=(2, side, side), **kind)
     bands = job.quantity.bands
     group.create_array(
-        "found", shape=(bands, *job.layout.shape), chunks=(bands, *(tiling.tile // 2,) * 2), **kind
+        "values", shape=(bands, *job.layout.shape), chunks=(bands, *(tiling.tile // 2,) * 2), **kind
     )
     if job.layout.undecided:
         colours = job.quantity.work.colours
@@ -375,14 +375,14 @@ def workers_of(machines: Machines) -> Iterator[Any]:
         yield client
 
 
-def write(out: str, found: Any, header: geo.Raster, cog: bool) -> None:
+def write(out: str, maps: Any, header: geo.Raster, cog: bool) -> None:
     """Write a Zarr array (bands, rows, cols) as a GeoTIFF, by blocks of rows.
 
     ``cog``: one for the cloud, with overviews.
     """
     rasterio = importlib.import_module("rasterio")
     importlib.import_module("rasterio.shutil")
-    bands, rows, cols = found.shape
+    bands, rows, cols = maps.shape
     with replacing_file(out) as path:
         plain = path.with_suffix(".plain") if cog else path
         with rasterio.open(
@@ -405,9 +405,9 @@ def write(out: str, found: Any, header: geo.Raster, cog: bool) -> None:
             num_threads="all_cpus",
         ) as file:
             file.update_tags(AREA_OR_POINT="Point" if header.point else "Area")
-            step = found.chunks[1]
+            step = maps.chunks[1]
             for row in range(0, rows, step):
-                part = found[:, row : row + step]
+                part = maps[:, row : row + step]
                 file.write(part, window=((row, row + part.shape[1]), (0, cols)))
         if cog:
             options = dict(

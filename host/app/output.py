@@ -56,12 +56,12 @@ def either(target: str | None, out: str | None) -> str | None:
 
 def needed(target: str | None, out: str | None) -> str:
     """:func:`either`, which must be given."""
-    found = either(target, out)
-    if not found:
+    path = either(target, out)
+    if not path:
         raise typer.BadParameter(
             "no output is given. Give OUTPUT after the input, or --out FILE; - is stdout.", param_hint="--out"
         )
-    return found
+    return path
 
 
 def check_array_or_picture(out: str | None, picture: Path | None, as_json: bool) -> None:

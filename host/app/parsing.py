@@ -142,7 +142,7 @@ def tolerance(text: str, option: str = "--tolerance") -> float:
 
 def byte_count(text: str, option: str = "--memory") -> int:
     """Bytes: 8GB, 512MB, 6.5e9."""
-    found = re.fullmatch(r"([0-9.]+(?:e[0-9]+)?)\s*([kMGT]?i?B?)", text.strip())
+    match = re.fullmatch(r"([0-9.]+(?:e[0-9]+)?)\s*([kMGT]?i?B?)", text.strip())
     units = {
         "": 1,
         "k": 1e3,
@@ -155,8 +155,8 @@ def byte_count(text: str, option: str = "--memory") -> int:
         "Ti": 2**40,
     }
     try:
-        assert found is not None
-        return int(float(found[1]) * units[found[2].removesuffix("B")])
+        assert match is not None
+        return int(float(match[1]) * units[match[2].removesuffix("B")])
     except (AssertionError, ValueError, KeyError):
         raise typer.BadParameter(f"got {text!r}; allowed: bytes, such as 8GB", param_hint=option) from None
 
@@ -164,14 +164,14 @@ def byte_count(text: str, option: str = "--memory") -> int:
 def numbers(text: str, option: str, form: str) -> tuple[float, ...]:
     """As many numbers, with commas between, as ``form`` has names."""
     try:
-        found = tuple(float(part) for part in text.split(","))
+        values = tuple(float(part) for part in text.split(","))
     except ValueError:
-        found = ()
-    if len(found) != len(form.split(",")):
+        values = ()
+    if len(values) != len(form.split(",")):
         raise typer.BadParameter(
             f"got {text!r}; allowed: {form}, numbers with commas between", param_hint=option
         )
-    return found
+    return values
 
 
 def whole_numbers(text: str, option: str) -> list[int]:

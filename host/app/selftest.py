@@ -109,8 +109,8 @@ def _plane(backend: str) -> float:
 def _trench(backend: str) -> float:
     """The sky-view factor is the sine of the angle between the zenith and the walls' edges."""
     wall = np.where(abs(np.arange(48) - 24) < 8, 6.0, 0.0)  # 6 deep, edges 8 from the middle
-    found = sky_view_factor(Scene(wall * np.ones((8, 1)), sides="periodic"), azimuths=64, backend=backend)
-    return float(abs(found[:, 24] - 8 / np.hypot(8, 6)).max())
+    factor = sky_view_factor(Scene(wall * np.ones((8, 1)), sides="periodic"), azimuths=64, backend=backend)
+    return float(abs(factor[:, 24] - 8 / np.hypot(8, 6)).max())
 
 
 @_check("ball above level ground, closed form", 1e-4)
@@ -155,8 +155,8 @@ def _recovered(backend: str) -> float:
     image = render(
         Scene(depth, sides="dark"), Sky(), backend=backend, tolerance=0.01, interreflection=False
     ).image
-    found = recover(image, Sky(), 0.8, "dark", layers=8, interreflection=False, backend=backend)
-    return float(np.sqrt(np.mean((found.depth - depth) ** 2)))
+    recovered = recover(image, Sky(), 0.8, "dark", layers=8, interreflection=False, backend=backend)
+    return float(np.sqrt(np.mean((recovered.depth - depth) ** 2)))
 
 
 @_check("no light below 0 [share of the mean]", 0.0)
@@ -170,16 +170,16 @@ def _dark(backend: str) -> float:
 def checks(progress: Callable[[int, int], None] | None = None) -> list[Check]:
     """Every check on every available backend. A backend that raises fails that check."""
     names = [info.name for info in backends() if info.available]
-    found: list[Check] = []
+    results: list[Check] = []
     for name in names:
         for what, (made, bound) in CHECKS.items():
             try:
-                found.append(Check(what, name, made(select(name).name), bound))
+                results.append(Check(what, name, made(select(name).name), bound))
             except (SkylampError, RuntimeError, MemoryError) as error:
-                found.append(Check(what, name, None, bound, f"{name}: {' '.join(str(error).split())}"))
+                results.append(Check(what, name, None, bound, f"{name}: {' '.join(str(error).split())}"))
             if progress:
-                progress(len(found), len(names) * len(CHECKS))
-    return found
+                progress(len(results), len(names) * len(CHECKS))
+    return results
 
 
 def cases() -> list[Case]:
@@ -219,11 +219,11 @@ def selftest(progress: Callable[[int, int], None] | None = None) -> list[Compari
     compared = []
     todo = cases()
     for done, case in enumerate(todo):
-        found: dict[str, np.ndarray] = {}
+        made: dict[str, np.ndarray] = {}
         failed: dict[str, str] = {}
         for name in names:
             try:
-                found[name] = case.make(select(name).name)
+                made[name] = case.make(select(name).name)
             except (SkylampError, RuntimeError, MemoryError) as error:
                 failed[name] = f"{name}: {' '.join(str(error).split())}"
         for one, other in combinations(names, 2):
@@ -233,7 +233,7 @@ def selftest(progress: Callable[[int, int], None] | None = None) -> list[Compari
                     case.name,
                     one,
                     other,
-                    None if failure else difference(found[one], found[other]),
+                    None if failure else difference(made[one], made[other]),
                     case.allowed,
                     failure,
                 )

@@ -331,10 +331,10 @@ class Page:
             image = self.viewer.tones(np.asarray(done.image))
             return done, image, imageio.imwrite("<bytes>", image, extension=".jpg", quality=85)
 
-        found: tuple[Rendering, np.ndarray, bytes] | None = await self.run.io_bound(drawn)
-        if found is None:
+        shown: tuple[Rendering, np.ndarray, bytes] | None = await self.run.io_bound(drawn)
+        if shown is None:
             return None
-        done, self.image, encoded = found
+        done, self.image, encoded = shown
         self.picture.set_source(data_url(encoded, "jpeg"))
         return done
 

@@ -56,7 +56,7 @@ def probe() -> list[BackendInfo]:
     except cl.Error as error:
         why = f"no OpenCL platform ({error}); pocl-binary-distribution brings one for the CPU"
         return [BackendInfo("opencl", "", False, why)]
-    found = []
+    infos = []
     for p, platform in enumerate(platforms):
         for d, device in enumerate(platform.get_devices()):
             described = (
@@ -66,8 +66,8 @@ def probe() -> list[BackendInfo]:
             exact = bool(device.double_fp_config)
             why = "" if exact else "the device has no double precision, which windows and lamps need"
             gpu = bool(device.type & cl.device_type.GPU)
-            found.append(BackendInfo(f"opencl:{p}:{d}", described, exact, why, gpu))
-    return sorted(found, key=lambda info: not info.gpu) or [
+            infos.append(BackendInfo(f"opencl:{p}:{d}", described, exact, why, gpu))
+    return sorted(infos, key=lambda info: not info.gpu) or [
         BackendInfo("opencl", "", False, "the OpenCL platforms have no device")
     ]
 
@@ -141,8 +141,8 @@ class OpenclBackend(Backend):
 
     def download(self, array: Array) -> np.ndarray:
         if self.shares or array.nbytes < staging.LEAST:
-            found: np.ndarray = array.get()
-            return found
+            values: np.ndarray = array.get()
+            return values
         return self.transfers.download(array, array.shape, array.dtype)
 
     @functools.cached_property
@@ -315,8 +315,8 @@ def _on_huge_pages(context: Any, size: int) -> Any:
 @functools.cache
 def _scalar_kinds(stem: str, kernel: str) -> list[Callable[[Any], Any] | None]:
     """The NumPy type of every scalar argument (None for buffers), read off the kernel's own signature."""
-    found = re.search(rf"__kernel void {kernel}\((.*?)\)", skylamp.opencl.source(stem), re.S)
-    if found is None:
+    signature = re.search(rf"__kernel void {kernel}\((.*?)\)", skylamp.opencl.source(stem), re.S)
+    if signature is None:
         raise BackendError(f"{stem}.cl has no kernel {kernel}")
     kinds: dict[str, Callable[[Any], Any]] = {
         "int": np.int32,
@@ -326,5 +326,5 @@ def _scalar_kinds(stem: str, kernel: str) -> list[Callable[[Any], Any] | None]:
     }
     return [
         None if "*" in argument else kinds[argument.replace("const", "").split()[0]]
-        for argument in found.group(1).split(",")
+        for argument in signature.group(1).split(",")
     ]

@@ -22,9 +22,9 @@ def backends() -> list[BackendInfo]:
         With name, device, available and, where it is not, the reason ``why``.
     """
     with _lock:
-        found = _probe()
+        infos = _probe()
     return sorted(
-        found,
+        infos,
         key=lambda info: (
             not info.available,
             not info.gpu,
@@ -42,13 +42,13 @@ def select(name: str = "auto") -> Backend:
     """
     if not isinstance(name, str):
         raise BackendError(f"backend: got {name!r}; allowed: a name, one of {', '.join(_names())}, auto.")
-    found = {info.name: info for info in backends()}
+    infos = {info.name: info for info in backends()}
     if name == "auto":
-        name = _preferred or next(info.name for info in found.values() if info.available)
+        name = _preferred or next(info.name for info in infos.values() if info.available)
     if name == "opencl":
-        devices = [n for n, info in found.items() if n.startswith("opencl:") and info.available]
+        devices = [n for n, info in infos.items() if n.startswith("opencl:") and info.available]
         name = devices[0] if devices else name
-    info = found.get(name)
+    info = infos.get(name)
     if info is None or not info.available:
         why = info.why if info else "there is no such backend"
         here = _names()

@@ -27,8 +27,8 @@ class DeviceImage:
         self.backend, self.values, self.shape = backend, values, shape
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> np.ndarray:
-        found = self.backend.download(self.values).reshape(-1)[: math.prod(self.shape)].reshape(self.shape)
-        return found if dtype is None else found.astype(dtype, copy=False)
+        values = self.backend.download(self.values).reshape(-1)[: math.prod(self.shape)].reshape(self.shape)
+        return values if dtype is None else values.astype(dtype, copy=False)
 
     def shade(
         self, there: Resident, albedo: float | np.ndarray, unit: float, least: float = -math.inf
@@ -47,9 +47,9 @@ class DeviceImage:
     def copy(self) -> DeviceImage:
         """The same values in memory of their own."""
         count = math.prod(self.shape)
-        found, none = self.backend.empty((count,), np.float32), self.backend.table(np.zeros(1, np.uint8))
-        self.backend.launch("resident", "adopt", (count,), self.values, none, found, 0.0, 1.0, 0, count)
-        return DeviceImage(self.backend, found, self.shape)
+        copied, none = self.backend.empty((count,), np.float32), self.backend.table(np.zeros(1, np.uint8))
+        self.backend.launch("resident", "adopt", (count,), self.values, none, copied, 0.0, 1.0, 0, count)
+        return DeviceImage(self.backend, copied, self.shape)
 
     def scale(self, factor: float, least: float = -math.inf) -> None:
         """Multiply by a number, in place; values below ``least`` become ``least`` before."""
@@ -143,13 +143,13 @@ class Resident(NamedTuple):
         """
         rows, cols = self.shape
         width, height = cols + left + right, rows + above + below
-        found = self.backend.empty((width * height,), np.float32)
+        window = self.backend.empty((width * height,), np.float32)
         self.backend.launch(
             "resident",
             "heights",
             (width, height),
             self.depth,
-            found,
+            window,
             rows,
             cols,
             left,
@@ -160,7 +160,7 @@ class Resident(NamedTuple):
             float(masked),
             int(periodic),
         )
-        return found
+        return window
 
     def probe(self, heights: Array, margin: int, every: int, first: int) -> np.ndarray:
         """Steepest slopes (8, samples) from every ``every``-th node to ground at least ``first`` rows away.
@@ -179,12 +179,12 @@ class Resident(NamedTuple):
     def pick(self, nodes: np.ndarray) -> np.ndarray:
         """Depths at nodes, numbered row by row."""
         given = self.backend.upload(nodes.astype(np.int32).ravel())
-        found = self.backend.empty((nodes.size,), np.float32)
+        picked = self.backend.empty((nodes.size,), np.float32)
         missing = math.inf
         self.backend.launch(
-            "pilot", "pick", (nodes.size,), self.depth, given, found, nodes.size, missing, lanes=1
+            "pilot", "pick", (nodes.size,), self.depth, given, picked, nodes.size, missing, lanes=1
         )
-        return self.backend.download(found).reshape(nodes.shape)
+        return self.backend.download(picked).reshape(nodes.shape)
 
     def copy_into(self, depth: Array) -> None:
         """Copy the map to the first elements of a device array."""
@@ -217,30 +217,30 @@ def adopt(
         backend.launch("resident", "adopt", (count,), values, valid, depth, top, sign, masked, count)
         return survey(backend, depth, shape)
 
-    found = take(0.0, 1.0)
-    if height and not found.broken and found.least <= found.most:
-        found = take(found.most, -1.0)
-    return depth, found
+    surveyed = take(0.0, 1.0)
+    if height and not surveyed.broken and surveyed.least <= surveyed.most:
+        surveyed = take(surveyed.most, -1.0)
+    return depth, surveyed
 
 
 def survey(backend: Backend, depth: Array, shape: tuple[int, int], step: float = 1.0) -> Survey:
     """A pass over a map (rows x cols) float32 [length] on a device, +inf where masked."""
     rows, cols = shape
     blocks = -(-rows // BLOCK)
-    found = backend.empty((8, blocks, cols), np.float32)
-    backend.launch("resident", "survey", (cols, blocks), depth, found, rows, cols, BLOCK, float(step))
-    low, high, *sums = backend.download(found).reshape(8, -1)
+    partial = backend.empty((8, blocks, cols), np.float32)
+    backend.launch("resident", "survey", (cols, blocks), depth, partial, rows, cols, BLOCK, float(step))
+    low, high, *sums = backend.download(partial).reshape(8, -1)
     broken, fractional, *rest = (float(part.sum(dtype=np.float64)) for part in sums)
     squares, pairs = (rest[0], rest[1]), (int(rest[2]), int(rest[3]))
     return Survey(float(low.min()), float(high.max()), int(broken), int(fractional), squares, pairs)
 
 
 def in_layers(
-    backend: Backend, depth: Array, shape: tuple[int, int], spacing: float, found: Survey
+    backend: Backend, depth: Array, shape: tuple[int, int], spacing: float, surveyed: Survey
 ) -> Resident:
     """A map of depths [length]; whole layers in place of depths where all are such, as for a host's map."""
     count, step = math.prod(shape), spacing
-    least, most = found.least, found.most
+    least, most = surveyed.least, surveyed.most
     if spacing != 1 and most / spacing < LAYERS and not survey(backend, depth, shape, spacing).fractional:
         backend.launch("resident", "layers", (count,), depth, float(spacing), count)
         step, least, most = 1.0, float(np.rint(least / spacing)), float(np.rint(most / spacing))

@@ -24,9 +24,9 @@ def fetch(backend: Any, array: Any, parts: Sequence[np.ndarray]) -> None:
     if not backend.shares and sum(part.nbytes for part in parts) >= LEAST:
         backend.transfers.fetch(array, parts)
         return
-    found, first = backend.download(array).reshape(-1), 0
+    values, first = backend.download(array).reshape(-1), 0
     for part in parts:
-        part.reshape(-1)[:] = found[first : first + part.size]
+        part.reshape(-1)[:] = values[first : first + part.size]
         first += part.size
 
 
@@ -63,9 +63,9 @@ class Staging:
     def download(self, array: Any, shape: tuple[int, ...], dtype: np.dtype[Any]) -> np.ndarray:
         """A device array in new memory of the host."""
         count = int(np.prod(shape)) * dtype.itemsize
-        found = scratch((-(-count // 4),)).view(np.uint8)[:count]
-        self.fetch(array, [found])
-        result: np.ndarray = found.view(dtype).reshape(shape)
+        raw = scratch((-(-count // 4),)).view(np.uint8)[:count]
+        self.fetch(array, [raw])
+        result: np.ndarray = raw.view(dtype).reshape(shape)
         return result
 
     def fetch(self, array: Any, parts: Sequence[np.ndarray]) -> None:

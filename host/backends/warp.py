@@ -38,13 +38,13 @@ def probe() -> list[BackendInfo]:
             wp.init()
         here = wp.is_cpu_available()
         why = "" if here else "this Warp comes without its CPU compiler"
-        found = [BackendInfo("warp:cpu", "Warp on the CPU, 1 thread", here, why)]
-        found += [BackendInfo(f"warp:{d.alias}", d.name, True, gpu=True) for d in wp.get_cuda_devices()]
+        infos = [BackendInfo("warp:cpu", "Warp on the CPU, 1 thread", here, why)]
+        infos += [BackendInfo(f"warp:{d.alias}", d.name, True, gpu=True) for d in wp.get_cuda_devices()]
     except (ImportError, OSError, RuntimeError) as error:
         return [BackendInfo("warp:cpu", "", False, f"warp-lang cannot be started ({error})")]
-    if len(found) == 1:
-        found.append(BackendInfo("warp:cuda:0", "", False, "Warp finds no CUDA device or driver", gpu=True))
-    return found
+    if len(infos) == 1:
+        infos.append(BackendInfo("warp:cuda:0", "", False, "Warp finds no CUDA device or driver", gpu=True))
+    return infos
 
 
 @contextlib.contextmanager
@@ -89,14 +89,14 @@ class WarpBackend(Backend):
         array = np.ascontiguousarray(array)
         if constant and self.shares:
             kind = self.wp.dtype_from_numpy(array.dtype)
-            found = self.wp.array(ptr=array.ctypes.data, dtype=kind, shape=array.shape, device="cpu")
-            found.memory = array  # held as long
-            return found
+            uploaded = self.wp.array(ptr=array.ctypes.data, dtype=kind, shape=array.shape, device="cpu")
+            uploaded.memory = array  # held as long
+            return uploaded
         if self.shares or array.nbytes < staging.LEAST:
             return self.wp.array(array, device=self._device)
-        found = self.empty(array.shape, array.dtype)
-        self.transfers.upload(array, found)
-        return found
+        uploaded = self.empty(array.shape, array.dtype)
+        self.transfers.upload(array, uploaded)
+        return uploaded
 
     def put(self, array: Array, values: np.ndarray) -> None:
         array.assign(np.ascontiguousarray(values))

@@ -27,7 +27,7 @@ class AlbedoFit:
         self.over, self.shared, self.weight, self.expected, *self.unders = (
             backend.empty((self.pixels,), np.float32, PRIOR_WEIGHT) for _ in range(6)
         )
-        self.ones, self.found = (backend.empty((1, self.pixels), np.float32, 1) for _ in range(2))
+        self.ones, self.product = (backend.empty((1, self.pixels), np.float32, 1) for _ in range(2))
         for image in images:
             image.gains = [backend.empty((self.pixels,), np.float32) for _ in range(2)]
 
@@ -42,7 +42,7 @@ class AlbedoFit:
         for image in self.images:
             self._match(image.links[side][0], image.gain, image.target, side, False)
         gains = ((image.gain, image.gains[side]) for image in self.images)
-        for gain, out in ((self.ones, self.found), *gains):
+        for gain, out in ((self.ones, self.product), *gains):
             self.launcher.launch(
                 "reflect", self.over, self.unders[side], gain, out, self.pixels, dim=(self.pixels,)
             )
@@ -56,5 +56,5 @@ class AlbedoFit:
     def values(self, side: int) -> np.ndarray:
         """(pixels,) the albedo that was fitted last at this side."""
         image, get = self.images[0], self.launcher.backend.download
-        found: np.ndarray = get(image.gains[side]) / get(image.gain)
-        return found
+        albedo: np.ndarray = get(image.gains[side]) / get(image.gain)
+        return albedo

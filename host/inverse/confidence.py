@@ -257,18 +257,18 @@ def finer_model_depth(pyramid: Pyramid, level: int, z: np.ndarray) -> np.ndarray
         np.full(shape, FINER * pyramid.bounds[level][1].max()),
         radiances=sent and [np.maximum(cubic(image, FINER), 0) for image in sent],
     )
-    middle, found = slice(FINER // 2, None, FINER), z
+    middle, depth = slice(FINER // 2, None, FINER), z
     smoothness = pyramid.smoothness(level)
     pyramid.set_prior(level, on_coarser_grid(z))
     for _ in range(REFITS):
-        fine = model.irradiances(np.maximum(FINER * cubic(found, FINER), NEAREST))
-        coarse = problem.irradiances(found)
+        fine = model.irradiances(np.maximum(FINER * cubic(depth, FINER), NEAREST))
+        coarse = problem.irradiances(depth)
         problem.set_targets(
             [image + own - other[middle, middle] for image, own, other in zip(images, coarse, fine)]
         )
-        found = problem.run(found, smoothness, REFIT_STEPS, ITERATIONS, *CLOSE, pyramid.stop).depth
+        depth = problem.run(depth, smoothness, REFIT_STEPS, ITERATIONS, *CLOSE, pyramid.stop).depth
     problem.set_targets(images)
-    return found
+    return depth
 
 
 def other_depths(pyramid: Pyramid, level: int, z: np.ndarray, apart: float) -> np.ndarray:

@@ -102,7 +102,7 @@ class Descent:
         rows = list(range(count))
         if self.albedo is not None:
             self.albedo.fit(side)
-            compared.append((self.albedo.found, self.albedo.weight, self.albedo.expected))
+            compared.append((self.albedo.product, self.albedo.weight, self.albedo.expected))
             rows.append(count + 1)
         for row, (light, gain, target) in zip(rows, compared):
             sums = self.parts, row * blocks, self.pixels
@@ -213,6 +213,6 @@ class Descent:
             if last or (stop and stop()):
                 break
         self.damping = damping
-        found: np.ndarray = self.backend.download(self.depths.z[self.here]).reshape(self.shape)
-        self._at = found
-        return Solution(found.copy(), best)
+        depth: np.ndarray = self.backend.download(self.depths.z[self.here]).reshape(self.shape)
+        self._at = depth
+        return Solution(depth.copy(), best)

@@ -30,16 +30,16 @@ def of_images(
     images: Sequence[np.ndarray], lights: Sequence[sources.Source], scene: Scene, deepest: float
 ) -> list[str]:
     """Warnings that follow from the images alone; lights in nodes, ``deepest`` [nodes]."""
-    found = []
+    warnings = []
     if scene.sides == "open" and all(isinstance(light, sources.Sky) for light in lights):
-        found.append(OPEN_SKY)
+        warnings.append(OPEN_SKY)
     for image in images:
         values = np.unique(image)
         if 2 < len(values) <= EIGHT_BITS < image.size:
             step = float(np.median(np.diff(values)))
             along = np.concatenate([np.abs(np.diff(image, axis=a)).ravel() for a in (0, 1)])
             if np.median(along) < step:
-                found.append(
+                warnings.append(
                     f"8-bit steps: the image has {len(values)} values, {step:.2g} apart, and most neighbours"
                     " differ by less; fine relief is lost in them."
                 )
@@ -47,20 +47,20 @@ def of_images(
         if isinstance(light, sources.Lamp) and light.center is not None and light.radius is not None:
             away = deepest - light.center[2]
             if light.radius / max(away, light.radius) < 0.5 / min(COARSEST, *scene.shape):
-                found.append(
+                warnings.append(
                     f"Small lamp: its radius of {light.radius:.3g} nodes is below the resolution of the"
                     f" coarsest grid at depth {deepest:.3g}; its shadows are sharper than the grid allows."
                 )
-    return found
+    return warnings
 
 
 def of_residual(pyramid: Pyramid, residual: np.ndarray) -> list[str]:
     """Warnings that follow from the residual of the first image, in the unit of the pyramid."""
-    found = []
+    warnings = []
     rms = math.sqrt(float(np.mean(residual**2))) / IMAGE_RMS
     too_bright = (residual < -TOO_BRIGHT * IMAGE_RMS) & (residual < -DEVIATIONS * pyramid.noise)
     if too_bright.mean() > TOO_MANY:
-        found.append(
+        warnings.append(
             f"Image brighter than the model can make it at {too_bright.mean():.0%} of the pixels: a larger"
             " albedo or brightness, or other sides, may be right."
         )
@@ -68,8 +68,8 @@ def of_residual(pyramid: Pyramid, residual: np.ndarray) -> list[str]:
         why = "; check sides, albedo and source; or the relief is finer than the resolution."
         if _worse_at_rim(residual):
             why = f", mostly near the border: check the sides (sides={pyramid.sides!r} was given)."
-        found.append(f"Poorly explained: model and image differ by {rms:.0%} of the image (rms){why}")
-    return found
+        warnings.append(f"Poorly explained: model and image differ by {rms:.0%} of the image (rms){why}")
+    return warnings
 
 
 def of_ground(pyramid: Pyramid, residual: float) -> list[str]:
@@ -95,28 +95,28 @@ def _worse_at_rim(residual: np.ndarray) -> bool:
 
 def of_confidence(confidence: np.ndarray, ambiguous: np.ndarray, albedo_given: bool) -> list[str]:
     """Warnings that follow from the doubtful pixels."""
-    found = []
+    warnings = []
     if ambiguous.mean() >= AMBIGUOUS:
-        found.append(
+        warnings.append(
             f"Ambiguous: {ambiguous.mean():.0%} of the pixels fit several depths; give"
             " near= and far=, or a second image."
         )
     untold = (confidence < 0.5).mean()
     if not albedo_given and untold > UNTOLD:
-        found.append(
+        warnings.append(
             f"Depth depends on the albedo at {untold:.0%} of the pixels: these images hardly"
             " separate the two; add an image under a lamp, or give the albedo."
         )
-    return found
+    return warnings
 
 
 def of_carving(
     image: np.ndarray, source: sources.Source, sides: str, drilled: np.ndarray, stop: str
 ) -> list[str]:
     """Warnings of the paper's method."""
-    found = []
+    warnings = []
     if drilled.any():
-        found.append(
+        warnings.append(
             f"Drilled: {drilled.mean():.1%} of the columns never matched the image and were carved through to"
             " the back"
             + (
@@ -126,13 +126,13 @@ def of_carving(
             )
         )
     if sides == "open" and isinstance(source, sources.Sky):
-        found.append(OPEN_SKY)
+        warnings.append(OPEN_SKY)
     if count := count_of(image):
-        found.append(
+        warnings.append(
             f"Few counts: the image's values are multiples of {count:.2g} of its maximum, so changes of"
             " depth below one such step are lost."
         )
-    return found
+    return warnings
 
 
 def count_of(image: np.ndarray) -> float:

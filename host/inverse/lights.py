@@ -36,9 +36,9 @@ class Light:
     @property
     def directions(self) -> np.ndarray:
         """(count, 4) azimuths, or quadrature of slices."""
-        found = self.azimuths if self.quadrature is None else self.quadrature
-        assert found is not None, "a light has azimuths or slices"
-        return found
+        directions = self.azimuths if self.quadrature is None else self.quadrature
+        assert directions is not None, "a light has azimuths or slices"
+        return directions
 
 
 def brightness_of(source: sources.Source, azimuths: int) -> Brightness:

@@ -57,63 +57,63 @@ class Multigrid:
         """From z on one grid, with those of these weights of smoothness above its own, then with its own."""
         problem = self.pyramid.problem(level)
         least = self.pyramid.smoothness(level)
-        found = Solution(np.clip(z, *self.pyramid.bounds[level]), math.inf)
+        solution = Solution(np.clip(z, *self.pyramid.bounds[level]), math.inf)
         for smoothness in (*(s for s in stiffness if s > least), least):
-            found = problem.run(
-                found.depth, smoothness, steps, ITERATIONS, *(accuracy or self.accuracy), self.pyramid.stop
+            solution = problem.run(
+                solution.depth, smoothness, steps, ITERATIONS, *(accuracy or self.accuracy), self.pyramid.stop
             )
-        return found
+        return solution
 
     def polish(self, level: int, z: np.ndarray) -> Solution:
         """The surface that is the answer so far, worked out."""
         self.pyramid.set_prior(level, on_coarser_grid(z))
-        found = self.relax(level, z, (), accuracy=LAST)
-        self.pyramid.accept(level, found.depth)
-        return found
+        solution = self.relax(level, z, (), accuracy=LAST)
+        self.pyramid.accept(level, solution.depth)
+        return solution
 
     def solve(self, z: np.ndarray, start: int, last: int, accept: bool = True) -> Solution:
         """On grid ``last``, from a surface on grid ``start`` that was not worked over. ``accept``: whether
         this is the answer so far.
         """
-        found = self.relax(start, z, FROM_STIFF, START_STEPS)
+        solution = self.relax(start, z, FROM_STIFF, START_STEPS)
         if accept:
-            self.pyramid.accept(start, found.depth)
-        return self.refine(found.depth, start, last, accept) if last < start else found
+            self.pyramid.accept(start, solution.depth)
+        return self.refine(solution.depth, start, last, accept) if last < start else solution
 
     def refine(self, z: np.ndarray, start: int, last: int, accept: bool = True) -> Solution:
         """On grid ``last``, from a surface on the coarser grid ``start``."""
-        found = Solution(z, math.inf)
+        solution = Solution(z, math.inf)
         for level in range(start - 1, last - 1, -1):
             if self.pyramid.stop():
                 break
             rows, cols = self.pyramid.shape(level)
-            z = 2 * cubic(found.depth, 2)[:rows, :cols]
+            z = 2 * cubic(solution.depth, 2)[:rows, :cols]
             self.pyramid.set_prior(level, z)  # a coarser grid has less noise to take for relief
             small = self.pyramid.is_small(level)
-            found = self.relax(level, z, FROM_COARSER) if small else self.cycles(level, z)
+            solution = self.relax(level, z, FROM_COARSER) if small else self.cycles(level, z)
             if accept:
-                self.pyramid.accept(level, found.depth)
-        return found
+                self.pyramid.accept(level, solution.depth)
+        return solution
 
     def cycles(self, level: int, z: np.ndarray) -> Solution:
         """On a large grid by cycles over all coarser ones (full approximation scheme), stiff at first."""
-        pyramid, found = self.pyramid, Solution(z, math.inf)
+        pyramid, solution = self.pyramid, Solution(z, math.inf)
         least = pyramid.smoothness(level)
         self.damping = {}
         count = CYCLES + MORE_UNDER_SKIES * any(isinstance(s, sources.Sky) for s in pyramid.sources)
         count = count if level == 0 else count // 2
         for number in range(count):
             smoothness = max(least, CYCLE_SMOOTHNESS * (least / CYCLE_SMOOTHNESS) ** (number / (count // 2)))
-            before = found.objective
-            found = self._cycle(level, found.depth, pyramid.images[level], smoothness)
-            if pyramid.stop() or (number > count // 2 and found.objective > (1 - SLOW) * before):
+            before = solution.objective
+            solution = self._cycle(level, solution.depth, pyramid.images[level], smoothness)
+            if pyramid.stop() or (number > count // 2 and solution.objective > (1 - SLOW) * before):
                 break
-        return found
+        return solution
 
     def _smooth(self, level: int, z: np.ndarray, target: list[np.ndarray], smoothness: float) -> Solution:
         problem = self.pyramid.problem(level)
         problem.set_targets(target)
-        found = problem.run(
+        solution = problem.run(
             np.clip(z, *self.pyramid.bounds[level]),
             smoothness,
             *(SMOOTHING if level < self.pyramid.coarsest else COARSEST_SOLUTION),
@@ -122,7 +122,7 @@ class Multigrid:
             self.damping.get(level, CYCLE_DAMPING),
         )
         self.damping[level] = problem.damping
-        return found
+        return solution
 
     def _cycle(self, level: int, z: np.ndarray, target: list[np.ndarray], smoothness: float) -> Solution:
         """Smoothing, the same on the next coarser grid whose target is put right by what the two say of one

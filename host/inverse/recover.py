@@ -153,8 +153,8 @@ def recover(
     if method == "robust":
         with engine.lock:
             limits = _limits(near, far, max_seconds, given)
-            found = _chosen(given, limits, engine, progress, interreflection)
-        return _labelled(found, given.labels)
+            recovery = _chosen(given, limits, engine, progress, interreflection)
+        return _labelled(recovery, given.labels)
     if given.several or near is not None or far is not None or interreflection is True:
         raise bad(
             "method 'paper' with several images, near, far or interreflection=True",

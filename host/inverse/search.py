@@ -113,12 +113,12 @@ def start_stronger(search: Search) -> None:
         search.check_time()
         if tried[-1][0].objective < FOUND * pyramid.good_objective(cheap):
             break
-    found, flat = min(tried, key=lambda one: one[0].objective)
+    best, flat = min(tried, key=lambda one: one[0].objective)
     if search.level < cheap:
-        found = search.multigrid.refine(found.depth, cheap, search.level, accept=False)
-    if found.objective < BETTER * first.objective:
-        pyramid.accept(search.level, found.depth)
-        search.answers, search.begun = [found], (flat, coarsest)
+        best = search.multigrid.refine(best.depth, cheap, search.level, accept=False)
+    if best.objective < BETTER * first.objective:
+        pyramid.accept(search.level, best.depth)
+        search.answers, search.begun = [best], (flat, coarsest)
 
 
 def start_shallower(search: Search) -> None:

@@ -206,17 +206,17 @@ def _read_npz(path: Path, name: str | None) -> np.ndarray:
     if not zipfile.is_zipfile(path):
         raise ValueError("not a zip archive, or a truncated one")
     with zipfile.ZipFile(path) as arrays:
-        found = [entry.removesuffix(".npy") for entry in arrays.namelist()]
-        chosen = [n for n in found if n in ((name,) if name else ROLES)]
-        if not chosen and len(found) == 1 and not (name and found[0] in ROLES):
-            chosen = found
+        names = [entry.removesuffix(".npy") for entry in arrays.namelist()]
+        chosen = [n for n in names if n in ((name,) if name else ROLES)]
+        if not chosen and len(names) == 1 and not (name and names[0] in ROLES):
+            chosen = names
         if len(chosen) != 1:
             raise bad(
                 f"{path}: it is not clear which array is the {name or 'data'}",
-                f"arrays {', '.join(found) or 'none'}",
+                f"arrays {', '.join(names) or 'none'}",
                 f"an array named {name or ' or '.join(ROLES)}, or a single array under a name of its own",
             )
-        entry = arrays.infolist()[found.index(chosen[0])]
+        entry = arrays.infolist()[names.index(chosen[0])]
         with arrays.open(entry) as file:
             return _read_npy(path, file, entry.file_size)
 

@@ -87,11 +87,11 @@ def read(path: StrPath, *, resample: bool = False) -> Raster:
             )
         reserve(path, file.width * file.height * (np.dtype(file.dtypes[0]).itemsize + 1))
         values, mask = file.read(1), file.read_masks(1) > 0
-        found, unit = _described(path, file, values, mask)
+        raster, unit = _described(path, file, values, mask)
         scale, offset = file.scales[0], file.offsets[0]
     if (scale, offset) != (1.0, 0.0):
-        found = replace(found, values=values * np.float64(scale) + offset)
-    return _spaced(path, found, unit, resample)
+        raster = replace(raster, values=values * np.float64(scale) + offset)
+    return _spaced(path, raster, unit, resample)
 
 
 def header(path: StrPath) -> Raster:
@@ -103,8 +103,8 @@ def header(path: StrPath) -> Raster:
     with _opened(path) as file:
         shape = file.height, file.width
         nothing = np.broadcast_to(np.zeros((), file.dtypes[0]), shape)
-        found, unit = _described(path, file, nothing, np.broadcast_to(np.True_, shape))
-    return _spaced(path, found, unit, False)
+        raster, unit = _described(path, file, nothing, np.broadcast_to(np.True_, shape))
+    return _spaced(path, raster, unit, False)
 
 
 def window(path: StrPath, rows: slice, cols: slice) -> np.ndarray:
@@ -137,13 +137,13 @@ def _described(path: Path, file: Any, values: np.ndarray, mask: np.ndarray) -> t
     if values.dtype.kind not in "iuf":
         raise bad(f"{path}: wrong type", values.dtype, "real numbers (integer or floating)")
     point = file.tags().get("AREA_OR_POINT") == "Point"
-    found = Raster(values, mask, 0.0, file.crs, file.transform, file.nodata, point)
-    return found, (file.units[0] or "").strip().lower()
+    raster = Raster(values, mask, 0.0, file.crs, file.transform, file.nodata, point)
+    return raster, (file.units[0] or "").strip().lower()
 
 
-def _spaced(path: Path, found: Raster, unit: str, resample: bool) -> Raster:
+def _spaced(path: Path, raster: Raster, unit: str, resample: bool) -> Raster:
     """The raster with its spacing; checked to lie north up in square cells, or made so."""
-    t = found.transform
+    t = raster.transform
     if t.b or t.d or t.a <= 0 or t.e >= 0:
         raise bad(
             f"{path}: turned grid",
@@ -151,7 +151,7 @@ def _spaced(path: Path, found: Raster, unit: str, resample: bool) -> Raster:
             "north up, east to the right",
             "Warp it first: rio warp IN.tif OUT.tif --dst-crs EPSG:NNNN",
         )
-    east, north = _metres(path, found)
+    east, north = _metres(path, raster)
     vertical = FEET.get(unit, 1.0)
     if abs(east / north - 1) > SQUARE:
         if not resample:
@@ -162,9 +162,9 @@ def _spaced(path: Path, found: Raster, unit: str, resample: bool) -> Raster:
                 "Pass resample=True (--resample), or warp it to a metric system: rio warp IN.tif OUT.tif"
                 " --dst-crs EPSG:NNNN",
             )
-        found = _squared(_rasterio(path), found, east, north)
+        raster = _squared(_rasterio(path), raster, east, north)
         east = north = min(east, north)
-    return replace(found, spacing=float(np.sqrt(east * north) / vertical))
+    return replace(raster, spacing=float(np.sqrt(east * north) / vertical))
 
 
 def write(path: StrPath, array: np.ndarray, like: Raster) -> None:

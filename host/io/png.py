@@ -25,7 +25,7 @@ def header(path: Path) -> tuple[int, int, int, int, int]:
     with open(path, "rb") as file:
         if file.read(8) != b"\x89PNG\r\n\x1a\n":
             raise ValueError("not a PNG: wrong signature")
-        found: tuple[int, int, int, int] | None = None
+        fields: tuple[int, int, int, int] | None = None
         data = 0
         while True:
             start = file.read(8)
@@ -35,14 +35,14 @@ def header(path: Path) -> tuple[int, int, int, int, int]:
             body, check = file.read(length), file.read(4)
             if len(check) < 4 or zlib.crc32(kind + body) != int.from_bytes(check, "big"):
                 raise ValueError(f"truncated or damaged: chunk {kind.decode('latin-1')}")
-            if found is None:
+            if fields is None:
                 if kind != b"IHDR" or length != 13:
                     raise ValueError("not a PNG: no IHDR chunk first")
                 width, height, depth, colour = struct.unpack(">IIBB", body[:10])
-                found = width, height, depth, colour
+                fields = width, height, depth, colour
             data += length * (kind == b"IDAT")
             if kind == b"IEND":
-                return *found, data
+                return *fields, data
 
 
 def read(path: Path, colours: tuple[int, ...]) -> np.ndarray:

@@ -114,7 +114,7 @@ def judged(
     """
     rows, cols = shape
     blocks = -(-rows // SUMMED_ROWS)
-    found = engine.empty((5, blocks, cols), np.float32)
+    sums = engine.empty((5, blocks, cols), np.float32)
     engine.launch(
         "ground",
         "judge",
@@ -122,15 +122,13 @@ def judged(
         heights,
         image,
         half,
-        found,
+        sums,
         rows,
         cols,
         margin,
         SUMMED_ROWS,
         float(limit),
     )
-    light, square, valid, lit, beyond = (
-        engine.download(found).reshape(5, -1).sum(1, dtype=np.float64).tolist()
-    )
+    light, square, valid, lit, beyond = engine.download(sums).reshape(5, -1).sum(1, dtype=np.float64).tolist()
     mean = light / lit if lit and light > 0 else 1e-30
     return Estimate(math.sqrt(square / valid) / mean, beyond / valid)

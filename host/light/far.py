@@ -207,12 +207,12 @@ def around(
     ``low``: means and maxima at level ``tiling.first`` from node ``begin`` on, of the tile and up to
     ``tiling.reach`` nodes around; not needed where that is 0.
     """
-    found = []
+    levels = []
     for level in range(tiling.first, tiling.top + len(top.levels)):
         size = 1 << level
         room = 2 * tiling.rule + 2  # cells that rays pass in a level, and the next for interpolation
         if level < tiling.top:
-            found.append(Cells(mixed(low), begin[0] // size, begin[1] // size, size))
+            levels.append(Cells(mixed(low), begin[0] // size, begin[1] // size, size))
             low = coarser(low)
             continue
         heights = top.levels[level - tiling.top]
@@ -221,8 +221,8 @@ def around(
             pick = np.arange(first // size - room, (first + count - 1) // size + room + 1)
             picks.append(pick if periodic else pick[(pick >= 0) & (pick < cells)])
         window = heights[np.ix_(*(pick % cells for pick, cells in zip(picks, heights.shape)))]
-        found.append(Cells(window, int(picks[0][0]), int(picks[1][0]), size))
-    return found
+        levels.append(Cells(window, int(picks[0][0]), int(picks[1][0]), size))
+    return levels
 
 
 def spread_of(tiling: Tiling, heights: np.ndarray, spacing: float) -> int:
@@ -271,16 +271,16 @@ class Marched:
 
     def _steps(self) -> tuple[np.ndarray, np.ndarray]:
         """Distances of the samples [nodes] and their reciprocals (steps, 2), and the level of each."""
-        far, found, levels = self.far, [], []
+        far, steps, levels = self.far, [], []
         end = far.farthest if far.periodic else min(far.farthest, math.hypot(*far.shape))
         distance, level = far.tiling.halo, 0
         while distance <= end:
             while level + 1 < len(far.levels) and distance >= far.tiling.rule * far.levels[level + 1].size:
                 level += 1
-            found.append((distance, 1 / distance))
+            steps.append((distance, 1 / distance))
             levels.append(level)
             distance += far.levels[level].size
-        return np.array(found, np.float32).reshape(-1, 2), np.array(levels, np.int32)
+        return np.array(steps, np.float32).reshape(-1, 2), np.array(levels, np.int32)
 
     def planes(
         self,
@@ -298,7 +298,7 @@ class Marched:
         """
         backend, far, count = self.backend, self.far, len(angles)
         rows, cols = shape
-        found = self._march(angles, *self.own)
+        lines = self._march(angles, *self.own)
         planes = room
         if room is None or room.shape != (count, rows * cols):
             planes = backend.empty((count, rows * cols), np.float32)
@@ -310,7 +310,7 @@ class Marched:
             "far",
             "interpolate",
             (-(-cols // run), rows, count),
-            found,
+            lines,
             heights,
             planes,
             count,
@@ -342,8 +342,8 @@ class Marched:
         (r, c), (a, b) = at, weights
         corners = np.concatenate([(r + i) * self.nodes[1] + c + j for i in (0, 1) for j in (0, 1)])
         some = self._uploaded(*(values[corners] for values in self.places))
-        found = self.backend.download(self._march(angles, *some)).astype(np.float64)
-        h00, h01, h10, h11 = np.moveaxis(found.reshape(2, count, 4, len(r)), 2, 0)
+        lines = self.backend.download(self._march(angles, *some)).astype(np.float64)
+        h00, h01, h10, h11 = np.moveaxis(lines.reshape(2, count, 4, len(r)), 2, 0)
         upper, lower = h00 * (1 - b) + h01 * b, h10 * (1 - b) + h11 * b
         slope, inverse = upper * (1 - a) + lower * a
         with np.errstate(divide="ignore"):
@@ -362,7 +362,7 @@ class Marched:
     def _march(self, angles: np.ndarray, own: Array, rows: Array, cols: Array) -> Array:
         """Far horizons of some nodes by the kernel `march`: (2, azimuths, nodes) float32 on the device."""
         backend, far, count, nodes = self.backend, self.far, len(angles), own.shape[0]
-        found = backend.empty((2, count, nodes), np.float32)
+        lines = backend.empty((2, count, nodes), np.float32)
         ways = np.stack([np.cos(angles), np.sin(angles)], 1)
         # a ray along the border stays on the map
         ways = backend.table(np.where(np.abs(ways) < 1e-9, 0, ways).astype(np.float32))
@@ -375,7 +375,7 @@ class Marched:
             own,
             rows,
             cols,
-            found,
+            lines,
             self.steps,
             count,
             nodes,
@@ -384,7 +384,7 @@ class Marched:
             far.drop,
             int(far.periodic),
         )
-        return found
+        return lines
 
 
 def in_spacings(levels: list[Cells], base: float, spacing: float) -> list[Cells]:
@@ -394,5 +394,5 @@ def in_spacings(levels: list[Cells], base: float, spacing: float) -> list[Cells]
 
 def scaled(heights: np.ndarray, base: float, spacing: float) -> np.ndarray:
     """(heights - base) / spacing, float32, rounded once each."""
-    found: np.ndarray = (heights - base).astype(np.float32) / np.float32(spacing)
-    return found
+    relative: np.ndarray = (heights - base).astype(np.float32) / np.float32(spacing)
+    return relative

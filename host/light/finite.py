@@ -96,8 +96,8 @@ class Sliced(LightMethod):
         if self.thin:
             slices, quad = Slices(self.there, self.scene.sides, self.solid), upright(self.solid, self.step)
             assert isinstance(quad, Quad), "balls are not thin"
-            found = line.image(slices, self.scene, quad, self.source.brightness, units)
-            return slices, self.engine.upload(found)
+            irradiance = line.image(slices, self.scene, quad, self.source.brightness, units)
+            return slices, self.engine.upload(irradiance)
         slices = Slices(self.there, self.scene.sides, self.solid, self.brightness, units, shift=SHIFT)
         slices.run()
         if self.sky is not None and self.sky.bright_parts:
@@ -153,9 +153,9 @@ class Sliced(LightMethod):
     def device_image(self) -> DeviceImage | None:
         if self.factors is not None:
             return None
-        found = DeviceImage(self.engine, self.mean, self.scene.shape)
-        found.scale(self.scale, -math.inf if self.sky is None else 0.0)
-        return found
+        image = DeviceImage(self.engine, self.mean, self.scene.shape)
+        image.scale(self.scale, -math.inf if self.sky is None else 0.0)
+        return image
 
     def at(self, samples: Samples) -> np.ndarray:
         factor = self.factors and self.factors[0][samples.y, samples.x]

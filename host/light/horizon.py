@@ -116,14 +116,14 @@ class Horizons(LightMethod):
         """
         rays, tables = [], []
         for azimuths, sectors in zip(grids, bright_parts):
-            found, swept = Rays(azimuths.angles, azimuths.widths), bool(sectors) and self.slices is None
+            ray, swept = Rays(azimuths.angles, azimuths.widths), bool(sectors) and self.slices is None
             if isinstance(self.sky, Integrals):
                 knots = FINE_KNOTS if swept else SKY_KNOTS
-                table = self.sky.table(found.angles, np.full(len(azimuths), window), knots)
+                table = self.sky.table(ray.angles, np.full(len(azimuths), window), knots)
                 if swept:
-                    found, table = with_bright_parts(found, table, sectors)
+                    ray, table = with_bright_parts(ray, table, sectors)
                 tables.append(table)
-            rays.append(found)
+            rays.append(ray)
         angles, widths = (
             np.concatenate([getattr(one, name) for one in rays]) for name in ("angles", "widths")
         )
@@ -134,10 +134,10 @@ class Horizons(LightMethod):
         return _scaled(self.engine.download(self.mean).reshape(self.scene.shape), self.scale)
 
     def device_image(self) -> DeviceImage:
-        found = DeviceImage(self.engine, self.mean, self.scene.shape)
+        image = DeviceImage(self.engine, self.mean, self.scene.shape)
         if self.scale != 1:
-            found.scale(self.scale)
-        return found
+            image.scale(self.scale)
+        return image
 
     def at(self, samples: Samples) -> np.ndarray:
         return _scaled(picked(samples, self.mean), self.scale).astype(float)
@@ -208,10 +208,10 @@ def _as_azimuths(ways: np.ndarray, table: np.ndarray) -> tuple[np.ndarray, np.nd
     """(angles, table (K, FINE_KNOTS, 4)) for sweeps, of sectors of a small part."""
     cosine, sine, _, first, scale = ways.astype(float)
     knots = np.linspace(0, 1, FINE_KNOTS)
-    found = np.zeros((len(table), FINE_KNOTS, 4), np.float32)
+    resampled = np.zeros((len(table), FINE_KNOTS, 4), np.float32)
     for n, part in enumerate(table):
         at = first[n] + np.arange(len(part)) / scale[n]
         for k in (0, 1):
-            found[n, :, k] = np.interp(knots, at, part[:, k])
-    found[:, :-1, 2:] = np.diff(found[:, :, :2], axis=1)
-    return np.arctan2(sine, cosine), found
+            resampled[n, :, k] = np.interp(knots, at, part[:, k])
+    resampled[:, :-1, 2:] = np.diff(resampled[:, :, :2], axis=1)
+    return np.arctan2(sine, cosine), resampled

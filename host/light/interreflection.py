@@ -295,7 +295,7 @@ class Bounces(Planes):
         rays[..., 2], rays[..., 3] = np.cos(angles)[:, None], np.sin(angles)[:, None]
         count = azimuths * len(samples)
         given = engine.upload(rays.reshape(-1, 4))
-        found = engine.empty(((self.lights + 2) * count,), np.float32)
+        partial = engine.empty(((self.lights + 2) * count,), np.float32)
         engine.launch(
             "interreflection",
             "strips",
@@ -303,7 +303,7 @@ class Bounces(Planes):
             self.heights,
             self.light,
             given,
-            found,
+            partial,
             count,
             *self._layout,
             SIDES[self.sides],
@@ -312,7 +312,7 @@ class Bounces(Planes):
             lanes=1,
             LIGHTS=self.lights,
         )
-        sums = engine.download(found).reshape(self.lights + 2, azimuths, -1).mean(1, dtype=np.float64)
+        sums = engine.download(partial).reshape(self.lights + 2, azimuths, -1).mean(1, dtype=np.float64)
         return np.pi * sums[: self.lights], sums[-1]
 
 
@@ -347,8 +347,8 @@ def crossing_tables(this: Round, far: float) -> tuple[np.ndarray, np.ndarray, np
 
 def steps(near: int, growth: float, far: float) -> list[int]:
     """Steps along an azimuth's major axis up to ``far``: one by one up to ``near``, then growing."""
-    found, step = [], 1
+    strides, step = [], 1
     while step <= far:
-        found.append(step)
+        strides.append(step)
         step += max(1, round(growth * step)) if step >= near else 1
-    return found
+    return strides

@@ -152,8 +152,10 @@ def _leak(problem: Problem, cube: Hemicube) -> list[str]:
     if problem.filled or cube.size < LEAK_SIZE:
         return []
     assert isinstance(problem.depth, Resident), "a scene's map lies on the device"
-    found = problem.depth.survey()
-    square = sum(total / max(1, count) for total, count in zip(found.squares, found.pairs)) / problem.step**2
+    surveyed = problem.depth.survey()
+    square = (
+        sum(total / max(1, count) for total, count in zip(surveyed.squares, surveyed.pairs)) / problem.step**2
+    )
     if square > LEAK_SLOPE**2:
         return [
             f"Leak: the rms slope is {np.sqrt(square):.2f}, and steps of {cube.reach} nodes pass"

@@ -97,8 +97,8 @@ def at_samples(samples: Samples, quad: Quad, brightness: sources.Brightness, cou
         )
         # ground counts as far as along x distance is less than the limit
         least = np.clip(slope * (1 - 1e-6), 0, STEEP)
-        found = samples.slopes(c, s, least, np.ones_like(c), 0.0, reach)
-        total += np.where(found <= np.maximum(least, slope).astype(np.float32), light, 0.0).sum(0)
+        tangents = samples.slopes(c, s, least, np.ones_like(c), 0.0, reach)
+        total += np.where(tangents <= np.maximum(least, slope).astype(np.float32), light, 0.0).sum(0)
     irradiance: np.ndarray = total / count
     return irradiance
 
@@ -114,9 +114,9 @@ def image(slices: Slices, scene: Scene, quad: Quad, brightness: sources.Brightne
     slices.coarsen()
     for first in range(0, count, BATCH):
         shares = (np.arange(first, first + BATCH) + 0.5) / count
-        found = [_rays(line, nodes, unit, share, brightness) for share in shares]
-        ways = np.stack([np.stack([ray[n] for n in range(4)]) for ray in found], -1)
+        rays = [_rays(line, nodes, unit, share, brightness) for share in shares]
+        ways = np.stack([np.stack([ray[n] for n in range(4)]) for ray in rays], -1)
         ways[2], ways[3] = np.clip(ways[2], 0, STEEP), np.maximum(ways[3], 1e-6)
         clear = slices.rays(np.ascontiguousarray(np.moveaxis(ways, 0, 2), np.float32))
-        total += sum(np.where(clear[..., n], ray[4], 0.0) for n, ray in enumerate(found))
+        total += sum(np.where(clear[..., n], ray[4], 0.0) for n, ray in enumerate(rays))
     return (total / count).astype(np.float32)

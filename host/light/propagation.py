@@ -129,9 +129,9 @@ class Surface:
         """The map and room for the same turned, (2, room) float32."""
         depth, backend = self.problem.depth, self.backend
         if isinstance(depth, Resident):
-            found = backend.empty((2, self.room), np.float32, 0)
-            depth.copy_into(found)
-            return found
+            both = backend.empty((2, self.room), np.float32, 0)
+            depth.copy_into(both)
+            return both
         maps = np.zeros((2, self.room), np.float32)
         maps[0, : depth.size] = depth.ravel()
         return backend.upload(maps)

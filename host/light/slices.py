@@ -354,11 +354,11 @@ class Slices:
         rows, cols = self.shape
         around = 2 * self.margin
         self.coarsen()
-        found, knots = table.shape[:2]
-        count = -(-found // SLICES) * SLICES  # the rest have no width
+        used, knots = table.shape[:2]
+        count = -(-used // SLICES) * SLICES  # the rest have no width
         sectors, tables = np.zeros((5, count), np.float32), np.zeros((count, knots, 4), np.float32)
         sectors[4] = 1
-        sectors[:, :found], tables[:found] = ways, table
+        sectors[:, :used], tables[:used] = ways, table
         given = [self.backend.upload(array) for array in (sectors, tables)]  # held until the kernel is done
         x0, x1, y0, y1 = (-ENDLESS, ENDLESS) * 2 if window is None else map(float, window)
         self.backend.launch(

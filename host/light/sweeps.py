@@ -84,7 +84,7 @@ class Sweeps:
     rays: Rays
     what: int
     knots: int
-    units: list[float]  # of every sum
+    scales: list[float]  # of every sum
     halves: list[Half]
 
     def __init__(
@@ -147,7 +147,7 @@ class Sweeps:
         """Set the azimuths and the brightness of the next sweeps."""
         self.rays = rays
         self.what, self.knots = (UNIFORM, 2) if table is None else (TABLE, table.shape[1])
-        self.units = _units(rays, table)
+        self.scales = _fixed_point_scales(rays, table)
         self.halves = [self._half(turned, table) for turned in (False, True)]
 
     def correct(self, table: np.ndarray, image: Array) -> None:
@@ -190,9 +190,9 @@ class Sweeps:
 
     def _gather(self, total: Array, turned: Array, *images: Array) -> None:
         rows, cols = self.shape
-        for n, (image, unit) in enumerate(zip(images, self.units)):
+        for n, (image, scale) in enumerate(zip(images, self.scales)):
             self.backend.launch(
-                "ground", "gather", (cols, rows), total, turned, image, rows, cols, n, 1 / unit
+                "ground", "gather", (cols, rows), total, turned, image, rows, cols, n, 1 / scale
             )
 
     def _light_of(self, half: Half, sums: Array) -> None:
@@ -326,7 +326,7 @@ class Sweeps:
         backend = self.backend
         comes_at = int(half.windows[first]) if backward else self.near + 1
         span = half.rows + half.warm + self.near + 2
-        bits, unit, steps, rises = ladder(self.steepest[falling], self.relief, span, comes_at)
+        bits, height_scale, steps, rises = ladder(self.steepest[falling], self.relief, span, comes_at)
         overhang = (
             0
             if self.sides == "periodic"
@@ -355,7 +355,7 @@ class Sweeps:
             self.knots,
             bits,
             self.lowest,
-            unit,
+            height_scale,
             int(known),
             int(backward),
             *half.asked,
@@ -387,7 +387,7 @@ class Sweeps:
             warm = math.ceil(min(self.reach + 1, most))
             _check_search(self.backend, self.relief, warm, len(numbers))
         shears, tables = _shear_tables(
-            self.near, self.rays, self.units, numbers, windows, reach, warm, across, along
+            self.near, self.rays, self.scales, numbers, windows, reach, warm, across, along
         )
         if table is not None and len(numbers):
             brightness = keep(np.ascontiguousarray(table[numbers], np.float32))
@@ -409,8 +409,8 @@ class Sweeps:
         )
 
 
-def _units(rays: Rays, table: np.ndarray | None) -> list[float]:
-    """Fixed-point units of an irradiance of 1, of every sum: none exceeds 2^30."""
+def _fixed_point_scales(rays: Rays, table: np.ndarray | None) -> list[float]:
+    """Fixed-point steps per unit of irradiance, of every sum: no sum exceeds 2^30."""
     most = np.ones(len(rays.widths)) if table is None else np.hypot(table[:, 0, 0], table[:, 0, 1])
     of_sums = (rays.sums == n for n in range(rays.sums.max(initial=0) + 1))
     # within float32 also under a black sky
@@ -420,7 +420,7 @@ def _units(rays: Rays, table: np.ndarray | None) -> list[float]:
 def _shear_tables(
     near: int,
     rays: Rays,
-    units: list[float],
+    scales: list[float],
     numbers: np.ndarray,
     windows: np.ndarray,
     reach: np.ndarray,
@@ -430,7 +430,7 @@ def _shear_tables(
 ) -> tuple[np.ndarray, tuple[np.ndarray, ...]]:
     """(shears of the azimuths, the kernel's azimuths, ways, near_at and near_weight).
 
-    ``units``: of the fixed-point sums. ``across``, ``along``: components of every azimuth along a row of the
+    ``scales``: of the fixed-point sums. ``across``, ``along``: components of every azimuth along a row of the
     map, and from row to row.
     """
     columns = near - 1  # as in opencl/horizon.cl
@@ -444,7 +444,7 @@ def _shear_tables(
     near_rows = np.floor(within + 1e-9)
     azimuths, ways = np.zeros((len(numbers), 8)), np.zeros((len(numbers), 8), np.int32)
     sums = rays.sums[numbers]
-    widths = rays.widths[numbers] * np.array(units)[sums]
+    widths = rays.widths[numbers] * np.array(scales)[sums]
     azimuths[:, :7] = np.stack([shears, a, b, np.abs(b), widths, inverse, np.minimum(reach, 1e30)], 1)
     warms = np.full(len(numbers), warm)
     ways[:, :6] = np.stack([np.where(b < 0, 1, -1), near_rows, near_columns, warms, windows, sums], 1)
@@ -463,8 +463,8 @@ def _shear_tables(
 
 def _fetched(sweeps: Sweeps, half: Half, numbers: np.ndarray, planes: Array) -> np.ndarray:
     """Planes of a half as (n, rows, cols), on the host."""
-    found = sweeps.backend.download(planes).reshape(len(numbers), half.rows, half.cols)
-    return found.transpose(0, 2, 1) if half.turned else found
+    slopes = sweeps.backend.download(planes).reshape(len(numbers), half.rows, half.cols)
+    return slopes.transpose(0, 2, 1) if half.turned else slopes
 
 
 def _copy_rows(to: np.ndarray, values: np.ndarray, rows: slice) -> None:
@@ -475,8 +475,8 @@ def _batches(half: Half, most: int) -> Iterator[tuple[int, int]]:
     """(first, count) of azimuths that are swept together: those of one window, at most ``most``."""
     first = 0
     while first < len(half.numbers):
-        ahead = half.windows[first : first + most]
-        count = int((ahead == ahead[0]).sum()) if most > 1 else 1
+        windows = half.windows[first : first + most]
+        count = int((windows == windows[0]).sum()) if most > 1 else 1
         yield first, count
         first += count
 
@@ -506,8 +506,8 @@ def _far_slopes(
 
 def _whole_shears(shears: np.ndarray) -> np.ndarray:
     """0 or +-1 where rounding alone makes a difference."""
-    found = np.where(np.abs(shears) < 1e-8, 0.0, shears)
-    whole: np.ndarray = np.where(np.abs(np.abs(found) - 1) < 1e-12, np.copysign(1.0, found), found)
+    rounded = np.where(np.abs(shears) < 1e-8, 0.0, shears)
+    whole: np.ndarray = np.where(np.abs(np.abs(rounded) - 1) < 1e-12, np.copysign(1.0, rounded), rounded)
     return whole
 
 
@@ -515,10 +515,10 @@ def _whole_shears(shears: np.ndarray) -> np.ndarray:
 def ladder(
     steepest: float, relief: float, span: int, comes_at: int
 ) -> tuple[int, float, tuple[int, ...], tuple[int, ...]]:
-    """(bits, unit, steps, rises): slopes from level to ``steepest`` [per row], denser near level; integers.
+    """(bits, height_scale, steps, rises): slopes from level to ``steepest`` [per row], denser near level.
 
-    An integer holds a height above a ray in units of 1 / unit, and in its ``bits`` lowest bits a distance up
-    to ``span`` rows. Raises CapacityError where that leaves no room for heights.
+    An integer holds a height above a ray in units of 1 / height_scale, and in its ``bits`` lowest bits a
+    distance up to ``span`` rows. Raises CapacityError where that leaves no room for heights.
     """
     bits = max(1, math.ceil(math.log2(max(span, comes_at) + 2)))
     if bits > MOST_DISTANCE_BITS:
@@ -529,9 +529,9 @@ def ladder(
     slopes = np.tan(np.linspace(0, 1, LADDER) ** 1.5 * math.atan(steepest))
     slopes = slopes if steepest > 0 else slopes[::-1]
     high = relief + (steepest * comes_at if steepest > 0 else -steepest * span)
-    unit = (2.0 ** (30 - bits) - 2 * LADDER) / max(high, 1e-6)
-    steps = (np.rint(slopes * unit).astype(np.int64) << bits) - 1
-    return bits, unit, tuple(steps.tolist()), tuple(((steps + 1) * comes_at).tolist())
+    height_scale = (2.0 ** (30 - bits) - 2 * LADDER) / max(high, 1e-6)
+    steps = (np.rint(slopes * height_scale).astype(np.int64) << bits) - 1
+    return bits, height_scale, tuple(steps.tolist()), tuple(((steps + 1) * comes_at).tolist())
 
 
 def _check_search(backend: Backend, relief: float, rows: int, azimuths: int) -> None:

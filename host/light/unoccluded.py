@@ -48,13 +48,13 @@ def gradients(scene: Scene, rows: slice = slice(None)) -> tuple[np.ndarray, np.n
         around[(at < 0) | (at >= scene.shape[0])] = np.nan
     z, beside = around[1:-1], ((0, 0), (1, 1))
     wide = np.pad(z, beside, "wrap") if periodic else np.pad(z, beside, constant_values=np.nan)
-    found = []
+    slopes = []
     for low, high in ((wide[:, :-2], wide[:, 2:]), (around[:-2], around[2:])):
         steps = np.maximum(1, np.isfinite(low).astype(np.float32) + np.isfinite(high))
-        found.append(
+        slopes.append(
             np.nan_to_num((np.where(np.isfinite(high), high, z) - np.where(np.isfinite(low), low, z)) / steps)
         )
-    return found[0], found[1]
+    return slopes[0], slopes[1]
 
 
 def by_normals(
@@ -90,7 +90,7 @@ def sky(scene: Scene, light: Integrals | float) -> np.ndarray:
     A number: pi B (1 + cos a) / 2. Else by :func:`by_normals`, bilinearly, and every small bright part as if
     it lay in one direction.
     """
-    found, table = scratch(scene.shape), np.zeros((0, 0))
+    irradiance, table = scratch(scene.shape), np.zeros((0, 0))
     if isinstance(light, Integrals):
         sectors = even(INTEGRATED_AZIMUTHS, 0.5)
         table = by_normals(light.table(sectors.angles, sectors.widths), sectors.angles, sectors.widths)
@@ -98,12 +98,12 @@ def sky(scene: Scene, light: Integrals | float) -> np.ndarray:
     def band(rows: slice) -> None:
         gx, gy = gradients(scene, rows)
         if isinstance(light, Integrals):
-            found[rows] = _of_normals(gx, gy, table, light)
+            irradiance[rows] = _of_normals(gx, gy, table, light)
         else:
-            found[rows] = (1 + 1 / np.sqrt(1 + gx * gx + gy * gy)) * np.float32(np.pi / 2 * light)
+            irradiance[rows] = (1 + 1 / np.sqrt(1 + gx * gx + gy * gy)) * np.float32(np.pi / 2 * light)
 
     by_bands(band, scene.shape)
-    return found
+    return irradiance
 
 
 def _of_normals(gx: np.ndarray, gy: np.ndarray, table: np.ndarray, light: Integrals) -> np.ndarray:
@@ -283,17 +283,17 @@ def _rays_to_ball(ball: Ball, to: Vector, points: int) -> Iterator[tuple[Vector,
 def image(scene: Scene, solid: Ball | Quad, brightness: sources.Brightness, points: int = 1) -> np.ndarray:
     """(rows, cols) float32, see :func:`lamp`; lengths of ``solid`` in spacings, heights third."""
     x, y = (np.arange(n, dtype=np.float32) for n in scene.shape[::-1])
-    found = scratch(scene.shape)
+    irradiance = scratch(scene.shape)
 
     def band(rows: slice) -> None:
         gx, gy = gradients(scene, rows)
         # a brightness function is given no NaN
         depth = scene.depth[rows] if scene.mask is None else np.nan_to_num(scene.depth[rows])
         height = depth / np.float32(-scene.spacing)
-        found[rows] = lamp(gx, gy, x, y[rows, None], height, solid, brightness, points)
+        irradiance[rows] = lamp(gx, gy, x, y[rows, None], height, solid, brightness, points)
 
     if callable(brightness):  # the user's, which may not be called by several threads
         band(slice(None))
     else:
         by_bands(band, scene.shape)
-    return found
+    return irradiance

@@ -293,9 +293,13 @@ def directions_of(azimuth: Any, sine: Any) -> np.ndarray:
     """Unit vectors (..., 3) of azimuths [rad] and sines of elevation, which broadcast."""
     azimuth, sine = np.asarray(azimuth, float), np.asarray(sine, float)
     cosine = np.sqrt(np.maximum(0.0, 1 - sine**2))
-    found = np.empty((*np.broadcast_shapes(azimuth.shape, sine.shape), 3))
-    found[..., 0], found[..., 1], found[..., 2] = cosine * np.cos(azimuth), cosine * np.sin(azimuth), -sine
-    return found
+    directions = np.empty((*np.broadcast_shapes(azimuth.shape, sine.shape), 3))
+    directions[..., 0], directions[..., 1], directions[..., 2] = (
+        cosine * np.cos(azimuth),
+        cosine * np.sin(azimuth),
+        -sine,
+    )
+    return directions
 
 
 def brightness_number(value: Any) -> float:
@@ -327,9 +331,9 @@ def numbers(values: Any, count: int, what: str, form: str) -> tuple[float, ...]:
     """``count`` finite numbers, checked; ``what`` and ``form`` are for the error."""
     allowed = f"{('one', 'two', 'three')[count - 1]} finite number{'s' * (count > 1)} {form}"
     try:
-        found = tuple(float(v) for v in values)
+        checked = tuple(float(v) for v in values)
     except (TypeError, ValueError):
         raise bad(what, repr(values), allowed) from None
-    if len(found) != count or not np.isfinite(found).all():
-        raise bad(what, found, allowed)
-    return found
+    if len(checked) != count or not np.isfinite(checked).all():
+        raise bad(what, checked, allowed)
+    return checked

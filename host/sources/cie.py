@@ -197,10 +197,10 @@ def sun_position(
         import pvlib
     except ImportError as error:
         raise lacking("sun_position", "pvlib", "sun") from error
-    found = pvlib.solarposition.get_solarposition(
+    position = pvlib.solarposition.get_solarposition(
         pandas.DatetimeIndex([when]), numbers[0], numbers[1], altitude=numbers[2]
     )
-    return float(found["azimuth"].iloc[0]), float(found["apparent_elevation"].iloc[0])
+    return float(position["azimuth"].iloc[0]), float(position["apparent_elevation"].iloc[0])
 
 
 def gradation(type: int, sine: Any) -> Any:

@@ -445,13 +445,13 @@ class Integrals:
         if unbiased:  # of base cells: 1/24 by the mean, 1/24 since they are even
             cells = (_sharpened(np.diff(part, axis=2), 1 / 12) for part in sums)
             sums = [np.concatenate([np.zeros_like(c[..., :1]), np.cumsum(c, 2)], 2) for c in cells]
-        found = np.concatenate([_between(part, begin, end) for part in sums], 1)
+        light = np.concatenate([_between(part, begin, end) for part in sums], 1)
         if unbiased:  # 1/24 by the mean, 1/12 by interpolation
-            found = _sharpened(found / (end - begin), 1 / 8) * (end - begin)
+            light = _sharpened(light / (end - begin), 1 / 8) * (end - begin)
         # from the zenith to the rows' lower edges
-        down = np.concatenate([np.cumsum(found[:, ::-1], 1)[:, ::-1], np.zeros_like(found[:, :1])], 1)
+        down = np.concatenate([np.cumsum(light[:, ::-1], 1)[:, ::-1], np.zeros_like(light[:, :1])], 1)
         if unbiased:
-            down[:, 1:-1] -= _gentle_steps(found[:, 1:], found[:, :-1]) / 12
+            down[:, 1:-1] -= _gentle_steps(light[:, 1:], light[:, :-1]) / 12
         at = np.interp(np.linspace(0, 1, knots), np.sin(self._edges), np.arange(len(self._edges)))
         low = np.minimum(at.astype(int), len(self._edges) - 2)
         part = (at - low)[:, None]
@@ -646,28 +646,28 @@ def _band_steps(bands: list[Band], n: int) -> tuple[np.ndarray, np.ndarray]:
 
 def _near_base(band: Band, peaks: Peaks) -> np.ndarray:
     """Which cells of a band (rows, cols) hold a peak, or touch one that does: it may lie across borders."""
-    found: np.ndarray = np.zeros(band.light.shape, bool)
+    is_near: np.ndarray = np.zeros(band.light.shape, bool)
     height = np.diff(band.borders)[:, None]
     middle: np.ndarray = (band.borders[1:, None] + band.borders[:-1, None]) / 2
-    azimuths: np.ndarray = band.start[:, None] + np.arange(found.shape[1]) * band.width
+    azimuths: np.ndarray = band.start[:, None] + np.arange(is_near.shape[1]) * band.width
     for azimuth, elevation in peaks:
         turned = np.abs(np.mod(azimuths - azimuth + math.pi, 2 * math.pi) - math.pi)
         near = turned * math.cos(elevation) <= 1.5 * np.maximum(
             band.width * np.cos(band.borders[:-1, None]), height
         )
-        found |= near & (np.abs(middle - elevation) <= 1.5 * height)
-    return found
+        is_near |= near & (np.abs(middle - elevation) <= 1.5 * height)
+    return is_near
 
 
 def _near(cells: Cells, peaks: Peaks) -> np.ndarray:
     """Which cells (n,) hold a peak, or touch one that does."""
-    found = np.zeros(len(cells.light), bool)
+    is_near = np.zeros(len(cells.light), bool)
     for azimuth, elevation in peaks:
         turned = np.abs((cells.azimuth - azimuth + math.pi) % (2 * math.pi) - math.pi)
-        found |= (turned <= 1.5 * cells.width) & (
+        is_near |= (turned <= 1.5 * cells.width) & (
             np.abs((cells.low + cells.high) / 2 - elevation) <= 1.5 * (cells.high - cells.low)
         )
-    return found
+    return is_near
 
 
 def _joined(groups: Iterable[Cells]) -> Cells:

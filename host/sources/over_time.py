@@ -209,10 +209,12 @@ def _hours(index: Any, hours: Any) -> np.ndarray:
                 "Pass hours=1.0 for values of an hour each.",
             )
         hours = (index[1] - index[0]).total_seconds() / 3600
-    found = real_array(hours, "sky_over_time: hours", None)
-    if found.shape not in ((), (len(index),)) or not (np.isfinite(found) & (found > 0)).all():
-        raise bad("sky_over_time: hours", f"shape {found.shape}", f"finite numbers > 0, one or {len(index)}")
-    return np.broadcast_to(found, len(index))
+    durations = real_array(hours, "sky_over_time: hours", None)
+    if durations.shape not in ((), (len(index),)) or not (np.isfinite(durations) & (durations > 0)).all():
+        raise bad(
+            "sky_over_time: hours", f"shape {durations.shape}", f"finite numbers > 0, one or {len(index)}"
+        )
+    return np.broadcast_to(durations, len(index))
 
 
 def _measured(dni: Any, dhi: Any, count: int) -> np.ndarray | None:
@@ -224,27 +226,29 @@ def _measured(dni: Any, dhi: Any, count: int) -> np.ndarray | None:
             f"sky_over_time: {'dni' if dhi is None else 'dhi'} is given without the other;"
             " allowed: both, or neither for a clear sky."
         )
-    found = [real_array(values, f"sky_over_time: {name}", 1) for name, values in (("dni", dni), ("dhi", dhi))]
-    for name, values in zip(("dni", "dhi"), found):
+    measured = [
+        real_array(values, f"sky_over_time: {name}", 1) for name, values in (("dni", dni), ("dhi", dhi))
+    ]
+    for name, values in zip(("dni", "dhi"), measured):
         if len(values) != count:
             raise bad(f"sky_over_time: {name}", f"{len(values)} values", f"{count}, one for every time")
-    return np.stack(found)
+    return np.stack(measured)
 
 
 def _types(model: Any, count: int) -> np.ndarray:
     """(times,) CIE types, 0 for Perez."""
     if isinstance(model, str) and model == "perez":
         return np.zeros(count, int)
-    found = np.asarray(model)
+    types = np.asarray(model)
     if (
-        found.dtype.kind not in "iu"
-        or found.shape not in ((), (count,))
-        or not np.isin(found, list(PARAMETERS)).all()
+        types.dtype.kind not in "iu"
+        or types.shape not in ((), (count,))
+        or not np.isin(types, list(PARAMETERS)).all()
     ):
         raise bad(
             "sky_over_time: model", repr(model), f'"perez", a CIE type from 1 to 15, or {count} such types'
         )
-    return np.broadcast_to(found, count)
+    return np.broadcast_to(types, count)
 
 
 def _checked(light: np.ndarray, up: np.ndarray, index: Any) -> np.ndarray:
@@ -264,8 +268,8 @@ def _checked(light: np.ndarray, up: np.ndarray, index: Any) -> np.ndarray:
 
 def _moments() -> np.ndarray:
     """Integrals of sin cos over the cells of every row, from the horizon up: (ROWS,)."""
-    found: np.ndarray = TURN * np.diff(np.sin(CELL * np.arange(ROWS + 1)) ** 2) / 2
-    return found
+    moments: np.ndarray = TURN * np.diff(np.sin(CELL * np.arange(ROWS + 1)) ** 2) / 2
+    return moments
 
 
 def _level(sky: np.ndarray) -> float:
@@ -321,8 +325,8 @@ def _scattered(kind: int, azimuth: np.ndarray, elevation: np.ndarray, energy: np
         chi = np.arccos(np.clip(L @ [math.cos(e), 0.0, -math.sin(e)], -1, 1))
         pattern = scattered(kind, chi)
         spectrum += np.fft.rfft(suns[n]) * np.fft.rfft(pattern / (moments @ pattern.sum(1)))
-    found = fine[:, None] * _finer(np.fft.irfft(spectrum, cols))
-    return np.asarray(found * (energy.sum() / max(_level(found), 1e-300)))
+    light = fine[:, None] * _finer(np.fft.irfft(spectrum, cols))
+    return np.asarray(light * (energy.sum() / max(_level(light), 1e-300)))
 
 
 def _finer(cells: np.ndarray) -> np.ndarray:
@@ -341,14 +345,14 @@ def _finer(cells: np.ndarray) -> np.ndarray:
 
 def _shared(row: np.ndarray, col: np.ndarray, values: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
     """``values`` at fractional places, shared out among the four cells round each; columns run all round."""
-    found = np.zeros(math.prod(shape))
+    cells = np.zeros(math.prod(shape))
     low, left = np.floor(row), np.floor(col)
     for i, part in ((0, 1 - row + low), (1, row - low)):
         at = np.clip(low + i, 0, shape[0] - 1).astype(int) * shape[1]
         for j, share in ((0, 1 - col + left), (1, col - left)):
             cell = at + (left + j).astype(int) % shape[1]
-            found += np.bincount(cell, part * share * values, len(found))
-    return found.reshape(shape)
+            cells += np.bincount(cell, part * share * values, len(cells))
+    return cells.reshape(shape)
 
 
 def _discs(azimuth: np.ndarray, elevation: np.ndarray, energy: np.ndarray) -> np.ndarray:
@@ -358,7 +362,7 @@ def _discs(azimuth: np.ndarray, elevation: np.ndarray, energy: np.ndarray) -> np
     turn = GOLDEN_ANGLE * np.arange(DISC_POINTS)
     across, along = out * np.cos(turn), out * np.sin(turn)
     across, along = across - across.mean(), along - along.mean()  # their middle is the sun's
-    found = np.zeros((ROWS, COLS))
+    grid = np.zeros((ROWS, COLS))
     for some in np.array_split(np.arange(len(a)), -(-len(a) // SUNS_AT_ONCE) or 1):
         c, s, cosine, sine = (f(v)[some, None] for v in (a, e) for f in (np.cos, np.sin))
         # the disc's plane is spanned by the vectors to the right and upwards
@@ -369,7 +373,7 @@ def _discs(azimuth: np.ndarray, elevation: np.ndarray, energy: np.ndarray) -> np
         col = np.arctan2(y, x) / TURN - 0.5
         light = np.broadcast_to(energy[some, None] / DISC_POINTS, row.shape)
         above = row > -0.5
-        found += _shared(row[above], col[above], light[above], (ROWS, COLS))
+        grid += _shared(row[above], col[above], light[above], (ROWS, COLS))
     solid_angles = TURN * np.diff(np.sin(CELL * np.arange(ROWS + 1)))
-    whole: np.ndarray = found / solid_angles[:, None]
+    whole: np.ndarray = grid / solid_angles[:, None]
     return whole

@@ -98,9 +98,9 @@ def _horizon(
     padded = heights.reshape(rows, cols + 2 * margin)
     best, number = best.copy(), np.zeros(own.shape, np.int32)
     for on_rows, length, shear in ((True, rise, columns), (False, run, per_column)):
-        ahead = (s if on_rows else c) > 0
+        is_forward = (s if on_rows else c) > 0
         place, size = (y, rows) if on_rows else (x, cols)
-        last = np.where(ahead, size - 1 - place, place)
+        last = np.where(is_forward, size - 1 - place, place)
         if sides == PERIODIC:
             last = np.full(own.shape, 1 << 20)
         last = np.where((s if on_rows else c) == 0, 0, last)
@@ -117,7 +117,7 @@ def _horizon(
             across = f32(n) * shear[left]
             low = np.floor(across)
             share, low = across - low, low.astype(np.int32)
-            step = np.where(ahead[left], n, -n)
+            step = np.where(is_forward[left], n, -n)
             column, row = (x[left] + low, y[left] + step) if on_rows else (x[left] + step, y[left] + low)
             if sides == PERIODIC:
                 column, row = column % cols, row % rows
@@ -195,7 +195,7 @@ def _note(
     return pull
 
 
-def _beside(i: np.ndarray, n: int, sides: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _adjacent(i: np.ndarray, n: int, sides: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The nodes before and after nodes i of a line of n, and 1 over their distance."""
     before, after = ((i + step) % n if sides == PERIODIC else np.clip(i + step, 0, n - 1) for step in (-1, 1))
     within = (i > 0) & (i < n - 1) | (sides == PERIODIC)
@@ -218,7 +218,7 @@ def surface(
     if sides == PERIODIC:
         padded[:] = -z[:, np.arange(-margin, cols + margin) % cols]
     for out, v in ((tilts[0].reshape(rows, cols), z), (tilts[1].reshape(rows, cols).T, z.T)):
-        before, after, half = _beside(np.arange(v.shape[1]), v.shape[1], sides)
+        before, after, half = _adjacent(np.arange(v.shape[1]), v.shape[1], sides)
         out[...] = (v[:, after] - v[:, before]) * half
 
 
@@ -548,10 +548,10 @@ def _neighbours(light: np.ndarray, rows: int, cols: int, sides: int) -> Iterator
     """For the derivatives along x and y: by them, node before, node after, 1 over their distance."""
     y, x = (v.ravel() for v in np.indices((rows, cols)))
     if cols > 1:
-        before, after, half = _beside(x, cols, sides)
+        before, after, half = _adjacent(x, cols, sides)
         yield light[2], y * cols + before, y * cols + after, half
     if rows > 1:
-        before, after, half = _beside(y, rows, sides)
+        before, after, half = _adjacent(y, rows, sides)
         yield light[3], before * cols + x, after * cols + x, half
 
 
@@ -637,11 +637,11 @@ class _VisibleStrips:
         begins = (low < 0) & (whole > 0) & (self.was_distance > 0)
         between = begins & (-low < whole)
         part = np.where(between, _over(-low, whole), begins.astype(f32))
-        beside, beyond = (
+        near_light, far_light = (
             self.sent[i] + share * (self.sent[j] - self.sent[i]) for i, j, share in (self.was[:3], at[:3])
         )
-        mean = HALF * (beside * (1 - part) + beyond * (1 + part))
-        bends = HALF * (here - self.past) * (beyond - beside)
+        mean = HALF * (near_light * (1 - part) + far_light * (1 + part))
+        bends = HALF * (here - self.past) * (far_light - near_light)
         by_part = np.where(between, _over(bends, whole * whole), ZERO)
         by_slope = by_part * (high * self.was_distance - low * distance) - mean * _below_by(slope, plane)
         hides = seen & between
@@ -679,7 +679,7 @@ class _VisibleStrips:
         self.by_y -= sine * self.by_plane
 
 
-def _beside_crossing(
+def _nodes_of_crossing(
     u: np.ndarray, v: np.ndarray, on_columns: bool, rows: int, cols: int, sides: int
 ) -> tuple[tuple[np.ndarray, np.ndarray], np.ndarray]:
     """The two nodes beside crossings at or after columns u and rows v, and whether both are on the map."""
@@ -748,7 +748,7 @@ def add_ground(
         going = sums[images] > 0
         for (dx, dy), (weight, distance, closeness) in zip(places[k].tolist(), crossings[k]):
             # 3.1 the crossing, if it is on the map, and if any ground there could be seen
-            nodes, there = _beside_crossing(x + dx, y + dy, on_columns > 0, rows, cols, sides)
+            nodes, there = _nodes_of_crossing(x + dx, y + dy, on_columns > 0, rows, cols, sides)
             going &= there & (z > strips.slope * distance)
             if not going.any():
                 break

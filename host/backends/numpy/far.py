@@ -28,16 +28,16 @@ def _overview(
     h00, h01, h10, h11 = window[r0, q0], window[r0, q1], window[r1, q0], window[r1, q1]
     high, low = h00 + b * (h01 - h00), h10 + b * (h11 - h10)
     whole = np.minimum(np.minimum(h00, h01), np.minimum(h10, h11)) > HIGHEST_MASKED
-    found: np.ndarray = high + a * (low - high)
+    between: np.ndarray = high + a * (low - high)
     if whole.all():
-        return found
+        return between
     corners = [(h00, (ONE - a) * (ONE - b)), (h01, (ONE - a) * b), (h10, a * (ONE - b)), (h11, a * b)]
     (g00, w00), (g01, w01), (g10, w10), (g11, w11) = (
         (h, np.where(h > HIGHEST_MASKED, weight, np.float32(0))) for h, weight in corners
     )
     every = w00 + w01 + w10 + w11
     part = (w00 * g00 + w01 * g01 + w10 * g10 + w11 * g11) / every
-    return np.where(whole, found, np.where(every > 0, part, NONE))
+    return np.where(whole, between, np.where(every > 0, part, NONE))
 
 
 def march(

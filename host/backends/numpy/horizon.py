@@ -42,7 +42,7 @@ def sweep(
     knots: int,
     bits: int,
     lowest: float,
-    unit: float,
+    height_scale: float,
     known: int,
     backward: int,
     top: int,
@@ -57,7 +57,11 @@ def sweep(
 ) -> None:
     """``group`` is how devices share out the lines; here all lines go together, azimuth by azimuth."""
     ladder = Ladder(
-        np.array(steps, np.int32), np.array(rises, np.int32), bits, np.float32(lowest), np.float32(unit)
+        np.array(steps, np.int32),
+        np.array(rises, np.int32),
+        bits,
+        np.float32(lowest),
+        np.float32(height_scale),
     )
     # without slopes light is summed, azimuth by azimuth
     for plane in range(len(slopes) if slopes.ndim == 2 else 1):
@@ -86,10 +90,12 @@ class Ladder(NamedTuple):
     rises: np.ndarray
     bits: int
     lowest: np.float32
-    unit: np.float32
+    height_scale: np.float32
 
     def quantized(self, ground: np.ndarray) -> np.ndarray:
-        whole: np.ndarray = (np.maximum(ground - self.lowest, np.float32(0)) * self.unit).astype(np.int32)
+        whole: np.ndarray = (np.maximum(ground - self.lowest, np.float32(0)) * self.height_scale).astype(
+            np.int32
+        )
         return whole << self.bits
 
 

@@ -63,15 +63,17 @@ class _Layout(NamedTuple):
 
 
 def _tilt(low: np.ndarray, own: np.ndarray, high: np.ndarray) -> np.ndarray:
-    alone, last = low <= HIGHEST_MASKED, high <= HIGHEST_MASKED
-    slope = (np.where(alone, own, low) - np.where(last, own, high)) * np.where(alone | last, ONE, HALF)
+    low_masked, high_masked = low <= HIGHEST_MASKED, high <= HIGHEST_MASKED
+    slope = (np.where(low_masked, own, low) - np.where(high_masked, own, high)) * np.where(
+        low_masked | high_masked, ONE, HALF
+    )
     return np.where(own <= HIGHEST_MASKED, ZERO, slope)
 
 
 def _bent(low: np.ndarray, own: np.ndarray, high: np.ndarray) -> np.ndarray:
     bends = np.abs(low + high - np.float32(2) * own) > KINK
-    found: np.ndarray = (low > HIGHEST_MASKED) & (high > HIGHEST_MASKED) & bends
-    return found
+    is_kink: np.ndarray = (low > HIGHEST_MASKED) & (high > HIGHEST_MASKED) & bends
+    return is_kink
 
 
 def _to_wall(at: np.ndarray, along: Any, count: int) -> np.ndarray:
@@ -189,15 +191,15 @@ def spread(
     factor = albedo.reshape(n, rows, cols) if varies else albedo.reshape(n, 1, 1)
     c = np.arange(-margin << shift, (across + margin) << shift)
     r = np.arange(-1, rows + 1)
-    found = np.full((n, len(r), len(c)), outside, np.float32)
+    padded = np.full((n, len(r), len(c)), outside, np.float32)
     on_map = np.ix_(np.arange(n), (r >= 0) & (r < rows), (c >= 0) & (c < cols))
     values = maps.reshape(n, rows, cols) * (factor * np.float32(scale))
     if periodic:
-        found[...] = values[:, (r % rows)[:, None], c % cols]
+        padded[...] = values[:, (r % rows)[:, None], c % cols]
     else:
-        found[on_map] = values
+        padded[on_map] = values
     out = planes.reshape(n, 1 << shift, rows + 2, across + 2 * margin)
-    out[...] = found.reshape(n, rows + 2, -1, 1 << shift).transpose(0, 3, 1, 2)
+    out[...] = padded.reshape(n, rows + 2, -1, 1 << shift).transpose(0, 3, 1, 2)
 
 
 def begin(
@@ -249,8 +251,8 @@ def gather(
     out = sums.reshape(LIGHTS + 1, -1, phases, width)
     out[:LIGHTS], out[LIGHTS] = 0, -1
     there = row[receives], phase[receives], x[receives]
-    for found, values in zip(out, [*strips.num, strips.den]):
-        found[there] = values
+    for target, values in zip(out, [*strips.num, strips.den]):
+        target[there] = values
 
 
 def fill(
@@ -293,15 +295,15 @@ def fill(
     left = ONE - right
     known, shares = whole[0] * left + whole[1] * right, den[0] * left + den[1] * right
     own, west, east, above, beneath = layout.around(heights, x[None], y[:, None])
-    alone = np.zeros(own.shape, bool)
+    is_kink = np.zeros(own.shape, bool)
     if kinks:
-        alone = _bent(west, own, east) | _bent(above, own, beneath)
+        is_kink = _bent(west, own, east) | _bent(above, own, beneath)
     for light in range(LIGHTS):
         mean = (num[0][light] * left + num[1][light] * right) / np.where(shares > 0, shares, ONE)
         mean = np.where(shares > 0, mean, ZERO)
-        found = direct.reshape(LIGHTS, rows, cols)[light] + PI * (ONE - sky.reshape(rows, cols)) * mean
-        found = np.where(alone | ~(known > 0), -ONE, found)
-        irradiance.reshape(LIGHTS, rows, cols)[light] = np.where(own <= HIGHEST_MASKED, ZERO, found)
+        total = direct.reshape(LIGHTS, rows, cols)[light] + PI * (ONE - sky.reshape(rows, cols)) * mean
+        total = np.where(is_kink | ~(known > 0), -ONE, total)
+        irradiance.reshape(LIGHTS, rows, cols)[light] = np.where(own <= HIGHEST_MASKED, ZERO, total)
 
 
 def _between(at: np.ndarray, apart: int, periodic: bool) -> tuple[tuple[np.ndarray, np.ndarray], np.ndarray]:

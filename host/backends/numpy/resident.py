@@ -13,10 +13,10 @@ def adopt(
     values: np.ndarray, mask: np.ndarray, depth: np.ndarray, top: float, sign: float, masked: int, count: int
 ) -> None:
     given = values.reshape(-1)[:count]
-    found = np.where(given == np.inf, np.float32(np.nan), np.float32(top) + np.float32(sign) * given)
+    converted = np.where(given == np.inf, np.float32(np.nan), np.float32(top) + np.float32(sign) * given)
     if masked:
-        found[mask.reshape(-1)[:count] == 0] = np.inf
-    depth.reshape(-1)[:count] = found
+        converted[mask.reshape(-1)[:count] == 0] = np.inf
+    depth.reshape(-1)[:count] = converted
 
 
 def survey(values: np.ndarray, stats: np.ndarray, rows: int, cols: int, block: int, step: float) -> None:
@@ -78,8 +78,8 @@ def shade(
     count: int,
 ) -> None:
     share = albedo.reshape(-1)[: count if varies else 1] * np.float32(factor)
-    found = np.maximum(image.reshape(-1)[:count], np.float32(least)) * share
-    image.reshape(-1)[:count] = np.where(depth.reshape(-1)[:count] == np.inf, np.float32(np.nan), found)
+    shaded = np.maximum(image.reshape(-1)[:count], np.float32(least)) * share
+    image.reshape(-1)[:count] = np.where(depth.reshape(-1)[:count] == np.inf, np.float32(np.nan), shaded)
 
 
 def probe(

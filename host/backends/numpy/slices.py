@@ -130,7 +130,7 @@ def _horizon(
     """All arrays flat, one element per slice; pixels spread likewise."""
     stride, width = ground.cols + 1, ground.tops.shape[1]
     tops = ground.tops.ravel()
-    found = slope.copy()
+    tangent = slope.copy()
     per_x, per_y = np.where(c != 0, F(1) / c, ENDLESS), np.where(s != 0, F(1) / s, ENDLESS)
     on_x, on_y = (c >= 0).astype(np.int32), (s >= 0).astype(np.int32)
     end_x = np.where(
@@ -186,11 +186,11 @@ def _horizon(
         level = level + np.where(passes, begins, -1).astype(np.int32)
         going = (slope < high) & (t < end) & (t * (along + slope * here.up) < here.reach)
         if not going.all():
-            found[who] = slope
+            tangent[who] = slope
             who = who[going]
             state, here = [value[going] for value in state], here.of(going)
             cell_x, cell_y, level, t = cell_x[going], cell_y[going], level[going], t[going]
-    return found
+    return tangent
 
 
 def _in_lobe(
