@@ -14,7 +14,7 @@ Lengths are in spacings. z is depth, heights are -z. `pixels` is rows x cols.
                                            the map repeats
   tiles    (down x across)          float  the greatest height of every TILE x TILE nodes
   top      (1)                      int    that of all, as ordered() gives it
-  numbers  (count, room)            int    under a sky: number of the crossing that is the horizon, by look;
+  numbers  (count, room)            int    under a sky: number of the crossing that is the horizon (horizons);
                                            0 where the ground is no limit; room = pixels + PIXEL_PADDING
   slopes   (count, room)            float  and the slope to it
   light    (4, pixels)              float  out: E; dE by own depth, by dz/dx, by dz/dy
@@ -113,7 +113,7 @@ Above above(floats t, __global const float *table, int row, int next, float shar
 }
 
 /* A slice: the azimuth's cosine and sine, columns per row and rows per column, and their reciprocal
-   lengths. */
+   inner_products. */
 typedef struct { float c, s, columns, rise, rows, run; } Way;
 
 Way way_of(float c, float s)
@@ -385,14 +385,14 @@ Limit limit_of(Way way, Nodes nodes, int x, int y, int rows, int cols, int sides
   return limit;
 }
 
-/* look: the horizon of every slice under a sky: its crossing's number (as horizon gives it) and its slope.
-   azimuths (count, 4): cosine, sine, width, 0. Work-item (g, y, a) owns LANES nodes of row y, and `ways`
-   azimuths. */
-__kernel void look(__global const float *restrict heights, __global const float *restrict tilts,
-                   __global const float *restrict tiles, __global const int *restrict top,
-                   __global const float *restrict azimuths, __global int *restrict numbers,
-                   __global float *restrict slopes, int rows, int cols, int margin, int count, int sides,
-                   int ways)
+/* horizons: the horizon of every slice under a sky: its crossing's number (as horizon gives it) and its
+   slope. azimuths (count, 4): cosine, sine, width, 0. Work-item (g, y, a) owns LANES nodes of row y, and
+   `ways` azimuths. */
+__kernel void horizons(__global const float *restrict heights, __global const float *restrict tilts,
+                       __global const float *restrict tiles, __global const int *restrict top,
+                       __global const float *restrict azimuths, __global int *restrict numbers,
+                       __global float *restrict slopes, int rows, int cols, int margin, int count, int sides,
+                       int ways)
 {
   const int x = get_global_id(0) * LANES, y = get_global_id(1), from = get_global_id(2) * ways;
   if (x >= cols)
@@ -410,8 +410,8 @@ __kernel void look(__global const float *restrict heights, __global const float 
   }
 }
 
-/* sky: E and its derivatives under a sky, after look. table: one row per azimuth. Work-item (g, y) owns LANES
-   nodes of row y. Order of summation: azimuths. */
+/* sky: E and its derivatives under a sky, after horizons. table: one row per azimuth. Work-item (g, y) owns
+   LANES nodes of row y. Order of summation: azimuths. */
 __kernel void sky(__global const float *restrict heights, __global const float *restrict tilts,
                   __global const int *restrict top, __global const int *restrict numbers,
                   __global const float *restrict slopes, __global const float *restrict azimuths,
@@ -873,10 +873,11 @@ void spread_at(Links links, __global long *sum, float u, int squared, int rows, 
   }
 }
 
-/* match: over and under, what an image adds to those of its pixels' albedo, over / under: the one with which
-   all images are nearest to their targets, gain that of albedo 1. The first sets them. */
-__kernel void match(__global const float *light, __global const float *gain, __global const float *target,
-                    __global float *over, __global float *under, int is_first, int pixels)
+/* albedo_sums: over and under, what an image adds to those of its pixels' albedo, over / under: the one
+   with which all images are nearest to their targets, gain that of albedo 1. The first sets them. */
+__kernel void albedo_sums(__global const float *light, __global const float *gain,
+                          __global const float *target, __global float *over, __global float *under,
+                          int is_first, int pixels)
 {
   const int p = get_global_id(0);
   if (p >= pixels)
@@ -886,17 +887,17 @@ __kernel void match(__global const float *light, __global const float *gain, __g
   under[p] = (is_first ? 0 : under[p]) + e * e;
 }
 
-/* reflect: the gain with that albedo. */
-__kernel void reflect(__global const float *over, __global const float *under, __global const float *gain,
-                      __global float *out, int pixels)
+/* albedo_gain: the gain with that albedo. */
+__kernel void albedo_gain(__global const float *over, __global const float *under,
+                          __global const float *gain, __global float *out, int pixels)
 {
   const int p = get_global_id(0);
   if (p < pixels)
     out[p] = over[p] / under[p] * gain[p];
 }
 
-/* misfit: in part (blocks) the sums of (gain E - target)^2. Work-item g of this, of bending and of begin owns
-   NODES_PER_SUM nodes and adds them in order. */
+/* misfit: in part (blocks) the sums of (gain E - target)^2. Work-item g of this, of bending and of descent
+   owns NODES_PER_SUM nodes and adds them in order. */
 __kernel void misfit(__global const float *light, __global const float *gain, __global const float *target,
                      __global double *part, int block, int pixels)
 {
@@ -946,12 +947,12 @@ __kernel void bending(__global const float *z, __global const float *rest, __glo
   part[block + g] = sum;
 }
 
-/* downhill: sum += quanta transpose(J) gain (gain E - target), and squares += fine x the diagonal of
+/* gradient: sum += quanta transpose(J) gain (gain E - target), and squares += fine x the diagonal of
    transpose(J) gain^2 J, or what it is where no two links of a node lead to the same one. Sums are in fixed
    point: `quanta` is how many integers make 1, `quantum` the value of one. Work-item g of this and of all
    below owns `per_item` nodes; if there is more than one copy of the sums, it adds to a copy of
    its own: sum and squares (copies, pixels). */
-__kernel void downhill(__global const float *restrict light, __global const int *restrict held,
+__kernel void gradient(__global const float *restrict light, __global const int *restrict held,
                        __global const int *restrict first, __global const int *restrict second,
                        __global const float *restrict near, __global const float *restrict far,
                        __global const float *restrict gain, __global const float *restrict target,
@@ -979,23 +980,23 @@ long taken(__global long *sum, int i, int pixels, int copies)
   return all_;
 }
 
-/* begin: the downhill direction r = -(sum quantum + lambda unbend (z - rest)), 0 where a bound holds z (free
-   0); scale = squares fine + least; x = p = s = sum = squares = 0 for conjugate gradients. */
-__kernel void begin(__global const float *z, __global const float *rest, __global const float *low,
-                    __global const float *high, __global long *sum, __global long *squares,
-                    __global float *scale, __global float *r, __global float *x, __global float *p,
-                    __global float *s, __global float *is_free, float quantum, float fine, float least,
-                    float lambda_, int rows, int cols, int per_item, int copies)
+/* descent: the descent direction r = -(sum quantum + lambda unbend (z - rest)), 0 where a bound holds z
+   (free 0); scale = squares fine + least; x = p = s = sum = squares = 0 for conjugate gradients. */
+__kernel void descent(__global const float *z, __global const float *rest, __global const float *low,
+                      __global const float *high, __global long *sum, __global long *squares,
+                      __global float *scale, __global float *r, __global float *x, __global float *p,
+                      __global float *s, __global float *is_free, float quantum, float fine, float least,
+                      float lambda_, int rows, int cols, int per_item, int copies)
 {
   const int g = get_global_id(0), pixels = rows * cols;
   for (int i = g * per_item; i < min(pixels, g * per_item + per_item); ++i) {
     const float smooth = (unbend(z + i, i % cols, cols, 1) + unbend(z + i, i / cols, rows, cols))
                          - (unbend(rest + i, i % cols, cols, 1) + unbend(rest + i, i / cols, rows, cols));
-    const float down = -(convert_float(taken(sum, i, pixels, copies)) * quantum + lambda_ * smooth);
-    const float moves = (z[i] <= low[i] && down < 0) || (z[i] >= high[i] && down > 0) ? 0 : 1;
+    const float steepest = -(convert_float(taken(sum, i, pixels, copies)) * quantum + lambda_ * smooth);
+    const float moves = (z[i] <= low[i] && steepest < 0) || (z[i] >= high[i] && steepest > 0) ? 0 : 1;
     scale[i] = convert_float(taken(squares, i, pixels, copies)) * fine + least;
     is_free[i] = moves;
-    r[i] = moves * down;
+    r[i] = moves * steepest;
     x[i] = 0;
     p[i] = 0;
     s[i] = 0;
@@ -1011,8 +1012,8 @@ float hat(int a, int j, int n)
   return (a < 4 ? j == 0 : j == n - 1) ? 1 : (a < 4 ? 2 * a + 1 : 15 - 2 * a) * 0.125f;
 }
 
-/* Node (x, y) of what is brought down to a coarse grid from one of rows x cols. */
-float lowered(__global const float *fine, int rows, int cols, int x, int y)
+/* Node (x, y) of the restriction to a coarse grid from one of rows x cols. */
+float restricted(__global const float *fine, int rows, int cols, int x, int y)
 {
   const int n_rows = (rows - 1) / COARSENING + 1, n_cols = (cols - 1) / COARSENING + 1;
   const int a_0 = max(0, 2 - COARSENING * x), a_1 = min(2 * COARSENING, cols + 2 - COARSENING * x),
@@ -1038,22 +1039,22 @@ float lowered(__global const float *fine, int rows, int cols, int x, int y)
   return sum;
 }
 
-/* down: to = times what is brought down; over `scale`, if asked to divide. */
-__kernel void down(__global const float *fine, __global const float *scale, __global float *to, float times,
-                   int divides, int rows, int cols)
+/* restriction: to = times the restriction of `fine`; over `scale`, if asked to divide. */
+__kernel void restriction(__global const float *fine, __global const float *scale, __global float *to,
+                          float times, int divides, int rows, int cols)
 {
   const int x = get_global_id(0), y = get_global_id(1), n_rows = (rows - 1) / COARSENING + 1,
             n_cols = (cols - 1) / COARSENING + 1;
   if (x >= n_cols || y >= n_rows)
     return;
-  const float sum = times * lowered(fine, rows, cols, x, y);
+  const float sum = times * restricted(fine, rows, cols, x, y);
   to[y * n_cols + x] = divides ? sum / scale[y * n_cols + x] : sum;
 }
 
-/* v = free (r / scale + what is brought up from a coarse grid), for the nodes of row y that lie in its node
+/* v = free (r / scale + the prolongation of a coarse grid), for the nodes of row y that lie in its node
    x. */
-void up_at(__global const float *r, __global const float *scale, __global const float *is_free,
-           __global const float *coarse, __global float *v, int rows, int cols, int x, int y)
+void prolong_at(__global const float *r, __global const float *scale, __global const float *is_free,
+                __global const float *coarse, __global float *v, int rows, int cols, int x, int y)
 {
   const int n_rows = (rows - 1) / COARSENING + 1, n_cols = (cols - 1) / COARSENING + 1, k = y % COARSENING,
             i = y * cols + COARSENING * x;
@@ -1069,16 +1070,18 @@ void up_at(__global const float *r, __global const float *scale, __global const 
     v[i + l] = is_free[i + l] * (r[i + l] / scale[i + l] + raised[l]);
 }
 
-__kernel void up(__global const float *r, __global const float *scale, __global const float *is_free,
-                 __global const float *coarse, __global float *v, int rows, int cols)
+__kernel void prolongation(__global const float *r, __global const float *scale,
+                           __global const float *is_free, __global const float *coarse, __global float *v,
+                           int rows, int cols)
 {
   const int x = get_global_id(0), y = get_global_id(1);
   if (x * COARSENING < cols && y < rows)
-    up_at(r, scale, is_free, coarse, v, rows, cols, x, y);
+    prolong_at(r, scale, is_free, coarse, v, rows, cols, x, y);
 }
 
-/* lengths: in part (2, blocks) the sums of v v and of r v. */
-__kernel void lengths(__global const float *r, __global const float *v, __global double *part, int pixels)
+/* inner_products: in part (2, blocks) the sums of v v and of r v. */
+__kernel void inner_products(__global const float *r, __global const float *v, __global double *part,
+                             int pixels)
 {
   const int g = get_global_id(0), blocks = (pixels - 1) / NODES_PER_SUM + 1;
   if (g >= blocks)
@@ -1121,15 +1124,15 @@ __kernel void product(__global const float *restrict light, __global const int *
       product_at(links, gain, v, sum + own, (float)state[SCATTERED], rows, cols, p, copies > 1);
 }
 
-/* change: in (or added to) share, the part of the change of the pixels' albedo by v from one image: bright
-   gain J v, bright = the image at albedo 1. */
-__kernel void change(__global const float *restrict light, __global const int *restrict held,
-                     __global const int *restrict first, __global const int *restrict second,
-                     __global const float *restrict near, __global const float *restrict far,
-                     __global const float *restrict gain, __global const float *restrict bare,
-                     __global const float *restrict v, __global float *restrict share,
-                     __global const double *state, int rows, int cols, int count,
-                     int sides, int is_first, int per_item)
+/* albedo_change: in (or added to) share, the part of the change of the pixels' albedo by v from one image:
+   bright gain J v, bright = the image at albedo 1. */
+__kernel void albedo_change(__global const float *restrict light, __global const int *restrict held,
+                            __global const int *restrict first, __global const int *restrict second,
+                            __global const float *restrict near, __global const float *restrict far,
+                            __global const float *restrict gain, __global const float *restrict bare,
+                            __global const float *restrict v, __global float *restrict share,
+                            __global const double *state, int rows, int cols, int count, int sides,
+                            int is_first, int per_item)
 {
   const Links links = {light, held, first, second, near, far, count, sides};
   const int g = get_global_id(0);
@@ -1139,15 +1142,15 @@ __kernel void change(__global const float *restrict light, __global const int *r
           (is_first ? 0 : share[p]) + bare[p] * light[p] * (gain[p] * change_at(links, v, rows, cols, p));
 }
 
-/* product_beside: as product, less what a change of the albedo makes up for. */
-__kernel void product_beside(__global const float *restrict light, __global const int *restrict held,
-                             __global const int *restrict first, __global const int *restrict second,
-                             __global const float *restrict near, __global const float *restrict far,
-                             __global const float *restrict gain, __global const float *restrict bare,
-                             __global const float *restrict share, __global const float *restrict under,
-                             __global const float *restrict v, __global long *sum,
-                             __global const double *state, int rows, int cols, int count,
-                             int sides, int per_item, int copies)
+/* reduced_product: as product, less what a change of the albedo makes up for. */
+__kernel void reduced_product(__global const float *restrict light, __global const int *restrict held,
+                              __global const int *restrict first, __global const int *restrict second,
+                              __global const float *restrict near, __global const float *restrict far,
+                              __global const float *restrict gain, __global const float *restrict bare,
+                              __global const float *restrict share, __global const float *restrict under,
+                              __global const float *restrict v, __global long *sum,
+                              __global const double *state, int rows, int cols, int count, int sides,
+                              int per_item, int copies)
 {
   const Links links = {light, held, first, second, near, far, count, sides};
   const int g = get_global_id(0);
@@ -1160,12 +1163,12 @@ __kernel void product_beside(__global const float *restrict light, __global cons
     }
 }
 
-/* curve: w = free (sum quantum + lambda unbend v + damping scale v), the normal equations' matrix times v;
-   sum = 0; and what the node adds to r v, v w and v v. */
-long3 curve_at(__global const float *r, __global const float *v, __global const float *scale,
-               __global const float *is_free, __global long *sum, __global float *w, float quantum,
-               float lambda_, float damping, double by_product, double by_square, int rows, int cols,
-               int copies, int i)
+/* normal_product: w = free (sum quantum + lambda unbend v + damping scale v), the normal equations' matrix
+   times v; sum = 0; and what the node adds to r v, v w and v v. */
+long3 normal_product_at(__global const float *r, __global const float *v, __global const float *scale,
+                        __global const float *is_free, __global long *sum, __global float *w, float quantum,
+                        float lambda_, float damping, double by_product, double by_square, int rows,
+                        int cols, int copies, int i)
 {
   const float smooth = unbend(v + i, i % cols, cols, 1) + unbend(v + i, i / cols, rows, cols);
   w[i] = is_free[i] * (convert_float(taken(sum, i, rows * cols, copies)) * quantum + lambda_ * smooth +
@@ -1176,10 +1179,10 @@ long3 curve_at(__global const float *r, __global const float *v, __global const 
                  convert_long_rtz(square * by_square));
 }
 
-__kernel void curve(__global const float *r, __global const float *v, __global const float *scale,
-                    __global const float *is_free, __global long *sum, __global float *w,
-                    __global long *totals, __global const double *state, int rows, int cols, int per_item,
-                    int copies)
+__kernel void normal_product(__global const float *r, __global const float *v, __global const float *scale,
+                             __global const float *is_free, __global long *sum, __global float *w,
+                             __global long *totals, __global const double *state, int rows, int cols,
+                             int per_item, int copies)
 {
   const int g = get_global_id(0), pixels = rows * cols;
   if (g * per_item >= pixels || state[LEFT] <= 0)
@@ -1187,47 +1190,48 @@ __kernel void curve(__global const float *r, __global const float *v, __global c
   const float quantum = 1 / state[SCATTERED], lambda_ = state[LAMBDA], damping = state[DAMPING];
   long3 part = 0;
   for (int i = g * per_item; i < min(pixels, g * per_item + per_item); ++i)
-    part += curve_at(r, v, scale, is_free, sum, w, quantum, lambda_, damping, state[UNIT_RV], state[UNIT_VV],
-                     rows, cols, copies, i);
+    part += normal_product_at(r, v, scale, is_free, sum, w, quantum, lambda_, damping, state[UNIT_RV],
+                              state[UNIT_VV], rows, cols, copies, i);
   atom_add(totals + g % SUM_SLOTS, part.x);
   atom_add(totals + SUM_SLOTS + g % SUM_SLOTS, part.y);
   atom_add(totals + 2 * SUM_SLOTS + g % SUM_SLOTS, part.z);
 }
 
-/* The state after an iteration that found these totals, whether it takes a step, and beta. */
-typedef struct { double next[STATE]; double beta; int goes; } Turn;
+/* The state after an iteration with these totals, whether it takes a step, and beta. */
+typedef struct { double next[STATE]; double beta; int takes_step; } Iteration;
 
-Turn turn_of(__global const double *state, long3 total, double fixed_, double exact)
+Iteration iteration_of(__global const double *state, long3 total, double fixed_, double exact)
 {
-  Turn turn;
+  Iteration iteration;
   for (int i = 0; i < STATE; ++i)
-    turn.next[i] = state[i];
+    iteration.next[i] = state[i];
   const double product = total.x / state[UNIT_RV], square = total.z / state[UNIT_VV];
   double curvature = total.y / state[UNIT_RV];
-  turn.beta = 0;
+  iteration.beta = 0;
   if (state[ALPHA] != 0) {
-    turn.beta = product / state[PRODUCT];
-    curvature -= turn.beta * product / state[ALPHA];
+    iteration.beta = product / state[PRODUCT];
+    curvature -= iteration.beta * product / state[ALPHA];
   } else
-    turn.next[START] = product;
-  turn.goes = product > state[STOP_RATIO] * turn.next[START] && curvature > 0;
-  if (turn.goes) {
-    turn.next[LEFT] = state[LEFT] - 1;
-    turn.next[SCATTERED] = fixed_ / sqrt(square);
-    turn.next[UNIT_RV] = exact / product;
-    turn.next[UNIT_VV] = exact / square;
-    turn.next[PRODUCT] = product;
-    turn.next[ALPHA] = product / curvature;
-    turn.next[GAIN] = state[GAIN] + 0.5 * turn.next[ALPHA] * product;
+    iteration.next[START] = product;
+  iteration.takes_step = product > state[STOP_RATIO] * iteration.next[START] && curvature > 0;
+  if (iteration.takes_step) {
+    iteration.next[LEFT] = state[LEFT] - 1;
+    iteration.next[SCATTERED] = fixed_ / sqrt(square);
+    iteration.next[UNIT_RV] = exact / product;
+    iteration.next[UNIT_VV] = exact / square;
+    iteration.next[PRODUCT] = product;
+    iteration.next[ALPHA] = product / curvature;
+    iteration.next[GAIN] = state[GAIN] + 0.5 * iteration.next[ALPHA] * product;
   } else
-    turn.next[LEFT] = 0;
-  return turn;
+    iteration.next[LEFT] = 0;
+  return iteration;
 }
 
-/* go: a step of conjugate gradients with one sum (Chronopoulos and Gear 1989): p = v + beta p, s = w + beta
-   s, x += alpha p, r -= alpha s. */
-void go_at(__global const float *v, __global const float *w, __global float *r, __global float *x,
-           __global float *p, __global float *s, float alpha, float beta, int i)
+/* conjugate_step: a step of conjugate gradients with one sum (Chronopoulos and Gear 1989): p = v + beta p,
+   s = w + beta s, x += alpha p, r -= alpha s. */
+void conjugate_step_at(__global const float *v, __global const float *w, __global float *r,
+                       __global float *x, __global float *p, __global float *s, float alpha, float beta,
+                       int i)
 {
   p[i] = v[i] + beta * p[i];
   s[i] = w[i] + beta * s[i];
@@ -1235,10 +1239,11 @@ void go_at(__global const float *v, __global const float *w, __global float *r, 
   r[i] -= alpha * s[i];
 }
 
-__kernel void go(__global const float *v, __global const float *w, __global float *r, __global float *x,
-                 __global float *p, __global float *s, __global const long *totals,
-                 __global long *next_totals, __global const double *state, __global double *next,
-                 double fixed_, double exact, int pixels, int per_item)
+__kernel void conjugate_step(__global const float *v, __global const float *w, __global float *r,
+                             __global float *x, __global float *p, __global float *s,
+                             __global const long *totals, __global long *next_totals,
+                             __global const double *state, __global double *next, double fixed_,
+                             double exact, int pixels, int per_item)
 {
   const int g = get_global_id(0);
   if (g * per_item >= pixels || (g > 0 && state[LEFT] <= 0))
@@ -1246,21 +1251,21 @@ __kernel void go(__global const float *v, __global const float *w, __global floa
   long3 total = 0;
   for (int i = 0; i < SUM_SLOTS; ++i)
     total += (long3)(totals[i], totals[SUM_SLOTS + i], totals[2 * SUM_SLOTS + i]);
-  const Turn turn = turn_of(state, total, fixed_, exact);
+  const Iteration iteration = iteration_of(state, total, fixed_, exact);
   if (g == 0) {
     for (int i = 0; i < STATE; ++i)
-      next[i] = state[LEFT] > 0 ? turn.next[i] : state[i];
+      next[i] = state[LEFT] > 0 ? iteration.next[i] : state[i];
     for (int i = 0; i < 3 * SUM_SLOTS; ++i)
       next_totals[i] = 0;
   }
-  if (state[LEFT] > 0 && turn.goes)
+  if (state[LEFT] > 0 && iteration.takes_step)
     for (int i = g * per_item; i < min(pixels, g * per_item + per_item); ++i)
-      go_at(v, w, r, x, p, s, (float)turn.next[ALPHA], (float)turn.beta, i);
+      conjugate_step_at(v, w, r, x, p, s, (float)iteration.next[ALPHA], (float)iteration.beta, i);
 }
 
-/* ready: the state and the totals before the first iteration; square and product: v v and r v. One
+/* start: the state and the totals before the first iteration; square and product: v v and r v. One
    work-item. */
-__kernel void ready(__global double *state, __global long *totals, double square, double product,
+__kernel void start(__global double *state, __global long *totals, double square, double product,
                     double lambda_, double damping, double least, double fixed_, double exact, int most)
 {
   if (get_global_id(0) > 0)
@@ -1278,8 +1283,9 @@ __kernel void ready(__global double *state, __global long *totals, double square
   state[STOP_RATIO] = least;
 }
 
-/* solve: product, curve, go, down and up until they stop, by one work-item: on a small grid a CPU takes
-   longer to start a kernel than to run it. 4 and 16: of the coarse grids. */
+/* solve: product, normal_product, conjugate_step, restriction and prolongation until they stop, by one
+   work-item: on a small grid a CPU takes longer to start a kernel than to run it. 4 and 16: of the coarse
+   grids. */
 __kernel void solve(__global const float *restrict light, __global const int *restrict held,
                     __global const int *restrict first, __global const int *restrict second,
                     __global const float *restrict near, __global const float *restrict far,
@@ -1305,33 +1311,33 @@ __kernel void solve(__global const float *restrict light, __global const int *re
     for (int i = 0; i < pixels; ++i)
       product_at(links, gain, v, sum, quanta, rows, cols, i, 1);
     for (int i = 0; i < pixels; ++i)
-      total += curve_at(r, v, scale, is_free, sum, w, quantum, lambda_, damping, by_product, by_square, rows,
-                        cols, 1, i);
-    const Turn turn = turn_of(state, total, fixed_, exact);
+      total += normal_product_at(r, v, scale, is_free, sum, w, quantum, lambda_, damping, by_product,
+                                 by_square, rows, cols, 1, i);
+    const Iteration iteration = iteration_of(state, total, fixed_, exact);
     for (int i = 0; i < STATE; ++i)
-      state[i] = turn.next[i];
-    if (!turn.goes)
+      state[i] = iteration.next[i];
+    if (!iteration.takes_step)
       return;
     for (int i = 0; i < pixels; ++i)
-      go_at(v, w, r, x, p, s, (float)turn.next[ALPHA], (float)turn.beta, i);
+      conjugate_step_at(v, w, r, x, p, s, (float)iteration.next[ALPHA], (float)iteration.beta, i);
     for (int y = 0; y < rows_4; ++y)
       for (int x = 0; x < cols_4; ++x)
-        r_4[y * cols_4 + x] = lowered(r, rows, cols, x, y);
+        r_4[y * cols_4 + x] = restricted(r, rows, cols, x, y);
     for (int y = 0; y < rows_16; ++y)
       for (int x = 0; x < cols_16; ++x)
-        v_16[y * cols_16 + x] = lowered(r_4, rows_4, cols_4, x, y) / scale_16[y * cols_16 + x];
+        v_16[y * cols_16 + x] = restricted(r_4, rows_4, cols_4, x, y) / scale_16[y * cols_16 + x];
     for (int y = 0; y < rows_4; ++y)
       for (int x = 0; x < cols_16; ++x)
-        up_at(r_4, scale_4, is_free_4, v_16, v_4, rows_4, cols_4, x, y);
+        prolong_at(r_4, scale_4, is_free_4, v_16, v_4, rows_4, cols_4, x, y);
     for (int y = 0; y < rows; ++y)
       for (int x = 0; x < cols_4; ++x)
-        up_at(r, scale, is_free, v_4, v, rows, cols, x, y);
+        prolong_at(r, scale, is_free, v_4, v, rows, cols, x, y);
   }
 }
 
-/* move: to = z + x, within its bounds. */
-__kernel void move(__global const float *z, __global const float *x, __global const float *low,
-                   __global const float *high, __global float *to, int pixels, int per_item)
+/* bounded_step: to = z + x, within its bounds. */
+__kernel void bounded_step(__global const float *z, __global const float *x, __global const float *low,
+                           __global const float *high, __global float *to, int pixels, int per_item)
 {
   const int g = get_global_id(0);
   for (int i = g * per_item; i < min(pixels, g * per_item + per_item); ++i)

@@ -141,7 +141,7 @@ def product(made, v):
     """The sum over images of transpose(J) gain^2 J v, by the kernel."""
     length = float(np.linalg.norm(v))
     made.launcher.launch(
-        "ready",
+        "start",
         made.gradients.states[0],
         made.gradients.totals[0],
         length**2,
@@ -679,7 +679,7 @@ def test_a_step_is_that_of_the_dense_matrices(backend, name, sides):
     assert abs(get(made.gradients.r[0])).max() < 1e-4 * abs(down).max()
 
     made.launcher.launch(
-        "move",
+        "bounded_step",
         made.backend.upload(z.ravel()),
         made.gradients.x,
         made.depths.low,
@@ -810,7 +810,7 @@ def test_what_is_at_hand_is_not_looked_at_again(fast, monkeypatch):
         "launch",
         lambda stem, kernel, *args, **more: (looks.append(kernel), before(stem, kernel, *args, **more))[1],
     )
-    looked = lambda: [looks.count("look"), looks.clear()][0]
+    looked = lambda: [looks.count("horizons"), looks.clear()][0]
     first = made.value(depth, 1e-3)
     assert looked() == 1 and made.value(depth, 1e-3) == first and looked() == 0
     made.set_targets([target])

@@ -17,7 +17,7 @@ Lengths are in spacings. z is depth, heights are -z. `pixels` is rows x cols.
   tiles          (down x across)          float32  the greatest height of every TILE x TILE nodes
   top            (1)                      int32    that of all, as ordered() gives it
   numbers        (count, room)            int32    under a sky: number of the crossing that is the horizon, by
-                                                   look; 0 where the ground is no limit; room = pixels +
+                                                   horizons; 0 where the ground is no limit; room = pixels +
                                                    PIXEL_PADDING
   slopes         (count, room)            float32  and the slope to it
   light          (4, pixels)              float32  out: E; dE by own depth, by dz/dx, by dz/dy
@@ -135,7 +135,7 @@ def above(
 @wp.struct
 class Way:
     """A slice: the azimuth's cosine and sine, columns per row and rows per column, and their reciprocal
-    lengths.
+    inner_products.
     """
 
     c: wp.float32
@@ -503,7 +503,7 @@ def limit_of(
 
 
 @wp.kernel
-def look(
+def horizons(
     heights: wp.array[wp.float32],
     tilts: wp.array[wp.float32],
     tiles: wp.array[wp.float32],
@@ -558,7 +558,7 @@ def sky(
     knots: wp.int32,
     sides: wp.int32,
 ):
-    """E and its derivatives under a sky, after look. table: one row per azimuth.
+    """E and its derivatives under a sky, after horizons. table: one row per azimuth.
 
     Thread (y, x) owns a node. Order of summation: azimuths."""
     y, x = wp.tid()
@@ -1201,7 +1201,7 @@ def spread_at(
 
 
 @wp.kernel
-def match(
+def albedo_sums(
     light: wp.array[wp.float32],
     gain: wp.array[wp.float32],
     target: wp.array[wp.float32],
@@ -1223,7 +1223,7 @@ def match(
 
 
 @wp.kernel
-def reflect(
+def albedo_gain(
     over: wp.array[wp.float32],
     under: wp.array[wp.float32],
     gain: wp.array[wp.float32],
@@ -1246,7 +1246,7 @@ def misfit(
 ):
     """In part (blocks), from ``block`` on, the sums of (gain E - target)^2.
 
-    Thread g of this, of bending and of begin owns NODES_PER_SUM nodes and adds them in order."""
+    Thread g of this, of bending and of descent owns NODES_PER_SUM nodes and adds them in order."""
     g = wp.tid()
     square = wp.float64(0.0)
     for p in range(g * NODES_PER_SUM, wp.min(pixels, g * NODES_PER_SUM + NODES_PER_SUM)):
@@ -1299,7 +1299,7 @@ def bending(
 
 
 @wp.kernel
-def downhill(
+def gradient(
     light: wp.array[wp.float32],
     held: wp.array[wp.int32],
     first: wp.array[wp.int32],
@@ -1361,7 +1361,7 @@ def downhill(
 
 
 @wp.kernel
-def begin(
+def descent(
     z: wp.array[wp.float32],
     rest: wp.array[wp.float32],
     low: wp.array[wp.float32],
@@ -1383,7 +1383,7 @@ def begin(
     per_item: wp.int32,
     copies: wp.int32,
 ):
-    """The downhill direction r = -(sum quantum + lambda unbend (z - rest)), 0 where a bound holds z (free 0);
+    """The descent direction r = -(sum quantum + lambda unbend (z - rest)), 0 where a bound holds z (free 0);
     scale = squares fine + least; x = p = s = sum = squares = 0 for conjugate gradients.
     """
     g = wp.tid()
@@ -1391,15 +1391,15 @@ def begin(
         smooth = (unbend(z, i, i % cols, cols, 1) + unbend(z, i, i / cols, rows, cols)) - (
             unbend(rest, i, i % cols, cols, 1) + unbend(rest, i, i / cols, rows, cols)
         )
-        down = -(wp.float32(sum[i]) * quantum + lambda_ * smooth)
+        steepest = -(wp.float32(sum[i]) * quantum + lambda_ * smooth)
         moves = wp.float32(1.0)
-        if (z[i] <= low[i] and down < 0.0) or (z[i] >= high[i] and down > 0.0):
+        if (z[i] <= low[i] and steepest < 0.0) or (z[i] >= high[i] and steepest > 0.0):
             moves = 0.0
         scale[i] = wp.float32(squares[i]) * fine + least
         sum[i] = wp.int64(0)
         squares[i] = wp.int64(0)
         is_free[i] = moves
-        r[i] = moves * down
+        r[i] = moves * steepest
         x[i] = 0.0
         p[i] = 0.0
         s[i] = 0.0
@@ -1419,8 +1419,8 @@ def hat(a: wp.int32, j: wp.int32, n: wp.int32):
 
 
 @wp.func
-def lowered(fine: wp.array[wp.float32], rows: wp.int32, cols: wp.int32, x: wp.int32, y: wp.int32):
-    """Node (x, y) of what is brought down to a coarse grid from one of rows x cols."""
+def restricted(fine: wp.array[wp.float32], rows: wp.int32, cols: wp.int32, x: wp.int32, y: wp.int32):
+    """Node (x, y) of the restriction to a coarse grid from one of rows x cols."""
     n_rows = (rows - 1) / COARSENING + 1
     n_cols = (cols - 1) / COARSENING + 1
     sum = wp.float32(0.0)
@@ -1433,7 +1433,7 @@ def lowered(fine: wp.array[wp.float32], rows: wp.int32, cols: wp.int32, x: wp.in
 
 
 @wp.kernel
-def down(
+def restriction(
     fine: wp.array[wp.float32],
     scale: wp.array[wp.float32],
     to: wp.array[wp.float32],
@@ -1442,9 +1442,9 @@ def down(
     rows: wp.int32,
     cols: wp.int32,
 ):
-    """to = times what is brought down; over ``scale``, if asked to divide."""
+    """to = times the restriction of ``fine``; over ``scale``, if asked to divide."""
     y, x = wp.tid()
-    sum = times * lowered(fine, rows, cols, x, y)
+    sum = times * restricted(fine, rows, cols, x, y)
     j = y * ((cols - 1) / COARSENING + 1) + x
     if divides != 0:
         sum = sum / scale[j]
@@ -1467,7 +1467,7 @@ def share_of(i: wp.int32):
 
 
 @wp.func
-def up_at(
+def prolong_at(
     r: wp.array[wp.float32],
     scale: wp.array[wp.float32],
     is_free: wp.array[wp.float32],
@@ -1478,7 +1478,7 @@ def up_at(
     x: wp.int32,
     y: wp.int32,
 ):
-    """v = free (r / scale + what is brought up from a coarse grid) at node (x, y)."""
+    """v = free (r / scale + the prolongation of a coarse grid) at node (x, y)."""
     n_cols = (cols - 1) / COARSENING + 1
     here = y / COARSENING * n_cols
     there = neighbour(y, (rows - 1) / COARSENING + 1) * n_cols
@@ -1491,7 +1491,7 @@ def up_at(
 
 
 @wp.kernel
-def up(
+def prolongation(
     r: wp.array[wp.float32],
     scale: wp.array[wp.float32],
     is_free: wp.array[wp.float32],
@@ -1500,14 +1500,16 @@ def up(
     rows: wp.int32,
     cols: wp.int32,
 ):
-    """See up_at, for the nodes of row y that lie in a coarse one."""
+    """See prolong_at, for the nodes of row y that lie in a coarse one."""
     y, j = wp.tid()
     for x in range(COARSENING * j, wp.min(cols, COARSENING * j + COARSENING)):
-        up_at(r, scale, is_free, coarse, v, rows, cols, x, y)
+        prolong_at(r, scale, is_free, coarse, v, rows, cols, x, y)
 
 
 @wp.kernel
-def lengths(r: wp.array[wp.float32], v: wp.array[wp.float32], part: wp.array[wp.float64], pixels: wp.int32):
+def inner_products(
+    r: wp.array[wp.float32], v: wp.array[wp.float32], part: wp.array[wp.float64], pixels: wp.int32
+):
     """In part (2, blocks) the sums of v v and of r v."""
     g = wp.tid()
     square = wp.float64(0.0)
@@ -1609,7 +1611,7 @@ def product(
 
 
 @wp.kernel
-def change(
+def albedo_change(
     light: wp.array[wp.float32],
     held: wp.array[wp.int32],
     first: wp.array[wp.int32],
@@ -1646,7 +1648,7 @@ def change(
 
 
 @wp.kernel
-def product_beside(
+def reduced_product(
     light: wp.array[wp.float32],
     held: wp.array[wp.int32],
     first: wp.array[wp.int32],
@@ -1693,7 +1695,7 @@ def product_beside(
 
 
 @wp.func
-def curve_at(
+def normal_product_at(
     r: wp.array[wp.float32],
     v: wp.array[wp.float32],
     scale: wp.array[wp.float32],
@@ -1724,7 +1726,7 @@ def curve_at(
 
 
 @wp.kernel
-def curve(
+def normal_product(
     r: wp.array[wp.float32],
     v: wp.array[wp.float32],
     scale: wp.array[wp.float32],
@@ -1738,13 +1740,13 @@ def curve(
     per_item: wp.int32,
     copies: wp.int32,
 ):
-    """See curve_at."""
+    """See normal_product_at."""
     g = wp.tid()
     if state[LEFT] > wp.float64(0.0):
         part = Sums()
         quantum = wp.float32(wp.float64(1.0) / state[SCATTERED])
         for i in range(g * per_item, wp.min(rows * cols, g * per_item + per_item)):
-            part += curve_at(
+            part += normal_product_at(
                 r,
                 v,
                 scale,
@@ -1766,8 +1768,8 @@ def curve(
 
 
 @wp.func
-def turn_of(state: wp.array[wp.float64], total: Sums, fixed_: wp.float64, exact: wp.float64):
-    """The state after an iteration that found these totals, beta, and whether it takes a step."""
+def iteration_of(state: wp.array[wp.float64], total: Sums, fixed_: wp.float64, exact: wp.float64):
+    """The state after an iteration with these totals, beta, and whether it takes a step."""
     next = State()
     for i in range(11):
         next[i] = state[i]
@@ -1775,14 +1777,14 @@ def turn_of(state: wp.array[wp.float64], total: Sums, fixed_: wp.float64, exact:
     square = wp.float64(total[2]) / state[UNIT_VV]
     curvature = wp.float64(total[1]) / state[UNIT_RV]
     beta = wp.float64(0.0)
-    goes = wp.int32(0)
+    takes_step = wp.int32(0)
     if state[ALPHA] != wp.float64(0.0):
         beta = product / state[PRODUCT]
         curvature -= beta * product / state[ALPHA]
     else:
         next[START] = product
     if product > state[STOP_RATIO] * next[START] and curvature > wp.float64(0.0):
-        goes = 1
+        takes_step = 1
         next[LEFT] = state[LEFT] - wp.float64(1.0)
         next[SCATTERED] = fixed_ / wp.sqrt(square)
         next[UNIT_RV] = exact / product
@@ -1792,11 +1794,11 @@ def turn_of(state: wp.array[wp.float64], total: Sums, fixed_: wp.float64, exact:
         next[GAIN] = state[GAIN] + wp.float64(0.5) * next[ALPHA] * product
     else:
         next[LEFT] = wp.float64(0.0)
-    return next, beta, goes
+    return next, beta, takes_step
 
 
 @wp.func
-def go_at(
+def conjugate_step_at(
     v: wp.array[wp.float32],
     w: wp.array[wp.float32],
     r: wp.array[wp.float32],
@@ -1807,7 +1809,7 @@ def go_at(
     beta: wp.float32,
     i: wp.int32,
 ):
-    """See go."""
+    """See conjugate_step."""
     p[i] = v[i] + beta * p[i]
     s[i] = w[i] + beta * s[i]
     x[i] = x[i] + alpha * p[i]
@@ -1815,7 +1817,7 @@ def go_at(
 
 
 @wp.kernel
-def go(
+def conjugate_step(
     v: wp.array[wp.float32],
     w: wp.array[wp.float32],
     r: wp.array[wp.float32],
@@ -1839,22 +1841,22 @@ def go(
         total = Sums()
         for i in range(SUM_SLOTS):
             total += Sums(totals[i], totals[SUM_SLOTS + i], totals[2 * SUM_SLOTS + i])
-        after_, beta, goes = turn_of(state, total, fixed_, exact)
+        after_, beta, takes_step = iteration_of(state, total, fixed_, exact)
         if g == 0:
             for i in range(11):
                 next[i] = after_[i]
             for i in range(3 * SUM_SLOTS):
                 next_totals[i] = wp.int64(0)
-        if goes != 0:
+        if takes_step != 0:
             for i in range(g * per_item, wp.min(pixels, g * per_item + per_item)):
-                go_at(v, w, r, x, p, s, wp.float32(after_[ALPHA]), wp.float32(beta), i)
+                conjugate_step_at(v, w, r, x, p, s, wp.float32(after_[ALPHA]), wp.float32(beta), i)
     elif g == 0:
         for i in range(11):
             next[i] = state[i]
 
 
 @wp.kernel
-def ready(
+def start(
     state: wp.array[wp.float64],
     totals: wp.array[wp.int64],
     square: wp.float64,
@@ -1912,8 +1914,8 @@ def solve(
     count: wp.int32,
     sides: wp.int32,
 ):
-    """product, curve, go, down and up until they stop, by one thread: on a small grid a CPU takes longer to
-    start a kernel than to run it. 4 and 16: of the coarse grids.
+    """product, normal_product, conjugate_step, restriction and prolongation until they stop, by one thread:
+    on a small grid a CPU takes longer to start a kernel than to run it. 4 and 16: of the coarse grids.
     """
     pixels = rows * cols
     rows_4 = (rows - 1) / COARSENING + 1
@@ -1942,7 +1944,7 @@ def solve(
                 i,
             )
         for i in range(pixels):
-            total += curve_at(
+            total += normal_product_at(
                 r,
                 v,
                 scale,
@@ -1958,25 +1960,25 @@ def solve(
                 cols,
                 i,
             )
-        after_, beta, goes = turn_of(state, total, fixed_, exact)
+        after_, beta, takes_step = iteration_of(state, total, fixed_, exact)
         for i in range(11):
             state[i] = after_[i]
-        if goes == 0:
+        if takes_step == 0:
             return
         for i in range(pixels):
-            go_at(v, w, r, x, p, s, wp.float32(after_[ALPHA]), wp.float32(beta), i)
+            conjugate_step_at(v, w, r, x, p, s, wp.float32(after_[ALPHA]), wp.float32(beta), i)
         for j in range(rows_4 * cols_4):
-            r_4[j] = lowered(r, rows, cols, j % cols_4, j / cols_4)
+            r_4[j] = restricted(r, rows, cols, j % cols_4, j / cols_4)
         for j in range(rows_16 * cols_16):
-            v_16[j] = lowered(r_4, rows_4, cols_4, j % cols_16, j / cols_16) / scale_16[j]
+            v_16[j] = restricted(r_4, rows_4, cols_4, j % cols_16, j / cols_16) / scale_16[j]
         for j in range(rows_4 * cols_4):
-            up_at(r_4, scale_4, is_free_4, v_16, v_4, rows_4, cols_4, j % cols_4, j / cols_4)
+            prolong_at(r_4, scale_4, is_free_4, v_16, v_4, rows_4, cols_4, j % cols_4, j / cols_4)
         for i in range(pixels):
-            up_at(r, scale, is_free, v_4, v, rows, cols, i % cols, i / cols)
+            prolong_at(r, scale, is_free, v_4, v, rows, cols, i % cols, i / cols)
 
 
 @wp.kernel
-def move(
+def bounded_step(
     z: wp.array[wp.float32],
     x: wp.array[wp.float32],
     low: wp.array[wp.float32],

@@ -44,14 +44,16 @@ class AlbedoFit:
         gains = ((image.gain, image.gains[side]) for image in self.images)
         for gain, out in ((self.ones, self.product), *gains):
             self.launcher.launch(
-                "reflect", self.over, self.unders[side], gain, out, self.pixels, dim=(self.pixels,)
+                "albedo_gain", self.over, self.unders[side], gain, out, self.pixels, dim=(self.pixels,)
             )
 
     def _match(
         self, light: DeviceArray, gain: DeviceArray, target: DeviceArray, side: int, is_first: bool
     ) -> None:
         sums = self.over, self.unders[side]
-        self.launcher.launch("match", light, gain, target, *sums, is_first, self.pixels, dim=(self.pixels,))
+        self.launcher.launch(
+            "albedo_sums", light, gain, target, *sums, is_first, self.pixels, dim=(self.pixels,)
+        )
 
     def values(self, side: int) -> np.ndarray:
         """(pixels,) the albedo that was fitted last at this side."""

@@ -58,7 +58,7 @@ class ConjugateGradients:
         self.sum, self.squares = (
             backend.empty((launcher.partial_sums, pixels), np.int64, 0) for _ in range(2)
         )
-        self.lengths = backend.empty((2, launcher.blocks), np.float64)
+        self.inner_products = backend.empty((2, launcher.blocks), np.float64)
         self.states, self.totals = [
             [backend.empty(shape, dtype) for _ in range(2)]
             for shape, dtype in (((STATE,), np.float64), ((3, SUM_SLOTS), np.int64))
@@ -77,20 +77,20 @@ class ConjugateGradients:
         unit = FIXED / max(1e-12, math.sqrt(misfit))
         for image in self.images:
             self._scatter(
-                "downhill",
+                "gradient",
                 *(*image.links[side], image.gains[side], image.target),
                 *(self.sum, self.squares, unit, FINE, *self.shape, image.count, image.sides),
             )
         z, rest, low, high = self.depths
         self.launcher.launch(
-            "begin",
+            "descent",
             *(z[side], rest, low, high, self.sum, self.squares, self.scale[0]),
             *(self.r[0], self.x, self.p, self.s, self.free[0]),
             *(1 / unit, 1 / FINE, SECOND_DIFFERENCES * smoothness + LEAST_CURVATURE, smoothness),
             *(*self.shape, self.launcher.nodes_per_item, self.launcher.partial_sums),
         )
         self.launcher.repeat(self._start, 0)  # the same for both sides
-        square, product = self.backend.download(self.lengths).sum(1).tolist()
+        square, product = self.backend.download(self.inner_products).sum(1).tolist()
         return square, product
 
     def solve(
@@ -102,7 +102,7 @@ class ConjugateGradients:
             return 0.0
         state = self.states[0]
         self.launcher.launch(
-            "ready",
+            "start",
             *(state, self.totals[0], square, product, smoothness, damping, tolerance**2, FIXED, EXACT, most),
             dim=(1,),
         )
@@ -131,13 +131,13 @@ class ConjugateGradients:
         for now, then in ((0, 1), (1, 0)):
             self.multiply(side, self.states[now])
             self.launcher.launch(
-                "curve",
+                "normal_product",
                 *(self.r[0], self.v[0], self.scale[0], self.free[0], self.sum, self.w),
                 *(self.totals[now], self.states[now]),
                 *(*self.shape, self.launcher.nodes_per_item, self.launcher.partial_sums),
             )
             self.launcher.launch(
-                "go",
+                "conjugate_step",
                 *(self.v[0], self.w, self.r[0], self.x, self.p, self.s),
                 *(self.totals[now], self.totals[then], self.states[now], self.states[then]),
                 *(FIXED, EXACT, self.pixels, self.launcher.nodes_per_item),
@@ -159,7 +159,7 @@ class ConjugateGradients:
         for number, image in enumerate(self.images):
             gains = image.gains[side], image.gain
             self.launcher.launch(
-                "change",
+                "albedo_change",
                 *(
                     *image.links[side],
                     *gains,
@@ -175,28 +175,30 @@ class ConjugateGradients:
         for image in self.images:
             gains = image.gains[side], image.gain
             self._scatter(
-                "product_beside", *image.links[side], *gains, shared, under, *rest, image.count, image.sides
+                "reduced_product", *image.links[side], *gains, shared, under, *rest, image.count, image.sides
             )
 
     def _scatter(self, kernel: str, *args: Any) -> None:
         self.launcher.launch(kernel, *args, self.scattered, self.launcher.partial_sums, dim=self.scatterers)
 
     def _start(self, side: int) -> None:
-        """The scales of the coarser grids, and the first v with its lengths."""
+        """The scales of the coarser grids, and the first v with v v and r v."""
         self._restrict(0, self.scale[0], self.scale[1], BROAD)
         self._restrict(1, self.scale[1], self.scale[2], BROADER)
         self._precondition()
         blocks = (self.launcher.blocks,)
-        self.launcher.launch("lengths", self.r[0], self.v[0], self.lengths, self.pixels, dim=blocks)
+        self.launcher.launch(
+            "inner_products", self.r[0], self.v[0], self.inner_products, self.pixels, dim=blocks
+        )
 
     def _restrict(
         self, level: int, fine: DeviceArray, to: DeviceArray, times: float = 1.0, over: DeviceArray = None
     ) -> None:
-        """to = times what a grid brings down to the next, over ``over`` if given."""
+        """to = times the restriction of a grid to the next, over ``over`` if given."""
         rows, cols = self.shapes[level + 1]
         divisor = to if over is None else over
         self.launcher.launch(
-            "down", fine, divisor, to, times, over is not None, *self.shapes[level], dim=(cols, rows)
+            "restriction", fine, divisor, to, times, over is not None, *self.shapes[level], dim=(cols, rows)
         )
 
     def _precondition(self) -> None:
@@ -205,7 +207,7 @@ class ConjugateGradients:
         self._restrict(1, self.r[1], self.v[2], over=self.scale[2])
         for level in (1, 0):
             self.launcher.launch(
-                "up",
+                "prolongation",
                 *(self.r[level], self.scale[level], self.free[level], self.v[level + 1], self.v[level]),
                 *self.shapes[level],
                 # a work-item does what lies in one coarse node of a row

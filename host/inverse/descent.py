@@ -115,7 +115,7 @@ class Descent:
         z, _, low, high = self.depths
         step = self.gradients.x
         self.launcher.launch(
-            "move", z[1 - side], step, low, high, z[side], self.pixels, self.launcher.nodes_per_item
+            "bounded_step", z[1 - side], step, low, high, z[side], self.pixels, self.launcher.nodes_per_item
         )
         self._trace(side)
 

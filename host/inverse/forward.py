@@ -140,7 +140,7 @@ class Image:
         size = rows, cols, MARGIN, self.slices
         self.backend.launch(
             "adjoint",
-            "look",
+            "horizons",
             (across, rows, -(-self.slices // azimuths)),
             *(surface.heights, surface.tilts, surface.tiles, surface.top),
             *(self.directions, self.numbers, self.slopes, *size, self.sides, azimuths),

@@ -275,7 +275,7 @@ def _limits(
     return ways, tilt, slope, by_wall
 
 
-def look(
+def horizons(
     heights: np.ndarray,
     tilts: np.ndarray,
     tiles: np.ndarray,
@@ -819,7 +819,7 @@ def _put(part: np.ndarray, block: int, values: np.ndarray) -> None:
     part.reshape(-1)[block : block + len(sums)] = sums
 
 
-def match(
+def albedo_sums(
     light: np.ndarray,
     gain: np.ndarray,
     target: np.ndarray,
@@ -833,7 +833,7 @@ def match(
     under[:] = (f32(0) if is_first else under) + e * e
 
 
-def reflect(over: np.ndarray, under: np.ndarray, gain: np.ndarray, out: np.ndarray, pixels: int) -> None:
+def albedo_gain(over: np.ndarray, under: np.ndarray, gain: np.ndarray, out: np.ndarray, pixels: int) -> None:
     out[:] = over / under * gain
 
 
@@ -872,7 +872,7 @@ def bending(z: np.ndarray, rest: np.ndarray, part: np.ndarray, block: int, rows:
     _put(part, block, a * a + b * b)
 
 
-def downhill(
+def gradient(
     light: np.ndarray,
     held: np.ndarray,
     first: np.ndarray,
@@ -897,7 +897,7 @@ def downhill(
     _spread(*links, squares[0], gain * gain * f32(fine), True, rows, cols, sides)
 
 
-def begin(
+def descent(
     z: np.ndarray,
     rest: np.ndarray,
     low: np.ndarray,
@@ -919,13 +919,13 @@ def begin(
     per_item: int,
     copies: int,
 ) -> None:
-    down = -(
+    steepest = -(
         sum[0].astype(f32) * f32(quantum)
         + f32(lambda_) * (_unbend(z, rows, cols) - _unbend(rest, rows, cols))
     )
-    is_free[:] = ~(((z <= low) & (down < 0)) | ((z >= high) & (down > 0)))
+    is_free[:] = ~(((z <= low) & (steepest < 0)) | ((z >= high) & (steepest > 0)))
     scale[:] = squares[0].astype(f32) * f32(fine) + f32(least)
-    r[:] = is_free * down
+    r[:] = is_free * steepest
     for array in (sum, squares, x, p, s):
         array[:] = 0
 
@@ -935,8 +935,8 @@ HAT_NODES = 2 * COARSENING
 HAT = np.array([2 * min(a, HAT_NODES - 1 - a) + 1 for a in range(HAT_NODES)], f32) / f32(HAT_NODES)
 
 
-def _lowered(v: np.ndarray) -> np.ndarray:
-    """Rows of v, brought down to a line of nodes COARSENING times as coarse."""
+def _restricted(v: np.ndarray) -> np.ndarray:
+    """Rows of v, restricted to a line of nodes COARSENING times as coarse."""
     size, few = len(v), (len(v) - 1) // COARSENING + 1
     total = np.zeros((few, *v.shape[1:]), f32)
     for a, share in enumerate(HAT):
@@ -948,23 +948,23 @@ def _lowered(v: np.ndarray) -> np.ndarray:
     return total
 
 
-def down(
+def restriction(
     fine: np.ndarray, scale: np.ndarray, to: np.ndarray, times: float, divides: int, rows: int, cols: int
 ) -> None:
-    to[:] = f32(times) * _lowered(_lowered(fine.reshape(rows, cols)).T).T.ravel()
+    to[:] = f32(times) * _restricted(_restricted(fine.reshape(rows, cols)).T).T.ravel()
     if divides:
         to /= scale
 
 
-def _raised(v: np.ndarray, size: int) -> Values:
-    """Rows of v, brought up by linear interpolation to so many."""
+def _prolonged(v: np.ndarray, size: int) -> Values:
+    """Rows of v, prolonged by linear interpolation to so many."""
     at, k = np.divmod(np.arange(size), COARSENING)
     neighbour = np.clip(np.where(k < 2, at - 1, at + 1), 0, len(v) - 1)
     share = (np.where(k < 2, 3 - 2 * k, 2 * k - 3).astype(f32) / f32(2 * COARSENING))[:, None]
     return (1 - share) * v[at] + share * v[neighbour]
 
 
-def up(
+def prolongation(
     r: np.ndarray,
     scale: np.ndarray,
     is_free: np.ndarray,
@@ -974,11 +974,12 @@ def up(
     cols: int,
 ) -> None:
     v[:] = is_free * (
-        r / scale + _raised(_raised(coarse.reshape((rows - 1) // COARSENING + 1, -1), rows).T, cols).T.ravel()
+        r / scale
+        + _prolonged(_prolonged(coarse.reshape((rows - 1) // COARSENING + 1, -1), rows).T, cols).T.ravel()
     )
 
 
-def lengths(r: np.ndarray, v: np.ndarray, part: np.ndarray, pixels: int) -> None:
+def inner_products(r: np.ndarray, v: np.ndarray, part: np.ndarray, pixels: int) -> None:
     a, b = (array.astype(np.float64) for array in (r, v))
     part.reshape(-1)[:] = np.concatenate([_by_blocks(b * b), _by_blocks(a * b)])
 
@@ -1014,7 +1015,7 @@ def product(
         )
 
 
-def change(
+def albedo_change(
     light: np.ndarray,
     held: np.ndarray,
     first: np.ndarray,
@@ -1038,7 +1039,7 @@ def change(
         share[:] = own if is_first else share + own
 
 
-def product_beside(
+def reduced_product(
     light: np.ndarray,
     held: np.ndarray,
     first: np.ndarray,
@@ -1065,7 +1066,7 @@ def product_beside(
         _spread(*links, sum[0], gain * left * f32(state[SCATTERED]), False, rows, cols, sides)
 
 
-def curve(
+def normal_product(
     r: np.ndarray,
     v: np.ndarray,
     scale: np.ndarray,
@@ -1090,7 +1091,7 @@ def curve(
             totals[n, 0] = values.astype(np.int64).sum()
 
 
-def go(
+def conjugate_step(
     v: np.ndarray,
     w: np.ndarray,
     r: np.ndarray,
@@ -1138,7 +1139,7 @@ def go(
     r -= alpha * s
 
 
-def ready(
+def start(
     state: np.ndarray,
     totals: np.ndarray,
     square: float,
@@ -1166,7 +1167,7 @@ def ready(
     )
 
 
-def move(
+def bounded_step(
     z: np.ndarray,
     x: np.ndarray,
     low: np.ndarray,
