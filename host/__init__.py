@@ -7,11 +7,12 @@ from .backends import backends
 from .directions import Azimuths, Hemicube
 from .errors import BackendError, CapacityError, InputError, OutOfTimeError, SkylampError
 from .horizon import horizons, openness, sky_view_factor
+from .images import Rendering
 from .inverse.recover import Recovery, recover
 from .light.far import Tiling
 from .refinement import Plan, plan
 from .reflectance import BRDF, Lambertian, Mirror, Phong, grooves
-from .rendering import Rendering, render
+from .rendering import render
 from .scale import devices
 from .scene import Scene
 from .sources.brightness import cie_overcast, cosine_power, environment_map, uniform

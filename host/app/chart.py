@@ -15,11 +15,12 @@ from .. import sources
 from ..backends import backends, select
 from ..backends.base import Backend
 from ..errors import bad
+from ..images import Rendering
 from ..interreflection import sky_share
 from ..io.paths import StrPath
 from ..light.interreflection import Bounces, Round
 from ..refinement import solid_of
-from ..rendering import Rendering, render
+from ..rendering import render
 from ..samples import Samples
 from ..scene import Scene
 from ..sources.cie import cie_clear

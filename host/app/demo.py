@@ -12,8 +12,9 @@ from rich.table import Column, Table
 
 from .. import io
 from ..backends import backends
+from ..images import Rendering
 from ..inverse.recover import recover
-from ..rendering import Rendering, render
+from ..rendering import render
 from ..scene import Scene
 from ..sources import Lamp, Sky, cie_overcast
 from ..visibility import visibility

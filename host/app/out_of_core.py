@@ -27,7 +27,7 @@ from ..io import geotiff as geo
 from ..io.paths import replacing_file
 from ..light.far import Tiling, Top, coarser, from_heights, top_of
 from ..reflectance import Reflectance
-from ..rendering import tile_image
+from ..render_tiles import tile_image
 from ..scale import Audit, Layout, around_tile, devices, layout_of_map, settled, sums_of_tile, tile_of
 from ..scene import ALBEDO, Scene
 from ..sources import Source

@@ -140,8 +140,8 @@ def tolerance(text: str, option: str = "--tolerance") -> float:
         ) from None
 
 
-def byte_count(text: str, option: str = "--memory") -> int:
-    """Bytes: 8GB, 512MB, 6.5e9."""
+def byte_count(text: str) -> int:
+    """Bytes of --memory: 8GB, 512MB, 6.5e9."""
     match = re.fullmatch(r"([0-9.]+(?:e[0-9]+)?)\s*([kMGT]?i?B?)", text.strip())
     units = {
         "": 1,
@@ -158,7 +158,8 @@ def byte_count(text: str, option: str = "--memory") -> int:
         assert match is not None
         return int(float(match[1]) * units[match[2].removesuffix("B")])
     except (AssertionError, ValueError, KeyError):
-        raise typer.BadParameter(f"got {text!r}; allowed: bytes, such as 8GB", param_hint=option) from None
+        allowed = f"got {text!r}; allowed: bytes, such as 8GB"
+        raise typer.BadParameter(allowed, param_hint="--memory") from None
 
 
 def numbers(text: str, option: str, form: str) -> tuple[float, ...]:

@@ -23,8 +23,9 @@ import numpy as np
 from .. import io
 from ..directions import Azimuths
 from ..errors import lacking
+from ..images import Rendering
 from ..io import geotiff as geo
-from ..rendering import Rendering, render
+from ..rendering import render
 from ..scene import Scene
 from ..sources import Lamp, Sky, Source, cie_overcast
 from ..sources.cie import cie_clear

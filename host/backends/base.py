@@ -16,7 +16,7 @@ from abc import ABC, abstractmethod
 from collections import OrderedDict
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import DTypeLike
@@ -78,6 +78,8 @@ def rounded_up(pixels: int) -> int:
     """Elements of a pixel array that kernels read in whole vectors."""
     return -(-pixels // PIXEL_PADDING) * PIXEL_PADDING
 
+
+Result = TypeVar("Result")
 
 # methods of a backend that take its lock
 LOCKED = {"upload", "put", "empty", "fill", "download", "launch", "record", "finish"}
@@ -281,3 +283,12 @@ class Backend(ABC):
     @abstractmethod
     def finish(self) -> None:
         """Wait until all launches are done."""
+
+
+def timed(engine: Backend, work: Callable[[], Result]) -> tuple[Result, float, float]:
+    """(result, seconds without compiling, seconds of compiling) of ``work``, once the engine is free."""
+    with engine.lock:
+        compiled, start = engine.compile_seconds, time.perf_counter()
+        result = work()
+        compiling = engine.compile_seconds - compiled
+        return result, time.perf_counter() - start - compiling, compiling

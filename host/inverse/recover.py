@@ -13,13 +13,12 @@ import numpy as np
 from .. import sources
 from ..arrays import Labels, Quantity, axes_of, labelled, labels_of
 from ..backends import select
-from ..backends.base import Backend, within
+from ..backends.base import Backend, timed, within
 from ..checks import at, one_of, positive_number, real_array
 from ..directions import Hemicube
 from ..errors import bad
 from ..interreflection import check_choice
 from ..light.propagation import Progress
-from ..rendering import timed
 from ..scene import Scene
 from . import diagnostics
 from .carving import carved_layers

@@ -244,7 +244,7 @@ class Integrals:
 
     ``bright_parts``: the small ones, brightest first; ``level``: irradiance of open level ground [brightness
     x sr], these included, and ``rest`` without them; ``error``: estimate of its relative error; ``mean``:
-    brightness of a uniform sky with the same rest; ``variation``: the range of the rest over its mean.
+    brightness of a uniform sky with the same rest.
     """
 
     def __init__(
@@ -307,12 +307,6 @@ class Integrals:
                     np.subtract.at(values.reshape(-1), spot.cells.base[inside] - sizes[n], moment[inside])
         self.rest = float(sum(part[1].sum() for part in parts))
         self.mean = self.rest / math.pi
-        light = [
-            part[1] / (band.width * np.diff(_antiderivatives(band.borders)[1]))[:, None]
-            for band, part in zip(bands, parts)
-        ]
-        least, most = min(float(v.min()) for v in light), max(float(v.max()) for v in light)
-        self.variation = (most - least) / self.mean if self.mean > 0 else 0.0
         self._edges = np.concatenate([[0.0], *(band.borders[1:] for band in bands)])
         self._sums = [
             np.concatenate([np.zeros((*part.shape[:2], 1)), np.cumsum(part, 2)], 2) for part in parts

@@ -1,0 +1,374 @@
+"""render() of maps in tiles: a sky tile by tile, a lamp on the part of the map within its reach."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from . import sources
+from .arrays import labelled
+from .backends.base import Backend, timed
+from .directions import Azimuths
+from .errors import bad
+from .images import IMAGES, Rendering, image_of, numbers_of, on_host
+from .interreflection import Interreflection, albedos, included, is_needed, local_sums, reason, share_of
+from .light.far import Far, Tiling
+from .light.horizon import FINE_KNOTS, with_bright_parts
+from .light.sweeps import Ground, Rays, Sweeps, engine_of, ground_of
+from .refinement import Plan
+from .render_options import DEFAULT_AZIMUTHS, Options, sectors_of
+from .renderer import Renderer
+from .scale import Audit, decided, fits, holds, over_area, tiled, warn
+from .scene import Scene
+from .sources.integrals import integrals
+
+# azimuths of a small part of a sky on a map in tiles; chosen: with 8 the error is 0.06 %, cliffs apart
+PART_SECTORS = 16
+# azimuths in which windows of tiles estimate the light between surfaces, with an error of 0.003 in the share
+# of sky; and the part of a window at each of its sides that is left out, since ground beyond is missing;
+# chosen
+WINDOW_AZIMUTHS, WINDOW_EDGE = 16, 8
+# relative RMS error that 64 azimuths keep to: 0.0004 of E / pi on rough ground (performance/refinement.py)
+LEAST_TILED_TOLERANCE = 0.002
+
+
+def goes_in_tiles(
+    options: Options, scene: Scene, source: sources.Source, engine: Backend, tiling: Tiling | None
+) -> bool:
+    """Whether tiles are asked for, which may be an InputError, or are needed and possible."""
+    asked = scene.lazy is not None or tiling is not None
+    if not asked and fits(scene, engine):
+        return False
+    refused = refused_in_tiles(options, scene, source, engine)
+    if asked and refused:
+        raise bad("render: a map in tiles", *refused)
+    return refused is None
+
+
+def refused_in_tiles(
+    options: Options, scene: Scene, source: sources.Source, engine: Backend | None
+) -> tuple[str, str] | None:
+    """The first thing that is not rendered in tiles, and what is allowed; None where there is none.
+
+    ``engine``: renders the part that a lamp lights at once; None where lamps are not allowed.
+    """
+    if options.parts:
+        return "parts", "all light, or interreflection=False and direct light"
+    if isinstance(source, sources.Lamp) and engine is not None:
+        return _refused_lamp(options, scene, source, engine)
+    refused = [
+        (
+            not isinstance(source, sources.Sky),
+            "a lamp or a window",
+            "a Sky, whose light comes from afar; ground before a window may be in any tile",
+        ),
+        (
+            options.lattice or options.method not in ("auto", "horizon"),
+            "the lattice or closed forms",
+            "horizons",
+        ),
+        (options.shines(scene), "a lobe or a mirror", "a Lambertian surface, or quantity='irradiance'"),
+        (options.tail is not None, "a tail", "as many azimuths as asked: nothing is refined"),
+        (
+            options.azimuths is None and float(options.tolerance) < LEAST_TILED_TOLERANCE,
+            f"a tolerance of {options.tolerance:g}",
+            f"at least {LEAST_TILED_TOLERANCE}, or azimuths: nothing is refined",
+        ),
+    ]
+    return next(((what, allowed) for is_so, what, allowed in refused if is_so), None)
+
+
+def _refused_lamp(
+    options: Options, scene: Scene, lamp: sources.Lamp, engine: Backend
+) -> tuple[str, str] | None:
+    """Why the nodes that a lamp lights cannot be rendered at once, and what can."""
+    if lamp.center is None:
+        return "a lamp without a centre", "a sphere, by its center and radius"
+    if scene.sides != "open":
+        return f"a lamp with sides {scene.sides!r}", "sides 'open'"
+    rows, cols = (area.stop - area.start for area in _lit_area(scene, lamp, options.max_distance))
+    if rows < 1 or cols < 1:
+        return "a lamp beyond whose reach the whole map lies", "a larger max_distance"
+    if not holds(rows * cols, engine):
+        return (
+            f"a lamp that lights {rows} x {cols} nodes, which are rendered at once",
+            "max_distance, its reach: nodes farther away get none of its light",
+        )
+    return None
+
+
+def in_tiles(
+    scene: Scene,
+    source: sources.Source,
+    options: Options,
+    engine: Backend,
+    backend: str,
+    tiling: Tiling | None,
+) -> Rendering:
+    """A sky or a lamp on a map in tiles: lazy, if the scene is."""
+    leading = [3] if _in_colour_in_tiles(scene, source, options) else []
+    warnings: list[str] = []
+    between, why = _between_in_tiles(scene, source, options)
+    share: float | None = None
+
+    def light() -> Any:
+        nonlocal between, why, share
+        if isinstance(source, sources.Lamp):
+            area = _lit_area(scene, source, options.max_distance)
+            lamp = LampImage(source, replace(options, max_distance=None), backend, bool(leading))
+            image = over_area(lamp, scene, *area, *leading)
+        else:
+            work = _tile_image(scene, source, options, backend, between)
+            if between is None and scene.lazy is None:
+                work = decided(work, scene, tiling, options.max_distance, work.audit)
+                between, share = work.between, work.share
+                why = reason(share, work.tolerance)
+            image = tiled(work, scene, tiling, options.max_distance, work.audit, *leading, between=between)
+        if not leading:
+            return image
+        return image.transpose(1, 2, 0) if scene.lazy is not None else np.moveaxis(image, 0, -1)
+
+    image, seconds, compiling = timed(engine, light)
+    count: int | None = len(sectors_of(options.azimuths))
+    how = "a map in tiles is not refined"
+    if isinstance(source, sources.Lamp):
+        count, how = None, "the part of the map within reach of the lamp is rendered at once"
+        why = "as in every image" if options.interreflection else "as asked"
+        between = options.interreflection is not False
+        warnings = _beyond_reach(source, options.max_distance)
+    plan = Plan("horizon", None, None, how, count, options.max_distance)
+    return Rendering(
+        labelled(image, scene.labels, IMAGES[options.quantity]),
+        plan,
+        engine.name,
+        seconds,
+        compiling,
+        warnings,
+        _quantity=options.quantity,
+        interreflection=Interreflection(between, why, share),
+    )
+
+
+def _between_in_tiles(scene: Scene, source: sources.Source, options: Options) -> tuple[bool | None, str]:
+    """(Whether tiles have light between surfaces, None where the whole map decides; why)."""
+    if options.interreflection is False:
+        return False, "as asked"
+    if not (np.ndim(scene.albedo) or scene.albedo):
+        return False, "the surface has no diffuse albedo"
+    if options.interreflection is True:
+        return True, "as asked, in every tile for itself"
+    if not options.planned(scene, source):
+        return False, "the method that was asked for is of direct light"
+    return None, "if windows of all tiles have more of it than a third of the tolerance"
+
+
+def _in_colour_in_tiles(scene: Scene, source: sources.Source, options: Options) -> bool:
+    """Whether images of tiles are in colour."""
+    coloured = np.ndim(scene.albedo) in (1, 3)
+    between, _ = _between_in_tiles(scene, source, options)
+    may_bounce = between is not False or isinstance(source, sources.Lamp)
+    return len(sources.channels(source)) > 1 or coloured and (options.quantity == "radiance" or may_bounce)
+
+
+def _lit_area(scene: Scene, lamp: sources.Lamp, reach: float | None) -> tuple[slice, slice]:
+    """Rows and columns of the nodes that a lamp of some reach [unit of spacing] lights."""
+    assert lamp.center is not None, "checked"
+    ends = []
+    for at, nodes in zip(lamp.center[1::-1], scene.shape):
+        first, last = (0, nodes) if reach is None else (at - reach, at + reach)
+        if reach is not None:
+            first, last = (math.ceil(first / scene.spacing), math.floor(last / scene.spacing) + 1)
+        ends.append(slice(min(max(first, 0), nodes), max(0, min(last, nodes))))
+    return ends[0], ends[1]
+
+
+def _beyond_reach(lamp: sources.Lamp, reach: float | None) -> list[str]:
+    """A warning with the light that is left out beyond a lamp's reach."""
+    if reach is None or lamp.radius is None:
+        return []
+    return [
+        f"Reach: nodes more than {reach:g} from the lamp along rows or columns get none of its light; that"
+        f" would be an irradiance of up to {math.pi * min(1.0, lamp.radius / reach) ** 2:.2g} times its"
+        " brightness."
+    ]
+
+
+@dataclass(frozen=True)
+class LampImage:
+    """The image of the part of a map that a lamp lights, as :func:`skylamp.scale.over_area` asks for it."""
+
+    lamp: sources.Lamp
+    options: Options
+    backend: str
+    in_colour: bool
+
+    def __call__(self, scene: Scene, row: int, col: int, below: float) -> np.ndarray:
+        """(rows, cols) float32, or (3, rows, cols) in colour.
+
+        ``row``, ``col``: of the scene's first node in the map; ``below``: depth [length] of its plane z = 0.
+        """
+        assert self.lamp.center is not None, "checked"
+        x, y, z = self.lamp.center
+        center = x - col * scene.spacing, y - row * scene.spacing, z - below
+        lamp = replace(self.lamp, center=center)
+        engine = engine_of(scene, self.backend)
+        lamp_in_range, unit = sources.in_range(lamp)
+        done = Renderer(scene, lamp_in_range, engine, self.options).render()._times(unit)
+        for text in done.warnings:
+            warn(text)
+        image = np.asarray(done.image)
+        if not self.in_colour:
+            return image
+        return np.broadcast_to(image, (3, *image.shape)) if image.ndim == 2 else np.moveaxis(image, -1, 0)
+
+
+@dataclass(frozen=True)
+class TileImage:
+    """The image of a tile under a sky, as :func:`skylamp.scale.tiled` asks for it.
+
+    rays, and tables of brightness, of every colour; factors of the colours that differ by these alone, of
+    which there is one ray and no table. in_colour: the image is (3, rows, cols). between: with the light
+    between surfaces, within ``tolerance``, or None where the whole map decides by ``fewer``: the same lights
+    in fewer azimuths. The light is ``unit`` times that of the tables.
+    """
+
+    lights: tuple[tuple[Rays, np.ndarray | None], ...]
+    factors: tuple[float, ...] | None
+    quantity: str
+    in_colour: bool
+    backend: str
+    tolerance: float
+    between: bool | None
+    unit: float
+    colours: int
+    fewer: tuple[tuple[Rays, np.ndarray | None], ...]
+    share: float | None = None  # estimate of the light between surfaces
+
+    @property
+    def audit(self) -> Audit:
+        """Within which tolerance far ground must be taken."""
+        return Audit(self.backend, self.tolerance)
+
+    def __call__(
+        self, scene: Scene, max_distance: float | None, far: Far | None, part: slice = slice(None)
+    ) -> np.ndarray:
+        """(rows, cols) float32, or ``part`` of the colours (3, rows, cols); nan where masked."""
+        engine = engine_of(scene, self.backend)
+        with engine.lock:
+            ground = ground_of(scene, max_distance, engine)
+            light = self._swept(engine, ground, self.lights, far)
+            if self.between:
+                sky = _share_of_sky(engine, ground, DEFAULT_AZIMUTHS, far)
+                both = included(scene, engine, light, self.tolerance, "as asked", sky=sky, beyond=True)
+                light = on_host(both.irradiances)
+                for text in both.warnings:
+                    warn(text)
+        if self.unit != 1:
+            light = [image * np.float32(self.unit) for image in light]
+        image = image_of(scene, light, [], self.quantity)
+        return np.moveaxis(image, -1, 0)[part] if self.in_colour else image
+
+    def _swept(
+        self,
+        engine: Backend,
+        ground: Ground,
+        lights: tuple[tuple[Rays, np.ndarray | None], ...],
+        far: Far | None,
+    ) -> list[np.ndarray]:
+        """Direct irradiance of every colour of the source."""
+        light = [Sweeps(engine, ground, rays, table, far=far).irradiance(last=True) for rays, table in lights]
+        if self.factors is None:
+            return light
+        return [light[0] * np.float32(factor) for factor in self.factors]
+
+    def sums(self, scene: Scene) -> np.ndarray:
+        """Sums from which the light between surfaces is estimated, (colours, 3); nodes at the border are
+        left out, since ground beyond the window is missing."""
+        engine, edge = engine_of(scene, self.backend), [n // WINDOW_EDGE for n in scene.shape]
+        with engine.lock:
+            ground = ground_of(scene, None, engine)
+            light = self._swept(engine, ground, self.fewer, None)
+            sky = _share_of_sky(engine, ground, len(self.fewer[0][0].angles), None)
+        inner = np.zeros(scene.shape, bool)
+        inner[edge[0] : scene.shape[0] - edge[0], edge[1] : scene.shape[1] - edge[1]] = True
+        inner &= scene.valid
+        shares, count = albedos(scene), self.colours
+        return np.stack(
+            [
+                local_sums(
+                    light[n % len(light)][inner],
+                    sky[inner],
+                    shares[n % len(shares)][inner]
+                    if np.ndim(shares[n % len(shares)])
+                    else shares[n % len(shares)],
+                )
+                for n in range(count)
+            ]
+        )
+
+    def decided(self, sums: np.ndarray, possible: bool) -> TileImage:
+        """This image with or without light between surfaces; a warning where it counts and cannot be."""
+        share = share_of(sums)
+        needed = is_needed(share, self.tolerance)
+        if needed and not possible:
+            warn(
+                f"Tolerance: light between surfaces is left out, since it needs open sides and tiles of at"
+                f" least two halos; it is about {100 * share:.2g} % of the direct light (RMS over the mean),"
+                f" more than a third of the {100 * self.tolerance:.2g} % asked for."
+            )
+        return replace(self, between=bool(needed and possible), share=share)
+
+
+def _share_of_sky(engine: Backend, ground: Ground, azimuths: int, far: Far | None) -> np.ndarray:
+    """Share of sky that every node of a tile sees, cosine-weighted, (rows, cols) float32."""
+    sectors = Azimuths(azimuths)
+    rays = Rays(sectors.angles, sectors.widths)
+    return Sweeps(engine, ground, rays, far=far).irradiance(last=True) * np.float32(1 / np.pi)
+
+
+def tile_image(scene: Scene, source: sources.Source, backend: str, **asked: Any) -> TileImage:
+    """The image of a tile of a lazy scene; ``asked``: quantity and other options of :func:`render`.
+
+    Raises InputError for what is not rendered in tiles.
+    """
+    options = Options(**asked)
+    options.check(scene, source)
+    refused = refused_in_tiles(options, scene, source, None)
+    if refused:
+        raise bad("render: a map in tiles", *refused)
+    return _tile_image(scene, source, options, backend, _between_in_tiles(scene, source, options)[0])
+
+
+def _tile_image(
+    scene: Scene, source: sources.Source, options: Options, backend: str, between: bool | None
+) -> TileImage:
+    source, unit = sources.in_range(source)
+    greys, sectors = sources.channels(source), sectors_of(options.azimuths)
+    factors = numbers_of(greys)
+    skies = [grey for grey in greys if isinstance(grey, sources.Sky)][: None if factors is None else 1]
+    return TileImage(
+        tuple(_rays_of(sky, sectors) for sky in skies),
+        None if factors is None else tuple(factors),
+        options.quantity,
+        _in_colour_in_tiles(scene, source, options),
+        backend,
+        float(options.tolerance),
+        between,
+        unit,
+        max(len(greys), 3 if np.ndim(scene.albedo) in (1, 3) else 1),
+        tuple(_rays_of(sky, Azimuths(WINDOW_AZIMUTHS)) for sky in skies),
+    )
+
+
+def _rays_of(sky: sources.Sky, sectors: Azimuths) -> tuple[Rays, np.ndarray | None]:
+    """Azimuths and the table of a sky's brightness, its small bright parts in azimuths of their own."""
+    rays = Rays(sectors.angles, sectors.widths)
+    if not callable(sky.brightness):
+        return rays, None
+    light = integrals(sky)
+    table = light.table(sectors.angles, sectors.widths, FINE_KNOTS)
+    suns = [sun.sectors(PART_SECTORS) for sun in light.bright_parts]
+    return with_bright_parts(rays, table, suns) if suns else (rays, table)

@@ -1,0 +1,514 @@
+"""One call of render(): the method, its irradiances, light between surfaces, lobes and mirrors."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from . import shading, sources
+from .arrays import by_bands, labelled
+from .backends.base import Backend, timed
+from .backends.resident import DeviceImage
+from .constants import SLICES
+from .directions import Azimuths, Hemicube
+from .errors import bad
+from .images import (
+    IMAGES,
+    Irradiance,
+    Rendering,
+    image_of,
+    is_in_colour,
+    number_of,
+    numbers_of,
+    on_host,
+    per_colour,
+    scaled,
+)
+from .interreflection import Interreflection, included, is_needed, reason
+from .light import lattice, propagation, unoccluded
+from .light.propagation import Lobe
+from .light.slices import CHORD_AZIMUTHS, CHORD_KNOTS, MOST, Slices, blurred, brightness_of, widened
+from .light.sweeps import FINE_NEAR_ROWS, Rays, Sweeps, ground_of
+from .refinement import Plan, Refined, refined, solid_of
+from .reflectance import BRDF, Phong
+from .render_options import Options, sectors_of
+from .scene import Scene
+from .sources.integrals import chords, integrals
+from .sources.solids import Dome, upright
+
+DEFAULT_HEMICUBE = 9  # of the hemicube of method "lattice", unless given
+SUN_DISTANCE = 1e5  # extents of the map at which the sun stands: a hundred-thousandth of a radian across it
+# half widths of a lobe between directions, from which on its sum may be too large by 1 in a thousand
+COARSE_LOBE = 1.2
+
+
+class Renderer:
+    """One call of :func:`render`, with its plans, warnings and refined irradiances."""
+
+    def __init__(self, scene: Scene, source: sources.Source, engine: Backend, options: Options):
+        self.scene, self.source, self.engine, self.options = scene, source, engine, options
+        self.greys = sources.channels(source)
+        self.lobe, self.planned = options.lobe(scene), options.planned(scene, source)
+        missing, shines = options.missing(scene, source), options.shines(scene)
+        self.by_lattice = (
+            options.lattice or options.method == "lattice" or bool(missing and (not self.planned or shines))
+        )
+        no_disc = options.lattice or missing or self.planned and not shines
+        self.sun = None if no_disc else _sun_of(scene, source, options.max_distance)
+        # an image of one channel, rho E / pi alone, is made on the device; with arguments of a method on a
+        # GPU alone: on a CPU the memory of its arrays is freed as they are done with
+        grey = len(self.greys) == 1 and np.ndim(scene.albedo) in (0, 2) and not shines
+        self.on_device = grey and not options.parts and (self.planned or not engine.shares)
+        self.stays = scene.stays_on(engine) and self.on_device  # it is left where the map was given
+        self.plans: list[Plan] = []
+        self.warnings: list[str] = []
+        self.parts: list[tuple[Refined, float]] = []  # refined irradiances, times factors
+        self.interreflection: Interreflection | None = None
+        self.between: list[float] = []  # error of the light between surfaces, of every part
+
+    def render(self) -> Rendering:
+        """All of it, timed."""
+        (direct, irradiances, shine), seconds, compiling = timed(self.engine, self._all_light)
+        scene, quantity = self.scene, self.options.quantity
+        first = rest = None
+        if self.options.parts:
+            first = image_of(scene, [light.copy() for light in on_host(direct)], shine, quantity)
+        image = self._image(irradiances, shine)
+        if first is not None:
+            if image.ndim > first.ndim:  # a coloured ground alone colours an irradiance
+                first = np.repeat(first[..., None], image.shape[-1], -1)
+            first, rest = (
+                labelled(values, scene.labels, IMAGES[quantity]) for values in (first, image - first)
+            )
+        return Rendering(
+            labelled(image, scene.labels, IMAGES[quantity]),
+            self.plans[0],
+            self.engine.name,
+            seconds,
+            compiling,
+            self.warnings,
+            tuple((part._replace(irradiance=None), factor) for part, factor in self.parts),
+            scene if self.parts else None,
+            quantity,
+            self.interreflection,
+            first,
+            rest,
+            tuple(self.between),
+        )
+
+    def _image(self, irradiances: list[Irradiance], shine: list[np.ndarray]) -> np.ndarray | DeviceImage:
+        """The image of the quantity that was asked for, where the irradiances lie, or the map if it stays."""
+        scene, engine, quantity = self.scene, self.engine, self.options.quantity
+        light = irradiances[0] if irradiances else None
+        if isinstance(light, DeviceImage) and (self.stays or not np.ndim(scene.albedo)):
+            share = (scene.albedo, 1 / np.pi) if quantity == "radiance" else (1.0, 1.0)
+            light.shade(scene.on(engine), *share)
+            return light if self.stays else np.asarray(light)
+        image = image_of(scene, on_host(irradiances), shine, quantity)
+        if not self.stays or image.ndim > 2:
+            return image
+        return DeviceImage(engine, engine.upload(image.reshape(-1)), scene.shape)
+
+    def _all_light(self) -> tuple[list[Irradiance], list[Irradiance], list[np.ndarray]]:
+        """Direct irradiances, irradiances of all light, and what else is reflected: an array per colour."""
+        direct, shine = self._light()
+        why = _left_out(self.scene, self.options, self.plans if self.planned else None)
+        if why or not direct:
+            why = why or "there is no Lambertian reflection to show"
+            self.interreflection = Interreflection(False, why, _share_between(self.plans))
+            self.between = [0.0] * len(direct)
+            coloured = (
+                self.planned and self.options.interreflection == "auto" and _has_coloured_albedo(self.scene)
+            )
+            return direct, list(direct) * (3 if coloured and len(direct) == 1 else 1), shine
+        known = direct if self.on_device else on_host(direct)
+        return list(known), list(_interreflected(self, known)), shine
+
+    def _light(self) -> tuple[list[Any], list[np.ndarray]]:
+        """Irradiances, and the radiance that is reflected besides rho E / pi: one array per colour each."""
+        if self.by_lattice:
+            return self._lattice()
+        if self.options.brdf(self.scene):
+            return [], self._brdf()
+        irradiances = self._irradiances() if self.options.needs_irradiance(self.scene) else []
+        if not self.plans:
+            self._plan_as_asked()
+        if self.sun is not None and not self.planned:
+            self.plans[0] = replace(self.plans[0], reason=f"{self.plans[0].reason}; the sun's disc by itself")
+        if self.lobe:
+            lobe_of = self._sky_lobe if isinstance(self.source, sources.Sky) else self._solid_lobe
+            return irradiances, per_colour(self.greys, lobe_of)
+        return irradiances, self._mirrored(self.options.max_distance)
+
+    def _irradiances(self) -> list[Irradiance]:
+        if self.planned:
+            return self._within_tolerance()
+        options = self.options
+        irradiances = per_colour(
+            [sources.without_disc(grey) for grey in self.greys],
+            lambda grey: self._as_asked(grey, options.azimuths),
+        )
+        if self.sun is not None:
+            # the azimuths that were asked for are the sky's
+            irradiances = [
+                np.asarray(irradiances[0]) + np.asarray(self._as_asked(self.sun, None)),
+                *irradiances[1:],
+            ]
+        return irradiances
+
+    def _within_tolerance(self) -> list[Irradiance]:
+        """Irradiances of all colours; where they differ by a factor alone, of one and times that factor."""
+        factors, options = numbers_of(self.greys), self.options
+        tolerance = float(options.tolerance)
+        for n, grey in enumerate(self.greys):
+            if factors is None or n == 0:
+                source = grey if factors is None else replace(grey, brightness=1.0)
+                how = tolerance, self.engine, options.tail, options.interreflection, self.on_device
+                result = refined(self.scene, source, *how)
+            self.parts.append((result, 1.0 if factors is None else factors[n]))
+            self.plans.append(result.plan)
+            self.warnings.extend(text for text in result.warnings if text not in self.warnings)
+        return [scaled(result.irradiance, factor) for result, factor in self.parts]
+
+    def _as_asked(self, grey: sources.Source, azimuths: int | Azimuths | None) -> Irradiance:
+        """Irradiance (rows, cols) float32 of a grey source by the method and as many units as were asked."""
+        scene, engine, max_distance = self.scene, self.engine, self.options.max_distance
+        if self.options.method == "unoccluded":
+            self.plans.append(Plan("unoccluded", None, None, "as asked"))
+            return _unoccluded(scene, grey)
+        plan = _plan_of(scene, grey, azimuths, max_distance)
+        self.plans.append(plan)
+        if isinstance(grey, sources.Sky):
+            return _sky_above_horizons(scene, grey, engine, azimuths, max_distance, self.on_device)
+        return _by_slices(scene, grey, engine, plan, self.on_device)
+
+    def _plan_as_asked(self) -> Plan:
+        options = self.options
+        self.plans.append(_plan_of(self.scene, self.greys[0], options.azimuths, options.max_distance))
+        return self.plans[-1]
+
+    def _brdf(self) -> list[np.ndarray]:
+        """Radiance of a BRDF."""
+        scene, options = self.scene, self.options
+        self._plan_as_asked()
+        if not isinstance(self.source, sources.Sky):
+            rays = shading.through_solid(scene, self.greys[0], self.engine, options.max_distance)
+            return shading.by_brdf(scene, self.greys, rays)
+        sectors = sectors_of(options.azimuths)
+        ground = ground_of(scene, options.max_distance, self.engine)
+        sweeps = Sweeps(self.engine, ground, Rays(sectors.angles, sectors.widths), near=FINE_NEAR_ROWS)
+        parts = shading.above_horizons(scene, sweeps.planes(), sectors)
+        return shading.by_brdf(scene, self.greys, parts)
+
+    def _sky_lobe(self, grey: sources.Source) -> np.ndarray:
+        assert self.lobe is not None, "called for surfaces with a lobe"
+        return _lobe_of_sky(self.scene, grey, self.engine, self.lobe, self.options.max_distance)
+
+    def _solid_lobe(self, grey: sources.Source) -> np.ndarray:
+        assert self.lobe is not None, "called for surfaces with a lobe"
+        most = _plan_of(self.scene, grey, self.options.azimuths, None).azimuths
+        assert most is not None, "a plan of slices says how many"
+        return _lobe_of_solid(self.scene, grey, self.engine, self.lobe, most, self.warnings)
+
+    def _mirrored(self, max_distance: float | None) -> list[np.ndarray]:
+        if not self.options.mirror(self.scene):
+            return []
+        return shading.mirrored(self.scene, self.greys, self.engine, max_distance)
+
+    def _lattice(self) -> tuple[list[Any], list[np.ndarray]]:
+        """:meth:`_light` over the directions of a hemicube."""
+        options, scene, source = self.options, self.scene, self.source
+        plan = _lattice_plan(options)
+        self.plans.append(plan)
+        if isinstance(options.hemicube, Hemicube):
+            cube = options.hemicube
+        else:
+            assert plan.hemicube is not None, "a plan of the lattice has a hemicube"
+            cube = Hemicube(plan.hemicube)
+        # checks that the source fits
+        problem = lattice.problem_of(self.engine, scene, source, cube, bool(plan.filled))
+        self.warnings.extend(lattice.warnings_of(problem, scene, source, cube))
+        brightness = np.stack([sources.radiance(grey, cube.directions) for grey in self.greys])
+        lobe, shares, whole = (
+            shading.lobe_of(scene, 1e-6) if options.quantity == "radiance" else None,
+            None,
+            None,
+        )
+        if lobe:
+            angles = cube.solid_angles * _norm(scene)
+            shares, whole = (
+                np.concatenate([np.broadcast_to(cube.directions, (*share.shape, 3)), share[..., None]], -1)
+                for share in (brightness * angles, angles)
+            )
+            spacing = np.sqrt(2 * np.pi / len(cube))
+            if spacing <= COARSE_LOBE * lobe.spread:
+                whole = None  # the sum is exact enough
+            else:
+                self.warnings.append(_narrow_lobe(lobe, spacing, "method='horizon' or a larger hemicube"))
+        if options.brdf(scene):
+            bits = propagation.visibility(self.engine, problem)
+            return [], shading.by_brdf(scene, self.greys, shading.of_lattice(bits, cube))
+        moments = (
+            cube.moments if options.weights == "moment" else cube.directions * cube.solid_angles[:, None]
+        )
+        irradiances, reflected = propagation.light(
+            self.engine, problem, moments * brightness[..., None], lobe, shares, whole, self.on_device
+        )
+        return irradiances, reflected + self._mirrored(None)
+
+
+# -- light between surfaces
+
+
+def _interreflected(call: Renderer, direct: Sequence[Irradiance]) -> Sequence[Irradiance]:
+    """Irradiances of all light; where colours differ by a factor alone, of one and times that factor."""
+    scene, options, factors = call.scene, call.options, numbers_of(call.greys)
+    tolerance = float(options.tolerance)
+    brightest = 0 if factors is None else int(np.argmax(factors))
+    alike = factors is not None and factors[brightest] > 0 and np.ndim(scene.albedo) in (0, 2)
+    sky: Irradiance | None = None
+    lights = direct
+    if alike and factors is not None:  # that of brightness 1, as it is for a grey source
+        unit = np.float32(factors[brightest])
+        lights = [call.parts[0][0].irradiance if call.parts else np.asarray(direct[brightest]) / unit]
+    whole_sky = isinstance(call.source, sources.Sky) and options.max_distance is None
+    if alike and factors is not None and whole_sky and not call.by_lattice:
+        sky = scaled(lights[0], 1 / np.pi)
+    error = max((plan.error or 0.0 for plan in call.plans), default=0.0)
+    why = "as asked"
+    if options.interreflection == "auto":
+        why = reason(_share_between(call.plans), tolerance)
+    both = included(scene, call.engine, lights, tolerance, why, error, sky)
+    call.interreflection = both.record
+    call.warnings.extend(both.warnings)
+    if call.planned:
+        call.plans[0] = replace(call.plans[0], error=both.record.error)
+    if not alike or factors is None:
+        call.between = [max(both.errors)] if len(direct) == 1 else both.errors
+        return both.irradiances
+    call.between = [factor * both.errors[0] for factor in factors]
+    return [scaled(both.irradiances[0], factor) for factor in factors]
+
+
+def _left_out(scene: Scene, options: Options, plans: list[Plan] | None) -> str:
+    """Why light between surfaces is left out, or nothing. ``plans``: None where the method was asked for."""
+    if options.interreflection is False:
+        return "as asked"
+    if not np.any(scene.albedo):
+        return "the surface has no diffuse albedo"
+    if options.interreflection is True:
+        return ""
+    if plans is None:
+        return "the method that was asked for is of direct light"
+    share, tolerance = _share_between(plans), float(options.tolerance)
+    needed = share is None or is_needed(share, tolerance)
+    return "" if needed else reason(share, tolerance)
+
+
+def _has_coloured_albedo(scene: Scene) -> bool:
+    """Whether light between surfaces, included or not, is in colour."""
+    return is_in_colour(np.asarray(scene.albedo))
+
+
+def _share_between(plans: list[Plan]) -> float | None:
+    """The largest estimate of the light between surfaces, None where one is not known."""
+    shares = [plan.interreflection for plan in plans]
+    known = [share for share in shares if share is not None]
+    return max(known) if known and len(known) == len(shares) else None
+
+
+# -- irradiance of a grey source, as asked
+
+
+def _plan_of(
+    scene: Scene, source: sources.Source, azimuths: int | Azimuths | None, max_distance: float | None
+) -> Plan:
+    """Horizons or slices, as many as the caller asked for, checked."""
+    if not (isinstance(source, sources.Lamp) and source.corner is not None):
+        sources.geometry(source, scene, 1.0)  # checks that they fit
+    if isinstance(source, sources.Sky):
+        return Plan("horizon", None, None, "as asked", len(sectors_of(azimuths)), max_distance)
+    if max_distance is not None or isinstance(azimuths, Azimuths):
+        raise bad(
+            "method 'horizon' with a lamp or window",
+            "max_distance, or azimuths of the caller's",
+            "azimuths as a whole number: slices of a source that stands all round",
+        )
+    most = MOST if azimuths is None else -(-len(Azimuths(azimuths)) // SLICES) * SLICES
+    why = "slices through the source as every node sees it, fewer where it looks small"
+    return Plan("horizon", None, None, why, most)
+
+
+def _lattice_plan(options: Options) -> Plan:
+    """The lattice as asked; by "auto" without its arguments, a size whose error was measured to be small."""
+    size = options.hemicube.size if isinstance(options.hemicube, Hemicube) else options.hemicube
+    filled = options.filled is not False if options.method == "auto" else bool(options.filled)
+    if options.method == "auto" and not options.lattice:
+        errors = lattice.HEMICUBE_ERRORS
+        size = next((m for m, error in errors.items() if error <= float(options.tolerance)), max(errors))
+        return Plan("lattice", size, filled, f"RMS error {errors[size]} of E / pi on rough ground")
+    return Plan("lattice", DEFAULT_HEMICUBE if size is None else size, filled, "as asked")
+
+
+def _unoccluded(scene: Scene, source: sources.Source) -> np.ndarray:
+    """Closed forms: (rows, cols) float32."""
+    if isinstance(source, sources.Sky):
+        varies = callable(source.brightness)
+        image = unoccluded.sky(scene, integrals(source) if varies else number_of(source))
+    else:
+        solid = upright(solid_of(scene, source, 1 / scene.spacing, 1.0))
+        if solid is None:
+            return np.zeros(scene.shape, np.float32)
+        image = unoccluded.image(scene, solid, source.brightness)
+    return image.astype(np.float32, copy=False)
+
+
+def _sky_above_horizons(
+    scene: Scene,
+    sky: sources.Sky,
+    engine: Backend,
+    azimuths: int | Azimuths | None,
+    max_distance: float | None,
+    on_device: bool,
+) -> Irradiance:
+    """A sky above the horizons of as many azimuths as asked: (rows, cols) float32.
+
+    ``on_device``: a DeviceImage.
+    """
+    sectors, table = sectors_of(azimuths), None
+    if callable(sky.brightness):
+        if not isinstance(azimuths, Azimuths) and (profile := sources.azimuth_profile(sky)) is not None:
+            sectors = Azimuths.placed(len(sectors), profile)
+        table = integrals(sky, np.inf).table(sectors.angles, sectors.widths, 1025)
+    ground, rays = ground_of(scene, max_distance, engine), Rays(sectors.angles, sectors.widths)
+    sweeps = Sweeps(engine, ground, rays, table)
+    image: Irradiance = sweeps.image() if on_device else sweeps.irradiance(last=True)
+    return image if table is not None else scaled(image, number_of(sky))
+
+
+def _by_slices(
+    scene: Scene, source: sources.Lamp | sources.Window, engine: Backend, plan: Plan, on_device: bool
+) -> Irradiance:
+    """A lamp or window in as many slices as planned: (rows, cols) float32; ``on_device``: a DeviceImage."""
+    assert plan.azimuths is not None, "a plan of slices says how many"
+    brightness = (
+        chords(integrals(sources.Sky(source.brightness), np.inf, True), CHORD_AZIMUTHS, CHORD_KNOTS)
+        if callable(source.brightness)
+        else number_of(source)
+    )
+    slices, scale = _slices(scene, source, engine, plan.azimuths, brightness)
+    if slices is None:
+        return np.zeros(scene.shape, np.float32)
+    slices.run()
+    if on_device:
+        irradiance = DeviceImage(engine, slices.image, scene.shape)
+        irradiance.scale(scale, 0.0)  # a difference of sums may round to less than 0
+        return irradiance
+    image = slices.download()
+    if callable(source.brightness):
+        by_bands(lambda rows: np.maximum(image[rows], 0, out=image[rows]), image.shape)
+    return scaled(image, scale)
+
+
+def _slices(
+    scene: Scene,
+    source: sources.Lamp | sources.Window,
+    engine: Backend,
+    most: int,
+    brightness: float | np.ndarray,
+    lobe: Lobe | None = None,
+) -> tuple[Slices | None, float]:
+    """Slices placed within a lamp or window as every node sees it, and the factor of their light.
+
+    None for a window outside a dark box.
+    """
+    there = scene.on(engine)
+    solid = solid_of(scene, source, there.step / scene.spacing, there.step)
+    if solid is None:
+        return None, 1.0
+    solid, scale = widened(solid, there)
+    return Slices(there, scene.sides, solid, brightness, most, lobe), scale
+
+
+def _sun_of(scene: Scene, source: sources.Source, max_distance: float | None) -> sources.Lamp | None:
+    """The disc of a sky's sun, as a lamp so far away that it stands in one direction for the whole map."""
+    brightness = sources.distribution_of(source)
+    if not isinstance(source, sources.Sky) or brightness is None or (disc := brightness.disc()) is None:
+        return None
+    if scene.sides == "periodic" or max_distance is not None:
+        raise bad(
+            "a sky with the sun's disc (direct)",
+            f"sides={scene.sides!r}, max_distance={max_distance}",
+            "sides 'open' or 'dark' and the whole map",
+        )
+    if isinstance(scene.reflectance, BRDF) or shading.has_mirror(scene):
+        raise bad(
+            "a sky with the sun's disc (direct)",
+            type(scene.reflectance).__name__,
+            "Lambertian or Phong",
+            "Give the sun as a Lamp of its own.",
+        )
+    extent = max(max(scene.shape) * scene.spacing, scene.deepest)
+    distance = SUN_DISTANCE * extent
+    x, y, z = distance * np.array(disc.direction)
+    return sources.Lamp((x, y, z), distance * math.sin(disc.radius), disc.brightness)
+
+
+# -- lobes
+
+
+def _lobe_of_sky(
+    scene: Scene,
+    grey: sources.Source,
+    engine: Backend,
+    lobe: Lobe,
+    max_distance: float | None,
+) -> np.ndarray:
+    """A sky reflected by a lobe: (rows, cols) float32."""
+    there = scene.on(engine)
+    reach = np.inf if max_distance is None else max_distance * (there.step / scene.spacing)
+    table, suns, flux = blurred(sources.without_disc(grey), lobe.spread)
+    brightness = sources.distribution_of(grey)
+    if brightness is not None and (disc := brightness.disc()) is not None:
+        suns = np.concatenate([suns.reshape(-1, 3), [disc.direction]])
+        flux = np.append(flux, disc.irradiance)
+    slices = Slices(there, scene.sides, Dome(reach), table, lobe=lobe)
+    slices.run()
+    image = slices.download()
+    if len(suns):
+        image += shading.suns(scene, engine, lobe, suns, flux, max_distance)
+    return image * np.float32(_norm(scene))
+
+
+def _lobe_of_solid(
+    scene: Scene, grey: sources.Source, engine: Backend, lobe: Lobe, most: int, warnings: list[str]
+) -> np.ndarray:
+    """A lamp or window reflected by a lobe: (rows, cols) float32; a warning where slices are too coarse."""
+    assert not isinstance(grey, sources.Sky), "a sky has no slices through a solid"
+    brightness = brightness_of(grey)
+    slices, scale = _slices(scene, grey, engine, most, brightness, lobe)
+    if slices is None:
+        return np.zeros(scene.shape, np.float32)
+    slices.run()
+    image = slices.download() * np.float32(_norm(scene) * scale)
+    if slices.coarse > COARSE_LOBE:
+        text = _narrow_lobe(lobe, slices.coarse * lobe.spread, "a smaller lamp, or Mirror")
+        warnings.extend([text] if text not in warnings else [])
+        np.minimum(image, np.float32(np.max(brightness)), out=image)  # no lobe shows more than there is
+    return image
+
+
+def _norm(scene: Scene) -> float:
+    assert isinstance(scene.reflectance, Phong), "Phong alone has a lobe"
+    return scene.reflectance.norm
+
+
+def _narrow_lobe(lobe: Lobe, apart: float, fix: str) -> str:
+    return (
+        f"Narrow lobe: it is {np.degrees(lobe.spread):.1f} degrees wide and the directions are up to"
+        f" {np.degrees(apart):.1f} degrees apart, so highlights break up into dots or are missing; use {fix}."
+    )
