@@ -48,69 +48,74 @@ from .sources.integrals import BrightPart, Integrals, even, integrals
 from .sources.solids import Ball, Quad, aperture, rectangle, upright
 
 # -- tolerance and estimates
-DEFAULT_TAIL = 10.0  # bound on the 99.9th percentile of the error, in tolerances, unless given
-# error over half the difference of two images: where samples cannot tell it, the median of 60 lamps and
-# windows (96 x 96); and the most, since more says that the two share an error, which no more azimuths mend.
-# With half of the first, one of 57 images of 19 lamps and panels has an error of 1.6 tolerances without a
-# warning; with twice, 52 % of the estimates are within 0.5 to 3 of the truth instead of 79 %
+DEFAULT_TAIL = 10.0  # default bound on the 99.9th percentile of the error, in tolerances
+# ratio of the error to half the difference of an image's two halves. UNSEEN_SHARE is taken where the samples
+# cannot measure the ratio: the median of 60 lamps and windows (96 x 96). MOST_SHARE bounds it: error above it
+# is common to both halves, and more azimuths do not reduce that. With half of UNSEEN_SHARE, one of 57 images
+# of 19 lamps and panels has an error of 1.6 tolerances without a warning; with twice, 52 % of the estimates
+# are within 0.5 to 3 times the truth instead of 79 %
 UNSEEN_SHARE, MOST_SHARE = 0.5, 1.3
-# times the square of that half at the samples, up to which it may be over all nodes and is known; chosen: the
-# samples know a square to some 10 %, and a few nodes that they miss make it 4 to 10^6 times as large. With
-# twice as much, as many of 57 images of 19 lamps and panels are within the tolerance and as many estimates
-# right
+# largest ratio of the mean square of that half difference over all nodes to the one at the samples that is
+# taken for sampling noise; what is above it belongs to a few nodes that the samples miss. Chosen: the samples
+# measure a mean square to some 10 %, and a few missed nodes make it 4 to 10^6 times as large. With twice the
+# ratio, of 57 images of 19 lamps and panels as many are within the tolerance, and as many estimates are right
 SEEN = 2.0
 # error of the exact light at the samples over its difference from coarser light; measured, docs/explanation
 JUDGE_SHARE = 0.45
-BEYOND = 1e-3  # share of nodes whose error may pass the tail, which bounds a 99.9th percentile
-MOST_UNITS = {Horizons: 1024, Sliced: 1024, Lattice: 33}  # up to which is refined
+BEYOND = 1e-3  # share of nodes whose error may be above the tail, which bounds a 99.9th percentile
+MOST_UNITS = {Horizons: 1024, Sliced: 1024, Lattice: 33}  # largest number of units that refinement reaches
 MOST_STEPS = 2**40  # nodes x azimuths of a call: some three hours on two cores, ten seconds on an H200
 
 # -- skies
-# among which a number of azimuths is chosen: powers of two, and 3/2 of them; more are had by refining
+# numbers of azimuths that an image may begin with: powers of two, and 3/2 of them; refining doubles them
 AZIMUTH_COUNTS = (4, 6, 8, 12, 16, 24, 32, 48)
 EXACT_GRIDS = (36, 72, 144, 288)  # azimuths of the exact light, which judges a sixth as many
 # the first of them on a device with memory of its own, which traces so many as fast as 36 (line
 # "tolerance 0.01" of performance/whole_calls.py, H200: 31 ms, with 36 at first 34; 8.1 and 9.1 on 256 x 256)
 GPU_GRID = 144
-# sectors of azimuth that small bright parts have together at least, as many as a CPU takes at a time; times
-# as many are tried
+# least number of sectors of azimuth of all small bright parts together, as many as a CPU computes at a time;
+# and the multiples of it that are tried in turn
 LEAST_SECTORS, SECTOR_MULTIPLES = 8, (1, 3, 9)
 # error over the difference of two halves of sectors: about JUDGE_SHARE of half of it, as for azimuths
 SECTOR_SHARE = 0.25
-# near rows within which every crossing is tested, where the usual 6 do not do; the next, where these do not
+# near rows, within which every crossing is tested: where the usual 6 do not suffice, and where 24 do not
 CLIFF_NEAR_ROWS = 24, 96
-# RMS error of sweeps of 6 near rows behind cliffs, over the root of their share of the neighbours: measured
+# RMS error of sweeps with 6 near rows, over the square root of the share of neighbouring nodes that are
+# cliffs; measured
 BEHIND_CLIFFS = 0.028
-# tolerance below which shadows of suns take 24 near rows: with 6 they cost 0.1 to 0.9 %, with 24 0.01 to
-# 0.35 % (fractals, terrain)
+# tolerance below which the shadows of suns are computed with 24 near rows: their error is 0.1 to 0.9 % with 6
+# near rows and 0.01 to 0.35 % with 24 (fractals, terrain)
 SHARP_SHADOWS = 0.01
-# of level ground under any brightness, relative: its tables' knots and normals (tests/test_integrals.py)
+# relative error of the light on level ground by tables of brightness (tests/test_integrals.py)
 TABLES_ERROR = 1e-4
 
 # -- lamps and windows
-# of a source that stands all round; of a quadrangle, whose four sectors share them; more are had by refining
+# numbers of slices that an image may begin with: of a source that stands all round a node, and of a
+# quadrangle, whose four sectors share them; refining doubles them
 BALL_SLICES, QUAD_SLICES = (8, 16, 32, 64), (32, 64)
-CLOSED_JUDGE = 32  # slices that judge closed forms
-# points along a thin source, and its apparent width [rad] up to which a line has its light, 0.3 degrees: what
-# brightness does across it is lost, its curvature times a square over 24; chosen
+CLOSED_JUDGE = 32  # slices of the exact light by which closed forms are judged
+# points along a thin source; and the apparent width [rad], 0.3 degrees, below which a source is computed as a
+# line. That neglects how brightness varies across it: its curvature times the squared width over 24. Chosen
 LINE_COUNTS, LINE_WIDTH = (32, 64, 128, 256, 512), 5e-3
-JUDGING_SLICES = 4  # times as many slices judge them
-# azimuth that a small bright part behind a window may span: slices, which stand within the window, resolve
-# what is wider
+JUDGING_SLICES = 4  # times the slices of an image: those of the exact light that judges it
+# largest azimuth [rad] that a small bright part behind a window may span: slices, which are placed within the
+# window, resolve wider ones
 WINDOWED_PART = math.radians(5)
-PATCHES = 16  # of a small bright part where nodes are looked for that it lights through a window; chosen
-# sectors of a small bright part behind a window, to judge by, where the window holds all of it; as many times
-# more as the part is wider than the window, and at most. Odd, so no multiple of what is judged
+PATCHES = 16  # of a small bright part, by which nodes that it lights through a window are found; chosen
+# sectors of a small bright part behind a window in the exact light, where the window shows the whole part;
+# multiplied by the part's width over the window's where that is larger; and their largest number. They are
+# odd, so that they are no multiple of the numbers that they judge
 JUDGING_SECTORS, MOST_JUDGING_SECTORS = 127, 1021
-# apparent radius [rad] of a lamp, six cells of a table of brightness, up to which rays tell its brightness
+# apparent radius [rad] of a lamp below which rays sample its brightness: six cells of a table of brightness
 NARROW_RADIUS = 0.02
 # extents of a map to which a rectangular lamp may reach: there a node is a quarter of float32's resolution
 MOST_PANEL_EXTENTS = 2.0**22
 MOST_BALL_EXTENTS = 2.0**40  # the same of a sphere, whose squares stay in float32; suns stand at 1e5
-# of the mean light of the same source, unoccluded and in all directions as bright as in its brightest: errors
-# are relative to no less; chosen: a thousandth of what an 8-bit image shows under the beam itself
+# least mean irradiance to which errors are relative, as a share of the mean light of the same source if it
+# were unoccluded and everywhere as bright as in its brightest direction; chosen: a thousandth of what an
+# 8-bit image shows under the beam itself
 DARK = 1e-6
-POINT_SHARE = 0.1  # share of the tolerance by which a lamp that is called a point may be off as one
+POINT_SHARE = 0.1  # share of the tolerance: largest error as a point of a lamp that a plan calls a point
 
 
 @dataclass(frozen=True)
@@ -125,8 +130,8 @@ class Choice:
 class Step(NamedTuple):
     """One image of a refinement.
 
-    units: azimuths, slices or the hemicube's size; estimate of its relative RMS error over all nodes; audit:
-    its relative RMS error at the samples.
+    units: azimuths, slices or the hemicube's size; estimate: of the relative RMS error over all nodes; audit:
+    the relative RMS error at the samples.
     """
 
     units: int
@@ -140,14 +145,14 @@ class Plan:
 
     method: "unoccluded", "horizon" or "lattice". hemicube, filled: of the lattice, else None. azimuths: of
     horizons, or slices of a lamp or window. max_distance [unit of spacing] of the search, None: the whole
-    map. tolerance, tail: what was asked for, relative RMS error and 99.9th percentile. error: what the first
-    is expected to be, by the samples before an image is made, and by the two halves of it afterwards;
-    error_tail: the second, by the samples; measured: the RMS error of the image at the samples, once
-    rendered. reason and choices, line by line: of what was begun with, and how it was refined;
-    steps: every image that was made; beyond: what the scene needs and the model lacks, with numbers;
-    interreflection: RMS of the light between surfaces over the mean of the direct light, as estimated.
-    seconds of the whole call and planning_seconds until the first image was begun were measured; no decision
-    depends on them. Fields that do not apply are None or empty.
+    map. tolerance, tail: the relative RMS error and the 99.9th percentile of the error that were asked for.
+    error: the relative RMS error, expected from the samples before an image is made, estimated from its two
+    halves afterwards; error_tail: the 99.9th percentile expected from the samples; measured: the RMS error of
+    the rendered image at the samples. reason: of the method and its units, in one sentence; choices: every
+    choice with its reason, and the refinement; steps: every image that was made; beyond: what the scene needs
+    and the model lacks, with numbers; interreflection: estimated RMS of the light between surfaces over the
+    mean of the direct light. seconds of the whole call and planning_seconds before the first image are
+    measured; no decision depends on them. Fields that do not apply are None or empty.
     """
 
     method: str
@@ -254,10 +259,10 @@ def refined(
     interreflection: bool | str = "auto",
     stays: bool = False,
 ) -> Refined:
-    """The irradiance of a grey source within the tolerance, or as near as can be and a warning.
+    """The direct irradiance of a grey source within the tolerance, or as near as possible with a warning.
 
-    It is that of direct light; ``interreflection``: as of :func:`skylamp.render`, for the plan to tell of.
-    ``stays``: the irradiance stays on the device if it is made there.
+    ``interreflection``: as of :func:`skylamp.render`; the plan alone uses it. ``stays``: an irradiance that
+    is made on the device stays there.
     """
     seconds = _stopwatch(engine)
     planner = choose(scene, source, tolerance, engine, tail, interreflection)
@@ -301,9 +306,9 @@ def _units_of(method: str) -> str:
 class Assessment(NamedTuple):
     """What is known of the relative RMS error of an image.
 
-    estimate: of half the difference of its two images, or None where there are not two; share: of it that is
-    the error; audit: the error at the samples, or None where their light is not known; floor: the part of it
-    that both images share.
+    estimate: half the difference of the image's two halves, None where it has none; share: ratio of the error
+    to it; audit: the error at the samples, None where their exact light is not known; floor: the part of the
+    error that is common to both halves.
     """
 
     estimate: Estimate | None
@@ -313,26 +318,26 @@ class Assessment(NamedTuple):
 
     @property
     def estimated(self) -> float | None:
-        """The error over all nodes by the two images, and what they share."""
+        """The error over all nodes: what differs between the halves, and what is common to them."""
         return None if self.estimate is None else math.hypot(self.share * self.estimate.rms, self.floor)
 
     @property
     def error(self) -> float | None:
-        """The larger of both, which is held against the tolerance; None where neither is known."""
+        """The larger of the estimate and the audit, None where neither is known; the tolerance bounds it."""
         return max((value for value in (self.estimated, self.audit) if value is not None), default=None)
 
     @property
     def is_shared(self) -> bool:
-        """Whether most of the error is what both images share."""
+        """Whether most of the error is common to both halves."""
         return self.audit is not None and self.floor > 0.5 * self.audit
 
     def within(self, tolerance: float) -> bool:
-        """Whether nothing speaks against the tolerance."""
+        """Whether the error is within the tolerance and its tail, as far as they are known."""
         few = self.estimate is None or self.estimate.beyond <= BEYOND
         return self.error is None or self.error <= ESTIMATE_SHARE * tolerance and few
 
     def warnings(self, tolerance: float, tail: float) -> list[str]:
-        """What was asked for and is not had, with its number."""
+        """A sentence, with its number, for each of tolerance and tail that is not kept."""
         texts = []
         if self.error is not None and self.error > tolerance:
             texts.append(
@@ -348,12 +353,12 @@ class Assessment(NamedTuple):
 
 
 def assess(planner: _Planner, method: LightMethod) -> Assessment:
-    """The error of an image.
+    """The error of an image, by the difference of its two halves and by the samples.
 
-    The samples tell which share of half the difference of the two images is the error. Where the exact light
-    cannot judge, its own error is taken for that of the image, up to UNSEEN_SHARE of the half. What is more
-    than MOST_SHARE of it, both images share. Half a difference that is far larger over all nodes than at the
-    samples belongs to few nodes that these miss, of which UNSEEN_SHARE is the error.
+    The samples give the ratio of the error to half the difference. The error of the exact light itself, up to
+    UNSEEN_SHARE of half the difference, is a lower bound of the image's. Error above MOST_SHARE of half the
+    difference is common to both halves. Where half the difference is far larger over all nodes than at the
+    samples, the excess belongs to few nodes that the samples miss; its ratio is UNSEEN_SHARE.
     """
     samples, exact = planner.samples, planner.exact
     audit = planner.audit(method)
@@ -381,7 +386,7 @@ def choose(
     tail: float | None = None,
     interreflection: bool | str = "auto",
 ) -> _Planner:
-    """A planner that has chosen what to begin with."""
+    """The planner for this kind of source, with the method and units that an image begins with."""
     tolerance = positive_number(tolerance, "tolerance")
     tail = DEFAULT_TAIL * tolerance if tail is None else positive_number(tail, "tail")
     if not isinstance(source, sources.Source):
@@ -437,7 +442,7 @@ def _check_reach(scene: Scene, lamp: sources.Lamp) -> None:
 
 
 class _ClosedForm(LightMethod):
-    """An image in closed form, which nothing refines.
+    """An image in closed form, which has nothing to refine.
 
     ``coarse``: the same by a quarter of the rays to a source whose brightness varies.
     """
@@ -496,7 +501,7 @@ class _Planner(ABC):
 
     @abstractmethod
     def choose(self) -> None:
-        """Choose what to begin with."""
+        """Choose the method and units that an image begins with."""
 
     @abstractmethod
     def make(self) -> LightMethod:
@@ -630,7 +635,10 @@ class _UnitsPlanner(_Planner):
         """Light at the samples of an image of so many units."""
 
     def choose_units(self, ladder: Iterable[tuple[int, Iterable[int]]]) -> None:
-        """Take the first units that fit, of those that each number of units of the exact light judges."""
+        """Take the first number of units within the tolerance.
+
+        ``ladder``: (units of the exact light, numbers of units that it judges), in order.
+        """
         for judge, counts in ladder:
             self.judge_by(judge)
             assert self.exact is not None, "judge_by sets it"
@@ -686,7 +694,7 @@ class _SkyPlanner(_UnitsPlanner):
         self._check_work()
 
     def _integrate(self) -> None:
-        """The brightness: a number, or its integrals and its suns."""
+        """Set the brightness: a number, or its integrals and its small bright parts."""
         scene, brightness = self.scene, self.source.brightness
         if not callable(brightness):
             self.light = float(brightness)
@@ -697,7 +705,7 @@ class _SkyPlanner(_UnitsPlanner):
             self.rays = margin_of(scene, self.bright_parts, self.samples.relief)
 
     def judge_by(self, units: int) -> None:
-        """Exact light at the samples in so many azimuths, unless it is known in more."""
+        """Exact light at the samples in so many azimuths, unless it is known in as many or more."""
         samples, width = self.samples, 2 * np.pi / units
         if units <= self.grid:
             return
@@ -735,7 +743,7 @@ class _SkyPlanner(_UnitsPlanner):
         return total
 
     def _choose_sectors(self) -> None:
-        """The fewest sectors of the suns whose two halves agree, and the suns' light at the samples."""
+        """The fewest sectors of small bright parts whose halves agree, and their light at the samples."""
         if not self.bright_parts:
             return
         rest = self.exact
@@ -751,7 +759,7 @@ class _SkyPlanner(_UnitsPlanner):
                 break
 
     def _check_work(self) -> None:
-        """CapacityError where the azimuths, on a map that repeats with its search, are too much work."""
+        """CapacityError where the azimuths, with the search on a map that repeats, are too much work."""
         lap = self.samples.relief / LEAST_SEARCHED_SLOPE if self.scene.sides == "periodic" else 0.0
         steps = self.units * math.prod(self.scene.shape) * (1 + lap / min(self.scene.shape))
         if steps > MOST_STEPS:
@@ -939,7 +947,7 @@ class _SlicePlanner(_UnitsPlanner):
         self.outline = outline(wide, there.step)
 
     def _open_light(self, at: Samples) -> np.ndarray:
-        """Light at nodes if nothing stood before the source: by its middle, and by suns behind a window."""
+        """Unoccluded light at nodes: of the source's middle, and of small bright parts behind a window."""
         light = self._unoccluded(1, at=at)
         if self.sky is not None and self.sky.bright_parts:
             light = light + sum(
@@ -949,7 +957,7 @@ class _SlicePlanner(_UnitsPlanner):
         return light
 
     def _without_bright_parts(self, L: np.ndarray) -> np.ndarray:
-        """The brightness without small bright parts: there no more than where these begin."""
+        """The brightness without small bright parts: there it is cut at the level where they begin."""
         assert self.sky is not None, "suns are parts of an integrated sky"
         values = sources.radiance(sources.Sky(self.source.brightness), L)
         for spot in self.sky.bright_parts:
@@ -976,7 +984,7 @@ class _SlicePlanner(_UnitsPlanner):
         ).astype(float)
 
     def _fits_closed_form(self) -> bool:
-        """Whether every node looks at all of the source, and no wall of a dark box stands between."""
+        """Whether every node sees all of the source, also over the walls of a dark box."""
         if self.scene.sides == "dark":
             corners = (
                 [self.middle - self.radius, self.middle + self.radius]
@@ -1072,7 +1080,7 @@ class _SlicePlanner(_UnitsPlanner):
 
 
 def _looks_thin(planner: _SlicePlanner) -> bool:
-    """Whether a line has its light, the map is on the host, and few enough nodes look at it."""
+    """Whether the source is so thin that a line has its light, and the map on the host and small enough."""
     scene, samples = planner.scene, planner.samples
     walled = isinstance(planner.source, sources.Lamp) and scene.sides == "dark"
     if isinstance(planner.solid, Ball) or walled or scene.resident is not None:

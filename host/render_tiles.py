@@ -295,19 +295,12 @@ class TileImage:
         inner = np.zeros(scene.shape, bool)
         inner[edge[0] : scene.shape[0] - edge[0], edge[1] : scene.shape[1] - edge[1]] = True
         inner &= scene.valid
-        shares, count = albedos(scene), self.colours
-        return np.stack(
-            [
-                local_sums(
-                    light[n % len(light)][inner],
-                    sky[inner],
-                    shares[n % len(shares)][inner]
-                    if np.ndim(shares[n % len(shares)])
-                    else shares[n % len(shares)],
-                )
-                for n in range(count)
-            ]
-        )
+        shares = [share[inner] if np.ndim(share) else share for share in albedos(scene)]
+        sums = [
+            local_sums(light[n % len(light)][inner], sky[inner], shares[n % len(shares)])
+            for n in range(self.colours)
+        ]
+        return np.stack(sums)
 
     def decided(self, sums: np.ndarray, possible: bool) -> TileImage:
         """This image with or without light between surfaces; a warning where it counts and cannot be."""

@@ -121,10 +121,10 @@ class Renderer:
             why = why or "there is no Lambertian reflection to show"
             self.interreflection = Interreflection(False, why, _share_between(self.plans))
             self.between = [0.0] * len(direct)
-            coloured = (
-                self.planned and self.options.interreflection == "auto" and _has_coloured_albedo(self.scene)
-            )
-            return direct, list(direct) * (3 if coloured and len(direct) == 1 else 1), shine
+            # light between surfaces would be in colour, so this is too, whether it is included or not
+            coloured = self.planned and self.options.interreflection == "auto" and len(direct) == 1
+            coloured = coloured and is_in_colour(np.asarray(self.scene.albedo))
+            return direct, list(direct) * (3 if coloured else 1), shine
         known = direct if self.on_device else on_host(direct)
         return list(known), list(_interreflected(self, known)), shine
 
@@ -186,10 +186,9 @@ class Renderer:
             return _sky_above_horizons(scene, grey, engine, azimuths, max_distance, self.on_device)
         return _by_slices(scene, grey, engine, plan, self.on_device)
 
-    def _plan_as_asked(self) -> Plan:
+    def _plan_as_asked(self) -> None:
         options = self.options
         self.plans.append(_plan_of(self.scene, self.greys[0], options.azimuths, options.max_distance))
-        return self.plans[-1]
 
     def _brdf(self) -> list[np.ndarray]:
         """Radiance of a BRDF."""
@@ -205,14 +204,40 @@ class Renderer:
         return shading.by_brdf(scene, self.greys, parts)
 
     def _sky_lobe(self, grey: sources.Source) -> np.ndarray:
-        assert self.lobe is not None, "called for surfaces with a lobe"
-        return _lobe_of_sky(self.scene, grey, self.engine, self.lobe, self.options.max_distance)
+        """A sky reflected by a lobe: (rows, cols) float32."""
+        scene, engine, lobe, max_distance = self.scene, self.engine, self.lobe, self.options.max_distance
+        assert lobe is not None, "called for surfaces with a lobe"
+        there = scene.on(engine)
+        reach = np.inf if max_distance is None else max_distance * (there.step / scene.spacing)
+        table, suns, flux = blurred(sources.without_disc(grey), lobe.spread)
+        brightness = sources.distribution_of(grey)
+        if brightness is not None and (disc := brightness.disc()) is not None:
+            suns = np.concatenate([suns.reshape(-1, 3), [disc.direction]])
+            flux = np.append(flux, disc.irradiance)
+        slices = Slices(there, scene.sides, Dome(reach), table, lobe=lobe)
+        slices.run()
+        image = slices.download()
+        if len(suns):
+            image += shading.suns(scene, engine, lobe, suns, flux, max_distance)
+        return image * np.float32(_norm(scene))
 
     def _solid_lobe(self, grey: sources.Source) -> np.ndarray:
-        assert self.lobe is not None, "called for surfaces with a lobe"
-        most = _plan_of(self.scene, grey, self.options.azimuths, None).azimuths
-        assert most is not None, "a plan of slices says how many"
-        return _lobe_of_solid(self.scene, grey, self.engine, self.lobe, most, self.warnings)
+        """A lamp or window reflected by a lobe: (rows, cols) float32; a warning if slices are too coarse."""
+        scene, lobe = self.scene, self.lobe
+        most = _plan_of(scene, grey, self.options.azimuths, None).azimuths
+        assert lobe is not None and most is not None, "the surface has a lobe, the plan a number of slices"
+        assert not isinstance(grey, sources.Sky), "a sky has no slices through a solid"
+        brightness = brightness_of(grey)
+        slices, scale = _slices(scene, grey, self.engine, most, brightness, lobe)
+        if slices is None:
+            return np.zeros(scene.shape, np.float32)
+        slices.run()
+        image = slices.download() * np.float32(_norm(scene) * scale)
+        if slices.coarse > COARSE_LOBE:
+            text = _narrow_lobe(lobe, slices.coarse * lobe.spread, "a smaller lamp, or Mirror")
+            self.warnings.extend([text] if text not in self.warnings else [])
+            np.minimum(image, np.float32(np.max(brightness)), out=image)  # no lobe shows more than there is
+        return image
 
     def _mirrored(self, max_distance: float | None) -> list[np.ndarray]:
         if not self.options.mirror(self.scene):
@@ -307,11 +332,6 @@ def _left_out(scene: Scene, options: Options, plans: list[Plan] | None) -> str:
     share, tolerance = _share_between(plans), float(options.tolerance)
     needed = share is None or is_needed(share, tolerance)
     return "" if needed else reason(share, tolerance)
-
-
-def _has_coloured_albedo(scene: Scene) -> bool:
-    """Whether light between surfaces, included or not, is in colour."""
-    return is_in_colour(np.asarray(scene.albedo))
 
 
 def _share_between(plans: list[Plan]) -> float | None:
@@ -459,47 +479,6 @@ def _sun_of(scene: Scene, source: sources.Source, max_distance: float | None) ->
 
 
 # -- lobes
-
-
-def _lobe_of_sky(
-    scene: Scene,
-    grey: sources.Source,
-    engine: Backend,
-    lobe: Lobe,
-    max_distance: float | None,
-) -> np.ndarray:
-    """A sky reflected by a lobe: (rows, cols) float32."""
-    there = scene.on(engine)
-    reach = np.inf if max_distance is None else max_distance * (there.step / scene.spacing)
-    table, suns, flux = blurred(sources.without_disc(grey), lobe.spread)
-    brightness = sources.distribution_of(grey)
-    if brightness is not None and (disc := brightness.disc()) is not None:
-        suns = np.concatenate([suns.reshape(-1, 3), [disc.direction]])
-        flux = np.append(flux, disc.irradiance)
-    slices = Slices(there, scene.sides, Dome(reach), table, lobe=lobe)
-    slices.run()
-    image = slices.download()
-    if len(suns):
-        image += shading.suns(scene, engine, lobe, suns, flux, max_distance)
-    return image * np.float32(_norm(scene))
-
-
-def _lobe_of_solid(
-    scene: Scene, grey: sources.Source, engine: Backend, lobe: Lobe, most: int, warnings: list[str]
-) -> np.ndarray:
-    """A lamp or window reflected by a lobe: (rows, cols) float32; a warning where slices are too coarse."""
-    assert not isinstance(grey, sources.Sky), "a sky has no slices through a solid"
-    brightness = brightness_of(grey)
-    slices, scale = _slices(scene, grey, engine, most, brightness, lobe)
-    if slices is None:
-        return np.zeros(scene.shape, np.float32)
-    slices.run()
-    image = slices.download() * np.float32(_norm(scene) * scale)
-    if slices.coarse > COARSE_LOBE:
-        text = _narrow_lobe(lobe, slices.coarse * lobe.spread, "a smaller lamp, or Mirror")
-        warnings.extend([text] if text not in warnings else [])
-        np.minimum(image, np.float32(np.max(brightness)), out=image)  # no lobe shows more than there is
-    return image
 
 
 def _norm(scene: Scene) -> float:

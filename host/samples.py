@@ -25,19 +25,21 @@ from .sources.solids import Ball, Quad
 # their rays take time in proportion
 SAMPLE_COUNT = 384
 EXTRA_NODES = 256  # more nodes where light is rare; chosen
-# nodes among which light is searched for; share of them that has all of it before more are taken
+# nodes whose unoccluded light is computed first; if the light falls on fewer than this share of them, more
+# samples are taken there
 SEARCHED_NODES, CONCENTRATED = 4096, 0.1
-# slope that the relief of a periodic map makes where samples' rays end: what lies farther hides 1.3e-5 of
-# E / pi of a uniform sky at most
+# rays of samples on a periodic map end where its whole relief would rise at this slope: ground farther away
+# hides at most 1.3e-5 of a uniform sky's E / pi
 SAMPLED_SLOPE = 0.005
-# spacings that neighbouring nodes may lie apart before two crossings are too few behind them
-# (host/backends/numpy/horizon.py)
+# difference in height [spacings] of neighbouring nodes that is called a cliff: two crossings are too few
+# behind it (host/backends/numpy/horizon.py)
 CLIFF = 4.0
 CHORD_POINTS = 48  # of brightness along a chord; chosen
-TAIL_SAMPLES = 3  # samples beyond the 99.9th percentile from which on it is read off
-# arrays (azimuths, nodes) that are kept; chosen: four sets of azimuths with slopes and light, at most 12 MB
+TAIL_SAMPLES = 3  # least samples beyond the 99.9th percentile: with fewer it is extrapolated
+# traced arrays (azimuths, nodes) that a scene keeps; chosen: slopes and light of four sets of azimuths, at
+# most 12 MB
 KEPT_TRACES = 8
-SIGMAS = 1.5  # standard errors by which the RMS error over all nodes may pass that of the samples
+SIGMAS = 1.5  # standard errors above the RMS at the samples: the bound on the RMS over all nodes
 
 
 Values = Any  # numbers or arrays that broadcast
@@ -54,12 +56,11 @@ class Errors(NamedTuple):
 def errors(
     image: np.ndarray, exact: np.ndarray, weights: np.ndarray | None = None, least: float = 0.0
 ) -> Errors:
-    """Errors over the mean of ``exact`` where it is positive, nodes by their ``weights``, even by default.
+    """Errors of ``image`` relative to the mean of ``exact`` where it is positive, or to ``least`` if larger.
 
-    ``least``: what the mean counts for where it is less.
-    ``bound``: RMS and SIGMAS standard errors of it, by the sample's own spread. The percentile is
-    extrapolated from the tenth of largest errors, whose excess is assumed exponential, unless TAIL_SAMPLES
-    nodes are beyond it.
+    ``weights`` of the nodes: equal by default. The bound is the RMS plus SIGMAS standard errors, by the
+    sample's own spread. With fewer than TAIL_SAMPLES nodes beyond the percentile, it is extrapolated from the
+    largest tenth of the errors, whose excess is assumed to be exponential.
     """
     weights = np.full(len(exact), 1 / len(exact)) if weights is None else weights / weights.sum()
     lit = (exact > 0) & (weights > 0)
@@ -80,7 +81,7 @@ def errors(
 
 
 class Samples:
-    """Nodes spread over the valid part of a map by a low-discrepancy sequence, from its number ``first`` on.
+    """Nodes spread over the valid part of a map by a low-discrepancy sequence, from its element ``first`` on.
 
     They are the same for the same scene. ``weights`` (nodes,): the nodes' shares of the map, None where they
     are equal; see :func:`oversample_lit`.
@@ -402,7 +403,7 @@ def picked(samples: Samples, images: Array, number: int = 0) -> np.ndarray:
 
 
 def _kept(samples: Samples, key: tuple[str, bytes, float], made: Callable[[], np.ndarray]) -> np.ndarray:
-    """What was ``made`` of the samples before, or is now."""
+    """The traced array of this key: the one that is kept, else what ``made`` returns."""
     traced = samples.traced
     if key not in traced:
         values = made()

@@ -49,23 +49,24 @@ GROUP_BYTES = 2**30  # of the horizons of one tile that are in memory at a time;
 # nodes of a tile whose far ground is compared with exact rays, in so many azimuths; chosen: an RMS is known
 # to 1 / sqrt(2 x 256), 4 %, if errors are normal
 AUDITED, AUDITED_AZIMUTHS = 256, 16
-# RMS error of sky-view factors that is said; chosen: three times what mountains have (performance/scale.py)
+# RMS error of sky-view factors above which there is a warning; chosen: three times that of mountains
+# (performance/scale.py)
 WORTH_SAYING = 0.001
 # measured on cities of seven kinds (performance/scale.py --cities): 0.58 to 0.82
 CLOSER = "a Tiling of twice the halo and rule leaves 0.6 to 0.8 of that"
 
 USUAL = Tiling()  # of maps that are given none
 
-# windows along each axis of a tile whose light tells whether that between surfaces counts, and nodes along
-# each; chosen: 0.2 % of a tile of 8192 x 8192 nodes, 14 % of one of 1024; half the nodes see a third less
-# ground, and twice as many take four times as long
+# windows along each axis of a tile, and nodes along each side of a window: from their light, that between
+# surfaces is estimated. Chosen: 0.2 % of a tile of 8192 x 8192 nodes, 14 % of one of 1024; in windows of half
+# the side nodes see a third less ground, and windows of twice the side take four times as long
 WINDOWS, WINDOW = 3, 128
 
 Box = tuple[tuple[int, int], tuple[int, int]]  # a tile's first row and its rows, first column and columns
 
 
 class Work(Protocol):
-    """What is computed of a map, or of a tile of it with its halo and what it knows of the rest."""
+    """What is computed of a map, or of a tile with its halo and overviews of the rest."""
 
     def __call__(
         self, scene: Scene, max_distance: float | None, far: Far | None, part: slice = ...
@@ -74,17 +75,17 @@ class Work(Protocol):
 
 
 class Undecided(Work, Protocol):
-    """Work that parts of the whole map must decide on: whether light between surfaces is added."""
+    """Work that depends on the whole map: whether light between surfaces is added."""
 
     def sums(self, scene: Scene) -> np.ndarray:
-        """What windows of a map tell; their sum is :meth:`decided` by."""
+        """Sums over a window of the map; :meth:`decided` takes their total over all windows."""
 
     def decided(self, sums: np.ndarray, possible: bool) -> Work:
         """The work itself; ``possible``: whether tiles have a halo of their own."""
 
 
 class Audit(NamedTuple):
-    """What tells whether far ground is taken well enough: on which backend, and within which tolerance.
+    """The check of the error that overviews of far ground add: on which backend, within which tolerance.
 
     ``tolerance``: relative RMS error of a uniform sky's light; None: sky-view factors to WORTH_SAYING.
     """
@@ -94,7 +95,7 @@ class Audit(NamedTuple):
 
 
 class Layout(NamedTuple):
-    """A map in tiles: what a tile is computed from besides heights.
+    """A map in tiles: all that a tile depends on besides heights.
 
     ``spacing`` [length]; ``max_distance`` [length] or None; ``room``: nodes around every tile that are
     computed with it, besides the halo; ``undecided``: the work is :class:`Undecided`.
@@ -193,7 +194,7 @@ def layout_of_map(
 ) -> Layout:
     """The layout of a map, its ``max_distance`` checked.
 
-    ``between``: of light between surfaces; None: as :class:`Undecided` work will tell.
+    ``between``: whether there is light between surfaces; None: :class:`Undecided` work decides.
     """
     if max_distance is not None and positive_number(max_distance, "max_distance") < spacing:
         raise bad("max_distance", max_distance, f"at least one spacing, {spacing:g}")
@@ -263,7 +264,7 @@ def tiled(
 
 
 def decided(work: Any, scene: Scene, tiling: Tiling | None, max_distance: float | None, audit: Audit) -> Any:
-    """:class:`Undecided` work as a map in memory tells."""
+    """:class:`Undecided` work, decided by a map in memory."""
     layout = layout_of(scene, tiling, max_distance, audit, None)
     heights, (one, varying) = np.negative(scene.depth), albedo_of(scene)
     sums = [
@@ -275,7 +276,7 @@ def decided(work: Any, scene: Scene, tiling: Tiling | None, max_distance: float 
 
 
 def sums_of_tile(work: Any, spacing: float, heights: np.ndarray, albedo: Any) -> np.ndarray:
-    """The same of a tile: that of some windows, as if all of the tile were like them."""
+    """The sums of a tile, extrapolated from some windows to all of its nodes."""
     sums, seen = np.zeros((work.colours, 3)), 0
     rows, cols = (_windows_along(nodes) for nodes in heights.shape)
     for part in [(..., r, c) for r in rows for c in cols]:
@@ -289,14 +290,14 @@ def sums_of_tile(work: Any, spacing: float, heights: np.ndarray, albedo: Any) ->
 
 
 def _windows_along(nodes: int) -> list[slice]:
-    """Windows along an axis of a tile, evenly."""
+    """Evenly spaced windows along an axis of a tile."""
     side, count = min(nodes, WINDOW), min(WINDOWS, -(-nodes // WINDOW))
     starts = [round((n + 0.5) * (nodes - side) / count) for n in range(count)]
     return [slice(first, first + side) for first in starts]
 
 
 def settled(work: Any, layout: Layout, sums: np.ndarray) -> tuple[Any, Layout]:
-    """:class:`Undecided` work and its layout, as the sums over the whole map tell."""
+    """:class:`Undecided` work and its layout, decided by the sums over the whole map."""
     possible = layout.room > 0 or layout.single
     work = work.decided(sums, possible)
     return work, layout._replace(room=layout.room if work.between else 0, undecided=False)

@@ -6,8 +6,8 @@ import numpy as np
 
 from .forward import DeviceArray, Image, Launcher
 
-# weight of what is expected of an albedo that is not known: an albedo off by its own size counts as much as
-# an image by this
+# weight of the prior of an unknown albedo: a deviation of the albedo's own size counts as much as one of this
+# size in an image
 PRIOR_WEIGHT = 1e-3
 
 
@@ -15,7 +15,7 @@ class AlbedoFit:
     """The least-squares albedo of every pixel at a surface and at a trial, as a share of what the images'
     gains stand for.
 
-    What is expected of the albedo counts as one more image, whose light is 1.
+    The prior of the albedo counts as one more image, whose light is 1.
     """
 
     def __init__(self, launcher: Launcher, images: list[Image]):
@@ -37,7 +37,7 @@ class AlbedoFit:
         self.launcher.backend.fill(self.expected, weight * albedo)
 
     def fit(self, side: int) -> None:
-        """The albedo that is best for what was evaluated, and the images' gains with it."""
+        """Fits the albedo to the evaluated light, and sets the images' gains by it."""
         self._match(self.ones, self.weight, self.expected, side, True)
         for image in self.images:
             self._match(image.links[side][0], image.gain, image.target, side, False)

@@ -1,8 +1,7 @@
-"""How far off the depth that was found may be, how far it is to be trusted, and which other depths explain a
-pixel.
+"""Standard deviation and confidence of the recovered depth, and other depths that explain a pixel.
 
-The variance of depth is a sum of parts: what noise leaves undecided, what the model does not represent, and
-how far off the answers are that explain the images about as well.
+The variance of depth is a sum of parts: image noise, errors of the model, and the squared distances to other
+surfaces that explain the images about as well.
 """
 
 from __future__ import annotations
@@ -21,29 +20,30 @@ from .pyramid import NORMAL_QUARTILE, SMALL, Pyramid, on_coarser_grid
 from .resampling import blurred, cubic, doubled, halved, halved_depth
 from .search import Rival
 
-# of the range of depths, and nodes at least: an error up to this is right, and the confidence is about how
-# likely that is. Below 0.5 the standard deviation is above 1.48 times this
+# an error of depth up to this share of the range of depths, and at least so many nodes, counts as right; the
+# confidence is the probability of that, about. It is below 0.5 where the standard deviation is above 1.48
+# times this error
 RIGHT, LEAST_RIGHT = 1 / 64, 1.0
-APART = 0.05  # of the range of depths, from which another depth is a candidate
-CANDIDATES = 2  # other depths of a pixel, at most
-PROBE = 0.01  # noise of the probes of the posterior, which is linear in it [unit of the pyramid's images]
-# noise that the model's errors count as, at least [unit of the pyramid's images], and times what the misfit
-# has beyond the image's noise
+APART = 0.05  # least distance of a candidate from the depth, as a share of the range of depths
+CANDIDATES = 2  # most other depths of a pixel
+PROBE = 0.01  # noise of the posterior's probes [unit of the pyramid's images]; the posterior is linear in it
+# errors of the model count as noise: at least so much [unit of the pyramid's images], and so many times the
+# misfit beyond the image's noise; performance/doubt.py
 MODEL_ERROR, MISFIT_WEIGHT = 5e-4, 2.3
-# of the distances to the answer of a finer model, to the answers of the search and to the one with a more
-# even albedo. The first two, and the two above, as performance/doubt.py tells
+# weights of the distances to three other surfaces: that of a finer model, those of the search, and that with
+# a more even albedo; the first two by performance/doubt.py
 FINER_WEIGHT, RIVAL_WEIGHT, UNEVEN_WEIGHT = 1.2, 1.0, 1.4
-# answers that are refitted from disturbed ones, and the weight of the rms of their distances; rms of the
-# disturbances, over the range of depths: under a sky, and under a lamp or window. performance/doubt.py
-# --drawn 16 under a sun: of pixels off by more than 5 nodes, half the weight marks 63 instead of 80 %; of
-# those right within 2, a weight of 2.5 marks 13 instead of 9 %
+# surfaces that are refitted from disturbed ones; weight of the rms of their distances; rms of the
+# disturbances over the range of depths, under a sky and under a lamp or window. By performance/doubt.py
+# --drawn 16 under a sun, with half the weight 63 instead of 80 % of the pixels that are off by more than 5
+# nodes are marked; with a weight of 2.5, 13 instead of 9 % of those that are right within 2
 DISTURBED, DISTURBED_WEIGHT, UNDER_SKY, UNDER_LAMP = 4, 2.0, 1 / 32, 0.3
-SHALLOWER = 0.1  # share of the pixels whose depth a shallower answer is first confined to
-EVEN_WEIGHT = 10.0  # times as much an even albedo is expected, to tell what hangs on it
-FINER, FINER_AZIMUTHS = 3, 64  # times as fine a grid, and azimuths, that tell how far off the model is
-REFITS, REFIT_STEPS = 2, 4  # to it, and Gauss-Newton steps of each
-LEAST_STD = 2e-3  # [nodes of the answer's grid] what float32 and the end of the steps leave, about
-SHIFTS = 33  # by which the surface goes up and down as a whole
+SHALLOWER = 0.1  # quantile of depth that bounds a shallower answer at first
+EVEN_WEIGHT = 10.0  # factor on the weight of an even albedo, to see how depth depends on it
+FINER, FINER_AZIMUTHS = 3, 64  # of the model that measures the error of the model: refinement, azimuths
+REFITS, REFIT_STEPS = 2, 4  # fits to the finer model, and Gauss-Newton steps of each
+LEAST_STD = 2e-3  # [nodes of the answer's grid] that float32 and the last step leave, about
+SHIFTS = 33  # of the surface as a whole, up and down
 NEAREST = 1e-3  # depth [nodes] of a surface that would lie at the viewer's plane or before it
 
 
@@ -99,11 +99,12 @@ def deviation_of(
 
 
 def confidence_of(std: np.ndarray, depth_range: float) -> np.ndarray:
-    """About how likely it is that depth is right, 0 to 1, where this is its standard deviation (rows, cols)
-    [nodes]: within RIGHT of the range [nodes] between the bounds, and at least LEAST_RIGHT.
+    """The probability, about, that depth is right, 0 to 1, from its standard deviation (rows, cols) [nodes].
 
-    1 / (1 + t^2), t the std over what makes it 1/2. By this 69, 90 and 95 % of errors are within 1, 2 and 3
-    std; 68, 95 and 99.7 % of normal ones are, and 79, 95 and 98 % in performance/doubt.py.
+    Right is within RIGHT of the range of depths [nodes], or within LEAST_RIGHT if that is more. It is
+    1 / (1 + t^2), t the standard deviation over that of probability 1/2. By this 69, 90 and 95 % of errors
+    are within 1, 2 and 3 standard deviations; of normal errors 68, 95 and 99.7 % are, and 79, 95 and 98 % in
+    performance/doubt.py.
     """
     half = max(RIGHT * depth_range, LEAST_RIGHT) / NORMAL_QUARTILE
     confidence: np.ndarray = 1 / (1 + (std / half) ** 2)
@@ -111,9 +112,7 @@ def confidence_of(std: np.ndarray, depth_range: float) -> np.ndarray:
 
 
 def by_noise(judged: Judged) -> np.ndarray:
-    """What noise leaves undecided; that the first image is explained worse than by its noise counts as more
-    of it.
-    """
+    """Variance by noise. A misfit of the first image beyond its noise counts as noise."""
     pyramid, level = judged.pyramid, judged.level
     unit = posterior_deviation(pyramid.problem(level), judged.z, pyramid.smoothness(level), PROBE) / PROBE
     pyramid.problem(level).set_targets(pyramid.images[level])
@@ -124,19 +123,20 @@ def by_noise(judged: Judged) -> np.ndarray:
 
 
 def by_finer_model(judged: Judged) -> np.ndarray:
-    """How far off the answer to a finer model would be."""
+    """Squared distance to the surface of a finer model."""
     off = finer_model_depth(judged.pyramid, judged.level, judged.z) - judged.z
     return FINER_WEIGHT**2 * blurred(off**2)
 
 
 def by_rivals(judged: Judged) -> np.ndarray:
-    """How far off the other answers of the search are."""
+    """Squared distance to the other surfaces of the search."""
     return RIVAL_WEIGHT**2 * _apart(judged.rivals, judged.z.shape)
 
 
 def by_other_answers(judged: Judged) -> np.ndarray:
-    """How far off other answers are that explain the image about as well around a pixel, where one image may
-    have several: where light changes with direction.
+    """Squared distance to other surfaces that explain the image about as well around a pixel.
+
+    One image may have several where its light changes with direction.
     """
     pyramid, level = judged.pyramid, judged.level + 1
     if (
@@ -178,7 +178,7 @@ def _apart(rivals: list[Rival], shape: tuple[int, ...]) -> np.ndarray:
 
 
 def by_even_albedo(judged: Judged) -> np.ndarray:
-    """How far off a more even albedo, which is not known, would be."""
+    """Squared distance to the surface of a more even albedo, where the albedo is not known."""
     off = even_albedo_depth(judged.pyramid, judged.level, judged.z) - judged.z
     variance: np.ndarray = (UNEVEN_WEIGHT * blurred(np.abs(off))) ** 2
     return variance
@@ -191,15 +191,16 @@ def refitted(multigrid: Multigrid, level: int, start: np.ndarray, z: np.ndarray)
 
 
 def misfit_around(pyramid: Pyramid, level: int, z: np.ndarray) -> np.ndarray:
-    """Mean squares of model - image around every node, and of what they hold in any case."""
+    """Mean squares of model - image around every node, plus those of noise and of the least model error."""
     squares = (pyramid.problem(level).irradiances(z)[0] - pyramid.images[level][0]) ** 2
     least: float = MODEL_ERROR**2 + (pyramid.noise * 0.5**level) ** 2
     return blurred(blurred(blurred(squares))) + least
 
 
 def disturbed(pyramid: Pyramid, level: int, z: np.ndarray, share: float) -> list[np.ndarray]:
-    """Surfaces that differ from z by samples of its posterior, scaled to an rms that is this share of the
-    range of depths: most where the image tells least.
+    """Surfaces that differ from z by samples of its posterior, their rms this share of the range of depths.
+
+    They differ most where the image constrains depth least.
     """
     problem, (low, high) = pyramid.problem(level), pyramid.bounds[level]
     samples = list(posterior_samples(problem, z, pyramid.smoothness(level), PROBE, DISTURBED))
@@ -209,9 +210,10 @@ def disturbed(pyramid: Pyramid, level: int, z: np.ndarray, share: float) -> list
 
 
 def shallower(multigrid: Multigrid, level: int, z: np.ndarray) -> np.ndarray:
-    """A surface on this grid that began shallower than z, within a closer bound of depth and from the
-    coarsest grid: under a spotlight, pixels far from its axis have two depths, and the smooth surfaces that a
-    search begins with lead to the deeper one.
+    """A surface on this grid, solved from the coarsest grid on with depth bounded by a low quantile of z.
+
+    Under a spotlight, pixels far from its axis have two depths, and a search from smooth surfaces leads to
+    the deeper one.
     """
     pyramid = multigrid.pyramid
     with pyramid.no_deeper_than(float(np.quantile(z, SHALLOWER)), level):
@@ -220,9 +222,7 @@ def shallower(multigrid: Multigrid, level: int, z: np.ndarray) -> np.ndarray:
 
 
 def even_albedo_depth(pyramid: Pyramid, level: int, z: np.ndarray) -> np.ndarray:
-    """What the depth would be if the albedo, which is not known, were held EVEN_WEIGHT times as fast to one
-    that is the same everywhere.
-    """
+    """The depth if the weight of an even albedo were EVEN_WEIGHT times as large; the albedo is not known."""
     problem = pyramid.problem(level)
     assert problem.albedo is not None, "the albedo is not known"
     problem.albedo.set_prior(pyramid.expected_albedo, EVEN_WEIGHT * PRIOR_WEIGHT)

@@ -14,9 +14,9 @@ from .forward import Image, Launcher, Surface
 from .ground import Ground
 from .lights import Light
 
-FIRST_DAMPING = 1e-4  # of the first step, in the diagonal's unit
+FIRST_DAMPING = 1e-4  # damping of the first step, as a multiple of the diagonal
 SETTLED = 3e-3  # share of the objective below which a step is the last
-# of the gain that the quadratic model promised: above it damping falls, below the second one it grows
+# shares of the gain that the quadratic model predicts: above WELL damping falls, below BADLY it grows
 WELL, BADLY = 0.5, 0.2
 # factors of the damping for the next step: after a gain above WELL, below BADLY, and after none
 EASED, TIGHTENED, REJECTED = 0.3, 3, 4
@@ -37,8 +37,8 @@ class Descent:
     albedo that explains all images best there: the objective is that of the best albedo, and so is its
     gradient (variable projection).
 
-    There are two sides, z[here] and a trial, each with what an evaluation found there: nothing is lost where
-    a trial fails.
+    There are two sides, z[here] and a trial, each with the light and derivatives evaluated there: a trial
+    that fails costs nothing that is known of z[here].
     """
 
     def __init__(
@@ -94,9 +94,7 @@ class Descent:
         self._compare(side)
 
     def _compare(self, side: int) -> None:
-        """What an evaluation found, against the targets and the prior of now, with the albedo that is best
-        there if it is not known.
-        """
+        """The objective at a side, for the present targets and prior, and the best albedo if not known."""
         count, blocks = len(self.images), self.launcher.blocks
         compared = [(image.links[side][0], image.gains[side], image.target) for image in self.images]
         rows = list(range(count))
@@ -111,7 +109,7 @@ class Descent:
         self.launcher.launch("bending", self.depths.z[side], *rest, *self.shape, dim=(blocks,))
 
     def _try(self, side: int) -> None:
-        """Evaluates a step from the other side."""
+        """Evaluates a trial step from the other side."""
         z, _, low, high = self.depths
         step = self.gradients.x
         self.launcher.launch(
@@ -132,7 +130,7 @@ class Descent:
         z = np.array(z, np.float32)
         if self._at is not None and np.array_equal(z, self._at):
             return self._evaluate(self.here, smoothness, self._compare)
-        self._at = None  # whatever happens
+        self._at = None  # also where the evaluation is interrupted
         self.backend.put(self.depths.z[self.here], z.ravel())
         value = self._evaluate(self.here, smoothness, self._trace)
         self._at = z

@@ -12,18 +12,19 @@ from ..scene import Scene
 from .pyramid import COARSEST, IMAGE_RMS, Pyramid
 
 OPEN_SKY = "Open sides under a sky are ill-posed: the image of a flat surface is the same at any depth."
-POORLY = 0.03  # residual, as a share of the image, from which an image is called unexplained
-# the same from which light between surfaces counts as not explained to the end: in performance/recover.py
-# --what between the error of depth was 1.5 to 2 layers beyond 0.008, and 0.4 at most below 0.007
+POORLY = 0.03  # residual, as a share of the image, above which an image is called poorly explained
+# the same, above which a warning says that light between surfaces is not fully explained: in
+# performance/recover.py --what between the error of depth was 1.5 to 2 layers above 0.008, and at most 0.4
+# below 0.007
 UNSETTLED = 0.008
-# by how much the model may fall short of the image: share of the image's rms, and of the pixels
+# an image is called too bright for the model if it is brighter by this share of its rms at so many pixels
 TOO_BRIGHT, TOO_MANY = 0.1, 0.02
-DEVIATIONS = 5  # of noise, that a pixel may be brighter than the model
-FEWEST_COUNTS = 200  # of an image's maximum: fewer are coarser than the paper's eps
-WHOLE = 1e-3  # of the greatest count, that counts may be off whole numbers
+DEVIATIONS = 5  # standard deviations of noise by which a pixel may be brighter than the model
+FEWEST_COUNTS = 200  # grey levels of an image: steps of fewer are coarser than the paper's eps
+WHOLE = 1e-3  # share of the largest count by which counts may differ from whole numbers
 EIGHT_BITS = 256
-AMBIGUOUS = 0.005  # share of ambiguous pixels that is told
-UNTOLD = 0.2  # of the pixels are not trusted: so many that a warning says that the albedo is not known
+AMBIGUOUS = 0.005  # share of ambiguous pixels above which a warning says so
+UNTOLD = 0.2  # share of untrusted pixels above which a warning says that the albedo is not known
 
 
 def of_images(

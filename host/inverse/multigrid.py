@@ -1,4 +1,4 @@
-"""Surfaces worked out on a grid, and brought from coarse grids to fine ones.
+"""Surfaces solved for on a grid, and brought from coarse grids to fine ones.
 
 On every small grid the smoothness falls in steps (continuation): a stiff surface has few ways to be wrong.
 Large grids are solved by cycles over all coarser ones (full approximation scheme). There the coarse target is
@@ -18,12 +18,12 @@ from .descent import Solution
 from .pyramid import Pyramid, on_coarser_grid
 from .resampling import cubic, doubled, halved, halved_depth
 
-FROM_STIFF = (1e-2, 1e-3, 1e-4)  # smoothness let down to a grid's own, on the grid of starts
-FROM_COARSER = (1e-3, 1e-4)  # and on all others
+FROM_STIFF = (1e-2, 1e-3, 1e-4)  # steps of smoothness before a grid's own, on the grid of starts
+FROM_COARSER = (1e-3, 1e-4)  # the same on finer grids
 STEPS, START_STEPS = 20, 30  # Gauss-Newton steps at one smoothness; on the grid of starts
 ITERATIONS = 60  # conjugate gradients of a step
-# tolerance of conjugate gradients, and share of the objective below which a step is the last: on the way,
-# where the way decides, and of the answer
+# tolerance of conjugate gradients, and share of the objective below which a step is the last: before the
+# answer, the same where it decides which answer is reached, and of the answer
 LOOSE, CLOSE, LAST = (0.05, 5e-3), (0.02, 1e-3), (0.01, 2e-4)
 # of a cycle's grids and of its coarsest: steps, conjugate gradients, tolerance
 SMOOTHING, COARSEST_SOLUTION = (3, 30, 0.05), (8, 60, 0.03)
@@ -37,8 +37,8 @@ Stiffness = tuple[float, ...]
 
 
 class Multigrid:
-    """Solves the problems of a pyramid. ``several``: whether there may be several answers; then all are
-    followed closely, since the way decides which one is found.
+    """Solves the problems of a pyramid. ``several``: whether there may be several answers; each step is then
+    solved more accurately, since the path decides which answer is reached.
     """
 
     def __init__(self, pyramid: Pyramid, several: bool = False):

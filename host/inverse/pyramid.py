@@ -23,28 +23,28 @@ from .resampling import cubic, doubled, halved
 
 log = logging.getLogger("skylamp")
 COARSEST = 16  # nodes on the shorter side of the coarsest grid
-IMAGE_RMS = 0.4  # to which images are scaled, so that smoothness means the same for all
-AZIMUTHS = 24  # of a sky
+IMAGE_RMS = 0.4  # rms to which images are scaled, so that one smoothness fits all
+AZIMUTHS = 24  # of a sky in the model
 # smoothness [1 / spacing^2] for an image without noise; on a large grid, where relief is rough
 LEAST_SMOOTHNESS, LEAST_ON_LARGE = 1e-5, 1e-7
-SMALL = 64  # nodes on the longer side of grids on which continuation is cheap; larger ones are cycled
-# nodes on the longer side of a large image's grid of starts, at most: relief that a coarser one does not see
-# would mislead it
+SMALL = 64  # longer side [nodes] up to which grids are solved by continuation, larger ones by cycles
+# longest side [nodes] of the grid on which the search in a large image starts: a coarser grid would not
+# represent its relief
 LARGEST_START = 128
-GOOD_RESIDUAL = 0.0025  # share of the image below which no other surface is looked for
-# of what relief leaves in second differences of the light: variance on half as fine a grid, over that on a
-# grid
+GOOD_RESIDUAL = 0.0025  # residual, as a share of the image, below which no other surface is looked for
+# variance of the light's second differences on the next coarser grid over that on a grid, as far as relief
+# causes them
 TEXTURE = 16.0
-# variance of second differences of a surface on the grid of starts, and of what a grid adds to a coarser one,
-# against which noise is weighed
+# prior variances that noise is weighed against: of second differences of a surface on the grid of starts, and
+# of those of the detail that a grid adds to the next coarser one
 PRIOR_VARIANCE, ADDED_VARIANCE = 0.1, 0.03
-LEAST_RANGE = 0.5  # nodes between the bounds of depth, when they are brought closer
+LEAST_RANGE = 0.5  # least distance [nodes] between the bounds of depth, when they are narrowed
 NORMAL_QUARTILE = 0.6745  # median of the absolute value of a standard normal number
 CROSS_NORM = 6  # root of the sum of squares of the cross of second differences
 
 
 class Level(NamedTuple):
-    """What was reached on one grid: its shape, the rms of model - image as a share of the image's, and the
+    """The result on one grid: its shape, the rms of model - image as a share of the image's, and the
     seconds since the start.
     """
 
@@ -57,8 +57,8 @@ def noise_of(image: np.ndarray) -> float:
     """Standard deviation of white noise in an image: what a cross of second differences leaves (Immerkaer
     1996, with a median).
 
-    Fine relief leaves something too, but TEXTURE times as much (variance) on a grid half as fine, where noise
-    leaves the same for each of its means; so the two are told apart.
+    Fine relief contributes too, but its variance is TEXTURE times as large on the next coarser grid, where
+    noise, scaled to that of one pixel, has the same variance. That separates the two.
     """
     if min(image.shape) < 6:
         return 0.0
@@ -80,8 +80,8 @@ def number_of(source: sources.Source) -> float:
 
 
 def grid_of_starts(shapes: list[tuple[int, ...]]) -> int:
-    """The level to start from: of small images the coarsest, of others the first below their own on which
-    the image has at most LARGEST_START nodes.
+    """The level at which the search starts: of small images the coarsest, of others the first coarser one
+    whose longer side has at most LARGEST_START nodes.
     """
     coarsest = len(shapes) - 1
     if max(shapes[0]) <= SMALL:
@@ -149,7 +149,7 @@ class Pyramid:
         return max(self.shape(level)) <= SMALL
 
     def _expect_albedo(self, level: int, z: np.ndarray) -> None:
-        """Takes the median of the albedo at z for what is expected of it everywhere."""
+        """Expects the median of the albedo at z everywhere, from here on."""
         self.problem(level).value(z, 0.0)
         self.expected_albedo = float(np.median(self.problem(level).fitted_albedo()))
         for problem in self.problems.values():
@@ -157,7 +157,7 @@ class Pyramid:
             problem.albedo.set_prior(self.expected_albedo)
 
     def smoothness(self, level: int) -> float:
-        """Weight of squared second differences: what noise leaves on a grid, against how surfaces bend."""
+        """Weight of squared second differences: variance of noise on a grid over that of the prior."""
         variance = PRIOR_VARIANCE if level >= self.start else ADDED_VARIANCE
         return self.least_smoothness(level) + (self.noise * 0.5**level) ** 2 / variance
 
@@ -209,7 +209,7 @@ class Pyramid:
 
     @contextlib.contextmanager
     def no_deeper_than(self, deepest: float, level: int) -> Iterator[None]:
-        """Closer bounds on all grids for a time: no depth beyond ``deepest`` [nodes of grid ``level``]."""
+        """Narrower bounds on all grids for a time: no depth beyond ``deepest`` [nodes of grid ``level``]."""
         free = self.bounds
         closer = (
             (low, np.clip(deepest * 2.0 ** (level - grid), low + LEAST_RANGE, high))

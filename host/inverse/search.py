@@ -20,21 +20,21 @@ from .pyramid import SMALL, on_coarser_grid
 from .resampling import blurred
 
 FLATS = 40  # flat surfaces between the bounds that are compared
-LOST = 100.0  # times the objective of a good surface, from which strong relief is looked for
-FOUND = 16.0  # times the objective of a good surface, below which strong relief is found
-# shares of the depth of the best flat surface, from which strong relief is looked for
+LOST = 100.0  # times the objective of a good surface: above it strong relief is looked for
+FOUND = 16.0  # times the objective of a good surface: below it that search ends
+# depths of the flat surfaces that the search for strong relief starts from, as shares of that of the best
 SHALLOW_STARTS = (1.0, 0.85, 0.7, 0.5, 0.35)
 BETTER = 0.5  # share of the objective below which another start is believed instead of the first
-CLEARLY = 0.9  # the same where one answer is expected, once answers are compared
-CONFINED = (0.9, 0.75)  # shares of the pixels whose depth the first answer leaves to the others
-ALIKE = 0.05  # nodes (rms) between surfaces that are one answer
-FOLLOWED = 8.0  # times the objective on a coarser grid up to which a start is followed
+CLEARLY = 0.9  # the same when answers are compared, where one is expected
+CONFINED = (0.9, 0.75)  # quantiles of the first answer's depth that bound the other answers
+ALIKE = 0.05  # rms distance [nodes] below which two surfaces are one answer
+FOLLOWED = 8.0  # times the first answer's objective on a coarser grid: other starts above it are given up
 LEAST_MISFIT = 1e-12  # of a neighbourhood, where the weights of a mosaic would divide by zero
-RIVAL = 6.0  # times the objective up to which another start counts as an answer
+RIVAL = 6.0  # times the objective of the answer: other surfaces above it are no rivals
 
 
 class OutOfTime(Exception):
-    """max_seconds are over."""
+    """The time limit max_seconds has passed."""
 
 
 class Rival(NamedTuple):
@@ -47,7 +47,7 @@ class Rival(NamedTuple):
 
 
 class Search:
-    """What one stage leaves to the next. ``several``: whether there may be several answers.
+    """The state of the search from stage to stage. ``several``: whether there may be several answers.
 
     share: of the way between the bounds of depth, where the best flat surface lies. answers: on grid
     ``level``; the first is believed unless another one is clearly better. begun: the surface that it began
@@ -74,12 +74,12 @@ class Search:
             self.check_time()
 
     def check_time(self) -> None:
-        """Raises OutOfTime; what was found until then may be of a coarser grid."""
+        """Raises OutOfTime; the best surface so far may be of a coarser grid."""
         if self.pyramid.stop():
             raise OutOfTime
 
     def flat(self, share: float, level: int) -> np.ndarray:
-        """The flat surface that is so much of the way between the bounds."""
+        """The flat surface at this share of the way between the bounds."""
         low, high = self.pyramid.bounds[level]
         z: np.ndarray = low + share * (high - low)
         return z
@@ -122,8 +122,8 @@ def start_stronger(search: Search) -> None:
 
 
 def start_shallower(search: Search) -> None:
-    """From the same surface, with the deepest of the first answer kept shallower until the end: the shallow
-    answer, where there are several.
+    """From the same surface, with depth bounded by a quantile of the first answer's, in turn by each of
+    CONFINED: the shallower answer, where there are several.
     """
     for share in CONFINED:
         other = _confined(search, float(np.quantile(search.answers[0].depth, share)))
@@ -160,7 +160,7 @@ def join(search: Search) -> None:
 
 
 def compare(search: Search) -> None:
-    """Brings the answers, but for hopeless ones, to the grid where they are compared; joins them there."""
+    """Brings the answers to the grid where they are compared, but for those above FOLLOWED; joins them."""
     level, (first, *others) = search.level, search.answers
     if search.comparing == level:
         return
@@ -188,7 +188,7 @@ def choose(search: Search) -> None:
 
 
 def polish(search: Search) -> None:
-    """Works the answer out on its grid."""
+    """Solves for the answer on its grid to the last accuracy."""
     search.answers = [search.multigrid.polish(search.level, search.answers[0].depth)]
 
 
