@@ -95,6 +95,8 @@ int meets_lamp(__global const float *depth, int x, int y, double z, int i, int j
           return 0;
       }
     }
+    if (i == 0 && j == 0)
+      return 1; /* straight up nothing is in the way, however deep the node lies */
   } else if (level < layers && flags[((size_t)level * rows + y) * cols + x])
     return 1;
   for (long t = 0;; ++t)

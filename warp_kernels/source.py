@@ -197,6 +197,8 @@ def meets_lamp(
                 half = wp.float64(0.5)
                 if px < -half or px >= wp.float64(cols) - half or py < -half or py >= wp.float64(rows) - half:
                     return False
+        if i == 0 and j == 0:
+            return True  # straight up nothing is in the way, however deep the node lies
     else:
         if level < wp.int64(layers):
             if flags[wp.int32(level), y, x] != wp.uint8(0):

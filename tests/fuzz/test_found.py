@@ -58,3 +58,11 @@ def test_a_search_that_takes_too_long_is_refused(fast, monkeypatch):
     monkeypatch.setattr(engine, "most_searched_rows", 4 * 1500, raising=False)
     with pytest.raises(sl.CapacityError, match="rows in 4 azimuths"):
         sl.horizons(scene, azimuths=8, backend=fast)
+
+
+def test_a_lamp_straight_above_is_found_in_one_step(backend):
+    """In a box 1e12 spacings deep, where kernels took one step per layer up to the lamp."""
+    cube = sl.Hemicube(3)
+    scene, lamp = sl.Scene(np.full((3, 4), 1e12), sides="dark"), sl.Lamp((1, 1, -30), 10.0)
+    bits = cube.unpack(sl.visibility(scene, lamp, cube, backend=backend))
+    assert (bits == (cube.steps[:, :2] == 0).all(1)).all()
