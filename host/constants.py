@@ -64,7 +64,7 @@ LEAST_ESCAPE = 1e-3
 # of a slope of 45 degrees it is 1, at that of a wall more than 2; chosen
 KINK = 2.0
 
-# The inverse, opencl/adjoint.cl
+# The inverse, opencl/adjoint.cl and gauss_newton.cl
 ROUNDING = 1.00001  # a block is left out if its slope is lower by this factor, more than float32 rounds by
 # component of a unit vector below which it is parallel to the grid: n times -1e-9 would be a crossing all but
 # on a node, and one of its two nodes off the map
@@ -76,5 +76,5 @@ NODES_PER_SUM = 16  # nodes that a work-item of a sum owns
 LINK_BLOCK = 32  # nodes whose links are interleaved: a GPU reads them at once, and a CPU's cache holds them
 SUM_SLOTS = 32  # integers over which a sum is spread, so that few work-items add to the same one
 COARSENING = 4  # ratio of the spacings of a grid of the preconditioner and the next finer one
-# The state of conjugate gradients, opencl/adjoint.cl
+# The state of conjugate gradients, opencl/gauss_newton.cl
 LEFT, SCATTERED, UNIT_RV, UNIT_VV, PRODUCT, ALPHA, START, GAIN, LAMBDA, DAMPING, STOP_RATIO, STATE = range(12)

@@ -61,10 +61,7 @@ first. On a GPU the LINES work-items of a group keep the rows about them in loca
             (p)[(i).s7]))
 #define LANE(type, v, l) ((type *)&v)[l]
 #endif
-#if ON_CPU /* PoCL calls its vector builtins; these go inline */
-typedef struct __attribute__((packed)) { floats v; } loose_floats;
-typedef struct __attribute__((packed)) { ints v; } loose_ints;
-#define READ(offset, pointer) (((__global const loose_floats *)((pointer) + (offset)))->v)
+#if ON_CPU
 #define MORE(a, b) ((a) > (b) ? (a) : (b))
 #define FMA(a, b, c) ((a) * (b) + (c))
 #define ORDER(g, groups) (g) /* neighbours one after another find their lines in the cache */
@@ -73,7 +70,6 @@ typedef struct __attribute__((packed)) { ints v; } loose_ints;
 #define ADD_ALL(to, values) ((__global loose_ints *)(to))->v += values
 #define ADD(to, value) *(to) += value /* azimuths come one by one, and no two lines share a node */
 #else
-#define READ(offset, pointer) LOAD(offset, pointer)
 #define MORE(a, b) fmax(a, b)
 #define FMA(a, b, c) fma(a, b, c)
 /* the longest first */

@@ -37,13 +37,10 @@ warp_kernels/interreflection.py. */
 #define LANE(type, v, l) (v)
 #define COUNT 0
 #define ANY(test) (test)
-#define READ(offset, pointer) (pointer)[offset]
-#else /* PoCL calls its vector builtins; these go inline */
+#else
 #define LANE(type, v, l) ((type *)&v)[l]
 #define COUNT (floats)(0, 1, 2, 3, 4, 5, 6, 7)
 #define ANY(test) any_lane(test)
-typedef struct __attribute__((packed)) { floats v; } loose_floats;
-#define READ(offset, pointer) (((__global const loose_floats *)((pointer) + (offset)))->v)
 int any_lane(ints test)
 {
   const int4 four = test.lo | test.hi;

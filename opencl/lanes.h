@@ -26,3 +26,13 @@ typedef JOIN(uchar, LANES) uchars;
 #define WHERE(test) (test)
 #define as_uints JOIN(as_uint, LANES)
 #endif
+/* READ as LOAD. PoCL calls its vload, but these are inline; a GPU would read a packed struct by bytes. */
+typedef struct __attribute__((packed)) { floats v; } loose_floats;
+typedef struct __attribute__((packed)) { ints v; } loose_ints;
+#if LANES == 1
+#define READ LOAD
+#define READ_INTS LOAD
+#else
+#define READ(offset, pointer) (((__global const loose_floats *)((pointer) + (offset)))->v)
+#define READ_INTS(offset, pointer) (((__global const loose_ints *)((pointer) + (offset)))->v)
+#endif

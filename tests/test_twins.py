@@ -29,7 +29,7 @@ C_TYPES = {
     "Ladder": "int32",
 }  # vectors by their elements
 C_NAMES = {"half_": "half"}  # half is a type in OpenCL
-NOT_IN_NUMPY = {("adjoint", "solve")}  # one work-item takes all steps, which NumPy is never asked for
+NOT_IN_NUMPY = {("gauss_newton", "solve")}  # one work-item takes all steps, which NumPy is never asked for
 CONSTANTS = {
     "BITS": (3, 4),
     "NEAR": (6, 12),

@@ -19,7 +19,7 @@ DeviceArray = Any  # each backend has its own
 
 
 class Launcher:
-    """Launches of the kernels of adjoint over the nodes of a grid."""
+    """Launches of the kernels of gauss_newton over the nodes of a grid."""
 
     def __init__(self, backend: Backend, shape: tuple[int, int]):
         self.backend, self.shape, self.pixels = backend, shape, shape[0] * shape[1]
@@ -30,7 +30,7 @@ class Launcher:
 
     def launch(self, kernel: str, *args: Any, dim: tuple[int, ...] | None = None) -> None:
         """Runs a kernel, over all nodes unless ``dim`` says otherwise."""
-        self.backend.launch("adjoint", kernel, dim or (-(-self.pixels // self.nodes_per_item),), *args)
+        self.backend.launch("gauss_newton", kernel, dim or (-(-self.pixels // self.nodes_per_item),), *args)
 
     def repeat(self, work: Callable[[int], None], side: int, times: int = 1) -> None:
         """Does work(side), ``times`` times; from the second call on as the backend has recorded it."""
@@ -59,8 +59,8 @@ class Surface:
     def set_depth(self, z: DeviceArray) -> None:
         rows, cols = self.launcher.shape
         heights = self.heights, self.tilts, self.top, rows, cols, MARGIN, self.sides
-        self.launcher.launch("surface", z, *heights, dim=(cols, rows))
-        self.launcher.launch("tiles", z, self.tiles, self.top, rows, cols, dim=self.across)
+        self.launcher.backend.launch("adjoint", "surface", (cols, rows), z, *heights)
+        self.launcher.backend.launch("adjoint", "tiles", self.across, z, self.tiles, self.top, rows, cols)
 
 
 def links_of(backend: Backend, pixels: int, count: int) -> tuple[DeviceArray, ...]:
