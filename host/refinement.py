@@ -64,6 +64,10 @@ SEEN = 2.0
 JUDGE_SHARE = 0.45
 BEYOND = 1e-3  # share of nodes whose error may be above the tail, which bounds a 99.9th percentile
 MOST_UNITS = {Horizons: 1024, Sliced: 1024, Lattice: 33}  # largest number of units that refinement reaches
+# azimuths of a sweep whose search takes as long as the samples' rays on a map that repeats, row by row on
+# NumPy: measured 29 (relief of 100 spacings, 16 x 16, two busy cores). Chosen: some 55 s for the longest plan
+# there, by that measurement; with half, twice as long
+SAMPLED_SEARCHES = 16
 MOST_STEPS = 2**40  # nodes x azimuths of a call: some three hours on two cores, ten seconds on an H200
 
 # -- skies
@@ -493,10 +497,12 @@ class _Planner(ABC):
         self.tolerance, self.tail = tolerance, tail
         self.samples = samples_of(engine, scene, self.sample_count)
         lap = self.samples.relief / SAMPLED_SLOPE
-        if scene.sides == "periodic" and lap * len(self.samples) > MOST_STEPS / 512:
+        most = min(MOST_STEPS / 512 / len(self.samples), engine.most_searched_rows / SAMPLED_SEARCHES)
+        if scene.sides == "periodic" and lap > most:
             raise CapacityError(
                 f"A relief of {self.samples.relief:.3g} spacings on a map that repeats must be followed over"
-                f" {lap:.2g} nodes; give depth and spacing in one unit."
+                f" {lap:.2g} nodes; {engine.name} takes {most:.2g} at most. Give depth and spacing in one"
+                " unit, or choose a compiled backend."
             )
 
     @abstractmethod
@@ -794,6 +800,11 @@ class _SkyPlanner(_UnitsPlanner):
                 self.near_rows = near
                 self.method = self._horizons(self.method.units)
                 return True
+        if self.method_class is Horizons and self.scene.sides == "periodic":
+            times = self.method.units // self.units
+            added = times * (self.units + 2 * len(self.bright_parts) * self.sectors)
+            if self.samples.relief / LEAST_SEARCHED_SLOPE * added > self.engine.most_searched_rows:
+                return False  # the image stays, with its warning
         return super().refine(is_shared)
 
     def choices(self) -> Iterator[Choice]:

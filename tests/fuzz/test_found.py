@@ -66,3 +66,16 @@ def test_a_lamp_straight_above_is_found_in_one_step(backend):
     scene, lamp = sl.Scene(np.full((3, 4), 1e12), sides="dark"), sl.Lamp((1, 1, -30), 10.0)
     bits = cube.unpack(sl.visibility(scene, lamp, cube, backend=backend))
     assert (bits == (cube.steps[:, :2] == 0).all(1)).all()
+
+
+def test_searches_of_a_plan_are_bounded_before_they_start(fast, monkeypatch):
+    """On NumPy a plan over high relief took minutes; an image that was refined ended with an error."""
+    scene = sl.Scene(20 * np.random.default_rng(1).random((16, 16)), sides="periodic")
+    sky, engine = sl.Sky(sl.cosine_power(4.0)), select(fast)
+    monkeypatch.setattr(engine, "most_searched_rows", 40 * 2000, raising=False)
+    result = sl.render(scene, sky, tolerance=1e-3, interreflection=False, backend=fast)
+    assert [step.units for step in result.plan.steps] == [48]
+    assert result.warnings[0].startswith("Tolerance")
+    monkeypatch.setattr(engine, "most_searched_rows", 20 * 2000, raising=False)
+    with pytest.raises(sl.CapacityError, match="must be followed over 4e[+]03 nodes"):
+        sl.plan(scene, sky, backend=fast)
