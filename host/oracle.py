@@ -946,21 +946,45 @@ def mirror_radiance(
     brightness: Callable[[np.ndarray], np.ndarray],
     nodes: Node,
     sides: str = "open",
+    ground: np.ndarray | None = None,
 ) -> np.ndarray:
     """The sky in an ideal mirror at ``nodes``: (n,) float64, brightness(L) along the mirror direction.
 
-    It is 0 where ground is in the way.
+    Where ground is in the way it is 0, or the radiance of that ground, given ``ground`` (rows, cols). A ray
+    meets it as the far end of a strip of :func:`strips`, and its radiance is that on the same stretch.
     """
     normal = normals(depth, spacing, valid, sides)
     R = -2 * normal[..., 2:] * normal - [0.0, 0.0, -1.0]
-    return np.array(
-        [
-            brightness(R[node][None])[0]
-            * (R[node][2] <= 0)
-            * unblocked(depth, spacing, *node, R[node][None], np.array([np.inf]), sides)[0]
-            for node in zip(*nodes)
-        ]
-    )
+    found = []
+    for node in zip(*nodes):
+        away, radiance = R[node], 0.0
+        if away[2] <= 0 and unblocked(depth, spacing, *node, away[None], np.array([np.inf]), sides)[0]:
+            radiance = brightness(away[None])[0]
+        elif ground is not None:
+            radiance = _met(np.where(valid, -depth / spacing, -1e30), ground, *node, away, sides)
+        found.append(radiance)
+    return np.array(found)
+
+
+def _met(
+    height: np.ndarray, ground: np.ndarray, row: int, col: int, direction: np.ndarray, sides: str
+) -> float:
+    """Radiance of the ground that a ray from a node meets first, 0 where it meets none."""
+    flat = math.hypot(direction[0], direction[1])
+    if flat == 0:
+        return 0.0
+    x, y = (0.0 if abs(part) < 1e-12 else part / flat for part in direction[:2])
+    before = (0.0, float(ground[row, col]))  # of the ground over the ray, and its radiance
+    for crossing in _crossings(x, y, math.hypot(*height.shape)):
+        at, a, b, w = _ground(height, np.array([row]), np.array([col]), crossing, sides)
+        over = float(at[0] - height[row, col] + crossing[0] * direction[2] / flat)
+        radiance = float((1 - w[0]) * ground.ravel()[a[0]] + w[0] * ground.ravel()[b[0]])
+        if over > 0:
+            gap, last = before
+            past = 0.5 if gap == 0 else gap / (gap - over)
+            return last + past * (radiance - last)
+        before = min(over, -1e-300), radiance
+    return 0.0
 
 
 def _gather(

@@ -89,6 +89,8 @@ def _refused_lamp(
         return "a lamp without a centre", "a sphere, by its center and radius"
     if scene.sides != "open":
         return f"a lamp with sides {scene.sides!r}", "sides 'open'"
+    if options.shines(scene):
+        return "a lobe or a mirror", "a Lambertian surface, or quantity='irradiance'"
     rows, cols = (area.stop - area.start for area in _lit_area(scene, lamp, options.max_distance))
     if rows < 1 or cols < 1:
         return "a lamp beyond whose reach the whole map lies", "a larger max_distance"

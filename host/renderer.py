@@ -67,17 +67,18 @@ class Renderer:
         self.plans: list[Plan] = []
         self.warnings: list[str] = []
         self.parts: list[tuple[Refined, float]] = []  # refined irradiances, times factors
+        self.unlit: np.ndarray | None = None  # (rows, cols) bool: mirrors that do not show the source
         self.interreflection: Interreflection | None = None
         self.between: list[float] = []  # error of the light between surfaces, of every part
 
     def render(self) -> Rendering:
         """All of it, timed."""
-        (direct, irradiances, shine), seconds, compiling = timed(self.engine, self._all_light)
+        (direct, irradiances, shine, shown), seconds, compiling = timed(self.engine, self._all_light)
         scene, quantity = self.scene, self.options.quantity
         first = rest = None
         if self.options.parts:
             first = image_of(scene, [light.copy() for light in on_host(direct)], shine, quantity)
-        image = self._image(irradiances, shine)
+        image = self._image(irradiances, shown)
         if first is not None:
             if image.ndim > first.ndim:  # a coloured ground alone colours an irradiance
                 first = np.repeat(first[..., None], image.shape[-1], -1)
@@ -113,9 +114,15 @@ class Renderer:
             return image
         return DeviceImage(engine, engine.upload(image.reshape(-1)), scene.shape)
 
-    def _all_light(self) -> tuple[list[Irradiance], list[Irradiance], list[np.ndarray]]:
-        """Direct irradiances, irradiances of all light, and what else is reflected: an array per colour."""
+    def _all_light(self) -> tuple[list[Irradiance], list[Irradiance], list[np.ndarray], list[np.ndarray]]:
+        """Direct irradiances, irradiances of all light, and what else is reflected of direct light and of all
+        light: an array per colour each."""
         direct, shine = self._light()
+        irradiances = self._with_bounces(direct)
+        return direct, irradiances, shine, _with_ground(self, irradiances, shine)
+
+    def _with_bounces(self, direct: list[Irradiance]) -> list[Irradiance]:
+        """Irradiances of all light, or of direct light where the rest is left out."""
         why = _left_out(self.scene, self.options, self.plans if self.planned else None)
         if why or not direct:
             why = why or "there is no Lambertian reflection to show"
@@ -124,9 +131,8 @@ class Renderer:
             # light between surfaces would be in colour, so this is too, whether it is included or not
             coloured = self.planned and self.options.interreflection == "auto" and len(direct) == 1
             coloured = coloured and is_in_colour(np.asarray(self.scene.albedo))
-            return direct, list(direct) * (3 if coloured else 1), shine
-        known = direct if self.on_device else on_host(direct)
-        return list(known), list(_interreflected(self, known)), shine
+            return list(direct) * (3 if coloured else 1)
+        return list(_interreflected(self, direct if self.on_device else on_host(direct)))
 
     def _light(self) -> tuple[list[Any], list[np.ndarray]]:
         """Irradiances, and the radiance that is reflected besides rho E / pi: one array per colour each."""
@@ -242,7 +248,9 @@ class Renderer:
     def _mirrored(self, max_distance: float | None) -> list[np.ndarray]:
         if not self.options.mirror(self.scene):
             return []
-        return shading.mirrored(self.scene, self.greys, self.engine, max_distance)
+        images, lit = shading.mirrored(self.scene, self.greys, self.engine, max_distance)
+        self.unlit = ~lit
+        return images
 
     def _lattice(self) -> tuple[list[Any], list[np.ndarray]]:
         """:meth:`_light` over the directions of a hemicube."""
@@ -317,6 +325,22 @@ def _interreflected(call: Renderer, direct: Sequence[Irradiance]) -> Sequence[Ir
         return both.irradiances
     call.between = [factor * both.errors[0] for factor in factors]
     return [scaled(both.irradiances[0], factor) for factor in factors]
+
+
+def _with_ground(
+    call: Renderer, irradiances: Sequence[Irradiance], shine: list[np.ndarray]
+) -> list[np.ndarray]:
+    """What is reflected besides rho E / pi, with the ground that mirrors show."""
+    scene, options = call.scene, call.options
+    shows = options.interreflection is True or options.interreflection == "auto" and call.planned
+    if call.unlit is None or not irradiances or not shows:
+        return shine
+    ground = shading.mirrored_ground(scene, call.unlit, options.max_distance)
+    radiance = image_of(scene, [light.copy() for light in on_host(irradiances)], [], "radiance")
+    colours = np.nan_to_num(radiance).reshape(*scene.shape, -1)  # 0 where masked, of weight 0
+    images = [ground.image(colours[..., n]) for n in range(colours.shape[-1])]
+    count = max(len(shine), len(images))
+    return [shine[n % len(shine)] + images[n % len(images)] for n in range(count)]
 
 
 def _left_out(scene: Scene, options: Options, plans: list[Plan] | None) -> str:

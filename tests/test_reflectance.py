@@ -9,7 +9,7 @@ from compare import assert_bits_equal, assert_close
 from scenes import rough
 
 import skylamp as sl
-from skylamp import oracle
+from skylamp import oracle, shading
 from skylamp.backends import select
 from skylamp.radiometry import directional_hemispheric, patch_solid_angle
 from skylamp.reflectance import frames, mirror_directions
@@ -561,18 +561,44 @@ def test_a_mirror_shows_the_pixel_of_the_environment_map(backend):
 
 
 def test_mirrors_on_rough_ground(fast):
-    """Against the oracle, node by node: what is hidden is hidden, and the rest shows the sky."""
-    nodes = tuple(index.ravel() for index in np.indices(GROUND.shape))
-    steep = 2.0 * GROUND
-    got = sl.render(
-        sl.Scene(steep, reflectance=sl.Mirror()), sl.Sky(clear), method="horizon", backend=fast
-    ).image
-    wanted = oracle.mirror_radiance(
-        steep.astype(np.float32).astype(float), 1.0, steep >= 0, clear, nodes
-    ).reshape(GROUND.shape)
-    assert 0.05 < (wanted == 0).mean() < 0.9
-    off = np.abs(got - wanted) > 1e-4
-    assert off.mean() < 0.003  # a ray that grazes an edge may go either way
+    """Against the oracle, node by node: the sky, or the ground that a ray meets first, behind holes as well."""
+    ground = np.random.default_rng(0).uniform(0.2, 1, GROUND.shape)
+    steep = 2.0 * GROUND.astype(np.float32)
+    valid = np.ones(steep.shape, bool)
+    valid[8:11, 9:12] = False
+    depth, nodes = np.where(valid, steep, np.nan).astype(float), np.nonzero(valid)
+    scene = sl.Scene(steep, mask=valid, reflectance=sl.Mirror())
+    (sky,), lit = shading.mirrored(scene, [sl.Sky(clear)], select(fast), None)
+    there = shading.mirrored_ground(scene, ~lit, None)
+    for shown, radiance in ((sky, None), (sky + there.image(ground), ground)):
+        wanted = oracle.mirror_radiance(depth, 1.0, valid, clear, nodes, ground=radiance)
+        assert 0.05 < (wanted == 0).mean() < 0.9
+        off = np.abs(shown[nodes] - wanted) > 1e-4
+        assert off.mean() < 0.003  # a ray that grazes an edge may go either way
+    furnace = there.image(np.ones(steep.shape))[nodes]
+    assert np.abs(furnace - (furnace > 0.5)).max() < 1e-6 and (furnace > 0).mean() > 0.3
+
+
+@pytest.mark.parametrize("slope", [2.0, 0.8])
+def test_mirrors_show_the_other_side_of_a_valley(fast, slope):
+    """In a V of straight sides rays, below the level and above it, meet the other side in closed form."""
+    x = np.arange(41) - 20
+    depth = np.tile(slope * (20 - np.abs(x)), (9, 1))
+    colour = (0.5, 0.4, 0.2)
+    options = {"backend": fast, "tolerance": 0.01, "interreflection": True}
+    ground = sl.render(sl.Scene(depth, albedo=colour), sl.Sky(), **options).image[4]
+    rise = (1 - slope**2) / (2 * slope)  # of the ray, over its distance
+    meets = -np.sign(x) * np.abs(x) * (slope + rise) / (slope - rise)
+    scene = sl.Scene(depth, reflectance=sl.Mirror(0.4, colour))
+    done = sl.render(scene, sl.Sky(), parts=True, **options)
+    there = (np.abs(meets) < 19.5) & (np.abs(x) > 1) & (np.abs(x) < 20)
+    assert there.sum() > 15
+    for n in range(3):
+        wanted = ground[:, n] + 0.4 * np.interp(meets, x, ground[:, n])
+        np.testing.assert_allclose(done.image[4, there, n], wanted[there], rtol=1e-5)
+    np.testing.assert_allclose(done.direct + done.reflected, done.image, rtol=1e-6)
+    alone = sl.render(scene, sl.Sky(), **{**options, "interreflection": False}).image
+    np.testing.assert_allclose(done.direct, alone, rtol=1e-6)
 
 
 def test_mirrors_see_lamps_and_windows(fast):
