@@ -39,8 +39,8 @@ class Rendering:
     image (rows, cols) float32, or (rows, cols, 3) in colour, nan where masked, an xarray.DataArray if the
     scene was made from one, a DeviceImage if its map lies on a GPU; plan; backend (its name); seconds of the
     call without compiling, compile_seconds; warnings (one sentence each). interreflection: the decision
-    about the light between surfaces. direct, reflected: with ``parts=True``, the image by direct light alone,
-    and the rest of it.
+    about the light between surfaces. direct, reflected: with ``parts=True``, the image by direct light alone
+    (ground in mirrors is black), and the rest of it.
     """
 
     image: np.ndarray

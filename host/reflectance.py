@@ -107,7 +107,9 @@ class Phong:
 class Mirror:
     """Ideal mirror: a pixel shows ``specular`` x the radiance along its mirror direction.
 
-    It shows none where something is in the way, and a Lambertian part besides.
+    Besides there is a Lambertian part. Where ground is in the way, images with light between surfaces show
+    that ground's albedo E / pi, not what it mirrors itself; images of direct light show none. Other ground
+    is lit by the Lambertian part alone.
 
     Its f is no function but a delta; as a mapping of rays it is reciprocal, and bounded for albedo + specular
     <= 1.

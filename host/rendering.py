@@ -71,7 +71,7 @@ def render(
     interreflection : "auto", True or False
         Light between surfaces, to any number of bounces. ``auto``: where a tolerance chooses the method it is
         included if it is more than a third of the tolerance (in tiles, by windows of all), which then holds
-        for all light; methods asked for are of direct light. Lobes and mirrors reflect direct light.
+        for all light. False, and methods asked for: direct light; ground in mirrors is black, as in lobes.
     parts : bool
         Give ``direct`` and ``reflected`` besides.
     tiling : Tiling

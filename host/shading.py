@@ -167,7 +167,10 @@ def _first_ground(
         near = (low[1] * cols + low[0]).astype(np.int64)
         far = near + (part[0] > 0) + cols * (part[1] > 0)
         part = part.max(0)  # one of the two is 0 at a crossing
-        before, gap[going] = gap[going], ground[near] + part * (ground[far] - ground[near]) - own[going] - rise
+        before, gap[going] = (
+            gap[going],
+            ground[near] + part * (ground[far] - ground[near]) - own[going] - rise,
+        )
         gap[going] = np.nan_to_num(gap[going], nan=-np.inf, neginf=-np.inf)
         hit = gap[going] > -GRAZES * (1 + np.abs(slope[going])) * t
         past = _past(before, gap[going], first)
@@ -183,7 +186,7 @@ def _first_ground(
 
 
 def _past(before: np.ndarray, here: np.ndarray, first: np.ndarray) -> np.ndarray:
-    """The part of a stretch before a ray meets it, from how far the ground at its two ends is above the ray."""
+    """The part of a stretch before a ray meets it, from how far ground is above it at both ends."""
     known = np.isfinite(before) & (here > before)
     climbs = np.where(known, here - np.where(known, before, 0.0), 1.0)
     past = np.where(known, -np.where(known, before, 0.0) / climbs, 1.0)

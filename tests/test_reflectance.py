@@ -561,7 +561,7 @@ def test_a_mirror_shows_the_pixel_of_the_environment_map(backend):
 
 
 def test_mirrors_on_rough_ground(fast):
-    """Against the oracle, node by node: the sky, or the ground that a ray meets first, behind holes as well."""
+    """Against the oracle, node by node: the sky, or the ground that a ray meets first, holes apart."""
     ground = np.random.default_rng(0).uniform(0.2, 1, GROUND.shape)
     steep = 2.0 * GROUND.astype(np.float32)
     valid = np.ones(steep.shape, bool)
@@ -599,6 +599,11 @@ def test_mirrors_show_the_other_side_of_a_valley(fast, slope):
     np.testing.assert_allclose(done.direct + done.reflected, done.image, rtol=1e-6)
     alone = sl.render(scene, sl.Sky(), **{**options, "interreflection": False}).image
     np.testing.assert_allclose(done.direct, alone, rtol=1e-6)
+    little = sl.render(scene, sl.Sky(), tolerance=1.0, backend=fast)  # direct light alone, in mirrors as well
+    bare = sl.render(sl.Scene(depth, albedo=0.5), sl.Sky(), tolerance=1.0, backend=fast)
+    assert not little.interreflection.included
+    wanted = bare.image[4] + 0.4 * np.interp(meets, x, bare.image[4])
+    np.testing.assert_allclose(little.image[4, there, 0], wanted[there], rtol=1e-5)
 
 
 def test_mirrors_see_lamps_and_windows(fast):

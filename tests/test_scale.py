@@ -514,6 +514,9 @@ def test_a_lamp_that_lights_too_much_is_refused(dem, fast, monkeypatch):
     lamp = sl.Lamp(center=(0, 0, -10), radius=3)
     with pytest.raises(InputError, match="230 x 290 nodes.*max_distance"):
         sl.render(sl.Scene.from_height(dem.chunk()), lamp, backend=fast)
+    mirror = sl.Scene.from_height(dem.values, SPACING, reflectance=sl.Mirror(0.5, 0.5))
+    with pytest.raises(InputError, match="a lobe or a mirror.*Lambertian"):
+        sl.render(mirror, lamp, backend=fast, tiling=SMALL)
 
 
 @pytest.mark.parametrize(
