@@ -17,7 +17,7 @@ from dataclasses import replace
 import numpy as np
 from pairs import pair, truth
 from plans import relative_errors
-from refinement import NODES, estimated
+from refinement import NODES, estimated, least_light
 
 import skylamp as sl
 from skylamp.backends import select
@@ -56,7 +56,9 @@ CONSTANTS = {  # module and name: on which pairs
 
 
 def known_pairs(seed, count, size, backend, kind):
-    """The first ``count`` pairs of a kind whose brightness varies: scene, source, samples, their light."""
+    """The first ``count`` pairs of a kind: scene, source, samples, their light, the least light that errors are
+    relative to.
+    """
     number = 0
     while count:
         _, ground, _, source, light = pair(seed, number, size)
@@ -65,14 +67,20 @@ def known_pairs(seed, count, size, backend, kind):
             continue
         if kind != LIGHTS or len(Integrals(source).bright_parts) > 1:
             samples = Samples(select(backend), ground, NODES, first=100_003)
-            yield ground, source, samples, truth(samples, ground, source, light)
+            yield (
+                ground,
+                source,
+                samples,
+                truth(samples, ground, source, light),
+                least_light(samples, ground, source),
+            )
             count -= 1
 
 
 def judge(pairs, backend):
     """(errors over the tolerance, how many are beyond 1.5 without a warning, seconds)."""
     over, silent, start = [], 0, time.perf_counter()
-    for ground, source, samples, exact in pairs:
+    for ground, source, samples, exact, least in pairs:
         out = sl.render(
             replace(ground),
             source,
@@ -81,7 +89,7 @@ def judge(pairs, backend):
             backend=backend,
             interreflection=False,
         )
-        over.append(relative_errors(samples, out.image, exact)[0] / TOLERANCE)
+        over.append(relative_errors(samples, out.image, exact, least)[0] / TOLERANCE)
         silent += over[-1] > 1.5 and np.isnan(estimated(out.warnings))
     return np.array(over), silent, time.perf_counter() - start
 
