@@ -17,7 +17,7 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-from .arrays import Quantity, labelled
+from .arrays import Quantity, by_bands, labelled
 from .backends import backends, prefer
 from .backends.base import Backend, within
 from .checks import positive_number
@@ -138,6 +138,13 @@ class Layout(NamedTuple):
         """Rows and columns around every tile; none along an axis that has one tile."""
         depth = self.tiling.halo + self.room
         return [depth if len(starts) > 1 or self.periodic else 0 for starts in self.starts]
+
+    def beside(self, axis: int, first: int, count: int) -> tuple[int, int]:
+        """Nodes of a window before and behind a tile, along an axis of the map."""
+        depth, nodes = self.depths[axis], self.shape[axis]
+        if self.periodic:
+            return depth, depth
+        return min(first, depth), min(nodes - first - count, depth)
 
     def roomy(self, box: Box) -> Box:
         """A tile and ``room`` nodes around it, as far as the map goes."""
@@ -281,9 +288,9 @@ def sums_of_tile(work: Any, spacing: float, heights: np.ndarray, albedo: Any) ->
     rows, cols = (_windows_along(nodes) for nodes in heights.shape)
     for part in [(..., r, c) for r in rows for c in cols]:
         window = heights[part]
-        valid = np.isfinite(window)
+        valid = _valid(window)
         seen += window.size
-        if valid.any():
+        if valid is None or valid.any():
             here = albedo[part] if np.ndim(albedo) > 1 else albedo
             sums += work.sums(_scene_of(window, valid, spacing, here))
     return sums * (heights.size / seen)
@@ -348,18 +355,16 @@ def tile_of(
     nothing beyond the halo counts. ``albedo``: one, or that of the window, (rows, cols) or (3, rows, cols).
     """
     (row, rows), (col, cols) = box
-    before = [
-        depth if layout.periodic else min(first, depth) for first, depth in zip((row, col), layout.depths)
-    ]
+    before = [layout.beside(axis, *one)[0] for axis, one in enumerate(box)]
     inner = (..., slice(before[0], before[0] + rows), slice(before[1], before[1] + cols))
-    valid = np.isfinite(window)
-    if not valid.any():
+    valid = _valid(window)
+    if valid is not None and not valid.any():
         return _nothing(part, rows, cols)
     scene = _scene_of(window, valid, layout.spacing, albedo)
     far, max_distance = None, layout.max_distance
     if top is not None:
         assert low is not None, "there are overviews of all levels, or of none"
-        heights = window if scene.mask is None else np.where(valid, window, np.nan)
+        heights = window if valid is None else np.where(valid, window, np.nan)
         far = _far(layout, box, (before[0], before[1]), heights, low, top)
         if layout.audit is not None and (part is None or part.start == 0):
             _audit(layout.audit, scene, far)
@@ -367,7 +372,15 @@ def tile_of(
         near = layout.tiling.halo * layout.spacing
         max_distance = near if max_distance is None else min(near, max_distance)
     values = (work(scene, max_distance, far) if part is None else work(scene, max_distance, far, part))[inner]
-    return np.where(valid[inner[1:]], values, np.float32(np.nan))
+    return values if valid is None else np.where(valid[inner[1:]], values, np.float32(np.nan))
+
+
+def _valid(window: np.ndarray) -> np.ndarray | None:
+    """Where a window has data; None where that is everywhere."""
+    if all(by_bands(lambda rows: bool(np.isfinite(window[rows]).all()), window.shape)):
+        return None
+    valid: np.ndarray = np.isfinite(window)
+    return valid
 
 
 def _audit(audit: Audit, scene: Scene, far: Far) -> None:
@@ -411,13 +424,13 @@ def _audit(audit: Audit, scene: Scene, far: Far) -> None:
 
 
 def _scene_of(
-    window: np.ndarray, valid: np.ndarray, spacing: float, albedo: Any, sides: str = "open"
+    window: np.ndarray, valid: np.ndarray | None, spacing: float, albedo: Any, sides: str = "open"
 ) -> Scene:
     """The scene of a window; where it is not ``valid`` it is masked."""
-    mask, albedo = None if valid.all() else valid, np.asarray(albedo)
-    heights = window if mask is None else np.where(valid, window, 0)
+    albedo = np.asarray(albedo)
+    heights = window if valid is None else np.where(valid, window, 0)
     surface = np.moveaxis(albedo, 0, -1) if albedo.ndim == 3 else albedo
-    return Scene.from_height(heights, spacing, surface, mask, sides)
+    return Scene.from_height(heights, spacing, surface, valid, sides)
 
 
 def _nothing(part: slice | None, *shape: int) -> np.ndarray:
@@ -576,10 +589,10 @@ def _area(
     albedo: Any,
 ) -> np.ndarray:
     """``work`` of the part of a map whose ``highest`` ground is given."""
-    valid = np.isfinite(window)
-    if not valid.any():
+    valid = _valid(window)
+    if valid is not None and not valid.any():
         return np.full((*((3,) if work.in_colour else ()), *window.shape), np.nan, np.float32)
-    below = float(highest) - float(window[valid].max())
+    below = float(highest) - float((window if valid is None else window[valid]).max())
     values: np.ndarray = work(_scene_of(window, valid, spacing, albedo), rows.start, cols.start, below)
     return values
 
@@ -629,13 +642,69 @@ def lazily(work: Work, scene: Scene, layout: Layout, *leading: int) -> Any:
 
 
 def _windows(da: Any, values: Any, layout: Layout) -> Any:
-    """A dask.array (..., rows, cols) in tiles, each with what is around it."""
+    """A dask.array (..., rows, cols) in tiles, each with what is around it.
+
+    Neighbours give copies of their outermost rows and columns: Dask's own slices are views, which would keep
+    all nine tiles in memory until the window is made.
+    """
+    from dask.base import tokenize
+    from dask.highlevelgraph import HighLevelGraph
+
     before = values.ndim - 2
     tiles = values.rechunk({n: -1 for n in range(before)} | dict(enumerate(layout.sizes, before)))
-    depths = {n: 0 for n in range(before)} | dict(enumerate(layout.depths, before))
     kind = "periodic" if layout.periodic else "none"
     boundary = {n: kind if n >= before else "none" for n in range(values.ndim)}
-    return da.overlap.overlap(tiles, depths, boundary, allow_rechunk=False)
+    down, across = layout.depths
+    parts = [tiles]
+    for axis, depth, others in (before, down, (down, across)), (before + 1, across, (0, across)):
+        chunks = [*tiles.chunks[:axis], (2 * depth,) * tiles.numblocks[axis], *tiles.chunks[axis + 1 :]]
+        ends = partial(_ends, axis=axis, depth=depth)
+        edges = da.map_blocks(ends, tiles, chunks=chunks, dtype=tiles.dtype, meta=tiles._meta)
+        depths = {n: 0 for n in range(before)} | dict(enumerate(others, before))
+        parts.append(da.overlap.overlap(edges, depths, boundary, allow_rechunk=False))
+    # no blockwise layer: Dask would fuse it with the work, and keep the tile beside its window meanwhile
+    name, boxes = "window-" + tokenize(layout, *(part.name for part in parts)), iter(layout.boxes())
+    tasks: Any = {
+        (name, *place): (partial(_window, layout, next(boxes)), *((part.name, *place) for part in parts))
+        for place in np.ndindex(tiles.numblocks)
+    }
+    sizes = [
+        tuple(sum(layout.beside(axis, *one)) + one[1] for one in zip(layout.starts[axis], layout.sizes[axis]))
+        for axis in (0, 1)
+    ]
+    graph = HighLevelGraph.from_collections(name, tasks, dependencies=parts)
+    return da.Array(graph, name, (*tiles.chunks[:before], *sizes), meta=tiles._meta)
+
+
+def _ends(block: np.ndarray, axis: int, depth: int) -> np.ndarray:
+    """A copy of the first and the last ``depth`` elements along an axis."""
+    count = block.shape[axis]
+    ends: np.ndarray = np.take(block, np.r_[:depth, count - depth : count], axis)
+    return ends
+
+
+def _window(layout: Layout, box: Box, tile: np.ndarray, rows: np.ndarray, cols: np.ndarray) -> np.ndarray:
+    """A tile (..., rows, cols) with what is around it.
+
+    ``rows``: the tile's ends between those of the tiles above and below, with corners; ``cols``: the same of
+    the tiles to the left and right, without.
+    """
+    (above, below), (left, right) = (layout.beside(axis, *one) for axis, one in enumerate(box))
+    down, across = tile.shape[-2:]
+    window = np.empty((*tile.shape[:-2], above + down + below, left + across + right), tile.dtype)
+    window[..., :above, :] = rows[..., :above, :]
+    window[..., above + down :, :] = rows[..., rows.shape[-2] - below :, :]
+    inner = window[..., above : above + down, :]
+    inner[..., :left] = cols[..., :left]
+    inner[..., left : left + across] = tile
+    inner[..., left + across :] = cols[..., cols.shape[-1] - right :]
+    return window
+
+
+def _box(layout: Layout, i: np.ndarray, j: np.ndarray) -> Box:
+    """The tile whose numbers, down and across, are the elements of ``i`` and ``j``."""
+    (rows, cols), (heights, widths) = layout.starts, layout.sizes
+    return (rows[int(i[0])], heights[int(i[0])]), (cols[int(j[0])], widths[int(j[0])])
 
 
 def _parts(layout: Layout, *leading: int) -> list[slice | None]:
@@ -731,8 +800,8 @@ def _whole(
     albedo: Any,
 ) -> np.ndarray:
     """``work`` of a map that is one tile."""
-    valid, part, max_distance = np.isfinite(window), parts[int(np.sum(number))], layout.max_distance
-    if not valid.any():
+    valid, part, max_distance = _valid(window), parts[int(np.sum(number))], layout.max_distance
+    if valid is not None and not valid.any():
         return _nothing(part, *window.shape)
     if layout.undecided:
         work, layout = settled(work, layout, sums_of_tile(work, layout.spacing, window, albedo))
@@ -753,15 +822,15 @@ def _block(
     top: Top | None = None,
     sums: np.ndarray | None = None,
 ) -> np.ndarray:
-    (rows, cols), (heights, widths) = layout.starts, layout.sizes
-    box = (rows[int(i[0])], heights[int(i[0])]), (cols[int(j[0])], widths[int(j[0])])
+    box = _box(layout, i, j)
     if sums is not None:
         depths = layout.depths
         work, layout = settled(work, layout, sums)
         less = [before - after for before, after in zip(depths, layout.depths)]
         window = trimmed(window, layout, box, less)
         albedo = trimmed(albedo, layout, box, less) if np.ndim(albedo) > 1 else albedo
-    return tile_of(work, layout, box, window, low, top, parts[int(np.sum(number))], albedo)
+    values = tile_of(work, layout, box, window, low, top, parts[int(np.sum(number))], albedo)
+    return np.ascontiguousarray(values)  # a view would keep the halo too
 
 
 def trimmed(window: np.ndarray, layout: Layout, box: Box, less: list[int]) -> np.ndarray:

@@ -5,6 +5,7 @@
     python performance/scale.py --cities                              # error and audit among houses
     python performance/scale.py --between                             # light between surfaces
     python performance/scale.py --memory 8192                         # bytes of a process and of its GPU
+    python performance/scale.py --processor 16384 --tile 8192         # processor time a node, and memory
     python performance/scale.py --big 65536 --tile 4096 --workers 4   # time of a map that is generated lazily
 
 Errors are those of tiles against the same call on the whole map, which has the sweeps' own error besides.
@@ -26,6 +27,7 @@ import sys
 import threading
 import time
 import warnings
+import weakref
 from pathlib import Path
 
 import numpy as np
@@ -241,12 +243,52 @@ class GpuMemory(threading.Thread):
             self.smi.wait()
 
 
+class HostMemory(threading.Thread):
+    """Peak of this process [byte] without the arrays of a backend whose device is the host, every 5 ms.
+
+    ``device``: peak of these arrays; 0 on a GPU, which has them in memory of its own.
+    """
+
+    def __init__(self, engine):
+        super().__init__(daemon=True)
+        self.peak, self.now, self.device, self.ended = 0, 0, 0, False
+        if engine.shares:
+            engine.empty, engine.upload = map(self.counted, (engine.empty, engine.upload))
+        self.start()
+
+    def counted(self, make):
+        def made(*args, constant=False, **options):
+            found = make(*args, **options, **({"constant": True} if constant else {}))
+            if not constant:  # else it is the host's own array
+                self.add(found.nbytes)
+                weakref.finalize(found, self.add, -found.nbytes)
+            return found
+
+        return made
+
+    def add(self, count):
+        self.now += count
+        self.device = max(self.device, self.now)
+
+    def run(self):
+        while not self.ended:
+            held = self.now
+            resident = os.sysconf("SC_PAGE_SIZE") * int(Path("/proc/self/statm").read_text().split()[1])
+            self.peak = max(self.peak, resident - max(held, self.now))
+            time.sleep(0.005)
+
+    def stop(self):
+        self.ended = True
+        self.join()
+
+
 def memory(tile, backend, azimuths, what):
     """A line of JSON: peaks of this process, and of its GPU, for a tile with others all around [byte].
 
     ``what``: "svf", "openness" or "render" (a clear sky with a sun). host: beyond what the process took
     before, and beyond the tile's window and its result; device: beyond what was taken before the process used
-    it, of which ``driver`` is what one small map takes.
+    it, of which ``driver`` is what one small map takes. Where the device is the host, device is its arrays,
+    host the rest, and together (which need not peak at the same time) what both take.
     """
     gpu = GpuMemory()
     idle = gpu.settled()
@@ -272,13 +314,15 @@ def memory(tile, backend, azimuths, what):
     )
     tiling = sl.Tiling(tile)
     found = works[what](sl.Scene.from_height(heights), tiling=tiling, **options)
+    host = HostMemory(select(backend))
     found[tile : 2 * tile, tile : 2 * tile].sum().compute(scheduler="sync")
     peak = 1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     data = 4 * (tile + 2 * tiling.halo) ** 2 + 4 * tile**2
+    host.stop()
     gpu.stop()
     told = {"tile": tile, "what": what, "backend": select(backend).name, "azimuths": azimuths}
-    told |= {"process": peak, "before": before, "host": peak - before - data}
-    told |= {"device": gpu.peak - idle, "driver": driver}
+    told |= {"process": peak, "before": before, "host": host.peak - before - data}
+    told |= {"together": peak - before - data, "device": host.device or gpu.peak - idle, "driver": driver}
     print(json.dumps(told))
 
 
@@ -301,9 +345,39 @@ def hills(block_info=None):
     return (waves[0].astype(np.float32) @ waves[1].T.astype(np.float32)).astype(np.float32, copy=False)
 
 
+def lazy_view(side, tile, azimuths, backend):
+    """The mean sky-view factor of generated hills, which is not computed yet."""
+    dask_array = __import__("dask.array").array
+    chunks = dask_array.core.normalize_chunks(tile, (side, side))
+    heights = dask_array.map_blocks(hills, chunks=chunks, dtype=np.float32, meta=np.empty((0, 0), np.float32))
+    scene = sl.Scene.from_height(heights)
+    return sl.sky_view_factor(scene, azimuths=azimuths, backend=backend, tiling=sl.Tiling(tile)).mean()
+
+
+def processor(side, tile, azimuths, backend):
+    """Processor time a node, user and system, of a map in tiles and of a whole one of 2048 x 2048 nodes.
+
+    The smaller one is computed before and after, three times each; the least counts. Dask's threads, as many
+    as there are cores.
+    """
+
+    def nanoseconds(nodes, cut):
+        start = time.process_time()
+        lazy_view(nodes, cut, azimuths, backend).compute()
+        return 1e9 * (time.process_time() - start) / nodes**2
+
+    lazy_view(512, 256, azimuths, backend).compute()  # compiles
+    whole = [nanoseconds(2048, 2048) for _ in range(3)]
+    tiles = nanoseconds(side, tile)
+    peak = 1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    least = min(whole + [nanoseconds(2048, 2048) for _ in range(3)])
+    told = {"side": side, "tile": tile, "azimuths": azimuths, "backend": select(backend).name}
+    told |= {"nanoseconds_a_node": round(tiles, 1), "of_2048": round(least, 1)}
+    print(json.dumps(told | {"ratio": round(tiles / least, 3), "process": peak}))
+
+
 def big(side, tile, workers, azimuths, backend):
     """Time of a lazy map of side x side nodes, reduced to its mean."""
-    import dask.array as da
     from distributed import Client, LocalCluster
 
     options = dict(threads_per_worker=2, processes=True, dashboard_address=None)
@@ -311,12 +385,7 @@ def big(side, tile, workers, azimuths, backend):
         client.wait_for_workers(workers)
         client.register_plugin(sl.devices())
         for size in (2 * tile, side):  # the first compiles, and starts the devices
-            chunks = da.core.normalize_chunks(tile, (size, size))
-            meta = np.empty((0, 0), np.float32)
-            heights = da.map_blocks(hills, chunks=chunks, dtype=np.float32, meta=meta)
-            scene = sl.Scene.from_height(heights)
-            found = sl.sky_view_factor(scene, azimuths=azimuths, backend=backend, tiling=sl.Tiling(tile))
-            mean = found.mean()
+            mean = lazy_view(size, tile, azimuths, backend)
             start = time.perf_counter()
             value = float(mean.compute())
             seconds = time.perf_counter() - start
@@ -343,6 +412,7 @@ def main():
     parser.add_argument("--memory", type=int, metavar="TILE")
     parser.add_argument("--what", default="svf", choices=("svf", "openness", "render"), help="of --memory")
     parser.add_argument("--big", type=int, metavar="SIDE")
+    parser.add_argument("--processor", type=int, metavar="SIDE")
     parser.add_argument("--workers", type=int, default=1)
     parser.add_argument("--azimuths", type=int, default=64)
     parser.add_argument("--backend", default="auto")
@@ -353,6 +423,8 @@ def main():
         (cities if given.cities else between)(given.size, given.tile, given.backend)
     elif given.exact:
         exact(given.size, given.tile, given.backend)
+    elif given.processor:
+        processor(given.processor, given.tile, given.azimuths, given.backend)
     elif given.big:
         big(given.big, given.tile, given.workers, given.azimuths, given.backend)
     else:

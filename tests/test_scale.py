@@ -4,6 +4,7 @@ import os
 import pickle
 import time
 import warnings
+import weakref
 
 import numpy as np
 import pytest
@@ -278,6 +279,21 @@ def test_heights_are_read_twice_and_never_before_the_overviews_are_done(dem, fas
     sl.sky_view_factor(scene, azimuths=4, backend=fast, tiling=SMALL).compute(scheduler="sync")
     count = source.npartitions
     assert len(order) == 2 * count and set(order[:count]) == set(order[count:])
+
+
+def test_neighbours_do_not_stay_in_memory(fast):
+    """Of the eight tiles around one, only edges are kept: slices of them would keep all nine."""
+    made, held = [], []
+
+    def hills(block_info=None):
+        block = np.add.outer(*(np.sin(np.arange(*ends)) for ends in block_info[None]["array-location"]))
+        held.append(sum(other() is not None for other in made))
+        made.append(weakref.ref(block))
+        return block
+
+    heights = da.map_blocks(hills, chunks=((64,) * 3,) * 2, dtype=float, meta=np.empty((0, 0)))
+    svf(heights, fast)[64:128, 64:128].compute(scheduler="sync")
+    assert len(made) == 18 and max(held) <= 2
 
 
 def test_whole_numbers_of_metres(dem, fast):

@@ -151,7 +151,10 @@ def coarser(low: np.ndarray, times: int = 1) -> np.ndarray:
         if any(n % 2 for n in low.shape[1:]):
             low = np.pad(low, [(0, 0), *((0, n % 2) for n in low.shape[1:])], constant_values=np.nan)
         a, b, c, d = low[:, ::2, ::2], low[:, ::2, 1::2], low[:, 1::2, ::2], low[:, 1::2, 1::2]
-        mean = ((a[0] + b[0]) + (c[0] + d[0])) * np.float32(0.25)
+        found = np.empty(a.shape, np.float32)
+        mean, most, other = found[0], found[1], c[0] + d[0]
+        np.multiply(np.add(np.add(a[0], b[0], out=mean), other, out=mean), np.float32(0.25), out=mean)
+        np.fmax(np.fmax(a[1], b[1], out=most), np.fmax(c[1], d[1], out=other), out=most)
         gaps = np.isnan(mean)
         if gaps.any():
             parts = np.stack([part[0][gaps] for part in (a, b, c, d)])
@@ -159,7 +162,7 @@ def coarser(low: np.ndarray, times: int = 1) -> np.ndarray:
             sums = np.where(np.isfinite(parts), parts, np.float32(0))
             with np.errstate(invalid="ignore"):
                 mean[gaps] = ((sums[0] + sums[1]) + (sums[2] + sums[3])) / count
-        low = np.stack([mean, np.fmax(np.fmax(a[1], b[1]), np.fmax(c[1], d[1]))])
+        low = found
     return low
 
 
@@ -262,10 +265,11 @@ class Marched:
         for line, level in zip(described, far.levels):
             line[:6] = offset, level.row, level.col, *level.heights.shape, level.size.bit_length() - 1
             offset += level.heights.size
-        cells = np.concatenate([np.nan_to_num(level.heights, nan=NONE).ravel() for level in far.levels])
+        cells = np.concatenate([level.heights.ravel() for level in far.levels])
+        np.nan_to_num(cells, copy=False, nan=NONE)
         self.highest = float(max(cells.max(), far.own.max()))
         upload = backend.upload
-        self.tables = [upload(cells.astype(np.float32)), upload(described), upload(table), upload(level_of)]
+        self.tables = [upload(cells, constant=True), upload(described), upload(table), upload(level_of)]
         self.steps = len(level_of)
         self.places = far.own.ravel(), np.repeat(rows, len(cols)), np.tile(cols, len(rows))
 
