@@ -26,13 +26,13 @@ from .directions import Azimuths
 from .errors import bad, lacking
 from .light.far import (
     Far,
-    Marched,
     Tiling,
     Top,
     around,
     coarser,
     from_heights,
     in_spacings,
+    marched,
     marched_nodes,
     scaled,
     spread_of,
@@ -400,7 +400,7 @@ def _audit(audit: Audit, scene: Scene, far: Far) -> None:
         angles = Azimuths(AUDITED_AZIMUTHS).angles
         exact = samples.horizons(angles)[:, inner]
         near = samples.horizons(angles, far.tiling.halo)[:, inner]
-        slopes, distance = Marched(engine, far).seen_from(
+        slopes, distance = marched(scene.on(engine), far).seen_from(
             rows[inner], cols[inner], samples.own[inner].astype(float), angles
         )
     ends = []  # of the window, along every ray

@@ -11,6 +11,7 @@ import numpy as np
 
 from ..arrays import by_bands
 from ..backends.base import Array, Backend
+from ..backends.resident import Resident
 from ..checks import positive_number
 from ..constants import NONE
 from ..errors import bad
@@ -234,9 +235,11 @@ def spread_of(tiling: Tiling, heights: np.ndarray, spacing: float) -> int:
     def counts(rows: slice) -> tuple[int, int]:
         """Pairs of neighbours with data, and those that are steep, in or below these rows."""
         below = heights[rows.start : rows.stop + 1]
-        steps = [np.abs(np.diff(below, axis=0)), np.abs(np.diff(heights[rows], axis=1))]
-        known = sum(int(np.count_nonzero(np.isfinite(step))) for step in steps)
-        return known, sum(int(np.count_nonzero(step > CLIFF * spacing)) for step in steps)
+        known = cliffs = 0
+        for step in (np.diff(below, axis=0), np.diff(heights[rows], axis=1)):
+            known += int(np.count_nonzero(np.isfinite(step)))
+            cliffs += int(np.count_nonzero(np.abs(step, out=step) > CLIFF * spacing))
+        return known, cliffs
 
     count, cliffs = np.sum(by_bands(counts, heights.shape), 0)
     return max(1, tiling.spread // DENSER) if cliffs > CLIFFS * count else tiling.spread
@@ -251,6 +254,15 @@ def marched_nodes(
         for first, count, most in zip(at, tile, shape)
     )
     return rows, cols
+
+
+def marched(there: Resident, far: Far) -> Marched:
+    """Far horizons of a tile whose window lies on a device; made once, for the audit and all sweeps."""
+    key = "far", id(far)  # which lives as long as what is made of it
+    if key not in there.derived:
+        there.derived[key] = Marched(there.backend, far)
+    found: Marched = there.derived[key]
+    return found
 
 
 class Marched:

@@ -19,7 +19,7 @@ from ..checks import positive_number
 from ..constants import LADDER, LEAST_SEARCHED_SLOPE, MOST_PIXELS, SIDES, SLOPES, TABLE, UNIFORM
 from ..errors import CapacityError, bad
 from ..scene import Scene, is_scene
-from .far import Far, Marched
+from .far import Far, marched
 
 # rows within which every crossing is tested; FINE_NEAR_ROWS from MANY_AZIMUTHS on, where the sum over all
 # azimuths is that exact
@@ -131,7 +131,7 @@ class Sweeps:
             here.derived[probed] = _steepest(here.probe(self.heights, m, every, first))
         self.steepest = here.derived[probed]
         self.relief = highest - self.lowest
-        self.far = None if far is None else Marched(backend, far)
+        self.far = None if far is None else marched(here, far)
         self.asked = (0, rows, 0, cols) if far is None else far.asked(self.shape)
         self.turned = backend.empty((self.room,), np.float32)
         level_ground = 0 if level else None  # else the kernel `tilt` writes them
