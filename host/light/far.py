@@ -152,8 +152,8 @@ def coarser(low: np.ndarray, times: int = 1) -> np.ndarray:
         if any(n % 2 for n in low.shape[1:]):
             low = np.pad(low, [(0, 0), *((0, n % 2) for n in low.shape[1:])], constant_values=np.nan)
         a, b, c, d = low[:, ::2, ::2], low[:, ::2, 1::2], low[:, 1::2, ::2], low[:, 1::2, 1::2]
-        found = np.empty(a.shape, np.float32)
-        mean, most, other = found[0], found[1], c[0] + d[0]
+        low = np.empty(a.shape, np.float32)
+        mean, most, other = low[0], low[1], c[0] + d[0]
         np.multiply(np.add(np.add(a[0], b[0], out=mean), other, out=mean), np.float32(0.25), out=mean)
         np.fmax(np.fmax(a[1], b[1], out=most), np.fmax(c[1], d[1], out=other), out=most)
         gaps = np.isnan(mean)
@@ -163,7 +163,6 @@ def coarser(low: np.ndarray, times: int = 1) -> np.ndarray:
             sums = np.where(np.isfinite(parts), parts, np.float32(0))
             with np.errstate(invalid="ignore"):
                 mean[gaps] = ((sums[0] + sums[1]) + (sums[2] + sums[3])) / count
-        low = found
     return low
 
 
@@ -261,8 +260,8 @@ def marched(there: Resident, far: Far) -> Marched:
     key = "far", id(far)  # which lives as long as what is made of it
     if key not in there.derived:
         there.derived[key] = Marched(there.backend, far)
-    found: Marched = there.derived[key]
-    return found
+    made: Marched = there.derived[key]
+    return made
 
 
 class Marched:
