@@ -643,8 +643,8 @@ void copy_links(Made *links, int held, __global const int *first, __global const
   }
 }
 
-/* Derivative of `below` by the plane's slope, with the sign turned; and by the slope. */
-float turn(float s) { return arctan(s) + s / (1 + s * s); }
+/* Derivatives of `below`: by the plane's slope, with the sign reversed, and by the slope. */
+float below_by_plane(float s) { return arctan(s) + s / (1 + s * s); }
 
 float below_by(float s, float plane)
 {
@@ -738,7 +738,7 @@ __kernel void add_ground(__global const float *light, __global const int *held, 
           add_link(&links, was, per * -by_part * high);
           by_own -= by_part * high;
         }
-        by_plane -= mean * (turn(rises) - turn(slope));
+        by_plane -= mean * (below_by_plane(rises) - below_by_plane(slope));
         if (top.closeness > 0) {
           by_top += by_slope * top.closeness;
           add_link(&links, top, per * by_top);
@@ -762,7 +762,7 @@ __kernel void add_ground(__global const float *light, __global const int *held, 
         by_own -= m * below_by(wall, plane) * closeness;
       end = MORE(wall, end);
     }
-    by_plane += m * (turn(end) - turn(plane));
+    by_plane += m * (below_by_plane(end) - below_by_plane(plane));
     if (top.closeness > 0) {
       if (end == slope)
         by_top -= m * below_by(end, plane) * top.closeness;

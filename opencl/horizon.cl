@@ -129,7 +129,7 @@ int column_of(int x, int line, int l, int cols)
 }
 
 /* Ground of the line between two nodes, quantized, with the distance at which it comes in. */
-ints look(floats a, floats b, float weight, float lowest, float height_scale, int bits, int distance)
+ints quantized(floats a, floats b, float weight, float lowest, float height_scale, int bits, int distance)
 {
   floats ground = a + weight * (b - a);
   /* beside the map the border goes on; a masked node is a gap */
@@ -300,7 +300,7 @@ __kernel void sweep(__global const float *restrict heights, __global const float
       for (int s = 0; s < LADDER && into == 0; ++s)
         above[s] = UNSEEN;
       if (arrives && (STRIPS == 1 || cx < cols && cx >= -LANES))
-        seen = look(LINE(0), LINE(1), across - column, lowest, height_scale, bits, comes_at);
+        seen = quantized(LINE(0), LINE(1), across - column, lowest, height_scale, bits, comes_at);
       for (int s = 0; s < LADDER; ++s)
         above[s] = more(above[s] + step[s], seen);
       if (!on_map || u < first_asked || x >= right || x <= left - LANES)

@@ -29,7 +29,7 @@ warp_kernels/scan.py. */
 #endif
 
 /* The bits of a node of depth z; lowers the ceilings to it and raises them by one step. */
-ints look(floats z, floats *ceiling, const float *climb)
+ints lit_bits(floats z, floats *ceiling, const float *climb)
 {
   ints lit = 0;
   for (int b = 0; b < BITS; ++b) {
@@ -86,7 +86,7 @@ __kernel void scan(__global const float *maps, __global const int *walks, __glob
       for (int a = 0; a < AHEAD; ++a)
         z[a] = LOAD(at + a * next, depth);
       for (int a = 0; a < AHEAD; ++a) {
-        const uchars lit = TO_UCHARS(look(z[a], ceiling, climb));
+        const uchars lit = TO_UCHARS(lit_bits(z[a], ceiling, climb));
         STORE(lit, at + a * next, plane);
       }
       x = last_x - i;
@@ -105,7 +105,7 @@ __kernel void scan(__global const float *maps, __global const int *walks, __glob
             for (int b = 0; b < BITS; ++b)
               ((float *)&ceiling[b])[l] = MAXFLOAT;
         }
-        const uchars lit = TO_UCHARS(look(z, ceiling, climb));
+        const uchars lit = TO_UCHARS(lit_bits(z, ceiling, climb));
         for (int l = 0; l < LANES && lane + l < cols && a >= 0; ++l)
           plane[y * cols + COLUMN(x, l)] = ((uchar *)&lit)[l];
         x -= i;

@@ -889,8 +889,8 @@ def copy_links(
 
 
 @wp.func
-def turn(s: wp.float32):
-    """Derivative of ``below`` by the plane's slope, with the sign turned."""
+def below_by_plane(s: wp.float32):
+    """Derivative of ``below`` by the plane's slope, with the sign reversed."""
     return arctan(s) + s / (1.0 + s * s)
 
 
@@ -1069,7 +1069,7 @@ def add_ground(
                         per * -by_part * high,
                     )
                     by_own -= by_part * high
-                by_plane -= mean * (turn(rises) - turn(slope))
+                by_plane -= mean * (below_by_plane(rises) - below_by_plane(slope))
                 if top.closeness > 0.0:
                     by_top += by_slope * top.closeness
                     made = add_link(
@@ -1095,7 +1095,7 @@ def add_ground(
             if wall > end:
                 by_own -= m * below_by(wall, plane) * closeness
             end = wp.max(wall, end)
-        by_plane += m * (turn(end) - turn(plane))
+        by_plane += m * (below_by_plane(end) - below_by_plane(plane))
         if top.closeness > 0.0:
             if end == slope:
                 by_top -= m * below_by(end, plane) * top.closeness

@@ -199,7 +199,7 @@ def arctan(r: wp.float32) -> wp.float32:
 
 
 @wp.func
-def look(
+def quantized(
     a: wp.float32,
     b: wp.float32,
     weight: wp.float32,
@@ -554,7 +554,7 @@ def sweep(NEAR: int, SIDES: int, WHAT: int, BLOCKS: int):
                 at = (cy + margin) * stride + margin + cx
                 if wp.static(TILED) and on_gpu() != 0:
                     at = here + 4 * (comes * PITCH + cx)
-                seen = look(
+                seen = quantized(
                     node(heights, at),
                     node(heights, at + element),
                     across - column,

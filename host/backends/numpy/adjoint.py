@@ -575,7 +575,7 @@ class _Made:
         self.made[some] += 1
 
 
-def _turn(s: np.ndarray) -> np.ndarray:
+def _below_by_plane(s: np.ndarray) -> np.ndarray:
     total: np.ndarray = _arctan(s) + s / (ONE + s * s)
     return total
 
@@ -623,7 +623,7 @@ class _VisibleStrips:
         hides = seen & between
         self.links.add(np.flatnonzero(hides), self.was, self.per * -by_part * high)
         self.by_own[hides] -= (by_part * high)[hides]
-        self.by_plane[seen] -= (mean * (_turn(rises) - _turn(slope)))[seen]
+        self.by_plane[seen] -= (mean * (_below_by_plane(rises) - _below_by_plane(slope)))[seen]
         topped = seen & (self.top[3] > 0)
         self.by_top[topped] += (by_slope * self.top[3])[topped]
         self.close(topped)
@@ -646,7 +646,7 @@ class _VisibleStrips:
             by = self.m * _below_by(wall, self.plane) * closeness
             self.by_own -= np.where(wall > end, by, ZERO)
             end = np.maximum(wall, end)
-        self.by_plane += self.m * (_turn(end) - _turn(self.plane))
+        self.by_plane += self.m * (_below_by_plane(end) - _below_by_plane(self.plane))
         topped = self.top[3] > 0
         by_end = self.m * _below_by(end, self.plane) * self.top[3]
         self.by_top = np.where(end == self.slope, self.by_top - by_end, self.by_top)
