@@ -84,17 +84,17 @@ class Rendering:
         result: np.ndarray = labelled(image, scene.labels, ERRORS[self._quantity])
         return result
 
-    def _times(self, unit: float) -> Rendering:
-        """This in light of ``unit`` times the brightness."""
-        if unit == 1:
+    def _times(self, scale: float) -> Rendering:
+        """This in light of ``scale`` times the brightness."""
+        if scale == 1:
             return self
         return replace(
             self,
-            image=in_unit(self.image, unit),
-            direct=in_unit(self.direct, unit),
-            reflected=in_unit(self.reflected, unit),
-            _parts=tuple((part, factor * unit) for part, factor in self._parts),
-            _between=tuple(error * unit for error in self._between),
+            image=_scaled_result(self.image, scale),
+            direct=_scaled_result(self.direct, scale),
+            reflected=_scaled_result(self.reflected, scale),
+            _parts=tuple((part, factor * scale) for part, factor in self._parts),
+            _between=tuple(error * scale for error in self._between),
         )
 
 
@@ -180,11 +180,11 @@ def scaled(image: Irradiance, factor: float) -> Irradiance:
     return product
 
 
-def in_unit(image: Any, unit: float) -> Any:
+def _scaled_result(image: Any, scale: float) -> Any:
     """A result times a number: an array of any kind that render() gives, or None."""
     if image is None or isinstance(image, DeviceImage):
-        return image if image is None else scaled(image, unit)
-    product = image * np.float32(unit)
+        return image if image is None else scaled(image, scale)
+    product = image * np.float32(scale)
     return product if isinstance(image, np.ndarray) else image.copy(data=product.data)
 
 

@@ -415,21 +415,21 @@ def choose(
 
 
 def solid_of(
-    scene: Scene, source: sources.Lamp | sources.Window, unit: float, step: float
+    scene: Scene, source: sources.Lamp | sources.Window, scale: float, step: float
 ) -> Ball | Quad | None:
-    """The shape of a lamp or window, lengths times ``unit`` so that the spacing is ``step``.
+    """The shape of a lamp or window, lengths times ``scale`` so that the spacing is ``step``.
 
     None for a window outside a dark box, or too far away to light anything.
     """
     if isinstance(source, sources.Window):
-        (x0, x1), (y0, y1) = np.array(source.x) * unit, np.array(source.y) * unit
-        return aperture((x0, x1), (y0, y1), scene.shape, step, scene.sides, scene.deepest * unit)
+        (x0, x1), (y0, y1) = np.array(source.x) * scale, np.array(source.y) * scale
+        return aperture((x0, x1), (y0, y1), scene.shape, step, scene.sides, scene.deepest * scale)
     _check_reach(scene, source)
     if source.corner is not None and source.edges is not None:
-        return rectangle(*(np.array(v) * unit for v in (source.corner, *source.edges)))
+        return rectangle(*(np.array(v) * scale for v in (source.corner, *source.edges)))
     assert source.center is not None and source.radius is not None, "the lattice alone renders a volume"
-    x, y, z = np.array(source.center) * unit
-    return Ball((x, y, z), source.radius * unit)
+    x, y, z = np.array(source.center) * scale
+    return Ball((x, y, z), source.radius * scale)
 
 
 def _check_reach(scene: Scene, lamp: sources.Lamp) -> None:

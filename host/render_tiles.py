@@ -217,8 +217,8 @@ class LampImage:
         center = x - col * scene.spacing, y - row * scene.spacing, z - below
         lamp = replace(self.lamp, center=center)
         engine = engine_of(scene, self.backend)
-        lamp_in_range, unit = sources.in_range(lamp)
-        done = Renderer(scene, lamp_in_range, engine, self.options).render()._times(unit)
+        lamp_in_range, scale = sources.in_range(lamp)
+        done = Renderer(scene, lamp_in_range, engine, self.options).render()._times(scale)
         for text in done.warnings:
             warn(text)
         image = np.asarray(done.image)
@@ -234,7 +234,7 @@ class TileImage:
     rays, and tables of brightness, of every colour; factors of the colours that differ by these alone, of
     which there is one ray and no table. in_colour: the image is (3, rows, cols). between: with the light
     between surfaces, within ``tolerance``, or None where the whole map decides by ``fewer``: the same lights
-    in fewer azimuths. The light is ``unit`` times that of the tables.
+    in fewer azimuths. The light is ``scale`` times that of the tables.
     """
 
     lights: tuple[tuple[Rays, np.ndarray | None], ...]
@@ -244,7 +244,7 @@ class TileImage:
     backend: str
     tolerance: float
     between: bool | None
-    unit: float
+    scale: float
     colours: int
     fewer: tuple[tuple[Rays, np.ndarray | None], ...]
     share: float | None = None  # estimate of the light between surfaces
@@ -268,8 +268,8 @@ class TileImage:
                 light = on_host(both.irradiances)
                 for text in both.warnings:
                     warn(text)
-        if self.unit != 1:
-            light = [image * np.float32(self.unit) for image in light]
+        if self.scale != 1:
+            light = [image * np.float32(self.scale) for image in light]
         image = image_of(scene, light, [], self.quantity)
         return np.moveaxis(image, -1, 0)[part] if self.in_colour else image
 
@@ -340,7 +340,7 @@ def tile_image(scene: Scene, source: sources.Source, backend: str, **asked: Any)
 def _tile_image(
     scene: Scene, source: sources.Source, options: Options, backend: str, between: bool | None
 ) -> TileImage:
-    source, unit = sources.in_range(source)
+    source, scale = sources.in_range(source)
     greys, sectors = sources.channels(source), sectors_of(options.azimuths)
     factors = numbers_of(greys)
     skies = [grey for grey in greys if isinstance(grey, sources.Sky)][: None if factors is None else 1]
@@ -352,7 +352,7 @@ def _tile_image(
         backend,
         float(options.tolerance),
         between,
-        unit,
+        scale,
         max(len(greys), 3 if np.ndim(scene.albedo) in (1, 3) else 1),
         tuple(_rays_of(sky, Azimuths(WINDOW_AZIMUTHS)) for sky in skies),
     )

@@ -306,8 +306,8 @@ def _interreflected(call: Renderer, direct: Sequence[Irradiance]) -> Sequence[Ir
     sky: Irradiance | None = None
     lights = direct
     if alike and factors is not None:  # that of brightness 1, as it is for a grey source
-        unit = np.float32(factors[brightest])
-        lights = [call.parts[0][0].irradiance if call.parts else np.asarray(direct[brightest]) / unit]
+        most = np.float32(factors[brightest])
+        lights = [call.parts[0][0].irradiance if call.parts else np.asarray(direct[brightest]) / most]
     whole_sky = isinstance(call.source, sources.Sky) and options.max_distance is None
     if alike and factors is not None and whole_sky and not call.by_lattice:
         sky = scaled(lights[0], 1 / np.pi)

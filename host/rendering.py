@@ -89,8 +89,8 @@ def render(
     options = Options(*asked, interreflection, parts)
     options.check(scene, source)
     engine = engine_of(scene, backend)
-    source, unit = sources.in_range(sources.on_axes(source, scene.axes))
+    source, scale = sources.in_range(sources.on_axes(source, scene.axes))
     with limited(max_seconds, "render", scene, backend):
         if goes_in_tiles(options, scene, source, engine, tiling):
-            return in_tiles(scene, source, options, engine, backend, tiling)._times(unit)
-        return Renderer(scene, source, engine, options).render()._times(unit)
+            return in_tiles(scene, source, options, engine, backend, tiling)._times(scale)
+        return Renderer(scene, source, engine, options).render()._times(scale)

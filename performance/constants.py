@@ -56,8 +56,8 @@ CONSTANTS = {  # module and name: on which pairs
 
 
 def known_pairs(seed, count, size, backend, kind):
-    """The first ``count`` pairs of a kind: scene, source, samples, their light, the least light that errors are
-    relative to.
+    """The first ``count`` pairs of a kind: scene, source, samples, their light, the least light that errors
+    are relative to.
     """
     number = 0
     while count:

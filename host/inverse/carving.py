@@ -59,10 +59,10 @@ def carving_integers(
     target = image / np.asarray(albedo, float)
     slack = eps * image.max() / np.asarray(albedo, float)
     light = brightness * solid_angles / (2 * np.pi)
-    unit = LARGEST_SUM / max(light.sum(), np.max(target + slack))
+    scale = LARGEST_SUM / max(light.sum(), np.max(target + slack))
 
     def whole(values: np.ndarray) -> np.ndarray:
-        integers: np.ndarray = np.rint(values * unit).astype(np.int64)
+        integers: np.ndarray = np.rint(values * scale).astype(np.int64)
         return np.broadcast_to(integers, np.shape(values))
 
     middle, width = whole(target), np.broadcast_to(whole(slack), target.shape)

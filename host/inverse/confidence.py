@@ -114,11 +114,13 @@ def confidence_of(std: np.ndarray, depth_range: float) -> np.ndarray:
 def by_noise(judged: Judged) -> np.ndarray:
     """Variance by noise. A misfit of the first image beyond its noise counts as noise."""
     pyramid, level = judged.pyramid, judged.level
-    unit = posterior_deviation(pyramid.problem(level), judged.z, pyramid.smoothness(level), PROBE) / PROBE
+    per_noise = (
+        posterior_deviation(pyramid.problem(level), judged.z, pyramid.smoothness(level), PROBE) / PROBE
+    )
     pyramid.problem(level).set_targets(pyramid.images[level])
     noise = (pyramid.noise * 0.5**level) ** 2
     beyond = MISFIT_WEIGHT**2 * np.maximum(judged.misfit - noise, 0)
-    variance: np.ndarray = unit**2 * (noise + beyond + MODEL_ERROR**2)
+    variance: np.ndarray = per_noise**2 * (noise + beyond + MODEL_ERROR**2)
     return variance
 
 

@@ -74,19 +74,19 @@ class ConjugateGradients:
 
         ``misfit``: sum of squares over all images, which scales the fixed point.
         """
-        unit = FIXED / max(1e-12, math.sqrt(misfit))
+        quanta = FIXED / max(1e-12, math.sqrt(misfit))
         for image in self.images:
             self._scatter(
                 "gradient",
                 *(*image.links[side], image.gains[side], image.target),
-                *(self.sum, self.squares, unit, FINE, *self.shape, image.count, image.sides),
+                *(self.sum, self.squares, quanta, FINE, *self.shape, image.count, image.sides),
             )
         z, rest, low, high = self.depths
         self.launcher.launch(
             "descent",
             *(z[side], rest, low, high, self.sum, self.squares, self.scale[0]),
             *(self.r[0], self.x, self.p, self.s, self.free[0]),
-            *(1 / unit, 1 / FINE, SECOND_DIFFERENCES * smoothness + LEAST_CURVATURE, smoothness),
+            *(1 / quanta, 1 / FINE, SECOND_DIFFERENCES * smoothness + LEAST_CURVATURE, smoothness),
             *(*self.shape, self.launcher.nodes_per_item, self.launcher.partial_sums),
         )
         self.launcher.repeat(self._start, 0)  # the same for both sides
@@ -145,7 +145,7 @@ class ConjugateGradients:
             self._precondition()
 
     def multiply(self, side: int, state: DeviceArray) -> None:
-        """sum += unit transpose(J) gain^2 J v, over all images; less what the albedo that is best makes up
+        """sum += quanta transpose(J) gain^2 J v, over all images; less what the albedo that is best makes up
         for, if it is not known (Kaufman 1975).
         """
         rest = self.v[0], self.sum, state, *self.shape

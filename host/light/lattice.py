@@ -134,10 +134,10 @@ def at_samples(samples: Samples, scene: Scene, source: sources.Source, size: int
         seen |= slopes[number[some]] <= planes[number[some]]
         if isinstance(source, sources.Window):
             away = -samples.own / np.maximum(rise[some, None], 1e-9)
-            unit = cube.steps[some, :2] / np.maximum(flat[some, None], 1e-9)
-            seen &= _passes(scene, source, samples.x + away * unit[:, :1], samples.y + away * unit[:, 1:]) & (
-                rise[some, None] > 0
-            )
+            horizontal = cube.steps[some, :2] / np.maximum(flat[some, None], 1e-9)
+            seen &= _passes(
+                scene, source, samples.x + away * horizontal[:, :1], samples.y + away * horizontal[:, 1:]
+            ) & (rise[some, None] > 0)
         total += (seen * np.maximum(0, cube.moments[some] @ normal) * brightness[some, None]).sum(0)
     return total
 

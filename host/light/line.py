@@ -51,25 +51,25 @@ class _Nodes(NamedTuple):
 def _looking(line: Line, gx: Values, gy: Values, at: np.ndarray) -> tuple[_Nodes, np.ndarray]:
     """Nodes at ``at`` (3, ...), and the line's unit vector (3)."""
     length = float(np.linalg.norm(line.end - line.begin))
-    unit = (line.end - line.begin) / length
+    axis = (line.end - line.begin) / length
     to = line.begin.reshape(3, *(1,) * (at.ndim - 1)) - at
-    begin = np.einsum("i,i...->...", unit, to)
-    nearest = to - np.multiply.outer(unit, begin)
+    begin = np.einsum("i,i...->...", axis, to)
+    nearest = to - np.multiply.outer(axis, begin)
     distance = np.maximum(np.sqrt((nearest**2).sum(0)), 1e-9)
     first = np.arctan2(begin, distance)
     span = np.arctan2(begin + length, distance) - first
-    return _Nodes(gx, gy, nearest / distance, distance, first, span), unit
+    return _Nodes(gx, gy, nearest / distance, distance, first, span), axis
 
 
 def _rays(
-    line: Line, nodes: _Nodes, unit: np.ndarray, share: float, brightness: sources.Brightness
+    line: Line, nodes: _Nodes, axis: np.ndarray, share: float, brightness: sources.Brightness
 ) -> tuple[np.ndarray, ...]:
     """(cosine and sine of the azimuth, slope, distance along the ground, light) of rays to a point.
 
     The point lies at this ``share`` of the line's angle at a node: there dl / r^2 is dangle / distance.
     """
     angle = nodes.first + nodes.span * share
-    way = nodes.nearest * np.cos(angle) + np.multiply.outer(unit, np.sin(angle))
+    way = nodes.nearest * np.cos(angle) + np.multiply.outer(axis, np.sin(angle))
     flat = np.maximum(np.hypot(way[0], way[1]), 1e-9)
     tilt = (way[0] * nodes.gx + way[1] * nodes.gy + way[2]) / np.sqrt(1 + nodes.gx**2 + nodes.gy**2)
     light = (
@@ -88,12 +88,12 @@ def at_samples(samples: Samples, quad: Quad, brightness: sources.Brightness, cou
     """Irradiance (nodes,) by ``count`` points of a thin quadrangle [spacings], with exact rays."""
     line = line_of(quad)
     at = np.stack([samples.x, samples.y, samples.own]).astype(float)
-    nodes, unit = _looking(line, samples.gx, samples.gy, at)
+    nodes, axis = _looking(line, samples.gx, samples.gy, at)
     total = np.zeros(len(samples))
     for first in range(0, count, BATCH):
         shares = (np.arange(first, min(first + BATCH, count)) + 0.5) / count
         c, s, slope, reach, light = (
-            np.stack(values) for values in zip(*(_rays(line, nodes, unit, p, brightness) for p in shares))
+            np.stack(values) for values in zip(*(_rays(line, nodes, axis, p, brightness) for p in shares))
         )
         # ground counts as far as along x distance is less than the limit
         least = np.clip(slope * (1 - 1e-6), 0, STEEP)
@@ -109,12 +109,12 @@ def image(slices: Slices, scene: Scene, quad: Quad, brightness: sources.Brightne
     y, x = np.mgrid[:rows, :cols]
     deep = scene.depth if scene.mask is None else np.nan_to_num(scene.depth)
     at = np.stack([x, y, -deep.astype(float) / scene.spacing])
-    nodes, unit = _looking(line, *gradients(scene), at)
+    nodes, axis = _looking(line, *gradients(scene), at)
     total = np.zeros(scene.shape)
     slices.coarsen()
     for first in range(0, count, BATCH):
         shares = (np.arange(first, first + BATCH) + 0.5) / count
-        rays = [_rays(line, nodes, unit, share, brightness) for share in shares]
+        rays = [_rays(line, nodes, axis, share, brightness) for share in shares]
         ways = np.stack([np.stack([ray[n] for n in range(4)]) for ray in rays], -1)
         ways[2], ways[3] = np.clip(ways[2], 0, STEEP), np.maximum(ways[3], 1e-6)
         clear = slices.rays(np.ascontiguousarray(np.moveaxis(ways, 0, 2), np.float32))

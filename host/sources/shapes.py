@@ -300,8 +300,8 @@ def in_range(source: Source) -> tuple[Source, float]:
     most = float(np.max(values, initial=0.0, where=np.isfinite(values) & (values <= BRIGHTEST)))
     if most == 0 or LEAST_UNIT <= most <= MOST_UNIT:
         return source, 1.0
-    unit = 2.0 ** math.floor(math.log2(most))
-    return replace(source, brightness=brightness.scaled(1 / unit)), unit
+    scale = 2.0 ** math.floor(math.log2(most))
+    return replace(source, brightness=brightness.scaled(1 / scale)), scale
 
 
 def on_axes(source: Source, axes: tuple[float, float]) -> Source:
