@@ -110,9 +110,9 @@ class MirroredGround(NamedTuple):
 
     def image(self, radiance: np.ndarray) -> np.ndarray:
         """Ground of ``radiance`` (rows, cols) in the mirrors: (rows, cols) float32, 0 where none is shown."""
-        found = np.zeros(radiance.size, np.float32)
-        found[self.nodes] = (self.weights * radiance.ravel()[self.ends]).sum(1)
-        return found.reshape(radiance.shape)
+        image = np.zeros(radiance.size, np.float32)
+        image[self.nodes] = (self.weights * radiance.ravel()[self.ends]).sum(1)
+        return image.reshape(radiance.shape)
 
 
 def mirrored_ground(scene: Scene, where: np.ndarray, max_distance: float | None) -> MirroredGround:
@@ -126,11 +126,11 @@ def mirrored_ground(scene: Scene, where: np.ndarray, max_distance: float | None)
     L = mirror_directions(*tilts(scene).astype(float)).reshape(-1, 3)
     flat = np.hypot(L[:, 0], L[:, 1])
     numbers = np.flatnonzero(where.ravel() & scene.valid.ravel() & (flat > 0))  # straight up there is none
-    found = [MirroredGround(np.zeros(0, np.int64), np.zeros((0, 4), np.int64), np.zeros((0, 4)))]
+    batches = [MirroredGround(np.zeros(0, np.int64), np.zeros((0, 4), np.int64), np.zeros((0, 4)))]
     for some in np.array_split(numbers, -(-len(numbers) // MIRROR_BATCH) or 1):
         ways = L[some] / flat[some, None]
-        found.append(_first_ground(height, some, ways[:, :2].T, -ways[:, 2], reach))
-    return MirroredGround(*map(np.concatenate, zip(*found)))
+        batches.append(_first_ground(height, some, ways[:, :2].T, -ways[:, 2], reach))
+    return MirroredGround(*map(np.concatenate, zip(*batches)))
 
 
 def _first_ground(
