@@ -82,9 +82,8 @@ def test_a_file_is_computed_as_a_lazy_map_is(dem, tmp_path):
     path, heights = dem
     for more, work, options in (
         ((), sl.sky_view_factor, {}),
-        (("--workers", "2", "--cog"), sl.sky_view_factor, {}),
         (
-            ("--what", "negative-openness", "--max-distance", "900"),
+            ("--workers", "2", "--cog", "--what", "negative-openness", "--max-distance", "900"),
             sl.openness,
             dict(negative=True, max_distance=900.0),
         ),

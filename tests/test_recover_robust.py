@@ -276,10 +276,8 @@ def test_a_spotlights_wrong_pixels_are_marked(fast):
     """
     wrong, right = [], []
     for name in SURFACES:
-        got, off = (
-            found(name, "spot", fast, 64),
-            np.abs(found(name, "spot", fast, 64).depth - surfaces.pair(name, "spot")[0]),
-        )
+        got = found(name, "spot", fast, 48)
+        off = np.abs(got.depth - surfaces.pair(name, "spot", 48)[0])
         marked = (got.confidence < 0.5) | got.ambiguous
         wrong.append(marked[off > 5])
         right.append(marked[off < 2])

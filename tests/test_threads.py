@@ -40,7 +40,9 @@ WORK = [
     lambda z, b: (
         sl.render(sl.Scene(z), sl.Lamp((z.shape[1] / 2, 9, -6), 4), method="horizon", backend=b).image
     ),
-    lambda z, b: sl.render(sl.Scene(z), sl.Lamp((z.shape[1] / 2, 9, -6), 4), tolerance=0.03, backend=b).image,
+    lambda z, b: (
+        sl.render(sl.Scene(z[:12, :16]), sl.Lamp((z.shape[1] / 4, 6, -6), 4), tolerance=0.05, backend=b).image
+    ),
     lambda z, b: sl.sky_view_factor(sl.Scene(z), azimuths=12, backend=b),
     lambda z, b: sl.visibility(sl.Scene(z), sl.Sky(), 5, b, filled=True),
     lambda z, b: (
