@@ -47,21 +47,6 @@ same bits. Twin of warp_kernels/adjoint.py. */
 #define MORE(a, b) ((a) > (b) ? (a) : (b))
 #define LESS(a, b) ((a) < (b) ? (a) : (b))
 
-/* Arc tangent of v >= 0 to 2e-7, by a polynomial fitted for least maximum error. */
-floats arc_tangent(floats v)
-{
-  const floats r = v > 1 ? 1 / v : v, q = r * r;
-  floats p = ARC_TANGENT_0;
-  p = p * q + ARC_TANGENT_1;
-  p = p * q + ARC_TANGENT_2;
-  p = p * q + ARC_TANGENT_3;
-  p = p * q + ARC_TANGENT_4;
-  p = p * q + ARC_TANGENT_5;
-  p = p * q + ARC_TANGENT_6;
-  p = p * q + ARC_TANGENT_7;
-  return v > 1 ? HALF_PI - p * r : p * r;
-}
-
 /* Light between the slope T and the zenith: integrals of B sin cos (c1) and of B cos^2 (c2), and their
    derivative by T. */
 typedef struct { floats c1, c2, d1, d2; } Above;
@@ -72,7 +57,7 @@ Above above(floats t, __global const float *table, int row, int next, float shar
   Above sky;
   if (knots == 0) {
     sky.c1 = 0.5f * cosine;
-    sky.c2 = 0.5f * (HALF_PI - arc_tangent(t) - t * cosine);
+    sky.c2 = 0.5f * (HALF_PI - arctan(t) - t * cosine);
     sky.d1 = -t * cosine * cosine;
     sky.d2 = -cosine * cosine;
     return sky;

@@ -29,7 +29,7 @@ typedef JOIN(uchar, LANES) uchars;
 /* READ as LOAD. PoCL calls its vload, but these are inline; a GPU would read a packed struct by bytes. */
 typedef struct __attribute__((packed)) { floats v; } loose_floats;
 typedef struct __attribute__((packed)) { ints v; } loose_ints;
-#if LANES == 1
+#if LANES == 1 || !ON_CPU
 #define READ LOAD
 #define READ_INTS LOAD
 #else

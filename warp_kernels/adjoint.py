@@ -38,7 +38,6 @@ same bits.
 import warp as wp
 
 from skylamp.constants import (
-    ARC_TANGENT,
     DARK,
     HALF_PI,
     LEAST_SEARCHED_SLOPE,
@@ -60,28 +59,6 @@ from .interreflection import arctan, below
 
 wp.set_module_options(OPTIONS)
 
-A0, A1, A2, A3, A4, A5, A6, A7 = ARC_TANGENT
-
-
-@wp.func
-def arc_tangent(v: wp.float32):
-    """Of v >= 0, to 2e-7, by a polynomial fitted for least maximum error."""
-    r = v
-    if v > 1.0:
-        r = 1.0 / v
-    q = r * r
-    p = wp.float32(A0)
-    p = p * q + A1
-    p = p * q + A2
-    p = p * q + A3
-    p = p * q + A4
-    p = p * q + A5
-    p = p * q + A6
-    p = p * q + A7
-    if v > 1.0:
-        return HALF_PI - p * r
-    return p * r
-
 
 @wp.func
 def above(
@@ -100,7 +77,7 @@ def above(
     if knots == 0:
         return wp.vec4(
             0.5 * cosine,
-            0.5 * (HALF_PI - arc_tangent(t) - t * cosine),
+            0.5 * (HALF_PI - arctan(t) - t * cosine),
             -t * cosine * cosine,
             -cosine * cosine,
         )
@@ -365,7 +342,7 @@ def crossing_of(
 
 
 @wp.func
-def link(p: wp.int32, k: wp.int32, count: wp.int32):
+def link_at(p: wp.int32, k: wp.int32, count: wp.int32):
     return (p / LINK_BLOCK * count + k) * LINK_BLOCK + p % LINK_BLOCK
 
 
@@ -578,7 +555,7 @@ def sky(
             one, two, share, closeness = crossing_of(way, number, x, y, rows, cols, sides)
             pull = per_slope * closeness
             whole = -pull * inverse
-            e = link(p, links, count)
+            e = link_at(p, links, count)
             by_own += pull
             first[e] = one
             second[e] = two
@@ -802,7 +779,7 @@ def lamp(
                 one, two, weight, nearness = crossing_of(way, number, x, y, rows, cols, OPEN)
                 pull = per_slope * nearness
                 whole = -pull * inverse
-                e = link(p, links, count)
+                e = link_at(p, links, count)
                 by_own += pull
                 first[e] = one
                 second[e] = two
@@ -846,13 +823,13 @@ def add_link(
     other = part * at.share
     one = part - other
     if made < most:
-        e = link(p, made, room)
+        e = link_at(p, made, room)
         first[e] = at.first
         second[e] = at.second
         near[e] = -one
         far[e] = -other
         return made + 1
-    e = link(p, made - 1, room)
+    e = link_at(p, made - 1, room)
     near[e] -= one
     far[e] -= other
     return made
@@ -879,8 +856,8 @@ def copy_links(
     number of links.
     """
     for k in range(held):
-        source = link(p, k, count)
-        to = link(p, made + k, room)
+        source = link_at(p, k, count)
+        to = link_at(p, made + k, room)
         first[to] = other_first[source]
         second[to] = other_second[source]
         near[to] = part * other_near[source]

@@ -27,7 +27,7 @@ from skylamp.constants import (
 )
 
 from . import OPTIONS
-from .adjoint import half_within, link, on_line, rise_at
+from .adjoint import half_within, link_at, on_line, rise_at
 
 wp.set_module_options(OPTIONS)
 
@@ -57,7 +57,7 @@ def change_at(
     if rows > 1:
         sum += light[3 * pixels + p] * rise_at(v, x, y, rows, cols, sides)
     for k in range(held[p]):
-        e = link(p, k, count)
+        e = link_at(p, k, count)
         sum += near[e] * v[first[e]] + far[e] * v[second[e]]
     return sum
 
@@ -103,7 +103,7 @@ def spread_at(
         add(sum, on_line(y + 1, rows, sides) * cols + x, part, u, squared)
         add(sum, on_line(y - 1, rows, sides) * cols + x, -part, u, squared)
     for k in range(held[p]):
-        e = link(p, k, count)
+        e = link_at(p, k, count)
         add(sum, first[e], near[e], u, squared)
         add(sum, second[e], far[e], u, squared)
 

@@ -236,7 +236,7 @@ def _label_compass(axes: PolarAxes) -> None:
     axes.grid(color="0.5", lw=0.5, alpha=0.6)
 
 
-def recovery(image: ArrayLike, recovered: Recovery, truth: ArrayLike | None = None) -> Figure:
+def recovery(image: ArrayLike, found: Recovery, truth: ArrayLike | None = None) -> Figure:
     """The image, the depth recovered from it, its confidence, and the albedo if it was found, side by side;
     ``truth``: the true depth, for comparison, with the error (recovered minus true depth).
 
@@ -246,7 +246,7 @@ def recovery(image: ArrayLike, recovered: Recovery, truth: ArrayLike | None = No
     Example: ``plot.save(plot.recovery(image, sl.recover(image, sky)), "recovered.png")``
     """
     _matplotlib()
-    depth = np.asarray(recovered.depth)
+    depth = np.asarray(found.depth)
     depths = [depth] if truth is None else [depth, np.asarray(truth)]
     scale = dict(
         cmap="viridis_r",
@@ -266,9 +266,9 @@ def recovery(image: ArrayLike, recovered: Recovery, truth: ArrayLike | None = No
         name = f"error, RMS {np.sqrt(np.nanmean(error**2)):.2g}"
         panels.append(("true depth", true, scale, "depth [unit of spacing]"))
         panels.append((name, error, dict(cmap="PuOr", vmin=-most, vmax=most), "recovered - true"))
-    panels.append(("confidence", np.asarray(recovered.confidence), sure, "doubtful below 0.5"))
-    if recovered.albedo is not None:
-        panels.append(("albedo", np.asarray(recovered.albedo), dict(cmap="gray", vmin=0), "albedo"))
+    panels.append(("confidence", np.asarray(found.confidence), sure, "doubtful below 0.5"))
+    if found.albedo is not None:
+        panels.append(("albedo", np.asarray(found.albedo), dict(cmap="gray", vmin=0), "albedo"))
     for name, values, _, _ in panels:
         if values.shape != depth.shape:
             raise bad(f"plot.recovery: {name}", values.shape, f"the depth's shape {depth.shape}")

@@ -8,12 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ... import constants
-from ...constants import (
-    DARK,
-    LINK_BLOCK,
-    OPEN,
-    PERIODIC,
-)
+from ...constants import DARK, LINK_BLOCK, OPEN, PERIODIC
 from .interreflection import _arctan, _below
 
 f32 = np.float32
@@ -23,16 +18,6 @@ NONE, STEEP, ROUNDING = map(f32, (constants.NONE, constants.STEEP, constants.ROU
 PARALLEL, LEAST_SEARCHED_SLOPE = f32(constants.PARALLEL), f32(constants.LEAST_SEARCHED_SLOPE)
 PI, HALF_PI, TWO_PI = map(f32, (constants.PI, constants.HALF_PI, constants.TWO_PI))
 ZERO, HALF, ONE = f32(0), f32(0.5), f32(1)
-ARC_TANGENT = [f32(factor) for factor in constants.ARC_TANGENT]
-
-
-def _arc_tangent(v: np.ndarray) -> np.ndarray:
-    r = np.where(v > 1, 1 / v, v)
-    q = r * r
-    p = np.full_like(v, ARC_TANGENT[0])
-    for factor in ARC_TANGENT[1:]:
-        p = p * q + factor
-    return np.where(v > 1, HALF_PI - p * r, p * r)
 
 
 def _above(
@@ -44,7 +29,7 @@ def _above(
     if knots == 0:
         return (
             f32(0.5) * cosine,
-            f32(0.5) * (HALF_PI - _arc_tangent(t) - t * cosine),
+            f32(0.5) * (HALF_PI - _arctan(t) - t * cosine),
             -t * cosine * cosine,
             -cosine * cosine,
         )

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from ... import constants
 from ...constants import (
     ALPHA,
     COARSENING,
@@ -27,12 +26,6 @@ from .adjoint import _adjacent, _links
 
 f32 = np.float32
 Values = Any  # one per node, or one for all
-Ways = tuple[Any, ...]  # (c, s, columns, rise, rows, run) of a slice, numbers or one per node
-NONE, STEEP, ROUNDING = map(f32, (constants.NONE, constants.STEEP, constants.ROUNDING))
-PARALLEL, LEAST_SEARCHED_SLOPE = f32(constants.PARALLEL), f32(constants.LEAST_SEARCHED_SLOPE)
-PI, HALF_PI, TWO_PI = map(f32, (constants.PI, constants.HALF_PI, constants.TWO_PI))
-ZERO, HALF, ONE = f32(0), f32(0.5), f32(1)
-ARC_TANGENT = [f32(factor) for factor in constants.ARC_TANGENT]
 
 
 def _neighbours(light: np.ndarray, rows: int, cols: int, sides: int) -> Iterator[tuple[np.ndarray, ...]]:
