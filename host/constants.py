@@ -60,9 +60,6 @@ SLICES = 8  # slices of a node come in multiples of this: lanes of a vector on a
 # least share of a node's light that leaves its surroundings, in the light that rounds begin with: without it
 # a node without sky among white ground would begin at infinity; chosen
 LEAST_ESCAPE = 1e-3
-# second difference of the ground [spacing] from which on the light of a node is not interpolated: at the edge
-# of a slope of 45 degrees it is 1, at that of a wall more than 2; chosen
-KINK = 2.0
 
 # The inverse, opencl/adjoint.cl and gauss_newton.cl
 ROUNDING = 1.00001  # a block is left out if its slope is lower by this factor, more than float32 rounds by

@@ -75,13 +75,6 @@ floats tilt(floats low, floats own, floats high)
 /* Heights of nodes; where there is no ground the highest, from which almost no ground is visible. */
 floats stands_at(floats own, float highest) { return own > HIGHEST_MASKED ? own : (floats)highest; }
 
-/* Whether the ground bends by more than KINK from one stretch to the next: all bits set. */
-ints bent(floats low, floats own, floats high)
-{
-  return WHERE(low > HIGHEST_MASKED) & WHERE(high > HIGHEST_MASKED) &
-         WHERE(fabs(low + high - 2 * own) > KINK);
-}
-
 /* Distance of the wall of a dark box, half a node outside, from x on `count` nodes, along a component. */
 floats to_wall(floats x, float along, int count)
 {
@@ -209,12 +202,11 @@ __kernel void begin(__global float *direct, __global const float *albedo, __glob
 }
 
 /* gather: sums of strips at every stride-th node of every stride-th row, or every 2^shift-th if that is less.
-   `kinks`: nodes where the ground bends by more than KINK are no receivers, since nothing is interpolated
-   across a kink; masked nodes never are. Work-item (g, phase, r) owns LANES receivers of row r. */
+   Masked nodes are no receivers. Work-item (g, phase, r) owns LANES receivers of row r. */
 __kernel void gather(__global const float *restrict heights, __global const float *restrict light,
                      __global const float *ways, __global const int *places, __global const float *crossings,
                      __global float *sums, int azimuths, int count, int rows, int cols, int across,
-                     int margin, int shift, int sides, int stride, int phases, int width, int kinks,
+                     int margin, int shift, int sides, int stride, int phases, int width,
                      float highest)
 {
   const int x = (int)get_global_id(0) * LANES, phase = get_global_id(1), row = get_global_id(2);
@@ -227,9 +219,7 @@ __kernel void gather(__global const float *restrict heights, __global const floa
                right = READ(place(c + 1, y, rows, pitch, margin, shift), heights),
                above = READ(place(c, y - 1, rows, pitch, margin, shift), heights),
                beneath = READ(place(c, y + 1, rows, pitch, margin, shift), heights);
-  ints receives = WHERE(own > HIGHEST_MASKED);
-  if (kinks)
-    receives = receives & ~(bent(left, own, right) | bent(above, own, beneath));
+  const ints receives = WHERE(own > HIGHEST_MASKED);
   const int all = (rows + stride - 1) / stride * phases * width, at = (row * phases + phase) * width + x;
   floats num[LIGHTS], den = -1;
   for (int l = 0; l < LIGHTS; ++l)
@@ -250,13 +240,13 @@ __kernel void gather(__global const float *restrict heights, __global const floa
 
   direct      (LIGHTS, rows x cols)  float  [brightness x sr]
   sky         (rows x cols)          float  f, the share of sky that a node sees, cosine-weighted
-  irradiance  (LIGHTS, rows x cols)  float  out, as direct; -1 where a node must gather by itself: at a kink,
-                                            and where no receiver is near; 0 where masked
+  irradiance  (LIGHTS, rows x cols)  float  out, as direct; -1 where no receiver is near and a
+                                            node must gather by itself; 0 where masked
 
 Work-item (i, y) owns the nodes of row y from receiver column i up to the next. */
 __kernel void fill(__global const float *heights, __global const float *sums, __global const float *direct,
                    __global const float *sky, __global float *irradiance, int rows, int cols, int across,
-                   int margin, int shift, int sides, int stride, int phases, int width, int kinks)
+                   int margin, int shift, int sides, int stride, int phases, int width)
 {
   const int i = get_global_id(0), y = get_global_id(1), pitch = across + 2 * margin;
   const int step = min(stride, 1 << shift), lines = (rows + stride - 1) / stride,
@@ -289,16 +279,8 @@ __kernel void fill(__global const float *heights, __global const float *sums, __
   /* 2. between them */
   const int first = i * step, end = min(first + step, cols);
   for (int x = first; x < end; ++x) {
-    const int here = place(x, y, rows, pitch, margin, shift), p = y * cols + x;
-    const float own = heights[here];
-    int is_kink = 0;
-    if (kinks) {
-      const float left = heights[place(x - 1, y, rows, pitch, margin, shift)],
-                  right = heights[place(x + 1, y, rows, pitch, margin, shift)], above = heights[here - pitch],
-                  beneath = heights[here + pitch];
-      is_kink = (left > HIGHEST_MASKED && right > HIGHEST_MASKED && fabs(left + right - 2 * own) > KINK) ||
-              (above > HIGHEST_MASKED && beneath > HIGHEST_MASKED && fabs(above + beneath - 2 * own) > KINK);
-    }
+    const int p = y * cols + x;
+    const float own = heights[place(x, y, rows, pitch, margin, shift)];
     const float right = last ? (float)(x - first) / (cols - first) * periodic : (float)(x - first) / step;
     const float known = whole[0] * (1 - right) + whole[1] * right,
                 shares = den[0] * (1 - right) + den[1] * right;
@@ -306,7 +288,7 @@ __kernel void fill(__global const float *heights, __global const float *sums, __
       const float mean = shares > 0 ? (num[0][l] * (1 - right) + num[1][l] * right) / shares : 0.0f;
       const float total = direct[l * rows * cols + p] + PI * (1 - sky[p]) * mean;
       irradiance[l * rows * cols + p] =
-          own <= HIGHEST_MASKED ? 0.0f : is_kink || !(known > 0) ? -1.0f : total;
+          own <= HIGHEST_MASKED ? 0.0f : !(known > 0) ? -1.0f : total;
     }
   }
 }

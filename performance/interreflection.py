@@ -39,7 +39,7 @@ from skylamp.samples import Samples
 from skylamp.sources.solids import upright
 
 ALBEDO, NODES, AZIMUTHS, TOLERANCES = 0.8, 300, 180, (0.01, 0.003)
-FINE = (Round(8, 2, 8, 0.25, True),) * 8 + (Round(64, 1, 64, 0.05),) * 6
+FINE = (Round(8, 2, 8, 0.25),) * 8 + (Round(64, 1, 64, 0.05),) * 6
 SUN = np.array([0.5, 0.3, -0.81]) / np.linalg.norm([0.5, 0.3, 0.81])
 
 

@@ -14,7 +14,6 @@ from skylamp.constants import (
     ENDLESS,
     HALF_PI,
     HIGHEST_MASKED,
-    KINK,
     LEAST_ESCAPE,
     PERIODIC,
     PI,
@@ -96,16 +95,6 @@ def stands_at(own: wp.float32, highest: wp.float32):
     if own > wp.float32(HIGHEST_MASKED):
         return own
     return highest
-
-
-@wp.func
-def bent(low: wp.float32, own: wp.float32, high: wp.float32):
-    """Whether the ground bends by more than KINK from one stretch to the next."""
-    return (
-        low > wp.float32(HIGHEST_MASKED)
-        and high > wp.float32(HIGHEST_MASKED)
-        and wp.abs(low + high - wp.float32(2.0) * own) > wp.float32(KINK)
-    )
 
 
 @wp.func
@@ -310,7 +299,6 @@ def gather(LIGHTS: int):
         stride: wp.int32,
         phases: wp.int32,
         width: wp.int32,
-        kinks: wp.int32,
         highest: wp.float32,
     ):
         row, phase, x = wp.tid()
@@ -325,14 +313,11 @@ def gather(LIGHTS: int):
         right = heights[place(c + 1, y, rows, pitch, margin, shift)]
         above = heights[place(c, y - 1, rows, pitch, margin, shift)]
         beneath = heights[place(c, y + 1, rows, pitch, margin, shift)]
-        receives = own > wp.float32(HIGHEST_MASKED)
-        if kinks != 0 and (bent(left, own, right) or bent(above, own, beneath)):
-            receives = False
         all = (rows + stride - 1) / stride * phases * width
         at = (row * phases + phase) * width + x
         num = lights()
         den = wp.float32(-1.0)
-        if receives:
+        if own > wp.float32(HIGHEST_MASKED):
             num, den = gathered(
                 heights,
                 light,
@@ -384,7 +369,6 @@ def fill(LIGHTS: int):
         stride: wp.int32,
         phases: wp.int32,
         width: wp.int32,
-        kinks: wp.int32,
     ):
         y, i = wp.tid()
         pitch = across + 2 * margin
@@ -426,16 +410,8 @@ def fill(LIGHTS: int):
         # 2. between them
         first = i * step
         for x in range(first, wp.min(first + step, cols)):
-            here = place(x, y, rows, pitch, margin, shift)
             p = y * cols + x
-            own = heights[here]
-            is_kink = False
-            if kinks != 0:
-                is_kink = bent(
-                    heights[place(x - 1, y, rows, pitch, margin, shift)],
-                    own,
-                    heights[place(x + 1, y, rows, pitch, margin, shift)],
-                ) or bent(heights[here - pitch], own, heights[here + pitch])
+            own = heights[place(x, y, rows, pitch, margin, shift)]
             right = wp.float32(x - first) / wp.float32(step)
             if last:
                 right = wp.float32(x - first) / wp.float32(cols - first) * periodic
@@ -447,7 +423,7 @@ def fill(LIGHTS: int):
                 if shares > wp.float32(0.0):
                     mean = (num0[m] * left + num1[m] * right) / shares
                 total = direct[m * rows * cols + p] + wp.float32(PI) * (wp.float32(1.0) - sky[p]) * mean
-                if is_kink or not (known > wp.float32(0.0)):
+                if not (known > wp.float32(0.0)):
                     total = wp.float32(-1.0)
                 if own <= wp.float32(HIGHEST_MASKED):
                     total = wp.float32(0.0)

@@ -45,7 +45,7 @@ SKY_METHODS = (
 SUN_METHODS = [(method, n) for method, n in SKY_METHODS if method in ("horizon", "unoccluded")]
 # with which the exact light between surfaces is found: measured on 128 x 128 nodes, twice the fine rounds and
 # twice the azimuths differ by 0.03 % of the mean
-EXACT_ROUNDS = (Round(8, 2, 8, 0.25, True),) * 8 + (Round(64, 1, 64, 0.05),) * 3
+EXACT_ROUNDS = (Round(8, 2, 8, 0.25),) * 8 + (Round(64, 1, 64, 0.05),) * 3
 EXACT_AZIMUTHS = 90
 LAMP_METHODS = (
     [("slices", s) for s in (8, 16, 32, 64, 128)]

@@ -23,16 +23,12 @@ SHIFT = 2  # columns 2^SHIFT apart are neighbours in planes: the widest stride o
 
 
 class Round(NamedTuple):
-    """One gather: azimuths, stride of the receivers, crossings met one by one, growth of steps past them.
-
-    ``kinks``: nodes where the ground bends gather by themselves.
-    """
+    """One gather: azimuths, stride of the receivers, crossings met one by one, growth of steps past them."""
 
     azimuths: int
     stride: int
     near: int
     growth: float
-    kinks: bool = False
 
 
 class Planes:
@@ -100,9 +96,8 @@ class Planes:
     def _gather_receivers(
         self, azimuths: int, tables: Sequence[Array], sums: Array, grid: tuple[int, ...], highest: float
     ) -> None:
-        """Sums over the strips of receivers; ``grid``: their stride, phases and width, and whether kinks are
-        left out."""
-        stride, phases, width, _ = grid
+        """Sums over the strips of receivers; ``grid``: their stride, phases and width."""
+        stride, phases, width = grid
         self.engine.launch(
             "interreflection",
             "gather",
@@ -172,9 +167,7 @@ class Strips(Planes):
     def find(self, z: Array) -> None:
         """Of the surface of depths z (rows x cols) on the device."""
         self._spread(z, self.one, self.heights, 1, False, -1.0, NONE)
-        self._gather_receivers(
-            self.azimuths, self.tables, self.sums, (1, 1 << self.shift, self.width, 0), 0.0
-        )
+        self._gather_receivers(self.azimuths, self.tables, self.sums, (1, 1 << self.shift, self.width), 0.0)
 
 
 class Bounces(Planes):
@@ -248,7 +241,7 @@ class Bounces(Planes):
             )
             lines = -(-rows // this.stride)
             sums = engine.empty(((self.lights + 1) * lines * phases * width,), np.float32)
-            grid = this.stride, phases, width, int(this.kinks)
+            grid = this.stride, phases, width
             self._gather_receivers(this.azimuths, tables, sums, grid, self.highest)
             engine.launch(
                 "interreflection",
@@ -264,7 +257,7 @@ class Bounces(Planes):
                 group=GROUP,
                 LIGHTS=self.lights,
             )
-        if this.stride == 1 or this.kinks or self.valid is not None:
+        if this.stride == 1 or self.valid is not None:
             known = self.direct, self.sky, self.total
             self._gather_nodes(this.azimuths, tables, known, this.stride == 1, self.highest)
         engine.finish()  # sums may be freed

@@ -9,7 +9,7 @@ import numpy as np
 from ... import constants
 from ...constants import DARK, PERIODIC
 
-HIGHEST_MASKED, KINK = np.float32(constants.HIGHEST_MASKED), np.float32(constants.KINK)
+HIGHEST_MASKED = np.float32(constants.HIGHEST_MASKED)
 PI, HALF_PI, ENDLESS = (np.float32(v) for v in (constants.PI, constants.HALF_PI, constants.ENDLESS))
 ARC_TANGENT = np.array(constants.ARC_TANGENT, np.float32)
 ZERO, HALF, ONE = np.float32(0), np.float32(0.5), np.float32(1)
@@ -68,12 +68,6 @@ def _tilt(low: np.ndarray, own: np.ndarray, high: np.ndarray) -> np.ndarray:
         low_masked | high_masked, ONE, HALF
     )
     return np.where(own <= HIGHEST_MASKED, ZERO, slope)
-
-
-def _bent(low: np.ndarray, own: np.ndarray, high: np.ndarray) -> np.ndarray:
-    bends = np.abs(low + high - np.float32(2) * own) > KINK
-    is_kink: np.ndarray = (low > HIGHEST_MASKED) & (high > HIGHEST_MASKED) & bends
-    return is_kink
 
 
 def _to_wall(at: np.ndarray, along: Any, count: int) -> np.ndarray:
@@ -235,17 +229,13 @@ def gather(
     stride: int,
     phases: int,
     width: int,
-    kinks: int,
     highest: float,
     LIGHTS: int,
 ) -> None:
     layout, step = _Layout(rows, cols, across, margin, shift), min(stride, 1 << shift)
     row, phase, x = (index.ravel() for index in np.mgrid[: (rows + stride - 1) // stride, :phases, :across])
     c, y = (x << shift) + phase * step, row * stride
-    own, left, right, above, beneath = layout.around(heights, c, y)
-    receives = own > HIGHEST_MASKED
-    if kinks:
-        receives &= ~(_bent(left, own, right) | _bent(above, own, beneath))
+    receives = heights[layout.place(c, y)] > HIGHEST_MASKED
     strips = _Strips(heights, light, layout, sides, LIGHTS, c[receives], y[receives], highest)
     _gathered(strips, ways, places, crossings, azimuths, count)
     out = sums.reshape(LIGHTS + 1, -1, phases, width)
@@ -270,7 +260,6 @@ def fill(
     stride: int,
     phases: int,
     width: int,
-    kinks: int,
     LIGHTS: int,
 ) -> None:
     layout, step = _Layout(rows, cols, across, margin, shift), min(stride, 1 << shift)
@@ -294,15 +283,12 @@ def fill(
         num.append([weights[0] * a + weights[1] * b for a, b in zip(ends[0][:LIGHTS], ends[1][:LIGHTS])])
     left = ONE - right
     known, shares = whole[0] * left + whole[1] * right, den[0] * left + den[1] * right
-    own, west, east, above, beneath = layout.around(heights, x[None], y[:, None])
-    is_kink = np.zeros(own.shape, bool)
-    if kinks:
-        is_kink = _bent(west, own, east) | _bent(above, own, beneath)
+    own = heights[layout.place(x[None], y[:, None])]
     for light in range(LIGHTS):
         mean = (num[0][light] * left + num[1][light] * right) / np.where(shares > 0, shares, ONE)
         mean = np.where(shares > 0, mean, ZERO)
         total = direct.reshape(LIGHTS, rows, cols)[light] + PI * (ONE - sky.reshape(rows, cols)) * mean
-        total = np.where(is_kink | ~(known > 0), -ONE, total)
+        total = np.where(known > 0, total, -ONE)
         irradiance.reshape(LIGHTS, rows, cols)[light] = np.where(own <= HIGHEST_MASKED, ZERO, total)
 
 
