@@ -548,6 +548,33 @@ def test_as_a_process(here):
     )
 
 
+@pytest.mark.slow
+def test_closed_streams(here):
+    """What needs a stream that is closed is refused in one line; the rest works."""
+    shell = lambda line: subprocess.run(
+        f"{sys.executable} -m skylamp {line}", shell=True, capture_output=True, text=True, timeout=300
+    )
+    lost = shell("render depth.npy --out - --backend numpy >&-")
+    assert (lost.returncode, lost.stderr) == (1, "skylamp: error: --out -: stdout is closed\n")
+    for streams_closed in (">&-", "2>&-", ">&- 2>&-"):
+        done = shell(f"render depth.npy --out closed.npy --backend numpy {streams_closed}")
+        assert done.returncode == 0 and np.load(here / "closed.npy").shape == BOWL.shape, done
+        (here / "closed.npy").unlink()
+    assert shell("backends >&-").returncode == 0
+
+
+def test_tiles_of_a_file_that_is_no_geotiff(here, capsys):
+    """The error names what is needed, not the extension that the file has."""
+    code, _, errors = run(capsys, "horizon", "depth.npy", "--out", "a.tif", "--memory", "1GB")
+    assert code == 3 and "allowed: a whole GeoTIFF file" in errors
+
+
+def test_doctor_in_one_line(here, capsys):
+    """--json as of the other commands: one object in one line."""
+    code, report, _ = run(capsys, "doctor", "--json")
+    assert code == 0 and report.count("\n") == 1 and json.loads(report)["backends"]
+
+
 @pytest.mark.parametrize("module", ["skylamp", pytest.param("skylamp.app.cli", marks=pytest.mark.slow)])
 def test_as_a_module(here, module):
     """python -m runs the command line, under its own name, with its exit codes."""

@@ -116,6 +116,10 @@ SOURCES = {
         lambda: sl.environment_map([[1, np.nan]]),
         ["environment_map: values", "finite: False"],
     ),
+    "environment of nan": (
+        lambda: sl.environment_map(np.full((2, 4), np.nan)),
+        ["environment_map: values", "nan to nan"],
+    ),
     "lamp of nothing": (lambda: sl.Lamp(), ["lamp", "center and radius"]),
     "lamp without radius": (lambda: sl.Lamp(center=(1, 2, 3)), ["lamp", "center and radius"]),
     "lamp both": (lambda: sl.Lamp(center=(1, 2, 3), radius=1, volume=VOLUME), ["lamp", "volume alone"]),

@@ -69,6 +69,13 @@ def test_a_difference_is_exit_1(capsys, monkeypatch):
     assert code == 1 and "failed" in out and "skylamp: warp:cpu: lost the device" in err
 
 
+@pytest.mark.filterwarnings("error")
+def test_tiles_of_the_test_itself_warn_nobody(fast):
+    """What their far ground adds is what is measured."""
+    selftest.CHECKS["seam of tiles"][0](fast)
+    next(case for case in selftest.cases() if "tiles" in case.name).make(fast)
+
+
 WRONG = {  # a result that is wrong by so little, and the check that tells
     "render": (
         lambda out: replace(out, image=out.image * np.float32(1.01)),

@@ -9,6 +9,7 @@ from __future__ import annotations
 import csv
 import json
 import logging
+import os
 import sys
 import traceback
 from functools import partial
@@ -486,11 +487,11 @@ def backends(as_json: opt.Json = False, quiet: opt.Quiet = False, verbose: opt.V
 
 
 @app.command(epilog=epilog("doctor"))
-def doctor(quiet: opt.Quiet = False, verbose: opt.Verbose = False) -> None:
-    """Print versions, devices, caches and free memory as JSON, for bug reports."""
+def doctor(as_json: opt.Json = False, quiet: opt.Quiet = False, verbose: opt.Verbose = False) -> None:
+    """Print versions, devices, caches and free memory as JSON, for bug reports; with --json in one line."""
     with output.progress_bar("looking for devices"):
         report = examined()
-    print(json.dumps(report, indent=1))
+    print(json.dumps(report, indent=None if as_json else 1))
 
 
 @app.command(epilog=epilog("selftest"))
@@ -592,6 +593,8 @@ def view(
 
 def main(arguments: list[str] | None = None) -> NoReturn:
     """Run the command line and exit; ``arguments`` default to the process's own."""
+    # of closed streams, whose numbers the files of the command would get else
+    sys.stdout, sys.stderr = (stream or open(os.devnull, "w") for stream in (sys.stdout, sys.stderr))
     # these libraries log the text of the error too
     for library, level in (("tifffile", logging.ERROR), ("rasterio", logging.CRITICAL)):
         logging.getLogger(library).setLevel(level)

@@ -83,6 +83,8 @@ def check(out: str, as_json: bool, picture: Path | None = None) -> None:
         raise typer.BadParameter(
             "stdout holds either the data or the JSON object: give --out a file", param_hint="--out"
         )
+    elif sys.__stdout__ is None:
+        raise OSError("--out -: stdout is closed")
 
 
 def write(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
@@ -142,11 +143,8 @@ def _furnace(backend: str) -> float:
 def _seam(backend: str) -> float:
     """Sky-view factors in tiles of 16 with 8 nodes around them, far ground in blocks; and of the whole."""
     scene = Scene(_waves(32))
-    whole, tiled = (
-        sky_view_factor(scene, azimuths=16, backend=backend, tiling=tiling)
-        for tiling in (None, Tiling(tile=16, halo=8, rule=4))
-    )
-    return float(abs(tiled - whole).max())
+    whole = sky_view_factor(scene, azimuths=16, backend=backend)
+    return float(abs(_in_tiles(scene, backend) - whole).max())
 
 
 @_check("depth from an image [nodes, RMS]", 0.1)
@@ -197,7 +195,7 @@ def cases() -> list[Case]:
         Case("visibility bits, filled, lamp", lambda name: bits_filled(backend=name), 0.0),
         Case("sky, lattice", _irradiance(scene, Sky(), method="lattice"), 1e-5),
         Case("horizons", lambda name: horizons(scene, azimuths=16, backend=name), 1e-5),
-        Case("sky-view factor in tiles", _in_tiles(scene), 1e-5),
+        Case("sky-view factor in tiles", partial(_in_tiles, scene), 1e-5),
         Case("clear sky, horizons", _irradiance(box, clear, azimuths=32), 1e-5),
         Case("lamp, slices", _irradiance(scene, lamp, method="horizon"), 1e-5),
         Case("light between surfaces", _irradiance(scene, Sky(), azimuths=16, interreflection=True), 1e-5),
@@ -208,9 +206,12 @@ def _irradiance(scene: Scene, source: Source, **options: Any) -> Callable[[str],
     return lambda name: render(scene, source, backend=name, quantity="irradiance", **options).image
 
 
-def _in_tiles(scene: Scene) -> Callable[[str], np.ndarray]:
-    tiling = Tiling(tile=16, halo=8, rule=4)
-    return lambda name: sky_view_factor(scene, azimuths=16, backend=name, tiling=tiling)
+def _in_tiles(scene: Scene, backend: str) -> np.ndarray:
+    """Sky-view factors in tiles of 16 nodes, without the warning of what far ground adds to their error."""
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "Tiles:")
+        tiling = Tiling(tile=16, halo=8, rule=4)
+        return sky_view_factor(scene, azimuths=16, backend=backend, tiling=tiling)
 
 
 def selftest(progress: Callable[[int, int], None] | None = None) -> list[Comparison]:

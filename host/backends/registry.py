@@ -4,12 +4,20 @@ from __future__ import annotations
 
 import difflib
 import functools
+import os
 import threading
+from dataclasses import replace
 
 from ..errors import BackendError
 from .base import Backend, BackendInfo
 
+HOST = "numpy", "warp:cpu"  # backends without a driver, which work in a forked process too
+FORKED = (
+    "its driver was started before this process was forked, and does not answer here; start processes by"
+    ' "spawn" or "forkserver" (multiprocessing.set_start_method), or before the first use of skylamp'
+)
 _preferred = ""  # what "auto" takes in this process, see prefer()
+_forked = False  # whether this process was forked from one in which devices had been looked for
 _lock = threading.RLock()  # devices are looked for, and a backend is made, by one thread
 
 
@@ -23,6 +31,11 @@ def backends() -> list[BackendInfo]:
     """
     with _lock:
         infos = _probe()
+    if _forked:
+        infos = tuple(
+            replace(info, available=False, why=info.why or FORKED) if info.name not in HOST else info
+            for info in infos
+        )
     return sorted(
         infos,
         key=lambda info: (
@@ -46,8 +59,7 @@ def select(name: str = "auto") -> Backend:
     if name == "auto":
         name = _preferred or next(info.name for info in infos.values() if info.available)
     if name == "opencl":
-        devices = [n for n, info in infos.items() if n.startswith("opencl:") and info.available]
-        name = devices[0] if devices else name
+        name = next((name for name in infos if name.startswith("opencl")), name)  # one that is here, if any
     info = infos.get(name)
     if info is None or not info.available:
         why = info.why if info else "there is no such backend"
@@ -68,6 +80,16 @@ def prefer(name: str) -> None:
     """
     global _preferred
     _preferred = select(name).name if name else ""
+
+
+def _after_fork() -> None:
+    """In the child: the drivers' threads are the parent's, and so may be the holder of the lock."""
+    global _forked, _lock
+    _forked, _lock = _forked or _probe.cache_info().currsize > 0, threading.RLock()
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_after_fork)
 
 
 def _names() -> list[str]:

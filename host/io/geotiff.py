@@ -123,7 +123,7 @@ def window(path: StrPath, rows: slice, cols: slice) -> np.ndarray:
 def _opened(path: Path) -> Iterator[Any]:
     """The file by rasterio; it has one band."""
     rasterio = _rasterio(path)
-    with reading(path), warnings.catch_warnings():
+    with reading(path, "GeoTIFF"), warnings.catch_warnings():
         warnings.simplefilter("error", rasterio.errors.NotGeoreferencedWarning)
         # this driver alone: a .tif that is a VRT could name any file
         with rasterio.open(path, driver="GTiff") as file:

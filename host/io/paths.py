@@ -35,8 +35,11 @@ def readable(path: StrPath) -> Path:
 
 
 @contextlib.contextmanager
-def reading(path: Path) -> Iterator[None]:
-    """Whatever a reader raises at a damaged or hostile file becomes one InputError that names the file."""
+def reading(path: Path, kind: str = "") -> Iterator[None]:
+    """Whatever a reader raises at a damaged or hostile file becomes one InputError that names the file.
+
+    ``kind``: what it should be, unless its extension says so.
+    """
     try:
         yield
     except (InputError, CapacityError):
@@ -47,7 +50,7 @@ def reading(path: Path) -> Iterator[None]:
         raise bad(
             f"{path}: cannot read",
             f"{type(error).__name__}: {text}",
-            f"a whole {path.suffix.lower()} file of real numbers",
+            f"a whole {kind or path.suffix.lower()} file of real numbers",
         ) from error
 
 

@@ -168,7 +168,7 @@ def environment_map(array: Any) -> BrightnessFunction:
     if not np.isfinite(image).all() or image.min() < 0:
         raise bad(
             "environment_map: values",
-            f"{np.nanmin(image)} to {np.nanmax(image)}, finite: {np.isfinite(image).all()}",
+            f"{image.min()} to {image.max()}, finite: {np.isfinite(image).all()}",
             "finite, >= 0",
         )
     return EnvironmentMap(image)

@@ -138,6 +138,40 @@ def test_a_forked_child_renders():
     assert child.exitcode == 0
 
 
+FORK = """
+import os, numpy as np, skylamp as sl
+scene = sl.Scene(np.random.default_rng(0).random((16, 21)))
+parent = sl.render(scene, sl.Sky(), azimuths=8, backend="opencl").image
+child = os.fork()
+if child:
+    os._exit(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))
+out = sl.render(scene, sl.Sky(), azimuths=8)
+assert out.backend in ("warp:cpu", "numpy"), out.backend
+np.testing.assert_allclose(out.image, parent, rtol=1e-5)
+try:
+    sl.render(scene, sl.Sky(), backend="opencl")
+except sl.BackendError as error:
+    assert "before this process was forked" in str(error) and "spawn" in str(error)
+    os._exit(0)
+"""
+
+
+@pytest.mark.slow
+def test_a_child_forked_after_opencl_does_not_hang():
+    """Drivers' threads are the parent's: they are not available in the child, and "auto" takes another."""
+    status, _, errors = environment.ran(FORK)
+    assert status == 0, errors[-2000:]
+
+
+@pytest.mark.slow
+def test_a_compiler_says_nothing(tmp_path):
+    """With an empty cache, clang counts its remarks on stderr unless told not to."""
+    status, _, errors = environment.ran(
+        RENDER.format(backend="opencl"), POCL_CACHE_DIR=str(tmp_path), PYOPENCL_NO_CACHE="1"
+    )
+    assert status == 0 and "warning" not in errors.replace("Warp CUDA warning", ""), errors
+
+
 @pytest.mark.slow
 def test_many_renders_take_no_more_memory(backend):
     """A few hundred small ones after the first hundred: less than 8 MiB more."""
