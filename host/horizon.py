@@ -239,7 +239,7 @@ def _scene_of(given: Any) -> Scene:
     """The scene of an xarray.DataArray of heights; anything else is returned as it is."""
     scene = given if labels_of(given) is None else Scene.from_height(given)
     is_scene(scene)
-    return scene
+    return scene.under_sky()
 
 
 def as_azimuths(azimuths: int | Azimuths) -> Azimuths:

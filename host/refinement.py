@@ -249,6 +249,8 @@ def plan(
     is_scene(scene)
     check_choice(interreflection)
     engine = select(backend)
+    if isinstance(source, sources.Sky):
+        scene = scene.under_sky()
     if isinstance(source, sources.Source):
         source, _ = sources.in_range(sources.on_axes(source, scene.axes))
     with engine.lock:

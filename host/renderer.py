@@ -66,6 +66,11 @@ class Renderer:
         self.stays = scene.stays_on(engine) and self.on_device  # it is left where the map was given
         self.plans: list[Plan] = []
         self.warnings: list[str] = []
+        if scene.rounding:
+            self.warnings.append(
+                f"Depths are rounded by {scene.rounding:.2g} spacings: subtract a constant depth, from the"
+                " source too."
+            )
         self.parts: list[tuple[Refined, float]] = []  # refined irradiances, times factors
         self.unlit: np.ndarray | None = None  # (rows, cols) bool: mirrors that do not show the source
         self.interreflection: Interreflection | None = None

@@ -82,12 +82,12 @@ def render(
 
     Examples
     --------
-    >>> out = render(Scene(depth), Sky(), tolerance=0.003)
-    >>> print(out.plan, out.error.max())
+    >>> print(render(Scene(depth), Sky(), tolerance=0.003).plan)
     """
     asked = method, tolerance, quantity, hemicube, filled, weights, azimuths, max_distance, tail
     options = Options(*asked, interreflection, parts)
     options.check(scene, source)
+    scene = scene.under_sky() if isinstance(source, sources.Sky) else scene
     engine = engine_of(scene, backend)
     source, scale = sources.in_range(sources.on_axes(source, scene.axes))
     with limited(max_seconds, "render", scene, backend):

@@ -53,6 +53,8 @@ def visibility(
             )
         return visibility_field(scene, source, cube, backend=backend, max_seconds=max_seconds).surface()
     is_scene(scene)
+    if isinstance(source, sources.Sky):
+        scene = scene.under_sky()
     engine = select(backend)
     with engine.lock, within(max_seconds, "visibility", engine):
         return propagation.visibility(engine, lattice.problem_of(engine, scene, source, cube, filled))

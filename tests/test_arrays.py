@@ -517,6 +517,39 @@ def test_relief_far_above_zero(fast):
     np.testing.assert_allclose(far.image, plain.image, rtol=0, atol=1e-6)
 
 
+@pytest.mark.parametrize("sides", ["open", "periodic"])
+def test_depths_far_from_zero_under_a_sky(fast, sides):
+    """As heights: where z = 0 lies means nothing to a sky, and float32 would leave steps of 1 and of 64."""
+    depth = 1 + DEPTH.astype(float) / DEPTH.max()
+    near, sky = sl.Scene(depth, sides=sides), sl.Sky(lambda L: 1 - L[..., 2])
+    made = {
+        "auto": lambda scene: sl.render(scene, sky, backend=fast).image,
+        "lattice": lambda scene: sl.render(scene, sky, method="lattice", hemicube=5, backend=fast).image,
+        "sky-view factor": lambda scene: sl.sky_view_factor(scene, backend=fast),
+        "bits": lambda scene: sl.visibility(scene, sky, 5, backend=fast),
+        "plan": lambda scene: np.array(sl.plan(scene, sky, backend=fast).azimuths),
+    }
+    for offset in (1e7, 1e9):
+        far = sl.Scene(depth + offset, sides=sides)
+        for name, make in made.items():
+            kept = 1e-5 if offset > 1e8 else 2e-6  # steps of float64 at 1e9 are 1e-7
+            np.testing.assert_allclose(make(far), make(near), rtol=0, atol=kept, err_msg=f"{name} {offset}")
+        assert sl.render(far, sky, backend=fast).warnings == []
+    counts = np.rint(20 * depth).astype(np.int64)
+    images = [sl.render(sl.Scene(c, sides=sides), sky, backend=fast).image for c in (counts, counts + 10**9)]
+    np.testing.assert_allclose(*images, rtol=1e-6)
+
+
+def test_depths_far_from_zero_that_float32_rounds_are_told(fast):
+    """Where z = 0 counts, under a lamp or in a box, and none where nothing is rounded."""
+    depth, lamp = 1e7 + DEPTH.astype(float) / DEPTH.max(), sl.Lamp((5, 5, 1e7 - 20), 3)
+    for scene, source in ((sl.Scene(depth), lamp), (sl.Scene(depth, sides="dark"), sl.Sky())):
+        (text,) = sl.render(scene, source, azimuths=8, backend=fast).warnings
+        assert text.startswith("Depths are rounded by 0.6 spacings")
+    for scene in (sl.Scene(depth.astype(np.float32)), sl.Scene(np.full((5, 6), 1e7)), sl.Scene(DEPTH)):
+        assert scene.rounding == 0 and scene.under_sky() is scene
+
+
 @pytest.mark.parametrize("size", [(3, 5), (700, 900)])
 def test_a_scene_of_any_type_of_numbers(size):
     """Integers, halves, doubles, in bands and whole: depths to the nearest float32, nan where masked."""
