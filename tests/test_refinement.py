@@ -500,6 +500,18 @@ def test_spotlights_over_ground_that_hides_them(fast, power, radius):
     assert off <= 0.02 or said(out) and off <= said(out), (off, out.plan.steps, out.warnings)
 
 
+def test_what_is_hidden_of_a_small_lamp_is_not_of_its_mean_brightness(fast):
+    """A far lamp behind houses, dark below and bright above: half shadows hide the dark part first."""
+    scene, radius = SCENES["houses"], 1000.0
+    center = 1e5 * np.array([np.cos(0.3) * np.cos(0.4), np.cos(0.3) * np.sin(0.4), -np.sin(0.3)])
+    lamp = sl.Lamp(tuple(center), radius, lambda L: np.clip(100 * (-L[..., 2] - np.sin(0.3)) + 1, 0, 2))
+    samples = Samples(select(fast), scene, 400, 100_003)
+    solid = Ball((*center[:2], -center[2]), radius)
+    out = irradiance(scene, lamp, fast, tolerance=0.003)
+    off = errors(samples.of(out.image), samples.exact(lamp, solid)).rms
+    assert off <= 0.003 and not out.warnings, (off, out.plan.steps)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("radius", [0.27, 1, 3, 10])
 def test_a_sun_through_a_window_lights_a_patch(fast, radius):
