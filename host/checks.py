@@ -57,6 +57,15 @@ def positive_number(value: Any, what: str) -> float:
     return number
 
 
+def whole_number(value: Any, what: str, least: int, most: int | None = None, allowed: str = "") -> int:
+    """``value`` if it is a whole number from ``least`` to ``most``; ``allowed``: other words for these."""
+    is_whole = isinstance(value, (int, np.integer)) and not isinstance(value, bool)
+    if not is_whole or value < least or (most is not None and value > most):
+        limits = f">= {least}" if most is None else f"from {least} to {most}"
+        raise bad(what, repr(value), allowed or f"a whole number {limits}")
+    return int(value)
+
+
 def at(index: ArrayLike) -> str:
     """Where the first true element of a boolean array is, for messages."""
     return f"at (row, col) = {tuple(int(i) for i in np.argwhere(index)[0])}"

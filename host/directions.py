@@ -7,6 +7,7 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 
+from .checks import whole_number
 from .errors import bad
 from .radiometry import polygon_moment, rectangle_solid_angle
 
@@ -44,15 +45,11 @@ class Hemicube:
     size: int
 
     def __post_init__(self) -> None:
-        size = self.size
-        if (
-            isinstance(size, (bool, np.bool_))
-            or not isinstance(size, (int, np.integer))
-            or size % 2 == 0
-            or not 3 <= size <= LARGEST
-        ):
-            raise bad("hemicube", repr(size), f"an odd whole number from 3 to {LARGEST}")
-        object.__setattr__(self, "size", int(size))
+        allowed = f"an odd whole number from 3 to {LARGEST}"
+        size = whole_number(self.size, "hemicube", 3, LARGEST, allowed)
+        if size % 2 == 0:
+            raise bad("hemicube", size, allowed)
+        object.__setattr__(self, "size", size)
 
     def __len__(self) -> int:
         return len(self.steps)
@@ -122,23 +119,13 @@ class Azimuths:
     edges: tuple[float, ...] | None = None
 
     def __post_init__(self) -> None:
-        count = self.count
-        if (
-            isinstance(count, (bool, np.bool_))
-            or not isinstance(count, (int, np.integer))
-            or not 1 <= count <= MOST_AZIMUTHS
-        ):
-            raise bad("azimuths", repr(count), f"a whole number from 1 to {MOST_AZIMUTHS}")
+        count = whole_number(self.count, "azimuths", 1, MOST_AZIMUTHS)
         edges = np.linspace(0, 2 * np.pi, count + 1) if self.edges is None else np.asarray(self.edges, float)
-        if (
-            edges.shape != (count + 1,)
-            or not (np.diff(edges) > 0).all()
-            or abs(edges[-1] - edges[0] - 2 * np.pi) > 1e-9
-        ):
-            raise bad(
-                "azimuths: edges", f"shape {edges.shape}", f"{count + 1} increasing angles that span 2 pi"
-            )
-        object.__setattr__(self, "count", int(count))
+        increase = edges.shape == (count + 1,) and bool((np.diff(edges) > 0).all())
+        if not increase or abs(edges[-1] - edges[0] - 2 * np.pi) > 1e-9:
+            allowed = f"{count + 1} increasing angles that span 2 pi"
+            raise bad("azimuths: edges", f"shape {edges.shape}", allowed)
+        object.__setattr__(self, "count", count)
         object.__setattr__(self, "edges", tuple(edges.tolist()))
 
     def __len__(self) -> int:
@@ -160,10 +147,8 @@ class Azimuths:
         """``count`` sectors, half spread evenly, half by ``weights`` (n,), the light of n even sectors."""
         weights = np.asarray(weights, float)
         share = np.concatenate([[0], np.cumsum(0.5 * weights / weights.sum() + 0.5 / len(weights))])
-        edges = np.interp(
-            np.linspace(0, 1, count + 1), share / share[-1], np.linspace(0, 2 * np.pi, len(weights) + 1)
-        )
-        return cls(count, tuple(edges))
+        turn = np.linspace(0, 2 * np.pi, len(weights) + 1)
+        return cls(count, tuple(np.interp(np.linspace(0, 1, count + 1), share / share[-1], turn)))
 
 
 def _frozen(array: np.ndarray) -> np.ndarray:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,7 @@ from .constants import APERTURE, BALL, RECTANGLE, SKY, VOLUME
 from .sources import Geometry
 
 Node = tuple[Sequence[int] | np.ndarray, Sequence[int] | np.ndarray]  # row indices, column indices
+Vector = tuple[float, float, float]
 Aim = Callable[[np.ndarray, np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray, np.ndarray]]
 
 FAR = np.iinfo(np.int64).max // 4  # depth of a masked column: free space without end
@@ -156,15 +158,13 @@ def propagate(
         if source.kind == VOLUME and n < len(source.flags):
             shining = (source.flags[n] != 0) & in_free
         visible = np.zeros((len(steps), rows, cols), bool)
+        here = x, y, np.full_like(x, n)
         for d, (i, j, up) in enumerate(steps):  # (2) for all L in H*
             i, j, k = int(i), int(j), -int(up)
-            leaving = meets_source(x, y, np.full_like(x, n), (i, j, -k), surface.shape, sides, source)
+            leaving = meets_source(*here, (i, j, -k), surface.shape, sides, source)
+            near = np.zeros_like(leaving)
             if source.kind == BALL:
-                near = _hits_ball(
-                    x, y, np.full_like(x, n), (i, j, -k), source.numbers, 1.0, surface.shape, sides
-                )
-            else:
-                near = np.zeros_like(leaving)
+                near = _hits_ball(*here, (i, j, -k), source.numbers, 1.0, surface.shape, sides)
             if n - k < 0:  # the ray leaves through z < 0
                 visible[d] = leaving
             elif k > 0:
@@ -203,8 +203,8 @@ def _in_layer(
 ) -> np.ndarray:
     """k = 0: V(x) needs V(x + l) of the same layer, so nodes are taken in order from the source's side."""
     rows, cols = in_free.shape
+    lit = np.zeros_like(in_free)
     if sides == "periodic":
-        lit = np.zeros_like(in_free)
         for row in range(rows):
             for col in range(cols):
                 if not in_free[row, col]:
@@ -221,7 +221,6 @@ def _in_layer(
                         break
                     r, c = (r + j) % rows, (c + i) % cols
         return lit
-    lit = np.zeros_like(in_free)
     for row in range(rows)[:: -1 if j > 0 else 1]:
         for col in range(cols)[:: -1 if i > 0 else 1]:
             r, c = row + j, col + i
@@ -259,11 +258,9 @@ def filled_visibility(depth: np.ndarray, spacing: float, steps: np.ndarray, side
         i, j, k = int(i), int(j), -int(up)
         lit = finite.copy()
         crossings = {(a, abs(i)) for a in range(1, abs(i) + 1)} | {(b, abs(j)) for b in range(1, abs(j) + 1)}
-        laps = (
-            math.lcm(cols // math.gcd(cols, i or cols), rows // math.gcd(rows, j or rows))
-            if sides == "periodic"
-            else max(rows, cols)
-        )
+        laps = max(rows, cols)
+        if sides == "periodic":
+            laps = math.lcm(cols // math.gcd(cols, i or cols), rows // math.gcd(rows, j or rows))
         if k:
             laps = min(laps, int(relief / (k * spacing)) + 2)
         for t in range(laps if (i or j) else 0):
@@ -279,15 +276,10 @@ def filled_visibility(depth: np.ndarray, spacing: float, steps: np.ndarray, side
                 if sides == "periodic":
                     c, r, c2, r2 = c % cols, r % rows, c2 % cols, r2 % rows
                 inside = (c >= 0) & (c2 < cols) & (r >= 0) & (r2 < rows)
-                near, after = (
-                    depth[np.clip(row, 0, rows - 1), np.clip(col, 0, cols - 1)].astype(float)
-                    for row, col in ((r, c), (r2, c2))
-                )
+                near, after = (depth[row % rows, col % cols].astype(float) for row, col in ((r, c), (r2, c2)))
                 far = np.where(weight == 0, near, after)
                 known = inside & np.isfinite(near) & np.isfinite(far)
-                ground = np.where(
-                    known, (q - weight) * np.where(known, near, 0) + weight * np.where(known, far, 0), np.inf
-                )
+                ground = (q - weight) * np.where(known, near, 0) + weight * np.where(known, far, 0)
                 ray = q * np.where(finite, depth, 0).astype(float) - (t * q + a) * k * spacing
                 lit &= ~(known & (ground < ray))
         if sides == "dark":
@@ -793,29 +785,11 @@ def lamp_irradiance(
     which shines from both faces.
     """
     if isinstance(lamp, tuple):
-        corner, edge_u, edge_v, brightness = lamp
-        return _gather(
-            depth,
-            spacing,
-            valid,
-            nodes,
-            rays,
-            seed,
-            sides,
-            brightness,
-            lambda origin, u, v: _to_rectangle(corner, edge_u, edge_v, origin, u, v),
-        )
-    return _gather(
-        depth,
-        spacing,
-        valid,
-        nodes,
-        rays,
-        seed,
-        sides,
-        lamp.brightness,
-        lambda origin, u, v: _to_ball(lamp.center, lamp.radius, origin, u, v),
-    )
+        *rectangle, brightness = lamp
+        aim: Aim = partial(_to_rectangle, *rectangle)
+    else:
+        brightness, aim = lamp.brightness, partial(_to_ball, lamp.center, lamp.radius)
+    return _gather(depth, spacing, valid, nodes, rays, seed, sides, brightness, aim)
 
 
 def window_irradiance(
@@ -842,7 +816,7 @@ def window_irradiance(
 
     def aim(origin: np.ndarray, u: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         if sides != "periodic" and origin[2] > 0:
-            return _to_rectangle((x0, y0, 0.0), (x1 - x0, 0.0, 0.0), (0.0, y1 - y0, 0.0), origin, u, v)
+            return _to_rectangle(*_rectangle((x0, x1), (y0, y1)), origin, u, v)
         # every direction, and whether it passes: from the window's own plane the whole sky is visible or none
         L = _upwards(u, v)
         ends = origin[2] / -L[:, 2]
@@ -871,8 +845,7 @@ def specular(
 
     visible (rows, cols, D) bool; normal (rows, cols, 3); R = 2 (N.V) N - V for V = (0, 0, -1).
     """
-    mirror = -2 * normal[..., 2:] * normal - [0.0, 0.0, -1.0]
-    lobe = np.maximum(0.0, mirror @ directions.T) ** exponent
+    lobe = np.maximum(0.0, _mirror_directions(normal) @ directions.T) ** exponent
     cosine = np.maximum(0.0, normal @ directions.T)
     total: np.ndarray = (visible * lobe * cosine * brightness * solid_angles).sum(-1)
     return (exponent + 2) / (2 * np.pi) * total
@@ -895,48 +868,36 @@ def lobe_radiance(
     Under a sky rays are as dense as the lobe, cos^n about the mirror direction; towards lamps and windows as
     for irradiance.
     """
-    normal = normals(depth, spacing, valid, sides)
+    mirror = _mirror_directions(normals(depth, spacing, valid, sides))
+    sky = source.brightness if callable(source.brightness) else lambda L: source.brightness
     out = np.full(len(nodes[0]), np.nan)
     for node, (row, col) in enumerate(zip(*nodes)):
-        N = normal[row, col]
-        R = -2 * N[2] * N - [0.0, 0.0, -1.0]
-        sky = source.brightness if callable(source.brightness) else lambda L: source.brightness
 
-        def light(L: np.ndarray, R: np.ndarray = R, sky: Callable[[np.ndarray], Any] = sky) -> np.ndarray:
+        def light(L: np.ndarray, R: np.ndarray = mirror[row, col]) -> np.ndarray:
             lobe: np.ndarray = np.maximum(0.0, L @ R) ** exponent
             radiance: np.ndarray = sky(L) * (exponent + 2) / (2 * np.pi) * lobe
             return radiance
 
         def about(
-            origin: np.ndarray, u: np.ndarray, v: np.ndarray, R: np.ndarray = R
+            origin: np.ndarray, u: np.ndarray, v: np.ndarray, R: np.ndarray = mirror[row, col]
         ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
             cosine = (1 - u) ** (1 / (exponent + 1))
-            sine, e = np.sqrt(1 - cosine**2), np.cross(R, np.eye(3)[np.argmin(abs(R))])
-            e /= np.linalg.norm(e)
-            L = (
-                cosine[:, None] * R
-                + (sine * np.cos(2 * np.pi * v))[:, None] * e
-                + (sine * np.sin(2 * np.pi * v))[:, None] * np.cross(R, e)
-            )
+            L = _about(R, cosine, np.sqrt(1 - cosine**2), v)
             return L, np.full(len(u), np.inf), 2 * np.pi / ((exponent + 1) * cosine**exponent)
 
-        here = ([row], [col])
-        if kind == "sky":
-            out[node] = _gather(depth, spacing, valid, here, rays, seed, sides, light, about)[0]
-        elif kind == "lamp":
-            aim = lambda origin, u, v: _to_ball(source.center, source.radius, origin, u, v)
-            out[node] = _gather(depth, spacing, valid, here, rays, seed, sides, light, aim)[0]
-        else:
-            aim = lambda origin, u, v: _to_rectangle(
-                (source.x[0], source.y[0], 0),
-                (source.x[1] - source.x[0], 0, 0),
-                (0, source.y[1] - source.y[0], 0),
-                origin,
-                u,
-                v,
-            )
-            out[node] = _gather(depth, spacing, valid, here, rays, seed, sides, light, aim)[0]
+        aim: Aim = about
+        if kind == "lamp":
+            aim = partial(_to_ball, source.center, source.radius)
+        elif kind == "window":
+            aim = partial(_to_rectangle, *_rectangle(source.x, source.y))
+        out[node] = _gather(depth, spacing, valid, ([row], [col]), rays, seed, sides, light, aim)[0]
     return out
+
+
+def _mirror_directions(normal: np.ndarray) -> np.ndarray:
+    """R = 2 (N.V) N - V for V = (0, 0, -1)."""
+    directions: np.ndarray = -2 * normal[..., 2:] * normal - [0.0, 0.0, -1.0]
+    return directions
 
 
 def mirror_radiance(
@@ -953,17 +914,16 @@ def mirror_radiance(
     Where ground is in the way it is 0, or the radiance of that ground, given ``ground`` (rows, cols). A ray
     meets it as the far end of a strip of :func:`strips`, and its radiance is that on the same stretch.
     """
-    normal = normals(depth, spacing, valid, sides)
-    R = -2 * normal[..., 2:] * normal - [0.0, 0.0, -1.0]
-    found = []
+    R = _mirror_directions(normals(depth, spacing, valid, sides))
+    mirrored = []
     for node in zip(*nodes):
         away, radiance = R[node], 0.0
         if away[2] <= 0 and unblocked(depth, spacing, *node, away[None], np.array([np.inf]), sides)[0]:
             radiance = brightness(away[None])[0]
         elif ground is not None:
             radiance = _met(np.where(valid, -depth / spacing, -1e30), ground, *node, away, sides)
-        found.append(radiance)
-    return np.array(found)
+        mirrored.append(radiance)
+    return np.array(mirrored)
 
 
 def _met(
@@ -1035,6 +995,16 @@ def _upwards(u: np.ndarray, v: np.ndarray) -> np.ndarray:
     return np.stack([sine * np.cos(2 * np.pi * v), sine * np.sin(2 * np.pi * v), -cosine], -1)
 
 
+def _about(axis: np.ndarray, cosine: np.ndarray, sine: np.ndarray, v: np.ndarray) -> np.ndarray:
+    """Unit vectors (n, 3) at angles (cosine, sine) from an axis, turned about it by ``v`` of a turn."""
+    e = np.cross(axis, np.eye(3)[np.argmin(abs(axis))])
+    e /= np.linalg.norm(e)
+    turn = 2 * np.pi * v
+    x, y = sine * np.cos(turn), sine * np.sin(turn)
+    L: np.ndarray = cosine[:, None] * axis + x[:, None] * e + y[:, None] * np.cross(axis, e)
+    return L
+
+
 def _to_ball(
     center: Sequence[float], radius: float, origin: np.ndarray, u: np.ndarray, v: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -1044,20 +1014,18 @@ def _to_ball(
     if far <= radius:
         return _upwards(u, v), np.zeros(len(u)), np.full(len(u), 2 * np.pi)
     axis = to / far
-    e = np.cross(axis, np.eye(3)[np.argmin(abs(axis))])
-    e /= np.linalg.norm(e)
-    f = np.cross(axis, e)
     q = (radius / far) ** 2
     cap = q / (1 + math.sqrt(1 - q))  # 1 - cos of the cone's half angle, without cancellation
     lost = u * cap  # 1 - cos of the ray's angle from the axis
     sine = np.sqrt(lost * (2 - lost))
-    L = (
-        (1 - lost)[:, None] * axis
-        + (sine * np.cos(2 * np.pi * v))[:, None] * e
-        + (sine * np.sin(2 * np.pi * v))[:, None] * f
-    )
+    L = _about(axis, 1 - lost, sine, v)
     ends = far * (1 - lost) - np.sqrt(np.maximum(0.0, radius**2 - (far * sine) ** 2))
     return L, ends, np.full(len(u), 2 * np.pi * cap)
+
+
+def _rectangle(x: Sequence[float], y: Sequence[float]) -> tuple[Vector, Vector, Vector]:
+    """Corner and edges of a rectangle in z = 0."""
+    return (x[0], y[0], 0.0), (x[1] - x[0], 0.0, 0.0), (0.0, y[1] - y[0], 0.0)
 
 
 def _to_rectangle(

@@ -10,7 +10,7 @@ import numpy as np
 from . import sources
 from .backends import select
 from .backends.base import within
-from .checks import one_of, positive_number
+from .checks import one_of, positive_number, whole_number
 from .directions import Hemicube
 from .errors import CapacityError, bad
 from .light import lattice, propagation
@@ -92,8 +92,7 @@ def visibility_field(
     depth, step = scene.layers()
     if layers is None:
         layers = int(depth[scene.valid].max()) + 1
-    if isinstance(layers, bool) or not isinstance(layers, (int, np.integer)) or layers < 1:
-        raise bad("layers", repr(layers), "a whole number >= 1")
+    layers = whole_number(layers, "layers", 1)
     needed = field_bytes(scene, cube, layers)
     if max_bytes is not None and needed > positive_number(max_bytes, "max_bytes"):
         raise CapacityError(
@@ -104,7 +103,7 @@ def visibility_field(
     engine = select(backend)
     problem = Problem(depth, step, scene.sides, cube.steps, sources.geometry(source, scene, step))
     with engine.lock, within(max_seconds, "visibility_field", engine):
-        words = propagation.field(engine, problem, int(layers), progress)
+        words = propagation.field(engine, problem, layers, progress)
     return VisibilityField(words, cube, scene, source, depth, engine.name)
 
 
@@ -153,8 +152,7 @@ class VisibilityField:
         """
         layers, _, rows, cols = self.words.shape
         for name, value, size in (("x", x, cols), ("y", y, rows), ("layer", layer, layers)):
-            if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or not 0 <= value < size:
-                raise bad(f"field: {name}", repr(value), f"a whole number from 0 to {size - 1}")
+            whole_number(value, f"field: {name}", 0, size - 1)
         return self.hemicube.unpack(self.words[layer, :, y, x])
 
     def surface(self) -> np.ndarray:

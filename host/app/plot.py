@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .. import oracle, sources
+from ..checks import whole_number
 from ..errors import bad, lacking
 from ..horizon import horizons
 from ..inverse.recover import Recovery
@@ -49,11 +50,10 @@ def field(
     """
     matplotlib = _matplotlib()
     rows, cols = field.scene.shape
-    row = _index("plot.field: row", rows // 2 if row is None else row, rows)
+    row = whole_number(rows // 2 if row is None else row, "plot.field: row", 0, rows - 1)
     if every is None:
         every = max(2, round(max(cols, field.layers) / DISCS))
-    if isinstance(every, bool) or not isinstance(every, (int, np.integer)) or every < 2:
-        raise bad("plot.field: every", repr(every), "a whole number of nodes, at least 2")
+    every = whole_number(every, "plot.field: every", 2, allowed="a whole number of nodes, at least 2")
     depth, radius = field.depth[row], RADIUS * every
     points = _disc_centres(depth, field.layers, every, radius)
     views = [field.view((x, row, z), backend=backend) for x, z in points]
@@ -149,8 +149,8 @@ def horizon(
     """
     _matplotlib()
     is_scene(scene)
-    row = _index("plot.horizon: row", row, scene.shape[0])
-    col = _index("plot.horizon: col", col, scene.shape[1])
+    row = whole_number(row, "plot.horizon: row", 0, scene.shape[0] - 1)
+    col = whole_number(col, "plot.horizon: col", 0, scene.shape[1] - 1)
     if not scene.valid[row, col]:
         raise bad("plot.horizon: node", (row, col), "a node that is not masked")
     source = sources.Sky() if source is None else source
@@ -387,13 +387,6 @@ def drawable(path: StrPath) -> Path:
         raise bad(f"{path}: unknown extension of a picture", repr(path.suffix), " ".join(FIGURE_SUFFIXES))
     _matplotlib()
     return destination(path)
-
-
-def _index(what: str, value: int, size: int) -> int:
-    """``value`` if it is an index of one of ``size`` rows or columns; else InputError."""
-    if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or not 0 <= value < size:
-        raise bad(what, repr(value), f"a whole number from 0 to {size - 1}")
-    return int(value)
 
 
 def _matplotlib() -> Any:

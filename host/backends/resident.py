@@ -196,8 +196,8 @@ class Resident(NamedTuple):
         """Properties of the valid nodes, by one pass over the map, which is kept."""
         if ("survey",) not in self.derived:
             self.derived["survey",] = survey(self.backend, self.depth, self.shape, self.step)
-        found: Survey = self.derived["survey",]
-        return found
+        surveyed: Survey = self.derived["survey",]
+        return surveyed
 
 
 def adopt(

@@ -10,14 +10,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 import numpy as np
 
-from ..checks import real_array
+from ..checks import real_array, whole_number
 from ..errors import InputError, bad, lacking
-from .brightness import Distribution, EnvironmentMap, directions_of
+from .brightness import EnvironmentMap, directions_of
 from .cie import PARAMETERS, SUN_RADIUS, check_place, gradation, scattered
 from .integrals import COLS, ROWS
 
@@ -26,9 +25,8 @@ CELL, TURN = math.pi / 2 / ROWS, 2 * math.pi / COLS  # [rad] height and width of
 DISC_POINTS = 37
 SUNS_AT_ONCE = 2**14  # whose points are shared out together: some 60 MB
 GOLDEN_ANGLE = math.pi * (3 - math.sqrt(5))  # [rad] from point to point of a sunflower's pattern
-SUN_CLASSES = (
-    91  # elevations of the sun, a degree apart, whose skies are computed; between them is interpolated
-)
+# elevations of the sun, a degree apart, whose skies are computed; between them is interpolated
+SUN_CLASSES = 91
 COARSE = 4  # cells along each side of a cell of scattered light: half a degree, a tenth of its finest feature
 # [rad] height of the band at the horizon (Perez et al. 1987: 6.5 degrees)
 PEREZ_BAND = math.radians(6.5)
@@ -36,7 +34,7 @@ PEREZ_LEAST_COSINE = math.cos(math.radians(85))  # of the sun's angle from the z
 
 
 @dataclass(frozen=True, eq=False)
-class SkyOverTime(Distribution):
+class SkyOverTime(EnvironmentMap):
     """A brightness function, made by :func:`sky_over_time`: (..., 3) unit vectors -> (...) [kWh m^-2 sr^-1].
 
     image: the sum as an equirectangular map (1280, 2304), laid out as for :func:`environment_map`. ghi, dhi:
@@ -44,20 +42,9 @@ class SkyOverTime(Distribution):
     computed. suns: number of positions of the sun above the horizon.
     """
 
-    image: np.ndarray
     ghi: float
     dhi: float
     suns: int
-
-    def equirectangular(self) -> np.ndarray:
-        return self.image
-
-    @cached_property
-    def _function(self) -> EnvironmentMap:
-        return EnvironmentMap(self.image)
-
-    def __call__(self, L: np.ndarray) -> np.ndarray:
-        return self._function(L)
 
 
 def sky_over_time(
@@ -128,8 +115,7 @@ def sky_over_time(
     step = _hours(index, hours)
     measured = _measured(dni, dhi, len(index))
     types = _types(model, len(index))
-    if isinstance(substeps, bool) or not isinstance(substeps, (int, np.integer)) or substeps < 1:
-        raise bad("sky_over_time: substeps", repr(substeps), "a whole number >= 1")
+    substeps = whole_number(substeps, "sky_over_time: substeps", 1)
     shift = (np.arange(substeps) + 0.5) / substeps - 0.5
     index = index.repeat(substeps) + pandas.to_timedelta(np.outer(step, shift).ravel(), "h")
     step, types = (np.repeat(values, substeps) for values in (step / substeps, types))
@@ -226,13 +212,14 @@ def _measured(dni: Any, dhi: Any, count: int) -> np.ndarray | None:
             f"sky_over_time: {'dni' if dhi is None else 'dhi'} is given without the other;"
             " allowed: both, or neither for a clear sky."
         )
-    measured = [
-        real_array(values, f"sky_over_time: {name}", 1) for name, values in (("dni", dni), ("dhi", dhi))
-    ]
-    for name, values in zip(("dni", "dhi"), measured):
+    measured = {
+        "dni": real_array(dni, "sky_over_time: dni", 1),
+        "dhi": real_array(dhi, "sky_over_time: dhi", 1),
+    }
+    for name, values in measured.items():
         if len(values) != count:
             raise bad(f"sky_over_time: {name}", f"{len(values)} values", f"{count}, one for every time")
-    return np.stack(measured)
+    return np.stack(list(measured.values()))
 
 
 def _types(model: Any, count: int) -> np.ndarray:
@@ -240,14 +227,10 @@ def _types(model: Any, count: int) -> np.ndarray:
     if isinstance(model, str) and model == "perez":
         return np.zeros(count, int)
     types = np.asarray(model)
-    if (
-        types.dtype.kind not in "iu"
-        or types.shape not in ((), (count,))
-        or not np.isin(types, list(PARAMETERS)).all()
-    ):
-        raise bad(
-            "sky_over_time: model", repr(model), f'"perez", a CIE type from 1 to 15, or {count} such types'
-        )
+    fits = types.dtype.kind in "iu" and types.shape in ((), (count,))
+    if not fits or not np.isin(types, list(PARAMETERS)).all():
+        allowed = f'"perez", a CIE type from 1 to 15, or {count} such types'
+        raise bad("sky_over_time: model", repr(model), allowed)
     return np.broadcast_to(types, count)
 
 
@@ -288,19 +271,12 @@ def _perez(
     """
     zenith = 90 - elevation
     there = dhi > 0
-    arguments = (
-        dhi[there],
-        dni[there],
-        pvlib.irradiance.get_extra_radiation(index[there]).to_numpy(),
-        zenith[there],
-        azimuth[there],
-        pvlib.atmosphere.get_relative_airmass(zenith[there]),
-    )
+    extra = pvlib.irradiance.get_extra_radiation(index[there]).to_numpy()
+    airmass = pvlib.atmosphere.get_relative_airmass(zenith[there])
+    given = dhi[there], dni[there], extra, zenith[there], azimuth[there], airmass
     even, wall = np.zeros((2, len(dhi)))
-    even[there] = pvlib.irradiance.perez(0, 0, *arguments, return_components=True)["poa_isotropic"]
-    wall[there] = pvlib.irradiance.perez(90, azimuth[there], *arguments, return_components=True)[
-        "poa_horizon"
-    ]
+    even[there] = pvlib.irradiance.perez(0, 0, *given, return_components=True)["poa_isotropic"]
+    wall[there] = pvlib.irradiance.perez(90, azimuth[there], *given, return_components=True)["poa_horizon"]
     circumsolar = (dhi - even) / np.maximum(np.cos(np.radians(zenith)), PEREZ_LEAST_COSINE)
     # of a band of brightness 1, on level ground and on a wall
     edge = round(PEREZ_BAND / CELL) * CELL

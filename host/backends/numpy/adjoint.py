@@ -155,11 +155,8 @@ def _note(
     if sides == PERIODIC:
         column, row = column % cols, row % rows
     pull = per_slope[some] * (np.where(on_row, rise, run) / count)
-    whole, share, e = (
-        -pull * inverse[some],
-        place - low.astype(f32),
-        (some // LINK_BLOCK, held[some], some % LINK_BLOCK),
-    )
+    whole, share = -pull * inverse[some], place - low.astype(f32)
+    e = some // LINK_BLOCK, held[some], some % LINK_BLOCK
     first[e] = row * cols + column
     second[e] = np.where(on_row, row * cols + (column + 1) % cols, (row + 1) % rows * cols + column)
     near[e], far[e] = whole - whole * share, whole * share
@@ -203,6 +200,12 @@ def tiles(z: np.ndarray, tiles: np.ndarray, top: np.ndarray, rows: int, cols: in
 
 def _highest(top: np.ndarray) -> Values:
     return (top[:1] ^ 0x7FFFFFFF if top[0] < 0 else top[:1]).view(np.float32)[0]
+
+
+def _nodes(heights: np.ndarray, rows: int, cols: int, margin: int) -> tuple[np.ndarray, ...]:
+    """Columns, rows and heights of all nodes, flat."""
+    y, x = (v.ravel() for v in np.indices((rows, cols)))
+    return x, y, heights.reshape(rows, cols + 2 * margin)[:, margin : margin + cols].ravel()
 
 
 def _finish(
@@ -262,8 +265,7 @@ def horizons(
     sides: int,
     ways: int,
 ) -> None:
-    y, x = (v.ravel() for v in np.indices((rows, cols)))
-    own = heights.reshape(rows, cols + 2 * margin)[:, margin : margin + cols].ravel()
+    x, y, own = _nodes(heights, rows, cols, margin)
     reach = np.full(own.shape, 1e30, f32)
     for k in range(count):
         way, _, slope, _ = _limits(azimuths[k], own, tilts[0], tilts[1], x, y, rows, cols, sides)
@@ -294,10 +296,9 @@ def sky(
     knots: int,
     sides: int,
 ) -> None:
-    y, x = (v.ravel() for v in np.indices((rows, cols)))
-    own = heights.reshape(rows, cols + 2 * margin)[:, margin : margin + cols].ravel()
+    x, y, own = _nodes(heights, rows, cols, margin)
     gx, gy = tilts
-    total, by_own, by_x, by_y = (np.zeros(own.shape, f32) for _ in range(4))
+    total, by_own, by_x, by_y = np.zeros((4, own.size), f32)
     inverse = 1 / np.sqrt(1 + gx * gx + gy * gy)
     held[:] = 0
     for k in range(count):
@@ -310,9 +311,8 @@ def sky(
         total += width * (c1 + tilt * c2)
         by = per_slope * by_wall
         some = np.flatnonzero(number)
-        by[some] = _note(
-            (held, first, second, near, far), some, ways, number, x, y, rows, cols, sides, per_slope, inverse
-        )
+        links = held, first, second, near, far
+        by[some] = _note(links, some, ways, number, x, y, rows, cols, sides, per_slope, inverse)
         by_own += by
         by_x += width * c * c2
         by_y += width * s * c2
@@ -468,10 +468,9 @@ def lamp(
     ball: int,
     sides: int,
 ) -> None:
-    y, x = (v.ravel() for v in np.indices((rows, cols)))
-    own = heights.reshape(rows, cols + 2 * margin)[:, margin : margin + cols].ravel()
+    x, y, own = _nodes(heights, rows, cols, margin)
     gx, gy = tilts
-    total, by_own, by_x, by_y = (np.zeros(own.shape, f32) for _ in range(4))
+    total, by_own, by_x, by_y = np.zeros((4, own.size), f32)
     inverse = 1 / np.sqrt(1 + gx * gx + gy * gy)
     held[:] = 0
     for k in range(count):
@@ -506,9 +505,8 @@ def lamp(
         by_own = np.where(cut, by_own - width * (e1 + tilt * e2) * slices.high_by, by_own)
         by = per_slope * by_limit
         some = np.flatnonzero(number)
-        by[some] = _note(
-            (held, first, second, near, far), some, ways, number, x, y, rows, cols, OPEN, per_slope, inverse
-        )
+        links = held, first, second, near, far
+        by[some] = _note(links, some, ways, number, x, y, rows, cols, OPEN, per_slope, inverse)
         total = np.where(lit, total + width * (c1 + tilt * c2), total)
         by_own = np.where(lit, by_own + by, by_own)
         by_x = np.where(lit, by_x + width * c * c2, by_x)

@@ -28,16 +28,11 @@ def scan_filled(
         depth = map_of(maps, walk[6], (map_rows, map_cols))
 
         def lower(
-            ceiling: np.ndarray,
-            row: int,
-            begin: int = begin,
-            end: int = end,
-            depth: np.ndarray = depth,
+            ceiling: np.ndarray, row: int, some: range = range(begin, end), depth: np.ndarray = depth
         ) -> None:
-            for c in range(begin, end):
-                np.minimum(
-                    ceiling, _ground(depth, crossings[c], row, periodic) + climbs[c][:, None], out=ceiling
-                )
+            for c in some:
+                ground = _ground(depth, crossings[c], row, periodic)
+                np.minimum(ceiling, ground + climbs[c][:, None], out=ceiling)
 
         scan_walk(maps, walk, rise[w], lap[w], planes, (map_rows, map_cols), periodic, lower)
 
@@ -47,17 +42,12 @@ def _ground(depth: np.ndarray, crossing: np.ndarray, row: int, periodic: int) ->
     rows, cols = depth.shape
     x, y = np.arange(cols), np.full(cols, row)
     to_x, to_y, next_x, next_y, near_weight, far_weight = (int(v) for v in crossing[:6])
-    values = []
-    for px, py in ((x + to_x, y + to_y), (x + to_x + next_x, y + to_y + next_y)):
-        if periodic:
-            values.append(depth[py % rows, px % cols])
-        else:
-            inside = (px >= 0) & (px < cols) & (py >= 0) & (py < rows)
-            values.append(
-                np.where(
-                    inside, depth[np.clip(py, 0, rows - 1), np.clip(px, 0, cols - 1)], np.float32(np.inf)
-                )
-            )
-    near, far = values
+
+    def depth_at(px: np.ndarray, py: np.ndarray) -> np.ndarray:
+        there: np.ndarray = depth[py % rows, px % cols]
+        inside = (px >= 0) & (px < cols) & (py >= 0) & (py < rows)
+        return there if periodic else np.where(inside, there, np.float32(np.inf))
+
+    near, far = depth_at(x + to_x, y + to_y), depth_at(x + to_x + next_x, y + to_y + next_y)
     ground = np.float32(near_weight + far_weight) * near + np.float32(far_weight) * (far - near)
     return np.where((near < np.inf) & (far < np.inf), ground, np.float32(np.inf))

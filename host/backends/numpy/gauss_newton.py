@@ -26,6 +26,7 @@ from .adjoint import _adjacent, _links
 
 f32 = np.float32
 Values = Any  # one per node, or one for all
+Image = tuple[np.ndarray, ...]  # light and its links: light, held, first, second, near, far
 
 
 def _neighbours(light: np.ndarray, rows: int, cols: int, sides: int) -> Iterator[tuple[np.ndarray, ...]]:
@@ -39,40 +40,23 @@ def _neighbours(light: np.ndarray, rows: int, cols: int, sides: int) -> Iterator
         yield light[3], before * cols + x, after * cols + x, half
 
 
-def _change(
-    light: np.ndarray,
-    held: np.ndarray,
-    first: np.ndarray,
-    second: np.ndarray,
-    near: np.ndarray,
-    far: np.ndarray,
-    v: np.ndarray,
-    rows: int,
-    cols: int,
-    sides: int,
-) -> Values:
+def _change(image: Image, v: np.ndarray, rows: int, cols: int, sides: int) -> Values:
+    """The change of the light by changes ``v`` of the depths."""
+    light, *links = image
     total = light[1] * v
     for by, before, after, half in _neighbours(light, rows, cols, sides):
         total += by * ((v[after] - v[before]) * half)
-    for some, one, two, by_one, by_two in _links(held, first, second, near, far):
+    for some, one, two, by_one, by_two in _links(*links):
         total[some] += by_one * v[one] + by_two * v[two]
     return total
 
 
 def _spread(
-    light: np.ndarray,
-    held: np.ndarray,
-    first: np.ndarray,
-    second: np.ndarray,
-    near: np.ndarray,
-    far: np.ndarray,
-    sum: np.ndarray,
-    u: np.ndarray,
-    squared: bool,
-    rows: int,
-    cols: int,
-    sides: int,
+    image: Image, sum: np.ndarray, u: np.ndarray, squared: bool, rows: int, cols: int, sides: int
 ) -> None:
+    """Adds the transpose of :func:`_change`, or of its squares, times ``u``."""
+    light, *links = image
+
     def add(to: np.ndarray, part: np.ndarray, u: np.ndarray) -> None:
         np.add.at(sum, to, ((part * part if squared else part) * u).astype(np.int64))
 
@@ -80,7 +64,7 @@ def _spread(
     for by, before, after, half in _neighbours(light, rows, cols, sides):
         add(after, by * half, u)
         add(before, -(by * half), u)
-    for some, one, two, by_one, by_two in _links(held, first, second, near, far):
+    for some, one, two, by_one, by_two in _links(*links):
         add(one, by_one, u[some])
         add(two, by_two, u[some])
 
@@ -170,9 +154,9 @@ def gradient(
     per_item: int,
     copies: int,
 ) -> None:
-    links = light, held, first, second, near, far
-    _spread(*links, sum[0], gain * (gain * light[0] - target) * f32(quanta), False, rows, cols, sides)
-    _spread(*links, squares[0], gain * gain * f32(fine), True, rows, cols, sides)
+    image = light, held, first, second, near, far
+    _spread(image, sum[0], gain * (gain * light[0] - target) * f32(quanta), False, rows, cols, sides)
+    _spread(image, squares[0], gain * gain * f32(fine), True, rows, cols, sides)
 
 
 def descent(
@@ -281,16 +265,9 @@ def product(
     copies: int,
 ) -> None:
     if state[LEFT] > 0:
-        links = light, held, first, second, near, far
-        _spread(
-            *links,
-            sum[0],
-            gain * gain * _change(*links, v, rows, cols, sides) * f32(state[SCATTERED]),
-            False,
-            rows,
-            cols,
-            sides,
-        )
+        image = light, held, first, second, near, far
+        change = gain * gain * _change(image, v, rows, cols, sides) * f32(state[SCATTERED])
+        _spread(image, sum[0], change, False, rows, cols, sides)
 
 
 def albedo_change(
@@ -313,7 +290,8 @@ def albedo_change(
     per_item: int,
 ) -> None:
     if state[LEFT] > 0:
-        own = bare * light[0] * (gain * _change(light, held, first, second, near, far, v, rows, cols, sides))
+        image = light, held, first, second, near, far
+        own = bare * light[0] * (gain * _change(image, v, rows, cols, sides))
         share[:] = own if is_first else share + own
 
 
@@ -339,9 +317,9 @@ def reduced_product(
     copies: int,
 ) -> None:
     if state[LEFT] > 0:
-        links = light, held, first, second, near, far
-        left = gain * _change(*links, v, rows, cols, sides) - bare * light[0] * (share / under)
-        _spread(*links, sum[0], gain * left * f32(state[SCATTERED]), False, rows, cols, sides)
+        image = light, held, first, second, near, far
+        left = gain * _change(image, v, rows, cols, sides) - bare * light[0] * (share / under)
+        _spread(image, sum[0], gain * left * f32(state[SCATTERED]), False, rows, cols, sides)
 
 
 def normal_product(
@@ -399,18 +377,11 @@ def conjugate_step(
     if not (product > state[STOP_RATIO] * next[START] and curvature > 0):
         next[LEFT] = 0
         return
-    next[[LEFT, SCATTERED, UNIT_RV, UNIT_VV]] = (
-        state[LEFT] - 1,
-        fixed_ / np.sqrt(square),
-        exact / product,
-        exact / square,
-    )
-    next[[PRODUCT, ALPHA, GAIN]] = (
-        product,
-        product / curvature,
-        state[GAIN] + 0.5 * (product / curvature) * product,
-    )
-    alpha, share = f32(product / curvature), f32(beta)
+    step = product / curvature
+    next[[LEFT, SCATTERED]] = state[LEFT] - 1, fixed_ / np.sqrt(square)
+    next[[UNIT_RV, UNIT_VV]] = exact / product, exact / square
+    next[[PRODUCT, ALPHA, GAIN]] = product, step, state[GAIN] + 0.5 * step * product
+    alpha, share = f32(step), f32(beta)
     p[:] = v + share * p
     s[:] = w + share * s
     x += alpha * p
@@ -429,20 +400,10 @@ def start(
     exact: float,
     most: int,
 ) -> None:
-    totals[:] = 0
-    state[:] = (
-        most,
-        fixed_ / np.sqrt(square),
-        exact / product,
-        exact / square,
-        0,
-        0,
-        0,
-        0,
-        lambda_,
-        damping,
-        least,
-    )
+    totals[:] = state[:] = 0
+    state[[LEFT, SCATTERED]] = most, fixed_ / np.sqrt(square)
+    state[[UNIT_RV, UNIT_VV]] = exact / product, exact / square
+    state[[LAMBDA, DAMPING, STOP_RATIO]] = lambda_, damping, least
 
 
 def bounded_step(

@@ -23,13 +23,10 @@ def _difference(z: np.ndarray) -> np.ndarray:
 def tilt(
     heights: np.ndarray, tilts: np.ndarray, rows: int, cols: int, margin: int, room: int, periodic: int
 ) -> None:
-    inner = heights.reshape(rows + 2 * margin, cols + 2 * margin)[
-        margin - 1 : 1 - margin, margin - 1 : 1 - margin
-    ]
+    shape, some = (rows + 2 * margin, cols + 2 * margin), slice(margin - 1, 1 - margin)
+    inner = heights.reshape(shape)[some, some]
     for out, slope in zip(tilts, (_difference(inner), _difference(inner.T).T)):
-        out.reshape(rows + 2 * margin, cols + 2 * margin)[...] = np.pad(
-            slope, margin, "wrap" if periodic else "constant"
-        )
+        out.reshape(shape)[...] = np.pad(slope, margin, "wrap" if periodic else "constant")
 
 
 def turn(maps: np.ndarray, turned: np.ndarray, rows: int, cols: int, count: int) -> None:
@@ -87,10 +84,8 @@ def judge(
 ) -> None:
     blocks = -(-rows // block)
     image, half = (values.view(np.float32).reshape(rows, cols) for values in (image, half))
-    known = (
-        heights.reshape(rows + 2 * margin, cols + 2 * margin)[margin : margin + rows, margin : margin + cols]
-        > HIGHEST_MASKED
-    )
+    padded = heights.reshape(rows + 2 * margin, cols + 2 * margin)
+    known = padded[margin : margin + rows, margin : margin + cols] > HIGHEST_MASKED
     sums = sums.reshape(5, blocks, cols)
     sums[:] = 0
     # the first rows of all blocks, then their second: each sum in the order of its rows

@@ -56,13 +56,8 @@ def sweep(
     BLOCKS: int,
 ) -> None:
     """``group`` is how devices share out the lines; here all lines go together, azimuth by azimuth."""
-    ladder = Ladder(
-        np.array(steps, np.int32),
-        np.array(rises, np.int32),
-        bits,
-        np.float32(lowest),
-        np.float32(height_scale),
-    )
+    of_steps = np.array(steps, np.int32), np.array(rises, np.int32)
+    ladder = Ladder(*of_steps, bits, np.float32(lowest), np.float32(height_scale))
     # without slopes light is summed, azimuth by azimuth
     for plane in range(len(slopes) if slopes.ndim == 2 else 1):
         a = first + plane
@@ -93,10 +88,8 @@ class Ladder(NamedTuple):
     height_scale: np.float32
 
     def quantized(self, ground: np.ndarray) -> np.ndarray:
-        whole: np.ndarray = (np.maximum(ground - self.lowest, np.float32(0)) * self.height_scale).astype(
-            np.int32
-        )
-        return whole << self.bits
+        whole: np.ndarray = np.maximum(ground - self.lowest, np.float32(0)) * self.height_scale
+        return whole.astype(np.int32) << self.bits
 
 
 class Rays:

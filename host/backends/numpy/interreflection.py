@@ -265,19 +265,15 @@ def fill(
     layout, step = _Layout(rows, cols, across, margin, shift), min(stride, 1 << shift)
     sums = sums.reshape(LIGHTS + 1, -1, phases, width)
     y, x = np.arange(rows), np.arange(cols)
-    (row, down), (column, right) = (
-        _between(at, apart, sides == PERIODIC) for at, apart in ((y, stride), (x, step))
-    )
-    num: list[Any] = []
-    den: list[Any] = []
-    whole: list[Any] = []
+    row, down = _between(y, stride, sides == PERIODIC)
+    column, right = _between(x, step, sides == PERIODIC)
+    num, den, whole = list[Any](), list[Any](), list[Any]()
     for col in column:
         c = col * step
         at = (c & ((1 << shift) - 1)) // step, c >> shift
         ends = [sums[(slice(None), r[:, None], *at)] for r in row]
-        weights = [
-            np.where(end[LIGHTS] < 0, ZERO, part[:, None]) for end, part in zip(ends, (ONE - down, down))
-        ]
+        parts = ONE - down, down
+        weights = [np.where(end[LIGHTS] < 0, ZERO, part[:, None]) for end, part in zip(ends, parts)]
         whole.append(weights[0] + weights[1])
         den.append(weights[0] * ends[0][LIGHTS] + weights[1] * ends[1][LIGHTS])
         num.append([weights[0] * a + weights[1] * b for a, b in zip(ends[0][:LIGHTS], ends[1][:LIGHTS])])
@@ -371,10 +367,8 @@ def _walk(this: _Strips, highest: np.float32, reach: np.float32) -> None:
     """Every crossing of single rays with a column or a row."""
     layout, cosine, sine = this.layout, this.cosine, this.sine
     with np.errstate(divide="ignore"):
-        per_column, per_row = (
-            np.where(np.abs(along) > np.float32(1e-6), ONE / np.abs(along), ENDLESS)
-            for along in (cosine, sine)
-        )
+        lengths = np.abs(cosine), np.abs(sine)
+        per_column, per_row = (np.where(v > np.float32(1e-6), ONE / v, ENDLESS) for v in lengths)
     columns, lines = np.ones(len(this.c), np.int64), np.ones(len(this.c), np.int64)
     going = np.ones(len(this.c), bool)
     while True:
@@ -384,11 +378,8 @@ def _walk(this: _Strips, highest: np.float32, reach: np.float32) -> None:
         if not going.any():
             return
         on_column = to_column <= to_row
-        at_line = np.where(
-            on_column,
-            this.y.astype(np.float32) + sine * distance,
-            this.c.astype(np.float32) + cosine * distance,
-        )
+        x, y = this.c.astype(np.float32) + cosine * distance, this.y.astype(np.float32) + sine * distance
+        at_line = np.where(on_column, y, x)
         low = np.floor(at_line).astype(np.int64)
         weight = at_line - low.astype(np.float32)
         at_next = weight > ONE - np.float32(1e-4)

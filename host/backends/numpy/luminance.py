@@ -47,7 +47,6 @@ def luminance(
         lit = planes[w, :pixels]
         for b, (mx, my, mz, _) in enumerate(moments[w]):
             cosine = gx * mx + gy * my - mz
-            total += np.where(
-                (lit >> np.uint8(b) & np.uint8(1)).astype(bool) & (cosine > 0), cosine, np.float32(0)
-            )
+            shows = (lit >> np.uint8(b) & np.uint8(1)).astype(bool) & (cosine > 0)
+            total += np.where(shows, cosine, np.float32(0))
     irradiance[:pixels] = total / np.sqrt(gx * gx + gy * gy + np.float32(1)) if is_last else total

@@ -42,10 +42,8 @@ def pilot(
         move, n = aside * apart, np.ones(len(rays), np.int64)
         while len(left):
             t = n[left] * apart[left]
-            at, v = (
-                start[left] + way[left] * n[left],
-                (start_aside[left] + n[left] * move[left]).astype(np.float32),
-            )
+            at = start[left] + way[left] * n[left]
+            v = (start_aside[left] + n[left] * move[left]).astype(np.float32)
             going = (
                 (t <= reach)
                 & (highest - own[left] > slope[left] * t)
@@ -65,13 +63,8 @@ def pilot(
             inside = np.where(
                 way[left] > 0, np.minimum(block_at + 1 << shift, length) - at, at - (block_at << shift) + 1
             )
-            jump = np.maximum(
-                1,
-                np.minimum(
-                    inside,
-                    _steps_out(v, move[left], block_low << shift, np.minimum(block_low + 1 << shift, width)),
-                ),
-            )
+            ends = block_low << shift, np.minimum(block_low + 1 << shift, width)
+            jump = np.maximum(1, np.minimum(inside, _steps_out(v, move[left], *ends)))
             n[left] += np.where(past, jump, 1)
             here, at, low, t, part = left[~past], at[~past], low[~past], t[~past], part[~past]
             after = np.where(low + 1 < width, low + 1, 0 if periodic else low)
@@ -103,17 +96,12 @@ def pool(
         top[: rows + 1, : cols + 1] = np.pad(heights, ((0, 1), (0, 1)), "wrap")
     for _ in range(2):  # blocks of rows, then of columns, each with the one after it
         top = np.maximum(top[:-1].reshape(-1, size, top.shape[1]).max(1), top[size::size]).T
-    low, cliffs = (
-        np.full((down * size, across * size), -NONE),
-        np.zeros((down * size, across * size), np.float32),
-    )
+    low = np.full((down * size, across * size), -NONE)
     low[:rows, :cols][known] = heights[known]
-    cliffs[:rows, : cols - 1] += (
-        known[:, 1:] & known[:, :-1] & (abs(heights[:, 1:] - heights[:, :-1]) > np.float32(cliff))
-    )
-    cliffs[: rows - 1, :cols] += (
-        known[1:] & known[:-1] & (abs(heights[1:] - heights[:-1]) > np.float32(cliff))
-    )
+    cliffs = np.zeros(low.shape, np.float32)
+    for steps, z, there in ((cliffs, heights, known), (cliffs.T, heights.T, known.T)):
+        steep = there[1:] & there[:-1] & (abs(z[1:] - z[:-1]) > np.float32(cliff))
+        steps[: len(z) - 1, : z.shape[1]] += steep
     blocks = down, size, across, size
     pooled[:] = top, low.reshape(blocks).min((1, 3)), cliffs.reshape(blocks).sum((1, 3))
 

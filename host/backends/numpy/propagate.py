@@ -23,15 +23,11 @@ def reaches(
         i, j = (i, j) if j else (0, i)
 
         def first_ceiling(line: int, w: int = w, cols: int = z.shape[1]) -> np.ndarray:
-            return (
-                lap[w, None, line : line + cols].copy()
-                if periodic
-                else np.full((1, cols), np.inf, np.float32)
-            )
+            sky = np.full((1, cols), np.inf, np.float32)
+            return lap[w, None, line : line + cols].copy() if periodic else sky
 
-        for row, _, ceiling in sweep_lines(
-            z, i, j, 0, first_ceiling, periodic, lambda ceiling, row: None, nothing
-        ):
+        keep = lambda ceiling, row: None
+        for row, _, ceiling in sweep_lines(z, i, j, 0, first_ceiling, periodic, keep, nothing):
             out[row] = ceiling[0]
 
 
@@ -58,10 +54,8 @@ def propagate(
         else:
             j = round(offset / width)
             i = offset - j * width
-            lit[word] |= (
-                field[layer + reach - k, word, reach + j : reach + j + rows, reach + i : reach + i + cols]
-                & bit
-            )
+            above = field[layer + reach - k, word]
+            lit[word] |= above[reach + j : reach + j + rows, reach + i : reach + i + cols] & bit
     here[:, reach : reach + rows, reach : reach + cols] = np.where(depth >= layer, lit, np.uint32(0))
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from ...constants import HIGHEST_MASKED, NO_CEILING, NONE
@@ -27,10 +29,8 @@ def survey(values: np.ndarray, stats: np.ndarray, rows: int, cols: int, block: i
         some = slice(b * block, min((b + 1) * block, rows))
         z = values[some]
         known = np.isfinite(z)
-        stats[0, b], stats[1, b] = (
-            np.where(known, z, NO_CEILING).min(0),
-            np.where(known, z, -NO_CEILING).max(0),
-        )
+        stats[0, b] = np.where(known, z, NO_CEILING).min(0)
+        stats[1, b] = np.where(known, z, -NO_CEILING).max(0)
         stats[2, b] = (~known & (z != np.inf)).sum(0)
         with np.errstate(invalid="ignore", over="ignore"):
             stats[3, b] = (known & ((np.rint(z.astype(float) / step) * step).astype(np.float32) != z)).sum(0)
@@ -62,10 +62,8 @@ def heights(
     depth = depth.reshape(-1)[: rows * cols].reshape(rows, cols)
     ground = np.where(depth == np.inf, np.float32(masked), -depth / np.float32(step))
     margins = (above, height - rows - above), (left, width - cols - left)
-    padded = (
-        np.pad(ground, margins, mode="wrap") if periodic else np.pad(ground, margins, constant_values=NONE)
-    )
-    heights.reshape(-1)[: width * height] = padded.ravel()
+    options: dict[str, Any] = {"mode": "wrap"} if periodic else {"constant_values": NONE}
+    heights.reshape(-1)[: width * height] = np.pad(ground, margins, **options).ravel()
 
 
 def shade(

@@ -61,17 +61,15 @@ def scan_walk(
     def first_ceiling(line: int) -> np.ndarray:
         ceiling = np.full((bits, depth.shape[1]), NO_CEILING)
         if periodic and climb[0] == 0:
-            ceiling[0] = np.roll(
-                lap[line : line + depth.shape[1]], warm * i
-            )  # the warm-up begins elsewhere on the cycle
+            # the warm-up begins elsewhere on the cycle
+            ceiling[0] = np.roll(lap[line : line + depth.shape[1]], warm * i)
         return ceiling
 
     out = planes[plane, : depth.size].reshape(depth.shape)
     weights = (1 << np.arange(bits, dtype=np.uint8))[:, None]
     scaled = depth * np.float32(parts) if lower else depth
-    for row, z, ceiling in sweep_lines(
-        scaled, i, j, warm, first_ceiling, periodic, lower or (lambda ceiling, row: None), climb[:, None]
-    ):
+    lower = lower or (lambda ceiling, row: None)
+    for row, z, ceiling in sweep_lines(scaled, i, j, warm, first_ceiling, periodic, lower, climb[:, None]):
         out[row] = ((z <= ceiling) * weights).sum(0, dtype=np.uint8)
 
 

@@ -83,7 +83,7 @@ def _slope_between(low: np.ndarray, here: np.ndarray, high: np.ndarray) -> np.nd
 
 
 def _pixels(heights: np.ndarray, rows: int, cols: int) -> Surface:
-    """x, y, height, tilt_x, tilt_y, mirror_x, mirror_y, mirror_z of every node with ground, flat."""
+    """Of every node with ground, flat."""
     grid = heights[: (rows + 2) * (cols + 1)].reshape(rows + 2, cols + 1)
     y, x = np.nonzero(grid[1:-1, 1:] > NONE)
     here = (y + 1) * (cols + 1) + x + 1
@@ -92,21 +92,10 @@ def _pixels(heights: np.ndarray, rows: int, cols: int) -> Surface:
         there: np.ndarray = heights[here + step]
         return there
 
-    tilt_x, tilt_y = (
-        _slope_between(pick(-1), pick(0), pick(1)),
-        _slope_between(pick(-cols - 1), pick(0), pick(cols + 1)),
-    )
+    tilt_x, tilt_y = (_slope_between(pick(-step), pick(0), pick(step)) for step in (1, cols + 1))
     twice = F(2) / (F(1) + tilt_x * tilt_x + tilt_y * tilt_y)
-    return (
-        x.astype(np.int32),
-        y.astype(np.int32),
-        pick(0),
-        tilt_x,
-        tilt_y,
-        twice * tilt_x,
-        twice * tilt_y,
-        twice - F(1),
-    )
+    mirror = twice * tilt_x, twice * tilt_y, twice - F(1)
+    return x.astype(np.int32), y.astype(np.int32), pick(0), tilt_x, tilt_y, *mirror
 
 
 def _under_source(pixels: Pixels, along: np.ndarray, aside: np.ndarray, t: np.ndarray) -> np.ndarray:
@@ -157,17 +146,12 @@ def _horizon(
         across = np.where(by_x, s, c) * out
         # 2. the ground there
         n = np.flatnonzero(single)
-        low = np.where(
-            by_x[n], (cell_y[n] + 1) * stride + line_x[n] + 1, (line_y[n] + 1) * stride + cell_x[n] + 1
-        )
-        part = np.clip(
-            across[n] - np.where(by_x[n], cell_y[n] - here.y[n], cell_x[n] - here.x[n]).astype(F), F(0), F(1)
-        )
-        rise = (
-            ground.heights[low] * (F(1) - part)
-            + ground.heights[low + np.where(by_x[n], stride, 1)] * part
-            - here.height[n]
-        )
+        corner_x, corner_y = np.where(by_x, line_x, cell_x)[n], np.where(by_x, cell_y, line_y)[n]
+        low = (corner_y + 1) * stride + corner_x + 1
+        past = np.where(by_x, cell_y - here.y, cell_x - here.x)[n]
+        part = np.clip(across[n] - past.astype(F), F(0), F(1))
+        a, b = ground.heights[low], ground.heights[low + np.where(by_x[n], stride, 1)]
+        rise = a * (F(1) - part) + b * part - here.height[n]
         higher = (rise > slope[n] * out[n]) & (out[n] * (along[n] + slope[n] * here.up[n]) < here.reach[n])
         n = n[higher]
         slope[n] = np.maximum(
@@ -196,11 +180,8 @@ def _horizon(
 def _in_lobe(
     ground: Map, pixels: Pixels, c: np.ndarray, s: np.ndarray, cosine: np.ndarray, sine: np.ndarray
 ) -> Values:
-    x, y, z = (
-        cosine - (pixels.mirror_x * c + pixels.mirror_y * s),
-        pixels.mirror_y * c - pixels.mirror_x * s,
-        sine - pixels.mirror_z,
-    )
+    x, y = cosine - (pixels.mirror_x * c + pixels.mirror_y * s), pixels.mirror_y * c - pixels.mirror_x * s
+    z = sine - pixels.mirror_z
     most = F(len(ground.lobe) - 1)
     # 1 - cos is half of |L - R|^2
     at = np.minimum((x * x + y * y + z * z) * (F(0.5) * most / ground.rim), most)
@@ -333,11 +314,8 @@ def _chord(
 
 
 def _to_wall(ends: int, at: np.ndarray, along: Any) -> np.ndarray:
-    return np.where(
-        along == 0,
-        ENDLESS,
-        np.where(along > 0, F(ends) - F(0.5) - at.astype(F), F(-0.5) - at.astype(F)) / along,
-    )
+    way = np.where(along > 0, F(ends) - F(0.5) - at.astype(F), F(-0.5) - at.astype(F))
+    return np.where(along == 0, ENDLESS, way / along)
 
 
 def _to_rim(
@@ -396,10 +374,8 @@ def _light(
     else:
         up = np.where(pixels.up == 0, F(1) / ENDLESS, pixels.up)
         meets = (pixels.reach / wall - along) / up
-        under, over = (
-            np.where(up > 0, ENDLESS if pixels.radius < 0 else meets, -ENDLESS),
-            np.where(up > 0, ENDLESS, meets),
-        )
+        under = np.where(up > 0, ENDLESS if pixels.radius < 0 else meets, -ENDLESS)
+        over = np.where(up > 0, ENDLESS, meets)
     slope = np.maximum(slope, np.minimum(under, top))
     split = over < top
     left = np.where(split, np.minimum(high, over), high)
@@ -444,9 +420,8 @@ def _sum(
             light = share * light.reshape(shape)
             irradiance[here.y, here.x] = F(factor) * light.sum(1, dtype=F) / scale
             if alternating is not None:
-                alternating[here.y, here.x] = (
-                    F(factor) * (light[:, ::2] - light[:, 1::2]).sum(1, dtype=F) / scale
-                )
+                difference = (light[:, ::2] - light[:, 1::2]).sum(1, dtype=F)
+                alternating[here.y, here.x] = F(factor) * difference / scale
 
 
 def _columns(values: Nodes, part: np.ndarray) -> Nodes:
@@ -479,18 +454,25 @@ class Disc(NamedTuple):
     seen: np.ndarray
 
 
+def _within_disc(
+    widest: np.ndarray, all_round: np.ndarray, quadrature: np.ndarray, count: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Of ``count`` slices of discs: cosine and sine from the middle, share, relative length of the chord."""
+    step = F(np.pi) / F(count)
+    row = quadrature[count // SLICES - 1, :, :count]
+    sin_d = np.where(all_round, row[2], widest * row[0])
+    cos_d = np.where(all_round, row[3], np.sqrt((F(1) - sin_d) * (F(1) + sin_d)))
+    # the cosine is no less but where there is no chord
+    narrow = widest * step * row[1] / np.maximum(cos_d, F(1e-6))
+    return cos_d, sin_d, np.where(all_round, F(2) * step, narrow), row[1]
+
+
 def _disc_slices(disc: Disc, quadrature: np.ndarray, part: np.ndarray, count: int) -> tuple[Any, ...]:
     """The slices that _sum adds: ``count`` of the discs of the nodes ``part``."""
     here = _columns(disc, part)
-    step = F(np.pi) / F(count)
-    row = quadrature[count // SLICES - 1, :, :count]
-    sin_d = np.where(here.all_round, row[2], here.widest * row[0])
-    cos_d = np.where(here.all_round, row[3], np.sqrt((F(1) - sin_d) * (F(1) + sin_d)))
+    cos_d, sin_d, share, chord = _within_disc(here.widest, here.all_round, quadrature, count)
     square = here.sin_a * here.sin_a - here.cos_e * here.cos_e * (sin_d * sin_d)
-    half = np.where(here.all_round, np.sqrt(np.maximum(square, F(0))), here.sin_a * row[1])
-    # the cosine is no less but where there is no chord
-    narrow = here.widest * step * row[1] / np.maximum(cos_d, F(1e-6))
-    share = np.where(here.all_round, F(2) * step, narrow)
+    half = np.where(here.all_round, np.sqrt(np.maximum(square, F(0))), here.sin_a * chord)
     in_plane = here.cos_e * cos_d
     square = in_plane * in_plane + here.sin_e * here.sin_e
     low_c, low_s = in_plane * here.cos_a + here.sin_e * half, here.sin_e * here.cos_a - in_plane * half
@@ -549,8 +531,7 @@ def ball(
     sin_a, cos_a = np.where(inside, F(1), radius_ / far), np.where(inside, F(0), np.sqrt(beyond) / far)
     all_round = sin_a >= cos_e
     widest = np.where(all_round, F(1), sin_a / cos_e)
-    turn = np.where(all_round, F(1), _turn_by_sine(widest))
-    blocks = np.minimum((least + (turn * F(most - least)).astype(np.int32)) // SLICES, most // SLICES)
+    blocks = _blocks(np.where(all_round, F(1), _turn_by_sine(widest)), least, most)
     pixels = Pixels(*nodes_with_ground, dz, beyond, radius_)
     seen = inside | (dz + radius_ > 0)
 
@@ -580,6 +561,11 @@ def _sector_between(ax: np.ndarray, ay: np.ndarray, bx: np.ndarray, by: np.ndarr
 def _turn_by_sine(sine: np.ndarray) -> Values:
     """About the share of the circle of an angle, by the sine of its half."""
     return sine * (TURN_BY_SINE[0] + TURN_BY_SINE[1] * sine * sine)
+
+
+def _blocks(turn: np.ndarray, least: int, most: int) -> np.ndarray:
+    """Blocks of slices that sources of so much of the circle are worth."""
+    return np.minimum((least + (turn * F(most - least)).astype(np.int32)) // SLICES, most // SLICES)
 
 
 def _turn_by_tangent(quarter: np.ndarray) -> Values:
@@ -637,7 +623,7 @@ def _sectors_of(outline: Outline, right: np.ndarray) -> np.ndarray:
 def _shared_out(sectors: np.ndarray, least: int, most: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """(blocks of slices, (3, nodes) where sectors end among them, whether there is any) per node."""
     to = np.cumsum(_turn_by_tangent(sectors[:, 2]), 0, dtype=F)
-    blocks = np.minimum((least + (to[3] * F(most - least)).astype(np.int32)) // SLICES, most // SLICES)
+    blocks = _blocks(to[3], least, most)
     narrow = F(1e-4) * to[3]  # a sector below that is left out
     # an eighth of the slices for every sector, the rest by width: below a slit narrow sectors have most light
     used = blocks * np.cumsum(np.concatenate([to[:1], to[1:] - to[:-1]]) > narrow, 0)
@@ -809,53 +795,18 @@ def gloss(
     sin_a = np.sqrt(F(rim) * (F(2) - F(rim)))
     all_round = sin_a >= flat
     widest = np.where(all_round, F(1), sin_a / flat)
-    turn = np.where(all_round, F(1), _turn_by_sine(widest))
-    blocks = np.minimum((least + (turn * F(most - least)).astype(np.int32)) // SLICES, most // SLICES)
+    blocks = _blocks(np.where(all_round, F(1), _turn_by_sine(widest)), least, most)
     pixels = Pixels(*ground, np.zeros_like(flat), np.full_like(flat, reach), F(-1))
 
     # 2. its slices
     def slices_of(part: np.ndarray, count: int) -> tuple[Any, ...]:
-        step = F(np.pi) / F(count)
-        row = quadrature[count // SLICES - 1, :, :count]
+        x, y, width, whole = (value[part, None] for value in (ux, uy, widest, all_round))
+        cos_d, sin_d, share, _ = _within_disc(width, whole, quadrature, count)
+        return share, F(1), F(0), -STEEP, STEEP, F(2) * STEEP, x * cos_d - y * sin_d, y * cos_d + x * sin_d
 
-        def column(value: np.ndarray) -> np.ndarray:
-            return np.asarray(value[part, None])
-
-        sin_d = np.where(column(all_round), row[2], column(widest) * row[0])
-        cos_d = np.where(column(all_round), row[3], np.sqrt((F(1) - sin_d) * (F(1) + sin_d)))
-        share = np.where(column(all_round), F(2) * step, column(widest) * step * row[1] / cos_d)
-        return (
-            share,
-            F(1),
-            F(0),
-            -STEEP,
-            STEEP,
-            F(2) * STEEP,
-            column(ux) * cos_d - column(uy) * sin_d,
-            column(uy) * cos_d + column(ux) * sin_d,
-        )
-
-    _sum(
-        Map(
-            heights,
-            tops,
-            sky,
-            points[:n_points],
-            lobe[:n_lobe],
-            np.zeros((0, 0, 2), F),
-            F(rim),
-            rows,
-            cols,
-            levels,
-            dark,
-        ),
-        pixels,
-        blocks,
-        most,
-        factor,
-        irradiance,
-        slices_of,
-    )
+    shown = points[:n_points], lobe[:n_lobe], np.zeros((0, 0, 2), F), F(rim)
+    ground_map = Map(heights, tops, sky, *shown, rows, cols, levels, dark)
+    _sum(ground_map, pixels, blocks, most, factor, irradiance, slices_of)
 
 
 def _bare(heights: np.ndarray, tops: np.ndarray, rows: int, cols: int, levels: int) -> Map:
@@ -878,19 +829,11 @@ def rays(
     y, x = ground[1], ground[0]
     # along a ray ground counts up to t / reach = 1
     pixels = Pixels(*ground, np.zeros(len(x), F), np.ones(len(x), F), F(-1))
+    bare = _bare(heights, tops, rows, cols, levels)
     for j in range(count):
         c, s, tangent, reach = (np.ascontiguousarray(ways[y, x, k, j]) for k in range(4))
         above = tangent + F(1e-6) * (F(1) + np.abs(tangent))  # so that one obstacle is enough
-        slope = _horizon(
-            _bare(heights, tops, rows, cols, levels),
-            pixels,
-            c,
-            s,
-            tangent,
-            above,
-            F(1) / reach,
-            np.zeros_like(c),
-        )
+        slope = _horizon(bare, pixels, c, s, tangent, above, F(1) / reach, np.zeros_like(c))
         seen[y, x, j] = np.where(slope > tangent, F(0), F(1))
 
 
@@ -947,7 +890,7 @@ def sectors(
     def flat(value: float | np.float32) -> np.ndarray:
         return np.full(len(x), value, F)
 
-    total = np.zeros(len(x), F)
+    total, bare = np.zeros(len(x), F), _bare(heights, tops, rows, cols, levels)
     for j, (c, s, share, first, scale) in enumerate(ways.T):
         last = first + F(knots - 1) / scale
         low, high = (sine / np.sqrt(max(F(1) - sine * sine, F(1e-12))) for sine in (first, last))
@@ -964,16 +907,7 @@ def sectors(
             passes = (near < far) & (height < 0)
             slope = np.where(passes, np.maximum(slope, -height / far), slope)
             end = np.where(passes, np.where(near > 0, np.minimum(-height / near, STEEP), STEEP), -STEEP)
-        slope = _horizon(
-            _bare(heights, tops, rows, cols, levels),
-            pixels,
-            flat(c),
-            flat(s),
-            slope,
-            np.minimum(high, end),
-            along,
-            flat(0),
-        )
+        slope = _horizon(bare, pixels, flat(c), flat(s), slope, np.minimum(high, end), along, flat(0))
         # 2. the light above it
         light = _light_above(table[j], first, scale, slope, tilt)
         if framed:

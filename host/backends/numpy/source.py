@@ -196,9 +196,8 @@ def clip(
         for b, (i, j, k, _) in enumerate(steps[w].tolist()):
             bit = np.uint8(1 << b)
             if kind in (BALL, VOLUME):
-                clear = (
-                    (lit & bit != 0) if kind == BALL and sides == OPEN else np.zeros(len(z), bool)
-                )  # nothing at all is in the way
+                # nothing at all is in the way
+                clear = (lit & bit != 0) & (kind == BALL and sides == OPEN)
                 on = np.empty(len(z), bool)
                 on[clear] = _meets_ball(x[clear], y[clear], z[clear], i, j, k, numbers, step) >= 0
                 rest = ~clear
