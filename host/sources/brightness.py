@@ -200,9 +200,8 @@ class EnvironmentMap(Distribution):
         fr, fc = (w.reshape(w.shape + (1,) * (image.ndim - 2)) for w in (row - r, col - c))
         left = np.where(c < 0, c + cols, c).astype(int)
         high, low = (np.clip(r + s, 0, rows - 1).astype(int) * (cols + 1) + left for s in (0, 1))
-        light: np.ndarray = (1 - fr) * ((1 - fc) * pixels[high] + fc * pixels[high + 1]) + fr * (
-            (1 - fc) * pixels[low] + fc * pixels[low + 1]
-        )
+        upper, lower = ((1 - fc) * pixels[at] + fc * pixels[at + 1] for at in (high, low))
+        light: np.ndarray = (1 - fr) * upper + fr * lower
         return light
 
 
@@ -294,11 +293,8 @@ def directions_of(azimuth: Any, sine: Any) -> np.ndarray:
     azimuth, sine = np.asarray(azimuth, float), np.asarray(sine, float)
     cosine = np.sqrt(np.maximum(0.0, 1 - sine**2))
     directions = np.empty((*np.broadcast_shapes(azimuth.shape, sine.shape), 3))
-    directions[..., 0], directions[..., 1], directions[..., 2] = (
-        cosine * np.cos(azimuth),
-        cosine * np.sin(azimuth),
-        -sine,
-    )
+    directions[..., 0], directions[..., 1] = cosine * np.cos(azimuth), cosine * np.sin(azimuth)
+    directions[..., 2] = -sine
     return directions
 
 

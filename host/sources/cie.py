@@ -181,9 +181,8 @@ def sun_position(
         when = datetime.datetime.fromisoformat(time) if isinstance(time, str) else time
         known = when.utcoffset() is not None
     except (ValueError, AttributeError):
-        raise bad(
-            "sun_position: time", repr(time), "a datetime, or ISO 8601 text, with its time zone"
-        ) from None
+        allowed = "a datetime, or ISO 8601 text, with its time zone"
+        raise bad("sun_position: time", repr(time), allowed) from None
     if not known:
         raise bad(
             "sun_position: time without a zone",
@@ -222,11 +221,8 @@ def check_place(what: str, *place: Any) -> list[float]:
     except (TypeError, ValueError):
         numbers = [np.nan]
     if not (np.isfinite(numbers).all() and abs(numbers[0]) <= 90 and abs(numbers[1]) <= 360):
-        raise bad(
-            f"{what}: place",
-            place,
-            "latitude -90 to 90, longitude -360 to 360 [degree], altitude [metre]",
-        )
+        allowed = "latitude -90 to 90, longitude -360 to 360 [degree], altitude [metre]"
+        raise bad(f"{what}: place", place, allowed)
     return numbers
 
 
@@ -253,14 +249,7 @@ def _horizontal(type: int, sun: tuple[float, float] | None) -> float:
     """
     node, weight = np.polynomial.legendre.leggauss(96)
     sine = (1 + node) / 2
-    azimuth = 2 * np.pi * (np.arange(128) + 0.5) / 128 + (np.radians(sun[0]) if sun else 0.0)
+    azimuth = 2 * np.pi * (np.arange(128)[:, None] + 0.5) / 128 + (np.radians(sun[0]) if sun else 0.0)
     cosine = np.sqrt(1 - sine**2)
-    L = np.stack(
-        [
-            cosine * np.sin(azimuth[:, None]),
-            -cosine * np.cos(azimuth[:, None]),
-            np.broadcast_to(-sine, (128, 96)),
-        ],
-        -1,
-    )
+    L = np.stack([cosine * np.sin(azimuth), -cosine * np.cos(azimuth), np.broadcast_to(-sine, (128, 96))], -1)
     return float(np.pi / 128 * (CieSky(type, sun, 1.0)(L) @ (weight * sine)).sum())

@@ -155,25 +155,15 @@ class BrightPart:
         # share of a row above every knot
         ramp = np.clip((high - np.linspace(first, last, PART_KNOTS)) / np.maximum(high - low, 1e-12), 0, 1)
         ramp[:, 0] = 1  # but for rounding
-        table = np.stack(
-            [
-                np.bincount(group * len(low) + row, moment, len(edges) * len(low)).reshape(len(edges), -1)
-                @ ramp
-                for moment in moments
-            ]
-        )
+        shape = len(edges), len(low)
+        by_row = (np.bincount(group * len(low) + row, moment, math.prod(shape)) for moment in moments)
+        table = np.stack([light.reshape(shape) @ ramp for light in by_row])
         weight = moments.sum(0)
         angle = np.add.reduceat(weight * cells.azimuth, edges) / np.add.reduceat(weight, edges)
-        ways = np.stack(
-            [
-                np.cos(angle),
-                np.sin(angle),
-                np.ones(len(edges)),
-                np.full(len(edges), first),
-                np.full(len(edges), (PART_KNOTS - 1) / (last - first)),
-            ]
-        )
-        return ways.astype(np.float32), _with_steps(table)
+        ways = np.ones((5, len(edges)), np.float32)
+        ways[0], ways[1] = np.cos(angle), np.sin(angle)
+        ways[3], ways[4] = first, (PART_KNOTS - 1) / (last - first)
+        return ways, _with_steps(table)
 
 
 class Band(NamedTuple):
@@ -259,9 +249,8 @@ class Integrals:
         image = None if brightness is None else brightness.equirectangular()
         if brightness is not None and (disc := brightness.disc()) is not None:  # part of this sky
             function = _with_disc(brightness, disc)
-        bands = (
-            _of_map(image) if image is not None else _of_function(function, peaks is not None and not fine)
-        )
+        named = peaks is not None and not fine
+        bands = _of_function(function, named) if image is None else _of_map(image)
         self._source = sources.Sky(function)
         sizes = np.array([0, *np.cumsum([band.light.size for band in bands])])
         solid = [band.solid_angle for band in bands]
@@ -277,26 +266,16 @@ class Integrals:
             for n, part in enumerate(parts):
                 here = np.s_[sizes[n] : sizes[n + 1]]
                 for values, moment in zip(part, leaves.moments):
-                    np.copyto(
-                        values,
-                        np.bincount(leaves.base, moment, sizes[-1])[here].reshape(values.shape),
-                        where=divided[here].reshape(values.shape),
-                    )
+                    sums = np.bincount(leaves.base, moment, sizes[-1])[here].reshape(values.shape)
+                    np.copyto(values, sums, where=divided[here].reshape(values.shape))
         self.level = float(sum(part[1].sum() for part in parts))
         bright = [] if leaves is None else [leaves.pick(leaves.light > limit)]
         for n, band in enumerate(bands):
-            row, col = np.nonzero(
-                (band.light > limit) & ~divided[sizes[n] : sizes[n + 1]].reshape(band.light.shape)
-            )
+            whole = ~divided[sizes[n] : sizes[n + 1]].reshape(band.light.shape)
+            row, col = np.nonzero((band.light > limit) & whole)
             bright.append(band.cells(row, col, sizes[n]))
-        bright_parts = (
-            []
-            if math.isinf(tolerance)
-            else sorted(
-                _bright_parts(_joined(bright), limit, widest),
-                key=lambda spot: -spot.power,
-            )
-        )
+        bright_parts = [] if math.isinf(tolerance) else list(_bright_parts(_joined(bright), limit, widest))
+        bright_parts.sort(key=lambda spot: -spot.power)
         left = np.cumsum([spot.power for spot in bright_parts][::-1])[::-1]
         least = FAINT_PARTS_SHARE * tolerance * total
         self.bright_parts = tuple(spot for spot, power in zip(bright_parts, left) if power > least)
@@ -308,9 +287,7 @@ class Integrals:
         self.rest = float(sum(part[1].sum() for part in parts))
         self.mean = self.rest / math.pi
         self._edges = np.concatenate([[0.0], *(band.borders[1:] for band in bands)])
-        self._sums = [
-            np.concatenate([np.zeros((*part.shape[:2], 1)), np.cumsum(part, 2)], 2) for part in parts
-        ]
+        self._sums = [_cumulative(part) for part in parts]
 
     def _radiance(self, azimuth: np.ndarray, sine: np.ndarray) -> np.ndarray:
         return sources.radiance(self._source, sources.directions_of(azimuth, sine))
@@ -325,18 +302,18 @@ class Integrals:
         total = max(total, 1e-300)
         cells, step, variance = self._rough_cells(bands, sizes, solid, total, peaks)
         leaves = _Leaves([], total - float(cells.light @ cells.solid_angle), variance)
-        evaluations, each = MOST_CELL_EVALUATIONS, (PARTS + 2) ** 2
+        evaluations, per_cell = MOST_CELL_EVALUATIONS, (PARTS + 2) ** 2
         for _ in range(MOST_DIVISIONS):
             error = math.sqrt(leaves.variance + float(np.sum(step**2)) / 12)
             converged = error <= CONVERGED * leaves.light_with(cells) and not peaks
-            if not len(step) or evaluations < each or converged:
+            if not len(step) or evaluations < per_cell or converged:
                 break
-            if len(step) * each > evaluations:  # the largest steps first
+            if len(step) * per_cell > evaluations:  # the largest steps first
                 order = np.argsort(-step, kind="stable")
-                rest, first = order[evaluations // each :], order[: evaluations // each]
+                rest, first = order[evaluations // per_cell :], order[: evaluations // per_cell]
                 leaves.add(self._leaf(cells.pick(rest), step[rest]), step[rest])
                 cells, step = cells.pick(first), step[first]
-            evaluations -= len(step) * each
+            evaluations -= len(step) * per_cell
             cells, step = self._parts(cells)
             divide = (step > SHARE * leaves.light_with(cells)) | _near(cells, peaks)
             leaves.add(self._leaf(cells.pick(~divide), step[~divide]), step[~divide])
@@ -381,20 +358,9 @@ class Integrals:
         step, correction = _second_differences(sampled)
         light, azimuth = sampled[:, 1:-1, 1:-1], azimuth[:, 1:-1]
         light = np.where(step > ROUGH * light, light, np.maximum(0, light + correction))
-        shape = light.shape
-        parts = Cells(
-            *(
-                np.broadcast_to(values, shape).ravel()
-                for values in (
-                    azimuth[:, None, :],
-                    cells.width[:, None, None] / PARTS,
-                    edges[:, :-1, None],
-                    edges[:, 1:, None],
-                    light,
-                    cells.base[:, None, None],
-                )
-            )
-        )
+        width, base = cells.width[:, None, None] / PARTS, cells.base[:, None, None]
+        values = azimuth[:, None, :], width, edges[:, :-1, None], edges[:, 1:, None], light, base
+        parts = Cells(*(np.broadcast_to(part, light.shape).ravel() for part in values))
         return parts, step.ravel() * parts.solid_angle
 
     def _leaf(self, cells: Cells, step: np.ndarray) -> Cells:
@@ -414,10 +380,8 @@ class Integrals:
             for i in range(samples):
                 for j in range(samples):
                     azimuth = cells.azimuth[some] + ((u[some] + i) / samples - 0.5) * cells.width[some]
-                    total[some] += self._radiance(
-                        azimuth,
-                        np.sin(cells.low[some] + (v[some] + j) / samples * (cells.high - cells.low)[some]),
-                    )
+                    elevation = cells.low[some] + (v[some] + j) / samples * (cells.high - cells.low)[some]
+                    total[some] += self._radiance(azimuth, np.sin(elevation))
         return total / samples**2
 
     def table(self, angles: np.ndarray, widths: np.ndarray, knots: int = SKY_KNOTS) -> np.ndarray:
@@ -438,7 +402,7 @@ class Integrals:
         sums = self._sums
         if unbiased:  # of base cells: 1/24 by the mean, 1/24 since they are even
             cells = (_sharpened(np.diff(part, axis=2), 1 / 12) for part in sums)
-            sums = [np.concatenate([np.zeros_like(c[..., :1]), np.cumsum(c, 2)], 2) for c in cells]
+            sums = [_cumulative(c) for c in cells]
         light = np.concatenate([_between(part, begin, end) for part in sums], 1)
         if unbiased:  # 1/24 by the mean, 1/12 by interpolation
             light = _sharpened(light / (end - begin), 1 / 8) * (end - begin)
@@ -475,10 +439,8 @@ def chords(sky: Integrals, turns: int, knots: int) -> np.ndarray:
     cosine = np.where(place < 2, 1 - place, place - 3)
     sine = np.where(place < 1, place, np.where(place < 3, 2 - place, place - 4))
     azimuth = np.append(np.arctan2(sine, cosine)[:-1] % (2 * math.pi), 2 * math.pi)
-    return np.ascontiguousarray(
-        (sky.above(azimuth[:-1], azimuth[1:], knots, True) / np.diff(azimuth)[:, None]).transpose(1, 2, 0),
-        np.float32,
-    )
+    light = sky.above(azimuth[:-1], azimuth[1:], knots, True) / np.diff(azimuth)[:, None]
+    return np.ascontiguousarray(light.transpose(1, 2, 0), np.float32)
 
 
 def _gentle_steps(one: np.ndarray, other: np.ndarray) -> np.ndarray:
@@ -502,14 +464,12 @@ def even(count: int, offset: float) -> Azimuths:
 def _peaks(source: sources.Source) -> Peaks | None:
     """The narrow features that a sky names; None if it names none, () if it states that there are none."""
     named = sources.narrow_features(source)
-    return (
-        None
-        if named is None
-        else tuple(
-            (math.atan2(y, x) % (2 * math.pi), math.asin(min(1.0, -z / math.sqrt(x * x + y * y + z * z))))
-            for x, y, z in named
-            if z <= 0
-        )
+    if named is None:
+        return None
+    return tuple(
+        (math.atan2(y, x) % (2 * math.pi), math.asin(min(1.0, -z / math.sqrt(x * x + y * y + z * z))))
+        for x, y, z in named
+        if z <= 0
     )
 
 
@@ -538,11 +498,9 @@ def _of_function(function: Any, named: bool) -> list[Band]:
         light = np.empty((len(rows), cols))
         for some in np.array_split(np.arange(len(rows)), max(1, len(rows) * cols // EVALUATION_BATCH)):
             L = np.empty((len(some), cols, 3))
-            L[..., 0], L[..., 1], L[..., 2] = (
-                out[some] * (c[some] * cosines - s[some] * sines),
-                out[some] * (s[some] * cosines + c[some] * sines),
-                -sine[some],
-            )
+            L[..., 0] = out[some] * (c[some] * cosines - s[some] * sines)
+            L[..., 1] = out[some] * (s[some] * cosines + c[some] * sines)
+            L[..., 2] = -sine[some]
             light[some] = sources.radiance(sky, L)
         bands.append(Band(light, start, borders[rows[0] : rows[-1] + 2]))
     top = sources.radiance(sky, np.array([[0.0, 0.0, -1.0]]))  # a light in the zenith is met for sure
@@ -561,15 +519,17 @@ def _of_map(image: np.ndarray) -> list[Band]:
     light = np.empty((count, len(col)))
     for some in np.array_split(np.arange(count), count * len(col) // 2**22 + 1):
         f = (row - low_row)[some, None]
-        wide = (1 - f) * image[np.clip(low_row[some], 0, rows - 1)] + f * image[
-            np.clip(low_row[some] + 1, 0, rows - 1)
-        ]
-        light[some] = (
-            wide
-            if times == 1
-            else wide[:, low % cols] * (1 - (col - low)) + wide[:, (low + 1) % cols] * (col - low)
-        )
+        upper, lower = (image[np.clip(low_row[some] + n, 0, rows - 1)] for n in (0, 1))
+        wide = (1 - f) * upper + f * lower
+        if times > 1:
+            wide = wide[:, low % cols] * (1 - (col - low)) + wide[:, (low + 1) % cols] * (col - low)
+        light[some] = wide
     return [Band(light, np.full(count, math.pi / len(col)), np.linspace(0, math.pi / 2, count + 1))]
+
+
+def _cumulative(cells: np.ndarray) -> np.ndarray:
+    """Sums over azimuth before every cell and after the last: (2, rows, cells + 1)."""
+    return np.concatenate([np.zeros_like(cells[..., :1]), np.cumsum(cells, 2)], 2)
 
 
 def _between(sums: np.ndarray, begin: np.ndarray, end: np.ndarray) -> np.ndarray:
@@ -598,12 +558,8 @@ def _median(bands: list[Band], solid: list[np.ndarray]) -> float:
     """Of brightness, by solid angle."""
     every = [max(1, band.light.shape[1] // 128) for band in bands]
     light = np.concatenate([band.light[:, ::n].ravel() for band, n in zip(bands, every)])
-    weight = np.concatenate(
-        [
-            np.repeat(n * angle, band.light[:, ::n].shape[1], 1).ravel()
-            for band, angle, n in zip(bands, solid, every)
-        ]
-    )
+    counts = [band.light[:, ::n].shape[1] for band, n in zip(bands, every)]
+    weight = np.concatenate([np.repeat(n * a, k, 1).ravel() for a, n, k in zip(solid, every, counts)])
     order = np.argsort(light)
     return float(light[order][np.searchsorted(np.cumsum(weight[order]), weight.sum() / 2)])
 
@@ -629,9 +585,8 @@ def _band_steps(bands: list[Band], n: int) -> tuple[np.ndarray, np.ndarray]:
     below = bands[n - 1].light[-1:].reshape(1, -1, 2).mean(2) if n else light[:1]
     above = bands[n + 1].light[:1].repeat(2, 1) if n + 1 < len(bands) else light[-1:]
     rows = np.concatenate([below, light, above])
-    step, correction = (
-        values[0] for values in _second_differences(np.pad(rows, ((0, 0), (1, 1)), "wrap")[None])
-    )
+    around = np.pad(rows, ((0, 0), (1, 1)), "wrap")
+    step, correction = (values[0] for values in _second_differences(around[None]))
     # rows grow narrow towards the zenith: their lower half weighs more
     middle: np.ndarray = (band.borders[1:] + band.borders[:-1]) / 2
     correction = correction - (rows[2:] - rows[:-2]) * (np.tan(middle) * np.diff(band.borders) / 24)[:, None]
@@ -646,9 +601,8 @@ def _near_base(band: Band, peaks: Peaks) -> np.ndarray:
     azimuths: np.ndarray = band.start[:, None] + np.arange(is_near.shape[1]) * band.width
     for azimuth, elevation in peaks:
         turned = np.abs(np.mod(azimuths - azimuth + math.pi, 2 * math.pi) - math.pi)
-        near = turned * math.cos(elevation) <= 1.5 * np.maximum(
-            band.width * np.cos(band.borders[:-1, None]), height
-        )
+        size = np.maximum(band.width * np.cos(band.borders[:-1, None]), height)
+        near = turned * math.cos(elevation) <= 1.5 * size
         is_near |= near & (np.abs(middle - elevation) <= 1.5 * height)
     return is_near
 
@@ -658,9 +612,8 @@ def _near(cells: Cells, peaks: Peaks) -> np.ndarray:
     is_near = np.zeros(len(cells.light), bool)
     for azimuth, elevation in peaks:
         turned = np.abs((cells.azimuth - azimuth + math.pi) % (2 * math.pi) - math.pi)
-        is_near |= (turned <= 1.5 * cells.width) & (
-            np.abs((cells.low + cells.high) / 2 - elevation) <= 1.5 * (cells.high - cells.low)
-        )
+        raised = np.abs((cells.low + cells.high) / 2 - elevation)
+        is_near |= (turned <= 1.5 * cells.width) & (raised <= 1.5 * (cells.high - cells.low))
     return is_near
 
 
@@ -675,11 +628,9 @@ def _bright_parts(cells: Cells, limit: float, widest: float, depth: int = 12) ->
     """
     for part in _groups(cells):
         spot = BrightPart(part._replace(light=part.light - limit), limit)
-        if (
-            part.azimuth[-1] - part.azimuth[0] + part.width.max() <= widest
-            or (part.light > limit).any()
-            and spot.cone[1] <= math.sin(widest / 2)
-        ):  # or round the zenith
+        is_narrow = part.azimuth[-1] - part.azimuth[0] + part.width.max() <= widest
+        # or round the zenith
+        if is_narrow or (part.light > limit).any() and spot.cone[1] <= math.sin(widest / 2):
             yield from _nested(spot, part, widest)
         elif depth:
             limit_here = max(4 * limit, LEAST_LEVEL * float(part.light.max()))
@@ -707,10 +658,8 @@ def _nested(spot: BrightPart, cells: Cells, widest: float) -> Iterator[BrightPar
 
 def _extent(cells: Cells) -> float:
     """About how wide they are [rad]; cells in order of azimuth."""
-    low = float(cells.low.min())
-    return max(
-        float(cells.high.max()) - low, float(np.ptp(cells.azimuth) + cells.width.max()) * math.cos(low)
-    )
+    low, span = float(cells.low.min()), float(np.ptp(cells.azimuth) + cells.width.max())
+    return max(float(cells.high.max()) - low, span * math.cos(low))
 
 
 def _groups(cells: Cells, axis: int = 0, whole: bool = False) -> Iterator[Cells]:
@@ -730,9 +679,8 @@ def _groups(cells: Cells, axis: int = 0, whole: bool = False) -> Iterator[Cells]
         first = (int(gaps.argmax()) + 1) % len(order)  # the circle is opened at its largest gap
         order, gaps = np.roll(order, -first), np.roll(gaps, -first)[:-1]
         azimuth = azimuth[order]
-        cells = cells.pick(order)._replace(
-            azimuth=np.where(azimuth < azimuth[0], azimuth + 2 * math.pi, azimuth)
-        )
+        past = np.where(azimuth < azimuth[0], azimuth + 2 * math.pi, azimuth)
+        cells = cells.pick(order)._replace(azimuth=past)
         sizes = cells.width
     cuts = np.flatnonzero(gaps > np.maximum(DARK_GAP, 2 * sizes[:-1])) + 1
     if not len(cuts) and whole and not axis:

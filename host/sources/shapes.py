@@ -94,11 +94,8 @@ class Lamp:
     edges: tuple[tuple[float, float, float], tuple[float, float, float]] | None = None
 
     def __post_init__(self) -> None:
-        given = [
-            name
-            for name in ("center", "radius", "volume", "corner", "edges")
-            if getattr(self, name) is not None
-        ]
+        names = "center", "radius", "volume", "corner", "edges"
+        given = [name for name in names if getattr(self, name) is not None]
         if given not in (["center", "radius"], ["volume"], ["corner", "edges"]):
             raise bad(
                 "lamp",
@@ -123,11 +120,10 @@ class Lamp:
         elif self.volume is not None:
             object.__setattr__(self, "volume", _flags(self.volume, "lamp volume", 3, "(layers, rows, cols)"))
         else:
-            center = numbers(self.center, 3, "lamp center", "(x, y, z)")
+            object.__setattr__(self, "center", numbers(self.center, 3, "lamp center", "(x, y, z)"))
             radius = numbers([self.radius], 1, "lamp radius", "> 0")[0]
             if radius <= 0:
                 raise bad("lamp radius", radius, "a finite number > 0")
-            object.__setattr__(self, "center", center)
             object.__setattr__(self, "radius", radius)
         object.__setattr__(self, "brightness", checked(self.brightness))
 
@@ -343,9 +339,7 @@ def radiance(source: Source, directions: np.ndarray) -> np.ndarray:
         )
     if not callable(brightness):
         return np.full(directions.shape[:-1], float(brightness))
-    if (
-        distribution(brightness).disc() is not None
-    ):  # half a degree wide: samples would miss it, or overrate it
+    if distribution(brightness).disc() is not None:  # so narrow that samples would miss it, or overrate it
         raise bad(
             "brightness: a sky with the sun's disc (direct)",
             "a method, source or sides without it",
