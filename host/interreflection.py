@@ -170,9 +170,8 @@ def is_needed(share: float, tolerance: float) -> bool:
 
 def check_choice(interreflection: Any) -> None:
     """InputError unless it is "auto", True or False."""
-    if not isinstance(interreflection, bool) and not (
-        isinstance(interreflection, str) and interreflection == "auto"
-    ):
+    is_auto = isinstance(interreflection, str) and interreflection == "auto"
+    if not isinstance(interreflection, bool) and not is_auto:
         raise bad("interreflection", repr(interreflection), '"auto", True or False')
 
 
@@ -242,15 +241,14 @@ def included(
     shares = albedos(scene)
     count = max(len(direct), len(shares))
     lights, shares = ([values[n % len(values)] for n in range(count)] for values in (direct, shares))
-    check = _Check(
-        Bounces(engine, scene, samples, lights, shares, sky), lights, shares, sky, error, is_uniform, beyond
-    )
+    bounces = Bounces(engine, scene, samples, lights, shares, sky)
+    check = _Check(bounces, lights, shares, sky, error, is_uniform, beyond)
     coarse = check.coarse_rounds(tolerance)
-    check.bounces.run([COARSE] * coarse)
+    bounces.run([COARSE] * coarse)
     done, level, before = coarse, _first_level(check.share, tolerance), math.inf
     while True:
         rounds = _rounds(level, has_cliffs)
-        check.bounces.run(rounds)
+        bounces.run(rounds)
         done += len(rounds)
         total, errors = check.errors(_azimuths(CHECK_ERROR * tolerance))
         useless = level >= GAINED_FROM and total > GAIN * before
@@ -271,7 +269,7 @@ def included(
             " beyond a tile's halo, which is taken to be as bright as the ground within."
         )
     on_device = count == 1 and isinstance(direct[0], DeviceImage)
-    irradiances = [check.bounces.device_image()] if on_device else check.bounces.irradiance()
+    irradiances = [bounces.device_image()] if on_device else bounces.irradiance()
     return Included(irradiances, record, errors, warnings)
 
 

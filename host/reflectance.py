@@ -142,14 +142,11 @@ class BRDF:
             raise bad(
                 "BRDF", type(self.function).__name__, "a function of two arrays of unit vectors (..., 3)"
             )
-        theta, phi = np.meshgrid(
-            np.radians([0, 10, 20, 30, 40, 50, 60, 70, 80, 85]),
-            2 * np.pi * (np.arange(8) + 0.25) / 8,
-            indexing="ij",
+        elevations = np.radians([0, 10, 20, 30, 40, 50, 60, 70, 80, 85])  # from the zenith
+        theta, phi = (
+            v.ravel() for v in np.meshgrid(elevations, 2 * np.pi * (np.arange(8) + 0.25) / 8, indexing="ij")
         )
-        incoming = np.stack(
-            [np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)], -1
-        ).reshape(-1, 3)
+        incoming = np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)], -1)
         reflected = directional_hemispheric(self.brdf, incoming)
         worst = int(reflected.argmax())
         if reflected[worst] > 1 + BOUND:
@@ -163,10 +160,9 @@ class BRDF:
         a, b = incoming[:, None], incoming[None]
         shape = (len(incoming),) * 2 + (3,)
         values = self.brdf(np.broadcast_to(a, shape), np.broadcast_to(b, shape))
+        asymmetry = float(np.abs(values - values.T).max() / max(values.max(), 1e-300))
         object.__setattr__(self, "largest", float(reflected[worst]))
-        object.__setattr__(
-            self, "asymmetry", float(np.abs(values - values.T).max() / max(values.max(), 1e-300))
-        )
+        object.__setattr__(self, "asymmetry", asymmetry)
 
     def brdf(self, incoming: np.ndarray, outgoing: np.ndarray) -> np.ndarray:
         """f [sr^-1], checked: (..., 3), (..., 3) -> (...); 0 where a direction lies below the surface."""
@@ -207,10 +203,8 @@ def grooves(white: float = 0.9, black: float = 0.0, steepness: float = 45.0) -> 
     BRDF
         In 1/sr, for ``Scene(..., reflectance=...)``.
     """
-    white, black = (
-        _number(share(white, "grooves: white"), "white"),
-        _number(share(black, "grooves: black"), "black"),
-    )
+    white = _number(share(white, "grooves: white"), "white")
+    black = _number(share(black, "grooves: black"), "black")
     if not 0 < steepness < 90:
         raise bad("grooves: steepness", steepness, "between 0 and 90 degrees")
     rise = np.tan(np.radians(steepness))
@@ -227,9 +221,8 @@ def grooves(white: float = 0.9, black: float = 0.0, steepness: float = 45.0) -> 
             (a, lit), (b, seen) = shows(incoming * way), shows(outgoing * way)
             # half of the level area lies under each face, which is larger by 1 / cos and whose two cosines
             # are cos x a, cos x b
-            total = total + albedo / np.pi * 0.5 * np.cos(np.radians(steepness)) * a * b * np.minimum(
-                lit, seen
-            )
+            half = albedo / np.pi * 0.5 * np.cos(np.radians(steepness))
+            total = total + half * a * b * np.minimum(lit, seen)
         total /= np.maximum(incoming[..., 2], 1e-12) * np.maximum(outgoing[..., 2], 1e-12)
         return total
 

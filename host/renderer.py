@@ -54,9 +54,8 @@ class Renderer:
         self.greys = sources.channels(source)
         self.lobe, self.planned = options.lobe(scene), options.planned(scene, source)
         missing, shines = options.missing(scene, source), options.shines(scene)
-        self.by_lattice = (
-            options.lattice or options.method == "lattice" or bool(missing and (not self.planned or shines))
-        )
+        asked = options.lattice or options.method == "lattice"
+        self.by_lattice = asked or bool(missing and (not self.planned or shines))
         no_disc = options.lattice or missing or self.planned and not shines
         self.sun = None if no_disc else _sun_of(scene, source, options.max_distance)
         # an image of one channel, rho E / pi alone, is made on the device; with arguments of a method on a
@@ -87,11 +86,10 @@ class Renderer:
         if first is not None:
             if image.ndim > first.ndim:  # a coloured ground alone colours an irradiance
                 first = np.repeat(first[..., None], image.shape[-1], -1)
-            first, rest = (
-                labelled(values, scene.labels, IMAGES[quantity]) for values in (first, image - first)
-            )
+            rest = image - first
+        image, first, rest = (labelled(v, scene.labels, IMAGES[quantity]) for v in (image, first, rest))
         return Rendering(
-            labelled(image, scene.labels, IMAGES[quantity]),
+            image,
             self.plans[0],
             self.engine.name,
             seconds,
@@ -165,10 +163,7 @@ class Renderer:
         )
         if self.sun is not None:
             # the azimuths that were asked for are the sky's
-            irradiances = [
-                np.asarray(irradiances[0]) + np.asarray(self._as_asked(self.sun, None)),
-                *irradiances[1:],
-            ]
+            irradiances[0] = np.asarray(irradiances[0]) + np.asarray(self._as_asked(self.sun, None))
         return irradiances
 
     def _within_tolerance(self) -> list[Irradiance]:
@@ -262,20 +257,14 @@ class Renderer:
         options, scene, source = self.options, self.scene, self.source
         plan = _lattice_plan(options)
         self.plans.append(plan)
-        if isinstance(options.hemicube, Hemicube):
-            cube = options.hemicube
-        else:
-            assert plan.hemicube is not None, "a plan of the lattice has a hemicube"
-            cube = Hemicube(plan.hemicube)
+        assert plan.hemicube is not None, "a plan of the lattice has a hemicube"
+        cube = options.hemicube if isinstance(options.hemicube, Hemicube) else Hemicube(plan.hemicube)
         # checks that the source fits
         problem = lattice.problem_of(self.engine, scene, source, cube, bool(plan.filled))
         self.warnings.extend(lattice.warnings_of(problem, scene, source, cube))
         brightness = np.stack([sources.radiance(grey, cube.directions) for grey in self.greys])
-        lobe, shares, whole = (
-            shading.lobe_of(scene, 1e-6) if options.quantity == "radiance" else None,
-            None,
-            None,
-        )
+        lobe = shading.lobe_of(scene, 1e-6) if options.quantity == "radiance" else None
+        shares = whole = None
         if lobe:
             angles = cube.solid_angles * _norm(scene)
             shares, whole = (
@@ -290,9 +279,8 @@ class Renderer:
         if options.brdf(scene):
             bits = propagation.visibility(self.engine, problem)
             return [], shading.by_brdf(scene, self.greys, shading.of_lattice(bits, cube))
-        moments = (
-            cube.moments if options.weights == "moment" else cube.directions * cube.solid_angles[:, None]
-        )
+        printed = options.weights == "printed"
+        moments = cube.directions * cube.solid_angles[:, None] if printed else cube.moments
         irradiances, reflected = propagation.light(
             self.engine, problem, moments * brightness[..., None], lobe, shares, whole, self.on_device
         )

@@ -66,12 +66,8 @@ def suns(
         for n, k in enumerate(some):
             away = ((mirror - L[k]) ** 2).sum(-1) / 2
             weight = np.interp(away, np.linspace(0, lobe.rim, len(lobe.table)), lobe.table, right=0.0)
-            total += (
-                flux[k]
-                * lit[..., n]
-                * weight
-                * np.maximum(0.0, (gx * L[k, 0] + gy * L[k, 1] - L[k, 2]) * scale)
-            )
+            cosine = np.maximum(0.0, (gx * L[k, 0] + gy * L[k, 1] - L[k, 2]) * scale)
+            total += flux[k] * lit[..., n] * weight * cosine
     return total.astype(np.float32)
 
 
@@ -167,11 +163,8 @@ def _first_ground(
         near = (low[1] * cols + low[0]).astype(np.int64)
         far = near + (part[0] > 0) + cols * (part[1] > 0)
         part = part.max(0)  # one of the two is 0 at a crossing
-        before, gap[going] = (
-            gap[going],
-            ground[near] + part * (ground[far] - ground[near]) - own[going] - rise,
-        )
-        gap[going] = np.nan_to_num(gap[going], nan=-np.inf, neginf=-np.inf)
+        here = ground[near] + part * (ground[far] - ground[near]) - own[going] - rise
+        before, gap[going] = gap[going], np.nan_to_num(here, nan=-np.inf, neginf=-np.inf)
         hit = gap[going] > -GRAZES * (1 + np.abs(slope[going])) * t
         past = _past(before, gap[going], first)
         ends[going, 2], ends[going, 3] = near, far
@@ -261,12 +254,8 @@ class _Reflection:
         rows, cols, n = weights.shape
         for some in np.array_split(np.arange(rows), -(-rows * cols * n // BRDF_BATCH)):
             incoming = np.einsum("rcij,rcnj->rcni", self.frames[some], L[some])
-            cosine = np.maximum(0.0, incoming[..., 2])
-            f = (
-                self.surface.brdf(incoming, np.broadcast_to(self.outgoing[some, :, None], incoming.shape))
-                * cosine
-                * weights[some]
-            )
+            outgoing = np.broadcast_to(self.outgoing[some, :, None], incoming.shape)
+            f = self.surface.brdf(incoming, outgoing) * np.maximum(0.0, incoming[..., 2]) * weights[some]
             shows = f > 0
             for image, grey in zip(out, greys):
                 light = np.zeros(f.shape)
@@ -304,9 +293,8 @@ class _Rays:
                     lit &= (place >= -0.5) & (place < count - 0.5)
             tangent = np.where(flat > up / STEEP, up / flat, STEEP)
             c, s = np.where(flat > 0, L[..., 0] / flat, 1.0), np.where(flat > 0, L[..., 1] / flat, 0.0)
-        reach = np.where(
-            lit, np.minimum(np.where(flat > 0, ends * np.maximum(flat, 1e-30), np.inf), self.reach), 1e-6
-        )
+        along = np.where(flat > 0, ends * np.maximum(flat, 1e-30), np.inf)
+        reach = np.where(lit, np.minimum(along, self.reach), 1e-6)
         ways = np.stack([c, s, tangent, np.minimum(reach, 1e30)], 2).astype(np.float32)
         arrived: np.ndarray = lit & self.slices.rays(ways)
         return arrived
@@ -361,10 +349,8 @@ def _meets_window(scene: Scene, window: sources.Window, origin: np.ndarray, L: n
     t = origin[..., 2] / -L[..., 2]
     x, y = (origin[..., axis] + np.where(L[..., axis] == 0, 0.0, t * L[..., axis]) for axis in (0, 1))
     if window.aperture is not None:
-        col, row = (
-            np.floor(np.nan_to_num(v / scene.spacing + 0.5, nan=-1, posinf=-1, neginf=-1)).astype(int)
-            for v in (x, y)
-        )
+        places = (np.nan_to_num(v / scene.spacing + 0.5, nan=-1, posinf=-1, neginf=-1) for v in (x, y))
+        col, row = (np.floor(place).astype(int) for place in places)
         rows, cols = scene.shape
         through = (0 <= col) & (col < cols) & (0 <= row) & (row < rows)
         through &= window.aperture[np.clip(row, 0, rows - 1), np.clip(col, 0, cols - 1)]

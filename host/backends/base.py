@@ -67,11 +67,9 @@ def _free_memory() -> int:
         with open("/proc/meminfo") as lines:
             return 1024 * next(int(line.split()[1]) for line in lines if line.startswith("MemAvailable"))
     except (OSError, StopIteration):
-        return (
-            os.sysconf("SC_AVPHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
-            if hasattr(os, "sysconf") and "SC_AVPHYS_PAGES" in os.sysconf_names
-            else 2**31
-        )
+        if hasattr(os, "sysconf") and "SC_AVPHYS_PAGES" in os.sysconf_names:
+            return os.sysconf("SC_AVPHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+        return 2**31
 
 
 def rounded_up(pixels: int) -> int:

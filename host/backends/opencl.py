@@ -59,10 +59,8 @@ def probe() -> list[BackendInfo]:
     infos = []
     for p, platform in enumerate(platforms):
         for d, device in enumerate(platform.get_devices()):
-            described = (
-                f"{device.name.strip()} ({platform.version.strip()}, {device.max_compute_units} compute"
-                " units)"
-            )
+            units = f"{device.max_compute_units} compute units"
+            described = f"{device.name.strip()} ({platform.version.strip()}, {units})"
             exact = bool(device.double_fp_config)
             why = "" if exact else "the device has no double precision, which windows and lamps need"
             gpu = bool(device.type & cl.device_type.GPU)
@@ -157,11 +155,9 @@ class OpenclBackend(Backend):
         ]
 
         def copy(array: Any, start: int, part: np.ndarray, fetch: bool) -> Callable[[], None]:
-            if fetch:
-                event = cl.enqueue_copy(self.queue, part, array.data, src_offset=start, is_blocking=False)
-            else:
-                event = cl.enqueue_copy(self.queue, array.data, part, dst_offset=start, is_blocking=False)
-            wait: Callable[[], None] = event.wait
+            ends = (part, array.data) if fetch else (array.data, part)
+            offset = {"src_offset" if fetch else "dst_offset": start}
+            wait: Callable[[], None] = cl.enqueue_copy(self.queue, *ends, is_blocking=False, **offset).wait
             return wait
 
         return staging.Staging(rooms, copy)
@@ -203,9 +199,8 @@ class OpenclBackend(Backend):
         squares: bool = False,
         **constants: int,
     ) -> None:
-        function, kinds, usual = self._kernel(
-            stem, kernel, lanes or self.lanes, tuple(sorted(constants.items()))
-        )
+        known = tuple(sorted(constants.items()))
+        function, kinds, usual = self._kernel(stem, kernel, lanes or self.lanes, known)
         values = [arg.data if kind is None else kind(arg) for arg, kind in zip(args, kinds, strict=True)]
         local = (group or usual,) + (1,) * (len(dim) - 1)
         if squares and not self.on_cpu:
@@ -272,9 +267,8 @@ def _program(backend: OpenclBackend, stem: str, lanes: int, constants: tuple[tup
             warnings.simplefilter("ignore", backend.cl.CompilerWarning)
             program.build([*OPTIONS, *backend._exact, *_registers(backend, stem), *defines])
     except backend.cl.Error as error:
-        raise BackendError(
-            f"{backend.name}: {stem}.cl does not build on {backend.device}: {error}"
-        ) from error
+        text = f"{backend.name}: {stem}.cl does not build on {backend.device}: {error}"
+        raise BackendError(text) from error
     backend.compile_seconds += time.perf_counter() - start
     return program
 

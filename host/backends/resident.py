@@ -70,13 +70,7 @@ class DeviceImage:
             raise AttributeError(f"the image lies on {self.backend.name}, which is no CUDA device")
         self.backend.finish()  # whoever reads it may do so on a stream of its own
         address = int(self.values.ptr), False
-        return {
-            "shape": self.shape,
-            "typestr": self.dtype.str,
-            "data": address,
-            "strides": None,
-            "version": 3,
-        }
+        return dict(shape=self.shape, typestr=self.dtype.str, data=address, strides=None, version=3)
 
     def __dlpack__(self, **options: Any) -> Any:
         return self.backend.view(self.values, self.shape).__dlpack__(**options)
@@ -144,22 +138,9 @@ class Resident(NamedTuple):
         rows, cols = self.shape
         width, height = cols + left + right, rows + above + below
         window = self.backend.empty((width * height,), np.float32)
-        self.backend.launch(
-            "resident",
-            "heights",
-            (width, height),
-            self.depth,
-            window,
-            rows,
-            cols,
-            left,
-            above,
-            width,
-            height,
-            float(self.step),
-            float(masked),
-            int(periodic),
-        )
+        size = rows, cols, left, above, width, height
+        numbers = float(self.step), float(masked), int(periodic)
+        self.backend.launch("resident", "heights", (width, height), self.depth, window, *size, *numbers)
         return window
 
     def probe(self, heights: Array, margin: int, every: int, first: int) -> np.ndarray:
@@ -179,11 +160,8 @@ class Resident(NamedTuple):
     def pick(self, nodes: np.ndarray) -> np.ndarray:
         """Depths at nodes, numbered row by row."""
         given = self.backend.upload(nodes.astype(np.int32).ravel())
-        picked = self.backend.empty((nodes.size,), np.float32)
-        missing = math.inf
-        self.backend.launch(
-            "pilot", "pick", (nodes.size,), self.depth, given, picked, nodes.size, missing, lanes=1
-        )
+        picked, count = self.backend.empty((nodes.size,), np.float32), nodes.size
+        self.backend.launch("pilot", "pick", (count,), self.depth, given, picked, count, math.inf, lanes=1)
         return self.backend.download(picked).reshape(nodes.shape)
 
     def copy_into(self, depth: Array) -> None:

@@ -46,17 +46,9 @@ class NumpyBackend(Backend):
     def view(self, array: Array, shape: tuple[int, ...]) -> Array:
         return array.reshape(-1)[: np.prod(shape)].reshape(shape)
 
-    def launch(
-        self,
-        stem: str,
-        kernel: str,
-        dim: tuple[int, ...],
-        *args: Any,
-        lanes: int | None = None,
-        group: int | None = None,
-        squares: bool = False,
-        **constants: int,
-    ) -> None:
+    def launch(self, stem: str, kernel: str, dim: tuple[int, ...], *args: Any, **more: Any) -> None:
+        # how work-items are grouped does not matter here
+        constants = {name: value for name, value in more.items() if name not in ("lanes", "group", "squares")}
         with np.errstate(invalid="ignore", divide="ignore", over="ignore"):  # masked nodes are +inf
             getattr(importlib.import_module(f".{stem}", __package__), kernel)(*args, **constants)
 
