@@ -107,10 +107,8 @@ def scene_of(kind: str, size: int) -> tuple[Scene, sources.Source]:
     slope, power = (0.5, 2.5) if kind == "smooth" else (1.0, 2.0)
     frequency = np.hypot(*np.meshgrid(np.fft.rfftfreq(size), np.fft.fftfreq(size)))
     frequency[0, 0] = 1
-    z = np.fft.irfft2(
-        np.fft.rfft2(np.random.default_rng(1).standard_normal((size, size))) / frequency**power,
-        s=(size, size),
-    )
+    white = np.random.default_rng(1).standard_normal((size, size))
+    z = np.fft.irfft2(np.fft.rfft2(white) / frequency**power, s=(size, size))
     z *= slope / np.sqrt(sum(np.mean(np.diff(z, axis=a) ** 2) for a in (0, 1)))
     source: sources.Source = sources.Sky()
     if kind == "lamp":
@@ -119,8 +117,7 @@ def scene_of(kind: str, size: int) -> tuple[Scene, sources.Source]:
         source = sources.Window((0.3 * size, 0.6 * size), (0.2 * size, 0.5 * size))
     elif kind == "sun":
         source = sources.Sky(cie_clear(SUN[0], direct=SUN[1]))
-    depth = z - z.min()
-    return Scene(depth, albedo=ALBEDO) if kind == "albedo" else Scene(depth), source
+    return Scene(z - z.min(), albedo=ALBEDO), source
 
 
 def options_of(method: str, units: int) -> Row:
@@ -284,27 +281,17 @@ def behind(rows: list[Row], time: str = "seconds", as_accurate: bool = False) ->
     for kind in CLASSES:
         if kind == "albedo":  # other settings have direct light alone
             continue
-        here = [
-            row
-            for row in rows
-            if row["class"] == kind and row["size"] == largest and not row["method"].startswith(PEER)
-        ]
+        here = [row for row in rows if row["class"] == kind and row["size"] == largest]
+        here = [row for row in here if not row["method"].startswith(PEER)]
         if not here:
             continue
+        plans = [row for row in here if row["method"] == "plan"]
         for tolerance in TOLERANCES:
-            ours, error = min(
-                (
-                    (row[time], row["error"])
-                    for row in here
-                    if row["method"] == "plan" and row["units"] == tolerance
-                ),
-                default=(math.nan, math.nan),
-            )
+            within = [(row[time], row["error"]) for row in plans if row["units"] == tolerance]
+            ours, error = min(within, default=(math.nan, math.nan))
             limit = error if as_accurate else tolerance
-            best = min(
-                (row["seconds"] for row in here if row["method"] != "plan" and row["error"] <= limit),
-                default=math.nan,
-            )
+            others = (row for row in here if row["method"] != "plan" and row["error"] <= limit)
+            best = min((row["seconds"] for row in others), default=math.nan)
             ratios.setdefault(kind, []).append(ours / best)
     return ratios
 
@@ -383,10 +370,8 @@ def _draw_point(axes: Axes, row: Row, quickest: str, hints: dict[str, str]) -> N
     )
     words = f"{method.removeprefix(PEER)}, {row['units']:g}"
     if row["class"] == INVERSE:
-        words = f"{row['surface']}: " + (
-            f"the paper's carving, eps {row['units']:g}" if not planned else "the default"
-        )
-        words += " (the best)" * bool(row.get("best"))
+        method = "the default" if planned else f"the paper's carving, eps {row['units']:g}"
+        words = f"{row['surface']}: {method}" + " (the best)" * bool(row.get("best"))
     elif planned:
         share = float(row.get("planning") or 0) / row["seconds"]
         words = f"default at a tolerance of {row['units']:.1%}; planning is {share:.0%} of the time"
@@ -403,10 +388,8 @@ def _draw_point(axes: Axes, row: Row, quickest: str, hints: dict[str, str]) -> N
 def _draw_frontier(axes: Axes, points: list[tuple[float, float]]) -> None:
     edge = frontier(points)
     axes.plot(*zip(*edge), color="0.35", lw=1.2, zorder=1)
-    x, y = edge[-1]
-    axes.annotate(
-        "frontier", (x, y), (8, -10), textcoords="offset points", ha="left", fontsize=8, color="0.35"
-    )
+    style: Row = dict(textcoords="offset points", ha="left", fontsize=8, color="0.35")
+    axes.annotate("frontier", edge[-1], (8, -10), **style)
 
 
 def _draw_axes(panels: Any, kinds: Sequence[str], cols: int, size: int) -> None:
@@ -447,11 +430,9 @@ def _draw_legend(
     def mark(
         colour: str, marker: str, label: str, edge: str = "none", size: int = 7, fill: bool = True
     ) -> Line2D:
-        face = colour if fill else "none"
-        edge = edge if fill else colour
-        return Line2D(
-            [], [], ls="", marker=marker, color=face, markeredgecolor=edge, label=label, markersize=size
-        )
+        style: Row = dict(ls="", marker=marker, label=label, markersize=size)
+        face, edge = (colour, edge) if fill else ("none", colour)
+        return Line2D([], [], color=face, markeredgecolor=edge, **style)
 
     backends = {row["backend"] for row in rows if not row["method"].startswith(PEER)}
     inverse = any(row["class"] == INVERSE for row in rows)
@@ -462,21 +443,15 @@ def _draw_legend(
         "stride": "lattice, stride (the paper)",
         "unoccluded": "closed form, occlusion left out",
     }
-    handles = [
-        *(mark(COLOURS[method], "o", label) for method, label in names.items()),
-        *([mark(COLOURS["paper"], "o", "the paper's carving; filled: its best eps")] if inverse else []),
-        mark(COLOURS["plan"], "*", "the default, by tolerance", "black", 13),
-        *([mark("0.3", "o", f"hollow: not on {quickest}", fill=False)] if len(backends) > 1 else []),
-        *(
-            mark(
-                COLOURS.get(peer, PEER_COLOUR),
-                MARKERS.get(peer, "X"),
-                labels.get(peer, peer[len(PEER) :]),
-                "black",
-            )
-            for peer in peers
-        ),
-    ]
+    handles = [mark(COLOURS[method], "o", label) for method, label in names.items()]
+    if inverse:
+        handles.append(mark(COLOURS["paper"], "o", "the paper's carving; filled: its best eps"))
+    handles.append(mark(COLOURS["plan"], "*", "the default, by tolerance", "black", 13))
+    if len(backends) > 1:
+        handles.append(mark("0.3", "o", f"hollow: not on {quickest}", fill=False))
+    for peer in peers:
+        label = labels.get(peer, peer.removeprefix(PEER))
+        handles.append(mark(COLOURS.get(peer, PEER_COLOUR), MARKERS.get(peer, "X"), label, "black"))
     if len(spare):
         spare[0].legend(handles=handles, loc="center", frameon=False, fontsize=10)
     else:

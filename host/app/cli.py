@@ -456,19 +456,15 @@ def chart(
     try:
         charts.draw(rows, folder / "chart.png")
     except ImportError:
-        print(
-            "skylamp: warning: no chart.png without matplotlib: pip install 'skylamp[plot]'", file=sys.stderr
-        )
+        text = "no chart.png without matplotlib: pip install 'skylamp[plot]'"
+        print(f"skylamp: warning: {text}", file=sys.stderr)
     if as_json:
         output.print_json({"out": str(folder), "points": rows, "behind": charts.behind(rows)})
         return
     for kind, times in charts.behind(rows).items():
-        print(
-            f"{kind}: the default takes "
-            + ", ".join(f"{ratio:.2g} ({100 * t:g} %)" for ratio, t in zip(times, charts.TOLERANCES))
-            + " times as long as the quickest setting within its tolerance",
-            file=sys.stderr,
-        )
+        ratios = ", ".join(f"{ratio:.2g} ({100 * t:g} %)" for ratio, t in zip(times, charts.TOLERANCES))
+        rest = "times as long as the quickest setting within its tolerance"
+        print(f"{kind}: the default takes {ratios} {rest}", file=sys.stderr)
     output.message(f"{folder / 'chart.png'}: {len(rows)} points")
 
 
@@ -505,11 +501,11 @@ def selftest(as_json: opt.Json = False, quiet: opt.Quiet = False, verbose: opt.V
     every: list[Check | Comparison] = [*checked, *compared]
     wrong = [c for c in every if not c.passed]
     if as_json:
-        each = {
-            name: [{**output.plain(c), "passed": c.passed} for c in results]
-            for name, results in (("checks", checked), ("comparisons", compared))
+        results: dict[str, Any] = {"checks": checked, "comparisons": compared}
+        facts = {
+            name: [{**output.plain(c), "passed": c.passed} for c in some] for name, some in results.items()
         }
-        output.print_json({"backends": names, "passed": not wrong, **each})
+        output.print_json({"backends": names, "passed": not wrong, **facts})
     else:
         output.console().print(_checked(checked))
         if compared:

@@ -41,9 +41,8 @@ class Pictures:
         tone = np.clip((image - low) / (high - low), 0, 1) ** (1 / gamma)
         io.write(self.folder / name, tone, range=(0.0, 1.0))
         self.tones.append(tone)
-        self.facts.append(
-            {"file": name, "shows": text, "black": float(low), "white": float(high), "gamma": gamma}
-        )
+        range = {"black": float(low), "white": float(high)}
+        self.facts.append({"file": name, "shows": text, **range, "gamma": gamma})
         if not self.silent:
             output.message(f"{self.folder / name}: {text}")
 
@@ -72,9 +71,8 @@ def demo(
 
     pictures = Pictures(folder, silent)
     height, spacing = io.terrain()
-    renderings = _mountains(
-        Scene.from_height(EXAGGERATION * height, spacing=spacing), backend, pictures, step
-    )
+    mountains = Scene.from_height(EXAGGERATION * height, spacing=spacing)
+    renderings = _mountains(mountains, backend, pictures, step)
     _relief_recovered(backend, pictures, step)
     pictures.add_panel()
     comparison = compared(Scene.from_height(height[COMPARED_AREA], spacing=spacing))
@@ -108,14 +106,8 @@ def _mountains(scene: Scene, backend: str, pictures: Pictures, step: Callable[[]
             flat = Scene(np.zeros((1, 1)))
             level = render(flat, source, method="lattice", hemicube=hemicube, backend=backend).image[0, 0]
             low, high, gamma = 0.3 * level, level, 1.0
-        pictures.add(
-            f"jacksboro_x{EXAGGERATION}_{name}.png",
-            done.image,
-            low,
-            high,
-            gamma,
-            f"Jacksboro fault, heights x {EXAGGERATION}, under {text}",
-        )
+        text = f"Jacksboro fault, heights x {EXAGGERATION}, under {text}"
+        pictures.add(f"jacksboro_x{EXAGGERATION}_{name}.png", done.image, low, high, gamma, text)
         step()
     return renderings
 
@@ -131,24 +123,12 @@ def _relief_recovered(backend: str, pictures: Pictures, step: Callable[[], None]
     recovered = recover(seen.image, Sky(), sides="dark", interreflection=False, backend=backend)
     step()
     error = float(np.sqrt(np.mean((recovered.depth - depth) ** 2)))
-    pictures.add(
-        "relief_rendered.png",
-        seen.image,
-        0.0,
-        seen.image.max(),
-        1.0,
-        "folds in a black box under a uniform sky",
-    )
-    for name, z, text in (
-        (
-            "relief_recovered.png",
-            recovered.depth,
-            f"depth recovered from that picture, near is bright; RMS error {error:.2g} in a relief"
-            f" of {np.ptp(depth):.0f}",
-        ),
-        ("relief_true.png", depth, "its true depth, same scale"),
-    ):
-        pictures.add(name, -z, -depth.max(), -depth.min(), 1.0, text)
+    text = "folds in a black box under a uniform sky"
+    pictures.add("relief_rendered.png", seen.image, 0.0, seen.image.max(), 1.0, text)
+    text = f"depth recovered from that picture, near is bright; RMS error {error:.2g} in a relief of"
+    scale = -depth.max(), -depth.min(), 1.0
+    pictures.add("relief_recovered.png", -recovered.depth, *scale, f"{text} {np.ptp(depth):.0f}")
+    pictures.add("relief_true.png", -depth, *scale, "its true depth, same scale")
 
 
 def relief() -> np.ndarray:
@@ -188,11 +168,8 @@ def print_tables(facts: dict[str, Any]) -> None:
         title=f"Pictures in {facts['out']}, made by {facts['backend']}",
     )
     for picture in facts["pictures"]:
-        table.add_row(
-            picture["file"],
-            picture["shows"],
-            *(f"{picture[k]:.3g}" if k in picture else "" for k in ("black", "white", "gamma")),
-        )
+        tones = (f"{picture[k]:.3g}" if k in picture else "" for k in ("black", "white", "gamma"))
+        table.add_row(picture["file"], picture["shows"], *tones)
     console.print(table)
     table = Table(
         "backend",
@@ -204,13 +181,12 @@ def print_tables(facts: dict[str, Any]) -> None:
     )
     for row in facts["backends"]:
         if row["available"]:
-            table.add_row(
-                row["name"],
-                row["device"],
+            figures = (
                 f"{row['seconds']:.4f}",
                 "all" if row["bits_equal"] else "NO",
                 f"{row['difference']:.1e}",
             )
+            table.add_row(row["name"], row["device"], *figures)
         else:
             table.add_row(row["name"], row["why"])
     console.print(table)

@@ -51,8 +51,5 @@ def _caches() -> dict[str, Path]:
 def _cache(path: Path) -> dict[str, Any]:
     """Its path, whether it is there, and whether it or the folder to make it in can be written."""
     there = next((folder for folder in (path, *path.parents) if folder.exists()), path)
-    return {
-        "path": str(path),
-        "exists": path.is_dir(),
-        "writable": there.is_dir() and os.access(there, os.W_OK),
-    }
+    writable = there.is_dir() and os.access(there, os.W_OK)
+    return {"path": str(path), "exists": path.is_dir(), "writable": writable}

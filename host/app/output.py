@@ -176,11 +176,8 @@ def console(stderr: bool = False) -> Console:
 
 def report(done: Any, out: str, as_json: bool, **facts: Any) -> None:
     """One line about a result on stderr, or everything as JSON on stdout; warnings on stderr either way."""
-    known = {
-        name: getattr(done, name)
-        for name in ("plan", "backend", "seconds", "compile_seconds")
-        if hasattr(done, name)
-    }
+    names = "plan", "backend", "seconds", "compile_seconds"
+    known = {name: getattr(done, name) for name in names if hasattr(done, name)}
     facts = {"out": out, **known, **facts, "warnings": getattr(done, "warnings", [])}
     for warning in facts["warnings"]:
         print(f"skylamp: warning: {warning}", file=sys.stderr)
@@ -203,16 +200,8 @@ def report_array_or_picture(
 ) -> None:
     """Reports the files that were written, for commands that may write an array, a picture or both."""
     if as_json:
-        print_json(
-            {
-                "out": out,
-                "plot": picture and str(picture),
-                "backend": backend,
-                "shape": shape or None,
-                "range": range,
-                **facts,
-            }
-        )
+        written = {"out": out, "plot": picture and str(picture), "backend": backend}
+        print_json({**written, "shape": shape or None, "range": range, **facts})
         return
     if out:
         scale = f", white is {range[1]:.6g}" if range else ""

@@ -143,17 +143,8 @@ def tolerance(text: str, option: str = "--tolerance") -> float:
 def byte_count(text: str) -> int:
     """Bytes of --memory: 8GB, 512MB, 6.5e9."""
     match = re.fullmatch(r"([0-9.]+(?:e[0-9]+)?)\s*([kMGT]?i?B?)", text.strip())
-    units = {
-        "": 1,
-        "k": 1e3,
-        "M": 1e6,
-        "G": 1e9,
-        "T": 1e12,
-        "ki": 2**10,
-        "Mi": 2**20,
-        "Gi": 2**30,
-        "Ti": 2**40,
-    }
+    units = {"": 1, "k": 1e3, "M": 1e6, "G": 1e9, "T": 1e12}
+    units |= {"ki": 2**10, "Mi": 2**20, "Gi": 2**30, "Ti": 2**40}
     try:
         assert match is not None
         return int(float(match[1]) * units[match[2].removesuffix("B")])

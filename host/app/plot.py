@@ -199,24 +199,15 @@ def _draw_sky(axes: PolarAxes, source: sources.Sky, turn: np.ndarray, elevation:
     axes.set_facecolor(GROUND)
     top = np.nanmax(light) if np.isfinite(light).any() else 1.0
     uniform = np.isfinite(light).any() and np.nanmin(light) >= 0.999 * top
-    return axes.pcolormesh(
-        edges[0] + np.pi / 2,
-        edges[1],
-        light,
-        cmap="YlGnBu_r",
-        vmin=0 if uniform else None,
-        vmax=top or 1.0,
-        rasterized=True,
-    )
+    style: dict[str, Any] = dict(cmap="YlGnBu_r", vmin=0 if uniform else None, vmax=top or 1.0)
+    return axes.pcolormesh(edges[0] + np.pi / 2, edges[1], light, rasterized=True, **style)
 
 
 def _tangent_plane(scene: Scene, row: int, col: int, turn: np.ndarray) -> np.ndarray:
     """Elevation [degree] of the surface's tangent plane at a node, in the azimuths ``turn`` [rad]."""
     near = slice(max(0, row - 1), row + 2), slice(max(0, col - 1), col + 2)
-    gx, gy = (
-        g[min(row, 1), min(col, 1)]
-        for g in oracle.gradient(scene.depth[near], scene.spacing, scene.valid[near])
-    )
+    tilts = oracle.gradient(scene.depth[near], scene.spacing, scene.valid[near])
+    gx, gy = (tilt[min(row, 1), min(col, 1)] for tilt in tilts)
     # the ground rises where depth falls
     elevation: np.ndarray = np.degrees(np.arctan(-(gx * np.cos(turn) + gy * np.sin(turn))))
     return elevation
@@ -225,12 +216,8 @@ def _tangent_plane(scene: Scene, row: int, col: int, turn: np.ndarray) -> np.nda
 def _label_compass(axes: PolarAxes) -> None:
     """Directions of the compass along the rim, elevations along a radius."""
     axes.set_xticks(np.radians(np.arange(0, 360, 45)), ["N", "NE", "E", "SE", "S", "SW", "W", "NW"])
-    axes.set_yticks(
-        [30, 60, 90],
-        ["60°", "30°", ""],
-        fontsize=9,
-        bbox=dict(boxstyle="round,pad=0.1", fc="w", ec="none", alpha=0.7),
-    )
+    box = dict(boxstyle="round,pad=0.1", fc="w", ec="none", alpha=0.7)
+    axes.set_yticks([30, 60, 90], ["60°", "30°", ""], fontsize=9, bbox=box)
     axes.set_rlabel_position(112)
     axes.set_rlim(0, 90)
     axes.grid(color="0.5", lw=0.5, alpha=0.6)
@@ -248,11 +235,8 @@ def recovery(image: ArrayLike, found: Recovery, truth: ArrayLike | None = None) 
     _matplotlib()
     depth = np.asarray(found.depth)
     depths = [depth] if truth is None else [depth, np.asarray(truth)]
-    scale = dict(
-        cmap="viridis_r",
-        vmin=np.nanmin([np.nanmin(z) for z in depths]),
-        vmax=np.nanmax([np.nanmax(z) for z in depths]),
-    )
+    nearest, farthest = np.nanmin([np.nanmin(z) for z in depths]), np.nanmax([np.nanmax(z) for z in depths])
+    scale = dict(cmap="viridis_r", vmin=nearest, vmax=farthest)
     sure = dict(cmap="cividis", vmin=0, vmax=1)
     panels: list[tuple[str, np.ndarray, dict[str, Any], str]] = [
         ("image", np.asarray(image), dict(cmap="gray", vmin=0), "radiance"),
@@ -339,23 +323,14 @@ def draw_terrain(
     length = _round_length(cols * spacing / 4)
     words = f"{length / 1000:g} km" if length >= 1000 else f"{length:g} m"
     x, y, wide = 0.05 * cols, 0.93 * rows, length / spacing
-    outline: dict[str, Any] = dict(
-        bbox=dict(facecolor="white", edgecolor="none", alpha=0.8, pad=1.5), fontsize=9
-    )
+    box = dict(facecolor="white", edgecolor="none", alpha=0.8, pad=1.5)
+    text: dict[str, Any] = dict(bbox=box, fontsize=9, color="black", ha="center")
     axes.plot([x, x + wide], [y, y], color="black", lw=5, solid_capstyle="butt")
     axes.plot([x, x + wide], [y, y], color="white", lw=2.5, solid_capstyle="butt")
-    axes.text(x + wide / 2, y - 0.03 * rows, words, ha="center", va="bottom", color="black", **outline)
+    axes.text(x + wide / 2, y - 0.03 * rows, words, va="bottom", **text)
     x, y = 0.95 * cols, 0.17 * rows
-    axes.annotate(
-        "N",
-        (x, y - 0.12 * rows),
-        (x, y),
-        ha="center",
-        va="center",
-        color="black",
-        arrowprops=dict(facecolor="black", edgecolor="white", width=3, headwidth=9, headlength=9),
-        **outline,
-    )
+    arrow = dict(facecolor="black", edgecolor="white", width=3, headwidth=9, headlength=9)
+    axes.annotate("N", (x, y - 0.12 * rows), (x, y), va="center", arrowprops=arrow, **text)
 
 
 def _round_length(most: float) -> float:

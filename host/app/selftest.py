@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from itertools import combinations
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -26,6 +26,7 @@ from ..sources.cie import cie_clear
 from ..visibility import visibility
 
 TEST_AREA = slice(120, 168), slice(150, 214)  # of the sample terrain: 48 x 64 nodes
+Result = TypeVar("Result")
 STEEPER = 3.0  # heights are multiplied by this, so that a good part of the ground is in shadow
 
 
@@ -171,13 +172,19 @@ def checks(progress: Callable[[int, int], None] | None = None) -> list[Check]:
     results: list[Check] = []
     for name in names:
         for what, (made, bound) in CHECKS.items():
-            try:
-                results.append(Check(what, name, made(select(name).name), bound))
-            except (SkylampError, RuntimeError, MemoryError) as error:
-                results.append(Check(what, name, None, bound, f"{name}: {' '.join(str(error).split())}"))
+            figure, failure = _attempted(made, name)
+            results.append(Check(what, name, figure, bound, failure))
             if progress:
                 progress(len(results), len(names) * len(CHECKS))
     return results
+
+
+def _attempted(made: Callable[[str], Result], name: str) -> tuple[Result | None, str]:
+    """(what a backend gives, ""), or (None, its error)."""
+    try:
+        return made(select(name).name), ""
+    except (SkylampError, RuntimeError, MemoryError) as error:
+        return None, f"{name}: {' '.join(str(error).split())}"
 
 
 def cases() -> list[Case]:
@@ -220,25 +227,11 @@ def selftest(progress: Callable[[int, int], None] | None = None) -> list[Compari
     compared = []
     todo = cases()
     for done, case in enumerate(todo):
-        made: dict[str, np.ndarray] = {}
-        failed: dict[str, str] = {}
-        for name in names:
-            try:
-                made[name] = case.make(select(name).name)
-            except (SkylampError, RuntimeError, MemoryError) as error:
-                failed[name] = f"{name}: {' '.join(str(error).split())}"
+        made = {name: _attempted(case.make, name) for name in names}
         for one, other in combinations(names, 2):
-            failure = failed.get(one) or failed.get(other) or ""
-            compared.append(
-                Comparison(
-                    case.name,
-                    one,
-                    other,
-                    None if failure else difference(made[one], made[other]),
-                    case.allowed,
-                    failure,
-                )
-            )
+            (a, failure), (b, other_failure) = made[one], made[other]
+            apart = None if a is None or b is None else difference(a, b)
+            compared.append(Comparison(case.name, one, other, apart, case.allowed, failure or other_failure))
         if progress:
             progress(done + 1, len(todo))
     return compared
