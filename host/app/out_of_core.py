@@ -43,6 +43,7 @@ TILES = 8192, 4096, 2048, 1024  # sides of tiles of which the largest is taken t
 # the error where these options are combined with others
 ALONE = "a GeoTIFF of heights to a GeoTIFF, with open sides: it goes with --out, --backend and {} alone"
 BLOCK = 512  # [node], blocks of the GeoTIFF that is written
+SCRATCH_FORM = 2  # number of the scratch group's form: one more with every change of its arrays
 
 
 class Machines(NamedTuple):
@@ -308,7 +309,8 @@ def scratch_of(job: Job, resume: bool) -> Any:
     state = job.file.stat()
     told = dict(file=str(job.file), bytes=state.st_size, changed=state.st_mtime_ns, **job.quantity.settings)
     text = json.dumps(
-        {**told, "tiling": str(job.layout.tiling), "skylamp": skylamp.__version__}, sort_keys=True
+        {**told, "tiling": str(job.layout.tiling), "skylamp": skylamp.__version__, "form": SCRATCH_FORM},
+        sort_keys=True,
     )
     mark = hashlib.sha256(text.encode()).hexdigest()
     if job.scratch.exists():
