@@ -67,8 +67,8 @@ class Renderer:
         self.warnings: list[str] = []
         if scene.rounding:
             self.warnings.append(
-                f"Depths are rounded by {scene.rounding:.2g} spacings: subtract a constant depth, from the"
-                " source too."
+                f"Depths are rounded by {scene.rounding:.2g} spacings, as float32: subtract the same depth"
+                " from the map and from the source."
             )
         self.parts: list[tuple[Refined, float]] = []  # refined irradiances, times factors
         self.unlit: np.ndarray | None = None  # (rows, cols) bool: mirrors that do not show the source
