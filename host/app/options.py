@@ -153,7 +153,7 @@ RecoverMethod = Annotated[
 Near = Annotated[float | None, unset(help="robust: the least depth  [default: 0]")]
 Far = Annotated[float | None, unset(help="robust: the greatest depth  [default: layers x spacing]")]
 MaxSeconds = Annotated[
-    float | None, unset(help="robust: stop after this time and return the best surface so far")
+    float | None, unset(help="robust: end the search after this time, with the best surface so far")
 ]
 RecoveryPicture = Annotated[
     str | None,
