@@ -59,7 +59,7 @@ int meets_plane(int x, int y, double z, int i, int j, int k, __global const doub
 }
 
 /* The step count at which a ray from (x, y, z) along (i, j, -k) first meets the closed ball; -1 if it does
-   not. */
+   not. The discriminant b^2 - a (d.d - r^2) is a r^2 - |l x d|^2, which keeps its digits from far away. */
 double meets_ball(int x, int y, double z, int i, int j, int k, __global const double *numbers, double step)
 {
   const double lx = i * step, ly = j * step, lz = -(k * step);
@@ -68,7 +68,8 @@ double meets_ball(int x, int y, double z, int i, int j, int k, __global const do
   const double q = dx * dx + dy * dy + dz * dz - numbers[3] * numbers[3];
   if (q <= 0)
     return 0;
-  const double root = b * b - a * q;
+  const double cx = ly * dz - lz * dy, cy = lz * dx - lx * dz, cz = lx * dy - ly * dx;
+  const double root = a * (numbers[3] * numbers[3]) - (cx * cx + cy * cy + cz * cz);
   return b > 0 && root >= 0 ? (b - sqrt(root)) / a : -1;
 }
 

@@ -126,7 +126,7 @@ def meets_ball(
     step: wp.float64,
 ):
     """The step count at which a ray from (x, y, z) along (i, j, -k) first meets the closed ball; -1 if it
-    does not.
+    does not. The discriminant b^2 - a (d.d - r^2) is a r^2 - |l x d|^2, which keeps its digits from far away.
     """
     lx = wp.float64(i) * step
     ly = wp.float64(j) * step
@@ -139,7 +139,10 @@ def meets_ball(
     q = dx * dx + dy * dy + dz * dz - numbers[3] * numbers[3]
     if q <= wp.float64(0.0):
         return wp.float64(0.0)
-    root = b * b - a * q
+    cx = ly * dz - lz * dy
+    cy = lz * dx - lx * dz
+    cz = lx * dy - ly * dx
+    root = a * (numbers[3] * numbers[3]) - (cx * cx + cy * cy + cz * cz)
     if b > wp.float64(0.0) and root >= wp.float64(0.0):
         return (b - wp.sqrt(root)) / a
     return wp.float64(-1.0)

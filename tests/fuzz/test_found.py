@@ -79,3 +79,15 @@ def test_searches_of_a_plan_are_bounded_before_they_start(fast, monkeypatch):
     monkeypatch.setattr(engine, "most_searched_rows", 20 * 2000, raising=False)
     with pytest.raises(sl.CapacityError, match="must be followed over 4e[+]03 nodes"):
         sl.plan(scene, sky, backend=fast)
+
+
+def test_a_small_lamp_far_above_is_met_by_the_rays_that_pass_it(backend):
+    """From 2^30 spacings below, where the discriminant had lost all digits of the radius."""
+    cube, far = sl.Hemicube(3), 2.0**30
+    lamp = sl.Lamp((far + 30, 1, -30), 1.5)
+    bits = cube.unpack(sl.visibility(sl.Scene(np.full((3, 4), far)), lamp, cube, backend=backend))
+    y, x = np.mgrid[:3, :4]
+    squares = (y - 1) ** 2 + x**2 / 2  # of distances from the centre to the rays along (1, 0, -1)
+    towards = (cube.steps == (1, 0, -1)).all(1)
+    assert (bits[..., towards] == (squares <= 1.5**2)[..., None]).all()
+    assert not bits[..., ~towards].any()

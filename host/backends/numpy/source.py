@@ -165,7 +165,8 @@ def _meets_ball(
     dx, dy, dz = numbers[0] - x * step, numbers[1] - y * step, numbers[2] - z
     a, b = lx * lx + ly * ly + lz * lz, dx * lx + dy * ly + dz * lz
     q = dx * dx + dy * dy + dz * dz - numbers[3] * numbers[3]
-    root = b * b - a * q
+    cx, cy, cz = ly * dz - lz * dy, lz * dx - lx * dz, lx * dy - ly * dx
+    root = a * (numbers[3] * numbers[3]) - (cx * cx + cy * cy + cz * cz)
     meets = (b > 0) & (root >= 0)
     return np.where(q <= 0, 0.0, np.where(meets, (b - np.sqrt(np.where(meets, root, 0))) / a, -1.0))
 
