@@ -127,15 +127,14 @@ def recover(
     near, far : number or (rows, cols) array [unit of spacing], optional
         Of method="robust": between which depth lies; 0 and layers x spacing unless given.
     max_seconds : float, optional
-        Then, or on Ctrl-C, the search of "robust" ends with the best surface so far and a warning; what follows,
-        its standard deviation and confidence, may take about as long again. "paper" raises an error.
+        Then, or on Ctrl-C, "robust" takes the best surface so far, with a warning; its confidence may take as
+        long again. "paper" raises an error.
     interreflection : "auto", True or False
         Of method="robust": whether ground lights ground in the images, as in photographs and in what
         :func:`skylamp.render` makes by default. "auto": both are tried, and direct light alone is used if
         its residual is less than half of the other. It is several times as fast: False if that suffices.
     progress : callable, optional
-        Called with (levels or layers done, their number). The residual of every level goes to the logger
-        "skylamp".
+        Called with (levels or layers done, their number). Residuals of levels go to the logger "skylamp".
 
     Returns
     -------
