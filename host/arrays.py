@@ -154,12 +154,8 @@ def labels_of(values: Any) -> Labels | None:
     kind: Any = getattr(xarray, "DataArray", None)  # another thread may be importing it
     if kind is None or not isinstance(values, kind):
         return None
-    return Labels(
-        values.dims,
-        {name: coordinate.copy() for name, coordinate in values.coords.items()},
-        values.name,
-        dict(values.attrs),
-    )
+    coords = {name: coordinate.copy() for name, coordinate in values.coords.items()}
+    return Labels(values.dims, coords, values.name, dict(values.attrs))
 
 
 DEGREES = ("degree", "degrees", "degrees_north", "degrees_east", "degree_north", "degree_east")
@@ -177,8 +173,8 @@ def spacing_of(labels: Labels | None) -> float:
     told = [coordinate.attrs for coordinate in labels.coords.values()]
     geographic = any(str(attrs.get("crs_wkt", "")).startswith(("GEOGCS", "GEOGCRS")) for attrs in told)
     for name in labels.dims:
-        coordinate = labels.coords.get(name)
-        if coordinate is None or coordinate.ndim != 1 or coordinate.dtype.kind not in "iuf":
+        coordinate = _positions(labels, name)
+        if coordinate is None:
             continue
         unit = str(coordinate.attrs.get("units", "")).lower()
         if geographic or unit in DEGREES or str(name).lower() in ("lat", "lon", "latitude", "longitude"):
@@ -220,11 +216,18 @@ def axes_of(labels: Labels | None) -> tuple[float, float]:
 
 def _grows(labels: Labels, name: Hashable) -> float:
     """Last coordinate less the first, 0 where there are none."""
-    coordinate = labels.coords.get(name)
-    if coordinate is None or coordinate.ndim != 1 or coordinate.dtype.kind not in "iuf":
+    coordinate = _positions(labels, name)
+    if coordinate is None:
         return 0.0
     first, last = coordinate.values[[0, -1]].tolist()
     return float(last - first)
+
+
+def _positions(labels: Labels, name: Hashable) -> Any:
+    """The coordinate of a dimension, None where there are no numbers along it."""
+    coordinate = labels.coords.get(name)
+    is_line = coordinate is not None and coordinate.ndim == 1 and coordinate.dtype.kind in "iuf"
+    return coordinate if is_line else None
 
 
 def labelled(array: Any, labels: Labels | None, quantity: Quantity, **leading: Any) -> Any:

@@ -111,10 +111,9 @@ def image_of(
 
 def _radiances(scene: Scene, irradiances: list[np.ndarray], reflected: list[np.ndarray]) -> list[np.ndarray]:
     """albedo E / pi + specular albedo x what else is reflected, per colour; made in place of E."""
-    albedo, specular = (
-        np.asarray(getattr(scene.reflectance, name, 1.0), np.float32) for name in ("albedo", "specular")
-    )
-    in_colour = [share for share in (albedo, specular) if is_in_colour(share)]
+    names = "albedo", "specular"
+    albedo, specular = (np.asarray(getattr(scene.reflectance, name, 1.0), np.float32) for name in names)
+    in_colour = is_in_colour(albedo) or is_in_colour(specular)
     count = max(len(irradiances), len(reflected), 3 if in_colour else 0)
     images = []
     for n in range(count):

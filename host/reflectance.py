@@ -276,20 +276,14 @@ def fit(reflectance: Reflectance, shape: tuple[int, int], mask: np.ndarray | Non
     for name in ("albedo", "specular"):
         values = np.asarray(getattr(reflectance, name, 0.0), float)
         if values.ndim >= 2 and values.shape[:2] != shape:
-            raise bad(
-                f"{name}: wrong shape",
-                values.shape,
-                f"a number, an array of shape {shape}, or RGB as (3,) or {(*shape, 3)}",
-            )
+            allowed = f"a number, an array of shape {shape}, or RGB as (3,) or {(*shape, 3)}"
+            raise bad(f"{name}: wrong shape", values.shape, allowed)
         wrong = ~((values >= 0) & (values <= 1))
         if values.ndim >= 2 and mask is not None:
             wrong &= mask if values.ndim == 2 else mask[..., None]
         if wrong.any():
-            raise bad(
-                f"{name}: out of range" + (f" {at(wrong)}" if values.ndim >= 2 else ""),
-                values[wrong].flat[0],
-                "finite, 0 to 1",
-            )
+            where = f" {at(wrong)}" if values.ndim >= 2 else ""
+            raise bad(f"{name}: out of range{where}", values[wrong].flat[0], "finite, 0 to 1")
         total = total + (values if values.ndim in (0, 1, 3) else values[..., None])
     bounded(np.where(mask[..., None], total, 0.0) if total.ndim == 3 and mask is not None else total)
 
@@ -298,19 +292,16 @@ def bounded(total: float | np.ndarray) -> None:
     """InputError where the sum of albedo and specular passes 1."""
     worst = float(np.max(total))
     if worst > 1 + 1e-6:
-        raise bad(
-            "albedo + specular: gives more than it gets",
-            f"{worst:.6g}, {worst - 1:.3g} too much",
-            "a sum of at most 1",
-        )
+        got = f"{worst:.6g}, {worst - 1:.3g} too much"
+        raise bad("albedo + specular: gives more than it gets", got, "a sum of at most 1")
 
 
 def _shares(reflectance: Phong | Mirror) -> None:
+    values = []
     for name in ("albedo", "specular"):
-        object.__setattr__(
-            reflectance, name, share(getattr(reflectance, name), f"{type(reflectance).__name__}: {name}")
-        )
-    values = [np.asarray(getattr(reflectance, name), float) for name in ("albedo", "specular")]
+        value = share(getattr(reflectance, name), f"{type(reflectance).__name__}: {name}")
+        object.__setattr__(reflectance, name, value)
+        values.append(np.asarray(value, float))
     if all(v.ndim < 2 for v in values):  # maps are checked in their scene, where the mask is known
         if not all((v >= 0).all() and (v <= 1).all() for v in values):
             raise bad("albedo, specular: out of range", [v.tolist() for v in values], "finite, 0 to 1")

@@ -205,11 +205,9 @@ class Scene:
             values, step = _lattice(self.depth, self.mask, self.spacing, self._range[1])
         else:
             values, step = kept.download(), kept.step
-            depth = (
-                values
-                if step == self.spacing
-                else (values.astype(np.float64) * self.spacing).astype(np.float32)
-            )
+            depth = values
+            if step != self.spacing:
+                depth = (values.astype(np.float64) * self.spacing).astype(np.float32)
             if self.mask is not None:
                 depth = np.where(self.mask, depth, np.float32(np.nan))
             depth.flags.writeable = False

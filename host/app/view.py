@@ -80,11 +80,8 @@ def read(file: Path, height: bool | None, spacing: float | None, resample: bool)
         raster = geo.read(file, resample=resample)
         step = raster.spacing if spacing is None else spacing
         call = f"raster = geo.read({str(file)!r}{', resample=True' * resample})"
-        lines = (
-            "from skylamp import geo",
-            call,
-            f"values, mask, spacing = raster.values, raster.mask, {step!r}",
-        )
+        parts = f"values, mask, spacing = raster.values, raster.mask, {step!r}"
+        lines = "from skylamp import geo", call, parts
         return Map(raster.values, height is not False, step, raster.mask, lines)
     kind, step = "height" if height else "depth", 1.0 if spacing is None else spacing
     with native_output_silenced(file):
@@ -209,16 +206,11 @@ class Page:
         rows, cols = viewer.ground.values.shape
         with ui.row().classes("w-full no-wrap"):
             with ui.column():
-                self.picture = (
-                    ui.interactive_image(
-                        size=(cols, rows),
-                        on_mouse=self._mouse,
-                        events=["mousedown", "mousemove", "mouseup"],
-                        cross=False,
-                    )
-                    .classes("picture")
-                    .style("width: 512px; touch-action: none")
+                events = ["mousedown", "mousemove", "mouseup"]
+                self.picture = ui.interactive_image(
+                    size=(cols, rows), on_mouse=self._mouse, events=events, cross=False
                 )
+                self.picture.classes("picture").style("width: 512px; touch-action: none")
                 self.status = ui.label("rendering").classes("status")
                 self.plan = ui.label("").style("max-width: 512px")
                 self.horizon = ui.image().style("width: 512px")
@@ -231,9 +223,7 @@ class Page:
     def _controls(self) -> None:
         ui, settings = self.ui, self.settings
         ui.label("Drag over the map: the sun or the lamp. Click a node: its horizon.")
-        ui.select(
-            list(SOURCES), value=settings.source, label="source", on_change=self._set("source")
-        ).classes("w-full")
+        self._select("source", list(SOURCES), settings.source)
         for name, low, high, step in (
             ("albedo", 0.05, 1.0, 0.05),
             ("exaggeration", 0.5, 8.0, 0.5),
@@ -243,16 +233,15 @@ class Page:
             ui.label(name.replace("_", " "))
             value = getattr(settings, name)
             ui.slider(min=low, max=high, step=step, value=value, on_change=self._set(name)).props("label")
-        tolerances = {0.03: "3 %", 0.01: "1 %", 0.003: "0.3 %"}
-        ui.select(tolerances, value=0.01, label="tolerance", on_change=self._set("tolerance")).classes(
-            "w-full"
-        )
+        self._select("tolerance", {0.03: "3 %", 0.01: "1 %", 0.003: "0.3 %"}, settings.tolerance)
         between = ["off", "auto", "on"]
-        ui.select(
-            between, value="off", label="light between surfaces", on_change=self._set("interreflection")
-        ).classes("w-full")
+        self._select("interreflection", between, settings.interreflection, "light between surfaces")
         ui.button("Save image", on_click=self._save).classes("save")
         ui.button("Save Python", on_click=self._save_code)
+
+    def _select(self, name: str, options: Any, value: Any, label: str = "") -> None:
+        box = self.ui.select(options, value=value, label=label or name, on_change=self._set(name))
+        box.classes("w-full")
 
     def _set(self, name: str) -> Any:
         def change(event: Any) -> None:

@@ -65,10 +65,9 @@ def read(path: StrPath, name: str | None = None) -> np.ndarray:
                 raise bad(f"{path}: not grey", "red, green and blue", "one channel", png.GREY_FIX)
         else:
             array = tiff.read(path)
-    if getattr(array, "dtype", np.dtype(object)).kind not in "biuf":
-        raise bad(
-            f"{path}: wrong type", getattr(array, "dtype", "no array"), "real numbers (integer or floating)"
-        )
+    dtype: Any = getattr(array, "dtype", "no array")
+    if getattr(dtype, "kind", "O") not in "biuf":
+        raise bad(f"{path}: wrong type", dtype, "real numbers (integer or floating)")
     if array.size == 0:
         raise bad(f"{path}: empty array", f"shape {array.shape}", "at least one element")
     return array
@@ -83,12 +82,10 @@ def read_environment(path: StrPath) -> np.ndarray:
     values as they are. Errors as in :func:`read`.
     """
     path = readable(path)
-    if path.suffix.lower() == ".png":
+    suffix = path.suffix.lower()
+    if suffix == ".png" or suffix in HDR:
         with reading(path):
-            array = png.read(path, colours=(0, 2))
-    elif path.suffix.lower() in HDR:
-        with reading(path):
-            array = hdr.read(path)
+            array = png.read(path, colours=(0, 2)) if suffix == ".png" else hdr.read(path)
     else:
         array = read(path)
     if array.ndim != 2 and not (array.ndim == 3 and array.shape[2] == 3):
@@ -146,11 +143,8 @@ def write(
     path, array = writable(path), np.asarray(array)
     suffix = path.suffix.lower()
     if array.dtype.kind not in "biuf" or array.size == 0:
-        raise bad(
-            f"{path}: cannot write the array",
-            f"dtype {array.dtype}, shape {array.shape}",
-            "real numbers, at least one",
-        )
+        got = f"dtype {array.dtype}, shape {array.shape}"
+        raise bad(f"{path}: cannot write the array", got, "real numbers, at least one")
     if more and suffix != ".npz":
         raise bad(f"{path}: only one array fits", f"{1 + len(more)} arrays", "several arrays in an .npz")
     if suffix == ".npz":

@@ -88,9 +88,7 @@ def read(path: StrPath, *, resample: bool = False) -> Raster:
         reserve(path, file.width * file.height * (np.dtype(file.dtypes[0]).itemsize + 1))
         values, mask = file.read(1), file.read_masks(1) > 0
         raster, unit = _described(path, file, values, mask)
-        scale, offset = file.scales[0], file.offsets[0]
-    if (scale, offset) != (1.0, 0.0):
-        raster = replace(raster, values=values * np.float64(scale) + offset)
+        raster = replace(raster, values=_scaled(file, values))
     return _spaced(path, raster, unit, resample)
 
 
@@ -112,11 +110,14 @@ def window(path: StrPath, rows: slice, cols: slice) -> np.ndarray:
     path = readable(path)
     with _opened(path) as file:
         part = (rows.start, rows.stop), (cols.start, cols.stop)
-        values, mask = file.read(1, window=part), file.read_masks(1, window=part) > 0
-        scale, offset = file.scales[0], file.offsets[0]
-    if (scale, offset) != (1.0, 0.0):
-        values = values * np.float64(scale) + offset
+        values, mask = _scaled(file, file.read(1, window=part)), file.read_masks(1, window=part) > 0
     return np.where(mask, values, np.nan).astype(np.float32)
+
+
+def _scaled(file: Any, values: np.ndarray) -> np.ndarray:
+    """Values of the band by its scale and offset."""
+    scale, offset = file.scales[0], file.offsets[0]
+    return values if (scale, offset) == (1.0, 0.0) else values * np.float64(scale) + offset
 
 
 @contextlib.contextmanager
@@ -182,13 +183,8 @@ def write(path: StrPath, array: np.ndarray, like: Raster) -> None:
     rasterio = _rasterio(path)
     array = np.asarray(array)
     array = array.astype(np.uint8) if array.dtype == bool else array
-    if (
-        array.shape[-2:] != like.values.shape
-        or array.ndim not in (2, 3)
-        or not array.size
-        or array.dtype.kind not in "iuf"
-        or array.dtype == np.float16
-    ):
+    fits = array.shape[-2:] == like.values.shape and array.ndim in (2, 3) and bool(array.size)
+    if not fits or array.dtype.kind not in "iuf" or array.dtype == np.float16:
         raise bad(
             f"{path}: cannot write the array",
             f"dtype {array.dtype}, shape {array.shape}",
@@ -203,25 +199,13 @@ def write(path: StrPath, array: np.ndarray, like: Raster) -> None:
         array = np.where(np.isnan(array), array.dtype.type(nodata), array)
     elif nodata is not None:
         info = np.iinfo(array.dtype)
-        nodata = (
-            nodata
-            if np.isfinite(nodata) and nodata == int(nodata) and info.min <= nodata <= info.max
-            else None
-        )
+        fits = np.isfinite(nodata) and nodata == int(nodata) and info.min <= nodata <= info.max
+        nodata = nodata if fits else None
     bands = array.reshape(-1, *array.shape[-2:])
+    size = dict(zip(("count", "height", "width"), bands.shape))
+    about = dict(dtype=array.dtype, crs=like.crs, transform=like.transform, nodata=nodata)
     with rasterio.MemoryFile() as memory:
-        with memory.open(
-            driver="GTiff",
-            width=bands.shape[2],
-            height=bands.shape[1],
-            count=len(bands),
-            dtype=array.dtype,
-            crs=like.crs,
-            transform=like.transform,
-            nodata=nodata,
-            compress="deflate",
-            bigtiff="if_safer",
-        ) as file:
+        with memory.open(driver="GTiff", compress="deflate", bigtiff="if_safer", **size, **about) as file:
             file.update_tags(AREA_OR_POINT="Point" if like.point else "Area")
             file.write(bands)
         with replacing(path) as out:
@@ -243,9 +227,8 @@ def _metres(path: Path, raster: Raster) -> tuple[float, float]:
     """A cell's length to the east and to the north [metre]."""
     east, north = raster.transform.a, -raster.transform.e
     if raster.crs is None or not raster.crs.is_geographic:
-        unit = (
-            raster.crs.linear_units_factor[1] if raster.crs is not None and raster.crs.is_projected else 1.0
-        )
+        projected = raster.crs is not None and raster.crs.is_projected
+        unit = raster.crs.linear_units_factor[1] if projected else 1.0
         return east * unit, north * unit
     top, bottom = (raster.transform.f + raster.transform.e * row for row in (0, len(raster.values)))
     if not (-90 <= bottom < top <= 90):
@@ -274,13 +257,9 @@ def _squared(rasterio: Any, raster: Raster, east: float, north: float) -> Raster
     t, side = raster.transform, min(east, north)
     shape = max(1, round(rows * north / side)), max(1, round(cols * east / side))
     transform = rasterio.Affine(t.a * cols / shape[1], 0, t.c, 0, t.e * rows / shape[0], t.f)
-    warp = dict(
-        src_transform=t,
-        dst_transform=transform,
-        src_crs="EPSG:3857",  # from plane to plane: any system will do
-        dst_crs="EPSG:3857",
-        resampling=rasterio.warp.Resampling.bilinear,
-    )
+    plane = "EPSG:3857"  # any system will do
+    warp = dict(src_transform=t, dst_transform=transform, src_crs=plane, dst_crs=plane)
+    warp["resampling"] = rasterio.warp.Resampling.bilinear
     values, share = np.zeros(shape, np.float64), np.zeros(shape, np.float64)
     rasterio.warp.reproject(np.where(raster.mask, raster.values, 0).astype(np.float64), values, **warp)
     rasterio.warp.reproject(raster.mask.astype(np.float64), share, **warp)

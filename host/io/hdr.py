@@ -24,9 +24,8 @@ def module(path: Path) -> Any:
 
         return cv2
     except ImportError as error:
-        raise lacking(
-            str(path), "OpenEXR" if path.suffix.lower() == ".exr" else "opencv-python-headless", "hdr"
-        ) from error
+        package = "OpenEXR" if path.suffix.lower() == ".exr" else "opencv-python-headless"
+        raise lacking(str(path), package, "hdr") from error
 
 
 def read(path: Path) -> np.ndarray:
@@ -111,11 +110,8 @@ def _read_radiance(path: Path) -> np.ndarray:
 
 
 def _write_radiance(path: Path, array: np.ndarray) -> None:
-    if (
-        array.dtype.kind != "f"
-        or not _is_picture(array)
-        or not (np.isfinite(array).all() and array.min() >= 0)
-    ):
+    is_light = array.dtype.kind == "f" and bool(np.isfinite(array).all() and array.min() >= 0)
+    if not is_light or not _is_picture(array):
         raise bad(
             f"{path}: a Radiance picture holds light",
             f"dtype {array.dtype}, shape {array.shape}, {np.nanmin(array)} to {np.nanmax(array)}",
