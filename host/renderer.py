@@ -347,8 +347,7 @@ def _left_out(scene: Scene, options: Options, plans: list[Plan] | None) -> str:
     if plans is None:
         return "the method that was asked for is of direct light"
     share, tolerance = _share_between(plans), float(options.tolerance)
-    needed = share is None or is_needed(share, tolerance)
-    return "" if needed else reason(share, tolerance)
+    return "" if share is None or is_needed(share, tolerance) else reason(share, tolerance)
 
 
 def _share_between(plans: list[Plan]) -> float | None:

@@ -36,14 +36,9 @@ def backends() -> list[BackendInfo]:
             replace(info, available=False, why=info.why or FORKED) if info.name not in HOST else info
             for info in infos
         )
-    return sorted(
-        infos,
-        key=lambda info: (
-            not info.available,
-            not info.gpu,
-            ["opencl", "warp", "numpy"].index(info.name.split(":")[0]),
-        ),
-    )
+    kinds = ["opencl", "warp", "numpy"]
+    order = lambda info: (not info.available, not info.gpu, kinds.index(info.name.split(":")[0]))
+    return sorted(infos, key=order)
 
 
 def select(name: str = "auto") -> Backend:

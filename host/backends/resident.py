@@ -227,8 +227,6 @@ def in_layers(
 
 def upload(backend: Backend, depth: np.ndarray, step: float, least: float, most: float) -> Resident:
     """A host's map (rows, cols) float32, +inf where masked, which nobody changes, on a device."""
-    rows, cols = depth.shape
-    nbytes = 0 if backend.shares else depth.nbytes
-    return Resident(
-        backend, backend.upload(depth, constant=True), (rows, cols), step, least, most, nbytes, {}
-    )
+    (rows, cols), nbytes = depth.shape, 0 if backend.shares else depth.nbytes
+    there = backend.upload(depth, constant=True)
+    return Resident(backend, there, (rows, cols), step, least, most, nbytes, {})

@@ -20,19 +20,8 @@ from numpy.typing import ArrayLike
 
 from ..errors import bad
 from . import hdr, png, tiff
-from .paths import HDR, MAP_SUFFIXES, StrPath, destination, folder, readable, reading, replacing, reserve
+from .paths import HDR, MAP_SUFFIXES, StrPath, destination, readable, reading, replacing, reserve
 
-__all__ = [
-    "folder",
-    "read",
-    "read_environment",
-    "read_range",
-    "replacing",
-    "terrain",
-    "tone_mapped",
-    "writable",
-    "write",
-]
 NPY_HEADERS = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
 ROLES = ("depth", "height", "image")
 LUMINANCE = (0.2126, 0.7152, 0.0722)  # of linear red, green, blue: ITU-R BT.709

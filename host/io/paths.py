@@ -47,11 +47,8 @@ def reading(path: Path, kind: str = "") -> Iterator[None]:
     # the libraries raise OSError, ValueError, struct.error, zlib.error, SyntaxError, MemoryError ...
     except Exception as error:
         text = " ".join(str(error).split()) or "no reason given"
-        raise bad(
-            f"{path}: cannot read",
-            f"{type(error).__name__}: {text}",
-            f"a whole {kind or path.suffix.lower()} file of real numbers",
-        ) from error
+        allowed = f"a whole {kind or path.suffix.lower()} file of real numbers"
+        raise bad(f"{path}: cannot read", f"{type(error).__name__}: {text}", allowed) from error
 
 
 def reserve(path: Path, bytes_needed: int, promised: float = math.inf) -> None:
@@ -73,12 +70,8 @@ def reserve(path: Path, bytes_needed: int, promised: float = math.inf) -> None:
 def destination(path: Path) -> Path:
     """``path`` if its parent folder exists and no folder or device has that name; else InputError."""
     if not path.parent.is_dir():
-        raise bad(
-            f"{path}: cannot write",
-            f"no folder {path.parent}",
-            "a file in an existing folder",
-            "Create the folder first.",
-        )
+        allowed = "a file in an existing folder"
+        raise bad(f"{path}: cannot write", f"no folder {path.parent}", allowed, "Create the folder first.")
     if path.exists() and not path.is_file():
         raise bad(f"{path}: cannot write", "a folder or a device of that name", "a file")
     return path
@@ -93,11 +86,8 @@ def folder(path: StrPath) -> Path:
     try:
         path.mkdir(parents=True, exist_ok=True)
     except (FileExistsError, NotADirectoryError):
-        raise bad(
-            f"{path}: not a folder",
-            "a file of that name, or a file among its parents",
-            "a folder, or a name that is free",
-        ) from None
+        got = "a file of that name, or a file among its parents"
+        raise bad(f"{path}: not a folder", got, "a folder, or a name that is free") from None
     return path
 
 
@@ -105,7 +95,8 @@ def folder(path: StrPath) -> Path:
 def replacing_file(path: StrPath) -> Iterator[Path]:
     """A path that becomes ``path`` when the block ends well, and is gone when it does not."""
     path = destination(Path(path)).resolve()  # through a symbolic link, not over it
-    temporary = path.with_name(f".{secrets.token_hex(8)}.tmp")  # a rename must not cross file systems
+    # in the same folder: a rename must not cross file systems
+    temporary = path.with_name(f".{secrets.token_hex(8)}.tmp")
     try:
         yield temporary
         os.replace(temporary, path)
@@ -117,16 +108,8 @@ def replacing_file(path: StrPath) -> Iterator[Path]:
 @contextlib.contextmanager
 def replacing(path: StrPath) -> Iterator[BinaryIO]:
     """A binary file that becomes ``path`` when the block ends well, and leaves no trace when it does not."""
-    path = destination(Path(path)).resolve()  # through a symbolic link, not over it
-    # in the same folder: a rename must not cross file systems
-    temporary = path.with_name(f".{secrets.token_hex(8)}.tmp")
-    try:
-        # read and write: numpy then writes through the file, whose errors give the cause, such as a full disk
-        with open(temporary, "x+b") as file:
-            yield file
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(temporary, path)
-    except BaseException:
-        temporary.unlink(missing_ok=True)
-        raise
+    # read and write: numpy then writes through the file, whose errors give the cause, such as a full disk
+    with replacing_file(path) as temporary, open(temporary, "x+b") as file:
+        yield file
+        file.flush()
+        os.fsync(file.fileno())

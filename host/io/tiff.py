@@ -21,21 +21,15 @@ def read(path: Path) -> np.ndarray:
 
     with _logged_errors_raise("tifffile"), tifffile.TiffFile(path) as file:
         if len(file.pages) == 0 or len(file.series) != 1:
-            raise bad(
-                f"{path}: pages",
-                f"{len(file.pages)} pages of {len(file.series)} kinds",
-                "one picture, or equal pages as layers",
-            )
+            got = f"{len(file.pages)} pages of {len(file.series)} kinds"
+            raise bad(f"{path}: pages", got, "one picture, or equal pages as layers")
         size = path.stat().st_size
         for page in (page.aspage() for page in file.pages):
             if page.samplesperpixel != 1 or page.photometric != tifffile.PHOTOMETRIC.MINISBLACK:
-                raise bad(
-                    f"{path}: not grey",
-                    f"{page.samplesperpixel} samples, photometric"
-                    f" {getattr(page.photometric, 'name', page.photometric)}",
-                    "one grey channel, 0 is black (photometric MINISBLACK)",
-                    GREY_FIX,
-                )
+                photometric = getattr(page.photometric, "name", page.photometric)
+                got = f"{page.samplesperpixel} samples, photometric {photometric}"
+                allowed = "one grey channel, 0 is black (photometric MINISBLACK)"
+                raise bad(f"{path}: not grey", got, allowed, GREY_FIX)
             # tifffile fills such strips with zeros
             if any(n <= 0 or at + n > size for at, n in zip(page.dataoffsets, page.databytecounts)):
                 raise ValueError("truncated: a strip or tile is missing or lies beyond the end of the file")
