@@ -239,9 +239,9 @@ class Renderer:
             return np.zeros(scene.shape, np.float32)
         slices.run()
         image = slices.download() * np.float32(_norm(scene) * scale)
-        if slices.coarse > COARSE_LOBE:
-            text = _narrow_lobe(lobe, slices.coarse * lobe.spread, "a smaller lamp, or Mirror")
-            self.warnings.extend([text] if text not in self.warnings else [])
+        warnings = _narrow_lobe(lobe, slices.coarse * lobe.spread, "a smaller lamp, or Mirror")
+        if warnings:
+            self.warnings.extend(text for text in warnings if text not in self.warnings)
             np.minimum(image, np.float32(np.max(brightness)), out=image)  # no lobe shows more than there is
         return image
 
@@ -271,11 +271,10 @@ class Renderer:
                 np.concatenate([np.broadcast_to(cube.directions, (*share.shape, 3)), share[..., None]], -1)
                 for share in (brightness * angles, angles)
             )
-            spacing = np.sqrt(2 * np.pi / len(cube))
-            if spacing <= COARSE_LOBE * lobe.spread:
-                whole = None  # the sum is exact enough
-            else:
-                self.warnings.append(_narrow_lobe(lobe, spacing, "method='horizon' or a larger hemicube"))
+            apart = np.sqrt(2 * np.pi / len(cube))
+            warnings = _narrow_lobe(lobe, apart, "method='horizon' or a larger hemicube")
+            self.warnings.extend(warnings)
+            whole = whole if warnings else None  # the sum is exact enough
         if options.brdf(scene):
             bits = propagation.visibility(self.engine, problem)
             return [], shading.by_brdf(scene, self.greys, shading.of_lattice(bits, cube))
@@ -502,8 +501,11 @@ def _norm(scene: Scene) -> float:
     return scene.reflectance.norm
 
 
-def _narrow_lobe(lobe: Lobe, apart: float, fix: str) -> str:
-    return (
+def _narrow_lobe(lobe: Lobe, apart: float, fix: str) -> list[str]:
+    """A warning where directions are ``apart`` [rad] by more than COARSE_LOBE half widths of the lobe."""
+    if apart <= COARSE_LOBE * lobe.spread:
+        return []
+    return [
         f"Narrow lobe: it is {np.degrees(lobe.spread):.1f} degrees wide and the directions are up to"
         f" {np.degrees(apart):.1f} degrees apart, so highlights break up into dots or are missing; use {fix}."
-    )
+    ]
