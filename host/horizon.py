@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
+import math
 from functools import partial
 from typing import Any
 
 import numpy as np
 
 from .arrays import Quantity, labelled, labels_of, multiply
+from .backends.base import available_memory
 from .checks import one_of
 from .directions import Azimuths
-from .errors import bad
+from .errors import CapacityError, bad
 from .light.far import Far, Tiling
 from .light.sweeps import FINE_NEAR_ROWS, Rays, Sweeps, engine_of, ground_of
 from .scale import limited, over_tiles
 from .scene import Scene, is_scene
 
+LARGE = 2**28  # [byte] below which free memory is not looked up; chosen: that takes .15 ms
 DEFINITIONS = ("tilted", "horizontal", "solid_angle")
 SLOPE = Quantity("horizon_slope", "1", "tangent of the elevation of the horizon")
 VIEW = {
@@ -71,6 +74,9 @@ def horizons(
     """
     scene = _scene_of(scene)
     azimuths = as_azimuths(azimuths)
+    needed = 4 * azimuths.count * math.prod(scene.shape)
+    if scene.lazy is None and needed > LARGE and needed > (free := available_memory()):
+        raise CapacityError(f"Horizons take {needed:,} bytes; {free:,} are free. Ask for fewer azimuths.")
     work = partial(_slopes, azimuths=azimuths, backend=backend, axes=scene.axes)
     with limited(max_seconds, "horizons", scene, backend):
         mapped: Any = over_tiles(work, scene, tiling, max_distance, backend, SLOPE, azimuth=azimuths.angles)

@@ -15,6 +15,16 @@ def spike(rows=31, cols=31, height=5.0, spacing=1.0, **more):
     return sl.Scene(depth * spacing, spacing, **more)
 
 
+def test_horizons_beyond_the_memory(fast, monkeypatch):
+    """They are refused before they are allocated, by their bytes; lazy ones are not."""
+    monkeypatch.setattr("skylamp.horizon.LARGE", 0)
+    monkeypatch.setattr("skylamp.horizon.available_memory", lambda: 8 * 4 * 12 * 13)
+    scene = sl.Scene(np.zeros((12, 13)))
+    assert sl.horizons(scene, 8, fast).shape == (8, 12, 13)
+    with pytest.raises(sl.CapacityError, match="take 5,616 bytes; 4,992 are free"):
+        sl.horizons(scene, 9, fast)
+
+
 @pytest.mark.parametrize("spacing", [1.0, 30.0])
 def test_a_spike_is_seen_where_it_stands(backend, spacing):
     """Along the axes, at its slope, from both sides, whatever the unit; azimuth grows from +x towards +y."""
