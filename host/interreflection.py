@@ -109,18 +109,16 @@ class Included(NamedTuple):
     warnings: list[str]
 
 
-def local_share(
-    direct: np.ndarray, sky: np.ndarray, albedo: Any, weights: np.ndarray | None = None, after: int = 0
-) -> float:
+def local_share(direct: np.ndarray, sky: np.ndarray, albedo: Any, after: int = 0) -> float:
     """RMS of E_d q^(n + 1) / (1 - q) over the mean of E_d, q = albedo (1 - f), n = ``after`` bounces.
 
     That is the light that nodes send to themselves if all ground is like them: an estimate of the light
     between surfaces, or of the rest of it after some bounces.
     """
-    light = float(np.average(direct, weights=weights))
+    light = float(np.mean(direct))
     if not light > 0:
         return 0.0
-    return math.sqrt(np.average(_sent(direct, sky, albedo, after) ** 2, weights=weights)) / light
+    return math.sqrt(np.mean(_sent(direct, sky, albedo, after) ** 2)) / light
 
 
 def _sent(direct: np.ndarray, sky: np.ndarray, albedo: Any, after: int = 0) -> np.ndarray:
@@ -160,7 +158,7 @@ def expected(scene: Scene, samples: Samples, direct: np.ndarray, sky: np.ndarray
     ``direct`` and ``sky`` (share of sky, 0 to 1): at the samples.
     """
     at = [share[samples.y, samples.x] if np.ndim(share) else share for share in albedos(scene)]
-    return max(local_share(direct, sky, share, samples.weights) for share in at)
+    return max(local_share(direct, sky, share) for share in at)
 
 
 def is_needed(share: float, tolerance: float) -> bool:
@@ -297,7 +295,7 @@ class _Check:
     ):
         self.bounces, self.error, self.is_uniform, self.beyond = bounces, error, is_uniform, beyond
         self.guessed = 0.0  # RMS over the mean of the light that comes from beyond the map
-        self.samples = samples = bounces.samples
+        samples = bounces.samples
         self.sky, *self.direct = (_at(samples, image) for image in (sky, *direct))
         self.albedo = [share[samples.y, samples.x] if np.ndim(share) else share for share in albedo]
         self.share = self._left(0)
@@ -305,8 +303,7 @@ class _Check:
     def _left(self, rounds: int) -> float:
         """Light that bounces more often than ``rounds`` times, of the worst colour."""
         return max(
-            local_share(light, self.sky, share, self.samples.weights, rounds)
-            for light, share in zip(self.direct, self.albedo)
+            local_share(light, self.sky, share, rounds) for light, share in zip(self.direct, self.albedo)
         )
 
     def coarse_rounds(self, tolerance: float) -> int:
@@ -326,23 +323,22 @@ class _Check:
         error is part of it under a uniform sky, whose strips are known as well: where less sky is seen there
         is more ground. Under other sources it is independent.
         """
-        samples, totals = self.samples, self.bounces.total_at_samples()
-        light, sky = self.bounces.at_samples(azimuths)
+        totals, (light, sky) = self.bounces.total_at_samples(), self.bounces.at_samples(azimuths)
         worst, errors = 0.0, []
         self.guessed = 0.0
         for total, direct, share, sent in zip(totals, self.direct, self.albedo, light):
-            mean, first = _mean(samples, total), _mean(samples, direct)
+            mean, first = _mean(total), _mean(direct)
             if self.beyond:
                 more = sent * ((1 - self.sky) / np.maximum(1 - sky, LEAST_GROUND) - 1)
                 sent = sent + more
-                guessed = math.sqrt(float(np.average(np.maximum(more, 0) ** 2, weights=samples.weights)))
+                guessed = math.sqrt(float(np.mean(np.maximum(more, 0) ** 2)))
                 self.guessed = max(self.guessed, guessed / mean if mean > 0 else 0.0)
             exact, shared = direct, self.error * first
             if self.is_uniform and self.sky.any():
                 exact, shared = sky * (direct.sum() / self.sky.sum()), 0.0
             q = np.minimum(share * (1 - np.clip(self.sky, 0, 1)), 1 - 1e-3)
             off = (exact + sent - total) / (1 - q)
-            rms = math.hypot(math.sqrt(float(np.average(off**2, weights=samples.weights))), shared)
+            rms = math.hypot(math.sqrt(float(np.mean(off**2))), shared)
             errors.append(rms)
             worst = max(worst, rms / mean if mean > 0 else 0.0)
         return worst, errors
@@ -355,9 +351,7 @@ def _at(samples: Samples, image: np.ndarray | DeviceImage) -> np.ndarray:
     return samples.of(image)
 
 
-def _mean(samples: Samples, values: np.ndarray) -> float:
-    """Mean over the samples where there is light, by their weights."""
-    lit = values > 0
-    if not lit.any():
-        return 0.0
-    return float(np.average(values[lit], weights=None if samples.weights is None else samples.weights[lit]))
+def _mean(values: np.ndarray) -> float:
+    """Mean where there is light."""
+    lit = values[values > 0]
+    return float(lit.mean()) if lit.size else 0.0

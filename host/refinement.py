@@ -40,7 +40,6 @@ from .samples import (
     SAMPLED_SLOPE,
     Errors,
     Samples,
-    oversample_lit,
     samples_of,
 )
 from .scene import Scene, is_scene
@@ -99,7 +98,6 @@ TABLES_ERROR = 1e-4
 # numbers of slices that an image may begin with: of a source that stands all round a node, and of a
 # quadrangle, whose four sectors share them; refining doubles them
 BALL_SLICES, QUAD_SLICES = (8, 16, 32, 64), (32, 64)
-CLOSED_JUDGE = 32  # slices of the exact light by which closed forms are judged
 # points along a thin source; and the apparent width [rad], 0.3 degrees, below which a source is computed as a
 # line. That neglects how brightness varies across it: its curvature times the squared width over 24. Chosen;
 # with half and twice the median and the largest error of 16 panels, windows and lamps at 1 % stay the same
@@ -108,7 +106,6 @@ JUDGING_SLICES = 4  # times the slices of an image: those of the exact light tha
 # largest azimuth [rad] that a small bright part behind a window may span: slices, which are placed within the
 # window, resolve wider ones
 WINDOWED_PART = math.radians(5)
-PATCHES = 16  # of a small bright part, by which nodes that it lights through a window are found; chosen
 # sectors of a small bright part behind a window in the exact light, where the window shows the whole part;
 # multiplied by the part's width over the window's where that is larger; and their largest number. They are
 # odd, so that they are no multiple of the numbers that they judge
@@ -883,7 +880,6 @@ class _SlicePlanner(_UnitsPlanner):
                 self._integrate_sky()
             most = sources.radiance(sources.Sky(brightness), Hemicube(9).directions).max()
             self.samples.least = DARK * float(self._unoccluded(1, float(most)).mean())
-            oversample_lit(self.samples, self.scene, self._open_light)
         self.uniform = _uniform_light(self.samples)
         if self.sky is not None and self.sky.bright_parts:
             self.bright = self.scale * sum(
@@ -895,7 +891,7 @@ class _SlicePlanner(_UnitsPlanner):
             brightness = self._without_bright_parts
         self.smooth, self.by_slices = brightness, {}
         if not self.is_thin:
-            self.judge_by(CLOSED_JUDGE)
+            self.judge_by(JUDGING_SLICES * BALL_SLICES[0])
             if self._fits_closed_form():
                 return
         self._take_slices()
@@ -963,16 +959,6 @@ class _SlicePlanner(_UnitsPlanner):
         assert isinstance(wide, Quad), "widening keeps the kind of solid"
         self.outline = outline(wide, there.step)
 
-    def _open_light(self, at: Samples) -> np.ndarray:
-        """Unoccluded light at nodes: of the source's middle, and of small bright parts behind a window."""
-        light = self._unoccluded(1, at=at)
-        if self.sky is not None and self.sky.bright_parts:
-            light = light + sum(
-                at.sectors(*spot.sectors(PATCHES), self.outline, occluded=False)
-                for spot in self.sky.bright_parts
-            )
-        return light
-
     def _without_bright_parts(self, L: np.ndarray) -> np.ndarray:
         """The brightness without small bright parts: there it is cut at the level where they begin."""
         assert self.sky is not None, "suns are parts of an integrated sky"
@@ -984,11 +970,9 @@ class _SlicePlanner(_UnitsPlanner):
             values = np.where(inside, np.minimum(values, spot.limit), values)
         return values
 
-    def _unoccluded(
-        self, points: int, brightness: sources.Brightness | None = None, at: Samples | None = None
-    ) -> np.ndarray:
+    def _unoccluded(self, points: int, brightness: sources.Brightness | None = None) -> np.ndarray:
         """Light at the samples in closed form, its brightness along ``points`` rays."""
-        at = at or self.samples
+        at = self.samples
         return unoccluded.lamp(
             at.gx,
             at.gy,

@@ -24,10 +24,6 @@ from .sources.solids import Ball, Quad
 # nodes; chosen: their standard error of an RMS is some 1 / sqrt(2 x 384), 4 %, if errors are normal, and
 # their rays take time in proportion
 SAMPLE_COUNT = 384
-EXTRA_NODES = 256  # more nodes where light is rare; chosen
-# nodes whose unoccluded light is computed first; if the light falls on fewer than this share of them, more
-# samples are taken there
-SEARCHED_NODES, CONCENTRATED = 4096, 0.1
 # rays of samples on a periodic map end where its whole relief would rise at this slope: ground farther away
 # hides at most 1.3e-5 of a uniform sky's E / pi
 SAMPLED_SLOPE = 0.005
@@ -35,7 +31,6 @@ SAMPLED_SLOPE = 0.005
 # behind it (host/backends/numpy/horizon.py)
 CLIFF = 4.0
 CHORD_POINTS = 48  # of brightness along a chord; chosen
-TAIL_SAMPLES = 3  # least samples beyond the 99.9th percentile: with fewer it is extrapolated
 # traced arrays (azimuths, nodes) that a scene keeps; chosen: slopes and light of four sets of azimuths, at
 # most 12 MB
 KEPT_TRACES = 8
@@ -53,41 +48,31 @@ class Errors(NamedTuple):
     tail: float
 
 
-def errors(
-    image: np.ndarray, exact: np.ndarray, weights: np.ndarray | None = None, least: float = 0.0
-) -> Errors:
+def errors(image: np.ndarray, exact: np.ndarray, least: float = 0.0) -> Errors:
     """Errors of ``image`` relative to the mean of ``exact`` where it is positive, or to ``least`` if larger.
 
-    ``weights`` of the nodes: equal by default. The bound is the RMS plus SIGMAS standard errors, by the
-    sample's own spread. With fewer than TAIL_SAMPLES nodes beyond the percentile, it is extrapolated from the
-    largest tenth of the errors, whose excess is assumed to be exponential.
+    The bound is the RMS plus SIGMAS standard errors, by the sample's own spread. The percentile is
+    extrapolated from the largest tenth of the errors, whose excess is assumed to be exponential.
     """
-    weights = np.full(len(exact), 1 / len(exact)) if weights is None else weights / weights.sum()
-    lit = (exact > 0) & (weights > 0)
-    mean = (weights @ exact) / weights[lit].sum() if lit.any() else 0.0
-    if not max(mean, least) > 0:
+    lit, count = exact[exact > 0], len(exact)
+    mean = max(float(lit.mean()) if lit.size else 0.0, least)
+    if not mean > 0:
         return Errors(*(0.0 if not np.abs(image).max(initial=0) > 0 else math.inf,) * 3)
-    off = np.abs(image - exact) / max(mean, least)
-    square = float(weights @ off**2)
-    bound = math.sqrt(square + SIGMAS * float(np.linalg.norm(weights * (off**2 - square))))
-    order = np.argsort(off)
-    off, weights = off[order], weights[order]
-    tenth, last = np.searchsorted(np.cumsum(weights), (0.9 - 1e-9, 0.999))
-    threshold, tail = off[tenth], off[min(last, len(off) - 1)]
-    if len(off) - last < TAIL_SAMPLES:
-        excess, share = off[tenth:] - threshold, weights[tenth:] * (off[tenth:] > threshold)
-        tail = threshold + (share @ excess / share.sum() * math.log(100) if share.any() else 0.0)
+    off = np.sort(np.abs(image - exact)) / mean
+    square = float(np.mean(off**2))
+    bound = math.sqrt(square + SIGMAS * float(np.linalg.norm(off**2 - square)) / count)
+    largest = off[math.ceil(0.9 * count) - 1 :]
+    excess = largest - largest[0]
+    tail = largest[0] + excess.sum() / max(1, np.count_nonzero(excess)) * math.log(100)
     return Errors(math.sqrt(square), bound, float(tail))
 
 
 class Samples:
     """Nodes spread over the valid part of a map by a low-discrepancy sequence, from its element ``first`` on.
 
-    They are the same for the same scene. ``weights`` (nodes,): the nodes' shares of the map, None where they
-    are equal; see :func:`oversample_lit`.
+    They are the same for the same scene.
     """
 
-    weights: np.ndarray | None
     least = 0.0  # mean irradiance that errors are relative to at least
     traced: dict[tuple[str, bytes, float], np.ndarray]  # by kind, azimuths and search radius
 
@@ -128,7 +113,6 @@ class Samples:
             )
         )
         self.cliffs = float(cliffs.sum(dtype=np.float64)) / max(1, pairs)
-        self.weights = None
         self._set_nodes(*_sequence_nodes(scene, count, first))
 
     @functools.cached_property
@@ -157,7 +141,7 @@ class Samples:
         return values.astype(float)
 
     def errors(self, image: np.ndarray, exact: np.ndarray) -> Errors:
-        return errors(image, exact, self.weights, self.least)
+        return errors(image, exact, self.least)
 
     def slopes(
         self,
@@ -245,11 +229,10 @@ class Samples:
         ways: np.ndarray,
         table: np.ndarray,
         window: tuple[float, float, float, float] | None = None,
-        occluded: bool = True,
     ) -> np.ndarray:
         """Irradiance (nodes,) by small bright parts of a sky.
 
-        Arguments as of :meth:`skylamp.light.slices.Slices.sectors`; ``occluded``: by the ground, too.
+        Arguments as of :meth:`skylamp.light.slices.Slices.sectors`.
         """
         cosine, sine, width, first, scale = (v[:, None].astype(float) for v in ways)
         low: np.ndarray = first / np.sqrt(np.maximum(1 - first**2, 1e-12))
@@ -278,7 +261,7 @@ class Samples:
                 low = np.where(passes, np.maximum(low, np.clip(-self.own / far, 0, STEEP)), STEEP)
                 high = np.where(passes, np.minimum(STEEP, -self.own / np.maximum(near, 1e-9)), STEEP)
         least = np.maximum(self.free(cosine, sine), low)
-        slopes = self.slopes(cosine, sine, least) if occluded else least
+        slopes = self.slopes(cosine, sine, least)
         along, up = (self.gx * cosine + self.gy * sine) / self.length, 1 / self.length
         row = np.arange(len(table))[:, None]
 
@@ -374,26 +357,6 @@ def samples_of(engine: Backend, scene: Scene, count: int = SAMPLE_COUNT) -> Samp
     samples: Samples = copy.copy(there.derived[key])
     samples.there = there
     return samples
-
-
-def oversample_lit(samples: Samples, scene: Scene, light: Callable[[Samples], np.ndarray]) -> None:
-    """Add up to EXTRA_NODES nodes in proportion to ``light``, if most of it falls on few nodes.
-
-    Samples are then weighted by their probability of being drawn (Horvitz and Thompson).
-    """
-    many = copy.copy(samples)
-    many._set_nodes(*_sequence_nodes(scene, SEARCHED_NODES, samples.first))
-    if len(many) < SEARCHED_NODES:
-        return
-    irradiance = np.maximum(light(many), 0)
-    if irradiance.sum() ** 2 >= CONCENTRATED * SEARCHED_NODES * (irradiance**2).sum():
-        return
-    drawn = EXTRA_NODES * irradiance / irradiance.sum()
-    picked = np.unique(np.searchsorted(np.cumsum(drawn), np.arange(EXTRA_NODES) + 0.5))
-    picked = picked[(picked >= len(samples)) & (picked < SEARCHED_NODES)]
-    picked = np.concatenate([np.arange(len(samples)), picked])
-    samples.weights = 1 / np.maximum(len(samples) / SEARCHED_NODES, np.minimum(1, drawn[picked]))
-    samples._set_nodes(many.x[picked], many.y[picked])
 
 
 def picked(samples: Samples, images: Array, number: int = 0) -> np.ndarray:

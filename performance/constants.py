@@ -48,9 +48,9 @@ CONSTANTS = {  # module and name: on which pairs
     "refinement.LINE_WIDTH": FINITE,
     "refinement.NARROW_RADIUS": FINITE,
     "refinement.WINDOWED_PART": FINITE,
-    "refinement.PATCHES": FINITE,
     "refinement.JUDGING_SECTORS": FINITE,
     "refinement.CHORD_POINTS": FINITE,
+    "light.finite.PARTLY": FINITE,
     "light.slices.MEDIAN_NODES": FINITE,
 }
 

@@ -145,7 +145,7 @@ def measure(name, size, kind, engine):
     scene = sl.Scene(SURFACES[name](size).astype(np.float32), albedo=ALBEDO)
     source = sources(size)[kind]
     samples, direct, exact = truth(scene, source, engine)
-    mean = lambda values: float(np.average(values, weights=samples.weights))
+    mean = lambda values: float(np.mean(values))
     rms = lambda values: math.sqrt(mean(values**2))
     for tolerance in TOLERANCES:
         ask = lambda t=tolerance, **more: sl.render(

@@ -11,6 +11,7 @@ writes plans.csv, or what --name says.
 
 import argparse
 import csv
+import math
 from dataclasses import replace
 from pathlib import Path
 
@@ -250,16 +251,12 @@ def truth(scene, source, backend, nodes: int = NODES) -> tuple[Samples, np.ndarr
 def relative_errors(samples, image, exact, least=0.0) -> tuple[float, float]:
     """(RMS, 99.9th percentile) of an image's error at the samples, over the mean lit irradiance.
 
-    Samples count by their weights. ``least``: what the mean counts as at least.
+    ``least``: what the mean counts as at least.
     """
-    weights = np.ones(len(exact)) if samples.weights is None else samples.weights
-    weights = weights / weights.sum()
-    lit = exact > 0
-    mean = (weights[lit] @ exact[lit]) / weights[lit].sum() if lit.any() else 1.0
+    lit = exact[exact > 0]
+    mean = lit.mean() if lit.size else 1.0
     wrong = np.abs(samples.of(np.asarray(image)) - exact) / max(mean, least)
-    order = np.argsort(wrong)
-    tail = min(np.searchsorted(np.cumsum(weights[order]), 0.999), len(order) - 1)
-    return float(np.sqrt(weights @ wrong**2)), float(wrong[order][tail])
+    return float(np.sqrt(np.mean(wrong**2))), float(np.sort(wrong)[math.ceil(0.999 * len(wrong)) - 1])
 
 
 def side_by_side(*works, runs=3):

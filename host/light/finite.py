@@ -24,7 +24,8 @@ SHIFT = 0.25
 RAYS = 4, 16, 64, 256, 1024  # to a small lamp, along which its brightness is taken
 MOST_RAY_EVALUATIONS = 2**25  # of a brightness for the sake of rays, some ten seconds
 # share of a lamp's light that the ground takes from a node that is called partly hidden. Chosen: the light of
-# other nodes is at most so much of itself wrong, where a part that is not of mean brightness is hidden
+# other nodes is at most so much of itself wrong, where a part that is not of mean brightness is hidden; with
+# half and twice the errors of three such lamps (64 x 64) stay the same
 PARTLY = 1e-3
 CHORDS_AT_ONCE = 2**18  # some 20 arrays of 8 bytes a chord
 
