@@ -13,10 +13,10 @@ import numpy as np
 
 from ..backends.base import Array, Backend, reserve, rounded_up
 from ..backends.resident import DeviceImage, Resident
-from ..constants import COPY_SIDE, MOST_PIXELS, PATCH_X, PATCH_Y, SIDES, SKY
+from ..constants import COPY_SIDE, MOST_PIXELS, PATCH_X, PATCH_Y, SIDES, SKY, VOLUME
 from ..errors import CapacityError
 from ..sources import Geometry
-from .walks import Group, crossings_of, lap_table, walk_groups
+from .walks import Group, crossings_of, cycle_length, lap_table, walk_groups
 
 Progress = Callable[[int, int], None]
 
@@ -60,6 +60,12 @@ class Problem(NamedTuple):
             return self.depth.most - self.depth.least
         finite = self.depth[np.isfinite(self.depth)]
         return float(finite.max()) - float(finite.min())
+
+    @property
+    def deepest(self) -> float:
+        if isinstance(self.depth, Resident):
+            return self.depth.most
+        return float(self.depth[np.isfinite(self.depth)].max())
 
     @property
     def clips(self) -> bool:
@@ -116,6 +122,8 @@ class Surface:
         groups = walk_groups(
             problem.steps, problem.depth.shape, relief, problem.step, self.periodic, problem.filled, most
         )
+        _check_search(backend, problem, relief, groups)
+        _check_rays(backend, problem, problem.deepest, 1, "visibility")
         self.maps = self._maps()
         self.depth = backend.view(self.maps, problem.depth.shape)
         self.planes = backend.empty((max(g.n_walks + len(g.pairs) for g in groups), self.room), np.uint8)
@@ -505,6 +513,7 @@ class FieldOfLamp:
     def __init__(self, backend: Backend, problem: Problem, layers: int):
         self.backend, self.problem, self.layers = backend, problem, layers
         self.words = -(-len(problem.steps) // 32)
+        _check_rays(backend, problem._replace(filled=False), layers * problem.step, layers, "field")
         reserve(
             backend,
             4 * self.words * layers * problem.pixels,
@@ -668,6 +677,49 @@ def field(backend: Backend, problem: Problem, layers: int, progress: Progress | 
     )
     field.run(progress)
     return field.download()
+
+
+def _check_search(backend: Backend, problem: Problem, relief: float, groups: tuple[Group, ...]) -> None:
+    """CapacityError where scans would follow the relief of a map that repeats for longer than the map itself
+    takes, and for too many rows.
+    """
+    own = searched = 0
+    for group in groups:
+        for walk, points in zip(group.walks.tolist(), group.spans[:, 1].tolist()):
+            rows = problem.depth.shape[walk[6]]
+            own += rows * points
+            searched += walk[2] * min(abs(walk[1]), rows) * points
+    if searched > max(own, backend.most_searched_rows):
+        raise CapacityError(
+            f"A relief of {relief / problem.step:.3g} spacings on a map that repeats must be followed over"
+            f" {searched:,} rows in {len(problem.steps):,} directions; {backend.name} takes"
+            f" {backend.most_searched_rows:,}. Give depth and spacing in one unit, take a smaller hemicube,"
+            " or choose a compiled backend."
+        )
+
+
+def _check_rays(backend: Backend, problem: Problem, deepest: float, layers: int, what: str) -> None:
+    """CapacityError where the rays from ``layers`` of nodes to a lamp would take too many steps."""
+    if not problem.geometry.is_lamp:
+        return
+    rows, cols = problem.depth.shape
+    periodic, total = problem.sides == "periodic", 0.0
+    for i, j, up in problem.steps.tolist():
+        longest = deepest / (-up * problem.step) if up else math.inf
+        if not (i or j):
+            longest = longest if problem.geometry.kind == VOLUME else 0.0
+        elif not periodic:
+            longest = min(longest, cols / abs(i) if i else math.inf, rows / abs(j) if j else math.inf)
+        elif not up:
+            longest = cycle_length(i, j, rows, cols)
+        total += (longest + 1) * layers * len(crossings_of(i, j, problem.filled)[0])
+    if total > backend.most_searched_rows:
+        raise CapacityError(
+            f"The {what} of a lamp: rays in {len(problem.steps):,} directions up to"
+            f" {deepest / problem.step:.3g} spacings, from {layers:,} layers, take some {total:.2g} steps;"
+            f" {backend.name} takes {backend.most_searched_rows:,}. Subtract the least depth, take a smaller hemicube or fewer"
+            " layers, or choose a compiled backend."
+        )
 
 
 def _numbered(steps: np.ndarray) -> np.ndarray:

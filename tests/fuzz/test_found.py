@@ -91,3 +91,27 @@ def test_a_small_lamp_far_above_is_met_by_the_rays_that_pass_it(backend):
     towards = (cube.steps == (1, 0, -1)).all(1)
     assert (bits[..., towards] == (squares <= 1.5**2)[..., None]).all()
     assert not bits[..., ~towards].any()
+
+
+@pytest.mark.parametrize("filled", [False, True])
+def test_scans_over_a_relief_that_takes_too_long_are_refused(fast, monkeypatch, filled):
+    """On NumPy a relief of 1e9 spacings took minutes."""
+    ground = np.random.default_rng(1).random((23, 29))
+    monkeypatch.setattr(select(fast), "most_searched_rows", 1000, raising=False)
+    sl.visibility(sl.Scene(ground, sides="periodic"), sl.Sky(), 9, fast, filled=filled)
+    with pytest.raises(sl.CapacityError, match="rows in 209 directions"):
+        sl.visibility(sl.Scene(1e9 * ground, sides="periodic"), sl.Sky(), 9, fast, filled=filled)
+
+
+def test_rays_to_a_lamp_that_take_too_many_steps_are_refused(fast, monkeypatch):
+    """On NumPy the rays to a volume 6e4 layers above, and the field of a ball over 3e4 layers, took hours."""
+    monkeypatch.setattr(select(fast), "most_searched_rows", 2**19, raising=False)
+    ground = np.random.default_rng(1).random((16, 16))
+    volume = np.zeros((3, 16, 16), bool)
+    volume[0, 5:8, 5:8] = True
+    with pytest.raises(sl.CapacityError, match="in 209 directions up to 5.99e[+]04 spacings"):
+        deep = sl.Scene(6e4 * ground, sides="periodic")
+        sl.visibility(deep, sl.Lamp(volume=volume), 9, fast)
+    with pytest.raises(sl.CapacityError, match="layers, take some"):
+        sl.visibility_field(sl.Scene(3e4 * ground), sl.Lamp((8, 8, -5), 2.0), 9, backend=fast)
+    sl.visibility_field(sl.Scene(3 * ground), sl.Lamp((8, 8, -5), 2.0), 9, backend=fast)
