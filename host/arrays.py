@@ -126,7 +126,7 @@ def host_array(values: Any) -> np.ndarray:
     what those raise.
     """
     if isinstance(values, np.ndarray):
-        return values
+        return np.asarray(values)  # of a matrix the plain array
     exported = on_device(values)
     if exported is not None:
         return np.asarray(exported.numpy())

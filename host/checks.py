@@ -37,6 +37,9 @@ def as_real(values: Any, what: str, ndim: int | None = 2) -> np.ndarray:
         )
     if array.size == 0:
         raise bad(f"{what}: empty array", f"shape {array.shape}", "at least one element")
+    if array.dtype == np.longdouble:
+        with np.errstate(over="ignore"):  # beyond float64 it is infinite, which is refused where it must be
+            return array.astype(np.float64)
     return array
 
 

@@ -366,7 +366,8 @@ def _checked(values: np.ndarray, mask: np.ndarray | None, what: str) -> dict[str
     deepest = least if what == "height" else most
     if what == "height":
         top = np.float32(most) if values.dtype == np.float32 else np.float64(most)
-        least, most = 0.0, float(top - np.asarray(least, top.dtype))
+        with np.errstate(over="ignore"):
+            least, most = 0.0, float(top - np.asarray(least, top.dtype))
     if most > float(np.finfo(np.float32).max):
         where = at(values == deepest)
         raise bad(f"{what}: too large for float32 {where}", deepest, "at most 3.4e38", "Use a smaller unit.")

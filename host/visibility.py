@@ -44,6 +44,8 @@ def visibility(
     """
     cube = hemicube if isinstance(hemicube, Hemicube) else Hemicube(hemicube)
     one_of(algorithm, ("scan", "propagate"), "algorithm")
+    if not isinstance(filled, (bool, np.bool_)):
+        raise bad("filled", repr(filled), "True or False")
     if algorithm == "propagate":
         if filled:
             raise bad(
@@ -88,6 +90,8 @@ def visibility_field(
         Its ``words`` are packed bits, (layers, words, rows, cols) uint32.
     """
     cube = hemicube if isinstance(hemicube, Hemicube) else Hemicube(hemicube)
+    if progress is not None and not callable(progress):
+        raise bad("progress", repr(progress), "a function of (layers done, layers), or None")
     is_scene(scene)
     depth, step = scene.layers()
     if layers is None:

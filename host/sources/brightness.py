@@ -126,7 +126,11 @@ def cosine_power(
     along = np.array(numbers(axis, 3, "cosine_power: axis", "(x, y, z)"))
     if not along.any():
         raise bad("cosine_power: axis", along.tolist(), "three finite numbers, not all zero")
-    if isinstance(power, str) or not (np.isfinite(power) and power >= 0):
+    try:
+        allowed = not isinstance(power, str) and 0 <= float(power) < np.inf
+    except (TypeError, ValueError, OverflowError):
+        allowed = False
+    if not allowed:
         raise bad("cosine_power: power", repr(power), "a finite number >= 0")
     unit, value = along / np.linalg.norm(along), brightness_number(brightness)
 
@@ -302,7 +306,7 @@ def brightness_number(value: Any) -> float:
     """A grey brightness, checked."""
     try:
         number = float(value)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise bad(
             "brightness",
             repr(value),
@@ -317,7 +321,11 @@ def checked(value: Any) -> Any:
     """A number, three numbers or a function, checked."""
     if callable(value):
         return value
-    if np.ndim(value) == 1 and np.size(value) == 3:
+    try:
+        is_colour = np.shape(value) == (3,)
+    except ValueError:  # a ragged list
+        is_colour = False
+    if is_colour:
         return tuple(map(brightness_number, value))
     brightness_number(value)
     return value
@@ -328,7 +336,7 @@ def numbers(values: Any, count: int, what: str, form: str) -> tuple[float, ...]:
     allowed = f"{('one', 'two', 'three')[count - 1]} finite number{'s' * (count > 1)} {form}"
     try:
         checked = tuple(float(v) for v in values)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError, NotImplementedError):
         raise bad(what, repr(values), allowed) from None
     if len(checked) != count or not np.isfinite(checked).all():
         raise bad(what, checked, allowed)

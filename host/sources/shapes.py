@@ -293,6 +293,7 @@ def in_range(source: Source) -> tuple[Source, float]:
     values = np.asarray(brightness(np.concatenate([around, narrow])))
     if values.dtype.kind not in "iuf":
         return source, 1.0  # radiance() raises the error
+    values = values.astype(float)
     most = float(np.max(values, initial=0.0, where=np.isfinite(values) & (values <= BRIGHTEST)))
     if most == 0 or LEAST_UNIT <= most <= MOST_UNIT:
         return source, 1.0
