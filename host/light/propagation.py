@@ -717,8 +717,8 @@ def _check_rays(backend: Backend, problem: Problem, deepest: float, layers: int,
         raise CapacityError(
             f"The {what} of a lamp: rays in {len(problem.steps):,} directions up to"
             f" {deepest / problem.step:.3g} spacings, from {layers:,} layers, take some {total:.2g} steps;"
-            f" {backend.name} takes {backend.most_searched_rows:,}. Subtract the least depth, take a smaller hemicube or fewer"
-            " layers, or choose a compiled backend."
+            f" {backend.name} takes {backend.most_searched_rows:,}. Subtract the least depth, take a smaller"
+            " hemicube or fewer layers, or choose a compiled backend."
         )
 
 
