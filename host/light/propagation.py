@@ -123,7 +123,8 @@ class Surface:
             problem.steps, problem.depth.shape, relief, problem.step, self.periodic, problem.filled, most
         )
         _check_search(backend, problem, relief, groups)
-        _check_rays(backend, problem, problem.deepest, 1, "visibility")
+        if problem.geometry.is_lamp:
+            _check_rays(backend, problem, problem.deepest, 1, "visibility")
         self.maps = self._maps()
         self.depth = backend.view(self.maps, problem.depth.shape)
         self.planes = backend.empty((max(g.n_walks + len(g.pairs) for g in groups), self.room), np.uint8)
@@ -700,8 +701,6 @@ def _check_search(backend: Backend, problem: Problem, relief: float, groups: tup
 
 def _check_rays(backend: Backend, problem: Problem, deepest: float, layers: int, what: str) -> None:
     """CapacityError where the rays from ``layers`` of nodes to a lamp would take too many steps."""
-    if not problem.geometry.is_lamp:
-        return
     rows, cols = problem.depth.shape
     periodic, total = problem.sides == "periodic", 0.0
     for i, j, up in problem.steps.tolist():
