@@ -98,10 +98,10 @@ def visibility_field(
         layers = int(depth[scene.valid].max()) + 1
     layers = whole_number(layers, "layers", 1)
     needed = field_bytes(scene, cube, layers)
-    if max_bytes is not None and needed > positive_number(max_bytes, "max_bytes"):
+    if max_bytes is not None and needed > (most := positive_number(max_bytes, "max_bytes")):
         raise CapacityError(
             f"The visibility field of {layers} layers x {scene.shape[0]} rows x {scene.shape[1]} cols x"
-            f" {cube.words} words takes {needed:,} bytes; max_bytes allows {max_bytes:,}. Ask for fewer"
+            f" {cube.words} words takes {needed:,} bytes; max_bytes allows {most:,.0f}. Ask for fewer"
             " layers, a smaller hemicube or a coarser map."
         )
     engine = select(backend)

@@ -631,6 +631,27 @@ def test_an_interrupt_gives_the_best_so_far(fast):
     )
 
 
+def test_auto_estimates_one_confidence_and_an_interrupt_ends_it(fast, monkeypatch):
+    """All light and direct light are both tried, and the better is judged; after Ctrl-C there is no second
+    try.
+    """
+    module, judged, calls = importlib.import_module("skylamp.inverse.recover"), [], []
+    deviation_of = module.deviation_of
+    monkeypatch.setattr(module, "deviation_of", lambda *of: judged.append(of) or deviation_of(*of))
+    image = pair("bumps", "sky")[1][:16, :16]
+
+    def ask(progress=None):
+        return sl.recover(image, sl.Sky(), ALBEDO, "dark", layers=LAYERS, backend=fast, progress=progress)
+
+    def interrupt(*_):
+        calls.append(1)
+        raise KeyboardInterrupt
+
+    ask()
+    assert len(judged) == 1
+    assert ask(interrupt).interreflection and len(judged) == 2 and len(calls) == 1
+
+
 def test_an_interrupt_before_the_first_level_gives_a_flat_surface(fast, monkeypatch):
     """Ctrl-C while flat surfaces are compared: the one halfway between the bounds, and no error."""
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
@@ -152,7 +152,7 @@ def recover(
     if method == "robust":
         with engine.lock:
             limits = _limits(near, far, max_seconds, given)
-            recovery = _chosen(given, limits, engine, progress, interreflection)
+            recovery = _recovered(given, limits, engine, progress, interreflection)
         return _labelled(recovery, given.labels)
     if given.several or near is not None or far is not None or interreflection is True:
         raise bad(
@@ -286,7 +286,19 @@ def _limits(near: Any, far: Any, max_seconds: float | None, given: _Given) -> _L
     return _Limits(*_bounds(near, far, given), seconds)
 
 
-def _chosen(
+@dataclass(frozen=True, eq=False)
+class _Answer:
+    """The surface z of grid ``level`` that a search ended with, or had when it was cut short."""
+
+    search: Search
+    level: int
+    z: np.ndarray
+    levels: list[Level]
+    warnings: list[str]
+    was_cut: bool
+
+
+def _recovered(
     given: _Given,
     limits: _Limits,
     engine: Backend,
@@ -294,52 +306,65 @@ def _chosen(
     interreflection: bool | str,
 ) -> Recovery:
     """As asked; for "auto" with light between surfaces, or without if that explains the images better."""
-    if isinstance(interreflection, bool):
-        return _robust(given, limits, engine, progress, interreflection)
-    first = _robust(given, limits, engine, progress, True)
-    left = limits.seconds - first.seconds
-    if not first.levels or left <= 0:
-        return first
-    other = _robust(given, limits._replace(seconds=left), engine, progress, False)
-    believed = DIRECT_SHARE * first.levels[-1].residual
-    best = other if other.levels and other.levels[-1].residual < believed else first
-    return replace(
-        best,
-        seconds=first.seconds + other.seconds,
-        compile_seconds=first.compile_seconds + other.compile_seconds,
-    )
-
-
-def _robust(
-    given: _Given, limits: _Limits, engine: Backend, progress: Progress | None, interreflection: bool
-) -> Recovery:
-    """Stages: the problem on all grids, the search, confidence, the finest grid, warnings."""
-    scene, levels = given.scene, list[Level]()
-    low, high, seconds_left = limits
     for light in given.lights:
-        _check_shape(light, scene.sides)
-    lights = [_in_nodes(light, scene.spacing) for light in given.lights]
-    warnings = diagnostics.of_images(given.images, lights, scene, float(high.max()))
-
-    albedo = scene.albedo if given.albedo_given else None
-    compiled = engine.compile_seconds
-    bounds = np.maximum(low, NEAREST), high
-    pyramid = Pyramid(engine, given.images, lights, albedo, scene.sides, *bounds, interreflection)
+        _check_shape(light, given.scene.sides)
+    began, compiled = time.perf_counter(), engine.compile_seconds
 
     def spent() -> float:
-        return time.perf_counter() - pyramid.began - (engine.compile_seconds - compiled)
+        return time.perf_counter() - began - (engine.compile_seconds - compiled)
+
+    def answer_of(with_bounces: bool) -> _Answer:
+        return _answer(given, limits, engine, progress, with_bounces, spent)
+
+    answer = answer_of(interreflection is not False)
+    if interreflection == "auto" and not answer.was_cut:
+        direct = answer_of(False)
+        if direct.levels and direct.levels[-1].residual < DIRECT_SHARE * answer.levels[-1].residual:
+            answer = direct
+    return _recovery(given, limits, answer, spent, compiled)
+
+
+def _answer(
+    given: _Given,
+    limits: _Limits,
+    engine: Backend,
+    progress: Progress | None,
+    interreflection: bool,
+    spent: Callable[[], float],
+) -> _Answer:
+    """The problem on all grids, and the search until ``spent`` is beyond the limit."""
+    scene, levels, was_cut = given.scene, list[Level](), True
+    lights = [_in_nodes(light, scene.spacing) for light in given.lights]
+    warnings = diagnostics.of_images(given.images, lights, scene, float(limits.high.max()))
+    albedo = scene.albedo if given.albedo_given else None
+    bounds = np.maximum(limits.low, NEAREST), limits.high
+    pyramid = Pyramid(engine, given.images, lights, albedo, scene.sides, *bounds, interreflection)
 
     def report(level: Level) -> None:
         levels[:] = [other for other in levels if other.shape != level.shape] + [level]
         if progress:
             progress(len(levels), pyramid.start + 1)
 
-    pyramid.stop, pyramid.report = lambda: spent() > seconds_left, report
+    pyramid.stop, pyramid.report = lambda: spent() > limits.seconds, report
     several = any(map(_directed, lights))  # answers: then the lower objective need not be the right one's
     search = Search(Multigrid(pyramid, several), several)
-    warnings += _searched(search, seconds_left)
+    try:
+        search.run()
+        was_cut = False
+    except OutOfTime:
+        warnings.append(f"Out of time after {limits.seconds:g} s: this is the best so far.")
+    except KeyboardInterrupt:
+        warnings.append("Interrupted: this is the best so far.")
     level, z = pyramid.best or (pyramid.coarsest, _halfway(pyramid))
+    return _Answer(search, level, z, levels, warnings, was_cut)
 
+
+def _recovery(
+    given: _Given, limits: _Limits, answer: _Answer, spent: Callable[[], float], compiled: float
+) -> Recovery:
+    """Confidence, the finest grid, warnings. ``compiled``: seconds of the backend's before the call."""
+    scene, search, pyramid = given.scene, answer.search, answer.search.pyramid
+    level, z, low, high = answer.level, answer.z, limits.low, limits.high
     depth_range = float((high - low).mean())
     std, others = deviation_of(search.multigrid, level, z, search.rivals, search.comparing, depth_range)
     confidence = confidence_of(std, depth_range)
@@ -349,17 +374,17 @@ def _robust(
         z = 2 * doubled(z, pyramid.shape(finer))
     z = np.clip(z, low, high)
     residual = pyramid.problem(0).irradiances(z)[0] - pyramid.images[0][0]
-    warnings += diagnostics.of_residual(pyramid, residual)
-    warnings += diagnostics.of_ground(pyramid, levels[-1].residual if levels else 0.0)
+    warnings = [*answer.warnings, *diagnostics.of_residual(pyramid, residual)]
+    warnings += diagnostics.of_ground(pyramid, answer.levels[-1].residual if answer.levels else 0.0)
     warnings += diagnostics.of_confidence(confidence, ambiguous, given.albedo_given)
 
     depth = (z * scene.spacing).astype(np.float32)
     return Recovery(
         depth=depth,
         drilled=np.zeros(scene.shape, bool),
-        backend=engine.name,
+        backend=pyramid.engine.name,
         seconds=spent(),
-        compile_seconds=engine.compile_seconds - compiled,
+        compile_seconds=pyramid.engine.compile_seconds - compiled,
         warnings=warnings,
         std=(std * scene.spacing).astype(np.float32),
         confidence=confidence.astype(np.float32),
@@ -367,20 +392,9 @@ def _robust(
         ambiguous=ambiguous,
         albedo=None if given.albedo_given else pyramid.albedo[0].astype(np.float32),
         residual=(residual * pyramid.units[0]).astype(np.float32),
-        levels=tuple(levels),
-        interreflection=interreflection,
+        levels=tuple(answer.levels),
+        interreflection=pyramid.interreflection,
     )
-
-
-def _searched(search: Search, seconds: float) -> list[str]:
-    """Runs the search; a warning if it was cut short."""
-    try:
-        search.run()
-    except OutOfTime:
-        return [f"Out of time after {seconds:g} s: this is the best so far."]
-    except KeyboardInterrupt:
-        return ["Interrupted: this is the best so far."]
-    return []
 
 
 def _halfway(pyramid: Pyramid) -> np.ndarray:
