@@ -101,7 +101,7 @@ def test_tangent_plane(fast):
 def test_panels(fast):
     """Image, depth, truth, error and confidence with their own values, both depths on one scale."""
     image = sl.render(sl.Scene(HILLS, sides="dark"), sl.Sky(), backend=fast).image
-    found = sl.recover(image, sl.Sky(), sides="dark", layers=30, hemicube=5, backend=fast)
+    found = sl.recover(image, sl.Sky(), sides="dark", layers=30, interreflection=False, backend=fast)
     shown = [axes.images[0] for axes in plot.recovery(image, found, HILLS).axes if axes.images]
     error = found.depth - HILLS
     for picture, values in zip(shown, (image, found.depth, HILLS, error, found.confidence), strict=True):
@@ -187,7 +187,18 @@ def test_command_line(tmp_path, monkeypatch, capsys, fast):
             "--sun",
             "120,40",
         ],
-        ["recover", "i.npy", "--layers", "4", "--hemicube", "3", "--out", "r.npy", "--plot", "r.png"],
+        [
+            "recover",
+            "i.npy",
+            "--layers",
+            "4",
+            "--interreflection",
+            "off",
+            "--out",
+            "r.npy",
+            "--plot",
+            "r.png",
+        ],
     ):
         code, out, err = run(capsys, *command, "--backend", fast)
         assert (code, out) == (0, ""), err
