@@ -8,6 +8,8 @@ from fuzz.odd import Odd
 
 import skylamp as sl
 from skylamp.backends.registry import select
+from skylamp.light import propagation
+from skylamp.sources import geometry
 
 
 def odd(ground, call="render", **more):
@@ -115,3 +117,6 @@ def test_rays_to_a_lamp_that_take_too_many_steps_are_refused(fast, monkeypatch):
     with pytest.raises(sl.CapacityError, match="layers, take some"):
         sl.visibility_field(sl.Scene(3e4 * ground), sl.Lamp((8, 8, -5), 2.0), 9, backend=fast)
     sl.visibility_field(sl.Scene(3 * ground), sl.Lamp((8, 8, -5), 2.0), 9, backend=fast)
+    steps, ball = sl.Hemicube(9).steps, geometry(sl.Lamp((8, 8, -5), 2.0), sl.Scene(ground), 1.0)
+    usual = propagation.Problem(np.zeros((256, 256), np.float32), 1.0, "open", steps, ball)
+    propagation._check_rays(select(fast), usual, 200.0, 200, "field")  # is not refused
