@@ -55,12 +55,12 @@ def test_filled_scan_equals_brute_force_over_all_crossings(backend, name, size, 
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name, sides", [("terrain", "dark"), ("noise", "periodic")])
-def test_filled_scan_of_a_large_hemicube(fast, name, sides):
+@pytest.mark.parametrize("sides", ["dark", "periodic"])
+def test_filled_scan_of_a_large_hemicube(fast, sides):
     """M = 17 on a whole map, on the backend that takes the least time."""
     assert_bits_equal(
-        sl.visibility(scenes.scene(name, sides), SKY, 17, fast, filled=True),
-        scenes.filled_truth(name, 17, sides),
+        sl.visibility(scenes.scene("noise", sides), SKY, 17, fast, filled=True),
+        scenes.filled_truth("noise", 17, sides),
     )
 
 
