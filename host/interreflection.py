@@ -44,9 +44,10 @@ SKY_ERROR, CHECK_ERROR = 0.4, 0.15
 # ground, and rows within which every crossing is tested there, as for the direct light
 CLIFF_SKY_ERROR, FINE_NEAR = 0.12, 24
 COARSE = Round(8, 4, 4, 0.25)
-# [tolerance] light between surfaces up to which rounds begin with the first level, else with the second:
-# ESTIMATE_SHARE over the first one's error, which was 8 % of this light in the median of 152 images, and 2 to
-# 22 %. Half and twice: 5 % less and 6 % more time on 17 surfaces
+# [tolerance] light between surfaces up to which rounds begin with the first level, else with the second;
+# chosen: ESTIMATE_SHARE over the first one's error, which is 1 to 7 % of this light on ground without cliffs
+# and 5 to 31 % among cliffs (performance/interreflection.py --first). Half and twice: 5 % less and 6 % more
+# time on 17 surfaces
 FIRST_LEVEL = 10
 # a round of each level, after the coarse ones
 LEVELS = (

@@ -128,14 +128,14 @@ class BRDF:
 
     Its directional-hemispheric reflectance is integrated numerically for incoming directions all over the
     hemisphere; an InputError gives the direction for which it exceeds 1, and the excess. ``largest`` is the
-    largest value found. ``asymmetry``: the largest |f(i, o) - f(o, i)| over the largest f, near 0 where f
-    is reciprocal.
+    largest value of f. ``asymmetry``: the largest |f(i, o) - f(o, i)| over the largest f, near 0 where f is
+    reciprocal.
     """
 
     function: Callable[[np.ndarray, np.ndarray], np.ndarray]
     largest: float = field(init=False)
     asymmetry: float = field(init=False)
-    albedo = 0.0  # there is no Lambertian part beside it
+    albedo = 0.0  # there is no Lambertian part
 
     def __post_init__(self) -> None:
         if not callable(self.function):

@@ -113,14 +113,14 @@ class Samples:
             )
         )
         self.cliffs = float(cliffs.sum(dtype=np.float64)) / max(1, pairs)
-        self._set_nodes(*_sequence_nodes(scene, count, first))
+        self.set_nodes(*_sequence_nodes(scene, count, first))
 
     @functools.cached_property
     def heights(self) -> Array:
         """Those of the map [spacing], on the device."""
         return self.there.heights()
 
-    def _set_nodes(self, x: np.ndarray, y: np.ndarray) -> None:
+    def set_nodes(self, x: np.ndarray, y: np.ndarray) -> None:
         """Move the samples to these nodes."""
         self.x, self.y, self.traced = x, y, {}
         moved = []

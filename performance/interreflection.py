@@ -1,7 +1,7 @@
 """Light between surfaces: whether render(tolerance=...) keeps its word for all light, and what that costs.
 
     python performance/interreflection.py [--out DIR] [--sizes 96 256] [--surfaces hills,...] [--backend NAME]
-    python performance/interreflection.py --cliffs [--backend NAME]
+    python performance/interreflection.py --cliffs | --first [--backend NAME]
 
 Some 20 minutes on two idle cores. On eight surfaces, at albedo 0.8, under a uniform sky, a gradient, a sky
 with a sun and a spherical lamp, images within 1 % and 0.3 % are compared at 300 nodes with exact light: that
@@ -12,13 +12,16 @@ Writes interreflection.csv: error (RMS, largest, bias; over the mean), the share
 its estimate, and processor time beside that of direct light; and interreflection.png, one scene at three
 albedos without and with it.
 
---cliffs prints instead how large the error of rounds without regard for cliffs is on plains with houses.
+Two options print instead what constants of skylamp.interreflection are made from. --cliffs: how large the
+error of rounds without regard for cliffs is on plains with houses. --first: how large the error of the first
+level is on the eight surfaces, over the light between surfaces.
 """
 
 from __future__ import annotations
 
 import argparse
 import csv
+import itertools
 import math
 import time
 from pathlib import Path
@@ -190,35 +193,57 @@ def picture(path, backend):
     plt.close(figure)
 
 
+def error_and_share(scene, source, engine, levels):
+    """Estimated error of the first ``levels`` without regard for cliffs, and the light between surfaces."""
+    light = sl.render(
+        scene,
+        source,
+        "horizon",
+        backend=engine.name,
+        quantity="irradiance",
+        azimuths=128 if isinstance(source, sl.Sky) else None,
+        interreflection=False,
+    )
+    kept = {name: getattr(interreflection, name) for name in ("LEVELS", "CLIFF_SHARE", "FIRST_LEVEL")}
+    interreflection.LEVELS, interreflection.CLIFF_SHARE = kept["LEVELS"][:levels], math.inf
+    interreflection.FIRST_LEVEL = math.inf  # all begin with the first
+    try:
+        record = interreflection.included(scene, engine, [light.image], 1e-5, "").record
+    finally:
+        for name, value in kept.items():
+            setattr(interreflection, name, value)
+    return record.error, record.share
+
+
 def cliffs(engine):
     """Errors of rounds up to 16 azimuths at every node without regard for cliffs, on plains with houses."""
-    levels, share = interreflection.LEVELS, interreflection.CLIFF_SHARE
-    interreflection.LEVELS, interreflection.CLIFF_SHARE = levels[:3], math.inf
-    try:
-        for count in (1, 4, 16, 64):
-            rng, height = np.random.default_rng(count), np.zeros((160, 160))
-            for _ in range(count):
-                y, x = rng.integers(0, 148, 2)
-                long, wide = rng.integers(4, 12, 2)
-                height[y : y + long, x : x + wide] += 12
-            scene = sl.Scene.from_height(height, albedo=ALBEDO)
-            light = sl.render(
-                scene,
-                sl.Sky(),
-                "horizon",
-                backend=engine.name,
-                quantity="irradiance",
-                azimuths=128,
-                interreflection=False,
-            )
-            error = interreflection.included(scene, engine, [light.image], 1e-5, "").record.error
-            seen = Samples(engine, scene, NODES).cliffs
-            ratio = error / math.sqrt(seen)
+    levels = 1 + next(n for n, this in enumerate(interreflection.LEVELS) if this[:2] == (16, 1))
+    for count in (1, 4, 16, 64):
+        rng, height = np.random.default_rng(count), np.zeros((160, 160))
+        for _ in range(count):
+            y, x = rng.integers(0, 148, 2)
+            long, wide = rng.integers(4, 12, 2)
+            height[y : y + long, x : x + wide] += 12
+        scene = sl.Scene.from_height(height, albedo=ALBEDO)
+        error, _ = error_and_share(scene, sl.Sky(), engine, levels)
+        seen = Samples(engine, scene, NODES).cliffs
+        ratio = error / math.sqrt(seen)
+        print(f"{count:3d} houses: share of cliffs {seen:.1e}, error {error:.2%}, over its root {ratio:.3f}")
+
+
+def first_level(engine, sizes):
+    """Errors of the first level over the light between surfaces, on all surfaces at two albedos."""
+    ratios = []
+    for name, size, albedo in itertools.product(SURFACES, sizes, (0.3, ALBEDO)):
+        scene = sl.Scene(SURFACES[name](size), albedo=albedo)
+        for kind, source in sources(size).items():
+            error, share = error_and_share(scene, source, engine, 1)
+            ratios.append(error / share)
             print(
-                f"{count:3d} houses: share of cliffs {seen:.1e}, error {error:.2%}, over its root {ratio:.3f}"
+                f"{name:9s}{size:5d} {kind:9s} albedo {albedo}: {ratios[-1]:.3f} of {share:.3f}", flush=True
             )
-    finally:
-        interreflection.LEVELS, interreflection.CLIFF_SHARE = levels, share
+    least, median, most = np.quantile(ratios, (0, 0.5, 1))
+    print(f"{len(ratios)} images: least {least:.3f}, median {median:.3f}, most {most:.3f}")
 
 
 def main():
@@ -231,10 +256,14 @@ def main():
     parser.add_argument("--sources", default="uniform,gradient,sunny,lamp")
     parser.add_argument("--backend", default="auto")
     parser.add_argument("--cliffs", action="store_true")
+    parser.add_argument("--first", action="store_true")
     arguments = parser.parse_args()
     engine, rows = select(arguments.backend), []
     if arguments.cliffs:
         cliffs(engine)
+        return
+    if arguments.first:
+        first_level(engine, arguments.sizes)
         return
     arguments.out.mkdir(parents=True, exist_ok=True)
     for size in arguments.sizes:

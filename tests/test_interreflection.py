@@ -41,7 +41,7 @@ def bounces(backend, depth, valid, sides, direct, albedo, sky, spacing=1.0):
         np.where(valid, spacing * depth, np.nan), spacing, sides=sides, mask=None if valid.all() else valid
     )
     samples = Samples(engine, scene, 1)
-    samples._set_nodes(*np.nonzero(valid)[::-1])
+    samples.set_nodes(*np.nonzero(valid)[::-1])
     return Bounces(engine, scene, samples, direct, albedo, sky.astype(np.float32))
 
 

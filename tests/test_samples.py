@@ -94,7 +94,7 @@ def test_samples_are_kept_with_their_map(fast):
         is not slopes
     )
     moved = samples_of(engine, scene, 24)
-    moved._set_nodes(moved.x[::-1].copy(), moved.y)
+    moved.set_nodes(moved.x[::-1].copy(), moved.y)
     assert not np.array_equal(moved.horizons(azimuths), slopes)
     assert samples_of(engine, scene, 24).horizons(azimuths) is slopes
     scene.release(fast)

@@ -518,7 +518,7 @@ def selftest(as_json: opt.Json = False, quiet: opt.Quiet = False, verbose: opt.V
 
 def _checked(checks: list[Check]) -> Table:
     """A row for each check."""
-    table = Table("check", "backend", "found", "at most")
+    table = Table("check", "backend", "measured", "at most")
     for c in checks:
         shown = "failed" if c.figure is None else f"{c.figure:.1e}"
         table.add_row(c.name, c.backend, shown + ("" if c.passed else "  WRONG"), f"{c.bound:.0e}")

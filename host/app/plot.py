@@ -224,11 +224,11 @@ def _label_compass(axes: PolarAxes) -> None:
 
 
 def recovery(image: ArrayLike, found: Recovery, truth: ArrayLike | None = None) -> Figure:
-    """The image, the depth recovered from it, its confidence, and the albedo if it was found, side by side;
-    ``truth``: the true depth, for comparison, with the error (recovered minus true depth).
+    """The image, the depth recovered from it, its confidence, and the albedo if it was recovered.
 
-    image, truth: (rows, cols). Axes are in nodes. Raises InputError where shapes differ, or if matplotlib is
-    not installed.
+    ``found``: what :func:`skylamp.recover` returned; ``truth``: the true depth, for comparison, with the
+    error (recovered minus true depth); image, truth: (rows, cols). The panels are side by side. Axes are in
+    nodes. Raises InputError where shapes differ, or if matplotlib is not installed.
 
     Example: ``plot.save(plot.recovery(image, sl.recover(image, sky)), "recovered.png")``
     """

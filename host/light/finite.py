@@ -82,36 +82,37 @@ class Sliced(LightMethod):
         solid, self.rays = upright(self.solid, self.step), rays
         self.uniform = unoccluded.image(self.scene, solid, 1.0)
         whole = (unoccluded.image(self.scene, solid, self.source.brightness, n) for n in (rays, rays // 4))
-        self.whole = [
+        self.means = [
             np.divide(light, self.uniform, out=np.zeros_like(light), where=self.uniform > 0)
             for light in whole
         ]
-        self._weigh()
+        self.is_partial = np.zeros(self.scene.shape, bool)
+        self._take_chords()
 
-    def _weigh(self) -> None:
-        """Set the mean brightness of what every node sees of the lamp, and half the change that a quarter of
-        the rays makes: ``factors``, (rows, cols) float32 each.
+    def _take_chords(self) -> None:
+        """Where the lamp is found to be partly hidden, take its brightness along the visible parts of chords.
 
-        Where the lamp is partly hidden, that is the mean along the visible parts of chords.
+        Sets ``factors``: its mean brightness, and half the change that a quarter of the rays makes, (rows,
+        cols) float32 each.
         """
-        solid, mean = upright(self.solid, self.step), [values.copy() for values in self.whole]
         seen = self.engine.download(self.mean).reshape(self.scene.shape)
-        y, x = np.nonzero((seen > 0) & (seen < (1 - PARTLY) * self.uniform))
-        samples = samples_of(self.engine, self.scene)
-        for values, rays in zip(mean, (self.rays, self.rays // 4)):
+        y, x = np.nonzero((seen > 0) & (seen < (1 - PARTLY) * self.uniform) & ~self.is_partial)
+        self.is_partial[y, x] = True
+        samples, solid = samples_of(self.engine, self.scene), upright(self.solid, self.step)
+        for mean, rays in zip(self.means, (self.rays, self.rays // 4)):
             points = math.isqrt(rays)  # of each chord
             # chosen: with half of them a test's lamp beside walls is off by 1.8 tolerances in place of 0.4
             chords = 4 * points
             for first in range(0, len(x), CHORDS_AT_ONCE // chords):
                 some = slice(first, first + CHORDS_AT_ONCE // chords)
-                samples._set_nodes(x[some], y[some])
+                samples.set_nodes(x[some], y[some])
                 light, uniform = (
                     samples.through_slices(solid, brightness, chords, points=points)
                     for brightness in (self.source.brightness, 1.0)
                 )
                 at = y[some], x[some]
-                values[at] = np.divide(light, uniform, out=values[at].astype(float), where=uniform > 0)
-        self.factors = mean[0], (mean[0] - mean[1]) / 2
+                mean[at] = np.divide(light, uniform, out=mean[at].astype(float), where=uniform > 0)
+        self.factors = self.means[0], (self.means[0] - self.means[1]) / 2
 
     def _image(self, units: int) -> tuple[Slices, Array]:
         """The light through ``units`` slices, and of small bright parts in as many sectors."""
@@ -146,7 +147,7 @@ class Sliced(LightMethod):
                 return
         self._add_slices()
         if self.factors:
-            self._weigh()
+            self._take_chords()
 
     def _add_slices(self) -> None:
         if not isinstance(self.solid, Ball):

@@ -684,8 +684,9 @@ def field(backend: Backend, problem: Problem, layers: int, progress: Progress | 
 
 
 def _check_search(backend: Backend, problem: Problem, relief: float, groups: tuple[Group, ...]) -> None:
-    """CapacityError where scans would follow the relief of a map that repeats for longer than the map itself
-    takes, and for too many rows.
+    """CapacityError where scans on a map that repeats would follow its relief for too many rows.
+
+    Never where that is no more than the map itself takes.
     """
     own = searched = 0
     for group in groups:
@@ -720,8 +721,8 @@ def _check_rays(backend: Backend, problem: Problem, deepest: float, layers: int,
         raise CapacityError(
             f"The {what} of a lamp: rays in {len(problem.steps):,} directions up to"
             f" {deepest / problem.step:.3g} spacings, from {layers:,} layers, take some {total:.2g} steps;"
-            f" {backend.name} takes {most:,}. Subtract the least depth, take a smaller"
-            " hemicube or fewer layers, or choose a compiled backend."
+            f" {backend.name} takes {most:,}. Subtract the least depth, take a smaller hemicube or fewer"
+            " layers, or choose a compiled backend."
         )
 
 

@@ -555,10 +555,10 @@ def _steepest(best: np.ndarray) -> tuple[float, float]:
 def engine_of(scene: Scene, backend: str) -> Backend:
     """The backend of this name; ``auto`` stays on the GPU on which the scene's depth lies."""
     is_scene(scene)
-    there = scene.resident.backend.name if scene.resident is not None else ""
-    return select(
-        there if isinstance(backend, str) and backend == "auto" and there.startswith("warp:cuda") else backend
-    )
+    there = scene.resident
+    if there is not None and there.backend.name.startswith("warp:cuda") and str(backend) == "auto":
+        return there.backend
+    return select(backend)
 
 
 def ground_of(scene: Scene, max_distance: float | None, engine: Backend) -> Ground:

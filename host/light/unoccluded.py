@@ -28,7 +28,7 @@ Vector = tuple[Values, Values, Values]
 def gradients(scene: Scene, rows: slice = slice(None)) -> tuple[np.ndarray, np.ndarray]:
     """d depth/dx and d depth/dy of some ``rows``, (n, cols) float32.
 
-    Central differences, one-sided beside masked nodes and, unless the map repeats, at the border.
+    Central differences, one-sided next to masked nodes and, unless the map repeats, at the border.
     """
     first, stop, _ = rows.indices(scene.shape[0])
     periodic = scene.sides == "periodic"
@@ -46,8 +46,8 @@ def gradients(scene: Scene, rows: slice = slice(None)) -> tuple[np.ndarray, np.n
     around = scene.depth[at % scene.shape[0]] / np.float32(scene.spacing)
     if not periodic:
         around[(at < 0) | (at >= scene.shape[0])] = np.nan
-    z, beside = around[1:-1], ((0, 0), (1, 1))
-    wide = np.pad(z, beside, "wrap") if periodic else np.pad(z, beside, constant_values=np.nan)
+    z, columns = around[1:-1], ((0, 0), (1, 1))
+    wide = np.pad(z, columns, "wrap") if periodic else np.pad(z, columns, constant_values=np.nan)
     slopes = []
     for low, high in ((wide[:, :-2], wide[:, 2:]), (around[:-2], around[2:])):
         steps = np.maximum(1, np.isfinite(low).astype(np.float32) + np.isfinite(high))
