@@ -556,7 +556,7 @@ def over_area(work: Any, scene: Scene, rows: slice, cols: slice, *leading: int) 
     from dask.graph_manipulation import bind
 
     highest = da.nanmax(scene.lazy)
-    again = bind(scene.lazy, highest, seed="skylamp")  # so that not all heights are kept meanwhile
+    again = bind(scene.lazy, highest, seed=highest.name)  # so that not all heights are kept meanwhile
     axes = "aij"[1 - len(leading) :]
     surface = (albedo, None) if varying is None else (albedo.rechunk(-1), "cij"[3 - varying.ndim :])
     image = da.blockwise(
@@ -737,7 +737,7 @@ def _lazy_sums(
         dtype=np.float64,
         meta=np.empty((0, 0, 0, 0)),
     )
-    return delayed(_sum_of_tiles)(sums.rechunk(-1).to_delayed(optimize_graph=False).item())
+    return delayed(_sum_of_tiles, pure=True)(sums.rechunk(-1).to_delayed(optimize_graph=False).item())
 
 
 def _block_sums(
@@ -760,7 +760,7 @@ def _overviews(da: Any, heights: Any, layout: Layout, sums: Any = None) -> tuple
     from dask.graph_manipulation import bind
 
     if not layout.needs_overviews:
-        return None, None, heights if sums is None else bind(heights, sums, seed="skylamp")
+        return None, None, heights if sums is None else bind(heights, sums, seed=sums.key)
 
     tiling = layout.tiling
     levels: list[Any] = []
@@ -777,13 +777,13 @@ def _overviews(da: Any, heights: Any, layout: Layout, sums: Any = None) -> tuple
             )
         )
     lowest, highest = levels
-    top = delayed(top_of)(highest.rechunk(-1).to_delayed(optimize_graph=False).item())
+    top = delayed(top_of, pure=True)(highest.rechunk(-1).to_delayed(optimize_graph=False).item())
     depth = [tiling.reach >> tiling.first if halo else 0 for halo in layout.depths]
     if any(depth):
         boundary = {0: "none", 1: "periodic", 2: "periodic"} if layout.periodic else "none"
         lowest = da.overlap.overlap(lowest, {0: 0, 1: depth[0], 2: depth[1]}, boundary, allow_rechunk=False)
-    before = top if sums is None else [top, sums]
-    return lowest, top, bind(heights, before, seed="skylamp")
+    before = top if sums is None else delayed([top, sums], pure=True)
+    return lowest, top, bind(heights, before, seed=before.key)
 
 
 def _coarser(block: np.ndarray, times: int) -> np.ndarray:
