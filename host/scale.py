@@ -555,8 +555,9 @@ def over_area(work: Any, scene: Scene, rows: slice, cols: slice, *leading: int) 
     da = importlib.import_module("dask.array")
     from dask.graph_manipulation import bind
 
-    highest = da.nanmax(scene.lazy)
-    again = bind(scene.lazy, highest, seed=highest.name)  # so that not all heights are kept meanwhile
+    finite = da.where(da.isfinite(scene.lazy), scene.lazy, np.nan)
+    highest = da.nanmax(finite)
+    again = bind(finite, highest, seed=highest.name)  # so that not all heights are kept meanwhile
     axes = "aij"[1 - len(leading) :]
     surface = (albedo, None) if varying is None else (albedo.rechunk(-1), "cij"[3 - varying.ndim :])
     image = da.blockwise(
@@ -772,8 +773,8 @@ def _overviews(da: Any, heights: Any, layout: Layout, sums: Any = None) -> tuple
                 levels[-1] if levels else heights.rechunk(layout.sizes),
                 chunks=((2,), *cells),
                 new_axis=None if levels else 0,
-                dtype=np.float32,
-                meta=np.empty((0, 0, 0), np.float32),
+                dtype=heights.dtype,
+                meta=np.empty((0, 0, 0), heights.dtype),
             )
         )
     lowest, highest = levels

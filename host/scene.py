@@ -149,8 +149,7 @@ class Scene:
         shape = values.shape
         if values.dtype.kind not in "iuf" or len(shape) != 2 or not all(n > 0 for n in shape):
             raise bad("height", f"{values.dtype}, shape {shape}", "real numbers (rows, cols), of known size")
-        if values.dtype.kind != "f":
-            values = values.astype(np.float32)
+        values = values.astype(np.float32 if np.can_cast(values.dtype, np.float32) else np.float64)
         if self.mask is not None:
             mask: Any = getattr(self.mask, "data", self.mask) if labels_of(self.mask) else self.mask
             if mask.dtype != bool or mask.shape != shape:

@@ -104,7 +104,7 @@ class Tiling:
 
 
 class Cells(NamedTuple):
-    """A part of a level: heights (rows, cols) float32, nan without data; its first cell; nodes along one."""
+    """A part of a level: heights (rows, cols), nan without data; its first cell; nodes along one."""
 
     heights: np.ndarray
     row: int
@@ -144,7 +144,7 @@ class Far(NamedTuple):
 
 
 def coarser(low: np.ndarray, times: int = 1) -> np.ndarray:
-    """Means and maxima (2, rows, cols) float32 of blocks of 2 x 2 cells, ``times`` over.
+    """Means and maxima (2, rows, cols) of blocks of 2 x 2 cells, ``times`` over.
 
     Cells without data, nan, have no part in either; blocks at the last row and column may be smaller.
     """
@@ -152,7 +152,7 @@ def coarser(low: np.ndarray, times: int = 1) -> np.ndarray:
         if any(n % 2 for n in low.shape[1:]):
             low = np.pad(low, [(0, 0), *((0, n % 2) for n in low.shape[1:])], constant_values=np.nan)
         a, b, c, d = low[:, ::2, ::2], low[:, ::2, 1::2], low[:, 1::2, ::2], low[:, 1::2, 1::2]
-        low = np.empty(a.shape, np.float32)
+        low = np.empty(a.shape, low.dtype)
         mean, most, other = low[0], low[1], c[0] + d[0]
         np.multiply(np.add(np.add(a[0], b[0], out=mean), other, out=mean), np.float32(0.25), out=mean)
         np.fmax(np.fmax(a[1], b[1], out=most), np.fmax(c[1], d[1], out=other), out=most)
@@ -167,8 +167,13 @@ def coarser(low: np.ndarray, times: int = 1) -> np.ndarray:
 
 
 def from_heights(heights: np.ndarray) -> np.ndarray:
-    """Level 0 for :func:`coarser`: heights (rows, cols) [length], nan without data."""
-    values = heights.astype(np.float32, copy=False)
+    """Level 0 for :func:`coarser`: heights (rows, cols) [length], nan or infinite without data.
+
+    Float64 stays, as heights far above zero need it; other types become float32.
+    """
+    values = heights if heights.dtype == np.float64 else heights.astype(np.float32, copy=False)
+    if any(by_bands(lambda rows: bool(np.isinf(values[rows]).any()), values.shape)):
+        values = np.where(np.isinf(values), values.dtype.type(np.nan), values)
     return np.broadcast_to(values, (2, *values.shape))
 
 
@@ -179,7 +184,7 @@ def mixed(low: np.ndarray) -> np.ndarray:
 
 
 class Top(NamedTuple):
-    """The levels from ``tiling.top`` on, whole maps (rows, cols) float32 [length]; the range."""
+    """The levels from ``tiling.top`` on, whole maps (rows, cols) [length]; the range."""
 
     levels: list[np.ndarray]
     lowest: float
