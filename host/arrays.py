@@ -24,6 +24,7 @@ class Labels(NamedTuple):
     coords: dict[Hashable, Any]
     name: Hashable
     attrs: dict[Any, Any]
+    grid_mapping: Hashable = None  # the coordinate that holds the coordinate reference system, where told
 
 
 class Quantity(NamedTuple):
@@ -155,7 +156,27 @@ def labels_of(values: Any) -> Labels | None:
     if kind is None or not isinstance(values, kind):
         return None
     coords = {name: coordinate.copy() for name, coordinate in values.coords.items()}
-    return Labels(values.dims, coords, values.name, dict(values.attrs))
+    grid_mapping = values.encoding.get("grid_mapping")
+    return Labels(values.dims, coords, values.name, dict(values.attrs), grid_mapping)
+
+
+def no_data_of(labels: Labels | None) -> list[float]:
+    """Values that stand for no data, by the attributes of a DataArray; InputError if others need scaling.
+
+    A file's attributes that xarray has applied are no longer among these (CF conventions).
+    """
+    if labels is None:
+        return []
+    scale, offset = labels.attrs.get("scale_factor", 1), labels.attrs.get("add_offset", 0)
+    if not (np.all(scale == 1) and np.all(offset == 0)):
+        raise bad(
+            "a DataArray of heights",
+            f"the attributes scale_factor {scale} and add_offset {offset}, not applied to its values",
+            "heights",
+            "Open it with mask_and_scale=True; where they are heights already, remove these attributes.",
+        )
+    told = [np.ravel(labels.attrs.get(name, ())) for name in ("_FillValue", "missing_value")]
+    return [float(value) for values in told if values.dtype.kind in "iuf" for value in values]
 
 
 DEGREES = ("degree", "degrees", "degrees_north", "degrees_east", "degree_north", "degree_east")
@@ -172,7 +193,7 @@ def spacing_of(labels: Labels | None) -> float:
     steps: list[np.ndarray] = []
     told = [coordinate.attrs for coordinate in labels.coords.values()]
     geographic = any(str(attrs.get("crs_wkt", "")).startswith(("GEOGCS", "GEOGCRS")) for attrs in told)
-    for name in labels.dims:
+    for name in labels.dims[-2:]:
         coordinate = _positions(labels, name)
         if coordinate is None:
             continue
@@ -198,18 +219,26 @@ def spacing_of(labels: Labels | None) -> float:
     return float(np.mean([step.mean() for step in steps if step.size]))
 
 
-ALONG_X = ("x", "lon", "longitude", "easting")
+# names of coordinates that run east, and CF's axis and standard names of such
+ALONG_X = (
+    "x", "xc", "lon", "rlon", "longitude", "grid_longitude", "easting", "projection_x_coordinate",
+)  # fmt: skip
 
 
 def axes_of(labels: Labels | None) -> tuple[float, float]:
     """1 where columns run east, and where rows run south, else -1: by coordinates, which grow east and north.
 
-    (1, 1) where there are none. InputError where rows are x.
+    (1, 1) where there are none. InputError where rows are x, or there are other axes.
     """
-    if labels is None or len(labels.dims) < 2:
+    if labels is None:
         return 1.0, 1.0
-    rows, cols = labels.dims[:2]
-    if str(rows).lower() in ALONG_X:
+    if len(labels.dims) != 2:
+        raise bad(
+            "shape of a DataArray", labels.dims, "rows and columns", "Of several bands take one: dem[0]."
+        )
+    rows, cols = labels.dims
+    attrs = getattr(labels.coords.get(rows), "attrs", {})
+    if any(str(told).lower() in ALONG_X for told in (rows, attrs.get("axis"), attrs.get("standard_name"))):
         raise bad("dimensions of a DataArray", labels.dims, f"rows first, {(cols, rows)}", "Use transpose().")
     return (-1.0 if _grows(labels, cols) < 0 else 1.0), (-1.0 if _grows(labels, rows) > 0 else 1.0)
 
@@ -246,4 +275,7 @@ def labelled(array: Any, labels: Labels | None, quantity: Quantity, **leading: A
     attrs = {key: value for key, value in labels.attrs.items() if key not in OF_VALUES}
     told = {"units": quantity.units, "long_name": quantity.long_name}
     attrs |= {key: value for key, value in told.items() if value is not None}
-    return xarray.DataArray(array, {**leading, **labels.coords}, dims, quantity.name, attrs)
+    result = xarray.DataArray(array, {**leading, **labels.coords}, dims, quantity.name, attrs)
+    if labels.grid_mapping is not None:
+        result.encoding["grid_mapping"] = labels.grid_mapping
+    return result

@@ -17,6 +17,7 @@ from .arrays import (
     chunked,
     host_array,
     labels_of,
+    no_data_of,
     on_device,
     scratch,
     spacing_of,
@@ -150,11 +151,11 @@ class Scene:
         if values.dtype.kind not in "iuf" or len(shape) != 2 or not all(n > 0 for n in shape):
             raise bad("height", f"{values.dtype}, shape {shape}", "real numbers (rows, cols), of known size")
         values = values.astype(np.float32 if np.can_cast(values.dtype, np.float32) else np.float64)
+        masks = [values != values.dtype.type(value) for value in no_data_of(self.labels)]
         if self.mask is not None:
-            mask: Any = getattr(self.mask, "data", self.mask) if labels_of(self.mask) else self.mask
-            if mask.dtype != bool or mask.shape != shape:
-                raise bad("mask: wrong type or shape", f"{mask.dtype}, {mask.shape}", f"bool, shape {shape}")
-            values = importlib.import_module("dask.array").where(mask, values, np.nan).astype(values.dtype)
+            masks.append(_mask(self.mask, shape, lazy=True))
+        for mask in masks:
+            values = importlib.import_module("dask.array").where(mask, values, values.dtype.type(np.nan))
         albedo = chunked(self.albedo)
         if albedo is None and np.ndim(self.albedo) > 1:  # where the map has no data it need not be an albedo
             albedo = importlib.import_module("dask.array").from_array(np.asarray(self.albedo), chunks=-1)
@@ -230,18 +231,20 @@ class Scene:
         ``height``: (rows, cols); the other arguments and errors as for :class:`Scene`. The difference is
         taken in the type of ``height`` before it is rounded to float32, so heights far above zero keep their
         relief. ``spacing``: unless given, that of an xarray.DataArray's coordinates, which must be even,
-        square and no degrees, in the unit of ``height``; 1 without coordinates. The nan of a
-        DataArray are masked unless a mask is given.
+        square and no degrees, in the unit of ``height``; 1 without coordinates. Of a DataArray, nan and
+        what its attributes ``_FillValue`` and ``missing_value`` say are masked unless a mask is given.
 
         A dask.array, or a DataArray with Dask's chunks, makes a lazy scene: nan is where it has no data, and
         horizons, sky_view_factor, openness and render give lazy results of the same chunks. A map of its
         albedo may be lazy too, in chunks of its own; values outside 0 to 1 are found when it is computed.
         """
         labels = labels_of(height)
-        spacing = spacing_of(labels) if spacing is None else spacing
-        if mask is None and labels is not None and height.dtype.kind == "f" and chunked(height) is None:
-            missing = np.isnan(height.values)
-            mask = ~missing if missing.any() else None
+        spacing, no_data = spacing_of(labels) if spacing is None else spacing, no_data_of(labels)
+        if mask is None and labels is not None and height.dtype.kind in "iuf" and chunked(height) is None:
+            known = ~np.isnan(height.values)
+            for value in no_data:
+                known &= height.values != (height.dtype.type(value) if height.dtype.kind == "f" else value)
+            mask = None if known.all() else known
         heights: Any = _Heights(height)
         return cls(heights, spacing, albedo, mask, sides, reflectance)
 
@@ -399,7 +402,7 @@ def _range_of(values: np.ndarray, mask: np.ndarray | None) -> tuple[float, float
 def is_scene(scene: object) -> None:
     """InputError unless ``scene`` is a Scene."""
     if not isinstance(scene, Scene):
-        raise bad("scene", type(scene).__name__, "a skylamp.Scene")
+        raise bad("scene", type(scene).__name__, "a skylamp.Scene", "Of heights: Scene.from_height.")
 
 
 def _set(scene: Scene, **values: object) -> None:
@@ -421,19 +424,20 @@ def _count_from_least(scene: Scene, values: np.ndarray, rounding: float) -> None
     _set(scene, rounding=rounding, _from_least=near)
 
 
-def _mask(mask: Any, shape: tuple[int, ...]) -> np.ndarray | None:
-    """A copy of a mask, checked."""
+def _mask(mask: Any, shape: tuple[int, ...], lazy: bool = False) -> Any:
+    """A copy of a mask, checked; a dask.array stays one if ``lazy``."""
     if mask is None:
         return None
+    lazy = lazy and chunked(mask) is not None
     try:
-        mask = host_array(mask)
+        mask = chunked(mask) if lazy else host_array(mask)
     except Exception as error:
         raise bad("mask: not an array", str(error), f"bool, shape {shape}") from None
     if mask.dtype != bool or mask.shape != shape:
         raise bad(
             "mask: wrong type or shape", f"dtype {mask.dtype}, shape {mask.shape}", f"bool, shape {shape}"
         )
-    return np.array(mask)
+    return mask if lazy else np.array(mask)
 
 
 def _reflectance(

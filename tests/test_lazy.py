@@ -24,7 +24,8 @@ def dem(values=HEIGHTS, **attrs):
 
 
 def image(heights, source, on, **options):
-    return sl.render(sl.Scene.from_height(heights), source, backend=on, tiling=TILES, **options).image
+    scene = heights if isinstance(heights, sl.Scene) else sl.Scene.from_height(heights)
+    return sl.render(scene, source, backend=on, tiling=TILES, **options).image
 
 
 CALLS = {
@@ -94,3 +95,72 @@ def test_infinite_heights_are_no_data(fast):
         assert_bits_equal(
             *(np.nan_to_num(one.compute(scheduler="sync"), nan=-1) for one in (found, expected))
         )
+
+
+@pytest.mark.parametrize("lazy", [False, True])
+def test_values_without_data_by_attributes(lazy, fast):
+    """A band as rioxarray opens it unasked: its no-data value is no ground. What is decoded is the same."""
+    for kind, attrs in (("i2", {"_FillValue": np.int16(-999)}), ("f4", {"missing_value": [-1e30, -999.0]})):
+        heights = HEIGHTS.astype(kind)
+        heights[10:13, 70:75] = -999
+        decoded = np.where(heights == -999, np.nan, heights).astype("f4")
+        found, expected = (
+            CALLS["sky view"](given.chunk(40) if lazy else given, fast).compute(scheduler="sync").values
+            for given in (dem(heights, **attrs), dem(decoded))
+        )
+        assert np.array_equal(np.isnan(found), heights == -999)
+        np.testing.assert_allclose(found, expected, rtol=0, atol=1e-6)
+
+
+@pytest.mark.parametrize("lazy", [False, True])
+@pytest.mark.parametrize(
+    ("change", "what"),
+    [
+        (lambda d: d.assign_attrs(scale_factor=0.1), "mask_and_scale=True"),
+        (lambda d: d.assign_attrs(add_offset=100.0), "mask_and_scale=True"),
+        (lambda d: d.expand_dims("band"), r"dem\[0\]"),
+        (lambda d: d.expand_dims(band=[1, 2]), r"dem\[0\]"),
+        (lambda d: d.T.rename(x="projection_x_coordinate", y="projection_y_coordinate"), "rows first"),
+        (
+            lambda d: d.T.rename(x="a", y="b").assign_coords(a=("a", 30.0 * np.arange(90), {"axis": "X"})),
+            "rows",
+        ),
+        (lambda d: d.to_dataset(), "Scene.from_height"),
+    ],
+)
+def test_what_is_no_map_of_heights_is_refused(change, what, lazy):
+    """With the way out, whether it is lazy or not."""
+    given = change(dem())
+    with pytest.raises(sl.errors.InputError, match=what):
+        CALLS["sky view"](given.chunk() if lazy else given, "numpy")
+
+
+def test_a_mask_may_be_a_list(fast):
+    """Of Dask's, xarray's, NumPy's or Python's: the same bytes."""
+    known, heights = dem() > 100, dem().chunk(40)
+    found = [
+        image(sl.Scene.from_height(heights, mask=mask), sl.Sky(), fast, azimuths=4).compute(scheduler="sync")
+        for mask in (known, known.chunk(30), known.values, known.values.tolist())
+    ]
+    for other in found[1:]:
+        assert_bits_equal(np.nan_to_num(other.values), np.nan_to_num(found[0].values))
+    assert np.array_equal(np.isnan(found[0]), ~known)
+
+
+@pytest.mark.parametrize("lazy", [False, True])
+def test_a_reference_system_of_any_name_stays(lazy, fast, tmp_path):
+    """In the result, in Zarr and in a GeoTIFF."""
+    pytest.importorskip("rioxarray"), pytest.importorskip("zarr")
+    given = dem().drop_vars("spatial_ref").rio.write_crs(32633, grid_mapping_name="utm")
+    for what in ("sky view", "horizons"):
+        found = CALLS[what](given.chunk(40) if lazy else given, fast)
+        assert found.rio.crs.to_epsg() == 32633
+        found.to_zarr(tmp_path / what, consolidated=False)
+        kept = xr.open_zarr(tmp_path / what, consolidated=False, decode_coords="all")[found.name]
+        found.rio.to_raster(tmp_path / f"{what}.tif")
+        written = xr.open_dataarray(tmp_path / f"{what}.tif", engine="rasterio").squeeze(
+            "band" if found.ndim == 2 else ()
+        )
+        for back in (kept, written):
+            assert back.rio.crs == found.rio.crs
+            assert_bits_equal(np.nan_to_num(back.values), np.nan_to_num(found.values))
