@@ -176,7 +176,7 @@ def write_quantity(
     with workers_of(machines) as client:
         group = run(job, client, machines.resume, progress)
     write(out, group["values"], header, machines.cog)
-    shutil.rmtree(job.scratch)
+    discard(job.scratch)
     return layout.shape if quantity.bands == 1 else (quantity.bands, *layout.shape)
 
 
@@ -313,36 +313,58 @@ def scratch_of(job: Job, resume: bool) -> Any:
         sort_keys=True,
     )
     mark = hashlib.sha256(text.encode()).hexdigest()
-    if job.scratch.exists():
-        kept = _group(job.scratch, "r+")
-        if kept is None or "skylamp" not in kept.attrs:
-            raise bad(f"{job.scratch}", "something that skylamp did not write", "a free name for scratch")
-        if resume and kept.attrs["skylamp"] != mark:
-            raise bad(
-                f"--resume: {job.scratch}",
-                f"the scratch of {kept.attrs['settings']}",
-                f"the same file and settings, {text}",
-                "Run it without --resume to begin anew.",
-            )
-        if resume:
-            return kept
-        shutil.rmtree(job.scratch)
-    group = _group(job.scratch, "w")
+    kept = _attributes(job.scratch)
+    if resume and kept.get("skylamp", mark) != mark:
+        raise bad(
+            f"--resume: {job.scratch}",
+            f"the scratch of {kept['settings']}",
+            f"the same file and settings, {text}",
+            "Run it without --resume to begin anew.",
+        )
+    if kept and not resume:
+        discard(job.scratch)
+    if not (kept and resume):  # one file holds these: a process that is killed leaves all of them or none
+        zarr = importlib.import_module("zarr")
+        zarr.open_group(job.scratch, mode="w", attributes={"skylamp": mark, "settings": text})
+    group = _group(job.scratch, "r+")
     tiling, tiles = job.layout.tiling, len(list(job.layout.boxes()))
     cells, side = [-(-n // (1 << tiling.first)) for n in job.layout.shape], tiling.tile >> tiling.first
     kind: dict[str, Any] = dict(dtype="float32", fill_value=float("nan"))
-    group.create_array("low", shape=(2, *cells), chunks=(2, side, side), **kind)
+    group.require_array("low", shape=(2, *cells), chunks=(2, side, side), **kind)
     bands = job.quantity.bands
-    group.create_array(
+    group.require_array(
         "values", shape=(bands, *job.layout.shape), chunks=(bands, *(tiling.tile // 2,) * 2), **kind
     )
     if job.layout.undecided:
         colours = job.quantity.work.colours
-        group.create_array("sums", shape=(tiles, colours, 3), chunks=(1, colours, 3), dtype="float64")
+        group.require_array("sums", shape=(tiles, colours, 3), chunks=(1, colours, 3), dtype="float64")
     for name in ("low_done", "done"):
-        group.create_array(name, shape=(tiles,), chunks=(1,), dtype="uint8", fill_value=0)
-    group.attrs.update({"skylamp": mark, "settings": text})
+        group.require_array(name, shape=(tiles,), chunks=(1,), dtype="uint8", fill_value=0)
     return group
+
+
+def _attributes(scratch: Path) -> dict[str, Any]:
+    """Of a scratch group; none where it is not begun. InputError where anything else has its name."""
+    if not scratch.exists():
+        return {}
+    group = _group(scratch, "r+") if scratch.is_dir() else None
+    attributes = {} if group is None else group.attrs.asdict()
+    if {"skylamp", "settings"} <= attributes.keys():
+        return attributes
+    names = [path.name for path in scratch.iterdir()] if scratch.is_dir() else ["a file"]
+    # what is left of a process that was killed before the attributes were written
+    empty = all(name.endswith(".partial") or (name == "zarr.json" and group is not None) for name in names)
+    if attributes or not empty:
+        raise bad(f"{scratch}", "something that skylamp did not write", "a free name for scratch")
+    return {}
+
+
+def discard(scratch: Path) -> None:
+    """Remove a scratch group: what is done first, its attributes last: what is left can be resumed."""
+    for path in sorted(scratch.iterdir(), key=lambda path: not path.name.endswith("done")):
+        if path.is_dir():
+            shutil.rmtree(path)
+    shutil.rmtree(scratch)
 
 
 def _group(path: Path, mode: str) -> Any:
