@@ -33,6 +33,11 @@ PART_SECTORS = 16
 WINDOW_AZIMUTHS, WINDOW_EDGE = 16, 8
 # relative RMS error that 64 azimuths keep to: 0.0004 of E / pi on rough ground (performance/refinement.py)
 LEAST_TILED_TOLERANCE = 0.002
+LOBES = (
+    "a lobe or a mirror",
+    "a Lambertian surface, or quantity='irradiance'",
+    "The ground or sky that it shows may be seen over any tile.",
+)
 
 
 def goes_in_tiles(
@@ -50,54 +55,69 @@ def goes_in_tiles(
 
 def refused_in_tiles(
     options: Options, scene: Scene, source: sources.Source, engine: Backend | None
-) -> tuple[str, str] | None:
-    """The first thing that is not rendered in tiles, and what is allowed; None where there is none.
+) -> tuple[str, str, str] | None:
+    """The first thing that is not rendered in tiles, what is allowed, and why; None where there is none.
 
     ``engine``: renders the part that a lamp lights at once; None where lamps are not allowed.
     """
     if options.parts:
-        return "parts", "all light, or interreflection=False and direct light"
+        light = "all light, or interreflection=False and direct light"
+        return "parts", light, "One image is made of a tile."
     if isinstance(source, sources.Lamp) and engine is not None:
         return _refused_lamp(options, scene, source, engine)
+    unrefined = "Nothing is refined: azimuths of its own would set every tile apart from its neighbours."
     refused = [
         (
-            not isinstance(source, sources.Sky),
-            "a lamp or a window",
-            "a Sky, whose light comes from afar; ground before a window may be in any tile",
+            isinstance(source, sources.Window),
+            "a window",
+            "a Sky",
+            "Its light may meet ground of any tile on its way.",
+        ),
+        (
+            isinstance(source, sources.Lamp),
+            "a lamp",
+            "a Sky, or a lazy map",
+            "All nodes that it lights are rendered at once, and a task reads one tile.",
         ),
         (
             options.lattice or options.method not in ("auto", "horizon"),
             "the lattice or closed forms",
             "horizons",
+            "Of ground beyond its halo a tile knows horizons alone.",
         ),
-        (options.shines(scene), "a lobe or a mirror", "a Lambertian surface, or quantity='irradiance'"),
-        (options.tail is not None, "a tail", "as many azimuths as asked: nothing is refined"),
+        (options.shines(scene), *LOBES),
+        (options.tail is not None, "a tail", "as many azimuths as asked", unrefined),
         (
             options.azimuths is None and float(options.tolerance) < LEAST_TILED_TOLERANCE,
             f"a tolerance of {options.tolerance:g}",
-            f"at least {LEAST_TILED_TOLERANCE}, or azimuths: nothing is refined",
+            f"at least {LEAST_TILED_TOLERANCE}, or azimuths",
+            unrefined,
         ),
     ]
-    return next(((what, allowed) for is_so, what, allowed in refused if is_so), None)
+    return next(((what, allowed, why) for is_so, what, allowed, why in refused if is_so), None)
 
 
 def _refused_lamp(
     options: Options, scene: Scene, lamp: sources.Lamp, engine: Backend
-) -> tuple[str, str] | None:
-    """Why the nodes that a lamp lights cannot be rendered at once, and what can."""
+) -> tuple[str, str, str] | None:
+    """What keeps the nodes that a lamp lights from being rendered at once, what does not, and why."""
     if lamp.center is None:
-        return "a lamp without a centre", "a sphere, by its center and radius"
+        sphere = "a sphere, by its center and radius"
+        return "a lamp without a centre", sphere, "Its reach, max_distance, is counted from there."
     if scene.sides != "open":
-        return f"a lamp with sides {scene.sides!r}", "sides 'open'"
+        why = "What it lights is rendered as a map of its own, without the walls or copies beside the map."
+        return f"a lamp with sides {scene.sides!r}", "sides 'open'", why
     if options.shines(scene):
-        return "a lobe or a mirror", "a Lambertian surface, or quantity='irradiance'"
+        return LOBES
     rows, cols = (area.stop - area.start for area in _lit_area(scene, lamp, options.max_distance))
     if rows < 1 or cols < 1:
-        return "a lamp beyond whose reach the whole map lies", "a larger max_distance"
+        far = "a lamp beyond whose reach the whole map lies"
+        return far, "a larger max_distance", "Nodes beyond its reach get none of its light."
     if not holds(rows * cols, engine):
         return (
-            f"a lamp that lights {rows} x {cols} nodes, which are rendered at once",
-            "max_distance, its reach: nodes farther away get none of its light",
+            f"a lamp that lights {rows} x {cols} nodes",
+            "a smaller max_distance, its reach: nodes farther away get none of its light",
+            "All are rendered at once, and so many do not fit.",
         )
     return None
 

@@ -139,8 +139,8 @@ class Layout(NamedTuple):
         depth = self.tiling.halo + self.room
         return [depth if len(starts) > 1 or self.periodic else 0 for starts in self.starts]
 
-    def beside(self, axis: int, first: int, count: int) -> tuple[int, int]:
-        """Nodes of a window before and behind a tile, along an axis of the map."""
+    def margins(self, axis: int, first: int, count: int) -> tuple[int, int]:
+        """Nodes of the window before and behind a tile, along an axis of the map."""
         depth, nodes = self.depths[axis], self.shape[axis]
         if self.periodic:
             return depth, depth
@@ -355,7 +355,7 @@ def tile_of(
     nothing beyond the halo counts. ``albedo``: one, or that of the window, (rows, cols) or (3, rows, cols).
     """
     (row, rows), (col, cols) = box
-    before = [layout.beside(axis, *one)[0] for axis, one in enumerate(box)]
+    before = [layout.margins(axis, *one)[0] for axis, one in enumerate(box)]
     inner = (..., slice(before[0], before[0] + rows), slice(before[1], before[1] + cols))
     valid = _valid(window)
     if valid is not None and not valid.any():
@@ -670,7 +670,9 @@ def _windows(da: Any, values: Any, layout: Layout) -> Any:
         for place in np.ndindex(tiles.numblocks)
     }
     sizes = [
-        tuple(sum(layout.beside(axis, *one)) + one[1] for one in zip(layout.starts[axis], layout.sizes[axis]))
+        tuple(
+            sum(layout.margins(axis, *one)) + one[1] for one in zip(layout.starts[axis], layout.sizes[axis])
+        )
         for axis in (0, 1)
     ]
     graph = HighLevelGraph.from_collections(name, tasks, dependencies=parts)
@@ -690,7 +692,7 @@ def _window(layout: Layout, box: Box, tile: np.ndarray, rows: np.ndarray, cols: 
     ``rows``: the tile's ends between those of the tiles above and below, with corners; ``cols``: the same of
     the tiles to the left and right, without.
     """
-    (above, below), (left, right) = (layout.beside(axis, *one) for axis, one in enumerate(box))
+    (above, below), (left, right) = (layout.margins(axis, *one) for axis, one in enumerate(box))
     down, across = tile.shape[-2:]
     window = np.empty((*tile.shape[:-2], above + down + below, left + across + right), tile.dtype)
     window[..., :above, :] = rows[..., :above, :]

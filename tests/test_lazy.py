@@ -164,3 +164,11 @@ def test_a_reference_system_of_any_name_stays(lazy, fast, tmp_path):
         for back in (kept, written):
             assert back.rio.crs == found.rio.crs
             assert_bits_equal(np.nan_to_num(back.values), np.nan_to_num(found.values))
+
+
+@pytest.mark.parametrize("sides", ["dark", "periodic"])
+def test_a_lamp_with_sides_is_refused_with_the_reason(sides):
+    """What stands or repeats beside the map is not in the part that a lamp lights."""
+    scene = sl.Scene.from_height(dem().chunk(40), sides=sides)
+    with pytest.raises(sl.errors.InputError, match=f"{sides}.*without the walls or copies"):
+        image(scene, LAMP, "numpy")

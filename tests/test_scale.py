@@ -531,29 +531,33 @@ def test_a_lamp_that_lights_too_much_is_refused(dem, fast, monkeypatch):
     """Its area is rendered at once; the error says what bounds it."""
     monkeypatch.setattr("skylamp.scale.MOST_PIXELS", 10_000)
     lamp = sl.Lamp(center=(0, 0, -10), radius=3)
-    with pytest.raises(InputError, match="230 x 290 nodes.*max_distance"):
+    with pytest.raises(InputError, match="230 x 290 nodes.*max_distance.*at once"):
         sl.render(sl.Scene.from_height(dem.chunk()), lamp, backend=fast)
     mirror = sl.Scene.from_height(dem.values, SPACING, reflectance=sl.Mirror(0.5, 0.5))
-    with pytest.raises(InputError, match="a lobe or a mirror.*Lambertian"):
+    with pytest.raises(InputError, match="a lobe or a mirror.*Lambertian.*over any tile"):
         sl.render(mirror, lamp, backend=fast, tiling=SMALL)
 
 
 @pytest.mark.parametrize(
     ("source", "options", "what"),
     [
-        (sl.Window(x=(0, 10), y=(0, 10)), {}, "a window"),
-        (sl.Lamp(corner=(0, 0, -9), edges=((3, 0, 0), (0, 3, 0))), {}, "a centre"),
-        (sl.Lamp(center=(-90, 0, -10), radius=3), dict(max_distance=60.0), "whole map lies"),
-        (sl.Sky(), dict(method="lattice"), "lattice"),
-        (sl.Sky(), dict(hemicube=5), "lattice"),
-        (sl.Sky(), dict(method="unoccluded"), "closed forms"),
-        (sl.Sky(), dict(parts=True), "parts"),
-        (sl.Sky(), dict(tail=0.1), "tail"),
-        (sl.Sky(), dict(tolerance=1e-4), "tolerance"),
+        (sl.Window(x=(0, 10), y=(0, 10)), {}, "a window.*any tile on its way"),
+        (sl.Lamp(corner=(0, 0, -9), edges=((3, 0, 0), (0, 3, 0))), {}, "a centre.*counted from there"),
+        (
+            sl.Lamp(center=(-90, 0, -10), radius=3),
+            dict(max_distance=60.0),
+            "whole map lies.*beyond its reach",
+        ),
+        (sl.Sky(), dict(method="lattice"), "lattice.*knows horizons alone"),
+        (sl.Sky(), dict(hemicube=5), "lattice.*knows horizons alone"),
+        (sl.Sky(), dict(method="unoccluded"), "closed forms.*horizons alone"),
+        (sl.Sky(), dict(parts=True), "parts.*One image"),
+        (sl.Sky(), dict(tail=0.1), "tail.*Nothing is refined"),
+        (sl.Sky(), dict(tolerance=1e-4), "tolerance.*Nothing is refined"),
     ],
 )
 def test_what_is_not_rendered_in_tiles_is_refused(dem, source, options, what):
-    """With the reason, before anything is computed."""
+    """With what is allowed and the reason, before anything is computed."""
     with pytest.raises(InputError, match=f"tiles: got .*{what}"):
         sl.render(sl.Scene.from_height(dem.chunk()), source, backend="numpy", **options)
 

@@ -124,7 +124,7 @@ def render(
     if machines.asked:
         to_read = height is False, spacing, nodata, resample, sides != "open"
         others = *to_read, white, bits != 8, exposure, error
-        out_of_core.alone("--albedo, --source, --sun, --direct, --quantity", out, others)
+        out_of_core.checked_output("--albedo, --source, --sun, --direct, --quantity", out, others)
         words = dict(albedo=albedo, source=source, sun=sun, direct=direct)
         work = out_of_core.image(file, surface, light, backend, words, **options)
         return _by_tiles(file, out, work, machines, as_json)
@@ -163,8 +163,7 @@ def _by_tiles(
 ) -> None:
     """Compute and write a quantity of a GeoTIFF tile by tile, and report it."""
     with output.progress_bar("computing tiles") as progress:
-        shape = out_of_core.write_quantity(file, out, work, machines, progress)
-    backend = work.settings["backend"]
+        shape, backend = out_of_core.write_quantity(file, out, work, machines, progress)
     output.report_array_or_picture(out, None, as_json, backend, shape=shape, **facts)
 
 
@@ -344,7 +343,7 @@ def horizon(
     machines = out_of_core.Machines(memory, workers, scheduler, tile, resume, cog)
     if machines.asked:
         others = picture, height is False, spacing, nodata, resample, sides != "open"
-        out = out_of_core.alone("--what, --definition, --azimuths, --max-distance", out, others)
+        out = out_of_core.checked_output("--what, --definition, --azimuths, --max-distance", out, others)
         work = out_of_core.horizon(what, definition, azimuths, max_distance, backend)
         return _by_tiles(file, out, work, machines, as_json, what=what)
     quantities = {

@@ -21,6 +21,7 @@ import typer
 
 import skylamp
 
+from ..backends import select
 from ..errors import CapacityError, InputError, bad, lacking
 from ..horizon import as_azimuths, mean_openness, sky_view
 from ..io import geotiff as geo
@@ -41,7 +42,7 @@ Progress = Callable[[int, int], None]
 PER_NODE, BESIDES = 80, 6 * 10**8
 TILES = 8192, 4096, 2048, 1024  # sides of tiles of which the largest is taken that fits
 # the error where these options are combined with others
-ALONE = "a GeoTIFF of heights to a GeoTIFF, with open sides: it goes with --out, --backend and {} alone"
+COMPATIBLE = "a GeoTIFF of heights to a GeoTIFF, with open sides: it goes with --out, --backend and {} only"
 BLOCK = 512  # [node], blocks of the GeoTIFF that is written
 SCRATCH_FORM = 2  # number of the scratch group's form: one more with every change of its arrays
 
@@ -80,10 +81,10 @@ class Machines(NamedTuple):
         return TILES[0] if self.share is None else tile_that_fits(self.share)
 
 
-def alone(goes: str, out: str | None, others: Iterable[Any]) -> str:
-    """The output's name; BadParameter unless it is given, and none of the other options is."""
+def checked_output(compatible: str, out: str | None, others: Iterable[Any]) -> str:
+    """The output's name; BadParameter unless it is given, and no option besides ``compatible`` ones."""
     if not out or any(other is not None and other is not False for other in others):
-        raise typer.BadParameter(ALONE.format(goes), param_hint="--memory")
+        raise typer.BadParameter(COMPATIBLE.format(compatible), param_hint="--memory")
     return out
 
 
@@ -156,8 +157,11 @@ def image(
 
 def write_quantity(
     file: Path, out: str, quantity: Quantity, machines: Machines, progress: Progress | None
-) -> tuple[int, ...]:
-    """Compute one quantity of a GeoTIFF and write it; its shape, (rows, cols) or (bands, rows, cols)."""
+) -> tuple[tuple[int, ...], str]:
+    """Compute one quantity of a GeoTIFF and write it.
+
+    (Its shape, (rows, cols) or (bands, rows, cols); the backends of the workers.)
+    """
     if not out.lower().endswith((".tif", ".tiff")):
         raise bad("--out with --memory", repr(out), "a .tif")
     if machines.workers < 1:
@@ -175,9 +179,15 @@ def write_quantity(
     job = Job(file.resolve(), Path(out).with_name(Path(out).name + ".scratch"), layout, quantity)
     with workers_of(machines) as client:
         group = run(job, client, machines.resume, progress)
+        names = sorted(set(client.run(_backend_of, quantity.audit.backend).values()))
     write(out, group["values"], header, machines.cog)
     discard(job.scratch)
-    return layout.shape if quantity.bands == 1 else (quantity.bands, *layout.shape)
+    bands = () if quantity.bands == 1 else (quantity.bands,)
+    return (*bands, *layout.shape), ", ".join(names)
+
+
+def _backend_of(name: str) -> str:
+    return select(name).name
 
 
 def _imported(module: str) -> Any:
