@@ -176,7 +176,8 @@ def no_data_of(labels: Labels | None) -> list[float]:
             "Open it with mask_and_scale=True; where they are heights already, remove these attributes.",
         )
     told = [np.ravel(labels.attrs.get(name, ())) for name in ("_FillValue", "missing_value")]
-    return [float(value) for values in told if values.dtype.kind in "iuf" for value in values]
+    numbers = [float(value) for values in told if values.dtype.kind in "iuf" for value in values]
+    return [number for number in numbers if not math.isnan(number)]
 
 
 DEGREES = ("degree", "degrees", "degrees_north", "degrees_east", "degree_north", "degree_east")
@@ -275,7 +276,7 @@ def labelled(array: Any, labels: Labels | None, quantity: Quantity, **leading: A
     attrs = {key: value for key, value in labels.attrs.items() if key not in OF_VALUES}
     told = {"units": quantity.units, "long_name": quantity.long_name}
     attrs |= {key: value for key, value in told.items() if value is not None}
-    result = xarray.DataArray(array, {**leading, **labels.coords}, dims, quantity.name, attrs)
+    result = xarray.DataArray(array, {**labels.coords, **leading}, dims, quantity.name, attrs)
     if labels.grid_mapping is not None:
         result.encoding["grid_mapping"] = labels.grid_mapping
     return result

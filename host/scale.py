@@ -23,7 +23,7 @@ from .backends.base import Backend, within
 from .checks import positive_number
 from .constants import LEAST_SEARCHED_SLOPE, MOST_PIXELS
 from .directions import Azimuths
-from .errors import bad, lacking
+from .errors import InputError, bad, lacking
 from .light.far import (
     Far,
     Tiling,
@@ -430,7 +430,11 @@ def _scene_of(
     albedo = np.asarray(albedo)
     heights = window if valid is None else np.where(valid, window, 0)
     surface = np.moveaxis(albedo, 0, -1) if albedo.ndim == 3 else albedo
-    return Scene.from_height(heights, spacing, surface, valid, sides)
+    try:
+        return Scene.from_height(heights, spacing, surface, valid, sides)
+    except InputError as error:  # it may tell rows and columns
+        rows, cols = window.shape
+        raise InputError(f"In a window of {rows} x {cols} nodes of the map: {error}") from None
 
 
 def _nothing(part: slice | None, *shape: int) -> np.ndarray:

@@ -365,14 +365,14 @@ def _checked(values: np.ndarray, mask: np.ndarray | None, what: str) -> dict[str
         )
     # of the map's own type where that is at least float32, so that what is rounded is the difference
     top: Any = None
-    deepest = least if what == "height" else most
+    extreme = max(least, most, key=abs)
     if what == "height":
         top = np.float32(most) if values.dtype == np.float32 else np.float64(most)
         with np.errstate(over="ignore"):
             least, most = 0.0, float(top - np.asarray(least, top.dtype))
     if most > float(np.finfo(np.float32).max):
-        where = at(values == deepest)
-        raise bad(f"{what}: too large for float32 {where}", deepest, "at most 3.4e38", "Use a smaller unit.")
+        where = at(values == extreme)
+        raise bad(f"{what}: too large for float32 {where}", extreme, "at most 3.4e38", "Use a smaller unit.")
     depth = scratch(values.shape)
 
     def copy(rows: slice) -> None:

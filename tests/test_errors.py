@@ -38,6 +38,10 @@ SCENES = {
         ["depth: negative", "(1, 2)", "got -0.5", ">= 0", "Scene.from_height"],
     ),
     "beyond float32": (lambda: sl.Scene(with_value(1e39)), ["too large for float32", "(1, 2)"]),
+    "height beyond float32": (
+        lambda: sl.Scene.from_height(with_value(1e39)),
+        ["height", "too large for float32", "(1, 2)", "1e+39"],
+    ),
     "three axes": (lambda: sl.Scene(np.ones((2, 3, 4))), ["depth: wrong shape", "(2, 3, 4)", "(rows, cols)"]),
     "one axis": (lambda: sl.Scene(np.ones(5)), ["depth: wrong shape", "(5,)"]),
     "a number": (lambda: sl.Scene(3.0), ["depth: wrong shape", "()"]),

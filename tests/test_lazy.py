@@ -172,3 +172,23 @@ def test_a_lamp_with_sides_is_refused_with_the_reason(sides):
     scene = sl.Scene.from_height(dem().chunk(40), sides=sides)
     with pytest.raises(sl.errors.InputError, match=f"{sides}.*without the walls or copies"):
         image(scene, LAMP, "numpy")
+
+
+def test_azimuths_replace_a_coordinate_of_their_name(fast):
+    """A hillshade's scalar azimuth, say, does not stand for the horizons' own."""
+    for given in (dem(), dem().chunk(40)):
+        found = CALLS["horizons"](given.assign_coords(azimuth=315.0), fast)
+        np.testing.assert_allclose(found.azimuth, sl.Azimuths(4).angles)
+
+
+def test_errors_of_tiles_tell_where_rows_are_counted_from(fast):
+    """One albedo of 1.5, one height of 1e30: the numbers in the error are those of a window."""
+    albedo, high = np.full(HEIGHTS.shape, 0.5), HEIGHTS.astype(float)
+    albedo[60, 80], high[60, 80] = 1.5, 1e30
+    for scene, what in (
+        (sl.Scene.from_height(dem().chunk(40), albedo=albedo), "albedo.*got 1.5"),
+        (sl.Scene.from_height(dem(high).chunk(40)), "too deep"),
+    ):
+        lazy = image(scene, sl.Sky(), fast, azimuths=4)
+        with pytest.raises(sl.errors.InputError, match=f"In a window of .* nodes of the map: .*{what}"):
+            lazy.compute(scheduler="sync")
