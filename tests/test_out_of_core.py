@@ -20,7 +20,7 @@ from skylamp.errors import CapacityError
 rasterio = pytest.importorskip("rasterio")
 da = pytest.importorskip("dask.array")
 zarr = pytest.importorskip("zarr")
-pytest.importorskip("distributed")
+distributed = pytest.importorskip("distributed")
 
 pytestmark = pytest.mark.slow  # processes start, and import
 NODATA, TILE = -9999.0, 256
@@ -106,6 +106,27 @@ def test_a_file_is_computed_as_a_lazy_map_is(dem, tmp_path):
         assert np.array_equal(np.isnan(found), np.isnan(heights))
         assert_bits_equal(np.nan_to_num(found), np.nan_to_num(lazily(heights, work, **options)))
         assert sorted(os.listdir(tmp_path)) == ["out.tif"]
+
+
+def test_heights_far_above_zero_keep_their_relief(tmp_path):
+    """Float64 and int32 of a billion metres: what the relief alone gives in float32, near and far."""
+    relief, found = np.rint(30 * mountains(600, 768, 40)).astype(float), {}
+    options = dict(driver="GTiff", width=768, height=600, count=1, crs="EPSG:32633")
+    options["transform"] = rasterio.transform.from_origin(5e5, 5e6, 30, 30)
+    quantity = out_of_core.horizon("sky-view-factor", "tilted", 8, None, "auto")
+    with distributed.LocalCluster(
+        1, threads_per_worker=2, processes=False, dashboard_address=None
+    ) as cluster:
+        machines = out_of_core.Machines(None, 1, cluster.scheduler_address, TILE, False, False)
+        for kind in ("float32", "float64", "int32"):
+            path, out = tmp_path / "dem.tif", str(tmp_path / "out.tif")
+            with rasterio.open(path, "w", dtype=kind, **options) as file:
+                file.write((relief + (0 if kind == "float32" else 10**9)).astype(kind), 1)
+            out_of_core.write_quantity(path, out, quantity, machines, None)
+            with rasterio.open(out) as file:
+                found[kind] = file.read(1)
+    for kind in ("float64", "int32"):
+        np.testing.assert_allclose(found[kind], found["float32"], rtol=0, atol=2e-6)
 
 
 def test_an_interrupted_run_goes_on(dem, tmp_path):

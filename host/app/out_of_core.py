@@ -44,7 +44,7 @@ TILES = 8192, 4096, 2048, 1024  # sides of tiles of which the largest is taken t
 # the error where these options are combined with others
 COMPATIBLE = "a GeoTIFF of heights to a GeoTIFF, with open sides: it goes with --out, --backend and {} only"
 BLOCK = 512  # [node], blocks of the GeoTIFF that is written
-SCRATCH_FORM = 2  # number of the scratch group's form: one more with every change of its arrays
+SCRATCH_FORM = 3  # number of the scratch group's form: one more with every change of its arrays
 
 
 class Machines(NamedTuple):
@@ -105,12 +105,13 @@ class Quantity(NamedTuple):
 
 
 class Job(NamedTuple):
-    """A quantity of a file: all data that a task needs."""
+    """A quantity of a file: all data that a task needs. ``dtype`` of heights and their overviews."""
 
     file: Path
     scratch: Path
     layout: Layout
     quantity: Quantity
+    dtype: str = "float32"
 
 
 def horizon(what: str, definition: str, azimuths: int, max_distance: float | None, backend: str) -> Quantity:
@@ -176,7 +177,9 @@ def write_quantity(
         quantity.audit,
         quantity.between,
     )
-    job = Job(file.resolve(), Path(out).with_name(Path(out).name + ".scratch"), layout, quantity)
+    scratch = Path(out).with_name(Path(out).name + ".scratch")
+    dtype = "float32" if np.can_cast(header.values.dtype, np.float32) else "float64"
+    job = Job(file.resolve(), scratch, layout, quantity, dtype)
     with workers_of(machines) as client:
         group = run(job, client, machines.resume, progress)
         names = sorted(set(client.run(_backend_of, quantity.audit.backend).values()))
@@ -271,7 +274,7 @@ def _window(job: Job, box: Any, depths: list[int]) -> np.ndarray:
         slice(max(0, first - depth), min(nodes, first + count + depth))
         for (first, count), depth, nodes in zip(box, depths, job.layout.shape)
     )
-    return np.float32(job.quantity.sign) * geo.window(job.file, rows, cols)
+    return np.float32(job.quantity.sign) * geo.window(job.file, rows, cols, job.dtype)
 
 
 def _reduce(job: Job, number: int) -> None:
@@ -339,11 +342,11 @@ def scratch_of(job: Job, resume: bool) -> Any:
     group = _group(job.scratch, "r+")
     tiling, tiles = job.layout.tiling, len(list(job.layout.boxes()))
     cells, side = [-(-n // (1 << tiling.first)) for n in job.layout.shape], tiling.tile >> tiling.first
-    kind: dict[str, Any] = dict(dtype="float32", fill_value=float("nan"))
-    group.require_array("low", shape=(2, *cells), chunks=(2, side, side), **kind)
-    bands = job.quantity.bands
+    nan, bands = float("nan"), job.quantity.bands
+    group.require_array("low", shape=(2, *cells), chunks=(2, side, side), dtype=job.dtype, fill_value=nan)
+    parts = bands, *(tiling.tile // 2,) * 2
     group.require_array(
-        "values", shape=(bands, *job.layout.shape), chunks=(bands, *(tiling.tile // 2,) * 2), **kind
+        "values", shape=(bands, *job.layout.shape), chunks=parts, dtype="float32", fill_value=nan
     )
     if job.layout.undecided:
         colours = job.quantity.work.colours

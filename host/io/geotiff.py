@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import DTypeLike
 
 from ..constants import MOST_PIXELS
 from ..errors import bad, lacking
@@ -105,13 +106,13 @@ def header(path: StrPath) -> Raster:
     return _spaced(path, raster, unit, False)
 
 
-def window(path: StrPath, rows: slice, cols: slice) -> np.ndarray:
-    """Values (rows, cols) float32 of a part of a GeoTIFF, nan without data."""
+def window(path: StrPath, rows: slice, cols: slice, dtype: DTypeLike = np.float32) -> np.ndarray:
+    """Values (rows, cols) of a part of a GeoTIFF, nan without data."""
     path = readable(path)
     with _opened(path) as file:
         part = (rows.start, rows.stop), (cols.start, cols.stop)
         values, mask = _scaled(file, file.read(1, window=part)), file.read_masks(1, window=part) > 0
-    return np.where(mask, values, np.nan).astype(np.float32)
+    return np.where(mask, values, np.nan).astype(dtype)
 
 
 def _scaled(file: Any, values: np.ndarray) -> np.ndarray:
