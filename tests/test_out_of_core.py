@@ -19,6 +19,7 @@ from skylamp.errors import CapacityError
 
 rasterio = pytest.importorskip("rasterio")
 da = pytest.importorskip("dask.array")
+dask = pytest.importorskip("dask")
 zarr = pytest.importorskip("zarr")
 distributed = pytest.importorskip("distributed")
 
@@ -211,6 +212,30 @@ def test_what_does_not_go_with_memory(dem, tmp_path, more, code, what):
     done = subprocess.run(told, capture_output=True, text=True, timeout=200)
     assert (done.returncode, what in done.stderr) == (code, True), done.stderr
     assert os.listdir(tmp_path) == []
+
+
+def test_a_damaged_file_is_one_error(dem, tmp_path):
+    """That of a worker which meets it, as the file read at once gives it."""
+    whole = dem[0].read_bytes()
+    (tmp_path / "half.tif").write_bytes(whole[: len(whole) // 2])
+    code, said = run(tmp_path / "half.tif", tmp_path / "out.tif")
+    assert (
+        code == 3 and "half.tif: cannot read" in said and "a whole GeoTIFF" in said and "--debug" not in said
+    )
+
+
+def test_workers_that_die_at_a_tile_are_said(dem, tmp_path):
+    """With what may help; the scratch stays."""
+
+    def deadly(*_):
+        os._exit(9)
+
+    quantity = out_of_core.horizon("sky-view-factor", "tilted", 8, None, "auto")._replace(work=deadly)
+    machines = out_of_core.Machines("3GB", 1, None, TILE, False, False)
+    with dask.config.set({"distributed.scheduler.allowed-failures": 0}):
+        with pytest.raises(CapacityError, match="--memory.*workers that computed a tile died.*--tile"):
+            out_of_core.write_quantity(dem[0], str(tmp_path / "out.tif"), quantity, machines, None)
+    assert os.listdir(tmp_path) == ["out.tif.scratch"]
 
 
 @pytest.mark.parametrize("workers", [1, 3])

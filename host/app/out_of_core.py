@@ -263,8 +263,13 @@ def _each(
             future.result()
             done += 1
             tell(done)
-    except BaseException:
+    except BaseException as error:
         client.cancel(futures)
+        if isinstance(error, distributed.KilledWorker):
+            raise CapacityError(
+                "--memory: all workers that computed a tile died, probably for lack of memory. Give more of"
+                " it, fewer --workers or a smaller --tile."
+            ) from error
         raise
     return done
 
@@ -274,7 +279,11 @@ def _window(job: Job, box: Any, depths: list[int]) -> np.ndarray:
         slice(max(0, first - depth), min(nodes, first + count + depth))
         for (first, count), depth, nodes in zip(box, depths, job.layout.shape)
     )
-    return np.float32(job.quantity.sign) * geo.window(job.file, rows, cols, job.dtype)
+    try:
+        return np.float32(job.quantity.sign) * geo.window(job.file, rows, cols, job.dtype)
+    except InputError as error:
+        text = str(error)
+    raise InputError(text)  # here, since Dask cannot send what caused it, an error of rasterio's
 
 
 def _reduce(job: Job, number: int) -> None:
