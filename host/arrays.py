@@ -244,6 +244,22 @@ def axes_of(labels: Labels | None) -> tuple[float, float]:
     return (-1.0 if _grows(labels, cols) < 0 else 1.0), (-1.0 if _grows(labels, rows) > 0 else 1.0)
 
 
+def lies_on(labels: Labels | None, values: Any, what: str) -> None:
+    """InputError where a DataArray that goes with a map has its axes exchanged, or other coordinates."""
+    other = labels_of(values)
+    if labels is None or other is None:
+        return
+    if other.dims[:2] == labels.dims[::-1]:
+        raise bad(f"{what}: dimensions of a DataArray", other.dims, str(labels.dims), "Use transpose().")
+    for name in labels.dims:
+        here, there = (_positions(given, name) for given in (labels, other))
+        if here is None or there is None or here.shape != there.shape or here.size < 2:
+            continue
+        if np.abs(there.values - here.values).max() > np.abs(np.diff(here.values)).max() / 2:
+            got, allowed = (f"{line.values[0]:g} to {line.values[-1]:g}" for line in (there, here))
+            raise bad(f"{what}: coordinate {name!r}", got, allowed, "Use reindex_like(method='nearest').")
+
+
 def _grows(labels: Labels, name: Hashable) -> float:
     """Last coordinate less the first, 0 where there are none."""
     coordinate = _positions(labels, name)

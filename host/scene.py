@@ -17,6 +17,7 @@ from .arrays import (
     chunked,
     host_array,
     labels_of,
+    lies_on,
     no_data_of,
     on_device,
     scratch,
@@ -106,6 +107,8 @@ class Scene:
         labels = labels_of(given)
         _set(self, labels=labels, spacing=positive_number(self.spacing, "spacing"), axes=axes_of(labels))
         one_of(self.sides, tuple(SIDES), "sides")
+        for name in ("mask", "albedo"):
+            lies_on(labels, getattr(self, name), name)
         if chunked(given) is not None:
             self._hold(chunked(given), height)
             return

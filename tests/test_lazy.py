@@ -192,3 +192,18 @@ def test_errors_of_tiles_tell_where_rows_are_counted_from(fast):
         lazy = image(scene, sl.Sky(), fast, azimuths=4)
         with pytest.raises(sl.errors.InputError, match=f"In a window of .* nodes of the map: .*{what}"):
             lazy.compute(scheduler="sync")
+
+
+@pytest.mark.parametrize("lazy", [False, True])
+@pytest.mark.parametrize("what", ["mask", "albedo"])
+def test_maps_beside_the_heights_lie_where_they_do(what, lazy):
+    """Exchanged or reversed axes of a DataArray are refused; what is nearly there, or unlabelled, is not."""
+    heights = dem(HEIGHTS[:, :70])
+    given = heights > 100 if what == "mask" else heights / 1000
+    if lazy:
+        heights, given = heights.chunk(40), given.chunk(30)
+    for wrong, said in ((given.T, "transpose"), (given[::-1], "coordinate 'y'"), (given[:, ::-1], "'x'")):
+        with pytest.raises(sl.errors.InputError, match=f"{what}.*{said}"):
+            sl.Scene.from_height(heights, **{what: wrong})
+    for right in (given, given.assign_coords(x=given.x + 1e-6), given.drop_vars("y"), given.data):
+        sl.Scene.from_height(heights, **{what: right})
