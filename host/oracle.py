@@ -203,34 +203,35 @@ def _in_layer(
 ) -> np.ndarray:
     """k = 0: V(x) needs V(x + l) of the same layer, so nodes are taken in order from the source's side."""
     rows, cols = in_free.shape
-    lit = np.zeros_like(in_free)
+    # lists, whose elements Python reads several times as fast as an array's
+    free, shines, meets, leaves = (flags.tolist() for flags in (in_free, shining, near, leaving))
+    lit = [[False] * cols for _ in range(rows)]
     if sides == "periodic":
         for row in range(rows):
             for col in range(cols):
-                if not in_free[row, col]:
+                if not free[row][col]:
                     continue
                 r, c = (row + j) % rows, (col + i) % cols
                 while True:
-                    if shining[r, c]:
-                        lit[row, col] = True
+                    if shines[r][c]:
+                        lit[row][col] = True
                         break
-                    if not in_free[r, c]:
+                    if not free[r][c]:
                         break
                     if (r, c) == (row, col):  # once round: nothing in the way, and a sky all around
-                        lit[row, col] = source.kind == SKY
+                        lit[row][col] = source.kind == SKY
                         break
                     r, c = (r + j) % rows, (c + i) % cols
-        return lit
+        return np.array(lit)
     for row in range(rows)[:: -1 if j > 0 else 1]:
         for col in range(cols)[:: -1 if i > 0 else 1]:
             r, c = row + j, col + i
             if 0 <= r < rows and 0 <= c < cols:
-                lit[row, col] = (in_free[r, c] and lit[r, c]) or shining[r, c]
+                there = free[r][c] and lit[r][c] or shines[r][c]
             else:
-                lit[row, col] = leaving[row, col] if sides == "open" else False
-            lit[row, col] |= near[row, col]
-            lit[row, col] &= in_free[row, col]
-    return lit
+                there = sides == "open" and leaves[row][col]
+            lit[row][col] = free[row][col] and (there or meets[row][col])
+    return np.array(lit)
 
 
 def surface_visibility(surface: np.ndarray, steps: np.ndarray, sides: str, source: Geometry) -> np.ndarray:

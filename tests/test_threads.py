@@ -76,7 +76,7 @@ def test_threads_get_the_bytes_of_calls_one_by_one(backend):
     each(0)  # compiled, costs measured
     jobs = [functools.partial(each, number) for number in range(THREADS)]
     expected = [job() for job in jobs]
-    for _ in range(ROUNDS):
+    for _ in range(1 if backend == "numpy" else ROUNDS):  # which takes several times as long
         assert together(jobs) == expected
 
 
@@ -85,7 +85,7 @@ def test_the_same_work_on_threads(backend):
     """Eight threads at the same kernels on different maps."""
     jobs = [functools.partial(WORK[0], depth_of(number), backend) for number in range(THREADS)]
     expected = [job().tobytes() for job in jobs]
-    for _ in range(5 * ROUNDS):
+    for _ in range(2 * ROUNDS if backend == "numpy" else 5 * ROUNDS):
         assert [image.tobytes() for image in together(jobs)] == expected
 
 

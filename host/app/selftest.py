@@ -150,7 +150,7 @@ def _seam(backend: str) -> float:
 
 @_check("depth from an image [nodes, RMS]", 0.1)
 def _recovered(backend: str) -> float:
-    depth = 1 + _waves(10)
+    depth = 1 + _waves(8)
     image = render(
         Scene(depth, sides="dark"), Sky(), backend=backend, tolerance=0.01, interreflection=False
     ).image
