@@ -88,8 +88,11 @@ class Search:
 def start_flat(search: Search) -> None:
     """From the flat surface that explains the images best on the coarsest grid."""
     pyramid, coarsest = search.pyramid, search.pyramid.coarsest
-    problem, shares = pyramid.problem(coarsest), (np.arange(FLATS) + 0.5) / FLATS
-    values = [problem.value(search.flat(share, coarsest), 0) for share in shares]
+    problem, shares, values = pyramid.problem(coarsest), (np.arange(FLATS) + 0.5) / FLATS, list[float]()
+    for share in shares:
+        values.append(problem.value(search.flat(share, coarsest), 0))
+        if pyramid.stop():
+            break
     search.share = float(shares[np.argmin(values)])
     search.begun = search.flat(search.share, pyramid.start), pyramid.start
     search.answers = [search.multigrid.solve(*search.begun, search.level)]
