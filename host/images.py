@@ -70,13 +70,13 @@ class Rendering:
         scene = self._scene
         if scene is None:
             return None
-        errors = [
-            np.hypot(np.float32(factor) * _error_map(result, scene), np.float32(between))
-            for (result, factor), between in zip(self._parts, self._between)
-        ]
         with np.errstate(invalid="ignore"):
+            errors = [
+                np.hypot(np.float32(factor) * _error_map(result, scene), np.float32(between))
+                for (result, factor), between in zip(self._parts, self._between)
+            ]
             image = image_of(scene, errors, [], self._quantity)
-        # ground of albedo 0 reflects none of an irradiance whose error is not bounded, where 0 x inf is nan
+        # a black source, or ground of albedo 0, times an error that is not bounded: 0 x inf is nan
         unknown = np.isnan(image)
         if scene.mask is not None:
             unknown[~scene.mask] = False

@@ -43,15 +43,16 @@ __kernel void turn(__global const float *maps, __global float *turned, int rows,
     turned[first + y * rows + x] = maps[first + x * cols + y];
 }
 
-/* gather: sum n of each of both maps, (rows, cols) and (cols, rows), as irradiance, sum x quantum. Work-item
-   (x, y) owns one node. */
+/* gather: sum n of each of both maps, (rows, cols) and (cols, rows), as irradiance, sum x quantum; a sum that
+   rounding made negative as 0. Work-item (x, y) owns one node. */
 __kernel void gather(__global const int *sum, __global const int *turned, __global float *irradiance,
                      int rows, int cols, int n, float quantum)
 {
   const int x = get_global_id(0), y = get_global_id(1);
   const size_t before = (size_t)n * rows * cols;
   if (x < cols && y < rows)
-    irradiance[y * cols + x] = (float)(sum[before + y * cols + x] + turned[before + x * rows + y]) * quantum;
+    irradiance[y * cols + x] =
+        (float)max(sum[before + y * cols + x] + turned[before + x * rows + y], 0) * quantum;
 }
 
 /* openness: the angles from the zenith to the horizons of some azimuths, summed.

@@ -510,11 +510,11 @@ typedef struct {
 
 Sector sector_between(float ax, float ay, float bx, float by)
 {
-  const float square = ax * ax + ay * ay, product = sqrt(square * (bx * bx + by * by));
+  const float length_a = sqrt(ax * ax + ay * ay), product = length_a * sqrt(bx * bx + by * by);
   const float cosine = ax * bx + ay * by, sine = ax * by - ay * bx; /* times product */
   const float half_ =
       cosine < 0 ? (product - cosine) / max(sine, 1e-7f * product) : max(sine, 0.0f) / (product + cosine);
-  const float r = sqrt(1 + half_ * half_), scale = 1 / (r * sqrt(square));
+  const float r = sqrt(1 + half_ * half_), scale = 1 / (r * length_a);
   const Sector sector = {(ax - ay * half_) * scale, (ay + ax * half_) * scale, half_ / (1 + r)};
   return sector;
 }

@@ -89,11 +89,11 @@ def gather(
     n: wp.int32,
     quantum: wp.float32,
 ):
-    """Sum n of each of both maps, (rows, cols) and (cols, rows), as irradiance, sum x quantum. Thread (y, x)
-    owns one node.
+    """Sum n of each of both maps, (rows, cols) and (cols, rows), as irradiance, sum x quantum; a sum that
+    rounding made negative as 0. Thread (y, x) owns one node.
     """
     y, x = wp.tid()
-    irradiance[y * cols + x] = wp.float32(sum[n, y * cols + x] + turned[n, x * rows + y]) * quantum
+    irradiance[y * cols + x] = wp.float32(wp.max(sum[n, y * cols + x] + turned[n, x * rows + y], 0)) * quantum
 
 
 @wp.kernel

@@ -700,15 +700,15 @@ def ball(
 @wp.func
 def sector_between(ax: wp.float32, ay: wp.float32, bx: wp.float32, by: wp.float32):
     """Azimuths between two directions: the bisector (c, s), and the tangent of a quarter of the angle."""
-    square = ax * ax + ay * ay
-    product = wp.sqrt(square * (bx * bx + by * by))
+    length_a = wp.sqrt(ax * ax + ay * ay)
+    product = length_a * wp.sqrt(bx * bx + by * by)
     cosine = ax * bx + ay * by  # times product
     sine = ax * by - ay * bx
     half = wp.max(sine, 0.0) / (product + wp.max(cosine, 0.0))
     if cosine < 0.0:
         half = (product - cosine) / wp.max(sine, 1e-7 * product)
     r = wp.sqrt(1.0 + half * half)
-    scale = 1.0 / (r * wp.sqrt(square))
+    scale = 1.0 / (r * length_a)
     return wp.vec3((ax - ay * half) * scale, (ay + ax * half) * scale, half / (1.0 + r))
 
 

@@ -209,7 +209,9 @@ def _quadrangle(
 ) -> np.ndarray:
     """Irradiance by a quadrangle of brightness 1, ``up`` the normals' z: Lambert's polygon."""
     light = np.zeros(np.broadcast_shapes(np.shape(x), np.shape(y), np.shape(height)), np.float32)
-    corners = np.asarray(quad.corners, np.float32)
+    # in units of the farthest corner, a power of two, so that squares of areas stay in float32
+    unit = np.float32(2.0 ** -np.frexp(np.abs(quad.corners).max())[1])
+    corners, x, y, height = np.asarray(quad.corners, np.float32) * unit, x * unit, y * unit, height * unit
     rays = [(c[0] - x, c[1] - y, c[2] - height) for c in corners]
     for a, b in zip(rays, rays[1:] + rays[:1]):
         edge = a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]

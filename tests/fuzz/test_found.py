@@ -42,6 +42,18 @@ FOUND = {
     "three columns and three colours": odd(
         ground("spikes", 3, 3, 1.0, 1.0, 0.0128, "one node", "dark"), albedo="colour", how={"hemicube": 3}
     ),
+    "an error that is not bounded, of a black source": odd(
+        ground("spikes", 5, 9, 7.48e8, mask="full", seed=3350319),
+        source="aperture",
+        brightness="zero",
+        albedo=0.8,
+        how={"interreflection": True, "tolerance": 0.05},
+        seed=580407678,
+        size=0.0083,
+    ),
+    "a panel whose squares leave float32": odd(
+        ground("steps", 23, 2, 5.0, 1e7, sides="dark"), how={"method": "unoccluded"}, size=7.48e12
+    ),
 }
 
 
@@ -49,6 +61,22 @@ FOUND = {
 def test_what_a_campaign_found_stays_mended(fast, name):
     """Each raised, or gave nan, before."""
     relations.RELATIONS["nothing breaks"].check(FOUND[name], fast)
+
+
+@pytest.mark.parametrize("how", [{"azimuths": 64}, {"method": "unoccluded"}])
+def test_a_window_as_wide_as_it_is_far_is_as_bright_at_any_distance(backend, how):
+    """E = 2 sqrt(2) arctan(1 / sqrt(2)) below a square of half its side; products of areas left float32."""
+    far = 1e13
+    window = sl.Window((-far, far), (-far, far))
+    out = sl.render(sl.Scene(np.full((3, 4), far)), window, quantity="irradiance", backend=backend, **how)
+    assert out.image == pytest.approx(2**1.5 * np.arctan(0.5**0.5), rel=1e-3)
+
+
+def test_no_light_of_a_uniform_sky_is_negative(backend):
+    """In a shaft so deep that rounding is more than its light."""
+    scene = sl.Scene(1e7 + np.random.default_rng(1).random((11, 11)), sides="dark")
+    image = sl.render(scene, sl.Sky(), azimuths=1, quantity="irradiance", backend=backend).image
+    assert 0 <= image.min() and image.max() < 1e-6
 
 
 def test_a_search_that_takes_too_long_is_refused(fast, monkeypatch):

@@ -37,7 +37,7 @@ def gather(
     sum: np.ndarray, turned: np.ndarray, irradiance: np.ndarray, rows: int, cols: int, n: int, quantum: float
 ) -> None:
     light = sum[n].reshape(rows, cols) + turned[n].reshape(cols, rows).T
-    light = light.astype(np.float32) * np.float32(quantum)
+    light = np.maximum(light, 0).astype(np.float32) * np.float32(quantum)
     irradiance.view(np.float32).reshape(rows, cols)[...] = light  # the same memory as ``sum``
 
 

@@ -545,8 +545,8 @@ def ball(
 
 def _sector_between(ax: np.ndarray, ay: np.ndarray, bx: np.ndarray, by: np.ndarray) -> np.ndarray:
     """Azimuths between two directions: the bisector c, s, and the tangent of a quarter of the angle."""
-    square = ax * ax + ay * ay
-    product = np.sqrt(square * (bx * bx + by * by))
+    length_a = np.sqrt(ax * ax + ay * ay)
+    product = length_a * np.sqrt(bx * bx + by * by)
     cosine, sine = ax * bx + ay * by, ax * by - ay * bx  # times product
     half = np.where(
         cosine < 0,
@@ -554,7 +554,7 @@ def _sector_between(ax: np.ndarray, ay: np.ndarray, bx: np.ndarray, by: np.ndarr
         np.maximum(sine, F(0)) / (product + np.maximum(cosine, F(0))),
     )
     r = np.sqrt(F(1) + half * half)
-    scale = F(1) / (r * np.sqrt(square))
+    scale = F(1) / (r * length_a)
     return np.stack([(ax - ay * half) * scale, (ay + ax * half) * scale, half / (F(1) + r)])
 
 
