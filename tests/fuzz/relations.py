@@ -224,8 +224,8 @@ def ground_raised_elsewhere_never_brightens(case, backend):
         apart = [np.minimum(a, n - a) for a, n in zip(apart, depth.shape)]
     far = (apart[0] + apart[1] > 1) & np.isfinite(one)
     more = np.maximum(0, (np.asarray(other, float) - one)[far])
-    # Behind cliffs (docs/explanation/model.md) a sweep may lose the horizons of an azimuth or two, a quarter of
-    # the light, at few nodes; the lattice differs by rounding alone.
+    # Behind cliffs (docs/explanation/model.md) a sweep may lose the horizons of an azimuth or two, a quarter
+    # of the light, at few nodes; the lattice differs by rounding alone.
     most, rms = (ROUNDING, ROUNDING) if "hemicube" in case.how else (1 / 4, 0.01)
     assert more.max(initial=0.0) <= np.pi * most, f"{more.max():.3g} brighter"
     square = float(np.mean(more**2)) if more.size else 0.0
