@@ -252,11 +252,12 @@ def lies_on(labels: Labels | None, values: Any, what: str) -> None:
     if other.dims[:2] == labels.dims[::-1]:
         raise bad(f"{what}: dimensions of a DataArray", other.dims, str(labels.dims), "Use transpose().")
     for name in labels.dims:
-        here, there = (_positions(given, name) for given in (labels, other))
-        if here is None or there is None or here.shape != there.shape or here.size < 2:
+        lines = [_positions(given, name) for given in (labels, other)]
+        if any(line is None or line.size < 2 for line in lines) or lines[0].size != lines[1].size:
             continue
-        if np.abs(there.values - here.values).max() > np.abs(np.diff(here.values)).max() / 2:
-            got, allowed = (f"{line.values[0]:g} to {line.values[-1]:g}" for line in (there, here))
+        here, there = (line.values.astype(np.float64) for line in lines)
+        if np.abs(there - here).max() > np.abs(np.diff(here)).max() / 2:
+            got, allowed = (f"{line[0]:g} to {line[-1]:g}" for line in (there, here))
             raise bad(f"{what}: coordinate {name!r}", got, allowed, "Use reindex_like(method='nearest').")
 
 

@@ -831,23 +831,21 @@ def _block(
 ) -> np.ndarray:
     box = _box(layout, i, j)
     if sums is not None:
-        depths = layout.depths
+        wide = layout
         work, layout = settled(work, layout, sums)
-        less = [before - after for before, after in zip(depths, layout.depths)]
-        window = trimmed(window, layout, box, less)
-        albedo = trimmed(albedo, layout, box, less) if np.ndim(albedo) > 1 else albedo
+        window = _trimmed(window, wide, layout, box)
+        albedo = _trimmed(albedo, wide, layout, box) if np.ndim(albedo) > 1 else albedo
     values = tile_of(work, layout, box, window, low, top, parts[int(np.sum(number))], albedo)
     return np.ascontiguousarray(values)  # a view would keep the halo too
 
 
-def trimmed(window: np.ndarray, layout: Layout, box: Box, less: list[int]) -> np.ndarray:
-    """A window (..., rows, cols) about a tile without the outermost ``less`` rows and columns, where it has
-    these.
-    """
+def _trimmed(window: np.ndarray, wide: Layout, narrow: Layout, box: Box) -> np.ndarray:
+    """The window (..., rows, cols) about a tile that one layout has, from that of another with more room."""
     picks: list[Any] = []
-    for (first, count), depth, fewer, nodes in zip(box, layout.depths, less, layout.shape):
-        cut = max(0, min(first, depth + fewer) - depth)
-        picks.append(slice(cut, cut + min(first, depth) + count + min(depth, nodes - first - count)))
+    for axis, (first, count) in enumerate(box):
+        before, after = narrow.margins(axis, first, count)
+        cut = wide.margins(axis, first, count)[0] - before
+        picks.append(slice(cut, cut + before + count + after))
     inner: np.ndarray = window[(..., *picks)]
     return inner
 

@@ -207,3 +207,12 @@ def test_maps_beside_the_heights_lie_where_they_do(what, lazy):
             sl.Scene.from_height(heights, **{what: wrong})
     for right in (given, given.assign_coords(x=given.x + 1e-6), given.drop_vars("y"), given.data):
         sl.Scene.from_height(heights, **{what: right})
+
+
+def test_all_light_of_a_map_that_repeats(fast):
+    """Whether light between surfaces counts is decided: it cannot be in such tiles, and its share is said."""
+    scenes = [sl.Scene.from_height(given, sides="periodic") for given in (dem(), dem().chunk(40))]
+    with pytest.warns(UserWarning, match="light between surfaces is left out"):
+        tiles, lazy = (image(scene, sl.Sky(), fast, tolerance=0.05) for scene in scenes)
+        found = lazy.compute(scheduler="sync")
+    np.testing.assert_allclose(found, tiles, rtol=0, atol=2e-6)
