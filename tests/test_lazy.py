@@ -216,3 +216,40 @@ def test_all_light_of_a_map_that_repeats(fast):
         tiles, lazy = (image(scene, sl.Sky(), fast, tolerance=0.05) for scene in scenes)
         found = lazy.compute(scheduler="sync")
     np.testing.assert_allclose(found, tiles, rtol=0, atol=2e-6)
+
+
+def test_a_small_window_loads_what_it_needs(fast):
+    """Nine tiles' heights where the halo is all that counts; else once more, after those of the overviews."""
+    loaded = []
+
+    def load(block, block_info=None):
+        loaded.append(block_info[0]["chunk-location"])
+        return block
+
+    heights = SPACING * mountains(160, 192, 20)
+    lazy = da.map_blocks(load, da.from_array(heights, chunks=32), dtype="f4", meta=np.empty((0, 0), "f4"))
+    near = {(row, col) for row in (1, 2, 3) for col in (2, 3, 4)}
+    for what, overviews in (("near", 0), ("horizons", 30), ("sky", 30)):
+        found = CALLS[what](dem(heights).copy(data=lazy), fast)
+        assert not loaded
+        found.isel(y=slice(70, 80), x=slice(100, 110)).compute(scheduler="sync")
+        assert (len(loaded), set(loaded[overviews:])) == (overviews + 9, near), what
+        loaded.clear()
+
+
+def test_calls_within_calls_of_xarray_and_dask(fast):
+    """The bytes of the same call outside, with threads."""
+    work, heights = CALLS["sky view"], dem()
+    core = dict(input_core_dims=[["y", "x"]], output_core_dims=[["y", "x"]])
+    inside = lambda values: work(dem(values), fast).values  # noqa: E731
+    whole = xr.apply_ufunc(
+        inside, heights.chunk(y=-1, x=-1), dask="parallelized", output_dtypes=["f4"], **core
+    )
+    assert_bits_equal(whole.compute(scheduler="threads").values, work(heights, fast).values)
+    parts = heights.chunk(y=35, x=45)
+    each = xr.map_blocks(lambda part: work(part, fast), parts, template=parts.rename("sky_view_factor"))
+    for row in (slice(0, 35), slice(35, 70)):
+        expected = work(heights[row, 45:], fast).values
+        assert_bits_equal(each.compute(scheduler="threads")[row, 45:].values, expected)
+    lazy = xr.apply_ufunc(lambda values: work(dem(values), fast).data, heights.chunk(40), dask="allowed")
+    assert_bits_equal(lazy.persist().values, work(heights.chunk(40), fast).compute().values)
