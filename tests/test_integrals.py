@@ -326,7 +326,7 @@ def test_errors_of_integrals_are_told(fast):
         Integrals(sl.Sky(sl.cie_overcast())).error < 2e-5
         and 2e-5 < Integrals(sl.Sky(striped(57)[0])).error < 1e-3
     )
-    rugged = sl.Sky(lambda L: (np.sin(5000 * L[..., 0]) * np.sin(5000 * L[..., 1]) > 0) * 1.0)
+    rugged = sl.Sky(lambda L: (np.sin(500 * L[..., 0]) * np.sin(500 * L[..., 1]) > 0) * 1.0)
     light = Integrals(rugged)
     assert light.level == pytest.approx(np.pi / 2, rel=max(5e-3, 3 * light.error))
 
