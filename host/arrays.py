@@ -180,18 +180,30 @@ def no_data_of(labels: Labels | None) -> list[float]:
     return [number for number in numbers if not math.isnan(number)]
 
 
-DEGREES = ("degree", "degrees", "degrees_north", "degrees_east", "degree_north", "degree_east")
+FOOT, SURVEY_FOOT = 0.3048, 1200 / 3937  # [metre], by definition
+METRES = {
+    **dict.fromkeys(("m", "metre", "metres", "meter", "meters"), 1.0),
+    **dict.fromkeys(("km", "kilometre", "kilometres", "kilometer", "kilometers"), 1000.0),
+    **dict.fromkeys(("ft", "foot", "feet"), FOOT),
+    **dict.fromkeys(("us-ft", "us survey foot"), SURVEY_FOOT),
+}
+DEGREES = (
+    "degree", "degrees", "degrees_north", "degrees_east", "degree_north", "degree_east",
+    "rad", "radian", "radians",
+)  # fmt: skip
 UNEVEN = 0.01  # of the spacing, by which it may differ along an axis or between both: slopes have that error
 
 
 def spacing_of(labels: Labels | None) -> float:
     """The distance of neighbouring nodes by the coordinates of an xarray.DataArray; 1 where there are none.
 
-    InputError for coordinates that are uneven, not square, or degrees.
+    In the unit of height, where the attributes of both tell units of length. InputError for coordinates that
+    are uneven, not square, or degrees.
     """
     if labels is None:
         return 1.0
     steps: list[np.ndarray] = []
+    vertical = str(labels.attrs.get("units", "")).lower()
     told = [coordinate.attrs for coordinate in labels.coords.values()]
     geographic = any(str(attrs.get("crs_wkt", "")).startswith(("GEOGCS", "GEOGCRS")) for attrs in told)
     for name in labels.dims[-2:]:
@@ -204,9 +216,10 @@ def spacing_of(labels: Labels | None) -> float:
                 f"spacing by the coordinate {name!r}",
                 "degrees",
                 "lengths in the unit of height",
-                "Reproject the map (dem.rio.reproject), or give spacing in the unit of height.",
+                "Reproject the map (dem.rio.reproject), or give a spacing in this unit to Scene.from_height.",
             )
-        steps.append(np.abs(np.diff(coordinate.values.astype(np.float64))))
+        scale = METRES[unit] / METRES[vertical] if {unit, vertical} <= METRES.keys() else 1.0
+        steps.append(scale * np.abs(np.diff(coordinate.values.astype(np.float64))))
     differences = np.concatenate([*steps, np.zeros(0)])
     if not differences.size:
         return 1.0

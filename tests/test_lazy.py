@@ -253,3 +253,24 @@ def test_calls_within_calls_of_xarray_and_dask(fast):
         assert_bits_equal(each.compute(scheduler="threads")[row, 45:].values, expected)
     lazy = xr.apply_ufunc(lambda values: work(dem(values), fast).data, heights.chunk(40), dask="allowed")
     assert_bits_equal(lazy.persist().values, work(heights.chunk(40), fast).compute().values)
+
+
+@pytest.mark.parametrize("lazy", [False, True])
+def test_units_of_coordinates_and_heights(lazy):
+    """The spacing is in the unit of height where both are told, else as the coordinates have it."""
+    for along, height, expected in (
+        ("km", "m", 30e3),
+        ("m", "ft", 30 / 0.3048),
+        ("US survey foot", "metre", 30 * 1200 / 3937),
+        ("m", "metres", 30.0),
+        ("km", None, 30.0),
+        (None, "ft", 30.0),
+    ):
+        given = dem(**({"units": height} if height else {}))
+        given = given.assign_coords(
+            {n: given[n].assign_attrs(units=along) if along else given[n] for n in "xy"}
+        )
+        scene = sl.Scene.from_height(given.chunk(40) if lazy else given)
+        assert scene.spacing == pytest.approx(expected, rel=1e-12)
+    with pytest.raises(sl.errors.InputError, match="degrees.*Scene.from_height"):
+        sl.Scene.from_height(given.assign_coords(x=given.x.assign_attrs(units="rad")))

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import DTypeLike
 
+from ..arrays import METRES
 from ..constants import MOST_PIXELS
 from ..errors import bad, lacking
 from ..scene import Scene
@@ -24,8 +25,6 @@ from .paths import StrPath, destination, readable, reading, replacing, reserve
 
 # share of its length by which a cell's other side may differ; slopes then have this relative error
 SQUARE = 0.01
-FOOT, SURVEY_FOOT = 0.3048, 1200 / 3937  # [metre], by definition
-FEET = {"ft": FOOT, "foot": FOOT, "feet": FOOT, "us-ft": SURVEY_FOOT, "us survey foot": SURVEY_FOOT}
 GEO_TAGS = (33550, 33922, 34264, 34735)  # pixel scale, tie points, transformation, keys
 
 
@@ -154,7 +153,7 @@ def _spaced(path: Path, raster: Raster, unit: str, resample: bool) -> Raster:
             "Warp it first: rio warp IN.tif OUT.tif --dst-crs EPSG:NNNN",
         )
     east, north = _metres(path, raster)
-    vertical = FEET.get(unit, 1.0)
+    vertical = METRES.get(unit, 1.0)
     if abs(east / north - 1) > SQUARE:
         if not resample:
             raise bad(
