@@ -33,7 +33,7 @@ PART_SECTORS = 16
 WINDOW_AZIMUTHS, WINDOW_EDGE = 16, 8
 # relative RMS error that 64 azimuths keep to: 0.0004 of E / pi on rough ground (performance/refinement.py)
 LEAST_TILED_TOLERANCE = 0.002
-LOBES = (
+LOBES = (  # what is refused of them, what is allowed, and why
     "a lobe or a mirror",
     "a Lambertian surface, or quantity='irradiance'",
     "The ground or sky that it shows may be seen over any tile.",
@@ -67,12 +67,7 @@ def refused_in_tiles(
         return _refused_lamp(options, scene, source, engine)
     unrefined = "Nothing is refined: azimuths of its own would set every tile apart from its neighbours."
     refused = [
-        (
-            isinstance(source, sources.Window),
-            "a window",
-            "a Sky",
-            "Its light may meet ground of any tile on its way.",
-        ),
+        (isinstance(source, sources.Window), "a window", "a Sky", "Its light may cross any tile on its way."),
         (
             isinstance(source, sources.Lamp),
             "a lamp",

@@ -218,23 +218,28 @@ def test_all_light_of_a_map_that_repeats(fast):
     np.testing.assert_allclose(found, tiles, rtol=0, atol=2e-6)
 
 
-def test_a_small_window_loads_what_it_needs(fast):
-    """Nine tiles' heights where the halo is all that counts; else once more, after those of the overviews."""
+def test_what_is_loaded(fast):
+    """Of a small window, nine tiles' heights where the halo is all that counts; else once more, after those
+    of the overviews. Of several results that are computed together, all heights twice.
+    """
     loaded = []
 
     def load(block, block_info=None):
         loaded.append(block_info[0]["chunk-location"])
         return block
 
-    heights = SPACING * mountains(160, 192, 20)
+    heights = SPACING * mountains(96, 128, 20)
     lazy = da.map_blocks(load, da.from_array(heights, chunks=32), dtype="f4", meta=np.empty((0, 0), "f4"))
-    near = {(row, col) for row in (1, 2, 3) for col in (2, 3, 4)}
-    for what, overviews in (("near", 0), ("horizons", 30), ("sky", 30)):
+    near = {(row, col) for row in (0, 1, 2) for col in (1, 2, 3)}
+    for what, overviews in (("near", 0), ("horizons", 12), ("sky", 12)):
         found = CALLS[what](dem(heights).copy(data=lazy), fast)
         assert not loaded
-        found.isel(y=slice(70, 80), x=slice(100, 110)).compute(scheduler="sync")
+        found.isel(y=slice(40, 50), x=slice(70, 80)).compute(scheduler="sync")
         assert (len(loaded), set(loaded[overviews:])) == (overviews + 9, near), what
         loaded.clear()
+    together = [CALLS[what](dem(heights).copy(data=lazy), fast) for what in ("sky view", "openness", "sky")]
+    dask.compute(*together, scheduler="sync")
+    assert len(loaded) == 2 * 12
 
 
 def test_calls_within_calls_of_xarray_and_dask(fast):
