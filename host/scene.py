@@ -312,8 +312,9 @@ class Scene:
 
     @property
     def valid(self) -> np.ndarray:
-        """(rows, cols) bool: where data are valid; not of a lazy map."""
-        assert self.lazy is None, "whoever takes lazy scenes looks at their tiles"
+        """(rows, cols) bool: where data are valid. InputError of a lazy map."""
+        if self.lazy is not None:
+            raise bad("Scene.valid", "a lazy map", "a map in memory", "Compute its heights first.")
         return np.ones(self.shape, bool) if self.mask is None else self.mask
 
     def lattice(self) -> tuple[np.ndarray, float]:

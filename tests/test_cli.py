@@ -563,6 +563,28 @@ def test_closed_streams(here):
     assert shell("backends >&-").returncode == 0
 
 
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("render", "depth.npy", "depth.npy"),
+        ("render", "depth.npy", "a.npy", "--error", "depth.npy"),
+        ("render", "depth.npy", "a.npy", "--error", "./a.npy"),
+        ("render", "depth.npy", "--out", "depth.npy", "--memory", "1GB"),
+        ("recover", "image.npy", "--out", "image.npy"),
+        ("recover", "image.npy", "a.npy", "--std", "image.npy"),
+        ("horizon", "height.npy", "there/../height.npy"),
+        ("field", "depth.npy", "linked.npy"),
+    ],
+)
+def test_an_output_never_replaces_the_input_or_another_output(here, capsys, arguments):
+    """Also by another name of the same file."""
+    (here / "there").mkdir()
+    (here / "linked.npy").symlink_to("depth.npy")
+    files = {path: path.read_bytes() for path in here.glob("*.npy")}
+    fails(capsys, 2, *arguments, "--backend", "numpy", says="--out")
+    assert {path: path.read_bytes() for path in here.glob("*.npy")} == files
+
+
 def test_tiles_of_a_file_that_is_no_geotiff(here, capsys):
     """The error names what is needed, not the extension that the file has."""
     code, _, errors = run(capsys, "horizon", "depth.npy", "--out", "a.tif", "--memory", "1GB")

@@ -38,6 +38,13 @@ def test_a_scratch_goes_on_or_begins_anew(job):
     assert not fresh["done"][:].any() and np.isnan(fresh["values"][:]).all()
 
 
+def test_another_backend_does_not_go_on(job):
+    """Its bytes may be others: "auto" is an OpenCL device here and a GPU there."""
+    out_of_core.scratch_of(job._replace(backend="opencl:0:0"), resume=False)
+    with pytest.raises(InputError, match="--resume.*opencl:0:0"):
+        out_of_core.scratch_of(job._replace(backend="numpy"), resume=True)
+
+
 @pytest.mark.parametrize("resume", [False, True])
 @pytest.mark.parametrize("left", ["nothing", "part of a file", "a group", "attributes", "some arrays"])
 def test_a_run_that_was_killed_as_it_began_is_no_hindrance(job, left, resume):

@@ -106,6 +106,7 @@ def render(
 ) -> None:
     """Render a depth map under a source."""
     out = output.needed(target, out)
+    output.check_apart(file, out, error)
     output.check(out, as_json)
     if error is not None:
         output.check(error, as_json)
@@ -253,6 +254,7 @@ def recover(
     _check_std(std, method, as_json)
     if picture is None and out != "-" and method == "robust":
         picture = str(Path(out).with_name(Path(out).stem + "_picture.png"))
+    output.check_apart(file, out, std, picture, figure)
     if picture is not None:
         io.writable(picture)
     image = parsing.radiance(file, white)
@@ -335,6 +337,7 @@ def horizon(
 ) -> None:
     """Compute horizons: sky-view factor, openness [rad] or slopes of the map; draw the sky above one node."""
     out = output.either(target, out)
+    output.check_apart(file, out, picture)
     output.check_array_or_picture(out, picture, as_json)
     if bool(at) != bool(picture):
         raise typer.BadParameter(
@@ -405,6 +408,7 @@ def field(
     (layers, rows, cols); draw the rays through points of one row.
     """
     out = output.either(target, out)
+    output.check_apart(file, out, picture)
     output.check_array_or_picture(out, picture, as_json)
     if out and layer is None and out.lower().endswith(".png"):
         raise typer.BadParameter(

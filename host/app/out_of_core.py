@@ -105,13 +105,17 @@ class Quantity(NamedTuple):
 
 
 class Job(NamedTuple):
-    """A quantity of a file: all data that a task needs. ``dtype`` of heights and their overviews."""
+    """A quantity of a file: all data that a task needs.
+
+    ``dtype``: of heights and their overviews. ``backend``: the name of that of the workers, or of all theirs.
+    """
 
     file: Path
     scratch: Path
     layout: Layout
     quantity: Quantity
     dtype: str = "float32"
+    backend: str = ""
 
 
 def horizon(what: str, definition: str, azimuths: int, max_distance: float | None, backend: str) -> Quantity:
@@ -124,9 +128,7 @@ def horizon(what: str, definition: str, azimuths: int, max_distance: float | Non
     }
     if what not in works:
         raise bad("--what with --memory", repr(what), " | ".join(works))
-    settings = dict(
-        what=what, definition=definition, azimuths=azimuths, max_distance=max_distance, backend=backend
-    )
+    settings = dict(what=what, definition=definition, azimuths=azimuths, max_distance=max_distance)
     return Quantity(
         works[what], Audit(backend), settings, max_distance, -1.0 if what.startswith("neg") else 1.0
     )
@@ -151,7 +153,7 @@ def image(
     if kind is not None and Path(kind).exists():  # an environment map
         state = Path(kind).stat()
         words = {**words, "source": [str(Path(kind).resolve()), state.st_size, state.st_mtime_ns]}
-    settings = dict(words, backend=backend, **options)
+    settings = dict(words, **options)
     bands, between = 3 if work.in_colour else 1, work.between
     return Quantity(work, work.audit, settings, bands=bands, albedo=scene.albedo, between=between)
 
@@ -181,12 +183,12 @@ def write_quantity(
     dtype = "float32" if np.can_cast(header.values.dtype, np.float32) else "float64"
     job = Job(file.resolve(), scratch, layout, quantity, dtype)
     with workers_of(machines) as client:
-        group = run(job, client, machines.resume, progress)
-        names = sorted(set(client.run(_backend_of, quantity.audit.backend).values()))
+        names = ", ".join(sorted(set(client.run(_backend_of, quantity.audit.backend).values())))
+        group = run(job._replace(backend=names), client, machines.resume, progress)
     write(out, group["values"], header, machines.cog)
     discard(job.scratch)
     bands = () if quantity.bands == 1 else (quantity.bands,)
-    return (*bands, *layout.shape), ", ".join(names)
+    return (*bands, *layout.shape), names
 
 
 def _backend_of(name: str) -> str:
@@ -331,7 +333,13 @@ def scratch_of(job: Job, resume: bool) -> Any:
     state = job.file.stat()
     told = dict(file=str(job.file), bytes=state.st_size, changed=state.st_mtime_ns, **job.quantity.settings)
     text = json.dumps(
-        {**told, "tiling": str(job.layout.tiling), "skylamp": skylamp.__version__, "form": SCRATCH_FORM},
+        {
+            **told,
+            "backend": job.backend,  # by its name, since "auto" may be another on another machine
+            "tiling": str(job.layout.tiling),
+            "skylamp": skylamp.__version__,
+            "form": SCRATCH_FORM,
+        },
         sort_keys=True,
     )
     mark = hashlib.sha256(text.encode()).hexdigest()

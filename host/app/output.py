@@ -64,6 +64,20 @@ def needed(target: str | None, out: str | None) -> str:
     return path
 
 
+def check_apart(file: Path, *outputs: str | Path | None) -> None:
+    """BadParameter where an output would take the place of the input, or of another output."""
+    files = [Path(out) for out in outputs if out is not None and str(out) != "-"]
+    for number, out in enumerate(files):
+        if out.exists() and file.exists() and out.samefile(file):
+            raise typer.BadParameter(
+                f"{out} is the input, which would be lost. Give another output.", param_hint="--out"
+            )
+        if out.absolute() in [other.absolute() for other in files[:number]]:
+            raise typer.BadParameter(
+                f"{out} is given for two outputs. Give a file for each.", param_hint="--out"
+            )
+
+
 def check_array_or_picture(out: str | None, picture: Path | None, as_json: bool) -> None:
     """:func:`check` for commands that may write an array, a picture or both."""
     if not out and not picture:
