@@ -105,8 +105,7 @@ def render(
     verbose: opt.Verbose = False,
 ) -> None:
     """Render a depth map under a source."""
-    out = output.needed(target, out)
-    output.check_apart(file, out, error)
+    out = output.needed(file, target, out, error)
     output.check(out, as_json)
     if error is not None:
         output.check(error, as_json)
@@ -249,11 +248,10 @@ def recover(
     confidence, standard deviation (robust), candidates and the masks of ambiguous pixels and drilled columns;
     a .png holds depth in whole layers, 16 bit.
     """
-    out = output.needed(target, out)
+    out = output.needed(file, target, out)
     output.check(out, as_json, figure)
     _check_std(std, method, as_json)
-    if picture is None and out != "-" and method == "robust":
-        picture = str(Path(out).with_name(Path(out).stem + "_picture.png"))
+    picture = picture or _default_picture(out, method)
     output.check_apart(file, out, std, picture, figure)
     if picture is not None:
         io.writable(picture)
@@ -299,6 +297,11 @@ def recover(
     )
 
 
+def _default_picture(out: str, method: str) -> str | None:
+    """The picture of a recovery, beside its output."""
+    return str(Path(out).with_suffix("")) + "_picture.png" if out != "-" and method == "robust" else None
+
+
 def _check_std(std: str | None, method: str, as_json: bool) -> None:
     if std is not None:
         output.check(std, as_json)
@@ -336,8 +339,7 @@ def horizon(
     verbose: opt.Verbose = False,
 ) -> None:
     """Compute horizons: sky-view factor, openness [rad] or slopes of the map; draw the sky above one node."""
-    out = output.either(target, out)
-    output.check_apart(file, out, picture)
+    out = output.either(file, target, out, picture)
     output.check_array_or_picture(out, picture, as_json)
     if bool(at) != bool(picture):
         raise typer.BadParameter(
@@ -407,8 +409,7 @@ def field(
     """Compute the visibility field: the visible solid angle [sr] of the source at every point of free space,
     (layers, rows, cols); draw the rays through points of one row.
     """
-    out = output.either(target, out)
-    output.check_apart(file, out, picture)
+    out = output.either(file, target, out, picture)
     output.check_array_or_picture(out, picture, as_json)
     if out and layer is None and out.lower().endswith(".png"):
         raise typer.BadParameter(

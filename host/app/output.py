@@ -45,18 +45,19 @@ def message(text: str) -> None:
         print(text, file=sys.stderr)
 
 
-def either(target: str | None, out: str | None) -> str | None:
-    """The output, given as OUTPUT or as --out."""
+def either(file: Path, target: str | None, out: str | None, *others: str | Path | None) -> str | None:
+    """The output, given as OUTPUT or as --out; :func:`check_apart` holds for it and the ``others``."""
     if target and out:
         raise typer.BadParameter(
             f"OUTPUT and --out are both given: {target} and {out}. Give one of them.", param_hint="--out"
         )
+    check_apart(file, target or out, *others)
     return target or out
 
 
-def needed(target: str | None, out: str | None) -> str:
+def needed(file: Path, target: str | None, out: str | None, *others: str | Path | None) -> str:
     """:func:`either`, which must be given."""
-    path = either(target, out)
+    path = either(file, target, out, *others)
     if not path:
         raise typer.BadParameter(
             "no output is given. Give OUTPUT after the input, or --out FILE; - is stdout.", param_hint="--out"
