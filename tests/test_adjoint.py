@@ -790,7 +790,7 @@ def test_descent_finds_the_surface(fast):
     made.set_targets([target])
     assert made.value(z, 0.0) < 1e-9
     before = made.value(start, 1e-6)
-    found, value = made.run(start, 1e-6, 30, 60, tolerance=0.01, settled=1e-5)
+    found, value = made.run(start, 1e-6, 30, 60, tolerance=0.01, converged=1e-5)
     assert value < 1e-3 * before and value == made.value(found, 1e-6)
     assert np.sqrt(np.mean((found - z) ** 2)) < 0.1 * np.sqrt(np.mean((start - z) ** 2))
 
@@ -832,7 +832,7 @@ def test_bounds_hold_and_the_objective_never_rises(fast):
     high = np.where(np.arange(21) < 9, 9.0, 30.0) * np.ones((17, 1))
     made, values = problem(fast, sl.Sky(), shape, "dark", 0.3, 0.1, low, high, 16), []
     for steps in (1, 4, 12):
-        z, value = made.run(np.full(shape, 8.0), 1e-4, steps, 20, settled=0)
+        z, value = made.run(np.full(shape, 8.0), 1e-4, steps, 20, converged=0)
         values.append(value)
         assert z.min() >= low and (z <= high.astype(np.float32)).all()
     assert values[0] > values[1] >= values[2] and (z[:, :9] == 9).any()

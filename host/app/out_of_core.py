@@ -29,7 +29,7 @@ from ..io.paths import replacing_file
 from ..light.far import Tiling, Top, coarser, from_heights, top_of
 from ..reflectance import Reflectance
 from ..render_tiles import tile_image
-from ..scale import Audit, Layout, around_tile, devices, layout_of_map, settled, sums_of_tile, tile_of
+from ..scale import Audit, Layout, around_tile, devices, layout_of_map, decided, sums_of_tile, tile_of
 from ..scene import ALBEDO, Scene
 from ..sources import Source
 from . import parsing
@@ -226,7 +226,7 @@ def run(job: Job, client: Any, resume: bool, progress: Progress | None) -> Any:
     top: Any = None
     if steps > len(boxes):
         done = _each(client, _reduce, there, group["low_done"], done, tell)
-        there = client.submit(_settled, there, pure=False)
+        there = client.submit(_decided, there, pure=False)
     if overviews:
         top = client.submit(_top, there, pure=False)
     _each(client, _compute, there, group["done"], done, tell, top)
@@ -237,12 +237,12 @@ def _same(job: Job) -> Job:
     return job
 
 
-def _settled(job: Job) -> Job:
+def _decided(job: Job) -> Job:
     """The job once all tiles have decided whether light between surfaces counts."""
     if not job.layout.undecided:
         return job
     sums = _group(job.scratch, "r")["sums"][:].sum(0)
-    work, layout = settled(job.quantity.work, job.layout, sums)
+    work, layout = decided(job.quantity.work, job.layout, sums)
     return job._replace(layout=layout, quantity=job.quantity._replace(work=work))
 
 

@@ -15,7 +15,7 @@ from .ground import Ground
 from .lights import Light
 
 FIRST_DAMPING = 1e-4  # damping of the first step, as a multiple of the diagonal
-SETTLED = 3e-3  # share of the objective below which a step is the last
+CONVERGED = 3e-3  # share of the objective below which a step is the last
 # shares of the gain that the quadratic model predicts: above WELL damping falls, below BADLY it grows
 WELL, BADLY = 0.5, 0.2
 # factors of the damping for the next step: after a gain above WELL, below BADLY, and after none
@@ -185,7 +185,7 @@ class Descent:
         steps: int,
         most: int,
         tolerance: float = 0.1,
-        settled: float = SETTLED,
+        converged: float = CONVERGED,
         stop: Callable[[], bool] | None = None,
         damping: float = FIRST_DAMPING,
     ) -> Solution:
@@ -201,7 +201,7 @@ class Descent:
             value = self._evaluate(trial, smoothness, self._try)
             ratio = (best - value) / max(gain, 1e-300)
             if value < best:
-                last = best - value < settled * best
+                last = best - value < converged * best
                 self.here, best = trial, value
                 factor = EASED if ratio > WELL else 1 if ratio > BADLY else TIGHTENED
                 damping = max(damping * factor, LEAST_DAMPING)
