@@ -279,7 +279,7 @@ def decided(work: Any, scene: Scene, tiling: Tiling | None, max_distance: float 
         for box in layout.boxes()
         for albedo in [one if varying is None else window_of(varying, box, [0, 0], False)]
     ]
-    return decided(work, layout, np.sum(sums, 0))[0]
+    return decided_by_sums(work, layout, np.sum(sums, 0))[0]
 
 
 def sums_of_tile(work: Any, spacing: float, heights: np.ndarray, albedo: Any) -> np.ndarray:
@@ -303,7 +303,7 @@ def _windows_along(nodes: int) -> list[slice]:
     return [slice(first, first + side) for first in starts]
 
 
-def decided(work: Any, layout: Layout, sums: np.ndarray) -> tuple[Any, Layout]:
+def decided_by_sums(work: Any, layout: Layout, sums: np.ndarray) -> tuple[Any, Layout]:
     """:class:`Undecided` work and its layout, decided by the sums over the whole map."""
     possible = layout.room > 0 or layout.single
     work = work.decided(sums, possible)
@@ -811,7 +811,7 @@ def _whole(
     if valid is not None and not valid.any():
         return _nothing(part, *window.shape)
     if layout.undecided:
-        work, layout = decided(work, layout, sums_of_tile(work, layout.spacing, window, albedo))
+        work, layout = decided_by_sums(work, layout, sums_of_tile(work, layout.spacing, window, albedo))
     scene = _scene_of(window, valid, layout.spacing, albedo, sides)
     return work(scene, max_distance, None) if part is None else work(scene, max_distance, None, part)
 
@@ -832,7 +832,7 @@ def _block(
     box = _box(layout, i, j)
     if sums is not None:
         wide = layout
-        work, layout = decided(work, layout, sums)
+        work, layout = decided_by_sums(work, layout, sums)
         window = _trimmed(window, wide, layout, box)
         albedo = _trimmed(albedo, wide, layout, box) if np.ndim(albedo) > 1 else albedo
     values = tile_of(work, layout, box, window, low, top, parts[int(np.sum(number))], albedo)

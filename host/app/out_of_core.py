@@ -29,7 +29,7 @@ from ..io.paths import replacing_file
 from ..light.far import Tiling, Top, coarser, from_heights, top_of
 from ..reflectance import Reflectance
 from ..render_tiles import tile_image
-from ..scale import Audit, Layout, around_tile, devices, layout_of_map, decided, sums_of_tile, tile_of
+from ..scale import Audit, Layout, around_tile, decided_by_sums, devices, layout_of_map, sums_of_tile, tile_of
 from ..scene import ALBEDO, Scene
 from ..sources import Source
 from . import parsing
@@ -242,7 +242,7 @@ def _decided(job: Job) -> Job:
     if not job.layout.undecided:
         return job
     sums = _group(job.scratch, "r")["sums"][:].sum(0)
-    work, layout = decided(job.quantity.work, job.layout, sums)
+    work, layout = decided_by_sums(job.quantity.work, job.layout, sums)
     return job._replace(layout=layout, quantity=job.quantity._replace(work=work))
 
 
