@@ -152,6 +152,29 @@ def test_an_interrupted_run_goes_on(dem, tmp_path):
     assert not scratch.exists()
 
 
+def test_a_second_run_of_one_output_is_refused(dem, tmp_path):
+    """As long as the first lives, also stopped; once it is killed, the next run goes on from its scratch."""
+    path, heights = dem
+    out, scratch = tmp_path / "out.tif", tmp_path / "out.tif.scratch"
+    first = subprocess.Popen(command(path, out), stderr=subprocess.DEVNULL)
+    try:
+        for _ in range(3000):
+            time.sleep(0.02)
+            if scratch.exists() or first.poll() is not None:
+                break
+        first.send_signal(signal.SIGSTOP)
+        code, said = run(path, out, "--max-distance", "2000")
+    finally:
+        first.kill()
+        first.wait()
+    assert code == 3 and "another run" in said and "--debug" not in said
+    code, said = run(path, out, "--resume")
+    assert code == 0, said
+    with rasterio.open(out) as file:
+        assert_bits_equal(np.nan_to_num(file.read(1)), np.nan_to_num(lazily(heights)))
+    assert os.listdir(tmp_path) == ["out.tif"]
+
+
 def test_an_image_is_rendered_as_in_tiles(dem, tmp_path):
     """In colour under a sky with a sun, interrupted and resumed by two processes: the bytes of a lazy map."""
     path, heights = dem

@@ -182,11 +182,12 @@ def write_quantity(
     scratch = Path(out).with_name(Path(out).name + ".scratch")
     dtype = "float32" if np.can_cast(header.values.dtype, np.float32) else "float64"
     job = Job(file.resolve(), scratch, layout, quantity, dtype)
-    with workers_of(machines) as client:
-        names = ", ".join(sorted(set(client.run(_backend_of, quantity.audit.backend).values())))
-        group = run(job._replace(backend=names), client, machines.resume, progress)
-    write(out, group["values"], header, machines.cog)
-    discard(job.scratch)
+    with alone_in(scratch):
+        with workers_of(machines) as client:
+            names = ", ".join(sorted(set(client.run(_backend_of, quantity.audit.backend).values())))
+            group = run(job._replace(backend=names), client, machines.resume, progress)
+        write(out, group["values"], header, machines.cog)
+        discard(job.scratch)
     bands = () if quantity.bands == 1 else (quantity.bands,)
     return (*bands, *layout.shape), names
 
@@ -201,7 +202,7 @@ def _imported(module: str) -> Any:
         importlib.import_module("zarr")
         return importlib.import_module(module)
     except ImportError as error:
-        raise lacking("--memory", "dask.distributed and zarr", "dask") from error
+        raise lacking("--memory", "dask.distributed, zarr and filelock", "dask") from error
 
 
 def tile_that_fits(share: int) -> int:
@@ -371,6 +372,27 @@ def scratch_of(job: Job, resume: bool) -> Any:
     for name in ("low_done", "done"):
         group.require_array(name, shape=(tiles,), chunks=(1,), dtype="uint8", fill_value=0)
     return group
+
+
+@contextlib.contextmanager
+def alone_in(scratch: Path) -> Iterator[None]:
+    """Keep other runs out of a scratch group; InputError where one is in it.
+
+    The lock is the operating system's, which frees it when the process ends, however that may be.
+    """
+    filelock = _imported("filelock")
+    lock = filelock.FileLock(scratch.with_name(scratch.name + ".lock"))
+    try:
+        lock.acquire(blocking=False)
+    except filelock.Timeout:
+        allowed = "one run at a time"
+        raise bad(f"--out: {scratch}", "a scratch that another run writes", allowed, "Wait for it.") from None
+    try:
+        yield
+    finally:
+        with contextlib.suppress(PermissionError):  # on Windows, where the release removes it
+            Path(lock.lock_file).unlink(missing_ok=True)
+        lock.release()
 
 
 def _attributes(scratch: Path) -> dict[str, Any]:
