@@ -149,6 +149,20 @@ def chunked(values: Any) -> Any:
     return values if isinstance(values, getattr(dask, "Array", ())) else None
 
 
+def as_promised(values: Any, what: str) -> Any:
+    """A dask.array whose blocks are InputErrors unless they have the shapes that its chunks promise."""
+    return values.map_blocks(_promised, what, dtype=values.dtype, meta=values._meta)
+
+
+def _promised(block: Any, what: str, block_info: Any) -> Any:
+    chunk, shape = block_info[0]["chunk-location"], tuple(block_info[None]["chunk-shape"])
+    if np.shape(block) != shape:
+        raise bad(
+            f"{what}: chunk {chunk} of a dask.array", f"shape {np.shape(block)}", f"{shape}, by its chunks"
+        )
+    return block
+
+
 def labels_of(values: Any) -> Labels | None:
     """The labels of an xarray.DataArray, None of anything else; xarray is not imported for it."""
     xarray: Any = sys.modules.get("xarray")

@@ -12,6 +12,7 @@ import numpy as np
 
 from .arrays import (
     Labels,
+    as_promised,
     axes_of,
     by_bands,
     chunked,
@@ -153,6 +154,7 @@ class Scene:
         shape = values.shape
         if values.dtype.kind not in "iuf" or len(shape) != 2 or not all(n > 0 for n in shape):
             raise bad("height", f"{values.dtype}, shape {shape}", "real numbers (rows, cols), of known size")
+        values = as_promised(values, "height")
         values = values.astype(np.float32 if np.can_cast(values.dtype, np.float32) else np.float64)
         masks = [values != values.dtype.type(value) for value in no_data_of(self.labels)]
         if self.mask is not None:
@@ -172,7 +174,7 @@ class Scene:
                 f"shape {shape} or {(*shape, 3)}, without a reflectance",
             )
         else:
-            surface = Lambertian()
+            surface, albedo = Lambertian(), as_promised(albedo, "albedo")
         _set(self, lazy=values, mask=None, reflectance=surface, albedo=albedo)
         object.__delattr__(self, "depth")
 
@@ -441,7 +443,7 @@ def _mask(mask: Any, shape: tuple[int, ...], lazy: bool = False) -> Any:
         raise bad(
             "mask: wrong type or shape", f"dtype {mask.dtype}, shape {mask.shape}", f"bool, shape {shape}"
         )
-    return mask if lazy else np.array(mask)
+    return as_promised(mask, "mask") if lazy else np.array(mask)
 
 
 def _reflectance(

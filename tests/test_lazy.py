@@ -279,3 +279,26 @@ def test_units_of_coordinates_and_heights(lazy):
         assert scene.spacing == pytest.approx(expected, rel=1e-12)
     with pytest.raises(sl.errors.InputError, match="degrees.*Scene.from_height"):
         sl.Scene.from_height(given.assign_coords(x=given.x.assign_attrs(units="rad")))
+
+
+@pytest.mark.parametrize("what", ["height", "albedo", "mask"])
+@pytest.mark.parametrize("tile", [32, 128])
+def test_chunks_of_another_shape_than_promised(what, tile, fast):
+    """One error that names the chunk and both shapes; in tiles, and where the map is one."""
+
+    def shorter(block, block_info=None):
+        return block[:-1] if block_info[0]["chunk-location"] == (1, 2) else block
+
+    lazy = da.from_array(HEIGHTS, chunks=32)
+    false = da.map_blocks(shorter, lazy, dtype="f4", meta=np.empty((0, 0), "f4"))
+    given = {"height": lazy} | {what: {"height": false, "albedo": false * 0, "mask": false < 1e9}[what]}
+    scene = sl.Scene.from_height(**given, spacing=SPACING)
+    options = dict(backend=fast, azimuths=4, tiling=sl.Tiling(tile, 8, 8))
+    lazily = [sl.render(scene, sl.Sky(), **options).image]
+    if what != "albedo":
+        lazily.append(sl.sky_view_factor(scene, **options))
+    for result in lazily:
+        with pytest.raises(
+            sl.errors.InputError, match=what + r": chunk \(1, 2\).*\(31, 26\).*\(32, 26\), by"
+        ):
+            result.compute(scheduler="sync")
