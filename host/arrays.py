@@ -8,6 +8,7 @@ import math
 import mmap
 import os
 import sys
+import warnings
 from collections.abc import Callable, Hashable
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NamedTuple, TypeVar
@@ -211,26 +212,31 @@ UNEVEN = 0.01  # of the spacing, by which it may differ along an axis or between
 def spacing_of(labels: Labels | None) -> float:
     """The distance of neighbouring nodes by the coordinates of an xarray.DataArray; 1 where there are none.
 
-    In the unit of height, where the attributes of both tell units of length. InputError for coordinates that
-    are uneven, not square, or degrees.
+    In the unit of height, where units of both are told; a warning where that of the heights is not, and that
+    of the coordinates is not the metre. InputError for coordinates that are uneven, not square, or degrees.
     """
     if labels is None:
         return 1.0
     steps: list[np.ndarray] = []
-    vertical = str(labels.attrs.get("units", "")).lower()
-    told = [coordinate.attrs for coordinate in labels.coords.values()]
-    geographic = any(str(attrs.get("crs_wkt", "")).startswith(("GEOGCS", "GEOGCRS")) for attrs in told)
+    system = _units_of_system(labels)
+    vertical = str(labels.attrs.get("units", "")).lower() or system[1]
     for name in labels.dims[-2:]:
         coordinate = _positions(labels, name)
         if coordinate is None:
             continue
-        unit = str(coordinate.attrs.get("units", "")).lower()
-        if geographic or unit in DEGREES or str(name).lower() in ("lat", "lon", "latitude", "longitude"):
+        unit = str(coordinate.attrs.get("units", "")).lower() or system[0]
+        if {unit, system[0]} & set(DEGREES) or str(name).lower() in ("lat", "lon", "latitude", "longitude"):
             raise bad(
                 f"spacing by the coordinate {name!r}",
                 "degrees",
                 "lengths in the unit of height",
                 "Reproject the map (dem.rio.reproject), or give a spacing in this unit to Scene.from_height.",
+            )
+        if vertical not in METRES and METRES.get(unit, 1.0) != 1.0 and not steps:
+            warnings.warn(
+                f"Unit of height: none is told, and coordinates are in {unit}; heights are taken as in this"
+                " unit. Give them an attribute units, or the spacing in their unit.",
+                stacklevel=2,  # one place, so that Python says it once
             )
         scale = METRES[unit] / METRES[vertical] if {unit, vertical} <= METRES.keys() else 1.0
         steps.append(scale * np.abs(np.diff(coordinate.values.astype(np.float64))))
@@ -245,6 +251,19 @@ def spacing_of(labels: Labels | None) -> float:
             "Resample the map, or give spacing.",
         )
     return float(np.mean([step.mean() for step in steps if step.size]))
+
+
+def _units_of_system(labels: Labels) -> tuple[str, str]:
+    """Units of the coordinates and of heights by the reference system, each empty where it tells none."""
+    wkt = next((str(c.attrs["crs_wkt"]) for c in labels.coords.values() if c.attrs.get("crs_wkt")), "")
+    if not wkt:
+        return "", ""
+    try:
+        axes = importlib.import_module("pyproj").CRS(wkt).axis_info
+    except (ImportError, RuntimeError):  # pyproj is not installed, or cannot read it
+        return ("degree" if wkt.startswith(("GEOGCS", "GEOGCRS")) else ""), ""
+    units = [axis.unit_name.lower() for axis in axes if axis.unit_name]
+    return units[0] if units else "", units[2] if len(units) > 2 else ""
 
 
 # names of coordinates that run east, and CF's axis and standard names of such

@@ -191,7 +191,8 @@ def test_holes_grow_no_heights(tmp_path):
 def test_units(tmp_path):
     """US survey feet of the system, feet of the band, and scaled counts."""
     feet = dict(crs="EPSG:2274", transform=from_origin(1e6, 5e5, 10, 10))  # Tennessee, ftUS
-    assert geo.read(make(tmp_path / "a.tif", **feet)).spacing == pytest.approx(10 * 1200 / 3937)
+    with pytest.warns(UserWarning, match="^Unit of height: .*a.tif tells none.*US survey foot.*metres"):
+        assert geo.read(make(tmp_path / "a.tif", **feet)).spacing == pytest.approx(10 * 1200 / 3937)
     assert geo.read(make(tmp_path / "a.tif", band={"units": ("us-ft",)}, **feet)).spacing == pytest.approx(10)
     raster = geo.read(make(tmp_path / "a.tif", band={"scales": (0.1,), "offsets": (100.0,)}))
     np.testing.assert_allclose(raster.values[0], 100 + 0.1 * HEIGHT[0])

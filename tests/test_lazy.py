@@ -1,5 +1,7 @@
 """Lazy maps as users of xarray, rioxarray and Dask bring them, and what becomes of their results there."""
 
+import warnings
+
 import numpy as np
 import pytest
 from compare import assert_bits_equal
@@ -260,6 +262,40 @@ def test_calls_within_calls_of_xarray_and_dask(fast):
     assert_bits_equal(lazy.persist().values, work(heights.chunk(40), fast).compute().values)
 
 
+def spacing_and_warnings(heights):
+    """The spacing, and how many warnings tell that the unit of heights is not known."""
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        scene = sl.Scene.from_height(heights)
+    return scene.spacing, sum(str(warning.message).startswith("Unit of height") for warning in said)
+
+
+@pytest.mark.parametrize(
+    "system, units, expected, said",
+    [
+        (2263, None, 30.0, 1),  # New York, US survey feet
+        (2263, "US survey foot", 30.0, 0),
+        (2263, "m", 30 * 1200 / 3937, 0),
+        ("EPSG:2263+5703", None, 30 * 1200 / 3937, 0),  # heights in metres
+        ("EPSG:2263+6360", None, 30.0, 0),  # and in US survey feet
+        (32633, None, 30.0, 0),
+        (32633, "ft", 30 / 0.3048, 0),
+    ],
+)
+def test_units_of_a_reference_system(system, units, expected, said):
+    """They count where coordinates and heights tell none; one warning where heights are in the dark."""
+    pytest.importorskip("rioxarray")
+    given = dem(**({"units": units} if units else {})).rio.write_crs(system)
+    assert spacing_and_warnings(given) == (pytest.approx(expected, rel=1e-9), said)
+
+
+def test_degrees_of_a_compound_system():
+    """With heights."""
+    pytest.importorskip("rioxarray")
+    with pytest.raises(sl.errors.InputError, match="degrees"):
+        sl.Scene.from_height(dem().rio.write_crs("EPSG:4326+5773"))
+
+
 @pytest.mark.parametrize("lazy", [False, True])
 def test_units_of_coordinates_and_heights(lazy):
     """The spacing is in the unit of height where both are told, else as the coordinates have it."""
@@ -275,8 +311,11 @@ def test_units_of_coordinates_and_heights(lazy):
         given = given.assign_coords(
             {n: given[n].assign_attrs(units=along) if along else given[n] for n in "xy"}
         )
-        scene = sl.Scene.from_height(given.chunk(40) if lazy else given)
-        assert scene.spacing == pytest.approx(expected, rel=1e-12)
+        given = given.chunk(40) if lazy else given
+        assert spacing_and_warnings(given) == (
+            pytest.approx(expected, rel=1e-12),
+            int(along == "km" and not height),
+        )
     with pytest.raises(sl.errors.InputError, match="degrees.*Scene.from_height"):
         sl.Scene.from_height(given.assign_coords(x=given.x.assign_attrs(units="rad")))
 

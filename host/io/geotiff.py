@@ -154,6 +154,14 @@ def _spaced(path: Path, raster: Raster, unit: str, resample: bool) -> Raster:
         )
     east, north = _metres(path, raster)
     vertical = METRES.get(unit, 1.0)
+    if unit not in METRES and raster.crs is not None and raster.crs.is_projected:
+        name, metres = raster.crs.linear_units_factor
+        if metres != 1:
+            warnings.warn(
+                f"Unit of height: {path} tells none, and its cells are in {name}; heights are taken as in"
+                " metres, unless a spacing in their unit is given.",
+                stacklevel=2,  # one place, so that Python says it once
+            )
     if abs(east / north - 1) > SQUARE:
         if not resample:
             raise bad(
