@@ -310,6 +310,15 @@ def test_reach_beyond_a_map_that_repeats(fast):
     assert errors.max() <= AGREE and rms(errors) <= 0.004
 
 
+def test_reach_beyond_a_narrow_map_with_a_cliff(backend):
+    """The ladder's integers hold falls over a window that is longer than the map has rows."""
+    ground = np.where(np.arange(30)[:, None] < 15, 300.0, 0) + np.random.default_rng(0).random((30, 108))
+    slopes = sl.horizons(sl.Scene.from_height(ground), 8, backend, max_distance=130.0)
+    true = oracle.horizons(ground.max() - ground, 1.0, sl.Azimuths(8).angles)
+    seen = np.isfinite(true)
+    assert rms(np.arctan(slopes[seen]) - np.arctan(true[seen])) <= HORIZON
+
+
 @pytest.mark.parametrize("broken", ["near", "azimuths", "ladder"])
 def test_a_broken_table_is_seen(fast, monkeypatch, broken):
     """The comparison with the oracle fails if a table is wrong by a tenth of a node or by a degree."""

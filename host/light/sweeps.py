@@ -528,7 +528,7 @@ def ladder(
         )
     slopes = np.tan(np.linspace(0, 1, LADDER) ** 1.5 * math.atan(steepest))
     slopes = slopes if steepest > 0 else slopes[::-1]
-    high = relief + (steepest * comes_at if steepest > 0 else -steepest * span)
+    high = relief + abs(steepest) * (comes_at if steepest > 0 else max(span, comes_at))
     height_scale = (2.0 ** (30 - bits) - 2 * LADDER) / max(high, 1e-6)
     steps = (np.rint(slopes * height_scale).astype(np.int64) << bits) - 1
     return bits, height_scale, tuple(steps.tolist()), tuple(((steps + 1) * comes_at).tolist())
