@@ -28,6 +28,7 @@ Shared arguments
   irradiance  (rows, cols)    float  out; factor: of it
   least, most                       int    slices of a source that is a point, and of one that stands all
                                            round: multiples of SLICES, as what is between
+  highest                           float  of the heights
   dark                              int    whether walls stand half a node outside the map, up to height 0
 
 Work-item (x, y) owns one node and takes LANES of its slices at a time. Order of summation: slices of a lane,
@@ -96,6 +97,7 @@ typedef struct {
   __global const float *heights, *tops, *sky, *points, *lobe, *chords;
   int rows, cols, width, levels, side, n_points, n_lobe, n_turns, n_knots, dark, x, y;
   float height, tilt_x, tilt_y, rim, mirror_x, mirror_y, mirror_z;
+  float above; /* how far the highest ground stands above the node, and no less for rounding */
   float up, reach, radius; /* radius: of a ball, 0 for a quadrangle, below 0 for the sky */
 } Pixel;
 
@@ -109,7 +111,7 @@ float slope_between(float low, float here, float high)
 Pixel pixel_at(__global const float *heights, __global const float *tops, __global const float *sky,
                __global const float *points, __global const float *lobe, __global const float *chords,
                int rows, int cols, int width, int levels, int side, int n_points, int n_lobe, int n_turns,
-               int n_knots, int dark, float rim, int x, int y)
+               int n_knots, int dark, float rim, float highest, int x, int y)
 {
   const int stride = cols + 1;
   __global const float *here = heights + (y + 1) * stride + x + 1;
@@ -119,7 +121,7 @@ Pixel pixel_at(__global const float *heights, __global const float *tops, __glob
   const Pixel pixel = {heights,  tops,   sky,     points,   lobe,   chords,  rows,           cols,
                        width,    levels, side,    n_points, n_lobe, n_turns, n_knots,        dark,
                        x,        y,      here[0], tilt_x,   tilt_y, rim,     twice * tilt_x, twice * tilt_y,
-                       twice - 1};
+                       twice - 1, highest - here[0] + 1e-6f * (fabs(highest) + fabs(here[0]))};
   return pixel;
 }
 
@@ -138,61 +140,65 @@ floats under_source(const Pixel *pixel, floats along, floats aside, floats t)
 /* The tangent of the horizon along (c, s), from `slope` on, over the ground before the source and as far as
 `high` matters.
 
-The slice goes from cell to cell of a quadtree. A large cell whose top stays below the line is left as a
-whole, else its quarters are looked at; the way out of a single cell is a crossing with a grid line. */
+The slice goes from cell to cell of a quadtree, and no farther than where it is above all ground. A large cell
+whose top stays below the line is left as a whole, else its quarters are looked at; the way out of a single
+cell is a crossing with a grid line. u and v count cells the way that the slice goes: x or -1 - x, so that a
+cell's far side is always the greater one. */
 floats horizon(const Pixel *pixel, floats c, floats s, floats slope, floats high, floats along, floats aside)
 {
   const int x = pixel->x, y = pixel->y, stride = pixel->cols + 1;
-  const floats per_x = c != 0 ? 1 / c : ENDLESS, per_y = s != 0 ? 1 / s : ENDLESS;
-  const ints on_x = WHERE(c >= 0) & 1, on_y = WHERE(s >= 0) & 1;
-  const floats end_x = c == 0 ? ALL(ENDLESS) : (c > 0 ? ALL(pixel->cols - 1 - x) : ALL(-x)) * per_x;
-  const floats end_y = s == 0 ? ALL(ENDLESS) : (s > 0 ? ALL(pixel->rows - 1 - y) : ALL(-y)) * per_y;
-  const floats end = LESS(end_x, end_y);
-  ints cell_x = x - 1 + on_x, cell_y = y - 1 + on_y, level = 0;
-  floats t = 0;
+  const ints flip_x = WHERE(c < 0), flip_y = WHERE(s < 0);
+  const ints from_x = (x ^ flip_x) - flip_x, from_y = (y ^ flip_y) - flip_y;
+  const floats abs_c = c < 0 ? -c : c, abs_s = s < 0 ? -s : s;
+  const floats per_x = c != 0 ? 1 / abs_c : ENDLESS, per_y = s != 0 ? 1 / abs_s : ENDLESS;
+  const floats end_x = c == 0 ? ALL(ENDLESS) : (c > 0 ? ALL(pixel->cols - 1 - x) : ALL(x)) * per_x;
+  const floats end_y = s == 0 ? ALL(ENDLESS) : (s > 0 ? ALL(pixel->rows - 1 - y) : ALL(y)) * per_y;
+  const floats at_edge = LESS(end_x, end_y), at_top = pixel->above / slope;
+  const floats end = slope > 0 && at_top < at_edge ? at_top : at_edge;
+  ints u = from_x, v = from_y, level = 0;
+  floats t = 0, toward = along + slope * pixel->up;
   ints going = WHERE(slope < high) & WHERE(end > 0) & WHERE(ALL(pixel->reach) > 0);
   while (ANY(going)) {
     /* 1. the way out of the cell */
-    const ints large_x = cell_x >> level, large_y = cell_y >> level;
-    const ints edge_x = large_x + on_x, edge_y = large_y + on_y;
-    const ints line_x = edge_x << level, line_y = edge_y << level;
-    const floats out_x = TO_FLOATS(line_x - x) * per_x, out_y = TO_FLOATS(line_y - y) * per_y;
+    const ints mask = ((ints)1 << level) - 1, edge_u = (u | mask) + 1, edge_v = (v | mask) + 1;
+    const floats out_x = TO_FLOATS(edge_u - from_x) * per_x, out_y = TO_FLOATS(edge_v - from_y) * per_y;
     const ints by_x = WHERE(out_x <= out_y), single = WHERE(level == 0);
     const floats out = by_x ? out_x : out_y, across = (by_x ? s : c) * out;
     ints passes = -1;
     /* 2. the ground there */
     if (ANY(single & going)) {
-      const ints at = by_x ? (cell_y + 1) * stride + line_x + 1 : (line_y + 1) * stride + cell_x + 1;
+      const ints node_x = by_x ? (edge_u ^ flip_x) - flip_x : u ^ flip_x,
+                 node_y = by_x ? v ^ flip_y : (edge_v ^ flip_y) - flip_y;
+      const ints at = (node_y + 1) * stride + node_x + 1;
       const ints low = single & going ? at : 0, next = low + (by_x ? stride : 1);
-      const floats f = across - TO_FLOATS(by_x ? cell_y - y : cell_x - x), part = f < 0 ? 0 : f > 1 ? 1 : f;
+      const floats f = across - TO_FLOATS(by_x ? node_y - y : node_x - x), part = f < 0 ? 0 : f > 1 ? 1 : f;
       const floats rise =
           GATHER(pixel->heights, low) * (1 - part) + GATHER(pixel->heights, next) * part - pixel->height;
-      const ints higher = single & going & WHERE(rise > slope * out) &
-                          WHERE(out * (along + slope * pixel->up) < pixel->reach);
+      const ints higher = single & going & WHERE(rise > slope * out) & WHERE(out * toward < pixel->reach);
       if (ANY(higher)) {
         const floats tangent = LESS(rise / out, under_source(pixel, along, aside, out));
         slope = higher && tangent > slope ? tangent : slope;
+        toward = along + slope * pixel->up;
       }
     }
     /* 3. or the top of a large cell against the line where it comes in */
     if (ANY(~single & going)) {
-      const ints at = large_y * pixel->width + pixel->width - ((ints)pixel->width >> (level - 1)) + large_x;
+      const ints first = pixel->width - ((ints)pixel->width >> (level - 1)),
+                 at = ((v >> level) ^ flip_y) * pixel->width + first + ((u >> level) ^ flip_x);
       const floats top = GATHER(pixel->tops, ~single & going ? at : 0);
       passes = single | WHERE(top - pixel->height <= slope * t);
     }
     /* 4. on, and up where a larger cell begins; or down */
     passes &= going;
-    const ints first = ((by_x ? large_y : large_x) << level) - (by_x ? y : x),
-               last = first + ((ints)1 << level) - 1;
-    ints to = TO_INTS(across);
-    to += WHERE(across < TO_FLOATS(to));
+    const ints beside = by_x ? v : u, last = beside | mask, first = last - mask;
+    ints to = TO_INTS((by_x ? abs_s : abs_c) * out) + (by_x ? from_y : from_x);
     to = to < first ? first : to > last ? last : to;
-    cell_x = passes ? (by_x ? line_x - 1 + on_x : x + to) : cell_x;
-    cell_y = passes ? (by_x ? y + to : line_y - 1 + on_y) : cell_y;
+    u = passes ? (by_x ? edge_u : to) : u;
+    v = passes ? (by_x ? to : edge_v) : v;
     t = passes ? out : t;
-    const ints begins = WHERE(((by_x ? edge_x : edge_y) & 1) == 0) & WHERE(level < pixel->levels);
+    const ints begins = WHERE(((by_x ? edge_u : edge_v) >> level & 1) == 0) & WHERE(level < pixel->levels);
     level += passes ? -begins : going;
-    going &= WHERE(slope < high) & WHERE(t < end) & WHERE(t * (along + slope * pixel->up) < pixel->reach);
+    going &= WHERE(slope < high) & WHERE(t < end) & WHERE(t * toward < pixel->reach);
   }
   return slope;
 }
@@ -437,13 +443,13 @@ __kernel void ball(__global const float *heights, __global const float *tops,
                    __global const float *lobe, __global const float *chords, __global float *irradiance,
                    __global float *alternating,
                    int rows, int cols, int width, int levels, int least, int most, int side, int n_points,
-                   int n_lobe, int n_turns, int n_knots, int dark, float rim, float x0, float y0, float z0,
-                   float radius, float factor)
+                   int n_lobe, int n_turns, int n_knots, int dark, float rim, float highest,
+                   float x0, float y0, float z0, float radius, float factor)
 {
   if (get_global_id(0) >= cols || get_global_id(1) >= rows)
     return;
   Pixel pixel = pixel_at(heights, tops, sky, points, lobe, chords, rows, cols, width, levels, side, n_points,
-                         n_lobe, n_turns, n_knots, dark, rim, get_global_id(0),
+                         n_lobe, n_turns, n_knots, dark, rim, highest, get_global_id(0),
                          get_global_id(1));
 
   /* 1. where the ball stands, and how many slices it is worth */
@@ -549,12 +555,13 @@ __kernel void quad(__global const float *heights, __global const float *tops, __
                    __global const float *quadrature, __global const float *sky, __global const float *points,
                    __global const float *lobe, __global const float *chords, __global float *irradiance,
                    int rows, int cols, int width, int levels, int least, int most, int side, int n_points,
-                   int n_lobe, int n_turns, int n_knots, int dark, float rim, float factor)
+                   int n_lobe, int n_turns, int n_knots, int dark, float rim, float highest,
+                   float factor)
 {
   if (get_global_id(0) >= cols || get_global_id(1) >= rows)
     return;
   Pixel pixel = pixel_at(heights, tops, sky, points, lobe, chords, rows, cols, width, levels, side, n_points,
-                         n_lobe, n_turns, n_knots, dark, rim, get_global_id(0),
+                         n_lobe, n_turns, n_knots, dark, rim, highest, get_global_id(0),
                          get_global_id(1));
 
   /* 1. the corners, in the frame that points below the middle */
@@ -692,12 +699,12 @@ __kernel void gloss(__global const float *heights, __global const float *tops,
                     __global const float *quadrature, __global const float *sky, __global const float *points,
                     __global const float *lobe, __global float *irradiance, int rows, int cols, int width,
                     int levels, int least, int most, int side, int n_points, int n_lobe, int dark, float rim,
-                    float reach, float factor)
+                    float highest, float reach, float factor)
 {
   if (get_global_id(0) >= cols || get_global_id(1) >= rows)
     return;
   Pixel pixel = pixel_at(heights, tops, sky, points, lobe, sky, rows, cols, width, levels, side, n_points,
-                         n_lobe, 0, 0, dark, rim, get_global_id(0), get_global_id(1));
+                         n_lobe, 0, 0, dark, rim, highest, get_global_id(0), get_global_id(1));
 
   /* 1. where the disc stands, and how many slices it is worth */
   const float flat = sqrt(pixel.mirror_x * pixel.mirror_x + pixel.mirror_y * pixel.mirror_y);
@@ -742,12 +749,12 @@ __kernel void gloss(__global const float *heights, __global const float *tops,
   seen  (rows, cols, count)     float  out: 1 where no ground stands higher than the ray, else 0; count: a
                                        multiple of LANES */
 __kernel void rays(__global const float *heights, __global const float *tops, __global const float *ways,
-                   __global float *seen, int rows, int cols, int width, int levels, int count)
+                   __global float *seen, int rows, int cols, int width, int levels, int count, float highest)
 {
   if (get_global_id(0) >= cols || get_global_id(1) >= rows)
     return;
   Pixel pixel = pixel_at(heights, tops, heights, heights, heights, heights, rows, cols, width, levels, 0, 0,
-                         0, 0, 0, 0, 0, get_global_id(0), get_global_id(1));
+                         0, 0, 0, 0, 0, highest, get_global_id(0), get_global_id(1));
   const size_t here = ((size_t)pixel.y * cols + pixel.x) * count;
   pixel.up = 0;
   pixel.radius = -1;
@@ -797,7 +804,7 @@ added to what is there.
   irradiance  (rows - 2 margin, cols - 2 margin)  float  in, out
 
 margin: nodes on all sides of the map that are there to occlude, a map that repeats being wrapped; 0 with a
-wall or a window. highest: node of the map. x0 <= x < x1, y0 <= y < y1 [spacing]: window at height 0 through
+wall or a window. x0 <= x < x1, y0 <= y < y1 [spacing]: window at height 0 through
 which the light comes; -ENDLESS..ENDLESS: there is none. */
 __kernel void sectors(__global const float *heights, __global const float *tops, __global const float *ways,
                       __global const float *table, __global float *irradiance, int rows, int cols, int width,
@@ -808,7 +815,7 @@ __kernel void sectors(__global const float *heights, __global const float *tops,
   if (x >= cols - 2 * margin || y >= rows - 2 * margin)
     return;
   Pixel pixel = pixel_at(heights, tops, heights, heights, heights, heights, rows, cols, width, levels, 0, 0,
-                         0, 0, 0, dark, 0, x + margin, y + margin);
+                         0, 0, 0, dark, 0, highest, x + margin, y + margin);
   pixel.up = 0;
   pixel.reach = 1; /* ground counts up to t x along = 1 */
   pixel.radius = -1;

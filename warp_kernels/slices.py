@@ -28,6 +28,7 @@ grow towards the viewer.
   irradiance   (rows, cols)           float32  out; factor: of it
   least, most                         int32    slices of a source that is a point, and of one that stands all
                                                round: multiples of SLICES, as what is between
+  highest                             float32  of the heights
   dark                                int32    whether walls stand half a node outside the map, up to height 0
 
 A thread owns one node, and a block of threads a square of nodes. Order of summation: slices.
@@ -118,12 +119,19 @@ class Pixel:
     tilt_x: wp.float32
     tilt_y: wp.float32
     rim: wp.float32
+    above: wp.float32
     mirror_x: wp.float32
     mirror_y: wp.float32
     mirror_z: wp.float32
     up: wp.float32
     reach: wp.float32
     radius: wp.float32
+
+
+@wp.func
+def above_all(highest: wp.float32, height: wp.float32):
+    """How far the highest ground stands above a node, and no less for rounding."""
+    return highest - height + 1e-6 * (wp.abs(highest) + wp.abs(height))
 
 
 @wp.func
@@ -166,53 +174,53 @@ def horizon(
     """The tangent of the horizon along (c, s), from ``start`` on, over the ground before the source and as
     far as ``high`` matters.
 
-    The slice goes from cell to cell of a quadtree. A large cell whose top stays below the line is left as a
-    whole, else its quarters are looked at; the way out of a single cell is a crossing with a grid line.
+    The slice goes from cell to cell of a quadtree, and no farther than where it is above all ground. A large
+    cell whose top stays below the line is left as a whole, else its quarters are looked at; the way out of a
+    single cell is a crossing with a grid line. u and v count cells the way that the slice goes: x or -1 - x,
+    so that a cell's far side is always the greater one.
     """
     x = pixel.x
     y = pixel.y
     stride = pixel.cols + 1
+    abs_c = wp.abs(c)
+    abs_s = wp.abs(s)
     per_x = wp.float32(ENDLESS)
     per_y = wp.float32(ENDLESS)
     end = wp.float32(ENDLESS)
-    on_x = wp.int32(1)
-    on_y = wp.int32(1)
+    flip_x = wp.where(c < 0.0, -1, 0)
+    flip_y = wp.where(s < 0.0, -1, 0)
+    from_x = (x ^ flip_x) - flip_x
+    from_y = (y ^ flip_y) - flip_y
     if c != 0.0:
-        per_x = 1.0 / c
-        end = wp.float32(pixel.cols - 1 - x) * per_x
-    if c < 0.0:
-        on_x = 0
-        end = wp.float32(-x) * per_x
+        per_x = 1.0 / abs_c
+        end = wp.float32(wp.where(c > 0.0, pixel.cols - 1 - x, x)) * per_x
     if s != 0.0:
-        per_y = 1.0 / s
-    if s > 0.0:
-        end = wp.min(end, wp.float32(pixel.rows - 1 - y) * per_y)
-    if s < 0.0:
-        on_y = 0
-        end = wp.min(end, wp.float32(-y) * per_y)
+        per_y = 1.0 / abs_s
+        end = wp.min(end, wp.float32(wp.where(s > 0.0, pixel.rows - 1 - y, y)) * per_y)
     slope = wp.float32(start)
-    cell_x = x - 1 + on_x
-    cell_y = y - 1 + on_y
+    if slope > 0.0:
+        end = wp.min(end, pixel.above / slope)
+    u = wp.int32(from_x)
+    v = wp.int32(from_y)
     level = wp.int32(0)
     t = wp.float32(0.0)
     while slope < high and t < end and t * (along + slope * pixel.up) < pixel.reach:
         # 1. the way out of the cell
-        large_x = cell_x >> level
-        large_y = cell_y >> level
-        edge_x = large_x + on_x
-        edge_y = large_y + on_y
-        line_x = edge_x << level
-        line_y = edge_y << level
-        out_x = wp.float32(line_x - x) * per_x
-        out_y = wp.float32(line_y - y) * per_y
+        mask = (1 << level) - 1
+        edge_u = (u | mask) + 1
+        edge_v = (v | mask) + 1
+        out_x = wp.float32(edge_u - from_x) * per_x
+        out_y = wp.float32(edge_v - from_y) * per_y
         by_x = out_x <= out_y
         out = wp.where(by_x, out_x, out_y)
-        across = wp.where(by_x, s, c) * out
         passes = wp.bool(True)
         if level == 0:
             # 2. the ground there
-            low = wp.where(by_x, (cell_y + 1) * stride + line_x + 1, (line_y + 1) * stride + cell_x + 1)
-            part = wp.clamp(across - wp.float32(wp.where(by_x, cell_y - y, cell_x - x)), 0.0, 1.0)
+            node_x = wp.where(by_x, (edge_u ^ flip_x) - flip_x, u ^ flip_x)
+            node_y = wp.where(by_x, v ^ flip_y, (edge_v ^ flip_y) - flip_y)
+            low = (node_y + 1) * stride + node_x + 1
+            across = wp.where(by_x, s, c) * out
+            part = wp.clamp(across - wp.float32(wp.where(by_x, node_y - y, node_x - x)), 0.0, 1.0)
             rise = (
                 pixel.heights[low] * (1.0 - part)
                 + pixel.heights[low + wp.where(by_x, stride, 1)] * part
@@ -222,19 +230,19 @@ def horizon(
                 slope = wp.max(slope, wp.min(rise / out, under_source(pixel, along, aside, out)))
         else:
             # 3. or the top of a large cell against the line where it comes in
-            top = pixel.tops[large_y * pixel.width + pixel.width - (pixel.width >> (level - 1)) + large_x]
+            first_column = pixel.width - (pixel.width >> (level - 1))
+            top = pixel.tops[((v >> level) ^ flip_y) * pixel.width + first_column + ((u >> level) ^ flip_x)]
             passes = top - pixel.height <= slope * t
         # 4. on, and up where a larger cell begins; or down
         if passes:
-            first = (wp.where(by_x, large_y, large_x) << level) - wp.where(by_x, y, x)
-            to = wp.int32(across)
-            if across < wp.float32(to):
-                to -= 1
-            to = wp.clamp(to, first, first + (1 << level) - 1)
-            cell_x = wp.where(by_x, line_x - 1 + on_x, x + to)
-            cell_y = wp.where(by_x, y + to, line_y - 1 + on_y)
+            last = wp.where(by_x, v, u) | mask
+            to = wp.int32(wp.where(by_x, abs_s, abs_c) * out) + wp.where(by_x, from_y, from_x)
+            to = wp.clamp(to, last - mask, last)
+            begins = (wp.where(by_x, edge_u, edge_v) >> level & 1) == 0
+            u = wp.where(by_x, edge_u, to)
+            v = wp.where(by_x, to, edge_v)
             t = out
-            if (wp.where(by_x, edge_x, edge_y) & 1) == 0 and level < pixel.levels:
+            if begins and level < pixel.levels:
                 level += 1
         else:
             level -= 1
@@ -551,6 +559,7 @@ def ball(
     n_knots: wp.int32,
     dark: wp.int32,
     rim: wp.float32,
+    highest: wp.float32,
     x0: wp.float32,
     y0: wp.float32,
     z0: wp.float32,
@@ -600,6 +609,7 @@ def ball(
         tilt[0],
         tilt[1],
         rim,
+        above_all(highest, heights[here]),
         mirror[0],
         mirror[1],
         mirror[2],
@@ -757,6 +767,7 @@ def quad(
     n_knots: wp.int32,
     dark: wp.int32,
     rim: wp.float32,
+    highest: wp.float32,
     factor: wp.float32,
 ):
     """A flat, convex quadrangle, which shines from both faces.
@@ -799,6 +810,7 @@ def quad(
         tilt[0],
         tilt[1],
         rim,
+        above_all(highest, heights[here]),
         mirror[0],
         mirror[1],
         mirror[2],
@@ -994,6 +1006,7 @@ def gloss(
     n_lobe: wp.int32,
     dark: wp.int32,
     rim: wp.float32,
+    highest: wp.float32,
     reach: wp.float32,
     factor: wp.float32,
 ):
@@ -1034,6 +1047,7 @@ def gloss(
         tilt[0],
         tilt[1],
         rim,
+        above_all(highest, heights[here]),
         mirror[0],
         mirror[1],
         mirror[2],
@@ -1091,6 +1105,7 @@ def rays(
     width: wp.int32,
     levels: wp.int32,
     count: wp.int32,
+    highest: wp.float32,
 ):
     """Whether the ground leaves rays free.
 
@@ -1114,6 +1129,7 @@ def rays(
     pixel.x = x
     pixel.y = y
     pixel.height = heights[own]
+    pixel.above = above_all(highest, heights[own])
     pixel.reach = 1.0  # along the ray ground counts up to t / reach = 1
     pixel.radius = -1.0
     here = (y * cols + x) * count
@@ -1197,7 +1213,7 @@ def sectors(
       irradiance  (rows - 2 margin, cols - 2 margin)  float32  in, out
 
     margin: nodes on all sides of the map that are there to occlude, a map that repeats being wrapped.
-    highest: node of the map. x0 <= x < x1, y0 <= y < y1 [spacing]: window at height 0 through which the light
+    x0 <= x < x1, y0 <= y < y1 [spacing]: window at height 0 through which the light
     comes; -ENDLESS..ENDLESS: there is none.
     """
     squares, thread = wp.tid()
@@ -1218,6 +1234,7 @@ def sectors(
     pixel.x = x
     pixel.y = y
     pixel.height = heights[here]
+    pixel.above = above_all(highest, heights[here])
     pixel.reach = 1.0  # ground counts up to t x along = 1
     pixel.radius = -1.0
     framed = x0 > -ENDLESS or x1 < ENDLESS or y0 > -ENDLESS or y1 < ENDLESS

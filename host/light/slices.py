@@ -252,7 +252,7 @@ class Slices:
         n_lobe, rim = (len(self.lobe.table), self.lobe.rim) if self.lobe is not None else (0, 1.0)
         lit = self.sky, self.points, self.table
         size = rows, cols, self.width, self.levels, self.least, self.most, self.side, self.n_points, n_lobe
-        table = self.turns, self.knots, int(self.walls), rim
+        table = self.turns, self.knots, int(self.walls), rim, self.highest
         if isinstance(self.solid, Dome):
             launch(
                 "slices",
@@ -266,6 +266,7 @@ class Slices:
                 *size,
                 int(self.walls),
                 rim,
+                self.highest,
                 min(self.solid.reach / self.step, -float(NONE)),
                 self.factor,
                 squares=True,
@@ -331,6 +332,7 @@ class Slices:
             self.width,
             self.levels,
             count,
+            self.highest,
             lanes=lanes,
             squares=True,
         )

@@ -52,6 +52,7 @@ class Map(NamedTuple):
     lobe: np.ndarray
     chords: np.ndarray
     rim: np.float32
+    highest: np.float32
     rows: int
     cols: int
     levels: int
@@ -128,7 +129,9 @@ def _horizon(
     end_y = np.where(
         s == 0, ENDLESS, np.where(s > 0, ground.rows - 1 - pixels.y, -pixels.y).astype(F) * per_y
     )
-    end = np.minimum(end_x, end_y)
+    # no farther than where the slice is above all ground, rounding included
+    above = ground.highest - pixels.height + F(1e-6) * (np.abs(ground.highest) + np.abs(pixels.height))
+    end = np.minimum(np.minimum(end_x, end_y), np.where(slope > 0, above / slope, ENDLESS))
     who = np.flatnonzero((slope < high) & (end > 0) & (pixels.reach > 0))
     state = [value[who] for value in (c, s, slope, high, along, aside, per_x, per_y, on_x, on_y, end)]
     here = pixels.of(who)
@@ -512,6 +515,7 @@ def ball(
     n_knots: int,
     dark: int,
     rim: float,
+    highest: float,
     x0: float,
     y0: float,
     z0: float,
@@ -537,7 +541,7 @@ def ball(
 
     # 2. its slices
     disc = Disc(ux, uy, sin_e, cos_e, flat, sin_a, cos_a, widest, all_round, inside, seen)
-    shown = points[:n_points], lobe[:n_lobe], chords[:n_turns, :n_knots], F(rim)
+    shown = points[:n_points], lobe[:n_lobe], chords[:n_turns, :n_knots], F(rim), F(highest)
     ground = Map(heights, tops, sky, *shown, rows, cols, levels, dark)
     slices_of = lambda part, count: _disc_slices(disc, quadrature, part, count)
     _sum(ground, pixels, blocks, most, factor, irradiance, slices_of, alternating)
@@ -729,6 +733,7 @@ def quad(
     n_knots: int,
     dark: int,
     rim: float,
+    highest: float,
     factor: float,
 ) -> None:
     nodes_with_ground = x, y, height, *_ = _pixels(heights, rows, cols)
@@ -759,7 +764,7 @@ def quad(
     # 3. the slices
     normal_z = np.broadcast_to(corners[5, 2], flat.shape)
     frame = Frame(ux, uy, flat, dz, normal_x, normal_y, normal_z, sense, seen)
-    shown = points[:n_points], lobe[:n_lobe], chords[:n_turns, :n_knots], F(rim)
+    shown = points[:n_points], lobe[:n_lobe], chords[:n_turns, :n_knots], F(rim), F(highest)
     ground = Map(heights, tops, sky, *shown, rows, cols, levels, dark)
     slices_of = lambda part, count: _quadrangle_slices(outline, frame, sectors, ends, quadrature, part, count)
     _sum(ground, pixels, blocks, most, factor, irradiance, slices_of)
@@ -784,6 +789,7 @@ def gloss(
     n_lobe: int,
     dark: int,
     rim: float,
+    highest: float,
     reach: float,
     factor: float,
 ) -> None:
@@ -804,14 +810,14 @@ def gloss(
         cos_d, sin_d, share, _ = _within_disc(width, whole, quadrature, count)
         return share, F(1), F(0), -STEEP, STEEP, F(2) * STEEP, x * cos_d - y * sin_d, y * cos_d + x * sin_d
 
-    shown = points[:n_points], lobe[:n_lobe], np.zeros((0, 0, 2), F), F(rim)
+    shown = points[:n_points], lobe[:n_lobe], np.zeros((0, 0, 2), F), F(rim), F(highest)
     ground_map = Map(heights, tops, sky, *shown, rows, cols, levels, dark)
     _sum(ground_map, pixels, blocks, most, factor, irradiance, slices_of)
 
 
-def _bare(heights: np.ndarray, tops: np.ndarray, rows: int, cols: int, levels: int) -> Map:
+def _bare(heights: np.ndarray, tops: np.ndarray, highest: float, rows: int, cols: int, levels: int) -> Map:
     nothing = np.zeros(0, F)
-    return Map(heights, tops, nothing, nothing, nothing, nothing, F(0), rows, cols, levels, 0)
+    return Map(heights, tops, nothing, nothing, nothing, nothing, F(0), F(highest), rows, cols, levels, 0)
 
 
 def rays(
@@ -824,12 +830,13 @@ def rays(
     width: int,
     levels: int,
     count: int,
+    highest: float,
 ) -> None:
     ground = _pixels(heights, rows, cols)
     y, x = ground[1], ground[0]
     # along a ray ground counts up to t / reach = 1
     pixels = Pixels(*ground, np.zeros(len(x), F), np.ones(len(x), F), F(-1))
-    bare = _bare(heights, tops, rows, cols, levels)
+    bare = _bare(heights, tops, highest, rows, cols, levels)
     for j in range(count):
         c, s, tangent, reach = (np.ascontiguousarray(ways[y, x, k, j]) for k in range(4))
         above = tangent + F(1e-6) * (F(1) + np.abs(tangent))  # so that one obstacle is enough
@@ -890,7 +897,7 @@ def sectors(
     def flat(value: float | np.float32) -> np.ndarray:
         return np.full(len(x), value, F)
 
-    total, bare = np.zeros(len(x), F), _bare(heights, tops, rows, cols, levels)
+    total, bare = np.zeros(len(x), F), _bare(heights, tops, highest, rows, cols, levels)
     for j, (c, s, share, first, scale) in enumerate(ways.T):
         last = first + F(knots - 1) / scale
         low, high = (sine / np.sqrt(max(F(1) - sine * sine, F(1e-12))) for sine in (first, last))
