@@ -216,6 +216,22 @@ def test_files_that_contributing_names_are_there():
     report("files that are not there", sorted(name for name in named if not (ROOT / name).exists()))
 
 
+def test_kernels_are_launched_where_contributing_says():
+    """The table of stems names all of them, and the files in which each is launched."""
+    text = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| `(\w+)` \| [^|]+ \| ([^|]+) \| `tests/", text, re.MULTILINE)
+    told = {stem: set(re.findall(r"`(host/[\w/]+\.py)`", files)) for stem, files in rows}
+    assert set(told) == {path.stem for path in (ROOT / "opencl").glob("*.cl")}
+    launches = {stem: re.compile(rf'launch\(\s*"{stem}"') for stem in told}
+    real = {stem: set() for stem in told}
+    for path in (ROOT / "host").rglob("*.py"):
+        code = path.read_text(encoding="utf-8")
+        for stem, launch in launches.items():
+            if launch.search(code):
+                real[stem].add(str(path.relative_to(ROOT)))
+    assert told == real
+
+
 def definitions(tree, prefix=""):
     """(qualified name, node) of all functions and classes below a node of the syntax tree."""
     for child in ast.iter_child_nodes(tree):

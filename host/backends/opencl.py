@@ -35,7 +35,7 @@ OPTIONS = "-cl-std=CL1.2", "-w"  # without remarks on the kernels, which clang c
 HUGE_PAGE = 2**21  # [byte], of Linux on x86-64 and, with pages of 4 KiB, on ARM
 # registers a work-item on NVIDIA, of stems that wait for memory: with 64 more run at once. Measured on an
 # H200, 4096 x 4096 nodes: sweeps of 64 azimuths took 23.5 ms with 64 and 27 with 96 (of 16: 13.3 and 12.3),
-# about 31 with 48; slices of a sphere 36.4 ms with 64 or 48, and 40.2 as the compiler chose (110)
+# about 31 with 48; slices of a sphere 31.4 ms with 64, 31.5 with 48, 32 with 80 or 96
 REGISTERS = {"horizon": 64, "slices": 64}
 CPU_LANES = 8  # float32 of a vector register of 256 bits
 CPU_STRIPS = 8  # strips of lines that a sweep takes side by side

@@ -54,11 +54,17 @@ class Distribution(ABC):
         """Brightness (...), or RGB (..., 3), along unit vectors (..., 3)."""
 
     def by_formula(self) -> bool:
-        """Whether it is made of a few numbers, so that equal ones have equal values at any time."""
+        """Whether objects that are equal always have equal values, so that their tables may be kept.
+
+        It must be hashable then.
+        """
         return False
 
     def narrow(self) -> Directions | None:
-        """Directions of all features narrower than a degree; None where they are not known."""
+        """Directions of all features narrower than a degree, () if there are none; None if not known.
+
+        Where they are known, tables begin with cells of half a degree, else of 0.16 degrees.
+        """
         return None
 
     def equirectangular(self) -> np.ndarray | None:
@@ -74,7 +80,7 @@ class Distribution(ABC):
         return self
 
     def scaled(self, factor: float) -> Distribution:
-        """The same, ``factor`` times as bright."""
+        """The same, ``factor`` times as bright. One with a disc overrides this: ``Scaled`` has none."""
         return Scaled(self, factor)
 
 
