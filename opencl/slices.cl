@@ -190,7 +190,7 @@ floats horizon(const Pixel *pixel, floats c, floats s, floats slope, floats high
     }
     /* 4. on, and up where a larger cell begins; or down */
     passes &= going;
-    const ints beside = by_x ? v : u, last = beside | mask, first = last - mask;
+    const ints last = (by_x ? v : u) | mask, first = last - mask;
     ints to = TO_INTS((by_x ? abs_s : abs_c) * out) + (by_x ? from_y : from_x);
     to = to < first ? first : to > last ? last : to;
     u = passes ? (by_x ? edge_u : to) : u;

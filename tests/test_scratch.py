@@ -144,11 +144,11 @@ def test_what_others_keep_under_its_name_stays(job, theirs, resume):
 
 def test_two_runs_do_not_share_a_scratch(job):
     """The second is one error; when the first ends, it may."""
-    with out_of_core.alone_in(job.scratch):
+    with out_of_core.locked(job.scratch):
         with pytest.raises(InputError, match="out.tif.scratch.*another run.*one run at a time"):
-            with out_of_core.alone_in(job.scratch):
+            with out_of_core.locked(job.scratch):
                 pass
         assert sorted(os.listdir(job.scratch.parent)) == ["dem.tif", "out.tif.scratch.lock"]
     assert os.listdir(job.scratch.parent) == ["dem.tif"]
-    with out_of_core.alone_in(job.scratch):
+    with out_of_core.locked(job.scratch):
         pass

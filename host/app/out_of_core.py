@@ -182,7 +182,7 @@ def write_quantity(
     scratch = Path(out).with_name(Path(out).name + ".scratch")
     dtype = "float32" if np.can_cast(header.values.dtype, np.float32) else "float64"
     job = Job(file.resolve(), scratch, layout, quantity, dtype)
-    with alone_in(scratch):
+    with locked(scratch):
         with workers_of(machines) as client:
             names = ", ".join(sorted(set(client.run(_backend_of, quantity.audit.backend).values())))
             group = run(job._replace(backend=names), client, machines.resume, progress)
@@ -375,7 +375,7 @@ def scratch_of(job: Job, resume: bool) -> Any:
 
 
 @contextlib.contextmanager
-def alone_in(scratch: Path) -> Iterator[None]:
+def locked(scratch: Path) -> Iterator[None]:
     """Keep other runs out of a scratch group; InputError where one is in it.
 
     The lock is the operating system's, which frees it when the process ends, however that may be.
