@@ -4,6 +4,7 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -433,6 +434,29 @@ def test_ctrl_c_while_a_driver_is_imported_is_ctrl_c(monkeypatch):
     monkeypatch.setattr("builtins.__import__", interrupt)
     with pytest.raises(KeyboardInterrupt):
         opencl.probe()
+
+
+@pytest.mark.parametrize(
+    ("version", "available"),
+    [
+        ("OpenCL 3.0 PoCL HSTR: pthread-x86_64-unknown-linux-gnu-generic", False),
+        ("OpenCL 3.0 PoCL HSTR: pthread-x86_64-pc-linux-gnu-znver3", True),
+        ("OpenCL 3.0 PoCL HSTR: pthread-aarch64-unknown-linux-gnu-generic", True),
+    ],
+)
+def test_a_pocl_that_is_older_than_the_processor_is_not_available(monkeypatch, version, available):
+    """Its compiler calls such an x86 "generic" and refuses the name; "auto" must not take it."""
+    cl = pytest.importorskip("pyopencl")
+    from skylamp.backends import opencl
+
+    device = SimpleNamespace(
+        max_compute_units=2, name="cpu", double_fp_config=1, version=version, type=cl.device_type.CPU
+    )
+    platform = SimpleNamespace(version="OpenCL 3.0 PoCL 3.0", get_devices=lambda: [device])
+    monkeypatch.setattr(cl, "get_platforms", lambda: [platform])
+    (info,) = opencl.probe()
+    assert info.available is available
+    assert available or "apt install pocl-opencl-icd" in info.why
 
 
 SMALL = sl.Scene(np.ones((4, 5)))

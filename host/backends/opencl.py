@@ -42,6 +42,11 @@ CPU_STRIPS = 8  # strips of lines that a sweep takes side by side
 CPU_PARTIAL_SUMS = 16  # most copies of a sum that work-items scatter into
 MOST_FILLED = 2**31  # [byte] from which NVIDIA's driver fills wrongly (pyopencl, issue 395)
 SCAN_GROUP = 1024  # work-items of a group of scan on a GPU
+NOT_EXACT = "the device has no double precision, which windows and lamps need"
+UNKNOWN_PROCESSOR = (
+    "this PoCL is older than the processor and builds no kernel for it; install a newer one from the system's"
+    " packages (apt install pocl-opencl-icd)"
+)
 PREFETCHED_DEPTHS = 6  # depths that a scan on a GPU fetches before it uses them; a CPU does so by itself
 
 
@@ -61,13 +66,22 @@ def probe() -> list[BackendInfo]:
         for d, device in enumerate(platform.get_devices()):
             units = f"{device.max_compute_units} compute units"
             described = f"{device.name.strip()} ({platform.version.strip()}, {units})"
-            exact = bool(device.double_fp_config)
-            why = "" if exact else "the device has no double precision, which windows and lamps need"
+            why = "" if device.double_fp_config else NOT_EXACT
+            if knows_no_processor(device.version):
+                why = UNKNOWN_PROCESSOR
             gpu = bool(device.type & cl.device_type.GPU)
-            infos.append(BackendInfo(f"opencl:{p}:{d}", described, exact, why, gpu))
+            infos.append(BackendInfo(f"opencl:{p}:{d}", described, not why, why, gpu))
     return sorted(infos, key=lambda info: not info.gpu) or [
         BackendInfo("opencl", "", False, "the OpenCL platforms have no device")
     ]
+
+
+def knows_no_processor(version: str) -> bool:
+    """Whether a device of this CL_DEVICE_VERSION is a PoCL whose LLVM is older than the processor.
+
+    It takes the processor for a "generic" one then, a name that clang refuses on x86: no kernel builds.
+    """
+    return "PoCL" in version and "x86_64" in version and version.strip().endswith("-generic")
 
 
 class OpenclBackend(Backend):
