@@ -293,6 +293,18 @@ def test_suns_have_all_their_light(fast):
             assert count != 4 or share[1:-1].max() < 1.6 / count
 
 
+@pytest.mark.parametrize("radius", [0.05, 0.19, 1.0])
+def test_a_small_sun_at_the_zenith_beside_a_cliff(fast, radius):
+    """float32 resolves the sine of elevation there to some knots of its table; nothing of it may be lost."""
+    edge, light = np.cos(np.radians(radius)), 1.0 / np.sin(np.radians(radius)) ** 2
+    sky = sl.Sky(lambda L: 1 + light * (-L[..., 2] >= edge), suns=[(0.0, 0.0, -1.0)])
+    depth = np.where(np.arange(40) < 3, 20.0, 1.0) * np.ones((40, 1))
+    image = sl.render(
+        sl.Scene(depth), sky, backend=fast, tolerance=0.01, interreflection=False, quantity="irradiance"
+    ).image
+    assert np.abs(image[:, 20:] / (2 * np.pi) - 1).max() < 1e-4
+
+
 @pytest.mark.slow
 def test_what_is_no_sun():
     """Even skies have none; nor do parts that span much azimuth or give a tenth of the tolerance."""
