@@ -91,8 +91,13 @@ BEHIND_CLIFFS = 0.028
 # tolerance below which the shadows of suns are computed with 24 near rows: their error is 0.1 to 0.9 % with 6
 # near rows and 0.01 to 0.35 % with 24 (fractals, terrain)
 SHARP_SHADOWS = 0.01
-# relative error of the light on level ground by tables of brightness (tests/test_integrals.py)
+# relative error of the light by tables of brightness: of a sky on level ground (tests/test_integrals.py), and
+# along the chords of lamps and windows, where 5e-6 to 3e-4 of the mean were measured
+# (performance/refinement.py)
 TABLES_ERROR = 1e-4
+# of the mean, error of closed forms and sums in float32, in which two halves do not differ: measured 1e-5 RMS
+# under panels over planes (performance/refinement.py)
+ROUNDING_ERROR = 1e-5
 
 # -- lamps and windows
 # numbers of slices that an image may begin with: of a source that stands all round a node, and of a
@@ -298,7 +303,9 @@ def refined(
         planning_seconds=planning,
     )
     mean = planner.mean if math.isfinite(planner.mean) else 0.0
-    floor = assessment.floor * mean if math.isfinite(assessment.floor) else math.inf
+    floor = (
+        math.hypot(assessment.floor, ROUNDING_ERROR) * mean if math.isfinite(assessment.floor) else math.inf
+    )
     light = method.device_image() if stays else None
     irradiance = method.irradiance() if light is None else light
     return Refined(
@@ -905,6 +912,7 @@ class _SlicePlanner(_UnitsPlanner):
                 self.rays = RAYS[0]
             elif self.sky is None:
                 self.sky = integrals(sources.Sky(self.source.brightness), math.inf, True)
+            self.tables = 0.0 if self.rays else TABLES_ERROR
         self.choose_units((JUDGING_SLICES * count, [count]) for count in counts)
 
     def judge_by(self, units: int) -> None:
