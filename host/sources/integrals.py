@@ -58,7 +58,7 @@ SECTOR_CELL_PARTS = 16  # at most, that a cell is cut into for narrow sectors; 8
 # [rad] of darkness between two small parts: parts nearer than that share azimuths
 DARK_GAP = math.radians(1)
 # least difference between knots, of the sine of elevation: eight steps of float32 below 1, so that a kernel
-# finds the first knot of a small sun at the zenith; with one step a sun of 0.19 degrees loses 0.8 % of its light
+# finds the first knot of a small sun at the zenith; with one, one of 0.19 degrees loses 0.8 % of its light
 LEAST_KNOT = 2.0**-21
 SKY_KNOTS, PART_KNOTS = 257, 65  # of the tables of a sky and of a small part, evenly in the sine of elevation
 
