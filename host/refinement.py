@@ -717,7 +717,9 @@ class _SkyPlanner(_UnitsPlanner):
             return
         self.light = sky = integrals(self.source, self.tolerance)
         self.bright_parts, self.tables = sky.bright_parts, math.hypot(TABLES_ERROR, sky.error)
-        if self.bright_parts and self.samples.cliffs > 0:
+        # so are a dark box's walls: a sweep's table has too few knots near the zenith for a small sun there
+        has_cliffs = self.samples.cliffs > 0 or scene.sides == "dark"
+        if self.bright_parts and has_cliffs:
             self.rays = margin_of(scene, self.bright_parts, self.samples.relief)
 
     def judge_by(self, units: int) -> None:

@@ -305,6 +305,17 @@ def test_a_small_sun_at_the_zenith_beside_a_cliff(fast, radius):
     assert np.abs(image[:, 20:] / (2 * np.pi) - 1).max() < 1e-4
 
 
+def test_a_small_sun_at_the_zenith_lights_the_foot_of_a_wall(fast):
+    """Of a dark box 30 deep: half a spacing from it a node sees the sky within 1 degree of the zenith."""
+    edge = np.cos(np.radians(0.3))
+    sky = sl.Sky(lambda L: 1.0 * (-L[..., 2] >= edge), suns=[(0.0, 0.0, -1.0)])
+    scene = sl.Scene(np.full((40, 40), 30.0), sides="dark")
+    image = sl.render(
+        scene, sky, backend=fast, tolerance=0.01, interreflection=False, quantity="irradiance"
+    ).image
+    assert np.abs(image / (np.pi * np.sin(np.radians(0.3)) ** 2) - 1).max() < 1e-4
+
+
 @pytest.mark.slow
 def test_what_is_no_sun():
     """Even skies have none; nor do parts that span much azimuth or give a tenth of the tolerance."""
