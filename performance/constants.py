@@ -17,14 +17,14 @@ from dataclasses import replace
 import numpy as np
 from pairs import pair, truth
 from plans import relative_errors
-from refinement import NODES, estimated, least_light
+from refinement import estimated, least_light
 
 import skylamp as sl
 from skylamp.backends import select
 from skylamp.samples import Samples
 from skylamp.sources.integrals import Integrals
 
-TOLERANCE = 0.01
+TOLERANCE, NODES = 0.01, 400  # asked for; at which an image is judged
 SKY, LIGHTS, FINITE = "sky", "sky with small lights", "finite"
 CONSTANTS = {  # module and name: on which pairs
     "refinement.ESTIMATE_SHARE": SKY,
