@@ -125,6 +125,9 @@ MOST_BALL_EXTENTS = 2.0**40  # the same of a sphere, whose squares stay in float
 # 8-bit image shows under the beam itself; with half and twice the errors of 15 lamps and windows at 1 % stay
 # the same
 DARK = 1e-6
+# rounding of depths [spacing], over the tolerance, from which on a plan says so; chosen: by as much the slope
+# between neighbours is wrong, a tenth of the error that was asked for
+ROUNDED_SHARE = 0.1
 POINT_SHARE = 0.1  # share of the tolerance: largest error as a point of a lamp that a plan calls a point
 
 
@@ -1178,9 +1181,9 @@ def beyond_model(planner: _Planner, between: float | None) -> Iterator[str]:
             f"Nodata: {_percent(1 - scene.mask.mean())} of the nodes are masked; they hide nothing, so"
             " light may come through holes."
         )
-    if _rounding(samples) > 0.1 * planner.tolerance:
+    if _rounding(samples) > ROUNDED_SHARE * planner.tolerance:
         yield (
-            f"Depths are rounded by {_rounding(samples):.2g} spacings, more than the tolerance allows:"
+            f"float32 rounds depths by {_rounding(samples):.2g} spacings, more than the tolerance allows:"
             " subtract the least depth."
         )
 

@@ -232,6 +232,24 @@ def test_kernels_are_launched_where_contributing_says():
     assert told == real
 
 
+def test_warnings_are_decided_where_contributing_says():
+    """Every name in its table of warnings is defined or used in a file that is named with it."""
+    text = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| .+$", text.split("decides on a warning")[1].split("\n\n")[1], re.MULTILINE)[1:]
+    missing = []
+    for row in rows:
+        cells = row.split("|")[2:4]
+        code = [(ROOT / name).read_text(encoding="utf-8") for name in re.findall(r"`(host/[\w/]+\.py)`", row)]
+        for name in re.findall(r"`([\w.]+)`", " ".join(cells)):
+            last = name.rsplit(".")[-1]
+            if not any(
+                re.search(rf"^\s*(?:def {last}\b|{last}\b.*=)|\b{last}:", file, re.MULTILINE) for file in code
+            ):
+                missing.append(name)
+    assert len(rows) >= 13
+    report("names that are not there", missing)
+
+
 def definitions(tree, prefix=""):
     """(qualified name, node) of all functions and classes below a node of the syntax tree."""
     for child in ast.iter_child_nodes(tree):

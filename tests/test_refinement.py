@@ -958,7 +958,7 @@ def test_more_rows_are_tested_among_cliffs_where_the_tolerance_needs_it(fast):
         (SCENES["flat"], sl.Lamp((30, 40, -20), 24.5), "The lamp touches the surface: it ends 0.5 spacings"),
         (SCENES["houses"], sl.Sky(), "Slopes are steeper than the grid holds"),
         (SCENES["holes"], sl.Sky(), "Nodata"),
-        (sl.Scene(np.float32(ROUGH + 3e5)), sl.Sky(), "Depths are rounded by"),
+        (sl.Scene(np.float32(ROUGH + 3e5)), sl.Sky(), "float32 rounds depths by"),
     ],
     ids=["between surfaces", "touching lamp", "large lamp", "cliffs", "holes", "rounding"],
 )
