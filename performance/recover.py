@@ -1,7 +1,7 @@
 """Depth from images: how accurate, how stable, how fast. Writes recover.json.
 
-    python performance/recover.py [--backend NAME] [--what accuracy,stability,albedo,between,terrain,speed]
-        [--sizes 64,256] [--out FOLDER]
+    python performance/recover.py [--backend NAME] [--sizes 64,256] [--out FOLDER]
+        [--what accuracy,stability,albedo,between,suspected,terrain,speed]
     python performance/recover.py --without NAME[,NAME...]|all [--backend NAME] [--out FOLDER]
 
 Surfaces and images are those of tests/surfaces.py: continuous surfaces, rendered five times as finely in a
@@ -225,6 +225,34 @@ def between(backend):
             }
 
 
+def suspected(backend, size=32):
+    """What decides on the warnings of residual and doubt, with right arguments and with wrong ones."""
+    wrong = {"right": {}, "albedo x 0.5": {"albedo": 0.5 * ALBEDO}, "sides": {"sides": "open"}}
+    for kind in ("sky", "sun", "lamp"):
+        for name in (*SURFACES, "pits", "ripples", "folds", "scarp", "saddle"):
+            _, image = pair(name, kind, size)
+            for what, changed in wrong.items():
+                given = {"albedo": ALBEDO, "sides": "dark", **changed}
+                found = sl.recover(
+                    image,
+                    source_of(kind, size),
+                    layers=LAYERS * size // surfaces.SIZE,
+                    backend=backend,
+                    interreflection=False,
+                    **given,
+                )
+                level = rms(image)
+                yield {
+                    "source": kind,
+                    "surface": name,
+                    "given": what,
+                    "residual": rms(found.residual) / level,
+                    "too bright": float(np.mean(found.residual < -0.1 * level)),
+                    "ambiguous": float(found.ambiguous.mean()),
+                    "warnings": [text.split(":")[0].split(" at ")[0] for text in found.warnings],
+                }
+
+
 def main():
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
@@ -248,6 +276,7 @@ def main():
             "albedo": albedos,
             "terrain": real,
             "between": between,
+            "suspected": suspected,
             "speed": lambda backend: speed(backend, map(int, options.sizes.split(","))),
         }[what]
         done[what] = []

@@ -1,6 +1,7 @@
 """recover(method="paper") equals the oracle's carving exactly, and says what went wrong."""
 
 import functools
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ from compare import assert_bits_equal
 
 import skylamp as sl
 from skylamp import oracle
+from skylamp.inverse import diagnostics
 from skylamp.inverse.carving import carving_integers
 from skylamp.sources.shapes import BALL, RECTANGLE, SKY, VOLUME, Geometry, radiance
 
@@ -188,3 +190,47 @@ def test_progress_counts_layers_and_a_second_run_is_the_same(backend):
         paper(image, SOURCES["window"][0], 0.6, "dark", 1.0, LAYERS, 5, backend=backend).depth, first.depth
     )
     assert_bits_equal(image, before)
+
+
+def described(noise=0.0):
+    """What `of_residual` asks of a pyramid."""
+    return SimpleNamespace(noise=noise, sides="dark")
+
+
+def test_a_residual_is_said_to_be_poorly_explained_and_where():
+    """Above 3 % of the image, unless noise explains it; near the border the sides are named."""
+    inside, rim = np.zeros((32, 32)), np.zeros((32, 32))
+    inside[8:24, 8:24] = 0.2 * diagnostics.IMAGE_RMS
+    rim[0] = 0.4 * diagnostics.IMAGE_RMS
+    (text,) = diagnostics.of_residual(described(), inside)
+    assert text.startswith("Poorly explained: model and image differ by 10%") and "relief is finer" in text
+    (text,) = diagnostics.of_residual(described(), rim)
+    assert "near the border: check the sides (sides='dark'" in text
+    assert diagnostics.of_residual(described(), 0.29 * inside) == []
+    assert diagnostics.of_residual(described(0.1 * diagnostics.IMAGE_RMS), inside) == []
+
+
+def test_doubtful_pixels_are_said():
+    """Ambiguous ones from half a percent on; of an unknown albedo untrusted ones above 20 %."""
+    confidence, ambiguous = np.ones((20, 20)), np.zeros((20, 20), bool)
+    assert diagnostics.of_confidence(confidence, ambiguous, False) == []
+    ambiguous[0, :2], confidence[:5] = True, 0.4
+    few, albedo = diagnostics.of_confidence(confidence, ambiguous, False)
+    assert few.startswith("Ambiguous: 0.5%") and albedo.startswith("Depth depends on the albedo at 25% of")
+    assert len(diagnostics.of_confidence(confidence, ambiguous, True)) == 1
+    ambiguous[0, 1] = False
+    assert diagnostics.of_confidence(np.ones((20, 20)), ambiguous, False) == []
+
+
+def test_images_of_few_levels_are_said():
+    """8 bits where most neighbours differ by less than a step; for carving, fewer than 200 counts."""
+    across = np.linspace(0.2, 0.8, 64) + np.linspace(0, 0.1, 64)[:, None]
+    steps = lambda bits: np.round(across * 2**bits) / 2**bits
+    scene, lamp = sl.Scene(np.ones((64, 64))), sl.Lamp((32.0, 32.0, -40.0), 10.0)
+    of_images = lambda image: diagnostics.of_images([image], [lamp], scene, 20.0)
+    (text,) = of_images(steps(5))
+    assert text.startswith("8-bit steps: the image has 24 values, 0.031 apart")
+    assert of_images(across) == [] and of_images(steps(16)) == []
+    (text,) = diagnostics.of_carving(steps(5), lamp, "open", np.zeros((64, 64), bool), "eps")
+    assert text.startswith("Few counts: the image's values are multiples of 0.034")
+    assert diagnostics.of_carving(across, lamp, "open", np.zeros((64, 64), bool), "eps") == []

@@ -368,7 +368,7 @@ def _recovery(
     depth_range = float((high - low).mean())
     std, others = deviation_of(search.multigrid, level, z, search.rivals, search.comparing, depth_range)
     confidence = confidence_of(std, depth_range)
-    ambiguous = np.isfinite(others).any(0) & (confidence < 0.5)
+    ambiguous = np.isfinite(others).any(0) & (confidence < diagnostics.UNTRUSTED)
 
     for finer in range(level - 1, -1, -1):
         z = 2 * doubled(z, pyramid.shape(finer))
