@@ -26,11 +26,21 @@ turned map.
   table        (count, knots)  float4 brightness: integrals over elevation of B cos^2 and B sin cos from
                                sin(elevation) = i / (knots - 1) to the zenith, and what to add up to the next
                                knot
-  slopes       (count, rows x cols) float  in, out: horizon slopes [1]
+  slopes       (count, rows x cols) float  in, out: horizon slopes [1], rise over distance
   sum          (sums, rows x cols) int  in, out: irradiance in fixed point, so that no order of summation
                                       matters
   steps        (LADDER)        int    the ladder: (s << bits) - 1
   rises        (LADDER)        int    and s times the distance at which a crossing comes in
+  first        int             number of the first azimuth that is swept
+  group        int             work-items of a group
+  rows, cols   int             of the map and the image, without the margin
+  margin       int             nodes round the map in heights and tilts
+  room         int             nodes of the padded map
+  knots        int             of the table
+  bits         int             of a candidate's integer that hold its distance [rows]
+  lowest       float           [spacing], least height of the map
+  height_scale float           steps of a candidate's integer per spacing of height
+  known, backward, top, bottom, left, right  int  see below
 
 WHAT: SLOPES writes slopes, UNIFORM adds the light of a uniform sky, TABLE that of `table`. SIDES: OPEN, DARK
 or PERIODIC. known: slopes holds what is known already. BLOCKS: the window is not endless. backward: rows at
@@ -189,8 +199,8 @@ __kernel void sweep(__global const float *restrict heights, __global const float
 {
   const int k = get_group_id(1) + first, g = get_global_id(2);
   const float shear = azimuths[8 * k], cosine = azimuths[8 * k + 1], sine = azimuths[8 * k + 2];
-  const float tangent = azimuths[8 * k + 3], width = azimuths[8 * k + 4], reciprocal = azimuths[8 * k + 5];
-  const float reach = azimuths[8 * k + 6], steepness = fabs(shear);
+  const float rows_per_spacing = azimuths[8 * k + 3], width = azimuths[8 * k + 4];
+  const float reciprocal = azimuths[8 * k + 5], reach = azimuths[8 * k + 6], steepness = fabs(shear);
   const int towards = ways[8 * k], near_rows = ways[8 * k + 1], near_columns = ways[8 * k + 2],
             warm = ways[8 * k + 3];
   const int window = ways[8 * k + 4];
@@ -381,11 +391,11 @@ __kernel void sweep(__global const float *restrict heights, __global const float
                                           towards, rows, cols, margin));
         }
       }
-      slope *= tangent;
+      slope *= rows_per_spacing;
       if (SIDES == DARK) { /* a wall half a node outside, up to height 0 */
         const floats wall = TO_FLOATS(shear > 0 ? 2 * (cols - xs) - 1 : 2 * xs + 1) * (0.5f * reciprocal),
                      to_row = u + 0.5f;
-        slope = higher(slope, -own * tangent / (wall < to_row ? wall : to_row));
+        slope = higher(slope, -own * rows_per_spacing / (wall < to_row ? wall : to_row));
       }
       __global float *plane = slopes + ((size_t)get_group_id(1) * rows + y) * cols;
       if (known && LANES > 1 && x >= 0 && column_of(x, strip, LANES - 1, cols) == x + LANES - 1)

@@ -28,11 +28,20 @@ turned map.
   table        (count, knots)        vec4               brightness: integrals over elevation of B cos^2 and B
                                                         sin cos from sin(elevation) = i / (knots - 1) to the
                                                         zenith, and what to add up to the next knot
-  slopes       (count, rows x cols)  float32            in, out: horizon slopes [1]
+  slopes       (count, rows x cols)  float32            in, out: horizon slopes [1], rise over distance
   sum          (sums, rows x cols)   int32              in, out: irradiance in fixed point, so that no order
                                                         of summation matters
   steps        (LADDER)              int32              the ladder: (s << bits) - 1
   rises        (LADDER)              int32              and s times the distance at which a crossing comes in
+  first        int32                                    number of the first azimuth that is swept
+  group        int32                                    threads of a block
+  rows, cols   int32                                    of the map and the image, without the margin
+  margin       int32                                    nodes round the map in heights and tilts
+  room         int32                                    nodes of the padded map
+  knots        int32                                    of the table
+  bits         int32                                    of a candidate's integer that hold its distance [rows]
+  lowest       float32 [spacing]                        least height of the map
+  height_scale float32 [1 / spacing]                    steps of a candidate's integer per height
 
 Steps have the same numbers as in its twin, opencl/horizon.cl.
 """
@@ -414,7 +423,7 @@ def sweep(NEAR: int, SIDES: int, WHAT: int, BLOCKS: int):
         shear = azimuths[k, 0]
         cosine = azimuths[k, 1]
         sine = azimuths[k, 2]
-        tangent = azimuths[k, 3]
+        rows_per_spacing = azimuths[k, 3]
         width = azimuths[k, 4]
         reciprocal = azimuths[k, 5]
         reach = azimuths[k, 6]
@@ -713,12 +722,12 @@ def sweep(NEAR: int, SIDES: int, WHAT: int, BLOCKS: int):
                                 margin,
                             ),
                         )
-                slope *= tangent
+                slope *= rows_per_spacing
                 if wp.static(SIDES == DARK):  # a wall half a node outside, up to height 0
                     wall = wp.float32(wp.where(shear > 0.0, 2 * (cols - x) - 1, 2 * x + 1)) * (
                         wp.float32(0.5) * reciprocal
                     )
-                    slope = wp.max(slope, -own * tangent / wp.min(wall, wp.float32(u) + 0.5))
+                    slope = wp.max(slope, -own * rows_per_spacing / wp.min(wall, wp.float32(u) + 0.5))
 
                 # 8. the light between the horizon, or the tangent plane, and the zenith
                 if x >= 0 and x < cols:

@@ -33,9 +33,9 @@ FINE_KNOTS = 1025  # of a table that holds small bright parts too: a knot is 0.0
 class Horizons(LightMethod):
     """``sky``: a brightness, or Integrals. ``count``: azimuths, even in number.
 
-    ``sectors`` of every small bright part; ``near`` rows within which every crossing is tested. ``rays``: the
-    small parts are above exact horizons, which behind cliffs a sweep's are not; ``rays`` is then the margin
-    of a map that repeats, see :func:`margin_of`, else 0.
+    ``sectors`` of every small bright part; ``near`` rows within which every crossing is tested. With an
+    ``exact_margin`` the small parts are above exact horizons, which behind cliffs a sweep's are not: the
+    margin of a map that repeats, see :func:`margin_of`, 0 of others.
 
     Each of the two images has half of the azimuths, every other one, and all light. A ratio estimator makes
     the light of so few: of the light that the tangent planes alone let through, which is known exactly, each
@@ -50,7 +50,7 @@ class Horizons(LightMethod):
         count: int,
         sectors: int = 8,
         near: int | None = None,
-        rays: int | None = None,
+        exact_margin: int | None = None,
     ):
         self.engine, self.scene, self.sky, self.units, self.sectors = engine, scene, sky, count, sectors
         self.scale, self.bright_parts = (1.0, sky.bright_parts) if isinstance(sky, Integrals) else (sky, ())
@@ -58,8 +58,8 @@ class Horizons(LightMethod):
         self.sweeps = Sweeps(engine, ground_of(scene, None, engine), near=near)
         self.total, self.turned = (engine.empty(size, np.int32) for _ in range(2))
         self.slices = None
-        if rays is not None and self.bright_parts:
-            self.slices = Slices(scene.on(engine), scene.sides, Dome(), margin=rays)
+        if exact_margin is not None and self.bright_parts:
+            self.slices = Slices(scene.on(engine), scene.sides, Dome(), margin=exact_margin)
         # light (side, side) by normal that the tangent planes alone leave
         self.exact = np.zeros(0)
         if isinstance(sky, Integrals):

@@ -197,11 +197,11 @@ def _far(rays: Rays, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
     return far
 
 
-def _wall(rays: Rays, tangent: np.float32) -> np.ndarray:
+def _wall(rays: Rays, rows_per_spacing: np.float32) -> np.ndarray:
     """The slope to the top, at height 0, of a wall half a node outside the map."""
     to_side = 2 * (rays.cols - rays.x) - 1 if rays.shear > 0 else 2 * rays.x + 1
     wall = to_side.astype(np.float32) * (HALF * rays.reciprocal)
-    slope: np.ndarray = -rays.own * tangent / np.minimum(wall, rays.u.astype(np.float32) + HALF)
+    slope: np.ndarray = -rays.own * rows_per_spacing / np.minimum(wall, rays.u.astype(np.float32) + HALF)
     return slope
 
 
