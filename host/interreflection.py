@@ -225,24 +225,24 @@ def included(
     why: str,
     error: float = 0.0,
     sky: np.ndarray | DeviceImage | None = None,
-    beyond: bool = False,
+    is_part: bool = False,
 ) -> Included:
     """All light within the tolerance, from the direct light of each colour.
 
     One light may be a DeviceImage, which is used in place. ``error``: RMS of that of ``direct`` over its
-    mean; ``sky``: share of sky at every node, if ``direct`` is proportional to it. ``beyond``:
+    mean; ``sky``: share of sky at every node, if ``direct`` is proportional to it. ``is_part``:
     ``sky`` is that of a part of a map, beyond which ground hides sky too. That ground
     counts as being as bright as the ground that is visible within the part.
     """
     samples = samples_of(engine, scene, CHECKED)
-    is_uniform = sky is not None and not beyond
+    is_uniform = sky is not None and not is_part
     has_cliffs = CLIFF_ERROR * math.sqrt(samples.cliffs) > CLIFF_SHARE * tolerance
     sky = sky_share(scene, engine, tolerance, has_cliffs) if sky is None else sky
     shares = albedos(scene)
     count = max(len(direct), len(shares))
     lights, shares = ([values[n % len(values)] for n in range(count)] for values in (direct, shares))
     bounces = Bounces(engine, scene, samples, lights, shares, sky)
-    check = _Check(bounces, lights, shares, sky, error, is_uniform, beyond)
+    check = _Check(bounces, lights, shares, sky, error, is_uniform, is_part)
     coarse = check.coarse_rounds(tolerance)
     bounces.run([COARSE] * coarse)
     done, level, before = coarse, _first_level(check.share, tolerance), math.inf
@@ -293,9 +293,9 @@ class _Check:
         sky: np.ndarray | DeviceImage,
         error: float,
         is_uniform: bool,
-        beyond: bool,
+        is_part: bool,
     ):
-        self.bounces, self.error, self.is_uniform, self.beyond = bounces, error, is_uniform, beyond
+        self.bounces, self.error, self.is_uniform, self.is_part = bounces, error, is_uniform, is_part
         self.guessed = 0.0  # RMS over the mean of the light that comes from beyond the map
         samples = bounces.samples
         self.sky, *self.direct = (_at(samples, image) for image in (sky, *direct))
@@ -330,7 +330,7 @@ class _Check:
         self.guessed = 0.0
         for total, direct, share, sent in zip(totals, self.direct, self.albedo, light):
             mean, first = _mean(total), _mean(direct)
-            if self.beyond:
+            if self.is_part:
                 more = sent * ((1 - self.sky) / np.maximum(1 - sky, LEAST_GROUND) - 1)
                 sent = sent + more
                 guessed = math.sqrt(float(np.mean(np.maximum(more, 0) ** 2)))

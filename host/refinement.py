@@ -65,7 +65,7 @@ SEEN = 2.0
 # error of the exact light at the samples over its difference from coarser light; measured, docs/explanation.
 # With half and twice the errors of 15 lamps and windows at 1 % stay the same; skies were not tried
 JUDGE_SHARE = 0.45
-BEYOND = 1e-3  # share of nodes whose error may be above the tail, which bounds a 99.9th percentile
+MOST_TAIL_SHARE = 1e-3  # share of nodes whose error may be above the tail, which bounds a 99.9th percentile
 MOST_UNITS = {Horizons: 1024, Sliced: 1024, Lattice: 33}  # largest number of units that refinement reaches
 # azimuths of a sweep whose search takes as long as the samples' rays on a map that repeats, row by row on
 # NumPy: measured 29 (relief of 100 spacings, 16 x 16, two busy cores). Chosen: some 55 s for the longest plan
@@ -352,7 +352,7 @@ class Assessment(NamedTuple):
 
     def within(self, tolerance: float) -> bool:
         """Whether the error is within the tolerance and its tail, as far as they are known."""
-        few = self.estimate is None or self.estimate.beyond <= BEYOND
+        few = self.estimate is None or self.estimate.tail_share <= MOST_TAIL_SHARE
         return self.error is None or self.error <= ESTIMATE_SHARE * tolerance and few
 
     def warnings(self, tolerance: float, tail: float) -> list[str]:
@@ -363,10 +363,11 @@ class Assessment(NamedTuple):
                 f"Tolerance: the estimated error is {100 * self.error:.3g} % of the mean (RMS),"
                 f" more than the {100 * tolerance:.3g} % asked for."
             )
-        if self.estimate is not None and self.estimate.beyond > BEYOND:
+        if self.estimate is not None and self.estimate.tail_share > MOST_TAIL_SHARE:
             texts.append(
                 f"Tail: the error is estimated to pass {100 * tail:.3g} % of the mean at"
-                f" {100 * self.estimate.beyond:.2g} % of the nodes; {100 * BEYOND:.2g} % of them may."
+                f" {100 * self.estimate.tail_share:.2g} % of the nodes; {100 * MOST_TAIL_SHARE:.2g} % of them"
+                " may."
             )
         return texts
 

@@ -279,7 +279,7 @@ class TileImage:
             light = self._swept(engine, ground, self.lights, far)
             if self.between:
                 sky = _share_of_sky(engine, ground, DEFAULT_AZIMUTHS, far)
-                both = included(scene, engine, light, self.tolerance, "as asked", sky=sky, beyond=True)
+                both = included(scene, engine, light, self.tolerance, "as asked", sky=sky, is_part=True)
                 light = on_host(both.irradiances)
                 for text in both.warnings:
                     warn(text)

@@ -26,7 +26,7 @@ class Estimate(NamedTuple):
     """Of half the difference of two images, over the image's mean: RMS, and share of nodes beyond a limit."""
 
     rms: float
-    beyond: float
+    tail_share: float
 
 
 class Later:
