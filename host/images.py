@@ -190,11 +190,12 @@ def _scaled_result(image: Any, scale: float) -> Any:
 def _error_map(result: Refined, scene: Scene) -> np.ndarray:
     """Estimated error (rows, cols) float32 of a refined irradiance."""
     if result.half is None:
-        return np.full(scene.shape, result.floor, np.float32)
+        return np.full(scene.shape, result.common_error, np.float32)
     square, count = np.where(scene.valid, result.half().astype(float) ** 2, 0), scene.valid.astype(float)
     for axis in (0, 1):
         square, count = (_box_sums(values, axis) for values in (square, count))
-    error = np.sqrt(result.share**2 * square / np.maximum(count, 1) + result.floor**2).astype(np.float32)
+    differing = result.error_per_half**2 * square / np.maximum(count, 1)
+    error = np.sqrt(differing + result.common_error**2).astype(np.float32)
     return np.asarray(ERROR_MAP_FACTOR * error)
 
 

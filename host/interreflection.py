@@ -25,7 +25,9 @@ from .samples import Samples, picked, samples_of
 from .scene import Scene
 from .sources.integrals import even
 
-NEEDED = 1 / 3  # of the tolerance: what may be left out
+# share of the tolerance that light between surfaces may have and be left out; chosen: errors add by squares,
+# so that it takes a twentieth of what is left for the direct light
+NEEDED = 1 / 3
 # nodes whose light is computed by exact strips; chosen: they estimate an RMS to 1 / sqrt(2 x 144), 6 %, and
 # their strips take time in proportion
 CHECKED = 144

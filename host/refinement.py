@@ -207,14 +207,14 @@ class Plan:
 class Refined(NamedTuple):
     """A refined irradiance (rows, cols) float32 and its error.
 
-    half: half the difference of its two halves, or None; share: of half that is the error; floor: error that
-    both halves share [brightness x sr]; the plan, and warnings.
+    half: half the difference of its two halves, or None; error_per_half: ratio of the error to it;
+    common_error: error that is common to both halves [brightness x sr]; the plan, and warnings.
     """
 
     irradiance: Any  # np.ndarray, or a DeviceImage where it stays on the device
     half: Later | None
-    share: float
-    floor: float
+    error_per_half: float
+    common_error: float
     plan: Plan
     warnings: list[str]
 
@@ -308,13 +308,17 @@ def refined(
         planning_seconds=planning,
     )
     mean = planner.mean if math.isfinite(planner.mean) else 0.0
-    floor = (
-        math.hypot(assessment.floor, ROUNDING_ERROR) * mean if math.isfinite(assessment.floor) else math.inf
-    )
+    common = math.hypot(assessment.common_error, ROUNDING_ERROR)
+    common = common * mean if math.isfinite(common) else math.inf
     light = method.device_image() if stays else None
     irradiance = method.irradiance() if light is None else light
     return Refined(
-        irradiance, method.half(), assessment.share, floor, made, assessment.warnings(tolerance, planner.tail)
+        irradiance,
+        method.half(),
+        assessment.error_per_half,
+        common,
+        made,
+        assessment.warnings(tolerance, planner.tail),
     )
 
 
@@ -325,20 +329,22 @@ def _units_of(method: str) -> str:
 class Assessment(NamedTuple):
     """What is known of the relative RMS error of an image.
 
-    estimate: half the difference of the image's two halves, None where it has none; share: ratio of the error
-    to it; audit: the error at the samples, None where their exact light is not known; floor: the part of the
-    error that is common to both halves.
+    estimate: half the difference of the image's two halves, None where it has none; error_per_half: ratio
+    of the error to it; audit: the error at the samples, None where their exact light is not known;
+    common_error: the part of the error that is common to both halves.
     """
 
     estimate: Estimate | None
-    share: float
+    error_per_half: float
     audit: float | None
-    floor: float
+    common_error: float
 
     @property
     def estimated(self) -> float | None:
         """The error over all nodes: what differs between the halves, and what is common to them."""
-        return None if self.estimate is None else math.hypot(self.share * self.estimate.rms, self.floor)
+        if self.estimate is None:
+            return None
+        return math.hypot(self.error_per_half * self.estimate.rms, self.common_error)
 
     @property
     def error(self) -> float | None:
@@ -348,7 +354,7 @@ class Assessment(NamedTuple):
     @property
     def is_shared(self) -> bool:
         """Whether most of the error is common to both halves."""
-        return self.audit is not None and self.floor > 0.5 * self.audit
+        return self.audit is not None and self.common_error > 0.5 * self.audit
 
     def within(self, tolerance: float) -> bool:
         """Whether the error is within the tolerance and its tail, as far as they are known."""
@@ -386,7 +392,7 @@ def assess(planner: _Planner, method: LightMethod) -> Assessment:
     if exact is None or half is None or audit is None or math.isinf(audit):  # nothing is lit by exact rays
         return Assessment(None, 0.0, audit, audit or 0.0)
     by_half = samples.errors(exact + half, exact).rms
-    error = max(audit, min(planner.doubt, UNSEEN_SHARE * by_half))
+    error = max(audit, min(planner.exact_error, UNSEEN_SHARE * by_half))
     share = min(error / by_half, MOST_SHARE) if by_half > 0 else UNSEEN_SHARE
     estimate = method.estimate(planner.tail * planner.mean / max(share, UNSEEN_SHARE))
     assert estimate is not None, "a method with a half has an estimate"
@@ -503,7 +509,7 @@ class _Planner(ABC):
     expected = Errors(math.nan, math.nan, math.nan)
     exact: np.ndarray | None = None  # light at the samples
     uniform: np.ndarray | None = None  # that of a uniform sky of brightness 1
-    doubt = 0.0  # relative RMS error of the exact light at the samples
+    exact_error = 0.0  # relative RMS error of the exact light at the samples
     tables = 0.0  # error of tables of brightness, which that light and the image share
     unknown = ""  # why the error is not known
     interreflection: bool | str = "auto"  # whether the light between surfaces is asked for
@@ -542,7 +548,7 @@ class _Planner(ABC):
         if self.exact is None:
             return None
         rms = self.samples.errors(method.at(self.samples), self.exact).rms
-        return math.sqrt(max(0.0, rms**2 - self.doubt**2))
+        return math.sqrt(max(0.0, rms**2 - self.exact_error**2))
 
     def refine(self, is_shared: bool) -> bool:
         """Whether the method could be refined. ``is_shared``: its two halves share the error."""
@@ -650,7 +656,7 @@ class _UnitsPlanner(_Planner):
 
     @abstractmethod
     def judge_by(self, units: int) -> None:
-        """Set the exact light at the samples, of so many units, and its doubt."""
+        """Set the exact light at the samples, of so many units, and its error."""
 
     @abstractmethod
     def light_of(self, units: int) -> np.ndarray:
@@ -738,7 +744,7 @@ class _SkyPlanner(_UnitsPlanner):
         self.uniform = self.lit.sum(0) * width
         one, other = (self._light_in(np.arange(odd, units, 2), width) for odd in (0, 1))
         self.exact = (one + other) / 2 + self.bright
-        self.doubt = JUDGE_SHARE * samples.errors(self.exact + (other - one) / 2, self.exact).rms
+        self.exact_error = JUDGE_SHARE * samples.errors(self.exact + (other - one) / 2, self.exact).rms
 
     def light_of(self, units: int) -> np.ndarray:
         one, other = (
@@ -926,7 +932,7 @@ class _SlicePlanner(_UnitsPlanner):
     def judge_by(self, units: int) -> None:
         # half of the points along chords too: they meet a brightness's edges by chance
         coarse, self.exact = self._through(units // 2, CHORD_POINTS // 2), self._through(units, CHORD_POINTS)
-        self.doubt = JUDGE_SHARE * self.samples.errors(coarse, self.exact).rms
+        self.exact_error = JUDGE_SHARE * self.samples.errors(coarse, self.exact).rms
 
     def light_of(self, units: int) -> np.ndarray:
         # of a quadrangle that looks small the kernel takes half of the slices

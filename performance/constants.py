@@ -28,6 +28,7 @@ TOLERANCE, NODES = 0.01, 400  # asked for; at which an image is judged
 SKY, LIGHTS, FINITE = "sky", "sky with small lights", "finite"
 CONSTANTS = {  # module and name: on which pairs
     "refinement.ESTIMATE_SHARE": SKY,
+    "samples.SIGMAS": SKY,
     "refinement.JUDGE_SHARE": SKY,
     "refinement.BEHIND_CLIFFS": SKY,
     "refinement.LEAST_SECTORS": LIGHTS,

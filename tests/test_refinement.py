@@ -689,7 +689,7 @@ def test_error_that_samples_miss(missed, share):
         samples=SimpleNamespace(errors=errors),
         exact=ones,
         audit=lambda method: 0.002,
-        doubt=0.0,
+        exact_error=0.0,
         tables=0.0,
         tail=0.1,
         mean=1.0,
@@ -698,7 +698,7 @@ def test_error_that_samples_miss(missed, share):
         half_at=lambda samples: 0.01 * ones, estimate=lambda limit: Estimate(math.hypot(0.01, missed), 0.0)
     )
     found = refinement.assess(planner, method)
-    assert found.share == pytest.approx(share, rel=0.01)
+    assert found.error_per_half == pytest.approx(share, rel=0.01)
     assert found.estimated == pytest.approx(share * math.hypot(0.01, missed), rel=0.01)
 
 
