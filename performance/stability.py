@@ -580,7 +580,7 @@ FAILURES = {
         ),
         good="float64 depth",
         warns=offset_says,
-        says="Depths are rounded",
+        says="float32 rounds depths",
     ),
     "search": Failure(
         title="Searching not far enough",
