@@ -729,7 +729,8 @@ class _SkyPlanner(_UnitsPlanner):
             return
         self.light = sky = integrals(self.source, self.tolerance)
         self.bright_parts, self.tables = sky.bright_parts, math.hypot(TABLES_ERROR, sky.error)
-        # so are a dark box's walls: a sweep's table has too few knots near the zenith for a small sun there
+        # the walls of a dark box are cliffs too: near the zenith, where they end the sky, a sweep's table has
+        # too few knots for a small sun
         has_cliffs = self.samples.cliffs > 0 or scene.sides == "dark"
         if self.bright_parts and has_cliffs:
             self.exact_margin = margin_of(scene, self.bright_parts, self.samples.relief)

@@ -44,6 +44,7 @@ FINER, FINER_AZIMUTHS = 3, 64  # of the model that measures the error of the mod
 REFITS, REFIT_STEPS = 2, 4  # fits to the finer model, and Gauss-Newton steps of each
 LEAST_STD = 2e-3  # [nodes of the answer's grid] that float32 and the last step leave, about
 SHIFTS = 33  # of the surface as a whole, up and down
+UNTRUSTED = 0.5  # confidence below which a pixel is not trusted: more likely wrong than right
 NEAREST = 1e-3  # depth [nodes] of a surface that would lie at the viewer's plane or before it
 
 

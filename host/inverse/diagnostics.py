@@ -9,6 +9,7 @@ import numpy as np
 
 from .. import sources
 from ..scene import Scene
+from .confidence import UNTRUSTED
 from .pyramid import COARSEST, IMAGE_RMS, Pyramid
 
 OPEN_SKY = "Open sides under a sky are ill-posed: the image of a flat surface is the same at any depth."
@@ -35,7 +36,6 @@ EIGHT_BITS = 256
 # share of ambiguous pixels from which on a warning says so; in the same recoveries in 3, 24 and 21 of 30,
 # from half of it in 5, 25 and 21, from twice in 3, 23 and 21
 AMBIGUOUS = 0.005
-UNTRUSTED = 0.5  # confidence below which a pixel is not trusted: more likely wrong than right
 UNTOLD = 0.2  # share of untrusted pixels above which a warning says that the albedo is not known; chosen
 # part of the image's side that counts as border, and ratio of the variance of residuals there to that inside
 # from which on the sides are suspected; chosen

@@ -22,7 +22,7 @@ from ..light.propagation import Progress
 from ..scene import Scene
 from . import diagnostics
 from .carving import carved_layers
-from .confidence import NEAREST, confidence_of, deviation_of
+from .confidence import NEAREST, UNTRUSTED, confidence_of, deviation_of
 from .multigrid import Multigrid
 from .pyramid import Level, Pyramid, number_of
 from .resampling import doubled
@@ -368,7 +368,7 @@ def _recovery(
     depth_range = float((high - low).mean())
     std, others = deviation_of(search.multigrid, level, z, search.rivals, search.comparing, depth_range)
     confidence = confidence_of(std, depth_range)
-    ambiguous = np.isfinite(others).any(0) & (confidence < diagnostics.UNTRUSTED)
+    ambiguous = np.isfinite(others).any(0) & (confidence < UNTRUSTED)
 
     for finer in range(level - 1, -1, -1):
         z = 2 * doubled(z, pyramid.shape(finer))
