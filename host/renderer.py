@@ -111,7 +111,10 @@ class Renderer:
         if isinstance(light, DeviceImage) and (self.stays or not np.ndim(scene.albedo)):
             share = (scene.albedo, 1 / np.pi) if quantity == "radiance" else (1.0, 1.0)
             light.shade(scene.on(engine), *share)
-            return light if self.stays else np.asarray(light)
+            if not self.stays:
+                return np.asarray(light)
+            light.held = None
+            return light
         image = image_of(scene, on_host(irradiances), shine, quantity)
         if not self.stays or image.ndim > 2:
             return image
@@ -440,7 +443,7 @@ def _by_slices(
         return np.zeros(scene.shape, np.float32)
     slices.run()
     if on_device:
-        irradiance = DeviceImage(engine, slices.image, scene.shape)
+        irradiance = DeviceImage(engine, slices.image, scene.shape, held=slices)
         irradiance.scale(scale, 0.0)  # a difference of sums may round to less than 0
         return irradiance
     image = slices.download()

@@ -159,45 +159,47 @@ floats horizon(const Pixel *pixel, floats c, floats s, floats slope, floats high
   floats t = 0, toward = along + slope * pixel->up;
   ints going = WHERE(slope < high) & WHERE(end > 0) & WHERE(ALL(pixel->reach) > 0);
   while (ANY(going)) {
-    /* 1. the way out of the cell */
+    /* 1. down to a cell whose top stays below the line where it comes in, or to a single one */
+    ints large = going & WHERE(level > 0);
+    while (ANY(large)) {
+      const ints first = pixel->width - ((ints)pixel->width >> (level - 1)),
+                 at = ((v >> level) ^ flip_y) * pixel->width + first + ((u >> level) ^ flip_x);
+      large &= WHERE(GATHER(pixel->tops, large ? at : 0) - pixel->height > slope * t);
+      level += large;
+      large &= WHERE(level > 0);
+      if (LANES > 1)
+        break; /* lanes that go down again wait, since each gather takes as long as the rest */
+    }
+    const ints passes = going & ~large;
+    /* 2. the way out of it */
     const ints mask = ((ints)1 << level) - 1, edge_u = (u | mask) + 1, edge_v = (v | mask) + 1;
     const floats out_x = TO_FLOATS(edge_u - from_x) * per_x, out_y = TO_FLOATS(edge_v - from_y) * per_y;
-    const ints by_x = WHERE(out_x <= out_y), single = WHERE(level == 0);
+    const ints by_x = WHERE(out_x <= out_y), single = passes & WHERE(level == 0);
     const floats out = by_x ? out_x : out_y, across = (by_x ? s : c) * out;
-    ints passes = -1;
-    /* 2. the ground there */
-    if (ANY(single & going)) {
+    /* 3. the ground there */
+    if (ANY(single)) {
       const ints node_x = by_x ? (edge_u ^ flip_x) - flip_x : u ^ flip_x,
                  node_y = by_x ? v ^ flip_y : (edge_v ^ flip_y) - flip_y;
       const ints at = (node_y + 1) * stride + node_x + 1;
-      const ints low = single & going ? at : 0, next = low + (by_x ? stride : 1);
+      const ints low = single ? at : 0, next = low + (by_x ? stride : 1);
       const floats f = across - TO_FLOATS(by_x ? node_y - y : node_x - x), part = f < 0 ? 0 : f > 1 ? 1 : f;
       const floats rise =
           GATHER(pixel->heights, low) * (1 - part) + GATHER(pixel->heights, next) * part - pixel->height;
-      const ints higher = single & going & WHERE(rise > slope * out) & WHERE(out * toward < pixel->reach);
+      const ints higher = single & WHERE(rise > slope * out) & WHERE(out * toward < pixel->reach);
       if (ANY(higher)) {
         const floats tangent = LESS(rise / out, under_source(pixel, along, aside, out));
         slope = higher && tangent > slope ? tangent : slope;
         toward = along + slope * pixel->up;
       }
     }
-    /* 3. or the top of a large cell against the line where it comes in */
-    if (ANY(~single & going)) {
-      const ints first = pixel->width - ((ints)pixel->width >> (level - 1)),
-                 at = ((v >> level) ^ flip_y) * pixel->width + first + ((u >> level) ^ flip_x);
-      const floats top = GATHER(pixel->tops, ~single & going ? at : 0);
-      passes = single | WHERE(top - pixel->height <= slope * t);
-    }
-    /* 4. on, and up where a larger cell begins; or down */
-    passes &= going;
+    /* 4. on, and up where a larger cell begins */
     const ints last = (by_x ? v : u) | mask, first = last - mask;
     ints to = TO_INTS((by_x ? abs_s : abs_c) * out) + (by_x ? from_y : from_x);
     to = to < first ? first : to > last ? last : to;
     u = passes ? (by_x ? edge_u : to) : u;
     v = passes ? (by_x ? to : edge_v) : v;
     t = passes ? out : t;
-    const ints begins = WHERE(((by_x ? edge_u : edge_v) >> level & 1) == 0) & WHERE(level < pixel->levels);
-    level += passes ? -begins : going;
+    level -= passes & WHERE(((by_x ? edge_u : edge_v) >> level & 1) == 0) & WHERE(level < pixel->levels);
     going &= WHERE(slope < high) & WHERE(t < end) & WHERE(t * toward < pixel->reach);
   }
   return slope;

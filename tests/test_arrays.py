@@ -674,8 +674,7 @@ def test_pieces_of_a_device_array_go_to_their_parts():
 
     def copy(array, start, room, fetch):
         order.append((start, room.size))
-        room[:] = array[start : start + room.size] if fetch else room
-        return lambda: None
+        return lambda: room.__setitem__(slice(None), array[start : start + room.size])
 
     rooms = [np.zeros(staging.ROOM, np.uint8) for _ in range(staging.ROOMS)]
     parts = [np.zeros(size, np.uint8) for size in (7, 2 * staging.ROOM + 1, 0, staging.ROOM - 8)]
@@ -688,3 +687,16 @@ def test_pieces_of_a_device_array_go_to_their_parts():
         (7 + 2 * staging.ROOM, 1),
         (8 + 2 * staging.ROOM, staging.ROOM - 8),
     ]
+
+
+def test_no_room_is_filled_again_before_its_transfer_is_over():
+    """A transfer reads its room as late as it may: when it is waited for."""
+    values = np.random.default_rng(0).integers(0, 256, 7 * staging.ROOM + 5, np.uint8)
+    there = np.zeros_like(values)
+
+    def copy(array, start, room, fetch):
+        return lambda: array.__setitem__(slice(start, start + room.size), room)
+
+    rooms = [np.zeros(staging.ROOM, np.uint8) for _ in range(staging.ROOMS)]
+    staging.Staging(rooms, copy).upload(values, there)
+    np.testing.assert_array_equal(there, values)

@@ -162,6 +162,24 @@ def under_source(pixel: Pixel, along: wp.float32, aside: wp.float32, t: wp.float
 
 
 @wp.func
+def stands_above(
+    pixel: Pixel,
+    u: wp.int32,
+    v: wp.int32,
+    level: wp.int32,
+    flip_x: wp.int32,
+    flip_y: wp.int32,
+    line: wp.float32,
+):
+    """Whether the top of a large cell stands above a line, which is ``line`` above the node there."""
+    if level == 0:
+        return False
+    first_column = pixel.width - (pixel.width >> (level - 1))
+    top = pixel.tops[((v >> level) ^ flip_y) * pixel.width + first_column + ((u >> level) ^ flip_x)]
+    return top - pixel.height > line
+
+
+@wp.func
 def horizon(
     pixel: Pixel,
     c: wp.float32,
@@ -205,7 +223,10 @@ def horizon(
     level = wp.int32(0)
     t = wp.float32(0.0)
     while slope < high and t < end and t * (along + slope * pixel.up) < pixel.reach:
-        # 1. the way out of the cell
+        # 1. down to a cell whose top stays below the line where it comes in, or to a single one
+        while stands_above(pixel, u, v, level, flip_x, flip_y, slope * t):
+            level -= 1
+        # 2. the way out of it
         mask = (1 << level) - 1
         edge_u = (u | mask) + 1
         edge_v = (v | mask) + 1
@@ -213,9 +234,8 @@ def horizon(
         out_y = wp.float32(edge_v - from_y) * per_y
         by_x = out_x <= out_y
         out = wp.where(by_x, out_x, out_y)
-        passes = wp.bool(True)
         if level == 0:
-            # 2. the ground there
+            # 3. the ground there
             node_x = wp.where(by_x, (edge_u ^ flip_x) - flip_x, u ^ flip_x)
             node_y = wp.where(by_x, v ^ flip_y, (edge_v ^ flip_y) - flip_y)
             low = (node_y + 1) * stride + node_x + 1
@@ -228,24 +248,16 @@ def horizon(
             )
             if rise > slope * out and out * (along + slope * pixel.up) < pixel.reach:
                 slope = wp.max(slope, wp.min(rise / out, under_source(pixel, along, aside, out)))
-        else:
-            # 3. or the top of a large cell against the line where it comes in
-            first_column = pixel.width - (pixel.width >> (level - 1))
-            top = pixel.tops[((v >> level) ^ flip_y) * pixel.width + first_column + ((u >> level) ^ flip_x)]
-            passes = top - pixel.height <= slope * t
-        # 4. on, and up where a larger cell begins; or down
-        if passes:
-            last = wp.where(by_x, v, u) | mask
-            to = wp.int32(wp.where(by_x, abs_s, abs_c) * out) + wp.where(by_x, from_y, from_x)
-            to = wp.clamp(to, last - mask, last)
-            begins = (wp.where(by_x, edge_u, edge_v) >> level & 1) == 0
-            u = wp.where(by_x, edge_u, to)
-            v = wp.where(by_x, to, edge_v)
-            t = out
-            if begins and level < pixel.levels:
-                level += 1
-        else:
-            level -= 1
+        # 4. on, and up where a larger cell begins
+        last = wp.where(by_x, v, u) | mask
+        to = wp.int32(wp.where(by_x, abs_s, abs_c) * out) + wp.where(by_x, from_y, from_x)
+        to = wp.clamp(to, last - mask, last)
+        begins = (wp.where(by_x, edge_u, edge_v) >> level & 1) == 0
+        u = wp.where(by_x, edge_u, to)
+        v = wp.where(by_x, to, edge_v)
+        t = out
+        if begins and level < pixel.levels:
+            level += 1
     return slope
 
 

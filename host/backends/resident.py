@@ -19,12 +19,15 @@ class DeviceImage:
 
     ``numpy.asarray`` fetches a copy. Where it lies on a GPU, libraries that read ``__cuda_array_interface__``
     or DLPack (CuPy, PyTorch, JAX, Warp) take it in place.
+
+    ``held``: arrays that the launches under way read. A driver waits for them before it frees memory, so that
+    the host could do nothing else meanwhile.
     """
 
     dtype, ndim = np.dtype(np.float32), 2
 
-    def __init__(self, backend: Backend, values: Array, shape: tuple[int, int]):
-        self.backend, self.values, self.shape = backend, values, shape
+    def __init__(self, backend: Backend, values: Array, shape: tuple[int, int], held: Any = None):
+        self.backend, self.values, self.shape, self.held = backend, values, shape, held
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> np.ndarray:
         values = self.backend.download(self.values).reshape(-1)[: math.prod(self.shape)].reshape(self.shape)

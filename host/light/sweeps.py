@@ -227,7 +227,7 @@ class Sweeps:
         total, turned = (self.backend.empty((1, pixels), np.int32) for _ in range(2))
         image = self.backend.empty((pixels,), np.float32)
         self.light(total, turned, image)
-        return DeviceImage(self.backend, image, self.shape)
+        return DeviceImage(self.backend, image, self.shape, held=self)
 
     def irradiance(self, last: bool = False) -> np.ndarray:
         """Irradiance (rows, cols) float32 [brightness x sr]. ``last``: arrays are released after use."""
