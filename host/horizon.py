@@ -17,6 +17,7 @@ from .light.far import Far, Tiling
 from .light.sweeps import FINE_NEAR_ROWS, Rays, Sweeps, engine_of, ground_of
 from .scale import limited, over_tiles
 from .scene import Scene, is_scene
+from .sources.tables import elevation_of
 
 LARGE = 2**28  # [byte] below which free memory is not looked up; chosen: that takes .15 ms
 DEFINITIONS = ("tilted", "horizontal", "solid_angle")
@@ -154,8 +155,8 @@ def sky_view(
     backend: str,
     axes: tuple[float, float] = (1.0, 1.0),
 ) -> Any:
-    """The sky-view factor, a sum over azimuths of a function of the horizon's sine, or of light."""
-    sine = np.linspace(0, 1, RUNGS)
+    """The sky-view factor, a sum over azimuths of a function of the horizon's elevation, or of light."""
+    sine = np.sin(elevation_of(np.linspace(0, 1, RUNGS)))
     share = {"tilted": None, "horizontal": (1 - sine**2) / 2, "solid_angle": 1 - sine}[definition]
     table = None
     if share is not None:

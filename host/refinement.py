@@ -729,10 +729,7 @@ class _SkyPlanner(_UnitsPlanner):
             return
         self.light = sky = integrals(self.source, self.tolerance)
         self.bright_parts, self.tables = sky.bright_parts, math.hypot(TABLES_ERROR, sky.error)
-        # the walls of a dark box are cliffs too: near the zenith, where they end the sky, a sweep's table has
-        # too few knots for a small sun
-        has_cliffs = self.samples.cliffs > 0 or scene.sides == "dark"
-        if self.bright_parts and has_cliffs:
+        if self.bright_parts and self.samples.cliffs > 0:
             self.exact_margin = margin_of(scene, self.bright_parts, self.samples.relief)
 
     def judge_by(self, units: int) -> None:

@@ -238,7 +238,7 @@ class Samples:
         Arguments as of :meth:`skylamp.light.slices.Slices.sectors`.
         """
         cosine, sine, width, first, scale = (v[:, None].astype(float) for v in ways)
-        low: np.ndarray = first / np.sqrt(np.maximum(1 - first**2, 1e-12))
+        low: np.ndarray = first / np.maximum(1 - first, 1e-6)
         high: Values = STEEP
         if window is not None:
             x0, x1, y0, y1 = window
@@ -269,7 +269,7 @@ class Samples:
         row = np.arange(len(table))[:, None]
 
         def above(slope: np.ndarray) -> Any:
-            at = np.clip((slope / np.sqrt(1 + slope**2) - first) * scale, 0, table.shape[1] - 1)
+            at = np.clip((slope / (1 + slope) - first) * scale, 0, table.shape[1] - 1)
             knot = np.minimum(at.astype(int), table.shape[1] - 2)
             c1, c2 = (table[row, knot, k] + (at - knot) * table[row, knot, k + 2] for k in (0, 1))
             return along * c1 + up * c2
@@ -415,7 +415,7 @@ def ring(
     if table is None:
         light = along * (np.pi / 2 - np.arctan(slopes) - slopes * secant) / 2 + up * secant / 2
         return light
-    at = np.clip(slopes * np.sqrt(secant), 0, 1) * (table.shape[1] - 1)
+    at = np.maximum(slopes, 0) / (1 + np.maximum(slopes, 0)) * (table.shape[1] - 1)
     low = np.minimum(at.astype(int), table.shape[1] - 2)
     part, row = at - low, np.arange(len(table))[:, None]
     values = [(1 - part) * table[row, low, k] + part * table[row, low + 1, k] for k in (0, 1)]

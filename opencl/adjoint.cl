@@ -22,9 +22,9 @@ Lengths are in spacings. z is depth, heights are -z. `pixels` is rows x cols.
   first, second                     int    out: these nodes; (pixels / LINK_BLOCK, count, LINK_BLOCK): node by
                                            node, their links
   near, far                         float  out: dE by the depth of the first, of the second; likewise
-  table    (n, knots, 4)            float  integrals of B cos^2 and of B sin cos from sin(elevation) = i /
-                                           (knots - 1) to the zenith, and what to add up to the next knot;
-                                           knots 0: brightness 1, closed form
+  table    (n, knots, 4)            float  integrals of B cos^2 and of B sin cos over elevation from tangent
+                                           / (1 + tangent) = i / (knots - 1) to the zenith, and what to add
+                                           up to the next knot; knots 0: brightness 1, closed form
   sides                             0 open, 1 dark, 2 periodic
 
 All arithmetic is +, -, x, / and sqrt, correctly rounded and in one order, so that every backend finds the
@@ -62,8 +62,8 @@ Above above(floats t, __global const float *table, int row, int next, float shar
     sky.d2 = -cosine * cosine;
     return sky;
   }
-  const floats root = sqrt(square), sine = t / root, place = sine * (knots - 1);
-  const floats per = (knots - 1) / (square * root);
+  const floats diamond = t / (1 + t), place = diamond * (knots - 1);
+  const floats per = (1 - diamond) / (1 + t) * (knots - 1);
   ints knot = TO_INTS(place);
   knot = LESS(knot, knots - 2);
   const floats part = place - TO_FLOATS(knot);

@@ -24,8 +24,8 @@ turned map.
                                       n = NEAR + NEAR_COLUMNS
   near_weight  (count, n)      float  weight of the farther node of each
   table        (count, knots)  float4 brightness: integrals over elevation of B cos^2 and B sin cos from
-                               sin(elevation) = i / (knots - 1) to the zenith, and what to add up to the next
-                               knot
+                               tangent / (1 + tangent) = i / (knots - 1) to the zenith, and what to add up to
+                               the next knot
   slopes       (count, rows x cols) float  in, out: horizon slopes [1], rise over distance
   sum          (sums, rows x cols) int  in, out: irradiance in fixed point, so that no order of summation
                                       matters
@@ -423,7 +423,7 @@ __kernel void sweep(__global const float *restrict heights, __global const float
         c1 = 0.5f * (HALF_PI - arctan(limit) - limit * c2);
         c2 *= 0.5f;
       } else {
-        const floats at = limit * RECIPROCAL_ROOT(limit * limit + 1.0f) * (float)(knots - 1);
+        const floats at = limit * RECIPROCAL(limit + 1.0f) * (float)(knots - 1);
         const ints knot = less(TO_INTS(at), knots - 2);
         const floats part = at - TO_FLOATS(knot);
         for (int l = 0; l < LANES; ++l) {

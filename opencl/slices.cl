@@ -784,7 +784,7 @@ void between(float at, float low, float high, floats along, floats *from, floats
 floats light_above(__global const float *table, ints entry, int knots, floats first, floats scale,
                    floats tangent, floats tilt)
 {
-  const floats at = MORE((tangent / sqrt(tangent * tangent + 1) - first) * scale, 0);
+  const floats at = MORE((tangent / (tangent + 1) - first) * scale, 0);
   ints knot = TO_INTS(at);
   knot = knot > knots - 2 ? knots - 2 : knot;
   const floats rest = at - TO_FLOATS(knot), part = rest > 1 ? 1 : rest;
@@ -797,12 +797,12 @@ floats light_above(__global const float *table, ints entry, int knots, floats fi
 /* sectors: the light of a sky in a few sectors of azimuth, each above the exact horizon along one azimuth,
 added to what is there.
 
-  ways        (5, count)         float  azimuth's cosine and sine, width [rad], and of its table: the sine of
-                                        elevation at which it begins, `first`, and knots per unit of sine,
-                                        `scale`; count: a multiple of LANES
-  table       (count, knots, 4)  float  integrals over elevation of B cos^2 and B sin cos, from the sine first
-                                        + i / scale on, and what to add up to the next knot; below the first
-                                        knot and above the last there is no light
+  ways        (5, count)         float  azimuth's cosine and sine, width [rad], and of its table: where it begins,
+                                        `first`, and knots per unit, `scale`, of the diamond angle tangent /
+                                        (1 + tangent) of elevation; count: a multiple of LANES
+  table       (count, knots, 4)  float  integrals over elevation of B cos^2 and B sin cos, from first + i /
+                                        scale on, and what to add up to the next knot; below the first knot
+                                        and above the last there is no light
   irradiance  (rows - 2 margin, cols - 2 margin)  float  in, out
 
 margin: nodes on all sides of the map that are there to occlude, a map that repeats being wrapped; 0 with a
@@ -827,8 +827,8 @@ __kernel void sectors(__global const float *heights, __global const float *tops,
     for (int j = 0; j < count; j += LANES) {
       const floats c = AT(ways, j), s = AT(ways, count + j), first = AT(ways, 3 * count + j),
                    scale = AT(ways, 4 * count + j);
-      const floats last = first + (knots - 1) / scale, below = 1 - first * first, beyond = 1 - last * last;
-      const floats low = first / sqrt(MORE(below, 1e-12f)), high = last / sqrt(MORE(beyond, 1e-12f));
+      const floats last = first + (knots - 1) / scale, below = 1 - first, beyond = 1 - last;
+      const floats low = first / MORE(below, 1e-6f), high = last / MORE(beyond, 1e-6f);
       /* farther on, a ray is above all ground */
       const floats along = MORE(low, 1e-6f) / max(highest - pixel.height, 1e-6f);
       const floats tilt = pixel.tilt_x * c + pixel.tilt_y * s;

@@ -383,8 +383,8 @@ def overcast(L):
 
 def _table(rays, knots):
     """Its integrals over elevation from each knot on, in closed form, as opencl/horizon.cl wants them."""
-    sine = np.linspace(0, 1, knots)
-    cosine = np.sqrt(1 - sine**2)
+    knot = np.linspace(0, 1, knots)
+    sine, cosine = knot / np.hypot(knot, 1 - knot), (1 - knot) / np.hypot(knot, 1 - knot)
     flat = ((np.pi / 2 - np.arcsin(sine) - sine * cosine) / 2 + 2 * cosine**3 / 3) / 3
     upright = (cosine**2 / 2 + 2 * (1 - sine**3) / 3) / 3
     both = np.stack([flat, upright, *(np.append(np.diff(v), 0) for v in (flat, upright))], -1)

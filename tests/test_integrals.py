@@ -305,15 +305,24 @@ def test_a_small_sun_at_the_zenith_beside_a_cliff(fast, radius):
     assert np.abs(image[:, 20:] / (2 * np.pi) - 1).max() < 1e-4
 
 
-def test_a_small_sun_at_the_zenith_lights_the_foot_of_a_wall(fast):
+@pytest.mark.parametrize("how", [{"tolerance": 0.01}, {"method": "horizon", "azimuths": 16}])
+def test_a_small_sun_at_the_zenith_lights_the_foot_of_a_wall(fast, how):
     """Of a dark box 30 deep: half a spacing from it a node sees the sky within 1 degree of the zenith."""
     edge = np.cos(np.radians(0.3))
     sky = sl.Sky(lambda L: 1.0 * (-L[..., 2] >= edge), suns=[(0.0, 0.0, -1.0)])
     scene = sl.Scene(np.full((40, 40), 30.0), sides="dark")
-    image = sl.render(
-        scene, sky, backend=fast, tolerance=0.01, interreflection=False, quantity="irradiance"
-    ).image
+    image = sl.render(scene, sky, backend=fast, interreflection=False, quantity="irradiance", **how).image
     assert np.abs(image / (np.pi * np.sin(np.radians(0.3)) ** 2) - 1).max() < 1e-4
+
+
+def test_a_small_sun_at_the_zenith_lights_the_foot_of_a_cliff(fast):
+    """With azimuths that are asked for: the cliff's own slope tilts its foot and hides nothing of the sun."""
+    edge, height = np.cos(np.radians(0.3)), 30.0
+    sky = sl.Sky(lambda L: 1.0 * (-L[..., 2] >= edge), suns=[(0.0, 0.0, -1.0)])
+    depth = np.where(np.arange(40) < 3, 1.0, 1.0 + height) * np.ones((40, 1))
+    image = sl.render(sl.Scene(depth), sky, "horizon", backend=fast, azimuths=16, quantity="irradiance").image
+    cosine = 1 / np.hypot(1, height / 2)
+    assert np.abs(image[:, 3] / (cosine * np.pi * np.sin(np.radians(0.3)) ** 2) - 1).max() < 1e-3
 
 
 @pytest.mark.slow
@@ -366,7 +375,8 @@ def test_tables_hold_integrals():
         values = function(sources.directions_of(a[:, None], np.sin(e))).mean(0)
         for k, weight in enumerate((np.cos(e) ** 2, np.sin(e) * np.cos(e))):
             wanted = [
-                (values * weight * (np.sin(e) > s)).sum() * np.pi / 2 / 2000 for s in np.linspace(0, 1, 9)
+                (values * weight * (np.tan(e) * (1 - q) > q)).sum() * np.pi / 2 / 2000
+                for q in np.linspace(0, 1, 9)
             ]
             np.testing.assert_allclose(table[n, :, k], wanted, atol=1e-3)
     np.testing.assert_allclose(table[:, :-1, :2] + table[:, :-1, 2:], table[:, 1:, :2], atol=1e-6)

@@ -16,6 +16,7 @@ from skylamp.light import unoccluded
 from skylamp.radiometry import disc_moment, polygon_moment, rectangle_solid_angle
 from skylamp.sources import solids
 from skylamp.sources.integrals import Integrals, chords
+from skylamp.sources.tables import diamond, elevation_of
 
 slices = importlib.import_module("skylamp.light.slices")
 UP = np.array([0.0, 0.0, -1.0])
@@ -730,8 +731,8 @@ def a_sun(elevation, azimuth, radius, count=64, knots=129):
         np.arctan2(np.sin(e), in_plane),
         np.arccos(np.minimum(np.cos(r) / np.hypot(in_plane, np.sin(e)), 1)),
     )
-    first, last = np.sin(np.radians([elevation - 1.1 * radius, elevation + 1.1 * radius]))
-    knot = np.arcsin(np.linspace(first, last, knots))
+    first, last = diamond(np.radians([elevation - 1.1 * radius, elevation + 1.1 * radius]))
+    knot = elevation_of(np.linspace(first, last, knots))
     low, high = np.clip(knot, (middle - half)[:, None], (middle + half)[:, None]), (middle + half)[:, None]
     whole = lambda t: np.stack([t + np.sin(t) * np.cos(t), np.sin(t) ** 2], -1) / 2
     table = whole(high) - whole(low)

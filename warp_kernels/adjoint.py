@@ -26,9 +26,10 @@ Lengths are in spacings. z is depth, heights are -z. `pixels` is rows x cols.
   first, second                           int32    out: these nodes; (pixels / LINK_BLOCK, count, LINK_BLOCK):
                                                    node by node, their links
   near, far                               float32  out: dE by the depth of the first, of the second; likewise
-  table          (n, knots, 4)            float32  integrals of B cos^2 and of B sin cos from sin(elevation) =
-                                                   i / (knots - 1) to the zenith, and what to add up to the
-                                                   next knot; knots 0: brightness 1, closed form
+  table          (n, knots, 4)            float32  integrals of B cos^2 and of B sin cos over elevation from
+                                                   tangent / (1 + tangent) = i / (knots - 1) to the zenith,
+                                                   and what to add up to the next knot; knots 0: brightness
+                                                   1, closed form
   sides                                   int32    0 open, 1 dark, 2 periodic
 
 All arithmetic is +, -, x, / and sqrt, correctly rounded and in one order, so that every backend finds the
@@ -81,10 +82,9 @@ def above(
             -t * cosine * cosine,
             -cosine * cosine,
         )
-    root = wp.sqrt(square)
-    sine = t / root
-    place = sine * wp.float32(knots - 1)
-    per = wp.float32(knots - 1) / (square * root)
+    diamond = t / (1.0 + t)
+    place = diamond * wp.float32(knots - 1)
+    per = (1.0 - diamond) / (1.0 + t) * wp.float32(knots - 1)
     knot = wp.min(wp.int32(place), knots - 2)
     part = place - wp.float32(knot)
     one = 4 * (row * knots + knot)

@@ -26,8 +26,8 @@ turned map.
                                                         columns on, rows on; n = NEAR + NEAR_COLUMNS
   near_weight  (count, n)            float32            weight of the farther node of each
   table        (count, knots)        vec4               brightness: integrals over elevation of B cos^2 and B
-                                                        sin cos from sin(elevation) = i / (knots - 1) to the
-                                                        zenith, and what to add up to the next knot
+                                                        sin cos from tangent / (1 + tangent) = i / (knots -
+                                                        1) to the zenith, and what to add up to the next knot
   slopes       (count, rows x cols)  float32            in, out: horizon slopes [1], rise over distance
   sum          (sums, rows x cols)   int32              in, out: irradiance in fixed point, so that no order
                                                         of summation matters
@@ -749,7 +749,7 @@ def sweep(NEAR: int, SIDES: int, WHAT: int, BLOCKS: int):
                             c1 = 0.5 * (wp.float32(HALF_PI) - angle - limit * c2)
                             c2 *= 0.5
                         else:
-                            at_knot = limit * reciprocal_root(limit * limit + 1.0) * wp.float32(knots - 1)
+                            at_knot = limit * reciprocal_of(limit + 1.0) * wp.float32(knots - 1)
                             knot = wp.min(wp.int32(at_knot), knots - 2)
                             entry = table[k, knot]
                             part = at_knot - wp.float32(knot)

@@ -1183,7 +1183,7 @@ def light_above(
     tilt: wp.float32,
 ):
     """The light of a sector above a tangent."""
-    at = wp.max((tangent / wp.sqrt(tangent * tangent + 1.0) - first) * scale, 0.0)
+    at = wp.max((tangent / (tangent + 1.0) - first) * scale, 0.0)
     knot = wp.min(wp.int32(at), knots - 2)
     part = wp.min(at - wp.float32(knot), 1.0)
     here = (entry + knot) * 4
@@ -1216,12 +1216,13 @@ def sectors(
     """The light of a sky in a few sectors of azimuth, each above the exact horizon along one azimuth, added
     to what is there.
 
-      ways        (5, count)         float32  azimuth's cosine and sine, width [rad], and of its table: the
-                                              sine of elevation at which it begins, `first`, and knots per
-                                              unit of sine, `scale`; count: a multiple of LANES
-      table       (count, knots, 4)  float32  integrals over elevation of B cos^2 and B sin cos, from the sine
-                                              first + i / scale on, and what to add up to the next knot; below
-                                              the first knot and above the last there is no light
+      ways        (5, count)         float32  azimuth's cosine and sine, width [rad], and of its table: where
+                                              it begins, `first`, and knots per unit, `scale`, of the diamond
+                                              angle tangent / (1 + tangent) of elevation; count: a multiple of
+                                              LANES
+      table       (count, knots, 4)  float32  integrals over elevation of B cos^2 and B sin cos, from first +
+                                              i / scale on, and what to add up to the next knot; below the
+                                              first knot and above the last there is no light
       irradiance  (rows - 2 margin, cols - 2 margin)  float32  in, out
 
     margin: nodes on all sides of the map that are there to occlude, a map that repeats being wrapped.
@@ -1258,8 +1259,8 @@ def sectors(
             first = ways[3 * count + j]
             scale = ways[4 * count + j]
             last = first + wp.float32(knots - 1) / scale
-            low = first / wp.sqrt(wp.max(1.0 - first * first, 1e-12))
-            high = last / wp.sqrt(wp.max(1.0 - last * last, 1e-12))
+            low = first / wp.max(1.0 - first, 1e-6)
+            high = last / wp.max(1.0 - last, 1e-6)
             along = wp.max(low, 1e-6) / wp.max(
                 highest - pixel.height, 1e-6
             )  # farther on, a ray is above all ground

@@ -12,7 +12,8 @@ from ..directions import Azimuths
 
 LAMP_SLICES = 24  # of a lamp or window
 TABLE_AZIMUTHS = 128  # of a lamp's table of brightness
-KNOTS, SECTOR_KNOTS = 256, 1024  # of a sky's table per azimuth: even sectors, sectors of equal light
+# azimuths at which a sky's brightness is taken, over all sectors: even ones, ones of equal light
+SAMPLES, SECTOR_SAMPLES = 256, 1024
 ON_GRID = 1e-12  # component of an azimuth below which the ray is along the grid: roundings of cos and sin
 
 Brightness = tuple[np.ndarray | None, np.ndarray | None]
@@ -50,8 +51,8 @@ def brightness_of(source: sources.Source, azimuths: int) -> Brightness:
         if callable(source.brightness):
             profile = sources.azimuth_profile(source)
             sectors = sectors if profile is None else Azimuths.placed(azimuths, profile)
-            knots = KNOTS if profile is None else SECTOR_KNOTS
-            table = sources.elevation_table(source, sectors.angles, sectors.widths, knots)
+            samples = SAMPLES if profile is None else SECTOR_SAMPLES
+            table = sources.elevation_table(source, sectors.angles, sectors.widths, samples)
         angles = sectors.angles
         directions = np.stack([np.cos(angles), np.sin(angles), sectors.widths, 0 * angles], 1)
         directions[np.abs(directions) < ON_GRID] = 0

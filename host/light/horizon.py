@@ -27,7 +27,7 @@ WRAPPED = 2**24
 # of light by tangent planes over the same by some azimuths, where these receive almost none; chosen: 1.5, 4
 # and no limit have the same errors within 2 %
 MOST_CORRECTION = 2.0
-FINE_KNOTS = 1025  # of a table that holds small bright parts too: a knot is 0.06 degrees at the horizon
+FINE_KNOTS = 1025  # of a table that holds small bright parts too: a knot is 0.06 to 0.11 degrees
 
 
 class Horizons(LightMethod):
@@ -207,7 +207,7 @@ def with_bright_parts(
 def _as_azimuths(ways: np.ndarray, table: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(angles, table (K, FINE_KNOTS, 4)) for sweeps, of sectors of a small part."""
     cosine, sine, _, first, scale = ways.astype(float)
-    knots = np.linspace(0, 1, FINE_KNOTS)
+    knots = np.linspace(0, 1, FINE_KNOTS)  # diamond angles
     resampled = np.zeros((len(table), FINE_KNOTS, 4), np.float32)
     for n, part in enumerate(table):
         at = first[n] + np.arange(len(part)) / scale[n]

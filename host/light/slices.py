@@ -348,10 +348,10 @@ class Slices:
     ) -> None:
         """Add the light of a sky's bright spots, above exact horizons; ``clear`` comes before the first.
 
-        ``ways`` (5, K): azimuth's cosine and sine, width [rad], sine of elevation at which the sector's table
-        begins, and knots per unit of sine. ``table`` (K, knots, 4): integrals of B cos^2 and B sin cos from
-        each knot on, and their differences to the next. ``window`` (x0, x1, y0, y1) [spacing]: in the plane z
-        = 0, through which the light comes.
+        ``ways`` (5, K): azimuth's cosine and sine, width [rad], diamond angle of elevation at which the
+        sector's table begins, and knots per unit of it. ``table`` (K, knots, 4): integrals of B cos^2 and B
+        sin cos from each knot on, and their differences to the next. ``window`` (x0, x1, y0, y1) [spacing]:
+        in the plane z = 0, through which the light comes.
         """
         rows, cols = self.shape
         around = 2 * self.margin

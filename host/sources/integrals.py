@@ -19,7 +19,7 @@ import numpy as np
 
 from .. import sources
 from ..directions import Azimuths
-from .tables import EVALUATION_BATCH
+from .tables import EVALUATION_BATCH, diamond, elevation_of
 
 # cells from the horizon to the zenith, and round the horizon: a disc of 0.1 degrees radius holds a sample
 ROWS, COLS = 640, 2304
@@ -57,10 +57,8 @@ INNER = 0.1  # share of a small part's light from which on far brighter cells in
 SECTOR_CELL_PARTS = 16  # at most, that a cell is cut into for narrow sectors; 8 and 32 give the same errors
 # [rad] of darkness between two small parts: parts nearer than that share azimuths
 DARK_GAP = math.radians(1)
-# least difference between knots, of the sine of elevation: eight steps of float32 below 1, so that a kernel
-# finds the first knot of a small sun at the zenith; with one, one of 0.19 degrees loses 0.8 % of its light
-LEAST_KNOT = 2.0**-21
-SKY_KNOTS, PART_KNOTS = 257, 65  # of the tables of a sky and of a small part, evenly in the sine of elevation
+# of the tables of a sky and of a small part, evenly in the diamond angle of elevation
+SKY_KNOTS, PART_KNOTS = 257, 65
 
 
 class Cells(NamedTuple):
@@ -153,11 +151,12 @@ class BrightPart:
         group = np.minimum(share.astype(int), count - (not shifted))
         begins = np.diff(group, prepend=-1) > 0
         edges, group = np.flatnonzero(begins), np.cumsum(begins) - 1
-        last = math.sin(cells.high.max())
-        first = min(math.sin(cells.low.min()), last - (PART_KNOTS - 1) * LEAST_KNOT)
+        first, last = float(diamond(cells.low.min())), float(diamond(cells.high.max()))
         low, high = (np.sin(ends)[:, None] for ends in ends)
-        # share of a row above every knot
-        ramp = np.clip((high - np.linspace(first, last, PART_KNOTS)) / np.maximum(high - low, 1e-12), 0, 1)
+        knots = np.sin(elevation_of(np.linspace(first, last, PART_KNOTS)))
+        ramp = np.clip(
+            (high - knots) / np.maximum(high - low, 1e-12), 0, 1
+        )  # share of a row above every knot
         ramp[:, 0] = 1  # but for rounding
         shape = len(edges), len(low)
         by_row = (np.bincount(group * len(low) + row, moment, math.prod(shape)) for moment in moments)
@@ -391,14 +390,19 @@ class Integrals:
     def table(self, angles: np.ndarray, widths: np.ndarray, knots: int = SKY_KNOTS) -> np.ndarray:
         """Brightness as sweeps take it, without the suns: (K, knots, 4) float32.
 
-        Integrals of B cos^2 and of B sin cos over elevation, from sin(elevation) = i / (knots - 1) to the
+        Integrals of B cos^2 and of B sin cos over elevation, from its diamond angle i / (knots - 1) to the
         zenith, averaged over the sectors round ``angles`` that are ``widths`` wide [rad], and their
         differences to the next knot.
         """
-        return _with_steps(self.above(angles - widths / 2, angles + widths / 2, knots) / widths[:, None])
+        sines = np.sin(elevation_of(np.linspace(0, 1, knots)))
+        return _with_steps(self.above(angles - widths / 2, angles + widths / 2, sines) / widths[:, None])
 
-    def above(self, begin: np.ndarray, end: np.ndarray, knots: int, unbiased: bool = False) -> np.ndarray:
-        """Integrals of B cos^2, B sin cos above every knot and between azimuths: (2, K, knots) float64.
+    def above(
+        self, begin: np.ndarray, end: np.ndarray, sines: np.ndarray, unbiased: bool = False
+    ) -> np.ndarray:
+        """Integrals of B cos^2, B sin cos above elevations and between azimuths: (2, K, elevations) float64.
+
+        ``sines``: of the elevations.
 
         ``unbiased``: of sectors all round, the excess of interpolation between means of cells, where
         brightness is convex, is subtracted.
@@ -414,7 +418,7 @@ class Integrals:
         down = np.concatenate([np.cumsum(light[:, ::-1], 1)[:, ::-1], np.zeros_like(light[:, :1])], 1)
         if unbiased:
             down[:, 1:-1] -= _gentle_steps(light[:, 1:], light[:, :-1]) / 12
-        at = np.interp(np.linspace(0, 1, knots), np.sin(self._edges), np.arange(len(self._edges)))
+        at = np.interp(sines, np.sin(self._edges), np.arange(len(self._edges)))
         low = np.minimum(at.astype(int), len(self._edges) - 2)
         part = (at - low)[:, None]
         above: np.ndarray = ((1 - part) * down[:, low] + part * down[:, low + 1]).swapaxes(1, 2)
@@ -443,7 +447,7 @@ def chords(sky: Integrals, turns: int, knots: int) -> np.ndarray:
     cosine = np.where(place < 2, 1 - place, place - 3)
     sine = np.where(place < 1, place, np.where(place < 3, 2 - place, place - 4))
     azimuth = np.append(np.arctan2(sine, cosine)[:-1] % (2 * math.pi), 2 * math.pi)
-    light = sky.above(azimuth[:-1], azimuth[1:], knots, True) / np.diff(azimuth)[:, None]
+    light = sky.above(azimuth[:-1], azimuth[1:], np.linspace(0, 1, knots), True) / np.diff(azimuth)[:, None]
     return np.ascontiguousarray(light.transpose(1, 2, 0), np.float32)
 
 

@@ -11,7 +11,7 @@ from .shapes import Source, distribution_of, radiance
 
 # samples of a sky: a sun half a degree wide gets two or three
 SAMPLE_AZIMUTHS, SAMPLE_ELEVATIONS = 2048, 192
-TABLE_KNOTS = 1024  # of a table of brightness, evenly in the sine of the elevation
+TABLE_KNOTS = 1024  # of a table of brightness, evenly in the diamond angle of the elevation
 UNEVEN = 2.0  # brightest azimuth over the mean from which azimuths are placed by brightness
 # directions whose brightness is evaluated at a time: more would leave the cache, fewer need more calls
 EVALUATION_BATCH = 2**13
@@ -59,6 +59,21 @@ def _profile(source: Source) -> np.ndarray | None:
 _kept_profile = functools.lru_cache(16)(_profile)  # of skies whose values never change
 
 
+def diamond(elevation: np.ndarray) -> np.ndarray:
+    """Sine / (sine + cosine) of elevations [rad]: 0 at the horizon, 1 at the zenith; tangent / (1 + tangent).
+
+    It grows by 0.5 to 1 per radian, so that even steps of it resolve all elevations, and needs no root.
+    """
+    ratio: np.ndarray = np.sin(elevation) / (np.sin(elevation) + np.cos(elevation))
+    return ratio
+
+
+def elevation_of(diamond: np.ndarray) -> np.ndarray:
+    """The elevation [rad] of a diamond angle, 0..1."""
+    elevation: np.ndarray = np.arctan2(diamond, 1 - diamond)
+    return elevation
+
+
 def elevation_table(
     source: Source,
     angles: np.ndarray,
@@ -69,7 +84,7 @@ def elevation_table(
 ) -> np.ndarray:
     """Brightness as sweeps take it, (K, knots, 4) float32.
 
-    The integrals of B cos^2 and of B sin cos over elevation, from sin(elevation) = i / (knots - 1) to the
+    The integrals of B cos^2 and of B sin cos over elevation, from the diamond angle i / (knots - 1) to the
     zenith, averaged over each sector, and their differences to the next knot. ``points`` of Gauss-Legendre
     quadrature between knots; within each sector as many azimuths as make some ``samples`` in all.
     """
@@ -77,15 +92,17 @@ def elevation_table(
     azimuth = angles[:, None] + widths[:, None] * ((np.arange(within) + 0.5) / within - 0.5)
     nodes, weights = np.polynomial.legendre.leggauss(points)
     low = np.arange(knots - 1)[:, None]
-    sine = ((low + (nodes + 1) / 2) / (knots - 1)).ravel()
+    at = (low + (nodes + 1) / 2) / (knots - 1)
+    cosines, sines = np.cos(elevation_of(at)), np.sin(elevation_of(at))
+    sine = sines.ravel()
     total = np.empty((len(angles), sine.size))
     for some in np.array_split(
         np.arange(len(angles)), min(len(angles), -(-azimuth.size * sine.size // EVALUATION_BATCH))
     ):
         total[some] = radiance(source, directions_of(azimuth[some, :, None], sine)).mean(1)
-    light = total.reshape(len(angles), knots - 1, points) * weights / 2 / (knots - 1)
-    sines = sine.reshape(knots - 1, points)
-    parts = np.stack([(light * np.sqrt(1 - sines**2)).sum(-1), (light * sines).sum(-1)], -1)
+    per_knot = weights / 2 / (knots - 1) * (sines + cosines) ** 2  # of elevation [rad]
+    light = total.reshape(len(angles), knots - 1, points) * per_knot
+    parts = np.stack([(light * cosines**2).sum(-1), (light * sines * cosines).sum(-1)], -1)
     table = np.zeros((len(angles), knots, 4))
     table[:, :-1, :2] = np.cumsum(parts[:, ::-1], 1)[:, ::-1]
     table[:, :-1, 2:] = table[:, 1:, :2] - table[:, :-1, :2]

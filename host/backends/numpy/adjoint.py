@@ -33,9 +33,9 @@ def _above(
             -t * cosine * cosine,
             -cosine * cosine,
         )
-    root = np.sqrt(square)
-    place = t / root * f32(knots - 1)
-    per = f32(knots - 1) / (square * root)
+    diamond = t / (1 + t)
+    place = diamond * f32(knots - 1)
+    per = (1 - diamond) / (1 + t) * f32(knots - 1)
     knot = np.minimum(place.astype(np.int32), knots - 2)
     part = place - knot.astype(f32)
     v = table[row, knot]

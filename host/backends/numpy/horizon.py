@@ -223,7 +223,7 @@ def _light(
         c1 = HALF * (HALF_PI - np.arctan(limit) - limit * c2)
         c2 = c2 * HALF
     else:
-        at = limit * (ONE / np.sqrt(limit * limit + ONE)) * np.float32(knots - 1)
+        at = limit * (ONE / (limit + ONE)) * np.float32(knots - 1)
         knot = np.minimum(at.astype(np.int32), knots - 2)
         part, entry = at - knot.astype(np.float32), table[knot]
         c1, c2 = part * entry[..., 2] + entry[..., 0], part * entry[..., 3] + entry[..., 1]

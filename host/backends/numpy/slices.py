@@ -859,7 +859,7 @@ def _light_above(
     table: np.ndarray, first: np.float32, scale: np.float32, tangent: np.ndarray, tilt: np.ndarray
 ) -> Values:
     """The light of a sector above a tangent."""
-    at = np.maximum((tangent / np.sqrt(tangent * tangent + F(1)) - first) * scale, F(0))
+    at = np.maximum((tangent / (tangent + F(1)) - first) * scale, F(0))
     knot = np.minimum(at.astype(np.int32), len(table) - 2)
     part = np.minimum(at - knot.astype(F), F(1))
     by_cosine, by_sine, more_cosine, more_sine = table[knot].T
@@ -900,7 +900,7 @@ def sectors(
     total, bare = np.zeros(len(x), F), _bare(heights, tops, highest, rows, cols, levels)
     for j, (c, s, share, first, scale) in enumerate(ways.T):
         last = first + F(knots - 1) / scale
-        low, high = (sine / np.sqrt(max(F(1) - sine * sine, F(1e-12))) for sine in (first, last))
+        low, high = (at / max(F(1) - at, F(1e-6)) for at in (first, last))
         # farther on, a ray is above all ground
         along = max(low, F(1e-6)) / np.maximum(F(highest) - height, F(1e-6))
         tilt = tilt_x * c + tilt_y * s
