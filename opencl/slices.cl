@@ -797,9 +797,9 @@ floats light_above(__global const float *table, ints entry, int knots, floats fi
 /* sectors: the light of a sky in a few sectors of azimuth, each above the exact horizon along one azimuth,
 added to what is there.
 
-  ways        (5, count)         float  azimuth's cosine and sine, width [rad], and of its table: where it begins,
-                                        `first`, and knots per unit, `scale`, of the diamond angle tangent /
-                                        (1 + tangent) of elevation; count: a multiple of LANES
+  ways        (5, count)         float  azimuth's cosine and sine, width [rad], and of its table: where it
+                                        begins, `first`, and knots per unit, `scale`, of the diamond angle
+                                        tangent / (1 + tangent) of elevation; count: a multiple of LANES
   table       (count, knots, 4)  float  integrals over elevation of B cos^2 and B sin cos, from first + i /
                                         scale on, and what to add up to the next knot; below the first knot
                                         and above the last there is no light
