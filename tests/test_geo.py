@@ -189,11 +189,14 @@ def test_holes_grow_no_heights(tmp_path):
 
 
 def test_units(tmp_path):
-    """US survey feet of the system, feet of the band, and scaled counts."""
+    """US survey feet of the system, of the band, and of a compound system's heights; and scaled counts."""
     feet = dict(crs="EPSG:2274", transform=from_origin(1e6, 5e5, 10, 10))  # Tennessee, ftUS
     with pytest.warns(UserWarning, match="^Unit of height: .*a.tif tells none.*US survey foot.*metres"):
         assert geo.read(make(tmp_path / "a.tif", **feet)).spacing == pytest.approx(10 * 1200 / 3937)
     assert geo.read(make(tmp_path / "a.tif", band={"units": ("us-ft",)}, **feet)).spacing == pytest.approx(10)
+    for crs, spacing in (("EPSG:2274+6360", 10), ("EPSG:32616+6360", 10 * 3937 / 1200)):
+        compound = make(tmp_path / "a.tif", **feet | {"crs": crs})
+        assert geo.read(compound).spacing == pytest.approx(spacing)
     raster = geo.read(make(tmp_path / "a.tif", band={"scales": (0.1,), "offsets": (100.0,)}))
     np.testing.assert_allclose(raster.values[0], 100 + 0.1 * HEIGHT[0])
     assert not raster.mask[3, 4] and raster.mask.sum() == HEIGHT.size - 2
