@@ -114,7 +114,7 @@ class WarpBackend(Backend):
     def download(self, array: Array) -> np.ndarray:
         kind = np.dtype(self.wp.dtype_to_numpy(array.dtype))
         if self.shares or array.size * kind.itemsize < staging.LEAST:
-            return np.array(array.numpy())
+            return array.numpy() if self._device.is_cuda else np.array(array.numpy())  # a copy in either case
         return self.transfers.download(array, array.shape, kind)
 
     @functools.cached_property

@@ -19,7 +19,9 @@ if TYPE_CHECKING:
     from ..samples import Samples
 
 
-SUMMED_ROWS = 64  # rows of a column that are summed in float32 before they are in float64
+# rows of a column that are summed in float32 before they are in float64, at least, and such sums of a column,
+# at most, so that what the host fetches stays small
+SUMMED_ROWS, SUMS = 64, 16
 
 
 class Estimate(NamedTuple):
@@ -113,7 +115,8 @@ def judged(
     ``heights``: with ``margin`` nodes on all sides; masked heights mark nodes that do not count.
     """
     rows, cols = shape
-    blocks = -(-rows // SUMMED_ROWS)
+    block = max(SUMMED_ROWS, -(-rows // SUMS))
+    blocks = -(-rows // block)
     sums = engine.empty((5, blocks, cols), np.float32)
     engine.launch(
         "ground",
@@ -126,7 +129,7 @@ def judged(
         rows,
         cols,
         margin,
-        SUMMED_ROWS,
+        block,
         float(limit),
     )
     light, square, valid, lit, beyond = engine.download(sums).reshape(5, -1).sum(1, dtype=np.float64).tolist()
