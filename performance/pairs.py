@@ -31,6 +31,9 @@ THIN_DENSITY = 3
 # a slit before small lights, where one node was still wrong by 1.8 % of its own light with 32,768 and by
 # 0.06 % with four times as many. Behind wider ones a small sun asks for more rays than the oracle can follow.
 LINE_SHARE, LINE_RAYS, LIGHTS_RAYS = 0.001, 32768, 131072
+# pieces that share them: the rays to one take only 181 places along it, so that under a steep spot (cos^820)
+# the mean was wrong by 1.1 %; with 16 pieces by 0.2 %, with 64 by less than 0.01 %
+LINE_PIECES = 64
 
 
 def primitives(e):
@@ -552,14 +555,24 @@ def is_thin(solid, share=0.02):
 
 
 def through_line(samples, scene, source, rays):
-    """Irradiance (nodes,) by a slit or tube: the oracle's rays to points of it."""
+    """Irradiance (nodes,) by a slit or tube: the oracle's rays to points of each of its LINE_PIECES."""
     depth = np.asarray(scene.depth, float)
     nodes = np.asarray(samples.y).astype(int), np.asarray(samples.x).astype(int)
     ground = depth, scene.spacing, scene.valid
-    if isinstance(source, sl.Window):
-        return oracle.window_irradiance(*ground, source, nodes, rays, sides=scene.sides)
-    lamp = source.corner, *source.edges, source.brightness
-    return oracle.lamp_irradiance(*ground, lamp, nodes, rays, sides=scene.sides)
+    total, rays = np.zeros(len(samples)), rays // LINE_PIECES
+    for first in np.arange(LINE_PIECES) / LINE_PIECES:
+        if isinstance(source, sl.Window):
+            along = "x" if np.ptp(source.x) > np.ptp(source.y) else "y"
+            begin, end = getattr(source, along)
+            ends = begin + (end - begin) * np.array([first, first + 1 / LINE_PIECES])
+            piece = replace(source, **{along: tuple(ends)})
+            total += oracle.window_irradiance(*ground, piece, nodes, rays, sides=scene.sides)
+        else:
+            edges = sorted(np.asarray(source.edges, float), key=np.linalg.norm)
+            corner = np.asarray(source.corner) + first * edges[1]
+            piece = corner, edges[0], edges[1] / LINE_PIECES, source.brightness
+            total += oracle.lamp_irradiance(*ground, piece, nodes, rays, sides=scene.sides)
+    return total
 
 
 def truth(samples, scene, source, light, density=1):
