@@ -171,6 +171,7 @@ def sky_view(
         if scene.stays_on(engine):
             factor = sweeps.image()
             factor.shade(scene.on(engine), 1.0, scale)
+            factor.held = None
             return factor
         image = sweeps.irradiance(last=True)
     multiply(image, scale)

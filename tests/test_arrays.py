@@ -639,7 +639,7 @@ def test_maps_and_images_stay_on_a_gpu(name, masked):
     mask = WIDE_MASK if masked else None
     with passing_for_a_gpu():
         found = STAYS[name](sl.Scene(warp_array(WIDE), mask=mask), "warp:cpu")
-        assert isinstance(found, resident.DeviceImage)
+        assert isinstance(found, resident.DeviceImage) and found.held is None  # no other memory
         described = found.__cuda_array_interface__
         assert described["shape"] == WIDE.shape and described["typestr"] == "<f4"
     plain = STAYS[name](sl.Scene(WIDE, mask=mask), "warp:cpu")

@@ -154,9 +154,8 @@ class BrightPart:
         first, last = float(diamond(cells.low.min())), float(diamond(cells.high.max()))
         low, high = (np.sin(ends)[:, None] for ends in ends)
         knots = np.sin(elevation_of(np.linspace(first, last, PART_KNOTS)))
-        ramp = np.clip(
-            (high - knots) / np.maximum(high - low, 1e-12), 0, 1
-        )  # share of a row above every knot
+        # share of a row above every knot
+        ramp = np.clip((high - knots) / np.maximum(high - low, 1e-12), 0, 1)
         ramp[:, 0] = 1  # but for rounding
         shape = len(edges), len(low)
         by_row = (np.bincount(group * len(low) + row, moment, math.prod(shape)) for moment in moments)

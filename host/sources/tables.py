@@ -60,17 +60,18 @@ _kept_profile = functools.lru_cache(16)(_profile)  # of skies whose values never
 
 
 def diamond(elevation: np.ndarray) -> np.ndarray:
-    """Sine / (sine + cosine) of elevations [rad]: 0 at the horizon, 1 at the zenith; tangent / (1 + tangent).
+    """The diamond angle of elevations [rad]: sine / (sine + cosine), 0 at the horizon and 1 at the zenith.
 
-    It grows by 0.5 to 1 per radian, so that even steps of it resolve all elevations, and needs no root.
+    It is tangent / (1 + tangent), which needs no root, and grows by 0.5 to 1 per radian, so that even steps of
+    it resolve all elevations.
     """
     ratio: np.ndarray = np.sin(elevation) / (np.sin(elevation) + np.cos(elevation))
     return ratio
 
 
-def elevation_of(diamond: np.ndarray) -> np.ndarray:
-    """The elevation [rad] of a diamond angle, 0..1."""
-    elevation: np.ndarray = np.arctan2(diamond, 1 - diamond)
+def elevation_of(at: np.ndarray) -> np.ndarray:
+    """The elevations [rad] whose diamond angle is ``at``, 0..1."""
+    elevation: np.ndarray = np.arctan2(at, 1 - at)
     return elevation
 
 
