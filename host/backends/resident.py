@@ -20,8 +20,8 @@ class DeviceImage:
     ``numpy.asarray`` fetches a copy. Where it lies on a GPU, libraries that read ``__cuda_array_interface__``
     or DLPack (CuPy, PyTorch, JAX, Warp) take it in place.
 
-    ``held``: what owns the arrays that launches under way read, until the image is fetched. A driver waits for
-    these launches before it frees memory, and the host with it.
+    ``held``: what owns the arrays that launches under way read, until the image is fetched. A driver waits
+    for these launches before it frees memory, and the host with it.
     """
 
     dtype, ndim = np.dtype(np.float32), 2

@@ -62,8 +62,8 @@ _kept_profile = functools.lru_cache(16)(_profile)  # of skies whose values never
 def diamond(elevation: np.ndarray) -> np.ndarray:
     """The diamond angle of elevations [rad]: sine / (sine + cosine), 0 at the horizon and 1 at the zenith.
 
-    It is tangent / (1 + tangent), which needs no root, and grows by 0.5 to 1 per radian, so that even steps of
-    it resolve all elevations.
+    It is tangent / (1 + tangent), which needs no root, and grows by 0.5 to 1 per radian, so that even steps
+    of it resolve all elevations.
     """
     ratio: np.ndarray = np.sin(elevation) / (np.sin(elevation) + np.cos(elevation))
     return ratio
