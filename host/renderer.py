@@ -42,7 +42,9 @@ from .sources.solids import Dome, upright
 
 DEFAULT_HEMICUBE = 9  # of the hemicube of method "lattice", unless given
 SUN_DISTANCE = 1e5  # extents of the map at which the sun stands: a hundred-thousandth of a radian across it
-# half widths of a lobe between directions, from which on its sum may be too large by 1 in a thousand
+# half widths of a lobe between directions, on average, up to which it is summed without a warning. Of lobes
+# that nothing hides the sum then errs by up to 1.8 %; with half of it by 0.8 %, with twice by 80 % (hemicubes
+# of 9 to 33, tests/test_reflectance.py)
 COARSE_LOBE = 1.2
 
 

@@ -1,6 +1,7 @@
 """Reflectance: energy, reciprocity, colour, lobes, mirrors and BRDFs, against closed forms and the oracle."""
 
 import functools
+import math
 
 import numpy as np
 import pytest
@@ -9,7 +10,7 @@ from compare import assert_bits_equal, assert_close
 from scenes import rough
 
 import skylamp as sl
-from skylamp import oracle, shading
+from skylamp import oracle, renderer, shading
 from skylamp.backends import select
 from skylamp.radiometry import directional_hemispheric, patch_solid_angle
 from skylamp.reflectance import frames, mirror_directions
@@ -713,3 +714,20 @@ def test_the_callers_arrays_stay(fast):
     assert (albedo == 0.4).all()
     albedo[:] = 0.1
     assert_bits_equal(sl.render(scene, sl.Sky(), backend=fast).image, before.copy())
+
+
+@pytest.mark.parametrize("size", [9, 17])
+def test_the_sum_of_a_lobe_over_a_hemicube(size):
+    """Of lobes clear of the horizon: within 2 % where the warning begins, and useless at twice that."""
+    cube, rng = sl.Hemicube(size), np.random.default_rng(0)
+    mirrored = rng.normal(size=(4000, 3))
+    mirrored[:, 2] = -abs(mirrored[:, 2])
+    mirrored /= np.linalg.norm(mirrored, axis=1, keepdims=True)
+    for times, low, high in ((1, 0.01, 0.02), (2, 0.5, 1.0)):
+        spread = math.sqrt(2 * math.pi / len(cube)) / (times * renderer.COARSE_LOBE)
+        exponent = 1 / spread**2 - 1
+        assert sl.Phong(exponent=exponent).spread == pytest.approx(spread)
+        clear = mirrored[-mirrored[:, 2] > math.sin(min(1.4, 3 * spread))]
+        cosines = np.maximum(clear @ cube.directions.T, 0)
+        sums = (cosines**exponent) @ cube.solid_angles * (exponent + 1) / (2 * math.pi)
+        assert low < abs(sums - 1).max() < high
