@@ -476,3 +476,24 @@ def test_wrong_types_are_one_error_at_the_door(call, says):
     """Text is no number, an array no choice."""
     with pytest.raises(InputError, match=says):
         call()
+
+
+@pytest.mark.parametrize("builds", [True, False])
+def test_a_program_that_does_not_build_is_built_again(monkeypatch, builds):
+    """Processes that compile into one cache disturb one another; a kernel that never builds is an error."""
+    from skylamp.backends import opencl, select
+
+    engine, failures = select("opencl"), opencl.BUILDS - builds
+    whole, attempts = engine.cl.Program, []
+
+    def program(*args):
+        attempts.append(args)
+        return whole(args[0], "no kernel") if len(attempts) <= failures else whole(*args)
+
+    monkeypatch.setattr(engine.cl, "Program", program)
+    if builds:
+        assert opencl._program(engine, "carve", engine.lanes, ()).kernel_names
+    else:
+        with pytest.raises(BackendError, match="carve.cl does not build on"):
+            opencl._program(engine, "carve", engine.lanes, ())
+    assert len(attempts) == opencl.BUILDS

@@ -33,6 +33,9 @@ from .base import (
 
 OPTIONS = "-cl-std=CL1.2", "-w"  # without remarks on the kernels, which clang counts on stderr
 HUGE_PAGE = 2**21  # [byte], of Linux on x86-64 and, with pages of 4 KiB, on ARM
+# attempts to build a program: PoCL fails now and then where several processes build the same one into an
+# empty cache; of 112 processes, eight at a time, 5 failed with one attempt and none with three
+BUILDS = 3
 # registers a work-item on NVIDIA, of stems that wait for memory: with 64 more run at once. Measured on an
 # H200, 4096 x 4096 nodes: sweeps of 64 azimuths took 23.5 ms with 64 and 27 with 96 (of 16: 13.3 and 12.3),
 # about 31 with 48; slices of a sphere 31.4 ms with 64, 31.5 with 48, 32 with 80 or 96
@@ -274,15 +277,18 @@ def _program(backend: OpenclBackend, stem: str, lanes: int, constants: tuple[tup
         **dict(constants),
     }
     defines = [*skylamp.opencl.defines(stem), *(f"-D{name}={value}" for name, value in known.items())]
-    try:
-        program = backend.cl.Program(backend.context, skylamp.opencl.source(stem))
-        with warnings.catch_warnings():
-            # a compiler's remarks on kernels are not the caller's, who may have made warnings errors
-            warnings.simplefilter("ignore", backend.cl.CompilerWarning)
-            program.build([*OPTIONS, *backend._exact, *_registers(backend, stem), *defines])
-    except backend.cl.Error as error:
-        text = f"{backend.name}: {stem}.cl does not build on {backend.device}: {error}"
-        raise BackendError(text) from error
+    for attempt in range(BUILDS):
+        try:
+            program = backend.cl.Program(backend.context, skylamp.opencl.source(stem))
+            with warnings.catch_warnings():
+                # a compiler's remarks on kernels are not the caller's, who may have made warnings errors
+                warnings.simplefilter("ignore", backend.cl.CompilerWarning)
+                program.build([*OPTIONS, *backend._exact, *_registers(backend, stem), *defines])
+            break
+        except backend.cl.Error as error:
+            if attempt == BUILDS - 1:
+                text = f"{backend.name}: {stem}.cl does not build on {backend.device}: {error}"
+                raise BackendError(text) from error
     backend.compile_seconds += time.perf_counter() - start
     return program
 
