@@ -268,7 +268,11 @@ def kinds_of(scene, source) -> list[str]:
     """Methods that can represent the pair, cheapest first."""
     if lacking(scene, source):
         return ["lattice"]
-    return ["unoccluded", "horizon", "lattice"] if isinstance(source, sl.Sky) else ["unoccluded", "slices"]
+    if not isinstance(source, sl.Sky):
+        return ["unoccluded", "slices"]
+    brightness = sources.distribution_of(source)
+    has_disc = brightness is not None and brightness.disc() is not None  # of the sun, which no lattice takes
+    return ["unoccluded", "horizon"] if has_disc else ["unoccluded", "horizon", "lattice"]
 
 
 def tried(scene, source, samples, exact, backend, longest) -> list:
