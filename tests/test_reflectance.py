@@ -716,14 +716,14 @@ def test_the_callers_arrays_stay(fast):
     assert_bits_equal(sl.render(scene, sl.Sky(), backend=fast).image, before.copy())
 
 
-@pytest.mark.parametrize("size", [9, 17])
+@pytest.mark.parametrize("size", [9, 17, 33])
 def test_the_sum_of_a_lobe_over_a_hemicube(size):
     """Of lobes clear of the horizon: within 2 % where the warning begins, and useless at twice that."""
     cube, rng = sl.Hemicube(size), np.random.default_rng(0)
     mirrored = rng.normal(size=(4000, 3))
     mirrored[:, 2] = -abs(mirrored[:, 2])
     mirrored /= np.linalg.norm(mirrored, axis=1, keepdims=True)
-    for times, low, high in ((1, 0.01, 0.02), (2, 0.5, 1.0)):
+    for times, low, high in ((0.5, 0.0, 0.01), (1, 0.01, 0.02), (2, 0.5, 1.0)):
         spread = math.sqrt(2 * math.pi / len(cube)) / (times * renderer.COARSE_LOBE)
         exponent = 1 / spread**2 - 1
         assert sl.Phong(exponent=exponent).spread == pytest.approx(spread)

@@ -31,6 +31,7 @@ class DeviceImage:
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> np.ndarray:
         values = self.backend.download(self.values).reshape(-1)[: math.prod(self.shape)].reshape(self.shape)
+        self.held = None
         return values if dtype is None else values.astype(dtype, copy=False)
 
     def shade(

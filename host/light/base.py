@@ -19,9 +19,10 @@ if TYPE_CHECKING:
     from ..samples import Samples
 
 
-# rows of a column that are summed in float32 before they are in float64, at least, and such sums of a column,
-# at most, so that what the host fetches stays small
-SUMMED_ROWS, SUMS = 64, 16
+# least rows of a column that are summed in float32 before they are in float64, and most such sums of a
+# column, since the host fetches them: with 64 in place of 16, 5 MB of a map of 4096 x 4096 nodes, an image
+# within 1 % took 23.5 ms on an H200 in place of 19.6
+SUMMED_ROWS, MOST_SUMS = 64, 16
 
 
 class Estimate(NamedTuple):
@@ -115,7 +116,7 @@ def judged(
     ``heights``: with ``margin`` nodes on all sides; masked heights mark nodes that do not count.
     """
     rows, cols = shape
-    block = max(SUMMED_ROWS, -(-rows // SUMS))
+    block = max(SUMMED_ROWS, -(-rows // MOST_SUMS))
     blocks = -(-rows // block)
     sums = engine.empty((5, blocks, cols), np.float32)
     engine.launch(
