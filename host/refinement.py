@@ -12,6 +12,7 @@ import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -43,7 +44,7 @@ from .samples import (
     samples_of,
 )
 from .scene import Scene, is_scene
-from .sources.integrals import BrightPart, Integrals, even, integrals
+from .sources.integrals import BrightPart, Integrals, even, integrals, without
 from .sources.solids import Ball, Quad, aperture, rectangle, upright
 
 # -- tolerance and estimates
@@ -887,6 +888,7 @@ class _SlicePlanner(_UnitsPlanner):
     is_thin = False  # its light is taken along the line through its middle
     bright: float | np.ndarray = 0.0  # light of small bright parts behind a window
     smooth: sources.Brightness  # brightness without these
+    lights: tuple[line.Light, ...] = ()  # of a thin source
     by_slices: dict[
         tuple[int, int], np.ndarray
     ]  # light at the samples by numbers of slices and points of each
@@ -897,21 +899,23 @@ class _SlicePlanner(_UnitsPlanner):
         self._place()
         self.is_thin = _looks_thin(self)
         if callable(brightness):
-            if not self.is_thin and isinstance(self.source, sources.Window):
+            if self.is_thin or isinstance(self.source, sources.Window):
                 self._integrate_sky()
             most = sources.radiance(sources.Sky(brightness), Hemicube(9).directions).max()
             self.samples.least = DARK * float(self._unoccluded(1, float(most)).mean())
         self.uniform = _uniform_light(self.samples)
-        if self.sky is not None and self.sky.bright_parts:
+        if self.sky is not None and self.sky.bright_parts and not self.is_thin:
             self.bright = self.scale * sum(
                 self.samples.sectors(
                     *spot.sectors(_judging_sectors(spot, self.outline, self.samples)), self.outline
                 )
                 for spot in self.sky.bright_parts
             )
-            brightness = self._without_bright_parts
+            brightness = partial(without, self.source.brightness, self.sky.bright_parts)
         self.smooth, self.by_slices = brightness, {}
-        if not self.is_thin:
+        if self.is_thin:
+            self.lights = line.lights_of(self.source.brightness, self.sky.bright_parts if self.sky else ())
+        else:
             self.judge_by(JUDGING_SLICES * BALL_SLICES[0])
             if self._fits_closed_form():
                 return
@@ -946,7 +950,7 @@ class _SlicePlanner(_UnitsPlanner):
         if (count, points) not in self.by_slices:
             if self.is_thin:
                 assert isinstance(self.solid, Quad), "balls are not thin"
-                light = line.at_samples(self.samples, self.solid, self.smooth, count)
+                light = line.at_samples(self.samples, self.solid, self.lights, count)
             else:
                 light = (
                     self.samples.through_slices(self.solid, self.smooth, count, points=points) + self.bright
@@ -972,25 +976,16 @@ class _SlicePlanner(_UnitsPlanner):
         self.is_small = isinstance(self.source, sources.Lamp) and self.apparent < NARROW_RADIUS
 
     def _integrate_sky(self) -> None:
-        """Integrals of the sky behind a window, and the window's outline for its small bright parts."""
+        """Integrals of the brightness, and unless it is thin the window's outline for small bright parts."""
         self.sky = integrals(sources.Sky(self.source.brightness), self.tolerance, True, WINDOWED_PART)
+        if self.is_thin:
+            return
         there = self.scene.on(self.engine)
         window = solid_of(self.scene, self.source, there.step / self.scene.spacing, there.step)
         assert isinstance(window, Quad), "a window of which something is left is a quadrangle"
         wide, self.scale = widened(window, there)
         assert isinstance(wide, Quad), "widening keeps the kind of solid"
         self.outline = outline(wide, there.step)
-
-    def _without_bright_parts(self, L: np.ndarray) -> np.ndarray:
-        """The brightness without small bright parts: there it is cut at the level where they begin."""
-        assert self.sky is not None, "suns are parts of an integrated sky"
-        values = sources.radiance(sources.Sky(self.source.brightness), L)
-        for spot in self.sky.bright_parts:
-            middle, sine = spot.cone
-            cosine = L[..., 0] * middle[0] + L[..., 1] * middle[1] - L[..., 2] * middle[2]
-            inside = cosine > math.sqrt(1 - sine * sine)
-            values = np.where(inside, np.minimum(values, spot.limit), values)
-        return values
 
     def _unoccluded(self, points: int, brightness: sources.Brightness | None = None) -> np.ndarray:
         """Light at the samples in closed form, its brightness along ``points`` rays."""
@@ -1056,14 +1051,14 @@ class _SlicePlanner(_UnitsPlanner):
         solid = solid_of(scene, source, step / scene.spacing, step)
         assert solid is not None, "_HiddenWindowPlanner takes a window of which nothing is left"
         sky = None if self.rays else self.sky
-        return Sliced(self.engine, scene, source, solid, self.units, self.rays, sky, self.is_thin)
+        return Sliced(self.engine, scene, source, solid, self.units, self.rays, sky, self.lights)
 
     def refine(self, is_shared: bool) -> bool:
         if self.closed:
             self.points *= 4
             if self.points > most_rays(self.scene):
                 self._take_slices()
-        elif self.is_thin and 2 * self.method.units * math.prod(self.scene.shape) > MOST_RAY_EVALUATIONS:
+        elif isinstance(self.method, Sliced) and 2 * self.method.ray_count > MOST_RAY_EVALUATIONS:
             return False
         else:
             return super().refine(is_shared)
@@ -1098,6 +1093,8 @@ class _SlicePlanner(_UnitsPlanner):
             yield Choice("brightness", "along every chord", "integrated")
         if not closed and callable(source.brightness) and self.sky is not None and self.sky.bright_parts:
             why = "seen through the window in azimuths of their own"
+            if self.is_thin:
+                why = "points of the line within each, besides those along all of it"
             yield Choice("bright parts", f"{len(self.sky.bright_parts)}", why)
         yield Choice("search radius", "up to the source", "what lies behind it hides nothing")
 

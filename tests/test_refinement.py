@@ -563,6 +563,26 @@ def test_thin_sources(fast, ground, kind):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("width, points", [(0.1, (20_000, 32)), (1e-4, (120_000, 6))])
+def test_a_slit_before_a_sun(fast, width, points):
+    """The light of the sun falls on few nodes, through a small part of the slit."""
+    s, r = towards(70, 55), np.radians(1)
+    light = lambda L: 1 + 2e4 * (L @ s > np.cos(r))
+    x, y = np.arange(48) - SMALL * s[0] / s[2], np.arange(48)[:, None] - SMALL * s[1] / s[2]
+    near = (np.abs(x - 24) < 0.5) & (np.abs(y - 24) < 12)
+    scene = sl.Scene(SMALL)
+    out = irradiance(scene, sl.Window((24 - width / 2, 24 + width / 2), (13.0, 35.0), light), fast)
+    samples = Samples(select(fast), scene, 1)
+    samples.set_nodes(*np.nonzero(near)[::-1])
+    slit = sheet((24 - width / 2, 13.0, 0.0), (0, 22.0, 0), (width, 0, 0), *points)
+    exact = through(samples, *slit, light)
+    assert (exact > 20 * np.median(out.image)).sum() > 4
+    off = (samples.of(out.image) - exact) / out.image.mean()
+    assert math.sqrt((off**2).sum() / out.image.size) <= 0.01 and not out.warnings, out.plan.steps
+    assert out.image[~near].max() < 20 * np.median(out.image)
+
+
+@pytest.mark.slow
 def test_a_slit_before_a_sharp_map(fast):
     """Pixels of one degree and a half, which no table of chords holds that well, point by point."""
     light = sl.environment_map(np.random.default_rng(1).gamma(0.5, size=(128, 256)))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -44,7 +45,8 @@ class Sliced(LightMethod):
     their own. The slices of a ball are two images that share none; refining puts as many slices
     between them. Those of a quadrangle are Gauss-Legendre nodes: rules of different size share none, and the
     image is that of the larger of two. Where there are rays, half the difference includes the change that a
-    quarter of them makes. ``thin``: of a quadrangle, ``units`` points along its middle instead of slices.
+    quarter of them makes. ``thin``: what the brightness of a quadrangle is the sum of, of which ``units``
+    points along its middle are taken instead of slices.
     """
 
     def __init__(
@@ -56,9 +58,9 @@ class Sliced(LightMethod):
         units: int,
         rays: int = 0,
         sky: Integrals | None = None,
-        thin: bool = False,
+        thin: Sequence[line.Light] = (),
     ):
-        self.engine, self.scene, self.units, self.rays = engine, scene, units, rays
+        self.engine, self.scene, self.units, self.rays, self.ray_count = engine, scene, units, rays, 0
         self.there = scene.on(engine)
         self.step = self.there.step
         self.solid, self.scale = (solid, 1.0) if thin else widened(solid, self.there)
@@ -119,7 +121,7 @@ class Sliced(LightMethod):
         if self.thin:
             slices, quad = Slices(self.there, self.scene.sides, self.solid), upright(self.solid, self.step)
             assert isinstance(quad, Quad), "balls are not thin"
-            irradiance = line.image(slices, self.scene, quad, self.source.brightness, units)
+            irradiance, self.ray_count = line.image(slices, self.scene, quad, self.thin, units)
             return slices, self.engine.upload(irradiance)
         slices = Slices(self.there, self.scene.sides, self.solid, self.brightness, units, shift=SHIFT)
         slices.run()

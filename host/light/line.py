@@ -2,28 +2,69 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterator, Sequence
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 
 from .. import sources
 from ..constants import STEEP
-from ..samples import Samples
+from ..samples import Samples, samples_of
 from ..scene import Scene
+from ..sources.integrals import BrightPart, without
 from ..sources.solids import Quad
 from .slices import Slices
 from .unoccluded import Values, gradients
 
-BATCH = 16  # points whose rays are followed at a time: 16 x 16 bytes a node
+BATCH = 8  # points whose rays are followed at a time: some 100 bytes a node each
+RAYS_AT_ONCE = 2**18  # from few nodes, some 150 bytes each
+# points in the cone of a small bright part, over those along the line. Chosen: its light falls on few nodes,
+# so that they take little time
+CONE_POINTS = 16
+# steps of additive recurrences, in which numbers modulo 1 spread evenly: over two dimensions, and over one
+R2, GOLDEN = np.array([0.754878, 0.569840]), 0.618034
+
+Cone = tuple[np.ndarray, float]  # its axis, a unit vector with z upwards, and the sine of its radius
+
+
+class Light(NamedTuple):
+    """A brightness, and the cone outside of which it is 0, within which its points are taken."""
+
+    brightness: sources.Brightness
+    cone: Cone | None = None
+
+
+def lights_of(brightness: sources.Brightness, parts: Sequence[BrightPart]) -> tuple[Light, ...]:
+    """What a brightness is the sum of: what is left without small bright parts, and what each adds to it."""
+    parts = sorted(parts, key=lambda part: -part.limit)  # the brightest first: parts may lie within others
+
+    def added(L: np.ndarray, n: int) -> np.ndarray:
+        light: np.ndarray = without(brightness, parts[:n], L) - without(brightness, parts[: n + 1], L)
+        return light
+
+    rest = Light(partial(without, brightness, parts) if parts else brightness)
+    return rest, *(Light(partial(added, n=n), part.cone) for n, part in enumerate(parts))
 
 
 class Line(NamedTuple):
-    """A thin quadrangle [spacings, heights third]: its ends, its width, and the unit normal of its plane."""
+    """A thin quadrangle [spacings, heights third].
+
+    The ends of the line through its middle, its edge across, its width, and the unit normal of its plane.
+    """
 
     begin: np.ndarray
     end: np.ndarray
+    across: np.ndarray
     width: float
     normal: np.ndarray
+
+    def strips(self, count: int) -> Iterator[Line]:
+        """Lines through the middles of ``count`` strips, side by side."""
+        for n in range(count):
+            shift = self.across * ((n + 0.5) / count - 0.5)
+            yield self._replace(begin=self.begin + shift, end=self.end + shift, width=self.width / count)
 
 
 def line_of(quad: Quad) -> Line:
@@ -34,7 +75,7 @@ def line_of(quad: Quad) -> Line:
         along, across = across, along
     area = np.cross(along, across)
     size, begin = float(np.linalg.norm(area)), corners[0] + across / 2
-    return Line(begin, begin + along, size / float(np.linalg.norm(along)), area / max(size, 1e-300))
+    return Line(begin, begin + along, across, size / float(np.linalg.norm(along)), area / max(size, 1e-300))
 
 
 class _Nodes(NamedTuple):
@@ -48,28 +89,41 @@ class _Nodes(NamedTuple):
     span: np.ndarray
 
 
-def _looking(line: Line, gx: Values, gy: Values, at: np.ndarray) -> tuple[_Nodes, np.ndarray]:
-    """Nodes at ``at`` (3, ...), and the line's unit vector (3)."""
+def _looking(
+    line: Line, gx: Values, gy: Values, at: np.ndarray, cone: Cone | None = None, wide: bool = False
+) -> tuple[_Nodes, np.ndarray]:
+    """Nodes at ``at`` (3, ...), angles of the part of the line within the cone, and its unit vector (3).
+
+    ``wide``: within the cone anywhere across the line.
+    """
     length = float(np.linalg.norm(line.end - line.begin))
     axis = (line.end - line.begin) / length
     to = line.begin.reshape(3, *(1,) * (at.ndim - 1)) - at
     begin = np.einsum("i,i...->...", axis, to)
     nearest = to - np.multiply.outer(axis, begin)
     distance = np.maximum(np.sqrt((nearest**2).sum(0)), 1e-9)
-    first = np.arctan2(begin, distance)
-    span = np.arctan2(begin + length, distance) - first
-    return _Nodes(gx, gy, nearest / distance, distance, first, span), axis
+    nearest /= distance
+    first, last = np.arctan2(begin, distance), np.arctan2(begin + length, distance)
+    if cone is not None:
+        # the cosine to the cone's axis is that of the angle to ``middle``, times ``most``
+        up, along = np.tensordot(cone[0], nearest, 1), float(cone[0] @ axis)
+        most, middle = np.hypot(up, along), np.arctan2(along, up)
+        radius = math.asin(cone[1]) + (line.width / distance if wide else 0.0)
+        half = np.arccos(np.clip(np.cos(np.minimum(radius, np.pi)) / np.maximum(most, 1e-9), -1, 1))
+        first, last = np.maximum(first, middle - half), np.minimum(last, middle + half)
+    return _Nodes(gx, gy, nearest, distance, first, np.maximum(0, last - first)), axis
 
 
 def _rays(
-    line: Line, nodes: _Nodes, axis: np.ndarray, share: float, brightness: sources.Brightness
+    line: Line, nodes: _Nodes, axis: np.ndarray, shares: np.ndarray, brightness: sources.Brightness
 ) -> tuple[np.ndarray, ...]:
-    """(cosine and sine of the azimuth, slope, distance along the ground, light) of rays to a point.
+    """(cosine and sine of the azimuth, slope, distance along the ground, light) of rays to points.
 
-    The point lies at this ``share`` of the line's angle at a node: there dl / r^2 is dangle / distance.
+    The points lie at these ``shares`` (n, ...) of the line's angle at a node: there dl / r^2 is dangle /
+    distance. Each (n, ...).
     """
-    angle = nodes.first + nodes.span * share
-    way = nodes.nearest * np.cos(angle) + np.multiply.outer(axis, np.sin(angle))
+    angle = nodes.first + shares * nodes.span
+    way = nodes.nearest[:, None] * np.cos(angle) + np.multiply.outer(axis, np.sin(angle))
     flat = np.maximum(np.hypot(way[0], way[1]), 1e-9)
     tilt = (way[0] * nodes.gx + way[1] * nodes.gy + way[2]) / np.sqrt(1 + nodes.gx**2 + nodes.gy**2)
     light = (
@@ -84,39 +138,65 @@ def _rays(
     return way[0] / flat, way[1] / flat, way[2] / flat, nodes.distance * flat / np.cos(angle), light
 
 
-def at_samples(samples: Samples, quad: Quad, brightness: sources.Brightness, count: int) -> np.ndarray:
-    """Irradiance (nodes,) by ``count`` points of a thin quadrangle [spacings], with exact rays."""
-    line = line_of(quad)
+def at_samples(samples: Samples, quad: Quad, lights: Sequence[Light], count: int) -> np.ndarray:
+    """Irradiance (nodes,) of a thin quadrangle [spacings], whose brightness is the sum of ``lights``.
+
+    By exact rays to ``count`` points of its line, and CONE_POINTS times as many in a cone: on so many strips
+    that they lie as far apart across the quadrangle as along it.
+    """
+    line, total = line_of(quad), np.zeros(len(samples))
     at = np.stack([samples.x, samples.y, samples.own]).astype(float)
-    nodes, axis = _looking(line, samples.gx, samples.gy, at)
-    total = np.zeros(len(samples))
-    for first in range(0, count, BATCH):
-        shares = (np.arange(first, min(first + BATCH, count)) + 0.5) / count
-        c, s, slope, reach, light = (
-            np.stack(values) for values in zip(*(_rays(line, nodes, axis, p, brightness) for p in shares))
-        )
-        # ground counts as far as along x distance is less than the limit
-        least = np.clip(slope * (1 - 1e-6), 0, STEEP)
-        tangents = samples.slopes(c, s, least, np.ones_like(c), 0.0, reach)
-        total += np.where(tangents <= np.maximum(least, slope).astype(np.float32), light, 0.0).sum(0)
-    irradiance: np.ndarray = total / count
-    return irradiance
+    for light in lights:
+        nodes, _ = _looking(line, samples.gx, samples.gy, at, light.cone, wide=True)
+        lit = np.flatnonzero(nodes.span)
+        if not len(lit):
+            continue
+        strips, points = 1, count
+        if light.cone is not None:
+            across = line.width / (2 * light.cone[1] * float(np.median(nodes.distance[lit])))
+            strips = max(1, round(math.sqrt(CONE_POINTS * count * across)))
+            points = -(-CONE_POINTS * count // strips)
+        batch = max(BATCH, RAYS_AT_ONCE // len(lit))
+        for n, strip in enumerate(line.strips(strips)):
+            # points that differ from node to node: at the same ones all would miss the same of an edge
+            offset = (at[:2, lit].T @ R2 + GOLDEN * n) % 1 if light.cone else 0.5
+            nodes, axis = _looking(strip, samples.gx[lit], samples.gy[lit], at[:, lit], light.cone)
+            for first in range(0, points, batch):
+                shares = (np.arange(first, min(first + batch, points))[:, None] + offset) / points
+                c, s, slope, reach, values = _rays(strip, nodes, axis, shares, light.brightness)
+                # ground counts as far as along x distance is less than the limit
+                least = np.clip(slope * (1 - 1e-6), 0, STEEP)
+                tangents = samples.slopes(c, s, least, np.ones_like(c), 0.0, reach, node=lit)
+                clear = tangents <= np.maximum(least, slope).astype(np.float32)
+                total[lit] += np.where(clear, values, 0.0).sum(0) / points
+    return total
 
 
-def image(slices: Slices, scene: Scene, quad: Quad, brightness: sources.Brightness, count: int) -> np.ndarray:
-    """Irradiance (rows, cols) float32 by ``count`` points of a thin quadrangle [spacings]."""
-    line, (rows, cols) = line_of(quad), scene.shape
+def image(
+    slices: Slices, scene: Scene, quad: Quad, lights: Sequence[Light], count: int
+) -> tuple[np.ndarray, int]:
+    """Irradiance (rows, cols) float32, otherwise as :func:`at_samples`; and the number of rays."""
+    rows, cols = scene.shape
     y, x = np.mgrid[:rows, :cols]
     deep = scene.depth if scene.mask is None else np.nan_to_num(scene.depth)
-    at = np.stack([x, y, -deep.astype(float) / scene.spacing])
-    nodes, axis = _looking(line, *gradients(scene), at)
-    total = np.zeros(scene.shape)
+    at, slopes = np.stack([x, y, -deep.astype(float) / scene.spacing]), gradients(scene)
+    total, line, ray_count = np.zeros(scene.shape), line_of(quad), 0
     slices.coarsen()
-    for first in range(0, count, BATCH):
-        shares = (np.arange(first, first + BATCH) + 0.5) / count
-        rays = [_rays(line, nodes, axis, share, brightness) for share in shares]
-        ways = np.stack([np.stack([ray[n] for n in range(4)]) for ray in rays], -1)
-        ways[2], ways[3] = np.clip(ways[2], 0, STEEP), np.maximum(ways[3], 1e-6)
-        clear = slices.rays(np.ascontiguousarray(np.moveaxis(ways, 0, 2), np.float32))
-        total += sum(np.where(clear[..., n], ray[4], 0.0) for n, ray in enumerate(rays))
-    return (total / count).astype(np.float32)
+    samples = samples_of(slices.backend, scene)
+    for light in lights:
+        nodes, axis = _looking(line, *slopes, at, light.cone, wide=True)
+        if light.cone is not None:
+            seen = nodes.span > 0 if scene.mask is None else (nodes.span > 0) & scene.mask
+            lit = np.nonzero(seen)
+            samples.set_nodes(*lit[::-1])
+            total[lit] += at_samples(samples, quad, [light], count)
+            ray_count += CONE_POINTS * count * len(samples)
+            continue
+        for first in range(0, count, BATCH):
+            shares = (np.arange(first, first + BATCH)[:, None, None] + 0.5) / count
+            c, s, slope, reach, values = _rays(line, nodes, axis, shares, light.brightness)
+            ways = np.stack([c, s, np.clip(slope, 0, STEEP), np.maximum(reach, 1e-6)])
+            clear = slices.rays(np.ascontiguousarray(np.moveaxis(ways, (2, 3), (0, 1)), np.float32))
+            total += np.where(np.moveaxis(clear, -1, 0), values, 0.0).sum(0) / count
+        ray_count += count * rows * cols
+    return total.astype(np.float32), ray_count

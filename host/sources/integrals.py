@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -117,8 +117,8 @@ class BrightPart:
         middle = self.moment / np.linalg.norm(self.moment)
         e, a = (self.cells.low + self.cells.high) / 2, self.cells.azimuth
         cosine = np.cos(e) * (middle[0] * np.cos(a) + middle[1] * np.sin(a)) + middle[2] * np.sin(e)
-        size = float((self.cells.high - self.cells.low).max() + self.cells.width.max() * np.cos(e).max())
-        return middle, math.sin(min(math.pi / 2, math.acos(min(1.0, float(cosine.min()))) + size))
+        half = np.hypot(self.cells.high - self.cells.low, self.cells.width * np.cos(self.cells.low)) / 2
+        return middle, math.sin(min(math.pi / 2, float((np.arccos(np.minimum(1, cosine)) + half).max())))
 
     @cached_property
     def _rows(self) -> tuple[tuple[np.ndarray, np.ndarray], np.ndarray]:
@@ -434,6 +434,16 @@ def integrals(
     brightness = sources.distribution_of(source)
     made = Integrals if brightness is None or not brightness.by_formula() else _kept
     return made(source, tolerance, fine, widest)
+
+
+def without(brightness: sources.Brightness, parts: Sequence[BrightPart], L: np.ndarray) -> np.ndarray:
+    """The brightness towards ``L`` (..., 3), cut within small bright parts at the level where they begin."""
+    values = sources.radiance(sources.Sky(brightness), L)
+    for part in parts:
+        middle, sine = part.cone
+        cosine = L[..., 0] * middle[0] + L[..., 1] * middle[1] - L[..., 2] * middle[2]
+        values = np.where(cosine > math.sqrt(1 - sine * sine), np.minimum(values, part.limit), values)
+    return values
 
 
 def chords(sky: Integrals, turns: int, knots: int) -> np.ndarray:
