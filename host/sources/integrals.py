@@ -646,8 +646,9 @@ def _bright_parts(cells: Cells, limit: float, widest: float, depth: int = 12) ->
     for part in _groups(cells):
         spot = BrightPart(part._replace(light=part.light - limit), limit)
         is_narrow = part.azimuth[-1] - part.azimuth[0] + part.width.max() <= widest
-        # or round the zenith
-        if is_narrow or (part.light > limit).any() and spot.cone[1] <= math.sin(widest / 2):
+        # or round the zenith; what is larger than such a disc needs no search for its radius
+        small = part.solid_angle.sum() <= 2 * math.pi * (1 - math.cos(widest / 2))
+        if is_narrow or small and (part.light > limit).any() and spot.cone[1] <= math.sin(widest / 2):
             yield from _nested(spot, part, widest)
         elif depth:
             limit_here = max(4 * limit, LEAST_LEVEL * float(part.light.max()))
@@ -679,7 +680,7 @@ def _extent(cells: Cells) -> float:
     return max(float(cells.high.max()) - low, span * math.cos(low))
 
 
-def _groups(cells: Cells, axis: int = 0, whole: bool = False) -> Iterator[Cells]:
+def _groups(cells: Cells, axis: int = 0) -> Iterator[Cells]:
     """Cells split at gaps in azimuth, these at gaps in elevation, and so on.
 
     Each group is in order of azimuth, which may run past 2 pi.
@@ -687,8 +688,8 @@ def _groups(cells: Cells, axis: int = 0, whole: bool = False) -> Iterator[Cells]
     if not len(cells.light):
         return
     if axis:
-        cells = cells.pick(np.argsort(cells.low, kind="stable"))
-        gaps, sizes = np.diff(cells.low), cells.high - cells.low
+        order = np.argsort(cells.low, kind="stable")
+        gaps, sizes = np.diff(cells.low[order]), (cells.high - cells.low)[order]
     else:
         azimuth = cells.azimuth % (2 * math.pi)
         order = np.argsort(azimuth, kind="stable")
@@ -698,13 +699,15 @@ def _groups(cells: Cells, axis: int = 0, whole: bool = False) -> Iterator[Cells]
         azimuth = azimuth[order]
         past = np.where(azimuth < azimuth[0], azimuth + 2 * math.pi, azimuth)
         cells = cells.pick(order)._replace(azimuth=past)
-        sizes = cells.width
+        order, sizes = np.arange(len(order)), cells.width
     cuts = np.flatnonzero(gaps > np.maximum(DARK_GAP, 2 * sizes[:-1])) + 1
-    if not len(cuts) and whole and not axis:
+    if len(cuts):
+        for part in np.split(order, cuts):
+            yield from _groups(cells.pick(part), 1 - axis)
+    elif axis:
         yield cells
     else:
-        for part in np.split(np.arange(len(cells.light)), cuts):
-            yield from _groups(cells.pick(part), 1 - axis, not len(cuts))
+        yield from _groups(cells, 1)
 
 
 def _with_steps(values: np.ndarray) -> np.ndarray:
