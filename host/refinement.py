@@ -83,10 +83,9 @@ EXACT_GRIDS = (36, 72, 144, 288)  # azimuths of the exact light, which judges a 
 # "tolerance 0.01" of performance/whole_calls.py, H200: 31 ms, with 36 at first 34; 8.1 and 9.1 on 256 x 256)
 GPU_GRID = 144
 # least number of sectors of azimuth of all small bright parts together, as many as a CPU computes at a time;
-# and the multiples of it that are tried in turn
-LEAST_SECTORS, SECTOR_MULTIPLES = 8, (1, 3, 9)
-# error over the difference of two halves of sectors: about JUDGE_SHARE of half of it, as for azimuths
-SECTOR_SHARE = 0.25
+# the multiples of it that are tried in turn; and the multiple of an image's in the exact light: odd, so that
+# its sectors have other borders
+LEAST_SECTORS, SECTOR_MULTIPLES, JUDGING_MULTIPLE = 8, (1, 3, 9), 3
 # near rows, within which every crossing is tested: where the usual 6 do not suffice, and where 24 do not
 CLIFF_NEAR_ROWS = 24, 96
 # RMS error of sweeps with 6 near rows, over the square root of the share of neighbouring nodes that are
@@ -686,19 +685,20 @@ class _SkyPlanner(_UnitsPlanner):
 
     light: float | Integrals  # a brightness, or its integrals
     bright_parts: tuple[BrightPart, ...] = ()
-    bright: float | np.ndarray = 0.0  # their light at the samples
+    by_sectors: dict[int, np.ndarray]  # their light at the samples by sectors of each, two halves
     near_rows: int | None = None
-    sectors = 0  # of azimuth, of every small bright part
+    sectors = judging_sectors = 0  # of azimuth, of every small bright part: of the image, of the exact light
     exact_margin: int | None = None  # of the map, for exact horizons of small bright parts; None: swept
     grid = 0  # azimuths of the exact light
     angles: np.ndarray  # these azimuths
     slopes: np.ndarray  # exact horizons in them
     lit: np.ndarray  # light of brightness 1 above these, per radian
+    smooth: np.ndarray  # exact light without small bright parts, two halves
     exact: np.ndarray
     uniform: np.ndarray
 
     def choose(self) -> None:
-        samples = self.samples
+        samples, self.by_sectors = self.samples, {0: np.zeros((2, len(self.samples)))}
         self._integrate()
         sharp = self.bright_parts and self.exact_margin is None and self.tolerance < SHARP_SHADOWS
         if sharp or BEHIND_CLIFFS * math.sqrt(samples.cliffs) > 0.5 * self.tolerance:
@@ -743,17 +743,34 @@ class _SkyPlanner(_UnitsPlanner):
         self.grid, self.angles = units, width * np.arange(units)
         self.slopes, self.lit = samples.horizons(self.angles), samples.uniform(self.angles)
         self.uniform = self.lit.sum(0) * width
-        one, other = (self._light_in(np.arange(odd, units, 2), width) for odd in (0, 1))
-        self.exact = (one + other) / 2 + self.bright
-        self.exact_error = JUDGE_SHARE * samples.errors(self.exact + (other - one) / 2, self.exact).rms
+        self.smooth = np.stack([self._light_in(np.arange(odd, units, 2), width) for odd in (0, 1)])
+        self._add_bright_parts()
+
+    def _add_bright_parts(self) -> None:
+        """Set the exact light, that of even azimuths and that of small bright parts."""
+        one, other = self.smooth + self._bright_light(self.judging_sectors)
+        self.exact = (one + other) / 2
+        self.exact_error = JUDGE_SHARE * self.samples.errors(other, self.exact).rms
 
     def light_of(self, units: int) -> np.ndarray:
         one, other = (
             self._light_in(self.grid * (3 * np.arange(odd, units, 2) + 1) // (3 * units), 2 * np.pi / units)
             for odd in (0, 1)
         )
-        light: np.ndarray = (one + other) / 2 + self.bright
+        light: np.ndarray = (one + other) / 2 + self._bright_light(self.sectors).mean(0)
         return light
+
+    def _bright_light(self, sectors: int) -> np.ndarray:
+        """Light of small bright parts at the samples by so many sectors of each, (2, nodes): two halves."""
+        if sectors not in self.by_sectors:
+            halves = [
+                [self.samples.sectors(*spot.sectors(sectors, half)) for spot in self.bright_parts]
+                for half in (False, True)
+            ]
+            self.by_sectors[sectors] = np.array(
+                [sum(lights, np.zeros(len(self.samples))) for lights in halves]
+            )
+        return self.by_sectors[sectors]
 
     def _light_in(self, chosen: np.ndarray, window: float) -> np.ndarray:
         """Light in ``chosen`` azimuths of the grid, as a share of that above tangent planes; see Horizons.
@@ -774,19 +791,15 @@ class _SkyPlanner(_UnitsPlanner):
         return total
 
     def _choose_sectors(self) -> None:
-        """The fewest sectors of small bright parts whose halves agree, and their light at the samples."""
-        if not self.bright_parts:
-            return
-        rest = self.exact
-        for times in SECTOR_MULTIPLES:
-            self.sectors = times * max(1, -(-LEAST_SECTORS // len(self.bright_parts)))
-            one, other = (
-                sum(self.samples.sectors(*spot.sectors(self.sectors, odd)) for spot in self.bright_parts)
-                for odd in (False, True)
+        """The fewest sectors of small bright parts whose light at the samples is that of many."""
+        least = max(1, -(-LEAST_SECTORS // len(self.bright_parts))) if self.bright_parts else 0
+        for times in SECTOR_MULTIPLES if self.bright_parts else ():
+            self.sectors, self.judging_sectors = times * least, JUDGING_MULTIPLE * times * least
+            self._add_bright_parts()
+            image = self._bright_light(self.sectors).mean(0) - self._bright_light(self.judging_sectors).mean(
+                0
             )
-            self.bright = (one + other) / 2
-            self.exact = rest + self.bright
-            if self.fits(self.samples.errors(self.exact + SECTOR_SHARE * (other - one), self.exact)):
+            if self.fits(self.samples.errors(self.exact + image, self.exact)):
                 break
 
     def _check_work(self) -> None:
@@ -816,6 +829,9 @@ class _SkyPlanner(_UnitsPlanner):
     def audit(self, method: LightMethod) -> float | None:
         if 3 * method.units > self.grid:
             self.judge_by(max(EXACT_GRIDS))
+        if isinstance(method, Horizons) and JUDGING_MULTIPLE * method.sectors > self.judging_sectors:
+            self.judging_sectors = JUDGING_MULTIPLE * method.sectors
+            self._add_bright_parts()
         return super().audit(method)
 
     def refine(self, is_shared: bool) -> bool:

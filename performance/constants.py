@@ -32,7 +32,7 @@ CONSTANTS = {  # module and name: on which pairs
     "refinement.JUDGE_SHARE": SKY,
     "refinement.BEHIND_CLIFFS": SKY,
     "refinement.LEAST_SECTORS": LIGHTS,
-    "refinement.SECTOR_SHARE": LIGHTS,
+    "refinement.JUDGING_MULTIPLE": LIGHTS,
     "refinement.SHARP_SHADOWS": LIGHTS,
     "light.unoccluded.INTEGRATED_AZIMUTHS": SKY,
     "sources.integrals.ROUGH": LIGHTS,

@@ -422,6 +422,21 @@ def test_suns_over_ground_that_hides_them(fast, name, discs):
         ), out.plan.steps  # shadows of walls: a share that no azimuths mend
 
 
+@pytest.mark.parametrize("name", ["rough", "houses"])
+def test_the_light_that_judges_many_suns_is_exact(fast, name):
+    """It had the image's own few sectors of each sun, and so did not see their error."""
+    discs = [
+        (towards(40 * n, 20 + 7 * n), math.radians(0.3 + 0.2 * (n % 3)), 3000 / (n + 3)) for n in range(9)
+    ]
+    sky = sl.Sky(lambda L: 0.3 + sum(k * (L @ u > np.cos(r)) for u, r, k in discs))
+    planner = refinement.choose(SCENES[name], sky, 0.003, select(fast))
+    exact = under(planner.samples, 0.3, discs)
+    assert len(planner.bright_parts) == 9
+    assert errors(planner.exact, exact).rms <= 5e-4
+    image = planner.make().at(planner.samples)
+    assert errors(image, exact).rms <= 1.5 * planner.expected.rms
+
+
 # -- lamps and windows whose brightness varies
 
 
