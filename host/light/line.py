@@ -61,10 +61,10 @@ class Line(NamedTuple):
     normal: np.ndarray
 
     def strips(self, count: int) -> Iterator[Line]:
-        """Lines through the middles of ``count`` strips, side by side."""
+        """Lines without width in the middle of ``count`` strips, side by side, of the light of these."""
         for n in range(count):
             shift = self.across * ((n + 0.5) / count - 0.5)
-            yield self._replace(begin=self.begin + shift, end=self.end + shift, width=self.width / count)
+            yield Line(self.begin + shift, self.end + shift, 0 * shift, self.width / count, self.normal)
 
 
 def line_of(quad: Quad) -> Line:
@@ -115,27 +115,34 @@ def _looking(
 
 
 def _rays(
-    line: Line, nodes: _Nodes, axis: np.ndarray, shares: np.ndarray, brightness: sources.Brightness
+    line: Line,
+    nodes: _Nodes,
+    axis: np.ndarray,
+    points: np.ndarray,
+    count: int,
+    offset: Values,
+    brightness: sources.Brightness,
 ) -> tuple[np.ndarray, ...]:
     """(cosine and sine of the azimuth, slope, distance along the ground, light) of rays to points.
 
-    The points lie at these ``shares`` (n, ...) of the line's angle at a node: there dl / r^2 is dangle /
-    distance. Each (n, ...).
+    ``points``: numbers of some of ``count``, in equal steps of the line's angle at a node, from ``offset``
+    [step] on; there dl / r^2 is dangle / distance. Each lies at another place across the source, so that the
+    part of its width that the ground hides is met. Each (n, ...).
     """
-    angle = nodes.first + shares * nodes.span
+    points = points.reshape(-1, *(1,) * nodes.span.ndim)
+    angle = nodes.first + (points + offset) / count * nodes.span
+    reach = nodes.distance / np.cos(angle)
     way = nodes.nearest[:, None] * np.cos(angle) + np.multiply.outer(axis, np.sin(angle))
+    way = reach * way + np.multiply.outer(line.across, (GOLDEN * points + 0.5) % 1 - 0.5)
+    length = np.sqrt((way**2).sum(0))
+    light = line.width / nodes.distance * nodes.span / count * (reach / length) ** 2
+    way /= length
     flat = np.maximum(np.hypot(way[0], way[1]), 1e-9)
     tilt = (way[0] * nodes.gx + way[1] * nodes.gy + way[2]) / np.sqrt(1 + nodes.gx**2 + nodes.gy**2)
-    light = (
-        line.width
-        / nodes.distance
-        * nodes.span
-        * np.maximum(0, tilt)
-        * np.abs(np.tensordot(line.normal, way, 1))
-    )
+    light = light * np.maximum(0, tilt) * np.abs(np.tensordot(line.normal, way, 1))
     direction = np.stack([way[0], way[1], np.minimum(-way[2], 0)], -1)
     light = np.where(way[2] > 0, light * sources.radiance(sources.Sky(brightness), direction), 0.0)
-    return way[0] / flat, way[1] / flat, way[2] / flat, nodes.distance * flat / np.cos(angle), light
+    return way[0] / flat, way[1] / flat, way[2] / flat, length * flat, light
 
 
 def at_samples(samples: Samples, quad: Quad, lights: Sequence[Light], count: int) -> np.ndarray:
@@ -157,18 +164,18 @@ def at_samples(samples: Samples, quad: Quad, lights: Sequence[Light], count: int
             strips = max(1, round(math.sqrt(CONE_POINTS * count * across)))
             points = -(-CONE_POINTS * count // strips)
         batch = max(BATCH, RAYS_AT_ONCE // len(lit))
-        for n, strip in enumerate(line.strips(strips)):
+        for n, strip in enumerate([line] if light.cone is None else line.strips(strips)):
             # points that differ from node to node: at the same ones all would miss the same of an edge
             offset = (at[:2, lit].T @ R2 + GOLDEN * n) % 1 if light.cone else 0.5
             nodes, axis = _looking(strip, samples.gx[lit], samples.gy[lit], at[:, lit], light.cone)
             for first in range(0, points, batch):
-                shares = (np.arange(first, min(first + batch, points))[:, None] + offset) / points
-                c, s, slope, reach, values = _rays(strip, nodes, axis, shares, light.brightness)
+                some = np.arange(first, min(first + batch, points))
+                c, s, slope, reach, values = _rays(strip, nodes, axis, some, points, offset, light.brightness)
                 # ground counts as far as along x distance is less than the limit
                 least = np.clip(slope * (1 - 1e-6), 0, STEEP)
                 tangents = samples.slopes(c, s, least, np.ones_like(c), 0.0, reach, node=lit)
                 clear = tangents <= np.maximum(least, slope).astype(np.float32)
-                total[lit] += np.where(clear, values, 0.0).sum(0) / points
+                total[lit] += np.where(clear, values, 0.0).sum(0)
     return total
 
 
@@ -193,10 +200,10 @@ def image(
             ray_count += CONE_POINTS * count * len(samples)
             continue
         for first in range(0, count, BATCH):
-            shares = (np.arange(first, first + BATCH)[:, None, None] + 0.5) / count
-            c, s, slope, reach, values = _rays(line, nodes, axis, shares, light.brightness)
+            some = np.arange(first, first + BATCH)
+            c, s, slope, reach, values = _rays(line, nodes, axis, some, count, 0.5, light.brightness)
             ways = np.stack([c, s, np.clip(slope, 0, STEEP), np.maximum(reach, 1e-6)])
             clear = slices.rays(np.ascontiguousarray(np.moveaxis(ways, (2, 3), (0, 1)), np.float32))
-            total += np.where(np.moveaxis(clear, -1, 0), values, 0.0).sum(0) / count
+            total += np.where(np.moveaxis(clear, -1, 0), values, 0.0).sum(0)
         ray_count += count * rows * cols
     return total.astype(np.float32), ray_count
