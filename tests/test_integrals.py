@@ -428,3 +428,26 @@ def test_a_faint_sky_with_a_disc_scales(fast):
     for make in (clear, panorama):
         one, other = (sl.render(scene, sl.Sky(make(k)), backend=fast, azimuths=16) for k in (1.0, 1e-30))
         np.testing.assert_allclose(other.image / np.float64(1e-30), one.image.astype(float), rtol=1e-4)
+
+
+@pytest.mark.parametrize("rows", [32, 128, 256])
+def test_small_lights_of_a_map_have_their_power_and_extent(rows):
+    """A bright pixel, which interpolation makes a tent two pixels wide; shadows and windows cut it."""
+    image, pixel = np.full((rows, 2 * rows), 0.2), math.pi / rows
+    row, col = int(0.31 * rows), int(0.47 * rows)
+    image[row, col] = 900.0
+    light = sl.environment_map(image)
+    (part,) = Integrals(sl.Sky(light)).bright_parts
+    cells, around = part.cells, np.linspace(-1, 1, 2001) * pixel
+    e = (math.pi / 2 - (row + 0.5) * pixel + around)[:, None]
+    a = np.average(cells.azimuth, weights=cells.light) + around
+    directions = np.stack(np.broadcast_arrays(np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), -np.sin(e)), -1)
+    excess = np.maximum(0, light(directions) - part.limit) * np.cos(e)
+
+    def extent(elevation, weights):
+        off = elevation - np.average(elevation, weights=weights)
+        return math.sqrt(np.average(off**2, weights=weights))
+
+    assert part.power == pytest.approx(excess.sum() * (pixel / 1000) ** 2, rel=5e-4)
+    found = extent((cells.low + cells.high) / 2, cells.light * cells.solid_angle)
+    assert found == pytest.approx(extent(e[:, 0], excess.sum(1)), rel=3e-3)
