@@ -792,14 +792,14 @@ class _SkyPlanner(_UnitsPlanner):
 
     def _choose_sectors(self) -> None:
         """The fewest sectors of small bright parts whose light at the samples is that of many."""
-        least = max(1, -(-LEAST_SECTORS // len(self.bright_parts))) if self.bright_parts else 0
-        for times in SECTOR_MULTIPLES if self.bright_parts else ():
-            self.sectors, self.judging_sectors = times * least, JUDGING_MULTIPLE * times * least
+        if not self.bright_parts:
+            return
+        for times in SECTOR_MULTIPLES:
+            self.sectors = times * max(1, -(-LEAST_SECTORS // len(self.bright_parts)))
+            self.judging_sectors = JUDGING_MULTIPLE * self.sectors
             self._add_bright_parts()
-            image = self._bright_light(self.sectors).mean(0) - self._bright_light(self.judging_sectors).mean(
-                0
-            )
-            if self.fits(self.samples.errors(self.exact + image, self.exact)):
+            few, many = (self._bright_light(n).mean(0) for n in (self.sectors, self.judging_sectors))
+            if self.fits(self.samples.errors(self.exact + few - many, self.exact)):
                 break
 
     def _check_work(self) -> None:
@@ -1090,9 +1090,11 @@ class _SlicePlanner(_UnitsPlanner):
         )
         off = float(point_error(np.sin(self.apparent), 1.0))
         taken, why = (
-            f"{self.units} slices",
+            f"{self.units} {'points' if self.is_thin else 'slices'}",
             f"its angular radius is {np.degrees(self.apparent):.2g} degrees on average",
         )
+        if self.is_thin:
+            why += "; it is a line to every node"
         if closed:
             shape = "a sphere, closed form" if isinstance(self.solid, Ball) else "a polygon, closed form"
             taken = "a point" if off <= POINT_SHARE * self.tolerance else shape
@@ -1102,7 +1104,7 @@ class _SlicePlanner(_UnitsPlanner):
         if not callable(source.brightness):
             yield Choice("brightness", "constant", "it is a number")
         elif self.is_thin:
-            yield Choice("brightness", f"along {self.units} rays", "the source is a line to every node")
+            yield Choice("brightness", f"along {self.units} rays", "one to every point")
         elif rays:
             yield Choice("brightness", f"along {rays} rays", "it varies little across the source")
         else:
