@@ -21,8 +21,8 @@ from .unoccluded import Values, gradients
 BATCH = 8  # points whose rays are followed at a time: some 100 bytes a node each
 RAYS_AT_ONCE = 2**18  # from few nodes, some 150 bytes each
 # points in the cone of a small bright part, over those along the line. Of a slit before a sun that lights
-# 0.3 % of the nodes, the error at 0.3 % is 2.1 tolerances with 16, in 5.4 s, 0.95 with 32 in 5.6, 0.99 with 64
-# in 3.5 (performance/refinement.py --seed 9971 --size 128 --only 13)
+# 0.3 % of the nodes, the error at 0.3 % is 2.1 tolerances with 16, in 5.4 s, 0.95 with 32 in 5.6 s, 0.99 with
+# 64 in 3.5 s (performance/refinement.py --seed 9971 --size 128 --only 13)
 CONE_POINTS = 32
 
 Cone = tuple[np.ndarray, float]  # its axis, a unit vector with z upwards, and the sine of its radius
