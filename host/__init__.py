@@ -10,7 +10,8 @@ from .horizon import horizons, openness, sky_view_factor
 from .images import Rendering
 from .inverse.recover import Recovery, recover
 from .light.far import Tiling
-from .refinement import Plan, plan
+from .planning.plan import Plan
+from .refinement import plan
 from .reflectance import BRDF, Lambertian, Mirror, Phong, grooves
 from .rendering import render
 from .scale import devices

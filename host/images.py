@@ -13,7 +13,8 @@ from . import sources
 from .arrays import Quantity, by_bands, labelled, multiply, scratch
 from .backends.resident import DeviceImage
 from .interreflection import Interreflection
-from .refinement import Plan, Refined
+from .planning.plan import Plan
+from .refinement import Refined
 from .scene import Scene
 
 QUANTITIES = ("radiance", "irradiance")

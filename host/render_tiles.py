@@ -18,7 +18,7 @@ from .interreflection import Interreflection, albedos, included, is_needed, loca
 from .light.far import Far, Tiling
 from .light.horizon import FINE_KNOTS, with_bright_parts
 from .light.sweeps import Ground, Rays, Sweeps, engine_of, ground_of
-from .refinement import Plan
+from .planning.plan import Plan
 from .render_options import DEFAULT_AZIMUTHS, Options, sectors_of
 from .renderer import Renderer
 from .scale import Audit, decided, fits, holds, over_area, tiled, warn

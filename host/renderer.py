@@ -30,10 +30,12 @@ from .images import (
 )
 from .interreflection import Interreflection, included, is_needed, reason
 from .light import lattice, propagation, unoccluded
+from .light.finite import solid_of
 from .light.propagation import Lobe
 from .light.slices import CHORD_AZIMUTHS, CHORD_KNOTS, MOST, Slices, blurred, brightness_of, widened
 from .light.sweeps import FINE_NEAR_ROWS, Rays, Sweeps, ground_of
-from .refinement import Plan, Refined, refined, solid_of
+from .planning.plan import Plan
+from .refinement import Refined, refined
 from .reflectance import BRDF, Phong
 from .render_options import Options, sectors_of
 from .scene import Scene

@@ -36,8 +36,8 @@ import skylamp as sl
 from skylamp import interreflection
 from skylamp.backends import select
 from skylamp.interreflection import sky_share
+from skylamp.light.finite import solid_of
 from skylamp.light.interreflection import Bounces, Round
-from skylamp.refinement import solid_of
 from skylamp.samples import Samples
 from skylamp.sources.solids import upright
 

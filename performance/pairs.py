@@ -14,7 +14,7 @@ from plans import fractal, in_length
 
 import skylamp as sl
 from skylamp import oracle, sources
-from skylamp.refinement import solid_of
+from skylamp.light.finite import solid_of
 from skylamp.sources.cie import SUN_RADIUS, towards
 from skylamp.sources.solids import upright
 

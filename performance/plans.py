@@ -21,8 +21,8 @@ import skylamp as sl
 from skylamp import sources
 from skylamp.backends import select
 from skylamp.io import files as io
+from skylamp.light.finite import solid_of
 from skylamp.light.lattice import lacking
-from skylamp.refinement import solid_of
 from skylamp.samples import Samples
 from skylamp.sources.solids import upright
 

@@ -27,7 +27,7 @@ from plans import TOLERANCES, cheapest, print_row, relative_errors, tried, write
 import skylamp as sl
 from skylamp import sources
 from skylamp.backends import select
-from skylamp.refinement import solid_of
+from skylamp.light.finite import solid_of
 from skylamp.samples import Samples
 from skylamp.sources.solids import upright
 

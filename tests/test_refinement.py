@@ -22,6 +22,8 @@ from skylamp import oracle, refinement, sources
 from skylamp.backends import select
 from skylamp.light import horizon, unoccluded
 from skylamp.light.base import Estimate
+from skylamp.light.finite import solid_of
+from skylamp.planning.sky import SkyPlanner
 from skylamp.radiometry import polygon_moment
 from skylamp.samples import Errors, Samples, errors
 from skylamp.sources.solids import Ball, rectangle, upright
@@ -585,7 +587,7 @@ def test_a_wall_along_a_thin_panel_hides_half_of_its_width(fast):
     out = irradiance(sl.Scene(depth), panel, fast)
     samples = Samples(select(fast), sl.Scene(depth), 1)
     samples.set_nodes(np.arange(64), np.full(64, 28))
-    solid = upright(refinement.solid_of(sl.Scene(depth), panel, 1.0, 1.0))
+    solid = upright(solid_of(sl.Scene(depth), panel, 1.0, 1.0))
     exact = samples.through_slices(solid, 1.0, 1024)
     clear = samples.through_slices(solid, 1.0, 1024, occluded=False)
     assert 0.3 < exact[32] / clear[32] < 0.7
@@ -713,13 +715,13 @@ def test_the_error_map_has_the_images_shape_and_unit(fast):
 @pytest.fixture
 def four(monkeypatch):
     """Whatever a sky needs, four azimuths are begun with, and said to be exact."""
-    make = refinement._SkyPlanner.make
+    make = SkyPlanner.make
 
     def poor(self):
         self.units, self.expected = 4, Errors(0.0, 0.0, 0.0)
         return make(self)
 
-    monkeypatch.setattr(refinement._SkyPlanner, "make", poor)
+    monkeypatch.setattr(SkyPlanner, "make", poor)
 
 
 def test_a_beam_that_misses_the_map(fast):
@@ -1157,11 +1159,7 @@ def test_a_tail_that_is_not_had_is_a_warning(fast, tail):
 
 def test_a_plan_says_how_it_was_refined(fast, monkeypatch):
     """With the number that was taken in the end, not the one that was begun with."""
-    from skylamp import refinement
-
-    monkeypatch.setattr(
-        refinement._SkyPlanner, "choose_units", lambda self, ladder: setattr(self, "units", 4)
-    )
+    monkeypatch.setattr(SkyPlanner, "choose_units", lambda self, ladder: setattr(self, "units", 4))
     out = irradiance(SCENES["rough"], sl.Sky(), fast, tolerance=0.01)
     assert len(out.plan.steps) > 1 and out.plan.azimuths == out.plan.steps[-1].units > 4
     taken = {choice.what: choice.taken for choice in out.plan.choices}

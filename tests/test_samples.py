@@ -8,8 +8,8 @@ from test_refinement import HIGH, LOW, PANEL, SCENES, SIZE, WINDOW, truth
 import skylamp as sl
 from skylamp import oracle
 from skylamp.backends import select
+from skylamp.light.finite import solid_of
 from skylamp.light.slices import Slices
-from skylamp.refinement import solid_of
 from skylamp.samples import NONE, SAMPLE_COUNT, Errors, Samples, errors, samples_of
 from skylamp.sources.integrals import Integrals
 from skylamp.sources.solids import Ball, Dome, Quad, upright

@@ -18,8 +18,8 @@ from ..errors import bad
 from ..images import Rendering
 from ..interreflection import sky_share
 from ..io.paths import StrPath
+from ..light.finite import solid_of
 from ..light.interreflection import Bounces, Round
-from ..refinement import solid_of
 from ..rendering import render
 from ..samples import Samples
 from ..scene import Scene

@@ -11,10 +11,11 @@ import numpy as np
 from .. import sources
 from ..backends.base import Array, Backend
 from ..backends.resident import DeviceImage
+from ..errors import bad
 from ..samples import Samples, picked, samples_of
 from ..scene import Scene
 from ..sources.integrals import Integrals, chords
-from ..sources.solids import Ball, Quad, upright
+from ..sources.solids import Ball, Quad, aperture, rectangle, upright
 from . import line, unoccluded
 from .base import Estimate, Later, LightMethod, estimated, judged
 from .slices import CHORD_AZIMUTHS, CHORD_KNOTS, Slices, ball_quadrature, outline, widened
@@ -29,6 +30,44 @@ MOST_RAY_EVALUATIONS = 2**25  # of a brightness for the sake of rays, some ten s
 # half and twice the errors of three such lamps (64 x 64) stay the same
 PARTLY = 1e-3
 CHORDS_AT_ONCE = 2**18  # some 20 arrays of 8 bytes a chord
+# extents of a map to which a rectangular lamp may reach: there a node is a quarter of float32's resolution
+MOST_PANEL_EXTENTS = 2.0**22
+MOST_BALL_EXTENTS = 2.0**40  # the same of a sphere, whose squares stay in float32; suns stand at 1e5
+
+
+def solid_of(
+    scene: Scene, source: sources.Lamp | sources.Window, scale: float, step: float
+) -> Ball | Quad | None:
+    """The shape of a lamp or window, lengths times ``scale`` so that the spacing is ``step``.
+
+    None for a window outside a dark box, or too far away to light anything.
+    """
+    if isinstance(source, sources.Window):
+        (x0, x1), (y0, y1) = np.array(source.x) * scale, np.array(source.y) * scale
+        return aperture((x0, x1), (y0, y1), scene.shape, step, scene.sides, scene.deepest * scale)
+    _check_reach(scene, source)
+    if source.corner is not None and source.edges is not None:
+        return rectangle(*(np.array(v) * scale for v in (source.corner, *source.edges)))
+    assert source.center is not None and source.radius is not None, "the lattice alone renders a volume"
+    x, y, z = np.array(source.center) * scale
+    return Ball((x, y, z), source.radius * scale)
+
+
+def _check_reach(scene: Scene, lamp: sources.Lamp) -> None:
+    """InputError for a lamp so far away, or so large, that float32 cannot tell the nodes' views apart."""
+    numbers: list[Any] = [lamp.center, lamp.radius]
+    most = MOST_BALL_EXTENTS
+    if lamp.corner is not None:
+        numbers, most = [lamp.corner, lamp.edges], MOST_PANEL_EXTENTS
+    far = max(float(np.abs(part).max()) for part in numbers if part is not None)
+    extent = max(max(scene.shape) * scene.spacing, scene.deepest)
+    if far > most * extent:
+        raise bad(
+            "lamp: of such size or so far away",
+            f"{far:.3g} for a map of {extent:.3g}",
+            f"{most:g} times the map's extent, which float32 resolves",
+            "Give a Sky, or a Window.",
+        )
 
 
 def most_rays(scene: Scene) -> int:

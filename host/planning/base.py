@@ -1,0 +1,273 @@
+"""What planners of all kinds of source have in common.
+
+A planner chooses the light method and the number of azimuths, slices or directions that an image begins with,
+by exact light at samples (samples.py). It audits an image there, makes it finer where the loop in
+refinement.py asks for that, and writes the plan.
+"""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Iterable, Iterator
+from typing import Any
+
+import numpy as np
+
+from .. import sources
+from ..backends.base import Backend
+from ..errors import CapacityError
+from ..interreflection import ESTIMATE_SHARE, choice, expected, is_needed
+from ..light.base import LightMethod
+from ..light.lattice import Lattice, lacking
+from ..light.unoccluded import ClosedForm
+from ..reflectance import Lambertian
+from ..samples import CLIFF, SAMPLE_COUNT, SAMPLED_SLOPE, Errors, Samples, samples_of
+from ..scene import Scene
+from .plan import Choice, Plan, percent
+
+# error of the exact light at the samples over its difference from coarser light; measured, docs/explanation.
+# With half and twice the errors of 15 lamps and windows and of 24 skies at 1 % stay the same
+# (performance/constants.py --seed 24 --size 64)
+JUDGE_SHARE = 0.45
+MOST_UNITS = 1024  # azimuths or slices that refinement reaches
+# azimuths of a sweep whose search takes as long as the samples' rays on a map that repeats, row by row on
+# NumPy: measured 29 (relief of 100 spacings, 16 x 16, two busy cores). Chosen: some 55 s for the longest plan
+# there, by that measurement; with half, twice as long
+SAMPLED_SEARCHES = 16
+MOST_STEPS = 2**40  # nodes x azimuths of a call: some three hours on two cores, ten seconds on an H200
+# relative error of the light by tables of brightness: of a sky on level ground (tests/test_integrals.py), and
+# along the chords of lamps and windows, where 5e-6 to 3e-4 of the mean were measured
+# (performance/refinement.py)
+TABLES_ERROR = 1e-4
+# rounding of depths [spacing], over the tolerance, from which on a plan says so; chosen: by as much the slope
+# between neighbours is wrong, a tenth of the error that was asked for
+ROUNDED_SHARE = 0.1
+
+
+class Planner(ABC):
+    """Chooses a light method and its units for a kind of source, says why, and refines.
+
+    Subclasses set ``method_class``, ``units``, ``expected`` (errors at the samples) and ``exact`` (light at
+    the samples) in :meth:`choose`.
+    """
+
+    sample_count = SAMPLE_COUNT
+    method_class: type[LightMethod] = ClosedForm
+    method: LightMethod
+    units = 0
+    expected = Errors(math.nan, math.nan, math.nan)
+    exact: np.ndarray | None = None  # light at the samples
+    uniform: np.ndarray | None = None  # that of a uniform sky of brightness 1
+    exact_error = 0.0  # relative RMS error of the exact light at the samples
+    tables = 0.0  # error of tables of brightness, which that light and the image share
+    unknown = ""  # why the error is not known
+    interreflection: bool | str = "auto"  # whether the light between surfaces is asked for
+
+    def __init__(self, scene: Scene, source: Any, tolerance: float, tail: float, engine: Backend):
+        self.scene, self.source, self.engine = scene, source, engine
+        self.tolerance, self.tail = tolerance, tail
+        self.samples = samples_of(engine, scene, self.sample_count)
+        lap = self.samples.relief / SAMPLED_SLOPE
+        most = min(MOST_STEPS / 512 / len(self.samples), engine.most_searched_rows / SAMPLED_SEARCHES)
+        if scene.sides == "periodic" and lap > most:
+            raise CapacityError(
+                f"A relief of {self.samples.relief:.3g} spacings on a map that repeats must be followed over"
+                f" {lap:.2g} nodes; {engine.name} takes {most:.2g} at most. Give depth and spacing in one"
+                " unit, or choose a compiled backend."
+            )
+
+    @abstractmethod
+    def choose(self) -> None:
+        """Choose the method and units that an image begins with."""
+
+    @abstractmethod
+    def make(self) -> LightMethod:
+        """The chosen method, with its first image."""
+
+    @abstractmethod
+    def choices(self) -> Iterator[Choice]:
+        """Lines of the plan on what is chosen for this kind of source."""
+
+    def begin(self) -> LightMethod:
+        self.method = self.make()
+        return self.method
+
+    def audit(self, method: LightMethod) -> float | None:
+        """The image's relative RMS error at the samples, less that of the exact light there."""
+        if self.exact is None:
+            return None
+        rms = self.samples.errors(method.at(self.samples), self.exact).rms
+        return math.sqrt(max(0.0, rms**2 - self.exact_error**2))
+
+    def refine(self, is_shared: bool) -> bool:
+        """Whether the method could be refined. ``is_shared``: its two halves share the error."""
+        if self.closed or 2 * self.method.units > MOST_UNITS:
+            return False
+        self.method.refine()
+        return True
+
+    def fits(self, errors: Errors) -> bool:
+        """Whether errors at the samples are within the tolerance and its tail."""
+        return errors.bound <= ESTIMATE_SHARE * self.tolerance and errors.tail <= self.tail
+
+    @property
+    def closed(self) -> bool:
+        """Whether the image is a closed form."""
+        return self.method_class is ClosedForm
+
+    @property
+    def mean(self) -> float:
+        """Mean of the exact light over the lit samples, at least the least; inf where it is not known."""
+        lit = self.exact[self.exact > 0] if self.exact is not None else np.zeros(0)
+        return max(float(lit.mean()) if lit.size else 0.0, self.samples.least) or math.inf
+
+    def between_surfaces(self, direct: np.ndarray | None) -> float | None:
+        """RMS of the light between surfaces over the mean of the direct light, None where that is not known.
+
+        ``direct``: at the samples.
+        """
+        if direct is None or not direct.any() or not np.any(self.scene.albedo):
+            return None if direct is None else 0.0
+        if self.uniform is None:
+            self.uniform = uniform_light(self.samples)
+        return expected(self.scene, self.samples, direct, self.uniform / np.pi)
+
+    def plan(self, direct: np.ndarray | None = None) -> Plan:
+        """The plan, with the errors that the samples expect; ``direct`` light there, if it was unknown."""
+        between = self.between_surfaces(self.exact if direct is None else direct)
+        latticed = self.method_class is Lattice
+        rms = self.expected.rms
+        fits = self.expected.bound <= ESTIMATE_SHARE * self.tolerance
+        verdict = "within tolerance" if fits else "the best there is for tolerance"
+        return Plan(
+            "lattice" if latticed else "unoccluded" if self.closed else "horizon",
+            self.units if latticed else None,
+            True if latticed else None,
+            f"relative RMS error {rms:.2g} expected, {verdict} {self.tolerance:g}"
+            if math.isfinite(rms)
+            else self.unknown,
+            None if latticed or self.closed else self.units,
+            tolerance=self.tolerance,
+            tail=self.tail,
+            error=float(rms) if math.isfinite(rms) else None,
+            error_tail=float(self.expected.tail) if math.isfinite(self.expected.tail) else None,
+            choices=(*self.choices(), *_common_choices(self, between)),
+            beyond=tuple(beyond_model(self, between)),
+            interreflection=between,
+        )
+
+
+def _common_choices(planner: Planner, between: float | None) -> Iterator[Choice]:
+    """Lines of the plan that every kind of source has."""
+    if not planner.closed:
+        serves = "sweeps and slices serve every sky, sphere, rectangle and window"
+        yield Choice(
+            "method",
+            "lattice" if planner.method_class is Lattice else "horizons",
+            lacking(planner.scene, planner.source) or serves,
+        )
+    surface = planner.scene.reflectance
+    if isinstance(surface, Lambertian):
+        yield Choice("specular lobe", "none", "the surface is Lambertian")
+    else:
+        why = "summed beside the irradiance, to which the error given here belongs"
+        yield Choice("specular lobe", type(surface).__name__, why)
+    yield Choice("interreflection", *choice(planner.interreflection, between, planner.tolerance))
+    yield Choice("precision", "float32", f"depths are rounded by {_rounding(planner.samples):.1g} spacings")
+    if not math.isfinite(planner.expected.rms):
+        yield Choice("error", "not known", planner.unknown)
+        return
+    yield Choice(
+        "error",
+        percent(planner.expected.rms),
+        f"RMS over the mean, expected from {len(planner.samples)} samples; at most"
+        f" {percent(planner.expected.bound)} over all nodes, asked for"
+        f" {percent(planner.tolerance)}",
+    )
+    yield Choice("99.9th percentile", percent(planner.expected.tail), f"asked for {percent(planner.tail)}")
+
+
+def _rounding(samples: Samples) -> float:
+    """By how much float32 rounds depths [spacings]."""
+    return abs(float(samples.own.min())) * 2.0**-24  # no height is above 0
+
+
+def uniform_light(samples: Samples) -> np.ndarray:
+    """Light at the samples of a uniform sky of brightness 1, by 12 azimuths."""
+    azimuths = 2 * np.pi * (np.arange(12) + 0.5) / 12
+    light: np.ndarray = samples.uniform(azimuths).mean(0) * 2 * np.pi
+    return light
+
+
+class UnitsPlanner(Planner):
+    """Chooses how many azimuths, slices or directions an image begins with, by exact light at the samples."""
+
+    @abstractmethod
+    def judge_by(self, units: int) -> None:
+        """Set the exact light at the samples, of so many units, and its error."""
+
+    @abstractmethod
+    def light_of(self, units: int) -> np.ndarray:
+        """Light at the samples of an image of so many units."""
+
+    def choose_units(self, ladder: Iterable[tuple[int, Iterable[int]]]) -> None:
+        """Take the first number of units within the tolerance.
+
+        ``ladder``: (units of the exact light, numbers of units that it judges), in order.
+        """
+        for judge, counts in ladder:
+            self.judge_by(judge)
+            assert self.exact is not None, "judge_by sets it"
+            for self.units in counts:
+                self.expected = self.samples.errors(self.light_of(self.units), self.exact)
+                if self.fits(self.expected):
+                    return
+
+
+def beyond_model(planner: Planner, between: float | None) -> Iterator[str]:
+    """What the scene needs and the model lacks, with numbers."""
+    scene, source, samples = planner.scene, planner.source, planner.samples
+    if planner.interreflection is False and between is not None and is_needed(between, planner.tolerance):
+        yield (
+            f"Light between surfaces is left out: it is about {percent(between)} of the direct light (RMS"
+            " over the mean)."
+        )
+    if isinstance(source, sources.Lamp) and source.center is not None and source.radius is not None:
+        x, y, z, radius = (value / scene.spacing for value in (*source.center, source.radius))
+        gap = _gap(scene, planner.engine, samples.highest, x, y, z, radius)
+        if gap < 1:
+            touches = (
+                f"reaches {-gap:.2g} spacings into it" if gap < 0 else f"ends {gap:.2g} spacings from it"
+            )
+            yield f"The lamp touches the surface: it {touches}, and the grid holds nothing finer than 1."
+    if samples.cliffs > 0:
+        yield (
+            f"Slopes are steeper than the grid holds: {percent(samples.cliffs)} of neighbouring nodes"
+            f" lie more than {CLIFF:g} spacings apart in depth."
+        )
+    if scene.mask is not None and not scene.mask.all():
+        yield (
+            f"Nodata: {percent(1 - scene.mask.mean())} of the nodes are masked; they hide nothing, so"
+            " light may come through holes."
+        )
+    if _rounding(samples) > ROUNDED_SHARE * planner.tolerance:
+        yield (
+            f"float32 rounds depths by {_rounding(samples):.2g} spacings, more than the tolerance allows:"
+            " subtract the least depth."
+        )
+
+
+def _gap(scene: Scene, engine: Backend, highest: float, x: float, y: float, z: float, radius: float) -> float:
+    """Least distance [spacings] from a ball to the nodes, where it is less than 1."""
+    if -z - radius >= highest + 1:
+        return math.inf
+    rows, cols = scene.shape
+    i, j = (round(min(max(at, 0), n - 1)) for at, n in ((x, cols), (y, rows)))
+    reach = min(int(radius) + 2, 256)
+    v, u = np.mgrid[
+        max(0, j - reach) : min(j + reach + 1, rows), max(0, i - reach) : min(i + reach + 1, cols)
+    ]
+    there = scene.on(engine)
+    square = (u - x) ** 2 + (v - y) ** 2 + (there.pick(v * cols + u).astype(float) / there.step - z) ** 2
+    return math.sqrt(square.min()) - radius

@@ -1,0 +1,55 @@
+"""Planning for what horizons cannot render: directions of the lattice, filled."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from .. import sources
+from ..light import lattice
+from ..light.base import LightMethod
+from ..light.lattice import Lattice, lacking
+from .base import UnitsPlanner, uniform_light
+from .plan import Choice
+
+
+class LatticePlanner(UnitsPlanner):
+    """What horizons cannot render: lattice directions, filled."""
+
+    method_class, sample_count = Lattice, 64
+
+    def choose(self) -> None:
+        scene, source = self.scene, self.source
+        self.why = lacking(scene, source)
+        if isinstance(source, sources.Lamp):  # a volume: nothing but the lattice knows it
+            known = lattice.HEMICUBE_ERRORS
+            self.unknown = (
+                f"{self.why}; its error was not measured, on rough ground under a sky it is"
+                f" {min(known.values())} to {max(known.values())} of pi"
+            )
+            fitting = (size for size, error in known.items() if error <= self.tolerance)
+            self.units = next(fitting, max(known))
+            return
+        self.uniform = uniform_light(self.samples)
+        self.choose_units([(0, lattice.HEMICUBE_ERRORS)])
+
+    def judge_by(self, units: int) -> None:
+        self.exact = lattice.through_window(self.samples, self.scene, self.source)
+
+    def light_of(self, units: int) -> np.ndarray:
+        return lattice.at_samples(self.samples, self.scene, self.source, units)
+
+    def make(self) -> LightMethod:
+        return Lattice(self.engine, self.scene, self.source, self.units)
+
+    def refine(self, is_shared: bool) -> bool:
+        if self.method.units >= max(lattice.HEMICUBE_ERRORS):
+            return False
+        self.method.refine()
+        return True
+
+    def choices(self) -> Iterator[Choice]:
+        yield Choice("occlusion", "by ground", self.why)
+        why = self.unknown or "the smallest whose light at the samples is that of many directions"
+        yield Choice("directions", f"hemicube {self.units}, filled", why)

@@ -1,0 +1,240 @@
+"""Planning for skies: horizons in even azimuths, small bright parts in azimuths of their own."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+
+from ..constants import LEAST_SEARCHED_SLOPE
+from ..errors import CapacityError
+from ..light import unoccluded
+from ..light.base import LightMethod
+from ..light.horizon import Horizons, correction, margin_of
+from ..samples import Samples
+from ..sources.integrals import BrightPart, Integrals, even, integrals
+from .base import JUDGE_SHARE, MOST_STEPS, TABLES_ERROR, UnitsPlanner
+from .plan import Choice, percent
+
+# numbers of azimuths that an image may begin with: powers of two, and 3/2 of them; refining doubles them
+AZIMUTH_COUNTS = (4, 6, 8, 12, 16, 24, 32, 48)
+EXACT_GRIDS = (36, 72, 144, 288)  # azimuths of the exact light, which judges a sixth as many
+# the first of them on a device with memory of its own, which traces so many as fast as 36 (line
+# "tolerance 0.01" of performance/whole_calls.py, H200: 31 ms, with 36 at first 34; 8.1 and 9.1 on 256 x 256)
+GPU_GRID = 144
+# least number of sectors of azimuth of all small bright parts together, as many as a CPU computes at a time;
+# the multiples of it that are tried in turn; and the multiple of an image's in the exact light: odd, so that
+# its sectors have other borders
+LEAST_SECTORS, SECTOR_MULTIPLES, JUDGING_MULTIPLE = 8, (1, 3, 9), 3
+# near rows, within which every crossing is tested: where the usual 6 do not suffice, and where 24 do not
+CLIFF_NEAR_ROWS = 24, 96
+# RMS error of sweeps with 6 near rows, over the square root of the share of neighbouring nodes that are
+# cliffs; measured. With half and twice as many of 24 images are within 1 %, in 1.02 and 0.95 of the time
+# (performance/constants.py --seed 23 --size 64)
+BEHIND_CLIFFS = 0.028
+# tolerance below which the shadows of suns are computed with 24 near rows: their error is 0.1 to 0.9 % with 6
+# near rows and 0.01 to 0.35 % with 24 (fractals, terrain)
+SHARP_SHADOWS = 0.01
+
+
+class SkyPlanner(UnitsPlanner):
+    """Skies: horizons in even azimuths."""
+
+    method_class = Horizons
+
+    light: float | Integrals  # a brightness, or its integrals
+    bright_parts: tuple[BrightPart, ...] = ()
+    by_sectors: dict[int, np.ndarray]  # their light at the samples by sectors of each, two halves
+    near_rows: int | None = None
+    sectors = judging_sectors = 0  # of azimuth, of every small bright part: of the image, of the exact light
+    exact_margin: int | None = None  # of the map, for exact horizons of small bright parts; None: swept
+    grid = 0  # azimuths of the exact light
+    angles: np.ndarray  # these azimuths
+    slopes: np.ndarray  # exact horizons in them
+    lit: np.ndarray  # light of brightness 1 above these, per radian
+    smooth: np.ndarray  # exact light without small bright parts, two halves
+    exact: np.ndarray
+    uniform: np.ndarray
+
+    def choose(self) -> None:
+        samples, self.by_sectors = self.samples, {0: np.zeros((2, len(self.samples)))}
+        self._integrate()
+        sharp = self.bright_parts and self.exact_margin is None and self.tolerance < SHARP_SHADOWS
+        if sharp or BEHIND_CLIFFS * math.sqrt(samples.cliffs) > 0.5 * self.tolerance:
+            self.near_rows = CLIFF_NEAR_ROWS[0]
+        planes = even(unoccluded.INTEGRATED_AZIMUTHS, 0.5)
+        self.free = (
+            planes.widths
+            @ samples.ring(
+                planes.angles,
+                _open_slopes(samples, planes.angles),
+                self.light.table(planes.angles, planes.widths),
+            )
+            if isinstance(self.light, Integrals)
+            else np.pi / 2 * self.light * (1 + 1 / samples.length)
+        )
+        grids = [grid for grid in EXACT_GRIDS if self.engine.shares or grid >= GPU_GRID]
+        self.judge_by(grids[0])
+        self._choose_sectors()
+        judged = [0, *(grid // 6 for grid in grids)]
+        self.choose_units(
+            (grid, [n for n in AZIMUTH_COUNTS if low < n <= high])
+            for grid, low, high in zip(grids, judged, judged[1:])
+        )
+        self._check_work()
+
+    def _integrate(self) -> None:
+        """Set the brightness: a number, or its integrals and its small bright parts."""
+        scene, brightness = self.scene, self.source.brightness
+        if not callable(brightness):
+            self.light = float(brightness)
+            return
+        self.light = sky = integrals(self.source, self.tolerance)
+        self.bright_parts, self.tables = sky.bright_parts, math.hypot(TABLES_ERROR, sky.error)
+        if self.bright_parts and self.samples.cliffs > 0:
+            self.exact_margin = margin_of(scene, self.bright_parts, self.samples.relief)
+
+    def judge_by(self, units: int) -> None:
+        """Exact light at the samples in so many azimuths, unless it is known in as many or more."""
+        samples, width = self.samples, 2 * np.pi / units
+        if units <= self.grid:
+            return
+        self.grid, self.angles = units, width * np.arange(units)
+        self.slopes, self.lit = samples.horizons(self.angles), samples.uniform(self.angles)
+        self.uniform = self.lit.sum(0) * width
+        self.smooth = np.stack([self._light_in(np.arange(odd, units, 2), width) for odd in (0, 1)])
+        self._add_bright_parts()
+
+    def _add_bright_parts(self) -> None:
+        """Set the exact light, that of even azimuths and that of small bright parts."""
+        one, other = self.smooth + self._bright_light(self.judging_sectors)
+        self.exact = (one + other) / 2
+        self.exact_error = JUDGE_SHARE * self.samples.errors(other, self.exact).rms
+
+    def light_of(self, units: int) -> np.ndarray:
+        one, other = (
+            self._light_in(self.grid * (3 * np.arange(odd, units, 2) + 1) // (3 * units), 2 * np.pi / units)
+            for odd in (0, 1)
+        )
+        light: np.ndarray = (one + other) / 2 + self._bright_light(self.sectors).mean(0)
+        return light
+
+    def _bright_light(self, sectors: int) -> np.ndarray:
+        """Light of small bright parts at the samples by so many sectors of each, (2, nodes): two halves."""
+        if sectors not in self.by_sectors:
+            halves = [
+                [self.samples.sectors(*spot.sectors(sectors, half)) for spot in self.bright_parts]
+                for half in (False, True)
+            ]
+            self.by_sectors[sectors] = np.array(
+                [sum(lights, np.zeros(len(self.samples))) for lights in halves]
+            )
+        return self.by_sectors[sectors]
+
+    def _light_in(self, chosen: np.ndarray, window: float) -> np.ndarray:
+        """Light in ``chosen`` azimuths of the grid, as a share of that above tangent planes; see Horizons.
+
+        Brightness is averaged over ``window`` [rad] round each.
+        """
+        width = 2 * np.pi / len(chosen)
+        if not isinstance(self.light, Integrals):
+            uniform: np.ndarray = self.light * width * self.lit[chosen].sum(0)
+            return uniform
+        angles = self.angles[chosen]
+        table = self.light.table(angles, np.full(len(chosen), window))
+        planes, light = (
+            width * self.samples.ring(angles, slopes, table).sum(0)
+            for slopes in (_open_slopes(self.samples, angles), self.slopes[chosen])
+        )
+        total: np.ndarray = light * correction(self.free, planes)
+        return total
+
+    def _choose_sectors(self) -> None:
+        """The fewest sectors of small bright parts whose light at the samples is that of many."""
+        if not self.bright_parts:
+            return
+        for times in SECTOR_MULTIPLES:
+            self.sectors = times * max(1, -(-LEAST_SECTORS // len(self.bright_parts)))
+            self.judging_sectors = JUDGING_MULTIPLE * self.sectors
+            self._add_bright_parts()
+            few, many = (self._bright_light(n).mean(0) for n in (self.sectors, self.judging_sectors))
+            if self.fits(self.samples.errors(self.exact + few - many, self.exact)):
+                break
+
+    def _check_work(self) -> None:
+        """CapacityError where the azimuths, with the search on a map that repeats, are too much work."""
+        lap = self.samples.relief / LEAST_SEARCHED_SLOPE if self.scene.sides == "periodic" else 0.0
+        steps = self.units * math.prod(self.scene.shape) * (1 + lap / min(self.scene.shape))
+        if steps > MOST_STEPS:
+            raise CapacityError(
+                f"A tolerance of {self.tolerance:g} takes some {steps:.2g} nodes x azimuths here; at most"
+                f" {MOST_STEPS:,}. Take a larger tolerance or a smaller map."
+            )
+
+    def make(self) -> LightMethod:
+        return self._horizons(self.units)
+
+    def _horizons(self, units: int) -> Horizons:
+        return Horizons(
+            self.engine,
+            self.scene,
+            self.light,
+            units,
+            self.sectors,
+            self.near_rows,
+            self.exact_margin,
+        )
+
+    def audit(self, method: LightMethod) -> float | None:
+        if 3 * method.units > self.grid:
+            self.judge_by(max(EXACT_GRIDS))
+        if isinstance(method, Horizons) and JUDGING_MULTIPLE * method.sectors > self.judging_sectors:
+            self.judging_sectors = JUDGING_MULTIPLE * method.sectors
+            self._add_bright_parts()
+        return super().audit(method)
+
+    def refine(self, is_shared: bool) -> bool:
+        if self.method_class is Horizons and is_shared:
+            near = next((near for near in CLIFF_NEAR_ROWS if near > (self.near_rows or 0)), None)
+            if near is not None:
+                self.near_rows = near
+                self.method = self._horizons(self.method.units)
+                return True
+        if self.method_class is Horizons and self.scene.sides == "periodic":
+            times = self.method.units // self.units
+            added = times * (self.units + 2 * len(self.bright_parts) * self.sectors)
+            if self.samples.relief / LEAST_SEARCHED_SLOPE * added > self.engine.most_searched_rows:
+                return False  # the image stays, with its warning
+        return super().refine(is_shared)
+
+    def choices(self) -> Iterator[Choice]:
+        hidden = self.samples.errors(self.uniform, np.pi / 2 * (1 + 1 / self.samples.length)).rms
+        yield Choice("occlusion", "by ground", f"ground takes {percent(hidden)} of the light (RMS)")
+        if isinstance(self.light, Integrals):
+            yield Choice("brightness", "a table per azimuth", f"integrated to {percent(self.light.error)}")
+        else:
+            yield Choice("brightness", "constant", "it is a number")
+        if self.bright_parts:
+            taken = f"{2 * self.sectors + 1} azimuths each"
+            why = "small and bright: suns, lights and spots have azimuths of their own"
+            yield Choice("bright parts", f"{len(self.bright_parts)}, {taken}", why)
+        yield Choice(
+            "azimuths", f"{self.units} evenly", "the fewest whose light at the samples is that of many"
+        )
+        why = f"on a map that repeats, as far as its relief makes a slope of {LEAST_SEARCHED_SLOPE}"
+        yield Choice(
+            "search radius",
+            "whole map",
+            why if self.scene.sides == "periodic" else "a sweep costs the same however far it looks",
+        )
+        if self.near_rows:
+            yield Choice(
+                "near rows", f"{self.near_rows}", "there are cliffs: every crossing so near is tested"
+            )
+
+
+def _open_slopes(samples: Samples, angles: np.ndarray) -> np.ndarray:
+    """Horizon slopes at the samples of tangent planes and the level alone."""
+    slopes: np.ndarray = np.maximum(0, samples.plane(np.cos(angles)[:, None], np.sin(angles)[:, None]))
+    return slopes
