@@ -23,7 +23,7 @@ from .light.base import Estimate, Later, LightMethod
 from .light.finite import solid_of
 from .light.lattice import lacking
 from .planning.base import Planner
-from .planning.finite import HiddenWindowPlanner, SlicePlanner
+from .planning.finite import HiddenWindowPlanner, LinePlanner, SlicePlanner, looks_thin
 from .planning.lattice import LatticePlanner
 from .planning.plan import UNITS, Choice, Plan, Step, larger, percent
 from .planning.sky import SkyPlanner
@@ -273,6 +273,8 @@ def choose(
         planner_class = SkyPlanner
     elif solid_of(scene, source, 1 / scene.spacing, 1.0) is None:
         planner_class = HiddenWindowPlanner
+    elif looks_thin(scene, source, engine):
+        planner_class = LinePlanner
     planner = planner_class(scene, source, tolerance, tail, engine)
     planner.interreflection = interreflection
     planner.choose()

@@ -14,6 +14,7 @@ import numpy as np
 
 from ..backends.base import Array, Backend
 from ..backends.resident import DeviceImage
+from ..scene import Scene
 
 if TYPE_CHECKING:
     from ..samples import Samples
@@ -100,6 +101,28 @@ def estimated(image: np.ndarray, half: np.ndarray, mask: np.ndarray | None, limi
     mean = float(image.sum(dtype=np.float64)) / lit.sum() if lit.any() else 1e-30
     rms = math.sqrt(float(np.square(half, dtype=np.float64).mean()))
     return Estimate(rms / mean, np.count_nonzero(np.abs(half) > limit) / half.size)
+
+
+class HostImage(LightMethod):
+    """A light method that makes its ``image`` (rows, cols) float32 on the host.
+
+    ``difference``: half its difference from a coarser image, or None.
+    """
+
+    scene: Scene
+    image: np.ndarray
+    difference: np.ndarray | None = None
+
+    def irradiance(self) -> np.ndarray:
+        return self.image
+
+    def half(self) -> Later | None:
+        half = self.difference
+        return None if half is None else Later(lambda: half)
+
+    def estimate(self, limit: float) -> Estimate | None:
+        half = self.difference
+        return None if half is None else estimated(self.image, half, self.scene.mask, limit)
 
 
 def judged(

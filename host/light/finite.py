@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -16,7 +15,7 @@ from ..samples import Samples, picked, samples_of
 from ..scene import Scene
 from ..sources.integrals import Integrals, chords
 from ..sources.solids import Ball, Quad, aperture, rectangle, upright
-from . import line, unoccluded
+from . import unoccluded
 from .base import Estimate, Later, LightMethod, estimated, judged
 from .slices import CHORD_AZIMUTHS, CHORD_KNOTS, Slices, ball_quadrature, outline, widened
 
@@ -84,8 +83,7 @@ class Sliced(LightMethod):
     their own. The slices of a ball are two images that share none; refining puts as many slices
     between them. Those of a quadrangle are Gauss-Legendre nodes: rules of different size share none, and the
     image is that of the larger of two. Where there are rays, half the difference includes the change that a
-    quarter of them makes. ``thin``: what the brightness of a quadrangle is the sum of, of which ``units``
-    points along its middle are taken instead of slices.
+    quarter of them makes.
     """
 
     def __init__(
@@ -97,17 +95,15 @@ class Sliced(LightMethod):
         units: int,
         rays: int = 0,
         sky: Integrals | None = None,
-        thin: Sequence[line.Light] = (),
     ):
-        self.engine, self.scene, self.units, self.rays, self.ray_count = engine, scene, units, rays, 0
+        self.engine, self.scene, self.units, self.rays = engine, scene, units, rays
         self.there = scene.on(engine)
         self.step = self.there.step
-        self.solid, self.scale = (solid, 1.0) if thin else widened(solid, self.there)
-        self.thin = thin
+        self.solid, self.scale = widened(solid, self.there)
         self.source, self.sky = source, sky
         self.factors: tuple[np.ndarray, np.ndarray] | None = None
         self.brightness: Any = 1.0 if rays else source.brightness
-        if sky is not None and not rays and not thin:
+        if sky is not None and not rays:
             self.brightness = chords(sky, CHORD_AZIMUTHS, CHORD_KNOTS)
         self.shifts = [SHIFT]
         if isinstance(self.solid, Ball):
@@ -157,11 +153,6 @@ class Sliced(LightMethod):
 
     def _image(self, units: int) -> tuple[Slices, Array]:
         """The light through ``units`` slices, and of small bright parts in as many sectors."""
-        if self.thin:
-            slices, quad = Slices(self.there, self.scene.sides, self.solid), upright(self.solid, self.step)
-            assert isinstance(quad, Quad), "balls are not thin"
-            irradiance, self.ray_count = line.image(slices, self.scene, quad, self.thin, units)
-            return slices, self.engine.upload(irradiance)
         slices = Slices(self.there, self.scene.sides, self.solid, self.brightness, units, shift=SHIFT)
         slices.run()
         if self.sky is not None and self.sky.bright_parts:

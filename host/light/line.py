@@ -10,11 +10,13 @@ from typing import NamedTuple
 import numpy as np
 
 from .. import sources
+from ..backends.base import Backend
 from ..constants import STEEP
 from ..samples import Samples, samples_of
 from ..scene import Scene
 from ..sources.integrals import GOLDEN, R2_STEPS, BrightPart, without
-from ..sources.solids import Quad
+from ..sources.solids import Dome, Quad
+from .base import HostImage
 from .slices import Slices
 from .unoccluded import Values, gradients
 
@@ -178,31 +180,52 @@ def at_samples(samples: Samples, quad: Quad, lights: Sequence[Light], count: int
     return total
 
 
-def image(
-    slices: Slices, scene: Scene, quad: Quad, lights: Sequence[Light], count: int
-) -> tuple[np.ndarray, int]:
-    """Irradiance (rows, cols) float32, otherwise as :func:`at_samples`; and the number of rays."""
-    rows, cols = scene.shape
-    y, x = np.mgrid[:rows, :cols]
-    deep = scene.depth if scene.mask is None else np.nan_to_num(scene.depth)
-    at, slopes = np.stack([x, y, -deep.astype(float) / scene.spacing]), gradients(scene)
-    total, line, ray_count = np.zeros(scene.shape), line_of(quad), 0
-    slices.coarsen()
-    samples = samples_of(slices.backend, scene)
-    for light in lights:
-        nodes, axis = _looking(line, *slopes, at, light.cone, wide=True)
-        if light.cone is not None:
-            seen = nodes.span > 0 if scene.mask is None else (nodes.span > 0) & scene.mask
-            lit = np.nonzero(seen)
-            samples.set_nodes(*lit[::-1])
-            total[lit] += at_samples(samples, quad, [light], count)
-            ray_count += CONE_POINTS * count * len(samples)
-            continue
-        for first in range(0, count, BATCH):
-            some = np.arange(first, first + BATCH)
-            c, s, slope, reach, values = _rays(line, nodes, axis, some, count, 0.5, light.brightness)
-            ways = np.stack([c, s, np.clip(slope, 0, STEEP), np.maximum(reach, 1e-6)])
-            clear = slices.rays(np.ascontiguousarray(np.moveaxis(ways, (2, 3), (0, 1)), np.float32))
-            total += np.where(np.moveaxis(clear, -1, 0), values, 0.0).sum(0)
-        ray_count += count * rows * cols
-    return total.astype(np.float32), ray_count
+class LinePoints(HostImage):
+    """A thin quadrangle [spacings, heights third] by ``units`` points of the line through its middle.
+
+    Its brightness is the sum of ``lights``. Two numbers of points share none: half the difference of their
+    images estimates the error. ``ray_count``: rays of the image.
+    """
+
+    def __init__(self, engine: Backend, scene: Scene, quad: Quad, lights: Sequence[Light], units: int):
+        self.scene, self.quad, self.lights, self.units, self.ray_count = scene, quad, lights, units, 0
+        self.samples = samples_of(engine, scene)
+        self.slices = Slices(scene.on(engine), scene.sides, Dome())
+        self.slices.coarsen()
+        self.image = self._image(units // 2)
+        self._compare()
+
+    def refine(self) -> None:
+        """Take twice as many points."""
+        self.units *= 2
+        self._compare()
+
+    def _compare(self) -> None:
+        coarse, self.image = self.image, self._image(self.units)
+        self.difference = (self.image - coarse) / 2
+
+    def _image(self, count: int) -> np.ndarray:
+        """Irradiance (rows, cols) float32, otherwise as :func:`at_samples`."""
+        scene, samples = self.scene, self.samples
+        rows, cols = scene.shape
+        y, x = np.mgrid[:rows, :cols]
+        deep = scene.depth if scene.mask is None else np.nan_to_num(scene.depth)
+        at, slopes = np.stack([x, y, -deep.astype(float) / scene.spacing]), gradients(scene)
+        total, line, self.ray_count = np.zeros(scene.shape), line_of(self.quad), 0
+        for light in self.lights:
+            nodes, axis = _looking(line, *slopes, at, light.cone, wide=True)
+            if light.cone is not None:
+                seen = nodes.span > 0 if scene.mask is None else (nodes.span > 0) & scene.mask
+                lit = np.nonzero(seen)
+                samples.set_nodes(*lit[::-1])
+                total[lit] += at_samples(samples, self.quad, [light], count)
+                self.ray_count += CONE_POINTS * count * len(samples)
+                continue
+            for first in range(0, count, BATCH):
+                some = np.arange(first, first + BATCH)
+                c, s, slope, reach, values = _rays(line, nodes, axis, some, count, 0.5, light.brightness)
+                ways = np.stack([c, s, np.clip(slope, 0, STEEP), np.maximum(reach, 1e-6)])
+                clear = self.slices.rays(np.ascontiguousarray(np.moveaxis(ways, (2, 3), (0, 1)), np.float32))
+                total += np.where(np.moveaxis(clear, -1, 0), values, 0.0).sum(0)
+            self.ray_count += count * rows * cols
+        return total.astype(np.float32)

@@ -14,7 +14,7 @@ from ..samples import ring
 from ..scene import Scene
 from ..sources.integrals import Integrals, even
 from ..sources.solids import Ball, Quad
-from .base import Estimate, Later, LightMethod, estimated
+from .base import HostImage
 
 # normals along an axis of the table of a sky's light: a uniform sky's has an error of 2e-4 between them
 # (step^2 / 8 x curvature), none at level ground
@@ -26,7 +26,7 @@ Values = Any  # numbers or arrays that broadcast
 Vector = tuple[Values, Values, Values]
 
 
-class ClosedForm(LightMethod):
+class ClosedForm(HostImage):
     """An image in closed form, which has nothing to refine.
 
     ``coarse``: the same by a quarter of the rays to a source whose brightness varies.
@@ -35,23 +35,12 @@ class ClosedForm(LightMethod):
     units = 0
 
     def __init__(self, scene: Scene, image: np.ndarray, coarse: np.ndarray | None = None):
-        self.scene, self.image, self.difference = scene, image, None
+        self.scene, self.image = scene, image
         if coarse is not None:
             self.difference = (image - coarse) / 2
 
     def refine(self) -> None:
         """There is nothing finer."""
-
-    def irradiance(self) -> np.ndarray:
-        return self.image
-
-    def half(self) -> Later | None:
-        half = self.difference
-        return None if half is None else Later(lambda: half)
-
-    def estimate(self, limit: float) -> Estimate | None:
-        half = self.difference
-        return None if half is None else estimated(self.image, half, self.scene.mask, limit)
 
 
 def gradients(scene: Scene, rows: slice = slice(None)) -> tuple[np.ndarray, np.ndarray]:

@@ -1,8 +1,11 @@
-"""Planning for lamps and windows: a closed form where nothing hides them, else slices or points of a line."""
+"""Planning for lamps and windows: a closed form where every node sees all of them, else slices; points of a
+line where they are thin.
+"""
 
 from __future__ import annotations
 
 import math
+from abc import abstractmethod
 from collections.abc import Iterator
 from functools import partial
 
@@ -10,19 +13,23 @@ import numpy as np
 
 from .. import sources
 from ..arrays import by_bands
+from ..backends.base import Backend
 from ..directions import Hemicube
-from ..light import line, unoccluded
+from ..light import unoccluded
 from ..light.base import LightMethod
 from ..light.finite import MOST_RAY_EVALUATIONS, RAYS, Sliced, most_rays, solid_of
+from ..light.line import Light, LinePoints, at_samples, lights_of, line_of
 from ..light.slices import outline, widened
 from ..light.unoccluded import ClosedForm
 from ..radiometry import point_error
-from ..samples import CHORD_POINTS, Errors, Samples
+from ..samples import CHORD_POINTS, Errors, Samples, samples_of
+from ..scene import Scene
 from ..sources.integrals import BrightPart, Integrals, integrals, without
 from ..sources.solids import Ball, Quad, upright
 from .base import JUDGE_SHARE, TABLES_ERROR, Planner, UnitsPlanner, uniform_light
 from .plan import Choice, percent
 
+SAMPLE_COUNT = 256  # nodes; chosen, fewer than of a sky: shadows are sharper, and rays cost more
 # numbers of slices that an image may begin with: of a source that stands all round a node, and of a
 # quadrangle, whose four sectors share them; refining doubles them
 BALL_SLICES, QUAD_SLICES = (8, 16, 32, 64), (32, 64)
@@ -61,91 +68,20 @@ class HiddenWindowPlanner(Planner):
         yield Choice("window", "nothing to see", "a dark box, or its distance, leaves nothing of it")
 
 
-class SlicePlanner(UnitsPlanner):
-    """Lamps and windows of simple shape: a closed form where every node looks at all of it, else slices."""
+class FinitePlanner(UnitsPlanner):
+    """A lamp or window of simple shape."""
 
-    sample_count = 256  # shadows are sharper than a sky's, and rays cost more
+    sample_count = SAMPLE_COUNT
     solid: Ball | Quad  # [spacings], heights third
+    middle: np.ndarray  # of it
+    radius: float  # of a sphere round it
+    apparent: float  # mean apparent radius [rad] of that sphere
     sky: Integrals | None = None  # of a brightness that varies
-    rays = 0  # along which the brightness of slices is taken, 0: along their chords
-    points = 0  # rays of the closed form
-    is_thin = False  # its light is taken along the line through its middle
-    bright: float | np.ndarray = 0.0  # light of small bright parts behind a window
-    smooth: sources.Brightness  # brightness without these
-    lights: tuple[line.Light, ...] = ()  # of a thin source
-    by_slices: dict[
-        tuple[int, int], np.ndarray
-    ]  # light at the samples by numbers of slices and points of each
     exact: np.ndarray
 
     def choose(self) -> None:
-        brightness = self.source.brightness
-        self._place()
-        self.is_thin = _looks_thin(self)
-        if callable(brightness):
-            if self.is_thin or isinstance(self.source, sources.Window):
-                self._integrate_sky()
-            most = sources.radiance(sources.Sky(brightness), Hemicube(9).directions).max()
-            self.samples.least = DARK * float(self._unoccluded(1, float(most)).mean())
-        self.uniform = uniform_light(self.samples)
-        if self.sky is not None and self.sky.bright_parts and not self.is_thin:
-            self.bright = self.scale * sum(
-                self.samples.sectors(
-                    *spot.sectors(_judging_sectors(spot, self.outline, self.samples)), self.outline
-                )
-                for spot in self.sky.bright_parts
-            )
-            brightness = partial(without, self.source.brightness, self.sky.bright_parts)
-        self.smooth, self.by_slices = brightness, {}
-        if self.is_thin:
-            self.lights = line.lights_of(self.source.brightness, self.sky.bright_parts if self.sky else ())
-        else:
-            self.judge_by(JUDGING_SLICES * BALL_SLICES[0])
-            if self._fits_closed_form():
-                return
-        self._take_slices()
-
-    def _take_slices(self) -> None:
-        """Choose slices, and how brightness is taken: along few rays to a small lamp, else along chords."""
-        self.method_class = Sliced
-        counts = LINE_COUNTS if self.is_thin else BALL_SLICES if isinstance(self.solid, Ball) else QUAD_SLICES
-        if callable(self.source.brightness) and not self.is_thin:
-            if self.is_small:
-                self.rays = RAYS[0]
-            elif self.sky is None:
-                self.sky = integrals(sources.Sky(self.source.brightness), math.inf, True)
-            self.tables = 0.0 if self.rays else TABLES_ERROR
-        self.choose_units((JUDGING_SLICES * count, [count]) for count in counts)
-
-    def judge_by(self, units: int) -> None:
-        # half of the points along chords too: they meet a brightness's edges by chance
-        coarse, self.exact = self._through(units // 2, CHORD_POINTS // 2), self._through(units, CHORD_POINTS)
-        self.exact_error = JUDGE_SHARE * self.samples.errors(coarse, self.exact).rms
-
-    def light_of(self, units: int) -> np.ndarray:
-        # of a quadrangle that looks small the kernel takes half of the slices
-        halved = isinstance(self.solid, Quad) and not self.is_thin
-        return self._through(units // 2 if halved else units, CHORD_POINTS)
-
-    def _through(self, count: int, points: int) -> np.ndarray:
-        """Light at the samples through ``count`` slices, and that of small bright parts; or along a line."""
-        if self.is_thin or not callable(self.smooth):
-            points = 0
-        if (count, points) not in self.by_slices:
-            if self.is_thin:
-                assert isinstance(self.solid, Quad), "balls are not thin"
-                light = line.at_samples(self.samples, self.solid, self.lights, count)
-            else:
-                light = (
-                    self.samples.through_slices(self.solid, self.smooth, count, points=points) + self.bright
-                )
-            self.by_slices[count, points] = light
-        return self.by_slices[count, points]
-
-    def _place(self) -> None:
-        """The solid, its middle, the radius of a sphere round it, and the mean apparent radius [rad]."""
-        scene, samples = self.scene, self.samples
-        solid = upright(solid_of(scene, self.source, 1 / scene.spacing, 1.0))
+        samples, brightness = self.samples, self.source.brightness
+        solid = upright(solid_of(self.scene, self.source, 1 / self.scene.spacing, 1.0))
         assert solid is not None, "HiddenWindowPlanner takes a window of which nothing is left"
         self.solid = solid
         if isinstance(self.solid, Ball):
@@ -154,22 +90,21 @@ class SlicePlanner(UnitsPlanner):
             corners = np.asarray(self.solid.corners, float)
             self.middle = corners.mean(0)
             self.radius = float(np.linalg.norm(corners - self.middle, axis=1).max())
-        away = self.middle[:, None] - np.stack([samples.x, samples.y, samples.own])
-        distance = np.maximum(np.sqrt((away**2).sum(0)), 1e-9)
+        distance = np.maximum(_distances(self.middle, samples), 1e-9)
         self.apparent = float(np.arcsin(np.minimum(1, self.radius / distance)).mean())
-        self.is_small = isinstance(self.source, sources.Lamp) and self.apparent < NARROW_RADIUS
+        if callable(brightness):
+            most = sources.radiance(sources.Sky(brightness), Hemicube(9).directions).max()
+            samples.least = DARK * float(self._unoccluded(1, float(most)).mean())
+        self.uniform = uniform_light(samples)
+        self._choose_light()
 
-    def _integrate_sky(self) -> None:
-        """Integrals of the brightness, and unless it is thin the window's outline for small bright parts."""
-        self.sky = integrals(sources.Sky(self.source.brightness), self.tolerance, True, WINDOWED_PART)
-        if self.is_thin:
-            return
-        there = self.scene.on(self.engine)
-        window = solid_of(self.scene, self.source, there.step / self.scene.spacing, there.step)
-        assert isinstance(window, Quad), "a window of which something is left is a quadrangle"
-        wide, self.scale = widened(window, there)
-        assert isinstance(wide, Quad), "widening keeps the kind of solid"
-        self.outline = outline(wide, there.step)
+    @abstractmethod
+    def _choose_light(self) -> None:
+        """Choose how the light is taken, and its units."""
+
+    @abstractmethod
+    def _how(self) -> tuple[str, str]:
+        """How the light is taken, and why, as the plan says it."""
 
     def _unoccluded(self, points: int, brightness: sources.Brightness | None = None) -> np.ndarray:
         """Light at the samples in closed form, its brightness along ``points`` rays."""
@@ -184,6 +119,92 @@ class SlicePlanner(UnitsPlanner):
             self.source.brightness if brightness is None else brightness,
             points,
         ).astype(float)
+
+    def choices(self) -> Iterator[Choice]:
+        closed = self.closed
+        yield Choice(
+            "occlusion",
+            "none" if closed else "by ground",
+            "every node looks at all of the source" if closed else "ground may stand before the source",
+        )
+        taken, why = self._how()
+        why = f"its angular radius is {np.degrees(self.apparent):.2g} degrees on average; {why}".rstrip("; ")
+        yield Choice("lamp" if isinstance(self.source, sources.Lamp) else "window", taken, why)
+        yield Choice("brightness", *self._how_bright())
+        parts = self.sky.bright_parts if self.sky is not None and not closed else ()
+        if parts:
+            yield Choice("bright parts", f"{len(parts)}", self.where_parts)
+        yield Choice("search radius", "up to the source", "what lies behind it hides nothing")
+
+    @abstractmethod
+    def _how_bright(self) -> tuple[str, str]:
+        """How its brightness is taken, and why, as the plan says it."""
+
+    where_parts: str  # how small bright parts are taken, as the plan says it
+
+
+class SlicePlanner(FinitePlanner):
+    """A closed form where every node looks at all of the source, else slices."""
+
+    rays = 0  # along which the brightness of slices is taken, 0: along their chords
+    points = 0  # rays of the closed form
+    bright: float | np.ndarray = 0.0  # light of small bright parts behind a window
+    smooth: sources.Brightness  # brightness without these
+    by_slices: dict[tuple[int, int], np.ndarray]  # light at the samples by slices and points of each
+    where_parts = "seen through the window in azimuths of their own"
+
+    def _choose_light(self) -> None:
+        self.smooth, self.by_slices = self.source.brightness, {}
+        if callable(self.smooth) and isinstance(self.source, sources.Window):
+            self._set_parts_apart()
+        self.judge_by(JUDGING_SLICES * BALL_SLICES[0])
+        if not self._fits_closed_form():
+            self._take_slices()
+
+    def _set_parts_apart(self) -> None:
+        """Integrate the sky behind a window; the light of its small bright parts, and the rest."""
+        there, source = self.scene.on(self.engine), self.source
+        window = solid_of(self.scene, source, there.step / self.scene.spacing, there.step)
+        assert isinstance(window, Quad), "a window of which something is left is a quadrangle"
+        wide, scale = widened(window, there)
+        assert isinstance(wide, Quad), "widening keeps the kind of solid"
+        seen = outline(wide, there.step)
+        self.sky = integrals(sources.Sky(source.brightness), self.tolerance, True, WINDOWED_PART)
+        if self.sky.bright_parts:
+            self.smooth = partial(without, source.brightness, self.sky.bright_parts)
+            self.bright = scale * sum(
+                self.samples.sectors(*spot.sectors(_judging_sectors(spot, seen, self.samples)), seen)
+                for spot in self.sky.bright_parts
+            )
+
+    def _take_slices(self) -> None:
+        """Choose slices, and how brightness is taken: along few rays to a small lamp, else along chords."""
+        self.method_class = Sliced
+        if callable(self.source.brightness):
+            if isinstance(self.source, sources.Lamp) and self.apparent < NARROW_RADIUS:
+                self.rays = RAYS[0]
+            elif self.sky is None:
+                self.sky = integrals(sources.Sky(self.source.brightness), math.inf, True)
+            self.tables = 0.0 if self.rays else TABLES_ERROR
+        counts = BALL_SLICES if isinstance(self.solid, Ball) else QUAD_SLICES
+        self.choose_units((JUDGING_SLICES * count, [count]) for count in counts)
+
+    def judge_by(self, units: int) -> None:
+        # half of the points along chords too: they meet a brightness's edges by chance
+        coarse, self.exact = self._through(units // 2, CHORD_POINTS // 2), self._through(units, CHORD_POINTS)
+        self.exact_error = JUDGE_SHARE * self.samples.errors(coarse, self.exact).rms
+
+    def light_of(self, units: int) -> np.ndarray:
+        # of a quadrangle that looks small the kernel takes half of the slices
+        return self._through(units // 2 if isinstance(self.solid, Quad) else units, CHORD_POINTS)
+
+    def _through(self, count: int, points: int) -> np.ndarray:
+        """Light at the samples through ``count`` slices, and that of small bright parts."""
+        key = count, points if callable(self.smooth) else 0
+        if key not in self.by_slices:
+            through = self.samples.through_slices(self.solid, self.smooth, count, points=points)
+            self.by_slices[key] = through + self.bright
+        return self.by_slices[key]
 
     def _fits_closed_form(self) -> bool:
         """Whether every node sees all of the source, also over the walls of a dark box."""
@@ -235,66 +256,94 @@ class SlicePlanner(UnitsPlanner):
         solid = solid_of(scene, source, step / scene.spacing, step)
         assert solid is not None, "HiddenWindowPlanner takes a window of which nothing is left"
         sky = None if self.rays else self.sky
-        return Sliced(self.engine, scene, source, solid, self.units, self.rays, sky, self.lights)
+        return Sliced(self.engine, scene, source, solid, self.units, self.rays, sky)
 
     def refine(self, is_shared: bool) -> bool:
-        if self.closed:
-            self.points *= 4
-            if self.points > most_rays(self.scene):
-                self._take_slices()
-        elif isinstance(self.method, Sliced) and 2 * self.method.ray_count > MOST_RAY_EVALUATIONS:
-            return False
-        else:
+        if not self.closed:
             return super().refine(is_shared)
+        self.points *= 4
+        if self.points > most_rays(self.scene):
+            self._take_slices()
         self.method = self.make()
         return True
 
-    def choices(self) -> Iterator[Choice]:
-        closed, source = self.closed, self.source
-        yield Choice(
-            "occlusion",
-            "none" if closed else "by ground",
-            "every node looks at all of the source" if closed else "ground may stand before the source",
-        )
+    def _how(self) -> tuple[str, str]:
+        if not self.closed:
+            return f"{self.units} slices", ""
         off = float(point_error(np.sin(self.apparent), 1.0))
-        taken, why = (
-            f"{self.units} {'points' if self.is_thin else 'slices'}",
-            f"its angular radius is {np.degrees(self.apparent):.2g} degrees on average",
-        )
-        if self.is_thin:
-            why += "; it is a line to every node"
-        if closed:
-            shape = "a sphere, closed form" if isinstance(self.solid, Ball) else "a polygon, closed form"
-            taken = "a point" if off <= POINT_SHARE * self.tolerance else shape
-            why += f"; as a point, a disc of that size has an error of {percent(off)}"
-        yield Choice("lamp" if isinstance(source, sources.Lamp) else "window", taken, why)
-        rays = self.points if closed else self.rays
-        if not callable(source.brightness):
-            yield Choice("brightness", "constant", "it is a number")
-        elif self.is_thin:
-            yield Choice("brightness", f"along {self.units} rays", "one to every point")
-        elif rays:
-            yield Choice("brightness", f"along {rays} rays", "it varies little across the source")
-        else:
-            yield Choice("brightness", "along every chord", "integrated")
-        if not closed and callable(source.brightness) and self.sky is not None and self.sky.bright_parts:
-            why = "seen through the window in azimuths of their own"
-            if self.is_thin:
-                why = "points of the line within each, besides those along all of it"
-            yield Choice("bright parts", f"{len(self.sky.bright_parts)}", why)
-        yield Choice("search radius", "up to the source", "what lies behind it hides nothing")
+        shape = "a sphere, closed form" if isinstance(self.solid, Ball) else "a polygon, closed form"
+        taken = "a point" if off <= POINT_SHARE * self.tolerance else shape
+        return taken, f"as a point, a disc of that size has an error of {percent(off)}"
+
+    def _how_bright(self) -> tuple[str, str]:
+        rays = self.points if self.closed else self.rays
+        if not callable(self.source.brightness):
+            return "constant", "it is a number"
+        if rays:
+            return f"along {rays} rays", "it varies little across the source"
+        return "along every chord", "integrated"
 
 
-def _looks_thin(planner: SlicePlanner) -> bool:
-    """Whether the source is so thin that a line has its light, and the map on the host and small enough."""
-    scene, samples = planner.scene, planner.samples
-    walled = isinstance(planner.source, sources.Lamp) and scene.sides == "dark"
-    if isinstance(planner.solid, Ball) or walled or scene.resident is not None:
+class LinePlanner(FinitePlanner):
+    """A thin source: points of the line through its middle."""
+
+    method_class = LinePoints
+    lights: tuple[Light, ...]  # that its brightness is the sum of
+    by_points: dict[int, np.ndarray]  # light at the samples by numbers of points
+    where_parts = "points of the line within each, besides those along all of it"
+
+    def _choose_light(self) -> None:
+        self.by_points, brightness = {}, self.source.brightness
+        if callable(brightness):
+            self.sky = integrals(sources.Sky(brightness), self.tolerance, True, WINDOWED_PART)
+        self.lights = lights_of(brightness, self.sky.bright_parts if self.sky else ())
+        self.choose_units((JUDGING_SLICES * count, [count]) for count in LINE_COUNTS)
+
+    def judge_by(self, units: int) -> None:
+        self.exact = self.light_of(units)
+        self.exact_error = JUDGE_SHARE * self.samples.errors(self.light_of(units // 2), self.exact).rms
+
+    def light_of(self, units: int) -> np.ndarray:
+        if units not in self.by_points:
+            assert isinstance(self.solid, Quad), "balls are not thin"
+            self.by_points[units] = at_samples(self.samples, self.solid, self.lights, units)
+        return self.by_points[units]
+
+    def make(self) -> LinePoints:
+        assert isinstance(self.solid, Quad), "balls are not thin"
+        return LinePoints(self.engine, self.scene, self.solid, self.lights, self.units)
+
+    def refine(self, is_shared: bool) -> bool:
+        assert isinstance(self.method, LinePoints), "of this planner"
+        return 2 * self.method.ray_count <= MOST_RAY_EVALUATIONS and super().refine(is_shared)
+
+    def _how(self) -> tuple[str, str]:
+        return f"{self.units} points", "it is a line to every node"
+
+    def _how_bright(self) -> tuple[str, str]:
+        if not callable(self.source.brightness):
+            return "constant", "it is a number"
+        return f"along {self.units} rays", "one to every point"
+
+
+def looks_thin(scene: Scene, source: sources.Lamp | sources.Window, engine: Backend) -> bool:
+    """Whether a source is so thin that a line has its light, and the map on the host and small enough."""
+    solid = upright(solid_of(scene, source, 1 / scene.spacing, 1.0))
+    walled = isinstance(source, sources.Lamp) and scene.sides == "dark"
+    if not isinstance(solid, Quad) or walled or scene.resident is not None:
         return False
-    away = planner.middle[:, None] - np.stack([samples.x, samples.y, samples.own])
-    distance = float(np.median(np.sqrt((away**2).sum(0))))
-    few = LINE_COUNTS[2] * math.prod(scene.shape) <= MOST_RAY_EVALUATIONS
-    return few and line.line_of(planner.solid).width < LINE_WIDTH * distance
+    if LINE_COUNTS[2] * math.prod(scene.shape) > MOST_RAY_EVALUATIONS:
+        return False
+    middle = np.asarray(solid.corners, float).mean(0)
+    distance = float(np.median(_distances(middle, samples_of(engine, scene, SAMPLE_COUNT))))
+    return line_of(solid).width < LINE_WIDTH * distance
+
+
+def _distances(middle: np.ndarray, samples: Samples) -> np.ndarray:
+    """From the samples to a place, both in spacings: (nodes,)."""
+    away = middle[:, None] - np.stack([samples.x, samples.y, samples.own])
+    distances: np.ndarray = np.sqrt((away**2).sum(0))
+    return distances
 
 
 def _judging_sectors(spot: BrightPart, outline: tuple[float, float, float, float], samples: Samples) -> int:
