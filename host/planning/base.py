@@ -29,7 +29,7 @@ from .plan import Choice, Plan, percent
 # error of the exact light at the samples over its difference from coarser light; measured, docs/explanation.
 # With half and twice the errors of 15 lamps and windows and of 24 skies at 1 % stay the same
 # (performance/constants.py --seed 24 --size 64)
-JUDGE_SHARE = 0.45
+EXACT_ERROR_SHARE = 0.45
 MOST_UNITS = 1024  # azimuths or slices that refinement reaches
 # azimuths of a sweep whose search takes as long as the samples' rays on a map that repeats, row by row on
 # NumPy: measured 29 (relief of 100 spacings, 16 x 16, two busy cores). Chosen: some 55 s for the longest plan
@@ -204,11 +204,11 @@ class UnitsPlanner(Planner):
     """Chooses how many azimuths, slices or directions an image begins with, by exact light at the samples."""
 
     @abstractmethod
-    def judge_by(self, units: int) -> None:
+    def set_exact_light(self, units: int) -> None:
         """Set the exact light at the samples, of so many units, and its error."""
 
     @abstractmethod
-    def light_of(self, units: int) -> np.ndarray:
+    def light_by(self, units: int) -> np.ndarray:
         """Light at the samples of an image of so many units."""
 
     def choose_units(self, ladder: Iterable[tuple[int, Iterable[int]]]) -> None:
@@ -217,10 +217,10 @@ class UnitsPlanner(Planner):
         ``ladder``: (units of the exact light, numbers of units that it judges), in order.
         """
         for judge, counts in ladder:
-            self.judge_by(judge)
-            assert self.exact is not None, "judge_by sets it"
+            self.set_exact_light(judge)
+            assert self.exact is not None, "set_exact_light sets it"
             for self.units in counts:
-                self.expected = self.samples.errors(self.light_of(self.units), self.exact)
+                self.expected = self.samples.errors(self.light_by(self.units), self.exact)
                 if self.fits(self.expected):
                     return
 

@@ -26,7 +26,7 @@ from ..samples import CHORD_POINTS, Errors, Samples, samples_of
 from ..scene import Scene
 from ..sources.integrals import BrightPart, Integrals, integrals, without
 from ..sources.solids import Ball, Quad, upright
-from .base import JUDGE_SHARE, TABLES_ERROR, Planner, UnitsPlanner, uniform_light
+from .base import EXACT_ERROR_SHARE, TABLES_ERROR, Planner, UnitsPlanner, uniform_light
 from .plan import Choice, percent
 
 SAMPLE_COUNT = 256  # nodes; chosen, fewer than of a sky: shadows are sharper, and rays cost more
@@ -37,14 +37,14 @@ BALL_SLICES, QUAD_SLICES = (8, 16, 32, 64), (32, 64)
 # line. That neglects how brightness varies across it: its curvature times the squared width over 24. Chosen;
 # with half and twice the median and the largest error of 16 panels, windows and lamps at 1 % stay the same
 LINE_COUNTS, LINE_WIDTH = (32, 64, 128, 256, 512), 5e-3
-JUDGING_SLICES = 4  # times the slices of an image: those of the exact light that judges it
+EXACT_MULTIPLE = 4  # times the slices of an image: those of the exact light that judges it
 # largest azimuth [rad] that a small bright part behind a window may span: slices, which are placed within the
 # window, resolve wider ones
 WINDOWED_PART = math.radians(5)
 # sectors of a small bright part behind a window in the exact light, where the window shows the whole part;
 # multiplied by the part's width over the window's where that is larger; and their largest number. They are
 # odd, so that they are no multiple of the numbers that they judge
-JUDGING_SECTORS, MOST_JUDGING_SECTORS = 127, 1021
+EXACT_SECTORS, MOST_EXACT_SECTORS = 127, 1021
 # apparent radius [rad] of a lamp below which rays sample its brightness: six cells of a table of brightness
 NARROW_RADIUS = 0.02
 # least mean irradiance to which errors are relative, as a share of the mean light of the same source if it
@@ -157,7 +157,7 @@ class SlicePlanner(FinitePlanner):
         self.smooth, self.by_slices = self.source.brightness, {}
         if callable(self.smooth) and isinstance(self.source, sources.Window):
             self._set_parts_apart()
-        self.judge_by(JUDGING_SLICES * BALL_SLICES[0])
+        self.set_exact_light(EXACT_MULTIPLE * BALL_SLICES[0])
         if not self._fits_closed_form():
             self._take_slices()
 
@@ -173,7 +173,7 @@ class SlicePlanner(FinitePlanner):
         if self.sky.bright_parts:
             self.smooth = partial(without, source.brightness, self.sky.bright_parts)
             self.bright = scale * sum(
-                self.samples.sectors(*spot.sectors(_judging_sectors(spot, seen, self.samples)), seen)
+                self.samples.sectors(*spot.sectors(_exact_sectors(spot, seen, self.samples)), seen)
                 for spot in self.sky.bright_parts
             )
 
@@ -187,14 +187,14 @@ class SlicePlanner(FinitePlanner):
                 self.sky = integrals(sources.Sky(self.source.brightness), math.inf, True)
             self.tables = 0.0 if self.rays else TABLES_ERROR
         counts = BALL_SLICES if isinstance(self.solid, Ball) else QUAD_SLICES
-        self.choose_units((JUDGING_SLICES * count, [count]) for count in counts)
+        self.choose_units((EXACT_MULTIPLE * count, [count]) for count in counts)
 
-    def judge_by(self, units: int) -> None:
+    def set_exact_light(self, units: int) -> None:
         # half of the points along chords too: they meet a brightness's edges by chance
         coarse, self.exact = self._through(units // 2, CHORD_POINTS // 2), self._through(units, CHORD_POINTS)
-        self.exact_error = JUDGE_SHARE * self.samples.errors(coarse, self.exact).rms
+        self.exact_error = EXACT_ERROR_SHARE * self.samples.errors(coarse, self.exact).rms
 
-    def light_of(self, units: int) -> np.ndarray:
+    def light_by(self, units: int) -> np.ndarray:
         # of a quadrangle that looks small the kernel takes half of the slices
         return self._through(units // 2 if isinstance(self.solid, Quad) else units, CHORD_POINTS)
 
@@ -297,13 +297,13 @@ class LinePlanner(FinitePlanner):
         if callable(brightness):
             self.sky = integrals(sources.Sky(brightness), self.tolerance, True, WINDOWED_PART)
         self.lights = lights_of(brightness, self.sky.bright_parts if self.sky else ())
-        self.choose_units((JUDGING_SLICES * count, [count]) for count in LINE_COUNTS)
+        self.choose_units((EXACT_MULTIPLE * count, [count]) for count in LINE_COUNTS)
 
-    def judge_by(self, units: int) -> None:
-        self.exact = self.light_of(units)
-        self.exact_error = JUDGE_SHARE * self.samples.errors(self.light_of(units // 2), self.exact).rms
+    def set_exact_light(self, units: int) -> None:
+        self.exact = self.light_by(units)
+        self.exact_error = EXACT_ERROR_SHARE * self.samples.errors(self.light_by(units // 2), self.exact).rms
 
-    def light_of(self, units: int) -> np.ndarray:
+    def light_by(self, units: int) -> np.ndarray:
         if units not in self.by_points:
             assert isinstance(self.solid, Quad), "balls are not thin"
             self.by_points[units] = at_samples(self.samples, self.solid, self.lights, units)
@@ -346,10 +346,10 @@ def _distances(middle: np.ndarray, samples: Samples) -> np.ndarray:
     return distances
 
 
-def _judging_sectors(spot: BrightPart, outline: tuple[float, float, float, float], samples: Samples) -> int:
+def _exact_sectors(spot: BrightPart, outline: tuple[float, float, float, float], samples: Samples) -> int:
     """By how many sectors a small bright part behind a window of this ``outline`` [spacings] is judged."""
     (_, _, up), sine = spot.cone
     x0, x1, y0, y1 = outline
     across = 2 * sine * float(np.median(np.maximum(0, -samples.own))) / max(up, sine)
     times = math.ceil(across / min(x1 - x0, y1 - y0))
-    return int(min(JUDGING_SECTORS * times | 1, MOST_JUDGING_SECTORS))
+    return int(min(EXACT_SECTORS * times | 1, MOST_EXACT_SECTORS))

@@ -34,10 +34,10 @@ class LatticePlanner(UnitsPlanner):
         self.uniform = uniform_light(self.samples)
         self.choose_units([(0, lattice.HEMICUBE_ERRORS)])
 
-    def judge_by(self, units: int) -> None:
+    def set_exact_light(self, units: int) -> None:
         self.exact = lattice.through_window(self.samples, self.scene, self.source)
 
-    def light_of(self, units: int) -> np.ndarray:
+    def light_by(self, units: int) -> np.ndarray:
         return lattice.at_samples(self.samples, self.scene, self.source, units)
 
     def make(self) -> LightMethod:

@@ -14,19 +14,19 @@ from ..light.base import LightMethod
 from ..light.horizon import Horizons, correction, margin_of
 from ..samples import Samples
 from ..sources.integrals import BrightPart, Integrals, even, integrals
-from .base import JUDGE_SHARE, MOST_STEPS, TABLES_ERROR, UnitsPlanner
+from .base import EXACT_ERROR_SHARE, MOST_STEPS, TABLES_ERROR, UnitsPlanner
 from .plan import Choice, percent
 
 # numbers of azimuths that an image may begin with: powers of two, and 3/2 of them; refining doubles them
 AZIMUTH_COUNTS = (4, 6, 8, 12, 16, 24, 32, 48)
-EXACT_GRIDS = (36, 72, 144, 288)  # azimuths of the exact light, which judges a sixth as many
+EXACT_AZIMUTHS = (36, 72, 144, 288)  # azimuths of the exact light, which judges a sixth as many
 # the first of them on a device with memory of its own, which traces so many as fast as 36 (line
 # "tolerance 0.01" of performance/whole_calls.py, H200: 31 ms, with 36 at first 34; 8.1 and 9.1 on 256 x 256)
-GPU_GRID = 144
+GPU_EXACT_AZIMUTHS = 144
 # least number of sectors of azimuth of all small bright parts together, as many as a CPU computes at a time;
 # the multiples of it that are tried in turn; and the multiple of an image's in the exact light: odd, so that
 # its sectors have other borders
-LEAST_SECTORS, SECTOR_MULTIPLES, JUDGING_MULTIPLE = 8, (1, 3, 9), 3
+LEAST_SECTORS, SECTOR_MULTIPLES, EXACT_MULTIPLE = 8, (1, 3, 9), 3
 # near rows, within which every crossing is tested: where the usual 6 do not suffice, and where 24 do not
 CLIFF_NEAR_ROWS = 24, 96
 # RMS error of sweeps with 6 near rows, over the square root of the share of neighbouring nodes that are
@@ -47,13 +47,14 @@ class SkyPlanner(UnitsPlanner):
     bright_parts: tuple[BrightPart, ...] = ()
     by_sectors: dict[int, np.ndarray]  # their light at the samples by sectors of each, two halves
     near_rows: int | None = None
-    sectors = judging_sectors = 0  # of azimuth, of every small bright part: of the image, of the exact light
+    sectors = exact_sectors = 0  # of azimuth, of every small bright part: of the image, of the exact light
     exact_margin: int | None = None  # of the map, for exact horizons of small bright parts; None: swept
-    grid = 0  # azimuths of the exact light
-    angles: np.ndarray  # these azimuths
-    slopes: np.ndarray  # exact horizons in them
-    lit: np.ndarray  # light of brightness 1 above these, per radian
-    smooth: np.ndarray  # exact light without small bright parts, two halves
+    exact_count = 0  # azimuths of the exact light
+    exact_angles: np.ndarray  # these azimuths
+    exact_slopes: np.ndarray  # exact horizons in them
+    exact_uniform: np.ndarray  # light of brightness 1 above these, per radian
+    open_light: np.ndarray  # that tangent planes alone leave
+    exact_smooth: np.ndarray  # exact light without small bright parts, two halves
     exact: np.ndarray
     uniform: np.ndarray
 
@@ -64,18 +65,14 @@ class SkyPlanner(UnitsPlanner):
         if sharp or BEHIND_CLIFFS * math.sqrt(samples.cliffs) > 0.5 * self.tolerance:
             self.near_rows = CLIFF_NEAR_ROWS[0]
         planes = even(unoccluded.INTEGRATED_AZIMUTHS, 0.5)
-        self.free = (
-            planes.widths
-            @ samples.ring(
-                planes.angles,
-                _open_slopes(samples, planes.angles),
-                self.light.table(planes.angles, planes.widths),
-            )
-            if isinstance(self.light, Integrals)
-            else np.pi / 2 * self.light * (1 + 1 / samples.length)
-        )
-        grids = [grid for grid in EXACT_GRIDS if self.engine.shares or grid >= GPU_GRID]
-        self.judge_by(grids[0])
+        if isinstance(self.light, Integrals):
+            table = self.light.table(planes.angles, planes.widths)
+            slopes = _open_slopes(samples, planes.angles)
+            self.open_light = planes.widths @ samples.ring(planes.angles, slopes, table)
+        else:
+            self.open_light = np.pi / 2 * self.light * (1 + 1 / samples.length)
+        grids = [grid for grid in EXACT_AZIMUTHS if self.engine.shares or grid >= GPU_EXACT_AZIMUTHS]
+        self.set_exact_light(grids[0])
         self._choose_sectors()
         judged = [0, *(grid // 6 for grid in grids)]
         self.choose_units(
@@ -95,28 +92,27 @@ class SkyPlanner(UnitsPlanner):
         if self.bright_parts and self.samples.cliffs > 0:
             self.exact_margin = margin_of(scene, self.bright_parts, self.samples.relief)
 
-    def judge_by(self, units: int) -> None:
+    def set_exact_light(self, units: int) -> None:
         """Exact light at the samples in so many azimuths, unless it is known in as many or more."""
         samples, width = self.samples, 2 * np.pi / units
-        if units <= self.grid:
+        if units <= self.exact_count:
             return
-        self.grid, self.angles = units, width * np.arange(units)
-        self.slopes, self.lit = samples.horizons(self.angles), samples.uniform(self.angles)
-        self.uniform = self.lit.sum(0) * width
-        self.smooth = np.stack([self._light_in(np.arange(odd, units, 2), width) for odd in (0, 1)])
+        self.exact_count, self.exact_angles = units, width * np.arange(units)
+        self.exact_slopes = samples.horizons(self.exact_angles)
+        self.exact_uniform = samples.uniform(self.exact_angles)
+        self.uniform = self.exact_uniform.sum(0) * width
+        self.exact_smooth = np.stack([self._light_in(np.arange(odd, units, 2), width) for odd in (0, 1)])
         self._add_bright_parts()
 
     def _add_bright_parts(self) -> None:
         """Set the exact light, that of even azimuths and that of small bright parts."""
-        one, other = self.smooth + self._bright_light(self.judging_sectors)
+        one, other = self.exact_smooth + self._bright_light(self.exact_sectors)
         self.exact = (one + other) / 2
-        self.exact_error = JUDGE_SHARE * self.samples.errors(other, self.exact).rms
+        self.exact_error = EXACT_ERROR_SHARE * self.samples.errors(other, self.exact).rms
 
-    def light_of(self, units: int) -> np.ndarray:
-        one, other = (
-            self._light_in(self.grid * (3 * np.arange(odd, units, 2) + 1) // (3 * units), 2 * np.pi / units)
-            for odd in (0, 1)
-        )
+    def light_by(self, units: int) -> np.ndarray:
+        nearest = self.exact_count * (3 * np.arange(units) + 1) // (3 * units)  # those of Horizons
+        one, other = (self._light_in(nearest[odd::2], 2 * np.pi / units) for odd in (0, 1))
         light: np.ndarray = (one + other) / 2 + self._bright_light(self.sectors).mean(0)
         return light
 
@@ -139,15 +135,15 @@ class SkyPlanner(UnitsPlanner):
         """
         width = 2 * np.pi / len(chosen)
         if not isinstance(self.light, Integrals):
-            uniform: np.ndarray = self.light * width * self.lit[chosen].sum(0)
+            uniform: np.ndarray = self.light * width * self.exact_uniform[chosen].sum(0)
             return uniform
-        angles = self.angles[chosen]
+        angles = self.exact_angles[chosen]
         table = self.light.table(angles, np.full(len(chosen), window))
         planes, light = (
             width * self.samples.ring(angles, slopes, table).sum(0)
-            for slopes in (_open_slopes(self.samples, angles), self.slopes[chosen])
+            for slopes in (_open_slopes(self.samples, angles), self.exact_slopes[chosen])
         )
-        total: np.ndarray = light * correction(self.free, planes)
+        total: np.ndarray = light * correction(self.open_light, planes)
         return total
 
     def _choose_sectors(self) -> None:
@@ -156,9 +152,9 @@ class SkyPlanner(UnitsPlanner):
             return
         for times in SECTOR_MULTIPLES:
             self.sectors = times * max(1, -(-LEAST_SECTORS // len(self.bright_parts)))
-            self.judging_sectors = JUDGING_MULTIPLE * self.sectors
+            self.exact_sectors = EXACT_MULTIPLE * self.sectors
             self._add_bright_parts()
-            few, many = (self._bright_light(n).mean(0) for n in (self.sectors, self.judging_sectors))
+            few, many = (self._bright_light(n).mean(0) for n in (self.sectors, self.exact_sectors))
             if self.fits(self.samples.errors(self.exact + few - many, self.exact)):
                 break
 
@@ -176,21 +172,14 @@ class SkyPlanner(UnitsPlanner):
         return self._horizons(self.units)
 
     def _horizons(self, units: int) -> Horizons:
-        return Horizons(
-            self.engine,
-            self.scene,
-            self.light,
-            units,
-            self.sectors,
-            self.near_rows,
-            self.exact_margin,
-        )
+        exactness = self.sectors, self.near_rows, self.exact_margin
+        return Horizons(self.engine, self.scene, self.light, units, *exactness)
 
     def audit(self, method: LightMethod) -> float | None:
-        if 3 * method.units > self.grid:
-            self.judge_by(max(EXACT_GRIDS))
-        if isinstance(method, Horizons) and JUDGING_MULTIPLE * method.sectors > self.judging_sectors:
-            self.judging_sectors = JUDGING_MULTIPLE * method.sectors
+        if 3 * method.units > self.exact_count:
+            self.set_exact_light(max(EXACT_AZIMUTHS))
+        if isinstance(method, Horizons) and EXACT_MULTIPLE * method.sectors > self.exact_sectors:
+            self.exact_sectors = EXACT_MULTIPLE * method.sectors
             self._add_bright_parts()
         return super().audit(method)
 
