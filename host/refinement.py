@@ -13,6 +13,8 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from . import sources
 from .backends import select
 from .backends.base import Backend
@@ -243,8 +245,10 @@ def assess(planner: Planner, method: LightMethod) -> Assessment:
     share = min(error / by_half, MOST_SHARE) if by_half > 0 else UNSEEN_SHARE
     estimate = method.estimate(planner.tail * planner.mean / max(share, UNSEEN_SHARE))
     assert estimate is not None, "a method with a half has an estimate"
-    lit = exact[exact > 0]
-    estimate = estimate._replace(rms=estimate.rms * float(lit.sum()) / max(1, lit.size) / planner.mean)
+    # over the mean of the exact light instead of the image's: an image is 0 at nodes whose light is next to
+    # nothing, and its mean over the others is larger
+    lit = max(1, np.count_nonzero(method.at(samples) > 0))
+    estimate = estimate._replace(rms=estimate.rms * float(exact.sum()) / lit / planner.mean)
     seen = min(1.0, SEEN * (by_half / estimate.rms) ** 2) if estimate.rms > 0 else 1.0
     shared = math.sqrt(max(0.0, error**2 - (share * by_half) ** 2))
     share = math.sqrt(seen * share**2 + (1 - seen) * UNSEEN_SHARE**2)

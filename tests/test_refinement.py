@@ -748,11 +748,30 @@ def test_error_that_samples_miss(missed, share):
         mean=1.0,
     )
     method = SimpleNamespace(
-        half_at=lambda samples: 0.01 * ones, estimate=lambda limit: Estimate(math.hypot(0.01, missed), 0.0)
+        at=lambda samples: ones,
+        half_at=lambda samples: 0.01 * ones,
+        estimate=lambda limit: Estimate(math.hypot(0.01, missed), 0.0),
     )
     found = refinement.assess(planner, method)
     assert found.error_per_half == pytest.approx(share, rel=0.01)
     assert found.estimated == pytest.approx(share * math.hypot(0.01, missed), rel=0.01)
+
+
+def test_errors_are_relative_to_the_exact_mean(fast):
+    """Of a steep spot most nodes get next to nothing, which an image rounds to 0: its own mean is larger."""
+    x, y = np.meshgrid(np.arange(96.0), np.arange(96.0))
+    scene = sl.Scene(np.where((x % 9 < 4) & (y % 7 < 3), 4.0, 20.0))
+    centre, target = np.array([-15.0, -20.0, -25.0]), np.array([6.0, 6.0, 20.0])
+    axis = tuple((target - centre) / np.linalg.norm(target - centre))
+    lamp = sl.Lamp(tuple(centre), 3, brightness=sl.cosine_power(200, axis=axis))
+    planner = refinement.choose(scene, lamp, 0.003, select(fast))
+    method = planner.begin()
+    image, exact = method.irradiance(), planner.exact
+    shown, lit = np.mean(method.at(planner.samples) > 0), np.mean(exact > 0)
+    assert 0 < shown < 0.8 * lit  # else the case tells nothing
+    mean = image.sum(dtype=float) / image.size / lit  # all light over the nodes that have any
+    half = np.sqrt(np.mean(method.half()().astype(float) ** 2)) / mean
+    assert refinement.assess(planner, method).estimate.rms == pytest.approx(half, rel=0.25)
 
 
 @pytest.mark.slow
