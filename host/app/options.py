@@ -211,7 +211,8 @@ Scheduler = Annotated[
 Tile = Annotated[
     int | None,
     unset(
-        help="With --memory: nodes along a side of a tile  [default: 8192, or fewer if memory requires it]"
+        help="With --memory: nodes along a side of a tile, a multiple of 128  [default: 8192, or fewer if"
+        " memory requires it]"
     ),
 ]
 Resume = Annotated[bool, typer.Option("--resume", help="With --memory: continue an interrupted run")]
