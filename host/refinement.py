@@ -13,8 +13,6 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, NamedTuple
 
-import numpy as np
-
 from . import sources
 from .backends import select
 from .backends.base import Backend
@@ -247,7 +245,7 @@ def assess(planner: Planner, method: LightMethod) -> Assessment:
     assert estimate is not None, "a method with a half has an estimate"
     # over the mean of the exact light instead of the image's: an image is 0 at nodes whose light is next to
     # nothing, and its mean over the others is larger
-    lit = max(1, np.count_nonzero(method.at(samples) > 0))
+    lit = max(1, int((method.at(samples) > 0).sum()))
     estimate = estimate._replace(rms=estimate.rms * float(exact.sum()) / lit / planner.mean)
     seen = min(1.0, SEEN * (by_half / estimate.rms) ** 2) if estimate.rms > 0 else 1.0
     shared = math.sqrt(max(0.0, error**2 - (share * by_half) ** 2))
