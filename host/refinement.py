@@ -45,8 +45,8 @@ UNSEEN_SHARE, MOST_SHARE = 0.5, 1.3
 # ratio, of 57 images of 19 lamps and panels as many are within the tolerance, and as many estimates are right
 SEEN = 2.0
 MOST_TAIL_SHARE = 1e-3  # share of nodes whose error may be above the tail, which bounds a 99.9th percentile
-# of the mean, error of closed forms and sums in float32, in which two halves do not differ: measured 1e-5 RMS
-# under panels over planes (performance/refinement.py)
+# relative RMS error by float32's rounding of closed forms and sums, which the two images of a method share:
+# measured 1e-5 under panels over planes (performance/refinement.py)
 ROUNDING_ERROR = 1e-5
 
 
@@ -204,9 +204,11 @@ class Assessment(NamedTuple):
         return self.audit is not None and self.common_error > 0.5 * self.audit
 
     def within(self, tolerance: float) -> bool:
-        """Whether the error is within the tolerance and its tail, as far as they are known."""
-        few = self.estimate is None or self.estimate.tail_share <= MOST_TAIL_SHARE
-        return self.error is None or self.error <= ESTIMATE_SHARE * tolerance and few
+        """Whether to stop refining: the error is unknown, or within ESTIMATE_SHARE of the tolerance with few
+        nodes beyond the tail. Above that share an image is refined; above the tolerance it has a warning.
+        """
+        few_beyond = self.estimate is None or self.estimate.tail_share <= MOST_TAIL_SHARE
+        return self.error is None or (self.error <= ESTIMATE_SHARE * tolerance and few_beyond)
 
     def warnings(self, tolerance: float, tail: float) -> list[str]:
         """A sentence, with its number, for each of tolerance and tail that is not kept."""
@@ -236,17 +238,19 @@ def assess(planner: Planner, method: LightMethod) -> Assessment:
     samples, exact = planner.samples, planner.exact
     audit = planner.audit(method)
     half = None if exact is None else method.half_at(samples)
-    if exact is None or half is None or audit is None or math.isinf(audit):  # nothing is lit by exact rays
+    if exact is None or half is None or audit is None or math.isinf(audit):
+        # no exact light, no second image, or light where exact rays find none: the audit is all that is known
         return Assessment(None, 0.0, audit, audit or 0.0)
     by_half = samples.errors(exact + half, exact).rms
     error = max(audit, min(planner.exact_error, UNSEEN_SHARE * by_half))
     share = min(error / by_half, MOST_SHARE) if by_half > 0 else UNSEEN_SHARE
     estimate = method.estimate(planner.tail * planner.mean / max(share, UNSEEN_SHARE))
     assert estimate is not None, "a method with a half has an estimate"
-    # over the mean of the exact light instead of the image's: an image is 0 at nodes whose light is next to
-    # nothing, and its mean over the others is larger
-    lit = max(1, int((method.at(samples) > 0).sum()))
-    estimate = estimate._replace(rms=estimate.rms * float(exact.sum()) / lit / planner.mean)
+    if math.isfinite(planner.mean):  # else no sample is lit, and the image's own mean is all that is known
+        # from the image's mean over its lit nodes to the exact light's over its own: an image is 0 at nodes
+        # whose light is next to nothing, and its mean over the others is larger
+        lit = max(1, int((method.at(samples) > 0).sum()))
+        estimate = estimate._replace(rms=estimate.rms * float(exact.sum()) / lit / planner.mean)
     seen = min(1.0, SEEN * (by_half / estimate.rms) ** 2) if estimate.rms > 0 else 1.0
     shared = math.sqrt(max(0.0, error**2 - (share * by_half) ** 2))
     share = math.sqrt(seen * share**2 + (1 - seen) * UNSEEN_SHARE**2)

@@ -774,6 +774,19 @@ def test_errors_are_relative_to_the_exact_mean(fast):
     assert refinement.assess(planner, method).estimate.rms == pytest.approx(half, rel=0.25)
 
 
+def test_light_that_no_sample_receives(fast):
+    """The estimate is over all nodes, and relative to the image's own mean."""
+    depth = np.full((64, 64), 5.0)
+    depth[23:27, 23:27] = 9.0
+    scene, lamp = sl.Scene(depth), sl.Lamp((24.2, 24.6, 7.4), 0.6)
+    planner = refinement.choose(scene, lamp, 0.003, select(fast))
+    method = planner.begin()
+    image, half = method.irradiance(), method.half()()
+    assert not planner.exact.any() and image.any() and half.any()
+    expected = np.sqrt(np.mean(half.astype(float) ** 2)) / image[image > 0].mean()
+    assert refinement.assess(planner, method).estimate.rms == pytest.approx(expected, rel=1e-3)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("source", [sl.Sky(), GLOW, SUN], ids=["uniform", "glow", "sun"])
 def test_a_bad_choice_is_refined(fast, four, source):

@@ -62,7 +62,9 @@ class Line(NamedTuple):
     normal: np.ndarray
 
     def strips(self, count: int) -> Iterator[Line]:
-        """Lines without width in the middle of ``count`` strips, side by side, of the light of these."""
+        """Lines in the middle of ``count`` strips side by side, each with its share of the width and all its
+        points in the middle of it.
+        """
         for n in range(count):
             shift = self.across * ((n + 0.5) / count - 0.5)
             yield Line(self.begin + shift, self.end + shift, 0 * shift, self.width / count, self.normal)
@@ -80,7 +82,9 @@ def line_of(quad: Quad) -> Line:
 
 
 class _Nodes(NamedTuple):
-    """Nodes that look at a line: their slopes, the nearest way (3, ...) and distance to it, and angles."""
+    """Nodes that look at a line: their slopes, unit vector (3, ...) and distance [spacings] to the nearest
+    point of the endless line, and the angles [rad] from there at which its part begins and that it spans.
+    """
 
     gx: Values
     gy: Values
@@ -93,7 +97,7 @@ class _Nodes(NamedTuple):
 def _looking(
     line: Line, gx: Values, gy: Values, at: np.ndarray, cone: Cone | None = None, wide: bool = False
 ) -> tuple[_Nodes, np.ndarray]:
-    """Nodes at ``at`` (3, ...), angles of the part of the line within the cone, and its unit vector (3).
+    """Nodes at ``at`` (3, ...), with the angles of the line's part within the cone; its unit vector (3,).
 
     ``wide``: within the cone anywhere across the line.
     """
@@ -172,7 +176,7 @@ def at_samples(samples: Samples, quad: Quad, lights: Sequence[Light], count: int
             for first in range(0, points, batch):
                 some = np.arange(first, min(first + batch, points))
                 c, s, slope, reach, values = _rays(strip, nodes, axis, some, points, offset, light.brightness)
-                # ground counts as far as along x distance is less than the limit
+                # along = 1 and limit = reach: ground beyond the point hides nothing
                 least = np.clip(slope * (1 - 1e-6), 0, STEEP)
                 tangents = samples.slopes(c, s, least, np.ones_like(c), 0.0, reach, node=lit)
                 clear = tangents <= np.maximum(least, slope).astype(np.float32)

@@ -118,7 +118,7 @@ class Planner(ABC):
 
     @property
     def mean(self) -> float:
-        """Mean of the exact light over the lit samples, at least the least; inf where it is not known."""
+        """Mean of the exact light over the lit samples, ``samples.least`` at least; inf if both are 0."""
         lit = self.exact[self.exact > 0] if self.exact is not None else np.zeros(0)
         return max(float(lit.mean()) if lit.size else 0.0, self.samples.least) or math.inf
 
@@ -212,7 +212,7 @@ class UnitsPlanner(Planner):
         """Light at the samples of an image of so many units."""
 
     def choose_units(self, ladder: Iterable[tuple[int, Iterable[int]]]) -> None:
-        """Take the first number of units within the tolerance.
+        """Take the first number of units within the tolerance, or the last of all if none is.
 
         ``ladder``: (units of the exact light, numbers of units that it judges), in order.
         """

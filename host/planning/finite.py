@@ -77,6 +77,7 @@ class FinitePlanner(UnitsPlanner):
     radius: float  # of a sphere round it
     apparent: float  # mean apparent radius [rad] of that sphere
     sky: Integrals | None = None  # of a brightness that varies
+    parts_taken: str  # how small bright parts are taken, in the plan's words
     exact: np.ndarray
 
     def choose(self) -> None:
@@ -103,44 +104,33 @@ class FinitePlanner(UnitsPlanner):
         """Choose how the light is taken, and its units."""
 
     @abstractmethod
-    def _how(self) -> tuple[str, str]:
-        """How the light is taken, and why, as the plan says it."""
+    def _light_taken(self) -> tuple[str, str]:
+        """How the light is taken, and why, in the plan's words."""
+
+    @abstractmethod
+    def _brightness_taken(self) -> tuple[str, str]:
+        """How the brightness is taken, and why, in the plan's words."""
 
     def _unoccluded(self, points: int, brightness: sources.Brightness | None = None) -> np.ndarray:
         """Light at the samples in closed form, its brightness along ``points`` rays."""
-        at = self.samples
-        return unoccluded.lamp(
-            at.gx,
-            at.gy,
-            at.x,
-            at.y,
-            at.own.astype(float),
-            self.solid,
-            self.source.brightness if brightness is None else brightness,
-            points,
-        ).astype(float)
+        at, solid = self.samples, self.solid
+        brightness = self.source.brightness if brightness is None else brightness
+        elements = at.gx, at.gy, at.x, at.y, at.own.astype(float)
+        return unoccluded.lamp(*elements, solid, brightness, points).astype(float)
 
     def choices(self) -> Iterator[Choice]:
-        closed = self.closed
-        yield Choice(
-            "occlusion",
-            "none" if closed else "by ground",
-            "every node looks at all of the source" if closed else "ground may stand before the source",
-        )
-        taken, why = self._how()
+        if self.closed:
+            yield Choice("occlusion", "none", "every node looks at all of the source")
+        else:
+            yield Choice("occlusion", "by ground", "ground may stand before the source")
+        taken, why = self._light_taken()
         why = f"its angular radius is {np.degrees(self.apparent):.2g} degrees on average; {why}".rstrip("; ")
         yield Choice("lamp" if isinstance(self.source, sources.Lamp) else "window", taken, why)
-        yield Choice("brightness", *self._how_bright())
-        parts = self.sky.bright_parts if self.sky is not None and not closed else ()
+        yield Choice("brightness", *self._brightness_taken())
+        parts = self.sky.bright_parts if self.sky is not None and not self.closed else ()
         if parts:
-            yield Choice("bright parts", f"{len(parts)}", self.where_parts)
+            yield Choice("bright parts", f"{len(parts)}", self.parts_taken)
         yield Choice("search radius", "up to the source", "what lies behind it hides nothing")
-
-    @abstractmethod
-    def _how_bright(self) -> tuple[str, str]:
-        """How its brightness is taken, and why, as the plan says it."""
-
-    where_parts: str  # how small bright parts are taken, as the plan says it
 
 
 class SlicePlanner(FinitePlanner):
@@ -151,7 +141,7 @@ class SlicePlanner(FinitePlanner):
     bright: float | np.ndarray = 0.0  # light of small bright parts behind a window
     smooth: sources.Brightness  # brightness without these
     by_slices: dict[tuple[int, int], np.ndarray]  # light at the samples by slices and points of each
-    where_parts = "seen through the window in azimuths of their own"
+    parts_taken = "seen through the window in azimuths of their own"
 
     def _choose_light(self) -> None:
         self.smooth, self.by_slices = self.source.brightness, {}
@@ -267,7 +257,7 @@ class SlicePlanner(FinitePlanner):
         self.method = self.make()
         return True
 
-    def _how(self) -> tuple[str, str]:
+    def _light_taken(self) -> tuple[str, str]:
         if not self.closed:
             return f"{self.units} slices", ""
         off = float(point_error(np.sin(self.apparent), 1.0))
@@ -275,7 +265,7 @@ class SlicePlanner(FinitePlanner):
         taken = "a point" if off <= POINT_SHARE * self.tolerance else shape
         return taken, f"as a point, a disc of that size has an error of {percent(off)}"
 
-    def _how_bright(self) -> tuple[str, str]:
+    def _brightness_taken(self) -> tuple[str, str]:
         rays = self.points if self.closed else self.rays
         if not callable(self.source.brightness):
             return "constant", "it is a number"
@@ -290,7 +280,7 @@ class LinePlanner(FinitePlanner):
     method_class = LinePoints
     lights: tuple[Light, ...]  # that its brightness is the sum of
     by_points: dict[int, np.ndarray]  # light at the samples by numbers of points
-    where_parts = "points of the line within each, besides those along all of it"
+    parts_taken = "points of the line within each, besides those along all of it"
 
     def _choose_light(self) -> None:
         self.by_points, brightness = {}, self.source.brightness
@@ -317,17 +307,17 @@ class LinePlanner(FinitePlanner):
         assert isinstance(self.method, LinePoints), "of this planner"
         return 2 * self.method.ray_count <= MOST_RAY_EVALUATIONS and super().refine(is_shared)
 
-    def _how(self) -> tuple[str, str]:
+    def _light_taken(self) -> tuple[str, str]:
         return f"{self.units} points", "it is a line to every node"
 
-    def _how_bright(self) -> tuple[str, str]:
+    def _brightness_taken(self) -> tuple[str, str]:
         if not callable(self.source.brightness):
             return "constant", "it is a number"
         return f"along {self.units} rays", "one to every point"
 
 
 def looks_thin(scene: Scene, source: sources.Lamp | sources.Window, engine: Backend) -> bool:
-    """Whether a source is so thin that a line has its light, and the map on the host and small enough."""
+    """Whether a line renders it: it is thin, no lamp in a dark box, and the map small and on the host."""
     solid = upright(solid_of(scene, source, 1 / scene.spacing, 1.0))
     walled = isinstance(source, sources.Lamp) and scene.sides == "dark"
     if not isinstance(solid, Quad) or walled or scene.resident is not None:

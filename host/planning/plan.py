@@ -6,7 +6,11 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 # what an image is made of, by its method
-UNITS = {"horizon": "azimuths or slices", "lattice": "nodes of a hemicube's side", "unoccluded": "rays"}
+UNITS = {
+    "horizon": "azimuths, slices or points",
+    "lattice": "nodes of a hemicube's side",
+    "unoccluded": "rays",
+}
 
 
 @dataclass(frozen=True)
@@ -40,8 +44,9 @@ class Plan:
     """The model that was or will be used, and why.
 
     method: "unoccluded", "horizon" or "lattice". hemicube, filled: of the lattice, else None. azimuths: of
-    horizons, or slices of a lamp or window. max_distance [unit of spacing] of the search, None: the whole
-    map. tolerance, tail: the relative RMS error and the 99.9th percentile of the error that were asked for.
+    horizons, slices of a lamp or window, or points of a thin one. max_distance [unit of spacing] of the
+    search, None: the whole map. tolerance, tail: the relative RMS error and the 99.9th percentile of the
+    error that were asked for.
     error: the relative RMS error, expected from the samples before an image is made, estimated from its two
     halves afterwards; error_tail: the 99.9th percentile expected from the samples; measured: the RMS error of
     the rendered image at the samples. reason: of the method and its units, in one sentence; choices: every
