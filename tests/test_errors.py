@@ -410,6 +410,9 @@ def test_the_rooms_are_not_imported_twice():
 def test_without_an_opencl_driver_opencl_is_missing_with_a_reason():
     """No driver found: the rest works, a named opencl is an error, auto takes another and says which."""
     out = python(
+        "import pyopencl as cl\n"
+        "def without(): raise cl.LogicError('clGetPlatformIDs', -1001)  # where a loader finds one all the same\n"
+        "cl.get_platforms = without\n"
         "import skylamp as sl, numpy as np\n"
         "info = [b for b in sl.backends() if b.name.startswith('opencl')]\n"
         "print(len(info), info[0].available, bool(info[0].why))\n"
