@@ -411,7 +411,7 @@ def test_without_an_opencl_driver_opencl_is_missing_with_a_reason():
     """No driver found: the rest works, a named opencl is an error, auto takes another and says which."""
     out = python(
         "import pyopencl as cl\n"
-        "def without(): raise cl.LogicError('clGetPlatformIDs', -1001)  # where a loader finds one all the same\n"
+        "def without(): raise cl.LogicError('clGetPlatformIDs', -1001)\n"
         "cl.get_platforms = without\n"
         "import skylamp as sl, numpy as np\n"
         "info = [b for b in sl.backends() if b.name.startswith('opencl')]\n"
