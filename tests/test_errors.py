@@ -420,8 +420,7 @@ def test_without_an_opencl_driver_opencl_is_missing_with_a_reason():
         "print(sl.render(scene, sl.Sky(), 'lattice', hemicube=3).backend.split(':')[0])\n"
         "try: sl.render(scene, sl.Sky(), backend='opencl')\n"
         "except sl.BackendError as error: print(error)\n",
-        OCL_ICD_VENDORS="/nonexistent", OCL_ICD_FILENAMES="", OPENCL_VENDOR_PATH="/nonexistent",
-    )  # fmt: skip
+    )  # the wheel's loader finds PoCL beside itself, whatever variables hide
     lines = [line for line in out.splitlines() if line.startswith(("1 ", "warp", "numpy", "backend"))]
     assert lines[0] == "1 False True" and lines[1] in ("warp", "numpy")
     assert "'opencl' is not available" in lines[2] and "OpenCL" in lines[2]
