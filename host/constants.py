@@ -61,6 +61,9 @@ SLICES = 8  # slices of a node come in multiples of this: lanes of a vector on a
 # least share of a node's light that leaves its surroundings, in the light that rounds begin with: without it
 # a node without sky among white ground would begin at infinity; chosen
 LEAST_ESCAPE = 1e-3
+# of 1 + |slope|: ground that a ray misses by less is met, as two kernels may round the same ray's slope
+# differently; some eight times what float32 rounds by
+GRAZES = 1e-6
 
 # The inverse, opencl/adjoint.cl and gauss_newton.cl
 ROUNDING = 1.00001  # a block is left out if its slope is lower by this factor, more than float32 rounds by

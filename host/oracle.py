@@ -927,6 +927,35 @@ def mirror_radiance(
     return np.array(mirrored)
 
 
+def lobe_ground(
+    depth: np.ndarray,
+    spacing: float,
+    valid: np.ndarray,
+    ground: np.ndarray,
+    exponent: float,
+    nodes: Node,
+    rays: int = 1024,
+    seed: int = 0,
+    sides: str = "open",
+) -> np.ndarray:
+    """Ground of known radiance (rows, cols) in Phong's lobe at ``nodes``: (n,) float64.
+
+    By stratified rays as dense as the lobe, each of which meets the ground as a mirror's does.
+    """
+    normal = normals(depth, spacing, valid, sides)
+    mirror, height = _mirror_directions(normal), np.where(valid, -depth / spacing, -1e30)
+    side, out = math.isqrt(rays), []
+    for row, col in zip(*nodes):
+        jitter = np.random.default_rng((seed, row, col)).random((2, side, side))
+        u, v = ((np.indices((side, side)) + jitter) / side).reshape(2, -1)
+        cosine = (1 - u) ** (1 / (exponent + 1))
+        L = _about(mirror[row, col], cosine, np.sqrt(1 - cosine**2), v)
+        facing = L @ normal[row, col]
+        met = [_met(height, ground, row, col, away, sides) if on > 0 else 0.0 for away, on in zip(L, facing)]
+        out.append((exponent + 2) / (exponent + 1) * np.mean(np.maximum(0, facing) * met))
+    return np.array(out)
+
+
 def _met(
     height: np.ndarray, ground: np.ndarray, row: int, col: int, direction: np.ndarray, sides: str
 ) -> float:
@@ -936,7 +965,11 @@ def _met(
         return 0.0
     x, y = (0.0 if abs(part) < 1e-12 else part / flat for part in direction[:2])
     before = (0.0, float(ground[row, col]))  # of the ground over the ray, and its radiance
-    for crossing in _crossings(x, y, math.hypot(*height.shape)):
+    # a level ray over a map that repeats may pass several copies
+    far = math.hypot(*height.shape) * (8 if sides == "periodic" else 1)
+    for crossing in _crossings(x, y, far):
+        if crossing[0] * direction[2] / flat < height[row, col] - height.max():
+            break  # above all ground
         at, a, b, w = _ground(height, np.array([row]), np.array([col]), crossing, sides)
         over = float(at[0] - height[row, col] + crossing[0] * direction[2] / flat)
         radiance = float((1 - w[0]) * ground.ravel()[a[0]] + w[0] * ground.ravel()[b[0]])

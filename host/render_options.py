@@ -48,6 +48,11 @@ class Options:
         """Whether arguments of horizons are given."""
         return self.azimuths is not None or self.max_distance is not None
 
+    @property
+    def chooses(self) -> bool:
+        """Whether the method is the library's choice."""
+        return self.method == "auto" and not self.lattice and not self.horizon
+
     def lobe(self, scene: Scene) -> Lobe | None:
         return shading.lobe_of(scene) if self.quantity == "radiance" else None
 
@@ -74,9 +79,8 @@ class Options:
         return lattice.lacking(scene, source)
 
     def planned(self, scene: Scene, source: sources.Source) -> bool:
-        """Whether the method is chosen, and refined until it is within the tolerance."""
-        asked = self.method != "auto" or self.lattice or self.horizon
-        return not asked and self.missing(scene, source) != REPEATED_LOBE
+        """Whether the library's choice is refined until it is within the tolerance."""
+        return self.chooses and self.missing(scene, source) != REPEATED_LOBE
 
     def check(self, scene: Scene, source: sources.Source) -> None:
         """InputError unless all arguments go together."""

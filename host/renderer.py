@@ -31,6 +31,7 @@ from .images import (
 from .interreflection import Interreflection, included, is_needed, reason
 from .light import lattice, propagation, unoccluded
 from .light.finite import solid_of
+from .light.interreflection import Glossy
 from .light.propagation import Lobe
 from .light.slices import CHORD_AZIMUTHS, CHORD_KNOTS, MOST, Slices, blurred, brightness_of, widened
 from .light.sweeps import FINE_NEAR_ROWS, Rays, Sweeps, ground_of
@@ -133,13 +134,13 @@ class Renderer:
 
     def _with_bounces(self, direct: list[Irradiance]) -> list[Irradiance]:
         """Irradiances of all light, or of direct light where the rest is left out."""
-        why = _left_out(self.scene, self.options, self.plans if self.planned else None)
+        why = _left_out(self.scene, self.options, self.plans)
         if why or not direct:
             why = why or "there is no Lambertian reflection to show"
             self.interreflection = Interreflection(False, why, _share_between(self.plans))
             self.between = [0.0] * len(direct)
             # light between surfaces would be in colour, so this is too, whether it is included or not
-            coloured = self.planned and self.options.interreflection == "auto" and len(direct) == 1
+            coloured = self.options.chooses and self.options.interreflection == "auto" and len(direct) == 1
             coloured = coloured and is_in_colour(np.asarray(self.scene.albedo))
             return list(direct) * (3 if coloured else 1)
         return list(_interreflected(self, direct if self.on_device else on_host(direct)))
@@ -329,28 +330,33 @@ def _interreflected(call: Renderer, direct: Sequence[Irradiance]) -> Sequence[Ir
 def _with_ground(
     call: Renderer, irradiances: Sequence[Irradiance], shine: list[np.ndarray]
 ) -> list[np.ndarray]:
-    """What is reflected besides rho E / pi, with the ground that mirrors show."""
+    """What is reflected besides rho E / pi, with the ground that lobes and mirrors show."""
     scene, options = call.scene, call.options
-    shows = options.interreflection is True or options.interreflection == "auto" and call.planned
-    if call.unlit is None or not irradiances or not shows:
+    asked = options.interreflection is True or options.interreflection == "auto" and options.chooses
+    unlit, lobe = call.unlit, call.lobe
+    if not asked or not irradiances or unlit is None and lobe is None:
         return shine
-    ground = shading.mirrored_ground(scene, call.unlit, options.max_distance)
-    radiance = image_of(scene, [light.copy() for light in on_host(irradiances)], [], "radiance")
-    colours = np.nan_to_num(radiance).reshape(*scene.shape, -1)  # 0 where masked, of weight 0
-    images = [ground.image(colours[..., n]) for n in range(colours.shape[-1])]
-    count = max(len(shine), len(images))
-    return [shine[n % len(shine)] + images[n % len(images)] for n in range(count)]
+    image = image_of(scene, [light.copy() for light in on_host(irradiances)], [], "radiance")
+    radiances = np.moveaxis(np.nan_to_num(image).reshape(*scene.shape, -1), -1, 0)  # 0 where masked
+    ground = Glossy(call.engine, scene, radiances, options.max_distance)
+    if unlit is not None:
+        shown = np.where(unlit, ground.in_mirrors(), np.float32(0))
+    else:
+        assert lobe is not None, "a surface that shows ground is a mirror or has a lobe"
+        shown = ground.by_lobe(lobe) * np.float32(_norm(scene))
+    count = max(len(shine), len(shown))
+    return [shine[n % len(shine)] + shown[n % len(shown)] for n in range(count)]
 
 
-def _left_out(scene: Scene, options: Options, plans: list[Plan] | None) -> str:
-    """Why light between surfaces is left out, or nothing. ``plans``: None where the method was asked for."""
+def _left_out(scene: Scene, options: Options, plans: list[Plan]) -> str:
+    """Why light between surfaces is left out, or nothing."""
     if options.interreflection is False:
         return "as asked"
     if not np.any(scene.albedo):
         return "the surface has no diffuse albedo"
     if options.interreflection is True:
         return ""
-    if plans is None:
+    if not options.chooses:
         return "the method that was asked for is of direct light"
     share, tolerance = _share_between(plans), float(options.tolerance)
     return "" if share is None or is_needed(share, tolerance) else reason(share, tolerance)

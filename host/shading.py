@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from typing import NamedTuple
 
 import numpy as np
 
@@ -13,6 +12,7 @@ from .backends.numpy.luminance import gradient
 from .constants import STEEP
 from .directions import Azimuths, Hemicube
 from .errors import bad
+from .light.interreflection import Glossy
 from .light.propagation import Lobe
 from .light.slices import Slices
 from .reflectance import BRDF, Mirror, Phong, frames, mirror_directions
@@ -22,9 +22,6 @@ from .sources.solids import Dome
 BRDF_ELEVATIONS = 12  # Gauss-Legendre nodes between horizon and zenith, of a BRDF under a sky
 BRDF_RAYS = 12  # rays across a lamp or window, of a BRDF; its square in all
 BRDF_BATCH = 2**18  # directions that a BRDF function is given at a time
-MIRROR_BATCH = 2**18  # rays of a mirror that are followed at a time, some 200 bytes each
-AT_A_NODE = 1e-9  # [spacing]: a crossing nearer to a node than that is the node; rounding
-GRAZES = 1e-6  # of the slope: ground that a ray misses by less is met, as rays in float32 have it
 
 
 def lobe_of(scene: Scene, lost: float = 1e-4) -> Lobe | None:
@@ -79,111 +76,19 @@ def mirrored(
     (rows, cols) float32 for each of the grey sources, which differ in brightness alone, and the nodes whose
     mirror shows the source, (rows, cols) bool.
     """
-    if scene.sides == "periodic":
-        raise bad(
-            "a mirror with sides='periodic'",
-            "rays that would go on over a map that repeats",
-            "sides='open' or 'dark', or Phong with a large exponent",
-        )
     L = mirror_directions(*tilts(scene).astype(float))
     ends = _meets(scene, greys[0], L[:, :, None])[..., 0]
-    lit = _Rays(scene, engine, max_distance).free(L[:, :, None], ends[..., None])[..., 0]
+    if scene.sides == "periodic":  # no source stands among ground that repeats
+        white = Glossy(engine, scene, scene.valid[None].astype(np.float32), max_distance)
+        lit = (L[..., 2] <= 0) & ~np.isnan(ends) & scene.valid & (white.in_mirrors()[0] < 0.5)
+    else:
+        lit = _Rays(scene, engine, max_distance).free(L[:, :, None], ends[..., None])[..., 0]
     out = []
     for grey in greys:
         image = np.zeros(scene.shape, np.float32)
         image[lit] = sources.radiance(grey, L[lit])
         out.append(image)
     return out, lit
-
-
-class MirroredGround(NamedTuple):
-    """The ground that mirrors show: numbers of the nodes whose mirrors do (n,), and of the four nodes (n, 4)
-    between which the ground's radiance is interpolated with ``weights`` (n, 4)."""
-
-    nodes: np.ndarray
-    ends: np.ndarray
-    weights: np.ndarray
-
-    def image(self, radiance: np.ndarray) -> np.ndarray:
-        """Ground of ``radiance`` (rows, cols) in the mirrors: (rows, cols) float32, 0 where none is shown."""
-        image = np.zeros(radiance.size, np.float32)
-        image[self.nodes] = (self.weights * radiance.ravel()[self.ends]).sum(1)
-        return image.reshape(radiance.shape)
-
-
-def mirrored_ground(scene: Scene, where: np.ndarray, max_distance: float | None) -> MirroredGround:
-    """Where the mirror directions of the nodes ``where`` (rows, cols) bool first meet the ground.
-
-    On the host in float64, the same for every backend. Rays may fall below the level. Ground farther away
-    than ``max_distance`` is not met.
-    """
-    height = np.where(scene.valid, -scene.depth.astype(float) / scene.spacing, np.nan)
-    reach = np.inf if max_distance is None else max_distance / scene.spacing
-    L = mirror_directions(*tilts(scene).astype(float)).reshape(-1, 3)
-    flat = np.hypot(L[:, 0], L[:, 1])
-    numbers = np.flatnonzero(where.ravel() & scene.valid.ravel() & (flat > 0))  # straight up there is none
-    batches = [MirroredGround(np.zeros(0, np.int64), np.zeros((0, 4), np.int64), np.zeros((0, 4)))]
-    for some in np.array_split(numbers, -(-len(numbers) // MIRROR_BATCH) or 1):
-        ways = L[some] / flat[some, None]
-        batches.append(_first_ground(height, some, ways[:, :2].T, -ways[:, 2], reach))
-    return MirroredGround(*map(np.concatenate, zip(*batches)))
-
-
-def _first_ground(
-    height: np.ndarray, nodes: np.ndarray, way: np.ndarray, slope: np.ndarray, reach: float
-) -> MirroredGround:
-    """Where rays from ``nodes`` first meet the ground, of those that do.
-
-    ``height`` (rows, cols) [spacing], nan where masked; ``way`` (2, n): cosine and sine of the azimuth;
-    ``slope`` (n,): rise over distance. Every crossing with a column or row is met in order of distance;
-    between two of them height and radiance are linear. The first stretch bends from the tangent plane up to
-    its crossing: its radiance is the mean of the node's own and the crossing's. A masked node is bottomless:
-    ground behind it has the radiance of its crossing.
-    """
-    rows, cols = height.shape
-    ground, top = height.ravel(), np.nanmax(height)
-    start, own = np.stack([nodes % cols, nodes // cols]), ground[nodes]
-    with np.errstate(divide="ignore"):
-        apart = 1 / np.where(np.abs(way) < 1e-12, 0.0, np.abs(way))  # of crossings with columns, with rows
-    steps, gap, going = np.ones(way.shape), np.zeros(len(nodes)), np.arange(len(nodes))
-    ends, weights, met = np.tile(nodes[:, None], 4), np.zeros((len(nodes), 4)), np.zeros(len(nodes), bool)
-    weights[:, 0] = 1  # pairs: the crossing before, here the node itself, and the next
-    while len(going):
-        distances = steps[:, going] * apart[:, going]
-        t = distances.min(0)
-        first = (steps[:, going] == 1).all(0)
-        steps[:, going] += distances <= t * (1 + 1e-12)
-        x, y = at = start[:, going] + t * way[:, going]
-        rise = slope[going] * t
-        inside = (at > -AT_A_NODE).all(0) & (x < cols - 1 + AT_A_NODE) & (y < rows - 1 + AT_A_NODE)
-        on = inside & (t <= reach) & ((slope[going] < 0) | (own[going] + rise <= top))
-        going, at, t, first, rise = going[on], at[:, on], t[on], first[on], rise[on]
-        low = np.floor(at + AT_A_NODE)
-        part = np.where(at - low < AT_A_NODE, 0.0, at - low)
-        near = (low[1] * cols + low[0]).astype(np.int64)
-        far = near + (part[0] > 0) + cols * (part[1] > 0)
-        part = part.max(0)  # one of the two is 0 at a crossing
-        here = ground[near] + part * (ground[far] - ground[near]) - own[going] - rise
-        before, gap[going] = gap[going], np.nan_to_num(here, nan=-np.inf, neginf=-np.inf)
-        hit = gap[going] > -GRAZES * (1 + np.abs(slope[going])) * t
-        past = _past(before, gap[going], first)
-        ends[going, 2], ends[going, 3] = near, far
-        share = np.where(hit, past, 1.0)[:, None]
-        here = np.stack([1 - part, part], 1)
-        weights[going, 2:] = share * here
-        weights[going[hit], :2] *= 1 - share[hit]
-        met[going[hit]] = True
-        going, near, far, here = going[~hit], near[~hit], far[~hit], here[~hit]
-        ends[going, :2], weights[going, :2] = np.stack([near, far], 1), here
-    return MirroredGround(nodes[met], ends[met], weights[met])
-
-
-def _past(before: np.ndarray, here: np.ndarray, first: np.ndarray) -> np.ndarray:
-    """The part of a stretch before a ray meets it, from how far ground is above it at both ends."""
-    known = np.isfinite(before) & (here > before)
-    climbs = np.where(known, here - np.where(known, before, 0.0), 1.0)
-    past = np.where(known, -np.where(known, before, 0.0) / climbs, 1.0)
-    return np.where(first, 0.5, np.clip(past, 0.0, 1.0))
 
 
 # Light that reaches the nodes, a part at a time: L (rows, cols, n, 3) unit vectors, weights (rows, cols, n)

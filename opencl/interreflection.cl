@@ -48,7 +48,9 @@ int any_lane(ints test)
   return two.x | two.y;
 }
 #endif
+/* PoCL calls its own max and min */
 #define MOST(a, b) ((a) > (b) ? (a) : (b))
+#define LEAST(a, b) ((a) < (b) ? (a) : (b))
 
 int wrapped(int v, int period)
 {
@@ -334,6 +336,94 @@ __kernel void gather_nodes(__global const float *restrict heights, __global cons
   }
 }
 
+#if LANES == 1
+/* Distance between crossings along an axis, of a unit vector's component. */
+float per(float component) { return fabs(component) > 1e-6f ? 1 / fabs(component) : ENDLESS; }
+
+/* Where a ray crosses a column or a row of nodes: between the nodes at two places. */
+typedef struct {
+  int at, next;
+  float weight, distance; /* of the next node; [spacing] */
+} Crossing;
+
+/* Step from a node (x, y) to the next crossing, after those of columns and rows that were `met`. Returns 0
+   where it lies outside the map; it is not moved on then. */
+int cross(int x, int y, float cosine, float sine, float per_column, float per_row, int met[2], int rows,
+          int cols, int across, int margin, int shift, int sides, Crossing *crossing)
+{
+  const float to_column = (met[0] + 1) * per_column, to_row = (met[1] + 1) * per_row,
+              distance = LEAST(to_column, to_row);
+  const int on_column = to_column <= to_row;
+  const float at_line = on_column ? y + sine * distance : x + cosine * distance;
+  int low = (int)at_line;
+  low -= low > at_line; /* floor, which PoCL calls */
+  float weight = at_line - low;
+  if (weight > 1 - 1e-4f) { /* at a node */
+    low += 1;
+    weight = 0;
+  }
+  weight = weight < 1e-4f ? 0.0f : weight;
+  met[0] += on_column;
+  met[1] += !on_column;
+  int u = on_column ? (cosine > 0 ? x + met[0] : x - met[0]) : low,
+      v = on_column ? low : (sine > 0 ? y + met[1] : y - met[1]);
+  if (sides == PERIODIC) {
+    u = wrapped(u, cols);
+    v = wrapped(v, rows);
+  } else if (u < 0 || u >= cols || v < 0 || v >= rows ||
+             (weight > 0 && (on_column ? v + 1 >= rows : u + 1 >= cols)))
+    return 0;
+  crossing->at = place(u, v, rows, across + 2 * margin, margin, shift);
+  crossing->next = on_column ? crossing->at + across + 2 * margin
+                             : place(u + 1, v, rows, across + 2 * margin, margin, shift);
+  crossing->weight = weight;
+  crossing->distance = distance;
+  return 1;
+}
+
+/* Value of a map at a crossing. */
+float value_at(__global const float *map, Crossing crossing)
+{
+  return map[crossing.at] + crossing.weight * (map[crossing.next] - map[crossing.at]);
+}
+
+/* Part of a stretch of ground before a line of sight meets it, from how far ground stands above the line at
+   both ends; 0 for the stretch that begins at the node. */
+float part_past(float low, float high, float distance)
+{
+  return distance > 0 && low < 0 && high > low ? LEAST(-low / (high - low), 1.0f) : 0.0f;
+}
+
+/* A ray in an azimuth: elevation's cosine and sine, slope, and change of elevation by its place. */
+typedef struct {
+  float cosine, sine, slope, per_place;
+} Aim;
+
+/* The ray at a place from -1 to 1, on either side of an elevation of this cosine and sine. below, above:
+   tangents of half the angles that the sides span. The slope is a little less: ground that the ray misses by
+   rounding is met. */
+Aim aimed(float place, float below, float above, float from_cosine, float from_sine)
+{
+  const float side = place < 0 ? below : above, t = side * place, scale = 1 / (1 + t * t),
+              cosine = (1 - t * t) * scale, sine = 2 * t * scale;
+  Aim aim;
+  aim.cosine = from_cosine * cosine - from_sine * sine;
+  aim.sine = from_sine * cosine + from_cosine * sine;
+  aim.slope = aim.sine / MOST(aim.cosine, 1 / (float)STEEP);
+  aim.slope -= GRAZES * (1 + MOST(aim.slope, -aim.slope));
+  aim.per_place = 2 * side * scale;
+  return aim;
+}
+
+/* Weight of a lobe at a part of its rim, from its table. */
+float lobe_at(__global const float *lobe, int n_lobe, float part)
+{
+  const float at = LEAST(part, 1.0f) * (n_lobe - 1);
+  const int i = LEAST((int)at, n_lobe - 2);
+  return lobe[i] + (at - i) * (lobe[i + 1] - lobe[i]);
+}
+#endif
+
 /* strips: the sums of single rays, over every crossing with a column or a row, exactly.
 
   rays   (rays, 4)           float  column, row, cosine and sine of the azimuth
@@ -358,63 +448,31 @@ __kernel void strips(__global const float *heights, __global const float *light,
               gy = tilt(heights[place(x, y - 1, rows, pitch, margin, shift)], own,
                         heights[place(x, y + 1, rows, pitch, margin, shift)]);
   const float plane = -(gx * cosine + gy * sine), start = below(plane, plane);
-  const float per_column = fabs(cosine) > 1e-6f ? 1 / fabs(cosine) : ENDLESS,
-              per_row = fabs(sine) > 1e-6f ? 1 / fabs(sine) : ENDLESS;
-  float num[LIGHTS], slope = plane, past = start, before = 0, was_weight = 0, was_distance = 0;
+  const float per_column = per(cosine), per_row = per(sine);
+  float num[LIGHTS], slope = plane, past = start, before = 0;
   for (int l = 0; l < LIGHTS; ++l)
     num[l] = 0;
-  int was = place(x, y, rows, pitch, margin, shift), was_next = was, columns = 1, lines = 1;
-  while (true) {
-    /* 1. the next crossing, if it is on the map, and if any ground there could be seen */
-    const float to_column = columns * per_column, to_row = lines * per_row,
-                distance = min(to_column, to_row);
-    if (distance > reach || !(highest - own > slope * distance))
-      break;
-    const int on_column = to_column <= to_row;
-    const float at_line = on_column ? y + sine * distance : x + cosine * distance;
-    int low = (int)floor(at_line);
-    float weight = at_line - low;
-    if (weight > 1 - 1e-4f) { /* at a node */
-      low += 1;
-      weight = 0;
-    }
-    weight = weight < 1e-4f ? 0.0f : weight;
-    int u = on_column ? (cosine > 0 ? x + columns : x - columns) : low,
-        v = on_column ? low : (sine > 0 ? y + lines : y - lines);
-    columns += on_column;
-    lines += !on_column;
-    if (sides == PERIODIC) {
-      u = wrapped(u, cols);
-      v = wrapped(v, rows);
-    } else if (u < 0 || u >= cols || v < 0 || v >= rows ||
-               (weight > 0 && (on_column ? v + 1 >= rows : u + 1 >= cols)))
-      break;
-    const int at = place(u, v, rows, pitch, margin, shift),
-              next = on_column ? at + pitch : place(u + 1, v, rows, pitch, margin, shift);
+  const int node = place(x, y, rows, pitch, margin, shift);
+  Crossing was = {node, node, 0, 0}, at;
+  int met[2] = {0, 0};
+  /* 1. the next crossing, if it is on the map, and if any ground there could be seen */
+  while (cross(x, y, cosine, sine, per_column, per_row, met, rows, cols, across, margin, shift, sides, &at) &&
+         !(at.distance > reach) && highest - own > slope * at.distance) {
     /* 2. the ground there */
-    const float stands = heights[at] + weight * (heights[next] - heights[at]) - own,
-                rises = stands / distance;
+    const float stands = value_at(heights, at) - own, rises = stands / at.distance;
     /* 3. the strip that it opens */
     if (rises > slope) {
-      const float below_line = before - slope * was_distance, above_line = stands - slope * distance;
-      float part = 0;
-      if (was_distance > 0 && below_line < 0 && above_line > below_line)
-        part = min(-below_line / (above_line - below_line), 1.0f);
-      const float here = below(rises, plane), share = (here - past) * 0.5f;
+      const float part = part_past(before - slope * was.distance, stands - slope * at.distance, was.distance),
+                  here = below(rises, plane), share = (here - past) * 0.5f;
       for (int l = 0; l < LIGHTS; ++l) {
         __global const float *map = light + (size_t)l * (1 << shift) * plane_size;
-        const float near = map[was] + was_weight * (map[was_next] - map[was]),
-                    far = map[at] + weight * (map[next] - map[at]);
-        num[l] += share * (near * (1 - part) + far * (1 + part));
+        num[l] += share * (value_at(map, was) * (1 - part) + value_at(map, at) * (1 + part));
       }
       past = here;
       slope = rises;
     }
     before = stands;
     was = at;
-    was_next = next;
-    was_weight = weight;
-    was_distance = distance;
   }
   /* 4. all that is not sky, and the sky */
   if (sides != PERIODIC)
@@ -426,5 +484,105 @@ __kernel void strips(__global const float *heights, __global const float *light,
     sums[l * n_rays + n] = up * num[l];
   sums[LIGHTS * n_rays + n] = up * (sky - start);
   sums[(LIGHTS + 1) * n_rays + n] = up * (-plane * HALF_PI - sky);
+#endif
+}
+
+/* glossy: what nodes reflect of the ground round them towards the viewer, by a lobe about the mirror direction
+   R = 2 (N.V) N - V, V = (0, 0, -1), or along R alone.
+
+  lobe   (n_lobe)               float  weight by 1 - cosine of the angle to R, even steps from 0 to rim,
+                                       beyond which there is none
+  spots  (slices + rays, 2)     float  places from -1 to 1 across the lobe, and their widths, which add up to
+                                       2: of azimuths, and then of the elevations in each
+  image  (LIGHTS, rows x cols)  float  out: integral of radiance x lobe x N.L over the directions that ground
+                                       occupies; with rim 0 the radiance of the ground along R. 0 where masked
+
+The spots lie as dense as the lobe: the host makes them from its table. Rays of an azimuth meet the ground in
+order of elevation, so that one walk serves all. Between two crossings height and radiance are linear; the
+first stretch bends from the tangent plane up to its crossing, and a ray meets it half way. reach [spacing]:
+ground farther away is not met. LANES is 1: work-item (x, phase, y) owns the node of row y at element x of
+plane `phase`. */
+__kernel void glossy(__global const float *heights, __global const float *light, __global const float *lobe,
+                     __global const float *spots, __global float *image, int rows, int cols, int across,
+                     int margin, int shift, int sides, int slices, int rays, int n_lobe, float rim,
+                     float highest, float reach)
+{
+#if LANES == 1
+  const int x = ((int)get_global_id(0) << shift) + (int)get_global_id(1), y = get_global_id(2),
+            pitch = across + 2 * margin, plane_size = (rows + 2) * pitch;
+  if (x >= cols || y >= rows || get_global_id(1) >= 1 << shift)
+    return;
+  const int node = place(x, y, rows, pitch, margin, shift);
+  const float own = heights[node];
+  float sums[LIGHTS];
+  for (int l = 0; l < LIGHTS; ++l)
+    sums[l] = 0;
+  /* 1. the mirror direction, by sine and cosine of its elevation and azimuth, and the azimuths of the lobe */
+  const float gx = tilt(heights[place(x - 1, y, rows, pitch, margin, shift)], own,
+                        heights[place(x + 1, y, rows, pitch, margin, shift)]),
+              gy = tilt(heights[place(x, y - 1, rows, pitch, margin, shift)], own,
+                        heights[place(x, y + 1, rows, pitch, margin, shift)]);
+  const float square = 1 + gx * gx + gy * gy, steep = sqrt(gx * gx + gy * gy), up = 2 / square - 1,
+              flat = 2 * steep / square, wide = sqrt(rim * (2 - rim));
+  const float half_turn = wide < flat ? asin(wide / flat) : PI, upward = 1 / sqrt(square),
+              per_rim = rim > 0 ? 1 / rim : 0.0f;
+  for (int k = 0; k < slices && own > HIGHEST_MASKED; ++k) {
+    const float angle = half_turn * spots[2 * k], c = cos(angle), s = sin(angle),
+                turn = upward * half_turn * spots[2 * k + 1];
+    const float cosine = steep > 0 ? (gx * c - gy * s) / steep : c,
+                sine = steep > 0 ? (gy * c + gx * s) / steep : s;
+    /* 2. the elevations of the lobe in this azimuth: at an angle from the middle, 1 - cosine to R is
+       aside + length (1 - cos(angle)); they are above the tangent plane and not beyond the zenith */
+    const float along = flat * c, length = sqrt(along * along + up * up),
+                aside = flat * flat * s * s / (1 + length), plane = -(gx * cosine + gy * sine);
+    if (aside > rim)
+      continue;
+    const float middle = atan2(up, along), tangent = arctan(plane),
+                spread = 2 * asin(sqrt(LEAST((rim - aside) / (2 * length), 1.0f)));
+    const float lowest = MOST(middle - spread, tangent), most = LEAST(middle + spread, HALF_PI),
+                from = LEAST(MOST(middle, lowest), most);
+    if (most < lowest)
+      continue;
+    const float per_length = 1 / length;
+    const float from_cosine = from == middle ? along * per_length : cos(from),
+                from_sine = from == middle ? up * per_length : sin(from);
+    const float below = tan(0.5f * (from - lowest)), above = tan(0.5f * (most - from));
+    /* 3. the first ground along each */
+    const float per_column = per(cosine), per_row = per(sine);
+    Crossing was = {node, node, 0, 0}, at;
+    int met[2] = {0, 0}, ray = 0;
+    Aim aim = aimed(spots[2 * slices], below, above, from_cosine, from_sine);
+    float before = 0;
+    while (cross(x, y, cosine, sine, per_column, per_row, met, rows, cols, across, margin, shift, sides, &at) &&
+           !(at.distance > reach) && highest - own > aim.slope * at.distance) {
+      const float stands = value_at(heights, at) - own, rises = stands / at.distance;
+      while (ray < rays && rises > aim.slope) {
+        const float part = was.distance > 0 ? part_past(before - aim.slope * was.distance,
+                                                        stands - aim.slope * at.distance, was.distance)
+                                            : 0.5f;
+        float weight = 1;
+        if (rim > 0) {
+          const float off = (aim.sine * along - aim.cosine * up) * per_length,
+                      near = (aim.cosine * along + aim.sine * up) * per_length,
+                      away = aside + length * off * off / (1 + near);
+          weight = lobe_at(lobe, n_lobe, away * per_rim) * MOST(aim.sine - plane * aim.cosine, 0.0f) *
+                   aim.cosine * aim.per_place * spots[2 * (slices + ray) + 1] * turn;
+        }
+        for (int l = 0; l < LIGHTS; ++l) {
+          __global const float *map = light + (size_t)l * (1 << shift) * plane_size;
+          sums[l] += weight * (value_at(map, was) * (1 - part) + value_at(map, at) * part);
+        }
+        ++ray;
+        if (ray < rays)
+          aim = aimed(spots[2 * (slices + ray)], below, above, from_cosine, from_sine);
+      }
+      if (ray == rays)
+        break;
+      before = stands;
+      was = at;
+    }
+  }
+  for (int l = 0; l < LIGHTS; ++l)
+    image[(l * rows + y) * cols + x] = sums[l];
 #endif
 }

@@ -12,6 +12,8 @@ from scenes import rough
 import skylamp as sl
 from skylamp import oracle, renderer, shading
 from skylamp.backends import select
+from skylamp.light.interreflection import Glossy
+from skylamp.light.propagation import Lobe
 from skylamp.radiometry import directional_hemispheric, patch_solid_angle
 from skylamp.reflectance import frames, mirror_directions
 
@@ -386,11 +388,6 @@ def test_a_lobe_over_a_map_that_repeats_is_the_lattices(fast):
     assert sl.render(scene, sl.Sky(), tolerance=0.05, backend=fast).plan.method == "lattice"
     with pytest.raises(sl.InputError, match="a lobe over a map that repeats.*lattice"):
         sl.render(scene, sl.Sky(), method="horizon", backend=fast)
-    for options in ({"method": "horizon", "max_distance": 9}, {"method": "lattice"}):
-        with pytest.raises(sl.InputError, match="mirror with sides='periodic'"):
-            sl.render(
-                sl.Scene(GROUND, sides="periodic", reflectance=sl.Mirror()), sl.Sky(), backend=fast, **options
-            )
     assert (
         sl.render(
             scene,
@@ -569,13 +566,15 @@ def test_mirrors_on_rough_ground(fast):
     depth, nodes = np.where(valid, steep, np.nan).astype(float), np.nonzero(valid)
     scene = sl.Scene(steep, mask=valid, reflectance=sl.Mirror())
     (sky,), lit = shading.mirrored(scene, [sl.Sky(clear)], select(fast), None)
-    there = shading.mirrored_ground(scene, ~lit, None)
-    for shown, radiance in ((sky, None), (sky + there.image(ground), ground)):
+    there = lambda radiance: np.where(
+        lit, 0, Glossy(select(fast), scene, radiance[None], None).in_mirrors()[0]
+    )
+    for shown, radiance in ((sky, None), (sky + there(np.where(valid, ground, 0)), ground)):
         wanted = oracle.mirror_radiance(depth, 1.0, valid, clear, nodes, ground=radiance)
         assert 0.05 < (wanted == 0).mean() < 0.9
         off = np.abs(shown[nodes] - wanted) > 1e-4
         assert off.mean() < 0.003  # a ray that grazes an edge may go either way
-    furnace = there.image(np.ones(steep.shape))[nodes]
+    furnace = there(valid.astype(float))[nodes]
     assert np.abs(furnace - (furnace > 0.5)).max() < 1e-6 and (furnace > 0).mean() > 0.3
 
 
@@ -604,6 +603,126 @@ def test_mirrors_show_the_other_side_of_a_valley(fast, slope):
     assert not little.interreflection.included
     wanted = bare.image[4] + 0.4 * np.interp(meets, x, bare.image[4])
     np.testing.assert_allclose(little.image[4, there, 0], wanted[there], rtol=1e-5)
+
+
+def test_mirrors_on_a_map_that_repeats(backend):
+    """Against the oracle: the sky, or the ground of one of the copies; under a window its brightness or 0."""
+    steep, ground = 2.0 * GROUND.astype(np.float32), np.random.default_rng(0).uniform(0.2, 1, GROUND.shape)
+    nodes = np.nonzero(steep >= 0)
+    scene = sl.Scene(steep, sides="periodic", reflectance=sl.Mirror())
+    (sky,), lit = shading.mirrored(scene, [sl.Sky(clear)], select(backend), None)
+    met = np.where(lit, 0, Glossy(select(backend), scene, ground[None], None).in_mirrors()[0])
+    wanted = oracle.mirror_radiance(
+        steep.astype(float), 1.0, steep >= 0, clear, nodes, "periodic", ground
+    ).reshape(steep.shape)
+    assert (np.abs(sky + met - wanted) > 1e-4).mean() < 0.003 and 0.2 < lit.mean() < 0.9
+    wide = sl.Window(x=(-1e4, 1e4), y=(-1e4, 1e4), brightness=2.0)
+    (seen,), through = shading.mirrored(scene, [wide], select(backend), None)
+    np.testing.assert_array_equal(seen, np.where(through, 2.0, 0.0))
+    assert (through <= lit).all() and through.sum() > 0.9 * lit.sum()
+
+
+# -- ground in lobes
+
+
+def in_lobe(backend, scene, radiance, exponent):
+    """Ground of radiances (lights, rows, cols) in the lobes of a scene, normalised, of an exponent."""
+    phong = sl.Phong(0.0, 1.0, exponent)
+    rim = phong.rim(1e-4)
+    lobe = Lobe(phong.table(rim), rim, phong.spread)
+    return Glossy(select(backend), scene, radiance, None).by_lobe(lobe) * phong.norm
+
+
+@pytest.mark.parametrize("sides", ["open", "periodic"])
+@pytest.mark.parametrize("exponent", [1, 20, 1000])
+def test_ground_in_lobes_is_the_oracles(fast, sides, exponent):
+    """Rays of the oracle, to their own noise and that of 144 rays; holes are no ground."""
+    depth = 2.0 * GROUND
+    valid = np.ones(depth.shape, bool)
+    valid[8:11, 9:12] = False
+    ground = np.where(valid, np.random.default_rng(0).uniform(0.2, 1, depth.shape), 0)
+    scene = sl.Scene(depth, mask=valid, sides=sides)
+    nodes = tuple(v[5::41] for v in np.nonzero(valid))
+    hollow = np.where(valid, depth.astype(np.float32), np.nan).astype(float)
+    wanted = oracle.lobe_ground(hollow, 1.0, valid, ground, exponent, nodes, 256, sides=sides)
+    got = in_lobe(fast, scene, ground[None], exponent)[0]
+    assert len(wanted) > 9 and 0.05 < wanted.mean() < 0.5
+    off = got[nodes] - wanted
+    assert np.sqrt(np.mean(off**2)) < 0.03 and abs(off.mean()) < 0.012
+    assert (got[~valid] == 0).all()
+
+
+@pytest.mark.parametrize("sides", ["open", "dark", "periodic"])
+def test_backends_agree_on_ground_in_lobes_and_mirrors(backend, sides):
+    """Three lights, with a mask: as NumPy to 1e-5, and the same bytes again."""
+    depth = 2.0 * GROUND
+    valid = np.ones(depth.shape, bool)
+    valid[8:11, 9:12] = valid[0] = False
+    ground = np.where(valid, np.random.default_rng(0).uniform(0.2, 1, (3, *depth.shape)), 0)
+    scene = sl.Scene(depth, mask=valid, sides=sides)
+    for exponent in (0, 20, 5000):
+        got, again, wanted = (in_lobe(name, scene, ground, exponent) for name in (backend, backend, "numpy"))
+        assert_bits_equal(got, again)
+        np.testing.assert_allclose(got, wanted, atol=1e-5)
+    got, wanted = (Glossy(select(name), scene, ground, None).in_mirrors() for name in (backend, "numpy"))
+    np.testing.assert_allclose(got, wanted, atol=1e-5)
+
+
+@pytest.mark.parametrize("exponent", [1, 3, 30, 500])
+def test_sky_and_ground_fill_a_lobe(fast, exponent):
+    """In a bowl every direction above the tangent plane shows sky or ground: both of radiance 1 fill the lobe
+    as an unoccluded hemisphere does.
+    """
+    y, x = np.mgrid[:41, :41] - 20.0
+    depth = np.maximum(0, 0.06 * (18.5**2 - x**2 - y**2))  # slopes up to 2.2
+    surface = sl.Phong(0.0, 1.0, exponent)
+    sky = sl.render(sl.Scene(depth, reflectance=surface), sl.Sky(), method="horizon", backend=fast).image
+    ground = in_lobe(fast, sl.Scene(depth), np.ones((1, *depth.shape)), exponent)[0]
+    r = np.hypot(x, y)
+    inside = r < 15
+    normal = np.arctan(0.12 * r[inside])  # from the zenith; the mirror direction twice that
+    # half of the hemisphere about the normal, by its angle to it and the azimuth round it
+    t, p = ((np.arange(n) + 0.5) / n for n in (400, 400))
+    theta, phi = np.pi / 2 * t[:, None], np.pi * p
+    weight = np.sin(theta) * np.cos(theta) * (np.pi / 2 / 400) * (2 * np.pi / 400)
+    knots = np.linspace(0, normal.max(), 12)
+    cosines = [np.cos(theta) * np.cos(a) + np.sin(theta) * np.sin(a) * np.cos(phi) for a in knots]
+    whole = [
+        (np.where(cosine > 0, cosine, 0) ** exponent * (cosine > 0) * weight).sum() for cosine in cosines
+    ]
+    wanted = surface.norm * np.interp(normal, knots, whole)
+    off = (sky + ground)[inside] / wanted - 1
+    assert (ground[inside] > 0.3 * wanted).mean() > 0.1
+    assert np.sqrt(np.mean(off**2)) < 0.03 and abs(off.mean()) < 0.01
+
+
+def test_lobes_show_ground_where_light_between_surfaces_is_asked_for(fast):
+    """Of the radiance of all light, in colour; the parts add up; by default as asked."""
+    albedo = (0.6, 0.5, 0.2)
+    options = {"backend": fast, "interreflection": True}
+    scene = sl.Scene(1.5 * GROUND, reflectance=sl.Phong(albedo, 0.3, 10))
+    done = sl.render(scene, sl.Sky(), parts=True, **options)
+    assert done.interreflection.included
+    np.testing.assert_allclose(done.direct + done.reflected, done.image, rtol=1e-6)
+    alone = sl.render(scene, sl.Sky(), backend=fast, interreflection=False)
+    np.testing.assert_array_equal(done.direct, alone.image)
+    radiance = sl.render(sl.Scene(1.5 * GROUND, albedo=albedo), sl.Sky(), **options).image
+    shown = 0.3 * np.moveaxis(in_lobe(fast, scene, np.moveaxis(radiance, -1, 0), 10), 0, -1)
+    of_sky = done.image - radiance - shown  # grey
+    np.testing.assert_allclose(of_sky, np.broadcast_to(of_sky[..., :1], of_sky.shape), atol=1e-5)
+    assert shown.max() > 0.02
+    np.testing.assert_array_equal(sl.render(scene, sl.Sky(), backend=fast).image, done.image)
+
+
+def test_a_lobe_over_a_map_that_repeats_gets_light_between_surfaces(fast):
+    """No method was asked for, so it is included though the lattice has made the direct light."""
+    scene = sl.Scene(1.5 * GROUND, sides="periodic", reflectance=sl.Phong(0.6, 0.3, 10))
+    done, direct = (
+        sl.render(scene, sl.Sky(), tolerance=0.05, backend=fast, interreflection=choice)
+        for choice in ("auto", False)
+    )
+    assert done.interreflection.included and not direct.interreflection.included
+    assert (done.image - direct.image).min() > 0 and (done.image - direct.image).mean() > 0.03
 
 
 def test_mirrors_see_lamps_and_windows(fast):

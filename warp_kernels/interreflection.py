@@ -12,11 +12,13 @@ from skylamp.constants import (
     ARC_TANGENT,
     DARK,
     ENDLESS,
+    GRAZES,
     HALF_PI,
     HIGHEST_MASKED,
     LEAST_ESCAPE,
     PERIODIC,
     PI,
+    STEEP,
 )
 
 from . import OPTIONS
@@ -511,6 +513,146 @@ def gather_nodes(LIGHTS: int):
     return gather_nodes
 
 
+@wp.struct
+class Crossing:
+    """Where a ray crosses a column or a row of nodes: between the nodes at two places."""
+
+    at: wp.int32
+    next: wp.int32
+    weight: wp.float32  # of the next node
+    distance: wp.float32  # [spacing]
+
+
+@wp.func
+def cross(
+    x: wp.int32,
+    y: wp.int32,
+    cosine: wp.float32,
+    sine: wp.float32,
+    per_column: wp.float32,
+    per_row: wp.float32,
+    columns: wp.int32,
+    lines: wp.int32,
+    rows: wp.int32,
+    cols: wp.int32,
+    across: wp.int32,
+    margin: wp.int32,
+    shift: wp.int32,
+    sides: wp.int32,
+):
+    """(crossing, columns, lines): the next one from a node (x, y), after so many columns and rows that were
+    met; its distance is ENDLESS where it lies outside the map.
+    """
+    crossing = Crossing()
+    crossing.distance = wp.float32(ENDLESS)
+    to_column = wp.float32(columns + 1) * per_column
+    to_row = wp.float32(lines + 1) * per_row
+    distance = wp.min(to_column, to_row)
+    on_column = to_column <= to_row
+    at_line = wp.float32(x) + cosine * distance
+    if on_column:
+        at_line = wp.float32(y) + sine * distance
+    low = wp.int32(wp.floor(at_line))
+    weight = at_line - wp.float32(low)
+    if weight > wp.float32(1.0) - wp.float32(1e-4):  # at a node
+        low += 1
+        weight = wp.float32(0.0)
+    if weight < wp.float32(1e-4):
+        weight = wp.float32(0.0)
+    u = low
+    v = low
+    if on_column:
+        columns += 1
+        u = wp.where(cosine > wp.float32(0.0), x + columns, x - columns)
+    else:
+        lines += 1
+        v = wp.where(sine > wp.float32(0.0), y + lines, y - lines)
+    if sides == PERIODIC:
+        u = wrapped(u, cols)
+        v = wrapped(v, rows)
+    else:
+        if u < 0 or u >= cols or v < 0 or v >= rows:
+            return crossing, columns, lines
+        if weight > wp.float32(0.0) and wp.where(on_column, v + 1 >= rows, u + 1 >= cols):
+            return crossing, columns, lines
+    pitch = across + 2 * margin
+    crossing.at = place(u, v, rows, pitch, margin, shift)
+    crossing.next = crossing.at + pitch
+    if not on_column:
+        crossing.next = place(u + 1, v, rows, pitch, margin, shift)
+    crossing.weight = weight
+    crossing.distance = distance
+    return crossing, columns, lines
+
+
+@wp.func
+def value_at(map: wp.array[wp.float32], first: wp.int32, crossing: Crossing):
+    """Value at a crossing of the map that begins at element ``first``."""
+    near = map[first + crossing.at]
+    return near + crossing.weight * (map[first + crossing.next] - near)
+
+
+@wp.func
+def part_past(low: wp.float32, high: wp.float32, distance: wp.float32):
+    """Part of a stretch of ground before a line of sight meets it, from how far ground stands above the line
+    at both ends; 0 for the stretch that begins at the node.
+    """
+    part = wp.float32(0.0)
+    if distance > wp.float32(0.0) and low < wp.float32(0.0) and high > low:
+        part = wp.min(-low / (high - low), wp.float32(1.0))
+    return part
+
+
+@wp.func
+def per(component: wp.float32):
+    """Distance between crossings along an axis, of a unit vector's component."""
+    if wp.abs(component) > wp.float32(1e-6):
+        return wp.float32(1.0) / wp.abs(component)
+    return wp.float32(ENDLESS)
+
+
+@wp.struct
+class Aim:
+    """A ray in an azimuth: elevation's cosine and sine, slope, and change of elevation by its place."""
+
+    cosine: wp.float32
+    sine: wp.float32
+    slope: wp.float32
+    per_place: wp.float32
+
+
+@wp.func
+def aimed(
+    place: wp.float32, below: wp.float32, above: wp.float32, from_cosine: wp.float32, from_sine: wp.float32
+):
+    """The ray at a place from -1 to 1, on either side of an elevation of this cosine and sine. below, above:
+    tangents of half the angles that the sides span. The slope is a little less: ground that the ray misses
+    by rounding is met.
+    """
+    side = above
+    if place < wp.float32(0.0):
+        side = below
+    t = side * place
+    scale = wp.float32(1.0) / (wp.float32(1.0) + t * t)
+    cosine = (wp.float32(1.0) - t * t) * scale
+    sine = wp.float32(2.0) * t * scale
+    aim = Aim()
+    aim.cosine = from_cosine * cosine - from_sine * sine
+    aim.sine = from_sine * cosine + from_cosine * sine
+    slope = aim.sine / wp.max(aim.cosine, wp.float32(1.0) / wp.float32(STEEP))
+    aim.slope = slope - wp.float32(GRAZES) * (wp.float32(1.0) + wp.abs(slope))
+    aim.per_place = wp.float32(2.0) * side * scale
+    return aim
+
+
+@wp.func
+def lobe_at(lobe: wp.array[wp.float32], n_lobe: wp.int32, part: wp.float32):
+    """Weight of a lobe at a part of its rim, from its table."""
+    at = wp.min(part, wp.float32(1.0)) * wp.float32(n_lobe - 1)
+    i = wp.clamp(wp.int32(at), 0, n_lobe - 2)
+    return lobe[i] + (at - wp.float32(i)) * (lobe[i + 1] - lobe[i])
+
+
 @functools.cache
 def strips(LIGHTS: int):
     """The sums of single rays, over every crossing with a column or a row, exactly. Thread n owns a ray."""
@@ -541,8 +683,8 @@ def strips(LIGHTS: int):
         y = wp.int32(rays[4 * n + 1])
         cosine = rays[4 * n + 2]
         sine = rays[4 * n + 3]
-        was = place(x, y, rows, pitch, margin, shift)
-        own = heights[was]
+        node = place(x, y, rows, pitch, margin, shift)
+        own = heights[node]
         gx = tilt(
             heights[place(x - 1, y, rows, pitch, margin, shift)],
             own,
@@ -555,88 +697,53 @@ def strips(LIGHTS: int):
         )
         plane = -(gx * cosine + gy * sine)
         start = below(plane, plane)
-        per_column = wp.float32(ENDLESS)
-        per_row = wp.float32(ENDLESS)
-        if wp.abs(cosine) > wp.float32(1e-6):
-            per_column = wp.float32(1.0) / wp.abs(cosine)
-        if wp.abs(sine) > wp.float32(1e-6):
-            per_row = wp.float32(1.0) / wp.abs(sine)
+        per_column = per(cosine)
+        per_row = per(sine)
         num = lights()
         slope = plane
         past = start
         before = wp.float32(0.0)
-        was_next = was
-        was_weight = wp.float32(0.0)
-        was_distance = wp.float32(0.0)
-        columns = wp.int32(1)
-        lines = wp.int32(1)
-        going = wp.bool(True)
-        while going:
+        was = Crossing()
+        was.at = node
+        was.next = node
+        columns = wp.int32(0)
+        lines = wp.int32(0)
+        while True:
             # 1. the next crossing, if it is on the map, and if any ground there could be seen
-            to_column = wp.float32(columns) * per_column
-            to_row = wp.float32(lines) * per_row
-            distance = wp.min(to_column, to_row)
-            if distance > reach or not (highest - own > slope * distance):
+            at, columns, lines = cross(
+                x,
+                y,
+                cosine,
+                sine,
+                per_column,
+                per_row,
+                columns,
+                lines,
+                rows,
+                cols,
+                across,
+                margin,
+                shift,
+                sides,
+            )
+            if at.distance > reach or not (highest - own > slope * at.distance):
                 break
-            on_column = to_column <= to_row
-            at_line = wp.float32(x) + cosine * distance
-            if on_column:
-                at_line = wp.float32(y) + sine * distance
-            low = wp.int32(wp.floor(at_line))
-            weight = at_line - wp.float32(low)
-            if weight > wp.float32(1.0) - wp.float32(1e-4):  # at a node
-                low += 1
-                weight = wp.float32(0.0)
-            if weight < wp.float32(1e-4):
-                weight = wp.float32(0.0)
-            u = low
-            v = low
-            if on_column:
-                u = wp.where(cosine > wp.float32(0.0), x + columns, x - columns)
-                columns += 1
-            else:
-                v = wp.where(sine > wp.float32(0.0), y + lines, y - lines)
-                lines += 1
-            if sides == PERIODIC:
-                u = wrapped(u, cols)
-                v = wrapped(v, rows)
-            else:
-                if u < 0 or u >= cols or v < 0 or v >= rows:
-                    break
-                if weight > wp.float32(0.0) and wp.where(on_column, v + 1 >= rows, u + 1 >= cols):
-                    break
-            at = place(u, v, rows, pitch, margin, shift)
-            next = at + pitch
-            if not on_column:
-                next = place(u + 1, v, rows, pitch, margin, shift)
             # 2. the ground there
-            stands = heights[at] + weight * (heights[next] - heights[at]) - own
-            rises = stands / distance
+            stands = value_at(heights, 0, at) - own
+            rises = stands / at.distance
             # 3. the strip that it opens
             if rises > slope:
-                below_line = before - slope * was_distance
-                above_line = stands - slope * distance
-                part = wp.float32(0.0)
-                if (
-                    was_distance > wp.float32(0.0)
-                    and below_line < wp.float32(0.0)
-                    and above_line > below_line
-                ):
-                    part = wp.min(-below_line / (above_line - below_line), wp.float32(1.0))
+                part = part_past(before - slope * was.distance, stands - slope * at.distance, was.distance)
                 here = below(rises, plane)
                 share = (here - past) * wp.float32(0.5)
                 for m in range(LIGHTS):
-                    first = m * map_size
-                    near = light[first + was] + was_weight * (light[first + was_next] - light[first + was])
-                    far = light[first + at] + weight * (light[first + next] - light[first + at])
+                    near = value_at(light, m * map_size, was)
+                    far = value_at(light, m * map_size, at)
                     num[m] += share * (near * (wp.float32(1.0) - part) + far * (wp.float32(1.0) + part))
                 past = here
                 slope = rises
             before = stands
             was = at
-            was_next = next
-            was_weight = weight
-            was_distance = distance
         # 4. all that is not sky, and the sky
         if sides != PERIODIC:
             slope = wp.max(slope, wp.float32(0.0))
@@ -651,3 +758,155 @@ def strips(LIGHTS: int):
         sums[(LIGHTS + 1) * n_rays + n] = up * (-plane * wp.float32(HALF_PI) - sky)
 
     return strips
+
+
+@functools.cache
+def glossy(LIGHTS: int):
+    """What nodes reflect of the ground round them towards the viewer, by a lobe or a mirror. Thread (y,
+    phase, x) owns the node of row y at element x of plane ``phase``.
+    """
+    lights = wp.types.vector(LIGHTS, wp.float32)
+
+    @wp.kernel(module="unique", module_options=OPTIONS)
+    def glossy(
+        heights: wp.array[wp.float32],
+        light: wp.array[wp.float32],
+        lobe: wp.array[wp.float32],
+        spots: wp.array[wp.float32],
+        image: wp.array[wp.float32],
+        rows: wp.int32,
+        cols: wp.int32,
+        across: wp.int32,
+        margin: wp.int32,
+        shift: wp.int32,
+        sides: wp.int32,
+        slices: wp.int32,
+        rays: wp.int32,
+        n_lobe: wp.int32,
+        rim: wp.float32,
+        highest: wp.float32,
+        reach: wp.float32,
+    ):
+        y, phase, column = wp.tid()
+        x = (column << shift) + phase
+        if x >= cols or y >= rows or phase >= 1 << shift:
+            return
+        pitch = across + 2 * margin
+        map_size = (1 << shift) * (rows + 2) * pitch
+        node = place(x, y, rows, pitch, margin, shift)
+        own = heights[node]
+        sums = lights()
+        # 1. the mirror direction, by sine and cosine of its elevation and azimuth, and the lobe's azimuths
+        gx = tilt(
+            heights[place(x - 1, y, rows, pitch, margin, shift)],
+            own,
+            heights[place(x + 1, y, rows, pitch, margin, shift)],
+        )
+        gy = tilt(
+            heights[place(x, y - 1, rows, pitch, margin, shift)],
+            own,
+            heights[place(x, y + 1, rows, pitch, margin, shift)],
+        )
+        square = wp.float32(1.0) + gx * gx + gy * gy
+        steep = wp.sqrt(gx * gx + gy * gy)
+        up = wp.float32(2.0) / square - wp.float32(1.0)
+        flat = wp.float32(2.0) * steep / square
+        wide = wp.sqrt(rim * (wp.float32(2.0) - rim))
+        half_turn = wp.float32(PI)
+        if wide < flat:
+            half_turn = wp.asin(wide / flat)
+        count = slices
+        if own <= wp.float32(HIGHEST_MASKED):
+            count = 0
+        for k in range(count):
+            angle = half_turn * spots[2 * k]
+            c = wp.cos(angle)
+            s = wp.sin(angle)
+            turn = half_turn * spots[2 * k + 1] / wp.sqrt(square)
+            cosine = c
+            sine = s
+            if steep > wp.float32(0.0):
+                cosine = (gx * c - gy * s) / steep
+                sine = (gy * c + gx * s) / steep
+            # 2. the elevations of the lobe in this azimuth: at an angle from the middle, 1 - cosine to R is
+            # aside + length (1 - cos(angle)); they are above the tangent plane and not beyond the zenith
+            along = flat * c
+            length = wp.sqrt(along * along + up * up)
+            aside = flat * flat * s * s / (wp.float32(1.0) + length)
+            plane = -(gx * cosine + gy * sine)
+            middle = wp.atan2(up, along)
+            ratio = wp.clamp((rim - aside) / (wp.float32(2.0) * length), wp.float32(0.0), wp.float32(1.0))
+            spread = wp.float32(2.0) * wp.asin(wp.sqrt(ratio))
+            lowest = wp.max(middle - spread, arctan(plane))
+            most = wp.min(middle + spread, wp.float32(HALF_PI))
+            start = wp.min(wp.max(middle, lowest), most)
+            from_cosine = along / length
+            from_sine = up / length
+            if start != middle:
+                from_cosine = wp.cos(start)
+                from_sine = wp.sin(start)
+            lower = wp.tan(wp.float32(0.5) * (start - lowest))
+            upper = wp.tan(wp.float32(0.5) * (most - start))
+            # 3. the first ground along each
+            per_column = per(cosine)
+            per_row = per(sine)
+            was = Crossing()
+            was.at = node
+            was.next = node
+            columns = wp.int32(0)
+            lines = wp.int32(0)
+            ray = wp.int32(0)
+            if aside > rim or most < lowest:
+                ray = rays
+            before = wp.float32(0.0)
+            aim = aimed(spots[2 * slices], lower, upper, from_cosine, from_sine)
+            while ray < rays:
+                at, columns, lines = cross(
+                    x,
+                    y,
+                    cosine,
+                    sine,
+                    per_column,
+                    per_row,
+                    columns,
+                    lines,
+                    rows,
+                    cols,
+                    across,
+                    margin,
+                    shift,
+                    sides,
+                )
+                if at.distance > reach or not (highest - own > aim.slope * at.distance):
+                    break
+                stands = value_at(heights, 0, at) - own
+                rises = stands / at.distance
+                while ray < rays and rises > aim.slope:
+                    part = wp.float32(0.5)
+                    if was.distance > wp.float32(0.0):
+                        part = part_past(
+                            before - aim.slope * was.distance, stands - aim.slope * at.distance, was.distance
+                        )
+                    weight = wp.float32(1.0)
+                    if rim > wp.float32(0.0):
+                        off = (aim.sine * along - aim.cosine * up) / length
+                        close = (aim.cosine * along + aim.sine * up) / length
+                        facing = wp.max(aim.sine - plane * aim.cosine, wp.float32(0.0))
+                        away = aside + length * off * off / (wp.float32(1.0) + close)
+                        width = spots[2 * (slices + ray) + 1] * turn
+                        weight = (
+                            lobe_at(lobe, n_lobe, away / rim) * facing * aim.cosine * aim.per_place * width
+                        )
+                    for m in range(LIGHTS):
+                        near = value_at(light, m * map_size, was)
+                        far = value_at(light, m * map_size, at)
+                        sums[m] += weight * (near * (wp.float32(1.0) - part) + far * part)
+                    ray += 1
+                    if ray < rays:
+                        aim = aimed(spots[2 * (slices + ray)], lower, upper, from_cosine, from_sine)
+                before = stands
+                was = at
+        for m in range(LIGHTS):
+            image[(m * rows + y) * cols + x] = sums[m]
+
+    return glossy

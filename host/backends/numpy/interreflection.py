@@ -363,31 +363,47 @@ def strips(
         out[LIGHTS + 1, some] = up * (-this.plane * HALF_PI - this.sky)
 
 
-def _walk(this: _Strips, highest: np.float32, reach: np.float32) -> None:
-    """Every crossing of single rays with a column or a row."""
-    layout, cosine, sine = this.layout, this.cosine, this.sine
-    with np.errstate(divide="ignore"):
-        lengths = np.abs(cosine), np.abs(sine)
-        per_column, per_row = (np.where(v > np.float32(1e-6), ONE / v, ENDLESS) for v in lengths)
-    columns, lines = np.ones(len(this.c), np.int64), np.ones(len(this.c), np.int64)
-    going = np.ones(len(this.c), bool)
-    while True:
-        to_column, to_row = columns.astype(np.float32) * per_column, lines.astype(np.float32) * per_row
+class _Crossing(NamedTuple):
+    """Where rays cross a column or a row of nodes: between two places, which are -1 off the map."""
+
+    at: Any
+    next: Any
+    weight: Any
+    distance: Any
+
+
+class _Rays:
+    """Single rays, and the columns and rows that they have met."""
+
+    def __init__(self, layout: _Layout, sides: int, c: np.ndarray, y: np.ndarray, cosine: Any, sine: Any):
+        self.layout, self.sides, self.c, self.y, self.cosine, self.sine = layout, sides, c, y, cosine, sine
+        with np.errstate(divide="ignore"):
+            lengths = np.abs(cosine), np.abs(sine)
+            self.per_column, self.per_row = (
+                np.where(v > np.float32(1e-6), ONE / v, ENDLESS) for v in lengths
+            )
+        self.columns, self.lines = np.zeros(len(c), np.int64), np.zeros(len(c), np.int64)
+
+    def cross(self, going: np.ndarray) -> _Crossing:
+        """The next crossings of the rays that are ``going``, a mask that loses those that leave the map."""
+        layout, cosine, sine = self.layout, self.cosine, self.sine
+        columns, lines = self.columns + 1, self.lines + 1
+        to_column, to_row = (
+            columns.astype(np.float32) * self.per_column,
+            lines.astype(np.float32) * self.per_row,
+        )
         distance = np.minimum(to_column, to_row)
-        going &= (distance <= reach) & (highest - this.own > this.slope * distance)
-        if not going.any():
-            return
         on_column = to_column <= to_row
-        x, y = this.c.astype(np.float32) + cosine * distance, this.y.astype(np.float32) + sine * distance
+        x, y = self.c.astype(np.float32) + cosine * distance, self.y.astype(np.float32) + sine * distance
         at_line = np.where(on_column, y, x)
         low = np.floor(at_line).astype(np.int64)
         weight = at_line - low.astype(np.float32)
         at_next = weight > ONE - np.float32(1e-4)
         low, weight = low + at_next, np.where(at_next | (weight < np.float32(1e-4)), ZERO, weight)
-        u = np.where(on_column, np.where(cosine > 0, this.c + columns, this.c - columns), low)
-        v = np.where(on_column, low, np.where(sine > 0, this.y + lines, this.y - lines))
-        columns, lines = columns + on_column, lines + ~on_column
-        if this.sides == PERIODIC:
+        u = np.where(on_column, np.where(cosine > 0, self.c + columns, self.c - columns), low)
+        v = np.where(on_column, low, np.where(sine > 0, self.y + lines, self.y - lines))
+        self.columns, self.lines = self.columns + on_column, self.lines + ~on_column
+        if self.sides == PERIODIC:
             u, v = u % layout.cols, v % layout.rows
         else:
             going &= (u >= 0) & (u < layout.cols) & (v >= 0) & (v < layout.rows)
@@ -395,4 +411,166 @@ def _walk(this: _Strips, highest: np.float32, reach: np.float32) -> None:
             u, v = np.where(going, u, 0), np.where(going, v, 0)
         at = layout.place(u, v)
         next = np.where(on_column, at + layout.pitch, layout.place(u + 1, v))
-        this.meet(np.where(going, at, -1), np.where(going, next, -1), weight, distance)
+        return _Crossing(np.where(going, at, -1), np.where(going, next, -1), weight, distance)
+
+
+def _walk(this: _Strips, highest: np.float32, reach: np.float32) -> None:
+    """Every crossing of single rays with a column or a row."""
+    rays = _Rays(this.layout, this.sides, this.c, this.y, this.cosine, this.sine)
+    going = np.ones(len(this.c), bool)
+    while True:
+        crossing = rays.cross(going)
+        going &= (crossing.distance <= reach) & (highest - this.own > this.slope * crossing.distance)
+        if not going.any():
+            return
+        at, next = (np.where(going, place, -1) for place in (crossing.at, crossing.next))
+        this.meet(at, next, crossing.weight, crossing.distance)
+
+
+def glossy(
+    heights: np.ndarray,
+    light: np.ndarray,
+    lobe: np.ndarray,
+    spots: np.ndarray,
+    image: np.ndarray,
+    rows: int,
+    cols: int,
+    across: int,
+    margin: int,
+    shift: int,
+    sides: int,
+    slices: int,
+    rays: int,
+    n_lobe: int,
+    rim: float,
+    highest: float,
+    reach: float,
+    LIGHTS: int,
+) -> None:
+    layout, out = _Layout(rows, cols, across, margin, shift), image.reshape(LIGHTS, -1)
+    out[...] = 0
+    y, x = (index.ravel() for index in np.mgrid[:rows, :cols])
+    valid = np.flatnonzero(heights[layout.place(x, y)] > HIGHEST_MASKED)
+    spots = spots.reshape(-1, 2)
+    for some in np.array_split(valid, len(valid) // 2**16 + 1):  # so that memory stays small
+        this = _Glossy(heights, light.reshape(LIGHTS, -1), layout, sides, x[some], y[some])
+        this.lobe, this.rim, this.rays = lobe[:n_lobe], np.float32(rim), spots[slices : slices + rays]
+        for place, width in spots[:slices]:
+            this.add(place, width, np.float32(highest), np.float32(reach))
+        out[:, some] = this.sums
+
+
+class _Glossy:
+    """What nodes at columns c and rows y, (n,) each, reflect of the ground, by one slice after another.
+
+    ``rays`` (n, 2): places across the lobe, and their widths.
+    """
+
+    lobe: np.ndarray
+    rim: np.float32
+    rays: np.ndarray
+
+    def __init__(
+        self,
+        heights: np.ndarray,
+        light: np.ndarray,
+        layout: _Layout,
+        sides: int,
+        c: np.ndarray,
+        y: np.ndarray,
+    ):
+        self.heights, self.light, self.layout, self.sides = heights, light, layout, sides
+        self.c, self.y, self.sums = c, y, np.zeros((len(light), len(c)), np.float32)
+        self.own, left, right, above, beneath = layout.around(heights, c, y)
+        # 1. the mirror direction, by sine and cosine of its elevation and azimuth
+        self.gx, self.gy = _tilt(left, self.own, right), _tilt(above, self.own, beneath)
+        self.square = ONE + self.gx * self.gx + self.gy * self.gy
+        self.steep = np.sqrt(self.gx * self.gx + self.gy * self.gy)
+        self.up, self.flat = 2 / self.square - ONE, 2 * self.steep / self.square
+
+    def add(self, place: Any, width: Any, highest: Any, reach: Any) -> None:
+        """One azimuth of the lobe, and the first ground along every ray in it."""
+        rim, flat, up = self.rim, self.flat, self.up
+        wide = np.sqrt(rim * (2 - rim))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            half_turn = np.where(wide < flat, np.arcsin(np.minimum(wide / flat, ONE)), PI)
+            angle, turn = half_turn * place, half_turn * width / np.sqrt(self.square)
+            c, s, level = np.cos(angle), np.sin(angle), self.steep == 0
+            cosine = np.where(level, c, (self.gx * c - self.gy * s) / self.steep)
+            sine = np.where(level, s, (self.gy * c + self.gx * s) / self.steep)
+            # 2. the elevations: 1 - cosine to R is aside + length (1 - cos(angle from the middle))
+            along = flat * c
+            length = np.sqrt(along * along + up * up)
+            aside = flat * flat * s * s / (ONE + length)
+            middle, plane = np.arctan2(up, along), -(self.gx * cosine + self.gy * sine)
+            ratio = np.clip(np.nan_to_num((rim - aside) / (2 * length)), ZERO, ONE)
+            in_plane = along / length, up / length
+        spread = 2 * np.arcsin(np.sqrt(ratio))
+        lowest, most = np.maximum(middle - spread, _arctan(plane)), np.minimum(middle + spread, HALF_PI)
+        start = np.minimum(np.maximum(middle, lowest), most)
+        from_cosine, from_sine = (
+            np.where(start == middle, exact, turned(start))
+            for exact, turned in zip(in_plane, (np.cos, np.sin))
+        )
+        below, above = np.tan(HALF * (start - lowest)), np.tan(HALF * (most - start))
+
+        def aimed(ray: np.ndarray) -> tuple[np.ndarray, ...]:
+            """Cosine, sine, slope and change of elevation of a ray, its slope a little less: ground that it
+            misses by rounding is met.
+            """
+            spot = self.rays[np.minimum(ray, len(self.rays) - 1), 0]
+            side = np.where(spot < 0, below, above)
+            t = side * spot
+            scale = ONE / (ONE + t * t)
+            e, f = (ONE - t * t) * scale, 2 * t * scale
+            cos, sin = from_cosine * e - from_sine * f, from_sine * e + from_cosine * f
+            slope = sin / np.maximum(cos, ONE / np.float32(constants.STEEP))
+            slope = slope - np.float32(constants.GRAZES) * (ONE + np.abs(slope))
+            return cos, sin, slope, 2 * side * scale
+
+        # 3. the first ground along each ray: lower ones meet it first
+        ray, going = np.zeros(len(self.c), np.int64), (aside <= rim) & (most >= lowest)
+        cos, sin, slope, per_place = aimed(ray)
+        at = self.layout.place(self.c, self.y)
+        was, before = _Crossing(at, at, ZERO, ZERO), np.zeros_like(self.own)
+        walk = _Rays(self.layout, self.sides, self.c, self.y, cosine, sine)
+        while going.any():
+            here = walk.cross(going)
+            going &= (here.distance <= reach) & (highest - self.own > slope * here.distance)
+            stands = self._value(self.heights, here) - self.own
+            rises = stands / here.distance
+            meets = going & (rises > slope)
+            while meets.any():
+                low, high = before - slope * was.distance, stands - slope * here.distance
+                past = (low < 0) & (high > low)
+                part = np.minimum(np.where(past, -low / np.where(past, high - low, ONE), ZERO), ONE)
+                part = np.where(was.distance > 0, part, HALF)
+                weight: Any = ONE
+                if rim > 0:
+                    off = (sin * along - cos * up) / length
+                    near = (cos * along + sin * up) / length
+                    away = aside + length * off * off / (ONE + near)
+                    weight = _lobe_at(self.lobe, away / rim) * np.maximum(sin - plane * cos, ZERO)
+                    widths = self.rays[np.minimum(ray, len(self.rays) - 1), 1]
+                    weight = weight * cos * per_place * widths * turn
+                for sums, map in zip(self.sums, self.light):
+                    seen = self._value(map, was) * (ONE - part) + self._value(map, here) * part
+                    sums += np.where(meets, weight * seen, ZERO)
+                ray = ray + meets
+                going &= ray < len(self.rays)
+                cos, sin, slope, per_place = aimed(ray)
+                meets = going & meets & (rises > slope)
+            was, before = here, stands
+
+    @staticmethod
+    def _value(map: np.ndarray, crossing: _Crossing) -> np.ndarray:
+        near = map[crossing.at]
+        value: np.ndarray = near + crossing.weight * (map[crossing.next] - near)
+        return value
+
+
+def _lobe_at(lobe: np.ndarray, part: np.ndarray) -> np.ndarray:
+    at = np.minimum(part, ONE) * np.float32(len(lobe) - 1)
+    i = np.clip(at.astype(np.int64), 0, len(lobe) - 2)
+    weights: np.ndarray = lobe[i] + (at - i.astype(np.float32)) * (lobe[i + 1] - lobe[i])
+    return weights
