@@ -21,7 +21,7 @@ from .errors import bad
 from .light.horizon import OFFSET
 from .light.interreflection import Bounces, Round
 from .light.sweeps import Rays, Sweeps, ground_of
-from .samples import Samples, picked, samples_of
+from .samples import ESTIMATE_SHARE, Samples, picked, samples_of
 from .scene import Scene
 from .sources.integrals import even
 
@@ -31,9 +31,6 @@ NEEDED = 1 / 3
 # nodes whose light is computed by exact strips; chosen: they estimate an RMS to 1 / sqrt(2 x 144), 6 %, and
 # their strips take time in proportion
 CHECKED = 144
-# share of the tolerance that an estimate may take, of direct light or all; chosen: samples estimate an RMS to
-# some 10 %, and with 0.95 one image in twelve at 0.3 % had an error of 1 to 1.4 tolerances
-ESTIMATE_SHARE = 0.85
 MOST_COARSE_ROUNDS = 8
 # share of ground below which it counts as none visible from a node, and gets no light from it: rounding;
 # chosen

@@ -1,8 +1,9 @@
 """Choose a light method, render, estimate the error, and refine until it is within the tolerance.
 
-Exact rays at some hundred samples choose how much is rendered at first (samples.py). Half the difference of
-two halves of an image estimates its error over all nodes (light/base.py); the samples audit the image for
-error that both halves share. The Plan records every choice. No decision reads a clock.
+Exact rays at some hundred samples choose how much is rendered at first (samples.py). An image is the mean of
+two halves; half their difference, in short its half difference, estimates its error over all nodes
+(light/base.py). The samples audit the image for error that is common to both halves. The Plan records every
+choice. No decision reads a clock.
 """
 
 from __future__ import annotations
@@ -18,34 +19,35 @@ from .backends import select
 from .backends.base import Backend
 from .checks import positive_number
 from .errors import bad
-from .interreflection import ESTIMATE_SHARE, check_choice
+from .interreflection import check_choice
 from .light.base import Estimate, Later, LightMethod
 from .light.finite import solid_of
 from .light.lattice import lacking
 from .planning.base import Planner
 from .planning.finite import HiddenWindowPlanner, LinePlanner, SlicePlanner, looks_thin
 from .planning.lattice import LatticePlanner
-from .planning.plan import UNITS, Choice, Plan, Step, larger, percent
+from .planning.plan import Choice, Plan, Step, larger, percent
 from .planning.sky import SkyPlanner
+from .samples import ESTIMATE_SHARE
 from .scene import Scene, is_scene
 
 # default bound on the 99.9th percentile of the error, in tolerances; chosen: over the images of
 # docs/refinement.csv it is 3.9, 7.1 and 13 times the RMS error (5th, median and 95th percentile)
 DEFAULT_TAIL = 10.0
-# ratio of the error to half the difference of an image's two halves. UNSEEN_SHARE is taken where the samples
-# cannot measure the ratio: the median of 60 lamps and windows (96 x 96). MOST_SHARE bounds it: error above it
-# is common to both halves, and more azimuths do not reduce that. With half of UNSEEN_SHARE, one of 57 images
-# of 19 lamps and panels has an error of 1.6 tolerances without a warning; with twice, 52 % of the estimates
-# are within 0.5 to 3 times the truth instead of 79 %. With half and twice of MOST_SHARE, 91 % of 45 lamps,
-# panels and windows (64 x 64) are within 1 %, as with it
-UNSEEN_SHARE, MOST_SHARE = 0.5, 1.3
-# largest ratio of the mean square of that half difference over all nodes to the one at the samples that is
+# error ratios: an image's error over its half difference. ASSUMED_ERROR_RATIO is taken where the samples
+# cannot measure the ratio: the median of 60 lamps and windows (96 x 96). MOST_ERROR_RATIO bounds it: error
+# above it is common to both halves, and more azimuths do not reduce that. With half of ASSUMED_ERROR_RATIO,
+# one of 57 images of 19 lamps and panels has an error of 1.6 tolerances without a warning; with twice, 52 %
+# of the estimates are within 0.5 to 3 times the truth instead of 79 %. With half and twice of
+# MOST_ERROR_RATIO, 91 % of 45 lamps, panels and windows (64 x 64) are within 1 %, as with it
+ASSUMED_ERROR_RATIO, MOST_ERROR_RATIO = 0.5, 1.3
+# largest ratio of the mean square of the half difference over all nodes to the one at the samples that is
 # taken for sampling noise; what is above it belongs to a few nodes that the samples miss. Chosen: the samples
 # measure a mean square to some 10 %, and a few missed nodes make it 4 to 10^6 times as large. With twice the
 # ratio, of 57 images of 19 lamps and panels as many are within the tolerance, and as many estimates are right
 SEEN = 2.0
 MOST_TAIL_SHARE = 1e-3  # share of nodes whose error may be above the tail, which bounds a 99.9th percentile
-# relative RMS error by float32's rounding of closed forms and sums, which the two images of a method share:
+# relative RMS error by float32's rounding of closed forms and sums, which is common to both halves:
 # measured 1e-5 under panels over planes (performance/refinement.py)
 ROUNDING_ERROR = 1e-5
 
@@ -53,13 +55,13 @@ ROUNDING_ERROR = 1e-5
 class Refined(NamedTuple):
     """A refined irradiance (rows, cols) float32 and its error.
 
-    half: half the difference of its two halves, or None; error_per_half: ratio of the error to it;
-    common_error: error that is common to both halves [brightness x sr]; the plan, and warnings.
+    half_difference: of its two halves, or None; error_ratio: its error over that; common_error: error that is
+    common to both halves [brightness x sr]; the plan, and warnings.
     """
 
     irradiance: Any  # np.ndarray, or a DeviceImage where it stays on the device
-    half: Later | None
-    error_per_half: float
+    half_difference: Later | None
+    error_ratio: float
     common_error: float
     plan: Plan
     warnings: list[str]
@@ -131,36 +133,40 @@ def refined(
     planner = choose(scene, source, tolerance, engine, tail, interreflection)
     planning = seconds()
     method, steps = planner.begin(), []
+    begun = method.amount
     while True:
         assessment = assess(planner, method)
         steps.append(Step(method.units, assessment.estimated, assessment.audit))
-        if assessment.within(tolerance) or not planner.refine(assessment.is_shared):
+        if assessment.within(tolerance) or not planner.refine(assessment.is_mostly_common):
             break
         method = planner.method
-    made = replace(_record(planner, method, steps), seconds=seconds(), planning_seconds=planning)
+    made = replace(_record(planner, method, begun, steps), seconds=seconds(), planning_seconds=planning)
     mean = planner.mean if math.isfinite(planner.mean) else 0.0
     common = math.hypot(assessment.common_error, ROUNDING_ERROR)
     light = method.device_image() if stays else None
     return Refined(
         method.irradiance() if light is None else light,
-        method.half(),
-        assessment.error_per_half,
+        method.half_difference(),
+        assessment.error_ratio,
         common * mean if math.isfinite(common) else math.inf,
         made,
         assessment.warnings(tolerance, planner.tail),
     )
 
 
-def _record(planner: Planner, method: LightMethod, steps: list[Step]) -> Plan:
-    """The plan as it was carried out: the units of the last image, its error, and how it was refined."""
-    first, last = steps[0], steps[-1]
+def _record(planner: Planner, method: LightMethod, begun: str, steps: list[Step]) -> Plan:
+    """The plan as it was carried out: the units of the last image, its error, and how it was refined.
+
+    ``begun``: the amount of the first image, in words.
+    """
+    last = steps[-1]
     made = planner.plan(method.at(planner.samples) if planner.exact is None else None)
     reason, choices = made.reason, made.choices
     if len(steps) > 1:
-        units = UNITS[made.method]
-        why = f"{first.units} {units} at first: the estimated error was {percent(last.error or 0)} in the end"
-        reason = f"refined {len(steps) - 1} times, relative RMS error {last.error or 0:.2g} estimated"
-        choices = (*choices, Choice("refined to", f"{last.units} {units}", why))
+        why = f"{begun} at first: the estimated error was {percent(last.error or 0)} in the end"
+        times = "once" if len(steps) == 2 else f"{len(steps) - 1} times"
+        reason = f"refined {times}, relative RMS error {last.error or 0:.2g} estimated"
+        choices = (*choices, Choice("refined to", method.amount, why))
     return replace(
         made,
         reason=reason,
@@ -176,13 +182,13 @@ def _record(planner: Planner, method: LightMethod, steps: list[Step]) -> Plan:
 class Assessment(NamedTuple):
     """What is known of the relative RMS error of an image.
 
-    estimate: half the difference of the image's two halves, None where it has none; error_per_half: ratio
-    of the error to it; audit: the error at the samples, None where their exact light is not known;
-    common_error: the part of the error that is common to both halves.
+    estimate: of the image's half difference, None where it has none; error_ratio: the error over that; audit:
+    the error at the samples, None where their exact light is not known; common_error: the part of the error
+    that is common to both halves.
     """
 
     estimate: Estimate | None
-    error_per_half: float
+    error_ratio: float
     audit: float | None
     common_error: float
 
@@ -191,7 +197,7 @@ class Assessment(NamedTuple):
         """The error over all nodes: what differs between the halves, and what is common to them."""
         if self.estimate is None:
             return None
-        return math.hypot(self.error_per_half * self.estimate.rms, self.common_error)
+        return math.hypot(self.error_ratio * self.estimate.rms, self.common_error)
 
     @property
     def error(self) -> float | None:
@@ -199,8 +205,8 @@ class Assessment(NamedTuple):
         return larger(self.estimated, self.audit)
 
     @property
-    def is_shared(self) -> bool:
-        """Whether most of the error is common to both halves."""
+    def is_mostly_common(self) -> bool:
+        """Whether more than half of the error at the samples is common to both halves."""
         return self.audit is not None and self.common_error > 0.5 * self.audit
 
     def within(self, tolerance: float) -> bool:
@@ -228,33 +234,35 @@ class Assessment(NamedTuple):
 
 
 def assess(planner: Planner, method: LightMethod) -> Assessment:
-    """The error of an image, by the difference of its two halves and by the samples.
+    """The error of an image, by its half difference and by the samples.
 
-    The samples give the ratio of the error to half the difference. The error of the exact light itself, up to
-    UNSEEN_SHARE of half the difference, is a lower bound of the image's. Error above MOST_SHARE of half the
-    difference is common to both halves. Where half the difference is far larger over all nodes than at the
-    samples, the excess belongs to few nodes that the samples miss; its ratio is UNSEEN_SHARE.
+    The samples give the error ratio, that of the error to the half difference. The error of the exact light
+    itself, up to ASSUMED_ERROR_RATIO times the half difference, is a lower bound of the image's. Error above
+    MOST_ERROR_RATIO times the half difference is common to both halves. Where the half difference is far
+    larger over all nodes than at the samples, the excess belongs to few nodes that the samples miss; its
+    ratio is ASSUMED_ERROR_RATIO.
     """
     samples, exact = planner.samples, planner.exact
     audit = planner.audit(method)
-    half = None if exact is None else method.half_at(samples)
-    if exact is None or half is None or audit is None or math.isinf(audit):
+    half_difference = None if exact is None else method.half_difference_at(samples)
+    if exact is None or half_difference is None or audit is None or math.isinf(audit):
         # no exact light, no second image, or light where exact rays find none: the audit is all that is known
         return Assessment(None, 0.0, audit, audit or 0.0)
-    by_half = samples.errors(exact + half, exact).rms
-    error = max(audit, min(planner.exact_error, UNSEEN_SHARE * by_half))
-    share = min(error / by_half, MOST_SHARE) if by_half > 0 else UNSEEN_SHARE
-    estimate = method.estimate(planner.tail * planner.mean / max(share, UNSEEN_SHARE))
-    assert estimate is not None, "a method with a half has an estimate"
+    sampled = samples.errors(exact + half_difference, exact).rms  # relative RMS of the half difference there
+    error = max(audit, min(planner.exact_error, ASSUMED_ERROR_RATIO * sampled))
+    ratio = min(error / sampled, MOST_ERROR_RATIO) if sampled > 0 else ASSUMED_ERROR_RATIO
+    estimate = method.estimate(planner.tail * planner.mean / max(ratio, ASSUMED_ERROR_RATIO))
+    assert estimate is not None, "a method with a half difference has an estimate"
     if math.isfinite(planner.mean):  # else no sample is lit, and the image's own mean is all that is known
         # from the image's mean over its lit nodes to the exact light's over its own: an image is 0 at nodes
         # whose light is next to nothing, and its mean over the others is larger
         lit = max(1, int((method.at(samples) > 0).sum()))
         estimate = estimate._replace(rms=estimate.rms * float(exact.sum()) / lit / planner.mean)
-    seen = min(1.0, SEEN * (by_half / estimate.rms) ** 2) if estimate.rms > 0 else 1.0
-    shared = math.sqrt(max(0.0, error**2 - (share * by_half) ** 2))
-    share = math.sqrt(seen * share**2 + (1 - seen) * UNSEEN_SHARE**2)
-    return Assessment(estimate, share, audit, math.hypot(shared, planner.tables))
+    # share of the mean square over all nodes that the samples see
+    seen = min(1.0, SEEN * (sampled / estimate.rms) ** 2) if estimate.rms > 0 else 1.0
+    common = math.sqrt(max(0.0, error**2 - (ratio * sampled) ** 2))
+    ratio = math.sqrt(seen * ratio**2 + (1 - seen) * ASSUMED_ERROR_RATIO**2)
+    return Assessment(estimate, ratio, audit, math.hypot(common, planner.tables_error))
 
 
 def choose(

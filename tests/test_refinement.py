@@ -734,27 +734,27 @@ def test_a_beam_that_misses_the_map(fast):
     assert out.plan.error < 0.01
 
 
-@pytest.mark.parametrize("missed, share", [(0.0, 0.2), (1.0, 0.5)], ids=["seen", "missed"])
-def test_error_that_samples_miss(missed, share):
-    """Samples tell the share of a half that they see; half of one that few other nodes have is the error."""
+@pytest.mark.parametrize("missed, ratio", [(0.0, 0.2), (1.0, 0.5)], ids=["seen", "missed"])
+def test_error_that_samples_miss(missed, ratio):
+    """Samples tell a half difference's error ratio; where only few other nodes have one, it is one half."""
     ones = np.ones(100)
     planner = SimpleNamespace(
         samples=SimpleNamespace(errors=errors),
         exact=ones,
         audit=lambda method: 0.002,
         exact_error=0.0,
-        tables=0.0,
+        tables_error=0.0,
         tail=0.1,
         mean=1.0,
     )
     method = SimpleNamespace(
         at=lambda samples: ones,
-        half_at=lambda samples: 0.01 * ones,
+        half_difference_at=lambda samples: 0.01 * ones,
         estimate=lambda limit: Estimate(math.hypot(0.01, missed), 0.0),
     )
     found = refinement.assess(planner, method)
-    assert found.error_per_half == pytest.approx(share, rel=0.01)
-    assert found.estimated == pytest.approx(share * math.hypot(0.01, missed), rel=0.01)
+    assert found.error_ratio == pytest.approx(ratio, rel=0.01)
+    assert found.estimated == pytest.approx(ratio * math.hypot(0.01, missed), rel=0.01)
 
 
 def test_errors_are_relative_to_the_exact_mean(fast):
@@ -770,8 +770,8 @@ def test_errors_are_relative_to_the_exact_mean(fast):
     shown, lit = np.mean(method.at(planner.samples) > 0), np.mean(exact > 0)
     assert 0 < shown < 0.8 * lit  # else the case tells nothing
     mean = image.sum(dtype=float) / image.size / lit  # all light over the nodes that have any
-    half = np.sqrt(np.mean(method.half()().astype(float) ** 2)) / mean
-    assert refinement.assess(planner, method).estimate.rms == pytest.approx(half, rel=0.25)
+    rms = np.sqrt(np.mean(method.half_difference()().astype(float) ** 2)) / mean
+    assert refinement.assess(planner, method).estimate.rms == pytest.approx(rms, rel=0.25)
 
 
 def test_light_that_no_sample_receives(fast):
@@ -781,9 +781,9 @@ def test_light_that_no_sample_receives(fast):
     scene, lamp = sl.Scene(depth), sl.Lamp((24.2, 24.6, 7.4), 0.6)
     planner = refinement.choose(scene, lamp, 0.003, select(fast))
     method = planner.begin()
-    image, half = method.irradiance(), method.half()()
-    assert not planner.exact.any() and image.any() and half.any()
-    expected = np.sqrt(np.mean(half.astype(float) ** 2)) / image[image > 0].mean()
+    image, difference = method.irradiance(), method.half_difference()()
+    assert not planner.exact.any() and image.any() and difference.any()
+    expected = np.sqrt(np.mean(difference.astype(float) ** 2)) / image[image > 0].mean()
     assert refinement.assess(planner, method).estimate.rms == pytest.approx(expected, rel=1e-3)
 
 
@@ -930,9 +930,9 @@ def test_what_is_planned_is_what_is_done(fast, name, source, tolerance):
     )
     if len(out.plan.steps) == 1:
         assert made.azimuths == out.plan.azimuths
-    assert (
-        out.plan.steps[-1].units == (out.plan.azimuths or 0) and out.plan.seconds >= out.plan.planning_seconds
-    )
+    if out.plan.azimuths is not None:
+        assert made.unit_name == out.plan.unit_name and out.plan.steps[-1].units == out.plan.azimuths
+    assert out.plan.seconds >= out.plan.planning_seconds
 
 
 # -- maps that lie on a device
@@ -1195,7 +1195,23 @@ def test_a_plan_says_how_it_was_refined(fast, monkeypatch):
     out = irradiance(SCENES["rough"], sl.Sky(), fast, tolerance=0.01)
     assert len(out.plan.steps) > 1 and out.plan.azimuths == out.plan.steps[-1].units > 4
     taken = {choice.what: choice.taken for choice in out.plan.choices}
-    assert taken["refined to"].startswith(str(out.plan.azimuths)) and "refined" in out.plan.line
+    assert taken["refined to"] == f"{out.plan.azimuths} azimuths" and "refined" in out.plan.line
+    assert "4 azimuths at first" in str(out.plan)
+
+
+def test_a_plan_calls_its_units_by_their_name(fast):
+    """Points of a tube, slices of a lamp, rays of a closed form."""
+    bumps, tube = SCENES["rough"], sl.Lamp(corner=(4, 10, -10), edges=((12, 0, 0), (0, 0.01, 0)))
+    made = sl.plan(bumps, tube, 0.01, fast)
+    assert made.line.startswith(f"horizon, {made.azimuths} points: ")
+    planner = refinement.choose(bumps, sl.Lamp((8, 8, -10), 3), 0.01, select(fast))
+    method = planner.begin()
+    begun, units = method.amount, method.units
+    method.refine()
+    assert (begun, method.amount) == (f"{units} slices", f"{2 * units} slices")
+    image = np.zeros(bumps.shape, np.float32)
+    words = [unoccluded.ClosedForm(bumps, image, units=rays).amount for rays in (0, 1, 16)]
+    assert words == ["a closed form", "1 ray", "16 rays"]
 
 
 @pytest.mark.slow

@@ -27,7 +27,7 @@ SUMMED_ROWS, MOST_SUMS = 64, 16
 
 
 class Estimate(NamedTuple):
-    """Of half the difference of two images, over the image's mean: RMS, and share of nodes beyond a limit."""
+    """Of the half difference, over the image's mean: RMS, and share of nodes beyond a limit."""
 
     rms: float
     tail_share: float
@@ -53,12 +53,19 @@ def _made(image: np.ndarray) -> Later:
 class LightMethod(ABC):
     """Irradiance of one grey source on one map by one method.
 
-    ``units``: azimuths, slices or the size of the hemicube that the image is made of. An image is the mean of
-    two that share no ray, or the better of two, where the method can have that; half their difference then
-    estimates its error at every node.
+    ``units``: azimuths, slices, points, rays or the size of the hemicube that the image is made of;
+    ``unit_name``: which of these, in the plan's words. An image is the mean of two halves, images that share
+    no ray, or the better of two images, where the method can have that; half their difference, the half
+    difference, then estimates its error at every node.
     """
 
     units: int
+    unit_name: str
+
+    @property
+    def amount(self) -> str:
+        """The units in words, as a plan prints them."""
+        return f"{self.units} {self.unit_name}"
 
     @abstractmethod
     def refine(self) -> None:
@@ -76,53 +83,55 @@ class LightMethod(ABC):
         """The irradiance at samples, (nodes,) float64."""
         return samples.of(self.irradiance())
 
-    def half_at(self, samples: Samples) -> np.ndarray | None:
-        """:meth:`half` at samples, (nodes,) float64."""
-        half = self.half()
-        return None if half is None else samples.of(half())
+    def half_difference_at(self, samples: Samples) -> np.ndarray | None:
+        """:meth:`half_difference` at samples, (nodes,) float64."""
+        difference = self.half_difference()
+        return None if difference is None else samples.of(difference())
 
-    def half(self) -> Later | None:
-        """Half the difference of the two images, (rows, cols) float32 in the irradiance's unit.
+    def half_difference(self) -> Later | None:
+        """Of the two images, (rows, cols) float32 in the irradiance's unit.
 
         It is downloaded when it is called. None where there is one image only.
         """
         return None
 
     def estimate(self, limit: float) -> Estimate | None:
-        """Of :meth:`half`; ``limit`` in the irradiance's unit."""
+        """Of :meth:`half_difference`; ``limit`` in the irradiance's unit."""
         return None
 
 
-def estimated(image: np.ndarray, half: np.ndarray, mask: np.ndarray | None, limit: float) -> Estimate:
-    """The estimate by an image and half a difference (rows, cols) on the host; ``limit`` in their unit."""
+def estimated(
+    image: np.ndarray, half_difference: np.ndarray, mask: np.ndarray | None, limit: float
+) -> Estimate:
+    """The estimate by an image and its half difference (rows, cols) on the host; ``limit`` in their unit."""
     if mask is not None:
-        image, half = image[mask], half[mask]
+        image, half_difference = image[mask], half_difference[mask]
     lit = image > 0
     mean = float(image.sum(dtype=np.float64)) / lit.sum() if lit.any() else 1e-30
-    rms = math.sqrt(float(np.square(half, dtype=np.float64).mean()))
-    return Estimate(rms / mean, np.count_nonzero(np.abs(half) > limit) / half.size)
+    rms = math.sqrt(float(np.square(half_difference, dtype=np.float64).mean()))
+    return Estimate(rms / mean, np.count_nonzero(np.abs(half_difference) > limit) / half_difference.size)
 
 
 class HostImage(LightMethod):
     """A light method that makes its ``image`` (rows, cols) float32 on the host.
 
-    ``difference``: half its difference from a coarser image, or None.
+    ``_half_difference``: half its difference from a coarser image, or None.
     """
 
     scene: Scene
     image: np.ndarray
-    difference: np.ndarray | None = None
+    _half_difference: np.ndarray | None = None
 
     def irradiance(self) -> np.ndarray:
         return self.image
 
-    def half(self) -> Later | None:
-        half = self.difference
-        return None if half is None else Later(lambda: half)
+    def half_difference(self) -> Later | None:
+        image = self._half_difference
+        return None if image is None else Later(lambda: image)
 
     def estimate(self, limit: float) -> Estimate | None:
-        half = self.difference
-        return None if half is None else estimated(self.image, half, self.scene.mask, limit)
+        difference = self._half_difference
+        return None if difference is None else estimated(self.image, difference, self.scene.mask, limit)
 
 
 def judged(
@@ -131,10 +140,10 @@ def judged(
     heights: Array,
     margin: int,
     image: Array,
-    half: Array,
+    half_difference: Array,
     limit: float,
 ) -> Estimate:
-    """The estimate by an image and half a difference (rows x cols) on a device; ``limit`` in their unit.
+    """The estimate by an image and its half difference (rows x cols) on a device; ``limit`` in their unit.
 
     ``heights``: with ``margin`` nodes on all sides; masked heights mark nodes that do not count.
     """
@@ -148,7 +157,7 @@ def judged(
         (cols, blocks),
         heights,
         image,
-        half,
+        half_difference,
         sums,
         rows,
         cols,

@@ -82,9 +82,11 @@ class Sliced(LightMethod):
     along the chord of each slice, and the small bright parts of the sky behind a window have azimuths of
     their own. The slices of a ball are two images that share none; refining puts as many slices
     between them. Those of a quadrangle are Gauss-Legendre nodes: rules of different size share none, and the
-    image is that of the larger of two. Where there are rays, half the difference includes the change that a
+    image is that of the larger of two. Where there are rays, the half difference includes the change that a
     quarter of them makes.
     """
+
+    unit_name = "slices"
 
     def __init__(
         self,
@@ -108,7 +110,7 @@ class Sliced(LightMethod):
         self.shifts = [SHIFT]
         if isinstance(self.solid, Ball):
             self.slices, self.mean = self._image(units)
-            self.difference = self.slices.alternating
+            self._half_difference = self.slices.alternating
         else:
             self._compare(self._image(units // 2)[1])
         if rays:
@@ -163,8 +165,8 @@ class Sliced(LightMethod):
 
     def _compare(self, coarse: Array) -> None:
         """Set the image of ``units`` slices, and half its difference from ``coarse``."""
-        self.mean, self.difference = self._image(self.units)[1], coarse
-        self._halve(self.difference, self.mean, keep=True)
+        self.mean, self._half_difference = self._image(self.units)[1], coarse
+        self._halve(self._half_difference, self.mean, keep=True)
 
     def refine(self) -> None:
         """Of a ball, the slices between the present ones; of a quadrangle, twice as many.
@@ -172,9 +174,9 @@ class Sliced(LightMethod):
         More rays in their place where the brightness along them errs more than the slices.
         """
         if self.factors and 4 * self.rays <= most_rays(self.scene):
-            mean, half = (self.engine.download(image) for image in (self.mean, self.difference))
+            mean, difference = (self.engine.download(image) for image in (self.mean, self._half_difference))
             factor, change = (np.nan_to_num(values).ravel() for values in self.factors)
-            if np.linalg.norm(mean.ravel() * change) > np.linalg.norm(half.ravel() * factor):
+            if np.linalg.norm(mean.ravel() * change) > np.linalg.norm(difference.ravel() * factor):
                 self._take_rays(4 * self.rays)
                 return
         self._add_slices()
@@ -198,11 +200,12 @@ class Sliced(LightMethod):
                 n //= 2
         self.shifts += between
         self.units *= 2
-        (self.difference,) = means
-        self._halve(self.mean, self.difference)
+        (self._half_difference,) = means
+        self._halve(self.mean, self._half_difference)
 
     def _halve(self, image: Array, other: Array, keep: bool = False) -> None:
-        """Make ``image`` the mean and ``other`` half the difference; or keep ``other``, half in ``image``."""
+        """Make ``image`` the mean and ``other`` half the difference; or keep ``other``, and half the
+        difference in ``image``."""
         count = math.prod(self.scene.shape)
         self.engine.launch("ground", "halves", (count,), image, other, count, int(keep))
 
@@ -226,23 +229,23 @@ class Sliced(LightMethod):
         image = np.maximum(image, 0) if self.sky is not None else image if factor is None else image * factor
         return image if self.scale == 1.0 else image * np.float32(self.scale)
 
-    def half_at(self, samples: Samples) -> np.ndarray | None:
+    def half_difference_at(self, samples: Samples) -> np.ndarray | None:
         if self.factors is not None:
-            return super().half_at(samples)
-        return picked(samples, self.difference).astype(float) * self.scale
+            return super().half_difference_at(samples)
+        return picked(samples, self._half_difference).astype(float) * self.scale
 
-    def half(self) -> Later:
-        engine, images, shape = self.engine, (self.mean, self.difference), self.scene.shape
+    def half_difference(self) -> Later:
+        engine, images, shape = self.engine, (self.mean, self._half_difference), self.scene.shape
         scale, factors = np.float32(self.scale), self.factors
 
         def work() -> np.ndarray:
-            mean, half = (engine.download(image).reshape(shape) * scale for image in images)
-            return np.hypot(half * factors[0], mean * factors[1]) if factors else half
+            mean, difference = (engine.download(image).reshape(shape) * scale for image in images)
+            return np.hypot(difference * factors[0], mean * factors[1]) if factors else difference
 
         return Later(work)
 
     def estimate(self, limit: float) -> Estimate | None:
         if not self.factors:
-            images = self.mean, self.difference
+            images = self.mean, self._half_difference
             return judged(self.engine, self.scene.shape, self.there.heights(), 0, *images, limit / self.scale)
-        return estimated(self.irradiance(), self.half()(), self.scene.mask, limit)
+        return estimated(self.irradiance(), self.half_difference()(), self.scene.mask, limit)

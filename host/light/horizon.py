@@ -37,10 +37,12 @@ class Horizons(LightMethod):
     ``exact_margin`` the small parts are above exact horizons, which behind cliffs a sweep's are not: the
     margin of a map that repeats, see :func:`margin_of`, 0 of others.
 
-    Each of the two images has half of the azimuths, every other one, and all light. A ratio estimator makes
+    Each of the two halves has half of the azimuths, every other one, and all light. A ratio estimator makes
     the light of so few: of the light that the tangent planes alone let through, which is known exactly, each
     node has the share that these azimuths receive. So it lies between none and all of that light.
     """
+
+    unit_name = "azimuths"
 
     def __init__(
         self,
@@ -65,7 +67,7 @@ class Horizons(LightMethod):
         if isinstance(sky, Integrals):
             azimuths = unoccluded.INTEGRATED_AZIMUTHS
             self.exact = _by_normals(sky, even(azimuths, 0.5), 2 * math.pi / azimuths)
-        self.difference: Array = None
+        self._half_difference: Array = None
         self.offset = OFFSET / 2
         self.mean, other = self._images(count // 2, 2 * math.pi / count, False, True)
         self._halve(other)
@@ -81,7 +83,7 @@ class Horizons(LightMethod):
         self.offset = 2 * self.offset % 1
         count = math.prod(self.scene.shape)
         self.engine.launch("ground", "halves", (count,), self.mean, image, count, 0)
-        self.difference = image
+        self._half_difference = image
 
     def _images(self, count: int, window: float, *between: bool) -> list[Array]:
         """The light of ``count`` azimuths, brightness averaged over ``window`` round each, and of sectors.
@@ -89,8 +91,8 @@ class Horizons(LightMethod):
         An image for each of ``between``: of the azimuths half a step on, or not. All are swept together: a
         GPU takes as long for some azimuths as for a few more.
         """
-        grids = [even(count, self.offset + half / 2) for half in between]
-        parts = [[spot.sectors(self.sectors, half) for spot in self.bright_parts] for half in between]
+        grids = [even(count, self.offset + shifted / 2) for shifted in between]
+        parts = [[spot.sectors(self.sectors, shifted) for spot in self.bright_parts] for shifted in between]
         images = [self.engine.empty(self.scene.shape, np.float32) for _ in between]
         self.sweeps.set_azimuths(*self._rays(grids, window, parts))
         self.sweeps.light(self.total, self.turned, *images)
@@ -142,18 +144,24 @@ class Horizons(LightMethod):
     def at(self, samples: Samples) -> np.ndarray:
         return _scaled(picked(samples, self.mean), self.scale).astype(float)
 
-    def half_at(self, samples: Samples) -> np.ndarray:
-        return _scaled(picked(samples, self.difference), self.scale).astype(float)
+    def half_difference_at(self, samples: Samples) -> np.ndarray:
+        return _scaled(picked(samples, self._half_difference), self.scale).astype(float)
 
-    def half(self) -> Later:
-        engine, image, shape, scale = self.engine, self.difference, self.scene.shape, self.scale
+    def half_difference(self) -> Later:
+        engine, image, shape, scale = self.engine, self._half_difference, self.scene.shape, self.scale
         return Later(lambda: _scaled(engine.download(image).reshape(shape), scale))
 
     def estimate(self, limit: float) -> Estimate:
         limit = limit / self.scale if self.scale else math.inf
         sweeps = self.sweeps
         return judged(
-            self.engine, self.scene.shape, sweeps.heights, sweeps.margin, self.mean, self.difference, limit
+            self.engine,
+            self.scene.shape,
+            sweeps.heights,
+            sweeps.margin,
+            self.mean,
+            self._half_difference,
+            limit,
         )
 
 

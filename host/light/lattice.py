@@ -38,6 +38,12 @@ def problem_of(
 class Lattice(LightMethod):
     """``units``: the hemicube's size."""
 
+    unit_name = "hemicube"
+
+    @property
+    def amount(self) -> str:
+        return f"{self.unit_name} {self.units}"
+
     def __init__(self, engine: Backend, scene: Scene, source: sources.Source, units: int):
         self.engine, self.scene, self.source, self.units = engine, scene, source, units
         self.image = self._image()

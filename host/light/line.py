@@ -191,6 +191,8 @@ class LinePoints(HostImage):
     images estimates the error. ``ray_count``: rays of the image.
     """
 
+    unit_name = "points"
+
     def __init__(self, engine: Backend, scene: Scene, quad: Quad, lights: Sequence[Light], units: int):
         self.scene, self.quad, self.lights, self.units, self.ray_count = scene, quad, lights, units, 0
         self.samples = samples_of(engine, scene)
@@ -206,7 +208,7 @@ class LinePoints(HostImage):
 
     def _compare(self) -> None:
         coarse, self.image = self.image, self._image(self.units)
-        self.difference = (self.image - coarse) / 2
+        self._half_difference = (self.image - coarse) / 2
 
     def _image(self, count: int) -> np.ndarray:
         """Irradiance (rows, cols) float32, otherwise as :func:`at_samples`."""

@@ -29,15 +29,22 @@ Vector = tuple[Values, Values, Values]
 class ClosedForm(HostImage):
     """An image in closed form, which has nothing to refine.
 
-    ``coarse``: the same by a quarter of the rays to a source whose brightness varies.
+    ``units``: rays from every node along which a brightness that varies is taken, 0 of one that does not;
+    ``coarse``: the same image by a quarter of these rays.
     """
 
-    units = 0
+    unit_name = "rays"
 
-    def __init__(self, scene: Scene, image: np.ndarray, coarse: np.ndarray | None = None):
-        self.scene, self.image = scene, image
+    def __init__(self, scene: Scene, image: np.ndarray, coarse: np.ndarray | None = None, units: int = 0):
+        self.scene, self.image, self.units = scene, image, units
         if coarse is not None:
-            self.difference = (image - coarse) / 2
+            self._half_difference = (image - coarse) / 2
+
+    @property
+    def amount(self) -> str:
+        if self.units < 2:
+            return "1 ray" if self.units else "a closed form"
+        return super().amount
 
     def refine(self) -> None:
         """There is nothing finer."""
@@ -158,13 +165,13 @@ def lamp(
     height: Values,
     solid: Ball | Quad,
     brightness: sources.Brightness,
-    points: int = 1,
+    rays_per_node: int = 1,
 ) -> np.ndarray:
     """Irradiance of elements of slope (gx, gy) at (x, y, height) [spacings] under a ball or a quadrangle.
 
     The tangent planes of the elements alone occlude it; the level does not. A brightness that varies is taken
-    along ``points`` rays to parts of the source of equal size, 1 or a power of 4, each weighted by the light
-    of its part. Arrays that broadcast.
+    along ``rays_per_node`` rays, 1 or a power of 4, to parts of the source of equal size, each weighted by
+    the light of its part. Arrays that broadcast.
     """
     middle = np.array(
         solid.center if isinstance(solid, Ball) else np.asarray(solid.corners).mean(0), np.float32
@@ -181,9 +188,9 @@ def lamp(
         return (light * float(brightness)).astype(np.float32)
     total: Values = 0.0
     whole: Values = 1e-30
-    for way, weight in _rays(solid, to, x, y, height, points):
+    for way, weight in _rays(solid, to, x, y, height, rays_per_node):
         size = np.sqrt(np.maximum(way[0] ** 2 + way[1] ** 2 + way[2] ** 2, LEAST_SQUARE))
-        if points > 1:
+        if rays_per_node > 1:
             weight = weight * np.maximum(0, (way[0] * gx + way[1] * gy + way[2]) / size)
         direction = np.stack(
             np.broadcast_arrays(way[0] / size, way[1] / size, np.minimum(-way[2] / size, 0)), -1
@@ -241,33 +248,33 @@ def _quadrangle(
 
 
 def _rays(
-    solid: Ball | Quad, to: Vector, x: Values, y: Values, height: Values, points: int
+    solid: Ball | Quad, to: Vector, x: Values, y: Values, height: Values, count: int
 ) -> Iterator[tuple[Vector, Values]]:
-    """``points`` vectors to parts of equal size of a source from (x, y, height), and a weight for each.
+    """``count`` vectors to parts of equal size of a source from (x, y, height), and a weight for each.
 
     ``to``: the vectors to its middle.
     """
     if isinstance(solid, Quad):
-        yield from _rays_to_quadrangle(solid, x, y, height, points)
-    elif points == 1:
+        yield from _rays_to_quadrangle(solid, x, y, height, count)
+    elif count == 1:
         yield to, 1.0
     else:
-        yield from _rays_to_ball(solid, to, points)
+        yield from _rays_to_ball(solid, to, count)
 
 
 def _rays_to_quadrangle(
-    quad: Quad, x: Values, y: Values, height: Values, points: int
+    quad: Quad, x: Values, y: Values, height: Values, count: int
 ) -> Iterator[tuple[Vector, Values]]:
     corners = np.asarray(quad.corners, np.float32)
     edges = corners[1] - corners[0], corners[3] - corners[0]
     long, wide = (float(np.linalg.norm(edge)) for edge in edges)
     # cells as square as can be
-    halvings = round(math.log2(points) / 2 + math.log2(max(long, 1e-30) / max(wide, 1e-30)) / 2)
-    along = int(np.clip(2**halvings, 1, points))
+    halvings = round(math.log2(count) / 2 + math.log2(max(long, 1e-30) / max(wide, 1e-30)) / 2)
+    along = int(np.clip(2**halvings, 1, count))
     normal = np.cross(*edges)
     for i in range(along):
-        for j in range(points // along):
-            u, v = (i + 0.5) / along, (j + 0.5) / (points // along)
+        for j in range(count // along):
+            u, v = (i + 0.5) / along, (j + 0.5) / (count // along)
             dx, dy, dz = (
                 corners[0][n] + u * edges[0][n] + v * edges[1][n] - at for n, at in enumerate((x, y, height))
             )
@@ -278,17 +285,17 @@ def _rays_to_quadrangle(
             )
 
 
-def _rays_to_ball(ball: Ball, to: Vector, points: int) -> Iterator[tuple[Vector, Values]]:
+def _rays_to_ball(ball: Ball, to: Vector, count: int) -> Iterator[tuple[Vector, Values]]:
     flat, far = np.sqrt(to[0] ** 2 + to[1] ** 2), np.sqrt(to[0] ** 2 + to[1] ** 2 + to[2] ** 2)
     c, s, rise = to[0] / np.maximum(flat, 1e-9), to[1] / np.maximum(flat, 1e-9), -to[2] / far
-    rings = max(1, round(math.sqrt(points) / 2))
+    rings = max(1, round(math.sqrt(count) / 2))
     for number in range(rings):
         # sine of the angle from the middle; rings of equal area
         out = np.minimum(np.float32(math.sqrt((number + 0.5) / rings)) * ball.radius / far, 0.99)
         secant = 1 / np.sqrt(1 - out * out)
         tangent = out * secant * far
-        for n in range(points // rings):
-            angle = 2 * math.pi * (n + 0.5 * (number % 2)) / (points // rings)
+        for n in range(count // rings):
+            angle = 2 * math.pi * (n + 0.5 * (number % 2)) / (count // rings)
             across, up = math.cos(angle), math.sin(angle)
             yield (
                 (
@@ -300,7 +307,9 @@ def _rays_to_ball(ball: Ball, to: Vector, points: int) -> Iterator[tuple[Vector,
             )
 
 
-def image(scene: Scene, solid: Ball | Quad, brightness: sources.Brightness, points: int = 1) -> np.ndarray:
+def image(
+    scene: Scene, solid: Ball | Quad, brightness: sources.Brightness, rays_per_node: int = 1
+) -> np.ndarray:
     """(rows, cols) float32, see :func:`lamp`; lengths of ``solid`` in spacings, heights third."""
     x, y = (np.arange(n, dtype=np.float32) for n in scene.shape[::-1])
     irradiance = scratch(scene.shape)
@@ -310,7 +319,7 @@ def image(scene: Scene, solid: Ball | Quad, brightness: sources.Brightness, poin
         # a brightness function is given no NaN
         depth = scene.depth[rows] if scene.mask is None else np.nan_to_num(scene.depth[rows])
         height = depth / np.float32(-scene.spacing)
-        irradiance[rows] = lamp(gx, gy, x, y[rows, None], height, solid, brightness, points)
+        irradiance[rows] = lamp(gx, gy, x, y[rows, None], height, solid, brightness, rays_per_node)
 
     if callable(brightness):  # the user's, which may not be called by several threads
         band(slice(None))

@@ -17,25 +17,30 @@ import numpy as np
 from .. import sources
 from ..backends.base import Backend
 from ..errors import CapacityError
-from ..interreflection import ESTIMATE_SHARE, choice, expected, is_needed
+from ..interreflection import choice, expected, is_needed
 from ..light.base import LightMethod
 from ..light.lattice import Lattice, lacking
 from ..light.unoccluded import ClosedForm
 from ..reflectance import Lambertian
-from ..samples import CLIFF, SAMPLE_COUNT, SAMPLED_SLOPE, Errors, Samples, samples_of
+from ..samples import CLIFF, ESTIMATE_SHARE, SAMPLE_COUNT, SAMPLED_SLOPE, Errors, Samples, samples_of
 from ..scene import Scene
 from .plan import Choice, Plan, percent
 
 # error of the exact light at the samples over its difference from coarser light; measured, docs/explanation.
 # With half and twice the errors of 15 lamps and windows and of 24 skies at 1 % stay the same
 # (performance/constants.py --seed 24 --size 64)
-EXACT_ERROR_SHARE = 0.45
-MOST_UNITS = 1024  # azimuths or slices that refinement reaches
-# azimuths of a sweep whose search takes as long as the samples' rays on a map that repeats, row by row on
-# NumPy: measured 29 (relief of 100 spacings, 16 x 16, two busy cores). Chosen: some 55 s for the longest plan
-# there, by that measurement; with half, twice as long
+EXACT_ERROR_RATIO = 0.45
+MOST_UNITS = 1024  # azimuths, slices or points that refinement reaches
+# the samples' rays on a map that repeats count as the search of so many azimuths of a sweep over as many
+# rows, which a backend bounds. Measured on NumPy, which searches row by row (relief of 100 spacings, 16 x 16,
+# two busy cores): they take as long as 29 azimuths where the exact light is found in all of EXACT_AZIMUTHS in
+# turn (planning/sky.py), as 5 where the first of these suffice. Chosen between: NumPy then takes reliefs up
+# to 164 spacings, whose longest plan lasts 40 to 55 s there; with half, twice as long
 SAMPLED_SEARCHES = 16
 MOST_STEPS = 2**40  # nodes x azimuths of a call: some three hours on two cores, ten seconds on an H200
+# azimuths that a bound on the samples' search counts, a ray from every sample in each; chosen: about as many
+# as the exact light of a sky takes when it is judged by all of EXACT_AZIMUTHS in turn, 540 (planning/sky.py)
+SAMPLED_AZIMUTHS = 512
 # relative error of the light by tables of brightness: of a sky on level ground (tests/test_integrals.py), and
 # along the chords of lamps and windows, where 5e-6 to 3e-4 of the mean were measured
 # (performance/refinement.py)
@@ -48,8 +53,8 @@ ROUNDED_SHARE = 0.1
 class Planner(ABC):
     """Chooses a light method and its units for a kind of source, says why, and refines.
 
-    Subclasses set ``method_class``, ``units``, ``expected`` (errors at the samples) and ``exact`` (light at
-    the samples) in :meth:`choose`.
+    Units are azimuths, slices, points of a line, or the hemicube's size. Subclasses set ``method_class``,
+    ``units``, ``expected`` (errors at the samples) and ``exact`` (light at the samples) in :meth:`choose`.
     """
 
     sample_count = SAMPLE_COUNT
@@ -60,7 +65,7 @@ class Planner(ABC):
     exact: np.ndarray | None = None  # light at the samples
     uniform: np.ndarray | None = None  # that of a uniform sky of brightness 1
     exact_error = 0.0  # relative RMS error of the exact light at the samples
-    tables = 0.0  # error of tables of brightness, which that light and the image share
+    tables_error = 0.0  # of tables of brightness, which that light and the image have in common
     unknown = ""  # why the error is not known
     interreflection: bool | str = "auto"  # whether the light between surfaces is asked for
 
@@ -69,7 +74,9 @@ class Planner(ABC):
         self.tolerance, self.tail = tolerance, tail
         self.samples = samples_of(engine, scene, self.sample_count)
         lap = self.samples.relief / SAMPLED_SLOPE
-        most = min(MOST_STEPS / 512 / len(self.samples), engine.most_searched_rows / SAMPLED_SEARCHES)
+        most = min(
+            MOST_STEPS / SAMPLED_AZIMUTHS / len(self.samples), engine.most_searched_rows / SAMPLED_SEARCHES
+        )
         if scene.sides == "periodic" and lap > most:
             raise CapacityError(
                 f"A relief of {self.samples.relief:.3g} spacings on a map that repeats must be followed over"
@@ -100,8 +107,11 @@ class Planner(ABC):
         rms = self.samples.errors(method.at(self.samples), self.exact).rms
         return math.sqrt(max(0.0, rms**2 - self.exact_error**2))
 
-    def refine(self, is_shared: bool) -> bool:
-        """Whether the method could be refined. ``is_shared``: its two halves share the error."""
+    def refine(self, is_mostly_common: bool) -> bool:
+        """Whether the method could be refined.
+
+        ``is_mostly_common``: most of its error is common to both halves.
+        """
         if self.closed or 2 * self.method.units > MOST_UNITS:
             return False
         self.method.refine()
@@ -155,6 +165,7 @@ class Planner(ABC):
             choices=(*self.choices(), *_common_choices(self, between)),
             beyond=tuple(beyond_model(self, between)),
             interreflection=between,
+            unit_name=self.method_class.unit_name,
         )
 
 

@@ -26,7 +26,7 @@ from ..samples import CHORD_POINTS, Errors, Samples, samples_of
 from ..scene import Scene
 from ..sources.integrals import BrightPart, Integrals, integrals, without
 from ..sources.solids import Ball, Quad, upright
-from .base import EXACT_ERROR_SHARE, TABLES_ERROR, Planner, UnitsPlanner, uniform_light
+from .base import EXACT_ERROR_RATIO, TABLES_ERROR, Planner, UnitsPlanner, uniform_light
 from .plan import Choice, percent
 
 SAMPLE_COUNT = 256  # nodes; chosen, fewer than of a sky: shadows are sharper, and rays cost more
@@ -111,12 +111,12 @@ class FinitePlanner(UnitsPlanner):
     def _brightness_taken(self) -> tuple[str, str]:
         """How the brightness is taken, and why, in the plan's words."""
 
-    def _unoccluded(self, points: int, brightness: sources.Brightness | None = None) -> np.ndarray:
-        """Light at the samples in closed form, its brightness along ``points`` rays."""
+    def _unoccluded(self, rays_per_node: int, brightness: sources.Brightness | None = None) -> np.ndarray:
+        """Light at the samples in closed form, its brightness along so many rays from each."""
         at, solid = self.samples, self.solid
         brightness = self.source.brightness if brightness is None else brightness
         elements = at.gx, at.gy, at.x, at.y, at.own.astype(float)
-        return unoccluded.lamp(*elements, solid, brightness, points).astype(float)
+        return unoccluded.lamp(*elements, solid, brightness, rays_per_node).astype(float)
 
     def choices(self) -> Iterator[Choice]:
         if self.closed:
@@ -136,11 +136,12 @@ class FinitePlanner(UnitsPlanner):
 class SlicePlanner(FinitePlanner):
     """A closed form where every node looks at all of the source, else slices."""
 
-    rays = 0  # along which the brightness of slices is taken, 0: along their chords
-    points = 0  # rays of the closed form
+    # rays from every node to the source along which a brightness that varies is taken, 0: along the chords of
+    # slices
+    rays_per_node = 0
     bright: float | np.ndarray = 0.0  # light of small bright parts behind a window
     smooth: sources.Brightness  # brightness without these
-    by_slices: dict[tuple[int, int], np.ndarray]  # light at the samples by slices and points of each
+    by_slices: dict[tuple[int, int], np.ndarray]  # light at the samples by slices and points of each chord
     parts_taken = "seen through the window in azimuths of their own"
 
     def _choose_light(self) -> None:
@@ -169,30 +170,33 @@ class SlicePlanner(FinitePlanner):
 
     def _take_slices(self) -> None:
         """Choose slices, and how brightness is taken: along few rays to a small lamp, else along chords."""
-        self.method_class = Sliced
+        self.method_class, self.rays_per_node = Sliced, 0
         if callable(self.source.brightness):
             if isinstance(self.source, sources.Lamp) and self.apparent < NARROW_RADIUS:
-                self.rays = RAYS[0]
+                self.rays_per_node = RAYS[0]
             elif self.sky is None:
                 self.sky = integrals(sources.Sky(self.source.brightness), math.inf, True)
-            self.tables = 0.0 if self.rays else TABLES_ERROR
+            self.tables_error = 0.0 if self.rays_per_node else TABLES_ERROR
         counts = BALL_SLICES if isinstance(self.solid, Ball) else QUAD_SLICES
         self.choose_units((EXACT_MULTIPLE * count, [count]) for count in counts)
 
     def set_exact_light(self, units: int) -> None:
         # half of the points along chords too: they meet a brightness's edges by chance
         coarse, self.exact = self._through(units // 2, CHORD_POINTS // 2), self._through(units, CHORD_POINTS)
-        self.exact_error = EXACT_ERROR_SHARE * self.samples.errors(coarse, self.exact).rms
+        self.exact_error = EXACT_ERROR_RATIO * self.samples.errors(coarse, self.exact).rms
 
     def light_by(self, units: int) -> np.ndarray:
         # of a quadrangle that looks small the kernel takes half of the slices
         return self._through(units // 2 if isinstance(self.solid, Quad) else units, CHORD_POINTS)
 
-    def _through(self, count: int, points: int) -> np.ndarray:
-        """Light at the samples through ``count`` slices, and that of small bright parts."""
-        key = count, points if callable(self.smooth) else 0
+    def _through(self, count: int, chord_points: int) -> np.ndarray:
+        """Light at the samples through ``count`` slices, and that of small bright parts.
+
+        A brightness that varies is taken at ``chord_points`` of the chord of every slice.
+        """
+        key = count, chord_points if callable(self.smooth) else 0
         if key not in self.by_slices:
-            through = self.samples.through_slices(self.solid, self.smooth, count, points=points)
+            through = self.samples.through_slices(self.solid, self.smooth, count, points=chord_points)
             self.by_slices[key] = through + self.bright
         return self.by_slices[key]
 
@@ -208,10 +212,10 @@ class SlicePlanner(FinitePlanner):
             if not ((low >= -0.5).all() and (high <= np.array(self.scene.shape[::-1]) - 0.5).all()):
                 return False
         most = most_rays(self.scene) if callable(self.source.brightness) else 0
-        for points in (1, *(rays for rays in RAYS if rays <= most)):
-            errors = self.samples.errors(self._unoccluded(points), self.exact)
+        for rays_per_node in (1, *(rays for rays in RAYS if rays <= most)):
+            errors = self.samples.errors(self._unoccluded(rays_per_node), self.exact)
             if self.fits(errors) and self._faces_source():
-                self.expected, self.points = errors, points
+                self.expected, self.rays_per_node = errors, rays_per_node
                 return True
         return False
 
@@ -222,7 +226,7 @@ class SlicePlanner(FinitePlanner):
         if self.scene.mask is not None or not unoccluded.above_plane(at.gx, at.gy, x, y, z, radius).all():
             return False
         across, down = (np.arange(n, dtype=np.float32) for n in self.scene.shape[::-1])
-        points = np.asarray([self.middle] if isinstance(self.solid, Ball) else self.solid.corners, np.float32)
+        places = np.asarray([self.middle] if isinstance(self.solid, Ball) else self.solid.corners, np.float32)
 
         def face(rows: slice) -> bool:
             gx, gy = unoccluded.gradients(self.scene, rows)
@@ -231,7 +235,7 @@ class SlicePlanner(FinitePlanner):
                 unoccluded.above_plane(
                     gx, gy, x - across, y - down[rows, None], z + deep, np.float32(radius)
                 ).all()
-                for x, y, z in points
+                for x, y, z in places
             )
 
         return all(by_bands(face, self.scene.shape))
@@ -239,20 +243,24 @@ class SlicePlanner(FinitePlanner):
     def make(self) -> LightMethod:
         scene, source = self.scene, self.source
         if self.closed:
-            counts = (self.points, self.points // 4) if self.points > 1 else (1,)
-            images = (unoccluded.image(scene, self.solid, source.brightness, n) for n in counts)
-            return ClosedForm(scene, *images)
+            rays = self.rays_per_node
+            fine, *coarse = (
+                unoccluded.image(scene, self.solid, source.brightness, n)
+                for n in ((rays, rays // 4) if rays > 1 else (1,))
+            )
+            units = rays if callable(source.brightness) else 0
+            return ClosedForm(scene, fine, coarse[0] if coarse else None, units)
         step = scene.on(self.engine).step
         solid = solid_of(scene, source, step / scene.spacing, step)
         assert solid is not None, "HiddenWindowPlanner takes a window of which nothing is left"
-        sky = None if self.rays else self.sky
-        return Sliced(self.engine, scene, source, solid, self.units, self.rays, sky)
+        sky = None if self.rays_per_node else self.sky
+        return Sliced(self.engine, scene, source, solid, self.units, self.rays_per_node, sky)
 
-    def refine(self, is_shared: bool) -> bool:
+    def refine(self, is_mostly_common: bool) -> bool:
         if not self.closed:
-            return super().refine(is_shared)
-        self.points *= 4
-        if self.points > most_rays(self.scene):
+            return super().refine(is_mostly_common)
+        self.rays_per_node *= 4
+        if self.rays_per_node > most_rays(self.scene):
             self._take_slices()
         self.method = self.make()
         return True
@@ -266,11 +274,11 @@ class SlicePlanner(FinitePlanner):
         return taken, f"as a point, a disc of that size has an error of {percent(off)}"
 
     def _brightness_taken(self) -> tuple[str, str]:
-        rays = self.points if self.closed else self.rays
         if not callable(self.source.brightness):
             return "constant", "it is a number"
-        if rays:
-            return f"along {rays} rays", "it varies little across the source"
+        if self.rays_per_node:
+            rays = "1 ray" if self.rays_per_node == 1 else f"{self.rays_per_node} rays"
+            return f"along {rays}", "it varies little across the source"
         return "along every chord", "integrated"
 
 
@@ -291,7 +299,7 @@ class LinePlanner(FinitePlanner):
 
     def set_exact_light(self, units: int) -> None:
         self.exact = self.light_by(units)
-        self.exact_error = EXACT_ERROR_SHARE * self.samples.errors(self.light_by(units // 2), self.exact).rms
+        self.exact_error = EXACT_ERROR_RATIO * self.samples.errors(self.light_by(units // 2), self.exact).rms
 
     def light_by(self, units: int) -> np.ndarray:
         if units not in self.by_points:
@@ -303,9 +311,9 @@ class LinePlanner(FinitePlanner):
         assert isinstance(self.solid, Quad), "balls are not thin"
         return LinePoints(self.engine, self.scene, self.solid, self.lights, self.units)
 
-    def refine(self, is_shared: bool) -> bool:
+    def refine(self, is_mostly_common: bool) -> bool:
         assert isinstance(self.method, LinePoints), "of this planner"
-        return 2 * self.method.ray_count <= MOST_RAY_EVALUATIONS and super().refine(is_shared)
+        return 2 * self.method.ray_count <= MOST_RAY_EVALUATIONS and super().refine(is_mostly_common)
 
     def _light_taken(self) -> tuple[str, str]:
         return f"{self.units} points", "it is a line to every node"

@@ -43,7 +43,7 @@ class LatticePlanner(UnitsPlanner):
     def make(self) -> LightMethod:
         return Lattice(self.engine, self.scene, self.source, self.units)
 
-    def refine(self, is_shared: bool) -> bool:
+    def refine(self, is_mostly_common: bool) -> bool:
         if self.method.units >= max(lattice.HEMICUBE_ERRORS):
             return False
         self.method.refine()

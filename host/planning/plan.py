@@ -5,13 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-# what an image is made of, by its method
-UNITS = {
-    "horizon": "azimuths, slices or points",
-    "lattice": "nodes of a hemicube's side",
-    "unoccluded": "rays",
-}
-
 
 @dataclass(frozen=True)
 class Choice:
@@ -25,8 +18,9 @@ class Choice:
 class Step(NamedTuple):
     """One image of a refinement.
 
-    units: azimuths, slices or the hemicube's size; estimate: of the relative RMS error over all nodes; audit:
-    the relative RMS error at the samples.
+    units: azimuths, slices or points; the hemicube's size; or, of a closed form, rays from every node, 0 if
+    the brightness is constant. estimate: relative RMS error, estimated over all nodes; audit: the same
+    at the samples.
     """
 
     units: int
@@ -44,9 +38,9 @@ class Plan:
     """The model that was or will be used, and why.
 
     method: "unoccluded", "horizon" or "lattice". hemicube, filled: of the lattice, else None. azimuths: of
-    horizons, slices of a lamp or window, or points of a thin one. max_distance [unit of spacing] of the
-    search, None: the whole map. tolerance, tail: the relative RMS error and the 99.9th percentile of the
-    error that were asked for.
+    horizons, slices of a lamp or window, or points of a thin one; unit_name: which of these. max_distance
+    [unit of spacing] of the search, None: the whole map. tolerance, tail: the relative RMS error and the
+    99.9th percentile of the error that were asked for.
     error: the relative RMS error, expected from the samples before an image is made, estimated from its two
     halves afterwards; error_tail: the 99.9th percentile expected from the samples; measured: the RMS error of
     the rendered image at the samples. reason: of the method and its units, in one sentence; choices: every
@@ -73,6 +67,7 @@ class Plan:
     steps: tuple[Step, ...] = ()
     beyond: tuple[str, ...] = ()
     interreflection: float | None = None
+    unit_name: str = "azimuths"
 
     @property
     def line(self) -> str:
@@ -80,7 +75,8 @@ class Plan:
         if self.method == "lattice":
             step = "filled" if self.filled else "stride"
             return f"lattice, hemicube {self.hemicube}, {step}: {self.reason}"
-        return f"{self.method}{'' if self.azimuths is None else f', {self.azimuths} azimuths'}: {self.reason}"
+        units = "" if self.azimuths is None else f", {self.azimuths} {self.unit_name}"
+        return f"{self.method}{units}: {self.reason}"
 
     def __str__(self) -> str:
         if not self.choices:

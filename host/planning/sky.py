@@ -14,7 +14,7 @@ from ..light.base import LightMethod
 from ..light.horizon import Horizons, correction, margin_of
 from ..samples import Samples
 from ..sources.integrals import BrightPart, Integrals, even, integrals
-from .base import EXACT_ERROR_SHARE, MOST_STEPS, TABLES_ERROR, UnitsPlanner
+from .base import EXACT_ERROR_RATIO, MOST_STEPS, TABLES_ERROR, UnitsPlanner
 from .plan import Choice, percent
 
 # numbers of azimuths that an image may begin with: powers of two, and 3/2 of them; refining doubles them
@@ -88,7 +88,7 @@ class SkyPlanner(UnitsPlanner):
             self.light = float(brightness)
             return
         self.light = sky = integrals(self.source, self.tolerance)
-        self.bright_parts, self.tables = sky.bright_parts, math.hypot(TABLES_ERROR, sky.error)
+        self.bright_parts, self.tables_error = sky.bright_parts, math.hypot(TABLES_ERROR, sky.error)
         if self.bright_parts and self.samples.cliffs > 0:
             self.exact_margin = margin_of(scene, self.bright_parts, self.samples.relief)
 
@@ -108,7 +108,7 @@ class SkyPlanner(UnitsPlanner):
         """Set the exact light, that of even azimuths and that of small bright parts."""
         one, other = self.exact_smooth + self._bright_light(self.exact_sectors)
         self.exact = (one + other) / 2
-        self.exact_error = EXACT_ERROR_SHARE * self.samples.errors(other, self.exact).rms
+        self.exact_error = EXACT_ERROR_RATIO * self.samples.errors(other, self.exact).rms
 
     def light_by(self, units: int) -> np.ndarray:
         nearest = self.exact_count * (3 * np.arange(units) + 1) // (3 * units)  # those of Horizons
@@ -120,8 +120,8 @@ class SkyPlanner(UnitsPlanner):
         """Light of small bright parts at the samples by so many sectors of each, (2, nodes): two halves."""
         if sectors not in self.by_sectors:
             halves = [
-                [self.samples.sectors(*spot.sectors(sectors, half)) for spot in self.bright_parts]
-                for half in (False, True)
+                [self.samples.sectors(*spot.sectors(sectors, shifted)) for spot in self.bright_parts]
+                for shifted in (False, True)
             ]
             self.by_sectors[sectors] = np.array(
                 [sum(lights, np.zeros(len(self.samples))) for lights in halves]
@@ -183,8 +183,8 @@ class SkyPlanner(UnitsPlanner):
             self._add_bright_parts()
         return super().audit(method)
 
-    def refine(self, is_shared: bool) -> bool:
-        if self.method_class is Horizons and is_shared:
+    def refine(self, is_mostly_common: bool) -> bool:
+        if self.method_class is Horizons and is_mostly_common:
             near = next((near for near in CLIFF_NEAR_ROWS if near > (self.near_rows or 0)), None)
             if near is not None:
                 self.near_rows = near
@@ -195,7 +195,7 @@ class SkyPlanner(UnitsPlanner):
             added = times * (self.units + 2 * len(self.bright_parts) * self.sectors)
             if self.samples.relief / LEAST_SEARCHED_SLOPE * added > self.engine.most_searched_rows:
                 return False  # the image stays, with its warning
-        return super().refine(is_shared)
+        return super().refine(is_mostly_common)
 
     def choices(self) -> Iterator[Choice]:
         hidden = self.samples.errors(self.uniform, np.pi / 2 * (1 + 1 / self.samples.length)).rms
