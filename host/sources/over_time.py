@@ -215,14 +215,14 @@ def _measured(dni: Any, dhi: Any, index: Any) -> np.ndarray | None:
             f"sky_over_time: {'dni' if dhi is None else 'dhi'} is given without the other;"
             " allowed: both, or neither for a clear sky."
         )
-    measured = {
+    measured: dict[str, np.ndarray] = {
         "dni": real_array(dni, "sky_over_time: dni", 1),
         "dhi": real_array(dhi, "sky_over_time: dhi", 1),
     }
     for (name, values), given in zip(measured.items(), (dni, dhi)):
         if len(values) != len(index):
             raise bad(f"sky_over_time: {name}", f"{len(values)} values", f"{len(index)}, one for every time")
-        labels = getattr(given, "index", None)
+        labels: Any = getattr(given, "index", None)
         if getattr(labels, "tz", None) is not None and (index - labels).nunique() > 1:
             raise bad(
                 f"sky_over_time: {name}, a Series of other times",
