@@ -679,6 +679,7 @@ def _windows(da: Any, values: Any, layout: Layout) -> Any:
     from dask.highlevelgraph import HighLevelGraph
 
     before = values.ndim - 2
+    layout = layout._replace(audit=None)  # which would go to a worker with every window
     tiles = values.rechunk({n: -1 for n in range(before)} | dict(enumerate(layout.sizes, before)))
     kind = "periodic" if layout.periodic else "none"
     boundary = {n: kind if n >= before else "none" for n in range(values.ndim)}
