@@ -54,6 +54,13 @@ def horizons(
     farther away does not count; the whole map does unless given (on a map that repeats, as far as its relief
     makes a slope of 0.01). With dark sides the wall counts as ground.
 
+    Within 12 rows (12 columns for azimuths nearer to a row), and so with a ``max_distance`` of 12 spacings,
+    every crossing with a row or a column is met: slopes are exact but for rounding. Farther away the sweep
+    looks up the best crossings for two slopes alone (docs/explanation/methods.md). It may miss the highest;
+    slopes are then too low, never too high. The RMS error is about 0.0002 rad on mountains and 0.002 on rough
+    ground; a tower or cliff few nodes wide may be missed by single nodes altogether, in all its height.
+    :func:`sky_view_factor` has 6 exact rows below 128 azimuths.
+
     A scene made from an xarray.DataArray gives a DataArray with the coordinate ``azimuth`` [rad], from east,
     where its x grows, towards south, where its y falls, whatever the order of its rows. A DataArray
     of heights may be given in place of a scene: the spacing is that of its coordinates, and nan are masked.

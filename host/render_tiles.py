@@ -31,7 +31,8 @@ PART_SECTORS = 16
 # of sky; and the part of a window at each of its sides that is left out, since ground beyond is missing;
 # chosen
 WINDOW_AZIMUTHS, WINDOW_EDGE = 16, 8
-# relative RMS error that 64 azimuths keep to: 0.0004 of E / pi on rough ground (performance/refinement.py)
+# relative RMS error that 64 azimuths keep to under even skies: 0.0004 of E / pi on rough ground
+# (performance/refinement.py)
 LEAST_TILED_TOLERANCE = 0.002
 LOBES = (  # what is refused of them, what is allowed, and why
     "a lobe or a mirror",
@@ -267,7 +268,7 @@ class TileImage:
     @property
     def audit(self) -> Audit:
         """Within which tolerance far ground must be taken."""
-        return Audit(self.backend, self.tolerance)
+        return Audit(self.backend, self.tolerance, self.fewer)
 
     def __call__(
         self, scene: Scene, max_distance: float | None, far: Far | None, part: slice = slice(None)

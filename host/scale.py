@@ -38,8 +38,8 @@ from .light.far import (
     spread_of,
     top_of,
 )
-from .light.sweeps import engine_of
-from .samples import Samples
+from .light.sweeps import Rays, engine_of
+from .samples import Samples, ring
 from .scene import ALBEDO, Scene
 
 NODE_BYTES = 36  # that a sweep takes on a device, see Sweeps
@@ -87,11 +87,13 @@ class Undecided(Work, Protocol):
 class Audit(NamedTuple):
     """The check of the error that overviews of far ground add: on which backend, within which tolerance.
 
-    ``tolerance``: relative RMS error of a uniform sky's light; None: sky-view factors to WORTH_SAYING.
+    ``tolerance``: relative RMS error of the irradiance of each of ``lights``, which are the azimuths and
+    tables of skies, see :func:`skylamp.samples.ring`; None: sky-view factors to WORTH_SAYING.
     """
 
     backend: str
     tolerance: float | None = None
+    lights: tuple[tuple[Rays, np.ndarray | None], ...] = ()
 
 
 class Layout(NamedTuple):
@@ -384,43 +386,64 @@ def _valid(window: np.ndarray) -> np.ndarray | None:
 
 
 def _audit(audit: Audit, scene: Scene, far: Far) -> None:
-    """Warn where far ground costs more than is asked for.
-
-    At samples, horizons of exact rays through the window are compared with what a node at the tile's edge
-    makes of the same ground: exact to the halo, from overviews beyond. Rays whose far ground lies outside the
-    window tell nothing.
-    """
+    """Warn where far ground costs more than is asked for, see :func:`_seen_from_edge`."""
     engine = engine_of(scene, audit.backend)
     with engine.lock:
         samples = Samples(engine, scene, AUDITED)
-        rows, cols = samples.y - far.before[0], samples.x - far.before[1]
-        inner = (rows >= 0) & (rows < far.tile[0]) & (cols >= 0) & (cols < far.tile[1])
+        inner = _within(samples, far)
         if not inner.any():
             return
-        angles = Azimuths(AUDITED_AZIMUTHS).angles
-        exact = samples.horizons(angles)[:, inner]
-        near = samples.horizons(angles, far.tiling.halo)[:, inner]
-        slopes, distance = marched(scene.on(engine), far).seen_from(
-            rows[inner], cols[inner], samples.own[inner].astype(float), angles
+        if audit.tolerance is None:
+            slopes = _seen_from_edge(samples, inner, scene, far, Azimuths(AUDITED_AZIMUTHS).angles)
+            estimated, true = (1 / (1 + np.maximum(s, 0) ** 2) for s in slopes)
+            off = math.sqrt(float(np.mean((estimated - true).mean(0) ** 2)))
+            if off > WORTH_SAYING:
+                warn(
+                    f"Tiles: ground beyond the halo adds about {off:.1g} (RMS) to the error of sky-view"
+                    f" factors; {CLOSER}."
+                )
+            return
+        share = 0.0
+        for rays, table in audit.lights:
+            slopes = _seen_from_edge(samples, inner, scene, far, rays.angles)
+            plane = samples.gx[inner], samples.gy[inner]
+            estimated, true = (rays.widths @ ring(*plane, rays.angles, s, table) for s in slopes)
+            lit = true[true > 0]
+            if lit.size:
+                share = max(share, math.sqrt(float(np.mean((estimated - true) ** 2))) / float(lit.mean()))
+    if share > audit.tolerance:
+        warn(
+            f"Tolerance: ground beyond the halo of tiles adds about {100 * share:.2g} % (RMS) to the error,"
+            f" more than the {100 * audit.tolerance:.2g} % asked for; {CLOSER}."
         )
+
+
+def _within(samples: Samples, far: Far) -> np.ndarray:
+    """Which samples of a window lie in its tile (nodes,)."""
+    rows, cols = samples.y - far.before[0], samples.x - far.before[1]
+    inner: np.ndarray = (rows >= 0) & (rows < far.tile[0]) & (cols >= 0) & (cols < far.tile[1])
+    return inner
+
+
+def _seen_from_edge(
+    samples: Samples, inner: np.ndarray, scene: Scene, far: Far, angles: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Horizons at samples (azimuths, nodes): what a node at the tile's edge makes of the ground, exact to the
+    halo, from overviews beyond; and those of exact rays through the window.
+
+    Rays whose far ground lies outside the window tell nothing: there the two are the same.
+    """
+    rows, cols = samples.y[inner] - far.before[0], samples.x[inner] - far.before[1]
+    exact = samples.horizons(angles)[:, inner]
+    near = samples.horizons(angles, far.tiling.halo)[:, inner]
+    own = samples.own[inner].astype(float)
+    slopes, distance = marched(scene.on(samples.engine), far).seen_from(rows, cols, own, angles)
     ends = []  # of the window, along every ray
     for place, way, nodes in zip((samples.x, samples.y), (np.cos(angles), np.sin(angles)), scene.shape[::-1]):
         room = np.where(way[:, None] > 0, nodes - 1 - place[inner], place[inner])
         ends.append(room / np.maximum(np.abs(way[:, None]), 1e-9))
     truth = np.where(distance > np.minimum(*ends), np.maximum(exact, slopes), exact)
-    estimated, true = (1 / (1 + np.maximum(s, 0) ** 2) for s in (np.maximum(near, slopes), truth))
-    off = math.sqrt(float(np.mean((estimated - true).mean(0) ** 2)))
-    share = off / float(true.mean())
-    if audit.tolerance is None and off > WORTH_SAYING:
-        warn(
-            f"Tiles: ground beyond the halo adds about {off:.1g} (RMS) to the error of sky-view factors;"
-            f" {CLOSER}."
-        )
-    elif audit.tolerance is not None and share > audit.tolerance:
-        warn(
-            f"Tolerance: ground beyond the halo of tiles adds about {100 * share:.1g} % (RMS) to the error,"
-            f" more than the {100 * audit.tolerance:.2g} % asked for; {CLOSER}."
-        )
+    return np.maximum(near, slopes), truth
 
 
 def _scene_of(
@@ -656,6 +679,7 @@ def _windows(da: Any, values: Any, layout: Layout) -> Any:
     from dask.highlevelgraph import HighLevelGraph
 
     before = values.ndim - 2
+    layout = layout._replace(audit=None)  # which would go to a worker with every window
     tiles = values.rechunk({n: -1 for n in range(before)} | dict(enumerate(layout.sizes, before)))
     kind = "periodic" if layout.periodic else "none"
     boundary = {n: kind if n >= before else "none" for n in range(values.ndim)}

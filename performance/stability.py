@@ -424,7 +424,9 @@ FAILURES = {
         bad="stride",
         does=(
             "Steps go from node to node and jump over the ridges between them. `filled=True` tests the"
-            " surface between the nodes; horizons test every crossing. `render` warns where stride leaks."
+            " surface between the nodes; horizons test every crossing in near rows and the best ones beyond"
+            " ([horizon sweep](../explanation/methods.md#the-horizon-sweep)). `render` warns where stride"
+            " leaks."
         ),
         good="default",
         warns=lambda m, b: sl.render(sl.Scene(rough()), sl.Sky(), "lattice", hemicube=m, backend=b).warnings,
@@ -439,8 +441,8 @@ FAILURES = {
         measure=razor,
         bad="stride M 17",
         does=(
-            "A ridge narrower than the step stands between two nodes of a ray. The filled lattice and"
-            " horizons test every crossing."
+            "A ridge narrower than the step stands between two nodes of a ray. The filled lattice tests every"
+            " crossing, and horizons those in near rows and the best ones beyond."
         ),
         good="default",
     ),

@@ -95,7 +95,7 @@ def test_same_georeference_out_as_in(tmp_path, tags, nodata, fast):
     with rasterio.open(out) as file:
         np.testing.assert_array_equal(file.read(1)[mask], expected[mask])
         np.testing.assert_array_equal(file.read_masks(1) > 0, mask)
-        assert np.isnan(file.nodata) if nodata is None else file.nodata == nodata
+        assert np.isnan(file.nodata) and np.isnan(file.read(1)[~mask]).all()  # as files made in tiles
 
 
 def test_layers_are_bands(tmp_path, fast):
@@ -131,6 +131,8 @@ def test_nodata_that_is_a_value(tmp_path):
     with rasterio.open(tmp_path / "a.tif") as file:
         assert np.isnan(file.nodata)
         np.testing.assert_array_equal(file.read(1), light)
+    geo.write(tmp_path / "c.tif", raster.values.astype(np.float32), raster)  # its own heights: 0 is a hole
+    assert np.array_equal(geo.read(tmp_path / "c.tif").mask, raster.mask)
     geo.write(
         tmp_path / "b.tif", raster.mask, geo.read(make(tmp_path / "dem.tif"))
     )  # -32768 does not fit into a byte
@@ -223,7 +225,7 @@ def test_depth_and_spacing_can_be_told(tmp_path, fast):
     [
         (dict(values=np.stack([HEIGHT] * 3)), "bands: got 3"),
         (dict(transform=Affine(28, -10, 730000, -10, -28, 4070000)), "turned grid"),
-        (dict(transform=Affine(30, 0, 0, 0, 30, 0)), "turned grid"),
+        (dict(transform=Affine(-30, 0, 0, 0, 30, 0)), "turned grid"),
         (dict(transform=from_origin(0, 0, 30, 20)), ("not square", "30 m to the east by 20 m to the north")),
         (dict(crs="EPSG:4326", transform=from_origin(0, 70, 1, 1)), ("change their width", "57 to 70")),
         (dict(crs="EPSG:4326", transform=from_origin(0, 95, 1, 1)), "latitudes"),
@@ -233,6 +235,52 @@ def test_depth_and_spacing_can_be_told(tmp_path, fast):
 def test_rasters_that_do_not_fit(tmp_path, options, says):
     """One clear error, with what to do where something can be done."""
     refused(says, geo.read, make(tmp_path / "a.tif", **options))
+
+
+@pytest.mark.parametrize("tags", [{}, {"AREA_OR_POINT": "Point"}], ids=["area", "point"])
+def test_south_up(tmp_path, tags, fast):
+    """Rows from south to north are read, windowed, resampled and rendered as the same ground north up."""
+    usual = make(tmp_path / "usual.tif", tags=tags)
+    up = Affine(30, 0, 730000, 0, 30, 4070000 - 30 * len(HEIGHT))
+    other = make(tmp_path / "other.tif", HEIGHT[::-1], transform=up, tags=tags)
+    found, expected = geo.read(other), geo.read(usual)
+    np.testing.assert_array_equal(found.values, expected.values)
+    np.testing.assert_array_equal(found.mask, expected.mask)
+    assert (found.transform, found.spacing) == (expected.transform, expected.spacing)
+    assert geo.header(other).transform == expected.transform
+    for part in ((slice(0, 13), slice(0, 17)), (slice(2, 5), slice(3, 9))):
+        np.testing.assert_array_equal(geo.window(other, *part), geo.window(usual, *part))
+    options = ("--source", "clear", "--sun", "150,30", "--backend", fast)
+    for path in (usual, other):
+        assert run("render", path, "--out", path.with_suffix(".lit.tif"), *options) == 0
+    with (
+        rasterio.open(tmp_path / "usual.lit.tif") as a,
+        rasterio.open(tmp_path / "other.lit.tif") as b,
+    ):
+        np.testing.assert_array_equal(a.read(), b.read())
+        assert (a.transform, a.tags()) == (b.transform, b.tags())
+    arc = 1 / 3600
+    degrees = dict(crs="EPSG:4326", tags=tags)
+    make(usual, transform=from_origin(7, 50, arc, arc), **degrees)
+    make(other, HEIGHT[::-1], transform=Affine(arc, 0, 7, 0, arc, 50 - 13 * arc), **degrees)
+    found, expected = geo.read(other, resample=True), geo.read(usual, resample=True)
+    np.testing.assert_allclose(found.values, expected.values, atol=1e-3)
+    assert found.transform.almost_equals(expected.transform, 1e-9)
+    assert found.spacing == pytest.approx(expected.spacing, rel=1e-9)
+
+
+def test_control_points_are_no_transform(tmp_path):
+    """A file with ground control points alone is refused, not read with cells of 1 m."""
+    from rasterio.control import GroundControlPoint
+
+    path = tmp_path / "a.tif"
+    corners = [(0, 0, 7e5, 4e6), (0, 17, 7e5 + 510, 4e6), (13, 0, 7e5, 4e6 - 390)]
+    with rasterio.open(
+        path, "w", driver="GTiff", width=17, height=13, count=1, dtype="int16", crs="EPSG:32616",
+        gcps=[GroundControlPoint(*corner) for corner in corners],
+    ) as file:  # fmt: skip
+        file.write(HEIGHT, 1)
+    refused("a.tif: no transform: got control points alone", geo.read, path)
 
 
 def test_not_a_geotiff(tmp_path):

@@ -25,6 +25,27 @@ def test_horizons_beyond_the_memory(fast, monkeypatch):
         sl.horizons(scene, 9, fast)
 
 
+def test_exact_in_near_rows_and_never_too_high_beyond(backend):
+    """Up to 12 spacings slopes are the oracle's; beyond, none is above it, and few are far below."""
+    rng = np.random.default_rng(1)
+    towers = 2 * rng.random((90, 100))
+    for row, col, height in zip(rng.integers(0, 88, 9), rng.integers(0, 98, 9), rng.uniform(20, 300, 9)):
+        towers[row : row + 2, col : col + 2] += height
+    nodes = rng.integers(0, 90, 200), rng.integers(0, 100, 200)
+    for heights, rms in ((3 * rng.random((90, 100)), 0.004), (towers, 0.06)):
+        heights = heights.astype(np.float32)
+        for reach in (12.0, None):
+            angles = sl.Azimuths(16).angles
+            true = oracle.horizons(heights.max() - heights.astype(float), 1.0, angles, "open", reach, nodes)
+            scene = sl.Scene.from_height(heights)
+            found = sl.horizons(scene, 16, backend, max_distance=reach)[:, nodes[0], nodes[1]]
+            assert np.array_equal(np.isfinite(found), np.isfinite(true))
+            error = np.arctan(found) - np.arctan(true)  # of -inf too
+            assert np.isfinite(error).all()
+            assert error.max() < 3e-5
+            assert error.min() > -3e-5 if reach else rms / 30 < np.sqrt((error**2).mean()) < rms
+
+
 @pytest.mark.parametrize("spacing", [1.0, 30.0])
 def test_a_spike_is_seen_where_it_stands(backend, spacing):
     """Along the axes, at its slope, from both sides, whatever the unit; azimuth grows from +x towards +y."""

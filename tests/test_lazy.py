@@ -341,3 +341,18 @@ def test_chunks_of_another_shape_than_promised(what, tile, fast):
             sl.errors.InputError, match=what + r": chunk \(1, 2\).*\(31, 26\).*\(32, 26\), by"
         ):
             result.compute(scheduler="sync")
+
+
+def test_windows_carry_no_tables_of_the_sky(fast):
+    """What is sent with the window of every tile is small, and the same under every sky."""
+    import pickle
+
+    scene = sl.Scene.from_height(da.from_array(np.zeros((96, 96), np.float32), chunks=32))
+    tiling, keys = sl.Tiling(32, 16, 8), []
+    for azimuth in (90.0, 180.0):
+        sky = sl.Sky(sl.cie_clear((azimuth, 20.0), direct=5.0))
+        image = sl.render(scene, sky, tiling=tiling, backend=fast, interreflection=False).image
+        tasks = {key: task for key, task in dict(image.dask).items() if str(key[0]).startswith("window-")}
+        assert tasks and all(len(pickle.dumps(task)) < 1e4 for task in tasks.values())
+        keys.append(set(tasks))
+    assert keys[0] == keys[1]

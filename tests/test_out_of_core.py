@@ -16,6 +16,7 @@ import skylamp as sl
 from skylamp.app import out_of_core
 from skylamp.backends import select
 from skylamp.errors import CapacityError
+from skylamp.io import geotiff as geo
 
 rasterio = pytest.importorskip("rasterio")
 da = pytest.importorskip("dask.array")
@@ -128,6 +129,32 @@ def test_heights_far_above_zero_keep_their_relief(tmp_path):
                 found[kind] = file.read(1)
     for kind in ("float64", "int32"):
         np.testing.assert_allclose(found[kind], found["float32"], rtol=0, atol=2e-6)
+
+
+def test_tiles_write_what_one_map_writes(tmp_path, fast):
+    """A file whose rows go north: transform, nodata tag and gaps are those of `skylamp render` at once."""
+    heights = 30 * mountains(300, 384, 40)
+    heights[100:150, 200:260] = NODATA
+    path, whole, tiles = (tmp_path / name for name in ("dem.tif", "whole.tif", "tiles.tif"))
+    options = dict(driver="GTiff", width=384, height=300, count=1, crs="EPSG:32633", dtype="float32")
+    up = rasterio.Affine(30, 0, 5e5, 0, 30, 5e6)
+    with rasterio.open(path, "w", transform=up, nodata=NODATA, **options) as file:
+        file.write(heights[::-1], 1)
+    sky, words = sl.Sky(sl.cie_clear((150.0, 30.0))), dict(method="horizon", interreflection=False)
+    raster = geo.read(path)
+    geo.write(whole, sl.render(raster.scene(), sky, backend=fast, azimuths=16, **words).image, raster)
+    quantity = out_of_core.image(path, sl.Lambertian(0.8), sky, fast, {}, azimuths=16, **words)
+    with distributed.LocalCluster(
+        1, threads_per_worker=2, processes=False, dashboard_address=None
+    ) as cluster:
+        machines = out_of_core.Machines(None, 1, cluster.scheduler_address, 128, False, False)
+        out_of_core.write_quantity(path, str(tiles), quantity, machines, None)
+    with rasterio.open(whole) as a, rasterio.open(tiles) as b:
+        assert a.transform == b.transform and b.transform.e == -30 and (a.crs, a.dtypes) == (b.crs, b.dtypes)
+        assert np.isnan(a.nodata) and np.isnan(b.nodata)
+        found, expected = b.read(1), a.read(1)
+    assert np.array_equal(np.isnan(expected), heights == NODATA)
+    np.testing.assert_allclose(found, expected, rtol=0, atol=0.05 * np.nanmean(expected))
 
 
 def test_an_interrupted_run_goes_on(dem, tmp_path):

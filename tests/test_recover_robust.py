@@ -406,12 +406,46 @@ def test_two_images_tell_the_albedo(fast, name):
 
 
 @pytest.mark.slow
-def test_an_albedo_in_any_unit(fast):
-    """Images 50 times as bright: the albedo is 50 times as large, and depth the same."""
-    (depth, albedo, got), (*_, other) = (
-        both_lit("fractal", ("sky", "lamp"), fast, brighter) for brighter in (1.0, 50.0)
+@pytest.mark.parametrize("brighter", [1e-4, 50.0, 2e4, 1e9])
+def test_an_albedo_in_any_unit(fast, brighter):
+    """Images so many times as bright, as counts may be: the albedo is as many times as large, depth the
+    same.
+    """
+    *_, got = both_lit("fractal", ("sky", "lamp"), fast)
+    *_, other = both_lit("fractal", ("sky", "lamp"), fast, brighter)
+    assert rms(got.depth - other.depth) < 0.02 and rms(other.albedo / brighter - got.albedo) < 0.01
+
+
+@pytest.mark.slow
+def test_light_between_surfaces_in_another_unit(fast):
+    """What ground sends to ground is not known of images in counts: "auto" leaves it out, True warns."""
+    images = [1e4 * pair("bumps", kind)[1] for kind in ("sky", "lamp")]
+    lights = [source_of(kind) for kind in ("sky", "lamp")]
+    options = dict(albedo=None, sides="dark", layers=LAYERS, backend=fast)
+    direct, auto = (sl.recover(images, lights, interreflection=b, **options) for b in (False, "auto"))
+    np.testing.assert_array_equal(auto.depth, direct.depth)
+    assert not auto.interreflection and direct.warnings == []
+    assert [w[:38] for w in auto.warnings] == ["Light between surfaces is left out: th"]
+    asked = sl.recover(images, lights, interreflection=True, max_seconds=1.0, **options)
+    assert any(w.startswith("Light between surfaces is wrong: ") for w in asked.warnings)
+    usual = [image / 1e4 for image in images]
+    found = sl.recover(usual, lights, interreflection=True, max_seconds=1.0, **options)
+    assert not any("another unit" in w for w in found.warnings)
+
+
+def test_images_with_other_coordinates_are_refused(fast):
+    """Of several DataArrays, an albedo and a bound: rows in another order are not taken one by one."""
+    xarray = pytest.importorskip("xarray")
+    image = xarray.DataArray(
+        np.ones((8, 9)), dims=("y", "x"), coords={"y": np.arange(8.0), "x": np.arange(9.0)}
     )
-    assert rms(got.depth - other.depth) < 0.02 and rms(other.albedo / 50 - got.albedo) < 0.01
+    lamp = sl.Lamp(center=(4.0, 4.0, -9.0), radius=2.0)
+    recovered = functools.partial(recover, backend=fast, layers=4)
+    with pytest.raises(sl.InputError, match="image 2: coordinate 'y'"):
+        recovered([image, image[::-1]], [lamp, lamp])
+    for name in ("albedo", "near"):
+        with pytest.raises(sl.InputError, match=f"{name}: coordinate 'y'"):
+            recovered(image, lamp, **{name: 0.5 * image[::-1]})
 
 
 @pytest.mark.slow

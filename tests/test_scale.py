@@ -427,6 +427,24 @@ def test_far_ground_among_houses_is_said(fast):
 
 
 @pytest.mark.slow
+def test_a_low_sun_behind_far_ground_is_said(fast):
+    """The audit is of the image's own sky: where far ridges shade a low sun, it tells what overviews cost."""
+    y, x = np.indices((400, 400))
+    noise = 3 * np.random.default_rng(0).random((400, 400))
+    scene = sl.Scene.from_height((40 * np.sin(x / 39) * np.cos(y / 57) + noise).astype(np.float32))
+    options = dict(interreflection=False, backend=fast)
+    for elevation, is_said in ((8.0, True), (60.0, False)):
+        sky = sl.Sky(sl.cie_clear((90.0, elevation), direct=5.0))
+        whole = sl.render(scene, sky, tolerance=0.005, **options).image
+        with warnings.catch_warnings(record=True) as said:
+            warnings.simplefilter("always")
+            tiles = sl.render(scene, sky, tolerance=0.01, tiling=sl.Tiling(128), **options).image
+        assert (rms(tiles - whole) > 0.015 * whole.mean()) == is_said
+        told = [float(str(warning.message).split()[9]) / 100 for warning in said]
+        assert bool(told) == is_said and all(0.01 <= number < 0.1 for number in told), said
+
+
+@pytest.mark.slow
 def test_light_between_surfaces_in_tiles(fast):
     """Near that of the whole map, lazily too; ground beyond the halo counts as what is seen of it within."""
     heights, options = (

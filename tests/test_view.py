@@ -62,6 +62,26 @@ def test_settings_reach_the_image(file, fast):
     )
 
 
+@pytest.mark.parametrize("shape", [(1, 700), (5, 2000), (2000, 5), (400, 330), (3, 2)])
+def test_pictures_have_the_shape_of_the_map(shape, fast):
+    """Of narrow maps too, coarse and whole."""
+    viewer = view.Viewer(view.Map(np.zeros(shape, np.float32), True, 1.0, None, ()), fast)
+    for image in (viewer.coarse(view.Settings()).image, np.ones(shape, np.float32)):
+        assert viewer.tones(image).shape == shape
+
+
+def test_nodata_moves_no_lamp_and_ends_no_frame(fast):
+    """The lamp stands above the highest valid depth; a coarse map keeps a valid node, if few are."""
+    depth = np.full((40, 50), 20.0, np.float32)
+    depth[3, 4] = -9999
+    viewer = view.Viewer(view.Map(depth, False, 1.0, depth > 0, ()), fast)
+    assert viewer.source(view.Settings("lamp")).center == (25.0, 20.0, 10.0)
+    mask = np.zeros((400, 400), bool)
+    mask[1::2, 1::2] = True
+    sparse = view.Viewer(view.Map(np.zeros((400, 400), np.float32), True, 1.0, mask, ()), fast)
+    assert np.isfinite(sparse.coarse(view.Settings()).image).any()
+
+
 @contextmanager
 def page(file):
     """The address of a page that serves ``file``."""

@@ -70,8 +70,11 @@ class Map:
 
     @cached_property
     def stride(self) -> int:
-        """Nodes from one to the next of the coarse map."""
-        return max(1, int(max(self.values.shape)) // COARSE_SIDE)
+        """Nodes from one to the next of the coarse map, which has a valid node."""
+        stride = max(1, int(max(self.values.shape)) // COARSE_SIDE)
+        while stride > 1 and self.mask is not None and not self.mask[::stride, ::stride].any():
+            stride -= 1
+        return stride
 
 
 def read(file: Path, height: bool | None, spacing: float | None, resample: bool) -> Map:
@@ -132,7 +135,8 @@ class Viewer:
         return x, y, above - self._length(settings.lamp_height + settings.lamp_radius)
 
     def _least(self, settings: Settings) -> float:
-        return round(settings.exaggeration * float(np.nanmin(self.ground.values)), 6)
+        values, mask = self.ground.values, self.ground.mask
+        return round(settings.exaggeration * float(np.min(values if mask is None else values[mask])), 6)
 
     def coarse(self, settings: Settings) -> Rendering:
         """A quick image of every few nodes."""
@@ -151,7 +155,7 @@ class Viewer:
     def tones(self, image: np.ndarray) -> np.ndarray:
         """(rows, cols) uint8 of the whole map's shape."""
         rows, cols = self.ground.values.shape
-        step = math.ceil(rows / image.shape[0])
+        step = 1 if image.shape == (rows, cols) else self.ground.stride
         white = float(np.nanpercentile(image, WHITE_PERCENTILE)) or 1.0
         shown = np.nan_to_num(np.clip(image / white, 0, 1)) ** (1 / GAMMA)
         whole = np.rint(255 * shown).astype(np.uint8).repeat(step, 0).repeat(step, 1)

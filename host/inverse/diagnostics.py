@@ -26,6 +26,9 @@ UNSETTLED = 0.008
 # the same recoveries in 0, 27 and 5 of 30. At so many pixels 1, 28 and 6 are brighter, at half as many 1, 28
 # and 8, at twice as many 0, 25 and 2
 TOO_BRIGHT, TOO_MANY = 0.1, 0.02
+# median of the albedo that is found from which on images are in another unit than brightness; chosen: light
+# between surfaces, taken for direct light, makes a white surface seem brighter, but hardly three times
+IN_ANOTHER_UNIT = 3.0
 # standard deviations of noise by which a pixel may be brighter than the model; 0.3 of 10^6 normal ones are
 DEVIATIONS = 5
 NOISE_DEVIATIONS = 2  # by which noise may raise a residual; chosen
@@ -96,6 +99,17 @@ def of_ground(pyramid: Pyramid, residual: float) -> list[str]:
         f"Light between surfaces: model and image still differ by {residual:.1%} (rms). Its derivatives are"
         " approximate, and the error in deep bright places may be some layers; near= and far=, or a second"
         " image, reduce it."
+    ]
+
+
+def of_unit(albedo: float, with_ground: bool) -> list[str]:
+    """Warning that light between surfaces cannot be known; ``albedo``: the median of that which was found."""
+    if albedo <= IN_ANOTHER_UNIT:
+        return []
+    what = "is wrong" if with_ground else "is left out"
+    return [
+        f"Light between surfaces {what}: the albedo that was found is {albedo:.2g}, so the images are in"
+        " another unit than the brightness of the sources. Divide them by their value of brightness 1."
     ]
 
 

@@ -38,6 +38,9 @@ TEXTURE = 16.0
 # prior variances that noise is weighed against: of second differences of a surface on the grid of starts, and
 # of those of the detail that a grid adds to the next coarser one
 PRIOR_VARIANCE, ADDED_VARIANCE = 0.1, 0.03
+# weight of the prior of the albedo until the unit of the images is known: its square is a float32, and images
+# may be 1e15 times as bright as albedo 1 makes them. Derived
+UNIT_UNKNOWN = 1e-18
 LEAST_RANGE = 0.5  # least distance [nodes] between the bounds of depth, when they are narrowed
 NORMAL_QUARTILE = 0.6745  # median of the absolute value of a standard normal number
 CROSS_NORM = 6  # root of the sum of squares of the cross of second differences
@@ -135,6 +138,9 @@ class Pyramid:
         self.expected_albedo = 0.0
         if not self.albedo_known:  # from here on as shares of what a flat surface would have
             low, high = self.bounds[self.coarsest]
+            flat = self.problem(self.coarsest)
+            assert flat.albedo is not None, "the albedo is not known"
+            flat.albedo.set_prior(0.0, UNIT_UNKNOWN)
             self._expect_albedo(self.coarsest, (low + high) / 2)
             self.albedo, self.expected_albedo = [self.expected_albedo * albedo for albedo in self.albedo], 1.0
             self.problems.clear()

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from .. import sources
-from ..arrays import Labels, Quantity, axes_of, labelled, labels_of
+from ..arrays import Labels, Quantity, axes_of, labelled, labels_of, lies_on
 from ..backends import select
 from ..backends.base import Backend, timed, within
 from ..checks import at, one_of, positive_number, real_array
@@ -111,9 +111,9 @@ def recover(
     source : Sky, Lamp or Window, or a list, one per image
     sides, spacing, albedo
         As in the scene that the image shows; ``albedo`` a number or (rows, cols), > 0; or None, of several
-        images by method="robust": every pixel's is found with its depth. It may exceed 1 if the sources'
-        brightness is in another unit than the images. For method="paper" a lamp must lie above z = 0 or be
-        given as a volume that starts at layer 0, since carving starts from a surface at z = 0.
+        images by method="robust": every pixel's is found with its depth. It exceeds 1 if images are in
+        another unit than brightness; "auto" then leaves light between surfaces out. For method="paper" a lamp
+        must lie above z = 0 or be a volume that starts at layer 0, since carving starts at z = 0.
     layers : int
         The deepest depth in spacings, unless ``far`` is given; the lattice's depth.
     method : "robust" or "paper"
@@ -192,6 +192,9 @@ def _checked(
             "as many sources as images, at least one",
         )
     labels = labels_of(images[0])
+    for number, other in enumerate(images[1:], 2):
+        lies_on(labels, other, f"image {number}")
+    lies_on(labels, albedo, "albedo")
     images = [_radiance(picture) for picture in images]
     if len({picture.shape for picture in images}) > 1:
         raise bad("images of different shape", [picture.shape for picture in images], "one shape")
@@ -282,6 +285,8 @@ class _Limits(NamedTuple):
 
 
 def _limits(near: Any, far: Any, max_seconds: float | None, given: _Given) -> _Limits:
+    for bound, name in ((near, "near"), (far, "far")):
+        lies_on(given.labels, bound, name)
     seconds = math.inf if max_seconds is None else positive_number(max_seconds, "max_seconds")
     return _Limits(*_bounds(near, far, given), seconds)
 
@@ -305,7 +310,9 @@ def _recovered(
     progress: Progress | None,
     interreflection: bool | str,
 ) -> Recovery:
-    """As asked; for "auto" with light between surfaces, or without if that explains the images better."""
+    """As asked; for "auto" with light between surfaces, or without if that explains the images better, or
+    if their unit, and so what ground sends to ground, is not that of the sources.
+    """
     for light in given.lights:
         _check_shape(light, given.scene.sides)
     began, compiled = time.perf_counter(), engine.compile_seconds
@@ -316,12 +323,24 @@ def _recovered(
     def answer_of(with_bounces: bool) -> _Answer:
         return _answer(given, limits, engine, progress, with_bounces, spent)
 
+    direct = answer_of(False) if interreflection == "auto" and not given.albedo_given else None
+    if direct is not None:
+        unit = [] if direct.was_cut else diagnostics.of_unit(_usual_albedo(direct), False)
+        if unit or direct.was_cut:
+            direct.warnings.extend(unit)
+            return _recovery(given, limits, direct, spent, compiled)
     answer = answer_of(interreflection is not False)
     if interreflection == "auto" and not answer.was_cut:
-        direct = answer_of(False)
+        direct = direct or answer_of(False)
         if direct.levels and direct.levels[-1].residual < DIRECT_SHARE * answer.levels[-1].residual:
             answer = direct
     return _recovery(given, limits, answer, spent, compiled)
+
+
+def _usual_albedo(answer: _Answer) -> float:
+    """The median of the albedo that was found, where none was given."""
+    pyramid = answer.search.pyramid
+    return pyramid.expected_albedo * float(np.median(pyramid.albedo[0]))
 
 
 def _answer(
@@ -366,6 +385,8 @@ def _recovery(
     scene, search, pyramid = given.scene, answer.search, answer.search.pyramid
     level, z, low, high = answer.level, answer.z, limits.low, limits.high
     depth_range = float((high - low).mean())
+    if pyramid.interreflection and not given.albedo_given:
+        answer.warnings.extend(diagnostics.of_unit(_usual_albedo(answer), True))
     std, others = deviation_of(search.multigrid, level, z, search.rivals, search.comparing, depth_range)
     confidence = confidence_of(std, depth_range)
     ambiguous = np.isfinite(others).any(0) & (confidence < UNTRUSTED)

@@ -2,7 +2,8 @@
 ``geo``).
 
 skylamp's grids are square and north is up (-y). Cells that are not square on the ground, such as cells of
-degrees away from the equator, are resampled on request, else refused.
+degrees away from the equator, are resampled on request, else refused. A file whose rows go from south to
+north is read from its last row to its first, and so what is written like it is north up.
 """
 
 from __future__ import annotations
@@ -67,10 +68,11 @@ def is_geotiff(path: StrPath) -> bool:
 def read(path: StrPath, *, resample: bool = False) -> Raster:
     """The one band of a GeoTIFF with its georeference.
 
-    Its cells must be square on the ground to 1 %, north up. In degrees, a cell's sides in metres follow from
-    the ellipsoid at the middle latitude; they are not equally long. ``resample``: make cells square, with the
-    shorter side, by bilinear interpolation; the coordinate reference system stays, the transform becomes that
-    of the new cells.
+    Its cells must be square on the ground to 1 %, east to the right. Rows come from north to south, whatever
+    their order in the file; the transform is that of these rows. In degrees, a cell's sides in metres follow
+    from the ellipsoid at the middle latitude; they are not equally long. ``resample``: make cells square,
+    with the shorter side, by bilinear interpolation; the coordinate reference system stays, the transform
+    becomes that of the new cells.
 
     Raises InputError for a file that is missing, truncated, damaged, not a TIFF, without a georeference or
     with several bands, turned, not square, or so tall in latitude that a degree's length changes by more than
@@ -88,7 +90,7 @@ def read(path: StrPath, *, resample: bool = False) -> Raster:
         reserve(path, file.width * file.height * (np.dtype(file.dtypes[0]).itemsize + 1))
         values, mask = file.read(1), file.read_masks(1) > 0
         raster, unit = _described(path, file, values, mask)
-        raster = replace(raster, values=_scaled(file, values))
+        raster = replace(raster, values=_scaled(file, raster.values))
     return _spaced(path, raster, unit, resample)
 
 
@@ -106,12 +108,19 @@ def header(path: StrPath) -> Raster:
 
 
 def window(path: StrPath, rows: slice, cols: slice, dtype: DTypeLike = np.float32) -> np.ndarray:
-    """Values (rows, cols) of a part of a GeoTIFF, nan without data."""
+    """Values (rows, cols) of a part of a GeoTIFF, nan without data; rows count as in :func:`read`."""
     path = readable(path)
     with _opened(path) as file:
-        part = (rows.start, rows.stop), (cols.start, cols.stop)
+        up = _south_up(file.transform)
+        lines = (file.height - rows.stop, file.height - rows.start) if up else (rows.start, rows.stop)
+        part = lines, (cols.start, cols.stop)
         values, mask = _scaled(file, file.read(1, window=part)), file.read_masks(1, window=part) > 0
-    return np.where(mask, values, np.nan).astype(dtype)
+    return np.where(mask, values, np.nan).astype(dtype)[:: -1 if up else 1]
+
+
+def _south_up(transform: Any) -> bool:
+    """Whether the first row lies in the south."""
+    return bool(transform.e > 0 and not (transform.b or transform.d))
 
 
 def _scaled(file: Any, values: np.ndarray) -> np.ndarray:
@@ -134,22 +143,34 @@ def _opened(path: Path) -> Iterator[Any]:
 
 
 def _described(path: Path, file: Any, values: np.ndarray, mask: np.ndarray) -> tuple[Raster, str]:
-    """(The raster without its spacing, the unit of its values)."""
+    """(The raster without its spacing, north up; the unit of its values)."""
     if values.dtype.kind not in "iuf":
         raise bad(f"{path}: wrong type", values.dtype, "real numbers (integer or floating)")
     point = file.tags().get("AREA_OR_POINT") == "Point"
-    raster = Raster(values, mask, 0.0, file.crs, file.transform, file.nodata, point)
+    transform = file.transform
+    if transform.is_identity:  # what rasterio gives of a file with control points and without a transform
+        raise bad(
+            f"{path}: no transform",
+            "control points alone",
+            "a transform from rows and columns to the ground",
+            "Warp it first: rio warp IN.tif OUT.tif --dst-crs EPSG:NNNN",
+        )
+    if _south_up(transform):
+        values, mask = values[::-1], mask[::-1]
+        t = transform
+        transform = type(t)(t.a, 0, t.c, 0, -t.e, t.f + t.e * file.height)
+    raster = Raster(values, mask, 0.0, file.crs, transform, file.nodata, point)
     return raster, (file.units[0] or "").strip().lower()
 
 
 def _spaced(path: Path, raster: Raster, unit: str, resample: bool) -> Raster:
-    """The raster with its spacing; checked to lie north up in square cells, or made so."""
+    """The raster with its spacing; checked to be not turned, and to have square cells, or made so."""
     t = raster.transform
     if t.b or t.d or t.a <= 0 or t.e >= 0:
         raise bad(
             f"{path}: turned grid",
             f"transform {tuple(t)[:6]}",
-            "north up, east to the right",
+            "rows from west to east",
             "Warp it first: rio warp IN.tif OUT.tif --dst-crs EPSG:NNNN",
         )
     east, north = _metres(path, raster)
@@ -180,9 +201,10 @@ def write(path: StrPath, array: np.ndarray, like: Raster) -> None:
     """Write ``array``, (rows, cols) or (bands, rows, cols), as a GeoTIFF with the georeference of ``like``,
     whole or not at all, in the array's own type.
 
-    NaN stands as the nodata value of ``like``; where there is none, or a valid value equals it or it does not
-    fit the type, NaN stays and is the nodata value itself. A whole-number array keeps the nodata value if it
-    fits its type. Raises InputError for another shape or type, or a path that cannot be written.
+    The nodata value of a floating array is NaN, whatever that of ``like`` is, which a valid node may have;
+    where ``like`` is masked, its nodata value becomes NaN. A whole-number array keeps the nodata value of
+    ``like`` if it fits its type. Raises InputError for another shape or type, or a path that cannot be
+    written.
     """
     path = Path(path)
     if path.suffix.lower() not in (".tif", ".tiff"):
@@ -200,11 +222,9 @@ def write(path: StrPath, array: np.ndarray, like: Raster) -> None:
         )
     nodata = like.nodata
     if array.dtype.kind == "f":
-        fits = nodata is not None and (
-            np.isnan(nodata) or (array.dtype.type(nodata) == nodata and not (array == nodata).any())
-        )
-        nodata = nodata if fits else np.nan
-        array = np.where(np.isnan(array), array.dtype.type(nodata), array)
+        if nodata is not None:
+            array = np.where(~like.mask & (array == nodata), array.dtype.type(np.nan), array)
+        nodata = np.nan
     elif nodata is not None:
         info = np.iinfo(array.dtype)
         fits = np.isfinite(nodata) and nodata == int(nodata) and info.min <= nodata <= info.max

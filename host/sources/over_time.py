@@ -113,7 +113,7 @@ def sky_over_time(
         raise lacking("sky_over_time", "pvlib", "sun") from error
     index = _index(times, pandas)
     step = _hours(index, hours)
-    measured = _measured(dni, dhi, len(index))
+    measured = _measured(dni, dhi, index)
     types = _types(model, len(index))
     substeps = whole_number(substeps, "sky_over_time: substeps", 1)
     shift = (np.arange(substeps) + 0.5) / substeps - 0.5
@@ -196,15 +196,18 @@ def _hours(index: Any, hours: Any) -> np.ndarray:
             )
         hours = (index[1] - index[0]).total_seconds() / 3600
     durations = real_array(hours, "sky_over_time: hours", None)
-    if durations.shape not in ((), (len(index),)) or not (np.isfinite(durations) & (durations > 0)).all():
+    wrong = durations[~(np.isfinite(durations) & (durations > 0))]
+    if durations.shape not in ((), (len(index),)) or wrong.size:
         raise bad(
-            "sky_over_time: hours", f"shape {durations.shape}", f"finite numbers > 0, one or {len(index)}"
+            "sky_over_time: hours",
+            f"shape {durations.shape}" + (f" with {wrong[0]}" if wrong.size else ""),
+            f"finite numbers > 0, one or {len(index)}",
         )
     return np.broadcast_to(durations, len(index))
 
 
-def _measured(dni: Any, dhi: Any, count: int) -> np.ndarray | None:
-    """(2, times) [W m^-2], or None."""
+def _measured(dni: Any, dhi: Any, index: Any) -> np.ndarray | None:
+    """(2, times) [W m^-2], or None. Times of a pandas.Series may differ by one shift, say half an hour."""
     if dni is None and dhi is None:
         return None
     if dni is None or dhi is None:
@@ -212,13 +215,21 @@ def _measured(dni: Any, dhi: Any, count: int) -> np.ndarray | None:
             f"sky_over_time: {'dni' if dhi is None else 'dhi'} is given without the other;"
             " allowed: both, or neither for a clear sky."
         )
-    measured = {
+    measured: dict[str, np.ndarray] = {
         "dni": real_array(dni, "sky_over_time: dni", 1),
         "dhi": real_array(dhi, "sky_over_time: dhi", 1),
     }
-    for name, values in measured.items():
-        if len(values) != count:
-            raise bad(f"sky_over_time: {name}", f"{len(values)} values", f"{count}, one for every time")
+    for (name, values), given in zip(measured.items(), (dni, dhi)):
+        if len(values) != len(index):
+            raise bad(f"sky_over_time: {name}", f"{len(values)} values", f"{len(index)}, one for every time")
+        labels: Any = getattr(given, "index", None)
+        if getattr(labels, "tz", None) is not None and (index - labels).nunique() > 1:
+            raise bad(
+                f"sky_over_time: {name}, a Series of other times",
+                f"{labels[0]} to {labels[-1]}",
+                f"the order and the steps of times, {index[0]} to {index[-1]}",
+                "Use its reindex(times), or pass its values.",
+            )
     return np.stack(list(measured.values()))
 
 
