@@ -342,7 +342,7 @@ float per(float component) { return fabs(component) > 1e-6f ? 1 / fabs(component
 
 /* Where a ray crosses a column or a row of nodes: between the nodes at two places. */
 typedef struct {
-  int at, next;
+  int at, next, column, row, next_column; /* column and row of the node `at`; whether the next is beside it */
   float weight, distance; /* of the next node; [spacing] */
 } Crossing;
 
@@ -376,6 +376,9 @@ int cross(int x, int y, float cosine, float sine, float per_column, float per_ro
   crossing->at = place(u, v, rows, across + 2 * margin, margin, shift);
   crossing->next = on_column ? crossing->at + across + 2 * margin
                              : place(u + 1, v, rows, across + 2 * margin, margin, shift);
+  crossing->column = u;
+  crossing->row = v;
+  crossing->next_column = !on_column;
   crossing->weight = weight;
   crossing->distance = distance;
   return 1;
@@ -392,6 +395,34 @@ float value_at(__global const float *map, Crossing crossing)
 float part_past(float low, float high, float distance)
 {
   return distance > 0 && low < 0 && high > low ? LEAST(-low / (high - low), 1.0f) : 0.0f;
+}
+
+/* Whether the block of a crossing holds so many more crossings that the ray passes over it: then `met` is
+   moved on to before the last of them, from which the ground after the block rises. `top` is its highest. */
+int passes_over(Crossing at, float top, float slope, float own, float cosine, float sine, int met[2], int rows,
+                int cols, int block)
+{
+  if (top - own > slope * at.distance)
+    return 0;
+  const float across = cosine < 0 ? -cosine : cosine, down = sine < 0 ? -sine : sine;
+  const int left = at.column >> block << block, above = at.row >> block << block,
+            right = LEAST(left + (1 << block), cols), below = LEAST(above + (1 << block), rows);
+  const float x = at.column + (at.next_column ? at.weight : 0), y = at.row + (at.next_column ? 0 : at.weight);
+  const float out_x = cosine > 0 ? right - x : x - left, out_y = sine > 0 ? below - y : y - above;
+  const float way = LEAST(out_x * per(cosine), out_y * per(sine)), end = at.distance + way;
+  if (top - own > slope * end) /* of a ray that falls */
+    return 0;
+  /* rounding may lose the crossing on the way out, but finds none beyond it */
+  int columns = MOST((int)(end * across - 1e-3f), met[0]), lines = MOST((int)(end * down - 1e-3f), met[1]);
+  if (columns * down > lines * across)
+    --columns;
+  else
+    --lines;
+  if (columns + lines <= met[0] + met[1] || columns < met[0] || lines < met[1])
+    return 0;
+  met[0] = columns;
+  met[1] = lines;
+  return 1;
 }
 
 /* A ray in an azimuth: elevation's cosine and sine, slope, and change of elevation by its place. */
@@ -453,7 +484,7 @@ __kernel void strips(__global const float *heights, __global const float *light,
   for (int l = 0; l < LIGHTS; ++l)
     num[l] = 0;
   const int node = place(x, y, rows, pitch, margin, shift);
-  Crossing was = {node, node, 0, 0}, at;
+  Crossing was = {node, node, x, y, 0, 0, 0}, at;
   int met[2] = {0, 0};
   /* 1. the next crossing, if it is on the map, and if any ground there could be seen */
   while (cross(x, y, cosine, sine, per_column, per_row, met, rows, cols, across, margin, shift, sides, &at) &&
@@ -494,18 +525,19 @@ __kernel void strips(__global const float *heights, __global const float *light,
                                        beyond which there is none
   spots  (slices + rays, 2)     float  places from -1 to 1 across the lobe, and their widths, which add up to
                                        2: of azimuths, and then of the elevations in each
+  tops   (.., blocks)           float  [spacing] of blocks of 2^block x 2^block nodes, see opencl/pilot.cl
   image  (LIGHTS, rows x cols)  float  out: integral of radiance x lobe x N.L over the directions that ground
                                        occupies; with rim 0 the radiance of the ground along R. 0 where masked
 
 The spots lie as dense as the lobe: the host makes them from its table. Rays of an azimuth meet the ground in
-order of elevation, so that one walk serves all. Between two crossings height and radiance are linear; the
+order of elevation, so that one walk serves all; it passes over blocks that stay below the line. Between two crossings height and radiance are linear; the
 first stretch bends from the tangent plane up to its crossing, and a ray meets it half way. reach [spacing]:
 ground farther away is not met. LANES is 1: work-item (x, phase, y) owns the node of row y at element x of
 plane `phase`. */
 __kernel void glossy(__global const float *heights, __global const float *light, __global const float *lobe,
-                     __global const float *spots, __global float *image, int rows, int cols, int across,
-                     int margin, int shift, int sides, int slices, int rays, int n_lobe, float rim,
-                     float highest, float reach)
+                     __global const float *spots, __global const float *tops, __global float *image, int rows,
+                     int cols, int across, int margin, int shift, int sides, int block, int blocks, int slices,
+                     int rays, int n_lobe, float rim, float highest, float reach)
 {
 #if LANES == 1
   const int x = ((int)get_global_id(0) << shift) + (int)get_global_id(1), y = get_global_id(2),
@@ -549,12 +581,15 @@ __kernel void glossy(__global const float *heights, __global const float *light,
     const float below = tan(0.5f * (from - lowest)), above = tan(0.5f * (most - from));
     /* 3. the first ground along each */
     const float per_column = per(cosine), per_row = per(sine);
-    Crossing was = {node, node, 0, 0}, at;
+    Crossing was = {node, node, x, y, 0, 0, 0}, at;
     int met[2] = {0, 0}, ray = 0;
     Aim aim = aimed(spots[2 * slices], below, above, from_cosine, from_sine);
     float before = 0;
     while (cross(x, y, cosine, sine, per_column, per_row, met, rows, cols, across, margin, shift, sides, &at) &&
            !(at.distance > reach) && highest - own > aim.slope * at.distance) {
+      const float top = tops[(at.row >> block) * blocks + (at.column >> block)];
+      if (passes_over(at, top, aim.slope, own, cosine, sine, met, rows, cols, block))
+        continue;
       const float stands = value_at(heights, at) - own, rises = stands / at.distance;
       while (ray < rays && rises > aim.slope) {
         const float part = was.distance > 0 ? part_past(before - aim.slope * was.distance,

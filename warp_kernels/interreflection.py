@@ -519,6 +519,9 @@ class Crossing:
 
     at: wp.int32
     next: wp.int32
+    column: wp.int32  # of the node ``at``
+    row: wp.int32
+    next_column: wp.int32  # whether the next is beside it
     weight: wp.float32  # of the next node
     distance: wp.float32  # [spacing]
 
@@ -580,6 +583,9 @@ def cross(
     crossing.next = crossing.at + pitch
     if not on_column:
         crossing.next = place(u + 1, v, rows, pitch, margin, shift)
+    crossing.column = u
+    crossing.row = v
+    crossing.next_column = wp.where(on_column, 0, 1)
     crossing.weight = weight
     crossing.distance = distance
     return crossing, columns, lines
@@ -609,6 +615,57 @@ def per(component: wp.float32):
     if wp.abs(component) > wp.float32(1e-6):
         return wp.float32(1.0) / wp.abs(component)
     return wp.float32(ENDLESS)
+
+
+@wp.func
+def passed_over(
+    at: Crossing,
+    top: wp.float32,
+    slope: wp.float32,
+    own: wp.float32,
+    cosine: wp.float32,
+    sine: wp.float32,
+    met_columns: wp.int32,
+    met_lines: wp.int32,
+    rows: wp.int32,
+    cols: wp.int32,
+    block: wp.int32,
+):
+    """(columns, lines) that are met before the last crossing of the block of a crossing, if the ray passes
+    over it and it holds more; else as they are. From that last one the ground after the block rises.
+    ``top``: its highest.
+    """
+    if top - own > slope * at.distance:
+        return met_columns, met_lines
+    across = wp.abs(cosine)
+    down = wp.abs(sine)
+    left = (at.column >> block) << block
+    above = (at.row >> block) << block
+    x = wp.float32(at.column)
+    y = wp.float32(at.row)
+    if at.next_column != 0:
+        x += at.weight
+    else:
+        y += at.weight
+    out_x = x - wp.float32(left)
+    if cosine > wp.float32(0.0):
+        out_x = wp.float32(wp.min(left + (1 << block), cols)) - x
+    out_y = y - wp.float32(above)
+    if sine > wp.float32(0.0):
+        out_y = wp.float32(wp.min(above + (1 << block), rows)) - y
+    end = at.distance + wp.min(out_x * per(cosine), out_y * per(sine))
+    if top - own > slope * end:  # of a ray that falls
+        return met_columns, met_lines
+    # rounding may lose the crossing on the way out, but finds none beyond it
+    columns = wp.max(wp.int32(end * across - wp.float32(1e-3)), met_columns)
+    lines = wp.max(wp.int32(end * down - wp.float32(1e-3)), met_lines)
+    if wp.float32(columns) * down > wp.float32(lines) * across:
+        columns -= 1
+    else:
+        lines -= 1
+    if columns + lines <= met_columns + met_lines or columns < met_columns or lines < met_lines:
+        return met_columns, met_lines
+    return columns, lines
 
 
 @wp.struct
@@ -773,6 +830,7 @@ def glossy(LIGHTS: int):
         light: wp.array[wp.float32],
         lobe: wp.array[wp.float32],
         spots: wp.array[wp.float32],
+        tops: wp.array[wp.float32],
         image: wp.array[wp.float32],
         rows: wp.int32,
         cols: wp.int32,
@@ -780,6 +838,8 @@ def glossy(LIGHTS: int):
         margin: wp.int32,
         shift: wp.int32,
         sides: wp.int32,
+        block: wp.int32,
+        blocks: wp.int32,
         slices: wp.int32,
         rays: wp.int32,
         n_lobe: wp.int32,
@@ -879,6 +939,14 @@ def glossy(LIGHTS: int):
                 )
                 if at.distance > reach or not (highest - own > aim.slope * at.distance):
                     break
+                top = tops[(at.row >> block) * blocks + (at.column >> block)]
+                columns_on, lines_on = passed_over(
+                    at, top, aim.slope, own, cosine, sine, columns, lines, rows, cols, block
+                )
+                if columns_on + lines_on > columns + lines:
+                    columns = columns_on
+                    lines = lines_on
+                    continue
                 stands = value_at(heights, 0, at) - own
                 rises = stands / at.distance
                 while ray < rays and rises > aim.slope:

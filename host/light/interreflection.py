@@ -13,7 +13,7 @@ from ..backends.base import Array, Backend, reserve
 from ..backends.resident import DeviceImage
 from ..constants import NONE, SIDES
 from ..errors import CapacityError
-from ..samples import SAMPLED_SLOPE, Samples, picked
+from ..samples import SAMPLED_SLOPE, Samples, picked, samples_of
 from ..scene import Scene
 from .horizon import OFFSET
 from .propagation import Lobe
@@ -183,14 +183,13 @@ class Glossy(Planes):
     """
 
     def __init__(self, engine: Backend, scene: Scene, radiances: np.ndarray, max_distance: float | None):
-        there = scene.on(engine)
-        lowest, self.highest = there.heights_range
-        super().__init__(engine, scene.shape, scene.sides, len(radiances), self.highest - lowest)
+        self.samples = samples_of(engine, scene)
+        super().__init__(engine, scene.shape, scene.sides, len(radiances), self.samples.relief)
         reach = math.sqrt(2) * self.far
         self.reach = reach if max_distance is None else min(reach, max_distance / scene.spacing)
         one, ones = (engine.table(np.ones(count, np.float32)) for count in (1, self.lights))
         given = engine.upload(radiances.astype(np.float32, copy=False).ravel())
-        self._spread(there.heights(), one, self.heights, 1, False, 1.0, NONE)
+        self._spread(self.samples.heights, one, self.heights, 1, False, 1.0, NONE)
         self._spread(given, ones, self.light, self.lights, False, 1.0, 0.0)
         self.image = engine.empty((radiances.size,), np.float32)
         engine.finish()  # what was given may be freed
@@ -213,14 +212,17 @@ class Glossy(Planes):
             self.light,
             self.engine.table(lobe),
             self.engine.table(spots),
+            self.samples.tops,
             self.image,
             *self._layout,
             SIDES[self.sides],
+            self.samples.shift,
+            self.samples.tops.shape[2],
             slices,
             len(spots) - slices,
             len(lobe),
             rim,
-            self.highest,
+            self.samples.highest,
             self.reach,
             lanes=1,
             group=GROUP,

@@ -432,6 +432,7 @@ def glossy(
     light: np.ndarray,
     lobe: np.ndarray,
     spots: np.ndarray,
+    tops: np.ndarray,
     image: np.ndarray,
     rows: int,
     cols: int,
@@ -439,6 +440,8 @@ def glossy(
     margin: int,
     shift: int,
     sides: int,
+    block: int,
+    blocks: int,
     slices: int,
     rays: int,
     n_lobe: int,
@@ -447,6 +450,7 @@ def glossy(
     reach: float,
     LIGHTS: int,
 ) -> None:
+    # rays meet every crossing: `tops` would make this faster, not different
     layout, out = _Layout(rows, cols, across, margin, shift), image.reshape(LIGHTS, -1)
     out[...] = 0
     y, x = (index.ravel() for index in np.mgrid[:rows, :cols])
