@@ -45,6 +45,9 @@ class Lambertian:
 class Phong:
     """Lambertian and a lobe about the mirror direction.
 
+    Images with light between surfaces show in the lobe the ground that it sees, by that ground's albedo E /
+    pi; images of direct light show none. Other ground is lit by the Lambertian part alone.
+
     L = albedo E / pi + specular (n + 2) / (2 pi) x the integral of B cos^n(angle to the mirror direction)
     cos(theta_i) domega.
 

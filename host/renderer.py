@@ -49,6 +49,9 @@ SUN_DISTANCE = 1e5  # extents of the map at which the sun stands: a hundred-thou
 # that nothing hides the sum then errs by up to 1.8 %; with half of it by 0.8 %, with twice by 80 % (hemicubes
 # of 9 to 33, tests/test_reflectance.py)
 COARSE_LOBE = 1.2
+# of the tolerance that rays may take which look for ground in lobes; chosen: errors add by squares, and
+# estimates of the other light take up to 0.85
+LOBE_SHARE = 0.5
 
 
 class Renderer:
@@ -343,7 +346,8 @@ def _with_ground(
         shown = np.where(unlit, ground.in_mirrors(), np.float32(0))
     else:
         assert lobe is not None, "a surface that shows ground is a mirror or has a lobe"
-        shown = ground.by_lobe(lobe) * np.float32(_norm(scene))
+        error = LOBE_SHARE * float(options.tolerance) / _most_specular(scene)
+        shown = ground.within(lobe, error) * np.float32(_norm(scene))
     count = max(len(shine), len(shown))
     return [shine[n % len(shine)] + shown[n % len(shown)] for n in range(count)]
 
@@ -512,6 +516,11 @@ def _sun_of(scene: Scene, source: sources.Source, max_distance: float | None) ->
 def _norm(scene: Scene) -> float:
     assert isinstance(scene.reflectance, Phong), "Phong alone has a lobe"
     return scene.reflectance.norm
+
+
+def _most_specular(scene: Scene) -> float:
+    assert isinstance(scene.reflectance, Phong), "Phong alone has a lobe"
+    return float(np.max(scene.reflectance.specular))
 
 
 def _narrow_lobe(lobe: Lobe, apart: float, fix: str) -> list[str]:

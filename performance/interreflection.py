@@ -1,7 +1,7 @@
 """Light between surfaces: whether render(tolerance=...) keeps its word for all light, and what that costs.
 
     python performance/interreflection.py [--out DIR] [--sizes 96 256] [--surfaces hills,...] [--backend NAME]
-    python performance/interreflection.py --cliffs | --first [--backend NAME]
+    python performance/interreflection.py --cliffs | --first | --lobes [--backend NAME]
 
 Some 20 minutes on two idle cores. On eight surfaces, at albedo 0.8, under a uniform sky, a gradient, a sky
 with a sun and a spherical lamp, images within 1 % and 0.3 % are compared at 300 nodes with exact light: that
@@ -12,9 +12,10 @@ Writes interreflection.csv: error (RMS, largest, bias; over the mean), the share
 its estimate, and processor time beside that of direct light; and interreflection.png, one scene at three
 albedos without and with it.
 
-Two options print instead what constants of skylamp.interreflection are made from. --cliffs: how large the
-error of rounds without regard for cliffs is on plains with houses. --first: how large the error of the first
-level is on the eight surfaces, over the light between surfaces.
+Three options print instead what constants are made from. --cliffs: how large the error of rounds without
+regard for cliffs is on plains with houses. --first: how large the error of the first level is on the eight
+surfaces, over the light between surfaces. --lobes: how large the error of the ground in lobes is by the
+number of rays, on the eight surfaces under the uniform and the sunny sky, and how long it takes.
 """
 
 from __future__ import annotations
@@ -37,7 +38,8 @@ from skylamp import interreflection
 from skylamp.backends import select
 from skylamp.interreflection import sky_share
 from skylamp.light.finite import solid_of
-from skylamp.light.interreflection import Bounces, Round
+from skylamp.light.interreflection import LOBE_ERRORS, Bounces, Glossy, Round
+from skylamp.light.propagation import Lobe
 from skylamp.samples import Samples
 from skylamp.sources.solids import upright
 
@@ -246,6 +248,35 @@ def first_level(engine, sizes):
     print(f"{len(ratios)} images: least {least:.3f}, median {median:.3f}, most {most:.3f}")
 
 
+def lobes(engine, sizes):
+    """RMS error of ground in lobes, of a specular albedo of 1, over the mean radiance of the ground."""
+    counts, exact = (*LOBE_ERRORS, 2 * max(LOBE_ERRORS)), 4 * max(LOBE_ERRORS)
+    errors, seconds = {}, {}
+    for name, size, kind in itertools.product(SURFACES, sizes, ("uniform", "sunny")):
+        scene = sl.Scene(SURFACES[name](size).astype(np.float32), albedo=ALBEDO)
+        light = sl.render(scene, sources(size)[kind], backend=engine.name).image
+        ground = Glossy(engine, scene, light[None], None)
+        for exponent in (1, 5, 20, 100, 1000):
+            phong = sl.Phong(0, 1, exponent)
+            rim = phong.rim(1e-4)
+            lobe = Lobe(phong.table(rim), rim, phong.spread)
+            truth = ground.by_lobe(lobe, exact) * phong.norm
+            for count in counts:
+                ground.by_lobe(lobe, count)
+                start = time.process_time()
+                off = ground.by_lobe(lobe, count) * phong.norm - truth
+                seconds.setdefault(count, []).append((time.process_time() - start) / size**2)
+                errors.setdefault((count, exponent), []).append(
+                    math.sqrt(np.mean(off.astype(float) ** 2)) / float(light.mean())
+                )
+    for count in counts:
+        found = [errors[count, exponent] for exponent in (1, 5, 20, 100, 1000)]
+        by_exponent = "  ".join(f"{math.sqrt(np.mean(np.square(v))):.4f} ({max(v):.4f})" for v in found)
+        print(
+            f"{count:3d} x {count}: {by_exponent}; {1e6 * np.mean(seconds[count]):.1f} us a node", flush=True
+        )
+
+
 def main():
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
@@ -257,6 +288,7 @@ def main():
     parser.add_argument("--backend", default="auto")
     parser.add_argument("--cliffs", action="store_true")
     parser.add_argument("--first", action="store_true")
+    parser.add_argument("--lobes", action="store_true")
     arguments = parser.parse_args()
     engine, rows = select(arguments.backend), []
     if arguments.cliffs:
@@ -264,6 +296,9 @@ def main():
         return
     if arguments.first:
         first_level(engine, arguments.sizes)
+        return
+    if arguments.lobes:
+        lobes(engine, arguments.sizes[:1])
         return
     arguments.out.mkdir(parents=True, exist_ok=True)
     for size in arguments.sizes:

@@ -630,7 +630,7 @@ def in_lobe(backend, scene, radiance, exponent):
     phong = sl.Phong(0.0, 1.0, exponent)
     rim = phong.rim(1e-4)
     lobe = Lobe(phong.table(rim), rim, phong.spread)
-    return Glossy(select(backend), scene, radiance, None).by_lobe(lobe) * phong.norm
+    return Glossy(select(backend), scene, radiance, None).by_lobe(lobe, 12) * phong.norm
 
 
 @pytest.mark.parametrize("sides", ["open", "periodic"])
@@ -710,6 +710,8 @@ def test_lobes_show_ground_where_light_between_surfaces_is_asked_for(fast):
     shown = 0.3 * np.moveaxis(in_lobe(fast, scene, np.moveaxis(radiance, -1, 0), 10), 0, -1)
     of_sky = done.image - radiance - shown  # grey
     np.testing.assert_allclose(of_sky, np.broadcast_to(of_sky[..., :1], of_sky.shape), atol=1e-5)
+    fine = sl.render(scene, sl.Sky(), **options, tolerance=0.001).image
+    assert 0 < np.sqrt(np.mean((fine - done.image) ** 2)) / done.image.mean() < 0.01
     assert shown.max() > 0.02
     np.testing.assert_array_equal(sl.render(scene, sl.Sky(), backend=fast).image, done.image)
 

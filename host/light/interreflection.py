@@ -20,10 +20,11 @@ from .propagation import Lobe
 
 GROUP = 64  # work-items of a group of kernels that own a node each: PoCL runs a group in one loop
 Values = Any  # numbers or arrays
-# azimuths across a lobe, and rays in each. The RMS error of the ground's light is 0.3 to 5 % of its mean, the
-# narrower the lobe the less; with half 3 times as much in a quarter of the time, with twice a third of it in
-# four times the time (performance/interreflection.py --lobes)
-LOBE_SLICES, LOBE_RAYS = 12, 12
+# RMS error of ground in wide lobes of specular albedo 1, over the mean radiance of the ground, by the number
+# of azimuths across the lobe and of rays in each; half width [rad] of lobes down to which it is so large.
+# From there on it falls about as the root of the width (performance/interreflection.py --lobes)
+LOBE_ERRORS = {4: 0.077, 6: 0.042, 8: 0.028, 12: 0.016, 16: 0.011, 24: 0.0073, 32: 0.0053, 64: 0.0022}
+WIDE_LOBE = 0.41
 FINE_PROFILE = 4096  # knots of half a lobe's profile; chosen
 SHIFT = 2  # columns 2^SHIFT apart are neighbours in planes: the widest stride of receivers
 
@@ -194,10 +195,21 @@ class Glossy(Planes):
         self.image = engine.empty((radiances.size,), np.float32)
         engine.finish()  # what was given may be freed
 
-    def by_lobe(self, lobe: Lobe) -> np.ndarray:
-        """Integrals of radiance x lobe x N.L over the ground, (lights, rows, cols) float32."""
-        spots = np.concatenate([_spots(lobe, LOBE_SLICES), _spots(lobe, LOBE_RAYS)])
-        return self._shown(lobe.table, lobe.rim, spots, LOBE_SLICES)
+    def within(self, lobe: Lobe, error: float) -> np.ndarray:
+        """:meth:`by_lobe`, by the fewest rays whose RMS error, times the lobe's norm, is no more than a share
+        ``error`` of the mean radiance of the ground.
+        """
+        scale = math.sqrt(min(1.0, lobe.spread / WIDE_LOBE))
+        fewest = (count for count, found in LOBE_ERRORS.items() if scale * found <= error)
+        return self.by_lobe(lobe, next(fewest, max(LOBE_ERRORS)))
+
+    def by_lobe(self, lobe: Lobe, count: int) -> np.ndarray:
+        """Integrals of radiance x lobe x N.L over the ground, (lights, rows, cols) float32.
+
+        By ``count`` azimuths across the lobe, and as many rays in each.
+        """
+        spots = np.tile(_spots(lobe, count), (2, 1))
+        return self._shown(lobe.table, lobe.rim, spots, count)
 
     def in_mirrors(self) -> np.ndarray:
         """Radiance of ground along mirror directions, (lights, rows, cols) float32; 0 where none is met."""
