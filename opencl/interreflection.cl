@@ -398,10 +398,12 @@ float part_past(float low, float high, float distance)
 }
 
 /* Whether the block of a crossing holds so many more crossings that the ray passes over it: then `met` is
-   moved on to before the last of them, from which the ground after the block rises. `top` is its highest. */
-int passes_over(Crossing at, float top, float slope, float own, float cosine, float sine, int met[2], int rows,
-                int cols, int block)
+   moved on to before the last of them, from which the ground after the block rises. tops, block, blocks: see
+   glossy. */
+int passes_over(Crossing at, __global const float *tops, float slope, float own, float cosine, float sine,
+                int met[2], int rows, int cols, int block, int blocks)
 {
+  const float top = tops[(at.row >> block) * blocks + (at.column >> block)];
   if (top - own > slope * at.distance)
     return 0;
   const float across = cosine < 0 ? -cosine : cosine, down = sine < 0 ? -sine : sine;
@@ -462,10 +464,12 @@ float lobe_at(__global const float *lobe, int n_lobe, float part)
                                     is not sky, and the sky's share; with the upward part of the normal: the
                                     mean over azimuths of the last two is 1
 
-reach [spacing]: as far as is looked. LANES is 1: work-item n owns a ray. */
-__kernel void strips(__global const float *heights, __global const float *light, __global const float *rays,
-                     __global float *sums, int n_rays, int rows, int cols, int across, int margin, int shift,
-                     int sides, float highest, float reach)
+tops, block and blocks: as for glossy. reach [spacing]: as far as is looked. LANES is 1: work-item n owns a
+ray. */
+__kernel void strips(__global const float *heights, __global const float *light, __global const float *tops,
+                     __global const float *rays, __global float *sums, int n_rays, int rows, int cols,
+                     int across, int margin, int shift, int sides, int block, int blocks, float highest,
+                     float reach)
 {
 #if LANES == 1
   const int n = get_global_id(0), pitch = across + 2 * margin, plane_size = (rows + 2) * pitch;
@@ -489,6 +493,8 @@ __kernel void strips(__global const float *heights, __global const float *light,
   /* 1. the next crossing, if it is on the map, and if any ground there could be seen */
   while (cross(x, y, cosine, sine, per_column, per_row, met, rows, cols, across, margin, shift, sides, &at) &&
          !(at.distance > reach) && highest - own > slope * at.distance) {
+    if (passes_over(at, tops, slope, own, cosine, sine, met, rows, cols, block, blocks))
+      continue;
     /* 2. the ground there */
     const float stands = value_at(heights, at) - own, rises = stands / at.distance;
     /* 3. the strip that it opens */
@@ -518,8 +524,8 @@ __kernel void strips(__global const float *heights, __global const float *light,
 #endif
 }
 
-/* glossy: what nodes reflect of the ground round them towards the viewer, by a lobe about the mirror direction
-   R = 2 (N.V) N - V, V = (0, 0, -1), or along R alone.
+/* glossy: what nodes reflect of the ground round them towards the viewer, by a lobe about the mirror
+   direction R = 2 (N.V) N - V, V = (0, 0, -1), or along R alone.
 
   lobe   (n_lobe)               float  weight by 1 - cosine of the angle to R, even steps from 0 to rim,
                                        beyond which there is none
@@ -529,15 +535,15 @@ __kernel void strips(__global const float *heights, __global const float *light,
   image  (LIGHTS, rows x cols)  float  out: integral of radiance x lobe x N.L over the directions that ground
                                        occupies; with rim 0 the radiance of the ground along R. 0 where masked
 
-The spots lie as dense as the lobe: the host makes them from its table. Rays of an azimuth meet the ground in
-order of elevation, so that one walk serves all; it passes over blocks that stay below the line. Between two crossings height and radiance are linear; the
-first stretch bends from the tangent plane up to its crossing, and a ray meets it half way. reach [spacing]:
-ground farther away is not met. LANES is 1: work-item (x, phase, y) owns the node of row y at element x of
-plane `phase`. */
+The spots lie as dense as the host makes them for the lobe. Rays of an azimuth meet the ground in order of
+elevation, so that one walk serves all; it passes over blocks that stay below the line. Between two crossings
+height and radiance are linear; the first stretch bends from the tangent plane up to its crossing, and a ray
+meets it half way. reach [spacing]: ground farther away is not met. LANES is 1: work-item (x, phase, y) owns
+the node of row y at element x of plane `phase`. */
 __kernel void glossy(__global const float *heights, __global const float *light, __global const float *lobe,
                      __global const float *spots, __global const float *tops, __global float *image, int rows,
-                     int cols, int across, int margin, int shift, int sides, int block, int blocks, int slices,
-                     int rays, int n_lobe, float rim, float highest, float reach)
+                     int cols, int across, int margin, int shift, int sides, int block, int blocks,
+                     int slices, int rays, int n_lobe, float rim, float highest, float reach)
 {
 #if LANES == 1
   const int x = ((int)get_global_id(0) << shift) + (int)get_global_id(1), y = get_global_id(2),
@@ -585,10 +591,10 @@ __kernel void glossy(__global const float *heights, __global const float *light,
     int met[2] = {0, 0}, ray = 0;
     Aim aim = aimed(spots[2 * slices], below, above, from_cosine, from_sine);
     float before = 0;
-    while (cross(x, y, cosine, sine, per_column, per_row, met, rows, cols, across, margin, shift, sides, &at) &&
+    while (cross(x, y, cosine, sine, per_column, per_row, met, rows, cols, across, margin, shift, sides,
+                 &at) &&
            !(at.distance > reach) && highest - own > aim.slope * at.distance) {
-      const float top = tops[(at.row >> block) * blocks + (at.column >> block)];
-      if (passes_over(at, top, aim.slope, own, cosine, sine, met, rows, cols, block))
+      if (passes_over(at, tops, aim.slope, own, cosine, sine, met, rows, cols, block, blocks))
         continue;
       const float stands = value_at(heights, at) - own, rises = stands / at.distance;
       while (ray < rays && rises > aim.slope) {

@@ -620,7 +620,7 @@ def per(component: wp.float32):
 @wp.func
 def passed_over(
     at: Crossing,
-    top: wp.float32,
+    tops: wp.array[wp.float32],
     slope: wp.float32,
     own: wp.float32,
     cosine: wp.float32,
@@ -630,11 +630,12 @@ def passed_over(
     rows: wp.int32,
     cols: wp.int32,
     block: wp.int32,
+    blocks: wp.int32,
 ):
     """(columns, lines) that are met before the last crossing of the block of a crossing, if the ray passes
     over it and it holds more; else as they are. From that last one the ground after the block rises.
-    ``top``: its highest.
     """
+    top = tops[(at.row >> block) * blocks + (at.column >> block)]
     if top - own > slope * at.distance:
         return met_columns, met_lines
     across = wp.abs(cosine)
@@ -719,6 +720,7 @@ def strips(LIGHTS: int):
     def strips(
         heights: wp.array[wp.float32],
         light: wp.array[wp.float32],
+        tops: wp.array[wp.float32],
         rays: wp.array[wp.float32],
         sums: wp.array[wp.float32],
         n_rays: wp.int32,
@@ -728,6 +730,8 @@ def strips(LIGHTS: int):
         margin: wp.int32,
         shift: wp.int32,
         sides: wp.int32,
+        block: wp.int32,
+        blocks: wp.int32,
         highest: wp.float32,
         reach: wp.float32,
     ):
@@ -785,6 +789,13 @@ def strips(LIGHTS: int):
             )
             if at.distance > reach or not (highest - own > slope * at.distance):
                 break
+            columns_on, lines_on = passed_over(
+                at, tops, slope, own, cosine, sine, columns, lines, rows, cols, block, blocks
+            )
+            if columns_on + lines_on > columns + lines:
+                columns = columns_on
+                lines = lines_on
+                continue
             # 2. the ground there
             stands = value_at(heights, 0, at) - own
             rises = stands / at.distance
@@ -939,9 +950,8 @@ def glossy(LIGHTS: int):
                 )
                 if at.distance > reach or not (highest - own > aim.slope * at.distance):
                     break
-                top = tops[(at.row >> block) * blocks + (at.column >> block)]
                 columns_on, lines_on = passed_over(
-                    at, top, aim.slope, own, cosine, sine, columns, lines, rows, cols, block
+                    at, tops, aim.slope, own, cosine, sine, columns, lines, rows, cols, block, blocks
                 )
                 if columns_on + lines_on > columns + lines:
                     columns = columns_on

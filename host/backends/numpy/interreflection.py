@@ -334,6 +334,7 @@ def gather_nodes(
 def strips(
     heights: np.ndarray,
     light: np.ndarray,
+    tops: np.ndarray,
     rays: np.ndarray,
     sums: np.ndarray,
     n_rays: int,
@@ -343,10 +344,13 @@ def strips(
     margin: int,
     shift: int,
     sides: int,
+    block: int,
+    blocks: int,
     highest: float,
     reach: float,
     LIGHTS: int,
 ) -> None:
+    # rays meet every crossing: `tops` would make this faster, not different
     layout, rays, out = (
         _Layout(rows, cols, across, margin, shift),
         rays.reshape(-1, 4),
