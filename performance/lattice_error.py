@@ -67,6 +67,7 @@ def main():
     parser.add_argument("--backend", default="auto")
     parser.add_argument("--out", type=Path, default=Path("."), help="folder for lattice_error.csv")
     options = parser.parse_args()
+    options.out.mkdir(parents=True, exist_ok=True)
     rows, cols = np.random.default_rng(0).integers(0, SIZE, (2, SAMPLES))
     found = [("ground", "mean", "M", "directions", "stride", "filled")]
     for name, (slope, power) in GROUNDS.items():

@@ -371,6 +371,7 @@ def main():
     parser.add_argument("--only", default="", help="scenes or sources, comma-separated")
     parser.add_argument("--name", default="plans")
     args = parser.parse_args()
+    args.out.mkdir(parents=True, exist_ok=True)
     rows = []
     for scene, light in TIMED if args.times else PAIRS:
         if args.only and not {scene, light} & set(args.only.split(",")):

@@ -217,6 +217,7 @@ def main():
         f" {platform.python_version()}, NumPy {np.__version__}"
     )
     print(about, flush=True)
+    args.out.mkdir(parents=True, exist_ok=True)
     rows, failed = [], 0
     for number in range(args.pairs) if args.only is None else [args.only]:
         try:

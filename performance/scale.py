@@ -417,6 +417,8 @@ def main():
     parser.add_argument("--azimuths", type=int, default=64)
     parser.add_argument("--backend", default="auto")
     given = parser.parse_args()
+    if given.out:
+        given.out.mkdir(parents=True, exist_ok=True)
     if given.memory:
         memory(given.memory, given.backend, given.azimuths, given.what)
     elif given.cities or given.between:

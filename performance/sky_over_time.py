@@ -137,6 +137,7 @@ def main() -> None:
     parser.add_argument("--every", type=int, default=11, metavar="N", help="hours from time to time")
     parser.add_argument("--case", type=int, help="this case alone, from 0")
     options = parser.parse_args()
+    options.out.mkdir(parents=True, exist_ok=True)
     rows = []
     for n, case in enumerate(CASES):
         if options.case in (None, n):

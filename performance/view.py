@@ -134,6 +134,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, required=True, help="folder")
     parser.add_argument("--backend", default="opencl")
     options = parser.parse_args()
+    options.out.mkdir(parents=True, exist_ok=True)
     height, spacing = io.terrain()
     file = Path(tempfile.mkdtemp()) / "height.npy"
     np.save(file, np.pad(height, [(0, SIDE - n) for n in height.shape], "symmetric").astype(np.float32))

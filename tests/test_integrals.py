@@ -122,6 +122,16 @@ def test_level_ground_under_a_coarse_map(fast):
         held(sl.Sky(sl.environment_map(image)), of_map(image), fast)
 
 
+@pytest.mark.parametrize("rows", [64, 96, 128])
+def test_level_ground_under_a_panorama_of_many_lights(rows):
+    """Pixels that are divided into an odd number of cells keep their light where bright ones are refined."""
+    rng = np.random.default_rng(rows)
+    image = np.exp(rng.normal(0, 0.2, (rows, 2 * rows)))
+    image[rng.random(image.shape) < 0.004] *= 12
+    sky = Integrals(sl.Sky(sl.environment_map(image)))
+    assert sky.bright_parts and sky.level == pytest.approx(of_map(image), rel=1e-6)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("elevation", "radius"), [(90, 0.1), (89.95, 0.1), (90, 2), (47, 0.1), (0.2, 0.1), (12.3, 0.15), (88, 5)]

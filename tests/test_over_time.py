@@ -108,7 +108,7 @@ def test_the_integrals_of_a_render_have_all_of_it():
     """A render's table of the sum is its cells: no sun between samples, none twice."""
     year = sl.sky_over_time(TIMES, *PLACE, hours=2.0)
     sky = Integrals(sl.Sky(year))
-    np.testing.assert_allclose(sky.level, year.ghi, rtol=1e-6)
+    np.testing.assert_allclose(sky.level, year.ghi, rtol=5e-6)
     assert len(sky.bright_parts) >= year.suns // 2
 
 

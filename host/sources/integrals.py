@@ -551,18 +551,30 @@ def _of_map(image: np.ndarray) -> list[Band]:
     rows, cols = image.shape
     finer = -(-ROWS // rows) if rows % 2 == 0 else 2 * -(-ROWS // (2 * rows))
     count, times = rows * finer // 2, -(-COLS // (2 * cols))
-    row = (count - np.arange(count) - 0.5) / finer - 0.5
-    col = (np.arange(cols * times) + 0.5) / times - 0.5
-    low, low_row = np.floor(col).astype(int), np.floor(row).astype(int)
-    light = np.empty((count, len(col)))
-    for some in np.array_split(np.arange(count), count * len(col) // 2**22 + 1):
-        f = (row - low_row)[some, None]
-        upper, lower = (image[np.clip(low_row[some] + n, 0, rows - 1)] for n in (0, 1))
-        wide = (1 - f) * upper + f * lower
-        if times > 1:
-            wide = wide[:, low % cols] * (1 - (col - low)) + wide[:, (low + 1) % cols] * (col - low)
-        light[some] = wide
-    return [Band(light, np.full(count, math.pi / len(col)), np.linspace(0, math.pi / 2, count + 1))]
+    upper = np.pad(image, ((1, 1), (0, 0)), mode="edge")[: -(-rows // 2) + 2]
+    around = np.pad(_cell_means(upper.T, finer)[:, :count][:, ::-1], ((1, 1), (0, 0)), mode="wrap")
+    light = np.ascontiguousarray(_cell_means(around.T, times))
+    width = np.full(count, math.pi / (cols * times))
+    return [Band(light, width, np.linspace(0, math.pi / 2, count + 1))]
+
+
+def _cell_means(values: np.ndarray, times: int) -> np.ndarray:
+    """Means over the cells that pixels (n, pixels + 2) are divided into, (n, pixels x times).
+
+    Values are linear between the middles of pixels; the first pixel and the last are only neighbours. Where
+    the number is odd, a cell in the middle of each pixel has a kink: its mean is not its middle.
+    """
+    before, own, after = values[:, :-2], values[:, 1:-1], values[:, 2:]
+    means = np.empty((*own.shape, times))
+    for cell in range(times):
+        past = (cell + 0.5) / times - 0.5
+        if 2 * cell + 1 == times:
+            means[..., cell] = (1 - 1 / (4 * times)) * own + (before + after) / (8 * times)
+        elif past < 0:
+            means[..., cell] = (1 + past) * own - past * before
+        else:
+            means[..., cell] = (1 - past) * own + past * after
+    return means.reshape(len(values), -1)
 
 
 def _cumulative(cells: np.ndarray) -> np.ndarray:
