@@ -21,7 +21,7 @@ from ..interreflection import choice, expected, is_needed
 from ..light.base import LightMethod
 from ..light.lattice import Lattice, lacking
 from ..light.unoccluded import ClosedForm
-from ..reflectance import Lambertian
+from ..reflectance import BRDF, Lambertian, Phong
 from ..samples import CLIFF, ESTIMATE_SHARE, SAMPLE_COUNT, SAMPLED_SLOPE, Errors, Samples, samples_of
 from ..scene import Scene
 from .plan import Choice, Plan, percent
@@ -183,6 +183,13 @@ def _common_choices(planner: Planner, between: float | None) -> Iterator[Choice]
         yield Choice("specular lobe", "none", "the surface is Lambertian")
     else:
         why = "summed beside the irradiance, to which the error given here belongs"
+        repeated = planner.scene.sides == "periodic" and isinstance(surface, Phong)
+        shines = isinstance(surface, BRDF) or bool(np.any(getattr(surface, "specular", 0.0)))
+        if shines and (repeated or lacking(planner.scene, planner.source)):
+            why = (
+                "the radiance is made by a lattice, its hemicube by the tolerance alone, and not refined; all"
+                " else here is of the irradiance"
+            )
         yield Choice("specular lobe", type(surface).__name__, why)
     yield Choice("interreflection", *choice(planner.interreflection, between, planner.tolerance))
     yield Choice("precision", "float32", f"depths are rounded by {_rounding(planner.samples):.1g} spacings")
