@@ -487,8 +487,8 @@ __kernel void strips(__global const float *heights, __global const float *light,
 #endif
 }
 
-/* glossy: what nodes reflect of the ground round them towards the viewer, by a lobe about the mirror direction
-   R = 2 (N.V) N - V, V = (0, 0, -1), or along R alone.
+/* glossy: what nodes reflect of the ground round them towards the viewer, by a lobe about the mirror
+   direction R = 2 (N.V) N - V, V = (0, 0, -1), or along R alone.
 
   lobe   (n_lobe)               float  weight by 1 - cosine of the angle to R, even steps from 0 to rim,
                                        beyond which there is none
@@ -553,7 +553,8 @@ __kernel void glossy(__global const float *heights, __global const float *light,
     int met[2] = {0, 0}, ray = 0;
     Aim aim = aimed(spots[2 * slices], below, above, from_cosine, from_sine);
     float before = 0;
-    while (cross(x, y, cosine, sine, per_column, per_row, met, rows, cols, across, margin, shift, sides, &at) &&
+    while (cross(x, y, cosine, sine, per_column, per_row, met, rows, cols, across, margin, shift, sides,
+                 &at) &&
            !(at.distance > reach) && highest - own > aim.slope * at.distance) {
       const float stands = value_at(heights, at) - own, rises = stands / at.distance;
       while (ray < rays && rises > aim.slope) {

@@ -1084,24 +1084,44 @@ def test_more_rows_are_tested_among_cliffs_where_the_tolerance_needs_it(fast):
 # -- what is beyond the model
 
 
+# tilted, its lower edge 0.4 spacings above the level ground
+PANEL = sl.Lamp(corner=(30, 40, 4.6), edges=((0, 6, 0), (8, 0, -6)))
+
+
 @pytest.mark.parametrize(
     ("scene", "source", "says"),
     [
         (sl.Scene(ROUGH, albedo=0.8), sl.Sky(), "Light between surfaces is left out: it is about"),
         (SCENES["rough"], sl.Lamp((36, 36, float(ROUGH[36, 36]) - 1.5), 1.2), "The lamp touches the surface"),
         (SCENES["flat"], sl.Lamp((30, 40, -20), 24.5), "The lamp touches the surface: it ends 0.5 spacings"),
+        (SCENES["flat"], PANEL, "The lamp touches the surface: it ends 0.4 spacings"),
+        (
+            SCENES["holes"],
+            replace(PANEL, corner=(12, 40, float(ROUGH[40, 12]))),
+            "The lamp touches the surface",
+        ),
         (SCENES["houses"], sl.Sky(), "Slopes are steeper than the grid holds"),
         (SCENES["holes"], sl.Sky(), "Nodata"),
         (sl.Scene(np.float32(ROUGH + 3e5)), sl.Sky(), "float32 rounds depths by"),
     ],
-    ids=["between surfaces", "touching lamp", "large lamp", "cliffs", "holes", "rounding"],
+    ids=[
+        "between surfaces",
+        "touching lamp",
+        "large lamp",
+        "panel",
+        "panel over holes",
+        "cliffs",
+        "holes",
+        "rounding",
+    ],
 )
 def test_what_a_scene_needs_beyond_the_model(fast, scene, source, says):
     """Each is said with a number, and not of a scene that lacks it."""
     direct = {"backend": fast, "interreflection": False}
     found = [text for text in sl.plan(scene, source, **direct).beyond if text.startswith(says)]
     assert len(found) == 1 and any(c.isdigit() for c in found[0]), found
-    assert sl.plan(SCENES["flat"], sl.Sky(), backend=fast).beyond == ()
+    for apart in (sl.Sky(), replace(PANEL, corner=(30, 40, 3.9))):
+        assert sl.plan(SCENES["flat"], apart, backend=fast).beyond == ()
     assert not any(
         text.startswith("Light between")
         for scene, asked in ((sl.Scene(ROUGH, albedo=0.0), False), (sl.Scene(ROUGH), "auto"))

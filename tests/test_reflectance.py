@@ -854,7 +854,7 @@ def test_the_sum_of_a_lobe_over_a_hemicube(size):
 
 @pytest.mark.parametrize("way", ["aperture", "rectangle"])
 def test_windows_repeat_with_the_map_in_mirrors(fast, way):
-    """Every copy of a window is mirrored: a map moved round its border, or four copies, give the like image."""
+    """Every copy of a window is mirrored: a map moved round its border, or four of it, give the image so."""
     depth, reflectance = rough(9, 12, 0.7, 3) + 2, sl.Mirror(1.0)
     aperture = np.zeros(depth.shape, bool)
     aperture[2:5, 3:6] = True
