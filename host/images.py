@@ -77,6 +77,8 @@ class Rendering:
                 for (result, factor), between in zip(self._parts, self._between)
             ]
             image = image_of(scene, errors, [], self._quantity)
+        if self.image.ndim > image.ndim:  # a coloured ground alone colours an irradiance
+            image = np.repeat(image[..., None], 3, -1)
         # a black source, or ground of albedo 0, times an error that is not bounded: 0 x inf is nan
         unknown = np.isnan(image)
         if scene.mask is not None:

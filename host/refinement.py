@@ -108,6 +108,9 @@ def plan(
         scene = scene.under_sky()
     if isinstance(source, sources.Source):
         source, _ = sources.in_range(sources.on_axes(source, scene.axes))
+        source = sources.channels(source)[0]  # a render begins with its first colour
+        if not callable(source.brightness):  # which stands for all if they differ by a factor
+            source = replace(source, brightness=1.0)
     with engine.lock:
         seconds = _stopwatch(engine)
         planner = choose(scene, source, tolerance, engine, tail, interreflection)

@@ -36,9 +36,9 @@ def render(
     """The image of ``scene`` under ``source``, seen orthographically along +z (Langer and Zucker, Eq. 3).
 
     Returns a Rendering, or raises InputError, BackendError, CapacityError or OutOfTimeError. In colour,
-    (rows, cols, 3), where brightness or reflectance is; each channel equals its grey render bit for bit. To
-    rho E / pi comes the integral of f B cos(theta_i) over the visible directions, f a lobe or any BRDF, or
-    the brightness in a mirror.
+    (rows, cols, 3), where brightness or reflectance is; each channel equals its grey render, bit for bit by
+    direct light, within the tolerance by all. To rho E / pi comes the integral of f B cos(theta_i) over the
+    visible directions, f a lobe or any BRDF, or the brightness in a mirror.
 
     Parameters
     ----------

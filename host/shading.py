@@ -250,17 +250,24 @@ def _meets_rectangle(
 
 
 def _meets_window(scene: Scene, window: sources.Window, origin: np.ndarray, L: np.ndarray) -> np.ndarray:
-    """Distance along L from ``origin`` to z = 0, nan where the ray does not pass the window."""
+    """Distance along L from ``origin`` to z = 0, nan where the ray does not pass the window.
+
+    A window over a map that repeats does so too.
+    """
     t = origin[..., 2] / -L[..., 2]
     x, y = (origin[..., axis] + np.where(L[..., axis] == 0, 0.0, t * L[..., axis]) for axis in (0, 1))
+    (rows, cols), repeats = scene.shape, scene.sides == "periodic"
     if window.aperture is not None:
         places = (np.nan_to_num(v / scene.spacing + 0.5, nan=-1, posinf=-1, neginf=-1) for v in (x, y))
         col, row = (np.floor(place).astype(int) for place in places)
-        rows, cols = scene.shape
+        if repeats:
+            col, row = col % cols, row % rows
         through = (0 <= col) & (col < cols) & (0 <= row) & (row < rows)
         through &= window.aperture[np.clip(row, 0, rows - 1), np.clip(col, 0, cols - 1)]
     else:
         (x0, x1), (y0, y1) = _sides(window)
+        if repeats:
+            x, y = x0 + (x - x0) % (cols * scene.spacing), y0 + (y - y0) % (rows * scene.spacing)
         through = (x0 <= x) & (x < x1) & (y0 <= y) & (y < y1)
     return np.where(through & (L[..., 2] < 0), t, np.nan)
 

@@ -782,6 +782,9 @@ def test_render_writes_the_error(here, capsys):
         "numpy",
         says="--error",
     )
+    black = "--albedo", "0", "--specular", "0.5", "--backend", "numpy"
+    command = "render", "depth.npy", "--out", "c.npy", "--error", "f.npy"
+    fails(capsys, 2, *command, *black, says="an albedo above 0")
     fails(
         capsys,
         3,

@@ -698,6 +698,15 @@ def test_the_error_map_has_the_images_shape_and_unit(fast):
     grey = irradiance(SCENES["rough"], sl.Sky(), fast)
     assert colour.error.shape == colour.image.shape == (SIZE, SIZE, 3)
     np.testing.assert_allclose(colour.error, grey.error[..., None] * albedo * [1, 2, 3] / np.pi, rtol=1e-5)
+    for how in ("auto", True):  # light between surfaces makes an irradiance coloured by its ground
+        light = sl.render(
+            sl.Scene(ROUGH, albedo=albedo),
+            sl.Sky(),
+            backend=fast,
+            quantity="irradiance",
+            interreflection=how,
+        )
+        assert light.error.shape == light.image.shape == (SIZE, SIZE, 3)
     for more in (
         {"method": "horizon"},
         {"azimuths": 8},
@@ -935,6 +944,46 @@ def test_what_is_planned_is_what_is_done(fast, name, source, tolerance):
     assert out.plan.seconds >= out.plan.planning_seconds
 
 
+@pytest.mark.parametrize(
+    ("source", "first"),
+    [
+        (sl.Sky((0.0, 1.0, 0.5)), sl.Sky()),
+        (replace(WINDOW, brightness=(1.0, 0.5, 0.2)), replace(WINDOW, brightness=1.0)),
+        (sl.Lamp((20, 30, -9), 4, (0.0, 0.0, 0.0)), sl.Lamp((20, 30, -9), 4)),
+        (sl.Sky(lambda L: np.stack([1 + L[..., 0], 1 - L[..., 0], 0 * L[..., 0]], -1)), None),
+    ],
+    ids=["sky", "window", "black", "function"],
+)
+def test_sources_in_colour_are_planned(fast, source, first):
+    """The plan of the first colour, or of brightness 1 where colours are numbers, as a render begins."""
+    scene = SCENES["rough"]
+    first = sl.Sky(lambda L: 1 + L[..., 0]) if first is None else first
+    made, grey = (sl.plan(scene, light, 0.03, fast, interreflection=False) for light in (source, first))
+    assert str(made) == str(grey)
+    out = irradiance(scene, source, fast, tolerance=0.03).plan
+    units = out.steps[0].units if made.azimuths else None  # a closed form has none
+    assert made.method == out.method and made.azimuths == units
+
+
+@pytest.mark.parametrize(
+    ("sides", "source"),
+    [
+        ("periodic", sl.Sky()),
+        ("open", sl.Window(aperture=np.arange(SIZE * SIZE).reshape(SIZE, SIZE) % 3 == 0)),
+        ("open", sl.Sky()),
+    ],
+    ids=["repeats", "aperture", "open"],
+)
+def test_a_plan_says_where_a_lobe_needs_the_lattice(fast, sides, source):
+    """Where a render of the radiance goes by a lattice that is not refined, and only there."""
+    scene = sl.Scene(ROUGH + 1, sides=sides, reflectance=sl.Phong(0.4, 0.3, 5))
+    made = sl.plan(scene, source, 0.03, fast)
+    out = sl.render(scene, source, tolerance=0.03, backend=fast, interreflection=False)
+    by_lattice = out.plan.method == "lattice" and not out.plan.steps
+    assert ("the radiance is made by a lattice" in str(made)) == by_lattice
+    assert by_lattice == (sides == "periodic" or isinstance(source, sl.Window))
+
+
 # -- maps that lie on a device
 
 
@@ -1035,24 +1084,44 @@ def test_more_rows_are_tested_among_cliffs_where_the_tolerance_needs_it(fast):
 # -- what is beyond the model
 
 
+# tilted, its lower edge 0.4 spacings above the level ground
+PANEL = sl.Lamp(corner=(30, 40, 4.6), edges=((0, 6, 0), (8, 0, -6)))
+
+
 @pytest.mark.parametrize(
     ("scene", "source", "says"),
     [
         (sl.Scene(ROUGH, albedo=0.8), sl.Sky(), "Light between surfaces is left out: it is about"),
         (SCENES["rough"], sl.Lamp((36, 36, float(ROUGH[36, 36]) - 1.5), 1.2), "The lamp touches the surface"),
         (SCENES["flat"], sl.Lamp((30, 40, -20), 24.5), "The lamp touches the surface: it ends 0.5 spacings"),
+        (SCENES["flat"], PANEL, "The lamp touches the surface: it ends 0.4 spacings"),
+        (
+            SCENES["holes"],
+            replace(PANEL, corner=(12, 40, float(ROUGH[40, 12]))),
+            "The lamp touches the surface",
+        ),
         (SCENES["houses"], sl.Sky(), "Slopes are steeper than the grid holds"),
         (SCENES["holes"], sl.Sky(), "Nodata"),
         (sl.Scene(np.float32(ROUGH + 3e5)), sl.Sky(), "float32 rounds depths by"),
     ],
-    ids=["between surfaces", "touching lamp", "large lamp", "cliffs", "holes", "rounding"],
+    ids=[
+        "between surfaces",
+        "touching lamp",
+        "large lamp",
+        "panel",
+        "panel over holes",
+        "cliffs",
+        "holes",
+        "rounding",
+    ],
 )
 def test_what_a_scene_needs_beyond_the_model(fast, scene, source, says):
     """Each is said with a number, and not of a scene that lacks it."""
     direct = {"backend": fast, "interreflection": False}
     found = [text for text in sl.plan(scene, source, **direct).beyond if text.startswith(says)]
     assert len(found) == 1 and any(c.isdigit() for c in found[0]), found
-    assert sl.plan(SCENES["flat"], sl.Sky(), backend=fast).beyond == ()
+    for apart in (sl.Sky(), replace(PANEL, corner=(30, 40, 3.9))):
+        assert sl.plan(SCENES["flat"], apart, backend=fast).beyond == ()
     assert not any(
         text.startswith("Light between")
         for scene, asked in ((sl.Scene(ROUGH, albedo=0.0), False), (sl.Scene(ROUGH), "auto"))

@@ -852,3 +852,26 @@ def test_the_sum_of_a_lobe_over_a_hemicube(size):
         cosines = np.maximum(clear @ cube.directions.T, 0)
         sums = (cosines**exponent) @ cube.solid_angles * (exponent + 1) / (2 * math.pi)
         assert low < abs(sums - 1).max() < high
+
+
+@pytest.mark.parametrize("way", ["aperture", "rectangle"])
+def test_windows_repeat_with_the_map_in_mirrors(fast, way):
+    """Every copy of a window is mirrored: a map moved round its border, or four of it, give the image so."""
+    depth, reflectance = rough(9, 12, 0.7, 3) + 2, sl.Mirror(1.0)
+    aperture = np.zeros(depth.shape, bool)
+    aperture[2:5, 3:6] = True
+
+    def image(copies, moved):
+        ground = np.tile(np.roll(depth, moved, (0, 1)), copies)
+        scene = sl.Scene(ground, sides="periodic", reflectance=reflectance)
+        if way == "rectangle" and copies == (1, 1):  # moved, it reaches over the border
+            y, x = 1.5 + moved[0], 2.5 + moved[1]
+            window = sl.Window((x, x + 3), (y, y + 3))
+        else:
+            window = sl.Window(aperture=np.tile(np.roll(aperture, moved, (0, 1)), copies))
+        return sl.render(scene, window, hemicube=5, backend=fast).image
+
+    one = image((1, 1), (0, 0))
+    assert 0 < (one == 1).sum() and set(np.unique(one)) == {0.0, 1.0}
+    np.testing.assert_array_equal(np.roll(one, (5, 8), (0, 1)), image((1, 1), (5, 8)))
+    np.testing.assert_array_equal(np.tile(one, (2, 2)), image((2, 2), (0, 0)))

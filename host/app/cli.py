@@ -133,8 +133,8 @@ def render(
         done = sl.render(scene, light, backend=backend, **options)
     if error is not None and done.error is None:
         raise typer.BadParameter(
-            "an error is estimated where a tolerance is given: it requires --method auto, without"
-            " --hemicube and --stride",
+            "an error is estimated of rho E / pi within a tolerance: it requires an albedo above 0 and"
+            " --method auto, without --hemicube and --stride",
             param_hint="--error",
         )
     image = done.image if exposure is None else io.tone_mapped(done.image, exposure)

@@ -21,7 +21,7 @@ from ..interreflection import choice, expected, is_needed
 from ..light.base import LightMethod
 from ..light.lattice import Lattice, lacking
 from ..light.unoccluded import ClosedForm
-from ..reflectance import Lambertian
+from ..reflectance import BRDF, Lambertian, Phong
 from ..samples import CLIFF, ESTIMATE_SHARE, SAMPLE_COUNT, SAMPLED_SLOPE, Errors, Samples, samples_of
 from ..scene import Scene
 from .plan import Choice, Plan, percent
@@ -48,6 +48,8 @@ TABLES_ERROR = 1e-4
 # rounding of depths [spacing], over the tolerance, from which on a plan says so; chosen: by as much the slope
 # between neighbours is wrong, a tenth of the error that was asked for
 ROUNDED_SHARE = 0.1
+# rows and columns of nodes, at most, whose distance from a lamp is looked at; chosen
+GAP_NODES = 512
 
 
 class Planner(ABC):
@@ -183,6 +185,13 @@ def _common_choices(planner: Planner, between: float | None) -> Iterator[Choice]
         yield Choice("specular lobe", "none", "the surface is Lambertian")
     else:
         why = "summed beside the irradiance, to which the error given here belongs"
+        repeated = planner.scene.sides == "periodic" and isinstance(surface, Phong)
+        shines = isinstance(surface, BRDF) or bool(np.any(getattr(surface, "specular", 0.0)))
+        if shines and (repeated or lacking(planner.scene, planner.source)):
+            why = (
+                "the radiance is made by a lattice, its hemicube by the tolerance alone, and not refined; all"
+                " else here is of the irradiance"
+            )
         yield Choice("specular lobe", type(surface).__name__, why)
     yield Choice("interreflection", *choice(planner.interreflection, between, planner.tolerance))
     yield Choice("precision", "float32", f"depths are rounded by {_rounding(planner.samples):.1g} spacings")
@@ -244,14 +253,10 @@ def beyond_model(planner: Planner, between: float | None) -> Iterator[str]:
             f"Light between surfaces is left out: it is about {percent(between)} of the direct light (RMS"
             " over the mean)."
         )
-    if isinstance(source, sources.Lamp) and source.center is not None and source.radius is not None:
-        x, y, z, radius = (value / scene.spacing for value in (*source.center, source.radius))
-        gap = _gap(scene, planner.engine, samples.highest, x, y, z, radius)
-        if gap < 1:
-            touches = (
-                f"reaches {-gap:.2g} spacings into it" if gap < 0 else f"ends {gap:.2g} spacings from it"
-            )
-            yield f"The lamp touches the surface: it {touches}, and the grid holds nothing finer than 1."
+    gap = _gap(scene, source, planner.engine, samples.highest) if isinstance(source, sources.Lamp) else 1.0
+    if gap < 1:
+        touches = f"reaches {-gap:.2g} spacings into it" if gap < 0 else f"ends {gap:.2g} spacings from it"
+        yield f"The lamp touches the surface: it {touches}, and the grid holds nothing finer than 1."
     if samples.cliffs > 0:
         yield (
             f"Slopes are steeper than the grid holds: {percent(samples.cliffs)} of neighbouring nodes"
@@ -269,16 +274,28 @@ def beyond_model(planner: Planner, between: float | None) -> Iterator[str]:
         )
 
 
-def _gap(scene: Scene, engine: Backend, highest: float, x: float, y: float, z: float, radius: float) -> float:
-    """Least distance [spacings] from a ball to the nodes, where it is less than 1."""
-    if -z - radius >= highest + 1:
+def _gap(scene: Scene, lamp: sources.Lamp, engine: Backend, highest: float) -> float:
+    """Least distance [spacings] from a ball or rectangle to the nodes below it, where it is less than 1."""
+    if lamp.volume is not None:
         return math.inf
-    rows, cols = scene.shape
-    i, j = (round(min(max(at, 0), n - 1)) for at, n in ((x, cols), (y, rows)))
-    reach = min(int(radius) + 2, 256)
-    v, u = np.mgrid[
-        max(0, j - reach) : min(j + reach + 1, rows), max(0, i - reach) : min(i + reach + 1, cols)
-    ]
+    radius, edges = 0.0, np.zeros((2, 3))
+    if lamp.radius is not None:
+        radius = lamp.radius / scene.spacing
+    else:
+        edges = np.array(lamp.edges) / scene.spacing
+    corner = np.array(lamp.center if lamp.corner is None else lamp.corner) / scene.spacing
+    low, high = corner + np.minimum(edges, 0).sum(0) - radius, corner + np.maximum(edges, 0).sum(0) + radius
+    if -high[2] >= highest + 1:
+        return math.inf
+    spans = []
+    for axis, count in ((1, scene.shape[0]), (0, scene.shape[1])):
+        first, last = (int(np.clip(end, -1e9, 1e9)) for end in (low[axis] - 2, high[axis] + 2))
+        nodes = np.arange(min(max(first, 0), count - 1), max(min(last, count - 1), 0) + 1)
+        spans.append(nodes[:: len(nodes) // GAP_NODES + 1])
+    v, u = np.meshgrid(*spans, indexing="ij")
     there = scene.on(engine)
-    square = (u - x) ** 2 + (v - y) ** 2 + (there.pick(v * cols + u).astype(float) / there.step - z) ** 2
-    return math.sqrt(square.min()) - radius
+    z = np.nan_to_num(there.pick(v * scene.shape[1] + u).astype(float), posinf=1e30) / there.step  # masked
+    apart = np.stack([u, v, z], -1) - corner
+    for edge in edges[edges.any(1)]:  # they are at right angles
+        apart = apart - np.clip(apart @ edge / (edge @ edge), 0, 1)[..., None] * edge
+    return float(np.sqrt((apart**2).sum(-1)).min()) - radius
