@@ -1085,7 +1085,7 @@ def test_more_rows_are_tested_among_cliffs_where_the_tolerance_needs_it(fast):
 
 
 # tilted, its lower edge 0.4 spacings above the level ground
-PANEL = sl.Lamp(corner=(30, 40, 4.6), edges=((0, 6, 0), (8, 0, -6)))
+TILTED_PANEL = sl.Lamp(corner=(30, 40, 4.6), edges=((0, 6, 0), (8, 0, -6)))
 
 
 @pytest.mark.parametrize(
@@ -1094,10 +1094,10 @@ PANEL = sl.Lamp(corner=(30, 40, 4.6), edges=((0, 6, 0), (8, 0, -6)))
         (sl.Scene(ROUGH, albedo=0.8), sl.Sky(), "Light between surfaces is left out: it is about"),
         (SCENES["rough"], sl.Lamp((36, 36, float(ROUGH[36, 36]) - 1.5), 1.2), "The lamp touches the surface"),
         (SCENES["flat"], sl.Lamp((30, 40, -20), 24.5), "The lamp touches the surface: it ends 0.5 spacings"),
-        (SCENES["flat"], PANEL, "The lamp touches the surface: it ends 0.4 spacings"),
+        (SCENES["flat"], TILTED_PANEL, "The lamp touches the surface: it ends 0.4 spacings"),
         (
             SCENES["holes"],
-            replace(PANEL, corner=(12, 40, float(ROUGH[40, 12]))),
+            replace(TILTED_PANEL, corner=(12, 40, float(ROUGH[40, 12]))),
             "The lamp touches the surface",
         ),
         (SCENES["houses"], sl.Sky(), "Slopes are steeper than the grid holds"),
@@ -1120,7 +1120,7 @@ def test_what_a_scene_needs_beyond_the_model(fast, scene, source, says):
     direct = {"backend": fast, "interreflection": False}
     found = [text for text in sl.plan(scene, source, **direct).beyond if text.startswith(says)]
     assert len(found) == 1 and any(c.isdigit() for c in found[0]), found
-    for apart in (sl.Sky(), replace(PANEL, corner=(30, 40, 3.9))):
+    for apart in (sl.Sky(), replace(TILTED_PANEL, corner=(30, 40, 3.9))):
         assert sl.plan(SCENES["flat"], apart, backend=fast).beyond == ()
     assert not any(
         text.startswith("Light between")
