@@ -618,7 +618,7 @@ def test_a_slit_before_a_sun(fast, width, points):
 @pytest.mark.slow
 def test_a_slit_before_a_sharp_map(fast):
     """Pixels of one degree and a half, which no table of chords holds that well, point by point."""
-    light = sl.environment_map(np.random.default_rng(1).gamma(0.5, size=(128, 256)))
+    light = sl.environment_map(np.random.default_rng(4).gamma(0.5, size=(128, 256)))
     scene, (corner, u, v) = sl.Scene(SMALL), ((12.2, 3.0, 0.0), (0, 26.0, 0), (5e-4, 0, 0))
     samples = Samples(select(fast), scene, 80, 100_003)
     out = irradiance(scene, sl.Window((12.2, 12.2005), (3.0, 29.0), light), fast)
