@@ -421,8 +421,7 @@ def _audit(audit: Audit, scene: Scene, far: Far) -> None:
 def _within(samples: Samples, far: Far) -> np.ndarray:
     """Which samples of a window lie in its tile (nodes,)."""
     rows, cols = samples.y - far.before[0], samples.x - far.before[1]
-    inner: np.ndarray = (rows >= 0) & (rows < far.tile[0]) & (cols >= 0) & (cols < far.tile[1])
-    return inner
+    return (rows >= 0) & (rows < far.tile[0]) & (cols >= 0) & (cols < far.tile[1])
 
 
 def _seen_from_edge(
@@ -529,8 +528,7 @@ def window_of(values: Any, box: Box, depths: list[int], periodic: bool) -> np.nd
 def around_tile(low: Any, layout: Layout, box: Box) -> np.ndarray:
     """The part of the overviews (2, rows, cols) at level ``tiling.first`` that a tile is given."""
     reach = layout.tiling.reach >> layout.tiling.first
-    part: np.ndarray = window_of(low, _cells_of(layout, box), [reach, reach], layout.periodic)
-    return part
+    return window_of(low, _cells_of(layout, box), [reach, reach], layout.periodic)
 
 
 def _cells_of(layout: Layout, box: Box) -> Box:
@@ -870,8 +868,7 @@ def _trimmed(window: np.ndarray, wide: Layout, narrow: Layout, box: Box) -> np.n
         before, after = narrow.margins(axis, first, count)
         cut = wide.margins(axis, first, count)[0] - before
         picks.append(slice(cut, cut + before + count + after))
-    inner: np.ndarray = window[(..., *picks)]
-    return inner
+    return window[(..., *picks)]
 
 
 def devices(*names: str) -> Any:
