@@ -130,8 +130,9 @@ def by_finer_model(judged: Judged) -> np.ndarray:
 
 
 def by_rivals(judged: Judged) -> np.ndarray:
-    """Squared distance to the other surfaces of the search."""
-    return RIVAL_WEIGHT**2 * _apart(judged.rivals, judged.z.shape)
+    """Squared distance to the other surfaces of the search, each times its weight."""
+    squares = ((weight * blurred(np.abs(off))) ** 2 for off, weight in judged.rivals)
+    return RIVAL_WEIGHT**2 * sum(squares, np.zeros(judged.z.shape))
 
 
 def by_other_answers(judged: Judged) -> np.ndarray:
@@ -171,11 +172,6 @@ PARTS: tuple[Callable[[Judged], np.ndarray], ...] = (
     by_rivals,
     by_other_answers,
 )
-
-
-def _apart(rivals: list[Rival], shape: tuple[int, ...]) -> np.ndarray:
-    """The sum of the squared distances to other answers, each times its weight."""
-    return sum(((weight * blurred(np.abs(off))) ** 2 for off, weight in rivals), np.zeros(shape))
 
 
 def by_even_albedo(judged: Judged) -> np.ndarray:
