@@ -139,8 +139,7 @@ class Azimuths:
 
     @property
     def widths(self) -> np.ndarray:
-        widths: np.ndarray = np.diff(np.array(self.edges, float))
-        return widths
+        return np.diff(np.array(self.edges, float))
 
     @classmethod
     def placed(cls, count: int, weights: np.ndarray) -> Azimuths:

@@ -719,11 +719,11 @@ def sky_irradiance(
         along = normal[:, 0] * math.cos(azimuth) + normal[:, 1] * math.sin(azimuth)
         up = -normal[:, 2]
         # the horizon, the tangent plane, the level
-        t = np.arctan(np.maximum(0.0, np.maximum(tangent, -along / up)))
+        slope = np.maximum(0.0, np.maximum(tangent, -along / up))
         if not callable(brightness):
-            ring = along * (np.pi / 2 - t - np.sin(t) * np.cos(t)) / 2 + up * np.cos(t) ** 2 / 2
-            out += width * (1.0 if brightness is None else brightness) * ring
+            out += width * (1.0 if brightness is None else brightness) * _above(along, up, slope)
             continue
+        t = np.arctan(slope)
         for some in np.array_split(np.arange(len(row)), len(row) // 1000 + 1):  # so that memory stays small
             half = (np.pi / 2 - t[some, None]) / 2
             e = t[some, None] + half * (1 + point)
@@ -860,7 +860,6 @@ def lobe_radiance(
     exponent: float,
     nodes: Node,
     rays: int = 4096,
-    seed: int = 0,
     sides: str = "open",
     kind: str = "sky",
 ) -> np.ndarray:
@@ -891,7 +890,7 @@ def lobe_radiance(
             aim = partial(_to_ball, source.center, source.radius)
         elif kind == "window":
             aim = partial(_to_rectangle, *_rectangle(source.x, source.y))
-        out[node] = _gather(depth, spacing, valid, ([row], [col]), rays, seed, sides, light, aim)[0]
+        out[node] = _gather(depth, spacing, valid, ([row], [col]), rays, 0, sides, light, aim)[0]
     return out
 
 
@@ -935,7 +934,6 @@ def lobe_ground(
     exponent: float,
     nodes: Node,
     rays: int = 1024,
-    seed: int = 0,
     sides: str = "open",
 ) -> np.ndarray:
     """Ground of known radiance (rows, cols) in Phong's lobe at ``nodes``: (n,) float64.
@@ -944,10 +942,9 @@ def lobe_ground(
     """
     normal = normals(depth, spacing, valid, sides)
     mirror, height = _mirror_directions(normal), np.where(valid, -depth / spacing, -1e30)
-    side, out = math.isqrt(rays), []
+    out = []
     for row, col in zip(*nodes):
-        jitter = np.random.default_rng((seed, row, col)).random((2, side, side))
-        u, v = ((np.indices((side, side)) + jitter) / side).reshape(2, -1)
+        u, v = _stratified(rays, 0, row, col)
         cosine = (1 - u) ** (1 / (exponent + 1))
         L = _about(mirror[row, col], cosine, np.sqrt(1 - cosine**2), v)
         facing = L @ normal[row, col]
@@ -999,14 +996,11 @@ def _gather(
     rows, cols = valid.shape
     normal = normals(depth, spacing, valid, sides)
     surface = np.where(valid, depth, np.nan).astype(float)
-    side = math.isqrt(rays)
     out = np.full(len(nodes[0]), np.nan)
     for node, (row, col) in enumerate(zip(*nodes)):
         if not valid[row, col]:
             continue
-        # a node's rays do not depend on the other nodes
-        jitter = np.random.default_rng((seed, row, col)).random((2, side, side))
-        u, v = ((np.indices((side, side)) + jitter) / side).reshape(2, -1)
+        u, v = _stratified(rays, seed, row, col)
         origin = np.array([col * spacing, row * spacing, surface[row, col]])
         L, ends, weight = aim(origin, u, v)
         cosine = L @ normal[row, col]
@@ -1020,6 +1014,13 @@ def _gather(
         light = brightness(L) if callable(brightness) else brightness
         out[node] = np.where(lit, weight * cosine * light, 0.0).mean()
     return out
+
+
+def _stratified(rays: int, seed: int, row: int, col: int) -> np.ndarray:
+    """u and v over 0 to 1, (2, rays), a node's own whatever the other nodes are."""
+    side = math.isqrt(rays)
+    jitter = np.random.default_rng((seed, row, col)).random((2, side, side))
+    return ((np.indices((side, side)) + jitter) / side).reshape(2, -1)
 
 
 def _upwards(u: np.ndarray, v: np.ndarray) -> np.ndarray:

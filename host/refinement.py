@@ -9,14 +9,12 @@ choice. No decision reads a clock.
 from __future__ import annotations
 
 import math
-import time
-from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, NamedTuple
 
 from . import sources
 from .backends import select
-from .backends.base import Backend
+from .backends.base import Backend, stopwatch
 from .checks import positive_number
 from .errors import bad
 from .interreflection import check_choice
@@ -112,7 +110,7 @@ def plan(
         if not callable(source.brightness):  # which stands for all if they differ by a factor
             source = replace(source, brightness=1.0)
     with engine.lock:
-        seconds = _stopwatch(engine)
+        seconds = stopwatch(engine)
         planner = choose(scene, source, tolerance, engine, tail, interreflection)
         planning = seconds()
         return replace(planner.plan(), planning_seconds=planning)
@@ -132,7 +130,7 @@ def refined(
     ``interreflection``: as of :func:`skylamp.render`; the plan alone uses it. ``stays``: an irradiance that
     is made on the device stays there.
     """
-    seconds = _stopwatch(engine)
+    seconds = stopwatch(engine)
     planner = choose(scene, source, tolerance, engine, tail, interreflection)
     planning = seconds()
     method, steps = planner.begin(), []
@@ -296,9 +294,3 @@ def choose(
     planner.interreflection = interreflection
     planner.choose()
     return planner
-
-
-def _stopwatch(engine: Backend) -> Callable[[], float]:
-    """Seconds from here on, without those of compiling."""
-    start, compiled = time.perf_counter(), engine.compile_seconds
-    return lambda: time.perf_counter() - start - (engine.compile_seconds - compiled)

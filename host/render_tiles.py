@@ -21,7 +21,7 @@ from .light.sweeps import Ground, Rays, Sweeps, engine_of, ground_of
 from .planning.plan import Plan
 from .render_options import DEFAULT_AZIMUTHS, Options, sectors_of
 from .renderer import Renderer
-from .scale import Audit, decided, fits, holds, over_area, tiled, warn
+from .scale import Audit, Lights, decided, fits, holds, over_area, tiled, warn
 from .scene import Scene
 from .sources.integrals import integrals
 
@@ -253,7 +253,7 @@ class TileImage:
     in fewer azimuths. The light is ``scale`` times that of the tables.
     """
 
-    lights: tuple[tuple[Rays, np.ndarray | None], ...]
+    lights: Lights
     factors: tuple[float, ...] | None
     quantity: str
     in_colour: bool
@@ -262,7 +262,7 @@ class TileImage:
     between: bool | None
     scale: float
     colours: int
-    fewer: tuple[tuple[Rays, np.ndarray | None], ...]
+    fewer: Lights
     share: float | None = None  # estimate of the light between surfaces
 
     @property
@@ -289,13 +289,7 @@ class TileImage:
         image = image_of(scene, light, [], self.quantity)
         return np.moveaxis(image, -1, 0)[part] if self.in_colour else image
 
-    def _swept(
-        self,
-        engine: Backend,
-        ground: Ground,
-        lights: tuple[tuple[Rays, np.ndarray | None], ...],
-        far: Far | None,
-    ) -> list[np.ndarray]:
+    def _swept(self, engine: Backend, ground: Ground, lights: Lights, far: Far | None) -> list[np.ndarray]:
         """Direct irradiance of every colour of the source."""
         light = [Sweeps(engine, ground, rays, table, far=far).irradiance(last=True) for rays, table in lights]
         if self.factors is None:

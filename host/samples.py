@@ -404,8 +404,7 @@ def _wall(samples: Samples, cosine: Values, sine: Values) -> np.ndarray:
             np.where(a > 1e-9, (n - 0.5 - at) / a, np.where(a < -1e-9, (-0.5 - at) / a, np.inf))
             for a, n, at in ((cosine, samples.cols, samples.x), (sine, samples.rows, samples.y))
         )
-    distance: np.ndarray = np.minimum(x, y)
-    return distance
+    return np.minimum(x, y)
 
 
 def ring(

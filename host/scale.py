@@ -16,6 +16,7 @@ from functools import partial
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
+from numpy.typing import DTypeLike
 
 from .arrays import Quantity, by_bands, labelled
 from .backends import backends, prefer
@@ -63,6 +64,7 @@ USUAL = Tiling()  # of maps that are given none
 WINDOWS, WINDOW = 3, 128
 
 Box = tuple[tuple[int, int], tuple[int, int]]  # a tile's first row and its rows, first column and columns
+Lights = tuple[tuple[Rays, np.ndarray | None], ...]  # azimuths and tables of skies, see skylamp.samples.ring
 
 
 class Work(Protocol):
@@ -87,13 +89,13 @@ class Undecided(Work, Protocol):
 class Audit(NamedTuple):
     """The check of the error that overviews of far ground add: on which backend, within which tolerance.
 
-    ``tolerance``: relative RMS error of the irradiance of each of ``lights``, which are the azimuths and
-    tables of skies, see :func:`skylamp.samples.ring`; None: sky-view factors to WORTH_SAYING.
+    ``tolerance``: relative RMS error of the irradiance of each of ``lights``; None: sky-view factors to
+    WORTH_SAYING.
     """
 
     backend: str
     tolerance: float | None = None
-    lights: tuple[tuple[Rays, np.ndarray | None], ...] = ()
+    lights: Lights = ()
 
 
 class Layout(NamedTuple):
@@ -421,8 +423,7 @@ def _audit(audit: Audit, scene: Scene, far: Far) -> None:
 def _within(samples: Samples, far: Far) -> np.ndarray:
     """Which samples of a window lie in its tile (nodes,)."""
     rows, cols = samples.y - far.before[0], samples.x - far.before[1]
-    inner: np.ndarray = (rows >= 0) & (rows < far.tile[0]) & (cols >= 0) & (cols < far.tile[1])
-    return inner
+    return (rows >= 0) & (rows < far.tile[0]) & (cols >= 0) & (cols < far.tile[1])
 
 
 def _seen_from_edge(
@@ -529,8 +530,7 @@ def window_of(values: Any, box: Box, depths: list[int], periodic: bool) -> np.nd
 def around_tile(low: Any, layout: Layout, box: Box) -> np.ndarray:
     """The part of the overviews (2, rows, cols) at level ``tiling.first`` that a tile is given."""
     reach = layout.tiling.reach >> layout.tiling.first
-    part: np.ndarray = window_of(low, _cells_of(layout, box), [reach, reach], layout.periodic)
-    return part
+    return window_of(low, _cells_of(layout, box), [reach, reach], layout.periodic)
 
 
 def _cells_of(layout: Layout, box: Box) -> Box:
@@ -587,20 +587,11 @@ def over_area(work: Any, scene: Scene, rows: slice, cols: slice, *leading: int) 
     again = bind(finite, highest, seed=highest.name)  # so that not all heights are kept meanwhile
     axes = "aij"[1 - len(leading) :]
     surface = (albedo, None) if varying is None else (albedo.rechunk(-1), "cij"[3 - varying.ndim :])
-    image = da.blockwise(
+    call, arrays = (
         partial(_area, work, scene.spacing, rows, cols),
-        axes,
-        again[part].rechunk(-1),
-        "ij",
-        highest,
-        "",
-        *surface,
-        new_axes={"a": leading[0]} if leading else {},
-        align_arrays=False,
-        concatenate=True,
-        dtype=np.float32,
-        meta=np.empty((0,) * len(axes), np.float32),
+        (again[part].rechunk(-1), "ij", highest, ""),
     )
+    image = _blockwise(da, call, axes, *arrays, *surface, new_axes={"a": leading[0]} if leading else {})
     around = [(0, 0)] * len(leading) + [(p.start, n - p.stop) for p, n in zip((rows, cols), scene.shape)]
     base = da.where(da.isnan(again), np.float32(np.nan), np.float32(0))
     chunks = {axis + len(leading): sizes for axis, sizes in enumerate(scene.lazy.chunks)}
@@ -628,6 +619,14 @@ def _area(
 # -- on Dask
 
 
+def _blockwise(
+    da: Any, work: Any, axes: str, *arrays: Any, dtype: DTypeLike = np.float32, **options: Any
+) -> Any:
+    """dask.array.blockwise of whole blocks; neither their chunks nor ``work`` is looked at."""
+    options |= dict(align_arrays=False, concatenate=True, dtype=dtype)
+    return da.blockwise(work, axes, *arrays, meta=np.empty((0,) * len(axes), dtype), **options)
+
+
 def lazily(work: Work, scene: Scene, layout: Layout, *leading: int) -> Any:
     """A dask.array of what ``work`` gives, in the map's own chunks; nothing is computed yet.
 
@@ -640,18 +639,13 @@ def lazily(work: Work, scene: Scene, layout: Layout, *leading: int) -> Any:
     parts = _parts(layout, *leading)
     axes = "aij"[1 - len(leading) :]
     numbers = [da.from_array(np.arange(len(parts)), chunks=1), "a"] if leading else [0, None]
-    options: dict[str, Any] = dict(
-        adjust_chunks={"a": tuple(part.stop - part.start for part in parts if part is not None)},
-        align_arrays=False,
-        concatenate=True,
-        dtype=np.float32,
-        meta=np.empty((0,) * len(axes), np.float32),
-    )
+    sizes: dict[str, Any] = {"a": tuple(part.stop - part.start for part in parts if part is not None)}
     albedo, varying = albedo_of(scene)
     if layout.single:
         surface = (albedo, None) if varying is None else (varying.rechunk(-1), "cij"[3 - varying.ndim :])
         call = partial(_whole, work, layout, scene.sides, parts)
-        mapped = da.blockwise(call, axes, heights.rechunk(-1), "ij", *numbers, *surface, **options)
+        arrays = [heights.rechunk(-1), "ij", *numbers, *surface]
+        mapped = _blockwise(da, call, axes, *arrays, adjust_chunks=sizes)
     else:
         sums = _lazy_sums(da, work, heights, albedo, varying, layout) if layout.undecided else None
         low, top, again = _overviews(da, heights, layout, sums)
@@ -659,13 +653,11 @@ def lazily(work: Work, scene: Scene, layout: Layout, *leading: int) -> Any:
         if varying is not None:
             surface = _windows(da, varying, layout), "cij"[3 - varying.ndim :]
         rows, cols = (da.from_array(np.arange(len(sizes)), chunks=1) for sizes in layout.sizes)
-        options["adjust_chunks"] |= dict(zip("ij", layout.sizes))
+        sizes |= dict(zip("ij", layout.sizes))
         call = partial(_block, work, layout, parts)
         places = rows, "i", cols, "j", low, None if low is None else "kij"
-        windows = _windows(da, again, layout)
-        mapped = da.blockwise(
-            call, axes, windows, "ij", *numbers, *surface, *places, top=top, sums=sums, **options
-        )
+        arrays = [_windows(da, again, layout), "ij", *numbers, *surface, *places]
+        mapped = _blockwise(da, call, axes, *arrays, adjust_chunks=sizes, top=top, sums=sums)
     return mapped.rechunk({axis + len(leading): chunks for axis, chunks in enumerate(heights.chunks)})
 
 
@@ -757,29 +749,23 @@ def _lazy_sums(
         colours = {0: -1} if varying.ndim == 3 else {}
         sizes = colours | dict(enumerate(layout.sizes, varying.ndim - 2))
         arrays += [varying.rechunk(sizes), "cij"[3 - varying.ndim :]]
-    sums = da.blockwise(
+    sums = _blockwise(
+        da,
         partial(_block_sums, work, layout.spacing, albedo),
         "ijab",
         *arrays,
+        dtype=np.float64,
         new_axes={"a": (work.colours,), "b": (3,)},  # type: ignore[attr-defined]  # it is Undecided
         adjust_chunks={"i": 1, "j": 1},
-        align_arrays=False,
-        concatenate=True,
-        dtype=np.float64,
-        meta=np.empty((0, 0, 0, 0)),
     )
-    return delayed(_sum_of_tiles, pure=True)(sums.rechunk(-1).to_delayed(optimize_graph=False).item())
+    total = partial(np.sum, axis=(0, 1))
+    return delayed(total, pure=True)(sums.rechunk(-1).to_delayed(optimize_graph=False).item())
 
 
 def _block_sums(
     work: Work, spacing: float, one: Any, heights: np.ndarray, varying: np.ndarray | None = None
 ) -> np.ndarray:
     return sums_of_tile(work, spacing, heights, one if varying is None else varying)[None, None]
-
-
-def _sum_of_tiles(sums: np.ndarray) -> np.ndarray:
-    total: np.ndarray = sums.sum((0, 1))
-    return total
 
 
 def _overviews(da: Any, heights: Any, layout: Layout, sums: Any = None) -> tuple[Any, Any, Any]:
@@ -870,8 +856,7 @@ def _trimmed(window: np.ndarray, wide: Layout, narrow: Layout, box: Box) -> np.n
         before, after = narrow.margins(axis, first, count)
         cut = wide.margins(axis, first, count)[0] - before
         picks.append(slice(cut, cut + before + count + after))
-    inner: np.ndarray = window[(..., *picks)]
-    return inner
+    return window[(..., *picks)]
 
 
 def devices(*names: str) -> Any:

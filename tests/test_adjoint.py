@@ -172,7 +172,7 @@ def tilts_of(z, sides):
 
 def sky64(z, light, sides):
     """E under a sky of the same azimuths, the horizons by the oracle."""
-    angles, widths = np.arctan2(light.azimuths[:, 1], light.azimuths[:, 0]), light.azimuths[:, 2]
+    angles, widths = np.arctan2(light.directions[:, 1], light.directions[:, 0]), light.directions[:, 2]
     tangent = oracle.horizons(z, 1.0, angles, sides)
     if sides == "periodic":  # what is lower is not looked for
         tangent = np.where(tangent > 0.01, tangent, -np.inf)
@@ -422,7 +422,7 @@ def test_which_node_limits_a_slice(backend):
     rows, cols, at = 5, 11, 6
     z = np.full((rows, cols), 9.0, np.float32)
     z[:, at] = 5
-    light = lights.Light(None, azimuths=np.array([(1.0, 0, 2, 0), (-1, 0, 2, 0), (0.6, 0.8, 2, 0)]))
+    light = lights.Light(None, np.array([(1.0, 0, 2, 0), (-1, 0, 2, 0), (0.6, 0.8, 2, 0)]))
     for sides in ("open", "periodic"):
         made = Descent(select(backend), z.shape, sides, [(light, np.ones(z.shape), np.zeros(z.shape))], 0, 99)
         made.value(z, 0.0)
@@ -465,7 +465,7 @@ def test_an_azimuth_almost_along_the_grid(backend):
     z = ground()
 
     def lit(c, s):
-        light = lights.Light(None, azimuths=np.array([(c, s, 2 * math.pi, 0)]))
+        light = lights.Light(None, np.array([(c, s, 2 * math.pi, 0)]))
         made = Descent(select(backend), SHAPE, "open", [(light, np.ones(SHAPE), np.zeros(SHAPE))], 0, 99)
         return image(made, z)
 
@@ -935,7 +935,7 @@ def test_more_work_items_than_nodes(fast, monkeypatch):
 
 def test_a_map_with_too_many_links(backend):
     """More than 2^31 links are a CapacityError."""
-    light = lights.Light(None, azimuths=np.zeros((2**22, 4), np.float32))
+    light = lights.Light(None, np.zeros((2**22, 4), np.float32))
     with pytest.raises(CapacityError, match="links"):
         Descent(select(backend), (16, 32), "open", [(light, np.ones((16, 32)), np.ones((16, 32)))], 0, 1)
 

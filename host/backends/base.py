@@ -103,13 +103,12 @@ class Limit:
 
     def __init__(self, seconds: float, what: str, engine: Backend):
         self.seconds, self.what, self.engine = seconds, what, engine
-        self.start, self.compiled, self.launches = time.perf_counter(), engine.compile_seconds, 0
+        self.spent, self.launches = stopwatch(engine), 0
 
     def check(self) -> None:
         """OutOfTimeError if they are over."""
         self.launches += 1
-        spent = time.perf_counter() - self.start - (self.engine.compile_seconds - self.compiled)
-        if spent > self.seconds:
+        if self.spent() > self.seconds:
             raise OutOfTimeError(
                 f"{self.what}: max_seconds={self.seconds:g} are over after {self.launches - 1} steps on"
                 f" {self.engine.name}. Give more, a larger tolerance, or fewer azimuths, directions or nodes."
@@ -283,10 +282,15 @@ class Backend(ABC):
         """Wait until all launches are done."""
 
 
+def stopwatch(engine: Backend) -> Callable[[], float]:
+    """Seconds from here on, without those of compiling."""
+    start, compiled = time.perf_counter(), engine.compile_seconds
+    return lambda: time.perf_counter() - start - (engine.compile_seconds - compiled)
+
+
 def timed(engine: Backend, work: Callable[[], Result]) -> tuple[Result, float, float]:
     """(result, seconds without compiling, seconds of compiling) of ``work``, once the engine is free."""
     with engine.lock:
-        compiled, start = engine.compile_seconds, time.perf_counter()
+        compiled, seconds = engine.compile_seconds, stopwatch(engine)
         result = work()
-        compiling = engine.compile_seconds - compiled
-        return result, time.perf_counter() - start - compiling, compiling
+        return result, seconds(), engine.compile_seconds - compiled

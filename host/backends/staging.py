@@ -70,8 +70,7 @@ class Staging:
         by_bands(lambda band: whole[band][:: mmap.PAGESIZE // 4].fill(0), whole.shape)
         raw = whole.view(np.uint8)[:count]
         self.fetch(array, [raw])
-        result: np.ndarray = raw.view(dtype).reshape(shape)
-        return result
+        return raw.view(dtype).reshape(shape)
 
     def fetch(self, array: Any, parts: Sequence[np.ndarray]) -> None:
         """Copy a device array to contiguous arrays of the host, which take its elements in turn."""

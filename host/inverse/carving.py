@@ -41,8 +41,7 @@ def carved_layers(
         scene = Scene(deepest, start.spacing, start.albedo, None, start.sides)
     flat = np.zeros(image.shape, np.float32)
     problem = Problem(flat, 1.0, start.sides, cube.steps, sources.geometry(source, scene, 1.0))
-    depth: np.ndarray = carve(engine, problem, low, high, weights, layers, stop == "sign", progress)
-    return depth
+    return carve(engine, problem, low, high, weights, layers, stop == "sign", progress)
 
 
 def carving_integers(

@@ -108,8 +108,7 @@ def confidence_of(std: np.ndarray, depth_range: float) -> np.ndarray:
     performance/doubt.py.
     """
     half = max(RIGHT * depth_range, LEAST_RIGHT) / NORMAL_QUARTILE
-    confidence: np.ndarray = 1 / (1 + (std / half) ** 2)
-    return confidence
+    return 1 / (1 + (std / half) ** 2)
 
 
 def by_noise(judged: Judged) -> np.ndarray:
@@ -121,8 +120,7 @@ def by_noise(judged: Judged) -> np.ndarray:
     pyramid.problem(level).set_targets(pyramid.images[level])
     noise = (pyramid.noise * 0.5**level) ** 2
     beyond = MISFIT_WEIGHT**2 * np.maximum(judged.misfit - noise, 0)
-    variance: np.ndarray = per_noise**2 * (noise + beyond + MODEL_ERROR**2)
-    return variance
+    return per_noise**2 * (noise + beyond + MODEL_ERROR**2)
 
 
 def by_finer_model(judged: Judged) -> np.ndarray:
@@ -132,8 +130,9 @@ def by_finer_model(judged: Judged) -> np.ndarray:
 
 
 def by_rivals(judged: Judged) -> np.ndarray:
-    """Squared distance to the other surfaces of the search."""
-    return RIVAL_WEIGHT**2 * _apart(judged.rivals, judged.z.shape)
+    """Squared distance to the other surfaces of the search, each times its weight."""
+    squares = ((weight * blurred(np.abs(off))) ** 2 for off, weight in judged.rivals)
+    return RIVAL_WEIGHT**2 * sum(squares, np.zeros(judged.z.shape))
 
 
 def by_other_answers(judged: Judged) -> np.ndarray:
@@ -175,16 +174,10 @@ PARTS: tuple[Callable[[Judged], np.ndarray], ...] = (
 )
 
 
-def _apart(rivals: list[Rival], shape: tuple[int, ...]) -> np.ndarray:
-    """The sum of the squared distances to other answers, each times its weight."""
-    return sum(((weight * blurred(np.abs(off))) ** 2 for off, weight in rivals), np.zeros(shape))
-
-
 def by_even_albedo(judged: Judged) -> np.ndarray:
     """Squared distance to the surface of a more even albedo, where the albedo is not known."""
     off = even_albedo_depth(judged.pyramid, judged.level, judged.z) - judged.z
-    variance: np.ndarray = (UNEVEN_WEIGHT * blurred(np.abs(off))) ** 2
-    return variance
+    return (UNEVEN_WEIGHT * blurred(np.abs(off))) ** 2
 
 
 def refitted(multigrid: Multigrid, level: int, start: np.ndarray, z: np.ndarray) -> np.ndarray:

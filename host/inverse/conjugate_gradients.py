@@ -160,17 +160,8 @@ class ConjugateGradients:
             gains = image.gains[side], image.gain
             self.launcher.launch(
                 "albedo_change",
-                *(
-                    *image.links[side],
-                    *gains,
-                    self.v[0],
-                    shared,
-                    state,
-                    *self.shape,
-                    image.count,
-                    image.sides,
-                ),
-                *(number == 0, self.launcher.nodes_per_item),
+                *(*image.links[side], *gains, self.v[0], shared, state),
+                *(*self.shape, image.count, image.sides, number == 0, self.launcher.nodes_per_item),
             )
         for image in self.images:
             gains = image.gains[side], image.gain

@@ -175,8 +175,7 @@ class Descent:
         penalty on depth itself.
         """
         self.solve(smoothness, LEAST_DAMPING, most, tolerance)
-        step: np.ndarray = self.backend.download(self.gradients.x).reshape(self.shape)
-        return step
+        return self.backend.download(self.gradients.x).reshape(self.shape)
 
     def run(
         self,

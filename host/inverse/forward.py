@@ -108,7 +108,7 @@ class Image:
         def put(array: np.ndarray | None) -> DeviceArray:
             return backend.upload(np.ascontiguousarray(array, np.float32))
 
-        self.is_sky, self.is_ball = light.azimuths is not None, int(light.ball)
+        self.is_sky, self.is_ball = light.frames is None, int(light.ball)
         self.directions = put(light.directions)
         self.table = put(np.zeros((1, 4)) if light.table is None else light.table)
         self.knots, self.rows_of_table = (0, 1) if light.table is None else light.table.shape[1::-1]

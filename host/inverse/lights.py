@@ -23,23 +23,16 @@ Brightness = tuple[np.ndarray | None, np.ndarray | None]
 class Light:
     """A source as the kernels take it, lengths in nodes of this grid.
 
-    azimuths (count, 4): of a sky; quadrature (count, 4), frames (pixels, 4), solid: of a lamp or window.
-    table: its brightness, (n, knots, 4), or None for 1 everywhere. ball: whether the solid is one.
+    table: its brightness, (n, knots, 4), or None for 1 everywhere. directions (count, 4): azimuths of a sky,
+    or quadrature of the slices of a lamp or window, which alone has frames (pixels, 4) and a solid. ball:
+    whether the solid is one.
     """
 
     table: np.ndarray | None
-    azimuths: np.ndarray | None = None
-    quadrature: np.ndarray | None = None
+    directions: np.ndarray
     frames: np.ndarray | None = None
     solid: np.ndarray | None = None
     ball: bool = False
-
-    @property
-    def directions(self) -> np.ndarray:
-        """(count, 4) azimuths, or quadrature of slices."""
-        directions = self.azimuths if self.quadrature is None else self.quadrature
-        assert directions is not None, "a light has azimuths or slices"
-        return directions
 
 
 def brightness_of(source: sources.Source, azimuths: int) -> Brightness:
@@ -71,26 +64,19 @@ def light_of(source: sources.Source, shape: tuple[int, int], scale: float, brigh
     nodes of the unit in which the source is given.
     """
     azimuths, table = brightness
-    if isinstance(source, sources.Sky):
-        return Light(table, azimuths=azimuths)
+    if azimuths is not None:
+        return Light(table, azimuths)
+    assert not isinstance(source, sources.Sky), "a sky has azimuths"
     share = (np.arange(LAMP_SLICES) + 0.5) / LAMP_SLICES
     theta, azimuth = np.pi * (share - 0.5), 2 * np.pi * share
     quadrature = np.stack([np.sin(theta), np.cos(theta), np.cos(azimuth), np.sin(azimuth)], 1)
     if isinstance(source, sources.Lamp) and source.center is not None:
         assert source.radius is not None, "a sphere has a radius"
         center = _on_grid(source.center, scale)
-        frames = _ball_frames(center, shape)
-        return Light(
-            table,
-            quadrature=quadrature,
-            frames=frames,
-            solid=np.array([*center, source.radius * scale]),
-            ball=True,
-        )
+        solid = np.array([*center, source.radius * scale])
+        return Light(table, quadrature, _ball_frames(center, shape), solid, ball=True)
     corners = np.array([_on_grid(corner, scale) for corner in _corners(source)])
-    return Light(
-        table, quadrature=quadrature, frames=_quadrangle_frames(corners, shape), solid=corners.ravel()
-    )
+    return Light(table, quadrature, _quadrangle_frames(corners, shape), corners.ravel())
 
 
 def _on_grid(point: Sequence[float] | np.ndarray, scale: float) -> np.ndarray:

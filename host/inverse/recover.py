@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
@@ -13,7 +12,7 @@ import numpy as np
 from .. import sources
 from ..arrays import Labels, Quantity, axes_of, labelled, labels_of, lies_on
 from ..backends import select
-from ..backends.base import Backend, timed, within
+from ..backends.base import Backend, stopwatch, timed, within
 from ..checks import at, one_of, positive_number, real_array
 from ..directions import Hemicube
 from ..errors import bad
@@ -288,7 +287,26 @@ def _limits(near: Any, far: Any, max_seconds: float | None, given: _Given) -> _L
     for bound, name in ((near, "near"), (far, "far")):
         lies_on(given.labels, bound, name)
     seconds = math.inf if max_seconds is None else positive_number(max_seconds, "max_seconds")
-    return _Limits(*_bounds(near, far, given), seconds)
+    spacing, shape = given.scene.spacing, given.scene.shape
+    low = _bound(near, 0.0, "near", shape) / spacing
+    high = _bound(far, given.layers * spacing, "far", shape) / spacing
+    if not (low < high).all():
+        raise bad(
+            f"near and far: {(low >= high).sum()} pixels {at(low >= high)}",
+            "near >= far",
+            "near < far everywhere",
+        )
+    return _Limits(low, high, seconds)
+
+
+def _bound(value: Any, usual: float, what: str, shape: tuple[int, int]) -> np.ndarray:
+    bound = real_array(usual if value is None else value, what, None)
+    if bound.ndim and bound.shape != shape:
+        raise bad(f"{what}: wrong shape", bound.shape, f"a number or an array of shape {shape}")
+    allowed = np.isfinite(bound) & (bound >= 0)
+    if not allowed.all():
+        raise bad(what, f"{bound[~allowed][0]:g}", "finite depth >= 0")
+    return np.broadcast_to(bound, shape)
 
 
 @dataclass(frozen=True, eq=False)
@@ -315,10 +333,7 @@ def _recovered(
     """
     for light in given.lights:
         _check_shape(light, given.scene.sides)
-    began, compiled = time.perf_counter(), engine.compile_seconds
-
-    def spent() -> float:
-        return time.perf_counter() - began - (engine.compile_seconds - compiled)
+    compiled, spent = engine.compile_seconds, stopwatch(engine)
 
     def answer_of(with_bounces: bool) -> _Answer:
         return _answer(given, limits, engine, progress, with_bounces, spent)
@@ -422,30 +437,6 @@ def _halfway(pyramid: Pyramid) -> np.ndarray:
     """The flat surface between the bounds, on the coarsest grid."""
     low, high = pyramid.bounds[-1]
     return np.broadcast_to((low + high) / 2, pyramid.shape(pyramid.coarsest))
-
-
-def _bounds(near: Any, far: Any, given: _Given) -> tuple[np.ndarray, np.ndarray]:
-    """(low, high) (rows, cols) depth [nodes]."""
-    spacing, shape = given.scene.spacing, given.scene.shape
-    low = _bound(near, 0.0, "near", shape) / spacing
-    high = _bound(far, given.layers * spacing, "far", shape) / spacing
-    if not (low < high).all():
-        raise bad(
-            f"near and far: {(low >= high).sum()} pixels {at(low >= high)}",
-            "near >= far",
-            "near < far everywhere",
-        )
-    return low, high
-
-
-def _bound(value: Any, usual: float, what: str, shape: tuple[int, int]) -> np.ndarray:
-    bound = real_array(usual if value is None else value, what, None)
-    if bound.ndim and bound.shape != shape:
-        raise bad(f"{what}: wrong shape", bound.shape, f"a number or an array of shape {shape}")
-    allowed = np.isfinite(bound) & (bound >= 0)
-    if not allowed.all():
-        raise bad(what, f"{bound[~allowed][0]:g}", "finite depth >= 0")
-    return np.broadcast_to(bound, shape)
 
 
 def _check_shape(light: sources.Source, sides: str) -> None:

@@ -214,5 +214,4 @@ def _read_npy(path: Path, file: IO[bytes], size: int) -> np.ndarray:
         raise ValueError("Object arrays are pickles, which are never read")
     reserve(path, math.prod(shape) * dtype.itemsize, size)
     file.seek(0)
-    array: np.ndarray = np.lib.format.read_array(file, allow_pickle=False)
-    return array
+    return np.lib.format.read_array(file, allow_pickle=False)

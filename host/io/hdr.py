@@ -105,8 +105,7 @@ def _read_radiance(path: Path) -> np.ndarray:
     if array is None or array.dtype != np.float32 or array.ndim != 3:
         raise ValueError("truncated or damaged")
     exposures = [float(value) for value in re.findall(rb"^EXPOSURE=\s*(\S+)", header, re.MULTILINE)]
-    rgb: np.ndarray = array[..., ::-1] / np.float32(np.prod(exposures))
-    return rgb
+    return array[..., ::-1] / np.float32(np.prod(exposures))
 
 
 def _write_radiance(path: Path, array: np.ndarray) -> None:

@@ -38,8 +38,7 @@ def read(path: Path) -> np.ndarray:
             if page.compression == tifffile.COMPRESSION.NONE:
                 reserve(path, page.nbytes, sum(page.databytecounts))
         reserve(path, len(file.pages) * file.pages[0].aspage().nbytes)
-        array: np.ndarray = file.asarray()
-        return array
+        return file.asarray()
 
 
 def write(path: Path, array: np.ndarray, rgb: bool) -> None:

@@ -414,5 +414,4 @@ def in_spacings(levels: list[Cells], base: float, spacing: float) -> list[Cells]
 
 def scaled(heights: np.ndarray, base: float, spacing: float) -> np.ndarray:
     """(heights - base) / spacing, float32, rounded once each."""
-    relative: np.ndarray = (heights - base).astype(np.float32) / np.float32(spacing)
-    return relative
+    return (heights - base).astype(np.float32) / np.float32(spacing)

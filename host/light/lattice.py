@@ -94,8 +94,7 @@ def through_window(samples: Samples, scene: Scene, source: sources.Window) -> np
             * np.cos(e)
             * np.maximum(0, along * np.cos(e) + np.sin(e) / samples.length)
         ).sum(0)
-    irradiance: np.ndarray = total * (np.pi / 2 / WINDOW_ELEVATIONS) * (2 * np.pi / WINDOW_AZIMUTHS)
-    return irradiance
+    return total * (np.pi / 2 / WINDOW_ELEVATIONS) * (2 * np.pi / WINDOW_AZIMUTHS)
 
 
 def _passes(scene: Scene, source: sources.Window, x: np.ndarray, y: np.ndarray) -> np.ndarray:

@@ -93,10 +93,6 @@ class OnDevice(NamedTuple):
     lines: int
 
     @property
-    def order(self) -> np.ndarray:
-        return self.host.directions
-
-    @property
     def n_walks(self) -> int:
         return self.host.n_walks
 
@@ -201,7 +197,7 @@ class Surface:
             lap = np.zeros((group.n_walks, 1), np.float32)
             if depth is not None and not group.host.rise[:, 0].all():
                 turned = group.host.walks[:, 6] != 0
-                ways = self.problem.steps[group.order[:, 0], :2]
+                ways = self.problem.steps[group.host.directions[:, 0], :2]
                 tables = [
                     lap_table(z, way.tolist(), self.problem.filled)
                     for z, way in ((depth, ways[~turned]), (depth.T, ways[turned, ::-1]))
@@ -216,34 +212,13 @@ class Surface:
         group, problem, launch = self.groups[number], self.problem, self.backend.launch
         shape = problem.depth.shape
         lap, lap_lines = self.laps[number]
+        dim, walks = (group.lines, group.n_walks), (self.maps, group.walks, group.rise, lap)
         tail = (self.planes, *shape, self.room, lap_lines, int(self.periodic))
         if problem.filled:
-            launch(
-                "filled",
-                "scan_filled",
-                (group.lines, group.n_walks),
-                self.maps,
-                group.walks,
-                group.rise,
-                lap,
-                group.crossings,
-                group.climbs,
-                group.spans,
-                *tail,
-                BITS=group.bits,
-            )
+            crossings = group.crossings, group.climbs, group.spans
+            launch("filled", "scan_filled", dim, *walks, *crossings, *tail, BITS=group.bits)
         else:
-            launch(
-                "scan",
-                "scan",
-                (group.lines, group.n_walks),
-                self.maps,
-                group.walks,
-                group.rise,
-                lap,
-                *tail,
-                BITS=group.bits,
-            )
+            launch("scan", "scan", dim, *walks, *tail, BITS=group.bits)
         if group.pairs is not None:
             by_fours = all(n % 4 == 0 for n in shape)
             launch(
@@ -310,7 +285,7 @@ class Light:
 
         def by_group(values: np.ndarray) -> list[list[Array]]:
             return [
-                [backend.table(one.astype(np.float32)[group.order]) for one in values]
+                [backend.table(one.astype(np.float32)[group.host.directions]) for one in values]
                 for group in surface.groups
             ]
 
@@ -439,6 +414,7 @@ class FieldByLayers:
     def run(self, progress: Progress | None = None) -> None:
         launch, problem = self.backend.launch, self.problem
         rows, cols = problem.depth.shape
+        size = rows, cols, self.reach, self.words
         periodic = problem.sides == "periodic"
         if problem.clips:
             launch(
@@ -449,10 +425,7 @@ class FieldByLayers:
                 self.numbers,
                 self.flags,
                 self.field,
-                rows,
-                cols,
-                self.reach,
-                self.words,
+                *size,
                 self.count,
                 problem.geometry.kind,
                 SIDES[problem.sides],
@@ -481,27 +454,14 @@ class FieldByLayers:
                 self.levels,
                 self.offsets,
                 self.field,
-                rows,
-                cols,
-                self.reach,
-                self.words,
+                *size,
                 self.count,
                 self.n_level,
                 n,
                 lanes=lanes,
             )
             if periodic:
-                launch(
-                    "propagate",
-                    "wrap",
-                    (self.width, self.height, self.words),
-                    self.field,
-                    rows,
-                    cols,
-                    self.reach,
-                    self.words,
-                    n,
-                )
+                launch("propagate", "wrap", (self.width, self.height, self.words), self.field, *size, n)
             if progress:
                 progress(n + 1, self.layers)
 
@@ -636,7 +596,7 @@ def carve(
     pixels = problem.pixels
     light, side = (backend.empty((pixels,), np.int32, 0) for _ in range(2))
     bounds = [backend.upload(a.astype(np.int32).ravel()) for a in (low, high)]
-    tables = [backend.upload(weights.astype(np.int32)[group.order]) for group in surface.groups]
+    tables = [backend.upload(weights.astype(np.int32)[group.host.directions]) for group in surface.groups]
     for layer in range(layers):
         active = backend.empty((1,), np.int32, 0)
         if layer:

@@ -109,7 +109,7 @@ class FinitePlanner(UnitsPlanner):
 
     @abstractmethod
     def _brightness_taken(self) -> tuple[str, str]:
-        """How the brightness is taken, and why, in the plan's words."""
+        """How a brightness that varies is taken, and why, in the plan's words."""
 
     def _unoccluded(self, rays_per_node: int, brightness: sources.Brightness | None = None) -> np.ndarray:
         """Light at the samples in closed form, its brightness along so many rays from each."""
@@ -126,7 +126,8 @@ class FinitePlanner(UnitsPlanner):
         taken, why = self._light_taken()
         why = f"its angular radius is {np.degrees(self.apparent):.2g} degrees on average; {why}".rstrip("; ")
         yield Choice("lamp" if isinstance(self.source, sources.Lamp) else "window", taken, why)
-        yield Choice("brightness", *self._brightness_taken())
+        varies = callable(self.source.brightness)
+        yield Choice("brightness", *(self._brightness_taken() if varies else ("constant", "it is a number")))
         parts = self.sky.bright_parts if self.sky is not None and not self.closed else ()
         if parts:
             yield Choice("bright parts", f"{len(parts)}", self.parts_taken)
@@ -274,8 +275,6 @@ class SlicePlanner(FinitePlanner):
         return taken, f"as a point, a disc of that size has an error of {percent(off)}"
 
     def _brightness_taken(self) -> tuple[str, str]:
-        if not callable(self.source.brightness):
-            return "constant", "it is a number"
         if self.rays_per_node:
             rays = "1 ray" if self.rays_per_node == 1 else f"{self.rays_per_node} rays"
             return f"along {rays}", "it varies little across the source"
@@ -319,8 +318,6 @@ class LinePlanner(FinitePlanner):
         return f"{self.units} points", "it is a line to every node"
 
     def _brightness_taken(self) -> tuple[str, str]:
-        if not callable(self.source.brightness):
-            return "constant", "it is a number"
         return f"along {self.units} rays", "one to every point"
 
 

@@ -272,8 +272,7 @@ class Mirrored(Distribution):
         return self.function.by_formula()
 
     def _turned(self, L: Any) -> np.ndarray:
-        turned: np.ndarray = np.asarray(L, float) * (*self.axes, 1.0)
-        return turned
+        return np.asarray(L, float) * (*self.axes, 1.0)
 
     def narrow(self) -> Directions | None:
         narrow = self.function.narrow()
