@@ -21,7 +21,7 @@ from .errors import bad
 from .light.horizon import OFFSET
 from .light.interreflection import Bounces, Round
 from .light.sweeps import Rays, Sweeps, ground_of
-from .samples import ESTIMATE_SHARE, Samples, picked, samples_of
+from .samples import ESTIMATE_SHARE, Samples, lit_mean, picked, samples_of
 from .scene import Scene
 from .sources.integrals import even
 
@@ -328,7 +328,7 @@ class _Check:
         worst, errors = 0.0, []
         self.guessed = 0.0
         for total, direct, share, sent in zip(totals, self.direct, self.albedo, light):
-            mean, first = _mean(total), _mean(direct)
+            mean, first = lit_mean(total), lit_mean(direct)
             if self.is_part:
                 more = sent * ((1 - self.sky) / np.maximum(1 - sky, LEAST_GROUND) - 1)
                 sent = sent + more
@@ -350,9 +350,3 @@ def _at(samples: Samples, image: np.ndarray | DeviceImage) -> np.ndarray:
     if isinstance(image, DeviceImage):
         return picked(samples, image.values).astype(float)
     return samples.of(image)
-
-
-def _mean(values: np.ndarray) -> float:
-    """Mean where there is light."""
-    lit = values[values > 0]
-    return float(lit.mean()) if lit.size else 0.0

@@ -54,14 +54,19 @@ class Errors(NamedTuple):
     tail: float
 
 
+def lit_mean(values: np.ndarray) -> float:
+    """Mean where there is light, 0 where there is none."""
+    lit = values[values > 0]
+    return float(lit.mean()) if lit.size else 0.0
+
+
 def errors(image: np.ndarray, exact: np.ndarray, least: float = 0.0) -> Errors:
     """Errors of ``image`` relative to the mean of ``exact`` where it is positive, or to ``least`` if larger.
 
     The bound is the RMS plus SIGMAS standard errors, by the sample's own spread. The percentile is
     extrapolated from the largest tenth of the errors, whose excess is assumed to be exponential.
     """
-    lit, count = exact[exact > 0], len(exact)
-    mean = max(float(lit.mean()) if lit.size else 0.0, least)
+    count, mean = len(exact), max(lit_mean(exact), least)
     if not mean > 0:
         return Errors(*(0.0 if not np.abs(image).max(initial=0) > 0 else math.inf,) * 3)
     off = np.sort(np.abs(image - exact)) / mean

@@ -277,13 +277,15 @@ def _program(backend: OpenclBackend, stem: str, lanes: int, constants: tuple[tup
         **dict(constants),
     }
     defines = [*skylamp.opencl.defines(stem), *(f"-D{name}={value}" for name, value in known.items())]
+    if stem in REGISTERS and "cl_nv_compiler_options" in backend._device.extensions:
+        defines.insert(0, f"-cl-nv-maxrregcount={REGISTERS[stem]}")
     for attempt in range(BUILDS):
         try:
             program = backend.cl.Program(backend.context, skylamp.opencl.source(stem))
             with warnings.catch_warnings():
                 # a compiler's remarks on kernels are not the caller's, who may have made warnings errors
                 warnings.simplefilter("ignore", backend.cl.CompilerWarning)
-                program.build([*OPTIONS, *backend._exact, *_registers(backend, stem), *defines])
+                program.build([*OPTIONS, *backend._exact, *defines])
             break
         except backend.cl.Error as error:
             if attempt == BUILDS - 1:
@@ -291,11 +293,6 @@ def _program(backend: OpenclBackend, stem: str, lanes: int, constants: tuple[tup
                 raise BackendError(text) from error
     backend.compile_seconds += time.perf_counter() - start
     return program
-
-
-def _registers(backend: OpenclBackend, stem: str) -> list[str]:
-    limited = stem in REGISTERS and "cl_nv_compiler_options" in backend._device.extensions
-    return [f"-cl-nv-maxrregcount={REGISTERS[stem]}"] if limited else []
 
 
 def _new(backend: OpenclBackend, shape: tuple[int, ...], dtype: DTypeLike) -> Array:

@@ -389,7 +389,8 @@ def _answer(
         warnings.append(f"Out of time after {limits.seconds:g} s: this is the best so far.")
     except KeyboardInterrupt:
         warnings.append("Interrupted: this is the best so far.")
-    level, z = pyramid.best or (pyramid.coarsest, _halfway(pyramid))
+    low, high = pyramid.bounds[-1]
+    level, z = pyramid.best or (pyramid.coarsest, (low + high) / 2)
     return _Answer(search, level, z, levels, warnings, was_cut)
 
 
@@ -431,12 +432,6 @@ def _recovery(
         levels=tuple(answer.levels),
         interreflection=pyramid.interreflection,
     )
-
-
-def _halfway(pyramid: Pyramid) -> np.ndarray:
-    """The flat surface between the bounds, on the coarsest grid."""
-    low, high = pyramid.bounds[-1]
-    return np.broadcast_to((low + high) / 2, pyramid.shape(pyramid.coarsest))
 
 
 def _check_shape(light: sources.Source, sides: str) -> None:

@@ -153,16 +153,8 @@ class Horizons(LightMethod):
 
     def estimate(self, limit: float) -> Estimate:
         limit = limit / self.scale if self.scale else math.inf
-        sweeps = self.sweeps
-        return judged(
-            self.engine,
-            self.scene.shape,
-            sweeps.heights,
-            sweeps.margin,
-            self.mean,
-            self._half_difference,
-            limit,
-        )
+        heights, margin = self.sweeps.heights, self.sweeps.margin
+        return judged(self.engine, self.scene.shape, heights, margin, self.mean, self._half_difference, limit)
 
 
 def _scaled(image: np.ndarray, scale: float) -> np.ndarray:

@@ -1,6 +1,5 @@
 """Sources of light: their shapes, their brightness, and its integrals over the sky."""
 
-from ..constants import APERTURE, BALL, RECTANGLE, SKY, VOLUME
 from .brightness import (
     Brightness,
     BrightnessFunction,
@@ -30,11 +29,6 @@ from .shapes import (
 from .tables import azimuth_profile, elevation_table
 
 __all__ = [
-    "APERTURE",
-    "BALL",
-    "RECTANGLE",
-    "SKY",
-    "VOLUME",
     "Brightness",
     "BrightnessFunction",
     "Disc",
