@@ -8,7 +8,7 @@ a float as a float32 literal, a tuple ``NAME`` as ``NAME_0``, ``NAME_1``, ...
 OPEN, DARK, PERIODIC = range(3)  # surroundings of the map
 SIDES = {"open": OPEN, "dark": DARK, "periodic": PERIODIC}
 SKY, RECTANGLE, APERTURE, BALL, VOLUME = range(5)  # kinds of sources of a lattice
-SLOPES, UNIFORM, TABLE = range(3)  # WHAT the kernel `sweep` makes of horizon slopes, opencl/horizon.cl
+SLOPES, UNIFORM, TABLE, ANGLES = range(4)  # WHAT the kernel `sweep` makes of slopes, opencl/horizon.cl
 
 # [element], pixel arrays are a multiple of this long, so that kernels read whole vectors at their end
 PIXEL_PADDING = 32

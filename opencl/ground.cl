@@ -55,25 +55,23 @@ __kernel void gather(__global const int *sum, __global const int *turned, __glob
         (float)max(sum[before + y * cols + x] + turned[before + x * rows + y], 0) * quantum;
 }
 
-/* openness: the angles from the zenith to the horizons of some azimuths, summed.
+/* place: maps, each turned if `turned`, as layers of a stack; nan where masked.
 
-  slopes  (count, pixels)  float  [1]    tangent of the horizon's elevation; -inf counts as level
-  widths  (count)          float  [rad]  of the azimuths
-  sums    (pixels)         float  [rad^2]  in and out: += width x (pi / 2 - arctan slope), in order
+  maps     (count, rows x cols)  float  [any]     those of the turned map are (count, cols x rows)
+  depth    (rows x cols)         float  [length]  +inf where masked
+  numbers  (count)               int              of the maps in the stack
+  stack    (any, rows x cols)    float  [any]     out
 
-Work-item p owns one node. */
-__kernel void openness(__global const float *slopes, __global const float *widths, __global float *sums,
-                       int count, int pixels)
+Work-item (x, y, n) owns one node of map n. */
+__kernel void place(__global const float *maps, __global const float *depth, __global const int *numbers,
+                    __global float *stack, int rows, int cols, int count, int turned)
 {
-  const int p = get_global_id(0);
-  if (p >= pixels)
+  const int x = get_global_id(0), y = get_global_id(1), n = get_global_id(2);
+  if (x >= cols || y >= rows || n >= count)
     return;
-  float sum = sums[p];
-  for (int n = 0; n < count; n++) {
-    const float slope = slopes[(size_t)n * pixels + p];
-    sum += widths[n] * (HALF_PI - (isfinite(slope) ? atan(slope) : 0.0f));
-  }
-  sums[p] = sum;
+  const size_t pixels = (size_t)rows * cols;
+  const float value = maps[n * pixels + (turned ? x * rows + y : y * cols + x)];
+  stack[numbers[n] * pixels + y * cols + x] = isinf(depth[y * cols + x]) ? NAN : value;
 }
 
 /* correct: irradiance *= table, by normal; not below 0, where a table of brightness that is linear between

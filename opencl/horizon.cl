@@ -31,6 +31,7 @@ turned map.
                                       matters
   steps        (LADDER)        int    the ladder: (s << bits) - 1
   rises        (LADDER)        int    and s times the distance at which a crossing comes in
+  falling_steps, falling_rises (LADDER)  int  both of a ladder of slopes below the level
   first        int             number of the first azimuth that is swept
   group        int             work-items of a group
   rows, cols   int             of the map and the image, without the margin
@@ -39,15 +40,16 @@ turned map.
   knots        int             of the table
   bits         int             of a candidate's integer that hold its distance [rows]
   lowest       float           [spacing], least height of the map
-  height_scale float           steps of a candidate's integer per spacing of height
+  height_scale, falling_scale  float  steps of a candidate's integer per spacing of height, by both ladders
   known, backward, top, bottom, left, right  int  see below
 
-WHAT: SLOPES writes slopes, UNIFORM adds the light of a uniform sky, TABLE that of `table`. SIDES: OPEN, DARK
-or PERIODIC. known: slopes holds what is known already. BLOCKS: the window is not endless. backward: rows at
-the far end of the window come in, and blocks of one window are swept from the last row to the first; with a
-forward sweep by blocks it covers exactly one window before every node. top, bottom, left, right: slopes and
-light are computed in rows top .. bottom - 1 and columns left .. right - 1, and undefined outside, where
-ground only occludes.
+WHAT: SLOPES writes slopes, UNIFORM adds the light of a uniform sky, TABLE that of `table`, ANGLES the angle
+from the zenith to the horizon [rad] times the width; a horizon without ground counts as level. SIDES: OPEN,
+DARK or PERIODIC. FALLS: slopes below the level are searched for. known: slopes holds what is known already.
+BLOCKS: the window is not endless. backward: rows at the far end of the window come in, and blocks of one
+window are swept from the last row to the first; with a forward sweep by blocks it covers exactly one window
+before every node. top, bottom, left, right: slopes and sums are computed in rows top .. bottom - 1 and
+columns left .. right - 1, and undefined outside, where ground only occludes.
 Work-item (j, k, g) owns LANES adjacent lines of azimuth k, or STRIPS times as many on a CPU; long lines start
 first. On a GPU the LINES work-items of a group keep the rows about them in local memory if they fit
 (TILED). Twin of warp_kernels/horizon.py. */
@@ -55,6 +57,8 @@ first. On a GPU the LINES work-items of a group keep the rows about them in loca
 #define PITCH (LINES + TILE_ROWS + NEAR + 8)
 #define TILE_SIZE ((TILE_ROWS + NEAR + 1) * PITCH)
 #define TILED (!ON_CPU && !BLOCKS && SIDES != PERIODIC && TILE_SIZE <= MOST_TILE)
+#define LIT (WHAT == UNIFORM || WHAT == TABLE)
+#define RUNGS ((1 + FALLS) * LADDER)
 #define ACROSS (LANES * STRIPS) /* strips of LANES lines side by side, for the sake of cache lines */
 #define NEAR_COLUMNS (NEAR - 1) /* the last one within NEAR rows lies on a row */
 
@@ -97,6 +101,10 @@ first. On a GPU the LINES work-items of a group keep the rows about them in loca
 #define NODE(i) READ(p + (i), heights)
 #define LINE(i) READ(from_row + cx + (i), heights)
 #endif
+
+/* of the ladder that counts at a node */
+#define RUNG(n) (FALLS ? falls ? above[RUNGS - LADDER + (n)] : above[n] : above[n])
+#define RISE(n) (FALLS ? falls ? (ints)falling_rises.s[n] : (ints)rises.s[n] : (ints)rises.s[n])
 
 typedef struct { int s[LADDER]; } Ladder;
 
@@ -193,9 +201,10 @@ __kernel void sweep(__global const float *restrict heights, __global const float
                     __constant float *azimuths, __constant int *ways, __constant int *near_at,
                     __constant float *near_weight, __global const float4 *restrict table,
                     __global float *restrict slopes, __global int *restrict sum, const Ladder steps,
-                    const Ladder rises, int first, int group, int rows, int cols, int margin, int room,
-                    int knots, int bits, float lowest, float height_scale, int known, int backward, int top,
-                    int bottom, int left, int right)
+                    const Ladder rises, const Ladder falling_steps, const Ladder falling_rises, int first,
+                    int group, int rows, int cols, int margin, int room, int knots, int bits, float lowest,
+                    float height_scale, float falling_scale, int known, int backward, int top, int bottom,
+                    int left, int right)
 {
   const int k = get_group_id(1) + first, g = get_global_id(2);
   const float shear = azimuths[8 * k], cosine = azimuths[8 * k + 1], sine = azimuths[8 * k + 2];
@@ -254,12 +263,13 @@ __kernel void sweep(__global const float *restrict heights, __global const float
   }
 
   /* 2. the ladder: nothing visible yet */
-  ints ladders[STRIPS][LADDER];
-  int step[LADDER];
-  for (int s = 0; s < LADDER; ++s) {
+  ints ladders[STRIPS][RUNGS];
+  int step[RUNGS];
+  for (int s = 0; s < RUNGS; ++s) {
     for (int q = 0; q < STRIPS; ++q)
       ladders[q][s] = UNSEEN;
-    step[s] = BLOCKS && backward ? steps.s[s] : -steps.s[s];
+    step[s] = s < LADDER ? steps.s[s] : falling_steps.s[s - LADDER];
+    step[s] = BLOCKS && backward ? step[s] : -step[s];
   }
   const int comes_at = BLOCKS && backward ? window : NEAR + 1;
 
@@ -306,13 +316,16 @@ __kernel void sweep(__global const float *restrict heights, __global const float
         continue;
 
       /* 3. the row that comes in, quantized; then every ray climbs (or, backward, falls) by one row */
-      ints *above = ladders[q], seen = UNSEEN;
-      for (int s = 0; s < LADDER && into == 0; ++s)
+      ints *above = ladders[q], seen = UNSEEN, seen_falling = UNSEEN;
+      for (int s = 0; s < RUNGS && into == 0; ++s)
         above[s] = UNSEEN;
-      if (arrives && (STRIPS == 1 || cx < cols && cx >= -LANES))
+      if (arrives && (STRIPS == 1 || cx < cols && cx >= -LANES)) {
         seen = quantized(LINE(0), LINE(1), across - column, lowest, height_scale, bits, comes_at);
-      for (int s = 0; s < LADDER; ++s)
-        above[s] = more(above[s] + step[s], seen);
+        if (FALLS)
+          seen_falling = quantized(LINE(0), LINE(1), across - column, lowest, falling_scale, bits, comes_at);
+      }
+      for (int s = 0; s < RUNGS; ++s)
+        above[s] = more(above[s] + step[s], s < LADDER ? seen : seen_falling);
       if (!on_map || u < first_asked || x >= right || x <= left - LANES)
         continue;
 
@@ -320,7 +333,7 @@ __kernel void sweep(__global const float *restrict heights, __global const float
       const int p = (y + margin) * stride + margin + x;
       const floats own = NODE(0);
       /* asked for early */
-      const floats gx = WHAT == SLOPES ? 0 : READ(p, tilts), gy = WHAT == SLOPES ? 0 : READ(room + p, tilts);
+      const floats gx = LIT ? READ(p, tilts) : 0, gy = LIT ? READ(room + p, tilts) : 0;
       floats near = NONE, by_column = NONE;
       for (int e = 0; e < NEAR; ++e) {
         const floats a = NODE(row_at[e]), b = NODE(row_at[e] + 1);
@@ -336,16 +349,17 @@ __kernel void sweep(__global const float *restrict heights, __global const float
       floats slope = higher(near, by_column * max(steepness, 1e-6f));
 
       /* 5. the two steps of the ladder between which the node lies, by bisection; above[s] is rise[s] too
-         high */
-      const ints level = TO_INTS(higher(own - lowest, 0.0f) * height_scale) << bits;
-      ints low[8], test = above[8] >= level + rises.s[8], lower, upper = test ? above[15] : above[8];
+         high. The ladder below the level counts where nothing stands above the level */
+      const floats height = higher(own - lowest, 0.0f);
+      ints level = TO_INTS(height * height_scale) << bits;
+      const ints falls = FALLS ? (ints)(above[0] < level) : (ints)0;
+      level = FALLS ? falls ? TO_INTS(height * falling_scale) << bits : level : level;
+      ints low[8], test = RUNG(8) >= level + RISE(8), lower, upper = test ? RUNG(15) : RUNG(8);
       for (int s = 0; s < 8; ++s)
-        low[s] = test ? above[8 + s] : above[s];
-      ints r1 = test ? (ints)rises.s[9] : (ints)rises.s[1], r2 = test ? (ints)rises.s[10] : (ints)rises.s[2],
-           r3 = test ? (ints)rises.s[11] : (ints)rises.s[3];
-      ints r4 = test ? (ints)rises.s[12] : (ints)rises.s[4], r5 = test ? (ints)rises.s[13] : (ints)rises.s[5],
-           r6 = test ? (ints)rises.s[14] : (ints)rises.s[6];
-      ints r7 = test ? (ints)rises.s[15] : (ints)rises.s[7];
+        low[s] = test ? RUNG(8 + s) : RUNG(s);
+      ints r1 = test ? RISE(9) : RISE(1), r2 = test ? RISE(10) : RISE(2), r3 = test ? RISE(11) : RISE(3);
+      ints r4 = test ? RISE(12) : RISE(4), r5 = test ? RISE(13) : RISE(5), r6 = test ? RISE(14) : RISE(6);
+      ints r7 = test ? RISE(15) : RISE(7);
       test = low[4] >= level + r4;
       upper = test ? upper : low[4];
       for (int s = 0; s < 4; ++s)
@@ -373,6 +387,10 @@ __kernel void sweep(__global const float *restrict heights, __global const float
       const ints t1 = more(less(lower & mask, last), 1), t2 = more(less(upper & mask, last), 1);
       floats far = higher(on_row(heights, own, p, x, y, t1, shear, reach, towards, rows, cols, margin),
                           on_row(heights, own, p, x, y, t2, shear, reach, towards, rows, cols, margin));
+      if (FALLS) { /* and the one that stands highest of all */
+        const ints t = more(less(above[0] & mask, last), 1);
+        far = higher(far, on_row(heights, own, p, x, y, t, shear, reach, towards, rows, cols, margin));
+      }
       /* 7. and the column crossings beside them: the nearer one's before, the farther one's behind */
       if (reciprocal < 1e8f) {
         const ints before = TO_INTS(steepness * TO_FLOATS(t1)), m1 = more(before, 1), m2 = before + 1;
@@ -407,7 +425,7 @@ __kernel void sweep(__global const float *restrict heights, __global const float
             LANE(float, slope, l) = max(LANE(float, slope, l), plane[c]);
         }
 
-      /* 8. the light between the horizon, or the tangent plane, and the zenith */
+      /* 8. the slope, its angle from the zenith, or the light between horizon or tangent plane and zenith */
       if (WHAT == SLOPES) {
         for (int l = 0; l < LANES; ++l) {
           const int c = column_of(x, strip, l, cols);
@@ -416,23 +434,29 @@ __kernel void sweep(__global const float *restrict heights, __global const float
         }
         continue;
       }
-      const floats along = gx * cosine + gy * sine, limit = higher(higher(slope, -along), 0.0f);
-      floats c1, c2;
-      if (WHAT == UNIFORM) {
-        c2 = RECIPROCAL(limit * limit + 1.0f);
-        c1 = 0.5f * (HALF_PI - arctan(limit) - limit * c2);
-        c2 *= 0.5f;
+      floats light;
+      if (WHAT == ANGLES) {
+        const floats angle = arctan(fabs(slope)), up = slope < 0 ? -angle : angle;
+        light = width * (HALF_PI - (slope < -1e20f ? (floats)0 : up));
       } else {
-        const floats at = limit * RECIPROCAL(limit + 1.0f) * (float)(knots - 1);
-        const ints knot = less(TO_INTS(at), knots - 2);
-        const floats part = at - TO_FLOATS(knot);
-        for (int l = 0; l < LANES; ++l) {
-          const float4 entry = table[(size_t)k * knots + LANE(int, knot, l)];
-          LANE(float, c1, l) = FMA(LANE(float, part, l), entry.z, entry.x);
-          LANE(float, c2, l) = FMA(LANE(float, part, l), entry.w, entry.y);
+        const floats along = gx * cosine + gy * sine, limit = higher(higher(slope, -along), 0.0f);
+        floats c1, c2;
+        if (WHAT == UNIFORM) {
+          c2 = RECIPROCAL(limit * limit + 1.0f);
+          c1 = 0.5f * (HALF_PI - arctan(limit) - limit * c2);
+          c2 *= 0.5f;
+        } else {
+          const floats at = limit * RECIPROCAL(limit + 1.0f) * (float)(knots - 1);
+          const ints knot = less(TO_INTS(at), knots - 2);
+          const floats part = at - TO_FLOATS(knot);
+          for (int l = 0; l < LANES; ++l) {
+            const float4 entry = table[(size_t)k * knots + LANE(int, knot, l)];
+            LANE(float, c1, l) = FMA(LANE(float, part, l), entry.z, entry.x);
+            LANE(float, c2, l) = FMA(LANE(float, part, l), entry.w, entry.y);
+          }
         }
+        light = (along * c1 + c2) * (width * RECIPROCAL_ROOT(gx * gx + (gy * gy + 1.0f)));
       }
-      const floats light = (along * c1 + c2) * (width * RECIPROCAL_ROOT(gx * gx + (gy * gy + 1.0f)));
       const ints share = TO_INTS(light + 0.5f);
       if (ON_CPU && x >= 0 && column_of(x, strip, LANES - 1, cols) == x + LANES - 1)
         ADD_ALL(sum + y * cols + x, share);

@@ -324,6 +324,8 @@ def test_a_map_on_a_gpu_stays_there(library, stays):
         lambda s: sl.render(s, sl.Sky(), "lattice", hemicube=5, backend=name).image,
         lambda s: sl.render(s, sl.Sky(), tolerance=0.03, interreflection=False, backend=name).image,
         lambda s: sl.sky_view_factor(s, backend=name),
+        lambda s: sl.horizons(s, 6, name),
+        lambda s: sl.openness(s, 6, name, negative=True),
     ):
         found, expected = work(scene), work(plain)
         assert isinstance(found, resident.DeviceImage)
@@ -623,6 +625,9 @@ STAYS = {
         ).image
     ),
     "sky-view factor": lambda s, b: sl.sky_view_factor(s, backend=b),
+    "horizons": lambda s, b: sl.horizons(s, 6, b),
+    "openness": lambda s, b: sl.openness(s, 6, b, max_distance=40),
+    "negative openness": lambda s, b: sl.openness(s, 6, b, negative=True),
 }
 
 
@@ -641,8 +646,9 @@ def test_maps_and_images_stay_on_a_gpu(name, masked):
         found = STAYS[name](sl.Scene(warp_array(WIDE), mask=mask), "warp:cpu")
         assert isinstance(found, resident.DeviceImage) and found.held is None  # no other memory
         described = found.__cuda_array_interface__
-        assert described["shape"] == WIDE.shape and described["typestr"] == "<f4"
     plain = STAYS[name](sl.Scene(WIDE, mask=mask), "warp:cpu")
+    assert described["shape"] == found.shape == plain.shape and described["typestr"] == "<f4"
+    assert found.ndim == plain.ndim and repr(found.shape[-1]) in repr(found)
     np.testing.assert_array_equal(np.asarray(found), plain)
     np.testing.assert_array_equal(np.from_dlpack(found), plain)
 

@@ -118,6 +118,37 @@ def test_tilted_and_horizontal_differ_on_a_slope(backend):
     assert level[-1] == pytest.approx(1) and level[2] == pytest.approx(tilted[2], rel=2e-3)
 
 
+def test_horizons_below_the_level(backend):
+    """Around a summit most ground lies below: horizons are close to the oracle's, never above them."""
+    y, x = np.mgrid[:61, :61] - 30.0
+    far = np.hypot(x, y)
+    cliff = 40 - 0.2 * np.minimum(far, 13) - 2.0 * np.maximum(0, far - 13)
+    azimuths = sl.Azimuths(16)
+    for height in (cliff, cliff - scenes.rough(61, 61, 0.1, 5)):
+        expected = oracle.horizons(-height, 1.0, azimuths.angles)
+        found = sl.horizons(sl.Scene.from_height(height), azimuths, backend)
+        below = np.isfinite(expected) & (expected < 0)
+        assert below.mean() > 0.4
+        wrong = np.arctan(found[below]) - np.arctan(expected[below])
+        assert wrong.max() < 1e-5 and np.sqrt(np.mean(wrong**2)) < 3e-3
+
+
+@pytest.mark.parametrize("sides, reach", [("open", None), ("open", 17.0), ("dark", None), ("periodic", None)])
+def test_openness_is_the_mean_angle_to_the_horizons(backend, sides, reach):
+    """Of horizons above the level and below it, at masked nodes and where no ground is to be seen."""
+    depth = scenes.rough(30, 41, 0.3, 2)
+    mask = np.random.default_rng(1).random(depth.shape) > 0.1
+    azimuths = sl.Azimuths(6, (0.0, 1.0, 1.5, 3.0, 3.7, 4.6, 2 * np.pi))
+    scene = sl.Scene(depth, 2.0, mask=mask, sides=sides)
+    how: dict = dict(backend=backend, max_distance=reach and reach * 2)
+    slopes = sl.horizons(scene, azimuths, **how)
+    if sides == "open":
+        assert (slopes[:, mask] < 0).any() and np.isneginf(slopes).any()
+    angles = np.pi / 2 - np.arctan(np.where(np.isneginf(slopes), 0, slopes))
+    expected = np.tensordot(azimuths.widths, angles, 1) / (2 * np.pi)
+    np.testing.assert_allclose(sl.openness(scene, azimuths, **how), expected, rtol=0, atol=3e-6)
+
+
 def test_openness_of_planes_and_pits(fast):
     """Level: pi / 2. In the middle of a pit: up to its rim. Negative: that of the surface upside down."""
     assert sl.openness(sl.Scene(np.zeros((9, 9))), 16, fast) == pytest.approx(np.pi / 2)

@@ -146,7 +146,7 @@ def test_numpy_kernels_take_the_same_arguments(stem):
             re.search(r"\w+$", a.strip()).group().rstrip("_") for a in arguments.split(",")
         ]
         assert {p.name for p in parameters if p.kind == p.KEYWORD_ONLY} == (
-            {"NEAR", "SIDES", "WHAT", "BLOCKS"} if name == "sweep" else set()
+            {"NEAR", "SIDES", "WHAT", "FALLS", "BLOCKS"} if name == "sweep" else set()
         )
 
 

@@ -1,4 +1,4 @@
-"""Kernels that pool, pick, correct, halve and judge, each against a few lines of plain NumPy.
+"""Kernels that pool, pick, place, correct, halve and judge, each against a few lines of plain NumPy.
 
 Heights are in spacings.
 """
@@ -172,6 +172,25 @@ def test_pick_takes_values_or_what_stands_for_none(engine):
     given = engine.upload(values), engine.upload(at)
     engine.launch("pilot", "pick", (301,), *given, found, 301, -1e30, lanes=1)
     np.testing.assert_array_equal(engine.download(found), np.where(at >= 0, values[at], np.float32(-1e30)))
+
+
+# -- place
+
+
+@pytest.mark.parametrize("turned", [False, True])
+def test_place_puts_maps_where_their_numbers_say(engine, turned):
+    """Layers of other numbers are left alone; nan where the map is masked."""
+    maps = _rng(3).normal(size=(3, ROWS, COLS)).astype(np.float32)
+    maps[1, 2, 3] = -np.inf  # a horizon without ground
+    depth = np.where(_rng(4).random(SHAPE) < 0.3, np.inf, 1).astype(np.float32)
+    numbers = np.array([4, 0, 2], np.int32)
+    stack = engine.empty((5, ROWS * COLS), np.float32, 7)
+    given = np.swapaxes(maps, 1, 2) if turned else maps
+    arrays = (engine.upload(a) for a in (np.ascontiguousarray(given).reshape(3, -1), depth.ravel(), numbers))
+    engine.launch("ground", "place", (COLS, ROWS, 3), *arrays, stack, ROWS, COLS, 3, int(turned))
+    expected = np.full((5, ROWS, COLS), np.float32(7))
+    expected[numbers] = np.where(np.isinf(depth), np.float32(np.nan), maps)
+    np.testing.assert_array_equal(engine.download(stack).reshape(expected.shape), expected)
 
 
 # -- correct

@@ -35,6 +35,7 @@ CONSTANTS = {
     "NEAR": (6, 12),
     "SIDES": (0, 2),
     "WHAT": (0, 1),
+    "FALLS": (0, 1),
     "BLOCKS": (0, 1),
     "LIGHTS": (1, 3),
 }  # known when compiling: two values of each
@@ -160,7 +161,8 @@ def test_vectors_by_value_are_as_long_in_both():
     """A struct of so many integers there, a vector of so many here."""
     length = LADDER
     formal = {a.label: a.type for a in _warp_kernel("horizon", "sweep").adj.args}
-    assert formal["steps"]._shape_ == formal["rises"]._shape_ == (length,)
+    for name in ("steps", "rises", "falling_steps", "falling_rises"):
+        assert formal[name]._shape_ == (length,)
 
 
 @pytest.mark.parametrize("stem", STEMS)

@@ -5,7 +5,7 @@ Twin of opencl/ground.cl.
 
 import warp as wp
 
-from skylamp.constants import HALF_PI, HIGHEST_MASKED, NONE
+from skylamp.constants import HIGHEST_MASKED, NONE
 
 from . import OPTIONS
 
@@ -97,32 +97,29 @@ def gather(
 
 
 @wp.kernel
-def openness(
-    slopes: wp.array2d[wp.float32],
-    widths: wp.array[wp.float32],
-    sums: wp.array[wp.float32],
+def place(
+    maps: wp.array2d[wp.float32],
+    depth: wp.array[wp.float32],
+    numbers: wp.array[wp.int32],
+    stack: wp.array2d[wp.float32],
+    rows: wp.int32,
+    cols: wp.int32,
     count: wp.int32,
-    pixels: wp.int32,
+    turned: wp.int32,
 ):
-    """The angles from the zenith to the horizons of some azimuths, summed.
+    """Maps, each turned if ``turned``, as layers of a stack; nan where masked.
 
-      slopes  (count, pixels)  float32 [1]    tangent of the horizon's elevation; -inf counts as level
-      widths  (count)          float32 [rad]  of the azimuths
-      sums    (pixels)         float32 [rad^2]  in and out: += width x (pi / 2 - arctan slope), in order
+      maps     (count, rows x cols)  float32 [any]     those of the turned map are (count, cols x rows)
+      depth    (rows x cols)         float32 [length]  +inf where masked
+      numbers  (count)               int32             of the maps in the stack
+      stack    (any, rows x cols)    float32 [any]     out
 
-    Thread p owns one node.
+    Thread (n, y, x) owns one node of map n.
     """
-    p = wp.tid()
-    if p >= pixels:
-        return
-    total = sums[p]
-    for n in range(count):
-        slope = slopes[n, p]
-        if wp.isfinite(slope):
-            total += widths[n] * (HALF_PI - wp.atan(slope))
-        else:
-            total += widths[n] * HALF_PI
-    sums[p] = total
+    n, y, x = wp.tid()
+    at = y * cols + x
+    value = maps[n, wp.where(turned != 0, x * rows + y, at)]
+    stack[numbers[n], at] = wp.where(wp.isinf(depth[at]), wp.nan, value)
 
 
 @wp.kernel

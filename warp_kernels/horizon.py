@@ -33,6 +33,7 @@ turned map.
                                                         of summation matters
   steps        (LADDER)              int32              the ladder: (s << bits) - 1
   rises        (LADDER)              int32              and s times the distance at which a crossing comes in
+  falling_steps, falling_rises (LADDER)  int32          both of a ladder of slopes below the level
   first        int32                                    number of the first azimuth that is swept
   group        int32                                    threads of a block
   rows, cols   int32                                    of the map and the image, without the margin
@@ -41,7 +42,8 @@ turned map.
   knots        int32                                    of the table
   bits         int32                                    of a candidate's integer that hold its distance [rows]
   lowest       float32 [spacing]                        least height of the map
-  height_scale float32 [1 / spacing]                    steps of a candidate's integer per height
+  height_scale, falling_scale  float32 [1 / spacing]    steps of a candidate's integer per height, by both
+                                                        ladders
 
 Steps have the same numbers as in its twin, opencl/horizon.cl.
 """
@@ -51,6 +53,7 @@ import functools
 import warp as wp
 
 from skylamp.constants import (
+    ANGLES,
     ARC_TANGENT,
     DARK,
     GPU_LINES,
@@ -60,6 +63,7 @@ from skylamp.constants import (
     NONE,
     PERIODIC,
     SLOPES,
+    TABLE,
     TILE_ROWS,
     UNIFORM,
     UNSEEN,
@@ -356,13 +360,14 @@ def rays(SIDES: int, BLOCKS: int):
 
 
 @functools.cache
-def sweep(NEAR: int, SIDES: int, WHAT: int, BLOCKS: int):
-    """WHAT: SLOPES writes slopes, UNIFORM adds the light of a uniform sky, TABLE that of ``table``. SIDES:
-    OPEN, DARK or PERIODIC. BLOCKS: the window is not endless. known: slopes holds what is known already.
-    backward: rows at the far end of the window come in, and blocks of one window are swept from the last row
-    to the first; with a forward sweep by blocks it covers exactly one window before every node. top, bottom,
-    left, right: slopes and light are computed in rows top .. bottom - 1 and columns left .. right - 1, and
-    undefined outside, where ground only occludes.
+def sweep(NEAR: int, SIDES: int, WHAT: int, FALLS: int, BLOCKS: int):
+    """WHAT: SLOPES writes slopes, UNIFORM adds the light of a uniform sky, TABLE that of ``table``, ANGLES
+    the angle from the zenith to the horizon [rad] times the width; a horizon without ground counts as level.
+    SIDES: OPEN, DARK or PERIODIC. FALLS: slopes below the level are searched for. BLOCKS: the window is not
+    endless. known: slopes holds what is known already. backward: rows at the far end of the window come in,
+    and blocks of one window are swept from the last row to the first; with a forward sweep by blocks it
+    covers exactly one window before every node. top, bottom, left, right: slopes and sums are computed in
+    rows top .. bottom - 1 and columns left .. right - 1, and undefined outside, where ground only occludes.
 
     Thread (g, k, j) owns one line of azimuth k; long lines start first.
     """
@@ -401,6 +406,8 @@ def sweep(NEAR: int, SIDES: int, WHAT: int, BLOCKS: int):
         sum: wp.array2d[wp.int32],
         steps: rungs,
         rises: rungs,
+        falling_steps: rungs,
+        falling_rises: rungs,
         first: wp.int32,
         group: wp.int32,
         rows: wp.int32,
@@ -411,6 +418,7 @@ def sweep(NEAR: int, SIDES: int, WHAT: int, BLOCKS: int):
         bits: wp.int32,
         lowest: wp.float32,
         height_scale: wp.float32,
+        falling_scale: wp.float32,
         known: wp.int32,
         backward: wp.int32,
         top: wp.int32,
@@ -496,8 +504,11 @@ def sweep(NEAR: int, SIDES: int, WHAT: int, BLOCKS: int):
 
         # 2. the ladder: nothing visible yet
         above = rungs()
+        below = rungs()
         for s in range(LADDER):
             above[s] = UNSEEN
+            if wp.static(FALLS != 0):
+                below[s] = UNSEEN
         turn = wp.int32(-1)
         comes_at = wp.int32(NEAR + 1)
         if wp.static(BLOCKS != 0) and backward != 0:
@@ -546,7 +557,10 @@ def sweep(NEAR: int, SIDES: int, WHAT: int, BLOCKS: int):
             if into == 0:
                 for s in range(LADDER):
                     above[s] = UNSEEN
+                    if wp.static(FALLS != 0):
+                        below[s] = UNSEEN
             seen = UNSEEN
+            seen_falling = UNSEEN
             arrives = (comes >= start and comes < stop) or wp.static(SIDES == PERIODIC)
             if wp.static(BLOCKS != 0) and backward == 0 and into <= NEAR:
                 arrives = False
@@ -563,17 +577,15 @@ def sweep(NEAR: int, SIDES: int, WHAT: int, BLOCKS: int):
                 at = (cy + margin) * stride + margin + cx
                 if wp.static(TILED) and on_gpu() != 0:
                     at = here + 4 * (comes * PITCH + cx)
-                seen = quantized(
-                    node(heights, at),
-                    node(heights, at + element),
-                    across - column,
-                    lowest,
-                    height_scale,
-                    bits,
-                    comes_at,
-                )
+                a = node(heights, at)
+                b = node(heights, at + element)
+                seen = quantized(a, b, across - column, lowest, height_scale, bits, comes_at)
+                if wp.static(FALLS != 0):
+                    seen_falling = quantized(a, b, across - column, lowest, falling_scale, bits, comes_at)
             for s in range(LADDER):
                 above[s] = wp.max(above[s] + turn * steps[s], seen)
+                if wp.static(FALLS != 0):
+                    below[s] = wp.max(below[s] + turn * falling_steps[s], seen_falling)
 
             x = line + wp.int32(wp.floor(wp.float32(0.5) - shear * wp.float32(u)))
             if wp.static(SIDES == PERIODIC):
@@ -588,7 +600,7 @@ def sweep(NEAR: int, SIDES: int, WHAT: int, BLOCKS: int):
                 own = node(heights, spot)
                 gx = wp.float32(0.0)
                 gy = wp.float32(0.0)
-                if wp.static(WHAT != SLOPES):  # asked for early
+                if wp.static(WHAT == UNIFORM or WHAT == TABLE):  # asked for early
                     gx = read2(tilts, p)
                     gy = read2(tilts, room + p)
                 near = NONE
@@ -617,15 +629,24 @@ def sweep(NEAR: int, SIDES: int, WHAT: int, BLOCKS: int):
                 slope = wp.max(near, by_column * wp.max(steepness, wp.float32(1e-6)))
 
                 # 5. the two steps of the ladder between which the node lies, by bisection; above[s] is
-                # rises[s] too high
-                level = wp.int32(wp.max(own - lowest, wp.float32(0.0)) * height_scale) << bits
-                test = above[8] >= level + rises[8]
+                # rises[s] too high. The ladder below the level counts where nothing stands above the level
+                height = wp.max(own - lowest, wp.float32(0.0))
+                level = wp.int32(height * height_scale) << bits
+                rung = above
+                rise = rises
+                if wp.static(FALLS != 0):
+                    falls = above[0] < level
+                    level = wp.where(falls, wp.int32(height * falling_scale) << bits, level)
+                    for s in range(LADDER):
+                        rung[s] = wp.where(falls, below[s], above[s])
+                        rise[s] = wp.where(falls, falling_rises[s], rises[s])
+                test = rung[8] >= level + rise[8]
                 low = eight()
                 limits = eight()
                 for s in range(8):
-                    low[s] = wp.where(test, above[8 + s], above[s])
-                    limits[s] = wp.where(test, rises[8 + s], rises[s])
-                upper = wp.where(test, above[15], above[8])
+                    low[s] = wp.where(test, rung[8 + s], rung[s])
+                    limits[s] = wp.where(test, rise[8 + s], rise[s])
+                upper = wp.where(test, rung[15], rung[8])
                 test = low[4] >= level + limits[4]
                 upper = wp.where(test, upper, low[4])
                 for s in range(4):
@@ -653,6 +674,11 @@ def sweep(NEAR: int, SIDES: int, WHAT: int, BLOCKS: int):
                     on_row(heights, own, p, x, y, t1, shear, reach, towards, rows, cols, margin),
                     on_row(heights, own, p, x, y, t2, shear, reach, towards, rows, cols, margin),
                 )
+                if wp.static(FALLS != 0):  # and the one that stands highest of all
+                    t = wp.max(wp.min(above[0] & mask, last), 1)
+                    far = wp.max(
+                        far, on_row(heights, own, p, x, y, t, shear, reach, towards, rows, cols, margin)
+                    )
                 # 7. and the column crossings beside them: the nearer one's before, the farther one's behind
                 if reciprocal < 1e8:
                     before = wp.int32(steepness * wp.float32(t1))
@@ -729,7 +755,8 @@ def sweep(NEAR: int, SIDES: int, WHAT: int, BLOCKS: int):
                     )
                     slope = wp.max(slope, -own * rows_per_spacing / wp.min(wall, wp.float32(u) + 0.5))
 
-                # 8. the light between the horizon, or the tangent plane, and the zenith
+                # 8. the slope, its angle from the zenith, or the light between horizon or tangent plane and
+                # zenith
                 if x >= 0 and x < cols:
                     if known != 0:
                         slope = wp.max(slope, slopes[plane, y * cols + x])
@@ -737,6 +764,14 @@ def sweep(NEAR: int, SIDES: int, WHAT: int, BLOCKS: int):
                         if slope < -1e20:
                             slope = -wp.inf
                         slopes[plane, y * cols + x] = slope
+                    elif wp.static(WHAT == ANGLES):
+                        steep = wp.abs(slope)
+                        angle = arctan(wp.where(steep > 1.0, reciprocal_of(steep), steep))
+                        angle = wp.where(steep > 1.0, wp.float32(HALF_PI) - angle, angle)
+                        angle = wp.where(slope < 0.0, -angle, angle)
+                        angle = wp.where(slope < -1e20, wp.float32(0.0), angle)
+                        angle = width * (wp.float32(HALF_PI) - angle)
+                        add(own_sum, y * cols + x, wp.int32(angle + 0.5))
                     else:
                         along = gx * cosine + gy * sine
                         limit = wp.max(wp.max(slope, -along), wp.float32(0.0))

@@ -15,7 +15,7 @@ LAYERS = 2**20  # up to which whole layers are compared in place of depths: thei
 
 
 class DeviceImage:
-    """An image (rows, cols) float32 that lies on a backend.
+    """An image (rows, cols), or a stack of images, float32, that lies on a backend.
 
     ``numpy.asarray`` fetches a copy. Where it lies on a GPU, libraries that read ``__cuda_array_interface__``
     or DLPack (CuPy, PyTorch, JAX, Warp) take it in place.
@@ -24,10 +24,11 @@ class DeviceImage:
     for these launches before it frees memory, and the host with it.
     """
 
-    dtype, ndim = np.dtype(np.float32), 2
+    dtype = np.dtype(np.float32)
 
-    def __init__(self, backend: Backend, values: Array, shape: tuple[int, int], held: Any = None):
+    def __init__(self, backend: Backend, values: Array, shape: tuple[int, ...], held: Any = None):
         self.backend, self.values, self.shape, self.held = backend, values, shape, held
+        self.ndim = len(shape)
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> np.ndarray:
         values = self.backend.download(self.values).reshape(-1)[: math.prod(self.shape)].reshape(self.shape)
@@ -66,7 +67,7 @@ class DeviceImage:
         return self.shape[0]
 
     def __repr__(self) -> str:
-        return f"DeviceImage({self.shape[0]} x {self.shape[1]}, float32, on {self.backend.name})"
+        return f"DeviceImage({' x '.join(map(str, self.shape))}, float32, on {self.backend.name})"
 
     @property
     def __cuda_array_interface__(self) -> dict[str, Any]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import functools
+import itertools
 import math
 from collections.abc import Iterator
 from typing import NamedTuple
@@ -16,7 +17,7 @@ from ..backends.base import Array, Backend, reserve
 from ..backends.resident import DeviceImage, Resident
 from ..backends.staging import fetch
 from ..checks import positive_number
-from ..constants import LADDER, LEAST_SEARCHED_SLOPE, MOST_PIXELS, SIDES, SLOPES, TABLE, UNIFORM
+from ..constants import ANGLES, LADDER, LEAST_SEARCHED_SLOPE, MOST_PIXELS, SIDES, SLOPES, TABLE, UNIFORM
 from ..errors import CapacityError, bad
 from ..scene import Scene, is_scene
 from .far import Far, marched
@@ -31,6 +32,9 @@ ENDLESS_WINDOW = 1 << 30  # [rows], a window longer than any line
 # of a device that the sweeps of a tile take [byte], so that a tile of 8192 x 8192 nodes and the driver are
 # within 3 GB; of that, arrays of a map: the map, padded, turned, its two tilts and a sum
 TILE_BYTES, TILE_ARRAYS = 24 * 10**8, 6
+# [byte] of horizon slopes on a device at a time; chosen: eight azimuths of 4096 x 4096 nodes, which occupy a
+# GPU
+MOST_PLANES = 2**30
 PROBED = 1024  # nodes from which the steepest rise and fall are searched for
 
 
@@ -96,14 +100,16 @@ class Sweeps:
         near: int | None = None,
         level: bool = False,
         far: Far | None = None,
+        angles: bool = False,
     ):
         """``table`` (K, knots, 4) float32: brightness, see opencl/horizon.cl; by default uniform, 1.
 
         ``level``: light falls on a level element at every node, not on the surface. Without ``rays``,
         ``set_azimuths`` gives them, and the arrays that all sets of azimuths share are computed once.
         ``far``: the map is a tile of a larger one, with ground around it; slopes are known from there.
+        ``angles``: the sums are those of angles from the zenith to the horizon [rad] in place of light.
         """
-        self.level, self.kept = level, rays is None
+        self.level, self.angles, self.kept = level or angles, angles, rays is None
         self.map_turned, self.tilted = False, [False, False]  # which of these arrays have been computed
         self.backend, self.sides, self.reach = backend, ground.sides, ground.reach
         rows, cols = self.shape = ground.map.shape
@@ -123,7 +129,8 @@ class Sweeps:
         )
         self.room = (rows + 2 * self.margin) * (cols + 2 * self.margin)
         every, first = max(1, math.isqrt(rows * cols // PROBED)), self.near + 1
-        here, m = ground.map, self.margin
+        self.map = here = ground.map
+        m = self.margin
         self.lowest, highest = here.heights_range
         self.heights = here.heights(m, m, m, m, MASKED_HEIGHT, self.sides == "periodic")
         probed = "steepest", self.sides, m
@@ -147,7 +154,8 @@ class Sweeps:
         """Set the azimuths and the brightness of the next sweeps."""
         self.rays = rays
         self.what, self.knots = (UNIFORM, 2) if table is None else (TABLE, table.shape[1])
-        self.scales = _fixed_point_scales(rays, table)
+        self.what = ANGLES if self.angles else self.what
+        self.scales = _fixed_point_scales(rays, table, np.pi if self.angles else 1.0)
         self.halves = [self._half(turned, table) for turned in (False, True)]
 
     def correct(self, table: np.ndarray, image: Array) -> None:
@@ -217,9 +225,9 @@ class Sweeps:
             if half.windows[first] < ENDLESS_WINDOW:
                 if not known:
                     scratch = backend.empty((count, half.rows * half.cols), np.float32)
-                self._sweep(half, first, count, SLOPES, known, True, scratch, sums)
+                self._sweep(half, first, count, SLOPES, known, True, scratch, sums, self.angles)
                 known = True
-            self._sweep(half, first, count, self.what, known, False, scratch, sums)
+            self._sweep(half, first, count, self.what, known, False, scratch, sums, self.angles)
 
     def image(self) -> DeviceImage:
         """Irradiance (rows, cols) float32 [brightness x sr] on the device."""
@@ -263,45 +271,38 @@ class Sweeps:
             fetch(self.backend, planes, [out[number] for number in numbers])
         return out
 
+    def device_slopes(self) -> DeviceImage:
+        """Horizon slopes (K, rows, cols) float32 on the device, nan where the map is masked."""
+        backend, (rows, cols), count = self.backend, self.shape, len(self.rays.angles)
+        reserve(backend, 4 * count * rows * cols, f"{count} horizons", "Ask for fewer azimuths.")
+        planes = backend.empty((count, rows * cols), np.float32)
+        for half, numbers, slopes in self._planes():
+            given = backend.table(numbers.astype(np.int32))
+            size = rows, cols, len(numbers), int(half.turned)
+            dim = cols, rows, len(numbers)
+            backend.launch("ground", "place", dim, slopes, self.map.depth, given, planes, *size)
+            backend.finish()  # the slopes may be freed
+        return DeviceImage(backend, planes, (count, rows, cols))
+
     def planes(self) -> Iterator[tuple[np.ndarray, np.ndarray]]:
         """Yield (numbers of azimuths, their horizon slopes (n, rows, cols) float32), a few at a time."""
         for half, numbers, planes in self._planes():
             yield numbers, _fetched(self, half, numbers, planes)
 
-    def openness(self) -> np.ndarray:
-        """The mean over azimuth of the angle from the zenith to the horizon [rad]: (rows, cols) float32."""
-        backend, (rows, cols) = self.backend, self.shape
-        pixels = rows * cols
-        natural, turned, back = (backend.empty((pixels,), np.float32, 0) for _ in range(3))
-        for half, numbers, planes in self._planes():
-            widths = backend.table(self.rays.widths[numbers].astype(np.float32))
-            sums = turned if half.turned else natural
-            backend.launch("ground", "openness", (pixels,), planes, widths, sums, len(numbers), pixels)
-            backend.finish()  # the planes may be freed
-        backend.launch("ground", "turn", (cols, rows, 1), turned, back, cols, rows, 1)
-        backend.launch("ground", "halves", (pixels,), natural, back, pixels, 0)  # half the sum
-        image: np.ndarray = backend.download(natural).reshape(self.shape)
-        image *= np.float32(2 / self.rays.widths.sum())
-        return image
-
     def _planes(self) -> Iterator[tuple[Half, np.ndarray, Array]]:
         """Yield (half, numbers of azimuths, their horizon slopes on the device), a few at a time."""
         backend = self.backend
         rows, cols = self.shape
-        most = max(1, int(min(backend.memory // 4, 2**30) // (8 * rows * cols)))
+        most = max(1, int(min(backend.memory // 4, MOST_PLANES) // (16 * rows * cols)))
         self._turn()
-        for half in self.halves:
-            for first, count in _batches(half, most):
-                planes, known = _far_slopes(self, half, first, count)
-                if not known:
-                    planes = backend.empty((count, half.rows * half.cols), np.float32)
-                for falling in (False, True):
-                    for backward in (True, False) if half.windows[first] < ENDLESS_WINDOW else (False,):
-                        self._sweep(
-                            half, first, count, SLOPES, known, backward, planes, self.nothing, falling
-                        )
-                        known = True
-                yield half, half.numbers[first : first + count], planes
+        natural, turned = ([(half, *batch) for batch in _batches(half, most)] for half in self.halves)
+        for one, other in itertools.zip_longest(natural, turned):
+            # on a GPU both maps are swept at the same time, but for tiles, which are short of memory
+            with backend.overlapped() if self.far is None else contextlib.nullcontext():
+                beside = other and _slopes_of(self, *other)
+            found = one and _slopes_of(self, *one)
+            backend.join()
+            yield from (batch for batch in (found, beside) if batch)
 
     def _turn(self) -> None:
         if self.map_turned:
@@ -320,13 +321,14 @@ class Sweeps:
         backward: bool,
         slopes: Array,
         sums: Array,
-        falling: bool = False,
+        falls: bool,
     ) -> None:
-        """``known``, ``backward``: see opencl/horizon.cl; ``falling``: search slopes below the level."""
+        """``known``, ``backward``: see opencl/horizon.cl; ``falls``: slopes below the level are searched."""
         backend = self.backend
         comes_at = int(half.windows[first]) if backward else self.near + 1
         span = half.rows + half.warm + self.near + 2
-        bits, height_scale, steps, rises = ladder(self.steepest[falling], self.relief, span, comes_at)
+        bits, *rising = ladder(self.steepest[0], self.relief, span, comes_at)
+        _, *falling = ladder(self.steepest[1], self.relief, span, comes_at)
         overhang = (
             0
             if self.sides == "periodic"
@@ -344,8 +346,8 @@ class Sweeps:
             half.table,
             slopes,
             sums,
-            steps,
-            rises,
+            *rising[1:],
+            *falling[1:],
             first,
             backend.lines,
             half.rows,
@@ -355,7 +357,8 @@ class Sweeps:
             self.knots,
             bits,
             self.lowest,
-            height_scale,
+            rising[0],
+            falling[0],
             int(known),
             int(backward),
             *half.asked,
@@ -363,6 +366,7 @@ class Sweeps:
             NEAR=self.near,
             SIDES=SIDES[self.sides],
             WHAT=what,
+            FALLS=int(falls),
             BLOCKS=int(half.windows[first] < ENDLESS_WINDOW),
         )
 
@@ -409,9 +413,14 @@ class Sweeps:
         )
 
 
-def _fixed_point_scales(rays: Rays, table: np.ndarray | None) -> list[float]:
-    """Fixed-point steps per unit of irradiance, of every sum: no sum exceeds 2^30."""
-    most = np.ones(len(rays.widths)) if table is None else np.hypot(table[:, 0, 0], table[:, 0, 1])
+def _fixed_point_scales(rays: Rays, table: np.ndarray | None, most_of_all: float) -> list[float]:
+    """Fixed-point steps per unit of irradiance, of every sum: no sum exceeds 2^30.
+
+    ``most_of_all``: what an azimuth adds at most per radian, where no table says it.
+    """
+    most = np.full(len(rays.widths), most_of_all)
+    if table is not None:
+        most = np.hypot(table[:, 0, 0], table[:, 0, 1])
     of_sums = (rays.sums == n for n in range(rays.sums.max(initial=0) + 1))
     # within float32 also under a black sky
     return [2.0**30 / max(float(most[some] @ rays.widths[some]), 1e-20) for some in of_sums]
@@ -502,6 +511,17 @@ def _far_slopes(
     angles = sweeps.rays.angles[half.numbers[first : first + count]]
     shape = half.rows, half.cols
     return sweeps.far.planes(shape, sweeps.margin, half.heights, angles, half.turned, room), True
+
+
+def _slopes_of(sweeps: Sweeps, half: Half, first: int, count: int) -> tuple[Half, np.ndarray, Array]:
+    """(half, numbers of some of its azimuths, their horizon slopes on the device)."""
+    planes, known = _far_slopes(sweeps, half, first, count)
+    if not known:
+        planes = sweeps.backend.empty((count, half.rows * half.cols), np.float32)
+    for backward in (True, False) if half.windows[first] < ENDLESS_WINDOW else (False,):
+        sweeps._sweep(half, first, count, SLOPES, known, backward, planes, sweeps.nothing, True)
+        known = True
+    return half, half.numbers[first : first + count], planes
 
 
 def _whole_shears(shears: np.ndarray) -> np.ndarray:

@@ -65,6 +65,24 @@ def correct(
     np.maximum(np.float32(0), image * (low + along * (high - low)), out=image)
 
 
+def place(
+    maps: np.ndarray,
+    depth: np.ndarray,
+    numbers: np.ndarray,
+    stack: np.ndarray,
+    rows: int,
+    cols: int,
+    count: int,
+    turned: int,
+) -> None:
+    values = maps.reshape(-1)[: count * rows * cols]
+    values = (
+        values.reshape(count, cols, rows).transpose(0, 2, 1) if turned else values.reshape(count, rows, cols)
+    )
+    masked = np.isinf(depth.reshape(-1)[: rows * cols].reshape(rows, cols))
+    stack.reshape(-1, rows, cols)[numbers[:count]] = np.where(masked, np.float32(np.nan), values)
+
+
 def halves(a: np.ndarray, b: np.ndarray, count: int, keep: int) -> None:
     a, b = (image.view(np.float32).reshape(-1)[:count] for image in (a, b))
     mean, half = (a + b) * HALF, (b - a) * HALF
@@ -95,9 +113,3 @@ def judge(
         counted: tuple[Any, ...] = ONE, here > 0, abs(apart) > np.float32(limit)
         for total, terms in zip(sums, (here, apart * apart, *counted)):
             total[: len(some)] += np.where(some, terms, np.float32(0))
-
-
-def openness(slopes: np.ndarray, widths: np.ndarray, sums: np.ndarray, count: int, pixels: int) -> None:
-    for width, slope in zip(widths[:count], slopes.reshape(-1)[: count * pixels].reshape(count, pixels)):
-        angle = np.arctan(np.where(np.isfinite(slope), slope, np.float32(0)))
-        sums.reshape(-1)[:pixels] += width * (np.float32(constants.HALF_PI) - angle)

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ... import constants
-from ...constants import DARK, LADDER, PERIODIC, SLOPES, TABLE, UNSEEN
+from ...constants import ANGLES, DARK, LADDER, PERIODIC, SLOPES, TABLE, UNSEEN
 
 NONE, HIGHEST_MASKED = np.float32(constants.NONE), np.float32(constants.HIGHEST_MASKED)
 ONE, HALF, HALF_PI = np.float32(1), np.float32(0.5), np.float32(constants.HALF_PI)
@@ -33,6 +33,8 @@ def sweep(
     sum: np.ndarray,
     steps: tuple[int, ...],
     rises: tuple[int, ...],
+    falling_steps: tuple[int, ...],
+    falling_rises: tuple[int, ...],
     first: int,
     group: int,
     rows: int,
@@ -43,6 +45,7 @@ def sweep(
     bits: int,
     lowest: float,
     height_scale: float,
+    falling_scale: float,
     known: int,
     backward: int,
     top: int,
@@ -53,18 +56,34 @@ def sweep(
     NEAR: int,
     SIDES: int,
     WHAT: int,
+    FALLS: int,
     BLOCKS: int,
 ) -> None:
     """``group`` is how devices share out the lines; here all lines go together, azimuth by azimuth."""
-    of_steps = np.array(steps, np.int32), np.array(rises, np.int32)
-    ladder = Ladder(*of_steps, bits, np.float32(lowest), np.float32(height_scale))
+    ladders = [
+        Ladder(
+            np.array(steps, np.int32), np.array(rises, np.int32), bits, np.float32(lowest), np.float32(scale)
+        )
+        for steps, rises, scale in (
+            (steps, rises, height_scale),
+            (falling_steps, falling_rises, falling_scale),
+        )
+    ]
     # without slopes light is summed, azimuth by azimuth
     for plane in range(len(slopes) if slopes.ndim == 2 else 1):
         a = first + plane
         asked = (top, bottom, left, right)
         rays = Rays(heights, azimuths[a], ways[a], rows, cols, asked, margin, NEAR, SIDES, BLOCKS)
-        lower, upper = _ladder(rays, ladder, bool(BLOCKS and backward))
-        slope = np.fmax(_far(rays, lower, upper), _near(rays, near_at[a], near_weight[a])) * azimuths[a, 3]
+        lower, upper, highest, falls = _ladder(rays, ladders[0], bool(BLOCKS and backward))
+        if FALLS:
+            below = _ladder(rays, ladders[1], bool(BLOCKS and backward))
+            lower, upper = np.where(falls, below[:2], (lower, upper))
+        slope = (
+            np.fmax(
+                _far(rays, lower, upper, highest if FALLS else None), _near(rays, near_at[a], near_weight[a])
+            )
+            * azimuths[a, 3]
+        )
         if SIDES == DARK:
             slope = np.maximum(slope, _wall(rays, azimuths[a, 3]))
         if WHAT == SLOPES or known:
@@ -73,7 +92,11 @@ def sweep(
         if WHAT == SLOPES:
             out[...] = np.where(slope < np.float32(-1e20), -np.inf, slope)
         else:
-            light = _light(rays, tilts, slope, azimuths[a], table[a] if WHAT == TABLE else None, knots)
+            light = (
+                _angle(slope, azimuths[a, 4])
+                if WHAT == ANGLES
+                else _light(rays, tilts, slope, azimuths[a], table[a] if WHAT == TABLE else None, knots)
+            )
             out = sum[ways[a, 5]].reshape(rows, cols)[:: rays.towards][rays.asked]
             out += (light + HALF).astype(np.int32)
 
@@ -171,7 +194,7 @@ def _near(rays: Rays, near_at: np.ndarray, near_weight: np.ndarray) -> np.ndarra
     return slopes
 
 
-def _far(rays: Rays, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
+def _far(rays: Rays, lower: np.ndarray, upper: np.ndarray, highest: np.ndarray | None) -> np.ndarray:
     """6. and 7. the crossings at the distances that the ladder gives, and the column crossings beside them"""
     u, x, cols, reciprocal = rays.u, rays.x, rays.cols, rays.reciprocal
     # 6. both on the node's own ray, no farther than the map or the window goes
@@ -183,6 +206,8 @@ def _far(rays: Rays, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
     last = np.maximum(last, 1)
     t1, t2 = np.maximum(np.minimum(lower, last), 1), np.maximum(np.minimum(upper, last), 1)
     far: np.ndarray = np.fmax(rays.on_row(t1), rays.on_row(t2))
+    if highest is not None:
+        far = np.fmax(far, rays.on_row(np.maximum(np.minimum(highest, last), 1)))
     # 7. and the column crossings beside them: the nearer one's before, the farther one's behind
     if rays.oblique:
         m = (rays.steepness * t1.astype(np.float32)).astype(np.int32)
@@ -231,6 +256,14 @@ def _light(
     return light
 
 
+def _angle(slope: np.ndarray, width: np.float32) -> np.ndarray:
+    """8. the angle from the zenith to the horizon, times the width; without ground the horizon is level"""
+    angle: np.ndarray = width * (
+        HALF_PI - np.arctan(np.where(slope < np.float32(-1e20), np.float32(0), slope))
+    )
+    return angle
+
+
 def _lines(rays: Rays, backward: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """1. the lines that pass the map, and from which row to which each is on the map"""
     cols = rays.cols
@@ -262,8 +295,12 @@ def _row_of(rays: Rays, ladder: Ladder, line: np.ndarray, comes: int, comes_at: 
     return np.where(ground < np.float32(-1e20), np.int32(UNSEEN), ladder.quantized(ground) | comes_at)
 
 
-def _ladder(rays: Rays, ladder: Ladder, backward: bool) -> tuple[np.ndarray, np.ndarray]:
-    """Distances [rows] of the crossings of the two steps of the ladder between which each node lies."""
+def _ladder(rays: Rays, ladder: Ladder, backward: bool) -> tuple[np.ndarray, ...]:
+    """Distances [rows] of the crossings of the two steps of the ladder between which each node lies.
+
+    Of that of the first step, too, and whether the node lies below it: nothing stands above a ray of that
+    slope.
+    """
     rows, cols, x, warm, window = rays.rows, rays.cols, rays.x, rays.warm, rays.window
     first, here = rays.asked[0].start, np.arange(len(x))
     line, start, stop = _lines(rays, backward)
@@ -274,7 +311,8 @@ def _ladder(rays: Rays, ladder: Ladder, backward: bool) -> tuple[np.ndarray, np.
     steps, rises = (ladder.steps if backward else -ladder.steps)[:, None], ladder.rises[:, None]
     mask = (1 << ladder.bits) - 1
     comes_at = window if backward else rays.nearest + 1
-    lower, upper = np.empty((2, *rays.p.shape), np.int32)
+    lower, upper, highest = np.empty((3, *rays.p.shape), np.int32)
+    falls = np.empty(rays.p.shape, bool)
     for i in range(start.min(), stop.max()):
         u, into = i, 1
         if rays.blocks:
@@ -296,9 +334,10 @@ def _ladder(rays: Rays, ladder: Ladder, backward: bool) -> tuple[np.ndarray, np.
         of = x - int(np.floor(HALF - rays.shear * np.float32(u)))
         heard = above[:, of % cols if rays.periodic else of - line[0]]
         test = heard >= level[u - first] + rises
+        highest[u - first], falls[u - first] = heard[0] & mask, ~test[0]
         s = np.zeros(len(x), np.int32)
         for half in (8, 4, 2, 1):
             s += half * test[s + half, here]
         lower[u - first] = heard[s, here] & mask
         upper[u - first] = heard[np.minimum(s + 1, LADDER - 1), here] & mask
-    return lower, upper
+    return lower, upper, highest, falls
