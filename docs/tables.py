@@ -232,8 +232,13 @@ def _ms(value: float | None) -> str:
     return "" if value is None else digits(1000 * value)
 
 
-def svf_h200() -> str:
-    """Milliseconds of a sky-view factor of 4096 x 4096 nodes on the H200."""
+def whole_calls_card() -> str:
+    (card,) = {row["device"] for row in rows("whole_calls")}
+    return card
+
+
+def svf_gpu() -> str:
+    """Milliseconds of a sky-view factor of 4096 x 4096 nodes on that card."""
     return _ms(_call("sky_view_factor, 64", 4096, "opencl", "numpy", "new"))
 
 
