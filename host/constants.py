@@ -12,7 +12,9 @@ SLOPES, UNIFORM, TABLE, ANGLES = range(4)  # WHAT the kernel `sweep` makes of sl
 
 # [element], pixel arrays are a multiple of this long, so that kernels read whole vectors at their end
 PIXEL_PADDING = 32
-MOST_PIXELS = 2**30  # kernels count nodes in 32 bits
+# of a map with its margins: Warp counts the bytes from row to row of an array, and kernels nodes, in 32 bits
+MOST_PIXELS = 2**29 - PIXEL_PADDING
+MOST_FILE_PIXELS = 2**30  # of a file that is read whole; chosen
 # lines of a work-group of a sweep on a GPU; on an H200 64 take 9 % more time by OpenCL, 256 12 %
 GPU_LINES = 128
 GPU_PIXELS = 8  # adjacent pixels per work-item on a GPU where there are no lines

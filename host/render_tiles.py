@@ -109,7 +109,7 @@ def _refused_lamp(
     if rows < 1 or cols < 1:
         far = "a lamp beyond whose reach the whole map lies"
         return far, "a larger max_distance", "Nodes beyond its reach get none of its light."
-    if not holds(rows * cols, engine):
+    if not holds(rows, cols, engine):
         return (
             f"a lamp that lights {rows} x {cols} nodes",
             "a smaller max_distance, its reach: nodes farther away get none of its light",

@@ -44,6 +44,7 @@ from .samples import Samples, ring
 from .scene import ALBEDO, Scene
 
 NODE_BYTES = 36  # that a sweep takes on a device, see Sweeps
+MOST_MARGIN = 128  # [node] beside a map that is swept: at most 96 near rows, the lanes of a CPU and 3
 REFRACTED = 0.87  # of the Earth's curvature that light, which bends with the air, leaves; Corripio 2003
 GROUP_BYTES = 2**30  # of the horizons of one tile that are in memory at a time; chosen
 
@@ -327,12 +328,13 @@ def albedo_of(scene: Scene) -> tuple[Any, Any]:
 
 def fits(scene: Scene, engine: Backend) -> bool:
     """Whether a whole map can be swept at once."""
-    return holds(math.prod(scene.shape), engine)
+    return holds(*scene.shape, engine)
 
 
-def holds(nodes: int, engine: Backend) -> bool:
-    """Whether so many nodes can be swept at once."""
-    return nodes <= MOST_PIXELS and NODE_BYTES * nodes <= engine.memory
+def holds(rows: int, cols: int, engine: Backend) -> bool:
+    """Whether a map of this shape can be swept at once."""
+    room = (rows + 2 * MOST_MARGIN) * (cols + 2 * MOST_MARGIN)
+    return room <= MOST_PIXELS and NODE_BYTES * rows * cols <= engine.memory
 
 
 def warn(text: str) -> None:

@@ -11,7 +11,12 @@ import pytest
 from compare import assert_bits_equal
 
 import skylamp as sl
+from skylamp import constants
+from skylamp.backends import select
 from skylamp.errors import InputError
+from skylamp.light.sweeps import NEAR_ROWS
+from skylamp.planning.sky import CLIFF_NEAR_ROWS
+from skylamp.scale import MOST_MARGIN
 
 da = pytest.importorskip("dask.array")
 xr = pytest.importorskip("xarray")
@@ -320,6 +325,20 @@ def test_horizons_are_computed_a_few_azimuths_at_a_time(dem, fast, monkeypatch):
     found = sl.horizons(scene, azimuths=7, backend=fast, tiling=SMALL)
     assert max(found.chunks[0]) < 7
     assert_bits_equal(found.compute(scheduler="sync").values, expected.values)
+
+
+def test_nodes_that_kernels_can_count(fast, monkeypatch):
+    """Warp counts the bytes of a plane in an int32; what is said to fit passes the sweep's own check."""
+    assert 4 * constants.MOST_PIXELS < 2**31
+    engine = select(fast)
+    assert max(CLIFF_NEAR_ROWS) + engine.lanes + 3 <= MOST_MARGIN
+    margin = NEAR_ROWS + engine.lanes + 3
+    room, scene = (30 + 2 * margin) * (50 + 2 * margin), sl.Scene(np.zeros((30, 50)))
+    monkeypatch.setattr("skylamp.light.sweeps.MOST_PIXELS", room)
+    sl.sky_view_factor(scene, backend=fast)
+    monkeypatch.setattr("skylamp.light.sweeps.MOST_PIXELS", room - 1)
+    with pytest.raises(sl.CapacityError, match="30 x 50 nodes, with its margins.*tiles"):
+        sl.sky_view_factor(scene, backend=fast)
 
 
 def test_a_map_beyond_the_device_goes_by_tiles(dem, fast, monkeypatch):

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import DTypeLike
 
 from ..arrays import METRES
-from ..constants import MOST_PIXELS
+from ..constants import MOST_FILE_PIXELS
 from ..errors import bad, lacking
 from ..scene import Scene
 from .paths import StrPath, destination, readable, reading, replacing, reserve
@@ -80,11 +80,11 @@ def read(path: StrPath, *, resample: bool = False) -> Raster:
     """
     path = readable(path)
     with _opened(path) as file:
-        if file.width * file.height > MOST_PIXELS:
+        if file.width * file.height > MOST_FILE_PIXELS:
             raise bad(
                 f"{path}: size",
                 f"{file.height} x {file.width}",
-                f"at most {MOST_PIXELS:,} cells",
+                f"at most {MOST_FILE_PIXELS:,} cells",
                 "Give --memory, or cut it into tiles.",
             )
         reserve(path, file.width * file.height * (np.dtype(file.dtypes[0]).itemsize + 1))

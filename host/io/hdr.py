@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from ..constants import MOST_PIXELS
+from ..constants import MOST_FILE_PIXELS
 from ..errors import bad, lacking
 from .paths import replacing, reserve
 
@@ -53,8 +53,10 @@ def _read_openexr(path: Path) -> np.ndarray:
     header = file.header()
     low, high = (np.asarray(corner, np.int64) for corner in header["dataWindow"])
     size = high - low + 1
-    if (size < 1).any() or size.prod() > MOST_PIXELS:
-        raise bad(f"{path}: size", " x ".join(map(str, size)), f"at least one pixel, at most {MOST_PIXELS:,}")
+    if (size < 1).any() or size.prod() > MOST_FILE_PIXELS:
+        raise bad(
+            f"{path}: size", " x ".join(map(str, size)), f"at least one pixel, at most {MOST_FILE_PIXELS:,}"
+        )
     if not all(np.array_equal(a, b) for a, b in zip(header["dataWindow"], header["displayWindow"])):
         raise bad(
             f"{path}: part of a picture", "a data window that is not the display window", "a whole picture"
@@ -100,7 +102,7 @@ def _read_radiance(path: Path) -> np.ndarray:
     size = re.search(rb"^[-+][XY] (\d+) [-+][XY] (\d+)$", data, re.MULTILINE)
     if size is None:
         raise ValueError("its header has no size")
-    reserve(path, 12 * int(size[1]) * int(size[2]), 12 * MOST_PIXELS)
+    reserve(path, 12 * int(size[1]) * int(size[2]), 12 * MOST_FILE_PIXELS)
     array: np.ndarray | None = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
     if array is None or array.dtype != np.float32 or array.ndim != 3:
         raise ValueError("truncated or damaged")

@@ -110,7 +110,7 @@ class Surface:
         self.backend, self.problem = backend, problem
         if problem.pixels > MOST_PIXELS:
             raise CapacityError(
-                f"A map of {problem.pixels:,} nodes; at most {MOST_PIXELS:,}, since kernels count nodes in 32"
+                f"A map of {problem.pixels:,} nodes; at most {MOST_PIXELS:,}, since kernels count in 32"
                 " bits. Cut it into tiles."
             )
         self.room = rounded_up(problem.pixels)

@@ -133,7 +133,7 @@ class Slices:
         count = rows * cols
         if count > MOST_PIXELS:
             raise CapacityError(
-                f"A map of {count:,} nodes; at most {MOST_PIXELS:,}, since kernels count nodes in 32"
+                f"A map of {count:,} nodes; at most {MOST_PIXELS:,}, since kernels count in 32"
                 " bits. Cut it into tiles."
             )
         self.there, backend, self.margin = there, there.backend, margin

@@ -113,21 +113,16 @@ class Sweeps:
         self.map_turned, self.tilted = False, [False, False]  # which of these arrays have been computed
         self.backend, self.sides, self.reach = backend, ground.sides, ground.reach
         rows, cols = self.shape = ground.map.shape
-        if rows * cols > MOST_PIXELS:
-            raise CapacityError(
-                f"A map of {rows * cols:,} nodes; at most {MOST_PIXELS:,}, since kernels count nodes in 32"
-                " bits. Cut it into tiles."
-            )
         many = rays is not None and len(rays.angles) >= MANY_AZIMUTHS
         self.near = near or (FINE_NEAR_ROWS if many else NEAR_ROWS)
         self.margin = self.near + backend.lanes + 3
-        reserve(
-            backend,
-            36 * (rows + 2 * self.margin) * (cols + 2 * self.margin),
-            f"A map of {rows} x {cols} nodes",
-            "Cut it into tiles.",
-        )
         self.room = (rows + 2 * self.margin) * (cols + 2 * self.margin)
+        if self.room > MOST_PIXELS:
+            raise CapacityError(
+                f"A map of {rows} x {cols} nodes, with its margins {self.room:,}; at most {MOST_PIXELS:,},"
+                " since kernels count in 32 bits. Cut it into tiles."
+            )
+        reserve(backend, 36 * self.room, f"A map of {rows} x {cols} nodes", "Cut it into tiles.")
         every, first = max(1, math.isqrt(rows * cols // PROBED)), self.near + 1
         self.map = here = ground.map
         m = self.margin
@@ -373,26 +368,18 @@ class Sweeps:
     def _half(self, turned: bool, table: np.ndarray | None) -> Half:
         keep = self.backend.table
         rows, cols = self.shape[:: -1 if turned else 1]
-        cosine, sine = np.cos(self.rays.angles), np.sin(self.rays.angles)
-        numbers = np.flatnonzero((np.abs(cosine) > np.abs(sine)) == turned)
-        across, along = (sine, cosine) if turned else (cosine, sine)
-        reach = np.maximum(self.reach * np.abs(along[numbers]), 1e-3)
-        periodic = self.sides == "periodic"
-        windows = np.where(
-            (reach < rows + cols) | (periodic & np.isfinite(reach)),
-            np.maximum(reach, 1),
-            ENDLESS_WINDOW,
-        ).astype(np.int64)
-        order = np.argsort(windows, kind="stable")
-        numbers, windows, reach = numbers[order], windows[order], reach[order]
         warm = 0
-        if periodic:
+        if self.sides == "periodic":
             most = max(rows, cols, self.relief / LEAST_SEARCHED_SLOPE)
             warm = math.ceil(min(self.reach + 1, most))
-            _check_search(self.backend, self.relief, warm, len(numbers))
-        shears, tables = _shear_tables(
-            self.near, self.rays, self.scales, numbers, windows, reach, warm, across, along
+        angles, widths = (part.astype(float).tobytes() for part in self.rays[:2])
+        sums = self.rays.sums.astype(int).tobytes()
+        endless = np.inf if self.sides == "periodic" else rows + cols
+        numbers, windows, shears, tables = _shear_tables(
+            angles, widths, sums, tuple(self.scales), turned, self.near, self.reach, endless, warm
         )
+        if warm:
+            _check_search(self.backend, self.relief, warm, len(numbers))
         if table is not None and len(numbers):
             brightness = keep(np.ascontiguousarray(table[numbers], np.float32))
         else:
@@ -426,37 +413,45 @@ def _fixed_point_scales(rays: Rays, table: np.ndarray | None, most_of_all: float
     return [2.0**30 / max(float(most[some] @ rays.widths[some]), 1e-20) for some in of_sums]
 
 
+@functools.lru_cache(32)  # 64 azimuths: 30 kB, which take longer to make than a small map to sweep
 def _shear_tables(
+    angles: bytes,
+    widths: bytes,
+    sums: bytes,
+    scales: tuple[float, ...],
+    turned: bool,
     near: int,
-    rays: Rays,
-    scales: list[float],
-    numbers: np.ndarray,
-    windows: np.ndarray,
-    reach: np.ndarray,
+    reach: float,
+    endless: float,
     warm: int,
-    across: np.ndarray,
-    along: np.ndarray,
-) -> tuple[np.ndarray, tuple[np.ndarray, ...]]:
-    """(shears of the azimuths, the kernel's azimuths, ways, near_at and near_weight).
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, tuple[np.ndarray, ...]]:
+    """(numbers, windows and shears of a map's azimuths, the kernel's azimuths, ways, near_at, near_weight).
 
-    ``scales``: of the fixed-point sums. ``across``, ``along``: components of every azimuth along a row of the
-    map, and from row to row.
+    ``angles``, ``widths``, ``sums``: of all azimuths, see ``Rays``. ``scales``: of the fixed-point sums.
+    ``reach`` [spacing]: from ``endless`` rows on a window is endless.
     """
+    cosine, sine = np.cos(np.frombuffer(angles)), np.sin(np.frombuffer(angles))
+    numbers = np.flatnonzero((np.abs(cosine) > np.abs(sine)) == turned)
+    across, along = (sine, cosine) if turned else (cosine, sine)
+    reaches = np.maximum(reach * np.abs(along[numbers]), 1e-3)
+    windows = np.where(reaches < endless, np.maximum(reaches, 1), ENDLESS_WINDOW).astype(np.int64)
+    order = np.argsort(windows, kind="stable")
+    numbers, windows, reaches = numbers[order], windows[order], reaches[order]
     columns = near - 1  # as in opencl/horizon.cl
     a, b = across[numbers], along[numbers]
     shears = _whole_shears(a / np.abs(b))
     steepness = np.abs(shears)
     flat = steepness == 0
     inverse = np.where(flat, 1e9, 1 / np.where(flat, 1, steepness))
-    within = np.minimum(near, reach)
+    within = np.minimum(near, reaches)
     near_columns = np.minimum(columns, np.floor(within * steepness + 1e-9)).astype(int)
     near_rows = np.floor(within + 1e-9)
     azimuths, ways = np.zeros((len(numbers), 8)), np.zeros((len(numbers), 8), np.int32)
-    sums = rays.sums[numbers]
-    widths = rays.widths[numbers] * np.array(scales)[sums]
-    azimuths[:, :7] = np.stack([shears, a, b, np.abs(b), widths, inverse, np.minimum(reach, 1e30)], 1)
+    of_sums = np.frombuffer(sums, int)[numbers]
+    scaled = np.frombuffer(widths)[numbers] * np.array(scales)[of_sums]
+    azimuths[:, :7] = np.stack([shears, a, b, np.abs(b), scaled, inverse, np.minimum(reaches, 1e30)], 1)
     warms = np.full(len(numbers), warm)
-    ways[:, :6] = np.stack([np.where(b < 0, 1, -1), near_rows, near_columns, warms, windows, sums], 1)
+    ways[:, :6] = np.stack([np.where(b < 0, 1, -1), near_rows, near_columns, warms, windows, of_sums], 1)
     near_at = np.zeros((len(numbers), near + columns, 2), np.int32)
     near_weight = np.zeros((len(numbers), near + columns))
     rows = np.arange(1, near + 1) * shears[:, None]
@@ -467,7 +462,8 @@ def _shear_tables(
     down = np.where(used, e / np.where(flat, 1, steepness)[:, None], 0)
     near_at[:, near:, 0] = np.where(used, np.copysign(e, shears[:, None]), 0)
     near_at[:, near:, 1], near_weight[:, near:] = np.floor(down), down - np.floor(down)
-    return shears, (azimuths.astype(np.float32), ways, near_at, near_weight.astype(np.float32))
+    tables = azimuths.astype(np.float32), ways, near_at, near_weight.astype(np.float32)
+    return numbers, windows, shears, tables
 
 
 def _fetched(sweeps: Sweeps, half: Half, numbers: np.ndarray, planes: Array) -> np.ndarray:
