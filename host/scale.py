@@ -20,7 +20,7 @@ from numpy.typing import DTypeLike
 
 from .arrays import Quantity, by_bands, labelled
 from .backends import backends, prefer
-from .backends.base import Backend, within
+from .backends.base import Backend, has_room, within
 from .checks import positive_number
 from .constants import LEAST_SEARCHED_SLOPE, MOST_PIXELS
 from .directions import Azimuths
@@ -334,7 +334,7 @@ def fits(scene: Scene, engine: Backend) -> bool:
 def holds(rows: int, cols: int, engine: Backend) -> bool:
     """Whether a map of this shape can be swept at once."""
     room = (rows + 2 * MOST_MARGIN) * (cols + 2 * MOST_MARGIN)
-    return room <= MOST_PIXELS and NODE_BYTES * rows * cols <= engine.memory
+    return room <= MOST_PIXELS and has_room(engine, NODE_BYTES * rows * cols)
 
 
 def warn(text: str) -> None:

@@ -286,11 +286,12 @@ class Scene:
 
         Raises BackendError.
         """
-        entry = select(backend).kept.pop(id(self), None)
-        if entry is not None:
-            entry[1].detach()
+        engine = select(backend)
+        if id(self) in engine.kept:
+            engine.kept.pop(id(self))[1].detach()
         if self._from_least is not None:
             self._from_least.release(backend)
+        engine.trim()
 
     @property
     def shape(self) -> tuple[int, int]:

@@ -13,6 +13,7 @@ from compare import assert_bits_equal
 import skylamp as sl
 from skylamp.arrays import host_array
 from skylamp.backends import base, resident, select, staging
+from skylamp.backends.warp import MOST_HELD
 from skylamp.constants import NONE
 
 DEPTH = scenes.rough(18, 23, 0.8, seed=4).astype(np.float32)
@@ -489,6 +490,32 @@ def test_a_backend_keeps_few_maps(fast, monkeypatch):
     for n in (0, 1, 0, 2):
         made[n].on(engine)
     assert [id(scene) in engine.kept for scene in made] == [True, False, True]
+
+
+def test_what_a_device_holds_counts_as_free(fast, monkeypatch):
+    """A map is refused by the memory that there is once the backend has given back what it holds."""
+    engine, free = select(fast), [100]
+    monkeypatch.setattr(type(engine), "memory", property(lambda self: free[0]))
+    monkeypatch.setattr(engine, "trim", lambda: free.__setitem__(0, 150))
+    assert base.has_room(engine, 100) and free == [100]
+    assert base.has_room(engine, 150) and free == [150]
+    with pytest.raises(sl.CapacityError, match="A map needs 151 bytes; .* may take 150"):
+        base.reserve(engine, 151, "A map", "Cut it.")
+
+
+@pytest.mark.gpu
+def test_a_gpu_holds_little_memory_and_gives_it_back():
+    """Arrays of a former call are held, up to a bound, until a scene is released."""
+    if missing := {info.name: info.why for info in sl.backends() if not info.available}.get("warp:cuda:0"):
+        pytest.skip(f"warp:cuda:0: {missing}")
+    engine = select("warp:cuda:0")
+    scene = sl.Scene(np.zeros((2048, 2048), np.float32))
+    scene.release(engine.name)
+    before = engine.memory
+    sl.sky_view_factor(scene, azimuths=4, backend=engine.name)
+    assert before - MOST_HELD <= engine.memory < before - 2**26
+    scene.release(engine.name)
+    assert abs(engine.memory - before) < 2**26
 
 
 def test_equal_tables_are_uploaded_once(backend, monkeypatch):

@@ -145,9 +145,16 @@ class BackendInfo:
     gpu: bool = False
 
 
+def has_room(backend: Backend, bytes_needed: int) -> bool:
+    """Whether the device may give so many bytes, whatever it holds for later arrays."""
+    if bytes_needed > backend.memory:
+        backend.trim()
+    return bytes_needed <= backend.memory
+
+
 def reserve(backend: Backend, bytes_needed: int, what: str, fix: str) -> None:
     """Raise a CapacityError if ``bytes_needed`` is more than the device may give."""
-    if bytes_needed > backend.memory:
+    if not has_room(backend, bytes_needed):
         raise CapacityError(
             f"{what} needs {bytes_needed:,} bytes; {backend.name} may take {backend.memory:,}. {fix}"
         )
@@ -164,6 +171,8 @@ class Backend(ABC):
 
     name: str
     device: str
+    # gives memory that is held for later arrays back to the device
+    trim: Callable[[], None] = staticmethod(lambda: None)
     lanes = 1  # adjacent lines per work-item
     strips = 1  # strips of such lines that a sweep takes side by side
     # nodes up to which one work-item takes all steps of conjugate gradients, since starting kernels would
