@@ -372,14 +372,13 @@ class Sweeps:
         if self.sides == "periodic":
             most = max(rows, cols, self.relief / LEAST_SEARCHED_SLOPE)
             warm = math.ceil(min(self.reach + 1, most))
+            _check_search(self.backend, self.relief, warm, len(_numbers_of(self.rays.angles, turned)))
         angles, widths = (part.astype(float).tobytes() for part in self.rays[:2])
         sums = self.rays.sums.astype(int).tobytes()
         endless = np.inf if self.sides == "periodic" else rows + cols
         numbers, windows, shears, tables = _shear_tables(
             angles, widths, sums, tuple(self.scales), turned, self.near, self.reach, endless, warm
         )
-        if warm:
-            _check_search(self.backend, self.relief, warm, len(numbers))
         if table is not None and len(numbers):
             brightness = keep(np.ascontiguousarray(table[numbers], np.float32))
         else:
@@ -413,6 +412,11 @@ def _fixed_point_scales(rays: Rays, table: np.ndarray | None, most_of_all: float
     return [2.0**30 / max(float(most[some] @ rays.widths[some]), 1e-20) for some in of_sums]
 
 
+def _numbers_of(angles: np.ndarray, turned: bool) -> np.ndarray:
+    """Of the azimuths that go from row to row in the map as it lies, or in the turned one."""
+    return np.flatnonzero((np.abs(np.cos(angles)) > np.abs(np.sin(angles))) == turned)
+
+
 @functools.lru_cache(32)  # 64 azimuths: 30 kB, which take longer to make than a small map to sweep
 def _shear_tables(
     angles: bytes,
@@ -431,7 +435,7 @@ def _shear_tables(
     ``reach`` [spacing]: from ``endless`` rows on a window is endless.
     """
     cosine, sine = np.cos(np.frombuffer(angles)), np.sin(np.frombuffer(angles))
-    numbers = np.flatnonzero((np.abs(cosine) > np.abs(sine)) == turned)
+    numbers = _numbers_of(np.frombuffer(angles), turned)
     across, along = (sine, cosine) if turned else (cosine, sine)
     reaches = np.maximum(reach * np.abs(along[numbers]), 1e-3)
     windows = np.where(reaches < endless, np.maximum(reaches, 1), ENDLESS_WINDOW).astype(np.int64)
