@@ -62,10 +62,13 @@ def _quiet(wp: Any) -> Iterator[None]:
         wp.config.log_level = level
 
 
-def _trim(wp: Any, device: Any, held: int) -> None:
-    wp.set_mempool_release_threshold(device, 0)
-    wp.synchronize_device(device)
-    wp.set_mempool_release_threshold(device, held)
+def _trim(backend: WarpBackend, held: int) -> None:
+    """Empty the pool of a GPU, which then holds up to ``held`` bytes again."""
+    wp, device = backend.wp, backend._device
+    with backend.lock:  # no other thread may be recording launches
+        wp.set_mempool_release_threshold(device, 0)
+        wp.synchronize_device(device)
+        wp.set_mempool_release_threshold(device, held)
 
 
 class WarpBackend(Backend):
@@ -91,7 +94,7 @@ class WarpBackend(Backend):
             usual = self.wp.get_mempool_release_threshold(self._device)
             held = max(usual, min(MOST_HELD, self._device.total_memory // 8))
             self.wp.set_mempool_release_threshold(self._device, held)
-            self.trim = functools.partial(_trim, self.wp, self._device, held)
+            self.trim = functools.partial(_trim, self, held)
         self._loaded: set[tuple[Any, int]] = set()  # modules, each with a size of block
         self._side: Any = None  # the stream of launches beside others
 
