@@ -212,6 +212,13 @@ def arctan(r: wp.float32) -> wp.float32:
 
 
 @wp.func
+def elevation_of(slope: wp.float32):
+    """The angle [rad] whose tangent is ``slope`` >= 0."""
+    angle = arctan(wp.where(slope > 1.0, reciprocal_of(slope), slope))
+    return wp.where(slope > 1.0, wp.float32(HALF_PI) - angle, angle)
+
+
+@wp.func
 def quantized(
     a: wp.float32,
     b: wp.float32,
@@ -765,9 +772,7 @@ def sweep(NEAR: int, SIDES: int, WHAT: int, FALLS: int, BLOCKS: int):
                             slope = -wp.inf
                         slopes[plane, y * cols + x] = slope
                     elif wp.static(WHAT == ANGLES):
-                        steep = wp.abs(slope)
-                        angle = arctan(wp.where(steep > 1.0, reciprocal_of(steep), steep))
-                        angle = wp.where(steep > 1.0, wp.float32(HALF_PI) - angle, angle)
+                        angle = elevation_of(wp.abs(slope))
                         angle = wp.where(slope < 0.0, -angle, angle)
                         angle = wp.where(slope < -1e20, wp.float32(0.0), angle)
                         angle = width * (wp.float32(HALF_PI) - angle)
@@ -778,10 +783,8 @@ def sweep(NEAR: int, SIDES: int, WHAT: int, FALLS: int, BLOCKS: int):
                         c1 = wp.float32(0.0)
                         c2 = wp.float32(0.0)
                         if wp.static(WHAT == UNIFORM):
-                            angle = arctan(wp.where(limit > 1.0, reciprocal_of(limit), limit))
-                            angle = wp.where(limit > 1.0, wp.float32(HALF_PI) - angle, angle)
                             c2 = reciprocal_of(limit * limit + 1.0)
-                            c1 = 0.5 * (wp.float32(HALF_PI) - angle - limit * c2)
+                            c1 = 0.5 * (wp.float32(HALF_PI) - elevation_of(limit) - limit * c2)
                             c2 *= 0.5
                         else:
                             at_knot = limit * reciprocal_of(limit + 1.0) * wp.float32(knots - 1)

@@ -288,6 +288,7 @@ class Sweeps:
         """Yield (half, numbers of azimuths, their horizon slopes on the device), a few at a time."""
         backend = self.backend
         rows, cols = self.shape
+        # of 4 bytes, in both halves, and each turned back
         most = max(1, int(min(backend.memory // 4, MOST_PLANES) // (16 * rows * cols)))
         self._turn()
         natural, turned = ([(half, *batch) for batch in _batches(half, most)] for half in self.halves)
@@ -322,8 +323,8 @@ class Sweeps:
         backend = self.backend
         comes_at = int(half.windows[first]) if backward else self.near + 1
         span = half.rows + half.warm + self.near + 2
-        bits, *rising = ladder(self.steepest[0], self.relief, span, comes_at)
-        _, *falling = ladder(self.steepest[1], self.relief, span, comes_at)
+        bits, rising_scale, *rising = ladder(self.steepest[0], self.relief, span, comes_at)
+        _, falling_scale, *falling = ladder(self.steepest[1], self.relief, span, comes_at)
         overhang = (
             0
             if self.sides == "periodic"
@@ -341,8 +342,8 @@ class Sweeps:
             half.table,
             slopes,
             sums,
-            *rising[1:],
-            *falling[1:],
+            *rising,
+            *falling,
             first,
             backend.lines,
             half.rows,
@@ -352,8 +353,8 @@ class Sweeps:
             self.knots,
             bits,
             self.lowest,
-            rising[0],
-            falling[0],
+            rising_scale,
+            falling_scale,
             int(known),
             int(backward),
             *half.asked,

@@ -60,30 +60,24 @@ def sweep(
     BLOCKS: int,
 ) -> None:
     """``group`` is how devices share out the lines; here all lines go together, azimuth by azimuth."""
-    ladders = [
-        Ladder(
-            np.array(steps, np.int32), np.array(rises, np.int32), bits, np.float32(lowest), np.float32(scale)
-        )
-        for steps, rises, scale in (
-            (steps, rises, height_scale),
-            (falling_steps, falling_rises, falling_scale),
-        )
-    ]
+    shared = bits, np.float32(lowest)
+    rising = Ladder(np.array(steps, np.int32), np.array(rises, np.int32), *shared, np.float32(height_scale))
+    falling = rising._replace(
+        steps=np.array(falling_steps, np.int32),
+        rises=np.array(falling_rises, np.int32),
+        height_scale=np.float32(falling_scale),
+    )
     # without slopes light is summed, azimuth by azimuth
     for plane in range(len(slopes) if slopes.ndim == 2 else 1):
         a = first + plane
         asked = (top, bottom, left, right)
         rays = Rays(heights, azimuths[a], ways[a], rows, cols, asked, margin, NEAR, SIDES, BLOCKS)
-        lower, upper, highest, falls = _ladder(rays, ladders[0], bool(BLOCKS and backward))
+        lower, upper, highest, falls = _ladder(rays, rising, bool(BLOCKS and backward))
         if FALLS:
-            below = _ladder(rays, ladders[1], bool(BLOCKS and backward))
+            below = _ladder(rays, falling, bool(BLOCKS and backward))
             lower, upper = np.where(falls, below[:2], (lower, upper))
-        slope = (
-            np.fmax(
-                _far(rays, lower, upper, highest if FALLS else None), _near(rays, near_at[a], near_weight[a])
-            )
-            * azimuths[a, 3]
-        )
+        far = _far(rays, lower, upper, highest if FALLS else None)
+        slope = np.fmax(far, _near(rays, near_at[a], near_weight[a])) * azimuths[a, 3]
         if SIDES == DARK:
             slope = np.maximum(slope, _wall(rays, azimuths[a, 3]))
         if WHAT == SLOPES or known:
@@ -92,11 +86,10 @@ def sweep(
         if WHAT == SLOPES:
             out[...] = np.where(slope < np.float32(-1e20), -np.inf, slope)
         else:
-            light = (
-                _angle(slope, azimuths[a, 4])
-                if WHAT == ANGLES
-                else _light(rays, tilts, slope, azimuths[a], table[a] if WHAT == TABLE else None, knots)
-            )
+            if WHAT == ANGLES:
+                light = _angle(slope, azimuths[a, 4])
+            else:
+                light = _light(rays, tilts, slope, azimuths[a], table[a] if WHAT == TABLE else None, knots)
             out = sum[ways[a, 5]].reshape(rows, cols)[:: rays.towards][rays.asked]
             out += (light + HALF).astype(np.int32)
 
