@@ -39,11 +39,10 @@ from .light.far import (
     spread_of,
     top_of,
 )
-from .light.sweeps import Rays, engine_of
+from .light.sweeps import NODE_BYTES, TILT_BYTES, Rays, engine_of
 from .samples import Samples, ring
 from .scene import ALBEDO, Scene
 
-NODE_BYTES = 36  # that a sweep takes on a device, see Sweeps
 MOST_MARGIN = 128  # [node] beside a map that is swept: at most 96 near rows, the lanes of a CPU and 3
 REFRACTED = 0.87  # of the Earth's curvature that light, which bends with the air, leaves; Corripio 2003
 GROUP_BYTES = 2**30  # of the horizons of one tile that are in memory at a time; chosen
@@ -334,7 +333,7 @@ def fits(scene: Scene, engine: Backend) -> bool:
 def holds(rows: int, cols: int, engine: Backend) -> bool:
     """Whether a map of this shape can be swept at once."""
     room = (rows + 2 * MOST_MARGIN) * (cols + 2 * MOST_MARGIN)
-    return room <= MOST_PIXELS and has_room(engine, NODE_BYTES * rows * cols)
+    return room <= MOST_PIXELS and has_room(engine, NODE_BYTES * rows * cols, TILT_BYTES * room)
 
 
 def warn(text: str) -> None:

@@ -15,6 +15,7 @@ from skylamp.arrays import host_array
 from skylamp.backends import base, resident, select, staging
 from skylamp.backends.warp import MOST_HELD
 from skylamp.constants import NONE
+from skylamp.scale import holds
 
 DEPTH = scenes.rough(18, 23, 0.8, seed=4).astype(np.float32)
 
@@ -497,10 +498,25 @@ def test_what_a_device_holds_counts_as_free(fast, monkeypatch):
     engine, free = select(fast), [100]
     monkeypatch.setattr(type(engine), "memory", property(lambda self: free[0]))
     monkeypatch.setattr(engine, "trim", lambda: free.__setitem__(0, 150))
-    assert base.has_room(engine, 100) and free == [100]
-    assert base.has_room(engine, 150) and free == [150]
+    assert base.has_room(engine, 100, 100) and free == [100]
+    assert base.has_room(engine, 150, 150) and free == [150]
     with pytest.raises(sl.CapacityError, match="A map needs 151 bytes; .* may take 150"):
         base.reserve(engine, 151, "A map", "Cut it.")
+
+
+def test_the_limit_of_one_array_is_not_that_of_all(fast, monkeypatch):
+    """Maps take several arrays, each of which must fit, as PoCL's limit of one allocation is small."""
+    engine = select(fast)
+    monkeypatch.setattr(type(engine), "memory", property(lambda self: 10**6))
+    monkeypatch.setattr(engine, "most_array_bytes", 1000)
+    base.reserve(engine, 5000, "A map", "Cut it.", largest=1000)
+    with pytest.raises(sl.CapacityError, match="A map needs 1,001 bytes in one array; .* may take 1,000"):
+        base.reserve(engine, 5000, "A map", "Cut it.", largest=1001)
+    with pytest.raises(sl.CapacityError, match="5,000 bytes in one array"):
+        base.reserve(engine, 5000, "A map", "Cut it.")
+    for most, whole in ((1_014_000, True), (1_013_000, False)):  # tilts: 8 bytes of 356 x 356 nodes
+        monkeypatch.setattr(engine, "most_array_bytes", most)
+        assert holds(100, 100, engine) is whole
 
 
 @pytest.mark.gpu

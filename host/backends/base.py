@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import DTypeLike
 
 from ..checks import positive_number
-from ..constants import PIXEL_PADDING
+from ..constants import MOST_PIXELS, PIXEL_PADDING
 from ..errors import CapacityError, OutOfTimeError
 
 # values of ``single_item_nodes`` and ``nodes_per_item`` on a CPU, and of ``iterations_ahead`` on a GPU
@@ -145,19 +145,40 @@ class BackendInfo:
     gpu: bool = False
 
 
-def has_room(backend: Backend, bytes_needed: int) -> bool:
-    """Whether the device may give so many bytes, whatever it holds for later arrays."""
+def has_room(backend: Backend, bytes_needed: int, largest: int) -> bool:
+    """Whether the device may give so many bytes, whatever it holds for later arrays.
+
+    ``largest``: bytes of the largest array among them.
+    """
     if bytes_needed > backend.memory:
         backend.trim()
-    return bytes_needed <= backend.memory
+    return bytes_needed <= backend.memory and largest <= backend.most_array_bytes
 
 
-def reserve(backend: Backend, bytes_needed: int, what: str, fix: str) -> None:
-    """Raise a CapacityError if ``bytes_needed`` is more than the device may give."""
-    if not has_room(backend, bytes_needed):
+def reserve(backend: Backend, bytes_needed: int, what: str, fix: str, largest: int | None = None) -> None:
+    """Raise a CapacityError if ``bytes_needed`` is more than the device may give.
+
+    ``largest``: bytes of the largest array among them, all of them unless given.
+    """
+    largest = bytes_needed if largest is None else largest
+    if has_room(backend, bytes_needed, largest):
+        return
+    if largest > backend.most_array_bytes:
         raise CapacityError(
-            f"{what} needs {bytes_needed:,} bytes; {backend.name} may take {backend.memory:,}. {fix}"
+            f"{what} needs {largest:,} bytes in one array; {backend.name} may take"
+            f" {backend.most_array_bytes:,}. {fix}"
         )
+    raise CapacityError(
+        f"{what} needs {bytes_needed:,} bytes; {backend.name} may take {backend.memory:,}. {fix}"
+    )
+
+
+def reserve_map(backend: Backend, nodes: int, bytes_needed: int, largest: int) -> None:
+    """:func:`reserve` for a map of so many ``nodes``, margins included, which kernels must be able to count."""
+    what, fix = f"A map of {nodes:,} nodes", "Cut it into tiles."
+    if nodes > MOST_PIXELS:
+        raise CapacityError(f"{what}; at most {MOST_PIXELS:,}, since kernels count in 32 bits. {fix}")
+    reserve(backend, bytes_needed, what, fix, largest)
 
 
 class Backend(ABC):
@@ -185,6 +206,7 @@ class Backend(ABC):
     partial_sums = 1
     lines = 1  # adjacent work-items that share cache lines, where work-items of a group run together
     pixel_lanes = 1  # adjacent pixels per work-item where there are no lines; divides PIXEL_PADDING
+    most_array_bytes: float = math.inf  # of one array
     compile_seconds = 0.0
     # rows x azimuths over which sweeps may follow the relief of a map that repeats, besides the map itself:
     # chosen: some two minutes where rows are as short as they can be (0.3 us a row, PoCL, two cores)
@@ -207,7 +229,7 @@ class Backend(ABC):
     @property
     @abstractmethod
     def memory(self) -> int:
-        """Bytes that may be taken at once."""
+        """Bytes that may be taken at once, by all arrays together."""
 
     @abstractmethod
     def upload(self, array: np.ndarray, constant: bool = False) -> Array:

@@ -29,6 +29,7 @@ from .base import (
     Array,
     Backend,
     BackendInfo,
+    available_memory,
 )
 
 OPTIONS = "-cl-std=CL1.2", "-w"  # without remarks on the kernels, which clang counts on stderr
@@ -108,6 +109,7 @@ class OpenclBackend(Backend):
         self.on_cpu = bool(self._device.type & cl.device_type.CPU)
         self.lanes = CPU_LANES if self.on_cpu else 1
         self.shares = self.on_cpu
+        self.most_array_bytes = self._device.max_mem_alloc_size
         self.partial_sums = min(CPU_PARTIAL_SUMS, 2 * self._device.max_compute_units) if self.on_cpu else 1
         self.single_item_nodes, self.nodes_per_item, self.iterations_ahead = (
             (CPU_SINGLE_ITEM_NODES, CPU_NODES_PER_ITEM, 1) if self.on_cpu else (0, 1, GPU_ITERATIONS_AHEAD)
@@ -121,7 +123,8 @@ class OpenclBackend(Backend):
 
     @property
     def memory(self) -> int:
-        return int(self._device.max_mem_alloc_size)
+        """On a GPU, whose free memory OpenCL does not tell, the bytes of its largest array."""
+        return available_memory() // 2 if self.shares else int(self._device.max_mem_alloc_size)
 
     def upload(self, array: np.ndarray, constant: bool = False) -> Array:
         array = np.ascontiguousarray(array)

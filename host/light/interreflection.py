@@ -62,6 +62,7 @@ class Planes:
             4 * (1 + 4 * lights) * self.plane_map,
             f"Light between {rows} x {cols} nodes",
             "Cut it into tiles.",
+            4 * (1 + lights) * self.plane_map,
         )
         self.heights = engine.empty((self.plane_map,), np.float32)
         self.light = engine.empty((lights * self.plane_map,), np.float32)

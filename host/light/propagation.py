@@ -11,9 +11,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..backends.base import Array, Backend, reserve, rounded_up
+from ..backends.base import Array, Backend, reserve, reserve_map, rounded_up
 from ..backends.resident import DeviceImage, Resident
-from ..constants import COPY_SIDE, MOST_PIXELS, PATCH_X, PATCH_Y, SIDES, SKY, VOLUME
+from ..constants import COPY_SIDE, PATCH_X, PATCH_Y, SIDES, SKY, VOLUME
 from ..errors import CapacityError
 from ..sources import Geometry
 from .walks import Group, crossings_of, cycle_length, lap_table, walk_groups
@@ -108,15 +108,11 @@ class Surface:
 
     def __init__(self, backend: Backend, problem: Problem, relief: float | None = None):
         self.backend, self.problem = backend, problem
-        if problem.pixels > MOST_PIXELS:
-            raise CapacityError(
-                f"A map of {problem.pixels:,} nodes; at most {MOST_PIXELS:,}, since kernels count in 32"
-                " bits. Cut it into tiles."
-            )
         self.room = rounded_up(problem.pixels)
         # two maps, two slopes, the sum, and a plane with its turned twin
-        reserve(backend, 22 * self.room, f"A map of {problem.pixels:,} nodes", "Cut it into tiles.")
-        most = min(max(1, int(backend.memory // 3 // self.room)), len(problem.steps))
+        reserve_map(backend, problem.pixels, 22 * self.room, 8 * self.room)
+        planes = min(backend.memory, backend.most_array_bytes) // 3 // self.room
+        most = min(max(1, int(planes)), len(problem.steps))
         relief = problem.relief if relief is None else relief
         groups = walk_groups(
             problem.steps, problem.depth.shape, relief, problem.step, self.periodic, problem.filled, most

@@ -11,10 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from ..backends.base import reserve
+from ..backends.base import reserve_map
 from ..backends.resident import Resident
-from ..constants import ENDLESS, MOST_PIXELS, NONE, SLICES
-from ..errors import CapacityError
+from ..constants import ENDLESS, NONE, SLICES
 from ..sources import Source, radiance
 from ..sources.solids import Ball, Dome, Quad
 from .propagation import Lobe
@@ -131,23 +130,14 @@ class Slices:
         """
         rows, cols = self.shape = there.shape[0] + 2 * margin, there.shape[1] + 2 * margin
         count = rows * cols
-        if count > MOST_PIXELS:
-            raise CapacityError(
-                f"A map of {count:,} nodes; at most {MOST_PIXELS:,}, since kernels count in 32"
-                " bits. Cut it into tiles."
-            )
         self.there, backend, self.margin = there, there.backend, margin
         self.backend, self.solid, self.step = backend, solid, there.step
         self.levels = min(max(round(math.log2(cols)) - 2, 1), LEVELS)
         self.width = -(-cols >> self.levels) << self.levels
         cells = (rows + 1) // 2
         images = 2 if isinstance(solid, Ball) else 1
-        reserve(
-            backend,
-            4 * ((rows + 2) * (cols + 1) + cells * self.width + images * rows * cols),
-            f"A map of {count:,} nodes",
-            "Cut it into tiles.",
-        )
+        padded = (rows + 2) * (cols + 1)
+        reserve_map(backend, count, 4 * (padded + cells * self.width + images * count), 4 * padded)
         lowest, self.highest = there.heights_range
         self.heights = there.heights(margin + 1, margin + 1, margin, margin + 2, periodic=margin > 0)
         self.tops = backend.empty((cells, self.width), np.float32)

@@ -13,11 +13,11 @@ import numpy as np
 
 from ..arrays import by_bands, scratch
 from ..backends import select
-from ..backends.base import Array, Backend, reserve
+from ..backends.base import Array, Backend, reserve, reserve_map
 from ..backends.resident import DeviceImage, Resident
 from ..backends.staging import fetch
 from ..checks import positive_number
-from ..constants import ANGLES, LADDER, LEAST_SEARCHED_SLOPE, MOST_PIXELS, SIDES, SLOPES, TABLE, UNIFORM
+from ..constants import ANGLES, LADDER, LEAST_SEARCHED_SLOPE, SIDES, SLOPES, TABLE, UNIFORM
 from ..errors import CapacityError, bad
 from ..scene import Scene, is_scene
 from .far import Far, marched
@@ -32,6 +32,7 @@ ENDLESS_WINDOW = 1 << 30  # [rows], a window longer than any line
 # of a device that the sweeps of a tile take [byte], so that a tile of 8192 x 8192 nodes and the driver are
 # within 3 GB; of that, arrays of a map: the map, padded, turned, its two tilts and a sum
 TILE_BYTES, TILE_ARRAYS = 24 * 10**8, 6
+NODE_BYTES, TILT_BYTES = 36, 8  # that sweeps take for a node on a device, and of these, one array of tilts
 # [byte] of horizon slopes on a device at a time; chosen: eight azimuths of 4096 x 4096 nodes, which occupy a
 # GPU
 MOST_PLANES = 2**30
@@ -117,12 +118,7 @@ class Sweeps:
         self.near = near or (FINE_NEAR_ROWS if many else NEAR_ROWS)
         self.margin = self.near + backend.lanes + 3
         self.room = (rows + 2 * self.margin) * (cols + 2 * self.margin)
-        if self.room > MOST_PIXELS:
-            raise CapacityError(
-                f"A map of {rows} x {cols} nodes, with its margins {self.room:,}; at most {MOST_PIXELS:,},"
-                " since kernels count in 32 bits. Cut it into tiles."
-            )
-        reserve(backend, 36 * self.room, f"A map of {rows} x {cols} nodes", "Cut it into tiles.")
+        reserve_map(backend, self.room, NODE_BYTES * self.room, TILT_BYTES * self.room)
         every, first = max(1, math.isqrt(rows * cols // PROBED)), self.near + 1
         self.map = here = ground.map
         m = self.margin
@@ -289,7 +285,9 @@ class Sweeps:
         backend = self.backend
         rows, cols = self.shape
         # of 4 bytes, in both halves, and each turned back
-        most = max(1, int(min(backend.memory // 4, MOST_PLANES) // (16 * rows * cols)))
+        most = max(
+            1, int(min(backend.memory // 4, backend.most_array_bytes // 4, MOST_PLANES) // (16 * rows * cols))
+        )
         self._turn()
         natural, turned = ([(half, *batch) for batch in _batches(half, most)] for half in self.halves)
         for one, other in itertools.zip_longest(natural, turned):
