@@ -174,7 +174,7 @@ def reserve(backend: Backend, bytes_needed: int, what: str, fix: str, largest: i
 
 
 def reserve_map(backend: Backend, nodes: int, bytes_needed: int, largest: int) -> None:
-    """:func:`reserve` for a map of so many ``nodes``, margins included, which kernels must be able to count."""
+    """:func:`reserve` for a map of so many nodes, margins included, all of which kernels must count."""
     what, fix = f"A map of {nodes:,} nodes", "Cut it into tiles."
     if nodes > MOST_PIXELS:
         raise CapacityError(f"{what}; at most {MOST_PIXELS:,}, since kernels count in 32 bits. {fix}")

@@ -41,6 +41,8 @@ BUILDS = 3
 # H200, 4096 x 4096 nodes: sweeps of 64 azimuths took 23.5 ms with 64 and 27 with 96 (of 16: 13.3 and 12.3),
 # about 31 with 48; slices of a sphere 31.4 ms with 64, 31.5 with 48, 32 with 80 or 96
 REGISTERS = {"horizon": 64, "slices": 64}
+# [byte] of freed arrays that a GPU's memory pool holds for later ones, and of the largest that it may hold
+MOST_HELD, MOST_POOLED = 2**31, 2**28
 CPU_LANES = 8  # float32 of a vector register of 256 bits
 CPU_STRIPS = 8  # strips of lines that a sweep takes side by side
 CPU_PARTIAL_SUMS = 16  # most copies of a sum that work-items scatter into
@@ -94,6 +96,7 @@ class OpenclBackend(Backend):
     def __init__(self, platform: int, device: int) -> None:
         import pyopencl as cl
         import pyopencl.array
+        import pyopencl.tools
 
         super().__init__()
         self.cl = cl
@@ -103,6 +106,8 @@ class OpenclBackend(Backend):
         self.context = cl.Context([self._device])
         self.queue, self._side = cl.CommandQueue(self.context), cl.CommandQueue(self.context)
         self._pending: Any = None  # the last launch on the side queue, until join
+        # what such launches use: memory of a pool must not be another array's before the join
+        self._used_aside: list[Any] = []
         exact = self._device.single_fp_config & cl.device_fp_config.CORRECTLY_ROUNDED_DIVIDE_SQRT
         # where a GPU would else take 2.5 ulp
         self._exact = ("-cl-fp32-correctly-rounded-divide-sqrt",) if exact else ()
@@ -117,6 +122,10 @@ class OpenclBackend(Backend):
         self.strips = CPU_STRIPS if self.on_cpu else 1
         self.lines = 1 if self.on_cpu else GPU_LINES
         self.pixel_lanes = CPU_LANES if self.on_cpu else GPU_PIXELS
+        self._pool: Any = None
+        if not self.on_cpu:
+            self._pool = pyopencl.tools.MemoryPool(pyopencl.tools.ImmediateAllocator(self.queue))
+            self.trim = self._pool.free_held
         self._programs: dict[tuple[Any, ...], Any] = {}
         self._kernels: dict[tuple[Any, ...], Any] = {}
         self._recorded: list[tuple[Any, ...]] | None = None
@@ -204,6 +213,7 @@ class OpenclBackend(Backend):
         if self._pending is not None:
             self.cl.enqueue_barrier(self.queue, wait_for=[self._pending])
             self._pending = None
+            self._used_aside.clear()
 
     def finish(self) -> None:
         self.queue.finish()
@@ -232,6 +242,8 @@ class OpenclBackend(Backend):
             self._recorded.append((function, size, local))
         else:
             function(self.queue, size, local, *values)
+        if self.queue is self._side:
+            self._used_aside += args
 
     def record(self, work: Callable[[], None], times: int) -> Callable[[], None]:
         recorded: list[tuple[Any, ...]] = []
@@ -302,7 +314,12 @@ def _new(backend: OpenclBackend, shape: tuple[int, ...], dtype: DTypeLike) -> Ar
     size = math.prod(shape) * np.dtype(dtype).itemsize
     large = backend.on_cpu and size >= 2 * HUGE_PAGE and hasattr(mmap, "MADV_HUGEPAGE")
     data = _on_huge_pages(backend.context, size) if large else None
-    array = backend.cl.array.Array(backend.queue, shape, dtype, data=data)
+    pool = backend._pool
+    if pool is not None and pool.managed_bytes - pool.active_bytes > MOST_HELD:
+        pool.free_held()
+    array = backend.cl.array.Array(
+        backend.queue, shape, dtype, data=data, allocator=pool if size <= MOST_POOLED else None
+    )
     if large:
         _finish_before_release(backend, array)
     return array
