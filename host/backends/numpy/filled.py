@@ -26,21 +26,20 @@ def scan_filled(
     for w, walk in enumerate(walks):
         begin, end = spans[w, 0], spans[w].sum() - 1
         depth = map_of(maps, walk[6], (map_rows, map_cols))
+        limits = np.full((climbs.shape[1], *depth.shape), np.inf, np.float32)
+        for crossing, climb in zip(crossings[begin:end], climbs[begin:end]):
+            np.minimum(limits, _ground(depth, crossing, periodic) + climb[:, None, None], out=limits)
 
-        def lower(
-            ceiling: np.ndarray, row: int, some: range = range(begin, end), depth: np.ndarray = depth
-        ) -> None:
-            for c in some:
-                ground = _ground(depth, crossings[c], row, periodic)
-                np.minimum(ceiling, ground + climbs[c][:, None], out=ceiling)
+        def lower(ceiling: np.ndarray, row: int, limits: np.ndarray = limits) -> None:
+            np.minimum(ceiling, limits[:, row], out=ceiling)
 
         scan_walk(maps, walk, rise[w], lap[w], planes, (map_rows, map_cols), periodic, lower)
 
 
-def _ground(depth: np.ndarray, crossing: np.ndarray, row: int, periodic: int) -> np.ndarray:
-    """Depth x parts at a crossing next to every node of a row; +inf where it is unknown."""
+def _ground(depth: np.ndarray, crossing: np.ndarray, periodic: int) -> np.ndarray:
+    """Depth x parts at a crossing next to every node (rows, cols); +inf where it is unknown."""
     rows, cols = depth.shape
-    x, y = np.arange(cols), np.full(cols, row)
+    y, x = np.arange(rows)[:, None], np.arange(cols)
     to_x, to_y, next_x, next_y, near_weight, far_weight = (int(v) for v in crossing[:6])
 
     def depth_at(px: np.ndarray, py: np.ndarray) -> np.ndarray:
