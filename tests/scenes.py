@@ -110,6 +110,7 @@ MAPS = {
     "spikes": _spikes,
     "plateaus": _plateaus,
     "noise": _noise,
+    "small noise": lambda: np.random.default_rng(9).integers(0, 6, (8, 12)),  # of short cycles
     "masked": _masked,
     "terrain": _terrain_layers,
     "row": lambda: np.random.default_rng(1).integers(0, 5, (1, 29)),

@@ -13,7 +13,7 @@ from compare import assert_bits_equal
 from test_scale import mountains
 
 import skylamp as sl
-from skylamp.app import out_of_core
+from skylamp.app import cli, out_of_core
 from skylamp.backends import select
 from skylamp.errors import CapacityError
 from skylamp.io import geotiff as geo
@@ -59,6 +59,15 @@ def command(path, out, *more, of="horizon"):
 def run(path, out, *more, of="horizon"):
     done = subprocess.run(command(path, out, *more, of=of), capture_output=True, text=True, timeout=500)
     return done.returncode, done.stderr
+
+
+def refused(of, path, folder, capsys, more, code, what):
+    """A command in this process ends with this code, says so, and leaves no file."""
+    with pytest.raises(SystemExit) as ended:
+        cli.main([of, str(path), "--out", str(folder / "o.tif"), *more])
+    said = capsys.readouterr().err
+    assert (ended.value.code, what in said) == (code, True), said
+    assert os.listdir(folder) == []
 
 
 def interrupted(told, scratch):
@@ -236,12 +245,9 @@ def test_an_image_is_rendered_as_in_tiles(dem, tmp_path):
         (["--cog"], 2, "--memory"),
     ],
 )
-def test_what_an_image_in_tiles_does_not_go_with(dem, tmp_path, more, code, what):
+def test_what_an_image_in_tiles_does_not_go_with(dem, tmp_path, capsys, more, code, what):
     """One error, before a worker is started."""
-    told = [sys.executable, "-m", "skylamp", "render", str(dem[0]), "--out", str(tmp_path / "o.tif"), *more]
-    done = subprocess.run(told, capture_output=True, text=True, timeout=200)
-    assert (done.returncode, what in done.stderr) == (code, True), done.stderr
-    assert os.listdir(tmp_path) == []
+    refused("render", dem[0], tmp_path, capsys, more, code, what)
 
 
 @pytest.mark.parametrize(
@@ -256,12 +262,9 @@ def test_what_an_image_in_tiles_does_not_go_with(dem, tmp_path, more, code, what
         (["--resume"], 2, "--memory"),
     ],
 )
-def test_what_does_not_go_with_memory(dem, tmp_path, more, code, what):
+def test_what_does_not_go_with_memory(dem, tmp_path, capsys, more, code, what):
     """One error, before a worker is started."""
-    told = [sys.executable, "-m", "skylamp", "horizon", str(dem[0]), "--out", str(tmp_path / "o.tif"), *more]
-    done = subprocess.run(told, capture_output=True, text=True, timeout=200)
-    assert (done.returncode, what in done.stderr) == (code, True), done.stderr
-    assert os.listdir(tmp_path) == []
+    refused("horizon", dem[0], tmp_path, capsys, more, code, what)
 
 
 def test_a_damaged_file_is_one_error(dem, tmp_path):

@@ -695,11 +695,10 @@ def test_a_sun_in_sectors_is_the_disc_that_it_is(backend, sides):
     sky, lamp = sunny(2.0)
     (sun,) = Integrals(sky).bright_parts
     assert sun.limit == pytest.approx(4) and lamp.brightness == 57
+    ball = slices.Ball(lamp.center, lamp.radius)
+    wanted = image(backend, depth, ball, lamp.brightness, sides=sides, most=256)
     for sectors in (sun.sectors(120), sun.sectors(40), sun.sectors(40, True)):
         got = by_suns(backend, depth, [sectors], sides=sides)
-        wanted = image(
-            backend, depth, slices.Ball(lamp.center, lamp.radius), lamp.brightness, sides=sides, most=256
-        )
         np.testing.assert_allclose(got, wanted, atol=0.02 * wanted.max())
         assert np.sqrt(np.mean((got - wanted) ** 2)) < 0.003 * wanted.max() and 0.2 < (got > 0).mean() < 0.95
 

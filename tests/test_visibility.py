@@ -55,12 +55,12 @@ def test_filled_scan_equals_brute_force_over_all_crossings(backend, name, size, 
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("sides", ["dark", "periodic"])
-def test_filled_scan_of_a_large_hemicube(fast, sides):
+@pytest.mark.parametrize(("name", "sides"), [("noise", "dark"), ("small noise", "periodic")])
+def test_filled_scan_of_a_large_hemicube(fast, name, sides):
     """M = 17 on a whole map, on the backend that takes the least time."""
     assert_bits_equal(
-        sl.visibility(scenes.scene("noise", sides), SKY, 17, fast, filled=True),
-        scenes.filled_truth("noise", 17, sides),
+        sl.visibility(scenes.scene(name, sides), SKY, 17, fast, filled=True),
+        scenes.filled_truth(name, 17, sides),
     )
 
 
@@ -133,7 +133,7 @@ def _lamplight(name, kind, size, sides):
 @pytest.mark.slow
 @pytest.mark.parametrize("sides", ["open", "dark"])
 @pytest.mark.parametrize("kind", list(LAMPS))
-@pytest.mark.parametrize(("name", "size"), [("fractal", 9), ("spikes", 7), ("masked", 5)])
+@pytest.mark.parametrize(("name", "size"), [("fractal", 7), ("spikes", 7), ("masked", 5)])
 def test_lamps_equal_the_oracle(backend, name, size, kind, sides):
     """A ball at the viewer, amid the relief, half in the ground, beside the map, and far and large."""
     scene, expected = scenes.scene(name, sides), _lamplight(name, kind, size, sides)
@@ -168,7 +168,7 @@ def _volume_truth(name, size, sides):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("sides", scenes.SIDES)
-@pytest.mark.parametrize(("name", "size"), [("fractal", 9), ("spikes", 5), ("masked", 7)])
+@pytest.mark.parametrize(("name", "size"), [("fractal", 7), ("spikes", 5), ("masked", 7)])
 def test_lamps_of_any_shape_equal_the_oracle(backend, name, size, sides):
     """A volume with a thick, a thin and a partly buried part."""
     expected = _volume_truth(name, size, sides)
