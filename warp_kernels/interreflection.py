@@ -119,9 +119,9 @@ def gathered_by(LIGHTS: int):
     def gathered(
         heights: wp.array[wp.float32],
         light: wp.array[wp.float32],
-        ways: wp.array[wp.float32],
-        places: wp.array[wp.int32],
-        crossings: wp.array[wp.float32],
+        ways: wp.array[wp.vec4],
+        places: wp.array[wp.vec2i],
+        crossings: wp.array[wp.vec3],
         c: wp.int32,
         y: wp.int32,
         azimuths: wp.int32,
@@ -143,9 +143,10 @@ def gathered_by(LIGHTS: int):
         num = lights()
         total = wp.float32(0.0)
         for k in range(azimuths):
-            cosine = ways[4 * k]
-            sine = ways[4 * k + 1]
-            on_columns = ways[4 * k + 2] > wp.float32(0.0)
+            way = ways[k]
+            cosine = way[0]
+            sine = way[1]
+            on_columns = way[2] > wp.float32(0.0)
             plane = -(gx * cosine + gy * sine)
             start = below(plane, plane)
             slope = plane
@@ -156,12 +157,14 @@ def gathered_by(LIGHTS: int):
             was_weight = wp.float32(0.0)
             was_distance = wp.float32(0.0)
             for j in range(k * count, (k + 1) * count):
-                weight = crossings[3 * j]
-                distance = crossings[3 * j + 1]
-                per_distance = crossings[3 * j + 2]
+                crossing = crossings[j]
+                weight = crossing[0]
+                distance = crossing[1]
+                per_distance = crossing[2]
                 # 1. where the crossing lies, if it is on the map, and if any ground there could be seen
-                u = c + places[2 * j]
-                v = y + places[2 * j + 1]
+                moved = places[j]
+                u = c + moved[0]
+                v = y + moved[1]
                 if sides == PERIODIC:
                     u = (wrapped(u >> shift, across) << shift) + (u & (phases - 1))
                     v = wrapped(v, rows)
@@ -286,9 +289,9 @@ def gather(LIGHTS: int):
     def gather(
         heights: wp.array[wp.float32],
         light: wp.array[wp.float32],
-        ways: wp.array[wp.float32],
-        places: wp.array[wp.int32],
-        crossings: wp.array[wp.float32],
+        ways: wp.array[wp.vec4],
+        places: wp.array[wp.vec2i],
+        crossings: wp.array[wp.vec3],
         sums: wp.array[wp.float32],
         azimuths: wp.int32,
         count: wp.int32,
@@ -445,9 +448,9 @@ def gather_nodes(LIGHTS: int):
     def gather_nodes(
         heights: wp.array[wp.float32],
         light: wp.array[wp.float32],
-        ways: wp.array[wp.float32],
-        places: wp.array[wp.int32],
-        crossings: wp.array[wp.float32],
+        ways: wp.array[wp.vec4],
+        places: wp.array[wp.vec2i],
+        crossings: wp.array[wp.vec3],
         direct: wp.array[wp.float32],
         sky: wp.array[wp.float32],
         irradiance: wp.array[wp.float32],
