@@ -479,6 +479,7 @@ def test_an_azimuth_almost_along_the_grid(backend):
 # -- the adjoint
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "sides"), [("uniform", "dark"), ("glow", "periodic"), ("spot", "open"), ("window", "dark")]
 )
@@ -881,6 +882,7 @@ def test_backends_agree_to_the_bit_and_repeat_themselves(backend, fast, name, si
         assert_bits_equal(a, b)
 
 
+@pytest.mark.slow
 def test_descents_agree_to_the_bit(backend, fast):
     """Three whole steps under a sky and a lamp together, with a known and an unknown albedo."""
     shape = (16, 19)
@@ -1069,6 +1071,7 @@ def test_the_pull_of_a_crossing_is_that_of_the_tape(taped):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["uniform", "sun"])
 def test_ground_as_bright_as_the_sky_tells_nothing_of_depth(backend, name):
     """Radiance 1 all round: E is what the source adds to a sky of 1, and that of a uniform sky has no
@@ -1084,6 +1087,7 @@ def test_ground_as_bright_as_the_sky_tells_nothing_of_depth(backend, name):
     assert np.abs(difference).max() < 1e-5 * max(1, np.abs(push(sky, v)).max())
 
 
+@pytest.mark.slow
 def test_ground_is_seen_alike_on_all_backends(backend):
     """Two images, one of a lamp: light and derivatives against the NumPy kernels."""
     z, sent = ground(slope=1.5), [1 + np.sin(np.arange(99)).reshape(SHAPE), np.full(SHAPE, 0.3)]

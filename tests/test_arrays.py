@@ -562,6 +562,7 @@ def test_relief_far_above_zero(fast):
     np.testing.assert_allclose(far.image, plain.image, rtol=0, atol=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sides", ["open", "periodic"])
 def test_depths_far_from_zero_under_a_sky(fast, sides):
     """As heights: where z = 0 lies means nothing to a sky, and float32 would leave steps of 1 and of 64."""

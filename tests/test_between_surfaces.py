@@ -74,6 +74,7 @@ def test_all_light_is_within_the_tolerance(backend, tolerance):
     assert error(alone.image, truth) > 0.1 and not alone.interreflection.included
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("sides", "source"),
     [
@@ -130,6 +131,7 @@ def test_what_is_not_needed_launches_nothing(fast, launched):
     assert found["interreflection"] > 3
 
 
+@pytest.mark.slow
 def test_explicit_methods_include_it_when_asked(fast):
     """Horizons and lattice with True: what they give directly, and the oracle's light from that."""
     for options in (

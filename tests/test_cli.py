@@ -597,6 +597,7 @@ def test_doctor_in_one_line(here, capsys):
     assert code == 0 and report.count("\n") == 1 and json.loads(report)["backends"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("module", ["skylamp", pytest.param("skylamp.app.cli", marks=pytest.mark.slow)])
 def test_as_a_module(here, module):
     """python -m runs the command line, under its own name, with its exit codes."""
@@ -694,6 +695,7 @@ def test_tables_print_brackets(capsys):
         assert text in printed
 
 
+@pytest.mark.slow
 def test_render_takes_colour_and_gloss(here, capsys):
     """--albedo R,G,B, --specular and --exponent are the library's; .npy, .tif and .png hold colour."""
     import imageio.v3 as imageio

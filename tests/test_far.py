@@ -128,6 +128,7 @@ def test_oracle_lets_the_ground_fall_off():
     np.testing.assert_allclose(found[0, :, :70], -0.016, rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_far_horizons_are_the_oracles(backend):
     """A tile in the middle, one at the last corner with ragged sides, a whole map: as they lie and turned.
 
@@ -156,6 +157,7 @@ def _same(found, expected):
     assert np.abs(expected[~none]).max() > 0.1  # there is something to be wrong about
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("spread", [pytest.param(4, marks=pytest.mark.slow), 8])
 def test_far_horizons_between_marched_nodes(backend, spread):
     """Bilinear between marched nodes, each moved to the node's own height, up to the last row and column."""

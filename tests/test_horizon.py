@@ -25,6 +25,7 @@ def test_horizons_beyond_the_memory(fast, monkeypatch):
         sl.horizons(scene, 9, fast)
 
 
+@pytest.mark.slow
 def test_exact_in_near_rows_and_never_too_high_beyond(backend):
     """Up to 12 spacings slopes are the oracle's; beyond, none is above it, and few are far below."""
     rng = np.random.default_rng(1)
@@ -133,6 +134,7 @@ def test_horizons_below_the_level(backend):
         assert wrong.max() < 1e-5 and np.sqrt(np.mean(wrong**2)) < 3e-3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sides, reach", [("open", None), ("open", 17.0), ("dark", None), ("periodic", None)])
 def test_openness_is_the_mean_angle_to_the_horizons(backend, sides, reach):
     """Of horizons above the level and below it, at masked nodes and where no ground is to be seen."""

@@ -211,6 +211,7 @@ def test_many_azimuths_take_more_near_rows(backend, count, near):
     assert abs(got - expected).max() <= AGREE * expected.max()
 
 
+@pytest.mark.slow
 @functools.cache
 def test_near_rows_that_local_memory_does_not_hold(backend):
     """96 near rows, of which cliffs ask for, cross every line of a map of 29 rows: horizons are exact."""
@@ -244,6 +245,7 @@ def test_a_repeat_gives_the_same_bytes(backend, sides, reach):
 # --- horizons against the oracle
 
 
+@pytest.mark.slow
 def test_every_backend_is_near_the_oracle(backend):
     """All crossings, in float64."""
     got, _ = found(backend, "rough", "open", math.inf, "even")
@@ -310,6 +312,7 @@ def test_reach_beyond_a_map_that_repeats(fast):
     assert errors.max() <= AGREE and rms(errors) <= 0.004
 
 
+@pytest.mark.slow
 def test_reach_beyond_a_narrow_map_with_a_cliff(backend):
     """The ladder's integers hold falls over a window that is longer than the map has rows."""
     ground = np.where(np.arange(30)[:, None] < 15, 300.0, 0) + np.random.default_rng(0).random((30, 108))
@@ -391,6 +394,7 @@ def _table(rays, knots):
     return (both * (1 + 0.5 * np.cos(rays.angles))[:, None, None]).astype(np.float32)
 
 
+@pytest.mark.slow
 def test_light_by_tables(backend):
     """Brightness that depends on elevation and azimuth, against the oracle's quadrature and NumPy's sums."""
     height, rays = heights("small with holes"), RAYS["even"]
@@ -459,6 +463,7 @@ def test_a_tilted_plane(backend, gx, gy):
     assert abs(light / exact - 1).max() <= 0.002
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("half", "deep", "along"), [(10, 5, "rows"), (10, 20, "columns"), (15, 30, "rows")])
 def test_the_middle_of_a_trench(backend, half, deep, along):
     """E = pi B a / sqrt(a^2 + d^2), a to the rim's node; 40 times as long as wide, so as good as endless."""

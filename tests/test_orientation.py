@@ -49,6 +49,7 @@ def alike(found, expected, share):
     assert off < share, off
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "sky", [pytest.param(sky, marks=pytest.mark.slow) if sky == "colours" else sky for sky in SKIES]
 )

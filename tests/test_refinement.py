@@ -424,6 +424,7 @@ def test_suns_over_ground_that_hides_them(fast, name, discs):
         ), out.plan.steps  # shadows of walls: a share that no azimuths mend
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["rough", "houses"])
 def test_the_light_that_judges_many_suns_is_exact(fast, name):
     """It had the image's own few sectors of each sun, and so did not see their error."""
@@ -1310,8 +1311,8 @@ def above_dark_boxes(n, deep):
     return depth, sky, render(scene, sky, "unoccluded", quantity="irradiance", backend="numpy").image
 
 
-def no_light_is_negative(backend, deep):
-    for n in range(3):
+def no_light_is_negative(backend, deep, some):
+    for n in some:
         depth, sky, free = above_dark_boxes(n, deep)
         for how in ({"tolerance": 0.05}, {"method": "horizon", "azimuths": 8}):
             scene = sl.Scene(depth, sides="dark")
@@ -1321,13 +1322,14 @@ def no_light_is_negative(backend, deep):
 
 
 @pytest.mark.slow
-def test_no_light_is_negative_in_a_shaft(fast):
+@pytest.mark.parametrize("deep", [30, 1e7])
+def test_no_light_is_negative_in_a_shaft(fast, deep):
     """Uneven skies in the few azimuths of a coarse tolerance: a control variate left -15 % of the mean."""
-    no_light_is_negative(fast, 1e7)
+    no_light_is_negative(fast, deep, range(3))
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("deep", [30, 1e7])
 def test_no_light_is_negative(backend, deep):
     """Nor on any backend."""
-    no_light_is_negative(backend, deep)
+    no_light_is_negative(backend, deep, [1])

@@ -202,6 +202,7 @@ def test_white_furnace(backend, exponent):
     assert ground.max() <= 1 + 1e-3 and ground.min() < 0.8
 
 
+@pytest.mark.slow
 def test_the_lattice_gives_no_more_than_it_gets(backend):
     """Where a lobe is far narrower than the directions' spacing, one would count up to 38 times its share."""
     y, x = np.mgrid[:40, :40]
@@ -509,6 +510,7 @@ def test_colour_takes_one_pass_over_visibility(monkeypatch, fast):
         assert grey == colour > 0, kernel
 
 
+@pytest.mark.slow
 def test_a_lambertian_scene_starts_no_specular_kernel(monkeypatch, fast):
     """Nor does a lobe of albedo 0; one that shows does."""
 
@@ -605,6 +607,7 @@ def test_mirrors_show_the_other_side_of_a_valley(fast, slope):
     np.testing.assert_allclose(little.image[4, there, 0], wanted[there], rtol=1e-5)
 
 
+@pytest.mark.slow
 def test_mirrors_on_a_map_that_repeats(backend):
     """Against the oracle: the sky, or the ground of one of the copies; under a window its brightness or 0."""
     steep, ground = 2.0 * GROUND.astype(np.float32), np.random.default_rng(0).uniform(0.2, 1, GROUND.shape)
@@ -633,8 +636,8 @@ def in_lobe(backend, scene, radiance, exponent):
     return Glossy(select(backend), scene, radiance, None).by_lobe(lobe, 12) * phong.norm
 
 
-@pytest.mark.parametrize("sides", ["open", "periodic"])
-@pytest.mark.parametrize("exponent", [1, 20, 1000])
+@pytest.mark.slow
+@pytest.mark.parametrize(("sides", "exponent"), [("open", 1), ("open", 20), ("open", 1000), ("periodic", 20)])
 def test_ground_in_lobes_is_the_oracles(fast, sides, exponent):
     """Rays of the oracle, to their own noise and that of 144 rays; holes are no ground."""
     depth = 2.0 * GROUND
@@ -664,6 +667,7 @@ def shown(backend, sides):
     return np.stack([*in_lobes, Glossy(select(backend), scene, ground, None).in_mirrors()])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sides", ["open", "dark", "periodic"])
 def test_backends_agree_on_ground_in_lobes_and_mirrors(backend, sides):
     """As NumPy to 1e-5, and the same bytes again."""
@@ -841,6 +845,7 @@ def test_the_callers_arrays_stay(fast):
     assert_bits_equal(sl.render(scene, sl.Sky(), backend=fast).image, before.copy())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("size", [9, 17, 33])
 def test_the_sum_of_a_lobe_over_a_hemicube(size):
     """Of lobes clear of the horizon: within 2 % where the warning begins, and useless at twice that."""

@@ -100,6 +100,7 @@ def test_radiance_agrees_with_the_oracle(backend, name, source, sides, size, wei
     assert_close(lit.image[valid], light[valid], floor=0.01)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "model",
     [
@@ -433,6 +434,7 @@ def test_brightness_is_linear_and_lamps_only_add(backend):
     assert_close(irradiance(dark, sl.Sky(), 5, backend, False), parts)
 
 
+@pytest.mark.slow
 def test_a_second_run_gives_the_same_image(backend):
     """Byte for byte, and NaN where masked."""
     scene = scenes.scene("masked")

@@ -334,10 +334,10 @@ def test_nodes_that_kernels_can_count(fast, monkeypatch):
     assert max(CLIFF_NEAR_ROWS) + engine.lanes + 3 <= MOST_MARGIN
     margin = NEAR_ROWS + engine.lanes + 3
     room, scene = (30 + 2 * margin) * (50 + 2 * margin), sl.Scene(np.zeros((30, 50)))
-    monkeypatch.setattr("skylamp.light.sweeps.MOST_PIXELS", room)
+    monkeypatch.setattr("skylamp.backends.base.MOST_PIXELS", room)
     sl.sky_view_factor(scene, backend=fast)
-    monkeypatch.setattr("skylamp.light.sweeps.MOST_PIXELS", room - 1)
-    with pytest.raises(sl.CapacityError, match="30 x 50 nodes, with its margins.*tiles"):
+    monkeypatch.setattr("skylamp.backends.base.MOST_PIXELS", room - 1)
+    with pytest.raises(sl.CapacityError, match=f"A map of {room:,} nodes; at most {room - 1:,}.*tiles"):
         sl.sky_view_factor(scene, backend=fast)
 
 

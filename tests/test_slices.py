@@ -98,6 +98,7 @@ def of_polygon(corners, eyes, *planes):
 # --- balls
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("gx", "gy"), [(0, 0), (0.5, -0.3)])
 def test_a_ball_above_the_plane(backend, gx, gy):
     """pi (R / d)^2 cos: close by, overhead, behind the viewer, and as small as a star; in any unit."""
@@ -596,7 +597,7 @@ def test_real_terrain_against_shadow_rays(fast, name):
 @pytest.mark.parametrize("sides", ["open", "dark"])
 def test_backends_agree_and_repeat_themselves(backend, fast, sides):
     """To 1e-5 of the maximum, and each gives the same bytes again; masked ground, walls, all sources."""
-    depth = _terrain()[100:172, 150:254].copy()
+    depth = _terrain()[100:148, 150:222].copy()
     depth[20:26, 40:43] = np.inf
     for source in SOURCES.values():
         solid, light = _solid(_shifted(source, 150, 100), depth.shape)
@@ -775,6 +776,7 @@ def test_two_suns_at_once(backend, sides):
     )
 
 
+@pytest.mark.slow
 def test_a_sun_through_a_window(backend, fast):
     """Over a level floor: all of the disc, none of it, or a part, counted direction by direction."""
     depth = np.full((33, 41), 20.0)
