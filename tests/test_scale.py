@@ -12,7 +12,7 @@ from compare import assert_bits_equal
 
 import skylamp as sl
 from skylamp import constants
-from skylamp.backends import select
+from skylamp.backends import base, select
 from skylamp.errors import InputError
 from skylamp.light.sweeps import NEAR_ROWS
 from skylamp.planning.sky import CLIFF_NEAR_ROWS
@@ -334,9 +334,9 @@ def test_nodes_that_kernels_can_count(fast, monkeypatch):
     assert max(CLIFF_NEAR_ROWS) + engine.lanes + 3 <= MOST_MARGIN
     margin = NEAR_ROWS + engine.lanes + 3
     room, scene = (30 + 2 * margin) * (50 + 2 * margin), sl.Scene(np.zeros((30, 50)))
-    monkeypatch.setattr("skylamp.backends.base.MOST_PIXELS", room)
+    monkeypatch.setattr(base, "MOST_PIXELS", room)
     sl.sky_view_factor(scene, backend=fast)
-    monkeypatch.setattr("skylamp.backends.base.MOST_PIXELS", room - 1)
+    monkeypatch.setattr(base, "MOST_PIXELS", room - 1)
     with pytest.raises(sl.CapacityError, match=f"A map of {room:,} nodes; at most {room - 1:,}.*tiles"):
         sl.sky_view_factor(scene, backend=fast)
 
