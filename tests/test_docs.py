@@ -206,7 +206,7 @@ class _Loaded(HTMLParser):
 
 @pytest.mark.slow
 def test_pages_build_without_a_warning(tmp_path):
-    """mkdocs build --strict, as CI does it: every public name has its entry, nothing comes from elsewhere."""
+    """mkdocs build --strict: every public name has its entry, nothing comes from elsewhere."""
     (tmp_path / "packages").mkdir()
     (tmp_path / "packages" / "skylamp").symlink_to(
         Path(sl.__file__).parent

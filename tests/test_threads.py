@@ -73,7 +73,7 @@ def test_threads_get_the_bytes_of_calls_one_by_one(backend):
     each = lambda number: [
         WORK[(number + n) % len(WORK)](depth_of(number), backend).tobytes() for n in range(len(WORK))
     ]
-    each(0)  # compiled, costs measured
+    each(0)  # compiled
     jobs = [functools.partial(each, number) for number in range(THREADS)]
     expected = [job() for job in jobs]
     for _ in range(1 if backend == "numpy" else ROUNDS):  # which takes several times as long

@@ -33,7 +33,7 @@ def test_scan_and_propagation_equal_the_oracle(backend, name, size, sides):
 @pytest.mark.parametrize(
     ("name", "size"),
     [
-        ("fractal", 9),
+        ("fractal", 7),
         ("walls", 9),
         ("spikes", 5),
         ("plateaus", 7),

@@ -174,15 +174,15 @@ def test_a_compiler_says_nothing(tmp_path):
 
 @pytest.mark.slow
 def test_many_renders_take_no_more_memory(backend):
-    """A few hundred small ones after the first hundred: less than 8 MiB more."""
+    """Two hundred small ones after the first sixty: less than 5 MiB more."""
     rss = lambda: resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     render = lambda n: sl.render(sl.Scene(DEPTH + n), sl.Sky(), azimuths=8, backend=backend)
-    for n in range(100):
+    for n in range(60):
         render(n)
     before = rss()
-    for n in range(300):
+    for n in range(200):
         render(n)
-    assert rss() - before < 8 * 1024
+    assert rss() - before < 5 * 1024
 
 
 LIMITED = """
