@@ -284,7 +284,7 @@ class Scene:
     def release(self, backend: str = "auto") -> None:
         """Free the copy of the map that a backend keeps; the next call uploads it again.
 
-        Warp's memory pool on a GPU gives back what it holds for later arrays.
+        The memory pool of a GPU gives back what it holds for later arrays.
 
         Raises BackendError.
         """

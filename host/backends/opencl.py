@@ -26,6 +26,7 @@ from .base import (
     CPU_SINGLE_ITEM_NODES,
     DEFAULT_GROUP,
     GPU_ITERATIONS_AHEAD,
+    MOST_HELD,
     Array,
     Backend,
     BackendInfo,
@@ -41,8 +42,7 @@ BUILDS = 3
 # H200, 4096 x 4096 nodes: sweeps of 64 azimuths took 23.5 ms with 64 and 27 with 96 (of 16: 13.3 and 12.3),
 # about 31 with 48; slices of a sphere 31.4 ms with 64, 31.5 with 48, 32 with 80 or 96
 REGISTERS = {"horizon": 64, "slices": 64}
-# [byte] of freed arrays that a GPU's memory pool holds for later ones, and of the largest that it may hold
-MOST_HELD, MOST_POOLED = 2**31, 2**28
+MOST_POOLED = MOST_HELD // 8  # [byte] of the largest array that a pool may hold; chosen: 8192 x 8192 floats
 CPU_LANES = 8  # float32 of a vector register of 256 bits
 CPU_STRIPS = 8  # strips of lines that a sweep takes side by side
 CPU_PARTIAL_SUMS = 16  # most copies of a sum that work-items scatter into
@@ -125,6 +125,7 @@ class OpenclBackend(Backend):
         self._pool: Any = None
         if not self.on_cpu:
             self._pool = pyopencl.tools.MemoryPool(pyopencl.tools.ImmediateAllocator(self.queue))
+            self._most_held = min(MOST_HELD, self._device.global_mem_size // 8)
             self.trim = self._pool.free_held
         self._programs: dict[tuple[Any, ...], Any] = {}
         self._kernels: dict[tuple[Any, ...], Any] = {}
@@ -315,7 +316,7 @@ def _new(backend: OpenclBackend, shape: tuple[int, ...], dtype: DTypeLike) -> Ar
     large = backend.on_cpu and size >= 2 * HUGE_PAGE and hasattr(mmap, "MADV_HUGEPAGE")
     data = _on_huge_pages(backend.context, size) if large else None
     pool = backend._pool
-    if pool is not None and pool.managed_bytes - pool.active_bytes > MOST_HELD:
+    if pool is not None and pool.managed_bytes - pool.active_bytes > backend._most_held:
         pool.free_held()
     array = backend.cl.array.Array(
         backend.queue, shape, dtype, data=data, allocator=pool if size <= MOST_POOLED else None

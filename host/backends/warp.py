@@ -23,16 +23,12 @@ from .base import (
     CPU_SINGLE_ITEM_NODES,
     DEFAULT_GROUP,
     GPU_ITERATIONS_AHEAD,
+    MOST_HELD,
     Array,
     Backend,
     BackendInfo,
     available_memory,
 )
-
-# [byte] of freed arrays that a GPU's memory pool holds for later ones, an eighth of the GPU's memory at most.
-# Chosen: without them a call of 4096 x 4096 nodes takes 1.5 to 5 ms longer on an H100, in which the driver
-# maps memory; with half of it horizons in 8 azimuths take 2 ms longer, the lattice 0.7; twice gains nothing.
-MOST_HELD = 2**31
 
 
 def probe() -> list[BackendInfo]:
