@@ -217,7 +217,7 @@ class Sliced(LightMethod):
         if self.factors is not None:
             return None
         image = DeviceImage(self.engine, self.mean, self.scene.shape)
-        image.scale(self.scale, -math.inf if self.sky is None else 0.0)
+        image.scale(self.scale, 0.0)
         return image
 
     def at(self, samples: Samples) -> np.ndarray:
@@ -225,8 +225,9 @@ class Sliced(LightMethod):
         return self._scaled(picked(samples, self.mean), factor).astype(float)
 
     def _scaled(self, image: np.ndarray, factor: np.ndarray | None) -> np.ndarray:
-        """In the irradiance's unit; a difference of sums of brightness may round to less than 0."""
-        image = np.maximum(image, 0) if self.sky is not None else image if factor is None else image * factor
+        """In the irradiance's unit; a difference of sums may round to less than 0."""
+        image = np.maximum(image, 0)
+        image = image if factor is None else image * factor
         return image if self.scale == 1.0 else image * np.float32(self.scale)
 
     def half_difference_at(self, samples: Samples) -> np.ndarray | None:

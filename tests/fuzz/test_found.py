@@ -22,6 +22,13 @@ def ground(kind, rows, cols, relief, offset=0.0, spacing=1.0, mask="none", sides
 
 
 FOUND = {
+    "light of a lamp that rounds to less than 0": odd(
+        ground("rough", 3, 24, 1.92e6, offset=1e7, spacing=1120.0, mask="border", seed=612706),
+        source="ball",
+        albedo=0.8,
+        seed=28,
+        size=0.000793,
+    ),
     "an error that is not bounded, of ground of albedo 0": odd(ground("spikes", 3, 3, 1150.0, offset=1e7)),
     "parts of an irradiance over coloured ground": odd(
         ground("flat", 9, 9, 1.0), albedo="colour", how={"quantity": "irradiance", "parts": True}
@@ -59,7 +66,7 @@ FOUND = {
 
 @pytest.mark.parametrize("name", FOUND)
 def test_what_a_campaign_found_stays_mended(fast, name):
-    """Each raised, or gave nan, before."""
+    """Each raised, or gave nan or negative light, before."""
     relations.RELATIONS["nothing breaks"].check(FOUND[name], fast)
 
 
