@@ -568,7 +568,8 @@ def _steepest(best: np.ndarray) -> tuple[float, float]:
     best = best[np.isfinite(best)].astype(np.float64)
     if not best.size:
         return 0.1, -0.1
-    return max(0.1, 1.1 * float(np.quantile(best, 0.999))), min(-0.1, 1.1 * float(np.quantile(best, 0.001)))
+    fall, rise = np.quantile(best, (0.001, 0.999)).tolist()
+    return max(0.1, 1.1 * rise), min(-0.1, 1.1 * fall)
 
 
 def engine_of(scene: Scene, backend: str) -> Backend:
