@@ -7,6 +7,7 @@ import importlib
 import math
 import mmap
 import os
+import re
 import sys
 import warnings
 from collections.abc import Callable, Hashable
@@ -199,21 +200,32 @@ FOOT, SURVEY_FOOT = 0.3048, 1200 / 3937  # [metre], by definition
 METRES = {
     **dict.fromkeys(("m", "metre", "metres", "meter", "meters"), 1.0),
     **dict.fromkeys(("km", "kilometre", "kilometres", "kilometer", "kilometers"), 1000.0),
-    **dict.fromkeys(("ft", "foot", "feet"), FOOT),
-    **dict.fromkeys(("us-ft", "us survey foot"), SURVEY_FOOT),
+    **dict.fromkeys(("dm", "decimetre", "decimetres", "decimeter", "decimeters"), 0.1),
+    **dict.fromkeys(("cm", "centimetre", "centimetres", "centimeter", "centimeters"), 0.01),
+    **dict.fromkeys(("mm", "millimetre", "millimetres", "millimeter", "millimeters"), 0.001),
+    **dict.fromkeys(("ft", "foot", "feet", "international foot", "international feet", "[ft i]"), FOOT),
+    **dict.fromkeys(
+        ("us-ft", "ftus", "ft us", "foot us", "us foot", "us survey foot", "us survey feet", "[ft us]"),
+        SURVEY_FOOT,
+    ),
 }
-DEGREES = (
-    "degree", "degrees", "degrees_north", "degrees_east", "degree_north", "degree_east",
-    "rad", "radian", "radians",
-)  # fmt: skip
+ANGLE = re.compile(r"°|deg|arc|rad|gon\b")  # in units of angle, as CF and others spell them
+ANGLES = ("lat", "lon", "latitude", "longitude", "grid_latitude", "grid_longitude")  # names of coordinates
 UNEVEN = 0.01  # of the spacing, by which it may differ along an axis or between both: slopes have that error
+
+
+def metres_in(unit: str) -> float | None:
+    """Metres of a unit of length, told alone or as the first word ("m above sea level"); None of others."""
+    name = re.sub(r"[\s_]+", " ", unit.strip().lower())
+    return METRES.get(name, METRES.get(name.split(" ")[0]))
 
 
 def spacing_of(labels: Labels | None) -> float:
     """The distance of neighbouring nodes by the coordinates of an xarray.DataArray; 1 where there are none.
 
-    In the unit of height, where units of both are told; a warning where that of the heights is not, and that
-    of the coordinates is not the metre. InputError for coordinates that are uneven, not square, or degrees.
+    In the unit of height, where units of both are known; a warning where one is told and not known, and
+    where that of the heights is not told and that of the coordinates is not the metre. InputError for
+    coordinates that are uneven, not square, or degrees.
     """
     if labels is None:
         return 1.0
@@ -225,20 +237,23 @@ def spacing_of(labels: Labels | None) -> float:
         if coordinate is None:
             continue
         unit = str(coordinate.attrs.get("units", "")).lower() or system[0]
-        if {unit, system[0]} & set(DEGREES) or str(name).lower() in ("lat", "lon", "latitude", "longitude"):
+        names = {str(name).lower(), str(coordinate.attrs.get("standard_name", "")).lower()}
+        if ANGLE.search(f"{unit} {system[0]}") or names & set(ANGLES):
             raise bad(
                 f"spacing by the coordinate {name!r}",
                 "degrees",
                 "lengths in the unit of height",
                 "Reproject the map (dem.rio.reproject), or give a spacing in this unit to Scene.from_height.",
             )
-        if vertical not in METRES and METRES.get(unit, 1.0) != 1.0 and not steps:
+        here, high = metres_in(unit), metres_in(vertical)
+        if unknown := _unknown(unit, here, vertical, high) if not steps else "":
             warnings.warn(
-                f"Unit of height: none is told, and coordinates are in {unit}; heights are taken as in this"
-                " unit. Give them an attribute units, or the spacing in their unit.",
+                f"Unit of height: {unknown}; heights are taken as in the unit of the coordinates. Give both"
+                " an attribute units that is known (m, km, dm, cm, mm, ft, us-ft), or the spacing in the unit"
+                " of the heights.",
                 stacklevel=2,  # one place, so that Python says it once
             )
-        scale = METRES[unit] / METRES[vertical] if {unit, vertical} <= METRES.keys() else 1.0
+        scale = here / high if here and high else 1.0
         steps.append(scale * np.abs(np.diff(coordinate.values.astype(np.float64))))
     differences = np.concatenate([*steps, np.zeros(0)])
     if not differences.size:
@@ -251,6 +266,18 @@ def spacing_of(labels: Labels | None) -> float:
             "Resample the map, or give spacing.",
         )
     return float(np.mean([step.mean() for step in steps if step.size]))
+
+
+def _unknown(unit: str, here: float | None, vertical: str, high: float | None) -> str:
+    """What is not known of the units of coordinates and heights, though it is needed; else nothing."""
+    if unit == vertical:
+        return ""
+    unheard = [
+        f"{name!r} is not known" for name, metres in ((unit, here), (vertical, high)) if name and not metres
+    ]
+    if unheard:
+        return ", ".join(unheard)
+    return f"none is told, and coordinates are in {unit}" if not vertical and here != 1.0 else ""
 
 
 def _units_of_system(labels: Labels) -> tuple[str, str]:
@@ -333,6 +360,8 @@ def labelled(array: Any, labels: Labels | None, quantity: Quantity, **leading: A
         return array
     import xarray
 
+    if taken := [name for name in leading if name in labels.dims]:
+        raise bad("dimensions of a DataArray", labels.dims, f"others than {taken[0]!r}", "Use rename().")
     dims = *leading, *labels.dims
     if array.ndim > len(dims):
         dims = *dims, "channel"

@@ -129,8 +129,8 @@ class Layout(NamedTuple):
 
     @property
     def single(self) -> bool:
-        """Whether the map is one tile: no part of it is far."""
-        return all(len(starts) == 1 for starts in self.starts)
+        """Whether the map is one tile and swept whole: no part of it is far, and the Earth is flat."""
+        return self.tiling.earth is None and all(len(starts) == 1 for starts in self.starts)
 
     @property
     def needs_overviews(self) -> bool:

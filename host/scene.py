@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib
 import math
+import warnings
 import weakref
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
@@ -11,6 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from .arrays import (
+    UNEVEN,
     Labels,
     as_promised,
     axes_of,
@@ -29,7 +32,7 @@ from .backends.base import Array, Backend
 from .backends.resident import Resident
 from .checks import as_real, at, one_of, positive_number
 from .constants import SIDES
-from .errors import bad
+from .errors import InputError, bad
 from .reflectance import Lambertian, Reflectance, fit
 
 ALBEDO = 0.8
@@ -47,9 +50,10 @@ class Scene:
     Arrays may be NumPy's, or have ``__array__``, ``__dlpack__`` or ``__cuda_array_interface__``. They are
     copied; the caller's are never changed. A depth (or height) that is an xarray.DataArray is kept as
     ``labels``, and results with the scene's rows and columns are DataArrays: with its dimensions,
-    coordinates, name and attributes. Where its y grows with the rows, or its x falls along them, skies and
-    the azimuths of horizons are turned to it: north is where y grows, east where x does. Positions of lamps
-    and windows are measured along columns and rows.
+    coordinates, name and attributes. Values that are not finite, or that its attributes ``_FillValue`` and
+    ``missing_value`` name, are masked besides what ``mask`` leaves out. Where its y grows with the rows, or
+    its x falls along them, skies and the azimuths of horizons are turned to it: north is where y grows, east
+    where x does. Positions of lamps and windows are measured along columns and rows.
 
     A contiguous float32 depth or height that lies on a GPU (or in a Warp array) stays there, on that device's
     backend, which ``auto`` takes then; a mask is uploaded once. Of other types, and on other backends, the
@@ -61,7 +65,8 @@ class Scene:
     depth : (rows, cols) real array [length]
         Distance of the surface from the viewer's plane z = 0; larger is farther. Not negative.
     spacing : float [length]
-        Distance between neighbouring nodes along rows and columns, in the unit of ``depth``.
+        Distance between neighbouring nodes along rows and columns, in the unit of ``depth``. A warning where
+        it is 1 and the coordinates of a DataArray have another one.
     albedo : float, (rows, cols) array, or RGB as (3,) or (rows, cols, 3)
         Diffuse (directional-hemispheric) reflectance, 0 to 1.
     mask : (rows, cols) bool array, optional
@@ -116,7 +121,9 @@ class Scene:
         there = _on_device(given)
         values: Any = as_real(given, what) if there is None else None
         shape = there.shape if there is not None else values.shape
-        _set(self, mask=_mask(self.mask, shape))
+        if labels is not None and not height:
+            _check_spacing(self.spacing, labels)
+        _set(self, mask=_known(given, labels, _mask(self.mask, shape)))
         if self.mask is not None and not self.mask.any():
             raise bad("mask: no valid node", "False everywhere", "at least one True")
         if values is None:
@@ -236,21 +243,14 @@ class Scene:
         ``height``: (rows, cols); the other arguments and errors as for :class:`Scene`. The difference is
         taken in the type of ``height`` before it is rounded to float32, so heights far above zero keep their
         relief. ``spacing``: unless given, that of an xarray.DataArray's coordinates, which must be even,
-        square and no degrees, in the unit of ``height``; 1 without coordinates. Of a DataArray, nan and
-        what its attributes ``_FillValue`` and ``missing_value`` say are masked unless a mask is given.
+        square and no degrees, in the unit of ``height``; 1 without coordinates.
 
         A dask.array, or a DataArray with Dask's chunks, makes a lazy scene: nan is where it has no data, and
         horizons, sky_view_factor, openness and render give lazy results of the same chunks. A map of its
         albedo may be lazy too, in chunks of its own; values outside 0 to 1 are found when it is computed.
         """
-        labels = labels_of(height)
-        spacing, no_data = spacing_of(labels) if spacing is None else spacing, no_data_of(labels)
-        if mask is None and labels is not None and height.dtype.kind in "iuf" and chunked(height) is None:
-            known = ~np.isnan(height.values)
-            for value in no_data:
-                known &= height.values != (height.dtype.type(value) if height.dtype.kind == "f" else value)
-            mask = None if known.all() else known
         heights: Any = _Heights(height)
+        spacing = spacing_of(labels_of(height)) if spacing is None else spacing
         return cls(heights, spacing, albedo, mask, sides, reflectance)
 
     def on(self, backend: Backend) -> Resident:
@@ -447,6 +447,34 @@ def _mask(mask: Any, shape: tuple[int, ...], lazy: bool = False) -> Any:
             "mask: wrong type or shape", f"dtype {mask.dtype}, shape {mask.shape}", f"bool, shape {shape}"
         )
     return as_promised(mask, "mask") if lazy else np.array(mask)
+
+
+def _known(given: Any, labels: Labels | None, mask: np.ndarray | None) -> np.ndarray | None:
+    """A mask without the nodes at which a DataArray has no data; None where there is nothing to leave out."""
+    no_data = no_data_of(labels)
+    if labels is None or given.dtype.kind not in "iuf":
+        return mask
+    values = given.values
+    known: np.ndarray = np.isfinite(values)
+    for value in no_data:
+        known &= values != (values.dtype.type(value) if values.dtype.kind == "f" else value)
+    if known.all():
+        return mask
+    return known if mask is None else known & mask
+
+
+def _check_spacing(spacing: float, labels: Labels) -> None:
+    """Warn where a spacing of 1, that of a scene which is given none, is not that of the coordinates."""
+    if spacing != 1:
+        return
+    with contextlib.suppress(InputError):  # coordinates that are no lengths
+        found = spacing_of(labels)
+        if abs(found - 1) > UNEVEN:
+            warnings.warn(
+                f"Spacing: 1 is taken, and the coordinates are {found:g} apart. Give spacing={found:g}, in"
+                " the unit of depth.",
+                stacklevel=2,  # one place, so that Python says it once
+            )
 
 
 def _reflectance(

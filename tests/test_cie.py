@@ -188,6 +188,8 @@ def test_disc_where_it_would_be_lost(fast):
         (lambda: sl.sun_position("noon", 0, 0), "ISO 8601"),
         (lambda: sl.sun_position("2026-06-21T12:00Z", 91, 0), "latitude -90 to 90"),
         (lambda: sl.sun_position("2026-06-21T12:00Z", "here", 0), "latitude -90 to 90"),
+        (lambda: sl.sun_position("2026-06-21T12:00Z", 46.5, 8, 50_000), "altitude -1,000 to 10,000"),
+        (lambda: sl.sun_position(datetime.time(12, tzinfo=datetime.UTC), 46.5, 8), "ISO 8601"),
     ],
 )
 def test_bad_arguments(make, says):

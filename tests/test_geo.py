@@ -190,6 +190,18 @@ def test_holes_grow_no_heights(tmp_path):
     assert (raster.values[raster.mask] == 100).all() and 0.9 < raster.mask.mean() < 1
 
 
+def test_what_is_not_finite_is_no_data(tmp_path):
+    """Also where the file's nodata value is another; a mask of the caller's leaves out more."""
+    values = HEIGHT.astype(np.float32)
+    values[5, 5], values[5, 6] = np.nan, np.inf
+    raster = geo.read(make(tmp_path / "a.tif", values))
+    wanted = (HEIGHT != -32768) & np.isfinite(values)
+    assert np.array_equal(raster.mask, wanted) and np.array_equal(raster.scene().mask, wanted)
+    mine = np.ones(HEIGHT.shape, bool)
+    mine[0] = False
+    assert np.array_equal(raster.scene(mask=mine).mask, wanted & mine)
+
+
 def test_units(tmp_path):
     """US survey feet of the system, of the band, and of a compound system's heights; and scaled counts."""
     feet = dict(crs="EPSG:2274", transform=from_origin(1e6, 5e5, 10, 10))  # Tennessee, ftUS
@@ -199,6 +211,9 @@ def test_units(tmp_path):
     for crs, spacing in (("EPSG:2274+6360", 10), ("EPSG:32616+6360", 10 * 3937 / 1200)):
         compound = make(tmp_path / "a.tif", **feet | {"crs": crs})
         assert geo.read(compound).spacing == pytest.approx(spacing)
+    assert geo.read(make(tmp_path / "a.tif", band={"units": ("cm",)})).spacing == pytest.approx(3000)
+    with pytest.warns(UserWarning, match="^Unit of height: 'furlong' in .*a.tif is not known.*metres"):
+        assert geo.read(make(tmp_path / "a.tif", band={"units": ("furlong",)})).spacing == pytest.approx(30)
     raster = geo.read(make(tmp_path / "a.tif", band={"scales": (0.1,), "offsets": (100.0,)}))
     np.testing.assert_allclose(raster.values[0], 100 + 0.1 * HEIGHT[0])
     assert not raster.mask[3, 4] and raster.mask.sum() == HEIGHT.size - 2

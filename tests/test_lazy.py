@@ -137,6 +137,36 @@ def test_what_is_no_map_of_heights_is_refused(change, what, lazy):
         CALLS["sky view"](given.chunk() if lazy else given, "numpy")
 
 
+@pytest.mark.parametrize("lazy", [False, True])
+def test_a_mask_leaves_out_more_than_has_no_data(lazy, fast):
+    """Of heights and of depth: what is not finite or is the no-data value stays out, whatever the mask is."""
+    heights, mask = HEIGHTS.copy(), np.ones(HEIGHTS.shape, bool)
+    heights[10:13, 70:75], heights[20, 20], heights[21, 20], mask[:5] = -999, np.nan, np.inf, False
+    out = ~mask | (heights == -999) | ~np.isfinite(heights)
+    given = dem(heights, _FillValue=-999.0)
+    scene = sl.Scene.from_height(given.chunk(40) if lazy else given, mask=mask)
+    assert np.array_equal(np.isnan(CALLS["sky view"](scene, fast).values), out)
+    if not lazy:
+        depth = given.copy(data=np.where(given == -999, -999, HEIGHTS.max() - given))
+        assert np.array_equal(~sl.Scene(depth, SPACING, mask=mask).mask, out)
+
+
+def test_a_depth_without_a_spacing_says_what_its_coordinates_have():
+    """A scene's spacing is 1 unless given."""
+    depth = dem(HEIGHTS.max() - HEIGHTS)
+    with pytest.warns(UserWarning, match="^Spacing: 1 is taken, .* 30 apart. Give spacing=30"):
+        assert sl.Scene(depth).spacing == 1
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        sl.Scene(depth, 30.0), sl.Scene(depth.drop_vars(["x", "y"])), sl.Scene(depth.values)
+
+
+def test_a_dimension_named_as_the_results_is_refused():
+    """Azimuths and colours have axes of their own."""
+    with pytest.raises(sl.errors.InputError, match="azimuth.*rename"):
+        sl.horizons(dem().rename(x="azimuth"), 4, "numpy")
+
+
 def test_a_mask_may_be_a_list(fast):
     """Of Dask's, xarray's, NumPy's or Python's: the same bytes."""
     known, heights = dem() > 100, dem().chunk(40)
@@ -316,8 +346,31 @@ def test_units_of_coordinates_and_heights(lazy):
             pytest.approx(expected, rel=1e-12),
             int(along == "km" and not height),
         )
-    with pytest.raises(sl.errors.InputError, match="degrees.*Scene.from_height"):
-        sl.Scene.from_height(given.assign_coords(x=given.x.assign_attrs(units="rad")))
+    for attrs in (
+        *({"units": u} for u in ("rad", "degree_N", "degreesE", "deg", "arcsec", "arc_second", "°")),
+        {"units": "decimal degrees"},
+        {"standard_name": "longitude"},
+    ):
+        with pytest.raises(sl.errors.InputError, match="degrees.*Scene.from_height"):
+            sl.Scene.from_height(given.assign_coords(x=given.x.assign_attrs(attrs)))
+
+
+@pytest.mark.parametrize(
+    ("unit", "metres", "said"),
+    [
+        ("cm", 0.01, 0),
+        ("mm", 0.001, 0),
+        ("dm", 0.1, 0),
+        ("US_survey_foot", 1200 / 3937, 0),
+        ("international_foot", 0.3048, 0),
+        ("m above sea level", 1.0, 0),
+        ("furlong", 1.0, 1),
+    ],
+)
+def test_every_unit_of_heights_is_known_or_told(unit, metres, said):
+    """A unit that is told and not known is a warning, and no factor."""
+    given = dem(units=unit).assign_coords({n: dem()[n].assign_attrs(units="m") for n in "xy"})
+    assert spacing_and_warnings(given) == (pytest.approx(30 / metres, rel=1e-12), said)
 
 
 @pytest.mark.parametrize("what", ["height", "albedo", "mask"])

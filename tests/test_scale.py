@@ -327,6 +327,18 @@ def test_horizons_are_computed_a_few_azimuths_at_a_time(dem, fast, monkeypatch):
     assert_bits_equal(found.compute(scheduler="sync").values, expected.values)
 
 
+def test_a_round_earth_in_one_tile(fast):
+    """A wall beyond the halo sinks as in many tiles, to the same bytes: overviews do not depend on tiles."""
+    height = np.zeros((90, 300), np.float32)
+    height[:, 290:] = 20
+    flat, one, many = (
+        sl.horizons(sl.Scene.from_height(height), 32, fast, tiling=sl.Tiling(tile, 32, 16, earth=earth))
+        for tile, earth in ((512, None), (512, 2000.0), (128, 2000.0))
+    )
+    assert flat[0, 45, 90] > 2 * one[0, 45, 90] > 0
+    assert_bits_equal(one[:, 45, 90], many[:, 45, 90])
+
+
 def test_nodes_that_kernels_can_count(fast, monkeypatch):
     """Warp counts the bytes of a plane in an int32; what is said to fit passes the sweep's own check."""
     assert 4 * constants.MOST_PIXELS < 2**31

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import DTypeLike
 
-from ..arrays import METRES
+from ..arrays import metres_in
 from ..constants import MOST_FILE_PIXELS
 from ..errors import bad, lacking
 from ..scene import Scene
@@ -47,11 +47,15 @@ class Raster:
     point: bool = False
 
     def scene(self, **options: Any) -> Scene:
-        """The :class:`skylamp.Scene` of these heights; ``options``: albedo, sides, or another spacing."""
-        height = np.where(self.mask, self.values, 0)
-        return Scene.from_height(
-            height, **{"spacing": self.spacing, "mask": None if self.mask.all() else self.mask, **options}
-        )
+        """The :class:`skylamp.Scene` of these heights.
+
+        ``options``: albedo, sides, another spacing, or a mask of nodes to leave out besides those without
+        data.
+        """
+        height, mask = np.where(self.mask, self.values, 0), options.pop("mask", None)
+        if not self.mask.all():
+            mask = self.mask if mask is None else self.mask & np.asarray(mask, bool)
+        return Scene.from_height(height, **{"spacing": self.spacing, "mask": mask, **options})
 
 
 def is_geotiff(path: StrPath) -> bool:
@@ -89,6 +93,8 @@ def read(path: StrPath, *, resample: bool = False) -> Raster:
             )
         reserve(path, file.width * file.height * (np.dtype(file.dtypes[0]).itemsize + 1))
         values, mask = file.read(1), file.read_masks(1) > 0
+        if values.dtype.kind == "f":
+            mask &= np.isfinite(values)
         raster, unit = _described(path, file, values, mask)
         raster = replace(raster, values=_scaled(file, raster.values))
     return _spaced(path, raster, unit, resample)
@@ -174,15 +180,18 @@ def _spaced(path: Path, raster: Raster, unit: str, resample: bool) -> Raster:
             "Warp it first: rio warp IN.tif OUT.tif --dst-crs EPSG:NNNN",
         )
     east, north = _metres(path, raster)
-    vertical = METRES.get(unit, 1.0)
-    if unit not in METRES and raster.crs is not None and raster.crs.is_projected:
-        name, metres = raster.crs.linear_units_factor
-        if metres != 1:
+    vertical = metres_in(unit)
+    if vertical is None:
+        cells = raster.crs is not None and raster.crs.is_projected and raster.crs.linear_units_factor
+        if unit or (cells and cells[1] != 1):
+            told = f"{unit!r} in {path} is not known" if unit else f"{path} tells none"
+            between = f", and its cells are in {cells[0]}" if cells else ""
             warnings.warn(
-                f"Unit of height: {path} tells none, and its cells are in {name}; heights are taken as in"
-                " metres, unless a spacing in their unit is given.",
+                f"Unit of height: {told}{between}; heights are taken as in metres, unless a spacing in their"
+                " unit is given.",
                 stacklevel=2,  # one place, so that Python says it once
             )
+        vertical = 1.0
     if abs(east / north - 1) > SQUARE:
         if not resample:
             raise bad(

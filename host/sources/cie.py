@@ -179,7 +179,7 @@ def sun_position(
     """
     try:
         when = datetime.datetime.fromisoformat(time) if isinstance(time, str) else time
-        known = when.utcoffset() is not None
+        known = when.date() and when.utcoffset() is not None
     except (ValueError, AttributeError):
         allowed = "a datetime, or ISO 8601 text, with its time zone"
         raise bad("sun_position: time", repr(time), allowed) from None
@@ -214,14 +214,20 @@ def scattered(type: int, chi: Any) -> Any:
     return 1 + c * (np.exp(d * chi) - np.exp(d * np.pi / 2)) + e * np.cos(chi) ** 2
 
 
+LOWEST, HIGHEST = -1000, 10_000  # [metre], altitudes of ground; chosen round the Dead Sea and Everest
+
+
 def check_place(what: str, *place: Any) -> list[float]:
     """Latitude, longitude and altitude as numbers; InputError for a place that is not on Earth."""
     try:
         numbers = [float(v) for v in place]
     except (TypeError, ValueError):
         numbers = [np.nan]
-    if not (np.isfinite(numbers).all() and abs(numbers[0]) <= 90 and abs(numbers[1]) <= 360):
-        allowed = "latitude -90 to 90, longitude -360 to 360 [degree], altitude [metre]"
+    on_earth = np.isfinite(numbers).all() and abs(numbers[0]) <= 90 and abs(numbers[1]) <= 360
+    if not on_earth or not all(LOWEST <= altitude <= HIGHEST for altitude in numbers[2:]):
+        allowed = (
+            f"latitude -90 to 90, longitude -360 to 360 [degree], altitude {LOWEST:,} to {HIGHEST:,} [metre]"
+        )
         raise bad(f"{what}: place", place, allowed)
     return numbers
 
