@@ -19,8 +19,10 @@ BOWL = (np.hypot(*np.mgrid[-6:7, -7:8]) // 2).max() - np.hypot(*np.mgrid[-6:7, -
 
 @pytest.fixture
 def here(tmp_path, monkeypatch):
-    """A folder with a depth map, a height map and an image."""
+    """A folder with a depth map, a height map and an image, and maps that are no depth as they are."""
     monkeypatch.chdir(tmp_path)
+    np.save("below.npy", -BOWL.astype(np.float32))
+    np.save("holes.npy", np.where(BOWL > BOWL.mean(), BOWL, np.nan).astype(np.float32))
     np.save("depth.npy", BOWL.astype(np.float32))
     np.save("height.npy", (BOWL.max() - BOWL).astype(np.float32))
     np.save("image.npy", sl.render(sl.Scene(BOWL), sl.Sky(), backend="numpy").image)
@@ -429,6 +431,16 @@ def test_backends(capsys):
         (["horizon", "depth.npy"], 2, "no output is given"),
         (["horizon", "depth.npy", "a.npy", "--what", "sky"], 2, ("sky-view-factor", "negative-openness")),
         (["render", "depth.npy", "a.npy", "--method", "magic"], 2, ("lattice", "unoccluded")),
+        (["render", "depth.npy", "a.npy", "--white", "5"], 2, ("--white", ".png")),
+        (["render", "depth.npy", "a.npy", "--bits", "16"], 2, ("--bits", ".png")),
+        (
+            ["horizon", "depth.npy", "a.npy", "--what", "openness", "--definition", "horizontal"],
+            2,
+            ("--definition", "sky-view"),
+        ),
+        (["horizon", "depth.npy", "a.npy", "--source", "clear", "--sun", "10,20"], 2, "--plot"),
+        (["horizon", "below.npy", "a.npy"], 3, "give --height"),
+        (["horizon", "holes.npy", "a.npy"], 3, "--nodata nan"),
     ],
 )
 def test_errors(here, capsys, arguments, code, says):

@@ -254,6 +254,7 @@ def test_what_an_image_in_tiles_does_not_go_with(dem, tmp_path, capsys, more, co
     ("more", "code", "what"),
     [
         (["--memory", "many"], 2, "bytes"),
+        (["--memory", "0", "--tile", "256"], 2, "bytes"),
         (["--memory", "300MB", "--azimuths", "4"], 1, "memory"),
         (["--memory", "3GB", "--sides", "dark"], 2, "open sides"),
         (["--memory", "3GB", "--what", "slopes"], 3, "openness"),

@@ -110,7 +110,7 @@ def render(
     if error is not None:
         output.check(error, as_json)
     machines = out_of_core.Machines(memory, workers, scheduler, tile, resume, cog)
-    _check_exposure(exposure, out, white, bits)
+    _check_png(exposure, out, white, bits)
     surface = parsing.reflectance(albedo, specular, exponent)
     light = parsing.source(source, lamp, window, sun, direct)
     options: dict[str, Any] = dict(
@@ -144,13 +144,17 @@ def render(
     output.report(done, out, as_json, shape=done.image.shape, range=scale)
 
 
-def _check_exposure(exposure: float | None, out: str, white: float | None, bits: int) -> None:
-    if exposure is not None and (not out.lower().endswith(".png") or white is not None or bits != 8):
+def _check_png(exposure: float | None, out: str, white: float | None, bits: int) -> None:
+    is_png, counts = out.lower().endswith(".png"), {"--white": white is not None, "--bits": bits != 8}
+    if exposure is not None and (not is_png or any(counts.values())):
         raise typer.BadParameter(
             "makes an 8-bit .png for the eye: it goes without --white and --bits 16, and with no other"
             " format",
             param_hint="--exposure",
         )
+    for option, given in counts.items():
+        if given and not is_png:
+            raise typer.BadParameter("is of a .png; other formats hold radiance as it is", param_hint=option)
 
 
 def _by_tiles(
@@ -344,6 +348,12 @@ def horizon(
     if bool(at) != bool(picture):
         raise typer.BadParameter(
             "a node and its picture go together: --at ROW,COL --plot FILE", param_hint="--at"
+        )
+    if definition != "tilted" and what != "sky-view-factor":
+        raise typer.BadParameter("is one of sky-view factors", param_hint="--definition")
+    if not picture and (source != "sky" or sun):
+        raise typer.BadParameter(
+            "the sky above a node is drawn with --at ROW,COL --plot FILE", param_hint="--source"
         )
     machines = out_of_core.Machines(memory, workers, scheduler, tile, resume, cog)
     if machines.asked:
@@ -591,6 +601,14 @@ def view(
     views.serve(viewer, port, browser)
 
 
+# what the errors of the library advise, as the command line has it
+ADVICE = {
+    "For terrain heights use Scene.from_height.": "For terrain heights give --height.",
+    "Pass mask=numpy.isfinite(height) to leave them out.": "Give --nodata nan to leave them out.",
+    "Pass mask=numpy.isfinite(depth) to leave them out.": "Give --nodata nan to leave them out.",
+}
+
+
 def main(arguments: list[str] | None = None) -> NoReturn:
     """Run the command line and exit; ``arguments`` default to the process's own."""
     # of closed streams, whose numbers the files of the command would get else
@@ -604,6 +622,8 @@ def main(arguments: list[str] | None = None) -> NoReturn:
         if _debug:
             traceback.print_exc()
         text = " ".join(str(error).split())
+        for library, here in ADVICE.items():
+            text = text.replace(library, here)
         if not isinstance(error, (SkylampError, OSError)):
             text = f"{type(error).__name__}: {text} (--debug shows where)"
         print(f"skylamp: error: {text}", file=sys.stderr)

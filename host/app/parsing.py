@@ -146,11 +146,12 @@ def byte_count(text: str) -> int:
     units = {"": 1, "k": 1e3, "M": 1e6, "G": 1e9, "T": 1e12}
     units |= {"ki": 2**10, "Mi": 2**20, "Gi": 2**30, "Ti": 2**40}
     try:
-        assert match is not None
-        return int(float(match[1]) * units[match[2].removesuffix("B")])
-    except (AssertionError, ValueError, KeyError):
-        allowed = f"got {text!r}; allowed: bytes, such as 8GB"
-        raise typer.BadParameter(allowed, param_hint="--memory") from None
+        count = int(float(match[1]) * units[match[2].removesuffix("B")]) if match else 0
+    except (ValueError, KeyError):
+        count = 0
+    if count <= 0:
+        raise typer.BadParameter(f"got {text!r}; allowed: bytes, such as 8GB", param_hint="--memory")
+    return count
 
 
 def numbers(text: str, option: str, form: str) -> tuple[float, ...]:

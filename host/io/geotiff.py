@@ -110,7 +110,7 @@ def header(path: StrPath) -> Raster:
         shape = file.height, file.width
         nothing = np.broadcast_to(np.zeros((), file.dtypes[0]), shape)
         raster, unit = _described(path, file, nothing, np.broadcast_to(np.True_, shape))
-    return _spaced(path, raster, unit, False)
+    return _spaced(path, raster, unit, None)
 
 
 def window(path: StrPath, rows: slice, cols: slice, dtype: DTypeLike = np.float32) -> np.ndarray:
@@ -169,8 +169,11 @@ def _described(path: Path, file: Any, values: np.ndarray, mask: np.ndarray) -> t
     return raster, (file.units[0] or "").strip().lower()
 
 
-def _spaced(path: Path, raster: Raster, unit: str, resample: bool) -> Raster:
-    """The raster with its spacing; checked to be not turned, and to have square cells, or made so."""
+def _spaced(path: Path, raster: Raster, unit: str, resample: bool | None) -> Raster:
+    """The raster with its spacing; checked to be not turned, and to have square cells, or made so.
+
+    ``resample``: None where that cannot be asked for.
+    """
     t = raster.transform
     if t.b or t.d or t.a <= 0 or t.e >= 0:
         raise bad(
@@ -198,8 +201,8 @@ def _spaced(path: Path, raster: Raster, unit: str, resample: bool) -> Raster:
                 f"{path}: cells are not square",
                 f"{east:.4g} m to the east by {north:.4g} m to the north",
                 "square cells: skylamp's grids have one spacing",
-                "Pass resample=True (--resample), or warp it to a metric system: rio warp IN.tif OUT.tif"
-                " --dst-crs EPSG:NNNN",
+                ("Warp it" if resample is None else "Pass resample=True (--resample), or warp it")
+                + " to a metric system: rio warp IN.tif OUT.tif --dst-crs EPSG:NNNN",
             )
         raster = _squared(_rasterio(path), raster, east, north)
         east = north = min(east, north)
