@@ -21,7 +21,7 @@ from .errors import bad
 from .light.horizon import OFFSET
 from .light.interreflection import Bounces, Round
 from .light.sweeps import Rays, Sweeps, ground_of
-from .samples import ESTIMATE_SHARE, Samples, lit_mean, picked, samples_of
+from .samples import ESTIMATE_SHARE, Samples, errors, lit_mean, picked, samples_of
 from .scene import Scene
 from .sources.integrals import even
 
@@ -225,16 +225,19 @@ def included(
     error: float = 0.0,
     sky: np.ndarray | DeviceImage | None = None,
     is_part: bool = False,
+    tail: float | None = None,
 ) -> Included:
     """All light within the tolerance, from the direct light of each colour.
 
     One light may be a DeviceImage, which is used in place. ``error``: RMS of that of ``direct`` over its
     mean; ``sky``: share of sky at every node, if ``direct`` is proportional to it. ``is_part``:
     ``sky`` is that of a part of a map, beyond which ground hides sky too. That ground
-    counts as being as bright as the ground that is visible within the part.
+    counts as being as bright as the ground that is visible within the part. ``tail``: bound of the 99.9th
+    percentile of the error over the mean, beyond which there is a warning.
     """
     samples = samples_of(engine, scene, CHECKED)
-    is_uniform = sky is not None and not is_part
+    # walls of a dark box are no ground, so that strips tell nothing of the direct light's error
+    is_uniform = sky is not None and not is_part and scene.sides != "dark"
     has_cliffs = CLIFF_ERROR * math.sqrt(samples.cliffs) > CLIFF_SHARE * tolerance
     sky = sky_share(scene, engine, tolerance, has_cliffs) if sky is None else sky
     shares = albedos(scene)
@@ -249,7 +252,7 @@ def included(
         rounds = _rounds(level, has_cliffs)
         bounces.run(rounds)
         done += len(rounds)
-        total, errors = check.errors(_azimuths(CHECK_ERROR * tolerance))
+        total, rms = check.errors(_azimuths(CHECK_ERROR * tolerance))
         useless = level >= GAINED_FROM and total > GAIN * before
         if total <= ESTIMATE_SHARE * tolerance or level + 1 == len(LEVELS) or useless:
             break
@@ -262,6 +265,11 @@ def included(
             f"Tolerance: with the light between surfaces the estimated error is {100 * total:.2g} %"
             f" of the mean (RMS), more than the {100 * tolerance:.2g} % asked for."
         )
+    if tail is not None and check.tail > tail:
+        warnings.append(
+            f"Tail: with the light between surfaces the 99.9th percentile of the error is about"
+            f" {100 * check.tail:.2g} % of the mean, more than the {100 * tail:.3g} % asked for."
+        )
     if check.guessed > tolerance:
         warnings.append(
             f"Tolerance: about {100 * check.guessed:.1g} % of the light (RMS over the mean) comes from ground"
@@ -269,7 +277,7 @@ def included(
         )
     on_device = count == 1 and isinstance(direct[0], DeviceImage)
     irradiances = [bounces.device_image()] if on_device else bounces.irradiance()
-    return Included(irradiances, record, errors, warnings)
+    return Included(irradiances, record, rms, warnings)
 
 
 def _rounds(level: int, has_cliffs: bool) -> tuple[Round, ...]:
@@ -296,6 +304,7 @@ class _Check:
     ):
         self.bounces, self.error, self.is_uniform, self.is_part = bounces, error, is_uniform, is_part
         self.guessed = 0.0  # RMS over the mean of the light that comes from beyond the map
+        self.tail = 0.0  # 99.9th percentile of the error over the mean
         samples = bounces.samples
         self.sky, *self.direct = (_at(samples, image) for image in (sky, *direct))
         self.albedo = [share[samples.y, samples.x] if np.ndim(share) else share for share in albedo]
@@ -325,8 +334,8 @@ class _Check:
         is more ground. Under other sources it is independent.
         """
         totals, (light, sky) = self.bounces.total_at_samples(), self.bounces.at_samples(azimuths)
-        worst, errors = 0.0, []
-        self.guessed = 0.0
+        worst, every = 0.0, []
+        self.guessed = self.tail = 0.0
         for total, direct, share, sent in zip(totals, self.direct, self.albedo, light):
             mean, first = lit_mean(total), lit_mean(direct)
             if self.is_part:
@@ -340,9 +349,10 @@ class _Check:
             q = np.minimum(share * (1 - np.clip(self.sky, 0, 1)), 1 - 1e-3)
             off = (exact + sent - total) / (1 - q)
             rms = math.hypot(math.sqrt(float(np.mean(off**2))), shared)
-            errors.append(rms)
+            every.append(rms)
             worst = max(worst, rms / mean if mean > 0 else 0.0)
-        return worst, errors
+            self.tail = max(self.tail, errors(total, total + off).tail)
+        return worst, every
 
 
 def _at(samples: Samples, image: np.ndarray | DeviceImage) -> np.ndarray:

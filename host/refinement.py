@@ -149,9 +149,12 @@ def refined(
         method.irradiance() if light is None else light,
         method.half_difference(),
         assessment.error_ratio,
-        common * mean if math.isfinite(common) else math.inf,
+        common * mean if math.isfinite(common) and not planner.unknown else math.inf,
         made,
-        assessment.warnings(tolerance, planner.tail),
+        [
+            *assessment.warnings(tolerance, planner.tail),
+            *([f"Tolerance: the error is not known, {planner.unknown}."] if planner.unknown else []),
+        ],
     )
 
 

@@ -104,7 +104,7 @@ class Options:
                 missing,
                 "a sky, a rectangular window, or a lamp given by its centre and radius, the last two with"
                 " sides='open' or 'dark'",
-                "Use method='lattice'.",
+                "" if isinstance(source, sources.Lamp) and source.volume is None else "Use method='lattice'.",
             )
         if self.method == "unoccluded" and self.shines(scene):
             raise bad("method 'unoccluded'", type(scene.reflectance).__name__, "a Lambertian surface")

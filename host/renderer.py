@@ -78,6 +78,11 @@ class Renderer:
                 f"Depths are rounded by {scene.rounding:.2g} spacings, as float32: subtract the same depth"
                 " from the map and from the source."
             )
+        if options.chooses and missing and not self.planned:
+            self.warnings.append(
+                f"Tolerance: the error is not known, {missing} takes directions of the lattice, whatever the"
+                " tolerance is."
+            )
         self.parts: list[tuple[Refined, float]] = []  # refined irradiances, times factors
         self.unlit: np.ndarray | None = None  # (rows, cols) bool: mirrors that do not show the source
         self.interreflection: Interreflection | None = None
@@ -318,7 +323,7 @@ def _interreflected(call: Renderer, direct: Sequence[Irradiance]) -> Sequence[Ir
     why = "as asked"
     if options.interreflection == "auto":
         why = reason(_share_between(call.plans), tolerance)
-    both = included(scene, call.engine, lights, tolerance, why, error, sky)
+    both = included(scene, call.engine, lights, tolerance, why, error, sky, tail=options.tail)
     call.interreflection = both.record
     call.warnings.extend(both.warnings)
     if call.planned:

@@ -332,6 +332,9 @@ def _aim_at_rectangle(
     + x^2 + y^2): even steps of both are even steps of solid angle, and nothing is singular close by.
     """
     width, length = np.linalg.norm(first), np.linalg.norm(second)
+    if width * length == 0:  # a dark box leaves nothing of it
+        nothing = np.zeros((*origin.shape[:2], len(u)))
+        return np.broadcast_to([0.0, 0.0, -1.0], (*nothing.shape, 3)), nothing + 1, nothing
     ex, ey = first / width, second / length
     to, ez = corner - origin, np.cross(ex, ey)
     x, y, d = to @ ex, to @ ey, to @ ez

@@ -1,6 +1,7 @@
 """render(interreflection=...): when it acts, what it gives, and how well it keeps the tolerance."""
 
 import functools
+import re
 
 import numpy as np
 import pytest
@@ -263,3 +264,31 @@ def test_white_ground_with_holes(backend, sides):
     scene = sl.Scene(depth, mask=mask, albedo=1.0, sides=sides)
     image = sl.render(scene, sl.Sky(), tolerance=0.05, backend=backend, interreflection=True).image
     np.testing.assert_array_equal(np.isfinite(image), mask)
+
+
+def test_the_tail_is_that_of_all_light(fast):
+    """A warning says the 99.9th percentile, to half of it."""
+    y, x = np.mgrid[:32, :32]
+    scene = sl.Scene(8 + 3 * np.sin(x / 2.5) * np.cos(y / 3.0), albedo=0.5)
+    fine, out = (
+        sl.render(scene, sl.Sky(), tolerance=5e-4, backend=fast),
+        sl.render(scene, sl.Sky(), tail=0.003, backend=fast),
+    )
+    off = float(np.quantile(abs(out.image - fine.image), 0.999)) / fine.image.mean()
+    (text,) = [text for text in out.warnings if text.startswith("Tail")]
+    said = float(re.search(r"about ([0-9.]+) %", text)[1]) / 100
+    assert off > 0.003 and off / 1.5 < said < 1.5 * off
+    assert not sl.render(scene, sl.Sky(), tail=0.1, backend=fast).warnings
+
+
+def test_the_error_in_a_dark_box_is_that_of_its_light(fast):
+    """Walls are no ground: strips of the same azimuths do not tell the error of the direct light."""
+    n, deep = 16, 30.0
+    scene = sl.Scene(np.full((n, n), deep), sides="dark", albedo=0.5)
+    y, x = np.mgrid[:n, :n]
+    corners = np.array([[-0.5, -0.5, 0], [n - 0.5, -0.5, 0], [n - 0.5, n - 0.5, 0], [-0.5, n - 0.5, 0]])
+    rays = corners - np.stack([x, y, np.full(x.shape, deep)], -1)[:, :, None]
+    exact = -sl.radiometry.polygon_moment(rays)[..., 2]
+    out = sl.render(scene, sl.Sky(), quantity="irradiance", backend=fast)
+    error = np.sqrt(np.mean((out.image - exact) ** 2)) / exact.mean()
+    assert out.interreflection.included and 1e-3 < error and 0.8 * error < out.plan.error < 1.3 * error

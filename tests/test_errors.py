@@ -499,3 +499,14 @@ def test_a_program_that_does_not_build_is_built_again(monkeypatch, builds):
         with pytest.raises(BackendError, match="carve.cl does not build on"):
             opencl._program(engine, "carve", engine.lanes, ())
     assert len(attempts) == opencl.BUILDS
+
+
+@pytest.mark.parametrize("how", [{}, {"method": "horizon"}, {"method": "lattice"}])
+@pytest.mark.parametrize(
+    "lamp", [sl.Lamp(corner=(1, 1, 1), edges=((1, 0, 0), (0, 1, 0))), sl.Lamp((1, 1, 1), 0.5)]
+)
+def test_a_lamp_over_a_map_that_repeats_is_sent_to_no_other_method(lamp, how):
+    """None renders it; each error named the other method."""
+    with pytest.raises(sl.InputError, match="sides='open' or 'dark'") as caught:
+        sl.render(sl.Scene(np.full((4, 4), 5.0), sides="periodic"), lamp, backend="numpy", **how)
+    assert "Use method" not in str(caught.value)

@@ -476,6 +476,19 @@ def stripes(L):
     return ((8 * L[..., 0]) % 1 < 0.5) * 1.0
 
 
+def test_a_lamp_given_as_a_volume_tells_that_its_error_is_not_known(fast):
+    """Rays step over a panel of one layer: dark below it, and the error was said to be 0."""
+    volume = np.zeros((5, 33, 33), bool)
+    volume[4, 12:21, 12:21] = True
+    out = sl.render(sl.Scene(np.full((33, 33), 19.0)), sl.Lamp(volume=volume), backend=fast)
+    (text,) = out.warnings
+    assert text.startswith("Tolerance: the error is not known") and "step over up to 8 layers" in text
+    assert np.isposinf(out.error).all()
+    thick = sl.Lamp(volume=np.repeat(volume[4:], 9, 0))
+    (text,) = sl.render(sl.Scene(np.full((33, 33), 19.0)), thick, backend=fast).warnings
+    assert "not known" in text and "step over" not in text
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("ground", ["level", "rough"])
 @pytest.mark.parametrize(

@@ -884,3 +884,39 @@ def test_windows_repeat_with_the_map_in_mirrors(fast, way):
     assert 0 < (one == 1).sum() and set(np.unique(one)) == {0.0, 1.0}
     np.testing.assert_array_equal(np.roll(one, (5, 8), (0, 1)), image((1, 1), (5, 8)))
     np.testing.assert_array_equal(np.tile(one, (2, 2)), image((2, 2), (0, 0)))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("exponent", [1, 5, 20, 100])
+def test_lobes_on_level_ground_under_skies(fast, exponent):
+    """Against quadrature over the hemisphere, to 0.5 %: CIE skies with low and high suns, a broad light."""
+    steps = np.linspace(0, np.pi / 2, 801)[:-1] + np.pi / 1600
+    theta, phi = np.meshgrid(steps, np.linspace(0, 2 * np.pi, 1600, endpoint=False), indexing="ij")
+    L = np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), -np.cos(theta)], -1)
+    weight = np.sin(theta) * np.cos(theta) ** (exponent + 1) * (np.pi / 1600) * (2 * np.pi / 1600)
+    scene = sl.Scene(np.full((4, 4), 8.0), reflectance=sl.Phong(0, 0.6, exponent))
+    for sky in (
+        sl.cie_clear((100, 10)),
+        sl.cie_clear((30, 70)),
+        sl.cie_overcast(),
+        lambda L: 1 + L[..., 0] ** 2,
+    ):
+        wanted = 0.6 * (exponent + 2) / (2 * np.pi) * (sky(L) * weight).sum()
+        image = sl.render(scene, sl.Sky(sky), backend=fast, interreflection=False).image
+        assert image[1, 1] == pytest.approx(wanted, rel=5e-3)
+
+
+def test_a_window_that_a_dark_box_hides_lights_no_brdf(fast):
+    """0, as of other surfaces; it was nan."""
+    scene = sl.Scene(np.full((4, 4), 5.0), sides="dark", reflectance=sl.grooves())
+    image = sl.render(scene, sl.Window(x=(10, 12), y=(0, 3)), backend=fast).image
+    np.testing.assert_array_equal(image, 0)
+
+
+def test_a_lobe_over_a_map_that_repeats_keeps_no_tolerance(fast):
+    """And says so."""
+    scene = sl.Scene(GROUND, sides="periodic", reflectance=sl.Phong(0.5, 0.1, 5))
+    out = sl.render(scene, sl.Sky(), backend=fast, interreflection=False)
+    assert any(text.startswith("Tolerance: the error is not known, a lobe") for text in out.warnings)
+    asked = sl.render(scene, sl.Sky(), "lattice", backend=fast, interreflection=False)
+    assert not any("Tolerance" in text for text in asked.warnings)

@@ -30,6 +30,13 @@ class LatticePlanner(UnitsPlanner):
             )
             fitting = (size for size, error in known.items() if error <= self.tolerance)
             self.units = next(fitting, max(known))
+            assert source.volume is not None, "slices serve every other lamp"
+            layers, passed = int(np.asarray(source.volume).any((1, 2)).sum()), self.units // 2
+            if layers < passed:
+                self.unknown += (
+                    f"; rays step over up to {passed} layers, so that a lamp of {layers} loses light: give it"
+                    " as a sphere or a rectangle"
+                )
             return
         self.uniform = uniform_light(self.samples)
         self.choose_units([(0, lattice.HEMICUBE_ERRORS)])

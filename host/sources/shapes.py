@@ -200,18 +200,18 @@ def geometry(source: Source, scene: Scene, step: float) -> Geometry:
         raise bad("source", type(source).__name__, "Sky, Lamp or Window")
     if source.volume is not None:
         return Geometry(VOLUME, no_numbers, _volume(source.volume, scene))
+    if scene.sides == "periodic":
+        raise bad(
+            "lamp sphere or rectangle with sides='periodic'",
+            "a lamp that stands once over a map that repeats",
+            "sides='open' or 'dark', or a lamp given as a volume, which repeats with the map",
+        )
     if source.corner is not None:
         raise bad(
             "method 'lattice' with a rectangular lamp",
             "a lamp given by corner and edges",
             "a sphere or a volume",
             "Use method='horizon'.",
-        )
-    if scene.sides == "periodic":
-        raise bad(
-            "lamp sphere with sides='periodic'",
-            "a lamp that stands once over a map that repeats",
-            "sides='open' or 'dark', or a lamp given as a volume, which repeats with the map",
         )
     assert source.center is not None and source.radius is not None, "any other lamp is a sphere"
     x, y, z = source.center
