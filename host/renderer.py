@@ -28,17 +28,18 @@ from .images import (
     per_colour,
     scaled,
 )
-from .interreflection import Interreflection, included, is_needed, reason
+from .interreflection import CHECKED, Interreflection, included, is_needed, reason
 from .light import lattice, propagation, unoccluded
 from .light.finite import solid_of
 from .light.interreflection import Glossy
 from .light.propagation import Lobe
 from .light.slices import CHORD_AZIMUTHS, CHORD_KNOTS, MOST, Slices, blurred, brightness_of, widened
 from .light.sweeps import FINE_NEAR_ROWS, Rays, Sweeps, ground_of
-from .planning.plan import Plan
+from .planning.plan import Choice, Plan, percent
 from .refinement import Refined, refined
 from .reflectance import BRDF, Phong
 from .render_options import Options, sectors_of
+from .samples import lit_mean
 from .scene import Scene
 from .sources.integrals import chords, integrals
 from .sources.solids import Dome, upright
@@ -213,17 +214,21 @@ class Renderer:
         self.plans.append(_plan_of(self.scene, self.greys[0], options.azimuths, options.max_distance))
 
     def _brdf(self) -> list[np.ndarray]:
-        """Radiance of a BRDF."""
+        """Radiance of a BRDF, along rays whose number does not depend on the tolerance."""
         scene, options = self.scene, self.options
         self._plan_as_asked()
-        if not isinstance(self.source, sources.Sky):
-            rays = shading.through_solid(scene, self.greys[0], self.engine, options.max_distance)
-            return shading.by_brdf(scene, self.greys, rays)
-        sectors = sectors_of(options.azimuths)
-        ground = ground_of(scene, options.max_distance, self.engine)
-        sweeps = Sweeps(self.engine, ground, Rays(sectors.angles, sectors.widths), near=FINE_NEAR_ROWS)
-        parts = shading.above_horizons(scene, sweeps.planes(), sectors)
-        return shading.by_brdf(scene, self.greys, parts)
+        if isinstance(self.source, sources.Sky):
+            sectors = sectors_of(options.azimuths)
+            ground = ground_of(scene, options.max_distance, self.engine)
+            sweeps = Sweeps(self.engine, ground, Rays(sectors.angles, sectors.widths), near=FINE_NEAR_ROWS)
+            parts = shading.above_horizons(scene, sweeps.planes(), sectors)
+        else:
+            parts = shading.through_solid(scene, self.greys[0], self.engine, options.max_distance)
+        images, lights = shading.by_brdf(scene, self.greys, parts)
+        if options.chooses:
+            self.plans[0] = replace(self.plans[0], reason="a BRDF takes as many rays for every tolerance")
+            self.warnings += _missed_by_rays(self, lights)
+        return list(images)
 
     def _sky_lobe(self, grey: sources.Source) -> np.ndarray:
         """A sky reflected by a lobe: (rows, cols) float32."""
@@ -293,13 +298,32 @@ class Renderer:
             whole = whole if warnings else None  # the sum is exact enough
         if options.brdf(scene):
             bits = propagation.visibility(self.engine, problem)
-            return [], shading.by_brdf(scene, self.greys, shading.of_lattice(bits, cube))
+            return [], list(shading.by_brdf(scene, self.greys, shading.of_lattice(bits, cube))[0])
         printed = options.weights == "printed"
         moments = cube.directions * cube.solid_angles[:, None] if printed else cube.moments
         irradiances, reflected = propagation.light(
             self.engine, problem, moments * brightness[..., None], lobe, shares, whole, self.on_device
         )
         return irradiances, reflected + self._mirrored(None)
+
+
+def _missed_by_rays(call: Renderer, lights: np.ndarray) -> list[str]:
+    """A warning if irradiances (greys, rows, cols) by the rays of a BRDF are not within the tolerance, by
+    those of a matte surface.
+    """
+    scene, tolerance = call.scene, float(call.options.tolerance)
+    factors, valid, error = numbers_of(call.greys), scene.valid, 0.0
+    some = range(len(lights)) if factors is None else [int(np.argmax(factors))]  # they differ by a factor
+    for grey, light in [(call.greys[n], lights[n]) for n in some]:
+        exact = np.asarray(refined(scene, grey, tolerance, call.engine, None, False).irradiance)[valid]
+        if exact.any():
+            error = max(error, float(np.sqrt(np.mean((light[valid] - exact) ** 2)) / lit_mean(exact)))
+    if error <= tolerance:
+        return []
+    return [
+        f"Tolerance: the light along the rays of a BRDF is {100 * error:.3g} % off (RMS over the mean), more"
+        f" than the {100 * tolerance:.3g} % asked for: what is narrow or partly hidden falls between them."
+    ]
 
 
 # -- light between surfaces
@@ -327,7 +351,14 @@ def _interreflected(call: Renderer, direct: Sequence[Irradiance]) -> Sequence[Ir
     call.interreflection = both.record
     call.warnings.extend(both.warnings)
     if call.planned:
-        call.plans[0] = replace(call.plans[0], error=both.record.error)
+        plan, all_light = call.plans[0], both.record.error or 0.0
+        how = f"RMS over the mean, by exact strips at {CHECKED} nodes; the error above is of direct light"
+        call.plans[0] = replace(
+            plan,
+            error=both.record.error,
+            reason=f"{plan.reason}; of all light {all_light:.2g}",
+            choices=(*plan.choices, Choice("error of all light", percent(all_light), how)),
+        )
     if not alike or factors is None:
         call.between = [max(both.errors)] if len(direct) == 1 else both.errors
         return both.irradiances
@@ -466,8 +497,7 @@ def _by_slices(
         irradiance.scale(scale, 0.0)  # a difference of sums may round to less than 0
         return irradiance
     image = slices.download()
-    if callable(source.brightness):
-        by_bands(lambda rows: np.maximum(image[rows], 0, out=image[rows]), image.shape)
+    by_bands(lambda rows: np.maximum(image[rows], 0, out=image[rows]), image.shape)
     return scaled(image, scale)
 
 

@@ -96,14 +96,15 @@ def mirrored(
 Parts = Iterator[tuple[np.ndarray, np.ndarray]]
 
 
-def by_brdf(scene: Scene, greys: Sequence[sources.Source], parts: Parts) -> list[np.ndarray]:
-    """Radiance of a BRDF under all parts of the light, (rows, cols) float32 for each grey source."""
+def by_brdf(scene: Scene, greys: Sequence[sources.Source], parts: Parts) -> np.ndarray:
+    """Radiance of a BRDF under all parts of the light, and the irradiance of these, (2, greys, rows, cols)
+    float32.
+    """
     reflect = _Reflection(scene)
-    images = [np.zeros(scene.shape) for _ in greys]
+    images = np.zeros((2, len(greys), *scene.shape))
     for L, weights in parts:
-        for image, light in zip(images, reflect(greys, L, weights)):
-            image += light
-    return [image.astype(np.float32) for image in images]
+        images += reflect(greys, L, weights)
+    return images.astype(np.float32)
 
 
 def through_solid(scene: Scene, source: sources.Source, engine: Backend, max_distance: float | None) -> Parts:
@@ -142,7 +143,9 @@ def of_lattice(bits: np.ndarray, cube: Hemicube) -> Parts:
 
 
 class _Reflection:
-    """The reflection integral of a scene's BRDF: sums of f B cos(theta_i) x weight in every node's frame."""
+    """Sums of f B cos(theta_i) x weight, the reflection integral, and of B cos(theta_i) x weight, the
+    irradiance, in every node's frame.
+    """
 
     def __init__(self, scene: Scene):
         assert isinstance(scene.reflectance, BRDF), "only a BRDF is integrated direction by direction"
@@ -151,21 +154,19 @@ class _Reflection:
         self.frames = frames(*self.tilts)
         self.outgoing = self.frames @ [0.0, 0.0, -1.0]
 
-    def __call__(
-        self, greys: Sequence[sources.Source], L: np.ndarray, weights: np.ndarray
-    ) -> list[np.ndarray]:
-        """L (rows, cols, n, 3), weights (rows, cols, n) [sr] -> (rows, cols) for each grey source."""
-        out = [np.zeros(L.shape[:2]) for _ in greys]
+    def __call__(self, greys: Sequence[sources.Source], L: np.ndarray, weights: np.ndarray) -> np.ndarray:
+        """L (rows, cols, n, 3), weights (rows, cols, n) [sr] -> both sums (2, greys, rows, cols)."""
+        out = np.zeros((2, len(greys), *L.shape[:2]))
         rows, cols, n = weights.shape
         for some in np.array_split(np.arange(rows), -(-rows * cols * n // BRDF_BATCH)):
             incoming = np.einsum("rcij,rcnj->rcni", self.frames[some], L[some])
             outgoing = np.broadcast_to(self.outgoing[some, :, None], incoming.shape)
-            f = self.surface.brdf(incoming, outgoing) * np.maximum(0.0, incoming[..., 2]) * weights[some]
-            shows = f > 0
-            for image, grey in zip(out, greys):
-                light = np.zeros(f.shape)
-                light[shows] = sources.radiance(grey, L[some][shows])
-                image[some] = (f * light).sum(-1)
+            received = np.maximum(0.0, incoming[..., 2]) * weights[some]
+            f, lit = self.surface.brdf(incoming, outgoing), received > 0
+            for n, grey in enumerate(greys):
+                light = np.zeros(received.shape)
+                light[lit] = sources.radiance(grey, L[some][lit]) * received[lit]
+                out[:, n, some] = (f * light).sum(-1), light.sum(-1)
         return out
 
 

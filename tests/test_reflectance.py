@@ -920,3 +920,23 @@ def test_a_lobe_over_a_map_that_repeats_keeps_no_tolerance(fast):
     assert any(text.startswith("Tolerance: the error is not known, a lobe") for text in out.warnings)
     asked = sl.render(scene, sl.Sky(), "lattice", backend=fast, interreflection=False)
     assert not any("Tolerance" in text for text in asked.warnings)
+
+
+def test_light_that_the_rays_of_a_brdf_miss_is_told(fast):
+    """A sun of 4 degrees: the warning has the error, by a surface that is known; a broad light has none."""
+    matte = sl.BRDF(lambda i, o: np.full(i.shape[:-1], 0.6 / np.pi))
+    towards = np.array([0.5, -0.6, -0.7]) / np.linalg.norm([0.5, -0.6, -0.7])
+    sun = lambda L: 0.1 + 1e3 * (L @ towards > np.cos(np.radians(2.0)))
+    for brightness, is_told in ((sun, True), (sl.cie_clear((30, 40)), False)):
+        got, wanted = (
+            sl.render(
+                sl.Scene(GROUND, reflectance=surface), sl.Sky(brightness), backend=fast, interreflection=False
+            )
+            for surface in (matte, sl.Lambertian(0.6))
+        )
+        off = np.sqrt(np.mean((got.image - wanted.image) ** 2)) / wanted.image[wanted.image > 0].mean()
+        told = [
+            float(text.split("BRDF is ")[1].split(" %")[0]) / 100 for text in got.warnings if "BRDF" in text
+        ]
+        assert told == ([pytest.approx(off, rel=0.02)] if is_told else [])
+        assert "as asked" not in got.plan.line
