@@ -200,6 +200,9 @@ def test_what_is_not_finite_is_no_data(tmp_path):
     mine = np.ones(HEIGHT.shape, bool)
     mine[0] = False
     assert np.array_equal(raster.scene(mask=mine).mask, wanted & mine)
+    for wrong in (mine[1:], mine.astype(int)):
+        with pytest.raises(InputError, match="mask: wrong type or shape"):
+            raster.scene(mask=wrong)
 
 
 def test_units(tmp_path):

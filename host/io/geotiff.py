@@ -53,8 +53,10 @@ class Raster:
         data.
         """
         height, mask = np.where(self.mask, self.values, 0), options.pop("mask", None)
-        if not self.mask.all():
-            mask = self.mask if mask is None else self.mask & np.asarray(mask, bool)
+        if mask is None:
+            mask = None if self.mask.all() else self.mask
+        elif np.shape(mask) == self.mask.shape and np.asarray(mask).dtype == bool:  # a scene refuses others
+            mask = self.mask & np.asarray(mask)
         return Scene.from_height(height, **{"spacing": self.spacing, "mask": mask, **options})
 
 
