@@ -123,7 +123,8 @@ class Scene:
         shape = there.shape if there is not None else values.shape
         if labels is not None and not height:
             _check_spacing(self.spacing, labels)
-        _set(self, mask=_known(given, labels, _mask(self.mask, shape)))
+        mask = _mask(self.mask, shape)
+        _set(self, mask=mask if there is not None else _known(given, labels, mask))
         if self.mask is not None and not self.mask.any():
             raise bad("mask: no valid node", "False everywhere", "at least one True")
         if values is None:
