@@ -360,8 +360,6 @@ def labelled(array: Any, labels: Labels | None, quantity: Quantity, **leading: A
         return array
     import xarray
 
-    if taken := [name for name in leading if name in labels.dims]:
-        raise bad("dimensions of a DataArray", labels.dims, f"others than {taken[0]!r}", "Use rename().")
     dims = *leading, *labels.dims
     if array.ndim > len(dims):
         dims = *dims, "channel"

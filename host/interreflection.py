@@ -252,7 +252,7 @@ def included(
         rounds = _rounds(level, has_cliffs)
         bounces.run(rounds)
         done += len(rounds)
-        total, rms = check.errors(_azimuths(CHECK_ERROR * tolerance))
+        total, rms_errors = check.errors(_azimuths(CHECK_ERROR * tolerance))
         useless = level >= GAINED_FROM and total > GAIN * before
         if total <= ESTIMATE_SHARE * tolerance or level + 1 == len(LEVELS) or useless:
             break
@@ -277,7 +277,7 @@ def included(
         )
     on_device = count == 1 and isinstance(direct[0], DeviceImage)
     irradiances = [bounces.device_image()] if on_device else bounces.irradiance()
-    return Included(irradiances, record, rms, warnings)
+    return Included(irradiances, record, rms_errors, warnings)
 
 
 def _rounds(level: int, has_cliffs: bool) -> tuple[Round, ...]:
@@ -334,7 +334,7 @@ class _Check:
         is more ground. Under other sources it is independent.
         """
         totals, (light, sky) = self.bounces.total_at_samples(), self.bounces.at_samples(azimuths)
-        worst, every = 0.0, []
+        worst, rms_errors = 0.0, []
         self.guessed = self.tail = 0.0
         for total, direct, share, sent in zip(totals, self.direct, self.albedo, light):
             mean, first = lit_mean(total), lit_mean(direct)
@@ -349,10 +349,10 @@ class _Check:
             q = np.minimum(share * (1 - np.clip(self.sky, 0, 1)), 1 - 1e-3)
             off = (exact + sent - total) / (1 - q)
             rms = math.hypot(math.sqrt(float(np.mean(off**2))), shared)
-            every.append(rms)
+            rms_errors.append(rms)
             worst = max(worst, rms / mean if mean > 0 else 0.0)
             self.tail = max(self.tail, errors(total, total + off).tail)
-        return worst, every
+        return worst, rms_errors
 
 
 def _at(samples: Samples, image: np.ndarray | DeviceImage) -> np.ndarray:

@@ -182,7 +182,7 @@ def layout_of(
         return layout
     if scene.sides == "dark":
         raise bad(
-            "sides 'dark' over several tiles",
+            "sides 'dark' over several tiles, or on a round Earth",
             f"{scene.shape[0]} x {scene.shape[1]} nodes in tiles of {tiling.tile}",
             "sides 'open' or 'periodic'",
             "A box's walls reach up to the highest ground of the whole map.",
@@ -247,6 +247,11 @@ def over_tiles(
     At once where that can be; else tile by tile: with a ``tiling``, where the map is beyond the device, and
     lazily where the map is lazy. ``leading``: a coordinate, by its name, of an axis before rows and columns.
     """
+    for name in leading:
+        if scene.labels is not None and name in scene.labels.dims:
+            raise bad(
+                "dimensions of a DataArray", scene.labels.dims, f"others than {name!r}", "Use rename()."
+            )
     engine, counts = engine_of(scene, backend), [len(values) for values in leading.values()]
     if scene.lazy is None and tiling is None and fits(scene, engine):
         return labelled(work(scene, max_distance, None), scene.labels, quantity, **leading)

@@ -194,10 +194,7 @@ def test_strong_relief_in_a_large_image(fast, shape, method):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "name",
-    [name if name == "face" else pytest.param(name, marks=pytest.mark.slow) for name in SURFACES],
-)
+@pytest.mark.parametrize("name", SURFACES)
 def test_the_confident_half_is_the_better_one(fast, name):
     """Its error is at most half that of the rest."""
     got, depth = found(name, "sky", fast, 64), surfaces.pair(name, "sky")[0]

@@ -111,8 +111,8 @@ class Surface:
         self.room = rounded_up(problem.pixels)
         # two maps, two slopes, the sum, and a plane with its turned twin
         reserve_map(backend, problem.pixels, 22 * self.room, 8 * self.room)
-        planes = min(backend.memory, backend.most_array_bytes) // 3 // self.room
-        most = min(max(1, int(planes)), len(problem.steps))
+        planes = int(min(backend.memory // 3, backend.most_array_bytes) // self.room)
+        most = min(max(1, planes), len(problem.steps))
         relief = problem.relief if relief is None else relief
         groups = walk_groups(
             problem.steps, problem.depth.shape, relief, problem.step, self.periodic, problem.filled, most

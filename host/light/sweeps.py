@@ -285,9 +285,7 @@ class Sweeps:
         backend = self.backend
         rows, cols = self.shape
         # of 4 bytes, in both halves, and each turned back
-        most = max(
-            1, int(min(backend.memory // 4, backend.most_array_bytes // 4, MOST_PLANES) // (16 * rows * cols))
-        )
+        most = max(1, int(min(backend.memory // 4, MOST_PLANES) // (16 * rows * cols)))
         self._turn()
         natural, turned = ([(half, *batch) for batch in _batches(half, most)] for half in self.halves)
         for one, other in itertools.zip_longest(natural, turned):
