@@ -207,22 +207,22 @@ def albedos(backend):
 
 
 def between(backend):
-    """Images with light between surfaces, against direct light by its own model."""
+    """Images with light between surfaces and images without, as "auto" takes them and by direct light."""
     for kind in ("sky", "sun", "lamp"):
-        for name in (*SURFACES, "pits", "ripples", "folds", "scarp", "saddle"):
-            depth, image = pair(name, kind, interreflection=True)
-            alone = robust(pair(name, kind)[1], source_of(kind), backend).depth
-            found = robust(image, source_of(kind), backend, interreflection="auto")
-            yield {
-                "source": kind,
-                "surface": name,
-                "RMSE, direct light": rms(alone - depth),
-                "RMSE, all light": rms(found.depth - depth),
-                "as direct light": rms(robust(image, source_of(kind), backend).depth - depth),
-                "taken": found.interreflection,
-                "residual": found.levels[-1].residual,
-                "seconds": found.seconds,
-            }
+        for name in (*SURFACES, *surfaces.OTHERS):
+            row = {"source": kind, "surface": name}
+            for what, light in (("direct", False), ("all", True)):
+                depth, image = pair(name, kind, interreflection=light)
+                auto = robust(image, source_of(kind), backend, interreflection="auto")
+                alone = robust(image, source_of(kind), backend)
+                row |= {
+                    f"{what} light": rms(auto.depth - depth),
+                    f"{what} light, by direct light": rms(alone.depth - depth),
+                    f"{what} light, taken": "all" if auto.interreflection else "direct",
+                    f"{what} light, residual": auto.levels[-1].residual,
+                    f"{what} light, seconds": auto.seconds,
+                }
+            yield row
 
 
 def suspected(backend, size=32):

@@ -13,8 +13,13 @@ import functools
 import numpy as np
 
 import skylamp as sl
+from skylamp.backends import select
 from skylamp.io import files as io
+from skylamp.light.interreflection import Bounces, Round
+from skylamp.samples import Samples
 
+# of light between surfaces: without the last of them, an image of folds changes by 0.08 % (rms)
+ROUNDS = (Round(8, 2, 8, 0.25),) * 8 + (Round(64, 1, 64, 0.05),) * 3 + (Round(128, 1, 64, 0.05),)
 SIZE, FINER, ALBEDO, LAYERS = 64, 5, 0.8, 64
 
 
@@ -85,7 +90,9 @@ SOURCES = {
 
 @functools.cache
 def pair(name, kind, size=SIZE, interreflection=False):
-    """(depth, image), (size, size) float64: the truth at the nodes and its radiance, in a dark box."""
+    """(depth, image), (size, size) float64: the truth at the nodes and its radiance, in a dark box. Light
+    between surfaces is gathered more exactly than render() does with a method that is given.
+    """
     at = (np.arange(size * FINER) + 0.5) / FINER - 0.5
     x, y = np.meshgrid(at * SIZE / size, at * SIZE / size)
     depth = (SURFACES | OTHERS)[name](x, y) * size / SIZE
@@ -100,16 +107,19 @@ def pair(name, kind, size=SIZE, interreflection=False):
             brightness=source.brightness,
         )
     azimuths = 128 if isinstance(source, sl.Sky) else 64
-    image = sl.render(
-        sl.Scene(depth, 1 / FINER, ALBEDO, sides="dark"),
-        source,
-        method="horizon",
-        azimuths=azimuths,
-        backend="auto",
-        interreflection=interreflection,
-    ).image
+    scene = sl.Scene(depth, 1 / FINER, ALBEDO, sides="dark")
+    render = functools.partial(
+        sl.render, scene, method="horizon", quantity="irradiance", interreflection=False, backend="auto"
+    )
+    image = render(source, azimuths=azimuths).image
+    if interreflection:
+        share_of_sky = render(sl.Sky(1 / np.pi), azimuths=128).image
+        engine = select("auto")
+        bounces = Bounces(engine, scene, Samples(engine, scene, 1, 1), [image], [ALBEDO], share_of_sky)
+        bounces.run(ROUNDS)
+        (image,) = bounces.irradiance()
     pick = slice(FINER // 2, None, FINER)
-    return depth[pick, pick], image[pick, pick].astype(float)
+    return depth[pick, pick], ALBEDO / np.pi * image[pick, pick].astype(float)
 
 
 def source_of(kind, size=SIZE):

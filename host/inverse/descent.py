@@ -8,10 +8,11 @@ from typing import NamedTuple
 import numpy as np
 
 from ..backends.base import Backend
+from ..light.interreflection import Round
 from .albedo import AlbedoFit
 from .conjugate_gradients import ConjugateGradients, Depths
 from .forward import Image, Launcher, Surface
-from .ground import Ground
+from .ground import RAYS, STRIPS, Ground
 from .lights import Light
 
 FIRST_DAMPING = 1e-4  # damping of the first step, as a multiple of the diagonal
@@ -37,6 +38,9 @@ class Descent:
     albedo that explains all images best there: the objective is that of the best albedo, and so is its
     gradient (variable projection).
 
+    ``radiances``: what the ground sends to ground, of each image, with the rays that gather it and the links
+    of a node in each of them that there is room for; None where that is left out.
+
     There are two sides, z[here] and a trial, each with the light and derivatives evaluated there: a trial
     that fails costs nothing that is known of z[here].
     """
@@ -51,6 +55,8 @@ class Descent:
         high: np.ndarray | float,
         albedo_known: bool = True,
         radiances: list[np.ndarray] | None = None,
+        rays: Round = RAYS,
+        strips: int = STRIPS,
     ):
         self.backend, self.shape = backend, shape
         self.launcher = Launcher(backend, shape)
@@ -61,7 +67,7 @@ class Descent:
         self.ground = None
         if radiances is not None:
             relief = float(np.max(high) - np.min(low))
-            self.ground = Ground(self.launcher, sides, self.images, radiances, relief)
+            self.ground = Ground(self.launcher, sides, self.images, radiances, relief, rays, strips)
         self.depths = Depths(
             [backend.empty((pixels,), np.float32) for _ in range(2)],
             backend.empty((pixels,), np.float32, 0),
@@ -142,6 +148,17 @@ class Descent:
         get = self.backend.download
         return [
             (get(image.gains[self.here]) * get(image.links[self.here][0])[0]).reshape(self.shape)
+            for image in self.images
+        ]
+
+    def bounced(self, z: np.ndarray) -> list[np.ndarray]:
+        """gain (E - E_d) of every image at depths (rows, cols): the part that ground sends to ground."""
+        self.value(z, 0.0)
+        get, here = self.backend.download, self.here
+        return [
+            (get(image.gains[here]) * (get(image.links[here][0])[0] - get(image.direct[here][0])[0])).reshape(
+                self.shape
+            )
             for image in self.images
         ]
 

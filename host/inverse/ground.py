@@ -16,9 +16,8 @@ from ..light.interreflection import Round, Strips
 from .forward import BYTES_PER_LINK, DeviceArray, Image, Launcher, Surface, links_of
 from .lights import brightness_of, light_of
 
-SKY_AZIMUTHS = 24  # by which the share of sky is found, as those of a source
-RAYS = Round(24, 1, 8, 0.18)
-# room for links of a node in each of these azimuths, and for those of all nodes of an image: where it is
+RAYS = Round(24, 1, 8, 0.18)  # as many azimuths as of a source
+# room for links of a node in each azimuth, and for those of all nodes of an image: where it is
 # full, the last link takes in the rest. Chosen: nodes of deep relief (32 x 32 of three surfaces) took 1 to 4
 # in the mean over azimuths, one in an egg-crate all
 STRIPS, MOST_LINKS = 8, 2**25
@@ -27,7 +26,8 @@ STRIPS, MOST_LINKS = 8, 2**25
 class Ground:
     """What the ground sends, for all images of a surface.
 
-    ``radiances`` (rows, cols) of each image, in the unit of its model's brightness; ``relief`` [nodes].
+    ``radiances`` (rows, cols) of each image, in the unit of its model's brightness; ``relief`` [nodes];
+    ``rays`` find the share of sky too; ``strips``: room for links of a node in each azimuth.
     """
 
     def __init__(
@@ -37,24 +37,26 @@ class Ground:
         images: list[Image],
         radiances: list[np.ndarray],
         relief: float,
+        rays: Round = RAYS,
+        strips: int = STRIPS,
     ):
         self.launcher, self.images = launcher, images
         backend, shape = launcher.backend, launcher.shape
         sent = np.stack(radiances).astype(np.float32)
-        self.strips = Strips(backend, sides, sent, relief, RAYS)
+        self.strips = Strips(backend, sides, sent, relief, rays)
         self.radiance = backend.upload(sent.ravel())
         uniform = [image for image in images if image.is_sky and not image.knots]
         self.has_own_sky = not uniform
         if self.has_own_sky:
             sky = sources.Sky()
-            light = light_of(sky, shape, 1.0, brightness_of(sky, SKY_AZIMUTHS))
+            light = light_of(sky, shape, 1.0, brightness_of(sky, rays.azimuths))
             nothing = np.zeros(shape)
             self.sky = Image(backend, light, shape, sides, nothing, nothing)
         else:
             self.sky = uniform[0]
-        per_azimuth = min(max(MOST_LINKS // launcher.pixels // RAYS.azimuths, 1), STRIPS)
+        per_azimuth = min(max(MOST_LINKS // launcher.pixels // rays.azimuths, 1), strips)
         for image in images:
-            image.count = image.slices + RAYS.azimuths * per_azimuth
+            image.count = image.slices + rays.azimuths * per_azimuth
             if image is not self.sky:
                 image.count += self.sky.slices
             reserve(

@@ -89,11 +89,15 @@ class Multigrid:
             rows, cols = self.pyramid.shape(level)
             z = 2 * cubic(solution.depth, 2)[:rows, :cols]
             self.pyramid.set_prior(level, z)  # a coarser grid has less noise to take for relief
-            small = self.pyramid.is_small(level)
-            solution = self.relax(level, z, FROM_COARSER) if small else self.cycles(level, z)
+            solution = self.settle(level, z)
             if accept:
                 self.pyramid.accept(level, solution.depth)
         return solution
+
+    def settle(self, level: int, z: np.ndarray) -> Solution:
+        """On one grid, from z, which is right on coarser grids about."""
+        small = self.pyramid.is_small(level)
+        return self.relax(level, z, FROM_COARSER) if small else self.cycles(level, z)
 
     def cycles(self, level: int, z: np.ndarray) -> Solution:
         """On a large grid by cycles over all coarser ones (full approximation scheme), stiff at first."""

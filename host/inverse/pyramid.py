@@ -41,6 +41,7 @@ PRIOR_VARIANCE, ADDED_VARIANCE = 0.1, 0.03
 # weight of the prior of the albedo until the unit of the images is known: its square is a float32, and images
 # may be 1e15 times as bright as albedo 1 makes them. Derived
 UNIT_UNKNOWN = 1e-18
+NEAREST = 1e-3  # depth [nodes] of a surface that would lie at the viewer's plane or before it
 LEAST_RANGE = 0.5  # least distance [nodes] between the bounds of depth, when they are narrowed
 NORMAL_QUARTILE = 0.6745  # median of the absolute value of a standard normal number
 CROSS_NORM = 6  # root of the sum of squares of the cross of second differences
@@ -74,6 +75,11 @@ def noise_of(image: np.ndarray) -> float:
         for v in (image, 2 * halved(image))
     ]
     return math.sqrt(max(0.0, TEXTURE * left[0] ** 2 - left[1] ** 2) / (TEXTURE - 1))
+
+
+def share_of_images(residuals: np.ndarray) -> float:
+    """The rms of residuals (n, rows, cols) in the unit of the pyramid, as a share of the images'."""
+    return math.sqrt(float(np.mean(np.square(residuals)))) / IMAGE_RMS
 
 
 def number_of(source: sources.Source) -> float:
@@ -201,6 +207,10 @@ class Pyramid:
             return None
         return [image * scale for image, scale in zip(self.images[level], self.scales)]
 
+    def residuals(self, level: int, z: np.ndarray) -> np.ndarray:
+        """(n, rows, cols): model less image at depths z."""
+        return np.stack(self.problem(level).irradiances(z)) - np.stack(self.images[level])
+
     def lights(self, shape: tuple[int, int], scale: float, azimuths: int) -> list[Light]:
         """The sources for a grid, see light_of."""
         return [
@@ -226,6 +236,25 @@ class Pyramid:
             yield
         finally:
             self.set_bounds(free)
+
+    @contextlib.contextmanager
+    def without(self, light: list[np.ndarray], level: int) -> Iterator[None]:
+        """On grid ``level`` and coarser ones: images less this light, for a time."""
+        whole, rest = self.images, [np.maximum(own - part, 0) for own, part in zip(self.images[level], light)]
+        self.images = list(whole)
+        try:
+            for grid in range(level, self.coarsest + 1):
+                self._set_images(grid, rest)
+                rest = [halved(image) for image in rest]
+            yield
+        finally:
+            for grid in range(level, self.coarsest + 1):
+                self._set_images(grid, whole[grid])
+
+    def _set_images(self, level: int, images: list[np.ndarray]) -> None:
+        self.images[level] = images
+        if level in self.problems:
+            self.problems[level].set_targets(images)
 
     def set_prior(self, level: int, z: np.ndarray) -> None:
         """Makes the part of the smoothness that stands for noise act on the difference to z. The rest still

@@ -21,9 +21,9 @@ from ..light.propagation import Progress
 from ..scene import Scene
 from . import diagnostics
 from .carving import carved_layers
-from .confidence import NEAREST, UNTRUSTED, confidence_of, deviation_of
+from .confidence import UNTRUSTED, confidence_of, judgement_of
 from .multigrid import Multigrid
-from .pyramid import Level, Pyramid, number_of
+from .pyramid import NEAREST, Level, Pyramid, number_of, share_of_images
 from .resampling import doubled
 from .search import OutOfTime, Search
 
@@ -40,11 +40,8 @@ MAPS = (  # fields of Recovery that are maps
     Quantity("drilled", "1", "whether carving went through to the back"),
     Quantity("residual", None, "model less image, in the unit of the image"),
 )
-# share of the residual of all light below which that of direct light alone is believed. Measured on ten
-# surfaces under a sky, a sun and a lamp, 64 x 64, albedo 0.8: depth within 1.3 times that of direct images by
-# their own model for 15 of 30 images with light between surfaces, and 25 of 30 without; with half of this
-# share 16 and 21, with twice 12 and 30
-DIRECT_SHARE = 0.5
+# share of the residual of all light below which that of direct light alone is believed
+DIRECT_SHARE = 0.25
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,7 +128,7 @@ def recover(
     interreflection : "auto", True or False
         Of method="robust": whether ground lights ground in the images, as in photographs and in what
         :func:`skylamp.render` makes by default. "auto": both are tried, and direct light alone is used if
-        its residual is less than half of the other. It is several times as fast: False if that suffices.
+        its residual is less than a quarter of the other. It is several times as fast: False if it suffices.
     progress : callable, optional
         Called with (levels or layers done, their number). Residuals of levels go to the logger "skylamp".
 
@@ -334,20 +331,18 @@ def _recovered(
     for light in given.lights:
         _check_shape(light, given.scene.sides)
     compiled, spent = engine.compile_seconds, stopwatch(engine)
-
-    def answer_of(with_bounces: bool) -> _Answer:
-        return _answer(given, limits, engine, progress, with_bounces, spent)
-
-    direct = answer_of(False) if interreflection == "auto" and not given.albedo_given else None
-    if direct is not None:
-        unit = [] if direct.was_cut else diagnostics.of_unit(_usual_albedo(direct), False)
+    direct = _answer(given, limits, engine, progress, spent)
+    if interreflection is False:
+        return _recovery(given, limits, direct, spent, compiled)
+    if interreflection == "auto":
+        known = given.albedo_given or direct.was_cut
+        unit = [] if known else diagnostics.of_unit(_usual_albedo(direct), False)
         if unit or direct.was_cut:
             direct.warnings.extend(unit)
             return _recovery(given, limits, direct, spent, compiled)
-    answer = answer_of(interreflection is not False)
+    answer = _answer(given, limits, engine, progress, spent, direct)
     if interreflection == "auto" and not answer.was_cut:
-        direct = direct or answer_of(False)
-        if direct.levels and direct.levels[-1].residual < DIRECT_SHARE * answer.levels[-1].residual:
+        if direct.levels[-1].residual < DIRECT_SHARE * answer.levels[-1].residual:
             answer = direct
     return _recovery(given, limits, answer, spent, compiled)
 
@@ -363,16 +358,18 @@ def _answer(
     limits: _Limits,
     engine: Backend,
     progress: Progress | None,
-    interreflection: bool,
     spent: Callable[[], float],
+    direct: _Answer | None = None,
 ) -> _Answer:
-    """The problem on all grids, and the search until ``spent`` is beyond the limit."""
+    """The problem on all grids, and the search until ``spent`` is beyond the limit. ``direct``: the answer by
+    direct light, if this one is to be with light between surfaces.
+    """
     scene, levels, was_cut = given.scene, list[Level](), True
     lights = [_in_nodes(light, scene.spacing) for light in given.lights]
     warnings = diagnostics.of_images(given.images, lights, scene, float(limits.high.max()))
     albedo = scene.albedo if given.albedo_given else None
     bounds = np.maximum(limits.low, NEAREST), limits.high
-    pyramid = Pyramid(engine, given.images, lights, albedo, scene.sides, *bounds, interreflection)
+    pyramid = Pyramid(engine, given.images, lights, albedo, scene.sides, *bounds, direct is not None)
 
     def report(level: Level) -> None:
         levels[:] = [other for other in levels if other.shape != level.shape] + [level]
@@ -381,7 +378,9 @@ def _answer(
 
     pyramid.stop, pyramid.report = lambda: spent() > limits.seconds, report
     several = any(map(_directed, lights))  # answers: then the lower objective need not be the right one's
-    search = Search(Multigrid(pyramid, several), several)
+    search = Search(Multigrid(pyramid, several), several, None if direct is None else direct.search)
+    if direct is not None and direct.was_cut:
+        return replace(direct, search=search)
     try:
         search.run()
         was_cut = False
@@ -390,7 +389,8 @@ def _answer(
     except KeyboardInterrupt:
         warnings.append("Interrupted: this is the best so far.")
     low, high = pyramid.bounds[-1]
-    level, z = pyramid.best or (pyramid.coarsest, (low + high) / 2)
+    first = (pyramid.coarsest, (low + high) / 2) if direct is None else (direct.level, direct.z)
+    level, z = pyramid.best or first
     return _Answer(search, level, z, levels, warnings, was_cut)
 
 
@@ -403,16 +403,22 @@ def _recovery(
     depth_range = float((high - low).mean())
     if pyramid.interreflection and not given.albedo_given:
         answer.warnings.extend(diagnostics.of_unit(_usual_albedo(answer), True))
-    std, others = deviation_of(search.multigrid, level, z, search.rivals, search.comparing, depth_range)
-    confidence = confidence_of(std, depth_range)
-    ambiguous = np.isfinite(others).any(0) & (confidence < UNTRUSTED)
+    judged = judgement_of(search.multigrid, level, z, search.rivals, search.comparing, depth_range)
+    confidence = confidence_of(judged.std, depth_range)
+    ambiguous = np.isfinite(judged.others).any(0) & (confidence < UNTRUSTED)
 
     for finer in range(level - 1, -1, -1):
         z = 2 * doubled(z, pyramid.shape(finer))
     z = np.clip(z, low, high)
-    residual = pyramid.problem(0).irradiances(z)[0] - pyramid.images[0][0]
-    warnings = [*answer.warnings, *diagnostics.of_residual(pyramid, residual)]
-    warnings += diagnostics.of_ground(pyramid, answer.levels[-1].residual if answer.levels else 0.0)
+    levels, residuals = answer.levels, pyramid.residuals(0, z)
+    if judged.refit is not None:
+        z, residuals = (
+            own + judged.share * (other - own)
+            for own, other in ((z, judged.refit.depth), (residuals, np.array(judged.refit.residuals)))
+        )
+        levels = [*levels[:-1], Level(z.shape, share_of_images(residuals), spent())]
+    warnings = [*answer.warnings, *diagnostics.of_residual(pyramid, residuals[0])]
+    warnings += diagnostics.of_ground(pyramid, levels[-1].residual if levels else 0.0)
     warnings += diagnostics.of_confidence(confidence, ambiguous, given.albedo_given)
 
     depth = (z * scene.spacing).astype(np.float32)
@@ -423,13 +429,13 @@ def _recovery(
         seconds=spent(),
         compile_seconds=pyramid.engine.compile_seconds - compiled,
         warnings=warnings,
-        std=(std * scene.spacing).astype(np.float32),
+        std=(judged.std * scene.spacing).astype(np.float32),
         confidence=confidence.astype(np.float32),
-        candidates=np.concatenate([depth[None], (others * scene.spacing).astype(np.float32)]),
+        candidates=np.concatenate([depth[None], (judged.others * scene.spacing).astype(np.float32)]),
         ambiguous=ambiguous,
         albedo=None if given.albedo_given else pyramid.albedo[0].astype(np.float32),
-        residual=(residual * pyramid.units[0]).astype(np.float32),
-        levels=tuple(answer.levels),
+        residual=(residuals[0] * pyramid.units[0]).astype(np.float32),
+        levels=tuple(levels),
         interreflection=pyramid.interreflection,
     )
 

@@ -4,6 +4,9 @@ checks and its confidence, in order.
 Different starts are right in different places: where none of their surfaces is good, a mosaic takes each
 place from the one that is best there. Large images begin on a grid that sees their relief. They begin on the
 coarsest grid, as small ones do, only if their relief is too strong to be found from there.
+
+With light between surfaces, starts from flat surfaces often end in a wrong surface. That search goes on from
+the answer by direct light.
 """
 
 from __future__ import annotations
@@ -17,7 +20,7 @@ import numpy as np
 from .descent import Solution
 from .multigrid import FROM_COARSER, Multigrid
 from .pyramid import SMALL, on_coarser_grid
-from .resampling import blurred
+from .resampling import blurred, halved_depth
 
 FLATS = 40  # flat surfaces between the bounds that are compared
 LOST = 100.0  # times the objective of a good surface: above it strong relief is looked for
@@ -31,6 +34,8 @@ ALIKE = 0.05  # rms distance [nodes] below which two surfaces are one answer
 FOLLOWED = 8.0  # times the first answer's objective on a coarser grid: other starts above it are given up
 LEAST_MISFIT = 1e-12  # of a neighbourhood, where the weights of a mosaic would divide by zero
 RIVAL = 6.0  # times the objective of the answer: other surfaces above it are no rivals
+# in which light between surfaces is taken from the images: on the grid of starts, on the next
+ROUNDS, MORE_ROUNDS = 6, 1
 
 
 class OutOfTime(Exception):
@@ -51,12 +56,13 @@ class Search:
 
     share: of the way between the bounds of depth, where the best flat surface lies. answers: on grid
     ``level``; the first is believed unless another one is clearly better. begun: the surface that it began
-    with, and that surface's grid. rivals: of the answer, on grid ``comparing``.
+    with, and that surface's grid. rivals: of the answer, on grid ``comparing``. ``direct``: the search by
+    direct light that this one, with light between surfaces, goes on from.
     """
 
-    def __init__(self, multigrid: Multigrid, several: bool):
+    def __init__(self, multigrid: Multigrid, several: bool, direct: Search | None = None):
         pyramid = multigrid.pyramid
-        self.multigrid, self.pyramid, self.several = multigrid, pyramid, several
+        self.multigrid, self.pyramid, self.several, self.direct = multigrid, pyramid, several, direct
         self.comparing = 0 if pyramid.is_small(0) else pyramid.start
         self.level = max(self.comparing, pyramid.start - 1)
         self.share = 0.5
@@ -69,7 +75,7 @@ class Search:
 
         Raises OutOfTime.
         """
-        for stage in STAGES:
+        for stage in STAGES if self.direct is None else STAGES_BETWEEN:
             stage(self)
             self.check_time()
 
@@ -122,6 +128,38 @@ def start_stronger(search: Search) -> None:
     if best.objective < BETTER * first.objective:
         pyramid.accept(search.level, best.depth)
         search.answers, search.begun = [best], (flat, coarsest)
+
+
+def start_direct(search: Search) -> None:
+    """From the answer by direct light, round by round: what the present surface sends to itself is taken from
+    the images, and direct light explains the rest. The surface of each round is a start with all light; the
+    best of these answers is the answer, and the rivals are those of direct light.
+    """
+    direct, level = search.direct, search.level
+    assert direct is not None and direct.pyramid.best is not None, "there is no answer by direct light"
+    grid, z = direct.pyramid.best
+    for _ in range(level - grid):
+        z = halved_depth(z)
+    best = _rounds(search, direct, level, z, ROUNDS)
+    search.pyramid.accept(level, best.depth)
+    if search.comparing < level:
+        finer = search.multigrid.refine(best.depth, level, search.comparing)
+        other = _rounds(search, direct, search.comparing, finer.depth, MORE_ROUNDS)
+        best = min(finer, other, key=lambda answer: answer.objective)
+    search.answers, search.level, search.rivals = [best], search.comparing, direct.rivals
+
+
+def _rounds(search: Search, direct: Search, level: int, z: np.ndarray, count: int) -> Solution:
+    """The best answer on a grid after some rounds from z by direct light."""
+    answers = []
+    for _ in range(count):
+        direct.pyramid.set_prior(level, on_coarser_grid(z))
+        with direct.pyramid.without(search.pyramid.problem(level).bounced(z), level):
+            z = direct.multigrid.settle(level, z).depth
+        search.pyramid.set_prior(level, on_coarser_grid(z))
+        answers.append(search.multigrid.settle(level, z))
+        search.check_time()
+    return _best(answers)
 
 
 def start_shallower(search: Search) -> None:
@@ -212,6 +250,7 @@ STAGES: tuple[Callable[[Search], None], ...] = (
     polish,
     refine,
 )
+STAGES_BETWEEN: tuple[Callable[[Search], None], ...] = (start_direct, polish, refine)
 
 
 def _best(answers: list[Solution]) -> Solution:
