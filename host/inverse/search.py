@@ -34,8 +34,8 @@ ALIKE = 0.05  # rms distance [nodes] below which two surfaces are one answer
 FOLLOWED = 8.0  # times the first answer's objective on a coarser grid: other starts above it are given up
 LEAST_MISFIT = 1e-12  # of a neighbourhood, where the weights of a mosaic would divide by zero
 RIVAL = 6.0  # times the objective of the answer: other surfaces above it are no rivals
-# in which light between surfaces is taken from the images: on the grid of starts, on the next
-ROUNDS, MORE_ROUNDS = 6, 1
+# in which light between surfaces is taken from the images, before and after a mosaic, and on the finest grid
+ROUNDS, FINEST_ROUNDS = 4, 1
 
 
 class OutOfTime(Exception):
@@ -140,25 +140,28 @@ def start_direct(search: Search) -> None:
     grid, z = direct.pyramid.best
     for _ in range(level - grid):
         z = halved_depth(z)
-    best = _rounds(search, direct, level, z, ROUNDS)
+    first = _after_rounds(search, direct, level, z, [])
+    best = _after_rounds(search, direct, level, first.depth, [first])
     search.pyramid.accept(level, best.depth)
     if search.comparing < level:
-        finer = search.multigrid.refine(best.depth, level, search.comparing)
-        other = _rounds(search, direct, search.comparing, finer.depth, MORE_ROUNDS)
-        best = min(finer, other, key=lambda answer: answer.objective)
+        best = search.multigrid.refine(best.depth, level, search.comparing)
+        best = _after_rounds(search, direct, search.comparing, best.depth, [best])
     search.answers, search.level, search.rivals = [best], search.comparing, direct.rivals
 
 
-def _rounds(search: Search, direct: Search, level: int, z: np.ndarray, count: int) -> Solution:
-    """The best answer on a grid after some rounds from z by direct light."""
-    answers = []
-    for _ in range(count):
+def _after_rounds(
+    search: Search, direct: Search, level: int, z: np.ndarray, answers: list[Solution]
+) -> Solution:
+    """The best of these answers, of those after each round from z, and of the mosaic of all."""
+    answers = list(answers)
+    for _ in range(ROUNDS if level else FINEST_ROUNDS):
         direct.pyramid.set_prior(level, on_coarser_grid(z))
         with direct.pyramid.without(search.pyramid.problem(level).bounced(z), level):
             z = direct.multigrid.settle(level, z).depth
         search.pyramid.set_prior(level, on_coarser_grid(z))
         answers.append(search.multigrid.settle(level, z))
         search.check_time()
+    answers.append(_of_mosaic(search, level, answers))
     return _best(answers)
 
 
@@ -186,9 +189,13 @@ def join(search: Search) -> None:
 
     The mosaic takes each place from the answer whose image is best round it.
     """
-    pyramid, level, answers = search.pyramid, search.level, search.answers
-    if len(answers) < 2 or _best(answers).objective <= pyramid.good_objective(level):
-        return
+    if len(search.answers) > 1:
+        if _best(search.answers).objective > search.pyramid.good_objective(search.level):
+            search.answers.append(_of_mosaic(search, search.level, search.answers))
+
+
+def _of_mosaic(search: Search, level: int, answers: list[Solution]) -> Solution:
+    pyramid = search.pyramid
     problem, images, misfits = pyramid.problem(level), pyramid.images[level], []
     for answer in answers:
         squares = [(light - t) ** 2 for light, t in zip(problem.irradiances(answer.depth), images)]
@@ -197,7 +204,7 @@ def join(search: Search) -> None:
     shares = [blurred((least / misfit) ** 2) for misfit in misfits]
     mosaic = np.sum([share * answer.depth for share, answer in zip(shares, answers)], 0) / np.sum(shares, 0)
     pyramid.set_prior(level, on_coarser_grid(mosaic))
-    answers.append(search.multigrid.relax(level, mosaic, FROM_COARSER))
+    return search.multigrid.relax(level, mosaic, FROM_COARSER)
 
 
 def compare(search: Search) -> None:
