@@ -19,8 +19,6 @@ lamp and the spotlight; OUT/doubt_drawn.csv.
 Constants of host/inverse/confidence.py were chosen with the surfaces of half 0; half 1 are the others. Those
 of by_other_answers were chosen with the drawn surfaces 0 to 15 and with regard to both halves; 16 and beyond
 were drawn afterwards.
-"before" is the confidence of commit 16f691f, of 22 November 2026, on the same recoveries; it is kept in the
-cache of whoever ran this with that commit, and in the CSV.
 """
 
 from __future__ import annotations
@@ -165,7 +163,7 @@ def disturbed(image: np.ndarray, noise: str) -> np.ndarray:
 
 
 def recovered(case: tuple[int, str, str, str], backend: str, cache: Path) -> dict[str, np.ndarray]:
-    """truth, depth, std, confidence, seconds of a case; before, if it is in the cache."""
+    """truth, depth, std, confidence, seconds of a case."""
     kept = cache / ("_".join(map(str, case)).replace(" ", "-") + ".npz")
     if not kept.exists():
         truth, images, lights, layers = problem(*case)
@@ -213,13 +211,8 @@ def row_of(case: tuple[int, str, str, str], found: dict[str, np.ndarray]) -> dic
     row = dict(zip(("size", "surface", "light", "noise"), case), half=half_of(case[1]), rmse=rms(error))
     row |= {f"within {n}": float(np.mean(off < n * std)) for n in (1, 2, 3)}
     row |= {"ause": ause(error, std), "far": float(np.mean(off > FAR))}
-    for name in ("confidence", "before"):
-        if name in found:
-            what = "" if name == "confidence" else " before"
-            row["far, marked" + what] = marked(found[name], off > FAR)
-            row["near, marked" + what] = marked(found[name], off < NEAR)
-    if "before" in found:
-        row["ause before"] = ause(error, -found["before"])
+    row["far, marked"] = marked(found["confidence"], off > FAR)
+    row["near, marked"] = marked(found["confidence"], off < NEAR)
     return row
 
 
@@ -244,9 +237,6 @@ def summary(rows: list[dict], chosen: dict[str, dict[str, np.ndarray]]) -> list[
         for key in ("depth", "truth", "std")
     }
     lines.append(f"all pixels in one order: AUSE {ause(pool['depth'] - pool['truth'], pool['std']):.3f}")
-    if all("before" in one for one in chosen.values()):
-        before = np.concatenate([np.ravel(one["before"]) for one in chosen.values()])
-        lines.append(f"  before: {ause(pool['depth'] - pool['truth'], -before):.3f}")
     return lines
 
 
@@ -262,10 +252,8 @@ def picture(chosen: dict[str, dict[str, np.ndarray]], path: Path) -> None:
     figure, (left, right) = pyplot.subplots(1, 2, figsize=(10, 4), layout="constrained")
     error = np.concatenate([np.ravel(one["depth"] - one["truth"]) for one in chosen.values()])
     shares = np.arange(SHARES) / SHARES
-    for name, key, sign in (("standard deviation", "std", 1), ("confidence before", "before", -1)):
-        if all(key in one for one in chosen.values()):
-            by, best = curves(error, sign * np.concatenate([np.ravel(one[key]) for one in chosen.values()]))
-            left.plot(shares, by, label=name)
+    by, best = curves(error, np.concatenate([np.ravel(one["std"]) for one in chosen.values()]))
+    left.plot(shares, by, label="standard deviation")
     left.plot(shares, best, "k--", label="error itself")
     left.set(xlabel="share of pixels left out", ylabel="RMSE of the rest / RMSE", title="Sparsification")
     left.legend()

@@ -151,17 +151,6 @@ class Descent:
             for image in self.images
         ]
 
-    def bounced(self, z: np.ndarray) -> list[np.ndarray]:
-        """gain (E - E_d) of every image at depths (rows, cols): the part that ground sends to ground."""
-        self.value(z, 0.0)
-        get, here = self.backend.download, self.here
-        return [
-            (get(image.gains[here]) * (get(image.links[here][0])[0] - get(image.direct[here][0])[0])).reshape(
-                self.shape
-            )
-            for image in self.images
-        ]
-
     def fitted_albedo(self) -> np.ndarray:
         """(rows, cols) albedo at the depths that were evaluated last, as a share of what the gains stand for;
         for an albedo that is not known.
@@ -230,3 +219,16 @@ class Descent:
         depth: np.ndarray = self.backend.download(self.depths.z[self.here]).reshape(self.shape)
         self._at = depth
         return Solution(depth.copy(), best)
+
+
+def bounced(problem: Descent, z: np.ndarray) -> list[np.ndarray]:
+    """gain (E - E_d) of every image at depths (rows, cols): the part that ground sends to ground."""
+    problem.value(z, 0.0)
+    get, here = problem.backend.download, problem.here
+
+    def part(image: Image) -> np.ndarray:
+        more = get(image.links[here][0])[0] - get(image.direct[here][0])[0]
+        light: np.ndarray = (get(image.gains[here]) * more).reshape(problem.shape)
+        return light
+
+    return [part(image) for image in problem.images]

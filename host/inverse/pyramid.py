@@ -207,10 +207,6 @@ class Pyramid:
             return None
         return [image * scale for image, scale in zip(self.images[level], self.scales)]
 
-    def residuals(self, level: int, z: np.ndarray) -> np.ndarray:
-        """(n, rows, cols): model less image at depths z."""
-        return np.stack(self.problem(level).irradiances(z)) - np.stack(self.images[level])
-
     def lights(self, shape: tuple[int, int], scale: float, azimuths: int) -> list[Light]:
         """The sources for a grid, see light_of."""
         return [
@@ -236,25 +232,6 @@ class Pyramid:
             yield
         finally:
             self.set_bounds(free)
-
-    @contextlib.contextmanager
-    def without(self, light: list[np.ndarray], level: int) -> Iterator[None]:
-        """On grid ``level`` and coarser ones: images less this light, for a time."""
-        whole, rest = self.images, [np.maximum(own - part, 0) for own, part in zip(self.images[level], light)]
-        self.images = list(whole)
-        try:
-            for grid in range(level, self.coarsest + 1):
-                self._set_images(grid, rest)
-                rest = [halved(image) for image in rest]
-            yield
-        finally:
-            for grid in range(level, self.coarsest + 1):
-                self._set_images(grid, whole[grid])
-
-    def _set_images(self, level: int, images: list[np.ndarray]) -> None:
-        self.images[level] = images
-        if level in self.problems:
-            self.problems[level].set_targets(images)
 
     def set_prior(self, level: int, z: np.ndarray) -> None:
         """Makes the part of the smoothness that stands for noise act on the difference to z. The rest still
@@ -288,6 +265,27 @@ class Pyramid:
             "%d x %d: residual %.2g of the image, %.1f s", *reached.shape, reached.residual, reached.seconds
         )
         self.report(reached)
+
+
+@contextlib.contextmanager
+def without(pyramid: Pyramid, light: list[np.ndarray], level: int) -> Iterator[None]:
+    """On grid ``level`` and coarser ones: images less this light, for a time."""
+    whole = list(pyramid.images)
+    rest = [np.maximum(own - part, 0) for own, part in zip(whole[level], light)]
+    try:
+        for grid in range(level, pyramid.coarsest + 1):
+            _set_images(pyramid, grid, rest)
+            rest = [halved(image) for image in rest]
+        yield
+    finally:
+        for grid in range(level, pyramid.coarsest + 1):
+            _set_images(pyramid, grid, whole[grid])
+
+
+def _set_images(pyramid: Pyramid, level: int, images: list[np.ndarray]) -> None:
+    pyramid.images[level] = images
+    if level in pyramid.problems:
+        pyramid.problems[level].set_targets(images)
 
 
 def on_coarser_grid(z: np.ndarray) -> np.ndarray:

@@ -410,7 +410,8 @@ def _recovery(
     for finer in range(level - 1, -1, -1):
         z = 2 * doubled(z, pyramid.shape(finer))
     z = np.clip(z, low, high)
-    levels, residuals = answer.levels, pyramid.residuals(0, z)
+    levels = answer.levels
+    residuals = np.stack(pyramid.problem(0).irradiances(z)) - np.stack(pyramid.images[0])
     if judged.refit is not None:
         z, residuals = (
             own + judged.share * (other - own)

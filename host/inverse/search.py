@@ -17,9 +17,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .descent import Solution
+from .descent import Solution, bounced
 from .multigrid import FROM_COARSER, Multigrid
-from .pyramid import SMALL, on_coarser_grid
+from .pyramid import SMALL, on_coarser_grid, without
 from .resampling import blurred, halved_depth
 
 FLATS = 40  # flat surfaces between the bounds that are compared
@@ -156,7 +156,7 @@ def _after_rounds(
     answers = list(answers)
     for _ in range(ROUNDS if level else FINEST_ROUNDS):
         direct.pyramid.set_prior(level, on_coarser_grid(z))
-        with direct.pyramid.without(search.pyramid.problem(level).bounced(z), level):
+        with without(direct.pyramid, bounced(search.pyramid.problem(level), z), level):
             z = direct.multigrid.settle(level, z).depth
         search.pyramid.set_prior(level, on_coarser_grid(z))
         answers.append(search.multigrid.settle(level, z))
