@@ -19,8 +19,8 @@ OPEN_SKY = "Open sides under a sky are ill-posed: the image of a flat surface is
 # alone is above it in 2, 28 and 20; above half of it in 3, 28 and 21, above twice in 0, 25 and 11
 POORLY = 0.03
 # the same, above which a warning says that light between surfaces is not fully explained: in
-# performance/recover.py --what between 9 of 45 residuals are above it, with errors of depth of 0.2 to 3 nodes,
-# and of those below it 5 errors are above half a node
+# performance/recover.py --what between 9 of 45 residuals are above it, with errors of depth of 0.2 to 3
+# nodes, and of those below it 5 errors are above half a node
 UNSETTLED = 0.0025
 # an image is called too bright for the model if it is brighter by this share of its RMS at so many pixels; in
 # the same recoveries in 0, 27 and 5 of 30. At so many pixels 1, 28 and 6 are brighter, at half as many 1, 28
