@@ -125,7 +125,7 @@ def confidence_of(std: np.ndarray, depth_range: float) -> np.ndarray:
 
     Right is within RIGHT of the range of depths [nodes], or within LEAST_RIGHT if that is more. It is
     1 / (1 + t^2), t the standard deviation over that of probability 1/2. By this 69, 90 and 95 % of errors
-    are within 1, 2 and 3 standard deviations; of normal errors 68, 95 and 99.7 % are, and 79, 95 and 98 % in
+    are within 1, 2 and 3 standard deviations; of normal errors 68, 95 and 99.7 % are, and 82, 94 and 97 % in
     performance/doubt.py.
     """
     half = max(RIGHT * depth_range, LEAST_RIGHT) / NORMAL_QUARTILE
