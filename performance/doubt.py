@@ -18,7 +18,7 @@ lamp and the spotlight; OUT/doubt_drawn.csv.
 
 Constants of host/inverse/confidence.py were chosen with the surfaces of half 0; half 1 are the others. Those
 of by_other_answers were chosen with the drawn surfaces 0 to 15 and with regard to both halves; 16 and beyond
-were drawn afterwards.
+were drawn afterwards. CORRECTED_WEIGHT was chosen with all fifteen surfaces under sky, sun and lamp.
 """
 
 from __future__ import annotations
