@@ -389,8 +389,9 @@ def _answer(
     except KeyboardInterrupt:
         warnings.append("Interrupted: this is the best so far.")
     low, high = pyramid.bounds[-1]
-    first = (pyramid.coarsest, (low + high) / 2) if direct is None else (direct.level, direct.z)
-    level, z = pyramid.best or first
+    if pyramid.best is None and direct is not None:  # cut before it had a surface of its own
+        return replace(direct, search=search, warnings=warnings, was_cut=True)
+    level, z = pyramid.best or (pyramid.coarsest, (low + high) / 2)
     return _Answer(search, level, z, levels, warnings, was_cut)
 
 
