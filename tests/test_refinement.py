@@ -23,9 +23,11 @@ from skylamp.backends import select
 from skylamp.light import horizon, unoccluded
 from skylamp.light.base import Estimate
 from skylamp.light.finite import solid_of
+from skylamp.light.line import lights_of
 from skylamp.planning.sky import SkyPlanner
 from skylamp.radiometry import polygon_moment
 from skylamp.samples import Errors, Samples, errors
+from skylamp.sources.integrals import integrals
 from skylamp.sources.solids import Ball, rectangle, upright
 
 SIZE = 72
@@ -627,6 +629,27 @@ def test_a_slit_before_a_sun(fast, width, points):
     assert math.sqrt((off**2).sum() / out.image.size) <= 0.01, out.plan.steps
     assert not any("Tolerance" in text for text in out.warnings)  # few nodes have the light: they are a tail
     assert out.image[~near].max() < 20 * np.median(out.image)
+
+
+def test_lights_of_a_thin_source_add_up():
+    """Suns one in another and one apart; each is 0 outside its cone. Four alike take two cones' points."""
+    rng = np.random.default_rng(5)
+    suns = [(towards(40, 50), 4, 80.0), (towards(41, 51), 1, 900.0), (towards(-60, 30), 2, 300.0)]
+    brightness = lambda L: 1 + sum(b * (L @ s > np.cos(np.radians(r))) for s, r, b in suns)
+    lights = lights_of(brightness, integrals(sl.Sky(brightness), 0.01, True).bright_parts)
+    assert len(lights) >= 3
+    L = np.concatenate([s + 0.1 * rng.standard_normal((20_000, 3)) for s, _, _ in suns])
+    L[:, 2] = np.minimum(L[:, 2], 0)
+    L /= np.linalg.norm(L, axis=1)[:, None]
+    whole = sum(light.brightness(L.reshape(100, -1, 3)) for light in lights)
+    assert np.allclose(whole.ravel(), brightness(L), rtol=1e-12)
+    for light in lights[1:]:
+        outside = L @ (light.cone[0] * (1, 1, -1)) < math.sqrt(1 - light.cone[1] ** 2) - 1e-9
+        assert outside.any() and not light.brightness(L)[outside].any() and light.brightness(L).any()
+    turned = [(towards(a, 40), 1, 100.0) for a in (0, 90, 180, 270)]
+    even = lambda L: 1 + sum(b * (L @ s > np.cos(np.radians(r))) for s, r, b in turned)
+    alike = lights_of(even, integrals(sl.Sky(even), 0.01, True).bright_parts)[1:]
+    assert len(alike) == 4 and sum(light.points for light in alike) == pytest.approx(2, rel=1e-3)
 
 
 @pytest.mark.slow

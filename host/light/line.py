@@ -14,7 +14,7 @@ from ..backends.base import Backend
 from ..constants import STEEP
 from ..samples import Samples, samples_of
 from ..scene import Scene
-from ..sources.integrals import GOLDEN, R2_STEPS, BrightPart, without
+from ..sources.integrals import GOLDEN, R2_STEPS, BrightPart, cut, without
 from ..sources.solids import Dome, Quad
 from .base import HostImage
 from .slices import Slices
@@ -31,22 +31,54 @@ Cone = tuple[np.ndarray, float]  # its axis, a unit vector with z upwards, and t
 
 
 class Light(NamedTuple):
-    """A brightness, and the cone outside of which it is 0, within which its points are taken."""
+    """A brightness, and the cone outside of which it is 0, within which its points are taken; how many, over
+    those of a cone that is alone.
+    """
 
     brightness: sources.Brightness
     cone: Cone | None = None
+    points: float = 1.0
 
 
 def lights_of(brightness: sources.Brightness, parts: Sequence[BrightPart]) -> tuple[Light, ...]:
     """What a brightness is the sum of: what is left without small bright parts, and what each adds to it."""
     parts = sorted(parts, key=lambda part: -part.limit)  # the brightest first: parts may lie within others
 
-    def added(L: np.ndarray, n: int) -> np.ndarray:
-        light: np.ndarray = without(brightness, parts[:n], L) - without(brightness, parts[: n + 1], L)
+    def added(L: np.ndarray, n: int, near: list[BrightPart]) -> np.ndarray:
+        before = without(brightness, near, L)
+        after = before.flatten()
+        cut(after, parts[n], L.reshape(-1, 3).T)
+        light: np.ndarray = before - after.reshape(before.shape)
         return light
 
     rest = Light(partial(without, brightness, parts) if parts else brightness)
-    return rest, *(Light(partial(added, n=n), part.cone) for n, part in enumerate(parts))
+    points = _point_shares(np.array([part.power for part in parts]))
+    return rest, *(
+        Light(partial(added, n=n, near=[p for p in parts[:n] if _meet(p, part)]), part.cone, points[n])
+        for n, part in enumerate(parts)
+    )
+
+
+def _meet(part: BrightPart, other: BrightPart) -> bool:
+    """Whether their cones have directions in common."""
+    (axis, sine), (other_axis, other_sine) = part.cone, other.cone
+    return math.acos(min(1.0, float(axis @ other_axis))) <= math.asin(sine) + math.asin(other_sine)
+
+
+def _point_shares(power: np.ndarray) -> np.ndarray:
+    """Points in cones of this light, over those of a cone that is alone, so that the error is the same.
+
+    Derived: if errors are independent and as light over points, and rays cost the same, then that is the
+    least number of rays for an error.
+    """
+    powers = (power / power.sum()) ** (2 / 3)
+    shares: np.ndarray = powers * np.sqrt(powers.sum())
+    return shares
+
+
+def _points_in_cone(light: Light, count: int) -> int:
+    """Points in a light's cone where the line has ``count``."""
+    return math.ceil(CONE_POINTS * count * light.points)
 
 
 class Line(NamedTuple):
@@ -153,8 +185,8 @@ def _rays(
 def at_samples(samples: Samples, quad: Quad, lights: Sequence[Light], count: int) -> np.ndarray:
     """Irradiance (nodes,) of a thin quadrangle [spacings], whose brightness is the sum of ``lights``.
 
-    By exact rays to ``count`` points of its line, and CONE_POINTS times as many in a cone: on so many strips
-    that they lie as far apart across the quadrangle as along it.
+    By exact rays to ``count`` points of its line, and more in a cone (:func:`_points_in_cone`): on so many
+    strips that they lie as far apart across the quadrangle as along it.
     """
     line, total = line_of(quad), np.zeros(len(samples))
     at = np.stack([samples.x, samples.y, samples.own]).astype(float)
@@ -166,8 +198,9 @@ def at_samples(samples: Samples, quad: Quad, lights: Sequence[Light], count: int
         strips, points = 1, count
         if light.cone is not None:
             across = line.width / (2 * light.cone[1] * float(np.median(nodes.distance[lit])))
-            strips = max(1, round(math.sqrt(CONE_POINTS * count * across)))
-            points = -(-CONE_POINTS * count // strips)
+            total_points = _points_in_cone(light, count)
+            strips = max(1, round(math.sqrt(total_points * across)))
+            points = -(-total_points // strips)
         batch = max(BATCH, RAYS_AT_ONCE // len(lit))
         for n, strip in enumerate([line] if light.cone is None else line.strips(strips)):
             # points that differ from node to node: at the same ones all would miss the same of an edge
@@ -225,7 +258,7 @@ class LinePoints(HostImage):
                 lit = np.nonzero(seen)
                 samples.set_nodes(*lit[::-1])
                 total[lit] += at_samples(samples, self.quad, [light], count)
-                self.ray_count += CONE_POINTS * count * len(samples)
+                self.ray_count += _points_in_cone(light, count) * len(samples)
                 continue
             for first in range(0, count, BATCH):
                 some = np.arange(first, first + BATCH)
