@@ -36,7 +36,7 @@ BALL_SLICES, QUAD_SLICES = (8, 16, 32, 64), (32, 64)
 # points along a thin source; and the apparent width [rad], 0.3 degrees, below which a source is computed as a
 # line. That neglects how brightness varies across it: its curvature times the squared width over 24. Chosen;
 # with half and twice the median and the largest error of 16 panels, windows and lamps at 1 % stay the same
-LINE_COUNTS, LINE_WIDTH = (32, 64, 128, 256, 512), 5e-3
+LINE_COUNTS, LINE_WIDTH = (16, 32, 64, 128, 256, 512), 5e-3
 EXACT_MULTIPLE = 4  # times the slices of an image: those of the exact light that judges it
 # largest azimuth [rad] that a small bright part behind a window may span: slices, which are placed within the
 # window, resolve wider ones
@@ -78,6 +78,8 @@ class FinitePlanner(UnitsPlanner):
     apparent: float  # mean apparent radius [rad] of that sphere
     sky: Integrals | None = None  # of a brightness that varies
     parts_taken: str  # how small bright parts are taken, in the plan's words
+    # rays from every node to the source along which a brightness that varies is taken, 0: by units
+    rays_per_node = 0
     exact: np.ndarray
 
     def choose(self) -> None:
@@ -97,109 +99,48 @@ class FinitePlanner(UnitsPlanner):
             most = sources.radiance(sources.Sky(brightness), Hemicube(9).directions).max()
             samples.least = DARK * float(self._unoccluded(1, float(most)).mean())
         self.uniform = uniform_light(samples)
-        self._choose_light()
-
-    @abstractmethod
-    def _choose_light(self) -> None:
-        """Choose how the light is taken, and its units."""
-
-    @abstractmethod
-    def _light_taken(self) -> tuple[str, str]:
-        """How the light is taken, and why, in the plan's words."""
-
-    @abstractmethod
-    def _brightness_taken(self) -> tuple[str, str]:
-        """How a brightness that varies is taken, and why, in the plan's words."""
-
-    def _unoccluded(self, rays_per_node: int, brightness: sources.Brightness | None = None) -> np.ndarray:
-        """Light at the samples in closed form, its brightness along so many rays from each."""
-        at, solid = self.samples, self.solid
-        brightness = self.source.brightness if brightness is None else brightness
-        elements = at.gx, at.gy, at.x, at.y, at.own.astype(float)
-        return unoccluded.lamp(*elements, solid, brightness, rays_per_node).astype(float)
-
-    def choices(self) -> Iterator[Choice]:
-        if self.closed:
-            yield Choice("occlusion", "none", "every node looks at all of the source")
-        else:
-            yield Choice("occlusion", "by ground", "ground may stand before the source")
-        taken, why = self._light_taken()
-        why = f"its angular radius is {np.degrees(self.apparent):.2g} degrees on average; {why}".rstrip("; ")
-        yield Choice("lamp" if isinstance(self.source, sources.Lamp) else "window", taken, why)
-        varies = callable(self.source.brightness)
-        yield Choice("brightness", *(self._brightness_taken() if varies else ("constant", "it is a number")))
-        parts = self.sky.bright_parts if self.sky is not None and not self.closed else ()
-        if parts:
-            yield Choice("bright parts", f"{len(parts)}", self.parts_taken)
-        yield Choice("search radius", "up to the source", "what lies behind it hides nothing")
-
-
-class SlicePlanner(FinitePlanner):
-    """A closed form where every node looks at all of the source, else slices."""
-
-    # rays from every node to the source along which a brightness that varies is taken, 0: along the chords of
-    # slices
-    rays_per_node = 0
-    bright: float | np.ndarray = 0.0  # light of small bright parts behind a window
-    smooth: sources.Brightness  # brightness without these
-    by_slices: dict[tuple[int, int], np.ndarray]  # light at the samples by slices and points of each chord
-    parts_taken = "seen through the window in azimuths of their own"
-
-    def _choose_light(self) -> None:
-        self.smooth, self.by_slices = self.source.brightness, {}
-        if callable(self.smooth) and isinstance(self.source, sources.Window):
-            self._set_parts_apart()
-        self.set_exact_light(EXACT_MULTIPLE * BALL_SLICES[0])
+        self._prepare()
         if not self._fits_closed_form():
-            self._take_slices()
+            self._take_units()
 
-    def _set_parts_apart(self) -> None:
-        """Integrate the sky behind a window; the light of its small bright parts, and the rest."""
-        there, source = self.scene.on(self.engine), self.source
-        window = solid_of(self.scene, source, there.step / self.scene.spacing, there.step)
-        assert isinstance(window, Quad), "a window of which something is left is a quadrangle"
-        wide, scale = widened(window, there)
-        assert isinstance(wide, Quad), "widening keeps the kind of solid"
-        seen = outline(wide, there.step)
-        self.sky = integrals(sources.Sky(source.brightness), self.tolerance, True, WINDOWED_PART)
-        if self.sky.bright_parts:
-            self.smooth = partial(without, source.brightness, self.sky.bright_parts)
-            self.bright = scale * sum(
-                self.samples.sectors(*spot.sectors(_exact_sectors(spot, seen, self.samples)), seen)
-                for spot in self.sky.bright_parts
-            )
+    @abstractmethod
+    def _prepare(self) -> None:
+        """Set what the light at the samples needs, and exact light that a closed form is held against."""
 
-    def _take_slices(self) -> None:
-        """Choose slices, and how brightness is taken: along few rays to a small lamp, else along chords."""
-        self.method_class, self.rays_per_node = Sliced, 0
-        if callable(self.source.brightness):
-            if isinstance(self.source, sources.Lamp) and self.apparent < NARROW_RADIUS:
-                self.rays_per_node = RAYS[0]
-            elif self.sky is None:
-                self.sky = integrals(sources.Sky(self.source.brightness), math.inf, True)
-            self.tables_error = 0.0 if self.rays_per_node else TABLES_ERROR
-        counts = BALL_SLICES if isinstance(self.solid, Ball) else QUAD_SLICES
-        self.choose_units((EXACT_MULTIPLE * count, [count]) for count in counts)
+    @abstractmethod
+    def _take_units(self) -> None:
+        """Choose the method that is no closed form, and its units."""
 
-    def set_exact_light(self, units: int) -> None:
-        # half of the points along chords too: they meet a brightness's edges by chance
-        coarse, self.exact = self._through(units // 2, CHORD_POINTS // 2), self._through(units, CHORD_POINTS)
-        self.exact_error = EXACT_ERROR_RATIO * self.samples.errors(coarse, self.exact).rms
+    @abstractmethod
+    def _refinable(self) -> LightMethod:
+        """That method, with its first image."""
 
-    def light_by(self, units: int) -> np.ndarray:
-        # of a quadrangle that looks small the kernel takes half of the slices
-        return self._through(units // 2 if isinstance(self.solid, Quad) else units, CHORD_POINTS)
+    @abstractmethod
+    def _units_taken(self) -> tuple[str, str]:
+        """Its units, and why they serve, in the plan's words."""
 
-    def _through(self, count: int, chord_points: int) -> np.ndarray:
-        """Light at the samples through ``count`` slices, and that of small bright parts.
+    @abstractmethod
+    def _brightness_along(self) -> tuple[str, str]:
+        """How it takes a brightness that varies, and why, in the plan's words."""
 
-        A brightness that varies is taken at ``chord_points`` of the chord of every slice.
-        """
-        key = count, chord_points if callable(self.smooth) else 0
-        if key not in self.by_slices:
-            through = self.samples.through_slices(self.solid, self.smooth, count, points=chord_points)
-            self.by_slices[key] = through + self.bright
-        return self.by_slices[key]
+    def make(self) -> LightMethod:
+        if not self.closed:
+            return self._refinable()
+        scene, brightness, rays = self.scene, self.source.brightness, self.rays_per_node
+        fine, *coarse = (
+            unoccluded.image(scene, self.solid, brightness, n)
+            for n in ((rays, rays // 4) if rays > 1 else (1,))
+        )
+        return ClosedForm(scene, fine, coarse[0] if coarse else None, rays if callable(brightness) else 0)
+
+    def refine(self, is_mostly_common: bool) -> bool:
+        if not self.closed:
+            return super().refine(is_mostly_common)
+        self.rays_per_node *= 4
+        if self.rays_per_node > most_rays(self.scene):
+            self._take_units()
+        self.method = self.make()
+        return True
 
     def _fits_closed_form(self) -> bool:
         """Whether every node sees all of the source, also over the walls of a dark box."""
@@ -241,59 +182,138 @@ class SlicePlanner(FinitePlanner):
 
         return all(by_bands(face, self.scene.shape))
 
-    def make(self) -> LightMethod:
-        scene, source = self.scene, self.source
-        if self.closed:
-            rays = self.rays_per_node
-            fine, *coarse = (
-                unoccluded.image(scene, self.solid, source.brightness, n)
-                for n in ((rays, rays // 4) if rays > 1 else (1,))
-            )
-            units = rays if callable(source.brightness) else 0
-            return ClosedForm(scene, fine, coarse[0] if coarse else None, units)
-        step = scene.on(self.engine).step
-        solid = solid_of(scene, source, step / scene.spacing, step)
-        assert solid is not None, "HiddenWindowPlanner takes a window of which nothing is left"
-        sky = None if self.rays_per_node else self.sky
-        return Sliced(self.engine, scene, source, solid, self.units, self.rays_per_node, sky)
-
-    def refine(self, is_mostly_common: bool) -> bool:
-        if not self.closed:
-            return super().refine(is_mostly_common)
-        self.rays_per_node *= 4
-        if self.rays_per_node > most_rays(self.scene):
-            self._take_slices()
-        self.method = self.make()
-        return True
-
     def _light_taken(self) -> tuple[str, str]:
+        """How the light is taken, and why, in the plan's words."""
         if not self.closed:
-            return f"{self.units} slices", ""
+            return self._units_taken()
         off = float(point_error(np.sin(self.apparent), 1.0))
         shape = "a sphere, closed form" if isinstance(self.solid, Ball) else "a polygon, closed form"
         taken = "a point" if off <= POINT_SHARE * self.tolerance else shape
         return taken, f"as a point, a disc of that size has an error of {percent(off)}"
 
     def _brightness_taken(self) -> tuple[str, str]:
-        if self.rays_per_node:
-            rays = "1 ray" if self.rays_per_node == 1 else f"{self.rays_per_node} rays"
-            return f"along {rays}", "it varies little across the source"
+        """How a brightness that varies is taken, and why, in the plan's words."""
+        if not self.rays_per_node:
+            return self._brightness_along()
+        rays = "1 ray" if self.rays_per_node == 1 else f"{self.rays_per_node} rays"
+        return f"along {rays}", "it varies little across the source"
+
+    def _unoccluded(self, rays_per_node: int, brightness: sources.Brightness | None = None) -> np.ndarray:
+        """Light at the samples in closed form, its brightness along so many rays from each."""
+        at, solid = self.samples, self.solid
+        brightness = self.source.brightness if brightness is None else brightness
+        elements = at.gx, at.gy, at.x, at.y, at.own.astype(float)
+        return unoccluded.lamp(*elements, solid, brightness, rays_per_node).astype(float)
+
+    def choices(self) -> Iterator[Choice]:
+        if self.closed:
+            yield Choice("occlusion", "none", "every node looks at all of the source")
+        else:
+            yield Choice("occlusion", "by ground", "ground may stand before the source")
+        taken, why = self._light_taken()
+        why = f"its angular radius is {np.degrees(self.apparent):.2g} degrees on average; {why}".rstrip("; ")
+        yield Choice("lamp" if isinstance(self.source, sources.Lamp) else "window", taken, why)
+        varies = callable(self.source.brightness)
+        yield Choice("brightness", *(self._brightness_taken() if varies else ("constant", "it is a number")))
+        parts = self.sky.bright_parts if self.sky is not None and not self.closed else ()
+        if parts:
+            yield Choice("bright parts", f"{len(parts)}", self.parts_taken)
+        yield Choice("search radius", "up to the source", "what lies behind it hides nothing")
+
+
+class SlicePlanner(FinitePlanner):
+    """A closed form where every node looks at all of the source, else slices."""
+
+    bright: float | np.ndarray = 0.0  # light of small bright parts behind a window
+    smooth: sources.Brightness  # brightness without these
+    by_slices: dict[tuple[int, int], np.ndarray]  # light at the samples by slices and points of each chord
+    parts_taken = "seen through the window in azimuths of their own"
+
+    def _prepare(self) -> None:
+        self.smooth, self.by_slices = self.source.brightness, {}
+        if callable(self.smooth) and isinstance(self.source, sources.Window):
+            self._set_parts_apart()
+        self.set_exact_light(EXACT_MULTIPLE * BALL_SLICES[0])
+
+    def _set_parts_apart(self) -> None:
+        """Integrate the sky behind a window; the light of its small bright parts, and the rest."""
+        there, source = self.scene.on(self.engine), self.source
+        window = solid_of(self.scene, source, there.step / self.scene.spacing, there.step)
+        assert isinstance(window, Quad), "a window of which something is left is a quadrangle"
+        wide, scale = widened(window, there)
+        assert isinstance(wide, Quad), "widening keeps the kind of solid"
+        seen = outline(wide, there.step)
+        self.sky = integrals(sources.Sky(source.brightness), self.tolerance, True, WINDOWED_PART)
+        if self.sky.bright_parts:
+            self.smooth = partial(without, source.brightness, self.sky.bright_parts)
+            self.bright = scale * sum(
+                self.samples.sectors(*spot.sectors(_exact_sectors(spot, seen, self.samples)), seen)
+                for spot in self.sky.bright_parts
+            )
+
+    def _take_units(self) -> None:
+        """Choose slices, and how brightness is taken: along few rays to a small lamp, else along chords."""
+        self.method_class, self.rays_per_node = Sliced, 0
+        if callable(self.source.brightness):
+            if isinstance(self.source, sources.Lamp) and self.apparent < NARROW_RADIUS:
+                self.rays_per_node = RAYS[0]
+            elif self.sky is None:
+                self.sky = integrals(sources.Sky(self.source.brightness), math.inf, True)
+            self.tables_error = 0.0 if self.rays_per_node else TABLES_ERROR
+        counts = BALL_SLICES if isinstance(self.solid, Ball) else QUAD_SLICES
+        self.choose_units((EXACT_MULTIPLE * count, [count]) for count in counts)
+
+    def set_exact_light(self, units: int) -> None:
+        # half of the points along chords too: they meet a brightness's edges by chance
+        coarse, self.exact = self._through(units // 2, CHORD_POINTS // 2), self._through(units, CHORD_POINTS)
+        self.exact_error = EXACT_ERROR_RATIO * self.samples.errors(coarse, self.exact).rms
+
+    def light_by(self, units: int) -> np.ndarray:
+        # of a quadrangle that looks small the kernel takes half of the slices
+        return self._through(units // 2 if isinstance(self.solid, Quad) else units, CHORD_POINTS)
+
+    def _through(self, count: int, chord_points: int) -> np.ndarray:
+        """Light at the samples through ``count`` slices, and that of small bright parts.
+
+        A brightness that varies is taken at ``chord_points`` of the chord of every slice.
+        """
+        key = count, chord_points if callable(self.smooth) else 0
+        if key not in self.by_slices:
+            through = self.samples.through_slices(self.solid, self.smooth, count, points=chord_points)
+            self.by_slices[key] = through + self.bright
+        return self.by_slices[key]
+
+    def _refinable(self) -> LightMethod:
+        scene, source = self.scene, self.source
+        step = scene.on(self.engine).step
+        solid = solid_of(scene, source, step / scene.spacing, step)
+        assert solid is not None, "HiddenWindowPlanner takes a window of which nothing is left"
+        sky = None if self.rays_per_node else self.sky
+        return Sliced(self.engine, scene, source, solid, self.units, self.rays_per_node, sky)
+
+    def _units_taken(self) -> tuple[str, str]:
+        return f"{self.units} slices", ""
+
+    def _brightness_along(self) -> tuple[str, str]:
         return "along every chord", "integrated"
 
 
 class LinePlanner(FinitePlanner):
-    """A thin source: points of the line through its middle."""
+    """A thin source: a closed form, else points of the line through its middle."""
 
-    method_class = LinePoints
     lights: tuple[Light, ...]  # that its brightness is the sum of
     by_points: dict[int, np.ndarray]  # light at the samples by numbers of points
     parts_taken = "points of the line within each, besides those along all of it"
 
-    def _choose_light(self) -> None:
+    def _prepare(self) -> None:
         self.by_points, brightness = {}, self.source.brightness
         if callable(brightness):
             self.sky = integrals(sources.Sky(brightness), self.tolerance, True, WINDOWED_PART)
         self.lights = lights_of(brightness, self.sky.bright_parts if self.sky else ())
+        self.set_exact_light(EXACT_MULTIPLE * LINE_COUNTS[0])
+
+    def _take_units(self) -> None:
+        self.method_class = LinePoints
         self.choose_units((EXACT_MULTIPLE * count, [count]) for count in LINE_COUNTS)
 
     def set_exact_light(self, units: int) -> None:
@@ -306,18 +326,18 @@ class LinePlanner(FinitePlanner):
             self.by_points[units] = at_samples(self.samples, self.solid, self.lights, units)
         return self.by_points[units]
 
-    def make(self) -> LinePoints:
+    def _refinable(self) -> LightMethod:
         assert isinstance(self.solid, Quad), "balls are not thin"
         return LinePoints(self.engine, self.scene, self.solid, self.lights, self.units)
 
     def refine(self, is_mostly_common: bool) -> bool:
-        assert isinstance(self.method, LinePoints), "of this planner"
-        return 2 * self.method.ray_count <= MOST_RAY_EVALUATIONS and super().refine(is_mostly_common)
+        rays = self.method.ray_count if isinstance(self.method, LinePoints) else 0
+        return 2 * rays <= MOST_RAY_EVALUATIONS and super().refine(is_mostly_common)
 
-    def _light_taken(self) -> tuple[str, str]:
+    def _units_taken(self) -> tuple[str, str]:
         return f"{self.units} points", "it is a line to every node"
 
-    def _brightness_taken(self) -> tuple[str, str]:
+    def _brightness_along(self) -> tuple[str, str]:
         return f"along {self.units} rays", "one to every point"
 
 
@@ -327,7 +347,7 @@ def looks_thin(scene: Scene, source: sources.Lamp | sources.Window, engine: Back
     walled = isinstance(source, sources.Lamp) and scene.sides == "dark"
     if not isinstance(solid, Quad) or walled or scene.resident is not None:
         return False
-    if LINE_COUNTS[2] * math.prod(scene.shape) > MOST_RAY_EVALUATIONS:
+    if LINE_COUNTS[3] * math.prod(scene.shape) > MOST_RAY_EVALUATIONS:
         return False
     middle = np.asarray(solid.corners, float).mean(0)
     distance = float(np.median(_distances(middle, samples_of(engine, scene, SAMPLE_COUNT))))
