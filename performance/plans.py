@@ -273,6 +273,8 @@ def kinds_of(scene, source) -> list[str]:
         return ["unoccluded", "slices"]
     brightness = sources.distribution_of(source)
     has_disc = brightness is not None and brightness.disc() is not None  # of the sun, which no lattice takes
+    if has_disc and scene.sides == "periodic":
+        return []  # no method takes it that is asked for by name
     return ["unoccluded", "horizon"] if has_disc else ["unoccluded", "horizon", "lattice"]
 
 
