@@ -7,6 +7,9 @@ coarsest grid, as small ones do, only if their relief is too strong to be found 
 
 With light between surfaces, starts from flat surfaces often end in a wrong surface. That search goes on from
 the answer by direct light.
+
+What remains wrong is often one peak that is taken for a pit, or a ridge for a furrow. So the relief of the
+answer is mirrored, at two sizes, and is another start.
 """
 
 from __future__ import annotations
@@ -32,6 +35,9 @@ CLEARLY = 0.9  # the same when answers are compared, where one is expected
 CONFINED = (0.9, 0.75)  # quantiles of the first answer's depth that bound the other answers
 ALIKE = 0.05  # rms distance [nodes] below which two surfaces are one answer
 FOLLOWED = 8.0  # times the first answer's objective on a coarser grid: other starts above it are given up
+# times that means of 3 x 3, twice, are taken of a surface, round which its relief is mirrored: these have
+# standard deviations of 2 and 4 nodes; and the most rounds of it
+MIRRORED, MIRROR_ROUNDS = (3, 12), 3
 LEAST_MISFIT = 1e-12  # of a neighbourhood, where the weights of a mosaic would divide by zero
 RIVAL = 6.0  # times the objective of the answer: other surfaces above it are no rivals
 # in which light between surfaces is taken from the images, before and after a mosaic, and on the finest grid
@@ -133,7 +139,7 @@ def start_stronger(search: Search) -> None:
 def start_direct(search: Search) -> None:
     """From the answer by direct light, round by round: what the present surface sends to itself is taken from
     the images, and direct light explains the rest. The surface of each round is a start with all light; the
-    best of these answers is the answer, and the rivals are those of direct light.
+    best of these answers is the answer, and the rivals of direct light are rivals.
     """
     direct, level = search.direct, search.level
     assert direct is not None and direct.pyramid.best is not None, "there is no answer by direct light"
@@ -222,12 +228,31 @@ def compare(search: Search) -> None:
     join(search)
 
 
+def start_mirrored(search: Search) -> None:
+    """From the best answer with its relief mirrored, concave for convex: again while that explains the images
+    clearly better.
+    """
+    for _ in range(MIRROR_ROUNDS):
+        best = _best(search.answers)
+        for times in MIRRORED:
+            middle = best.depth
+            for _ in range(times):
+                middle = blurred(middle)
+            start = 2 * middle - best.depth
+            search.pyramid.set_prior(search.level, on_coarser_grid(start))
+            search.answers.append(search.multigrid.settle(search.level, start))
+            search.check_time()
+        join(search)
+        if _best(search.answers).objective > CLEARLY * best.objective:
+            break
+
+
 def choose(search: Search) -> None:
     """The first answer, unless another one explains the images clearly better; the rest are its rivals."""
     first, best = search.answers[0], _best(search.answers)
     answer = best if best.objective < (BETTER if search.several else CLEARLY) * first.objective else first
     power = 1 if search.several else 2
-    search.rivals = [
+    search.rivals += [
         Rival(other.depth - answer.depth, min(1, answer.objective / other.objective) ** power)
         for other in search.answers
         if other is not answer and other.objective < RIVAL * answer.objective
@@ -253,11 +278,18 @@ STAGES: tuple[Callable[[Search], None], ...] = (
     start_shallower,
     join,
     compare,
+    start_mirrored,
     choose,
     polish,
     refine,
 )
-STAGES_BETWEEN: tuple[Callable[[Search], None], ...] = (start_direct, polish, refine)
+STAGES_BETWEEN: tuple[Callable[[Search], None], ...] = (
+    start_direct,
+    start_mirrored,
+    choose,
+    polish,
+    refine,
+)
 
 
 def _best(answers: list[Solution]) -> Solution:
