@@ -145,6 +145,7 @@ INGREDIENTS = {
     "mosaic before answers are compared": Ingredient([without_stage(search.join)], BOTH),
     "mosaic after answers were compared": Ingredient([(search, "join", NOTHING)], BOTH),
     "several compared": Ingredient([without_stage(search.compare, _best_alone)], BOTH),
+    "mirrored starts": Ingredient([without_stage(search.start_mirrored)], BOTH),
     "directed": Ingredient([(recover, "_directed", lambda light: False)], BOTH, is_spot),
     "strong relief": Ingredient([without_stage(search.start_stronger)], DEPTH, is_large),
     "polish": Ingredient([without_stage(search.polish, _accepted)]),
