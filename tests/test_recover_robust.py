@@ -21,6 +21,7 @@ from skylamp.inverse.finer_model import refit_of
 from skylamp.inverse.multigrid import Multigrid
 from skylamp.inverse.posterior import posterior_deviation
 from skylamp.inverse.pyramid import Pyramid
+from skylamp.inverse.resampling import blurred
 
 SMALL = SIZE = 32  # half the size of performance/recover.py: a layer here is two there
 LAYERS = 32
@@ -129,6 +130,31 @@ def test_a_mosaic_takes_every_place_from_the_surface_that_fits_there(fast, monke
     search.join(work)
     joined, away = work.answers[2].depth, np.abs(np.arange(SMALL) - (SMALL - 1) / 2) > 4
     assert rms((joined - depth)[:, away]) < 0.1 and rms(joined - depth) < 0.5
+
+
+@pytest.mark.parametrize("name, kind", [("egg-crate", "sky"), ("face", "sky")])
+def test_relief_that_is_wrong_in_one_place_is_mirrored(fast, name, kind):
+    """Round the strongest relief a peak is taken for a pit. From there the same solver does not return, but
+    from the mirrored relief it does.
+    """
+    depth, image = pair(name, kind)
+    middle = np.asarray(depth, float)
+    for _ in range(6):
+        middle = blurred(middle)
+    row, col = np.unravel_index(np.argmax(np.abs(middle - depth)[4:-4, 4:-4]), (SMALL - 8, SMALL - 8))
+    y, x = np.mgrid[:SMALL, :SMALL]
+    there = np.exp(-((y - row - 4) ** 2 + (x - col - 4) ** 2) / (2 * 3.5**2))
+    work = search.Search(Multigrid(_pyramid(fast, image, kind)), False)
+    work.level = 0
+    wrong = work.multigrid.settle(0, depth + 2 * there * (middle - depth))
+    wrong = work.multigrid.settle(0, wrong.depth)
+    assert rms(wrong.depth - depth) > 0.4
+    work.answers = [wrong]
+    search.start_mirrored(work)
+    best = min(work.answers, key=lambda answer: answer.objective)
+    assert rms(best.depth - depth) < 0.15 and best.objective < 0.2 * wrong.objective
+    search.choose(work)
+    assert work.answers[0] is best
 
 
 def test_what_is_polished_has_no_prior_of_what_was_tried_last(fast):
