@@ -138,9 +138,7 @@ def test_relief_that_is_wrong_in_one_place_is_mirrored(fast, name, kind):
     from the mirrored relief it does.
     """
     depth, image = pair(name, kind)
-    middle = np.asarray(depth, float)
-    for _ in range(6):
-        middle = blurred(middle)
+    middle = blurred(np.asarray(depth, float), 6)
     row, col = np.unravel_index(np.argmax(np.abs(middle - depth)[4:-4, 4:-4]), (SMALL - 8, SMALL - 8))
     y, x = np.mgrid[:SMALL, :SMALL]
     there = np.exp(-((y - row - 4) ** 2 + (x - col - 4) ** 2) / (2 * 3.5**2))

@@ -595,6 +595,20 @@ def test_thin_sources(fast, ground, kind):
         np.testing.assert_allclose(samples.of(out.image), exact, rtol=0.01)
 
 
+@pytest.mark.parametrize("width, closed", [(1e-2, True), (1e-4, False)])
+def test_a_thin_panel_that_every_node_sees(fast, width, closed):
+    """A closed form, but not where float32 does not hold its width: that is 1.4 % off."""
+    scene, (corner, u, v) = (
+        sl.Scene(np.full((48, 48), 15.0)),
+        ((12.0, 20.3, -1.0), (20.0, 0, 0), (0, width, 0)),
+    )
+    out = irradiance(scene, sl.Lamp(corner=corner, edges=(u, v)), fast, tolerance=0.003)
+    samples = Samples(select(fast), scene, 80, 100_003)
+    exact = through(samples, *sheet(corner, u, v, 4000, 1), 1.0)
+    assert (out.plan.method == "unoccluded") == closed and not out.warnings
+    assert errors(samples.of(out.image), exact).rms <= 0.001
+
+
 def test_a_wall_along_a_thin_panel_hides_half_of_its_width(fast):
     """A row of nodes lies in the penumbra, 0.01 spacings wide: the line of its middle is seen or not."""
     depth = np.full((64, 64), 14.0)
@@ -649,7 +663,7 @@ def test_lights_of_a_thin_source_add_up():
     turned = [(towards(a, 40), 1, 100.0) for a in (0, 90, 180, 270)]
     even = lambda L: 1 + sum(b * (L @ s > np.cos(np.radians(r))) for s, r, b in turned)
     alike = lights_of(even, integrals(sl.Sky(even), 0.01, True).bright_parts)[1:]
-    assert len(alike) == 4 and sum(light.points for light in alike) == pytest.approx(2, rel=1e-3)
+    assert len(alike) == 4 and sum(light.point_share for light in alike) == pytest.approx(2, rel=1e-3)
 
 
 @pytest.mark.slow

@@ -211,7 +211,7 @@ def misfit_around(pyramid: Pyramid, level: int, z: np.ndarray) -> np.ndarray:
     """Mean squares of model - image around every node, plus those of noise and of the least model error."""
     squares = (pyramid.problem(level).irradiances(z)[0] - pyramid.images[level][0]) ** 2
     least: float = MODEL_ERROR**2 + (pyramid.noise * 0.5**level) ** 2
-    return blurred(blurred(blurred(squares))) + least
+    return blurred(squares, 3) + least
 
 
 def disturbed(pyramid: Pyramid, level: int, z: np.ndarray, share: float) -> list[np.ndarray]:

@@ -46,10 +46,10 @@ def cubic(values: np.ndarray, times: int) -> np.ndarray:
     return values
 
 
-def blurred(values: np.ndarray) -> np.ndarray:
-    """Means of 3 x 3, twice."""
+def blurred(values: np.ndarray, times: int = 1) -> np.ndarray:
+    """Means of 3 x 3, twice, ``times`` times: a standard deviation of 1.15 nodes, times the root of that."""
     rows, cols = values.shape
-    for _ in range(2):
+    for _ in range(2 * times):
         padded = np.pad(values, 1, mode="edge")
         parts = (padded[i : i + rows, j : j + cols] for i in range(3) for j in range(3))
         values = sum(parts, np.zeros((rows, cols), values.dtype)) / 9

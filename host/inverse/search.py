@@ -35,8 +35,7 @@ CLEARLY = 0.9  # the same when answers are compared, where one is expected
 CONFINED = (0.9, 0.75)  # quantiles of the first answer's depth that bound the other answers
 ALIKE = 0.05  # rms distance [nodes] below which two surfaces are one answer
 FOLLOWED = 8.0  # times the first answer's objective on a coarser grid: other starts above it are given up
-# times that means of 3 x 3, twice, are taken of a surface, round which its relief is mirrored: these have
-# standard deviations of 2 and 4 nodes; and the most rounds of it
+# blurs of the surfaces round which relief is mirrored, 2 and 4 nodes wide; and the most rounds of it
 MIRRORED, MIRROR_ROUNDS = (3, 12), 3
 LEAST_MISFIT = 1e-12  # of a neighbourhood, where the weights of a mosaic would divide by zero
 RIVAL = 6.0  # times the objective of the answer: other surfaces above it are no rivals
@@ -139,7 +138,7 @@ def start_stronger(search: Search) -> None:
 def start_direct(search: Search) -> None:
     """From the answer by direct light, round by round: what the present surface sends to itself is taken from
     the images, and direct light explains the rest. The surface of each round is a start with all light; the
-    best of these answers is the answer, and the rivals of direct light are rivals.
+    best of these answers is the answer. What rivals the answer by direct light also rivals this one.
     """
     direct, level = search.direct, search.level
     assert direct is not None and direct.pyramid.best is not None, "there is no answer by direct light"
@@ -205,7 +204,7 @@ def _of_mosaic(search: Search, level: int, answers: list[Solution]) -> Solution:
     problem, images, misfits = pyramid.problem(level), pyramid.images[level], []
     for answer in answers:
         squares = [(light - t) ** 2 for light, t in zip(problem.irradiances(answer.depth), images)]
-        misfits.append(blurred(blurred(np.sum(squares, 0))) + LEAST_MISFIT)
+        misfits.append(blurred(np.sum(squares, 0), 2) + LEAST_MISFIT)
     least = np.min(misfits, 0)
     shares = [blurred((least / misfit) ** 2) for misfit in misfits]
     mosaic = np.sum([share * answer.depth for share, answer in zip(shares, answers)], 0) / np.sum(shares, 0)
@@ -235,10 +234,7 @@ def start_mirrored(search: Search) -> None:
     for _ in range(MIRROR_ROUNDS):
         best = _best(search.answers)
         for times in MIRRORED:
-            middle = best.depth
-            for _ in range(times):
-                middle = blurred(middle)
-            start = 2 * middle - best.depth
+            start = 2 * blurred(best.depth, times) - best.depth
             search.pyramid.set_prior(search.level, on_coarser_grid(start))
             search.answers.append(search.multigrid.settle(search.level, start))
             search.check_time()

@@ -31,13 +31,13 @@ Cone = tuple[np.ndarray, float]  # its axis, a unit vector with z upwards, and t
 
 
 class Light(NamedTuple):
-    """A brightness, and the cone outside of which it is 0, within which its points are taken; how many, over
-    those of a cone that is alone.
+    """A brightness; the cone outside of which it is 0, within which its points are taken; and the number of
+    these over that of a single cone.
     """
 
     brightness: sources.Brightness
     cone: Cone | None = None
-    points: float = 1.0
+    point_share: float = 1.0
 
 
 def lights_of(brightness: sources.Brightness, parts: Sequence[BrightPart]) -> tuple[Light, ...]:
@@ -46,15 +46,13 @@ def lights_of(brightness: sources.Brightness, parts: Sequence[BrightPart]) -> tu
 
     def added(L: np.ndarray, n: int, near: list[BrightPart]) -> np.ndarray:
         before = without(brightness, near, L)
-        after = before.flatten()
-        cut(after, parts[n], L.reshape(-1, 3).T)
-        light: np.ndarray = before - after.reshape(before.shape)
+        light: np.ndarray = before - cut(before, [parts[n]], L)
         return light
 
     rest = Light(partial(without, brightness, parts) if parts else brightness)
-    points = _point_shares(np.array([part.power for part in parts]))
+    shares = _point_shares(np.array([part.power for part in parts]))
     return rest, *(
-        Light(partial(added, n=n, near=[p for p in parts[:n] if _meet(p, part)]), part.cone, points[n])
+        Light(partial(added, n=n, near=[p for p in parts[:n] if _meet(p, part)]), part.cone, shares[n])
         for n, part in enumerate(parts)
     )
 
@@ -62,14 +60,14 @@ def lights_of(brightness: sources.Brightness, parts: Sequence[BrightPart]) -> tu
 def _meet(part: BrightPart, other: BrightPart) -> bool:
     """Whether their cones have directions in common."""
     (axis, sine), (other_axis, other_sine) = part.cone, other.cone
-    return math.acos(min(1.0, float(axis @ other_axis))) <= math.asin(sine) + math.asin(other_sine)
+    return float(axis @ other_axis) >= math.cos(math.asin(sine) + math.asin(other_sine))
 
 
 def _point_shares(power: np.ndarray) -> np.ndarray:
-    """Points in cones of this light, over those of a cone that is alone, so that the error is the same.
+    """Points in each of several cones of this power, over those of a single cone, for the same error of all.
 
-    Derived: if errors are independent and as light over points, and rays cost the same, then that is the
-    least number of rays for an error.
+    Derived: where errors are independent and in proportion to light over points, and rays cost the same, no
+    other shares have so few rays.
     """
     powers = (power / power.sum()) ** (2 / 3)
     shares: np.ndarray = powers * np.sqrt(powers.sum())
@@ -78,7 +76,7 @@ def _point_shares(power: np.ndarray) -> np.ndarray:
 
 def _points_in_cone(light: Light, count: int) -> int:
     """Points in a light's cone where the line has ``count``."""
-    return math.ceil(CONE_POINTS * count * light.points)
+    return math.ceil(CONE_POINTS * count * light.point_share)
 
 
 class Line(NamedTuple):

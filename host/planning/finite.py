@@ -35,8 +35,11 @@ SAMPLE_COUNT = 256  # nodes; chosen, fewer than of a sky: shadows are sharper, a
 BALL_SLICES, QUAD_SLICES = (8, 16, 32, 64), (32, 64)
 # points along a thin source; and the apparent width [rad], 0.3 degrees, below which a source is computed as a
 # line. That neglects how brightness varies across it: its curvature times the squared width over 24. Chosen;
-# with half and twice the median and the largest error of 16 panels, windows and lamps at 1 % stay the same
+# with half and twice the median and the largest error of 16 panels, windows and lamps at 1 % stay the same.
+# With 8 points at first two panels of a spacing and less take longer, since few nodes near them are refined
+# for, and with 32 too (performance/refinement.py --times --seed 7744 --size 512 --only 7, and 9)
 LINE_COUNTS, LINE_WIDTH = (16, 32, 64, 128, 256, 512), 5e-3
+LEAST_REACHED = 128  # points that every node of a map must have within MOST_RAY_EVALUATIONS; chosen
 EXACT_MULTIPLE = 4  # times the slices of an image: those of the exact light that judges it
 # largest azimuth [rad] that a small bright part behind a window may span: slices, which are placed within the
 # window, resolve wider ones
@@ -101,31 +104,31 @@ class FinitePlanner(UnitsPlanner):
         self.uniform = uniform_light(samples)
         self._prepare()
         if not self._fits_closed_form():
-            self._take_units()
+            self._choose_refinable()
 
     @abstractmethod
     def _prepare(self) -> None:
         """Set what the light at the samples needs, and exact light that a closed form is held against."""
 
     @abstractmethod
-    def _take_units(self) -> None:
-        """Choose the method that is no closed form, and its units."""
+    def _choose_refinable(self) -> None:
+        """Choose the method that serves where a closed form does not, and its units."""
 
     @abstractmethod
-    def _refinable(self) -> LightMethod:
-        """That method, with its first image."""
+    def _make_refinable(self) -> LightMethod:
+        """That method, which can be refined, with its first image."""
 
     @abstractmethod
-    def _units_taken(self) -> tuple[str, str]:
+    def _units_in_words(self) -> tuple[str, str]:
         """Its units, and why they serve, in the plan's words."""
 
     @abstractmethod
-    def _brightness_along(self) -> tuple[str, str]:
+    def _brightness_in_words(self) -> tuple[str, str]:
         """How it takes a brightness that varies, and why, in the plan's words."""
 
     def make(self) -> LightMethod:
         if not self.closed:
-            return self._refinable()
+            return self._make_refinable()
         scene, brightness, rays = self.scene, self.source.brightness, self.rays_per_node
         fine, *coarse = (
             unoccluded.image(scene, self.solid, brightness, n)
@@ -138,7 +141,7 @@ class FinitePlanner(UnitsPlanner):
             return super().refine(is_mostly_common)
         self.rays_per_node *= 4
         if self.rays_per_node > most_rays(self.scene):
-            self._take_units()
+            self._choose_refinable()
         self.method = self.make()
         return True
 
@@ -185,7 +188,7 @@ class FinitePlanner(UnitsPlanner):
     def _light_taken(self) -> tuple[str, str]:
         """How the light is taken, and why, in the plan's words."""
         if not self.closed:
-            return self._units_taken()
+            return self._units_in_words()
         off = float(point_error(np.sin(self.apparent), 1.0))
         shape = "a sphere, closed form" if isinstance(self.solid, Ball) else "a polygon, closed form"
         taken = "a point" if off <= POINT_SHARE * self.tolerance else shape
@@ -194,7 +197,7 @@ class FinitePlanner(UnitsPlanner):
     def _brightness_taken(self) -> tuple[str, str]:
         """How a brightness that varies is taken, and why, in the plan's words."""
         if not self.rays_per_node:
-            return self._brightness_along()
+            return self._brightness_in_words()
         rays = "1 ray" if self.rays_per_node == 1 else f"{self.rays_per_node} rays"
         return f"along {rays}", "it varies little across the source"
 
@@ -251,7 +254,7 @@ class SlicePlanner(FinitePlanner):
                 for spot in self.sky.bright_parts
             )
 
-    def _take_units(self) -> None:
+    def _choose_refinable(self) -> None:
         """Choose slices, and how brightness is taken: along few rays to a small lamp, else along chords."""
         self.method_class, self.rays_per_node = Sliced, 0
         if callable(self.source.brightness):
@@ -283,7 +286,7 @@ class SlicePlanner(FinitePlanner):
             self.by_slices[key] = through + self.bright
         return self.by_slices[key]
 
-    def _refinable(self) -> LightMethod:
+    def _make_refinable(self) -> LightMethod:
         scene, source = self.scene, self.source
         step = scene.on(self.engine).step
         solid = solid_of(scene, source, step / scene.spacing, step)
@@ -291,15 +294,17 @@ class SlicePlanner(FinitePlanner):
         sky = None if self.rays_per_node else self.sky
         return Sliced(self.engine, scene, source, solid, self.units, self.rays_per_node, sky)
 
-    def _units_taken(self) -> tuple[str, str]:
+    def _units_in_words(self) -> tuple[str, str]:
         return f"{self.units} slices", ""
 
-    def _brightness_along(self) -> tuple[str, str]:
+    def _brightness_in_words(self) -> tuple[str, str]:
         return "along every chord", "integrated"
 
 
 class LinePlanner(FinitePlanner):
-    """A thin source: a closed form, else points of the line through its middle."""
+    """A thin source: a closed form, where every node looks at all of it and float32 holds its width; else
+    points of the line through its middle.
+    """
 
     lights: tuple[Light, ...]  # that its brightness is the sum of
     by_points: dict[int, np.ndarray]  # light at the samples by numbers of points
@@ -312,7 +317,7 @@ class LinePlanner(FinitePlanner):
         self.lights = lights_of(brightness, self.sky.bright_parts if self.sky else ())
         self.set_exact_light(EXACT_MULTIPLE * LINE_COUNTS[0])
 
-    def _take_units(self) -> None:
+    def _choose_refinable(self) -> None:
         self.method_class = LinePoints
         self.choose_units((EXACT_MULTIPLE * count, [count]) for count in LINE_COUNTS)
 
@@ -326,7 +331,7 @@ class LinePlanner(FinitePlanner):
             self.by_points[units] = at_samples(self.samples, self.solid, self.lights, units)
         return self.by_points[units]
 
-    def _refinable(self) -> LightMethod:
+    def _make_refinable(self) -> LightMethod:
         assert isinstance(self.solid, Quad), "balls are not thin"
         return LinePoints(self.engine, self.scene, self.solid, self.lights, self.units)
 
@@ -334,10 +339,10 @@ class LinePlanner(FinitePlanner):
         rays = self.method.ray_count if isinstance(self.method, LinePoints) else 0
         return 2 * rays <= MOST_RAY_EVALUATIONS and super().refine(is_mostly_common)
 
-    def _units_taken(self) -> tuple[str, str]:
+    def _units_in_words(self) -> tuple[str, str]:
         return f"{self.units} points", "it is a line to every node"
 
-    def _brightness_along(self) -> tuple[str, str]:
+    def _brightness_in_words(self) -> tuple[str, str]:
         return f"along {self.units} rays", "one to every point"
 
 
@@ -347,7 +352,7 @@ def looks_thin(scene: Scene, source: sources.Lamp | sources.Window, engine: Back
     walled = isinstance(source, sources.Lamp) and scene.sides == "dark"
     if not isinstance(solid, Quad) or walled or scene.resident is not None:
         return False
-    if LINE_COUNTS[3] * math.prod(scene.shape) > MOST_RAY_EVALUATIONS:
+    if LEAST_REACHED * math.prod(scene.shape) > MOST_RAY_EVALUATIONS:
         return False
     middle = np.asarray(solid.corners, float).mean(0)
     distance = float(np.median(_distances(middle, samples_of(engine, scene, SAMPLE_COUNT))))

@@ -460,26 +460,22 @@ def integrals(
 
 def without(brightness: sources.Brightness, parts: Sequence[BrightPart], L: np.ndarray) -> np.ndarray:
     """The brightness towards ``L`` (..., 3), cut within small bright parts at the level where they begin."""
-    values = sources.radiance(sources.Sky(brightness), L)
-    if not parts:
-        return values
-    flat, ways = np.array(values).ravel(), L.reshape(-1, 3)
+    return cut(sources.radiance(sources.Sky(brightness), L), parts, L)
+
+
+def cut(values: np.ndarray, parts: Sequence[BrightPart], L: np.ndarray) -> np.ndarray:
+    """Brightness ``values`` (...) towards ``L`` (..., 3), cut as in :func:`without`."""
+    flat, ways = values.flatten(), L.reshape(-1, 3)
     for first in range(0, len(flat), CUT_AT_ONCE):
         some = slice(first, first + CUT_AT_ONCE)
-        at_once = np.ascontiguousarray(ways[some].T)
+        x, y, z = np.ascontiguousarray(ways[some].T)
+        here = flat[some]
         for part in parts:
-            cut(flat[some], part, at_once)
+            middle, sine = part.cone
+            cosine = x * middle[0] + y * middle[1] - z * middle[2]
+            within = np.flatnonzero(cosine > math.sqrt(1 - sine * sine))
+            here[within] = np.minimum(here[within], part.limit)
     return flat.reshape(values.shape)
-
-
-def cut(values: np.ndarray, part: BrightPart, L: np.ndarray) -> None:
-    """Cut brightness ``values`` (n,) towards ``L`` (3, n) within a part, at the level where it begins."""
-    (x, y, z), sine = part.cone
-    cosine = L[0] * x
-    cosine += L[1] * y
-    cosine -= L[2] * z
-    within = np.flatnonzero(cosine > math.sqrt(1 - sine * sine))
-    values[within] = np.minimum(values[within], part.limit)
 
 
 def chords(sky: Integrals, turns: int, knots: int) -> np.ndarray:
