@@ -36,8 +36,8 @@ BALL_SLICES, QUAD_SLICES = (8, 16, 32, 64), (32, 64)
 # points along a thin source; and the apparent width [rad], 0.3 degrees, below which a source is computed as a
 # line. That neglects how brightness varies across it: its curvature times the squared width over 24. Chosen;
 # with half and twice the median and the largest error of 16 panels, windows and lamps at 1 % stay the same.
-# Two panels of less than a spacing, 512 x 512 at 1 %, take 2.4 and 1.7 s with 8 points at first, whose tail is
-# refined, 2.3 and 1.6 s with 16, 3.2 and 3.1 s with 32 (performance/pairs.py, seed 7744, pairs 9 and 7)
+# Two panels of less than a spacing, 512 x 512 at 1 %, take 2.4 and 1.7 s with 8 points at first, since their
+# tail is refined, 2.3 and 1.6 s with 16, 3.2 and 3.1 s with 32 (performance/pairs.py, seed 7744, 9 and 7)
 LINE_COUNTS, LINE_WIDTH = (16, 32, 64, 128, 256, 512), 5e-3
 LEAST_REACHED = 128  # points that every node of a map must have within MOST_RAY_EVALUATIONS; chosen
 EXACT_MULTIPLE = 4  # times the slices of an image: those of the exact light that judges it
