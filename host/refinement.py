@@ -257,11 +257,14 @@ def assess(planner: Planner, method: LightMethod) -> Assessment:
     ratio = min(error / sampled, MOST_ERROR_RATIO) if sampled > 0 else ASSUMED_ERROR_RATIO
     estimate = method.estimate(planner.tail * planner.mean / max(ratio, ASSUMED_ERROR_RATIO))
     assert estimate is not None, "a method with a half difference has an estimate"
-    if math.isfinite(planner.mean):  # else no sample is lit, and the image's own mean is all that is known
-        # from the image's mean over its lit nodes to the exact light's over its own: an image is 0 at nodes
-        # whose light is next to nothing, and its mean over the others is larger
-        lit = max(1, int((method.at(samples) > 0).sum()))
-        estimate = estimate._replace(rms=estimate.rms * float(exact.sum()) / lit / planner.mean)
+    mean = estimate.mean
+    if (exact > 0).any():
+        # over the nodes that exact rays light: an image is 0 at nodes whose light is next to nothing
+        mean *= max(1, int((method.at(samples) > 0).sum())) / int((exact > 0).sum())
+    if mean > planner.mean == samples.least:  # all samples lie beside the light
+        samples.least = mean
+        return assess(planner, method)
+    estimate = estimate._replace(rms=estimate.rms * estimate.mean / max(mean, samples.least))
     # share of the mean square over all nodes that the samples see
     seen = min(1.0, SEEN * (sampled / estimate.rms) ** 2) if estimate.rms > 0 else 1.0
     common = math.sqrt(max(0.0, error**2 - (ratio * sampled) ** 2))

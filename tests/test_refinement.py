@@ -799,7 +799,7 @@ def test_error_that_samples_miss(missed, ratio):
     """Samples tell a half difference's error ratio; where only few other nodes have one, it is one half."""
     ones = np.ones(100)
     planner = SimpleNamespace(
-        samples=SimpleNamespace(errors=errors),
+        samples=SimpleNamespace(errors=errors, least=0.0),
         exact=ones,
         audit=lambda method: 0.002,
         exact_error=0.0,
@@ -810,7 +810,7 @@ def test_error_that_samples_miss(missed, ratio):
     method = SimpleNamespace(
         at=lambda samples: ones,
         half_difference_at=lambda samples: 0.01 * ones,
-        estimate=lambda limit: Estimate(math.hypot(0.01, missed), 0.0),
+        estimate=lambda limit: Estimate(math.hypot(0.01, missed), 0.0, 1.0),
     )
     found = refinement.assess(planner, method)
     assert found.error_ratio == pytest.approx(ratio, rel=0.01)

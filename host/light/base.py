@@ -27,10 +27,13 @@ SUMMED_ROWS, MOST_SUMS = 64, 16
 
 
 class Estimate(NamedTuple):
-    """Of the half difference, over the image's mean: RMS, and share of nodes beyond a limit."""
+    """Of the half difference: RMS over the image's mean, and share of nodes beyond a limit; and that mean, over
+    the nodes that the image lights, in the irradiance's unit.
+    """
 
     rms: float
     tail_share: float
+    mean: float
 
 
 class Later:
@@ -109,7 +112,8 @@ def estimated(
     lit = image > 0
     mean = float(image.sum(dtype=np.float64)) / lit.sum() if lit.any() else 1e-30
     rms = math.sqrt(float(np.square(half_difference, dtype=np.float64).mean()))
-    return Estimate(rms / mean, np.count_nonzero(np.abs(half_difference) > limit) / half_difference.size)
+    beyond = np.count_nonzero(np.abs(half_difference) > limit)
+    return Estimate(rms / mean, beyond / half_difference.size, mean)
 
 
 class HostImage(LightMethod):
@@ -143,7 +147,8 @@ def judged(
     half_difference: Array,
     limit: float,
 ) -> Estimate:
-    """The estimate by an image and its half difference (rows x cols) on a device; ``limit`` in their unit.
+    """The estimate by an image and its half difference (rows x cols) on a device; ``limit`` in their unit,
+    in which is the mean.
 
     ``heights``: with ``margin`` nodes on all sides; masked heights mark nodes that do not count.
     """
@@ -167,4 +172,4 @@ def judged(
     )
     light, square, valid, lit, beyond = engine.download(sums).reshape(5, -1).sum(1, dtype=np.float64).tolist()
     mean = light / lit if lit and light > 0 else 1e-30
-    return Estimate(math.sqrt(square / valid) / mean, beyond / valid)
+    return Estimate(math.sqrt(square / valid) / mean, beyond / valid, mean)

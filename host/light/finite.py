@@ -247,6 +247,7 @@ class Sliced(LightMethod):
 
     def estimate(self, limit: float) -> Estimate | None:
         if not self.factors:
-            images = self.mean, self._half_difference
-            return judged(self.engine, self.scene.shape, self.there.heights(), 0, *images, limit / self.scale)
+            images, heights = (self.mean, self._half_difference), self.there.heights()
+            found = judged(self.engine, self.scene.shape, heights, 0, *images, limit / self.scale)
+            return found._replace(mean=found.mean * self.scale)
         return estimated(self.irradiance(), self.half_difference()(), self.scene.mask, limit)

@@ -153,8 +153,10 @@ class Horizons(LightMethod):
 
     def estimate(self, limit: float) -> Estimate:
         limit = limit / self.scale if self.scale else math.inf
+        images = self.mean, self._half_difference
         heights, margin = self.sweeps.heights, self.sweeps.margin
-        return judged(self.engine, self.scene.shape, heights, margin, self.mean, self._half_difference, limit)
+        found = judged(self.engine, self.scene.shape, heights, margin, *images, limit)
+        return found._replace(mean=found.mean * self.scale)
 
 
 def _scaled(image: np.ndarray, scale: float) -> np.ndarray:

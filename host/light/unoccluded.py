@@ -150,11 +150,50 @@ def _of_normals(gx: np.ndarray, gy: np.ndarray, table: np.ndarray, light: Integr
 def above_plane(gx: Values, gy: Values, x: Values, y: Values, z: Values, sine: Values) -> np.ndarray:
     """Whether the tangent plane of a surface of slope (gx, gy) hides no part of a disc.
 
-    The disc is round the direction (x, y, z), z upwards, and ``sine`` is that of its angular radius. Where
-    this holds at all nodes, the ground occludes the disc at none: no ray to it meets ground again.
+    The disc is round the direction (x, y, z), z upwards, and ``sine`` is that of its angular radius.
     """
     clear: np.ndarray = gx * x + gy * y + z >= sine * np.sqrt(1 + gx * gx + gy * gy)
     return clear
+
+
+def faces(scene: Scene, places: np.ndarray, radius: float, rows: slice = slice(None)) -> bool:
+    """Whether all ground of some ``rows`` faces balls of ``radius`` round ``places`` (n, 3) [spacings].
+
+    Ground lies on the edges between neighbouring nodes, so each slope that it has at a node counts: a cliff
+    is steeper than a central difference says. Where all rows face the balls, the ground occludes no part of
+    them at any node: a ray to them would meet ground that turns away.
+    """
+    (left, right), (above, below) = _edge_slopes(scene, rows)
+    deep = scene.depth[rows] / np.float32(scene.spacing)
+    steepest = 1 + np.maximum(left * left, right * right) + np.maximum(above * above, below * below)
+    across, down = (np.arange(n, dtype=np.float32) for n in scene.shape[::-1])
+    clear = True
+    for place in np.asarray(places, np.float32):
+        x, y, z = place[0] - across, place[1] - down[rows, None], place[2] + deep
+        tilt = np.minimum(left * x, right * x) + np.minimum(above * y, below * y) + z
+        clear = clear and bool((tilt >= np.float32(radius) * np.sqrt(steepest)).all())
+    return clear
+
+
+def _edge_slopes(scene: Scene, rows: slice) -> tuple[tuple[np.ndarray, ...], ...]:
+    """d depth/dx to the left and to the right of nodes of some ``rows``, and d depth/dy above and below them,
+    each (n, cols) float32; at a border that does not repeat, one of them twice. Of a map without a mask.
+    """
+    first, stop, _ = rows.indices(scene.shape[0])
+    periodic = scene.sides == "periodic"
+    at = np.arange(first - 1, stop + 1)
+    around = scene.depth[at % scene.shape[0] if periodic else np.clip(at, 0, scene.shape[0] - 1)]
+    around = around / np.float32(scene.spacing)
+    down, wide = np.diff(around, axis=0), np.pad(around[1:-1], ((0, 0), (1, 1)), "wrap" if periodic else "edge")
+    across = np.diff(wide, axis=1)
+    if not periodic:
+        if scene.shape[1] > 1:
+            across[:, 0], across[:, -1] = across[:, 1], across[:, -2]
+        if first == 0 and scene.shape[0] > 1:
+            down[0] = down[1]
+        if stop == scene.shape[0] and scene.shape[0] > 1:
+            down[-1] = down[-2]
+    return (across[:, :-1], across[:, 1:]), (down[:-1], down[1:])
 
 
 def lamp(

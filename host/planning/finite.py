@@ -39,6 +39,9 @@ BALL_SLICES, QUAD_SLICES = (8, 16, 32, 64), (32, 64)
 # Two panels of less than a spacing, 512 x 512 at 1 %, take 2.4 and 1.7 s with 8 points at first, since their
 # tail is refined, 2.3 and 1.6 s with 16, 3.2 and 3.1 s with 32 (performance/pairs.py, seed 7744, 9 and 7)
 LINE_COUNTS, LINE_WIDTH = (16, 32, 64, 128, 256, 512), 5e-3
+# the same at the node nearest to it. Derived: an evenly bright strip is a 24th of the square of this, or 4e-4,
+# darker than a line
+NEAREST_LINE_WIDTH = 0.1
 LEAST_REACHED = 128  # points that every node of a map must have within MOST_RAY_EVALUATIONS; chosen
 EXACT_MULTIPLE = 4  # times the slices of an image: those of the exact light that judges it
 # largest azimuth [rad] that a small bright part behind a window may span: slices, which are placed within the
@@ -50,6 +53,10 @@ WINDOWED_PART = math.radians(5)
 EXACT_SECTORS, MOST_EXACT_SECTORS = 127, 1021
 # apparent radius [rad] of a lamp below which rays sample its brightness: six cells of a table of brightness
 NARROW_RADIUS = 0.02
+# apparent radius [rad] of a source, 0.1 degrees, at the node nearest to it, to which its brightness is taken
+# along one ray. Derived: of cos^p it is then p / 4 times the square of this too large in the middle of the
+# spot, or 7e-4 for p = 900
+ONE_RAY_RADIUS = math.radians(0.1)
 # least mean irradiance to which errors are relative, as a share of the mean light of the same source if it
 # were unoccluded and everywhere as bright as in its brightest direction; chosen: a thousandth of what an
 # 8-bit image shows under the beam itself; with half and twice the errors of 15 lamps and windows at 1 % stay
@@ -146,7 +153,11 @@ class FinitePlanner(UnitsPlanner):
         return True
 
     def _fits_closed_form(self) -> bool:
-        """Whether every node sees all of the source, also over the walls of a dark box."""
+        """Whether every node sees all of the source, also over the walls of a dark box, in which no small
+        bright part lights nodes that the samples are not.
+        """
+        if self.sky is not None and self.sky.bright_parts:
+            return False
         if self.scene.sides == "dark":
             corners = (
                 [self.middle - self.radius, self.middle + self.radius]
@@ -156,8 +167,13 @@ class FinitePlanner(UnitsPlanner):
             low, high = np.min(corners, 0)[:2], np.max(corners, 0)[:2]
             if not ((low >= -0.5).all() and (high <= np.array(self.scene.shape[::-1]) - 0.5).all()):
                 return False
-        most = most_rays(self.scene) if callable(self.source.brightness) else 0
-        for rays_per_node in (1, *(rays for rays in RAYS if rays <= most)):
+        counts: tuple[int, ...] = (1,)
+        if callable(self.source.brightness):
+            # two numbers of rays tell the error at all nodes; the samples may lie beside all light
+            by_one = self.radius <= ONE_RAY_RADIUS * _nearest(self.scene, self.middle, self.middle)
+            most = most_rays(self.scene)
+            counts = (*counts[: int(by_one)], *(rays for rays in RAYS if rays <= most))
+        for rays_per_node in counts:
             errors = self.samples.errors(self._unoccluded(rays_per_node), self.exact)
             if self.fits(errors) and self._faces_source():
                 self.expected, self.rays_per_node = errors, rays_per_node
@@ -165,25 +181,13 @@ class FinitePlanner(UnitsPlanner):
         return False
 
     def _faces_source(self) -> bool:
-        """Whether every node's tangent plane lies below all of the source: the samples' first, then all."""
+        """Whether all ground faces all of the source: the samples' tangent planes first, then every node."""
         at, radius = self.samples, self.radius if isinstance(self.solid, Ball) else 0.0
         x, y, z = self.middle[:, None] - np.stack([at.x, at.y, at.own])
         if self.scene.mask is not None or not unoccluded.above_plane(at.gx, at.gy, x, y, z, radius).all():
             return False
-        across, down = (np.arange(n, dtype=np.float32) for n in self.scene.shape[::-1])
-        places = np.asarray([self.middle] if isinstance(self.solid, Ball) else self.solid.corners, np.float32)
-
-        def face(rows: slice) -> bool:
-            gx, gy = unoccluded.gradients(self.scene, rows)
-            deep = self.scene.depth[rows] / np.float32(self.scene.spacing)
-            return all(
-                unoccluded.above_plane(
-                    gx, gy, x - across, y - down[rows, None], z + deep, np.float32(radius)
-                ).all()
-                for x, y, z in places
-            )
-
-        return all(by_bands(face, self.scene.shape))
+        places = np.array([self.middle] if isinstance(self.solid, Ball) else self.solid.corners)
+        return all(by_bands(partial(unoccluded.faces, self.scene, places, radius), self.scene.shape))
 
     def _light_taken(self) -> tuple[str, str]:
         """How the light is taken, and why, in the plan's words."""
@@ -354,9 +358,26 @@ def looks_thin(scene: Scene, source: sources.Lamp | sources.Window, engine: Back
         return False
     if LEAST_REACHED * math.prod(scene.shape) > MOST_RAY_EVALUATIONS:
         return False
-    middle = np.asarray(solid.corners, float).mean(0)
+    middle, line = np.asarray(solid.corners, float).mean(0), line_of(solid)
     distance = float(np.median(_distances(middle, samples_of(engine, scene, SAMPLE_COUNT))))
-    return line_of(solid).width < LINE_WIDTH * distance
+    if not line.width < LINE_WIDTH * distance:
+        return False
+    return line.width < NEAREST_LINE_WIDTH * _nearest(scene, line.begin, line.end)
+
+
+def _nearest(scene: Scene, begin: np.ndarray, end: np.ndarray) -> float:
+    """Distance from a line between two places (3,) to the node that is nearest to it, in spacings."""
+    axis, across = (end - begin).astype(np.float32), np.arange(scene.shape[1], dtype=np.float32)
+    square = np.float32(max(float(axis @ axis), 1e-30))
+
+    def nearest(rows: slice) -> float:
+        x, y = across - np.float32(begin[0]), np.arange(*rows.indices(scene.shape[0]))[:, None] - begin[1]
+        z = scene.depth[rows] / np.float32(-scene.spacing) - np.float32(begin[2])
+        along = np.clip((x * axis[0] + y.astype(np.float32) * axis[1] + z * axis[2]) / square, 0, 1)
+        away = (x - along * axis[0]) ** 2 + (y - along * axis[1]) ** 2 + (z - along * axis[2]) ** 2
+        return math.sqrt(float(np.fmin.reduce(away, axis=None)))
+
+    return min(by_bands(nearest, scene.shape))
 
 
 def _distances(middle: np.ndarray, samples: Samples) -> np.ndarray:
