@@ -624,6 +624,41 @@ def test_a_wall_along_a_thin_panel_hides_half_of_its_width(fast):
     assert math.sqrt(np.mean((out.image[28] - exact) ** 2) / 64) <= 0.01 * out.image.mean()
 
 
+def test_a_beam_through_a_slit_that_every_node_sees(fast):
+    """The sun's light falls on few nodes of a tilted plane, beside all samples that choose the method."""
+    s, r = towards(70, 25), np.radians(0.3)
+    light = lambda L: 1 + 1e5 * (L @ s > np.cos(r))
+    depth = 10 + 0.21 * np.arange(128.0)[:, None] + np.zeros((128, 128))
+    out = irradiance(sl.Scene(depth), sl.Window((64.985, 65.015), (40.0, 80.0), light), fast)
+    x = np.arange(128) - depth * s[0] / s[2]
+    samples = Samples(select(fast), sl.Scene(depth), 1)
+    samples.set_nodes(*np.nonzero(np.abs(x - 65) < 0.2)[::-1])
+    exact = through(samples, *sheet((64.985, 40.0, 0.0), (0, 40.0, 0), (0.03, 0, 0), 10_000, 8), light)
+    lit = exact > 20 * np.median(out.image)
+    assert 2 < lit.sum() < 20
+    np.testing.assert_allclose(samples.of(out.image)[lit], exact[lit], rtol=0.1)
+
+
+@pytest.mark.parametrize("power", [20, 100])
+def test_a_spotlight_beside_all_samples(fast, power):
+    """A panel so near to level ground that its light falls on some nodes of many, within 1 % of the peak."""
+    corner, u, v = (50.3, 60.2, -3.0), (1.0, 0, 0), (0, 1.0, 0)
+    light, scene = sl.cosine_power(power), sl.Scene(np.zeros((192, 192)))
+    out = irradiance(scene, sl.Lamp(corner=corner, edges=(u, v), brightness=light), fast)
+    samples = Samples(select(fast), scene, 1)
+    samples.set_nodes(*(a.ravel() for a in np.meshgrid(np.arange(48, 54), np.arange(58, 64))))
+    exact = through(samples, *sheet(corner, u, v, 100, 100), light)
+    assert np.abs(samples.of(out.image) - exact).max() <= 0.01 * exact.max()
+
+
+def test_a_pit_too_small_for_samples_is_dark_at_its_wall(fast):
+    """Its wall is 5.3 spacings high between two nodes: by central differences all ground faces the lamp."""
+    depth = np.full((64, 64), 20.0)
+    depth[30:33, 32:36] = 25.3
+    out = irradiance(sl.Scene(depth), sl.Lamp(center=(22.0, 31.0, -20.0), radius=0.1), fast)
+    assert (out.image[30:33, 32] == 0).all() and (out.image[30:33, 33:36] > 0).all()
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("width, points", [(0.1, (20_000, 32)), (1e-4, (120_000, 6))])
 def test_a_slit_before_a_sun(fast, width, points):
