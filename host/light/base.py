@@ -27,8 +27,9 @@ SUMMED_ROWS, MOST_SUMS = 64, 16
 
 
 class Estimate(NamedTuple):
-    """Of the half difference: RMS over the image's mean, and share of nodes beyond a limit; and that mean, over
-    the nodes that the image lights, in the irradiance's unit.
+    """Of the half difference: RMS over the image's mean, and share of nodes beyond a limit.
+
+    mean: of the image, over the nodes that it lights, in the irradiance's unit.
     """
 
     rms: float

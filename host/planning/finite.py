@@ -39,8 +39,8 @@ BALL_SLICES, QUAD_SLICES = (8, 16, 32, 64), (32, 64)
 # Two panels of less than a spacing, 512 x 512 at 1 %, take 2.4 and 1.7 s with 8 points at first, since their
 # tail is refined, 2.3 and 1.6 s with 16, 3.2 and 3.1 s with 32 (performance/pairs.py, seed 7744, 9 and 7)
 LINE_COUNTS, LINE_WIDTH = (16, 32, 64, 128, 256, 512), 5e-3
-# the same at the node nearest to it. Derived: an evenly bright strip is a 24th of the square of this, or 4e-4,
-# darker than a line
+# the same at the node nearest to it [rad]. Derived: an evenly bright strip is a 24th of the square of this,
+# or 4e-4, darker than a line
 NEAREST_LINE_WIDTH = 0.1
 LEAST_REACHED = 128  # points that every node of a map must have within MOST_RAY_EVALUATIONS; chosen
 EXACT_MULTIPLE = 4  # times the slices of an image: those of the exact light that judges it
