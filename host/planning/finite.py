@@ -167,18 +167,24 @@ class FinitePlanner(UnitsPlanner):
             low, high = np.min(corners, 0)[:2], np.max(corners, 0)[:2]
             if not ((low >= -0.5).all() and (high <= np.array(self.scene.shape[::-1]) - 0.5).all()):
                 return False
-        counts: tuple[int, ...] = (1,)
-        if callable(self.source.brightness):
-            # two numbers of rays tell the error at all nodes; the samples may lie beside all light
-            by_one = self.radius <= ONE_RAY_RADIUS * _nearest(self.scene, self.middle, self.middle)
-            most = most_rays(self.scene)
-            counts = (*counts[: int(by_one)], *(rays for rays in RAYS if rays <= most))
-        for rays_per_node in counts:
+        varies = callable(self.source.brightness)
+        most = most_rays(self.scene) if varies else 0
+        for rays_per_node in (1, *(rays for rays in RAYS if rays <= most)):
             errors = self.samples.errors(self._unoccluded(rays_per_node), self.exact)
-            if self.fits(errors) and self._faces_source():
-                self.expected, self.rays_per_node = errors, rays_per_node
-                return True
+            if not self.fits(errors) or (varies and rays_per_node == 1 and not self._looks_small()):
+                continue
+            if not self._faces_source():
+                break
+            self.expected, self.rays_per_node = errors, rays_per_node
+            return True
         return False
+
+    def _looks_small(self) -> bool:
+        """Whether one ray suffices from every node.
+
+        Else two numbers of rays tell the error at all nodes, since the samples may lie beside the light.
+        """
+        return self.radius <= ONE_RAY_RADIUS * _nearest(self.scene, self.middle, self.middle)
 
     def _faces_source(self) -> bool:
         """Whether all ground faces all of the source: the samples' tangent planes first, then every node."""
