@@ -249,7 +249,8 @@ def assess(planner: Planner, method: LightMethod) -> Assessment:
     itself, up to ASSUMED_ERROR_RATIO times the half difference, is a lower bound of the image's. Error above
     MOST_ERROR_RATIO times the half difference is common to both halves. Where the half difference is far
     larger over all nodes than at the samples, the excess belongs to few nodes that the samples miss; its
-    ratio is ASSUMED_ERROR_RATIO.
+    ratio is ASSUMED_ERROR_RATIO. Where the samples lie beside most of the light, ``samples.least`` becomes
+    the image's own mean.
     """
     samples, exact = planner.samples, planner.exact
     audit = planner.audit(method)
@@ -262,10 +263,10 @@ def assess(planner: Planner, method: LightMethod) -> Assessment:
     ratio = min(error / sampled, MOST_ERROR_RATIO) if sampled > 0 else ASSUMED_ERROR_RATIO
     estimate = method.estimate(planner.tail * planner.mean / max(ratio, ASSUMED_ERROR_RATIO))
     assert estimate is not None, "a method with a half difference has an estimate"
-    mean = estimate.mean
-    if (exact > 0).any():
+    mean, lit = estimate.mean, int((exact > 0).sum())
+    if lit:
         # over the nodes that exact rays light: an image is 0 at nodes whose light is next to nothing
-        mean *= max(1, int((method.at(samples) > 0).sum())) / int((exact > 0).sum())
+        mean *= max(1, int((method.at(samples) > 0).sum())) / lit
     if mean > UNSEEN_LIGHT * planner.mean:  # the samples lie beside the light
         samples.least = mean
         return assess(planner, method)

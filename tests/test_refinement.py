@@ -18,12 +18,13 @@ import scenes
 from compare import assert_bits_equal
 
 import skylamp as sl
-from skylamp import oracle, refinement, sources
+from skylamp import arrays, oracle, refinement, sources
 from skylamp.backends import select
 from skylamp.light import horizon, unoccluded
 from skylamp.light.base import Estimate
 from skylamp.light.finite import solid_of
 from skylamp.light.line import lights_of
+from skylamp.planning import finite
 from skylamp.planning.sky import SkyPlanner
 from skylamp.radiometry import polygon_moment
 from skylamp.samples import Errors, Samples, errors
@@ -639,16 +640,35 @@ def test_a_beam_through_a_slit_that_every_node_sees(fast):
     np.testing.assert_allclose(samples.of(out.image)[lit], exact[lit], rtol=0.1)
 
 
-@pytest.mark.parametrize("power", [20, 100])
-def test_a_spotlight_beside_all_samples(fast, power):
+def test_a_spotlight_beside_all_samples(fast):
     """A panel so near to level ground that its light falls on some nodes of many, within 1 % of the peak."""
     corner, u, v = (50.3, 60.2, -3.0), (1.0, 0, 0), (0, 1.0, 0)
-    light, scene = sl.cosine_power(power), sl.Scene(np.zeros((192, 192)))
+    light, scene = sl.cosine_power(100), sl.Scene(np.zeros((192, 192)))
     out = irradiance(scene, sl.Lamp(corner=corner, edges=(u, v), brightness=light), fast)
     samples = Samples(select(fast), scene, 1)
     samples.set_nodes(*(a.ravel() for a in np.meshgrid(np.arange(48, 54), np.arange(58, 64))))
     exact = through(samples, *sheet(corner, u, v, 100, 100), light)
     assert np.abs(samples.of(out.image) - exact).max() <= 0.01 * exact.max()
+
+
+def test_a_mean_that_samples_do_not_know(fast):
+    """The samples beside a spotlight get a small part of its light. Of errors relative to their mean 256 rays
+    are the outcome.
+    """
+    lamp = sl.Lamp((59.82, 71.24, -3.0), 0.5, brightness=sl.cosine_power(20))
+    out = irradiance(sl.Scene(np.zeros((192, 192))), lamp, fast, tolerance=0.005)
+    assert [step.units for step in out.plan.steps] == [16, 64] and not out.warnings
+
+
+def test_masked_bands_do_not_change_whether_a_slit_is_a_line(monkeypatch):
+    """A large map is worked over in bands of rows, some of which may have no data."""
+    monkeypatch.setattr(arrays, "BAND", 960)
+    depth = np.full((96, 96), 30.0)
+    mask = np.ones(depth.shape, bool)
+    mask[:40] = False
+    middle = np.array([48.0, 70.0, 0.0])
+    for scene in (sl.Scene(depth), sl.Scene(depth, mask=mask)):
+        assert finite._nearest(scene, middle, middle + (5.0, 0, 0)) == pytest.approx(30)
 
 
 def test_a_pit_too_small_for_samples_is_dark_at_its_wall(fast):

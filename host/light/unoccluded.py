@@ -166,13 +166,15 @@ def faces(scene: Scene, places: np.ndarray, radius: float, rows: slice = slice(N
     (left, right), (above, below) = _edge_slopes(scene, rows)
     deep = scene.depth[rows] / np.float32(scene.spacing)
     steepest = 1 + np.maximum(left * left, right * right) + np.maximum(above * above, below * below)
+    least = np.float32(radius) * np.sqrt(steepest) if radius else 0
     across, down = (np.arange(n, dtype=np.float32) for n in scene.shape[::-1])
-    clear = True
-    for place in np.asarray(places, np.float32):
+
+    def face(place: np.ndarray) -> bool:
         x, y, z = place[0] - across, place[1] - down[rows, None], place[2] + deep
         tilt = np.minimum(left * x, right * x) + np.minimum(above * y, below * y) + z
-        clear = clear and bool((tilt >= np.float32(radius) * np.sqrt(steepest)).all())
-    return clear
+        return bool((tilt >= least).all())
+
+    return all(map(face, np.asarray(places, np.float32)))
 
 
 def _edge_slopes(scene: Scene, rows: slice) -> tuple[tuple[np.ndarray, ...], ...]:

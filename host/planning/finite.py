@@ -153,11 +153,11 @@ class FinitePlanner(UnitsPlanner):
         return True
 
     def _fits_closed_form(self) -> bool:
-        """Whether every node sees all of the source, also over the walls of a dark box, in which no small
-        bright part lights nodes that the samples are not.
+        """Whether every node sees all of the source, also over the walls of a dark box, and rays follow its
+        brightness.
         """
         if self.sky is not None and self.sky.bright_parts:
-            return False
+            return False  # they may light few nodes, which rays and samples miss
         if self.scene.sides == "dark":
             corners = (
                 [self.middle - self.radius, self.middle + self.radius]
@@ -373,17 +373,17 @@ def looks_thin(scene: Scene, source: sources.Lamp | sources.Window, engine: Back
 
 def _nearest(scene: Scene, begin: np.ndarray, end: np.ndarray) -> float:
     """Distance from a line between two places (3,) to the node that is nearest to it, in spacings."""
-    axis, across = (end - begin).astype(np.float32), np.arange(scene.shape[1], dtype=np.float32)
-    square = np.float32(max(float(axis @ axis), 1e-30))
+    (x0, y0, z0), axis = begin.astype(np.float32), (end - begin).astype(np.float32)
+    square = max(float(axis @ axis), 1e-30)
+    across, down = (np.arange(n, dtype=np.float32) for n in scene.shape[::-1])
 
     def nearest(rows: slice) -> float:
-        x, y = across - np.float32(begin[0]), np.arange(*rows.indices(scene.shape[0]))[:, None] - begin[1]
-        z = scene.depth[rows] / np.float32(-scene.spacing) - np.float32(begin[2])
-        along = np.clip((x * axis[0] + y.astype(np.float32) * axis[1] + z * axis[2]) / square, 0, 1)
+        x, y, z = across - x0, down[rows, None] - y0, scene.depth[rows] / np.float32(-scene.spacing) - z0
+        along = np.clip((x * axis[0] + y * axis[1] + z * axis[2]) / np.float32(square), 0, 1)
         away = (x - along * axis[0]) ** 2 + (y - along * axis[1]) ** 2 + (z - along * axis[2]) ** 2
-        return math.sqrt(float(np.fmin.reduce(away, axis=None)))
+        return float(np.fmin.reduce(away, axis=None))  # nan only where all is masked
 
-    return min(by_bands(nearest, scene.shape))
+    return math.sqrt(float(np.fmin.reduce(by_bands(nearest, scene.shape))))
 
 
 def _distances(middle: np.ndarray, samples: Samples) -> np.ndarray:
