@@ -481,6 +481,147 @@ __kernel void start(__global double *state, __global long *totals, double square
   state[STOP_RATIO] = least;
 }
 
+/* The parts of `solve`: what the kernels above do, for all nodes. On a CPU that is done for LANES nodes of a
+   row at once where all that they read is within the grid; each gets the same bits. 64 bits are four to a
+   register. */
+#if LANES == 8
+typedef struct __attribute__((packed)) { long4 v; } loose_longs;
+#define WRITE(value, offset, pointer) ((__global loose_floats *)((pointer) + (offset)))->v = value
+#define LONGS(offset, pointer) ((__global loose_longs *)((pointer) + (offset)))->v
+
+void spread_lanes(__global long *sum, floats values)
+{
+  LONGS(0, sum) += convert_long4_rtz(values.lo);
+  LONGS(4, sum) += convert_long4_rtz(values.hi);
+}
+
+/* product for nodes p to p + LANES - 1, none of them at a border. */
+void product_of_lanes(Links links, __global const float *gain, __global const float *v, __global long *sum,
+                      float quanta, int pixels, int cols, int p)
+{
+  __global const float *light = links.light + pixels;
+  const floats own = READ(p, light), across = READ(pixels + p, light), down = READ(2 * pixels + p, light);
+  const floats gains = READ(p, gain);
+  floats change = own * READ(p, v);
+  change += across * ((READ(p + 1, v) - READ(p - 1, v)) * 0.5f);
+  change += down * ((READ(p + cols, v) - READ(p - cols, v)) * 0.5f);
+  float each[LANES];
+  vstore8(change, 0, each);
+  for (int l = 0; l < LANES; ++l) {
+    float sum = each[l];
+    for (int k = 0; k < links.held[p + l]; ++k) {
+      const int e = link_at(p + l, k, links.count);
+      sum += links.near[e] * v[links.first[e]] + links.far[e] * v[links.second[e]];
+    }
+    each[l] = sum;
+  }
+  const floats u = gains * gains * vload8(0, each) * quanta;
+  const floats sideways = across * 0.5f * u, downwards = down * 0.5f * u;
+  spread_lanes(sum + p, own * u);
+  spread_lanes(sum + p + 1, sideways);
+  spread_lanes(sum + p - 1, -sideways);
+  spread_lanes(sum + p + cols, downwards);
+  spread_lanes(sum + p - cols, -downwards);
+  vstore8(u, 0, each);
+  for (int l = 0; l < LANES; ++l)
+    for (int k = 0; k < links.held[p + l]; ++k) {
+      const int e = link_at(p + l, k, links.count);
+      sum[links.first[e]] += convert_long_rtz(links.near[e] * each[l]);
+      sum[links.second[e]] += convert_long_rtz(links.far[e] * each[l]);
+    }
+}
+
+/* bend and unbend about nodes p to p + LANES - 1, at least two from the ends. */
+floats bend_of_lanes(__global const float *v, int p, int step)
+{
+  const floats middle = READ(p, v);
+  return (READ(p - step, v) - middle) - (middle - READ(p + step, v));
+}
+
+floats unbend_of_lanes(__global const float *v, int p, int step)
+{
+  floats sum = -2 * bend_of_lanes(v, p, step);
+  sum += bend_of_lanes(v, p - step, step);
+  sum += bend_of_lanes(v, p + step, step);
+  return sum;
+}
+
+/* What four nodes add to r v, v w and v v. */
+long3 totals_of(float4 r, float4 v, float4 w, double by_product, double by_square)
+{
+  const double4 along = convert_double4(v);
+  const long4 product = convert_long4_rtz(convert_double4(r) * along * by_product),
+              curvature = convert_long4_rtz(along * convert_double4(w) * by_product),
+              square = convert_long4_rtz(along * along * by_square);
+  return (long3)(product.x + product.y + product.z + product.w,
+                 curvature.x + curvature.y + curvature.z + curvature.w,
+                 square.x + square.y + square.z + square.w);
+}
+
+/* normal_product for nodes i to i + LANES - 1, at least two from all borders. */
+long3 normal_product_of_lanes(__global const float *r, __global const float *v, __global const float *scale,
+                              __global const float *is_free, __global long *sum, __global float *w,
+                              float quantum, float lambda_, float damping, double by_product,
+                              double by_square, int cols, int i)
+{
+  const floats smooth = unbend_of_lanes(v, i, 1) + unbend_of_lanes(v, i, cols), here = READ(i, v);
+  const floats scattered = (floats)(convert_float4(LONGS(i, sum)), convert_float4(LONGS(i + 4, sum)));
+  const floats found =
+      READ(i, is_free) * (scattered * quantum + lambda_ * smooth + damping * READ(i, scale) * here);
+  const floats left = READ(i, r);
+  LONGS(i, sum) = 0;
+  LONGS(i + 4, sum) = 0;
+  WRITE(found, i, w);
+  return totals_of(left.lo, here.lo, found.lo, by_product, by_square) +
+         totals_of(left.hi, here.hi, found.hi, by_product, by_square);
+}
+#endif
+
+void products(Links links, __global const float *gain, __global const float *v, __global long *sum,
+              float quanta, int rows, int cols)
+{
+  for (int y = 0; y < rows; ++y) {
+    int x = 0;
+    while (x < cols) {
+      const int p = y * cols + x;
+#if LANES == 8
+      if (y > 0 && y < rows - 1 && x > 0 && x + LANES < cols) {
+        product_of_lanes(links, gain, v, sum, quanta, rows * cols, cols, p);
+        x += LANES;
+        continue;
+      }
+#endif
+      product_at(links, gain, v, sum, quanta, rows, cols, p, 1);
+      ++x;
+    }
+  }
+}
+
+long3 normal_products(__global const float *r, __global const float *v, __global const float *scale,
+                      __global const float *is_free, __global long *sum, __global float *w, float quantum,
+                      float lambda_, float damping, double by_product, double by_square, int rows, int cols)
+{
+  long3 total = 0;
+  for (int y = 0; y < rows; ++y) {
+    int x = 0;
+    while (x < cols) {
+      const int i = y * cols + x;
+#if LANES == 8
+      if (y > 1 && y < rows - 2 && x > 1 && x + LANES < cols - 1) {
+        total += normal_product_of_lanes(r, v, scale, is_free, sum, w, quantum, lambda_, damping, by_product,
+                                         by_square, cols, i);
+        x += LANES;
+        continue;
+      }
+#endif
+      total += normal_product_at(r, v, scale, is_free, sum, w, quantum, lambda_, damping, by_product,
+                                 by_square, rows, cols, 1, i);
+      ++x;
+    }
+  }
+  return total;
+}
+
 /* solve: product, normal_product, conjugate_step, restriction and prolongation until they stop, by one
    work-item: on a small grid a CPU takes longer to start a kernel than to run it. 4 and 16: of the coarse
    grids. */
@@ -505,12 +646,9 @@ __kernel void solve(__global const float *restrict light, __global const int *re
     const float quanta = state[SCATTERED], quantum = 1 / state[SCATTERED], lambda_ = state[LAMBDA],
                 damping = state[DAMPING];
     const double by_product = state[UNIT_RV], by_square = state[UNIT_VV];
-    long3 total = 0;
-    for (int i = 0; i < pixels; ++i)
-      product_at(links, gain, v, sum, quanta, rows, cols, i, 1);
-    for (int i = 0; i < pixels; ++i)
-      total += normal_product_at(r, v, scale, is_free, sum, w, quantum, lambda_, damping, by_product,
-                                 by_square, rows, cols, 1, i);
+    products(links, gain, v, sum, quanta, rows, cols);
+    const long3 total = normal_products(r, v, scale, is_free, sum, w, quantum, lambda_, damping, by_product,
+                                        by_square, rows, cols);
     const Iteration iteration = iteration_of(state, total, fixed_, exact);
     for (int i = 0; i < STATE; ++i)
       state[i] = iteration.next[i];
