@@ -427,6 +427,20 @@ def test_suns_over_ground_that_hides_them(fast, name, discs):
         ), out.plan.steps  # shadows of walls: a share that no azimuths mend
 
 
+def test_a_low_sun_behind_sharp_crests(fast):
+    """Dunes without a cliff: a sweep lights a few of the nodes that no sun reaches, which the samples lie
+    beside; the error was 2.3 tolerances.
+    """
+    y, x = np.mgrid[:128, :128].astype(float)
+    bend = 6.9205479 * np.sin(y / 13.6753382)
+    at = (x * np.cos(0.26194167) + y * np.sin(0.26194167) + bend) / 20.7776247 % 1
+    height = 8.0118527 * np.where(at < 0.75, at / 0.75, (1 - at) / 0.25)
+    sky = sl.Sky(sl.cie_sky(7, (193.3632346, 5.2512849), direct=12.0))
+    exact = irradiance(sl.Scene(height.max() - height), sky, fast, method="horizon", azimuths=256).image
+    found = irradiance(sl.Scene(height.max() - height), sky, fast, tolerance=0.003).image
+    assert errors(found.ravel(), exact.ravel()).rms < 0.003
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["rough", "houses"])
 def test_the_light_that_judges_many_suns_is_exact(fast, name):

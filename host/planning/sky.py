@@ -33,8 +33,9 @@ CLIFF_NEAR_ROWS = 24, 96
 # cliffs; measured. With half and twice as many of 24 images are within 1 %, in 1.02 and 0.95 of the time
 # (performance/constants.py --seed 23 --size 64)
 BEHIND_CLIFFS = 0.028
-# tolerance below which the shadows of suns are computed with 24 near rows: their error is 0.1 to 0.9 % with 6
-# near rows and 0.01 to 0.35 % with 24 (fractals, terrain)
+# tolerance below which suns stand above exact horizons without cliffs too. Chosen: swept, they are up to 1 %
+# in error behind sharp crests (dunes, ridges, coasts; 0.01 % on fractals), at few nodes, which samples miss.
+# At 0.02 images at 1 % with a low sun take up to three times as long; at 0.005 those at 0.5 % keep the error.
 SHARP_SHADOWS = 0.01
 
 
@@ -89,7 +90,8 @@ class SkyPlanner(UnitsPlanner):
             return
         self.light = sky = integrals(self.source, self.tolerance)
         self.bright_parts, self.tables_error = sky.bright_parts, math.hypot(TABLES_ERROR, sky.error)
-        if self.bright_parts and self.samples.cliffs > 0:
+        sharp = self.samples.cliffs > 0 or self.tolerance < SHARP_SHADOWS
+        if self.bright_parts and sharp:
             self.exact_margin = margin_of(scene, self.bright_parts, self.samples.relief)
 
     def set_exact_light(self, units: int) -> None:
@@ -207,6 +209,8 @@ class SkyPlanner(UnitsPlanner):
         if self.bright_parts:
             taken = f"{2 * self.sectors + 1} azimuths each"
             why = "small and bright: suns, lights and spots have azimuths of their own"
+            if self.exact_margin is not None:
+                why += ", above exact horizons"
             yield Choice("bright parts", f"{len(self.bright_parts)}, {taken}", why)
         yield Choice(
             "azimuths", f"{self.units} evenly", "the fewest whose light at the samples is that of many"
