@@ -11,8 +11,9 @@ import importlib
 import math
 import sys
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from functools import partial
+from operator import itemgetter
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
@@ -62,6 +63,9 @@ USUAL = Tiling()  # of maps that are given none
 # surfaces is estimated. Chosen: 0.2 % of a tile of 8192 x 8192 nodes, 14 % of one of 1024; in windows of half
 # the side nodes see a third less ground, and windows of twice the side take four times as long
 WINDOWS, WINDOW = 3, 128
+
+Way = tuple[int, int]  # from a tile to a neighbour, in tiles: down and across
+BESIDE = [(down, across) for down in (-1, 0, 1) for across in (-1, 0, 1) if down or across]
 
 Box = tuple[tuple[int, int], tuple[int, int]]  # a tile's first row and its rows, first column and columns
 Lights = tuple[tuple[Rays, np.ndarray | None], ...]  # azimuths and tables of skies, see skylamp.samples.ring
@@ -655,78 +659,125 @@ def lazily(work: Work, scene: Scene, layout: Layout, *leading: int) -> Any:
     else:
         sums = _lazy_sums(da, work, heights, albedo, varying, layout) if layout.undecided else None
         low, top, again = _overviews(da, heights, layout, sums)
+        edges = _Edges(da, layout, heights.rechunk(layout.sizes), low)
+        low = None if low is None else edges.around(da, 1, low)
         surface = (albedo, None)
         if varying is not None:
-            surface = _windows(da, varying, layout), "cij"[3 - varying.ndim :]
+            varying = varying.rechunk({0: -1} | dict(enumerate(layout.sizes, varying.ndim - 2)))
+            surface = _Edges(da, layout, varying).around(da, 0, varying), "cij"[3 - varying.ndim :]
         rows, cols = (da.from_array(np.arange(len(sizes)), chunks=1) for sizes in layout.sizes)
         sizes |= dict(zip("ij", layout.sizes))
         call = partial(_block, work, layout, parts)
         places = rows, "i", cols, "j", low, None if low is None else "kij"
-        arrays = [_windows(da, again, layout), "ij", *numbers, *surface, *places]
+        arrays = [edges.around(da, 0, again.rechunk(layout.sizes)), "ij", *numbers, *surface, *places]
         mapped = _blockwise(da, call, axes, *arrays, adjust_chunks=sizes, top=top, sums=sums)
     return mapped.rechunk({axis + len(leading): chunks for axis, chunks in enumerate(heights.chunks)})
 
 
-def _windows(da: Any, values: Any, layout: Layout) -> Any:
-    """A dask.array (..., rows, cols) in tiles, each with what is around it.
+class _Edges:
+    """What tiles give their neighbours, as tasks of Dask: of each edge and corner, the part of every array.
 
-    Neighbours give copies of their outermost rows and columns: Dask's own slices are views, which would keep
-    all nine tiles in memory until the window is made.
+    ``heights`` (..., rows, cols) in tiles; ``low``: overviews of them (2, rows, cols), or None. Parts are
+    copies: views would keep all nine tiles in memory until a window is made. They are taken where the
+    overviews are made. So the heights of a tile, when they are computed again, wait for none of its
+    neighbours; until then 4 halo / tile of the map is kept, 6 % with the usual tiles.
+
+    Dask's own ``overlap`` makes twice as many tasks a tile. Its scheduler is one process, which many fast
+    workers keep busy.
     """
-    from dask.base import tokenize
-    from dask.highlevelgraph import HighLevelGraph
 
-    before = values.ndim - 2
-    layout = layout._replace(audit=None)  # which would go to a worker with every window
-    tiles = values.rechunk({n: -1 for n in range(before)} | dict(enumerate(layout.sizes, before)))
-    kind = "periodic" if layout.periodic else "none"
-    boundary = {n: kind if n >= before else "none" for n in range(values.ndim)}
-    down, across = layout.depths
-    parts = [tiles]
-    for axis, depth, others in (before, down, (down, across)), (before + 1, across, (0, across)):
-        chunks = [*tiles.chunks[:axis], (2 * depth,) * tiles.numblocks[axis], *tiles.chunks[axis + 1 :]]
-        ends = partial(_ends, axis=axis, depth=depth)
-        edges = da.map_blocks(ends, tiles, chunks=chunks, dtype=tiles.dtype, meta=tiles._meta)
-        depths = {n: 0 for n in range(before)} | dict(enumerate(others, before))
-        parts.append(da.overlap.overlap(edges, depths, boundary, allow_rechunk=False))
-    # no blockwise layer: Dask would fuse it with the work, and keep the tile beside its window meanwhile
-    name, boxes = "window-" + tokenize(layout, *(part.name for part in parts)), iter(layout.boxes())
-    tasks: Any = {
-        (name, *place): (partial(_window, layout, next(boxes)), *((part.name, *place) for part in parts))
-        for place in np.ndindex(tiles.numblocks)
-    }
-    sizes = [
-        tuple(
-            sum(layout.margins(axis, *one)) + one[1] for one in zip(layout.starts[axis], layout.sizes[axis])
-        )
-        for axis in (0, 1)
+    def __init__(self, da: Any, layout: Layout, heights: Any, low: Any = None):
+        from dask.base import tokenize
+        from dask.highlevelgraph import HighLevelGraph
+
+        reach = layout.tiling.reach >> layout.tiling.first
+        arrays, self.depths = [heights], [layout.depths]
+        if low is not None and reach:
+            arrays.append(low)
+            self.depths.append([reach if halo else 0 for halo in layout.depths])
+        count = heights.numblocks[-2:]
+        self.neighbours = {place: _neighbours(place, count, layout.periodic) for place in np.ndindex(*count)}
+        name = "edges-" + tokenize(layout.periodic, self.depths, *(array.name for array in arrays))
+        tasks: Any = {}
+        for place, there in self.neighbours.items():
+            blocks = [(array.name, *(0,) * (array.ndim - 2), *place) for array in arrays]
+            tasks[(name, *place)] = (partial(_parts_of, self.depths, list(there)), *blocks)
+            for n, way in enumerate(there):
+                tasks[(name, *place, BESIDE.index(way))] = (itemgetter(n), (name, *place))
+        graph = HighLevelGraph.from_collections(name, tasks, dependencies=arrays)
+        self.parts = da.Array(graph, name, [(1,) * n for n in (*count, len(BESIDE))], dtype=object)
+
+    def around(self, da: Any, number: int, tiles: Any) -> Any:
+        """A dask.array of ``tiles``, each with what is around it in array ``number``."""
+        from dask.base import tokenize
+        from dask.highlevelgraph import HighLevelGraph
+
+        if number >= len(self.depths):
+            return tiles
+        # no blockwise layer: Dask would fuse it with the work, and keep the tile beside its window meanwhile
+        name = "window-" + tokenize(self.parts.name, number, tiles.name)
+        tasks: Any = {}
+        for place, there in self.neighbours.items():
+            block = (*(0,) * (tiles.ndim - 2), *place)
+            given = [(self.parts.name, *at, BESIDE.index((-y, -x))) for (y, x), at in there.items()]
+            make = partial(_window, self.depths[number], list(there), number)
+            tasks[(name, *block)] = (make, (tiles.name, *block), *given)
+        rows, cols = ([place for place in self.neighbours if not place[n]] for n in (1, 0))  # of the first
+        sizes = [
+            tuple(
+                count + sum(_margins(self.depths[number], self.neighbours[place])[axis])
+                for count, place in zip(tiles.chunks[axis - 2], places)
+            )
+            for axis, places in enumerate((rows, cols))
+        ]
+        graph = HighLevelGraph.from_collections(name, tasks, dependencies=[self.parts, tiles])
+        return da.Array(graph, name, (*tiles.chunks[:-2], *sizes), meta=tiles._meta)
+
+
+def _neighbours(place: tuple[int, int], count: tuple[int, int], periodic: bool) -> dict[Way, tuple[int, int]]:
+    """The tiles around one, by the way to them."""
+    found = {way: (place[0] + way[0], place[1] + way[1]) for way in BESIDE}
+    if periodic:
+        return {way: (i % count[0], j % count[1]) for way, (i, j) in found.items()}
+    return {way: (i, j) for way, (i, j) in found.items() if 0 <= i < count[0] and 0 <= j < count[1]}
+
+
+def _margins(depths: list[int], ways: Iterable[Way]) -> list[tuple[int, int]]:
+    """Nodes before and behind a tile with neighbours on these ``ways``, along both axes."""
+    before, behind = (
+        [depth * any(way[n] == side for way in ways) for n, depth in enumerate(depths)] for side in (-1, 1)
+    )
+    return list(zip(before, behind))
+
+
+def _end(way: int, depth: int, count: int) -> slice:
+    """The first or the last ``depth`` elements of ``count``, or all of them."""
+    return slice(depth) if way < 0 else slice(count - depth, count) if way > 0 else slice(count)
+
+
+def _parts_of(depths: list[list[int]], ways: list[Way], *blocks: np.ndarray) -> list[list[np.ndarray]]:
+    """What each neighbour is given of the ``blocks`` (..., rows, cols) of a tile."""
+    return [
+        [
+            block[(..., *map(_end, way, depth, block.shape[-2:]))].copy()
+            for block, depth in zip(blocks, depths)
+        ]
+        for way in ways
     ]
-    graph = HighLevelGraph.from_collections(name, tasks, dependencies=parts)
-    return da.Array(graph, name, (*tiles.chunks[:before], *sizes), meta=tiles._meta)
 
 
-def _ends(block: np.ndarray, axis: int, depth: int) -> np.ndarray:
-    """A copy of the first and the last ``depth`` elements along an axis."""
-    count = block.shape[axis]
-    ends: np.ndarray = np.take(block, np.r_[:depth, count - depth : count], axis)
-    return ends
-
-
-def _window(layout: Layout, box: Box, tile: np.ndarray, rows: np.ndarray, cols: np.ndarray) -> np.ndarray:
-    """A tile (..., rows, cols) with what is around it.
-
-    ``rows``: the tile's ends between those of the tiles above and below, with corners; ``cols``: the same of
-    the tiles to the left and right, without.
-    """
-    (above, below), (left, right) = (layout.margins(axis, *one) for axis, one in enumerate(box))
-    down, across = tile.shape[-2:]
-    window = np.empty((*tile.shape[:-2], above + down + below, left + across + right), tile.dtype)
-    window[..., :above, :] = rows[..., :above, :]
-    window[..., above + down :, :] = rows[..., rows.shape[-2] - below :, :]
-    inner = window[..., above : above + down, :]
-    inner[..., :left] = cols[..., :left]
-    inner[..., left : left + across] = tile
-    inner[..., left + across :] = cols[..., cols.shape[-1] - right :]
+def _window(
+    depths: list[int], ways: list[Way], number: int, tile: np.ndarray, *given: list[np.ndarray]
+) -> np.ndarray:
+    """A tile (..., rows, cols) with what is around it: element ``number`` of what neighbours have given."""
+    margins, shape = _margins(depths, ways), tile.shape[-2:]
+    window = np.empty((*tile.shape[:-2], *(n + sum(both) for n, both in zip(shape, margins))), tile.dtype)
+    inner = [slice(before, before + n) for n, (before, _) in zip(shape, margins)]
+    window[(..., *inner)] = tile
+    for way, parts in zip(ways, given):
+        ends = map(_end, way, depths, window.shape[-2:])
+        place = [end if side else middle for side, end, middle in zip(way, ends, inner)]
+        window[(..., *place)] = parts[number]
     return window
 
 
@@ -775,7 +826,7 @@ def _block_sums(
 
 
 def _overviews(da: Any, heights: Any, layout: Layout, sums: Any = None) -> tuple[Any, Any, Any]:
-    """(Overviews about every tile, the levels that all tiles see, heights once these are known); lazy.
+    """(Overviews of every tile, the levels that all tiles see, heights once these are known); lazy.
 
     (None, None, heights) where nothing beyond the halo counts. ``sums``: what else is computed before.
     """
@@ -801,10 +852,6 @@ def _overviews(da: Any, heights: Any, layout: Layout, sums: Any = None) -> tuple
         )
     lowest, highest = levels
     top = delayed(top_of, pure=True)(highest.rechunk(-1).to_delayed(optimize_graph=False).item())
-    depth = [tiling.reach >> tiling.first if halo else 0 for halo in layout.depths]
-    if any(depth):
-        boundary = {0: "none", 1: "periodic", 2: "periodic"} if layout.periodic else "none"
-        lowest = da.overlap.overlap(lowest, {0: 0, 1: depth[0], 2: depth[1]}, boundary, allow_rechunk=False)
     before = top if sums is None else delayed([top, sums], pure=True)
     return lowest, top, bind(heights, before, seed=before.key)
 

@@ -251,8 +251,9 @@ def test_all_light_of_a_map_that_repeats(fast):
 
 
 def test_what_is_loaded(fast):
-    """Of a small window, nine tiles' heights where the halo is all that counts; else once more, after those
-    of the overviews. Of several results that are computed together, all heights twice.
+    """Of a small window, nine tiles' heights where the halo is all that counts; else all heights, for the
+    overviews, and then those of the tile once more. Of several results that are computed together, all
+    heights twice.
     """
     loaded = []
 
@@ -263,11 +264,11 @@ def test_what_is_loaded(fast):
     heights = SPACING * mountains(96, 128, 20)
     lazy = da.map_blocks(load, da.from_array(heights, chunks=32), dtype="f4", meta=np.empty((0, 0), "f4"))
     near = {(row, col) for row in (0, 1, 2) for col in (1, 2, 3)}
-    for what, overviews in (("near", 0), ("horizons", 12), ("sky", 12)):
+    for what, overviews, tiles in (("near", 0, near), ("horizons", 12, {(1, 2)}), ("sky", 12, {(1, 2)})):
         found = CALLS[what](dem(heights).copy(data=lazy), fast)
         assert not loaded
         found.isel(y=slice(40, 50), x=slice(70, 80)).compute(scheduler="sync")
-        assert (len(loaded), set(loaded[overviews:])) == (overviews + 9, near), what
+        assert (len(loaded), set(loaded[overviews:])) == (overviews + len(tiles), tiles), what
         loaded.clear()
     together = [CALLS[what](dem(heights).copy(data=lazy), fast) for what in ("sky view", "openness", "sky")]
     dask.compute(*together, scheduler="sync")
