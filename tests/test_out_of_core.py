@@ -166,28 +166,6 @@ def test_tiles_write_what_one_map_writes(tmp_path, fast):
     np.testing.assert_allclose(found, expected, rtol=0, atol=0.05 * np.nanmean(expected))
 
 
-def test_an_interrupted_run_goes_on(dem, tmp_path):
-    """Ctrl-C keeps the scratch and writes no file; --resume computes what is left, and gives the same bytes.
-
-    Other settings do not go on from it.
-    """
-    path, heights = dem
-    out, scratch = tmp_path / "out.tif", tmp_path / "out.tif.scratch"
-    assert interrupted(command(path, out), scratch) != 0 and scratch.exists() and not out.exists()
-    flags = zarr.open_group(scratch, mode="r")["done"][:]
-    assert flags.any()
-    first = scratch / "done" / "c" / str(int(flags.argmax()))
-    written = first.stat().st_mtime_ns
-    code, said = run(path, out, "--resume", "--max-distance", "2000")
-    assert code == 3 and "--resume" in said
-    assert first.stat().st_mtime_ns == written
-    code, said = run(path, out, "--resume")
-    assert code == 0, said
-    with rasterio.open(out) as file:
-        assert_bits_equal(np.nan_to_num(file.read(1)), np.nan_to_num(lazily(heights)))
-    assert not scratch.exists()
-
-
 def test_a_second_run_of_one_output_is_refused(dem, tmp_path):
     """As long as the first lives, also stopped; once it is killed, the next run goes on from its scratch."""
     path, heights = dem
@@ -211,15 +189,22 @@ def test_a_second_run_of_one_output_is_refused(dem, tmp_path):
     assert os.listdir(tmp_path) == ["out.tif"]
 
 
-def test_an_image_is_rendered_as_in_tiles(dem, tmp_path):
-    """In colour under a sky with a sun, interrupted and resumed by two processes: the bytes of a lazy map."""
+def test_an_interrupted_image_goes_on(dem, tmp_path):
+    """In colour under a sky with a sun. Ctrl-C keeps the scratch and writes no file; --resume, here by two
+    processes, computes what is left, and gives the bytes of a lazy map. Other settings do not go on from it.
+    """
     path, heights = dem
     out, scratch = tmp_path / "out.tif", tmp_path / "out.tif.scratch"
     told = ["--source", "clear", "--sun", "135,20", "--direct", "4", "--albedo", ".2,.5,.8"]
     told += ["--interreflection", "off"]  # tests/test_scale.py has it
     assert interrupted(command(path, out, *told, of="render"), scratch) != 0 and not out.exists()
+    flags = zarr.open_group(scratch, mode="r")["done"][:]
+    assert flags.any()
+    first = scratch / "done" / "c" / str(int(flags.argmax()))
+    written = first.stat().st_mtime_ns
     code, said = run(path, out, *told, "--quantity", "irradiance", "--resume", of="render")
     assert code == 3 and "--resume" in said
+    assert first.stat().st_mtime_ns == written
     code, said = run(path, out, *told, "--resume", "--workers", "2", "--cog", of="render")
     assert code == 0, said
     scene = sl.Scene.from_height(da.from_array(heights, chunks=300), 30.0, albedo=np.array([0.2, 0.5, 0.8]))
