@@ -19,7 +19,7 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import DTypeLike
 
-from .arrays import Quantity, by_bands, labelled
+from .arrays import Quantity, by_bands, labelled, limit_threads
 from .backends import backends, prefer
 from .backends.base import Backend, has_room, within
 from .checks import positive_number
@@ -917,7 +917,8 @@ def devices(*names: str) -> Any:
 
     ``client.register_plugin(skylamp.devices())``: worker n takes GPU n, round the GPUs that it sees, or round
     the backends that are named; ``backend="auto"`` is then that. A worker without a GPU takes what it would
-    take anyway. Under dask-cuda every worker sees one GPU, and takes it.
+    take anyway. Under dask-cuda every worker sees one GPU, and takes it. Passes over arrays take as many
+    threads as the worker has, since others use the machine's other cores.
 
     Raises InputError without dask.distributed.
 
@@ -935,6 +936,7 @@ def devices(*names: str) -> Any:
         name = "skylamp-devices"
 
         def setup(self, worker: Any) -> None:
+            limit_threads(worker.state.nthreads)
             chosen = names or tuple(info.name for info in backends() if info.gpu and info.available)
             chosen = tuple(name for name in chosen if name.startswith("warp")) or chosen
             number = int(worker.name) if str(worker.name).isdigit() else 0

@@ -446,9 +446,10 @@ def test_an_albedo_in_any_unit(fast, brighter):
 @pytest.mark.slow
 def test_light_between_surfaces_in_another_unit(fast):
     """What ground sends to ground is not known of images in counts: "auto" leaves it out, True warns."""
-    images = [1e4 * pair("bumps", kind)[1] for kind in ("sky", "lamp")]
-    lights = [source_of(kind) for kind in ("sky", "lamp")]
-    options = dict(albedo=None, sides="dark", layers=LAYERS, backend=fast)
+    size, kinds = 20, ("sky", "lamp")
+    images = [1e4 * surfaces.pair("bumps", kind, size)[1] for kind in kinds]
+    lights = [surfaces.source_of(kind, size) for kind in kinds]
+    options = dict(albedo=None, sides="dark", layers=size, backend=fast)
     direct, auto = (sl.recover(images, lights, interreflection=b, **options) for b in (False, "auto"))
     np.testing.assert_array_equal(auto.depth, direct.depth)
     assert not auto.interreflection and direct.warnings == []
@@ -573,7 +574,7 @@ def test_light_so_many_times_as_strong(fast, kind):
     residual is in the image's unit.
     """
     one = under(kind, fast)
-    for k in (0.5, 100.0):
+    for k in (0.5, 100.0) if kind == "sky" else (100.0,):
         got = under(kind, fast, k)
         np.testing.assert_allclose(got.depth, one.depth, atol=1e-3)
         np.testing.assert_allclose(got.confidence, one.confidence, atol=1e-3)
