@@ -50,21 +50,10 @@ BAND = 2**20
 Result = TypeVar("Result")
 
 
-_most_threads: int | None = None
-
-
 @functools.cache
 def threads() -> ThreadPoolExecutor:
-    """Threads for passes over large arrays, a core each; NumPy releases its lock in them."""
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-    return ThreadPoolExecutor(_most_threads or cores, "skylamp")
-
-
-def limit_threads(count: int) -> None:
-    """At most so many from now on, in a process that shares its machine with others that do the same work."""
-    global _most_threads
-    _most_threads = count
-    threads.cache_clear()
+    """Threads for passes over large arrays, as many as there are cores; NumPy releases its lock in them."""
+    return ThreadPoolExecutor(os.cpu_count(), "skylamp")
 
 
 if hasattr(os, "register_at_fork"):

@@ -19,7 +19,7 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import DTypeLike
 
-from .arrays import Quantity, by_bands, labelled, limit_threads
+from .arrays import Quantity, by_bands, labelled
 from .backends import backends, prefer
 from .backends.base import Backend, has_room, within
 from .checks import positive_number
@@ -757,13 +757,12 @@ def _end(way: int, depth: int, count: int) -> slice:
 
 def _parts_of(depths: list[list[int]], ways: list[Way], *blocks: np.ndarray) -> list[list[np.ndarray]]:
     """What each neighbour is given of the ``blocks`` (..., rows, cols) of a tile."""
-    return [
-        [
-            block[(..., *map(_end, way, depth, block.shape[-2:]))].copy()
-            for block, depth in zip(blocks, depths)
-        ]
-        for way in ways
-    ]
+
+    def part(way: Way, depth: list[int], block: np.ndarray) -> np.ndarray:
+        rows, cols = map(_end, way, depth, block.shape[-2:])
+        return block[..., rows, cols].copy()
+
+    return [[part(way, depth, block) for depth, block in zip(depths, blocks)] for way in ways]
 
 
 def _window(
@@ -773,11 +772,10 @@ def _window(
     margins, shape = _margins(depths, ways), tile.shape[-2:]
     window = np.empty((*tile.shape[:-2], *(n + sum(both) for n, both in zip(shape, margins))), tile.dtype)
     inner = [slice(before, before + n) for n, (before, _) in zip(shape, margins)]
-    window[(..., *inner)] = tile
-    for way, parts in zip(ways, given):
+    for way, part in [((0, 0), tile), *zip(ways, (parts[number] for parts in given))]:
         ends = map(_end, way, depths, window.shape[-2:])
-        place = [end if side else middle for side, end, middle in zip(way, ends, inner)]
-        window[(..., *place)] = parts[number]
+        rows, cols = (end if side else middle for side, end, middle in zip(way, ends, inner))
+        window[..., rows, cols] = part
     return window
 
 
@@ -917,8 +915,7 @@ def devices(*names: str) -> Any:
 
     ``client.register_plugin(skylamp.devices())``: worker n takes GPU n, round the GPUs that it sees, or round
     the backends that are named; ``backend="auto"`` is then that. A worker without a GPU takes what it would
-    take anyway. Under dask-cuda every worker sees one GPU, and takes it. Passes over arrays take as many
-    threads as the worker has, since others use the machine's other cores.
+    take anyway. Under dask-cuda every worker sees one GPU, and takes it.
 
     Raises InputError without dask.distributed.
 
@@ -936,7 +933,6 @@ def devices(*names: str) -> Any:
         name = "skylamp-devices"
 
         def setup(self, worker: Any) -> None:
-            limit_threads(worker.state.nthreads)
             chosen = names or tuple(info.name for info in backends() if info.gpu and info.available)
             chosen = tuple(name for name in chosen if name.startswith("warp")) or chosen
             number = int(worker.name) if str(worker.name).isdigit() else 0

@@ -168,12 +168,18 @@ class FinitePlanner(UnitsPlanner):
             if not ((low >= -0.5).all() and (high <= np.array(self.scene.shape[::-1]) - 0.5).all()):
                 return False
         varies = callable(self.source.brightness)
-        most = most_rays(self.scene) if varies else 0
+        if varies:
+            if not self._faces_source():
+                return False
+            # slices follow a steep brightness worse than rays, which nothing stops here
+            coarse, self.exact = (self._unoccluded(rays) for rays in RAYS[-2:])
+            self.exact_error = EXACT_ERROR_RATIO * self.samples.errors(coarse, self.exact).rms
+        most = min(RAYS[-2], most_rays(self.scene)) if varies else 0
         for rays_per_node in (1, *(rays for rays in RAYS if rays <= most)):
             errors = self.samples.errors(self._unoccluded(rays_per_node), self.exact)
             if not self.fits(errors) or (varies and rays_per_node == 1 and not self._looks_small()):
                 continue
-            if not self._faces_source():
+            if not (varies or self._faces_source()):
                 break
             self.expected, self.rays_per_node = errors, rays_per_node
             return True
