@@ -204,7 +204,6 @@ def test_large_images_begin_on_a_grid_that_sees_their_relief(fast, shape, begins
     ("shape", "method"),
     [
         ((96, 96), {"method": "lattice", "hemicube": 33, "filled": True}),
-        ((96, 96), {"method": "horizon", "azimuths": 64}),
         ((70, 130), {"method": "horizon", "azimuths": 64}),
     ],
 )
@@ -366,7 +365,7 @@ def test_steps_end_where_scipy_ends(fast):
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("what", "most", "carving"),
-    [("noise 1 %", 0.5, 5), ("noise 3 %", 0.5, 5), ("8 bits", 1.5, 20), ("albedo 5 %", 1.5, 5)],
+    [("noise 3 %", 0.5, 5), ("8 bits", 1.5, 20), ("albedo 5 %", 1.5, 5)],
 )
 def test_stable_where_carving_is_not(fast, what, most, carving):
     """Change of depth over change of image, as shares of their ranges: small, where carving multiplies it."""
@@ -433,7 +432,7 @@ def test_two_images_tell_the_albedo(fast, name):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("brighter", [1e-4, 50.0, 2e4, 1e9])
+@pytest.mark.parametrize("brighter", [1e-4, 1e9])
 def test_an_albedo_in_any_unit(fast, brighter):
     """Images so many times as bright, as counts may be: the albedo is as many times as large, depth the
     same.
