@@ -130,12 +130,21 @@ class BrightPart:
         rows, row = np.unique(self.cells.low + 1j * self.cells.high, return_inverse=True)
         return (rows.real, rows.imag), row
 
+    @cached_property
+    def _kept_sectors(self) -> dict[tuple[int, bool], tuple[np.ndarray, np.ndarray]]:
+        return {}
+
     def sectors(self, count: int, shifted: bool = False) -> tuple[np.ndarray, np.ndarray]:
-        """Its light in ``count`` sectors of azimuth that have equal shares of it.
+        """Its light in ``count`` sectors of azimuth that have equal shares of it; kept, not to be changed.
 
         ways (5, K) and table (K, PART_KNOTS, 4), as the kernel `sectors` takes them. ``shifted``: borders
         half a sector on, so that there are ``count`` + 1.
         """
+        if (count, shifted) not in self._kept_sectors:
+            self._kept_sectors[count, shifted] = self._in_sectors(count, shifted)
+        return self._kept_sectors[count, shifted]
+
+    def _in_sectors(self, count: int, shifted: bool) -> tuple[np.ndarray, np.ndarray]:
         cells, (ends, row) = self.cells, self._rows
         span = float(np.ptp(cells.azimuth)) + float(cells.width.max())
         # no cell wider than half a sector
@@ -149,7 +158,8 @@ class BrightPart:
             )
             order = np.argsort(cells.azimuth, kind="stable")
             cells, row = cells.pick(order), row[which][order]
-        moments = cells.moments
+        lowest, highest = map(_antiderivatives, ends)
+        moments = cells.light * cells.width * (highest - lowest)[:, row]
         share = np.cumsum(moments.sum(0))
         share = (share - moments.sum(0) / 2) / share[-1] * count + (0.5 if shifted else 0.0)
         group = np.minimum(share.astype(int), count - (not shifted))
