@@ -21,9 +21,22 @@ from .light.sweeps import Ground, Rays, Sweeps, engine_of, ground_of
 from .planning.plan import Plan
 from .render_options import DEFAULT_AZIMUTHS, Options, sectors_of
 from .renderer import Renderer
-from .scale import Audit, Lights, decided, fits, holds, over_area, tiled, warn
+from .samples import Samples, ring
+from .scale import (
+    AUDITED,
+    Audit,
+    Lights,
+    decided,
+    fits,
+    holds,
+    over_area,
+    seen_from_edge,
+    tiled,
+    warn,
+    within_tile,
+)
 from .scene import Scene
-from .sources.integrals import integrals
+from .sources.integrals import even, integrals
 
 # azimuths of a small part of a sky on a map in tiles; chosen: with 8 the error is 0.06 %, cliffs apart
 PART_SECTORS = 16
@@ -31,6 +44,10 @@ PART_SECTORS = 16
 # of sky; and the part of a window at each of its sides that is left out, since ground beyond is missing;
 # chosen
 WINDOW_AZIMUTHS, WINDOW_EDGE = 16, 8
+# azimuths, and sectors of each small bright part, of the exact light that an image in tiles is held against;
+# chosen: with twice and four times as many the errors that ten tiles are said to have change by a tenth at
+# most
+JUDGING_AZIMUTHS, JUDGING_SECTORS = 72, 24
 # relative RMS error that 64 azimuths keep to under even skies: 0.0004 of E / pi on rough ground
 # (performance/refinement.py)
 LEAST_TILED_TOLERANCE = 0.002
@@ -250,7 +267,8 @@ class TileImage:
     rays, and tables of brightness, of every colour; factors of the colours that differ by these alone, of
     which there is one ray and no table. in_colour: the image is (3, rows, cols). between: with the light
     between surfaces, within ``tolerance``, or None where the whole map decides by ``fewer``: the same lights
-    in fewer azimuths. The light is ``scale`` times that of the tables.
+    in fewer azimuths. The light is ``scale`` times that of the tables. ``judging``: what its samples are held
+    against.
     """
 
     lights: Lights
@@ -263,6 +281,7 @@ class TileImage:
     scale: float
     colours: int
     fewer: Lights
+    judging: Lights  # in more azimuths, if the tolerance chose those of the image
     share: float | None = None  # estimate of the light between surfaces
 
     @property
@@ -278,6 +297,7 @@ class TileImage:
         with engine.lock:
             ground = ground_of(scene, max_distance, engine)
             light = self._swept(engine, ground, self.lights, far)
+            self._judge(engine, scene, max_distance, far, light)
             if self.between:
                 sky = _share_of_sky(engine, ground, DEFAULT_AZIMUTHS, far)
                 both = included(scene, engine, light, self.tolerance, "as asked", sky=sky, is_part=True)
@@ -295,6 +315,42 @@ class TileImage:
         if self.factors is None:
             return light
         return [light[0] * np.float32(factor) for factor in self.factors]
+
+    def _judge(
+        self,
+        engine: Backend,
+        scene: Scene,
+        max_distance: float | None,
+        far: Far | None,
+        images: list[np.ndarray],
+    ) -> None:
+        """Warn where direct light at samples of the tile differs from that above exact horizons by more than
+        the tolerance: tiles are not refined.
+        """
+        if not self.judging:
+            return
+        samples, share = Samples(engine, scene, AUDITED), 0.0
+        inner = np.full(len(samples), True) if far is None else within_tile(samples, far)
+        plane = samples.gx[inner], samples.gy[inner]
+        for (rays, table), image in zip(self.judging, images):
+            if far is None:
+                reach = math.inf if max_distance is None else max_distance / scene.spacing
+                slopes = samples.horizons(rays.angles, reach)
+            else:
+                slopes = seen_from_edge(samples, inner, scene, far, rays.angles)[1]
+            exact = rays.widths @ ring(*plane, rays.angles, slopes, table)
+            if self.factors is not None:
+                exact = exact * self.factors[0]
+            lit = exact[exact > 0]
+            if lit.size:
+                off = math.sqrt(float(np.mean((samples.of(image)[inner] - exact) ** 2)))
+                share = max(share, off / float(lit.mean()))
+        if share > self.tolerance:
+            warn(
+                f"Tolerance: the sweeps of tiles, which are not refined, leave an error of about"
+                f" {100 * share:.2g} % (RMS over the mean of a tile), more than the"
+                f" {100 * self.tolerance:.2g} % asked for."
+            )
 
     def sums(self, scene: Scene) -> np.ndarray:
         """Sums from which the light between surfaces is estimated, (colours, 3); nodes at the border are
@@ -365,15 +421,20 @@ def _tile_image(
         scale,
         max(len(greys), 3 if np.ndim(scene.albedo) in (1, 3) else 1),
         tuple(_rays_of(sky, Azimuths(WINDOW_AZIMUTHS)) for sky in skies),
+        ()
+        if options.azimuths is not None
+        else tuple(_rays_of(sky, even(JUDGING_AZIMUTHS, 1 / 3), JUDGING_SECTORS) for sky in skies),
     )
 
 
-def _rays_of(sky: sources.Sky, sectors: Azimuths) -> tuple[Rays, np.ndarray | None]:
+def _rays_of(
+    sky: sources.Sky, sectors: Azimuths, of_each_part: int = PART_SECTORS
+) -> tuple[Rays, np.ndarray | None]:
     """Azimuths and the table of a sky's brightness, its small bright parts in azimuths of their own."""
     rays = Rays(sectors.angles, sectors.widths)
     if not callable(sky.brightness):
         return rays, None
     light = integrals(sky)
     table = light.table(sectors.angles, sectors.widths, FINE_KNOTS)
-    suns = [sun.sectors(PART_SECTORS) for sun in light.bright_parts]
+    suns = [sun.sectors(of_each_part) for sun in light.bright_parts]
     return with_bright_parts(rays, table, suns) if suns else (rays, table)

@@ -398,15 +398,15 @@ def _valid(window: np.ndarray) -> np.ndarray | None:
 
 
 def _audit(audit: Audit, scene: Scene, far: Far) -> None:
-    """Warn where far ground costs more than is asked for, see :func:`_seen_from_edge`."""
+    """Warn where far ground costs more than is asked for, see :func:`seen_from_edge`."""
     engine = engine_of(scene, audit.backend)
     with engine.lock:
         samples = Samples(engine, scene, AUDITED)
-        inner = _within(samples, far)
+        inner = within_tile(samples, far)
         if not inner.any():
             return
         if audit.tolerance is None:
-            slopes = _seen_from_edge(samples, inner, scene, far, Azimuths(AUDITED_AZIMUTHS).angles)
+            slopes = seen_from_edge(samples, inner, scene, far, Azimuths(AUDITED_AZIMUTHS).angles)
             estimated, true = (1 / (1 + np.maximum(s, 0) ** 2) for s in slopes)
             off = math.sqrt(float(np.mean((estimated - true).mean(0) ** 2)))
             if off > WORTH_SAYING:
@@ -417,7 +417,7 @@ def _audit(audit: Audit, scene: Scene, far: Far) -> None:
             return
         share = 0.0
         for rays, table in audit.lights:
-            slopes = _seen_from_edge(samples, inner, scene, far, rays.angles)
+            slopes = seen_from_edge(samples, inner, scene, far, rays.angles)
             plane = samples.gx[inner], samples.gy[inner]
             estimated, true = (rays.widths @ ring(*plane, rays.angles, s, table) for s in slopes)
             lit = true[true > 0]
@@ -430,13 +430,13 @@ def _audit(audit: Audit, scene: Scene, far: Far) -> None:
         )
 
 
-def _within(samples: Samples, far: Far) -> np.ndarray:
+def within_tile(samples: Samples, far: Far) -> np.ndarray:
     """Which samples of a window lie in its tile (nodes,)."""
     rows, cols = samples.y - far.before[0], samples.x - far.before[1]
     return (rows >= 0) & (rows < far.tile[0]) & (cols >= 0) & (cols < far.tile[1])
 
 
-def _seen_from_edge(
+def seen_from_edge(
     samples: Samples, inner: np.ndarray, scene: Scene, far: Far, angles: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Horizons at samples (azimuths, nodes): what a node at the tile's edge makes of the ground, exact to the
