@@ -640,8 +640,8 @@ def _blockwise(
 def lazily(work: Work, scene: Scene, layout: Layout, *leading: int) -> Any:
     """A dask.array of what ``work`` gives, in the map's own chunks; nothing is computed yet.
 
-    Heights are computed twice: for the overviews, and, once these are known, for the tiles. So they are never
-    all in memory.
+    Heights are computed twice: for the overviews, and, once these are known, for the tiles. So of heights the
+    edges of tiles alone are all in memory.
     """
     da = importlib.import_module("dask.array")
     heights = scene.lazy
@@ -680,7 +680,8 @@ class _Edges:
     ``heights`` (..., rows, cols) in tiles; ``low``: overviews of them (2, rows, cols), or None. Parts are
     copies: views would keep all nine tiles in memory until a window is made. They are taken where the
     overviews are made. So the heights of a tile, when they are computed again, wait for none of its
-    neighbours; until then 4 halo / tile of the map is kept, 6 % with the usual tiles.
+    neighbours; until then 4 halo / tile of the map is kept, 6 % with the usual tiles, and as much of the
+    overviews.
 
     Dask's own ``overlap`` makes twice as many tasks a tile. Its scheduler is one process, which many fast
     workers keep busy.

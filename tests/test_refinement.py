@@ -688,6 +688,17 @@ def test_a_plane_in_the_fringe_of_a_beam(fast):
     assert off <= 0.01 and not out.warnings
 
 
+def test_a_sharp_ring_of_a_small_ball(fast):
+    """Where 256 rays to it do not suffice, 1,024 do, not slices with few rays each."""
+    scene = sl.Scene(np.full((48, 48), 35.0))
+    ring = lambda L: 0.02 + ((-L[..., 2] > 0.6384) & (-L[..., 2] < 0.9653))
+    lamp = sl.Lamp((34.79, 33.81, 13.39), 0.2566, ring)
+    out = irradiance(scene, lamp, fast, tolerance=0.003)
+    nodes = tuple(n.ravel() for n in np.mgrid[2:48:5, 2:48:5])
+    exact = oracle.lamp_irradiance(scene.depth, 1.0, scene.valid, lamp, nodes, 16384)
+    assert errors(out.image[nodes], exact).rms <= 0.003 and out.plan.method == "unoccluded"
+
+
 def test_masked_bands_do_not_change_whether_a_slit_is_a_line(monkeypatch):
     """A large map is worked over in bands of rows, some of which may have no data."""
     monkeypatch.setattr(arrays, "BAND", 960)

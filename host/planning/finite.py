@@ -171,11 +171,11 @@ class FinitePlanner(UnitsPlanner):
         if varies:
             if not self._faces_source():
                 return False
-            # slices follow a steep brightness worse than rays, which nothing stops here
-            coarse, self.exact = (self._unoccluded(rays) for rays in RAYS[-2:])
-            self.exact_error = EXACT_ERROR_RATIO * self.samples.errors(coarse, self.exact).rms
-        most = min(RAYS[-2], most_rays(self.scene)) if varies else 0
+            self._judge_by_rays(RAYS[-1])
+        most = most_rays(self.scene) if varies else 0
         for rays_per_node in (1, *(rays for rays in RAYS if rays <= most)):
+            if rays_per_node == RAYS[-1]:
+                self._judge_by_rays(4 * RAYS[-1])
             errors = self.samples.errors(self._unoccluded(rays_per_node), self.exact)
             if not self.fits(errors) or (varies and rays_per_node == 1 and not self._looks_small()):
                 continue
@@ -184,6 +184,11 @@ class FinitePlanner(UnitsPlanner):
             self.expected, self.rays_per_node = errors, rays_per_node
             return True
         return False
+
+    def _judge_by_rays(self, count: int) -> None:
+        """Set the exact light by so many rays, which follow a steep brightness better than slices."""
+        coarse, self.exact = self._unoccluded(count // 4), self._unoccluded(count)
+        self.exact_error = EXACT_ERROR_RATIO * self.samples.errors(coarse, self.exact).rms
 
     def _looks_small(self) -> bool:
         """Whether one ray suffices from every node.
