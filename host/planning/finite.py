@@ -158,15 +158,8 @@ class FinitePlanner(UnitsPlanner):
         """
         if self.sky is not None and self.sky.bright_parts:
             return False  # they may light few nodes, which rays and samples miss
-        if self.scene.sides == "dark":
-            corners = (
-                [self.middle - self.radius, self.middle + self.radius]
-                if isinstance(self.solid, Ball)
-                else self.solid.corners
-            )
-            low, high = np.min(corners, 0)[:2], np.max(corners, 0)[:2]
-            if not ((low >= -0.5).all() and (high <= np.array(self.scene.shape[::-1]) - 0.5).all()):
-                return False
+        if self.scene.sides == "dark" and not _within_walls(self.scene, self.solid, self.middle, self.radius):
+            return False
         varies = callable(self.source.brightness)
         if varies:
             if not self._faces_source():
@@ -177,7 +170,9 @@ class FinitePlanner(UnitsPlanner):
             if rays_per_node == RAYS[-1]:
                 self._judge_by_rays(4 * RAYS[-1])
             errors = self.samples.errors(self._unoccluded(rays_per_node), self.exact)
-            if not self.fits(errors) or (varies and rays_per_node == 1 and not self._looks_small()):
+            if not self.fits(errors) or (
+                varies and rays_per_node == 1 and not _looks_small(self.scene, self.middle, self.radius)
+            ):
                 continue
             if not (varies or self._faces_source()):
                 break
@@ -189,13 +184,6 @@ class FinitePlanner(UnitsPlanner):
         """Set the exact light by so many rays, which follow a steep brightness better than slices."""
         coarse, self.exact = self._unoccluded(count // 4), self._unoccluded(count)
         self.exact_error = EXACT_ERROR_RATIO * self.samples.errors(coarse, self.exact).rms
-
-    def _looks_small(self) -> bool:
-        """Whether one ray suffices from every node.
-
-        Else two numbers of rays tell the error at all nodes, since the samples may lie beside the light.
-        """
-        return self.radius <= ONE_RAY_RADIUS * _nearest(self.scene, self.middle, self.middle)
 
     def _faces_source(self) -> bool:
         """Whether all ground faces all of the source: the samples' tangent planes first, then every node."""
@@ -243,6 +231,21 @@ class FinitePlanner(UnitsPlanner):
         if parts:
             yield Choice("bright parts", f"{len(parts)}", self.parts_taken)
         yield Choice("search radius", "up to the source", "what lies behind it hides nothing")
+
+
+def _within_walls(scene: Scene, solid: Ball | Quad, middle: np.ndarray, radius: float) -> bool:
+    """Whether a source stands between the walls of a dark box, seen from above."""
+    corners = [middle - radius, middle + radius] if isinstance(solid, Ball) else solid.corners
+    low, high = np.min(corners, 0)[:2], np.max(corners, 0)[:2]
+    return bool((low >= -0.5).all() and (high <= np.array(scene.shape[::-1]) - 0.5).all())
+
+
+def _looks_small(scene: Scene, middle: np.ndarray, radius: float) -> bool:
+    """Whether one ray to a source suffices from every node.
+
+    Else two numbers of rays tell the error at all nodes, since the samples may lie beside the light.
+    """
+    return radius <= ONE_RAY_RADIUS * _nearest(scene, middle, middle)
 
 
 class SlicePlanner(FinitePlanner):
