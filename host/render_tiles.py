@@ -296,8 +296,10 @@ class TileImage:
         engine = engine_of(scene, self.backend)
         with engine.lock:
             ground = ground_of(scene, max_distance, engine)
-            light = self._swept(engine, ground, self.lights, far)
-            self._judge(engine, scene, max_distance, far, light)
+            swept = _swept(engine, ground, self.lights, far)
+            if part.start in (None, 0):  # else another task of this tile does
+                self._judge(engine, scene, max_distance, far, swept)
+            light = self._coloured(swept)
             if self.between:
                 sky = _share_of_sky(engine, ground, DEFAULT_AZIMUTHS, far)
                 both = included(scene, engine, light, self.tolerance, "as asked", sky=sky, is_part=True)
@@ -309,9 +311,8 @@ class TileImage:
         image = image_of(scene, light, [], self.quantity)
         return np.moveaxis(image, -1, 0)[part] if self.in_colour else image
 
-    def _swept(self, engine: Backend, ground: Ground, lights: Lights, far: Far | None) -> list[np.ndarray]:
-        """Direct irradiance of every colour of the source."""
-        light = [Sweeps(engine, ground, rays, table, far=far).irradiance(last=True) for rays, table in lights]
+    def _coloured(self, light: list[np.ndarray]) -> list[np.ndarray]:
+        """The light of every colour of the source."""
         if self.factors is None:
             return light
         return [light[0] * np.float32(factor) for factor in self.factors]
@@ -339,8 +340,6 @@ class TileImage:
             else:
                 slopes = seen_from_edge(samples, inner, scene, far, rays.angles)[1]
             exact = rays.widths @ ring(*plane, rays.angles, slopes, table)
-            if self.factors is not None:
-                exact = exact * self.factors[0]
             lit = exact[exact > 0]
             if lit.size:
                 off = math.sqrt(float(np.mean((samples.of(image)[inner] - exact) ** 2)))
@@ -358,7 +357,7 @@ class TileImage:
         engine, edge = engine_of(scene, self.backend), [n // WINDOW_EDGE for n in scene.shape]
         with engine.lock:
             ground = ground_of(scene, None, engine)
-            light = self._swept(engine, ground, self.fewer, None)
+            light = self._coloured(_swept(engine, ground, self.fewer, None))
             sky = _share_of_sky(engine, ground, len(self.fewer[0][0].angles), None)
         inner = np.zeros(scene.shape, bool)
         inner[edge[0] : scene.shape[0] - edge[0], edge[1] : scene.shape[1] - edge[1]] = True
@@ -381,6 +380,11 @@ class TileImage:
                 f" more than a third of the {100 * self.tolerance:.2g} % asked for."
             )
         return replace(self, between=bool(needed and possible), share=share)
+
+
+def _swept(engine: Backend, ground: Ground, lights: Lights, far: Far | None) -> list[np.ndarray]:
+    """Direct irradiance of each of the lights."""
+    return [Sweeps(engine, ground, rays, table, far=far).irradiance(last=True) for rays, table in lights]
 
 
 def _share_of_sky(engine: Backend, ground: Ground, azimuths: int, far: Far | None) -> np.ndarray:

@@ -473,7 +473,8 @@ def test_a_low_sun_behind_far_ground_is_said(fast):
             tiles = sl.render(scene, sky, tolerance=0.01, tiling=sl.Tiling(128), **options).image
         assert (rms(tiles - whole) > 0.015 * whole.mean()) == is_said
         told = [str(warning.message) for warning in said if "beyond the halo" in str(warning.message)]
-        assert bool(told) == is_said and all(1 <= float(text.split()[9]) < 10 for text in told), said
+        assert bool(told) == bool(said) == is_said, said
+        assert all(1 <= float(text.split()[9]) < 10 for text in told), said
 
 
 @pytest.mark.parametrize(
@@ -487,10 +488,8 @@ def test_an_error_of_sweeps_in_tiles_is_said(fast, elevation, azimuths, is_said)
     bend = 6.9205479 * np.sin(y / 13.6753382)
     at = (x * np.cos(0.26194167) + y * np.sin(0.26194167) + bend) / 20.7776247 % 1
     scene = sl.Scene.from_height(8.0118527 * np.where(at < 0.75, at / 0.75, (1 - at) / 0.25))
-    sky, options = (
-        sl.Sky(sl.cie_sky(7, (193.36, elevation), direct=12.0)),
-        dict(interreflection=False, backend=fast),
-    )
+    sky = sl.Sky(sl.cie_sky(7, (193.36, elevation), direct=12.0))
+    options = dict(interreflection=False, backend=fast)
     exact = sl.render(scene, sky, method="horizon", azimuths=256, **options).image
     with warnings.catch_warnings(record=True) as said:
         warnings.simplefilter("always")
@@ -499,6 +498,24 @@ def test_an_error_of_sweeps_in_tiles_is_said(fast, elevation, azimuths, is_said)
     assert (rms(tiles - exact) > 0.006 * exact.mean()) == (elevation < 10)
     told = [re.search(r"sweeps of tiles.* about ([\d.]+) %", str(warning.message)) for warning in said]
     assert bool(told) == is_said and (not told or 0.6 <= max(float(number[1]) for number in told) < 3), said
+
+
+@pytest.mark.parametrize("brightness", [1.0, (0.0, 1.0, 0.5)])
+def test_an_error_of_sweeps_among_towers_is_said(fast, brightness):
+    """Of a colour that is dark nothing is seen, and the others tell; within twice the true error."""
+    rng, height = np.random.default_rng(5), np.zeros((128, 256))
+    for row, col in rng.integers(0, (122, 250), (110, 2)):
+        height[row : row + rng.integers(1, 6), col : col + rng.integers(1, 6)] = rng.uniform(10, 70)
+    scene, options = sl.Scene.from_height(height), dict(interreflection=False, backend=fast)
+    exact = sl.render(scene, sl.Sky(), tolerance=0.002, **options).image
+    tiles = sl.render(scene, sl.Sky(), azimuths=64, tiling=sl.Tiling(128, 64, 32), **options).image
+    with pytest.warns(UserWarning, match="sweeps of tiles") as said:
+        sl.render(scene, sl.Sky(brightness), tolerance=0.0025, tiling=sl.Tiling(128, 64, 32), **options)
+    told = [
+        float(found[1]) for found in (re.search(r"about ([\d.]+) %", str(w.message)) for w in said) if found
+    ]
+    true = 100 * rms(tiles - exact) / exact.mean()
+    assert true / 2 < max(told) < 2 * true
 
 
 @pytest.mark.slow

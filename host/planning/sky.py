@@ -33,9 +33,10 @@ CLIFF_NEAR_ROWS = 24, 96
 # cliffs; measured. With half and twice as many of 24 images are within 1 %, in 1.02 and 0.95 of the time
 # (performance/constants.py --seed 23 --size 64)
 BEHIND_CLIFFS = 0.028
-# tolerance below which suns stand above exact horizons without cliffs too. Chosen: swept, they are up to 1 %
-# in error behind sharp crests (dunes, ridges, coasts; 0.01 % on fractals), at few nodes, which samples miss.
-# At 0.02 images at 1 % with a low sun take up to three times as long; at 0.005 those at 0.5 % keep the error.
+# tolerance below which suns stand above exact horizons without cliffs too; on a map that repeats where that
+# is too much they are swept with 24 near rows. Chosen: swept, they are up to 1 % in error behind sharp crests
+# (dunes, ridges, coasts; 0.01 % on fractals), at few nodes, which samples miss. At 0.02 images at 1 % with a
+# low sun take up to three times as long; at 0.005 those at 0.5 % keep the error.
 SHARP_SHADOWS = 0.01
 
 
