@@ -797,21 +797,22 @@ floats light_above(__global const float *table, ints entry, int knots, floats fi
 /* sectors: the light of a sky in a few sectors of azimuth, each above the exact horizon along one azimuth,
 added to what is there.
 
-  ways        (5, count)         float  azimuth's cosine and sine, width [rad], and of its table: where it
-                                        begins, `first`, and knots per unit, `scale`, of the diamond angle
-                                        tangent / (1 + tangent) of elevation; count: a multiple of LANES
+  ways        (6, count)         float  azimuth's cosine and sine, width [rad]; of its table: where it begins,
+                                        `first`, and knots per unit, `scale`, of the diamond angle tangent /
+                                        (1 + tangent) of elevation; 1 if its light is added to `other`, else
+                                        0; count: a multiple of LANES
   table       (count, knots, 4)  float  integrals over elevation of B cos^2 and B sin cos, from first + i /
                                         scale on, and what to add up to the next knot; below the first knot
                                         and above the last there is no light
-  irradiance  (rows - 2 margin, cols - 2 margin)  float  in, out
+  irradiance, other  (rows - 2 margin, cols - 2 margin)  float  in, out; may be the same
 
 margin: nodes on all sides of the map that are there to occlude, a map that repeats being wrapped; 0 with a
 wall or a window. x0 <= x < x1, y0 <= y < y1 [spacing]: window at height 0 through
 which the light comes; -ENDLESS..ENDLESS: there is none. */
 __kernel void sectors(__global const float *heights, __global const float *tops, __global const float *ways,
-                      __global const float *table, __global float *irradiance, int rows, int cols, int width,
-                      int levels, int count, int knots, int dark, int margin, float highest, float x0,
-                      float x1, float y0, float y1)
+                      __global const float *table, __global float *irradiance, __global float *other,
+                      int rows, int cols, int width, int levels, int count, int knots, int dark, int margin,
+                      float highest, float x0, float x1, float y0, float y1)
 {
   const int x = get_global_id(0), y = get_global_id(1);
   if (x >= cols - 2 * margin || y >= rows - 2 * margin)
@@ -822,7 +823,7 @@ __kernel void sectors(__global const float *heights, __global const float *tops,
   pixel.reach = 1; /* ground counts up to t x along = 1 */
   pixel.radius = -1;
   const int framed = x0 > -ENDLESS || x1 < ENDLESS || y0 > -ENDLESS || y1 < ENDLESS;
-  floats sum = 0;
+  floats sum = 0, other_sum = 0;
   if (pixel.height > NONE && (!framed || pixel.height < 0))
     for (int j = 0; j < count; j += LANES) {
       const floats c = AT(ways, j), s = AT(ways, count + j), first = AT(ways, 3 * count + j),
@@ -859,8 +860,13 @@ __kernel void sectors(__global const float *heights, __global const float *tops,
         const floats past = light_above(table, entry, knots, first, scale, end, tilt);
         light = slope < end ? light - (end < STEEP ? past : 0) : 0;
       }
-      sum += AT(ways, 2 * count + j) * light;
+      light *= AT(ways, 2 * count + j);
+      const floats to_other = AT(ways, 5 * count + j);
+      sum += (1 - to_other) * light;
+      other_sum += to_other * light;
     }
-  irradiance[y * (cols - 2 * margin) + x] +=
-      TOTAL(sum) / sqrt(1 + pixel.tilt_x * pixel.tilt_x + pixel.tilt_y * pixel.tilt_y);
+  const int at = y * (cols - 2 * margin) + x;
+  const float length = sqrt(1 + pixel.tilt_x * pixel.tilt_x + pixel.tilt_y * pixel.tilt_y);
+  irradiance[at] += TOTAL(sum) / length;
+  other[at] += TOTAL(other_sum) / length;
 }

@@ -34,7 +34,7 @@ CONSTANTS = {  # module and name: on which pairs
     "planning.sky.BEHIND_CLIFFS": SKY,
     "planning.sky.LEAST_SECTORS": LIGHTS,
     "planning.sky.EXACT_MULTIPLE": LIGHTS,
-    "planning.sky.SHARP_SHADOWS": LIGHTS,
+    "planning.sky.SWEPT_SUN": LIGHTS,
     "light.unoccluded.INTEGRATED_AZIMUTHS": SKY,
     "sources.integrals.ROUGH": LIGHTS,
     "sources.integrals.SECTOR_CELL_PARTS": LIGHTS,

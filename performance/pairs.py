@@ -540,8 +540,11 @@ def through_solid(samples, solid, light, density):
         for p in range(points):
             edge = begin + (end - begin) * p / points, begin + (end - begin) * (p + 1) / points
             c, s = (v - u for u, v in zip(*map(primitives, edge)))
-            middle = np.sin((edge[0] + edge[1]) / 2)
-            value = light(sources.directions_of(a, middle)) if callable(light) else light
+            value = light
+            if callable(light):
+                middle, half = (edge[0] + edge[1]) / 2, (edge[1] - edge[0]) / 2
+                places = (np.sin(middle + sign * half / 3**0.5) for sign in (-1, 1))
+                value = sum(light(sources.directions_of(a, sine)) for sine in places) / 2
             total += np.bincount(node, w * value * (tilt * c + s / samples.length[node]), len(total))
     return total
 

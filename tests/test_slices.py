@@ -687,6 +687,23 @@ def test_a_sun_over_a_map_with_a_margin(backend):
     assert (abs(middle - by_suns(backend, depth, [(ways, table)])) > 0.1 * middle.max()).any()
 
 
+def test_sectors_of_two_images_at_once(backend):
+    """Each image receives the light of its own sectors."""
+    depth = _terrain()[100:140, 150:190]
+    sun = Integrals(sunny(2.0)[0]).bright_parts[0]
+    halves = [sun.sectors(3), sun.sectors(3, True)]
+    run = slices.Slices(resident_map(backend, depth), "open", slices.Dome())
+    other = run.backend.empty(depth.shape, np.float32, 0)
+    run.clear()
+    ways, tables = zip(*halves)
+    of_other = np.repeat([0, 1], [len(table) for table in tables])
+    run.sectors(np.concatenate(ways, 1), np.concatenate(tables), other=other, to_other=of_other)
+    for image, half in zip((run.download(), run.backend.download(other)), halves):
+        wanted = by_suns(backend, depth, [half])
+        np.testing.assert_allclose(image, wanted, rtol=1e-6, atol=1e-6 * wanted.max())
+        assert wanted.any()
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("sides", ["open", "dark"])
 def test_a_sun_in_sectors_is_the_disc_that_it_is(backend, sides):

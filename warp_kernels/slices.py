@@ -1199,6 +1199,7 @@ def sectors(
     ways: wp.array[wp.float32],
     table: wp.array[wp.float32],
     irradiance: wp.array[wp.float32],
+    other: wp.array[wp.float32],
     rows: wp.int32,
     cols: wp.int32,
     width: wp.int32,
@@ -1216,14 +1217,14 @@ def sectors(
     """The light of a sky in a few sectors of azimuth, each above the exact horizon along one azimuth, added
     to what is there.
 
-      ways        (5, count)         float32  azimuth's cosine and sine, width [rad], and of its table: where
-                                              it begins, `first`, and knots per unit, `scale`, of the diamond
-                                              angle tangent / (1 + tangent) of elevation; count: a multiple of
-                                              LANES
+      ways        (6, count)         float32  azimuth's cosine and sine, width [rad]; of its table: where it
+                                              begins, `first`, and knots per unit, `scale`, of the diamond
+                                              angle tangent / (1 + tangent) of elevation; 1 if its light is
+                                              added to `other`, else 0; count: a multiple of LANES
       table       (count, knots, 4)  float32  integrals over elevation of B cos^2 and B sin cos, from first +
                                               i / scale on, and what to add up to the next knot; below the
                                               first knot and above the last there is no light
-      irradiance  (rows - 2 margin, cols - 2 margin)  float32  in, out
+      irradiance, other  (rows - 2 margin, cols - 2 margin)  float32  in, out; may be the same
 
     margin: nodes on all sides of the map that are there to occlude, a map that repeats being wrapped.
     x0 <= x < x1, y0 <= y < y1 [spacing]: window at height 0 through which the light
@@ -1252,6 +1253,7 @@ def sectors(
     pixel.radius = -1.0
     framed = x0 > -ENDLESS or x1 < ENDLESS or y0 > -ENDLESS or y1 < ENDLESS
     total = wp.float32(0.0)
+    other_total = wp.float32(0.0)
     if pixel.height > NONE and (not framed or pixel.height < 0.0):
         for j in range(count):
             c = ways[j]
@@ -1288,6 +1290,11 @@ def sectors(
                 light = light_above(table, j * knots, knots, first, scale, slope, tilt)
                 if end < STEEP:
                     light -= light_above(table, j * knots, knots, first, scale, end, tilt)
-            total += ways[2 * count + j] * light
+            light *= ways[2 * count + j]
+            to_other = ways[5 * count + j]
+            total += (1.0 - to_other) * light
+            other_total += to_other * light
     at = row * (cols - 2 * margin) + column
-    irradiance[at] = irradiance[at] + total / wp.sqrt(1.0 + tilt_xy[0] * tilt_xy[0] + tilt_xy[1] * tilt_xy[1])
+    length = wp.sqrt(1.0 + tilt_xy[0] * tilt_xy[0] + tilt_xy[1] * tilt_xy[1])
+    irradiance[at] = irradiance[at] + total / length
+    other[at] = other[at] + other_total / length

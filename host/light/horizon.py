@@ -33,9 +33,9 @@ FINE_KNOTS = 1025  # of a table that holds small bright parts too: a knot is 0.0
 class Horizons(LightMethod):
     """``sky``: a brightness, or Integrals. ``count``: azimuths, even in number.
 
-    ``sectors`` of every small bright part; ``near`` rows within which every crossing is tested. With an
-    ``exact_margin`` the small parts are above exact horizons, which behind cliffs a sweep's are not: the
-    margin of a map that repeats, see :func:`margin_of`, 0 of others.
+    ``sectors`` of every small bright part; ``near`` rows within which every crossing is tested. The small
+    ``exact_parts`` are above exact horizons, which behind crests a sweep's are not, a map that repeats with a
+    ``margin`` round it: see :func:`above_exact_horizons`.
 
     Each of the two halves has half of the azimuths, every other one, and all light. A ratio estimator makes
     the light of so few: of the light that the tangent planes alone let through, which is known exactly, each
@@ -52,7 +52,8 @@ class Horizons(LightMethod):
         count: int,
         sectors: int = 8,
         near: int | None = None,
-        exact_margin: int | None = None,
+        exact_parts: tuple[BrightPart, ...] = (),
+        margin: int = 0,
     ):
         self.engine, self.scene, self.sky, self.units, self.sectors = engine, scene, sky, count, sectors
         self.scale, self.bright_parts = (1.0, sky.bright_parts) if isinstance(sky, Integrals) else (sky, ())
@@ -60,8 +61,10 @@ class Horizons(LightMethod):
         self.sweeps = Sweeps(engine, ground_of(scene, None, engine), near=near)
         self.total, self.turned = (engine.empty(size, np.int32) for _ in range(2))
         self.slices = None
-        if exact_margin is not None and self.bright_parts:
-            self.slices = Slices(scene.on(engine), scene.sides, Dome(), margin=exact_margin)
+        self.exact_parts = exact_parts
+        self.swept_parts = [part for part in self.bright_parts if part not in exact_parts]
+        if exact_parts:
+            self.slices = Slices(scene.on(engine), scene.sides, Dome(), margin=margin)
         # light (side, side) by normal that the tangent planes alone leave
         self.exact = np.zeros(0)
         if isinstance(sky, Integrals):
@@ -92,7 +95,7 @@ class Horizons(LightMethod):
         GPU takes as long for some azimuths as for a few more.
         """
         grids = [even(count, self.offset + shifted / 2) for shifted in between]
-        parts = [[spot.sectors(self.sectors, shifted) for spot in self.bright_parts] for shifted in between]
+        parts = [[spot.sectors(self.sectors, shifted) for spot in self.swept_parts] for shifted in between]
         images = [self.engine.empty(self.scene.shape, np.float32) for _ in between]
         self.sweeps.set_azimuths(*self._rays(grids, window, parts))
         self.sweeps.light(self.total, self.turned, *images)
@@ -100,15 +103,27 @@ class Horizons(LightMethod):
             if isinstance(self.sky, Integrals):
                 planes = _by_normals(self.sky, azimuths, window)
                 bright = np.zeros_like(planes)  # the suns' part of the image
-                for spot in sectors if self.slices is None else []:
+                for spot in sectors:
                     angles, table = _as_azimuths(*spot)
                     bright += unoccluded.by_normals(table, angles, np.ones(len(angles)))
                 self.sweeps.correct(correction(self.exact + bright, planes + bright), image)
-            if self.slices is not None:
-                ways, tables = zip(*sectors)
-                self.slices.image = image
-                self.slices.sectors(np.concatenate(ways, 1), np.concatenate(tables, 0))
+        if self.slices is not None:
+            self._add_exact(self.slices, images, between)
         return images
+
+    def _add_exact(self, slices: Slices, images: list[Array], between: tuple[bool, ...]) -> None:
+        """Add the light of the small parts that stand above exact horizons, at once to all images."""
+        ways, tables, numbers = [], [], []
+        for number, shifted in enumerate(between):
+            for part in self.exact_parts:
+                way, table = part.sectors(self.sectors, shifted)
+                ways.append(way)
+                tables.append(table)
+                numbers += len(table) * [number]
+        slices.image = images[0]
+        slices.sectors(
+            np.concatenate(ways, 1), np.concatenate(tables, 0), other=images[-1], to_other=np.array(numbers)
+        )
 
     def _rays(
         self, grids: list[Azimuths], window: float, bright_parts: list[list[tuple[np.ndarray, np.ndarray]]]
@@ -118,11 +133,11 @@ class Horizons(LightMethod):
         """
         rays, tables = [], []
         for azimuths, sectors in zip(grids, bright_parts):
-            ray, swept = Rays(azimuths.angles, azimuths.widths), bool(sectors) and self.slices is None
+            ray = Rays(azimuths.angles, azimuths.widths)
             if isinstance(self.sky, Integrals):
-                knots = FINE_KNOTS if swept else SKY_KNOTS
+                knots = FINE_KNOTS if sectors else SKY_KNOTS
                 table = self.sky.table(ray.angles, np.full(len(azimuths), window), knots)
-                if swept:
+                if sectors:
                     ray, table = with_bright_parts(ray, table, sectors)
                 tables.append(table)
             rays.append(ray)
@@ -173,18 +188,26 @@ def correction(exact: np.ndarray, planes: np.ndarray) -> np.ndarray:
     return ratio
 
 
-def margin_of(scene: Scene, bright_parts: tuple[BrightPart, ...], relief: float) -> int | None:
-    """Nodes round a map that repeats in which its ``relief`` [spacing] may hide a sun; 0 of other maps.
+def above_exact_horizons(
+    scene: Scene, bright_parts: tuple[BrightPart, ...], relief: float
+) -> tuple[tuple[BrightPart, ...], int]:
+    """Those of small bright parts that can stand above exact horizons, and the margin that the map then has.
 
-    None where a map with that margin would be too large. Ground that rises less than LEAST_SEARCHED_SLOPE is
-    not looked for, as in a sweep.
+    The margin: nodes round a map that repeats in which its ``relief`` [spacing] may hide them; 0 of other
+    maps. Parts so low that the map with its margin would be too large are left out. Ground that rises less
+    than LEAST_SEARCHED_SLOPE is not looked for, as in a sweep.
     """
     if scene.sides != "periodic":
-        return 0
-    lowest = min(float(spot.cells.low.min()) for spot in bright_parts)
-    margin = math.ceil(relief / max(LEAST_SEARCHED_SLOPE, math.tan(max(0.0, lowest)))) + 1
-    wrapped, nodes = math.prod(n + 2 * margin for n in scene.shape), math.prod(scene.shape)
-    return margin if wrapped <= min(max(WRAPPED, 4 * nodes), MOST_PIXELS) else None
+        return bright_parts, 0
+    nodes = math.prod(scene.shape)
+    most = min(max(WRAPPED, 4 * nodes), MOST_PIXELS)
+    margins = {}
+    for part in bright_parts:
+        slope = max(LEAST_SEARCHED_SLOPE, math.tan(max(0.0, float(part.cells.low.min()))))
+        margin = math.ceil(relief / slope) + 1
+        if math.prod(n + 2 * margin for n in scene.shape) <= most:
+            margins[part] = margin
+    return tuple(margins), max(margins.values(), default=0)
 
 
 def _by_normals(sky: Integrals, azimuths: Azimuths, window: float) -> np.ndarray:

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from ..backends.base import reserve_map
+from ..backends.base import Array, reserve_map
 from ..backends.resident import Resident
 from ..constants import ENDLESS, NONE, SLICES
 from ..sources import Source, radiance
@@ -339,23 +339,31 @@ class Slices:
         self.backend.fill(self.image, 0)
 
     def sectors(
-        self, ways: np.ndarray, table: np.ndarray, window: tuple[float, float, float, float] | None = None
+        self,
+        ways: np.ndarray,
+        table: np.ndarray,
+        window: tuple[float, float, float, float] | None = None,
+        other: Array = None,
+        to_other: np.ndarray | None = None,
     ) -> None:
         """Add the light of a sky's bright spots, above exact horizons; ``clear`` comes before the first.
 
         ``ways`` (5, K): azimuth's cosine and sine, width [rad], diamond angle of elevation at which the
         sector's table begins, and knots per unit of it. ``table`` (K, knots, 4): integrals of B cos^2 and B
         sin cos from each knot on, and their differences to the next. ``window`` (x0, x1, y0, y1) [spacing]:
-        in the plane z = 0, through which the light comes.
+        in the plane z = 0, through which the light comes. ``to_other`` (K,): 1 for sectors whose light is
+        added to the image ``other``.
         """
         rows, cols = self.shape
         around = 2 * self.margin
         self.coarsen()
         used, knots = table.shape[:2]
         count = -(-used // SLICES) * SLICES  # the rest have no width
-        sectors, tables = np.zeros((5, count), np.float32), np.zeros((count, knots, 4), np.float32)
+        sectors, tables = np.zeros((6, count), np.float32), np.zeros((count, knots, 4), np.float32)
         sectors[4] = 1
-        sectors[:, :used], tables[:used] = ways, table
+        sectors[:5, :used], tables[:used] = ways, table
+        if to_other is not None:
+            sectors[5, :used] = to_other
         given = [self.backend.upload(array) for array in (sectors, tables)]  # held until the kernel is done
         x0, x1, y0, y1 = (-ENDLESS, ENDLESS) * 2 if window is None else map(float, window)
         self.backend.launch(
@@ -366,6 +374,7 @@ class Slices:
             self.tops,
             *given,
             self.image,
+            self.image if other is None else other,
             rows,
             cols,
             self.width,

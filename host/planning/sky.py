@@ -11,7 +11,7 @@ from ..constants import LEAST_SEARCHED_SLOPE
 from ..errors import CapacityError
 from ..light import unoccluded
 from ..light.base import LightMethod
-from ..light.horizon import Horizons, correction, margin_of
+from ..light.horizon import Horizons, above_exact_horizons, correction
 from ..samples import Samples
 from ..sources.integrals import BrightPart, Integrals, even, integrals
 from .base import EXACT_ERROR_RATIO, MOST_STEPS, TABLES_ERROR, UnitsPlanner
@@ -23,21 +23,20 @@ EXACT_AZIMUTHS = (36, 72, 144, 288)  # azimuths of the exact light, which judges
 # the first of them on a device with memory of its own, which traces so many as fast as 36 (line
 # "tolerance 0.01" of performance/whole_calls.py, H200: 31 ms, with 36 at first 34; 8.1 and 9.1 on 256 x 256)
 GPU_EXACT_AZIMUTHS = 144
-# least number of sectors of azimuth of all small bright parts together, as many as a CPU computes at a time;
+# least number of sectors of azimuth of all small bright parts together in each half of an image: in both as
+# many as a CPU computes at a time;
 # the multiples of it that are tried in turn; and the multiple of an image's in the exact light: odd, so that
 # its sectors have other borders
-LEAST_SECTORS, SECTOR_MULTIPLES, EXACT_MULTIPLE = 8, (1, 3, 9), 3
+LEAST_SECTORS, SECTOR_MULTIPLES, EXACT_MULTIPLE = 4, (1, 3, 9), 3
 # near rows, within which every crossing is tested: where the usual 6 do not suffice, and where 24 do not
 CLIFF_NEAR_ROWS = 24, 96
 # RMS error of sweeps with 6 near rows, over the square root of the share of neighbouring nodes that are
 # cliffs; measured. With half and twice as many of 24 images are within 1 %, in 1.02 and 0.95 of the time
 # (performance/constants.py --seed 23 --size 64)
 BEHIND_CLIFFS = 0.028
-# tolerance below which suns stand above exact horizons without cliffs too; on a map that repeats where that
-# is too much they are swept with 24 near rows. Chosen: swept, they are up to 1 % in error behind sharp crests
-# (dunes, ridges, coasts; 0.01 % on fractals), at few nodes, which samples miss. At 0.02 images at 1 % with a
-# low sun take up to three times as long; at 0.005 those at 0.5 % keep the error.
-SHARP_SHADOWS = 0.01
+# RMS error of the light of a swept sun, over that light: behind crests a few nodes are wrong, which samples
+# miss. Measured: 98.7 % of 300 random pairs of ground and sun have less, the worst .165
+SWEPT_SUN = 0.1
 
 
 class SkyPlanner(UnitsPlanner):
@@ -50,7 +49,8 @@ class SkyPlanner(UnitsPlanner):
     by_sectors: dict[int, np.ndarray]  # their light at the samples by sectors of each, two halves
     near_rows: int | None = None
     sectors = exact_sectors = 0  # of azimuth, of every small bright part: of the image, of the exact light
-    exact_margin: int | None = None  # of the map, for exact horizons of small bright parts; None: swept
+    exact_parts: tuple[BrightPart, ...] = ()  # small bright parts above exact horizons; the others are swept
+    margin = 0  # of the map, for these
     exact_count = 0  # azimuths of the exact light
     exact_angles: np.ndarray  # these azimuths
     exact_slopes: np.ndarray  # exact horizons in them
@@ -63,9 +63,6 @@ class SkyPlanner(UnitsPlanner):
     def choose(self) -> None:
         samples, self.by_sectors = self.samples, {0: np.zeros((2, len(self.samples)))}
         self._integrate()
-        sharp = self.bright_parts and self.exact_margin is None and self.tolerance < SHARP_SHADOWS
-        if sharp or BEHIND_CLIFFS * math.sqrt(samples.cliffs) > 0.5 * self.tolerance:
-            self.near_rows = CLIFF_NEAR_ROWS[0]
         planes = even(unoccluded.INTEGRATED_AZIMUTHS, 0.5)
         if isinstance(self.light, Integrals):
             table = self.light.table(planes.angles, planes.widths)
@@ -76,6 +73,7 @@ class SkyPlanner(UnitsPlanner):
         grids = [grid for grid in EXACT_AZIMUTHS if self.engine.shares or grid >= GPU_EXACT_AZIMUTHS]
         self.set_exact_light(grids[0])
         self._choose_sectors()
+        self._choose_exact_parts()
         judged = [0, *(grid // 6 for grid in grids)]
         self.choose_units(
             (grid, [n for n in AZIMUTH_COUNTS if low < n <= high])
@@ -85,15 +83,12 @@ class SkyPlanner(UnitsPlanner):
 
     def _integrate(self) -> None:
         """Set the brightness: a number, or its integrals and its small bright parts."""
-        scene, brightness = self.scene, self.source.brightness
+        brightness = self.source.brightness
         if not callable(brightness):
             self.light = float(brightness)
             return
         self.light = sky = integrals(self.source, self.tolerance)
         self.bright_parts, self.tables_error = sky.bright_parts, math.hypot(TABLES_ERROR, sky.error)
-        sharp = self.samples.cliffs > 0 or self.tolerance < SHARP_SHADOWS
-        if self.bright_parts and sharp:
-            self.exact_margin = margin_of(scene, self.bright_parts, self.samples.relief)
 
     def set_exact_light(self, units: int) -> None:
         """Exact light at the samples in so many azimuths, unless it is known in as many or more."""
@@ -161,6 +156,17 @@ class SkyPlanner(UnitsPlanner):
             if self.fits(self.samples.errors(self.exact + few - many, self.exact)):
                 break
 
+    def _choose_exact_parts(self) -> None:
+        """Which small bright parts stand above exact horizons; the near rows of what is swept."""
+        samples, parts = self.samples, self.bright_parts
+        share = samples.errors(self.exact - self._bright_light(self.exact_sectors).mean(0), self.exact).rms
+        swept_suns = parts and SWEPT_SUN * share > 0.5 * self.tolerance
+        if swept_suns:
+            self.exact_parts, self.margin = above_exact_horizons(self.scene, parts, samples.relief)
+            swept_suns = len(self.exact_parts) < len(parts)
+        if swept_suns or BEHIND_CLIFFS * math.sqrt(samples.cliffs) > 0.5 * self.tolerance:
+            self.near_rows = CLIFF_NEAR_ROWS[0]
+
     def _check_work(self) -> None:
         """CapacityError where the azimuths, with the search on a map that repeats, are too much work."""
         lap = self.samples.relief / LEAST_SEARCHED_SLOPE if self.scene.sides == "periodic" else 0.0
@@ -175,7 +181,7 @@ class SkyPlanner(UnitsPlanner):
         return self._horizons(self.units)
 
     def _horizons(self, units: int) -> Horizons:
-        exactness = self.sectors, self.near_rows, self.exact_margin
+        exactness = self.sectors, self.near_rows, self.exact_parts, self.margin
         return Horizons(self.engine, self.scene, self.light, units, *exactness)
 
     def audit(self, method: LightMethod) -> float | None:
@@ -195,7 +201,8 @@ class SkyPlanner(UnitsPlanner):
                 return True
         if self.method_class is Horizons and self.scene.sides == "periodic":
             times = self.method.units // self.units
-            added = times * (self.units + 2 * len(self.bright_parts) * self.sectors)
+            swept = len(self.bright_parts) - len(self.exact_parts)
+            added = times * (self.units + 2 * swept * self.sectors)
             if self.samples.relief / LEAST_SEARCHED_SLOPE * added > self.engine.most_searched_rows:
                 return False  # the image stays, with its warning
         return super().refine(is_mostly_common)
@@ -210,8 +217,10 @@ class SkyPlanner(UnitsPlanner):
         if self.bright_parts:
             taken = f"{2 * self.sectors + 1} azimuths each"
             why = "small and bright: suns, lights and spots have azimuths of their own"
-            if self.exact_margin is not None:
-                why += ", above exact horizons"
+            if self.exact_parts:
+                above = len(self.exact_parts)
+                some = "" if above == len(self.bright_parts) else f"{above} of them "
+                why += f", {some}above exact horizons"
             yield Choice("bright parts", f"{len(self.bright_parts)}, {taken}", why)
         yield Choice(
             "azimuths", f"{self.units} evenly", "the fewest whose light at the samples is that of many"

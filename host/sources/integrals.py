@@ -94,7 +94,7 @@ class Cells(NamedTuple):
         return moments
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class BrightPart:
     """A small bright part of a sky: its cells in order of azimuth, which may run past 2 pi.
 

@@ -872,6 +872,7 @@ def sectors(
     ways: np.ndarray,
     table: np.ndarray,
     irradiance: np.ndarray,
+    other: np.ndarray,
     rows: int,
     cols: int,
     width: int,
@@ -897,8 +898,8 @@ def sectors(
     def flat(value: float | np.float32) -> np.ndarray:
         return np.full(len(x), value, F)
 
-    total, bare = np.zeros(len(x), F), _bare(heights, tops, highest, rows, cols, levels)
-    for j, (c, s, share, first, scale) in enumerate(ways.T):
+    totals, bare = np.zeros((2, len(x)), F), _bare(heights, tops, highest, rows, cols, levels)
+    for j, (c, s, share, first, scale, to_other) in enumerate(ways.T):
         last = first + F(knots - 1) / scale
         low, high = (at / max(F(1) - at, F(1e-6)) for at in (first, last))
         # farther on, a ray is above all ground
@@ -920,5 +921,6 @@ def sectors(
         if framed:
             past = np.where(end < STEEP, _light_above(table[j], first, scale, end, tilt), F(0))
             light = np.where(slope < end, light - past, F(0))
-        total += share * light
-    irradiance[y - margin, x - margin] += total / np.sqrt(F(1) + tilt_x * tilt_x + tilt_y * tilt_y)
+        totals[int(to_other)] += share * light
+    for image, total in zip((irradiance, other), totals):
+        image[y - margin, x - margin] += total / np.sqrt(F(1) + tilt_x * tilt_x + tilt_y * tilt_y)
