@@ -358,9 +358,9 @@ class Slices:
         around = 2 * self.margin
         self.coarsen()
         used, knots = table.shape[:2]
-        count = -(-used // SLICES) * SLICES  # the rest have no width
+        count = -(-used // SLICES) * SLICES  # the rest are at the zenith and have no width
         sectors, tables = np.zeros((6, count), np.float32), np.zeros((count, knots, 4), np.float32)
-        sectors[4] = 1
+        sectors[3:5] = [[1], [1e9]]
         sectors[:5, :used], tables[:used] = ways, table
         if to_other is not None:
             sectors[5, :used] = to_other
