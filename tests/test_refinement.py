@@ -442,6 +442,16 @@ def test_a_low_sun_behind_sharp_crests(fast, azimuth, elevation, tolerance):
     assert errors(found.ravel(), exact.ravel()).rms < tolerance
 
 
+def test_a_plan_names_light_from_below_the_lowest_slope_that_is_searched(fast):
+    """A band of light near the level over a map that repeats: 1.5 tolerances off, and the plan was silent."""
+    scene = replace(SCENES["rough"], sides="periodic")
+    band = sl.Sky(lambda L: np.where(-L[..., 2] < 0.02, 800.0, 1.0))
+    for sky, wanted in ((band, 1), (sl.Sky(), 0)):
+        choices = sl.plan(scene, sky, 0.003, fast).choices
+        (search,) = (choice for choice in choices if choice.what == "search radius")
+        assert search.why.count("of the light (RMS) comes from below") == wanted
+
+
 def test_a_low_sun_in_its_glow_over_a_map_that_repeats(fast):
     """The glow reaches down to the level: its exact horizons would be too far away, not the sun's. Both
     were swept: 4.3 tolerances.

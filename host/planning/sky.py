@@ -177,10 +177,18 @@ class SkyPlanner(UnitsPlanner):
                 f" {MOST_STEPS:,}. Take a larger tolerance or a smaller map."
             )
 
-    def make(self) -> LightMethod:
-        return self._horizons(self.units)
+    def _light_below(self, slope: float) -> float:
+        """RMS over the mean of the light between the ground and ``slope`` at the samples."""
+        if not isinstance(self.light, Integrals):
+            return 0.0  # at most 5e-5, see LEAST_SEARCHED_SLOPE
+        angles, slopes, width = self.exact_angles, self.exact_slopes, 2 * np.pi / self.exact_count
+        table = self.light.table(angles, np.full(len(angles), width))
+        ring = self.samples.ring
+        below = ring(angles, slopes, table) - ring(angles, np.maximum(slopes, slope), table)
+        return self.samples.errors(self.exact - width * below.sum(0), self.exact).rms
 
-    def _horizons(self, units: int) -> Horizons:
+    def make(self, units: int | None = None) -> LightMethod:
+        units = self.units if units is None else units
         exactness = self.sectors, self.near_rows, self.exact_parts, self.margin
         return Horizons(self.engine, self.scene, self.light, units, *exactness)
 
@@ -197,7 +205,7 @@ class SkyPlanner(UnitsPlanner):
             near = next((near for near in CLIFF_NEAR_ROWS if near > (self.near_rows or 0)), None)
             if near is not None:
                 self.near_rows = near
-                self.method = self._horizons(self.method.units)
+                self.method = self.make(self.method.units)
                 return True
         if self.method_class is Horizons and self.scene.sides == "periodic":
             times = self.method.units // self.units
@@ -225,12 +233,12 @@ class SkyPlanner(UnitsPlanner):
         yield Choice(
             "azimuths", f"{self.units} evenly", "the fewest whose light at the samples is that of many"
         )
-        why = f"on a map that repeats, as far as its relief makes a slope of {LEAST_SEARCHED_SLOPE}"
-        yield Choice(
-            "search radius",
-            "whole map",
-            why if self.scene.sides == "periodic" else "a sweep costs the same however far it looks",
-        )
+        why = "a sweep costs the same however far it looks"
+        if self.scene.sides == "periodic":
+            why = f"on a map that repeats, as far as its relief makes a slope of {LEAST_SEARCHED_SLOPE}"
+            if (share := self._light_below(LEAST_SEARCHED_SLOPE)) > self.tolerance:
+                why += f"; {percent(share)} of the light (RMS) comes from below, where no ground is searched"
+        yield Choice("search radius", "whole map", why)
         if self.near_rows:
             yield Choice(
                 "near rows", f"{self.near_rows}", "there are cliffs: every crossing so near is tested"
