@@ -243,7 +243,7 @@ def spacing_of(labels: Labels | None) -> float:
                 f"spacing by the coordinate {name!r}",
                 "degrees",
                 "lengths in the unit of height",
-                "Reproject the map (dem.rio.reproject), or give a spacing in this unit to Scene.from_height.",
+                "Reproject the map to a system in metres (dem.rio.reproject).",
             )
         here, high = metres_in(unit), metres_in(vertical)
         if unknown := _unknown(unit, here, vertical, high) if not steps else "":
@@ -255,6 +255,13 @@ def spacing_of(labels: Labels | None) -> float:
             )
         scale = here / high if here and high else 1.0
         steps.append(scale * np.abs(np.diff(coordinate.values.astype(np.float64))))
+    if not steps and (curved := [name for name in labels.coords if _is_curved(labels, name)]):
+        raise bad(
+            "spacing by coordinates",
+            f"two-dimensional ones, {', '.join(map(str, curved))}, of a turned or curved grid",
+            "one coordinate along each axis",
+            "Reproject the map (dem.rio.reproject).",
+        )
     differences = np.concatenate([*steps, np.zeros(0)])
     if not differences.size:
         return 1.0
@@ -263,8 +270,10 @@ def spacing_of(labels: Labels | None) -> float:
             "spacing by coordinates",
             f"steps of {differences.min():g} to {differences.max():g}",
             "even steps, the same along both axes",
-            "Resample the map, or give spacing.",
+            "Resample the map to square cells.",
         )
+    if (text := stretched(_stretch(labels))) is not None:
+        warnings.warn(text, stacklevel=2)
     return float(np.mean([step.mean() for step in steps if step.size]))
 
 
@@ -282,15 +291,43 @@ def _unknown(unit: str, here: float | None, vertical: str, high: float | None) -
 
 def _units_of_system(labels: Labels) -> tuple[str, str]:
     """Units of the coordinates and of heights by the reference system, each empty where it tells none."""
-    wkt = next((str(c.attrs["crs_wkt"]) for c in labels.coords.values() if c.attrs.get("crs_wkt")), "")
-    if not wkt:
-        return "", ""
-    try:
-        axes = importlib.import_module("pyproj").CRS(wkt).axis_info
-    except (ImportError, RuntimeError):  # pyproj is not installed, or cannot read it
+    wkt, system = _system(labels)
+    if system is None:
         return ("degree" if wkt.startswith(("GEOGCS", "GEOGCRS")) else ""), ""
-    units = [axis.unit_name.lower() for axis in axes if axis.unit_name]
+    units = [axis.unit_name.lower() for axis in system.axis_info if axis.unit_name]
     return units[0] if units else "", units[2] if len(units) > 2 else ""
+
+
+def _system(labels: Labels) -> tuple[str, Any]:
+    """The reference system that the coordinates tell, as text and, by pyproj, as its CRS or None."""
+    wkt = next((str(c.attrs["crs_wkt"]) for c in labels.coords.values() if c.attrs.get("crs_wkt")), "")
+    try:
+        return wkt, importlib.import_module("pyproj").CRS(wkt) if wkt else None
+    except (ImportError, RuntimeError):  # pyproj is not installed, or cannot read it
+        return wkt, None
+
+
+def _stretch(labels: Labels) -> float:
+    """Length on the map over that on the ground, at its middle; 1 where that is not known."""
+    system = _system(labels)[1]
+    lines = [_positions(labels, name) for name in labels.dims[-2:]]
+    if system is None or not system.is_projected or any(line is None for line in lines):
+        return 1.0
+    pyproj = importlib.import_module("pyproj")
+    to_degrees = pyproj.Transformer.from_crs(system, system.geodetic_crs, always_xy=True)
+    place = to_degrees.transform(*(float(line.mean()) for line in lines[::-1]))
+    return math.sqrt(pyproj.Proj(system).get_factors(*place).areal_scale)
+
+
+def stretched(stretch: float) -> str | None:
+    """What to say of a map whose lengths are ``stretch`` times those on the ground; None within 1 %."""
+    if abs(stretch - 1) <= UNEVEN:
+        return None
+    return (
+        f"Projection: lengths on this map are {stretch:.3g} times those on the ground, so slopes and shadows"
+        f" are wrong. Warp it to a system that keeps lengths here, such as UTM, or divide the spacing by"
+        f" {stretch:.3g}."
+    )
 
 
 # names of coordinates that run east, and CF's axis and standard names of such
@@ -332,6 +369,13 @@ def lies_on(labels: Labels | None, values: Any, what: str) -> None:
         if np.abs(there - here).max() > np.abs(np.diff(here)).max() / 2:
             got, allowed = (f"{line[0]:g} to {line[-1]:g}" for line in (there, here))
             raise bad(f"{what}: coordinate {name!r}", got, allowed, "Use reindex_like(method='nearest').")
+
+
+def _is_curved(labels: Labels, name: Hashable) -> bool:
+    """Whether a coordinate tells a place for every node, not one along an axis."""
+    coordinate = labels.coords[name]
+    told = {str(name).lower(), str(coordinate.attrs.get("standard_name", "")).lower()}
+    return coordinate.dims == labels.dims[-2:] and bool(told & {*ALONG_X, *ANGLES})
 
 
 def _grows(labels: Labels, name: Hashable) -> float:

@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+import warnings
 
 import numpy as np
 import pytest
@@ -17,6 +18,7 @@ from rasterio.transform import Affine, from_origin  # noqa: E402
 
 HEIGHT = np.rint(40 * np.random.default_rng(5).random((13, 17))).astype(np.int16)
 HEIGHT[3, 4:6] = -32768
+MOON = "+proj=eqc +R=1737400 +units=m"
 METRES = dict(crs="EPSG:32616", transform=from_origin(730000, 4070000, 30, 30))
 
 
@@ -96,6 +98,40 @@ def test_same_georeference_out_as_in(tmp_path, tags, nodata, fast):
         np.testing.assert_array_equal(file.read(1)[mask], expected[mask])
         np.testing.assert_array_equal(file.read_masks(1) > 0, mask)
         assert np.isnan(file.nodata) and np.isnan(file.read(1)[~mask]).all()  # as files made in tiles
+
+
+def test_colours_are_bands(tmp_path, fast):
+    """Of an image in colour; it was refused after the render."""
+    path = make(tmp_path / "dem.tif", np.maximum(HEIGHT, 0))
+    assert run("render", path, tmp_path / "a.tif", "--albedo", ".5,.4,.3", "--backend", fast) == 0
+    with rasterio.open(tmp_path / "a.tif") as file:
+        image = file.read()
+        assert (file.count, file.crs, file.transform) == (3, *facts(path)[:2])
+    assert (image[0] > image[1]).all() and (image[1] > image[2]).all()
+
+
+@pytest.mark.parametrize(
+    ("crs", "north", "stretch"),
+    [("EPSG:3857", 5.9e6, "1.46"), ("EPSG:3857", 0, None), ("EPSG:32632", 5.2e6, None), (MOON, 1e6, None)],
+)
+def test_a_projection_that_stretches_the_map_is_told(tmp_path, crs, north, stretch):
+    """Web Mercator far from the equator; not UTM, nor another celestial body, of which it is not known."""
+    path = make(tmp_path / "dem.tif", crs=crs, transform=from_origin(4e5, north, 25, 25))
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        assert geo.read(path).spacing == 25
+    texts = [str(one.message) for one in told if "Projection" in str(one.message)]
+    assert [f"{stretch} times" in text for text in texts] == ([True] if stretch else [])
+
+
+def test_warnings_of_a_command_are_one_line(tmp_path):
+    """Without the place in the code that gives them."""
+    path = make(tmp_path / "dem.tif", crs="EPSG:3857", transform=from_origin(4e5, 5.9e6, 25, 25))
+    arguments = ["horizon", path, tmp_path / "a.tif", "--backend", "numpy"]
+    done = subprocess.run([sys.executable, "-m", "skylamp", *arguments], capture_output=True, text=True)
+    lines = [line for line in done.stderr.splitlines() if "1.46 times" in line]
+    assert done.returncode == 0 and len(lines) == 1 and lines[0].startswith("skylamp: ")
+    assert "geotiff.py" not in done.stderr
 
 
 def test_layers_are_bands(tmp_path, fast):
@@ -381,6 +417,11 @@ def test_without_rasterio(tmp_path, monkeypatch):
     io.write(tmp_path / "plain.tif", np.ones((4, 5), np.float32))
     assert run("render", path, "--out", tmp_path / "a.npy") == 3
     assert run("render", tmp_path / "plain.tif", "--out", tmp_path / "a.npy", "--backend", "numpy") == 0
+
+
+def test_a_file_in_place_of_a_raster(tmp_path):
+    path = make(tmp_path / "dem.tif")
+    refused(("like: got PosixPath", "Raster"), geo.write, tmp_path / "a.tif", HEIGHT, path)
 
 
 def test_failing_write_leaves_no_trace(tmp_path, monkeypatch):

@@ -352,8 +352,30 @@ def test_units_of_coordinates_and_heights(lazy):
         {"units": "decimal degrees"},
         {"standard_name": "longitude"},
     ):
-        with pytest.raises(sl.errors.InputError, match="degrees.*Scene.from_height"):
+        with pytest.raises(sl.errors.InputError, match="degrees.*dem.rio.reproject"):
             sl.Scene.from_height(given.assign_coords(x=given.x.assign_attrs(attrs)))
+
+
+def test_a_turned_grid_of_rioxarray_is_refused():
+    """Its coordinates are of two dimensions; the spacing was 1, and the map 25 times too steep."""
+    given = dem().drop_vars(["x", "y"])
+    turned = given.assign_coords({name: (("y", "x"), HEIGHTS) for name in ("xc", "yc")})
+    with pytest.raises(sl.errors.InputError, match="two-dimensional ones, xc.*dem.rio.reproject"):
+        sl.Scene.from_height(turned)
+    assert sl.Scene.from_height(given.assign_coords(quality=(("y", "x"), HEIGHTS))).spacing == 1
+
+
+@pytest.mark.parametrize(("north", "stretch"), [(5.9e6, 1.463), (0.0, None)])
+def test_a_projection_that_stretches_the_map_is_told(north, stretch):
+    """Web Mercator, by 1.46 at 46.9 degrees and by nothing at the equator: 1 / cos."""
+    pyproj = pytest.importorskip("pyproj")
+    given = dem().assign_coords(y=dem().y + north)
+    given["spatial_ref"] = given.spatial_ref.assign_attrs(crs_wkt=pyproj.CRS("EPSG:3857").to_wkt())
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        assert sl.Scene.from_height(given).spacing == pytest.approx(SPACING)
+    texts = [str(one.message) for one in told if "Projection" in str(one.message)]
+    assert [f"{stretch:.3g} times" in text for text in texts] == ([True] if stretch else [])
 
 
 @pytest.mark.parametrize(

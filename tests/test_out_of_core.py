@@ -241,6 +241,7 @@ def test_what_an_image_in_tiles_does_not_go_with(dem, tmp_path, capsys, more, co
         (["--memory", "many"], 2, "bytes"),
         (["--memory", "0", "--tile", "256"], 2, "bytes"),
         (["--memory", "300MB", "--azimuths", "4"], 1, "memory"),
+        (["--memory", "300MB", "--tile", "256"], 1, "one with --tile 256 needs at least"),
         (["--memory", "3GB", "--sides", "dark"], 2, "open sides"),
         (["--memory", "3GB", "--what", "slopes"], 3, "openness"),
         (["--memory", "3GB", "--workers", "0"], 3, "workers"),

@@ -155,6 +155,7 @@ def test_a_valley_gets_the_sum_of_its_hours(fast):
         ({"hours": [1.0, 2.0]}, "one or 6"),
         ({"hours": 0.0}, "with 0.0.* > 0"),
         ({"dni": pandas.Series([1.0] * 6, DAY[::-1]), "dhi": [1.0] * 6}, "dni, a Series of other times"),
+        ({"dni": pandas.Series([1.0] * 6, DAY + 2 * (DAY[1] - DAY[0])), "dhi": [1.0] * 6}, "of other times"),
         ({"dni": [1.0] * 6}, "dni is given without the other"),
         ({"dni": [1.0] * 5, "dhi": [1.0] * 5}, "5 values"),
         ({"dni": [np.nan] * 6, "dhi": [1.0] * 6}, "while the sun is up"),

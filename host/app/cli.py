@@ -12,6 +12,7 @@ import logging
 import os
 import sys
 import traceback
+import warnings
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, NoReturn
@@ -616,6 +617,7 @@ def main(arguments: list[str] | None = None) -> NoReturn:
     # these libraries log the text of the error too
     for library, level in (("tifffile", logging.ERROR), ("rasterio", logging.CRITICAL)):
         logging.getLogger(library).setLevel(level)
+    as_usual, warnings.formatwarning = warnings.formatwarning, lambda text, *_, **__: f"skylamp: {text}\n"
     try:
         app(arguments, prog_name="skylamp")
     except Exception as error:
@@ -628,6 +630,8 @@ def main(arguments: list[str] | None = None) -> NoReturn:
             text = f"{type(error).__name__}: {text} (--debug shows where)"
         print(f"skylamp: error: {text}", file=sys.stderr)
         sys.exit(3 if isinstance(error, InputError) else 4 if isinstance(error, BackendError) else 1)
+    finally:
+        warnings.formatwarning = as_usual
     sys.exit(0)
 
 

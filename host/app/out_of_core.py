@@ -77,6 +77,11 @@ class Machines(NamedTuple):
     def side(self) -> int:
         """Side of the tiles: as given, or the largest that fits."""
         if self.tile is not None:
+            if self.share is not None and self.share < (least := memory_of(self.tile)):
+                raise CapacityError(
+                    f"--memory: {self.share:,} bytes a worker; one with --tile {self.tile} needs at least"
+                    f" {least:,}."
+                )
             return self.tile
         return TILES[0] if self.share is None else tile_that_fits(self.share)
 
@@ -205,13 +210,17 @@ def _imported(module: str) -> Any:
         raise lacking("--memory", "dask.distributed, zarr and filelock", "dask") from error
 
 
+def memory_of(tile: int) -> int:
+    """Bytes of a worker whose tiles have so many nodes along a side."""
+    return PER_NODE * (tile + 2 * Tiling().halo) ** 2 + BESIDES
+
+
 def tile_that_fits(share: int) -> int:
     """Side of the largest tile that a worker of so many bytes can hold with its halo."""
-    needed = [PER_NODE * (tile + 2 * Tiling().halo) ** 2 + BESIDES for tile in TILES]
-    for tile, least in zip(TILES, needed):
-        if least <= share:
+    for tile in TILES:
+        if memory_of(tile) <= share:
             return tile
-    raise CapacityError(f"--memory: {share:,} bytes a worker; one needs at least {needed[-1]:,}.")
+    raise CapacityError(f"--memory: {share:,} bytes a worker; one needs at least {memory_of(TILES[-1]):,}.")
 
 
 def run(job: Job, client: Any, resume: bool, progress: Progress | None) -> Any:

@@ -107,11 +107,12 @@ def write(
 ) -> tuple[float, float] | None:
     """Write ``array`` to a file, or as .npy to stdout if ``out`` is "-".
 
-    A .tif is a GeoTIFF if ``raster`` is given. Options are those of :func:`skylamp.io.write`. Returns the
-    range of a scaled PNG, else None.
+    A .tif is a GeoTIFF if ``raster`` is given, of three bands for colours. Options are those of
+    :func:`skylamp.io.write`. Returns the range of a scaled PNG, else None.
     """
     if raster is not None and out.lower().endswith((".tif", ".tiff")):
-        geo.write(out, array, raster)
+        colours = array.shape == (*raster.values.shape, 3)
+        geo.write(out, np.moveaxis(array, -1, 0) if colours else array, raster)
         return None
     if out != "-":
         return io.write(out, array, **options)

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import DTypeLike
 
-from ..arrays import metres_in
+from ..arrays import metres_in, stretched
 from ..constants import MOST_FILE_PIXELS
 from ..errors import bad, lacking
 from ..scene import Scene
@@ -208,6 +208,8 @@ def _spaced(path: Path, raster: Raster, unit: str, resample: bool | None) -> Ras
             )
         raster = _squared(_rasterio(path), raster, east, north)
         east = north = min(east, north)
+    if (text := stretched(_stretch(raster))) is not None:
+        warnings.warn(f"{path}: {text}", stacklevel=2)
     return replace(raster, spacing=float(np.sqrt(east * north) / vertical))
 
 
@@ -223,6 +225,8 @@ def write(path: StrPath, array: np.ndarray, like: Raster) -> None:
     path = Path(path)
     if path.suffix.lower() not in (".tif", ".tiff"):
         raise bad(f"{path}: unknown extension of a GeoTIFF", repr(path.suffix), ".tif .tiff")
+    if not isinstance(like, Raster):
+        raise bad("like", type(like).__name__, "the Raster whose georeference it has, from skylamp.geo.read")
     destination(path)
     rasterio = _rasterio(path)
     array = np.asarray(array)
@@ -284,6 +288,26 @@ def _metres(path: Path, raster: Raster) -> tuple[float, float]:
             "Warp it to a metric system: rio warp IN.tif OUT.tif --dst-crs EPSG:NNNN",
         )
     return east * lengths[1][0], north * lengths[1][1]
+
+
+def _stretch(raster: Raster) -> float:
+    """Length on the map over that on the ground, at its middle; 1 where that is not known."""
+    crs = raster.crs
+    if crs is None or not crs.is_projected:
+        return 1.0
+    rasterio = _rasterio(Path())
+    rows, cols = raster.values.shape
+    x, y = raster.transform * (cols / 2, rows / 2)
+    step = 1000 / crs.linear_units_factor[1]  # a kilometre
+    try:
+        longitudes, latitudes = rasterio.warp.transform(
+            crs, "EPSG:4326", [x - step / 2, x + step / 2], [y, y]
+        )
+    except Exception:  # of another celestial body; the class of the error is private to rasterio
+        return 1.0
+    degrees = _degrees(np.mean(latitudes))
+    ground = np.hypot(np.diff(longitudes)[0] * degrees[0], np.diff(latitudes)[0] * degrees[1])
+    return 1000 / float(ground) if ground > 0 else 1.0
 
 
 def _degrees(latitude: float) -> tuple[float, float]:

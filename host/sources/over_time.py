@@ -113,7 +113,7 @@ def sky_over_time(
         raise lacking("sky_over_time", "pvlib", "sun") from error
     index = _index(times, pandas)
     step = _hours(index, hours)
-    measured = _measured(dni, dhi, index)
+    measured = _measured(dni, dhi, index, pandas.Timedelta(hours=float(step.max())))
     types = _types(model, len(index))
     substeps = whole_number(substeps, "sky_over_time: substeps", 1)
     shift = (np.arange(substeps) + 0.5) / substeps - 0.5
@@ -206,8 +206,11 @@ def _hours(index: Any, hours: Any) -> np.ndarray:
     return np.broadcast_to(durations, len(index))
 
 
-def _measured(dni: Any, dhi: Any, index: Any) -> np.ndarray | None:
-    """(2, times) [W m^-2], or None. Times of a pandas.Series may differ by one shift, say half an hour."""
+def _measured(dni: Any, dhi: Any, index: Any, longest: Any) -> np.ndarray | None:
+    """(2, times) [W m^-2], or None.
+
+    Times of a pandas.Series may differ by one shift, say half an hour, up to the ``longest`` step.
+    """
     if dni is None and dhi is None:
         return None
     if dni is None or dhi is None:
@@ -223,7 +226,9 @@ def _measured(dni: Any, dhi: Any, index: Any) -> np.ndarray | None:
         if len(values) != len(index):
             raise bad(f"sky_over_time: {name}", f"{len(values)} values", f"{len(index)}, one for every time")
         labels: Any = getattr(given, "index", None)
-        if getattr(labels, "tz", None) is not None and (index - labels).nunique() > 1:
+        if getattr(labels, "tz", None) is None:
+            continue
+        if (index - labels).nunique() > 1 or abs(index[0] - labels[0]) > longest:
             raise bad(
                 f"sky_over_time: {name}, a Series of other times",
                 f"{labels[0]} to {labels[-1]}",
