@@ -262,8 +262,8 @@ def included(
     warnings = []
     if total > tolerance:
         warnings.append(
-            f"Tolerance: with the light between surfaces the estimated error is {100 * total:.2g} %"
-            f" of the mean (RMS), more than the {100 * tolerance:.2g} % asked for."
+            f"Tolerance: with the light between surfaces the estimated error is {100 * total:.4g} %"
+            f" of the mean (RMS), more than the {100 * tolerance:.4g} % asked for."
         )
     if tail is not None and check.tail > tail:
         warnings.append(

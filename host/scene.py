@@ -412,7 +412,12 @@ def _range_of(values: np.ndarray, mask: np.ndarray | None) -> tuple[float, float
 def is_scene(scene: object) -> None:
     """InputError unless ``scene`` is a Scene."""
     if not isinstance(scene, Scene):
-        raise bad("scene", type(scene).__name__, "a skylamp.Scene", "Of heights: Scene.from_height.")
+        raise bad(
+            "scene",
+            type(scene).__name__,
+            "a skylamp.Scene",
+            "Of heights: Scene.from_height; of a Raster: its scene().",
+        )
 
 
 def _set(scene: Scene, **values: object) -> None:

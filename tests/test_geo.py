@@ -340,7 +340,7 @@ def test_control_points_are_no_transform(tmp_path):
 def test_not_a_geotiff(tmp_path):
     """No georeference, another format under the name (a VRT could name any file), what cannot be written."""
     io.write(tmp_path / "plain.tif", np.ones((4, 5), np.float32))
-    refused("cannot read", geo.read, tmp_path / "plain.tif")
+    refused("no georeference: got a plain TIFF", geo.read, tmp_path / "plain.tif")
     source = make(tmp_path / "dem.tif")
     (tmp_path / "vrt.tif").write_text(
         '<VRTDataset rasterXSize="17" rasterYSize="13"><VRTRasterBand dataType="Int16"'

@@ -100,6 +100,16 @@ def test_radiance_round_trip(tmp_path):
         refused("finite floats >= 0", io.write, tmp_path / "c.hdr", array)
 
 
+def test_a_grey_radiance_file_is_read_as_grey(tmp_path):
+    """As it was written; a coloured one is not."""
+    grey = np.linspace(0.1, 1, 12, dtype=np.float32).reshape(3, 4)
+    io.write(tmp_path / "a.hdr", grey)
+    np.testing.assert_allclose(io.read(tmp_path / "a.hdr"), grey, rtol=2**-7)
+    io.write(tmp_path / "b.hdr", grey[..., None] * np.array([1, 0.5, 1], np.float32))
+    with pytest.raises(InputError, match="not grey"):
+        io.read(tmp_path / "b.hdr")
+
+
 def test_environment_lights_a_scene(tmp_path, fast):
     """The command line takes both as a sky, and they light alike to the bits that .hdr has."""
     light = np.ones((16, 32, 3), np.float32)

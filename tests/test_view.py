@@ -5,7 +5,7 @@ import socket
 import subprocess
 import sys
 import time
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 from skylamp.app import view
+from skylamp.errors import InputError
 
 pytest.importorskip("nicegui")
 CHROMIUM, DRIVER = "/usr/bin/chromium", "/usr/bin/chromedriver"
@@ -40,6 +41,21 @@ def test_the_python_lines_make_the_image(file, settings, height, fast):
     exec(viewer.code(settings), names)
     np.testing.assert_array_equal(names["image"], viewer.refined(settings).image)
     assert viewer.coarse(settings).image.shape == (48, 64)
+
+
+@pytest.mark.parametrize("nodata", [np.nan, -9999.0])
+def test_nodes_without_data(file, nodata, fast):
+    """They are masked in the page's image and in that of its Python lines."""
+    values = np.load(file)
+    values[3:9, 5:11] = nodata
+    np.save(file, values)
+    with pytest.raises(InputError) if np.isnan(nodata) else nullcontext():
+        view.Viewer(view.read(file, True, 2.0, False), fast).scene(view.Settings())
+    viewer, names = view.Viewer(view.read(file, True, 2.0, False, nodata), fast), {}
+    exec(viewer.code(view.Settings()), names)
+    image = viewer.refined(view.Settings()).image
+    np.testing.assert_array_equal(names["image"], image)
+    np.testing.assert_array_equal(np.isnan(image), (values != nodata) == (values != values))
 
 
 @pytest.mark.slow

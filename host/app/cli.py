@@ -588,6 +588,7 @@ def view(
     height: opt.Height = None,
     spacing: opt.Spacing = None,
     resample: opt.Resample = False,
+    nodata: opt.Nodata = None,
     port: opt.Port = 8080,
     browser: opt.Browser = True,
     backend: opt.Backend = "auto",
@@ -596,7 +597,7 @@ def view(
 ) -> None:
     """Open a page in the browser to render the map while the sun or a lamp is dragged with the mouse."""
     with output.progress_bar("reading"):
-        viewer = views.Viewer(views.read(file, height, spacing, resample), select(backend).name)
+        viewer = views.Viewer(views.read(file, height, spacing, resample, nodata), select(backend).name)
         viewer.scene(views.Settings())  # checks the map
     output.message(f"http://127.0.0.1:{port} shows {file}; Ctrl-C ends it.")
     views.serve(viewer, port, browser)
@@ -610,6 +611,13 @@ ADVICE = {
 }
 
 
+def _one_line(
+    message: Warning | str, category: type[Warning], filename: str, lineno: int, line: str | None = None
+) -> str:
+    """A warning without the place in the code that gives it."""
+    return f"skylamp: warning: {message}\n"
+
+
 def main(arguments: list[str] | None = None) -> NoReturn:
     """Run the command line and exit; ``arguments`` default to the process's own."""
     # of closed streams, whose numbers the files of the command would get else
@@ -617,7 +625,8 @@ def main(arguments: list[str] | None = None) -> NoReturn:
     # these libraries log the text of the error too
     for library, level in (("tifffile", logging.ERROR), ("rasterio", logging.CRITICAL)):
         logging.getLogger(library).setLevel(level)
-    as_usual, warnings.formatwarning = warnings.formatwarning, lambda text, *_, **__: f"skylamp: {text}\n"
+    as_usual = warnings.formatwarning
+    warnings.formatwarning = _one_line
     try:
         app(arguments, prog_name="skylamp")
     except Exception as error:

@@ -77,8 +77,23 @@ class Map:
         return stride
 
 
-def read(file: Path, height: bool | None, spacing: float | None, resample: bool) -> Map:
-    """The map in a file. Raises InputError."""
+def read(
+    file: Path, height: bool | None, spacing: float | None, resample: bool, nodata: float | None = None
+) -> Map:
+    """The map in a file, without the nodes whose value is ``nodata``. Raises InputError."""
+    found = _read(file, height, spacing, resample)
+    if nodata is None:
+        return found
+    known, line = found.values != nodata, f"known = values != {nodata!r}"
+    if np.isnan(nodata):
+        known, line = ~np.isnan(found.values), "known = values == values  # not nan"
+    mask = known if found.mask is None else found.mask & known
+    return replace(
+        found, mask=mask, lines=(*found.lines, line, "mask = known if mask is None else mask & known")
+    )
+
+
+def _read(file: Path, height: bool | None, spacing: float | None, resample: bool) -> Map:
     if geo.is_geotiff(file):
         raster = geo.read(file, resample=resample)
         step = raster.spacing if spacing is None else spacing

@@ -13,7 +13,7 @@ from .. import sources
 from ..arrays import Labels, Quantity, axes_of, labelled, labels_of, lies_on
 from ..backends import select
 from ..backends.base import Backend, stopwatch, timed, within
-from ..checks import at, one_of, positive_number, real_array
+from ..checks import as_real, at, one_of, positive_number, real_array
 from ..directions import Hemicube
 from ..errors import bad
 from ..interreflection import check_choice
@@ -219,7 +219,15 @@ def _checked(
 
 
 def _radiance(values: Any) -> np.ndarray:
-    image = real_array(values, "image")
+    image = as_real(values, "image")
+    if image.dtype in (np.uint8, np.uint16):
+        raise bad(
+            "image: counts of a file",
+            f"dtype {image.dtype}",
+            "radiance in the unit of the source's brightness, floating",
+            f"Divide it by {np.iinfo(image.dtype).max}, and multiply by the radiance of the largest count.",
+        )
+    image = image.astype(np.float64)
     wrong = ~(np.isfinite(image) & (image >= 0))
     if wrong.any():
         raise bad(

@@ -50,6 +50,8 @@ def read(path: StrPath, name: str | None = None) -> np.ndarray:
             array = png.read(path, colours=(0,))
         elif path.suffix.lower() in HDR:
             array = hdr.read(path)
+            if array.ndim == 3 and (array == array[..., :1]).all():
+                array = array[..., 0]  # a .hdr has three channels, of a grey map as well
             if array.ndim == 3:
                 raise bad(f"{path}: not grey", "red, green and blue", "one channel", png.GREY_FIX)
         else:

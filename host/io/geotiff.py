@@ -142,9 +142,13 @@ def _opened(path: Path) -> Iterator[Any]:
     """The file by rasterio; it has one band."""
     rasterio = _rasterio(path)
     with reading(path, "GeoTIFF"), warnings.catch_warnings():
-        warnings.simplefilter("error", rasterio.errors.NotGeoreferencedWarning)
+        warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)
         # this driver alone: a .tif that is a VRT could name any file
         with rasterio.open(path, driver="GTiff") as file:
+            if file.transform.is_identity and file.crs is None and not file.gcps[0]:
+                raise bad(
+                    f"{path}: no georeference", "a plain TIFF", "a GeoTIFF", "skylamp.io.read reads it."
+                )
             if file.count != 1:
                 raise bad(f"{path}: bands", file.count, "one band of heights, depths or values")
             yield file
@@ -297,7 +301,8 @@ def _stretch(raster: Raster) -> float:
         return 1.0
     rasterio = _rasterio(Path())
     rows, cols = raster.values.shape
-    x, y = raster.transform * (cols / 2, rows / 2)
+    t = raster.transform
+    x, y = t.c + t.a * cols / 2, t.f + t.e * rows / 2
     step = 1000 / crs.linear_units_factor[1]  # a kilometre
     try:
         longitudes, latitudes = rasterio.warp.transform(
