@@ -442,6 +442,29 @@ def test_a_low_sun_behind_sharp_crests(fast, azimuth, elevation, tolerance):
     assert errors(found.ravel(), exact.ravel()).rms < tolerance
 
 
+def test_a_sun_beside_the_end_of_a_wall(fast):
+    """An upright edge divides the disc, at few nodes, so that its sectors count: 1.9 tolerances off."""
+    height = np.zeros((192, 192))
+    height[:, 180:184] = 60 + 8 * np.random.default_rng(15).random((192, 1))
+    disc = towards(7, 12), math.radians(0.27), 60 / (math.pi * math.sin(math.radians(0.27)) ** 2)
+    scene = sl.Scene(height.max() - height)
+    sky = sl.Sky(lambda L: 1 + disc[2] * (L @ disc[0] > math.cos(disc[1])))
+    samples = Samples(select(fast), scene, 6000, 100_003)
+    out = irradiance(scene, sky, fast, tolerance=0.003)
+    assert errors(samples.of(out.image), under(samples, 1.0, [disc])).rms < 0.003
+
+
+def test_more_near_rows_keep_what_was_refined(fast):
+    """Azimuths and the sectors of suns; those were as at first, and the error 3 times as large."""
+    sky = sl.Sky(lambda L: 1 + 2e4 * (L @ towards(7, 30) > math.cos(math.radians(0.3))))
+    planner = refinement.choose(SCENES["houses"], sky, 0.003, select(fast))
+    first = planner.begin()
+    assert planner.refine(False) and planner.method is first
+    kept, near = (first.units, first.sectors), planner.near_rows or 0
+    assert planner.refine(True) and planner.method is not first and planner.near_rows > near
+    assert (planner.method.units, planner.method.sectors) == kept == (2 * planner.units, 2 * planner.sectors)
+
+
 def test_a_plan_names_light_from_below_the_lowest_slope_that_is_searched(fast):
     """A band of light near the level over a map that repeats: 1.5 tolerances off, and the plan was silent."""
     scene = replace(SCENES["rough"], sides="periodic")

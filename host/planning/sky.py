@@ -23,11 +23,15 @@ EXACT_AZIMUTHS = (36, 72, 144, 288)  # azimuths of the exact light, which judges
 # the first of them on a device with memory of its own, which traces so many as fast as 36 (line
 # "tolerance 0.01" of performance/whole_calls.py, H200: 31 ms, with 36 at first 34; 8.1 and 9.1 on 256 x 256)
 GPU_EXACT_AZIMUTHS = 144
-# least number of sectors of azimuth of all small bright parts together in each half of an image: in both as
-# many as a CPU computes at a time;
-# the multiples of it that are tried in turn; and the multiple of an image's in the exact light: odd, so that
-# its sectors have other borders
-LEAST_SECTORS, SECTOR_MULTIPLES, EXACT_MULTIPLE = 4, (1, 3, 9), 3
+# least number of sectors of azimuth of all small bright parts together, in each half of an image with a
+# tolerance of 1 % or more: in both as many as a CPU computes at a time. Where an upright edge divides a sun,
+# the error is one over their number, and the samples may miss such nodes; so with a smaller tolerance there
+# are as many times more, MOST_SECTORS at most. With 4 at 0.3 % images beside a wall were 2 tolerances off,
+# with 8 they were 1.1
+LEAST_SECTORS, MOST_SECTORS, LEAST_SECTORS_TOLERANCE = 4, 40, 0.01
+# multiples of it that are tried in turn; and the multiple of an image's in the exact light: odd, so that its
+# sectors have other borders
+SECTOR_MULTIPLES, EXACT_MULTIPLE = (1, 3, 9), 3
 # near rows, within which every crossing is tested: where the usual 6 do not suffice, and where 24 do not
 CLIFF_NEAR_ROWS = 24, 96
 # RMS error of sweeps with 6 near rows, over the square root of the share of neighbouring nodes that are
@@ -148,8 +152,9 @@ class SkyPlanner(UnitsPlanner):
         """The fewest sectors of small bright parts whose light at the samples is that of many."""
         if not self.bright_parts:
             return
+        least = LEAST_SECTORS * max(1.0, LEAST_SECTORS_TOLERANCE / self.tolerance)
         for times in SECTOR_MULTIPLES:
-            self.sectors = times * max(1, -(-LEAST_SECTORS // len(self.bright_parts)))
+            self.sectors = times * math.ceil(min(least, MOST_SECTORS) / len(self.bright_parts))
             self.exact_sectors = EXACT_MULTIPLE * self.sectors
             self._add_bright_parts()
             few, many = (self._bright_light(n).mean(0) for n in (self.sectors, self.exact_sectors))
@@ -187,10 +192,11 @@ class SkyPlanner(UnitsPlanner):
         below = ring(angles, slopes, table) - ring(angles, np.maximum(slopes, slope), table)
         return self.samples.errors(self.exact - width * below.sum(0), self.exact).rms
 
-    def make(self, units: int | None = None) -> LightMethod:
-        units = self.units if units is None else units
-        exactness = self.sectors, self.near_rows, self.exact_parts, self.margin
-        return Horizons(self.engine, self.scene, self.light, units, *exactness)
+    def make(self, refined: Horizons | None = None) -> LightMethod:
+        """The method, with as many azimuths and sectors as it had when it was ``refined``."""
+        units, sectors = (refined.units, refined.sectors) if refined else (self.units, self.sectors)
+        exactness = self.near_rows, self.exact_parts, self.margin
+        return Horizons(self.engine, self.scene, self.light, units, sectors, *exactness)
 
     def audit(self, method: LightMethod) -> float | None:
         if 3 * method.units > self.exact_count:
@@ -205,7 +211,8 @@ class SkyPlanner(UnitsPlanner):
             near = next((near for near in CLIFF_NEAR_ROWS if near > (self.near_rows or 0)), None)
             if near is not None:
                 self.near_rows = near
-                self.method = self.make(self.method.units)
+                assert isinstance(self.method, Horizons), "it is of method_class"
+                self.method = self.make(self.method)
                 return True
         if self.method_class is Horizons and self.scene.sides == "periodic":
             times = self.method.units // self.units

@@ -48,8 +48,8 @@ class Sky:
         features that are narrower than a degree, as ``suns`` does; others are then not searched for, and ()
         means that there are none.
     suns : unit vectors (x, y, z), optional
-        Directions towards all features of ``brightness`` that are narrower than a degree. They may then be of
-        any size, and no others are searched for.
+        Directions towards all features of ``brightness`` that are narrower than a degree. They may then be as
+        small as 1e-4 degrees, and no others are searched for.
 
     Raises
     ------
