@@ -42,7 +42,10 @@ Progress = Callable[[int, int], None]
 PER_NODE, BESIDES = 80, 6 * 10**8
 TILES = 8192, 4096, 2048, 1024  # sides of tiles of which the largest is taken that fits
 # the error where these options are combined with others
-COMPATIBLE = "a GeoTIFF of heights to a GeoTIFF, with open sides: it goes with --out, --backend and {} only"
+COMPATIBLE = (
+    "a GeoTIFF of heights to a GeoTIFF, with open sides: it goes with --out, --backend, --tile, --workers,"
+    " --scheduler, --resume, --cog and {} only"
+)
 BLOCK = 512  # [node], blocks of the GeoTIFF that is written
 SCRATCH_FORM = 3  # number of the scratch group's form: one more with every change of its arrays
 
