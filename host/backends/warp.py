@@ -5,6 +5,8 @@ from __future__ import annotations
 import contextlib
 import functools
 import importlib
+import os
+import tempfile
 import threading
 import time
 from collections import OrderedDict
@@ -30,12 +32,15 @@ from .base import (
     available_memory,
 )
 
+# Warp's warning where there is no GPU; `skylamp backends` says so, and nobody else needs to know
+NO_DRIVER = b"Could not find or load the NVIDIA CUDA driver"
+
 
 def probe() -> list[BackendInfo]:
     """A BackendInfo for Warp's CPU device and for every CUDA device."""
     try:
         wp: Any = importlib.import_module("warp")
-        with _quiet(wp):  # no banner for having looked
+        with _quiet(wp), _without(NO_DRIVER):  # no banner for having looked
             wp.init()
         here = wp.is_cpu_available()
         why = "" if here else "this Warp comes without its CPU compiler"
@@ -56,6 +61,27 @@ def _quiet(wp: Any) -> Iterator[None]:
         yield
     finally:
         wp.config.log_level = level
+
+
+@contextlib.contextmanager
+def _without(text: bytes) -> Iterator[None]:
+    """Lines with this text do not reach stderr, to which native code writes; others do, at the end."""
+    try:
+        file, stderr = tempfile.TemporaryFile(), os.dup(2)
+    except OSError:  # no folder can be written, or stderr is closed
+        yield
+        return
+    with file:
+        os.dup2(file.fileno(), 2)
+        try:
+            yield
+        finally:
+            os.dup2(stderr, 2)
+            os.close(stderr)
+            file.seek(0)
+            for line in file:
+                if text not in line:
+                    os.write(2, line)
 
 
 def _trim(backend: WarpBackend, held: int) -> None:

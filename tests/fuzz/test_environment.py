@@ -169,7 +169,7 @@ def test_a_compiler_says_nothing(tmp_path):
     status, _, errors = environment.ran(
         RENDER.format(backend="opencl"), POCL_CACHE_DIR=str(tmp_path), PYOPENCL_NO_CACHE="1"
     )
-    assert status == 0 and "warning" not in errors.replace("Warp CUDA warning", ""), errors
+    assert status == 0 and "warning" not in errors.lower(), errors
 
 
 @pytest.mark.slow
