@@ -124,6 +124,19 @@ def test_a_projection_that_stretches_the_map_is_told(tmp_path, crs, north, stret
     assert [f"{stretch} times" in text for text in texts] == ([True] if stretch else [])
 
 
+@pytest.mark.parametrize(
+    "light", [("--lamp", "730195,4069880,-9,3"), ("--window", "730100,730200,4069800,4069900")]
+)
+def test_a_lamp_in_coordinates_of_the_reference_system(tmp_path, capsys, fast, light):
+    """It lay far away, and the image was black; the error says where it lies from the first node."""
+    path = make(tmp_path / "dem.tif", np.maximum(HEIGHT, 0))
+    for command in (("render", path, tmp_path / "a.tif"), ("plan", path)):
+        assert run(*command, *light, "--backend", fast) == 2
+        errors = capsys.readouterr().err
+        assert light[0] in errors and "to the east and" in errors
+    assert run("render", path, tmp_path / "a.tif", "--lamp", "195,120,-90,3", "--backend", fast) == 0
+
+
 def test_warnings_of_a_command_are_one_line(tmp_path):
     """Without the place in the code that gives them."""
     path = make(tmp_path / "dem.tif", crs="EPSG:3857", transform=from_origin(4e5, 5.9e6, 25, 25))

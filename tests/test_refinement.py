@@ -25,6 +25,7 @@ from skylamp.light.base import Estimate
 from skylamp.light.finite import solid_of
 from skylamp.light.line import lights_of
 from skylamp.planning import finite
+from skylamp.planning.base import MOST_UNITS
 from skylamp.planning.sky import SkyPlanner
 from skylamp.radiometry import polygon_moment
 from skylamp.samples import Errors, Samples, errors
@@ -463,6 +464,18 @@ def test_more_near_rows_keep_what_was_refined(fast):
     kept, near = (first.units, first.sectors), planner.near_rows or 0
     assert planner.refine(True) and planner.method is not first and planner.near_rows > near
     assert (planner.method.units, planner.method.sectors) == kept == (2 * planner.units, 2 * planner.sectors)
+
+
+def test_what_judges_a_finished_image_has_more_azimuths(fast):
+    """It had 288, and an image of 768 under a band of light was 1.4 tolerances off without a warning."""
+    sky = sl.Sky(lambda L: np.where(-L[..., 2] < 0.03, 500.0, 1.0))
+    planner = refinement.choose(SCENES["houses"], sky, 0.003, select(fast))
+    method = planner.begin()
+    while 2 * method.units <= MOST_UNITS:
+        method.refine()
+        planner.audit(method)
+        assert planner.exact_count >= 1.5 * method.units
+    assert method.units >= 768
 
 
 def test_a_plan_names_light_from_below_the_lowest_slope_that_is_searched(fast):

@@ -130,6 +130,7 @@ def render(
         work = out_of_core.image(file, surface, light, backend, words, **options)
         return _by_tiles(file, out, work, machines, as_json)
     scene, raster = parsing.scene(file, height, spacing, surface, nodata, sides, resample)
+    parsing.check_place(light, raster)
     with output.progress_bar("rendering"):
         done = sl.render(scene, light, backend=backend, **options)
     if error is not None and done.error is None:
@@ -197,11 +198,13 @@ def plan(
 ) -> None:
     """Print the cheapest model of a scene within a tolerance, with a reason for every choice."""
     surface = parsing.reflectance(albedo, specular, exponent)
-    scene, _ = parsing.scene(file, height, spacing, surface, nodata, sides, resample)
+    scene, raster = parsing.scene(file, height, spacing, surface, nodata, sides, resample)
+    light = parsing.source(source, lamp, window, sun)
+    parsing.check_place(light, raster)
     with output.progress_bar("planning"):
         made = sl.plan(
             scene,
-            parsing.source(source, lamp, window, sun),
+            light,
             parsing.tolerance(tolerance),
             backend,
             tail=None if tail is None else parsing.tolerance(tail, "--tail"),

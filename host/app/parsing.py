@@ -93,6 +93,26 @@ def source(
     return _sky(kind)
 
 
+def check_place(light: Source, raster: geo.Raster | None) -> None:
+    """BadParameter for a lamp or window given in the coordinates of the file's reference system."""
+    if raster is None or isinstance(light, Sky):
+        return
+    if isinstance(light, Window):
+        assert light.x is not None and light.y is not None, "as source makes it"
+        x, y = light.x[0], light.y[0]
+    else:
+        assert isinstance(light, Lamp) and light.center is not None, "as source makes it"
+        x, y = light.center[:2]
+    (rows, cols), t = raster.values.shape, raster.transform
+    col, row = (x - t.c) / t.a, (y - t.f) / t.e
+    if 0 <= col <= cols and 0 <= row <= rows and not (0 <= x / t.a <= cols and 0 <= -y / t.e <= rows):
+        raise typer.BadParameter(
+            f"{x:g}, {y:g} lies on the map by its reference system. Give lengths from the first node:"
+            f" {col * raster.spacing:.6g} to the east and {row * raster.spacing:.6g} to the south",
+            param_hint="--window" if isinstance(light, Window) else "--lamp",
+        )
+
+
 def _sky(kind: str) -> Sky:
     """The uniform sky, the overcast one, or the environment map in the file ``kind``."""
     if kind == "sky":

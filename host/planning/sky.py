@@ -20,7 +20,10 @@ from .plan import Choice, percent
 # numbers of azimuths that an image may begin with: powers of two, and 3/2 of them; refining doubles them
 AZIMUTH_COUNTS = (4, 6, 8, 12, 16, 24, 32, 48)
 EXACT_AZIMUTHS = (36, 72, 144, 288)  # azimuths of the exact light, which judges a sixth as many
-# the first of them on a device with memory of its own, which traces so many as fast as 36 (line
+# those of the exact light that judges a finished image, 1.5 times the image's at least: of light from a band
+# near the level 288 had a larger error than an image of 768, which was 1.4 tolerances off without a warning
+AUDIT_AZIMUTHS = (288, 576, 1152, 1536)
+# the first of EXACT_AZIMUTHS on a device with memory of its own, which traces so many as fast as 36 (line
 # "tolerance 0.01" of performance/whole_calls.py, H200: 31 ms, with 36 at first 34; 8.1 and 9.1 on 256 x 256)
 GPU_EXACT_AZIMUTHS = 144
 # least number of sectors of azimuth of all small bright parts together, in each half of an image with a
@@ -200,7 +203,7 @@ class SkyPlanner(UnitsPlanner):
 
     def audit(self, method: LightMethod) -> float | None:
         if 3 * method.units > self.exact_count:
-            self.set_exact_light(max(EXACT_AZIMUTHS))
+            self.set_exact_light(next(n for n in AUDIT_AZIMUTHS if 2 * n >= 3 * method.units))
         if isinstance(method, Horizons) and EXACT_MULTIPLE * method.sectors > self.exact_sectors:
             self.exact_sectors = EXACT_MULTIPLE * method.sectors
             self._add_bright_parts()
