@@ -624,6 +624,21 @@ def test_what_is_hidden_of_a_small_lamp_is_not_of_its_mean_brightness(fast):
     assert off <= 0.003 and not out.warnings, (off, out.plan.steps)
 
 
+@pytest.mark.parametrize("place", [(30.1, 29.8), (30.2, 30.25)])
+def test_a_small_lamp_right_above_a_node(fast, place):
+    """The brightness has its pole there, which few rays miss: one node was 29 % off, and no sample saw it."""
+    lamp = sl.Lamp((*place, -14.0), 0.34, lambda L: 1 + 0.9 * np.cos(3 * np.arctan2(L[..., 1], L[..., 0])))
+    scene = SCENES["rough"]
+    samples = Samples(select(fast), scene, 1)
+    y, x = (some.ravel() for some in np.mgrid[28:33, 28:33])
+    samples.set_nodes(x, y)
+    solid = Ball((*place, 14.0), 0.34)
+    exact = samples.through_slices(solid, lamp.brightness, 512, points=64)
+    out = irradiance(scene, lamp, fast, tolerance=0.01)
+    assert out.plan.method == "horizon"
+    np.testing.assert_allclose(out.image[y, x], exact, rtol=0.05)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("radius", [0.27, 1, 3, 10])
 def test_a_sun_through_a_window_lights_a_patch(fast, radius):
