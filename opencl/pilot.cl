@@ -9,7 +9,8 @@ stays below the line so far are left as a whole.
   tops     (.., across)   float  [spacing]  highest node of every block of 2^shift x 2^shift nodes, and of the
                                             row and column after
   rays     (count, 8)     float  column, row, cosine and sine of the azimuth, least; along, up, limit: a point
-                                 t away with slope s stands before the source iff t (along + s up) < limit
+                                 t away on the line with slope s is before the source iff
+                                 t (along + s up) < limit
   slopes   (count)        float  out
 
 reach [spacing]: the search radius. Work-item n owns a ray. Twin of warp_kernels/pilot.py. */
@@ -72,8 +73,8 @@ __kernel void pilot(__global const float *heights, __global const float *tops, _
       const float near = heights[by_rows ? at * cols + low : low * cols + at],
                   far = heights[by_rows ? at * cols + next : next * cols + at];
       const float tangent = (near + part * (far - near) - own) / t;
-      if (tangent > slope && t * (along + tangent * up) < limit)
-        slope = tangent;
+      /* what reaches through the source's plane hides no more than is below */
+      slope = max(slope, up > 0 ? min(tangent, (limit / t - along) / up) : tangent);
       ++n;
     }
   }

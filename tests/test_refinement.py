@@ -624,6 +624,27 @@ def test_what_is_hidden_of_a_small_lamp_is_not_of_its_mean_brightness(fast):
     assert off <= 0.003 and not out.warnings, (off, out.plan.steps)
 
 
+@pytest.mark.parametrize("width", [3e-4, 1e-4, 2e-5])
+@pytest.mark.parametrize("height", [1.0, 1e-22])
+def test_a_spot_between_the_probes_of_a_brightness(fast, width, height):
+    """They lie on its foot, 1e-46 of its height: scaled up by that, the height was refused as too bright."""
+    sky = sl.Sky(lambda L: height * np.exp(-(1 + L[..., 2]) / width))
+    image = irradiance(SCENES["flat"], sky, fast).image
+    np.testing.assert_allclose(image, 2 * np.pi * width * (1 - width) * height, rtol=5e-3)
+
+
+@pytest.mark.parametrize("wall", [(32, 36, 2.0), (31, 33, 5.0), (40, 43, -30.0)])
+def test_ground_behind_a_tilted_panel_does_not_hide_it(backend, wall):
+    """The exact rays took the panel's plane for the panel: warnings of 14 to 50 %, and 1,024 slices."""
+    depth = np.full((64, 64), 30.0)
+    depth[:, wall[0] : wall[1]] = wall[2]
+    panel = sl.Lamp(corner=(25, 20, 29), edges=((5, 0, -10), (0, 24, 0)))
+    out = irradiance(
+        sl.Scene(depth - depth.min()), replace(panel, corner=(25, 20, 29 - depth.min())), backend
+    )
+    assert not out.warnings and out.plan.azimuths <= 128
+
+
 @pytest.mark.parametrize("place", [(30.1, 29.8), (30.2, 30.25)])
 def test_a_small_lamp_right_above_a_node(fast, place):
     """The brightness has its pole there, which few rays miss: one node was 29 % off, and no sample saw it."""

@@ -44,8 +44,8 @@ def pilot(
       tops     (.., across)  float32 [spacing]  highest node of every block of 2^shift x 2^shift nodes, and of
                                                 the row and column after
       rays     (count, 8)    float32            column, row, cosine and sine of the azimuth, least; along, up,
-                                                limit: a point t away with slope s stands before the source
-                                                iff t (along + s up) < limit
+                                                limit: a point t away on the line with slope s is before
+                                                the source iff t (along + s up) < limit
       slopes   (count)       float32            out
 
     reach [spacing]: the search radius. Thread n owns a ray.
@@ -129,8 +129,9 @@ def pilot(
                     near = heights[wp.where(by_rows == 1, at * cols + low, low * cols + at)]
                     far = heights[wp.where(by_rows == 1, at * cols + next, next * cols + at)]
                     tangent = (near + part * (far - near) - own) / t
-                    if tangent > slope and t * (along + tangent * up) < limit:
-                        slope = tangent
+                    if up > wp.float32(0.0):  # through the source's plane no more is hidden than is below
+                        tangent = wp.min(tangent, (limit / t - along) / up)
+                    slope = wp.max(slope, tangent)
                     n += 1
     slopes[number] = slope
 

@@ -133,26 +133,23 @@ class Sliced(LightMethod):
         uneven = np.abs(many - few) > UNEVEN * many
         self.is_partial = np.zeros(self.scene.shape, bool)
         if uneven.sum() <= MOST_UNEVEN * uneven.size:
-            self._take_along_chords(uneven, 16 * rays)
+            self._take_chords(uneven, 16 * rays)
         self._take_chords()
 
-    def _take_chords(self) -> None:
-        """Where the lamp is found to be partly hidden, take its brightness along the visible parts of chords.
+    def _take_chords(self, nodes: np.ndarray | None = None, rays: int = 0) -> None:
+        """Take the lamp's brightness along the visible parts of chords, by as many points as there are rays.
 
-        Sets ``factors``: its mean brightness, and half the change that a quarter of the rays makes, (rows,
-        cols) float32 each.
+        At ``nodes`` (rows, cols), by as many as so many ``rays``; unless given, where the lamp is found to be
+        partly hidden. Sets ``factors``: its mean brightness, and half the change that a quarter of the points
+        makes, (rows, cols) float32 each.
         """
-        seen = self.engine.download(self.mean).reshape(self.scene.shape)
-        partly = (seen > 0) & (seen < (1 - PARTLY) * self.uniform) & ~self.is_partial
-        self._take_along_chords(partly, self.rays)
-        self.factors = self.means[0], (self.means[0] - self.means[1]) / 2
-
-    def _take_along_chords(self, nodes: np.ndarray, rays: int) -> None:
-        """Set the means at these nodes (rows, cols), by as many points as rays, and by a quarter."""
+        if nodes is None:
+            seen = self.engine.download(self.mean).reshape(self.scene.shape)
+            nodes = (seen > 0) & (seen < (1 - PARTLY) * self.uniform) & ~self.is_partial
         self.is_partial |= nodes
         y, x = np.nonzero(nodes)
         samples, solid = samples_of(self.engine, self.scene), upright(self.solid, self.step)
-        for mean, count in zip(self.means, (rays, rays // 4)):
+        for mean, count in zip(self.means, (rays or self.rays, (rays or self.rays) // 4)):
             points = math.isqrt(count)  # of each chord
             # chosen: with half of them a test's lamp beside walls is off by 1.8 tolerances in place of 0.4
             chords = 4 * points
@@ -165,6 +162,7 @@ class Sliced(LightMethod):
                 )
                 at = y[some], x[some]
                 mean[at] = np.divide(light, uniform, out=mean[at].astype(float), where=uniform > 0)
+        self.factors = self.means[0], (self.means[0] - self.means[1]) / 2
 
     def _image(self, units: int) -> tuple[Slices, Array]:
         """The light through ``units`` slices, and of small bright parts in as many sectors."""

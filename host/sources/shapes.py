@@ -34,6 +34,7 @@ MOST_STEPS_UP = 2**16
 # azimuths, and elevations, in which the size of a brightness is sampled. Chosen; half and twice give the same
 # image, since scaling by a power of two is exact, unless light between the samples is 2^40 times brighter
 PROBED = 12
+LEAST_CLIMB = 1e-4  # [rad] between directions on the way to the top of a narrow spot; chosen
 
 
 @dataclass(frozen=True)
@@ -294,11 +295,33 @@ def in_range(source: Source) -> tuple[Source, float]:
     if values.dtype.kind not in "iuf":
         return source, 1.0  # radiance() raises the error
     values = values.astype(float)
-    most = float(np.max(values, initial=0.0, where=np.isfinite(values) & (values <= BRIGHTEST)))
+    values = np.where(np.isfinite(values) & (values <= BRIGHTEST), values, 0)
+    most = float(values.max())
+    if 0 < most < LEAST_UNIT:
+        most = _summit(brightness, np.concatenate([around, narrow])[np.argmax(values)], most)
     if most == 0 or LEAST_UNIT <= most <= MOST_UNIT:
         return source, 1.0
     scale = 2.0 ** math.floor(math.log2(most))
     return replace(source, brightness=brightness.scaled(1 / scale)), scale
+
+
+def _summit(brightness: Distribution, at: np.ndarray, most: float) -> float:
+    """The brightness at the top of the hill on whose slope ``at`` lies, with brightness ``most``.
+
+    A narrow spot may stand between the probes of :func:`in_range`, which then lie on its foot.
+    """
+    step = 1 / PROBED
+    while step > LEAST_CLIMB and most < LEAST_UNIT:
+        around = at + step * np.array([(x, y, z) for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1)])
+        around[:, 2] = np.minimum(around[:, 2], 0)
+        around /= np.linalg.norm(around, axis=-1, keepdims=True)
+        values = np.nan_to_num(np.asarray(brightness(around), float), posinf=0.0)
+        best = int(np.argmax(values))
+        if values[best] > most:
+            at, most = around[best], float(values[best])
+        else:
+            step /= 2
+    return most
 
 
 def on_axes(source: Source, axes: tuple[float, float]) -> Source:

@@ -70,8 +70,10 @@ def pilot(
             after = np.where(low + 1 < width, low + 1, 0 if periodic else low)
             near, far = (heights[at * cols + v if by_rows else v * cols + at] for v in (low, after))
             tangent = (near + part * (far - near) - own[here]) / t
-            higher = (tangent > slope[here]) & (t * (rays[here, 5] + tangent * rays[here, 6]) < rays[here, 7])
-            slope[here[higher]] = tangent[higher]
+            along, up, limit = rays[here, 5:].T
+            with np.errstate(divide="ignore", invalid="ignore"):
+                through = np.where(up > 0, (limit / t - along) / up, np.inf)
+            slope[here] = np.maximum(slope[here], np.minimum(tangent, through))
     slopes[...] = slope
 
 
