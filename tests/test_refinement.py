@@ -645,6 +645,20 @@ def test_ground_behind_a_tilted_panel_does_not_hide_it(backend, wall):
     assert not out.warnings and out.plan.azimuths <= 128
 
 
+@pytest.mark.parametrize("brightness", [1.0, sl.cosine_power(3, (0.2, 0.1, 1))], ids=["even", "spot"])
+@pytest.mark.parametrize("options", [{}, {"method": "horizon"}], ids=["auto", "horizon"])
+def test_lamps_too_small_for_float32(backend, brightness, options):
+    """Enlarged, with their light in proportion. At 1e-6 spacings most nodes were black."""
+    scene = SCENES["houses"]
+    images = []
+    for radius in (1e-2, 1e-6, 1e-9):
+        out = irradiance(scene, sl.Lamp((30, 28, -15), radius, brightness), backend, **options)
+        assert not out.warnings
+        images.append(out.image / radius**2)
+    for image in images[1:]:
+        assert errors(image.ravel(), images[0].ravel()).rms < 0.005
+
+
 @pytest.mark.parametrize("place", [(30.1, 29.8), (30.2, 30.25)])
 def test_a_small_lamp_right_above_a_node(fast, place):
     """The brightness has its pole there, which few rays miss: one node was 29 % off, and no sample saw it."""

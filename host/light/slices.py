@@ -36,6 +36,9 @@ SUNNY, SUNS = 4.0, 64  # times the mean brightness from which on light is a sun'
 # apparent width [rad] of a source that is widened: of its light a square over 12 is lost, 3e-7, and float32
 # holds its width to 5e-5; derived
 THIN = 2e-3
+# radius of a ball over its distance, below which it is enlarged: at 4e-6 slices in float32 err 2e-7, at 4e-7
+# 6e-4, and at 4e-8 most nodes are black
+SMALL_BALL = 1e-5
 # along each side of the map, over which the median distance of a source is taken. Chosen: half and twice give
 # four random pairs the same errors (performance/constants.py --seed 18)
 MEDIAN_NODES = 32
@@ -456,22 +459,29 @@ def outline(window: Quad, step: float) -> tuple[float, float, float, float]:
     return x0, x1, y0, y1
 
 
+def _median_distance(place: np.ndarray, there: Resident) -> float:
+    """Of some MEDIAN_NODES nodes along each side from a place [unit of depth]; 0 without a valid one."""
+    rows, cols = there.shape
+    y, x = np.mgrid[0 : rows : max(1, rows // MEDIAN_NODES), 0 : cols : max(1, cols // MEDIAN_NODES)]
+    depth = there.pick(y * cols + x)
+    away = np.sqrt(
+        (x * there.step - place[0]) ** 2 + (y * there.step - place[1]) ** 2 + (depth - place[2]) ** 2
+    )
+    known = away[np.isfinite(away)]
+    return float(np.median(known)) if known.size else 0.0
+
+
 def widened(solid: Ball | Quad, there: Resident) -> tuple[Ball | Quad, float]:
-    """(A quadrangle whose thin sides are widened to what float32 can resolve, factor of its light).
+    """(A solid whose thin sides are widened to what float32 can resolve, factor of its light).
 
     Across so little, light is in proportion to the width. ``solid`` is in the unit of the map.
     """
     if isinstance(solid, Ball):
-        return solid, 1.0
+        radius = max(solid.radius, SMALL_BALL * _median_distance(np.asarray(solid.center, float), there))
+        return solid._replace(radius=radius), (solid.radius / radius) ** 2
     corners = np.asarray(solid.corners, float)
-    rows, cols = there.shape
-    y, x = np.mgrid[0 : rows : max(1, rows // MEDIAN_NODES), 0 : cols : max(1, cols // MEDIAN_NODES)]
-    middle, depth = corners.mean(0), there.pick(y * cols + x)
-    away = np.sqrt(
-        (x * there.step - middle[0]) ** 2 + (y * there.step - middle[1]) ** 2 + (depth - middle[2]) ** 2
-    )
-    known = away[np.isfinite(away)]
-    least = THIN * float(np.median(known)) if known.size else 0.0
+    middle = corners.mean(0)
+    least = THIN * _median_distance(middle, there)
     edges, scale = [corners[1] - corners[0], corners[3] - corners[0]], 1.0
     for n, edge in enumerate(edges):
         length = float(np.linalg.norm(edge))

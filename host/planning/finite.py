@@ -306,8 +306,16 @@ class SlicePlanner(FinitePlanner):
         """
         key = count, chord_points if callable(self.smooth) else 0
         if key not in self.by_slices:
-            through = self.samples.through_slices(self.solid, self.smooth, count, points=chord_points)
-            self.by_slices[key] = through + self.bright
+            solid, scale = self.solid, 1.0
+            if isinstance(solid, Ball):  # one that float32 holds, as the kernels have it
+                there = self.scene.on(self.engine)
+                whole = solid_of(self.scene, self.source, there.step / self.scene.spacing, there.step)
+                assert isinstance(whole, Ball), "it is in another unit"
+                wide, scale = widened(whole, there)
+                assert isinstance(wide, Ball), "widening keeps the kind of solid"
+                solid = solid._replace(radius=wide.radius / there.step)
+            through = self.samples.through_slices(solid, self.smooth, count, points=chord_points)
+            self.by_slices[key] = scale * through + self.bright
         return self.by_slices[key]
 
     def _make_refinable(self) -> LightMethod:

@@ -291,14 +291,15 @@ def in_range(source: Source) -> tuple[Source, float]:
     azimuths, sines = 2 * np.pi * np.arange(PROBED) / PROBED, (np.arange(PROBED) + 0.5) / PROBED
     narrow = np.reshape(narrow_features(source) or (), (-1, 3))
     around = directions_of(azimuths[:, None], sines).reshape(-1, 3)
-    values = np.asarray(brightness(np.concatenate([around, narrow])))
-    if values.dtype.kind not in "iuf":
+    probes = np.concatenate([around, narrow])
+    values = np.asarray(brightness(probes.copy()))
+    if values.dtype.kind not in "iuf" or values.shape != probes.shape[:1]:
         return source, 1.0  # radiance() raises the error
     values = values.astype(float)
-    values = np.where(np.isfinite(values) & (values <= BRIGHTEST), values, 0)
+    values = np.where((values >= 0) & (values <= BRIGHTEST), values, 0)
     most = float(values.max())
     if 0 < most < LEAST_UNIT:
-        most = _summit(brightness, np.concatenate([around, narrow])[np.argmax(values)], most)
+        most = _summit(brightness, probes[np.argmax(values)], most)
     if most == 0 or LEAST_UNIT <= most <= MOST_UNIT:
         return source, 1.0
     scale = 2.0 ** math.floor(math.log2(most))
