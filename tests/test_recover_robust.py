@@ -243,6 +243,20 @@ def test_the_std_is_as_large_as_the_errors(fast):
     assert (within < 1).mean() > 0.5 and (within < 2).mean() > 0.8 and np.median(within) > 0.1
 
 
+def test_the_std_knows_that_open_sides_hide_the_place_under_a_sky(fast):
+    """Overcast light and open sides: 5 nodes too shallow as a whole, with a median std of 0.8."""
+    y, x = np.mgrid[:32, :32]
+    depth = 10 + 2 * np.sin(x / 4) * np.cos(y / 5)
+    sky = sl.Sky(sl.cie_overcast())
+    image = sl.render(sl.Scene(depth, 1.0, 0.5), sky, interreflection=False, backend=fast).image
+    done = sl.recover(image, sky, albedo=0.5, layers=20, interreflection=False, backend=fast)
+    off = np.abs(done.depth - depth)
+    assert np.mean(off < 2 * done.std) > 0.95 and done.confidence.max() < 0.5
+    near, far = (np.full(depth.shape, place) for place in (depth.min() - 0.1, depth.max() + 0.1))
+    known = sl.recover(image, sky, 0.5, near=near, far=far, interreflection=False, backend=fast)
+    assert np.median(known.std) < 0.4 * np.median(done.std)
+
+
 def test_std_has_the_unit_of_spacing_and_confidence_has_none(fast):
     """The same image of a map three times as large: three times the std, the same confidence."""
     image, one = pair("face", "sky")[1], found("face", "sky", fast)

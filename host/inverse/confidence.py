@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ..sources import Sky
 from .albedo import PRIOR_WEIGHT
 from .finer_model import Refit, refit_of
 from .multigrid import CLOSE, ITERATIONS, STEPS, Multigrid
@@ -150,6 +151,19 @@ def by_finer_model(judged: Judged) -> np.ndarray:
     return (left[0] ** 2 + left[1] ** 2) * blurred((judged.refit.depth - judged.z) ** 2)
 
 
+def by_place(judged: Judged) -> np.ndarray:
+    """Variance of the place of the surface as a whole, which skies and open sides do not tell.
+
+    Images are the same as far up and down as the bounds of depth let it go, so every place is as likely.
+    """
+    pyramid, z = judged.pyramid, judged.z
+    if pyramid.sides != "open" or not all(isinstance(light, Sky) for light in pyramid.sources):
+        return np.zeros(z.shape)
+    low, high = pyramid.bounds[judged.level]
+    up, down = min(0.0, float((low - z).max())), max(0.0, float((high - z).min()))
+    return np.full(z.shape, (up**2 + up * down + down**2) / 3)
+
+
 def by_rivals(judged: Judged) -> np.ndarray:
     """Squared distance to the other surfaces of the search, each times its weight."""
     squares = ((weight * blurred(np.abs(off))) ** 2 for off, weight in judged.rivals)
@@ -189,6 +203,7 @@ def by_other_answers(judged: Judged) -> np.ndarray:
 
 PARTS: tuple[Callable[[Judged], np.ndarray], ...] = (
     by_noise,
+    by_place,
     by_finer_model,
     by_rivals,
     by_other_answers,
