@@ -57,15 +57,15 @@ def render(
         See :func:`skylamp.backends`.
     quantity : "radiance" or "irradiance"
         Radiance [unit of brightness], or irradiance E [unit of brightness x sr], whatever the reflectance.
-    hemicube : odd int or Hemicube, M of the lattice
+    hemicube : odd int or Hemicube, M of the lattice, in place of a tolerance
     filled : bool
         Test every crossing of a ray with a grid line, not the lattice nodes alone (the paper's step).
     weights : "moment" or "printed"
         Each cell's integral of N.L dL (exact where the cell is wholly visible and above the tangent plane),
         or N.L of its node times its solid angle, as Eq. 3 is printed.
     azimuths : int or Azimuths
-        Of horizons. Under a sky whose brightness is very uneven in azimuth, such as one with a sun, a number
-        of azimuths is placed half evenly, half by brightness.
+        Of horizons, in place of a tolerance: no error is estimated. Under a sky whose brightness is very
+        uneven in azimuth, such as one with a sun, a number is placed half evenly, half by brightness.
     max_distance : float [unit of spacing]
         Of horizons under a sky: ground farther away does not count; the whole map does unless given.
     interreflection : "auto", True or False
