@@ -111,12 +111,18 @@ def test_colours_are_bands(tmp_path, fast):
 
 
 @pytest.mark.parametrize(
-    ("crs", "north", "stretch"),
-    [("EPSG:3857", 5.9e6, "1.46"), ("EPSG:3857", 0, None), ("EPSG:32632", 5.2e6, None), (MOON, 1e6, None)],
+    ("crs", "east", "north", "stretch"),
+    [
+        ("EPSG:3857", 4e5, 5.9e6, "1.46"),
+        ("EPSG:3857", 4e5, 0, None),
+        ("EPSG:32632", 4e5, 5.2e6, None),
+        ("EPSG:32660", 833_800, 1e4, None),
+        (MOON, 4e5, 1e6, None),
+    ],
 )
-def test_a_projection_that_stretches_the_map_is_told(tmp_path, crs, north, stretch):
-    """Web Mercator far from the equator; not UTM, nor another celestial body, of which it is not known."""
-    path = make(tmp_path / "dem.tif", crs=crs, transform=from_origin(4e5, north, 25, 25))
+def test_a_projection_that_stretches_the_map_is_told(tmp_path, crs, east, north, stretch):
+    """Web Mercator far from the equator; not UTM, also across 180 degrees, nor a moon, which is not known."""
+    path = make(tmp_path / "dem.tif", crs=crs, transform=from_origin(east, north, 25, 25))
     with warnings.catch_warnings(record=True) as told:
         warnings.simplefilter("always")
         assert geo.read(path).spacing == 25

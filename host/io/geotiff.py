@@ -311,7 +311,8 @@ def _stretch(raster: Raster) -> float:
     except Exception:  # of another celestial body; the class of the error is private to rasterio
         return 1.0
     degrees = _degrees(np.mean(latitudes))
-    ground = np.hypot(np.diff(longitudes)[0] * degrees[0], np.diff(latitudes)[0] * degrees[1])
+    east = (np.diff(longitudes)[0] + 180) % 360 - 180  # a map may lie across 180 degrees
+    ground = np.hypot(east * degrees[0], np.diff(latitudes)[0] * degrees[1])
     return 1000 / float(ground) if ground > 0 else 1.0
 
 
