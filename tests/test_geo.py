@@ -136,7 +136,11 @@ def test_a_projection_that_stretches_the_map_is_told(tmp_path, crs, east, north,
 def test_a_lamp_in_coordinates_of_the_reference_system(tmp_path, capsys, fast, light):
     """It lay far away, and the image was black; the error says where it lies from the first node."""
     path = make(tmp_path / "dem.tif", np.maximum(HEIGHT, 0))
-    for command in (("render", path, tmp_path / "a.tif"), ("plan", path)):
+    for command in (
+        ("render", path, tmp_path / "a.tif"),
+        ("plan", path),
+        ("field", path, tmp_path / "a.npy"),
+    ):
         assert run(*command, *light, "--backend", fast) == 2
         errors = capsys.readouterr().err
         assert light[0] in errors and "to the east and" in errors

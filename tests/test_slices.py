@@ -687,6 +687,15 @@ def test_a_sun_over_a_map_with_a_margin(backend):
     assert (abs(middle - by_suns(backend, depth, [(ways, table)])) > 0.1 * middle.max()).any()
 
 
+def test_a_small_ball_near_a_large_map_is_not_enlarged_into_it(backend):
+    """By the distance of most nodes it would reach nearly to the nearest; far from all it may grow."""
+    there = resident_map(backend, np.full((3, 40_000), 5.0, np.float32))
+    near, far = slices.Ball((20_000.0, 1.0, 4.5), 0.03), slices.Ball((20_000.0, 1.0, -9e4), 0.03)
+    assert slices.widened(near, there) == (near, 1.0)
+    grown, scale = slices.widened(far, there)
+    assert 0.5 < grown.radius < 1 and scale == (0.03 / grown.radius) ** 2
+
+
 def test_sectors_of_two_images_at_once(backend):
     """Each image receives the light of its own sectors."""
     depth = _terrain()[100:140, 150:190]

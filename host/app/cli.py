@@ -430,10 +430,12 @@ def field(
             "a .png holds one layer: give --layer, or write .npy, .npz or .tif", param_hint="--out"
         )
     scene, raster = parsing.scene(file, height, spacing, sl.Lambertian(albedo), nodata, sides, resample)
+    light = parsing.source(source, lamp, window, sun)
+    parsing.check_place(light, raster)
     with output.progress_bar("propagating") as progress:
         done = sl.visibility_field(
             scene,
-            parsing.source(source, lamp, window, sun),
+            light,
             hemicube=hemicube,
             layers=layers,
             backend=backend,

@@ -37,14 +37,20 @@ def scene(
     with native_output_silenced(file):
         values = io.read(file, "height" if height else "depth") if raster is None else raster.values
     mask = None if raster is None or raster.mask.all() else raster.mask
-    if nodata is not None:
-        known = ~np.isnan(values) if np.isnan(nodata) else values != nodata
-        mask = known if mask is None else mask & known
+    mask = without(nodata, values, mask)
     if raster is not None and not height:
         values = np.where(raster.mask, values, 0)
     spacing = spacing if spacing is not None else 1.0 if raster is None else raster.spacing
     make = Scene.from_height if height else Scene
     return make(values, spacing=spacing, mask=mask, sides=sides, reflectance=reflectance), raster
+
+
+def without(nodata: float | None, values: np.ndarray, mask: np.ndarray | None) -> np.ndarray | None:
+    """The mask, less the nodes whose value is that of --nodata."""
+    if nodata is None:
+        return mask
+    known: np.ndarray = ~np.isnan(values) if np.isnan(nodata) else values != nodata
+    return known if mask is None else mask & known
 
 
 def reflectance(albedo: str, specular: str | None, exponent: float | None) -> Reflectance:

@@ -31,6 +31,7 @@ from ..sources import Lamp, Sky, Source, cie_overcast
 from ..sources.cie import cie_clear
 from . import plot
 from .output import native_output_silenced
+from .parsing import without
 
 COARSE_SIDE = 160  # [node] of the map that is rendered while the mouse moves; twice takes four times as long
 COARSE_AZIMUTHS = 8  # in which it is; half of it shows as stripes
@@ -84,16 +85,13 @@ def read(
     found = _read(file, height, spacing, resample)
     if nodata is None:
         return found
-    known, line = found.values != nodata, f"known = values != {nodata!r}"
-    if np.isnan(nodata):
-        known, line = ~np.isnan(found.values), "known = values == values  # not nan"
-    mask = known if found.mask is None else found.mask & known
-    return replace(
-        found, mask=mask, lines=(*found.lines, line, "mask = known if mask is None else mask & known")
-    )
+    known = "values == values  # not nan" if np.isnan(nodata) else f"values != {nodata!r}"
+    lines = *found.lines, f"known = {known}", "mask = known if mask is None else mask & known"
+    return replace(found, mask=without(nodata, found.values, found.mask), lines=lines)
 
 
 def _read(file: Path, height: bool | None, spacing: float | None, resample: bool) -> Map:
+    """The whole map in a file."""
     if geo.is_geotiff(file):
         raster = geo.read(file, resample=resample)
         step = raster.spacing if spacing is None else spacing

@@ -51,7 +51,7 @@ def read(path: StrPath, name: str | None = None) -> np.ndarray:
         elif path.suffix.lower() in HDR:
             array = hdr.read(path)
             if array.ndim == 3 and (array == array[..., :1]).all():
-                array = array[..., 0]  # a .hdr has three channels, of a grey map as well
+                array = array[..., 0]  # three equal channels are grey; a .hdr has no fewer
             if array.ndim == 3:
                 raise bad(f"{path}: not grey", "red, green and blue", "one channel", png.GREY_FIX)
         else:

@@ -212,7 +212,7 @@ def _spaced(path: Path, raster: Raster, unit: str, resample: bool | None) -> Ras
             )
         raster = _squared(_rasterio(path), raster, east, north)
         east = north = min(east, north)
-    if (text := stretched(_stretch(raster))) is not None:
+    if (text := stretched(_stretch(path, raster))) is not None:
         warnings.warn(f"{path}: {text}", stacklevel=2)
     return replace(raster, spacing=float(np.sqrt(east * north) / vertical))
 
@@ -294,12 +294,12 @@ def _metres(path: Path, raster: Raster) -> tuple[float, float]:
     return east * lengths[1][0], north * lengths[1][1]
 
 
-def _stretch(raster: Raster) -> float:
+def _stretch(path: Path, raster: Raster) -> float:
     """Length on the map over that on the ground, at its middle; 1 where that is not known."""
     crs = raster.crs
     if crs is None or not crs.is_projected:
         return 1.0
-    rasterio = _rasterio(Path())
+    rasterio = _rasterio(path)
     rows, cols = raster.values.shape
     t = raster.transform
     x, y = t.c + t.a * cols / 2, t.f + t.e * rows / 2

@@ -56,13 +56,13 @@ class Horizons(LightMethod):
         margin: int = 0,
     ):
         self.engine, self.scene, self.sky, self.units, self.sectors = engine, scene, sky, count, sectors
-        self.scale, self.bright_parts = (1.0, sky.bright_parts) if isinstance(sky, Integrals) else (sky, ())
+        self.scale, parts = (1.0, sky.bright_parts) if isinstance(sky, Integrals) else (sky, ())
         size = (2, math.prod(scene.shape))
         self.sweeps = Sweeps(engine, ground_of(scene, None, engine), near=near)
         self.total, self.turned = (engine.empty(size, np.int32) for _ in range(2))
         self.slices = None
         self.exact_parts = exact_parts
-        self.swept_parts = [part for part in self.bright_parts if part not in exact_parts]
+        self.swept_parts = [part for part in parts if part not in exact_parts]
         if exact_parts:
             self.slices = Slices(scene.on(engine), scene.sides, Dome(), margin=margin)
         # light (side, side) by normal that the tangent planes alone leave

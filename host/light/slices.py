@@ -37,8 +37,9 @@ SUNNY, SUNS = 4.0, 64  # times the mean brightness from which on light is a sun'
 # holds its width to 5e-5; derived
 THIN = 2e-3
 # radius of a ball over its distance, below which it is enlarged: at 4e-6 slices in float32 err 2e-7, at 4e-7
-# 6e-4, and at 4e-8 most nodes are black
-SMALL_BALL = 1e-5
+# 6e-4, and at 4e-8 most nodes are black. So near, in nodes along rows and columns, the nearest node is looked
+# for, and of its distance an enlarged ball has this share at most; chosen: light errs by its square
+SMALL_BALL, NEAR_BALL, SMALL_SHARE = 1e-5, 8, 0.01
 # along each side of the map, over which the median distance of a source is taken. Chosen: half and twice give
 # four random pairs the same errors (performance/constants.py --seed 18)
 MEDIAN_NODES = 32
@@ -459,16 +460,34 @@ def outline(window: Quad, step: float) -> tuple[float, float, float, float]:
     return x0, x1, y0, y1
 
 
-def _median_distance(place: np.ndarray, there: Resident) -> float:
-    """Of some MEDIAN_NODES nodes along each side from a place [unit of depth]; 0 without a valid one."""
-    rows, cols = there.shape
-    y, x = np.mgrid[0 : rows : max(1, rows // MEDIAN_NODES), 0 : cols : max(1, cols // MEDIAN_NODES)]
-    depth = there.pick(y * cols + x)
+def _distances(place: np.ndarray, there: Resident, y: np.ndarray, x: np.ndarray) -> np.ndarray:
+    """From a place to those of some nodes that are valid [unit of depth]."""
+    depth = there.pick(y * there.shape[1] + x)
     away = np.sqrt(
         (x * there.step - place[0]) ** 2 + (y * there.step - place[1]) ** 2 + (depth - place[2]) ** 2
     )
-    known = away[np.isfinite(away)]
+    known: np.ndarray = away[np.isfinite(away)]
+    return known
+
+
+def _median_distance(place: np.ndarray, there: Resident) -> float:
+    """Of some MEDIAN_NODES nodes along each side from a place [unit of depth]; 0 without a valid one."""
+    y, x = np.mgrid[tuple(slice(0, n, max(1, n // MEDIAN_NODES)) for n in there.shape)]
+    known = _distances(place, there, y, x)
     return float(np.median(known)) if known.size else 0.0
+
+
+def _enlarged(ball: Ball, there: Resident) -> Ball:
+    """A ball that float32 holds at most nodes, still small for those nearest to it."""
+    center, ends = np.asarray(ball.center, float), np.array(there.shape[::-1]) - 1
+    far = np.maximum(abs(center - [0, 0, there.least]), abs(center - [*(ends * there.step), there.most]))
+    if ball.radius >= SMALL_BALL * np.linalg.norm(far):
+        return ball  # at every node; without a look at them
+    middle = np.clip(np.rint(center[:2] / there.step), 0, ends).astype(int)
+    x, y = (np.arange(max(0, m - NEAR_BALL), min(n, m + NEAR_BALL) + 1) for m, n in zip(middle, ends))
+    near = _distances(center, there, *np.meshgrid(y, x, indexing="ij"))
+    most = SMALL_SHARE * near.min() if near.size else math.inf
+    return ball._replace(radius=max(ball.radius, min(SMALL_BALL * _median_distance(center, there), most)))
 
 
 def widened(solid: Ball | Quad, there: Resident) -> tuple[Ball | Quad, float]:
@@ -477,8 +496,8 @@ def widened(solid: Ball | Quad, there: Resident) -> tuple[Ball | Quad, float]:
     Across so little, light is in proportion to the width. ``solid`` is in the unit of the map.
     """
     if isinstance(solid, Ball):
-        radius = max(solid.radius, SMALL_BALL * _median_distance(np.asarray(solid.center, float), there))
-        return solid._replace(radius=radius), (solid.radius / radius) ** 2
+        ball = _enlarged(solid, there)
+        return ball, (solid.radius / ball.radius) ** 2
     corners = np.asarray(solid.corners, float)
     middle = corners.mean(0)
     least = THIN * _median_distance(middle, there)
