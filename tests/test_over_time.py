@@ -172,3 +172,15 @@ def test_what_does_not_fit_is_an_error(changes, text):
     arguments = {"times": DAY, "latitude": 46.5, "longitude": 8.0} | changes
     with pytest.raises(sl.InputError, match=text):
         sl.sky_over_time(**arguments)
+
+
+@pytest.mark.parametrize("seconds", [0, 20, 60])
+def test_a_sun_near_the_zenith_has_its_own_light_and_no_more(seconds):
+    """It was 2.8 % too bright: a cell of the table at the pole stands for more than its solid angle."""
+    time = pandas.DatetimeIndex(
+        [pandas.Timestamp("2026-03-20T12:07:30Z") + pandas.Timedelta(seconds=seconds)]
+    )
+    sky = sl.sky_over_time(time, 0, 0, hours=1.0, dni=[900.0], dhi=[0.0])
+    _, elevation = sl.sun_position(time[0], 0, 0)
+    assert abs(sky.ghi / (0.9 * np.sin(np.radians(elevation))) - 1) < 1e-4
+    assert abs(Integrals(sl.Sky(sky)).level / sky.ghi - 1) < 1e-3

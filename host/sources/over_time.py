@@ -23,6 +23,8 @@ from .integrals import COLS, ROWS
 CELL, TURN = math.pi / 2 / ROWS, 2 * math.pi / COLS  # [rad] height and width of a cell
 # points of equal light in a sun's disc, 0.08 degrees apart: half a cell
 DISC_POINTS = 37
+# columns as wide as a cell is high, from which on discs are spread over azimuth: 14 degrees round the zenith
+NARROW_COLUMNS = 4
 SUNS_AT_ONCE = 2**14  # whose points are shared out together: some 60 MB
 GOLDEN_ANGLE = math.pi * (3 - math.sqrt(5))  # [rad] from point to point of a sunflower's pattern
 # elevations of the sun, a degree apart, whose skies are computed; between them is interpolated
@@ -266,8 +268,9 @@ def _checked(light: np.ndarray, up: np.ndarray, index: Any) -> np.ndarray:
 
 
 def _moments() -> np.ndarray:
-    """Integrals of sin cos over the cells of every row, from the horizon up: (ROWS,)."""
-    moments: np.ndarray = TURN * np.diff(np.sin(CELL * np.arange(ROWS + 1)) ** 2) / 2
+    """Light on level ground of a cell of brightness 1 in every row, from the horizon up: (ROWS,)."""
+    middle = np.sin(CELL * (np.arange(ROWS) + 0.5)) * math.cos(CELL / 2)
+    moments: np.ndarray = middle * _lookup_angles()
     return moments
 
 
@@ -366,6 +369,32 @@ def _discs(azimuth: np.ndarray, elevation: np.ndarray, energy: np.ndarray) -> np
         light = np.broadcast_to(energy[some, None] / DISC_POINTS, row.shape)
         above = row > -0.5
         grid += _shared(row[above], col[above], light[above], (ROWS, COLS))
-    solid_angles = TURN * np.diff(np.sin(CELL * np.arange(ROWS + 1)))
-    whole: np.ndarray = grid / solid_angles[:, None]
-    return whole
+    brightness: np.ndarray = _round_zenith(grid) / _lookup_angles()[:, None]
+    return brightness
+
+
+def _lookup_angles() -> np.ndarray:
+    """Solid angles (ROWS,) that a cell's brightness stands for where the table is interpolated bilinearly.
+
+    Those of the cells, but for the row at the zenith: there is none beyond it, so it holds all the way up.
+    At t cells from the zenith its weight is 1 up to t = 1/2, then falls to 0 at 3/2: the integral of t is
+    13/24, that over the cell 1/2.
+    """
+    angles: np.ndarray = TURN * np.diff(np.sin(CELL * np.arange(ROWS + 1)))
+    angles[-1] *= 13 / 12
+    return angles
+
+
+def _round_zenith(grid: np.ndarray) -> np.ndarray:
+    """Cells (ROWS, COLS) whose light near the zenith is spread over as much azimuth as a cell is high.
+
+    Points of a disc are half a cell apart, but columns are far narrower there: each would be a needle.
+    """
+    spread: np.ndarray = grid.copy()
+    columns = CELL / (TURN * np.cos(CELL * (np.arange(ROWS) + 0.5)))  # as wide as a cell is high
+    for row in np.flatnonzero(columns >= NARROW_COLUMNS):
+        if grid[row].any():
+            half = int(columns[row] / 2)
+            sums = np.append(0.0, np.cumsum(np.pad(grid[row], (half, half), mode="wrap")))
+            spread[row] = np.maximum(0, sums[2 * half + 1 :] - sums[: -2 * half - 1]) / (2 * half + 1)
+    return spread
