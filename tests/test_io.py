@@ -15,6 +15,7 @@ from PIL.PngImagePlugin import PngInfo
 
 import skylamp as sl
 from skylamp import io
+from skylamp.app import parsing
 from skylamp.errors import InputError
 from skylamp.io.paths import MAP_SUFFIXES
 
@@ -523,3 +524,33 @@ def test_terrain_is_matplotlibs():
     np.testing.assert_array_equal(
         io.terrain()[0], cbook.get_sample_data("jacksboro_fault_dem.npz")["elevation"]
     )
+
+
+def test_counts_of_a_png_become_the_values_that_they_stand_for(tmp_path):
+    """``skylamp render`` took counts up to 65535 for depths."""
+    depth = np.linspace(7, 13, 64).reshape(8, 8)
+    io.write(tmp_path / "d.png", depth, bits=16)
+    assert io.read(tmp_path / "d.png").dtype == np.uint16
+    np.testing.assert_allclose(io.read(tmp_path / "d.png", scaled=True), depth, atol=13 / 65535)
+    io.write(tmp_path / "counts.png", np.arange(64, dtype=np.uint8).reshape(8, 8))
+    assert io.read(tmp_path / "counts.png", scaled=True).dtype == np.uint8
+    scene, _ = parsing.scene(tmp_path / "d.png", None, None, None, None, "dark")
+    np.testing.assert_allclose(scene.depth, depth, atol=13 / 65535)
+
+
+@pytest.mark.parametrize("name, dtype", [("x.png", ">u2"), ("x.exr", ">f4"), ("x.tif", ">f8")])
+def test_the_order_of_bytes_does_not_matter(tmp_path, name, dtype):
+    values = np.arange(0, 62000, 1000).reshape(2, 31).astype(dtype)
+    assert io.write(tmp_path / name, values) is None
+    assert io.read(tmp_path / name).dtype == np.dtype(dtype).newbyteorder("=")
+    np.testing.assert_array_equal(io.read(tmp_path / name), values)
+
+
+@pytest.mark.parametrize(
+    "array",
+    [np.arange(5.0), np.float64(1), np.ones((2, 2), np.longdouble), np.ma.masked_less(np.eye(3), 0.5)],
+)
+def test_a_tiff_refuses_what_it_would_not_give_back(tmp_path, array):
+    with pytest.raises(InputError, match="x.tif"):
+        io.write(tmp_path / "x.tif", array)
+    assert not any(tmp_path.iterdir())

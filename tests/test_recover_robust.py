@@ -489,6 +489,22 @@ def test_images_with_other_coordinates_are_refused(fast):
             recovered(image, lamp, **{name: 0.5 * image[::-1]})
 
 
+def test_the_axes_are_those_of_any_image_that_has_them(fast):
+    """A plain array first: the coordinates of the second image were ignored, its depths 3 layers wrong."""
+    xarray = pytest.importorskip("xarray")
+    y, x = np.mgrid[:16, :16]
+    values = 0.2 + 0.01 * y + 0.005 * x
+    labelled = xarray.DataArray(
+        values, dims=("y", "x"), coords={"y": 1.0 * np.arange(16), "x": np.arange(16.0)}
+    )
+    lights = [sl.Lamp(center=(24.0, 4.0, -9.0), radius=2.0), sl.Sky()]
+    both, second = (
+        recover([first, labelled], lights, backend=fast, layers=4) for first in (labelled, values)
+    )
+    np.testing.assert_array_equal(both.depth, second.depth)
+    assert second.depth.dims == ("y", "x")
+
+
 @pytest.mark.slow
 def test_an_albedo_that_two_images_do_not_tell_is_not_trusted(fast):
     """Two skies say little of it: what is wrong by more than a layer is marked, what is trusted is far better

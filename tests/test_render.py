@@ -1,6 +1,7 @@
 """render(): every backend against the oracle, the lattice against closed forms, and its known errors."""
 
 import functools
+import pickle
 
 import numpy as np
 import pytest
@@ -455,3 +456,14 @@ def test_what_is_asked_for_is_taken(fast):
         "lattice, hemicube 9, filled: as asked",
     )
     assert out.seconds >= 0 and out.compile_seconds >= 0
+
+
+@pytest.mark.parametrize(
+    "brightness",
+    [sl.cosine_power(3), sl.cosine_power(300), sl.cosine_power(3000, (0, 1, 2)), sl.cie_overcast(2.0)],
+)
+def test_sources_can_be_pickled(brightness):
+    """Worker processes of data loaders need it; functions within functions cannot be pickled."""
+    L = np.array([[0.0, 0.0, -1.0], [0.0, -0.6, -0.8]])
+    again = pickle.loads(pickle.dumps(sl.Sky(brightness)))
+    np.testing.assert_array_equal(again.brightness(L), brightness(L))

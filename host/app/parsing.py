@@ -34,8 +34,11 @@ def scene(
     if resample and raster is None:
         raise typer.BadParameter(f"{file} is not a GeoTIFF", param_hint="--resample")
     height = raster is not None if height is None else height
-    with native_output_silenced(file):
-        values = io.read(file, "height" if height else "depth") if raster is None else raster.values
+    if raster is None:
+        with native_output_silenced(file):
+            values = io.read(file, "height" if height else "depth", scaled=True)
+    else:
+        values = raster.values
     mask = None if raster is None or raster.mask.all() else raster.mask
     mask = without(nodata, values, mask)
     if raster is not None and not height:
@@ -209,20 +212,18 @@ def radiance(file: Path, white: float | None) -> np.ndarray:
     Counts need a scale, the file's own or --white; floating values are radiance already.
     """
     with native_output_silenced(file):
-        image = io.read(file, "image")
+        image = io.read(file, "image", scaled=white is None)
     if image.dtype.kind == "f":
         if white is not None:
             raise typer.BadParameter(
                 f"{file} holds floating values, which are radiance as they are", param_hint="--white"
             )
         return image
-    scale = (0.0, white) if white is not None else io.read_range(file)
-    if scale is None or image.dtype.kind != "u":
+    if white is None or image.dtype.kind != "u":
         raise bad(
             f"{file}: counts without a scale",
             image.dtype,
             "floating values, or unsigned counts with a scale",
             "Give --white, the radiance of a full-scale count.",
         )
-    low, high = scale
-    return low + image * ((high - low) / np.iinfo(image.dtype).max)
+    return image * (white / np.iinfo(image.dtype).max)

@@ -101,8 +101,8 @@ def _read(file: Path, height: bool | None, spacing: float | None, resample: bool
         return Map(raster.values, height is not False, step, raster.mask, lines)
     kind, step = "height" if height else "depth", 1.0 if spacing is None else spacing
     with native_output_silenced(file):
-        values = io.read(file, kind)
-    call = f"values, mask, spacing = io.read({str(file)!r}, {kind!r}), None, {step!r}"
+        values = io.read(file, kind, scaled=True)
+    call = f"values, mask, spacing = io.read({str(file)!r}, {kind!r}, scaled=True), None, {step!r}"
     return Map(values, bool(height), step, None, ("from skylamp import io", call))
 
 

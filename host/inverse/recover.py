@@ -187,8 +187,8 @@ def _checked(
             f"{len(images)} and {len(lights)}",
             "as many sources as images, at least one",
         )
-    labels = labels_of(images[0])
-    for number, other in enumerate(images[1:], 2):
+    labels = next((found for found in map(labels_of, images) if found is not None), None)
+    for number, other in enumerate(images, 1):
         lies_on(labels, other, f"image {number}")
     lies_on(labels, albedo, "albedo")
     images = [_radiance(picture) for picture in images]

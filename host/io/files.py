@@ -27,13 +27,14 @@ ROLES = ("depth", "height", "image")
 LUMINANCE = (0.2126, 0.7152, 0.0722)  # of linear red, green, blue: ITU-R BT.709
 
 
-def read(path: StrPath, name: str | None = None) -> np.ndarray:
+def read(path: StrPath, name: str | None = None, *, scaled: bool = False) -> np.ndarray:
     """The array in a file, its values untouched.
 
     ``path``: .npy; .npz; grey PNG of 8 or 16 bits (uint8, uint16); TIFF of one grey channel in the type that
     it has, (rows, cols), or (layers, rows, cols) for equal pages; OpenEXR of one channel (float16, float32 or
     uint32). ``name``: which array of an .npz, "depth", "height" or "image"; without that name the only array
-    is taken, unless it is named as another of the three.
+    is taken, unless it is named as another of the three. ``scaled``: counts of a PNG that holds a range, see
+    :func:`write`, become the values that they stand for, float64.
 
     Raises InputError with the file, the content got and that allowed: missing, a folder, empty, truncated
     or damaged files, unknown extensions, pickles, colour, and bit depths that a reader would change on the
@@ -48,6 +49,8 @@ def read(path: StrPath, name: str | None = None) -> np.ndarray:
             array = _read_npz(path, name)
         elif path.suffix.lower() == ".png":
             array = png.read(path, colours=(0,))
+            if scaled and (range := png.read_range(path)) is not None:
+                array = range[0] + array * ((range[1] - range[0]) / np.iinfo(array.dtype).max)
         elif path.suffix.lower() in HDR:
             array = hdr.read(path)
             if array.ndim == 3 and (array == array[..., :1]).all():
@@ -131,8 +134,12 @@ def write(
     Returns the range of a scaled PNG, else None. Raises InputError for a missing parent folder, an unknown
     extension, or an array that the format does not hold; OSError if the disk refuses.
     """
-    path, array = writable(path), np.asarray(array)
-    suffix = path.suffix.lower()
+    path = writable(path)
+    if isinstance(array, np.ma.MaskedArray):
+        fix = "Pass array.filled(value)."
+        raise bad(f"{path}: a numpy masked array", "mask inside the array", "plain arrays", fix)
+    array, suffix = np.asarray(array), path.suffix.lower()
+    array = array.astype(array.dtype.newbyteorder("="), copy=False)
     if array.dtype.kind not in "biuf" or array.size == 0:
         got = f"dtype {array.dtype}, shape {array.shape}"
         raise bad(f"{path}: cannot write the array", got, "real numbers, at least one")

@@ -10,7 +10,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -140,13 +140,15 @@ def cosine_power(
         raise bad("cosine_power: power", repr(power), "a finite number >= 0")
     unit, value = along / np.linalg.norm(along), brightness_number(brightness)
 
-    def spot(L: np.ndarray) -> np.ndarray:
-        light: np.ndarray = value * np.maximum(0.0, -(np.asarray(L) @ unit)) ** power
-        return light
-
+    spot = partial(_spot, power=power, axis=unit, brightness=value)
     if power <= WIDE_POWER:
         return Function(spot, ())
     return spot if power <= NARROW_POWER else Function(spot, (tuple(-unit),))
+
+
+def _spot(L: np.ndarray, power: float, axis: np.ndarray, brightness: float) -> np.ndarray:
+    light: np.ndarray = brightness * np.maximum(0.0, -(np.asarray(L) @ axis)) ** power
+    return light
 
 
 def cie_overcast(zenith: float = 1.0) -> BrightnessFunction:
@@ -157,8 +159,12 @@ def cie_overcast(zenith: float = 1.0) -> BrightnessFunction:
     function
         Of unit vectors (..., 3); it returns their brightness (...) [unit of ``zenith``].
     """
-    value = brightness_number(zenith)
-    return Function(lambda L: value * (1.0 - 2.0 * np.asarray(L)[..., 2]) / 3.0, ())
+    return Function(partial(_overcast, zenith=brightness_number(zenith)), ())
+
+
+def _overcast(L: np.ndarray, zenith: float) -> np.ndarray:
+    light: np.ndarray = zenith * (1.0 - 2.0 * np.asarray(L)[..., 2]) / 3.0
+    return light
 
 
 def environment_map(array: Any) -> BrightnessFunction:
