@@ -295,3 +295,12 @@ def test_tiles_fit_the_memory_of_a_worker():
     assert out_of_core.tile_that_fits(3 * 10**9) == 4096
     with pytest.raises(CapacityError, match="memory"):
         out_of_core.tile_that_fits(10**8)
+
+
+def test_a_warning_of_a_tile_is_one_line(dem, tmp_path):
+    """Workers printed it too, with the place in the code that gives it."""
+    sun = "--source", "clear", "--sun", "180,3", "-q"
+    code, said = run(dem[0], tmp_path / "o.tif", *sun, of="render")
+    lines = said.strip().splitlines()
+    assert code == 0 and lines and all(line.startswith("skylamp: warning: ") for line in lines), said
+    assert len(set(lines)) == len(lines)

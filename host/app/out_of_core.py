@@ -11,6 +11,7 @@ import hashlib
 import importlib
 import json
 import shutil
+import warnings
 from collections.abc import Callable, Iterable, Iterator
 from functools import partial
 from pathlib import Path
@@ -460,7 +461,14 @@ def workers_of(machines: Machines) -> Iterator[Any]:
         except OSError as error:
             raise InputError(f"--scheduler {at}: no scheduler answers there ({error}).") from error
         client.register_plugin(devices())
+        if machines.scheduler is None:
+            client.run(_print_no_warnings)
         yield client
+
+
+def _print_no_warnings() -> None:
+    """In a worker: the client gives its warnings, once each."""
+    warnings.formatwarning = lambda *_, **__: ""
 
 
 def write(out: str, maps: Any, header: geo.Raster, cog: bool) -> None:
