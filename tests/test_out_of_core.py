@@ -299,7 +299,7 @@ def test_tiles_fit_the_memory_of_a_worker():
 
 def test_a_warning_of_a_tile_is_one_line(dem, tmp_path):
     """Workers printed it too, with the place in the code that gives it."""
-    sun = "--source", "clear", "--sun", "180,3", "-q"
+    sun = "--source", "clear", "--sun", "180,3", "--tile", "128", "-q"
     code, said = run(dem[0], tmp_path / "o.tif", *sun, of="render")
     lines = said.strip().splitlines()
     assert code == 0 and lines and all(line.startswith("skylamp: warning: ") for line in lines), said
