@@ -33,7 +33,16 @@ from .light import lattice, propagation, unoccluded
 from .light.finite import solid_of
 from .light.interreflection import Glossy
 from .light.propagation import Lobe
-from .light.slices import CHORD_AZIMUTHS, CHORD_KNOTS, MOST, Slices, blurred, brightness_of, widened
+from .light.slices import (
+    BRIGHTNESS_SIDE,
+    CHORD_AZIMUTHS,
+    CHORD_KNOTS,
+    MOST,
+    Slices,
+    blurred,
+    brightness_of,
+    widened,
+)
 from .light.sweeps import FINE_NEAR_ROWS, Rays, Sweeps, ground_of
 from .planning.plan import Choice, Plan, percent
 from .refinement import Refined, refined
@@ -50,6 +59,10 @@ SUN_DISTANCE = 1e5  # extents of the map at which the sun stands: a hundred-thou
 # that nothing hides the sum then errs by up to 1.8 %; with half of it by 0.8 %, with twice by 80 % (hemicubes
 # of 9 to 33, tests/test_reflectance.py)
 COARSE_LOBE = 1.2
+# times the slices of a lobe, tried in turn. Chosen: 3 and 8 have no common factor, as few slices may miss the
+# same of an edge (1 and 2 did). Under windows and spheres with a step or stripes, Phong of exponents 5 to
+# 600, the image by 1 is .7 to 7.6 % off, by 3 .3 to .9 %, by 8 .08 to .8 % (against 11)
+LOBE_FINENESS = 3, 8
 # of the tolerance that rays may take which look for ground in lobes; chosen: errors add by squares, and
 # estimates of the other light take up to 0.85
 LOBE_SHARE = 0.5
@@ -167,6 +180,8 @@ class Renderer:
             self.plans[0] = replace(self.plans[0], reason=f"{self.plans[0].reason}; the sun's disc by itself")
         if self.lobe:
             lobe_of = self._sky_lobe if isinstance(self.source, sources.Sky) else self._solid_lobe
+            if self.planned and lobe_of == self._solid_lobe and callable(self.greys[0].brightness):
+                return irradiances, [_refined_lobe(self, grey, irradiances) for grey in self.greys]
             return irradiances, per_colour(self.greys, lobe_of)
         return irradiances, self._mirrored(self.options.max_distance)
 
@@ -248,14 +263,15 @@ class Renderer:
             image += shading.suns(scene, engine, lobe, suns, flux, max_distance)
         return image * np.float32(_norm(scene))
 
-    def _solid_lobe(self, grey: sources.Source) -> np.ndarray:
+    def _solid_lobe(self, grey: sources.Source, fineness: int = 1) -> np.ndarray:
         """A lamp or window reflected by a lobe: (rows, cols) float32; a warning if slices are too coarse."""
         scene, lobe = self.scene, self.lobe
         most = _plan_of(scene, grey, self.options.azimuths, None).azimuths
         assert lobe is not None and most is not None, "the surface has a lobe, the plan a number of slices"
         assert not isinstance(grey, sources.Sky), "a sky has no slices through a solid"
-        brightness = brightness_of(grey)
-        slices, scale = _slices(scene, grey, self.engine, most, brightness, lobe)
+        # finer, as an edge between two samples lies anywhere between them
+        brightness = brightness_of(grey, BRIGHTNESS_SIDE * (fineness + 1) // 2)
+        slices, scale = _slices(scene, grey, self.engine, most, brightness, lobe, fineness)
         if slices is None:
             return np.zeros(scene.shape, np.float32)
         slices.run()
@@ -508,6 +524,7 @@ def _slices(
     most: int,
     brightness: float | np.ndarray,
     lobe: Lobe | None = None,
+    fineness: int = 1,
 ) -> tuple[Slices | None, float]:
     """Slices placed within a lamp or window as every node sees it, and the factor of their light.
 
@@ -518,7 +535,7 @@ def _slices(
     if solid is None:
         return None, 1.0
     solid, scale = widened(solid, there)
-    return Slices(there, scene.sides, solid, brightness, most, lobe), scale
+    return Slices(there, scene.sides, solid, brightness, most, lobe, fineness=fineness), scale
 
 
 def _sun_of(scene: Scene, source: sources.Source, max_distance: float | None) -> sources.Lamp | None:
@@ -546,6 +563,34 @@ def _sun_of(scene: Scene, source: sources.Source, max_distance: float | None) ->
 
 
 # -- lobes
+
+
+def _refined_lobe(call: Renderer, grey: sources.Source, irradiances: list[Irradiance]) -> np.ndarray:
+    """A lamp or window of uneven brightness in a lobe: (rows, cols) float32, by as many slices as it takes.
+
+    Each slice meets an edge of brightness or misses it, so errors are as one over the number of slices, and
+    those of two numbers that share none are independent: the finer image's is the RMS difference over
+    sqrt(1 + r^2) for r times as many slices.
+    """
+    scene, tolerance = call.scene, float(call.options.tolerance)
+    of_map = np.ones(scene.shape, bool) if scene.mask is None else scene.mask
+    diffuse = np.mean([np.asarray(light)[of_map].mean() for light in irradiances] or 0) * np.mean(
+        scene.albedo
+    )
+    image, before, off = call._solid_lobe(grey), 1, math.inf
+    for fineness in LOBE_FINENESS:
+        coarse, image = image, call._solid_lobe(grey, fineness)
+        mean = diffuse / np.pi + _most_specular(scene) * float(image[of_map].mean())
+        rms = math.sqrt(float(np.mean((image - coarse)[of_map] ** 2))) / math.hypot(1, fineness / before)
+        off = float(_most_specular(scene) * rms / mean) if rms else 0.0
+        if off <= tolerance:
+            return image
+        before = fineness
+    call.warnings.append(
+        f"Tolerance: the estimated error of the specular lobe is {100 * off:.3g} % of the mean (RMS), more"
+        f" than the {100 * tolerance:.3g} % asked for."
+    )
+    return image
 
 
 def _norm(scene: Scene) -> float:

@@ -126,6 +126,7 @@ class Slices:
         lobe: Lobe | None = None,
         shift: float = 0.5,
         margin: int = 0,
+        fineness: int = 1,
     ):
         """``there``: the map; ``solid`` is in its unit, in which the spacing is ``there.step``.
 
@@ -136,6 +137,7 @@ class Slices:
         quarter of them, half if it is a quadrangle, but at least 8, and others a number between. ``lobe``:
         light is weighted by it, and its width gives the number of slices. A Dome has a lobe. ``shift``: where
         in its step every slice of a ball lies, 0..1; the slices of 0 lie between those of 0.5.
+        ``fineness``: times the slices of a lobe through a ball or a quadrangle, and its samples in each.
         """
         rows, cols = self.shape = there.shape[0] + 2 * margin, there.shape[1] + 2 * margin
         count = rows * cols
@@ -154,6 +156,7 @@ class Slices:
         if isinstance(solid, Ball):  # light of the even slices minus that of the odd ones
             self.alternating = backend.empty((rows, cols), np.float32)
         self.lobe, self.dark, self.walls, self.coarse = lobe, sides == "dark", sides == "dark", 0.0
+        self.fineness = fineness
         if isinstance(solid, Dome):
             self.least, self.most = LOBE_LEAST, LOBE_ROUND
         else:
@@ -180,7 +183,8 @@ class Slices:
             self.least = max(self.most // (4 if isinstance(solid, Ball) else 2) // SLICES, 1) * SLICES
             return
         resolved = math.ceil(2 * math.pi / (LOBE_APART * self.lobe.spread * SLICES)) * SLICES
-        self.most, self.least = min(max(resolved, most), LOBE_MOST) * walled, LOBE_LEAST
+        self.most = min(max(resolved, most), LOBE_MOST) * self.fineness * walled
+        self.least = LOBE_LEAST * self.fineness
         turn = apparent * (0.318 + 0.182 * apparent**2)
         self.coarse = 2 * math.pi * turn / (self.least + turn * (self.most - self.least)) / self.lobe.spread
 
@@ -197,7 +201,8 @@ class Slices:
         elif varies:
             chords, (self.turns, self.knots, _) = values, values.shape
         self.sky = backend.table(np.asarray(sky, np.float32))
-        self.n_points = (LOBE_VARIES if varies else LOBE_POINTS) if lobe is not None else 0
+        points = LOBE_VARIES * self.fineness if varies else LOBE_POINTS
+        self.n_points = points if lobe is not None else 0
         self.points = backend.table(_on_unit(max(self.n_points, 1)))
         self.chords = backend.table(np.asarray(chords, np.float32))
         self.quadrature = backend.table(
