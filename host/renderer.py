@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -59,10 +59,11 @@ SUN_DISTANCE = 1e5  # extents of the map at which the sun stands: a hundred-thou
 # that nothing hides the sum then errs by up to 1.8 %; with half of it by 0.8 %, with twice by 80 % (hemicubes
 # of 9 to 33, tests/test_reflectance.py)
 COARSE_LOBE = 1.2
-# times the slices of a lobe, tried in turn. Chosen: 3 and 8 have no common factor, as few slices may miss the
-# same of an edge (1 and 2 did). Under windows and spheres with a step or stripes, Phong of exponents 5 to
-# 600, the image by 1 is .7 to 7.6 % off, by 3 .3 to .9 %, by 8 .08 to .8 % (against 11)
-LOBE_FINENESS = 3, 8
+# times the slices of a lobe, tried in turn. Chosen: no two share slices, and smooth brightness is mostly done
+# with 1 at 1 %. Exponents 5 to 600, errors [%] at 1 % and (.3 %) against 11 times: skies with a step, stripes
+# or noise .2 to .4 (.07 to .14), by 1 .6 to 2.2; smooth skies .2 to .3 (.09 to .2); windows, spheres with a
+# step or stripes .3 to .9 (.09 to .8, beyond .3 with a warning), by 1 .9 to 7.0 (performance/lobes.py)
+LOBE_FINENESS = 0.5, 1, 3, 8
 # of the tolerance that rays may take which look for ground in lobes; chosen: errors add by squares, and
 # estimates of the other light take up to 0.85
 LOBE_SHARE = 0.5
@@ -180,8 +181,8 @@ class Renderer:
             self.plans[0] = replace(self.plans[0], reason=f"{self.plans[0].reason}; the sun's disc by itself")
         if self.lobe:
             lobe_of = self._sky_lobe if isinstance(self.source, sources.Sky) else self._solid_lobe
-            if self.planned and lobe_of == self._solid_lobe and callable(self.greys[0].brightness):
-                return irradiances, [_refined_lobe(self, grey, irradiances) for grey in self.greys]
+            if self.planned and callable(self.greys[0].brightness):
+                return irradiances, [_refined_lobe(self, grey, lobe_of, irradiances) for grey in self.greys]
             return irradiances, per_colour(self.greys, lobe_of)
         return irradiances, self._mirrored(self.options.max_distance)
 
@@ -245,32 +246,32 @@ class Renderer:
             self.warnings += _missed_by_rays(self, lights)
         return list(images)
 
-    def _sky_lobe(self, grey: sources.Source) -> np.ndarray:
+    def _sky_lobe(self, grey: sources.Source, fineness: float = 1) -> np.ndarray:
         """A sky reflected by a lobe: (rows, cols) float32."""
         scene, engine, lobe, max_distance = self.scene, self.engine, self.lobe, self.options.max_distance
         assert lobe is not None, "called for surfaces with a lobe"
         there = scene.on(engine)
         reach = np.inf if max_distance is None else max_distance * (there.step / scene.spacing)
-        table, suns, flux = blurred(sources.without_disc(grey), lobe.spread)
+        table, suns, flux = blurred(sources.without_disc(grey), lobe.spread, max(1, int(fineness / 4)))
         brightness = sources.distribution_of(grey)
         if brightness is not None and (disc := brightness.disc()) is not None:
             suns = np.concatenate([suns.reshape(-1, 3), [disc.direction]])
             flux = np.append(flux, disc.irradiance)
-        slices = Slices(there, scene.sides, Dome(reach), table, lobe=lobe)
+        slices = Slices(there, scene.sides, Dome(reach), table, lobe=lobe, fineness=fineness)
         slices.run()
         image = slices.download()
         if len(suns):
             image += shading.suns(scene, engine, lobe, suns, flux, max_distance)
         return image * np.float32(_norm(scene))
 
-    def _solid_lobe(self, grey: sources.Source, fineness: int = 1) -> np.ndarray:
+    def _solid_lobe(self, grey: sources.Source, fineness: float = 1) -> np.ndarray:
         """A lamp or window reflected by a lobe: (rows, cols) float32; a warning if slices are too coarse."""
         scene, lobe = self.scene, self.lobe
         most = _plan_of(scene, grey, self.options.azimuths, None).azimuths
         assert lobe is not None and most is not None, "the surface has a lobe, the plan a number of slices"
         assert not isinstance(grey, sources.Sky), "a sky has no slices through a solid"
         # finer, as an edge between two samples lies anywhere between them
-        brightness = brightness_of(grey, BRIGHTNESS_SIDE * (fineness + 1) // 2)
+        brightness = brightness_of(grey, int(BRIGHTNESS_SIDE * max(1, (fineness + 1) / 2)))
         slices, scale = _slices(scene, grey, self.engine, most, brightness, lobe, fineness)
         if slices is None:
             return np.zeros(scene.shape, np.float32)
@@ -524,7 +525,7 @@ def _slices(
     most: int,
     brightness: float | np.ndarray,
     lobe: Lobe | None = None,
-    fineness: int = 1,
+    fineness: float = 1,
 ) -> tuple[Slices | None, float]:
     """Slices placed within a lamp or window as every node sees it, and the factor of their light.
 
@@ -565,8 +566,13 @@ def _sun_of(scene: Scene, source: sources.Source, max_distance: float | None) ->
 # -- lobes
 
 
-def _refined_lobe(call: Renderer, grey: sources.Source, irradiances: list[Irradiance]) -> np.ndarray:
-    """A lamp or window of uneven brightness in a lobe: (rows, cols) float32, by as many slices as it takes.
+def _refined_lobe(
+    call: Renderer,
+    grey: sources.Source,
+    lobe_of: Callable[[sources.Source, float], np.ndarray],
+    irradiances: list[Irradiance],
+) -> np.ndarray:
+    """A source of uneven brightness in a lobe: (rows, cols) float32, by as many slices as it takes.
 
     Each slice meets an edge of brightness or misses it, so errors are as one over the number of slices, and
     those of two numbers that share none are independent: the finer image's is the RMS difference over
@@ -577,9 +583,11 @@ def _refined_lobe(call: Renderer, grey: sources.Source, irradiances: list[Irradi
     diffuse = np.mean([np.asarray(light)[of_map].mean() for light in irradiances] or 0) * np.mean(
         scene.albedo
     )
-    image, before, off = call._solid_lobe(grey), 1, math.inf
-    for fineness in LOBE_FINENESS:
-        coarse, image = image, call._solid_lobe(grey, fineness)
+    before, off, said = LOBE_FINENESS[0], math.inf, len(call.warnings)
+    image = lobe_of(grey, before)
+    for fineness in LOBE_FINENESS[1:]:
+        del call.warnings[said:]  # of slices that finer ones take the place of
+        coarse, image = image, lobe_of(grey, fineness)
         mean = diffuse / np.pi + _most_specular(scene) * float(image[of_map].mean())
         rms = math.sqrt(float(np.mean((image - coarse)[of_map] ** 2))) / math.hypot(1, fineness / before)
         off = float(_most_specular(scene) * rms / mean) if rms else 0.0

@@ -75,8 +75,10 @@ def _number(source: Source) -> float:
     return float(brightness)
 
 
-def blurred(source: Source, spread: float) -> tuple[float | np.ndarray, np.ndarray, np.ndarray]:
-    """A source's brightness as a lobe of this half width [rad] takes it.
+def blurred(
+    source: Source, spread: float, fineness: int = 1
+) -> tuple[float | np.ndarray, np.ndarray, np.ndarray]:
+    """A source's brightness as a lobe of this half width [rad] takes it, in cells ``fineness`` times as fine.
 
     (number or table, suns (K, 3), their flux (K,)). The table holds means over cells of a quarter of a half
     width or less, so that little falls between the lobe's samples. Brightness beyond SUNNY times the mean is
@@ -103,7 +105,7 @@ def blurred(source: Source, spread: float) -> tuple[float | np.ndarray, np.ndarr
         units: np.ndarray = middle / np.linalg.norm(middle, axis=1, keepdims=True)
         suns = units, total
         fine = np.minimum(fine, limit)
-    side = min(max(math.ceil(LOBE_CELLS / spread), LOBE_SIDE), LOBE_SAMPLES // 2)
+    side = min(fineness * max(math.ceil(LOBE_CELLS / spread), LOBE_SIDE), LOBE_SAMPLES // 2)
     share = np.arange(LOBE_SAMPLES) * ((side - 1) / (LOBE_SAMPLES - 1))
     first = np.minimum(share.astype(int), side - 2)
     blend = np.zeros((side, LOBE_SAMPLES))
@@ -126,7 +128,7 @@ class Slices:
         lobe: Lobe | None = None,
         shift: float = 0.5,
         margin: int = 0,
-        fineness: int = 1,
+        fineness: float = 1,
     ):
         """``there``: the map; ``solid`` is in its unit, in which the spacing is ``there.step``.
 
@@ -137,7 +139,7 @@ class Slices:
         quarter of them, half if it is a quadrangle, but at least 8, and others a number between. ``lobe``:
         light is weighted by it, and its width gives the number of slices. A Dome has a lobe. ``shift``: where
         in its step every slice of a ball lies, 0..1; the slices of 0 lie between those of 0.5.
-        ``fineness``: times the slices of a lobe through a ball or a quadrangle, and its samples in each.
+        ``fineness``: times the slices of a lobe, and its samples in each where brightness varies.
         """
         rows, cols = self.shape = there.shape[0] + 2 * margin, there.shape[1] + 2 * margin
         count = rows * cols
@@ -158,7 +160,7 @@ class Slices:
         self.lobe, self.dark, self.walls, self.coarse = lobe, sides == "dark", sides == "dark", 0.0
         self.fineness = fineness
         if isinstance(solid, Dome):
-            self.least, self.most = LOBE_LEAST, LOBE_ROUND
+            self.least, self.most = self._times_fineness(LOBE_LEAST), self._times_fineness(LOBE_ROUND)
         else:
             self._count_slices(solid, lowest, most)
         self._upload_tables(brightness, shift)
@@ -183,10 +185,13 @@ class Slices:
             self.least = max(self.most // (4 if isinstance(solid, Ball) else 2) // SLICES, 1) * SLICES
             return
         resolved = math.ceil(2 * math.pi / (LOBE_APART * self.lobe.spread * SLICES)) * SLICES
-        self.most = min(max(resolved, most), LOBE_MOST) * self.fineness * walled
-        self.least = LOBE_LEAST * self.fineness
+        self.most = self._times_fineness(min(max(resolved, most), LOBE_MOST)) * walled
+        self.least = self._times_fineness(LOBE_LEAST)
         turn = apparent * (0.318 + 0.182 * apparent**2)
         self.coarse = 2 * math.pi * turn / (self.least + turn * (self.most - self.least)) / self.lobe.spread
+
+    def _times_fineness(self, slices: int) -> int:
+        return math.ceil(self.fineness * slices / SLICES) * SLICES
 
     def _upload_tables(self, brightness: float | np.ndarray, shift: float) -> None:
         backend, lobe = self.backend, self.lobe
@@ -201,7 +206,7 @@ class Slices:
         elif varies:
             chords, (self.turns, self.knots, _) = values, values.shape
         self.sky = backend.table(np.asarray(sky, np.float32))
-        points = LOBE_VARIES * self.fineness if varies else LOBE_POINTS
+        points = round(LOBE_VARIES * self.fineness) if varies else LOBE_POINTS
         self.n_points = points if lobe is not None else 0
         self.points = backend.table(_on_unit(max(self.n_points, 1)))
         self.chords = backend.table(np.asarray(chords, np.float32))
