@@ -138,26 +138,27 @@ floats under_source(const Pixel *pixel, floats along, floats aside, floats t)
 }
 
 /* The tangent of the horizon along (c, s), from `slope` on, over the ground before the source and as far as
-`high` matters.
+`high` matters. The slice begins at a distance of t from (x, y), which lies on the map then.
 
 The slice goes from cell to cell of a quadtree, and no farther than where it is above all ground. A large cell
 whose top stays below the line is left as a whole, else its quarters are looked at; the way out of a single
 cell is a crossing with a grid line. u and v count cells the way that the slice goes: x or -1 - x, so that a
 cell's far side is always the greater one. */
-floats horizon(const Pixel *pixel, floats c, floats s, floats slope, floats high, floats along, floats aside)
+floats horizon(const Pixel *pixel, ints x, ints y, floats t, floats c, floats s, floats slope, floats high,
+               floats along, floats aside)
 {
-  const int x = pixel->x, y = pixel->y, stride = pixel->cols + 1;
+  const int stride = pixel->cols + 1;
   const ints flip_x = WHERE(c < 0), flip_y = WHERE(s < 0);
   const ints from_x = (x ^ flip_x) - flip_x, from_y = (y ^ flip_y) - flip_y;
   const floats abs_c = c < 0 ? -c : c, abs_s = s < 0 ? -s : s;
   const floats per_x = c != 0 ? 1 / abs_c : ENDLESS, per_y = s != 0 ? 1 / abs_s : ENDLESS;
-  const floats end_x = c == 0 ? ALL(ENDLESS) : (c > 0 ? ALL(pixel->cols - 1 - x) : ALL(x)) * per_x;
-  const floats end_y = s == 0 ? ALL(ENDLESS) : (s > 0 ? ALL(pixel->rows - 1 - y) : ALL(y)) * per_y;
+  const floats end_x = c == 0 ? ALL(ENDLESS) : TO_FLOATS(c > 0 ? pixel->cols - 1 - x : x) * per_x;
+  const floats end_y = s == 0 ? ALL(ENDLESS) : TO_FLOATS(s > 0 ? pixel->rows - 1 - y : y) * per_y;
   const floats at_edge = LESS(end_x, end_y), at_top = pixel->above / slope;
   const floats end = slope > 0 && at_top < at_edge ? at_top : at_edge;
-  ints u = from_x, v = from_y, level = 0;
-  floats t = 0, toward = along + slope * pixel->up;
-  ints going = WHERE(slope < high) & WHERE(end > 0) & WHERE(ALL(pixel->reach) > 0);
+  ints u = from_x + TO_INTS(abs_c * t), v = from_y + TO_INTS(abs_s * t), level = 0;
+  floats toward = along + slope * pixel->up;
+  ints going = WHERE(slope < high) & WHERE(t < end) & WHERE(t * toward < pixel->reach);
   while (ANY(going)) {
     /* 1. down to a cell whose top stays below the line where it comes in, or to a single one */
     ints large = going & WHERE(level > 0);
@@ -201,6 +202,33 @@ floats horizon(const Pixel *pixel, floats c, floats s, floats slope, floats high
     t = passes ? out : t;
     level -= passes & WHERE(((by_x ? edge_u : edge_v) >> level & 1) == 0) & WHERE(level < pixel->levels);
     going &= WHERE(slope < high) & WHERE(t < end) & WHERE(t * toward < pixel->reach);
+  }
+  return slope;
+}
+
+/* The copy of a node on a map that repeats from which a slice has most of the map ahead, some steps on. */
+ints copy_of(int node, ints steps, floats way, int size, int period)
+{
+  const ints back = (node + steps) / period, on = (size - 1 - node + steps) / period;
+  return node + period * (way < 0 ? on : -back);
+}
+
+/* As `horizon`, over a map that repeats: a slice that leaves it goes on from the same place of a copy. The
+map is larger than a period, so that every lap leads on. */
+floats repeated_horizon(const Pixel *pixel, int period_y, int period_x, floats c, floats s, floats slope,
+                        floats high, floats along)
+{
+  const floats abs_c = c < 0 ? -c : c, abs_s = s < 0 ? -s : s;
+  floats t = 0;
+  ints going = WHERE(slope < high);
+  while (ANY(going)) {
+    const ints x = copy_of(pixel->x, TO_INTS(abs_c * t), c, pixel->cols, period_x),
+               y = copy_of(pixel->y, TO_INTS(abs_s * t), s, pixel->rows, period_y);
+    slope = horizon(pixel, x, y, t, c, s, slope, going ? high : slope, along, 0);
+    const floats end_x = TO_FLOATS(c < 0 ? x : pixel->cols - 1 - x) / MORE(abs_c, 1e-30f),
+                 end_y = TO_FLOATS(s < 0 ? y : pixel->rows - 1 - y) / MORE(abs_s, 1e-30f);
+    t = LESS(end_x, end_y) * (1 - 1e-6f); /* rounding passes over no crossing */
+    going &= WHERE(slope < high) & WHERE(t * slope < pixel->above) & WHERE(t * along < pixel->reach);
   }
   return slope;
 }
@@ -391,7 +419,7 @@ floats slice(const Pixel *pixel, floats c, floats s, floats along, floats aside,
   floats slope = MORE(low, plane);
   slope = slope < 0 ? 0 : slope > STEEP ? STEEP : slope;
   if (!pixel->dark) {
-    slope = horizon(pixel, c, s, slope, high, along, aside);
+    slope = horizon(pixel, pixel->x, pixel->y, 0, c, s, slope, high, along, aside);
     return chord(pixel, c, s, slope, high, slope > low ? high - slope : rise);
   }
   /* 2. the wall hides what lies beyond it: tangents up to `under`, and from `over` on, but none from its top
@@ -420,7 +448,8 @@ floats slice(const Pixel *pixel, floats c, floats s, floats along, floats aside,
   slope = MORE(slope, under);
   const ints split = WHERE(over < top);
   const floats left = split ? LESS(high, over) : high;
-  slope = horizon(pixel, c, s, slope, (split & WHERE(high <= top)) ? left : high, along, aside);
+  const floats most = (split & WHERE(high <= top)) ? left : high;
+  slope = horizon(pixel, pixel->x, pixel->y, 0, c, s, slope, most, along, aside);
   floats sum = chord(pixel, c, s, slope, left, slope > low || left < high ? left - slope : rise);
   if (ANY(split)) {
     const floats above = MORE(slope, top);
@@ -766,7 +795,7 @@ __kernel void rays(__global const float *heights, __global const float *tops, __
     /* so that one obstacle is enough */
     const floats above = tangent + 1e-6f * (1 + (tangent < 0 ? -tangent : tangent));
     pixel.reach = 1; /* along the ray ground counts up to t / reach = 1 */
-    const floats slope = horizon(&pixel, c, s, tangent, above, 1 / reach, 0);
+    const floats slope = horizon(&pixel, pixel.x, pixel.y, 0, c, s, tangent, above, 1 / reach, 0);
     STORE(slope > tangent ? 0 : ALL(1), here + j, seen);
   }
 }
@@ -804,25 +833,27 @@ added to what is there.
   table       (count, knots, 4)  float  integrals over elevation of B cos^2 and B sin cos, from first + i /
                                         scale on, and what to add up to the next knot; below the first knot
                                         and above the last there is no light
-  irradiance, other  (rows - 2 margin, cols - 2 margin)  float  in, out; may be the same
+  irradiance, other  (image_rows, image_cols)  float  in, out; may be the same
 
-margin: nodes on all sides of the map that are there to occlude, a map that repeats being wrapped; 0 with a
-wall or a window. x0 <= x < x1, y0 <= y < y1 [spacing]: window at height 0 through
-which the light comes; -ENDLESS..ENDLESS: there is none. */
+rows, cols: of the image, or more: then its map repeats, and goes on in the others, without a wall or a
+window; ground that rises less than LEAST_SEARCHED_SLOPE is not looked for. x0 <= x < x1, y0 <= y < y1
+[spacing]: window at height 0 through which the light comes; -ENDLESS..ENDLESS: there is none. */
 __kernel void sectors(__global const float *heights, __global const float *tops, __global const float *ways,
                       __global const float *table, __global float *irradiance, __global float *other,
-                      int rows, int cols, int width, int levels, int count, int knots, int dark, int margin,
-                      float highest, float x0, float x1, float y0, float y1)
+                      int rows, int cols, int width, int levels, int count, int knots, int dark,
+                      int image_rows, int image_cols, float highest, float x0, float x1, float y0, float y1)
 {
   const int x = get_global_id(0), y = get_global_id(1);
-  if (x >= cols - 2 * margin || y >= rows - 2 * margin)
+  if (x >= image_cols || y >= image_rows)
     return;
   Pixel pixel = pixel_at(heights, tops, heights, heights, heights, heights, rows, cols, width, levels, 0, 0,
-                         0, 0, 0, dark, 0, highest, x + margin, y + margin);
+                         0, 0, 0, dark, 0, highest, x, y);
   pixel.up = 0;
   pixel.reach = 1; /* ground counts up to t x along = 1 */
   pixel.radius = -1;
   const int framed = x0 > -ENDLESS || x1 < ENDLESS || y0 > -ENDLESS || y1 < ENDLESS;
+  const int repeats = image_cols < cols;
+  const float least = repeats ? LEAST_SEARCHED_SLOPE : 1e-6f;
   floats sum = 0, other_sum = 0;
   if (pixel.height > NONE && (!framed || pixel.height < 0))
     for (int j = 0; j < count; j += LANES) {
@@ -831,7 +862,7 @@ __kernel void sectors(__global const float *heights, __global const float *tops,
       const floats last = first + (knots - 1) / scale, below = 1 - first, beyond = 1 - last;
       const floats low = first / MORE(below, 1e-6f), high = last / MORE(beyond, 1e-6f);
       /* farther on, a ray is above all ground */
-      const floats along = MORE(low, 1e-6f) / max(highest - pixel.height, 1e-6f);
+      const floats along = MORE(low, least) / max(highest - pixel.height, 1e-6f);
       const floats tilt = pixel.tilt_x * c + pixel.tilt_y * s;
       /* 1. the tangent plane, the level, the wall, the window, and the ground */
       floats slope = MORE(-tilt, low), end = STEEP;
@@ -852,7 +883,10 @@ __kernel void sectors(__global const float *heights, __global const float *tops,
         slope = near < far ? MORE(slope, least) : slope;
         end = near < far ? (near > 0 && most < STEEP ? most : STEEP) : -STEEP;
       }
-      slope = horizon(&pixel, c, s, slope, LESS(high, end), along, 0);
+      if (repeats)
+        slope = repeated_horizon(&pixel, image_rows, image_cols, c, s, slope, high, along);
+      else
+        slope = horizon(&pixel, x, y, 0, c, s, slope, LESS(high, end), along, 0);
       /* 2. the light above it */
       const ints entry = (j + LANE) * knots;
       floats light = light_above(table, entry, knots, first, scale, slope, tilt);
@@ -865,7 +899,7 @@ __kernel void sectors(__global const float *heights, __global const float *tops,
       sum += (1 - to_other) * light;
       other_sum += to_other * light;
     }
-  const int at = y * (cols - 2 * margin) + x;
+  const int at = y * image_cols + x;
   const float length = sqrt(1 + pixel.tilt_x * pixel.tilt_x + pixel.tilt_y * pixel.tilt_y);
   irradiance[at] += TOTAL(sum) / length;
   other[at] += TOTAL(other_sum) / length;

@@ -39,6 +39,7 @@ import warp as wp
 from skylamp.constants import (
     CHORD_TANGENT,
     ENDLESS,
+    LEAST_SEARCHED_SLOPE,
     NONE,
     SLICES,
     SQUARE,
@@ -182,6 +183,7 @@ def stands_above(
 @wp.func
 def horizon(
     pixel: Pixel,
+    begin: wp.float32,
     c: wp.float32,
     s: wp.float32,
     start: wp.float32,
@@ -190,7 +192,7 @@ def horizon(
     aside: wp.float32,
 ):
     """The tangent of the horizon along (c, s), from ``start`` on, over the ground before the source and as
-    far as ``high`` matters.
+    far as ``high`` matters. The slice begins at a distance of ``begin``, on the map.
 
     The slice goes from cell to cell of a quadtree, and no farther than where it is above all ground. A large
     cell whose top stays below the line is left as a whole, else its quarters are looked at; the way out of a
@@ -218,10 +220,10 @@ def horizon(
     slope = wp.float32(start)
     if slope > 0.0:
         end = wp.min(end, pixel.above / slope)
-    u = wp.int32(from_x)
-    v = wp.int32(from_y)
+    t = wp.float32(begin)
+    u = from_x + wp.int32(abs_c * t)
+    v = from_y + wp.int32(abs_s * t)
     level = wp.int32(0)
-    t = wp.float32(0.0)
     while slope < high and t < end and t * (along + slope * pixel.up) < pixel.reach:
         # 1. down to a cell whose top stays below the line where it comes in, or to a single one
         while stands_above(pixel, u, v, level, flip_x, flip_y, slope * t):
@@ -258,6 +260,46 @@ def horizon(
         t = out
         if begins and level < pixel.levels:
             level += 1
+    return slope
+
+
+@wp.func
+def copy_of(node: wp.int32, steps: wp.int32, way: wp.float32, size: wp.int32, period: wp.int32):
+    """The copy of a node on a map that repeats from which a slice has most of the map ahead, some steps
+    on.
+    """
+    back = (node + steps) / period
+    on = (size - 1 - node + steps) / period
+    return node + period * wp.where(way < 0.0, on, -back)
+
+
+@wp.func
+def repeated_horizon(
+    pixel: Pixel,
+    x: wp.int32,
+    y: wp.int32,
+    period_y: wp.int32,
+    period_x: wp.int32,
+    c: wp.float32,
+    s: wp.float32,
+    start: wp.float32,
+    high: wp.float32,
+    along: wp.float32,
+):
+    """As `horizon`, over a map that repeats: a slice that leaves it goes on from the same place of a copy.
+    The map is larger than a period, so that every lap leads on. (x, y): the node.
+    """
+    abs_c = wp.abs(c)
+    abs_s = wp.abs(s)
+    slope = wp.float32(start)
+    t = wp.float32(0.0)
+    while slope < high and t * slope < pixel.above and t * along < pixel.reach:
+        pixel.x = copy_of(x, wp.int32(abs_c * t), c, pixel.cols, period_x)
+        pixel.y = copy_of(y, wp.int32(abs_s * t), s, pixel.rows, period_y)
+        slope = horizon(pixel, t, c, s, slope, high, along, 0.0)
+        end_x = wp.float32(wp.where(c < 0.0, pixel.x, pixel.cols - 1 - pixel.x)) / wp.max(abs_c, 1e-30)
+        end_y = wp.float32(wp.where(s < 0.0, pixel.y, pixel.rows - 1 - pixel.y)) / wp.max(abs_s, 1e-30)
+        t = wp.min(end_x, end_y) * (1.0 - 1e-6)  # rounding passes over no crossing
     return slope
 
 
@@ -495,7 +537,7 @@ def slice_light(
     plane = -(pixel.tilt_x * c + pixel.tilt_y * s)
     slope = wp.clamp(wp.max(low, plane), 0.0, STEEP)
     if pixel.dark == 0:
-        slope = horizon(pixel, c, s, slope, high, along, aside)
+        slope = horizon(pixel, 0.0, c, s, slope, high, along, aside)
         return chord(pixel, c, s, slope, high, wp.where(slope > low, high - slope, rise))
     # 2. the wall hides what lies beyond it: tangents up to `under`, and from `over` on, but none from its top
     # on
@@ -523,7 +565,8 @@ def slice_light(
     slope = wp.max(slope, wp.min(under, top))
     split = over < top
     left = wp.where(split, wp.min(high, over), high)
-    slope = horizon(pixel, c, s, slope, wp.where(split and high <= top, left, high), along, aside)
+    most = wp.where(split and high <= top, left, high)
+    slope = horizon(pixel, 0.0, c, s, slope, most, along, aside)
     total = chord(pixel, c, s, slope, left, wp.where(slope > low or left < high, left - slope, rise))
     if split:
         above = wp.max(slope, top)
@@ -1150,6 +1193,7 @@ def rays(
         above = tangent + 1e-6 * (1.0 + wp.abs(tangent))  # so that one obstacle is enough
         slope = horizon(
             pixel,
+            0.0,
             ways[4 * here + j],
             ways[4 * here + count + j],
             tangent,
@@ -1207,7 +1251,8 @@ def sectors(
     count: wp.int32,
     knots: wp.int32,
     dark: wp.int32,
-    margin: wp.int32,
+    image_rows: wp.int32,
+    image_cols: wp.int32,
     highest: wp.float32,
     x0: wp.float32,
     x1: wp.float32,
@@ -1224,18 +1269,17 @@ def sectors(
       table       (count, knots, 4)  float32  integrals over elevation of B cos^2 and B sin cos, from first +
                                               i / scale on, and what to add up to the next knot; below the
                                               first knot and above the last there is no light
-      irradiance, other  (rows - 2 margin, cols - 2 margin)  float32  in, out; may be the same
+      irradiance, other  (image_rows, image_cols)  float32  in, out; may be the same
 
-    margin: nodes on all sides of the map that are there to occlude, a map that repeats being wrapped.
+    rows, cols: of the image, or more: then its map repeats, and goes on in the others, without a wall or a
+    window; ground that rises less than LEAST_SEARCHED_SLOPE is not looked for.
     x0 <= x < x1, y0 <= y < y1 [spacing]: window at height 0 through which the light
     comes; -ENDLESS..ENDLESS: there is none.
     """
     squares, thread = wp.tid()
-    column, row = node_of(squares, thread)
-    if column >= cols - 2 * margin or row >= rows - 2 * margin:
+    x, y = node_of(squares, thread)
+    if x >= image_cols or y >= image_rows:
         return
-    y = row + margin
-    x = column + margin
     here = (y + 1) * (cols + 1) + x + 1
     tilt_xy = tilt_of(heights, here, cols + 1)
     pixel = Pixel()
@@ -1252,6 +1296,8 @@ def sectors(
     pixel.reach = 1.0  # ground counts up to t x along = 1
     pixel.radius = -1.0
     framed = x0 > -ENDLESS or x1 < ENDLESS or y0 > -ENDLESS or y1 < ENDLESS
+    repeats = image_cols < cols
+    least = wp.where(repeats, LEAST_SEARCHED_SLOPE, 1e-6)
     total = wp.float32(0.0)
     other_total = wp.float32(0.0)
     if pixel.height > NONE and (not framed or pixel.height < 0.0):
@@ -1263,7 +1309,7 @@ def sectors(
             last = first + wp.float32(knots - 1) / scale
             low = first / wp.max(1.0 - first, 1e-6)
             high = last / wp.max(1.0 - last, 1e-6)
-            along = wp.max(low, 1e-6) / wp.max(
+            along = wp.max(low, least) / wp.max(
                 highest - pixel.height, 1e-6
             )  # farther on, a ray is above all ground
             tilt = tilt_xy[0] * c + tilt_xy[1] * s
@@ -1283,7 +1329,10 @@ def sectors(
                         end = wp.min(-pixel.height / near, STEEP)
                 else:
                     end = wp.float32(-STEEP)
-            slope = horizon(pixel, c, s, slope, wp.min(high, end), along, 0.0)
+            if repeats:
+                slope = repeated_horizon(pixel, x, y, image_rows, image_cols, c, s, slope, high, along)
+            else:
+                slope = horizon(pixel, 0.0, c, s, slope, wp.min(high, end), along, 0.0)
             # 2. the light above it
             light = wp.float32(0.0)
             if not framed or slope < end:
@@ -1294,7 +1343,7 @@ def sectors(
             to_other = ways[5 * count + j]
             total += (1.0 - to_other) * light
             other_total += to_other * light
-    at = row * (cols - 2 * margin) + column
+    at = y * image_cols + x
     length = wp.sqrt(1.0 + tilt_xy[0] * tilt_xy[0] + tilt_xy[1] * tilt_xy[1])
     irradiance[at] = irradiance[at] + total / length
     other[at] = other[at] + other_total / length

@@ -8,11 +8,10 @@ import numpy as np
 
 from ..backends.base import Array, Backend
 from ..backends.resident import DeviceImage
-from ..constants import LEAST_SEARCHED_SLOPE, MOST_PIXELS
 from ..directions import Azimuths
 from ..samples import Samples, picked
 from ..scene import Scene
-from ..sources.integrals import SKY_KNOTS, BrightPart, Integrals, even
+from ..sources.integrals import SKY_KNOTS, Integrals, even
 from ..sources.solids import Dome
 from . import unoccluded
 from .base import Estimate, Later, LightMethod, judged
@@ -22,20 +21,20 @@ from .sweeps import Rays, Sweeps, ground_of
 # of a sector: doubling turns it into 2/3 and back, so that no azimuth runs along a grid line; at 1/2 errors
 # double there
 OFFSET = 1 / 3
-# nodes of a map with its margin, or four times the map's; chosen: 64 MB, and a quarter of a second to wrap
-WRAPPED = 2**24
 # of light by tangent planes over the same by some azimuths, where these receive almost none; chosen: 1.5, 4
 # and no limit have the same errors within 2 %
 MOST_CORRECTION = 2.0
+# nodes that are copied beside a map that repeats, each way: rays that leave it go on from a copy, a period
+# back. Chosen: with 16 and 256 a sun takes as long, but for 1 ms with 256 on a map of 8 x 8; 1 would do
+COPIED = 64
 FINE_KNOTS = 1025  # of a table that holds small bright parts too: a knot is 0.06 to 0.11 degrees
 
 
 class Horizons(LightMethod):
     """``sky``: a brightness, or Integrals. ``count``: azimuths, even in number.
 
-    ``sectors`` of every small bright part; ``near`` rows within which every crossing is tested. The small
-    ``exact_parts`` are above exact horizons, which behind crests a sweep's are not, a map that repeats with a
-    ``margin`` round it: see :func:`above_exact_horizons`.
+    ``sectors`` of every small bright part; ``near`` rows within which every crossing is tested.
+    ``exact_parts``: small bright parts are above exact horizons, which behind crests a sweep's are not.
 
     Each of the two halves has half of the azimuths, every other one, and all light. A ratio estimator makes
     the light of so few: of the light that the tangent planes alone let through, which is known exactly, each
@@ -52,19 +51,18 @@ class Horizons(LightMethod):
         count: int,
         sectors: int = 8,
         near: int | None = None,
-        exact_parts: tuple[BrightPart, ...] = (),
-        margin: int = 0,
+        exact_parts: bool = False,
     ):
         self.engine, self.scene, self.sky, self.units, self.sectors = engine, scene, sky, count, sectors
         self.scale, parts = (1.0, sky.bright_parts) if isinstance(sky, Integrals) else (sky, ())
         size = (2, math.prod(scene.shape))
         self.sweeps = Sweeps(engine, ground_of(scene, None, engine), near=near)
         self.total, self.turned = (engine.empty(size, np.int32) for _ in range(2))
-        self.slices = None
-        self.exact_parts = exact_parts
-        self.swept_parts = [part for part in parts if part not in exact_parts]
-        if exact_parts:
-            self.slices = Slices(scene.on(engine), scene.sides, Dome(), margin=margin)
+        self.parts, self.slices = parts, None
+        if exact_parts and parts:
+            self.slices = Slices(
+                scene.on(engine), scene.sides, Dome(), copied=COPIED if scene.sides == "periodic" else 0
+            )
         # light (side, side) by normal that the tangent planes alone leave
         self.exact = np.zeros(0)
         if isinstance(sky, Integrals):
@@ -95,7 +93,8 @@ class Horizons(LightMethod):
         GPU takes as long for some azimuths as for a few more.
         """
         grids = [even(count, self.offset + shifted / 2) for shifted in between]
-        parts = [[spot.sectors(self.sectors, shifted) for spot in self.swept_parts] for shifted in between]
+        swept = self.parts if self.slices is None else ()
+        parts = [[spot.sectors(self.sectors, shifted) for spot in swept] for shifted in between]
         images = [self.engine.empty(self.scene.shape, np.float32) for _ in between]
         self.sweeps.set_azimuths(*self._rays(grids, window, parts))
         self.sweeps.light(self.total, self.turned, *images)
@@ -114,7 +113,7 @@ class Horizons(LightMethod):
     def _add_exact(self, slices: Slices, images: list[Array], between: tuple[bool, ...]) -> None:
         """Add the light of the small parts that stand above exact horizons, at once to all images."""
         ways, tables, numbers = [], [], []
-        for part in self.exact_parts:  # its sectors next to each other: a CPU traces eight at once
+        for part in self.parts:  # its sectors next to each other: a CPU traces eight at once
             for number, shifted in enumerate(between):
                 way, table = part.sectors(self.sectors, shifted)
                 ways.append(way)
@@ -186,28 +185,6 @@ def correction(exact: np.ndarray, planes: np.ndarray) -> np.ndarray:
     ratio: np.ndarray = np.divide(exact, planes, out=np.ones_like(exact), where=planes > 0)
     ratio = np.minimum(ratio, MOST_CORRECTION)
     return ratio
-
-
-def above_exact_horizons(
-    scene: Scene, bright_parts: tuple[BrightPart, ...], relief: float
-) -> tuple[tuple[BrightPart, ...], int]:
-    """Those of small bright parts that can stand above exact horizons, and the margin that the map then has.
-
-    The margin: nodes round a map that repeats in which its ``relief`` [spacing] may hide them; 0 of other
-    maps. Parts so low that the map with its margin would be too large are left out. Ground that rises less
-    than LEAST_SEARCHED_SLOPE is not looked for, as in a sweep.
-    """
-    if scene.sides != "periodic":
-        return bright_parts, 0
-    nodes = math.prod(scene.shape)
-    most = min(max(WRAPPED, 4 * nodes), MOST_PIXELS)
-    margins = {}
-    for part in bright_parts:
-        slope = max(LEAST_SEARCHED_SLOPE, math.tan(max(0.0, float(part.cells.low.min()))))
-        margin = math.ceil(relief / slope) + 1
-        if math.prod(n + 2 * margin for n in scene.shape) <= most:
-            margins[part] = margin
-    return tuple(margins), max(margins.values(), default=0)
 
 
 def _by_normals(sky: Integrals, azimuths: Azimuths, window: float) -> np.ndarray:

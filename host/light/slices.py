@@ -127,23 +127,23 @@ class Slices:
         most: int = MOST,
         lobe: Lobe | None = None,
         shift: float = 0.5,
-        margin: int = 0,
+        copied: int = 0,
         fineness: float = 1,
     ):
         """``there``: the map; ``solid`` is in its unit, in which the spacing is ``there.step``.
 
-        ``sides``: open or dark, or periodic with a ``margin`` [nodes] all round, in which the map is repeated
-        and beyond which nothing occludes; a Dome alone takes one. ``brightness``: a number; else the result
-        of :func:`brightness_of` with a lobe, and of :func:`skylamp.sources.integrals.chords` without one.
-        ``most``: slices of a source that surrounds a node, a multiple of 8; one that looks small has a
-        quarter of them, half if it is a quadrangle, but at least 8, and others a number between. ``lobe``:
-        light is weighted by it, and its width gives the number of slices. A Dome has a lobe. ``shift``: where
-        in its step every slice of a ball lies, 0..1; the slices of 0 lie between those of 0.5.
-        ``fineness``: times the slices of a lobe, and its samples in each where brightness varies.
+        ``brightness``: a number; else the result of :func:`brightness_of` with a lobe, and of
+        :func:`skylamp.sources.integrals.chords` without one. ``most``: slices of a source that surrounds a
+        node, a multiple of 8; one that looks small has a quarter of them, half if it is a quadrangle, but at
+        least 8, and others a number between. ``lobe``: light is weighted by it, and its width gives the
+        number of slices. A Dome has a lobe. ``shift``: where in its step every slice of a ball lies, 0..1;
+        the slices of 0 lie between those of 0.5. ``copied``: nodes beside a map that repeats, each way, on
+        which it goes on, for :meth:`sectors` alone. ``fineness``: times the slices of a lobe, and its samples
+        in each where brightness varies.
         """
-        rows, cols = self.shape = there.shape[0] + 2 * margin, there.shape[1] + 2 * margin
+        rows, cols = self.shape = there.shape[0] + copied, there.shape[1] + copied
         count = rows * cols
-        self.there, backend, self.margin = there, there.backend, margin
+        self.there, backend = there, there.backend
         self.backend, self.solid, self.step = backend, solid, there.step
         self.levels = min(max(round(math.log2(cols)) - 2, 1), LEVELS)
         self.width = -(-cols >> self.levels) << self.levels
@@ -152,7 +152,7 @@ class Slices:
         padded = (rows + 2) * (cols + 1)
         reserve_map(backend, count, 4 * (padded + cells * self.width + images * count), 4 * padded)
         lowest, self.highest = there.heights_range
-        self.heights = there.heights(margin + 1, margin + 1, margin, margin + 2, periodic=margin > 0)
+        self.heights = there.heights(1, 1, copied, copied + 2, periodic=copied > 0)
         self.tops = backend.empty((cells, self.width), np.float32)
         self.image, self.coarsened = backend.empty(there.shape, np.float32), False
         if isinstance(solid, Ball):  # light of the even slices minus that of the odd ones
@@ -369,7 +369,6 @@ class Slices:
         added to the image ``other``.
         """
         rows, cols = self.shape
-        around = 2 * self.margin
         self.coarsen()
         used, knots = table.shape[:2]
         count = -(-used // SLICES) * SLICES  # the rest are at the zenith and have no width
@@ -383,7 +382,7 @@ class Slices:
         self.backend.launch(
             "slices",
             "sectors",
-            (cols - around, rows - around),
+            self.there.shape[::-1],
             self.heights,
             self.tops,
             *given,
@@ -396,7 +395,7 @@ class Slices:
             count,
             knots,
             int(self.dark),
-            self.margin,
+            *self.there.shape,
             self.highest,
             x0,
             x1,

@@ -11,7 +11,7 @@ from ..constants import LEAST_SEARCHED_SLOPE
 from ..errors import CapacityError
 from ..light import unoccluded
 from ..light.base import LightMethod
-from ..light.horizon import Horizons, above_exact_horizons, correction
+from ..light.horizon import Horizons, correction
 from ..samples import Samples
 from ..sources.integrals import BrightPart, Integrals, even, integrals
 from .base import EXACT_ERROR_RATIO, MOST_STEPS, TABLES_ERROR, UnitsPlanner
@@ -57,8 +57,7 @@ class SkyPlanner(UnitsPlanner):
     by_sectors: dict[int, np.ndarray]  # their light at the samples by sectors of each, two halves
     near_rows: int | None = None
     sectors = exact_sectors = 0  # of azimuth, of every small bright part: of the image, of the exact light
-    exact_parts: tuple[BrightPart, ...] = ()  # small bright parts above exact horizons; the others are swept
-    margin = 0  # of the map, for these
+    exact_parts = False  # whether small bright parts are above exact horizons, or swept
     exact_count = 0  # azimuths of the exact light
     exact_angles: np.ndarray  # these azimuths
     exact_slopes: np.ndarray  # exact horizons in them
@@ -166,14 +165,11 @@ class SkyPlanner(UnitsPlanner):
                 break
 
     def _choose_exact_parts(self) -> None:
-        """Which small bright parts stand above exact horizons; the near rows of what is swept."""
-        samples, parts = self.samples, self.bright_parts
+        """Whether small bright parts stand above exact horizons; the near rows of what is swept."""
+        samples = self.samples
         share = samples.errors(self.exact - self._bright_light(self.exact_sectors).mean(0), self.exact).rms
-        swept_suns = parts and SWEPT_SUN * share > 0.5 * self.tolerance
-        if swept_suns:
-            self.exact_parts, self.margin = above_exact_horizons(self.scene, parts, samples.relief)
-            swept_suns = len(self.exact_parts) < len(parts)
-        if swept_suns or BEHIND_CLIFFS * math.sqrt(samples.cliffs) > 0.5 * self.tolerance:
+        self.exact_parts = SWEPT_SUN * share > 0.5 * self.tolerance
+        if BEHIND_CLIFFS * math.sqrt(samples.cliffs) > 0.5 * self.tolerance:
             self.near_rows = CLIFF_NEAR_ROWS[0]
 
     def _check_work(self) -> None:
@@ -199,7 +195,7 @@ class SkyPlanner(UnitsPlanner):
     def make(self, refined: Horizons | None = None) -> LightMethod:
         """The method, with as many azimuths and sectors as it had when it was ``refined``."""
         units, sectors = (refined.units, refined.sectors) if refined else (self.units, self.sectors)
-        exactness = self.near_rows, self.exact_parts, self.margin
+        exactness = self.near_rows, self.exact_parts
         return Horizons(self.engine, self.scene, self.light, units, sectors, *exactness)
 
     def audit(self, method: LightMethod) -> float | None:
@@ -220,7 +216,7 @@ class SkyPlanner(UnitsPlanner):
                 return True
         if self.method_class is Horizons and self.scene.sides == "periodic":
             times = self.method.units // self.units
-            swept = len(self.bright_parts) - len(self.exact_parts)
+            swept = 0 if self.exact_parts else len(self.bright_parts)
             added = times * (self.units + 2 * swept * self.sectors)
             if self.samples.relief / LEAST_SEARCHED_SLOPE * added > self.engine.most_searched_rows:
                 return False  # the image stays, with its warning
@@ -237,9 +233,7 @@ class SkyPlanner(UnitsPlanner):
             taken = f"{2 * self.sectors + 1} azimuths each"
             why = "small and bright: suns, lights and spots have azimuths of their own"
             if self.exact_parts:
-                above = len(self.exact_parts)
-                some = "" if above == len(self.bright_parts) else f"{above} of them "
-                why += f", {some}above exact horizons"
+                why += ", above exact horizons"
             yield Choice("bright parts", f"{len(self.bright_parts)}, {taken}", why)
         yield Choice(
             "azimuths", f"{self.units} evenly", "the fewest whose light at the samples is that of many"

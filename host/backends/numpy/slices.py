@@ -12,6 +12,7 @@ from ...constants import SLICES
 
 F = np.float32
 NONE, STEEP, ENDLESS = F(constants.NONE), F(constants.STEEP), F(constants.ENDLESS)
+LEAST_SEARCHED_SLOPE = F(constants.LEAST_SEARCHED_SLOPE)
 CHORD_TANGENT, TURN_BY_SINE, TURN_BY_TANGENT = (
     np.array(factors, F)
     for factors in (constants.CHORD_TANGENT, constants.TURN_BY_SINE, constants.TURN_BY_TANGENT)
@@ -116,6 +117,7 @@ def _horizon(
     high: np.ndarray,
     along: np.ndarray,
     aside: np.ndarray,
+    begin: Values = 0.0,
 ) -> np.ndarray:
     """All arrays flat, one element per slice; pixels spread likewise."""
     stride, width = ground.cols + 1, ground.tops.shape[1]
@@ -132,11 +134,14 @@ def _horizon(
     # no farther than where the slice is above all ground, rounding included
     above = ground.highest - pixels.height + F(1e-6) * (np.abs(ground.highest) + np.abs(pixels.height))
     end = np.minimum(np.minimum(end_x, end_y), np.where(slope > 0, above / slope, ENDLESS))
-    who = np.flatnonzero((slope < high) & (end > 0) & (pixels.reach > 0))
+    t = np.full(len(c), begin, F)
+    who = np.flatnonzero((slope < high) & (t < end) & (t * (along + slope * pixels.up) < pixels.reach))
     state = [value[who] for value in (c, s, slope, high, along, aside, per_x, per_y, on_x, on_y, end)]
     here = pixels.of(who)
-    cell_x, cell_y = here.x - 1 + state[8], here.y - 1 + state[9]
-    level, t = np.zeros(len(who), np.int32), np.zeros(len(who), F)
+    level, t = np.zeros(len(who), np.int32), t[who]
+    steps_x, steps_y = ((abs(way) * t).astype(np.int32) for way in state[:2])
+    cell_x = here.x + np.where(state[8], steps_x, -1 - steps_x)
+    cell_y = here.y + np.where(state[9], steps_y, -1 - steps_y)
     while len(who):
         c, s, slope, high, along, aside, per_x, per_y, on_x, on_y, end = state
         # 1. the way out of the cell
@@ -178,6 +183,41 @@ def _horizon(
             state, here = [value[going] for value in state], here.of(going)
             cell_x, cell_y, level, t = cell_x[going], cell_y[going], level[going], t[going]
     return tangent
+
+
+def _copy_of(node: np.ndarray, steps: np.ndarray, way: np.ndarray, size: int, period: int) -> np.ndarray:
+    """The copy of a node on a map that repeats from which a slice has most of the map ahead."""
+    copy: np.ndarray = node + period * np.where(
+        way < 0, (size - 1 - node + steps) // period, -((node + steps) // period)
+    )
+    return copy
+
+
+def _repeated_horizon(
+    ground: Map,
+    pixels: Pixels,
+    periods: tuple[int, int],
+    c: np.ndarray,
+    s: np.ndarray,
+    slope: np.ndarray,
+    high: np.ndarray,
+    along: np.ndarray,
+) -> np.ndarray:
+    """As :func:`_horizon`, over a map that repeats: a slice that leaves it goes on in a copy."""
+    t, flat = np.zeros(len(c), F), np.zeros(len(c), F)
+    above = ground.highest - pixels.height + F(1e-6) * (np.abs(ground.highest) + np.abs(pixels.height))
+    going = slope < high
+    while going.any():
+        steps_x, steps_y = ((abs(way) * t).astype(np.int32) for way in (c, s))
+        x = _copy_of(pixels.x, steps_x, c, ground.cols, periods[1])
+        y = _copy_of(pixels.y, steps_y, s, ground.rows, periods[0])
+        copies = pixels._replace(x=x, y=y)
+        slope = _horizon(ground, copies, c, s, slope, np.where(going, high, slope), along, flat, t)
+        end_x = np.where(c < 0, x, ground.cols - 1 - x).astype(F) / np.maximum(abs(c), F(1e-30))
+        end_y = np.where(s < 0, y, ground.rows - 1 - y).astype(F) / np.maximum(abs(s), F(1e-30))
+        t = np.minimum(end_x, end_y) * F(1 - 1e-6)  # rounding passes over no crossing
+        going &= (slope < high) & (t * slope < above) & (t * along < pixels.reach)
+    return slope
 
 
 def _in_lobe(
@@ -880,7 +920,8 @@ def sectors(
     count: int,
     knots: int,
     dark: int,
-    margin: int,
+    image_rows: int,
+    image_cols: int,
     highest: float,
     x0: float,
     x1: float,
@@ -891,19 +932,20 @@ def sectors(
     every = x, y, *_ = _pixels(heights, rows, cols)
     # ground counts up to t x along = 1
     pixels = Pixels(*every, np.zeros(len(x), F), np.ones(len(x), F), F(-1))
-    pixels = pixels.of((x >= margin) & (x < cols - margin) & (y >= margin) & (y < rows - margin))
+    pixels, repeats = pixels.of((x < image_cols) & (y < image_rows)), image_cols < cols
     x, y, height, tilt_x, tilt_y = pixels[:5]
     framed = any(low > -ENDLESS or high < ENDLESS for low, high in (frame_x, frame_y))
 
     def flat(value: float | np.float32) -> np.ndarray:
         return np.full(len(x), value, F)
 
+    least = LEAST_SEARCHED_SLOPE if repeats else F(1e-6)
     totals, bare = np.zeros((2, len(x)), F), _bare(heights, tops, highest, rows, cols, levels)
     for j, (c, s, share, first, scale, to_other) in enumerate(ways.T):
         last = first + F(knots - 1) / scale
         low, high = (at / max(F(1) - at, F(1e-6)) for at in (first, last))
         # farther on, a ray is above all ground
-        along = max(low, F(1e-6)) / np.maximum(F(highest) - height, F(1e-6))
+        along = max(low, least) / np.maximum(F(highest) - height, F(1e-6))
         tilt = tilt_x * c + tilt_y * s
         # 1. the tangent plane, the level, the wall, the window, and the ground
         slope, end = np.maximum(-tilt, low), flat(STEEP)
@@ -915,7 +957,12 @@ def sectors(
             passes = (near < far) & (height < 0)
             slope = np.where(passes, np.maximum(slope, -height / far), slope)
             end = np.where(passes, np.where(near > 0, np.minimum(-height / near, STEEP), STEEP), -STEEP)
-        slope = _horizon(bare, pixels, flat(c), flat(s), slope, np.minimum(high, end), along, flat(0))
+        way = flat(c), flat(s)
+        if repeats:
+            periods = image_rows, image_cols
+            slope = _repeated_horizon(bare, pixels, periods, *way, slope, flat(high), along)
+        else:
+            slope = _horizon(bare, pixels, *way, slope, np.minimum(high, end), along, flat(0))
         # 2. the light above it
         light = _light_above(table[j], first, scale, slope, tilt)
         if framed:
@@ -923,4 +970,4 @@ def sectors(
             light = np.where(slope < end, light - past, F(0))
         totals[int(to_other)] += share * light
     for image, total in zip((irradiance, other), totals):
-        image[y - margin, x - margin] += total / np.sqrt(F(1) + tilt_x * tilt_x + tilt_y * tilt_y)
+        image[y, x] += total / np.sqrt(F(1) + tilt_x * tilt_x + tilt_y * tilt_y)
