@@ -863,6 +863,29 @@ def test_a_slit_before_a_sun(fast, width, points):
     assert out.image[~near].max() < 20 * np.median(out.image)
 
 
+@pytest.mark.parametrize(
+    "elevation, azimuth, width, count", [(90, 0, 4e-4, (40_000, 1)), (40, 200, 1.1, (3000, 24))]
+)
+def test_a_large_sun_through_a_narrow_window(fast, elevation, azimuth, width, count):
+    """Level ground, by a sum over the window. The sun had no points and no azimuths of its own: 5.9 and 2.4
+    tolerances off.
+    """
+    sun, edge = towards(azimuth, elevation), math.cos(math.radians(4))
+    begin, end = (10.2, 31.7), (54.7, 31.7 + width)
+    y, x = np.mgrid[:64, :64]
+    along, across = (a + (np.arange(n) + 0.5) / n * (b - a) for a, b, n in zip(begin, end, count))
+    exact = np.zeros(x.shape)
+    for row, own in enumerate(exact):
+        for part in across:
+            square = (along - x[row, :, None]) ** 2 + (part - row) ** 2 + 900.0
+            dot = ((along - x[row, :, None]) * sun[0] + (part - row) * sun[1] - 30 * sun[2]) / np.sqrt(square)
+            own += (np.where(dot > edge, 601.0, 1.0) * 900 / square**2).sum(1)
+    exact *= (end[0] - begin[0]) * width / math.prod(count)
+    window = sl.Window(*zip(begin, end), brightness=lambda L: 1 + 600.0 * (L @ sun > edge))
+    out = irradiance(sl.Scene(np.full(x.shape, 30.0)), window, fast, tolerance=0.003)
+    assert errors(out.image.ravel(), exact.ravel()).rms < 0.003 and not out.warnings
+
+
 def test_lights_of_a_thin_source_add_up():
     """Suns one in another and one apart; each is 0 outside its cone. Four alike take two cones' points."""
     rng = np.random.default_rng(5)
