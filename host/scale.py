@@ -579,15 +579,22 @@ def _in_memory(work: Work, scene: Scene, layout: Layout, *leading: int) -> np.nd
 def over_area(work: Any, scene: Scene, rows: slice, cols: slice, *leading: int) -> Any:
     """``work`` (scene, row, col, depth of its plane) of a part of a map at once, and 0 around it.
 
-    A dask.array where the map is lazy, else (*leading, rows, cols) float32; nan without data.
+    It is given the nodes next to the part too, from which the slopes at its border come. A dask.array where
+    the map is lazy, else (*leading, rows, cols) float32; nan without data.
     """
     _, varying = albedo_of(scene)
     part = (..., rows, cols)
-    albedo: Any = scene.albedo if varying is None else varying[part]
+    rows, cols = (
+        slice(max(0, some.start - 1), min(n, some.stop + 1)) for some, n in zip(part[1:], scene.shape)
+    )
+    given = (..., rows, cols)
+    inner: Any = (..., *(slice(p.start - g.start, p.stop - g.start) for p, g in zip(part[1:], given[1:])))
+    albedo: Any = scene.albedo if varying is None else varying[given]
     if scene.lazy is None:
         heights = np.negative(scene.depth)
         mapped = np.where(np.isnan(heights), heights, np.float32(0)) + np.zeros((*leading, 1, 1), np.float32)
-        mapped[part] = _area(work, scene.spacing, rows, cols, heights[part], np.nanmax(heights), albedo)
+        image = _area(work, scene.spacing, rows, cols, heights[given], np.nanmax(heights), albedo)
+        mapped[part] = image[inner]
         return mapped
     da = importlib.import_module("dask.array")
     from dask.graph_manipulation import bind
@@ -599,13 +606,13 @@ def over_area(work: Any, scene: Scene, rows: slice, cols: slice, *leading: int) 
     surface = (albedo, None) if varying is None else (albedo.rechunk(-1), "cij"[3 - varying.ndim :])
     call, arrays = (
         partial(_area, work, scene.spacing, rows, cols),
-        (again[part].rechunk(-1), "ij", highest, ""),
+        (again[given].rechunk(-1), "ij", highest, ""),
     )
     image = _blockwise(da, call, axes, *arrays, *surface, new_axes={"a": leading[0]} if leading else {})
-    around = [(0, 0)] * len(leading) + [(p.start, n - p.stop) for p, n in zip((rows, cols), scene.shape)]
+    around = [(0, 0)] * len(leading) + [(p.start, n - p.stop) for p, n in zip(part[1:], scene.shape)]
     base = da.where(da.isnan(again), np.float32(np.nan), np.float32(0))
     chunks = {axis + len(leading): sizes for axis, sizes in enumerate(scene.lazy.chunks)}
-    return base + da.pad(image, around).rechunk(chunks)
+    return base + da.pad(image[inner], around).rechunk(chunks)
 
 
 def _area(

@@ -836,12 +836,13 @@ added to what is there.
   irradiance, other  (image_rows, image_cols)  float  in, out; may be the same
 
 rows, cols: of the image, or more: then its map repeats, and goes on in the others, without a wall or a
-window; ground that rises less than LEAST_SEARCHED_SLOPE is not looked for. x0 <= x < x1, y0 <= y < y1
+window. farthest [spacing]: beyond, ground is not looked for. x0 <= x < x1, y0 <= y < y1
 [spacing]: window at height 0 through which the light comes; -ENDLESS..ENDLESS: there is none. */
 __kernel void sectors(__global const float *heights, __global const float *tops, __global const float *ways,
                       __global const float *table, __global float *irradiance, __global float *other,
                       int rows, int cols, int width, int levels, int count, int knots, int dark,
-                      int image_rows, int image_cols, float highest, float x0, float x1, float y0, float y1)
+                      int image_rows, int image_cols, float highest, float farthest, float x0, float x1,
+                      float y0, float y1)
 {
   const int x = get_global_id(0), y = get_global_id(1);
   if (x >= image_cols || y >= image_rows)
@@ -853,7 +854,6 @@ __kernel void sectors(__global const float *heights, __global const float *tops,
   pixel.radius = -1;
   const int framed = x0 > -ENDLESS || x1 < ENDLESS || y0 > -ENDLESS || y1 < ENDLESS;
   const int repeats = image_cols < cols;
-  const float least = repeats ? LEAST_SEARCHED_SLOPE : 1e-6f;
   floats sum = 0, other_sum = 0;
   if (pixel.height > NONE && (!framed || pixel.height < 0))
     for (int j = 0; j < count; j += LANES) {
@@ -862,7 +862,8 @@ __kernel void sectors(__global const float *heights, __global const float *tops,
       const floats last = first + (knots - 1) / scale, below = 1 - first, beyond = 1 - last;
       const floats low = first / MORE(below, 1e-6f), high = last / MORE(beyond, 1e-6f);
       /* farther on, a ray is above all ground */
-      const floats along = MORE(low, least) / max(highest - pixel.height, 1e-6f);
+      floats along = MORE(low, 1e-6f) / max(highest - pixel.height, 1e-6f);
+      along = MORE(along, 1 / farthest);
       const floats tilt = pixel.tilt_x * c + pixel.tilt_y * s;
       /* 1. the tangent plane, the level, the wall, the window, and the ground */
       floats slope = MORE(-tilt, low), end = STEEP;

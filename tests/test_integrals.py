@@ -1,6 +1,7 @@
 """A sky's brightness as integrals: level ground to 1e-4, small bright parts, tables against quadrature."""
 
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,7 +10,7 @@ import skylamp as sl
 from skylamp import sources
 from skylamp.backends import select
 from skylamp.light.horizon import Horizons
-from skylamp.sources.integrals import Integrals, even
+from skylamp.sources.integrals import Integrals, even, sector_multiples
 
 FLAT = sl.Scene(np.full((24, 31), 5.0))
 DISC = np.sin(np.radians(0.2665)) ** 2
@@ -461,3 +462,12 @@ def test_small_lights_of_a_map_have_their_power_and_extent(rows):
     assert part.power == pytest.approx(excess.sum() * (pixel / 1000) ** 2, rel=5e-4)
     found = extent((cells.low + cells.high) / 2, cells.light * cells.solid_angle)
     assert found == pytest.approx(extent(e[:, 0], excess.sum(1)), rel=3e-3)
+
+
+def test_bright_parts_have_sectors_by_their_light():
+    """As many in all as if each had one, and none less than one: the light to the power of 2/3."""
+    part = lambda power: SimpleNamespace(power=power)
+    assert sector_multiples([]) == []
+    assert sector_multiples([part(3.0)]) == [1]
+    assert sector_multiples([part(2.0)] * 4) == [1, 1, 1, 1]
+    assert sector_multiples([part(27.0), part(1.0), part(1.0), part(1.0)]) == [3, 1, 1, 1]

@@ -676,10 +676,12 @@ def test_a_slit_almost_overhead(backend):
     np.testing.assert_allclose(image(backend, depth, slit, most=64), wanted, rtol=5e-3)
 
 
-@pytest.mark.parametrize("azimuth, elevation", [(200, 35), (70, 12), (181, 12)])
-def test_a_sun_over_a_map_that_repeats(backend, azimuth, elevation):
-    """As in the middle of a map of many copies, though rays go round few of them."""
-    depth = _terrain()[100:124, 150:178].astype(np.float32)
+@pytest.mark.parametrize("azimuth, elevation, scale", [(200, 35, 1), (70, 12, 1), (181, 12, 1), (7, 1, 0.05)])
+def test_a_sun_over_a_map_that_repeats(backend, azimuth, elevation, scale):
+    """As in the middle of a map of many copies, though rays go round few of them: from the highest nodes too,
+    before a sun that touches the level.
+    """
+    depth = scale * _terrain()[100:124, 150:178].astype(np.float32)
     depth[12:15, 20:23] = np.inf
     axis = towards(azimuth, elevation)
     sky = sl.Sky(lambda L: 1 + 60.0 * (L @ axis >= np.cos(np.radians(2))))
@@ -688,7 +690,8 @@ def test_a_sun_over_a_map_that_repeats(backend, azimuth, elevation):
     run.clear()
     run.sectors(ways, table)
     middle = by_suns(backend, np.tile(depth, (13, 13)), [(ways, table)])[144:168, 168:196]
-    np.testing.assert_allclose(run.download(), middle, rtol=1e-5, atol=1e-5 * middle.max())
+    off = 1e-5 if elevation > 2 else 1e-2  # rays end at the border of the many copies, 150 spacings away
+    np.testing.assert_allclose(run.download(), middle, rtol=1e-5, atol=off * middle.max())
     assert (abs(middle - by_suns(backend, depth, [(ways, table)])) > 0.1 * middle.max()).any()
 
 

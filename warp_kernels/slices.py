@@ -39,7 +39,6 @@ import warp as wp
 from skylamp.constants import (
     CHORD_TANGENT,
     ENDLESS,
-    LEAST_SEARCHED_SLOPE,
     NONE,
     SLICES,
     SQUARE,
@@ -1254,6 +1253,7 @@ def sectors(
     image_rows: wp.int32,
     image_cols: wp.int32,
     highest: wp.float32,
+    farthest: wp.float32,
     x0: wp.float32,
     x1: wp.float32,
     y0: wp.float32,
@@ -1272,7 +1272,7 @@ def sectors(
       irradiance, other  (image_rows, image_cols)  float32  in, out; may be the same
 
     rows, cols: of the image, or more: then its map repeats, and goes on in the others, without a wall or a
-    window; ground that rises less than LEAST_SEARCHED_SLOPE is not looked for.
+    window. farthest [spacing]: beyond, ground is not looked for.
     x0 <= x < x1, y0 <= y < y1 [spacing]: window at height 0 through which the light
     comes; -ENDLESS..ENDLESS: there is none.
     """
@@ -1297,7 +1297,6 @@ def sectors(
     pixel.radius = -1.0
     framed = x0 > -ENDLESS or x1 < ENDLESS or y0 > -ENDLESS or y1 < ENDLESS
     repeats = image_cols < cols
-    least = wp.where(repeats, LEAST_SEARCHED_SLOPE, 1e-6)
     total = wp.float32(0.0)
     other_total = wp.float32(0.0)
     if pixel.height > NONE and (not framed or pixel.height < 0.0):
@@ -1309,9 +1308,8 @@ def sectors(
             last = first + wp.float32(knots - 1) / scale
             low = first / wp.max(1.0 - first, 1e-6)
             high = last / wp.max(1.0 - last, 1e-6)
-            along = wp.max(low, least) / wp.max(
-                highest - pixel.height, 1e-6
-            )  # farther on, a ray is above all ground
+            # farther on, a ray is above all ground
+            along = wp.max(wp.max(low, 1e-6) / wp.max(highest - pixel.height, 1e-6), 1.0 / farthest)
             tilt = tilt_xy[0] * c + tilt_xy[1] * s
             # 1. the tangent plane, the level, the wall, the window, and the ground
             slope = wp.max(-tilt, low)

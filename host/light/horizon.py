@@ -11,7 +11,7 @@ from ..backends.resident import DeviceImage
 from ..directions import Azimuths
 from ..samples import Samples, picked
 from ..scene import Scene
-from ..sources.integrals import SKY_KNOTS, Integrals, even
+from ..sources.integrals import SKY_KNOTS, Integrals, even, sector_multiples
 from ..sources.solids import Dome
 from . import unoccluded
 from .base import Estimate, Later, LightMethod, judged
@@ -58,7 +58,7 @@ class Horizons(LightMethod):
         size = (2, math.prod(scene.shape))
         self.sweeps = Sweeps(engine, ground_of(scene, None, engine), near=near)
         self.total, self.turned = (engine.empty(size, np.int32) for _ in range(2))
-        self.parts, self.slices = parts, None
+        self.parts, self.slices = list(zip(parts, sector_multiples(parts))), None
         if exact_parts and parts:
             self.slices = Slices(
                 scene.on(engine), scene.sides, Dome(), copied=COPIED if scene.sides == "periodic" else 0
@@ -93,8 +93,10 @@ class Horizons(LightMethod):
         GPU takes as long for some azimuths as for a few more.
         """
         grids = [even(count, self.offset + shifted / 2) for shifted in between]
-        swept = self.parts if self.slices is None else ()
-        parts = [[spot.sectors(self.sectors, shifted) for spot in swept] for shifted in between]
+        swept = self.parts if self.slices is None else []
+        parts = [
+            [spot.sectors(times * self.sectors, shifted) for spot, times in swept] for shifted in between
+        ]
         images = [self.engine.empty(self.scene.shape, np.float32) for _ in between]
         self.sweeps.set_azimuths(*self._rays(grids, window, parts))
         self.sweeps.light(self.total, self.turned, *images)
@@ -113,9 +115,9 @@ class Horizons(LightMethod):
     def _add_exact(self, slices: Slices, images: list[Array], between: tuple[bool, ...]) -> None:
         """Add the light of the small parts that stand above exact horizons, at once to all images."""
         ways, tables, numbers = [], [], []
-        for part in self.parts:  # its sectors next to each other: a CPU traces eight at once
+        for part, times in self.parts:  # its sectors next to each other: a CPU traces eight at once
             for number, shifted in enumerate(between):
-                way, table = part.sectors(self.sectors, shifted)
+                way, table = part.sectors(times * self.sectors, shifted)
                 ways.append(way)
                 tables.append(table)
                 numbers += len(table) * [number]

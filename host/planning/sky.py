@@ -13,7 +13,7 @@ from ..light import unoccluded
 from ..light.base import LightMethod
 from ..light.horizon import Horizons, correction
 from ..samples import Samples
-from ..sources.integrals import BrightPart, Integrals, even, integrals
+from ..sources.integrals import BrightPart, Integrals, even, integrals, sector_multiples
 from .base import EXACT_ERROR_RATIO, MOST_STEPS, TABLES_ERROR, UnitsPlanner
 from .plan import Choice, percent
 
@@ -54,6 +54,7 @@ class SkyPlanner(UnitsPlanner):
 
     light: float | Integrals  # a brightness, or its integrals
     bright_parts: tuple[BrightPart, ...] = ()
+    multiples: list[int] = []
     by_sectors: dict[int, np.ndarray]  # their light at the samples by sectors of each, two halves
     near_rows: int | None = None
     sectors = exact_sectors = 0  # of azimuth, of every small bright part: of the image, of the exact light
@@ -95,6 +96,7 @@ class SkyPlanner(UnitsPlanner):
             self.light = float(brightness)
             return
         self.light = sky = integrals(self.source, self.tolerance)
+        self.multiples = sector_multiples(sky.bright_parts)
         self.bright_parts, self.tables_error = sky.bright_parts, math.hypot(TABLES_ERROR, sky.error)
 
     def set_exact_light(self, units: int) -> None:
@@ -125,7 +127,10 @@ class SkyPlanner(UnitsPlanner):
         """Light of small bright parts at the samples by so many sectors of each, (2, nodes): two halves."""
         if sectors not in self.by_sectors:
             halves = [
-                [self.samples.sectors(*spot.sectors(sectors, shifted)) for spot in self.bright_parts]
+                [
+                    self.samples.sectors(*spot.sectors(times * sectors, shifted))
+                    for spot, times in zip(self.bright_parts, self.multiples)
+                ]
                 for shifted in (False, True)
             ]
             self.by_sectors[sectors] = np.array(
@@ -157,7 +162,7 @@ class SkyPlanner(UnitsPlanner):
             return
         least = LEAST_SECTORS * max(1.0, LEAST_SECTORS_TOLERANCE / self.tolerance)
         for times in SECTOR_MULTIPLES:
-            self.sectors = times * math.ceil(min(least, MOST_SECTORS) / len(self.bright_parts))
+            self.sectors = times * math.ceil(min(least, MOST_SECTORS) / sum(self.multiples))
             self.exact_sectors = EXACT_MULTIPLE * self.sectors
             self._add_bright_parts()
             few, many = (self._bright_light(n).mean(0) for n in (self.sectors, self.exact_sectors))

@@ -12,7 +12,6 @@ from ...constants import SLICES
 
 F = np.float32
 NONE, STEEP, ENDLESS = F(constants.NONE), F(constants.STEEP), F(constants.ENDLESS)
-LEAST_SEARCHED_SLOPE = F(constants.LEAST_SEARCHED_SLOPE)
 CHORD_TANGENT, TURN_BY_SINE, TURN_BY_TANGENT = (
     np.array(factors, F)
     for factors in (constants.CHORD_TANGENT, constants.TURN_BY_SINE, constants.TURN_BY_TANGENT)
@@ -923,6 +922,7 @@ def sectors(
     image_rows: int,
     image_cols: int,
     highest: float,
+    farthest: float,
     x0: float,
     x1: float,
     y0: float,
@@ -939,13 +939,13 @@ def sectors(
     def flat(value: float | np.float32) -> np.ndarray:
         return np.full(len(x), value, F)
 
-    least = LEAST_SEARCHED_SLOPE if repeats else F(1e-6)
     totals, bare = np.zeros((2, len(x)), F), _bare(heights, tops, highest, rows, cols, levels)
     for j, (c, s, share, first, scale, to_other) in enumerate(ways.T):
         last = first + F(knots - 1) / scale
         low, high = (at / max(F(1) - at, F(1e-6)) for at in (first, last))
         # farther on, a ray is above all ground
-        along = max(low, least) / np.maximum(F(highest) - height, F(1e-6))
+        along = max(low, F(1e-6)) / np.maximum(F(highest) - height, F(1e-6))
+        along = np.maximum(along, F(1) / F(farthest))
         tilt = tilt_x * c + tilt_y * s
         # 1. the tangent plane, the level, the wall, the window, and the ground
         slope, end = np.maximum(-tilt, low), flat(STEEP)
