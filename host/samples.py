@@ -328,15 +328,12 @@ class Samples:
         which a brightness that varies is taken.
         """
         slices = _ball(self, solid, count) if isinstance(solid, Ball) else _quad(self, solid, count)
-        cosine, sine, width, low, high, along, up, limit = slices
-        least = np.clip(np.maximum(low, self.plane(cosine, sine)), 0, STEEP)
-        if self.sides == "dark":
-            wall = _wall(self, cosine, sine)
-            with np.errstate(divide="ignore", invalid="ignore"):
-                # the source lies behind the wall: visible is the part above its top
-                beyond = wall * (along + np.maximum(low, 0) * up) < limit
-            least = np.where(beyond, np.maximum(least, -self.own / wall), least)
-        shows = (low < high) & (least < high)
+        cosine, sine, width, lowest, highest, along, up, limit = slices
+        least, left = np.clip(np.maximum(lowest, self.plane(cosine, sine)), 0, STEEP), highest
+        walled = self.sides == "dark"
+        if walled:
+            least, left, top = _before_wall(self, solid, slices, least)
+        shows = (lowest < highest) & (least < highest)
         slope = np.where(shows, least, STEEP)
         if occluded:
             n, node = np.nonzero(shows)
@@ -344,26 +341,25 @@ class Samples:
                 np.broadcast_to(v, shows.shape)[n, node] for v in (cosine, sine, least, along, up, limit)
             )
             slope[n, node] = self.slopes(c, s, at_least, a, u, bound, node=node).ravel()
-        low, high = np.arctan(np.maximum(slope, low)), np.arctan(np.minimum(high, STEEP))
-        tilt = self.gx * cosine + self.gy * sine
-        if not callable(brightness):  # no ray lies below the tangent plane
-            at_low, at_high = (tilt * (e + np.sin(2 * e) / 2) + np.sin(e) ** 2 for e in (low, high))
-            uniform = (width * brightness * np.where(low < high, at_high - at_low, 0) / 2).sum(0)
-            irradiance: np.ndarray = uniform / self.length
-            return irradiance
-        light, span = np.zeros(shows.shape), np.maximum(0, high - low)
-        n, node = np.nonzero(span > 0)
-        azimuth = np.arctan2(sine, cosine)[n, node]
-        for point in (np.arange(points) + 0.5) / points:
-            e = low[n, node] + point * span[n, node]
-            light[n, node] += (
-                np.cos(e)
-                * np.maximum(0, tilt[n, node] * np.cos(e) + np.sin(e))
-                * sources.radiance(
-                    sources.Sky(brightness), sources.directions_of(azimuth, np.maximum(np.sin(e), 0))
-                )
-            )
-        irradiance = (width * light * span / points).sum(0) / self.length
+        tilt, light = self.gx * cosine + self.gy * sine, np.zeros(shows.shape)
+        parts = [(slope, left)]
+        if walled:
+            parts.append((np.maximum(slope, top), np.where(left < highest, highest, -STEEP)))
+        for first, last in parts:
+            low, high = np.arctan(first), np.arctan(np.minimum(last, STEEP))
+            if not callable(brightness):  # no ray lies below the tangent plane
+                assert not isinstance(brightness, tuple), "channels are rendered one by one"
+                at_low, at_high = (tilt * (e + np.sin(2 * e) / 2) + np.sin(e) ** 2 for e in (low, high))
+                light += brightness * np.where(low < high, at_high - at_low, 0) / 2
+                continue
+            n, node = np.nonzero(low < high)
+            azimuth, span = np.arctan2(sine, cosine)[n, node], (high - low)[n, node]
+            for point in (np.arange(points) + 0.5) / points:
+                e = low[n, node] + point * span
+                seen = sources.directions_of(azimuth, np.maximum(np.sin(e), 0))
+                cosines = np.cos(e) * np.maximum(0, tilt[n, node] * np.cos(e) + np.sin(e))
+                light[n, node] += cosines * sources.radiance(sources.Sky(brightness), seen) * span / points
+        irradiance: np.ndarray = (width * light).sum(0) / self.length
         return irradiance
 
 
@@ -410,6 +406,31 @@ def _wall(samples: Samples, cosine: Values, sine: Values) -> np.ndarray:
             for a, n, at in ((cosine, samples.cols, samples.x), (sine, samples.rows, samples.y))
         )
     return np.minimum(x, y)
+
+
+def _before_wall(
+    samples: Samples, solid: Ball | Quad, slices: tuple[np.ndarray, ...], least: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """What the wall of a dark box leaves of ``slices`` through a source from the slopes ``least`` on.
+
+    Visible are the slopes from the first result to the second, and those from the third, the wall's top, on.
+    """
+    cosine, sine, _, _, high, along, up, limit = slices
+    wall = _wall(samples, cosine, sine)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        top = -samples.own / wall
+        if isinstance(solid, Ball):  # the wall cuts it between two slopes, or not at all
+            flat = (solid.center[0] - samples.x) ** 2 + (solid.center[1] - samples.y) ** 2
+            square: np.ndarray = solid.radius**2 - np.maximum(0, flat - along**2) - (wall - along) ** 2
+            half = np.sqrt(np.maximum(0, square))
+            cut = [np.where(square > 0, (up + side * half) / wall, np.inf) for side in (-1, 1)]
+            nearer = [(limit > 0) & (wall * (along + slope * up) < limit) for slope in (least, high)]
+            under, over = np.where(nearer[0], cut[0], -np.inf), np.where(nearer[1], cut[1], np.inf)
+        else:
+            up = np.where(up == 0, 1e-30, up)
+            meets = (limit / wall - along) / up
+            under, over = np.where(up > 0, meets, -np.inf), np.where(up > 0, np.inf, meets)
+    return np.maximum(least, np.minimum(under, top)), np.where(over < top, np.minimum(high, over), high), top
 
 
 def ring(
