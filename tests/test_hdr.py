@@ -96,6 +96,8 @@ def test_radiance_round_trip(tmp_path):
     data = (tmp_path / "a.hdr").read_bytes()
     (tmp_path / "b.hdr").write_bytes(data.replace(b"\nFORMAT", b"\nEXPOSURE=2.0\nEXPOSURE= 4\nFORMAT", 1))
     np.testing.assert_allclose(io.read_environment(tmp_path / "b.hdr"), got / 8, rtol=1e-6)
+    (tmp_path / "b.hdr").write_bytes(data.replace(b"\n-Y 12 +X 24\n", b"\n+Y 12 +X 24\n", 1))
+    refused("order of its pixels: got +Y +X", io.read_environment, tmp_path / "b.hdr")
     for array in (FLOATS, -LIGHT, np.ones((3, 3), np.uint8)):
         refused("finite floats >= 0", io.write, tmp_path / "c.hdr", array)
 

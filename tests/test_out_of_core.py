@@ -15,7 +15,7 @@ from test_scale import mountains
 import skylamp as sl
 from skylamp.app import cli, out_of_core
 from skylamp.backends import select
-from skylamp.errors import CapacityError
+from skylamp.errors import CapacityError, InputError
 from skylamp.io import geotiff as geo
 
 rasterio = pytest.importorskip("rasterio")
@@ -304,3 +304,11 @@ def test_a_warning_of_a_tile_is_one_line(dem, tmp_path):
     lines = said.strip().splitlines()
     assert code == 0 and lines and all(line.startswith("skylamp: warning: ") for line in lines), said
     assert len(set(lines)) == len(lines)
+
+
+def test_an_address_that_is_none_is_an_error():
+    """It was Dask's own ValueError."""
+    machines = out_of_core.Machines(None, 1, "garbage", TILE, False, False)
+    with pytest.raises(InputError, match="--scheduler garbage: no scheduler answers there"):
+        with out_of_core.workers_of(machines):
+            pass

@@ -71,6 +71,12 @@ def test_a_sum_is_that_of_its_skies():
     np.testing.assert_allclose(on_slopes(found.image, normals), expected, rtol=0, atol=2e-3 * expected.mean())
 
 
+def test_longitudes_may_go_on_beyond_180_degrees():
+    """The clear sky's turbidity raised pvlib's own error for 200."""
+    east, west = (sl.sky_over_time(DAY, PLACE[0], longitude).image for longitude in (200.0, -160.0))
+    assert np.array_equal(east, west) and east.any()
+
+
 def test_perez_is_that_of_pvlib():
     """Level ground, walls to all sides: what pvlib gives, hour by hour, without light from the ground."""
     times = TIMES

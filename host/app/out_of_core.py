@@ -47,6 +47,8 @@ COMPATIBLE = (
     "a GeoTIFF of heights to a GeoTIFF, with open sides: it goes with --out, --backend, --tile, --workers,"
     " --scheduler, --resume, --cog and {} only"
 )
+# of the page of Dask, which it makes unasked: of two runs at once, both have one without a warning
+ANY_PORT = "127.0.0.1:0"
 BLOCK = 512  # [node], blocks of the GeoTIFF that is written
 SCRATCH_FORM = 3  # number of the scratch group's form: one more with every change of its arrays
 
@@ -451,14 +453,18 @@ def workers_of(machines: Machines) -> Iterator[Any]:
         at: Any = machines.scheduler
         if at is None:
             limit = "auto" if machines.share is None else machines.share
-            options: dict[str, Any] = dict(threads_per_worker=2, processes=True, dashboard_address=None)
+            options: dict[str, Any] = dict(threads_per_worker=2, processes=True)
             cluster = distributed.LocalCluster(
-                n_workers=machines.workers, memory_limit=limit, silence_logs=50, **options
+                n_workers=machines.workers,
+                memory_limit=limit,
+                silence_logs=50,
+                dashboard_address=ANY_PORT,
+                **options,
             )
             at = stack.enter_context(cluster)
         try:
             client = stack.enter_context(distributed.Client(at, timeout=30))
-        except OSError as error:
+        except (OSError, ValueError) as error:
             raise InputError(f"--scheduler {at}: no scheduler answers there ({error}).") from error
         client.register_plugin(devices())
         if machines.scheduler is None:

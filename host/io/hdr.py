@@ -99,10 +99,13 @@ def _read_radiance(path: Path) -> np.ndarray:
     header = data[: data.find(b"\n\n") + 1]
     if not header.startswith(b"#?"):
         raise ValueError("not a Radiance picture")
-    size = re.search(rb"^[-+][XY] (\d+) [-+][XY] (\d+)$", data, re.MULTILINE)
+    size = re.search(rb"^([-+][XY]) (\d+) ([-+][XY]) (\d+)$", data, re.MULTILINE)
     if size is None:
         raise ValueError("its header has no size")
-    reserve(path, 12 * int(size[1]) * int(size[2]), 12 * MOST_FILE_PIXELS)
+    if size[1] + size[3] != b"-Y+X":  # OpenCV reads no others
+        order = f"{size[1].decode()} {size[3].decode()}"
+        raise bad(f"{path}: order of its pixels", order, "-Y +X, rows from the top, each from the left")
+    reserve(path, 12 * int(size[2]) * int(size[4]), 12 * MOST_FILE_PIXELS)
     array: np.ndarray | None = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
     if array is None or array.dtype != np.float32 or array.ndim != 3:
         raise ValueError("truncated or damaged")

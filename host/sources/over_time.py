@@ -128,7 +128,9 @@ def _summed(
     index: Any, place: list[float], weight: np.ndarray, types: np.ndarray, measured: Any, pvlib: Any
 ) -> SkyOverTime:
     """The sum of light [W m^-2] times ``weight``; ``measured`` (2, times), each for equally many of index."""
-    location = pvlib.location.Location(place[0], place[1], altitude=place[2])
+    # the table of turbidities holds no others
+    east = place[1] if abs(place[1]) <= 180 else (place[1] + 180) % 360 - 180
+    location = pvlib.location.Location(place[0], east, altitude=place[2])
     sun = location.get_solarposition(index)
     if measured is None:
         clear = location.get_clearsky(index, solar_position=sun)
