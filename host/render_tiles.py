@@ -40,6 +40,10 @@ from .sources.integrals import even, integrals
 
 # azimuths of a small part of a sky on a map in tiles; chosen: with 8 the error is 0.06 %, cliffs apart
 PART_SECTORS = 16
+# rows within which every crossing on the way to such a part is tested. Chosen: on six maps of rough ground of
+# 200 x 256 nodes with a sun 20 degrees high the RMS error is 1.9 to 3.1 % with 6, 0.3 to 1.2 % with 24, 0.2 %
+# with 96 and with 200; a map of 1024 x 1024 takes 0.75, 0.80, 1.00 and 1.3 s on two cores
+PART_NEAR_ROWS = 96
 # azimuths in which windows of tiles estimate the light between surfaces, with an error of 0.003 in the share
 # of sky; and the part of a window at each of its sides that is left out, since ground beyond is missing;
 # chosen
@@ -264,14 +268,15 @@ class LampImage:
 class TileImage:
     """The image of a tile under a sky, as :func:`skylamp.scale.tiled` asks for it.
 
-    rays, and tables of brightness, of every colour; factors of the colours that differ by these alone, of
-    which there is one ray and no table. in_colour: the image is (3, rows, cols). between: with the light
-    between surfaces, within ``tolerance``, or None where the whole map decides by ``fewer``: the same lights
-    in fewer azimuths. The light is ``scale`` times that of the tables. ``judging``: what its samples are held
-    against.
+    rays, and tables of brightness, of every colour, the first ``even`` of all the sky, the others of its
+    small bright parts; factors of the colours that differ by these alone, of which there is one ray and no
+    table. in_colour: the image is (3, rows, cols). between: with the light between surfaces, within
+    ``tolerance``, or None where the whole map decides by ``fewer``: the same lights in fewer azimuths. The
+    light is ``scale`` times that of the tables. ``judging``: what its samples are held against.
     """
 
     lights: Lights
+    even: int
     factors: tuple[float, ...] | None
     quantity: str
     in_colour: bool
@@ -296,7 +301,7 @@ class TileImage:
         engine = engine_of(scene, self.backend)
         with engine.lock:
             ground = ground_of(scene, max_distance, engine)
-            swept = _swept(engine, ground, self.lights, far)
+            swept = _swept(engine, ground, self.lights, far, self.even)
             if part.start in (None, 0):  # else another task of this tile does
                 self._judge(engine, scene, max_distance, far, swept)
             light = self._coloured(swept)
@@ -382,9 +387,20 @@ class TileImage:
         return replace(self, between=bool(needed and possible), share=share)
 
 
-def _swept(engine: Backend, ground: Ground, lights: Lights, far: Far | None) -> list[np.ndarray]:
-    """Direct irradiance of each of the lights."""
-    return [Sweeps(engine, ground, rays, table, far=far).irradiance(last=True) for rays, table in lights]
+def _swept(
+    engine: Backend, ground: Ground, lights: Lights, far: Far | None, even: int | None = None
+) -> list[np.ndarray]:
+    """Direct irradiance of each of the lights; azimuths from ``even`` on have more near rows."""
+    images = []
+    for (angles, widths, _), table in lights:
+        first = Rays(angles[:even], widths[:even])
+        sky = None if table is None else table[:even]
+        images.append(Sweeps(engine, ground, first, sky, far=far).irradiance(last=True))
+        if table is not None and even is not None and len(angles) > even:
+            others = Rays(angles[even:], widths[even:])
+            near = PART_NEAR_ROWS
+            images[-1] += Sweeps(engine, ground, others, table[even:], near, far=far).irradiance(last=True)
+    return images
 
 
 def _share_of_sky(engine: Backend, ground: Ground, azimuths: int, far: Far | None) -> np.ndarray:
@@ -416,6 +432,7 @@ def _tile_image(
     skies = [grey for grey in greys if isinstance(grey, sources.Sky)][: None if factors is None else 1]
     return TileImage(
         tuple(_rays_of(sky, sectors) for sky in skies),
+        len(sectors),
         None if factors is None else tuple(factors),
         options.quantity,
         _in_colour_in_tiles(scene, source, options),
