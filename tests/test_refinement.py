@@ -1437,6 +1437,38 @@ def test_a_plan_tells_the_light_between_surfaces_in_a_bowl(fast):
     assert line.taken == "included" and f"{100 * made.interreflection:.2g} %" in line.why
 
 
+@pytest.mark.parametrize("sides", ["open", "periodic"])
+def test_a_sun_behind_an_aperture_has_all_its_light(fast, sides):
+    """It fell between the directions of the lattice, and of the light that judges it: two thirds of all light
+    were lost without a word.
+    """
+    sun, edge = towards(270, 60), math.cos(math.radians(0.27))
+    window = sl.Window(aperture=np.ones((40, 40), bool), brightness=lambda L: 1 + 1e5 * (L @ sun > edge))
+    out = irradiance(sl.Scene(np.full((40, 40), 0.5), sides=sides), window, fast)
+    whole = math.pi * (1 + 1e5 * math.sin(math.radians(0.27)) ** 2 * math.sin(math.radians(60)))
+    assert out.image[20, 20] == pytest.approx(whole, rel=0.01) and not out.warnings
+
+
+def test_a_sun_through_holes_is_told(fast):
+    """The patches of light of a sun between the lattice's directions lie elsewhere; a warning says so."""
+    sun, edge = towards(200, 50), math.cos(math.radians(2))
+    holes = np.random.default_rng(3).random((40, 40)) < 0.3
+    window = sl.Window(aperture=holes, brightness=lambda L: 1 + 2e3 * (L @ sun > edge))
+    out = irradiance(sl.Scene(np.full((40, 40), 10.0)), window, fast)
+    y, x = np.mgrid[:40, :40].astype(float)
+    exact, n = np.zeros((40, 40)), 1000
+    for k in range(n):  # the sun alone, as n points
+        r, a = math.radians(2) * math.sqrt((k + 0.5) / n), k * math.pi * (1 + 5**0.5)
+        east = np.cross(sun, [0, 0, 1.0]) / np.hypot(*sun[:2])
+        L = sun + math.tan(r) * (math.cos(a) * east + math.sin(a) * np.cross(sun, east))
+        col, row = (np.rint(v + 10 * L[axis] / -L[2]).astype(int) for axis, v in enumerate((x, y)))
+        on_map = (col >= 0) & (col < 40) & (row >= 0) & (row < 40)
+        exact += on_map & holes[np.clip(row, 0, 39), np.clip(col, 0, 39)]
+    exact *= 2e3 * math.pi * math.sin(math.radians(2)) ** 2 * math.sin(math.radians(50)) / n
+    true = errors(out.image.ravel() - out.image.min(), exact.ravel()).rms
+    assert 0.4 < true and 0.5 * true < said(out) < 2 * true
+
+
 def test_what_the_lattice_must_do_is_planned_too(fast):
     """An aperture, a window over a map that repeats, a volume: hemicubes, measured where possible."""
     aperture = np.zeros((SIZE, SIZE), bool)

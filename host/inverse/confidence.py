@@ -152,12 +152,12 @@ def by_finer_model(judged: Judged) -> np.ndarray:
 
 
 def by_place(judged: Judged) -> np.ndarray:
-    """Variance of the place of the surface as a whole, which skies and open sides do not tell.
+    """Variance of the place of the surface as a whole, which skies tell over dark sides alone.
 
     Images are the same as far up and down as the bounds of depth let it go, so every place is as likely.
     """
     pyramid, z = judged.pyramid, judged.z
-    if pyramid.sides != "open" or not all(isinstance(light, Sky) for light in pyramid.sources):
+    if pyramid.sides == "dark" or not all(isinstance(light, Sky) for light in pyramid.sources):
         return np.zeros(z.shape)
     low, high = pyramid.bounds[judged.level]
     up, down = min(0.0, float((low - z).max())), max(0.0, float((high - z).min()))

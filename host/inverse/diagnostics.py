@@ -12,7 +12,7 @@ from ..scene import Scene
 from .confidence import UNTRUSTED
 from .pyramid import COARSEST, IMAGE_RMS, Pyramid
 
-OPEN_SKY = "Open sides under a sky are ill-posed: the image of a flat surface is the same at any depth."
+ILL_POSED = "{} sides under a sky are ill-posed: the image of a flat surface is the same at any depth."
 # residual over the image (RMS) above which an image is called poorly explained. Measured by
 # performance/recover.py --what suspected, 32 x 32: it is given in none of 30 recoveries with the right
 # arguments, in 26 of 30 with half the albedo and 19 of 30 with open sides instead of dark ones. The residual
@@ -49,9 +49,7 @@ def of_images(
     images: Sequence[np.ndarray], lights: Sequence[sources.Source], scene: Scene, deepest: float
 ) -> list[str]:
     """Warnings that follow from the images alone; lights in nodes, ``deepest`` [nodes]."""
-    warnings = []
-    if scene.sides == "open" and all(isinstance(light, sources.Sky) for light in lights):
-        warnings.append(OPEN_SKY)
+    warnings = of_place(scene.sides, lights)
     for image in images:
         values = np.unique(image)
         if 2 < len(values) <= EIGHT_BITS < image.size:
@@ -140,6 +138,12 @@ def of_confidence(confidence: np.ndarray, ambiguous: np.ndarray, albedo_given: b
     return warnings
 
 
+def of_place(sides: str, lights: Sequence[sources.Source]) -> list[str]:
+    """A warning where nothing tells how deep the surface as a whole lies."""
+    is_known = sides == "dark" or not all(isinstance(light, sources.Sky) for light in lights)
+    return [] if is_known else [ILL_POSED.format(sides.capitalize())]
+
+
 def of_carving(
     image: np.ndarray, source: sources.Source, sides: str, drilled: np.ndarray, stop: str
 ) -> list[str]:
@@ -155,8 +159,7 @@ def of_carving(
                 else "; the image is darker there than the model at any depth."
             )
         )
-    if sides == "open" and isinstance(source, sources.Sky):
-        warnings.append(OPEN_SKY)
+    warnings += of_place(sides, [source])
     if count := count_of(image):
         warnings.append(
             f"Few counts: the image's values are multiples of {count:.2g} of its maximum, so changes of"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 
 import numpy as np
 
@@ -12,6 +13,7 @@ from ..backends.resident import Resident
 from ..directions import Hemicube
 from ..samples import Samples
 from ..scene import Scene, is_scene
+from ..sources.integrals import BrightPart, Integrals, even, without
 from . import propagation
 from .base import LightMethod
 from .propagation import Problem
@@ -20,6 +22,10 @@ from .propagation import Problem
 # performance/lattice_error.py. The tables of a larger one take minutes
 HEMICUBE_ERRORS = {5: 0.0376, 7: 0.0188, 9: 0.0119, 17: 0.0039, 33: 0.0012}
 WINDOW_AZIMUTHS, WINDOW_ELEVATIONS = 96, 192  # directions of the exact light through a window
+PART_AZIMUTHS = 32  # and azimuths, at most, of the horizons before a small bright part behind it
+# parts of the sky, even in azimuth and in elevation, by which brightness is averaged over a direction's cell:
+# a third of a degree, a tenth of the smallest cell's side; with half as many images change by 1e-4
+BRIGHTNESS_AZIMUTHS, BRIGHTNESS_ELEVATIONS = 1024, 256
 # rms slope, of steps between neighbours, and hemicube from which on unfilled steps leak light. Chosen: on
 # ground of slope 1 they do from M = 7 on, of slope 0.5 only from M = 33 on (performance/lattice_error.py)
 LEAK_SLOPE, LEAK_SIZE = 0.7, 7
@@ -44,16 +50,22 @@ class Lattice(LightMethod):
     def amount(self) -> str:
         return f"{self.unit_name} {self.units}"
 
-    def __init__(self, engine: Backend, scene: Scene, source: sources.Source, units: int):
-        self.engine, self.scene, self.source, self.units = engine, scene, source, units
+    def __init__(
+        self,
+        engine: Backend,
+        scene: Scene,
+        source: sources.Source,
+        units: int,
+        sky: Integrals | None = None,
+    ):
+        """``sky``: of the brightness of a window, if that varies."""
+        self.engine, self.scene, self.source, self.units, self.sky = engine, scene, source, units, sky
         self.image = self._image()
 
     def _image(self) -> np.ndarray:
         cube = Hemicube(self.units)
         problem = problem_of(self.engine, self.scene, self.source, cube, True)
-        return propagation.irradiance(
-            self.engine, problem, cube.moments * sources.radiance(self.source, cube.directions)[:, None]
-        )
+        return propagation.irradiance(self.engine, problem, moments_of(self.source, cube, self.sky))
 
     def refine(self) -> None:
         """The next larger hemicube: no direction is shared."""
@@ -75,11 +87,53 @@ def lacking(scene: Scene, source: sources.Source) -> str:
     return ""
 
 
-def through_window(samples: Samples, scene: Scene, source: sources.Window) -> np.ndarray:
+def moments_of(source: sources.Source, cube: Hemicube, sky: Integrals | None) -> np.ndarray:
+    """Integrals of B L dOmega over the cells of all directions, (D, 3).
+
+    By the brightness towards their middles, or by means of it over them, of a ``sky`` that varies, and all
+    light of its small bright parts.
+    """
+    moments: np.ndarray
+    if sky is None:
+        moments = cube.moments * sources.radiance(source, cube.directions)[:, None]
+        return moments
+    azimuths = even(BRIGHTNESS_AZIMUTHS, 0.5)
+    edges = np.linspace(0, np.pi / 2, BRIGHTNESS_ELEVATIONS + 1)
+    begin, end = azimuths.angles - azimuths.widths / 2, azimuths.angles + azimuths.widths / 2
+    light = -np.diff(sky.above(begin, end, np.sin(edges)), axis=2)
+    both = edges / 2 + np.sin(2 * edges) / 4, np.sin(edges) ** 2 / 2  # integrals of cos^2 and of sin cos
+    one = np.diff(both)[:, None] * azimuths.widths[:, None]
+    middle = (edges[:-1] + edges[1:]) / 2
+    cell = _cells_of(cube, np.repeat(azimuths.angles, len(middle)), np.tile(middle, len(azimuths)))
+    of_light, of_one = (np.bincount(cell, part.sum(0).ravel(), len(cube)) for part in (light, one))
+    moments = cube.moments * (of_light / of_one)[:, None]
+    for part in sky.bright_parts:
+        azimuth, (along, up) = part.cells.azimuth, part.cells.moments
+        cell = _cells_of(cube, azimuth, (part.cells.low + part.cells.high) / 2)
+        for axis, values in enumerate((along * np.cos(azimuth), along * np.sin(azimuth), -up)):
+            moments[:, axis] += np.bincount(cell, values, len(cube))
+    return moments
+
+
+def _cells_of(cube: Hemicube, azimuth: np.ndarray, elevation: np.ndarray) -> np.ndarray:
+    """The numbers of the directions in whose cells others lie."""
+    flat, m = np.cos(elevation), cube.reach
+    L = np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), -np.sin(elevation)], -1)
+    steps = np.rint(L * (m / np.abs(L).max(-1, keepdims=True))).astype(int)
+    number = np.zeros((m + 1, cube.size, cube.size), int)
+    number[-cube.steps[:, 2], cube.steps[:, 1] + m, cube.steps[:, 0] + m] = np.arange(len(cube))
+    cells: np.ndarray = number[-steps[..., 2], steps[..., 1] + m, steps[..., 0] + m]
+    return cells
+
+
+def through_window(
+    samples: Samples, scene: Scene, source: sources.Window, sky: Integrals | None
+) -> np.ndarray:
     """Irradiance at the samples through a window of any kind.
 
-    By WINDOW_AZIMUTHS x WINDOW_ELEVATIONS directions.
+    By WINDOW_AZIMUTHS x WINDOW_ELEVATIONS directions; small bright parts of ``sky`` cell by cell.
     """
+    parts = sky.bright_parts if sky is not None else ()
     azimuths = 2 * np.pi * (np.arange(WINDOW_AZIMUTHS) + 0.5) / WINDOW_AZIMUTHS
     total, deep = np.zeros(len(samples)), -samples.own.astype(float)
     e = (np.arange(WINDOW_ELEVATIONS)[:, None] + 0.5) / WINDOW_ELEVATIONS * np.pi / 2
@@ -87,14 +141,35 @@ def through_window(samples: Samples, scene: Scene, source: sources.Window) -> np
         c, s = math.cos(azimuth), math.sin(azimuth)
         away = deep / np.tan(e)
         seen = _passes(scene, source, samples.x + away * c, samples.y + away * s) & (np.tan(e) >= slope)
-        light = sources.radiance(source, sources.directions_of(azimuth, np.sin(e)))
+        light = without(source.brightness, parts, sources.directions_of(azimuth, np.sin(e)))
         along = (samples.gx * c + samples.gy * s) / samples.length
         total += (
             np.where(seen, light, 0)
             * np.cos(e)
             * np.maximum(0, along * np.cos(e) + np.sin(e) / samples.length)
         ).sum(0)
-    return total * (np.pi / 2 / WINDOW_ELEVATIONS) * (2 * np.pi / WINDOW_AZIMUTHS)
+    total *= (np.pi / 2 / WINDOW_ELEVATIONS) * (2 * np.pi / WINDOW_AZIMUTHS)
+    total += _parts_through(samples, scene, source, parts)
+    return total
+
+
+def _parts_through(
+    samples: Samples, scene: Scene, source: sources.Window, parts: Iterable[BrightPart]
+) -> np.ndarray:
+    """Light of small bright parts at the samples through a window."""
+    total, deep = np.zeros(len(samples)), -samples.own.astype(float)
+    for part in parts:
+        count = len(part.cells.azimuth)
+        for some in np.array_split(np.arange(count), min(PART_AZIMUTHS, count)):
+            cells = part.cells.pick(some)
+            slope = samples.horizons(cells.azimuth.mean(keepdims=True))[0]
+            azimuth, e = cells.azimuth[:, None], (cells.low + cells.high)[:, None] / 2
+            c, s, away = np.cos(azimuth), np.sin(azimuth), deep / np.tan(e)
+            seen = _passes(scene, source, samples.x + away * c, samples.y + away * s) & (np.tan(e) >= slope)
+            along, up = cells.moments
+            light = (samples.gx * c + samples.gy * s) * along[:, None] + up[:, None]
+            total += (seen * np.maximum(0, light)).sum(0) / samples.length
+    return total
 
 
 def _passes(scene: Scene, source: sources.Window, x: np.ndarray, y: np.ndarray) -> np.ndarray:
@@ -119,13 +194,15 @@ def _passes(scene: Scene, source: sources.Window, x: np.ndarray, y: np.ndarray) 
     return passes
 
 
-def at_samples(samples: Samples, scene: Scene, source: sources.Source, size: int) -> np.ndarray:
+def at_samples(
+    samples: Samples, scene: Scene, source: sources.Source, size: int, sky: Integrals | None
+) -> np.ndarray:
     """The filled lattice's light at the samples.
 
     A direction is visible where it lies on or above the horizon of its azimuth.
     """
     cube = Hemicube(size)
-    brightness = sources.radiance(source, cube.directions)
+    moments = moments_of(source, cube, sky)
     ways, number = np.unique(np.round(np.arctan2(cube.steps[:, 1], cube.steps[:, 0]), 9), return_inverse=True)
     slopes = samples.horizons(ways)
     flat = np.hypot(cube.steps[:, 0], cube.steps[:, 1])
@@ -143,7 +220,7 @@ def at_samples(samples: Samples, scene: Scene, source: sources.Source, size: int
             seen &= _passes(
                 scene, source, samples.x + away * horizontal[:, :1], samples.y + away * horizontal[:, 1:]
             ) & (rise[some, None] > 0)
-        total += (seen * np.maximum(0, cube.moments[some] @ normal) * brightness[some, None]).sum(0)
+        total += (seen * np.maximum(0, moments[some] @ normal)).sum(0)
     return total
 
 

@@ -10,6 +10,7 @@ from .. import sources
 from ..light import lattice
 from ..light.base import LightMethod
 from ..light.lattice import Lattice, lacking
+from ..sources.integrals import Integrals, integrals
 from .base import UnitsPlanner, uniform_light
 from .plan import Choice
 
@@ -18,6 +19,7 @@ class LatticePlanner(UnitsPlanner):
     """What horizons cannot render: lattice directions, filled."""
 
     method_class, sample_count = Lattice, 64
+    sky: Integrals | None = None  # of the brightness of a window, if it varies
 
     def choose(self) -> None:
         scene, source = self.scene, self.source
@@ -38,17 +40,19 @@ class LatticePlanner(UnitsPlanner):
                     " as a sphere or a rectangle"
                 )
             return
+        if callable(source.brightness):
+            self.sky = integrals(sources.Sky(source.brightness), self.tolerance)
         self.uniform = uniform_light(self.samples)
         self.choose_units([(0, lattice.HEMICUBE_ERRORS)])
 
     def set_exact_light(self, units: int) -> None:
-        self.exact = lattice.through_window(self.samples, self.scene, self.source)
+        self.exact = lattice.through_window(self.samples, self.scene, self.source, self.sky)
 
     def light_by(self, units: int) -> np.ndarray:
-        return lattice.at_samples(self.samples, self.scene, self.source, units)
+        return lattice.at_samples(self.samples, self.scene, self.source, units, self.sky)
 
     def make(self) -> LightMethod:
-        return Lattice(self.engine, self.scene, self.source, self.units)
+        return Lattice(self.engine, self.scene, self.source, self.units, self.sky)
 
     def refine(self, is_mostly_common: bool) -> bool:
         if self.method.units >= max(lattice.HEMICUBE_ERRORS):
