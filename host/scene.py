@@ -122,7 +122,7 @@ class Scene:
         values: Any = as_real(given, what) if there is None else None
         shape = there.shape if there is not None else values.shape
         if labels is not None and not height:
-            _check_spacing(self.spacing, labels)
+            check_spacing(self.spacing, labels)
         mask = _mask(self.mask, shape)
         _set(self, mask=mask if there is not None else _known(given, labels, mask))
         if self.mask is not None and not self.mask.any():
@@ -469,7 +469,7 @@ def _known(given: Any, labels: Labels | None, mask: np.ndarray | None) -> np.nda
     return known if mask is None else known & mask
 
 
-def _check_spacing(spacing: float, labels: Labels) -> None:
+def check_spacing(spacing: float, labels: Labels) -> None:
     """Warn where a spacing of 1, that of a scene which is given none, is not that of the coordinates."""
     if spacing != 1:
         return

@@ -597,6 +597,11 @@ def test_an_output_never_replaces_the_input_or_another_output(here, capsys, argu
     assert {path: path.read_bytes() for path in here.glob("*.npy")} == files
 
 
+def test_a_row_goes_with_a_plot(here, capsys):
+    """Without one it was ignored."""
+    fails(capsys, 2, "field", "depth.npy", "f.npy", "--row", "3", says="--plot")
+
+
 def test_tiles_of_a_file_that_is_no_geotiff(here, capsys):
     """The error names what is needed, not the extension that the file has."""
     code, _, errors = run(capsys, "horizon", "depth.npy", "--out", "a.tif", "--memory", "1GB")

@@ -281,6 +281,20 @@ def test_units(tmp_path):
     assert not raster.mask[3, 4] and raster.mask.sum() == HEIGHT.size - 2
 
 
+def test_recover_keeps_spacing_and_georeference(tmp_path, fast):
+    """Of an image that is a GeoTIFF: depth and std lie where it does; what has no data is refused."""
+    rng = np.random.default_rng(2)
+    image = rng.uniform(0.05, 0.09, (12, 10)).astype(np.float32)
+    path, out, std = make(tmp_path / "i.tif", image), tmp_path / "d.tif", tmp_path / "s.tif"
+    options = "--sides", "dark", "--layers", "6", "--max-seconds", "0.5", "--backend", fast
+    assert run("recover", path, "--out", out, "--std", std, *options) == 0
+    assert facts(out)[:2] == facts(std)[:2] == facts(path)[:2]
+    spacing = geo.read(path).spacing
+    assert spacing > 5 and spacing < geo.read(out).values.max() <= 6 * spacing
+    image[3, 4] = -32768
+    assert run("recover", make(tmp_path / "i.tif", image), "--out", out, *options) == 3
+
+
 def test_depth_and_spacing_can_be_told(tmp_path, fast):
     """--depth and --spacing overrule a GeoTIFF; --resample needs one; a plain TIFF stays plain."""
     path = make(tmp_path / "dem.tif")

@@ -5,6 +5,7 @@ import importlib
 import itertools
 import logging
 import time
+import warnings
 
 import numpy as np
 import pytest
@@ -645,6 +646,42 @@ def test_nothing_is_recovered_from_darkness(kind, method):
     """A source of brightness 0 is an error, for both methods."""
     with pytest.raises(sl.InputError, match="brightness: got 0;.*darkness"):
         recover(np.ones((8, 8)), SHINE[kind](0), sides="dark", method=method, backend="numpy")
+
+
+def test_the_place_of_what_repeats_is_not_known(fast):
+    """Under a sky an image over periodic sides is the same at any depth: std holds the bounds, a warning says
+    so.
+    """
+    y, x = np.mgrid[:24, :24]
+    depth = 10 + 3 * np.sin(2 * np.pi * x / 24)
+    scene, options = sl.Scene(depth, albedo=0.5, sides="periodic"), dict(interreflection=False, backend=fast)
+    image = sl.render(scene, sl.Sky(), **options).image
+    found = sl.recover(image, sl.Sky(), 0.5, "periodic", layers=24, **options)
+    assert any(text.startswith("Periodic sides") for text in found.warnings)
+    assert (abs(found.depth - depth) < 2 * found.std).all() and np.median(found.confidence) < 0.1
+
+
+def test_no_time_for_light_between_surfaces_is_said(fast):
+    """By "auto", which searches by direct light first: std is that of a model without it."""
+    image = pair("bumps", "sky")[1]
+    options = dict(layers=LAYERS, max_seconds=1e-6, backend=fast)
+    for choice in ("auto", False):
+        found = sl.recover(image, sl.Sky(), ALBEDO, "dark", interreflection=choice, **options)
+        told = [text for text in found.warnings if text.startswith("Light between surfaces: it is left out")]
+        assert len(told) == (choice == "auto"), found.warnings
+
+
+def test_coordinates_that_are_not_the_spacing_are_told(fast):
+    """As by Scene: 1 is taken."""
+    xarray = pytest.importorskip("xarray")
+    at = 30.0 * np.arange(8)
+    image = xarray.DataArray(np.full((8, 8), 0.3), dims=("y", "x"), coords={"y": at, "x": at})
+    options = dict(layers=4, max_seconds=1e-6, interreflection=False, backend=fast)
+    with pytest.warns(UserWarning, match="^Spacing: 1 is taken, and the coordinates are 30 apart"):
+        sl.recover(image, sl.Sky(), 0.5, **options)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        sl.recover(image, sl.Sky(), 0.5, spacing=30.0, **options)
 
 
 @pytest.mark.slow

@@ -228,7 +228,8 @@ def recover(
     target: opt.Target = None,
     out: opt.Out = None,
     albedo: opt.Albedo = 0.8,
-    spacing: opt.NodeSpacing = 1.0,
+    spacing: opt.Spacing = None,
+    resample: opt.Resample = False,
     source: opt.Source = None,
     lamp: opt.Lamp = None,
     window: opt.Window = None,
@@ -263,31 +264,27 @@ def recover(
     output.check_apart(file, out, std, picture, figure)
     if picture is not None:
         io.writable(picture)
-    image = parsing.radiance(file, white)
+    image, raster = parsing.radiance(file, white, resample)
+    spacing = spacing if spacing is not None else 1.0 if raster is None else raster.spacing
+    light = parsing.source(source, lamp, window, sun)
+    parsing.check_place(light, raster)
+    options: dict[str, Any] = dict(albedo=albedo, sides=sides, layers=layers, hemicube=hemicube, eps=eps)
+    options |= dict(stop=stop, near=near, far=far, max_seconds=max_seconds, backend=backend)
     with output.progress_bar("recovering" if method == "robust" else "carving") as progress:
         done = sl.recover(
             image,
-            parsing.source(source, lamp, window, sun),
-            albedo=albedo,
-            sides=sides,
+            light,
             spacing=spacing,
-            layers=layers,
-            hemicube=hemicube,
             method=method,
-            eps=eps,
-            stop=stop,
-            near=near,
-            far=far,
-            max_seconds=max_seconds,
-            backend=backend,
             interreflection=parsing.interreflection(interreflection),
             progress=progress,
+            **options,
         )
     kept = ("drilled", "confidence", "candidates", "ambiguous", *(["std"] if method == "robust" else []))
     more = {name: getattr(done, name) for name in kept if out.lower().endswith(".npz")}
-    output.write(out, done.depth, range=(0.0, 65535.0 * spacing), bits=16, name="depth", **more)
+    output.write(out, done.depth, raster, range=(0.0, 65535.0 * spacing), bits=16, name="depth", **more)
     if std is not None:
-        output.write(std, done.std)
+        output.write(std, done.std, raster)
     if picture is not None:
         io.write(picture, mosaic.of_recovery(image, done, spacing), range=(0.0, 1.0))
     if figure:
@@ -404,7 +401,6 @@ def field(
     spacing: opt.Spacing = None,
     nodata: opt.Nodata = None,
     resample: opt.Resample = False,
-    albedo: opt.Albedo = 0.8,
     source: opt.Source = None,
     lamp: opt.Lamp = None,
     window: opt.Window = None,
@@ -429,7 +425,9 @@ def field(
         raise typer.BadParameter(
             "a .png holds one layer: give --layer, or write .npy, .npz or .tif", param_hint="--out"
         )
-    scene, raster = parsing.scene(file, height, spacing, sl.Lambertian(albedo), nodata, sides, resample)
+    if row is not None and picture is None:
+        raise typer.BadParameter("goes with --plot", param_hint="--row")
+    scene, raster = parsing.scene(file, height, spacing, None, nodata, sides, resample)
     light = parsing.source(source, lamp, window, sun)
     parsing.check_place(light, raster)
     with output.progress_bar("propagating") as progress:

@@ -145,7 +145,6 @@ Tail = Annotated[
 
 # -- of recover
 Image = Annotated[Path, argument(metavar="INPUT", help="Image of radiance: .npy, .npz, grey .png or .tif")]
-NodeSpacing = Annotated[float, typer.Option(help="Distance between neighbouring nodes")]
 RecoverMethod = Annotated[
     Literal["robust", "paper"],
     typer.Option(help="robust: the surface whose image is nearest to this one | paper: carving"),

@@ -30,9 +30,7 @@ def scene(
     resample: bool = False,
 ) -> tuple[Scene, geo.Raster | None]:
     """(scene, the raster that the file is if it is a GeoTIFF)."""
-    raster = geo.read(file, resample=resample) if geo.is_geotiff(file) else None
-    if resample and raster is None:
-        raise typer.BadParameter(f"{file} is not a GeoTIFF", param_hint="--resample")
+    raster = raster_of(file, resample)
     height = raster is not None if height is None else height
     if raster is None:
         with native_output_silenced(file):
@@ -46,6 +44,14 @@ def scene(
     spacing = spacing if spacing is not None else 1.0 if raster is None else raster.spacing
     make = Scene.from_height if height else Scene
     return make(values, spacing=spacing, mask=mask, sides=sides, reflectance=reflectance), raster
+
+
+def raster_of(file: Path, resample: bool) -> geo.Raster | None:
+    """The raster that a file is if it is a GeoTIFF."""
+    raster = geo.read(file, resample=resample) if geo.is_geotiff(file) else None
+    if resample and raster is None:
+        raise typer.BadParameter(f"{file} is not a GeoTIFF", param_hint="--resample")
+    return raster
 
 
 def without(nodata: float | None, values: np.ndarray, mask: np.ndarray | None) -> np.ndarray | None:
@@ -206,13 +212,23 @@ def whole_numbers(text: str, option: str) -> list[int]:
         ) from None
 
 
-def radiance(file: Path, white: float | None) -> np.ndarray:
-    """The image in ``file`` as radiance.
+def radiance(file: Path, white: float | None, resample: bool = False) -> tuple[np.ndarray, geo.Raster | None]:
+    """(The image in ``file`` as radiance, the raster that the file is if it is a GeoTIFF).
 
-    Counts need a scale, the file's own or --white; floating values are radiance already.
+    Counts need a scale, the file's own or --white; floating values are radiance already. Cells of a raster
+    without data are nan.
     """
-    with native_output_silenced(file):
-        image = io.read(file, "image", scaled=white is None)
+    raster = raster_of(file, resample)
+    if raster is not None:
+        image = raster.values
+    else:
+        with native_output_silenced(file):
+            image = io.read(file, "image", scaled=white is None)
+    image = _scaled(file, image, white)
+    return image if raster is None else np.where(raster.mask, image, np.nan), raster
+
+
+def _scaled(file: Path, image: np.ndarray, white: float | None) -> np.ndarray:
     if image.dtype.kind == "f":
         if white is not None:
             raise typer.BadParameter(

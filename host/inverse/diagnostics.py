@@ -13,6 +13,10 @@ from .confidence import UNTRUSTED
 from .pyramid import COARSEST, IMAGE_RMS, Pyramid
 
 ILL_POSED = "{} sides under a sky are ill-posed: the image of a flat surface is the same at any depth."
+NO_TIME = (
+    "Light between surfaces: it is left out, since the search ended before its turn; where the images contain"
+    " it, depth is farther off than std says."
+)
 # residual over the image (RMS) above which an image is called poorly explained. Measured by
 # performance/recover.py --what suspected, 32 x 32: it is given in none of 30 recoveries with the right
 # arguments, in 26 of 30 with half the albedo and 19 of 30 with open sides instead of dark ones. The residual

@@ -18,7 +18,7 @@ from ..directions import Hemicube
 from ..errors import bad
 from ..interreflection import check_choice
 from ..light.propagation import Progress
-from ..scene import Scene
+from ..scene import Scene, check_spacing
 from . import diagnostics
 from .carving import carved_layers
 from .confidence import UNTRUSTED, confidence_of, judgement_of
@@ -203,6 +203,8 @@ def _checked(
             "a number or (rows, cols)",
             "It can be found from several images under different lights, by method='robust'.",
         )
+    if labels is not None:  # the units that an image has are no lengths
+        check_spacing(spacing, labels._replace(attrs={}))
     scene = Scene(np.zeros(images[0].shape), spacing, 1.0 if albedo is None else albedo, None, sides)
     if np.ndim(scene.albedo) in (1, 3):
         raise bad(
@@ -345,6 +347,8 @@ def _recovered(
     if interreflection == "auto":
         known = given.albedo_given or direct.was_cut
         unit = [] if known else diagnostics.of_unit(_usual_albedo(direct), False)
+        if direct.was_cut:
+            direct.warnings.append(diagnostics.NO_TIME)
         if unit or direct.was_cut:
             direct.warnings.extend(unit)
             return _recovery(given, limits, direct, spent, compiled)
