@@ -671,6 +671,19 @@ def test_no_time_for_light_between_surfaces_is_said(fast):
         assert len(told) == (choice == "auto"), found.warnings
 
 
+@pytest.mark.parametrize(
+    "x, sides, is_told", [(-20.0, "open", True), (-4.0, "open", False), (-20.0, "dark", False)]
+)
+def test_a_lamp_beside_the_map_is_told(x, sides, is_told):
+    """Surfaces 5 nodes off explain its image, and std was 0.2."""
+    corner, edges = (x - 2, 8.0, -30.0), ((4.0, 0, 0), (0, 4.0, 0))
+    for lamp in (sl.Lamp(center=(x, 10.0, -30.0), radius=6.0), sl.Lamp(corner=corner, edges=edges)):
+        options = dict(layers=8, max_seconds=1e-6, interreflection=False, backend="numpy")
+        found = sl.recover(np.full((32, 32), 0.02), lamp, 0.5, sides, **options)
+        told = [text for text in found.warnings if text.startswith("Lamp beside the map: by ")]
+        assert len(told) == is_told, found.warnings
+
+
 def test_coordinates_that_are_not_the_spacing_are_told(fast):
     """As by Scene: 1 is taken."""
     xarray = pytest.importorskip("xarray")

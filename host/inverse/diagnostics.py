@@ -13,6 +13,10 @@ from .confidence import UNTRUSTED
 from .pyramid import COARSEST, IMAGE_RMS, Pyramid
 
 ILL_POSED = "{} sides under a sky are ill-posed: the image of a flat surface is the same at any depth."
+# share of the map's shorter side from which on a lamp stands beside the map. Measured: of two surfaces of 32 x
+# 32 nodes under lamps 0.16 of it away depths err by 0.02 and 0.09 nodes (RMS); 0.31 away by 1.3 and 5.1, with
+# std of 3.9 and 2.3; 0.6 away by 5.6 and 7.3, with std of 0.2
+BESIDE = 0.2
 NO_TIME = (
     "Light between surfaces: it is left out, since the search ended before its turn; where the images contain"
     " it, depth is farther off than std says."
@@ -64,6 +68,11 @@ def of_images(
                     f"8-bit steps: the image has {len(values)} values, {step:.2g} apart, and most neighbours"
                     " differ by less; fine relief is lost in them."
                 )
+    if scene.sides == "open" and len(lights) == 1 and (beside := _beside(lights[0], scene.shape)):
+        warnings.append(
+            f"Lamp beside the map: by {beside:.3g} nodes, so that surfaces which lie some nodes apart have"
+            " nearly the same image, and std may be far too small."
+        )
     for light in lights:
         if isinstance(light, sources.Lamp) and light.center is not None and light.radius is not None:
             away = deepest - light.center[2]
@@ -73,6 +82,20 @@ def of_images(
                     f" coarsest grid at depth {deepest:.3g}; its shadows are sharper than the grid allows."
                 )
     return warnings
+
+
+def _beside(light: sources.Source, shape: tuple[int, ...]) -> float:
+    """How far [nodes] the middle of a lamp stands beside the map; 0 up to BESIDE of its side."""
+    if not isinstance(light, sources.Lamp):
+        return 0.0
+    middle = light.center
+    if light.corner is not None and light.edges is not None:
+        middle = light.corner + np.sum(light.edges, 0) / 2
+    if middle is None:
+        return 0.0
+    beyond = [max(-at, at - (n - 1), 0.0) for at, n in zip(middle, shape[::-1])]
+    away = math.hypot(*beyond)
+    return away if away > BESIDE * min(shape) else 0.0
 
 
 def of_residual(pyramid: Pyramid, residual: np.ndarray) -> list[str]:
