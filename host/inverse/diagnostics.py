@@ -13,9 +13,9 @@ from .confidence import UNTRUSTED
 from .pyramid import COARSEST, IMAGE_RMS, Pyramid
 
 ILL_POSED = "{} sides under a sky are ill-posed: the image of a flat surface is the same at any depth."
-# share of the map's shorter side from which on a lamp stands beside the map. Measured: of two surfaces of 32 x
-# 32 nodes under lamps 0.16 of it away depths err by 0.02 and 0.09 nodes (RMS); 0.31 away by 1.3 and 5.1, with
-# std of 3.9 and 2.3; 0.6 away by 5.6 and 7.3, with std of 0.2
+# share of the map's shorter side from which on a lamp stands beside the map. Measured: of two surfaces of
+# 32 x 32 nodes, under lamps 0.16 of it away depths err by 0.02 and 0.09 nodes (RMS); 0.31 away by 1.3 and
+# 5.1, with std of 3.9 and 2.3; 0.6 away by 5.6 and 7.3, with std of 0.2
 BESIDE = 0.2
 NO_TIME = (
     "Light between surfaces: it is left out, since the search ended before its turn; where the images contain"
