@@ -16,7 +16,7 @@ from .errors import bad
 from .images import IMAGES, Rendering, image_of, numbers_of, on_host
 from .interreflection import Interreflection, albedos, included, is_needed, local_sums, reason, share_of
 from .light.far import Far, Tiling
-from .light.horizon import FINE_KNOTS, with_bright_parts
+from .light.horizon import with_bright_parts
 from .light.sweeps import Ground, Rays, Sweeps, engine_of, ground_of
 from .planning.plan import Plan
 from .render_options import DEFAULT_AZIMUTHS, Options, sectors_of
@@ -36,7 +36,7 @@ from .scale import (
     within_tile,
 )
 from .scene import Scene
-from .sources.integrals import even, integrals
+from .sources.integrals import FINE_KNOTS, even, integrals
 
 # azimuths of a small part of a sky on a map in tiles; chosen: with 8 the error is 0.06 %, cliffs apart
 PART_SECTORS = 16

@@ -11,7 +11,7 @@ from ..backends.resident import DeviceImage
 from ..directions import Azimuths
 from ..samples import Samples, picked
 from ..scene import Scene
-from ..sources.integrals import SKY_KNOTS, Integrals, even, sector_multiples
+from ..sources.integrals import FINE_KNOTS, Integrals, even, sector_multiples
 from ..sources.solids import Dome
 from . import unoccluded
 from .base import Estimate, Later, LightMethod, judged
@@ -27,7 +27,6 @@ MOST_CORRECTION = 2.0
 # nodes that are copied beside a map that repeats, each way: rays that leave it go on from a copy, a period
 # back. Chosen: with 16 and 256 a sun takes as long, but for 1 ms with 256 on a map of 8 x 8; 1 would do
 COPIED = 64
-FINE_KNOTS = 1025  # of a table that holds small bright parts too: a knot is 0.06 to 0.11 degrees
 
 
 class Horizons(LightMethod):
@@ -136,7 +135,7 @@ class Horizons(LightMethod):
         for azimuths, sectors in zip(grids, bright_parts):
             ray = Rays(azimuths.angles, azimuths.widths)
             if isinstance(self.sky, Integrals):
-                knots = FINE_KNOTS if sectors else SKY_KNOTS
+                knots = FINE_KNOTS if sectors else None
                 table = self.sky.table(ray.angles, np.full(len(azimuths), window), knots)
                 if sectors:
                     ray, table = with_bright_parts(ray, table, sectors)
