@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -54,7 +54,7 @@ class SkyPlanner(UnitsPlanner):
 
     light: float | Integrals  # a brightness, or its integrals
     bright_parts: tuple[BrightPart, ...] = ()
-    multiples: list[int] = []
+    multiples: Sequence[int] = ()  # of each of them, times as many sectors
     by_sectors: dict[int, np.ndarray]  # their light at the samples by sectors of each, two halves
     near_rows: int | None = None
     sectors = exact_sectors = 0  # of azimuth, of every small bright part: of the image, of the exact light
@@ -235,7 +235,8 @@ class SkyPlanner(UnitsPlanner):
         else:
             yield Choice("brightness", "constant", "it is a number")
         if self.bright_parts:
-            taken = f"{2 * self.sectors + 1} azimuths each"
+            ways = [2 * times * self.sectors + 1 for times in self.multiples]
+            taken = f"{ways[0]} azimuths each" if len(set(ways)) == 1 else f"{sum(ways)} azimuths"
             why = "small and bright: suns, lights and spots have azimuths of their own"
             if self.exact_parts:
                 why += ", above exact horizons"
