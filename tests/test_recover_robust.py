@@ -648,6 +648,7 @@ def test_nothing_is_recovered_from_darkness(kind, method):
         recover(np.ones((8, 8)), SHINE[kind](0), sides="dark", method=method, backend="numpy")
 
 
+@pytest.mark.slow
 def test_the_place_of_what_repeats_is_not_known(fast):
     """Under a sky an image over periodic sides is the same at any depth: std holds the bounds, a warning says
     so.
@@ -671,6 +672,7 @@ def test_no_time_for_light_between_surfaces_is_said(fast):
         assert len(told) == (choice == "auto"), found.warnings
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "x, sides, is_told", [(-20.0, "open", True), (-4.0, "open", False), (-20.0, "dark", False)]
 )

@@ -402,6 +402,7 @@ def under(samples, base, discs):
     return total
 
 
+@pytest.mark.slow
 def test_a_thin_ring_of_light_as_high_as_steps(fast):
     """0.2 degrees wide; knots of the tables were 0.35 apart, and the error 0.26 %."""
     scene = sl.Scene(24.0 - np.arange(40) // 5 * 3.0 * np.ones((40, 1)))
@@ -528,6 +529,7 @@ def test_a_low_sun_in_its_glow_over_a_map_that_repeats(fast):
     assert parts.why.endswith("of their own, above exact horizons")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("azimuth", [1, 33, 183])
 def test_a_sun_on_the_level_over_houses_that_repeat(fast, azimuth):
     """Its horizons lie 4,000 spacings away; it was swept, past whole houses: 7 to 15 % off without a word."""
@@ -888,6 +890,7 @@ def test_a_slit_before_a_sun(fast, width, points):
     assert out.image[~near].max() < 20 * np.median(out.image)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "elevation, azimuth, width, count", [(90, 0, 4e-4, (40_000, 1)), (40, 200, 1.1, (3000, 24))]
 )
@@ -1474,6 +1477,7 @@ def test_a_sun_behind_an_aperture_has_all_its_light(fast, sides):
     assert out.image[20, 20] == pytest.approx(whole, rel=0.01) and not out.warnings
 
 
+@pytest.mark.slow
 def test_a_sun_through_holes_is_told(fast):
     """The patches of light of a sun between the lattice's directions lie elsewhere; a warning says so."""
     sun, edge = towards(200, 50), math.cos(math.radians(2))

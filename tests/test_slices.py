@@ -676,6 +676,7 @@ def test_a_slit_almost_overhead(backend):
     np.testing.assert_allclose(image(backend, depth, slit, most=64), wanted, rtol=5e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("azimuth, elevation, scale", [(200, 35, 1), (70, 12, 1), (181, 12, 1), (7, 1, 0.05)])
 def test_a_sun_over_a_map_that_repeats(backend, azimuth, elevation, scale):
     """As in the middle of a map of many copies, though rays go round few of them: from the highest nodes too,
