@@ -345,12 +345,11 @@ def _recovered(
     if interreflection is False:
         return _recovery(given, limits, direct, spent, compiled)
     if interreflection == "auto":
-        known = given.albedo_given or direct.was_cut
-        unit = [] if known else diagnostics.of_unit(_usual_albedo(direct), False)
-        if direct.was_cut:
-            direct.warnings.append(diagnostics.NO_TIME)
-        if unit or direct.was_cut:
-            direct.warnings.extend(unit)
+        left_out = [diagnostics.NO_TIME] if direct.was_cut else []
+        if not (direct.was_cut or given.albedo_given):
+            left_out = diagnostics.of_unit(_usual_albedo(direct), False)
+        if left_out:
+            direct.warnings.extend(left_out)
             return _recovery(given, limits, direct, spent, compiled)
     answer = _answer(given, limits, engine, progress, spent, direct)
     if interreflection == "auto" and not answer.was_cut:

@@ -46,6 +46,7 @@ MEDIAN_NODES = 32
 # slope below which the ground of a map that repeats is not looked for. Chosen: with half and 2.5 times suns
 # 0.1 to 0.8 degrees high have the same light within 0.3 % of its mean, in the same time
 LOWEST_SUN = 0.002
+MOST_SEARCHED = 2**24  # [spacing], how far rays look there at most: float32 holds no crossings farther away
 # cells of azimuth and of the sine of elevation of a brightness, 8 bytes each: 0.35 degrees round the horizon,
 # and 0.16 at an elevation of 85
 CHORD_AZIMUTHS, CHORD_KNOTS = 1024, 4097
@@ -155,8 +156,8 @@ class Slices:
         padded = (rows + 2) * (cols + 1)
         reserve_map(backend, count, 4 * (padded + cells * self.width + images * count), 4 * padded)
         lowest, self.highest = there.heights_range
-        # how far [spacing] rays look
-        self.farthest = max(1.0, self.highest - lowest) / LOWEST_SUN if copied else ENDLESS
+        relief = max(1.0, self.highest - lowest)
+        self.farthest = min(relief / LOWEST_SUN, MOST_SEARCHED) if copied else ENDLESS  # rays look [spacing]
         self.heights = there.heights(1, 1, copied, copied + 2, periodic=copied > 0)
         self.tops = backend.empty((cells, self.width), np.float32)
         self.image, self.coarsened = backend.empty(there.shape, np.float32), False

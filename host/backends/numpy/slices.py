@@ -107,6 +107,12 @@ def _under_source(pixels: Pixels, along: np.ndarray, aside: np.ndarray, t: np.nd
     return np.where(pixels.up > 0, (pixels.reach / t - along) / pixels.up, ENDLESS)
 
 
+def _above_all(highest: np.float32, height: np.ndarray) -> np.ndarray:
+    """By how much the highest ground is above a node, rounding included."""
+    above: np.ndarray = highest - height + F(1e-6) * (np.abs(highest) + np.abs(height))
+    return above
+
+
 def _horizon(
     ground: Map,
     pixels: Pixels,
@@ -130,8 +136,8 @@ def _horizon(
     end_y = np.where(
         s == 0, ENDLESS, np.where(s > 0, ground.rows - 1 - pixels.y, -pixels.y).astype(F) * per_y
     )
-    # no farther than where the slice is above all ground, rounding included
-    above = ground.highest - pixels.height + F(1e-6) * (np.abs(ground.highest) + np.abs(pixels.height))
+    # no farther than where the slice is above all ground
+    above = _above_all(ground.highest, pixels.height)
     end = np.minimum(np.minimum(end_x, end_y), np.where(slope > 0, above / slope, ENDLESS))
     t = np.full(len(c), begin, F)
     who = np.flatnonzero((slope < high) & (t < end) & (t * (along + slope * pixels.up) < pixels.reach))
@@ -204,7 +210,7 @@ def _repeated_horizon(
 ) -> np.ndarray:
     """As :func:`_horizon`, over a map that repeats: a slice that leaves it goes on in a copy."""
     t, flat = np.zeros(len(c), F), np.zeros(len(c), F)
-    above = ground.highest - pixels.height + F(1e-6) * (np.abs(ground.highest) + np.abs(pixels.height))
+    above = _above_all(ground.highest, pixels.height)
     going = slope < high
     while going.any():
         steps_x, steps_y = ((abs(way) * t).astype(np.int32) for way in (c, s))
