@@ -42,7 +42,7 @@ from .sources.integrals import FINE_KNOTS, even, integrals
 PART_SECTORS = 16
 # rows within which every crossing on the way to such a part is tested. Chosen: on six maps of rough ground of
 # 200 x 256 nodes with a sun 20 degrees high the RMS error is 1.9 to 3.1 % with 6, 0.3 to 1.2 % with 24, 0.2 %
-# with 96 and with 200; a map of 1024 x 1024 takes 0.75, 0.80, 1.00 and 1.3 s on two cores
+# with 96 and with 200; a call takes 1.2, 1.3, 1.7 and 2.4 s for 1024 x 1024 nodes on two cores
 PART_NEAR_ROWS = 96
 # azimuths in which windows of tiles estimate the light between surfaces, with an error of 0.003 in the share
 # of sky; and the part of a window at each of its sides that is left out, since ground beyond is missing;
