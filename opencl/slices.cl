@@ -214,7 +214,7 @@ ints copy_of(int node, ints steps, floats way, int size, int period)
 }
 
 /* As `horizon`, over a map that repeats: a slice that leaves it goes on from the same place of a copy. The
-map is larger than a period, so that every lap leads on. */
+map is larger than a period by more than 1e-6 of the way, so that every lap leads on. */
 floats repeated_horizon(const Pixel *pixel, int period_y, int period_x, floats c, floats s, floats slope,
                         floats high, floats along)
 {

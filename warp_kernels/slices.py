@@ -286,7 +286,8 @@ def repeated_horizon(
     along: wp.float32,
 ):
     """As `horizon`, over a map that repeats: a slice that leaves it goes on from the same place of a copy.
-    The map is larger than a period, so that every lap leads on. (x, y): the node.
+    The map is larger than a period by more than 1e-6 of the way, so that every lap leads on. (x, y): the
+    node.
     """
     abs_c = wp.abs(c)
     abs_s = wp.abs(s)

@@ -24,8 +24,8 @@ HEMICUBE_ERRORS = {5: 0.0376, 7: 0.0188, 9: 0.0119, 17: 0.0039, 33: 0.0012}
 WINDOW_AZIMUTHS, WINDOW_ELEVATIONS = 96, 192  # directions of the exact light through a window
 PART_AZIMUTHS = 32  # and azimuths, at most, of the horizons before a small bright part behind it
 # parts of the sky, even in azimuth and in elevation, by which brightness is averaged over a direction's cell.
-# Chosen: against twice as many of both the light of a direction is 0.04 to 0.06 % off (RMS over the mean) where
-# brightness is smooth, 0.6 to 0.8 % where it has a step; with half 0.1 and 0.8 to 1.3 %
+# Chosen: against twice as many of both the light of a direction is 0.04 to 0.06 % off (RMS over the mean)
+# where brightness is smooth, 0.6 to 0.8 % where it has a step; with half 0.1 and 0.8 to 1.3 %
 BRIGHTNESS_AZIMUTHS, BRIGHTNESS_ELEVATIONS = 1024, 256
 # rms slope, of steps between neighbours, and hemicube from which on unfilled steps leak light. Chosen: on
 # ground of slope 1 they do from M = 7 on, of slope 0.5 only from M = 33 on (performance/lattice_error.py)
