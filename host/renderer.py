@@ -291,23 +291,26 @@ class Renderer:
         return images
 
     def _lattice(self) -> tuple[list[Any], list[np.ndarray]]:
-        """:meth:`_light` over the directions of a hemicube."""
+        """:meth:`_light` over the directions of a hemicube; its irradiances are refined if they may be."""
         options, scene, source = self.options, self.scene, self.source
-        plan = _lattice_plan(options)
-        self.plans.append(plan)
+        refines = self.planned and options.needs_irradiance(scene) and not options.brdf(scene)
+        refined_light = self._within_tolerance() if refines else []
+        plan = self.plans[0] if self.plans and self.plans[0].hemicube else _lattice_plan(options)
+        self.plans = self.plans or [plan]
         assert plan.hemicube is not None, "a plan of the lattice has a hemicube"
         cube = options.hemicube if isinstance(options.hemicube, Hemicube) else Hemicube(plan.hemicube)
         # checks that the source fits
         problem = lattice.problem_of(self.engine, scene, source, cube, bool(plan.filled))
         self.warnings.extend(lattice.warnings_of(problem, scene, source, cube))
-        brightness = np.stack([sources.radiance(grey, cube.directions) for grey in self.greys])
+        within = float(options.tolerance) if self.planned else None
+        moments, brightness, L = map(np.stack, zip(*(_by_cells(grey, cube, within) for grey in self.greys)))
         lobe = shading.lobe_of(scene, 1e-6) if options.quantity == "radiance" else None
         shares = whole = None
         if lobe:
             angles = cube.solid_angles * _norm(scene)
             shares, whole = (
-                np.concatenate([np.broadcast_to(cube.directions, (*share.shape, 3)), share[..., None]], -1)
-                for share in (brightness * angles, angles)
+                np.concatenate([np.broadcast_to(ways, (*share.shape, 3)), share[..., None]], -1)
+                for ways, share in ((L, brightness * angles), (cube.directions, angles))
             )
             apart = np.sqrt(2 * np.pi / len(cube))
             warnings = _narrow_lobe(lobe, apart, "method='horizon' or a larger hemicube")
@@ -315,13 +318,36 @@ class Renderer:
             whole = whole if warnings else None  # the sum is exact enough
         if options.brdf(scene):
             bits = propagation.visibility(self.engine, problem)
-            return [], list(shading.by_brdf(scene, self.greys, shading.of_lattice(bits, cube))[0])
-        printed = options.weights == "printed"
-        moments = cube.directions * cube.solid_angles[:, None] if printed else cube.moments
+            images, lights = shading.by_brdf(scene, self.greys, shading.of_lattice(bits, cube))
+            if options.chooses:
+                self.warnings += _missed_by_rays(self, lights)
+            return [], list(images)
+        if refined_light and lobe is None:
+            return refined_light, self._mirrored(None)
+        if options.weights == "printed":
+            moments = cube.directions * cube.solid_angles[:, None] * brightness[..., None]
         irradiances, reflected = propagation.light(
-            self.engine, problem, moments * brightness[..., None], lobe, shares, whole, self.on_device
+            self.engine, problem, moments, lobe, shares, whole, self.on_device
         )
-        return irradiances, reflected + self._mirrored(None)
+        return refined_light or irradiances, reflected + self._mirrored(None)
+
+
+def _by_cells(
+    grey: sources.Source, cube: Hemicube, tolerance: float | None
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Of every direction's cell: the integral of B L dOmega (D, 3), B (D,), and L (D, 3).
+
+    B is that of the direction; with a ``tolerance`` its mean over the cell, and L that of the light, if it
+    varies behind a window.
+    """
+    varies = isinstance(grey, sources.Window) and callable(grey.brightness)
+    if tolerance is None or not varies:
+        brightness = sources.radiance(grey, cube.directions)
+        return cube.moments * brightness[:, None], brightness, cube.directions
+    moments = lattice.moments_of(grey, cube, integrals(sources.Sky(grey.brightness), tolerance))
+    length = np.linalg.norm(moments, axis=1)
+    L = np.where(length[:, None] > 0, moments / np.maximum(length, 1e-300)[:, None], cube.directions)
+    return moments, length / np.linalg.norm(cube.moments, axis=1), L
 
 
 def _missed_by_rays(call: Renderer, lights: np.ndarray) -> list[str]:

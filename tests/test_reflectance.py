@@ -996,3 +996,19 @@ def test_a_lobe_that_cannot_be_refined_is_told(fast):
     window = sl.Window(x=(3, 11), y=(2, 9), brightness=lambda L: 1.0 * (L[..., 0] > 0.1) + 0.1)
     out = sl.render(scene, window, tolerance=0.0003, interreflection=False, backend=fast)
     assert any("specular lobe" in warning for warning in out.warnings)
+
+
+@pytest.mark.parametrize("surface", [sl.Phong(0.3, 0.4, 20.0), sl.Mirror(0.3, 0.4)], ids=["lobe", "mirror"])
+def test_a_sun_behind_an_aperture_in_lobes_and_mirrors(fast, surface):
+    """All open and next to the ground, as the sky itself: the sun was lost between the lattice's directions,
+    60 % of a lobe's image.
+    """
+    sun, edge = np.array([-0.5, 0.0, -math.sqrt(0.75)]), math.cos(math.radians(0.27))
+    light = lambda L: 1 + 1e5 * (L @ sun > edge)
+    scene, options = sl.Scene(np.full((40, 40), 0.5), reflectance=surface), dict(backend=fast)
+    window = sl.Window(aperture=np.ones((40, 40), bool), brightness=light)
+    images = [
+        sl.render(scene, source, interreflection=False, **options) for source in (sl.Sky(light), window)
+    ]
+    assert images[1].image[20, 20] == pytest.approx(images[0].image[20, 20], rel=0.03)
+    assert images[1].error is not None, "irradiances are refined, as of matte surfaces"

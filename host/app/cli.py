@@ -265,7 +265,7 @@ def recover(
     if picture is not None:
         io.writable(picture)
     image, raster = parsing.radiance(file, white, resample)
-    spacing = spacing if spacing is not None else 1.0 if raster is None else raster.spacing
+    spacing = parsing.spacing_of(spacing, raster)
     light = parsing.source(source, lamp, window, sun)
     parsing.check_place(light, raster)
     options: dict[str, Any] = dict(albedo=albedo, sides=sides, layers=layers, hemicube=hemicube, eps=eps)

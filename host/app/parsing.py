@@ -41,7 +41,7 @@ def scene(
     mask = without(nodata, values, mask)
     if raster is not None and not height:
         values = np.where(raster.mask, values, 0)
-    spacing = spacing if spacing is not None else 1.0 if raster is None else raster.spacing
+    spacing = spacing_of(spacing, raster)
     make = Scene.from_height if height else Scene
     return make(values, spacing=spacing, mask=mask, sides=sides, reflectance=reflectance), raster
 
@@ -52,6 +52,11 @@ def raster_of(file: Path, resample: bool) -> geo.Raster | None:
     if resample and raster is None:
         raise typer.BadParameter(f"{file} is not a GeoTIFF", param_hint="--resample")
     return raster
+
+
+def spacing_of(spacing: float | None, raster: geo.Raster | None) -> float:
+    """The spacing: --spacing, or that of the raster; 1 without both."""
+    return spacing if spacing is not None else 1.0 if raster is None else raster.spacing
 
 
 def without(nodata: float | None, values: np.ndarray, mask: np.ndarray | None) -> np.ndarray | None:
