@@ -93,9 +93,10 @@ class Renderer:
                 f"Depths are rounded by {scene.rounding:.2g} spacings, as float32: subtract the same depth"
                 " from the map and from the source."
             )
-        if options.chooses and missing and not self.planned:
+        if options.chooses and missing and (self.lobe or not self.planned):
+            what = "error of the specular lobe" if self.planned else "error"
             self.warnings.append(
-                f"Tolerance: the error is not known, {missing} takes directions of the lattice, whatever the"
+                f"Tolerance: the {what} is not known, {missing} takes directions of the lattice, whatever the"
                 " tolerance is."
             )
         self.parts: list[tuple[Refined, float]] = []  # refined irradiances, times factors

@@ -1285,23 +1285,27 @@ def test_sources_in_colour_are_planned(fast, source, first):
     assert made.method == out.method and made.azimuths == units
 
 
+HOLES = sl.Window(aperture=np.arange(SIZE * SIZE).reshape(SIZE, SIZE) % 3 == 0)
+
+
 @pytest.mark.parametrize(
-    ("sides", "source"),
+    ("sides", "source", "diffuse", "said"),
     [
-        ("periodic", sl.Sky()),
-        ("open", sl.Window(aperture=np.arange(SIZE * SIZE).reshape(SIZE, SIZE) % 3 == 0)),
-        ("open", sl.Sky()),
+        ("periodic", sl.Sky(), 0.4, "the radiance is made by a lattice"),
+        ("open", HOLES, 0.4, "summed over the lattice's directions"),
+        ("open", HOLES, 0.0, "summed over the lattice's directions"),
+        ("open", sl.Sky(), 0.4, "summed beside the irradiance"),
     ],
-    ids=["repeats", "aperture", "open"],
+    ids=["repeats", "aperture", "aperture, no diffuse light", "open"],
 )
-def test_a_plan_says_where_a_lobe_needs_the_lattice(fast, sides, source):
-    """Where a render of the radiance goes by a lattice that is not refined, and only there."""
-    scene = sl.Scene(ROUGH + 1, sides=sides, reflectance=sl.Phong(0.4, 0.3, 5))
-    made = sl.plan(scene, source, 0.03, fast)
+def test_a_plan_says_where_a_lobe_needs_the_lattice(fast, sides, source, diffuse, said):
+    """And a render warns that the lobe, or all of the image, is not refined; of the others only."""
+    scene = sl.Scene(ROUGH + 1, sides=sides, reflectance=sl.Phong(diffuse, 0.3, 5))
+    assert said in str(sl.plan(scene, source, 0.03, fast))
     out = sl.render(scene, source, tolerance=0.03, backend=fast, interreflection=False)
-    by_lattice = out.plan.method == "lattice" and not out.plan.steps
-    assert ("the radiance is made by a lattice" in str(made)) == by_lattice
-    assert by_lattice == (sides == "periodic" or isinstance(source, sl.Window))
+    assert (out.plan.method == "lattice") == ("lattice" in said)
+    assert any("is not known" in warning for warning in out.warnings) == ("lattice" in said)
+    assert bool(out.plan.steps) == (sides == "open" and diffuse > 0)
 
 
 # -- maps that lie on a device

@@ -185,13 +185,15 @@ def _common_choices(planner: Planner, between: float | None) -> Iterator[Choice]
         yield Choice("specular lobe", "none", "the surface is Lambertian")
     else:
         why = "summed beside the irradiance, to which the error given here belongs"
-        repeated = planner.scene.sides == "periodic" and isinstance(surface, Phong)
-        shines = isinstance(surface, BRDF) or bool(np.any(getattr(surface, "specular", 0.0)))
-        if shines and (repeated or lacking(planner.scene, planner.source)):
+        lobed = isinstance(surface, Phong) and bool(np.any(surface.specular))
+        latticed = lacking(planner.scene, planner.source)
+        if isinstance(surface, BRDF) and latticed or lobed and planner.scene.sides == "periodic":
             why = (
                 "the radiance is made by a lattice, its hemicube by the tolerance alone, and not refined; all"
                 " else here is of the irradiance"
             )
+        elif lobed and latticed:
+            why = "summed over the lattice's directions, and not refined; the error is that of the irradiance"
         yield Choice("specular lobe", type(surface).__name__, why)
     yield Choice("interreflection", *choice(planner.interreflection, between, planner.tolerance))
     yield Choice("precision", "float32", f"depths are rounded by {_rounding(planner.samples):.1g} spacings")
