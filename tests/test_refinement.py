@@ -1285,15 +1285,15 @@ def test_sources_in_colour_are_planned(fast, source, first):
     assert made.method == out.method and made.azimuths == units
 
 
-HOLES = sl.Window(aperture=np.arange(SIZE * SIZE).reshape(SIZE, SIZE) % 3 == 0)
+PIERCED = sl.Window(aperture=np.arange(SIZE * SIZE).reshape(SIZE, SIZE) % 3 == 0)
 
 
 @pytest.mark.parametrize(
     ("sides", "source", "diffuse", "said"),
     [
         ("periodic", sl.Sky(), 0.4, "the radiance is made by a lattice"),
-        ("open", HOLES, 0.4, "summed over the lattice's directions"),
-        ("open", HOLES, 0.0, "summed over the lattice's directions"),
+        ("open", PIERCED, 0.4, "summed over the lattice's directions"),
+        ("open", PIERCED, 0.0, "summed over the lattice's directions"),
         ("open", sl.Sky(), 0.4, "summed beside the irradiance"),
     ],
     ids=["repeats", "aperture", "aperture, no diffuse light", "open"],
